@@ -1,0 +1,1 @@
+"""Data that crosses a border: configuration, messages, REST bodies, log channels. No behaviour."""

@@ -1,0 +1,39 @@
+"""The base class of everything that is read from a file or from the network, and how records become JSON."""
+
+from typing import Any, TypeVar, get_type_hints
+
+from pydantic import BaseModel, ConfigDict, GetCoreSchemaHandler
+from pydantic_core import CoreSchema, core_schema
+
+
+class Strict(BaseModel):
+    """Immutable, refuses unknown keys and non-finite numbers."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+
+Record = TypeVar("Record", bound=tuple[Any, ...])
+
+
+def json_object(record: type[Record]) -> type[Record]:
+    """Have pydantic write a NamedTuple as an object of named fields; left alone it writes a bare array."""
+
+    defaults = vars(record)["_field_defaults"]
+
+    def schema(cls: type[Record], source: object, handler: GetCoreSchemaHandler) -> CoreSchema:
+        fields = {
+            name: core_schema.typed_dict_field(handler.generate_schema(kind), required=name not in defaults)
+            for name, kind in get_type_hints(cls).items()
+        }
+        as_object = core_schema.typed_dict_schema(fields, extra_behavior="forbid")
+        from_object = core_schema.no_info_after_validator_function(lambda values: cls(**values), as_object)
+        return core_schema.json_or_python_schema(
+            from_object,
+            core_schema.union_schema([core_schema.is_instance_schema(cls), from_object]),
+            serialization=core_schema.plain_serializer_function_ser_schema(
+                lambda value: value._asdict(), return_schema=as_object
+            ),
+        )
+
+    setattr(record, "__get_pydantic_core_schema__", classmethod(schema))  # noqa: B010
+    return record

@@ -1,0 +1,183 @@
+"""The daemon's configuration: one YAML file, units in every name, unknown keys refused."""
+
+from pathlib import Path
+from typing import Annotated, Literal, Self
+
+from pydantic import Field, model_validator
+
+from schemas.base import Strict
+
+
+class RailLimits(Strict):
+    """What the safety filter holds the cart to. Mechanical travel is +-0.30 m, the task's limit +-0.25 m."""
+
+    position_min_m: Annotated[float, Field(ge=-0.30, le=0.30)] = -0.25
+    position_max_m: Annotated[float, Field(ge=-0.30, le=0.30)] = 0.25
+    velocity_max_m_s: Annotated[float, Field(gt=0, le=1.0)] = 1.0
+    # The drive's own ramp is refused above this; a drive without one has its set-points slewed at it.
+    acceleration_max_m_s2: Annotated[float, Field(gt=0, le=20.0)] = 6.0
+    # What speeding up and braking are counted on: the swinging arm pulls the cart along either way.
+    surge_m_s2: Annotated[float, Field(gt=0, le=40.0)] = 9.0
+    braking_m_s2: Annotated[float, Field(gt=0, le=20.0)] = 3.0
+    # From a command to its effect on the cart.
+    latency_s: Annotated[float, Field(ge=0, le=0.2)] = 1 / 30
+    # How far before the limit the filter aims to stop; covers sensing error and the arm's pull at rest.
+    margin_m: Annotated[float, Field(ge=0, le=0.1)] = 0.01
+
+    @model_validator(mode="after")
+    def _ordered(self) -> Self:
+        if self.position_max_m - self.position_min_m < 4 * self.margin_m or (
+            self.position_max_m <= self.position_min_m
+        ):
+            raise ValueError(
+                "position_max_m must lie above position_min_m by four margin_m or more: widen them or lower margin_m"
+            )
+        return self
+
+
+class PressureLimits(Strict):
+    """What the safety filter holds the muscle's pressure to (gauge)."""
+
+    min_kpa: Annotated[float, Field(ge=-0.7, le=0.0)] = -0.7
+    max_kpa: Annotated[float, Field(gt=0.0, le=20.0)] = 20.0
+    # The seed's policies may step the full range within a tick (621 kPa/s at 30 Hz); lower it to be gentle.
+    slew_max_kpa_s: Annotated[float, Field(gt=0, le=1000.0)] = 621.0
+    # The regulator's own sensor may pass the range by this much before the failsafe stops the arm.
+    sensor_tolerance_kpa: Annotated[float, Field(ge=0, le=5.0)] = 2.0
+
+
+class Limits(Strict):
+    """Mandatory and on by default."""
+
+    rail: RailLimits = RailLimits()
+    pressure: PressureLimits = PressureLimits()
+
+
+class Failsafe(Strict):
+    """How old or late a thing may be before the failsafe answers."""
+
+    mocap_stale_s: Annotated[float, Field(gt=0, le=1.0)] = 0.1
+    pressure_stale_s: Annotated[float, Field(gt=0, le=1.0)] = 0.15
+    rail_stale_s: Annotated[float, Field(gt=0, le=1.0)] = 0.15
+    arming_frames: Annotated[int, Field(ge=1, le=1000)] = 30  # fresh mocap frames seen before arming
+    arming_timeout_s: Annotated[float, Field(gt=0, le=30)] = 3.0
+    policy_budget_s: Annotated[float, Field(gt=0, le=0.03)] = 0.015
+    missed_ticks_max: Annotated[int, Field(ge=1, le=30)] = 3  # in a row
+    rail_mocap_disagreement_m: Annotated[float, Field(gt=0, le=0.2)] = 0.03
+
+
+class Control(Strict):
+    """The loop."""
+
+    rate_hz: Literal[30] = 30  # what the shipped policies were trained at
+    realtime_priority: Annotated[int, Field(ge=0, le=98)] = 0  # SCHED_FIFO of the loop's thread; 0: off
+    policy: str = "reach"  # at start
+
+
+class Workspace(Strict):
+    """Where a reach goal may lie; it must also be within the arm's length of the rail."""
+
+    y_min_m: Annotated[float, Field(ge=-0.75, le=0.75)] = -0.6
+    y_max_m: Annotated[float, Field(ge=-0.75, le=0.75)] = 0.6
+    z_min_m: Annotated[float, Field(ge=0.4, le=1.4)] = 0.50
+    z_max_m: Annotated[float, Field(ge=0.4, le=1.4)] = 0.85
+
+    @model_validator(mode="after")
+    def _ordered(self) -> Self:
+        if not (self.y_min_m < self.y_max_m and self.z_min_m < self.z_max_m):
+            raise ValueError("y_min_m must lie below y_max_m, and z_min_m below z_max_m: swap or widen them")
+        return self
+
+
+class Goals(Strict):
+    """What reaching means ([P] section 4)."""
+
+    workspace: Workspace = Workspace()
+    success_radius_m: Annotated[float, Field(gt=0, le=0.2)] = 0.04
+    time_limit_s: Annotated[float, Field(gt=0, le=600)] = 100 / 30
+
+
+class Policy(Strict):
+    """A policy made from a plugin with options; its key is the name it is chosen by."""
+
+    plugin: str
+    options: dict[str, str | float | int | bool] = Field(default_factory=dict)
+
+
+class ZenohMocap(Strict):
+    """Motion capture over Zenoh; the daemon listens, bridges connect."""
+
+    driver: Literal["zenoh"] = "zenoh"
+    endpoint: str = "tcp/127.0.0.1:7447"
+    key: str = "softarm/mocap"
+
+
+class SerialRegulator(Strict):
+    """The Teensy that drives the pressure regulators."""
+
+    driver: Literal["serial"] = "serial"
+    port: str = "/dev/serial/by-id/usb-Teensyduino_USB_Serial-if00"
+    # The device vents without a command for so long.
+    time_to_live_s: Annotated[float, Field(gt=0.03, le=0.25)] = 0.1
+
+
+class DryveRail(Strict):
+    """The igus dryve D1 over Modbus TCP."""
+
+    driver: Literal["dryve_d1"] = "dryve_d1"
+    host: str = "169.254.0.1"
+    port: Annotated[int, Field(ge=1, le=65535)] = 502
+    units_per_m: Annotated[float, Field(gt=0)] = 100_000  # 60A8h: 0.01 mm by default
+    # Where on the axis (as homed) the middle of the rail is.
+    centre_m: Annotated[float, Field(ge=-2.0, le=2.0)] = 0.30
+    acceleration_m_s2: Annotated[float, Field(gt=0, le=20)] = 6.0
+    quick_stop_m_s2: Annotated[float, Field(gt=0, le=20)] = 6.0
+    timeout_s: Annotated[float, Field(gt=0, le=1)] = 0.1
+
+
+class Drivers(Strict):
+    """The three devices."""
+
+    mocap: ZenohMocap = ZenohMocap()
+    regulator: SerialRegulator = SerialRegulator()
+    rail: DryveRail = DryveRail()
+
+
+class Api(Strict):
+    """The REST endpoint; any address but loopback requires a token."""
+
+    host: str = "127.0.0.1"
+    port: Annotated[int, Field(ge=0, le=65535)] = 8080
+    token_file: Path | None = None
+
+
+class Recorder(Strict):
+    """The black box."""
+
+    directory: Path = Path("logs")
+    enabled: bool = True
+    flush_interval_s: Annotated[float, Field(gt=0, le=1)] = 0.05
+    queue_max: Annotated[int, Field(ge=100)] = 10_000
+
+
+class Config(Strict):
+    """softarm.yaml."""
+
+    limits: Limits = Limits()
+    failsafe: Failsafe = Failsafe()
+    control: Control = Control()
+    goals: Goals = Goals()
+    policies: dict[str, Policy] = Field(default_factory=dict)
+    drivers: Drivers = Drivers()
+    api: Api = Api()
+    recorder: Recorder = Recorder()
+
+    @model_validator(mode="after")
+    def _drive_ramp_within_limit(self) -> Self:
+        ramp, limit = self.drivers.rail.acceleration_m_s2, self.limits.rail.acceleration_max_m_s2
+        if ramp > limit:
+            raise ValueError(
+                f"drivers.rail.acceleration_m_s2 is {ramp}, above limits.rail.acceleration_max_m_s2 {limit}: "
+                "lower the drive's ramp or raise the limit"
+            )
+        return self

@@ -1,0 +1,106 @@
+"""The robot as a simulator sees it: parameters, and the effects that the simulator has.
+
+Frame: planar, y along the rail, z up, metres. Positive pressure bends the arm towards negative y. Joint angle
+i is link i against link i-1, positive towards +y; 0 hangs straight down. Pressure is gauge, kPa.
+Sources: [P] the CoRL 2023 paper, [C] its authors' released configuration.
+"""
+
+import math
+from typing import Annotated, Self
+
+from pydantic import Field, model_validator
+
+from schemas.base import Strict
+
+KPA_PER_PSI = 6.894757
+
+Positive = Annotated[float, Field(gt=0)]
+NonNegative = Annotated[float, Field(ge=0)]
+
+
+class Arm(Strict):
+    """The n-link arm that stands for the inflated beam ([P] section 3.1; every default: [C], [P] SM-B)."""
+
+    link_length_m: tuple[Positive, ...] = (0.0885,) * 5
+    link_mass_kg: tuple[Positive, ...] = (0.005, 0.005, 0.005, 0.005, 0.1)
+    # About each link's centre, around the bending axis; the centre of mass is at half length.
+    link_inertia_kg_m2: tuple[Positive, ...] = (6.89e-6,) * 4 + (1.0156e-4,)
+    stiffness_nm_rad: tuple[NonNegative, ...] = (0.8385, 1.5400, 1.5109, 1.2887, 0.4347)
+    damping_nm_s_rad: tuple[NonNegative, ...] = (0.0178, 0.0304, 0.0528, 0.0367, 0.0223)
+    muscle_gain_nm_kpa: tuple[float, ...] = tuple(b / KPA_PER_PSI for b in (0.0247, 0.0616, 0.0779, 0.0498, 0.0268))
+    # A constant torque towards -y; [C] only, the paper leaves it out.
+    torque_offset_nm: tuple[float, ...] = (0.0007, 0.0062, 0.0402, 0.0160, 0.0133)
+    base_height_m: float = 0.965
+    gravity_m_s2: float = 9.81
+
+    @model_validator(mode="after")
+    def _one_entry_a_link(self) -> Self:
+        n = len(self.link_length_m)
+        for name, value in self:
+            if isinstance(value, tuple) and len(value) != n:
+                raise ValueError(f"{name} has {len(value)} entries, link_length_m has {n}: one entry a link")
+        if not 1 <= n <= 12:
+            raise ValueError(f"link_length_m has {n} entries; the simulator takes 1 to 12 links")
+        return self
+
+    @property
+    def links(self) -> int:
+        """Number of links."""
+        return len(self.link_length_m)
+
+
+class Cart(Strict):
+    """The cart and the drive's force law ([P] section 3.3, gains in [P] SM-E and [C])."""
+
+    mass_kg: Positive = 0.4
+    # Feed-forward of the acceleration tracker: [C] uses 0.5 where the paper says "the mass of the robot".
+    feedforward_mass_kg: NonNegative = 0.5
+    acceleration_gain_kg: NonNegative = 0.30
+    velocity_gain_n_s_m: NonNegative = 30.0
+    tracking_switch_m_s: NonNegative = 0.1
+    travel_m: Positive = 0.30  # mechanical stops at +-travel_m [P]
+
+
+class Lag(Strict):
+    """pressure.lag: first-order lag, an own time constant each way.
+
+    [C] filters once per 30 Hz step and keeps 0.81 (inflating) and 0.86 (deflating) of the old pressure.
+    """
+
+    inflate: NonNegative = -1 / 30 / math.log(0.81)
+    deflate: NonNegative = -1 / 30 / math.log(0.86)
+
+
+class AccelerationLimit(Strict):
+    """rail.acceleration_limit: the drive ramps its velocity at a fixed slope, m/s^2 [P]."""
+
+    acceleration: Positive = 6.0
+
+
+class Delay(Strict):
+    """A pure delay in seconds; rail.delay is one control step [P]."""
+
+    delay: Annotated[float, Field(ge=0, le=0.1)] = 1 / 30
+
+
+class FiniteDifference(Strict):
+    """observation.finite_difference: velocities are first differences over a control step [P]."""
+
+
+class Effects(Strict):
+    """The effects a simulator has; one that is absent (null) does nothing. Names: `stage.effect`."""
+
+    pressure_lag: Lag | None = Field(Lag(), alias="pressure.lag")
+    rail_acceleration_limit: AccelerationLimit | None = Field(AccelerationLimit(), alias="rail.acceleration_limit")
+    rail_delay: Delay | None = Field(Delay(), alias="rail.delay")
+    observation_finite_difference: FiniteDifference | None = Field(
+        FiniteDifference(), alias="observation.finite_difference"
+    )
+
+
+class Model(Strict):
+    """A model file: the robot's parameters and the simulator's effects; by default the seed's simulator."""
+
+    arm: Arm = Arm()
+    cart: Cart = Cart()
+    effects: Effects = Field(default_factory=lambda: Effects.model_validate({}))

@@ -1,0 +1,76 @@
+"""What a policy says of itself; an ONNX policy carries it as JSON under the metadata key `softarm`."""
+
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from schemas.base import Strict
+
+METADATA_KEY = "softarm"
+
+
+class Signal(Strict):
+    """One element of an observation, goal or action vector."""
+
+    name: str
+    unit: str
+    low: float | None = None  # actions: what -1 and +1 map to
+    high: float | None = None
+
+
+OBSERVATION = (
+    Signal(name="cart_position", unit="m"),
+    Signal(name="cart_velocity", unit="m/s"),
+    Signal(name="tip_y", unit="m"),
+    Signal(name="tip_z", unit="m"),
+    Signal(name="tip_vy", unit="m/s"),
+    Signal(name="tip_vz", unit="m/s"),
+    Signal(name="previous_cart_velocity_command", unit="m/s"),
+    Signal(name="pressure", unit="kPa"),
+)
+REACH_GOAL = (Signal(name="target_y", unit="m"), Signal(name="target_z", unit="m"))
+ACTION = (
+    Signal(name="cart_velocity", unit="m/s", low=-1.0, high=1.0),
+    Signal(name="pressure", unit="kPa", low=-0.7, high=20.0),
+)
+
+
+class TrainingRange(Strict):
+    """Where the policy was trained; outside it the daemon warns."""
+
+    target_y_m: tuple[float, float]
+    target_z_m: tuple[float, float]
+    cart_start_m: tuple[float, float]
+
+
+class Golden(Strict):
+    """A short recorded run that the file must reproduce before it may be armed.
+
+    `inputs` is [steps, observation + goal], `outputs` [steps, action] in -1..1 before scaling; the recurrent
+    state starts at zero and is carried from step to step.
+    """
+
+    inputs: tuple[tuple[float, ...], ...]
+    outputs: tuple[tuple[float, ...], ...]
+    tolerance: float = 1e-4
+
+
+class PolicyMetadata(Strict):
+    """The self-description of a learned policy."""
+
+    format: Literal[1] = 1
+    name: str
+    task: Literal["reach"]
+    rate_hz: Annotated[float, Field(gt=0)]
+    observation: tuple[Signal, ...]
+    goal: tuple[Signal, ...]
+    action: tuple[Signal, ...]
+    state_size: int  # h and c are [1, batch, state_size]
+    rail_limit_m: float  # |cart position| that training held to
+    episode_steps: int
+    trained: TrainingRange
+    training: dict[str, str | float | int | bool | list[float] | None]  # the training configuration
+    seed: int
+    git_revision: str
+    validation_success: float
+    golden: Golden
