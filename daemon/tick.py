@@ -1,0 +1,181 @@
+"""One measurement becomes one command. Pure: no I/O, no clock, no asyncio.
+
+The same tick runs at 30 Hz on hardware, in lockstep with the simulator, and again over a recorded log.
+"""
+
+from collections import deque
+from collections.abc import Iterator, Mapping
+
+import numpy as np
+
+from daemon.checks import device_events
+from daemon.failsafe import Event, ModeMachine
+from daemon.goals import GoalTracker
+from daemon.observer import Observer, as_array
+from daemon.records import Inputs, Mode, Observed, Outputs, Request, RequestResult
+from daemon.safety import SafetyFilter
+from policies.runner import PolicyOutcome, PolicyRunner
+from schemas.config import Config
+from schemas.goals import Goal
+from schemas.messages import SAFE, Command
+
+RESULTS_KEPT = 32
+REST_SPEED_M_S = 0.02  # of a cart that counts as braked
+BRAKING_S = 1.0  # a soft stop waits this long for the cart to rest
+_NO_TARGET = np.full(2, np.nan, dtype=np.float32)
+
+
+class Controller:
+    """State between ticks, and the tick."""
+
+    def __init__(self, config: Config, policy: PolicyRunner) -> None:
+        rate = config.control.rate_hz
+        self._config = config
+        self._policy = policy
+        self._observer = Observer(stale_ns=round(config.failsafe.mocap_stale_s * 1e9))
+        self._safety = SafetyFilter(config.limits, 1 / rate, config.drivers.rail.acceleration_m_s2)
+        self._machine = ModeMachine(round(config.failsafe.arming_timeout_s * rate), round(BRAKING_S * rate))
+        self._goals = GoalTracker(config.goals)
+        self._results: deque[RequestResult] = deque(maxlen=RESULTS_KEPT)
+        self._tick = 0
+        self._missed_total = 0
+        self._sent = SAFE
+        self._disagreeing = 0
+        self._pending_events: list[Event] = []  # of this tick, from requests and the policy
+
+    def tick(self, inputs: Inputs, runners: Mapping[int, PolicyRunner] | None = None) -> Outputs:
+        """Decide. `runners` holds, by request number, the loaded policies of this tick's policy requests."""
+        self._tick += 1
+        self._missed_total += inputs.missed
+        self._pending_events = []
+        self._observer.update(inputs)
+        observed = self._observer.observe(inputs.t_ns, self._sent.cart_velocity_m_s)
+        conditions = tuple(self._conditions(inputs))
+        for request in inputs.requests:
+            self._answer(request, conditions, runners or {})
+        outcome = self._run_policy(inputs.t_ns, observed, conditions)
+        if outcome is not None and outcome.fault is not None:
+            self._pending_events.append(Event("policy_fault", outcome.fault))
+        events = (*self._pending_events, *conditions)
+        self._machine.update(events, devices_armed=self._devices_armed(), at_rest=self._at_rest())
+        if self._machine.mode is not Mode.ARMED:
+            self._goals.fail(self._machine.last_stop or "the arm is not armed")
+        wanted = self._wanted(outcome)
+        sent, clamps = self._safety.apply(wanted, self._observer.cart(inputs.t_ns))
+        self._sent = sent
+        return Outputs(
+            t_ns=inputs.t_ns,
+            tick=self._tick,
+            late_ns=inputs.late_ns,
+            missed=inputs.missed,
+            missed_total=self._missed_total,
+            mode=self._machine.mode,
+            estop=self._machine.estop,
+            sent=sent,
+            action=None if outcome is None or outcome.action is None else _pair(outcome),
+            policy=self._policy.policy.spec.name,
+            policy_ns=0 if outcome is None else outcome.duration_ns,
+            policy_fault=None if outcome is None else outcome.fault,
+            clamps=clamps,
+            observed=observed,
+            rail_position_m=inputs.rail.position_m if inputs.rail else None,
+            rail_velocity_m_s=inputs.rail.velocity_m_s if inputs.rail else None,
+            goal=self._goals.status,
+            events=tuple(event.active() for event in events),
+            arming_refusals=self._machine.refusals(conditions),
+            last_stop=self._machine.last_stop,
+            results=tuple(self._results),
+            reset_devices=any(request.kind == "acknowledge" for request in inputs.requests),
+        )
+
+    def _conditions(self, inputs: Inputs) -> Iterator[Event]:
+        """What holds now, from the devices and from the loop itself."""
+        distance = self._observer.rail_against_mocap_m()
+        apart = distance is not None and distance > self._config.failsafe.rail_mocap_disagreement_m
+        self._disagreeing = self._disagreeing + 1 if apart else 0
+        engaged = self._machine.mode in (Mode.ARMED, Mode.STOPPING)
+        yield from device_events(inputs, self._observer, self._config, engaged, self._disagreeing)
+        if inputs.missed >= self._config.failsafe.missed_ticks_max:
+            yield Event("ticks_missed", f"{inputs.missed} in a row, {inputs.late_ns / 1e6:.0f} ms late")
+        elif inputs.missed:
+            yield Event("tick_late", f"{inputs.missed} skipped, {inputs.late_ns / 1e6:.0f} ms late")
+        if inputs.recorder_dropped:
+            yield Event("recorder_dropping", f"{inputs.recorder_dropped} so far")
+
+    def _answer(self, request: Request, conditions: tuple[Event, ...], runners: Mapping[int, PolicyRunner]) -> None:
+        """Carry out a request and keep its result."""
+        reasons: tuple[str, ...] = ()
+        match request.kind:
+            case "stop":
+                self._pending_events.append(Event("stop_requested"))
+            case "acknowledge":
+                reasons = self._machine.acknowledge()
+            case "arm":
+                reasons = self._machine.arm(self._machine.refusals(conditions))
+            case "disarm":
+                self._machine.disarm("disarmed by request")
+            case "goal":
+                reasons = self._take_up(request.goal)
+            case "cancel_goal":
+                self._goals.cancel("cancelled by request")
+            case "policy":
+                reasons = self._use_policy(runners.get(request.number))
+        self._results.append(RequestResult(request.number, not reasons, reasons))
+
+    def _take_up(self, goal: Goal | None) -> tuple[str, ...]:
+        if goal is None:
+            return ("a goal request without a goal",)
+        if self._machine.mode is not Mode.ARMED:
+            return (f"the arm is {self._machine.mode}: POST /api/arm first",)
+        if goal.kind == "reach" and not self._policy.policy.spec.needs_target:
+            name = self._policy.policy.spec.name
+            return (f"the policy {name!r} does not move to targets: choose another with PUT /api/policy",)
+        self._goals.take_up(goal)
+        self._policy.reset()
+        return ()
+
+    def _use_policy(self, runner: PolicyRunner | None) -> tuple[str, ...]:
+        if self._goals.running is not None and self._goals.running.kind == "reach":
+            return ("a goal is running: wait for it or DELETE /api/goal first",)
+        if runner is None:
+            return ("the policy was not loaded",)
+        self._policy = runner
+        return ()
+
+    def _run_policy(
+        self, now_ns: int, observed: Observed | None, conditions: tuple[Event, ...]
+    ) -> PolicyOutcome | None:
+        """Ask the policy when the arm is armed, a reach goal runs and nothing stops it; None otherwise."""
+        if self._machine.mode is not Mode.ARMED or observed is None:
+            return None
+        if any(e.rule.response > 0 for e in (*self._pending_events, *conditions)):
+            return None
+        _, _, tip_y, tip_z, *_ = observed.values
+        self._goals.update(tip_y, tip_z, now_ns)
+        goal = self._goals.running
+        if goal is None or goal.kind == "hold":
+            return None
+        return self._policy.step(as_array(observed), np.array((goal.y_m, goal.z_m), dtype=np.float32))
+
+    def _wanted(self, outcome: PolicyOutcome | None) -> Command:
+        """The command before the safety filter; all but a good action of an armed arm brakes and vents."""
+        mode = self._machine.mode
+        if mode in (Mode.DISARMED, Mode.STOPPED):
+            return SAFE
+        if mode is Mode.ARMED and outcome is not None and outcome.action is not None:
+            velocity, pressure = _pair(outcome)
+            return Command(True, velocity, pressure)
+        return Command(True, 0.0, 0.0)
+
+    def _devices_armed(self) -> bool:
+        pressure, rail = self._observer.pressure, self._observer.rail
+        return pressure is not None and rail is not None and pressure.armed and rail.enabled
+
+    def _at_rest(self) -> bool:
+        rail = self._observer.rail
+        return rail is not None and abs(rail.velocity_m_s) < REST_SPEED_M_S
+
+
+def _pair(outcome: PolicyOutcome) -> tuple[float, float]:
+    assert outcome.action is not None  # a fault-free outcome carries an action of shape [2]
+    return float(outcome.action[0]), float(outcome.action[1])

@@ -1,0 +1,358 @@
+"""The tick as a whole: from disarmed to a goal, and every fault on the way."""
+
+import dataclasses
+import math
+import time
+
+import numpy as np
+import pytest
+
+from daemon.records import EStop, Inputs, Mode, Problems, Request
+from daemon.tick import Controller
+from policies.base import PolicySpec
+from policies.runner import InlineRunner
+from schemas.config import Config
+from schemas.goals import Goal
+from schemas.messages import SAFE, Command, MocapFrame, Pose, PressureReading, RailReading
+
+PERIOD_NS = 33_333_333
+
+
+class Steady:
+    """Always the same action; notes what it saw."""
+
+    spec = PolicySpec("steady", "for tests")
+
+    def __init__(self, action=(0.2, 5.0)):
+        self.action = np.array(action, dtype=np.float32)
+        self.seen, self.resets = [], 0
+
+    def reset(self):
+        self.resets += 1
+
+    def step(self, observation, goal):
+        self.seen.append((observation.copy(), goal.copy()))
+        return self.action
+
+
+class Rig:
+    """Feeds a controller with readings of a robot that stands still, and lets a test spoil any of them."""
+
+    def __init__(self, policy=None):
+        self.policy = policy or Steady()
+        self.controller = Controller(Config(), InlineRunner(self.policy))
+        self.now = 0
+        self.number = 0
+        self.sequence = 0
+        self.tip = (0.0, 0.52)
+        self.cart = 0.0
+        self.on = False
+        self.outputs = None
+
+    def inputs(self, *kinds, goal=None, **changes):
+        self.now += PERIOD_NS
+        frames = []
+        for _ in range(4):
+            self.sequence += 1
+            bodies = (Pose(self.cart, 0.965, 0.0), *[Pose(self.cart, 0.7, 0.0)] * 4, Pose(*self.tip, 0.0))
+            stamp = self.now - (4 - len(frames)) * 8_000_000
+            frames.append(MocapFrame(self.sequence, stamp, self.now, bodies))
+        requests = []
+        for kind in kinds:
+            self.number += 1
+            requests.append(Request(self.number, kind, goal))
+        return dataclasses.replace(
+            Inputs(
+                t_ns=self.now,
+                mocap=tuple(frames),
+                pressure=PressureReading(self.now, 0.0, self.on),
+                rail=RailReading(self.now, self.cart, 0.0, self.on),
+                requests=tuple(requests),
+            ),
+            **changes,
+        )
+
+    def tick(self, *kinds, goal=None, runners=None, **changes):
+        self.outputs = self.controller.tick(self.inputs(*kinds, goal=goal, **changes), runners)
+        self.on = self.outputs.sent.enable
+        return self.outputs
+
+    def armed(self):
+        for _ in range(30):
+            self.tick()
+        self.tick("arm")
+        self.tick()
+        assert self.outputs.mode is Mode.ARMED
+        return self
+
+    def swinging(self):
+        self.armed().tick("goal", goal=Goal("reach", -0.2, 0.6))
+        assert self.outputs.action is not None
+        return self
+
+    def reasons(self):
+        return " ".join(self.outputs.results[-1].reasons)
+
+
+def test_starts_disarmed_and_sends_nothing_but_safe():
+    rig = Rig()
+    for _ in range(40):
+        assert rig.tick().sent == SAFE
+    assert rig.outputs.mode is Mode.DISARMED
+    assert rig.outputs.arming_refusals == ()
+
+
+def test_arming_enables_at_rest_then_waits_for_a_goal():
+    rig = Rig().armed()
+    assert rig.outputs.sent == Command(True, 0.0, 0.0)
+    assert rig.policy.seen == []
+
+
+def test_arming_is_refused_with_all_reasons():
+    rig = Rig()
+    rig.tick("arm", mocap=(), pressure=None, rail=None, problems=Problems(rail="rail 10.0.0.9:502: refused"))
+    assert rig.outputs.mode is Mode.DISARMED
+    for words in ("motion capture", "pressure regulator has not answered", "rail 10.0.0.9:502: refused"):
+        assert words in rig.reasons()
+    rig.tick("arm")
+    assert "4 of 30 frames" in rig.reasons()
+
+
+def test_the_policy_flies_the_goal_and_sees_what_was_really_sent():
+    rig = Rig(Steady((1.7, 25.0))).swinging()
+    assert rig.policy.resets == 1
+    assert rig.outputs.action == pytest.approx((1.7, 25.0))
+    assert rig.outputs.sent == Command(True, 1.0, 20.0)
+    assert rig.outputs.clamps == ("rail_velocity", "pressure_max")
+    rig.tick()
+    observation, goal = rig.policy.seen[-1]
+    assert observation[6] == 1.0  # sent, not wanted
+    assert goal == pytest.approx([-0.2, 0.6])
+
+
+def test_a_reached_goal_ends_in_a_hold():
+    rig = Rig().swinging()
+    rig.tip = (-0.2, 0.59)
+    rig.tick()
+    assert rig.outputs.goal.state == "reached"
+    assert rig.outputs.sent == Command(True, 0.0, 0.0)
+    assert rig.outputs.mode is Mode.ARMED
+
+
+def test_a_goal_out_of_time_fails_and_holds():
+    rig = Rig().swinging()
+    for _ in range(100):
+        rig.tick()
+    assert rig.outputs.goal.state == "failed"
+    assert "not reached within 3.33 s" in rig.outputs.goal.reason
+    assert len(rig.policy.seen) == 100  # the paper's episode
+    assert rig.outputs.sent == Command(True, 0.0, 0.0)
+
+
+def test_a_new_goal_in_mid_swing_takes_over_and_resets_the_policy():
+    rig = Rig().swinging()
+    rig.tick("goal", goal=Goal("reach", -0.3, 0.7))
+    assert rig.outputs.goal.number == 2
+    assert rig.policy.resets == 2
+    assert rig.policy.seen[-1][1] == pytest.approx([-0.3, 0.7])
+
+
+@pytest.mark.parametrize("kind", ["goal", "cancel_goal"])
+def test_hold_and_cancel_stand_still_armed(kind):
+    rig = Rig().swinging()
+    rig.tick(kind, goal=Goal("hold"))
+    assert rig.outputs.sent == Command(True, 0.0, 0.0)
+    assert rig.outputs.mode is Mode.ARMED
+
+
+def test_a_goal_without_arming_is_refused():
+    rig = Rig()
+    rig.tick("goal", goal=Goal("reach", -0.2, 0.6))
+    assert rig.reasons() == "the arm is disarmed: POST /api/arm first"
+    assert rig.outputs.goal.state == "none"
+
+
+def test_a_policy_that_does_not_move_to_targets_refuses_a_reach():
+    policy = Steady()
+    policy.spec = PolicySpec("still", "", needs_target=False)
+    rig = Rig(policy).armed()
+    rig.tick("goal", goal=Goal("reach", -0.2, 0.6))
+    assert "'still' does not move to targets" in rig.reasons()
+
+
+def test_the_policy_is_not_changed_under_a_running_goal():
+    rig, other = Rig().swinging(), InlineRunner(Steady((0.0, 1.0)))
+    rig.tick("policy", runners={rig.number + 1: other})
+    assert "a goal is running" in rig.reasons()
+    rig.tick("cancel_goal")
+    rig.tick("policy", runners={rig.number + 1: other})
+    assert rig.outputs.results[-1].accepted
+    rig.tick("goal", goal=Goal("reach", -0.2, 0.6))
+    assert rig.outputs.sent.pressure_kpa == 1.0
+
+
+def spoil(rig, **fields):
+    """Inputs whose pressure or rail reading has other fields; the clock goes on."""
+    rig.now -= PERIOD_NS
+    fresh = rig.inputs()
+    rig.now -= PERIOD_NS
+    reading = fields.pop("of")
+    return {reading: dataclasses.replace(getattr(fresh, reading), **fields)}
+
+
+STOPS = {
+    "rail_fault": {"of": "rail", "faults": ("E12 limit switch",)},
+    "remote_off": {"of": "rail", "remote": False},
+    "rail_outside": {"of": "rail", "position_m": 0.275},
+    "not_finite": {"of": "rail", "velocity_m_s": math.nan},
+    "regulator_fault": {"of": "pressure", "faults": ("supply low",)},
+    "pressure_outside": {"of": "pressure", "pressure_kpa": 23.0},
+}
+
+
+@pytest.mark.parametrize("name", STOPS)
+def test_a_device_that_fails_stops_the_arm_and_latches(name):
+    rig = Rig().swinging()
+    rig.tick(**spoil(rig, **STOPS[name]))
+    assert rig.outputs.mode is Mode.STOPPED
+    assert rig.outputs.estop is EStop.ENGAGED
+    assert rig.outputs.sent == SAFE
+    assert name in [event.name for event in rig.outputs.events]
+    assert rig.outputs.goal.state == "failed"
+    rig.tick("acknowledge")
+    assert rig.outputs.reset_devices
+    rig.tick("acknowledge")
+    assert rig.outputs.mode is Mode.DISARMED
+
+
+@pytest.mark.parametrize(
+    ("device", "event"), [("pressure", "pressure_stale"), ("rail", "rail_stale"), ("mocap", "mocap_stale")]
+)
+def test_a_sensor_that_goes_quiet_ends_in_a_soft_stop_in_time(device, event):
+    rig = Rig().swinging()
+    frozen = () if device == "mocap" else getattr(rig.inputs(), device)
+    for ticks in range(1, 10):
+        rig.tick(**{device: frozen})
+        if rig.outputs.mode is not Mode.ARMED:
+            break
+    assert ticks <= 6  # 200 ms
+    assert rig.outputs.mode is Mode.STOPPING
+    assert rig.outputs.sent == Command(True, 0.0, 0.0)
+    assert rig.outputs.events[0].name == f"{device}_stale"
+    assert rig.outputs.goal.state == "failed"
+    rig.tick(**({"mocap": ()} if device == "mocap" else {}))
+    assert rig.outputs.mode is Mode.DISARMED
+    assert rig.outputs.sent == SAFE
+
+
+def test_mocap_stamped_in_the_future_is_not_flown_on():
+    rig = Rig().swinging()
+    inputs = rig.inputs()
+    frame = dataclasses.replace(inputs.mocap[-1], t_capture_ns=inputs.t_ns + 50_000_000)
+    rig.now -= PERIOD_NS
+    rig.tick(mocap=(frame,))
+    assert rig.outputs.mode is Mode.STOPPING
+    assert "50 ms ahead" in rig.outputs.last_stop
+
+
+def test_an_axis_that_disagrees_with_mocap_for_long_stops():
+    rig = Rig().swinging()
+    rig.cart = 0.1
+    for ticks in range(1, 20):
+        rig.tick(rail=RailReading(rig.now, 0.05, 0.0, True))
+        if rig.outputs.mode is Mode.STOPPED:
+            break
+    assert ticks == 5
+    assert "50 mm apart" in rig.outputs.last_stop
+
+
+def test_a_device_that_switches_itself_off_ends_the_swing():
+    for changes in ({"of": "rail", "enabled": False}, {"of": "pressure", "armed": False}):
+        rig = Rig().swinging()
+        rig.tick(**spoil(rig, **changes))
+        assert rig.outputs.mode is Mode.STOPPING
+
+
+class Broken(Steady):
+    def __init__(self, answer):
+        super().__init__()
+        self.answer = answer
+
+    def step(self, observation, goal):
+        if isinstance(self.answer, Exception):
+            raise self.answer
+        return self.answer
+
+
+@pytest.mark.parametrize(
+    "answer",
+    [
+        RuntimeError("tensor on the wrong planet"),
+        np.array([math.nan, 1.0], dtype=np.float32),
+        np.array([0.1, math.inf], dtype=np.float32),
+        np.zeros(3, dtype=np.float32),
+        np.zeros((1, 2), dtype=np.float32),
+        None,
+        "left",
+    ],
+)
+def test_a_broken_policy_never_reaches_the_actuators(answer):
+    rig = Rig(Broken(answer)).armed()
+    rig.tick("goal", goal=Goal("reach", -0.2, 0.6))
+    assert rig.outputs.sent == Command(True, 0.0, 0.0)
+    assert rig.outputs.mode is Mode.STOPPING
+    assert rig.outputs.policy_fault
+    assert rig.outputs.goal.state == "failed"
+    rig.tick()
+    assert rig.outputs.mode is Mode.DISARMED
+    rig.tick("arm")
+    assert rig.outputs.results[-1].accepted
+
+
+@pytest.mark.parametrize(("missed", "mode"), [(1, Mode.ARMED), (2, Mode.ARMED), (3, Mode.STOPPING)])
+def test_late_ticks_warn_and_many_in_a_row_stop(missed, mode):
+    rig = Rig().swinging()
+    rig.tick(missed=missed, late_ns=missed * PERIOD_NS)
+    assert rig.outputs.mode is mode
+    assert rig.outputs.missed_total == missed
+
+
+def test_a_stop_request_latches_until_acknowledged():
+    rig = Rig().swinging()
+    rig.tick("stop")
+    assert (rig.outputs.mode, rig.outputs.sent) == (Mode.STOPPED, SAFE)
+    rig.tick("arm")
+    assert "emergency stop is latched" in rig.reasons()
+    rig.tick("acknowledge")
+    assert rig.outputs.mode is Mode.DISARMED
+    rig.tick("arm")
+    assert rig.outputs.mode is Mode.ARMING
+
+
+def test_stop_and_arm_in_one_tick_stops():
+    rig = Rig().armed()
+    rig.tick("disarm")
+    rig.tick()
+    rig.tick("stop", "arm")
+    assert rig.outputs.mode is Mode.STOPPED
+
+
+def test_a_recorder_that_loses_messages_warns():
+    rig = Rig().armed()
+    rig.tick(recorder_dropped=3)
+    assert rig.outputs.mode is Mode.ARMED
+    assert "3 so far" in rig.outputs.events[0].text
+
+
+def test_the_tick_is_a_function_of_its_inputs_alone(monkeypatch):
+    """Same inputs, same outputs, with no look at any clock but the policy's stopwatch."""
+
+    def run():
+        rig, outputs = Rig().swinging(), []
+        for _ in range(20):
+            outputs.append(dataclasses.replace(rig.tick(), policy_ns=0))
+        return outputs
+
+    first = run()
+    monkeypatch.setattr(time, "time", lambda: pytest.fail("looked at the clock"))
+    assert run() == first
