@@ -139,6 +139,7 @@ class Controller:
             return ("a goal is running: wait for it or DELETE /api/goal first",)
         if runner is None:
             return ("the policy was not loaded",)
+        self._policy.close()
         self._policy = runner
         return ()
 

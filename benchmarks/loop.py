@@ -1,0 +1,109 @@
+"""How punctual is the control loop on the twin, alone and with its API hammered?
+
+The figures come from the daemon's own log: every tick carries its lateness and the times of its parts. Twin, daemon
+and the hammering clients are separate processes on the same cores.
+"""
+
+import asyncio
+import json
+import multiprocessing
+import random
+import tempfile
+import time
+from collections.abc import Callable, Iterable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cli.rig import Rig
+from daemon import logs
+from daemon.records import Inputs, Outputs, TickTiming
+from schemas.goals import TEST_TARGETS
+
+REQUESTS_PER_S = 200
+WEBSOCKETS = 2
+GOAL_EVERY_S = 4.0
+Tick = tuple[Inputs, Outputs, TickTiming]
+
+
+def run(seconds: float, json_path: Path | None, report: Callable[[float], None] = lambda share: None) -> dict[str, Any]:
+    """Measure both for `seconds` each, the arm swinging all the while; returns what is written as JSON."""
+    with tempfile.TemporaryDirectory() as folder:
+        with Rig(Path(folder)) as rig:
+            log = Path(rig.status()["recorder"]["log"])
+            rig.arm()
+            idle = _swing(rig, seconds, lambda share: report(share / 2))
+            hammer = multiprocessing.get_context("spawn").Process(target=_hammer, args=(rig.url, seconds + 5.0))
+            hammer.start()
+            time.sleep(2.0)  # its interpreter starts outside the measurement
+            hammered = _swing(rig, seconds, lambda share: report(0.5 + share / 2))
+            hammer.terminate()
+            hammer.join()
+        ticks = list(logs.read(log))
+    result = {"idle": _figures(_within(ticks, idle)), "hammered": _figures(_within(ticks, hammered))}
+    if json_path is not None:
+        json_path.write_text(json.dumps(result, indent=1) + "\n")
+    return result
+
+
+def _swing(rig: Rig, seconds: float, report: Callable[[float], None]) -> tuple[int, int]:
+    """Give goals for a while; returns the window, monotonic nanoseconds."""
+    targets = random.Random(0)
+    start = time.monotonic()
+    while (passed := time.monotonic() - start) < seconds:
+        goal = targets.choice(TEST_TARGETS)
+        rig.client.post("/api/goal", json={"kind": "reach", "y_m": goal.y_m, "z_m": goal.z_m}).raise_for_status()
+        report(passed / seconds)
+        time.sleep(min(GOAL_EVERY_S, max(0.0, seconds - passed)))
+    return round(start * 1e9), time.monotonic_ns()
+
+
+def _within(ticks: Iterable[Tick], window: tuple[int, int]) -> list[Tick]:
+    return [tick for tick in ticks if window[0] <= tick[0].t_ns < window[1]]
+
+
+def _figures(ticks: list[Tick]) -> dict[str, Any]:
+    timings = [timing for _, _, timing in ticks]
+    ages = [t.sensor_to_command_ns for t in timings if t.sensor_to_command_ns is not None]
+    return {
+        "compute_ms": _spread([t.read_ns + t.compute_ns + t.write_ns for t in timings]),
+        "lateness_ms": _spread([inputs.late_ns for inputs, _, _ in ticks]),
+        "sensor_to_command_ms": _spread(ages),
+        "ticks": len(ticks),
+        "missed_ticks": sum(inputs.missed for inputs, _, _ in ticks),
+        "policy_ticks": sum(outputs.action is not None for _, outputs, _ in ticks),
+    }
+
+
+def _spread(values_ns: list[int]) -> dict[str, float]:
+    p50, p99, top = np.percentile(np.array(values_ns) / 1e6, [50, 99, 100])
+    return {"p50": float(p50), "p99": float(p99), "max": float(top)}
+
+
+def _hammer(url: str, seconds: float) -> None:
+    asyncio.run(_hammering(url, seconds))
+
+
+async def _hammering(url: str, seconds: float) -> None:
+    """200 requests a second over a few connections and two WebSocket clients that read all they are sent."""
+    import httpx
+    import websockets
+
+    async def listen() -> None:
+        async with websockets.connect(url.replace("http", "ws", 1) + "/api/stream") as stream:
+            async for _ in stream:
+                pass
+
+    async def ask(client: httpx.AsyncClient, period: float) -> None:
+        due = time.monotonic()
+        while True:
+            due += period
+            await client.get("/api/status")
+            await asyncio.sleep(max(0.0, due - time.monotonic()))
+
+    workers = 4
+    async with httpx.AsyncClient(base_url=url) as client:
+        tasks = [ask(client, workers / REQUESTS_PER_S) for _ in range(workers)]
+        tasks += [listen() for _ in range(WEBSOCKETS)]
+        await asyncio.wait_for(asyncio.gather(*tasks), seconds + 60.0)

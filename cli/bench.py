@@ -1,0 +1,66 @@
+"""`softarm bench`: measurements, side by side with a peer where there is one."""
+
+from pathlib import Path
+
+import click
+
+from cli.options import json_option
+
+
+@click.group()
+def bench() -> None:
+    """Measure the control loop or the simulator.
+
+    \b
+    Examples:
+      softarm bench loop --seconds 60 --json loop.json
+      softarm bench simulator --json simulator.json
+    """
+
+
+@bench.command()
+@click.option("--seconds", default=60.0, show_default=True, type=click.FloatRange(5, 3600), help="For each part.")
+@json_option
+def loop(seconds: float, json_file: Path | None) -> None:
+    """Punctuality of the loop on the twin, alone and with the API hammered.
+
+    \b
+    Example:
+      softarm bench loop --seconds 60 --json loop.json
+    """
+    from rich.console import Console
+    from rich.progress import Progress
+    from rich.table import Table
+
+    from benchmarks import loop as measurement
+    from cli.errors import fail
+    from cli.rig import RigError
+
+    console = Console()
+    try:
+        with Progress(console=console, transient=True) as progress:
+            task = progress.add_task("ticking", total=1.0)
+            result = measurement.run(seconds, json_file, lambda share: progress.update(task, completed=share))
+    except RigError as error:
+        fail(str(error))
+    table = Table("", "compute p50/p99/max (ms)", "lateness (ms)", "sensor to command (ms)", "ticks", "missed")
+    for name, figures in result.items():
+        spreads = ("compute_ms", "lateness_ms", "sensor_to_command_ms")
+        cells = ["{p50:.2f} / {p99:.2f} / {max:.2f}".format(**figures[spread]) for spread in spreads]
+        table.add_row(name, *cells, str(figures["ticks"]), str(figures["missed_ticks"]))
+    console.print(table)
+
+
+@bench.command()
+@json_option
+@click.option("--quick", is_flag=True, help="A few seconds, to see that it runs; the figures are rough.")
+def simulator(json_file: Path | None, quick: bool) -> None:
+    """Control steps a second against MuJoCo's rollout at equal accuracy, in one run on this machine.
+
+    \b
+    Example:
+      softarm bench simulator --json simulator.json
+    """
+    from benchmarks import simulator as measurement
+
+    measurement.run(json_file, quick)

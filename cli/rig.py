@@ -1,0 +1,152 @@
+"""Twin and daemon as two processes of their own, joined by a pty, TCP and Zenoh: for the demo, benchmarks and tests."""
+
+import contextlib
+import os
+import signal
+import socket
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+import httpx
+import yaml
+
+START_S = 60.0  # a cold start compiles the simulator
+STOP_S = 5.0
+
+
+class RigError(Exception):
+    """A process did not come up or went away; carries the end of what it printed."""
+
+
+class Rig:
+    """A context: inside it twin and daemon run on free ports of this machine, outside it neither does."""
+
+    def __init__(self, logs: Path, overrides: dict[str, Any] | None = None) -> None:
+        """`overrides`: further keys of the configuration file."""
+        self._folder = tempfile.TemporaryDirectory(prefix="softarm-")
+        self.folder = Path(self._folder.name)
+        mocap, rail, api = _free_ports(3)
+        self.url = f"http://127.0.0.1:{api}"
+        self.settings: dict[str, Any] = {
+            "drivers": {
+                "mocap": {"endpoint": f"tcp/127.0.0.1:{mocap}"},
+                "regulator": {"port": str(self.folder / "regulator")},
+                "rail": {"host": "127.0.0.1", "port": rail},
+            },
+            "api": {"port": api},
+            "recorder": {"directory": str(logs)},
+            **(overrides or {}),
+        }
+        self.config_file = self.folder / "softarm.yaml"
+        self.config_file.write_text(yaml.safe_dump(self.settings))
+        self.client = httpx.Client(base_url=self.url, timeout=5.0)
+        self.twin: subprocess.Popen[bytes] | None = None
+        self.daemon: subprocess.Popen[bytes] | None = None
+
+    def __enter__(self) -> Self:
+        """Start both and wait until the daemon is healthy."""
+        try:
+            self.start_twin()
+            self.start_daemon()
+        except BaseException:
+            self.__exit__(None, None, None)
+            raise
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """End the daemon, then the twin."""
+        for process in (self.daemon, self.twin):
+            if process is not None:
+                _end(process)
+        self.client.close()
+        self._folder.cleanup()
+
+    def start_twin(self) -> None:
+        """The robot."""
+        self.twin = self._start("twin")
+        self._wait("twin", self.twin, lambda: (self.folder / "regulator").exists())
+
+    def start_daemon(self) -> None:
+        """The daemon, until it sees the whole robot."""
+        self.daemon = self._start("run")
+        self._wait("run", self.daemon, self.healthy)
+
+    def healthy(self) -> bool:
+        """Would arming be accepted?"""
+        with contextlib.suppress(httpx.TransportError):
+            status = self.client.get("/api/status")
+            return status.status_code == 200 and status.json()["arming_refusals"] == []
+        return False
+
+    def arm(self) -> None:
+        """Arm and wait until it is.
+
+        Raises RigError with the daemon's own reasons.
+        """
+        answer = self.client.post("/api/arm")
+        if answer.status_code != 200:
+            raise RigError(f"arming was refused: {answer.json()['detail']}")
+        deadline = time.monotonic() + 5.0
+        while (status := self.status())["mode"] != "armed":
+            if time.monotonic() > deadline:
+                raise RigError(f"did not arm: {status['mode']}, {status['last_stop']}")
+            time.sleep(0.02)
+
+    def status(self) -> dict[str, Any]:
+        """GET /api/status."""
+        return dict(self.client.get("/api/status").raise_for_status().json())
+
+    def printed(self, verb: str) -> str:
+        """What a process has printed."""
+        path = self.folder / f"{verb}.out"
+        return path.read_text(errors="replace") if path.exists() else ""
+
+    def _start(self, verb: str) -> subprocess.Popen[bytes]:
+        with (self.folder / f"{verb}.out").open("ab") as output:
+            return subprocess.Popen(
+                [sys.executable, "-m", "cli.main", verb, "--config", str(self.config_file)],
+                stdout=output,
+                stderr=subprocess.STDOUT,
+                env={**os.environ, "PYTHONUNBUFFERED": "1"},
+            )
+
+    def _wait(self, verb: str, process: subprocess.Popen[bytes], ready: Any) -> None:
+        deadline = time.monotonic() + START_S
+        while not ready():
+            if process.poll() is not None:
+                raise RigError(f"`softarm {verb}` ended with {process.returncode}:\n{self._tail(verb)}")
+            if time.monotonic() > deadline:
+                raise RigError(f"`softarm {verb}` is not ready after {START_S:.0f} s:\n{self._tail(verb)}")
+            time.sleep(0.05)
+
+    def _tail(self, verb: str) -> str:
+        lines = self.printed(verb).splitlines()[-15:]
+        if verb == "run":
+            with contextlib.suppress(httpx.HTTPError, KeyError):
+                lines += [f"arming refused: {reason}" for reason in self.status()["arming_refusals"]]
+        return "\n".join(lines)
+
+
+def _end(process: subprocess.Popen[bytes]) -> None:
+    if process.poll() is None:
+        process.send_signal(signal.SIGTERM)
+        try:
+            process.wait(STOP_S)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.wait()
+
+
+def _free_ports(count: int) -> list[int]:
+    with contextlib.ExitStack() as stack:
+        sockets = [stack.enter_context(socket.socket()) for _ in range(count)]
+        for one in sockets:
+            one.bind(("127.0.0.1", 0))
+        return [one.getsockname()[1] for one in sockets]

@@ -1,0 +1,63 @@
+"""`softarm run`: the daemon, on the robot's wires or on a robot simulated in this process."""
+
+from pathlib import Path
+
+import click
+
+from cli.options import config_option, model_option
+
+
+@click.command()
+@config_option
+@click.option("--simulated", is_flag=True, help="Move a robot simulated in this process, no real devices.")
+@model_option
+def run(config_file: Path | None, simulated: bool, model_file: Path | None) -> None:
+    """Run the control daemon until Ctrl-C or SIGTERM.
+
+    It starts disarmed. Ask it for things over REST, or with `softarm arm`, `goal`, `status` and `stop`.
+
+    \b
+    Examples:
+      softarm run --config softarm.yaml        on the robot
+      softarm run --simulated                  nothing but this computer
+      softarm run --config twin.yaml           on the twin that `softarm twin --config twin.yaml` started
+    """
+    import logging
+
+    from cli.errors import fail
+    from daemon import configuration, daemon
+    from daemon.auth import AuthError
+    from daemon.recorder import RecorderError
+    from daemon.server import ApiError
+    from policies.base import PolicyError
+    from schemas.config import Config
+
+    if config_file is None and not simulated:
+        raise click.UsageError("which robot? --config FILE for real devices, or --simulated")
+    logging.basicConfig(level=logging.INFO, format="%(levelname)s %(name)s: %(message)s")
+    try:
+        config = configuration.load(config_file) if config_file else Config()
+        devices = simulated_devices(model_file) if simulated else daemon.real_devices(config)
+        daemon.run(config, devices, announce)
+    except (configuration.ConfigurationError, PolicyError, RecorderError, ApiError, AuthError) as error:
+        fail(str(error))
+
+
+def announce(running) -> None:  # type: ignore[no-untyped-def]
+    """Say where it is and what comes next."""
+    log = running.recorder.path
+    click.echo(f"softarm: serving {running.url} (API: {running.url}/docs), disarmed")
+    click.echo(f"softarm: recording {log}" if log else "softarm: not recording (recorder.enabled is false)")
+    click.echo("softarm: next: `softarm arm`, then `softarm goal reach -0.2 0.6`; Ctrl-C ends")
+
+
+def simulated_devices(model_file: Path | None):  # type: ignore[no-untyped-def]
+    """The in-process robot, starting at this instant."""
+    import time
+
+    from daemon.loop import Devices
+    from drivers.simulated import SimulatedRobot
+    from simulator import model_file as files
+
+    robot = SimulatedRobot(files.load(model_file) if model_file else None, now_ns=time.monotonic_ns())
+    return Devices(robot.mocap, robot.regulator, robot.rail)

@@ -1,0 +1,112 @@
+"""The daemon without a clock: the same tick in lockstep with the simulated robot, as fast as it will go."""
+
+from dataclasses import dataclass
+from itertools import count
+
+from daemon.loop import TickRecorder
+from daemon.records import Inputs, Mode, Outputs, Request, RequestKind, TickTiming
+from daemon.tick import Controller
+from drivers.simulated import SimulatedRobot
+from policies.base import Policy
+from policies.runner import InlineRunner
+from schemas.config import Config
+from schemas.goals import Goal, GoalStatus
+from schemas.model import Model
+
+SETTLED_NS = 1_000_000_000  # jump in time when the robot is put somewhere; nothing is differenced across it
+
+
+@dataclass(frozen=True, slots=True)
+class Flight:
+    """One goal, from being taken up to its end."""
+
+    cart_start_m: float
+    status: GoalStatus
+    max_tip_z_m: float
+    max_cart_m: float  # farthest from the middle of the rail
+    ticks: int
+
+
+class Lockstep:
+    """A controller and a simulated robot that share one made-up time."""
+
+    def __init__(
+        self,
+        config: Config,
+        policy: Policy,
+        model: Model | None = None,
+        recorder: TickRecorder | None = None,
+    ) -> None:
+        self.config = config
+        self.robot = SimulatedRobot(model)
+        self.controller = Controller(config, InlineRunner(policy))
+        self.outputs: Outputs | None = None
+        self._recorder = recorder
+        self._period_ns = round(1e9 / config.control.rate_hz)
+        self._now_ns = self.robot.now_ns
+        self._numbers = count(1)
+
+    def request(self, kind: RequestKind, goal: Goal | None = None) -> Request:
+        """A request as the inbox would number it."""
+        return Request(next(self._numbers), kind, goal)
+
+    def tick(self, *requests: Request) -> Outputs:
+        """Let one period pass, then one tick."""
+        self._now_ns += self._period_ns
+        robot = self.robot
+        inputs = Inputs(
+            t_ns=self._now_ns,
+            mocap=robot.mocap.read(self._now_ns),
+            pressure=robot.regulator.read(),
+            rail=robot.rail.read(),
+            requests=requests,
+        )
+        outputs = self.controller.tick(inputs)
+        robot.rail.write(outputs.sent.enable, outputs.sent.cart_velocity_m_s)
+        robot.regulator.write(outputs.sent.enable, outputs.sent.pressure_kpa)
+        if self._recorder is not None:
+            self._recorder.tick(inputs, outputs, TickTiming(0, 0, 0, 0))
+        self.outputs = outputs
+        return outputs
+
+    def arm(self) -> Outputs:
+        """Wait for the sensors, arm, wait until it has armed.
+
+        Raises RuntimeError with the daemon's own reasons when it does not.
+        """
+        for _ in range(self.config.failsafe.arming_frames):
+            self.tick()
+        outputs = self.tick(self.request("arm"))
+        ticks = round(self.config.failsafe.arming_timeout_s * self.config.control.rate_hz)
+        for _ in range(ticks):
+            if outputs.mode is Mode.ARMED:
+                return outputs
+            outputs = self.tick()
+        reasons = [reason for result in outputs.results for reason in result.reasons]
+        raise RuntimeError("did not arm: " + "; ".join(reasons))
+
+    def place(self, cart_position_m: float) -> None:
+        """Put the armed robot somewhere, its arm straight and at rest, as if a person had waited there."""
+        self._now_ns += SETTLED_NS
+        self.robot.simulator.reset(cart_position_m=cart_position_m)
+        self.robot.regulator.write(True, 0.0)
+        self.robot.rail.write(True, 0.0)
+        # The next tick looks at this very instant: nothing moves before the goal is taken up.
+        self.robot.now_ns = self._now_ns + self._period_ns
+
+    def fly(self, goal: Goal, cart_start_m: float) -> Flight:
+        """One goal from rest, until it is reached or has failed."""
+        if self.outputs is None or self.outputs.mode is not Mode.ARMED:
+            self.arm()
+        self.place(cart_start_m)
+        outputs = self.tick(self.request("goal", goal))
+        top = farthest = 0.0
+        ticks = 1
+        while True:
+            if outputs.observed is not None:
+                top = max(top, outputs.observed.values[3])
+                farthest = max(farthest, abs(outputs.observed.values[0]))
+            if outputs.goal.state != "running":
+                return Flight(cart_start_m, outputs.goal, top, farthest, ticks)
+            outputs = self.tick()
+            ticks += 1

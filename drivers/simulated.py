@@ -1,0 +1,112 @@
+"""The three devices as one simulated robot in this process: lockstep, no sleeping, no wire.
+
+Time is what the caller says: each `mocap.read(now_ns)` first moves the robot up to `now_ns` under the last
+commands. So the same robot serves the offline flights, where time jumps by a tick, and
+`softarm run --simulated`, where it is real.
+"""
+
+from schemas.messages import MocapFrame, Pose, PressureReading, RailReading
+from schemas.model import Model
+from simulator.simulator import Simulator
+
+PHYSICS_HZ = 1200.0  # the seed's
+
+
+class SimulatedRobot:
+    """One robot and its three devices; starts at rest at time `now_ns`."""
+
+    def __init__(self, model: Model | None = None, now_ns: int = 0, physics_rate_hz: float = PHYSICS_HZ) -> None:
+        self.model = model or Model()
+        self.simulator = Simulator(self.model, robots=1, physics_rate_hz=physics_rate_hz)
+        self.now_ns = now_ns
+        self.mocap = SimulatedMocap(self)
+        self.regulator = SimulatedRegulator(self)
+        self.rail = SimulatedRail(self)
+
+    def advance(self, now_ns: int) -> None:
+        """Move up to an instant under the commands last written."""
+        if now_ns <= self.now_ns:
+            return
+        duration_s = (now_ns - self.now_ns) * 1e-9
+        self.simulator.step(self.rail.set_point_m_s, self.regulator.set_point_kpa, duration_s)
+        self.now_ns = now_ns
+
+
+class _Part:
+    """What the three have in common: nothing can go wrong with a wire that is not there."""
+
+    def __init__(self, robot: SimulatedRobot) -> None:
+        self._robot = robot
+
+    def start(self) -> None:
+        """Nothing to connect to."""
+
+    async def stop(self) -> None:
+        """Nothing to free."""
+
+    def reset_fault(self) -> None:
+        """There are no faults."""
+
+    def problem(self) -> str | None:
+        """None."""
+        return None
+
+
+class SimulatedMocap(_Part):
+    """Six poses at the instant of the read."""
+
+    def __init__(self, robot: SimulatedRobot) -> None:
+        super().__init__(robot)
+        self._sequence = 0
+
+    def read(self, now_ns: int) -> tuple[MocapFrame, ...]:
+        """Move the robot up to now and look at it."""
+        robot = self._robot
+        robot.advance(now_ns)
+        self._sequence += 1
+        cart = Pose(float(robot.simulator.cart_position_m[0]), robot.model.arm.base_height_m, 0.0)
+        ends = robot.simulator.link_ends_m()[0].tolist()
+        angles = robot.simulator.link_angles_rad[0].tolist()
+        links = tuple(Pose(y, z, angle) for (y, z), angle in zip(ends, angles, strict=True))
+        return (MocapFrame(self._sequence, robot.now_ns, now_ns, (cart, *links)),)
+
+
+class SimulatedRegulator(_Part):
+    """Takes a set-point at once; its lag is the simulator's."""
+
+    def __init__(self, robot: SimulatedRobot) -> None:
+        super().__init__(robot)
+        self._armed = False
+        self._sequence = 0
+        self.set_point_kpa = 0.0
+
+    def read(self) -> PressureReading | None:
+        """The pressure in the muscle."""
+        kpa = float(self._robot.simulator.pressure_kpa[0])
+        return PressureReading(self._robot.now_ns, kpa, self._armed, (), self._sequence)
+
+    def write(self, armed: bool, pressure_kpa: float) -> None:
+        """Set-point until the next call; vents when not armed."""
+        self._armed = armed
+        self._sequence += 1
+        self.set_point_kpa = pressure_kpa if armed else 0.0
+
+
+class SimulatedRail(_Part):
+    """Takes a set-point at once; ramp and delay are the simulator's."""
+
+    def __init__(self, robot: SimulatedRobot) -> None:
+        super().__init__(robot)
+        self._enabled = False
+        self.set_point_m_s = 0.0
+
+    def read(self) -> RailReading | None:
+        """The cart."""
+        simulator = self._robot.simulator
+        position, velocity = float(simulator.cart_position_m[0]), float(simulator.cart_velocity_m_s[0])
+        return RailReading(self._robot.now_ns, position, velocity, self._enabled)
+
+    def write(self, enable: bool, velocity_m_s: float) -> None:
+        """Set-point until the next call; a drive that is off holds still."""
+        self._enabled = enable
+        self.set_point_m_s = velocity_m_s if enable else 0.0

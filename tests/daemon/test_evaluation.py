@@ -1,0 +1,59 @@
+import pytest
+
+from daemon import evaluation
+from daemon.offline import Lockstep
+from policies import registry
+from schemas.config import Config
+from schemas.goals import TEST_TARGETS, Goal
+
+
+def test_the_test_targets_are_the_papers_grid():
+    assert len(TEST_TARGETS) == 54
+    assert {goal.y_m for goal in TEST_TARGETS} == {round(-0.05 * i, 2) for i in range(9)}
+    assert sorted({goal.z_m for goal in TEST_TARGETS}) == [0.55, 0.6, 0.65, 0.7, 0.75, 0.8]
+
+
+@pytest.fixture(scope="module")
+def reach():
+    return evaluation.evaluate("reach", Config())
+
+
+def test_the_shipped_policy_reaches_the_papers_level_through_the_daemons_own_tick(reach):
+    """[P]: 94 % in range, 50 % above, 80 % in all."""
+    assert reach["success"]["in_range"] >= 0.94
+    assert reach["success"]["above"] >= 0.50
+    assert reach["success"]["all"] >= 0.80
+
+
+def test_no_flight_leaves_the_rail(reach):
+    assert reach["max_cart_m"] <= 0.25
+
+
+def test_the_result_is_the_documented_one(reach):
+    assert set(reach) >= {"policy", "success", "max_tip_z_m", "real_time_factor", "targets"}
+    assert len(reach["targets"]) == evaluation.FLIGHTS
+    assert set(reach["targets"][0]) == {"y", "z", "start", "reached", "time_s", "closest_m"}
+
+
+def test_the_wide_policy_reaches_nine_of_ten():
+    success = evaluation.evaluate("reach-wide", Config())["success"]
+    assert success["in_range"] >= 0.97
+    assert success["above"] >= 0.75
+    assert success["all"] >= 0.90
+
+
+def test_pid_does_not_swing():
+    """[P] SM-I: 17 %, never above z = 0.56 m."""
+    result = evaluation.evaluate("pid", Config())
+    assert 0.05 <= result["success"]["all"] <= 0.25
+    assert result["max_tip_z_m"] <= 0.56
+
+
+def test_two_flights_from_one_start_are_the_same():
+    """Nothing is carried from one flight into the next."""
+    daemon = Lockstep(Config(), registry.load("reach"))
+    first = daemon.fly(Goal("reach", -0.2, 0.6), 0.1)
+    daemon.fly(Goal("reach", -0.35, 0.75), 0.0)
+    again = daemon.fly(Goal("reach", -0.2, 0.6), 0.1)
+    assert again.status.time_s == pytest.approx(first.status.time_s, abs=1e-6)
+    assert again.status.closest_m == pytest.approx(first.status.closest_m, abs=1e-5)
