@@ -35,6 +35,7 @@ def run(config_file: Path | None, simulated: bool, model_file: Path | None) -> N
     if config_file is None and not simulated:
         raise click.UsageError("which robot? --config FILE for real devices, or --simulated")
     logging.basicConfig(level=logging.INFO, format="%(levelname)s %(name)s: %(message)s")
+    logging.getLogger("uvicorn").setLevel(logging.WARNING)
     try:
         config = configuration.load(config_file) if config_file else Config()
         devices = simulated_devices(model_file) if simulated else daemon.real_devices(config)
@@ -59,5 +60,6 @@ def simulated_devices(model_file: Path | None):  # type: ignore[no-untyped-def]
     from drivers.simulated import SimulatedRobot
     from simulator import model_file as files
 
-    robot = SimulatedRobot(files.load(model_file) if model_file else None, now_ns=time.monotonic_ns())
+    robot = SimulatedRobot(files.load(model_file) if model_file else None)
+    robot.now_ns = time.monotonic_ns()  # from here on it moves in real time
     return Devices(robot.mocap, robot.regulator, robot.rail)

@@ -1,0 +1,1 @@
+"""The `softarm` command: one small file per verb group, imported when the verb is used."""

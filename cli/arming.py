@@ -1,0 +1,76 @@
+"""`softarm arm`, `disarm`, `stop`, `acknowledge`."""
+
+import time
+
+import click
+
+from cli.errors import fail
+from cli.remote import Remote, remote
+
+_POLL_S = 0.05
+
+
+def wait_while(daemon: Remote, mode: str) -> dict[str, object]:
+    """Poll until the daemon has left a mode; the daemon's own time limits end the wait."""
+    while (status := daemon.get("/api/status"))["mode"] == mode:
+        time.sleep(_POLL_S)
+    return dict(status)
+
+
+@click.command()
+@remote
+def arm(daemon: Remote) -> None:
+    """Give the daemon the actuators, and wait until it has them.
+
+    Refused, with the reasons, while anything is missing or wrong.
+
+    \b
+    Example:
+      softarm arm
+    """
+    daemon.post("/api/arm")
+    status = wait_while(daemon, "arming")
+    if status["mode"] != "armed":
+        fail(f"not armed but {status['mode']}: {status.get('last_stop') or 'see `softarm status`'}")
+    click.echo("armed")
+
+
+@click.command()
+@remote
+def disarm(daemon: Remote) -> None:
+    """Brake the cart, vent the muscle, switch the drive off.
+
+    \b
+    Example:
+      softarm disarm
+    """
+    daemon.post("/api/disarm")
+    click.echo(wait_while(daemon, "stopping")["mode"])
+
+
+@click.command()
+@remote
+def stop(daemon: Remote) -> None:
+    """Emergency stop by software: brake, vent, and stay stopped until `softarm acknowledge`.
+
+    It goes through the network and the daemon. The button on the wall does not.
+
+    \b
+    Example:
+      softarm stop
+    """
+    daemon.post("/api/stop")
+    click.echo("stopped; latched until `softarm acknowledge`")
+
+
+@click.command()
+@remote
+def acknowledge(daemon: Remote) -> None:
+    """Release a latched emergency stop, once its cause is gone. The arm stays disarmed.
+
+    \b
+    Example:
+      softarm acknowledge
+    """
+    daemon.post("/api/acknowledge")
+    click.echo(daemon.get("/api/status")["mode"])

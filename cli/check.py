@@ -1,0 +1,58 @@
+"""`softarm check`: is the configuration sound, and what does it hold the arm to."""
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+if TYPE_CHECKING:
+    from daemon.configuration import Loaded
+
+
+@click.command()
+@click.argument("file", type=click.Path(path_type=Path))
+def check(file: Path) -> None:
+    """Check a configuration FILE; print the limits in force and where each comes from.
+
+    Exit code 1, with every mistake and its line, when the daemon would refuse the file.
+
+    \b
+    Example:
+      softarm check softarm.yaml
+    """
+    import sys
+
+    from rich.console import Console
+    from rich.table import Table
+    from rich.text import Text
+
+    from cli.errors import fail
+    from daemon.configuration import ConfigurationError, effective_limits, read
+
+    try:
+        loaded = read(file)
+    except ConfigurationError as error:
+        fail(str(error))
+    table = Table("limit", "value", "unit", "allowed, or how it follows", "from", title=f"{file}: limits in force")
+    for row in effective_limits(loaded):
+        table.add_row(*map(Text, row))
+    Console(width=None if sys.stdout.isatty() else 140).print(table)
+    if problems := list(_policy_problems(loaded)):
+        fail("\n".join(problems))
+    click.echo(f"{file}: sound; starts with policy '{loaded.config.control.policy}'")
+
+
+def _policy_problems(loaded: "Loaded") -> Iterator[str]:
+    """Find what would keep the file's policies from flying; the one it starts with is loaded and tried out."""
+    from policies import registry
+    from policies.base import PolicyError
+
+    config = loaded.config
+    for name, entry in registry.available(config.policies).items():
+        if name in config.policies and entry.error:
+            yield f"{loaded.place(('policies', name))}: policies.{name}: {entry.error}"
+    try:
+        registry.load(config.control.policy, config.policies)
+    except PolicyError as error:
+        yield f"{loaded.place(('control', 'policy'))}: control.policy: {error}"

@@ -1,0 +1,18 @@
+"""How a verb fails: one sentence on stderr, exit code 1. Usage errors are click's own and exit with 2."""
+
+from typing import IO, Any, NoReturn
+
+import click
+
+
+class Failure(click.ClickException):
+    """What went wrong, and the next step."""
+
+    def show(self, file: IO[Any] | None = None) -> None:
+        """Print the sentence as it is: a problem of a file begins with FILE:LINE, which editors follow."""
+        click.echo(self.format_message(), file=file, err=file is None)
+
+
+def fail(text: str) -> NoReturn:
+    """End the command with a sentence and exit code 1."""
+    raise Failure(text)

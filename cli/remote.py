@@ -1,0 +1,95 @@
+"""The daemon's REST API as the verbs use it."""
+
+import functools
+import os
+from collections.abc import Callable
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+import click
+import httpx
+
+from cli.errors import fail
+from cli.options import FILE
+
+DEFAULT_URL = "http://127.0.0.1:8080"
+TIMEOUT_S = 5.0
+
+
+class Remote:
+    """A daemon at a URL. Every call ends the command with a sentence when it does not succeed."""
+
+    def __init__(self, url: str, token: str | None = None) -> None:
+        self.url = url.rstrip("/")
+        headers = {"Authorization": f"Bearer {token}"} if token else {}
+        try:
+            # No proxy from the environment: a robot is on this machine or on its own network.
+            self._client = httpx.Client(base_url=self.url, headers=headers, timeout=TIMEOUT_S, trust_env=False)
+        except (httpx.InvalidURL, ValueError) as error:
+            raise click.BadParameter(f"{url!r} is no URL ({error}); e.g. {DEFAULT_URL}") from None
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._client.close()
+
+    def get(self, path: str) -> Any:
+        """Return what is at a path, as parsed JSON."""
+        return self.request("GET", path)
+
+    def post(self, path: str, body: object = None) -> Any:
+        """Ask for something."""
+        return self.request("POST", path, body)
+
+    def request(self, method: str, path: str, body: object = None) -> Any:
+        """Return the answer as parsed JSON; the server's own sentence when it refuses."""
+        try:
+            response = self._client.request(method, path, json=body)
+        except httpx.UnsupportedProtocol:
+            raise click.BadParameter(f"{self.url!r} lacks http:// or https://; e.g. {DEFAULT_URL}") from None
+        except httpx.ConnectError:
+            fail(f"no daemon at {self.url}: start one with `softarm run --config FILE`, or name its --url")
+        except httpx.TimeoutException:
+            fail(f"the daemon at {self.url} has not answered for {TIMEOUT_S:g} s: see its own output")
+        except httpx.HTTPError as error:
+            fail(f"the connection to {self.url} broke ({error}): see whether the daemon still runs")
+        try:
+            answer = response.json()
+        except ValueError:
+            fail(f"{self.url} answers, but not as a softarm daemon: it may be another program's port")
+        if response.is_error:
+            fail(_detail(answer) or f"{method} {path}: HTTP {response.status_code}")
+        return answer
+
+
+def remote(function: Callable[..., None]) -> Callable[..., None]:
+    """Give a command --url and --token-file, and the daemon that they lead to as its first argument."""
+
+    @click.option("--url", default=DEFAULT_URL, envvar="SOFTARM_URL", show_default=True, show_envvar=True,
+                  help="The daemon's address.")  # fmt: skip
+    @click.option("--token-file", type=FILE,
+                  help="File with the API's token; else $SOFTARM_TOKEN. Not needed on loopback.")  # fmt: skip
+    @functools.wraps(function)
+    def command(*args: Any, url: str, token_file: Path | None, **kwargs: Any) -> None:
+        with Remote(url, _token(token_file)) as daemon:
+            function(daemon, *args, **kwargs)
+
+    return command
+
+
+def _token(file: Path | None) -> str | None:
+    if file is None:
+        return os.environ.get("SOFTARM_TOKEN")
+    try:
+        return file.read_text(encoding="utf-8").strip()
+    except (OSError, UnicodeDecodeError) as error:
+        fail(f"--token-file {file}: cannot be read ({error}); name the file of the daemon's api.token_file")
+
+
+def _detail(answer: object) -> str | None:
+    detail = answer.get("detail") if isinstance(answer, dict) else None
+    return detail if isinstance(detail, str) else None

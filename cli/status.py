@@ -1,0 +1,84 @@
+"""`softarm status`: the daemon's newest snapshot, for people."""
+
+import json
+import time
+from collections.abc import Iterator
+from typing import Any
+
+import click
+from rich.console import Console
+from rich.live import Live
+from rich.text import Text
+
+from cli.remote import Remote, remote
+
+Json = dict[str, Any]
+
+
+@click.command()
+@click.option("--watch", is_flag=True, help="Keep showing it until Ctrl-C.")
+@click.option("--json", "as_json", is_flag=True, help="Print the API's answer as it is.")
+@remote
+def status(daemon: Remote, watch: bool, as_json: bool) -> None:
+    """Show what the arm is doing, what is wrong, and why it cannot be armed.
+
+    \b
+    Examples:
+      softarm status
+      softarm status --watch
+      softarm status --json
+    """
+    if watch:
+        _watch(daemon)
+    elif as_json:
+        click.echo(json.dumps(daemon.get("/api/status"), indent=1))
+    else:
+        click.echo("\n".join(lines(daemon.get("/api/status"))))
+
+
+def _watch(daemon: Remote, interval_s: float = 0.2) -> None:
+    with Live(console=Console(), auto_refresh=False) as live:
+        while True:
+            live.update(Text("\n".join(lines(daemon.get("/api/status")))), refresh=True)
+            time.sleep(interval_s)
+
+
+def lines(now: Json) -> Iterator[str]:
+    """Put a status into lines; what the daemon does not know yet is left out."""
+    if now["stalled"]:
+        yield "the control loop no longer ticks: what follows is old; see the daemon's own output"
+    estop = "" if now["estop"] == "clear" else f"; emergency stop {now['estop']}"
+    yield f"mode      {now['mode']}{estop}"
+    yield f"policy    {now['policy']}" + (f": {now['policy_fault']}" if now["policy_fault"] else "")
+    if goal := _goal(now["goal"]):
+        yield f"goal      {goal}"
+    if observed := now["observed"]:
+        cart_y, cart_v, tip_y, tip_z, *_, pressure = observed["values"]
+        yield f"tip       y {tip_y:+.3f} m, z {tip_z:.3f} m"
+        yield f"cart      y {cart_y:+.3f} m, {cart_v:+.2f} m/s"
+        yield f"pressure  {pressure:.1f} kPa"
+    clamps = f" (limited by {', '.join(now['clamps'])})" if now["clamps"] else ""
+    sent = now["sent"]
+    yield f"sent      {sent['cart_velocity_m_s']:+.2f} m/s, {sent['pressure_kpa']:.1f} kPa{clamps}"
+    yield f"loop      tick {now['tick']}, {now['missed_total']} missed, {now['late_ns'] / 1e6:.1f} ms late"
+    for device, problem in now["problems"].items():
+        if problem:
+            yield f"{device:<9} {problem}"
+    for event in now["events"]:
+        yield f"event     {event['name']} ({event['response']}): {event['text']}"
+    for reason in now["arming_refusals"]:
+        yield f"cannot arm: {reason}"
+    if now["last_stop"]:
+        yield f"last stop: {now['last_stop']}"
+    if now["recorder"]["log"]:
+        yield f"log       {now['recorder']['log']}"
+
+
+def _goal(status: Json) -> str:
+    goal = status["goal"]
+    if not goal:
+        return ""
+    target = f" y {goal['y_m']:g}, z {goal['z_m']:g} m" if goal["kind"] == "reach" else ""
+    closest = "" if status["closest_m"] is None else f", closest {status['closest_m']:.3f} m"
+    reason = f" ({status['reason']})" if status["reason"] else ""
+    return f"{goal['kind']}{target}: {status['state']}{reason}, {status['time_s']:.1f} s{closest}"

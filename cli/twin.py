@@ -1,0 +1,32 @@
+"""`softarm twin`: the robot behind its wires, simulated, in a process of its own."""
+
+from pathlib import Path
+
+import click
+
+from cli.options import FILE, model_option
+
+
+@click.command()
+@click.option("--config", "config_file", type=FILE, required=True,
+              help="The daemon's own file: the twin answers at the ports that it names.")  # fmt: skip
+@model_option
+def twin(config_file: Path, model_file: Path | None) -> None:
+    """Be the robot until Ctrl-C: serial line, rail axis over TCP, motion capture over Zenoh, in real time.
+
+    \b
+    Example:
+      softarm twin --config twin.yaml          then, beside it: softarm run --config twin.yaml
+    """
+    from cli.errors import fail
+    from daemon.configuration import ConfigurationError, load
+    from drivers.base import DeviceError
+    from drivers.twin.main import run_twin
+    from simulator import model_file as files
+
+    try:
+        config = load(config_file)
+        model = files.load(model_file) if model_file else None
+        run_twin(config, model, lambda text: click.echo(f"softarm twin: {text}"))
+    except (ConfigurationError, files.ModelFileError, DeviceError) as error:
+        fail(str(error))

@@ -1,0 +1,121 @@
+"""Which policies there are, and how one is made from its name."""
+
+import difflib
+import inspect
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from importlib.metadata import entry_points
+
+from policies.base import MODELS, Policy, PolicyError, PolicySpec
+from schemas.config import Policy as ConfiguredPolicy
+
+GROUP = "softarm.policies"
+
+Option = str | float | int | bool
+Plugin = Callable[..., object]
+
+
+@dataclass(frozen=True, slots=True)
+class PolicyEntry:
+    """A name that a policy can be chosen by."""
+
+    name: str
+    plugin: str
+    options: Mapping[str, Option] = field(default_factory=dict)
+    spec: PolicySpec | None = None  # None when there is an error
+    error: str | None = None  # why it cannot be used, and the next step
+
+    @property
+    def description(self) -> str:
+        """One line for people; of an entry that cannot be used, why."""
+        return self.spec.description if self.spec else f"cannot be used: {self.error}"
+
+
+def available(configured: Mapping[str, ConfiguredPolicy] | None = None) -> dict[str, PolicyEntry]:
+    """List all policies by name: installed plugins, shipped models, then the configuration's, which win.
+
+    Imports every plugin's module. An entry that fails says so in its `error`; it never hides the others.
+    """
+    plugins = _plugins()
+    entries = {name: _entry(name, name, {}, plugins) for name in plugins}
+    for file in sorted(MODELS.glob("*.onnx")):
+        entries[file.stem] = _entry(file.stem, "onnx", {"model": file.stem}, plugins)
+    for name, policy in (configured or {}).items():
+        entries[name] = _entry(name, policy.plugin, policy.options, plugins)
+    return dict(sorted(entries.items()))
+
+
+def load(name: str, configured: Mapping[str, ConfiguredPolicy] | None = None) -> Policy:
+    """Make the policy that is chosen by `name`; its `spec.name` is that name.
+
+    Raises PolicyError, whose text names the policy, what is wrong and what there is instead.
+    """
+    entries = available(configured)
+    usable = ", ".join(n for n, entry in entries.items() if entry.error is None) or "none"
+    if name not in entries:
+        near = difflib.get_close_matches(name, entries, n=1)
+        hint = f"did you mean '{near[0]}'? " if near else ""
+        raise PolicyError(f"no policy '{name}'; {hint}available: {usable}")
+    entry = entries[name]
+    if entry.error is not None:
+        raise PolicyError(f"policy '{name}': {entry.error}; available: {usable}")
+    try:
+        policy = _plugins()[entry.plugin]()(**entry.options)
+        if not isinstance(policy, Policy):
+            raise PolicyError("it lacks spec, reset or step; see docs/policies.md")
+        policy.spec = replace(policy.spec, name=name)
+    except (Exception, SystemExit) as error:
+        raise PolicyError(f"policy '{name}': {_sentence(error)}; available: {usable}") from error
+    return policy
+
+
+def _plugins() -> dict[str, Callable[[], Plugin]]:
+    """Find the installed plugins, not yet imported. An editable install may list one twice."""
+    return {point.name: point.load for point in entry_points(group=GROUP)}
+
+
+def _entry(
+    name: str, plugin: str, options: Mapping[str, Option], plugins: Mapping[str, Callable[[], Plugin]]
+) -> PolicyEntry:
+    try:
+        spec = replace(_describe(plugin, options, plugins), name=name)
+    except (Exception, SystemExit) as error:  # a module may even call sys.exit() while it is imported
+        return PolicyEntry(name, plugin, options, error=_sentence(error))
+    return PolicyEntry(name, plugin, options, spec=spec)
+
+
+def _describe(plugin: str, options: Mapping[str, Option], plugins: Mapping[str, Callable[[], Plugin]]) -> PolicySpec:
+    """Ask the plugin's class for its spec: from `describe(**options)` where it has one, else from `spec`."""
+    if plugin not in plugins:
+        near = difflib.get_close_matches(plugin, plugins, n=1)
+        hint = f"; did you mean '{near[0]}'?" if near else ""
+        raise PolicyError(f"no plugin '{plugin}'{hint} (installed: {', '.join(sorted(plugins)) or 'none'})")
+    make = plugins[plugin]()
+    _check_options(plugin, make, options)
+    describe = getattr(make, "describe", None)
+    spec = describe(**options) if describe else getattr(make, "spec", None)
+    if not isinstance(spec, PolicySpec):
+        raise PolicyError(f"plugin '{plugin}' lacks a class attribute `spec` (policies.base.PolicySpec)")
+    return spec
+
+
+def _check_options(plugin: str, make: Plugin, options: Mapping[str, Option]) -> None:
+    parameters = inspect.signature(make).parameters.values()
+    known = [p.name for p in parameters if p.kind in (p.POSITIONAL_OR_KEYWORD, p.KEYWORD_ONLY)]
+    takes_any = any(p.kind is p.VAR_KEYWORD for p in parameters)
+    for name in options:
+        if name not in known and not takes_any:
+            near = difflib.get_close_matches(name, known, n=1)
+            hint = f"; did you mean '{near[0]}'?" if near else ""
+            raise PolicyError(f"plugin '{plugin}' has no option '{name}'{hint} (known: {', '.join(known) or 'none'})")
+    required = {p.name for p in parameters if p.name in known and p.default is p.empty}
+    if missing := sorted(required - options.keys()):
+        raise PolicyError(
+            f"plugin '{plugin}' needs the option {', '.join(missing)}: give it under `policies` in the configuration"
+        )
+
+
+def _sentence(error: BaseException) -> str:
+    """What an error says, in one line; a PolicyError speaks for itself."""
+    text = " ".join(str(error).split())
+    return text if isinstance(error, PolicyError) else f"{type(error).__name__}: {text}"

@@ -1,0 +1,99 @@
+"""A daemon that says what the test wants, over a real socket, in the shapes of the real API."""
+
+import json
+import threading
+from collections import deque
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+
+import pytest
+from click.testing import CliRunner
+from pydantic import TypeAdapter
+
+from cli.main import main
+from daemon.records import EStop, Mode, Observed, Problems
+from daemon.status import Ages, RecorderInfo, Status
+from schemas.messages import Command
+
+STATUS = TypeAdapter(Status)
+
+
+def status(**changes):
+    """A status as GET /api/status gives it."""
+    values = {
+        "t_ns": 0, "tick": 1234, "late_ns": 200_000, "missed": 0, "missed_total": 2, "mode": Mode.ARMED,
+        "estop": EStop.CLEAR, "policy": "reach", "sent": Command(True, 0.25, 5.0),
+        "observed": Observed((0.012, 0.1, -0.123, 0.541, 0.0, 0.0, 0.2, 4.2), 7, 0, 0, 0),
+        "stalled": False, "ages_ms": Ages(), "problems": Problems(), "policy_info": None,
+        "recorder": RecorderInfo("logs/a.mcap", 0, None), "uptime_s": 3.0, "version": "0.1.0",
+    }  # fmt: skip
+    return json.loads(STATUS.dump_json(Status(**values | changes)))
+
+
+class FakeDaemon:
+    """Answers each request with the next of the answers that the test gave it; the last one stays."""
+
+    def __init__(self):
+        self.answers = {}
+        self.requests = []
+        daemon = self
+
+        class Handler(BaseHTTPRequestHandler):
+            def handle_one(self):
+                body = self.rfile.read(int(self.headers.get("Content-Length") or 0))
+                daemon.requests.append((self.command, self.path, json.loads(body) if body else None))
+                daemon.headers = dict(self.headers)
+                waiting = daemon.answers[self.command, self.path]
+                code, answer = waiting.popleft() if len(waiting) > 1 else waiting[0]
+                if code is None:
+                    self.close_connection = True
+                    self.connection.close()
+                    return
+                data = answer if isinstance(answer, bytes) else json.dumps(answer).encode()
+                self.send_response(code)
+                self.send_header("Content-Length", str(len(data)))
+                self.end_headers()
+                self.wfile.write(data)
+
+            do_GET = do_POST = do_PUT = do_DELETE = handle_one
+
+            def log_message(self, *_):
+                pass
+
+        self.server = ThreadingHTTPServer(("127.0.0.1", 0), Handler)
+        self.server.daemon_threads = True
+        self.url = f"http://127.0.0.1:{self.server.server_port}"
+        threading.Thread(target=self.server.serve_forever, args=(0.01,), daemon=True).start()
+
+    def on(self, method, path, *answers, code=200):
+        self.answers[method, path] = deque((code, answer) for answer in answers)
+
+    def hang_up(self, method, path):
+        self.answers[method, path] = deque([(None, None)])
+
+    def close(self):
+        self.server.shutdown()
+        self.server.server_close()
+
+
+@pytest.fixture
+def daemon():
+    fake = FakeDaemon()
+    yield fake
+    fake.close()
+
+
+@pytest.fixture
+def softarm(daemon, monkeypatch):
+    """Run the command line against the fake daemon."""
+    monkeypatch.setenv("SOFTARM_URL", daemon.url)
+    monkeypatch.delenv("SOFTARM_TOKEN", raising=False)
+
+    def run(*arguments):
+        return CliRunner().invoke(main, list(map(str, arguments)), prog_name="softarm")
+
+    return run
+
+
+@pytest.fixture
+def make_status():
+    return status

@@ -1,0 +1,83 @@
+"""`softarm check` tells what a file holds the arm to, or all that is wrong with it."""
+
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner
+
+from cli.main import main
+
+ROOT = Path(__file__).parents[2]
+
+
+@pytest.fixture
+def check(tmp_path):
+    def check(text: str):
+        path = tmp_path / "arm.yaml"
+        path.write_text(text)
+        return path, CliRunner().invoke(main, ["check", str(path)])
+
+    return check
+
+
+def test_a_sound_file_prints_its_limits_and_where_they_come_from(check):
+    path, result = check("limits:\n  rail: {velocity_max_m_s: 0.4}\ncontrol: {policy: hold}\n")
+    assert result.exit_code == 0
+    row = next(line for line in result.stdout.splitlines() if "velocity_max_m_s" in line)
+    assert "0.4" in row
+    assert "above 0, at most 1 m/s" in row
+    assert "line 2" in row
+    row = next(line for line in result.stdout.splitlines() if "pressure.max_kpa" in line)
+    assert "default" in row
+    assert "stopping distance at full speed" in result.stdout
+    assert result.stdout.endswith(f"{path}: sound; starts with policy 'hold'\n")
+
+
+def test_every_mistake_is_printed_with_its_line_and_exit_code_1(check):
+    path, result = check("limits:\n  rial: {}\nfailsafe:\n  mocap_stale_s: 100\n")
+    assert result.exit_code == 1
+    assert result.stdout == ""
+    lines = result.stderr.splitlines()
+    assert lines[0].startswith(f"{path}:2: limits.rial: unknown key; did you mean rail?")
+    assert lines[1].startswith(f"{path}:4: failsafe.mocap_stale_s: is 100;")
+    assert len(lines) == 2
+
+
+def test_a_policy_that_could_not_fly_is_found(check):
+    path, result = check("control:\n  policy: hodl\npolicies:\n  mine:\n    plugin: pid\n    options: {kpy: 1}\n")
+    assert result.exit_code == 1
+    lines = result.stderr.splitlines()
+    assert lines[0].startswith(f"{path}:4: policies.mine: plugin 'pid' has no option 'kpy'; did you mean 'kp_y'?")
+    assert lines[1].startswith(f"{path}:2: control.policy: no policy 'hodl'; did you mean 'hold'?")
+
+
+def test_the_policy_of_a_file_that_names_none_is_tried_too(check, monkeypatch, tmp_path):
+    monkeypatch.setattr("policies.registry.MODELS", tmp_path / "empty")
+    path, result = check("")
+    assert result.exit_code == 1
+    assert result.stderr.startswith(f"{path}: control.policy: no policy 'reach'")
+
+
+@pytest.mark.parametrize("name", ["softarm.yaml", "twin.yaml"])
+def test_the_shipped_files_are_sound(name):
+    result = CliRunner().invoke(main, ["check", str(ROOT / name)])
+    assert result.exit_code == 0, result.stderr
+
+
+def test_a_missing_file_is_named():
+    result = CliRunner().invoke(main, ["check", "nowhere.yaml"])
+    assert result.exit_code == 1
+    assert result.stderr.startswith("nowhere.yaml: no such file; name an existing one")
+
+
+def test_the_twin_refuses_a_bad_file_with_the_same_words(tmp_path):
+    path = tmp_path / "arm.yaml"
+    path.write_text("api: {port: 70000}\n")
+    said = {
+        CliRunner().invoke(main, arguments).stderr
+        for arguments in (["check", str(path)], ["twin", "--config", str(path)])
+    }
+    assert said == {
+        f"{path}:1: api.port: is 70000; allowed 0 to 65535, a whole number; "
+        "change it, or remove the line for the default 8080\n"
+    }

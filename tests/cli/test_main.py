@@ -1,0 +1,97 @@
+"""The command's front door: help that is quick and shows examples, mistakes that are explained."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import click
+import pytest
+from click.testing import CliRunner
+
+from cli.main import VERBS, Verb, main
+
+NAMES = [name for section in VERBS.values() for name in section]
+
+
+def run(*arguments):
+    return CliRunner().invoke(main, list(arguments), prog_name="softarm")
+
+
+def test_help_lists_every_verb_and_imports_nothing_heavy():
+    heavy = {"numpy", "numba", "torch", "mujoco", "fastapi", "pydantic", "onnxruntime", "httpx", "zenoh", "rich"}
+    code = (
+        "import sys; from cli.main import main; main(['--help'], standalone_mode=False);"
+        f"print('HEAVY', sorted({heavy!r} & set(sys.modules)))"
+    )
+    out = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True).stdout
+    assert "HEAVY []" in out
+    for name in NAMES:
+        assert f"\n  {name} " in out
+
+
+def commands(command, path):
+    yield path, command
+    if isinstance(command, click.Group):
+        for name, child in command.commands.items():
+            yield from commands(child, (*path, name))
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_every_verb_has_help_with_an_example_of_itself(name):
+    group = main.get_command(click.Context(main), name)
+    for path, command in commands(group, (name,)):
+        result = run(*path, "--help")
+        assert result.exit_code == 0
+        assert "Example" in result.output
+        assert f"softarm {' '.join(path)}" in result.output.partition("Example")[2], path
+        assert command.get_short_help_str()
+
+
+def test_what_a_verb_is_for_stands_in_one_line_each():
+    for section in VERBS.values():
+        for verb in section.values():
+            assert verb.help.endswith(".")
+            assert len(verb.help) < 60
+
+
+def test_a_misspelt_verb_gets_the_nearest_one_and_exit_code_2():
+    result = run("polcy", "list")
+    assert result.exit_code == 2
+    assert "no verb 'polcy'; did you mean 'policy'?" in result.output
+    assert "`softarm --help` lists the verbs" in run("xyzzy").output
+
+
+@pytest.mark.parametrize("arguments", [["goal", "reach", "-0.2"], ["goal", "reach", "left", "0.6"], ["check"]])
+def test_a_usage_error_exits_with_2(arguments):
+    assert run(*arguments).exit_code == 2
+
+
+def test_a_package_that_is_not_installed_is_named_with_the_way_to_get_it(monkeypatch, tmp_path):
+    (tmp_path / "needy_verb.py").write_text("import a_package_that_is_not_there\n")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    monkeypatch.setitem(VERBS["Run"], "needy", Verb("needy_verb:verb", "Needs it.", "train"))
+    monkeypatch.setattr("cli.main._ALL", {"needy": VERBS["Run"]["needy"]})
+    result = run("needy")
+    assert result.exit_code == 1
+    assert result.stderr == (
+        "softarm needy needs the package 'a_package_that_is_not_there': pip install 'softarm[train]'\n"
+    )
+
+
+def test_the_version_is_the_installed_one():
+    assert run("--version").output.startswith("softarm, version 0.")
+
+
+def test_no_verb_of_the_daemons_clients_imports_the_simulator():
+    code = (
+        "import sys; import cli.arming, cli.goal, cli.policy, cli.logs, cli.status, cli.twin, cli.check;"
+        "print(sorted({'numba', 'torch', 'fastapi', 'zenoh', 'onnxruntime'} & set(sys.modules)))"
+    )
+    assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True).stdout == "[]\n"
+
+
+def test_every_file_of_the_room_is_a_verb_or_what_verbs_share():
+    shared = {"__init__", "main", "errors", "options", "remote", "rig"}
+    verbs = {verb.target.partition(":")[0].partition(".")[2] for s in VERBS.values() for verb in s.values()}
+    files = {file.stem for file in (Path(__file__).parents[2] / "cli").glob("*.py")}
+    assert files == shared | verbs

@@ -1,0 +1,279 @@
+"""The verbs that talk to a running daemon: what they ask, what they print, how they fail."""
+
+import socket
+
+import pytest
+from click.testing import CliRunner
+
+from cli.main import main
+from daemon.records import ActiveEvent, EStop, Mode, Problems
+from schemas.goals import Goal, GoalStatus
+from schemas.log import LogEntry
+from schemas.rest import GoalAnswer, LogsAnswer, PoliciesAnswer, PolicyAnswer
+
+
+def reach(state, number=3, **more):
+    """A goal as GET /api/goal gives it."""
+    values = {"kind": "reach", "reason": None, "y_m": -0.2, "z_m": 0.6, "closest_m": None, "time_s": 0.0}
+    return GoalAnswer(state=state, number=number, **values | more).model_dump()
+
+
+@pytest.fixture
+def accepts_goal(daemon, make_status):
+    goal = GoalStatus(Goal("reach", -0.2, 0.6), "running", number=3)
+    daemon.on("POST", "/api/goal", make_status(goal=goal) | {"warnings": []})
+    return daemon
+
+
+def test_arm_waits_until_the_daemon_has_the_actuators(softarm, daemon, make_status):
+    daemon.on("POST", "/api/arm", make_status(mode=Mode.ARMING))
+    arming = make_status(mode=Mode.ARMING)
+    daemon.on("GET", "/api/status", arming, arming, make_status(mode=Mode.ARMED))
+    result = softarm("arm")
+    assert (result.exit_code, result.stdout) == (0, "armed\n")
+    assert [path for _, path, _ in daemon.requests] == ["/api/arm"] + ["/api/status"] * 3
+
+
+def test_arm_that_does_not_succeed_says_why(softarm, daemon, make_status):
+    daemon.on("POST", "/api/arm", make_status(mode=Mode.ARMING))
+    daemon.on("GET", "/api/status", make_status(mode=Mode.DISARMED, last_stop="the drive did not enable"))
+    result = softarm("arm")
+    assert (result.exit_code, result.stdout) == (1, "")
+    assert result.stderr == "not armed but disarmed: the drive did not enable\n"
+
+
+@pytest.mark.parametrize(
+    ("verb", "path", "printed"),
+    [
+        ("disarm", "/api/disarm", "disarmed"),
+        ("stop", "/api/stop", "stopped; latched until `softarm acknowledge`"),
+        ("acknowledge", "/api/acknowledge", "disarmed"),
+    ],
+)
+def test_disarm_stop_and_acknowledge(softarm, daemon, make_status, verb, path, printed):
+    daemon.on("POST", path, make_status())
+    daemon.on("GET", "/api/status", make_status(mode=Mode.DISARMED))
+    result = softarm(verb)
+    assert (result.exit_code, result.stdout) == (0, printed + "\n")
+    assert daemon.requests[0] == ("POST", path, None)
+
+
+def test_a_goal_with_negative_coordinates_is_no_option(softarm, accepts_goal):
+    result = softarm("goal", "reach", "-0.2", "0.6")
+    assert (result.exit_code, result.stdout) == (0, "reaching for y -0.2, z 0.6 m\n")
+    assert accepts_goal.requests == [("POST", "/api/goal", {"kind": "reach", "y_m": -0.2, "z_m": 0.6})]
+
+
+def test_a_misspelt_option_of_reach_is_still_refused(softarm, daemon):
+    result = softarm("goal", "reach", "-0.2", "0.6", "--wiat")
+    assert result.exit_code == 2
+    assert "--wiat" in result.stderr
+    assert daemon.requests == []
+
+
+def test_wait_ends_with_the_goal_reached(softarm, accepts_goal):
+    running = reach("running", time_s=0.4, closest_m=0.2)
+    accepts_goal.on("GET", "/api/goal", running, running, reach("reached", time_s=1.234, closest_m=0.0391))
+    result = softarm("goal", "reach", -0.2, 0.6, "--wait")
+    assert (result.exit_code, result.stdout) == (0, "reached in 1.23 s, closest 0.039 m\n")
+
+
+@pytest.mark.parametrize(
+    ("end", "said"),
+    [
+        (
+            reach("failed", reason="time limit of 3.33 s", closest_m=0.1),
+            "failed: time limit of 3.33 s\n",
+        ),
+        (reach("cancelled", reason="disarmed"), "cancelled: disarmed\n"),
+        (reach("running", number=4), "another goal has taken its place: see `softarm status`\n"),
+        (reach("reached", number=5), "another goal has taken its place: see `softarm status`\n"),
+    ],
+)
+def test_wait_for_a_goal_that_is_not_reached_exits_with_1_and_why(softarm, accepts_goal, end, said):
+    accepts_goal.on("GET", "/api/goal", reach("running"), end)
+    result = softarm("goal", "reach", -0.2, 0.6, "--wait")
+    assert (result.exit_code, result.stdout) == (1, "")
+    assert result.stderr.endswith(said)
+
+
+def test_warnings_go_to_stderr(softarm, daemon, make_status):
+    daemon.on("POST", "/api/goal", make_status() | {"warnings": ["never trained there"]})
+    result = softarm("goal", "reach", 0.5, 0.6)
+    assert result.exit_code == 0
+    assert result.stderr == "warning: never trained there\n"
+
+
+def test_hold_and_cancel(softarm, daemon, make_status):
+    daemon.on("POST", "/api/goal", make_status() | {"warnings": []})
+    daemon.on("DELETE", "/api/goal", make_status())
+    assert softarm("goal", "hold").stdout == "holding\n"
+    assert softarm("goal", "cancel").stdout == "cancelled\n"
+    assert daemon.requests == [("POST", "/api/goal", {"kind": "hold"}), ("DELETE", "/api/goal", None)]
+
+
+def test_policies_are_listed_with_the_one_in_use_marked(softarm, daemon):
+    policies = (
+        PolicyAnswer(name="hold", plugin="hold", description="stands still", error=None),
+        PolicyAnswer(name="reach-wide", plugin="onnx", description="learned", error=None),
+    )
+    daemon.on("GET", "/api/policies", PoliciesAnswer(active="reach-wide", policies=policies).model_dump())
+    assert softarm("policy", "list").stdout == "  hold        stands still\n* reach-wide  learned\n"
+
+
+def test_a_policy_is_chosen_by_name(softarm, daemon, make_status):
+    daemon.on("PUT", "/api/policy", make_status())
+    assert softarm("policy", "use", "pid").stdout == "using pid\n"
+    assert daemon.requests == [("PUT", "/api/policy", {"name": "pid"})]
+
+
+def test_logs_are_listed_with_size_length_and_place(softarm, daemon, monkeypatch):
+    logs = tuple(
+        LogEntry(name=name, bytes=size, modified="2026-11-21T10:00:00+00:00", duration_s=length,
+                 finished=length is not None, recording=recording)
+        for name, size, length, recording in (
+            ("b.mcap", 2_500_000, None, True), ("a.mcap", 9_100_000, 61.04, False), ("c.mcap", 0, None, False)
+        )
+    )  # fmt: skip
+    daemon.on("GET", "/api/logs", LogsAnswer(directory="/var/log/softarm", logs=logs).model_dump(mode="json"))
+    lines = softarm("logs").stdout.splitlines()
+    assert [line[19:] for line in lines] == [
+        "       2.5 MB             /var/log/softarm/b.mcap  (recording)",
+        "       9.1 MB     61.0 s  /var/log/softarm/a.mcap",
+        "       0.0 MB             /var/log/softarm/c.mcap  (unfinished)",
+    ]
+
+
+def test_no_logs_is_said(softarm, daemon):
+    daemon.on("GET", "/api/logs", LogsAnswer(directory="/tmp/x", logs=()).model_dump())
+    result = softarm("logs")
+    assert (result.exit_code, result.stdout, result.stderr) == (0, "", "no recordings yet in /tmp/x\n")
+
+
+def test_status_tells_what_a_person_at_the_bench_wants(softarm, daemon, make_status):
+    goal = GoalStatus(Goal("reach", -0.2, 0.6), "running", closest_m=0.083, time_s=1.23, number=3)
+    daemon.on("GET", "/api/status", make_status(goal=goal, clamps=("rail_velocity",)))
+    assert softarm("status").stdout.splitlines() == [
+        "mode      armed",
+        "policy    reach",
+        "goal      reach y -0.2, z 0.6 m: running, 1.2 s, closest 0.083 m",
+        "tip       y -0.123 m, z 0.541 m",
+        "cart      y +0.012 m, +0.10 m/s",
+        "pressure  4.2 kPa",
+        "sent      +0.25 m/s, 5.0 kPa (limited by rail_velocity)",
+        "loop      tick 1234, 2 missed, 0.2 ms late",
+        "log       logs/a.mcap",
+    ]
+
+
+def test_status_tells_all_that_is_wrong(softarm, daemon, make_status):
+    event = ActiveEvent("mocap_stale", "stop", "no frame for 0.3 s [see the bridge]")
+    daemon.on(
+        "GET",
+        "/api/status",
+        make_status(
+            mode=Mode.STOPPED, estop=EStop.LATCHED, observed=None, events=(event,), stalled=True,
+            policy_fault="late: 20 ms", problems=Problems(rail="10.0.0.1:502: connect: refused; switch it on"),
+            arming_refusals=("acknowledge the stop first",), last_stop="mocap_stale",
+            goal=GoalStatus(Goal("hold"), "cancelled", reason="stopped"),
+        ),
+    )  # fmt: skip
+    out = softarm("status").stdout
+    for line in (
+        "the control loop no longer ticks: what follows is old; see the daemon's own output",
+        "mode      stopped; emergency stop latched",
+        "policy    reach: late: 20 ms",
+        "goal      hold: cancelled (stopped), 0.0 s",
+        "rail      10.0.0.1:502: connect: refused; switch it on",
+        "event     mocap_stale (stop): no frame for 0.3 s [see the bridge]",
+        "cannot arm: acknowledge the stop first",
+        "last stop: mocap_stale",
+    ):
+        assert line + "\n" in out
+    assert "tip" not in out
+
+
+def test_status_as_json_is_the_apis_own(softarm, daemon, make_status):
+    daemon.on("GET", "/api/status", b'{"mode": "armed"}')
+    assert softarm("status", "--json").stdout == '{\n "mode": "armed"\n}\n'
+
+
+def test_watch_shows_each_status_until_the_daemon_is_gone(softarm, daemon, make_status):
+    daemon.on("GET", "/api/status", make_status(tick=1), make_status(tick=2), b"gone")
+    result = softarm("status", "--watch")
+    assert result.exit_code == 1
+    assert "tick 2" in result.stdout
+    assert "not as a softarm daemon" in result.stderr
+
+
+@pytest.mark.parametrize("code", [401, 404, 409, 422, 503])
+def test_a_refusal_is_the_daemons_own_sentence(softarm, daemon, code):
+    sentence = "mocap: no frame for 0.3 s; see the bridge"
+    daemon.on("POST", "/api/arm", {"detail": sentence, "reasons": [sentence]}, code=code)
+    result = softarm("arm")
+    assert (result.exit_code, result.stdout, result.stderr) == (1, "", sentence + "\n")
+
+
+def test_an_error_without_a_sentence_has_its_number(softarm, daemon):
+    daemon.on("POST", "/api/arm", {"detail": [{"loc": []}]}, code=500)
+    assert softarm("arm").stderr == "POST /api/arm: HTTP 500\n"
+
+
+def test_no_daemon_is_said_with_what_to_start():
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))  # bound, not listening: refuses
+        url = f"http://127.0.0.1:{taken.getsockname()[1]}"
+        result = CliRunner().invoke(main, ["status", "--url", url])
+    assert result.exit_code == 1
+    assert result.stderr == (f"no daemon at {url}: start one with `softarm run --config FILE`, or name its --url\n")
+
+
+def test_a_daemon_that_does_not_answer_is_given_up(monkeypatch):
+    monkeypatch.setattr("cli.remote.TIMEOUT_S", 0.05)
+    with socket.create_server(("127.0.0.1", 0)) as silent:
+        result = CliRunner().invoke(main, ["stop", "--url", f"http://127.0.0.1:{silent.getsockname()[1]}"])
+    assert result.exit_code == 1
+    assert "has not answered for 0.05 s" in result.stderr
+
+
+def test_a_connection_that_breaks_is_said(softarm, daemon):
+    daemon.hang_up("GET", "/api/status")
+    result = softarm("status")
+    assert result.exit_code == 1
+    assert f"the connection to {daemon.url} broke" in result.stderr
+
+
+def test_another_program_on_the_port_is_recognised(softarm, daemon):
+    daemon.on("GET", "/api/status", b"<html>hello</html>")
+    assert "answers, but not as a softarm daemon" in softarm("status").stderr
+
+
+@pytest.mark.parametrize("url", ["127.0.0.1:8080", "ftp://x", "http://[::1", "http://h:port"])
+def test_a_url_that_is_none_is_a_usage_error(url):
+    result = CliRunner().invoke(main, ["status", "--url", url])
+    assert result.exit_code == 2
+    assert "e.g. http://127.0.0.1:8080" in result.stderr
+
+
+def test_the_token_comes_from_a_file_or_the_environment_and_the_file_wins(
+    softarm, daemon, tmp_path, monkeypatch, make_status
+):
+    daemon.on("GET", "/api/status", make_status())
+    softarm("status")
+    assert "Authorization" not in daemon.headers
+    monkeypatch.setenv("SOFTARM_TOKEN", "from-environment")
+    softarm("status")
+    assert daemon.headers["Authorization"] == "Bearer from-environment"
+    (tmp_path / "token").write_text("from-file\n")
+    softarm("status", "--token-file", tmp_path / "token")
+    assert daemon.headers["Authorization"] == "Bearer from-file"
+    result = softarm("status", "--token-file", tmp_path / "none")
+    assert result.exit_code == 1
+    assert "none: cannot be read" in result.stderr
+
+
+def test_a_proxy_of_the_environment_is_not_asked(softarm, daemon, monkeypatch, make_status):
+    monkeypatch.setenv("HTTP_PROXY", "http://127.0.0.1:9")
+    monkeypatch.setenv("ALL_PROXY", "http://127.0.0.1:9")
+    daemon.on("GET", "/api/status", make_status())
+    assert softarm("status").exit_code == 0

@@ -1,0 +1,65 @@
+"""`softarm run`: the daemon as a person starts it."""
+
+import re
+import signal
+import subprocess
+import sys
+
+import httpx
+import pytest
+from click.testing import CliRunner
+
+from cli.main import main
+from daemon import logs
+
+pytestmark = pytest.mark.timeout(120)
+
+
+def write(path, text):
+    path.write_text(text)
+    return path
+
+
+def test_a_simulated_run_arms_swings_and_ends_cleanly(tmp_path):
+    config = write(tmp_path / "c.yaml", f"api: {{port: 0}}\nrecorder: {{directory: {tmp_path}}}\n")
+    command = [sys.executable, "-m", "cli.main", "run", "--simulated", "--config", str(config)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True) as process:
+        try:
+            url = next(m[1] for line in process.stdout if (m := re.search(r"serving (http://\S+)", line)))
+            recording = next(m[1] for line in process.stdout if (m := re.search(r"recording (\S+)", line)))
+            with httpx.Client(base_url=url) as client:
+                # Not a status before the first tick, refusals until motion capture has settled.
+                while (status := client.get("/api/status").json()).get("arming_refusals") != []:
+                    pass
+                assert status["mode"] == "disarmed"
+                assert client.post("/api/arm").status_code == 200
+                while client.get("/api/status").json()["mode"] != "armed":
+                    pass
+                goal = {"kind": "reach", "y_m": -0.2, "z_m": 0.6}
+                assert client.post("/api/goal", json=goal).status_code == 200
+                while (answer := client.get("/api/goal").json())["state"] == "running":
+                    pass
+                assert answer["state"] == "reached"
+        finally:
+            process.send_signal(signal.SIGTERM)
+        assert process.wait(10) == 0
+    assert logs.read(recording).finished
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "says"),
+    [
+        ([], 2, "which robot? --config FILE for real devices, or --simulated"),
+        (["--simulated", "--config", "{}/none.yaml"], 1, "none.yaml"),
+        (["--simulated", "--config", "{}/policy.yaml"], 1, "no policy 'raech'; did you mean 'reach'?"),
+        (["--simulated", "--config", "{}/open.yaml"], 1, "token"),
+        (["--simulated", "--config", "{}/typo.yaml"], 1, "position_max_m"),
+    ],
+)
+def test_what_cannot_run_says_why(tmp_path, arguments, code, says):
+    logs_line = f"recorder: {{directory: {tmp_path}}}\n"
+    write(tmp_path / "policy.yaml", logs_line + "control: {policy: raech}\n")
+    write(tmp_path / "open.yaml", logs_line + "api: {host: 0.0.0.0}\n")
+    write(tmp_path / "typo.yaml", "limits: {rail: {positoin_max_m: 0.2}}\n")
+    result = CliRunner().invoke(main, ["run", *[argument.format(tmp_path) for argument in arguments]])
+    assert (result.exit_code, says in result.output) == (code, True), result.output

@@ -1,0 +1,183 @@
+"""A learned policy flies only if its file is whole, made for this robot, and computes what it once did."""
+
+import hashlib
+import time
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from policies.base import Policy, PolicyError
+from policies.onnx_policy import OnnxPolicy
+from schemas.policy import ACTION, OBSERVATION, REACH_GOAL, Golden
+
+
+def fly(policy, inputs):
+    return np.array([policy.step(row[:8], row[8:]) for row in inputs])
+
+
+def scaled(unit_actions):
+    low = np.array([signal.low for signal in ACTION])
+    high = np.array([signal.high for signal in ACTION])
+    return low + (unit_actions + 1) / 2 * (high - low)
+
+
+def test_it_computes_what_numpy_computes_and_scales_to_units(write_model, network):
+    policy = OnnxPolicy(model=str(write_model()))
+    assert isinstance(policy, Policy)
+    actions = fly(policy, network.inputs)
+    np.testing.assert_allclose(actions, scaled(network.run(network.inputs)), atol=2e-5)
+    assert actions.dtype == np.float32
+    assert np.ptp(actions, axis=0).min() > 0.1  # or the comparison would say nothing
+
+
+def test_reset_forgets_and_without_it_the_past_matters(write_model, network):
+    policy = OnnxPolicy(model=str(write_model()))
+    first = fly(policy, network.inputs[:3])
+    carried_on = fly(policy, network.inputs[:3])
+    policy.reset()
+    again = fly(policy, network.inputs[:3])
+    assert (first == again).all()
+    assert (first != carried_on).any()
+
+
+def test_two_policies_from_one_file_do_not_share_their_state(write_model, network):
+    path = str(write_model())
+    one, other = OnnxPolicy(model=path), OnnxPolicy(model=path)
+    alone = fly(OnnxPolicy(model=path), network.inputs)
+    for row, expected in zip(network.inputs, alone, strict=True):
+        other.step(row[:8] + 1, row[8:])
+        assert (one.step(row[:8], row[8:]) == expected).all()
+
+
+def test_an_action_is_the_callers_to_keep(write_model, network):
+    policy = OnnxPolicy(model=str(write_model()))
+    first = policy.step(network.inputs[0, :8], network.inputs[0, 8:])
+    kept = first.copy()
+    policy.step(network.inputs[1, :8], network.inputs[1, 8:])
+    assert (first == kept).all()
+
+
+def test_the_spec_tells_what_the_file_tells(write_model):
+    path = write_model()
+    spec = OnnxPolicy(model=str(path)).spec
+    assert spec == OnnxPolicy.describe(model=str(path))
+    assert spec.sha256 == hashlib.sha256(path.read_bytes()).hexdigest()
+    assert spec.trained is not None
+    assert spec.trained.target_z_m == (0.55, 0.7)
+    assert spec.episode_steps == 100
+    assert "y -0.4 .. 0" in spec.description
+    assert "97%" in spec.description
+
+
+def test_a_file_that_was_replaced_is_read_again(write_model):
+    path = write_model()
+    before = OnnxPolicy.describe(model=str(path))
+    write_model(validation_success=0.5)
+    after = OnnxPolicy.describe(model=str(path))
+    assert "50%" in after.description
+    assert before.sha256 != after.sha256
+
+
+@settings(deadline=None, max_examples=40, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(st.lists(st.floats(-1e3, 1e3, width=32), min_size=10, max_size=10))
+def test_whatever_it_sees_its_action_is_within_the_ranges_of_its_metadata(tmp_path, write_model, values):
+    path = tmp_path / "small.onnx"
+    policy = OnnxPolicy(model=str(path if path.exists() else write_model()))
+    row = np.array(values, dtype=np.float32)
+    velocity, pressure = policy.step(row[:8], row[8:])
+    assert -1.0 <= velocity <= 1.0
+    assert -0.7 - 1e-6 <= pressure <= 20.0 + 1e-5
+
+
+def test_an_action_range_narrower_than_the_robots_is_kept_to(write_model, network):
+    narrow = (ACTION[0].model_copy(update={"low": -0.5, "high": 0.25}), ACTION[1])
+    policy = OnnxPolicy(model=str(write_model(action=narrow)))
+    expected = -0.5 + (network.run(network.inputs)[:, 0] + 1) / 2 * 0.75
+    np.testing.assert_allclose(fly(policy, network.inputs)[:, 0], expected, atol=1e-5)
+
+
+def swapped(signals, i, j):
+    signals = list(signals)
+    signals[i], signals[j] = signals[j], signals[i]
+    return tuple(signals)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"metadata": None}, "no metadata under the key 'softarm'"),
+        ({"task": "juggle"}, "task: Input should be 'reach'"),
+        ({"rate_hz": 60.0}, "rate_hz is 60; the control loop runs at 30"),
+        ({"observation": swapped(OBSERVATION, 2, 3)}, "observation 2 is tip_z in m, not tip_y in m"),
+        ({"observation": OBSERVATION[:-1]}, "observation has 7 elements, not 8"),
+        (
+            {"observation": (*OBSERVATION[:7], OBSERVATION[7].model_copy(update={"unit": "psi"}))},
+            "observation 7 is pressure in psi, not pressure in kPa",
+        ),
+        ({"goal": swapped(REACH_GOAL, 0, 1)}, "goal 0 is target_z in m, not target_y in m"),
+        ({"action": swapped(ACTION, 0, 1)}, "action 0 is pressure in kPa, not cart_velocity in m/s"),
+        (
+            {"action": (ACTION[0].model_copy(update={"high": 2.0}), ACTION[1])},
+            r"maps to -1 .. 2 m/s; allowed within -1 .. 1",
+        ),
+        ({"action": (ACTION[0].model_copy(update={"low": None}), ACTION[1])}, "lacks low and high"),
+        ({"state_size": 5}, r"its inputs are .* they must be .*\[1, 1, 5\]"),
+        ({"drop_output": "c_out"}, "its outputs are .* they must be .*c_out"),
+        ({"golden": Golden(inputs=((0.0,) * 10,), outputs=())}, "golden has 1 inputs and 0 outputs"),
+        ({"golden": Golden(inputs=((0.0,) * 9,), outputs=((0.0, 0.0),))}, "golden rows must be 10 inputs"),
+        (
+            {"golden": Golden(inputs=((0.0,) * 10,), outputs=((0.9, -0.9),))},
+            r"golden run is off by .* at step 0; allowed 0.0001",
+        ),
+    ],
+)
+def test_a_file_that_is_not_for_this_robot_is_refused_with_what_is_wrong(write_model, changes, message):
+    path = write_model(**changes)
+    with pytest.raises(PolicyError, match=message) as refusal:
+        OnnxPolicy(model=str(path))
+    assert str(path) in str(refusal.value)
+
+
+def test_all_that_is_wrong_with_the_metadata_is_said_at_once(write_model):
+    with pytest.raises(PolicyError, match=r"goal 0 .*goal 1 .*rate_hz"):
+        OnnxPolicy(model=str(write_model(goal=swapped(REACH_GOAL, 0, 1), rate_hz=60.0)))
+
+
+def test_altered_weights_do_not_fly(write_model, network):
+    path = write_model()
+    content = path.read_bytes()
+    weights = network.head.tobytes()
+    assert content.count(weights) == 1
+    altered = network.head.copy()
+    altered[0, 0] += 0.01
+    path.write_bytes(content.replace(weights, altered.tobytes()))
+    with pytest.raises(PolicyError, match="its golden run is off by"):
+        OnnxPolicy(model=str(path))
+
+
+@pytest.mark.parametrize("content", [b"", b"not a model", b"\x08\x09" * 50])
+def test_a_file_that_is_no_model_is_refused(tmp_path, content):
+    path = tmp_path / "broken.onnx"
+    path.write_bytes(content)
+    with pytest.raises(PolicyError, match=r"broken\.onnx: not an ONNX model that can be run"):
+        OnnxPolicy(model=str(path))
+
+
+def test_a_missing_file_is_named_with_the_way_out():
+    with pytest.raises(PolicyError, match=r"no file .*nowhere\.onnx; give a path that ends in \.onnx or the name"):
+        OnnxPolicy(model="nowhere.onnx")
+    with pytest.raises(PolicyError, match="a shipped model"):
+        OnnxPolicy(model="no-such-name")
+
+
+def test_a_step_costs_far_less_than_the_loop_can_spare(write_model, network):
+    policy = OnnxPolicy(model=str(write_model()))
+    observation, goal = network.inputs[0, :8], network.inputs[0, 8:]
+    times = []
+    for _ in range(300):
+        start = time.perf_counter_ns()
+        policy.step(observation, goal)
+        times.append(time.perf_counter_ns() - start)
+    assert np.median(times) < 1e6  # ns; tens of microseconds on an idle machine

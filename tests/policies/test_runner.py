@@ -1,0 +1,267 @@
+"""Whatever a policy does, the loop gets an outcome: two finite numbers or a sentence, in time."""
+
+import sys
+import threading
+import time
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+
+from policies.base import PolicySpec
+from policies.runner import InlineRunner, PolicyRunner, ThreadRunner
+
+OBSERVATION = np.arange(8, dtype=np.float32)
+GOAL = np.array([-0.2, 0.6], dtype=np.float32)
+PATIENT_S = 20.0  # a budget that a loaded machine keeps, for tests that are not about being late
+
+
+class Scripted:
+    """Does what the test says."""
+
+    spec = PolicySpec(name="scripted", description="")
+
+    def __init__(self, step=lambda observation, goal: observation[:2], reset=lambda: None):
+        self.step, self.reset = step, reset
+
+
+def inline(policy):
+    return InlineRunner(policy)
+
+
+def threaded(policy):
+    return ThreadRunner(policy, PATIENT_S)
+
+
+@pytest.fixture(params=[inline, threaded])
+def run(request):
+    """Make a runner of either kind; it is closed afterwards."""
+    runners = []
+
+    def make(*args, **kwargs):
+        runners.append(request.param(Scripted(*args, **kwargs)))
+        return runners[-1]
+
+    yield make
+    for runner in runners:
+        runner.close()
+
+
+def test_a_good_action_comes_through_as_float32(run):
+    runner: PolicyRunner = run(lambda observation, goal: np.array([0.25, 3]))  # float64, as people write it
+    outcome = runner.step(OBSERVATION, GOAL)
+    assert outcome.fault is None
+    assert outcome.action.dtype == np.float32
+    np.testing.assert_array_equal(outcome.action, [0.25, 3])
+    assert outcome.duration_ns > 0
+    assert runner.policy.spec.name == "scripted"
+
+
+def boom(observation, goal):
+    raise ValueError("no idea\nsecond line")
+
+
+@pytest.mark.parametrize(
+    ("step", "sentence"),
+    [
+        (boom, "step raised ValueError: no idea"),
+        (lambda o, g: 1 / 0, "step raised ZeroDivisionError: division by zero"),
+        (lambda o, g: sys.exit(3), "step raised SystemExit: 3"),
+        (lambda o, g: np.log(-np.abs(o))[:2], "step raised RuntimeWarning"),
+        (lambda o, g: None, "step returned NoneType instead of a numpy array"),
+        (lambda o, g: [0.0, 1.0], "step returned list instead of a numpy array"),
+        (lambda o, g: o, "step returned an array of shape [8] instead of [2]"),
+        (lambda o, g: o[None, :2], "step returned an array of shape [1, 2] instead of [2]"),
+        (lambda o, g: np.float32(1), "step returned float32 instead of a numpy array"),
+        (lambda o, g: np.array(["0", "1"]), "step returned an array of <U1 instead of float32"),
+        (lambda o, g: np.array([None, 1]), "step returned an array of object instead of float32"),
+        (lambda o, g: np.array([1j, 0]), "step returned an array of complex128 instead of float32"),
+        (lambda o, g: np.array([True, False]), "step returned an array of bool instead of float32"),
+        (lambda o, g: np.array([np.nan, 0]), "step returned [nan, 0.0], which is not finite"),
+        (lambda o, g: np.array([0, -np.inf]), "step returned [0.0, -inf], which is not finite"),
+        (lambda o, g: np.array([0, 1e300]), "step returned [0.0, inf], which is not finite"),
+    ],
+)
+def test_anything_else_is_a_sentence_that_names_the_policy_and_the_next_step_works(run, step, sentence):
+    steps = iter([step, lambda o, g: o[:2]])
+    runner = run(lambda o, g: next(steps)(o, g))
+    outcome = runner.step(OBSERVATION, GOAL)
+    assert outcome.action is None
+    assert outcome.fault.startswith(f"policy 'scripted': {sentence}")
+    assert "\n" not in outcome.fault
+    assert runner.step(OBSERVATION, GOAL).fault is None
+
+
+@given(
+    hnp.arrays(
+        st.sampled_from([np.float16, np.float32, np.float64, np.int64, np.uint8, np.bool_, np.complex64]),
+        hnp.array_shapes(min_dims=0, max_dims=2, max_side=3),
+    )
+)
+def test_an_outcome_is_two_finite_numbers_or_a_sentence_never_both(array):
+    outcome = InlineRunner(Scripted(lambda o, g: array)).step(OBSERVATION, GOAL)
+    if outcome.fault is None:
+        assert outcome.action.shape == (2,)
+        assert outcome.action.dtype == np.float32
+        assert np.isfinite(outcome.action).all()
+    else:
+        assert outcome.action is None
+
+
+def test_the_policy_gets_copies_and_so_does_the_caller(run):
+    mine = np.zeros(2, dtype=np.float32)
+
+    def scribble(observation, goal):
+        observation[:], goal[:] = 99, 99
+        return mine
+
+    runner, observation, goal = run(scribble), OBSERVATION.copy(), GOAL.copy()
+    action = runner.step(observation, goal).action
+    mine[:] = 7
+    np.testing.assert_array_equal(observation, OBSERVATION)
+    np.testing.assert_array_equal(goal, GOAL)
+    np.testing.assert_array_equal(action, [0, 0])
+
+
+def test_reset_comes_before_the_first_step_and_once_for_each_time_it_was_asked_for(run):
+    calls = []
+    runner = run(lambda o, g: calls.append("step") or o[:2], lambda: calls.append("reset"))
+    runner.step(OBSERVATION, GOAL)
+    runner.step(OBSERVATION, GOAL)
+    runner.reset()
+    runner.step(OBSERVATION, GOAL)
+    assert calls == ["reset", "step", "step", "reset", "step"]
+
+
+def test_a_reset_that_fails_is_a_fault_and_is_tried_again_before_any_step(run):
+    resets = iter([RuntimeError("not yet"), None])
+
+    def reset():
+        if error := next(resets):
+            raise error
+
+    runner = run(reset=reset)
+    assert runner.step(OBSERVATION, GOAL).fault == "policy 'scripted': reset raised RuntimeError: not yet"
+    assert runner.step(OBSERVATION, GOAL).fault is None
+
+
+class Slow:
+    """A policy that answers when the test lets it."""
+
+    spec = PolicySpec(name="slow", description="")
+
+    def __init__(self):
+        self.let_go, self.started, self.resets, self.steps = threading.Semaphore(0), threading.Event(), 0, 0
+
+    def reset(self):
+        self.resets += 1
+
+    def step(self, observation, goal):
+        self.started.set()
+        self.let_go.acquire()
+        self.steps += 1
+        return np.array([observation[0], self.steps], dtype=np.float32)
+
+
+def until(condition):
+    """Poll for what another thread will do; a test that waits in vain fails by the suite's time limit."""
+    while not (value := condition()):
+        time.sleep(0.001)
+    return value
+
+
+def test_a_late_policy_is_not_waited_for_and_its_stale_action_is_thrown_away():
+    policy = Slow()
+    runner = ThreadRunner(policy, budget_s=0.2)
+    outcome = runner.step(OBSERVATION, GOAL)
+    assert outcome.action is None
+    assert outcome.fault.startswith("late: policy 'slow' has not answered for ")
+    assert outcome.fault.endswith("its budget is 200 ms")
+    assert outcome.duration_ns >= 200e6
+    again = runner.step(OBSERVATION, GOAL)  # the old step still runs
+    assert again.fault.startswith("late: ")
+    assert again.duration_ns < 100e6
+    policy.let_go.release(100)
+    outcome = until(lambda: (o := runner.step(OBSERVATION + 5, GOAL)).fault is None and o)
+    assert outcome.action[0] == 5  # of the new observation: the late answer, for 0, is gone
+    runner.close()
+
+
+def test_a_reset_that_is_asked_for_during_a_late_step_is_not_lost():
+    policy = Slow()
+    runner = ThreadRunner(policy, budget_s=0.02)
+    assert runner.step(OBSERVATION, GOAL).fault
+    assert policy.resets == 1
+    runner.reset()
+    policy.let_go.release(100)
+    until(lambda: runner.step(OBSERVATION, GOAL).fault is None)
+    assert policy.resets == 2
+    runner.close()
+
+
+def test_a_policy_stuck_for_ever_is_left_behind_and_holds_nothing_up():
+    policy = Slow()
+    runner = ThreadRunner(policy, budget_s=0.01)
+    for _ in range(20):
+        assert runner.step(OBSERVATION, GOAL).fault.startswith("late")
+    start = time.monotonic()
+    runner.close()
+    assert time.monotonic() - start < 1
+    stuck = [thread for thread in threading.enumerate() if thread.name == "policy slow"]
+    assert all(thread.daemon for thread in stuck)  # the process ends without them
+    assert "is closed" in runner.step(OBSERVATION, GOAL).fault
+    policy.let_go.release()
+    for thread in stuck:
+        thread.join()  # once unstuck it ends by itself
+
+
+def test_close_ends_the_thread_and_can_be_said_twice():
+    runner = ThreadRunner(Scripted(), PATIENT_S)
+    assert runner.step(OBSERVATION, GOAL).fault is None
+    runner.close()
+    runner.close()
+    assert not [thread for thread in threading.enumerate() if thread.name == "policy scripted"]
+
+
+def test_all_steps_run_on_one_thread_that_is_not_the_callers():
+    seen = set()
+    runner = ThreadRunner(Scripted(lambda o, g: seen.add(threading.get_ident()) or o[:2]), PATIENT_S)
+    for _ in range(50):
+        assert runner.step(OBSERVATION, GOAL).fault is None
+    runner.close()
+    assert len(seen) == 1
+    assert threading.get_ident() not in seen
+
+
+def test_inline_and_threaded_give_the_same_actions():
+    def walk():
+        position = np.zeros(2, dtype=np.float32)
+
+        def step(observation, goal):
+            nonlocal position
+            position = position * np.float32(0.9) + observation[:2] * goal
+            return position
+
+        return Scripted(step)
+
+    one, other = InlineRunner(walk()), ThreadRunner(walk(), PATIENT_S)
+    random = np.random.default_rng(3)
+    for _ in range(200):
+        observation = random.standard_normal(8).astype(np.float32)
+        a, b = one.step(observation, GOAL), other.step(observation, GOAL)
+        assert (a.action == b.action).all()
+    other.close()
+
+
+def test_the_clock_is_injected():
+    ticks = iter(range(0, 1000, 7))
+    assert InlineRunner(Scripted(), clock=lambda: next(ticks)).step(OBSERVATION, GOAL).duration_ns == 7
+
+
+def test_handing_over_costs_little():
+    runner = ThreadRunner(Scripted(), PATIENT_S)
+    times = [runner.step(OBSERVATION, GOAL).duration_ns for _ in range(500)]
+    runner.close()
+    assert np.median(times) < 2e6  # ns; well under a tenth of a millisecond on an idle machine
