@@ -294,3 +294,28 @@ class ModeMachine:
         if self.mode is Mode.STOPPING:
             reasons.append("the arm is still stopping: try again in a moment")
         return tuple(reasons)
+
+
+def page() -> str:
+    """docs/failsafe.md, made from the table: `python -m daemon.failsafe > docs/failsafe.md`."""
+    answers = {
+        Response.WARN: "shown and logged, nothing stops",
+        Response.SOFT_STOP: "brake and vent, then disarmed; arming again is a person's decision",
+        Response.STOP: "drive off and vented at once, latched until `POST /api/acknowledge`",
+    }
+    lines = ["# What may go wrong, and what is done about it", ""]
+    lines += ["Made from the table in `daemon/failsafe.py`; edit that, then run `python -m daemon.failsafe`.", ""]
+    for response in sorted(answers, reverse=True):
+        lines += [f"## {response.name.lower().replace('_', ' ')}: {answers[response]}", ""]
+        lines += ["| event | what is wrong | next step | refuses arming | clears |", "|---|---|---|---|---|"]
+        lines += [
+            f"| `{name}` | {rule.meaning} | {rule.remedy} | {'yes' if rule.blocks_arming else 'no'} | {rule.clears} |"
+            for name, rule in TABLE.items()
+            if rule.response is response
+        ]
+        lines.append("")
+    return "\n".join(lines)
+
+
+if __name__ == "__main__":
+    print(page(), end="")

@@ -18,6 +18,8 @@ class SimulatedRobot:
     def __init__(self, model: Model | None = None, now_ns: int = 0, physics_rate_hz: float = PHYSICS_HZ) -> None:
         self.model = model or Model()
         self.simulator = Simulator(self.model, robots=1, physics_rate_hz=physics_rate_hz)
+        self.simulator.step(0.0, 0.0, 1 / physics_rate_hz)  # the first step may compile; nobody is waiting yet
+        self.simulator.reset()
         self.now_ns = now_ns
         self.mocap = SimulatedMocap(self)
         self.regulator = SimulatedRegulator(self)

@@ -61,7 +61,7 @@ class Failsafe(Strict):
     rail_stale_s: Annotated[float, Field(gt=0, le=1.0)] = 0.15
     arming_frames: Annotated[int, Field(ge=1, le=1000)] = 30  # fresh mocap frames seen before arming
     arming_timeout_s: Annotated[float, Field(gt=0, le=30)] = 3.0
-    policy_budget_s: Annotated[float, Field(gt=0, le=0.03)] = 0.015
+    policy_budget_s: Annotated[float, Field(gt=0, le=0.03)] = 0.02
     missed_ticks_max: Annotated[int, Field(ge=1, le=30)] = 3  # in a row
     rail_mocap_disagreement_m: Annotated[float, Field(gt=0, le=0.2)] = 0.03
 

@@ -1,8 +1,10 @@
 """The failsafe table and the mode machine, every mode against every response."""
 
+from pathlib import Path
+
 import pytest
 
-from daemon.failsafe import TABLE, Event, ModeMachine, Response
+from daemon.failsafe import TABLE, Event, ModeMachine, Response, page
 from daemon.records import EStop, Mode
 
 
@@ -148,3 +150,8 @@ def test_disarming_is_always_taken():
         made.disarm("by hand")
         assert made.mode is Mode.STOPPING
         assert made.last_stop == "by hand"
+
+
+def test_the_page_is_made_from_the_table():
+    made = Path(__file__).parents[2] / "docs" / "failsafe.md"
+    assert made.read_text() == page(), "stale: run `python -m daemon.failsafe > docs/failsafe.md`"

@@ -1,0 +1,21 @@
+"""What a log file (MCAP) holds, by name. The messages are in `daemon.channels`, the page is docs/logs.md."""
+
+from pydantic import AwareDatetime
+
+from schemas.base import Strict
+
+MOCAP, PRESSURE, RAIL, REQUEST, TICK = "/mocap", "/pressure", "/rail", "/request", "/tick"
+
+# Metadata records. A later record of the same name replaces the earlier one from there on.
+CONFIGURATION, SOFTWARE, MACHINE, CLOCK, POLICY = "configuration", "software", "machine", "clock", "policy"
+
+
+class LogEntry(Strict):
+    """One log in the recorder's directory."""
+
+    name: str
+    bytes: int
+    modified: AwareDatetime
+    duration_s: float | None  # first to last message; None while unfinished
+    finished: bool  # False: being written, or left by a daemon that was killed
+    recording: bool = False  # by the daemon that answers

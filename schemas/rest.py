@@ -1,0 +1,87 @@
+"""Bodies of the REST API, in and out; the status itself is `daemon.status.Status`. See docs/rest.md."""
+
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from schemas.base import Strict
+from schemas.goals import GoalKind, GoalState
+from schemas.log import LogEntry
+from schemas.policy import TrainingRange
+
+
+class ReachBody(Strict):
+    """Bring the tip to a target."""
+
+    kind: Literal["reach"]
+    y_m: Annotated[float, Field(strict=True, description="along the rail; negative is where pressure bends to")]
+    z_m: Annotated[float, Field(strict=True, description="up; the arm hangs to 0.52")]
+
+
+class HoldBody(Strict):
+    """Brake the cart and let the arm settle."""
+
+    kind: Literal["hold"]
+
+
+GoalBody = Annotated[ReachBody | HoldBody, Field(discriminator="kind")]
+
+
+class PolicyBody(Strict):
+    """Which policy to use from now on."""
+
+    name: str
+
+
+class Refusal(Strict):
+    """Why something was not done, and what is allowed."""
+
+    detail: str
+    reasons: tuple[str, ...]
+
+
+class Health(Strict):
+    """Whether the robot could be used now."""
+
+    healthy: bool
+    reasons: tuple[str, ...]
+
+
+class GoalAnswer(Strict):
+    """The newest goal and how it went."""
+
+    kind: GoalKind | None
+    state: GoalState
+    reason: str | None = Field(description="why it failed or was cancelled")
+    y_m: float | None
+    z_m: float | None
+    closest_m: float | None = Field(description="the tip's closest distance to the target so far")
+    time_s: float
+    number: int = Field(description="goals taken up since the daemon started")
+
+
+class PolicyAnswer(Strict):
+    """A policy that can be chosen, or why it cannot."""
+
+    name: str
+    plugin: str
+    description: str
+    error: str | None
+    needs_target: bool | None = None
+    episode_steps: int | None = None
+    trained: TrainingRange | None = Field(default=None, description="targets outside are tried, with a warning")
+    sha256: str | None = Field(default=None, description="of the model file")
+
+
+class PoliciesAnswer(Strict):
+    """All policies by name, and the one in use."""
+
+    active: str | None
+    policies: tuple[PolicyAnswer, ...]
+
+
+class LogsAnswer(Strict):
+    """The logs on this machine, newest first."""
+
+    directory: str
+    logs: tuple[LogEntry, ...]
