@@ -56,9 +56,7 @@ class Daemon:
             rate_hz=config.control.rate_hz,
             realtime_priority=config.control.realtime_priority,
         )
-        context = ApiContext(
-            config, self.inbox, lambda: self.loop.snapshot, lambda: self.loop.problems, self.recorder
-        )
+        context = ApiContext(config, self.inbox, lambda: self.loop.snapshot, lambda: self.loop.problems, self.recorder)
         self.api = ApiServer(config.api, create_app(context))
         self.port = 0
 

@@ -102,9 +102,9 @@ def test_a_late_tick_skips_whole_periods_and_stays_on_its_grid():
     for earlier, later in zip(deadlines, deadlines[1:], strict=False):
         periods = (later - earlier) / PERIOD_NS
         assert periods == pytest.approx(round(periods), abs=0.05 * round(periods))
-    assert [later.tick - earlier.tick for (earlier, _), (later, _) in zip(loop.ticks, loop.ticks[1:], strict=False)] == [
-        1
-    ] * (len(loop.ticks) - 1)
+    assert [
+        later.tick - earlier.tick for (earlier, _), (later, _) in zip(loop.ticks, loop.ticks[1:], strict=False)
+    ] == [1] * (len(loop.ticks) - 1)
     assert loop.good_ticks < len(loop.ticks)  # the watchdog did not hear of the late one
 
 

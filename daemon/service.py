@@ -1,0 +1,67 @@
+"""Talking to systemd: one datagram per message (sd_notify(3)). Without systemd every call does nothing."""
+
+import contextlib
+import os
+import socket
+from collections.abc import Mapping
+
+
+class Notifier:
+    """The way to the service manager. Never blocks, never raises: the arm matters more than the report."""
+
+    def __init__(self, environment: Mapping[str, str] = os.environ) -> None:
+        address = environment.get("NOTIFY_SOCKET", "")
+        # A leading @ stands for the NUL byte of Linux's abstract sockets.
+        self._address = "\0" + address[1:] if address.startswith("@") else address
+
+    def send(self, *lines: str) -> None:
+        """Assignments such as READY=1, in one message."""
+        if not self._address:
+            return
+        with contextlib.suppress(OSError, ValueError), socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as way:
+            way.setblocking(False)
+            way.sendto("\n".join(lines).encode(), self._address)
+
+    def ready(self, status: str) -> None:
+        """Start-up is over."""
+        self.send("READY=1", _status(status))
+
+    def status(self, status: str) -> None:
+        """One line for `systemctl status`."""
+        self.send(_status(status))
+
+    def stopping(self, status: str = "stopping") -> None:
+        """Shutting down has begun."""
+        self.send("STOPPING=1", _status(status))
+
+
+class Watchdog:
+    """Feeds systemd's watchdog with good ticks and nothing else, so that a loop that only looks alive is restarted."""
+
+    def __init__(self, notifier: Notifier, environment: Mapping[str, str] = os.environ) -> None:
+        self._notifier = notifier
+        self._period_ns = _period_ns(environment)
+        self._fed_ns: int | None = None
+
+    def good_tick(self, now_ns: int) -> None:
+        """A tick was on time and without fault. Sends at most once per half watchdog period."""
+        if self._period_ns is None:
+            return
+        if self._fed_ns is None or now_ns - self._fed_ns >= self._period_ns // 2:
+            self._fed_ns = now_ns
+            self._notifier.send("WATCHDOG=1")
+
+
+def _period_ns(environment: Mapping[str, str]) -> int | None:
+    """WATCHDOG_USEC, unless it is meant for another process (sd_watchdog_enabled(3))."""
+    if environment.get("WATCHDOG_PID", str(os.getpid())) != str(os.getpid()):
+        return None
+    try:
+        microseconds = int(environment.get("WATCHDOG_USEC", ""))
+    except ValueError:
+        return None
+    return microseconds * 1000 if microseconds > 0 else None
+
+
+def _status(text: str) -> str:
+    return f"STATUS={' '.join(text.split())}"

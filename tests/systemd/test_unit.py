@@ -1,0 +1,81 @@
+"""systemd itself judges the unit; the udev rule names the Teensy."""
+
+import configparser
+import re
+import shutil
+import subprocess
+from pathlib import Path
+
+import pytest
+
+SYSTEMD = Path(__file__).parents[2] / "systemd"
+ANALYZE = shutil.which("systemd-analyze")
+needs_systemd = pytest.mark.skipif(ANALYZE is None, reason="systemd-analyze is not on this machine")
+
+
+def unit() -> configparser.ConfigParser:
+    parser = configparser.ConfigParser(interpolation=None)
+    parser.optionxform = str
+    parser.read(SYSTEMD / "softarmd.service")
+    return parser
+
+
+@pytest.fixture
+def installed(tmp_path) -> Path:
+    """The unit, with a program that is there in the place of ours."""
+    text = (SYSTEMD / "softarmd.service").read_text()
+    text, replaced = re.subn(r"(?m)^ExecStart=\S+", "ExecStart=/bin/true", text)
+    assert replaced == 1
+    path = tmp_path / "softarmd.service"
+    path.write_text(text)
+    return path
+
+
+def analyze(*arguments: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run([str(ANALYZE), *arguments], capture_output=True, text=True, timeout=60)
+
+
+@needs_systemd
+def test_systemd_knows_every_key_and_value(installed):
+    verdict = analyze("verify", "--man=no", "--recursive-errors=no", str(installed))
+    assert verdict.returncode == 0, verdict.stderr
+    assert installed.name not in verdict.stderr
+
+
+@needs_systemd
+def test_systemd_finds_a_misspelt_key(installed):
+    installed.write_text(installed.read_text().replace("NoNewPrivileges", "NoNewPrivilege"))
+    assert analyze("verify", "--man=no", "--recursive-errors=no", str(installed)).returncode != 0
+
+
+@needs_systemd
+def test_the_exposure_is_at_most_two(installed):
+    verdict = analyze("security", "--offline=yes", "--threshold=20", "--no-pager", str(installed))
+    assert verdict.returncode == 0, verdict.stdout[-2000:] + verdict.stderr
+
+
+def test_the_watchdog_is_slower_than_a_few_ticks_and_systemd_waits_for_the_log():
+    service = unit()["Service"]
+    assert service["Type"] == "notify"
+    assert service["WatchdogSec"] == "1s"
+    assert service["TimeoutStopSec"] == "10s"
+    assert service["ExecStart"] == "/opt/softarm/.venv/bin/softarm run --config /etc/softarm/softarm.yaml"
+
+
+def test_nothing_takes_away_the_serial_port_or_real_time():
+    service = unit()["Service"]
+    assert service["SupplementaryGroups"] == "dialout"
+    assert service["DeviceAllow"] == "char-ttyACM rw"
+    assert not {"PrivateDevices", "RestrictRealtime", "PrivateNetwork"} & set(service)
+    assert "CPUSchedulingPolicy" not in service  # real time is the configuration's choice
+
+
+def test_the_rule_gives_the_teensy_to_the_daemon_and_keeps_modemmanager_off():
+    text = (SYSTEMD / "99-softarm.rules").read_text().replace("\\\n", " ")
+    rules = [line for line in text.splitlines() if line.strip() and not line.startswith("#")]
+    assert len(rules) == 1
+    terms = dict(re.findall(r'([\w{}]+)\s*(?:==|\+=|=)\s*"([^"]*)"', rules[0]))
+    assert (terms["ATTRS{idVendor}"], terms["ATTRS{idProduct}"]) == ("16c0", "0483")
+    assert terms["GROUP"] == "dialout"
+    assert terms["ENV{ID_MM_DEVICE_IGNORE}"] == "1"
+    assert terms["SYMLINK"] == "softarm-regulator"
