@@ -1,0 +1,199 @@
+"""Control steps per second against MuJoCo's own multithreaded `rollout`, at equal accuracy, on all cores.
+
+Both fly the seed's arm under the same 30 Hz commands. MuJoCo cannot switch control laws inside a rollout, so both
+use the cart's velocity tracker alone; and MuJoCo is handed the lagged pressure and the delayed rail command ready
+made, for nothing. Its integrator is the one that was cheapest for a given error here: `implicitfast` (`RK4` is not
+stable below about 9 kHz on this arm, `Euler` has three times the error at the same step). Its step is the coarsest
+whose tip error after 3 s is about equal to ours; the reference for both errors is MuJoCo's RK4 at 12 kHz.
+
+    softarm bench simulator --json FILE, or python -m benchmarks.simulator --json FILE
+"""
+
+import json
+import os
+import statistics
+import time
+from pathlib import Path
+
+import click
+import mujoco
+import numpy as np
+from mujoco import rollout
+from rich.console import Console
+from rich.progress import Progress
+
+from benchmarks import commands
+from benchmarks.mujoco_arm import mjcf
+from schemas.model import Cart, Effects, Model
+from simulator.simulator import Simulator
+
+ROBOTS = 4096
+RATE_HZ = 240.0
+REFERENCE_SUBSTEPS = 400
+CANDIDATES = (20, 30, 40, 50, 60, 70, 80, 90, 100, 120, 140, 160, 200, 240, 320)
+# MuJoCo's error may be this much above ours and still count as equal.
+EQUAL = 1.1
+# Endless, since MuJoCo's arm has no end stops.
+MODEL = Model(cart=Cart(travel_m=100.0), effects=Effects.model_validate({"rail.acceleration_limit": None}))
+
+
+def run(json_path: Path | None, quick: bool = False) -> dict[str, object]:
+    """Measure, print a table, write the JSON if a path is given and return what is in it.
+
+    quick: fewer command sets and rounds, for a look; the figures then scatter.
+    """
+    cores = len(os.sched_getaffinity(0))
+    load_before = os.getloadavg()[0]
+    with Progress(transient=True) as progress:
+        task = progress.add_task("Tip errors", total=None)
+        sets = _command_sets(4 if quick else 16)
+        reference = _mujoco_tips(*sets, REFERENCE_SUBSTEPS, cores, "RK4")
+        ours = _error_mm(_our_tips(*sets), reference)
+        for substeps in CANDIDATES:
+            theirs = _error_mm(_mujoco_tips(*sets, substeps, cores), reference)
+            if theirs["mean"] <= EQUAL * ours["mean"]:
+                break
+        else:
+            raise RuntimeError(
+                f"MuJoCo's error stays above {ours['mean']:.3f} mm even at {30 * substeps} Hz; add finer CANDIDATES"
+            )
+        rounds = 3 if quick else 9
+        progress.update(task, description="Speed", total=rounds)
+        speeds = []
+        race = _Race(substeps, cores)
+        for _ in range(rounds):
+            speeds.append((race.ours(), race.mujoco()))
+            progress.advance(task)
+    our_speed, mujoco_speed = (statistics.median(side) for side in zip(*speeds, strict=True))
+    result: dict[str, object] = {
+        "control_steps_per_s": our_speed,
+        "mujoco_control_steps_per_s": mujoco_speed,
+        "ratio": our_speed / mujoco_speed,
+        "tip_error_mm": ours,
+        "mujoco_tip_error_mm": theirs,
+        "step_rate_hz": RATE_HZ,
+        "mujoco_step_rate_hz": 30 * substeps,
+        "mujoco_integrator": "implicitfast",
+        "mujoco_version": mujoco.__version__,
+        "robots": ROBOTS,
+        "cores": cores,
+        "rounds": rounds,
+        "load_average": {"before": load_before, "after": os.getloadavg()[0]},
+    }
+    _show(result, ours, theirs)
+    if json_path is not None:
+        json_path.write_text(json.dumps(result, indent=2) + "\n", encoding="utf-8")
+    return result
+
+
+def _command_sets(of_each: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return cart velocity and pressure, each [commands.STEPS, 2 of_each], smooth ones first."""
+    smooth, switching = commands.smooth(of_each, seed=1), commands.bang_bang(of_each, seed=2)
+    return np.hstack((smooth[0], switching[0])), np.hstack((smooth[1], switching[1]))
+
+
+def _our_tips(velocity: np.ndarray, pressure: np.ndarray) -> np.ndarray:
+    simulator = Simulator(MODEL, velocity.shape[1], RATE_HZ)
+    for v, p in zip(velocity, pressure, strict=True):
+        simulator.step(v, p, commands.PERIOD_S)
+    return simulator.tip_m()
+
+
+def _mujoco_tips(
+    velocity: np.ndarray, pressure: np.ndarray, substeps: int, cores: int, integrator: str = "implicitfast"
+) -> np.ndarray:
+    model = mujoco.MjModel.from_xml_string(mjcf(MODEL, substeps / commands.PERIOD_S, integrator, actuators=True))
+    control = _mujoco_controls(velocity, pressure, substeps)
+    workers = [mujoco.MjData(model) for _ in range(cores)]
+    with rollout.Rollout(nthread=cores) as pool:
+        states, _ = pool.rollout(model, workers, _state_at_rest(model), control)
+    position = states[:, -1, 1 : 1 + model.nq]  # the state begins with the time
+    angles, length = np.cumsum(position[:, 1:], axis=1), np.array(MODEL.arm.link_length_m)
+    y = position[:, 0] + np.sin(angles) @ length
+    z = MODEL.arm.base_height_m - np.cos(angles) @ length
+    return np.stack((y, z), axis=1)
+
+
+def _mujoco_controls(velocity: np.ndarray, pressure: np.ndarray, substeps: int) -> np.ndarray:
+    """Return what the actuators see: delayed velocity and mean lagged pressure, [robots, steps, 2]."""
+    effects = MODEL.effects
+    assert effects.pressure_lag is not None
+    assert effects.rail_delay is not None
+    dt = commands.PERIOD_S / substeps
+    late = round(effects.rail_delay.delay / dt)
+    fine_velocity, fine_pressure = np.repeat(velocity, substeps, axis=0), np.repeat(pressure, substeps, axis=0)
+    control = np.zeros((*fine_velocity.shape[::-1], 2))
+    control[:, late:, 0] = fine_velocity[: len(fine_velocity) - late].T
+    kpa = np.zeros(velocity.shape[1])
+    for step, wanted in enumerate(fine_pressure):
+        time_constant = np.where(wanted > kpa, effects.pressure_lag.inflate, effects.pressure_lag.deflate)
+        after = wanted + (kpa - wanted) * np.exp(-dt / time_constant)
+        control[:, step, 1] = (kpa + after) / 2
+        kpa = after
+    return control
+
+
+def _state_at_rest(model: mujoco.MjModel) -> np.ndarray:
+    return np.zeros((1, mujoco.mj_stateSize(model, mujoco.mjtState.mjSTATE_FULLPHYSICS)))
+
+
+def _error_mm(tips: np.ndarray, reference: np.ndarray) -> dict[str, float]:
+    error = 1e3 * np.linalg.norm(tips - reference, axis=1)
+    return {"mean": float(error.mean()), "max": float(error.max())}
+
+
+class _Race:
+    """The two sides, warm and ready: each call flies ROBOTS robots and returns control steps per second."""
+
+    STEPS, MUJOCO_STEPS = 60, 1
+
+    def __init__(self, mujoco_substeps: int, cores: int) -> None:
+        self._velocity, self._pressure = commands.smooth(ROBOTS, seed=3)
+        self._simulator = Simulator(MODEL, ROBOTS, RATE_HZ)
+        self._model = mujoco.MjModel.from_xml_string(mjcf(MODEL, mujoco_substeps / commands.PERIOD_S, actuators=True))
+        self._workers = [mujoco.MjData(self._model) for _ in range(cores)]
+        self._pool = rollout.Rollout(nthread=cores)
+        self._control = _mujoco_controls(
+            self._velocity[: self.MUJOCO_STEPS], self._pressure[: self.MUJOCO_STEPS], mujoco_substeps
+        )
+        rest = _state_at_rest(self._model)
+        self._rest = np.tile(rest, (ROBOTS, 1))
+        self._states = np.zeros((ROBOTS, self._control.shape[1], rest.shape[1]))
+        self.ours()
+        self.mujoco()
+
+    def ours(self) -> float:
+        start = time.perf_counter()
+        for v, p in zip(self._velocity[: self.STEPS], self._pressure[: self.STEPS], strict=True):
+            self._simulator.step(v, p, commands.PERIOD_S)
+        return ROBOTS * self.STEPS / (time.perf_counter() - start)
+
+    def mujoco(self) -> float:
+        start = time.perf_counter()
+        self._pool.rollout(self._model, self._workers, self._rest, self._control, state=self._states, skip_checks=False)
+        return ROBOTS * self.MUJOCO_STEPS / (time.perf_counter() - start)
+
+
+def _show(result: dict[str, object], ours: dict[str, float], theirs: dict[str, float]) -> None:
+    console = Console(soft_wrap=True)
+    for name, rate, speed, error in (
+        ("simulator", RATE_HZ, result["control_steps_per_s"], ours),
+        ("MuJoCo", result["mujoco_step_rate_hz"], result["mujoco_control_steps_per_s"], theirs),
+    ):
+        console.print(
+            f"{name:<9} {rate:5.0f} Hz  {speed:12,.0f} control steps/s  "
+            f"tip error after 3 s: mean {error['mean']:.3f} mm, max {error['max']:.3f} mm"
+        )
+    console.print(f"ratio     {result['ratio']:,.0f} on {result['cores']} cores, {ROBOTS} robots")
+
+
+@click.command()
+@click.option("--json", "json_path", type=click.Path(path_type=Path), help="Write the figures to this file.")
+@click.option("--quick", is_flag=True, help="Fewer command sets and rounds.")
+def main(json_path: Path | None, quick: bool) -> None:
+    """Measure the simulator against MuJoCo."""
+    run(json_path, quick)
+
+
+if __name__ == "__main__":
+    main()

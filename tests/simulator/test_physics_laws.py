@@ -1,0 +1,253 @@
+"""What mechanics says of the arm, checked without the kernel's own formulas."""
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from benchmarks import commands
+from schemas.model import Arm, Cart, Delay, Effects, Model
+from simulator.simulator import Simulator
+
+ARM = Arm()
+NO_EFFECTS = Effects.model_validate({"pressure.lag": None, "rail.acceleration_limit": None, "rail.delay": None})
+
+
+def passive(**changes: object) -> Arm:
+    """The arm without damping, muscle and offset."""
+    n = ARM.links
+    zeros = (0.0,) * n
+    quiet = {"damping_nm_s_rad": zeros, "muscle_gain_nm_kpa": zeros, "torque_offset_nm": zeros}
+    return Arm(**{**quiet, **changes})  # type: ignore[arg-type]
+
+
+def energy_j(model: Model, simulator: Simulator) -> float:
+    """Kinetic and potential energy of the first robot, summed link by link from its centres' motion."""
+    arm = model.arm
+    length = np.array(arm.link_length_m)
+    angle, rate = simulator.link_angles_rad[0], simulator.link_rates_rad_s[0]
+    cart_velocity = float(simulator.cart_velocity_m_s[0])
+    joints = np.diff(angle, prepend=0.0)
+    energy = 0.5 * model.cart.mass_kg * cart_velocity**2
+    energy += 0.5 * float(np.dot(arm.stiffness_nm_rad, joints**2))
+    end, end_velocity = np.array([0.0, arm.base_height_m]), np.array([cart_velocity, 0.0])
+    for i in range(arm.links):
+        along = length[i] * np.array([np.sin(angle[i]), -np.cos(angle[i])])
+        turning = length[i] * rate[i] * np.array([np.cos(angle[i]), np.sin(angle[i])])
+        centre, velocity = end + along / 2, end_velocity + turning / 2
+        energy += 0.5 * arm.link_mass_kg[i] * velocity @ velocity
+        energy += 0.5 * arm.link_inertia_kg_m2[i] * rate[i] ** 2
+        energy += arm.link_mass_kg[i] * arm.gravity_m_s2 * centre[1]
+        end, end_velocity = end + along, end_velocity + turning
+    return float(energy)
+
+
+def test_energy_is_conserved_to_second_order() -> None:
+    """No damping, no drive: what energy drifts in a second falls fourfold as the step is halved."""
+    model = Model(arm=passive(), cart=Cart(velocity_gain_n_s_m=0.0, travel_m=100.0), effects=NO_EFFECTS)
+    drifts = []
+    for rate_hz in (1200.0, 2400.0, 4800.0):
+        simulator = Simulator(model, 1, rate_hz, dtype=np.float64)
+        simulator.reset(joint_angles_rad=[0.5, 0.3, 0.2, 0.1, 0.1])
+        before = energy_j(model, simulator)
+        worst = 0.0
+        for _ in range(30):
+            simulator.step(0.0, 0.0)
+            worst = max(worst, abs(energy_j(model, simulator) - before))
+        drifts.append(worst)
+    assert drifts[0] < 0.01 * abs(before)
+    assert np.log2(drifts[0] / drifts[1]) > 1.8
+    assert np.log2(drifts[1] / drifts[2]) > 1.8
+
+
+def test_error_falls_with_the_square_of_the_step() -> None:
+    model = Model(cart=Cart(travel_m=100.0), effects=Effects.model_validate({"rail.acceleration_limit": None}))
+
+    def tip_m(rate_hz: float) -> np.ndarray:
+        simulator = Simulator(model, 1, rate_hz, dtype=np.float64)
+        simulator.reset(joint_angles_rad=0.1)
+        for v, p in zip((0.5, -0.5, 0.8), (5.0, 15.0, 0.0), strict=True):
+            simulator.step(v, p, 0.2)
+        return simulator.tip_m()[0]
+
+    exact = tip_m(30_000.0)
+    errors = [np.linalg.norm(tip_m(rate_hz) - exact) for rate_hz in (300.0, 600.0, 1200.0, 2400.0)]
+    assert np.all(np.log2(np.divide(errors[:-1], errors[1:])) > 1.9)
+
+
+@pytest.mark.parametrize("draw", [commands.smooth, commands.bang_bang])
+def test_drive_s_switching_costs_no_accuracy(draw: Callable[..., tuple[np.ndarray, np.ndarray]]) -> None:
+    """The drive changes its law within steps, thousands of times here; the error stays docs/simulator.md's."""
+    velocity, pressure = draw(256, seed=9)
+
+    def tips_m(rate_hz: float) -> np.ndarray:
+        simulator = Simulator(Model(cart=Cart(travel_m=100.0)), 256, rate_hz)
+        for v, p in zip(velocity, pressure, strict=True):
+            simulator.step(v, p)
+        return simulator.tip_m()
+
+    exact = tips_m(9600.0)
+    for rate_hz, mean_mm, max_mm in ((240.0, 0.25, 1.5), (1200.0, 0.025, 0.15)):
+        error_mm = 1e3 * np.linalg.norm(tips_m(rate_hz) - exact, axis=1)
+        assert error_mm.mean() < mean_mm
+        assert error_mm.max() < max_mm
+
+
+def test_single_precision_costs_nothing() -> None:
+    """At 1200 Hz float32 and float64 end 3 s of hard commands within a tenth of the scheme's own error."""
+    velocity, pressure = commands.bang_bang(8, seed=4)
+    tips = []
+    for dtype in (np.float32, np.float64):
+        simulator = Simulator(None, 8, 1200.0, dtype=dtype)
+        for v, p in zip(velocity, pressure, strict=True):
+            simulator.step(v, p)
+        tips.append(simulator.tip_m())
+    assert np.abs(tips[0] - tips[1]).max() < 2e-5
+
+
+def test_mirror_image_moves_as_the_mirror_of_the_motion() -> None:
+    model = Model(arm=Arm(torque_offset_nm=(0.0,) * 5), effects=Effects.model_validate({"pressure.lag": None}))
+    simulator = Simulator(model, 2, 1200.0)
+    simulator.reset(joint_angles_rad=np.array([[0.3, -0.2, 0.1, 0.2, 0.1]]) * [[1.0], [-1.0]])
+    for v, p in zip(*(sets[:60, 0] for sets in commands.smooth(1, seed=5)), strict=True):
+        simulator.step(np.array([v, -v]), np.array([p, -p]))
+    (y, z), (mirrored_y, mirrored_z) = simulator.tip_m()
+    assert y == pytest.approx(-mirrored_y, abs=1e-5)
+    assert z == pytest.approx(mirrored_z, abs=1e-5)
+    assert abs(y) > 0.05
+
+
+def test_arm_rests_where_its_torques_balance() -> None:
+    """The static shape by Newton's method on the joint torques' balance, gravity by summing over what hangs."""
+    pressure_kpa = 12.0
+    n, length, mass = ARM.links, np.array(ARM.link_length_m), np.array(ARM.link_mass_kg)
+    pull = np.array(ARM.muscle_gain_nm_kpa) * pressure_kpa + np.array(ARM.torque_offset_nm)
+
+    def imbalance(joints: np.ndarray) -> np.ndarray:
+        angles = np.cumsum(joints)
+        ends = np.concatenate(([0.0], np.cumsum(length * np.sin(angles))))
+        centres = (ends[:-1] + ends[1:]) / 2
+        weight = [ARM.gravity_m_s2 * np.dot(mass[i:], centres[i:] - ends[i]) for i in range(n)]
+        return np.array(ARM.stiffness_nm_rad) * joints + pull + np.array(weight)
+
+    joints = np.zeros(n)
+    for _ in range(20):
+        slope = np.array([(imbalance(joints + 1e-6 * e) - imbalance(joints)) / 1e-6 for e in np.eye(n)]).T
+        joints = joints - np.linalg.solve(slope, imbalance(joints))
+
+    simulator = Simulator()
+    simulator.step(0.0, pressure_kpa, 40.0)
+    np.testing.assert_allclose(simulator.joint_angles_rad[0], joints, atol=2e-4)
+    assert joints.sum() < -0.2  # pressure bends towards -y
+    assert np.abs(simulator.link_rates_rad_s).max() < 1e-3
+
+
+def test_one_link_swings_at_the_pendulum_s_frequency() -> None:
+    stiffness, mass, length, inertia = 0.5, 0.12, 0.44, 2e-3
+    arm = Arm(
+        link_length_m=(length,),
+        link_mass_kg=(mass,),
+        link_inertia_kg_m2=(inertia,),
+        stiffness_nm_rad=(stiffness,),
+        damping_nm_s_rad=(0.0,),
+        muscle_gain_nm_kpa=(0.0,),
+        torque_offset_nm=(0.0,),
+    )
+    # A cart that no arm can move.
+    simulator = Simulator(Model(arm=arm, cart=Cart(mass_kg=1e4)), 1, 2400.0)
+    start = 0.02
+    simulator.reset(joint_angles_rad=start)
+    omega = np.sqrt((stiffness + mass * 9.81 * length / 2) / (inertia + mass * length**2 / 4))
+    for _ in range(60):
+        simulator.step(0.0, 0.0, 1 / 60)
+        expected = start * np.cos(omega * simulator.time_s)
+        assert simulator.joint_angles_rad[0, 0] == pytest.approx(expected, abs=2e-4)
+
+
+def test_pressure_keeps_the_seed_s_share_of_its_old_value_at_30_hz() -> None:
+    """0.81 inflating, 0.86 deflating, whatever the physics' rate."""
+    for rate_hz in (240.0, 1200.0):
+        simulator = Simulator(None, 2, rate_hz)
+        simulator.reset(pressure_kpa=[0.0, 20.0])
+        for step in range(1, 4):
+            simulator.step(0.0, np.array([10.0, 5.0]))
+            rising, falling = simulator.pressure_kpa
+            assert rising == pytest.approx(10.0 * (1.0 - 0.81**step), rel=1e-5)
+            assert falling == pytest.approx(5.0 + 15.0 * 0.86**step, rel=1e-5)
+
+
+def test_without_lag_pressure_follows_at_once() -> None:
+    simulator = Simulator(Model(effects=NO_EFFECTS))
+    simulator.step(0.0, 7.0)
+    assert simulator.pressure_kpa[0] == 7.0
+
+
+def test_rail_answers_one_control_step_late() -> None:
+    model = Model(arm=passive())  # at rest the arm does not push its cart
+    simulator = Simulator(model, 1, 1200.0)
+    simulator.step(1.0, 0.0)
+    assert simulator.cart_velocity_m_s[0] == 0.0
+    simulator.step(1.0, 0.0, 1 / 1200)
+    assert simulator.cart_velocity_m_s[0] > 0.0
+
+
+@pytest.mark.parametrize("delay_s", [0.01, 1 / 30, 0.06, 0.1])
+def test_delay_shifts_the_answer_and_nothing_else(delay_s: float) -> None:
+    """Commands at irregular times: what the cart does now, it does without delay that much earlier."""
+    rng = np.random.default_rng(6)
+    substeps = rng.integers(12, 60, 40)  # 10 to 50 ms each, in 1200ths of a second
+    velocity = rng.uniform(-1.0, 1.0, len(substeps)).repeat(substeps)
+
+    def ride(delay: Delay | None) -> np.ndarray:
+        effects = Effects.model_validate({"rail.delay": delay})
+        simulator = Simulator(Model(arm=passive(damping_nm_s_rad=ARM.damping_nm_s_rad), effects=effects), 1, 1200.0)
+        positions = []
+        for v in velocity:
+            simulator.step(v, 0.0, 1 / 1200)
+            positions.append(simulator.cart_position_m[0])
+        return np.array(positions)
+
+    shift = round(delay_s * 1200)
+    np.testing.assert_allclose(ride(Delay(delay=delay_s))[shift:], ride(None)[:-shift], atol=1e-6)
+
+
+@pytest.mark.parametrize("acceleration", [3.0, 6.0])
+def test_cart_ramps_at_the_drive_s_acceleration(acceleration: float) -> None:
+    """From rest to 0.8 m/s. The arm is soft: the drive pushes against a part of its mass, between none and all."""
+    effects = Effects.model_validate({"rail.delay": None, "rail.acceleration_limit": {"acceleration": acceleration}})
+    cart = Cart(travel_m=10.0)
+    simulator = Simulator(Model(cart=cart, effects=effects), 1, 1200.0)
+    times, velocities = [], []
+    for _ in range(1200):
+        simulator.step(0.8, 0.0, 1 / 1200)
+        times.append(simulator.time_s)
+        velocities.append(simulator.cart_velocity_m_s[0])
+    ramp = np.array(velocities) < 0.65
+    slope = np.polyfit(np.array(times)[ramp], np.array(velocities)[ramp], 1)[0]
+    force_kg = cart.feedforward_mass_kg + cart.acceleration_gain_kg
+    moved_kg = cart.mass_kg + cart.acceleration_gain_kg
+    assert force_kg / (moved_kg + sum(ARM.link_mass_kg)) < slope / acceleration < force_kg / moved_kg
+    assert velocities[-1] == pytest.approx(0.8, abs=0.08)
+
+
+def test_end_stops_hold_the_cart() -> None:
+    for rate_hz in (120.0, 240.0, 1200.0):
+        simulator = Simulator(None, 2, rate_hz)
+        furthest = 0.0
+        for _ in range(240):
+            simulator.step(np.array([1.0, -1.0]), 0.0, 1 / 120)
+            furthest = max(furthest, np.abs(simulator.cart_position_m).max())
+        assert 0.3 <= furthest < 0.302
+        right, left = simulator.cart_position_m
+        assert right == pytest.approx(0.3, abs=1e-3)
+        assert left == pytest.approx(-0.3, abs=1e-3)
+
+
+def test_tip_velocity_is_the_rate_of_the_tip() -> None:
+    simulator = Simulator(None, 3, 1200.0)
+    simulator.step(np.array([1.0, -1.0, 0.3]), np.array([0.0, 20.0, 5.0]), 0.3)
+    before, velocity = simulator.tip_m(), simulator.tip_velocity_m_s()
+    simulator.step(np.array([1.0, -1.0, 0.3]), np.array([0.0, 20.0, 5.0]), 1 / 1200)
+    after, later = simulator.tip_m(), simulator.tip_velocity_m_s()
+    np.testing.assert_allclose((after - before) * 1200, (velocity + later) / 2, atol=2e-3)
+    assert np.abs(velocity).max() > 0.3
