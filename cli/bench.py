@@ -32,7 +32,7 @@ def loop(seconds: float, json_file: Path | None) -> None:
     from rich.progress import Progress
     from rich.table import Table
 
-    from benchmarks import loop as measurement
+    import benchmarks.loop as measurement
     from cli.errors import fail
     from cli.rig import RigError
 
@@ -61,6 +61,6 @@ def simulator(json_file: Path | None, quick: bool) -> None:
     Example:
       softarm bench simulator --json simulator.json
     """
-    from benchmarks import simulator as measurement
+    import benchmarks.simulator as measurement
 
     measurement.run(json_file, quick)
