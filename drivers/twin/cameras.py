@@ -1,0 +1,111 @@
+"""The twin's motion capture: a Zenoh client that publishes what the cameras see, and hears of faults."""
+
+import contextlib
+import dataclasses
+import json
+import threading
+from typing import Any
+
+import zenoh
+
+from drivers import mocap_payload
+from drivers.twin.faults import Faults
+from drivers.zenoh_session import client
+from schemas.config import ZenohMocap
+from schemas.messages import BODY_NAMES, Pose
+
+RETRY_S = 0.1  # until the daemon listens for the first time; afterwards the session finds it again by itself
+FAULT_KEY, STATE_KEY = "softarm/twin/fault", "softarm/twin/state"
+
+
+@dataclasses.dataclass(frozen=True, slots=True)
+class TwinState:
+    """The truth, published on `STATE_KEY` as JSON. The `since` stamps are null while the thing is not so."""
+
+    t_ns: int
+    cart_position_m: float
+    cart_velocity_m_s: float
+    pressure_kpa: float
+    tip_y_m: float
+    tip_z_m: float
+    vented: bool
+    vented_since_ns: int | None
+    drive: str  # the CiA 402 state in words
+    out_of_operation_since_ns: int | None
+    braked_since_ns: int | None
+    cart_max_abs_m: float
+    crashes: int
+
+
+class Cameras:
+    """Publishes while somebody listens; nobody listening is no error. A bad fault message is printed."""
+
+    def __init__(self, config: ZenohMocap, faults: Faults) -> None:
+        self._config, self._faults = config, faults
+        self._stopping = threading.Event()
+        self._thread = threading.Thread(target=self._connect, name="cameras", daemon=True)
+        self._session: zenoh.Session | None = None
+        self._subscriber: zenoh.Subscriber[Any] | None = None
+        self._stuck: tuple[Pose, ...] | None = None
+
+    def open(self) -> None:
+        """Connect in a thread: whoever listens may come later."""
+        self._thread.start()
+
+    def close(self) -> None:
+        """Close the session; a process that forgets to may never end."""
+        self._stopping.set()
+        if self._thread.is_alive():
+            self._thread.join()
+
+    def publish_frame(self, sequence: int, t_capture_ns: int, poses: tuple[Pose, ...]) -> None:
+        """One frame, as the faults leave it."""
+        if self._session is None or self._faults.active("mocap_freeze"):
+            return
+        self._stuck = (self._stuck or poses) if self._faults.active("mocap_stuck") else None
+        poses = self._stuck or poses
+        if self._faults.active("mocap_drop_body"):
+            lost = BODY_NAMES.index(self._faults.lost_body or "")
+            poses = (*poses[:lost], mocap_payload.LOST, *poses[lost + 1 :])
+        garbage = self._faults.take("mocap_garbage")
+        payload = b'{"sequence":' if garbage else mocap_payload.encode(sequence, t_capture_ns, poses)
+        self._put(self._config.key, payload, mocap_payload.SCHEMA)
+
+    def publish_state(self, state: TwinState) -> None:
+        """The truth."""
+        self._put(STATE_KEY, json.dumps(dataclasses.asdict(state)).encode(), "softarm.twin.v1")
+
+    def hear_faults(self) -> None:
+        """Start the faults that were asked for."""
+        subscriber = self._subscriber
+        while subscriber is not None and (sample := subscriber.try_recv()) is not None:
+            try:
+                self._faults.apply(sample.payload.to_bytes())
+            except ValueError as error:
+                print(f"{FAULT_KEY}: {error}", flush=True)
+
+    def _put(self, key: str, payload: bytes, schema: str) -> None:
+        if self._session is None:
+            return
+        with contextlib.suppress(zenoh.ZError):
+            self._session.put(
+                key,
+                payload,
+                encoding=zenoh.Encoding.APPLICATION_JSON.with_schema(schema),
+                congestion_control=zenoh.CongestionControl.DROP,
+            )
+
+    def _connect(self) -> None:
+        session: zenoh.Session | None = None
+        while session is None and not self._stopping.is_set():
+            try:
+                session = zenoh.open(client(self._config.endpoint))
+            except zenoh.ZError:
+                self._stopping.wait(RETRY_S)
+        if session is None:
+            return
+        self._subscriber = session.declare_subscriber(FAULT_KEY, zenoh.handlers.RingChannel(16))
+        self._session = session
+        self._stopping.wait()
+        self._session = self._subscriber = None
+        session.close()  # type: ignore[no-untyped-call]

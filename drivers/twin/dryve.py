@@ -1,0 +1,240 @@
+"""The twin's rail drive: what the dryve D1 does (`DryveDevice`), behind a TCP port (`DryveServer`).
+
+The D1's behaviour when its master falls silent is not documented. Here it brakes on its quick-stop ramp when
+the connection ends, or when no telegram has come for 0.1 s in operation: an ASSUMPTION, see docs/wires.md.
+"""
+
+import asyncio
+import contextlib
+from collections.abc import Callable
+
+from drivers import dryve
+from drivers.base import DeviceError
+from drivers.cia402 import State, Status
+from drivers.dryve import Entry, Request
+from drivers.twin.faults import Faults
+from schemas.config import DryveRail
+
+SILENCE_MAX_S = 0.1
+AT_REST_M_S = 0.02
+REACHED_M_S = 0.01
+LIMIT_SWITCH, FOLLOWING_ERROR = 0xFF00, 0x8611
+MODES = (1, 3, 6, 8)  # PP, PV, homing, CSP; the D1 has no other
+
+_STATE_BITS = {
+    State.NOT_READY: 0x00,
+    State.SWITCH_ON_DISABLED: 0x40,
+    State.READY: 0x21,
+    State.SWITCHED_ON: 0x23,
+    State.OPERATION_ENABLED: 0x27,
+    State.QUICK_STOP: 0x07,
+    State.FAULT: 0x08,
+}
+_READ_ONLY = (dryve.STATUSWORD, dryve.MODE_DISPLAY, dryve.POSITION, dryve.VELOCITY, dryve.ERROR_CODE)
+_STORED = (
+    dryve.CONTROLWORD,
+    dryve.MODE,
+    dryve.ACCELERATION,
+    dryve.DECELERATION,
+    dryve.QUICK_STOP,
+    dryve.TARGET_VELOCITY,
+    Entry("target position", 0x607A, 0, 4, signed=True),
+    Entry("profile velocity", 0x6081, 0, 4),
+    Entry("feed", 0x6092, 1, 4),
+    Entry("shaft revolutions", 0x6092, 2, 4),
+    Entry("homing speed, switch", 0x6099, 1, 4),
+    Entry("homing speed, zero", 0x6099, 2, 4),
+    Entry("homing acceleration", 0x609A, 0, 4),
+    Entry("SI unit position", 0x60A8, 0, 4),
+    Entry("digital inputs", 0x60FD, 0, 4),
+)
+_ENTRIES = {(entry.index, entry.sub): entry for entry in _READ_ONLY + _STORED}
+_ABSENT, _NOT_WRITABLE, _TOO_LONG, _OUT_OF_RANGE = 0x06020000, 0x06010002, 0x06070012, 0x06090030
+
+
+class DryveDevice:
+    """Pure: telegrams, the time and the cart's motion go in; answers and a target velocity come out.
+
+    Its ramps are the simulator's; 6083h to 6085h are only kept.
+    """
+
+    def __init__(self, config: DryveRail) -> None:
+        self.state = State.SWITCH_ON_DISABLED
+        self.remote = True
+        self._units_per_m, self._centre_m = config.units_per_m, config.centre_m
+        self._values = dict.fromkeys(_ENTRIES.values(), 0)
+        self._values |= {_ENTRIES[0x60A8, 0]: 0x00FB0100, _ENTRIES[0x60FD, 0]: 0x00420008}
+        self._heard_ns = 0
+        self._velocity_m_s = 0.0
+
+    @property
+    def in_operation(self) -> bool:
+        """CiA 402 operation enabled."""
+        return self.state is State.OPERATION_ENABLED
+
+    @property
+    def target_velocity_m_s(self) -> float:
+        """What the motor is told: zero unless in operation, in profile velocity mode and not halted."""
+        halted = self._values[dryve.CONTROLWORD] & 0x0100
+        if not self.in_operation or halted or self._values[dryve.MODE] != dryve.PROFILE_VELOCITY:
+            return 0.0
+        return self._values[dryve.TARGET_VELOCITY] / self._units_per_m
+
+    def answer(self, telegram: bytes, now_ns: int) -> bytes:
+        """What the drive sends back for one telegram."""
+        self._heard_ns = now_ns
+        try:
+            request = dryve.decode_request(telegram)
+        except ValueError:
+            return dryve.encode_exception(int.from_bytes(telegram[:2], "big"), 0x03)
+        entry = _ENTRIES.get((request.index, request.sub))
+        if entry is None:
+            return dryve.encode_abort(request.transaction, _ABSENT)
+        if request.data is None:
+            value = self._read(entry).to_bytes(entry.size, "little", signed=entry.signed)
+            return dryve.encode_value(request, value[: request.count])
+        abort = self._write(entry, request)
+        if abort is not None:
+            return dryve.encode_abort(request.transaction, abort)
+        return dryve.encode_acknowledgement(request)
+
+    def sense(self, position_m: float, velocity_m_s: float) -> None:
+        """Take over the encoder's reading."""
+        self._velocity_m_s = velocity_m_s
+        self._values[dryve.POSITION] = round((position_m + self._centre_m) * self._units_per_m)
+        self._values[dryve.VELOCITY] = round(velocity_m_s * self._units_per_m)
+
+    def watch(self, now_ns: int) -> None:
+        """Brake when the master has fallen silent or DI7 is low; end a quick stop at rest."""
+        silent = now_ns - self._heard_ns > SILENCE_MAX_S * 1e9
+        if silent or not self.remote:
+            self.quick_stop()
+        if self.state is State.QUICK_STOP and abs(self._velocity_m_s) < AT_REST_M_S:
+            self.state = State.SWITCH_ON_DISABLED
+        if not self.remote and self.state in (State.READY, State.SWITCHED_ON):
+            self.state = State.SWITCH_ON_DISABLED
+
+    def quick_stop(self) -> None:
+        """Brake, if in operation, and then switch off."""
+        if self.in_operation:
+            self.state = State.QUICK_STOP
+
+    def trip(self, error_code: int) -> None:
+        """Fault with this 603Fh code."""
+        self.state = State.FAULT
+        self._values[dryve.ERROR_CODE] = error_code
+
+    def _read(self, entry: Entry) -> int:
+        if entry == dryve.STATUSWORD:
+            return self._statusword()
+        return self._values[dryve.MODE if entry == dryve.MODE_DISPLAY else entry]
+
+    def _statusword(self) -> int:
+        word = _STATE_BITS[self.state]
+        word |= Status.REMOTE if self.remote else 0
+        reached = abs(self._velocity_m_s - self.target_velocity_m_s) < REACHED_M_S
+        word |= Status.TARGET_REACHED if reached else 0
+        word |= Status.AT_REST if self.in_operation and abs(self._velocity_m_s) < AT_REST_M_S else 0
+        return word
+
+    def _write(self, entry: Entry, request: Request) -> int | None:
+        """Store a value; returns the SDO abort code of a refusal."""
+        if entry in _READ_ONLY:
+            return _NOT_WRITABLE
+        data = request.data or b""
+        if len(data) > entry.size:
+            return _TOO_LONG
+        value = int.from_bytes(data, "little", signed=entry.signed)
+        if entry == dryve.MODE and value not in MODES:
+            return _OUT_OF_RANGE
+        if entry == dryve.CONTROLWORD:
+            self._control(value)
+        self._values[entry] = value
+        return None
+
+    def _control(self, word: int) -> None:
+        """The transitions of CiA 402, figure "state machine", that a controlword can cause."""
+        reset = word & 0x80 and not self._values[dryve.CONTROLWORD] & 0x80
+        if not self.remote:
+            return
+        if self.state is State.FAULT:
+            if reset:
+                self.state = State.SWITCH_ON_DISABLED
+                self._values[dryve.ERROR_CODE] = 0
+            return
+        if self.state is State.QUICK_STOP:
+            return
+        on = self.state in (State.READY, State.SWITCHED_ON, State.OPERATION_ENABLED)
+        if not word & 0x02:  # disable voltage
+            self.state = State.SWITCH_ON_DISABLED
+        elif not word & 0x04:
+            if self.in_operation:
+                self.quick_stop()
+            else:
+                self.state = State.SWITCH_ON_DISABLED
+        elif not word & 0x01:
+            self.state = State.READY
+        elif on and not word & 0x08:
+            self.state = State.SWITCHED_ON
+        elif self.state is State.SWITCHED_ON:
+            self.state = State.OPERATION_ENABLED
+
+
+class DryveServer:
+    """Serves a `DryveDevice` on TCP to one master at a time; a new one takes the place of the old."""
+
+    def __init__(self, host: str, port: int, device: DryveDevice, faults: Faults, clock: Callable[[], int]) -> None:
+        self.device, self.host, self.port = device, host, port
+        self._faults, self._clock = faults, clock
+        self._server: asyncio.Server | None = None
+        self._master: asyncio.StreamWriter | None = None
+
+    async def open(self) -> None:
+        """Listen; `port` 0 becomes the one that the system chose. Raises DeviceError when it cannot."""
+        try:
+            self._server = await asyncio.start_server(self._serve, self.host, self.port)
+        except OSError as error:
+            remedy = "set drivers.rail.host to 127.0.0.1 and drivers.rail.port to a free port above 1023"
+            raise DeviceError(f"{self.host}:{self.port}", "listen as the rail", str(error), remedy) from error
+        self.port = self._server.sockets[0].getsockname()[1]
+
+    async def close(self) -> None:
+        """Hang up and stop listening."""
+        self._hang_up()
+        if self._server is not None:
+            self._server.close()
+            await self._server.wait_closed()
+
+    def step(self) -> None:
+        """Let the drive look at its clock, its inputs and its faults."""
+        self.device.remote = not self._faults.active("remote_low")
+        if self._faults.take("rail_drop_connection"):
+            self._hang_up()
+        if self._faults.take("rail_fault"):
+            self.device.trip(FOLLOWING_ERROR)
+        self.device.watch(self._clock())
+
+    def _hang_up(self) -> None:
+        if self._master is not None:
+            self._master.transport.abort()
+            self._master = None
+            self.device.quick_stop()
+
+    async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        self._hang_up()
+        self._master = writer
+        with contextlib.suppress(OSError, EOFError, ValueError):
+            while True:
+                telegram = await dryve.read_telegram(reader)
+                if not self._faults.active("rail_silence"):
+                    await self._reply(writer, self.device.answer(telegram, self._clock()))
+        if self._master is writer:
+            self._hang_up()
+
+    async def _reply(self, writer: asyncio.StreamWriter, answer: bytes) -> None:
+        if not self._faults.active("rail_segment"):
+            writer.write(answer)
+            return
+        for byte in answer:
+            writer.write(bytes((byte,)))
+            await asyncio.sleep(0)

@@ -1,0 +1,108 @@
+"""What can be made to go wrong with the twin while it runs."""
+
+import json
+import math
+from collections.abc import Callable
+
+from schemas.messages import BODY_NAMES
+
+
+class Faults:
+    """Each method starts one fault, for `seconds` or until `clear`. The parts of the twin ask `active`."""
+
+    def __init__(self, clock: Callable[[], int]) -> None:
+        self.lost_body: str | None = None
+        self._clock = clock
+        self._until_ns: dict[str, float] = {}
+        self._pending: set[str] = set()
+
+    def active(self, name: str) -> bool:
+        """Whether a lasting fault is on."""
+        return self._clock() < self._until_ns.get(name, -math.inf)
+
+    def take(self, name: str) -> bool:
+        """Whether a single event is due; asking uses it up."""
+        due = name in self._pending
+        self._pending.discard(name)
+        return due
+
+    def clear(self) -> None:
+        """End all of them."""
+        self._until_ns.clear()
+        self._pending.clear()
+
+    def mocap_freeze(self, seconds: float = math.inf) -> None:
+        """No frames come."""
+        self._last("mocap_freeze", seconds)
+
+    def mocap_stuck(self, seconds: float = math.inf) -> None:
+        """Frames come with running stamps and the poses of the moment when this began."""
+        self._last("mocap_stuck", seconds)
+
+    def mocap_drop_body(self, body: str, seconds: float = math.inf) -> None:
+        """One rigid body is not tracked."""
+        if body not in BODY_NAMES:
+            raise ValueError(f"there is no body {body!r}; choose one of {', '.join(BODY_NAMES)}")
+        self.lost_body = body
+        self._last("mocap_drop_body", seconds)
+
+    def mocap_garbage(self) -> None:
+        """One sample is no frame."""
+        self._pending.add("mocap_garbage")
+
+    def serial_silence(self, seconds: float = math.inf) -> None:
+        """The device neither hears nor answers; its watchdog runs on."""
+        self._last("serial_silence", seconds)
+
+    def serial_garbage(self, seconds: float = math.inf) -> None:
+        """Each answer has a flipped bit."""
+        self._last("serial_garbage", seconds)
+
+    def serial_unplug(self, seconds: float = math.inf) -> None:
+        """The port vanishes and comes back."""
+        self._last("serial_unplug", seconds)
+
+    def rail_silence(self, seconds: float = math.inf) -> None:
+        """The drive neither hears nor answers telegrams; its watchdog runs on."""
+        self._last("rail_silence", seconds)
+
+    def rail_segment(self, seconds: float = math.inf) -> None:
+        """Answers arrive byte by byte."""
+        self._last("rail_segment", seconds)
+
+    def rail_drop_connection(self) -> None:
+        """The drive resets its TCP connection."""
+        self._pending.add("rail_drop_connection")
+
+    def rail_fault(self) -> None:
+        """The drive reports E11, following error."""
+        self._pending.add("rail_fault")
+
+    def remote_low(self, seconds: float = math.inf) -> None:
+        """The drive's enable input DI7 goes low: the hardware e-stop."""
+        self._last("remote_low", seconds)
+
+    def apply(self, message: bytes) -> None:
+        """Start what a JSON object asks for: {"fault": "mocap_drop_body", "body": "link3", "seconds": 0.5}.
+
+        Raises ValueError with what is allowed.
+        """
+        try:
+            arguments = json.loads(message)
+            name = arguments.pop("fault")
+        except (ValueError, AttributeError, KeyError, TypeError):
+            raise ValueError('a fault is a JSON object like {"fault": "mocap_freeze", "seconds": 1}') from None
+        if not isinstance(name, str) or name not in _NAMES:
+            raise ValueError(f"there is no fault {name!r}; choose one of {', '.join(sorted(_NAMES))}")
+        try:
+            getattr(self, name)(**arguments)
+        except TypeError as error:
+            raise ValueError(f"{name}: {error}") from None
+
+    def _last(self, name: str, seconds: float) -> None:
+        if isinstance(seconds, bool) or not isinstance(seconds, int | float) or not seconds > 0:
+            raise ValueError(f"{name}: seconds is {seconds!r}; give a positive number")
+        self._until_ns[name] = self._clock() + seconds * 1e9
+
+
+_NAMES = {name for name in vars(Faults) if name[0] != "_"} - {"active", "take", "apply"}

@@ -1,0 +1,187 @@
+"""The twin's process: the parts, moved in real time."""
+
+import asyncio
+import contextlib
+import signal
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Self
+
+from drivers.twin.cameras import Cameras, TwinState
+from drivers.twin.dryve import LIMIT_SWITCH, DryveDevice, DryveServer
+from drivers.twin.faults import Faults
+from drivers.twin.robot import TwinRobot
+from drivers.twin.teensy import TeensyDevice, TeensyPort
+from schemas.config import Config
+from schemas.model import Model
+
+FRAME_HZ = 120
+STATE_EVERY = 4  # frames: 30 Hz
+BRAKED_M_S = 0.05  # the swinging arm drags a standing cart about at less than this
+HELD_UP_NS = 25_000_000
+CATCH_UP_FRAMES = 30  # a twin that was held up for longer lets the time pass instead
+
+
+class DeviceClock:
+    """Time as the devices' watchdogs count it: what the twin itself was held up for is not held against the host."""
+
+    def __init__(self, clock: Callable[[], int]) -> None:
+        self._clock = clock
+        self._real_ns = self._own_ns = clock()
+
+    def __call__(self) -> int:
+        return self._own_ns + min(self._clock() - self._real_ns, HELD_UP_NS)
+
+    def step(self) -> None:
+        """Keep pace with real time; to be called much more often than `HELD_UP_NS`."""
+        self._own_ns, self._real_ns = self(), self._clock()
+
+
+class Since:
+    """Since when a thing has been so."""
+
+    def __init__(self) -> None:
+        self.t_ns: int | None = None
+
+    def see(self, so: bool, now_ns: int) -> int | None:
+        """Take notice; returns the stamp, or None while it is not so."""
+        self.t_ns = (self.t_ns or now_ns) if so else None
+        return self.t_ns
+
+
+class Twin:
+    """The robot behind a pty, a TCP port and a Zenoh session. Use as `async with Twin(config) as twin`.
+
+    Raises DeviceError on entry when a port cannot be had. `faults` breaks things, `state` is the truth.
+    """
+
+    def __init__(
+        self,
+        config: Config,
+        model: Model | None = None,
+        marker_noise_m: float = 0.0,
+        clock: Callable[[], int] = time.monotonic_ns,
+    ) -> None:
+        drivers = config.drivers
+        self.faults = Faults(clock)
+        self.robot = TwinRobot(model, marker_noise_m)
+        self.teensy, self.dryve = TeensyDevice(), DryveDevice(drivers.rail)
+        self._clock, self._device_clock = clock, DeviceClock(clock)
+        self._port = TeensyPort(
+            Path(drivers.regulator.port),
+            self.teensy,
+            self.faults,
+            self._device_clock,
+            lambda: self.robot.pressure_kpa,
+        )
+        self._server = DryveServer(drivers.rail.host, drivers.rail.port, self.dryve, self.faults, self._device_clock)
+        self._cameras = Cameras(drivers.mocap, self.faults)
+        self._vented, self._off, self._braked = Since(), Since(), Since()
+        self._task: asyncio.Task[None] | None = None
+        self.state = self._observe(clock())
+
+    async def __aenter__(self) -> Self:
+        self._sense()
+        async with contextlib.AsyncExitStack() as undo:
+            await self._server.open()  # first: a second twin fails here, before it takes the first one's link
+            undo.push_async_callback(self._server.close)
+            self._port.open()
+            undo.callback(self._port.close)
+            self._cameras.open()
+            self._task = asyncio.create_task(self._pace(), name="twin")
+            undo.pop_all()
+        return self
+
+    async def __aexit__(self, *_: object) -> None:
+        if self._task is not None:
+            self._task.cancel()
+            await asyncio.gather(self._task, return_exceptions=True)
+        self._port.close()
+        await self._server.close()
+        await asyncio.to_thread(self._cameras.close)
+
+    async def wait(self) -> None:
+        """Until the twin fails; raises why."""
+        if self._task is not None:
+            await asyncio.shield(self._task)
+
+    async def _pace(self) -> None:
+        """120 frames a second on absolute deadlines; one that was missed is simulated but not published."""
+        start_ns, frame = self._clock(), 0
+        while True:
+            due = int((self._clock() - start_ns) * FRAME_HZ / 1e9)
+            if due > frame + CATCH_UP_FRAMES:
+                start_ns, due = start_ns + round((due - frame - 1) * 1e9 / FRAME_HZ), frame + 1
+            if due > frame:
+                self._advance((due - frame) / FRAME_HZ)
+                self._publish(
+                    due, start_ns + due * 1_000_000_000 // FRAME_HZ, due // STATE_EVERY > frame // STATE_EVERY
+                )
+                frame = due
+            next_ns = start_ns + (frame + 1) * 1_000_000_000 // FRAME_HZ
+            await asyncio.sleep(max(0, next_ns - self._clock()) / 1e9)
+
+    def _advance(self, duration_s: float) -> None:
+        self._device_clock.step()
+        self._cameras.hear_faults()
+        self._port.step()
+        self._server.step()
+        if self.robot.step(self.dryve.target_velocity_m_s, self.teensy.set_point_kpa, duration_s):
+            self.dryve.trip(LIMIT_SWITCH)
+        self._sense()
+        self.state = self._observe(self._clock())
+
+    def _publish(self, frame: int, t_capture_ns: int, with_state: bool) -> None:
+        self._cameras.publish_frame(frame, t_capture_ns, self.robot.poses())
+        if with_state:
+            self._cameras.publish_state(self.state)
+
+    def _sense(self) -> None:
+        self.dryve.sense(self.robot.cart_position_m, self.robot.cart_velocity_m_s)
+
+    def _observe(self, now_ns: int) -> TwinState:
+        robot, drive = self.robot, self.dryve
+        tip_y_m, tip_z_m = robot.tip_m
+        return TwinState(
+            t_ns=now_ns,
+            cart_position_m=robot.cart_position_m,
+            cart_velocity_m_s=robot.cart_velocity_m_s,
+            pressure_kpa=robot.pressure_kpa,
+            tip_y_m=tip_y_m,
+            tip_z_m=tip_z_m,
+            vented=not self.teensy.armed,
+            vented_since_ns=self._vented.see(not self.teensy.armed, now_ns),
+            drive=drive.state.value,
+            out_of_operation_since_ns=self._off.see(not drive.in_operation, now_ns),
+            braked_since_ns=self._braked.see(abs(robot.cart_velocity_m_s) < BRAKED_M_S, now_ns),
+            cart_max_abs_m=robot.cart_max_abs_m,
+            crashes=robot.crashes,
+        )
+
+
+def run_twin(config: Config, model: Model | None, on_ready: Callable[[str], None] | None = None) -> None:
+    """Be the robot until SIGINT or SIGTERM. `on_ready` hears where the wires are, once they are there.
+
+    Raises DeviceError when a port cannot be had.
+    """
+    asyncio.run(_run(config, model, on_ready))
+
+
+async def _run(config: Config, model: Model | None, on_ready: Callable[[str], None] | None) -> None:
+    stop = asyncio.Event()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        asyncio.get_running_loop().add_signal_handler(number, stop.set)
+    async with Twin(config, model) as twin:
+        if on_ready is not None:
+            drivers = config.drivers
+            on_ready(
+                f"regulator at {drivers.regulator.port}, rail at {drivers.rail.host}:{drivers.rail.port}, "
+                f"motion capture to {drivers.mocap.endpoint} on {drivers.mocap.key}"
+            )
+        ends = [asyncio.create_task(twin.wait()), asyncio.create_task(stop.wait())]
+        done, pending = await asyncio.wait(ends, return_when=asyncio.FIRST_COMPLETED)
+        for task in pending:
+            task.cancel()
+        for task in done:
+            task.result()

@@ -1,0 +1,76 @@
+"""The body of the twin: the simulated robot between its mechanical stops."""
+
+import numpy as np
+
+from schemas.messages import BODY_NAMES, Pose
+from schemas.model import Model
+from simulator.simulator import Simulator
+
+PHYSICS_HZ = 1200.0
+
+
+class TwinRobot:
+    """One simulated robot that starts at rest in the middle of the rail.
+
+    `crashes` counts arrivals at a stop, `cart_max_abs_m` is the farthest the cart has been from the middle.
+    `marker_noise_m` is the standard deviation of each camera coordinate (seeded).
+    """
+
+    def __init__(self, model: Model | None, marker_noise_m: float = 0.0) -> None:
+        self.model = model or Model()
+        links = self.model.arm.links
+        if links != len(BODY_NAMES) - 1:
+            raise ValueError(f"the model has {links} links, the twin {len(BODY_NAMES) - 1}: give such a model")
+        self.crashes = 0
+        self.cart_max_abs_m = 0.0
+        self._simulator = Simulator(self.model, robots=1, physics_rate_hz=PHYSICS_HZ)
+        self._simulator.step(0.0, 0.0, 1 / PHYSICS_HZ)  # the first step may compile
+        self._simulator.reset()
+        self._noise_m, self._random = marker_noise_m, np.random.default_rng(0)
+
+    @property
+    def cart_position_m(self) -> float:
+        """From the middle of the rail."""
+        return float(self._simulator.cart_position_m[0])
+
+    @property
+    def cart_velocity_m_s(self) -> float:
+        """True velocity."""
+        return float(self._simulator.cart_velocity_m_s[0])
+
+    @property
+    def pressure_kpa(self) -> float:
+        """In the muscle."""
+        return float(self._simulator.pressure_kpa[0])
+
+    @property
+    def tip_m(self) -> tuple[float, float]:
+        """True y, z."""
+        y, z = self._simulator.tip_m()[0].tolist()
+        return y, z
+
+    def step(self, cart_velocity_m_s: float, pressure_kpa: float, duration_s: float) -> bool:
+        """Move on under these commands; True when the cart has struck a stop, where it then rests."""
+        simulator, travel_m = self._simulator, self.model.cart.travel_m
+        simulator.step(cart_velocity_m_s, pressure_kpa, duration_s)
+        position_m = self.cart_position_m
+        self.cart_max_abs_m = max(self.cart_max_abs_m, min(abs(position_m), travel_m))
+        outward = position_m * self.cart_velocity_m_s > 0
+        if abs(position_m) < travel_m or not outward:
+            return False
+        self.crashes += 1
+        simulator.reset(
+            cart_position_m=np.clip(position_m, -travel_m, travel_m),
+            joint_angles_rad=simulator.joint_angles_rad,
+            pressure_kpa=simulator.pressure_kpa,
+        )
+        return True
+
+    def poses(self) -> tuple[Pose, ...]:
+        """What ideal cameras see, in `schemas.messages.BODY_NAMES` order, plus the marker noise."""
+        ends = self._simulator.link_ends_m()[0].tolist()
+        angles = self._simulator.link_angles_rad[0].tolist()
+        bodies = [(self.cart_position_m, self.model.arm.base_height_m, 0.0)]
+        bodies += [(y, z, angle) for (y, z), angle in zip(ends, angles, strict=True)]
+        noise = self._random.normal(0.0, self._noise_m, (len(bodies), 2)).tolist()
+        return tuple(Pose(y + dy, z + dz, angle) for (y, z, angle), (dy, dz) in zip(bodies, noise, strict=True))

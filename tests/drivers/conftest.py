@@ -1,0 +1,78 @@
+"""Benches for the wires: clocks that stand still until they are told, and peers that can be made to misbehave."""
+
+import asyncio
+import contextlib
+import socket
+from collections.abc import AsyncIterator, Callable, Coroutine
+from typing import Any
+
+import pytest
+
+PATIENCE_S = 20.0  # never waited for when the code is right; a busy machine needs some
+
+
+class Clock:
+    """CLOCK_MONOTONIC as the test tells it, in nanoseconds."""
+
+    def __init__(self) -> None:
+        self.now_ns = 1_000_000_000
+
+    def __call__(self) -> int:
+        return self.now_ns
+
+    def advance(self, seconds: float) -> None:
+        self.now_ns += round(seconds * 1e9)
+
+
+@pytest.fixture
+def clock() -> Clock:
+    return Clock()
+
+
+@pytest.fixture
+def free_port() -> int:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
+
+
+@pytest.fixture
+def run() -> Callable[[Coroutine[Any, Any, Any]], Any]:
+    """Run a coroutine to its end, or fail when it hangs."""
+
+    async def bounded(work: Coroutine[Any, Any, Any]) -> Any:
+        return await asyncio.wait_for(work, 2 * PATIENCE_S)
+
+    return lambda work: asyncio.run(bounded(work))
+
+
+@pytest.fixture
+def until() -> Callable[..., Coroutine[Any, Any, None]]:
+    """Wait for a condition; `each` is called before every look (a control loop's writes, a device's steps)."""
+
+    async def wait(condition: Callable[[], Any], each: Callable[[], Any] = lambda: None) -> None:
+        with contextlib.suppress(TimeoutError):
+            async with asyncio.timeout(PATIENCE_S):
+                while each() or not condition():
+                    await asyncio.sleep(0.002)
+                return
+        pytest.fail(f"waited {PATIENCE_S} s in vain")
+
+    return wait
+
+
+@contextlib.asynccontextmanager
+async def running(*devices: Any) -> AsyncIterator[None]:
+    """Start drivers, and stop them whatever happens."""
+    for device in devices:
+        device.start()
+    try:
+        yield
+    finally:
+        for device in devices:
+            await device.stop()
+
+
+@pytest.fixture(name="running")
+def _running() -> Any:
+    return running
