@@ -1,0 +1,28 @@
+"""`softarm export`: a checkpoint of a training run as an ONNX policy."""
+
+from pathlib import Path
+
+import click
+
+FILE = click.Path(path_type=Path, dir_okay=False)
+
+
+@click.command()
+@click.argument("checkpoint", type=FILE)
+@click.option("--out", type=FILE, required=True, help="The ONNX file to write.")
+def export(checkpoint: Path, out: Path) -> None:
+    """Write the policy of a training checkpoint (latest.pt or best.pt) as an ONNX file that describes itself.
+
+    \b
+    Example:
+      softarm export runs/reach-1/best.pt --out my-reach.onnx
+    """
+    from cli.errors import fail
+    from training.checkpoint import CheckpointError
+    from training.session import export_checkpoint
+
+    try:
+        export_checkpoint(checkpoint, out)
+    except CheckpointError as error:
+        fail(str(error))
+    click.echo(f"wrote {out}")

@@ -1,0 +1,1 @@
+"""Tasks, the batch environment, PPO, evaluation and export of learned policies."""

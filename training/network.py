@@ -1,0 +1,69 @@
+"""The seed's policy network: MLP, its output concatenated with the input, LSTM, LayerNorm, linear heads ([P] SM-E)."""
+
+# mypy: allow-subclassing-any
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor, nn
+
+from training import lstm
+from training.normaliser import RunningNormaliser
+
+State = tuple[Tensor, Tensor]  # hidden and cell, float32 [B, size] each
+
+
+@dataclass(frozen=True)
+class NetworkShape:
+    """Sizes; the defaults are the seed's."""
+
+    inputs: int = 10
+    actions: int = 2
+    mlp: tuple[int, ...] = (256, 128, 64)
+    state: int = 256
+
+
+class PolicyNetwork(nn.Module):
+    """Actor and critic on one trunk. Takes raw physical observations: the normaliser is inside."""
+
+    def __init__(self, shape: NetworkShape) -> None:
+        super().__init__()
+        self.shape = shape
+        self.observation_normaliser = RunningNormaliser(shape.inputs)
+        self.value_normaliser = RunningNormaliser(1)
+        layers: list[nn.Module] = []
+        width = shape.inputs
+        for size in shape.mlp:
+            layers += [nn.Linear(width, size), nn.ELU()]
+            nn.init.zeros_(layers[-2].bias)
+            width = size
+        self.mlp = nn.Sequential(*layers)
+        cell = nn.LSTM(width + shape.inputs, shape.state)  # for its initial values; see training/lstm.py
+        self.w_x = nn.Parameter(cell.weight_ih_l0.detach().clone())
+        self.w_h = nn.Parameter(cell.weight_hh_l0.detach().clone())
+        self.bias = nn.Parameter(torch.zeros(4 * shape.state))
+        self.layer_norm = nn.LayerNorm(shape.state)
+        self.mean_head = nn.Linear(shape.state, shape.actions)
+        self.value_head = nn.Linear(shape.state, 1)
+        for head in (self.mean_head, self.value_head):
+            nn.init.zeros_(head.bias)
+        self.log_std = nn.Parameter(torch.zeros(shape.actions))
+
+    def initial_state(self, batch: int) -> State:
+        """The state in which every episode begins."""
+        return torch.zeros(batch, self.shape.state), torch.zeros(batch, self.shape.state)
+
+    def forward(
+        self, observation: Tensor, keep: Tensor, state: State, dtype: torch.dtype = torch.float32
+    ) -> tuple[Tensor, Tensor, State]:
+        """Run over sequences.
+
+        observation: float32 [T, B, inputs], physical units; keep: float32 [T, B], 0 where an episode begins.
+        dtype: of the recurrent layer's matrix products.
+        Returns the action's mean [T, B, actions] (not clamped), the normalised value [T, B] and the last state.
+        """
+        x = self.observation_normaliser(observation)
+        x = torch.cat((self.mlp(x), x), dim=-1)
+        hidden, state = lstm.sequence(x, keep, state, self.w_x, self.w_h, self.bias, dtype)
+        features = self.layer_norm(hidden)
+        return self.mean_head(features), self.value_head(features).squeeze(-1), state

@@ -1,0 +1,173 @@
+"""A training run from its settings to the exported policy: learn, validate, keep checkpoints, stop."""
+
+import time
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from training import checkpoint, evaluation, export, report
+from training.checkpoint import CheckpointError
+from training.environment import ACTIONS, INPUTS, Environment
+from training.inference import Workers, quick_dtype
+from training.network import NetworkShape, PolicyNetwork
+from training.ppo import Ppo, PpoConfig
+from training.tasks import ReachTask
+
+DTYPES = {"float32": torch.float32, "bfloat16": torch.bfloat16}
+
+
+@dataclass(frozen=True)
+class TrainingConfig:
+    """What makes a run the run it is; two runs with the same settings on the same machine are the same."""
+
+    seed: int = 1
+    robots: int = 4096
+    physics_rate_hz: float = 240.0
+    validate_every: int = 10  # iterations; a checkpoint is kept as often
+    validation_trials: int = 1536
+    matrix_products: str = "auto"  # float32, bfloat16, or auto: bfloat16 where the processor has it
+
+
+@dataclass(frozen=True)
+class Standing:
+    """Where a run stands after an iteration."""
+
+    frames: int  # control steps of single robots
+    seconds: float
+    frames_per_s: float  # of the last iteration
+    success: float  # of the episodes that ended, with exploration noise
+    reward: float
+    validation: float | None  # newest
+    best: float | None
+
+
+class Session:
+    """One run. Files in `out`: latest.pt, best.pt, learning_curve.csv and .png, and at the end the policy."""
+
+    def __init__(
+        self, task: ReachTask, config: TrainingConfig, ppo: PpoConfig, out: Path, pool: Workers, resume: bool
+    ) -> None:
+        """Raises CheckpointError when there is nothing to resume, or it was made with other settings."""
+        self.task, self.config, self.ppo, self.out, self._pool = task, config, ppo, out, pool
+        saved = checkpoint.load(out / "latest.pt") if resume else None
+        name = config.matrix_products
+        self._products = str(quick_dtype()).removeprefix("torch.") if name == "auto" else name
+        self.settings = export.flat_settings(task=task, run=config, ppo=ppo)
+        self.settings["run.matrix_products"] = self._products
+        with torch.random.fork_rng(devices=[]):
+            torch.manual_seed(config.seed)
+            self.network = PolicyNetwork(NetworkShape(INPUTS, ACTIONS))
+        environment = Environment(task, config.robots, config.seed, None, config.physics_rate_hz)
+        self._trials = evaluation.validation_trials(task, environment.simulator.links, config.validation_trials)
+        self.learner = Ppo(self.network, environment, ppo, pool, config.seed, DTYPES[self._products])
+        self.frames, self.seconds = 0, 0.0
+        self.curve: list[report.Row] = []
+        self.best: float | None = None
+        if saved is not None:
+            self._restore(saved)
+
+    def run(self, frames: int | None, minutes: float | None, tell: Callable[[Standing], None] = lambda _: None) -> Path:
+        """Train up to so many frames or minutes in all (what was resumed counts); returns the exported policy's path.
+
+        Raises ValueError without either bound.
+        """
+        if frames is None and minutes is None:
+            raise ValueError("give the run an end: frames or minutes")
+        while (frames is None or self.frames < frames) and (minutes is None or self.seconds < 60.0 * minutes):
+            tell(self.advance())
+        if self.curve and self.curve[-1].validation is None:
+            self._validate_and_save()
+        report.write_png(self.curve, self.out / "learning_curve.png", f"{self.task.name}, seed {self.config.seed}")
+        return self.export_best()
+
+    def advance(self) -> Standing:
+        """One iteration, and every so often a validation and a checkpoint."""
+        start = time.monotonic()
+        statistics = self.learner.iterate()
+        took = time.monotonic() - start
+        steps = self.config.robots * self.ppo.horizon
+        self.frames += steps
+        self.seconds += took
+        self.curve.append(
+            report.Row(len(self.curve) + 1, self.frames, self.seconds, steps / took, **statistics._asdict())
+        )
+        if len(self.curve) % self.config.validate_every == 0:
+            self._validate_and_save()
+            self.seconds += time.monotonic() - start - took
+        validation = next((row.validation for row in reversed(self.curve) if row.validation is not None), None)
+        return Standing(
+            self.frames,
+            self.seconds,
+            steps / took,
+            statistics.success,
+            statistics.reward,
+            validation,
+            self.best,
+        )
+
+    def export_best(self) -> Path:
+        """Write the policy of the checkpoint that did best in validation."""
+        path = self.out / f"{self.task.name}.onnx"
+        export_checkpoint(self.out / "best.pt", path)
+        return path
+
+    def _validate_and_save(self) -> None:
+        outcome = evaluation.fly(
+            self.network,
+            self.task,
+            self._trials,
+            self._pool,
+            self.config.physics_rate_hz,
+            dtype=DTYPES[self._products],
+        )
+        success = float(outcome.reached.mean())
+        self.curve[-1] = self.curve[-1]._replace(validation=success)
+        if self.best is None or success > self.best:
+            self.best = success
+            checkpoint.save(self.out / "best.pt", self._description() | {"network": self.network.state_dict()})
+        checkpoint.save(self.out / "latest.pt", self._description() | self.learner.snapshot())
+        report.write_csv(self.curve, self.out / "learning_curve.csv")
+
+    def _description(self) -> dict[str, Any]:
+        return {
+            "settings": self.settings,
+            "task": asdict(self.task),
+            "seed": self.config.seed,
+            "frames": self.frames,
+            "seconds": self.seconds,
+            "best": self.best,
+            "curve": [tuple(row) for row in self.curve],
+        }
+
+    def _restore(self, saved: dict[str, Any]) -> None:
+        for key, value in self.settings.items():
+            if saved["settings"].get(key) != value:
+                raise CheckpointError(
+                    f"{self.out / 'latest.pt'}: was trained with {key} = {saved['settings'].get(key)}, not {value}; "
+                    "resume with the same settings or give another --out"
+                )
+        self.learner.restore(saved)
+        self.frames, self.seconds, self.best = saved["frames"], saved["seconds"], saved["best"]
+        self.curve = [report.Row(*row) for row in saved["curve"]]
+
+
+def export_checkpoint(source: Path, target: Path) -> None:
+    """Turn a checkpoint of a session into an ONNX policy named after its task. Raises CheckpointError."""
+    saved = checkpoint.load(source)
+    missing = {"settings", "task", "seed", "best", "network"} - saved.keys()
+    if missing:
+        raise CheckpointError(f"{source}: {', '.join(sorted(missing))} missing; give a .pt file of `softarm train`")
+    network = PolicyNetwork(NetworkShape(INPUTS, ACTIONS))
+    network.load_state_dict(saved["network"])
+    validated = [row for row in map(report.Row._make, saved["curve"]) if row.validation is not None]
+    description = export.metadata(
+        network,
+        ReachTask(**saved["task"]),
+        saved["settings"] | {"run.frames": saved["frames"], "run.validation_set": evaluation.VALIDATION_SET},
+        saved["seed"],
+        validated[-1].validation if validated and validated[-1].validation is not None else 0.0,
+    )
+    export.write(network, description, target)
