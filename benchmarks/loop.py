@@ -52,8 +52,7 @@ def _swing(rig: Rig, seconds: float, report: Callable[[float], None]) -> tuple[i
     targets = random.Random(0)
     start = time.monotonic()
     while (passed := time.monotonic() - start) < seconds:
-        goal = targets.choice(TEST_TARGETS)
-        rig.client.post("/api/goal", json={"kind": "reach", "y_m": goal.y_m, "z_m": goal.z_m}).raise_for_status()
+        rig.reach(targets.choice(TEST_TARGETS))
         report(passed / seconds)
         time.sleep(min(GOAL_EVERY_S, max(0.0, seconds - passed)))
     return round(start * 1e9), time.monotonic_ns()
