@@ -1,22 +1,30 @@
 """`softarm twin`: the robot behind its wires, simulated, in a process of its own."""
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
 from cli.options import FILE, model_option
+
+if TYPE_CHECKING:
+    from drivers.twin.robot import Body
+    from schemas.model import Model
 
 
 @click.command()
 @click.option("--config", "config_file", type=FILE, required=True,
               help="The daemon's own file: the twin answers at the ports that it names.")  # fmt: skip
 @model_option
-def twin(config_file: Path, model_file: Path | None) -> None:
+@click.option("--reality", is_flag=True,
+              help="Be the independent robot in MuJoCo, not the simulator (docs/reality.md).")  # fmt: skip
+def twin(config_file: Path, model_file: Path | None, reality: bool) -> None:
     """Be the robot until Ctrl-C: serial line, rail axis over TCP, motion capture over Zenoh, in real time.
 
     \b
-    Example:
+    Examples:
       softarm twin --config twin.yaml          then, beside it: softarm run --config twin.yaml
+      softarm twin --config twin.yaml --reality
     """
     from cli.errors import fail
     from daemon import realtime
@@ -28,8 +36,25 @@ def twin(config_file: Path, model_file: Path | None) -> None:
     try:
         config = load(config_file)
         model = files.load(model_file) if model_file else None
+        body = _independent_body(model) if reality else None
         # Devices do not wait for other programs either.
         realtime.outrank_other_programs(config.control.realtime_priority)
-        run_twin(config, model, lambda text: click.echo(f"softarm twin: {text}"))
+        run_twin(config, model, lambda text: click.echo(f"softarm twin: {text}"), body)
     except (ConfigurationError, files.ModelFileError, DeviceError) as error:
         fail(str(error))
+
+
+def _independent_body(model: "Model | None") -> "Body":
+    """The robot of `reality/`; a sentence when its extra is missing or the model is none that it can be."""
+    from cli.errors import fail
+
+    try:
+        from drivers.twin.independent import independent_body
+
+        return independent_body(model)
+    except ModuleNotFoundError as error:
+        if error.name != "mujoco":
+            raise
+        fail("softarm twin --reality needs the package 'mujoco': pip install 'softarm[mujoco]'")
+    except ValueError as error:
+        fail(f"softarm twin --reality: {error}")

@@ -11,7 +11,7 @@ from typing import Self
 from drivers.twin.cameras import Cameras, TwinState
 from drivers.twin.dryve import LIMIT_SWITCH, DryveDevice, DryveServer
 from drivers.twin.faults import Faults
-from drivers.twin.robot import TwinRobot
+from drivers.twin.robot import Body, TwinRobot
 from drivers.twin.teensy import TeensyDevice, TeensyPort
 from schemas.config import Config
 from schemas.model import Model
@@ -54,7 +54,8 @@ class Since:
 class Twin:
     """The robot behind a pty, a TCP port and a Zenoh session. Use as `async with Twin(config) as twin`.
 
-    Raises DeviceError on entry when a port cannot be had. `faults` breaks things, `state` is the truth.
+    Raises DeviceError on entry when a port cannot be had. `faults` breaks things, `state` is the truth. Another
+    `body` than the simulated robot takes the place of `model` and `marker_noise_m`.
     """
 
     def __init__(
@@ -63,10 +64,11 @@ class Twin:
         model: Model | None = None,
         marker_noise_m: float = 0.0,
         clock: Callable[[], int] = time.monotonic_ns,
+        body: Body | None = None,
     ) -> None:
         drivers = config.drivers
         self.faults = Faults(clock)
-        self.robot = TwinRobot(model, marker_noise_m)
+        self.robot: Body = body or TwinRobot(model, marker_noise_m)
         self.teensy, self.dryve = TeensyDevice(), DryveDevice(drivers.rail)
         self._clock, self._device_clock = clock, DeviceClock(clock)
         self._port = TeensyPort(
@@ -74,7 +76,7 @@ class Twin:
             self.teensy,
             self.faults,
             self._device_clock,
-            lambda: self.robot.pressure_kpa,
+            lambda: self.robot.gauge_kpa(),
         )
         self._server = DryveServer(drivers.rail.host, drivers.rail.port, self.dryve, self.faults, self._device_clock)
         self._cameras = Cameras(drivers.mocap, self.faults)
@@ -134,12 +136,14 @@ class Twin:
         self.state = self._observe(self._clock())
 
     def _publish(self, frame: int, t_capture_ns: int, with_state: bool) -> None:
-        self._cameras.publish_frame(frame, t_capture_ns, self.robot.poses())
+        sight = self.robot.look()
+        if sight is not None:
+            self._cameras.publish_frame(frame, t_capture_ns - round(sight.age_s * 1e9), sight.poses)
         if with_state:
             self._cameras.publish_state(self.state)
 
     def _sense(self) -> None:
-        self.dryve.sense(self.robot.cart_position_m, self.robot.cart_velocity_m_s)
+        self.dryve.sense(*self.robot.encoder())
 
     def _observe(self, now_ns: int) -> TwinState:
         robot, drive = self.robot, self.dryve
@@ -161,19 +165,24 @@ class Twin:
         )
 
 
-def run_twin(config: Config, model: Model | None, on_ready: Callable[[str], None] | None = None) -> None:
+def run_twin(
+    config: Config,
+    model: Model | None,
+    on_ready: Callable[[str], None] | None = None,
+    body: Body | None = None,
+) -> None:
     """Be the robot until SIGINT or SIGTERM. `on_ready` hears where the wires are, once they are there.
 
-    Raises DeviceError when a port cannot be had.
+    Another `body` than the simulated robot takes the place of `model`. Raises DeviceError when a port cannot be had.
     """
-    asyncio.run(_run(config, model, on_ready))
+    asyncio.run(_run(config, model, on_ready, body))
 
 
-async def _run(config: Config, model: Model | None, on_ready: Callable[[str], None] | None) -> None:
+async def _run(config: Config, model: Model | None, on_ready: Callable[[str], None] | None, body: Body | None) -> None:
     stop = asyncio.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
         asyncio.get_running_loop().add_signal_handler(number, stop.set)
-    async with Twin(config, model) as twin:
+    async with Twin(config, model, body=body) as twin:
         if on_ready is not None:
             drivers = config.drivers
             on_ready(

@@ -1,5 +1,7 @@
 """The body of the twin: the simulated robot between its mechanical stops."""
 
+from typing import NamedTuple, Protocol
+
 import numpy as np
 
 from schemas.messages import BODY_NAMES, Pose
@@ -7,6 +9,48 @@ from schemas.model import Model
 from simulator.simulator import Simulator
 
 PHYSICS_HZ = 1200.0
+
+
+class Sight(NamedTuple):
+    """What the cameras deliver: poses in `schemas.messages.BODY_NAMES` order, and how old their stamp is."""
+
+    age_s: float
+    poses: tuple[Pose, ...]
+
+
+class Body(Protocol):
+    """What moves behind the twin's wires: the truth, what its sensors read, and a step."""
+
+    crashes: int
+    cart_max_abs_m: float
+
+    @property
+    def cart_position_m(self) -> float:
+        """True, from the middle of the rail."""
+
+    @property
+    def cart_velocity_m_s(self) -> float:
+        """True velocity."""
+
+    @property
+    def pressure_kpa(self) -> float:
+        """True, in the muscle."""
+
+    @property
+    def tip_m(self) -> tuple[float, float]:
+        """True y, z."""
+
+    def step(self, cart_velocity_m_s: float, pressure_kpa: float, duration_s: float) -> bool:
+        """Move on under these commands; True when the cart has struck a stop."""
+
+    def encoder(self) -> tuple[float, float]:
+        """Position (m) and velocity (m/s) as the axis reads them."""
+
+    def gauge_kpa(self) -> float:
+        """Pressure as the regulator's sensor reads it."""
+
+    def look(self) -> Sight | None:
+        """The newest frame that has come since the last call; None: none has."""
 
 
 class TwinRobot:
@@ -65,6 +109,18 @@ class TwinRobot:
             pressure_kpa=simulator.pressure_kpa,
         )
         return True
+
+    def encoder(self) -> tuple[float, float]:
+        """Position (m) and velocity (m/s): the truth."""
+        return self.cart_position_m, self.cart_velocity_m_s
+
+    def gauge_kpa(self) -> float:
+        """The truth."""
+        return self.pressure_kpa
+
+    def look(self) -> Sight | None:
+        """The poses at this instant."""
+        return Sight(0.0, self.poses())
 
     def poses(self) -> tuple[Pose, ...]:
         """What ideal cameras see, in `schemas.messages.BODY_NAMES` order, plus the marker noise."""

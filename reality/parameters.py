@@ -1,0 +1,161 @@
+"""All that can be set about the independent robot. The defaults are the nominal robot: no imperfection at all.
+
+Nominal figures are those of `schemas.model` (sources there); sensor noise is what such sensors ordinarily have.
+Every group is frozen and checks itself; `dataclasses.replace` makes a robot with an imperfection.
+"""
+
+from dataclasses import dataclass, field
+
+import schemas.model as seed
+from reality.quantities import INF, Checked, quantity
+
+_LAG, _RAMP, _DELAY = seed.Lag(), seed.AccelerationLimit(), seed.Delay()
+_CART = seed.Cart()
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Regulator(Checked):
+    """The pressure regulator: a supply valve behind a tube, two poles, each way with a time constant of its own."""
+
+    inflate_s: float = quantity(_LAG.inflate, "s", 0, 2, "time constant of filling, tube included")
+    deflate_s: float = quantity(_LAG.deflate, "s", 0, 2, "time constant of venting, tube included")
+    tube_s: float = quantity(0.005, "s", 0, 0.2, "time constant of the tube between valve and muscle")
+    dead_time_s: float = quantity(0.0, "s", 0, 0.3, "before a command is heard")
+    dead_time_jitter_s: float = quantity(0.0, "s", 0, 0.1, "mean of a random part of it (exponential, in order)")
+    flow_limit_kpa_s: float = quantity(INF, "kPa/s", 5, INF, "choked flow through the valve")
+    deadband_kpa: float = quantity(0.0, "kPa", 0, 5, "commands closer than this to the one in force are ignored")
+    gain: float = quantity(0.0, "-", -0.5, 0.5, "reached = command x (1 + gain) + offset")
+    offset_kpa: float = quantity(0.0, "kPa", -5, 5, "see gain")
+    ceiling_kpa: float = quantity(INF, "kPa", 1, INF, "the supply gives no more")
+    stick_kpa: float = quantity(0.0, "kPa", 0, 10, "the valve sticks until it is this far off its command")
+    stick_below_kpa: float = quantity(0.0, "kPa", 0, 20, "at and below which pressure it sticks")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Rail(Checked):
+    """The rail's servo: a ramp, a proportional velocity loop with feed-forward, and what the mechanism adds."""
+
+    acceleration_m_s2: float = quantity(_RAMP.acceleration, "m/s^2", 0.5, 40, "slope of the velocity ramp")
+    velocity_gain_n_s_m: float = quantity(_CART.velocity_gain_n_s_m, "N s/m", 1, 300, "force for velocity error")
+    feedforward_kg: float = quantity(_CART.feedforward_mass_kg, "kg", 0, 2, "force for the ramp's acceleration")
+    force_limit_n: float = quantity(INF, "N", 1, INF, "the motor gives no more")
+    delay_s: float = quantity(_DELAY.delay, "s", 0, 0.3, "before a command is heard")
+    delay_jitter_s: float = quantity(0.0, "s", 0, 0.1, "mean of a random part of it (exponential, in order)")
+    lag_s: float = quantity(0.0, "s", 0, 0.5, "first-order lag of the reference behind the ramp")
+    feed_error: float = quantity(0.0, "-", -0.3, 0.3, "true motion = what the drive believes x (1 + error)")
+    coulomb_n: float = quantity(0.0, "N", 0, 10, "dry friction while sliding")
+    stiction_n: float = quantity(0.0, "N", 0, 10, "what dry friction has more at rest")
+    stribeck_m_s: float = quantity(0.02, "m/s", 0.001, 0.5, "speed at which stiction fades")
+    viscous_n_s_m: float = quantity(0.0, "N s/m", 0, 30, "viscous friction")
+    backlash_m: float = quantity(0.0, "m", 0, 0.03, "play between motor and cart; the encoder sits on the motor")
+    cable_n_m: float = quantity(0.0, "N/m", 0, 200, "stiffness of a cable that pulls the cart back at the +y end")
+    cable_taut_m: float = quantity(0.1, "m", -0.3, 0.3, "cart position from which the cable pulls")
+    ripple_n: float = quantity(0.0, "N", 0, 20, "force ripple of the gear")
+    ripple_period_m: float = quantity(0.04, "m", 0.002, 0.5, "travel for one period of the ripple")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Arm(Checked):
+    """The arm: how it is cut into links, and how it differs from the `schemas.model.Arm` that it is made from."""
+
+    pieces: int = quantity(2, "-", 1, 4, "links for one link of the model")
+    stiffness: float = quantity(0.0, "-", -0.7, 2, "K x (1 + this)")
+    damping: float = quantity(0.0, "-", -0.8, 4, "D x (1 + this)")
+    muscle_gain: float = quantity(0.0, "-", -0.7, 2, "b x (1 + this)")
+    torque_offset: float = quantity(0.0, "-", -2, 4, "constant torque x (1 + this)")
+    friction_nm: float = quantity(0.0, "N m", 0, 0.2, "dry friction in every joint")
+    stiffening_1_rad2: float = quantity(0.0, "1/rad^2", -0.5, 10, "K theta (1 + this theta^2), theta of the model")
+    hysteresis: float = quantity(0.0, "-", 0, 0.9, "share of the muscle's torque that follows through play")
+    hysteresis_kpa: float = quantity(4.0, "kPa", 0.1, 20, "width of the widest of three plays")
+    saturation_kpa: float = quantity(INF, "kPa", 2, INF, "torque levels off: p / (1 + (p/s)^3)^(1/3)")
+    payload_kg: float = quantity(0.0, "kg", 0, 0.5, "point mass at the tip")
+    tilt_rad: float = quantity(0.0, "rad", -0.2, 0.2, "gravity leans towards +y")
+    air_kg_m3: float = quantity(0.0, "kg/m^3", 0, 20, "density of MuJoCo's fluid around ellipsoid links")
+    creep: float = quantity(0.0, "-", 0, 2, "slow bending, as a share of the elastic one")
+    creep_s: float = quantity(5.0, "s", 0.1, 300, "its time constant")
+    softening: float = quantity(0.0, "-", -0.7, 0.7, "K x (1 - this x (1 - exp(-t/softening_s))): warming up")
+    softening_s: float = quantity(30.0, "s", 1, 3600, "its time constant")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Mocap(Checked):
+    """The cameras. A marker set's angle is that of the chord over its link."""
+
+    rate_hz: float = quantity(120.0, "Hz", 10, 500, "exposures; taken on the next physics step")
+    noise_m: float = quantity(0.0003, "m", 0, 0.02, "standard deviation of every coordinate")
+    angle_noise_rad: float = quantity(0.002, "rad", 0, 0.2, "standard deviation of every angle")
+    latency_s: float = quantity(0.0, "s", 0, 0.3, "a pose is so much older than its stamp says")
+    transport_s: float = quantity(0.0, "s", 0, 0.3, "from stamp to reception, which the stamps show")
+    transport_jitter_s: float = quantity(0.0, "s", 0, 0.1, "mean of a random part of it (exponential, in order)")
+    dropout: float = quantity(0.0, "-", 0, 0.9, "share of frames that never arrive")
+    rotation_rad: float = quantity(0.0, "rad", -0.2, 0.2, "of the calibration, about the middle of the rail")
+    scale: float = quantity(0.0, "-", -0.1, 0.1, "of the calibration: distances x (1 + scale)")
+    offset_y_m: float = quantity(0.0, "m", -0.1, 0.1, "of the calibration")
+    offset_z_m: float = quantity(0.0, "m", -0.1, 0.1, "of the calibration")
+    loose_link: int = quantity(0, "-", 0, 5, "whose marker set wobbles; 0 is none")
+    loose_hz: float = quantity(6.0, "Hz", 1, 50, "how it wobbles, as a spring-held mass")
+    loose_damping: float = quantity(0.1, "-", 0.01, 2, "its damping ratio")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PressureSensor(Checked):
+    """The regulator's own sensor."""
+
+    rate_hz: float = quantity(120.0, "Hz", 10, 500, "readings")
+    noise_kpa: float = quantity(0.03, "kPa", 0, 2, "standard deviation")
+    quantum_kpa: float = quantity(0.01, "kPa", 0, 2, "step of its converter")
+    bias_kpa: float = quantity(0.0, "kPa", -3, 3, "it reads so much high")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RailSensor(Checked):
+    """The axis's read-back."""
+
+    rate_hz: float = quantity(120.0, "Hz", 10, 500, "readings")
+    position_quantum_m: float = quantity(1e-5, "m", 0, 0.01, "step of the encoder")
+    velocity_quantum_m_s: float = quantity(1e-3, "m/s", 0, 0.1, "step of the velocity that the drive computes")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Clock(Checked):
+    """When things happen. The ticks are the recording controller's, the drift is the cameras' clock against it."""
+
+    tick_jitter_s: float = quantity(0.0, "s", 0, 0.015, "standard deviation of a tick's lateness (folded)")
+    missed_ticks: float = quantity(0.0, "-", 0, 0.5, "share of ticks without a command")
+    camera_drift: float = quantity(0.0, "-", -0.01, 0.01, "the capture stamps gain so many seconds a second")
+
+
+GROUPS = (Regulator, Rail, Arm, Mocap, PressureSensor, RailSensor, Clock)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Parameters:
+    """One robot. `body` is the five-link arm that the finer one is made from, `cart` gives mass and travel."""
+
+    body: seed.Arm = field(default_factory=seed.Arm)
+    cart: seed.Cart = field(default_factory=seed.Cart)
+    regulator: Regulator = field(default_factory=Regulator)
+    rail: Rail = field(default_factory=Rail)
+    arm: Arm = field(default_factory=Arm)
+    mocap: Mocap = field(default_factory=Mocap)
+    pressure_sensor: PressureSensor = field(default_factory=PressureSensor)
+    rail_sensor: RailSensor = field(default_factory=RailSensor)
+    clock: Clock = field(default_factory=Clock)
+
+    def __post_init__(self) -> None:
+        """Refuse an arm that the frames of the house cannot carry."""
+        if self.body.links != 5:
+            raise ValueError(f"body has {self.body.links} links; a mocap frame carries 5: give a model with 5")
+
+
+def of_model(model: seed.Model) -> Parameters:
+    """The nominal robot of a model file: its arm and cart, and its actuators' time constants."""
+    lag, ramp, delay = model.effects.pressure_lag, model.effects.rail_acceleration_limit, model.effects.rail_delay
+    regulator = Regulator(inflate_s=lag.inflate, deflate_s=lag.deflate) if lag else Regulator(inflate_s=0, deflate_s=0)
+    rail = Rail(
+        acceleration_m_s2=min(ramp.acceleration, 40.0) if ramp else 40.0,
+        delay_s=delay.delay if delay else 0.0,
+        velocity_gain_n_s_m=model.cart.velocity_gain_n_s_m,
+        feedforward_kg=model.cart.feedforward_mass_kg,
+    )
+    return Parameters(body=model.arm, cart=model.cart, regulator=regulator, rail=rail)

@@ -1,0 +1,90 @@
+"""The rail's drive and mechanism: from a velocity command to the force on the cart.
+
+The servo ramps a reference and closes a proportional loop on the motor's velocity; between motor and cart there may
+be play, and the cart itself may rub, drag a cable and feel the gear. The loop is no stiffer than its gain, so the
+drive gives way to the swinging arm.
+"""
+
+import math
+
+import numpy as np
+
+from reality.parameters import Rail
+from reality.wire import Wire
+
+# With play, the motor is a body of its own, taken out of the cart's mass; its belt holds beyond the play.
+MOTOR_KG = 0.1
+BELT_N_M = 2e4
+BELT_N_S_M = 40.0
+
+
+class Servo:
+    """`position_m`, `velocity_m_s`: what the drive reads back (its motor, through the feed constant it believes in)."""
+
+    def __init__(self, parameters: Rail, dt_s: float, cart_position_m: float, random: np.random.Generator) -> None:
+        self._p, self._dt_s = parameters, dt_s
+        self.wire = Wire(parameters.delay_s, parameters.delay_jitter_s, random)
+        self.motor_kg = MOTOR_KG if parameters.backlash_m else 0.0
+        self.friction_n = 0.0  # dry friction on the cart, for the mechanics to apply
+        self._start_m = cart_position_m  # homed there: the believed feed counts from it
+        self._motor_m, self._motor_m_s = cart_position_m, 0.0
+        self._ramp_m_s = self._reference_m_s = 0.0
+        self._lag = -math.expm1(-dt_s / parameters.lag_s) if parameters.lag_s else 1.0
+
+    @property
+    def position_m(self) -> float:
+        """Where the drive believes to be."""
+        return self._start_m + (self._motor_m - self._start_m) / (1 + self._p.feed_error)
+
+    @property
+    def velocity_m_s(self) -> float:
+        """How fast the drive believes to be."""
+        return self._motor_m_s / (1 + self._p.feed_error)
+
+    def sense(self, cart_position_m: float, cart_velocity_m_s: float) -> None:
+        """Read the encoder: without play the motor is where the cart is."""
+        if not self.motor_kg:
+            self._motor_m, self._motor_m_s = cart_position_m, cart_velocity_m_s
+
+    def step(self, t_s: float, cart_position_m: float, cart_velocity_m_s: float) -> float:
+        """The force on the cart for the step that begins at `t_s`, without dry friction."""
+        self.sense(cart_position_m, cart_velocity_m_s)
+        force = self._motor_force(t_s)
+        if self.motor_kg:
+            force = self._through_the_play(force, cart_position_m, cart_velocity_m_s)
+        return force + self._mechanism(cart_position_m, cart_velocity_m_s)
+
+    def _motor_force(self, t_s: float) -> float:
+        p = self._p
+        step = p.acceleration_m_s2 * self._dt_s
+        gap = self.wire.hear(t_s) - self._ramp_m_s
+        self._ramp_m_s += min(max(gap, -step), step)
+        change = (self._ramp_m_s - self._reference_m_s) * self._lag
+        self._reference_m_s += change
+        error = self._reference_m_s - self.velocity_m_s
+        force = p.velocity_gain_n_s_m * error + p.feedforward_kg * change / self._dt_s
+        return min(max(force, -p.force_limit_n), p.force_limit_n)
+
+    def _through_the_play(self, motor_force_n: float, cart_m: float, cart_m_s: float) -> float:
+        """Move the motor on; returns what the belt hands to the cart."""
+        ahead = self._motor_m - cart_m
+        half = self._p.backlash_m / 2
+        stretch = ahead - min(max(ahead, -half), half)
+        belt = 0.0
+        if stretch:
+            belt = BELT_N_M * stretch + BELT_N_S_M * (self._motor_m_s - cart_m_s)
+            belt = belt if belt * stretch > 0 else 0.0  # it pushes, it does not pull
+        self._motor_m_s += (motor_force_n - belt) / MOTOR_KG * self._dt_s
+        self._motor_m += self._motor_m_s * self._dt_s
+        return belt
+
+    def _mechanism(self, cart_m: float, cart_m_s: float) -> float:
+        p = self._p
+        if p.coulomb_n or p.stiction_n:
+            self.friction_n = p.coulomb_n + p.stiction_n * math.exp(-((cart_m_s / p.stribeck_m_s) ** 2))
+        force = -p.viscous_n_s_m * cart_m_s
+        if p.cable_n_m and cart_m > p.cable_taut_m:
+            force -= p.cable_n_m * (cart_m - p.cable_taut_m)
+        if p.ripple_n:
+            force += p.ripple_n * math.sin(2 * math.pi * cart_m / p.ripple_period_m)
+        return force

@@ -1,0 +1,43 @@
+"""The pressure regulator: a valve fills or vents a chamber, a tube leads from there to the muscle."""
+
+import math
+
+import numpy as np
+
+from reality.parameters import Regulator
+from reality.wire import Wire
+
+
+class PressureRegulator:
+    """`pressure_kpa` is in the muscle (gauge)."""
+
+    def __init__(self, parameters: Regulator, dt_s: float, random: np.random.Generator) -> None:
+        self._p, self._dt_s = parameters, dt_s
+        self.wire = Wire(parameters.dead_time_s, parameters.dead_time_jitter_s, random)
+        self.pressure_kpa = 0.0
+        self._chamber_kpa = 0.0
+        self._in_force_kpa = 0.0
+        # The tube is in series: it takes its part of the whole lag, so that the mean delay is as declared.
+        self._fill = _share(dt_s, max(0.0, parameters.inflate_s - parameters.tube_s))
+        self._vent = _share(dt_s, max(0.0, parameters.deflate_s - parameters.tube_s))
+        self._tube = _share(dt_s, parameters.tube_s)
+
+    def step(self, t_s: float) -> float:
+        """Move on from `t_s` by one step; returns the muscle's pressure afterwards."""
+        p = self._p
+        command = self.wire.hear(t_s)
+        if abs(command - self._in_force_kpa) > p.deadband_kpa or p.deadband_kpa == 0:
+            self._in_force_kpa = command
+        wanted = min(self._in_force_kpa * (1 + p.gain) + p.offset_kpa, p.ceiling_kpa)
+        gap = wanted - self._chamber_kpa
+        if not (abs(gap) < p.stick_kpa and self._chamber_kpa <= p.stick_below_kpa):
+            flow = gap * (self._fill if gap > 0 else self._vent)
+            limit = p.flow_limit_kpa_s * self._dt_s
+            self._chamber_kpa += min(max(flow, -limit), limit)
+        self.pressure_kpa += (self._chamber_kpa - self.pressure_kpa) * self._tube
+        return self.pressure_kpa
+
+
+def _share(dt_s: float, time_s: float) -> float:
+    """Share of a gap that a first-order lag closes in a step."""
+    return -math.expm1(-dt_s / time_s) if time_s > 0 else 1.0

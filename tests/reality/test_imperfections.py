@@ -1,0 +1,317 @@
+"""Each imperfection moves what it should and nothing upstream of it; none is without an exemplar here."""
+
+import dataclasses
+from typing import Any
+
+import numpy as np
+import pytest
+
+from reality.parameters import GROUPS
+
+# A strong value, and the companions without which it has nothing to act on.
+EXEMPLARS: dict[str, tuple[float, dict[str, float]]] = {
+    "Regulator.inflate_s": (0.3, {}),
+    "Regulator.deflate_s": (0.4, {}),
+    "Regulator.tube_s": (0.05, {}),
+    "Regulator.dead_time_s": (0.06, {}),
+    "Regulator.dead_time_jitter_s": (0.02, {}),
+    "Regulator.flow_limit_kpa_s": (30.0, {}),
+    "Regulator.deadband_kpa": (4.0, {}),
+    "Regulator.gain": (0.1, {}),
+    "Regulator.offset_kpa": (1.0, {}),
+    "Regulator.ceiling_kpa": (8.0, {}),
+    "Regulator.stick_kpa": (2.0, {"stick_below_kpa": 8.0}),
+    "Regulator.stick_below_kpa": (8.0, {"stick_kpa": 2.0}),
+    "Rail.acceleration_m_s2": (3.0, {}),
+    "Rail.velocity_gain_n_s_m": (10.0, {}),
+    "Rail.feedforward_kg": (0.0, {}),
+    "Rail.force_limit_n": (2.0, {}),
+    "Rail.delay_s": (0.08, {}),
+    "Rail.delay_jitter_s": (0.02, {}),
+    "Rail.lag_s": (0.05, {}),
+    "Rail.feed_error": (0.1, {}),
+    "Rail.coulomb_n": (2.0, {}),
+    "Rail.stiction_n": (3.0, {}),
+    "Rail.stribeck_m_s": (0.3, {"stiction_n": 3.0}),
+    "Rail.viscous_n_s_m": (5.0, {}),
+    "Rail.backlash_m": (0.01, {}),
+    "Rail.cable_n_m": (50.0, {"cable_taut_m": 0.0}),
+    "Rail.cable_taut_m": (-0.1, {"cable_n_m": 50.0}),
+    "Rail.ripple_n": (3.0, {}),
+    "Rail.ripple_period_m": (0.1, {"ripple_n": 3.0}),
+    "Arm.pieces": (1, {}),
+    "Arm.stiffness": (0.2, {}),
+    "Arm.damping": (0.5, {}),
+    "Arm.muscle_gain": (0.2, {}),
+    "Arm.torque_offset": (1.0, {}),
+    "Arm.friction_nm": (0.03, {}),
+    "Arm.stiffening_1_rad2": (2.0, {}),
+    "Arm.hysteresis": (0.4, {}),
+    "Arm.hysteresis_kpa": (8.0, {"hysteresis": 0.4}),
+    "Arm.saturation_kpa": (8.0, {}),
+    "Arm.payload_kg": (0.05, {}),
+    "Arm.tilt_rad": (0.05, {}),
+    "Arm.air_kg_m3": (5.0, {}),
+    "Arm.creep": (0.5, {"creep_s": 1.0}),
+    "Arm.creep_s": (0.3, {"creep": 0.5}),
+    "Arm.softening": (0.4, {"softening_s": 1.0}),
+    "Arm.softening_s": (2.0, {"softening": 0.4}),
+    "Mocap.rate_hz": (60.0, {}),
+    "Mocap.noise_m": (0.002, {}),
+    "Mocap.angle_noise_rad": (0.01, {}),
+    "Mocap.latency_s": (0.03, {}),
+    "Mocap.transport_s": (0.01, {}),
+    "Mocap.transport_jitter_s": (0.005, {}),
+    "Mocap.dropout": (0.2, {}),
+    "Mocap.rotation_rad": (0.03, {}),
+    "Mocap.scale": (0.02, {}),
+    "Mocap.offset_y_m": (0.01, {}),
+    "Mocap.offset_z_m": (0.01, {}),
+    "Mocap.loose_link": (3, {}),
+    "Mocap.loose_hz": (12.0, {"loose_link": 3}),
+    "Mocap.loose_damping": (0.5, {"loose_link": 3}),
+    "PressureSensor.rate_hz": (60.0, {}),
+    "PressureSensor.noise_kpa": (0.2, {}),
+    "PressureSensor.quantum_kpa": (0.2, {}),
+    "PressureSensor.bias_kpa": (0.5, {}),
+    "RailSensor.rate_hz": (60.0, {}),
+    "RailSensor.position_quantum_m": (0.002, {}),
+    "RailSensor.velocity_quantum_m_s": (0.05, {}),
+    "Clock.camera_drift": (0.001, {}),
+}
+# The recording controller's, not the robot's: tests/reality/test_record.py.
+OF_THE_RECORDING = {"Clock.tick_jitter_s", "Clock.missed_ticks"}
+QUIET = {"noise_m": 0.0, "angle_noise_rad": 0.0}
+
+
+def test_every_quantity_has_an_exemplar() -> None:
+    names = {f"{group.__name__}.{field.name}" for group in GROUPS for field in dataclasses.fields(group)}
+    assert set(EXEMPLARS) | OF_THE_RECORDING == names
+
+
+def _truths(flown: Any) -> tuple[Any, ...]:
+    return flown.pressure_kpa, flown.cart_m, flown.ends_m
+
+
+@pytest.mark.parametrize("name", EXEMPLARS)
+def test_it_moves_its_stage_and_nothing_upstream(name: str, fly: Any, perturb: Any, nominal: Any) -> None:
+    group, field = name.split(".")
+    value, companions = EXEMPLARS[name]
+    without = fly(perturb(group, **companions)) if companions else nominal
+    having = fly(perturb(group, **{**companions, field: value}))
+    pressure, cart, ends = (np.abs(a - b).max() for a, b in zip(_truths(having), _truths(without), strict=True))
+    if group in ("Regulator", "Rail", "Arm"):
+        moved = {"Regulator": pressure / 20, "Rail": cart, "Arm": ends}[group]
+        assert moved > 5e-4  # of 20 kPa, or half a millimetre
+        assert (pressure == 0) == (group != "Regulator")
+    else:
+        assert (pressure, cart, ends) == (0, 0, 0)
+        changed = {
+            "Mocap": having.frames != without.frames,
+            "PressureSensor": having.gauge != without.gauge,
+            "RailSensor": having.encoder != without.encoder,
+        }
+        assert changed == {sensor: sensor == group.replace("Clock", "Mocap") for sensor in changed}
+
+
+def test_a_seed_is_a_robot_bit_for_bit(fly: Any, perturb: Any, nominal: Any) -> None:
+    restless = perturb("Mocap", dropout=0.2, transport_jitter_s=0.004)
+    one, again, other = fly(restless, seed=3), fly(restless, seed=3), fly(restless, seed=4)
+    assert (one.frames, one.gauge, one.encoder) == (again.frames, again.gauge, again.encoder)
+    np.testing.assert_array_equal(one.ends_m, again.ends_m)
+    assert one.frames != other.frames
+    # Another device's imperfection leaves the noise of this one alone.
+    assert one.gauge == fly(perturb("Mocap"), seed=3).gauge
+
+
+def test_dead_time_is_as_long_as_it_says(fly: Any, perturb: Any, nominal: Any) -> None:
+    late = fly(perturb("Regulator", dead_time_s=2 / 30))
+    np.testing.assert_array_equal(late.pressure_kpa[2:], nominal.pressure_kpa[:-2])
+
+
+@pytest.mark.parametrize(
+    ("values", "reached_kpa"),
+    [
+        ({}, (10.0, 12.0, 4.0)),
+        ({"gain": 0.1}, (11.0, 13.2, 4.4)),
+        ({"offset_kpa": -1.0}, (9.0, 11.0, 3.0)),
+        ({"ceiling_kpa": 11.0}, (10.0, 11.0, 4.0)),
+        ({"deadband_kpa": 3.0}, (10.0, 10.0, 4.0)),
+    ],
+)
+def test_the_pressure_that_is_reached(fly: Any, perturb: Any, values: dict[str, float], reached_kpa: Any) -> None:
+    def steps(t_s: float) -> tuple[float, float]:
+        return 0.0, 10.0 if t_s < 2 else 12.0 if t_s < 4 else 4.0
+
+    flown = fly(perturb("Regulator", **values), 6.0, steps)
+    np.testing.assert_allclose(flown.pressure_kpa[[58, 118, 179]], reached_kpa, atol=0.01)
+
+
+def test_it_fills_and_vents_with_the_declared_time_constants(fly: Any, perturb: Any) -> None:
+    """The area between a step and the answer to it is the step times the time constant, whatever the tube."""
+
+    def up_and_down(t_s: float) -> tuple[float, float]:
+        return 0.0, 10.0 if t_s < 2 else 0.0
+
+    for tube_s in (0.0, 0.03):
+        flown = fly(perturb("Regulator", inflate_s=0.1, deflate_s=0.2, tube_s=tube_s), 4.0, up_and_down)
+        lags_s = (10 - flown.pressure_kpa[:60]).sum() / 300, flown.pressure_kpa[60:].sum() / 300
+        # Sampled at the ends of the ticks: half a tick is missing from each area.
+        np.testing.assert_allclose(np.add(lags_s, 0.5 / 30), (0.1, 0.2), rtol=0.03)
+
+
+def test_the_arm_hangs_as_declared(fly: Any, perturb: Any) -> None:
+    def hang_m(pressure_kpa: float, **values: float) -> float:
+        seconds = 8.0 if pressure_kpa else 0.1  # it starts at rest without pressure
+        flown = fly(
+            perturb("Arm", damping=4.0, **values), seconds, lambda t_s: (0.0, pressure_kpa), held=True, hanging=True
+        )
+        return float(flown.ends_m[-1, -1, 0])
+
+    assert hang_m(10.0, muscle_gain=0.2) == pytest.approx(hang_m(12.0), abs=2e-5)
+    assert hang_m(0.0, torque_offset=-1.0) == pytest.approx(0.0, abs=2e-5)
+    assert hang_m(0.0) < hang_m(0.0, stiffness=1.0) < -0.002
+    assert hang_m(0.0) < hang_m(0.0, payload_kg=0.1) < -0.002
+    assert hang_m(0.0, tilt_rad=0.1) > hang_m(0.0) + 0.005
+    assert hang_m(8.0, saturation_kpa=8.0) == pytest.approx(hang_m(8.0 / 2 ** (1 / 3)), abs=2e-5)
+
+
+def test_choked_flow_is_a_slope(fly: Any, perturb: Any) -> None:
+    rates = np.diff(fly(perturb("Regulator", flow_limit_kpa_s=30.0)).pressure_kpa) * 30
+    assert np.abs(rates).max() == pytest.approx(30.0, rel=0.01)
+
+
+def test_the_valve_sticks_at_low_pressure_only(fly: Any, perturb: Any) -> None:
+    def steps(t_s: float) -> tuple[float, float]:
+        return 0.0, 12.0 if t_s < 2 else 11.0 if t_s < 4 else 1.0
+
+    flown = fly(perturb("Regulator", stick_kpa=2.0, stick_below_kpa=5.0), 6.0, steps)
+    assert flown.pressure_kpa[115] == pytest.approx(11.0, abs=0.01)  # a small step up there is followed
+    assert flown.pressure_kpa[-1] == pytest.approx(3.0, abs=0.1)  # and down here it stays 2 kPa off
+
+
+def test_stiction_holds_the_cart_until_the_drive_breaks_it_loose(fly: Any, perturb: Any) -> None:
+    def crawl(t_s: float) -> tuple[float, float]:
+        return 0.06, 0.0  # 30 N s/m: 1.8 N at standstill
+
+    moves_m = {
+        stiction: np.ptp(fly(perturb("Rail", coulomb_n=0.5, stiction_n=stiction), 1.0, crawl).cart_m[10:])
+        for stiction in (0.0, 3.0)
+    }
+    assert moves_m[0.0] > 0.02
+    assert moves_m[3.0] < 1e-3
+
+
+def test_the_motor_plays_within_its_backlash(fly: Any, perturb: Any) -> None:
+    gap_m = 0.02
+    flown = fly(perturb("Rail", backlash_m=gap_m))
+    encoder_m = np.array([reading.position_m for reading in flown.encoder])[3::4]
+    apart_m = encoder_m - flown.cart_m
+    assert np.abs(apart_m).max() == pytest.approx(gap_m / 2, abs=1e-3)
+    assert np.ptp(apart_m) > 0.9 * gap_m  # both sides are visited
+
+
+def test_with_play_too_the_motor_carries_the_whole_cart(fly: Any, perturb: Any) -> None:
+    def start(t_s: float) -> tuple[float, float]:
+        return 0.9, 0.0
+
+    rigid, loose = (fly(perturb("Rail", force_limit_n=1.0, backlash_m=gap), 0.5, start) for gap in (0.0, 0.002))
+    assert rigid.cart_m[-1] > 0.1
+    assert np.abs(loose.cart_m - rigid.cart_m).max() < 0.012  # the motor first has to cross its play, alone
+
+
+def test_a_wrong_feed_shows_between_read_back_and_truth(fly: Any, perturb: Any) -> None:
+    flown = fly(perturb("Rail", feed_error=0.05))
+    encoder_m = np.array([reading.position_m for reading in flown.encoder])[3::4]
+    np.testing.assert_allclose(flown.cart_m, 1.05 * encoder_m, atol=2e-5)
+
+
+def test_the_cable_pulls_at_one_end(fly: Any, perturb: Any, nominal: Any) -> None:
+    flown = fly(perturb("Rail", cable_n_m=80.0, cable_taut_m=0.03))
+    before = np.argmax(nominal.cart_m > 0.03)
+    np.testing.assert_array_equal(flown.cart_m[:before], nominal.cart_m[:before])
+    assert flown.cart_m[before:].max() < nominal.cart_m.max() - 0.005
+
+
+def test_poses_are_older_than_their_stamp_by_the_latency(fly: Any, perturb: Any) -> None:
+    flown = fly(perturb("Mocap", latency_s=1 / 30, **QUIET))
+    for frame in flown.frames:
+        tick = frame.t_capture_ns * 30e-9 - 1
+        if abs(tick - round(tick)) < 1e-6 and tick >= 1:
+            ends = [(pose.y_m, pose.z_m) for pose in frame.bodies[1:]]
+            np.testing.assert_allclose(ends, flown.ends_m[round(tick) - 1], atol=1e-9)
+    assert all(frame.t_receive_ns == frame.t_capture_ns for frame in flown.frames)
+
+
+def test_a_turned_and_shifted_calibration(fly: Any, perturb: Any) -> None:
+    """By hand: a point d below the rail's middle appears at d sin(angle) towards +y, d cos(angle) down."""
+    angle, scale = 0.1, 0.05
+
+    def rest(t_s: float) -> tuple[float, float]:
+        return 0.0, 0.0
+
+    true = fly(perturb("Mocap", **QUIET), 0.1, rest, held=True).frames[-1].bodies
+    values = {"rotation_rad": angle, "scale": scale, "offset_y_m": 0.01, "offset_z_m": -0.02, **QUIET}
+    seen = fly(perturb("Mocap", **values), 0.1, rest, held=True).frames[-1].bodies
+    for was, now in zip(true, seen, strict=True):
+        below = 0.965 - was.z_m
+        assert now.y_m == pytest.approx(1.05 * (was.y_m * np.cos(angle) + below * np.sin(angle)) + 0.01, abs=1e-12)
+        assert now.z_m == pytest.approx(
+            0.965 - 1.05 * (below * np.cos(angle) - was.y_m * np.sin(angle)) - 0.02, abs=1e-12
+        )
+        assert now.angle_rad == pytest.approx(was.angle_rad + angle)
+
+
+def test_the_loose_marker_wobbles_alone(fly: Any, perturb: Any) -> None:
+    firm, loose = fly(perturb("Mocap", **QUIET)).frames, fly(perturb("Mocap", loose_link=4, **QUIET)).frames
+    apart = np.array([np.subtract(a.bodies, b.bodies) for a, b in zip(loose, firm, strict=True)])
+    assert (apart[:, [0, 1, 2, 3, 5]] == 0).all()
+    assert 0.001 < np.abs(apart[:, 4, :2]).max() < 0.03
+    assert np.abs(apart[:, 4, 0].mean()) < 0.3 * np.abs(apart[:, 4, 0]).max()
+
+
+def test_frames_are_lost_at_the_rate_it_says_and_the_sequence_tells(fly: Any, perturb: Any) -> None:
+    frames = fly(perturb("Mocap", dropout=0.3), 6.0).frames
+    assert 1 - len(frames) / frames[-1].sequence == pytest.approx(0.3, abs=0.05)
+
+
+def test_drifting_stamps_gain_on_the_controllers_clock(fly: Any, perturb: Any) -> None:
+    frames = fly(perturb("Clock", camera_drift=0.002)).frames
+    gained_ns = [frame.t_capture_ns - frame.t_receive_ns for frame in frames]
+    assert gained_ns[-1] == pytest.approx(0.002 * frames[-1].t_receive_ns, abs=2)
+    assert (np.diff(gained_ns) > 0).all()
+
+
+def test_the_gauge_reads_high_in_steps(fly: Any, perturb: Any, nominal: Any) -> None:
+    flown = fly(perturb("PressureSensor", bias_kpa=1.0, noise_kpa=0.0, quantum_kpa=0.5))
+    readings = np.array([reading.pressure_kpa for reading in flown.gauge])
+    np.testing.assert_allclose(readings % 0.5, 0.0, atol=1e-9)
+    np.testing.assert_allclose(readings[3::4], flown.pressure_kpa + 1.0, atol=0.2501)
+
+
+def test_hysteresis_is_a_loop_that_does_not_ask_for_the_rate(fly: Any, perturb: Any) -> None:
+    """At one and the same pressure the tip hangs elsewhere on the way down, however long one waits."""
+
+    def up_and_down(t_s: float) -> tuple[float, float]:
+        return 0.0, 8.0 if t_s < 4 else 16.0 if t_s < 6 else 8.0
+
+    def loop_m(**values: float) -> float:
+        tip_y_m = fly(perturb("Arm", damping=4.0, **values), 10.0, up_and_down, held=True).ends_m[:, -1, 0]
+        return float(tip_y_m[119] - tip_y_m[-1])
+
+    # Three plays, on average 2/3 of 2 kPa to either side, 0.3 of it: 0.8 kPa at about 4 mm/kPa.
+    assert 0.002 < loop_m(hysteresis=0.3) < 0.005
+    assert abs(loop_m()) < 2e-4
+
+
+def test_warming_up_softens_and_creep_goes_on(fly: Any, perturb: Any) -> None:
+    def pressed(t_s: float) -> tuple[float, float]:
+        return 0.0, 10.0
+
+    def late_m(**values: float) -> float:
+        tip_y_m = fly(perturb("Arm", damping=4.0, **values), 8.0, pressed, held=True).ends_m[:, -1, 0]
+        return float(tip_y_m[-1] - tip_y_m[100])
+
+    assert abs(late_m()) < 2e-4
+    assert late_m(softening=0.3, softening_s=4.0) < -0.002
+    assert late_m(creep=0.3, creep_s=4.0) < -0.002

@@ -1,0 +1,65 @@
+"""What a robot may be told, and that the page says the same."""
+
+import dataclasses
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from reality.parameters import GROUPS, Arm, Mocap, Parameters, Rail, Regulator, of_model
+from reality.quantities import table
+from schemas.model import Arm as ModelArm
+from schemas.model import Effects, Model
+
+PAGE = Path(__file__).parents[2] / "docs" / "reality.md"
+FIELDS = [(group, field) for group in GROUPS for field in dataclasses.fields(group)]
+NAMES = [f"{group.__name__}.{field.name}" for group, field in FIELDS]
+
+
+@pytest.mark.parametrize(("group", "field"), FIELDS, ids=NAMES)
+def test_every_quantity_declares_itself_and_its_default_is_allowed(group: Any, field: Any) -> None:
+    assert field.metadata["low"] <= field.default <= field.metadata["high"]
+    assert field.metadata["unit"]
+    assert len(field.metadata["meaning"]) > 3
+
+
+@pytest.mark.parametrize(("group", "field"), FIELDS, ids=NAMES)
+def test_no_quantity_takes_what_is_below_its_range(group: Any, field: Any) -> None:
+    with pytest.raises(ValueError, match=rf"{group.__name__}\.{field.name} is .*; allowed are"):
+        group(**{field.name: type(field.default)(field.metadata["low"] - 1)})
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: Regulator(dead_time_s=0.5), r"Regulator.dead_time_s is 0.5; allowed are 0 to 0.3 \(s\): choose"),
+        (lambda: Rail(coulomb_n=float("nan")), r"Rail.coulomb_n is nan; allowed are 0 to 10"),
+        (lambda: Mocap(loose_link=2.5), r"Mocap.loose_link is 2.5; give a whole number"),  # type: ignore[arg-type]
+        (lambda: Arm(payload_kg=True), r"Arm.payload_kg is True; give a number"),
+        (lambda: Arm(tilt_rad="0.1"), r"Arm.tilt_rad is '0.1'; give a number"),  # type: ignore[arg-type]
+    ],
+)
+def test_a_bad_value_is_told_with_its_range(make: Any, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        make()
+
+
+def test_the_nominal_robot_is_the_models() -> None:
+    assert of_model(Model()) == Parameters()
+
+
+def test_a_model_without_effects_has_neither_lag_nor_delay() -> None:
+    names = ("pressure.lag", "rail.acceleration_limit", "rail.delay")
+    parameters = of_model(Model(effects=Effects.model_validate(dict.fromkeys(names))))
+    assert (parameters.regulator.inflate_s, parameters.regulator.deflate_s, parameters.rail.delay_s) == (0, 0, 0)
+    assert parameters.rail.acceleration_m_s2 == 40
+
+
+def test_an_arm_of_other_than_five_links_is_refused() -> None:
+    short = ModelArm(**{name: value[:2] for name, value in ModelArm() if isinstance(value, tuple)})
+    with pytest.raises(ValueError, match="body has 2 links; a mocap frame carries 5"):
+        Parameters(body=short)
+
+
+def test_the_pages_table_is_the_declaration() -> None:
+    assert table(*GROUPS) in PAGE.read_text(encoding="utf-8")

@@ -1,0 +1,131 @@
+"""The independent robot obeys mechanics, and stays near the simulator when both are nominal."""
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from benchmarks import commands
+from reality.parameters import Arm, Parameters, Rail
+from reality.plant import energy_j
+from reality.robot import Robot
+from schemas.model import Arm as ModelArm
+from simulator.simulator import Simulator
+
+STRAIGHT = ModelArm(torque_offset_nm=(0.0,) * 5)
+
+
+def test_it_hangs_straight_where_nothing_bends_it() -> None:
+    robot = Robot(Parameters(body=STRAIGHT))
+    robot.advance(1.0)
+    np.testing.assert_allclose(robot.truth.link_angles_rad, 0.0, atol=1e-9)
+    tip_z_m = STRAIGHT.base_height_m - sum(STRAIGHT.link_length_m)
+    np.testing.assert_allclose(robot.truth.link_ends_m[-1], (0.0, tip_z_m), atol=1e-9)
+
+
+def test_hanging_it_is_at_rest_from_the_start() -> None:
+    robot = Robot(cart_position_m=0.1, held=True, hanging=True)
+    start = robot.truth
+    assert start.t_s == 0
+    assert start.cart_position_m == pytest.approx(0.1, abs=1e-9)
+    assert start.link_ends_m[-1][0] < 0.1 - 0.003
+    robot.advance(0.3)
+    np.testing.assert_allclose(robot.truth.link_ends_m, start.link_ends_m, atol=2e-5)
+
+
+def test_pressure_bends_it_towards_minus_y_and_more_pressure_more() -> None:
+    tips_m = []
+    for pressure in (0.0, 5.0, 10.0, 20.0):
+        robot = Robot(held=True)
+        robot.command(0.0, 0.0, pressure)
+        robot.advance(4.0)
+        tips_m.append(robot.truth.link_ends_m[-1][0])
+    assert (np.diff(tips_m) < -0.01).all()
+    assert tips_m[0] < 0  # the constant torque offset
+
+
+@pytest.mark.parametrize("held", [True, False])
+@pytest.mark.parametrize("arm", [Arm(), Arm(friction_nm=0.02), Arm(air_kg_m3=5.0), Arm(payload_kg=0.1)])
+def test_energy_is_never_created_with_everything_off(held: bool, arm: Arm) -> None:
+    """Bent, let go, with no pressure and no drive: springs, gravity and dampers alone."""
+    robot = Robot(Parameters(body=STRAIGHT, arm=arm), held=held)
+    robot.plant.data.qpos[1:] = -0.15
+    energies = [energy_j(robot.plant)]
+    for _ in range(3000):
+        robot.plant.step(0.0, 0.0, 0.0)
+        energies.append(energy_j(robot.plant))
+    assert np.diff(energies).max() < 1e-5 * energies[0]
+    assert energies[-1] < 0.9 * energies[0]
+
+
+def test_momentum_along_a_free_rail_is_kept() -> None:
+    """The bent arm is let go on a cart that nothing drives: their centre of mass stays where it was."""
+    robot = Robot(Parameters(body=STRAIGHT))
+    plant = robot.plant
+    plant.data.qpos[1:] = -0.15
+
+    def centre_m() -> float:
+        energy_j(plant)  # brings MuJoCo's derived values up to date
+        return float(plant.data.subtree_com[0][0])
+
+    start = centre_m()
+    for _ in range(1000):
+        plant.step(0.0, 0.0, 0.0)
+    assert abs(plant.cart_position_m) > 0.005
+    assert centre_m() == pytest.approx(start, abs=5e-4)
+
+
+def test_the_stops_hold_the_cart() -> None:
+    robot = Robot()
+    robot.command(0.0, 1.0, 0.0)
+    farthest = 0.0
+    for step in range(60):
+        robot.advance(step / 60)
+        farthest = max(farthest, robot.truth.cart_position_m)
+    assert 0.299 < farthest < 0.305
+
+
+@pytest.mark.parametrize("draw", [commands.smooth, commands.bang_bang])
+def test_nominal_it_stays_near_the_five_link_simulator(draw: Any) -> None:
+    """Six command sets of 3 s; docs/reality.md gives the RMS over more."""
+    tips_mm, carts_mm = [], []
+    for seed in range(6):
+        velocity, pressure = draw(1, seed=seed)
+        simulator, robot = Simulator(physics_rate_hz=1200.0), Robot()
+        for tick, (v, p) in enumerate(zip(0.3 * velocity[:, 0], pressure[:, 0], strict=True)):
+            simulator.step(float(v), float(p), commands.PERIOD_S)
+            robot.command(tick / 30, float(v), float(p))
+            robot.advance((tick + 1) / 30)
+            truth = robot.truth
+            tips_mm.append(1e3 * (truth.link_ends_m[-1] - simulator.tip_m()[0]))
+            carts_mm.append(1e3 * (truth.cart_position_m - simulator.cart_position_m[0]))
+    assert np.sqrt(np.square(tips_mm).sum(axis=1).mean()) < 8.0  # mm; measured 3.7 and 5.8
+    assert np.sqrt(np.square(carts_mm).mean()) < 4.0
+
+
+def test_two_kilohertz_are_enough() -> None:
+    """The same swing with the step halved, through MuJoCo alone: the tip agrees to half a millimetre."""
+
+    def swing(steps: int, halved: int) -> np.ndarray:
+        robot = Robot(Parameters(), held=True)
+        robot.plant.model.opt.timestep /= halved
+        for _ in range(steps * halved):
+            robot.plant.step(0.0, 0.0, 10.0)
+        return np.asarray(robot.truth.link_ends_m[-1])
+
+    for steps in (400, 1000):
+        assert np.linalg.norm(swing(steps, 1) - swing(steps, 4)) < 1e-3
+
+
+def test_a_limp_drive_gives_way_to_the_arm() -> None:
+    def wander_m(gain: float) -> float:
+        robot = Robot(replace(Parameters(), rail=Rail(velocity_gain_n_s_m=gain)))
+        robot.command(0.0, 0.0, 20.0)
+        farthest = 0.0
+        for step in range(60):
+            robot.advance(step / 60)
+            farthest = max(farthest, abs(robot.truth.cart_position_m))
+        return farthest
+
+    assert wander_m(30.0) > 3 * wander_m(300.0) > 0

@@ -1,0 +1,62 @@
+"""What a robot refuses, and that its answer does not depend on how time is cut."""
+
+import math
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from reality.parameters import Parameters
+from reality.robot import Robot
+from schemas.model import Arm
+
+
+@pytest.mark.parametrize(
+    ("use", "message"),
+    [
+        (lambda: Robot(cart_position_m=0.4), r"cart_position_m is 0.4; the travel is \+-0.3 m: start within it"),
+        (lambda: Robot(seed=-1), "seed is -1; give a whole number from 0"),
+        (lambda: Robot().command(0.0, math.nan, 1.0), "the command is nan m/s, 1.0 kPa; give two finite numbers"),
+        (lambda: Robot().command(math.inf, 0.0, 1.0), "t_s is inf; the robot is at 0.000000 s: give 0.000000 or later"),
+        (lambda: Robot().advance(math.inf), "t_s is inf; give a finite number of seconds"),
+    ],
+)
+def test_it_says_what_is_wrong(use: Any, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        use()
+
+
+def test_a_body_that_no_step_can_follow_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)  # MuJoCo keeps a diary of its warnings
+    robot = Robot(Parameters(body=Arm(stiffness_nm_rad=(1e5,) * 5)))
+    robot.command(0.0, 0.3, 10.0)
+    with pytest.raises(FloatingPointError, match=r"the robot flew apart at .* s; soften"):
+        robot.advance(1.0)
+
+
+def test_no_command_into_the_past() -> None:
+    robot = Robot()
+    robot.command(0.5, 0.1, 1.0)
+    with pytest.raises(ValueError, match=r"give 0.500000 or later"):
+        robot.command(0.4, 0.1, 1.0)
+    robot.advance(1.0)
+    with pytest.raises(ValueError, match=r"the robot is at 1.000000 s"):
+        robot.command(0.9, 0.1, 1.0)
+
+
+def test_measurements_come_once_and_do_not_depend_on_the_strides() -> None:
+    def measured(strides: int) -> list[Any]:
+        robot, frames, gauge, encoder = Robot(seed=2), [], [], []
+        robot.command(0.0, 0.4, 12.0)
+        robot.command(0.3, -0.4, 3.0)
+        for stride in range(strides):
+            robot.advance((stride + 1) / strides)
+            frames += robot.mocap()
+            gauge += robot.pressure()
+            encoder += robot.rail()
+        return [frames, gauge, encoder]
+
+    whole = measured(1)
+    assert [len(stream) for stream in whole] == [120, 120, 120]
+    assert measured(7) == whole
+    assert measured(1000) == whole
