@@ -8,7 +8,19 @@ import click
 
 from cli.errors import fail
 
-_HOUSE = ("benchmarks", "cli", "daemon", "drivers", "policies", "schemas", "simulator", "training")
+_HOUSE = (
+    "benchmarks",
+    "cli",
+    "daemon",
+    "diagnosis",
+    "drivers",
+    "policies",
+    "reality",
+    "recordings",
+    "schemas",
+    "simulator",
+    "training",
+)
 
 
 class Verb(NamedTuple):
@@ -36,6 +48,10 @@ VERBS: dict[str, dict[str, Verb]] = {
         "policy": Verb("cli.policy:policy", "List the policies, choose one."),
         "logs": Verb("cli.logs:logs", "List the recordings."),
         "replay": Verb("cli.replay:replay", "Run a recording through the tick again and compare."),
+    },
+    "Identify": {
+        "excite": Verb("cli.excite:excite", "Play an excitation, on the robot or simulated, and record.", "sim"),
+        "identify": Verb("cli.identify:identify", "Fit the arm's parameters to recordings.", "diagnosis"),
     },
     "Learn and measure": {
         "train": Verb("cli.train:train", "Train a policy in the simulator.", "train"),

@@ -203,12 +203,13 @@ class _Api:
                 openapi_examples={
                     "reach": {"value": {"kind": "reach", "y_m": -0.2, "z_m": 0.65}},
                     "hold": {"value": {"kind": "hold"}},
+                    "run": {"value": {"kind": "run"}},
                 }
             ),
         ],
     ) -> Response:
         """Give the armed robot a goal; one that runs is cancelled by it. The answer may carry `warnings`."""
-        goal = Goal(body.kind, body.y_m, body.z_m) if isinstance(body, ReachBody) else Goal("hold")
+        goal = Goal(body.kind, body.y_m, body.z_m) if isinstance(body, ReachBody) else Goal(body.kind)
         if reasons := workspace.refusals(goal, self._context.config):
             raise Refused(422, *reasons)
         snapshot = self._view.snapshot()

@@ -4,46 +4,17 @@ A measurement is written once, on its own channel, when it is new; /tick says wh
 order the messages that a tick used stand before it.
 """
 
-import json
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any, Generic, NamedTuple, TypeVar
-
-from pydantic import ConfigDict, RootModel, TypeAdapter
+from typing import Any, NamedTuple
 
 from daemon.records import Inputs, Outputs, Problems, Request, TickTiming
+from recordings.channels import MOCAP as MOCAP
+from recordings.channels import PRESSURE as PRESSURE
+from recordings.channels import RAIL as RAIL
+from recordings.channels import Channel as Channel
 from schemas import log
 from schemas.messages import MocapFrame, PressureReading, RailReading
-
-T = TypeVar("T")
-
-
-class _Message(RootModel[T], Generic[T]):
-    """JSON has no NaN: it is written as a string, and read back as the number it was."""
-
-    model_config = ConfigDict(ser_json_inf_nan="strings", allow_inf_nan=True)
-
-
-class Channel(Generic[T]):
-    """A topic and the one type of record on it, as JSON with every digit: it is read as it was written."""
-
-    def __init__(self, topic: str, record: type[T]) -> None:
-        self.topic = topic
-        self.schema_name = f"softarm.{record.__name__}"
-        self._record = record
-        self._message = _Message[record]  # type: ignore[valid-type]
-
-    def json_schema(self) -> bytes:
-        """Its JSON schema, for viewers."""
-        return json.dumps(TypeAdapter(self._record).json_schema(mode="serialization")).encode()
-
-    def encode(self, record: T) -> bytes:
-        """The record as JSON."""
-        return self._message.model_construct(root=record).model_dump_json().encode()
-
-    def decode(self, data: bytes) -> T:
-        """The record again. Raises pydantic.ValidationError when the log is of another format."""
-        return self._message.model_validate_json(data).root
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,9 +55,6 @@ def _tick_inputs(inputs: Inputs) -> TickInputs:
     )
 
 
-MOCAP = Channel(log.MOCAP, MocapFrame)
-PRESSURE = Channel(log.PRESSURE, PressureReading)
-RAIL = Channel(log.RAIL, RailReading)
 REQUEST = Channel(log.REQUEST, Request)
 TICK = Channel(log.TICK, TickRecord)
 

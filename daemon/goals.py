@@ -13,6 +13,7 @@ class GoalTracker:
     def __init__(self, config: Goals) -> None:
         self._config = config
         self._started_ns: int | None = None  # at the first tick that the policy acts on the goal
+        self._run_s: float | None = None
         self.status = GoalStatus()
 
     @property
@@ -20,8 +21,9 @@ class GoalTracker:
         """The goal under way, if any."""
         return self.status.goal if self.status.state == "running" else None
 
-    def take_up(self, goal: Goal) -> None:
-        """Begin a goal; one that was running is cancelled by it."""
+    def take_up(self, goal: Goal, run_s: float | None = None) -> None:
+        """Begin a goal; one that was running is cancelled by it. `run_s`: after so long a run is over; None: never."""
+        self._run_s = run_s
         self.status = GoalStatus(goal, "running", number=self.status.number + 1)
         self._started_ns = None
 
@@ -34,6 +36,8 @@ class GoalTracker:
             self._started_ns = now_ns
         elapsed = (now_ns - self._started_ns) * 1e-9
         self.status = replace(self.status, time_s=elapsed)
+        if goal.kind == "run" and self._run_s is not None and elapsed >= self._run_s - 1e-4:
+            self._end("reached", None)
         if goal.kind != "reach":
             return
         distance = math.hypot(tip_y_m - goal.y_m, tip_z_m - goal.z_m)

@@ -9,22 +9,19 @@ from pathlib import Path
 from typing import Any
 
 from mcap.reader import make_reader
-from mcap.records import Channel, McapRecord, Message, Metadata, Schema
-from mcap.stream_reader import StreamReader
+from mcap.records import Channel, Message, Metadata, Schema
 from mcap.writer import MCAP0_MAGIC, Writer
 
 from daemon import channels
 from daemon.records import Inputs, Outputs, TickTiming
+from recordings import mcap_file
+from recordings.mcap_file import LogError as LogError
 from schemas import log
 from schemas.config import Config
 from schemas.log import LogEntry
 from schemas.messages import MocapFrame
 
 NEVER: Callable[[], None] = lambda: None  # noqa: E731
-
-
-class LogError(Exception):
-    """A file that is not a log, or cannot be read; names the file and the next step."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,7 +65,7 @@ class LogFile:
         Raises LogError when a tick's own messages are not there (a log of another version, or edited).
         """
         joiner = channels.Joiner()
-        for topic, data in _messages(self.path):
+        for topic, data in mcap_file.messages(self.path):
             try:
                 tick = joiner.join(topic, data)
             except ValueError as error:
@@ -97,7 +94,7 @@ class LogFile:
 
     def frames(self) -> Iterator[MocapFrame]:
         """Every motion capture frame, also those that came after the last whole tick."""
-        return (channels.MOCAP.decode(data) for topic, data in _messages(self.path) if topic == log.MOCAP)
+        return (channels.MOCAP.decode(data) for topic, data in mcap_file.messages(self.path) if topic == log.MOCAP)
 
 
 def read(path: Path | str) -> LogFile:
@@ -110,7 +107,7 @@ def read(path: Path | str) -> LogFile:
     policies: list[Mapping[str, str]] = []
     topics: dict[int, str] = {}
     records, first, last = 0, None, None
-    for record in _records(path):
+    for record in mcap_file.records(path):
         if isinstance(record, Channel):
             topics[record.id] = record.topic
         elif isinstance(record, Metadata):
@@ -205,35 +202,6 @@ def _lock(descriptor: int) -> bool:
     return True
 
 
-def _records(path: Path) -> Iterator[McapRecord]:
-    """Every whole record, in file order; a file that breaks off just ends."""
-    try:
-        file = path.open("rb")
-    except OSError as error:
-        raise LogError(f"{path}: cannot be read ({error.strerror}); see `softarm status` for the logs") from error
-    with file:
-        magic = file.read(len(MCAP0_MAGIC))
-        if not MCAP0_MAGIC.startswith(magic):
-            raise LogError(f"{path}: not a log; a log is an MCAP file, as the recorder writes it")
-        file.seek(0)
-        records = StreamReader(file, record_size_limit=None).records
-        while True:
-            try:
-                record = next(records)
-            except Exception:  # the library raises whatever its parser met at the break
-                return
-            yield record
-
-
-def _messages(path: Path) -> Iterator[tuple[str, bytes]]:
-    topics: dict[int, str] = {}
-    for record in _records(path):
-        if isinstance(record, Channel):
-            topics[record.id] = record.topic
-        elif isinstance(record, Message):
-            yield topics[record.channel_id], record.data
-
-
 def _copy(path: Path, file: Any, pause: Callable[[], None]) -> int:
     """Copy all that is whole into a new, chunked file."""
     writer = Writer(file)
@@ -241,7 +209,7 @@ def _copy(path: Path, file: Any, pause: Callable[[], None]) -> int:
     schemas: dict[int, int] = {}
     copies: dict[int, int] = {}
     messages = 0
-    for record in _records(path):
+    for record in mcap_file.records(path):
         if isinstance(record, Schema) and record.id not in schemas:
             schemas[record.id] = writer.register_schema(record.name, record.encoding, record.data)
         elif isinstance(record, Channel) and record.id not in copies:

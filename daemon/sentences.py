@@ -21,11 +21,11 @@ def _sentence(error: Mapping[str, Any], example: str, config: Config) -> str:
     kind, place = str(error["type"]), error["loc"]
     if place[0] != "body":
         return f"{place[-1]}: {str(error['msg']).lower()}"
-    name = next((str(p) for p in reversed(place[1:]) if p not in ("reach", "hold")), "")
+    name = next((str(p) for p in reversed(place[1:]) if p not in ("reach", "hold", "run")), "")
     if kind == "json_invalid":
         return f"the body is not JSON ({error.get('ctx', {}).get('error', error['msg'])}); {example}"
     if kind.startswith("union_tag"):
-        return f"kind: must be 'reach' or 'hold'; {example}"
+        return f"kind: must be 'reach', 'hold' or 'run'; {example}"
     if not name or isinstance(place[-1], int):
         return f"the body must be a JSON object with Content-Type: application/json; {example}"
     if kind == "extra_forbidden":

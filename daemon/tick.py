@@ -130,12 +130,16 @@ class Controller:
         if goal.kind == "reach" and not self._policy.policy.spec.needs_target:
             name = self._policy.policy.spec.name
             return (f"the policy {name!r} does not move to targets: choose another with PUT /api/policy",)
-        self._goals.take_up(goal)
+        if goal.kind == "run" and self._policy.policy.spec.needs_target:
+            name = self._policy.policy.spec.name
+            return (f"the policy {name!r} needs a target: give a reach goal, or choose one with PUT /api/policy",)
+        steps = self._policy.policy.spec.episode_steps
+        self._goals.take_up(goal, None if steps is None else steps / self._config.control.rate_hz)
         self._policy.reset()
         return ()
 
     def _use_policy(self, runner: PolicyRunner | None) -> tuple[str, ...]:
-        if self._goals.running is not None and self._goals.running.kind == "reach":
+        if self._goals.running is not None and self._goals.running.kind != "hold":
             return ("a goal is running: wait for it or DELETE /api/goal first",)
         if runner is None:
             return ("the policy was not loaded",)
@@ -146,7 +150,7 @@ class Controller:
     def _run_policy(
         self, now_ns: int, observed: Observed | None, conditions: tuple[Event, ...]
     ) -> PolicyOutcome | None:
-        """Ask the policy when the arm is armed, a reach goal runs and nothing stops it; None otherwise."""
+        """Ask the policy when the arm is armed, a goal other than hold runs and nothing stops it; None otherwise."""
         if self._machine.mode is not Mode.ARMED or observed is None:
             return None
         if any(e.rule.response > 0 for e in (*self._pending_events, *conditions)):

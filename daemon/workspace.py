@@ -26,7 +26,7 @@ def allowed_z(config: Config) -> str:
 
 def refusals(goal: Goal, config: Config) -> tuple[str, ...]:
     """Why a target is out of the question, with what is allowed; empty when it is not."""
-    return () if goal.kind == "hold" else tuple(_refusals(goal.y_m, goal.z_m, config))
+    return () if goal.kind != "reach" else tuple(_refusals(goal.y_m, goal.z_m, config))
 
 
 def _refusals(y_m: float, z_m: float, config: Config) -> Iterator[str]:
@@ -48,7 +48,7 @@ def _refusals(y_m: float, z_m: float, config: Config) -> Iterator[str]:
 
 def warnings(goal: Goal, policy: str, trained: TrainingRange | None) -> tuple[str, ...]:
     """What a person should know of a target that is tried all the same."""
-    if trained is None or goal.kind == "hold":
+    if trained is None or goal.kind != "reach":
         return ()
     ranges = (("y_m", goal.y_m, trained.target_y_m), ("z_m", goal.z_m, trained.target_z_m))
     return tuple(

@@ -3,13 +3,16 @@
 from dataclasses import dataclass
 from typing import Literal
 
-GoalKind = Literal["reach", "hold"]
+GoalKind = Literal["reach", "hold", "run"]
 GoalState = Literal["none", "running", "reached", "failed", "cancelled"]
 
 
 @dataclass(frozen=True, slots=True)
 class Goal:
-    """A target for the tip, or a hold (cart braked, muscle at rest pressure; y and z are NaN)."""
+    """A target for the tip, a hold (cart braked, muscle at rest pressure), or a run of a policy that needs no target.
+
+    y and z of a hold and of a run are NaN. A run is `reached` when the policy's own episode is over.
+    """
 
     kind: GoalKind
     y_m: float = float("nan")

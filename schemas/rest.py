@@ -24,7 +24,13 @@ class HoldBody(Strict):
     kind: Literal["hold"]
 
 
-GoalBody = Annotated[ReachBody | HoldBody, Field(discriminator="kind")]
+class RunBody(Strict):
+    """Let the policy in use play what it plays; for policies that need no target."""
+
+    kind: Literal["run"]
+
+
+GoalBody = Annotated[ReachBody | HoldBody | RunBody, Field(discriminator="kind")]
 
 
 class PolicyBody(Strict):

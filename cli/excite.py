@@ -1,0 +1,175 @@
+"""`softarm excite`: play an excitation through the daemon, on the robot or a simulated one, and record."""
+
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from cli.options import config_option, model_option
+
+if TYPE_CHECKING:
+    from daemon.daemon import Daemon
+    from schemas.config import Config
+    from schemas.goals import GoalStatus
+
+_POLL_S = 0.1
+_ARMING_S = 10.0  # drivers connect, mocap is seen, drive and regulator arm
+
+
+@click.command()
+@click.argument("name", required=False)
+@config_option
+@click.option("--simulated", is_flag=True, help="A robot simulated in this process, as fast as it will go.")
+@model_option
+@click.option("--list", "show", is_flag=True, help="Show the excitations there are.")
+def excite(name: str | None, config_file: Path | None, simulated: bool, model_file: Path | None, show: bool) -> None:
+    """Play the excitation NAME and record it: the arm is armed, moves, and is disarmed again.
+
+    It is a policy like any other: safety filter, failsafe and recorder are the daemon's own, and while it plays
+    the API answers, so `softarm stop` works. The cart is brought to the middle of the rail first.
+
+    \b
+    Examples:
+      softarm excite --list
+      softarm excite seed --config softarm.yaml        on the robot, about half a minute
+      softarm excite rail-chirp --simulated            on a simulated one
+    """
+    from cli.errors import fail
+    from daemon import configuration
+    from daemon.auth import AuthError
+    from daemon.recorder import RecorderError
+    from daemon.server import ApiError
+    from policies.base import PolicyError
+    from policies.excite import Excite
+    from schemas.config import Config
+    from schemas.excitation import EXCITATIONS
+    from simulator import model_file as files
+
+    if show:
+        for excitation in EXCITATIONS.values():
+            click.echo(f"{excitation.name:20s} {excitation.duration_s:5.1f} s  {excitation.description}")
+        return
+    if name is None:
+        raise click.UsageError("which excitation? `softarm excite --list` shows them")
+    if config_file is None and not simulated:
+        raise click.UsageError("which robot? --config FILE for real devices, or --simulated")
+    if model_file is not None and not simulated:
+        raise click.UsageError("--model is of the simulated robot: add --simulated")
+    try:
+        Excite.describe(name)
+        config = configured(configuration.load(config_file) if config_file else Config(), name)
+        if simulated:
+            status, log = _play_simulated(config, name, model_file)
+        else:
+            status, log = _play(config, name)
+    except (configuration.ConfigurationError, PolicyError, files.ModelFileError, RecorderError) as error:
+        fail(str(error))
+    except (ApiError, AuthError, RuntimeError) as error:
+        fail(str(error))
+    if status.state != "reached":
+        fail(f"{name} was not played to its end: {status.state}, {status.reason}; what there is lies in {log}")
+    click.echo(f"played {name}, {status.time_s:.1f} s; recorded {log}" if log else f"played {name}; nothing recorded")
+    if log is not None:
+        click.echo(f"next: softarm identify {log} --out model.yaml")
+
+
+def configured(config: "Config", name: str) -> "Config":
+    """The configuration with the excitation as the policy in use."""
+    from schemas.config import Policy
+
+    policy = f"excite-{name}"
+    return config.model_copy(
+        update={
+            "policies": {**config.policies, policy: Policy(plugin="excite", options={"excitation": name})},
+            "control": config.control.model_copy(update={"policy": policy}),
+        }
+    )
+
+
+def _play_simulated(config: "Config", name: str, model_file: Path | None) -> tuple["GoalStatus", Path | None]:
+    """In lockstep: no sleeping, the same recording every time. Raises RuntimeError when it does not arm."""
+    from dataclasses import replace
+
+    from rich.progress import Progress
+
+    from daemon.offline import Lockstep
+    from daemon.recorder import Recorder
+    from policies.excite import Excite
+    from schemas.goals import Goal
+    from simulator import model_file as files
+
+    policy = Excite(name)
+    policy.spec = replace(policy.spec, name=config.control.policy)
+    recorder = Recorder(config, policy.spec)
+    recorder.start()
+    try:
+        lockstep = Lockstep(config, policy, files.load(model_file) if model_file else None, recorder)
+        lockstep.arm()
+        with Progress(transient=True) as bar:
+            task = bar.add_task(f"playing {name}", total=policy.spec.episode_steps)
+            outputs = lockstep.tick(lockstep.request("goal", Goal("run")))
+            while outputs.goal.state == "running":
+                outputs = lockstep.tick()
+                bar.advance(task)
+        status = outputs.goal
+        lockstep.tick(lockstep.request("disarm"))
+    finally:
+        recorder.stop()
+    return status, recorder.path
+
+
+def _play(config: "Config", name: str) -> tuple["GoalStatus", Path | None]:
+    """On the devices, in real time; Ctrl-C brakes and vents. Raises RuntimeError when it does not arm."""
+    from rich.progress import Progress
+
+    from daemon.daemon import Daemon, real_devices
+    from policies.excite import Excite
+    from schemas.goals import Goal
+
+    daemon = Daemon(config, real_devices(config))
+    daemon.start()
+    try:
+        _arm(daemon)
+        number = daemon.inbox.post("goal", goal=Goal("run"))
+        length_s = (Excite.describe(name).episode_steps or 0) / config.control.rate_hz
+        deadline_s = time.monotonic() + length_s + _ARMING_S
+        with Progress(transient=True) as bar:
+            task = bar.add_task(f"playing {name}", total=length_s)
+            while (status := _goal(daemon, number)) is None or status.state == "running":
+                bar.update(task, completed=0.0 if status is None else status.time_s)
+                if time.monotonic() > deadline_s:
+                    raise RuntimeError("the control loop has stalled; see its own output")
+                time.sleep(_POLL_S)
+        return status, daemon.recorder.path
+    finally:
+        daemon.stop()  # brakes, vents and switches off, whatever has happened
+
+
+def _goal(daemon: "Daemon", number: int) -> "GoalStatus | None":
+    """How the goal goes; None until the loop has taken the request. Raises RuntimeError when it is refused."""
+    snapshot = daemon.loop.snapshot
+    answer = next((r for r in snapshot.results if r.number == number), None) if snapshot else None
+    if snapshot is None or answer is None:
+        # Requests are answered in the order they came: a running goal is ours even when its answer is long gone.
+        return snapshot.goal if snapshot and snapshot.goal.number else None
+    if not answer.accepted:
+        raise RuntimeError("; ".join(answer.reasons))
+    return snapshot.goal
+
+
+def _arm(daemon: "Daemon") -> None:
+    """Wait until the daemon would arm, arm, and wait until it has. Raises RuntimeError with its own reasons."""
+    deadline_s = time.monotonic() + _ARMING_S
+    asked = False
+    reasons: tuple[str, ...] = ("no control tick yet",)
+    while time.monotonic() < deadline_s:
+        if (snapshot := daemon.loop.snapshot) is not None:
+            if snapshot.mode == "armed":
+                return
+            reasons = snapshot.arming_refusals or reasons
+            if not snapshot.arming_refusals and not asked:
+                daemon.inbox.post("arm")
+                asked = True
+        time.sleep(_POLL_S)
+    raise RuntimeError(f"did not arm within {_ARMING_S:.0f} s: {'; '.join(reasons)}; then try again")

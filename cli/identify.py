@@ -1,0 +1,116 @@
+"""`softarm identify`: the arm's stiffness, damping, muscle gain and offset from recordings."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from cli.options import FILE, json_option, model_option
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from diagnosis.identify import Identification
+
+INPUT = click.Path(path_type=Path)
+FOLDER = click.Path(path_type=Path, file_okay=False)
+
+
+@click.command()
+@click.argument("inputs", type=INPUT, nargs=-1, required=True)
+@click.option("--out", type=FILE, required=True, help="Model file to write.")
+@click.option("--check", "checks", type=INPUT, multiple=True, help="Recording that is only compared; may be repeated.")
+@click.option("--plots", type=FOLDER, help="Folder for pictures (PNG).")
+@json_option
+@model_option
+def identify(
+    inputs: tuple[Path, ...],
+    out: Path,
+    checks: tuple[Path, ...],
+    plots: Path | None,
+    json_file: Path | None,
+    model_file: Path | None,
+) -> None:
+    """Fit the arm to INPUTS: logs of the daemon (.mcap), trial folders, or campaigns of them.
+
+    First the paper's way: torques by inverse dynamics, least squares. Then the simulator itself is fitted to every
+    link's motion; intervals are 95 %, from a bootstrap of one-second blocks. Masses and lengths are taken from --model.
+
+    \b
+    Examples:
+      softarm identify logs/seed.mcap --check logs/sinusoid.mcap --out mine.yaml --plots pictures
+      softarm identify campaign --out mine.yaml --json mine.json
+    """
+    import json
+
+    from rich.console import Console
+    from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+
+    from cli.errors import fail
+    from diagnosis.identify import identify as fit
+    from diagnosis.read import read_all
+    from diagnosis.trials import TrialError
+    from schemas.model import Model
+    from simulator import model_file as files
+
+    console = Console()
+    try:
+        model = files.load(model_file) if model_file else Model()
+        columns = (SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn())
+        with Progress(*columns, console=console, transient=True) as bar:
+            task = bar.add_task("reading", total=None)
+
+            def tell(text: object) -> None:
+                bar.update(task, description=str(text))
+
+            trials, unseen = read_all(inputs, tell), read_all(checks, tell)
+            result = fit(model, trials, unseen, tell)
+        files.save(result.model, out)
+        if json_file is not None:
+            json_file.write_text(json.dumps(result.summary(), indent=1) + "\n")
+        pictures = _pictures(result, plots)
+    except (TrialError, files.ModelFileError) as error:
+        fail(str(error))
+    except OSError as error:
+        fail(f"{error.filename}: cannot be written ({error.strerror}); name another place")
+    _show(result, console)
+    written = [out, *([json_file] if json_file else []), *pictures]
+    console.print(f"wrote {', '.join(map(str, written))}", soft_wrap=True)
+
+
+def _pictures(result: "Identification", folder: Path | None) -> list[Path]:
+    if folder is None:
+        return []
+    from diagnosis import plots
+
+    return plots.save(result, folder)
+
+
+def _show(result: "Identification", console: "Console") -> None:
+    """The parameters with their intervals, how well they do, and every doubt."""
+    from rich.table import Table
+
+    from diagnosis.identify import gain_nm_psi
+
+    n = result.model.arm.links
+    table = Table("joint", "K (N m/rad)", "D (N m s/rad)", "b (N m/kPa)", "b (N m/psi)", "offset (N m)")
+    estimates = result.estimates
+    for i in range(n):
+        k, d, b, o = (estimates[part * n + i] for part in range(4))
+        cells = [f"{e['value']:.4f} ±{(e['high'] - e['low']) / 2:.4f}" for e in (k, d)]
+        gain = f"{b['value']:.6f} ±{(b['high'] - b['low']) / 2:.6f}"
+        table.add_row(
+            str(i + 1), *cells, gain, f"{gain_nm_psi(b['value']):.4f}",
+            f"{o['value']:.4f} ±{(o['high'] - o['low']) / 2:.4f}",
+        )  # fmt: skip
+    console.print(table)
+    low, high = result.regression.range_nm
+    console.print(
+        f"torque RMSE {result.regression.rmse_nm:.4f} N m by regression, {result.torque_rmse_nm:.4f} refined "
+        f"(torques {low:.2f} .. {high:.2f} N m); link ends within {result.refinement.rmse_m * 1e3:.2f} mm RMS"
+    )
+    for check in result.checks:
+        y, z = check.rmse_m
+        console.print(f"unseen {check.trial}: tip within {y * 1e3:.2f} mm in y, {z * 1e3:.2f} mm in z RMS")
+    for warning in result.warnings:
+        click.echo(f"warning: {warning}", err=True)

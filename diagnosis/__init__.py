@@ -1,0 +1,1 @@
+"""Where is the gap between robot and simulator: trials, system identification, diagnosis."""

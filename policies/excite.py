@@ -1,0 +1,57 @@
+"""Play an excitation: open loop, for a recording that shows what the robot is made of."""
+
+import difflib
+import math
+
+import numpy as np
+
+from policies.base import Array, PolicyError, PolicySpec
+from schemas.excitation import EXCITATIONS
+
+RATE_HZ = 30.0
+LEAD_IN_S = 4.0  # the cart comes to the middle, the arm to rest
+_APPROACH_PER_S, _APPROACH_MAX_M_S = 2.0, 0.15
+_CART = 0  # in the observation
+
+
+class Excite:
+    """One excitation after a lead-in, then rest. A goal of kind `run` starts it.
+
+    excitation: a name of schemas.excitation.EXCITATIONS. Raises PolicyError for another.
+    """
+
+    spec = PolicySpec(name="excite", description="plays an excitation", needs_target=False)
+
+    def __init__(self, excitation: str = "seed") -> None:
+        self.spec = self.describe(excitation)
+        self._excitation = EXCITATIONS[excitation]
+        self._step = 0
+
+    @classmethod
+    def describe(cls, excitation: str = "seed") -> PolicySpec:
+        """Its description and how many steps it takes, without making it."""
+        if excitation not in EXCITATIONS:
+            near = difflib.get_close_matches(excitation, EXCITATIONS, n=1)
+            hint = f"; did you mean {near[0]}?" if near else ""
+            raise PolicyError(f"no excitation {excitation!r}{hint} (there are: {', '.join(EXCITATIONS)})")
+        chosen = EXCITATIONS[excitation]
+        steps = math.ceil((LEAD_IN_S + chosen.duration_s) * RATE_HZ)
+        return PolicySpec(
+            "excite", f"plays {chosen.name}: {chosen.description}", needs_target=False, episode_steps=steps
+        )
+
+    def reset(self) -> None:
+        """Begin again, with the lead-in."""
+        self._step = 0
+
+    def step(self, observation: Array, goal: Array) -> Array:
+        """The next command; only the lead-in looks at the observation (where the cart is)."""
+        t_s = self._step / RATE_HZ - LEAD_IN_S
+        self._step += 1
+        if t_s >= 0:
+            return np.array(self._excitation.at(t_s), dtype=np.float32)
+        if not self._excitation.moves_rail:
+            return np.zeros(2, dtype=np.float32)
+        # The last second is rest, whatever is left: the arm must not still be swinging.
+        approach = -_APPROACH_PER_S * float(observation[_CART]) if t_s < -1.0 else 0.0
+        return np.array((max(-_APPROACH_MAX_M_S, min(_APPROACH_MAX_M_S, approach)), 0.0), dtype=np.float32)

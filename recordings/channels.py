@@ -1,0 +1,44 @@
+"""A channel of a log: a topic and the one type of record on it. Those of the three devices are here."""
+
+import json
+from typing import Generic, TypeVar
+
+from pydantic import ConfigDict, RootModel, TypeAdapter
+
+from schemas import log
+from schemas.messages import MocapFrame, PressureReading, RailReading
+
+T = TypeVar("T")
+
+
+class _Message(RootModel[T], Generic[T]):
+    """JSON has no NaN: it is written as a string, and read back as the number it was."""
+
+    model_config = ConfigDict(ser_json_inf_nan="strings", allow_inf_nan=True)
+
+
+class Channel(Generic[T]):
+    """A topic and the one type of record on it, as JSON with every digit: it is read as it was written."""
+
+    def __init__(self, topic: str, record: type[T]) -> None:
+        self.topic = topic
+        self.schema_name = f"softarm.{record.__name__}"
+        self._record = record
+        self._message = _Message[record]  # type: ignore[valid-type]
+
+    def json_schema(self) -> bytes:
+        """Its JSON schema, for viewers."""
+        return json.dumps(TypeAdapter(self._record).json_schema(mode="serialization")).encode()
+
+    def encode(self, record: T) -> bytes:
+        """The record as JSON."""
+        return self._message.model_construct(root=record).model_dump_json().encode()
+
+    def decode(self, data: bytes) -> T:
+        """The record again. Raises pydantic.ValidationError when the log is of another format."""
+        return self._message.model_validate_json(data).root
+
+
+MOCAP = Channel(log.MOCAP, MocapFrame)
+PRESSURE = Channel(log.PRESSURE, PressureReading)
+RAIL = Channel(log.RAIL, RailReading)

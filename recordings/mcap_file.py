@@ -1,0 +1,45 @@
+"""Whole records of an MCAP file, also of one that breaks off in the middle."""
+
+from collections.abc import Iterator
+from pathlib import Path
+
+from mcap.records import Channel, McapRecord, Message
+from mcap.stream_reader import StreamReader
+from mcap.writer import MCAP0_MAGIC
+
+
+class LogError(Exception):
+    """A file that is not a log, or cannot be read; names the file and the next step."""
+
+
+def records(path: Path) -> Iterator[McapRecord]:
+    """Every whole record, in file order; a file that breaks off just ends.
+
+    Raises LogError when there is no such file or it is not MCAP.
+    """
+    try:
+        file = path.open("rb")
+    except OSError as error:
+        raise LogError(f"{path}: cannot be read ({error.strerror}); see `softarm status` for the logs") from error
+    with file:
+        magic = file.read(len(MCAP0_MAGIC))
+        if not MCAP0_MAGIC.startswith(magic):
+            raise LogError(f"{path}: not a log; a log is an MCAP file, as the recorder writes it")
+        file.seek(0)
+        stream = StreamReader(file, record_size_limit=None).records
+        while True:
+            try:
+                record = next(stream)
+            except Exception:  # the library raises whatever its parser met at the break
+                return
+            yield record
+
+
+def messages(path: Path) -> Iterator[tuple[str, bytes]]:
+    """Topic and data of every whole message, in file order. Raises LogError as `records` does."""
+    topics: dict[int, str] = {}
+    for record in records(path):
+        if isinstance(record, Channel):
+            topics[record.id] = record.topic
+        elif isinstance(record, Message):
+            yield topics[record.channel_id], record.data

@@ -1,0 +1,216 @@
+"""Excitations: commands that make the robot show what it is made of. Data, and what the data say at an instant.
+
+Cart velocity in m/s, pressure in kPa (gauge). Every excitation stays inside the command range and, started with
+the cart at the middle of the rail, inside +-0.20 m; the daemon's safety filter still has the last word.
+"""
+
+import math
+from dataclasses import dataclass
+from typing import Protocol
+
+PRESSURE_MIN_KPA, PRESSURE_MAX_KPA = -0.7, 20.0  # command range [P]
+CART_VELOCITY_MAX_M_S = 1.0  # [P]
+CART_EXCURSION_MAX_M = 0.20  # of what is commanded; the soft limit is 0.25
+
+
+class Segment(Protocol):
+    """A stretch of a signal."""
+
+    @property
+    def duration_s(self) -> float:
+        """How long it lasts."""
+
+    def at(self, t_s: float) -> float:
+        """The value at a time within the segment, 0 <= t_s <= duration_s."""
+
+
+@dataclass(frozen=True, slots=True)
+class Ramp:
+    """From one value to another at a constant slope; a hold when they are the same."""
+
+    duration_s: float
+    start: float
+    end: float
+
+    def at(self, t_s: float) -> float:
+        """See Segment."""
+        return self.start + (self.end - self.start) * t_s / self.duration_s
+
+
+@dataclass(frozen=True, slots=True)
+class Square:
+    """High for half a period, then low, and so on."""
+
+    duration_s: float
+    high: float
+    low: float
+    period_s: float
+
+    def at(self, t_s: float) -> float:
+        """See Segment."""
+        return self.high if t_s % self.period_s < self.period_s / 2 else self.low
+
+
+@dataclass(frozen=True, slots=True)
+class Chirp:
+    """A sine about a mean whose frequency goes from one to the other linearly; begins at the mean."""
+
+    duration_s: float
+    mean: float
+    amplitude: float
+    start_hz: float
+    end_hz: float
+
+    def at(self, t_s: float) -> float:
+        """See Segment."""
+        turns = t_s * (self.start_hz + (self.end_hz - self.start_hz) * t_s / (2 * self.duration_s))
+        return self.mean + self.amplitude * math.sin(2 * math.pi * turns)
+
+
+@dataclass(frozen=True, slots=True)
+class Multisine:
+    """The sum of `count` harmonics of 1 / period_s, equally strong, with Schroeder's phases (a low crest).
+
+    amplitude: an upper bound of the sum's distance from the mean.
+    """
+
+    duration_s: float
+    mean: float
+    amplitude: float
+    period_s: float
+    count: int
+
+    def at(self, t_s: float) -> float:
+        """See Segment."""
+        each = self.amplitude / (1.4 * math.sqrt(self.count))  # Schroeder's phases stay below 1.4 sqrt(count)
+        return self.mean + max(-self.amplitude, min(self.amplitude, each * sum(
+            math.cos(2 * math.pi * k * t_s / self.period_s - math.pi * k * (k - 1) / self.count)
+            for k in range(1, self.count + 1)
+        )))  # fmt: skip
+
+
+Signal = tuple[Segment, ...]
+
+
+def duration_s(signal: Signal) -> float:
+    """How long a signal lasts."""
+    return sum(segment.duration_s for segment in signal)
+
+
+def value(signal: Signal, t_s: float) -> float:
+    """A signal at a time; before its start and after its end it is zero."""
+    if t_s < 0:
+        return 0.0
+    for segment in signal:
+        if t_s < segment.duration_s:
+            return segment.at(t_s)
+        t_s -= segment.duration_s
+    return 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Excitation:
+    """What is commanded over time, from rest with the cart in the middle."""
+
+    name: str
+    description: str
+    pressure_kpa: Signal = ()
+    cart_velocity_m_s: Signal = ()
+
+    @property
+    def duration_s(self) -> float:
+        """Until both signals have ended."""
+        return max(duration_s(self.pressure_kpa), duration_s(self.cart_velocity_m_s))
+
+    @property
+    def moves_rail(self) -> bool:
+        """Whether the cart is driven."""
+        return bool(self.cart_velocity_m_s)
+
+    def at(self, t_s: float) -> tuple[float, float]:
+        """Cart velocity (m/s) and pressure (kPa) commanded at a time."""
+        return value(self.cart_velocity_m_s, t_s), value(self.pressure_kpa, t_s)
+
+
+def _steps(speed_m_s: float, half_s: float) -> Signal:
+    """Out to one side, across to the other, back to the middle, with rests; ends where it began."""
+    rest = Ramp(1.0, 0.0, 0.0)
+    return (
+        Ramp(half_s, speed_m_s, speed_m_s),
+        rest,
+        Ramp(2 * half_s, -speed_m_s, -speed_m_s),
+        rest,
+        Ramp(half_s, speed_m_s, speed_m_s),
+        rest,
+    )
+
+
+def _sine(seconds: float, amplitude: float, hz: float) -> Signal:
+    """A velocity that moves the cart to one side and back, amplitude / (pi hz) metres far."""
+    return (Chirp(seconds, 0.0, amplitude, hz, hz),)
+
+
+_REST = Ramp(2.0, 0.0, 0.0)
+
+EXCITATIONS: dict[str, Excitation] = {
+    excitation.name: excitation
+    for excitation in (
+        Excitation(
+            "seed",
+            "the paper's system identification: a slow sweep, a square wave, chirps; 28 s, cart at rest",
+            (
+                Ramp(1.0, 0.0, 0.0),
+                Ramp(4.0, 0.0, 20.0),
+                Ramp(4.0, 20.0, 0.0),
+                Square(8.0, 16.0, 0.0, 4.0),
+                Chirp(5.0, 10.0, 9.0, 0.4, 1.6),
+                Chirp(5.0, 10.0, 9.5, 1.2, 3.0),
+                Ramp(1.0, 0.0, 0.0),
+            ),
+        ),
+        Excitation(
+            "sinusoid",
+            "one sine of the muscle at 0.7 Hz, not in `seed`: what an identified model is checked on",
+            (Ramp(1.0, 0.0, 0.0), Chirp(12.0, 9.0, 8.0, 0.7, 0.7), Ramp(2.0, 0.0, 0.0)),
+        ),
+        Excitation(
+            "pressure-multisine",
+            "ten harmonics of 0.2 Hz in the muscle, two periods",
+            (Ramp(1.0, 0.0, 10.0), Multisine(10.0, 10.0, 9.5, 5.0, 10), Ramp(2.0, 0.0, 0.0)),
+        ),
+        Excitation(
+            "pressure-staircase",
+            "holds at several pressures, each reached from below and from above",
+            tuple(Ramp(2.0, level, level) for level in (0.0, 5.0, 10.0, 15.0, 20.0, 15.0, 10.0, 5.0, 0.0)),
+        ),
+        Excitation(
+            "free-decay",
+            "the arm bent, let go, and left alone, twice",
+            (*(Ramp(3.0, 18.0, 18.0), Ramp(6.0, 0.0, 0.0)), *(Ramp(3.0, 8.0, 8.0), Ramp(6.0, 0.0, 0.0))),
+        ),
+        Excitation(
+            "rail-steps",
+            "velocity steps of the cart at three sizes; muscle at rest",
+            (),
+            (Ramp(1.0, 0.0, 0.0), *_steps(0.15, 0.8), *_steps(0.4, 0.35), *_steps(0.6, 0.15)),
+        ),
+        Excitation(
+            "rail-chirp",
+            "a sine of the cart's velocity from 0.6 to 3 Hz; muscle at rest",
+            (),
+            (_REST, Chirp(12.0, 0.0, 0.35, 0.6, 3.0), _REST),
+        ),
+        Excitation(
+            "rail-multisine",
+            "eight harmonics of 0.5 Hz in the cart's velocity; muscle at rest",
+            (),
+            (_REST, Multisine(8.0, 0.0, 0.5, 2.0, 8), _REST),
+        ),
+        Excitation(
+            "both",
+            "muscle and cart at once: a chirp of the pressure over a sine of the cart",
+            (Ramp(1.0, 0.0, 0.0), Chirp(12.0, 9.0, 8.0, 0.3, 2.0), _REST),
+            (Ramp(1.0, 0.0, 0.0), *_sine(12.0, 0.3, 0.75), _REST),
+        ),
+    )
+}

@@ -1,0 +1,84 @@
+"""What stands beside a recording: trial.yaml of a folder, stage.yaml of a single-stage table (docs/trials.md)."""
+
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from schemas.base import Strict
+
+# What a column's numbers are multiplied by to get the unit that diagnosis works in.
+UNITS: dict[str, tuple[float, str]] = {
+    "s": (1.0, "s"),
+    "ms": (1e-3, "s"),
+    "us": (1e-6, "s"),
+    "ns": (1e-9, "s"),
+    "m": (1.0, "m"),
+    "mm": (1e-3, "m"),
+    "m/s": (1.0, "m/s"),
+    "mm/s": (1e-3, "m/s"),
+    "rad": (1.0, "rad"),
+    "deg": (0.017453292519943295, "rad"),
+    "rad/s": (1.0, "rad/s"),
+    "deg/s": (0.017453292519943295, "rad/s"),
+    "kPa": (1.0, "kPa"),
+    "bar": (100.0, "kPa"),
+    "psi": (6.894757, "kPa"),
+    "N": (1.0, "N"),
+    "N m": (1.0, "N m"),
+    "1": (1.0, "1"),
+}
+Unit = Literal[
+    "s", "ms", "us", "ns", "m", "mm", "m/s", "mm/s", "rad", "deg", "rad/s", "deg/s", "kPa", "bar", "psi", "N",
+    "N m", "1",
+]  # fmt: skip
+StageKind = Literal["tracking", "driven_mass", "pendulum"]
+
+
+class TrialFile(Strict):
+    """trial.yaml: what a folder's recording was."""
+
+    kind: Annotated[str, Field(min_length=1)]  # the excitation, free text
+    rail: Literal["free", "held"] = "free"  # held: the cart was clamped, or its drive stood still
+
+
+class Column(Strict):
+    """Where a column of a table comes from."""
+
+    source: Annotated[str, Field(min_length=1)]  # header of a column; in .mat a path: Theta1.signals.values, Y_id[0]
+    unit: Unit
+    row: Annotated[int, Field(ge=0)] | None = None  # of a .mat matrix whose rows are the signals
+    add: float = 0.0  # then added, in the unit that diagnosis works in (a pendulum's angle that hangs at pi)
+
+
+class Channel(Strict):
+    """Columns that share stamps."""
+
+    time: Column
+    columns: Annotated[dict[str, Column], Field(min_length=1)]  # by the names that the stage's kind asks for
+
+
+class TableTrial(Strict):
+    """One trial: a file for each channel."""
+
+    name: Annotated[str, Field(min_length=1)]
+    kind: Annotated[str, Field(min_length=1)]  # the excitation
+    files: Annotated[dict[str, str], Field(min_length=1)]  # channel -> file, relative to the data folder
+    segment: str | None = None  # put in for {segment} in a column's source
+
+
+class StageFile(Strict):
+    """stage.yaml: one mechanism, its columns and units, its nominal model and its trials.
+
+    A tracking stage has channels command (`command`) and measured (`position`, or `pressure`, or `velocity`);
+    a driven mass has force (`force`) and measured (`position`, `velocity`); a pendulum has measured
+    (`angle1` .. `angleN`, `rate1` .. `rateN`) and perhaps base (`position`).
+    """
+
+    name: Annotated[str, Field(min_length=1)]
+    kind: StageKind
+    links: Annotated[int, Field(ge=1, le=12)] = 1  # of a pendulum
+    # Where cells hold lists, one stage for each element: its name -> the place in the list.
+    elements: dict[str, Annotated[int, Field(ge=0)]] = Field(default_factory=dict)
+    channels: Annotated[dict[str, Channel], Field(min_length=1)]
+    model: dict[str, float | tuple[float, ...]] = Field(default_factory=dict)  # nominal parameters, units in names
+    trials: Annotated[tuple[TableTrial, ...], Field(min_length=1)]

@@ -1,0 +1,72 @@
+"""`softarm excite` records what `softarm identify` reads."""
+
+import json
+
+import pytest
+from click.testing import CliRunner
+
+from cli.main import main
+from simulator import model_file
+
+
+def run(*arguments):
+    return CliRunner().invoke(main, [str(a) for a in arguments])
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("excite")
+    config = folder / "softarm.yaml"
+    config.write_text(f"recorder: {{directory: {folder / 'logs'}}}\n")
+    outcome = run("excite", "pressure-multisine", "--simulated", "--config", config)
+    assert outcome.exit_code == 0, outcome.output
+    (log,) = (folder / "logs").glob("*.mcap")
+    assert f"next: softarm identify {log} --out model.yaml" in outcome.output
+    return log
+
+
+def test_identify_writes_a_model_numbers_and_pictures(recorded, tmp_path):
+    outcome = run("identify", recorded, "--out", tmp_path / "m.yaml", "--json", tmp_path / "m.json",
+                  "--plots", tmp_path / "pictures")  # fmt: skip
+    assert outcome.exit_code == 0, outcome.output
+    fitted = model_file.load(tmp_path / "m.yaml").arm
+    assert fitted.stiffness_nm_rad[0] == pytest.approx(0.8385, rel=0.01)
+    assert fitted.muscle_gain_nm_kpa[2] == pytest.approx(0.0113, rel=0.02)
+    written = json.loads((tmp_path / "m.json").read_text())
+    assert written["torque_rmse_nm"]["refined"] < 0.02
+    assert len(written["parameters"]) == 20
+    assert "no unseen excitation was given" in outcome.output
+    pictures = sorted(p.name for p in (tmp_path / "pictures").iterdir())
+    assert pictures == ["parameters.png", f"torques-{recorded.stem}.png"]
+    assert all((tmp_path / "pictures" / p).read_bytes().startswith(b"\x89PNG") for p in pictures)
+
+
+def test_the_same_log_cannot_be_fitted_and_checked(recorded, tmp_path):
+    outcome = run("identify", recorded, "--check", recorded, "--out", tmp_path / "m.yaml")
+    assert outcome.exit_code == 1
+    assert "is to be fitted and to be the unseen check" in outcome.output
+    assert not (tmp_path / "m.yaml").exists()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says", "code"),
+    [
+        (("excite",), "which excitation? `softarm excite --list` shows them", 2),
+        (("excite", "seed"), "which robot? --config FILE for real devices, or --simulated", 2),
+        (("excite", "sed", "--simulated"), "no excitation 'sed'; did you mean seed?", 1),
+        (("identify", "nowhere", "--out", "m.yaml"), "nowhere: is not there; name an MCAP log, a trial folder", 1),
+    ],
+)
+def test_a_wrong_command_says_what_to_do(arguments, says, code, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    outcome = run(*arguments)
+    assert says in outcome.output
+    assert outcome.exit_code == code
+
+
+def test_the_list_shows_every_excitation():
+    from schemas.excitation import EXCITATIONS
+
+    outcome = run("excite", "--list")
+    assert all(line.split()[0] in EXCITATIONS for line in outcome.output.splitlines())
+    assert len(outcome.output.splitlines()) == len(EXCITATIONS)

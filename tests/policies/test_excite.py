@@ -1,0 +1,122 @@
+"""Excitations stay within their limits, play to their end through the daemon, and leave the cart near the middle."""
+
+import math
+import tomllib
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from daemon.offline import Lockstep
+from daemon.records import Mode
+from policies.base import PolicyError
+from policies.excite import LEAD_IN_S, Excite
+from policies.hold import Hold
+from policies.pid import Pid
+from schemas.config import Config
+from schemas.excitation import (
+    CART_EXCURSION_MAX_M,
+    CART_VELOCITY_MAX_M_S,
+    EXCITATIONS,
+    PRESSURE_MAX_KPA,
+    PRESSURE_MIN_KPA,
+)
+from schemas.goals import Goal
+
+
+@pytest.mark.parametrize("name", EXCITATIONS)
+def test_an_excitation_stays_within_its_limits_and_ends_at_rest(name):
+    plan = EXCITATIONS[name]
+    t = np.arange(0, plan.duration_s, 1e-3)
+    velocity, pressure = np.array([plan.at(float(x)) for x in t]).T
+    assert PRESSURE_MIN_KPA <= pressure.min() <= pressure.max() <= PRESSURE_MAX_KPA
+    assert np.abs(velocity).max() <= CART_VELOCITY_MAX_M_S
+    assert np.abs(np.cumsum(velocity) * 1e-3).max() <= CART_EXCURSION_MAX_M
+    assert plan.at(plan.duration_s + 0.1) == (0.0, 0.0)
+    assert plan.moves_rail == (np.abs(velocity).max() > 0)
+    assert max(np.ptp(pressure), 20 * np.ptp(velocity)) > 5  # it does excite
+
+
+def test_the_seeds_sequence_lasts_about_28_s_and_holds_its_three_parts():
+    plan = EXCITATIONS["seed"]
+    assert plan.duration_s == pytest.approx(28, abs=1)
+    assert [type(s).__name__ for s in plan.pressure_kpa if s.at(0.1) or s.at(0.7)] == [
+        "Ramp", "Ramp", "Square", "Chirp", "Chirp",
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize("name", ["both", "rail-steps", "free-decay"])
+def test_it_plays_to_its_end_through_the_daemons_tick(name):
+    lockstep = Lockstep(Config(), Excite(name))
+    lockstep.arm()
+    outputs = lockstep.tick(lockstep.request("goal", Goal("run")))
+    farthest, clamps, ticks = 0.0, set(), 1
+    while outputs.goal.state == "running":
+        outputs = lockstep.tick()
+        ticks += 1
+        farthest = max(farthest, abs(outputs.rail_position_m))
+        clamps |= set(outputs.clamps)
+    assert (outputs.goal.state, outputs.mode) == ("reached", Mode.ARMED)
+    assert ticks == pytest.approx((LEAD_IN_S + EXCITATIONS[name].duration_s) * 30, abs=2)
+    assert farthest < 0.24
+    assert not clamps & {"rail_position_max", "rail_position_min", "non_finite"}
+    # Once it has ended the arm holds: the policy is not asked any more.
+    assert lockstep.tick().action is None
+
+
+def test_the_lead_in_brings_the_cart_to_the_middle():
+    lockstep = Lockstep(Config(), Excite("rail-chirp"))
+    lockstep.arm()
+    lockstep.place(0.2)
+    outputs = lockstep.tick(lockstep.request("goal", Goal("run")))
+    for _ in range(math.floor(LEAD_IN_S * 30) - 1):
+        outputs = lockstep.tick()
+    assert abs(outputs.rail_position_m) < 0.01
+
+
+def test_a_run_is_for_policies_without_a_target_and_a_reach_for_those_with_one():
+    playing = Lockstep(Config(), Excite("seed"))
+    playing.arm()
+    outputs = playing.tick(playing.request("goal", Goal("reach", -0.2, 0.6)))
+    assert "does not move to targets" in outputs.results[-1].reasons[0]
+    reaching = Lockstep(Config(), Pid())
+    reaching.arm()
+    outputs = reaching.tick(reaching.request("goal", Goal("run")))
+    assert "needs a target: give a reach goal" in outputs.results[-1].reasons[0]
+
+
+def test_a_run_without_an_end_goes_on_until_it_is_cancelled():
+    lockstep = Lockstep(Config(), Hold())
+    lockstep.arm()
+    lockstep.tick(lockstep.request("goal", Goal("run")))
+    for _ in range(200):  # longer than goals.time_limit_s
+        outputs = lockstep.tick()
+    assert (outputs.goal.state, outputs.action) == ("running", (0.0, 0.0))
+    assert lockstep.tick(lockstep.request("cancel_goal")).goal.state == "cancelled"
+
+
+def test_a_stop_ends_it():
+    lockstep = Lockstep(Config(), Excite("seed"))
+    lockstep.arm()
+    lockstep.tick(lockstep.request("goal", Goal("run")))
+    outputs = lockstep.tick(lockstep.request("stop"))
+    assert (outputs.goal.state, outputs.sent.pressure_kpa) == ("failed", 0.0)
+
+
+def test_an_unknown_excitation_gets_the_list():
+    with pytest.raises(PolicyError, match=r"no excitation 'rail-chrip'; did you mean rail-chirp\? \(there are: seed"):
+        Excite("rail-chrip")
+
+
+def test_a_reset_begins_again():
+    policy = Excite("seed")
+    observation, goal = np.zeros(8, np.float32), np.full(2, np.nan, np.float32)
+    first = [policy.step(observation, goal).tolist() for _ in range(300)]
+    policy.reset()
+    assert [policy.step(observation, goal).tolist() for _ in range(300)] == first
+    assert max(pressure for _, pressure in first) > 10
+
+
+def test_it_is_declared_as_a_plugin():
+    project = tomllib.loads((Path(__file__).parents[2] / "pyproject.toml").read_text())
+    assert project["project"]["entry-points"]["softarm.policies"]["excite"] == "policies.excite:Excite"
