@@ -54,7 +54,7 @@ class Environment:
         self.robots = robots
         self.rng = np.random.default_rng(seed)
         self.simulator = Simulator(model, robots=robots, physics_rate_hz=physics_rate_hz)
-        self._differenced = self.simulator.model.effects.observation_finite_difference is not None
+        self._differenced = "observation.finite_difference" in self.simulator.model.effects
         self._guard = RailGuard(robots, 1.0 / task.rate_hz) if task.rail_guard else None
         self._target = np.zeros((robots, 2), dtype=np.float32)
         self._elapsed = np.zeros(robots, dtype=np.int64)
