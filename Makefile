@@ -8,11 +8,13 @@ SHELL := /bin/sh
 install: .venv/.installed
 
 .venv/.installed: pyproject.toml
+	@echo "setting up .venv (once, about half a minute) ..."
 	@test -x $(BIN)/python || $(PYTHON) -m venv .venv
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[sim]'
 	@touch $@
 
 .venv/.installed-dev: .venv/.installed
+	@echo "adding what the tests need (once, a minute or more) ..."
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev]'
 	@touch $@
 

@@ -1,24 +1,29 @@
 """How punctual is the control loop on the twin, alone and with its API hammered?
 
 The figures come from the daemon's own log: every tick carries its lateness and the times of its parts. Twin, daemon
-and the hammering clients are separate processes on the same cores.
+and the hammering clients are separate processes on the same cores. A bare loop, which does nothing but sleep to its
+deadlines with the same priority, runs beside them: what is late there is the machine's doing.
 """
 
 import asyncio
+import gc
 import json
 import multiprocessing
 import random
+import select
+import struct
 import tempfile
 import time
 from collections.abc import Callable, Iterable
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 
 from cli.rig import Rig
-from daemon import logs
+from daemon import logs, realtime
 from daemon.records import Inputs, Outputs, TickTiming
+from schemas.config import Config
 from schemas.goals import TEST_TARGETS
 
 REQUESTS_PER_S = 200
@@ -30,7 +35,7 @@ Tick = tuple[Inputs, Outputs, TickTiming]
 def run(seconds: float, json_path: Path | None, report: Callable[[float], None] = lambda share: None) -> dict[str, Any]:
     """Measure both for `seconds` each, the arm swinging all the while; returns what is written as JSON."""
     with tempfile.TemporaryDirectory() as folder:
-        with Rig(Path(folder)) as rig:
+        with BareLoop(Path(folder)) as bare, Rig(Path(folder)) as rig:
             log = Path(rig.status()["recorder"]["log"])
             rig.arm()
             idle = _swing(rig, seconds, lambda share: report(share / 2))
@@ -41,7 +46,7 @@ def run(seconds: float, json_path: Path | None, report: Callable[[float], None] 
             hammer.terminate()
             hammer.join()
         ticks = list(logs.read(log))
-    result = {"idle": _figures(_within(ticks, idle)), "hammered": _figures(_within(ticks, hammered))}
+        result = {"idle": _figures(ticks, idle, bare), "hammered": _figures(ticks, hammered, bare)}
     if json_path is not None:
         json_path.write_text(json.dumps(result, indent=1) + "\n")
     return result
@@ -52,24 +57,60 @@ def _swing(rig: Rig, seconds: float, report: Callable[[float], None]) -> tuple[i
     targets = random.Random(0)
     start = time.monotonic()
     while (passed := time.monotonic() - start) < seconds:
-        goal = targets.choice(TEST_TARGETS)
-        rig.client.post("/api/goal", json={"kind": "reach", "y_m": goal.y_m, "z_m": goal.z_m}).raise_for_status()
+        rig.reach(targets.choice(TEST_TARGETS))
         report(passed / seconds)
         time.sleep(min(GOAL_EVERY_S, max(0.0, seconds - passed)))
     return round(start * 1e9), time.monotonic_ns()
 
 
-def _within(ticks: Iterable[Tick], window: tuple[int, int]) -> list[Tick]:
-    return [tick for tick in ticks if window[0] <= tick[0].t_ns < window[1]]
+class BareLoop:
+    """A process that only wakes 30 times a second and notes how late it was."""
+
+    def __init__(self, folder: Path) -> None:
+        self._notes = folder / "bare"
+        context = multiprocessing.get_context("spawn")
+        self._process = context.Process(target=_wake, args=(str(self._notes),), daemon=True)
+
+    def __enter__(self) -> Self:
+        """Start it."""
+        self._process.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """End it."""
+        self._process.kill()
+        self._process.join()
+
+    def lateness_ns(self, window: tuple[int, int]) -> list[int]:
+        """Of the wakings within a window of monotonic nanoseconds."""
+        notes = np.fromfile(self._notes, dtype=np.int64).reshape(-1, 2)
+        within = (window[0] <= notes[:, 0]) & (notes[:, 0] < window[1])
+        return list(map(int, notes[within, 1]))
 
 
-def _figures(ticks: list[Tick]) -> dict[str, Any]:
+def _wake(notes: str) -> None:
+    realtime.outrank_guests(Config().control.realtime_priority)
+    gc.disable()
+    period_ns = round(1e9 / Config().control.rate_hz)
+    deadline = time.monotonic_ns()
+    with open(notes, "wb", buffering=0) as file:
+        while True:
+            deadline += period_ns
+            while (left := deadline - time.monotonic_ns()) > 0:
+                select.select([], [], [], left * 1e-9)
+            now = time.monotonic_ns()
+            file.write(struct.pack("<qq", now, now - deadline))
+
+
+def _figures(log: Iterable[Tick], window: tuple[int, int], bare: BareLoop) -> dict[str, Any]:
+    ticks = [tick for tick in log if window[0] <= tick[0].t_ns < window[1]]
     timings = [timing for _, _, timing in ticks]
     ages = [t.sensor_to_command_ns for t in timings if t.sensor_to_command_ns is not None]
     return {
         "compute_ms": _spread([t.read_ns + t.compute_ns + t.write_ns for t in timings]),
         "lateness_ms": _spread([inputs.late_ns for inputs, _, _ in ticks]),
         "sensor_to_command_ms": _spread(ages),
+        "bare_loop_lateness_ms": _spread(bare.lateness_ns(window)),
         "ticks": len(ticks),
         "missed_ticks": sum(inputs.missed for inputs, _, _ in ticks),
         "policy_ticks": sum(outputs.action is not None for _, outputs, _ in ticks),

@@ -46,7 +46,7 @@ def demo(targets: int, seed: int, policy: str, logs: Path) -> None:
             rig.arm()
             console.print(f"armed; {targets} targets, one after another, from wherever the last one ended\n")
             results = [fly(console, rig, number, goal) for number, goal in enumerate(goals, 1)]
-            rig.client.post("/api/disarm")
+            rig.post("disarm")
         problems = exceeded(Path(path))
     except RigError as error:
         console.print(f"[red]{error}[/red]")
@@ -66,7 +66,7 @@ def demo(targets: int, seed: int, policy: str, logs: Path) -> None:
 def fly(console: Any, rig: Any, number: int, goal: Goal) -> dict[str, Any]:
     """One target: settle, post the goal, follow it on one line."""
     settle(rig)
-    rig.client.post("/api/goal", json={"kind": "reach", "y_m": goal.y_m, "z_m": goal.z_m}).raise_for_status()
+    rig.reach(goal)
     label = f"{number:2d}  target ({goal.y_m:+.2f}, {goal.z_m:.2f}) m"
     with console.status(label) as line:
         while (result := rig.client.get("/api/goal").json())["state"] == "running":

@@ -15,6 +15,8 @@ from typing import Any, Self
 import httpx
 import yaml
 
+from schemas.goals import Goal
+
 START_S = 60.0  # a cold start compiles the simulator
 STOP_S = 5.0
 
@@ -90,14 +92,26 @@ class Rig:
 
         Raises RigError with the daemon's own reasons.
         """
-        answer = self.client.post("/api/arm")
-        if answer.status_code != 200:
-            raise RigError(f"arming was refused: {answer.json()['detail']}")
+        self.post("arm")
         deadline = time.monotonic() + 5.0
         while (status := self.status())["mode"] != "armed":
             if time.monotonic() > deadline:
                 raise RigError(f"did not arm: {status['mode']}, {status['last_stop']}")
             time.sleep(0.02)
+
+    def post(self, verb: str, **body: Any) -> None:
+        """POST /api/VERB.
+
+        Raises RigError with the daemon's own reasons when it refuses.
+        """
+        answer = self.client.post(f"/api/{verb}", json=body or None)
+        if answer.status_code != 200:
+            stopped = self.status()["last_stop"]
+            raise RigError(f"{verb} was refused: {answer.json()['detail']} (last stop: {stopped})")
+
+    def reach(self, goal: Goal) -> None:
+        """Give the arm a target. Raises RigError when it is refused."""
+        self.post("goal", kind="reach", y_m=goal.y_m, z_m=goal.z_m)
 
     def status(self) -> dict[str, Any]:
         """GET /api/status."""

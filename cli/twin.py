@@ -19,6 +19,7 @@ def twin(config_file: Path, model_file: Path | None) -> None:
       softarm twin --config twin.yaml          then, beside it: softarm run --config twin.yaml
     """
     from cli.errors import fail
+    from daemon import realtime
     from daemon.configuration import ConfigurationError, load
     from drivers.base import DeviceError
     from drivers.twin.main import run_twin
@@ -27,6 +28,8 @@ def twin(config_file: Path, model_file: Path | None) -> None:
     try:
         config = load(config_file)
         model = files.load(model_file) if model_file else None
+        # Devices do not wait for other programs either.
+        realtime.outrank_other_programs(config.control.realtime_priority)
         run_twin(config, model, lambda text: click.echo(f"softarm twin: {text}"))
     except (ConfigurationError, files.ModelFileError, DeviceError) as error:
         fail(str(error))

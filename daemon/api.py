@@ -133,7 +133,10 @@ def create_app(context: ApiContext) -> FastAPI:
         responses |= {code: {"model": Refusal, "description": REFUSALS[code]} for code in statuses}
         if answer is Health:
             responses[503] = {"model": Health, "description": "not healthy, and why"}
-        app.add_api_route(path, endpoint, methods=[method], responses=responses, response_class=Response)
+        summary = (endpoint.__doc__ or "").partition(".")[0]
+        app.add_api_route(
+            path, endpoint, methods=[method], summary=summary, responses=responses, response_class=Response
+        )
     app.add_api_websocket_route("/api/stream", api.stream)
     return app
 

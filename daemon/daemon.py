@@ -7,6 +7,7 @@ import threading
 from collections.abc import Callable
 from types import FrameType
 
+from daemon import realtime
 from daemon.api import ApiContext, create_app
 from daemon.inbox import Inbox
 from daemon.loop import ControlLoop, Devices
@@ -42,6 +43,7 @@ class Daemon:
     def __init__(self, config: Config, devices: Devices) -> None:
         """Raises PolicyError when `control.policy` cannot be loaded."""
         self.config = config
+        realtime.outrank_other_programs(config.control.realtime_priority)
         policy = registry.load(config.control.policy, config.policies)
         self.recorder = Recorder(config, policy.spec)
         self.inbox = Inbox()

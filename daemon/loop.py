@@ -6,7 +6,6 @@ Owns the devices; shares an inbox and immutable snapshots, nothing else.
 import asyncio
 import gc
 import logging
-import os
 import selectors
 import threading
 import time
@@ -14,6 +13,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
 
+from daemon import realtime
 from daemon.failsafe import Event
 from daemon.inbox import Inbox
 from daemon.records import EStop, Inputs, Mode, Outputs, Problems, TickTiming
@@ -100,8 +100,7 @@ class ControlLoop:
         self._thread.join(timeout=5.0)
 
     def _main(self) -> None:
-        if self._priority:
-            self._raise_priority()
+        realtime.outrank_guests(self._priority)
 
         # epoll rounds a timeout up to a whole millisecond; select does not.
         def select_loop() -> asyncio.AbstractEventLoop:
@@ -109,15 +108,6 @@ class ControlLoop:
 
         with asyncio.Runner(loop_factory=select_loop) as runner:
             runner.run(self._run())
-
-    def _raise_priority(self) -> None:
-        try:
-            os.sched_setscheduler(threading.get_native_id(), os.SCHED_FIFO, os.sched_param(self._priority))
-        except PermissionError:
-            log.warning(
-                "control.realtime_priority %d was refused, going on without: give the service LimitRTPRIO",
-                self._priority,
-            )
 
     async def _run(self) -> None:
         for device in self._devices.all():

@@ -14,9 +14,7 @@ class DryveLink:
     is ever sent twice.
     """
 
-    def __init__(
-        self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter, request_timeout_s: float
-    ) -> None:
+    def __init__(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter, request_timeout_s: float) -> None:
         self.strays = 0
         self._reader, self._writer, self._timeout_s = reader, writer, request_timeout_s
         self._transaction = 0

@@ -86,9 +86,7 @@ class ZenohMocapSource:
         while not self._stopping.is_set():
             try:
                 self._session = zenoh.open(listener(self._config.endpoint))
-                self._subscriber = self._session.declare_subscriber(
-                    self._config.key, zenoh.handlers.RingChannel(RING)
-                )
+                self._subscriber = self._session.declare_subscriber(self._config.key, zenoh.handlers.RingChannel(RING))
             except zenoh.ZError as error:
                 self._link_problem = str(error).split(" at /")[0]
                 self._close()

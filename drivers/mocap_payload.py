@@ -18,9 +18,7 @@ LOST = Pose(math.nan, math.nan, math.nan, tracked=False)
 
 def encode(sequence: int, t_capture_ns: int, bodies: Sequence[Pose]) -> bytes:
     """Poses in `BODY_NAMES` order. Raises ValueError when a tracked pose is not finite."""
-    poses = {
-        name: list(pose[:3]) if pose.tracked else None for name, pose in zip(BODY_NAMES, bodies, strict=True)
-    }
+    poses = {name: list(pose[:3]) if pose.tracked else None for name, pose in zip(BODY_NAMES, bodies, strict=True)}
     message = {"sequence": sequence, "t_capture_ns": t_capture_ns, "bodies": poses}
     return json.dumps(message, separators=(",", ":"), allow_nan=False).encode()
 

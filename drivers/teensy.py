@@ -98,9 +98,7 @@ def encode(message: Message, sequence: int, time_us: int) -> bytes:
             payload = _COMMAND.pack(message.token, time_to_live_ms, message.armed, message.pressure_kpa)
             kind = Kind.COMMAND
         case State():
-            payload = _STATE.pack(
-                message.accepted_sequence, message.armed, message.faults, message.pressure_kpa
-            )
+            payload = _STATE.pack(message.accepted_sequence, message.armed, message.faults, message.pressure_kpa)
             kind = Kind.STATE
     return _HEADER.pack(VERSION, kind, sequence & 0xFFFFFFFF, time_us & 0xFFFFFFFF) + payload
 

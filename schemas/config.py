@@ -70,7 +70,7 @@ class Control(Strict):
     """The loop."""
 
     rate_hz: Literal[30] = 30  # what the shipped policies were trained at
-    realtime_priority: Annotated[int, Field(ge=0, le=98)] = 0  # SCHED_FIFO of the loop's thread; 0: off
+    realtime_priority: Annotated[int, Field(ge=0, le=98)] = 20  # SCHED_FIFO of the loop where granted; 0: off
     policy: str = "reach"  # at start
 
 

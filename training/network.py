@@ -1,6 +1,6 @@
 """The seed's policy network: MLP, its output concatenated with the input, LSTM, LayerNorm, linear heads ([P] SM-E)."""
 
-# mypy: allow-subclassing-any
+# mypy: allow-subclassing-any, allow-untyped-decorators
 
 from dataclasses import dataclass
 
@@ -48,6 +48,14 @@ class PolicyNetwork(nn.Module):
         for head in (self.mean_head, self.value_head):
             nn.init.zeros_(head.bias)
         self.log_std = nn.Parameter(torch.zeros(shape.actions))
+
+    @torch.no_grad()
+    def follow(self, other: "PolicyNetwork", share: float) -> None:
+        """Move every weight this share of the way to another network's; take over its running statistics."""
+        for mine, theirs in zip(self.parameters(), other.parameters(), strict=True):
+            mine.lerp_(theirs, share)
+        for mine, theirs in zip(self.buffers(), other.buffers(), strict=True):
+            mine.copy_(theirs)
 
     def initial_state(self, batch: int) -> State:
         """The state in which every episode begins."""

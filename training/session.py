@@ -1,5 +1,6 @@
 """A training run from its settings to the exported policy: learn, validate, keep checkpoints, stop."""
 
+import copy
 import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
@@ -28,6 +29,7 @@ class TrainingConfig:
     physics_rate_hz: float = 240.0
     validate_every: int = 10  # iterations; a checkpoint is kept as often
     validation_trials: int = 1536
+    averaging: float = 0.95  # share of the averaged weights that an iteration leaves
     matrix_products: str = "auto"  # float32, bfloat16, or auto: bfloat16 where the processor has it
 
 
@@ -60,6 +62,8 @@ class Session:
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(config.seed)
             self.network = PolicyNetwork(NetworkShape(INPUTS, ACTIONS))
+        # What is validated and exported: single iterations jitter around it.
+        self.average = copy.deepcopy(self.network)
         environment = Environment(task, config.robots, config.seed, None, config.physics_rate_hz)
         self._trials = evaluation.validation_trials(task, environment.simulator.links, config.validation_trials)
         self.learner = Ppo(self.network, environment, ppo, pool, config.seed, DTYPES[self._products])
@@ -87,6 +91,7 @@ class Session:
         """One iteration, and every so often a validation and a checkpoint."""
         start = time.monotonic()
         statistics = self.learner.iterate()
+        self.average.follow(self.network, 1.0 - self.config.averaging)
         took = time.monotonic() - start
         steps = self.config.robots * self.ppo.horizon
         self.frames += steps
@@ -114,9 +119,14 @@ class Session:
         export_checkpoint(self.out / "best.pt", path)
         return path
 
+    def test(self) -> evaluation.GridReport:
+        """Fly the 54 test targets with the exported policy, for the record; nothing is chosen by it."""
+        network, _ = _load(self.out / "best.pt")
+        return evaluation.grid_report(network, self.task, self._pool)
+
     def _validate_and_save(self) -> None:
         outcome = evaluation.fly(
-            self.network,
+            self.average,
             self.task,
             self._trials,
             self._pool,
@@ -127,13 +137,14 @@ class Session:
         self.curve[-1] = self.curve[-1]._replace(validation=success)
         if self.best is None or success > self.best:
             self.best = success
-            checkpoint.save(self.out / "best.pt", self._description() | {"network": self.network.state_dict()})
-        checkpoint.save(self.out / "latest.pt", self._description() | self.learner.snapshot())
+            checkpoint.save(self.out / "best.pt", self._description())
+        checkpoint.save(self.out / "latest.pt", self._description() | {"learner": self.learner.snapshot()})
         report.write_csv(self.curve, self.out / "learning_curve.csv")
 
     def _description(self) -> dict[str, Any]:
         return {
             "settings": self.settings,
+            "average": self.average.state_dict(),
             "task": asdict(self.task),
             "seed": self.config.seed,
             "frames": self.frames,
@@ -149,19 +160,15 @@ class Session:
                     f"{self.out / 'latest.pt'}: was trained with {key} = {saved['settings'].get(key)}, not {value}; "
                     "resume with the same settings or give another --out"
                 )
-        self.learner.restore(saved)
+        self.learner.restore(saved["learner"])
+        self.average.load_state_dict(saved["average"])
         self.frames, self.seconds, self.best = saved["frames"], saved["seconds"], saved["best"]
         self.curve = [report.Row(*row) for row in saved["curve"]]
 
 
 def export_checkpoint(source: Path, target: Path) -> None:
     """Turn a checkpoint of a session into an ONNX policy named after its task. Raises CheckpointError."""
-    saved = checkpoint.load(source)
-    missing = {"settings", "task", "seed", "best", "network"} - saved.keys()
-    if missing:
-        raise CheckpointError(f"{source}: {', '.join(sorted(missing))} missing; give a .pt file of `softarm train`")
-    network = PolicyNetwork(NetworkShape(INPUTS, ACTIONS))
-    network.load_state_dict(saved["network"])
+    network, saved = _load(source)
     validated = [row for row in map(report.Row._make, saved["curve"]) if row.validation is not None]
     description = export.metadata(
         network,
@@ -171,3 +178,13 @@ def export_checkpoint(source: Path, target: Path) -> None:
         validated[-1].validation if validated and validated[-1].validation is not None else 0.0,
     )
     export.write(network, description, target)
+
+
+def _load(source: Path) -> tuple[PolicyNetwork, dict[str, Any]]:
+    saved = checkpoint.load(source)
+    missing = {"settings", "task", "seed", "curve", "average"} - saved.keys()
+    if missing:
+        raise CheckpointError(f"{source}: {', '.join(sorted(missing))} missing; give a .pt file of `softarm train`")
+    network = PolicyNetwork(NetworkShape(INPUTS, ACTIONS))
+    network.load_state_dict(saved["average"])
+    return network, saved

@@ -31,6 +31,7 @@ class DeviceClock:
         self._real_ns = self._own_ns = clock()
 
     def __call__(self) -> int:
+        """Nanoseconds."""
         return self._own_ns + min(self._clock() - self._real_ns, HELD_UP_NS)
 
     def step(self) -> None:

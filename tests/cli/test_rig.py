@@ -12,6 +12,7 @@ import zenoh
 from cli.rig import Rig
 from daemon import logs
 from drivers import zenoh_session
+from schemas.goals import Goal
 
 pytestmark = pytest.mark.timeout(120)
 DEAD_S = 0.25
@@ -33,12 +34,12 @@ def wait(condition, what, seconds=10.0):
 
 def test_a_goal_over_rest_is_reached_over_the_wires_and_recorded(rig):
     rig.arm()
-    rig.client.post("/api/goal", json={"kind": "reach", "y_m": -0.2, "z_m": 0.6}).raise_for_status()
+    rig.reach(Goal("reach", -0.2, 0.6))
     goal = wait(lambda: (g := rig.client.get("/api/goal").json())["state"] != "running" and g, "the goal's end")
     assert goal["state"] == "reached"
     assert goal["closest_m"] < 0.04
     path = rig.status()["recorder"]["log"]
-    rig.client.post("/api/disarm").raise_for_status()
+    rig.post("disarm")
     wait(lambda: rig.status()["mode"] == "disarmed", "disarmed")
     log = logs.read(path)
     sequences = [frame.sequence for frame in log.frames()]
@@ -59,7 +60,7 @@ def test_a_killed_daemon_leaves_a_vented_muscle_and_a_braked_cart_inside_the_rai
     """kill -9 in mid-swing: nobody is left to say stop."""
     rig.arm()
     path = rig.status()["recorder"]["log"]
-    rig.client.post("/api/goal", json={"kind": "reach", "y_m": 0.0, "z_m": 0.8}).raise_for_status()
+    rig.reach(Goal("reach", 0.0, 0.8))
 
     def swinging():
         status = rig.status()

@@ -356,3 +356,53 @@ def test_the_tick_is_a_function_of_its_inputs_alone(monkeypatch):
     first = run()
     monkeypatch.setattr(time, "time", lambda: pytest.fail("looked at the clock"))
     assert run() == first
+
+
+def respoil_bodies(rig, place, pose):
+    """The newest frames with one body otherwise."""
+    frames = rig.inputs().mocap
+    rig.now -= PERIOD_NS
+    return tuple(dataclasses.replace(f, bodies=(*f.bodies[:place], pose, *f.bodies[place + 1 :])) for f in frames)
+
+
+def test_a_pose_that_is_not_a_number_stops_the_arm():
+    rig = Rig().swinging()
+    rig.tick(mocap=respoil_bodies(rig, 5, Pose(math.nan, 0.5, 0.0)))
+    assert rig.outputs.mode is Mode.STOPPED
+    assert "not a number" in rig.outputs.last_stop
+
+
+def test_a_lost_marker_set_in_the_middle_of_the_arm_warns_by_name_and_the_swing_goes_on():
+    rig = Rig().swinging()
+    rig.tick(mocap=respoil_bodies(rig, 2, Pose(0.0, 0.7, 0.0, tracked=False)))
+    assert rig.outputs.mode is Mode.ARMED
+    assert [event.name for event in rig.outputs.events] == ["mocap_body_lost"]
+    assert "link2" in rig.outputs.events[0].text
+
+
+def test_a_lost_tip_is_flown_on_the_last_good_frame_only_until_it_is_stale():
+    rig = Rig().swinging()
+    for ticks in range(1, 10):
+        rig.tick(mocap=respoil_bodies(rig, 5, Pose(0.0, 0.5, 0.0, tracked=False)))
+        if rig.outputs.mode is not Mode.ARMED:
+            break
+    assert ticks == 3  # 100 ms
+    assert "mocap_stale" in [event.name for event in rig.outputs.events]
+
+
+def test_arming_waits_until_the_last_stop_is_over():
+    rig = Rig().armed()
+    for request in ("disarm", "arm"):
+        rig.tick(request, rail=RailReading(rig.now + PERIOD_NS, 0.0, 0.3, True))  # the cart still rolls
+    assert "still stopping" in rig.reasons()
+    rig.tick()
+    rig.tick("arm")
+    assert rig.outputs.mode is Mode.ARMING
+
+
+def test_a_policy_request_without_a_loaded_policy_and_a_goal_request_without_a_goal_are_refused():
+    rig = Rig().armed()
+    rig.tick("policy")
+    assert rig.reasons() == "the policy was not loaded"
+    rig.tick("goal")
+    assert rig.reasons() == "a goal request without a goal"

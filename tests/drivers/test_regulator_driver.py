@@ -49,7 +49,11 @@ class Bench:
         await self._until(condition, each)
 
     async def arm(self, pressure_kpa: float = 10.0) -> None:
-        await self.write_until(lambda: self.device.commands() and not self.device.commands()[-1].armed)
+        def disarmed() -> bool:
+            heard = self.device.commands()
+            return self.regulator.read() is not None and bool(heard) and not heard[-1].armed
+
+        await self.write_until(disarmed)
         await self.write_until(lambda: self.regulator.read().armed, True, pressure_kpa)
 
 
@@ -124,7 +128,7 @@ def test_stop_vents_and_frees_the_port(bench: Any, running: Any) -> None:
     async def script(b: Bench) -> None:
         await b.arm()
         await b.regulator.stop()
-        assert not b.device.armed
+        await b._until(lambda: not b.device.armed)
         assert not b.device.commands()[-1].armed
         again = TeensyRegulator(SerialRegulator(port=str(b.path)), b.clock)
         async with running(again):  # exclusive, so the first must have let go
