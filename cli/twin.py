@@ -4,7 +4,7 @@ from pathlib import Path
 
 import click
 
-from cli.options import FILE, model_option
+from cli.options import FILE, flown_model, model_option
 
 
 @click.command()
@@ -23,13 +23,12 @@ def twin(config_file: Path, model_file: Path | None) -> None:
     from daemon.configuration import ConfigurationError, load
     from drivers.base import DeviceError
     from drivers.twin.main import run_twin
-    from simulator import model_file as files
 
     try:
         config = load(config_file)
-        model = files.load(model_file) if model_file else None
+        model = flown_model(model_file)
         # Devices do not wait for other programs either.
         realtime.outrank_other_programs(config.control.realtime_priority)
         run_twin(config, model, lambda text: click.echo(f"softarm twin: {text}"))
-    except (ConfigurationError, files.ModelFileError, DeviceError) as error:
+    except (ConfigurationError, DeviceError) as error:
         fail(str(error))

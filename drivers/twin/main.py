@@ -61,12 +61,11 @@ class Twin:
         self,
         config: Config,
         model: Model | None = None,
-        marker_noise_m: float = 0.0,
         clock: Callable[[], int] = time.monotonic_ns,
     ) -> None:
         drivers = config.drivers
         self.faults = Faults(clock)
-        self.robot = TwinRobot(model, marker_noise_m)
+        self.robot = TwinRobot(model)
         self.teensy, self.dryve = TeensyDevice(), DryveDevice(drivers.rail)
         self._clock, self._device_clock = clock, DeviceClock(clock)
         self._port = TeensyPort(
@@ -74,7 +73,7 @@ class Twin:
             self.teensy,
             self.faults,
             self._device_clock,
-            lambda: self.robot.pressure_kpa,
+            lambda: self.robot.pressure_reading_kpa,
         )
         self._server = DryveServer(drivers.rail.host, drivers.rail.port, self.dryve, self.faults, self._device_clock)
         self._cameras = Cameras(drivers.mocap, self.faults)
@@ -134,12 +133,13 @@ class Twin:
         self.state = self._observe(self._clock())
 
     def _publish(self, frame: int, t_capture_ns: int, with_state: bool) -> None:
-        self._cameras.publish_frame(frame, t_capture_ns, self.robot.poses())
+        if (poses := self.robot.poses()) is not None:
+            self._cameras.publish_frame(frame, t_capture_ns, poses)
         if with_state:
             self._cameras.publish_state(self.state)
 
     def _sense(self) -> None:
-        self.dryve.sense(self.robot.cart_position_m, self.robot.cart_velocity_m_s)
+        self.dryve.sense(*self.robot.rail_m)
 
     def _observe(self, now_ns: int) -> TwinState:
         robot, drive = self.robot, self.dryve

@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from drivers.sight import Sight
 from schemas.messages import BODY_NAMES, Pose
 from schemas.model import Model
 from simulator.simulator import Simulator
@@ -13,10 +14,10 @@ class TwinRobot:
     """One simulated robot that starts at rest in the middle of the rail.
 
     `crashes` counts arrivals at a stop, `cart_max_abs_m` is the farthest the cart has been from the middle.
-    `marker_noise_m` is the standard deviation of each camera coordinate (seeded).
+    What its sensors show has the model's mocap effects and biases.
     """
 
-    def __init__(self, model: Model | None, marker_noise_m: float = 0.0) -> None:
+    def __init__(self, model: Model | None) -> None:
         self.model = model or Model()
         links = self.model.arm.links
         if links != len(BODY_NAMES) - 1:
@@ -26,7 +27,7 @@ class TwinRobot:
         self._simulator = Simulator(self.model, robots=1, physics_rate_hz=PHYSICS_HZ)
         self._simulator.step(0.0, 0.0, 1 / PHYSICS_HZ)  # the first step may compile
         self._simulator.reset()
-        self._noise_m, self._random = marker_noise_m, np.random.default_rng(0)
+        self._sight = Sight(self._simulator)
 
     @property
     def cart_position_m(self) -> float:
@@ -64,13 +65,19 @@ class TwinRobot:
             joint_angles_rad=simulator.joint_angles_rad,
             pressure_kpa=simulator.pressure_kpa,
         )
+        self._sight.forget()
         return True
 
-    def poses(self) -> tuple[Pose, ...]:
-        """What ideal cameras see, in `schemas.messages.BODY_NAMES` order, plus the marker noise."""
-        ends = self._simulator.link_ends_m()[0].tolist()
-        angles = self._simulator.link_angles_rad[0].tolist()
-        bodies = [(self.cart_position_m, self.model.arm.base_height_m, 0.0)]
-        bodies += [(y, z, angle) for (y, z), angle in zip(ends, angles, strict=True)]
-        noise = self._random.normal(0.0, self._noise_m, (len(bodies), 2)).tolist()
-        return tuple(Pose(y + dy, z + dz, angle) for (y, z, angle), (dy, dz) in zip(bodies, noise, strict=True))
+    @property
+    def rail_m(self) -> tuple[float, float]:
+        """Position and velocity as the axis counts them."""
+        return self._sight.rail()
+
+    @property
+    def pressure_reading_kpa(self) -> float:
+        """As the regulator's own sensor has it."""
+        return self._sight.pressure_kpa()
+
+    def poses(self) -> tuple[Pose, ...] | None:
+        """What the cameras see, in `schemas.messages.BODY_NAMES` order; None when the frame was dropped."""
+        return self._sight.poses()
