@@ -1,6 +1,7 @@
 """Model files: a robot's parameters and a simulator's effects as YAML, to and from `schemas.model.Model`."""
 
 import difflib
+import hashlib
 import json
 import math
 from collections.abc import Iterator, Mapping
@@ -88,6 +89,12 @@ def save(model: Model, path: Path | str) -> None:
     data["effects"] = {name: dict(given) for name, given in model.effects.items()}
     text = yaml.dump(data, Dumper=_Dumper, sort_keys=False, width=200)
     Path(path).write_text(_HEADER + text, encoding="utf-8")
+
+
+def fingerprint(model: Model) -> str:
+    """SHA-256 of a model's canonical JSON (keys sorted, no spaces), in hex: equal models have the same."""
+    text = json.dumps(model.model_dump(), sort_keys=True, separators=(",", ":"))
+    return hashlib.sha256(text.encode()).hexdigest()
 
 
 class _Dumper(yaml.SafeDumper):

@@ -4,6 +4,7 @@ Batches of robots in numpy, once a control step; each robot with the effects of 
 """
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,7 +36,7 @@ class Sensors:
 
     def __init__(self, simulator: Simulator, rng: np.random.Generator) -> None:
         """rng draws noise and dropouts, the same number for every robot at every look."""
-        self._simulator, self._rng = simulator, rng
+        self._simulator, self.rng = simulator, rng
         self._differenced = np.array(["observation.finite_difference" in each.effects for each in simulator.models])
         self._past: list[tuple[float, Array, Array, Array]] = []
         self._shown: Sight | None = None
@@ -48,8 +49,41 @@ class Sensors:
             self._past, self._shown = [], None
         self._restarted |= True if robots is None else robots
 
-    def look(self) -> Sight:
-        """Look at the robots now; call it once a control step."""
+    def look(self, robots: NDArray[np.bool_] | None = None) -> Sight:
+        """Look at the robots now; call it once a control step.
+
+        robots: bool mask [R], those put elsewhere since the look of this very instant: they are looked at again, the
+        others go on showing what they showed.
+        """
+        before, instant = self._shown, self._shown_at
+        sight = self._look()
+        if robots is None or before is None or robots.all():
+            return sight
+        if instant != self._simulator.time_s:
+            raise ValueError("robots are looked at alone only at the instant at which all were; look at all of them")
+        pairs = ((new, vars(before)[name]) for name, new in vars(sight).items())
+        self._shown = Sight(*(np.where(robots.reshape(-1, *[1] * (new.ndim - 1)), new, old) for new, old in pairs))
+        return self._shown
+
+    def snapshot(self) -> dict[str, NDArray[Any]]:
+        """What was seen, for `restore`: copies. The random numbers and the simulator's time are not among it."""
+        past = zip(*self._past, strict=True)
+        names = ("time_s", "positions_m", "angles_rad", "velocities_m_s")
+        kept = {f"past.{name}": np.array(each) for name, each in zip(names, past, strict=False)}
+        sight = {} if self._shown is None else vars(self._shown)
+        shown = {f"shown.{name}": each.copy() for name, each in sight.items()}
+        return kept | shown | {"shown_at_s": np.array(self._shown_at), "restarted": self._restarted.copy()}
+
+    def restore(self, snapshot: dict[str, NDArray[Any]]) -> None:
+        """Go back to a snapshot of the sensors of a simulator made with the same arguments."""
+        kept: dict[str, Any] = {name: np.array(each) for name, each in snapshot.items()}
+        past = [each for name, each in kept.items() if name.startswith("past.")]
+        shown = [each for name, each in kept.items() if name.startswith("shown.")]
+        self._past = [(float(time_s), *frame) for time_s, *frame in zip(*past, strict=True)]
+        self._shown = Sight(*shown) if shown else None
+        self._shown_at, self._restarted = float(kept["shown_at_s"]), kept["restarted"]
+
+    def _look(self) -> Sight:
         effects, robots = self._simulator.effects, self._simulator.robots
         positions, angles, velocities = self._delayed(effects.value("mocap.latency", "delay"))
         turn = effects.value("mocap.rotation", "angle")
@@ -57,9 +91,9 @@ class Sensors:
         positions = _turned(positions, turn) * scale[:, None, None]
         away = [effects.value("mocap.offset", axis) for axis in ("y", "z")]
         positions = positions + np.stack(np.broadcast_arrays(*away), axis=-1)[:, None]
-        noise = self._rng.standard_normal(positions.shape)
+        noise = self.rng.standard_normal(positions.shape)
         positions = positions + effects.value("mocap.noise", "sigma")[:, None, None] * noise
-        fresh = self._rng.random(robots) >= effects.value("mocap.dropout", "share")
+        fresh = self.rng.random(robots) >= effects.value("mocap.dropout", "share")
         velocities = _turned(velocities, turn) * scale[:, None, None]
         return self._show(positions, angles + turn[:, None] * (np.arange(angles.shape[1]) > 0), velocities, fresh)
 
@@ -133,7 +167,7 @@ class Clock:
 
     def __init__(self, simulator: Simulator, rng: np.random.Generator) -> None:
         """rng draws the same number for every robot at every tick."""
-        self._simulator, self._rng = simulator, rng
+        self._simulator, self.rng = simulator, rng
 
     def tick(self) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
         """Return each robot's lateness (s, for `Simulator.step`) and whether it ticks at all, both [R].
@@ -142,8 +176,8 @@ class Clock:
         last command.
         """
         effects, robots = self._simulator.effects, self._simulator.robots
-        late = effects.value("clock.jitter", "sigma") * np.abs(self._rng.standard_normal(robots))
-        return late, self._rng.random(robots) >= effects.value("clock.missed_ticks", "share")
+        late = effects.value("clock.jitter", "sigma") * np.abs(self.rng.standard_normal(robots))
+        return late, self.rng.random(robots) >= effects.value("clock.missed_ticks", "share")
 
 
 def _turned(vectors: NDArray[np.float64], angle: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -30,6 +30,8 @@ Array = NDArray[np.float32]
 ACTIONS = Box(-1.0, 1.0, (len(ACTION),), np.float32)
 # Beyond what any robot of the kind does: observations are cut there, so that the space keeps its word.
 _SPEED_M_S, _PRESSURE_KPA, _DEPTH_M = 50.0, (-20.0, 200.0), (-1.0, 1.0)
+# How far beside a point the mocap may show it: turned, stretched, shifted and noisy, all at the registry's bounds.
+_ASIDE_M = 0.8
 
 
 class _Batch:
@@ -43,7 +45,9 @@ class _Batch:
         cart = loaded.cart.travel_m + 0.1
         arm, height = sum(loaded.arm.link_length_m) + 0.1, loaded.arm.base_height_m
         speed, y, z = (-_SPEED_M_S, _SPEED_M_S), (-cart - arm, cart + arm), (height - arm, height + arm)
-        ranges = [(-cart, cart), speed, y, z, speed, speed, (ACTION[0].low, ACTION[0].high), _PRESSURE_KPA]
+        aside = 0.0 if self.environment.sensors is None else _ASIDE_M
+        seen = [(low - aside, high + aside) for low, high in ((-cart, cart), y, z)]
+        ranges = [seen[0], speed, *seen[1:], speed, speed, (ACTION[0].low, ACTION[0].high), _PRESSURE_KPA]
         ranges += [y, z, _DEPTH_M] if isinstance(task, ShelfTask) else [y, z]
         self._low, self._high = np.array(ranges, dtype=np.float32).T
         self.space = Box(self._low, self._high, dtype=np.float32)
