@@ -41,8 +41,9 @@ def loop(seconds: float, json_file: Path | None, model_file: Path | None) -> Non
     try:
         with Progress(console=console, transient=True) as progress:
             task = progress.add_task("ticking", total=1.0)
-            report = lambda share: progress.update(task, completed=share)
-            result = measurement.run(seconds, json_file, report, model_file)
+            result = measurement.run(
+                seconds, json_file, lambda share: progress.update(task, completed=share), model_file
+            )
     except RigError as error:
         fail(str(error))
     table = Table("p50 / p99 / max", *result)
