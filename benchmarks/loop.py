@@ -32,10 +32,15 @@ GOAL_EVERY_S = 4.0
 Tick = tuple[Inputs, Outputs, TickTiming]
 
 
-def run(seconds: float, json_path: Path | None, report: Callable[[float], None] = lambda share: None) -> dict[str, Any]:
+def run(
+    seconds: float,
+    json_path: Path | None,
+    report: Callable[[float], None] = lambda share: None,
+    model: Path | None = None,
+) -> dict[str, Any]:
     """Measure both for `seconds` each, the arm swinging all the while; returns what is written as JSON."""
     with tempfile.TemporaryDirectory() as folder:
-        with BareLoop(Path(folder)) as bare, Rig(Path(folder)) as rig:
+        with BareLoop(Path(folder)) as bare, Rig(Path(folder), model=model) as rig:
             log = Path(rig.status()["recorder"]["log"])
             rig.arm()
             idle = _swing(rig, seconds, lambda share: report(share / 2))

@@ -6,6 +6,9 @@ made, for nothing. Its integrator is the one that was cheapest for a given error
 stable below about 9 kHz on this arm, `Euler` has three times the error at the same step). Its step is the coarsest
 whose tip error after 3 s is about equal to ours; the reference for both errors is MuJoCo's RK4 at 12 kHz.
 
+Beside it stand the cost of the effects, the scaling with cores and batch, and the distance from the machine's
+arithmetic peak (simulator_profile.py).
+
     softarm bench simulator --json FILE, or python -m benchmarks.simulator --json FILE
 """
 
@@ -22,9 +25,9 @@ from mujoco import rollout
 from rich.console import Console
 from rich.progress import Progress
 
-from benchmarks import commands
+from benchmarks import commands, simulator_profile
 from benchmarks.mujoco_arm import mjcf
-from schemas.model import Cart, Effects, Model
+from schemas.model import Cart, Model, seed_effects
 from simulator.simulator import Simulator
 
 ROBOTS = 4096
@@ -34,7 +37,10 @@ CANDIDATES = (20, 30, 40, 50, 60, 70, 80, 90, 100, 120, 140, 160, 200, 240, 320)
 # MuJoCo's error may be this much above ours and still count as equal.
 EQUAL = 1.1
 # Endless, since MuJoCo's arm has no end stops.
-MODEL = Model(cart=Cart(travel_m=100.0), effects=Effects.model_validate({"rail.acceleration_limit": None}))
+MODEL = Model(
+    cart=Cart(travel_m=100.0),
+    effects={name: given for name, given in seed_effects().items() if name != "rail.acceleration_limit"},
+)
 
 
 def run(json_path: Path | None, quick: bool = False) -> dict[str, object]:
@@ -64,6 +70,8 @@ def run(json_path: Path | None, quick: bool = False) -> dict[str, object]:
         for _ in range(rounds):
             speeds.append((race.ours(), race.mujoco()))
             progress.advance(task)
+        progress.update(task, description="Profile", total=None)
+        more = simulator_profile.measure(rounds)
     our_speed, mujoco_speed = (statistics.median(side) for side in zip(*speeds, strict=True))
     result: dict[str, object] = {
         "control_steps_per_s": our_speed,
@@ -78,6 +86,7 @@ def run(json_path: Path | None, quick: bool = False) -> dict[str, object]:
         "robots": ROBOTS,
         "cores": cores,
         "rounds": rounds,
+        **more,
         "load_average": {"before": load_before, "after": os.getloadavg()[0]},
     }
     _show(result, ours, theirs)
@@ -116,17 +125,15 @@ def _mujoco_tips(
 
 def _mujoco_controls(velocity: np.ndarray, pressure: np.ndarray, substeps: int) -> np.ndarray:
     """Return what the actuators see: delayed velocity and mean lagged pressure, [robots, steps, 2]."""
-    effects = MODEL.effects
-    assert effects.pressure_lag is not None
-    assert effects.rail_delay is not None
+    lag, delay_s = MODEL.effects["pressure.lag"], MODEL.effects["rail.delay"]["delay"]
     dt = commands.PERIOD_S / substeps
-    late = round(effects.rail_delay.delay / dt)
+    late = round(delay_s / dt)
     fine_velocity, fine_pressure = np.repeat(velocity, substeps, axis=0), np.repeat(pressure, substeps, axis=0)
     control = np.zeros((*fine_velocity.shape[::-1], 2))
     control[:, late:, 0] = fine_velocity[: len(fine_velocity) - late].T
     kpa = np.zeros(velocity.shape[1])
     for step, wanted in enumerate(fine_pressure):
-        time_constant = np.where(wanted > kpa, effects.pressure_lag.inflate, effects.pressure_lag.deflate)
+        time_constant = np.where(wanted > kpa, lag["inflate"], lag["deflate"])
         after = wanted + (kpa - wanted) * np.exp(-dt / time_constant)
         control[:, step, 1] = (kpa + after) / 2
         kpa = after
@@ -184,6 +191,7 @@ def _show(result: dict[str, object], ours: dict[str, float], theirs: dict[str, f
             f"{name:<9} {rate:5.0f} Hz  {speed:12,.0f} control steps/s  "
             f"tip error after 3 s: mean {error['mean']:.3f} mm, max {error['max']:.3f} mm"
         )
+    simulator_profile.show(console, result)
     console.print(f"ratio     {result['ratio']:,.0f} on {result['cores']} cores, {ROBOTS} robots")
 
 

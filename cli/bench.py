@@ -4,7 +4,7 @@ from pathlib import Path
 
 import click
 
-from cli.options import json_option
+from cli.options import json_option, model_option
 
 
 @click.group()
@@ -21,7 +21,8 @@ def bench() -> None:
 @bench.command()
 @click.option("--seconds", default=60.0, show_default=True, type=click.FloatRange(5, 3600), help="For each part.")
 @json_option
-def loop(seconds: float, json_file: Path | None) -> None:
+@model_option
+def loop(seconds: float, json_file: Path | None, model_file: Path | None) -> None:
     """Punctuality of the loop on the twin, alone and with the API hammered.
 
     \b
@@ -40,7 +41,9 @@ def loop(seconds: float, json_file: Path | None) -> None:
     try:
         with Progress(console=console, transient=True) as progress:
             task = progress.add_task("ticking", total=1.0)
-            result = measurement.run(seconds, json_file, lambda share: progress.update(task, completed=share))
+            result = measurement.run(
+                seconds, json_file, lambda share: progress.update(task, completed=share), model_file
+            )
     except RigError as error:
         fail(str(error))
     table = Table("p50 / p99 / max", *result)

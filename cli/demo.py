@@ -8,6 +8,7 @@ from typing import Any
 
 import click
 
+from cli.options import model_option
 from schemas.goals import TEST_TARGETS, Goal
 
 SETTLED_M_S = 0.05  # tip speed
@@ -19,8 +20,9 @@ NEEDED = 0.8  # share of the targets
 @click.option("--targets", default=10, show_default=True, type=click.IntRange(1, 54), help="How many of the 54.")
 @click.option("--seed", default=0, show_default=True, help="Which ones: a random draw.")
 @click.option("--policy", default="reach-wide", show_default=True, help="Who flies.")
+@model_option
 @click.option("--logs", default="logs", show_default=True, type=click.Path(path_type=Path), help="For the MCAP log.")
-def demo(targets: int, seed: int, policy: str, logs: Path) -> None:
+def demo(targets: int, seed: int, policy: str, model_file: Path | None, logs: Path) -> None:
     """Start a twin robot and the daemon as two processes and swing the tip onto targets given over REST.
 
     The daemon reads motion capture from Zenoh, runs the policy, and drives the regulator over a serial line and
@@ -31,6 +33,7 @@ def demo(targets: int, seed: int, policy: str, logs: Path) -> None:
     Examples:
       softarm demo
       softarm demo --targets 54 --seed 1
+      softarm demo --model no-pressure-lag
     """
     from rich.console import Console
 
@@ -40,7 +43,7 @@ def demo(targets: int, seed: int, policy: str, logs: Path) -> None:
     goals = random.Random(seed).sample(TEST_TARGETS, targets)
     try:
         console.print("starting the twin (the robot behind its wires) and the daemon ...")
-        with Rig(logs, {"control": {"policy": policy}}) as rig:
+        with Rig(logs, {"control": {"policy": policy}}, model_file) as rig:
             path = rig.status()["recorder"]["log"]
             console.print(f"daemon at {rig.url} (API: {rig.url}/docs), policy {policy}")
             rig.arm()

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import click
 
-from cli.options import config_option, json_option, model_option
+from cli.options import config_option, flown_model, json_option, model_option
 
 
 @click.command()
@@ -32,16 +32,15 @@ def evaluate(policy: str, json_file: Path | None, config_file: Path | None, mode
     from daemon import configuration, evaluation
     from policies.base import PolicyError
     from schemas.config import Config
-    from simulator import model_file as files
 
     console = Console()
     try:
         config = configuration.load(config_file) if config_file else Config()
-        model = files.load(model_file) if model_file else None
+        model = flown_model(model_file)
         with Progress(console=console, transient=True) as progress:
             task = progress.add_task(f"flying {policy}", total=evaluation.FLIGHTS)
             result = evaluation.evaluate(policy, config, model, lambda: progress.advance(task))
-    except (configuration.ConfigurationError, PolicyError, files.ModelFileError) as error:
+    except (configuration.ConfigurationError, PolicyError) as error:
         fail(str(error))
     success = result["success"]
     rows = (("z <= 0.70 m", success["in_range"]), ("z > 0.70 m", success["above"]), ("all", success["all"]))

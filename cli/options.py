@@ -1,11 +1,44 @@
 """Parameter types and options that several verbs share."""
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
+
+from cli.errors import fail
+
+if TYPE_CHECKING:
+    from schemas.model import Model
 
 FILE = click.Path(path_type=Path, dir_okay=False)
 
 json_option = click.option("--json", "json_file", type=FILE, help="Write the results to this file.")
 config_option = click.option("--config", "config_file", type=FILE, help="The YAML file; default values without.")
-model_option = click.option("--model", "model_file", type=FILE, help="Model file of the robot (default: the seed's).")
+model_option = click.option(
+    "--model",
+    "model_file",
+    type=FILE,
+    help="Model of the robot: a file, or a shipped name such as no-delay (default: seed).",
+)
+
+
+def flown_model(file: Path | None) -> "Model | None":
+    """The model of a robot that the real loop flies; None without a file. Says what it cannot show.
+
+    Ends the command with a sentence when there is no such model, or it is not this robot's.
+    """
+    from schemas.messages import BODY_NAMES
+    from simulator import model_file
+
+    if file is None:
+        return None
+    try:
+        model = model_file.load(file)
+    except model_file.ModelFileError as error:
+        fail(str(error))
+    if model.arm.links != len(BODY_NAMES) - 1:
+        fail(f"{file}: has {model.arm.links} links; the daemon flies an arm of {len(BODY_NAMES) - 1} marker sets")
+    clock = [name for name in model.effects if name.startswith("clock.")]
+    if clock:
+        click.echo(f"{', '.join(clock)}: not simulated here, the control loop that flies is the real one", err=True)
+    return model

@@ -28,8 +28,9 @@ class RigError(Exception):
 class Rig:
     """A context: inside it twin and daemon run on free ports of this machine, outside it neither does."""
 
-    def __init__(self, logs: Path, overrides: dict[str, Any] | None = None) -> None:
-        """`overrides`: further keys of the configuration file."""
+    def __init__(self, logs: Path, overrides: dict[str, Any] | None = None, model: Path | None = None) -> None:
+        """`overrides`: further keys of the configuration file; `model`: the twin's model file."""
+        self._twin_options = [] if model is None else ["--model", str(model)]
         self._folder = tempfile.TemporaryDirectory(prefix="softarm-")
         self.folder = Path(self._folder.name)
         mocap, rail, api = _free_ports(3)
@@ -72,7 +73,7 @@ class Rig:
 
     def start_twin(self) -> None:
         """The robot."""
-        self.twin = self._start("twin")
+        self.twin = self._start("twin", *self._twin_options)
         self._wait("twin", self.twin, lambda: (self.folder / "regulator").exists())
 
     def start_daemon(self) -> None:
@@ -122,10 +123,10 @@ class Rig:
         path = self.folder / f"{verb}.out"
         return path.read_text(errors="replace") if path.exists() else ""
 
-    def _start(self, verb: str) -> subprocess.Popen[bytes]:
+    def _start(self, verb: str, *options: str) -> subprocess.Popen[bytes]:
         with (self.folder / f"{verb}.out").open("ab") as output:
             return subprocess.Popen(
-                [sys.executable, "-m", "cli.main", verb, "--config", str(self.config_file)],
+                [sys.executable, "-m", "cli.main", verb, "--config", str(self.config_file), *options],
                 stdout=output,
                 stderr=subprocess.STDOUT,
                 env={**os.environ, "PYTHONUNBUFFERED": "1"},

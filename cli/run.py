@@ -4,7 +4,7 @@ from pathlib import Path
 
 import click
 
-from cli.options import config_option, model_option
+from cli.options import config_option, flown_model, model_option
 
 
 @click.command()
@@ -58,8 +58,7 @@ def simulated_devices(model_file: Path | None):  # type: ignore[no-untyped-def]
 
     from daemon.loop import Devices
     from drivers.simulated import SimulatedRobot
-    from simulator import model_file as files
 
-    robot = SimulatedRobot(files.load(model_file) if model_file else None)
+    robot = SimulatedRobot(flown_model(model_file))
     robot.now_ns = time.monotonic_ns()  # from here on it moves in real time
     return Devices(robot.mocap, robot.regulator, robot.rail)

@@ -61,12 +61,15 @@ def lines(now: Json) -> Iterator[str]:
     sent = now["sent"]
     yield f"sent      {sent['cart_velocity_m_s']:+.2f} m/s, {sent['pressure_kpa']:.1f} kPa{clamps}"
     yield f"loop      tick {now['tick']}, {now['missed_total']} missed, {now['late_ns'] / 1e6:.1f} ms late"
+    refusals = now["arming_refusals"]
+    said = "".join(refusals)  # a refusal carries its event and the device's own sentence: say each thing once
     for device, problem in now["problems"].items():
-        if problem:
+        if problem and problem not in said:
             yield f"{device:<9} {problem}"
     for event in now["events"]:
-        yield f"event     {event['name']} ({event['response']}): {event['text']}"
-    for reason in now["arming_refusals"]:
+        if event["text"] not in said:
+            yield f"event     {event['name']} ({event['response']}): {event['text']}"
+    for reason in refusals:
         yield f"cannot arm: {reason}"
     if now["last_stop"]:
         yield f"last stop: {now['last_stop']}"

@@ -5,6 +5,8 @@ from typing import TYPE_CHECKING
 
 import click
 
+from cli.options import model_option
+
 if TYPE_CHECKING:
     from rich.console import Console
 
@@ -29,10 +31,11 @@ def train() -> None:
 @click.option("--frames", type=click.IntRange(min=1), help="Stop after so many control steps of single robots.")
 @click.option("--minutes", type=click.FloatRange(min=0, min_open=True), help="Stop after so many minutes.")
 @click.option("--robots", type=click.IntRange(min=8), default=4096, show_default=True, help="Side by side.")
+@model_option
 @click.option(
     "--out",
     type=click.Path(path_type=Path, file_okay=False),
-    help="Folder for checkpoints, curve and policy.  [default: runs/TASK-SEED]",
+    help="Folder for checkpoints, curve and policy.  [default: runs/TASK-SEED, runs/TASK-MODEL-SEED]",
 )
 @click.option("--resume", is_flag=True, help="Go on from the folder's last checkpoint.")
 def reach(
@@ -41,23 +44,27 @@ def reach(
     frames: int | None,
     minutes: float | None,
     robots: int,
+    model_file: Path | None,
     out: Path | None,
     resume: bool,
 ) -> None:
     """Train the tip to swing to a target in free space.
 
     Without --frames or --minutes it takes as many frames as the shipped policy did. Of the checkpoints, the one is
-    exported that does best on a validation set of random targets and starts, never on the 54 test targets.
+    exported that does best on a validation set of random targets and starts, never on the 54 test targets. With
+    --model it is trained, validated and tested on that simulator, with all its effects; the policy's file names it.
 
     \b
     Examples:
       softarm train reach
       softarm train reach --wide --seed 3 --minutes 5
+      softarm train reach --model no-delay
       softarm train reach --out runs/mine --resume
     """
     from rich.console import Console
 
     from cli.errors import fail
+    from simulator import model_file as files
     from training.checkpoint import CheckpointError
     from training.inference import workers
     from training.ppo import PpoConfig
@@ -65,7 +72,8 @@ def reach(
     from training.tasks import TASKS
 
     task = TASKS["reach-wide" if wide else "reach"]
-    folder = out or Path("runs") / f"{task.name}-{seed}"
+    name = model_file.stem if model_file else "seed"
+    folder = out or Path("runs") / "-".join((task.name, *([name] if model_file else []), str(seed)))
     if frames is None and minutes is None:
         frames = FRAMES[task.name]
     if not resume and (folder / "latest.pt").exists():
@@ -73,8 +81,10 @@ def reach(
     console = Console()
     with workers() as pool:
         try:
-            session = Session(task, TrainingConfig(seed=seed, robots=robots), PpoConfig(), folder, pool, resume)
-        except (CheckpointError, ValueError) as error:
+            model = files.load(model_file) if model_file else None
+            config = TrainingConfig(seed=seed, robots=robots)
+            session = Session(task, config, PpoConfig(), folder, pool, resume, model, name)
+        except (CheckpointError, files.ModelFileError, ValueError) as error:
             fail(str(error))
         policy = _run(session, frames, minutes, console)
         _tell(session, policy, console)

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from cli.options import FILE, model_option
+from cli.options import FILE, flown_model, model_option
 
 if TYPE_CHECKING:
     from drivers.twin.robot import Body
@@ -31,16 +31,15 @@ def twin(config_file: Path, model_file: Path | None, reality: bool) -> None:
     from daemon.configuration import ConfigurationError, load
     from drivers.base import DeviceError
     from drivers.twin.main import run_twin
-    from simulator import model_file as files
 
     try:
         config = load(config_file)
-        model = files.load(model_file) if model_file else None
+        model = flown_model(model_file)
         body = _independent_body(model) if reality else None
         # Devices do not wait for other programs either.
         realtime.outrank_other_programs(config.control.realtime_priority)
         run_twin(config, model, lambda text: click.echo(f"softarm twin: {text}"), body)
-    except (ConfigurationError, files.ModelFileError, DeviceError) as error:
+    except (ConfigurationError, DeviceError) as error:
         fail(str(error))
 
 

@@ -30,6 +30,10 @@ def _said(problem: str | None) -> str:
     return f"; {problem}" if problem else ""
 
 
+def _old(age_s: float, limit_s: float, said: str) -> str:
+    return f"{age_s * 1e3:.0f} ms old, at most {limit_s * 1e3:.0f} ms{said}"
+
+
 def _mocap(inputs: Inputs, observer: Observer, config: Config) -> Iterator[Event]:
     said = _said(inputs.problems.mocap)
     age_ns = observer.mocap_age_ns(inputs.t_ns)
@@ -47,8 +51,7 @@ def _mocap(inputs: Inputs, observer: Observer, config: Config) -> Iterator[Event
     elif age_ns < -FUTURE_NS:
         yield Event("mocap_clock", f"{-age_ns / 1e6:.0f} ms ahead")
     elif age_ns > config.failsafe.mocap_stale_s * 1e9:
-        limit_ms = config.failsafe.mocap_stale_s * 1e3
-        yield Event("mocap_stale", f"{age_ns / 1e6:.0f} ms old, at most {limit_ms:.0f} ms{said}")
+        yield Event("mocap_stale", _old(age_ns * 1e-9, config.failsafe.mocap_stale_s, said))
     elif observer.frames_in_a_row < config.failsafe.arming_frames:
         yield Event("mocap_settling", f"{observer.frames_in_a_row} of {config.failsafe.arming_frames} frames")
 
@@ -60,8 +63,7 @@ def _pressure(inputs: Inputs, config: Config, engaged: bool) -> Iterator[Event]:
         return
     age_s = (inputs.t_ns - reading.t_receive_ns) * 1e-9
     if age_s > config.failsafe.pressure_stale_s:
-        limit_ms = config.failsafe.pressure_stale_s * 1e3
-        yield Event("pressure_stale", f"{age_s * 1e3:.0f} ms old, at most {limit_ms:.0f} ms{said}")
+        yield Event("pressure_stale", _old(age_s, config.failsafe.pressure_stale_s, said))
         return
     limits, kpa = config.limits.pressure, reading.pressure_kpa
     low, high = limits.min_kpa - limits.sensor_tolerance_kpa, limits.max_kpa + limits.sensor_tolerance_kpa
@@ -82,8 +84,7 @@ def _rail(inputs: Inputs, config: Config, engaged: bool) -> Iterator[Event]:
         return
     age_s = (inputs.t_ns - reading.t_receive_ns) * 1e-9
     if age_s > config.failsafe.rail_stale_s:
-        limit_ms = config.failsafe.rail_stale_s * 1e3
-        yield Event("rail_stale", f"{age_s * 1e3:.0f} ms old, at most {limit_ms:.0f} ms{said}")
+        yield Event("rail_stale", _old(age_s, config.failsafe.rail_stale_s, said))
         return
     limits, position = config.limits.rail, reading.position_m
     if not (math.isfinite(position) and math.isfinite(reading.velocity_m_s)):

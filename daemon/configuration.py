@@ -125,7 +125,7 @@ class _Reader:
             return [self._value(loader, item, path, (*above, node)) for item in node.value]
         try:
             value = loader.construct_object(node)
-        except (yaml.YAMLError, ValueError) as error:
+        except (yaml.YAMLError, ValueError, LookupError, AttributeError) as error:  # of tags that do not fit
             what = getattr(error, "problem", None) or error
             self._problem(node, path, f"cannot be read ({what}); write a plain value")
             return None

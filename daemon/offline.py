@@ -88,7 +88,7 @@ class Lockstep:
     def place(self, cart_position_m: float) -> None:
         """Put the armed robot somewhere, its arm straight and at rest, as if a person had waited there."""
         self._now_ns += SETTLED_NS
-        self.robot.simulator.reset(cart_position_m=cart_position_m)
+        self.robot.place(cart_position_m)
         self.robot.regulator.write(True, 0.0)
         self.robot.rail.write(True, 0.0)
         # The next tick looks at this very instant: nothing moves before the goal is taken up.

@@ -114,7 +114,7 @@ def _scales(arm: Arm, start: Array) -> tuple[Array, Array]:
     return scale, low
 
 
-def _residuals(motion: Motion, signals: NDArray[np.float32]) -> Array:
+def _residuals(motion: Motion, signals: Array) -> Array:
     """Measured less simulated where it is compared, over the noise, [R, F 3 n]."""
     gap = (motion.signals[motion.compared] - signals[:, motion.compared]) / motion.noise
     return np.asarray(gap.reshape(len(signals), -1))

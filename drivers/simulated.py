@@ -5,7 +5,8 @@ commands. So the same robot serves the offline flights, where time jumps by a ti
 `softarm run --simulated`, where it is real.
 """
 
-from schemas.messages import MocapFrame, Pose, PressureReading, RailReading
+from drivers.sight import Sight
+from schemas.messages import MocapFrame, PressureReading, RailReading
 from schemas.model import Model
 from simulator.simulator import Simulator
 
@@ -20,10 +21,16 @@ class SimulatedRobot:
         self.simulator = Simulator(self.model, robots=1, physics_rate_hz=physics_rate_hz)
         self.simulator.step(0.0, 0.0, 1 / physics_rate_hz)  # the first step may compile; nobody is waiting yet
         self.simulator.reset()
+        self.sight = Sight(self.simulator)
         self.now_ns = now_ns
         self.mocap = SimulatedMocap(self)
         self.regulator = SimulatedRegulator(self)
         self.rail = SimulatedRail(self)
+
+    def place(self, cart_position_m: float) -> None:
+        """Put the robot somewhere, its arm straight and at rest, the muscle vented."""
+        self.simulator.reset(cart_position_m=cart_position_m)
+        self.sight.forget()
 
     def advance(self, now_ns: int) -> None:
         """Move up to an instant under the commands last written."""
@@ -66,11 +73,8 @@ class SimulatedMocap(_Part):
         robot = self._robot
         robot.advance(now_ns)
         self._sequence += 1
-        cart = Pose(float(robot.simulator.cart_position_m[0]), robot.model.arm.base_height_m, 0.0)
-        ends = robot.simulator.link_ends_m()[0].tolist()
-        angles = robot.simulator.link_angles_rad[0].tolist()
-        links = tuple(Pose(y, z, angle) for (y, z), angle in zip(ends, angles, strict=True))
-        return (MocapFrame(self._sequence, robot.now_ns, now_ns, (cart, *links)),)
+        poses = robot.sight.poses()
+        return () if poses is None else (MocapFrame(self._sequence, robot.now_ns, now_ns, poses),)
 
 
 class SimulatedRegulator(_Part):
@@ -83,8 +87,8 @@ class SimulatedRegulator(_Part):
         self.set_point_kpa = 0.0
 
     def read(self) -> PressureReading | None:
-        """The pressure in the muscle."""
-        kpa = float(self._robot.simulator.pressure_kpa[0])
+        """The pressure as its sensor has it."""
+        kpa = self._robot.sight.pressure_kpa()
         return PressureReading(self._robot.now_ns, kpa, self._armed, (), self._sequence)
 
     def write(self, armed: bool, pressure_kpa: float) -> None:
@@ -103,10 +107,8 @@ class SimulatedRail(_Part):
         self.set_point_m_s = 0.0
 
     def read(self) -> RailReading | None:
-        """The cart."""
-        simulator = self._robot.simulator
-        position, velocity = float(simulator.cart_position_m[0]), float(simulator.cart_velocity_m_s[0])
-        return RailReading(self._robot.now_ns, position, velocity, self._enabled)
+        """The cart as the axis has it."""
+        return RailReading(self._robot.now_ns, *self._robot.sight.rail(), self._enabled)
 
     def write(self, enable: bool, velocity_m_s: float) -> None:
         """Set-point until the next call; a drive that is off holds still."""

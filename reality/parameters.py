@@ -9,16 +9,17 @@ from dataclasses import dataclass, field
 import schemas.model as seed
 from reality.quantities import INF, Checked, quantity
 
-_LAG, _RAMP, _DELAY = seed.Lag(), seed.AccelerationLimit(), seed.Delay()
-_CART = seed.Cart()
+_SEED = seed.Model()
+_LAG, _RAMP = _SEED.effects["pressure.lag"], _SEED.effects["rail.acceleration_limit"]
+_DELAY, _CART = _SEED.effects["rail.delay"], _SEED.cart
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Regulator(Checked):
     """The pressure regulator: a supply valve behind a tube, two poles, each way with a time constant of its own."""
 
-    inflate_s: float = quantity(_LAG.inflate, "s", 0, 2, "time constant of filling, tube included")
-    deflate_s: float = quantity(_LAG.deflate, "s", 0, 2, "time constant of venting, tube included")
+    inflate_s: float = quantity(_LAG["inflate"], "s", 0, 2, "time constant of filling, tube included")
+    deflate_s: float = quantity(_LAG["deflate"], "s", 0, 2, "time constant of venting, tube included")
     tube_s: float = quantity(0.005, "s", 0, 0.2, "time constant of the tube between valve and muscle")
     dead_time_s: float = quantity(0.0, "s", 0, 0.3, "before a command is heard")
     dead_time_jitter_s: float = quantity(0.0, "s", 0, 0.1, "mean of a random part of it (exponential, in order)")
@@ -35,11 +36,11 @@ class Regulator(Checked):
 class Rail(Checked):
     """The rail's servo: a ramp, a proportional velocity loop with feed-forward, and what the mechanism adds."""
 
-    acceleration_m_s2: float = quantity(_RAMP.acceleration, "m/s^2", 0.5, 40, "slope of the velocity ramp")
+    acceleration_m_s2: float = quantity(_RAMP["acceleration"], "m/s^2", 0.5, 40, "slope of the velocity ramp")
     velocity_gain_n_s_m: float = quantity(_CART.velocity_gain_n_s_m, "N s/m", 1, 300, "force for velocity error")
     feedforward_kg: float = quantity(_CART.feedforward_mass_kg, "kg", 0, 2, "force for the ramp's acceleration")
     force_limit_n: float = quantity(INF, "N", 1, INF, "the motor gives no more")
-    delay_s: float = quantity(_DELAY.delay, "s", 0, 0.3, "before a command is heard")
+    delay_s: float = quantity(_DELAY["delay"], "s", 0, 0.3, "before a command is heard")
     delay_jitter_s: float = quantity(0.0, "s", 0, 0.1, "mean of a random part of it (exponential, in order)")
     lag_s: float = quantity(0.0, "s", 0, 0.5, "first-order lag of the reference behind the ramp")
     feed_error: float = quantity(0.0, "-", -0.3, 0.3, "true motion = what the drive believes x (1 + error)")
@@ -150,11 +151,11 @@ class Parameters:
 
 def of_model(model: seed.Model) -> Parameters:
     """The nominal robot of a model file: its arm and cart, and its actuators' time constants."""
-    lag, ramp, delay = model.effects.pressure_lag, model.effects.rail_acceleration_limit, model.effects.rail_delay
-    regulator = Regulator(inflate_s=lag.inflate, deflate_s=lag.deflate) if lag else Regulator(inflate_s=0, deflate_s=0)
+    lag = model.effects.get("pressure.lag", {})
+    regulator = Regulator(inflate_s=lag.get("inflate", 0.0), deflate_s=lag.get("deflate", 0.0))
     rail = Rail(
-        acceleration_m_s2=min(ramp.acceleration, 40.0) if ramp else 40.0,
-        delay_s=delay.delay if delay else 0.0,
+        acceleration_m_s2=min(model.effects.get("rail.acceleration_limit", {}).get("acceleration", 40.0), 40.0),
+        delay_s=model.effects.get("rail.delay", {}).get("delay", 0.0),
         velocity_gain_n_s_m=model.cart.velocity_gain_n_s_m,
         feedforward_kg=model.cart.feedforward_mass_kg,
     )

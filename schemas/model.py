@@ -61,46 +61,29 @@ class Cart(Strict):
     travel_m: Positive = 0.30  # mechanical stops at +-travel_m [P]
 
 
-class Lag(Strict):
-    """pressure.lag: first-order lag, an own time constant each way.
-
-    [C] filters once per 30 Hz step and keeps 0.81 (inflating) and 0.86 (deflating) of the old pressure.
-    """
-
-    inflate: NonNegative = -1 / 30 / math.log(0.81)
-    deflate: NonNegative = -1 / 30 / math.log(0.86)
+# An effect's parameters by name, each in the unit that the registry says (simulator/effects.py); inf is allowed: the
+# neutral value of some.
+Parameters = dict[str, Annotated[float, Field(allow_inf_nan=True)]]
 
 
-class AccelerationLimit(Strict):
-    """rail.acceleration_limit: the drive ramps its velocity at a fixed slope, m/s^2 [P]."""
-
-    acceleration: Positive = 6.0
-
-
-class Delay(Strict):
-    """A pure delay in seconds; rail.delay is one control step [P]."""
-
-    delay: Annotated[float, Field(ge=0, le=0.1)] = 1 / 30
-
-
-class FiniteDifference(Strict):
-    """observation.finite_difference: velocities are first differences over a control step [P]."""
-
-
-class Effects(Strict):
-    """The effects a simulator has; one that is absent (null) does nothing. Names: `stage.effect`."""
-
-    pressure_lag: Lag | None = Field(Lag(), alias="pressure.lag")
-    rail_acceleration_limit: AccelerationLimit | None = Field(AccelerationLimit(), alias="rail.acceleration_limit")
-    rail_delay: Delay | None = Field(Delay(), alias="rail.delay")
-    observation_finite_difference: FiniteDifference | None = Field(
-        FiniteDifference(), alias="observation.finite_difference"
-    )
+def seed_effects() -> dict[str, dict[str, float]]:
+    """The four effects of the seed's simulator; its Table 1 removes them one by one."""
+    return {
+        # [C] filters once per 30 Hz step and keeps 0.81 (inflating) and 0.86 (deflating) of the old pressure.
+        "pressure.lag": {"inflate": -1 / 30 / math.log(0.81), "deflate": -1 / 30 / math.log(0.86)},
+        "rail.acceleration_limit": {"acceleration": 6.0},  # m/s^2 [P]
+        "rail.delay": {"delay": 1 / 30},  # one control step [P]
+        "observation.finite_difference": {},
+    }
 
 
 class Model(Strict):
-    """A model file: the robot's parameters and the simulator's effects; by default the seed's simulator."""
+    """A model file: the robot's parameters and the simulator's effects; by default the seed's simulator.
+
+    effects: effect name -> its parameters; an effect that is absent is one that the simulator lacks. Names, units
+    and bounds are the registry's; `simulator.effects.validate` checks them, whoever simulates calls it.
+    """
 
     arm: Arm = Arm()
     cart: Cart = Cart()
-    effects: Effects = Field(default_factory=lambda: Effects.model_validate({}))
+    effects: dict[str, Parameters] = Field(default_factory=seed_effects)

@@ -1,10 +1,16 @@
-"""Where names and units end: a `Model` becomes one column of numbers for the kernel."""
+"""Where names and units end: models and the values of their effects become columns of numbers for the kernel."""
+
+from collections.abc import Mapping, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
-from schemas.model import Model
+from schemas.model import Arm, Cart, Model
 from simulator import kernel
+from simulator.effects import EffectError, Problem, find, validate, value
+from simulator.kernel import contact, layout
+
+Array = NDArray[np.float64]
 
 # The rail's end stops. Nothing is published of them: stiff enough that a cart at 1 m/s overruns by about 1 mm,
 # damped so that it does not come back.
@@ -13,47 +19,165 @@ STOP_DAMPING_N_S_M = 600.0
 # Without rail.acceleration_limit the velocity tracker acts at any error.
 NEVER_M_S = 1e30
 
+# What each part of the kernel is for: a batch needs it when any robot's row differs from this value.
+_NEEDED_BY = {
+    layout.PRESSURE: {
+        "dead_time": 0.0,
+        "deadband": 0.0,
+        "pressure_gain": 1.0,
+        "pressure_offset": 0.0,
+        "ceiling": np.inf,
+        "pressure_rate": np.inf,
+    },
+    layout.RAIL: {"rail_gain": 1.0, "rail_lag": 0.0, "cart_friction": 0.0, "cart_viscous": 0.0, "backlash": 0.0},
+    layout.JOINTS: {"cubic": 0.0, "joint_friction": 0.0, "creep": 0.0},
+    layout.MUSCLE: {"muscle_loop": 0.0, "saturation": 0.0},
+    layout.AIR: {"drag": 0.0},
+    layout.TILT: {"slope": 0.0},
+    layout.PAYLOAD: {"payload": 0.0},
+}
 
-def pack(model: Model) -> NDArray[np.float64]:
-    """Return the kernel's parameters for one robot, in the order of `kernel.Rows`.
 
-    Shape [parameter]; put it into the parameter rows of as many lanes as there are robots like it. An effect
-    that is absent is packed as its neutral value: no lag, no delay, and in place of the acceleration tracker
-    the velocity tracker alone, at any error (a drive that takes what acceleration it likes).
+class Effects:
+    """The effects' values of a batch, by name; robots side by side."""
+
+    def __init__(self, models: Sequence[Model], overrides: Mapping[str, ArrayLike], robots: int) -> None:
+        """overrides: 'stage.effect.parameter' -> scalar or [R]. Raises EffectError for what the registry refuses."""
+        for model in models:
+            validate(model.effects)
+        self._models = models
+        self._overrides = {path: _checked(path, values, robots) for path, values in overrides.items()}
+
+    def value(self, effect: str, parameter: str) -> Array:
+        """In the parameter's unit, [R], or [1] where it is the same for all."""
+        path = f"{effect}.{parameter}"
+        if path in self._overrides:
+            return self._overrides[path]
+        return np.array([value(model, effect, parameter) for model in self._models])
+
+
+def _checked(path: str, values: ArrayLike, robots: int) -> Array:
+    effect, parameter = find(path)
+    array = np.atleast_1d(np.asarray(values, dtype=np.float64))
+    if array.shape not in ((1,), (robots,)):
+        raise ValueError(f"{path} has shape {array.shape}; give a scalar or one entry a robot, ({robots},)")
+    bad = [number for number in (array.min(), array.max()) if not parameter.range.admits(number)]
+    if bad:
+        raise EffectError([Problem((effect.name, parameter.name), parameter.range.complaint(bad[0]))])
+    return array
+
+
+def pack(models: Sequence[Model], effects: Effects) -> Array:
+    """Return the kernel's parameters in the order of `kernel.Rows`, [R, parameter], or [1, parameter] if all are alike.
+
+    An effect that is absent is packed as its neutral value: no lag, no delay, and in place of the acceleration
+    tracker the velocity tracker alone, at any error (a drive that takes what acceleration it likes).
     """
-    arm, cart, effects = model.arm, model.cart, model.effects
-    n = arm.links
-    at = kernel.rows.py_func(n)
-    length, mass = np.array(arm.link_length_m), np.array(arm.link_mass_kg)
-    beyond = np.cumsum(mass[::-1])[::-1] - mass  # what each link carries
-    moment = length * (mass / 2 + beyond)
-    coupling = np.outer(np.ones(n), length) * moment[:, None]  # l_j S_i, right where i > j
-    np.fill_diagonal(coupling, np.array(arm.link_inertia_kg_m2) + length**2 * (mass / 4 + beyond))
+    arms, carts = [model.arm for model in models], [model.cart for model in models]
+    columns = _arm(arms, carts, effects) | _actuators(carts, effects) | _shelf(arms, effects)
+    robots = np.broadcast_shapes(*(values.shape[:1] for values in columns.values()))[0]
+    at = kernel.rows((0,) * arms[0].links)
+    packed = np.zeros((robots, at.shelf_y))
+    for name, values in columns.items():
+        first = getattr(at, name)
+        flat = values.reshape(len(values), -1)
+        packed[:, first : first + flat.shape[1]] = flat
+    return packed
 
-    column = np.zeros(at.q)
-    column[at.mass] = cart.mass_kg + mass.sum()
-    column[at.velocity_gain] = cart.velocity_gain_n_s_m
-    column[at.switch] = NEVER_M_S
-    if limit := effects.rail_acceleration_limit:
-        column[at.switch] = cart.tracking_switch_m_s
-        column[at.drive_inertia] = cart.acceleration_gain_kg
-        column[at.drive_force] = (cart.feedforward_mass_kg + cart.acceleration_gain_kg) * limit.acceleration
-    column[at.travel] = cart.travel_m
-    column[at.stop_stiffness], column[at.stop_damping] = STOP_STIFFNESS_N_M, STOP_DAMPING_N_S_M
-    if delay := effects.rail_delay:
-        column[at.rail_delay] = delay.delay
-    if lag := effects.pressure_lag:
-        column[at.inflate], column[at.deflate] = lag.inflate, lag.deflate
-    column[at.base_height] = arm.base_height_m
-    for row, values in (
-        (at.length, length),
-        (at.moment, moment),
-        (at.weight, arm.gravity_m_s2 * moment),
-        (at.stiffness, arm.stiffness_nm_rad),
-        (at.damping, arm.damping_nm_s_rad),
-        (at.muscle, arm.muscle_gain_nm_kpa),
-        (at.offset, arm.torque_offset_nm),
-    ):
-        column[row : row + n] = values
-    column[at.coupling : at.q] = coupling.ravel()
-    return column
+
+def needed(packed: Array, links: int) -> int:
+    """Return the bits of the kernel's parts that parameters [R, parameter] need."""
+    at, bits = kernel.rows((0,) * links), 0
+    for bit, neutral in _NEEDED_BY.items():
+        if any((packed[:, getattr(at, name)] != idle).any() for name, idle in neutral.items()):
+            bits |= bit
+    return bits
+
+
+def _each(arms: Sequence[Arm] | Sequence[Cart], name: str) -> Array:
+    return np.array([getattr(arm, name) for arm in arms], dtype=np.float64)
+
+
+def _arm(arms: Sequence[Arm], carts: Sequence[Cart], effects: Effects) -> dict[str, Array]:
+    """Links, joints and what the arm's effects make of them; [R] or [R, n], [R, n, n]."""
+    length, mass = _each(arms, "link_length_m"), _each(arms, "link_mass_kg")
+    n, payload = length.shape[1], effects.value("arm.payload", "mass")
+    beyond = np.cumsum(mass[:, ::-1], axis=1)[:, ::-1] - mass + payload[:, None]  # what each link carries
+    moment = length * (mass / 2 + beyond)
+    coupling = moment[:, :, None] * length[:, None, :]  # l_j S_i, right where i > j
+    diagonal = _each(arms, "link_inertia_kg_m2") + length**2 * (mass / 4 + beyond)
+    coupling[:, range(n), range(n)] = diagonal
+    gravity, tilt = _each(arms, "gravity_m_s2"), effects.value("arm.tilt", "angle")
+    cart_mass = _each(carts, "mass_kg")
+    total = cart_mass + mass.sum(axis=1) + payload
+
+    def scaled(name: str, effect: str) -> Array:
+        return _each(arms, name) * (1.0 + effects.value(effect, "scale"))[:, None]
+
+    loop = effects.value("arm.hysteresis", "strength") * effects.value("arm.hysteresis", "width")
+    return {
+        "mass": total,
+        "cart_mass": cart_mass,
+        "base_height": _each(arms, "base_height_m"),
+        "length": length,
+        "moment": moment,
+        "weight": (gravity * np.cos(tilt))[:, None] * moment,
+        "stiffness": scaled("stiffness_nm_rad", "arm.stiffness"),
+        "damping": scaled("damping_nm_s_rad", "arm.damping"),
+        "muscle": scaled("muscle_gain_nm_kpa", "arm.muscle_gain"),
+        "offset": scaled("torque_offset_nm", "arm.torque_offset"),
+        "coupling": coupling,
+        "muscle_loop": loop,
+        "muscle_width": 1.0 / effects.value("arm.hysteresis", "width"),
+        "saturation": 1.0 / effects.value("arm.muscle_saturation", "pressure"),
+        "cubic": effects.value("arm.stiffening", "cubic"),
+        "joint_friction": effects.value("arm.coulomb_friction", "torque"),
+        "creep": effects.value("arm.creep", "strength"),
+        "creep_time": effects.value("arm.creep", "time"),
+        "payload": payload,
+        "payload_weight": payload * gravity,
+        "drag": effects.value("arm.drag", "coefficient"),
+        "drag_most": 0.5 * mass,
+        "slope": np.tan(tilt),
+        "downhill": total * gravity * np.sin(tilt),
+    }
+
+
+def _actuators(carts: Sequence[Cart], effects: Effects) -> dict[str, Array]:
+    acceleration = effects.value("rail.acceleration_limit", "acceleration")
+    limited = np.isfinite(acceleration)
+    gain = _each(carts, "acceleration_gain_kg")
+    pushed = _each(carts, "feedforward_mass_kg") + gain
+    return {
+        "drive_force": pushed * np.where(limited, acceleration, 0.0),
+        "drive_inertia": np.where(limited, gain, 0.0),
+        "switch": np.where(limited, _each(carts, "tracking_switch_m_s"), NEVER_M_S),
+        "velocity_gain": _each(carts, "velocity_gain_n_s_m"),
+        "travel": _each(carts, "travel_m"),
+        "stop_stiffness": np.array([STOP_STIFFNESS_N_M]),
+        "stop_damping": np.array([STOP_DAMPING_N_S_M]),
+        "rail_delay": effects.value("rail.delay", "delay"),
+        "rail_gain": 1.0 + effects.value("rail.gain", "scale"),
+        "rail_lag": effects.value("rail.lag", "time"),
+        "cart_friction": effects.value("rail.coulomb_friction", "force"),
+        "cart_viscous": effects.value("rail.coulomb_friction", "viscous"),
+        "backlash": effects.value("rail.backlash", "gap"),
+        "dead_time": effects.value("pressure.dead_time", "delay"),
+        "deadband": effects.value("pressure.deadband", "width"),
+        "pressure_gain": 1.0 + effects.value("pressure.gain", "scale"),
+        "pressure_offset": effects.value("pressure.gain", "offset"),
+        "ceiling": effects.value("pressure.ceiling", "limit"),
+        "inflate": effects.value("pressure.lag", "inflate"),
+        "deflate": effects.value("pressure.lag", "deflate"),
+        "pressure_rate": effects.value("pressure.rate_limit", "rate"),
+    }
+
+
+def _shelf(arms: Sequence[Arm], effects: Effects) -> dict[str, Array]:
+    span = _each(arms, "link_length_m")
+    span[:, -1] = np.maximum(span[:, -1] - contact.RADIUS_M, 0.0)  # the round end lies within the last link
+    return {
+        "span": span,
+        "shelf_friction": effects.value("contact.friction", "coefficient"),
+        "shelf_stiffness": effects.value("contact.stiffness", "stiffness"),
+    }

@@ -155,13 +155,32 @@ def fill(typingctx, like, value):
 
 
 @intrinsic
-def floor(typingctx, x):
-    """Round towards minus infinity."""
+def some(typingctx, mask):
+    """Tell whether a condition holds in any lane: a scalar, to branch on."""
 
     def build(context, builder, sig, args):
-        kind = _llvm(x)
-        name = f"llvm.floor.v{x.width}f{x.element.bitwidth}"
-        function = cgutils.get_or_insert_function(builder.module, ir.FunctionType(kind, [kind]), name)
-        return builder.call(function, args)
+        bits = builder.bitcast(args[0], ir.IntType(mask.width))
+        return builder.icmp_unsigned("!=", bits, ir.Constant(bits.type, 0))
 
-    return x(x), build
+    return types.boolean(mask), build
+
+
+def _function(name):
+    """Return one of LLVM's own functions of a vector."""
+
+    @intrinsic
+    def function(typingctx, x):
+        def build(context, builder, sig, args):
+            kind = _llvm(x)
+            called = ir.FunctionType(kind, [kind])
+            full = f"llvm.{name}.v{x.width}f{x.element.bitwidth}"
+            return builder.call(cgutils.get_or_insert_function(builder.module, called, full), args)
+
+        return x(x), build
+
+    return function
+
+
+floor = _function("floor")  # towards minus infinity
+magnitude = _function("fabs")
+root = _function("sqrt")

@@ -3,6 +3,7 @@
 import functools
 import math
 import os
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numba
@@ -11,16 +12,19 @@ from numpy.typing import ArrayLike, NDArray
 
 from schemas.model import Model
 from simulator import kernel
-from simulator.pack import pack
+from simulator.kernel import layout
+from simulator.pack import Effects, needed, pack
 
 Array = NDArray[np.floating]
 
 # Lanes of a block: wide for a batch, one SIMD register for few robots. Only the lengths count.
 WIDE, NARROW = (0,) * 32, (0,) * 8
-# Waking the other cores costs more than fewer blocks would save.
-PARALLEL_BLOCKS = 4
+# Waking the other cores costs more than fewer blocks would save: about 0.1 ms, the time of 1000 robots' step.
+PARALLEL_BLOCKS = 32
 # Substeps at lower rates may diverge under hard commands.
 RATE_MIN_HZ = 120.0
+# Where a shelf stands that no arm can reach, m.
+NOWHERE_M = -1e3
 
 
 @functools.cache
@@ -38,6 +42,14 @@ def _advance_on_all_cores() -> Any:
     return kernel.advance_parallel
 
 
+def _aligned(rows: int, columns: int, dtype: type[np.floating]) -> Array:
+    """Zeros that begin with a cache line, so that no SIMD register's load straddles two."""
+    spare = 64 // np.dtype(dtype).itemsize
+    memory = np.zeros(rows * columns + spare, dtype)
+    first = -memory.ctypes.data % 64 // memory.itemsize
+    return memory[first : first + rows * columns].reshape(rows, columns)
+
+
 class Simulator:
     """A batch of robots that are stepped together.
 
@@ -49,23 +61,34 @@ class Simulator:
 
     def __init__(
         self,
-        model: Model | None = None,
-        robots: int = 1,
+        model: Model | Sequence[Model] | None = None,
+        robots: int | None = None,
         physics_rate_hz: float = 240.0,
         *,
+        overrides: Mapping[str, ArrayLike] | None = None,
+        fixed_base: bool = False,
         dtype: type[np.floating] = np.float32,
     ) -> None:
-        """Place robots of one model (default: the seed's) at rest; float64 is for tests of the scheme.
+        """Place robots at rest: of one model (default: the seed's), or each of its own, all with as many links.
 
-        Raises ValueError when robots is below 1 or the rate below 120 Hz.
+        robots: by default as many as models. overrides: effects' values robot by robot, 'stage.effect.parameter'
+        -> scalar or [R]. fixed_base: the cart stands still. float64 is for tests of the scheme.
+        Raises ValueError when robots is below 1 or not the number of models, when the rate is below 120 Hz or
+        links differ; EffectError (a ValueError) for effects that the registry refuses.
         """
+        models = (model or Model(),) if model is None or isinstance(model, Model) else tuple(model)
+        robots = len(models) if robots is None else robots
         if robots < 1:
             raise ValueError(f"robots is {robots}; a simulator holds 1 or more")
+        if len(models) not in (1, robots):
+            raise ValueError(f"{len(models)} models for {robots} robots; give one model, or one a robot")
+        if len({each.arm.links for each in models}) > 1:
+            raise ValueError("the models differ in their number of links; simulate them apart")
         if not RATE_MIN_HZ <= physics_rate_hz < math.inf:
             raise ValueError(
                 f"physics_rate_hz is {physics_rate_hz}; give {RATE_MIN_HZ:.0f} or more: the step is not stable below"
             )
-        self.model = model or Model()
+        self.models, self.model = models, models[0]
         self.robots = robots
         self.links = self.model.arm.links
         self.physics_rate_hz = physics_rate_hz
@@ -73,7 +96,7 @@ class Simulator:
 
         self._lanes = NARROW if robots <= len(NARROW) else WIDE
         self._links = (0,) * self.links
-        self._at = kernel.rows.py_func(self.links)
+        self._at = kernel.rows(self._links)
         # The last link's y, and its z one arm's worth of rows later.
         tip, tip_velocity = self._at.end_z - 1, self._at.end_vz - 1
         self._tip = slice(tip, tip + self.links + 1, self.links)
@@ -81,13 +104,46 @@ class Simulator:
         width = len(self._lanes)
         blocks = -(-robots // width)
         self._real = dtype
-        self._memory = np.zeros((blocks, self._at.end * width), dtype)
+        self._memory = _aligned(blocks, self._at.end * width, dtype)
+        self._scratch = _aligned(numba.config.NUMBA_NUM_THREADS, self._at.scratch_end * width, dtype)
         self._rows = self._memory.reshape(blocks, self._at.end, width)
-        self._rows[:, : self._at.q] = pack(self.model)[:, None]
+        self._rows[:, self._at.shelf_y] = NOWHERE_M
         self._advance = kernel.advance if blocks < PARALLEL_BLOCKS else _advance_on_all_cores()
+        self._given = layout.CART_GIVEN if fixed_base else 0
+        self._overrides: dict[str, ArrayLike] = {}
+        self.override(overrides or {})
+        self.reset()
+
+    def override(self, values: Mapping[str, ArrayLike]) -> None:
+        """Give effects other values than the models have, robot by robot; motion goes on as it is.
+
+        values: 'stage.effect.parameter' -> scalar or [R]; what was overridden before and is not named stays so.
+        Raises EffectError for what the registry refuses, ValueError for other shapes.
+        """
+        self._overrides |= values
+        self.effects = Effects(self.models, self._overrides, self.robots)
+        packed = pack(self.models, self.effects)
+        width = len(self._lanes)
+        everyone = np.resize(np.arange(len(packed)), self.robots)
+        # Lanes without a robot fly as the first one does.
+        lanes = np.concatenate((everyone, np.zeros(len(self._rows) * width - self.robots, dtype=np.int64)))
+        self._rows[:, : self._at.shelf_y] = packed[lanes].reshape(-1, width, packed.shape[1]).transpose(0, 2, 1)
+        self._pressure_bias = self.effects.value("pressure.sensor_bias", "bias").astype(self._real)
+        self._needed = needed(packed, self.links)
         self._substep_s = 0.0
         self._located = False
-        self.reset()
+
+    def place_shelf(self, edge_y_m: ArrayLike, board_z_m: ArrayLike, robots: ArrayLike | None = None) -> None:
+        """Stand a shelf before robots, open towards +y; a `reset` leaves it there.
+
+        edge_y_m: its front edge, board_z_m: the top of its lower board, scalar or [R] (one entry a robot of the
+        batch, chosen or not). robots: bool mask [R] or indices, None means all.
+        """
+        chosen = self._chosen(robots)
+        block, lane = np.divmod(chosen, len(self._lanes))
+        for row, values in ((self._at.shelf_y, edge_y_m), (self._at.shelf_z, board_z_m)):
+            self._rows[block, row, lane] = np.broadcast_to(np.asarray(values), (self.robots,))[chosen]
+        self._given |= layout.SHELF
 
     def reset(
         self,
@@ -95,48 +151,100 @@ class Simulator:
         robots: ArrayLike | None = None,
         cart_position_m: ArrayLike = 0.0,
         joint_angles_rad: ArrayLike = 0.0,
+        link_rates_rad_s: ArrayLike = 0.0,
         pressure_kpa: ArrayLike = 0.0,
     ) -> None:
-        """Put robots to rest; their rail commands on the way are replaced by zero velocity.
+        """Put robots somewhere; commands on their way are replaced by zero velocity and the pressure given.
 
         robots: bool mask [R] or indices; None means all, and sets the time to zero.
         cart_position_m, pressure_kpa: scalar or [R]. joint_angles_rad: scalar, [n] or [R, n], link against
-        link. [R] and [R, n] have one entry a robot of the batch, chosen or not.
+        link; link_rates_rad_s: likewise, of the absolute angles. [R] and [R, n] have one entry a robot of the
+        batch, chosen or not.
         Raises ValueError for other shapes, IndexError for a robot that does not exist.
         """
-        everyone = np.arange(self.robots)
-        chosen = everyone if robots is None else everyone[np.asarray(robots)]
+        chosen = self._chosen(robots)
         cart = np.broadcast_to(np.asarray(cart_position_m), (self.robots,))[chosen]
         angles = np.broadcast_to(np.asarray(joint_angles_rad), (self.robots, self.links))[chosen]
+        rates = np.broadcast_to(np.asarray(link_rates_rad_s), (self.robots, self.links))[chosen]
         pressure = np.broadcast_to(np.asarray(pressure_kpa), (self.robots,))[chosen]
         at, (block, lane) = self._at, np.divmod(chosen, len(self._lanes))
         self._rows[block, at.q : at.cart_command, lane] = 0.0
         self._rows[block, at.q, lane] = cart
         self._rows[block, at.q + 1 : at.v, lane] = np.cumsum(angles, axis=1)
+        self._rows[block, at.v + 1 : at.v + 1 + self.links, lane] = rates
         self._rows[block, at.pressure, lane] = pressure
+        self._rows[block, at.pressure_history : at.pressure_age, lane] = pressure[:, None]
+        self._rows[block, at.pressure_acting, lane] = pressure
         self._located = False
         if robots is None:
             self.time_s = 0.0
 
-    def step(self, cart_velocity_m_s: ArrayLike, pressure_kpa: ArrayLike, duration_s: float = 1 / 30) -> None:
+    def step(
+        self,
+        cart_velocity_m_s: ArrayLike,
+        pressure_kpa: ArrayLike,
+        duration_s: float = 1 / 30,
+        *,
+        late_s: ArrayLike | None = None,
+    ) -> None:
         """Issue a command now and hold it for duration_s (any length).
 
-        cart_velocity_m_s, pressure_kpa: scalar or [R]. The model's delay and lag act on them; up to 7 changes
-        of the rail command may be on their way at once. Raises ValueError for other shapes or a duration that
-        is not positive.
+        cart_velocity_m_s, pressure_kpa: scalar or [R]. The models' effects act on them; up to 15 changes of each
+        may be on their way at once. late_s: scalar or [R], how much later than now each robot's loop issues its
+        command (clock.jitter). Raises ValueError for other shapes or a duration that is not positive.
         """
-        if not 0.0 < duration_s < math.inf:
-            raise ValueError(f"duration_s is {duration_s}; give a positive number of seconds")
         self._command(self._at.cart_command, cart_velocity_m_s)
         self._command(self._at.pressure_command, pressure_kpa)
-        substeps = max(1, math.ceil(duration_s * self.physics_rate_hz - 1e-3))
-        substep_s = duration_s / substeps
-        if substep_s != self._substep_s:
-            kernel.prepare(self._memory, self._links, self._lanes, self._real(substep_s))
-            self._substep_s = substep_s
-        self._advance(self._memory, self._links, self._lanes, substeps, self._real(substep_s))
-        self._located = False
-        self.time_s += duration_s
+        if late_s is not None:
+            self._command(self._at.late, late_s)
+            self._given |= layout.PRESSURE  # which keeps the pressure's commands
+        self._run(self._advance, duration_s)
+        if late_s is not None:
+            self._rows[:, self._at.late] = 0.0
+
+    def step_pressure(self, pressure_kpa: ArrayLike, duration_s: float) -> None:
+        """As `step`, of the pressure stage alone; the rest stands still."""
+        self._command(self._at.pressure_command, pressure_kpa)
+        self._run(kernel.advance_pressure, duration_s)
+
+    def step_cart(self, cart_velocity_m_s: ArrayLike, duration_s: float, arm_force_n: ArrayLike = 0.0) -> None:
+        """As `step`, of the rail stage alone: a bare cart. arm_force_n: what the arm pushes it with, scalar or [R]."""
+        self._command(self._at.cart_command, cart_velocity_m_s)
+        self._command(self._at.cart_push, arm_force_n)
+        self._run(kernel.advance_cart, duration_s)
+
+    def step_arm(
+        self,
+        cart_position_m: ArrayLike,
+        cart_velocity_m_s: ArrayLike,
+        pressure_kpa: ArrayLike,
+        duration_s: float,
+        *,
+        start: tuple[ArrayLike, ArrayLike, ArrayLike] | None = None,
+    ) -> None:
+        """Advance the arm alone, cart and pressure moving as measured.
+
+        The first three, scalar or [R], are theirs at the end of the step. start: the same three at its start, by
+        default what the last step ended with. Between, the cart follows the cubic through both ends and the
+        pressure a straight line.
+        """
+        at, rows = self._at, self._rows
+        for row, values in zip((at.q, at.v, at.pressure), start or (), strict=bool(start)):
+            self._command(row, values)
+        # Commands' rows serve for the ends.
+        ends = (at.cart_push, at.cart_command, at.pressure_command)
+        for row, values in zip(ends, (cart_position_m, cart_velocity_m_s, pressure_kpa), strict=True):
+            self._command(row, values)
+        position, velocity, pressure = (rows[:, row].astype(np.float64) for row in ends)
+        way, before = position - rows[:, at.q], rows[:, at.v].astype(np.float64)
+        rows[:, at.cart_acceleration] = (6 * way / duration_s - 4 * before - 2 * velocity) / duration_s
+        rows[:, at.cart_jerk] = (6 * (before + velocity) - 12 * way / duration_s) / duration_s**2
+        rows[:, at.pressure_slope] = (pressure - rows[:, at.pressure]) / duration_s
+        rows[:, at.cart_push] = 0.0
+        self._run(self._advance, duration_s, layout.CART_GIVEN | layout.PRESSURE_GIVEN)
+        rows[:, at.q], rows[:, at.v], rows[:, at.pressure] = position, velocity, pressure
+        for row in (at.cart_acceleration, at.cart_jerk):
+            rows[:, row] = 0.0  # a base that is fixed stands still
 
     @property
     def cart_position_m(self) -> Array:
@@ -150,8 +258,13 @@ class Simulator:
 
     @property
     def pressure_kpa(self) -> Array:
-        """The muscle's pressure [R], after the regulator's lag."""
+        """The muscle's pressure [R], after the regulator's effects."""
         return self._scalar(self._at.pressure)
+
+    @property
+    def pressure_reading_kpa(self) -> Array:
+        """What the regulator's sensor says of it, [R]."""
+        return self.pressure_kpa + self._pressure_bias
 
     @property
     def joint_angles_rad(self) -> Array:
@@ -173,6 +286,11 @@ class Simulator:
         self._locate()
         return np.stack((self._per_link(self._at.end_y), self._per_link(self._at.end_z)), axis=2)
 
+    def link_end_velocities_m_s(self) -> Array:
+        """True velocities of each link's far end along y, z, [R, n, 2]."""
+        self._locate()
+        return np.stack((self._per_link(self._at.end_vy), self._per_link(self._at.end_vz)), axis=2)
+
     def tip_m(self) -> Array:
         """y, z of the tip, [R, 2]."""
         self._locate()
@@ -192,7 +310,31 @@ class Simulator:
         if snapshot.shape != self._memory.shape:
             raise ValueError(f"a snapshot has shape {snapshot.shape}; this simulator's are {self._memory.shape}")
         self._memory[:] = snapshot
+        packed = self._rows[:, : self._at.shelf_y].transpose(0, 2, 1).reshape(-1, self._at.shelf_y).astype(np.float64)
+        self._needed = needed(packed, self.links)
+        if (self._rows[:, self._at.shelf_y] != NOWHERE_M).any():
+            self._given |= layout.SHELF
         self._substep_s, self._located = 0.0, False
+
+    def _chosen(self, robots: ArrayLike | None) -> NDArray[np.int64]:
+        everyone = np.arange(self.robots)
+        return everyone if robots is None else everyone[np.asarray(robots)]
+
+    def _run(self, entry: Callable[..., None], duration_s: float, given: int = 0) -> None:
+        """Advance by one of the kernel's entries; `given`: what comes from outside."""
+        if not 0.0 < duration_s < math.inf:
+            raise ValueError(f"duration_s is {duration_s}; give a positive number of seconds")
+        substeps = max(1, math.ceil(duration_s * self.physics_rate_hz - 1e-3))
+        substep_s = duration_s / substeps
+        if substep_s != self._substep_s:
+            kernel.prepare(self._memory, self._links, self._lanes, self._real(substep_s))
+            self._substep_s = substep_s
+        active = self._needed | self._given | given
+        parts = (0,) if active else ()
+        dt = self._real(substep_s)
+        entry(self._memory, self._scratch, self._links, self._lanes, parts, active, substeps, dt)
+        self._located = False
+        self.time_s += duration_s
 
     def _locate(self) -> None:
         if not self._located:

@@ -9,6 +9,8 @@ from typing import Any
 
 import torch
 
+from schemas.model import Model
+from simulator import model_file
 from training import checkpoint, evaluation, export, report
 from training.checkpoint import CheckpointError
 from training.environment import ACTIONS, INPUTS, Environment
@@ -50,21 +52,34 @@ class Session:
     """One run. Files in `out`: latest.pt, best.pt, learning_curve.csv and .png, and at the end the policy."""
 
     def __init__(
-        self, task: ReachTask, config: TrainingConfig, ppo: PpoConfig, out: Path, pool: Workers, resume: bool
+        self,
+        task: ReachTask,
+        config: TrainingConfig,
+        ppo: PpoConfig,
+        out: Path,
+        pool: Workers,
+        resume: bool,
+        model: Model | None = None,
+        model_name: str = "seed",
     ) -> None:
-        """Raises CheckpointError when there is nothing to resume, or it was made with other settings."""
+        """Train on a model (default: the seed's), under whose name it is recorded.
+
+        Raises CheckpointError when there is nothing to resume, or it was made with other settings.
+        """
         self.task, self.config, self.ppo, self.out, self._pool = task, config, ppo, out, pool
         saved = checkpoint.load(out / "latest.pt") if resume else None
         name = config.matrix_products
         self._products = str(quick_dtype()).removeprefix("torch.") if name == "auto" else name
         self.settings = export.flat_settings(task=task, run=config, ppo=ppo)
         self.settings["run.matrix_products"] = self._products
+        self.model = model or Model()
+        self.settings |= _identity(self.model, model_name)
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(config.seed)
             self.network = PolicyNetwork(NetworkShape(INPUTS, ACTIONS))
         # What is validated and exported: single iterations jitter around it.
         self.average = copy.deepcopy(self.network)
-        environment = Environment(task, config.robots, config.seed, None, config.physics_rate_hz)
+        environment = Environment(task, config.robots, config.seed, self.model, config.physics_rate_hz)
         self._trials = evaluation.validation_trials(task, environment.simulator.links, config.validation_trials)
         self.learner = Ppo(self.network, environment, ppo, pool, config.seed, DTYPES[self._products])
         self.frames, self.seconds = 0, 0.0
@@ -122,7 +137,7 @@ class Session:
     def test(self) -> evaluation.GridReport:
         """Fly the 54 test targets with the exported policy, for the record; nothing is chosen by it."""
         network, _ = _load(self.out / "best.pt")
-        return evaluation.grid_report(network, self.task, self._pool)
+        return evaluation.grid_report(network, self.task, self._pool, model=self.model)
 
     def _validate_and_save(self) -> None:
         outcome = evaluation.fly(
@@ -131,6 +146,7 @@ class Session:
             self._trials,
             self._pool,
             self.config.physics_rate_hz,
+            self.model,
             dtype=DTYPES[self._products],
         )
         success = float(outcome.reached.mean())
@@ -154,10 +170,11 @@ class Session:
         }
 
     def _restore(self, saved: dict[str, Any]) -> None:
+        settings = _identity(Model(), "seed") | saved["settings"]  # older ones knew no other model
         for key, value in self.settings.items():
-            if saved["settings"].get(key) != value:
+            if settings.get(key) != value:
                 raise CheckpointError(
-                    f"{self.out / 'latest.pt'}: was trained with {key} = {saved['settings'].get(key)}, not {value}; "
+                    f"{self.out / 'latest.pt'}: was trained with {key} = {settings.get(key)}, not {value}; "
                     "resume with the same settings or give another --out"
                 )
         self.learner.restore(saved["learner"])
@@ -178,6 +195,10 @@ def export_checkpoint(source: Path, target: Path) -> None:
         validated[-1].validation if validated and validated[-1].validation is not None else 0.0,
     )
     export.write(network, description, target)
+
+
+def _identity(model: Model, name: str) -> export.Settings:
+    return {"model.name": name, "model.sha256": model_file.fingerprint(model)}
 
 
 def _load(source: Path) -> tuple[PolicyNetwork, dict[str, Any]]:

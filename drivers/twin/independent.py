@@ -1,6 +1,6 @@
 """The twin's other body: the independent robot in MuJoCo, with sensors of its own. Needs the extra `mujoco`."""
 
-from drivers.twin.robot import Sight
+from drivers.twin.robot import Frame
 from reality.parameters import Parameters, of_model
 from reality.robot import Robot
 from schemas.messages import PressureReading, RailReading
@@ -72,12 +72,12 @@ class IndependentBody:
         self._pressure = readings[-1] if readings else self._pressure
         return self._pressure.pressure_kpa if self._pressure else 0.0
 
-    def look(self) -> Sight | None:
+    def look(self) -> Frame | None:
         """The newest frame that has come since the last call."""
         frames = self._robot.mocap()
         if not frames:
             return None
-        return Sight(self._t_s - frames[-1].t_capture_ns * 1e-9, frames[-1].bodies)
+        return Frame(self._t_s - frames[-1].t_capture_ns * 1e-9, frames[-1].bodies)
 
 
 def independent_body(model: Model | None, seed: int = 0) -> IndependentBody:

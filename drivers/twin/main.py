@@ -55,20 +55,19 @@ class Twin:
     """The robot behind a pty, a TCP port and a Zenoh session. Use as `async with Twin(config) as twin`.
 
     Raises DeviceError on entry when a port cannot be had. `faults` breaks things, `state` is the truth. Another
-    `body` than the simulated robot takes the place of `model` and `marker_noise_m`.
+    `body` than the simulated robot takes the place of `model`.
     """
 
     def __init__(
         self,
         config: Config,
         model: Model | None = None,
-        marker_noise_m: float = 0.0,
         clock: Callable[[], int] = time.monotonic_ns,
         body: Body | None = None,
     ) -> None:
         drivers = config.drivers
         self.faults = Faults(clock)
-        self.robot: Body = body or TwinRobot(model, marker_noise_m)
+        self.robot: Body = body or TwinRobot(model)
         self.teensy, self.dryve = TeensyDevice(), DryveDevice(drivers.rail)
         self._clock, self._device_clock = clock, DeviceClock(clock)
         self._port = TeensyPort(
@@ -136,9 +135,9 @@ class Twin:
         self.state = self._observe(self._clock())
 
     def _publish(self, frame: int, t_capture_ns: int, with_state: bool) -> None:
-        sight = self.robot.look()
-        if sight is not None:
-            self._cameras.publish_frame(frame, t_capture_ns - round(sight.age_s * 1e9), sight.poses)
+        seen = self.robot.look()
+        if seen is not None:
+            self._cameras.publish_frame(frame, t_capture_ns - round(seen.age_s * 1e9), seen.poses)
         if with_state:
             self._cameras.publish_state(self.state)
 

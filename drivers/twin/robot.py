@@ -4,6 +4,7 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
+from drivers.sight import Sight
 from schemas.messages import BODY_NAMES, Pose
 from schemas.model import Model
 from simulator.simulator import Simulator
@@ -11,7 +12,7 @@ from simulator.simulator import Simulator
 PHYSICS_HZ = 1200.0
 
 
-class Sight(NamedTuple):
+class Frame(NamedTuple):
     """What the cameras deliver: poses in `schemas.messages.BODY_NAMES` order, and how old their stamp is."""
 
     age_s: float
@@ -49,7 +50,7 @@ class Body(Protocol):
     def gauge_kpa(self) -> float:
         """Pressure as the regulator's sensor reads it."""
 
-    def look(self) -> Sight | None:
+    def look(self) -> Frame | None:
         """The newest frame that has come since the last call; None: none has."""
 
 
@@ -57,10 +58,10 @@ class TwinRobot:
     """One simulated robot that starts at rest in the middle of the rail.
 
     `crashes` counts arrivals at a stop, `cart_max_abs_m` is the farthest the cart has been from the middle.
-    `marker_noise_m` is the standard deviation of each camera coordinate (seeded).
+    What its sensors show has the model's mocap effects and biases.
     """
 
-    def __init__(self, model: Model | None, marker_noise_m: float = 0.0) -> None:
+    def __init__(self, model: Model | None) -> None:
         self.model = model or Model()
         links = self.model.arm.links
         if links != len(BODY_NAMES) - 1:
@@ -70,7 +71,7 @@ class TwinRobot:
         self._simulator = Simulator(self.model, robots=1, physics_rate_hz=PHYSICS_HZ)
         self._simulator.step(0.0, 0.0, 1 / PHYSICS_HZ)  # the first step may compile
         self._simulator.reset()
-        self._noise_m, self._random = marker_noise_m, np.random.default_rng(0)
+        self._sight = Sight(self._simulator)
 
     @property
     def cart_position_m(self) -> float:
@@ -108,25 +109,18 @@ class TwinRobot:
             joint_angles_rad=simulator.joint_angles_rad,
             pressure_kpa=simulator.pressure_kpa,
         )
+        self._sight.forget()
         return True
 
     def encoder(self) -> tuple[float, float]:
-        """Position (m) and velocity (m/s): the truth."""
-        return self.cart_position_m, self.cart_velocity_m_s
+        """See `Body.encoder`."""
+        return self._sight.rail()
 
     def gauge_kpa(self) -> float:
-        """The truth."""
-        return self.pressure_kpa
+        """See `Body.gauge_kpa`."""
+        return self._sight.pressure_kpa()
 
-    def look(self) -> Sight | None:
-        """The poses at this instant."""
-        return Sight(0.0, self.poses())
-
-    def poses(self) -> tuple[Pose, ...]:
-        """What ideal cameras see, in `schemas.messages.BODY_NAMES` order, plus the marker noise."""
-        ends = self._simulator.link_ends_m()[0].tolist()
-        angles = self._simulator.link_angles_rad[0].tolist()
-        bodies = [(self.cart_position_m, self.model.arm.base_height_m, 0.0)]
-        bodies += [(y, z, angle) for (y, z), angle in zip(ends, angles, strict=True)]
-        noise = self._random.normal(0.0, self._noise_m, (len(bodies), 2)).tolist()
-        return tuple(Pose(y + dy, z + dz, angle) for (y, z, angle), (dy, dz) in zip(bodies, noise, strict=True))
+    def look(self) -> Frame | None:
+        """See `Body.look`."""
+        poses = self._sight.poses()
+        return None if poses is None else Frame(0.0, poses)

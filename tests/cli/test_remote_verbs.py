@@ -193,6 +193,16 @@ def test_status_tells_all_that_is_wrong(softarm, daemon, make_status):
     assert "tip" not in out
 
 
+def test_status_says_each_thing_once(softarm, daemon, make_status):
+    said = "10.0.0.1:502: connect: refused; switch it on"
+    event = ActiveEvent("rail_missing", "soft_stop", f"the axis has not answered ({said}): check it")
+    problems = Problems(rail=said)
+    daemon.on("GET", "/api/status", make_status(events=(event,), arming_refusals=(event.text,), problems=problems))
+    out = softarm("status").stdout
+    assert out.count(said) == 1
+    assert f"cannot arm: {event.text}\n" in out
+
+
 def test_status_as_json_is_the_apis_own(softarm, daemon, make_status):
     daemon.on("GET", "/api/status", b'{"mode": "armed"}')
     assert softarm("status", "--json").stdout == '{\n "mode": "armed"\n}\n'

@@ -54,12 +54,19 @@ def test_a_simulated_run_arms_swings_and_ends_cleanly(tmp_path):
         (["--simulated", "--config", "{}/policy.yaml"], 1, "no policy 'raech'; did you mean 'reach'?"),
         (["--simulated", "--config", "{}/open.yaml"], 1, "token"),
         (["--simulated", "--config", "{}/typo.yaml"], 1, "position_max_m"),
+        (["--simulated", "--config", "{}/fine.yaml", "--model", "nodelay"], 1, "did you mean no-delay?"),
+        (["--simulated", "--config", "{}/fine.yaml", "--model", "{}/short.yaml"], 1, "has 1 links"),
     ],
 )
 def test_what_cannot_run_says_why(tmp_path, arguments, code, says):
     logs_line = f"recorder: {{directory: {tmp_path}}}\n"
     write(tmp_path / "policy.yaml", logs_line + "control: {policy: raech}\n")
     write(tmp_path / "open.yaml", logs_line + "api: {host: 0.0.0.0}\n")
+    write(tmp_path / "fine.yaml", logs_line)
+    one_link = ("length_m: [0.4]", "mass_kg: [0.1]", "inertia_kg_m2: [0.001]")
+    others = ("stiffness_nm_rad", "damping_nm_s_rad", "muscle_gain_nm_kpa", "torque_offset_nm")
+    arm = ", ".join([*(f"link_{line}" for line in one_link), *(f"{name}: [0.01]" for name in others)])
+    write(tmp_path / "short.yaml", f"arm: {{{arm}}}\neffects: {{}}\n")
     write(tmp_path / "typo.yaml", "limits: {rail: {positoin_max_m: 0.2}}\n")
     result = CliRunner().invoke(main, ["run", *[argument.format(tmp_path) for argument in arguments]])
     assert (result.exit_code, says in result.output) == (code, True), result.output

@@ -172,6 +172,10 @@ def test_all_mistakes_are_told_at_once_in_the_files_order(write):
             "2: api.host: cannot be read (month must be in 1..12); write a plain value",
         ),
         (
+            'api: {port: !!int ""}',
+            "1: api.port: cannot be read (string index out of range); write a plain value",
+        ),
+        (
             "limits:\n\trail: 1",
             "2: not valid YAML: while scanning for the next token found character '\\t' that cannot start "
             "any token; check indentation, colons and quotes there",

@@ -297,11 +297,12 @@ def test_the_cart_that_meets_its_stop_is_a_crash_and_rests_there() -> None:
 
 def test_the_cameras_see_the_arm_hang_from_the_cart() -> None:
     robot = TwinRobot(None)
-    cart, *links = robot.poses()
+    cart, *links = robot.look().poses
     assert len(links) + 1 == len(BODY_NAMES)
     assert (cart.y_m, cart.z_m) == (0.0, robot.model.arm.base_height_m)
     assert [link.z_m for link in links] == pytest.approx([0.965 - 0.0885 * i for i in range(1, 6)], abs=1e-5)
-    noisy = TwinRobot(None, marker_noise_m=1e-3).poses()
+    noise = {"mocap.noise": {"sigma": 1e-3}}
+    noisy = TwinRobot(Model(effects=noise)).look().poses
     assert 0 < abs(noisy[5].z_m - links[4].z_m) < 5e-3
 
 

@@ -1,18 +1,27 @@
-"""Model files: what is written comes back; what is wrong is named by file, line, key and range."""
+"""Model files: what is written comes back; what is wrong is named by file, line, key, bounds and source."""
 
+import math
 from pathlib import Path
 
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from schemas.model import Arm, Cart, Effects, Model
-from simulator import model_file
+from schemas.model import Arm, Cart, Model, seed_effects
+from simulator import effects, model_file
 from simulator.model_file import ModelFileError
+from simulator.robot_table import ROBOT
+
+ABLATIONS = {
+    "no-pressure-lag": "pressure.lag",
+    "no-acceleration-limit": "rail.acceleration_limit",
+    "no-delay": "rail.delay",
+    "no-finite-difference": "observation.finite_difference",
+}
 
 
 def test_shipped_file_is_the_seed_s_simulator() -> None:
-    assert model_file.load(model_file.SEED) == Model()
+    assert model_file.load("seed") == model_file.load(model_file.SEED) == Model()
 
 
 def test_shipped_file_is_as_saved(tmp_path: Path) -> None:
@@ -20,25 +29,53 @@ def test_shipped_file_is_as_saved(tmp_path: Path) -> None:
     assert (tmp_path / "again.yaml").read_text() == model_file.SEED.read_text()
 
 
-@settings(max_examples=30, deadline=None)
-@given(
-    st.floats(1e-9, 1e9),
-    st.sets(st.sampled_from(["pressure.lag", "rail.acceleration_limit", "rail.delay"])),
-    st.integers(1, 12),
-)
-def test_any_model_survives_the_file(
-    tmp_path_factory: pytest.TempPathFactory, mass_kg: float, absent: set[str], links: int
-) -> None:
-    lists = {
-        name: (0.5 + i / 3,) * links
-        for i, name in enumerate(Arm.model_fields)
-        if isinstance(getattr(Arm(), name), tuple)
+def test_shipped_models_are_the_seed_and_its_ablations() -> None:
+    assert set(model_file.shipped()) == {"seed", *ABLATIONS}
+
+
+@pytest.mark.parametrize(("name", "absent"), ABLATIONS.items())
+def test_ablation_is_the_seed_without_one_effect(name: str, absent: str) -> None:
+    remaining = {effect: given for effect, given in seed_effects().items() if effect != absent}
+    assert model_file.load(name) == Model(effects=remaining)
+
+
+def test_table_of_the_robot_covers_its_parameters_and_admits_the_seed_s() -> None:
+    model = Model()
+    assert list(ROBOT) == [
+        f"{group}.{name}" for group in ("arm", "cart") for name in type(getattr(model, group)).model_fields
+    ]
+    for key, quantity in ROBOT.items():
+        group, _, name = key.partition(".")
+        value = getattr(getattr(model, group), name)
+        assert all(map(quantity.range.admits, value if isinstance(value, tuple) else (value,))), key
+        assert quantity.source
+
+
+@st.composite
+def any_effects(draw: st.DrawFn) -> dict[str, dict[str, float]]:
+    """Some effects, some of their parameters, anywhere within the bounds or at neutral."""
+    chosen = draw(st.lists(st.sampled_from(list(effects.REGISTRY.values())), unique=True))
+    return {
+        effect.name: {
+            p.name: draw(st.floats(p.low, p.high) | st.just(p.neutral))
+            for i, p in enumerate(effect.parameters)
+            if i == 0 or draw(st.booleans())
+        }
+        for effect in chosen
     }
-    model = Model(
-        arm=Arm(**lists),
-        cart=Cart(mass_kg=mass_kg),
-        effects=Effects.model_validate(dict.fromkeys(absent)),
-    )
+
+
+@settings(max_examples=40, deadline=None, derandomize=True)
+@given(st.floats(0.01, 50.0), any_effects(), st.integers(1, 12))
+def test_any_model_survives_the_file(
+    tmp_path_factory: pytest.TempPathFactory, mass_kg: float, chosen: dict[str, dict[str, float]], links: int
+) -> None:
+    lists = {}
+    for name in Arm.model_fields:
+        if isinstance(getattr(Arm(), name), tuple):
+            allowed = ROBOT[f"arm.{name}"].range
+            lists[name] = tuple(allowed.low + (allowed.high - allowed.low) * (i + 1) / 14 for i in range(links))
+    model = Model(arm=Arm(**lists), cart=Cart(mass_kg=mass_kg), effects=chosen)
     path = tmp_path_factory.mktemp("models") / "model.yaml"
     model_file.save(model, path)
     assert model_file.load(path) == model
@@ -46,13 +83,13 @@ def test_any_model_survives_the_file(
 
 def test_removing_an_effect_s_line_removes_the_effect(tmp_path: Path) -> None:
     path = tmp_path / "ablation.yaml"
-    path.write_text("effects:\n  pressure.lag: {inflate: 0.2}\n  rail.delay: {}\n")
-    effects = model_file.load(path).effects
-    assert effects.pressure_lag is not None
-    assert effects.pressure_lag.inflate == 0.2
-    assert effects.rail_delay is not None
-    assert effects.rail_acceleration_limit is None
-    assert effects.observation_finite_difference is None
+    path.write_text("effects:\n  pressure.lag: {inflate: 0.2}\n  observation.finite_difference: {}\n")
+    model = model_file.load(path)
+    assert model.effects == {"pressure.lag": {"inflate": 0.2}, "observation.finite_difference": {}}
+    assert effects.value(model, "pressure.lag", "inflate") == 0.2
+    assert effects.value(model, "pressure.lag", "deflate") == 0.0
+    assert effects.value(model, "rail.delay", "delay") == 0.0
+    assert effects.value(model, "rail.acceleration_limit", "acceleration") == math.inf
 
 
 def test_file_without_effects_has_the_seed_s(tmp_path: Path) -> None:
@@ -64,18 +101,50 @@ def test_file_without_effects_has_the_seed_s(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "complaint"),
     [
-        ("cart:\n  mass_kg: -1\n", r"model.yaml:2: cart.mass_kg: must be greater than 0 but is -1; change it"),
-        ("cart:\n  mass: 1\n", r"model.yaml:2: cart.mass: unknown key; did you mean mass_kg\? allowed: mass_kg, "),
-        ("effects:\n  rail.dely: {}\n", r":2: effects.rail.dely: unknown key; did you mean rail.delay\?"),
         (
-            "effects:\n  rail.delay:\n    delay: 3\n",
-            r":3: effects.rail.delay.delay: must be less than or equal to 0.1 but is 3",
+            "cart:\n  mass_kg: -1\n",
+            r"model.yaml:2: cart.mass_kg: is -1; allowed 0.01 to 50 kg; source of the .*: \[C\]",
         ),
-        ("arm:\n  link_mass_kg:\n  - 1\n  - x\n", r":4: arm.link_mass_kg.1: must be a valid number but is 'x'"),
+        ("cart:\n  mass: 1\n", r"model.yaml:2: cart.mass: unknown key; did you mean mass_kg\? allowed: mass_kg, "),
+        ("effects:\n  rail.dely: {}\n", r":2: effects.rail.dely: unknown effect; did you mean rail.delay\?"),
+        ("effects:\n  mocap.friction: {coefficient: 1}\n", r":2: effects.mocap.friction: .* mean contact.friction\?"),
+        (
+            "effects:\n  rail.delay: {dely: 0.1}\n",
+            r"rail.delay.dely: .*did you mean delay\? rail.delay has delay \(s\)",
+        ),
+        (
+            "effects:\n  rail.delay:\n    delay: 33\n",
+            r":3: effects.rail.delay.delay: is 33; allowed 0 to 0.1 s; if you meant 33 ms, write 0.033; source: \[P\]",
+        ),
+        ("effects:\n  arm.tilt: {angle: 2}\n", r":2: effects.arm.tilt.angle: is 2; .*2 degrees, write 0.03491; source"),
+        ("effects: {pressure.ceiling: {limit: 15 psi}}\n", r"'15 psi'; write a bare number in kPa: 103.421"),
+        ("effects: {pressure.ceiling: {limit: 15 N}}\n", r"'15 N'; write a bare number in kPa, 1 to 100 kPa, or inf"),
+        (
+            "effects: {pressure.ceiling: {limit: .nan}}\n",
+            r"limit: is nan; allowed 1 to 100 kPa, or inf for none; source",
+        ),
+        (
+            f"effects: {{rail.delay: {{delay: {10**400}}}}}\n",
+            r":1: effects.rail.delay.delay: is inf; allowed 0 to 0.1 s",
+        ),
+        ("effects: {rail.delay: }\n", r":1: effects.rail.delay: has nothing behind its colon; write {} or "),
+        ("effects: {rail.delay: {}}\n", r":1: effects.rail.delay: names no parameter.*; give delay \(s\), or remove"),
+        ("effects: {observation.finite_difference: {on: 1}}\n", r"has no parameters: it is on or absent; write {}"),
+        ("effects: [rail.delay]\n", r":1: effects: must be an object but is a list"),
+        (
+            "arm:\n  muscle_gain_nm_kpa: [0.0247, 0.01, 0.01, 0.01, 0.01]\n",
+            r":2: arm.muscle_gain_nm_kpa.0: is 0.0247; .*0.0247 N m/psi, write 0.003582; source of the seed's: \[P\]",
+        ),
+        ("arm:\n  link_length_m: [88.5, 0.1, 0.1, 0.1, 0.1]\n", r"m.0: is 88.5; .* 88.5 mm, write 0.0885"),
+        ("arm:\n  link_mass_kg:\n  - 1\n  - x\n", r":4: arm.link_mass_kg.1: is 'x'; write a bare number in kg"),
         ("arm:\n  link_mass_kg: [1]\n", r":1: arm: link_mass_kg has 1 entries, link_length_m has 5: one entry"),
+        ("arm:\n  link_mass_kg: 1\n", r":2: arm.link_mass_kg: must be a valid array but is 1"),
         ("cart: {mass_kg: yes}\n", r":1: cart.mass_kg: must be a valid number but is True"),
         ("cart: {mass_kg: 1, mass_kg: 2}\n", r":1: is not valid YAML: mass_kg stands twice"),
         ("cart: [\n", r"is not valid YAML"),
+        ("cart: &c\n  mass_kg: *c\n", r":1: is not valid YAML: it refers to itself"),
+        ("cart: " + "[" * 2000, r":1: is not valid YAML: it is nested too deeply"),
+        ("? [1]\n: 2\n", r":1: is not valid YAML: a key must be a plain name"),
         ("- 1\n", r":1: the model: must be an object but is a list"),
     ],
 )
@@ -86,13 +155,36 @@ def test_mistakes_are_named(tmp_path: Path, text: str, complaint: str) -> None:
         model_file.load(path)
 
 
-def test_all_mistakes_are_told_at_once(tmp_path: Path) -> None:
+def test_all_mistakes_are_told_at_once_and_in_order(tmp_path: Path) -> None:
     path = tmp_path / "model.yaml"
-    path.write_text("cart:\n  mass_kg: 0\n  travel_m: 0\n")
-    with pytest.raises(ModelFileError, match=r"(?s):2: cart.mass_kg.*:3: cart.travel_m"):
+    path.write_text("cart:\n  mass_kg: 0\n  travel_m: 0\n  mas: 1\neffects:\n  arm.tilt: {angle: 2}\n  arm.tlt: {}\n")
+    with pytest.raises(ModelFileError) as error:
         model_file.load(path)
+    lines = str(error.value).splitlines()
+    assert [line.split(":")[1] for line in lines] == ["2", "3", "4", "6", "7"]
 
 
-def test_missing_file_is_named(tmp_path: Path) -> None:
+# The words that get past the first checks, in any order.
+KEYS = ["effects", "arm", "cart", "rail.delay", "delay", "mass_kg", "link_mass_kg"]
+VALUES = ["1", "-1e9", ".nan", ".inf", "null", "2020-13-45", "'", "\x00", "<<"]
+MARKS = [":", " ", "\n", "\n  ", "{", "}", "[", "]", ",", "&a ", "*a", "!!int ", "!!bool ", "!!timestamp ", "? ", "- "]
+
+
+@settings(max_examples=300, deadline=None, derandomize=True)
+@given(st.lists(st.sampled_from(KEYS + VALUES + MARKS), max_size=25).map("".join) | st.text(max_size=40))
+def test_whatever_is_in_the_file_gives_a_model_or_a_complaint_with_its_name(
+    tmp_path_factory: pytest.TempPathFactory, text: str
+) -> None:
+    path = tmp_path_factory.mktemp("models") / "model.yaml"
+    path.write_text(text, encoding="utf-8")
+    try:
+        effects.validate(model_file.load(path).effects)
+    except ModelFileError as error:
+        assert all(line.startswith(f"{path}:") for line in str(error).splitlines())  # noqa: PT017
+
+
+def test_missing_file_and_unknown_name_are_named(tmp_path: Path) -> None:
     with pytest.raises(ModelFileError, match=r"absent.yaml: cannot be read .*; name a model file"):
         model_file.load(tmp_path / "absent.yaml")
+    with pytest.raises(ModelFileError, match=r"no-dely: no such file or model; did you mean no-delay\?.* seed"):
+        model_file.load("no-dely")

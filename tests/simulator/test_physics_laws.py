@@ -6,11 +6,15 @@ import numpy as np
 import pytest
 
 from benchmarks import commands
-from schemas.model import Arm, Cart, Delay, Effects, Model
+from schemas.model import Arm, Cart, Model, seed_effects
 from simulator.simulator import Simulator
 
 ARM = Arm()
-NO_EFFECTS = Effects.model_validate({"pressure.lag": None, "rail.acceleration_limit": None, "rail.delay": None})
+
+
+def without(*names: str) -> dict[str, dict[str, float]]:
+    """The seed's effects but for some."""
+    return {name: given for name, given in seed_effects().items() if name not in names}
 
 
 def passive(**changes: object) -> Arm:
@@ -44,7 +48,7 @@ def energy_j(model: Model, simulator: Simulator) -> float:
 
 def test_energy_is_conserved_to_second_order() -> None:
     """No damping, no drive: what energy drifts in a second falls fourfold as the step is halved."""
-    model = Model(arm=passive(), cart=Cart(velocity_gain_n_s_m=0.0, travel_m=100.0), effects=NO_EFFECTS)
+    model = Model(arm=passive(), cart=Cart(velocity_gain_n_s_m=0.0, travel_m=100.0), effects={})
     drifts = []
     for rate_hz in (1200.0, 2400.0, 4800.0):
         simulator = Simulator(model, 1, rate_hz, dtype=np.float64)
@@ -61,7 +65,7 @@ def test_energy_is_conserved_to_second_order() -> None:
 
 
 def test_error_falls_with_the_square_of_the_step() -> None:
-    model = Model(cart=Cart(travel_m=100.0), effects=Effects.model_validate({"rail.acceleration_limit": None}))
+    model = Model(cart=Cart(travel_m=100.0), effects=without("rail.acceleration_limit"))
 
     def tip_m(rate_hz: float) -> np.ndarray:
         simulator = Simulator(model, 1, rate_hz, dtype=np.float64)
@@ -106,7 +110,7 @@ def test_single_precision_costs_nothing() -> None:
 
 
 def test_mirror_image_moves_as_the_mirror_of_the_motion() -> None:
-    model = Model(arm=Arm(torque_offset_nm=(0.0,) * 5), effects=Effects.model_validate({"pressure.lag": None}))
+    model = Model(arm=Arm(torque_offset_nm=(0.0,) * 5), effects=without("pressure.lag"))
     simulator = Simulator(model, 2, 1200.0)
     simulator.reset(joint_angles_rad=np.array([[0.3, -0.2, 0.1, 0.2, 0.1]]) * [[1.0], [-1.0]])
     for v, p in zip(*(sets[:60, 0] for sets in commands.smooth(1, seed=5)), strict=True):
@@ -177,7 +181,7 @@ def test_pressure_keeps_the_seed_s_share_of_its_old_value_at_30_hz() -> None:
 
 
 def test_without_lag_pressure_follows_at_once() -> None:
-    simulator = Simulator(Model(effects=NO_EFFECTS))
+    simulator = Simulator(Model(effects={}))
     simulator.step(0.0, 7.0)
     assert simulator.pressure_kpa[0] == 7.0
 
@@ -198,8 +202,8 @@ def test_delay_shifts_the_answer_and_nothing_else(delay_s: float) -> None:
     substeps = rng.integers(12, 60, 40)  # 10 to 50 ms each, in 1200ths of a second
     velocity = rng.uniform(-1.0, 1.0, len(substeps)).repeat(substeps)
 
-    def ride(delay: Delay | None) -> np.ndarray:
-        effects = Effects.model_validate({"rail.delay": delay})
+    def ride(delay_s: float) -> np.ndarray:
+        effects = seed_effects() | {"rail.delay": {"delay": delay_s}}
         simulator = Simulator(Model(arm=passive(damping_nm_s_rad=ARM.damping_nm_s_rad), effects=effects), 1, 1200.0)
         positions = []
         for v in velocity:
@@ -208,13 +212,13 @@ def test_delay_shifts_the_answer_and_nothing_else(delay_s: float) -> None:
         return np.array(positions)
 
     shift = round(delay_s * 1200)
-    np.testing.assert_allclose(ride(Delay(delay=delay_s))[shift:], ride(None)[:-shift], atol=1e-6)
+    np.testing.assert_allclose(ride(delay_s)[shift:], ride(0.0)[:-shift], atol=1e-6)
 
 
 @pytest.mark.parametrize("acceleration", [3.0, 6.0])
 def test_cart_ramps_at_the_drive_s_acceleration(acceleration: float) -> None:
     """From rest to 0.8 m/s. The arm is soft: the drive pushes against a part of its mass, between none and all."""
-    effects = Effects.model_validate({"rail.delay": None, "rail.acceleration_limit": {"acceleration": acceleration}})
+    effects = without("rail.delay") | {"rail.acceleration_limit": {"acceleration": acceleration}}
     cart = Cart(travel_m=10.0)
     simulator = Simulator(Model(cart=cart, effects=effects), 1, 1200.0)
     times, velocities = [], []

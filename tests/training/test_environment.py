@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from schemas.model import Effects, Model
+from schemas.model import Model
 from simulator.simulator import Simulator
 from training.environment import Environment, to_physical
 from training.evaluation import at_rest
@@ -57,7 +57,9 @@ def test_observations_are_measured_and_differenced_in_the_declared_order():
 
 
 def test_without_the_effect_velocities_are_true():
-    model = Model(effects=Effects.model_validate({"observation.finite_difference": None}))
+    seed = Model()
+    without = {name: values for name, values in seed.effects.items() if name != "observation.finite_difference"}
+    model = seed.model_copy(update={"effects": without})
     environment = begin(model=model)
     for _ in range(3):
         step = environment.step(np.array([[1.0, 1.0]], dtype=np.float32))

@@ -1,0 +1,131 @@
+"""`softarm model`: what a model file says, what sets two apart, whether one is sound, and the robot for MuJoCo."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+if TYPE_CHECKING:
+    from schemas.model import Model
+
+MODEL = click.Path(path_type=Path)
+
+
+@click.group()
+def model() -> None:
+    """Look at model files: a robot's parameters, and the effects that its simulator has.
+
+    A MODEL is a file or a shipped name: seed, no-pressure-lag, no-acceleration-limit, no-delay, no-finite-difference.
+
+    \b
+    Examples:
+      softarm model show seed
+      softarm model diff seed no-delay
+    """
+
+
+@model.command()
+@click.argument("name", metavar="MODEL", type=MODEL)
+def show(name: Path) -> None:
+    """Print every parameter in force, with unit, bounds and source.
+
+    \b
+    Example:
+      softarm model show seed
+    """
+    from simulator.model_rows import effect_rows, robot_rows
+
+    loaded = _load(name)
+    columns = ("parameter", "value", "unit", "allowed", "source of the seed's")
+    rows = [(row.key, row.value, *row[2:]) for row in robot_rows(loaded)]
+    _print(f"{name}: robot", columns, rows)
+    rows = [(row.key, row.value, *row[2:]) for row in effect_rows(loaded)]
+    _print(f"{name}: effects", ("effect.parameter", "value", "unit", "allowed", "source"), rows)
+    click.echo(_idle(loaded), nl=False)
+
+
+@model.command()
+@click.argument("one", metavar="MODEL", type=MODEL)
+@click.argument("other", metavar="MODEL", type=MODEL)
+def diff(one: Path, other: Path) -> None:
+    """Print what two models have different.
+
+    \b
+    Example:
+      softarm model diff seed mine.yaml
+    """
+    from simulator.model_rows import differences
+
+    found = differences(_load(one), _load(other))
+    if not found:
+        click.echo("no difference")
+        return
+    _print("", ("parameter", "unit", str(one), str(other)), found)
+
+
+@model.command()
+@click.argument("file", metavar="MODEL", type=MODEL)
+def check(file: Path) -> None:
+    """Say whether a model is sound; exit code 1, with every mistake and its line, when it is not.
+
+    \b
+    Example:
+      softarm model check mine.yaml
+    """
+    loaded = _load(file)
+    names = ", ".join(loaded.effects) or "none"
+    click.echo(f"{_idle(loaded)}{file}: sound; {loaded.arm.links} links; effects: {names}")
+
+
+@model.command()
+@click.argument("name", metavar="MODEL", type=MODEL)
+@click.option(
+    "--mjcf", "out", required=True, type=click.Path(path_type=Path, dir_okay=False), help="The file to write."
+)
+def export(name: Path, out: Path) -> None:
+    """Write the robot as MJCF for MuJoCo; what that cannot express is listed on stderr and in the file.
+
+    \b
+    Example:
+      softarm model export --mjcf arm.xml seed      then: python -m mujoco.viewer --mjcf=arm.xml
+    """
+    from cli.errors import fail
+    from simulator import mjcf
+
+    exported = mjcf.export(_load(name))
+    try:
+        out.write_text(exported.xml, encoding="utf-8")
+    except OSError as error:
+        fail(f"{out}: cannot be written ({error.strerror}); name a file in an existing folder")
+    for sentence in exported.left_out:
+        click.echo(f"left out: {sentence}", err=True)
+    click.echo(f"wrote {out}")
+
+
+def _load(name: Path) -> "Model":
+    from cli.errors import fail
+    from simulator import model_file
+
+    try:
+        return model_file.load(name)
+    except model_file.ModelFileError as error:
+        fail(str(error))
+
+
+def _idle(loaded: "Model") -> str:
+    from simulator.model_rows import idle_effects
+
+    return "".join(f"{name} is at its neutral value: it changes nothing\n" for name in idle_effects(loaded))
+
+
+def _print(title: str, columns: tuple[str, ...], rows: list[Any]) -> None:
+    import sys
+
+    from rich.console import Console
+    from rich.table import Table
+    from rich.text import Text
+
+    table = Table(*columns, title=title)
+    for row in rows:
+        table.add_row(*map(Text, row))
+    Console(width=None if sys.stdout.isatty() else 160).print(table)

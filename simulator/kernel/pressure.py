@@ -1,0 +1,104 @@
+"""Commands on their way, and the pressure stage: from command to what the muscle pulls with."""
+
+# mypy: allow-untyped-defs, allow-untyped-calls
+from numba import njit
+
+from simulator.kernel.layout import HISTORY, MUSCLE, OLD, PRESSURE, PRESSURE_GIVEN
+from simulator.kernel.numerics import clip, loss_over, tanh_over
+from simulator.simd import load, magnitude, select, some, store
+
+
+@njit(cache=True)
+def issue(m, lanes, command, history, width, late):
+    """Put each lane's command at the head of its history, unless it is within `width` of the newest.
+
+    history: the first of HISTORY rows of commands, which HISTORY rows of ages follow. late: s until the issue.
+    """
+    change = command - load(m, history, lanes)
+    fresh = change - clip(change, 0.0 - width, width) != 0.0  # a NaN is always fresh
+    if some(fresh):
+        for first in (history, history + HISTORY):
+            for i in range(first + HISTORY - 1, first, -1):
+                store(m, i, lanes, select(fresh, load(m, i - 1, lanes), load(m, i, lanes)))
+        store(m, history, lanes, select(fresh, command, load(m, history, lanes)))
+        store(m, history + HISTORY, lanes, select(fresh, 0.0 - late, load(m, history + HISTORY, lanes)))
+
+
+@njit(cache=True)
+def age(m, lanes, history, duration):
+    """Make a history older at the end of a step. An old command is old; its age need not lose its digits."""
+    for i in range(history + HISTORY, history + 2 * HISTORY):
+        older = load(m, i, lanes) + duration
+        store(m, i, lanes, select(older > OLD, OLD, older))
+
+
+@njit(cache=True)
+def due(m, lanes, history, delay, end, dt):
+    """Return the command in force at the end of a substep, the one at its start, and the former's share of it.
+
+    end: seconds from the start of the step to the end of the substep. A command that comes into force within
+    a substep gets its share, so that motion depends smoothly on delays.
+    """
+    latest = load(m, history, lanes)
+    wait = delay - load(m, history + HISTORY, lanes)  # from the start of the step
+    limit = end - 1e-3 * dt  # so that rounding does not start a command a substep early
+    for i in range(1, HISTORY):
+        early = wait > limit
+        if not some(early):
+            break
+        latest = select(early, load(m, history + i, lanes), latest)
+        wait = select(early, delay - load(m, history + HISTORY + i, lanes), wait)
+    before = load(m, history + 2 * HISTORY, lanes)
+    store(m, history + 2 * HISTORY, lanes, latest)
+    share = select(latest != before, (end - wait) * (1.0 / dt), 1.0)
+    return latest, before, clip(share, 0.0, 1.0)
+
+
+@njit(cache=True)
+def regulate(m, lanes, at, active, end, dt):
+    """Advance the pressure by a substep; returns its mean over the substep, kPa."""
+    old = load(m, at.pressure, lanes)
+    if active & PRESSURE_GIVEN:
+        slope = load(m, at.pressure_slope, lanes)
+        store(m, at.pressure, lanes, old + dt * slope)
+        return old + (0.5 * dt) * slope
+    target = load(m, at.pressure_command, lanes)
+    if active & PRESSURE:
+        target, before, share = due(m, lanes, at.pressure_history, load(m, at.dead_time, lanes), end, dt)
+        target = select(share < 1.0, before + share * (target - before), target)
+        target = target * load(m, at.pressure_gain, lanes) + load(m, at.pressure_offset, lanes)
+        ceiling = load(m, at.ceiling, lanes)
+        target = select(target > ceiling, ceiling, target)
+    # An exact first-order lag.
+    gap = old - target
+    inflating = gap < 0.0
+    keep = select(inflating, load(m, at.keep_inflate, lanes), load(m, at.keep_deflate, lanes))
+    mean = select(inflating, load(m, at.mean_inflate, lanes), load(m, at.mean_deflate, lanes))
+    new, mean = target + keep * gap, target + mean * gap
+    if active & PRESSURE:
+        most = load(m, at.pressure_rate, lanes) * dt
+        change = new - old
+        limited = clip(change, 0.0 - most, most)
+        choked = limited != change
+        new = select(choked, old + limited, new)
+        mean = select(choked, old + 0.5 * limited, mean)
+    store(m, at.pressure, lanes, new)
+    return mean
+
+
+@njit(cache=True)
+def pull(m, lanes, at, active, before, mean):
+    """Return the pressure by which the muscle pulls: after hysteresis and saturation, kPa.
+
+    before, mean: the pressure at the start of the substep and over it. Hysteresis is Bouc-Wen's with exponent 1
+    in its closed form: the loop's state nears the direction of change by exp(-|change| / width), at any rate.
+    """
+    if not active & MUSCLE:
+        return mean
+    change = load(m, at.pressure, lanes) - before
+    path = magnitude(change) * load(m, at.muscle_width, lanes)
+    loop = load(m, at.loop, lanes)
+    nearer = (select(change > 0.0, 1.0 + 0.0 * loop, -1.0) - loop) * (path * loss_over(path))
+    store(m, at.loop, lanes, loop + nearer)
+    pulling = mean - load(m, at.muscle_loop, lanes) * (loop + 0.5 * nearer)
+    return pulling * tanh_over(pulling * load(m, at.saturation, lanes))

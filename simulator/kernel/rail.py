@@ -1,0 +1,97 @@
+"""The rail stage: from velocity command to the force on the cart."""
+
+# mypy: allow-untyped-defs, allow-untyped-calls
+from numba import njit
+
+from simulator.kernel.layout import RAIL
+from simulator.kernel.numerics import clip, grip
+from simulator.kernel.pressure import due
+from simulator.simd import fill, load, magnitude, select, some, store
+
+# How far dry friction gives before it slips, m.
+REACH_M = 5e-5
+
+
+@njit(cache=True)
+def _law(m, lanes, at, command, v, dt):
+    """Return the drive's force (N) and implicit mass (kg).
+
+    Above the switch it tracks a fixed acceleration, below it the velocity. `share` is the part of the substep
+    before the crossing, foreseen from the last acceleration: else every crossing is late.
+    """
+    error = command - v
+    sign = select(error > 0.0, fill(error, 1.0), -1.0)
+    closing = load(m, at.a, lanes) * sign * dt
+    closing = select(closing > 1e-6, closing, 1e-6)
+    share = clip((error * sign - load(m, at.switch, lanes)) / closing, 0.0, 1.0)
+    gain = (1.0 - share) * load(m, at.velocity_gain, lanes)
+    force = share * sign * load(m, at.drive_force, lanes) + gain * error
+    return force, share * load(m, at.drive_inertia, lanes) + 0.5 * dt * gain
+
+
+@njit(cache=True)
+def _follow(m, lanes, at, command, before, share):
+    """Pass a command through the feed constant and the lag; returns its mean over the substep, m/s."""
+    gain, lagged = load(m, at.rail_gain, lanes), load(m, at.lagged, lanes)
+    command, before = command * gain, before * gain
+    target = select(share < 1.0, before + share * (command - before), command)
+    store(m, at.lagged, lanes, target + load(m, at.keep_rail, lanes) * (lagged - target))
+    return command + load(m, at.mean_rail, lanes) * (lagged - command)
+
+
+@njit(cache=True)
+def _engage(m, lanes, at, error, force, dt):
+    """Return the share of the substep in which the drive touches the cart, and move within the backlash.
+
+    Between the flanks the drive runs at its commanded velocity and the cart feels nothing.
+    """
+    half = 0.5 * load(m, at.backlash, lanes)
+    play = load(m, at.play, lanes)
+    sign = select(force > 0.0, fill(force, 1.0), -1.0)
+    left = half - play * sign  # way to the flank that the force needs
+    way = error * dt
+    store(m, at.play, lanes, clip(play + way, 0.0 - half, half))
+    closing = way * sign
+    closing = select(closing > 1e-9, closing, 1e-9)
+    return clip(1.0 - left / closing, 0.0, 1.0)
+
+
+@njit(cache=True)
+def drive(m, lanes, at, active, end, dt):
+    """Return what drive, friction and end stops put into the cart's row: force (N) and implicit mass (kg)."""
+    h, v = 0.5 * dt, load(m, at.v, lanes)
+    command, before, share = due(m, lanes, at.rail_history, load(m, at.rail_delay, lanes), end, dt)
+    if active & RAIL:
+        command = _follow(m, lanes, at, command, before, share)
+    force, mass = _law(m, lanes, at, command, v, dt)
+    # Where the command changes within the substep, the earlier one gets its share, as it was one substep ago.
+    earlier, mass_earlier = load(m, at.drive_before, lanes), load(m, at.drive_mass_before, lanes)
+    store(m, at.drive_before, lanes, force)
+    store(m, at.drive_mass_before, lanes, mass)
+    shared = share < 1.0
+    force = select(shared, earlier + share * (force - earlier), force)
+    mass = select(shared, mass_earlier + share * (mass - mass_earlier), mass)
+    if active & RAIL:
+        touching = _engage(m, lanes, at, command - v, force, dt)
+        force, mass = touching * force, touching * mass
+        friction, last = load(m, at.cart_friction, lanes), load(m, at.a, lanes)
+        held, holding = grip(m, lanes, at.cart_bristle, friction, REACH_M, v, last, dt)
+        viscous = load(m, at.cart_viscous, lanes)
+        force, mass = force + held - viscous * v, mass + holding + h * viscous
+
+    # The end stops are stiff: taken at the end of the substep, where the midpoint would let the cart bounce.
+    foreseen = load(m, at.q, lanes) + dt * v
+    travel = load(m, at.travel, lanes)
+    if some(magnitude(foreseen) > travel):
+        beyond = foreseen - clip(foreseen, 0.0 - travel, travel)
+        stiffness = select(beyond != 0.0, load(m, at.stop_stiffness, lanes), 0.0)
+        damping = select(beyond != 0.0, load(m, at.stop_damping, lanes), 0.0)
+        force = force - stiffness * beyond - damping * v
+        mass = mass + dt * (damping + h * stiffness)
+    return force, mass
+
+
+@njit(cache=True)
+def settle_cart(m, lanes, at, way):
+    """Shear the cart's dry friction by the way that a substep took, m."""
+    store(m, at.cart_bristle, lanes, clip(load(m, at.cart_bristle, lanes) + way, -REACH_M, REACH_M))

@@ -1,0 +1,153 @@
+"""The kernel's entries: a step of every block of a batch."""
+
+# mypy: allow-untyped-defs, allow-untyped-calls
+import math
+
+from numba import get_thread_id, njit, prange
+
+from simulator.kernel.arm import assemble, locate_block, solve
+from simulator.kernel.contact import add_shelf
+from simulator.kernel.joints import add_drag, add_joints, add_payload, add_tilt, settle_joints
+from simulator.kernel.layout import AIR, CART_GIVEN, JOINTS, PAYLOAD, PRESSURE, PRESSURE_GIVEN, RAIL, SHELF, TILT, rows
+from simulator.kernel.numerics import clip
+from simulator.kernel.pressure import age, issue, regulate
+from simulator.kernel.rail import drive, settle_cart
+from simulator.simd import load, store
+
+# A fuse, far beyond what the robot does (its links turn at up to 30 rad/s): what numbers within the registry's bounds
+# can shake a light link into, at a step too coarse for it, stays finite.
+FASTEST_RAD_S, FASTEST_M_S = 80.0, 20.0
+
+
+@njit(cache=True)
+def _issue(m, lanes, at, active):
+    late = load(m, at.late, lanes)
+    if not active & CART_GIVEN:
+        issue(m, lanes, load(m, at.cart_command, lanes), at.rail_history, 0.0, late)
+    if active & PRESSURE and not active & PRESSURE_GIVEN:
+        issue(m, lanes, load(m, at.pressure_command, lanes), at.pressure_history, load(m, at.deadband, lanes), late)
+
+
+@njit(cache=True)
+def _grow_older(m, lanes, at, active, duration):
+    if not active & CART_GIVEN:
+        age(m, lanes, at.rail_history, duration)
+    if active & PRESSURE and not active & PRESSURE_GIVEN:
+        age(m, lanes, at.pressure_history, duration)
+
+
+@njit(cache=True)
+def _advance_block(m, w, links, lanes, parts, active, substeps, dt):
+    """Advance one block by `substeps` substeps of `dt` seconds under its commands."""
+    at, h = rows(links), 0.5 * dt
+    if len(parts) == 0:
+        active = 0  # a constant to the compiler, which leaves all effects out
+    _issue(m, lanes, at, active)
+    for substep in range(substeps):
+        assemble(m, w, links, lanes, active, (substep + 1) * dt, dt)
+        if active & JOINTS:
+            add_joints(m, w, links, lanes, dt)
+        if active & PAYLOAD:
+            add_payload(m, w, links, lanes, dt)
+        if active & TILT:
+            add_tilt(m, w, links, lanes)
+        if active & AIR:
+            add_drag(m, w, links, lanes, dt)
+        if active & SHELF:
+            add_shelf(m, w, links, lanes, dt)
+        solve(w, links, lanes)
+        if active & JOINTS:
+            settle_joints(m, w, links, lanes, dt)
+        if active & RAIL:
+            settle_cart(m, lanes, at, dt * (load(m, at.v, lanes) + h * load(w, at.rhs, lanes)))
+        for i in range(len(links) + 1):
+            most = FASTEST_M_S if i == 0 else FASTEST_RAD_S
+            v = load(m, at.v + i, lanes)
+            change = clip(dt * load(w, at.rhs + i, lanes), -most, most)
+            after = clip(v + change, -most, most)
+            store(m, at.a + i, lanes, change * (1.0 / dt))
+            store(m, at.q + i, lanes, load(m, at.q + i, lanes) + h * (v + after))
+            store(m, at.v + i, lanes, after)
+    _grow_older(m, lanes, at, active, substeps * dt)
+
+
+@njit(cache=True)
+def advance(memory, scratch, links, lanes, parts, active, substeps, dt):
+    """Advance every block on this thread.
+
+    memory: [blocks, rows * lanes], changed in place; scratch: [threads, rows * lanes]; links, lanes: tuples whose
+    lengths count; parts: an empty tuple if `active` is 0, else (0,); active: the bits of layout.py; dt: seconds, a
+    scalar of the memory's type. `prepare` must have been called for this dt.
+    """
+    for block in range(memory.shape[0]):
+        _advance_block(memory[block], scratch[0], links, lanes, parts, active, substeps, dt)
+
+
+@njit(cache=True, parallel=True)
+def advance_parallel(memory, scratch, links, lanes, parts, active, substeps, dt):
+    """Advance every block on all cores; as `advance`."""
+    for block in prange(memory.shape[0]):
+        _advance_block(memory[block], scratch[get_thread_id()], links, lanes, parts, active, substeps, dt)
+
+
+@njit(cache=True)
+def advance_pressure(memory, scratch, links, lanes, parts, active, substeps, dt):
+    """Advance the pressure alone; as `advance`."""
+    at = rows(links)
+    for block in range(memory.shape[0]):
+        m = memory[block]
+        _issue(m, lanes, at, active | CART_GIVEN)
+        for substep in range(substeps):
+            regulate(m, lanes, at, active, (substep + 1) * dt, dt)
+        _grow_older(m, lanes, at, active | CART_GIVEN, substeps * dt)
+
+
+@njit(cache=True)
+def advance_cart(memory, scratch, links, lanes, parts, active, substeps, dt):
+    """Advance the cart alone, pushed by its drive and by the force at `cart_push`; as `advance`."""
+    at, h = rows(links), 0.5 * dt
+    for block in range(memory.shape[0]):
+        m = memory[block]
+        _issue(m, lanes, at, active | PRESSURE_GIVEN)
+        for substep in range(substeps):
+            force, mass = drive(m, lanes, at, active, (substep + 1) * dt, dt)
+            a = (force + load(m, at.cart_push, lanes)) / (load(m, at.cart_mass, lanes) + mass)
+            v = load(m, at.v, lanes)
+            way = dt * (v + h * a)
+            if active & RAIL:
+                settle_cart(m, lanes, at, way)
+            store(m, at.a, lanes, a)
+            store(m, at.q, lanes, load(m, at.q, lanes) + way)
+            store(m, at.v, lanes, v + dt * a)
+        _grow_older(m, lanes, at, active | PRESSURE_GIVEN, substeps * dt)
+
+
+@njit(cache=True)
+def prepare(memory, links, lanes, dt):
+    """Set, in every block, what depends on the length of the substep alone."""
+    n, width = len(links), len(lanes)
+    at = rows(links)
+    real = type(dt)
+    h = real(0.5) * dt
+    times = (at.inflate, at.deflate, at.rail_lag, at.creep_time)
+    for block in range(memory.shape[0]):
+        m = memory[block]
+        for k in range(width):
+            for lag in range(4):
+                time = m[times[lag] * width + k]
+                lost = -math.expm1(-dt / time) if time > 0 else real(1.0)
+                m[(at.keep_inflate + lag) * width + k] = real(1.0) - lost
+                m[(at.mean_inflate + lag) * width + k] = lost * time / dt
+            for i in range(n):
+                implicit = h * (m[(at.damping + i) * width + k] + h * m[(at.stiffness + i) * width + k])
+                m[(at.implicit + i) * width + k] = implicit
+                m[(at.diagonal + i) * width + k] = m[(at.coupling + i * n + i) * width + k] + implicit
+                if i > 0:
+                    m[(at.diagonal + i - 1) * width + k] += implicit
+
+
+@njit(cache=True)
+def locate(memory, links, lanes):
+    """Set position and velocity of every link's far end."""
+    for block in range(memory.shape[0]):
+        locate_block(memory[block], links, lanes)

@@ -1,0 +1,187 @@
+"""What lies between the robot and whoever observes it: mocap, velocities, and a loop that does not tick on time.
+
+Batches of robots in numpy, once a control step; each robot with the effects of its own model or override.
+"""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from simulator.simulator import Array, Simulator
+
+# Poses are kept for at least this long beyond the last one that was still needed, s.
+_KEPT = 2
+
+
+@dataclass(frozen=True)
+class Sight:
+    """What the mocap shows at a control step, one row a robot."""
+
+    positions_m: NDArray[np.float64]  # [R, n + 1, 2]: y, z of the cart and of each link's end
+    angles_rad: NDArray[np.float64]  # [R, n + 1]: 0 for the cart, then the links' absolute angles
+    velocities_m_s: NDArray[np.float64]  # [R, n + 1, 2]
+    fresh: NDArray[np.bool_]  # [R], False where the frame was dropped and the last one is repeated
+
+
+class Sensors:
+    """The mocap and what is made of it, for a simulator's robots.
+
+    In their order: latency (between the control steps' poses a straight line), rotation about the origin, scale,
+    offset, noise, dropout. With observation.finite_difference velocities are differences of what was shown over the
+    control step; without, the true ones of the instant shown, as the mocap's frame has them. The pressure's bias is
+    `Simulator.pressure_reading_kpa`.
+    """
+
+    def __init__(self, simulator: Simulator, rng: np.random.Generator) -> None:
+        """rng draws noise and dropouts, the same number for every robot at every look."""
+        self._simulator, self.rng = simulator, rng
+        self._differenced = np.array(["observation.finite_difference" in each.effects for each in simulator.models])
+        self._past: list[tuple[float, Array, Array, Array]] = []
+        self._shown: Sight | None = None
+        self._shown_at = 0.0
+        self._restarted = np.ones(simulator.robots, dtype=np.bool_)
+
+    def reset(self, robots: NDArray[np.bool_] | None = None) -> None:
+        """Forget what robots (bool mask [R], None: all) showed before: call it when they are put elsewhere."""
+        if robots is None:
+            self._past, self._shown = [], None
+        self._restarted |= True if robots is None else robots
+
+    def look(self, robots: NDArray[np.bool_] | None = None) -> Sight:
+        """Look at the robots now; call it once a control step.
+
+        robots: bool mask [R], those put elsewhere since the look of this very instant: they are looked at again, the
+        others go on showing what they showed.
+        """
+        before, instant = self._shown, self._shown_at
+        sight = self._look()
+        if robots is None or before is None or robots.all():
+            return sight
+        if instant != self._simulator.time_s:
+            raise ValueError("robots are looked at alone only at the instant at which all were; look at all of them")
+        pairs = ((new, vars(before)[name]) for name, new in vars(sight).items())
+        self._shown = Sight(*(np.where(robots.reshape(-1, *[1] * (new.ndim - 1)), new, old) for new, old in pairs))
+        return self._shown
+
+    def snapshot(self) -> dict[str, NDArray[Any]]:
+        """What was seen, for `restore`: copies. The random numbers and the simulator's time are not among it."""
+        past = zip(*self._past, strict=True)
+        names = ("time_s", "positions_m", "angles_rad", "velocities_m_s")
+        kept = {f"past.{name}": np.array(each) for name, each in zip(names, past, strict=False)}
+        sight = {} if self._shown is None else vars(self._shown)
+        shown = {f"shown.{name}": each.copy() for name, each in sight.items()}
+        return kept | shown | {"shown_at_s": np.array(self._shown_at), "restarted": self._restarted.copy()}
+
+    def restore(self, snapshot: dict[str, NDArray[Any]]) -> None:
+        """Go back to a snapshot of the sensors of a simulator made with the same arguments."""
+        kept: dict[str, Any] = {name: np.array(each) for name, each in snapshot.items()}
+        past = [each for name, each in kept.items() if name.startswith("past.")]
+        shown = [each for name, each in kept.items() if name.startswith("shown.")]
+        self._past = [(float(time_s), *frame) for time_s, *frame in zip(*past, strict=True)]
+        self._shown = Sight(*shown) if shown else None
+        self._shown_at, self._restarted = float(kept["shown_at_s"]), kept["restarted"]
+
+    def _look(self) -> Sight:
+        effects, robots = self._simulator.effects, self._simulator.robots
+        positions, angles, velocities = self._delayed(effects.value("mocap.latency", "delay"))
+        turn = effects.value("mocap.rotation", "angle")
+        scale = 1.0 + effects.value("mocap.scale", "scale")
+        positions = _turned(positions, turn) * scale[:, None, None]
+        away = [effects.value("mocap.offset", axis) for axis in ("y", "z")]
+        positions = positions + np.stack(np.broadcast_arrays(*away), axis=-1)[:, None]
+        noise = self.rng.standard_normal(positions.shape)
+        positions = positions + effects.value("mocap.noise", "sigma")[:, None, None] * noise
+        fresh = self.rng.random(robots) >= effects.value("mocap.dropout", "share")
+        velocities = _turned(velocities, turn) * scale[:, None, None]
+        return self._show(positions, angles + turn[:, None] * (np.arange(angles.shape[1]) > 0), velocities, fresh)
+
+    def _show(
+        self,
+        positions: NDArray[np.float64],
+        angles: NDArray[np.float64],
+        velocities: NDArray[np.float64],
+        fresh: NDArray[np.bool_],
+    ) -> Sight:
+        """Repeat the last frame where one was dropped, and difference positions where they are differenced."""
+        now, before, since = self._simulator.time_s, self._shown, 0.0
+        fresh = fresh | self._restarted
+        if before is not None:
+            held = ~fresh[:, None]
+            positions = np.where(held[..., None], before.positions_m, positions)
+            angles = np.where(held, before.angles_rad, angles)
+            velocities = np.where(held[..., None], before.velocities_m_s, velocities)
+            since = now - self._shown_at
+        if self._differenced.any():
+            rates = np.zeros_like(velocities)
+            if before is not None and since > 0:
+                rates = (positions - before.positions_m) / since
+                rates[self._restarted] = 0.0
+            velocities = np.where(self._differenced[:, None, None], rates, velocities)
+        self._shown, self._shown_at = Sight(positions, angles, velocities, fresh), now
+        self._restarted = np.zeros_like(self._restarted)
+        return self._shown
+
+    def _delayed(self, delay_s: NDArray[np.float64]) -> tuple[NDArray[np.float64], ...]:
+        """Return positions [R, n + 1, 2], angles [R, n + 1] and velocities as they were `delay_s` ago."""
+        now = self._simulator.time_s
+        frame = self._true()
+        self._past = [each for each in self._past if each[0] < now]  # a reset may have set the time back
+        if self._restarted.any():  # before its episode a robot was where it began
+            for _, *old in self._past:
+                for then, this in zip(old, frame, strict=True):
+                    then[self._restarted] = this[self._restarted]
+        self._past.append((now, *frame))
+        horizon = now - float(delay_s.max())
+        while len(self._past) > _KEPT and self._past[1][0] <= horizon:
+            self._past.pop(0)
+        times = np.array([each[0] for each in self._past])
+        place = np.interp(now - np.broadcast_to(delay_s, (self._simulator.robots,)), times, np.arange(len(times)))
+        early = np.floor(place).astype(np.int64)
+        late, share, everyone = np.minimum(early + 1, len(times) - 1), place - early, np.arange(len(place))
+        result = []
+        for k in (1, 2, 3):
+            frames = np.stack([each[k] for each in self._past]).astype(np.float64)
+            part = share.reshape(-1, *[1] * (frames.ndim - 2))
+            one, other = frames[early, everyone], frames[late, everyone]
+            result.append(np.where(part > 0, one + part * (other - one), one))
+        return tuple(result)
+
+    def _true(self) -> tuple[Array, Array, Array]:
+        simulator = self._simulator
+        cart = np.zeros((simulator.robots, 1, 2), simulator.cart_position_m.dtype)
+        cart[:, 0, 0] = simulator.cart_position_m
+        cart[:, 0, 1] = [each.arm.base_height_m for each in simulator.models]
+        moving = np.zeros_like(cart)
+        moving[:, 0, 0] = simulator.cart_velocity_m_s
+        return (
+            np.concatenate((cart, simulator.link_ends_m()), axis=1),
+            np.concatenate((cart[:, :, 0] * 0, simulator.link_angles_rad), axis=1),
+            np.concatenate((moving, simulator.link_end_velocities_m_s()), axis=1),
+        )
+
+
+class Clock:
+    """A loop's ticks, robot by robot: how late each is and which are left out."""
+
+    def __init__(self, simulator: Simulator, rng: np.random.Generator) -> None:
+        """rng draws the same number for every robot at every tick."""
+        self._simulator, self.rng = simulator, rng
+
+    def tick(self) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+        """Return each robot's lateness (s, for `Simulator.step`) and whether it ticks at all, both [R].
+
+        A loop cannot be early: lateness is the positive half of a normal distribution. Who does not tick keeps its
+        last command.
+        """
+        effects, robots = self._simulator.effects, self._simulator.robots
+        late = effects.value("clock.jitter", "sigma") * np.abs(self.rng.standard_normal(robots))
+        return late, self.rng.random(robots) >= effects.value("clock.missed_ticks", "share")
+
+
+def _turned(vectors: NDArray[np.float64], angle: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Turn vectors [R, k, 2] from y towards z by angles [R] or [1]."""
+    sine, cosine = np.sin(angle)[:, None], np.cos(angle)[:, None]
+    y, z = vectors[..., 0], vectors[..., 1]
+    return np.stack((cosine * y - sine * z, sine * y + cosine * z), axis=-1)

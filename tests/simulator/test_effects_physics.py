@@ -1,0 +1,182 @@
+"""What mechanics says of the effects, and what the ways to drive the simulator promise."""
+
+import numpy as np
+import pytest
+
+from benchmarks import commands
+from benchmarks.endurance import fly
+from schemas.model import Arm, Cart, Model
+from simulator import stages
+from simulator.effects import REGISTRY
+from simulator.simulator import Simulator
+
+
+def energies_j(simulator: Simulator, shelf: tuple[float, float], stiffness: float) -> np.ndarray:
+    """Kinetic, gravity's, springs' and the shelf's energy of every robot, [R], without the kernel's formulas.
+
+    The shelf's is that of a spring on the depth of the arm's bars in the boards, sampled along both.
+    """
+    arm, cart = simulator.model.arm, simulator.model.cart
+    length, mass = np.array(arm.link_length_m), np.array(arm.link_mass_kg)
+    angle, rate = simulator.link_angles_rad.astype(float), simulator.link_rates_rad_s.astype(float)
+    start = np.stack((simulator.cart_position_m, np.full(simulator.robots, arm.base_height_m)), axis=1).astype(float)
+    moving = np.stack((simulator.cart_velocity_m_s, np.zeros(simulator.robots)), axis=1).astype(float)
+    energy = 0.5 * cart.mass_kg * moving[:, 0] ** 2
+    joints = np.diff(angle, axis=1, prepend=0.0)
+    energy += 0.5 * (np.array(arm.stiffness_nm_rad) * joints**2).sum(axis=1)
+    edge, top = shelf[0] - 0.005, shelf[1] - 0.005
+    for i in range(arm.links):
+        along = length[i] * np.stack((np.sin(angle[:, i]), -np.cos(angle[:, i])), axis=1)
+        turning = length[i] * rate[:, [i]] * np.stack((np.cos(angle[:, i]), np.sin(angle[:, i])), axis=1)
+        velocity, centre = moving + turning / 2, start + along / 2
+        energy += 0.5 * mass[i] * (velocity**2).sum(axis=1) + 0.5 * arm.link_inertia_kg_m2[i] * rate[:, i] ** 2
+        energy += mass[i] * arm.gravity_m_s2 * centre[:, 1]
+        span = 1.0 if i < arm.links - 1 else 1.0 - 0.0381 / length[i]
+        for height in (top, top + 0.21):
+            end = start + span * along
+            aside = end[:, 0] - np.clip(end[:, 0], edge - 0.39, edge)
+            depth = 0.0431 - np.hypot(aside, end[:, 1] - height)
+            energy += 0.5 * stiffness * np.maximum(depth, 0.0) ** 2
+            share = ((np.array([edge, height]) - start) * along).sum(axis=1) / (length[i] ** 2)
+            beside = start + np.clip(share, 0.0, span)[:, None] * along
+            depth = 0.0431 - np.hypot(beside[:, 0] - edge, beside[:, 1] - height)
+            energy += np.where((share > 0) & (share < span), 0.5 * stiffness * np.maximum(depth, 0.0) ** 2, 0.0)
+        start, moving = start + along, moving + turning
+    return energy
+
+
+@pytest.mark.parametrize("friction", [0.0, 0.4])
+@pytest.mark.parametrize("rate_hz", [240.0, 1200.0])
+def test_contact_never_injects_energy(rate_hz: float, friction: float) -> None:
+    """An arm without muscle or drive swings into a board's edge: what energy it has becomes less with every step."""
+    zeros = (0.0,) * 5
+    arm = Arm(muscle_gain_nm_kpa=zeros, torque_offset_nm=zeros)
+    model = Model(arm=arm, effects={"contact.friction": {"coefficient": friction}})
+    robots, shelf = 64, (-0.06, 0.56)
+    starts = np.random.default_rng(7).uniform(0.1, 0.5, (robots, 1)) * np.linspace(0.2, 1.0, 5)
+    free, hit = (Simulator(model, robots, rate_hz, fixed_base=True) for _ in range(2))
+    hit.place_shelf(*shelf)
+    for simulator in (free, hit):
+        simulator.reset(joint_angles_rad=starts)
+    have = have_free = energies_j(hit, shelf, 2000.0)
+    gain = gain_free = 0.0
+    apart = np.zeros(robots)
+    for _ in range(240):
+        for simulator in (free, hit):
+            simulator.step(0.0, 0.0, 1 / 120)
+        had, had_free = have, have_free
+        have, have_free = energies_j(hit, shelf, 2000.0), energies_j(free, (100.0, 0.0), 0.0)
+        gain, gain_free = max(gain, np.max(have - had)), max(gain_free, np.max(have_free - had_free))
+        apart = np.maximum(apart, np.abs(hit.tip_m() - free.tip_m()).max(axis=1))
+    assert (apart > 0.02).mean() > 0.9
+    assert gain_free < 1e-6
+    assert gain < 1e-6
+
+
+def test_tip_rests_on_a_board_by_its_weight() -> None:
+    """An arm bent over a board presses it by what the springs leave of the tip's weight, and lies there."""
+    simulator = Simulator(None, 1, 1200.0, fixed_base=True, overrides={"contact.stiffness.stiffness": 5000.0})
+    simulator.place_shelf(-0.05, 0.6)
+    simulator.reset(joint_angles_rad=[-0.1, -0.4, -0.5, -0.5, -0.3], pressure_kpa=18.0)
+    for _ in range(150):
+        simulator.step(0.0, 2.0)
+    depth_m = 0.0381 - (simulator.link_ends_m()[0, :, 1].min() - 0.6)
+    assert np.abs(simulator.link_rates_rad_s).max() < 1e-3
+    assert -0.0381 < depth_m < 0.0382
+    lying = simulator.link_ends_m()[0]
+    simulator.place_shelf(-1e3, 0.0)
+    simulator.step(0.0, 2.0, 1.0)
+    assert np.abs(simulator.link_ends_m()[0] - lying).max() > 0.03  # it was the board that held it
+
+
+def test_fixed_base_holds_the_cart_and_frees_the_arm() -> None:
+    simulator = Simulator(None, 3, fixed_base=True)
+    simulator.reset(cart_position_m=[0.0, 0.1, -0.2])
+    for _ in range(30):
+        simulator.step(1.0, 15.0)
+    np.testing.assert_allclose(simulator.cart_position_m, [0.0, 0.1, -0.2], atol=1e-6)
+    assert np.abs(simulator.link_angles_rad).max() > 0.2
+
+
+def test_arm_alone_repeats_the_whole_robot_from_what_was_measured() -> None:
+    """Pressure and cart of a flight, sampled at 240 Hz, move the arm as they did in it."""
+    velocity, pressure = (commanded[:45, 0] for commanded in commands.smooth(1, seed=3))
+    stamps, fine = np.arange(45) / 30, np.arange(0, 356) / 240
+    flight = stages.replay(Simulator(None, 1, 1200.0), stamps, velocity, pressure, fine)
+    angles = stages.arm_alone(
+        Model(), fine, flight.cart_position_m, flight.cart_velocity_m_s, flight.pressure_kpa, physics_rate_hz=1200.0
+    )
+    assert np.abs(flight.link_angles_rad).max() > 0.2
+    np.testing.assert_allclose(angles, flight.link_angles_rad, atol=2e-3)
+    alone = stages.pressure_alone(Model(), stamps, pressure, fine)
+    np.testing.assert_allclose(alone, flight.pressure_kpa, atol=1e-3)
+
+
+def test_replay_is_stepping_with_any_stamps() -> None:
+    rng = np.random.default_rng(5)
+    stamps = np.cumsum(rng.uniform(0.02, 0.05, 20))
+    velocity, pressure = rng.uniform(-0.5, 0.5, (20, 3)), rng.uniform(0, 20, (20, 3))
+    replayed = stages.replay(Simulator(None, 3), stamps, velocity, pressure, stamps[1:])
+    stepped = Simulator(None, 3)
+    for i in range(19):
+        stepped.step(velocity[i], pressure[i], stamps[i + 1] - stamps[i])
+        np.testing.assert_array_equal(stepped.link_ends_m(), replayed.link_ends_m[i])
+    with pytest.raises(ValueError, match="ascend"):
+        stages.replay(stepped, stamps[::-1], velocity, pressure, stamps)
+
+
+def test_every_robot_has_its_own_model() -> None:
+    models = [Model(), Model(effects={}), Model(arm=Arm(stiffness_nm_rad=(1.0,) * 5))]
+    together = Simulator(models)
+    alone = [Simulator(model) for model in models]
+    for v, p in zip(*(sets[:20, 0] for sets in commands.bang_bang(1, seed=6)), strict=True):
+        together.step(v, p)
+        for simulator in alone:
+            simulator.step(v, p)
+    for i, simulator in enumerate(alone):
+        np.testing.assert_array_equal(simulator.tip_m()[0], together.tip_m()[i])
+    with pytest.raises(ValueError, match="2 models for 3 robots"):
+        Simulator(models[:2], 3)
+    with pytest.raises(ValueError, match=r"one entry a robot, \(3,\)"):
+        Simulator(models, overrides={"rail.delay.delay": [0.0, 0.1]})
+    with pytest.raises(ValueError, match=r"arm.payload.mass: is 7; allowed 0 to 0.5 kg"):
+        Simulator(models, overrides={"arm.payload.mass": [0.0, 0.1, 7.0]})
+
+
+SYMMETRIC = ("arm.coulomb_friction", "arm.drag", "arm.stiffening", "arm.creep", "rail.backlash")
+
+
+@pytest.mark.parametrize("mirrored", SYMMETRIC)
+def test_mirrored_inputs_give_mirrored_motion(mirrored: str) -> None:
+    both = (mirrored, "rail.coulomb_friction")
+    effects = {name: {p.name: p.exemplar for p in REGISTRY[name].parameters} for name in both}
+    simulator = Simulator(Model(arm=Arm(torque_offset_nm=(0.0,) * 5), effects=effects), 2)
+    simulator.reset(joint_angles_rad=np.array([[0.3, -0.2, 0.1, 0.2, 0.1]]) * [[1.0], [-1.0]])
+    for v, p in zip(*(sets[:40, 0] for sets in commands.smooth(1, seed=5)), strict=True):
+        simulator.step(np.array([v, -v]), np.array([p, -p]))
+    np.testing.assert_allclose(simulator.link_angles_rad[0], -simulator.link_angles_rad[1], atol=2e-4)
+
+
+def test_single_precision_at_240_hz_is_near_the_reference_with_all_effects() -> None:
+    """Against the same flight in float64 at 24 kHz; the effects' kinks cost some of the smooth scheme's accuracy."""
+    effects = {
+        name: {p.name: p.exemplar for p in effect.parameters}
+        for name, effect in REGISTRY.items()
+        if effect.stage in ("pressure", "rail", "arm") and effect.parameters
+    }
+    velocity, pressure = (commanded[:60] for commanded in commands.smooth(8, seed=8))
+    tips = []
+    for rate_hz, dtype in ((240.0, np.float32), (1200.0, np.float32), (24_000.0, np.float64)):
+        simulator = Simulator(Model(cart=Cart(travel_m=100.0), effects=effects), 8, rate_hz, dtype=dtype)
+        for v, p in zip(velocity, pressure, strict=True):
+            simulator.step(v, p)
+        tips.append(simulator.tip_m())
+    coarse, fine = (1e3 * np.linalg.norm(each - tips[2], axis=1) for each in tips[:2])
+    assert coarse.mean() < 3.0
+    assert fine.mean() < 0.5
+
+
+def test_random_parameters_within_bounds_stay_finite() -> None:
+    """A few thousand episodes; `python -m benchmarks.endurance` flies a million."""
+    for rate_hz in (120.0, 240.0):
+        assert fly(1024, seed=round(rate_hz), rate_hz=rate_hz).finite

@@ -1,0 +1,150 @@
+"""The registry keeps its word: every entry is complete, and whoever reads it gets the same answer."""
+
+import math
+import re
+from pathlib import Path
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from schemas.model import Model, seed_effects
+from simulator import effects
+from simulator.effect_table import EFFECTS, RIVALS
+from simulator.effects import REGISTRY, STAGES, Effect, EffectError, Parameter
+from simulator.effects_page import page
+from simulator.quantities import MISTAKEN_UNITS, Range
+
+PAGE = Path(__file__).parents[2] / "docs" / "effects.md"
+PARAMETERS = [(effect, parameter) for effect in EFFECTS for parameter in effect.parameters]
+BASE_UNITS = {"s", "m", "kg", "N", "rad", "kPa", "1"}
+
+
+def of(case: object) -> str:
+    return case.name if isinstance(case, Effect | Parameter) else str(case)
+
+
+@pytest.mark.parametrize("effect", REGISTRY.values(), ids=of)
+def test_entry_is_complete(effect: Effect) -> None:
+    assert re.fullmatch(r"[a-z]+\.[a-z_]+", effect.name)
+    assert effect.stage in STAGES
+    assert effect.meaning
+    assert effect.source
+    assert len({p.name for p in effect.parameters}) == len(effect.parameters)
+    # Something to switch on, for every test that takes the exemplar.
+    assert not effect.parameters or any(p.exemplar != p.neutral for p in effect.parameters)
+    assert not effect.parameters or any(p.default is None for p in effect.parameters)
+
+
+def test_names_are_unique_and_in_causal_order() -> None:
+    assert len(REGISTRY) == len(EFFECTS)
+    stages = [STAGES.index(effect.stage) for effect in REGISTRY.values()]
+    assert stages == sorted(stages)
+
+
+@pytest.mark.parametrize(("effect", "p"), PARAMETERS, ids=of)
+def test_bounds_hold_what_they_should(effect: Effect, p: Parameter) -> None:
+    assert -math.inf < p.low < p.high < math.inf
+    assert p.low <= p.exemplar <= p.high
+    # Outside the bounds stands only the neutral "no bound at all", which messages and page spell out.
+    assert p.low <= p.neutral <= p.high or p.neutral == math.inf
+    assert p.default in (None, p.neutral)
+    assert p.meaning
+
+
+@pytest.mark.parametrize(("effect", "p"), PARAMETERS, ids=of)
+def test_unit_is_made_of_base_units(effect: Effect, p: Parameter) -> None:
+    assert p.unit in MISTAKEN_UNITS
+    if p.unit != "-":
+        factors = re.split(r"[ /]", p.unit)
+        assert {re.sub(r"\^[234]$", "", factor) for factor in factors} <= BASE_UNITS
+
+
+def test_confusion_is_mutual_and_told_apart() -> None:
+    pairs = [frozenset(pair[:2]) for pair in RIVALS]
+    assert len(set(pairs)) == len(pairs)
+    assert all(len(pair) == 2 and pair <= set(REGISTRY) for pair in pairs)
+    for effect in REGISTRY.values():
+        for rival in effect.confused_with:
+            assert effect.name in REGISTRY[rival].confused_with
+            assert f"{rival}: " in effect.separated_by
+
+
+def test_seed_has_its_four_and_they_are_valid() -> None:
+    assert set(seed_effects()) <= set(REGISTRY)
+    effects.validate(Model().effects)
+
+
+def test_everything_may_be_strong_or_neutral() -> None:
+    effects.validate(effects.exemplars())
+    effects.validate({e.name: {p.name: p.neutral for p in e.parameters} for e in EFFECTS})
+
+
+@pytest.mark.parametrize(("effect", "p"), PARAMETERS, ids=of)
+def test_value_is_the_model_s_or_its_default_or_neutral(effect: Effect, p: Parameter) -> None:
+    absent, bare, given = (
+        Model(effects=chosen) for chosen in ({}, {effect.name: {}}, {effect.name: {p.name: p.exemplar}})
+    )
+    assert effects.value(absent, effect.name, p.name) == p.neutral
+    assert effects.value(bare, effect.name, p.name) == p.neutral
+    assert effects.value(given, effect.name, p.name) == p.exemplar
+    assert effects.find(f"{effect.name}.{p.name}") == (REGISTRY[effect.name], p)
+
+
+@pytest.mark.parametrize(("effect", "p"), PARAMETERS, ids=of)
+def test_out_of_bounds_names_all_that_helps(effect: Effect, p: Parameter) -> None:
+    too_much = 3 * p.high
+    with pytest.raises(EffectError) as error:
+        effects.validate({effect.name: {p.name: too_much}})
+    message = str(error.value)
+    assert message.startswith(f"{effect.name}.{p.name}: is {too_much:g}; allowed {p.low:g} to {p.high:g}")
+    assert message.endswith(f"source: {effect.source}")
+    assert p.unit == "-" or f" {p.unit}" in message
+    assert error.value.problems[0].place == (effect.name, p.name)
+
+
+def test_names_that_do_not_exist_are_refused_with_the_nearest() -> None:
+    for path, nearest in (
+        ("rail.dely.delay", "rail.delay"),
+        ("mocap.friction.coefficient", "contact.friction"),
+        ("arm.tilt.angl", "angle"),
+    ):
+        with pytest.raises(EffectError, match=rf"did you mean {nearest}\?"):
+            effects.find(path)
+    with pytest.raises(EffectError, match=r"unknown effect; docs/effects\.md"):
+        effects.find("zzz")
+    with pytest.raises(EffectError, match="no parameters"):
+        effects.find("observation.finite_difference.on")
+    with pytest.raises(EffectError, match="unknown effect"):
+        effects.value(Model(), "rail.dely", "delay")
+
+
+def test_nan_and_infinity_are_no_values() -> None:
+    for number in (math.nan, math.inf, -math.inf):
+        with pytest.raises(EffectError):
+            effects.validate({"arm.tilt": {"angle": number}})
+
+
+@settings(derandomize=True)
+@given(st.sampled_from([unit for unit, others in MISTAKEN_UNITS.items() if others]), st.data())
+def test_a_number_of_another_unit_is_converted(unit: str, data: st.DataObject) -> None:
+    """What the message says to write is allowed, and is the same quantity."""
+    other, factor = data.draw(st.sampled_from(list(MISTAKEN_UNITS[unit].items())))
+    wanted = data.draw(st.floats(1.0, 2.0))
+    told = Range(unit, 1.0, 2.0).complaint_of_text(f"{wanted / factor!r} {other}")
+    assert float(told.rpartition(":")[2]) == pytest.approx(wanted, rel=1e-5)
+    if not Range(unit, 1.0, 2.0).admits(wanted / factor):  # else nobody can tell
+        written = Range(unit, 1.0, 2.0).complaint(wanted / factor).rpartition("write ")[2]
+        assert Range(unit, 1.0, 2.0).admits(float(written))
+
+
+def test_page_is_not_stale() -> None:
+    assert PAGE.read_text(encoding="utf-8") == page(), "python -m simulator.effects > docs/effects.md"
+
+
+def test_walk_through_shows_the_code_as_it_is() -> None:
+    text = (PAGE.parent / "adding-an-effect.md").read_text(encoding="utf-8")
+    blocks = re.findall(r"```python\n# (\S+)\n(.*?)```", text, flags=re.DOTALL)
+    assert len(blocks) >= 6
+    for name, code in blocks:
+        assert code in (PAGE.parents[1] / name).read_text(encoding="utf-8"), f"{name} has other code now"

@@ -1,0 +1,143 @@
+"""The Gymnasium environments: Gymnasium's own checker, its conventions, and the task behind them."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+gymnasium = pytest.importorskip("gymnasium")
+pytest.importorskip("torch")
+
+from gymnasium.utils.env_checker import check_env  # noqa: E402
+from gymnasium.vector import AutoresetMode  # noqa: E402
+
+from simulator.model_file import ModelFileError  # noqa: E402
+
+TASKS = ("Reach", "Shelf")
+REACH_POLICY = Path(__file__).parents[2] / "policies" / "models" / "reach.onnx"
+
+
+def one(task: str, **options):
+    return gymnasium.make(f"training.gym_envs:SoftArm{task}-v0", **options).unwrapped
+
+
+def many(task: str, robots: int, **options):
+    return gymnasium.make_vec(
+        f"training.gym_envs:SoftArm{task}-v0", num_envs=robots, vectorization_mode="vector_entry_point", **options
+    ).unwrapped
+
+
+@pytest.mark.parametrize("task", TASKS)
+def test_gymnasium_s_own_checker_has_nothing_to_say(task: str) -> None:
+    """Its warnings are errors here."""
+    check_env(one(task))
+
+
+@pytest.mark.parametrize("task", TASKS)
+def test_vector_keeps_to_its_spaces_and_to_gymnasium_s_autoreset(task: str) -> None:
+    robots = 40
+    env = many(task, robots)
+    assert env.metadata["autoreset_mode"] is AutoresetMode.SAME_STEP
+    observation, info = env.reset(seed=1)
+    assert info == {}
+    ended = 0
+    for _ in range(110):
+        assert env.observation_space.contains(observation)
+        actions = np.clip(env.np_random.normal(0.0, 0.5, (robots, 2)), -1.0, 1.0).astype(np.float32)
+        before = observation
+        observation, reward, terminated, truncated, info = env.step(actions)
+        assert reward.shape == terminated.shape == truncated.shape == (robots,)
+        assert np.isfinite(reward).all()
+        over = terminated | truncated
+        ended += over.sum()
+        assert ("final_obs" in info) == over.any()
+        if over.any():
+            np.testing.assert_array_equal(info["_final_obs"], over)
+            np.testing.assert_array_equal(info["final_info"]["_success"], over)
+            assert all((last is not None) == done for last, done in zip(info["final_obs"], over, strict=True))
+            for robot in np.flatnonzero(over):
+                last = info["final_obs"][robot]
+                assert env.single_observation_space.contains(last)
+                np.testing.assert_array_equal(last[8:], before[robot, 8:])  # still the goal of the episode that ended
+                assert (observation[robot, 8:] != last[8:]).all()
+                assert not observation[robot, [1, 4, 5]].any()  # the next one begins at rest
+    assert ended >= robots
+
+
+@pytest.mark.parametrize("task", TASKS)
+def test_single_and_vector_are_the_same_robot(task: str) -> None:
+    single, vector = one(task), many(task, 1)
+    first, _ = single.reset(seed=7)
+    np.testing.assert_array_equal(first, vector.reset(seed=7)[0][0])
+    action = np.array([-0.3, 0.4], dtype=np.float32)
+    for _ in range(100):
+        seen, reward, terminated, truncated, info = single.step(action)
+        row, rewards, terminations, truncations, infos = vector.step(action[None])
+        assert (reward, terminated, truncated) == (rewards[0], terminations[0], truncations[0])
+        if terminated or truncated:
+            np.testing.assert_array_equal(seen, infos["final_obs"][0])
+            assert info["success"] == infos["final_info"]["success"][0]
+            return
+        np.testing.assert_array_equal(seen, row[0])
+    pytest.fail("no episode is longer than 100 steps")
+
+
+@pytest.mark.parametrize("task", TASKS)
+def test_a_seed_draws_the_same_and_no_seed_another(task: str) -> None:
+    env = one(task)
+    first, again = env.reset(seed=3)[0], env.reset(seed=3)[0]
+    np.testing.assert_array_equal(first, again)
+    assert (env.reset()[0][8:] != first[8:]).all()
+
+
+def test_goal_may_be_given() -> None:
+    observation, _ = one("Reach").reset(options={"target_m": (-0.2, 0.6)})
+    np.testing.assert_allclose(observation[8:], (-0.2, 0.6), rtol=1e-6)
+    observation, _ = many("Shelf", 3).reset(options={"target_m": (-0.48, 0.63), "depth_m": (0.0, 0.1, 0.2)})
+    np.testing.assert_allclose(observation[:, 8:], [(-0.48, 0.63, depth) for depth in (0.0, 0.1, 0.2)], rtol=1e-6)
+    with pytest.raises(ValueError, match="unknown option depth_m; this task takes target_m"):
+        one("Reach").reset(options={"depth_m": 0.1})
+    with pytest.raises(ValueError, match=r"target_m is \(5, 0.6\); give something within"):
+        one("Reach").reset(options={"target_m": (5, 0.6)})
+
+
+def test_model_may_be_a_shipped_name() -> None:
+    """Without rail.delay the cart answers within the first step."""
+    moved = []
+    for name in ("seed", "no-delay"):
+        env = one("Reach", model=name)
+        env.reset(seed=1)
+        observation, *_ = env.step(np.array([-1.0, -1.0], dtype=np.float32))
+        moved.append(abs(observation[1]))
+    assert moved[0] < 0.02 < moved[1]
+    with pytest.raises(ModelFileError, match=r"did you mean no-delay\?"):
+        one("Reach", model="no-dely")
+
+
+def test_shelf_stands_where_the_target_says() -> None:
+    """The arm swings towards -y; a board at its height stops it by the front edge, one out of reach does not."""
+
+    def farthest_y_m(depth_m: float) -> float:
+        env = one("Shelf")
+        env.reset(seed=2, options={"target_m": (-0.6, 0.57), "depth_m": depth_m})
+        return float(min(env.step(np.array([-0.3, 1.0], dtype=np.float32))[0][2] for _ in range(30)))
+
+    assert farthest_y_m(-0.3) < -0.25
+    assert farthest_y_m(0.45) > -0.2  # the edge is at -0.15 m
+
+
+def test_shipped_policy_flies_the_reach_task() -> None:
+    """What the house trained reaches its targets through Gymnasium's door as well."""
+    onnxruntime = pytest.importorskip("onnxruntime")
+    session = onnxruntime.InferenceSession(REACH_POLICY)
+    robots = 48
+    env = many("Reach", robots)
+    observation, _ = env.reset(seed=11)
+    h = c = np.zeros((1, robots, 256), dtype=np.float32)
+    first = np.full(robots, -1)
+    for _ in range(100):
+        action, h, c = session.run(None, {"observation": observation, "h_in": h, "c_in": c})
+        observation, _, terminated, truncated, info = env.step(np.clip(action, -1.0, 1.0))
+        over = (terminated | truncated) & (first < 0)
+        first[over] = info["success"][over]
+    assert (first == 1).mean() > 0.85
