@@ -22,9 +22,9 @@ def test_without_mujoco_it_names_the_extra(monkeypatch: pytest.MonkeyPatch) -> N
 
 def test_a_model_of_other_links_is_refused(tmp_path: Path) -> None:
     lists = ("link_length_m", "link_mass_kg", "link_inertia_kg_m2", "stiffness_nm_rad", "damping_nm_s_rad")
-    short = "".join(f"  {name}: [0.1, 0.1]\n" for name in (*lists, "muscle_gain_nm_kpa", "torque_offset_nm"))
+    short = "".join(f"  {name}: [0.01, 0.01]\n" for name in (*lists, "muscle_gain_nm_kpa", "torque_offset_nm"))
     model = tmp_path / "short.yaml"
     model.write_text("arm:\n" + short)
     answer = CliRunner().invoke(main, ["twin", "--config", CONFIG, "--model", str(model), "--reality"])
     assert answer.exit_code == 1
-    assert "body has 2 links" in answer.output
+    assert "has 2 links; the daemon flies an arm of 5" in answer.output
