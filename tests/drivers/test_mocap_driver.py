@@ -88,7 +88,8 @@ class Bridge:
         self.session = zenoh.open(client(endpoint))
 
     def send(self, payload: bytes) -> None:
-        self.session.put("softarm/mocap", payload)
+        # Zenoh may drop what comes too fast for it; here the last of a flood has to arrive.
+        self.session.put("softarm/mocap", payload, congestion_control=zenoh.CongestionControl.BLOCK)
 
     def frame(self, sequence: int, t_capture_ns: int) -> None:
         self.send(mocap_payload.encode(sequence, t_capture_ns, POSES))
