@@ -1,10 +1,15 @@
 """`softarm run`: the daemon, on the robot's wires or on a robot simulated in this process."""
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
 from cli.options import config_option, flown_model, model_option
+
+if TYPE_CHECKING:
+    from daemon.daemon import Daemon
+    from daemon.loop import Devices
 
 
 @click.command()
@@ -44,7 +49,7 @@ def run(config_file: Path | None, simulated: bool, model_file: Path | None) -> N
         fail(str(error))
 
 
-def announce(running) -> None:  # type: ignore[no-untyped-def]
+def announce(running: "Daemon") -> None:
     """Say where it is and what comes next."""
     log = running.recorder.path
     click.echo(f"softarm: serving {running.url} (API: {running.url}/docs), disarmed")
@@ -52,7 +57,7 @@ def announce(running) -> None:  # type: ignore[no-untyped-def]
     click.echo("softarm: next: `softarm arm`, then `softarm goal reach -0.2 0.6`; Ctrl-C ends")
 
 
-def simulated_devices(model_file: Path | None):  # type: ignore[no-untyped-def]
+def simulated_devices(model_file: Path | None) -> "Devices":
     """The in-process robot, starting at this instant."""
     import time
 

@@ -52,7 +52,7 @@ class Observer:
         if usable is not None:
             self._difference(usable)
             self._frame = usable
-        elif self.mocap_age_ns(inputs.t_ns) is not None and self._age(inputs.t_ns) > self._stale_ns:
+        elif (self.mocap_age_ns(inputs.t_ns) or 0) > self._stale_ns:
             self.frames_in_a_row = 0
             self._velocities = (0.0, 0.0, 0.0)
 
@@ -71,16 +71,9 @@ class Observer:
             (tip.z_m - old_tip.z_m) * per_s,
         )
 
-    def _age(self, now_ns: int) -> int:
-        return now_ns - self._frame.t_capture_ns if self._frame is not None else 0
-
     def mocap_age_ns(self, now_ns: int) -> int | None:
         """Age of the newest usable frame's capture; None before the first."""
-        return None if self._frame is None else self._age(now_ns)
-
-    def tip_m(self) -> tuple[float, float] | None:
-        """The tip as last seen (y, z)."""
-        return None if self._frame is None else (self._frame.bodies[TIP].y_m, self._frame.bodies[TIP].z_m)
+        return None if self._frame is None else now_ns - self._frame.t_capture_ns
 
     def cart(self, now_ns: int) -> Cart | None:
         """The axis's own read-back, carried forward to now; None when there is none."""
