@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from cli.options import config_option, model_option
+from cli.options import config_option, flown_model, model_option
 
 if TYPE_CHECKING:
     from daemon.daemon import Daemon
@@ -44,7 +44,6 @@ def excite(name: str | None, config_file: Path | None, simulated: bool, model_fi
     from policies.excite import Excite
     from schemas.config import Config
     from schemas.excitation import EXCITATIONS
-    from simulator import model_file as files
 
     if show:
         for excitation in EXCITATIONS.values():
@@ -63,9 +62,7 @@ def excite(name: str | None, config_file: Path | None, simulated: bool, model_fi
             status, log = _play_simulated(config, name, model_file)
         else:
             status, log = _play(config, name)
-    except (configuration.ConfigurationError, PolicyError, files.ModelFileError, RecorderError) as error:
-        fail(str(error))
-    except (ApiError, AuthError, RuntimeError) as error:
+    except (configuration.ConfigurationError, PolicyError, RecorderError, ApiError, AuthError, RuntimeError) as error:
         fail(str(error))
     if status.state != "reached":
         fail(f"{name} was not played to its end: {status.state}, {status.reason}; what there is lies in {log}")
@@ -97,14 +94,14 @@ def _play_simulated(config: "Config", name: str, model_file: Path | None) -> tup
     from daemon.recorder import Recorder
     from policies.excite import Excite
     from schemas.goals import Goal
-    from simulator import model_file as files
 
+    model = flown_model(model_file)
     policy = Excite(name)
     policy.spec = replace(policy.spec, name=config.control.policy)
     recorder = Recorder(config, policy.spec)
     recorder.start()
     try:
-        lockstep = Lockstep(config, policy, files.load(model_file) if model_file else None, recorder)
+        lockstep = Lockstep(config, policy, model, recorder)
         lockstep.arm()
         with Progress(transient=True) as bar:
             task = bar.add_task(f"playing {name}", total=policy.spec.episode_steps)
