@@ -1,0 +1,88 @@
+"""What a diagnosis found, whole: the verdict and everything a report shows. Frozen values, nothing computed here."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from schemas.model import Model
+from schemas.verdict import Interval, Verdict
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Overlay:
+    """One channel of one trial: measured, and simulated by the stage alone (its inputs as measured)."""
+
+    stage: str
+    trial: str
+    kind: str
+    channel: str
+    unit: str
+    t_s: Array  # [N]
+    measured: Array  # [N], NaN in gaps
+    nominal: Array  # [N]
+    patched: Array | None  # [N]; None where nothing was named
+
+
+@dataclass(frozen=True, slots=True)
+class Spectrum:
+    """Residuals of a stage by frequency, one-sided amplitude density, all trials and channels pooled."""
+
+    stage: str
+    unit: str  # of the signal; densities are unit / sqrt(Hz)
+    frequency_hz: Array
+    nominal: Array
+    patched: Array | None
+    floor: float  # density of the floor
+
+
+@dataclass(frozen=True, slots=True)
+class Regime:
+    """A part of the data and how large the gap is in it."""
+
+    stage: str
+    name: str
+    samples: int
+    nominal_rms: float
+    patched_rms: float | None
+    unit: str
+
+
+@dataclass(frozen=True, slots=True)
+class Rival:
+    """An effect (or pair) that was tried as the cause."""
+
+    names: tuple[str, ...]
+    alone: float  # share of the stage's gap that goes with it alone; held out
+    conditional: Interval | None  # what it adds beside the named ones (for a named one: beside the other named ones)
+    parameters: Mapping[str, float]  # 'stage.effect.parameter' -> fitted value
+    note: str = ""  # 'named', 'cannot be told from arm.tilt', 'at its bound', ...
+
+
+@dataclass(frozen=True, slots=True)
+class Leftover:
+    """What the named effects do not explain, per stage."""
+
+    stage: str
+    explained_share: float  # of what any model could explain, by the named effects
+    depends_on: tuple[tuple[str, float], ...]  # feature -> importance, the largest first
+
+
+@dataclass(frozen=True, slots=True)
+class Diagnosis:
+    """The verdict and its evidence."""
+
+    verdict: Verdict
+    nominal: Model | None  # None: a single-stage table
+    patched: Model | None  # the nominal model with the named effects; None when nothing was named
+    trials: tuple[tuple[str, str, float], ...]  # name, kind, seconds
+    overlays: tuple[Overlay, ...] = ()
+    spectra: tuple[Spectrum, ...] = ()
+    regimes: tuple[Regime, ...] = ()
+    rivals: tuple[Rival, ...] = ()
+    leftovers: tuple[Leftover, ...] = ()
+    nuisances: Mapping[str, float] = field(default_factory=dict)  # what was fitted beside every rival, within tolerance
+    seconds: float = 0.0
