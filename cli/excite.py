@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from cli.options import config_option, flown_model, model_option
+from cli.options import FILE, config_option, flown_model, model_option
 
 if TYPE_CHECKING:
     from daemon.daemon import Daemon
@@ -22,8 +22,11 @@ _ARMING_S = 10.0  # drivers connect, mocap is seen, drive and regulator arm
 @config_option
 @click.option("--simulated", is_flag=True, help="A robot simulated in this process, as fast as it will go.")
 @model_option
+@click.option("--plan", type=FILE, help="Play what a diagnosis asks for next: its verdict.json.")
 @click.option("--list", "show", is_flag=True, help="Show the excitations there are.")
-def excite(name: str | None, config_file: Path | None, simulated: bool, model_file: Path | None, show: bool) -> None:
+def excite(
+    name: str | None, config_file: Path | None, simulated: bool, model_file: Path | None, plan: Path | None, show: bool
+) -> None:
     """Play the excitation NAME and record it: the arm is armed, moves, and is disarmed again.
 
     It is a policy like any other: safety filter, failsafe and recorder are the daemon's own, and while it plays
@@ -34,6 +37,7 @@ def excite(name: str | None, config_file: Path | None, simulated: bool, model_fi
       softarm excite --list
       softarm excite seed --config softarm.yaml        on the robot, about half a minute
       softarm excite rail-chirp --simulated            on a simulated one
+      softarm excite --plan verdict.json --config softarm.yaml    the next experiment of `softarm diagnose`
     """
     from cli.errors import fail
     from daemon import configuration
@@ -49,6 +53,10 @@ def excite(name: str | None, config_file: Path | None, simulated: bool, model_fi
         for excitation in EXCITATIONS.values():
             click.echo(f"{excitation.name:20s} {excitation.duration_s:5.1f} s  {excitation.description}")
         return
+    if plan is not None:
+        if name is not None:
+            raise click.UsageError("NAME or --plan, not both")
+        name = _planned(plan)
     if name is None:
         raise click.UsageError("which excitation? `softarm excite --list` shows them")
     if config_file is None and not simulated:
@@ -67,8 +75,32 @@ def excite(name: str | None, config_file: Path | None, simulated: bool, model_fi
     if status.state != "reached":
         fail(f"{name} was not played to its end: {status.state}, {status.reason}; what there is lies in {log}")
     click.echo(f"played {name}, {status.time_s:.1f} s; recorded {log}" if log else f"played {name}; nothing recorded")
-    if log is not None:
+    if log is not None and plan is not None:
+        click.echo(f"next: softarm diagnose RECORDING... {log} --json {plan}")
+    elif log is not None:
         click.echo(f"next: softarm identify {log} --out model.yaml")
+
+
+def _planned(plan: Path) -> str:
+    """The excitation that a verdict asks for next. Ends the command with a sentence where there is none."""
+    from pydantic import ValidationError
+
+    from cli.errors import fail
+    from schemas.verdict import Verdict
+
+    try:
+        verdict = Verdict.model_validate_json(plan.read_bytes())
+    except OSError as error:
+        fail(f"{plan}: cannot be read ({error.strerror}); name a file that `softarm diagnose --json` wrote")
+    except ValidationError as error:
+        first = error.errors(include_url=False)[0]
+        where = ".".join(map(str, first["loc"]))
+        fail(f"{plan}: {f'{where}: ' if where else ''}{first['msg']}; name a file that `softarm diagnose --json` wrote")
+    if verdict.next_experiment is None:
+        fail(f"{plan}: asks for no next experiment; name an excitation, `softarm excite --list` shows them")
+    for effect, expected in verdict.next_experiment.expect.items():
+        click.echo(f"if {effect}: {expected}")
+    return verdict.next_experiment.excitation
 
 
 def configured(config: "Config", name: str) -> "Config":

@@ -195,23 +195,25 @@ class Simulator:
         """
         self._command(self._at.cart_command, cart_velocity_m_s)
         self._command(self._at.pressure_command, pressure_kpa)
-        if late_s is not None:
-            self._command(self._at.late, late_s)
-            self._given |= layout.PRESSURE  # which keeps the pressure's commands
-        self._run(self._advance, duration_s)
-        if late_s is not None:
-            self._rows[:, self._at.late] = 0.0
+        self._run_late(self._advance, duration_s, late_s)
 
-    def step_pressure(self, pressure_kpa: ArrayLike, duration_s: float) -> None:
+    def step_pressure(self, pressure_kpa: ArrayLike, duration_s: float, *, late_s: ArrayLike | None = None) -> None:
         """As `step`, of the pressure stage alone; the rest stands still."""
         self._command(self._at.pressure_command, pressure_kpa)
-        self._run(kernel.advance_pressure, duration_s)
+        self._run_late(kernel.advance_pressure, duration_s, late_s)
 
-    def step_cart(self, cart_velocity_m_s: ArrayLike, duration_s: float, arm_force_n: ArrayLike = 0.0) -> None:
+    def step_cart(
+        self,
+        cart_velocity_m_s: ArrayLike,
+        duration_s: float,
+        arm_force_n: ArrayLike = 0.0,
+        *,
+        late_s: ArrayLike | None = None,
+    ) -> None:
         """As `step`, of the rail stage alone: a bare cart. arm_force_n: what the arm pushes it with, scalar or [R]."""
         self._command(self._at.cart_command, cart_velocity_m_s)
         self._command(self._at.cart_push, arm_force_n)
-        self._run(kernel.advance_cart, duration_s)
+        self._run_late(kernel.advance_cart, duration_s, late_s)
 
     def step_arm(
         self,
@@ -319,6 +321,15 @@ class Simulator:
     def _chosen(self, robots: ArrayLike | None) -> NDArray[np.int64]:
         everyone = np.arange(self.robots)
         return everyone if robots is None else everyone[np.asarray(robots)]
+
+    def _run_late(self, entry: Callable[..., None], duration_s: float, late_s: ArrayLike | None) -> None:
+        """As `_run`, the commands issued so much after the start of the step."""
+        if late_s is not None:
+            self._command(self._at.late, late_s)
+            self._given |= layout.PRESSURE  # which keeps the pressure's commands
+        self._run(entry, duration_s)
+        if late_s is not None:
+            self._rows[:, self._at.late] = 0.0
 
     def _run(self, entry: Callable[..., None], duration_s: float, given: int = 0) -> None:
         """Advance by one of the kernel's entries; `given`: what comes from outside."""

@@ -1,0 +1,142 @@
+"""`softarm blind`: the blind benchmark: make and seal cases, answer them, open the labels over the answers."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from cli.options import FILE
+
+if TYPE_CHECKING:
+    from rich.progress import Progress
+
+FOLDER = click.Path(path_type=Path, file_okay=False)
+labels_option = click.option("--labels", "labels_file", type=FILE, required=True, help="The sealed labels.")
+processes_option = click.option(
+    "--processes", default=2, show_default=True, type=click.IntRange(1, 64), help="At a time; each takes one core."
+)
+
+
+@click.group()
+def blind() -> None:
+    """Measure the diagnosis on robots whose faults it cannot know.
+
+    \b
+    Examples:
+      softarm blind make cases --labels sealed/labels.json --fresh sealed/fresh
+      softarm blind run cases --answers answers.json
+      softarm blind open cases --labels sealed/labels.json --fresh sealed/fresh --answers answers.json --out score
+    """
+
+
+@blind.command()
+@click.argument("data", type=FOLDER)
+@labels_option
+@click.option("--fresh", type=FOLDER, help="Where three more trials of each case go, for the score alone.")
+@click.option("--cases", "count", default=100, show_default=True, type=click.IntRange(1, 10000))
+@click.option("--seed", type=click.IntRange(0), help="Draws the same cases again; by default one that nobody knows.")
+@processes_option
+def make(data: Path, labels_file: Path, fresh: Path | None, count: int, seed: int | None, processes: int) -> None:
+    """Draw cases, commit to their labels, and fly them into DATA. Started again, it goes on where it stopped.
+
+    The labels hold seed and salt, so they tell everything: keep FILE where the tool does not look.
+
+    \b
+    Example:
+      softarm blind make cases --cases 100 --labels sealed/labels.json --fresh sealed/fresh
+    """
+    from cli.errors import fail
+    from diagnosis.blind import make as making
+    from diagnosis.blind.seal import SealError
+
+    try:
+        cases = making.prepare(data, labels_file, fresh, count, seed)
+    except SealError as error:
+        fail(str(error))
+    with _progress() as bar:
+        task = bar.add_task("flying", total=len(cases))
+        making.write_cases(cases, data, fresh, processes, lambda name: bar.advance(task))
+    click.echo(f"{len(cases)} cases in {data}, labels in {labels_file}, commitment in {data / 'commitment.json'}")
+    click.echo(f"next: softarm blind run {data} --answers answers.json")
+
+
+@blind.command()
+@click.argument("data", type=FOLDER)
+@click.option("--answers", "answers_file", type=FILE, required=True, help="Where the answers go; frozen at the end.")
+@click.option("--method", default="diagnose", show_default=True, help="Who answers: diagnose, or a baseline.")
+@processes_option
+def run(data: Path, answers_file: Path, method: str, processes: int) -> None:
+    """Answer every case of DATA and freeze the answers (FILE.sha256). Started again, it goes on where it stopped.
+
+    An answer counts as given while the tool's code and the case's files are the same.
+
+    \b
+    Examples:
+      softarm blind run cases --answers answers.json
+      softarm blind run cases --answers bic.json --method bic
+    """
+    from cli.errors import fail
+    from diagnosis.blind import run as running
+    from diagnosis.blind.seal import SealError
+
+    try:
+        with _progress() as bar:
+            task = bar.add_task(method, total=None)
+
+            def tell(case: str, done: int, of: int) -> None:
+                bar.update(task, completed=done, total=of, description=case)
+
+            digest = running.run(data, answers_file, method, processes, tell)
+    except SealError as error:
+        fail(str(error))
+    click.echo(f"wrote {answers_file}; frozen as {digest}")
+
+
+@blind.command("open")
+@click.argument("data", type=FOLDER)
+@labels_option
+@click.option(
+    "--answers", "answer_files", type=FILE, multiple=True, required=True, help="Frozen answers; one file a method."
+)
+@click.option("--fresh", type=FOLDER, help="The fresh trials; without them the shrink is not checked.")
+@click.option("--out", type=FOLDER, required=True, help="Where score.json, score.md and the pictures go.")
+def open_(data: Path, labels_file: Path, answer_files: tuple[Path, ...], fresh: Path | None, out: Path) -> None:
+    """Score frozen answers against the labels; refuse what has changed since it was sealed.
+
+    \b
+    Example:
+      softarm blind open cases --labels sealed/labels.json --fresh sealed/fresh \\
+        --answers answers.json --answers bic.json --out score
+    """
+    from cli.errors import fail
+    from diagnosis.blind import opening
+    from diagnosis.blind.seal import SealError
+    from diagnosis.trials import TrialError
+
+    try:
+        with _progress() as bar:
+            task = bar.add_task("opening", total=None)
+
+            def tell(case: str, done: int, of: int) -> None:
+                bar.update(task, completed=done, total=of, description=case)
+
+            opening.open_labels(data, labels_file, answer_files, out, fresh, on_case=tell)
+    except (SealError, TrialError) as error:
+        fail(str(error))
+    click.echo((out / "score.md").read_text(encoding="utf-8"))
+
+
+def _progress() -> "Progress":
+    from rich.progress import (
+        BarColumn,
+        MofNCompleteColumn,
+        Progress,
+        TextColumn,
+        TimeElapsedColumn,
+        TimeRemainingColumn,
+    )
+
+    return Progress(
+        TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), TimeRemainingColumn(),
+        transient=True,
+    )  # fmt: skip

@@ -1,0 +1,111 @@
+"""Open the labels over frozen answers: check every seal, measure on fresh trials, score, and write what came out."""
+
+import json
+import statistics
+from collections.abc import Callable, Mapping, Sequence
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+from diagnosis import read
+from diagnosis.blind import pages, run, seal
+from diagnosis.blind.score import Scored, score
+from diagnosis.trials import Trial
+from schemas.model import Model
+from schemas.verdict import Verdict
+from simulator import model_file
+
+# Fresh trials, nominal model, patched model -> stage (and `chain`) -> share of the gap that is gone.
+Measure = Callable[[Sequence[Trial], Model, Model], Mapping[str, float]]
+# case, done, of
+OnCase = Callable[[str, int, int], None]
+
+
+def measure_shrink(trials: Sequence[Trial], nominal: Model, patched: Model) -> Mapping[str, float]:
+    """That of `diagnosis.shrink`, imported when it is needed."""
+    found: Mapping[str, float] = import_module("diagnosis.shrink").measure_shrink(trials, nominal, patched)
+    return found
+
+
+def open_labels(
+    data: Path,
+    labels_file: Path,
+    answer_files: Sequence[Path],
+    out: Path,
+    fresh: Path | None = None,
+    measure: Measure = measure_shrink,
+    on_case: OnCase | None = None,
+) -> dict[str, Any]:
+    """Score each file of answers; writes `score.json`, `score.md` and a `reliability-METHOD.png` each to `out`.
+
+    Returns what is in score.json. Raises SealError when the answers changed after they were frozen, leave a case out
+    or were given to other data, or when the labels are not those that were committed to.
+    """
+    frozen = {file: (seal.check_frozen(file), run.read_answers(file)) for file in answer_files}
+    labels = seal.read_labels(labels_file)
+    seal.check_labels(labels, data)
+    for file, (_, content) in frozen.items():
+        _check_complete(file, content, labels, data)
+    methods: dict[str, Any] = {}
+    for file, (digest, content) in frozen.items():
+        if content["method"] in methods:
+            raise seal.SealError(f"{file}: answers by {content['method']} were given already; name one file a method")
+        cases = _scored(labels, content, fresh, measure, on_case)
+        seconds = run.read_seconds(file)
+        methods[content["method"]] = {
+            "tool": content["tool"],
+            "answers_sha256": digest,
+            "seconds_median": statistics.median(seconds.values()) if seconds else None,
+            **score(cases),
+        }
+    result = {"labels": seal.commitment(labels)["all"], "methods": methods}
+    out.mkdir(parents=True, exist_ok=True)
+    (out / "score.json").write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
+    (out / "score.md").write_text(pages.markdown(result), encoding="utf-8")
+    for name, scored in methods.items():
+        pages.reliability(scored["calibration"], name, out / f"reliability-{name}.png")
+    return result
+
+
+def _check_complete(file: Path, content: Mapping[str, Any], labels: seal.Labels, data: Path) -> None:
+    """Every case answered once, and on these data."""
+    given = {answer["case"]: answer["data"] for answer in content["answers"]}
+    if missing := sorted(set(labels.cases) ^ set(given)):
+        raise seal.SealError(
+            f"{file}: {', '.join(missing[:5])} {'is' if len(missing) == 1 else 'are'} in the labels or in the answers "
+            "only; finish `softarm blind run` on these data"
+        )
+    for case, digest in given.items():
+        if run.digest(data / case) != digest:
+            raise seal.SealError(f"{data / case}: differs from what was answered; run `softarm blind run` again")
+
+
+def _scored(
+    labels: seal.Labels, content: Mapping[str, Any], fresh: Path | None, measure: Measure, on_case: OnCase | None
+) -> list[Scored]:
+    cases = []
+    answers = content["answers"]
+    for number, answer in enumerate(answers, 1):
+        label = labels.cases[answer["case"]]
+        verdict = Verdict.model_validate_json(json.dumps(answer["verdict"])) if answer["verdict"] else None
+        shrink = None
+        if fresh is not None and verdict is not None and verdict.effects:
+            place = fresh / answer["case"]
+            patched = Model.model_validate_json(json.dumps(answer["patched_model"]))
+            shrink = measure(read.read_all([place]), model_file.load(place / "model.yaml"), patched)
+        causes = label["causes"]
+        cases.append(
+            Scored(
+                answer["case"],
+                label["kind"],
+                tuple(cause["name"] for cause in causes),
+                tuple(cause["stage"] for cause in causes),
+                tuple(cause["removed"] for cause in causes),
+                verdict,
+                answer["failure"],
+                shrink,
+            )
+        )
+        if on_case is not None:
+            on_case(answer["case"], number, len(answers))
+    return cases

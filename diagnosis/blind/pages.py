@@ -1,0 +1,78 @@
+"""The score as people read it: tables in Markdown, the reliability diagram."""
+
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+
+def markdown(result: Mapping[str, Any]) -> str:
+    """The tables for docs/diagnosis.md: one column a method, and the wrong answers of each."""
+    methods: Mapping[str, Mapping[str, Any]] = result["methods"]
+    return "\n".join((*_measures(methods), "", *_causes(methods), *_all_wrong(methods))) + "\n"
+
+
+def _measures(methods: Mapping[str, Mapping[str, Any]]) -> Iterator[str]:
+    first = next(iter(methods.values()))
+    yield f"| {first['cases']} cases | " + " | ".join(methods) + " |"
+    yield "|---|" + "---|" * len(methods)
+    for name in first["measures"]:
+        yield f"| {name} | " + " | ".join(_share(method["measures"][name]) for method in methods.values()) + " |"
+    for name in first["coverage"]:
+        cells = (_share(method["coverage"][name]) for method in methods.values())
+        yield f"| 95 % interval of the shrink holds, {name} | " + " | ".join(cells) + " |"
+    yield "| calibration error (ECE) | " + " | ".join(
+        _number(method["calibration"]["ece"], ".3f") for method in methods.values()
+    ) + " |"  # fmt: skip
+    cells = (_number(method["seconds_median"], ".0f") for method in methods.values())
+    yield "| seconds a case (median) | " + " | ".join(cells) + " |"
+
+
+def _causes(methods: Mapping[str, Mapping[str, Any]]) -> Iterator[str]:
+    yield "| cause, alone | " + " | ".join(f"right: {name}" for name in methods) + " |"
+    yield "|---|" + "---|" * len(methods)
+    for cause in next(iter(methods.values()))["by_cause"]:
+        cells = (method["by_cause"][cause] for method in methods.values())
+        yield f"| {cause} | " + " | ".join(f"{cell['hits']} of {cell['of']}" for cell in cells) + " |"
+
+
+def _all_wrong(methods: Mapping[str, Mapping[str, Any]]) -> Iterator[str]:
+    for name, method in methods.items():
+        yield from ("", f"Wrong answers of `{name}`:", "", "| case | truth | verdict | named (confidence) |")
+        yield "|---|---|---|---|"
+        for wrong in method["wrong"]:
+            named = ", ".join(
+                "/".join((e["name"], *e["equivalents"])) + f" ({e['confidence']:.2f})" for e in wrong["named"]
+            )
+            truth = " and ".join(wrong["causes"]) or "none"
+            verdict = wrong["verdict"].replace("|", "/").replace("\n", " ")
+            yield f"| {wrong['case']} | {truth} | {verdict} | {named or '-'} |"
+
+
+def _share(cell: Mapping[str, Any]) -> str:
+    if cell["share"] is None:
+        return "-"
+    return f"{cell['share']:.0%} ({cell['low']:.0%} .. {cell['high']:.0%}; {cell['hits']} of {cell['of']})"
+
+
+def _number(value: float | None, how: str) -> str:
+    return "-" if value is None else format(value, how)
+
+
+def reliability(calibration: Mapping[str, Any], title: str, file: Path) -> None:
+    """Confidence against share right, ten bins, as PNG. Raises OSError when it cannot be written."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(4.5, 4.5), layout="constrained")
+    axes = figure.subplots()
+    axes.plot((0, 1), (0, 1), color="0.6", lw=0.8)
+    bins = [b for b in calibration["bins"] if b["of"]]
+    x, y = [b["confidence"] for b in bins], [b["share"] for b in bins]
+    around = [[b["share"] - b["low"] for b in bins], [b["high"] - b["share"] for b in bins]]
+    axes.errorbar(x, y, around, fmt="o", color="#2c5f9e", capsize=3)
+    for b in bins:
+        axes.annotate(str(b["of"]), (b["confidence"], b["share"]), textcoords="offset points", xytext=(6, -10))
+    axes.set(xlim=(0, 1), ylim=(0, 1), xlabel="confidence", ylabel="share right (95 %)")
+    ece = _number(calibration["ece"], ".3f")
+    axes.set_title(f"{title}: {calibration['named']} names, ECE {ece}")
+    FigureCanvasAgg(figure).print_png(str(file))

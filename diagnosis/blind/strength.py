@@ -1,0 +1,161 @@
+"""How strongly the weakest of every cause shows, against what the nuisances do: `python -m diagnosis.blind.strength`.
+
+One robot with nuisances flies the same commands with and without the cause, everything else equal to the bit. The root
+mean square of what that changes in a signal of the cause's own stage is set against the same root mean square
+where the robot has another's nuisances in that stage: a diagnosis drives each stage by what was measured upstream.
+Prints the table of docs/blind.md.
+"""
+
+import tempfile
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
+from multiprocessing import Pool
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from diagnosis import folder
+from diagnosis.blind.imperfections import (
+    KNOWN,
+    UNKNOWN,
+    UNKNOWNS,
+    Variant,
+    draw_nuisances,
+    given,
+    stage_of,
+    variants_of,
+)
+from diagnosis.trials import Trial
+from reality.parameters import Parameters
+from reality.record import SETTLE_S, record
+from schemas.excitation import EXCITATIONS
+
+Signals = Mapping[str, NDArray[np.float64]]
+
+# Stage -> excitation, whether the rail is held.
+FLIGHTS = {
+    "pressure": ("both", False),
+    "rail": ("rail-steps", False),
+    "arm": ("both", False),
+    "mocap": ("both", False),
+    "clock": ("both", False),
+}
+# Stage -> what belongs to it.
+_OWN = {
+    "pressure": ("regulator", "pressure_sensor"),
+    "rail": ("rail", "cart"),
+    "arm": ("body", "arm"),
+    "mocap": ("mocap", "clock"),
+    "clock": ("clock",),
+}
+OTHERS = 4
+_GRID_HZ = 120.0
+_SEED = 7
+
+
+def signals(trial: Trial, duration_s: float) -> dict[str, Signals]:
+    """Stage -> signal -> values on a common grid, or a figure of the stamps."""
+    mocap, rail, gauge, command = (trial.channels[n] for n in ("mocap", "rail", "pressure", "command"))
+    grid = np.arange(SETTLE_S + 0.1, SETTLE_S + duration_s - 0.1, 1 / _GRID_HZ)
+
+    def on_grid(series: object, column: str) -> NDArray[np.float64]:
+        return np.interp(grid, series.t_s, series[column])  # type: ignore[attr-defined, index]
+
+    poses = {name: on_grid(mocap, name) for name in mocap.columns if name != "t_receive"}
+    angles = [poses[f"link{i}_angle"] for i in range(1, 6)]
+    places = [values for name, values in poses.items() if name.endswith(("_y", "_z"))]
+    slip = poses["cart_y"] - on_grid(rail, "position")
+    steps = np.diff(command.t_s)
+    return {
+        "pressure": {"gauge (kPa)": on_grid(gauge, "pressure")},
+        "rail": {
+            "read-back speed (m/s)": on_grid(rail, "velocity"),
+            "cart in mocap (m)": poses["cart_y"],
+            "cart less read-back (m)": slip,
+        },
+        "arm": {"link angles (rad)": np.concatenate(angles)},
+        "mocap": {
+            "places (m)": np.concatenate(places),
+            "cart's height (m)": poses["cart_z"],
+            "cart less read-back (m)": slip,
+            "scatter (m)": np.array([np.std(np.diff(mocap["cart_z"]))]),
+            "frames lost (-)": np.array([1 - len(mocap) / 120.0 / (mocap.t_s[-1] - mocap.t_s[0])]),
+        },
+        "clock": {"spread of ticks (s)": np.array([np.median(np.abs(steps - np.median(steps)))]),
+                  "ticks lost (-)": np.array([np.mean(steps > 0.05)])},
+    }  # fmt: skip
+
+
+def fly(robot: Parameters, stage: str) -> dict[str, Signals]:
+    """Its signals under the excitation that shakes a stage."""
+    flight, held = FLIGHTS[stage]
+    excitation = EXCITATIONS[flight]
+    with tempfile.TemporaryDirectory() as place:
+        there = Path(place) / flight
+        record(excitation.at, there, excitation.duration_s, robot, _SEED, kind=flight, held=held)
+        return signals(folder.read(there), excitation.duration_s)
+
+
+def rms(one: NDArray[np.float64], other: NDArray[np.float64]) -> float:
+    """Of the difference."""
+    return float(np.sqrt(np.mean((one - other) ** 2)))
+
+
+def jobs() -> Iterator[tuple[str, Variant]]:
+    """Every cause and variant."""
+    for name in (*KNOWN, *(UNKNOWN + name for name in UNKNOWNS)):
+        for variant in variants_of(name):
+            yield name, variant
+
+
+def _fly_weakest(name: str, variant: Variant) -> dict[str, Signals]:
+    robot, _ = given(_healthy(_SEED), variant, [knob.low for knob in variant])
+    return fly(robot, stage_of(name))
+
+
+def _fly_other(stage: str, seed: int) -> dict[str, Signals]:
+    """The healthy robot with another's nuisances in one stage."""
+    other = _healthy(seed)
+    return fly(replace(_healthy(_SEED), **{group: getattr(other, group) for group in _OWN[stage]}), stage)
+
+
+def _healthy(seed: int) -> Parameters:
+    return draw_nuisances(Parameters(), np.random.default_rng(seed))
+
+
+def _ranges(variant: Variant) -> str:
+    """What is drawn, in words."""
+    sign = {"set": "", "add": "+", "times": "x "}
+    both = {"set": "", "add": "±", "times": "x or / "}
+    return ", ".join(
+        f"`{path}` {both[knob.how] if knob.either_way else sign[knob.how]}"
+        + (f"{knob.low:g}" if knob.low == knob.high else f"{knob.low:g} .. {knob.high:g}")
+        for knob in variant
+        for path in knob.paths
+    )
+
+
+def main() -> None:
+    """Fly everything on both cores and print the table."""
+    with Pool() as pool:
+        same = dict(zip(_OWN, pool.starmap(_fly_other, [(stage, _SEED) for stage in _OWN]), strict=True))
+        seeds = range(_SEED + 1, _SEED + 1 + OTHERS)
+        others = {stage: pool.starmap(_fly_other, [(stage, seed) for seed in seeds]) for stage in _OWN}
+        flown = pool.starmap(_fly_weakest, jobs(), chunksize=1)
+    print("| cause | drawn | its weakest shows in | changes | nuisances | ratio |\n|---|---|---|---|---|---|")
+    for (name, variant), result in zip(jobs(), flown, strict=True):
+        stage = stage_of(name)
+        by_cause = {s: rms(values, same[stage][stage][s]) for s, values in result[stage].items()}
+        usual = {
+            s: float(np.sqrt(np.mean([rms(other[stage][s], same[stage][stage][s]) ** 2 for other in others[stage]])))
+            for s in by_cause
+        }
+        ratio = {s: by_cause[s] / usual[s] if usual[s] else (np.inf if by_cause[s] else 0.0) for s in by_cause}
+        best = max(by_cause, key=lambda s: (ratio[s], by_cause[s]))
+        figures = f"{by_cause[best]:.3g} | {usual[best]:.3g} | {ratio[best]:.1f}"
+        print(f"| {name} | {_ranges(variant)} | {best} | {figures} |")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,158 @@
+"""What may be fitted: effects as candidates with physical bounds, and what lies within tolerance beside every one.
+
+Everything about an effect is read from the registry; here stand only where a search starts and what is no news.
+"""
+
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+
+from diagnosis.gap.robot_views import ABOUT_RAIL, ON_MOTOR
+from diagnosis.gap.view import Point
+from schemas.model import Model
+from simulator.effects import REGISTRY, Parameter, value
+
+
+@dataclass(frozen=True, slots=True)
+class Dial:
+    """A parameter as a search turns it: one coordinate u. Where the neutral value is infinite, u = 1 / value."""
+
+    path: str
+    unit: str
+    nominal: float  # u of the nominal model
+    low: float  # physical bounds, u
+    high: float
+    size: float  # of a usual change, u
+    neutral: float  # u at which the effect is absent
+    inverse: bool = False
+
+    def value(self, u: float) -> float:
+        """In the registry's unit, within the bounds."""
+        u = min(max(u, self.low), self.high)
+        if not self.inverse:
+            return u
+        return 1 / u if u > 0 else math.inf
+
+
+@dataclass(frozen=True, slots=True)
+class Candidate:
+    """An effect that may be the cause. `form`: what is assumed with it (where an encoder sits); no number to fit."""
+
+    name: str
+    stage: str
+    dials: tuple[Dial, ...]
+    starts: tuple[tuple[float, ...], ...]  # where a search begins, u of each dial
+    form: Mapping[str, float] = field(default_factory=dict)
+
+    def point(self, u: tuple[float, ...]) -> dict[str, float]:
+        """The registry's parameters at coordinates u."""
+        return {d.path: d.value(x) for d, x in zip(self.dials, u, strict=True)} | dict(self.form)
+
+
+@dataclass(frozen=True, slots=True)
+class Nuisance:
+    """A parameter that a well-kept simulator may be off by without anybody calling it a gap: a box about nominal."""
+
+    path: str
+    nominal: float
+    low: float  # registry's unit
+    high: float
+
+    @property
+    def point(self) -> Point:
+        """At the edge of the box that is further away: the column of a linear model is taken there."""
+        return {self.path: self.edge}
+
+    @property
+    def edge(self) -> float:
+        """See point."""
+        return self.high if self.high - self.nominal >= self.nominal - self.low else self.low
+
+
+# Half widths of the boxes: absolute in the registry's unit, or relative to the nominal value.
+_ABSOLUTE = {
+    "pressure.dead_time.delay": 0.006,
+    "pressure.gain.scale": 0.02,
+    "pressure.gain.offset": 0.15,
+    "rail.delay.delay": 0.004,
+    "rail.lag.time": 0.006,
+    "rail.gain.scale": 0.01,
+    "rail.coulomb_friction.viscous": 1.0,
+    "arm.tilt.angle": 0.003,
+    "mocap.latency.delay": 0.002,
+    "mocap.rotation.angle": 0.002,
+    "mocap.scale.scale": 0.002,
+    "mocap.offset.y": 0.002,
+    "mocap.offset.z": 0.002,
+}
+_RELATIVE = {
+    "pressure.lag.inflate": 0.10,
+    "pressure.lag.deflate": 0.10,
+    "rail.acceleration_limit.acceleration": 0.08,
+}
+# Of single joints, for ArmView.joint_directions: shares of the joint's own value, the offset's of the largest joint's.
+JOINT_SHARES = {"stiffness_nm_rad": 0.05, "damping_nm_s_rad": 0.15, "muscle_gain_nm_kpa": 0.05, "torque_offset_nm": 0.10}
+_STAGES = ("pressure", "rail", "arm", "mocap")
+_COUNTED = ("mocap.dropout", "mocap.noise")  # read off stamps and noise, not fitted (diagnosis.gap.counts)
+_FORMS: dict[str, tuple[dict[str, float], ...]] = {
+    "rail.gain": ({}, {ON_MOTOR: 1.0}),
+    "rail.backlash": ({}, {ON_MOTOR: 1.0}),
+    "mocap.rotation": ({}, {ABOUT_RAIL: 0.0}),
+}
+_SHARES = (0.25, 0.7, 1.5, 3.0)  # of the exemplar's change: starts
+
+
+def candidates(model: Model) -> tuple[Candidate, ...]:
+    """Every effect of the robot that a fit can find, for a nominal model; in causal order."""
+    names = [n for n, e in REGISTRY.items() if e.stage in _STAGES and e.parameters and n not in _COUNTED]
+    return tuple(each for name in names for each in _forms(name, model))
+
+
+def nuisances(model: Model) -> tuple[Nuisance, ...]:
+    """What is fitted within its box beside every candidate."""
+    return tuple(_nuisances(model))
+
+
+def _nuisances(model: Model) -> Iterator[Nuisance]:
+    for path, half in (_ABSOLUTE | _RELATIVE).items():
+        effect, _, name = path.rpartition(".")
+        parameter = next(p for p in REGISTRY[effect].parameters if p.name == name)
+        nominal = value(model, effect, name)
+        if not math.isfinite(nominal) or (path in _RELATIVE and nominal == parameter.neutral):
+            continue
+        width = half * abs(nominal) if path in _RELATIVE else half
+        yield Nuisance(path, nominal, max(parameter.low, nominal - width), min(parameter.high, nominal + width))
+
+
+def _forms(name: str, model: Model) -> Iterator[Candidate]:
+    effect = REGISTRY[name]
+    dials = tuple(_dial(name, parameter, model) for parameter in effect.parameters)
+    for form in _FORMS.get(name, ({},)):
+        yield Candidate(name, effect.stage, dials, tuple(_starts(dials, effect.parameters)), form)
+
+
+def _dial(name: str, p: Parameter, model: Model) -> Dial:
+    inverse = math.isinf(p.neutral)
+    nominal = value(model, name, p.name)
+    if inverse:
+        u = 0.0 if math.isinf(nominal) else 1 / nominal
+        return Dial(f"{name}.{p.name}", p.unit, u, 0.0, (1 - 1e-9) / p.low, abs(1 / p.exemplar - u) or 1 / p.exemplar, 0.0, True)
+    size = p.exemplar if p.default is not None else abs(p.exemplar - p.neutral)
+    return Dial(f"{name}.{p.name}", p.unit, nominal, p.low, p.high, size, p.neutral)
+
+
+def _starts(dials: tuple[Dial, ...], parameters: tuple[Parameter, ...]) -> Iterator[tuple[float, ...]]:
+    """Changes of several sizes, both ways where the bounds allow; with a shape parameter at three of its values."""
+    strengths = [d for d, p in zip(dials, parameters, strict=True) if p.default is None]
+    shapes = [(d, p) for d, p in zip(dials, parameters, strict=True) if p.default is not None]
+    seen = set()
+    for share in (*_SHARES, *(-s for s in _SHARES)):
+        moved = {d.path: min(max(d.nominal + share * d.size, d.low), d.high) for d in strengths}
+        alone = [moved] if len(strengths) == 1 else [moved, *({**{d.path: d.nominal for d in strengths}, k: v} for k, v in moved.items())]  # fmt: skip
+        for each in alone:
+            for factor in (0.4, 1.0, 2.5) if shapes else (1.0,):
+                shaped = {d.path: min(max((p.default or 0.0) * factor, d.low), d.high) for d, p in shapes}
+                u = tuple((each | shaped)[d.path] for d in dials)
+                if u not in seen and any(each[d.path] != d.nominal for d in strengths):
+                    seen.add(u)
+                    yield u

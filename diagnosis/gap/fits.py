@@ -1,0 +1,244 @@
+"""Fits of nested sets of effects, many at once: Gauss-Newton in a box, every Jacobian a batch of simulated robots.
+
+Beside a set's own parameters every fit has the nuisances, linear within their boxes. Held-out losses come from the
+fit's last linearisation, solved anew without each fold.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from diagnosis.gap import box
+from diagnosis.gap.candidates import Candidate
+from diagnosis.gap.lens import Lens, Moments
+from diagnosis.gap.view import Array, Point
+
+ROUNDS = 4
+CONVERGED = 1e-3  # of the loss: a round that gains less is the last
+NUDGE = 0.04  # of a dial's size, for a column of the Jacobian
+SHORTER = 0.3  # of a step that did not help
+REACH = 2.0  # of a dial's size: how far a round may go
+BOUND_SHARE = 0.02  # of a dial's size: closer to a bound than this is at it
+
+Set = tuple[Candidate, ...]
+U = tuple[tuple[float, ...], ...]  # coordinates, a tuple for each candidate
+
+
+@dataclass(frozen=True, slots=True)
+class Fit:
+    """A set of effects, fitted."""
+
+    effects: Set
+    u: U
+    nuisance: Array  # [q] in units of the boxes' edges
+    loss: float  # weighted squares of the whitened residual
+    held_out: Array  # [B] the same, by block, each from a fit without the block's fold
+    low: Array  # [p] 95 % interval of the dials, block bootstrap
+    high: Array
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Of the effects."""
+        return tuple(each.name for each in self.effects)
+
+    @property
+    def point(self) -> Point:
+        """The registry's parameters."""
+        return point_of(self.effects, self.u)
+
+    @property
+    def at_bound(self) -> bool:
+        """Whether a dial stands at a physical bound that is neither its nominal nor its neutral value."""
+        return any(
+            min(x - d.low, d.high - x) < BOUND_SHARE * d.size
+            and min(abs(x - d.nominal), abs(x - d.neutral)) > BOUND_SHARE * d.size
+            for each, us in zip(self.effects, self.u, strict=True)
+            for d, x in zip(each.dials, us, strict=True)
+        )
+
+
+def point_of(effects: Set, u: U) -> dict[str, float]:
+    """The registry's parameters of a set at coordinates u."""
+    return {path: x for each, us in zip(effects, u, strict=True) for path, x in each.point(us).items()}
+
+
+class _Descent:
+    """One set's way down: where it is best, where it looks next."""
+
+    def __init__(self, effects: Set, start: Array) -> None:
+        self.effects, self.best, self.tried = effects, start, start
+        self.loss, self.moving = np.inf, True
+        self.jacobians: list[Array] = []
+        self.bases: list[Moments] = []
+        self._step = np.zeros_like(start)
+
+    def advance(self, problem: "Problem", jacobians: list[Array], bases: list[Moments]) -> None:
+        """Take what was found at `tried`: go on from there, or look closer to the best so far."""
+        loss, step = problem.solve(self.effects, self.tried, jacobians, bases)
+        if loss < self.loss or not self.bases:
+            self.moving = bool(len(step)) and not loss > self.loss * (1 - CONVERGED)
+            self.best, self.loss, self._step = self.tried, loss, step
+            self.jacobians, self.bases = jacobians, bases
+        else:
+            self._step = SHORTER * self._step
+        self.tried = self.best + self._step
+
+
+@dataclass(frozen=True, slots=True)
+class Problem:
+    """Lenses on all views, the nuisances' boxes, and which fold each block is in."""
+
+    lenses: tuple[Lens, ...]
+    nuisance_paths: tuple[str, ...]  # [q]; '' for one that no effect replaces
+    nuisance_low: Array  # [q] in units of the edges
+    nuisance_high: Array
+    blocks: tuple[tuple[int, int], ...]  # [B] trial, number
+    fold: NDArray[np.int64]  # [B]
+
+    def fit(self, sets: Sequence[tuple[Set, U]], rounds: int = ROUNDS) -> list[Fit]:
+        """Fit every set from its start; all of them advance together, each round one batch of simulations."""
+        searches = [_Descent(effects, np.array([x for us in u for x in us])) for effects, u in sets]
+        for _ in range(rounds):
+            moving = [each for each in searches if each.moving]
+            if not moving:
+                break
+            linear = self._linear([d.effects for d in moving], [d.tried for d in moving])
+            for descent, (jacobians, bases) in zip(moving, linear, strict=True):
+                descent.advance(self, jacobians, bases)
+        return [self._fit(d.effects, d.best, d.loss, d.jacobians, d.bases) for d in searches]
+
+    def losses(self, sets: Sequence[tuple[Set, U]]) -> list[float]:
+        """Of sets at given coordinates, the nuisances fitted."""
+        return self._losses([effects for effects, _ in sets], [np.array([x for us in u for x in us]) for _, u in sets])
+
+    def nuisance_box(self, effects: Set) -> tuple[Array, Array]:
+        """Box of the nuisances beside a set: what the set fits itself is no nuisance."""
+        own = {d.path for each in effects for d in each.dials}
+        free = np.array([path not in own for path in self.nuisance_paths])
+        return self.nuisance_low * free, self.nuisance_high * free
+
+    def _moments(self, points: Sequence[Point]) -> list[list[Moments]]:
+        """[lens][point]."""
+        return [lens.moments(points) for lens in self.lenses]
+
+    def _losses(self, effects: Sequence[Set], state: Sequence[Array]) -> list[float]:
+        points = [point_of(e, _split(e, x)) for e, x in zip(effects, state, strict=True)]
+        moments = self._moments(points)
+        gg = sum(lens.gg for lens in self.lenses)
+        result = []
+        for i, each in enumerate(effects):
+            rr, gr = sum(m[i].rr for m in moments), sum(m[i].gr for m in moments)
+            w = box.solve(gg, -gr, *self.nuisance_box(each))
+            loss = rr + 2 * w @ gr + w @ gg @ w
+            result.append(float(loss) if np.isfinite(loss) else np.inf)
+        return result
+
+    def _linear(self, effects: Sequence[Set], state: Sequence[Array]) -> list[tuple[list[Array], list[Moments]]]:
+        """For every set: Jacobian by lens ([p, N] or empty) and moments by lens."""
+        points, nudges = [], []
+        for each, x in zip(effects, state, strict=True):
+            dials = [d for c in each for d in c.dials]
+            nudge = np.array([NUDGE * d.size * (1 if v + NUDGE * d.size <= d.high else -1) for d, v in zip(dials, x, strict=True)])  # fmt: skip
+            nudges.append(nudge)
+            points.append([point_of(each, _split(each, x + change)) for change in (0 * x, *np.diag(nudge))])
+        flat = [p for ps in points for p in ps]
+        moments, at, found = self._moments(flat), 0, []
+        for ps, nudge in zip(points, nudges, strict=True):
+            jacobians, bases = [], []
+            for lens_moments in moments:
+                base = lens_moments[at]
+                rows = [m.rows for m in lens_moments[at + 1 : at + len(ps)]]
+                moved = any(row is not base.rows for row in rows)
+                jacobians.append(
+                    np.stack([(row - base.rows) / np.float32(n) for row, n in zip(rows, nudge, strict=True)]) if moved
+                    else np.empty((0, 0), np.float32)
+                )  # fmt: skip
+                bases.append(base)
+            found.append((jacobians, bases))
+            at += len(ps)
+        return found
+
+    def solve(self, effects: Set, x: Array, jacobians: list[Array], bases: list[Moments]) -> tuple[float, Array]:
+        """Loss at x with the nuisances fitted, and a Gauss-Newton step from there, the nuisances moving along."""
+        p = len(x)
+        normal, slope = self._normal(p, jacobians, bases)
+        low, high = self._box(effects, x)
+        w = box.solve(normal[p:, p:], -slope[p:], low[p:], high[p:])
+        loss = sum(base.rr for base in bases) + 2 * w @ slope[p:] + w @ normal[p:, p:] @ w
+        return float(loss) if np.isfinite(loss) else np.inf, box.solve(normal, -slope, low, high)[:p]
+
+    def _normal(self, p: int, jacobians: list[Array], bases: list[Moments]) -> tuple[Array, Array]:
+        q = len(self.nuisance_low)
+        normal, slope = np.zeros((p + q, p + q)), np.zeros(p + q)
+        for lens, jacobian, base in zip(self.lenses, jacobians, bases, strict=True):
+            normal[p:, p:] += lens.gg
+            slope[p:] += base.gr
+            if len(jacobian):
+                normal[:p, :p] += jacobian @ jacobian.T
+                across = jacobian @ lens.columns.T
+                normal[:p, p:] += across
+                normal[p:, :p] += across.T
+                slope[:p] += jacobian @ base.rows
+        return normal, slope
+
+    def _box(self, effects: Set, x: Array) -> tuple[Array, Array]:
+        dials = [d for c in effects for d in c.dials]
+        low = np.array([max(d.low - v, -REACH * d.size) for d, v in zip(dials, x, strict=True)])
+        high = np.array([min(d.high - v, REACH * d.size) for d, v in zip(dials, x, strict=True)])
+        nuisance_low, nuisance_high = self.nuisance_box(effects)
+        return np.concatenate((low, nuisance_low)), np.concatenate((high, nuisance_high))
+
+    def _fit(self, effects: Set, x: Array, loss: float, jacobians: list[Array], bases: list[Moments]) -> Fit:
+        """Solve the last linearisation with all data, without each fold, and on resampled blocks."""
+        normal, slope, squares = self._by_block(len(x), jacobians, bases)
+        low, high = self._box(effects, x)
+        total_normal, total_slope = normal.sum(axis=0), slope.sum(axis=0)
+        best = box.solve(total_normal, -total_slope, low, high)
+        held_out = np.empty(len(squares))
+        for fold in np.unique(self.fold):
+            out = self.fold == fold
+            others = total_normal - normal[out].sum(axis=0), total_slope - slope[out].sum(axis=0)
+            y = box.solve(others[0], -others[1], low, high)
+            held_out[out] = squares[out] + 2 * slope[out] @ y + np.einsum("i,bij,j->b", y, normal[out], y)
+        lows, highs = _spread(normal, slope, best, low, high, len(x))
+        nuisance = best[len(x) :]
+        return Fit(effects, _split(effects, x), nuisance, loss, held_out, x + lows, x + highs)
+
+    def _by_block(self, p: int, jacobians: list[Array], bases: list[Moments]) -> tuple[Array, Array, Array]:
+        """Normal matrices [B, p + q, p + q], slopes [B, p + q] and squares [B] of the blocks."""
+        size, q = len(self.blocks), len(self.nuisance_low)
+        normal, slope, squares = np.zeros((size, p + q, p + q)), np.zeros((size, p + q)), np.zeros(size)
+        place = {name: i for i, name in enumerate(self.blocks)}
+        for lens, jacobian, base in zip(self.lenses, jacobians, bases, strict=True):
+            columns = np.concatenate((jacobian, lens.columns)) if len(jacobian) else lens.columns
+            first = 0 if len(jacobian) else p
+            for name, part in lens.blocks:
+                b, c, r = place[name], columns[:, part], base.rows[part]
+                normal[b, first:, first:] += c @ c.T
+                slope[b, first:] += c @ r
+                squares[b] += r @ r
+        return normal, slope, squares
+
+
+def _spread(normal: Array, slope: Array, best: Array, low: Array, high: Array, p: int) -> tuple[Array, Array]:
+    """95 % interval of the first p unknowns about the solution, from the blocks' scatter (a sandwich)."""
+    if not p:
+        return np.zeros(0), np.zeros(0)
+    free = (best > low + 1e-9) & (best < high - 1e-9)
+    free[:p] = True
+    total = normal.sum(axis=0)[np.ix_(free, free)]
+    scores = (slope + normal @ best)[:, free]
+    inverse = np.linalg.pinv(total, rcond=1e-10, hermitian=True)
+    covariance = inverse @ (scores.T @ scores) @ inverse
+    half = 1.96 * np.sqrt(np.maximum(np.diag(covariance)[:p], 0.0))
+    return best[:p] - half, best[:p] + half
+
+
+def _split(effects: Set, x: Array) -> U:
+    parts, at = [], 0
+    for each in effects:
+        parts.append(tuple(float(v) for v in x[at : at + len(each.dials)]))
+        at += len(each.dials)
+    return tuple(parts)

@@ -1,0 +1,104 @@
+"""From views to a problem that can be searched: folds, blocks, nuisance columns, weights."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from diagnosis.gap.candidates import JOINT_SHARES, Nuisance
+from diagnosis.gap.fits import Fit, Problem
+from diagnosis.gap.lens import BLOCK_S, Gaps, Lens, _blocks
+from diagnosis.gap.noise import Whitener, scaled, whitener
+from diagnosis.gap.robot_views import ArmView
+from diagnosis.gap.view import View
+
+# What a second of a view's data is worth, in weighted squares: neighbouring samples and channels say the same twice.
+PER_SECOND = 4.0
+
+
+@dataclass(frozen=True, slots=True)
+class Directions:
+    """How a view's gap changes with nuisances (to their boxes' edges) and with its trials' starts."""
+
+    nuisances: NDArray[np.float32]  # [q, M, S]
+    starts: NDArray[np.float32] | None
+
+
+class Setup:
+    """Everything about a set of views that does not depend on the weighing."""
+
+    def __init__(self, views: Sequence[View], nuisances: Sequence[Nuisance], kinds: Sequence[str]) -> None:
+        """kinds: of every trial, the excitation; folds leave one kind out."""
+        self.views, self.nuisances = tuple(views), tuple(nuisances)
+        self.gaps = tuple(Gaps(view) for view in views)
+        arms = [view for view in views if isinstance(view, ArmView)]
+        self._joints = len(JOINT_SHARES) * arms[0].flight.links if arms else 0
+        self.directions = tuple(self._directions(g) for g in self.gaps)
+        self.blocks = tuple(dict.fromkeys(name for view in views for name, *_ in _blocks(view, BLOCK_S)))
+        self.fold = _folds(self.blocks, kinds)
+        edges = [(n.low - n.nominal, n.high - n.nominal, n.edge - n.nominal) for n in self.nuisances]
+        boxes = [sorted((low / edge, high / edge)) if edge else [0.0, 0.0] for low, high, edge in edges]
+        self._low = np.array([b[0] for b in boxes] + [-1.0] * self._joints)
+        self._high = np.array([b[1] for b in boxes] + [1.0] * self._joints)
+        self._paths = (*(n.path for n in self.nuisances), *[""] * self._joints)
+
+    def weighed(self, residuals: Sequence[NDArray[np.floating]] | None = None) -> Problem:
+        """The problem under weights from these residuals (by view, [M, S]); without, from the nominal gap's size."""
+        filters = []
+        for i, view in enumerate(self.views):
+            if residuals is None:
+                filters.append(scaled(view, self.gaps[i].fetch([{}])[()].astype(np.float64)))
+            else:
+                filters.append(whitener(view, residuals[i].astype(np.float64)))
+        return self._problem(filters, PER_SECOND)
+
+    def plain(self) -> Problem:
+        """The problem weighed by the floors alone, every sample counting one."""
+        filters = [
+            Whitener((1 / v.floor)[:, None].astype(np.float32), np.isfinite(v.measured).astype(np.float32))
+            for v in self.views
+        ]
+        return self._problem(filters, None)
+
+    def residuals(self, plain: Problem, fit: Fit) -> list[NDArray[np.float32]]:
+        """What a fit leaves of every view, [M, S], NaN where nothing was measured."""
+        found = []
+        for view, lens in zip(self.views, plain.lenses, strict=True):
+            rows = lens.moments([fit.point])[0].rows + fit.nuisance.astype(np.float32) @ lens.columns
+            left = rows.reshape(view.measured.shape) * view.floor.astype(np.float32)
+            found.append(np.where(np.isfinite(view.measured), left, np.float32(np.nan)))
+        return found
+
+    def _problem(self, filters: Sequence[Whitener], per_second: float | None) -> Problem:
+        lenses = []
+        for gaps, whiten, directions in zip(self.gaps, filters, self.directions, strict=True):
+            kept = float(whiten.keep.sum())
+            seconds = kept / whiten.keep.shape[1] * float(np.median(np.diff(gaps.view.t_s)))
+            weight = 1.0 if per_second is None else per_second * seconds / max(kept, 1.0)
+            lenses.append(Lens(gaps, whiten, directions.nuisances, directions.starts, weight))
+        return Problem(tuple(lenses), self._paths, self._low, self._high, self.blocks, self.fold)
+
+    def _directions(self, gaps: Gaps) -> Directions:
+        view = gaps.view
+        points = [{}, *(n.point for n in self.nuisances)]
+        found = gaps.fetch(points)
+        base = found[()]
+        columns = [found[gaps.key(p)] - base for p in points[1:]]
+        columns += [np.zeros_like(base)] * self._joints
+        starts = None
+        if isinstance(view, ArmView):
+            starts = view.start_directions()
+            columns[len(self.nuisances) :] = list(view.joint_directions(JOINT_SHARES))
+        return Directions(np.nan_to_num(np.stack(columns)), None if starts is None else np.nan_to_num(starts))
+
+
+def _folds(blocks: Sequence[tuple[int, int]], kinds: Sequence[str]) -> NDArray[np.int64]:
+    """One kind of excitation a fold; of a single kind one trial a fold; of a single trial five stretches of it."""
+    if len(set(kinds)) > 1:
+        place = {kind: i for i, kind in enumerate(sorted(set(kinds)))}
+        return np.array([place[kinds[trial]] for trial, _ in blocks])
+    trials = sorted({trial for trial, _ in blocks})
+    if len(trials) > 1:
+        return np.array([trials.index(trial) for trial, _ in blocks])
+    return np.array([i * 5 // len(blocks) for i in range(len(blocks))])

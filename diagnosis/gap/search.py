@@ -1,0 +1,192 @@
+"""Which effects: forward by what each adds beside the others, back by what each can be spared, swapped for rivals.
+
+Every comparison is between nested fits that share their nuisances, on blocks that the fit in question has not seen.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from diagnosis.gap.candidates import Candidate
+from diagnosis.gap.fits import Fit, Problem, Set, U
+from diagnosis.gap.view import Array
+
+EFFECTS_MAX = 3
+STARTS_KEPT = 1
+PROMISING = 10  # candidates that are fitted to the end
+RESAMPLES = 2000
+GAIN_MIN = 8.0  # what an effect must add, held out: weighted squares, about four per second and view
+SHARE_MIN = 0.10  # and of the residual's energy in one view that it acts on
+ENERGY_MIN = 0.3  # and of the floor's energy there: what moves a residual within the floor is no news
+RIVAL_SHARE = 0.12  # a rival that lacks no more than this share of the gain may be the cause as well
+Tell = Callable[[str, float], None]
+
+
+@dataclass(frozen=True, slots=True)
+class Gain:
+    """What one fit has over another, held out."""
+
+    value: float  # difference of losses
+    low: float  # 95 % interval, block bootstrap
+    high: float
+    shares: Mapping[str, float]  # stage -> share of the residual's energy that goes
+    energies: Mapping[str, float]  # stage -> the same in units of the floor's energy
+
+
+@dataclass(frozen=True, slots=True)
+class Member:
+    """A chosen effect: what it adds beside the others, and who could stand in for it."""
+
+    candidate: Candidate
+    gain: Gain
+    rivals: tuple[tuple[Fit, Gain], ...]  # the whole set with a rival in its place, and what the chosen has over it
+    equivalents: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Choice:
+    """The outcome of a search."""
+
+    nothing: Fit  # nuisances alone
+    alone: tuple[tuple[Fit, Gain], ...]  # every candidate alone, the best first
+    chosen: Fit
+    members: tuple[Member, ...]  # in order of what each adds
+    next_gain: Gain | None  # of the best that was not taken
+    energies: tuple[Mapping[str, float], Mapping[str, float]]  # stage -> mean square over floor squared, before, after
+
+
+class Search:
+    """Candidates on a problem. `plain`: the same problem's lenses weighed by the floors alone."""
+
+    def __init__(self, problem: Problem, plain: Problem, stages: Sequence[str], candidates: Sequence[Candidate]) -> None:
+        self.problem, self.plain, self.stages = problem, plain, tuple(stages)
+        self.candidates = tuple(candidates)
+        self._extended: dict[tuple[frozenset[str], tuple[str, ...]], list[Fit]] = {}
+
+    def run(self, tell: Tell, effects_max: int = EFFECTS_MAX) -> Choice:
+        """Search. Deterministic."""
+        nothing = self.problem.fit([((), ())])[0]
+        chosen, seen = nothing, {frozenset[str]()}
+        while True:
+            tell(f"which effect: {len(chosen.effects) + 1}", min(0.9, 0.3 * len(chosen.effects)))
+            ranked = self.ranked(chosen)
+            good = [(f, g) for f, g in ranked if self.worth(g) and not f.at_bound]
+            if not good or len(chosen.effects) == effects_max:
+                break
+            further = self.pruned(self.swapped(good[0][0]))
+            if frozenset(further.names) in seen or not self.gain(chosen, further).value > 0:
+                break
+            seen.add(frozenset(further.names))
+            chosen = further
+        following = next((g for f, g in ranked if not f.at_bound), None)
+        energies = self.energies(nothing), self.energies(chosen)
+        members = self.members(chosen, nothing)
+        return Choice(nothing, tuple(self.ranked(nothing)), chosen, members, following, energies)
+
+    def ranked(self, base: Fit) -> list[tuple[Fit, Gain]]:
+        """A set with every further candidate and what that adds, the best first."""
+        gains = [(fit, self.gain(base, fit)) for fit in self.extended(base)]
+        return sorted(gains, key=lambda each: (-each[1].value, each[0].names))
+
+    def worth(self, gain: Gain) -> bool:
+        """Whether a gain is one: beyond chance, and large enough to matter."""
+        shown = any(gain.shares[s] > SHARE_MIN and gain.energies[s] > ENERGY_MIN for s in gain.shares)
+        return gain.low > 0 and gain.value > GAIN_MIN and shown
+
+    def extended(self, base: Fit, without: tuple[str, ...] = ()) -> list[Fit]:
+        """A set with every further candidate, each from the best of its starts; those without promise only roughly."""
+        memory = frozenset(base.names), without
+        if memory not in self._extended:
+            options = [c for c in self.candidates if c.name not in (*base.names, *without)]
+            begun = self._begun(base, options)
+            rough = sorted(self.problem.fit(begun, rounds=2), key=lambda f: f.loss)
+            promising = rough[:PROMISING]
+            fine = self.problem.fit([(f.effects, f.u) for f in promising]) + rough[PROMISING:]
+            forms: dict[str, Fit] = {}
+            for fit in sorted(fine, key=lambda f: f.loss):  # of the forms of one effect the better one
+                forms.setdefault(fit.effects[-1].name, fit)
+            self._extended[memory] = list(forms.values())
+        return self._extended[memory]
+
+    def _begun(self, base: Fit, options: Sequence[Candidate]) -> list[tuple[Set, U]]:
+        """Every option at its best start beside the base."""
+        sets: list[tuple[Set, U]] = [((*base.effects, c), (*base.u, start)) for c in options for start in c.starts]
+        losses, at, begun = self.problem.losses(sets), 0, []
+        for c in options:
+            mine = sorted(range(at, at + len(c.starts)), key=lambda i: losses[i])[:STARTS_KEPT]
+            begun += [sets[i] for i in mine]
+            at += len(c.starts)
+        return begun
+
+    def reduced(self, fit: Fit) -> list[Fit]:
+        """A set without each of its effects."""
+        sets = [_without(fit, i) for i in range(len(fit.effects))]
+        return self.problem.fit(sets) if sets else []
+
+    def pruned(self, fit: Fit) -> Fit:
+        """Leave out what the others can do without."""
+        while len(fit.effects) > 1:
+            spared = [(self.gain(less, fit), less) for less in self.reduced(fit)]
+            weak = [(g.value, less) for g, less in spared if not self.worth(g)]
+            if not weak:
+                return fit
+            fit = min(weak, key=lambda each: each[0])[1]
+        return fit
+
+    def swapped(self, fit: Fit) -> Fit:
+        """Change single effects for rivals as long as the whole gains by it."""
+        for _ in range(EFFECTS_MAX):
+            if len(fit.effects) < 2:
+                return fit
+            options = [
+                each for less in self.reduced(fit)
+                for each in self.extended(less, tuple(set(fit.names) - set(less.names)))
+                if not each.at_bound
+            ]  # fmt: skip
+            best = min(options, key=lambda f: float(f.held_out.sum()), default=fit)
+            if not self.gain(fit, best).low > 0:
+                return fit
+            fit = best
+        return fit
+
+    def members(self, chosen: Fit, nothing: Fit) -> tuple[Member, ...]:
+        """What each effect adds beside the others, and its rivals there."""
+        found = []
+        for i, less in enumerate(self.reduced(chosen) if len(chosen.effects) > 1 else [nothing] * len(chosen.effects)):
+            name, gain = chosen.effects[i].name, self.gain(less, chosen)
+            rivals = [(f, self.gain(f, chosen)) for f in self.extended(less, (name,))]
+            rivals.sort(key=lambda each: (each[1].value, each[0].names))
+            same = tuple(
+                f.effects[-1].name for f, g in rivals
+                if not f.at_bound and (g.low <= 0 or g.value < GAIN_MIN / 2) and g.value < RIVAL_SHARE * gain.value
+            )  # fmt: skip
+            found.append(Member(chosen.effects[i], gain, tuple(rivals), same))
+        return tuple(sorted(found, key=lambda m: (-m.gain.value, m.candidate.name)))
+
+    def gain(self, less: Fit, more: Fit) -> Gain:
+        """What `more` has over `less`."""
+        difference = less.held_out - more.held_out
+        before, after = self.energies(less), self.energies(more)
+        shares = {s: 1 - after[s] / before[s] for s in self.stages if before[s] > 1e-9}
+        gone = {s: before[s] - after[s] for s in shares}
+        return Gain(float(difference.sum()), *bootstrap(difference), shares, gone)
+
+    def energies(self, fit: Fit) -> dict[str, float]:
+        """Stage -> mean square of the residual in units of the floor."""
+        result = {}
+        for stage, lens in zip(self.stages, self.plain.lenses, strict=True):
+            rows = lens.moments([fit.point])[0].rows + fit.nuisance.astype(np.float32) @ lens.columns
+            result[stage] = float(rows @ rows) / max(lens.kept, 1.0)
+        return result
+
+
+def bootstrap(difference: Array) -> tuple[float, float]:
+    """95 % interval of a sum over blocks, the blocks drawn anew; the draws are always the same."""
+    counts = np.random.default_rng(0).multinomial(len(difference), np.full(len(difference), 1 / len(difference)), RESAMPLES)
+    low, high = np.quantile(counts @ difference, (0.025, 0.975))
+    return float(low), float(high)
+
+
+def _without(fit: Fit, i: int) -> tuple[Set, U]:
+    return fit.effects[:i] + fit.effects[i + 1 :], fit.u[:i] + fit.u[i + 1 :]

@@ -1,0 +1,164 @@
+"""Sections that show the evidence: overlays, spectra and regimes, rivals, what is left. Result in, HTML out."""
+
+from collections.abc import Iterable
+
+from diagnosis.gap.result import Diagnosis, Regime, Rival
+from diagnosis.report import charts, overlays
+from diagnosis.report.markup import Html, bar, el, join, prose, table
+from diagnosis.report.words import interval, number, percent, percents, quantity, unit_of
+from schemas.verdict import Interval
+
+LEGEND = ("measured", "nominal", "patched")
+
+
+def legend(*kinds: str) -> Html:
+    """What the colours are."""
+    items = (el("span", el("i", class_=f"key {kind}", aria_hidden="true"), kind, class_="entry") for kind in kinds)
+    return el("p", *items, class_="legend")
+
+
+def traces(diagnosis: Diagnosis) -> Html:
+    """Measured, nominal and patched over time; drawn by page.js from the data beneath."""
+    if not diagnosis.overlays:
+        return el("p", "This diagnosis holds no recordings to draw.", class_="none")
+    kinds = LEGEND if any(o.patched is not None for o in diagnosis.overlays) else LEGEND[:2]
+    every = overlays.every(diagnosis.overlays)
+    thin = f" To keep this page small, one of {every} samples is drawn." if every > 1 else ""
+    choices = (
+        el("label", name, " ", el("select", id=f"pick-{name}", disabled="")) for name in ("stage", "trial", "channel")
+    )
+    keys = (("−", "out", "zoom out"), ("+", "in", "zoom in"), ("‹", "left", "earlier"), ("›", "right", "later"))
+    buttons = [el("button", text, type="button", data_do=do, aria_label=name) for text, do, name in keys]
+    buttons.append(el("button", "whole trial", type="button", data_do="reset"))
+    return join([
+        el("p", "Each stage is simulated alone, driven by what was measured before it, so that no stage answers for "
+                "another. The strip beneath is measured minus simulated; its grey band is the stage's floor." + thin),
+        el("div", *choices, class_="picks"),
+        legend(*kinds),
+        el("canvas", id="traces", tabindex="0", role="img", aria_label="measured and simulated signals over time"),
+        el("p", id="readout", class_="readout"),
+        el("p", *buttons, class_="buttons"),
+        el("p", "Drag to zoom, drag with Shift to move, double-click for the whole trial; on the keyboard: arrows, +, "
+                "− and 0.", class_="hint"),
+        el("noscript", el("p", "A script inside this page draws the recordings; this browser does not run it.")),
+    ])  # fmt: skip
+
+
+def frequencies(diagnosis: Diagnosis) -> Html:
+    """In which band the residual is, and in which part of the data."""
+    drawn = [(s, drawing) for s in diagnosis.spectra if (drawing := charts.spectrum(s)) is not None]
+    figures = [
+        el("figure", el("figcaption", el("b", s.stage), f"  {s.unit}/√Hz"), drawing) for s, drawing in drawn
+    ]  # fmt: skip
+    patched = any(s.patched is not None for s, _ in drawn)
+    parts: list[Html] = []
+    if figures:
+        parts += [
+            el("p", "Amplitude density of measured minus simulated, all trials and channels of a stage together."),
+            legend(*(("nominal", "patched") if patched else ("nominal",)), "floor"),
+            el("div", *figures, class_="multiples"),
+        ]
+    if diagnosis.regimes:
+        parts += [el("h3", "By regime"), _regimes(diagnosis.regimes)]
+    return join(parts) if parts else el("p", "No spectra were computed.", class_="none")
+
+
+def _regimes(regimes: Iterable[Regime]) -> Html:
+    """A regime a row; bars are relative to the largest of their stage."""
+    regimes = tuple(regimes)
+    most: dict[str, float] = {}
+    for regime in regimes:
+        most[regime.stage] = max(most.get(regime.stage, 0.0), regime.nominal_rms, regime.patched_rms or 0.0)
+
+    def cell(regime: Regime, value: float | None, kind: str) -> Html:
+        if value is None:
+            return Html("–")
+        return bar(value / (most[regime.stage] or 1.0), kind, quantity(value, regime.unit))
+
+    rows = (
+        (r.stage, r.name, f"{r.samples:,}".replace(",", " "), cell(r, r.nominal_rms, "nominal"),
+         cell(r, r.patched_rms, "patched"))
+        for r in regimes
+    )  # fmt: skip
+    caption = "Root mean square of the residual by regime; bars are relative to the largest of their stage"
+    return table(("stage", "regime", "samples", "nominal", "patched"), rows, caption, numbers=(2,))
+
+
+def contenders(diagnosis: Diagnosis) -> Html:
+    """Every effect that was tried as the cause."""
+    if not diagnosis.rivals:
+        return el("p", "No effect was tried.", class_="none")
+    forest = charts.Forest([r.conditional for r in diagnosis.rivals if r.conditional is not None])
+    head = (
+        "effect", el("span", "alone"), join(["beside the named ones, percent", forest.axis()]), "fitted", "note",
+    )  # fmt: skip
+    rows = [_rival(rival, forest) for rival in diagnosis.rivals]
+    caption = "Effects that were tried as the cause; shares of the stage's gap on unseen data"
+    return join([
+        prose("Alone, a wrong effect can pass for the right one. What counts is the second figure: what an effect adds "
+              "beside the others, with its 95 % interval. An effect whose interval is clear of zero adds something."),
+        el("div", table(head, rows, caption), class_="rivals"),
+    ])  # fmt: skip
+
+
+def _rival(rival: Rival, forest: charts.Forest) -> tuple[Html, ...]:
+    name = join([el("code", name) for name in rival.names], " + ")
+    fitted = [
+        el("span", f"{path.rpartition('.')[2]} {quantity(value, unit_of(path), 3)}", title=path, class_="fit")
+        for path, value in rival.parameters.items()
+    ]
+    note = el("span", prose(rival.note), class_="tag named" if rival.note == "named" else None)
+    return name, bar(rival.alone, "plain", percent(rival.alone)), _added(rival.conditional, forest), join(fitted), note
+
+
+def _added(of: Interval | None, forest: charts.Forest) -> Html:
+    if of is None:
+        return Html("–")
+    return el("span", forest.row(of, percents(of)), el("span", percents(of), class_="num"), class_="forestcell")
+
+
+def left(diagnosis: Diagnosis) -> Html:
+    """What stays: stage by stage against floor and ceiling, and what the rest depends on."""
+    gap, named = diagnosis.verdict.gap, bool(diagnosis.verdict.effects)
+    rows = []
+    for stage, before in gap.before.items():
+        after, floor, ceiling = (q.get(stage) for q in (gap.after, gap.floor, gap.ceiling))
+        shown = after if named else None
+        drawn = charts.ladder(before.value, *(q.value if q else None for q in (shown, floor, ceiling)))
+        texts = [quantity(q.value, q.unit) if q else "–" for q in (before, shown, ceiling, floor)]
+        rows.append((_place(stage), *texts, drawn))
+    parts = [
+        el("p", "The ceiling is what a flexible model with no physics in it leaves: nothing known or unknown could do "
+                "much better. The floor is repeats, noise and what two honest simulators of one robot differ by."),
+        legend("nominal", "patched", "ceiling", "floor"),
+        table(("stage", "before", "after", "ceiling", "floor", "on one scale"), rows,
+              "Root mean square of the gap, before and after", numbers=(1, 2, 3, 4)),
+    ]  # fmt: skip
+    for leftover in diagnosis.leftovers:
+        parts += [el("h3", leftover.stage), _depends(leftover.explained_share, leftover.depends_on, named)]
+    return join(parts)
+
+
+def _place(stage: str) -> str:
+    return "tip, whole chain" if stage == "chain" else stage
+
+
+def _depends(explained: float, on: tuple[tuple[str, float], ...], named: bool) -> Html:
+    share = bar(explained, "patched", percent(explained))
+    who = "by the named effects" if named else "by known effects"
+    text = el("p", f"Of what any model could explain here, explained {who}: ", share)
+    if not on:
+        return text
+    most = max(value for _, value in on) or 1.0
+    rows = ((name, bar(value / most, "plain", number(value, 2))) for name, value in on)
+    return join([text, table(("what is left depends on", "importance"), rows, "Features of the residual that is left")])
+
+
+def parameters(diagnosis: Diagnosis) -> Html:
+    """Parameters of the named effects with their intervals."""
+    rows = [
+        (el("code", f"{effect.name}.{name}"), interval(of, of.unit))
+        for effect in diagnosis.verdict.effects
+        for name, of in effect.parameters.items()
+    ]
+    return table(("parameter", "value (95 %)"), rows, "Parameters of the named effects") if rows else Html("")

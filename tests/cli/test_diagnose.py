@@ -1,0 +1,193 @@
+"""`softarm diagnose` and `softarm excite --plan`: what goes in and out; the diagnosis itself is a stand-in."""
+
+import json
+import sys
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from cli.main import main
+from diagnosis.gap.result import Diagnosis, Overlay
+from schemas.model import Model
+from schemas.verdict import Estimate, Gap, Interval, NamedEffect, NextExperiment, Quantity, Shrink, Verdict, Where
+from simulator import model_file
+
+HALF = Interval(value=0.5, low=0.4, high=0.6)
+NAMED = Verdict(
+    verdict="named",
+    where=Where(stage="pressure", share={"pressure": 1.0}, regime="deflating"),
+    effects=(
+        NamedEffect(
+            name="pressure.dead_time",
+            parameters={"delay": Estimate(value=0.06, low=0.05, high=0.07, unit="s")},
+            confidence=0.9,
+            shrink=Shrink(stage=HALF),
+        ),
+    ),
+    gap=Gap(
+        before={"pressure": Quantity(value=2.0, unit="kPa")},
+        after={"pressure": Quantity(value=1.0, unit="kPa")},
+        floor={},
+        ceiling={},
+    ),
+    next_experiment=NextExperiment(
+        excitation="pressure-multisine", separates=("pressure.lag",), expect={"pressure.lag": "a slope at once"}
+    ),
+    warnings=("one frame is missing",),
+)
+UNKNOWN = NAMED.model_copy(update={"verdict": "unknown", "effects": (), "next_experiment": None})
+
+
+def run(*arguments):
+    return CliRunner().invoke(main, [str(a) for a in arguments])
+
+
+def write_trial(folder, model=None):
+    """A trial of a second, in a campaign that may have a model of its own."""
+    folder.mkdir(parents=True)
+    (folder / "trial.yaml").write_text("kind: seed\n")
+    rows = [f"{k / 30:.4f},{k % 7}.0" for k in range(30)]
+    (folder / "pressure.csv").write_text("\n".join(("t,pressure", *rows)) + "\n")
+    if model is not None:
+        model_file.save(model, folder.parent / "model.yaml")
+    return folder
+
+
+@pytest.fixture
+def asked(monkeypatch):
+    """Stand in for the diagnosis; what it was asked, and what it is to answer."""
+    asked = SimpleNamespace(verdict=NAMED, patched=Model(effects={}), trials=None, model=None)
+
+    def diagnose(trials, model, tell=None):
+        asked.trials, asked.model = trials, model
+        tell("fitting", 0.5)
+        t = np.arange(30) / 30
+        overlay = Overlay("pressure", trials[0].name, "seed", "pressure", "kPa", t, t, t + 1, None)
+        return Diagnosis(asked.verdict, model, asked.patched, (("a", "seed", 1.0),), (overlay,))
+
+    monkeypatch.setitem(sys.modules, "diagnosis.diagnose", SimpleNamespace(diagnose=diagnose))
+    return asked
+
+
+def test_it_writes_verdict_report_and_patch_and_says_the_answer(asked, tmp_path):
+    campaign = write_trial(tmp_path / "campaign" / "a", Model(effects={})).parent
+    places = [tmp_path / name for name in ("verdict.json", "report.html", "patched.yaml")]
+    outcome = run("diagnose", campaign, "--json", places[0], "--report", places[1], "--patch", places[2])
+    assert outcome.exit_code == 0, outcome.output
+    assert Verdict.model_validate_json(places[0].read_text()) == NAMED
+    assert places[1].read_text(encoding="utf-8").startswith("<!doctype html>")
+    assert model_file.load(places[2]) == asked.patched
+    told = " ".join(outcome.output.split())
+    assert "the regulator starts to react late; delay 60 ms (50 to 70)." in told
+    assert "shrinks from 2 to 1 kPa RMS" in told
+    assert "warning: one frame is missing" in told
+    assert f"softarm excite --plan {places[0]}" in told
+    assert [trial.name for trial in asked.trials] == ["a"]
+
+
+def test_the_nominal_simulator_is_the_named_one_else_the_campaigns_else_the_seeds(asked, tmp_path):
+    campaign = write_trial(tmp_path / "campaign" / "a", Model(effects={})).parent
+    bare = write_trial(tmp_path / "bare" / "b")
+    run("diagnose", campaign)
+    assert asked.model.effects == {}
+    run("diagnose", campaign / "a")
+    assert asked.model.effects == {}
+    model_file.save(Model(), tmp_path / "model.yaml")  # beside the campaign, none of its business
+    run("diagnose", campaign)
+    assert asked.model.effects == {}
+    run("diagnose", campaign, "--model", "no-delay")
+    assert asked.model == model_file.load("no-delay")
+    outcome = run("diagnose", bare)
+    assert asked.model == Model()
+    assert "the seed's simulator is taken as nominal" in outcome.output
+
+
+def test_two_campaigns_with_different_simulators_need_a_word(asked, tmp_path):
+    one = write_trial(tmp_path / "one" / "a", Model(effects={})).parent
+    other = write_trial(tmp_path / "other" / "b", Model()).parent
+    outcome = run("diagnose", one, other)
+    assert outcome.exit_code == 1
+    assert "differ; say by --model which of the simulators is meant" in outcome.output
+    assert asked.trials is None
+
+
+def test_a_patch_of_nothing_is_not_written(asked, tmp_path):
+    asked.verdict, asked.patched = UNKNOWN, None
+    trial, patch = write_trial(tmp_path / "c" / "a"), tmp_path / "patched.yaml"
+    outcome = run("diagnose", trial, "--patch", patch)
+    assert outcome.exit_code == 0
+    assert "not written, nothing was named (verdict: unknown)" in outcome.output
+    assert not patch.exists()
+
+
+def test_tables_of_another_rig_may_lie_in_a_folder_of_their_own(asked, tmp_path):
+    (tmp_path / "data").mkdir()
+    (tmp_path / "data" / "a.csv").write_text("t,c,p\n" + "".join(f"{k / 10},{k},{k}\n" for k in range(20)))
+    column = {"source": "t", "unit": "s"}
+    stage = {
+        "name": "axis", "kind": "tracking",
+        "channels": {
+            "command": {"time": column, "columns": {"command": {"source": "c", "unit": "rad"}}},
+            "measured": {"time": column, "columns": {"position": {"source": "p", "unit": "rad"}}},
+        },
+        "trials": [{"name": "one", "kind": "ramp", "files": {"command": "a.csv", "measured": "a.csv"}}],
+    }  # fmt: skip
+    (tmp_path / "stage.yaml").write_text(json.dumps(stage))
+    outcome = run("diagnose", tmp_path / "stage.yaml", "--data", tmp_path / "data")
+    assert outcome.exit_code == 0, outcome.output
+    assert asked.model is None
+    assert asked.trials[0].stage.name == "axis"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says", "code"),
+    [
+        ((), "Missing argument 'INPUT...'", 2),
+        (("nowhere",), "nowhere: is not there; name an MCAP log, a trial folder", 1),
+        (("c/a", "--data", "."), "--data is where the files of a stage.yaml lie", 2),
+        (("c/a", "--model", "no-dely"), "did you mean no-delay?", 1),
+        (("c/a", "--json", "no/v.json"), "no/v.json: there is no folder no; make it, or name another place", 1),
+        (("c/a", "--report", "c"), "is a directory", 2),
+    ],
+)
+def test_a_wrong_command_says_what_to_do(arguments, says, code, asked, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    write_trial(tmp_path / "c" / "a")
+    outcome = run("diagnose", *arguments)
+    assert says in outcome.output
+    assert outcome.exit_code == code
+    assert asked.trials is None
+
+
+def test_the_next_experiment_is_played_from_the_verdict(tmp_path):
+    plan, config = tmp_path / "verdict.json", tmp_path / "softarm.yaml"
+    plan.write_text(NAMED.model_dump_json())
+    config.write_text(f"recorder: {{directory: {tmp_path / 'logs'}}}\n")
+    outcome = run("excite", "--plan", plan, "--simulated", "--config", config)
+    assert outcome.exit_code == 0, outcome.output
+    assert "if pressure.lag: a slope at once" in outcome.output
+    assert "played pressure-multisine" in outcome.output
+    (log,) = (tmp_path / "logs").glob("*.mcap")
+    assert f"next: softarm diagnose RECORDING... {log} --json {plan}" in outcome.output
+
+
+@pytest.mark.parametrize(
+    ("text", "arguments", "says", "code"),
+    [
+        (UNKNOWN.model_dump_json(), (), "asks for no next experiment; name an excitation", 1),
+        ('{"verdict": "none"}', (), "where: Field required; name a file that `softarm diagnose --json` wrote", 1),
+        ("no JSON", (), "Invalid JSON", 1),
+        (None, (), "cannot be read", 1),
+        (NAMED.model_dump_json(), ("seed",), "NAME or --plan, not both", 2),
+        (NAMED.model_dump_json().replace("multisine", "mltisine"), (), "no excitation 'pressure-mltisine'", 1),
+    ],
+)
+def test_a_verdict_that_cannot_be_played_says_why(text, arguments, says, code, tmp_path):
+    plan = tmp_path / "verdict.json"
+    if text is not None:
+        plan.write_text(text)
+    outcome = run("excite", *arguments, "--plan", plan, "--simulated")
+    assert says in outcome.output
+    assert outcome.exit_code == code

@@ -1,0 +1,138 @@
+"""The score: every measure by hand on cases whose answer is plain to see."""
+
+import pytest
+
+from diagnosis.blind import pages
+from diagnosis.blind.score import Scored, answer_set, calibration, coverage, score, share
+from schemas.verdict import Gap, Interval, NamedEffect, Shrink, Verdict, Where
+
+NOTHING = Gap(before={}, after={}, floor={}, ceiling={})
+
+
+def named(name, *equivalents, confidence=0.9, low=0.4, high=0.6, chain=None):
+    return NamedEffect(
+        name=name,
+        parameters={},
+        confidence=confidence,
+        equivalents=equivalents,
+        shrink=Shrink(stage=Interval(value=(low + high) / 2, low=low, high=high), chain=chain),
+    )
+
+
+def case(kind, causes, *effects, verdict="named", stage=None, shrink=None, removed=False):
+    answer = Verdict(
+        verdict=verdict if effects or verdict != "named" else "none",
+        where=Where(stage=stage, share={}, regime=""),
+        effects=effects,
+        gap=NOTHING,
+    )
+    stages = tuple("rail" if name.startswith("unknown") else name.partition(".")[0] for name in causes)
+    return Scored("case", kind, tuple(causes), stages, (removed,) * len(causes), answer, "", shrink)
+
+
+def measures(*cases):
+    return {name: (cell["hits"], cell["of"]) for name, cell in score(cases)["measures"].items()}
+
+
+def test_a_single_cause_exact_in_a_set_of_two_or_beside_others():
+    found = measures(
+        case("single", ["rail.lag"], named("rail.lag"), stage="rail"),
+        case("single", ["rail.lag"], named("rail.delay", "rail.lag"), stage="rail"),
+        case("single", ["rail.lag"], named("rail.delay", "rail.lag", "mocap.latency"), stage="rail"),
+        case("single", ["rail.lag"], named("rail.lag"), named("arm.drag"), stage="arm"),
+        case("single", ["rail.lag"], stage=None),
+    )
+    assert found["single, exact"] == (1, 5)
+    assert found["single, exact or in a set of two"] == (2, 5)
+    assert found["single, named first"] == (2, 5)
+    assert found["right stage"] == found["right stage, single"] == (3, 5)
+
+
+def test_two_causes_count_once_each_whatever_their_order():
+    causes = ["rail.lag", "arm.drag"]
+    found = measures(
+        case("two", causes, named("arm.drag"), named("rail.lag"), stage="arm"),
+        case("two", causes, named("arm.damping", "arm.drag"), named("rail.lag"), stage="rail"),
+        case("two", causes, named("rail.lag", "arm.drag"), named("rail.gain"), stage="rail"),
+        case("two", causes, named("rail.lag"), stage="mocap"),
+    )
+    assert found["two, both exact"] == (1, 4)
+    assert found["two, both exact or in sets of two"] == (2, 4)
+    assert found["two, at least one"] == (4, 4)
+    assert found["right stage"] == (3, 4)
+
+
+def test_names_for_nothing_and_for_the_unknown_are_counted_against_it():
+    found = measures(
+        case("none", [], verdict="none"),
+        case("none", [], named("rail.lag"), stage="rail"),
+        case("unknown", ["unknown.cable"], verdict="unknown", stage="rail"),
+        case("unknown", ["unknown.cable"], named("rail.gain"), verdict="incomplete", stage="rail"),
+        case("unknown", ["unknown.cable"], named("rail.gain"), stage="arm"),
+        Scored("case", "unknown", ("unknown.cable",), ("rail",), (False,), None, "it fell"),
+    )
+    assert found["none, given a name"] == found["none, said so"] == (1, 2)
+    assert found["unknown, given a name"] == (2, 4)
+    assert found["unknown, given a name as the whole answer"] == found["unknown, said so"] == (1, 4)
+    assert found["right stage"] == (2, 4)
+    assert found["failed"] == (1, 6)
+
+
+def test_every_wrong_answer_is_told_with_the_truth():
+    found = score(
+        [
+            case("single", ["rail.lag"], named("rail.delay"), stage="rail", removed=True),
+            case("none", [], verdict="none"),
+            Scored("other", "none", (), (), (), None, "it fell"),
+        ]
+    )
+    one, other = found["wrong"]
+    assert (one["causes"], one["verdict"], one["named"][0]["name"]) == (["rail.lag (removed)"], "named", "rail.delay")
+    assert other["verdict"] == "failed: it fell"
+    assert found["by_cause"]["rail.lag (removed)"]["hits"] == 0
+
+
+def test_a_share_has_wilsons_interval():
+    found = share([True] * 8 + [False] * 2)
+    assert (found["share"], found["hits"], found["of"]) == (0.8, 8, 10)
+    assert (found["low"], found["high"]) == pytest.approx((0.4902, 0.9433), abs=1e-4)  # Newcombe 1998's method 3
+    assert share([])["share"] is None
+
+
+def test_calibration_is_the_mean_distance_weighted_by_bin():
+    cases = [case("single", ["rail.lag"], named("rail.lag", confidence=0.95))] * 3
+    cases += [case("single", ["rail.lag"], named("rail.gain", confidence=0.95))]
+    cases += [case("single", ["rail.lag"], named("rail.gain", "rail.lag", confidence=0.35))]
+    found = calibration([*cases, case("none", [], named("rail.gain", confidence=1.0))])
+    # Of 0.95 (four) and 1.0 (one) 3 of 5 were right; of 0.35 the one.
+    assert found["named"] == 6
+    assert found["ece"] == pytest.approx((abs(4.8 - 3) + abs(0.35 - 1)) / 6)
+    assert [b["of"] for b in found["bins"]] == [0, 0, 0, 1, 0, 0, 0, 0, 0, 5]
+    assert answer_set(cases[-1].effects[0]) == {"rail.gain", "rail.lag"}
+    assert calibration([case("none", [])])["ece"] is None
+
+
+def test_coverage_counts_effects_that_are_alone_in_their_stage():
+    chain = Interval(value=0.2, low=0.1, high=0.3)
+    fresh = {"rail": 0.5, "arm": 0.9, "chain": 0.35}
+    found = coverage(
+        [
+            case("single", ["rail.lag"], named("rail.lag", chain=chain), shrink=fresh),
+            case("two", ["rail.lag", "arm.drag"], named("rail.lag"), named("arm.drag", chain=chain), shrink=fresh),
+            case("two", ["rail.lag", "rail.gain"], named("rail.lag"), named("rail.gain"), shrink=fresh),
+            case("single", ["rail.lag"], named("rail.lag")),
+        ]
+    )
+    assert (found["stage"]["hits"], found["stage"]["of"]) == (2, 3)
+    assert (found["chain"]["hits"], found["chain"]["of"]) == (0, 1)
+    assert found["chain"]["bias"] == pytest.approx(0.15)
+    assert found["stage"]["width"] == pytest.approx(0.2)
+
+
+def test_the_page_has_a_column_for_each_method_and_no_share_of_nothing():
+    scored = score([case("none", [], verdict="none")])
+    method = {"seconds_median": None, **scored}
+    text = pages.markdown({"methods": {"one": method, "two": method}})
+    assert "| 1 cases | one | two |" in text
+    assert "| single, exact | - | - |" in text
+    assert "| none, said so | 100% (21% .. 100%; 1 of 1) |" in text
