@@ -35,7 +35,8 @@ class Fit:
     nuisance: Array  # [q] in units of the boxes' edges
     loss: float  # weighted squares of the whitened residual
     held_out: Array  # [B] the same, by block, each from a fit without the block's fold
-    low: Array  # [p] 95 % interval of the dials, block bootstrap
+    folds: Array  # [F, p] coordinates from a fit without each fold
+    low: Array  # [p] 95 % interval of the dials, from the scatter of the blocks
     high: Array
 
     @property
@@ -47,6 +48,11 @@ class Fit:
     def point(self) -> Point:
         """The registry's parameters."""
         return point_of(self.effects, self.u)
+
+    @property
+    def fold_points(self) -> list[Point]:
+        """As `point`, from a fit without each fold."""
+        return [point_of(self.effects, _split(self.effects, x)) for x in self.folds]
 
     @property
     def at_bound(self) -> bool:
@@ -196,15 +202,16 @@ class Problem:
         low, high = self._box(effects, x)
         total_normal, total_slope = normal.sum(axis=0), slope.sum(axis=0)
         best = box.solve(total_normal, -total_slope, low, high)
-        held_out = np.empty(len(squares))
+        held_out, folds = np.empty(len(squares)), []
         for fold in np.unique(self.fold):
             out = self.fold == fold
             others = total_normal - normal[out].sum(axis=0), total_slope - slope[out].sum(axis=0)
             y = box.solve(others[0], -others[1], low, high)
+            folds.append(x + y[: len(x)])
             held_out[out] = squares[out] + 2 * slope[out] @ y + np.einsum("i,bij,j->b", y, normal[out], y)
         lows, highs = _spread(normal, slope, best, low, high, len(x))
         nuisance = best[len(x) :]
-        return Fit(effects, _split(effects, x), nuisance, loss, held_out, x + lows, x + highs)
+        return Fit(effects, _split(effects, x), nuisance, loss, held_out, np.array(folds), x + lows, x + highs)
 
     def _by_block(self, p: int, jacobians: list[Array], bases: list[Moments]) -> tuple[Array, Array, Array]:
         """Normal matrices [B, p + q, p + q], slopes [B, p + q] and squares [B] of the blocks."""

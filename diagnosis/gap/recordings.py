@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 from scipy.signal import butter, sosfiltfilt
 
+from diagnosis.gap.counts import mocap_noise
 from diagnosis.trials import Series, Trial, TrialError
 from schemas.model import Model
 
@@ -19,6 +20,7 @@ Mask = NDArray[np.bool_]
 
 RATE_HZ = 60.0
 STEP_S = 1 / RATE_HZ
+ORDINARY_M = 0.0004  # noise of a mocap that is as it should be
 GAP_S = 0.1  # nothing is compared within a longer gap of a channel
 SKIPPED_S = 0.5  # at the start, where what went before still shows
 CART_CUTOFF_HZ, ARM_CUTOFF_HZ = 15.0, 8.0
@@ -48,6 +50,7 @@ class Flight:
     axis_true: Mask  # [K] whether the way is the axis's own read-back, else it is mocap's
     push_n: Array  # [T, K] the arm's force on the cart, from its measured motion and the model's masses
     tip_m_s2: Array  # [T, K] the tip's acceleration along the rail
+    noise_m: float  # of mocap, from frame to frame, beyond what such cameras ordinarily have
     sample: tuple[NDArray[np.int64], NDArray[np.int64]]  # [M] step and trial of every sample, trial after trial
 
     @property
@@ -73,7 +76,9 @@ def flight(trials: Sequence[Trial], model: Model) -> Flight:
         np.repeat(np.arange(len(parts)), steps - round(SKIPPED_S * RATE_HZ)),
     )
     flags = {name: stacked.pop(name)[0] > 0 for name in ("held", "axis_true")}
-    return Flight(trials=tuple(trials), steps=steps, sample=sample, **flags, **stacked)
+    noise = np.array([each[0] for trial in trials if (each := mocap_noise(trial)) is not None])
+    beyond = np.sqrt(max(float(np.median(noise)) ** 2 - ORDINARY_M**2, 0.0)) if len(noise) else 0.0
+    return Flight(trials=tuple(trials), steps=steps, sample=sample, noise_m=float(beyond), **flags, **stacked)
 
 
 def _side_by_side(parts: list[Array], steps: int) -> Array:

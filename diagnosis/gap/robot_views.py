@@ -207,7 +207,8 @@ class ArmView(RobotView):
     def floor(self) -> Array:
         """See View."""
         link = np.arange(1, self.flight.links + 1)
-        return np.concatenate((FLOOR_LINK_Y_M * link, FLOOR_LINK_Z_M * (1 + link) / 2))
+        usual = np.concatenate((FLOOR_LINK_Y_M * link, FLOOR_LINK_Z_M * (1 + link) / 2))
+        return np.asarray(np.sqrt(usual**2 + 2 * self.flight.noise_m**2))  # of a link end and of the cart
 
     def _seen(self) -> Array:
         seen = self.flight.links_m.copy()
@@ -310,6 +311,11 @@ class MocapView(RobotView):
         *_DRAW, ON_MOTOR, ABOUT_RAIL,
     }  # fmt: skip
 
+    @property
+    def floor(self) -> Array:
+        """See View."""
+        return np.full(2, float(np.hypot(self._floor, self.flight.noise_m)))
+
     def _seen(self) -> Array:
         f = self.flight
         return np.stack((f.cart_y_m, f.cart_z_m), axis=2)
@@ -337,11 +343,22 @@ class MocapView(RobotView):
         half = point.get("rail.backlash.gap", 0.0) / 2
         if half <= 0:
             return way
-        dragged, cart = np.empty_like(way), np.nan_to_num(way[0])
-        for t in range(len(way)):
-            cart = np.where(np.isfinite(way[t]), np.clip(cart, way[t] - half, way[t] + half), cart)
-            dragged[t] = cart
-        return dragged
+        return _coasting(way, half, np.where(self.flight.held, 0.0, self.flight.push_n) / self.model.cart.mass_kg)
+
+
+def _coasting(way: Array, half: float, pushed_m_s2: Array) -> Array:
+    """A cart in the play of its drive, [T, K]: free between the flanks, pushed by the arm; a flank stops it dead."""
+    way = np.nan_to_num(way)
+    speed = np.gradient(way, STEP_S, axis=0)
+    cart, place, rate = np.empty_like(way), way[0].copy(), speed[0].copy()
+    for t in range(len(way)):
+        rate = rate + pushed_m_s2[t] * STEP_S
+        place = place + rate * STEP_S
+        ahead = place - way[t]
+        rate = np.where(ahead > half, np.minimum(rate, speed[t]), np.where(ahead < -half, np.maximum(rate, speed[t]), rate))
+        place = way[t] + np.clip(ahead, -half, half)
+        cart[t] = place
+    return cart
 
 
 def _rate(values: Array) -> Array:

@@ -17,8 +17,10 @@ STARTS_KEPT = 1
 PROMISING = 10  # candidates that are fitted to the end
 RESAMPLES = 2000
 GAIN_MIN = 8.0  # what an effect must add, held out: weighted squares, about four per second and view
-SHARE_MIN = 0.10  # and of the residual's energy in one view that it acts on
-ENERGY_MIN = 0.3  # and of the floor's energy there: what moves a residual within the floor is no news
+# And in one view that it acts on: share of the residual's energy, and energy in units of the floor's. What moves a
+# residual within the floor is no news unless it is most of it.
+SHOWN = ((0.10, 0.30), (0.35, 0.12))
+FURTHER_MIN = 0.06  # and of the energy that the whole gap had there: a correction to another effect's law is no effect
 RIVAL_SHARE = 0.12  # a rival that lacks no more than this share of the gain may be the cause as well
 Tell = Callable[[str, float], None]
 
@@ -62,12 +64,14 @@ class Search:
     def __init__(self, problem: Problem, plain: Problem, stages: Sequence[str], candidates: Sequence[Candidate]) -> None:
         self.problem, self.plain, self.stages = problem, plain, tuple(stages)
         self.candidates = tuple(candidates)
-        self._extended: dict[tuple[frozenset[str], tuple[str, ...]], list[Fit]] = {}
+        self._first: Mapping[str, float] = {}  # the whole gap's energies
+        self._extended: dict[frozenset[str], list[Fit]] = {}  # by the names of the base
 
     def run(self, tell: Tell, effects_max: int = EFFECTS_MAX) -> Choice:
         """Search. Deterministic."""
         nothing = self.problem.fit([((), ())])[0]
         chosen, seen = nothing, {frozenset[str]()}
+        self._first = self.energies(nothing)
         while True:
             tell(f"which effect: {len(chosen.effects) + 1}", min(0.9, 0.3 * len(chosen.effects)))
             ranked = self.ranked(chosen)
@@ -91,23 +95,25 @@ class Search:
 
     def worth(self, gain: Gain) -> bool:
         """Whether a gain is one: beyond chance, and large enough to matter."""
-        shown = any(gain.shares[s] > SHARE_MIN and gain.energies[s] > ENERGY_MIN for s in gain.shares)
+        shown = any(
+            gain.shares[s] > share and gain.energies[s] > max(e, FURTHER_MIN * self._first.get(s, 0.0))
+            for s in gain.shares
+            for share, e in SHOWN
+        )
         return gain.low > 0 and gain.value > GAIN_MIN and shown
 
     def extended(self, base: Fit, without: tuple[str, ...] = ()) -> list[Fit]:
         """A set with every further candidate, each from the best of its starts; those without promise only roughly."""
-        memory = frozenset(base.names), without
+        memory = frozenset(base.names)
         if memory not in self._extended:
-            options = [c for c in self.candidates if c.name not in (*base.names, *without)]
-            begun = self._begun(base, options)
-            rough = sorted(self.problem.fit(begun, rounds=2), key=lambda f: f.loss)
-            promising = rough[:PROMISING]
-            fine = self.problem.fit([(f.effects, f.u) for f in promising]) + rough[PROMISING:]
+            options = [c for c in self.candidates if c.name not in base.names]
+            rough = sorted(self.problem.fit(self._begun(base, options), rounds=2), key=lambda f: f.loss)
+            fine = self.problem.fit([(f.effects, f.u) for f in rough[:PROMISING]]) + rough[PROMISING:]
             forms: dict[str, Fit] = {}
             for fit in sorted(fine, key=lambda f: f.loss):  # of the forms of one effect the better one
                 forms.setdefault(fit.effects[-1].name, fit)
             self._extended[memory] = list(forms.values())
-        return self._extended[memory]
+        return [fit for fit in self._extended[memory] if fit.effects[-1].name not in without]
 
     def _begun(self, base: Fit, options: Sequence[Candidate]) -> list[tuple[Set, U]]:
         """Every option at its best start beside the base."""
@@ -157,12 +163,16 @@ class Search:
             name, gain = chosen.effects[i].name, self.gain(less, chosen)
             rivals = [(f, self.gain(f, chosen)) for f in self.extended(less, (name,))]
             rivals.sort(key=lambda each: (each[1].value, each[0].names))
-            same = tuple(
-                f.effects[-1].name for f, g in rivals
-                if not f.at_bound and (g.low <= 0 or g.value < GAIN_MIN / 2) and g.value < RIVAL_SHARE * gain.value
-            )  # fmt: skip
+            same = tuple(f.effects[-1].name for f, g in rivals if self.alike(less, f, g, gain))
             found.append(Member(chosen.effects[i], gain, tuple(rivals), same))
         return tuple(sorted(found, key=lambda m: (-m.gain.value, m.candidate.name)))
+
+    def alike(self, less: Fit, rival: Fit, lack: Gain, gain: Gain) -> bool:
+        """Whether a rival may be the cause as well: it explains the same part of the gap, and as well but for chance."""
+        own = self.gain(less, rival)
+        shared = any(own.energies[s] > 0.5 * e > 0.05 for s, e in gain.energies.items())
+        close = lack.value < RIVAL_SHARE * gain.value and (lack.low <= 0 or lack.value < GAIN_MIN / 2)
+        return not rival.at_bound and self.worth(own) and shared and close
 
     def gain(self, less: Fit, more: Fit) -> Gain:
         """What `more` has over `less`."""

@@ -1,0 +1,72 @@
+"""From energies and gains to a verdict: pure numbers in, words out. Every threshold stands here.
+
+Energies are mean squares of a stage's residual over the floor's: 1 is what no simulator is blamed for.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+from diagnosis.gap.search import Choice, Member
+from simulator.effects import REGISTRY
+
+NAMED, INCOMPLETE = 0.8, 0.6  # share of what is explainable that the named effects explain
+UNKNOWN_MIN = 0.5  # energy beyond the floor that asks for an explanation
+# Of what is left beyond the floor at least this much counts as explainable: what changes at random from tick to tick
+# no model finds, and it is not the floor's noise either.
+RANDOM_SHARE = 0.5
+MEMBER_MIN = 0.4  # an effect whose stage keeps more than it explains there is not named
+
+Kind = Literal["named", "incomplete", "unknown", "none"]
+
+
+@dataclass(frozen=True, slots=True)
+class Ruling:
+    """What the fitted effects amount to."""
+
+    kind: Kind
+    members: tuple[Member, ...]  # the named ones
+    left: Mapping[str, float]  # stage -> energy that could be explained and is not
+    explained: float  # share of the explainable energy that the members explain
+
+
+def rule(choice: Choice, flexible: Mapping[str, float]) -> Ruling:
+    """Rule on the effects that a simulation is needed for. flexible: stage -> what a flexible model finds of the rest."""
+    before, after = choice.energies
+    left = {s: max(e - 1.0, 0.0) * max(flexible.get(s, 0.0), RANDOM_SHARE) for s, e in after.items()}
+    members = tuple(m for m in choice.members if _stands(m, left))
+    dropped = len(choice.members) - len(members)
+    asks = max(left.values(), default=0.0) > UNKNOWN_MIN
+    if not choice.members:
+        return Ruling("unknown" if asks else "none", (), left, 0.0)
+    explained = sum(max(before[s] - after[s], 0.0) for s in before)
+    share = explained / (explained + sum(left.values()))
+    if not members or (share < INCOMPLETE and not dropped):
+        return Ruling("unknown", (), left, share)
+    kind: Kind = "named" if share >= NAMED and not dropped else "incomplete"
+    return Ruling(kind, members, left, share)
+
+
+def _stands(member: Member, left: Mapping[str, float]) -> bool:
+    stage, energy = max(member.gain.energies.items(), key=lambda each: each[1])
+    return energy > MEMBER_MIN * (energy + left.get(stage, 0.0))
+
+
+def stage_shares(ruling: Ruling, counted: Mapping[str, float]) -> dict[str, float]:
+    """Stage -> share of the gap: what each effect explains is its own stage's, what is left the stage's it is seen in.
+
+    counted: stage -> energies of effects that were read off stamps and noise.
+    """
+    energies: dict[str, float] = dict(counted)
+    for member in ruling.members:
+        stage = REGISTRY[member.candidate.name].stage
+        energies[stage] = energies.get(stage, 0.0) + sum(max(e, 0.0) for e in member.gain.energies.values())
+    for stage, energy in ruling.left.items():
+        energies[stage] = energies.get(stage, 0.0) + energy
+    total = sum(energies.values())
+    return {s: e / total for s, e in energies.items()} if total > 0 else {}
+
+
+def stage_of(shares: Mapping[str, float], order: Sequence[str]) -> str | None:
+    """The stage with the largest share."""
+    return max(order, key=lambda s: shares.get(s, 0.0)) if any(shares.values()) else None
