@@ -54,6 +54,18 @@ class Fit:
         """As `point`, from a fit without each fold."""
         return [point_of(self.effects, _split(self.effects, x)) for x in self.folds]
 
+    def scatter(self, i: int) -> float:
+        """How far an effect's strength differs from one kind of excitation to another: jackknife error over the change.
+
+        Of an effect that is there it is small; a law that only resembles the true one needs another strength each time.
+        """
+        at = sum(len(each.dials) for each in self.effects[:i])
+        change = [abs(x - d.nominal) / d.size for d, x in zip(self.effects[i].dials, self.u[i], strict=True)]
+        j = int(np.argmax(change))
+        values = self.folds[:, at + j]
+        error = np.sqrt((len(values) - 1) / len(values) * np.sum((values - values.mean()) ** 2))
+        return float(error / max(abs(self.u[i][j] - self.effects[i].dials[j].nominal), 1e-9 * self.effects[i].dials[j].size))
+
     @property
     def at_bound(self) -> bool:
         """Whether a dial stands at a physical bound that is neither its nominal nor its neutral value."""

@@ -80,7 +80,9 @@ class RobotView:
     @property
     def features(self) -> Mapping[str, Array]:
         """See View."""
-        return {name: np.asarray(self.flight.flat(values)) for name, values in self._signals().items()}
+        since = self.flight.t_s - self.flight.t_s[0]
+        signals = {**self._signals(), "time since the start": since}
+        return {name: np.asarray(self.flight.flat(values)) for name, values in signals.items()}
 
     def gap(self, points: Sequence[Point]) -> NDArray[np.float32]:
         """See View."""

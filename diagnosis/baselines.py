@@ -1,0 +1,94 @@
+"""Simpler ways to answer, under the same protocol as the diagnosis: what it has to beat. They share its simulator and fits.
+
+None of them abstains for want of a ceiling, weighs noise by its colour, or knows rivals: that is what is compared.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from diagnosis.gap.candidates import candidates, nuisances
+from diagnosis.gap.fits import Fit
+from diagnosis.gap.problem import Setup
+from diagnosis.gap.recordings import flight
+from diagnosis.gap.robot_views import robot_views
+from diagnosis.gap.search import EFFECTS_MAX, Search
+from diagnosis.trials import Trial
+from schemas.model import Model
+from schemas.verdict import Estimate, Gap, Interval, NamedEffect, Shrink, Verdict, Where
+from simulator.effects import REGISTRY
+
+GAIN_MIN = 0.1  # of the whole misfit: below, `largest_gain` sees no gap
+CLEARLY = 1.96  # half intervals that a parameter must stand off its neutral value by, for `all_at_once`
+
+
+def largest_gain(trials: Sequence[Trial], model: Model) -> Verdict:
+    """The one effect that, alone, lowers the nominal misfit most: no rivals, no nuisances in the choice."""
+    search = _search(trials, model)
+    nothing = search.problem.fit([((), ())])[0]
+    best = min(search.extended(nothing), key=lambda f: f.loss)
+    return _verdict([best] if best.loss < (1 - GAIN_MIN) * nothing.loss else [])
+
+
+def bic(trials: Sequence[Trial], model: Model) -> Verdict:
+    """Forward selection by BIC, every sample taken as independent."""
+    search = _search(trials, model)
+    samples = sum(lens.kept for lens in search.problem.lenses)
+    chosen = search.problem.fit([((), ())])[0]
+
+    def criterion(fit: Fit) -> float:
+        return float(samples * np.log(fit.loss) + np.log(samples) * sum(len(c.dials) for c in fit.effects))
+
+    while len(chosen.effects) < EFFECTS_MAX:
+        best = min(search.extended(chosen), key=criterion)
+        if criterion(best) >= criterion(chosen):
+            break
+        chosen = best
+    return _verdict([chosen] if chosen.effects else [])
+
+
+def all_at_once(trials: Sequence[Trial], model: Model) -> Verdict:
+    """Every parameter fitted together, as a parameter estimator would; named is what stands off neutral most clearly."""
+    search = _search(trials, model)
+    known = {c.name: c for c in reversed(search.candidates)}
+    effects = tuple(known[name] for name in REGISTRY if name in known)
+    # Kinked effects have no slope where they are absent: all begin a little way in.
+    start = tuple(tuple(min(max(d.nominal + 0.1 * d.size, d.low), d.high) for d in c.dials) for c in effects)
+    fit = search.problem.fit([(effects, start)], rounds=6)[0]
+    at, ranked = 0, []
+    for effect, us in zip(fit.effects, fit.u, strict=True):
+        half = (fit.high[at : at + len(us)] - fit.low[at : at + len(us)]) / 2
+        clear = max(abs(u - d.nominal) / max(h, 1e-9 * d.size) for u, d, h in zip(us, effect.dials, half, strict=True))
+        ranked.append((clear, effect, us))
+        at += len(us)
+    ranked.sort(key=lambda each: -each[0])
+    return _named([(e, us, c) for c, e, us in ranked[:1] if c > CLEARLY])
+
+
+def _search(trials: Sequence[Trial], model: Model) -> Search:
+    shown = flight(sorted(trials, key=lambda t: t.name), model)
+    views = robot_views(shown, model)
+    setup = Setup(views, nuisances(model), [trial.kind for trial in sorted(trials, key=lambda t: t.name)])
+    return Search(setup.weighed(), setup.plain(), [view.stage for view in views], candidates(model))
+
+
+def _verdict(fits: Sequence[Fit]) -> Verdict:
+    return _named([(c, us, 1.0) for fit in fits for c, us in zip(fit.effects, fit.u, strict=True)])
+
+
+def _named(found: Sequence[tuple[object, tuple[float, ...], float]]) -> Verdict:
+    effects = []
+    for candidate, us, _ in found:
+        parameters = {
+            d.path.rpartition(".")[2]: Estimate(value=d.value(u), low=d.value(u), high=d.value(u), unit=d.unit)
+            for d, u in zip(candidate.dials, us, strict=True)  # type: ignore[attr-defined]
+            if np.isfinite(d.value(u))
+        }
+        all_of_it = Interval(value=0.0, low=0.0, high=0.0)  # a baseline says nothing of the shrink
+        effects.append(
+            NamedEffect(name=candidate.name, parameters=parameters, confidence=1.0, shrink=Shrink(stage=all_of_it))  # type: ignore[attr-defined]
+        )
+    stage = REGISTRY[effects[0].name].stage if effects else None
+    where = Where(stage=stage, share={stage: 1.0} if stage else {}, regime="not asked")
+    empty = Gap(before={}, after={}, floor={}, ceiling={})
+    return Verdict(verdict="named" if effects else "none", where=where, effects=tuple(effects), gap=empty)
