@@ -10,12 +10,12 @@ from typing import Literal
 from diagnosis.gap.search import Choice, Member
 from simulator.effects import REGISTRY
 
-NAMED, INCOMPLETE = 0.8, 0.6  # share of what is explainable that the named effects explain
+STANDS = 0.85  # share of what is explainable where an effect shows that it has to explain to be named
 UNKNOWN_MIN = 0.5  # energy beyond the floor that asks for an explanation
 # Of what is left beyond the floor at least this much counts as explainable: what changes at random from tick to tick
 # no model finds, and it is not the floor's noise either.
 RANDOM_SHARE = 0.5
-MEMBER_MIN = 0.4  # an effect whose stage keeps more than it explains there is not named
+SCATTER_MAX = 0.10  # a strength that differs more than this from excitation to excitation is another law's
 
 Kind = Literal["named", "incomplete", "unknown", "none"]
 
@@ -34,22 +34,24 @@ def rule(choice: Choice, flexible: Mapping[str, float]) -> Ruling:
     """Rule on the effects that a simulation is needed for. flexible: stage -> what a flexible model finds of the rest."""
     before, after = choice.energies
     left = {s: max(e - 1.0, 0.0) * max(flexible.get(s, 0.0), RANDOM_SHARE) for s, e in after.items()}
-    members = tuple(m for m in choice.members if _stands(m, left))
-    dropped = len(choice.members) - len(members)
+    members = tuple(m for m in choice.members if _stands(m, choice, left))
     asks = max(left.values(), default=0.0) > UNKNOWN_MIN
-    if not choice.members:
-        return Ruling("unknown" if asks else "none", (), left, 0.0)
-    explained = sum(max(before[s] - after[s], 0.0) for s in before)
-    share = explained / (explained + sum(left.values()))
-    if not members or (share < INCOMPLETE and not dropped):
-        return Ruling("unknown", (), left, share)
-    kind: Kind = "named" if share >= NAMED and not dropped else "incomplete"
-    return Ruling(kind, members, left, share)
+    for fallen in (m for m in choice.members if m not in members):  # what it would have explained is not explained
+        for stage, energy in fallen.gain.energies.items():
+            left[stage] = left.get(stage, 0.0) + max(energy, 0.0)
+    explained = sum(max(e, 0.0) for m in members for e in m.gain.energies.values())
+    share = explained / (explained + sum(left.values())) if members else 0.0
+    if not members:
+        return Ruling("unknown" if asks or choice.members else "none", (), left, share)
+    whole = len(members) == len(choice.members) and share >= STANDS
+    return Ruling("named" if whole else "incomplete", members, left, share)
 
 
-def _stands(member: Member, left: Mapping[str, float]) -> bool:
+def _stands(member: Member, choice: Choice, left: Mapping[str, float]) -> bool:
+    """Whether an effect explains what there is to explain where it shows, with one strength for all excitations."""
     stage, energy = max(member.gain.energies.items(), key=lambda each: each[1])
-    return energy > MEMBER_MIN * (energy + left.get(stage, 0.0))
+    steady = choice.chosen.scatter(choice.chosen.names.index(member.candidate.name)) <= SCATTER_MAX
+    return steady and energy > STANDS * (energy + left.get(stage, 0.0))
 
 
 def stage_shares(ruling: Ruling, counted: Mapping[str, float]) -> dict[str, float]:

@@ -66,6 +66,11 @@ class RobotView:
         """See View."""
         return np.full(len(self.channels), self._floor)
 
+    @property
+    def noise(self) -> Array:
+        """See View."""
+        return np.zeros(len(self.channels))
+
     @cached_property
     def measured(self) -> Array:
         """See View."""
@@ -209,8 +214,12 @@ class ArmView(RobotView):
     def floor(self) -> Array:
         """See View."""
         link = np.arange(1, self.flight.links + 1)
-        usual = np.concatenate((FLOOR_LINK_Y_M * link, FLOOR_LINK_Z_M * (1 + link) / 2))
-        return np.asarray(np.sqrt(usual**2 + 2 * self.flight.noise_m**2))  # of a link end and of the cart
+        return np.concatenate((FLOOR_LINK_Y_M * link, FLOOR_LINK_Z_M * (1 + link) / 2))
+
+    @property
+    def noise(self) -> Array:
+        """See View: of a link end and of the cart."""
+        return np.full(2 * self.flight.links, np.sqrt(2) * self.flight.noise_m)
 
     def _seen(self) -> Array:
         seen = self.flight.links_m.copy()
@@ -314,9 +323,9 @@ class MocapView(RobotView):
     }  # fmt: skip
 
     @property
-    def floor(self) -> Array:
+    def noise(self) -> Array:
         """See View."""
-        return np.full(2, float(np.hypot(self._floor, self.flight.noise_m)))
+        return np.full(2, self.flight.noise_m)
 
     def _seen(self) -> Array:
         f = self.flight

@@ -187,7 +187,8 @@ class Search:
         result = {}
         for stage, lens in zip(self.stages, self.plain.lenses, strict=True):
             rows = lens.moments([fit.point])[0].rows + fit.nuisance.astype(np.float32) @ lens.columns
-            result[stage] = float(rows @ rows) / max(lens.kept, 1.0)
+            noise = float(np.mean((lens.gaps.view.noise / lens.gaps.view.floor) ** 2))
+            result[stage] = max(float(rows @ rows) / max(lens.kept, 1.0) - noise, 0.0)
         return result
 
 

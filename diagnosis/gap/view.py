@@ -47,6 +47,10 @@ class View(Protocol):
         """[S] RMS that no simulator is blamed for: noise, and what two honest simulators of one robot differ by."""
 
     @property
+    def noise(self) -> Array:
+        """[S] RMS of white noise in the measurement beyond what the floor holds; it is no simulator's gap."""
+
+    @property
     def acts(self) -> frozenset[str]:
         """Parameters (keys of a Point) that change what is predicted."""
 
