@@ -1,4 +1,4 @@
-"""Simpler ways to answer, under the same protocol as the diagnosis: what it has to beat. They share its simulator and fits.
+"""Simpler ways to answer, under the same protocol as the diagnosis: what it has to beat, with its own simulator.
 
 None of them abstains for want of a ceiling, weighs noise by its colour, or knows rivals: that is what is compared.
 """
@@ -48,7 +48,7 @@ def bic(trials: Sequence[Trial], model: Model) -> Verdict:
 
 
 def all_at_once(trials: Sequence[Trial], model: Model) -> Verdict:
-    """Every parameter fitted together, as a parameter estimator would; named is what stands off neutral most clearly."""
+    """Every parameter fitted together, as an estimator would; named is what stands off neutral most clearly."""
     search = _search(trials, model)
     known = {c.name: c for c in reversed(search.candidates)}
     effects = tuple(known[name] for name in REGISTRY if name in known)

@@ -1,6 +1,6 @@
 """How far the gap shrinks: residuals of two models on the same trials, each stage driven by what was measured."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 

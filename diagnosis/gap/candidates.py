@@ -91,7 +91,12 @@ _RELATIVE = {
     "rail.acceleration_limit.acceleration": 0.08,
 }
 # Of single joints, for ArmView.joint_directions: shares of the joint's own value, the offset's of the largest joint's.
-JOINT_SHARES = {"stiffness_nm_rad": 0.05, "damping_nm_s_rad": 0.15, "muscle_gain_nm_kpa": 0.05, "torque_offset_nm": 0.10}
+JOINT_SHARES = {
+    "stiffness_nm_rad": 0.05,
+    "damping_nm_s_rad": 0.15,
+    "muscle_gain_nm_kpa": 0.05,
+    "torque_offset_nm": 0.10,
+}
 _STAGES = ("pressure", "rail", "arm", "mocap")
 _COUNTED = ("mocap.dropout", "mocap.noise")  # read off stamps and noise, not fitted (diagnosis.gap.counts)
 _FORMS: dict[str, tuple[dict[str, float], ...]] = {
@@ -128,7 +133,7 @@ def _forms(name: str, model: Model) -> Iterator[Candidate]:
     effect = REGISTRY[name]
     dials = tuple(_dial(name, parameter, model) for parameter in effect.parameters)
     for form in _FORMS.get(name, ({},)):
-        yield Candidate(name, effect.stage, dials, tuple(_starts(dials, effect.parameters)), form)
+        yield Candidate(name, effect.stage, dials, tuple(starts(dials, effect.parameters)), form)
 
 
 def _dial(name: str, p: Parameter, model: Model) -> Dial:
@@ -136,19 +141,24 @@ def _dial(name: str, p: Parameter, model: Model) -> Dial:
     nominal = value(model, name, p.name)
     if inverse:
         u = 0.0 if math.isinf(nominal) else 1 / nominal
-        return Dial(f"{name}.{p.name}", p.unit, u, 0.0, (1 - 1e-9) / p.low, abs(1 / p.exemplar - u) or 1 / p.exemplar, 0.0, True)
+        return Dial(
+            f"{name}.{p.name}", p.unit, u, 0.0, (1 - 1e-9) / p.low, abs(1 / p.exemplar - u) or 1 / p.exemplar, 0.0, True
+        )
     size = p.exemplar if p.default is not None else abs(p.exemplar - p.neutral)
     return Dial(f"{name}.{p.name}", p.unit, nominal, p.low, p.high, size, p.neutral)
 
 
-def _starts(dials: tuple[Dial, ...], parameters: tuple[Parameter, ...]) -> Iterator[tuple[float, ...]]:
+def starts(dials: tuple[Dial, ...], parameters: tuple[Parameter, ...]) -> Iterator[tuple[float, ...]]:
     """Changes of several sizes, both ways where the bounds allow; with a shape parameter at three of its values."""
     strengths = [d for d, p in zip(dials, parameters, strict=True) if p.default is None]
     shapes = [(d, p) for d, p in zip(dials, parameters, strict=True) if p.default is not None]
     seen = set()
     for share in (*_SHARES, *(-s for s in _SHARES)):
         moved = {d.path: min(max(d.nominal + share * d.size, d.low), d.high) for d in strengths}
-        alone = [moved] if len(strengths) == 1 else [moved, *({**{d.path: d.nominal for d in strengths}, k: v} for k, v in moved.items())]  # fmt: skip
+        alone = [moved]
+        if len(strengths) > 1:  # both together, and each for itself
+            still = {d.path: d.nominal for d in strengths}
+            alone += [{**still, path: u} for path, u in moved.items()]
         for each in alone:
             for factor in (0.4, 1.0, 2.5) if shapes else (1.0,):
                 shaped = {d.path: min(max((p.default or 0.0) * factor, d.low), d.high) for d, p in shapes}

@@ -81,7 +81,9 @@ def _pooled(name: str, parameter: str, model: Model, values: Array, events: floa
     if name == "mocap.noise":
         named = named and pooled > 1.8 * nominal
         nominal_unit = REGISTRY[name].parameters[0].unit
-        return Count(name, parameter, nominal_unit, nominal, pooled, pooled - half, pooled + half, before, after, floor, named)
+        return Count(
+            name, parameter, nominal_unit, nominal, pooled, pooled - half, pooled + half, before, after, floor, named
+        )
     unit = next(p.unit for p in REGISTRY[name].parameters if p.name == parameter)
     low = max(0.0, pooled - half)
     return Count(name, parameter, unit, nominal, pooled, low, pooled + half, before, after, floor, named)
@@ -158,7 +160,8 @@ def _velocities(trials: Sequence[Trial], model: Model) -> Count | None:
 def _velocity_errors(trial: Trial) -> tuple[float, float] | None:
     """RMS error of the observed tip velocities against differences over a tick, and against the motion's slope."""
     mocap, seen = trial.channels.get("mocap"), trial.channels.get("observation")
-    last = max((int(c[4:-2]) for c in (mocap.columns if mocap else ()) if c.startswith("link") and c.endswith("_y")), default=0)  # fmt: skip
+    columns = mocap.columns if mocap is not None else ()
+    last = sum(name.startswith("link") and name.endswith("_y") for name in columns)
     if mocap is None or seen is None or not last or len(seen) < 30:
         return None
     newest = np.searchsorted(mocap["t_receive"], seen.t_s + 1e-9, side="right") - 1

@@ -30,11 +30,17 @@ def gaps(setup: Setup, nominal: Point, patched: Point | None) -> list[tuple[Gap,
     return found
 
 
-def overlays(views: Sequence[View], pairs: Sequence[tuple[Gap, Gap | None]], trials: Sequence[Trial]) -> tuple[Overlay, ...]:
+def overlays(
+    views: Sequence[View], pairs: Sequence[tuple[Gap, Gap | None]], trials: Sequence[Trial]
+) -> tuple[Overlay, ...]:
     """Measured, nominal and patched signals, every trial and the channels that people look at."""
     found = []
     for view, (before, after) in zip(views, pairs, strict=True):
-        chosen = range(len(view.channels)) if len(view.channels) <= 2 else (len(view.channels) // 2 - 1, len(view.channels) - 1)
+        chosen = (
+            range(len(view.channels))
+            if len(view.channels) <= 2
+            else (len(view.channels) // 2 - 1, len(view.channels) - 1)
+        )
         for k, trial in enumerate(trials):
             rows = view.trial == k
             for s in chosen:
@@ -42,9 +48,9 @@ def overlays(views: Sequence[View], pairs: Sequence[tuple[Gap, Gap | None]], tri
                 if not np.isfinite(measured).any():
                     continue
                 patched = None if after is None else measured - after[rows, s]
-                found.append(
-                    Overlay(view.stage, trial.name, trial.kind, view.channels[s], view.unit, view.t_s[rows], measured, measured - before[rows, s], patched)
-                )  # fmt: skip
+                signals = measured, measured - before[rows, s], patched
+                labels = view.stage, trial.name, trial.kind, view.channels[s], view.unit
+                found.append(Overlay(*labels, view.t_s[rows], *signals))
     return tuple(found)
 
 
@@ -88,7 +94,9 @@ def where_in_words(view: View, gap: Gap) -> str:
     frequency, density = _density(view, gap)
     parts = [float((density[(frequency >= a) & (frequency < b)] ** 2).sum()) for a, b, _ in BANDS]
     band = BANDS[int(np.argmax(parts))][2] if sum(parts) > 0 else ""
-    standing = sorted(((rms / overall, name) for name, rms in regimes(view, gap).items()), reverse=True) if overall else []
+    standing = (
+        sorted(((rms / overall, name) for name, rms in regimes(view, gap).items()), reverse=True) if overall else []
+    )
     if standing and standing[0][0] > 1.2:
         return f"{standing[0][1]}, {band}"
     return f"throughout, {band}"
@@ -103,7 +111,15 @@ def rivals(search: Search, choice: Choice, members: Sequence[Member]) -> tuple[R
         name = member.candidate.name
         scale = max(member.gain.value, 1e-9)
         same = f"; cannot be told from {', '.join(member.equivalents)}" if member.equivalents else ""
-        found.append(Rival((name,), alone.get(name, 0.0), _share(member.gain, scale), _own(choice.chosen.point, name), f"named{same}"))
+        found.append(
+            Rival(
+                (name,),
+                alone.get(name, 0.0),
+                _share(member.gain, scale),
+                _own(choice.chosen.point, name),
+                f"named{same}",
+            )
+        )
     further = [(f, g) for f, g in search.ranked(choice.chosen) if f.effects[-1].name not in named][:RIVALS_SHOWN]
     scale = max((m.gain.value for m in members), default=max((g.value for _, g in further), default=1.0)) or 1.0
     for fit, gain in further:
@@ -126,6 +142,10 @@ def _own(point: Mapping[str, float], name: str) -> dict[str, float]:
     return {path: x for path, x in point.items() if path.startswith(f"{name}.") and np.isfinite(x)}
 
 
-def leftovers(flexible: Mapping[str, tuple[float, Mapping[str, float]]], explained: Mapping[str, float]) -> tuple[Leftover, ...]:
+def leftovers(
+    flexible: Mapping[str, tuple[float, Mapping[str, float]]], explained: Mapping[str, float]
+) -> tuple[Leftover, ...]:
     """What a flexible model still finds, per stage, and what it looks at."""
-    return tuple(Leftover(stage, explained.get(stage, 1.0), tuple(uses.items())) for stage, (_, uses) in flexible.items())
+    return tuple(
+        Leftover(stage, explained.get(stage, 1.0), tuple(uses.items())) for stage, (_, uses) in flexible.items()
+    )

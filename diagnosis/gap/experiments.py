@@ -15,7 +15,12 @@ from simulator.simulator import Simulator
 
 TICK_S = 1 / 30
 # Channel -> unit and what counts as a difference.
-CHANNELS = {"pressure": ("kPa", FLOOR_KPA), "cart velocity": ("m/s", FLOOR_M_S), "tip y": ("m", 0.004), "tip z": ("m", 0.003)}
+CHANNELS = {
+    "pressure": ("kPa", FLOOR_KPA),
+    "cart velocity": ("m/s", FLOOR_M_S),
+    "tip y": ("m", 0.004),
+    "tip z": ("m", 0.003),
+}
 NOTHING = 0.5  # floors: explanations that no excitation separates by more are not worth a flight
 
 
@@ -63,7 +68,7 @@ def _expected(names: tuple[str, ...], seen: NDArray[np.float64]) -> dict[str, st
     t, c = np.unravel_index(int(np.argmax(spread)), spread.shape)
     channel, (unit, _) = list(CHANNELS.items())[c]
     return {
-        name: f"{channel} {seen[t, 1 + i, c] - seen[t, 0, c]:+.3g} {unit} against the nominal model at {t * TICK_S:.1f} s"
+        name: f"{channel} {seen[t, 1 + i, c] - seen[t, 0, c]:+.3g} {unit} against nominal at {t * TICK_S:.1f} s"
         for i, name in enumerate(names)
     }
 
@@ -80,6 +85,8 @@ def _fly(model: Model, excitation: Excitation, points: list[Point]) -> NDArray[n
     seen = []
     for tick in range(round(excitation.duration_s / TICK_S)):
         tip = simulator.tip_m()
-        seen.append(np.stack((simulator.pressure_reading_kpa, simulator.cart_velocity_m_s, tip[:, 0], tip[:, 1]), axis=1))
+        seen.append(
+            np.stack((simulator.pressure_reading_kpa, simulator.cart_velocity_m_s, tip[:, 0], tip[:, 1]), axis=1)
+        )
         simulator.step(*excitation.at(tick * TICK_S), TICK_S)
     return np.asarray(seen, dtype=np.float64)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from diagnosis.gap import box
 from diagnosis.gap.candidates import Candidate
-from diagnosis.gap.lens import Lens, Moments
+from diagnosis.gap.lens import Lens, Moments, Rows
 from diagnosis.gap.view import Array, Point
 
 ROUNDS = 4
@@ -64,7 +64,9 @@ class Fit:
         j = int(np.argmax(change))
         values = self.folds[:, at + j]
         error = np.sqrt((len(values) - 1) / len(values) * np.sum((values - values.mean()) ** 2))
-        return float(error / max(abs(self.u[i][j] - self.effects[i].dials[j].nominal), 1e-9 * self.effects[i].dials[j].size))
+        return float(
+            error / max(abs(self.u[i][j] - self.effects[i].dials[j].nominal), 1e-9 * self.effects[i].dials[j].size)
+        )
 
     @property
     def at_bound(self) -> bool:
@@ -88,11 +90,11 @@ class _Descent:
     def __init__(self, effects: Set, start: Array) -> None:
         self.effects, self.best, self.tried = effects, start, start
         self.loss, self.moving = np.inf, True
-        self.jacobians: list[Array] = []
+        self.jacobians: list[Rows] = []
         self.bases: list[Moments] = []
         self._step = np.zeros_like(start)
 
-    def advance(self, problem: "Problem", jacobians: list[Array], bases: list[Moments]) -> None:
+    def advance(self, problem: "Problem", jacobians: list[Rows], bases: list[Moments]) -> None:
         """Take what was found at `tried`: go on from there, or look closer to the best so far."""
         loss, step = problem.solve(self.effects, self.tried, jacobians, bases)
         if loss < self.loss or not self.bases:
@@ -153,18 +155,20 @@ class Problem:
             result.append(float(loss) if np.isfinite(loss) else np.inf)
         return result
 
-    def _linear(self, effects: Sequence[Set], state: Sequence[Array]) -> list[tuple[list[Array], list[Moments]]]:
+    def _linear(self, effects: Sequence[Set], state: Sequence[Array]) -> list[tuple[list[Rows], list[Moments]]]:
         """For every set: Jacobian by lens ([p, N] or empty) and moments by lens."""
         points, nudges = [], []
         for each, x in zip(effects, state, strict=True):
             dials = [d for c in each for d in c.dials]
-            nudge = np.array([NUDGE * d.size * (1 if v + NUDGE * d.size <= d.high else -1) for d, v in zip(dials, x, strict=True)])  # fmt: skip
+            away = [1 if v + NUDGE * d.size <= d.high else -1 for d, v in zip(dials, x, strict=True)]
+            nudge = np.array([NUDGE * d.size * sign for d, sign in zip(dials, away, strict=True)])
             nudges.append(nudge)
             points.append([point_of(each, _split(each, x + change)) for change in (0 * x, *np.diag(nudge))])
         flat = [p for ps in points for p in ps]
         moments, at, found = self._moments(flat), 0, []
         for ps, nudge in zip(points, nudges, strict=True):
-            jacobians, bases = [], []
+            jacobians: list[Rows] = []
+            bases: list[Moments] = []
             for lens_moments in moments:
                 base = lens_moments[at]
                 rows = [m.rows for m in lens_moments[at + 1 : at + len(ps)]]
@@ -178,7 +182,7 @@ class Problem:
             at += len(ps)
         return found
 
-    def solve(self, effects: Set, x: Array, jacobians: list[Array], bases: list[Moments]) -> tuple[float, Array]:
+    def solve(self, effects: Set, x: Array, jacobians: list[Rows], bases: list[Moments]) -> tuple[float, Array]:
         """Loss at x with the nuisances fitted, and a Gauss-Newton step from there, the nuisances moving along."""
         p = len(x)
         normal, slope = self._normal(p, jacobians, bases)
@@ -187,7 +191,7 @@ class Problem:
         loss = sum(base.rr for base in bases) + 2 * w @ slope[p:] + w @ normal[p:, p:] @ w
         return float(loss) if np.isfinite(loss) else np.inf, box.solve(normal, -slope, low, high)[:p]
 
-    def _normal(self, p: int, jacobians: list[Array], bases: list[Moments]) -> tuple[Array, Array]:
+    def _normal(self, p: int, jacobians: list[Rows], bases: list[Moments]) -> tuple[Array, Array]:
         q = len(self.nuisance_low)
         normal, slope = np.zeros((p + q, p + q)), np.zeros(p + q)
         for lens, jacobian, base in zip(self.lenses, jacobians, bases, strict=True):
@@ -208,7 +212,7 @@ class Problem:
         nuisance_low, nuisance_high = self.nuisance_box(effects)
         return np.concatenate((low, nuisance_low)), np.concatenate((high, nuisance_high))
 
-    def _fit(self, effects: Set, x: Array, loss: float, jacobians: list[Array], bases: list[Moments]) -> Fit:
+    def _fit(self, effects: Set, x: Array, loss: float, jacobians: list[Rows], bases: list[Moments]) -> Fit:
         """Solve the last linearisation with all data, without each fold, and on resampled blocks."""
         normal, slope, squares = self._by_block(len(x), jacobians, bases)
         low, high = self._box(effects, x)
@@ -225,7 +229,7 @@ class Problem:
         nuisance = best[len(x) :]
         return Fit(effects, _split(effects, x), nuisance, loss, held_out, np.array(folds), x + lows, x + highs)
 
-    def _by_block(self, p: int, jacobians: list[Array], bases: list[Moments]) -> tuple[Array, Array, Array]:
+    def _by_block(self, p: int, jacobians: list[Rows], bases: list[Moments]) -> tuple[Array, Array, Array]:
         """Normal matrices [B, p + q, p + q], slopes [B, p + q] and squares [B] of the blocks."""
         size, q = len(self.blocks), len(self.nuisance_low)
         normal, slope, squares = np.zeros((size, p + q, p + q)), np.zeros((size, p + q)), np.zeros(size)

@@ -31,8 +31,8 @@ class Ruling:
 
 
 def rule(choice: Choice, flexible: Mapping[str, float]) -> Ruling:
-    """Rule on the effects that a simulation is needed for. flexible: stage -> what a flexible model finds of the rest."""
-    before, after = choice.energies
+    """Rule on the fitted effects. flexible: stage -> share of the rest that a flexible model finds."""
+    _, after = choice.energies
     left = {s: max(e - 1.0, 0.0) * max(flexible.get(s, 0.0), RANDOM_SHARE) for s, e in after.items()}
     members = tuple(m for m in choice.members if _stands(m, choice, left))
     asks = max(left.values(), default=0.0) > UNKNOWN_MIN

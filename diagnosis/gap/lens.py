@@ -6,6 +6,7 @@ Everything is cached by the part of a point that the view can see, so that a rai
 from collections import OrderedDict
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -62,16 +63,14 @@ class Lens:
         """nuisances: [q, M, S] changes of the gap at the box's edge; starts: [d, M, S] of every trial's start."""
         self.gaps, self._whiten, self._weight = gaps, whiten, np.float32(np.sqrt(weight))
         view = gaps.view
-        self._trials = _slices(view.trial)
+        self._trials = slices(view.trial)
         self._starts = None if starts is None else self._solve_starts(starts)
         self.columns = self._rows(nuisances)  # [q, N]
         self.gg = (self.columns @ self.columns.T).astype(np.float64)
         self.kept = float(whiten.keep.sum())
         self._moments: OrderedDict[Key, Moments] = OrderedDict()
         width = nuisances.shape[2]
-        self.blocks = [
-            (name, slice(a * width, b * width)) for name, a, b in _blocks(view, BLOCK_S)
-        ]
+        self.blocks = [(name, slice(a * width, b * width)) for name, a, b in blocks_of(view, BLOCK_S)]
 
     def moments(self, points: Sequence[Point]) -> list[Moments]:
         """Of each point."""
@@ -111,20 +110,21 @@ class Lens:
         return found
 
 
-def _slices(trial: NDArray[np.int64]) -> list[slice]:
+def slices(trial: NDArray[np.int64]) -> list[slice]:
+    """Samples of each trial."""
     edges = np.flatnonzero(np.diff(trial, prepend=-1, append=-1))
-    return [slice(int(a), int(b)) for a, b in zip(edges, edges[1:], strict=False)]
+    return [slice(int(a), int(b)) for a, b in pairwise(edges)]
 
 
-def _blocks(view: View, length_s: float) -> list[tuple[tuple[int, int], int, int]]:
+def blocks_of(view: View, length_s: float) -> list[tuple[tuple[int, int], int, int]]:
     """(trial, number) and the samples from .. to of every block, in order."""
     found = []
     t, trial = view.t_s, view.trial
-    for part in _slices(trial):
+    for part in slices(trial):
         number = ((t[part] - t[part.start]) / length_s).astype(int)
         edges = np.flatnonzero(np.diff(number, prepend=-1, append=-1))
         found += [
             ((int(trial[part.start]), int(number[a])), part.start + int(a), part.start + int(b))
-            for a, b in zip(edges, edges[1:], strict=False)
+            for a, b in pairwise(edges)
         ]
     return found

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from diagnosis.gap.candidates import JOINT_SHARES, Nuisance
 from diagnosis.gap.fits import Fit, Problem
-from diagnosis.gap.lens import BLOCK_S, Gaps, Lens, _blocks
+from diagnosis.gap.lens import BLOCK_S, Gaps, Lens, blocks_of
 from diagnosis.gap.noise import Whitener, scaled, whitener
 from diagnosis.gap.robot_views import ArmView
 from diagnosis.gap.view import View
@@ -35,7 +35,7 @@ class Setup:
         arms = [view for view in views if isinstance(view, ArmView)]
         self._joints = len(JOINT_SHARES) * arms[0].flight.links if arms else 0
         self.directions = tuple(self._directions(g) for g in self.gaps)
-        self.blocks = tuple(dict.fromkeys(name for view in views for name, *_ in _blocks(view, BLOCK_S)))
+        self.blocks = tuple(dict.fromkeys(name for view in views for name, *_ in blocks_of(view, BLOCK_S)))
         self.fold = _folds(self.blocks, kinds)
         edges = [(n.low - n.nominal, n.high - n.nominal, n.edge - n.nominal) for n in self.nuisances]
         boxes = [sorted((low / edge, high / edge)) if edge else [0.0, 0.0] for low, high, edge in edges]

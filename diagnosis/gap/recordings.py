@@ -75,10 +75,18 @@ def flight(trials: Sequence[Trial], model: Model) -> Flight:
         np.concatenate([np.arange(round(SKIPPED_S * RATE_HZ), n) for n in steps]),
         np.repeat(np.arange(len(parts)), steps - round(SKIPPED_S * RATE_HZ)),
     )
-    flags = {name: stacked.pop(name)[0] > 0 for name in ("held", "axis_true")}
+    held, axis_true = (stacked.pop(name)[0] > 0 for name in ("held", "axis_true"))
     noise = np.array([each[0] for trial in trials if (each := mocap_noise(trial)) is not None])
     beyond = np.sqrt(max(float(np.median(noise)) ** 2 - ORDINARY_M**2, 0.0)) if len(noise) else 0.0
-    return Flight(trials=tuple(trials), steps=steps, sample=sample, noise_m=float(beyond), **flags, **stacked)
+    return Flight(
+        trials=tuple(trials),
+        steps=steps,
+        sample=sample,
+        noise_m=float(beyond),
+        held=held,
+        axis_true=axis_true,
+        **stacked,
+    )
 
 
 def _side_by_side(parts: list[Array], steps: int) -> Array:

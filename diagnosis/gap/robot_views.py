@@ -26,7 +26,8 @@ ABOUT_RAIL = "mocap.rotation.about_rail"
 _DRAW = ("rail.gain.scale", "rail.backlash.gap")
 
 
-def _parameters(*effects: str) -> frozenset[str]:
+def parameters(*effects: str) -> frozenset[str]:
+    """Keys of a Point that belong to effects."""
     return frozenset(f"{name}.{p.name}" for name in effects for p in REGISTRY[name].parameters)
 
 
@@ -142,7 +143,7 @@ class PressureView(RobotView):
     """Command to the regulator's own reading."""
 
     stage, unit, _channels, _floor = "pressure", "kPa", ("pressure",), FLOOR_KPA
-    acts = _parameters(*_stage("pressure"))
+    acts = parameters(*_stage("pressure"))
 
     def _seen(self) -> Array:
         return self.flight.pressure_kpa[:, :, None]
@@ -165,7 +166,7 @@ class RailView(RobotView):
     """Command to what the axis reads back, pushed by the arm as it was seen to move."""
 
     stage, unit, _channels, _floor = "rail", "m/s", ("velocity",), FLOOR_M_S
-    acts = _parameters(*_stage("rail"), "arm.payload", "arm.tilt") | {ON_MOTOR}
+    acts = parameters(*_stage("rail"), "arm.payload", "arm.tilt") | {ON_MOTOR}
 
     def _seen(self) -> Array:
         seen = self.flight.axis_m_s.copy()
@@ -174,7 +175,7 @@ class RailView(RobotView):
 
     def _predict(self, points: Sequence[Point]) -> NDArray[np.float32]:
         f, robots = self.flight, len(points) * len(self.flight.trials)
-        overrides = self._overrides(points, _parameters(*_stage("rail")))
+        overrides = self._overrides(points, parameters(*_stage("rail")))
         on_motor = np.array([point.get(ON_MOTOR, 0.0) > 0 for point in points])
         for path in _DRAW:  # an encoder on the motor shows neither
             if path in overrides:
@@ -190,7 +191,7 @@ class RailView(RobotView):
         return seen.reshape(len(seen), len(points), -1, 1)
 
     def _push(self, points: Sequence[Point]) -> Array:
-        """What pushes the cart besides its drive: the arm, a payload at its tip, and its own weight on a tilted rail."""
+        """What pushes the cart besides its drive: the arm, a payload at its tip, its own weight on a tilted rail."""
         f, arm = self.flight, self.model.arm
         payload, tilt = (self._robots(self._value(points, p)) for p in ("arm.payload.mass", "arm.tilt.angle"))
         weight = (self.model.cart.mass_kg + sum(arm.link_mass_kg) + payload) * arm.gravity_m_s2
@@ -201,7 +202,7 @@ class ArmView(RobotView):
     """Measured pressure and cart to where the link ends are, against the cart, as mocap sees both."""
 
     stage, unit = "arm", "m"
-    acts = _parameters(
+    acts = parameters(
         *_stage("arm"), "pressure.sensor_bias", "mocap.latency", "mocap.rotation", "mocap.scale", "rail.gain"
     ) | {ON_MOTOR}
 
@@ -228,15 +229,16 @@ class ArmView(RobotView):
 
     def _predict(self, points: Sequence[Point]) -> NDArray[np.float32]:
         robots = len(points) * len(self.flight.trials)
-        simulator = Simulator(self.model, robots, ARM_HZ, overrides=self._overrides(points, _parameters(*_stage("arm"))))
+        simulator = Simulator(self.model, robots, ARM_HZ, overrides=self._overrides(points, parameters(*_stage("arm"))))
         return self._fly(simulator, points)
 
     def start_directions(self, angle_rad: float = 0.02, rate_rad_s: float = 0.2) -> NDArray[np.float32]:
         """How the gap changes with where a trial starts, [2 n, M, S] for the changes given: angles, then rates."""
         n = self.flight.links
         base = self._gap([{}])
-        changes = np.concatenate((angle_rad * np.eye(n), np.zeros((n, n)))), np.concatenate(
-            (np.zeros((n, n)), rate_rad_s * np.eye(n))
+        changes = (
+            np.concatenate((angle_rad * np.eye(n), np.zeros((n, n)))),
+            np.concatenate((np.zeros((n, n)), rate_rad_s * np.eye(n))),
         )
         simulator = Simulator(self.model, 2 * n * len(self.flight.trials), ARM_HZ)
         moved = self._fly(simulator, [{}] * (2 * n), changes)
@@ -263,7 +265,7 @@ class ArmView(RobotView):
     ) -> NDArray[np.float32]:
         """Every trial at every point, [T, P, K, 2 n]; `changes` of starting angles and rates, [P, n] each."""
         f, k = self.flight, len(self.flight.trials)
-        angles, rates = np.tile(_directions(f), (len(points), 1)), np.zeros((len(points) * k, f.links))
+        angles, rates = np.tile(directions(f), (len(points), 1)), np.zeros((len(points) * k, f.links))
         if changes is not None:
             angles, rates = angles + np.repeat(changes[0], k, axis=0), np.repeat(changes[1], k, axis=0)
         cart, speed = self._cart(points)
@@ -285,7 +287,7 @@ class ArmView(RobotView):
         return self._as_seen(seen.reshape(len(seen), len(points), k, -1), points)
 
     def _cart(self, points: Sequence[Point]) -> tuple[Array, Array]:
-        """The cart's way and velocity, [T, P K]: the axis's, longer or shorter if its feed is wrong and it cannot know."""
+        """The cart's way and velocity, [T, P K]: the axis's, stretched if its feed is wrong unknown to it."""
         f = self.flight
         scale = np.array([p.get("rail.gain.scale", 0.0) if p.get(ON_MOTOR, 0.0) > 0 else 0.0 for p in points])
         stretch = 1 + self._robots(scale) * np.tile(f.axis_true, len(points))
@@ -297,7 +299,7 @@ class ArmView(RobotView):
         latency = self._value(points, "mocap.latency.delay")
         turn, scale = (self._value(points, f"mocap.{name}") for name in ("rotation.angle", "scale.scale"))
         for i in np.flatnonzero(latency):
-            ends[:, i] = _delayed(ends[:, i], float(latency[i]))
+            ends[:, i] = delayed(ends[:, i], float(latency[i]))
         for i in np.flatnonzero((turn != 0) | (scale != 0)):
             c, s = ((1 + scale[i]) * np.array((np.cos(turn[i]), np.sin(turn[i])))).astype(np.float32)
             y, z = ends[:, i, :, :n].copy(), ends[:, i, :, n:].copy()
@@ -318,7 +320,7 @@ class MocapView(RobotView):
     """What the axis reads back to where mocap sees the cart."""
 
     stage, unit, _channels, _floor = "mocap", "m", ("cart y", "cart z"), FLOOR_MOCAP_M
-    acts = _parameters("mocap.latency", "mocap.rotation", "mocap.scale", "mocap.offset") | {
+    acts = parameters("mocap.latency", "mocap.rotation", "mocap.scale", "mocap.offset") | {
         *_DRAW, ON_MOTOR, ABOUT_RAIL,
     }  # fmt: skip
 
@@ -339,7 +341,7 @@ class MocapView(RobotView):
         columns = zip(*(self._value(points, f"mocap.{name}") for name in names), strict=True)
         seen = np.empty((len(f.t_s), len(points), len(f.trials), 2), np.float32)
         for i, (point, (latency, turn, scale, y, z)) in enumerate(zip(points, columns, strict=True)):
-            way = _delayed(self._cart_of(axis, point), latency)
+            way = delayed(self._cart_of(axis, point), latency)
             height = base if point.get(ABOUT_RAIL, 1.0) <= 0 else 0.0
             seen[:, i, :, 0] = (1 + scale) * (np.cos(turn) * way - np.sin(turn) * height) + y
             rise = np.sin(turn) * way + (np.cos(turn) - 1) * height
@@ -366,7 +368,9 @@ def _coasting(way: Array, half: float, pushed_m_s2: Array) -> Array:
         rate = rate + pushed_m_s2[t] * STEP_S
         place = place + rate * STEP_S
         ahead = place - way[t]
-        rate = np.where(ahead > half, np.minimum(rate, speed[t]), np.where(ahead < -half, np.maximum(rate, speed[t]), rate))
+        rate = np.where(
+            ahead > half, np.minimum(rate, speed[t]), np.where(ahead < -half, np.maximum(rate, speed[t]), rate)
+        )
         place = way[t] + np.clip(ahead, -half, half)
         cart[t] = place
     return cart
@@ -376,7 +380,7 @@ def _rate(values: Array) -> Array:
     return np.asarray(np.gradient(values, STEP_S, axis=0))
 
 
-def _delayed(values: Any, delay_s: float) -> Any:
+def delayed(values: Any, delay_s: float) -> Any:
     """Along axis 0, straight lines between samples; before the first its value."""
     if not delay_s:
         return values
@@ -387,7 +391,7 @@ def _delayed(values: Any, delay_s: float) -> Any:
     return one + part * (other - one)
 
 
-def _directions(flight: Flight) -> Array:
+def directions(flight: Flight) -> Array:
     """Absolute angles of the links at the start of every trial, [K, n]."""
     n = flight.links
     ends = np.nan_to_num(np.nanmean(flight.links_m[:6], axis=0)) if np.isfinite(flight.links_m[:6]).any() else None
@@ -422,6 +426,3 @@ def robot_views(flight: Flight, model: Model) -> tuple[RobotView, ...]:
     """The stages that these trials show."""
     views = [view(flight, model) for view in VIEWS]
     return tuple(view for view in views if np.isfinite(view.measured).any())
-
-
-__all__ = ["ABOUT_RAIL", "ON_MOTOR", "ArmView", "MocapView", "PressureView", "RailView", "RobotView", "robot_views"]

@@ -61,7 +61,9 @@ class Choice:
 class Search:
     """Candidates on a problem. `plain`: the same problem's lenses weighed by the floors alone."""
 
-    def __init__(self, problem: Problem, plain: Problem, stages: Sequence[str], candidates: Sequence[Candidate]) -> None:
+    def __init__(
+        self, problem: Problem, plain: Problem, stages: Sequence[str], candidates: Sequence[Candidate]
+    ) -> None:
         self.problem, self.plain, self.stages = problem, plain, tuple(stages)
         self.candidates = tuple(candidates)
         self._first: Mapping[str, float] = {}  # the whole gap's energies
@@ -168,7 +170,7 @@ class Search:
         return tuple(sorted(found, key=lambda m: (-m.gain.value, m.candidate.name)))
 
     def alike(self, less: Fit, rival: Fit, lack: Gain, gain: Gain) -> bool:
-        """Whether a rival may be the cause as well: it explains the same part of the gap, and as well but for chance."""
+        """Whether a rival may be the cause as well: it explains the same part, and as well but for chance."""
         own = self.gain(less, rival)
         shared = any(own.energies[s] > 0.5 * e > 0.05 for s, e in gain.energies.items())
         close = lack.value < RIVAL_SHARE * gain.value and (lack.low <= 0 or lack.value < GAIN_MIN / 2)
@@ -194,7 +196,9 @@ class Search:
 
 def bootstrap(difference: Array) -> tuple[float, float]:
     """95 % interval of a sum over blocks, the blocks drawn anew; the draws are always the same."""
-    counts = np.random.default_rng(0).multinomial(len(difference), np.full(len(difference), 1 / len(difference)), RESAMPLES)
+    counts = np.random.default_rng(0).multinomial(
+        len(difference), np.full(len(difference), 1 / len(difference)), RESAMPLES
+    )
     low, high = np.quantile(counts @ difference, (0.025, 0.975))
     return float(low), float(high)
 

@@ -1,0 +1,273 @@
+"""The diagnosis beside mujoco.sysid, on one campaign: how long each takes, how far each is off where it has not looked.
+
+Both get the same recordings, the same inputs (measured pressure and cart for the arm, commands for the regulator) and
+the same split: one kind of excitation is left out, everything is found anew from the others, and what was left out is
+then simulated, pressure stage and arm each by itself. mujoco.sysid fits the parameters that it is told to
+(benchmarks/mujoco_sysid.py); the diagnosis is told nothing, and only what it names goes into its simulator.
+
+    python -m benchmarks.diagnosis [--campaign FOLDER] [--json FILE]
+
+Needs the extras diagnosis and mujoco, and for the peer mujoco[sysid]; without it the rest is measured.
+"""
+
+import json
+import os
+import tempfile
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any, TypeVar
+
+import click
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+from rich.console import Console
+from rich.progress import Progress
+from rich.table import Table
+
+from benchmarks import mujoco_sysid
+from diagnosis.blind import cases, make
+from diagnosis.blind.imperfections import draw_nuisances
+from diagnosis.diagnose import diagnose
+from diagnosis.gap.recordings import Flight, flight
+from diagnosis.gap.robot_views import robot_views
+from diagnosis.read import read_all
+from diagnosis.shrink import point_between
+from diagnosis.trials import Trial, TrialError
+from reality.parameters import Parameters
+from schemas.excitation import EXCITATIONS
+from schemas.model import Model
+from schemas.verdict import Verdict
+from simulator import model_file
+
+T = TypeVar("T")
+SEED = 20
+DEAD_TIME_S, PAYLOAD_KG = 0.06, 0.03  # what is wrong with the campaign that is made here
+HELD_OUT = ("seed", "rail-chirp", "both")  # the muscle alone, the cart alone, both
+COMPARED = ("pressure", "arm")
+SHOWN = {"pressure": (1.0, "kPa"), "arm": (1e3, "mm")}
+Squares = dict[str, list[NDArray[np.float64]]]  # stage -> squares of residuals, in the stage's unit
+
+
+@dataclass(frozen=True, slots=True)
+class Effort:
+    """What a call took, all threads of this process."""
+
+    wall_s: float
+    cpu_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class Side:
+    """One of the two, measured."""
+
+    whole: Effort  # on every trial
+    folds: Sequence[Effort]  # without one kind each
+    nominal: Mapping[str, float]  # stage -> RMS on what was left out, before
+    held_out: Mapping[str, float]  # and after
+    found: Mapping[str, Any]  # on every trial
+
+
+def measured(work: Callable[[], T]) -> tuple[T, Effort]:
+    """A call's result and what it took."""
+    wall, cpu = time.perf_counter(), time.process_time()
+    result = work()
+    return result, Effort(time.perf_counter() - wall, time.process_time() - cpu)
+
+
+def make_campaign(folder: Path) -> Path:
+    """Eight trials of an independent robot, as robots are, with a late regulator and a weight at its tip."""
+    random = np.random.default_rng(SEED)
+    robot = draw_nuisances(Parameters(), random)
+    robot = replace(
+        robot,
+        regulator=replace(robot.regulator, dead_time_s=DEAD_TIME_S),
+        arm=replace(robot.arm, payload_kg=PAYLOAD_KG),
+    )
+    flights = tuple(
+        cases.Flight(f"trial-{i}", name, not EXCITATIONS[name].moves_rail, int(random.integers(2**31)))
+        for i, name in enumerate(cases.PROGRAMME, 1)
+    )
+    case = cases.Case("campaign", "two", (), robot, Model(), flights, ())
+    return folder / make.write_case(case, folder)
+
+
+def split(trials: Sequence[Trial], kind: str) -> tuple[list[Trial], list[Trial]]:
+    """Trials of other kinds, and those of this one."""
+    return [t for t in trials if t.kind != kind], [t for t in trials if t.kind == kind]
+
+
+def ours(trials: Sequence[Trial], kinds: Sequence[str], model: Model, advance: Callable[[str], None]) -> Side:
+    """The diagnosis, on all trials and without each kind."""
+    before, after = _empty(), _empty()
+    folds = []
+    for kind in kinds:
+        advance(f"diagnosis without {kind}")
+        known, left_out = split(trials, kind)
+        diagnosed, effort = measured(lambda known=known: diagnose(known, model))  # type: ignore[misc]
+        folds.append(effort)
+        point = point_between(model, diagnosed.patched or model)
+        for view in robot_views(flight(left_out, model), model):
+            if view.stage in COMPARED:
+                for squares, gap in zip((before, after), view.gap([{}, point]), strict=True):
+                    squares[view.stage].append(_squares(gap))
+    advance("diagnosis on every trial")
+    diagnosed, whole = measured(lambda: diagnose(trials, model))
+    return Side(whole, folds, _rms(before), _rms(after), _said(diagnosed.verdict))
+
+
+def peers(trials: Sequence[Trial], kinds: Sequence[str], model: Model, advance: Callable[[str], None]) -> Side:
+    """mujoco.sysid, on all trials and without each kind."""
+    before, after = _empty(), _empty()
+    folds = []
+    stages = [stage(model) for stage in mujoco_sysid.STAGES]
+    for kind in kinds:
+        advance(f"mujoco.sysid without {kind}")
+        known, left_out = split(trials, kind)
+        found, effort = measured(lambda known=known: _fitted(stages, flight(known, model)))  # type: ignore[misc]
+        folds.append(effort)
+        for stage in stages:
+            for _, trial in mujoco_sysid.every_recorded(stage, flight(left_out, model)):
+                for squares, values in ((before, stage.nominal()), (after, found[stage.name].values)):
+                    squares[stage.name].append(_squares(trial.measured - stage.predict(values, trial)))
+    advance("mujoco.sysid on every trial")
+    found, whole = measured(lambda: _fitted(stages, flight(trials, model)))
+    return Side(whole, folds, _rms(before), _rms(after), {name: asdict(each) for name, each in found.items()})
+
+
+def _fitted(stages: Sequence[mujoco_sysid.Stage], shown: Flight) -> dict[str, mujoco_sysid.Fitted]:
+    return {s.name: s.fit([trial for _, trial in mujoco_sysid.every_recorded(s, shown)]) for s in stages}
+
+
+def _said(verdict: Verdict) -> dict[str, Any]:
+    effects = [
+        {
+            "name": e.name,
+            "parameters": {name: p.model_dump() for name, p in e.parameters.items()},
+            "confidence": e.confidence,
+            "equivalents": e.equivalents,
+        }
+        for e in verdict.effects
+    ]
+    return {"verdict": verdict.verdict, "stage": verdict.where.stage, "effects": effects}
+
+
+def _empty() -> Squares:
+    return {stage: [] for stage in COMPARED}
+
+
+def _squares(gap: NDArray[np.floating]) -> NDArray[np.float64]:
+    seen = gap[np.isfinite(gap)].astype(np.float64)
+    return seen**2
+
+
+def _rms(squares: Squares) -> dict[str, float]:
+    return {stage: float(np.sqrt(np.concatenate(parts).mean())) for stage, parts in squares.items() if parts}
+
+
+def compare(folder: Path, kinds: Sequence[str]) -> dict[str, Any]:
+    """Both sides on one campaign; everything that is printed and written. Raises TrialError for no campaign."""
+    trials = read_all([folder])
+    model = model_file.load(folder / "model.yaml") if (folder / "model.yaml").is_file() else Model()
+    known = {trial.kind for trial in trials}
+    if lacking := [kind for kind in kinds if kind not in known]:
+        raise TrialError(f"{folder}: has no {', '.join(lacking)}; --hold-out takes {', '.join(sorted(known))}")
+    if len(known) < 2:
+        raise TrialError(f"{folder}: has one kind of excitation, nothing can be left out; fly more (softarm excite)")
+    load, installed = os.getloadavg()[0], mujoco_sysid.is_installed()
+    with Progress(transient=True) as progress:
+        task = progress.add_task("", total=(len(kinds) + 1) * (1 + installed))
+
+        def advance(what: str) -> None:
+            progress.update(task, description=what, completed=next(done))
+
+        done = iter(range(2 * len(kinds) + 2))
+        our_side = ours(trials, kinds, model, advance)
+        their_side = peers(trials, kinds, model, advance) if installed else None
+    result: dict[str, Any] = {
+        "trials": [{"name": t.name, "kind": t.kind, "seconds": t.duration_s} for t in trials],
+        "seconds": sum(t.duration_s for t in trials),
+        "held_out": list(kinds),
+        "units": {"pressure": "kPa", "arm": "m"},
+        "diagnosis": asdict(our_side),
+        "mujoco_sysid": None,
+        "cores": len(os.sched_getaffinity(0)),
+        "load_average": {"before": load, "after": os.getloadavg()[0]},
+        "mujoco_version": mujoco.__version__,
+    }
+    if their_side is not None:
+        arm = mujoco_sysid.ArmStage(model)
+        recorded = [trial for _, trial in mujoco_sysid.every_recorded(arm, flight(trials, model))]
+        result["mujoco_sysid"] = asdict(their_side) | {
+            "given": {stage.name: dict(stage(model).bounds) for stage in mujoco_sysid.STAGES},
+            "step_hz": mujoco_sysid.STEP_HZ,
+            "step_error_m": mujoco_sysid.step_error_m(model, recorded),
+        }
+        result["ratios"] = _ratios(our_side, their_side)
+    return result
+
+
+def _ratios(one: Side, other: Side) -> dict[str, float]:
+    """mujoco.sysid over the diagnosis: above 1 the diagnosis is quicker, or nearer."""
+    errors = {f"held_out_{s}": other.held_out[s] / one.held_out[s] for s in one.held_out if s in other.held_out}
+    return {"wall": other.whole.wall_s / one.whole.wall_s, "cpu": other.whole.cpu_s / one.whole.cpu_s} | errors
+
+
+def show(result: Mapping[str, Any], console: Console) -> None:
+    """The table, and what each side said."""
+    table = Table("", "wall s", "CPU s", *(f"{stage} {SHOWN[stage][1]}, before / held out" for stage in COMPARED))
+    for name in ("diagnosis", "mujoco_sysid"):
+        if side := result[name]:
+            effort = (f"{side['whole'][each]:.0f}" for each in ("wall_s", "cpu_s"))
+            table.add_row(name.replace("_", "."), *effort, *(_pair(side, stage) for stage in COMPARED))
+    if ratios := result.get("ratios"):
+        errors = (f"{ratios[key]:.2f}" if (key := f"held_out_{stage}") in ratios else "-" for stage in COMPARED)
+        table.add_row("ratio", f"{ratios['wall']:.2f}", f"{ratios['cpu']:.2f}", *errors)
+    console.print(table)
+    said = result["diagnosis"]["found"]
+    console.print(f"{result['seconds']:.0f} s of recordings, held out in turn: {', '.join(result['held_out'])}")
+    console.print(f"diagnosis: {said['verdict']}: " + ("; ".join(_words(e) for e in said["effects"]) or "no effect"))
+    if result["mujoco_sysid"] is None:
+        console.print('mujoco.sysid is not installed, its row is left out: pip install "mujoco[sysid]"')
+        return
+    for stage, fitted in result["mujoco_sysid"]["found"].items():
+        values = ", ".join(f"{name} {value:.4g}" for name, value in fitted["values"].items())
+        console.print(f"mujoco.sysid, {stage}, {fitted['iterations']} iterations: {values}")
+
+
+def _pair(side: Mapping[str, Any], stage: str) -> str:
+    scale = SHOWN[stage][0]
+    if stage not in side["held_out"]:
+        return "-"
+    return f"{scale * side['nominal'][stage]:.3g} / {scale * side['held_out'][stage]:.3g}"
+
+
+def _words(effect: Mapping[str, Any]) -> str:
+    values = (f"{name} {p['value']:.3g} {p['unit']}" for name, p in effect["parameters"].items())
+    return f"{effect['name']} ({', '.join(values)})"
+
+
+@click.command()
+@click.option("--campaign", type=click.Path(path_type=Path, exists=True, file_okay=False), help="By default one is made.")
+@click.option("--hold-out", "kinds", multiple=True, help=f"Kinds of excitation; by default {', '.join(HELD_OUT)}.")
+@click.option("--json", "json_path", type=click.Path(path_type=Path, dir_okay=False), help="Write the figures there.")
+def main(campaign: Path | None, kinds: tuple[str, ...], json_path: Path | None) -> None:
+    """Measure the diagnosis beside mujoco.sysid."""
+    console = Console(soft_wrap=True)
+    with tempfile.TemporaryDirectory() as scratch:
+        if campaign is None:
+            with console.status("flying eight trials of the independent robot"):
+                campaign = make_campaign(Path(scratch))
+        try:
+            result = compare(campaign, kinds or HELD_OUT)
+        except (TrialError, model_file.ModelFileError) as error:
+            raise click.ClickException(str(error)) from None
+    if json_path is not None:
+        json_path.write_text(json.dumps(result, indent=2) + "\n", encoding="utf-8")
+    show(result, console)
+
+
+if __name__ == "__main__":
+    main()

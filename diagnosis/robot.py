@@ -1,0 +1,330 @@
+"""From trials of the robot and a nominal model to a verdict with its evidence."""
+
+import time
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from diagnosis.gap import evidence, experiments
+from diagnosis.gap.candidates import candidates, nuisances
+from diagnosis.gap.ceiling import explainable
+from diagnosis.gap.chain import FLOOR_M, tip_gap
+from diagnosis.gap.confidence import confidence, score
+from diagnosis.gap.counts import Count, counts
+from diagnosis.gap.fits import Fit, point_of
+from diagnosis.gap.judge import Ruling, rule, stage_of, stage_shares
+from diagnosis.gap.lens import Lens
+from diagnosis.gap.problem import Setup
+from diagnosis.gap.recordings import Flight, flight
+from diagnosis.gap.result import Diagnosis
+from diagnosis.gap.robot_views import robot_views
+from diagnosis.gap.search import Choice, Member, Search, Tell
+from diagnosis.gap.view import Array, Point
+from diagnosis.shrink import interval
+from diagnosis.trials import Trial, TrialError
+from schemas.model import Model
+from schemas.verdict import Estimate, Gap, Interval, NamedEffect, NextExperiment, Quantity, Shrink, Verdict, Where
+from simulator.effects import REGISTRY, STAGES, find
+
+COUNT_CONFIDENCE = 0.95  # of what is read off stamps
+OWN_STAGE_MIN = 0.1  # energy
+LOOKED_AT = 0.6  # energy of a residual from which on a flexible model looks at it
+
+
+class Robot:
+    """One diagnosis, step by step. Raises TrialError where nothing can be compared."""
+
+    def __init__(self, trials: Sequence[Trial], model: Model, tell: Tell) -> None:
+        self.begun = time.monotonic()
+        self.trials, self.model, self.tell = tuple(trials), model, tell
+        tell("bringing trials to one grid", 0.02)
+        self.flight: Flight = flight(trials, model)
+        self.views = robot_views(self.flight, model)
+        if not self.views:
+            raise TrialError(f"{trials[0].source}: no stage can be compared; record pressure, rail or mocap as well")
+        self.stages = tuple(view.stage for view in self.views)
+        tell("simulating each stage alone", 0.08)
+        self.setup = Setup(self.views, nuisances(model), [trial.kind for trial in trials])
+        self.plain = self.setup.plain()
+
+    def diagnosis(self) -> Diagnosis:
+        """Everything."""
+        search, choice = self._search()
+        self._less = search.reduced(choice.chosen)
+        self.tell("what any model could explain", 0.75)
+        flexible = self._flexible(choice)
+        counted = counts(self.trials, self.model)
+        ruling = rule(choice, {stage: share for stage, (share, _) in flexible.items()})
+        named = [c for c in counted if c.named]
+        patched = _patched(self.model, ruling, choice, named) if ruling.members or named else None
+        self.tell("how far the gap shrinks", 0.85)
+        point = _point(ruling, choice)
+        verdict = self._verdict(search, choice, ruling, counted, flexible, point)
+        self.tell("gathering the evidence", 0.95)
+        pairs = evidence.gaps(self.setup, {}, point or None)
+        explained = dict.fromkeys(self.stages, ruling.explained)
+        return Diagnosis(
+            verdict=verdict,
+            nominal=self.model,
+            patched=patched,
+            trials=tuple((t.name, t.kind, t.duration_s) for t in self.trials),
+            overlays=evidence.overlays(self.views, pairs, self.trials),
+            spectra=evidence.spectra(self.views, pairs),
+            regimes=evidence.regime_rows(self.views, pairs),
+            rivals=evidence.rivals(search, choice, ruling.members),
+            leftovers=evidence.leftovers(flexible, explained),
+            nuisances=self._nuisances(choice.chosen),
+            seconds=time.monotonic() - self.begun,
+        )
+
+    def _search(self) -> tuple[Search, Choice]:
+        """Twice: the first time to learn what the rest looks like, the second with that rest as the noise."""
+        known = candidates(self.model)
+
+        def part(low: float, high: float) -> Tell:
+            return lambda what, share: self.tell(what, low + share * (high - low))
+
+        rough = Search(self.setup.weighed(), self.plain, self.stages, known).run(part(0.12, 0.4))
+        residuals = self.setup.residuals(self.plain, rough.chosen)
+        search = Search(self.setup.weighed(residuals), self.plain, self.stages, known)
+        return search, search.run(part(0.4, 0.75))
+
+    def _flexible(self, choice: Choice) -> dict[str, tuple[float, Mapping[str, float]]]:
+        """Stage -> share of the rest that a flexible model finds, and what it looks at."""
+        kinds = sorted({trial.kind for trial in self.trials})
+        fold = np.array([kinds.index(t.kind) if len(kinds) > 1 else i for i, t in enumerate(self.trials)])
+        found: dict[str, tuple[float, Mapping[str, float]]] = {}
+        for view, left in zip(self.views, self.setup.residuals(self.plain, choice.chosen), strict=True):
+            if choice.energies[1][view.stage] > LOOKED_AT:
+                found[view.stage] = explainable(view, left, fold[view.trial])
+        return found
+
+    def _verdict(
+        self,
+        search: Search,
+        choice: Choice,
+        ruling: Ruling,
+        counted: Sequence[Count],
+        flexible: Mapping[str, tuple[float, Mapping[str, float]]],
+        point: Point,
+    ) -> Verdict:
+        named = [c for c in counted if c.named]
+        energies: dict[str, float] = {}
+        for c in named:
+            energies[c.stage] = energies.get(c.stage, 0.0) + (c.before / c.floor) ** 2
+        shares = stage_shares(ruling, energies)
+        kind = ruling.kind
+        if named:
+            kind = "named" if kind in ("none", "named") else "incomplete"
+        stage = None if kind == "none" else stage_of(shares, STAGES)
+        members = [self._member(choice, ruling, m, point) for m in ruling.members]
+        effects = sorted(
+            (*members, *(_count_effect(c) for c in named)), key=lambda e: -shares.get(e.name.partition(".")[0], 0.0)
+        )
+        return Verdict(
+            verdict=kind,
+            where=Where(stage=stage, share=shares, regime=self._regime(stage) if stage else "nowhere"),
+            effects=tuple(effects),
+            gap=self._gap(choice, flexible, point, counted),
+            next_experiment=self._next(choice, ruling),
+            warnings=self._warnings(choice, ruling),
+        )  # fmt: skip
+
+    def _regime(self, stage: str | None) -> str:
+        for view, gaps in zip(self.views, self.setup.gaps, strict=True):
+            if view.stage == stage:
+                return evidence.where_in_words(view, gaps.fetch([{}])[()])
+        return "throughout"
+
+    def _member(self, choice: Choice, ruling: Ruling, member: Member, point: Point) -> NamedEffect:
+        """One named effect: parameters with intervals, confidence, held-out shrink beside the others."""
+        fit = choice.chosen
+        i = fit.names.index(member.candidate.name)
+        at = sum(len(c.dials) for c in fit.effects[:i])
+        parameters = {}
+        for j, dial in enumerate(member.candidate.dials):
+            value, ends = dial.value(fit.u[i][j]), (dial.value(fit.low[at + j]), dial.value(fit.high[at + j]))
+            if np.isfinite(value):
+                bounded = [x if np.isfinite(x) else find(dial.path)[1].high for x in (value, *ends)]
+                name = dial.path.rpartition(".")[2]
+                parameters[name] = Estimate(value=value, low=min(bounded), high=max(bounded), unit=dial.unit)
+        return NamedEffect(
+            name=member.candidate.name,
+            parameters=parameters,
+            confidence=confidence(score(member, ruling)),
+            equivalents=member.equivalents,
+            shrink=self._shrink(choice, member, point),
+        )
+
+    def _shrink(self, choice: Choice, member: Member, point: Point) -> Shrink:
+        """Of the effect's stage (where its simulation shows most) and of the tip, beside the other named effects.
+
+        Every trial is judged by parameters that were fitted without its kind of excitation.
+        """
+        own = {d.path for d in member.candidate.dials} | set(member.candidate.form)
+        chosen = choice.chosen
+        without = next(f for f in self._less if member.candidate.name not in f.names)
+        stage = _shows(member)
+        lens = self.plain.lenses[self.stages.index(stage)]
+        before, after = self._squares(lens, without.fold_points), self._squares(lens, chosen.fold_points)
+        value, low, high = interval(before, after)
+        tips = tip_gap(self.flight, self.model, [{k: v for k, v in point.items() if k not in own}, point])
+        squares = np.array(
+            [[np.nansum(t[self.flight.sample[1] == k] ** 2) for k in range(len(self.trials))] for t in tips]
+        )
+        chain = interval(squares[0], squares[1]) if np.isfinite(tips).any() else None
+        return Shrink(
+            stage=_interval(value, low, high), chain=None if chain is None else _interval(*chain)
+        )  # fmt: skip
+
+    def _reduced(self, choice: Choice) -> list[Fit]:
+        if not hasattr(self, "_less"):
+            problem = self.setup.weighed(self.setup.residuals(self.plain, choice.chosen))
+            sets = [(f.effects, f.u) for f in [choice.chosen]]
+            effects, u = sets[0]
+            self._less = problem.fit(
+                [(effects[:i] + effects[i + 1 :], u[:i] + u[i + 1 :]) for i in range(len(effects))]
+            )
+        return self._less
+
+    def _squares(self, lens: Lens, fold_points: Sequence[Point]) -> Array:
+        """Squares of a stage's residual by trial [K], floors as units, each trial at its own fold's point."""
+        moments = lens.moments(list(fold_points))
+        folds = list(np.unique(self.plain.fold))
+        squares = np.zeros(len(self.trials))
+        for (trial, number), fold in zip(self.plain.blocks, self.plain.fold, strict=True):
+            for name, part in lens.blocks:
+                if name == (trial, number):
+                    rows = moments[folds.index(fold)].rows[part]
+                    squares[trial] += float(rows @ rows)
+        return squares
+
+    def _gap(
+        self,
+        choice: Choice,
+        flexible: Mapping[str, tuple[float, Mapping[str, float]]],
+        point: Point,
+        counted: Sequence[Count],
+    ) -> Gap:
+        before, after, floor, ceiling = {}, {}, {}, {}
+        for view, gaps in zip(self.views, self.setup.gaps, strict=True):
+            found = gaps.fetch([{}, point])
+            nominal, patched = (float(np.sqrt(np.nanmean(found[gaps.key(p)] ** 2))) for p in ({}, point))
+            share = flexible.get(view.stage, (0.0, {}))[0]
+            before[view.stage], after[view.stage] = (
+                Quantity(value=nominal, unit=view.unit),
+                Quantity(value=patched, unit=view.unit),
+            )
+            floor[view.stage] = Quantity(value=float(np.sqrt(np.mean(view.floor**2))), unit=view.unit)
+            ceiling[view.stage] = Quantity(value=patched * float(np.sqrt(1 - share)), unit=view.unit)
+        for c in counted:
+            if c.stage not in before and (c.named or c.stage in ("clock", "observation")):
+                before[c.stage], after[c.stage] = (
+                    Quantity(value=c.before, unit=c.unit),
+                    Quantity(value=c.after if c.named else c.before, unit=c.unit),
+                )
+                floor[c.stage] = ceiling[c.stage] = Quantity(value=c.floor, unit=c.unit)
+        tips = tip_gap(self.flight, self.model, [{}, point])
+        if np.isfinite(tips).any():
+            nominal, patched = (float(np.sqrt(2 * np.nanmean(t**2))) for t in tips)
+            before["chain"], after["chain"] = Quantity(value=nominal, unit="m"), Quantity(value=patched, unit="m")
+            floor["chain"], ceiling["chain"] = (
+                Quantity(value=FLOOR_M, unit="m"),
+                Quantity(value=min(patched, FLOOR_M), unit="m"),
+            )
+        return Gap(before=before, after=after, floor=floor, ceiling=ceiling)
+
+    def _next(self, choice: Choice, ruling: Ruling) -> NextExperiment | None:
+        for member in ruling.members:
+            close = [(f, g) for f, g in member.rivals if f.effects[-1].name in member.equivalents]
+            if not close and score(member, ruling) < 0.8:
+                close = [(f, g) for f, g in member.rivals if not f.at_bound][:1]
+            if close:
+                explanations = {member.candidate.name: choice.chosen.point} | {
+                    f.effects[-1].name: f.point for f, _ in close[:3]
+                }
+                return experiments.splitting(self.model, explanations)
+        if ruling.kind == "unknown":
+            view, lens = max(
+                zip(self.views, self.plain.lenses, strict=True), key=lambda p: choice.energies[1][p[0].stage]
+            )
+            rows = lens.moments([{}])[0].rows.reshape(len(view.trial), -1)
+            worst = max(
+                range(len(self.trials)),
+                key=lambda k: float((rows[view.trial == k] ** 2).mean()) if (view.trial == k).any() else 0.0,
+            )
+            return experiments.repeated(self.trials[worst].kind)
+        return None
+
+    def _nuisances(self, fit: Fit) -> dict[str, float]:
+        """What was fitted within tolerance, in the registry's units; joints' as shares."""
+        found = {}
+        for nuisance, x in zip(self.setup.nuisances, fit.nuisance, strict=False):
+            found[nuisance.path] = nuisance.nominal + float(x) * (nuisance.edge - nuisance.nominal)
+        return found
+
+    def _warnings(self, choice: Choice, ruling: Ruling) -> tuple[str, ...]:
+        found = [w for trial in self.trials for w in trial.warnings]
+        for trial in self.trials:
+            found += [f"{trial.name}: {text}" for text in trial.not_observable.values()]
+        if len({t.kind for t in self.trials}) < 3:
+            found.append(
+                "fewer than three kinds of excitation: a plain lag fits a chirp, not steps; fly more (softarm excite)"
+            )
+        for member in choice.members:
+            if member not in ruling.members:
+                found.append(
+                    f"{member.candidate.name} shrinks the gap and leaves more than it explains: it is not named"
+                )
+        for fit, gain in choice.alone[:3]:
+            if fit.at_bound and gain.value > 50:
+                found.append(
+                    f"{fit.names[0]} would explain part of the gap, at the end of its physical range: not named"
+                )
+        return tuple(dict.fromkeys(found))
+
+
+def _shows(member: Member) -> str:
+    """The stage that an effect's shrink is told of: its own where it shows there, else where it shows most."""
+    energies, own = member.gain.energies, member.candidate.stage
+    return own if energies.get(own, 0.0) > OWN_STAGE_MIN else max(energies, key=lambda s: energies[s])
+
+
+def _interval(value: float, low: float, high: float) -> Interval:
+    return Interval(value=value, low=min(low, value), high=max(high, value))
+
+
+def _point(ruling: Ruling, choice: Choice) -> dict[str, float]:
+    """The named effects' parameters."""
+    named = {m.candidate.name for m in ruling.members}
+    pairs = [(c, u) for c, u in zip(choice.chosen.effects, choice.chosen.u, strict=True) if c.name in named]
+    return point_of(tuple(c for c, _ in pairs), tuple(u for _, u in pairs))
+
+
+def _patched(model: Model, ruling: Ruling, choice: Choice, named: Sequence[Count]) -> Model:
+    """The nominal model with the named effects; one that the robot turns out not to have is taken out."""
+    effects = {name: dict(values) for name, values in model.effects.items()}
+    point = _point(ruling, choice)
+    for member in ruling.members:
+        name = member.candidate.name
+        values = {p.name: point[f"{name}.{p.name}"] for p in REGISTRY[name].parameters}
+        if all(values[p.name] == p.neutral for p in REGISTRY[name].parameters if p.default is None):
+            effects.pop(name, None)
+        else:
+            effects[name] = values
+    for count in named:
+        if count.parameter:
+            effects.setdefault(count.name, {})[count.parameter] = count.value
+        elif count.present:
+            effects[count.name] = {}
+        else:
+            effects.pop(count.name, None)
+    return model.model_copy(update={"effects": effects})
+
+
+def _count_effect(count: Count) -> NamedEffect:
+    estimate = Estimate(value=count.value, low=count.low, high=count.high, unit=count.unit)
+    parameters = {count.parameter: estimate} if count.parameter else {}
+    spread = (count.high - count.low) / max(2 * abs(count.value - count.nominal), 1e-12) if count.parameter else 0.1
+    stage = _interval(count.shrink, count.shrink - spread, min(1.0, count.shrink + spread))
+    return NamedEffect(name=count.name, parameters=parameters, confidence=COUNT_CONFIDENCE, shrink=Shrink(stage=stage))
