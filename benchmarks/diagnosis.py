@@ -128,7 +128,7 @@ def peers(trials: Sequence[Trial], kinds: Sequence[str], model: Model, advance: 
         known, left_out = split(trials, kind)
         found, effort = measured(lambda known=known: _fitted(stages, flight(known, model)))  # type: ignore[misc]
         folds.append(effort)
-        for stage in stages:
+        for stage in (each for each in stages if each.name in found):
             for _, trial in mujoco_sysid.every_recorded(stage, flight(left_out, model)):
                 for squares, values in ((before, stage.nominal()), (after, found[stage.name].values)):
                     squares[stage.name].append(_squares(trial.measured - stage.predict(values, trial)))
@@ -138,7 +138,8 @@ def peers(trials: Sequence[Trial], kinds: Sequence[str], model: Model, advance: 
 
 
 def _fitted(stages: Sequence[mujoco_sysid.Stage], shown: Flight) -> dict[str, mujoco_sysid.Fitted]:
-    return {s.name: s.fit([trial for _, trial in mujoco_sysid.every_recorded(s, shown)]) for s in stages}
+    recorded = {stage: [each for _, each in mujoco_sysid.every_recorded(stage, shown)] for stage in stages}
+    return {stage.name: stage.fit(each) for stage, each in recorded.items() if each}
 
 
 def _said(verdict: Verdict) -> dict[str, Any]:
@@ -159,8 +160,7 @@ def _empty() -> Squares:
 
 
 def _squares(gap: NDArray[np.floating]) -> NDArray[np.float64]:
-    seen = gap[np.isfinite(gap)].astype(np.float64)
-    return seen**2
+    return np.asarray(np.square(gap[np.isfinite(gap)], dtype=np.float64))
 
 
 def _rms(squares: Squares) -> dict[str, float]:
@@ -168,22 +168,17 @@ def _rms(squares: Squares) -> dict[str, float]:
 
 
 def compare(folder: Path, kinds: Sequence[str]) -> dict[str, Any]:
-    """Both sides on one campaign; everything that is printed and written. Raises TrialError for no campaign."""
+    """Both sides on one campaign; everything that is printed and written. Raises TrialError where nothing can be."""
     trials = read_all([folder])
     model = model_file.load(folder / "model.yaml") if (folder / "model.yaml").is_file() else Model()
-    known = {trial.kind for trial in trials}
-    if lacking := [kind for kind in kinds if kind not in known]:
-        raise TrialError(f"{folder}: has no {', '.join(lacking)}; --hold-out takes {', '.join(sorted(known))}")
-    if len(known) < 2:
-        raise TrialError(f"{folder}: has one kind of excitation, nothing can be left out; fly more (softarm excite)")
+    _check(folder, {trial.kind for trial in trials}, kinds)
     load, installed = os.getloadavg()[0], mujoco_sysid.is_installed()
     with Progress(transient=True) as progress:
-        task = progress.add_task("", total=(len(kinds) + 1) * (1 + installed))
+        task = progress.add_task("", total=(len(kinds) + 1) * (1 + installed), completed=-1)
 
         def advance(what: str) -> None:
-            progress.update(task, description=what, completed=next(done))
+            progress.update(task, description=what, advance=1)
 
-        done = iter(range(2 * len(kinds) + 2))
         our_side = ours(trials, kinds, model, advance)
         their_side = peers(trials, kinds, model, advance) if installed else None
     result: dict[str, Any] = {
@@ -198,15 +193,27 @@ def compare(folder: Path, kinds: Sequence[str]) -> dict[str, Any]:
         "mujoco_version": mujoco.__version__,
     }
     if their_side is not None:
-        arm = mujoco_sysid.ArmStage(model)
-        recorded = [trial for _, trial in mujoco_sysid.every_recorded(arm, flight(trials, model))]
-        result["mujoco_sysid"] = asdict(their_side) | {
-            "given": {stage.name: dict(stage(model).bounds) for stage in mujoco_sysid.STAGES},
-            "step_hz": mujoco_sysid.STEP_HZ,
-            "step_error_m": mujoco_sysid.step_error_m(model, recorded),
-        }
+        result["mujoco_sysid"] = asdict(their_side) | _given(trials, model)
         result["ratios"] = _ratios(our_side, their_side)
     return result
+
+
+def _check(folder: Path, known: set[str], kinds: Sequence[str]) -> None:
+    if lacking := [kind for kind in kinds if kind not in known]:
+        raise TrialError(f"{folder}: has no {', '.join(lacking)}; --hold-out takes {', '.join(sorted(known))}")
+    if len(known) < 2:
+        raise TrialError(f"{folder}: has one kind of excitation, nothing can be left out; fly more (softarm excite)")
+
+
+def _given(trials: Sequence[Trial], model: Model) -> dict[str, Any]:
+    """What mujoco.sysid was told to fit, and what its step costs."""
+    stages = [stage(model) for stage in mujoco_sysid.STAGES]
+    recorded = [each for _, each in mujoco_sysid.every_recorded(mujoco_sysid.ArmStage(model), flight(trials, model))]
+    return {
+        "given": {stage.name: dict(stage.bounds) for stage in stages},  # start, low, high
+        "step_hz": mujoco_sysid.STEP_HZ,
+        "step_error_m": mujoco_sysid.step_error_m(model, recorded) if recorded else None,
+    }
 
 
 def _ratios(one: Side, other: Side) -> dict[str, float]:
@@ -250,7 +257,7 @@ def _words(effect: Mapping[str, Any]) -> str:
 
 
 @click.command()
-@click.option("--campaign", type=click.Path(path_type=Path, exists=True, file_okay=False), help="By default one is made.")
+@click.option("--campaign", type=click.Path(path_type=Path, exists=True, file_okay=False), help="By default, one made.")
 @click.option("--hold-out", "kinds", multiple=True, help=f"Kinds of excitation; by default {', '.join(HELD_OUT)}.")
 @click.option("--json", "json_path", type=click.Path(path_type=Path, dir_okay=False), help="Write the figures there.")
 def main(campaign: Path | None, kinds: tuple[str, ...], json_path: Path | None) -> None:

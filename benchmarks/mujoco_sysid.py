@@ -10,7 +10,7 @@ import io
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -31,6 +31,16 @@ Bounds = tuple[float, float, float]  # start, low, high
 STEP_HZ = 480.0  # of MuJoCo in every fit; `step_error_m` says what it costs
 CART_KG, CART_RAD_S = 1000.0, 120.0  # a cart that follows its measured way whatever the arm does
 DELAY_MAX_S = 0.15
+ARM_BOUNDS: Mapping[str, Bounds] = {
+    "stiffness": (1.0, 0.3, 3.0),  # of the model's, all joints alike; so are the next three
+    "damping": (1.0, 0.2, 5.0),
+    "muscle_gain": (1.0, 0.3, 3.0),
+    "torque_offset": (1.0, -1.0, 5.0),
+    "payload": (0.0, 0.0, 0.5),  # kg
+    "friction": (0.0, 0.0, 0.2),  # N m, every joint
+    "tilt": (0.0, -0.2, 0.2),  # rad
+    "delay": (0.0, -0.02, DELAY_MAX_S),  # s, of the cameras
+}
 
 
 def is_installed() -> bool:
@@ -80,6 +90,8 @@ class Stage:
         transform = sysid.SignalTransform(normalize=False)  # the residual is then what is compared afterwards
         transform.delay("*", parameters["delay"])
         compiled = self.spec.compile()
+        # All of them; naming them keeps it from comparing sensors of three numbers, on which 4.0.0 stumbles.
+        transform.enable_sensors([compiled.sensor(i).name for i in range(compiled.nsensor)])
         sequences = sysid.ModelSequences(
             self.name,
             self.spec,
@@ -131,16 +143,10 @@ class ArmStage(Stage):
     """Measured pressure and cart to the link ends against the cart."""
 
     name, unit = "arm", "m"
-    bounds: ClassVar[Mapping[str, Bounds]] = {
-        "stiffness": (1.0, 0.3, 3.0),  # of the model's, all joints alike; so are the next three
-        "damping": (1.0, 0.2, 5.0),
-        "muscle_gain": (1.0, 0.3, 3.0),
-        "torque_offset": (1.0, -1.0, 5.0),
-        "payload": (0.0, 0.0, 0.5),  # kg
-        "friction": (0.0, 0.0, 0.2),  # N m, every joint
-        "tilt": (0.0, -0.2, 0.2),  # rad
-        "delay": (0.0, -0.02, DELAY_MAX_S),  # s, of the cameras
-    }
+
+    def __init__(self, model: Model) -> None:
+        super().__init__(model)
+        self.bounds = ARM_BOUNDS
 
     def recorded(self, flight: Flight, trial: int) -> Recorded | None:
         """See Stage."""

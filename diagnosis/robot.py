@@ -9,7 +9,7 @@ from diagnosis.gap import evidence, experiments
 from diagnosis.gap.candidates import candidates, nuisances
 from diagnosis.gap.ceiling import explainable
 from diagnosis.gap.chain import FLOOR_M, tip_gap
-from diagnosis.gap.confidence import confidence, score
+from diagnosis.gap.confidence import confidence
 from diagnosis.gap.counts import Count, counts
 from diagnosis.gap.fits import Fit, point_of
 from diagnosis.gap.judge import Ruling, rule, stage_of, stage_shares
@@ -50,7 +50,6 @@ class Robot:
     def diagnosis(self) -> Diagnosis:
         """Everything."""
         search, choice = self._search()
-        self._less = search.reduced(choice.chosen)
         self.tell("what any model could explain", 0.75)
         flexible = self._flexible(choice)
         counted = counts(self.trials, self.model)
@@ -151,7 +150,7 @@ class Robot:
         return NamedEffect(
             name=member.candidate.name,
             parameters=parameters,
-            confidence=confidence(score(member, ruling)),
+            confidence=confidence(member),
             equivalents=member.equivalents,
             shrink=self._shrink(choice, member, point),
         )
@@ -163,10 +162,9 @@ class Robot:
         """
         own = {d.path for d in member.candidate.dials} | set(member.candidate.form)
         chosen = choice.chosen
-        without = next(f for f in self._less if member.candidate.name not in f.names)
         stage = _shows(member)
         lens = self.plain.lenses[self.stages.index(stage)]
-        before, after = self._squares(lens, without.fold_points), self._squares(lens, chosen.fold_points)
+        before, after = self._squares(lens, member.without.fold_points), self._squares(lens, chosen.fold_points)
         value, low, high = interval(before, after)
         tips = tip_gap(self.flight, self.model, [{k: v for k, v in point.items() if k not in own}, point])
         squares = np.array(
@@ -237,7 +235,7 @@ class Robot:
     def _next(self, choice: Choice, ruling: Ruling) -> NextExperiment | None:
         for member in ruling.members:
             close = [(f, g) for f, g in member.rivals if f.effects[-1].name in member.equivalents]
-            if not close and score(member, ruling) < 0.8:
+            if not close and ruling.kind == "incomplete":
                 close = [(f, g) for f, g in member.rivals if not f.at_bound][:1]
             if close:
                 explanations = {member.candidate.name: choice.chosen.point} | {

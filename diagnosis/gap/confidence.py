@@ -1,25 +1,17 @@
-"""How often an answer like this one was right: a score of the evidence, mapped by cases of known cause.
+"""How often an answer like this one was right, on cases of known cause that the published benchmark does not hold.
 
-The map is fitted by `python -m diagnosis.blind.calibrate` on cases that the published benchmark does not hold.
+61 robots of `softarm blind make` (seed 20): of 31 effects named without an equivalent 29 were the cause; of the two
+named with one, one was. More cases of the second kind are needed; until then a set of k counts 1 / k and a little.
 """
 
-import numpy as np
-
-from diagnosis.gap.judge import Ruling
 from diagnosis.gap.search import Member
 
-# Score -> share of right names among the calibration cases, by isotonic regression; straight lines between.
-SCORES = (0.0, 0.5, 0.8, 1.0)
-RIGHT = (0.3, 0.6, 0.85, 0.95)
+ALONE = 0.94
+OF_A_SET = 0.6
 
 
-def score(member: Member, ruling: Ruling) -> float:
-    """0 to 1: how much of the explainable is explained, and how far the best rival is behind."""
-    lack = min((g.value for f, g in member.rivals if not f.at_bound), default=member.gain.value)
-    ahead = min(max(lack / member.gain.value, 0.0), 1.0) if member.gain.value > 0 else 0.0
-    return float(ruling.explained * (0.5 + 0.5 * ahead))
-
-
-def confidence(score_: float) -> float:
-    """The share of answers with such a score that named the cause."""
-    return float(np.interp(score_, SCORES, RIGHT))
+def confidence(member: Member) -> float:
+    """The share of answers like this one that named the cause."""
+    if not member.equivalents:
+        return ALONE
+    return max(OF_A_SET - 0.1 * (len(member.equivalents) - 1), 1 / (1 + len(member.equivalents)))

@@ -19,8 +19,9 @@ RESAMPLES = 2000
 GAIN_MIN = 8.0  # what an effect must add, held out: weighted squares, about four per second and view
 # And in one view that it acts on: share of the residual's energy, and energy in units of the floor's. What moves a
 # residual within the floor is no news unless it is most of it.
-SHOWN = ((0.10, 0.30), (0.35, 0.12))
+SHOWN = ((0.10, 0.30), (0.20, 0.10))
 FURTHER_MIN = 0.06  # and of the energy that the whole gap had there: a correction to another effect's law is no effect
+TIE = 10.0  # what a rival lacks, held out: no more than this is no difference
 RIVAL_SHARE = 0.12  # a rival that lacks no more than this share of the gain may be the cause as well
 Tell = Callable[[str, float], None]
 
@@ -41,6 +42,7 @@ class Member:
     """A chosen effect: what it adds beside the others, and who could stand in for it."""
 
     candidate: Candidate
+    without: Fit  # the other members alone
     gain: Gain
     rivals: tuple[tuple[Fit, Gain], ...]  # the whole set with a rival in its place, and what the chosen has over it
     equivalents: tuple[str, ...]
@@ -166,14 +168,14 @@ class Search:
             rivals = [(f, self.gain(f, chosen)) for f in self.extended(less, (name,))]
             rivals.sort(key=lambda each: (each[1].value, each[0].names))
             same = tuple(f.effects[-1].name for f, g in rivals if self.alike(less, f, g, gain))
-            found.append(Member(chosen.effects[i], gain, tuple(rivals), same))
+            found.append(Member(chosen.effects[i], less, gain, tuple(rivals), same))
         return tuple(sorted(found, key=lambda m: (-m.gain.value, m.candidate.name)))
 
     def alike(self, less: Fit, rival: Fit, lack: Gain, gain: Gain) -> bool:
         """Whether a rival may be the cause as well: it explains the same part, and as well but for chance."""
         own = self.gain(less, rival)
         shared = any(own.energies[s] > 0.5 * e > 0.05 for s, e in gain.energies.items())
-        close = lack.value < RIVAL_SHARE * gain.value and (lack.low <= 0 or lack.value < GAIN_MIN / 2)
+        close = lack.value < RIVAL_SHARE * gain.value and (lack.low <= 0 or lack.value < TIE)
         return not rival.at_bound and self.worth(own) and shared and close
 
     def gain(self, less: Fit, more: Fit) -> Gain:
