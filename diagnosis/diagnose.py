@@ -21,4 +21,9 @@ def diagnose(trials: Sequence[Trial], model: Model | None = None, tell: Tell | N
     if tables and len(tables) < len(trials):
         raise TrialError(f"{tables[0].source}: another rig's table beside recordings of the robot; diagnose them apart")
     ordered = sorted(trials, key=lambda trial: (trial.name, str(trial.source)))
-    return Robot(ordered, model or Model(), tell or (lambda what, share: None)).diagnosis()
+    say = tell or (lambda what, share: None)
+    if tables:
+        from diagnosis.rigs.diagnose import diagnose_table  # another rig's laws are compiled when they are needed
+
+        return diagnose_table(ordered, say)
+    return Robot(ordered, model or Model(), say).diagnosis()

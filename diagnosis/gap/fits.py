@@ -187,7 +187,7 @@ class Problem:
         p = len(x)
         normal, slope = self._normal(p, jacobians, bases)
         low, high = self._box(effects, x)
-        w = box.solve(normal[p:, p:], -slope[p:], low[p:], high[p:])
+        w = box.solve(np.ascontiguousarray(normal[p:, p:]), -slope[p:], low[p:], high[p:])
         loss = sum(base.rr for base in bases) + 2 * w @ slope[p:] + w @ normal[p:, p:] @ w
         return float(loss) if np.isfinite(loss) else np.inf, box.solve(normal, -slope, low, high)[:p]
 

@@ -21,6 +21,7 @@ def _dial(path, low, high, size, nominal=0.0):
 GAIN = Candidate("stage.gain", "stage", (_dial(SCALE, -0.5, 0.5, 0.1),), ((0.1,), (-0.1,)))
 LAG = Candidate("stage.lag", "stage", (_dial(TIME, 0.0, 1.0, 0.1),), ((0.05,), (0.4,)))
 ZERO = Nuisance(BIAS, 0.0, -0.3, 0.3)
+UNSEEN = Nuisance("elsewhere.zero.bias", 0.0, -0.3, 0.3)  # of another stage: no column of it is anything but zero
 
 
 @dataclass
@@ -152,7 +153,7 @@ def test_what_is_held_out_has_no_say(fold):
 def test_the_held_out_loss_is_that_of_the_held_out_parameters():
     """Recomputed from the simulation itself, block after block of a fold."""
     view = _View(truth={SCALE: 0.3})
-    problem = _problem(view, ())
+    problem = _problem(view, (UNSEEN,))
     fit = _fit(problem, GAIN)
     folds = np.array([sorted(KINDS).index(KINDS[trial]) for trial, _ in problem.blocks])
     for fold in range(3):
@@ -173,11 +174,11 @@ def test_a_strength_that_changes_from_kind_to_kind_scatters():
 
 def test_of_one_kind_trials_are_the_folds_and_of_one_trial_its_stretches():
     blocks = _problem(_View()).blocks
-    one_kind = Setup([_View()], (), ("steps",) * 3).plain()
+    one_kind = Setup([_View()], (ZERO,), ("steps",) * 3).plain()
     assert [int(f) for f in one_kind.fold] == [trial for trial, _ in blocks]
     single = _View()
     mine = single.trial == 0
     single.t_s, single.trial, single.measured, single.inputs = (
         single.t_s[mine], single.trial[mine], single.measured[mine], single.inputs[:1],
     )  # fmt: skip
-    assert len(set(Setup([single], (), ("steps",)).plain().fold)) > 1
+    assert len(set(Setup([single], (ZERO,), ("steps",)).plain().fold)) > 1

@@ -28,8 +28,10 @@ def _gain(value=100.0, **energies):
     return Gain(value, 0.5 * value, 1.5 * value, dict.fromkeys(energies, 0.9), energies)
 
 
-def _member(name, rivals=(), **energies):
-    return Member(KNOWN[name], _gain(**energies), rivals, ())
+def _member(name, equivalents=(), **energies):
+    return Member(
+        candidate=KNOWN[name], without=_fit(), gain=_gain(**energies), rivals=(), equivalents=equivalents
+    )
 
 
 def _choice(before, after, *members, folds=(1.0, 1.0, 1.0)):
@@ -111,7 +113,7 @@ def test_what_is_left_is_the_stage_s_in_which_it_is_seen():
 
 def test_confidence_falls_with_every_equivalent():
     """One name is surer than a set, and a set of k is no surer than each of its names can be."""
-    sure = [confidence(Member(KNOWN["pressure.lag"], _gain(), (), ("pressure.dead_time",) * k)) for k in range(5)]
+    sure = [confidence(_member("pressure.lag", ("pressure.dead_time",) * k)) for k in range(5)]
     assert sure == sorted(sure, reverse=True)
     assert sure[0] > sure[1]
     assert all(1 / (k + 1) <= x <= 1 for k, x in enumerate(sure))

@@ -1,0 +1,56 @@
+"""What may be fitted to a stage of a rig, and what is no news beside it; in the form of `diagnosis.gap.candidates`."""
+
+import math
+from collections.abc import Iterator
+
+from diagnosis.gap.candidates import Candidate, Dial, Nuisance, starts
+from diagnosis.rigs.views import RigView
+from simulator.effects import Effect, Parameter
+
+# Half widths: what a well-kept model of a rig may be off by. The zeros are taken in floors of the view. A published
+# viscous friction was fitted as the only one, and took the others' share: it is fitted anew beside every rival, or the
+# truth could never be reached one effect at a time.
+_ABSOLUTE = {
+    "gain.scale": 0.01,
+    "dead_time.delay": 0.004,
+    "stiffness.scale": 0.01,
+    "sensor_bias.bias": 0.003,
+    "damping.scale": 1.0,
+}
+_FLOORS = {"gain.offset": 1.0}
+
+
+def candidates(view: RigView) -> tuple[Candidate, ...]:
+    """Every effect that the stage can have."""
+    return tuple(_candidate(view, effect) for effect in view.effects)
+
+
+def nuisances(view: RigView) -> tuple[Nuisance, ...]:
+    """What is fitted within its box beside every candidate."""
+    return tuple(_nuisances(view))
+
+
+def _candidate(view: RigView, effect: Effect) -> Candidate:
+    dials = tuple(_dial(view, effect, parameter) for parameter in effect.parameters)
+    return Candidate(effect.name, view.stage, dials, tuple(starts(dials, effect.parameters)))
+
+
+def _dial(view: RigView, effect: Effect, p: Parameter) -> Dial:
+    path = f"{effect.name}.{p.name}"
+    nominal = view.nominal(path.partition(".")[2])
+    if math.isinf(p.neutral):
+        u = 0.0 if math.isinf(nominal) else 1 / nominal
+        return Dial(path, p.unit, u, 0.0, 1 / p.low, abs(1 / p.exemplar - u) or 1 / p.exemplar, 0.0, True)
+    size = p.exemplar if p.default is not None else abs(p.exemplar - nominal) or p.exemplar
+    return Dial(path, p.unit, nominal, p.low, p.high, size, p.neutral)
+
+
+def _nuisances(view: RigView) -> Iterator[Nuisance]:
+    widths = _ABSOLUTE | {local: share * float(view.floor.max()) for local, share in _FLOORS.items()}
+    for effect in view.effects:
+        for p in effect.parameters:
+            path = f"{effect.name}.{p.name}"
+            local = path.partition(".")[2]
+            if local in widths:
+                nominal = view.nominal(local)
+                yield Nuisance(path, nominal, max(p.low, nominal - widths[local]), min(p.high, nominal + widths[local]))

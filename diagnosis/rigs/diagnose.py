@@ -1,0 +1,294 @@
+"""A single-stage table to a diagnosis: which effects each of its stages has beyond the nominal model."""
+
+import math
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, fields
+from typing import Literal
+
+import numpy as np
+
+from diagnosis.gap.fits import Fit, Problem
+from diagnosis.gap.problem import Setup
+from diagnosis.gap.result import Diagnosis, Leftover, Overlay, Regime, Rival
+from diagnosis.gap.search import Gain, Member
+from diagnosis.gap.view import Array
+from diagnosis.rigs.candidates import candidates, nuisances
+from diagnosis.rigs.ceiling import ceiling
+from diagnosis.rigs.grid import windows
+from diagnosis.rigs.pendulum import WINDOW_S, PendulumView
+from diagnosis.rigs.selection import Backward, Refitted
+from diagnosis.rigs.tracking import TrackingView, velocity_warnings
+from diagnosis.rigs.views import RigView
+from diagnosis.trials import Trial, TrialError
+from schemas.verdict import Estimate, Gap, Interval, NamedEffect, Quantity, Shrink, Verdict, Where
+
+Tell = Callable[[str, float], None]
+NOTHING_FLOORS = 2.0  # a gap below this many floors is none
+NAMED_SHARE, INCOMPLETE_SHARE = 0.8, 0.3  # of what any model could explain
+RESAMPLES = 1000
+FOLDS_LEAST = 4
+_CONFIDENCE_NOTE = (
+    "the confidences of a table are of its own blocks, drawn anew; no cases of known cause stand behind them"
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Stage:
+    """What was found of one stage."""
+
+    view: RigView
+    trials: tuple[Trial, ...]  # in the view's order
+    nothing: Fit
+    chosen: Fit
+    members: tuple[Member, ...]
+    without: Mapping[str, Fit]  # the chosen without each of its effects
+    alone: tuple[tuple[Fit, Gain], ...]
+    further: tuple[tuple[Fit, Gain], ...]  # the chosen with one more
+    nominal: Array  # [M, S] residuals
+    left: Array
+    ceiling: float  # RMS
+    leans: tuple[tuple[str, float], ...]
+
+    @property
+    def before(self) -> float:
+        """RMS of the nominal gap."""
+        return _rms(self.nominal)
+
+    @property
+    def after(self) -> float:
+        """RMS of the patched gap, held out: the in-sample one, larger as the held-out loss is."""
+        spoiled = self.chosen.held_out.sum() / max(self.chosen.loss, 1e-12)
+        return min(_rms(self.left) * math.sqrt(max(spoiled, 1.0)), self.before)
+
+
+def diagnose_table(trials: Sequence[Trial], tell: Tell = lambda text, share: None) -> Diagnosis:
+    """Diagnose every stage of a table's trials, each alone; deterministic.
+
+    tell: what is being done, and how far it is (0 to 1). Raises TrialError for trials of no table, and for kinds that
+    have no view yet.
+    """
+    started = time.monotonic()
+    names = sorted({t.stage.name for t in trials if t.stage is not None})
+    if not names or any(t.stage is None for t in trials):
+        raise TrialError("these trials are of no single-stage table; diagnose recordings of the robot by their own way")
+    stages = []
+    for i, name in enumerate(names):
+        tell(name, i / len(names))
+        stages.append(_stage([t for t in trials if t.stage is not None and t.stage.name == name]))
+    tracking = [t for t in trials if t.stage is not None and t.stage.kind == "tracking"]
+    warnings = [*dict.fromkeys(w for t in trials for w in t.warnings), *velocity_warnings(tracking)]
+    warnings += [text for stage in stages for text in _notes(stage)]
+    return Diagnosis(
+        verdict=_verdict(stages, warnings),
+        nominal=None,
+        patched=None,
+        trials=tuple((t.name, t.kind, t.duration_s) for t in trials),
+        overlays=tuple(overlay for stage in stages for overlay in _overlays(stage)),
+        regimes=tuple(regime for stage in stages for regime in _regimes(stage)),
+        rivals=tuple(rival for stage in stages for rival in _rivals(stage)),
+        leftovers=tuple(Leftover(s.view.stage, _explained(s), s.leans) for s in stages),
+        nuisances={path: value for s in stages for path, value in _nuisances(s).items()},
+        seconds=time.monotonic() - started,
+    )
+
+
+def view_of(trials: Sequence[Trial]) -> tuple[RigView, tuple[Trial, ...], tuple[str, ...]]:
+    """A stage's view, its trials in the view's order, and by which of them folds are left out."""
+    kind = trials[0].stage.kind if trials[0].stage is not None else ""
+    if kind == "tracking":
+        return TrackingView(trials), tuple(trials), tuple(t.kind for t in trials)
+    if kind == "pendulum":
+        cut = [(t, w) for t in trials for w in windows(t, WINDOW_S)]
+        folds = [t.name for t, _ in cut]
+        if len(trials) < FOLDS_LEAST:
+            folds = [f"part {FOLDS_LEAST * i // len(cut)}" for i in range(len(cut))]
+        shots = tuple(w for _, w in cut)
+        return PendulumView(shots), shots, tuple(folds)
+    raise TrialError(f"{trials[0].source}: a {kind} stage cannot be diagnosed yet; tracking and pendulum can")
+
+
+def _stage(trials: Sequence[Trial]) -> Stage:
+    view, ordered, folds = view_of(trials)
+    setup = Setup([view], nuisances(view), folds)
+    plain, problem = setup.plain(), setup.weighed()
+    search = Backward(
+        Refitted(*(getattr(problem, f.name) for f in fields(Problem))), plain, [view.stage], candidates(view)
+    )
+    nothing = search.problem.fit([((), ())])[0]
+    chosen = (
+        search.chosen(search.full(nothing), nothing) if _floors(view.gap([{}])[0], view) > NOTHING_FLOORS else nothing
+    )
+    members = search.members(chosen, nothing) if chosen.effects else ()
+    spared = search.reduced(chosen) if len(chosen.effects) > 1 else [nothing] * len(chosen.effects)
+    without = dict(zip(chosen.names, spared, strict=True))
+    alone = tuple((f, search.gain(nothing, f)) for f in search.extended(nothing))
+    further = tuple((f, search.gain(chosen, f)) for f in search.extended(chosen)) if chosen.effects else ()
+    left = setup.residuals(plain, chosen)[0].astype(float)
+    place = {fold: i for i, fold in enumerate(sorted(set(folds)))}
+    fold = np.array([place[folds[k]] for k in view.trial])
+    lowest, leans = ceiling(left, view.features, fold)
+    nominal = view.gap([{}])[0].astype(float)
+    return Stage(
+        view, ordered, nothing, chosen, members, without, alone, further, nominal, left, _rms(lowest[None]), leans
+    )
+
+
+def _verdict(stages: Sequence[Stage], warnings: Sequence[str]) -> Verdict:
+    energy = {s.view.stage: (s.before / float(s.view.floor.mean())) ** 2 for s in stages}
+    total = sum(energy.values())
+    gaps = [s for s in stages if _floors(s.nominal, s.view) > NOTHING_FLOORS]
+    named = [s for s in gaps if s.members]
+    answer: Literal["named", "incomplete", "unknown", "none"]
+    if not gaps:
+        answer = "none"
+    elif not named or max(_explained(s) for s in named) < INCOMPLETE_SHARE:
+        answer = "unknown"
+    else:
+        answer = "named" if min(_explained(s) for s in gaps) >= NAMED_SHARE else "incomplete"
+    where = max(gaps, key=lambda s: energy[s.view.stage]) if gaps else None
+    quantity = {s.view.stage: s.view.unit for s in stages}
+
+    def each(value: Callable[[Stage], float]) -> dict[str, Quantity]:
+        return {s.view.stage: Quantity(value=value(s), unit=quantity[s.view.stage]) for s in stages}
+
+    return Verdict(
+        verdict=answer,
+        where=Where(
+            stage=where.view.stage if where else None,
+            share={name: value / total if total else 0.0 for name, value in energy.items()},
+            regime=_worst_regime(where) if where else "nowhere: the gap is within the floor",
+        ),
+        effects=tuple(_named(s, m) for s in stages for m in s.members),
+        gap=Gap(
+            before=each(lambda s: s.before), after=each(lambda s: s.after),
+            floor=each(lambda s: float(np.sqrt(np.mean(s.view.floor**2)))),
+            ceiling=each(lambda s: min(s.ceiling, s.after)),
+        ),
+        warnings=(*warnings, *([_CONFIDENCE_NOTE] if named else [])),
+    )  # fmt: skip
+
+
+def _named(stage: Stage, member: Member) -> NamedEffect:
+    at = [each.name for each in stage.chosen.effects].index(member.candidate.name)
+    first = sum(len(each.dials) for each in stage.chosen.effects[:at])
+    estimates = {}
+    for i, (dial, u) in enumerate(zip(member.candidate.dials, stage.chosen.u[at], strict=True)):
+        low, high = (min(max(float(x[first + i]), dial.low), dial.high) for x in (stage.chosen.low, stage.chosen.high))
+        low, high = (low, high) if not dial.inverse else (high, low)
+        finite = [v if math.isfinite(v) else 1e12 for v in (dial.value(low), dial.value(u), dial.value(high))]
+        name = dial.path.rpartition(".")[2]
+        estimates[name] = Estimate(value=finite[1], low=min(finite), high=max(finite), unit=dial.unit)
+    rivals = [g for f, g in member.rivals if f.effects[-1].name not in member.equivalents and not f.at_bound]
+    sure = _odds(member.gain) * min((_odds(g) for g in rivals), default=1.0) / (1 + len(member.equivalents))
+    less = stage.without[member.candidate.name]
+    return NamedEffect(
+        name=member.candidate.name, parameters=estimates, confidence=min(sure, 0.99), equivalents=member.equivalents,
+        shrink=Shrink(stage=_shrink(less.held_out, stage.chosen.held_out)),
+    )  # fmt: skip
+
+
+def _odds(gain: Gain) -> float:
+    """Probability that a gain is above zero, as its interval says."""
+    sigma = max((gain.high - gain.low) / 3.92, 1e-9)
+    return 0.5 * (1 + math.erf(gain.value / sigma / math.sqrt(2)))
+
+
+def _shrink(less: Array, more: Array) -> Interval:
+    """Share of the RMS that goes, with its 95 % interval over blocks drawn anew."""
+    draw = np.random.default_rng(0)
+    counts = draw.multinomial(len(less), np.full(len(less), 1 / len(less)), RESAMPLES)
+    ratios = np.sqrt(np.maximum(counts @ more, 0.0) / np.maximum(counts @ less, 1e-12))
+    low, high = np.quantile(1 - ratios, (0.025, 0.975))
+    value = 1 - math.sqrt(max(float(more.sum()), 0.0) / max(float(less.sum()), 1e-12))
+    return Interval(value=value, low=min(float(low), value), high=max(float(high), value))
+
+
+def _explained(stage: Stage) -> float:
+    """Share of what any model could explain that the named effects do."""
+    could = stage.before**2 - min(stage.ceiling, stage.after) ** 2
+    return min(max((stage.before**2 - stage.after**2) / could, 0.0), 1.0) if could > 0 else 1.0
+
+
+def _rivals(stage: Stage) -> list[Rival]:
+    alone = {f.effects[0].name: f for f, _ in stage.alone}
+    further = {f.effects[-1].name: f for f, _ in stage.further}
+    members = {m.candidate.name: m for m in stage.members}
+    found = []
+    for name, fit in alone.items():
+        share = min(max(_shrink(stage.nothing.held_out, fit.held_out).value, 0.0), 1.0)
+        if name in members:
+            conditional, note, parameters = (
+                _shrink(stage.without[name].held_out, stage.chosen.held_out),
+                "named",
+                stage.chosen.point,
+            )
+            parameters = {k: v for k, v in parameters.items() if k.startswith(f"{name}.")}
+        else:
+            more = further.get(name, fit)
+            conditional = _shrink((stage.chosen if name in further else stage.nothing).held_out, more.held_out)
+            parameters = {k: v for k, v in more.point.items() if k.startswith(f"{name}.")}
+            stands_in = [m.candidate.name for m in stage.members if name in m.equivalents]
+            note = f"cannot be told from {stands_in[0]}" if stands_in else ("at its bound" if more.at_bound else "")
+        found.append(Rival((name,), share, conditional, parameters, note))
+    return sorted(found, key=lambda r: (-r.alone, r.names))
+
+
+def _overlays(stage: Stage) -> list[Overlay]:
+    view, found = stage.view, []
+    for k, trial in enumerate(stage.trials):
+        mine = view.trial == k
+        for s, channel in enumerate(view.channels):
+            seen, left = view.measured[mine, s], stage.left[mine, s]
+            patched = seen - left if stage.chosen.effects else None
+            nominal = seen - stage.nominal[mine, s]
+            found.append(
+                Overlay(view.stage, trial.name, trial.kind, channel, view.unit, view.t_s[mine], seen, nominal, patched)
+            )
+    return found
+
+
+def _regimes(stage: Stage) -> list[Regime]:
+    named = bool(stage.chosen.effects)
+    return [
+        Regime(
+            stage.view.stage, name, int(mask.sum()), _rms(stage.nominal[mask]),
+            _rms(stage.left[mask]) if named else None, stage.view.unit,
+        )
+        for name, mask in stage.view.regimes.items()
+        if np.isfinite(stage.nominal[mask]).any()
+    ]  # fmt: skip
+
+
+def _worst_regime(stage: Stage) -> str:
+    found = max(_regimes(stage), key=lambda r: r.nominal_rms, default=None)
+    return "everywhere" if found is None else f"most where: {found.name}"
+
+
+def _nuisances(stage: Stage) -> dict[str, float]:
+    """What was fitted beside the chosen, in the registry's unit; an effect's own parameter replaces its nuisance."""
+    found = {}
+    for nuisance, w in zip(nuisances(stage.view), stage.chosen.nuisance, strict=True):
+        if nuisance.path not in stage.chosen.point:
+            found[nuisance.path] = nuisance.nominal + float(w) * (nuisance.edge - nuisance.nominal)
+    return found
+
+
+def _notes(stage: Stage) -> list[str]:
+    """What a fit beside the named effects says of the model itself."""
+    damping = _nuisances(stage).get(f"{stage.view.stage}.damping.scale")
+    if damping is None or not stage.members or damping > -0.9:
+        return []
+    return [
+        f"{stage.view.stage}: beside the named effects nothing is left of the model's viscous friction "
+        f"(damping x {max(1 + damping, 0.0):.2g}): it stood in for them"
+    ]
+
+
+def _floors(gap: Array, view: RigView) -> float:
+    """RMS in floors, of the worst channel."""
+    return float(np.max(np.sqrt(np.nanmean(np.asarray(gap, dtype=float) ** 2, axis=0)) / view.floor))
+
+
+def _rms(values: Array) -> float:
+    return float(np.sqrt(np.nanmean(values**2)))

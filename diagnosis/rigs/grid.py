@@ -1,0 +1,88 @@
+"""Trials of a rig on uniform stamps: averaged where the source is faster than a fit needs, and cut into windows."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from diagnosis.trials import Array, Series, Trial, TrialError
+
+RATE_MAX_HZ = 200.0
+LEVELS_LEAST = 10  # fewer say nothing of the steps between
+GAP_S = 0.1  # nothing is compared within a longer gap
+
+
+@dataclass(frozen=True, slots=True)
+class Grid:
+    """One trial's measured columns on uniform stamps."""
+
+    t_s: Array  # [T]
+    step_s: float
+    columns: Mapping[str, Array]  # [T]; NaN in gaps
+
+
+def grid(series: Series, rate_max_hz: float = RATE_MAX_HZ, columns: Sequence[str] | None = None) -> Grid:
+    """Bring a channel to uniform stamps: bins' means of a fast source (its alias filter), straight lines of a slow one.
+
+    Raises TrialError for fewer than 20 samples.
+    """
+    if len(series) < 20:
+        raise TrialError(f"a channel has {len(series)} samples, a fit needs at least 20; leave this trial out")
+    t, names = series.t_s, tuple(series.columns) if columns is None else tuple(columns)
+    usual = float(np.median(np.diff(t)))
+    bins = max(1, round(1 / (usual * rate_max_hz)))
+    step = usual * bins
+    if bins == 1:
+        step = float(t[-1] - t[0]) / max(1, round(float(t[-1] - t[0]) / usual))
+        at = t[0] + step * np.arange(round(float(t[-1] - t[0]) / step) + 1)
+        found = {name: np.interp(at, t, series[name]) for name in names}
+    else:
+        place = np.minimum(((t - t[0]) / step + 1e-6).astype(int), int((t[-1] - t[0]) / step))
+        count = np.bincount(place)
+        at = t[0] + step * (np.arange(len(count)) + 0.5) - 0.5 * usual
+        with np.errstate(invalid="ignore"):
+            found = {name: np.bincount(place, weights=series[name]) / count for name in names}
+    return Grid(at, step, {name: _without_gaps(at, t, values) for name, values in found.items()})
+
+
+def _without_gaps(at: Array, t: Array, values: Array) -> Array:
+    """NaN where the source was silent for long."""
+    values = values.copy()
+    for k in np.flatnonzero(np.diff(t) > GAP_S):
+        values[(at > t[k]) & (at < t[k + 1])] = np.nan
+    return values
+
+
+def smallest_step(signals: Sequence[Array]) -> float:
+    """The distance between neighbouring values that occur: an encoder's step; 0 for continuous signals."""
+    steps = []
+    for values in signals:
+        levels = np.unique(values)
+        if LEVELS_LEAST <= len(levels) <= len(values) // 2:
+            steps.append(float(np.median(np.diff(levels))))
+    return min(steps, default=0.0)
+
+
+def windows(trial: Trial, seconds: float) -> tuple[Trial, ...]:
+    """Cut a trial into equal stretches of about this length, each a trial of its own with its stamps as they were."""
+    series = trial.channels["measured"]
+    start, end = float(series.t_s[0]), float(series.t_s[-1])
+    count = max(1, round((end - start) / seconds))
+    if count == 1:
+        return (trial,)
+    edges = np.linspace(start, end, count + 1)
+    return tuple(
+        replace(
+            trial,
+            name=f"{trial.name} from {low - start:.4g} s",
+            channels={name: _between(s, low, high, high == end) for name, s in trial.channels.items()},
+        )
+        for low, high in pairwise(edges)
+    )
+
+
+def _between(series: Series, low: float, high: float, last: bool) -> Series:
+    keep: NDArray[np.bool_] = (series.t_s >= low) & ((series.t_s <= high) if last else (series.t_s < high))
+    return Series(series.t_s[keep], {name: values[keep] for name, values in series.columns.items()})

@@ -1,0 +1,52 @@
+"""What the views of all rigs share: samples of several trials one after the other, points as columns."""
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from diagnosis.gap.view import Array, Point
+from diagnosis.rigs.vocabulary import Effect
+
+FLOOR_SHARE = 1e-3  # of the signal: no simulator is blamed for a thousandth
+
+
+class RigView:
+    """One stage of a rig; satisfies `diagnosis.gap.view.View`."""
+
+    def __init__(
+        self, stage: str, unit: str, channels: tuple[str, ...], effects: Sequence[Effect],
+        t_s: Sequence[Array], measured: Sequence[Array], step: float, signals: Sequence[Mapping[str, Array]],
+    ) -> None:  # fmt: skip
+        """Lists are by trial; measured [T, S]; step: an encoder's; signals: name -> [T]."""
+        self.stage, self.unit, self.channels, self.effects = stage, unit, channels, tuple(effects)
+        self.t_s: Array = np.concatenate(t_s)
+        self.trial: NDArray[np.int64] = np.repeat(np.arange(len(t_s)), [len(t) for t in t_s])
+        self.measured: Array = np.concatenate(measured)
+        swing = np.sqrt(np.nanmean((self.measured - np.nanmean(self.measured, axis=0)) ** 2, axis=0))
+        self.floor: Array = np.maximum(FLOOR_SHARE * swing, max(step, 1e-9))
+        self.noise: Array = np.zeros(len(channels))
+        self.acts = frozenset(f"{e.name}.{n.name}" for e in self.effects for n in e.parameters)
+        self.features: Mapping[str, Array] = {name: np.concatenate([s[name] for s in signals]) for name in signals[0]}
+
+    @property
+    def regimes(self) -> Mapping[str, NDArray[np.bool_]]:
+        """See View."""
+        return {}
+
+    def nominal(self, path: str) -> float:
+        """A parameter of the nominal model."""
+        raise NotImplementedError
+
+    def values(self, points: Sequence[Point], path: str) -> Array:
+        """A parameter at each point, [P]."""
+        name = f"{self.stage}.{path}"
+        return np.array([point.get(name, self.nominal(path)) for point in points], dtype=float)
+
+    def gap(self, points: Sequence[Point]) -> NDArray[np.float32]:
+        """See View."""
+        return np.stack([self._gap(points, i) for i in range(len(points))]).astype(np.float32)
+
+    def _gap(self, points: Sequence[Point], i: int) -> Array:
+        """[M, S] at one point."""
+        raise NotImplementedError

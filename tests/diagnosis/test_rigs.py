@@ -1,0 +1,247 @@
+"""Views of rigs: their laws against closed forms, their vocabulary against the registry, search on made-up tables."""
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from diagnosis.rigs.diagnose import diagnose_table, view_of
+from diagnosis.rigs.grid import grid, smallest_step, windows
+from diagnosis.rigs.pendulum import PendulumView
+from diagnosis.rigs.tracking import TrackingView, velocity_warnings
+from diagnosis.rigs.vocabulary import effects
+from diagnosis.trials import Series, Stage, Trial, TrialError
+from simulator.effects import REGISTRY
+
+MODEL = {
+    "mass_kg": 0.15, "centre_m": 0.15, "inertia_kg_m2": 1e-4, "damping_nm_s_rad": 2e-4, "gravity_m_s2": 9.81,
+}  # fmt: skip
+
+
+def servo(command, position, t, kind="multisine", name="one", **more):
+    channels = {
+        "command": Series(t.copy(), {"command": command.copy()}),
+        "measured": Series(t.copy(), {"position": position.copy(), **more}),
+    }
+    return Trial(name, kind, Path(name), channels, stage=Stage("servo", "tracking", {}))
+
+
+def pendulum(angle, t, name="swing", model=MODEL):
+    columns = {f"angle{i + 1}": np.ascontiguousarray(a) for i, a in enumerate(np.atleast_2d(angle))}
+    return Trial(
+        name, "free swing", Path(name), {"measured": Series(t.copy(), columns)}, stage=Stage("joint", "pendulum", model)
+    )
+
+
+def tone(t, seed=0):
+    draw = np.random.default_rng(seed)
+    return sum(
+        0.05 * np.sin(2 * np.pi * f * t + p) for f, p in zip((0.2, 0.5, 1.1, 2.3), draw.uniform(0, 6, 4), strict=True)
+    )
+
+
+T = np.arange(0, 16, 0.02)
+
+
+def follow(point, command=None, t=T, start=0.0):
+    """What the view itself predicts: measured minus gap."""
+    command = tone(t) if command is None else command
+    view = TrackingView([servo(command, np.full_like(t, start), t)])
+    return view.measured[:, 0] - view.gap([{f"servo.{k}": v for k, v in point.items()}])[0, :, 0]
+
+
+@pytest.mark.parametrize("kind", ["tracking", "pendulum"])
+def test_every_effect_of_a_rig_is_the_registrys(kind):
+    for effect in effects(kind, "thing", "rad", moment_nm=0.2):
+        assert effect.name.startswith("thing.")
+        assert effect.meaning
+        assert any(effect.source == registered.source for registered in REGISTRY.values())
+        for p in effect.parameters:
+            assert p.low < p.high
+            assert p.range.admits(p.neutral)
+            assert p.range.admits(p.exemplar)
+        assert set(effect.confused_with) <= {e.name for e in effects(kind, "thing", "rad")}
+
+
+def test_units_follow_what_is_measured():
+    units = {f"{e.name}.{p.name}": p.unit for e in effects("tracking", "s", "rad") for p in e.parameters}
+    assert units["s.deadband.width"] == units["s.gain.offset"] == units["s.backlash.gap"] == "rad"
+    assert (units["s.rate_limit.rate"], units["s.acceleration_limit.acceleration"]) == ("rad/s", "rad/s^2")
+    assert (units["s.lag.time"], units["s.gain.scale"]) == ("s", "-")
+
+
+def test_the_nominal_follower_follows_at_once():
+    command = np.where(T > 5, 0.3, 0.0)
+    away = (T > 1) & (np.abs(T - 5) > 0.05)
+    np.testing.assert_allclose(follow({}, command)[away], command[away], atol=1e-9)
+
+
+def test_a_follower_answers_a_step_as_its_laws_say():
+    command = np.where(T >= 5, 0.3, 0.0)
+    late = T - 5.0
+    lag = follow({"lag.time": 0.2}, command)
+    np.testing.assert_allclose(lag[late > 0.1], 0.3 * (1 - np.exp(-late[late > 0.1] / 0.2)), atol=3e-3)
+    moved = follow({"dead_time.delay": 0.153}, command)
+    assert np.interp(0.15, moved[240:280], late[240:280]) == pytest.approx(0.153, abs=0.021)
+    assert follow({"deadband.width": 0.05}, command)[-1] == pytest.approx(0.25, abs=1e-6)
+    assert follow({"gain.scale": -0.1, "gain.offset": 0.02}, command)[-1] == pytest.approx(0.29, abs=1e-6)
+    slope = np.diff(follow({"rate_limit.rate": 0.5}, command)) / 0.02
+    assert np.nanmax(slope) == pytest.approx(0.5, rel=1e-3)
+    assert follow({"backlash.gap": 0.1}, command)[-1] == pytest.approx(0.25, abs=1e-6)
+
+
+def test_a_delay_acts_by_any_part_of_a_sample():
+    one, other = follow({"dead_time.delay": 0.1}), follow({"dead_time.delay": 0.101})
+    assert 1e-5 < np.nanmax(np.abs(one - other)) < 2e-3
+
+
+def test_a_wrong_velocity_is_told_and_a_right_one_is_not():
+    y = np.sin(T)
+    slope = np.gradient(y, T)
+    assert velocity_warnings([servo(y, y, T, velocity=slope)]) == []
+    (text,) = velocity_warnings([servo(y, y, T, velocity=2.2 * slope)])
+    assert "servo: the measured velocity is 2.2 times the slope of its position" in text
+
+
+def swing(point, amplitude=0.3, seconds=12.0, model=MODEL, rate_hz=100.0):
+    """A window's worth of the law itself, from rest at an amplitude."""
+    from diagnosis.rigs import kernels
+    from diagnosis.rigs.pendulum import links
+
+    link = links(Stage("joint", "pendulum", model))
+    n = link.shape[1]
+    law = np.array([9.81, 0.0, point.get("damping", 1.0), point.get("torque", 0.0), 3e-4, point.get("drag", 0.0)])
+    out = np.empty((round(seconds * rate_hz), n))
+    state = np.concatenate((np.full(n, amplitude), np.zeros(n)))
+    shear = np.zeros(n)
+    kernels.swing(state, shear, np.zeros(len(out)), link, law, 1 / rate_hz, 4, out)
+    return np.arange(len(out)) / rate_hz, out
+
+
+def peaks(angle):
+    inside = (angle[1:-1] > angle[:-2]) & (angle[1:-1] >= angle[2:]) & (angle[1:-1] > 0)
+    return angle[1:-1][inside]
+
+
+def test_viscous_friction_decays_on_an_exponential_and_dry_friction_on_a_line():
+    inertia, moment = 1e-4 + 0.15 * 0.15**2, 0.15 * 0.15 * 9.81
+    _, viscous = swing({}, 0.05)
+    ratio = peaks(viscous[:, 0])[1:] / peaks(viscous[:, 0])[:-1]
+    period = 2 * math.pi / math.sqrt(moment / inertia)
+    np.testing.assert_allclose(ratio, math.exp(-2e-4 / (2 * inertia) * period), rtol=2e-3)
+    _, dry = swing({"damping": 0.0, "torque": 2e-4}, 0.05)
+    drops = -np.diff(peaks(dry[:, 0]))
+    np.testing.assert_allclose(drops[:5], 4 * 2e-4 / moment, rtol=0.1)
+
+
+def test_a_chain_without_friction_keeps_its_energy():
+    chain = {
+        "mass_kg": (0.25, 0.28, 0.12), "centre_m": (0.16, 0.2, 0.18), "length_m": (0.17, 0.23),
+        "inertia_kg_m2": (1e-4, 3e-4, 2e-4), "damping_nm_s_rad": (0.0, 0.0, 0.0),
+    }  # fmt: skip
+    _, angles = swing({}, 0.6, 4.0, chain, 1000.0)
+    rates = np.gradient(angles, 1e-3, axis=0)
+    mass, centre, inertia = (np.array(chain[k]) for k in ("mass_kg", "centre_m", "inertia_kg_m2"))
+    length = np.array((*chain["length_m"], 0.0))
+    energy = np.zeros(len(angles))
+    for i in range(3):
+        y = z = height = 0.0
+        for j in range(i + 1):
+            arm = centre[i] if i == j else length[j]
+            y, z = y + arm * np.cos(angles[:, j]) * rates[:, j], z + arm * np.sin(angles[:, j]) * rates[:, j]
+            height = height - arm * np.cos(angles[:, j])
+        energy += 0.5 * mass[i] * (y**2 + z**2) + 0.5 * inertia[i] * rates[:, i] ** 2 + mass[i] * 9.81 * height
+    assert np.ptp(energy[5:-5]) < 1e-3 * np.ptp(mass[0] * 9.81 * 0.16 * np.cos(angles[:, 0]))
+
+
+def test_drag_of_a_single_link_is_that_of_its_centre():
+    _, one = swing({"drag": 0.01}, 1.5)
+    _, none = swing({}, 1.5)
+    assert peaks(one[:, 0])[-1] < 0.95 * peaks(none[:, 0])[-1]
+
+
+def test_a_pendulums_start_is_fitted_at_every_point():
+    t, angle = swing({}, 0.3, 3.0)
+    view = PendulumView([pendulum(angle[:, 0], t)])
+    gaps = view.gap([{}, {"joint.damping.scale": 1.0}, {"joint.sensor_bias.bias": 0.01}])
+    rms = np.sqrt(np.nanmean(gaps.astype(float) ** 2, axis=(1, 2)))
+    assert rms[0] < 2e-4
+    assert rms[1] > 10 * rms[0]
+    assert rms[2] > 10 * rms[0]
+
+
+def test_fast_sources_are_averaged_and_gaps_stay_empty():
+    t = np.delete(np.arange(0, 4, 1e-3), slice(1000, 1500))
+    found = grid(Series(t, {"x": 2.0 * t}), 100.0)
+    assert found.step_s == pytest.approx(0.01)
+    inside = (found.t_s > 1.01) & (found.t_s < 1.49)
+    assert np.isnan(found.columns["x"][inside]).all()
+    outside = (found.t_s < 0.98) | (found.t_s > 1.52)
+    np.testing.assert_allclose(found.columns["x"][outside], 2 * found.t_s[outside], atol=1e-9)
+    assert smallest_step([np.round(np.sin(np.arange(5000.0)), 2), np.round(np.arange(5000.0) / 5000)]) == pytest.approx(
+        0.01
+    )
+    assert smallest_step([np.sin(np.arange(5000.0))]) == 0.0
+
+
+def test_windows_share_nothing_and_lose_nothing():
+    t, angle = swing({}, 0.3, 12.0)
+    trial = pendulum(angle[:, 0], t)
+    parts = windows(trial, 3.0)
+    assert len(parts) == 4
+    np.testing.assert_array_equal(np.concatenate([p.channels["measured"].t_s for p in parts]), t)
+    assert len({p.name for p in parts}) == 4
+
+
+def test_what_has_no_view_says_so():
+    t = T
+    trial = Trial("push", "steps", Path("push"), {}, stage=Stage("cart", "driven_mass", {}))
+    with pytest.raises(TrialError, match="a driven_mass stage cannot be diagnosed yet"):
+        view_of([trial])
+    with pytest.raises(TrialError, match="are of no single-stage table"):
+        diagnose_table([Trial("x", "x", Path("x"), {})])
+    with pytest.raises(TrialError, match="model lacks mass_kg"):
+        PendulumView([pendulum(np.sin(t), t, model={"centre_m": 0.1, "inertia_kg_m2": 1.0})])
+
+
+def test_a_dry_joint_is_named_and_not_its_look_alikes():
+    """Small swings of a joint that has dry friction besides the model's viscous one."""
+    draw = np.random.default_rng(1)
+    trials = []
+    for i, amplitude in enumerate((0.12, 0.09, 0.07, 0.05)):
+        t, angle = swing({"torque": 4e-4}, amplitude, 3.0)
+        trials.append(pendulum(angle[:, 0] + 1e-4 * draw.normal(size=len(t)), t, f"swing {i}"))
+    verdict = diagnose_table(trials).verdict
+    assert verdict.verdict == "named"
+    assert [e.name for e in verdict.effects] == ["joint.coulomb_friction"]
+    estimate = verdict.effects[0].parameters["torque"]
+    assert estimate.value == pytest.approx(4e-4, rel=0.1)
+
+
+def test_a_perfect_model_is_blamed_for_nothing():
+    draw = np.random.default_rng(2)
+    trials = []
+    for i in range(4):
+        t, angle = swing({}, 0.1 + 0.05 * i, 3.0)
+        trials.append(
+            pendulum(np.round((angle[:, 0] + 1e-4 * draw.normal(size=len(t))) / 4e-4) * 4e-4, t, f"swing {i}")
+        )
+    verdict = diagnose_table(trials).verdict
+    assert (verdict.verdict, verdict.effects) == ("none", ())
+
+
+def test_a_servos_dead_zone_and_droop_are_named():
+    draw = np.random.default_rng(3)
+    truth = {"deadband.width": 0.03, "gain.offset": 0.04}
+    trials = []
+    for i, kind in enumerate(("multisine", "steps", "slow")):
+        steps, slow = 0.15 * np.sign(np.sin(0.8 * T)), 0.2 * np.sin(0.3 * T)
+        command = {"multisine": tone(T, i), "steps": steps, "slow": slow}[kind]
+        seen = np.nan_to_num(follow(truth, command), nan=0.0)
+        trials.append(servo(command, np.round((seen + 2e-4 * draw.normal(size=len(T))) / 1e-3) * 1e-3, T, kind, kind))
+    found = {e.name: e for e in diagnose_table(trials).verdict.effects}
+    named = {name: {name, *e.equivalents} for name, e in found.items()}
+    assert any("servo.deadband" in each for each in named.values())
+    assert any("servo.gain" in each for each in named.values())
+    assert len(found) == 2
