@@ -64,8 +64,9 @@ def make(data: Path, labels_file: Path, fresh: Path | None, count: int, seed: in
 @click.argument("data", type=FOLDER)
 @click.option("--answers", "answers_file", type=FILE, required=True, help="Where the answers go; frozen at the end.")
 @click.option("--method", default="diagnose", show_default=True, help="Who answers: diagnose, or a baseline.")
+@click.option("--trials", type=click.IntRange(1), help="Show only so many of each case: does more data help?")
 @processes_option
-def run(data: Path, answers_file: Path, method: str, processes: int) -> None:
+def run(data: Path, answers_file: Path, method: str, trials: int | None, processes: int) -> None:
     """Answer every case of DATA and freeze the answers (FILE.sha256). Started again, it goes on where it stopped.
 
     An answer counts as given while the tool's code and the case's files are the same.
@@ -86,7 +87,7 @@ def run(data: Path, answers_file: Path, method: str, processes: int) -> None:
             def tell(case: str, done: int, of: int) -> None:
                 bar.update(task, completed=done, total=of, description=case)
 
-            digest = running.run(data, answers_file, method, processes, tell)
+            digest = running.run(data, answers_file, method, processes, tell, trials)
     except SealError as error:
         fail(str(error))
     click.echo(f"wrote {answers_file}; frozen as {digest}")

@@ -26,12 +26,17 @@ _CODE = (".py", ".yaml", ".json")
 
 
 def run(
-    data: Path, file: Path, method: str = methods.DEFAULT, processes: int = 2, on_answer: OnAnswer | None = None
+    data: Path,
+    file: Path,
+    method: str = methods.DEFAULT,
+    processes: int = 2,
+    on_answer: OnAnswer | None = None,
+    trials: int | None = None,
 ) -> str:
     """Answer every case of `data` into `file` (JSON), freeze it and return its SHA-256.
 
     An answer that the same version of the tool has given to the same data is kept, also when the run was stopped.
-    How long each took is in `file` + `.timing.json`, which is not frozen. Raises SealError for a folder without
+    trials: only so many of each case are shown, the first by name. How long each took is in `file` + `.timing.json`, which is not frozen. Raises SealError for a folder without
     cases or for an unknown method.
     """
     if method not in methods.METHODS:
@@ -39,12 +44,12 @@ def run(
     cases = folders(data)
     seal.keep_apart(file, data)
     file.parent.mkdir(parents=True, exist_ok=True)
-    about = {"method": method, "tool": tool_version()}
+    about = {"method": method if trials is None else f"{method}, {trials} trials", "tool": tool_version()}
     partial = _beside(file, ".partial")
     done = _kept(file, partial, about, cases)
     todo = [case for case in cases if case.name not in done]
     with partial.open("a", encoding="utf-8") as out:
-        for answer in as_they_come(answer_case, [(case, method) for case in todo], processes):
+        for answer in as_they_come(answer_case, [(case, method, trials) for case in todo], processes):
             done[answer["case"]] = answer
             out.write(json.dumps({**about, **answer}) + "\n")
             out.flush()
@@ -65,14 +70,14 @@ def folders(data: Path) -> list[Path]:
     return cases
 
 
-def answer_case(folder: Path, method: str, clock: Clock = time.monotonic) -> dict[str, Any]:
+def answer_case(folder: Path, method: str, shown: int | None = None, clock: Clock = time.monotonic) -> dict[str, Any]:
     """One case's answer. The method sees trials and model, neither the case's name nor its place.
 
     What a method raises is its answer: none.
     """
     begin = clock()
     model = model_file.load(folder / "model.yaml")
-    trials = [_anonymous(trial, folder) for trial in read.read_all([folder])]
+    trials = [_anonymous(trial, folder) for trial in read.read_all([folder])][:shown]
     verdict: Verdict | None = None
     patched: Model | None = None
     failure = ""

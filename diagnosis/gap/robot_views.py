@@ -331,11 +331,13 @@ class MocapView(RobotView):
 
     def _seen(self) -> Array:
         f = self.flight
-        return np.stack((f.cart_y_m, f.cart_z_m), axis=2)
+        seen = np.stack((f.cart_y_m, f.cart_z_m), axis=2)
+        seen[np.isnan(f.axis_m)] = np.nan  # held or not: without the axis's own word there is nothing to compare
+        return seen
 
     def _predict(self, points: Sequence[Point]) -> NDArray[np.float32]:
         f = self.flight
-        axis = np.where(f.held, np.nanmedian(f.axis_m, axis=0), f.axis_m)
+        axis = np.where(f.held, f.hinge_m, f.axis_m)
         base = self.model.arm.base_height_m
         names = ("latency.delay", "rotation.angle", "scale.scale", "offset.y", "offset.z")
         columns = zip(*(self._value(points, f"mocap.{name}") for name in names), strict=True)

@@ -1,4 +1,4 @@
-"""Candidates: every effect of the registry that the robot's stages can have may be found, within its physical bounds."""
+"""Candidates: every effect of the registry that the robot can have may be found, within its physical bounds."""
 
 import math
 
@@ -77,7 +77,8 @@ def test_starts_lie_on_both_sides_where_the_bounds_allow():
         for i, dial in enumerate(candidate.dials):
             parameter = find(dial.path)[1]
             if parameter.default is None and not dial.inverse and dial.low < dial.nominal < dial.high:
-                signs = {math.copysign(1, start[i] - dial.nominal) for start in candidate.starts if start[i] != dial.nominal}
+                changes = [start[i] - dial.nominal for start in candidate.starts]
+                signs = {math.copysign(1, change) for change in changes if change}
                 assert signs == {-1.0, 1.0}, dial.path
 
 

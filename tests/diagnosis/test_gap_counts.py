@@ -155,6 +155,6 @@ def test_finite_differences_and_true_velocities_are_told_apart(robot, model):
     assert found.shrink > 0.5
 
 
-@pytest.mark.parametrize(("robot", "model"), [(True, DIFFERENCED), (False, TRUE)], ids=["both have it", "neither has it"])
+@pytest.mark.parametrize(("robot", "model"), [(True, DIFFERENCED), (False, TRUE)], ids=["both have", "neither has"])
 def test_velocities_that_are_as_modelled_are_no_news(robot, model):
     assert not _count([_seen(f"t{i}", robot, i) for i in range(3)], "observation.finite_difference", model).named

@@ -1,4 +1,4 @@
-"""The whole diagnosis on campaigns of known cause: the cause is named, nothing else, and nothing where nothing is wrong.
+"""The whole diagnosis on campaigns of known cause: that is named, nothing else, and nothing where nothing is wrong.
 
 The robot is the seed's simulator at another rate behind noisy sensors. What it has and the nominal model lacks is
 taken out of the model, what the model lacks beyond the seed's is put into the robot.
@@ -58,14 +58,14 @@ def _record(kind, model, seed):
 def _trial(name, frames, slow):
     bodies = ("cart", *(f"link{i}" for i in range(1, 6)))
     columns = ["t_receive", *(f"{body}_{part}" for body in bodies for part in ("y", "z", "angle"))]
-    ticks, t = slow[:: FRAMES_A_TICK // 2, 0], slow[:, 0]
+    t, sent = slow[:, 0], slow[:: FRAMES_A_TICK // 2]
     mocap = Series(frames[:, 0].copy(), {c: frames[:, i].copy() for i, c in enumerate(columns, 1)})
     return Trial(name, name, Path(name), {
-        "command": Series(ticks.copy(), {c: slow[:: FRAMES_A_TICK // 2, i].copy() for i, c in ((1, "cart_velocity"), (2, "pressure"))}),
+        "command": Series(sent[:, 0].copy(), {"cart_velocity": sent[:, 1].copy(), "pressure": sent[:, 2].copy()}),
         "pressure": Series(t.copy(), {"pressure": slow[:, 3].copy()}),
         "rail": Series(t.copy(), {"position": slow[:, 4].copy(), "velocity": slow[:, 5].copy()}),
         "mocap": mocap,
-        "observation": _observation(mocap, ticks[2:]),
+        "observation": _observation(mocap, sent[2:, 0]),
     })  # fmt: skip
 
 
@@ -114,7 +114,7 @@ def test_what_the_seed_s_simulator_lacks_is_named_and_nothing_else(out):
     assert verdict.where.stage in {name.partition(".")[0] for name in out}
 
 
-@pytest.mark.parametrize("out", [out for out in ONE_AT_A_TIME + PAIRS if out != ("observation.finite_difference",)], ids="+".join)
+@pytest.mark.parametrize("out", ONE_AT_A_TIME[:3] + PAIRS, ids="+".join)
 def test_the_parameters_are_those_of_the_robot(out):
     for effect in _diagnosed(out).verdict.effects:
         for name, true in SEED[effect.name].items():
@@ -178,7 +178,7 @@ def test_two_runs_and_any_order_of_the_trials_give_the_same_verdict():
     assert diagnose(shuffled, model).verdict == _diagnosed(out).verdict
 
 
-@pytest.mark.parametrize("out", [(), ("rail.delay",), ("observation.finite_difference",), ("pressure.lag", "rail.delay")], ids=str)
+@pytest.mark.parametrize("out", [(), *ONE_AT_A_TIME, PAIRS[1]], ids="+".join)
 def test_a_verdict_survives_its_file(out):
     verdict = _diagnosed(out).verdict
     assert Verdict.model_validate_json(verdict.model_dump_json()) == verdict

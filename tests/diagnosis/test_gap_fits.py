@@ -102,9 +102,9 @@ def test_many_fits_at_once_are_each_alone(both):
 
 def test_intervals_hold_the_truth_about_as_often_as_they_say():
     inside = np.zeros(2)
-    runs = 60
+    runs = 40
     for seed in range(runs):
-        fit = _fit(_problem(_View(seed=seed)), GAIN, LAG, rounds=4)
+        fit = _fit(_problem(_View(seed=seed)), GAIN, LAG, rounds=3)
         truth = np.array([TRUE[SCALE], TRUE[TIME]])
         assert (fit.low < fit.high).all()
         inside += (fit.low <= truth) & (truth <= fit.high)
