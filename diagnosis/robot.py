@@ -217,19 +217,14 @@ class Robot:
             ceiling[view.stage] = Quantity(value=patched * float(np.sqrt(1 - share)), unit=view.unit)
         for c in counted:
             if c.stage not in before and (c.named or c.stage in ("clock", "observation")):
-                before[c.stage], after[c.stage] = (
-                    Quantity(value=c.before, unit=c.unit),
-                    Quantity(value=c.after if c.named else c.before, unit=c.unit),
-                )
-                floor[c.stage] = ceiling[c.stage] = Quantity(value=c.floor, unit=c.unit)
+                rest = c.after if c.named else c.before
+                before[c.stage], floor[c.stage] = (Quantity(value=round(x, 9), unit=c.unit) for x in (c.before, c.floor))
+                after[c.stage] = ceiling[c.stage] = Quantity(value=round(rest, 9), unit=c.unit)
         tips = tip_gap(self.flight, self.model, [{}, point])
         if np.isfinite(tips).any():
-            nominal, patched = (float(np.sqrt(2 * np.nanmean(t**2))) for t in tips)
-            before["chain"], after["chain"] = Quantity(value=nominal, unit="m"), Quantity(value=patched, unit="m")
-            floor["chain"], ceiling["chain"] = (
-                Quantity(value=FLOOR_M, unit="m"),
-                Quantity(value=min(patched, FLOOR_M), unit="m"),
-            )
+            rms = (float(np.sqrt(2 * np.nanmean(t**2))) for t in tips)
+            before["chain"], after["chain"] = (Quantity(value=x, unit="m") for x in rms)
+            floor["chain"] = Quantity(value=FLOOR_M, unit="m")
         return Gap(before=before, after=after, floor=floor, ceiling=ceiling)
 
     def _next(self, choice: Choice, ruling: Ruling) -> NextExperiment | None:

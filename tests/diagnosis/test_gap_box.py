@@ -6,9 +6,6 @@ from scipy.optimize import lsq_linear
 
 from diagnosis.gap import box
 
-# Of the best loss, what may be given away where two columns are nearly one: the sweeps are counted, and end before.
-COLLINEAR = 1e-2
-
 
 def _problem(seed, alike=0.0):
     """A random problem: matrix, right side, box; some boxes are so narrow that they bind.
@@ -29,15 +26,16 @@ def _squares(matrix, right, x):
     return float(np.sum((matrix @ x - right) ** 2))
 
 
-@pytest.mark.parametrize(("alike", "more"), [(0.0, 1e-9), (0.8, 1e-9), (0.99, COLLINEAR)])
-def test_it_is_as_good_as_an_exact_solver_and_stays_in_the_box(alike, more):
+@pytest.mark.parametrize("alike", [0.0, 0.8, 0.99, 0.9999])
+def test_it_is_as_good_as_an_exact_solver_and_stays_in_the_box(alike):
+    """Also where two columns are nearly one: an effect beside the nuisance that resembles it."""
     for seed in range(20):
         matrix, right, low, high = _problem(seed, alike)
         found = box.solve(matrix.T @ matrix, matrix.T @ right, low, high)
         best = lsq_linear(matrix, right, (low, high), tol=1e-12).x
         assert (found >= low).all()
         assert (found <= high).all()
-        assert _squares(matrix, right, found) <= _squares(matrix, right, best) * (1 + more), seed
+        assert _squares(matrix, right, found) <= _squares(matrix, right, best) * (1 + 1e-9), seed
 
 
 def test_the_random_problems_are_worth_solving():
@@ -50,10 +48,10 @@ def test_the_random_problems_are_worth_solving():
 
 
 def test_wide_bounds_give_ordinary_least_squares():
-    matrix, right, _, _ = _problem(3)
+    matrix, right, _, _ = _problem(3, 0.99)
     far = np.full(matrix.shape[1], 1e6)
     found = box.solve(matrix.T @ matrix, matrix.T @ right, -far, far)
-    np.testing.assert_allclose(found, np.linalg.lstsq(matrix, right, rcond=None)[0], rtol=1e-3, atol=1e-4)
+    np.testing.assert_allclose(found, np.linalg.lstsq(matrix, right, rcond=None)[0], rtol=1e-6, atol=1e-8)
 
 
 def test_what_has_no_influence_stays_where_it_is():

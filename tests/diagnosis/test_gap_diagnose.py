@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 from diagnosis.diagnose import diagnose
+from diagnosis.shrink import measure_shrink
 from diagnosis.trials import Series, Trial, TrialError
 from schemas.excitation import EXCITATIONS
 from schemas.model import Model, seed_effects
@@ -37,9 +38,10 @@ def _campaign(effects=(), kinds=tuple(CAMPAIGN)):
 def _record(kind, model, seed):
     """Mocap at 120 Hz, readings at 60 Hz, ticks at 30 Hz whose velocities are differences over a tick."""
     draw, plan = np.random.default_rng(seed), EXCITATIONS[kind]
+    begun_s = CAMPAIGN.get(kind, 0.0)
     robot = Simulator(model, physics_rate_hz=720.0)
     for _ in range(60):  # hang still before the recording
-        robot.step(*plan.at(CAMPAIGN[kind]), 1 / 30)
+        robot.step(*plan.at(begun_s), 1 / 30)
     frames, slow = [], []
     for k in range(round(LENGTH_S / FRAME_S)):
         t = k * FRAME_S
@@ -47,7 +49,7 @@ def _record(kind, model, seed):
         bodies += [(y, z, a) for (y, z), a in zip(robot.link_ends_m()[0], robot.link_angles_rad[0], strict=True)]
         poses = np.array(bodies, dtype=float) + draw.normal(size=(6, 3)) * (NOISE_M, NOISE_M, NOISE_RAD)
         frames.append((t, t + MOCAP_LATE_S, *poses.ravel()))
-        command = plan.at(CAMPAIGN[kind] + FRAMES_A_TICK * FRAME_S * (k // FRAMES_A_TICK))
+        command = plan.at(begun_s + FRAMES_A_TICK * FRAME_S * (k // FRAMES_A_TICK))
         if k % 2 == 0:
             reading = robot.pressure_reading_kpa[0] + draw.normal() * NOISE_KPA
             slow.append((t, *command, reading, robot.cart_position_m[0], robot.cart_velocity_m_s[0]))
@@ -131,6 +133,17 @@ def test_the_gap_of_its_stage_shrinks_and_the_shrink_is_held_out(out):
     assert shrink.value > 0.5
     assert verdict.gap.after[stage].value < 0.5 * verdict.gap.before[stage].value
     assert verdict.where.share[stage] > 0.8
+
+
+def test_the_shrink_holds_on_excitations_that_no_fit_has_seen():
+    out = ("pressure.lag", "rail.delay")
+    diagnosis = _diagnosed(out)
+    fresh = measure_shrink(_campaign(kinds=("sinusoid", "rail-chirp")), diagnosis.nominal, diagnosis.patched)
+    for effect in diagnosis.verdict.effects:
+        stage = effect.name.partition(".")[0]
+        assert fresh[stage] > 0.8
+        assert effect.shrink.stage.value == pytest.approx(fresh[stage], abs=0.15)
+    assert abs(fresh["mocap"]) < 0.05
 
 
 @pytest.mark.parametrize("out", [ONE_AT_A_TIME[0], ONE_AT_A_TIME[3], PAIRS[1]], ids="+".join)
