@@ -22,9 +22,9 @@ from simulator.effects import validate
 from simulator.simulator import Simulator
 
 SEED = seed_effects()
-# Excitation -> from which second of it on; 7 s of each make a campaign that is diagnosed in seconds.
-CAMPAIGN = {"pressure-multisine": 0.0, "both": 1.0, "rail-steps": 7.0, "rail-multisine": 1.5}
-LENGTH_S, FRAME_S, MOCAP_LATE_S, FRAMES_A_TICK = 7.0, 1 / 120, 0.004, 4
+# Excitation -> from which second of it on; 5 s of each make a campaign that is diagnosed in seconds.
+CAMPAIGN = {"pressure-multisine": 0.0, "both": 1.0, "rail-steps": 9.5, "rail-multisine": 1.7}
+LENGTH_S, FRAME_S, MOCAP_LATE_S, FRAMES_A_TICK = 5.0, 1 / 120, 0.004, 4
 NOISE_M, NOISE_RAD, NOISE_KPA = 0.2e-3, 2e-3, 0.05
 
 
