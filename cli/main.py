@@ -58,6 +58,7 @@ VERBS: dict[str, dict[str, Verb]] = {
     "Learn and measure": {
         "train": Verb("cli.train:train", "Train a policy in the simulator.", "train"),
         "export": Verb("cli.export:export", "Write a checkpoint as an ONNX policy.", "train"),
+        "plan": Verb("cli.plan:plan", "Optimise trajectories for the policy that tracks them.", "sim"),
         "evaluate": Verb("cli.evaluate:evaluate", "Fly the 54 test targets, by the daemon's own tick.", "sim"),
         "model": Verb("cli.model:model", "Show, compare, check and export models of the robot."),
         "bench": Verb("cli.bench:bench", "Measure the loop and the simulator.", "mujoco"),

@@ -197,6 +197,57 @@ class Simulator:
         self._command(self._at.pressure_command, pressure_kpa)
         self._run_late(self._advance, duration_s, late_s)
 
+    def fly(self, cart_velocity_m_s: Array, pressure_kpa: Array, step_s: float = 1 / 30) -> Array:
+        """Issue a command every step_s, T of them, on this thread alone; for planners, who fly thousands of plans.
+
+        cart_velocity_m_s, pressure_kpa: [T, R]. Returns, at the end of every step, the cart's y and velocity and the
+        tip's y and z, [T, 4, R]: the same bits as T calls of `step`. Raises ValueError for other shapes.
+        """
+        shape = np.shape(cart_velocity_m_s)
+        if len(shape) != 2 or shape[1] != self.robots or np.shape(pressure_kpa) != shape:
+            raise ValueError(
+                f"the plans have shapes {shape} and {np.shape(pressure_kpa)}; give both as [steps, {self.robots}]"
+            )
+        velocity, pressure = (
+            np.ascontiguousarray(each, dtype=self._real) for each in (cart_velocity_m_s, pressure_kpa)
+        )
+        path = np.empty((shape[0], 4, self.robots), self._real)
+
+        def entry(*arguments: Any) -> None:
+            kernel.fly(*arguments, velocity, pressure, path)
+
+        self._run(entry, step_s)
+        self.time_s += (shape[0] - 1) * step_s
+        return path
+
+    def take_over(self, other: "Simulator", robot: int = 0) -> None:
+        """Put every robot where one robot of another simulator is: its motion, and its commands under way.
+
+        Parameters stay this simulator's own. Raises ValueError when the numbers of links differ.
+        """
+        if other.links != self.links:
+            raise ValueError(f"the other's arms have {other.links} links, these {self.links}: simulate the same arm")
+        block, lane = divmod(robot, len(other._lanes))
+        moving = slice(self._at.q, self._at.cart_command)
+        self._rows[:, moving] = other._rows[block, moving, lane][:, None]
+        self._located = False
+
+    def place(
+        self, cart_position_m: Array, cart_velocity_m_s: Array, link_angles_rad: Array, link_rates_rad_s: Array,
+        pressure_kpa: Array,
+    ) -> None:  # fmt: skip
+        """Put every robot somewhere in mid-flight: unlike after `reset`, commands under way stay under way.
+
+        The first two and the last: [R]; absolute link angles and their rates: [R, n].
+        """
+        at = self._at
+        for row, values in ((at.q, cart_position_m), (at.v, cart_velocity_m_s), (at.pressure, pressure_kpa)):
+            self._command(row, values)
+        for first, turns in ((at.q + 1, link_angles_rad), (at.v + 1, link_rates_rad_s)):
+            for link in range(self.links):
+                self._command(first + link, turns[:, link])
+        self._located = False
+
     def step_pressure(self, pressure_kpa: ArrayLike, duration_s: float, *, late_s: ArrayLike | None = None) -> None:
         """As `step`, of the pressure stage alone; the rest stands still."""
         self._command(self._at.pressure_command, pressure_kpa)

@@ -15,7 +15,7 @@ numba's cache looks at one file alone: after a change, delete the `__pycache__` 
 """
 
 from simulator.kernel.layout import HISTORY, Rows, rows
-from simulator.kernel.run import advance, advance_cart, advance_parallel, advance_pressure, locate, prepare
+from simulator.kernel.run import advance, advance_cart, advance_parallel, advance_pressure, fly, locate, prepare
 
 __all__ = [
     "HISTORY",
@@ -24,6 +24,7 @@ __all__ = [
     "advance_cart",
     "advance_parallel",
     "advance_pressure",
+    "fly",
     "locate",
     "prepare",
     "rows",

@@ -117,7 +117,7 @@ def test_a_plugin_that_fails_is_listed_with_its_error_and_hides_no_other(install
     assert message in entries["broken"].error
     assert entries["wave"].error is None
     assert entries["pid"].error is None
-    with pytest.raises(PolicyError, match=r"policy 'broken': .*; available: excite, hold, pid.*, wave"):
+    with pytest.raises(PolicyError, match=r"policy 'broken': .*; available: excite, hold, .*pid.*, wave"):
         load("broken")
 
 
@@ -135,16 +135,16 @@ def test_a_plugin_without_step_is_no_policy(install):
 
 
 def test_an_unknown_name_gets_the_nearest_and_all_that_there_are():
-    with pytest.raises(PolicyError, match=r"no policy 'hodl'; did you mean 'hold'\? available: excite, hold, pid"):
+    with pytest.raises(PolicyError, match=r"no policy 'hodl'; did you mean 'hold'\? available: excite, hold, .*pid"):
         load("hodl")
-    with pytest.raises(PolicyError, match=r"no policy 'xyzzy'; available: excite, hold, pid"):
+    with pytest.raises(PolicyError, match=r"no policy 'xyzzy'; available: excite, hold, .*pid"):
         load("xyzzy")
 
 
 @pytest.mark.parametrize(
     ("configured", "message"),
     [
-        (Configured(plugin="pdi"), r"no plugin 'pdi'; did you mean 'pid'\? \(installed: excite, hold, onnx, pid\)"),
+        (Configured(plugin="pdi"), r"no plugin 'pdi'; did you mean 'pid'\? \(installed: excite, .*onnx, pid"),
         (
             Configured(plugin="pid", options={"kpy": 1}),
             r"plugin 'pid' has no option 'kpy'; did you mean 'kp_y'\? \(known: kp_y, ",

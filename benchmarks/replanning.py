@@ -1,0 +1,162 @@
+"""How well and how fast a policy plans: the 54 targets, then new goals in mid-swing at the robot's own pace.
+
+    python -m benchmarks.replanning --json FILE
+
+Both parts are the daemon's own tick in lockstep with the simulated robot. The second waits for each tick's time, so
+that caches and clock rates are those of a process that wakes 30 times a second.
+"""
+
+import json
+import random
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import click
+import numpy as np
+from rich.console import Console
+from rich.progress import Progress
+from rich.table import Table
+
+from daemon.evaluation import CART_STARTS_M, FLIGHTS, LIMIT_M
+from daemon.offline import Lockstep
+from daemon.records import Mode
+from policies import registry
+from policies.base import Array, Policy, PolicyError
+from schemas.config import Config
+from schemas.goals import TEST_TARGETS, TRAINED_Z_MAX_M
+
+PERIOD_S = 1 / 30
+PATIENCE_TICKS = (6, 20)  # after which a goal is replaced in mid-swing
+EASY_Z_MAX_M = 0.65  # of goals that the rail is long enough for
+
+
+@dataclass
+class Timed:
+    """A policy, and what each of its steps took: by the wall's clock and of its thread's processor time, ms."""
+
+    policy: Policy
+    wall_ms: list[float] = field(default_factory=list)
+    processor_ms: list[float] = field(default_factory=list)
+    cut_short: int = 0  # steps that flew fewer rounds than the one with most
+
+    def __post_init__(self) -> None:
+        """A policy's spec is its own."""
+        self.spec = self.policy.spec
+        self._most_rounds = 0
+
+    def reset(self) -> None:
+        """See Policy."""
+        self.policy.reset()
+
+    def step(self, observation: Array, goal: Array) -> Array:
+        """See Policy."""
+        wall, processor = time.perf_counter(), time.thread_time()
+        action = self.policy.step(observation, goal)
+        self.wall_ms.append(1e3 * (time.perf_counter() - wall))
+        self.processor_ms.append(1e3 * (time.thread_time() - processor))
+        rounds = getattr(self.policy, "rounds_flown", 0)
+        self._most_rounds = max(self._most_rounds, rounds)
+        self.cut_short += rounds < self._most_rounds
+        return action
+
+    def figures(self) -> dict[str, Any]:
+        """Percentiles of both, and how many steps there were."""
+        return {
+            "wall_ms": _spread(self.wall_ms),
+            "processor_ms": _spread(self.processor_ms),
+            "steps": len(self.wall_ms),
+            "cut_short": self.cut_short,
+        }
+
+
+def _spread(values: list[float]) -> dict[str, float]:
+    p50, p99, top = np.percentile(values, [50, 99, 100])
+    return {"p50": float(p50), "p99": float(p99), "max": float(top)}
+
+
+def fly_targets(policy: Policy, advance: Callable[[], None]) -> dict[str, Any]:
+    """Fly every test target from rest at every cart start, as fast as it goes."""
+    timed = Timed(policy)
+    daemon = Lockstep(Config(), timed)
+    reached, inside, times_s = [], [], []
+    for goal in TEST_TARGETS:
+        for start_m in CART_STARTS_M:
+            flight = daemon.fly(goal, start_m)
+            reached.append(flight.status.state == "reached" and flight.max_cart_m <= LIMIT_M)
+            inside.append(goal.z_m <= TRAINED_Z_MAX_M)
+            times_s.append(flight.status.time_s)
+            advance()
+    hit, low = np.array(reached), np.array(inside)
+    success = {"in_range": hit[low].mean(), "above": hit[~low].mean(), "all": hit.mean()}
+    return {
+        "success": {name: float(share) for name, share in success.items()},
+        "time_s": float(np.mean(np.array(times_s)[hit])) if hit.any() else None,
+        "planning": timed.figures(),
+    }
+
+
+def fly_paced(policy: Policy, seconds: float, advance: Callable[[], None]) -> dict[str, Any]:
+    """A tick every thirtieth of a second; every other goal is replaced in mid-swing, the next flown to its end.
+
+    Counts the latter. Raises RuntimeError when the daemon has stopped the arm.
+    """
+    timed, draws = Timed(policy), random.Random(0)
+    daemon = Lockstep(Config(), timed)
+    outputs = daemon.arm()
+    goals = [goal for goal in TEST_TARGETS if goal.z_m <= EASY_Z_MAX_M]
+    reached: list[bool] = []
+    patience: int | None = None  # ticks until the goal under way is replaced; None: it is flown to its end
+    deadline = time.perf_counter()
+    for _ in range(round(seconds / PERIOD_S)):
+        deadline += PERIOD_S
+        time.sleep(max(0.0, deadline - time.perf_counter()))
+        if outputs.goal.state == "running" and patience != 0:
+            outputs = daemon.tick()
+            patience = None if patience is None else patience - 1
+        else:
+            patience = draws.randint(*PATIENCE_TICKS) if patience is None else None
+            outputs = daemon.tick(daemon.request("goal", draws.choice(goals)))
+        if outputs.mode is not Mode.ARMED:
+            raise RuntimeError(f"the daemon stopped the arm: {outputs.last_stop}")
+        if patience is None and outputs.goal.state != "running":
+            reached.append(outputs.goal.state == "reached")
+        advance()
+    return {"reached": sum(reached), "goals": len(reached), "planning": timed.figures()}
+
+
+@click.command()
+@click.option("--policy", "name", default="mppi", show_default=True, help="Name, as `softarm policy list` shows it.")
+@click.option("--seconds", default=60.0, show_default=True, type=click.FloatRange(5.0), help="Of the paced part.")
+@click.option("--json", "json_file", type=click.Path(path_type=Path), help="Write all figures to this file.")
+def main(name: str, seconds: float, json_file: Path | None) -> None:
+    """Print success and planning times."""
+    console = Console()
+    try:
+        policy = registry.load(name)
+    except PolicyError as error:
+        raise click.ClickException(str(error)) from None
+    with Progress(console=console, transient=True) as progress:
+        task = progress.add_task(name, total=FLIGHTS + round(seconds / PERIOD_S))
+        targets = fly_targets(policy, lambda: progress.advance(task))
+        paced = fly_paced(policy, seconds, lambda: progress.advance(task))
+    success = targets["success"]
+    console.print(
+        f"{name}, 54 targets x 3 cart starts: z <= 0.70 m {100 * success['in_range']:.1f} %, "
+        f"above {100 * success['above']:.1f} %, all {100 * success['all']:.1f} %; {targets['time_s']:.2f} s on average"
+    )
+    console.print(f"new goals in mid-swing, paced: {paced['reached']} of {paced['goals']} reached")
+    table = Table("planning, p50 / p99 / max (ms)", "wall", "processor", "steps", "cut short", title=name)
+    for label, figures in (("54 targets", targets["planning"]), ("paced", paced["planning"])):
+        spreads = (figures[key] for key in ("wall_ms", "processor_ms"))
+        cells = [" / ".join(f"{spread[key]:.1f}" for key in ("p50", "p99", "max")) for spread in spreads]
+        table.add_row(label, *cells, str(figures["steps"]), str(figures["cut_short"]))
+    console.print(table)
+    if json_file is not None:
+        json_file.write_text(json.dumps({"policy": name, "targets": targets, "paced": paced}, indent=1) + "\n")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,133 @@
+"""What a policy cannot see: joint angles and rates, from the tip, the cart and the commands that were sent.
+
+A cubature Kalman filter (Arasaratnam and Haykin, IEEE Transactions on Automatic Control 54, 2009): the model is flown
+from 2 d points around the estimate, side by side in one batch, and the measurement corrects their mean.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from policies.mppi.shape import likely_joints, tip_from_cart_m
+from schemas.model import Model
+
+Array = NDArray[np.float64]
+
+PHYSICS_HZ = 240.0
+# Of an observation: cart y, tip y and z, pressure. Its velocities are differences of these.
+_MEASURED = [0, 2, 3, 7]
+# Standard deviations. Of the first guess:
+START_ANGLE_RAD, START_RATE_RAD_S = 0.05, 0.6
+START_CART_M, START_CART_M_S, START_PRESSURE_KPA = 1e-3, 0.05, 0.1
+# Of what the model does not know of a tick of motion:
+DRIFT_ANGLE_RAD, DRIFT_RATE_RAD_S = 2e-3, 0.15
+DRIFT_CART_M, DRIFT_CART_M_S, DRIFT_PRESSURE_KPA = 5e-4, 0.02, 0.1
+# Of a measurement:
+SEEN_M, SEEN_KPA = 1e-3, 0.1
+
+
+class Estimator:
+    """State [2 n + 3]: cart y, joint angles, cart velocity, joint rates, pressure; its mean and covariance.
+
+    `simulator` flies the estimate itself as robot 0 and the points around it as the others; commands under way are
+    the same for all.
+    """
+
+    def __init__(self, model: Model, period_s: float) -> None:
+        from simulator.simulator import Simulator  # numba, which only those who fly this policy need
+
+        self._arm = model.arm
+        n = model.arm.links
+        self._links, self._period_s = n, period_s
+        self.size = 2 * n + 3
+        self.simulator = Simulator(model, robots=2 * self.size + 1, physics_rate_hz=PHYSICS_HZ)
+        self._drift = self._variances(
+            DRIFT_CART_M, DRIFT_ANGLE_RAD, DRIFT_CART_M_S, DRIFT_RATE_RAD_S, DRIFT_PRESSURE_KPA
+        )
+        self._noise = np.diag(np.square([SEEN_M, SEEN_M, SEEN_M, SEEN_KPA]))
+        self.mean: Array = np.zeros(self.size)
+        self._covariance: Array = np.eye(self.size)
+        self._seen: Array = np.full(4, np.nan)
+
+    def begin(self, observation: Array) -> None:
+        """Guess from one observation [8] alone."""
+        cart, cart_velocity, *_, command, pressure = observation
+        hinge = np.array((cart, self._arm.base_height_m))
+        angles, rates = likely_joints(
+            self._arm, observation[2:4] - hinge, observation[4:6] - (cart_velocity, 0.0), pressure
+        )
+        self.mean = np.array([cart, *angles, cart_velocity, *rates, pressure])
+        self._covariance = self._variances(
+            START_CART_M, START_ANGLE_RAD, START_CART_M_S, START_RATE_RAD_S, START_PRESSURE_KPA
+        )
+        self._seen = np.full(4, np.nan)
+        self.simulator.reset(pressure_kpa=pressure)
+        # The robot is put elsewhere at once; what stays of this step is the last command, under way for a tick.
+        self.simulator.step(float(command), float(pressure), self._period_s)
+        self._correct(observation)
+
+    def follow(self, observation: Array, sent_velocity_m_s: float, sent_pressure_kpa: float) -> None:
+        """Fly the model through the tick that passed, under what was sent; correct it by what is seen now, [8]."""
+        self.simulator.step(sent_velocity_m_s, sent_pressure_kpa, self._period_s)
+        simulator, n = self.simulator, self._links
+        flown = np.empty((2 * self.size, self.size))
+        flown[:, 0] = simulator.cart_position_m[1:]
+        flown[:, 1 : n + 1] = simulator.joint_angles_rad[1:]
+        flown[:, n + 1] = simulator.cart_velocity_m_s[1:]
+        flown[:, n + 2 : -1] = np.diff(simulator.link_rates_rad_s[1:], axis=1, prepend=0.0)
+        flown[:, -1] = simulator.pressure_kpa[1:]
+        self.mean = flown.mean(axis=0)
+        away = flown - self.mean
+        self._covariance = away.T @ away / len(flown) + self._drift
+        self._correct(observation)
+
+    def distance_m(self, observation: Array) -> float:
+        """How far the estimate's tip is from the observed one."""
+        return float(np.linalg.norm(self.tip_m() - observation[2:4]))
+
+    def tip_m(self) -> Array:
+        """Where the estimate has the tip: y, z."""
+        return self._look(self.mean)[1:3]
+
+    def _variances(self, cart: float, angle: float, cart_velocity: float, rate: float, pressure: float) -> Array:
+        """A diagonal covariance from standard deviations."""
+        n = self._links
+        return np.diag(np.square([cart, *n * [angle], cart_velocity, *n * [rate], pressure]))
+
+    def _look(self, states: Array) -> Array:
+        """What would be seen of states [..., d]: cart y, tip y, tip z, pressure, [..., 4]."""
+        cart = states[..., 0]
+        tip = tip_from_cart_m(self._arm, states[..., 1 : self._links + 1])
+        return np.stack((cart, cart + tip[..., 0], self._arm.base_height_m + tip[..., 1], states[..., -1]), axis=-1)
+
+    def _correct(self, observation: Array) -> None:
+        """Take in an observation; one whose every number is the last one's is an old frame and says nothing new."""
+        measured = observation[_MEASURED]
+        if not np.array_equal(measured, self._seen):
+            self._seen = measured
+            self._weigh(measured)
+        self._put()
+
+    def _weigh(self, measured: Array) -> None:
+        states = self._points()
+        seen = self._look(states)
+        expected = seen.mean(axis=0)
+        apart, away = seen - expected, states - self.mean
+        innovation = apart.T @ apart / len(states) + self._noise
+        gain = np.linalg.solve(innovation, apart.T @ away / len(states)).T
+        self.mean = self.mean + gain @ (measured - expected)
+        covariance = self._covariance - gain @ innovation @ gain.T
+        self._covariance = 0.5 * (covariance + covariance.T)
+
+    def _points(self) -> Array:
+        """The cubature points [2 d, d]."""
+        root = np.sqrt(self.size) * np.linalg.cholesky(self._covariance + 1e-12 * np.eye(self.size)).T
+        return np.concatenate((self.mean + root, self.mean - root))
+
+    def _put(self) -> None:
+        """Have the batch fly on from the estimate and the points around it."""
+        states = np.concatenate((self.mean[None], self._points()))
+        n = self._links
+        self.simulator.place(
+            states[:, 0], states[:, n + 1], states[:, 1 : n + 1].cumsum(axis=1), states[:, n + 2 : -1].cumsum(axis=1),
+            states[:, -1],
+        )  # fmt: skip

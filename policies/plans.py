@@ -1,0 +1,92 @@
+"""Planned trajectories as a file: made by `softarm plan`, flown by the policy `trajectory`."""
+
+import hashlib
+import zipfile
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from policies.base import MODELS, Array, PolicyError
+
+FORMAT = 1
+RATE_HZ = 30
+_SHAPES = {"target_m": 2, "cart_start_m": 1, "steps": 1, "miss_m": 1, "command": 3, "tip_m": 3}  # dimensions
+
+
+@dataclass(frozen=True, slots=True)
+class Plans:
+    """P plans of up to T control steps at 30 Hz, from straight, vented arms at rest."""
+
+    target_m: Array  # [P, 2], y and z
+    cart_start_m: Array  # [P]
+    steps: NDArray[np.int64]  # [P], N: the tip is nearest to the target after so many
+    miss_m: Array  # [P], how near, in the simulator
+    command: Array  # [P, T, 2], m/s and kPa; of step k = 0 .. N - 1, what follows is no part of the plan
+    tip_m: Array  # [P, T + 1, 2], where that leads, from the start on
+    model: str = "seed"  # what it was planned on
+
+    def save(self, file: Path) -> None:
+        """Write the npz file. Rounded to 0.1 mm/s, 1 Pa and 0.01 mm, it is half as large."""
+        command = np.round(self.command.astype(np.float64), 4)
+        tip = np.round(self.tip_m.astype(np.float64), 5)
+        arrays = {name: getattr(self, name) for name in _SHAPES}
+        arrays |= {"command": command.astype(np.float32), "tip_m": tip.astype(np.float32)}
+        with file.open("wb") as opened:
+            np.savez_compressed(opened, format=FORMAT, rate_hz=RATE_HZ, model=self.model, **arrays)
+
+    @classmethod
+    def load(cls, file: Path) -> Self:
+        """Read and check a file. Raises PolicyError, which says what is wrong and what to do."""
+        again = "make one with `softarm plan --out FILE`"
+        try:
+            with np.load(file, allow_pickle=False) as opened:
+                content = {name: opened[name] for name in opened.files}
+        except FileNotFoundError:
+            raise PolicyError(f"no file {file}; {again}") from None
+        except (OSError, ValueError, EOFError, zipfile.BadZipFile) as error:
+            raise PolicyError(f"{file} is not a file of plans ({error}); {again}") from error
+        if missing := sorted({"format", "rate_hz", "model", *_SHAPES} - content.keys()):
+            raise PolicyError(f"{file} lacks {', '.join(missing)}; {again}")
+        if int(content["format"]) != FORMAT or int(content["rate_hz"]) != RATE_HZ:
+            raise PolicyError(
+                f"{file} has format {content['format']} at {content['rate_hz']} Hz; "
+                f"this version flies format {FORMAT} at {RATE_HZ} Hz: {again}"
+            )
+        plans = cls(
+            **{field.name: content[field.name] for field in fields(cls) if field.name != "model"},
+            model=str(content["model"]),
+        )
+        if wrong := plans._wrong():
+            raise PolicyError(f"{file}: {wrong}; {again}")
+        return plans
+
+    def _wrong(self) -> str | None:
+        """What is wrong with the arrays, if anything."""
+        for name, dimensions in _SHAPES.items():
+            array = getattr(self, name)
+            if array.ndim != dimensions or len(array) != len(self.steps) or not len(array):
+                return f"{name} has shape {list(array.shape)}, which does not fit {len(self.steps)} plans"
+            if array.dtype.kind not in "fiu" or not np.isfinite(array).all():
+                return f"{name} has entries that are not finite numbers"
+        longest = self.command.shape[1]
+        if self.tip_m.shape[1:] != (longest + 1, 2) or self.command.shape[2] != 2 or self.target_m.shape[1] != 2:
+            return f"command {list(self.command.shape)} and tip_m {list(self.tip_m.shape)} do not belong together"
+        if self.steps.min() < 1 or self.steps.max() > longest:
+            return f"steps lie in {self.steps.min()} .. {self.steps.max()}; allowed 1 .. {longest}"
+        return None
+
+
+def find(name: str) -> Path:
+    """The file of a path that ends in .npz, or of a shipped name."""
+    return Path(name) if name.endswith(".npz") else MODELS / f"{name}.npz"
+
+
+def sha256(file: Path) -> str:
+    """Of the file's content, hexadecimal. Raises PolicyError when it cannot be read."""
+    try:
+        return hashlib.sha256(file.read_bytes()).hexdigest()
+    except OSError as error:
+        raise PolicyError(f"cannot read {file}: {error.strerror}; make one with `softarm plan --out FILE`") from error

@@ -1,0 +1,248 @@
+"""Replanning: it reaches, it keeps its time, and it knows where the arm is."""
+
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from benchmarks import commands
+from daemon.offline import Lockstep
+from policies.base import Policy, PolicyError
+from policies.mppi import plans
+from policies.mppi.cost import Cost
+from policies.mppi.estimator import Estimator
+from policies.mppi.policy import Mppi
+from policies.mppi.shape import likely_joints, tip_from_cart_m
+from policies.runner import InlineRunner
+from schemas.config import Config
+from schemas.goals import Goal
+from schemas.model import Model
+from simulator.simulator import Simulator
+
+HANGING = np.array([0, 0, 0, 0.5225, 0, 0, 0, 0], dtype=np.float32)
+TARGET = np.array([-0.3, 0.65], dtype=np.float32)
+
+
+class Clock:
+    """Shows the next of some durations (ms) later at every look, the last one for ever."""
+
+    def __init__(self, *durations_ms: float) -> None:
+        self.now_ns = 0
+        self.durations_ms = list(durations_ms)
+
+    def __call__(self) -> int:
+        step_ms = self.durations_ms.pop(0) if len(self.durations_ms) > 1 else self.durations_ms[0]
+        self.now_ns += round(step_ms * 1e6)
+        return self.now_ns
+
+
+@pytest.fixture(scope="module")
+def flown():
+    """A policy whose clock stands still, so that all rounds are flown on any machine, and its daemon."""
+    policy = Mppi(clock=Clock(0.0))
+    daemon = Lockstep(Config(), policy)
+    daemon.arm()
+    return policy, daemon
+
+
+class TestFlights:
+    @pytest.mark.parametrize(("y", "z", "start"), [(-0.4, 0.55, 0.2), (-0.2, 0.65, 0.0), (-0.3, 0.8, 0.1)])
+    def test_a_target_is_reached_within_the_rail(self, flown, y, z, start):
+        flight = flown[1].fly(Goal("reach", y, z), start)
+        assert flight.status.state == "reached"
+        assert flight.max_cart_m <= 0.25
+
+    def test_new_goals_in_mid_swing_are_reached(self, flown):
+        _, daemon = flown
+        daemon.place(0.0)
+        reached = []
+        for goal in (Goal("reach", -0.35, 0.75), Goal("reach", 0.1, 0.6), Goal("reach", -0.25, 0.7)):
+            for _ in range(10):
+                daemon.tick(daemon.request("goal", Goal("reach", -0.4, 0.85)))  # each begins anew, none is reached
+            outputs = daemon.tick(daemon.request("goal", goal))
+            assert max(map(abs, outputs.observed.values[4:6])) > 0.05  # it does swing
+            while outputs.goal.state == "running":
+                outputs = daemon.tick()
+            reached.append(outputs.goal.state)
+        assert reached == ["reached"] * 3
+
+    def test_the_same_flight_comes_out_the_same(self, flown):
+        """A reset forgets everything, and the sampling is seeded."""
+        policy, _ = flown
+        flights = []
+        for _ in range(2):
+            policy.reset()
+            flights.append([policy.step(HANGING, TARGET) for _ in range(5)])
+            policy.step(HANGING + np.float32(0.01), TARGET)
+        np.testing.assert_array_equal(*flights)
+        assert np.ptp(flights[0], axis=0).max() > 0
+
+    def test_a_broken_observation_is_a_fault_and_no_more(self, flown):
+        policy, _ = flown
+        runner = InlineRunner(policy)
+        assert runner.step(HANGING, TARGET).fault is None
+        broken = HANGING.copy()
+        broken[3] = np.nan
+        assert "tip_z is nan" in runner.step(broken, TARGET).fault
+        assert "target_y is nan" in runner.step(HANGING, np.full(2, np.nan, np.float32)).fault
+        assert runner.step(HANGING, TARGET).fault is None
+
+
+class TestBudget:
+    def test_with_time_every_round_is_flown(self):
+        policy = Mppi(rounds=4, rollouts=64, budget_s=0.012, clock=Clock(0.0))
+        policy.step(HANGING, TARGET)
+        assert policy.rounds_flown == 4
+
+    @pytest.mark.parametrize("round_ms", [2.0, 3.0, 5.9])
+    def test_no_round_is_begun_that_would_end_too_late(self, round_ms):
+        clock = Clock(round_ms)
+        policy = Mppi(rounds=100, rollouts=64, budget_s=0.012, clock=clock)
+        for _ in range(3):
+            start_ns = clock.now_ns + round(round_ms * 1e6)  # the step's first look
+            policy.step(HANGING, TARGET)
+            assert policy.rounds_flown > 0
+            assert clock.now_ns - start_ns <= 12_000_000
+
+    def test_without_time_it_flies_the_plan_it_has(self):
+        clock = Clock(0.0)
+        policy = Mppi(rollouts=64, clock=clock)
+        policy.step(HANGING, TARGET)
+        planned = policy.planned()
+        clock.durations_ms = [13.0]
+        for step in (1, 2, 3):
+            np.testing.assert_array_equal(policy.step(HANGING, TARGET), planned[step])
+            assert policy.rounds_flown == 0
+        assert np.ptp(planned, axis=0).max() > 0
+
+    def test_a_hiccup_does_not_end_the_planning(self):
+        clock = Clock(0.1)
+        policy = Mppi(rollouts=64, clock=clock)
+        policy.step(HANGING, TARGET)
+        clock.durations_ms = [0.1, 0.1, 50.0, 0.1]  # the first round takes 50 ms
+        policy.step(HANGING, TARGET)
+        flown = []
+        for _ in range(6):
+            policy.step(HANGING, TARGET)
+            flown.append(policy.rounds_flown)
+        assert flown[0] == 0
+        assert flown[-1] > 0
+
+
+class TestEstimate:
+    @staticmethod
+    def follow(noise_m: float, seed: int) -> tuple[np.ndarray, np.ndarray]:
+        """Errors of tip (m) and link angles (rad), [ticks], of an estimate that begins in mid-swing."""
+        random = np.random.default_rng(seed)
+        velocity, pressure = commands.smooth(1, seed=seed)
+        velocity = 0.3 * velocity[:, 0]
+        robot, estimator = Simulator(physics_rate_hz=1200.0), Estimator(Model(), 1 / 30)
+        before, speeds = np.zeros(3), []
+        tips, angles = [], []
+        for tick in range(80):
+            here = np.array((robot.cart_position_m[0], *robot.tip_m()[0])) + noise_m * random.standard_normal(3)
+            rates = (here - before) * 30
+            before = here
+            seen = np.array([here[0], rates[0], *here[1:], *rates[1:], velocity[tick - 1], robot.pressure_kpa[0]])
+            if tick == 20:
+                estimator.begin(seen)
+            elif tick > 20:
+                estimator.follow(seen, velocity[tick - 1], pressure[tick - 1, 0])
+            if tick >= 20:
+                tips.append(np.linalg.norm(estimator.tip_m() - robot.tip_m()[0]))
+                angles.append(np.abs(estimator.simulator.link_angles_rad[0] - robot.link_angles_rad[0]).max())
+            robot.step(velocity[tick], pressure[tick, 0])
+            speeds.append(np.linalg.norm(robot.tip_velocity_m_s()))
+        assert np.mean(speeds) > 0.1
+        return np.array(tips), np.array(angles)
+
+    @pytest.mark.parametrize("seed", range(3))
+    def test_where_the_model_is_the_robot_it_finds_what_nobody_sees(self, seed):
+        tips, angles = self.follow(0.0, seed)
+        assert tips.max() < 2e-3
+        assert angles[10:].max() < np.radians(0.5)
+
+    @pytest.mark.parametrize("seed", range(3))
+    def test_the_cameras_noise_stays_small(self, seed):
+        tips, angles = self.follow(0.5e-3, seed)
+        assert tips.max() < 3e-3
+        assert angles[10:].max() < np.radians(3.0)
+
+    def test_a_frame_that_is_seen_twice_is_not_believed_twice(self):
+        estimator = Estimator(Model(), 1 / 30)
+        start = HANGING.astype(float)
+        estimator.begin(start)
+        for _ in range(5):
+            estimator.follow(start, 0.0, 10.0)
+        assert estimator.distance_m(start) > 0.01  # the muscle has pulled, whatever the old frame shows
+
+    @pytest.mark.parametrize("pressure", [0.0, 8.0, 20.0])
+    def test_the_guessed_shape_has_the_tip_that_was_seen(self, pressure):
+        arm = Model().arm
+        for angles in np.random.default_rng(3).uniform(-0.4, 0.2, (20, 5)):
+            tip = tip_from_cart_m(arm, angles)
+            guessed, rates = likely_joints(arm, tip, np.array((0.3, 0.1)), pressure)
+            assert np.linalg.norm(tip_from_cart_m(arm, guessed) - tip) < 0.01
+            moved = (tip_from_cart_m(arm, guessed + 1e-4 * rates) - tip_from_cart_m(arm, guessed)) / 1e-4
+            assert moved[0] == pytest.approx(0.3, abs=0.05)
+
+
+class TestPlans:
+    def test_every_command_is_within_the_range(self):
+        random = np.random.default_rng(1)
+        elites = plans.swings(random, 40, 16, 1 / 30)
+        varied = plans.variations(random, elites, 200)
+        for each, count in ((elites, 16), (varied, 200)):
+            assert each.shape == (2, 40, count)
+            assert np.abs(each).max() <= 1.0
+        assert np.unique(varied[:, 20], axis=1).shape[1] > 150
+
+    def test_a_step_later_a_plan_has_lost_its_first_command(self):
+        plan = np.arange(6, dtype=np.float32).reshape(2, 3, 1)
+        np.testing.assert_array_equal(plans.shifted(plan)[:, :, 0], [[1, 2, 2], [4, 5, 5]])
+
+
+class TestCost:
+    @staticmethod
+    def path(tip_y: list[float], cart: float = 0.0, velocity: float = 0.0) -> np.ndarray:
+        steps = [[[cart], [velocity], [y], [0.6]] for y in tip_y]
+        return np.array(steps, dtype=np.float32)
+
+    def cost(self, *arguments, **keywords) -> float:
+        return float(Cost().of(self.path(*arguments, **keywords), np.array([0.0, 0.6], np.float32), 1 / 30)[0])
+
+    def test_nearer_is_better_sooner_is_better_and_arriving_late_beats_missing(self):
+        assert self.cost([0.2, 0.05]) < self.cost([0.2, 0.1])
+        assert self.cost([0.0, 0.2]) < self.cost([0.2, 0.0])
+        assert self.cost([0.2] * 38 + [0.02]) < self.cost([0.041] * 39)
+
+    def test_a_cart_that_cannot_stop_before_the_rails_end_costs(self):
+        assert self.cost([0.0], cart=0.20, velocity=0.9) > 0.2
+        assert self.cost([0.0], cart=0.20, velocity=-0.9) == self.cost([0.0])
+        assert self.cost([0.0], cart=-0.249) > self.cost([0.0])
+
+    def test_a_path_of_nan_is_the_last_choice(self):
+        assert self.cost([0.0, np.nan]) == np.inf
+
+
+class TestPlugin:
+    def test_it_is_a_policy_and_it_is_published(self, flown):
+        assert isinstance(flown[0], Policy)
+        project = tomllib.loads((Path(__file__).parents[2] / "pyproject.toml").read_text(encoding="utf-8"))
+        assert project["project"]["entry-points"]["softarm.policies"]["mppi"] == "policies.mppi.policy:Mppi"
+
+    @pytest.mark.parametrize(
+        ("options", "said"),
+        [({"rollouts": 10}, "rollouts is 10; allowed 64"), ({"budget_s": 0.1}, "budget_s"), ({"model": "sed"}, "seed")],
+    )
+    def test_an_option_that_cannot_be_is_named(self, options, said):
+        with pytest.raises(PolicyError, match=said):
+            Mppi(**options)
+
+    def test_listing_policies_does_not_import_the_simulator(self):
+        program = "import sys, policies.mppi.policy; print(sorted({'numba', 'simulator.simulator'} & set(sys.modules)))"
+        run = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=60, check=False)
+        assert (run.stdout.strip(), run.returncode) == ("[]", 0), run.stderr

@@ -1,0 +1,68 @@
+"""What planners stand on: whole plans in one call, a batch put where one robot is, and points in mid-flight."""
+
+import numpy as np
+import pytest
+
+from benchmarks import commands
+from schemas.model import Arm, Model
+from simulator.simulator import Simulator
+
+STEPS = 12
+
+
+@pytest.mark.parametrize("robots", [5, 40, 70])
+def test_a_plan_flown_in_one_call_is_the_steps_it_consists_of(robots: int) -> None:
+    velocity, pressure = (each[:STEPS] for each in commands.bang_bang(robots, seed=robots))
+    whole, stepped = Simulator(robots=robots), Simulator(robots=robots)
+    path = whole.fly(velocity, pressure)
+    assert path.shape == (STEPS, 4, robots)
+    for step in range(STEPS):
+        stepped.step(velocity[step], pressure[step])
+        seen = (stepped.cart_position_m, stepped.cart_velocity_m_s, *stepped.tip_m().T)
+        np.testing.assert_array_equal(path[step], seen)
+    assert whole.time_s == pytest.approx(stepped.time_s)
+    np.testing.assert_array_equal(whole.tip_m(), stepped.tip_m())
+
+
+@pytest.mark.parametrize("shapes", [((3, 4), (3, 4)), ((3, 5), (2, 5)), ((5,), (5,))])
+def test_plans_of_another_shape_are_refused(shapes) -> None:
+    with pytest.raises(ValueError, match=r"steps, 5"):
+        Simulator(robots=5).fly(np.zeros(shapes[0]), np.zeros(shapes[1]))
+
+
+def test_a_batch_takes_over_one_robot_with_its_commands_under_way() -> None:
+    velocity, pressure = commands.smooth(3, seed=1)
+    few, many = Simulator(robots=3), Simulator(robots=40)
+    for step in range(20):
+        few.step(velocity[step], pressure[step])
+    many.take_over(few, robot=1)
+    for step in range(20, 30):
+        few.step(velocity[step], pressure[step])
+        many.step(velocity[step, 1], pressure[step, 1])
+    np.testing.assert_array_equal(many.tip_m(), np.tile(few.tip_m()[1], (40, 1)))
+    assert not np.array_equal(few.tip_m()[0], few.tip_m()[1])
+
+
+def test_arms_of_another_number_of_links_are_not_taken_over() -> None:
+    shorter = Arm(**{name: value[:4] for name, value in Arm() if isinstance(value, tuple)})
+    with pytest.raises(ValueError, match="4 links"):
+        Simulator().take_over(Simulator(Model(arm=shorter)))
+
+
+def test_robots_put_where_they_are_fly_on_as_if_nobody_had_touched_them() -> None:
+    """The command under way is still obeyed; `reset` would have dropped it."""
+    velocity, pressure = commands.smooth(6, seed=2)
+    touched, left = Simulator(robots=6), Simulator(robots=6)
+    for step in range(20):
+        if step == 10:
+            touched.place(
+                touched.cart_position_m,
+                touched.cart_velocity_m_s,
+                touched.link_angles_rad,
+                touched.link_rates_rad_s,
+                touched.pressure_kpa,
+            )
+        touched.step(velocity[step], pressure[step])
+        left.step(velocity[step], pressure[step])
+    np.testing.assert_array_equal(touched.tip_m(), left.tip_m())
+    assert np.ptp(left.tip_m()[:, 0]) > 0.01

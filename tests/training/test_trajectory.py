@@ -1,0 +1,165 @@
+"""Plans bring the tip onto their targets in the simulator, and the optimiser's slopes are right."""
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from cli.main import main
+from policies.plans import Plans
+from schemas.model import Model, seed_effects
+from training import ceiling
+from training.tasks import ReachTask
+from training.trajectory.guesses import library, nearest, random_knots
+from training.trajectory.optimiser import UNIT, Batch, Optimiser
+from training.trajectory.planner import plan
+from training.trajectory.problem import Problem, interpolation
+from training.trajectory.rollout import VERIFYING_HZ, Rollouts
+
+TARGETS = np.array([[-0.2, 0.6], [-0.3, 0.7], [0.0, 0.8]], dtype=np.float32)
+REACHABLE = np.array([True, True, False])  # (0, 0.8): the rail is too short, whoever swings
+
+
+@pytest.fixture(scope="module")
+def small(monkeymodule):
+    """Fewer first guesses and iterations than shipped: enough for these targets."""
+    monkeymodule.setattr("training.trajectory.optimiser.OUTER", 5)
+    monkeymodule.setattr("training.trajectory.planner.LIBRARY", 512)
+    monkeymodule.setattr("training.trajectory.planner.EACH", 1)
+
+
+@pytest.fixture(scope="module")
+def monkeymodule():
+    with pytest.MonkeyPatch.context() as patch:
+        yield patch
+
+
+@pytest.fixture(scope="module")
+def report(small):
+    return plan(TARGETS, (0.1,), seed=1)
+
+
+def test_reachable_targets_are_hit_and_others_are_said_to_be_missed(report):
+    np.testing.assert_array_equal(np.isfinite(report.reached_s), REACHABLE)
+    np.testing.assert_array_equal(report.planned, REACHABLE)
+    assert (report.plans.miss_m[REACHABLE] < 0.01).all()
+    assert report.plans.miss_m[2] > 0.1  # 12.5 cm for a search without gradients, too
+    assert (report.reached_s[:2] <= (report.plans.steps[:2] + 3) / 30 + 1e-6).all()
+
+
+def test_a_plan_flown_again_goes_where_it_says_whatever_integrates_it(report):
+    plans = report.plans
+    for rate_hz, tolerance_m in ((VERIFYING_HZ, 1e-4), (4800.0, 2e-3)):
+        flown = Rollouts(physics_rate_hz=rate_hz).fly(plans.command.transpose(1, 0, 2), plans.cart_start_m)
+        for k in range(2):
+            n = plans.steps[k]
+            np.testing.assert_allclose(flown.tip_m[: n + 1, k], plans.tip_m[k, : n + 1], atol=tolerance_m)
+            assert np.hypot(*(flown.tip_m[n, k] - TARGETS[k])) < ReachTask().success_radius_m
+
+
+def test_plans_keep_the_limits_with_room_for_the_tracker(report):
+    problem, plans = Problem(), report.plans
+    flown = Rollouts(physics_rate_hz=VERIFYING_HZ).fly(plans.command.transpose(1, 0, 2), plans.cart_start_m)
+    for k, n in enumerate(plans.steps):
+        velocity, pressure = plans.command[k, :n].T
+        assert np.abs(velocity).max() <= problem.velocity_max_m_s + 1e-6
+        assert problem.pressure_min_kpa <= pressure.min() <= pressure.max() <= problem.pressure_max_kpa
+        assert np.abs(flown.state[: n + 1, k, 0]).max() <= ReachTask().rail_limit_m
+    assert np.abs(plans.command[0, :, 0]).max() > 0.05  # it does move
+
+
+def test_same_seed_same_plans(small, monkeypatch):
+    monkeypatch.setattr("training.trajectory.optimiser.OUTER", 2)
+    one, two = (plan(TARGETS[:1], (0.0,), seed=3).plans for _ in range(2))
+    np.testing.assert_array_equal(one.command, two.command)
+    np.testing.assert_array_equal(one.steps, two.steps)
+
+
+def test_a_plan_knows_the_effects_of_its_model(small, report):
+    """On a robot with a longer delay a plan made for it hits; one made for the seed's robot does not."""
+    effects = seed_effects() | {"rail.delay": {"delay": 0.1}}
+    target = TARGETS[1:2]
+    late = plan(target, (0.1,), Model(effects=effects), seed=1).plans
+    usual = report.plans
+    there = Rollouts(Model(effects=effects), physics_rate_hz=VERIFYING_HZ)
+
+    def end_miss_m(plans: Plans, k: int) -> float:
+        flown = there.fly(plans.command.transpose(1, 0, 2), plans.cart_start_m)
+        return float(np.hypot(*(flown.tip_m[plans.steps[k], k] - target[0])))
+
+    assert end_miss_m(usual, 1) > 0.02 > 0.01 > end_miss_m(late, 0)
+
+
+@pytest.fixture(scope="module")
+def optimiser():
+    batch = Batch(TARGETS[:2], np.array([0.1, -0.2], dtype=np.float32), np.array([20, 26]))
+    return Optimiser(Problem(), Rollouts(), batch)
+
+
+def test_the_gradient_is_the_merits_own_slope(optimiser):
+    """Of the objective and of every constraint; a step to either side tells."""
+    knots = random_knots(Problem(), 2, np.random.default_rng(5))[:, : optimiser._knots] / UNIT
+    knots = np.clip(knots, (-0.9, 0.1), (0.9, 1.9)).reshape(2, -1).astype(np.float32)
+    penalty = np.full(2, 50.0, dtype=np.float32)
+    terms = optimiser._terms(knots[None], optimiser._fly(knots[None]))
+    # Both kinds of constraint take part.
+    assert terms.ramp.max() > 0
+    assert terms.rail.max() > 0
+    multipliers = tuple(np.full_like(each[0], 0.3) for each in terms[1:])
+    _, gradient = optimiser._model(knots, penalty, multipliers)
+    step = np.float32(0.01)
+    for unknown in range(0, knots.shape[1], 3):
+        variants = np.repeat(knots[None], 2, axis=0)
+        variants[0, :, unknown] += step
+        variants[1, :, unknown] -= step
+        merit = optimiser._merit(optimiser._terms(variants, optimiser._fly(variants)), penalty, multipliers)
+        slope = (merit[0] - merit[1]) / (2 * step)
+        # One-sided slopes of the robot, central ones of the merit: they differ by a curvature.
+        np.testing.assert_allclose(gradient[:, unknown], slope, rtol=0.08, atol=0.02 * np.abs(gradient).max())
+
+
+def test_interpolation_is_straight_between_knots():
+    matrix = interpolation(8)
+    np.testing.assert_allclose(matrix.sum(axis=1), 1.0, rtol=1e-6)
+    np.testing.assert_allclose(matrix @ np.array([0.0, 3.0, 6.0, 9.0][: matrix.shape[1]]), np.arange(8), rtol=1e-6)
+
+
+def test_first_guesses_pass_near_their_targets_within_the_rail():
+    problem, rollouts = Problem(), Rollouts()
+    swings = library(problem, rollouts, 0.0, 512, np.random.default_rng(0))
+    guesses = nearest(swings, TARGETS[:1], 3)
+    assert guesses.knots.shape == (3, problem.knots, 2)
+    commands = np.einsum("tk,rkc->trc", interpolation(problem.steps_max), guesses.knots)
+    flown = rollouts.fly(commands, np.zeros(3, dtype=np.float32))
+    misses = np.hypot(*(flown.tip_m[guesses.steps, np.arange(3)] - TARGETS[0]).T)
+    at_rest = np.hypot(*(flown.tip_m[0, 0] - TARGETS[0]))
+    assert misses.max() < 0.05 < 0.2 < at_rest
+
+
+def test_a_search_by_trial_agrees_about_what_can_be_reached(monkeypatch):
+    monkeypatch.setattr(ceiling, "ROUNDS", 12)
+    monkeypatch.setattr(ceiling, "POPULATION", 48)
+    monkeypatch.setattr(ceiling, "ELITES", 6)
+    found = ceiling.search(TARGETS, 0.1, seed=1)
+    np.testing.assert_array_equal(np.isfinite(found.reached_s), REACHABLE)
+    assert 0.1 < found.closest_m[2] < 0.2
+
+
+def test_the_verb_plans_shows_and_writes_a_file_that_loads(small, tmp_path):
+    out, told = tmp_path / "deep/mine.npz", tmp_path / "mine.json"
+    arguments = ["plan", "--target", "-0.2", "0.6", "--start", "0", "--out", str(out), "--json", str(told)]
+    result = CliRunner().invoke(main, arguments)
+    assert result.exit_code == 0, result.output
+    plans = Plans.load(out)
+    np.testing.assert_allclose(plans.target_m, [[-0.2, 0.6]], atol=1e-6)
+    assert plans.model == "seed"
+    assert '"reached": true' in told.read_text()
+    assert str(out) in result.output.replace("\n", "")
+
+
+def test_the_verb_says_what_is_wrong():
+    result = CliRunner().invoke(main, ["plan", "--start", "0.3"])
+    assert result.exit_code == 2
+    assert "0.3 is not in the range" in result.output
+    result = CliRunner().invoke(main, ["plan", "--model", "nothing.yaml"])
+    assert result.exit_code == 1
+    assert "nothing.yaml" in result.output

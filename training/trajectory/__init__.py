@@ -1,0 +1,1 @@
+"""Trajectory optimisation: command sequences that swing the tip onto a target ([P] SM-H)."""

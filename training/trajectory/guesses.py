@@ -1,0 +1,74 @@
+"""Where the optimiser begins: a library of smooth random swings, and which of them pass near a target, when.
+
+A swing's timing has many local optima (swing once, twice, to the right first, ...), which no gradient crosses. One
+batch of random swings shows them all; every step of every swing counts as an end of a plan.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from training.trajectory.problem import KNOT_STEPS, Array, Problem, interpolation
+from training.trajectory.rollout import Rollouts
+
+STEPS_MIN = 12  # no target is reached sooner
+RAIL_WORTH = 2.0  # metres of distance from the target that a metre beyond the rail's limit is worth
+
+
+class Guesses(NamedTuple):
+    """Where to begin, one entry a plan."""
+
+    knots: Array  # [P, knots, 2]
+    steps: NDArray[np.int64]  # [P]
+
+
+class Library(NamedTuple):
+    """Swings from one start."""
+
+    knots: Array  # [L, knots, 2]
+    tip_m: Array  # [steps + 1, L, 2]
+    beyond_m: Array  # [steps + 1, L]: how far the cart had been beyond its limit by then
+
+
+def random_knots(problem: Problem, count: int, rng: np.random.Generator) -> Array:
+    """Smooth random commands, [count, knots, 2]: a swing of random pitch and phase, a wandering pressure."""
+    t = np.arange(problem.knots) * KNOT_STEPS / problem.rate_hz
+    frequency, phase = rng.uniform(0.5, 2.2, (count, 1)), rng.uniform(0, 2 * np.pi, (count, 1))
+    size = rng.uniform(0.1, 1.2, (count, 1))
+    growth = 1.0 + rng.uniform(-0.5, 1.0, (count, 1)) * t / t[-1]
+    velocity = size * growth * np.sin(2 * np.pi * frequency * t + phase)
+    velocity += rng.normal(0.0, 0.25, (count, problem.knots)) * rng.uniform(0, 1, (count, 1))
+    middle, swing = rng.uniform(0, 20, (count, 1)), rng.uniform(0, 15, (count, 1))
+    pressure = middle + swing * np.sin(2 * np.pi * frequency * t + rng.uniform(0, 2 * np.pi, (count, 1)))
+    late = t > rng.uniform(0.0, t[-1], (count, 1))
+    pressure = np.where(late, rng.uniform(0, 20, (count, 1)), pressure)
+    knots = np.stack((velocity, pressure), axis=2)
+    low = (-problem.velocity_max_m_s, problem.pressure_min_kpa)
+    high = (problem.velocity_max_m_s, problem.pressure_max_kpa)
+    clipped: Array = np.clip(knots, low, high).astype(np.float32)
+    return clipped
+
+
+def library(problem: Problem, rollouts: Rollouts, cart_start_m: float, count: int, rng: np.random.Generator) -> Library:
+    """Fly random swings from a start."""
+    knots = random_knots(problem, count, rng)
+    commands = np.einsum("tk,lkc->tlc", interpolation(problem.steps_max), knots)
+    motion = rollouts.fly(commands, np.full(count, cart_start_m, dtype=np.float32))
+    position, velocity = motion.state[:, :, 0], motion.state[:, :, 1]
+    reserve = np.abs(position + velocity * np.abs(velocity) / (2 * problem.braking_m_s2))
+    beyond = np.maximum.accumulate(np.maximum(reserve - problem.rail_max_m, 0.0), axis=0)
+    return Library(knots, motion.tip_m, beyond)
+
+
+def nearest(swings: Library, targets_m: Array, each: int) -> Guesses:
+    """For every target [G, 2] the `each` best swings and their best step; plans in the order of the targets."""
+    knots, steps = [], []
+    for target in targets_m:
+        score = np.hypot(*(swings.tip_m - target).transpose(2, 0, 1)) + RAIL_WORTH * swings.beyond_m
+        score[:STEPS_MIN] = np.inf
+        best = score.argmin(axis=0)
+        chosen = np.argsort(score[best, np.arange(len(best))])[:each]
+        knots.append(swings.knots[chosen])
+        steps.append(best[chosen])
+    return Guesses(np.concatenate(knots), np.concatenate(steps))

@@ -1,0 +1,63 @@
+"""The optimisation problem of [P] SM-H: costs, constraints and how a plan is spelt in numbers.
+
+    minimise  sum_k |x^k - x_nominal|^2_Q + sum_k |u^k|^2_R    subject to
+    the robot's dynamics, limits on commands, cart position and cart velocity, and the tip on the target at step N
+
+State x: cart position and velocity, joint angles and their rates. The seed's input is the cart's force and the
+pressure, and it leaves the actuators out. Here the input is what the robot takes, a velocity command and a pressure
+command, and lag, ramp and delay belong to the dynamics. A change of the velocity command over a control step stands
+for the force: F = m dv/dt.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from schemas.config import RailLimits
+
+Array = NDArray[np.float32]
+RAIL_SPARE_M = 0.005  # the plans' distance from where the safety filter begins to brake
+KNOT_STEPS = 3  # control steps between knots; commands run straight between them
+
+
+@dataclass(frozen=True)
+class Problem:
+    """Weights and limits. Defaults: [P] SM-H where it gives a number."""
+
+    steps_max: int = 98  # control steps until the tip is on target; the rest of 100 are for the extended horizon
+    rate_hz: float = 30.0
+    # diag(Q^k), diag(Q^N), of positions (m, rad) and of rates; R is 1 of both inputs.
+    position_weight: float = 10.0
+    rate_weight: float = 1.0
+    final_position_weight: float = 100.0
+    final_rate_weight: float = 10.0
+    force_weight: float = 1.0  # per N^2
+    pressure_weight: float = 1.0  # per (10 kPa)^2, so that both inputs count alike
+    nominal_pressure_kpa: float = 10.0  # the nominal pose is where the arm settles at it: bent to the left
+    # Inside the actuators' range, so that the tracking controller has room ("conservative constraints").
+    velocity_max_m_s: float = 0.95
+    pressure_min_kpa: float = 0.0
+    pressure_max_kpa: float = 19.5
+    acceleration_max_m_s2: float = 6.0  # of the velocity command: the drive's own ramp
+    moved_mass_kg: float = 0.52  # cart and arm
+    # The cart must be able to brake before this, as the safety filter reckons (RailLimits).
+    rail_max_m: float = RailLimits().position_max_m - RailLimits().margin_m - RAIL_SPARE_M
+    braking_m_s2: float = RailLimits().braking_m_s2
+
+    @property
+    def knots(self) -> int:
+        """Knots of each command for the longest plan."""
+        return self.knots_for(self.steps_max)
+
+    @staticmethod
+    def knots_for(steps: int) -> int:
+        """Knots that commands of `steps` control steps hang on."""
+        return -(-(steps - 1) // KNOT_STEPS) + 1
+
+
+def interpolation(steps: int) -> Array:
+    """Matrix [steps, knots] from knots to the commands of each control step."""
+    knots = Problem.knots_for(steps)
+    k = np.arange(steps) / KNOT_STEPS
+    return np.maximum(0.0, 1.0 - np.abs(k[:, None] - np.arange(knots))).astype(np.float32)

@@ -1,0 +1,77 @@
+"""Commands in, motion out: many robots at once, from rest, on the batch simulator."""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from schemas.model import Model
+from simulator.simulator import Simulator
+from training.rail_guard import RailGuard
+
+Array = NDArray[np.float32]
+PLANNING_HZ = 240.0  # physics while planning; plans are verified at VERIFYING_HZ
+VERIFYING_HZ = 1200.0
+
+
+class Motion(NamedTuple):
+    """Where robots were at each control step, from the start on."""
+
+    state: Array  # [steps + 1, R, 2 + 2 n]: cart position and velocity, joint angles, joint rates
+    tip_m: Array  # [steps + 1, R, 2]
+    sent: Array  # [steps, R, 2]: the commands, after the guard if there is one
+
+
+class Rollouts:
+    """Simulators by batch size, kept: making one costs more than a step."""
+
+    def __init__(self, model: Model | None = None, rate_hz: float = 30.0, physics_rate_hz: float = PLANNING_HZ) -> None:
+        self.model = model or Model()
+        self._rate_hz = rate_hz
+        self._physics_rate_hz = physics_rate_hz
+        self._simulators: dict[int, Simulator] = {}
+
+    def fly(self, commands: Array, cart_start_m: Array, guarded: bool = False) -> Motion:
+        """Fly commands [steps, R, 2] (m/s, kPa) from straight, vented arms at rest, carts at [R].
+
+        guarded: the velocity passes the daemon's braking clamp on its way.
+        """
+        steps, robots = commands.shape[:2]
+        if robots not in self._simulators:
+            self._simulators[robots] = Simulator(self.model, robots=robots, physics_rate_hz=self._physics_rate_hz)
+        simulator = self._simulators[robots]
+        simulator.reset(cart_position_m=cart_start_m)
+        guard = RailGuard(robots, 1.0 / self._rate_hz) if guarded else None
+        n = simulator.links
+        state = np.empty((steps + 1, robots, 2 + 2 * n), dtype=np.float32)
+        tip = np.empty((steps + 1, robots, 2), dtype=np.float32)
+        sent = commands.copy()
+        for k in range(steps + 1):
+            _look(simulator, state[k], tip[k])
+            if k == steps:
+                break
+            if guard is not None:
+                sent[k, :, 0] = guard.apply(sent[k, :, 0], state[k, :, 0], state[k, :, 1])
+            simulator.step(sent[k, :, 0], sent[k, :, 1], 1.0 / self._rate_hz)
+        return Motion(state, tip, sent)
+
+    def settled_pose(self, pressure_kpa: float) -> Array:
+        """The state [2 + 2 n] of an arm that hangs at rest at a pressure, its cart in the middle."""
+        simulator = Simulator(self.model, fixed_base=True)
+        simulator.step(0.0, pressure_kpa, 10.0)
+        state, tip = np.empty((1, 2 + 2 * simulator.links), dtype=np.float32), np.empty((1, 2), dtype=np.float32)
+        _look(simulator, state, tip)
+        state[0, 2 + simulator.links :] = 0.0
+        pose: Array = state[0]
+        return pose
+
+
+def _look(simulator: Simulator, state: Array, tip: Array) -> None:
+    n = simulator.links
+    state[:, 0] = simulator.cart_position_m
+    state[:, 1] = simulator.cart_velocity_m_s
+    state[:, 2 : 2 + n] = simulator.joint_angles_rad
+    rates = simulator.link_rates_rad_s
+    state[:, 2 + n] = rates[:, 0]
+    state[:, 3 + n :] = np.diff(rates, axis=1)
+    tip[:] = simulator.tip_m()
