@@ -179,7 +179,8 @@ class ArmStage(Stage):
             )  # fmt: skip
         if not any(body.name == "payload" for body in spec.bodies):
             load = link.add_body(name="payload", pos=(0.0, 0.0, -length))
-            load.mass, load.inertia, load.explicitinertial = 1e-9, (1e-9, 1e-9, 1e-9), True
+            load.explicitinertial, load.mass, load.inertia = True, 1e-9, (1e-9, 1e-9, 1e-9)
+            load.ipos = (0.0, 0.0, 0.0)  # otherwise the body's own place, a second time
         return spec
 
     def _build(self, parameters: Any, spec: Any) -> Any:

@@ -20,7 +20,7 @@ from diagnosis.gap.result import Diagnosis
 from diagnosis.gap.robot_views import robot_views
 from diagnosis.gap.search import Choice, Member, Search, Tell
 from diagnosis.gap.view import Array, Point
-from diagnosis.shrink import interval
+from diagnosis.shrink import interval, widened
 from diagnosis.trials import Trial, TrialError
 from schemas.model import Model
 from schemas.verdict import Estimate, Gap, Interval, NamedEffect, NextExperiment, Quantity, Shrink, Verdict, Where
@@ -218,7 +218,9 @@ class Robot:
         for c in counted:
             if c.stage not in before and (c.named or c.stage in ("clock", "observation")):
                 rest = c.after if c.named else c.before
-                before[c.stage], floor[c.stage] = (Quantity(value=round(x, 9), unit=c.unit) for x in (c.before, c.floor))
+                before[c.stage], floor[c.stage] = (
+                    Quantity(value=round(x, 9), unit=c.unit) for x in (c.before, c.floor)
+                )
                 after[c.stage] = ceiling[c.stage] = Quantity(value=round(rest, 9), unit=c.unit)
         tips = tip_gap(self.flight, self.model, [{}, point])
         if np.isfinite(tips).any():
@@ -319,5 +321,5 @@ def _count_effect(count: Count) -> NamedEffect:
     estimate = Estimate(value=count.value, low=count.low, high=count.high, unit=count.unit)
     parameters = {count.parameter: estimate} if count.parameter else {}
     spread = (count.high - count.low) / max(2 * abs(count.value - count.nominal), 1e-12) if count.parameter else 0.1
-    stage = _interval(count.shrink, count.shrink - spread, min(1.0, count.shrink + spread))
+    stage = _interval(count.shrink, *widened(count.shrink, count.shrink - spread, count.shrink + spread))
     return NamedEffect(name=count.name, parameters=parameters, confidence=COUNT_CONFIDENCE, shrink=Shrink(stage=stage))

@@ -122,7 +122,7 @@ class Plant:
 
 
 def _mjcf(parameters: Parameters, chain: Chain, motor_kg: float) -> str:
-    """The robot as MJCF; its x is our y."""
+    """The robot as MJCF; its x is our y. To MuJoCo's air a body is a box as large as its inertia: the cart has none."""
     arm, cart, gravity = parameters.arm, parameters.cart, parameters.body.gravity_m_s2
     lean, down = gravity * math.sin(arm.tilt_rad), -gravity * math.cos(arm.tilt_rad)
     body = f'<body name="payload" pos="0 0 {-chain.length_m[-1]}">{_point(arm.payload_kg)}</body>'
@@ -142,7 +142,7 @@ def _mjcf(parameters: Parameters, chain: Chain, motor_kg: float) -> str:
         f'integrator="implicitfast" density="{arm.air_kg_m3}"><flag contact="disable" autoreset="disable"/></option>'
         f'<worldbody><body><joint type="slide" axis="1 0 0" limited="true" range="{-cart.travel_m} {cart.travel_m}" '
         'solreflimit="0.004 1" solreffriction="0.002 1"/>'
-        f'<inertial pos="0 0 0" mass="{cart.mass_kg - motor_kg}" diaginertia="1 1 1"/>'
+        f'<inertial pos="0 0 0" mass="{cart.mass_kg - motor_kg}" diaginertia="1e-6 1e-6 1e-6"/>'
         f"{body}</body></worldbody></mujoco>"
     )
 

@@ -36,8 +36,8 @@ def run(
     """Answer every case of `data` into `file` (JSON), freeze it and return its SHA-256.
 
     An answer that the same version of the tool has given to the same data is kept, also when the run was stopped.
-    trials: only so many of each case are shown, the first by name. How long each took is in `file` + `.timing.json`, which is not frozen. Raises SealError for a folder without
-    cases or for an unknown method.
+    trials: only so many of each case are shown, the first by name. How long each took is in `file` + `.timing.json`,
+    which is not frozen. Raises SealError for a folder without cases or for an unknown method.
     """
     if method not in methods.METHODS:
         raise seal.SealError(f"method {method!r} is unknown; there are {', '.join(methods.METHODS)}")

@@ -25,6 +25,7 @@ class Dial:
     size: float  # of a usual change, u
     neutral: float  # u at which the effect is absent
     inverse: bool = False
+    news: float = 0.0  # a smaller change, u, is none that anybody would call a gap
 
     def value(self, u: float) -> float:
         """In the registry's unit, within the bounds."""
@@ -90,6 +91,27 @@ _RELATIVE = {
     "pressure.lag.deflate": 0.10,
     "rail.acceleration_limit.acceleration": 0.08,
 }
+# Smallest change that is news, where it is not twice the box: what well-kept robots of one kind differ by.
+_NEWS = {
+    "pressure.deadband.width": 0.4,
+    "pressure.gain.offset": 0.3,
+    "pressure.sensor_bias.bias": 0.3,
+    "rail.lag.time": 0.012,
+    "rail.coulomb_friction.force": 0.5,
+    "rail.backlash.gap": 0.001,
+    "arm.stiffness.scale": 0.08,
+    "arm.damping.scale": 0.30,
+    "arm.muscle_gain.scale": 0.07,
+    "arm.torque_offset.scale": 0.4,
+    "arm.coulomb_friction.torque": 0.003,
+    "arm.stiffening.cubic": 0.4,
+    "arm.hysteresis.strength": 0.12,
+    "arm.payload.mass": 0.007,
+    "arm.tilt.angle": 0.008,
+    "arm.drag.coefficient": 0.003,
+    "arm.creep.strength": 0.08,
+}
+_NEWS_SHARE = 0.1  # of a usual change, where neither a box nor a line above says more
 # Of single joints, for ArmView.joint_directions: shares of the joint's own value, the offset's of the largest joint's.
 JOINT_SHARES = {
     "stiffness_nm_rad": 0.05,
@@ -137,15 +159,21 @@ def _forms(name: str, model: Model) -> Iterator[Candidate]:
 
 
 def _dial(name: str, p: Parameter, model: Model) -> Dial:
-    inverse = math.isinf(p.neutral)
-    nominal = value(model, name, p.name)
-    if inverse:
+    path, nominal = f"{name}.{p.name}", value(model, name, p.name)
+    if math.isinf(p.neutral):
         u = 0.0 if math.isinf(nominal) else 1 / nominal
-        return Dial(
-            f"{name}.{p.name}", p.unit, u, 0.0, (1 - 1e-9) / p.low, abs(1 / p.exemplar - u) or 1 / p.exemplar, 0.0, True
-        )
+        size = abs(1 / p.exemplar - u) or 1 / p.exemplar
+        return Dial(path, p.unit, u, 0.0, (1 - 1e-9) / p.low, size, 0.0, True, _news(path, u, size))
     size = p.exemplar if p.default is not None else abs(p.exemplar - p.neutral)
-    return Dial(f"{name}.{p.name}", p.unit, nominal, p.low, p.high, size, p.neutral)
+    return Dial(path, p.unit, nominal, p.low, p.high, size, p.neutral, news=_news(path, nominal, size))
+
+
+def _news(path: str, nominal: float, size: float) -> float:
+    if path in _NEWS:
+        return _NEWS[path]
+    if path in _RELATIVE and nominal:
+        return 2 * _RELATIVE[path] * abs(nominal)
+    return 2 * _ABSOLUTE[path] if path in _ABSOLUTE else _NEWS_SHARE * size
 
 
 def starts(dials: tuple[Dial, ...], parameters: tuple[Parameter, ...]) -> Iterator[tuple[float, ...]]:

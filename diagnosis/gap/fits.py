@@ -36,6 +36,7 @@ class Fit:
     loss: float  # weighted squares of the whitened residual
     held_out: Array  # [B] the same, by block, each from a fit without the block's fold
     folds: Array  # [F, p] coordinates from a fit without each fold
+    halves: Array  # [2, p] coordinates from every trial's first half alone, and from the second
     low: Array  # [p] 95 % interval of the dials, from the scatter of the blocks
     high: Array
 
@@ -66,6 +67,22 @@ class Fit:
         error = np.sqrt((len(values) - 1) / len(values) * np.sum((values - values.mean()) ** 2))
         return float(
             error / max(abs(self.u[i][j] - self.effects[i].dials[j].nominal), 1e-9 * self.effects[i].dials[j].size)
+        )
+
+    def drift(self, i: int) -> float:
+        """How far an effect's strength differs between the trials' halves, over the change: one that grows or fades."""
+        at = sum(len(each.dials) for each in self.effects[:i])
+        change = [abs(x - d.nominal) / d.size for d, x in zip(self.effects[i].dials, self.u[i], strict=True)]
+        j = int(np.argmax(change))
+        early, late = self.halves[:, at + j]
+        return float(abs(late - early) / max(change[j] * self.effects[i].dials[j].size, 1e-12))
+
+    @property
+    def is_news(self) -> bool:
+        """Whether every effect is off its nominal value by more than well-kept robots are."""
+        return all(
+            any(abs(x - d.nominal) >= d.news for d, x in zip(each.dials, us, strict=True))
+            for each, us in zip(self.effects, self.u, strict=True)
         )
 
     @property
@@ -225,9 +242,31 @@ class Problem:
             y = box.solve(others[0], -others[1], low, high)
             folds.append(x + y[: len(x)])
             held_out[out] = squares[out] + 2 * slope[out] @ y + np.einsum("i,bij,j->b", y, normal[out], y)
+        late = self._late()
+        halves = []
+        for part in (~late, late):
+            y = box.solve(normal[part].sum(axis=0), -slope[part].sum(axis=0), low, high)
+            halves.append(x + y[: len(x)])
         lows, highs = _spread(normal, slope, best, low, high, len(x))
         nuisance = best[len(x) :]
-        return Fit(effects, _split(effects, x), nuisance, loss, held_out, np.array(folds), x + lows, x + highs)
+        return Fit(
+            effects,
+            _split(effects, x),
+            nuisance,
+            loss,
+            held_out,
+            np.array(folds),
+            np.array(halves),
+            x + lows,
+            x + highs,
+        )
+
+    def _late(self) -> NDArray[np.bool_]:
+        """Which blocks are in the second half of their trial, [B]."""
+        last: dict[int, int] = {}
+        for trial, number in self.blocks:
+            last[trial] = max(last.get(trial, 0), number)
+        return np.array([2 * number > last[trial] for trial, number in self.blocks])
 
     def _by_block(self, p: int, jacobians: list[Rows], bases: list[Moments]) -> tuple[Array, Array, Array]:
         """Normal matrices [B, p + q, p + q], slopes [B, p + q] and squares [B] of the blocks."""

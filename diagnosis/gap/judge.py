@@ -15,9 +15,10 @@ UNKNOWN_MIN = 0.5  # energy beyond the floor that asks for an explanation
 # Of what is left beyond the floor at least this much counts as explainable: what changes at random from tick to tick
 # no model finds, and it is not the floor's noise either.
 RANDOM_SHARE = 0.5
-# A strength that differs more than this from excitation to excitation is another law's: a part for any effect, and
-# one for chance over the root of the energy that the effect explains.
-SCATTER, SCATTER_CHANCE = 0.06, 0.10
+# Where something is left, a strength that differs more than this from excitation to excitation is another law's: a
+# part for any effect, and one for chance over the root of the energy that the effect explains.
+# The same between the trials' halves: a strength that grows or fades is no constant effect's.
+SCATTER, DRIFT, CHANCE = 0.06, 0.12, 0.10
 
 Kind = Literal["named", "incomplete", "unknown", "none"]
 
@@ -50,11 +51,14 @@ def rule(choice: Choice, flexible: Mapping[str, float]) -> Ruling:
 
 
 def _stands(member: Member, choice: Choice, left: Mapping[str, float]) -> bool:
-    """Whether an effect explains what there is to explain where it shows, with one strength for all excitations."""
+    """Whether an effect explains what there is to explain where it shows, with one strength if it leaves anything."""
     stage, energy = max(member.gain.energies.items(), key=lambda each: each[1])
-    scatter = choice.chosen.scatter(choice.chosen.names.index(member.candidate.name))
-    steady = scatter <= SCATTER + SCATTER_CHANCE / max(energy, 1e-6) ** 0.5
-    return steady and energy > STANDS * (energy + left.get(stage, 0.0))
+    i = choice.chosen.names.index(member.candidate.name)
+    scatter, drift = choice.chosen.scatter(i), choice.chosen.drift(i)
+    chance = CHANCE / max(energy, 1e-6) ** 0.5
+    steady = scatter <= SCATTER + chance and drift <= DRIFT + chance
+    whole = choice.energies[1][stage] <= 1.0
+    return (whole or steady) and energy > STANDS * (energy + left.get(stage, 0.0))
 
 
 def stage_shares(ruling: Ruling, counted: Mapping[str, float]) -> dict[str, float]:

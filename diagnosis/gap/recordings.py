@@ -50,6 +50,7 @@ class Flight:
     axis_true: Mask  # [K] whether the way is the axis's own read-back, else it is mocap's
     push_n: Array  # [T, K] the arm's force on the cart, from its measured motion and the model's masses
     tip_m_s2: Array  # [T, K] the tip's acceleration along the rail
+    air_m2_s2: Array  # [T, K] the links' speed times velocity along the rail, summed: what quadratic drag works against
     noise_m: float  # of mocap, from frame to frame, beyond what such cameras ordinarily have
     sample: tuple[NDArray[np.int64], NDArray[np.int64]]  # [M] step and trial of every sample, trial after trial
 
@@ -160,7 +161,7 @@ def _poses(trial: Trial, t: Array, model: Model, held: bool, axis: Array) -> dic
     ends = [_sampled(mocap, f"link{i}_{part}", t) for part in ("y", "z") for i in range(1, n + 1)]
     links = np.stack(ends, axis=1) - np.repeat(np.stack((cart_y, cart_z), axis=1), n, axis=1)
     way, axis_true = _way(cart_y, axis, held)
-    push, tip = _push(links, way, model)
+    push, tip, air = _push(links, way, model)
     return {
         "cart_y_m": cart_y,
         "cart_z_m": cart_z,
@@ -170,6 +171,7 @@ def _poses(trial: Trial, t: Array, model: Model, held: bool, axis: Array) -> dic
         "axis_true": np.full(len(t), float(axis_true)),
         "push_n": push,
         "tip_m_s2": tip,
+        "air_m2_s2": air,
     }
 
 
@@ -213,17 +215,23 @@ def _way(cart_y: Array, axis: Array, held: bool) -> tuple[Array, bool]:
     return np.interp(steps + late / STEP_S, steps, seen), False
 
 
-def _push(links: Array, way: Array, model: Model) -> tuple[Array, Array]:
-    """The arm's force on the cart along the rail (N) and the tip's acceleration, from its motion; zero if unseen."""
-    n = model.arm.links
-    y = links[:, :n]
-    if not np.isfinite(y).any():
-        return np.zeros(len(way)), np.zeros(len(way))
-    ends = np.stack([_smooth(column, ARM_CUTOFF_HZ) for column in y.T], axis=1) + _smooth(way, ARM_CUTOFF_HZ)[:, None]
-    starts = np.concatenate((_smooth(way, ARM_CUTOFF_HZ)[:, None], ends[:, :-1]), axis=1)
-    accelerations = np.gradient(np.gradient((starts + ends) / 2, STEP_S, axis=0), STEP_S, axis=0)
-    tip = np.gradient(np.gradient(ends[:, -1], STEP_S), STEP_S)
-    return -accelerations @ np.asarray(model.arm.link_mass_kg), tip
+def _push(links: Array, way: Array, model: Model) -> tuple[Array, Array, Array]:
+    """From the arm's motion: its force on the cart along the rail (N), the tip's acceleration, and `Flight.air_m2_s2`.
+
+    Zero where mocap saw nothing.
+    """
+    n, still = model.arm.links, np.zeros(len(way))
+    if not np.isfinite(links[:, :n]).any():
+        return still, still, still
+    smooth = np.stack([_smooth(column, ARM_CUTOFF_HZ) for column in links.T], axis=1)
+    cart = _smooth(way, ARM_CUTOFF_HZ)[:, None]
+    centres = []
+    for ends, hinge in ((smooth[:, :n] + cart, cart), (smooth[:, n:], 0 * cart)):
+        centres.append((np.concatenate((hinge, ends[:, :-1]), axis=1) + ends) / 2)
+    rates = [np.gradient(each, STEP_S, axis=0) for each in centres]
+    push = -np.gradient(rates[0], STEP_S, axis=0) @ np.asarray(model.arm.link_mass_kg)
+    tip = np.gradient(np.gradient(smooth[:, n - 1] + cart[:, 0], STEP_S), STEP_S)
+    return push, tip, (np.hypot(*rates) * rates[0]).sum(axis=1)
 
 
 def _smooth(values: Array, cutoff_hz: float) -> Array:

@@ -166,7 +166,7 @@ class RailView(RobotView):
     """Command to what the axis reads back, pushed by the arm as it was seen to move."""
 
     stage, unit, _channels, _floor = "rail", "m/s", ("velocity",), FLOOR_M_S
-    acts = parameters(*_stage("rail"), "arm.payload", "arm.tilt") | {ON_MOTOR}
+    acts = parameters(*_stage("rail"), "arm.payload", "arm.tilt", "arm.drag") | {ON_MOTOR}
 
     def _seen(self) -> Array:
         seen = self.flight.axis_m_s.copy()
@@ -191,11 +191,13 @@ class RailView(RobotView):
         return seen.reshape(len(seen), len(points), -1, 1)
 
     def _push(self, points: Sequence[Point]) -> Array:
-        """What pushes the cart besides its drive: the arm, a payload at its tip, its own weight on a tilted rail."""
+        """What pushes the cart besides its drive: the arm with payload and drag, and weight on a tilted rail."""
         f, arm = self.flight, self.model.arm
-        payload, tilt = (self._robots(self._value(points, p)) for p in ("arm.payload.mass", "arm.tilt.angle"))
+        names = ("arm.payload.mass", "arm.tilt.angle", "arm.drag.coefficient")
+        payload, tilt, drag = (self._robots(self._value(points, name)) for name in names)
         weight = (self.model.cart.mass_kg + sum(arm.link_mass_kg) + payload) * arm.gravity_m_s2
-        return self._tiled(f.push_n, points) - payload * self._tiled(f.tip_m_s2, points) - weight * np.sin(tilt)
+        moved = payload * self._tiled(f.tip_m_s2, points) + drag * self._tiled(f.air_m2_s2, points)
+        return self._tiled(f.push_n, points) - moved - weight * np.sin(tilt)
 
 
 class ArmView(RobotView):

@@ -17,10 +17,12 @@ STARTS_KEPT = 1
 PROMISING = 10  # candidates that are fitted to the end
 RESAMPLES = 2000
 GAIN_MIN = 8.0  # what an effect must add, held out: weighted squares, about four per second and view
-# And in one view that it acts on: share of the residual's energy, and energy in units of the floor's. What moves a
-# residual within the floor is no news unless it is most of it.
-SHOWN = ((0.10, 0.30), (0.20, 0.10))
-FURTHER_MIN = 0.06  # and of the energy that the whole gap had there: a correction to another effect's law is no effect
+# And in one view that it acts on: share of the residual's energy, energy in units of the floor's, and the lower end of
+# the gain. What moves a residual within the floor is news only if it is a part of it and beyond all doubt.
+SHOWN = ((0.10, 0.30, 0.0), (0.20, 0.10, 0.0), (0.10, 0.05, 10.0))
+# And beside another effect: of the energy that the whole gap had there, or most of what the other leaves. A
+# correction to another effect's law is no effect.
+FURTHER_MIN, FURTHER_SHARE = 0.06, 0.4
 TIE = 10.0  # what a rival lacks, held out: no more than this is no difference
 RIVAL_SHARE = 0.12  # a rival that lacks no more than this share of the gain may be the cause as well
 Tell = Callable[[str, float], None]
@@ -79,7 +81,7 @@ class Search:
         while True:
             tell(f"which effect: {len(chosen.effects) + 1}", min(0.9, 0.3 * len(chosen.effects)))
             ranked = self.ranked(chosen)
-            good = [(f, g) for f, g in ranked if self.worth(g) and not f.at_bound]
+            good = [(f, g) for f, g in ranked if self.worth(g) and f.is_news and not f.at_bound]
             if not good or len(chosen.effects) == effects_max:
                 break
             further = self.pruned(self.swapped(good[0][0]))
@@ -99,12 +101,12 @@ class Search:
 
     def worth(self, gain: Gain) -> bool:
         """Whether a gain is one: beyond chance, and large enough to matter."""
-        shown = any(
-            gain.shares[s] > share and gain.energies[s] > max(e, FURTHER_MIN * self._first.get(s, 0.0))
-            for s in gain.shares
-            for share, e in SHOWN
-        )
-        return gain.low > 0 and gain.value > GAIN_MIN and shown
+        return gain.low > 0 and gain.value > GAIN_MIN and any(self._shows(gain, stage) for stage in gain.shares)
+
+    def _shows(self, gain: Gain, stage: str) -> bool:
+        share, energy = gain.shares[stage], gain.energies[stage]
+        clearly = any(share > s and energy > e and gain.low > low for s, e, low in SHOWN)
+        return clearly and (share > FURTHER_SHARE or energy > FURTHER_MIN * self._first.get(stage, 0.0))
 
     def extended(self, base: Fit, without: tuple[str, ...] = ()) -> list[Fit]:
         """A set with every further candidate, each from the best of its starts; those without promise only roughly."""
@@ -152,7 +154,7 @@ class Search:
             options = [
                 each for less in self.reduced(fit)
                 for each in self.extended(less, tuple(set(fit.names) - set(less.names)))
-                if not each.at_bound
+                if each.is_news and not each.at_bound
             ]  # fmt: skip
             best = min(options, key=lambda f: float(f.held_out.sum()), default=fit)
             if not self.gain(fit, best).low > 0:
@@ -176,7 +178,7 @@ class Search:
         own = self.gain(less, rival)
         shared = any(own.energies[s] > 0.5 * e > 0.05 for s, e in gain.energies.items())
         close = lack.value < RIVAL_SHARE * gain.value and (lack.low <= 0 or lack.value < TIE)
-        return not rival.at_bound and self.worth(own) and shared and close
+        return rival.is_news and not rival.at_bound and self.worth(own) and shared and close
 
     def gain(self, less: Fit, more: Fit) -> Gain:
         """What `more` has over `less`."""

@@ -1,9 +1,9 @@
 """What may be fitted to a stage of a rig, and what is no news beside it; in the form of `diagnosis.gap.candidates`."""
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
-from diagnosis.gap.candidates import Candidate, Dial, Nuisance, starts
+from diagnosis.gap.candidates import Candidate, Dial, Nuisance
 from diagnosis.rigs.views import RigView
 from simulator.effects import Effect, Parameter
 
@@ -18,6 +18,7 @@ _ABSOLUTE = {
     "damping.scale": 1.0,
 }
 _FLOORS = {"gain.offset": 1.0}
+_SHARES = (0.3, 1.0, 2.5)  # of the usual change: starts
 
 
 def candidates(view: RigView) -> tuple[Candidate, ...]:
@@ -32,7 +33,7 @@ def nuisances(view: RigView) -> tuple[Nuisance, ...]:
 
 def _candidate(view: RigView, effect: Effect) -> Candidate:
     dials = tuple(_dial(view, effect, parameter) for parameter in effect.parameters)
-    return Candidate(effect.name, view.stage, dials, tuple(starts(dials, effect.parameters)))
+    return Candidate(effect.name, view.stage, dials, tuple(_starts(dials, effect.parameters)))
 
 
 def _dial(view: RigView, effect: Effect, p: Parameter) -> Dial:
@@ -43,6 +44,19 @@ def _dial(view: RigView, effect: Effect, p: Parameter) -> Dial:
         return Dial(path, p.unit, u, 0.0, 1 / p.low, abs(1 / p.exemplar - u) or 1 / p.exemplar, 0.0, True)
     size = p.exemplar if p.default is not None else abs(p.exemplar - nominal) or p.exemplar
     return Dial(path, p.unit, nominal, p.low, p.high, size, p.neutral)
+
+
+def _starts(dials: Sequence[Dial], parameters: Sequence[Parameter]) -> Iterator[tuple[float, ...]]:
+    """Changes of several sizes, both ways where the bounds allow; a shape parameter stays as it is."""
+    seen = set()
+    for share in (*_SHARES, *(-s for s in _SHARES)):
+        u = tuple(
+            d.nominal if p.default is not None else min(max(d.nominal + share * d.size, d.low), d.high)
+            for d, p in zip(dials, parameters, strict=True)
+        )
+        if u not in seen and u != tuple(d.nominal for d in dials):
+            seen.add(u)
+            yield u
 
 
 def _nuisances(view: RigView) -> Iterator[Nuisance]:

@@ -3,12 +3,15 @@
 import math
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
+from functools import cache
 from typing import Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from diagnosis.gap.fits import Fit, Problem
+from diagnosis.gap.lens import BLOCK_S, blocks_of
 from diagnosis.gap.problem import Setup
 from diagnosis.gap.result import Diagnosis, Leftover, Overlay, Regime, Rival
 from diagnosis.gap.search import Gain, Member
@@ -27,7 +30,8 @@ Tell = Callable[[str, float], None]
 NOTHING_FLOORS = 2.0  # a gap below this many floors is none
 NAMED_SHARE, INCOMPLETE_SHARE = 0.8, 0.3  # of what any model could explain
 RESAMPLES = 1000
-FOLDS_LEAST = 4
+FOLDS_LEAST, FOLDS_MOST = 4, 6  # of whole trials
+FOLDS = 5  # of blocks
 _CONFIDENCE_NOTE = (
     "the confidences of a table are of its own blocks, drawn anew; no cases of known cause stand behind them"
 )
@@ -93,25 +97,40 @@ def diagnose_table(trials: Sequence[Trial], tell: Tell = lambda text, share: Non
     )
 
 
-def view_of(trials: Sequence[Trial]) -> tuple[RigView, tuple[Trial, ...], tuple[str, ...]]:
-    """A stage's view, its trials in the view's order, and by which of them folds are left out."""
+def view_of(trials: Sequence[Trial]) -> tuple[RigView, tuple[Trial, ...], NDArray[np.int64]]:
+    """A stage's view, its trials in the view's order, and the fold [M] that every sample is left out with."""
     kind = trials[0].stage.kind if trials[0].stage is not None else ""
     if kind == "tracking":
-        return TrackingView(trials), tuple(trials), tuple(t.kind for t in trials)
+        view: RigView = TrackingView(trials)
+        return view, tuple(trials), stretches(view)
     if kind == "pendulum":
-        cut = [(t, w) for t in trials for w in windows(t, WINDOW_S)]
-        folds = [t.name for t, _ in cut]
-        if len(trials) < FOLDS_LEAST:
-            folds = [f"part {FOLDS_LEAST * i // len(cut)}" for i in range(len(cut))]
+        cut = [(k, w) for k, t in enumerate(trials) for w in windows(t, WINDOW_S)]
         shots = tuple(w for _, w in cut)
-        return PendulumView(shots), shots, tuple(folds)
+        view = PendulumView(shots)
+        if len(trials) < FOLDS_LEAST:
+            return view, shots, stretches(view)
+        group = np.array([k * min(FOLDS_MOST, len(trials)) // len(trials) for k, _ in cut])  # neighbours: swings alike
+        return view, shots, group[view.trial]
     raise TrialError(f"{trials[0].source}: a {kind} stage cannot be diagnosed yet; tracking and pendulum can")
 
 
+def stretches(view: RigView) -> NDArray[np.int64]:
+    """[M] folds that leave out every fifth block of each trial.
+
+    Not a kind of excitation a fold: what only the fast end of one sweep shows (an end of the torque) would be
+    extrapolated from the others, and the loss there would say nothing of the rest.
+    """
+    fold = np.empty(len(view.t_s), dtype=np.int64)
+    for (trial, number), a, b in blocks_of(view, BLOCK_S):
+        fold[a:b] = (trial + number) % FOLDS
+    return fold
+
+
 def _stage(trials: Sequence[Trial]) -> Stage:
-    view, ordered, folds = view_of(trials)
-    setup = Setup([view], nuisances(view), folds)
+    view, ordered, fold = view_of(trials)
+    setup = Setup([view], nuisances(view), [t.kind for t in ordered])
     plain, problem = setup.plain(), setup.weighed()
+    problem = replace(problem, fold=np.array([fold[a] for _, a, _ in blocks_of(view, BLOCK_S)]))
     search = Backward(
         Refitted(*(getattr(problem, f.name) for f in fields(Problem))), plain, [view.stage], candidates(view)
     )
@@ -125,8 +144,6 @@ def _stage(trials: Sequence[Trial]) -> Stage:
     alone = tuple((f, search.gain(nothing, f)) for f in search.extended(nothing))
     further = tuple((f, search.gain(chosen, f)) for f in search.extended(chosen)) if chosen.effects else ()
     left = setup.residuals(plain, chosen)[0].astype(float)
-    place = {fold: i for i, fold in enumerate(sorted(set(folds)))}
-    fold = np.array([place[folds[k]] for k in view.trial])
     lowest, leans = ceiling(left, view.features, fold)
     nominal = view.gap([{}])[0].astype(float)
     return Stage(
@@ -196,12 +213,17 @@ def _odds(gain: Gain) -> float:
 
 def _shrink(less: Array, more: Array) -> Interval:
     """Share of the RMS that goes, with its 95 % interval over blocks drawn anew."""
-    draw = np.random.default_rng(0)
-    counts = draw.multinomial(len(less), np.full(len(less), 1 / len(less)), RESAMPLES)
+    counts = _draws(len(less))
     ratios = np.sqrt(np.maximum(counts @ more, 0.0) / np.maximum(counts @ less, 1e-12))
     low, high = np.quantile(1 - ratios, (0.025, 0.975))
     value = 1 - math.sqrt(max(float(more.sum()), 0.0) / max(float(less.sum()), 1e-12))
     return Interval(value=value, low=min(float(low), value), high=max(float(high), value))
+
+
+@cache
+def _draws(blocks: int) -> NDArray[np.int64]:
+    """[RESAMPLES, blocks] how often each block is drawn."""
+    return np.random.default_rng(0).multinomial(blocks, np.full(blocks, 1 / blocks), RESAMPLES)
 
 
 def _explained(stage: Stage) -> float:

@@ -8,66 +8,77 @@ from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from diagnosis.gap import box
 from diagnosis.gap.candidates import Candidate
-from diagnosis.gap.fits import BOUND_SHARE, Fit, Problem, Set, point_of
-from diagnosis.gap.lens import Moments
-from diagnosis.gap.search import Search
+from diagnosis.gap.fits import BOUND_SHARE, Fit, Problem, Set, U, point_of
+from diagnosis.gap.lens import Moments, Rows
+from diagnosis.gap.search import GAIN_MIN, RESAMPLES, RIVAL_SHARE, TIE, Gain, Search
 from diagnosis.gap.view import Array
 
-LOSS_SHARE = 0.01  # an effect that takes less of the loss than this is not even tried further
-POLISH = 6
-STRIDES = (1.0, 0.4, 0.1)
+SHARE_MIN, FLOORS_MIN = 0.10, 0.30  # of the energy that is left without an effect, and in units of the floor's
+MISFIT_SHARE = 0.25  # of the loss that the best leaves: what a rival may lack and still be the cause
+SIZES = (0.3, 1.0, 2.0)  # of usual changes: where all effects at once begin
+ROUNDS, POLISH = 12, 4
+SETTLED = 0.005  # of the loss: who gains less is in the well
+STRIDES = (1.0, 0.3)
 
 
 @dataclass(frozen=True, slots=True)
 class Refitted(Problem):
     """A problem of one view whose held-out losses are simulated: the laws of rigs have kinks, a line misleads there."""
 
-    def _fit(self, effects: Set, x: Array, loss: float, jacobians: list[Array], bases: list[Moments]) -> Fit:
+    def _fit(self, effects: Set, x: Array, loss: float, jacobians: list[Rows], bases: list[Moments]) -> Fit:
         # Named: zero-argument super() does not work in a dataclass with slots.
         fit = Problem._fit(self, effects, x, loss, jacobians, bases)
-        normal, slope, _ = self._by_block(len(x), jacobians, bases)
-        return replace(fit, held_out=self._held_out(effects, x, normal, slope))
+        return replace(fit, held_out=self._held_out(effects, x, fit.folds))
 
-    def _held_out(self, effects: Set, x: Array, normal: Array, slope: Array) -> Array:
-        """By block: its squares after a refit without its fold, a Gauss-Newton step as far as it helps the others."""
-        p, low, high = len(x), *self._box(effects, x)
-        folds = np.unique(self.fold)
-        states = [x]
-        for fold in folds:
-            kept = self.fold != fold
-            step = box.solve(np.ascontiguousarray(normal[kept].sum(axis=0)), -slope[kept].sum(axis=0), low, high)[:p]
-            states += [x + s * step for s in STRIDES] if p else []
-        dials = [tuple(float(v) for v in state) for state in states]
-        moments = self._moments([point_of(effects, _parts(effects, u)) for u in dials])[0]
-        blocks = [self._blocks_of(each) for each in moments]
+    def _held_out(self, effects: Set, x: Array, refits: Array) -> Array:
+        """By block: its squares after a refit without its fold, a Gauss-Newton step as far as it helps the others.
+
+        refits: [F, p] where that step would end.
+        """
+        folds, strides = np.unique(self.fold), STRIDES if len(x) else ()
+        states = [x, *(x + s * (refit - x) for refit in refits for s in strides)]
+        points = [point_of(effects, _parts(effects, [float(v) for v in state])) for state in states]
+        edges, order, gg = self._blocks()
+        blocks = [self._sums(moments, edges, order) for moments in self._moments(points)[0]]
         held_out = np.empty(len(self.blocks))
         for k, fold in enumerate(folds):
             out = self.fold == fold
-            mine = [0, *range(1 + k * len(STRIDES), 1 + (k + 1) * len(STRIDES))] if p else [0]
-            found = [self._loss_of(effects, *blocks[i], ~out) for i in mine]
+            mine = [0, *range(1 + k * len(strides), 1 + (k + 1) * len(strides))]
+            found = [self._loss_of(effects, blocks[i], gg, ~out) for i in mine]
             best = min(range(len(mine)), key=lambda i: found[i][0])
-            rr, gr, gg = blocks[mine[best]]
+            rr, gr = blocks[mine[best]]
             w = found[best][1]
             held_out[out] = rr[out] + 2 * gr[out] @ w + np.einsum("i,bij,j->b", w, gg[out], w)
         return held_out
 
-    def _blocks_of(self, moments: Moments) -> tuple[Array, Array, Array]:
-        """Squares [B], products with the nuisances [B, q] and of these [B, q, q] of the one lens."""
+    def _blocks(self) -> tuple[list[int], list[int], Array]:
+        """Of the one lens: first row and place of every block, and the nuisances' products there [B, q, q]."""
         (lens,) = self.lenses
-        q, place = len(self.nuisance_low), {name: i for i, name in enumerate(self.blocks)}
-        rr, gr, gg = np.zeros(len(place)), np.zeros((len(place), q)), np.zeros((len(place), q, q))
-        for name, part in lens.blocks:
-            b, r, c = place[name], moments.rows[part].astype(float), lens.columns[:, part].astype(float)
-            rr[b] += r @ r
-            gr[b] += c @ r
-            gg[b] += c @ c.T
-        return rr, gr, gg
+        place = {name: i for i, name in enumerate(self.blocks)}
+        edges = [part.start for _, part in lens.blocks]  # they follow one another without gaps
+        order = [place[name] for name, _ in lens.blocks]
+        c = lens.columns.astype(float)
+        gg = np.zeros((len(place), len(c), len(c)))
+        gg[order] = np.moveaxis(np.add.reduceat(c[:, None] * c, edges, axis=2), 2, 0)
+        return edges, order, gg
 
-    def _loss_of(self, effects: Set, rr: Array, gr: Array, gg: Array, kept: Array) -> tuple[float, Array]:
+    def _sums(self, moments: Moments, edges: list[int], order: list[int]) -> tuple[Array, Array]:
+        """Squares [B] of a point's rows, and their products with the nuisances [B, q]."""
+        r, c = moments.rows.astype(float), self.lenses[0].columns
+        rr, gr = np.zeros(len(self.blocks)), np.zeros((len(self.blocks), len(c)))
+        rr[order] = np.add.reduceat(r * r, edges)
+        gr[order] = np.add.reduceat(c * r, edges, axis=1).T
+        return rr, gr
+
+    def _loss_of(
+        self, effects: Set, sums: tuple[Array, Array], gg: Array, kept: NDArray[np.bool_]
+    ) -> tuple[float, Array]:
         """Loss of some blocks, and the nuisances fitted to them."""
+        rr, gr = sums
         normal, slope = gg[kept].sum(axis=0), gr[kept].sum(axis=0)
         w = box.solve(np.ascontiguousarray(normal), -slope, *self.nuisance_box(effects))
         return float(rr[kept].sum() + 2 * w @ slope + w @ normal @ w), w
@@ -76,21 +87,74 @@ class Refitted(Problem):
 class Backward(Search):
     """A search that begins with every effect that takes a share of the loss."""
 
+    def __init__(
+        self, problem: Problem, plain: Problem, stages: Sequence[str], candidates: Sequence[Candidate]
+    ) -> None:
+        """See Search."""
+        super().__init__(problem, plain, stages, candidates)
+        self._reduced: dict[tuple[tuple[str, ...], U], list[Fit]] = {}
+        size = len(problem.blocks)
+        counts = np.random.default_rng(0).multinomial(size, np.full(size, 1 / size), RESAMPLES)
+        self._counts = counts.astype(np.float32)  # drawn once: of hundreds of blocks that takes longer than a fit
+
+    def gain(self, less: Fit, more: Fit) -> Gain:
+        """See Search."""
+        difference = less.held_out - more.held_out
+        before, after = self.energies(less), self.energies(more)
+        shares = {s: 1 - after[s] / before[s] for s in self.stages if before[s] > 1e-9}
+        low, high = np.quantile(self._counts @ difference.astype(np.float32), (0.025, 0.975))
+        gone = {s: before[s] - after[s] for s in shares}
+        return Gain(float(difference.sum()), float(low), float(high), shares, gone)
+
+    def worth(self, gain: Gain) -> bool:
+        """Whether a gain is one: beyond chance, a share of what is left, and above the floor.
+
+        No share of the whole gap is asked for, unlike of the robot: a dead time of one sample is real beside a lag
+        and an end of the torque that make the gap twenty times as large.
+        """
+        shown = any(gain.shares[s] > SHARE_MIN and gain.energies[s] > FLOORS_MIN for s in gain.shares)
+        return gain.low > 0 and gain.value > GAIN_MIN and shown
+
+    def alike(self, less: Fit, rival: Fit, lack: Gain, gain: Gain) -> bool:
+        """Whether a rival may be the cause as well: it lacks little of the gain, and little of what nothing explains.
+
+        No law here is exact. Where that shows far above the noise, a small lack tells of the laws' forms, not of the
+        cause, however sure it is.
+        """
+        rest = float(rival.held_out.sum()) - lack.value
+        close = lack.low <= 0 or lack.value < max(TIE, MISFIT_SHARE * rest)
+        enough = close and lack.value < RIVAL_SHARE * gain.value
+        return enough and not rival.at_bound and self.worth(self.gain(less, rival))
+
+    def extended(self, base: Fit, without: tuple[str, ...] = ()) -> list[Fit]:
+        """A set with every further candidate, each from the best of its starts; all to the end, there are few."""
+        memory = frozenset(base.names)
+        if memory not in self._extended:
+            options = [c for c in self.candidates if c.name not in base.names]
+            self._extended[memory] = self.problem.fit(self._begun(base, options), ROUNDS)
+        return [fit for fit in self._extended[memory] if fit.effects[-1].name not in without]
+
+    def reduced(self, fit: Fit) -> list[Fit]:
+        """A set without each of its effects."""
+        memory = (fit.names, fit.u)
+        if memory not in self._reduced:
+            parts = range(len(fit.effects))
+            sets = [(fit.effects[:i] + fit.effects[i + 1 :], fit.u[:i] + fit.u[i + 1 :]) for i in parts]
+            self._reduced[memory] = self.problem.fit(sets, ROUNDS) if sets else []
+        return self._reduced[memory]
+
     def full(self, nothing: Fit) -> Fit:
-        """Add what lessens the loss most, until nothing does; settle the whole well. No folds here."""
+        """All effects at once, from starts of several sizes; of the wells the deepest. No folds here."""
         quick = Problem(*(getattr(self.problem, f.name) for f in fields(Problem)))
-        ahead, fit = Search(quick, self.plain, self.stages, self.candidates), nothing
-        for _ in self.candidates:
-            best = min(ahead.extended(fit), key=lambda f: f.loss, default=fit)
-            if not best.loss < fit.loss * (1 - LOSS_SHARE):
-                break
-            fit = best
+        begun = [(self.candidates, tuple(_moved(c, size) for c in self.candidates)) for size in SIZES]
+        fit = min(quick.fit(begun, rounds=ROUNDS), key=lambda f: f.loss)
         for _ in range(POLISH):
-            best = quick.fit([(fit.effects, fit.u)])[0]
-            if not best.loss < fit.loss * (1 - LOSS_SHARE / 2):
+            best = quick.fit([(fit.effects, fit.u)], rounds=ROUNDS)[0]
+            settled = not best.loss < fit.loss * (1 - SETTLED)
+            fit = min((fit, best), key=lambda f: f.loss)
+            if settled:
                 break
-            fit = best
-        return self.problem.fit([(fit.effects, fit.u)])[0] if fit.effects else fit
+        return self.problem.fit([(fit.effects, fit.u)], rounds=1)[0] if fit.loss < nothing.loss else nothing
 
     def chosen(self, full: Fit, nothing: Fit) -> Fit:
         """What is left when nothing more can be spared, and nothing stands at a bound."""
@@ -113,6 +177,11 @@ def at_bound(effect: Candidate, u: Sequence[float]) -> bool:
         and min(abs(x - d.nominal), abs(x - d.neutral)) > BOUND_SHARE * d.size
         for d, x in zip(effect.dials, u, strict=True)
     )
+
+
+def _moved(candidate: Candidate, size: float) -> tuple[float, ...]:
+    """Every dial away from its nominal by a share of its usual change, as far as the bounds allow."""
+    return tuple(min(max(d.nominal + size * d.size, d.low), d.high) for d in candidate.dials)
 
 
 def _parts(effects: Set, x: Sequence[float]) -> tuple[tuple[float, ...], ...]:

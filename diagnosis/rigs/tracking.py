@@ -14,7 +14,7 @@ from diagnosis.trials import Series, Trial, TrialError
 
 # What is measured -> its unit; the first that a table has is what follows the command.
 MEASURED = {"position": "rad", "pressure": "kPa", "velocity": "m/s"}
-SUBSTEP_S = 0.007
+SUBSTEP_S = 0.0105
 SKIPPED_S = 0.5  # at the start, where what went before still shows
 SLOPE_TOLERANCE = 0.3  # a velocity further from its position's slope than this share is in another unit
 _NUMBERS = (

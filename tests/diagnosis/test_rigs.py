@@ -1,14 +1,22 @@
 """Views of rigs: their laws against closed forms, their vocabulary against the registry, search on made-up tables."""
 
 import math
+import os
+from dataclasses import fields
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from diagnosis import tables
+from diagnosis.gap.fits import Problem
+from diagnosis.gap.lens import BLOCK_S, blocks_of
+from diagnosis.gap.problem import Setup
+from diagnosis.rigs.candidates import candidates, nuisances
 from diagnosis.rigs.diagnose import diagnose_table, view_of
 from diagnosis.rigs.grid import grid, smallest_step, windows
 from diagnosis.rigs.pendulum import PendulumView
+from diagnosis.rigs.selection import Refitted
 from diagnosis.rigs.tracking import TrackingView, velocity_warnings
 from diagnosis.rigs.vocabulary import effects
 from diagnosis.trials import Series, Stage, Trial, TrialError
@@ -245,3 +253,121 @@ def test_a_servos_dead_zone_and_droop_are_named():
     assert any("servo.deadband" in each for each in named.values())
     assert any("servo.gain" in each for each in named.values())
     assert len(found) == 2
+
+
+def swept(t, seed):
+    """Sines that grow faster up to 3 Hz: what a motor's torque cannot follow."""
+    return 0.12 * np.sin(2 * np.pi * (0.2 * t + 1.4 * t**2 / t[-1]) + seed)
+
+
+def late_servo():
+    """A servo with a dead time, a lag and an end of its torque, under three kinds of command."""
+    draw = np.random.default_rng(4)
+    truth = {"dead_time.delay": 0.033, "lag.time": 0.05, "acceleration_limit.acceleration": 12.0}
+    trials = []
+    for i, kind in enumerate(("sweep", "multisine", "steps")):
+        command = {"sweep": swept(T, i), "multisine": tone(T, i), "steps": 0.1 * np.sign(np.sin(0.8 * T))}[kind]
+        seen = np.nan_to_num(follow(truth, command), nan=0.0)
+        trials.append(servo(command, np.round((seen + 2e-4 * draw.normal(size=len(T))) / 1e-3) * 1e-3, T, kind, kind))
+    return trials
+
+
+def test_lateness_is_split_into_dead_time_lag_and_an_end_of_the_torque():
+    verdict = diagnose_table(late_servo()).verdict
+    found = {e.name.partition(".")[2]: e for e in verdict.effects}
+    assert set(found) == {"dead_time", "lag", "acceleration_limit"}
+    assert all(e.equivalents == () for e in found.values())
+    assert found["dead_time"].parameters["delay"].value == pytest.approx(0.033, abs=0.004)
+    assert found["lag"].parameters["time"].value == pytest.approx(0.05, abs=0.008)
+    assert found["acceleration_limit"].parameters["acceleration"].value == pytest.approx(12.0, rel=0.1)
+
+
+def test_large_swings_of_a_dry_joint_in_air_reject_dry_friction_alone():
+    """The model's viscous friction stands in for dry friction and drag: both are named, and nothing is left of it."""
+    draw = np.random.default_rng(5)
+    trials = []
+    for i, amplitude in enumerate((1.4, 1.0, 0.7, 0.4)):
+        t, angle = swing({"damping": 0.0, "torque": 5e-4, "drag": 0.01}, amplitude, 3.0)
+        trials.append(pendulum(angle[:, 0] + 2e-4 * draw.normal(size=len(t)), t, f"swing {i}"))
+    found = diagnose_table(trials)
+    effects_found = {e.name: e.parameters for e in found.verdict.effects}
+    assert set(effects_found) == {"joint.coulomb_friction", "joint.drag"}
+    assert effects_found["joint.coulomb_friction"]["torque"].value == pytest.approx(5e-4, rel=0.15)
+    assert effects_found["joint.drag"]["coefficient"].value == pytest.approx(0.01, rel=0.15)
+    assert any("nothing is left of the model's viscous friction" in text for text in found.verdict.warnings)
+
+
+def test_every_fold_leaves_out_a_part_of_every_trial():
+    trials = late_servo()
+    view, _, fold = view_of(trials)
+    for k in range(len(trials)):
+        assert len(set(fold[view.trial == k])) >= 3
+    for _, a, b in blocks_of(view, BLOCK_S):
+        assert len(set(fold[a:b])) == 1  # blocks are not cut
+
+
+def test_blocks_are_summed_as_one_by_one_and_held_out_losses_are_no_smaller():
+    view, ordered, _ = view_of(late_servo())
+    problem = Setup([view], nuisances(view), [t.kind for t in ordered]).weighed()
+    refitted = Refitted(*(getattr(problem, f.name) for f in fields(Problem)))
+    (lens,) = refitted.lenses
+    moments = lens.moments([{}])[0]
+    edges, order, gg = refitted._blocks()
+    rr, gr = refitted._sums(moments, edges, order)
+    for i, (_, part) in zip(order, lens.blocks, strict=True):
+        rows, columns = moments.rows[part], lens.columns[:, part]
+        assert rr[i] == pytest.approx(float(rows @ rows), rel=1e-4)
+        np.testing.assert_allclose(gr[i], columns @ rows, rtol=1e-3, atol=1e-3 * np.abs(gr).max())
+        np.testing.assert_allclose(gg[i], columns @ columns.T, rtol=1e-3, atol=1e-3 * np.abs(gg).max())
+    assert rr.sum() > 0
+    lag = next(c for c in candidates(view) if c.name == "servo.lag")
+    (fit,) = refitted.fit([((lag,), (lag.starts[0],))])
+    assert fit.held_out.sum() >= 0.98 * fit.loss  # unseen blocks are not fitted better than seen ones
+
+
+@pytest.fixture(scope="module")
+def data():
+    folder = os.environ.get("SOFTARM_DATA")
+    if folder is None or not Path(folder).is_dir():
+        pytest.skip("SOFTARM_DATA does not name the folder of real data: its rigs are not diagnosed")
+    return Path(folder)
+
+
+def named(stage, data, element=None):
+    trials = tables.read(Path(tables.__file__).parent / "stages" / stage, data)
+    diagnosis = diagnose_table([t for t in trials if element in (None, t.stage.name)])
+    assert diagnosis.verdict.verdict == "named"
+    assert all(e.equivalents == () for e in diagnosis.verdict.effects)
+    return diagnosis, {e.name.partition(".")[2]: e.parameters for e in diagnosis.verdict.effects}
+
+
+def test_a_real_pendulums_small_swings_are_dry_friction_and_not_viscous(data):
+    diagnosis, found = named("pendulum-free.yaml", data)
+    assert set(found) == {"coulomb_friction"}
+    assert 4e-4 < found["coulomb_friction"]["torque"].value < 6e-4
+    viscous = next(r for r in diagnosis.rivals if r.names == ("joint.damping",))
+    assert viscous.alone < 0.5
+    assert viscous.conditional.value < 0.1
+
+
+def test_a_real_pendulums_large_swings_reject_dry_friction_alone(data):
+    diagnosis, found = named("pendulum-single.yaml", data)
+    assert set(found) == {"coulomb_friction", "drag"}
+    assert 4e-4 < found["coulomb_friction"]["torque"].value < 6.5e-4  # the torque of the small swings
+    drag = next(r for r in diagnosis.rivals if r.names == ("joint.drag",))
+    assert drag.conditional.low > 0.2
+    assert any("nothing is left of the model's viscous friction" in text for text in diagnosis.verdict.warnings)
+
+
+def test_a_real_servos_dead_zone_droop_and_delay_are_named(data):
+    _, found = named("so101.yaml", data, "servo3")
+    assert {"deadband", "gain", "dead_time"} <= set(found)
+    assert 0.025 < found["deadband"]["width"].value < 0.045
+    assert 0.015 < found["dead_time"]["delay"].value < 0.035  # far from its bounds
+    assert len(found) > 3  # and neither a delay nor a lag alone
+
+
+def test_a_real_servos_wrong_velocity_is_told_and_not_used(data):
+    trials = tables.read(Path(tables.__file__).parent / "stages" / "so101.yaml", data)
+    (text,) = velocity_warnings(trials)
+    assert text.startswith("servo6: the measured velocity is 2.")
