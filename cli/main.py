@@ -54,6 +54,9 @@ VERBS: dict[str, dict[str, Verb]] = {
         "identify": Verb("cli.identify:identify", "Fit the arm's parameters to recordings.", "diagnosis"),
         "diagnose": Verb("cli.diagnose:diagnose", "Name the effect behind the gap to the simulator.", "diagnosis"),
         "blind": Verb("cli.blind:blind", "Measure the diagnosis on robots with sealed faults.", "mujoco"),
+        "close-gap": Verb(
+            "cli.close_gap:close_gap", "Diagnose, patch the model, retrain, prove it.", "diagnosis,train,mujoco"
+        ),
     },
     "Learn and measure": {
         "train": Verb("cli.train:train", "Train a policy in the simulator.", "train"),

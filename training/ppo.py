@@ -131,12 +131,12 @@ class Ppo:
         self._keep = torch.zeros(environment.robots)
         self._state = network.initial_state(environment.robots)
 
-    def iterate(self) -> Statistics:
-        """Collect one roll-out and learn from it."""
+    def iterate(self, critic_only: bool = False) -> Statistics:
+        """Collect one roll-out and learn from it. critic_only: the value head learns, all else stays as it is."""
         if self.network.observation_normaliser.count == 0:
             self.network.observation_normaliser.update(self._collect()[0].observation)
         rollout, success = self._collect()
-        statistics = self._learn(rollout)
+        statistics = self._learn(rollout, critic_only)
         # After learning: while it learns, the network sees its inputs as it did when it acted.
         self.network.observation_normaliser.update(rollout.observation)
         return statistics._replace(success=success)
@@ -178,8 +178,9 @@ class Ppo:
         _, value, _ = self._infer(seen, torch.ones(len(robots)), (state[0][robots], state[1][robots]))
         return robots, value
 
-    def _learn(self, rollout: Rollout) -> Statistics:
+    def _learn(self, rollout: Rollout, critic_only: bool = False) -> Statistics:
         config, network = self.config, self.network
+        parameters = list(network.value_head.parameters()) if critic_only else self._parameters
         advantage = generalised_advantage(
             rollout.reward, rollout.value, rollout.following, rollout.done, config.gamma, config.gae_lambda
         )
@@ -224,18 +225,19 @@ class Ppo:
                     )
                     share = len(part) / whole
                     kl = kl_divergence(rollout.mean[:, part], old_log_std, mean, network.log_std)
-                    gradients = torch.autograd.grad(loss * share, self._parameters)
+                    gradients = torch.autograd.grad(loss * share, parameters)
                     return gradients, share * torch.stack((kl, value_loss)).detach()
 
                 results = self._pool.map(gradient, micro)
-                for k, parameter in enumerate(self._parameters):
+                for k, parameter in enumerate(parameters):
                     parameter.grad = torch.stack([gradients[k] for gradients, _ in results]).sum(0)
-                torch.nn.utils.clip_grad_norm_(self._parameters, config.gradient_norm)
+                torch.nn.utils.clip_grad_norm_(parameters, config.gradient_norm)
                 self.optimiser.step()
                 figures.append(torch.stack([figure for _, figure in results]).sum(0))
         kl, value_loss = torch.stack(figures).mean(0).tolist()
         used = self.learning_rate
-        self.learning_rate = adapted_rate(used, kl, config)
+        if not critic_only:
+            self.learning_rate = adapted_rate(used, kl, config)
         std = float(network.log_std.detach().exp().mean())
         return Statistics(float(rollout.reward.mean()), math.nan, kl, used, std, value_loss)
 

@@ -1,0 +1,78 @@
+"""How should a policy be trained on when the simulator changes? Recipes side by side, on the validation set.
+
+    python -m benchmarks.retraining patched-model.yaml --std 0.3 --std 0.5 --std 0.85 --frames 1000000
+
+The 54 test targets are not flown: a recipe chosen by them would be no proof.
+"""
+
+import tempfile
+import time
+from dataclasses import replace
+from itertools import product
+from pathlib import Path
+
+import click
+from rich.console import Console
+from rich.progress import Progress
+from rich.table import Table
+
+from policies.base import MODELS
+from simulator import model_file
+from training.checkpoint import CheckpointError
+from training.retrain import Recipe, Retrained, retrain
+
+_DEFAULT = Recipe()
+
+
+def compare(
+    policy: Path, model: Path, recipes: list[Recipe], console: Console
+) -> list[tuple[Recipe, Retrained, float]]:
+    """Every recipe, what it came to and its CPU seconds. Raises CheckpointError and ModelFileError."""
+    robot, found = model_file.load(model), []
+    with Progress(console=console, transient=True) as bar:
+        task = bar.add_task("", total=len(recipes))
+        for number, recipe in enumerate(recipes):
+
+            def tell(text: str, share: float, before: int = number) -> None:
+                bar.update(task, description=text, completed=before + share)
+
+            with tempfile.TemporaryDirectory() as folder:
+                began = time.process_time()
+                result = retrain(policy, robot, model.stem, Path(folder), recipe, tell)
+                found.append((recipe, result, time.process_time() - began))
+    return found
+
+
+@click.command()
+@click.argument("model", type=click.Path(path_type=Path))
+@click.option("--policy", type=click.Path(path_type=Path, dir_okay=False), default=MODELS / "reach.onnx")
+@click.option("--std", multiple=True, type=click.FloatRange(0.01, 2), default=(_DEFAULT.std,), show_default=True)
+@click.option("--rate", multiple=True, type=click.FloatRange(1e-6, 1e-1), default=(_DEFAULT.learning_rate,))
+@click.option("--robots", multiple=True, type=click.IntRange(8), default=(_DEFAULT.robots,), show_default=True)
+@click.option("--frames", type=click.IntRange(1), default=_DEFAULT.frames, show_default=True)
+def main(
+    model: Path, policy: Path, std: tuple[float, ...], rate: tuple[float, ...], robots: tuple[int, ...], frames: int
+) -> None:
+    """Train POLICY on, on MODEL, by every combination of the options; validation before and after."""
+    recipes = [
+        replace(_DEFAULT, std=s, learning_rate=r, robots=n, frames=frames, seconds=float("inf"))
+        for s, r, n in product(std, rate, robots)
+    ]
+    console = Console()
+    try:
+        rows = compare(policy, model, recipes, console)
+    except (CheckpointError, model_file.ModelFileError) as error:
+        raise click.ClickException(str(error)) from None
+    table = Table("std", "rate", "robots", "before", "best", "last", "frames", "wall s", "CPU s")
+    for recipe, result, cpu_s in rows:
+        last = result.curve[-1].validation
+        table.add_row(
+            f"{recipe.std:g}", f"{recipe.learning_rate:g}", str(recipe.robots), f"{result.before:.1%}",
+            f"{result.after:.1%}", "-" if last is None else f"{last:.1%}", str(result.frames),
+            f"{result.seconds:.0f}", f"{cpu_s:.0f}",
+        )  # fmt: skip
+    console.print(table)
+
+
+if __name__ == "__main__":
+    main()

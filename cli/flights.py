@@ -1,0 +1,124 @@
+"""Policies over the 54 test targets on several robots, the daemon's own tick in all of them, a process a core."""
+
+import multiprocessing
+import os
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from daemon.evaluation import CART_STARTS_M, LIMIT_M
+from daemon.offline import Lockstep
+from policies import registry
+from reality.parameters import GROUPS, Parameters
+from schemas.config import Config
+from schemas.config import Policy as ConfiguredPolicy
+from schemas.goals import TEST_TARGETS, TRAINED_Z_MAX_M, Goal
+from schemas.model import Model
+
+Reached = NDArray[np.bool_]  # [targets, starts]
+_PART = 9  # targets that a process takes at once
+
+
+@dataclass(frozen=True)
+class Place:
+    """A robot to fly on: the simulator with a model, or, with `parameters`, the independent robot."""
+
+    key: str  # nominal, patched, held-back
+    title: str
+    model: Model | None = None
+    parameters: Parameters | None = None
+
+
+@dataclass(frozen=True)
+class Shares:
+    """Of the flights, how many reached their target."""
+
+    in_range: float | None  # z <= 0.70 m; None without such targets
+    above: float | None
+    all: float
+
+
+def shares(reached: Reached, targets: Sequence[Goal] = TEST_TARGETS) -> Shares:
+    """Shares by where the targets lie; reached is [targets, starts]."""
+    inside = np.array([goal.z_m <= TRAINED_Z_MAX_M for goal in targets])
+    parts = [float(reached[rows].mean()) if rows.any() else None for rows in (inside, ~inside)]
+    return Shares(parts[0], parts[1], float(reached.mean()))
+
+
+def fly(policy: Path, place: Place, targets: Sequence[Goal] = TEST_TARGETS) -> Reached:
+    """Fly every target from rest at every cart start. Raises PolicyError for a file that is no policy."""
+    config = Config(policies={"flown": ConfiguredPolicy(plugin="onnx", options={"model": str(policy)})})
+    if place.parameters is None:
+        daemon = Lockstep(config, registry.load("flown", config.policies), place.model)
+        flown = [[daemon.fly(goal, start) for start in CART_STARTS_M] for goal in targets]
+        return np.array([[f.status.state == "reached" and f.max_cart_m <= LIMIT_M for f in row] for row in flown])
+    from benchmarks.reality import Flight
+    from reality.robot import Robot
+
+    plugin = registry.load("flown", config.policies)
+    reached = np.zeros((len(targets), len(CART_STARTS_M)), dtype=np.bool_)
+    for i, goal in enumerate(targets):
+        for k, start_m in enumerate(CART_STARTS_M):
+            robot = Robot(place.parameters, TEST_TARGETS.index(goal), cart_position_m=start_m, hanging=True)
+            reached[i, k] = Flight(plugin, robot).reach(goal)
+    return reached
+
+
+def fly_all(
+    policies: Mapping[str, Path],
+    places: Sequence[Place],
+    targets: Sequence[Goal] = TEST_TARGETS,
+    on_flights: Callable[[int], None] = lambda flights: None,
+    processes: int | None = None,
+) -> dict[tuple[str, str], Reached]:
+    """(policy's name, place's key) -> reached, [targets, starts]. on_flights(how many more are done).
+
+    The same figures from any number of processes; none is started for 1. Raises what `fly` raises.
+    """
+    parts = [targets[i : i + _PART] for i in range(0, len(targets), _PART)]
+    jobs = [(name, place, i) for place in places for name in policies for i in range(len(parts))]
+    found: dict[tuple[str, str, int], Reached] = {}
+    count = min(processes or len(os.sched_getaffinity(0)), len(jobs))
+    if count == 1:
+        for name, place, i in jobs:
+            found[name, place.key, i] = fly(policies[name], place, parts[i])
+            on_flights(found[name, place.key, i].size)
+    else:
+        # Not forked: this process has threads of its own by now.
+        with ProcessPoolExecutor(count, multiprocessing.get_context("spawn")) as pool:
+            waiting = {pool.submit(fly, policies[n], place, parts[i]): (n, place.key, i) for n, place, i in jobs}
+            for done in as_completed(waiting):
+                found[waiting[done]] = done.result()
+                on_flights(done.result().size)
+    return {
+        (name, place.key): np.concatenate([found[name, place.key, i] for i in range(len(parts))])
+        for place in places
+        for name in policies
+    }
+
+
+def with_faults(robot: Parameters, faults: Sequence[str]) -> Parameters:
+    """Give the independent robot its faults, `group.quantity=value` each (docs/reality.md lists them).
+
+    Raises ValueError for one that there is none of, or whose value is out of bounds.
+    """
+    for text in faults:
+        key, equals, number = text.partition("=")
+        group, _, name = key.strip().partition(".")
+        part = getattr(robot, group, None) if type(getattr(robot, group, None)) in GROUPS else None
+        known = part.__dataclass_fields__ if part is not None else {}
+        if not equals or part is None or name not in known:
+            groups = [g for g in robot.__dataclass_fields__ if type(getattr(robot, g)) in GROUPS]
+            allowed = ", ".join(known) if part is not None else f"a group of {', '.join(groups)}"
+            raise ValueError(f"--fault {text}: write group.quantity=value, such as regulator.dead_time_s=0.06; "
+                             f"allowed here: {allowed}")  # fmt: skip
+        try:
+            value = int(number) if known[name].type in (int, "int") else float(number)
+        except ValueError:
+            raise ValueError(f"--fault {text}: '{number}' is no number; give one") from None
+        robot = replace(robot, **{group: replace(part, **{name: value})})
+    return robot
