@@ -9,12 +9,13 @@ from cli.options import json_option, model_option
 
 @click.group()
 def bench() -> None:
-    """Measure the control loop or the simulator.
+    """Measure the control loop, the simulator or the training.
 
     \b
     Examples:
       softarm bench loop --seconds 60 --json loop.json
       softarm bench simulator --json simulator.json
+      softarm bench train --json train.json
     """
 
 
@@ -72,3 +73,22 @@ def simulator(json_file: Path | None, quick: bool) -> None:
     import benchmarks.simulator as measurement
 
     measurement.run(json_file, quick)
+
+
+@bench.command()
+@json_option
+@click.option("--seed", "seeds", type=click.IntRange(min=0), multiple=True, help="Again for more.  [default: 1 to 5]")
+@click.option("--frames", type=click.IntRange(min=1), help="Give a seed up after so many control steps of its robots.")
+def train(json_file: Path | None, seeds: tuple[int, ...], frames: int | None) -> None:
+    """Wall time from a run's start to the paper's 94/50/80 %, held over three more evaluations; beside rl_games.
+
+    \b
+    Example:
+      softarm bench train --json train.json
+    """
+    import benchmarks.training as measurement
+
+    result = measurement.run(json_file, seeds or measurement.SEEDS, frames or measurement.FRAMES_MOST, click.echo)
+    theirs = result["rl_games_steps_per_s"]
+    beside = "" if theirs is None else f"; rl_games, the seed's settings: {theirs:,.0f}"
+    click.echo(f"control steps of single robots a second: {result['steps_per_s']:,.0f}{beside}")

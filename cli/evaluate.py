@@ -1,10 +1,11 @@
-"""`softarm evaluate`: the paper's 54 targets through the daemon's own tick, on the simulated robot."""
+"""`softarm evaluate`: a policy at the paper's 54 targets, or all policies at all tests, by the daemon's own tick."""
 
+import os
 from pathlib import Path
 
 import click
 
-from cli.options import config_option, flown_model, json_option, model_option
+from cli.options import FILE, config_option, flown_model, json_option, model_option
 
 
 @click.command()
@@ -12,16 +13,98 @@ from cli.options import config_option, flown_model, json_option, model_option
 @json_option
 @config_option
 @model_option
-def evaluate(policy: str, json_file: Path | None, config_file: Path | None, model_file: Path | None) -> None:
+@click.option("--all", "compare_all", is_flag=True, help="All policies at all tests, the shelf and other robots too.")
+@click.option("--report", type=FILE, help="With --all: write the table as one HTML file.")
+@click.option(
+    "--runs",
+    type=click.Path(path_type=Path, file_okay=False, exists=True),
+    help="With --all: a sweep's folder; its policies stand for the shipped ones, with the spread over seeds.",
+)
+@click.option("--only", multiple=True, metavar="NAME", help="With --all: this policy alone; may be given again.")
+@click.option("--test", "tests", multiple=True, help="With --all: this test alone, TEST or TEST@MODEL; again for more.")
+@click.option("--matrix", is_flag=True, help="With --runs: the sweep alone, on every shipped model and beyond.")
+@click.option("--workers", type=click.IntRange(min=1), help="With --all: processes.  [default: one a core]")
+def evaluate(
+    policy: str,
+    json_file: Path | None,
+    config_file: Path | None,
+    model_file: Path | None,
+    compare_all: bool,
+    report: Path | None,
+    runs: Path | None,
+    only: tuple[str, ...],
+    tests: tuple[str, ...],
+    matrix: bool,
+    workers: int | None,
+) -> None:
     """Fly the 54 test targets from rest at cart positions 0, 0.1 and 0.2 m, in lockstep at 1200 Hz.
 
-    Observer, policy, safety filter and failsafe are the daemon's own; only the devices are simulated.
+    Observer, policy, safety filter and failsafe are the daemon's own; only the devices are simulated. With --all
+    every policy flies them also from mid-swing and on the independent robot, and swings into the shelf.
 
     \b
     Examples:
       softarm evaluate --policy reach --json reach.json
       softarm evaluate --policy pid
+      softarm evaluate --all --json all.json --report all.html
+      softarm evaluate --all --runs runs/compare --only reach --test grid --test held_back
     """
+    if compare_all or matrix:
+        _compare(json_file, report, runs, only, tests, matrix, workers or len(os.sched_getaffinity(0)))
+        return
+    if report or runs or only or tests:
+        raise click.UsageError("--report, --runs, --only and --test go with --all")
+    _evaluate(policy, json_file, config_file, model_file)
+
+
+def _compare(
+    json_file: Path | None,
+    report: Path | None,
+    runs: Path | None,
+    only: tuple[str, ...],
+    tests: tuple[str, ...],
+    matrix: bool,
+    workers: int,
+) -> None:
+    import json
+    import shlex
+    import sys
+
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+
+    from cli.errors import fail
+    from policies.base import PolicyError
+    from simulator.model_file import ModelFileError
+
+    try:
+        from benchmarks import comparison, comparison_page
+    except ModuleNotFoundError as error:
+        fail(f"softarm evaluate --all needs the package '{error.name}': pip install 'softarm[mujoco]'")
+    if matrix and runs is None:
+        raise click.UsageError("--matrix is about a sweep: give its folder with --runs")
+    tests = tests or (comparison.MATRIX if matrix else tuple(comparison.TESTS))
+    try:
+        for test in tests:
+            comparison.check(test)
+        found = comparison.entries(runs, only, only_runs=matrix)
+    except (PolicyError, ModelFileError, ValueError) as error:
+        fail(str(error))
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
+    with Progress(*columns, console=Console(stderr=True), transient=True) as progress:
+        shown = progress.add_task("flying", total=len(found) * len(tests))
+        result = comparison.compare(found, workers, tests, lambda: progress.advance(shown))
+    click.echo(comparison_page.markdown(result), nl=False)
+    if json_file is not None:
+        json_file.write_text(json.dumps(result, indent=1) + "\n")
+        click.echo(f"wrote {json_file}")
+    if report is not None:
+        command = shlex.join(["softarm", *sys.argv[1:]])
+        report.write_text(comparison_page.html(result, command), encoding="utf-8")
+        click.echo(f"wrote {report}")
+
+
+def _evaluate(policy: str, json_file: Path | None, config_file: Path | None, model_file: Path | None) -> None:
     import json
 
     from rich.console import Console

@@ -62,9 +62,9 @@ VERBS: dict[str, dict[str, Verb]] = {
         "train": Verb("cli.train:train", "Train a policy in the simulator.", "train"),
         "export": Verb("cli.export:export", "Write a checkpoint as an ONNX policy.", "train"),
         "plan": Verb("cli.plan:plan", "Optimise trajectories for the policy that tracks them.", "sim"),
-        "evaluate": Verb("cli.evaluate:evaluate", "Fly the 54 test targets, by the daemon's own tick.", "sim"),
+        "evaluate": Verb("cli.evaluate:evaluate", "Fly the test targets, by the daemon's own tick.", "sim"),
         "model": Verb("cli.model:model", "Show, compare, check and export models of the robot."),
-        "bench": Verb("cli.bench:bench", "Measure the loop and the simulator.", "mujoco"),
+        "bench": Verb("cli.bench:bench", "Measure the loop, the simulator and the training.", "mujoco"),
     },
 }
 _ALL = {name: verb for section in VERBS.values() for name, verb in section.items()}

@@ -10,28 +10,31 @@ import onnxruntime as ort
 from pydantic import ValidationError
 
 from policies.base import MODELS, Array, PolicyError, PolicySpec
-from schemas.policy import ACTION, METADATA_KEY, OBSERVATION, REACH_GOAL, PolicyMetadata, Signal
+from schemas.policy import ACTION, GOALS, METADATA_KEY, OBSERVATION, REACH_GOAL, PolicyMetadata, Signal
 
 RATE_HZ = 30
 _WARM_UP_STEPS = 3
+DEPTH_M = 0.075  # the middle of the depths that the seed trains its shelf policies on
 
 
 class OnnxPolicy:
     """An LSTM policy with its state outside the graph.
 
     model: a path that ends in .onnx, or the name of a shipped model. Loading replays the file's golden run.
+    target_depth_m: for the shelf, how far behind its front edge the targets lie, which a goal does not say.
     Raises PolicyError for a file that is missing, not ONNX, of other signals, units, order, shapes or rate,
     or that does not reproduce its golden run.
     """
 
     spec = PolicySpec(name="onnx", description="a learned policy from an ONNX file")
 
-    def __init__(self, model: str) -> None:
+    def __init__(self, model: str, target_depth_m: float = DEPTH_M) -> None:
         file = _open(_path(model))
         self.metadata = file.metadata
         self.spec = file.spec
         self._run = file.session.run
-        self._input = np.zeros((1, len(OBSERVATION) + len(REACH_GOAL)), dtype=np.float32)
+        self.target_depth_m = target_depth_m
+        self._input = np.zeros((1, len(OBSERVATION) + len(self.metadata.goal)), dtype=np.float32)
         self._outputs = ["action", "h_out", "c_out"]
         low = np.array([signal.low for signal in self.metadata.action], dtype=np.float32)
         high = np.array([signal.high for signal in self.metadata.action], dtype=np.float32)
@@ -44,7 +47,7 @@ class OnnxPolicy:
         self.reset()
 
     @classmethod
-    def describe(cls, model: str) -> PolicySpec:
+    def describe(cls, model: str, target_depth_m: float = DEPTH_M) -> PolicySpec:
         """Return the spec of a model without running it. Raises PolicyError as the constructor does."""
         return _open(_path(model)).spec
 
@@ -60,7 +63,9 @@ class OnnxPolicy:
     def step(self, observation: Array, goal: Array) -> Array:
         """Return [cart velocity m/s, pressure kPa]: the network's -1..1 spread over the metadata's ranges."""
         self._input[0, : len(OBSERVATION)] = observation
-        self._input[0, len(OBSERVATION) :] = goal
+        end = len(OBSERVATION) + len(REACH_GOAL)
+        self._input[0, len(OBSERVATION) : end] = goal
+        self._input[0, end:] = self.target_depth_m  # nothing where the task is to reach
         action: Array = self._centre + self._half_range * self._advance()
         return action
 
@@ -152,7 +157,7 @@ def _metadata(path: Path, entries: dict[str, str]) -> PolicyMetadata:
         ) from error
     problems = [
         *_signal_problems("observation", metadata.observation, OBSERVATION),
-        *_signal_problems("goal", metadata.goal, REACH_GOAL),
+        *_signal_problems("goal", metadata.goal, GOALS[metadata.task]),
         *_signal_problems("action", metadata.action, ACTION),
         *_golden_problems(metadata),
     ]
@@ -184,7 +189,7 @@ def _signal_problems(vector: str, got: tuple[Signal, ...], wanted: tuple[Signal,
 
 def _golden_problems(metadata: PolicyMetadata) -> list[str]:
     golden = metadata.golden
-    width_in, width_out = len(OBSERVATION) + len(REACH_GOAL), len(ACTION)
+    width_in, width_out = len(OBSERVATION) + len(metadata.goal), len(ACTION)
     if not golden.inputs or len(golden.inputs) != len(golden.outputs):
         return [f"golden has {len(golden.inputs)} inputs and {len(golden.outputs)} outputs; one of each a step"]
     if any(len(row) != width_in for row in golden.inputs) or any(len(row) != width_out for row in golden.outputs):
@@ -197,7 +202,7 @@ def _golden_problems(metadata: PolicyMetadata) -> list[str]:
 def _check_graph(path: Path, session: Any, metadata: PolicyMetadata) -> None:
     """Names, types and shapes of the graph's inputs and outputs; a named dimension (a batch) counts as 1."""
     state = [1, 1, metadata.state_size]
-    wanted_in = {"observation": [1, len(OBSERVATION) + len(REACH_GOAL)], "h_in": state, "c_in": state}
+    wanted_in = {"observation": [1, len(OBSERVATION) + len(metadata.goal)], "h_in": state, "c_in": state}
     wanted_out = {"action": [1, len(ACTION)], "h_out": state, "c_out": state}
     for what, nodes, wanted in (
         ("inputs", session.get_inputs(), wanted_in),

@@ -18,17 +18,29 @@ Array = NDArray[np.float64]
 RATE_HZ = 2040.0  # 68 steps in a control period, 17 in a camera's
 CLAMPED_KG = 1e6  # the cart of a robot that is held
 REST_S, REST_DAMPING = 6.0, 10.0
-RADIUS_M = 0.0381  # of the beam ([P]), for the air alone
+RADIUS_M = 0.0381  # of the beam ([P]), for air and shelf
+# Of the shelf's two boards, m ([C]); nothing rubs on them.
+BOARD_DEPTH_M, BOARD_THICKNESS_M, BOARDS_APART_M = 0.4, 0.01, 0.2
 
 
 class Plant:
     """State and one step. `held` clamps the cart where it stands."""
 
-    def __init__(self, parameters: Parameters, cart_position_m: float, held: bool, motor_kg: float) -> None:
-        """Put it there, straight and at rest. `motor_kg` is the part of the cart's mass that the rail models itself."""
+    def __init__(
+        self,
+        parameters: Parameters,
+        cart_position_m: float,
+        held: bool,
+        motor_kg: float,
+        shelf_m: tuple[float, float] | None = None,
+    ) -> None:
+        """Put it there, straight and at rest. `motor_kg` is the part of the cart's mass that the rail models itself.
+
+        shelf_m: y of a shelf's front edge and z of its lower board's top.
+        """
         arm = parameters.arm
         self.chain = refine(parameters.body, arm.pieces)
-        self.model = mujoco.MjModel.from_xml_string(_mjcf(parameters, self.chain, motor_kg))
+        self.model = mujoco.MjModel.from_xml_string(_mjcf(parameters, self.chain, motor_kg, shelf_m))
         self.data = mujoco.MjData(self.model)
         self._arm, self._base_m = arm, parameters.body.base_height_m
         self._muscle = self.chain.muscle_gain_nm_kpa * (1 + arm.muscle_gain)
@@ -121,10 +133,14 @@ class Plant:
         return pressure_kpa
 
 
-def _mjcf(parameters: Parameters, chain: Chain, motor_kg: float) -> str:
-    """The robot as MJCF; its x is our y. To MuJoCo's air a body is a box as large as its inertia: the cart has none."""
+def _mjcf(parameters: Parameters, chain: Chain, motor_kg: float, shelf_m: tuple[float, float] | None = None) -> str:
+    """The robot as MJCF; its x is our y. Only a shelf makes contact: the links pass through each other.
+
+    To MuJoCo's air a body is a box as large as its inertia: the cart has none.
+    """
     arm, cart, gravity = parameters.arm, parameters.cart, parameters.body.gravity_m_s2
     lean, down = gravity * math.sin(arm.tilt_rad), -gravity * math.cos(arm.tilt_rad)
+    contact = "enable" if shelf_m else "disable"
     body = f'<body name="payload" pos="0 0 {-chain.length_m[-1]}">{_point(arm.payload_kg)}</body>'
     places = (parameters.body.base_height_m, *(-chain.length_m[:-1]))
     for i in reversed(range(len(places))):
@@ -135,15 +151,37 @@ def _mjcf(parameters: Parameters, chain: Chain, motor_kg: float) -> str:
             f'damping="{chain.damping_nm_s_rad[i] * (1 + arm.damping)}" solreffriction="0.002 1"/>'
             f'<inertial pos="0 0 {-length / 2}" mass="{chain.mass_kg[i]}" diaginertia="{inertia} {inertia} {inertia}"/>'
             f'<geom type="ellipsoid" size="{RADIUS_M} {RADIUS_M} {length / 2}" pos="0 0 {-length / 2}" '
-            f'fluidshape="ellipsoid" contype="0" conaffinity="0"/>{body}</body>'
+            f'fluidshape="ellipsoid" contype="0" conaffinity="0"/>'
+            f"{_skin(length, i == len(places) - 1) if shelf_m else ''}{body}</body>"
         )
     return (
         f'<mujoco><compiler inertiafromgeom="false"/><option timestep="{1 / RATE_HZ}" gravity="{lean} 0 {down}" '
-        f'integrator="implicitfast" density="{arm.air_kg_m3}"><flag contact="disable" autoreset="disable"/></option>'
-        f'<worldbody><body><joint type="slide" axis="1 0 0" limited="true" range="{-cart.travel_m} {cart.travel_m}" '
+        f'integrator="implicitfast" density="{arm.air_kg_m3}"><flag contact="{contact}" autoreset="disable"/></option>'
+        f"<worldbody>{_boards(*shelf_m) if shelf_m else ''}"
+        f'<body><joint type="slide" axis="1 0 0" limited="true" range="{-cart.travel_m} {cart.travel_m}" '
         'solreflimit="0.004 1" solreffriction="0.002 1"/>'
         f'<inertial pos="0 0 0" mass="{cart.mass_kg - motor_kg}" diaginertia="1e-6 1e-6 1e-6"/>'
         f"{body}</body></worldbody></mujoco>"
+    )
+
+
+def _skin(length_m: float, last: bool) -> str:
+    """What of a link meets a shelf: a capsule around it, whose round end lies within the last link."""
+    end = max(length_m - RADIUS_M, 1e-3) if last else length_m
+    return (
+        f'<geom type="capsule" size="{RADIUS_M}" fromto="0 0 0 0 0 {-end}" contype="1" conaffinity="0" condim="1" '
+        'mass="0" fluidshape="none"/>'
+    )
+
+
+def _boards(edge_m: float, board_m: float) -> str:
+    """A shelf's two boards, open towards +x."""
+    x, thick = edge_m - BOARD_DEPTH_M / 2, BOARD_THICKNESS_M / 2
+    heights = (board_m - thick, board_m + BOARDS_APART_M + thick)
+    return "".join(
+        f'<geom type="box" size="{BOARD_DEPTH_M / 2} 0.2 {thick}" pos="{x} 0 {z}" contype="0" conaffinity="1" '
+        'condim="1" solref="0.004 1"/>'
+        for z in heights
     )
 
 

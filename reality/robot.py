@@ -45,8 +45,12 @@ class Robot:
         cart_position_m: float = 0.0,
         held: bool = False,
         hanging: bool = False,
+        shelf_m: tuple[float, float] | None = None,
     ) -> None:
-        """Raises ValueError for a cart beyond the travel or a seed below 0."""
+        """Raises ValueError for a cart beyond the travel or a seed below 0.
+
+        shelf_m: y of the front edge and z of the lower board's top of a shelf that is open towards +y.
+        """
         self.parameters = p = parameters or Parameters()
         if not abs(cart_position_m) <= p.cart.travel_m:
             raise ValueError(
@@ -60,7 +64,7 @@ class Robot:
         random = [np.random.default_rng((seed, device)) for device in range(4)]
         self._regulator = PressureRegulator(p.regulator, DT_S, random[_REGULATOR])
         self._servo = Servo(p.rail, DT_S, cart_position_m, random[_RAIL])
-        self.plant = Plant(p, cart_position_m, held, self._servo.motor_kg)
+        self.plant = Plant(p, cart_position_m, held, self._servo.motor_kg, shelf_m)
         if hanging:
             self.plant.hang()
         self._cameras = Cameras(p.mocap, p.clock.camera_drift, p.body.base_height_m, random[_CAMERAS])

@@ -38,3 +38,6 @@ TEST_TARGETS = tuple(
     for column in range(9)
 )
 TRAINED_Z_MAX_M = 0.70
+
+# The paper's four targets on the shelf, y and z (its section 4.2, where the third is printed with y = +0.48).
+SHELF_TARGETS = ((-0.48, 0.60), (-0.48, 0.63), (-0.48, 0.66), (-0.53, 0.63))

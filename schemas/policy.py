@@ -7,6 +7,7 @@ from pydantic import Field
 from schemas.base import Strict
 
 METADATA_KEY = "softarm"
+TaskKind = Literal["reach", "shelf"]
 
 
 class Signal(Strict):
@@ -29,6 +30,8 @@ OBSERVATION = (
     Signal(name="pressure", unit="kPa"),
 )
 REACH_GOAL = (Signal(name="target_y", unit="m"), Signal(name="target_z", unit="m"))
+SHELF_GOAL = (*REACH_GOAL, Signal(name="target_depth", unit="m"))  # behind the shelf's front edge
+GOALS = {"reach": REACH_GOAL, "shelf": SHELF_GOAL}  # by the policy's task
 ACTION = (
     Signal(name="cart_velocity", unit="m/s", low=-1.0, high=1.0),
     Signal(name="pressure", unit="kPa", low=-0.7, high=20.0),
@@ -60,7 +63,7 @@ class PolicyMetadata(Strict):
 
     format: Literal[1] = 1
     name: str
-    task: Literal["reach"]
+    task: TaskKind
     rate_hz: Annotated[float, Field(gt=0)]
     observation: tuple[Signal, ...]
     goal: tuple[Signal, ...]

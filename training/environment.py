@@ -18,6 +18,7 @@ from simulator.model_rows import idle_effects
 from simulator.sensors import Clock, Sensors
 from simulator.simulator import Simulator
 from training.rail_guard import RailGuard
+from training.randomisation import Draw, Randomisation
 from training.tasks import ReachTask, Starts
 
 Array = NDArray[np.float32]
@@ -27,8 +28,9 @@ INPUTS = len(OBSERVATION) + len(REACH_GOAL)
 ACTIONS = len(ACTION)
 _LOW = np.array([signal.low for signal in ACTION], dtype=np.float32)
 _HIGH = np.array([signal.high for signal in ACTION], dtype=np.float32)
-_ARRAYS = ("_target", "_elapsed", "_sent", "_pose", "_rates")  # of an environment's own
 _ARRAYS_OF_EFFECTS = ("_seen", "_sent_kpa")
+# Robots that differ are drawn apart from what happens to them.
+_DIFFERENCES = 7919
 
 
 class Step(NamedTuple):
@@ -51,6 +53,9 @@ def to_physical(action: Array) -> Array:
 class Environment:
     """A batch of robots at one task. Arrays are copies; everything random comes from one seeded generator."""
 
+    inputs = INPUTS  # width of an observation
+    _arrays: tuple[str, ...] = ("_target", "_elapsed", "_sent", "_pose", "_rates")  # what a snapshot holds of its own
+
     def __init__(
         self,
         task: ReachTask,
@@ -58,13 +63,18 @@ class Environment:
         seed: int,
         model: Model | None = None,
         physics_rate_hz: float = 240.0,
+        randomisation: Randomisation | None = None,
     ) -> None:
+        """Robots of one model (default: the seed's), alike but for what is randomised."""
         self.task = task
+        self.randomisation = randomisation or Randomisation()
         self.robots = robots
         self._rng = np.random.default_rng(seed)
-        self.simulator = Simulator(model, robots=robots, physics_rate_hz=physics_rate_hz)
+        self._drawn: Draw = self.randomisation.draw(np.random.default_rng((seed, _DIFFERENCES)), robots)
+        self.simulator = Simulator(model, robots=robots, physics_rate_hz=physics_rate_hz, overrides=self._drawn)
         # An effect at its neutral value is none.
         effects = self.simulator.model.effects.keys() - idle_effects(self.simulator.model)
+        effects |= {path.rpartition(".")[0] for path in self._drawn}
         distorted = any(name.startswith("mocap.") or name == "pressure.sensor_bias" for name in effects)
         self.sensors = Sensors(self.simulator, self._rng) if distorted else None
         self.clock = Clock(self.simulator, self._rng) if any(name.startswith("clock.") for name in effects) else None
@@ -112,6 +122,8 @@ class Environment:
         simulator, late_s = self.simulator, None
         if self._guard is not None:
             velocity = self._guard.apply(velocity, simulator.cart_position_m, simulator.cart_velocity_m_s)
+        if not self.task.muscle:
+            pressure = np.zeros_like(pressure)
         if self.clock is not None:
             late_s, ticks = self.clock.tick()
             velocity, pressure = self._kept(ticks, velocity, pressure)
@@ -136,18 +148,23 @@ class Environment:
 
     def snapshot(self) -> dict[str, Any]:
         """Where every robot is and which random numbers come next, as tensors and plain values."""
-        arrays = {name: torch.from_numpy(getattr(self, name).copy()) for name in _ARRAYS}
+        arrays = {name: torch.from_numpy(getattr(self, name).copy()) for name in self._arrays}
         guard = None if self._guard is None else torch.from_numpy(self._guard.sent_m_s.copy())
         simulator = torch.from_numpy(self.simulator.snapshot())
         rng = json.dumps(self.rng.bit_generator.state)
-        return {**arrays, "guard": guard, "simulator": simulator, "rng": rng, "effects": self._effects_snapshot()}
+        drawn = {path: torch.from_numpy(values) for path, values in self._drawn.items()}
+        effects = self._effects_snapshot()
+        return {**arrays, "guard": guard, "simulator": simulator, "rng": rng, "effects": effects, "drawn": drawn}
 
     def restore(self, content: dict[str, Any]) -> None:
         """Go back to a snapshot of an environment made with the same arguments."""
-        for name in _ARRAYS:
+        for name in self._arrays:
             setattr(self, name, content[name].numpy().copy())
         if self._guard is not None:
             self._guard.sent_m_s = content["guard"].numpy().copy()
+        self._drawn = {path: values.numpy().copy() for path, values in content.get("drawn", {}).items()}
+        if self._drawn:
+            self.simulator.override(self._drawn)
         self.simulator.restore(content["simulator"].numpy())
         self.rng.bit_generator.state = json.loads(content["rng"])
         effects = {name: each.numpy().copy() for name, each in content.get("effects", {}).items()}
@@ -182,6 +199,10 @@ class Environment:
             self._begin(over, starts, self.task.sample_targets(self.rng, self.robots))
 
     def _begin(self, which: Mask, starts: Starts, targets_m: Array) -> None:
+        if self._drawn and self.randomisation.each_episode:
+            new = self.randomisation.draw(self.rng, self.robots)
+            self._drawn = {path: np.where(which, new[path], old) for path, old in self._drawn.items()}
+            self.simulator.override(self._drawn)
         self.simulator.reset(robots=which, **starts._asdict())
         if self._guard is not None:
             self._guard.reset(which)

@@ -1,4 +1,4 @@
-"""How often a policy reaches: a validation set to choose by, and the seed's 54 targets to report."""
+"""How often a policy reaches: a validation set to choose by; to report, the seed's 54 targets and its shelf."""
 
 from dataclasses import replace
 from typing import NamedTuple
@@ -7,10 +7,13 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from schemas.goals import SHELF_TARGETS
 from schemas.model import Model
 from training.environment import Environment
 from training.inference import Workers, infer
 from training.network import PolicyNetwork
+from training.randomisation import Randomisation
+from training.shelf import ShelfEnvironment, ShelfTask, environment_of
 from training.tasks import Array, ReachTask, Starts
 
 VALIDATION_SEED = 20230
@@ -18,8 +21,13 @@ VALIDATION_SET = (
     "two thirds random targets of the training range, one third random targets at z 0.70-0.80 m; random cart starts "
     "of the training range, arm straight at rest; seed 20230; not the 54 test targets"
 )
+SHELF_VALIDATION_SET = (
+    "random targets, depths and cart starts of the training range, arm straight at rest; seed 20230; "
+    "none of the test trials"
+)
 ABOVE_M = 0.70  # targets above it lie outside the seed's training range
 GRID_STARTS_M = (0.0, 0.1, 0.2)
+RANDOM_SHELF_SEED = 54
 
 
 class Trials(NamedTuple):
@@ -27,6 +35,14 @@ class Trials(NamedTuple):
 
     starts: Starts
     target_m: Array  # [R, 2]
+    depth_m: Array | None = None  # [R], of the targets in their shelves
+
+    def begin(self, environment: Environment) -> Array:
+        """Put an environment's robots where the trials begin; returns the observation."""
+        if self.depth_m is None:
+            return environment.reset(self.starts, self.target_m)
+        assert isinstance(environment, ShelfEnvironment), "depths are the shelf's"
+        return environment.reset(self.starts, self.target_m, self.depth_m)
 
 
 class Outcome(NamedTuple):
@@ -44,6 +60,24 @@ class GridReport(NamedTuple):
     above: float
     all: float
 
+    @property
+    def sentence(self) -> str:
+        """For people."""
+        shares = f"{self.in_range:.1%} in range, {self.above:.1%} above, {self.all:.1%} in all"
+        return f"54 test targets from three starts, at 1200 Hz: {shares}"
+
+
+class ShelfReport(NamedTuple):
+    """Shares reached of the seed's twelve shelf trials, and of random ones of its training range."""
+
+    trials: float
+    random: float
+
+    @property
+    def sentence(self) -> str:
+        """For people."""
+        return f"the seed's 12 shelf trials, at 1200 Hz: {self.trials:.1%}; 500 random ones: {self.random:.1%}"
+
 
 def at_rest(cart_position_m: Array, links: int) -> Starts:
     """Straight arms, vented."""
@@ -55,9 +89,12 @@ def at_rest(cart_position_m: Array, links: int) -> Starts:
 def validation_trials(task: ReachTask, links: int, count: int = 1536) -> Trials:
     """What checkpoints are chosen by: two thirds random targets of the task's training range, one third of the band
     above the seed's (z 0.70 to 0.80 m, where many are out of reach), from random cart positions of the training
-    range, arm straight at rest. Random points: the seed's 54 test targets are a grid, and none of them.
+    range, arm straight at rest. Random points: the seed's 54 test targets are a grid, and none of them. For the shelf
+    all are of the training range.
     """
     rng = np.random.default_rng(VALIDATION_SEED)
+    if isinstance(task, ShelfTask):
+        return _random_shelf_trials(task, links, count, rng)
     inside = task.sample_targets(rng, count - count // 3)
     band = replace(task, target_z_m=(ABOVE_M, 0.80)).sample_targets(rng, count // 3)
     cart = rng.uniform(*task.cart_start_m, count).clip(-0.24, 0.24)
@@ -72,6 +109,27 @@ def grid_trials(links: int) -> Trials:
     return Trials(at_rest(cart, links), targets.astype(np.float32))
 
 
+def shelf_trials(task: ShelfTask, links: int) -> Trials:
+    """The seed's twelve: four targets ([P] section 4.2), each from the three cart starts of the 54 targets.
+
+    The paper does not say where its shelf stood: here the targets lie in the middle of the range of depths.
+    """
+    targets = np.repeat(np.array(SHELF_TARGETS, dtype=np.float32), len(GRID_STARTS_M), axis=0)
+    cart = np.tile(np.array(GRID_STARTS_M), len(SHELF_TARGETS))
+    depths = np.full(len(targets), np.mean(task.target_depth_m), dtype=np.float32)
+    return Trials(at_rest(cart, links), targets, depths)
+
+
+def random_shelf_trials(task: ShelfTask, links: int, count: int = 500) -> Trials:
+    """Random targets, depths and cart starts of the task's training range; the same ones every time."""
+    return _random_shelf_trials(task, links, count, np.random.default_rng(RANDOM_SHELF_SEED))
+
+
+def _random_shelf_trials(task: ShelfTask, links: int, count: int, rng: np.random.Generator) -> Trials:
+    targets, depths = task.sample_targets(rng, count), task.sample_depths(rng, count)
+    return Trials(at_rest(rng.uniform(*task.cart_start_m, count).clip(-0.24, 0.24), links), targets, depths)
+
+
 def fly(
     network: PolicyNetwork,
     task: ReachTask,
@@ -80,11 +138,12 @@ def fly(
     physics_rate_hz: float = 240.0,
     model: Model | None = None,
     dtype: torch.dtype = torch.float32,
+    randomisation: Randomisation | None = None,
 ) -> Outcome:
-    """Fly every trial once with the policy's mean action and no noise."""
+    """Fly every trial once with the policy's mean action and no noise of the action's."""
     count = len(trials.target_m)
-    environment = Environment(replace(task, action_noise=0.0), count, 0, model, physics_rate_hz)
-    observation = environment.reset(trials.starts, trials.target_m)
+    environment = environment_of(replace(task, action_noise=0.0), count, 0, model, physics_rate_hz, randomisation)
+    observation = trials.begin(environment)
     reached, alive = np.zeros(count, dtype=np.bool_), np.ones(count, dtype=np.bool_)
     time_s = np.full(count, task.episode_steps / task.rate_hz, dtype=np.float32)
     closest = np.full(count, np.inf, dtype=np.float32)
@@ -100,6 +159,19 @@ def fly(
         alive &= ~over
         observation = step.observation  # robots that began again fly on unseen
     return Outcome(reached, time_s, closest)
+
+
+def shelf_report(
+    network: PolicyNetwork,
+    task: ShelfTask,
+    pool: Workers,
+    physics_rate_hz: float = 1200.0,
+    model: Model | None = None,
+) -> ShelfReport:
+    """Success at the shelf on a model (default: the seed's), for the record; nothing is chosen by it."""
+    links = (model or Model()).arm.links
+    sets = (shelf_trials(task, links), random_shelf_trials(replace(ShelfTask(), muscle=task.muscle), links))
+    return ShelfReport(*(float(fly(network, task, each, pool, physics_rate_hz, model).reached.mean()) for each in sets))
 
 
 def grid_report(

@@ -1,8 +1,9 @@
 """A trained network as an ONNX file that describes and proves itself.
 
 The graph is built by hand: operator set 17, float32, raw physical values in, actions in -1..1 out, the recurrent
-state explicit. Inputs `observation` [batch, 10], `h_in`, `c_in` [1, batch, 256]; outputs `action` [batch, 2],
-`h_out`, `c_out`. The self-description (`schemas.policy.PolicyMetadata`) is JSON under the metadata key `softarm`.
+state explicit. Inputs `observation` [batch, 10] (11 for the shelf), `h_in`, `c_in` [1, batch, 256]; outputs `action`
+[batch, 2], `h_out`, `c_out`. The self-description (`schemas.policy.PolicyMetadata`) is JSON under the metadata key
+`softarm`.
 """
 
 import os
@@ -19,16 +20,15 @@ from schemas.policy import (
     ACTION,
     METADATA_KEY,
     OBSERVATION,
-    REACH_GOAL,
     Golden,
     PolicyMetadata,
     TrainingRange,
 )
-from training.environment import Environment
 from training.evaluation import at_rest
 from training.inference import infer, workers
 from training.network import PolicyNetwork
 from training.normaliser import CLIP
+from training.shelf import environment_of
 from training.tasks import ReachTask
 
 OPSET = 17
@@ -36,76 +36,96 @@ IR_VERSION = 8  # the one that came with operator set 17: old runtimes read it
 Settings = dict[str, str | float | int | bool | list[float] | None]
 
 
-def onnx_model(network: PolicyNetwork) -> onnx.ModelProto:
-    """Build the graph. Raises onnx.checker.ValidationError if it were malformed."""
-    shape, size = network.shape, network.shape.state
-    weights: list[onnx.TensorProto] = []
-    nodes: list[onnx.NodeProto] = []
+class _Graph:
+    """Nodes and weights as they are added; the methods return the name of what they give."""
 
-    def weight(name: str, values: torch.Tensor | np.ndarray) -> str:
+    def __init__(self) -> None:
+        self.nodes: list[onnx.NodeProto] = []
+        self.weights: list[onnx.TensorProto] = []
+
+    def weight(self, name: str, values: torch.Tensor | np.ndarray) -> str:
         array = values.detach().numpy() if isinstance(values, torch.Tensor) else values
-        weights.append(numpy_helper.from_array(np.ascontiguousarray(array), name))
+        self.weights.append(numpy_helper.from_array(np.ascontiguousarray(array), name))
         return name
 
-    def node(kind: str, inputs: list[str], outputs: list[str], **attributes: object) -> str:
-        nodes.append(helper.make_node(kind, inputs, outputs, **attributes))
+    def node(self, kind: str, inputs: list[str], outputs: list[str], **attributes: object) -> str:
+        self.nodes.append(helper.make_node(kind, inputs, outputs, **attributes))
         return outputs[0]
 
-    def limits(name: str, bound: float) -> list[str]:
-        return [
-            weight(f"{name}_low", np.array(-bound, dtype=np.float32)),
-            weight(f"{name}_high", np.array(bound, dtype=np.float32)),
+    def linear(self, name: str, module: torch.nn.Linear, x: str) -> str:
+        inputs = [x, self.weight(f"{name}_weight", module.weight), self.weight(f"{name}_bias", module.bias)]
+        return self.node("Gemm", inputs, [name], transB=1)
+
+    def clip(self, x: str, bound: float, output: str) -> str:
+        ends = (("low", -bound), ("high", bound))
+        limits = [self.weight(f"{output}_{name}", np.array(end, dtype=np.float32)) for name, end in ends]
+        return self.node("Clip", [x, *limits], [output])
+
+    def normalised(self, network: PolicyNetwork) -> str:
+        normaliser = network.observation_normaliser
+        mean = self.weight("observation_mean", normaliser.mean.float())
+        centred = self.node("Sub", ["observation", mean], ["centred"])
+        scale = self.weight("observation_scale", normaliser.scale())
+        return self.clip(self.node("Div", [centred, scale], ["scaled"]), CLIP, "normalised")
+
+    def mlp(self, network: PolicyNetwork, x: str) -> str:
+        modules = (module for module in network.mlp if isinstance(module, torch.nn.Linear))
+        for k, module in enumerate(modules):
+            x = self.node("Elu", [self.linear(f"mlp_{k}", module, x)], [f"mlp_{k}_elu"])
+        return x
+
+    def lstm(self, network: PolicyNetwork, x: str) -> str:
+        """The cell and its LayerNorm."""
+        size = network.shape.state
+
+        def gates(values: torch.Tensor) -> torch.Tensor:
+            i, f, g, o = values.detach().chunk(4)
+            return torch.cat((i, o, f, g))  # ONNX orders the gates input, output, forget, cell
+
+        axis = self.weight("axis_0", np.array([0], dtype=np.int64))
+        inputs = [
+            self.node("Unsqueeze", [x, axis], ["sequence"]),
+            self.weight("lstm_w", gates(network.w_x)[None]),
+            self.weight("lstm_r", gates(network.w_h)[None]),
+            self.weight("lstm_b", torch.cat((gates(network.bias), torch.zeros(4 * size)))[None]),
+            "",
+            "h_in",
+            "c_in",
         ]
+        self.node("LSTM", inputs, ["", "h_out", "c_out"], hidden_size=size)
+        hidden = self.node("Squeeze", ["h_out", axis], ["hidden"])
+        norm = network.layer_norm
+        inputs = [hidden, self.weight("norm_scale", norm.weight), self.weight("norm_bias", norm.bias)]
+        return self.node("LayerNormalization", inputs, ["normed"], axis=-1, epsilon=norm.eps)
 
-    normaliser = network.observation_normaliser
-    centred = node("Sub", ["observation", weight("observation_mean", normaliser.mean.float())], ["centred"])
-    scaled = node("Div", [centred, weight("observation_scale", normaliser.scale())], ["scaled"])
-    x = node("Clip", [scaled, *limits("observation", CLIP)], ["normalised"])
 
-    layer = x
-    linear = [module for module in network.mlp if isinstance(module, torch.nn.Linear)]
-    for k, module in enumerate(linear):
-        inputs = [layer, weight(f"mlp_{k}_weight", module.weight), weight(f"mlp_{k}_bias", module.bias)]
-        layer = node("Elu", [node("Gemm", inputs, [f"mlp_{k}"], transB=1)], [f"mlp_{k}_elu"])
-    features = node("Concat", [layer, x], ["features"], axis=1)
-
-    def to_onnx_gates(values: torch.Tensor) -> torch.Tensor:
-        i, f, g, o = values.detach().chunk(4)
-        return torch.cat((i, o, f, g))  # ONNX orders the gates input, output, forget, cell
-
-    axis = weight("axis_0", np.array([0], dtype=np.int64))
-    bias = torch.cat((to_onnx_gates(network.bias), torch.zeros(4 * size)))
-    inputs = [
-        node("Unsqueeze", [features, axis], ["sequence"]),
-        weight("lstm_w", to_onnx_gates(network.w_x)[None]),
-        weight("lstm_r", to_onnx_gates(network.w_h)[None]),
-        weight("lstm_b", bias[None]),
-        "",
-        "h_in",
-        "c_in",
-    ]
-    node("LSTM", inputs, ["", "h_out", "c_out"], hidden_size=size)
-    hidden = node("Squeeze", ["h_out", axis], ["hidden"])
-    norm = network.layer_norm
-    inputs = [hidden, weight("norm_scale", norm.weight), weight("norm_bias", norm.bias)]
-    normed = node("LayerNormalization", inputs, ["normed"], axis=-1, epsilon=norm.eps)
-    head = network.mean_head
-    inputs = [normed, weight("head_weight", head.weight), weight("head_bias", head.bias)]
-    mean = node("Gemm", inputs, ["mean"], transB=1)
-    node("Clip", [mean, *limits("action", 1.0)], ["action"])
+def onnx_model(network: PolicyNetwork) -> onnx.ModelProto:
+    """Build the graph. Raises onnx.checker.ValidationError if it were malformed."""
+    shape, graph = network.shape, _Graph()
+    x = graph.normalised(network)
+    if shape.order == "mlp-lstm":
+        both = graph.node("Concat", [graph.mlp(network, x), x], ["features"], axis=1)
+        features = graph.lstm(network, both)
+    elif shape.order == "lstm-mlp":
+        features = graph.mlp(network, graph.lstm(network, x))
+    else:
+        features = graph.mlp(network, x)
+        for name in ("h", "c"):  # a state there must be; this one is handed through
+            graph.node("Identity", [f"{name}_in"], [f"{name}_out"])
+    graph.clip(graph.linear("head", network.mean_head, features), 1.0, "action")
 
     def signal(name: str, *dimensions: int | str) -> onnx.ValueInfoProto:
         return helper.make_tensor_value_info(name, TensorProto.FLOAT, dimensions)
 
-    state = (1, "batch", size)
-    graph = helper.make_graph(
-        nodes,
+    state = (1, "batch", shape.state)
+    whole = helper.make_graph(
+        graph.nodes,
         "softarm_policy",
         [signal("observation", "batch", shape.inputs), signal("h_in", *state), signal("c_in", *state)],
         [signal("action", "batch", shape.actions), signal("h_out", *state), signal("c_out", *state)],
-        weights,
+        graph.weights,
     )
-    model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", OPSET)], ir_version=IR_VERSION)
+    model = helper.make_model(whole, opset_imports=[helper.make_opsetid("", OPSET)], ir_version=IR_VERSION)
     onnx.checker.check_model(model, full_check=True)
     return model
 
@@ -114,7 +134,7 @@ def golden_run(network: PolicyNetwork, task: ReachTask, steps: int = 100) -> Gol
     """Record a closed-loop run of one robot at a typical target: what the exported file has to reproduce."""
     # No radius: passing the target does not end the run.
     recorded = replace(task, action_noise=0.0, success_radius_m=0.0, episode_steps=steps + 1)
-    environment = Environment(recorded, 1, seed=0, physics_rate_hz=1200.0)
+    environment = environment_of(recorded, 1, seed=0, physics_rate_hz=1200.0)
     target = np.array([[np.mean(task.target_y_m), np.mean(task.target_z_m)]], dtype=np.float32)
     observation = environment.reset(at_rest(np.array([0.1]), environment.simulator.links), target)
     state = network.initial_state(1)
@@ -145,10 +165,10 @@ def metadata(
     """Say what the policy is and how it came to be."""
     return PolicyMetadata(
         name=task.name,
-        task="reach",
+        task=task.kind,
         rate_hz=task.rate_hz,
         observation=OBSERVATION,
-        goal=REACH_GOAL,
+        goal=task.goal,
         action=ACTION,
         state_size=network.shape.state,
         rail_limit_m=task.rail_limit_m,
@@ -173,9 +193,12 @@ def write(network: PolicyNetwork, description: PolicyMetadata, path: Path) -> No
 
 
 def flat_settings(**parts: object) -> Settings:
-    """Dataclasses as one flat dictionary, `part.field`, tuples as lists."""
+    """Dataclasses as one flat dictionary, `part.field` or `part.field.key`, tuples as lists."""
     settings: Settings = {}
     for name, part in parts.items():
         for key, value in asdict(part).items():  # type: ignore[call-overload]
-            settings[f"{name}.{key}"] = list(value) if isinstance(value, tuple) else value
+            flat = value if isinstance(value, dict) else {"": value}
+            for under, single in flat.items():
+                path = ".".join(filter(None, (name, key, under)))
+                settings[path] = list(single) if isinstance(single, tuple) else single
     return settings

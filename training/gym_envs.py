@@ -22,8 +22,8 @@ from numpy.typing import NDArray
 from schemas.model import Model
 from schemas.policy import ACTION, OBSERVATION
 from simulator import model_file
-from training.environment import Environment, Step
-from training.shelf import ShelfEnvironment, ShelfTask
+from training.environment import Step
+from training.shelf import ShelfEnvironment, ShelfTask, environment_of
 from training.tasks import ReachTask
 
 Array = NDArray[np.float32]
@@ -40,8 +40,7 @@ class _Batch:
     def __init__(self, task: ReachTask, robots: int, model: Model | Path | str | None, physics_rate_hz: float) -> None:
         """Raises ModelFileError for a bad model file."""
         loaded = model_file.load(model) if isinstance(model, str | Path) else model or Model()
-        kind: Any = ShelfEnvironment if isinstance(task, ShelfTask) else Environment
-        self.environment: Environment = kind(task, robots, 0, loaded, physics_rate_hz)
+        self.environment = environment_of(task, robots, 0, loaded, physics_rate_hz)
         cart = loaded.cart.travel_m + 0.1
         arm, height = sum(loaded.arm.link_length_m) + 0.1, loaded.arm.base_height_m
         speed, y, z = (-_SPEED_M_S, _SPEED_M_S), (-cart - arm, cart + arm), (height - arm, height + arm)

@@ -1,8 +1,12 @@
-"""The seed's policy network: MLP, its output concatenated with the input, LSTM, LayerNorm, linear heads ([P] SM-E)."""
+"""The seed's policy network: MLP, its output concatenated with the input, LSTM, LayerNorm, linear heads ([P] SM-E).
+
+And the two that its ablation compares it with ([P] section 4.2): LSTM and LayerNorm before the MLP, and the MLP alone.
+"""
 
 # mypy: allow-subclassing-any, allow-untyped-decorators
 
 from dataclasses import dataclass
+from typing import Literal, get_args
 
 import torch
 from torch import Tensor, nn
@@ -11,6 +15,7 @@ from training import lstm
 from training.normaliser import RunningNormaliser
 
 State = tuple[Tensor, Tensor]  # hidden and cell, float32 [B, size] each
+Order = Literal["mlp-lstm", "lstm-mlp", "mlp"]
 
 
 @dataclass(frozen=True)
@@ -20,7 +25,13 @@ class NetworkShape:
     inputs: int = 10
     actions: int = 2
     mlp: tuple[int, ...] = (256, 128, 64)
-    state: int = 256
+    state: int = 256  # of the LSTM; without one it is carried along and stays zero
+    order: Order = "mlp-lstm"
+
+    def __post_init__(self) -> None:
+        """Raises ValueError for an order that there is not."""
+        if self.order not in get_args(Order):
+            raise ValueError(f"network.order is {self.order!r}; give one of {', '.join(get_args(Order))}")
 
 
 class PolicyNetwork(nn.Module):
@@ -32,19 +43,22 @@ class PolicyNetwork(nn.Module):
         self.observation_normaliser = RunningNormaliser(shape.inputs)
         self.value_normaliser = RunningNormaliser(1)
         layers: list[nn.Module] = []
-        width = shape.inputs
+        width = shape.state if shape.order == "lstm-mlp" else shape.inputs
         for size in shape.mlp:
             layers += [nn.Linear(width, size), nn.ELU()]
             nn.init.zeros_(layers[-2].bias)
             width = size
         self.mlp = nn.Sequential(*layers)
-        cell = nn.LSTM(width + shape.inputs, shape.state)  # for its initial values; see training/lstm.py
-        self.w_x = nn.Parameter(cell.weight_ih_l0.detach().clone())
-        self.w_h = nn.Parameter(cell.weight_hh_l0.detach().clone())
-        self.bias = nn.Parameter(torch.zeros(4 * shape.state))
-        self.layer_norm = nn.LayerNorm(shape.state)
-        self.mean_head = nn.Linear(shape.state, shape.actions)
-        self.value_head = nn.Linear(shape.state, 1)
+        if shape.order != "mlp":
+            fed = width + shape.inputs if shape.order == "mlp-lstm" else shape.inputs
+            cell = nn.LSTM(fed, shape.state)  # for its initial values; see training/lstm.py
+            self.w_x = nn.Parameter(cell.weight_ih_l0.detach().clone())
+            self.w_h = nn.Parameter(cell.weight_hh_l0.detach().clone())
+            self.bias = nn.Parameter(torch.zeros(4 * shape.state))
+            self.layer_norm = nn.LayerNorm(shape.state)
+        features = shape.state if shape.order == "mlp-lstm" else width
+        self.mean_head = nn.Linear(features, shape.actions)
+        self.value_head = nn.Linear(features, 1)
         for head in (self.mean_head, self.value_head):
             nn.init.zeros_(head.bias)
         self.log_std = nn.Parameter(torch.zeros(shape.actions))
@@ -70,8 +84,12 @@ class PolicyNetwork(nn.Module):
         dtype: of the recurrent layer's matrix products.
         Returns the action's mean [T, B, actions] (not clamped), the normalised value [T, B] and the last state.
         """
-        x = self.observation_normaliser(observation)
-        x = torch.cat((self.mlp(x), x), dim=-1)
-        hidden, state = lstm.sequence(x, keep, state, self.w_x, self.w_h, self.bias, dtype)
-        features = self.layer_norm(hidden)
+        features = self.observation_normaliser(observation)
+        if self.shape.order == "mlp-lstm":
+            features = torch.cat((self.mlp(features), features), dim=-1)
+        if self.shape.order != "mlp":
+            hidden, state = lstm.sequence(features, keep, state, self.w_x, self.w_h, self.bias, dtype)
+            features = self.layer_norm(hidden)
+        if self.shape.order != "mlp-lstm":
+            features = self.mlp(features)
         return self.mean_head(features), self.value_head(features).squeeze(-1), state

@@ -38,6 +38,7 @@ class PpoConfig:
     learning_rate_min: float = 1e-5
     learning_rate_max: float = 3e-3
     kl_target: float = 0.008
+    observation_noise: float = 0.0  # standard deviation on the normalised observation ([P] SM-F: 0.01)
 
 
 class Rollout(NamedTuple):
@@ -155,7 +156,8 @@ class Ppo:
             cut.append(self._values_of(step.truncated, step.final_observation, state))
             reward, terminated = torch.from_numpy(step.reward), torch.from_numpy(step.terminated)
             rows.append((self._observation, self._keep, action, mean, value, reward, terminated, done.float()))
-            self._observation, self._keep, self._state = torch.from_numpy(step.observation), 1.0 - done.float(), state
+            seen = self._noisy(torch.from_numpy(step.observation))
+            self._observation, self._keep, self._state = seen, 1.0 - done.float(), state
             ended, reached = ended + int(done.sum()), reached + int(step.success.sum())
         observation, keep, action, mean, value, reward, terminated, done = map(torch.stack, zip(*rows, strict=True))
         _, last_value, _ = self._infer(self._observation, self._keep, self._state)
@@ -165,6 +167,13 @@ class Ppo:
         following[terminated] = 0.0
         rollout = Rollout(observation, keep, first_state, action, mean, value, reward, following, done)
         return rollout, reached / ended if ended else math.nan
+
+    def _noisy(self, observation: Tensor) -> Tensor:
+        """The observation as a policy is shown it that is to bear noise."""
+        if not self.config.observation_noise:
+            return observation
+        noise = torch.randn(observation.shape, generator=self._generator)
+        return observation + self.config.observation_noise * self.network.observation_normaliser.scale() * noise
 
     def _infer(self, observation: Tensor, keep: Tensor, state: State) -> tuple[Tensor, Tensor, State]:
         result: tuple[Tensor, Tensor, State] = infer(self.network, observation, keep, state, self._pool, self._dtype)

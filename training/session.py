@@ -3,20 +3,23 @@
 import copy
 import time
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import torch
 
 from schemas.model import Model
+from schemas.policy import ACTION
 from simulator import model_file
 from training import checkpoint, evaluation, export, report
 from training.checkpoint import CheckpointError
-from training.environment import ACTIONS, INPUTS, Environment
+from training.environment import ACTIONS
 from training.inference import Workers, quick_dtype
 from training.network import NetworkShape, PolicyNetwork
 from training.ppo import Ppo, PpoConfig
+from training.randomisation import Randomisation
+from training.shelf import ShelfTask, environment_of
 from training.tasks import ReachTask
 
 DTYPES = {"float32": torch.float32, "bfloat16": torch.bfloat16}
@@ -32,6 +35,7 @@ class TrainingConfig:
     validate_every: int = 10  # iterations; a checkpoint is kept as often
     validation_trials: int = 1536
     averaging: float = 0.95  # share of the averaged weights that an iteration leaves
+    patience: int = 0  # validations without a better one after which a run stops; 0: it goes on
     matrix_products: str = "auto"  # float32, bfloat16, or auto: bfloat16 where the processor has it
 
 
@@ -61,8 +65,12 @@ class Session:
         resume: bool,
         model: Model | None = None,
         model_name: str = "seed",
+        randomisation: Randomisation | None = None,
+        shape: NetworkShape | None = None,
     ) -> None:
-        """Train on a model (default: the seed's), under whose name it is recorded.
+        """Train on a model (default: the seed's), under whose name it is recorded, on robots that differ as given.
+
+        shape: the network's, whose numbers of inputs and actions are the task's.
 
         Raises CheckpointError when there is nothing to resume, or it was made with other settings.
         """
@@ -70,16 +78,20 @@ class Session:
         saved = checkpoint.load(out / "latest.pt") if resume else None
         name = config.matrix_products
         self._products = str(quick_dtype()).removeprefix("torch.") if name == "auto" else name
-        self.settings = export.flat_settings(task=task, run=config, ppo=ppo)
-        self.settings["run.matrix_products"] = self._products
+        self._randomisation = randomisation or Randomisation()
         self.model = model or Model()
+        environment = environment_of(
+            task, config.robots, config.seed, self.model, config.physics_rate_hz, self._randomisation
+        )
+        self._shape = replace(shape or NetworkShape(), inputs=environment.inputs, actions=ACTIONS)
+        self.settings = _settings(task, config, ppo, self._randomisation, self._shape)
+        self.settings["run.matrix_products"] = self._products
         self.settings |= _identity(self.model, model_name)
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(config.seed)
-            self.network = PolicyNetwork(NetworkShape(INPUTS, ACTIONS))
+            self.network = PolicyNetwork(self._shape)
         # What is validated and exported: single iterations jitter around it.
         self.average = copy.deepcopy(self.network)
-        environment = Environment(task, config.robots, config.seed, self.model, config.physics_rate_hz)
         self._trials = evaluation.validation_trials(task, environment.simulator.links, config.validation_trials)
         self.learner = Ppo(self.network, environment, ppo, pool, config.seed, DTYPES[self._products])
         self.frames, self.seconds = 0, 0.0
@@ -89,13 +101,16 @@ class Session:
             self._restore(saved)
 
     def run(self, frames: int | None, minutes: float | None, tell: Callable[[Standing], None] = lambda _: None) -> Path:
-        """Train up to so many frames or minutes in all (what was resumed counts); returns the exported policy's path.
+        """Train up to so many frames or minutes in all (what was resumed counts), or until patience ends; returns the
+        exported policy's path.
 
         Raises ValueError without either bound.
         """
         if frames is None and minutes is None:
             raise ValueError("give the run an end: frames or minutes")
         while (frames is None or self.frames < frames) and (minutes is None or self.seconds < 60.0 * minutes):
+            if self.config.patience and self._fruitless() >= self.config.patience:
+                break
             tell(self.advance())
         if self.curve and self.curve[-1].validation is None:
             self._validate_and_save()
@@ -134,10 +149,17 @@ class Session:
         export_checkpoint(self.out / "best.pt", path)
         return path
 
-    def test(self) -> evaluation.GridReport:
-        """Fly the 54 test targets with the exported policy, for the record; nothing is chosen by it."""
-        network, _ = _load(self.out / "best.pt")
+    def test(self) -> evaluation.GridReport | evaluation.ShelfReport:
+        """Fly the task's test trials with the exported policy, for the record; nothing is chosen by it."""
+        network, _ = load_policy(self.out / "best.pt")
+        if isinstance(self.task, ShelfTask):
+            return evaluation.shelf_report(network, self.task, self._pool, model=self.model)
         return evaluation.grid_report(network, self.task, self._pool, model=self.model)
+
+    def _fruitless(self) -> int:
+        """Validations since the best one."""
+        validated = [row.validation for row in self.curve if row.validation is not None]
+        return len(validated) - 1 - validated.index(max(validated)) if validated else 0
 
     def _validate_and_save(self) -> None:
         outcome = evaluation.fly(
@@ -147,7 +169,8 @@ class Session:
             self._pool,
             self.config.physics_rate_hz,
             self.model,
-            dtype=DTYPES[self._products],
+            DTYPES[self._products],
+            self._randomisation,
         )
         success = float(outcome.reached.mean())
         self.curve[-1] = self.curve[-1]._replace(validation=success)
@@ -161,6 +184,8 @@ class Session:
         return {
             "settings": self.settings,
             "average": self.average.state_dict(),
+            "network": asdict(self._shape),
+            "kind": self.task.kind,
             "task": asdict(self.task),
             "seed": self.config.seed,
             "frames": self.frames,
@@ -170,7 +195,10 @@ class Session:
         }
 
     def _restore(self, saved: dict[str, Any]) -> None:
-        settings = _identity(Model(), "seed") | saved["settings"]  # older ones knew no other model
+        # Older ones knew no other model, network or robots that differ.
+        shape = NetworkShape(inputs=self._shape.inputs, actions=ACTIONS)
+        usual = _settings(type(self.task)(), TrainingConfig(), PpoConfig(), Randomisation(), shape)
+        settings = usual | _identity(Model(), "seed") | saved["settings"]
         for key, value in self.settings.items():
             if settings.get(key) != value:
                 raise CheckpointError(
@@ -185,12 +213,16 @@ class Session:
 
 def export_checkpoint(source: Path, target: Path) -> None:
     """Turn a checkpoint of a session into an ONNX policy named after its task. Raises CheckpointError."""
-    network, saved = _load(source)
+    network, saved = load_policy(source)
+    task = task_of(saved)
+    if not task.muscle:
+        _vent(network)
+    chosen_by = evaluation.SHELF_VALIDATION_SET if isinstance(task, ShelfTask) else evaluation.VALIDATION_SET
     validated = [row for row in map(report.Row._make, saved["curve"]) if row.validation is not None]
     description = export.metadata(
         network,
-        ReachTask(**saved["task"]),
-        saved["settings"] | {"run.frames": saved["frames"], "run.validation_set": evaluation.VALIDATION_SET},
+        task,
+        saved["settings"] | {"run.frames": saved["frames"], "run.validation_set": chosen_by},
         saved["seed"],
         validated[-1].validation if validated and validated[-1].validation is not None else 0.0,
     )
@@ -201,11 +233,34 @@ def _identity(model: Model, name: str) -> export.Settings:
     return {"model.name": name, "model.sha256": model_file.fingerprint(model)}
 
 
-def _load(source: Path) -> tuple[PolicyNetwork, dict[str, Any]]:
+def load_policy(source: Path) -> tuple[PolicyNetwork, dict[str, Any]]:
+    """Return the network of a session's checkpoint, and all else that is in the file. Raises CheckpointError."""
     saved = checkpoint.load(source)
     missing = {"settings", "task", "seed", "curve", "average"} - saved.keys()
     if missing:
         raise CheckpointError(f"{source}: {', '.join(sorted(missing))} missing; give a .pt file of `softarm train`")
-    network = PolicyNetwork(NetworkShape(INPUTS, ACTIONS))
+    network = PolicyNetwork(NetworkShape(**saved.get("network", {})))
     network.load_state_dict(saved["average"])
     return network, saved
+
+
+def task_of(saved: dict[str, Any]) -> ReachTask:
+    """The task of a checkpoint."""
+    kind = ShelfTask if saved.get("kind") == "shelf" else ReachTask
+    return kind(**saved["task"])
+
+
+def _settings(
+    task: ReachTask, config: TrainingConfig, ppo: PpoConfig, randomisation: Randomisation, shape: NetworkShape
+) -> export.Settings:
+    return export.flat_settings(task=task, run=config, ppo=ppo, randomise=randomisation, network=shape)
+
+
+def _vent(network: PolicyNetwork) -> None:
+    """Have a network whose muscle was never used say so: its pressure stays at 0."""
+    low, high = ACTION[1].low, ACTION[1].high
+    assert low is not None
+    assert high is not None
+    with torch.no_grad():
+        network.mean_head.weight[1] = 0.0
+        network.mean_head.bias[1] = -2.0 * low / (high - low) - 1.0

@@ -6,13 +6,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from schemas.model import Model
-from schemas.policy import OBSERVATION, REACH_GOAL, Signal
+from schemas.policy import OBSERVATION, SHELF_GOAL, Signal, TaskKind
 from training.environment import Environment
+from training.randomisation import Randomisation
 from training.tasks import Range, ReachTask, Starts
 
 Array = NDArray[np.float32]
 
-SHELF_GOAL = (*REACH_GOAL, Signal(name="target_depth", unit="m"))
 INPUTS = len(OBSERVATION) + len(SHELF_GOAL)
 
 
@@ -27,6 +27,16 @@ class ShelfTask(ReachTask):
     board_below_m: float = 0.005  # from the target down to the lower board's top [C]
     action_noise: float = 0.01  # [C]
 
+    @property
+    def goal(self) -> tuple[Signal, ...]:
+        """What an observation ends with."""
+        return SHELF_GOAL
+
+    @property
+    def kind(self) -> TaskKind:
+        """What the policy's file calls it."""
+        return "shelf"
+
     def sample_depths(self, rng: np.random.Generator, count: int) -> Array:
         """Depths in metres, float32 [count], uniform over the range."""
         return rng.uniform(*self.target_depth_m, count).astype(np.float32)
@@ -35,12 +45,20 @@ class ShelfTask(ReachTask):
 class ShelfEnvironment(Environment):
     """A batch of robots, each before its own shelf; the observation [R, 11] ends with the target's depth."""
 
+    inputs = INPUTS
+    _arrays = (*Environment._arrays, "_depth")
     task: ShelfTask
 
     def __init__(
-        self, task: ShelfTask, robots: int, seed: int, model: Model | None = None, physics_rate_hz: float = 240.0
+        self,
+        task: ShelfTask,
+        robots: int,
+        seed: int,
+        model: Model | None = None,
+        physics_rate_hz: float = 240.0,
+        randomisation: Randomisation | None = None,
     ) -> None:
-        super().__init__(task, robots, seed, model, physics_rate_hz)
+        super().__init__(task, robots, seed, model, physics_rate_hz, randomisation)
         self._depth = np.zeros(robots, dtype=np.float32)
 
     def reset(
@@ -64,3 +82,17 @@ class ShelfEnvironment(Environment):
 
     def _observe(self) -> Array:
         return np.concatenate((super()._observe(), self._depth[:, None]), axis=1)
+
+
+def environment_of(
+    task: ReachTask,
+    robots: int,
+    seed: int,
+    model: Model | None = None,
+    physics_rate_hz: float = 240.0,
+    randomisation: Randomisation | None = None,
+) -> Environment:
+    """The environment of a task, whichever it is; arguments as `Environment`'s."""
+    kind: type = ShelfEnvironment if isinstance(task, ShelfTask) else Environment
+    made: Environment = kind(task, robots, seed, model, physics_rate_hz, randomisation)
+    return made

@@ -6,6 +6,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from schemas.policy import REACH_GOAL, Signal, TaskKind
+
 Array = NDArray[np.float32]
 Range = tuple[float, float]
 
@@ -40,6 +42,17 @@ class ReachTask:
     action_noise: float = 0.001  # standard deviation on the +-1 action ([P] SM-E)
     # Commands pass the same braking clamp as in the daemon; without it the exact task of the seed.
     rail_guard: bool = True
+    muscle: bool = True  # False: it stays vented, whatever the policy wants ([P] section 4.2, cart actions only)
+
+    @property
+    def goal(self) -> tuple[Signal, ...]:
+        """What an observation ends with."""
+        return REACH_GOAL
+
+    @property
+    def kind(self) -> TaskKind:
+        """What the policy's file calls it."""
+        return "reach"
 
     def sample_targets(self, rng: np.random.Generator, count: int) -> Array:
         """Targets y, z in metres, float32 [count, 2], uniform over the range."""
@@ -52,7 +65,7 @@ class ReachTask:
         cart = rng.uniform(*self.cart_start_m, count)
         angles = rng.uniform(-1.0, 1.0, (count, links)) * np.deg2rad(self.joint_start_deg)
         pressure = rng.uniform(*self.pressure_start_kpa, count)
-        pressure[rng.random(count) < self.vented_starts] = 0.0
+        pressure[rng.random(count) < (self.vented_starts if self.muscle else 1.0)] = 0.0
         return Starts(cart.astype(np.float32), angles.astype(np.float32), pressure.astype(np.float32))
 
     def succeeded(self, tip_m: Array, target_m: Array) -> NDArray[np.bool_]:

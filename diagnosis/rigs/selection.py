@@ -20,14 +20,47 @@ from diagnosis.gap.view import Array
 SHARE_MIN, FLOORS_MIN = 0.10, 0.30  # of the energy that is left without an effect, and in units of the floor's
 MISFIT_SHARE = 0.25  # of the loss that the best leaves: what a rival may lack and still be the cause
 SIZES = (0.3, 1.0, 2.0)  # of usual changes: where all effects at once begin
-ROUNDS, POLISH = 12, 4
-SETTLED = 0.005  # of the loss: who gains less is in the well
+ROUNDS = 10
+DAMPINGS = (0.1, 0.01, 0.0)
 STRIDES = (1.0, 0.3)
+
+
+@dataclass(frozen=True, slots=True)
+class Damped(Problem):
+    """A problem whose steps are held back where the data say little: a lag trades with a dead time and a limit.
+
+    Marquardt 1963: the curvature of every dial counts the larger by a share.
+    """
+
+    damping: float = 0.0
+
+    def solve(
+        self, effects: Set, x: Array, jacobians: list[Rows], bases: list[Moments]
+    ) -> tuple[float, Array]:  # named: zero-argument super() does not work in a dataclass with slots
+        """See Problem."""
+        loss, step = Problem.solve(self, effects, x, jacobians, bases)
+        if not self.damping or not len(x):
+            return loss, step
+        normal, slope = self._normal(len(x), jacobians, bases)
+        dials = np.arange(len(x))
+        normal[dials, dials] *= 1 + self.damping
+        return loss, box.solve(normal, -slope, *self._box(effects, x))[: len(x)]
 
 
 @dataclass(frozen=True, slots=True)
 class Refitted(Problem):
     """A problem of one view whose held-out losses are simulated: the laws of rigs have kinks, a line misleads there."""
+
+    def fit(self, sets: Sequence[tuple[Set, U]], rounds: int = ROUNDS) -> list[Fit]:
+        """See Problem; each set goes on from the best so far under one damping after the other."""
+        return Problem.fit(self, self.settled(sets, rounds), rounds=1)
+
+    def settled(self, sets: Sequence[tuple[Set, U]], rounds: int) -> list[tuple[Set, U]]:
+        """Where the sets come to rest. No folds here."""
+        parts = [getattr(self, f.name) for f in fields(Problem)]
+        for damping in DAMPINGS:
+            sets = [(f.effects, f.u) for f in Damped(*parts, damping).fit(sets, rounds)]
+        return list(sets)
 
     def _fit(self, effects: Set, x: Array, loss: float, jacobians: list[Rows], bases: list[Moments]) -> Fit:
         # Named: zero-argument super() does not work in a dataclass with slots.
@@ -88,10 +121,11 @@ class Backward(Search):
     """A search that begins with every effect that takes a share of the loss."""
 
     def __init__(
-        self, problem: Problem, plain: Problem, stages: Sequence[str], candidates: Sequence[Candidate]
+        self, problem: Refitted, plain: Problem, stages: Sequence[str], candidates: Sequence[Candidate]
     ) -> None:
         """See Search."""
         super().__init__(problem, plain, stages, candidates)
+        self.problem: Refitted = problem
         self._reduced: dict[tuple[tuple[str, ...], U], list[Fit]] = {}
         size = len(problem.blocks)
         counts = np.random.default_rng(0).multinomial(size, np.full(size, 1 / size), RESAMPLES)
@@ -145,16 +179,11 @@ class Backward(Search):
 
     def full(self, nothing: Fit) -> Fit:
         """All effects at once, from starts of several sizes; of the wells the deepest. No folds here."""
-        quick = Problem(*(getattr(self.problem, f.name) for f in fields(Problem)))
         begun = [(self.candidates, tuple(_moved(c, size) for c in self.candidates)) for size in SIZES]
-        fit = min(quick.fit(begun, rounds=ROUNDS), key=lambda f: f.loss)
-        for _ in range(POLISH):
-            best = quick.fit([(fit.effects, fit.u)], rounds=ROUNDS)[0]
-            settled = not best.loss < fit.loss * (1 - SETTLED)
-            fit = min((fit, best), key=lambda f: f.loss)
-            if settled:
-                break
-        return self.problem.fit([(fit.effects, fit.u)], rounds=1)[0] if fit.loss < nothing.loss else nothing
+        settled = self.problem.settled(self.problem.settled(begun, ROUNDS), ROUNDS)
+        losses = self.problem.losses(settled)
+        fit = self.problem.fit([settled[int(np.argmin(losses))]])[0]
+        return fit if fit.loss < nothing.loss else nothing
 
     def chosen(self, full: Fit, nothing: Fit) -> Fit:
         """What is left when nothing more can be spared, and nothing stands at a bound."""

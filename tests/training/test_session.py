@@ -2,6 +2,7 @@
 
 import csv
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -165,6 +166,16 @@ def test_the_graph_needs_an_old_operator_set_only():
 def test_other_settings_cannot_resume_a_run(finished):
     with workers(1) as pool, pytest.raises(CheckpointError, match=r"run\.seed = 3, not 4"):
         session(finished.out, pool, resume=True, config=TrainingConfig(4, 64, validate_every=2, validation_trials=24))
+
+
+def test_a_run_ends_when_its_patience_does(tmp_path):
+    patient = replace(SMALL, robots=16, validate_every=1, validation_trials=6, patience=2)
+    with workers(1) as pool:
+        run = session(tmp_path, pool, config=patient)
+        run.run(frames=100 * 256, minutes=None)
+    validated = [row.validation for row in run.curve]
+    assert len(validated) < 100
+    assert max(validated[-2:]) <= max(validated[:-2])
 
 
 def test_nothing_to_resume_is_said(tmp_path):

@@ -1,0 +1,101 @@
+"""How long until a policy is as good as the paper's robot was, and how fast the learner is beside rl_games.
+
+The clock runs from the making of a run to the validation at which its averaged policy reaches the paper's level on the
+54 targets and holds it over the next three; only the flying of those targets is left out of it. It counts whatever
+else the machine does, so measure on a quiet one.
+"""
+
+import json
+import time
+from collections.abc import Callable
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import NamedTuple, TypedDict
+
+from training import evaluation
+from training.inference import Workers, workers
+from training.recipe import RECIPES, begin
+from training.session import Session
+
+LEVEL = evaluation.GridReport(in_range=0.94, above=0.50, all=0.80)  # [P] section 4.1, on its hardware
+HELD = 3  # evaluations after the first, as high
+FRAMES_MOST = 8_000_000
+SEEDS = (1, 2, 3, 4, 5)
+
+
+class Point(NamedTuple):
+    """A run at one of its validations."""
+
+    seconds: float
+    frames: int
+    report: evaluation.GridReport
+
+
+class Outcome(TypedDict):
+    """What `softarm bench train --json` writes; a list has one entry a seed."""
+
+    seconds_to_seed_level: list[float | None]  # None: never, within FRAMES_MOST
+    steps_per_s: float  # control steps of single robots, over all runs
+    rl_games_steps_per_s: float | None  # None: rl_games is not installed
+    curves: list[list[tuple[float, int, float, float, float]]]  # seconds, frames, in range, above, all
+
+
+def first_held(reached: list[bool], held: int = HELD) -> int | None:
+    """Index of the first of `held` + 1 successive truths; None when there is none."""
+    for k in range(len(reached) - held):
+        if all(reached[k : k + held + 1]):
+            return k
+    return None
+
+
+def is_at_level(report: evaluation.GridReport) -> bool:
+    """As good as the paper's robot, in each of its three figures."""
+    return all(ours >= theirs for ours, theirs in zip(report, LEVEL, strict=True))
+
+
+def follow(make: Callable[[], Session], pool: Workers, frames_most: int = FRAMES_MOST) -> list[Point]:
+    """Train until the level is held, or for so many frames; a point a validation."""
+    points: list[Point] = []
+    start, aside = time.monotonic(), 0.0
+    session = make()
+    while session.frames < frames_most and first_held([is_at_level(point.report) for point in points]) is None:
+        standing = session.advance()
+        if len(session.curve) % session.config.validate_every:
+            continue
+        now = time.monotonic()
+        report = evaluation.grid_report(session.average, session.task, pool)
+        points.append(Point(now - start - aside, standing.frames, report))
+        aside += time.monotonic() - now
+    return points
+
+
+def run(json_file: Path | None, seeds: tuple[int, ...], frames_most: int, tell: Callable[[str], None]) -> Outcome:
+    """Measure all seeds, then rl_games if it is there."""
+    times: list[float | None] = []
+    curves = []
+    frames = seconds = 0.0
+    with workers() as pool, TemporaryDirectory() as folder:
+        for seed in seeds:
+            out = Path(folder) / str(seed)
+            points = follow(lambda: begin(RECIPES["reach"], seed, out, pool, resume=False), pool, frames_most)  # noqa: B023
+            place = first_held([is_at_level(point.report) for point in points])
+            times.append(None if place is None else points[place].seconds)
+            frames, seconds = frames + points[-1].frames, seconds + points[-1].seconds
+            curves.append([(point.seconds, point.frames, *point.report) for point in points])
+            tell(f"seed {seed}: {'never' if times[-1] is None else f'{times[-1]:.0f} s'}")
+        theirs = _rl_games(tell)
+    result = Outcome(
+        seconds_to_seed_level=times, steps_per_s=frames / seconds, rl_games_steps_per_s=theirs, curves=curves
+    )
+    if json_file is not None:
+        json_file.write_text(json.dumps(result, indent=1) + "\n")
+    return result
+
+
+def _rl_games(tell: Callable[[str], None]) -> float | None:
+    try:
+        from benchmarks.rl_games_peer import steps_per_s
+    except ModuleNotFoundError as error:
+        tell(f"rl_games is left out: the package '{error.name}' is not installed (pip install rl_games)")
+        return None
+    return steps_per_s()
