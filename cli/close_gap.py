@@ -84,7 +84,7 @@ def run(
 ) -> None:  # fmt: skip
     """The verb with everything named. Raises TrialError, ModelFileError, CheckpointError, PolicyError, ValueError."""
     from cli import closing, closing_story
-    from cli.diagnose import _run as diagnose_inputs
+    from cli.diagnose import run as diagnose_inputs
     from cli.flights import Place, fly_all
     from daemon.evaluation import CART_STARTS_M
     from diagnosis import report

@@ -62,7 +62,7 @@ def diagnose(
     _check_places([path for path in (json_file, report_file, patch_file) if path is not None])
     console = Console()
     try:
-        result = _run(inputs, model_file, data, console)
+        result = run(inputs, model_file, data, console)
     except (TrialError, files.ModelFileError) as error:
         fail(str(error))
     written = []
@@ -94,7 +94,7 @@ def _check_places(paths: list[Path]) -> None:
             fail(f"{path}: there is no folder {path.parent}; make it, or name another place")
 
 
-def _run(inputs: tuple[Path, ...], model_file: Path | None, data: Path | None, console: "Console") -> "Diagnosis":
+def run(inputs: tuple[Path, ...], model_file: Path | None, data: Path | None, console: "Console") -> "Diagnosis":
     """Read and diagnose, with a bar. Raises TrialError and ModelFileError."""
     from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
