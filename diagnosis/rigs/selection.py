@@ -13,54 +13,23 @@ from numpy.typing import NDArray
 from diagnosis.gap import box
 from diagnosis.gap.candidates import Candidate
 from diagnosis.gap.fits import BOUND_SHARE, Fit, Problem, Set, U, point_of
-from diagnosis.gap.lens import Moments, Rows
+from diagnosis.gap.lens import BLOCK_S, Moments, Rows
+from diagnosis.gap.problem import PER_SECOND
 from diagnosis.gap.search import GAIN_MIN, RESAMPLES, RIVAL_SHARE, TIE, Gain, Search
 from diagnosis.gap.view import Array
 
 SHARE_MIN, FLOORS_MIN = 0.10, 0.30  # of the energy that is left without an effect, and in units of the floor's
 MISFIT_SHARE = 0.25  # of the loss that the best leaves: what a rival may lack and still be the cause
 SIZES = (0.3, 1.0, 2.0)  # of usual changes: where all effects at once begin
-ROUNDS = 10
-DAMPINGS = (0.1, 0.01, 0.0)
+BLOCK_LOSS = PER_SECOND * BLOCK_S  # of a block whose residual is as large as what it is weighed by
+ROUNDS, POLISH = 12, 4
+SETTLED = 0.005  # of the loss: who gains less is in the well
 STRIDES = (1.0, 0.3)
-
-
-@dataclass(frozen=True, slots=True)
-class Damped(Problem):
-    """A problem whose steps are held back where the data say little: a lag trades with a dead time and a limit.
-
-    Marquardt 1963: the curvature of every dial counts the larger by a share.
-    """
-
-    damping: float = 0.0
-
-    def solve(
-        self, effects: Set, x: Array, jacobians: list[Rows], bases: list[Moments]
-    ) -> tuple[float, Array]:  # named: zero-argument super() does not work in a dataclass with slots
-        """See Problem."""
-        loss, step = Problem.solve(self, effects, x, jacobians, bases)
-        if not self.damping or not len(x):
-            return loss, step
-        normal, slope = self._normal(len(x), jacobians, bases)
-        dials = np.arange(len(x))
-        normal[dials, dials] *= 1 + self.damping
-        return loss, box.solve(normal, -slope, *self._box(effects, x))[: len(x)]
 
 
 @dataclass(frozen=True, slots=True)
 class Refitted(Problem):
     """A problem of one view whose held-out losses are simulated: the laws of rigs have kinks, a line misleads there."""
-
-    def fit(self, sets: Sequence[tuple[Set, U]], rounds: int = ROUNDS) -> list[Fit]:
-        """See Problem; each set goes on from the best so far under one damping after the other."""
-        return Problem.fit(self, self.settled(sets, rounds), rounds=1)
-
-    def settled(self, sets: Sequence[tuple[Set, U]], rounds: int) -> list[tuple[Set, U]]:
-        """Where the sets come to rest. No folds here."""
-        parts = [getattr(self, f.name) for f in fields(Problem)]
-        for damping in DAMPINGS:
-            sets = [(f.effects, f.u) for f in Damped(*parts, damping).fit(sets, rounds)]
-        return list(sets)
 
     def _fit(self, effects: Set, x: Array, loss: float, jacobians: list[Rows], bases: list[Moments]) -> Fit:
         # Named: zero-argument super() does not work in a dataclass with slots.
@@ -121,19 +90,21 @@ class Backward(Search):
     """A search that begins with every effect that takes a share of the loss."""
 
     def __init__(
-        self, problem: Refitted, plain: Problem, stages: Sequence[str], candidates: Sequence[Candidate]
+        self, problem: Problem, plain: Problem, stages: Sequence[str], candidates: Sequence[Candidate]
     ) -> None:
         """See Search."""
         super().__init__(problem, plain, stages, candidates)
-        self.problem: Refitted = problem
         self._reduced: dict[tuple[tuple[str, ...], U], list[Fit]] = {}
         size = len(problem.blocks)
         counts = np.random.default_rng(0).multinomial(size, np.full(size, 1 / size), RESAMPLES)
         self._counts = counts.astype(np.float32)  # drawn once: of hundreds of blocks that takes longer than a fit
 
     def gain(self, less: Fit, more: Fit) -> Gain:
-        """See Search."""
-        difference = less.held_out - more.held_out
+        """See Search; but blocks that hold more than their share count by the logarithm of it.
+
+        At the fast end of a sweep a hair's breadth in a limit makes or breaks all of a block, whatever else is fitted.
+        """
+        difference = tempered(less) - tempered(more)
         before, after = self.energies(less), self.energies(more)
         shares = {s: 1 - after[s] / before[s] for s in self.stages if before[s] > 1e-9}
         low, high = np.quantile(self._counts @ difference.astype(np.float32), (0.025, 0.975))
@@ -155,7 +126,7 @@ class Backward(Search):
         No law here is exact. Where that shows far above the noise, a small lack tells of the laws' forms, not of the
         cause, however sure it is.
         """
-        rest = float(rival.held_out.sum()) - lack.value
+        rest = float(tempered(rival).sum()) - lack.value
         close = lack.low <= 0 or lack.value < max(TIE, MISFIT_SHARE * rest)
         enough = close and lack.value < RIVAL_SHARE * gain.value
         return enough and not rival.at_bound and self.worth(self.gain(less, rival))
@@ -179,11 +150,16 @@ class Backward(Search):
 
     def full(self, nothing: Fit) -> Fit:
         """All effects at once, from starts of several sizes; of the wells the deepest. No folds here."""
+        quick = Problem(*(getattr(self.problem, f.name) for f in fields(Problem)))
         begun = [(self.candidates, tuple(_moved(c, size) for c in self.candidates)) for size in SIZES]
-        settled = self.problem.settled(self.problem.settled(begun, ROUNDS), ROUNDS)
-        losses = self.problem.losses(settled)
-        fit = self.problem.fit([settled[int(np.argmin(losses))]])[0]
-        return fit if fit.loss < nothing.loss else nothing
+        fit = min(quick.fit(begun, rounds=ROUNDS), key=lambda f: f.loss)
+        for _ in range(POLISH):
+            best = quick.fit([(fit.effects, fit.u)], rounds=ROUNDS)[0]
+            settled = not best.loss < fit.loss * (1 - SETTLED)
+            fit = min((fit, best), key=lambda f: f.loss)
+            if settled:
+                break
+        return self.problem.fit([(fit.effects, fit.u)], rounds=1)[0] if fit.loss < nothing.loss else nothing
 
     def chosen(self, full: Fit, nothing: Fit) -> Fit:
         """What is left when nothing more can be spared, and nothing stands at a bound."""
@@ -197,6 +173,11 @@ class Backward(Search):
                 return nothing
             fit = self.pruned(self.reduced(fit)[pinned[0]])
         return fit
+
+
+def tempered(fit: Fit) -> Array:
+    """Held-out losses by block, those beyond a block's worth by their logarithm."""
+    return np.asarray(BLOCK_LOSS * np.log1p(np.maximum(fit.held_out, 0.0) / BLOCK_LOSS))
 
 
 def at_bound(effect: Candidate, u: Sequence[float]) -> bool:

@@ -97,3 +97,9 @@ def softarm(daemon, monkeypatch):
 @pytest.fixture
 def make_status():
     return status
+
+
+@pytest.fixture(autouse=True)
+def _ordinary_scheduling(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A test that runs the daemon in its own process must not outrank the machine ever after."""
+    monkeypatch.setattr("daemon.realtime._set", lambda priority: None)
