@@ -18,6 +18,7 @@ _ABSOLUTE = {
     "damping.scale": 1.0,
 }
 _FLOORS = {"gain.offset": 1.0}
+_BEYOND = 1.001  # of a box: what lies within it is no news
 _SHARES = (0.3, 1.0, 2.5)  # of the usual change: starts
 
 
@@ -38,12 +39,12 @@ def _candidate(view: RigView, effect: Effect) -> Candidate:
 
 def _dial(view: RigView, effect: Effect, p: Parameter) -> Dial:
     path = f"{effect.name}.{p.name}"
-    nominal = view.nominal(path.partition(".")[2])
+    nominal, news = view.nominal(path.partition(".")[2]), _BEYOND * _ABSOLUTE.get(path.partition(".")[2], 0.0)
     if math.isinf(p.neutral):
         u = 0.0 if math.isinf(nominal) else 1 / nominal
-        return Dial(path, p.unit, u, 0.0, 1 / p.low, abs(1 / p.exemplar - u) or 1 / p.exemplar, 0.0, True)
+        return Dial(path, p.unit, u, 0.0, 1 / p.low, abs(1 / p.exemplar - u) or 1 / p.exemplar, 0.0, True, news)
     size = p.exemplar if p.default is not None else abs(p.exemplar - nominal) or p.exemplar
-    return Dial(path, p.unit, nominal, p.low, p.high, size, p.neutral)
+    return Dial(path, p.unit, nominal, p.low, p.high, size, p.neutral, news=news)
 
 
 def _starts(dials: Sequence[Dial], parameters: Sequence[Parameter]) -> Iterator[tuple[float, ...]]:

@@ -95,6 +95,7 @@ class Backward(Search):
         """See Search."""
         super().__init__(problem, plain, stages, candidates)
         self._reduced: dict[tuple[tuple[str, ...], U], list[Fit]] = {}
+        self._settled: dict[str, tuple[float, ...]] = {}  # the chosen effects' dials
         size = len(problem.blocks)
         counts = np.random.default_rng(0).multinomial(size, np.full(size, 1 / size), RESAMPLES)
         self._counts = counts.astype(np.float32)  # drawn once: of hundreds of blocks that takes longer than a fit
@@ -136,7 +137,13 @@ class Backward(Search):
         memory = frozenset(base.names)
         if memory not in self._extended:
             options = [c for c in self.candidates if c.name not in base.names]
-            self._extended[memory] = self.problem.fit(self._begun(base, options), ROUNDS)
+            begun = self._begun(base, options)
+            # Without one of the chosen the others stand askew; a rival fits better beside what they were with it.
+            u = tuple(self._settled.get(c.name, own) for c, own in zip(base.effects, base.u, strict=True))
+            begun += self._begun(replace(base, u=u), options) if u != base.u else []
+            fits = sorted(self.problem.fit(begun, ROUNDS), key=lambda f: f.loss)
+            best = {fit.effects[-1].name: fit for fit in reversed(fits)}
+            self._extended[memory] = list(best.values())
         return [fit for fit in self._extended[memory] if fit.effects[-1].name not in without]
 
     def reduced(self, fit: Fit) -> list[Fit]:
@@ -162,12 +169,15 @@ class Backward(Search):
         return self.problem.fit([(fit.effects, fit.u)], rounds=1)[0] if fit.loss < nothing.loss else nothing
 
     def chosen(self, full: Fit, nothing: Fit) -> Fit:
-        """What is left when nothing more can be spared, and nothing stands at a bound."""
+        """What is left when nothing more can be spared, stands at a bound or is no news."""
         fit = self.pruned(full)
         while fit.effects:
-            pinned = [i for i, each in enumerate(fit.effects) if at_bound(each, fit.u[i])]
+            pinned = [
+                i for i, each in enumerate(fit.effects) if at_bound(each, fit.u[i]) or not is_news(each, fit.u[i])
+            ]
             lone = len(fit.effects) == 1 and not self.worth(self.gain(nothing, fit))
             if not pinned and not lone:
+                self._settled = dict(zip(fit.names, fit.u, strict=True))
                 return fit
             if len(fit.effects) == 1:
                 return nothing
@@ -178,6 +188,11 @@ class Backward(Search):
 def tempered(fit: Fit) -> Array:
     """Held-out losses by block, those beyond a block's worth by their logarithm."""
     return np.asarray(BLOCK_LOSS * np.log1p(np.maximum(fit.held_out, 0.0) / BLOCK_LOSS))
+
+
+def is_news(effect: Candidate, u: Sequence[float]) -> bool:
+    """Whether a dial is further off than a well-kept model may be: else the box beside every rival holds it."""
+    return any(abs(x - d.nominal) >= d.news for d, x in zip(effect.dials, u, strict=True))
 
 
 def at_bound(effect: Candidate, u: Sequence[float]) -> bool:
