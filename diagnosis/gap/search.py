@@ -5,6 +5,7 @@ Every comparison is between nested fits that share their nuisances, on blocks th
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 
@@ -200,11 +201,15 @@ class Search:
 
 def bootstrap(difference: Array) -> tuple[float, float]:
     """95 % interval of a sum over blocks, the blocks drawn anew; the draws are always the same."""
-    counts = np.random.default_rng(0).multinomial(
-        len(difference), np.full(len(difference), 1 / len(difference)), RESAMPLES
-    )
-    low, high = np.quantile(counts @ difference, (0.025, 0.975))
+    low, high = np.quantile(_draws(len(difference)) @ difference, (0.025, 0.975))
     return float(low), float(high)
+
+
+@cache
+def _draws(blocks: int) -> Array:
+    """How often each block is drawn, [RESAMPLES, blocks]."""
+    drawn = np.random.default_rng(0).multinomial(blocks, np.full(blocks, 1 / blocks), RESAMPLES)
+    return np.asarray(drawn, dtype=np.float64)
 
 
 def _without(fit: Fit, i: int) -> tuple[Set, U]:

@@ -150,11 +150,14 @@ def _values(effect: NamedEffect) -> str:
 
 def _how_sure(diagnosis: Diagnosis) -> str:
     verdict = diagnosis.verdict
-    sure = [percent(effect.confidence) for effect in verdict.effects]
-    if len(set(sure)) == 1:
-        text = f"Of answers like this one, {sure[0]} were right where the cause was known"
+    sure = [percent(effect.confidence) for effect in sorted(verdict.effects, key=lambda e: e.confidence)]
+    several = len(set(sure)) > 1
+    shares = f"{sure[0]} to {sure[-1]}" if several else sure[0]
+    if diagnosis.nominal is None:  # a table: no cases of known cause stand behind it
+        answers = "these answers" if several else "this answer"
+        text = f"Its own data, blocks drawn anew, give {answers} in {shares} of the draws"
     else:
-        text = f"Of answers like these, {listed(sure)} were right, in this order, where the cause was known"
+        text = f"Of answers like {'these' if several else 'this one'}, {shares} were right where the cause was known"
     stage = verdict.where.stage
     if stage is None:
         return text + "."
