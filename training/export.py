@@ -56,9 +56,9 @@ class _Graph:
         inputs = [x, self.weight(f"{name}_weight", module.weight), self.weight(f"{name}_bias", module.bias)]
         return self.node("Gemm", inputs, [name], transB=1)
 
-    def clip(self, x: str, bound: float, output: str) -> str:
+    def clip(self, x: str, bound: float, output: str, of: str) -> str:
         ends = (("low", -bound), ("high", bound))
-        limits = [self.weight(f"{output}_{name}", np.array(end, dtype=np.float32)) for name, end in ends]
+        limits = [self.weight(f"{of}_{name}", np.array(end, dtype=np.float32)) for name, end in ends]
         return self.node("Clip", [x, *limits], [output])
 
     def normalised(self, network: PolicyNetwork) -> str:
@@ -66,7 +66,7 @@ class _Graph:
         mean = self.weight("observation_mean", normaliser.mean.float())
         centred = self.node("Sub", ["observation", mean], ["centred"])
         scale = self.weight("observation_scale", normaliser.scale())
-        return self.clip(self.node("Div", [centred, scale], ["scaled"]), CLIP, "normalised")
+        return self.clip(self.node("Div", [centred, scale], ["scaled"]), CLIP, "normalised", "observation")
 
     def mlp(self, network: PolicyNetwork, x: str) -> str:
         modules = (module for module in network.mlp if isinstance(module, torch.nn.Linear))
@@ -112,7 +112,7 @@ def onnx_model(network: PolicyNetwork) -> onnx.ModelProto:
         features = graph.mlp(network, x)
         for name in ("h", "c"):  # a state there must be; this one is handed through
             graph.node("Identity", [f"{name}_in"], [f"{name}_out"])
-    graph.clip(graph.linear("head", network.mean_head, features), 1.0, "action")
+    graph.clip(graph.linear("head", network.mean_head, features), 1.0, "action", "action")
 
     def signal(name: str, *dimensions: int | str) -> onnx.ValueInfoProto:
         return helper.make_tensor_value_info(name, TensorProto.FLOAT, dimensions)

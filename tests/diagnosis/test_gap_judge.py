@@ -14,14 +14,15 @@ from simulator.effects import STAGES
 KNOWN = {each.name: each for each in candidates(Model())}
 
 
-def _fit(*names, folds=(1.0, 1.0, 1.0)):
+def _fit(*names, folds=(1.0, 1.0, 1.0), halves=(1.0, 1.0)):
     """Effects at a start of theirs; `folds`: their change without each fold, in units of the change with all."""
     empty = np.zeros(0)
     effects = tuple(KNOWN[name] for name in names)
     u = tuple(each.starts[0] for each in effects)
     nominal = np.array([d.nominal for each in effects for d in each.dials])
     change = np.array([x for us in u for x in us]) - nominal
-    return Fit(effects, u, empty, 0.0, empty, nominal + np.outer(folds, change), empty, empty)
+    without, parts = nominal + np.outer(folds, change), nominal + np.outer(halves, change)
+    return Fit(effects, u, empty, 0.0, empty, without, parts, empty, empty)
 
 
 def _gain(value=100.0, **energies):
@@ -32,8 +33,8 @@ def _member(name, equivalents=(), **energies):
     return Member(candidate=KNOWN[name], without=_fit(), gain=_gain(**energies), rivals=(), equivalents=equivalents)
 
 
-def _choice(before, after, *members, folds=(1.0, 1.0, 1.0)):
-    chosen = _fit(*(m.candidate.name for m in members), folds=folds)
+def _choice(before, after, *members, folds=(1.0, 1.0, 1.0), halves=(1.0, 1.0)):
+    chosen = _fit(*(m.candidate.name for m in members), folds=folds, halves=halves)
     return Choice(_fit(), (), chosen, members, None, (before, after))
 
 
@@ -74,11 +75,19 @@ def test_an_effect_that_takes_a_part_of_its_own_gap_is_not_named():
 
 
 def test_an_effect_of_another_strength_in_every_excitation_is_not_named():
-    """However much it explains: what is there has one strength."""
-    parts = {"arm": 50.0}, {"arm": 1.0}, _member("arm.damping", arm=49.0)
+    """However much it explains, where it leaves anything: what is there has one strength."""
+    parts = {"arm": 50.0}, {"arm": 1.5}, _member("arm.damping", arm=48.5)
     assert rule(_choice(*parts), {}).kind == "named"
     unsteady = rule(_choice(*parts, folds=(0.2, 1.0, 1.8)), {})
     assert (unsteady.kind, unsteady.members) == ("unknown", ())
+    whole = {"arm": 50.0}, {"arm": 1.0}, _member("arm.damping", arm=49.0)
+    assert rule(_choice(*whole, folds=(0.2, 1.0, 1.8)), {}).kind == "named"
+
+
+def test_an_effect_that_grows_within_a_trial_is_not_named():
+    parts = {"arm": 50.0}, {"arm": 1.5}, _member("arm.damping", arm=48.5)
+    fading = rule(_choice(*parts, halves=(0.7, 1.3)), {})
+    assert (fading.kind, fading.members) == ("unknown", ())
 
 
 def test_a_rest_that_no_model_explains_counts_in_part():

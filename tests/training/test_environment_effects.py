@@ -221,11 +221,11 @@ def test_the_command_takes_a_model_by_file_or_name(tmp_path, monkeypatch):
         given.append(arguments)
         raise ValueError("enough")
 
-    monkeypatch.setattr("training.session.Session", session)
+    monkeypatch.setattr("training.recipe.Session", session)
     model_file.save(strong(), tmp_path / "blurred.yaml")
     for name in (str(tmp_path / "blurred.yaml"), "no-delay"):
         assert "enough" in CliRunner().invoke(train, ["reach", "--model", name]).output
-    assert [each[-2:] for each in given] == [(strong(), "blurred"), (model_file.load("no-delay"), "no-delay")]
+    assert [each[6:8] for each in given] == [(strong(), "blurred"), (model_file.load("no-delay"), "no-delay")]
     assert [each[3].name for each in given] == ["reach-blurred-1", "reach-no-delay-1"]  # no run in another's folder
     result = CliRunner().invoke(train, ["reach", "--model", "no-dely"])
     assert result.exit_code == 1
