@@ -26,13 +26,14 @@ class Dial:
     neutral: float  # u at which the effect is absent
     inverse: bool = False
     news: float = 0.0  # a smaller change, u, is none that anybody would call a gap
+    least: float = 0.0  # of an inverse dial: below lies nothing but the neutral value
 
     def value(self, u: float) -> float:
         """In the registry's unit, within the bounds."""
         u = min(max(u, self.low), self.high)
         if not self.inverse:
             return u
-        return 1 / u if u > 0 else math.inf
+        return 1 / max(u, self.least) if u > self.least / 2 else math.inf
 
 
 @dataclass(frozen=True, slots=True)
@@ -163,7 +164,9 @@ def _dial(name: str, p: Parameter, model: Model) -> Dial:
     if math.isinf(p.neutral):
         u = 0.0 if math.isinf(nominal) else 1 / nominal
         size = abs(1 / p.exemplar - u) or 1 / p.exemplar
-        return Dial(path, p.unit, u, 0.0, (1 - 1e-9) / p.low, size, 0.0, True, _news(path, u, size))
+        return Dial(
+            path, p.unit, u, 0.0, (1 - 1e-9) / p.low, size, 0.0, True, _news(path, u, size), (1 + 1e-9) / p.high
+        )
     size = p.exemplar if p.default is not None else abs(p.exemplar - p.neutral)
     return Dial(path, p.unit, nominal, p.low, p.high, size, p.neutral, news=_news(path, nominal, size))
 

@@ -2,6 +2,7 @@
 
 import math
 
+import numpy as np
 import pytest
 
 from diagnosis.gap.candidates import candidates, nuisances
@@ -106,3 +107,12 @@ def test_a_nuisance_is_a_box_about_the_model_within_the_bounds(model):
 
 def test_what_a_model_lacks_is_no_nuisance_of_its_size():
     assert not {"pressure.lag.inflate", "rail.acceleration_limit.acceleration"} & {n.path for n in nuisances(BARE)}
+
+
+def test_between_the_last_finite_value_and_none_there_is_nothing():
+    """A limit far away is no limit: a step of a fit must not end beyond the registry's bound."""
+    (ceiling,) = next(c for c in candidates(Model()) if c.name == "pressure.ceiling").dials
+    for u in np.linspace(0.0, 0.02, 41):
+        value = ceiling.value(float(u))
+        assert math.isinf(value) or 1.0 <= value <= 100.0
+    assert math.isinf(ceiling.value(0.0))
