@@ -4,6 +4,7 @@ import time
 from collections.abc import Mapping, Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from diagnosis.gap import evidence, experiments
 from diagnosis.gap.candidates import candidates, nuisances
@@ -13,7 +14,7 @@ from diagnosis.gap.confidence import confidence
 from diagnosis.gap.counts import Count, counts
 from diagnosis.gap.fits import Fit, point_of
 from diagnosis.gap.judge import Ruling, rule, stage_of, stage_shares
-from diagnosis.gap.lens import Lens
+from diagnosis.gap.lens import BLOCK_S, Lens, blocks_of
 from diagnosis.gap.problem import Setup
 from diagnosis.gap.recordings import Flight, flight
 from diagnosis.gap.result import Diagnosis
@@ -166,24 +167,15 @@ class Robot:
         lens = self.plain.lenses[self.stages.index(stage)]
         before, after = self._squares(lens, member.without.fold_points), self._squares(lens, chosen.fold_points)
         value, low, high = interval(before, after)
-        tips = tip_gap(self.flight, self.model, [{k: v for k, v in point.items() if k not in own}, point])
-        squares = np.array(
-            [[np.nansum(t[self.flight.sample[1] == k] ** 2) for k in range(len(self.trials))] for t in tips]
-        )
-        chain = interval(squares[0], squares[1]) if np.isfinite(tips).any() else None
+        points = _points(choice, point)
+        without = [{k: v for k, v in each.items() if k not in own} for each in points]
+        tips = [self._held_out(found) for found in np.split(self._tips([*without, *points]), 2)]
+        trial = self.flight.sample[1]
+        squares = [np.array([np.nansum(t[trial == k] ** 2) for k in range(len(self.trials))]) for t in tips]
+        chain = interval(*squares) if np.isfinite(tips).any() else None
         return Shrink(
             stage=_interval(value, low, high), chain=None if chain is None else _interval(*chain)
         )  # fmt: skip
-
-    def _reduced(self, choice: Choice) -> list[Fit]:
-        if not hasattr(self, "_less"):
-            problem = self.setup.weighed(self.setup.residuals(self.plain, choice.chosen))
-            sets = [(f.effects, f.u) for f in [choice.chosen]]
-            effects, u = sets[0]
-            self._less = problem.fit(
-                [(effects[:i] + effects[i + 1 :], u[:i] + u[i + 1 :]) for i in range(len(effects))]
-            )
-        return self._less
 
     def _squares(self, lens: Lens, fold_points: Sequence[Point]) -> Array:
         """Squares of a stage's residual by trial [K], floors as units, each trial at its own fold's point."""
@@ -197,6 +189,17 @@ class Robot:
                     squares[trial] += float(rows @ rows)
         return squares
 
+    def _tips(self, points: Sequence[Point]) -> NDArray[np.float32]:
+        return tip_gap(self.flight, self.model, points)
+
+    def _held_out(self, gaps: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Of gaps by fold [F, M, S] every sample's own: from parameters that were fitted without it, [M, S]."""
+        fold = dict(zip(self.plain.blocks, np.unique(self.plain.fold, return_inverse=True)[1], strict=True))
+        own = np.zeros(gaps.shape[1], dtype=np.int64)
+        for name, a, b in blocks_of(self.views[0], BLOCK_S):
+            own[a:b] = fold[name]
+        return np.asarray(gaps[own, np.arange(len(own))])
+
     def _gap(
         self,
         choice: Choice,
@@ -205,16 +208,15 @@ class Robot:
         counted: Sequence[Count],
     ) -> Gap:
         before, after, floor, ceiling = {}, {}, {}, {}
+        points = _points(choice, point)
         for view, gaps in zip(self.views, self.setup.gaps, strict=True):
-            found = gaps.fetch([{}, point])
-            nominal, patched = (float(np.sqrt(np.nanmean(found[gaps.key(p)] ** 2))) for p in ({}, point))
+            found = gaps.fetch([{}, *points])
+            patched = self._held_out(np.stack([found[gaps.key(p)] for p in points]))
             share = flexible.get(view.stage, (0.0, {}))[0]
-            before[view.stage], after[view.stage] = (
-                Quantity(value=nominal, unit=view.unit),
-                Quantity(value=patched, unit=view.unit),
-            )
+            before[view.stage] = Quantity(value=_rms(found[()]), unit=view.unit)
+            after[view.stage] = Quantity(value=_rms(patched), unit=view.unit)
             floor[view.stage] = Quantity(value=float(np.sqrt(np.mean(view.floor**2))), unit=view.unit)
-            ceiling[view.stage] = Quantity(value=patched * float(np.sqrt(1 - share)), unit=view.unit)
+            ceiling[view.stage] = Quantity(value=_rms(patched) * float(np.sqrt(1 - share)), unit=view.unit)
         for c in counted:
             if c.stage not in before and (c.named or c.stage in ("clock", "observation")):
                 rest = c.after if c.named else c.before
@@ -222,10 +224,10 @@ class Robot:
                     Quantity(value=round(x, 9), unit=c.unit) for x in (c.before, c.floor)
                 )
                 after[c.stage] = ceiling[c.stage] = Quantity(value=round(rest, 9), unit=c.unit)
-        tips = tip_gap(self.flight, self.model, [{}, point])
+        tips = self._tips([{}, *points])
         if np.isfinite(tips).any():
-            rms = (float(np.sqrt(2 * np.nanmean(t**2))) for t in tips)
-            before["chain"], after["chain"] = (Quantity(value=x, unit="m") for x in rms)
+            both = np.sqrt(2) * _rms(tips[0]), np.sqrt(2) * _rms(self._held_out(tips[1:]))
+            before["chain"], after["chain"] = (Quantity(value=x, unit="m") for x in both)
             floor["chain"] = Quantity(value=FLOOR_M, unit="m")
         return Gap(before=before, after=after, floor=floor, ceiling=ceiling)
 
@@ -283,6 +285,15 @@ def _shows(member: Member) -> str:
     """The stage that an effect's shrink is told of: its own where it shows there, else where it shows most."""
     energies, own = member.gain.energies, member.candidate.stage
     return own if energies.get(own, 0.0) > OWN_STAGE_MIN else max(energies, key=lambda s: energies[s])
+
+
+def _points(choice: Choice, point: Point) -> list[Point]:
+    """The named effects' parameters, fitted without each fold."""
+    return [{path: each[path] for path in point} for each in choice.chosen.fold_points]
+
+
+def _rms(gap: NDArray[np.float32]) -> float:
+    return float(np.sqrt(np.nanmean(gap**2)))
 
 
 def _interval(value: float, low: float, high: float) -> Interval:
