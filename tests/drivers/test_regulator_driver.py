@@ -119,7 +119,7 @@ def test_the_newest_set_point_wins(bench: Any, until: Any) -> None:
             b.regulator.write(True, float(kpa))
         await until(lambda: b.device.commands()[-1].pressure_kpa == 19.0)
         told = [command.pressure_kpa for command in b.device.commands()[since:]]
-        assert told == sorted(set(told))
+        assert told == sorted(told)  # a set-point may be told again, to keep the device alive; none comes back
 
     bench(script)
 
