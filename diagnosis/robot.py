@@ -14,7 +14,7 @@ from diagnosis.gap.confidence import confidence
 from diagnosis.gap.counts import Count, counts
 from diagnosis.gap.fits import Fit, point_of
 from diagnosis.gap.judge import Ruling, rule, stage_of, stage_shares
-from diagnosis.gap.lens import BLOCK_S, Lens, blocks_of
+from diagnosis.gap.lens import BLOCK_S, Key, Lens, blocks_of
 from diagnosis.gap.problem import Setup
 from diagnosis.gap.recordings import Flight, flight
 from diagnosis.gap.result import Diagnosis
@@ -47,6 +47,7 @@ class Robot:
         tell("simulating each stage alone", 0.08)
         self.setup = Setup(self.views, nuisances(model), [trial.kind for trial in trials])
         self.plain = self.setup.plain()
+        self._flown: dict[Key, NDArray[np.float32]] = {}
 
     def diagnosis(self) -> Diagnosis:
         """Everything."""
@@ -190,7 +191,11 @@ class Robot:
         return squares
 
     def _tips(self, points: Sequence[Point]) -> NDArray[np.float32]:
-        return tip_gap(self.flight, self.model, points)
+        """Gaps of the tip at each point, [P, M, 2]; every point is flown once."""
+        keys = [tuple(sorted(point.items())) for point in points]
+        if missing := [key for key in dict.fromkeys(keys) if key not in self._flown]:
+            self._flown |= zip(missing, tip_gap(self.flight, self.model, [dict(key) for key in missing]), strict=True)
+        return np.stack([self._flown[key] for key in keys])
 
     def _held_out(self, gaps: NDArray[np.float32]) -> NDArray[np.float32]:
         """Of gaps by fold [F, M, S] every sample's own: from parameters that were fitted without it, [M, S]."""

@@ -4,13 +4,15 @@ Everything about an effect is read from the registry; here stand only where a se
 """
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 
 from diagnosis.gap.robot_views import ABOUT_RAIL, ON_MOTOR
 from diagnosis.gap.view import Point
 from schemas.model import Model
 from simulator.effects import REGISTRY, Parameter, value
+
+BOUND_SHARE = 0.02  # of a dial's size: closer to a bound than this is at it
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,6 +47,18 @@ class Candidate:
     dials: tuple[Dial, ...]
     starts: tuple[tuple[float, ...], ...]  # where a search begins, u of each dial
     form: Mapping[str, float] = field(default_factory=dict)
+
+    def is_news(self, u: Sequence[float]) -> bool:
+        """Whether a dial is off its nominal value by more than well-kept robots are."""
+        return any(abs(x - d.nominal) >= d.news for d, x in zip(self.dials, u, strict=True))
+
+    def at_bound(self, u: Sequence[float]) -> bool:
+        """Whether a dial stands at a physical bound that is neither its nominal nor its neutral value."""
+        return any(
+            min(x - d.low, d.high - x) < BOUND_SHARE * d.size
+            and min(abs(x - d.nominal), abs(x - d.neutral)) > BOUND_SHARE * d.size
+            for d, x in zip(self.dials, u, strict=True)
+        )
 
     def point(self, u: tuple[float, ...]) -> dict[str, float]:
         """The registry's parameters at coordinates u."""

@@ -11,6 +11,7 @@ from diagnosis.gap.view import Point
 from schemas.excitation import EXCITATIONS, Excitation
 from schemas.model import Model
 from schemas.verdict import NextExperiment
+from simulator.effects import value
 from simulator.simulator import Simulator
 
 TICK_S = 1 / 30
@@ -75,11 +76,10 @@ def _expected(names: tuple[str, ...], seen: NDArray[np.float64]) -> dict[str, st
 
 def _fly(model: Model, excitation: Excitation, points: list[Point]) -> NDArray[np.float64]:
     paths = sorted({path for point in points for path in point if not path.startswith(("mocap.", "rail.encoder"))})
-    own = Simulator(model, len(points)).effects
     overrides = {}
     for path in paths:
         effect, _, parameter = path.rpartition(".")
-        nominal = float(own.value(effect, parameter)[0])
+        nominal = value(model, effect, parameter)
         overrides[path] = np.array([point.get(path, nominal) for point in points])
     simulator = Simulator(model, len(points), overrides=overrides)
     seen = []

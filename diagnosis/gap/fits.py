@@ -20,7 +20,6 @@ CONVERGED = 1e-3  # of the loss: a round that gains less is the last
 NUDGE = 0.04  # of a dial's size, for a column of the Jacobian
 SHORTER = 0.3  # of a step that did not help
 REACH = 2.0  # of a dial's size: how far a round may go
-BOUND_SHARE = 0.02  # of a dial's size: closer to a bound than this is at it
 
 Set = tuple[Candidate, ...]
 U = tuple[tuple[float, ...], ...]  # coordinates, a tuple for each candidate
@@ -53,47 +52,39 @@ class Fit:
     @property
     def fold_points(self) -> list[Point]:
         """As `point`, from a fit without each fold."""
-        return [point_of(self.effects, _split(self.effects, x)) for x in self.folds]
+        return [point_of(self.effects, split(self.effects, x)) for x in self.folds]
 
     def scatter(self, i: int) -> float:
         """How far an effect's strength differs from one kind of excitation to another: jackknife error over the change.
 
         Of an effect that is there it is small; a law that only resembles the true one needs another strength each time.
         """
-        at = sum(len(each.dials) for each in self.effects[:i])
-        change = [abs(x - d.nominal) / d.size for d, x in zip(self.effects[i].dials, self.u[i], strict=True)]
-        j = int(np.argmax(change))
-        values = self.folds[:, at + j]
-        error = np.sqrt((len(values) - 1) / len(values) * np.sum((values - values.mean()) ** 2))
-        return float(
-            error / max(abs(self.u[i][j] - self.effects[i].dials[j].nominal), 1e-9 * self.effects[i].dials[j].size)
-        )
+        at, change = self._strongest(i)
+        values = self.folds[:, at]
+        return float(np.sqrt((len(values) - 1) / len(values) * np.sum((values - values.mean()) ** 2)) / change)
 
     def drift(self, i: int) -> float:
         """How far an effect's strength differs between the trials' halves, over the change: one that grows or fades."""
-        at = sum(len(each.dials) for each in self.effects[:i])
-        change = [abs(x - d.nominal) / d.size for d, x in zip(self.effects[i].dials, self.u[i], strict=True)]
-        j = int(np.argmax(change))
-        early, late = self.halves[:, at + j]
-        return float(abs(late - early) / max(change[j] * self.effects[i].dials[j].size, 1e-12))
+        at, change = self._strongest(i)
+        early, late = self.halves[:, at]
+        return float(abs(late - early) / change)
+
+    def _strongest(self, i: int) -> tuple[int, float]:
+        """Of an effect's dials the one turned furthest for its size: its place among all, and how far it is turned."""
+        dials, us = self.effects[i].dials, self.u[i]
+        j = max(range(len(dials)), key=lambda k: abs(us[k] - dials[k].nominal) / dials[k].size)
+        at = sum(len(each.dials) for each in self.effects[:i]) + j
+        return at, max(abs(us[j] - dials[j].nominal), 1e-9 * dials[j].size)
 
     @property
     def is_news(self) -> bool:
-        """Whether every effect is off its nominal value by more than well-kept robots are."""
-        return all(
-            any(abs(x - d.nominal) >= d.news for d, x in zip(each.dials, us, strict=True))
-            for each, us in zip(self.effects, self.u, strict=True)
-        )
+        """Whether every effect is."""
+        return all(each.is_news(us) for each, us in zip(self.effects, self.u, strict=True))
 
     @property
     def at_bound(self) -> bool:
-        """Whether a dial stands at a physical bound that is neither its nominal nor its neutral value."""
-        return any(
-            min(x - d.low, d.high - x) < BOUND_SHARE * d.size
-            and min(abs(x - d.nominal), abs(x - d.neutral)) > BOUND_SHARE * d.size
-            for each, us in zip(self.effects, self.u, strict=True)
-            for d, x in zip(each.dials, us, strict=True)
-        )
+        """Whether any effect is."""
+        return any(each.at_bound(us) for each, us in zip(self.effects, self.u, strict=True))
 
 
 def point_of(effects: Set, u: U) -> dict[str, float]:
@@ -161,7 +152,7 @@ class Problem:
         return [lens.moments(points) for lens in self.lenses]
 
     def _losses(self, effects: Sequence[Set], state: Sequence[Array]) -> list[float]:
-        points = [point_of(e, _split(e, x)) for e, x in zip(effects, state, strict=True)]
+        points = [point_of(e, split(e, x)) for e, x in zip(effects, state, strict=True)]
         moments = self._moments(points)
         gg = sum(lens.gg for lens in self.lenses)
         result = []
@@ -180,7 +171,7 @@ class Problem:
             away = [1 if v + NUDGE * d.size <= d.high else -1 for d, v in zip(dials, x, strict=True)]
             nudge = np.array([NUDGE * d.size * sign for d, sign in zip(dials, away, strict=True)])
             nudges.append(nudge)
-            points.append([point_of(each, _split(each, x + change)) for change in (0 * x, *np.diag(nudge))])
+            points.append([point_of(each, split(each, x + change)) for change in (0 * x, *np.diag(nudge))])
         flat = [p for ps in points for p in ps]
         moments, at, found = self._moments(flat), 0, []
         for ps, nudge in zip(points, nudges, strict=True):
@@ -251,7 +242,7 @@ class Problem:
         nuisance = best[len(x) :]
         return Fit(
             effects,
-            _split(effects, x),
+            split(effects, x),
             nuisance,
             loss,
             held_out,
@@ -298,7 +289,8 @@ def _spread(normal: Array, slope: Array, best: Array, low: Array, high: Array, p
     return best[:p] - half, best[:p] + half
 
 
-def _split(effects: Set, x: Array) -> U:
+def split(effects: Set, x: Array) -> U:
+    """Coordinates in a row, [p], to a tuple for each effect."""
     parts, at = [], 0
     for each in effects:
         parts.append(tuple(float(v) for v in x[at : at + len(each.dials)]))

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from diagnosis.gap import box
 from diagnosis.gap.candidates import Candidate
-from diagnosis.gap.fits import BOUND_SHARE, Fit, Problem, Set, U, point_of
+from diagnosis.gap.fits import Fit, Problem, Set, U, point_of, split
 from diagnosis.gap.lens import BLOCK_S, Moments, Rows
 from diagnosis.gap.problem import PER_SECOND
 from diagnosis.gap.search import GAIN_MIN, RESAMPLES, RIVAL_SHARE, TIE, Gain, Search
@@ -43,7 +43,7 @@ class Refitted(Problem):
         """
         folds, strides = np.unique(self.fold), STRIDES if len(x) else ()
         states = [x, *(x + s * (refit - x) for refit in refits for s in strides)]
-        points = [point_of(effects, _parts(effects, [float(v) for v in state])) for state in states]
+        points = [point_of(effects, split(effects, state)) for state in states]
         edges, order, gg = self._blocks()
         blocks = [self._sums(moments, edges, order) for moments in self._moments(points)[0]]
         held_out = np.empty(len(self.blocks))
@@ -172,9 +172,7 @@ class Backward(Search):
         """What is left when nothing more can be spared, stands at a bound or is no news."""
         fit = self.pruned(full)
         while fit.effects:
-            pinned = [
-                i for i, each in enumerate(fit.effects) if at_bound(each, fit.u[i]) or not is_news(each, fit.u[i])
-            ]
+            pinned = [i for i, each in enumerate(fit.effects) if each.at_bound(fit.u[i]) or not each.is_news(fit.u[i])]
             lone = len(fit.effects) == 1 and not self.worth(self.gain(nothing, fit))
             if not pinned and not lone:
                 self._settled = dict(zip(fit.names, fit.u, strict=True))
@@ -190,28 +188,6 @@ def tempered(fit: Fit) -> Array:
     return np.asarray(BLOCK_LOSS * np.log1p(np.maximum(fit.held_out, 0.0) / BLOCK_LOSS))
 
 
-def is_news(effect: Candidate, u: Sequence[float]) -> bool:
-    """Whether a dial is further off than a well-kept model may be: else the box beside every rival holds it."""
-    return any(abs(x - d.nominal) >= d.news for d, x in zip(effect.dials, u, strict=True))
-
-
-def at_bound(effect: Candidate, u: Sequence[float]) -> bool:
-    """Whether a dial stands at a physical bound that is neither its nominal nor its neutral value."""
-    return any(
-        min(x - d.low, d.high - x) < BOUND_SHARE * d.size
-        and min(abs(x - d.nominal), abs(x - d.neutral)) > BOUND_SHARE * d.size
-        for d, x in zip(effect.dials, u, strict=True)
-    )
-
-
 def _moved(candidate: Candidate, size: float) -> tuple[float, ...]:
     """Every dial away from its nominal by a share of its usual change, as far as the bounds allow."""
     return tuple(min(max(d.nominal + size * d.size, d.low), d.high) for d in candidate.dials)
-
-
-def _parts(effects: Set, x: Sequence[float]) -> tuple[tuple[float, ...], ...]:
-    parts, at = [], 0
-    for each in effects:
-        parts.append(tuple(x[at : at + len(each.dials)]))
-        at += len(each.dials)
-    return tuple(parts)
