@@ -22,12 +22,12 @@ if TYPE_CHECKING:
 @click.option("--seed", type=click.IntRange(min=0), default=1, show_default=True, help="Of everything random.")
 @click.option("--frames", type=click.IntRange(min=1), help="Stop after so many control steps of single robots.")
 @click.option("--minutes", type=click.FloatRange(min=0, min_open=True), help="Stop after so many minutes.")
-@click.option("--robots", type=click.IntRange(min=8), default=4096, show_default=True, help="Side by side.")
+@click.option("--robots", type=click.IntRange(min=8), default=1024, show_default=True, help="Side by side.")
 @model_option
 @click.option(
     "--out",
     type=click.Path(path_type=Path, file_okay=False),
-    help="Folder for checkpoints, curve and policy.  [default: runs/TASK-SEED, runs/TASK-MODEL-SEED, runs/SWEEP]",
+    help="For checkpoints, curve, report and policy.  [default: runs/TASK-SEED, runs/TASK-MODEL-SEED, runs/SWEEP]",
 )
 @click.option("--resume", is_flag=True, help="Go on from the folder's last checkpoint.")
 @click.option(
@@ -107,6 +107,7 @@ def _train(recipe: "Recipe", seed: int, frames: int | None, minutes: float | Non
             run = begin(recipe, seed, folder, pool, resume)
         except (CheckpointError, ModelFileError, ValueError) as error:
             fail(str(error))
+        _tell_missing(console)
         policy = _run(run, frames, minutes, console)
         _tell(run, policy, console)
 
@@ -133,14 +134,31 @@ def _run(session: "Session", frames: int | None, minutes: float | None, console:
 
 def _tell(session: "Session", policy: Path, console: "Console") -> None:
     """Say what came out and what to do with it."""
+    from training import tensorboard
+
     name = f"my-{session.task.name}"
     console.print(f"{session.frames / 1e6:.2f} M frames in {session.seconds / 60:.1f} min, {session.out}:")
     console.print(f"  {policy.name}: the checkpoint with {session.best:.1%} of the validation set reached")
     console.print("  learning_curve.csv and .png, latest.pt (to resume), best.pt (`softarm export`)")
-    console.print(f"  {session.test().sentence}")
+    tested = session.test()
+    console.print(f"  {tested.report.sentence}")
+    page = session.write_report(tested)
+    console.print(f"  {page.name}: the curves and the tip's paths at these trials, also in tip_paths.png")
+    if session.events.fault is None:
+        console.print(f"  tensorboard/: see it with `tensorboard --logdir {session.out}`")
+    elif session.events.fault != tensorboard.missing():  # that has been said
+        console.print(f"  {session.events.fault}")
     console.print("Next: fly them through the daemon's own tick:")
     click.echo(f"  echo '{{policies: {{{name}: {{plugin: onnx, options: {{model: {policy}}}}}}}}}' > mine.yaml")
     click.echo(f"  softarm evaluate --policy {name} --config mine.yaml")
+
+
+def _tell_missing(console: "Console") -> None:
+    """Say what training goes on without."""
+    from training import tensorboard
+
+    if (missing := tensorboard.missing()) is not None:
+        console.print(missing, style="yellow")
 
 
 def _sweep(file: Path, out: Path, processes: int | None, ray_address: str | None) -> None:
@@ -154,6 +172,7 @@ def _sweep(file: Path, out: Path, processes: int | None, ray_address: str | None
     from training import sweep
 
     console = Console(soft_wrap=True)
+    _tell_missing(console)
     cores = len(os.sched_getaffinity(0))
     processes = processes or cores
     try:

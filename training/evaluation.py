@@ -51,6 +51,7 @@ class Outcome(NamedTuple):
     reached: NDArray[np.bool_]  # [R]
     time_s: Array  # [R], until the success or the episode's end
     closest_m: Array  # [R]
+    tip_m: Array  # [steps + 1, R, 2], the tips' paths y, z from the start on; NaN after a trial's end
 
 
 class GridReport(NamedTuple):
@@ -77,6 +78,14 @@ class ShelfReport(NamedTuple):
     def sentence(self) -> str:
         """For people."""
         return f"the seed's 12 shelf trials, at 1200 Hz: {self.trials:.1%}; 500 random ones: {self.random:.1%}"
+
+
+class Tested(NamedTuple):
+    """A task's test trials, how each went, and the shares that are told."""
+
+    report: GridReport | ShelfReport
+    trials: Trials  # the grid's, or the seed's at the shelf
+    outcome: Outcome
 
 
 def at_rest(cart_position_m: Array, links: int) -> Starts:
@@ -147,31 +156,51 @@ def fly(
     reached, alive = np.zeros(count, dtype=np.bool_), np.ones(count, dtype=np.bool_)
     time_s = np.full(count, task.episode_steps / task.rate_hz, dtype=np.float32)
     closest = np.full(count, np.inf, dtype=np.float32)
+    path = np.full((task.episode_steps + 1, count, 2), np.nan, dtype=np.float32)
+    path[0] = environment.simulator.tip_m()
     state, keep = network.initial_state(count), torch.ones(count)
     for k in range(task.episode_steps):
         mean, _, state = infer(network, torch.from_numpy(observation), keep, state, pool, dtype)
         step = environment.step(mean.numpy())
         tip, target = step.final_tip_m, step.final_observation[:, 8:10]
         closest[alive] = np.minimum(closest, np.linalg.norm(tip - target, axis=1))[alive]
+        path[k + 1, alive] = tip[alive]
         over = alive & (step.terminated | step.truncated)
         time_s[over] = (k + 1) / task.rate_hz
         reached |= alive & step.success
         alive &= ~over
         observation = step.observation  # robots that began again fly on unseen
-    return Outcome(reached, time_s, closest)
+    return Outcome(reached, time_s, closest, path)
 
 
-def shelf_report(
+def shelf_test(
     network: PolicyNetwork,
     task: ShelfTask,
     pool: Workers,
     physics_rate_hz: float = 1200.0,
     model: Model | None = None,
-) -> ShelfReport:
+) -> Tested:
     """Success at the shelf on a model (default: the seed's), for the record; nothing is chosen by it."""
     links = (model or Model()).arm.links
-    sets = (shelf_trials(task, links), random_shelf_trials(replace(ShelfTask(), muscle=task.muscle), links))
-    return ShelfReport(*(float(fly(network, task, each, pool, physics_rate_hz, model).reached.mean()) for each in sets))
+    trials = shelf_trials(task, links)
+    random = random_shelf_trials(replace(ShelfTask(), muscle=task.muscle), links)
+    seeds, others = (fly(network, task, each, pool, physics_rate_hz, model) for each in (trials, random))
+    return Tested(ShelfReport(float(seeds.reached.mean()), float(others.reached.mean())), trials, seeds)
+
+
+def grid_test(
+    network: PolicyNetwork,
+    task: ReachTask,
+    pool: Workers,
+    physics_rate_hz: float = 1200.0,
+    model: Model | None = None,
+) -> Tested:
+    """Success on the 54 targets on a model (default: the seed's), for the record; nothing is chosen by it."""
+    trials = grid_trials(links=(model or Model()).arm.links)
+    outcome = fly(network, task, trials, pool, physics_rate_hz, model)
+    inside = trials.target_m[:, 1] < ABOVE_M + 1e-4
+    shares = (float(outcome.reached[which].mean()) for which in (inside, ~inside, slice(None)))
+    return Tested(GridReport(*shares), trials, outcome)
 
 
 def grid_report(
@@ -181,8 +210,7 @@ def grid_report(
     physics_rate_hz: float = 1200.0,
     model: Model | None = None,
 ) -> GridReport:
-    """Success on the 54 targets on a model (default: the seed's), for the record; nothing is chosen by it."""
-    trials = grid_trials(links=(model or Model()).arm.links)
-    reached = fly(network, task, trials, pool, physics_rate_hz, model).reached
-    inside = trials.target_m[:, 1] < ABOVE_M + 1e-4
-    return GridReport(*(float(reached[which].mean()) for which in (inside, ~inside, slice(None))))
+    """Only the shares of `grid_test`."""
+    report = grid_test(network, task, pool, physics_rate_hz, model).report
+    assert isinstance(report, GridReport)
+    return report

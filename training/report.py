@@ -6,6 +6,9 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
+# Colours that colour-blind people tell apart (Okabe and Ito), as in the reports of `softarm diagnose`.
+BLUE, ORANGE, GREEN, PAPER = "#0a6aa8", "#b84f0e", "#1d6b45", "#fdfcfa"
+
 
 class Row(NamedTuple):
     """One iteration."""
@@ -34,28 +37,31 @@ def write_csv(rows: Sequence[Row], path: Path) -> None:
 
 
 def write_png(rows: Sequence[Row], path: Path, title: str) -> None:
-    """Draw success against frames, and below it what steers the learning rate."""
+    """Draw success, reward and what steers the learning rate against frames."""
     from matplotlib.figure import Figure  # no pyplot: no global state, no display
 
-    figure = Figure(figsize=(8, 6), layout="constrained")
-    top, bottom = figure.subplots(2, 1, sharex=True, height_ratios=(2, 1))
+    figure = Figure(figsize=(9, 7.5), layout="constrained", facecolor=PAPER)
+    success, reward, steering = figure.subplots(3, 1, sharex=True, height_ratios=(2, 1, 1))
     millions = [row.frames / 1e6 for row in rows]
-    top.plot(millions, [row.success for row in rows], color="0.7", label="training episodes, with noise")
+    success.plot(millions, [row.success for row in rows], color="0.7", label="training episodes, with noise")
     validated = [row for row in rows if row.validation is not None]
-    top.plot(
+    success.plot(
         [row.frames / 1e6 for row in validated],
         [row.validation for row in validated],
         "o-",
         markersize=3,
-        color="tab:blue",
+        color=BLUE,
         label="validation set, no noise",
     )
-    top.set(ylabel="share reached", ylim=(0, 1), title=title)
-    top.legend(loc="lower right")
-    top.grid(alpha=0.3)
-    bottom.semilogy(millions, [row.learning_rate for row in rows], color="tab:green", label="learning rate")
-    bottom.semilogy(millions, [row.kl for row in rows], color="tab:red", alpha=0.6, label="KL")
-    bottom.set(xlabel="million frames")
-    bottom.legend(loc="lower right")
-    bottom.grid(alpha=0.3)
+    success.set(ylabel="share reached", ylim=(0, 1))
+    reward.plot(millions, [row.reward for row in rows], color=BLUE, label="mean reward of a step, scaled")
+    reward.set(ylabel="reward")
+    steering.semilogy(millions, [row.learning_rate for row in rows], color=GREEN, label="learning rate")
+    steering.semilogy(millions, [row.kl for row in rows], color=ORANGE, alpha=0.7, label="KL divergence")
+    steering.set(ylabel="learner", xlabel="million frames")
+    figure.suptitle(title, x=0.01, ha="left", fontweight="bold")
+    for axes in (success, reward, steering):
+        axes.legend(loc="lower left", bbox_to_anchor=(0, 1), ncols=2, frameon=False, borderaxespad=0.2)
+        axes.grid(alpha=0.3)
+        axes.spines[["top", "right"]].set_visible(False)
     figure.savefig(path, dpi=120)

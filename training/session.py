@@ -12,7 +12,7 @@ import torch
 from schemas.model import Model
 from schemas.policy import ACTION
 from simulator import model_file
-from training import checkpoint, evaluation, export, report
+from training import checkpoint, evaluation, export, page, path_figure, report
 from training.checkpoint import CheckpointError
 from training.environment import ACTIONS
 from training.inference import Workers, quick_dtype
@@ -21,7 +21,9 @@ from training.ppo import Ppo, PpoConfig
 from training.randomisation import Randomisation
 from training.shelf import ShelfTask, environment_of
 from training.tasks import ReachTask
+from training.tensorboard import EventFile
 
+YOUNG = 10  # the average remembers at most a tenth of a run's age, so that untrained weights are soon forgotten
 DTYPES = {"float32": torch.float32, "bfloat16": torch.bfloat16}
 
 
@@ -30,11 +32,11 @@ class TrainingConfig:
     """What makes a run the run it is; two runs with the same settings on the same machine are the same."""
 
     seed: int = 1
-    robots: int = 4096
+    robots: int = 1024
     physics_rate_hz: float = 240.0
-    validate_every: int = 10  # iterations; a checkpoint is kept as often
+    validate_every: int = 25  # iterations; a checkpoint is kept as often
     validation_trials: int = 1536
-    averaging: float = 0.95  # share of the averaged weights that an iteration leaves
+    averaging: float = 0.985  # share of the averaged weights that an iteration leaves, in the long run
     patience: int = 0  # validations without a better one after which a run stops; 0: it goes on
     matrix_products: str = "auto"  # float32, bfloat16, or auto: bfloat16 where the processor has it
 
@@ -53,7 +55,9 @@ class Standing:
 
 
 class Session:
-    """One run. Files in `out`: latest.pt, best.pt, learning_curve.csv and .png, and at the end the policy."""
+    """One run. Files in `out`: latest.pt, best.pt, learning_curve.csv and .png, tensorboard/, at the end the policy,
+    and with `test` and `write_report` report.html and tip_paths.png.
+    """
 
     def __init__(
         self,
@@ -76,8 +80,7 @@ class Session:
         """
         self.task, self.config, self.ppo, self.out, self._pool = task, config, ppo, out, pool
         saved = checkpoint.load(out / "latest.pt") if resume else None
-        name = config.matrix_products
-        self._products = str(quick_dtype()).removeprefix("torch.") if name == "auto" else name
+        self._products = _quick_products() if config.matrix_products == "auto" else config.matrix_products
         self._randomisation = randomisation or Randomisation()
         self.model = model or Model()
         environment = environment_of(
@@ -97,8 +100,15 @@ class Session:
         self.frames, self.seconds = 0, 0.0
         self.curve: list[report.Row] = []
         self.best: float | None = None
+        self.events = EventFile(out / "tensorboard")
         if saved is not None:
             self._restore(saved)
+
+    @property
+    def title(self) -> str:
+        """For people."""
+        model = self.settings["model.name"]
+        return f"{self.task.name}{'' if model == 'seed' else f' on {model}'}, seed {self.config.seed}"
 
     def run(self, frames: int | None, minutes: float | None, tell: Callable[[Standing], None] = lambda _: None) -> Path:
         """Train up to so many frames or minutes in all (what was resumed counts), or until patience ends; returns the
@@ -108,20 +118,23 @@ class Session:
         """
         if frames is None and minutes is None:
             raise ValueError("give the run an end: frames or minutes")
-        while (frames is None or self.frames < frames) and (minutes is None or self.seconds < 60.0 * minutes):
-            if self.config.patience and self._fruitless() >= self.config.patience:
-                break
-            tell(self.advance())
-        if self.curve and self.curve[-1].validation is None:
-            self._validate_and_save()
-        report.write_png(self.curve, self.out / "learning_curve.png", f"{self.task.name}, seed {self.config.seed}")
+        try:
+            while (frames is None or self.frames < frames) and (minutes is None or self.seconds < 60.0 * minutes):
+                if self.config.patience and self._fruitless() >= self.config.patience:
+                    break
+                tell(self.advance())
+            if self.curve and self.curve[-1].validation is None:
+                self._validate_and_save()
+        finally:
+            self.events.close()
+        report.write_png(self.curve, self.out / "learning_curve.png", self.title)
         return self.export_best()
 
     def advance(self) -> Standing:
         """One iteration, and every so often a validation and a checkpoint."""
         start = time.monotonic()
         statistics = self.learner.iterate()
-        self.average.follow(self.network, 1.0 - self.config.averaging)
+        self.average.follow(self.network, averaged_share(len(self.curve), self.config.averaging))
         took = time.monotonic() - start
         steps = self.config.robots * self.ppo.horizon
         self.frames += steps
@@ -129,6 +142,7 @@ class Session:
         self.curve.append(
             report.Row(len(self.curve) + 1, self.frames, self.seconds, steps / took, **statistics._asdict())
         )
+        self.events.add(self.curve)
         if len(self.curve) % self.config.validate_every == 0:
             self._validate_and_save()
             self.seconds += time.monotonic() - start - took
@@ -149,12 +163,34 @@ class Session:
         export_checkpoint(self.out / "best.pt", path)
         return path
 
-    def test(self) -> evaluation.GridReport | evaluation.ShelfReport:
+    def test(self) -> evaluation.Tested:
         """Fly the task's test trials with the exported policy, for the record; nothing is chosen by it."""
         network, _ = load_policy(self.out / "best.pt")
         if isinstance(self.task, ShelfTask):
-            return evaluation.shelf_report(network, self.task, self._pool, model=self.model)
-        return evaluation.grid_report(network, self.task, self._pool, model=self.model)
+            return evaluation.shelf_test(network, self.task, self._pool, model=self.model)
+        return evaluation.grid_test(network, self.task, self._pool, model=self.model)
+
+    def write_report(self, tested: evaluation.Tested) -> Path:
+        """Leave report.html and tip_paths.png beside the curve that `run` drew; returns the page's path."""
+        path_figure.write_png(tested, self.task, self.out / "tip_paths.png", self.title)
+        best = next(row for row in self.curve if row.validation is not None and row.validation == self.best)
+        summary = page.Summary(
+            title=self.title,
+            task=self.task.name,
+            model=str(self.settings["model.name"]),
+            seed=self.config.seed,
+            frames=self.frames,
+            seconds=self.seconds,
+            best=best.validation or 0.0,
+            best_frames=best.frames,
+            chosen_by=_chosen_by(self.task),
+            test=tested.report.sentence,
+            changed=page.changed(self.settings, self._usual() | {"run.matrix_products": _quick_products()}),
+        )
+        pictures = ((self.out / name).read_bytes() for name in ("learning_curve.png", "tip_paths.png"))
+        path = self.out / "report.html"
+        path.write_text(page.render(summary, *pictures), encoding="utf-8")
+        return path
 
     def _fruitless(self) -> int:
         """Validations since the best one."""
@@ -174,6 +210,7 @@ class Session:
         )
         success = float(outcome.reached.mean())
         self.curve[-1] = self.curve[-1]._replace(validation=success)
+        self.events.add_validation(self.curve[-1])
         if self.best is None or success > self.best:
             self.best = success
             checkpoint.save(self.out / "best.pt", self._description())
@@ -194,11 +231,14 @@ class Session:
             "curve": [tuple(row) for row in self.curve],
         }
 
-    def _restore(self, saved: dict[str, Any]) -> None:
-        # Older ones knew no other model, network or robots that differ.
+    def _usual(self) -> export.Settings:
+        """The settings of a run of which nothing was asked but the kind of its task."""
         shape = NetworkShape(inputs=self._shape.inputs, actions=ACTIONS)
         usual = _settings(type(self.task)(), TrainingConfig(), PpoConfig(), Randomisation(), shape)
-        settings = usual | _identity(Model(), "seed") | saved["settings"]
+        return usual | _identity(Model(), "seed")
+
+    def _restore(self, saved: dict[str, Any]) -> None:
+        settings = self._usual() | saved["settings"]  # older ones knew no other model, network or robots that differ
         for key, value in self.settings.items():
             if settings.get(key) != value:
                 raise CheckpointError(
@@ -211,22 +251,34 @@ class Session:
         self.curve = [report.Row(*row) for row in saved["curve"]]
 
 
+def averaged_share(iterations: int, averaging: float) -> float:
+    """How much of the newest weights goes into their average, after so many iterations before."""
+    return max(1.0 - averaging, YOUNG / (YOUNG + iterations))
+
+
 def export_checkpoint(source: Path, target: Path) -> None:
     """Turn a checkpoint of a session into an ONNX policy named after its task. Raises CheckpointError."""
     network, saved = load_policy(source)
     task = task_of(saved)
     if not task.muscle:
         _vent(network)
-    chosen_by = evaluation.SHELF_VALIDATION_SET if isinstance(task, ShelfTask) else evaluation.VALIDATION_SET
     validated = [row for row in map(report.Row._make, saved["curve"]) if row.validation is not None]
     description = export.metadata(
         network,
         task,
-        saved["settings"] | {"run.frames": saved["frames"], "run.validation_set": chosen_by},
+        saved["settings"] | {"run.frames": saved["frames"], "run.validation_set": _chosen_by(task)},
         saved["seed"],
         validated[-1].validation if validated and validated[-1].validation is not None else 0.0,
     )
     export.write(network, description, target)
+
+
+def _quick_products() -> str:
+    return str(quick_dtype()).removeprefix("torch.")
+
+
+def _chosen_by(task: ReachTask) -> str:
+    return evaluation.SHELF_VALIDATION_SET if isinstance(task, ShelfTask) else evaluation.VALIDATION_SET
 
 
 def _identity(model: Model, name: str) -> export.Settings:

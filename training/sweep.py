@@ -129,8 +129,10 @@ def train(work: Work) -> Result:
     with workers(work.threads) as pool:
         session = recipes.begin(recipe, work.seed, folder, pool, (folder / "latest.pt").exists())
         policy = session.run(recipe.frames, None)
-        test = session.test()._asdict()
+        tested = session.test()
+        session.write_report(tested)
     assert session.best is not None, "a run ends with a validation"
+    test = tested.report._asdict()
     result = Result(work.name, work.seed, work.recipe, session.frames, session.seconds, session.best, test, policy.name)
     temporary = folder / f".{RESULT}.{os.getpid()}"
     temporary.write_text(json.dumps(result._asdict(), indent=1) + "\n")

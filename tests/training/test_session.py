@@ -22,7 +22,7 @@ from training.export import onnx_model
 from training.inference import infer, workers
 from training.network import NetworkShape, PolicyNetwork
 from training.ppo import PpoConfig
-from training.session import Session, TrainingConfig, export_checkpoint
+from training.session import Session, TrainingConfig, averaged_share, export_checkpoint
 from training.tasks import TASKS
 
 TASK = TASKS["reach"]
@@ -97,12 +97,23 @@ def test_it_moves_away_from_where_it_began(finished, tmp_path):
 def test_what_is_validated_is_a_moving_average_of_the_weights(tmp_path):
     with workers(1) as pool:
         run = session(tmp_path, pool)
-        start = run.network.value_head.weight.detach().clone()
-        run.advance()
-    moved = run.network.value_head.weight.detach() - start
-    torch.testing.assert_close(run.average.value_head.weight.detach() - start, 0.05 * moved, atol=1e-7, rtol=1e-3)
-    assert moved.abs().max() > 1e-5
+        expected = torch.zeros_like(run.network.value_head.weight)
+        seen = []
+        for k in range(3):
+            run.advance()
+            seen.append(run.network.value_head.weight.detach().clone())
+            expected = expected.lerp(seen[-1], averaged_share(k, run.config.averaging))
+    torch.testing.assert_close(run.average.value_head.weight.detach(), expected, atol=1e-7, rtol=1e-4)
+    assert (seen[1] - seen[0]).abs().max() > 1e-5
     assert torch.equal(run.average.observation_normaliser.mean, run.network.observation_normaliser.mean)
+
+
+def test_an_average_forgets_untrained_weights_and_then_moves_slowly():
+    shares = [averaged_share(k, 0.985) for k in range(2000)]
+    assert shares[0] == 1.0
+    assert shares == sorted(shares, reverse=True)
+    assert shares[100] == pytest.approx(10 / 110)
+    assert shares[-1] == pytest.approx(0.015)
 
 
 def test_it_leaves_a_curve_and_a_picture(finished):
@@ -226,7 +237,9 @@ def test_the_commands_train_and_export(tmp_path):
     result = runner.invoke(train, arguments)
     assert result.exit_code == 0, result.output
     assert "softarm evaluate --policy my-reach" in result.output
-    assert (out / "reach.onnx").is_file()
+    assert "report.html" in result.output
+    for name in ("reach.onnx", "report.html", "tip_paths.png", "tensorboard"):
+        assert (out / name).exists()
 
     again = runner.invoke(train, arguments)
     assert again.exit_code == 1

@@ -56,6 +56,7 @@ def test_a_sweep_is_restarted_where_it_was(file, tmp_path):
     assert [(work.name, work.seed) for work in left] == [("full", 2), ("mlp", 2)]
     assert done == sorted(results, key=lambda each: each.name)
     assert (out / "mlp" / "seed-1" / done[1].policy).is_file()
+    assert (out / "mlp" / "seed-1" / "report.html").is_file()
 
 
 def test_a_finished_run_of_another_recipe_is_not_taken_for_this_one(file, tmp_path):
