@@ -13,7 +13,7 @@ from torch import Tensor
 
 from training.network import PolicyNetwork, State
 
-CHUNK = 512  # robots a thread takes at once: its activations stay in the second-level cache
+CHUNK = 512  # robots a thread takes at once
 T = TypeVar("T")
 R = TypeVar("R")
 
@@ -51,7 +51,6 @@ def quick_dtype() -> torch.dtype:
     return torch.bfloat16 if torch.cpu._is_avx512_bf16_supported() else torch.float32
 
 
-@torch.no_grad()
 def infer(
     network: PolicyNetwork,
     observation: Tensor,
@@ -66,15 +65,17 @@ def infer(
     Returns the action's mean [R, actions], the value in the reward's unit [R] and the next state.
     """
 
-    def part(robots: slice) -> tuple[Tensor, Tensor, State]:
-        mean, value, (hidden, cell) = network(
+    count, size = observation.shape[0], state[0].shape[1]
+    means, values = torch.empty(count, network.shape.actions), torch.empty(count)
+    hidden, cell = torch.empty(count, size), torch.empty(count, size)
+
+    @torch.no_grad()  # a thread's own matter: of no effect on the pool where the caller sets it
+    def part(robots: slice) -> None:
+        mean, value, (hidden[robots], cell[robots]) = network(
             observation[None, robots], keep[None, robots], (state[0][robots], state[1][robots]), dtype
         )
-        value = network.value_normaliser.restore(value[0].unsqueeze(-1)).squeeze(-1)
-        return mean[0], value, (hidden, cell)
+        means[robots] = mean[0]
+        values[robots] = network.value_normaliser.restore(value[0].unsqueeze(-1)).squeeze(-1)
 
-    count = observation.shape[0]
-    parts = pool.map(part, [slice(k, min(k + CHUNK, count)) for k in range(0, count, CHUNK)])
-    means, values, states = zip(*parts, strict=True)
-    hidden, cell = zip(*states, strict=True)
-    return torch.cat(means), torch.cat(values), (torch.cat(hidden), torch.cat(cell))
+    pool.map(part, [slice(k, min(k + CHUNK, count)) for k in range(0, count, CHUNK)])
+    return means, values, (hidden, cell)

@@ -81,15 +81,24 @@ class PolicyNetwork(nn.Module):
         """Run over sequences.
 
         observation: float32 [T, B, inputs], physical units; keep: float32 [T, B], 0 where an episode begins.
-        dtype: of the recurrent layer's matrix products.
+        dtype: of the matrix products but those with a handful of inputs or outputs, the first layer's and the heads'.
         Returns the action's mean [T, B, actions] (not clamped), the normalised value [T, B] and the last state.
         """
         features = self.observation_normaliser(observation)
         if self.shape.order == "mlp-lstm":
-            features = torch.cat((self.mlp(features), features), dim=-1)
+            features = torch.cat((self._hidden_layers(features, dtype), features), dim=-1)
         if self.shape.order != "mlp":
             hidden, state = lstm.sequence(features, keep, state, self.w_x, self.w_h, self.bias, dtype)
             features = self.layer_norm(hidden)
         if self.shape.order != "mlp-lstm":
-            features = self.mlp(features)
+            features = self._hidden_layers(features, dtype)
         return self.mean_head(features), self.value_head(features).squeeze(-1), state
+
+    def _hidden_layers(self, features: Tensor, dtype: torch.dtype) -> Tensor:
+        for layer in self.mlp:
+            if isinstance(layer, nn.Linear) and layer.in_features >= 64:
+                weight, bias = layer.weight.to(dtype), layer.bias.to(dtype)
+                features = nn.functional.linear(features.to(dtype), weight, bias).float()
+            else:
+                features = layer(features)
+        return features

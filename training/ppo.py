@@ -25,7 +25,7 @@ class PpoConfig:
     """Defaults: the seed's ([P] SM-E), but for what makes it quick on a CPU (docs/training.md)."""
 
     horizon: int = 16
-    minibatches: int = 8
+    minibatches: int = 4
     mini_epochs: int = 1
     gamma: float = 0.99
     gae_lambda: float = 0.95

@@ -20,10 +20,9 @@ class Recipe:
 
     frames: int = 2_000_000
     seconds: float = 120.0  # at most, whatever the frames
-    robots: int = 2048  # half of a first training's: twice the steps of learning for a frame
-    validate_every: int = 10
+    robots: int = 1024
+    validate_every: int = 20
     validation_trials: int = 1536
-    averaging: float = 0.9  # a first training's 0.95 would still hold half of the old weights after 14 iterations
     std: float = warm_start.STD
     critic_iterations: int = warm_start.CRITIC_ITERATIONS
     learning_rate: float = 3e-4
@@ -57,9 +56,11 @@ def retrain(
     started = time.monotonic()
     prior = warm_start.load_weights(policy)
     config = TrainingConfig(
-        recipe.seed, recipe.robots,
-        validate_every=recipe.validate_every, validation_trials=recipe.validation_trials, averaging=recipe.averaging,
-    )  # fmt: skip
+        recipe.seed,
+        recipe.robots,
+        validate_every=recipe.validate_every,
+        validation_trials=recipe.validation_trials,
+    )
     ppo = PpoConfig(learning_rate=recipe.learning_rate)
     with workers() as pool:
         tell("flying the old policy in validation", 0.0)

@@ -140,5 +140,5 @@ def test_learning_raises_the_value_of_good_actions():
 
 
 def test_robots_that_do_not_split_are_refused():
-    with workers(1) as pool, pytest.raises(ValueError, match="multiple of 8"):
-        learner(pool, robots=20)
+    with workers(1) as pool, pytest.raises(ValueError, match="multiple of 4"):
+        learner(pool, robots=18)
