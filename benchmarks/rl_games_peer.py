@@ -1,5 +1,7 @@
 """rl_games on our environment with the seed's exact settings: the peer of `softarm bench train`.
 
+    python -m benchmarks.rl_games_peer --json FILE      what it learns from 4.5 million frames, some ten minutes
+
 Its key for sequences is `seq_length` (`seq_len` is ignored); compilation is off, it gains nothing on a CPU.
 """
 
@@ -7,20 +9,30 @@ Its key for sequences is `seq_length` (`seq_len` is ignored); compilation is off
 
 import contextlib
 import io
+import json
 import time
+from collections.abc import Callable
+from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
+import click
 import gymnasium
 import numpy as np
+import torch
 from rl_games.common import env_configurations, vecenv
+from rl_games.common.algo_observer import AlgoObserver
 from rl_games.torch_runner import Runner
 
 from schemas.policy import ACTION
+from training import evaluation
 from training.environment import INPUTS, Environment
+from training.inference import workers
+from training.network import NetworkShape, PolicyNetwork
 from training.tasks import ReachTask
 
 NAME = "softarm"
+TASK = ReachTask(rail_guard=False)  # the seed's exact task: no braking clamp
 ROBOTS, HORIZON = 4096, 16
 
 
@@ -30,8 +42,7 @@ class _Robots(vecenv.IVecEnv):
     begun_s: list[float] = []  # noqa: RUF012, one run at a time
 
     def __init__(self, _config: str, robots: int, **_: Any) -> None:
-        # The seed's exact task: no braking clamp.
-        self._environment = Environment(ReachTask(rail_guard=False), robots, seed=1)
+        self._environment = Environment(TASK, robots, seed=1)
         self._robots = robots
 
     def step(self, action):
@@ -56,18 +67,79 @@ class _Robots(vecenv.IVecEnv):
         }
 
 
-def steps_per_s(epochs: int = 6, warm_up: int = 2) -> float:
-    """Train for a few epochs; control steps of single robots a second after the first ones."""
+class _Watcher(AlgoObserver):
+    """Hands every so many epochs' policy to a function."""
+
+    def __init__(self, every: int, look: Callable[[int, PolicyNetwork], None]) -> None:
+        super().__init__()
+        self._every, self._look = every, look
+
+    def after_init(self, algo):
+        self._algorithm = algo
+
+    def after_print_stats(self, frame, epoch_num, total_time):
+        if epoch_num % self._every == 0:
+            self._look(frame, ours(self._algorithm.model))
+
+
+def ours(model: Any) -> PolicyNetwork:
+    """The policy of rl_games in our network: the same layers under other names. Its critic stays behind."""
+    theirs = model.state_dict()
+    network = PolicyNetwork(NetworkShape())
+    names = {
+        "w_x": "rnn.rnn.weight_ih_l0",
+        "w_h": "rnn.rnn.weight_hh_l0",
+        "layer_norm.weight": "layer_norm.weight",
+        "layer_norm.bias": "layer_norm.bias",
+        "mean_head.weight": "mu.weight",
+        "mean_head.bias": "mu.bias",
+    } | {f"mlp.{k}.{part}": f"actor_mlp.{k}.{part}" for k in (0, 2, 4) for part in ("weight", "bias")}
+    state = {mine: theirs[f"a2c_network.{name}"] for mine, name in names.items()}
+    state["bias"] = theirs["a2c_network.rnn.rnn.bias_ih_l0"] + theirs["a2c_network.rnn.rnn.bias_hh_l0"]
+    state["observation_normaliser.mean"] = theirs["running_mean_std.running_mean"]
+    state["observation_normaliser.variance"] = theirs["running_mean_std.running_var"]
+    network.load_state_dict(network.state_dict() | state)
+    return network
+
+
+def train(epochs: int, watcher: AlgoObserver | None = None) -> float:
+    """Train for so many epochs; returns when it ended, by the monotonic clock."""
     vecenv.register(NAME, lambda config, robots, **options: _Robots(config, robots, **options))
     env_configurations.register(NAME, {"vecenv_type": NAME, "env_creator": lambda **_: None})
     _Robots.begun_s.clear()
     with TemporaryDirectory() as folder, contextlib.redirect_stdout(io.StringIO()):
-        runner = Runner()
-        runner.load({"params": _settings(epochs + warm_up, folder)})
+        runner = Runner(watcher)
+        runner.load({"params": _settings(epochs, folder)})
         runner.run({"train": True, "play": False})
-        end_s = time.monotonic()
-    first = _Robots.begun_s[warm_up * HORIZON]
-    return epochs * HORIZON * ROBOTS / (end_s - first)
+    return time.monotonic()
+
+
+def steps_per_s(epochs: int = 6, warm_up: int = 2) -> float:
+    """Train for a few epochs; control steps of single robots a second after the first ones."""
+    end_s = train(epochs + warm_up)
+    return epochs * HORIZON * ROBOTS / (end_s - _Robots.begun_s[warm_up * HORIZON])
+
+
+@click.command()
+@click.option("--frames", type=click.IntRange(ROBOTS * HORIZON), default=4_500_000, show_default=True)
+@click.option("--every", type=click.IntRange(1), default=10, show_default=True, help="Epochs from test to test.")
+@click.option("--json", "json_file", type=click.Path(path_type=Path, dir_okay=False))
+def main(frames: int, every: int, json_file: Path | None) -> None:
+    """Train with rl_games and fly the 54 targets with what it learnt, by the same means as our own policies."""
+    begun_s, curve = time.monotonic(), []
+    threads = torch.get_num_threads()
+
+    def look(frame: int, network: PolicyNetwork) -> None:
+        with workers() as pool:
+            report = evaluation.grid_report(network, TASK, pool)
+        torch.set_num_threads(threads)
+        curve.append((time.monotonic() - begun_s, int(frame), *report))
+        shares = " / ".join(f"{100 * share:.1f}" for share in report)
+        click.echo(f"{curve[-1][0]:.0f} s, {frame / 1e6:.2f} M frames: {shares} %", err=True)
+
+    train(frames // (ROBOTS * HORIZON), _Watcher(every, look))
+    if json_file is not None:
+        json_file.write_text(json.dumps({"seconds, frames, in range, above, all": curve}, indent=1) + "\n")
 
 
 def _settings(epochs: int, folder: str) -> dict[str, Any]:
@@ -145,3 +217,7 @@ def _settings(epochs: int, folder: str) -> dict[str, Any]:
         "network": network,
         "config": config,
     }
+
+
+if __name__ == "__main__":
+    main()

@@ -19,6 +19,7 @@ from training.checkpoint import CheckpointError
 from training.network import NetworkShape, PolicyNetwork
 from training.normaliser import VARIANCE_FLOOR
 from training.session import Session
+from training.shelf import ShelfTask
 from training.tasks import ReachTask
 
 CRITIC_ITERATIONS = 8
@@ -89,7 +90,8 @@ def _frames(metadata: PolicyMetadata) -> float:
 def _task(metadata: PolicyMetadata) -> ReachTask:
     """The task as it was trained."""
     given = {key.partition(".")[2]: value for key, value in metadata.training.items() if key.startswith("task.")}
-    return ReachTask(**{key: tuple(v) if isinstance(v, list) else v for key, v in given.items()})  # type: ignore[arg-type]
+    kind = ShelfTask if metadata.task == "shelf" else ReachTask
+    return kind(**{key: tuple(v) if isinstance(v, list) else v for key, v in given.items()})  # type: ignore[arg-type]
 
 
 def _network(values: dict[str, Tensor], frames: float) -> PolicyNetwork:

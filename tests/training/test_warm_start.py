@@ -14,8 +14,8 @@ from training.checkpoint import CheckpointError
 from training.inference import workers
 from training.normaliser import VARIANCE_FLOOR
 from training.ppo import PpoConfig
+from training.recipe import PRESETS
 from training.session import Session, TrainingConfig
-from training.tasks import TASKS
 
 SMALL = TrainingConfig(seed=3, robots=64, validate_every=2, validation_trials=8, matrix_products="float32")
 
@@ -24,7 +24,7 @@ def weights(model):
     return {item.name: numpy_helper.to_array(item) for item in model.graph.initializer}
 
 
-@pytest.mark.parametrize("name", ["reach", "reach-wide"])
+@pytest.mark.parametrize("name", ["reach", "reach-wide", "shelf"])
 def test_a_policy_that_is_read_and_written_again_is_the_same_bit_for_bit(name):
     file = MODELS / f"{name}.onnx"
     prior = warm_start.load_weights(file)
@@ -33,7 +33,7 @@ def test_a_policy_that_is_read_and_written_again_is_the_same_bit_for_bit(name):
     assert len(before) > 15
     for key in before:
         assert before[key].tobytes() == after[key].tobytes(), key
-    assert prior.task == TASKS[name]
+    assert prior.task == PRESETS[name]
 
 
 def test_the_normaliser_is_kept_with_the_weight_of_what_it_has_seen():
