@@ -15,28 +15,27 @@ from rich.progress import Progress
 from rich.table import Table
 
 from benchmarks import commands
-from benchmarks.held_back import CHANGED, Flight
-from daemon.evaluation import CART_STARTS_M
+from cli.comparison import trials
+from cli.comparison.robots import ROBOTS
+from daemon.evaluation import FLIGHTS
 from policies import registry
 from policies.base import PolicyError
 from reality.parameters import Arm, Parameters
 from reality.robot import Robot
-from schemas.goals import TEST_TARGETS, TRAINED_Z_MAX_M
+from schemas.goals import TRAINED_Z_MAX_M
 from simulator.simulator import Simulator
 
 CART_SHARE = 0.3  # of the random commands' velocity, so that the cart stays off the stops
 
 
 def fly_targets(name: str, parameters: Parameters, advance: Callable[[], None]) -> dict[str, NDArray[np.bool_]]:
-    """Reached or not, [54 x 3], and whether the target is in the trained range."""
-    policy = registry.load(name)
-    reached, inside = [], []
-    for number, goal in enumerate(TEST_TARGETS):
-        for start_m in CART_STARTS_M:
-            robot = Robot(parameters, number, cart_position_m=start_m, hanging=True)
-            reached.append(Flight(policy, robot).reach(goal))
-            inside.append(goal.z_m <= TRAINED_Z_MAX_M)
-            advance()
+    """Reached or not, and whether the target is in the trained range, of each trial of the grid."""
+    policy, reached, inside = registry.load(name), [], []
+    for trial in trials.grid_trials():
+        (outcome,) = trials.fly_held_back(policy, parameters, [trial])
+        reached.append(outcome.reached)
+        inside.append(trial.goal.z_m <= TRAINED_Z_MAX_M)
+        advance()
     return {"reached": np.array(reached), "inside": np.array(inside)}
 
 
@@ -56,7 +55,7 @@ def agreement_mm(draw: Callable[..., tuple[NDArray[np.float64], NDArray[np.float
 
 @click.command()
 @click.option("--policy", default="reach", show_default=True, help="Name, as `softarm policy list` shows it.")
-@click.option("--changed", type=click.Choice(list(CHANGED)), default="nominal", help="How this robot differs.")
+@click.option("--changed", type=click.Choice(list(ROBOTS)), default="nominal", help="How this robot differs.")
 @click.option("--sets", default=32, show_default=True, type=click.IntRange(1), help="Random command sets.")
 def main(policy: str, changed: str, sets: int) -> None:
     """Print both comparisons."""
@@ -64,13 +63,13 @@ def main(policy: str, changed: str, sets: int) -> None:
     table = Table("commands", "links", "tip RMS over 3 s")
     try:
         with Progress(console=console, transient=True) as progress:
-            task = progress.add_task("independent robot", total=4 + len(TEST_TARGETS) * len(CART_STARTS_M))
+            task = progress.add_task("independent robot", total=4 + FLIGHTS)
             for draw in (commands.smooth, commands.bang_bang):
                 for pieces in (1, 2):
                     apart_mm = agreement_mm(draw, pieces, sets)
                     table.add_row(draw.__name__, str(5 * pieces), f"{apart_mm:.1f} mm")
                     progress.advance(task)
-            flown = fly_targets(policy, CHANGED[changed], lambda: progress.advance(task))
+            flown = fly_targets(policy, ROBOTS[changed], lambda: progress.advance(task))
     except PolicyError as error:
         raise click.ClickException(str(error)) from None
     console.print(table)

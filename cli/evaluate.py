@@ -20,7 +20,9 @@ from cli.options import FILE, config_option, flown_model, json_option, model_opt
     type=click.Path(path_type=Path, file_okay=False, exists=True),
     help="With --all: a sweep's folder; its policies stand for the shipped ones, with the spread over seeds.",
 )
-@click.option("--only", multiple=True, metavar="NAME", help="With --all: this policy alone; may be given again.")
+@click.option(
+    "--only", multiple=True, metavar="NAME", help="With --all: this policy (or `ceiling`) alone; again for more."
+)
 @click.option("--test", "tests", multiple=True, help="With --all: this test alone, TEST or TEST@MODEL; again for more.")
 @click.option("--matrix", is_flag=True, help="With --runs: the sweep alone, on every shipped model and beyond.")
 @click.option("--workers", type=click.IntRange(min=1), help="With --all: processes.  [default: one a core]")
@@ -40,7 +42,8 @@ def evaluate(
     """Fly the 54 test targets from rest at cart positions 0, 0.1 and 0.2 m, in lockstep at 1200 Hz.
 
     Observer, policy, safety filter and failsafe are the daemon's own; only the devices are simulated. With --all
-    every policy flies them also from mid-swing and on the independent robot, and swings into the shelf.
+    every policy flies them also from mid-swing and on the independent robot, and swings into the shelf; beside them
+    the ceiling, what a search over open-loop commands reaches.
 
     \b
     Examples:
@@ -71,36 +74,34 @@ def _compare(
     import sys
 
     from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+    from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn
 
+    from cli.comparison import page, table
+    from cli.comparison import tests as known
     from cli.errors import fail
     from policies.base import PolicyError
     from simulator.model_file import ModelFileError
 
-    try:
-        from benchmarks import comparison, comparison_page
-    except ModuleNotFoundError as error:
-        fail(f"softarm evaluate --all needs the package '{error.name}': pip install 'softarm[mujoco]'")
     if matrix and runs is None:
         raise click.UsageError("--matrix is about a sweep: give its folder with --runs")
-    tests = tests or (comparison.MATRIX if matrix else tuple(comparison.TESTS))
+    tests = tests or (known.MATRIX if matrix else tuple(known.TESTS))
     try:
         for test in tests:
-            comparison.check(test)
-        found = comparison.entries(runs, only, only_runs=matrix)
+            known.check(test)
+        found = table.entries(runs, only, only_runs=matrix)
     except (PolicyError, ModelFileError, ValueError) as error:
         fail(str(error))
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
+    columns = (TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), TimeElapsedColumn())
     with Progress(*columns, console=Console(stderr=True), transient=True) as progress:
-        shown = progress.add_task("flying", total=len(found) * len(tests))
-        result = comparison.compare(found, workers, tests, lambda: progress.advance(shown))
-    click.echo(comparison_page.markdown(result), nl=False)
+        shown = progress.add_task("flying", total=sum(len(job.part) for job in table.jobs(found, tests)))
+        result = table.compare(found, workers, tests, lambda trials: progress.advance(shown, trials))
+    click.echo(page.markdown(result), nl=False)
     if json_file is not None:
         json_file.write_text(json.dumps(result, indent=1) + "\n")
         click.echo(f"wrote {json_file}")
     if report is not None:
         command = shlex.join(["softarm", *sys.argv[1:]])
-        report.write_text(comparison_page.html(result, command), encoding="utf-8")
+        report.write_text(page.html(result, command), encoding="utf-8")
         click.echo(f"wrote {report}")
 
 

@@ -10,11 +10,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from daemon.evaluation import CART_STARTS_M, LIMIT_M
-from daemon.offline import Lockstep
+from cli.comparison import trials
 from policies import registry
 from reality.parameters import GROUPS, Parameters
-from schemas.config import Config
 from schemas.config import Policy as ConfiguredPolicy
 from schemas.goals import TEST_TARGETS, TRAINED_Z_MAX_M, Goal
 from schemas.model import Model
@@ -51,21 +49,13 @@ def shares(reached: Reached, targets: Sequence[Goal] = TEST_TARGETS) -> Shares:
 
 def fly(policy: Path, place: Place, targets: Sequence[Goal] = TEST_TARGETS) -> Reached:
     """Fly every target from rest at every cart start. Raises PolicyError for a file that is no policy."""
-    config = Config(policies={"flown": ConfiguredPolicy(plugin="onnx", options={"model": str(policy)})})
+    plugin = registry.load("flown", {"flown": ConfiguredPolicy(plugin="onnx", options={"model": str(policy)})})
+    wanted = trials.grid_trials(targets)
     if place.parameters is None:
-        daemon = Lockstep(config, registry.load("flown", config.policies), place.model)
-        flown = [[daemon.fly(goal, start) for start in CART_STARTS_M] for goal in targets]
-        return np.array([[f.status.state == "reached" and f.max_cart_m <= LIMIT_M for f in row] for row in flown])
-    from benchmarks.held_back import Flight
-    from reality.robot import Robot
-
-    plugin = registry.load("flown", config.policies)
-    reached = np.zeros((len(targets), len(CART_STARTS_M)), dtype=np.bool_)
-    for i, goal in enumerate(targets):
-        for k, start_m in enumerate(CART_STARTS_M):
-            robot = Robot(place.parameters, TEST_TARGETS.index(goal), cart_position_m=start_m, hanging=True)
-            reached[i, k] = Flight(plugin, robot).reach(goal)
-    return reached
+        flown = trials.fly(plugin, place.model, wanted)
+    else:
+        flown = trials.fly_held_back(plugin, place.parameters, wanted)
+    return np.array([outcome.reached for outcome in flown]).reshape(len(targets), -1)
 
 
 def fly_all(

@@ -32,6 +32,23 @@ class Device(Protocol):
         """Why there is no fresh reading: port, command and next step in one sentence; None: all is well."""
 
 
+class WithoutWire:
+    """The part of a device in this process that is the same for all: there is nothing that could come loose."""
+
+    def start(self) -> None:
+        """Nothing to connect to."""
+
+    async def stop(self) -> None:
+        """Nothing to free."""
+
+    def reset_fault(self) -> None:
+        """There are no faults."""
+
+    def problem(self) -> str | None:
+        """None."""
+        return None
+
+
 class MocapSource(Device, Protocol):
     """Poses of six rigid bodies."""
 
@@ -57,3 +74,25 @@ class RailAxis(Device, Protocol):
 
     def write(self, enable: bool, velocity_m_s: float) -> None:
         """Velocity set-point until the next call; `enable=False` brakes, then switches the drive off."""
+
+
+class InProcessRobot(Protocol):
+    """A robot and its three devices in lockstep with whoever reads them: `mocap.read` moves it on."""
+
+    now_ns: int
+
+    @property
+    def cart_position_m(self) -> float:
+        """True, from the middle of the rail."""
+
+    @property
+    def mocap(self) -> MocapSource:
+        """Its eyes."""
+
+    @property
+    def regulator(self) -> PressureRegulator:
+        """Its muscle."""
+
+    @property
+    def rail(self) -> RailAxis:
+        """Its cart."""

@@ -5,6 +5,7 @@ commands. So the same robot serves the offline flights, where time jumps by a ti
 `softarm run --simulated`, where it is real.
 """
 
+from drivers.base import WithoutWire
 from drivers.sight import Sight
 from schemas.messages import MocapFrame, PressureReading, RailReading
 from schemas.model import Model
@@ -27,6 +28,11 @@ class SimulatedRobot:
         self.regulator = SimulatedRegulator(self)
         self.rail = SimulatedRail(self)
 
+    @property
+    def cart_position_m(self) -> float:
+        """True, from the middle of the rail."""
+        return float(self.simulator.cart_position_m[0])
+
     def place(self, cart_position_m: float) -> None:
         """Put the robot somewhere, its arm straight and at rest, the muscle vented."""
         self.simulator.reset(cart_position_m=cart_position_m)
@@ -41,31 +47,11 @@ class SimulatedRobot:
         self.now_ns = now_ns
 
 
-class _Part:
-    """What the three have in common: nothing can go wrong with a wire that is not there."""
-
-    def __init__(self, robot: SimulatedRobot) -> None:
-        self._robot = robot
-
-    def start(self) -> None:
-        """Nothing to connect to."""
-
-    async def stop(self) -> None:
-        """Nothing to free."""
-
-    def reset_fault(self) -> None:
-        """There are no faults."""
-
-    def problem(self) -> str | None:
-        """None."""
-        return None
-
-
-class SimulatedMocap(_Part):
+class SimulatedMocap(WithoutWire):
     """Six poses at the instant of the read."""
 
     def __init__(self, robot: SimulatedRobot) -> None:
-        super().__init__(robot)
+        self._robot = robot
         self._sequence = 0
 
     def read(self, now_ns: int) -> tuple[MocapFrame, ...]:
@@ -77,11 +63,11 @@ class SimulatedMocap(_Part):
         return () if poses is None else (MocapFrame(self._sequence, robot.now_ns, now_ns, poses),)
 
 
-class SimulatedRegulator(_Part):
+class SimulatedRegulator(WithoutWire):
     """Takes a set-point at once; its lag is the simulator's."""
 
     def __init__(self, robot: SimulatedRobot) -> None:
-        super().__init__(robot)
+        self._robot = robot
         self._armed = False
         self._sequence = 0
         self.set_point_kpa = 0.0
@@ -98,11 +84,11 @@ class SimulatedRegulator(_Part):
         self.set_point_kpa = pressure_kpa if armed else 0.0
 
 
-class SimulatedRail(_Part):
+class SimulatedRail(WithoutWire):
     """Takes a set-point at once; ramp and delay are the simulator's."""
 
     def __init__(self, robot: SimulatedRobot) -> None:
-        super().__init__(robot)
+        self._robot = robot
         self._enabled = False
         self.set_point_m_s = 0.0
 

@@ -5,6 +5,7 @@ its checkpoint: to restart a sweep is to start it.
 """
 
 import json
+import logging
 import multiprocessing
 import os
 from collections.abc import Callable, Iterable, Iterator
@@ -25,6 +26,7 @@ from training.inference import workers
 from training.recipe import RECIPES, Recipe
 
 RESULT = "result.json"
+LOCAL = "local"
 EXAMPLE = "{seeds: [1, 2], base: {task: reach, frames: 3000000}, runs: {full: {}, no-delay: {model: no-delay}}}"
 
 
@@ -165,8 +167,9 @@ def on_ray(todo: list[Work], address: str) -> Iterator[Result]:
         import ray
     except ModuleNotFoundError:
         raise SweepError("a cluster needs the package 'ray': pip install 'softarm[ray]'") from None
+    own: dict[str, Any] = {"num_cpus": len(os.sched_getaffinity(0)), "include_dashboard": False}
     try:
-        ray.init(address=address, log_to_driver=False)
+        ray.init(address=address, log_to_driver=False, logging_level=logging.ERROR, **(own if address == LOCAL else {}))
     except Exception as error:
         text = str(error).partition("\n")[0]
         raise SweepError(f"no Ray cluster at '{address}': {text}; give its address, or 'local' for one here") from error
@@ -179,7 +182,8 @@ def on_ray(todo: list[Work], address: str) -> Iterator[Result]:
             try:
                 yield ray.get(ready)
             except Exception as error:
-                raise _failed(work, error) from error
+                # What the run itself raised is the `cause`; Ray's own text holds the worker's whole traceback.
+                raise _failed(work, getattr(error, "cause", None) or error) from error
     finally:
         ray.shutdown()
 
@@ -243,7 +247,8 @@ def _processes(count: int) -> Executor:
 
 
 def _failed(work: Work, error: Exception) -> SweepError:
+    first, _, _ = str(error).strip().partition("\n")
     return SweepError(
-        f"{work.name}, seed {work.seed}: {type(error).__name__}: {error}; "
+        f"{work.name}, seed {work.seed}: {type(error).__name__}: {first}; "
         "mend it and start the sweep again: what is finished stays"
     )

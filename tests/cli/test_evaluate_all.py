@@ -1,22 +1,22 @@
 """`softarm evaluate --all`: one table, as JSON, Markdown and a page that needs nothing else."""
 
 import json
-from pathlib import Path
 
 import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from benchmarks import comparison, comparison_page, trials
+from cli.comparison import page, table, tests, trials
+from cli.comparison.robots import ROBOTS
+from cli.comparison.table import Entry, Job
+from cli.comparison.trials import Outcome, Trial
 from cli.main import main
-from daemon.offline import Lockstep
 from policies import registry
+from policies.base import MODELS
 from policies.onnx_policy import OnnxPolicy
 from policies.pid import Pid
-from schemas.config import Config
-from schemas.goals import TEST_TARGETS, Goal
-
-MODELS = Path(comparison.__file__).parents[1] / "policies" / "models"
+from schemas.goals import Goal
+from training import ceiling
 
 
 def run(*arguments):
@@ -58,10 +58,91 @@ def test_learned_policies_come_with_their_spread_beside_the_papers_figures(runs,
 
 
 def test_a_test_on_another_model_gets_a_column_of_its_own():
-    found = comparison.entries(None, ("pid",))
-    result = comparison.compare(found, 1, ("shelf@no-delay",))
+    found = table.entries(None, ("pid",))
+    result = table.compare(found, 1, ("shelf@no-delay",))
     assert list(result["policies"]["pid"]) == ["shelf@no-delay"]
-    assert "on no-delay" in comparison_page.markdown(result)
+    assert "on no-delay" in page.markdown(result)
+
+
+def test_every_shipped_policy_is_flown_and_the_ceiling_is_searched_for_the_grid_alone():
+    found = table.entries(None)
+    assert {"mppi", "pid", "reach", "reach-wide", "shelf", "trajectory", "ceiling"} <= {entry.name for entry in found}
+    assert [entry.seed for entry in found if entry.name in ("pid", "reach")] == [None, 1]
+    todo = table.jobs(found, tuple(tests.TESTS))
+    assert {job.test for job in todo if job.entry.name == "ceiling"} == {"grid"}
+    for entry in found:
+        for name, test in tests.TESTS.items():
+            parts = [job.part for job in todo if (job.entry, job.test) == (entry, name)]
+            if parts:  # each trial once
+                assert sorted(number for part in parts for number in part) == list(range(len(test.make())))
+
+
+def test_the_ceiling_is_a_row_of_the_table_and_a_map(monkeypatch, tmp_path):
+    monkeypatch.setattr(ceiling, "ROUNDS", 2)
+    monkeypatch.setattr(ceiling, "POPULATION", 24)
+    result = run("--all", "--only", "ceiling", "--test", "grid", "--workers", 1, "--json", tmp_path / "all.json")
+    assert result.exit_code == 0, result.output
+    written = json.loads((tmp_path / "all.json").read_text())
+    assert list(written["policies"]["ceiling"]) == ["in_range", "above", "all"]
+    assert 0.0 < written["policies"]["ceiling"]["all"]["mean"] < 1.0
+    assert len(written["reached"]["ceiling"]) == 54
+    assert "| ceiling (open-loop search) |  |" in result.output
+    assert "ceiling (open-loop search)</figcaption>" in page.html(written, "")
+
+
+def test_the_ceilings_trials_are_searched_from_their_own_starts(monkeypatch):
+    asked = []
+
+    def search(targets_m, start_m, model):
+        asked.append(start_m)
+        return ceiling.Ceiling(np.zeros(54), np.where(targets_m[:, 1] < 0.6, start_m, np.nan))
+
+    monkeypatch.setattr(ceiling, "search", search)
+    result = table.compare([Entry("ceiling")], 1, ("grid",))
+    assert asked == [0.0, 0.1, 0.2]
+    assert result["reached"]["ceiling"] == [1.0] * 9 + [0.0] * 45
+    assert result["policies"]["ceiling"]["in_range"]["mean"] == pytest.approx(9 / 36)
+
+
+def test_what_a_policy_refuses_is_said_and_a_test_that_it_refuses_altogether_is_no_zero():
+    swinging = [Job(Entry("trajectory"), "swinging", range(162)), Job(Entry("trajectory"), "shelf", range(12))]
+    result = table.summary({job: table.measure(job) for job in swinging})
+    figures, notes = result["policies"]["trajectory"], result["notes"]["trajectory"]
+    assert 0.5 < figures["swinging"]["refused"] < 1.0
+    assert figures["swinging"]["mean"] <= 1.0 - figures["swinging"]["refused"]
+    refused = round(162 * figures["swinging"]["refused"])
+    assert notes["swinging"] == [
+        f"refused {refused} of 162 trials, which count as not reached; the first: no plan from here"
+    ]
+    assert figures["shelf"]["refused"] == 1.0
+    row, *_ = (line for line in page.markdown(result).splitlines() if line.startswith("| trajectory"))
+    mid_swing, shelf = (cell.strip() for cell in row.split("|")[3:5])
+    assert mid_swing == f"{100 * figures['swinging']['mean']:.1f} [1]"
+    assert shelf == "- [2]"
+    assert "<sup>1</sup>" in page.html(result, "")
+
+
+def test_a_figure_beyond_what_a_policy_was_trained_for_says_so():
+    entries = {entry.name: entry for entry in table.entries(None, ("reach", "reach-wide", "pid"))}
+    missed = [Outcome(False)] * 162
+    result = table.summary({Job(entry, "grid", range(162)): missed for entry in entries.values()})
+    assert result["notes"] == {"pid": {}, "reach": {"above": [table.OUTSIDE]}, "reach-wide": {}}
+    assert page.footnotes(result) == [table.OUTSIDE]
+
+
+def test_parts_flown_by_other_processes_make_the_same_table(monkeypatch):
+    monkeypatch.setattr(table, "PART", 5)
+    found = table.entries(None, ("pid", "shelf"))
+    done = []
+    alone = table.compare(found, 1, ("shelf",))
+    assert table.compare(found, 2, ("shelf",), done.append) == alone
+    assert sorted(done) == [2, 2, 5, 5, 5, 5]
+    assert alone["policies"]["shelf"]["shelf"]["mean"] > 0.5 > alone["policies"]["pid"]["shelf"]["mean"]
+
+
+def test_a_planner_flies_the_robot_that_its_model_does_not_know():
+    trial = Trial(Goal("reach", -0.2, 0.6), 0.1)
+    assert trials.fly_held_back(registry.load("mppi"), ROBOTS["nominal"], [trial]) == [Outcome(True)]
 
 
 @pytest.mark.parametrize(
@@ -87,18 +168,18 @@ def test_options_of_the_table_go_with_it():
 def test_the_paper_swings_into_twelve_shelves_and_the_random_ones_lie_in_its_training_range():
     twelve = trials.shelf_trials()
     assert len(twelve) == 12
-    assert {(goal.y_m, goal.z_m) for goal, _, _ in twelve} == {
+    assert {(trial.goal.y_m, trial.goal.z_m) for trial in twelve} == {
         (-0.48, 0.6),
         (-0.48, 0.63),
         (-0.48, 0.66),
         (-0.53, 0.63),
     }
     assert trials.random_shelf_trials() == trials.random_shelf_trials()
-    for goal, depth, start in trials.random_shelf_trials():
-        assert -0.48 <= goal.y_m <= -0.40
-        assert 0.58 <= goal.z_m <= 0.67
-        assert -0.05 <= depth <= 0.20
-        assert -0.025 <= start <= 0.24
+    for trial in trials.random_shelf_trials():
+        assert -0.48 <= trial.goal.y_m <= -0.40
+        assert 0.58 <= trial.goal.z_m <= 0.67
+        assert -0.05 <= trial.depth_m <= 0.20
+        assert -0.025 <= trial.cart_start_m <= 0.24
 
 
 def test_a_policy_that_asks_for_the_depth_is_told_and_the_shelf_is_in_the_way():
@@ -111,9 +192,12 @@ def test_a_policy_that_asks_for_the_depth_is_told_and_the_shelf_is_in_the_way():
             told.append(self.target_depth_m)
             return super().step(observation, goal)
 
-    reached = trials.fly_shelf(Deep(), None, [(Goal("reach", -0.45, 0.6), 0.07, 0.1)])
-    assert reached == [False]
+    at_shelf = Trial(Goal("reach", -0.45, 0.6), 0.1, depth_m=0.07)
+    assert trials.fly(Deep(), None, [at_shelf]) == [Outcome(False)]
     assert set(told) == {0.07}
+    told.clear()
+    trials.fly(Deep(), None, [Trial(Goal("reach", -0.45, 0.6), 0.1)])
+    assert set(told) == {trials.MIDDLE_M}  # not what the last trial left
 
 
 def test_goals_come_in_mid_swing_at_the_same_states_for_every_policy():
@@ -133,15 +217,9 @@ def test_goals_come_in_mid_swing_at_the_same_states_for_every_policy():
             return np.array([0.0 if self.seen is begun.get("one") else 1.0, 0.0], np.float32)
 
     for name in ("one", "two"):
-        for number in range(4):
-            swung = trials.Swung(Sees(name), number)
-            daemon = Lockstep(Config(), swung)
-            daemon.arm()
-            daemon.place(swung.cart_start_m)
-            daemon.tick(daemon.request("goal", Goal("reach", 0.0, 0.9)))
-            for _ in range(swung.ticks):
-                daemon.tick()
-            daemon.tick(daemon.request("goal", TEST_TARGETS[0]))
+        for trial in trials.swinging_trials()[:4]:
+            daemon = trials.swing(Sees(name), None, trial)
+            daemon.tick(daemon.request("goal", trial.goal))
     assert np.array_equal(begun["one"], begun["two"])
     assert len(begun["one"]) == 4
     speeds = np.linalg.norm(np.array(begun["one"])[:, 4:6], axis=1)

@@ -1,0 +1,21 @@
+"""The held-back robots: independent ones of `reality/`, which no simulator of ours was made from.
+
+All but the nominal one differ from what every policy but a robust one was trained for.
+"""
+
+from reality.parameters import Arm, Parameters, Rail, Regulator
+from simulator.effects import exemplars
+
+# As strong as the registry's examples: 50 g at the tip, a regulator that takes half as long again, a drive that hears
+# half a tick later.
+_STRONG = exemplars()
+PAYLOAD = Arm(payload_kg=_STRONG["arm.payload"]["mass"])
+SLOW = Regulator(inflate_s=_STRONG["pressure.lag"]["inflate"], deflate_s=_STRONG["pressure.lag"]["deflate"])
+LATE = Rail(delay_s=_STRONG["rail.delay"]["delay"])
+ROBOTS = {
+    "nominal": Parameters(),
+    "payload": Parameters(arm=PAYLOAD),
+    "slow": Parameters(regulator=SLOW),
+    "late": Parameters(rail=LATE),
+    "changed": Parameters(arm=PAYLOAD, regulator=SLOW, rail=LATE),
+}

@@ -1,0 +1,239 @@
+"""All policies at all tests, a process a core, and the one table of it.
+
+The ceiling, an open-loop search that knows the simulator, stands among the policies.
+"""
+
+import multiprocessing
+from collections.abc import Callable, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from pathlib import Path
+from statistics import mean, stdev
+from typing import NamedTuple, TypedDict
+
+import numpy as np
+
+from cli.comparison.tests import COLUMNS, TESTS, label
+from cli.comparison.trials import Outcome, Trial
+from daemon.evaluation import CART_STARTS_M
+from policies import registry
+from policies.base import PolicyError
+from policies.onnx_policy import OnnxPolicy
+from schemas.config import Policy as ConfiguredPolicy
+from schemas.goals import TEST_TARGETS, TRAINED_Z_MAX_M, Goal
+from schemas.model import Model
+from schemas.policy import TrainingRange
+from simulator import model_file
+
+# The paper's own figures, on its hardware (section 4, Table 1, SM-H, SM-I); shares.
+HARDWARE: dict[str, dict[str, float]] = {
+    "the paper's learned policy": {"in_range": 0.94, "above": 0.50, "all": 0.80, "shelf": 0.92},
+    "the paper's trajectory optimisation": {"in_range": 0.94, "above": 0.83, "all": 0.91},
+    "the paper's PID": {"all": 0.17},
+}
+CEILING = "ceiling"
+PART = 27  # trials that a process takes at once
+OUTSIDE = "none of these targets lies in the range that the policy was made for"
+
+
+class Entry(NamedTuple):
+    """One policy file or plugin, or the ceiling; learned ones come once a seed."""
+
+    name: str
+    seed: int | None = None  # None: not learned
+    model: str | None = None  # of an ONNX file; None: the registry knows the name
+    trained: TrainingRange | None = None
+
+
+class Job(NamedTuple):
+    """What a process does at once: some trials of one test."""
+
+    entry: Entry
+    test: str
+    part: range
+
+
+class Cell(NamedTuple):
+    """What one policy did in one column of the table."""
+
+    outcomes: list[Outcome]
+    inside: bool  # at least one target lies in the range that it was made for
+
+
+class Figure(TypedDict):
+    """A share over seeds; the spread is the standard deviation, None of a single value."""
+
+    mean: float
+    spread: float | None
+    values: list[float]
+    refused: float  # share of trials for which the policy had no answer; they count as not reached
+
+
+class Comparison(TypedDict):
+    """What `softarm evaluate --all --json` writes: policy -> column -> figure, beside the paper's shares."""
+
+    columns: dict[str, str]
+    seeds: dict[str, list[int]]
+    policies: dict[str, dict[str, Figure]]
+    notes: dict[str, dict[str, list[str]]]  # policy -> column -> what must be known to read the figure
+    hardware: dict[str, dict[str, float]]
+    reached: dict[str, list[float]]  # of each of the 54 targets, the share over starts and seeds
+
+
+def entries(runs: Path | None, names: tuple[str, ...] = (), only_runs: bool = False) -> list[Entry]:
+    """Every usable policy that takes targets, and the ceiling.
+
+    runs: a sweep's folder, whose policies (NAME/seed-K) stand for shipped ones of that name, one entry a seed. names:
+    only these. Raises PolicyError for a name or a folder without policies.
+    """
+    trained: dict[str, list[Entry]] = {}
+    for file in sorted(runs.glob("*/seed-*/*.onnx")) if runs else ():
+        name, number = file.parts[-3], int(file.parts[-2].removeprefix("seed-"))
+        trained.setdefault(name, []).append(Entry(name, number, str(file), OnnxPolicy.describe(str(file)).trained))
+    if runs and not trained:
+        raise PolicyError(f"{runs}: no NAME/seed-K/*.onnx in it; `softarm train --sweep` writes them")
+    shipped: dict[str, list[Entry]] = {}
+    for name, known in registry.available().items():
+        if known.spec is None or not known.spec.needs_target or name == "hold":
+            continue
+        seed = OnnxPolicy(name).metadata.seed if known.plugin == "onnx" else None
+        shipped[name] = [Entry(name, seed, trained=known.spec.trained)]
+    everyone = trained if only_runs else shipped | {CEILING: [Entry(CEILING)]} | trained
+    if unknown := set(names) - everyone.keys():
+        raise PolicyError(f"no policy {', '.join(sorted(unknown))}; there is {', '.join(everyone)}")
+    return [entry for name, group in everyone.items() if not names or name in names for entry in group]
+
+
+def jobs(found: Sequence[Entry], tests: Sequence[str]) -> list[Job]:
+    """All that is to be flown; the ceiling is searched for the 54 targets alone, start by start."""
+    made = []
+    for entry in found:
+        for test in tests:
+            name = test.partition("@")[0]
+            count, step = len(TESTS[name].make()), len(CART_STARTS_M)
+            if entry.name != CEILING:
+                made += [Job(entry, test, range(first, min(first + PART, count))) for first in range(0, count, PART)]
+            elif name == "grid":
+                made += [Job(entry, test, range(start, count, step)) for start in range(step)]
+    return made
+
+
+def measure(job: Job) -> list[Outcome]:
+    """Fly a job's trials; in a worker."""
+    entry = job.entry
+    name, _, model = job.test.partition("@")
+    every = TESTS[name].make()
+    chosen, on = [every[number] for number in job.part], model_file.load(model) if model else None
+    if entry.name == CEILING:
+        return _search(chosen, on)
+    configured = {} if entry.model is None else {entry.name: _onnx(entry.model)}
+    return TESTS[name].fly(registry.load(entry.name, configured), on, chosen)
+
+
+def compare(
+    found: Sequence[Entry],
+    processes: int,
+    tests: Sequence[str] = tuple(TESTS),
+    advance: Callable[[int], None] = lambda trials: None,
+) -> Comparison:
+    """Fly all in so many processes (1: this one); advance(how many more trials are done)."""
+    todo = jobs(found, tests)
+    flown: dict[Job, list[Outcome]] = {}
+    if processes == 1:
+        for job in todo:
+            flown[job] = measure(job)
+            advance(len(job.part))
+        return summary(flown)
+    with ProcessPoolExecutor(processes, multiprocessing.get_context("spawn"), _one_thread) as pool:
+        futures = {pool.submit(measure, job): job for job in todo}
+        for future in as_completed(futures):
+            flown[futures[future]] = future.result()
+            advance(len(futures[future].part))
+    return summary({job: flown[job] for job in todo})
+
+
+def summary(flown: dict[Job, list[Outcome]]) -> Comparison:
+    """Shares by policy and column, with the spread over seeds."""
+    whole: dict[tuple[Entry, str], dict[int, Outcome]] = {}
+    for job, outcomes in flown.items():
+        whole.setdefault((job.entry, job.test), {}).update(zip(job.part, outcomes, strict=True))
+    cells: dict[str, dict[str, list[Cell]]] = {}  # policy -> column -> seed
+    per_target: dict[str, list[list[float]]] = {}
+    seeds: dict[str, list[int]] = {}
+    for (entry, test), numbered in whole.items():
+        outcomes = [numbered[number] for number in range(len(numbered))]
+        row = cells.setdefault(entry.name, {})
+        for column, cell in _split(entry, test, outcomes).items():
+            row.setdefault(column, []).append(cell)
+        if test == "grid":
+            hits = np.array([outcome.reached for outcome in outcomes], dtype=float).reshape(len(TEST_TARGETS), -1)
+            per_target.setdefault(entry.name, []).append(hits.mean(axis=1).tolist())
+        known = seeds.setdefault(entry.name, [])
+        known += [entry.seed] if entry.seed is not None and entry.seed not in known else []
+    others = {test: label(test) for _, test in whole if test not in COLUMNS and test != "grid"}
+    return Comparison(
+        columns=COLUMNS | others,
+        seeds=seeds,
+        policies={name: {column: _figure(group) for column, group in row.items()} for name, row in cells.items()},
+        notes={name: {c: notes for c, group in row.items() if (notes := _notes(group))} for name, row in cells.items()},
+        hardware=HARDWARE,
+        reached={name: np.mean(rows, axis=0).tolist() for name, rows in per_target.items()},
+    )
+
+
+def _search(wanted: Sequence[Trial], model: Model | None) -> list[Outcome]:
+    """Search open-loop commands for trials that share their start."""
+    from training.ceiling import search
+
+    targets_m = np.array([(trial.goal.y_m, trial.goal.z_m) for trial in wanted], dtype=np.float32)
+    found = search(targets_m, wanted[0].cart_start_m, model)
+    return [Outcome(bool(np.isfinite(reached_s))) for reached_s in found.reached_s]
+
+
+def _one_thread() -> None:
+    """A worker has one core; only the search would take more."""
+    import numba
+
+    numba.set_num_threads(1)
+
+
+def _split(entry: Entry, test: str, outcomes: list[Outcome]) -> dict[str, Cell]:
+    """A test's columns; on another model the grid is one."""
+    goals = [trial.goal for trial in TESTS[test.partition("@")[0]].make()]
+    flown = list(zip(goals, outcomes, strict=True))
+    columns = {test: flown}
+    if test == "grid":
+        low = [(goal, outcome) for goal, outcome in flown if goal.z_m <= TRAINED_Z_MAX_M]
+        above = [(goal, outcome) for goal, outcome in flown if goal.z_m > TRAINED_Z_MAX_M]
+        columns = {"in_range": low, "above": above, "all": flown}
+    return {
+        column: Cell([outcome for _, outcome in part], any(_inside(goal, entry.trained) for goal, _ in part))
+        for column, part in columns.items()
+    }
+
+
+def _inside(goal: Goal, made_for: TrainingRange | None) -> bool:
+    if made_for is None:
+        return True
+    (y_low, y_high), (z_low, z_high) = made_for.target_y_m, made_for.target_z_m
+    return y_low - 1e-6 <= goal.y_m <= y_high + 1e-6 and z_low - 1e-6 <= goal.z_m <= z_high + 1e-6
+
+
+def _figure(seeds: list[Cell]) -> Figure:
+    values = [mean(outcome.reached for outcome in seed.outcomes) for seed in seeds]
+    refused = mean(outcome.refusal is not None for seed in seeds for outcome in seed.outcomes)
+    return Figure(mean=mean(values), spread=stdev(values) if len(values) > 1 else None, values=values, refused=refused)
+
+
+def _notes(seeds: list[Cell]) -> list[str]:
+    """Whether it is beyond what the policy was made for; how often it had no answer, in its own words."""
+    outcomes = [outcome for seed in seeds for outcome in seed.outcomes]
+    words = [outcome.refusal for outcome in outcomes if outcome.refusal is not None]
+    notes = [] if len(words) == len(outcomes) or any(seed.inside for seed in seeds) else [OUTSIDE]
+    if words:
+        first, _, _ = words[0].partition(":")
+        notes.append(f"refused {len(words)} of {len(outcomes)} trials, which count as not reached; the first: {first}")
+    return notes
+
+
+def _onnx(model: str) -> ConfiguredPolicy:
+    return ConfiguredPolicy(plugin="onnx", options={"model": model})
