@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 @click.option("--seed", type=click.IntRange(min=0), default=1, show_default=True, help="Of everything random.")
 @click.option("--frames", type=click.IntRange(min=1), help="Stop after so many control steps of single robots.")
 @click.option("--minutes", type=click.FloatRange(min=0, min_open=True), help="Stop after so many minutes.")
-@click.option("--robots", type=click.IntRange(min=8), default=1024, show_default=True, help="Side by side.")
+@click.option("--robots", type=click.IntRange(min=8), default=2048, show_default=True, help="Side by side.")
 @model_option
 @click.option(
     "--out",

@@ -51,7 +51,7 @@ class Recipe(Strict):
 
     task: str = "reach"  # a preset's name
     model: str = "seed"  # a shipped name or a file
-    frames: int = Field(4_000_000, ge=1)  # control steps of single robots
+    frames: int = Field(5_000_000, ge=1)  # control steps of single robots
     # 'part.field' of task, run, ppo or network -> its value, e.g. network.order: mlp
     settings: dict[str, Setting] = Field(default_factory=dict)
     # 'stage.effect.parameter' of the effect registry -> lowest and highest value
@@ -121,8 +121,8 @@ def _changed(part: str, usual: Part, given: dict[str, Setting]) -> Part:
 
 # What the policies known by name are trained with; all but reach-robust are shipped.
 RECIPES: dict[str, Recipe] = {
-    "reach": Recipe(task="reach", frames=4_000_000),
-    "reach-wide": Recipe(task="reach-wide", frames=6_000_000),
-    "reach-robust": Recipe(task="reach-robust", frames=8_000_000, randomise=ROBUST),
-    "shelf": Recipe(task="shelf", frames=6_000_000),
+    "reach": Recipe(task="reach", frames=5_000_000),
+    "reach-wide": Recipe(task="reach-wide", frames=8_000_000),
+    "reach-robust": Recipe(task="reach-robust", frames=10_000_000, randomise=ROBUST),
+    "shelf": Recipe(task="shelf", frames=7_000_000),
 }

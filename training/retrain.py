@@ -20,7 +20,7 @@ class Recipe:
 
     frames: int = 2_000_000
     seconds: float = 120.0  # at most, whatever the frames
-    robots: int = 1024
+    robots: int = 2048
     validate_every: int = 20
     validation_trials: int = 1536
     std: float = warm_start.STD

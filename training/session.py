@@ -32,11 +32,11 @@ class TrainingConfig:
     """What makes a run the run it is; two runs with the same settings on the same machine are the same."""
 
     seed: int = 1
-    robots: int = 1024
+    robots: int = 2048
     physics_rate_hz: float = 240.0
-    validate_every: int = 25  # iterations; a checkpoint is kept as often
+    validate_every: int = 20  # iterations; a checkpoint is kept as often
     validation_trials: int = 1536
-    averaging: float = 0.985  # share of the averaged weights that an iteration leaves, in the long run
+    averaging: float = 0.975  # share of the averaged weights that an iteration leaves, in the long run
     patience: int = 0  # validations without a better one after which a run stops; 0: it goes on
     matrix_products: str = "auto"  # float32, bfloat16, or auto: bfloat16 where the processor has it
 

@@ -157,7 +157,7 @@ def test_a_report_needs_nothing_else(tmp_path):
     assert "https://" not in text
     assert "<script" not in text
     assert flown().report.sentence in text
-    assert "<code>run.robots</code></th><td>16</td><td>1024</td>" in text
+    assert "<code>run.robots</code></th><td>16</td><td>2048</td>" in text
     assert "ppo." not in text  # as usual
     assert f"{run.best:.1%}" in text
 
