@@ -82,7 +82,12 @@ def run(json_file: Path | None, seeds: tuple[int, ...], frames_most: int, tell: 
             times.append(None if place is None else points[place].seconds)
             frames, seconds = frames + points[-1].frames, seconds + points[-1].seconds
             curves.append([(point.seconds, point.frames, *point.report) for point in points])
-            tell(f"seed {seed}: {'never' if times[-1] is None else f'{times[-1]:.0f} s'}")
+            after = (
+                "never"
+                if place is None
+                else f"{points[place].seconds:.0f} s, {points[place].frames / 1e6:.1f} M frames"
+            )
+            tell(f"seed {seed}: {after}")
         theirs = _rl_games(tell)
     result = Outcome(
         seconds_to_seed_level=times, steps_per_s=frames / seconds, rl_games_steps_per_s=theirs, curves=curves

@@ -24,6 +24,7 @@ from simulator import model_file
 from training import recipe as recipes
 from training.inference import workers
 from training.recipe import RECIPES, Recipe
+from training.session import Standing
 
 RESULT = "result.json"
 LOCAL = "local"
@@ -125,12 +126,21 @@ def plan(sweep: Sweep, out: Path, threads: int) -> tuple[list[Work], list[Result
 
 
 def train(work: Work) -> Result:
-    """Carry out one run to its end, going on from its checkpoint if it has one."""
+    """Carry out one run to its end, going on from its checkpoint if it has one.
+
+    Raises SweepError when who started it is gone: a sweep that is started again trains in the same folder.
+    """
     recipe, folder = Recipe.model_validate(work.recipe), Path(work.folder)
+    parent = os.getppid()
+
+    def tell(_: Standing) -> None:
+        if os.getppid() != parent:
+            raise SweepError(f"{folder}: the sweep was killed; start it again: this run goes on from its checkpoint")
+
     numba.set_num_threads(min(work.threads, numba.config.NUMBA_NUM_THREADS))
     with workers(work.threads) as pool:
         session = recipes.begin(recipe, work.seed, folder, pool, (folder / "latest.pt").exists())
-        policy = session.run(recipe.frames, None)
+        policy = session.run(recipe.frames, None, tell)
         tested = session.test()
         session.write_report(tested)
     assert session.best is not None, "a run ends with a validation"

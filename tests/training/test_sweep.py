@@ -1,6 +1,7 @@
 """A sweep: from a file to a table, restartable; and what a recipe may say."""
 
 import json
+import os
 import sys
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -57,6 +58,17 @@ def test_a_sweep_is_restarted_where_it_was(file, tmp_path):
     assert done == sorted(results, key=lambda each: each.name)
     assert (out / "mlp" / "seed-1" / done[1].policy).is_file()
     assert (out / "mlp" / "seed-1" / "report.html").is_file()
+
+
+def test_a_run_ends_with_the_sweep_that_started_it(file, tmp_path, monkeypatch):
+    todo, _ = sweep.plan(sweep.load(file), tmp_path, threads=1)
+    parents = iter((7, 7, 1))  # the orphan's is another process
+    monkeypatch.setattr(os, "getppid", lambda: next(parents))
+    with pytest.raises(SweepError, match="the sweep was killed; start it again"):
+        sweep.train(todo[0])
+    assert not (Path(todo[0].folder) / sweep.RESULT).exists()
+    monkeypatch.undo()
+    assert sweep.train(todo[0]).frames == Recipe.model_validate(todo[0].recipe).frames
 
 
 def test_a_finished_run_of_another_recipe_is_not_taken_for_this_one(file, tmp_path):
