@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 @click.option("--seed", type=click.IntRange(min=0), default=1, show_default=True, help="Of everything random.")
 @click.option("--frames", type=click.IntRange(min=1), help="Stop after so many control steps of single robots.")
 @click.option("--minutes", type=click.FloatRange(min=0, min_open=True), help="Stop after so many minutes.")
-@click.option("--robots", type=click.IntRange(min=8), default=2048, show_default=True, help="Side by side.")
+@click.option("--robots", type=click.IntRange(min=8), help="Side by side.  [default: the recipe's, 1024 or 2048]")
 @model_option
 @click.option(
     "--out",
@@ -44,7 +44,7 @@ def train(
     seed: int,
     frames: int | None,
     minutes: float | None,
-    robots: int,
+    robots: int | None,
     model_file: Path | None,
     out: Path | None,
     resume: bool,
@@ -83,7 +83,8 @@ def train(
     if name not in RECIPES:
         raise click.UsageError(f"no task '{name}'; there is {', '.join(RECIPES)}")
     recipe = RECIPES[name]
-    recipe = recipe.model_copy(update={"settings": recipe.settings | {"run.robots": robots}})
+    if robots is not None:
+        recipe = recipe.model_copy(update={"settings": recipe.settings | {"run.robots": robots}})
     if model_file is not None:
         recipe = recipe.model_copy(update={"model": str(model_file)})
     folder = out or Path("runs") / "-".join((name, *([model_file.stem] if model_file else []), str(seed)))
