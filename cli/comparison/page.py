@@ -8,8 +8,9 @@ from schemas.goals import TEST_TARGETS
 _STYLE = """
 body { font: 15px/1.45 system-ui, sans-serif; margin: 2rem auto; max-width: 75rem; padding: 0 1rem; color: #222 }
 table { border-collapse: collapse } th, td { padding: .35rem .6rem; text-align: right; border-bottom: 1px solid #ddd }
-th:first-child, td:first-child { text-align: left } td small { color: #444 } .paper td { color: #555 }
-sup { line-height: 0; position: absolute }
+th:first-child, td:first-child { text-align: left } td + td { white-space: nowrap }
+td small { color: #444 } .paper td { color: #555 }
+sup { line-height: 0; position: absolute; font-size: .65em }
 figure { display: inline-block; margin: 1rem 1.5rem 0 0 } figcaption { font-weight: 600 }
 """
 _CELL_PX = 22
