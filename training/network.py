@@ -15,6 +15,7 @@ from training import lstm
 from training.normaliser import RunningNormaliser
 
 State = tuple[Tensor, Tensor]  # hidden and cell, float32 [B, size] each
+WIDE = 64  # inputs; narrower products gain nothing in bfloat16, and the first sees where the robot is
 Order = Literal["mlp-lstm", "lstm-mlp", "mlp"]
 
 
@@ -96,7 +97,7 @@ class PolicyNetwork(nn.Module):
 
     def _hidden_layers(self, features: Tensor, dtype: torch.dtype) -> Tensor:
         for layer in self.mlp:
-            if isinstance(layer, nn.Linear) and layer.in_features >= 64:
+            if isinstance(layer, nn.Linear) and layer.in_features >= WIDE:
                 weight, bias = layer.weight.to(dtype), layer.bias.to(dtype)
                 features = nn.functional.linear(features.to(dtype), weight, bias).float()
             else:
