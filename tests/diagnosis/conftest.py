@@ -1,6 +1,7 @@
 """A simulated test bench: the robot under an excitation, as noisy sensors see it."""
 
 import csv
+import os
 from collections.abc import Callable
 from pathlib import Path
 
@@ -73,3 +74,12 @@ def record() -> Callable[..., Trial]:
 def write() -> Callable[[Trial, Path], Path]:
     """Write a trial as a trial folder."""
     return _write
+
+
+@pytest.fixture(scope="session")
+def data() -> Path:
+    """The folder of real data."""
+    folder = os.environ.get("SOFTARM_DATA")
+    if folder is None or not Path(folder).is_dir():
+        pytest.skip("SOFTARM_DATA does not name the folder of real data: nothing of it is loaded or diagnosed")
+    return Path(folder)

@@ -1,7 +1,6 @@
 """Views of rigs: their laws against closed forms, their vocabulary against the registry, search on made-up tables."""
 
 import math
-import os
 from dataclasses import fields
 from pathlib import Path
 
@@ -323,14 +322,6 @@ def test_blocks_are_summed_as_one_by_one_and_held_out_losses_are_no_smaller():
     lag = next(c for c in candidates(view) if c.name == "servo.lag")
     (fit,) = refitted.fit([((lag,), (lag.starts[0],))])
     assert fit.held_out.sum() >= 0.98 * fit.loss  # unseen blocks are not fitted better than seen ones
-
-
-@pytest.fixture(scope="module")
-def data():
-    folder = os.environ.get("SOFTARM_DATA")
-    if folder is None or not Path(folder).is_dir():
-        pytest.skip("SOFTARM_DATA does not name the folder of real data: its rigs are not diagnosed")
-    return Path(folder)
 
 
 def named(stage, data, element=None):

@@ -1,6 +1,5 @@
 """Single-stage tables: CSV, Parquet and .mat give the same trial; real sets load where they are."""
 
-import os
 from pathlib import Path
 
 import numpy as np
@@ -99,14 +98,6 @@ def test_cells_with_lists_make_a_stage_for_each_element(tmp_path):
     stage.write_text(text.replace("kind: tracking", "kind: tracking\nelements: {a: 2}"))
     with pytest.raises(TrialError, match=r"column u, row 2: \[.*\] has no number at place 2"):
         tables.read(stage)
-
-
-@pytest.fixture(scope="module")
-def data():
-    folder = os.environ.get("SOFTARM_DATA")
-    if folder is None or not Path(folder).is_dir():
-        pytest.skip("SOFTARM_DATA does not name the folder of real data: its trials are not loaded")
-    return Path(folder)
 
 
 def test_the_real_sets_load_without_a_warning(data):
