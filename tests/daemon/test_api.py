@@ -1,178 +1,23 @@
 """The REST API over a real inbox: every endpoint, and every refusal with its sentence."""
 
-import asyncio
 import json
-import math
 import re
-import signal
-import socket
 import threading
 import time
-from contextlib import ExitStack, contextmanager
 from dataclasses import replace
-from pathlib import Path
 
-import httpx
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from websockets.asyncio.client import connect
-from websockets.exceptions import ConnectionClosed, InvalidStatus
-from websockets.sync.client import connect as connect_sync
 
 from daemon import logs, workspace
-from daemon.api import ApiContext, create_app
-from daemon.auth import AuthError, is_loopback, load_token
-from daemon.inbox import Inbox
 from daemon.recorder import Recorder
-from daemon.records import ActiveEvent, EStop, Mode, Observed, Outputs, Problems, RequestResult
-from daemon.server import ApiError, ApiServer
+from daemon.records import ActiveEvent, EStop, Outputs, Problems
 from daemon.status import StatusView
-from policies.base import PolicyError, PolicySpec
-from policies.registry import PolicyEntry
-from schemas.config import Api, Config
+from policies.base import PolicySpec
+from schemas.config import Config
 from schemas.goals import Goal, GoalStatus
-from schemas.messages import Command
-from schemas.policy import TrainingRange
-
-LOCAL = "http://127.0.0.1"
-TOKEN = "0123456789abcdef0123456789abcdef"
-
-
-class Swing:
-    """A policy that does as it is told by the test."""
-
-    def __init__(self, name: str, failure: Exception | None = None) -> None:
-        self.spec = PolicySpec(name, "swings")
-        self.failure, self.steps, self.resets = failure, 0, 0
-
-    def reset(self) -> None:
-        self.resets += 1
-
-    def step(self, observation, goal):
-        self.steps += 1
-        if self.failure:
-            raise self.failure
-        return np.zeros(2, dtype=np.float32)
-
-
-class Shelf:
-    """The policies of this test."""
-
-    def __init__(self) -> None:
-        trained = TrainingRange(target_y_m=(-0.4, 0.0), target_z_m=(0.55, 0.70), cart_start_m=(-0.025, 0.25))
-        self.entries = {
-            "broken": PolicyEntry("broken", "test", spec=PolicySpec("broken", "raises")),
-            "lost": PolicyEntry("lost", "test", error="its file is gone; train it again"),
-            "pid": PolicyEntry("pid", "test", spec=PolicySpec("pid", "the seed's gains")),
-            "reach": PolicyEntry("reach", "test", spec=PolicySpec("reach", "swings", True, 100, trained, "ab")),
-        }
-        self.loaded: list[tuple[Swing, str]] = []
-
-    def available(self):
-        return self.entries
-
-    def load(self, name):
-        if name == "lost":
-            raise PolicyError("policy 'lost': its file is gone; available: pid, reach")
-        policy = Swing(name, ValueError("no weights") if name == "broken" else None)
-        self.loaded.append((policy, threading.current_thread().name))
-        return policy
-
-
-class Loop:
-    """Stands in for the control loop: empties the inbox and answers what the test wants answered."""
-
-    def __init__(self) -> None:
-        self.inbox = Inbox()
-        self.refuse: tuple[str, ...] = ()
-        self.problems = Problems()
-        self.taken = []
-        self.outputs: Outputs | None = Outputs(
-            time.monotonic_ns(),
-            0,
-            0,
-            0,
-            0,
-            Mode.ARMED,
-            EStop.CLEAR,
-            sent=Command(True, 0.25, math.nan),
-            policy="reach",
-            observed=Observed((0.0,) * 8, 7, 5_000_000, 6_000_000, 7_000_000),
-        )
-        self._stop = threading.Event()
-        self._thread = threading.Thread(target=self._run)
-
-    def _run(self) -> None:
-        while not self._stop.wait(1 / 100):
-            posts = self.inbox.take()
-            self.taken += posts
-            results = tuple(RequestResult(p.request.number, not self.refuse, self.refuse) for p in posts)
-            before = self.outputs
-            self.outputs = replace(
-                before, t_ns=time.monotonic_ns(), tick=before.tick + 1, results=(*before.results, *results)[-32:]
-            )
-
-    @contextmanager
-    def running(self):
-        self._thread.start()
-        try:
-            yield self
-        finally:
-            self._stop.set()
-            self._thread.join()
-            for post in self.taken:
-                if post.runner is not None:
-                    post.runner.close()
-
-
-class Client:
-    """Asks an application in this thread, without a socket."""
-
-    def __init__(self, app, url: str = LOCAL) -> None:
-        self._app, self._url = app, url
-
-    def request(self, method: str, path: str, **kwargs) -> httpx.Response:
-        async def ask() -> httpx.Response:
-            async with httpx.AsyncClient(transport=httpx.ASGITransport(self._app), base_url=self._url) as client:
-                return await client.request(method, path, **kwargs)
-
-        return asyncio.run(ask())
-
-    def get(self, path: str, **kwargs) -> httpx.Response:
-        return self.request("GET", path, **kwargs)
-
-    def post(self, path: str, **kwargs) -> httpx.Response:
-        return self.request("POST", path, **kwargs)
-
-    def put(self, path: str, **kwargs) -> httpx.Response:
-        return self.request("PUT", path, **kwargs)
-
-
-def context(loop: Loop, config: Config | None = None, **kwargs) -> ApiContext:
-    shared = {"policies": Shelf(), "problems": lambda: loop.problems} | kwargs
-    return ApiContext(config or Config(), loop.inbox, lambda: loop.outputs, **shared)
-
-
-@pytest.fixture
-def loop():
-    with Loop().running() as running:
-        yield running
-
-
-@pytest.fixture
-def client(loop):
-    made = Client(create_app(context(loop)), LOCAL)
-    return made
-
-
-@pytest.fixture
-def silent():
-    """A client of a daemon whose control loop does not tick."""
-    loop = Loop()
-    made = Client(create_app(context(loop)), LOCAL)
-    return made, loop
 
 
 def test_the_status_is_the_snapshot_and_what_stands_around_it(client, loop):
@@ -239,11 +84,11 @@ def test_a_warning_is_not_ill_health(client, loop):
     assert client.get("/api/health").status_code == 200
 
 
-def test_health_names_devices_and_recorder(loop, tmp_path):
+def test_health_names_devices_and_recorder(loop, tmp_path, app, client_of):
     recorder = Recorder(Config())
     recorder.problem = "the log ends here: the disk is full"
     loop.problems = Problems(mocap="tcp/127.0.0.1:7447: listen: address in use; stop the other one")
-    client = Client(create_app(context(loop, recorder=recorder)), LOCAL)
+    client = client_of(app(loop, recorder=recorder))
     reasons = client.get("/api/health").json()["reasons"]
     assert reasons == [
         "mocap: tcp/127.0.0.1:7447: listen: address in use; stop the other one",
@@ -399,9 +244,8 @@ def test_the_policies_are_listed_with_those_that_cannot_be_used(client):
     assert by_name["lost"]["error"] == "its file is gone; train it again"
 
 
-def test_a_policy_is_loaded_and_warmed_up_beside_the_loop(loop):
-    shelf = Shelf()
-    client = Client(create_app(context(loop, policies=shelf)), LOCAL)
+def test_a_policy_is_loaded_and_warmed_up_beside_the_loop(loop, app, client_of, shelf):
+    client = client_of(app(loop, policies=shelf))
     answer = client.put("/api/policy", json={"name": "pid"})
     assert answer.status_code == 200
     policy, thread = shelf.loaded[0]
@@ -413,10 +257,10 @@ def test_a_policy_is_loaded_and_warmed_up_beside_the_loop(loop):
     assert outcome.fault is None
 
 
-def test_the_log_notes_which_model_flies(loop, tmp_path):
+def test_the_log_notes_which_model_flies(loop, tmp_path, app, client_of):
     recorder = Recorder(Config(recorder={"directory": tmp_path}), PolicySpec("reach", "swings"))
     recorder.start()
-    client = Client(create_app(context(loop, recorder=recorder)))
+    client = client_of(app(loop, recorder=recorder))
     assert client.put("/api/policy", json={"name": "pid"}).status_code == 200
     loop.refuse = ("a goal is running",)
     assert client.put("/api/policy", json={"name": "reach"}).status_code == 409
@@ -448,14 +292,14 @@ def test_a_wrong_policy_is_refused(client, loop, body, code, sentence):
     assert not loop.taken
 
 
-def test_the_logs_are_listed_and_the_present_one_is_marked(loop, tmp_path):
+def test_the_logs_are_listed_and_the_present_one_is_marked(loop, tmp_path, app, client_of):
     config = Config(recorder={"directory": tmp_path})
     old, new = Recorder(config), Recorder(config)
     old.start()
     old.stop()
     new.start()
     try:
-        client = Client(create_app(context(loop, config, recorder=new)), LOCAL)
+        client = client_of(app(loop, config, recorder=new))
         answer = client.get("/api/logs").json()
         status = client.get("/api/status").json()
     finally:
@@ -492,209 +336,3 @@ def test_the_documentation_names_every_endpoint_with_an_example(client):
     goal = api["paths"]["/api/goal"]["post"]["requestBody"]["content"]["application/json"]
     assert goal["examples"]["reach"]["value"] == {"kind": "reach", "y_m": -0.2, "z_m": 0.65}
     assert all(method["description"] for methods in api["paths"].values() for method in methods.values())
-
-
-# Who may ask
-
-
-def test_loopback_refuses_foreign_hosts_and_pages(client):
-    answer = client.get("/api/status", headers={"Host": "robot.example:8080"})
-    assert answer.status_code == 403
-    assert "the Host header is 'robot.example:8080'" in answer.json()["detail"]
-    answer = client.post("/api/arm", headers={"Origin": "https://evil.example"})
-    assert answer.status_code == 403
-    assert "a page of 'https://evil.example' may not command this robot" in answer.json()["detail"]
-    assert client.post("/api/arm", headers={"Origin": "null"}).status_code == 403
-    assert client.post("/api/arm", headers={"Origin": LOCAL}).status_code == 200
-    for host in ("localhost:8080", "[::1]:8080", "127.0.0.1"):
-        assert client.get("/api/status", headers={"Host": host}).status_code == 200
-
-
-def test_loopback_refuses_foreign_pages_on_the_stream_too(loop):
-    with serving(create_app(context(loop))) as port, pytest.raises(InvalidStatus) as refusal:
-        connect_sync(f"ws://127.0.0.1:{port}/api/stream", origin="https://evil.example")
-    assert refusal.value.response.status_code == 403
-    assert b"may not command this robot" in refusal.value.response.body
-
-
-@pytest.mark.parametrize(
-    ("host", "expected"),
-    [
-        ("127.0.0.1", True),
-        ("127.9.9.9", True),
-        ("::1", True),
-        ("localhost", True),
-        ("0.0.0.0", False),
-        ("192.168.1.4", False),
-        ("robot.example", False),
-    ],
-)
-def test_loopback_is_known(host, expected):
-    assert is_loopback(host) is expected
-
-
-def token_file(directory: Path, text: str = TOKEN + "\n", mode: int = 0o600) -> Path:
-    path = directory / "token"
-    path.write_text(text)
-    path.chmod(mode)
-    return path
-
-
-def test_another_address_requires_a_token(loop):
-    with pytest.raises(AuthError, match=r"api\.host 0\.0\.0\.0 .* needs api\.token_file: write a long random"):
-        create_app(context(loop, Config(api={"host": "0.0.0.0"})))
-
-
-@pytest.mark.parametrize(
-    ("text", "mode", "sentence"),
-    [
-        ("short", 0o600, "holds 5 characters; allowed: one word, 16 or more"),
-        ("two words that are long enough", 0o600, "one word"),
-        (TOKEN, 0o604, "every user of this machine can open it; `chmod o= "),
-        ("ü" * 20, 0o600, "cannot be read"),
-    ],
-)
-def test_a_bad_token_file_is_refused(tmp_path, text, mode, sentence):
-    with pytest.raises(AuthError) as refusal:
-        load_token(Api(host="0.0.0.0", token_file=token_file(tmp_path, text, mode)))
-    assert sentence in str(refusal.value)
-    with pytest.raises(AuthError, match="cannot be read"):
-        load_token(Api(token_file=tmp_path / "missing"))
-
-
-def test_with_a_token_every_request_needs_it(loop, tmp_path):
-    config = Config(api={"host": "0.0.0.0", "token_file": token_file(tmp_path)})
-    client = Client(create_app(context(loop, config)), "http://robot.example")
-    for path in ("/api/status", "/docs", "/openapi.json", "/nothing"):
-        answer = client.get(path)
-        assert answer.status_code == 401
-        assert "send `Authorization: Bearer" in answer.json()["detail"]
-    wrong = client.get("/api/status", headers={"Authorization": f"Bearer {TOKEN}x"})
-    assert (wrong.status_code, wrong.json()["detail"][:18]) == (401, "the token is wrong")
-    assert client.get("/api/status", headers={"Authorization": TOKEN}).status_code == 401
-    right = {"Authorization": f"Bearer {TOKEN}"}
-    assert client.get("/api/status", headers=right).status_code == 200
-
-
-def test_with_a_token_the_stream_needs_it_too(loop, tmp_path):
-    config = Config(api={"port": 0, "token_file": token_file(tmp_path)})
-    with serving(create_app(context(loop, config)), config.api) as port:
-        address = f"ws://127.0.0.1:{port}/api/stream"
-        with pytest.raises(InvalidStatus) as refusal:
-            connect_sync(address)
-        assert refusal.value.response.status_code == 401
-        right = {"Authorization": f"Bearer {TOKEN}"}
-        with connect_sync(address, additional_headers=right) as socket:
-            assert json.loads(socket.recv(timeout=5))["mode"] == "armed"
-
-
-# Over a real socket, in a thread of its own
-
-
-@contextmanager
-def serving(app, config: Api | None = None):
-    server = ApiServer(config or Api(port=0), app)
-    port = server.start()
-    try:
-        yield port
-    finally:
-        started = time.monotonic()
-        server.stop()
-        assert time.monotonic() - started < 1.2
-        assert not any(thread.name == "api" for thread in threading.enumerate())
-
-
-def test_the_server_answers_and_gives_its_port_back(loop):
-    with serving(create_app(context(loop))) as port:
-        assert httpx.get(f"{LOCAL}:{port}/api/status").json()["mode"] == "armed"
-    with pytest.raises(httpx.ConnectError):
-        httpx.get(f"{LOCAL}:{port}/api/status")
-
-
-def test_a_port_that_is_taken_is_refused_with_the_next_step(loop):
-    app = create_app(context(loop))
-    with serving(app) as port, pytest.raises(ApiError) as refusal:
-        ApiServer(Api(port=port), app).start()
-    assert f"api.host 127.0.0.1, api.port {port}: cannot listen there" in str(refusal.value)
-    assert "choose another api.port" in str(refusal.value)
-    with pytest.raises(ApiError, match=r"api\.host 192\.0\.2\.1"):
-        ApiServer(Api(host="192.0.2.1", port=0), app).start()
-
-
-def test_the_server_takes_no_signals(loop):
-    before = {s: signal.getsignal(s) for s in (signal.SIGINT, signal.SIGTERM)}
-    with serving(create_app(context(loop))):
-        assert {s: signal.getsignal(s) for s in before} == before
-
-
-def test_the_stream_sends_new_snapshots_at_the_rate_asked_for(loop):
-    async def watch(port: int, query: str) -> tuple[list[int], float]:
-        async with connect(f"ws://127.0.0.1:{port}/api/stream{query}") as socket:
-            await socket.recv()
-            started = time.monotonic()
-            ticks = [json.loads(await socket.recv())["tick"] for _ in range(8)]
-            return ticks, time.monotonic() - started
-
-    async def both(port: int):
-        return await asyncio.gather(watch(port, ""), watch(port, "?hz=10"))
-
-    with serving(create_app(context(loop))) as port:  # the loop ticks at about 100 Hz
-        (fast, fast_s), (slow, slow_s) = asyncio.run(both(port))
-    assert fast == sorted(set(fast))
-    assert slow == sorted(set(slow))
-    assert fast_s >= 8 * 0.8 / 30
-    assert slow_s >= 8 * 0.08
-    assert slow[-1] - slow[0] > fast[-1] - fast[0]
-
-
-@pytest.mark.parametrize("hz", ["0", "-1", "31", "nan", "fast"])
-def test_the_stream_refuses_a_rate_it_does_not_have(loop, hz):
-    with (
-        serving(create_app(context(loop))) as port,
-        pytest.raises((InvalidStatus, ConnectionClosed)),
-        connect_sync(f"ws://127.0.0.1:{port}/api/stream?hz={hz}") as socket,
-    ):
-        socket.recv(timeout=5)
-
-
-def test_a_client_that_does_not_read_holds_up_nobody_and_piles_nothing_up(loop):
-    loop.outputs = replace(loop.outputs, clamps=("x" * 1_000_000,))
-    with serving(create_app(context(loop))) as port, ExitStack() as stack:
-        address = f"ws://127.0.0.1:{port}/api/stream"
-        pipe = small_pipe(port)
-        deaf = stack.enter_context(connect_sync(address, sock=pipe, max_size=None, max_queue=1, close_timeout=0.2))
-        good = stack.enter_context(connect_sync(address, max_size=None))
-        seen = [json.loads(good.recv(timeout=5))["tick"] for _ in range(40)]
-        in_the_pipe = 0
-        while json.loads(deaf.recv(timeout=5))["tick"] <= seen[-1]:
-            in_the_pipe += 1
-    assert in_the_pipe < 20  # of 40: what the sender's system had buffered (4 MB), and then the present
-
-
-def small_pipe(port: int) -> socket.socket:
-    """A connection whose receiving side holds little: left to itself, a system may buffer 32 MB of it."""
-    pipe = socket.socket()
-    pipe.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 65536)
-    pipe.connect(("127.0.0.1", port))
-    return pipe
-
-
-@pytest.mark.parametrize("reading", [True, False])
-def test_stopping_closes_open_streams_at_once(loop, reading):
-    with ExitStack() as stack:
-        with serving(create_app(context(loop))) as port:  # which checks how long that takes
-            address = f"ws://127.0.0.1:{port}/api/stream"
-            good = stack.enter_context(connect_sync(address, max_size=None))
-            other = stack.enter_context(connect_sync(address, max_size=None, max_queue=1, close_timeout=0.2))
-            other.recv(timeout=5)
-            if not reading:
-                loop.outputs = replace(loop.outputs, clamps=("x" * 1_000_000,))
-            for _ in range(3 if reading else 30):
-                good.recv(timeout=5)
-        with pytest.raises(ConnectionClosed):
-            drain(good)
-
-
-def drain(socket) -> None:
-    while True:
-        socket.recv(timeout=5)

@@ -1,0 +1,195 @@
+"""A control loop's stand-in and clients for the tests of the API, of its server and of who may ask."""
+
+import asyncio
+import math
+import threading
+import time
+from contextlib import contextmanager
+from dataclasses import replace
+
+import httpx
+import numpy as np
+import pytest
+
+from daemon.api import ApiContext, create_app
+from daemon.inbox import Inbox
+from daemon.records import EStop, Mode, Observed, Outputs, Problems, RequestResult
+from daemon.server import ApiServer
+from policies.base import PolicyError, PolicySpec
+from policies.registry import PolicyEntry
+from schemas.config import Api, Config
+from schemas.messages import Command
+from schemas.policy import TrainingRange
+
+LOCAL = "http://127.0.0.1"
+
+
+class Swing:
+    """A policy that does as it is told by the test."""
+
+    def __init__(self, name: str, failure: Exception | None = None) -> None:
+        self.spec = PolicySpec(name, "swings")
+        self.failure, self.steps, self.resets = failure, 0, 0
+
+    def reset(self) -> None:
+        self.resets += 1
+
+    def step(self, observation, goal):
+        self.steps += 1
+        if self.failure:
+            raise self.failure
+        return np.zeros(2, dtype=np.float32)
+
+
+class Shelf:
+    """The policies of this test."""
+
+    def __init__(self) -> None:
+        trained = TrainingRange(target_y_m=(-0.4, 0.0), target_z_m=(0.55, 0.70), cart_start_m=(-0.025, 0.25))
+        self.entries = {
+            "broken": PolicyEntry("broken", "test", spec=PolicySpec("broken", "raises")),
+            "lost": PolicyEntry("lost", "test", error="its file is gone; train it again"),
+            "pid": PolicyEntry("pid", "test", spec=PolicySpec("pid", "the seed's gains")),
+            "reach": PolicyEntry("reach", "test", spec=PolicySpec("reach", "swings", True, 100, trained, "ab")),
+        }
+        self.loaded: list[tuple[Swing, str]] = []
+
+    def available(self):
+        return self.entries
+
+    def load(self, name):
+        if name == "lost":
+            raise PolicyError("policy 'lost': its file is gone; available: pid, reach")
+        policy = Swing(name, ValueError("no weights") if name == "broken" else None)
+        self.loaded.append((policy, threading.current_thread().name))
+        return policy
+
+
+class Loop:
+    """Stands in for the control loop: empties the inbox and answers what the test wants answered."""
+
+    def __init__(self) -> None:
+        self.inbox = Inbox()
+        self.refuse: tuple[str, ...] = ()
+        self.problems = Problems()
+        self.taken = []
+        self.outputs: Outputs | None = Outputs(
+            time.monotonic_ns(),
+            0,
+            0,
+            0,
+            0,
+            Mode.ARMED,
+            EStop.CLEAR,
+            sent=Command(True, 0.25, math.nan),
+            policy="reach",
+            observed=Observed((0.0,) * 8, 7, 5_000_000, 6_000_000, 7_000_000),
+        )
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self._run)
+
+    def _run(self) -> None:
+        while not self._stop.wait(1 / 100):
+            posts = self.inbox.take()
+            self.taken += posts
+            results = tuple(RequestResult(p.request.number, not self.refuse, self.refuse) for p in posts)
+            before = self.outputs
+            self.outputs = replace(
+                before, t_ns=time.monotonic_ns(), tick=before.tick + 1, results=(*before.results, *results)[-32:]
+            )
+
+    @contextmanager
+    def running(self):
+        self._thread.start()
+        try:
+            yield self
+        finally:
+            self._stop.set()
+            self._thread.join()
+            for post in self.taken:
+                if post.runner is not None:
+                    post.runner.close()
+
+
+class Client:
+    """Asks an application in this thread, without a socket."""
+
+    def __init__(self, app, url: str = LOCAL) -> None:
+        self._app, self._url = app, url
+
+    def request(self, method: str, path: str, **kwargs) -> httpx.Response:
+        async def ask() -> httpx.Response:
+            async with httpx.AsyncClient(transport=httpx.ASGITransport(self._app), base_url=self._url) as client:
+                return await client.request(method, path, **kwargs)
+
+        return asyncio.run(ask())
+
+    def get(self, path: str, **kwargs) -> httpx.Response:
+        return self.request("GET", path, **kwargs)
+
+    def post(self, path: str, **kwargs) -> httpx.Response:
+        return self.request("POST", path, **kwargs)
+
+    def put(self, path: str, **kwargs) -> httpx.Response:
+        return self.request("PUT", path, **kwargs)
+
+
+def context(loop: Loop, config: Config | None = None, **kwargs) -> ApiContext:
+    shared = {"policies": Shelf(), "problems": lambda: loop.problems} | kwargs
+    return ApiContext(config or Config(), loop.inbox, lambda: loop.outputs, **shared)
+
+
+@pytest.fixture
+def loop():
+    with Loop().running() as running:
+        yield running
+
+
+@pytest.fixture
+def client(loop):
+    made = Client(create_app(context(loop)), LOCAL)
+    return made
+
+
+@pytest.fixture
+def silent():
+    """A client of a daemon whose control loop does not tick."""
+    loop = Loop()
+    made = Client(create_app(context(loop)), LOCAL)
+    return made, loop
+
+
+@pytest.fixture
+def shelf():
+    return Shelf()
+
+
+@pytest.fixture
+def app():
+    """app(loop, config, **context): the application on this loop."""
+    return lambda *args, **kwargs: create_app(context(*args, **kwargs))
+
+
+@pytest.fixture
+def client_of():
+    """client_of(app, url): a client of an application."""
+    return Client
+
+
+@pytest.fixture(name="serving")
+def serving_():
+    """With serving(app, config) as port: over a real socket, in a thread of its own."""
+    return serving
+
+
+@contextmanager
+def serving(app, config: Api | None = None):
+    server = ApiServer(config or Api(port=0), app)
+    port = server.start()
+    try:
+        yield port
+    finally:
+        started = time.monotonic()
+        server.stop()
+        assert time.monotonic() - started < 1.2
+        assert not any(thread.name == "api" for thread in threading.enumerate())
