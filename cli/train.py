@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 @click.option("--frames", type=click.IntRange(min=1), help="Stop after so many control steps of single robots.")
 @click.option("--minutes", type=click.FloatRange(min=0, min_open=True), help="Stop after so many minutes.")
 @click.option("--robots", type=click.IntRange(min=8), help="Side by side.  [default: the recipe's, 1024 or 2048]")
+@click.option("--device", help="Where the network learns: cpu, or cuda for a graphics card.  [default: cpu]")
 @model_option
 @click.option(
     "--out",
@@ -45,6 +46,7 @@ def train(
     frames: int | None,
     minutes: float | None,
     robots: int | None,
+    device: str | None,
     model_file: Path | None,
     out: Path | None,
     resume: bool,
@@ -83,8 +85,9 @@ def train(
     if name not in RECIPES:
         raise click.UsageError(f"no task '{name}'; there is {', '.join(RECIPES)}")
     recipe = RECIPES[name]
-    if robots is not None:
-        recipe = recipe.model_copy(update={"settings": recipe.settings | {"run.robots": robots}})
+    given = {"run.robots": robots, "run.device": device}
+    settings = recipe.settings | {name: value for name, value in given.items() if value is not None}
+    recipe = recipe.model_copy(update={"settings": settings})
     if model_file is not None:
         recipe = recipe.model_copy(update={"model": str(model_file)})
     folder = out or Path("runs") / "-".join((name, *([model_file.stem] if model_file else []), str(seed)))

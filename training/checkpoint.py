@@ -26,7 +26,7 @@ def load(path: Path) -> dict[str, Any]:
     if not path.is_file():
         raise CheckpointError(f"{path}: no such checkpoint; `softarm train` writes latest.pt and best.pt to --out")
     try:
-        content = torch.load(path, weights_only=True)
+        content = torch.load(path, map_location="cpu", weights_only=True)
     except Exception as error:  # whatever a damaged file makes torch raise
         reason = str(error).strip().partition("\n")[0]
         raise CheckpointError(f"{path}: not a checkpoint ({reason}); give a .pt file of `softarm train`") from error

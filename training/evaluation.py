@@ -158,10 +158,10 @@ def fly(
     closest = np.full(count, np.inf, dtype=np.float32)
     path = np.full((task.episode_steps + 1, count, 2), np.nan, dtype=np.float32)
     path[0] = environment.simulator.tip_m()
-    state, keep = network.initial_state(count), torch.ones(count)
+    state, keep = network.initial_state(count), torch.ones(count, device=network.device)
     for k in range(task.episode_steps):
-        mean, _, state = infer(network, torch.from_numpy(observation), keep, state, pool, dtype)
-        step = environment.step(mean.numpy())
+        mean, _, state = infer(network, torch.from_numpy(observation).to(network.device), keep, state, pool, dtype)
+        step = environment.step(mean.cpu().numpy())
         tip, target = step.final_tip_m, step.final_observation[:, 8:10]
         closest[alive] = np.minimum(closest, np.linalg.norm(tip - target, axis=1))[alive]
         path[k + 1, alive] = tip[alive]

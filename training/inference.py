@@ -1,4 +1,7 @@
-"""A network over many robots on a few threads, with the same numbers from any number of threads."""
+"""A network over many robots on a few threads, with the same numbers from any number of threads.
+
+Or on a graphics card, all robots at once.
+"""
 
 # mypy: allow-untyped-decorators
 
@@ -14,6 +17,7 @@ from torch import Tensor
 from training.network import PolicyNetwork, State
 
 CHUNK = 512  # robots a thread takes at once
+DEVICES = ("cpu", "cuda")
 T = TypeVar("T")
 R = TypeVar("R")
 
@@ -46,9 +50,24 @@ def workers(count: int | None = None) -> Iterator[Workers]:
         torch.set_num_threads(before)
 
 
-def quick_dtype() -> torch.dtype:
+def device_named(name: str) -> torch.device:
+    """Where a network learns. Raises ValueError for what there is not, or not here."""
+    if name not in DEVICES:
+        raise ValueError(f"run.device is {name!r}; give one of {', '.join(DEVICES)}")
+    if name == "cuda" and not torch.cuda.is_available():
+        raise ValueError(f"run.device is 'cuda', and torch {torch.__version__} sees no such card here; give cpu")
+    return torch.device(name)
+
+
+def quick_dtype(device: torch.device) -> torch.dtype:
     """bfloat16 where the processor multiplies it in hardware, else float32."""
-    return torch.bfloat16 if torch.cpu._is_avx512_bf16_supported() else torch.float32
+    fast = device.type == "cpu" and torch.cpu._is_avx512_bf16_supported()
+    return torch.bfloat16 if fast else torch.float32
+
+
+def share_of(count: int, most: int, device: torch.device) -> int:
+    """How many of `count` are worked off at once: `most` on a thread, all of them on a graphics card."""
+    return most if device.type == "cpu" else count
 
 
 def infer(
@@ -61,13 +80,14 @@ def infer(
 ) -> tuple[Tensor, Tensor, State]:
     """One step for every robot.
 
-    observation: [R, inputs], keep: [R] (0 where an episode begins), state: [R, size] each.
+    observation: [R, inputs], keep: [R] (0 where an episode begins), state: [R, size] each; all where the network is.
     Returns the action's mean [R, actions], the value in the reward's unit [R] and the next state.
     """
 
-    count, size = observation.shape[0], state[0].shape[1]
-    means, values = torch.empty(count, network.shape.actions), torch.empty(count)
-    hidden, cell = torch.empty(count, size), torch.empty(count, size)
+    count, size, device = observation.shape[0], state[0].shape[1], state[0].device
+    means, values = torch.empty(count, network.shape.actions, device=device), torch.empty(count, device=device)
+    hidden, cell = torch.empty(count, size, device=device), torch.empty(count, size, device=device)
+    chunk = share_of(count, CHUNK, device)
 
     @torch.no_grad()  # a thread's own matter: of no effect on the pool where the caller sets it
     def part(robots: slice) -> None:
@@ -77,5 +97,5 @@ def infer(
         means[robots] = mean[0]
         values[robots] = network.value_normaliser.restore(value[0].unsqueeze(-1)).squeeze(-1)
 
-    pool.map(part, [slice(k, min(k + CHUNK, count)) for k in range(0, count, CHUNK)])
+    pool.map(part, [slice(k, min(k + chunk, count)) for k in range(0, count, chunk)])
     return means, values, (hidden, cell)

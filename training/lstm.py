@@ -5,7 +5,7 @@ bias), with two differences that training wants: episodes may begin inside a seq
 products may run in bfloat16. Gradients stop at the sequence's first state (truncated back-propagation).
 
 Threads: every function here is single-threaded and lets go of the interpreter's lock, so callers run micro-batches
-side by side and get the same numbers from any number of threads.
+side by side and get the same numbers from any number of threads. On a graphics card the cell is torch's own.
 """
 
 # mypy: allow-untyped-defs, allow-untyped-calls, allow-subclassing-any, allow-untyped-decorators
@@ -98,9 +98,29 @@ def sequence(
     x: float32 [T, B, I]; keep: float32 [T, B], 0 where an episode begins (the state is zeroed before that step),
     else 1; state: hidden and cell before the first step, float32 [B, H] each, taken as constants;
     w_x [4H, I], w_h [4H, H], bias [4H] as in `torch.nn.LSTM`; dtype: of the matrix products' inputs and results,
-    float32 or bfloat16.
+    float32 or bfloat16; on a graphics card float32.
     Returns hidden states, float32 [T, B, H], and the last hidden and cell state.
     """
+    if not _is_compiled_for(x.device):
+        return _step_by_step(x, keep, state, w_x, w_h, bias)
     weight = torch.cat((w_x, w_h), dim=1).to(dtype)
     hidden, cell = _Sequence.apply(x, keep, *state, weight, bias)
     return hidden, (hidden[-1].detach(), cell[-1])
+
+
+def _is_compiled_for(device: torch.device) -> bool:
+    """Whether the fused cell can work there."""
+    return str(device) == "cpu"
+
+
+def _step_by_step(
+    x: Tensor, keep: Tensor, state: tuple[Tensor, Tensor], w_x: Tensor, w_h: Tensor, bias: Tensor
+) -> tuple[Tensor, tuple[Tensor, Tensor]]:
+    """`sequence` by torch's own cell and gradients, on whatever device: one kernel for all its gates on a card."""
+    hidden, cell = state
+    rows, none = [], torch.zeros_like(bias)
+    for t in range(x.shape[0]):
+        kept = keep[t].unsqueeze(1)
+        hidden, cell = torch.lstm_cell(x[t], (hidden * kept, cell * kept), w_x, w_h, bias, none)
+        rows.append(hidden)
+    return torch.stack(rows), (hidden.detach(), cell.detach())

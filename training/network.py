@@ -72,9 +72,15 @@ class PolicyNetwork(nn.Module):
         for mine, theirs in zip(self.buffers(), other.buffers(), strict=True):
             mine.copy_(theirs)
 
+    @property
+    def device(self) -> torch.device:
+        """Where it is, and what it works on has to be."""
+        return self.log_std.device
+
     def initial_state(self, batch: int) -> State:
         """The state in which every episode begins."""
-        return torch.zeros(batch, self.shape.state), torch.zeros(batch, self.shape.state)
+        hidden, cell = torch.zeros((2, batch, self.shape.state), device=self.device)
+        return hidden, cell
 
     def forward(
         self, observation: Tensor, keep: Tensor, state: State, dtype: torch.dtype = torch.float32

@@ -3,7 +3,8 @@
 One iteration: every robot takes `horizon` steps; advantages by GAE; the batch is split by robots into
 mini-batches of whole sequences, each one gradient step; the learning rate follows the KL divergence. A mini-batch is
 worked off in micro-batches of fixed size on a few threads, summed in a fixed order: the result is the same, bit for
-bit, from any number of threads.
+bit, from any number of threads. On a graphics card a mini-batch is worked off at once; the robots stay with the CPU,
+and so does everything random.
 """
 
 import math
@@ -14,7 +15,7 @@ import torch
 from torch import Tensor
 
 from training.environment import Environment
-from training.inference import Workers, infer
+from training.inference import Workers, infer, share_of
 from training.network import PolicyNetwork, State
 
 MICRO_SEQUENCES = 128
@@ -127,9 +128,10 @@ class Ppo:
         self._pool, self._dtype = pool, dtype
         self._generator = torch.Generator().manual_seed(seed)
         self._parameters = list(network.parameters())
-        self._observation = torch.from_numpy(environment.reset())
+        self._device = network.device
+        self._observation = self._there(environment.reset())
         environment.stagger()
-        self._keep = torch.zeros(environment.robots)
+        self._keep = torch.zeros(environment.robots, device=self._device)
         self._state = network.initial_state(environment.robots)
 
     def iterate(self, critic_only: bool = False) -> Statistics:
@@ -150,15 +152,15 @@ class Ppo:
         ended = reached = 0
         for _ in range(self.config.horizon):
             mean, value, state = self._infer(self._observation, self._keep, self._state)
-            action = mean + std * torch.randn(mean.shape, generator=self._generator)
-            step = self.environment.step(action.numpy())
-            done = torch.from_numpy(step.terminated | step.truncated)
+            action = mean + std * self._normal(mean.shape)
+            step = self.environment.step(action.cpu().numpy())
+            done = self._there(step.terminated | step.truncated)
             cut.append(self._values_of(step.truncated, step.final_observation, state))
-            reward, terminated = torch.from_numpy(step.reward), torch.from_numpy(step.terminated)
+            reward, terminated = self._there(step.reward), self._there(step.terminated)
             rows.append((self._observation, self._keep, action, mean, value, reward, terminated, done.float()))
-            seen = self._noisy(torch.from_numpy(step.observation))
+            seen = self._noisy(self._there(step.observation))
             self._observation, self._keep, self._state = seen, 1.0 - done.float(), state
-            ended, reached = ended + int(done.sum()), reached + int(step.success.sum())
+            ended, reached = ended + int((step.terminated | step.truncated).sum()), reached + int(step.success.sum())
         observation, keep, action, mean, value, reward, terminated, done = map(torch.stack, zip(*rows, strict=True))
         _, last_value, _ = self._infer(self._observation, self._keep, self._state)
         following = torch.cat((value[1:], last_value[None]))
@@ -172,7 +174,7 @@ class Ppo:
         """The observation as a policy is shown it that is to bear noise."""
         if not self.config.observation_noise:
             return observation
-        noise = torch.randn(observation.shape, generator=self._generator)
+        noise = self._normal(observation.shape)
         return observation + self.config.observation_noise * self.network.observation_normaliser.scale() * noise
 
     def _infer(self, observation: Tensor, keep: Tensor, state: State) -> tuple[Tensor, Tensor, State]:
@@ -180,12 +182,21 @@ class Ppo:
         return result
 
     def _values_of(self, which: Any, observation: Any, state: State) -> tuple[Tensor, Tensor]:
-        robots = torch.from_numpy(which).nonzero().squeeze(-1)
+        indices = which.nonzero()[0]
+        robots = self._there(indices)
         if len(robots) == 0:
-            return robots, torch.empty(0)
-        seen = torch.from_numpy(observation)[robots]
-        _, value, _ = self._infer(seen, torch.ones(len(robots)), (state[0][robots], state[1][robots]))
+            return robots, torch.empty(0, device=self._device)
+        seen, kept = self._there(observation[indices]), torch.ones(len(robots), device=self._device)
+        _, value, _ = self._infer(seen, kept, (state[0][robots], state[1][robots]))
         return robots, value
+
+    def _there(self, array: Any) -> Tensor:
+        """An array of the environment's, where the network is."""
+        return torch.from_numpy(array).to(self._device)
+
+    def _normal(self, shape: torch.Size) -> Tensor:
+        """Normally distributed numbers, the same ones wherever the network is."""
+        return torch.randn(shape, generator=self._generator).to(self._device)
 
     def _learn(self, rollout: Rollout, critic_only: bool = False) -> Statistics:
         config, network = self.config, self.network
@@ -207,9 +218,9 @@ class Ppo:
         robots = rollout.reward.shape[1]
         figures = []
         for _ in range(config.mini_epochs):
-            order = torch.randperm(robots, generator=self._generator)
+            order = torch.randperm(robots, generator=self._generator).to(self._device)
             for chosen in order.chunk(config.minibatches):
-                micro = chosen.split(MICRO_SEQUENCES)
+                micro = chosen.split(share_of(len(chosen), MICRO_SEQUENCES, self._device))
 
                 def gradient(part: Tensor, whole: int = len(chosen)) -> tuple[tuple[Tensor, ...], Tensor]:
                     mean, value, _ = network(
@@ -270,5 +281,5 @@ class Ppo:
         self.learning_rate = content["learning_rate"]
         self._generator.set_state(content["generator"])
         self.environment.restore(content["environment"])
-        self._observation, self._keep = content["observation"], content["keep"]
-        self._state = (content["state"][0], content["state"][1])
+        self._observation, self._keep = content["observation"].to(self._device), content["keep"].to(self._device)
+        self._state = (content["state"][0].to(self._device), content["state"][1].to(self._device))

@@ -15,7 +15,7 @@ from simulator import model_file
 from training import checkpoint, evaluation, export, page, path_figure, report
 from training.checkpoint import CheckpointError
 from training.environment import ACTIONS
-from training.inference import Workers, quick_dtype
+from training.inference import Workers, device_named, quick_dtype
 from training.network import NetworkShape, PolicyNetwork
 from training.ppo import Ppo, PpoConfig
 from training.randomisation import Randomisation
@@ -39,6 +39,7 @@ class TrainingConfig:
     averaging: float = 0.975  # share of the averaged weights that an iteration leaves, in the long run
     patience: int = 0  # validations without a better one after which a run stops; 0: it goes on
     matrix_products: str = "auto"  # float32, bfloat16, or auto: bfloat16 where the processor has it
+    device: str = "cpu"  # where the network learns, cpu or cuda; the robots are the CPU's
 
 
 @dataclass(frozen=True)
@@ -76,11 +77,13 @@ class Session:
 
         shape: the network's, whose numbers of inputs and actions are the task's.
 
-        Raises CheckpointError when there is nothing to resume, or it was made with other settings.
+        Raises CheckpointError when there is nothing to resume, or it was made with other settings, ValueError when the
+        device is not here.
         """
         self.task, self.config, self.ppo, self.out, self._pool = task, config, ppo, out, pool
         saved = checkpoint.load(out / "latest.pt") if resume else None
-        self._products = _quick_products() if config.matrix_products == "auto" else config.matrix_products
+        device = device_named(config.device)
+        self._products = _quick_products(device) if config.matrix_products == "auto" else config.matrix_products
         self._randomisation = randomisation or Randomisation()
         self.model = model or Model()
         environment = environment_of(
@@ -92,7 +95,7 @@ class Session:
         self.settings |= _identity(self.model, model_name)
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(config.seed)
-            self.network = PolicyNetwork(self._shape)
+            self.network = PolicyNetwork(self._shape).to(device)
         # What is validated and exported: single iterations jitter around it.
         self.average = copy.deepcopy(self.network)
         self._trials = evaluation.validation_trials(task, environment.simulator.links, config.validation_trials)
@@ -174,6 +177,7 @@ class Session:
         """Leave report.html and tip_paths.png beside the curve that `run` drew; returns the page's path."""
         path_figure.write_png(tested, self.task, self.out / "tip_paths.png", self.title)
         best = next(row for row in self.curve if row.validation is not None and row.validation == self.best)
+        usual = self._usual() | {"run.matrix_products": _quick_products(self.network.device)}
         summary = page.Summary(
             title=self.title,
             task=self.task.name,
@@ -185,7 +189,7 @@ class Session:
             best_frames=best.frames,
             chosen_by=_chosen_by(self.task),
             test=tested.report.sentence,
-            changed=page.changed(self.settings, self._usual() | {"run.matrix_products": _quick_products()}),
+            changed=page.changed(self.settings, usual),
         )
         pictures = ((self.out / name).read_bytes() for name in ("learning_curve.png", "tip_paths.png"))
         path = self.out / "report.html"
@@ -273,8 +277,8 @@ def export_checkpoint(source: Path, target: Path) -> None:
     export.write(network, description, target)
 
 
-def _quick_products() -> str:
-    return str(quick_dtype()).removeprefix("torch.")
+def _quick_products(device: torch.device) -> str:
+    return str(quick_dtype(device)).removeprefix("torch.")
 
 
 def _chosen_by(task: ReachTask) -> str:

@@ -185,7 +185,7 @@ def on_ray(todo: list[Work], address: str) -> Iterator[Result]:
         raise SweepError(f"no Ray cluster at '{address}': {text}; give its address, or 'local' for one here") from error
     try:
         remote = ray.remote(max_retries=0)(train)
-        waiting = {remote.options(num_cpus=work.threads).remote(work): work for work in todo}
+        waiting = {remote.options(num_cpus=work.threads, num_gpus=_cards(work)).remote(work): work for work in todo}
         while waiting:
             (ready, *_), _ = ray.wait(list(waiting), num_returns=1)
             work = waiting.pop(ready)
@@ -254,6 +254,11 @@ def _finished(folder: Path) -> Result | None:
 def _processes(count: int) -> Executor:
     # Fresh ones: threads of the parent's libraries do not survive a fork.
     return ProcessPoolExecutor(count, multiprocessing.get_context("spawn"))
+
+
+def _cards(work: Work) -> int:
+    """How many graphics cards it takes; Ray hides those that nobody asked for."""
+    return int(Recipe.model_validate(work.recipe).settings.get("run.device") == "cuda")
 
 
 def _failed(work: Work, error: Exception) -> SweepError:
