@@ -26,20 +26,21 @@ PRESETS: dict[str, ReachTask] = TASKS | {
     "reach-robust": replace(TASKS["reach-wide"], name="reach-robust"),
     "shelf": ShelfTask(),
 }
-# Robots that a bench might turn out to have; each episode has another one.
+# Robots that a bench might turn out to have; each episode has another one. Widest where it hurts: a swing is timed by
+# the cart, and a policy that knows but one drive loses a third of its targets to a later one.
 ROBUST = {
     "pressure.lag.inflate": (0.10, 0.32),
     "pressure.lag.deflate": (0.14, 0.44),
-    "pressure.dead_time.delay": (0.0, 0.03),
+    "pressure.dead_time.delay": (0.0, 0.1),
     "pressure.gain.scale": (-0.08, 0.08),
-    "rail.acceleration_limit.acceleration": (4.5, 7.5),
-    "rail.delay.delay": (0.02, 0.07),
-    "rail.lag.time": (0.0, 0.02),
-    "arm.stiffness.scale": (-0.15, 0.15),
-    "arm.damping.scale": (-0.3, 0.4),
-    "arm.muscle_gain.scale": (-0.12, 0.12),
+    "rail.acceleration_limit.acceleration": (2.5, 8.0),
+    "rail.delay.delay": (0.02, 0.1),
+    "rail.lag.time": (0.0, 0.08),
+    "arm.stiffness.scale": (-0.25, 0.35),
+    "arm.damping.scale": (-0.3, 1.5),
+    "arm.muscle_gain.scale": (-0.25, 0.25),
     "arm.torque_offset.scale": (-0.5, 0.5),
-    "arm.payload.mass": (0.0, 0.04),
+    "arm.payload.mass": (0.0, 0.1),
     "arm.tilt.angle": (-0.01, 0.01),
     "mocap.latency.delay": (0.0, 0.015),
     "mocap.noise.sigma": (0.0, 0.001),
@@ -119,11 +120,11 @@ def _changed(part: str, usual: Part, given: dict[str, Setting]) -> Part:
     return replace(usual, **given)  # type: ignore[type-var]
 
 
-# What the policies known by name are trained with; all but reach-robust are shipped.
+# What the policies known by name are trained with.
 RECIPES: dict[str, Recipe] = {
     "reach": Recipe(task="reach", frames=5_000_000),
     "reach-wide": Recipe(task="reach-wide", frames=8_000_000),
-    "reach-robust": Recipe(task="reach-robust", frames=10_000_000, randomise=ROBUST),
+    "reach-robust": Recipe(task="reach-robust", frames=12_000_000, randomise=ROBUST),
     # It learns from rare successes: the more steps of learning a frame, the better.
     "shelf": Recipe(task="shelf", frames=5_000_000, settings={"run.robots": 1024}),
 }

@@ -18,4 +18,7 @@ ROBOTS = {
     "slow": Parameters(regulator=SLOW),
     "late": Parameters(rail=LATE),
     "changed": Parameters(arm=PAYLOAD, regulator=SLOW, rail=LATE),
+    # Further off, and where it hurts: a swing is timed by the cart.
+    "later": Parameters(rail=Rail(delay_s=0.09)),
+    "weak": Parameters(rail=Rail(acceleration_m_s2=3.0)),
 }

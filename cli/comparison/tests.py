@@ -23,6 +23,8 @@ COLUMNS = {
     "held_back_slow": "held-back, slow regulator",
     "held_back_late": "held-back, late rail",
     "held_back_changed": "held-back, all three",
+    "held_back_later": "held-back, rail 90 ms late",
+    "held_back_weak": "held-back, drive at half its acceleration",
     "held_back_shelf": "held-back, shelf",
 }
 
@@ -49,6 +51,8 @@ TESTS = {
     "held_back_slow": Test(trials.grid_trials, _held_back("slow")),
     "held_back_late": Test(trials.grid_trials, _held_back("late")),
     "held_back_changed": Test(trials.grid_trials, _held_back("changed")),
+    "held_back_later": Test(trials.grid_trials, _held_back("later")),
+    "held_back_weak": Test(trials.grid_trials, _held_back("weak")),
     "held_back_shelf": Test(trials.shelf_trials, _held_back("nominal")),
 }
 # Training model x evaluation model, as the paper's Table 1: its shelf on every shipped simulator and beyond.
