@@ -1,0 +1,127 @@
+"""What a fault costs: policies over the 54 targets on the independent robot, one thing wrong with it at a time.
+
+    python -m benchmarks.faults --policy reach --policy reach-robust --json faults.json --png faults.png
+
+Every flight is the daemon's own tick in lockstep. A policy's ranges of randomisation, and what is worth a diagnosis,
+follow from this table. Needs the extra `mujoco`.
+"""
+
+import json
+import multiprocessing
+import os
+from collections.abc import Callable, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from pathlib import Path
+
+import click
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TimeElapsedColumn
+from rich.table import Table
+
+from cli.comparison import trials
+from cli.flights import with_faults
+from policies import registry
+from policies.base import PolicyError
+from reality.parameters import Parameters
+
+NONE = "none"
+# Strong, within what the registry of effects and a bench allow; the rail's first.
+FAULTS = (
+    "rail.delay_s=0.06",
+    "rail.delay_s=0.09",
+    "rail.acceleration_m_s2=3",
+    "rail.acceleration_m_s2=2",
+    "rail.lag_s=0.1",
+    "rail.force_limit_n=8",
+    "rail.viscous_n_s_m=15",
+    "regulator.dead_time_s=0.15",
+    "regulator.flow_limit_kpa_s=40",
+    "regulator.ceiling_kpa=12",
+    "regulator.gain=-0.3",
+    "arm.payload_kg=0.12",
+    "arm.muscle_gain=-0.35",
+    "arm.saturation_kpa=10",
+    "arm.stiffness=0.5",
+    "arm.stiffness=-0.35",
+    "arm.damping=2",
+    "arm.torque_offset=2",
+)
+
+
+def fly(policy: str, fault: str) -> float:
+    """Share of the 162 flights that reached their target. Raises PolicyError; in a worker."""
+    robot = with_faults(Parameters(), [] if fault == NONE else [fault])
+    flown = trials.fly_held_back(registry.load(policy), robot, trials.grid_trials())
+    return sum(outcome.reached for outcome in flown) / len(flown)
+
+
+def measure(
+    policies: Sequence[str], faults: Sequence[str], processes: int, tell: Callable[[], None]
+) -> dict[str, dict[str, float]]:
+    """Return fault -> policy -> share. Raises PolicyError and, for a fault that there is none of, ValueError."""
+    found: dict[str, dict[str, float]] = {fault: {} for fault in (NONE, *faults)}
+    for fault in faults:
+        with_faults(Parameters(), [fault])  # before minutes of work
+    for policy in policies:
+        registry.load(policy)
+    with ProcessPoolExecutor(processes, multiprocessing.get_context("spawn")) as pool:
+        waiting = {pool.submit(fly, policy, fault): (fault, policy) for fault in found for policy in policies}
+        for done in as_completed(waiting):
+            fault, policy = waiting[done]
+            found[fault][policy] = done.result()
+            tell()
+    return found
+
+
+def draw(found: dict[str, dict[str, float]], policies: Sequence[str], path: Path) -> None:
+    """One line a fault, one dot a policy."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(8, 0.32 * len(found) + 1.4), layout="constrained")
+    FigureCanvasAgg(figure)
+    axes = figure.subplots()
+    rows = range(len(found))
+    for row, shares in zip(rows, found.values(), strict=True):
+        axes.plot([100 * min(shares.values()), 100 * max(shares.values())], [row, row], color="0.8", lw=3, zorder=1)
+    for policy, marker in zip(policies, "osD^vP*X", strict=False):
+        axes.scatter([100 * shares[policy] for shares in found.values()], rows, marker=marker, label=policy, zorder=2)
+    axes.set_yticks(rows, ["no fault" if fault == NONE else fault for fault in found])
+    axes.invert_yaxis()
+    axes.set_xlim(0, 100)
+    axes.set_xlabel("of 54 targets from three starts reached, %")
+    axes.grid(axis="x", alpha=0.3)
+    axes.legend(loc="lower left")
+    figure.savefig(path, dpi=120)
+
+
+@click.command()
+@click.option("--policy", "policies", multiple=True, default=("reach", "reach-wide", "reach-robust"), show_default=True,
+              help="Name, as `softarm policy list` shows it; again for more.")  # fmt: skip
+@click.option(
+    "--fault", "faults", multiple=True, metavar="GROUP.QUANTITY=VALUE", help="This one alone; again for more."
+)
+@click.option("--json", "json_file", type=click.Path(path_type=Path, dir_okay=False), help="Write the shares there.")
+@click.option("--png", type=click.Path(path_type=Path, dir_okay=False), help="Draw them there.")
+def main(policies: tuple[str, ...], faults: tuple[str, ...], json_file: Path | None, png: Path | None) -> None:
+    """Print a row a fault, a column a policy."""
+    console = Console()
+    wanted = faults or FAULTS
+    try:
+        with Progress("{task.description}", BarColumn(), TimeElapsedColumn(), console=console, transient=True) as bar:
+            task = bar.add_task("flying", total=(1 + len(wanted)) * len(policies))
+            found = measure(policies, wanted, len(os.sched_getaffinity(0)), lambda: bar.advance(task))
+    except (PolicyError, ValueError) as error:
+        raise click.ClickException(str(error)) from None
+    table = Table("fault", *policies)
+    for fault, shares in found.items():
+        table.add_row(fault, *(f"{shares[policy]:.1%}" for policy in policies))
+    console.print(table)
+    if json_file is not None:
+        json_file.write_text(json.dumps(found, indent=1) + "\n")
+    if png is not None:
+        draw(found, policies, png)
+
+
+if __name__ == "__main__":
+    main()
