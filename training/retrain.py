@@ -25,7 +25,7 @@ class Recipe:
     validation_trials: int = 1536
     std: float = warm_start.STD
     critic_iterations: int = warm_start.CRITIC_ITERATIONS
-    learning_rate: float = 3e-4
+    learning_rate: float = 1e-3
     seed: int = 1
 
 
