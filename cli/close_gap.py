@@ -28,7 +28,7 @@ REALITY = "reality"
 @click.command("close-gap")
 @click.argument("campaign", type=click.Path(path_type=Path))
 @click.option("--out", type=FOLDER, required=True, help="Folder for everything that comes out.")
-@click.option("--policy", default="reach", show_default=True, help="To train on: a shipped name or an .onnx file.")
+@click.option("--policy", default="reach-robust", show_default=True, help="To train on: a shipped name or .onnx file.")
 @click.option("--model", "model_file", type=FILE,
               help="Nominal simulator (default: the campaign's model.yaml, else seed).")  # fmt: skip
 @click.option("--robot", default=REALITY, show_default=True,

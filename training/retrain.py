@@ -1,5 +1,9 @@
-"""Train a policy on, on another simulator, for minutes: a recipe, and what came of it."""
+"""Train a policy on, on another simulator, for minutes: a recipe, and what came of it.
 
+Not on that simulator alone: no diagnosis is exact, so the robots that it is trained on lie around the model.
+"""
+
+import math
 import shutil
 import time
 from collections.abc import Callable
@@ -7,11 +11,23 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from schemas.model import Model
+from simulator.effects import find
 from training import evaluation, warm_start
 from training.inference import workers
 from training.ppo import PpoConfig
+from training.randomisation import Randomisation
 from training.report import Row
 from training.session import Session, Standing, TrainingConfig, export_checkpoint
+
+# What a bench leaves open where the model says nothing of it.
+OPEN = {
+    "rail.lag.time": (0.0, 0.01),
+    "arm.stiffness.scale": (-0.1, 0.1),
+    "arm.damping.scale": (-0.2, 0.2),
+    "arm.muscle_gain.scale": (-0.1, 0.1),
+    "mocap.latency.delay": (0.0, 0.01),
+    "mocap.noise.sigma": (0.0, 0.0006),
+}
 
 
 @dataclass(frozen=True)
@@ -26,12 +42,13 @@ class Recipe:
     std: float = warm_start.STD
     critic_iterations: int = warm_start.CRITIC_ITERATIONS
     learning_rate: float = 1e-3
+    spread: float = 0.1  # robots differ by this share of every effect's values, and by what is open; 0: not at all
     seed: int = 1
 
 
 @dataclass(frozen=True)
 class Retrained:
-    """What training on came to. Shares of the validation set, on the model that it was trained on."""
+    """What training on came to. Shares of the validation set, on robots such as it was trained on."""
 
     policy: Path
     frames: int
@@ -44,6 +61,22 @@ class Retrained:
     def better(self) -> bool:
         """Whether the new policy is worth flying, by the validation set."""
         return self.after > self.before
+
+
+def around(model: Model, spread: float) -> Randomisation:
+    """Robots around a model, another one every episode; none where the spread is 0."""
+    if spread == 0:
+        return Randomisation()
+    ranges = {}
+    for name, values in model.effects.items():
+        for key, value in values.items():
+            path = f"{name}.{key}"
+            allowed = find(path)[1].range
+            low, high = sorted(((1 - spread) * value, (1 + spread) * value))
+            if math.isfinite(value):
+                ranges[path] = (max(low, allowed.low), min(high, allowed.high))
+    unsaid = {path: ends for path, ends in OPEN.items() if path.rpartition(".")[0] not in model.effects}
+    return Randomisation(ranges | unsaid, each_episode=True)
 
 
 def retrain(
@@ -61,12 +94,15 @@ def retrain(
         validate_every=recipe.validate_every,
         validation_trials=recipe.validation_trials,
     )
-    ppo = PpoConfig(learning_rate=recipe.learning_rate)
+    ppo, robots = PpoConfig(learning_rate=recipe.learning_rate), around(model, recipe.spread)
     with workers() as pool:
         tell("flying the old policy in validation", 0.0)
         trials = evaluation.validation_trials(prior.task, model.arm.links, recipe.validation_trials)
-        before = evaluation.fly(prior.network, prior.task, trials, pool, config.physics_rate_hz, model).reached.mean()
-        session = Session(prior.task, config, ppo, out / "training", pool, False, model, name)
+        flown = evaluation.fly(
+            prior.network, prior.task, trials, pool, config.physics_rate_hz, model, randomisation=robots
+        )
+        before = flown.reached.mean()
+        session = Session(prior.task, config, ppo, out / "training", pool, False, model, name, robots)
         tell("fitting the critic", 0.0)
         warm_start.begin(session, prior, recipe.std, recipe.critic_iterations)
 

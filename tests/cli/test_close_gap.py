@@ -133,7 +133,7 @@ def test_results_are_never_written_over(asked, campaign, tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "says", "code"),
     [
-        (("--policy", "raech"), "one of reach, reach-wide", 1),
+        (("--policy", "raech"), "one of reach, reach-robust, reach-wide", 1),
         (("--fault", "regulator.dead_time=0.06"), "allowed here: inflate_s, deflate_s", 1),
         (("--fault", "valve.stuck=1"), "a group of regulator, rail, arm", 1),
         (("--fault", "arm.payload_kg=heavy"), "'heavy' is no number", 1),
