@@ -194,8 +194,11 @@ def test_a_cluster_gives_results_as_they_come_and_is_left(file, tmp_path, ray, m
     monkeypatch.setattr(sweep, "train", lambda work: (work.name, work.seed, ray.open))
     todo, _ = sweep.plan(sweep.load(file), tmp_path, threads=3)
     assert list(sweep.on_ray(todo[:2], "local")) == [("mlp", 1, True), ("full", 1, True)]
-    assert ray.asked == 2 * [{"max_retries": 0, "num_cpus": 3}]
+    assert ray.asked == 2 * [{"max_retries": 0, "num_cpus": 3, "num_gpus": 0}]
     assert not ray.open
+    on_card = todo[0]._replace(recipe=todo[0].recipe | {"settings": {"run.device": "cuda"}})
+    assert list(sweep.on_ray([on_card], "local"))
+    assert ray.asked[-1]["num_gpus"] == 1
 
 
 def test_a_cluster_that_is_not_there_and_a_run_that_fails_on_one_are_named(file, tmp_path, ray, monkeypatch):
