@@ -7,10 +7,7 @@ follow from this table. Needs the extra `mujoco`.
 """
 
 import json
-import multiprocessing
-import os
 from collections.abc import Callable, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
 from pathlib import Path
 
 import click
@@ -18,8 +15,8 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TimeElapsedColumn
 from rich.table import Table
 
-from cli.comparison import trials
-from cli.flights import with_faults
+from cli.flights import Place, fly_all, shares, with_faults
+from daemon.evaluation import FLIGHTS
 from policies import registry
 from policies.base import PolicyError
 from reality.parameters import Parameters
@@ -48,29 +45,17 @@ FAULTS = (
 )
 
 
-def fly(policy: str, fault: str) -> float:
-    """Share of the 162 flights that reached their target. Raises PolicyError; in a worker."""
-    robot = with_faults(Parameters(), [] if fault == NONE else [fault])
-    flown = trials.fly_held_back(registry.load(policy), robot, trials.grid_trials())
-    return sum(outcome.reached for outcome in flown) / len(flown)
+def measure(policies: Sequence[str], faults: Sequence[str], tell: Callable[[int], None]) -> dict[str, dict[str, float]]:
+    """Return fault -> policy -> share of the 162 flights that reached their target.
 
-
-def measure(
-    policies: Sequence[str], faults: Sequence[str], processes: int, tell: Callable[[], None]
-) -> dict[str, dict[str, float]]:
-    """Return fault -> policy -> share. Raises PolicyError and, for a fault that there is none of, ValueError."""
-    found: dict[str, dict[str, float]] = {fault: {} for fault in (NONE, *faults)}
-    for fault in faults:
-        with_faults(Parameters(), [fault])  # before minutes of work
+    tell(how many more are done). Raises PolicyError and, for a fault that there is none of, ValueError.
+    """
+    robots = {NONE: Parameters()} | {fault: with_faults(Parameters(), [fault]) for fault in faults}
     for policy in policies:
-        registry.load(policy)
-    with ProcessPoolExecutor(processes, multiprocessing.get_context("spawn")) as pool:
-        waiting = {pool.submit(fly, policy, fault): (fault, policy) for fault in found for policy in policies}
-        for done in as_completed(waiting):
-            fault, policy = waiting[done]
-            found[fault][policy] = done.result()
-            tell()
-    return found
+        registry.load(policy)  # before minutes of work
+    places = [Place(fault, fault, parameters=robot) for fault, robot in robots.items()]
+    flown = fly_all({policy: policy for policy in policies}, places, on_flights=tell)
+    return {fault: {policy: shares(flown[policy, fault]).all for policy in policies} for fault in robots}
 
 
 def draw(found: dict[str, dict[str, float]], policies: Sequence[str], path: Path) -> None:
@@ -82,10 +67,10 @@ def draw(found: dict[str, dict[str, float]], policies: Sequence[str], path: Path
     FigureCanvasAgg(figure)
     axes = figure.subplots()
     rows = range(len(found))
-    for row, shares in zip(rows, found.values(), strict=True):
-        axes.plot([100 * min(shares.values()), 100 * max(shares.values())], [row, row], color="0.8", lw=3, zorder=1)
+    for row, reached in zip(rows, found.values(), strict=True):
+        axes.plot([100 * min(reached.values()), 100 * max(reached.values())], [row, row], color="0.8", lw=3, zorder=1)
     for policy, marker in zip(policies, "osD^vP*X", strict=False):
-        axes.scatter([100 * shares[policy] for shares in found.values()], rows, marker=marker, label=policy, zorder=2)
+        axes.scatter([100 * reached[policy] for reached in found.values()], rows, marker=marker, label=policy, zorder=2)
     axes.set_yticks(rows, ["no fault" if fault == NONE else fault for fault in found])
     axes.invert_yaxis()
     axes.set_xlim(0, 100)
@@ -109,13 +94,13 @@ def main(policies: tuple[str, ...], faults: tuple[str, ...], json_file: Path | N
     wanted = faults or FAULTS
     try:
         with Progress("{task.description}", BarColumn(), TimeElapsedColumn(), console=console, transient=True) as bar:
-            task = bar.add_task("flying", total=(1 + len(wanted)) * len(policies))
-            found = measure(policies, wanted, len(os.sched_getaffinity(0)), lambda: bar.advance(task))
+            task = bar.add_task("flying", total=(1 + len(wanted)) * len(policies) * FLIGHTS)
+            found = measure(policies, wanted, lambda flights: bar.advance(task, flights))
     except (PolicyError, ValueError) as error:
         raise click.ClickException(str(error)) from None
     table = Table("fault", *policies)
-    for fault, shares in found.items():
-        table.add_row(fault, *(f"{shares[policy]:.1%}" for policy in policies))
+    for fault, reached in found.items():
+        table.add_row(fault, *(f"{reached[policy]:.1%}" for policy in policies))
     console.print(table)
     if json_file is not None:
         json_file.write_text(json.dumps(found, indent=1) + "\n")

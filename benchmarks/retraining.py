@@ -49,13 +49,20 @@ def compare(
 @click.option("--std", multiple=True, type=click.FloatRange(0.01, 2), default=(_DEFAULT.std,), show_default=True)
 @click.option("--rate", multiple=True, type=click.FloatRange(1e-6, 1e-1), default=(_DEFAULT.learning_rate,))
 @click.option("--robots", multiple=True, type=click.IntRange(8), default=(_DEFAULT.robots,), show_default=True)
+@click.option("--spread", type=click.FloatRange(0, 0.5), default=_DEFAULT.spread, show_default=True)
 @click.option("--frames", type=click.IntRange(1), default=_DEFAULT.frames, show_default=True)
 def main(
-    model: Path, policy: Path, std: tuple[float, ...], rate: tuple[float, ...], robots: tuple[int, ...], frames: int
+    model: Path,
+    policy: Path,
+    std: tuple[float, ...],
+    rate: tuple[float, ...],
+    robots: tuple[int, ...],
+    spread: float,
+    frames: int,
 ) -> None:
     """Train POLICY on, on MODEL, by every combination of the options; validation before and after."""
     recipes = [
-        replace(_DEFAULT, std=s, learning_rate=r, robots=n, frames=frames, seconds=float("inf"))
+        replace(_DEFAULT, std=s, learning_rate=r, robots=n, spread=spread, frames=frames, seconds=float("inf"))
         for s, r, n in product(std, rate, robots)
     ]
     console = Console()

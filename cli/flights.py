@@ -47,9 +47,15 @@ def shares(reached: Reached, targets: Sequence[Goal] = TEST_TARGETS) -> Shares:
     return Shares(parts[0], parts[1], float(reached.mean()))
 
 
-def fly(policy: Path, place: Place, targets: Sequence[Goal] = TEST_TARGETS) -> Reached:
-    """Fly every target from rest at every cart start. Raises PolicyError for a file that is no policy."""
-    plugin = registry.load("flown", {"flown": ConfiguredPolicy(plugin="onnx", options={"model": str(policy)})})
+def fly(policy: Path | str, place: Place, targets: Sequence[Goal] = TEST_TARGETS) -> Reached:
+    """Fly every target from rest at every cart start; policy: an ONNX file, or a name that the registry knows.
+
+    Raises PolicyError for what is no policy.
+    """
+    if isinstance(policy, str):
+        plugin = registry.load(policy)
+    else:
+        plugin = registry.load("flown", {"flown": ConfiguredPolicy(plugin="onnx", options={"model": str(policy)})})
     wanted = trials.grid_trials(targets)
     if place.parameters is None:
         flown = trials.fly(plugin, place.model, wanted)
@@ -59,7 +65,7 @@ def fly(policy: Path, place: Place, targets: Sequence[Goal] = TEST_TARGETS) -> R
 
 
 def fly_all(
-    policies: Mapping[str, Path],
+    policies: Mapping[str, Path | str],
     places: Sequence[Place],
     targets: Sequence[Goal] = TEST_TARGETS,
     on_flights: Callable[[int], None] = lambda flights: None,

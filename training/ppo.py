@@ -154,13 +154,14 @@ class Ppo:
             mean, value, state = self._infer(self._observation, self._keep, self._state)
             action = mean + std * self._normal(mean.shape)
             step = self.environment.step(action.cpu().numpy())
-            done = self._there(step.terminated | step.truncated)
+            over = step.terminated | step.truncated
+            done = self._there(over)
             cut.append(self._values_of(step.truncated, step.final_observation, state))
             reward, terminated = self._there(step.reward), self._there(step.terminated)
             rows.append((self._observation, self._keep, action, mean, value, reward, terminated, done.float()))
             seen = self._noisy(self._there(step.observation))
             self._observation, self._keep, self._state = seen, 1.0 - done.float(), state
-            ended, reached = ended + int((step.terminated | step.truncated).sum()), reached + int(step.success.sum())
+            ended, reached = ended + int(over.sum()), reached + int(step.success.sum())
         observation, keep, action, mean, value, reward, terminated, done = map(torch.stack, zip(*rows, strict=True))
         _, last_value, _ = self._infer(self._observation, self._keep, self._state)
         following = torch.cat((value[1:], last_value[None]))

@@ -27,7 +27,7 @@ PRESETS: dict[str, ReachTask] = TASKS | {
     "shelf": ShelfTask(),
 }
 # Robots that a bench might turn out to have; each episode has another one. Widest where it hurts: a swing is timed by
-# the cart, and a policy that knows but one drive loses a third of its targets to a later one.
+# the cart, and a policy that knows but one drive loses a quarter of its targets to a later one.
 ROBUST = {
     "pressure.lag.inflate": (0.10, 0.32),
     "pressure.lag.deflate": (0.14, 0.44),

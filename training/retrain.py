@@ -70,10 +70,10 @@ def around(model: Model, spread: float) -> Randomisation:
     ranges = {}
     for name, values in model.effects.items():
         for key, value in values.items():
-            path = f"{name}.{key}"
-            allowed = find(path)[1].range
-            low, high = sorted(((1 - spread) * value, (1 + spread) * value))
-            if math.isfinite(value):
+            if math.isfinite(value):  # else it is none
+                path = f"{name}.{key}"
+                allowed = find(path)[1].range
+                low, high = sorted(((1 - spread) * value, (1 + spread) * value))
                 ranges[path] = (max(low, allowed.low), min(high, allowed.high))
     unsaid = {path: ends for path, ends in OPEN.items() if path.rpartition(".")[0] not in model.effects}
     return Randomisation(ranges | unsaid, each_episode=True)

@@ -258,7 +258,7 @@ def _processes(count: int) -> Executor:
 
 def _cards(work: Work) -> int:
     """How many graphics cards it takes; Ray hides those that nobody asked for."""
-    return int(Recipe.model_validate(work.recipe).settings.get("run.device") == "cuda")
+    return int(work.recipe["settings"].get("run.device") == "cuda")
 
 
 def _failed(work: Work, error: Exception) -> SweepError:

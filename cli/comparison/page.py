@@ -21,7 +21,7 @@ READING = (  # below every table
     "mppi plans against the clock: on a machine that is busy elsewhere it gets less done.",
     "Seeds: of the training. A shipped policy is one file of one seed; --runs flies a sweep's, with their spread.",
     "The paper's figures are its hardware's, all others simulated flights of the daemon's own tick; 'held-back' is the "
-    "independent robot, its changes the strong examples of the effect registry.",
+    "independent robot, its changes the strong examples of the effect registry where no figure is named.",
 )
 
 

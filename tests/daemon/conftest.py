@@ -176,14 +176,14 @@ def client_of():
     return Client
 
 
-@pytest.fixture(name="serving")
-def serving_():
+@pytest.fixture
+def serving():
     """With serving(app, config) as port: over a real socket, in a thread of its own."""
-    return serving
+    return _serving
 
 
 @contextmanager
-def serving(app, config: Api | None = None):
+def _serving(app, config: Api | None = None):
     server = ApiServer(config or Api(port=0), app)
     port = server.start()
     try:
