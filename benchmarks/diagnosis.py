@@ -5,7 +5,7 @@ the same split: one kind of excitation is left out, everything is found anew fro
 then simulated, pressure stage and arm each by itself. mujoco.sysid fits the parameters that it is told to
 (benchmarks/mujoco_sysid.py); the diagnosis is told nothing, and only what it names goes into its simulator.
 
-    python -m benchmarks.diagnosis [--campaign FOLDER] [--json FILE]
+    python -m softarm.benchmarks.diagnosis [--campaign FOLDER] [--json FILE]
 
 Needs the extras diagnosis and mujoco, and for the peer mujoco[sysid]; without it the rest is measured.
 """
@@ -27,20 +27,20 @@ from rich.console import Console
 from rich.progress import Progress
 from rich.table import Table
 
-from benchmarks import mujoco_sysid
-from diagnosis.blind import cases, make
-from diagnosis.blind.imperfections import draw_nuisances
-from diagnosis.diagnose import diagnose
-from diagnosis.gap.recordings import Flight, flight
-from diagnosis.gap.robot_views import robot_views
-from diagnosis.read import read_all
-from diagnosis.shrink import point_between
-from diagnosis.trials import Trial, TrialError
-from reality.parameters import Parameters
-from schemas.excitation import EXCITATIONS
-from schemas.model import Model
-from schemas.verdict import Verdict
-from simulator import model_file
+from softarm.benchmarks import mujoco_sysid
+from softarm.diagnosis.blind import cases, make
+from softarm.diagnosis.blind.imperfections import draw_nuisances
+from softarm.diagnosis.diagnose import diagnose
+from softarm.diagnosis.gap.recordings import Flight, flight
+from softarm.diagnosis.gap.robot_views import robot_views
+from softarm.diagnosis.read import read_all
+from softarm.diagnosis.shrink import point_between
+from softarm.diagnosis.trials import Trial, TrialError
+from softarm.reality.parameters import Parameters
+from softarm.schemas.excitation import EXCITATIONS
+from softarm.schemas.model import Model
+from softarm.schemas.verdict import Verdict
+from softarm.simulator import model_file
 
 T = TypeVar("T")
 SEED = 20

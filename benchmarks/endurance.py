@@ -1,6 +1,6 @@
 """Episodes with random parameters anywhere within the registry's bounds: does any robot ever turn NaN?
 
-python -m benchmarks.endurance            # a million episodes of 100 control steps
+python -m softarm.benchmarks.endurance            # a million episodes of 100 control steps
 """
 
 import time
@@ -11,8 +11,8 @@ import numpy as np
 from rich.console import Console
 from rich.progress import track
 
-from simulator.effects import REGISTRY
-from simulator.simulator import Simulator
+from softarm.simulator.effects import REGISTRY
+from softarm.simulator.simulator import Simulator
 
 STAGES = ("pressure", "rail", "arm", "contact")
 STEPS = 100

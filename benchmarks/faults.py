@@ -1,6 +1,6 @@
 """What a fault costs: policies over the 54 targets on the independent robot, one thing wrong with it at a time.
 
-    python -m benchmarks.faults --policy reach --policy reach-robust --json faults.json --png faults.png
+    python -m softarm.benchmarks.faults --policy reach --policy reach-robust --json faults.json --png faults.png
 
 Every flight is the daemon's own tick in lockstep. A policy's ranges of randomisation, and what is worth a diagnosis,
 follow from this table. Needs the extra `mujoco`.
@@ -15,11 +15,11 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TimeElapsedColumn
 from rich.table import Table
 
-from cli.flights import Place, fly_all, shares, with_faults
-from daemon.evaluation import FLIGHTS
-from policies import registry
-from policies.base import PolicyError
-from reality.parameters import Parameters
+from softarm.cli.flights import Place, fly_all, shares, with_faults
+from softarm.daemon.evaluation import FLIGHTS
+from softarm.policies import registry
+from softarm.policies.base import PolicyError
+from softarm.reality.parameters import Parameters
 
 NONE = "none"
 # Strong, within what the registry of effects and a bench allow; the rail's first.

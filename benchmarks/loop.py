@@ -20,11 +20,12 @@ from typing import Any, Self
 
 import numpy as np
 
-from cli.rig import Rig
-from daemon import logs, realtime
-from daemon.records import Inputs, Outputs, TickTiming
-from schemas.config import Config
-from schemas.goals import TEST_TARGETS
+from softarm.cli.rig import Rig
+from softarm.daemon.control.records import Inputs, Outputs, TickTiming
+from softarm.daemon.logbook import logs
+from softarm.daemon.shell import realtime
+from softarm.schemas.config import Config
+from softarm.schemas.goals import TEST_TARGETS
 
 REQUESTS_PER_S = 200
 WEBSOCKETS = 2

@@ -5,8 +5,8 @@ import math
 import mujoco
 import numpy as np
 
-from schemas.model import Model
-from simulator.effects import value
+from softarm.schemas.model import Model
+from softarm.simulator.effects import value
 
 
 def mjcf(model: Model, rate_hz: float, integrator: str = "implicitfast", actuators: bool = False) -> str:

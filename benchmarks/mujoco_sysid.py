@@ -1,4 +1,4 @@
-"""The peer of `benchmarks.diagnosis`: mujoco.sysid fits the arm and the regulator to recordings of the robot.
+"""The peer of `softarm.benchmarks.diagnosis`: mujoco.sysid fits the arm and the regulator to recordings of the robot.
 
 Both are fitted as its own documentation does it: an MjSpec (the robot as `softarm model export` writes it), parameters
 within bounds, per-sensor delays, whole trajectories, its default optimiser. Inputs are those that the diagnosis's own
@@ -18,10 +18,10 @@ from mujoco import sysid
 from numpy.typing import NDArray
 from scipy.interpolate import CubicHermiteSpline
 
-from diagnosis.gap.recordings import RATE_HZ, SKIPPED_S, Flight
-from diagnosis.gap.robot_views import directions
-from schemas.model import Model
-from simulator.mjcf import export
+from softarm.diagnosis.gap.recordings import RATE_HZ, SKIPPED_S, Flight
+from softarm.diagnosis.gap.robot_views import directions
+from softarm.schemas.model import Model
+from softarm.simulator.mjcf import export
 
 Array = NDArray[np.float64]
 Build = Callable[[Any, Any], Any]  # (ParameterDict, MjSpec) -> MjModel

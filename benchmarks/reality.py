@@ -1,6 +1,6 @@
 """The independent robot beside the simulator: how near it is, and how a policy flies on it.
 
-    python -m benchmarks.reality --policy reach
+    python -m softarm.benchmarks.reality --policy reach
 
 Both flights are the daemon's own tick at 30 Hz in lockstep; only the devices differ. Needs the extra `mujoco`.
 """
@@ -14,16 +14,16 @@ from rich.console import Console
 from rich.progress import Progress
 from rich.table import Table
 
-from benchmarks import commands
-from cli.comparison import trials
-from cli.comparison.robots import ROBOTS
-from daemon.evaluation import FLIGHTS
-from policies import registry
-from policies.base import PolicyError
-from reality.parameters import Arm, Parameters
-from reality.robot import Robot
-from schemas.goals import TRAINED_Z_MAX_M
-from simulator.simulator import Simulator
+from softarm.benchmarks import commands
+from softarm.cli.comparison import trials
+from softarm.cli.comparison.robots import ROBOTS
+from softarm.daemon.evaluation import FLIGHTS
+from softarm.policies import registry
+from softarm.policies.base import PolicyError
+from softarm.reality.parameters import Arm, Parameters
+from softarm.reality.robot import Robot
+from softarm.schemas.goals import TRAINED_Z_MAX_M
+from softarm.simulator.simulator import Simulator
 
 CART_SHARE = 0.3  # of the random commands' velocity, so that the cart stays off the stops
 

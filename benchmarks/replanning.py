@@ -1,6 +1,6 @@
 """How well and how fast a policy plans: the 54 targets, then new goals in mid-swing at the robot's own pace.
 
-    python -m benchmarks.replanning --json FILE
+    python -m softarm.benchmarks.replanning --json FILE
 
 Both parts are the daemon's own tick in lockstep with the simulated robot. The second waits for each tick's time, so
 that caches and clock rates are those of a process that wakes 30 times a second.
@@ -20,13 +20,13 @@ from rich.console import Console
 from rich.progress import Progress
 from rich.table import Table
 
-from daemon.evaluation import CART_STARTS_M, FLIGHTS
-from daemon.offline import Lockstep
-from daemon.records import Mode
-from policies import registry
-from policies.base import Array, Policy, PolicyError
-from schemas.config import Config
-from schemas.goals import TEST_TARGETS, TRAINED_Z_MAX_M
+from softarm.daemon.control.records import Mode
+from softarm.daemon.evaluation import CART_STARTS_M, FLIGHTS
+from softarm.daemon.shell.offline import Lockstep
+from softarm.policies import registry
+from softarm.policies.base import Array, Policy, PolicyError
+from softarm.schemas.config import Config
+from softarm.schemas.goals import TEST_TARGETS, TRAINED_Z_MAX_M
 
 PERIOD_S = 1 / 30
 PATIENCE_TICKS = (6, 20)  # after which a goal is replaced in mid-swing

@@ -1,6 +1,6 @@
 """How should a policy be trained on when the simulator changes? Recipes side by side, on the validation set.
 
-    python -m benchmarks.retraining patched-model.yaml --std 0.3 --std 0.5 --std 0.85 --frames 1000000
+    python -m softarm.benchmarks.retraining patched-model.yaml --std 0.3 --std 0.5 --std 0.85 --frames 1000000
 
 The 54 test targets are not flown: a recipe chosen by them would be no proof.
 """
@@ -16,10 +16,10 @@ from rich.console import Console
 from rich.progress import Progress
 from rich.table import Table
 
-from policies.base import MODELS
-from simulator import model_file
-from training.checkpoint import CheckpointError
-from training.retrain import Recipe, Retrained, retrain
+from softarm.policies.base import MODELS
+from softarm.simulator import model_file
+from softarm.training.run.checkpoint import CheckpointError
+from softarm.training.run.retrain import Recipe, Retrained, retrain
 
 _DEFAULT = Recipe()
 

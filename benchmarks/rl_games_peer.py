@@ -1,6 +1,6 @@
 """rl_games on our environment with the seed's exact settings: the peer of `softarm bench train`.
 
-    python -m benchmarks.rl_games_peer --json FILE      what it learns from 4.5 million frames, some ten minutes
+    python -m softarm.benchmarks.rl_games_peer --json FILE      what it learns from 4.5 million frames, some ten minutes
 
 Its key for sequences is `seq_length` (`seq_len` is ignored); compilation is off, it gains nothing on a CPU.
 """
@@ -24,12 +24,12 @@ from rl_games.common import env_configurations, vecenv
 from rl_games.common.algo_observer import AlgoObserver
 from rl_games.torch_runner import Runner
 
-from schemas.policy import ACTION
-from training import evaluation
-from training.environment import INPUTS, Environment
-from training.inference import workers
-from training.network import NetworkShape, PolicyNetwork
-from training.tasks import ReachTask
+from softarm.schemas.policy import ACTION
+from softarm.training.learn.inference import workers
+from softarm.training.learn.network import NetworkShape, PolicyNetwork
+from softarm.training.run import evaluation
+from softarm.training.task.environment import INPUTS, Environment
+from softarm.training.task.reach import ReachTask
 
 NAME = "softarm"
 TASK = ReachTask(rail_guard=False)  # the seed's exact task: no braking clamp

@@ -9,7 +9,7 @@ whose tip error after 3 s is about equal to ours; the reference for both errors 
 Beside it stand the cost of the effects, the scaling with cores and batch, and the distance from the machine's
 arithmetic peak (simulator_profile.py).
 
-    softarm bench simulator --json FILE, or python -m benchmarks.simulator --json FILE
+    softarm bench simulator --json FILE, or python -m softarm.benchmarks.simulator --json FILE
 """
 
 import json
@@ -25,10 +25,10 @@ from mujoco import rollout
 from rich.console import Console
 from rich.progress import Progress
 
-from benchmarks import commands, simulator_profile
-from benchmarks.mujoco_arm import mjcf
-from schemas.model import Cart, Model, seed_effects
-from simulator.simulator import Simulator
+from softarm.benchmarks import commands, simulator_profile
+from softarm.benchmarks.mujoco_arm import mjcf
+from softarm.schemas.model import Cart, Model, seed_effects
+from softarm.simulator.simulator import Simulator
 
 ROBOTS = 4096
 RATE_HZ = 240.0

@@ -20,11 +20,11 @@ import numba
 import numpy as np
 from rich.console import Console
 
-from benchmarks import commands
-from schemas.model import Model
-from simulator.effects import REGISTRY
-from simulator.simd import load, store
-from simulator.simulator import Simulator
+from softarm.benchmarks import commands
+from softarm.schemas.model import Model
+from softarm.simulator.effects import REGISTRY
+from softarm.simulator.simd import load, store
+from softarm.simulator.simulator import Simulator
 
 ROBOTS, STEPS, SUBSTEPS = 4096, 60, 8
 BATCHES = (1, 8, 128, 1024, 4096, 16384)
@@ -156,7 +156,7 @@ def count(model: Model) -> dict[str, int]:
     links, dt = (0,) * simulator.links, 1 / 240
     _Number.counts = Counter()
     with _interpreted():
-        run = importlib.import_module("simulator.kernel.run")
+        run = importlib.import_module("softarm.simulator.kernel.run")
         run._advance_block(m, w, links, (0,), (0,), simulator._needed, SUBSTEPS, dt)
     counts = {kind: round(number / SUBSTEPS) for kind, number in _Number.counts.items()}
     counts["flops"] += counts["divisions"]
@@ -196,7 +196,7 @@ def _interpreted() -> Iterator[None]:
         "magnitude": unary(abs),
     }
     names = ("numerics", "pressure", "rail", "arm", "joints", "contact", "run")
-    modules = [importlib.import_module(f"simulator.kernel.{name}") for name in names]
+    modules = [importlib.import_module(f"softarm.simulator.kernel.{name}") for name in names]
     patches = []
     for module in modules:
         for name, thing in list(vars(module).items()):

@@ -12,10 +12,10 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import NamedTuple, TypedDict
 
-from training import evaluation
-from training.inference import Workers, workers
-from training.recipe import RECIPES, begin
-from training.session import Session
+from softarm.training.learn.inference import Workers, workers
+from softarm.training.run import evaluation
+from softarm.training.run.recipe import RECIPES, begin
+from softarm.training.run.session import Session
 
 LEVEL = evaluation.GridReport(in_range=0.94, above=0.50, all=0.80)  # [P] section 4.1, on its hardware
 HELD = 3  # evaluations after the first, as high
@@ -99,7 +99,7 @@ def run(json_file: Path | None, seeds: tuple[int, ...], frames_most: int, tell: 
 
 def _rl_games(tell: Callable[[str], None]) -> float | None:
     try:
-        from benchmarks.rl_games_peer import steps_per_s
+        from softarm.benchmarks.rl_games_peer import steps_per_s
     except ModuleNotFoundError as error:
         tell(f"rl_games is left out: the package '{error.name}' is not installed (pip install rl_games)")
         return None

@@ -4,8 +4,8 @@ import time
 
 import click
 
-from cli.errors import fail
-from cli.remote import Remote, remote
+from softarm.cli.errors import fail
+from softarm.cli.remote import Remote, remote
 
 _POLL_S = 0.05
 

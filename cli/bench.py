@@ -4,7 +4,7 @@ from pathlib import Path
 
 import click
 
-from cli.options import json_option, model_option
+from softarm.cli.options import json_option, model_option
 
 
 @click.group()
@@ -34,9 +34,9 @@ def loop(seconds: float, json_file: Path | None, model_file: Path | None) -> Non
     from rich.progress import Progress
     from rich.table import Table
 
-    import benchmarks.loop as measurement
-    from cli.errors import fail
-    from cli.rig import RigError
+    import softarm.benchmarks.loop as measurement
+    from softarm.cli.errors import fail
+    from softarm.cli.rig import RigError
 
     console = Console()
     try:
@@ -70,7 +70,7 @@ def simulator(json_file: Path | None, quick: bool) -> None:
     Example:
       softarm bench simulator --json simulator.json
     """
-    import benchmarks.simulator as measurement
+    import softarm.benchmarks.simulator as measurement
 
     measurement.run(json_file, quick)
 
@@ -86,7 +86,7 @@ def train(json_file: Path | None, seeds: tuple[int, ...], frames: int | None) ->
     Example:
       softarm bench train --json train.json
     """
-    import benchmarks.training as measurement
+    import softarm.benchmarks.training as measurement
 
     result = measurement.run(json_file, seeds or measurement.SEEDS, frames or measurement.FRAMES_MOST, click.echo)
     theirs = result["rl_games_steps_per_s"]

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from cli.options import FILE
+from softarm.cli.options import FILE
 
 if TYPE_CHECKING:
     from rich.progress import Progress
@@ -45,9 +45,9 @@ def make(data: Path, labels_file: Path, fresh: Path | None, count: int, seed: in
     Example:
       softarm blind make cases --cases 100 --labels sealed/labels.json --fresh sealed/fresh
     """
-    from cli.errors import fail
-    from diagnosis.blind import make as making
-    from diagnosis.blind.seal import SealError
+    from softarm.cli.errors import fail
+    from softarm.diagnosis.blind import make as making
+    from softarm.diagnosis.blind.seal import SealError
 
     try:
         cases = making.prepare(data, labels_file, fresh, count, seed)
@@ -76,9 +76,9 @@ def run(data: Path, answers_file: Path, method: str, trials: int | None, process
       softarm blind run cases --answers answers.json
       softarm blind run cases --answers bic.json --method bic
     """
-    from cli.errors import fail
-    from diagnosis.blind import run as running
-    from diagnosis.blind.seal import SealError
+    from softarm.cli.errors import fail
+    from softarm.diagnosis.blind import run as running
+    from softarm.diagnosis.blind.seal import SealError
 
     try:
         with _progress() as bar:
@@ -109,10 +109,10 @@ def open_(data: Path, labels_file: Path, answer_files: tuple[Path, ...], fresh: 
       softarm blind open cases --labels sealed/labels.json --fresh sealed/fresh \\
         --answers answers.json --answers bic.json --out score
     """
-    from cli.errors import fail
-    from diagnosis.blind import opening
-    from diagnosis.blind.seal import SealError
-    from diagnosis.trials import TrialError
+    from softarm.cli.errors import fail
+    from softarm.diagnosis.blind import opening
+    from softarm.diagnosis.blind.seal import SealError
+    from softarm.diagnosis.trials import TrialError
 
     try:
         with _progress() as bar:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import click
 
 if TYPE_CHECKING:
-    from daemon.configuration import Loaded
+    from softarm.daemon.config.configuration import Loaded
 
 
 @click.command()
@@ -27,8 +27,8 @@ def check(file: Path) -> None:
     from rich.table import Table
     from rich.text import Text
 
-    from cli.errors import fail
-    from daemon.configuration import ConfigurationError, effective_limits, read
+    from softarm.cli.errors import fail
+    from softarm.daemon.config.configuration import ConfigurationError, effective_limits, read
 
     try:
         loaded = read(file)
@@ -45,8 +45,8 @@ def check(file: Path) -> None:
 
 def _policy_problems(loaded: "Loaded") -> Iterator[str]:
     """Find what would keep the file's policies from flying; the one it starts with is loaded and tried out."""
-    from policies import registry
-    from policies.base import PolicyError
+    from softarm.policies import registry
+    from softarm.policies.base import PolicyError
 
     config = loaded.config
     for name, entry in registry.available(config.policies).items():

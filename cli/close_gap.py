@@ -9,16 +9,16 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from cli.options import FILE
+from softarm.cli.options import FILE
 
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from cli.flights import Place
-    from diagnosis.gap.result import Diagnosis
-    from schemas.goals import Goal
-    from schemas.model import Model
-    from training.retrain import Recipe, Retrained
+    from softarm.cli.flights import Place
+    from softarm.diagnosis.gap.result import Diagnosis
+    from softarm.schemas.goals import Goal
+    from softarm.schemas.model import Model
+    from softarm.training.run.retrain import Recipe, Retrained
 
 FOLDER = click.Path(path_type=Path, file_okay=False)
 FILES = ("verdict.json", "report.html", "summary.json", "patched-model.yaml", "retrained.onnx", "retrained.pt")
@@ -57,12 +57,12 @@ def close_gap(
 
     from rich.console import Console
 
-    from cli.errors import fail
-    from diagnosis.trials import TrialError
-    from policies.base import PolicyError
-    from simulator.model_file import ModelFileError
-    from training.checkpoint import CheckpointError
-    from training.retrain import Recipe
+    from softarm.cli.errors import fail
+    from softarm.diagnosis.trials import TrialError
+    from softarm.policies.base import PolicyError
+    from softarm.simulator.model_file import ModelFileError
+    from softarm.training.run.checkpoint import CheckpointError
+    from softarm.training.run.retrain import Recipe
 
     if faults and robot != REALITY:
         raise click.UsageError("--fault is for the independent robot: leave --robot out, or put it into that model")
@@ -83,14 +83,14 @@ def run(
     recipe: "Recipe", console: "Console", targets: "Sequence[Goal] | None" = None, processes: int | None = None,
 ) -> None:  # fmt: skip
     """The verb with everything named. Raises TrialError, ModelFileError, CheckpointError, PolicyError, ValueError."""
-    from cli import closing, closing_story
-    from cli.diagnose import run as diagnose_inputs
-    from cli.flights import Place, fly_all
-    from daemon.evaluation import CART_STARTS_M
-    from diagnosis import report
-    from schemas.goals import TEST_TARGETS
-    from simulator import model_file as files
-    from training.warm_start import load_weights
+    from softarm.cli import closing, closing_story
+    from softarm.cli.diagnose import run as diagnose_inputs
+    from softarm.cli.flights import Place, fly_all
+    from softarm.daemon.evaluation import CART_STARTS_M
+    from softarm.diagnosis import report
+    from softarm.schemas.goals import TEST_TARGETS
+    from softarm.simulator import model_file as files
+    from softarm.training.learn.warm_start import load_weights
 
     load_weights(policy)  # before minutes of work
     targets, spent = targets or TEST_TARGETS, dict[str, dict[str, float]]()
@@ -131,7 +131,7 @@ def run(
 
 def _retrain(policy: Path, model: "Model", out: Path, recipe: "Recipe", console: "Console") -> "Retrained":
     """Behind a bar."""
-    from training.retrain import retrain
+    from softarm.training.run.retrain import retrain
 
     with _bar(console) as bar:
         task = bar.add_task("retraining", total=1.0)
@@ -141,10 +141,10 @@ def _retrain(policy: Path, model: "Model", out: Path, recipe: "Recipe", console:
 
 def _held_back(robot: str, faults: Sequence[str]) -> "Place":
     """Raises ValueError for faults or packages that there are none of; ends the command for a model that is none."""
-    from cli.closing import HELD_BACK
-    from cli.flights import Place, with_faults
-    from cli.options import flown_model
-    from reality.parameters import Parameters
+    from softarm.cli.closing import HELD_BACK
+    from softarm.cli.flights import Place, with_faults
+    from softarm.cli.options import flown_model
+    from softarm.reality.parameters import Parameters
 
     if robot != REALITY:
         return Place(HELD_BACK, f"the held-back robot ({robot})", model=flown_model(Path(robot)))
@@ -165,7 +165,7 @@ def _of_the_nominal_body(place: "Place", nominal: "Model") -> "Place":
     """
     from dataclasses import replace
 
-    from schemas.messages import BODY_NAMES
+    from softarm.schemas.messages import BODY_NAMES
 
     if nominal.arm.links != len(BODY_NAMES) - 1:
         raise ValueError(
@@ -178,7 +178,7 @@ def _of_the_nominal_body(place: "Place", nominal: "Model") -> "Place":
 
 def _policy_file(name: str) -> Path:
     """The file of a policy: its own name, or a shipped one. Raises ValueError when there is none."""
-    from policies.base import MODELS
+    from softarm.policies.base import MODELS
 
     file = Path(name) if name.endswith(".onnx") else MODELS / f"{name}.onnx"
     if not file.is_file():
@@ -221,7 +221,7 @@ def _show(
     """A row a robot, what came of it, where it stands."""
     from rich.table import Table
 
-    from diagnosis.report.words import percent
+    from softarm.diagnosis.report.words import percent
 
     table = Table("flown on", *(["old policy", "retrained", "gained", "lost"] if told["retrained"] else ["policy"]))
     for place in places:

@@ -7,12 +7,12 @@ from typing import Any
 
 import numpy as np
 
-from cli.flights import Place, Reached, shares
-from diagnosis.gap.result import Diagnosis
-from schemas.goals import TEST_TARGETS, Goal
-from schemas.verdict import Task
-from simulator.model_rows import differences
-from training.retrain import Retrained
+from softarm.cli.flights import Place, Reached, shares
+from softarm.diagnosis.gap.result import Diagnosis
+from softarm.schemas.goals import TEST_TARGETS, Goal
+from softarm.schemas.verdict import Task
+from softarm.simulator.model_rows import differences
+from softarm.training.run.retrain import Retrained
 
 OLD, NEW = "old", "new"
 NOMINAL, PATCHED, HELD_BACK = "nominal", "patched", "held-back"

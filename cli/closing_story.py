@@ -4,14 +4,14 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from cli.closing import HELD_BACK, NEW, OLD, PATCHED, changed
-from cli.flights import Place, Reached, shares
-from diagnosis.gap.result import Diagnosis
-from diagnosis.report import charts
-from diagnosis.report.markup import Html, bar, el, join, prose, table
-from diagnosis.report.words import number, percent
-from schemas.goals import TEST_TARGETS, Goal
-from training.retrain import Retrained
+from softarm.cli.closing import HELD_BACK, NEW, OLD, PATCHED, changed
+from softarm.cli.flights import Place, Reached, shares
+from softarm.diagnosis.gap.result import Diagnosis
+from softarm.diagnosis.report import charts
+from softarm.diagnosis.report.markup import Html, bar, el, join, prose, table
+from softarm.diagnosis.report.words import number, percent
+from softarm.schemas.goals import TEST_TARGETS, Goal
+from softarm.training.run.retrain import Retrained
 
 Flown = Mapping[tuple[str, str], Reached]
 

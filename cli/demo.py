@@ -8,8 +8,8 @@ from typing import Any
 
 import click
 
-from cli.options import model_option
-from schemas.goals import TEST_TARGETS, Goal
+from softarm.cli.options import model_option
+from softarm.schemas.goals import TEST_TARGETS, Goal
 
 SETTLED_M_S = 0.05  # tip speed
 SETTLE_MIN_S, SETTLE_MAX_S = 0.5, 6.0
@@ -37,7 +37,7 @@ def demo(targets: int, seed: int, policy: str, model_file: Path | None, logs: Pa
     """
     from rich.console import Console
 
-    from cli.rig import Rig, RigError
+    from softarm.cli.rig import Rig, RigError
 
     console = Console()
     goals = random.Random(seed).sample(TEST_TARGETS, targets)
@@ -108,7 +108,7 @@ def show(console: Any, results: list[dict[str, Any]]) -> None:
 
 def exceeded(path: Path) -> list[str]:
     """What the log says of the limits: the cart as the axis read it, the commands as they were sent."""
-    from daemon import logs
+    from softarm.daemon.logbook import logs
 
     log = logs.read(path)
     limits = log.config.limits

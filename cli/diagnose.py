@@ -5,16 +5,16 @@ from typing import TYPE_CHECKING
 
 import click
 
-from cli.options import FILE
+from softarm.cli.options import FILE
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from rich.console import Console
 
-    from diagnosis.gap.result import Diagnosis
-    from diagnosis.trials import Trial
-    from schemas.model import Model
+    from softarm.diagnosis.gap.result import Diagnosis
+    from softarm.diagnosis.trials import Trial
+    from softarm.schemas.model import Model
 
 INPUT = click.Path(path_type=Path)
 FOLDER = click.Path(path_type=Path, file_okay=False)
@@ -51,10 +51,10 @@ def diagnose(
     """
     from rich.console import Console
 
-    from cli.errors import fail
-    from diagnosis import report
-    from diagnosis.trials import TrialError
-    from simulator import model_file as files
+    from softarm.cli.errors import fail
+    from softarm.diagnosis import report
+    from softarm.diagnosis.trials import TrialError
+    from softarm.simulator import model_file as files
 
     tables = [path for path in inputs if path.suffix in _TABLES]
     if data is not None and not tables:
@@ -87,7 +87,7 @@ def diagnose(
 
 def _check_places(paths: list[Path]) -> None:
     """Before minutes of work: can the results be put there? Ends the command with a sentence where not."""
-    from cli.errors import fail
+    from softarm.cli.errors import fail
 
     for path in paths:
         if not path.parent.is_dir():
@@ -98,7 +98,7 @@ def run(inputs: tuple[Path, ...], model_file: Path | None, data: Path | None, co
     """Read and diagnose, with a bar. Raises TrialError and ModelFileError."""
     from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
-    from diagnosis.diagnose import diagnose
+    from softarm.diagnosis.diagnose import diagnose
 
     columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn())
     with Progress(*columns, console=console, transient=True) as bar:
@@ -113,9 +113,9 @@ def run(inputs: tuple[Path, ...], model_file: Path | None, data: Path | None, co
 
 def _read(inputs: tuple[Path, ...], data: Path | None, on_trial: "Callable[[Path], None]") -> "tuple[Trial, ...]":
     """Every trial of the inputs; the files of a stage.yaml may lie in `data`. Raises TrialError."""
-    from diagnosis import tables
-    from diagnosis.read import read_all
-    from diagnosis.trials import unique_names
+    from softarm.diagnosis import tables
+    from softarm.diagnosis.read import read_all
+    from softarm.diagnosis.trials import unique_names
 
     if data is None:
         return read_all(inputs, on_trial)
@@ -129,10 +129,10 @@ def _nominal(inputs: tuple[Path, ...], model_file: Path | None, trials: "tuple[T
 
     Raises TrialError for campaigns with several, ModelFileError for one that cannot be read.
     """
-    from diagnosis.folder import is_trial
-    from diagnosis.trials import TrialError
-    from schemas.model import Model
-    from simulator import model_file as files
+    from softarm.diagnosis.folder import is_trial
+    from softarm.diagnosis.trials import TrialError
+    from softarm.schemas.model import Model
+    from softarm.simulator import model_file as files
 
     if all(trial.stage is not None for trial in trials):
         return None
@@ -161,8 +161,8 @@ def _show(result: "Diagnosis", console: "Console", json_file: Path | None) -> No
     """The answer in three sentences, a row a stage, every doubt."""
     from rich.table import Table
 
-    from diagnosis import report
-    from diagnosis.report.words import percent, quantity
+    from softarm.diagnosis import report
+    from softarm.diagnosis.report.words import percent, quantity
 
     verdict, gap = result.verdict, result.verdict.gap
     for sentence in report.answer(result):

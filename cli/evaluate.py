@@ -5,7 +5,7 @@ from pathlib import Path
 
 import click
 
-from cli.options import FILE, config_option, flown_model, json_option, model_option
+from softarm.cli.options import FILE, config_option, flown_model, json_option, model_option
 
 
 @click.command()
@@ -76,11 +76,11 @@ def _compare(
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn
 
-    from cli.comparison import page, table
-    from cli.comparison import tests as known
-    from cli.errors import fail
-    from policies.base import PolicyError
-    from simulator.model_file import ModelFileError
+    from softarm.cli.comparison import page, table
+    from softarm.cli.comparison import tests as known
+    from softarm.cli.errors import fail
+    from softarm.policies.base import PolicyError
+    from softarm.simulator.model_file import ModelFileError
 
     if matrix and runs is None:
         raise click.UsageError("--matrix is about a sweep: give its folder with --runs")
@@ -112,10 +112,11 @@ def _evaluate(policy: str, json_file: Path | None, config_file: Path | None, mod
     from rich.progress import Progress
     from rich.table import Table
 
-    from cli.errors import fail
-    from daemon import configuration, evaluation
-    from policies.base import PolicyError
-    from schemas.config import Config
+    from softarm.cli.errors import fail
+    from softarm.daemon import evaluation
+    from softarm.daemon.config import configuration
+    from softarm.policies.base import PolicyError
+    from softarm.schemas.config import Config
 
     console = Console()
     try:

@@ -6,12 +6,12 @@ from typing import TYPE_CHECKING
 
 import click
 
-from cli.options import FILE, config_option, flown_model, model_option
+from softarm.cli.options import FILE, config_option, flown_model, model_option
 
 if TYPE_CHECKING:
-    from daemon.daemon import Daemon
-    from schemas.config import Config
-    from schemas.goals import GoalStatus
+    from softarm.daemon.shell.daemon import Daemon
+    from softarm.schemas.config import Config
+    from softarm.schemas.goals import GoalStatus
 
 _POLL_S = 0.1
 _ARMING_S = 10.0  # drivers connect, mocap is seen, drive and regulator arm
@@ -39,15 +39,15 @@ def excite(
       softarm excite rail-chirp --simulated            on a simulated one
       softarm excite --plan verdict.json --config softarm.yaml    the next experiment of `softarm diagnose`
     """
-    from cli.errors import fail
-    from daemon import configuration
-    from daemon.auth import AuthError
-    from daemon.recorder import RecorderError
-    from daemon.server import ApiError
-    from policies.base import PolicyError
-    from policies.excite import Excite
-    from schemas.config import Config
-    from schemas.excitation import EXCITATIONS
+    from softarm.cli.errors import fail
+    from softarm.daemon.api.auth import AuthError
+    from softarm.daemon.api.server import ApiError
+    from softarm.daemon.config import configuration
+    from softarm.daemon.logbook.recorder import RecorderError
+    from softarm.policies.base import PolicyError
+    from softarm.policies.excite import Excite
+    from softarm.schemas.config import Config
+    from softarm.schemas.excitation import EXCITATIONS
 
     if show:
         for excitation in EXCITATIONS.values():
@@ -85,8 +85,8 @@ def _planned(plan: Path) -> str:
     """The excitation that a verdict asks for next. Ends the command with a sentence where there is none."""
     from pydantic import ValidationError
 
-    from cli.errors import fail
-    from schemas.verdict import Verdict
+    from softarm.cli.errors import fail
+    from softarm.schemas.verdict import Verdict
 
     try:
         verdict = Verdict.model_validate_json(plan.read_bytes())
@@ -105,7 +105,7 @@ def _planned(plan: Path) -> str:
 
 def configured(config: "Config", name: str) -> "Config":
     """The configuration with the excitation as the policy in use."""
-    from schemas.config import Policy
+    from softarm.schemas.config import Policy
 
     policy = f"excite-{name}"
     return config.model_copy(
@@ -122,10 +122,10 @@ def _play_simulated(config: "Config", name: str, model_file: Path | None) -> tup
 
     from rich.progress import Progress
 
-    from daemon.offline import Lockstep
-    from daemon.recorder import Recorder
-    from policies.excite import Excite
-    from schemas.goals import Goal
+    from softarm.daemon.logbook.recorder import Recorder
+    from softarm.daemon.shell.offline import Lockstep
+    from softarm.policies.excite import Excite
+    from softarm.schemas.goals import Goal
 
     model = flown_model(model_file)
     policy = Excite(name)
@@ -152,9 +152,9 @@ def _play(config: "Config", name: str) -> tuple["GoalStatus", Path | None]:
     """On the devices, in real time; Ctrl-C brakes and vents. Raises RuntimeError when it does not arm."""
     from rich.progress import Progress
 
-    from daemon.daemon import Daemon, real_devices
-    from policies.excite import Excite
-    from schemas.goals import Goal
+    from softarm.daemon.shell.daemon import Daemon, real_devices
+    from softarm.policies.excite import Excite
+    from softarm.schemas.goals import Goal
 
     daemon = Daemon(config, real_devices(config))
     daemon.start()

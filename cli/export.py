@@ -17,9 +17,9 @@ def export(checkpoint: Path, out: Path) -> None:
     Example:
       softarm export runs/reach-1/best.pt --out my-reach.onnx
     """
-    from cli.errors import fail
-    from training.checkpoint import CheckpointError
-    from training.session import export_checkpoint
+    from softarm.cli.errors import fail
+    from softarm.training.run.checkpoint import CheckpointError
+    from softarm.training.run.session import export_checkpoint
 
     try:
         export_checkpoint(checkpoint, out)

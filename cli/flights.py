@@ -10,12 +10,12 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from cli.comparison import trials
-from policies import registry
-from reality.parameters import GROUPS, Parameters
-from schemas.config import Policy as ConfiguredPolicy
-from schemas.goals import TEST_TARGETS, TRAINED_Z_MAX_M, Goal
-from schemas.model import Model
+from softarm.cli.comparison import trials
+from softarm.policies import registry
+from softarm.reality.parameters import GROUPS, Parameters
+from softarm.schemas.config import Policy as ConfiguredPolicy
+from softarm.schemas.goals import TEST_TARGETS, TRAINED_Z_MAX_M, Goal
+from softarm.schemas.model import Model
 
 Reached = NDArray[np.bool_]  # [targets, starts]
 _PART = 9  # targets that a process takes at once

@@ -6,8 +6,8 @@ from typing import Any
 import click
 from rich.console import Console
 
-from cli.errors import fail
-from cli.remote import Remote, remote
+from softarm.cli.errors import fail
+from softarm.cli.remote import Remote, remote
 
 _POLL_S = 0.1
 

@@ -5,12 +5,12 @@ from typing import TYPE_CHECKING
 
 import click
 
-from cli.options import FILE, json_option, model_option
+from softarm.cli.options import FILE, json_option, model_option
 
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from diagnosis.identify import Identification
+    from softarm.diagnosis.identify import Identification
 
 INPUT = click.Path(path_type=Path)
 FOLDER = click.Path(path_type=Path, file_okay=False)
@@ -46,12 +46,12 @@ def identify(
     from rich.console import Console
     from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
-    from cli.errors import fail
-    from diagnosis.identify import identify as fit
-    from diagnosis.read import read_all
-    from diagnosis.trials import TrialError
-    from schemas.model import Model
-    from simulator import model_file as files
+    from softarm.cli.errors import fail
+    from softarm.diagnosis.identify import identify as fit
+    from softarm.diagnosis.read import read_all
+    from softarm.diagnosis.trials import TrialError
+    from softarm.schemas.model import Model
+    from softarm.simulator import model_file as files
 
     console = Console()
     try:
@@ -81,7 +81,7 @@ def identify(
 def _pictures(result: "Identification", folder: Path | None) -> list[Path]:
     if folder is None:
         return []
-    from diagnosis import plots
+    from softarm.diagnosis import plots
 
     return plots.save(result, folder)
 
@@ -90,7 +90,7 @@ def _show(result: "Identification", console: "Console") -> None:
     """The parameters with their intervals, how well they do, and every doubt."""
     from rich.table import Table
 
-    from diagnosis.identify import gain_nm_psi
+    from softarm.diagnosis.identify import gain_nm_psi
 
     n = result.model.arm.links
     table = Table("joint", "K (N m/rad)", "D (N m s/rad)", "b (N m/kPa)", "b (N m/psi)", "offset (N m)")

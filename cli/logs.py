@@ -4,7 +4,7 @@ from datetime import datetime
 
 import click
 
-from cli.remote import Remote, remote
+from softarm.cli.remote import Remote, remote
 
 
 @click.command()

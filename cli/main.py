@@ -6,65 +6,51 @@ from typing import Any, NamedTuple, NoReturn
 
 import click
 
-from cli.errors import fail
-
-_HOUSE = (
-    "benchmarks",
-    "cli",
-    "daemon",
-    "diagnosis",
-    "drivers",
-    "policies",
-    "reality",
-    "recordings",
-    "schemas",
-    "simulator",
-    "training",
-)
+from softarm.cli.errors import fail
 
 
 class Verb(NamedTuple):
     """Where a verb's click command is, and its line in `softarm --help`."""
 
-    target: str  # module:attribute
+    target: str  # module of `softarm.cli`:attribute
     help: str
     extra: str = ""  # the extra of the package that brings what it imports
 
 
 VERBS: dict[str, dict[str, Verb]] = {
     "Run": {
-        "demo": Verb("cli.demo:demo", "Twin, daemon and ten targets over REST, in one go.", "sim"),
-        "run": Verb("cli.run:run", "Run the control daemon, on the robot or simulated.", "sim"),
-        "twin": Verb("cli.twin:twin", "Be the robot as the wires see it.", "sim"),
-        "check": Verb("cli.check:check", "Check a configuration and print the limits in force."),
+        "demo": Verb("demo:demo", "Twin, daemon and ten targets over REST, in one go.", "sim"),
+        "run": Verb("run:run", "Run the control daemon, on the robot or simulated.", "sim"),
+        "twin": Verb("twin:twin", "Be the robot as the wires see it.", "sim"),
+        "check": Verb("check:check", "Check a configuration and print the limits in force."),
     },
     "Ask the running daemon": {
-        "status": Verb("cli.status:status", "What the arm is doing and what is wrong."),
-        "arm": Verb("cli.arming:arm", "Give the daemon the actuators."),
-        "disarm": Verb("cli.arming:disarm", "Brake, vent and switch the drive off."),
-        "stop": Verb("cli.arming:stop", "Emergency stop; latched until acknowledged."),
-        "acknowledge": Verb("cli.arming:acknowledge", "Release a latched emergency stop."),
-        "goal": Verb("cli.goal:goal", "Reach for a target, hold, or cancel."),
-        "policy": Verb("cli.policy:policy", "List the policies, choose one."),
-        "logs": Verb("cli.logs:logs", "List the recordings."),
-        "replay": Verb("cli.replay:replay", "Run a recording through the tick again and compare."),
+        "status": Verb("status:status", "What the arm is doing and what is wrong."),
+        "arm": Verb("arming:arm", "Give the daemon the actuators."),
+        "disarm": Verb("arming:disarm", "Brake, vent and switch the drive off."),
+        "stop": Verb("arming:stop", "Emergency stop; latched until acknowledged."),
+        "acknowledge": Verb("arming:acknowledge", "Release a latched emergency stop."),
+        "goal": Verb("goal:goal", "Reach for a target, hold, or cancel."),
+        "policy": Verb("policy:policy", "List the policies, choose one."),
+        "logs": Verb("logs:logs", "List the recordings."),
+        "replay": Verb("replay:replay", "Run a recording through the tick again and compare."),
     },
     "Identify": {
-        "excite": Verb("cli.excite:excite", "Play an excitation, on the robot or simulated, and record.", "sim"),
-        "identify": Verb("cli.identify:identify", "Fit the arm's parameters to recordings.", "diagnosis"),
-        "diagnose": Verb("cli.diagnose:diagnose", "Name the effect behind the gap to the simulator.", "diagnosis"),
-        "blind": Verb("cli.blind:blind", "Measure the diagnosis on robots with sealed faults.", "mujoco"),
+        "excite": Verb("excite:excite", "Play an excitation, on the robot or simulated, and record.", "sim"),
+        "identify": Verb("identify:identify", "Fit the arm's parameters to recordings.", "diagnosis"),
+        "diagnose": Verb("diagnose:diagnose", "Name the effect behind the gap to the simulator.", "diagnosis"),
+        "blind": Verb("blind:blind", "Measure the diagnosis on robots with sealed faults.", "mujoco"),
         "close-gap": Verb(
-            "cli.close_gap:close_gap", "Diagnose, patch the model, retrain, prove it.", "diagnosis,train,mujoco"
+            "close_gap:close_gap", "Diagnose, patch the model, retrain, prove it.", "diagnosis,train,mujoco"
         ),
     },
     "Learn and measure": {
-        "train": Verb("cli.train:train", "Train a policy in the simulator.", "train"),
-        "export": Verb("cli.export:export", "Write a checkpoint as an ONNX policy.", "train"),
-        "plan": Verb("cli.plan:plan", "Optimise trajectories for the policy that tracks them.", "sim"),
-        "evaluate": Verb("cli.evaluate:evaluate", "Fly the test targets, by the daemon's own tick.", "sim"),
-        "model": Verb("cli.model:model", "Show, compare, check and export models of the robot."),
-        "bench": Verb("cli.bench:bench", "Measure the loop, the simulator and the training.", "mujoco"),
+        "train": Verb("train:train", "Train a policy in the simulator.", "train"),
+        "export": Verb("export:export", "Write a checkpoint as an ONNX policy.", "train"),
+        "plan": Verb("plan:plan", "Optimise trajectories for the policy that tracks them.", "sim"),
+        "evaluate": Verb("evaluate:evaluate", "Fly the test targets, by the daemon's own tick.", "sim"),
+        "model": Verb("model:model", "Show, compare, check and export models of the robot."),
+        "bench": Verb("bench:bench", "Measure the loop, the simulator and the training.", "mujoco"),
     },
 }
 _ALL = {name: verb for section in VERBS.values() for name, verb in section.items()}
@@ -82,7 +68,7 @@ class LazyGroup(click.Group):
         if cmd_name not in _ALL:
             return None
         module, _, attribute = _ALL[cmd_name].target.partition(":")
-        command = getattr(import_module(module), attribute)
+        command = getattr(import_module(f"softarm.cli.{module}"), attribute)
         assert isinstance(command, click.Command)
         return command
 
@@ -116,7 +102,7 @@ class LazyGroup(click.Group):
 def _explain_missing(name: str, error: ModuleNotFoundError) -> NoReturn:
     """Turn a package that is not installed into a sentence; a module of our own that is missing is a bug."""
     package = (error.name or "").partition(".")[0]
-    if package in _HOUSE:
+    if package == "softarm":
         raise error
     extra = _ALL[name].extra if name in _ALL else ""
     fail(

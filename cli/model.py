@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 if TYPE_CHECKING:
-    from schemas.model import Model
+    from softarm.schemas.model import Model
 
 MODEL = click.Path(path_type=Path)
 
@@ -33,7 +33,7 @@ def show(name: Path) -> None:
     Example:
       softarm model show seed
     """
-    from simulator.model_rows import effect_rows, robot_rows
+    from softarm.simulator.model_rows import effect_rows, robot_rows
 
     loaded = _load(name)
     columns = ("parameter", "value", "unit", "allowed", "source of the seed's")
@@ -54,7 +54,7 @@ def diff(one: Path, other: Path) -> None:
     Example:
       softarm model diff seed mine.yaml
     """
-    from simulator.model_rows import differences
+    from softarm.simulator.model_rows import differences
 
     found = differences(_load(one), _load(other))
     if not found:
@@ -89,8 +89,8 @@ def export(name: Path, out: Path) -> None:
     Example:
       softarm model export --mjcf arm.xml seed      then: python -m mujoco.viewer --mjcf=arm.xml
     """
-    from cli.errors import fail
-    from simulator import mjcf
+    from softarm.cli.errors import fail
+    from softarm.simulator import mjcf
 
     exported = mjcf.export(_load(name))
     try:
@@ -103,8 +103,8 @@ def export(name: Path, out: Path) -> None:
 
 
 def _load(name: Path) -> "Model":
-    from cli.errors import fail
-    from simulator import model_file
+    from softarm.cli.errors import fail
+    from softarm.simulator import model_file
 
     try:
         return model_file.load(name)
@@ -113,7 +113,7 @@ def _load(name: Path) -> "Model":
 
 
 def _idle(loaded: "Model") -> str:
-    from simulator.model_rows import idle_effects
+    from softarm.simulator.model_rows import idle_effects
 
     return "".join(f"{name} is at its neutral value: it changes nothing\n" for name in idle_effects(loaded))
 

@@ -5,10 +5,10 @@ from typing import TYPE_CHECKING
 
 import click
 
-from cli.errors import fail
+from softarm.cli.errors import fail
 
 if TYPE_CHECKING:
-    from schemas.model import Model
+    from softarm.schemas.model import Model
 
 FILE = click.Path(path_type=Path, dir_okay=False)
 
@@ -27,8 +27,8 @@ def flown_model(file: Path | None) -> "Model | None":
 
     Ends the command with a sentence when there is no such model, or it is not this robot's.
     """
-    from schemas.messages import BODY_NAMES
-    from simulator import model_file
+    from softarm.schemas.messages import BODY_NAMES
+    from softarm.simulator import model_file
 
     if file is None:
         return None

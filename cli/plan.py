@@ -6,13 +6,13 @@ from typing import TYPE_CHECKING, TypedDict
 
 import click
 
-from cli.options import json_option, model_option
+from softarm.cli.options import json_option, model_option
 
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from schemas.model import Model
-    from training.trajectory.problem import Array
+    from softarm.schemas.model import Model
+    from softarm.training.trajectory.problem import Array
 
 OUT = Path("runs/trajectories.npz")
 STARTS_M = (0.0, 0.1, 0.2)  # as `softarm evaluate`
@@ -80,9 +80,9 @@ def plan(
     import numpy as np
     from rich.console import Console
 
-    from cli.errors import fail
-    from schemas.goals import TEST_TARGETS
-    from simulator import model_file as files
+    from softarm.cli.errors import fail
+    from softarm.schemas.goals import TEST_TARGETS
+    from softarm.simulator import model_file as files
 
     console = Console()
     try:
@@ -120,7 +120,7 @@ def _plan(
     """Plan behind a progress bar and write the file."""
     from rich.progress import Progress
 
-    from training.trajectory.planner import plan
+    from softarm.training.trajectory.planner import plan
 
     with Progress(console=console, transient=True) as bar:
         shown = bar.add_task("flying random swings", total=1.0)
@@ -152,7 +152,7 @@ def _search(
     """Search behind a progress bar."""
     from rich.progress import Progress
 
-    from training.ceiling import ROUNDS, search
+    from softarm.training.trajectory.ceiling import ROUNDS, search
 
     rows = []
     with Progress(console=console, transient=True) as bar:
@@ -190,7 +190,7 @@ def _show(rows: list[Row], console: "Console") -> None:
     """A few plans one by one, many by their height; and what was not reached."""
     from rich.table import Table
 
-    from schemas.goals import TRAINED_Z_MAX_M
+    from softarm.schemas.goals import TRAINED_Z_MAX_M
 
     if len(rows) <= LISTED:
         table = Table("start (m)", "y, z (m)", "planned (mm)", "in the simulator (mm)", "reached after (s)")

@@ -2,7 +2,7 @@
 
 import click
 
-from cli.remote import Remote, remote
+from softarm.cli.remote import Remote, remote
 
 
 @click.group()

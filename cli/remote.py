@@ -10,8 +10,8 @@ from typing import Any, Self
 import click
 import httpx
 
-from cli.errors import fail
-from cli.options import FILE
+from softarm.cli.errors import fail
+from softarm.cli.options import FILE
 
 DEFAULT_URL = "http://127.0.0.1:8080"
 TIMEOUT_S = 5.0

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import click
 
-from cli.options import FILE
+from softarm.cli.options import FILE
 
 SHOWN = 10
 
@@ -21,11 +21,11 @@ def replay(log: Path) -> None:
     Example:
       softarm replay logs/softarm-20260101T120000Z.mcap
     """
-    from cli.errors import fail
-    from daemon import logs
-    from daemon.replay import replay as replay_log
-    from policies import registry
-    from policies.base import PolicyError
+    from softarm.cli.errors import fail
+    from softarm.daemon.logbook import logs
+    from softarm.daemon.shell.replay import replay as replay_log
+    from softarm.policies import registry
+    from softarm.policies.base import PolicyError
 
     try:
         recorded = logs.read(log)

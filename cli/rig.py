@@ -15,7 +15,7 @@ from typing import Any, Self
 import httpx
 import yaml
 
-from schemas.goals import Goal
+from softarm.schemas.goals import Goal
 
 START_S = 60.0  # a cold start compiles the simulator
 STOP_S = 5.0
@@ -126,7 +126,7 @@ class Rig:
     def _start(self, verb: str, *options: str) -> subprocess.Popen[bytes]:
         with (self.folder / f"{verb}.out").open("ab") as output:
             return subprocess.Popen(
-                [sys.executable, "-m", "cli.main", verb, "--config", str(self.config_file), *options],
+                [sys.executable, "-m", "softarm.cli.main", verb, "--config", str(self.config_file), *options],
                 stdout=output,
                 stderr=subprocess.STDOUT,
                 env={**os.environ, "PYTHONUNBUFFERED": "1"},

@@ -5,11 +5,11 @@ from typing import TYPE_CHECKING
 
 import click
 
-from cli.options import config_option, flown_model, model_option
+from softarm.cli.options import config_option, flown_model, model_option
 
 if TYPE_CHECKING:
-    from daemon.daemon import Daemon
-    from daemon.loop import Devices
+    from softarm.daemon.shell.daemon import Daemon
+    from softarm.daemon.shell.loop import Devices
 
 
 @click.command()
@@ -29,13 +29,14 @@ def run(config_file: Path | None, simulated: bool, model_file: Path | None) -> N
     """
     import logging
 
-    from cli.errors import fail
-    from daemon import configuration, daemon
-    from daemon.auth import AuthError
-    from daemon.recorder import RecorderError
-    from daemon.server import ApiError
-    from policies.base import PolicyError
-    from schemas.config import Config
+    from softarm.cli.errors import fail
+    from softarm.daemon.api.auth import AuthError
+    from softarm.daemon.api.server import ApiError
+    from softarm.daemon.config import configuration
+    from softarm.daemon.logbook.recorder import RecorderError
+    from softarm.daemon.shell import daemon
+    from softarm.policies.base import PolicyError
+    from softarm.schemas.config import Config
 
     if config_file is None and not simulated:
         raise click.UsageError("which robot? --config FILE for real devices, or --simulated")
@@ -61,8 +62,8 @@ def simulated_devices(model_file: Path | None) -> "Devices":
     """The in-process robot, starting at this instant."""
     import time
 
-    from daemon.loop import Devices
-    from drivers.simulated import SimulatedRobot
+    from softarm.daemon.shell.loop import Devices
+    from softarm.drivers.bodies.simulated import SimulatedRobot
 
     robot = SimulatedRobot(flown_model(model_file))
     robot.now_ns = time.monotonic_ns()  # from here on it moves in real time

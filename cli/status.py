@@ -10,7 +10,7 @@ from rich.console import Console
 from rich.live import Live
 from rich.text import Text
 
-from cli.remote import Remote, remote
+from softarm.cli.remote import Remote, remote
 
 Json = dict[str, Any]
 

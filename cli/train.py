@@ -6,13 +6,13 @@ from typing import TYPE_CHECKING
 
 import click
 
-from cli.options import model_option
+from softarm.cli.options import model_option
 
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from training.recipe import Recipe
-    from training.session import Session, Standing
+    from softarm.training.run.recipe import Recipe
+    from softarm.training.run.session import Session, Standing
 
 
 @click.command()
@@ -68,7 +68,7 @@ def train(
       softarm train shelf --out runs/mine --resume
       softarm train --sweep benchmarks/ablation.yaml --out runs/ablation
     """
-    from cli.errors import fail
+    from softarm.cli.errors import fail
 
     if sweep is not None:
         _sweep(sweep, out or Path("runs") / sweep.stem, workers, ray_address)
@@ -79,7 +79,7 @@ def train(
     if wide and name not in ("reach", "reach-wide"):
         raise click.UsageError(f"--wide is for reach, not for {name}")
 
-    from training.recipe import RECIPES
+    from softarm.training.run.recipe import RECIPES
 
     name = "reach-wide" if wide else name
     if name not in RECIPES:
@@ -99,11 +99,11 @@ def train(
 def _train(recipe: "Recipe", seed: int, frames: int | None, minutes: float | None, folder: Path, resume: bool) -> None:
     from rich.console import Console
 
-    from cli.errors import fail
-    from simulator.model_file import ModelFileError
-    from training.checkpoint import CheckpointError
-    from training.inference import workers
-    from training.recipe import begin
+    from softarm.cli.errors import fail
+    from softarm.simulator.model_file import ModelFileError
+    from softarm.training.learn.inference import workers
+    from softarm.training.run.checkpoint import CheckpointError
+    from softarm.training.run.recipe import begin
 
     console = Console()
     with workers() as pool:
@@ -138,7 +138,7 @@ def _run(session: "Session", frames: int | None, minutes: float | None, console:
 
 def _tell(session: "Session", policy: Path, console: "Console") -> None:
     """Say what came out and what to do with it."""
-    from training import tensorboard
+    from softarm.training.record import tensorboard
 
     name = f"my-{session.task.name}"
     console.print(f"{session.frames / 1e6:.2f} M frames in {session.seconds / 60:.1f} min, {session.out}:")
@@ -159,7 +159,7 @@ def _tell(session: "Session", policy: Path, console: "Console") -> None:
 
 def _tell_missing(console: "Console") -> None:
     """Say what training goes on without."""
-    from training import tensorboard
+    from softarm.training.record import tensorboard
 
     if (missing := tensorboard.missing()) is not None:
         console.print(missing, style="yellow")
@@ -172,8 +172,8 @@ def _sweep(file: Path, out: Path, processes: int | None, ray_address: str | None
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
-    from cli.errors import fail
-    from training import sweep
+    from softarm.cli.errors import fail
+    from softarm.training.run import sweep
 
     console = Console(soft_wrap=True)
     _tell_missing(console)

@@ -5,11 +5,11 @@ from typing import TYPE_CHECKING
 
 import click
 
-from cli.options import FILE, flown_model, model_option
+from softarm.cli.options import FILE, flown_model, model_option
 
 if TYPE_CHECKING:
-    from drivers.twin.robot import Body
-    from schemas.model import Model
+    from softarm.drivers.twin.robot import Body
+    from softarm.schemas.model import Model
 
 
 @click.command()
@@ -26,11 +26,11 @@ def twin(config_file: Path, model_file: Path | None, reality: bool) -> None:
       softarm twin --config twin.yaml          then, beside it: softarm run --config twin.yaml
       softarm twin --config twin.yaml --reality
     """
-    from cli.errors import fail
-    from daemon import realtime
-    from daemon.configuration import ConfigurationError, load
-    from drivers.base import DeviceError
-    from drivers.twin.main import run_twin
+    from softarm.cli.errors import fail
+    from softarm.daemon.config.configuration import ConfigurationError, load
+    from softarm.daemon.shell import realtime
+    from softarm.drivers.base import DeviceError
+    from softarm.drivers.twin.main import run_twin
 
     try:
         config = load(config_file)
@@ -45,10 +45,10 @@ def twin(config_file: Path, model_file: Path | None, reality: bool) -> None:
 
 def _independent_body(model: "Model | None") -> "Body":
     """The robot of `reality/`; a sentence when its extra is missing or the model is none that it can be."""
-    from cli.errors import fail
+    from softarm.cli.errors import fail
 
     try:
-        from drivers.twin.independent import independent_body
+        from softarm.drivers.twin.independent import independent_body
 
         return independent_body(model)
     except ModuleNotFoundError as error:

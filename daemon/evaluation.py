@@ -4,11 +4,11 @@ import time
 from collections.abc import Callable
 from typing import TypedDict
 
-from daemon.offline import Flight, Lockstep
-from policies import registry
-from schemas.config import Config
-from schemas.goals import TEST_TARGETS, TRAINED_Z_MAX_M
-from schemas.model import Model
+from softarm.daemon.shell.offline import Flight, Lockstep
+from softarm.policies import registry
+from softarm.schemas.config import Config
+from softarm.schemas.goals import TEST_TARGETS, TRAINED_Z_MAX_M
+from softarm.schemas.model import Model
 
 CART_STARTS_M = (0.0, 0.1, 0.2)
 FLIGHTS = len(TEST_TARGETS) * len(CART_STARTS_M)

@@ -8,16 +8,16 @@ from collections.abc import Iterator, Mapping
 
 import numpy as np
 
-from daemon.checks import device_events
-from daemon.failsafe import Event, ModeMachine
-from daemon.goals import GoalTracker
-from daemon.observer import Observer, as_array
-from daemon.records import Inputs, Mode, Observed, Outputs, Request, RequestResult
-from daemon.safety import SafetyFilter
-from policies.runner import PolicyOutcome, PolicyRunner
-from schemas.config import Config
-from schemas.goals import Goal
-from schemas.messages import SAFE, Command
+from softarm.daemon.control.checks import device_events
+from softarm.daemon.control.failsafe import Event, ModeMachine
+from softarm.daemon.control.goals import GoalTracker
+from softarm.daemon.control.observer import Observer, as_array
+from softarm.daemon.control.records import Inputs, Mode, Observed, Outputs, Request, RequestResult
+from softarm.daemon.control.safety import SafetyFilter
+from softarm.policies.runner import PolicyOutcome, PolicyRunner
+from softarm.schemas.config import Config
+from softarm.schemas.goals import Goal
+from softarm.schemas.messages import SAFE, Command
 
 RESULTS_KEPT = 32
 REST_SPEED_M_S = 0.02  # of a cart that counts as braked

@@ -7,16 +7,16 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from diagnosis.gap.candidates import candidates, nuisances
-from diagnosis.gap.fits import Fit
-from diagnosis.gap.problem import Setup
-from diagnosis.gap.recordings import flight
-from diagnosis.gap.robot_views import robot_views
-from diagnosis.gap.search import EFFECTS_MAX, Search
-from diagnosis.trials import Trial
-from schemas.model import Model
-from schemas.verdict import Estimate, Gap, Interval, NamedEffect, Shrink, Verdict, Where
-from simulator.effects import REGISTRY
+from softarm.diagnosis.gap.candidates import candidates, nuisances
+from softarm.diagnosis.gap.fits import Fit
+from softarm.diagnosis.gap.problem import Setup
+from softarm.diagnosis.gap.recordings import flight
+from softarm.diagnosis.gap.robot_views import robot_views
+from softarm.diagnosis.gap.search import EFFECTS_MAX, Search
+from softarm.diagnosis.trials import Trial
+from softarm.schemas.model import Model
+from softarm.schemas.verdict import Estimate, Gap, Interval, NamedEffect, Shrink, Verdict, Where
+from softarm.simulator.effects import REGISTRY
 
 GAIN_MIN = 0.1  # of the whole misfit: below, `largest_gain` sees no gap
 CLEARLY = 1.96  # half intervals that a parameter must stand off its neutral value by, for `all_at_once`

@@ -7,9 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
-from diagnosis.motion import Motion
-from schemas.model import Arm, Model
-from simulator.simulator import Simulator
+from softarm.diagnosis.motion import Motion
+from softarm.schemas.model import Arm, Model
+from softarm.simulator.simulator import Simulator
 
 Array = NDArray[np.float64]
 

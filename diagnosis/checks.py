@@ -5,7 +5,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from diagnosis.trials import Array, Series
+from softarm.diagnosis.trials import Array, Series
 
 GAP_FACTOR, GAP_MIN_S = 5.0, 0.05  # of the usual step: a gap
 SPLIT_S = 60.0  # a step longer than this is a jump of the clock, not a pause

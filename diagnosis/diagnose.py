@@ -2,11 +2,11 @@
 
 from collections.abc import Sequence
 
-from diagnosis.gap.result import Diagnosis
-from diagnosis.gap.search import Tell
-from diagnosis.robot import Robot
-from diagnosis.trials import Trial, TrialError
-from schemas.model import Model
+from softarm.diagnosis.gap.result import Diagnosis
+from softarm.diagnosis.gap.search import Tell
+from softarm.diagnosis.robot import Robot
+from softarm.diagnosis.trials import Trial, TrialError
+from softarm.schemas.model import Model
 
 
 def diagnose(trials: Sequence[Trial], model: Model | None = None, tell: Tell | None = None) -> Diagnosis:
@@ -23,7 +23,9 @@ def diagnose(trials: Sequence[Trial], model: Model | None = None, tell: Tell | N
     ordered = sorted(trials, key=lambda trial: (trial.name, str(trial.source)))
     say = tell or (lambda what, share: None)
     if tables:
-        from diagnosis.rigs.diagnose import diagnose_table  # another rig's laws are compiled when they are needed
+        from softarm.diagnosis.rigs.diagnose import (
+            diagnose_table,  # another rig's laws are compiled when they are needed
+        )
 
         return diagnose_table(ordered, say)
     return Robot(ordered, model or Model(), say).diagnosis()

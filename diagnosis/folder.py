@@ -6,9 +6,9 @@ from pathlib import Path
 
 import numpy as np
 
-from diagnosis import checks, yaml_file
-from diagnosis.trials import LINKS, ROBOT_CHANNELS, Array, Series, Trial, TrialError, mocap_columns
-from schemas.trial import TrialFile
+from softarm.diagnosis import checks, yaml_file
+from softarm.diagnosis.trials import LINKS, ROBOT_CHANNELS, Array, Series, Trial, TrialError, mocap_columns
+from softarm.schemas.trial import TrialFile
 
 EXAMPLE = "`kind: chirp` and `rail: held`"
 LINKS_MAX = 12

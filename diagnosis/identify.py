@@ -7,12 +7,12 @@ from typing import TypedDict
 import numpy as np
 from numpy.typing import NDArray
 
-from diagnosis import bench, motion, refinement, regression
-from diagnosis.motion import Derivatives, Motion
-from diagnosis.refinement import Refinement
-from diagnosis.regression import Regression
-from diagnosis.trials import Trial, TrialError
-from schemas.model import KPA_PER_PSI, Model
+from softarm.diagnosis import bench, motion, refinement, regression
+from softarm.diagnosis.motion import Derivatives, Motion
+from softarm.diagnosis.refinement import Refinement
+from softarm.diagnosis.regression import Regression
+from softarm.diagnosis.trials import Trial, TrialError
+from softarm.schemas.model import KPA_PER_PSI, Model
 
 Array = NDArray[np.float64]
 Progress = Callable[[str], None]

@@ -7,11 +7,11 @@ from typing import Any
 import numpy as np
 from pydantic import BaseModel, ValidationError
 
-from diagnosis import checks
-from diagnosis.trials import ROBOT_CHANNELS, Series, Trial, TrialError
-from recordings import channels, mcap_file
-from schemas import log
-from schemas.messages import BODY_NAMES, Command
+from softarm.diagnosis import checks
+from softarm.diagnosis.trials import ROBOT_CHANNELS, Series, Trial, TrialError
+from softarm.recordings import channels, mcap_file
+from softarm.schemas import log
+from softarm.schemas.messages import BODY_NAMES, Command
 
 HELD_M = 5e-4  # a cart that moved less stood still
 

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 from scipy.signal import butter, sosfiltfilt
 
-from diagnosis.trials import Series, Trial, TrialError
+from softarm.diagnosis.trials import Series, Trial, TrialError
 
 Array = NDArray[np.float64]
 

@@ -6,8 +6,8 @@ import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from diagnosis.identify import Check, Identification
-from diagnosis.regression import modelled
+from softarm.diagnosis.identify import Check, Identification
+from softarm.diagnosis.regression import modelled
 
 MEASURED, FITTED = "#c0392b", "#2c5f9e"
 

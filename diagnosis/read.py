@@ -3,8 +3,8 @@
 from collections.abc import Callable, Iterable
 from pathlib import Path
 
-from diagnosis import folder, mcap, tables
-from diagnosis.trials import Trial, TrialError, unique_names
+from softarm.diagnosis import folder, mcap, tables
+from softarm.diagnosis.trials import Trial, TrialError, unique_names
 
 
 def read_all(paths: Iterable[Path], on_trial: Callable[[Path], None] | None = None) -> tuple[Trial, ...]:

@@ -9,9 +9,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from diagnosis.bench import Bench, to_columns
-from diagnosis.motion import Motion
-from schemas.model import Arm
+from softarm.diagnosis.bench import Bench, to_columns
+from softarm.diagnosis.motion import Motion
+from softarm.schemas.model import Arm
 
 Array = NDArray[np.float64]
 

@@ -7,9 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
 
-from diagnosis.bench import PARAMETERS
-from diagnosis.motion import Derivatives
-from schemas.model import Arm
+from softarm.diagnosis.bench import PARAMETERS
+from softarm.diagnosis.motion import Derivatives
+from softarm.schemas.model import Arm
 
 Array = NDArray[np.float64]
 

@@ -6,26 +6,36 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from diagnosis.gap import evidence, experiments
-from diagnosis.gap.candidates import candidates, nuisances
-from diagnosis.gap.ceiling import explainable
-from diagnosis.gap.chain import FLOOR_M, tip_gap
-from diagnosis.gap.confidence import confidence
-from diagnosis.gap.counts import Count, counts
-from diagnosis.gap.fits import Fit, point_of
-from diagnosis.gap.judge import Ruling, rule, stage_of, stage_shares
-from diagnosis.gap.lens import BLOCK_S, Key, Lens, blocks_of
-from diagnosis.gap.problem import Setup
-from diagnosis.gap.recordings import Flight, flight
-from diagnosis.gap.result import Diagnosis
-from diagnosis.gap.robot_views import robot_views
-from diagnosis.gap.search import Choice, Member, Search, Tell
-from diagnosis.gap.view import Array, Point
-from diagnosis.shrink import interval, widened
-from diagnosis.trials import Trial, TrialError
-from schemas.model import Model
-from schemas.verdict import Estimate, Gap, Interval, NamedEffect, NextExperiment, Quantity, Shrink, Verdict, Where
-from simulator.effects import REGISTRY, STAGES, find
+from softarm.diagnosis.gap import evidence, experiments
+from softarm.diagnosis.gap.candidates import candidates, nuisances
+from softarm.diagnosis.gap.ceiling import explainable
+from softarm.diagnosis.gap.chain import FLOOR_M, tip_gap
+from softarm.diagnosis.gap.confidence import confidence
+from softarm.diagnosis.gap.counts import Count, counts
+from softarm.diagnosis.gap.fits import Fit, point_of
+from softarm.diagnosis.gap.judge import Ruling, rule, stage_of, stage_shares
+from softarm.diagnosis.gap.lens import BLOCK_S, Key, Lens, blocks_of
+from softarm.diagnosis.gap.problem import Setup
+from softarm.diagnosis.gap.recordings import Flight, flight
+from softarm.diagnosis.gap.result import Diagnosis
+from softarm.diagnosis.gap.robot_views import robot_views
+from softarm.diagnosis.gap.search import Choice, Member, Search, Tell
+from softarm.diagnosis.gap.view import Array, Point
+from softarm.diagnosis.shrink import interval, widened
+from softarm.diagnosis.trials import Trial, TrialError
+from softarm.schemas.model import Model
+from softarm.schemas.verdict import (
+    Estimate,
+    Gap,
+    Interval,
+    NamedEffect,
+    NextExperiment,
+    Quantity,
+    Shrink,
+    Verdict,
+    Where,
+)
+from softarm.simulator.effects import REGISTRY, STAGES, find
 
 COUNT_CONFIDENCE = 0.95  # of what is read off stamps
 OWN_STAGE_MIN = 0.1  # energy

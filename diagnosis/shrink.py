@@ -4,13 +4,13 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from diagnosis.gap.counts import counts
-from diagnosis.gap.recordings import Flight, flight
-from diagnosis.gap.robot_views import ON_MOTOR, robot_views
-from diagnosis.gap.view import Array, Point
-from diagnosis.trials import Trial
-from schemas.model import Model
-from simulator.effects import REGISTRY, value
+from softarm.diagnosis.gap.counts import counts
+from softarm.diagnosis.gap.recordings import Flight, flight
+from softarm.diagnosis.gap.robot_views import ON_MOTOR, robot_views
+from softarm.diagnosis.gap.view import Array, Point
+from softarm.diagnosis.trials import Trial
+from softarm.schemas.model import Model
+from softarm.simulator.effects import REGISTRY, value
 
 RESAMPLES = 2000
 # Trials drawn anew know nothing of excitations that were not flown. On opened cases of the blind benchmark the bare

@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from diagnosis import checks, yaml_file
-from diagnosis.folder import numbers, read_table
-from diagnosis.trials import Array, Series, Stage, Trial, TrialError
-from schemas.trial import UNITS, Channel, Column, StageFile, TableTrial
+from softarm.diagnosis import checks, yaml_file
+from softarm.diagnosis.folder import numbers, read_table
+from softarm.diagnosis.trials import Array, Series, Stage, Trial, TrialError
+from softarm.schemas.trial import UNITS, Channel, Column, StageFile, TableTrial
 
 EXAMPLE = "one of diagnosis/stages/*.yaml"
 # Kind -> channel -> unit groups of which one column is needed.

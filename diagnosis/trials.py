@@ -9,8 +9,8 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from schemas.policy import OBSERVATION
-from schemas.trial import StageKind
+from softarm.schemas.policy import OBSERVATION
+from softarm.schemas.trial import StageKind
 
 Array = NDArray[np.float64]
 

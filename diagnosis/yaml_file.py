@@ -6,7 +6,7 @@ from typing import TypeVar
 import yaml
 from pydantic import BaseModel, ValidationError
 
-from diagnosis.trials import TrialError
+from softarm.diagnosis.trials import TrialError
 
 M = TypeVar("M", bound=BaseModel)
 

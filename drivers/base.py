@@ -5,7 +5,7 @@ No call here blocks: a driver keeps its wire in a thread or task of its own.
 
 from typing import Protocol
 
-from schemas.messages import MocapFrame, PressureReading, RailReading
+from softarm.schemas.messages import MocapFrame, PressureReading, RailReading
 
 
 class DeviceError(Exception):

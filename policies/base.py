@@ -14,7 +14,7 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
-from schemas.policy import TrainingRange
+from softarm.schemas.policy import TrainingRange
 
 Array = NDArray[np.float32]
 MODELS = Path(__file__).parent / "models"  # the shipped ones, chosen by their stem
@@ -48,7 +48,7 @@ class Policy(Protocol):
     def step(self, observation: Array, goal: Array) -> Array:
         """Choose the next command.
 
-        observation: float32 [8], `schemas.policy.OBSERVATION` order, SI units and kPa.
+        observation: float32 [8], `softarm.schemas.policy.OBSERVATION` order, SI units and kPa.
         goal: float32 [2], target y and z in metres.
         Returns float32 [2]: cart velocity (m/s), muscle pressure (kPa). The safety filter has the last word.
         """

@@ -5,8 +5,8 @@ import math
 
 import numpy as np
 
-from policies.base import Array, PolicyError, PolicySpec
-from schemas.excitation import EXCITATIONS
+from softarm.policies.base import Array, PolicyError, PolicySpec
+from softarm.schemas.excitation import EXCITATIONS
 
 RATE_HZ = 30.0
 LEAD_IN_S = 4.0  # the cart comes to the middle, the arm to rest

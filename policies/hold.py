@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from policies.base import Array, PolicyError, PolicySpec
-from schemas.policy import ACTION
+from softarm.policies.base import Array, PolicyError, PolicySpec
+from softarm.schemas.policy import ACTION
 
 
 class Hold:

@@ -9,8 +9,8 @@ import numpy as np
 import onnxruntime as ort
 from pydantic import ValidationError
 
-from policies.base import MODELS, Array, PolicyError, PolicySpec
-from schemas.policy import ACTION, GOALS, METADATA_KEY, OBSERVATION, REACH_GOAL, PolicyMetadata, Signal
+from softarm.policies.base import MODELS, Array, PolicyError, PolicySpec
+from softarm.schemas.policy import ACTION, GOALS, METADATA_KEY, OBSERVATION, REACH_GOAL, PolicyMetadata, Signal
 
 RATE_HZ = 30
 _WARM_UP_STEPS = 3

@@ -4,8 +4,8 @@ import math
 
 import numpy as np
 
-from policies.base import Array, PolicyError, PolicySpec
-from schemas.policy import ACTION, OBSERVATION
+from softarm.policies.base import Array, PolicyError, PolicySpec
+from softarm.schemas.policy import ACTION, OBSERVATION
 
 _NAMES = [signal.name for signal in OBSERVATION]
 _TIP = slice(_NAMES.index("tip_y"), _NAMES.index("tip_z") + 1)

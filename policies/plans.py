@@ -9,7 +9,7 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from policies.base import MODELS, Array, PolicyError
+from softarm.policies.base import MODELS, Array, PolicyError
 
 FORMAT = 1
 RATE_HZ = 30

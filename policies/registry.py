@@ -6,8 +6,8 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from importlib.metadata import entry_points
 
-from policies.base import MODELS, Policy, PolicyError, PolicySpec
-from schemas.config import Policy as ConfiguredPolicy
+from softarm.policies.base import MODELS, Policy, PolicyError, PolicySpec
+from softarm.schemas.config import Policy as ConfiguredPolicy
 
 GROUP = "softarm.policies"
 

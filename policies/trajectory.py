@@ -5,9 +5,9 @@ from pathlib import Path
 
 import numpy as np
 
-from policies.base import Array, PolicyError, PolicySpec
-from policies.plans import Plans, find, sha256
-from schemas.policy import ACTION, OBSERVATION, TrainingRange
+from softarm.policies.base import Array, PolicyError, PolicySpec
+from softarm.policies.plans import Plans, find, sha256
+from softarm.schemas.policy import ACTION, OBSERVATION, TrainingRange
 
 TARGET_TOLERANCE_M = 0.01
 START_TOLERANCE_M = 0.03  # of the cart and of the tip, from where a plan begins

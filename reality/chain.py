@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from schemas.model import Arm
+from softarm.schemas.model import Arm
 
 Array = NDArray[np.float64]
 

@@ -1,13 +1,13 @@
 """All that can be set about the independent robot. The defaults are the nominal robot: no imperfection at all.
 
-Nominal figures are those of `schemas.model` (sources there); sensor noise is what such sensors ordinarily have.
+Nominal figures are those of `softarm.schemas.model` (sources there); sensor noise is what such sensors ordinarily have.
 Every group is frozen and checks itself; `dataclasses.replace` makes a robot with an imperfection.
 """
 
 from dataclasses import dataclass, field
 
-import schemas.model as seed
-from reality.quantities import INF, Checked, quantity
+import softarm.schemas.model as seed
+from softarm.reality.quantities import INF, Checked, quantity
 
 _SEED = seed.Model()
 _LAG, _RAMP = _SEED.effects["pressure.lag"], _SEED.effects["rail.acceleration_limit"]

@@ -10,8 +10,8 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from reality.chain import Chain, refine
-from reality.parameters import Parameters
+from softarm.reality.chain import Chain, refine
+from softarm.reality.parameters import Parameters
 
 Array = NDArray[np.float64]
 

@@ -9,8 +9,8 @@ import math
 
 import numpy as np
 
-from reality.parameters import Rail
-from reality.wire import Wire
+from softarm.reality.parameters import Rail
+from softarm.reality.wire import Wire
 
 # With play, the motor is a body of its own, taken out of the cart's mass; its belt holds beyond the play.
 MOTOR_KG = 0.1

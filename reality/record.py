@@ -12,10 +12,10 @@ from pathlib import Path
 import numpy as np
 import yaml
 
-from reality.parameters import Parameters
-from reality.robot import Robot
-from schemas.messages import BODY_NAMES, MocapFrame
-from schemas.policy import OBSERVATION
+from softarm.reality.parameters import Parameters
+from softarm.reality.robot import Robot
+from softarm.schemas.messages import BODY_NAMES, MocapFrame
+from softarm.schemas.policy import OBSERVATION
 
 RATE_HZ = 30
 SETTLE_S = 0.5  # every sensor is heard; not recorded
@@ -60,7 +60,7 @@ class _Log:
             self._difference(frames[-1])
 
     def observe(self, t_s: float) -> None:
-        """One row in the order of `schemas.policy.OBSERVATION`, once every sensor has been heard."""
+        """One row in the order of `softarm.schemas.policy.OBSERVATION`, once every sensor has been heard."""
         if self.frame is None or self.pressure_kpa is None:
             return
         cart, tip = self.frame.bodies[0], self.frame.bodies[-1]

@@ -4,8 +4,8 @@ import math
 
 import numpy as np
 
-from reality.parameters import Regulator
-from reality.wire import Wire
+from softarm.reality.parameters import Regulator
+from softarm.reality.wire import Wire
 
 
 class PressureRegulator:

@@ -6,12 +6,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from reality.parameters import Parameters
-from reality.plant import RATE_HZ, Plant
-from reality.rail import Servo
-from reality.regulator import PressureRegulator
-from reality.sensors import Cameras, Encoder, Gauge
-from schemas.messages import MocapFrame, PressureReading, RailReading
+from softarm.reality.parameters import Parameters
+from softarm.reality.plant import RATE_HZ, Plant
+from softarm.reality.rail import Servo
+from softarm.reality.regulator import PressureRegulator
+from softarm.reality.sensors import Cameras, Encoder, Gauge
+from softarm.schemas.messages import MocapFrame, PressureReading, RailReading
 
 DT_S = 1 / RATE_HZ
 # Every device draws from a stream of its own, so that one imperfection never changes another's noise.

@@ -8,8 +8,8 @@ from collections import deque
 import numpy as np
 from numpy.typing import NDArray
 
-from reality.parameters import Mocap, PressureSensor, RailSensor
-from schemas.messages import MocapFrame, Pose, PressureReading, RailReading
+from softarm.reality.parameters import Mocap, PressureSensor, RailSensor
+from softarm.schemas.messages import MocapFrame, Pose, PressureReading, RailReading
 
 Array = NDArray[np.float64]
 
@@ -41,7 +41,7 @@ class Timer:
 
 
 class Cameras:
-    """Six marker sets, `schemas.messages.BODY_NAMES`. Frames wait in order until they have been received."""
+    """Six marker sets, `softarm.schemas.messages.BODY_NAMES`. Frames wait in order until they have been received."""
 
     def __init__(self, parameters: Mocap, drift: float, base_height_m: float, random: np.random.Generator) -> None:
         self._p, self._drift, self._base_m, self._random = parameters, drift, base_height_m, random

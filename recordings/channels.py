@@ -5,8 +5,8 @@ from typing import Generic, TypeVar
 
 from pydantic import ConfigDict, RootModel, TypeAdapter
 
-from schemas import log
-from schemas.messages import MocapFrame, PressureReading, RailReading
+from softarm.schemas import log
+from softarm.schemas.messages import MocapFrame, PressureReading, RailReading
 
 T = TypeVar("T")
 

@@ -5,7 +5,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
-from schemas.base import Strict
+from softarm.schemas.base import Strict
 
 
 class RailLimits(Strict):

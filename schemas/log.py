@@ -1,8 +1,8 @@
-"""What a log file (MCAP) holds, by name. The messages are in `daemon.channels`, the page is docs/logs.md."""
+"""What a log file (MCAP) holds, by name. Messages: `softarm.daemon.logbook.channels`; the page: docs/logs.md."""
 
 from pydantic import AwareDatetime
 
-from schemas.base import Strict
+from softarm.schemas.base import Strict
 
 MOCAP, PRESSURE, RAIL, REQUEST, TICK = "/mocap", "/pressure", "/rail", "/request", "/tick"
 

@@ -8,7 +8,7 @@ Every stamp is CLOCK_MONOTONIC nanoseconds of the daemon's host.
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from schemas.base import json_object
+from softarm.schemas.base import json_object
 
 BODY_NAMES = ("cart", "link1", "link2", "link3", "link4", "link5")
 

@@ -10,7 +10,7 @@ from typing import Annotated, Self
 
 from pydantic import Field, model_validator
 
-from schemas.base import Strict
+from softarm.schemas.base import Strict
 
 KPA_PER_PSI = 6.894757
 
@@ -81,7 +81,7 @@ class Model(Strict):
     """A model file: the robot's parameters and the simulator's effects; by default the seed's simulator.
 
     effects: effect name -> its parameters; an effect that is absent is one that the simulator lacks. Names, units
-    and bounds are the registry's; `simulator.effects.validate` checks them, whoever simulates calls it.
+    and bounds are the registry's; `softarm.simulator.effects.validate` checks them, whoever simulates calls it.
     """
 
     arm: Arm = Arm()

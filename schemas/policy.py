@@ -4,7 +4,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from schemas.base import Strict
+from softarm.schemas.base import Strict
 
 METADATA_KEY = "softarm"
 TaskKind = Literal["reach", "shelf"]

@@ -1,13 +1,13 @@
-"""Bodies of the REST API, in and out; the status itself is `daemon.status.Status`. See docs/rest.md."""
+"""Bodies of the REST API, in and out; the status itself is `softarm.daemon.api.status.Status`. See docs/rest.md."""
 
 from typing import Annotated, Literal
 
 from pydantic import Field
 
-from schemas.base import Strict
-from schemas.goals import GoalKind, GoalState
-from schemas.log import LogEntry
-from schemas.policy import TrainingRange
+from softarm.schemas.base import Strict
+from softarm.schemas.goals import GoalKind, GoalState
+from softarm.schemas.log import LogEntry
+from softarm.schemas.policy import TrainingRange
 
 
 class ReachBody(Strict):

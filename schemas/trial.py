@@ -4,7 +4,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from schemas.base import Strict
+from softarm.schemas.base import Strict
 
 # What a column's numbers are multiplied by to get the unit that diagnosis works in.
 UNITS: dict[str, tuple[float, str]] = {

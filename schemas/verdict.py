@@ -1,10 +1,10 @@
-"""verdict.json: what a diagnosis says. The JSON Schema is printed by `python -m schemas.verdict`."""
+"""verdict.json: what a diagnosis says. The JSON Schema is printed by `python -m softarm.schemas.verdict`."""
 
 from typing import Annotated, Literal
 
 from pydantic import Field
 
-from schemas.base import Strict
+from softarm.schemas.base import Strict
 
 Share = Annotated[float, Field(ge=0, le=1)]
 

@@ -1,4 +1,4 @@
-"""The table of effects: one entry each, in causal order. `simulator.effects` is the way in.
+"""The table of effects: one entry each, in causal order. `softarm.simulator.effects` is the way in.
 
 Sources: [P] the CoRL 2023 paper (sections; SM: its supplement), [C] its authors' released configuration; the others are
 the standard model of the thing, named. Bounds are physical: what a rig of this kind could have at the very worst.
@@ -7,7 +7,7 @@ the standard model of the thing, named. Bounds are physical: what a rig of this 
 import math
 from dataclasses import dataclass
 
-from simulator.quantities import Range
+from softarm.simulator.quantities import Range
 
 STAGES = ("pressure", "rail", "arm", "mocap", "observation", "clock", "contact")
 

@@ -1,6 +1,6 @@
 """The registry of effects: what a simulator can have or lack. Everything that speaks of an effect reads it here.
 
-`python -m simulator.effects` prints docs/effects.md.
+`python -m softarm.simulator.effects` prints docs/effects.md.
 """
 
 import difflib
@@ -8,8 +8,8 @@ from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from typing import NamedTuple
 
-from schemas.model import Model
-from simulator.effect_table import EFFECTS, RIVALS, STAGES, Effect, Parameter
+from softarm.schemas.model import Model
+from softarm.simulator.effect_table import EFFECTS, RIVALS, STAGES, Effect, Parameter
 
 __all__ = ["REGISTRY", "STAGES", "Effect", "EffectError", "Parameter", "exemplars", "find", "validate", "value"]
 
@@ -119,6 +119,6 @@ def _unknown(name: str) -> str:
 
 
 if __name__ == "__main__":
-    from simulator.effects_page import page
+    from softarm.simulator.effects_page import page
 
     print(page(), end="")

@@ -1,13 +1,13 @@
-"""docs/effects.md, from the registry: `python -m simulator.effects > docs/effects.md`."""
+"""docs/effects.md, from the registry: `python -m softarm.simulator.effects > docs/effects.md`."""
 
 from collections.abc import Iterator
 
-from schemas.model import seed_effects
-from simulator.effect_table import RIVALS
-from simulator.effects import REGISTRY, STAGES, Effect, Parameter
+from softarm.schemas.model import seed_effects
+from softarm.simulator.effect_table import RIVALS
+from softarm.simulator.effects import REGISTRY, STAGES, Effect, Parameter
 
 _INTRO = """\
-<!-- Written by `python -m simulator.effects > docs/effects.md`; edit simulator/effect_table.py instead. -->
+<!-- Written by `python -m softarm.simulator.effects > docs/effects.md`; edit simulator/effect_table.py instead. -->
 # Effects
 
 An effect is a named piece of physics, actuation, sensing or timing that a simulator can have or lack. A model file

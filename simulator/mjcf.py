@@ -7,9 +7,9 @@ MuJoCo's x is the model's y, its z the model's z; joint angles are positive towa
 import math
 from typing import NamedTuple
 
-from schemas.model import Model
-from simulator import effects
-from simulator.effects import REGISTRY
+from softarm.schemas.model import Model
+from softarm.simulator import effects
+from softarm.simulator.effects import REGISTRY
 
 RADIUS_M = 0.0381  # of the beam ([P] SM-E); looks alone, nothing collides
 COMMAND_KPA = (-0.7, 20.0)  # [P] section 3.2

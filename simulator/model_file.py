@@ -1,4 +1,4 @@
-"""Model files: a robot's parameters and a simulator's effects as YAML, to and from `schemas.model.Model`."""
+"""Model files: a robot's parameters and a simulator's effects as YAML, to and from `softarm.schemas.model.Model`."""
 
 import difflib
 import hashlib
@@ -11,12 +11,12 @@ from typing import Any, TypeVar
 import yaml
 from pydantic import BaseModel, ValidationError
 
-from schemas.model import Model
-from simulator import effects
-from simulator.effects import REGISTRY
-from simulator.quantities import Range
-from simulator.robot_table import ROBOT
-from simulator.yaml_lines import Document, Place, YamlError, parse
+from softarm.schemas.model import Model
+from softarm.simulator import effects
+from softarm.simulator.effects import REGISTRY
+from softarm.simulator.quantities import Range
+from softarm.simulator.robot_table import ROBOT
+from softarm.simulator.yaml_lines import Document, Place, YamlError, parse
 
 # The shipped models: the seed's simulator, and its four ablations.
 MODELS = Path(__file__).parent / "models"

@@ -3,9 +3,9 @@
 from collections.abc import Iterator
 from typing import NamedTuple
 
-from schemas.model import Model
-from simulator import effects
-from simulator.robot_table import ROBOT
+from softarm.schemas.model import Model
+from softarm.simulator import effects
+from softarm.simulator.robot_table import ROBOT
 
 ABSENT = "absent"
 

@@ -5,10 +5,10 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from schemas.model import Arm, Cart, Model
-from simulator import kernel
-from simulator.effects import EffectError, Problem, find, validate, value
-from simulator.kernel import contact, layout
+from softarm.schemas.model import Arm, Cart, Model
+from softarm.simulator import kernel
+from softarm.simulator.effects import EffectError, Problem, find, validate, value
+from softarm.simulator.kernel import contact, layout
 
 Array = NDArray[np.float64]
 

@@ -4,7 +4,7 @@ import math
 import re
 from dataclasses import dataclass
 
-from schemas.model import KPA_PER_PSI
+from softarm.schemas.model import KPA_PER_PSI
 
 DEGREE_RAD = math.pi / 180
 

@@ -1,12 +1,12 @@
 """The robot's own parameters: unit, what a robot of this kind could have at the very worst, and the seed's source.
 
-Read by the model file's reader and by `softarm model show`; defaults are in `schemas.model`.
+Read by the model file's reader and by `softarm model show`; defaults are in `softarm.schemas.model`.
 Sources: [P] the CoRL 2023 paper (sections; SM: its supplement), [C] its authors' released configuration.
 """
 
 from dataclasses import dataclass
 
-from simulator.quantities import Range
+from softarm.simulator.quantities import Range
 
 
 @dataclass(frozen=True)

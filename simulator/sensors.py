@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from simulator.simulator import Array, Simulator
+from softarm.simulator.simulator import Array, Simulator
 
 # Poses are kept for at least this long beyond the last one that was still needed, s.
 _KEPT = 2

@@ -10,10 +10,10 @@ import numba
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from schemas.model import Model
-from simulator import kernel
-from simulator.kernel import layout
-from simulator.pack import Effects, needed, pack
+from softarm.schemas.model import Model
+from softarm.simulator import kernel
+from softarm.simulator.kernel import layout
+from softarm.simulator.pack import Effects, needed, pack
 
 Array = NDArray[np.floating]
 

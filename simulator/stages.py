@@ -10,8 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from schemas.model import Model
-from simulator.simulator import Array, Simulator
+from softarm.schemas.model import Model
+from softarm.simulator.simulator import Array, Simulator
 
 Overrides = Mapping[str, ArrayLike]
 

@@ -1,10 +1,10 @@
 """The tasks as Gymnasium environments: `SoftArmReach-v0`, `SoftArmShelf-v0`, single and vectorised.
 
-Importing this registers them; `gymnasium.make("training.gym_envs:SoftArmReach-v0")` imports it.
+Importing this registers them; `gymnasium.make("softarm.training.gym_envs:SoftArmReach-v0")` imports it.
 
 Actions, float32 [2] in -1..1: cart velocity and pressure over their command ranges. Observations, float32, in the order
-of `schemas.policy.OBSERVATION` and the task's goal, each in its unit. Rewards and episodes are the task's; `info` has
-`success`. The vectorised ones step all robots in one call of the kernel and reset in the same step
+of `schemas.policy.OBSERVATION` and the task's goal, each in its unit. Rewards and episodes are the task's; `info`
+has `success`. The vectorised ones step all robots in one call of the kernel and reset in the same step
 (AutoresetMode.SAME_STEP): where an episode ended, `info["final_obs"]` has its last observation and
 `info["final_info"]` its success. Where the goal lies may be given to `reset`, as options.
 """
@@ -19,12 +19,12 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
-from schemas.model import Model
-from schemas.policy import ACTION, OBSERVATION
-from simulator import model_file
-from training.environment import Step
-from training.shelf import ShelfEnvironment, ShelfTask, environment_of
-from training.tasks import ReachTask
+from softarm.schemas.model import Model
+from softarm.schemas.policy import ACTION, OBSERVATION
+from softarm.simulator import model_file
+from softarm.training.task.environment import Step
+from softarm.training.task.reach import ReachTask
+from softarm.training.task.shelf import ShelfEnvironment, ShelfTask, environment_of
 
 Array = NDArray[np.float32]
 ACTIONS = Box(-1.0, 1.0, (len(ACTION),), np.float32)
@@ -196,6 +196,6 @@ class ShelfVectorEnv(_ManyEnv):
 for _task in ("Reach", "Shelf"):
     gymnasium.register(
         f"SoftArm{_task}-v0",
-        entry_point=f"training.gym_envs:{_task}Env",
-        vector_entry_point=f"training.gym_envs:{_task}VectorEnv",
+        entry_point=f"softarm.training.gym_envs:{_task}Env",
+        vector_entry_point=f"softarm.training.gym_envs:{_task}VectorEnv",
     )

@@ -2,8 +2,8 @@
 
 from html import escape
 
-from cli.comparison.table import CEILING, Comparison, Figure
-from schemas.goals import TEST_TARGETS
+from softarm.cli.comparison.table import CEILING, Comparison, Figure
+from softarm.schemas.goals import TEST_TARGETS
 
 _STYLE = """
 body { font: 15px/1.45 system-ui, sans-serif; margin: 2rem auto; max-width: 75rem; padding: 0 1rem; color: #222 }

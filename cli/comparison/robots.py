@@ -3,8 +3,8 @@
 All but the nominal one differ from what every policy but a robust one was trained for.
 """
 
-from reality.parameters import Arm, Parameters, Rail, Regulator
-from simulator.effects import exemplars
+from softarm.reality.parameters import Arm, Parameters, Rail, Regulator
+from softarm.simulator.effects import exemplars
 
 # As strong as the registry's examples: 50 g at the tip, a regulator that takes half as long again, a drive that hears
 # half a tick later.

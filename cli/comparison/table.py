@@ -12,17 +12,17 @@ from typing import NamedTuple, TypedDict
 
 import numpy as np
 
-from cli.comparison.tests import COLUMNS, TESTS, label
-from cli.comparison.trials import Outcome, Trial
-from daemon.evaluation import CART_STARTS_M
-from policies import registry
-from policies.base import PolicyError
-from policies.onnx_policy import OnnxPolicy
-from schemas.config import Policy as ConfiguredPolicy
-from schemas.goals import TEST_TARGETS, TRAINED_Z_MAX_M, Goal
-from schemas.model import Model
-from schemas.policy import TrainingRange
-from simulator import model_file
+from softarm.cli.comparison.tests import COLUMNS, TESTS, label
+from softarm.cli.comparison.trials import Outcome, Trial
+from softarm.daemon.evaluation import CART_STARTS_M
+from softarm.policies import registry
+from softarm.policies.base import PolicyError
+from softarm.policies.onnx_policy import OnnxPolicy
+from softarm.schemas.config import Policy as ConfiguredPolicy
+from softarm.schemas.goals import TEST_TARGETS, TRAINED_Z_MAX_M, Goal
+from softarm.schemas.model import Model
+from softarm.schemas.policy import TrainingRange
+from softarm.simulator import model_file
 
 # The paper's own figures, on its hardware (section 4, Table 1, SM-H, SM-I); shares.
 HARDWARE: dict[str, dict[str, float]] = {
@@ -182,7 +182,7 @@ def summary(flown: dict[Job, list[Outcome]]) -> Comparison:
 
 def _search(wanted: Sequence[Trial], model: Model | None) -> list[Outcome]:
     """Search open-loop commands for trials that share their start."""
-    from training.ceiling import search
+    from softarm.training.trajectory.ceiling import search
 
     targets_m = np.array([(trial.goal.y_m, trial.goal.z_m) for trial in wanted], dtype=np.float32)
     found = search(targets_m, wanted[0].cart_start_m, model)

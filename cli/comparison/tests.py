@@ -4,12 +4,12 @@ import importlib.util
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
-from cli.comparison import trials
-from cli.comparison.robots import ROBOTS
-from cli.comparison.trials import Outcome, Trial
-from policies.base import Policy
-from schemas.model import Model
-from simulator import model_file
+from softarm.cli.comparison import trials
+from softarm.cli.comparison.robots import ROBOTS
+from softarm.cli.comparison.trials import Outcome, Trial
+from softarm.policies.base import Policy
+from softarm.schemas.model import Model
+from softarm.simulator import model_file
 
 COLUMNS = {
     "in_range": "z <= 0.70 m",

@@ -7,15 +7,15 @@ from typing import NamedTuple, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from daemon.evaluation import CART_STARTS_M
-from daemon.offline import Lockstep
-from daemon.records import Mode
-from drivers.simulated import SimulatedRobot
-from policies.base import Array, Policy, PolicyError
-from reality.parameters import Parameters
-from schemas.config import Config
-from schemas.goals import SHELF_TARGETS, TEST_TARGETS, Goal
-from schemas.model import Model
+from softarm.daemon.control.records import Mode
+from softarm.daemon.evaluation import CART_STARTS_M
+from softarm.daemon.shell.offline import Lockstep
+from softarm.drivers.bodies.simulated import SimulatedRobot
+from softarm.policies.base import Array, Policy, PolicyError
+from softarm.reality.parameters import Parameters
+from softarm.schemas.config import Config
+from softarm.schemas.goals import SHELF_TARGETS, TEST_TARGETS, Goal
+from softarm.schemas.model import Model
 
 BOARD_BELOW_M = 0.005  # from a shelf's target down to its lower board ([C], as training.shelf)
 SHELF_Y_M, SHELF_Z_M, SHELF_DEPTH_M = (-0.48, -0.40), (0.58, 0.67), (-0.05, 0.20)  # [P] section 4.2
@@ -174,7 +174,7 @@ def swing(policy: Policy, model: Model | None, trial: Trial) -> Lockstep:
 
 def fly_held_back(policy: Policy, parameters: Parameters, trials: Iterable[Trial]) -> list[Outcome]:
     """From rest on an independent robot, a new one for each trial. Needs the extra `mujoco`."""
-    from drivers.independent import IndependentRobot
+    from softarm.drivers.bodies.independent import IndependentRobot
 
     outcomes = []
     for trial in trials:

@@ -6,11 +6,11 @@ from typing import Any, Literal, TypeVar
 
 import numpy as np
 
-from diagnosis.blind.imperfections import KNOWN, REMOVABLE, UNKNOWN, UNKNOWNS, Cause, draw_cause, draw_nuisances
-from reality.parameters import Parameters
-from schemas.excitation import EXCITATIONS
-from schemas.model import Model
-from simulator.effects import REGISTRY
+from softarm.diagnosis.blind.imperfections import KNOWN, REMOVABLE, UNKNOWN, UNKNOWNS, Cause, draw_cause, draw_nuisances
+from softarm.reality.parameters import Parameters
+from softarm.schemas.excitation import EXCITATIONS
+from softarm.schemas.model import Model
+from softarm.simulator.effects import REGISTRY
 
 T = TypeVar("T")
 Kind = Literal["single", "two", "none", "unknown"]

@@ -11,8 +11,8 @@ from typing import Any, Literal
 
 import numpy as np
 
-from reality.parameters import Parameters
-from schemas.model import Arm
+from softarm.reality.parameters import Parameters
+from softarm.schemas.model import Arm
 
 UNKNOWN = "unknown."
 

@@ -4,13 +4,13 @@ import shutil
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from diagnosis.blind import seal
-from diagnosis.blind.cases import Case, Flight, draw
-from diagnosis.blind.processes import as_they_come
-from reality.parameters import Parameters
-from reality.record import record
-from schemas.excitation import EXCITATIONS
-from simulator import model_file
+from softarm.diagnosis.blind import seal
+from softarm.diagnosis.blind.cases import Case, Flight, draw
+from softarm.diagnosis.blind.processes import as_they_come
+from softarm.reality.parameters import Parameters
+from softarm.reality.record import record
+from softarm.schemas.excitation import EXCITATIONS
+from softarm.simulator import model_file
 
 OnCase = Callable[[str], None]
 

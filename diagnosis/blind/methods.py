@@ -4,9 +4,9 @@ from collections.abc import Callable, Sequence
 from importlib import import_module
 from typing import Protocol
 
-from diagnosis.trials import Trial
-from schemas.model import Model
-from schemas.verdict import Verdict
+from softarm.diagnosis.trials import Trial
+from softarm.schemas.model import Model
+from softarm.schemas.verdict import Verdict
 
 
 class Diagnosed(Protocol):
@@ -37,10 +37,10 @@ def _target(where: str) -> Method:
 
 DEFAULT = "diagnose"
 METHODS: dict[str, Method] = {
-    DEFAULT: _target("diagnosis.diagnose:diagnose"),
-    "largest-gain": _target("diagnosis.baselines:largest_gain"),  # the one effect that gains most over nominal
-    "bic": _target("diagnosis.baselines:bic"),  # forward selection by BIC alone
-    "all-at-once": _target("diagnosis.baselines:all_at_once"),  # every parameter fitted, ranked by value over interval
+    DEFAULT: _target("softarm.diagnosis.diagnose:diagnose"),
+    "largest-gain": _target("softarm.diagnosis.baselines:largest_gain"),  # the one effect that gains most over nominal
+    "bic": _target("softarm.diagnosis.baselines:bic"),  # forward selection by BIC alone
+    "all-at-once": _target("softarm.diagnosis.baselines:all_at_once"),  # all fitted, ranked by value over interval
 }
 
 

@@ -7,13 +7,13 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-from diagnosis import read
-from diagnosis.blind import pages, run, seal
-from diagnosis.blind.score import Scored, score
-from diagnosis.trials import Trial
-from schemas.model import Model
-from schemas.verdict import Verdict
-from simulator import model_file
+from softarm.diagnosis import read
+from softarm.diagnosis.blind import pages, run, seal
+from softarm.diagnosis.blind.score import Scored, score
+from softarm.diagnosis.trials import Trial
+from softarm.schemas.model import Model
+from softarm.schemas.verdict import Verdict
+from softarm.simulator import model_file
 
 # Fresh trials, nominal model, patched model -> stage (and `chain`) -> share of the gap that is gone.
 Measure = Callable[[Sequence[Trial], Model, Model], Mapping[str, float]]
@@ -22,8 +22,8 @@ OnCase = Callable[[str, int, int], None]
 
 
 def measure_shrink(trials: Sequence[Trial], nominal: Model, patched: Model) -> Mapping[str, float]:
-    """That of `diagnosis.shrink`, imported when it is needed."""
-    found: Mapping[str, float] = import_module("diagnosis.shrink").measure_shrink(trials, nominal, patched)
+    """That of `softarm.diagnosis.shrink`, imported when it is needed."""
+    found: Mapping[str, float] = import_module("softarm.diagnosis.shrink").measure_shrink(trials, nominal, patched)
     return found
 
 

@@ -8,16 +8,14 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-import diagnosis
-import schemas
-import simulator
-from diagnosis import read
-from diagnosis.blind import methods, seal
-from diagnosis.blind.processes import as_they_come
-from diagnosis.trials import Trial
-from schemas.model import Model
-from schemas.verdict import Verdict
-from simulator import model_file
+from softarm import diagnosis, schemas, simulator
+from softarm.diagnosis import read
+from softarm.diagnosis.blind import methods, seal
+from softarm.diagnosis.blind.processes import as_they_come
+from softarm.diagnosis.trials import Trial
+from softarm.schemas.model import Model
+from softarm.schemas.verdict import Verdict
+from softarm.simulator import model_file
 
 Clock = Callable[[], float]
 # case, answered, of

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from itertools import permutations
 from typing import Any
 
-from schemas.verdict import NamedEffect, Verdict
+from softarm.schemas.verdict import NamedEffect, Verdict
 
 BINS = 10
 _Z95 = 1.959964

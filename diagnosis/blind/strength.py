@@ -1,4 +1,4 @@
-"""How strongly the weakest of every cause shows, against what the nuisances do: `python -m diagnosis.blind.strength`.
+"""How strongly the weakest of every cause shows beside the nuisances: `python -m softarm.diagnosis.blind.strength`.
 
 One robot with nuisances flies the same commands with and without the cause, everything else equal to the bit. The root
 mean square of what that changes in a signal of the cause's own stage is set against the same root mean square
@@ -15,8 +15,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from diagnosis import folder
-from diagnosis.blind.imperfections import (
+from softarm.diagnosis import folder
+from softarm.diagnosis.blind.imperfections import (
     KNOWN,
     UNKNOWN,
     UNKNOWNS,
@@ -26,10 +26,10 @@ from diagnosis.blind.imperfections import (
     stage_of,
     variants_of,
 )
-from diagnosis.trials import Trial
-from reality.parameters import Parameters
-from reality.record import SETTLE_S, record
-from schemas.excitation import EXCITATIONS
+from softarm.diagnosis.trials import Trial
+from softarm.reality.parameters import Parameters
+from softarm.reality.record import SETTLE_S, record
+from softarm.schemas.excitation import EXCITATIONS
 
 Signals = Mapping[str, NDArray[np.float64]]
 

@@ -7,10 +7,10 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 
-from diagnosis.gap.robot_views import ABOUT_RAIL, ON_MOTOR
-from diagnosis.gap.view import Point
-from schemas.model import Model
-from simulator.effects import REGISTRY, Parameter, value
+from softarm.diagnosis.gap.robot_views import ABOUT_RAIL, ON_MOTOR
+from softarm.diagnosis.gap.view import Point
+from softarm.schemas.model import Model
+from softarm.simulator.effects import REGISTRY, Parameter, value
 
 BOUND_SHARE = 0.02  # of a dial's size: closer to a bound than this is at it
 

@@ -5,12 +5,12 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from diagnosis.gap.recordings import STEP_S, Flight
-from diagnosis.gap.robot_views import ABOUT_RAIL, ARM_HZ, delayed, directions, parameters
-from diagnosis.gap.view import Array, Point
-from schemas.model import Model
-from simulator.effects import REGISTRY, value
-from simulator.simulator import Simulator
+from softarm.diagnosis.gap.recordings import STEP_S, Flight
+from softarm.diagnosis.gap.robot_views import ABOUT_RAIL, ARM_HZ, delayed, directions, parameters
+from softarm.diagnosis.gap.view import Array, Point
+from softarm.schemas.model import Model
+from softarm.simulator.effects import REGISTRY, value
+from softarm.simulator.simulator import Simulator
 
 FLOOR_M = 0.004  # what two honest simulators of one robot differ by at the tip, from commands alone
 _PHYSICS = parameters(*(n for n, e in REGISTRY.items() if e.stage in ("pressure", "rail", "arm")))

@@ -4,7 +4,7 @@
 named with one, one was. More cases of the second kind are needed; until then a set of k counts 1 / k and a little.
 """
 
-from diagnosis.gap.search import Member
+from softarm.diagnosis.gap.search import Member
 
 ALONE = 0.94
 OF_A_SET = 0.6

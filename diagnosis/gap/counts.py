@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
-from diagnosis.gap.view import Array
-from diagnosis.trials import Series, Trial
-from schemas.model import Model
-from simulator.effects import REGISTRY, value
+from softarm.diagnosis.gap.view import Array
+from softarm.diagnosis.trials import Series, Trial
+from softarm.schemas.model import Model
+from softarm.simulator.effects import REGISTRY, value
 
 # What a well-kept rig shows anyway: below, an effect is not named.
 TOLERANCE = {"clock.jitter": 0.0012, "clock.missed_ticks": 0.015, "mocap.dropout": 0.02, "mocap.noise": 0.0005}

@@ -6,14 +6,14 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import welch
 
-from diagnosis.gap.ceiling import regimes
-from diagnosis.gap.problem import Setup
-from diagnosis.gap.recordings import RATE_HZ
-from diagnosis.gap.result import Leftover, Overlay, Regime, Rival, Spectrum
-from diagnosis.gap.search import Choice, Gain, Member, Search
-from diagnosis.gap.view import Point, View
-from diagnosis.trials import Trial
-from schemas.verdict import Interval
+from softarm.diagnosis.gap.ceiling import regimes
+from softarm.diagnosis.gap.problem import Setup
+from softarm.diagnosis.gap.recordings import RATE_HZ
+from softarm.diagnosis.gap.result import Leftover, Overlay, Regime, Rival, Spectrum
+from softarm.diagnosis.gap.search import Choice, Gain, Member, Search
+from softarm.diagnosis.gap.view import Point, View
+from softarm.diagnosis.trials import Trial
+from softarm.schemas.verdict import Interval
 
 Gap = NDArray[np.float32]
 BANDS = ((0.0, 0.5, "below 0.5 Hz"), (0.5, 2.0, "from 0.5 to 2 Hz"), (2.0, 30.0, "above 2 Hz"))

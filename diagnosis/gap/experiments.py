@@ -6,13 +6,13 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
-from diagnosis.gap.robot_views import FLOOR_KPA, FLOOR_M_S
-from diagnosis.gap.view import Point
-from schemas.excitation import EXCITATIONS, Excitation
-from schemas.model import Model
-from schemas.verdict import NextExperiment
-from simulator.effects import value
-from simulator.simulator import Simulator
+from softarm.diagnosis.gap.robot_views import FLOOR_KPA, FLOOR_M_S
+from softarm.diagnosis.gap.view import Point
+from softarm.schemas.excitation import EXCITATIONS, Excitation
+from softarm.schemas.model import Model
+from softarm.schemas.verdict import NextExperiment
+from softarm.simulator.effects import value
+from softarm.simulator.simulator import Simulator
 
 TICK_S = 1 / 30
 # Channel -> unit and what counts as a difference.

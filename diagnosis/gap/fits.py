@@ -10,10 +10,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from diagnosis.gap import box
-from diagnosis.gap.candidates import Candidate
-from diagnosis.gap.lens import Lens, Moments, Rows
-from diagnosis.gap.view import Array, Point
+from softarm.diagnosis.gap import box
+from softarm.diagnosis.gap.candidates import Candidate
+from softarm.diagnosis.gap.lens import Lens, Moments, Rows
+from softarm.diagnosis.gap.view import Array, Point
 
 ROUNDS = 4
 CONVERGED = 1e-3  # of the loss: a round that gains less is the last

@@ -7,8 +7,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
-from diagnosis.gap.search import Choice, Member
-from simulator.effects import REGISTRY
+from softarm.diagnosis.gap.search import Choice, Member
+from softarm.simulator.effects import REGISTRY
 
 STANDS = 0.85  # share of what is explainable where an effect shows that it has to explain to be named
 UNKNOWN_MIN = 0.5  # energy beyond the floor that asks for an explanation

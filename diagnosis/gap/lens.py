@@ -11,8 +11,8 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from diagnosis.gap.noise import Whitener
-from diagnosis.gap.view import Array, Point, View
+from softarm.diagnosis.gap.noise import Whitener
+from softarm.diagnosis.gap.view import Array, Point, View
 
 Rows = NDArray[np.float32]
 Key = tuple[tuple[str, float], ...]

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import solve_toeplitz
 
-from diagnosis.gap.view import Array, View
+from softarm.diagnosis.gap.view import Array, View
 
 ORDER = 5
 FLOOR_SHARE = 0.3  # of the floor, as white noise on top: what is smaller is not weighed

@@ -6,12 +6,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from diagnosis.gap.candidates import JOINT_SHARES, Nuisance
-from diagnosis.gap.fits import Fit, Problem
-from diagnosis.gap.lens import BLOCK_S, Gaps, Lens, blocks_of
-from diagnosis.gap.noise import Whitener, scaled, whitener
-from diagnosis.gap.robot_views import ArmView
-from diagnosis.gap.view import View
+from softarm.diagnosis.gap.candidates import JOINT_SHARES, Nuisance
+from softarm.diagnosis.gap.fits import Fit, Problem
+from softarm.diagnosis.gap.lens import BLOCK_S, Gaps, Lens, blocks_of
+from softarm.diagnosis.gap.noise import Whitener, scaled, whitener
+from softarm.diagnosis.gap.robot_views import ArmView
+from softarm.diagnosis.gap.view import View
 
 # What a second of a view's data is worth, in weighted squares: neighbouring samples and channels say the same twice.
 PER_SECOND = 4.0

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 from scipy.signal import butter, sosfiltfilt
 
-from diagnosis.gap.counts import mocap_noise
-from diagnosis.trials import Series, Trial, TrialError
-from schemas.model import Model
+from softarm.diagnosis.gap.counts import mocap_noise
+from softarm.diagnosis.trials import Series, Trial, TrialError
+from softarm.schemas.model import Model
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]

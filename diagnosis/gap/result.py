@@ -6,8 +6,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from schemas.model import Model
-from schemas.verdict import Interval, Verdict
+from softarm.schemas.model import Model
+from softarm.schemas.verdict import Interval, Verdict
 
 Array = NDArray[np.float64]
 

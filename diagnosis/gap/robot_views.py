@@ -7,11 +7,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from diagnosis.gap.recordings import RATE_HZ, STEP_S, Flight
-from diagnosis.gap.view import Array, Point
-from schemas.model import Model
-from simulator.effects import REGISTRY, value
-from simulator.simulator import Simulator
+from softarm.diagnosis.gap.recordings import RATE_HZ, STEP_S, Flight
+from softarm.diagnosis.gap.view import Array, Point
+from softarm.schemas.model import Model
+from softarm.simulator.effects import REGISTRY, value
+from softarm.simulator.simulator import Simulator
 
 # What no simulator is blamed for, RMS: two honest simulators of one robot (this one and an independent one in MuJoCo,
 # parameters a few per cent off) differ by about this much; docs/diagnosis.md has the figures.

@@ -9,9 +9,9 @@ from functools import cache
 
 import numpy as np
 
-from diagnosis.gap.candidates import Candidate
-from diagnosis.gap.fits import Fit, Problem, Set, U
-from diagnosis.gap.view import Array
+from softarm.diagnosis.gap.candidates import Candidate
+from softarm.diagnosis.gap.fits import Fit, Problem, Set, U
+from softarm.diagnosis.gap.view import Array
 
 EFFECTS_MAX = 3
 STARTS_KEPT = 1

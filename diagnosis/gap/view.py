@@ -1,6 +1,6 @@
 """A view: one stage of the robot, driven by what was measured upstream of it, against what was measured of it.
 
-The search over effects (`diagnosis.gap.search`) knows nothing of robots but this.
+The search over effects (`softarm.diagnosis.gap.search`) knows nothing of robots but this.
 """
 
 from collections.abc import Mapping, Sequence
@@ -20,7 +20,7 @@ class View(Protocol):
 
     @property
     def stage(self) -> str:
-        """Name of the stage, of `simulator.effects.STAGES` or of a single-stage table."""
+        """Name of the stage, of `softarm.simulator.effects.STAGES` or of a single-stage table."""
 
     @property
     def unit(self) -> str:

@@ -2,11 +2,11 @@
 
 from typing import NamedTuple
 
-from diagnosis.gap.result import Diagnosis
-from diagnosis.report.charts import line, svg, write
-from diagnosis.report.markup import Html, el, join
-from diagnosis.report.words import change, percent, quantity
-from simulator.effects import STAGES
+from softarm.diagnosis.gap.result import Diagnosis
+from softarm.diagnosis.report.charts import line, svg, write
+from softarm.diagnosis.report.markup import Html, el, join
+from softarm.diagnosis.report.words import change, percent, quantity
+from softarm.simulator.effects import STAGES
 
 _BOX_W, _BOX_H = 172.0, 96.0
 _SLIM = 84.0  # width of the command's box

@@ -6,11 +6,11 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from diagnosis.gap.result import Spectrum
-from diagnosis.report.markup import Html, el, join
-from diagnosis.report.words import number, percent
-from schemas.excitation import Excitation
-from schemas.verdict import Interval
+from softarm.diagnosis.gap.result import Spectrum
+from softarm.diagnosis.report.markup import Html, el, join
+from softarm.diagnosis.report.words import number, percent
+from softarm.schemas.excitation import Excitation
+from softarm.schemas.verdict import Interval
 
 Array = NDArray[np.float64]
 

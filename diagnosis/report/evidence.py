@@ -2,11 +2,11 @@
 
 from collections.abc import Iterable
 
-from diagnosis.gap.result import Diagnosis, Regime, Rival
-from diagnosis.report import charts, overlays
-from diagnosis.report.markup import Html, bar, el, join, prose, table
-from diagnosis.report.words import interval, number, percent, percents, quantity, unit_of
-from schemas.verdict import Interval
+from softarm.diagnosis.gap.result import Diagnosis, Regime, Rival
+from softarm.diagnosis.report import charts, overlays
+from softarm.diagnosis.report.markup import Html, bar, el, join, prose, table
+from softarm.diagnosis.report.words import interval, number, percent, percents, quantity, unit_of
+from softarm.schemas.verdict import Interval
 
 LEGEND = ("measured", "nominal", "patched")
 

@@ -5,7 +5,7 @@ import re
 from collections.abc import Iterable
 from html import escape
 
-from diagnosis.report.words import NAME
+from softarm.diagnosis.report.words import NAME
 
 _UNIT = re.compile(r"(?<=\d) (?=(?:%|[kM]?Pa|m?s|mm?|mm?/s|rad|k?g|N|Hz)(?!\w))")
 _VOID = frozenset({"br", "meta", "input", "circle", "line", "path", "rect"})

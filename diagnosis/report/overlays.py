@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from diagnosis.gap.result import Diagnosis, Overlay
+from softarm.diagnosis.gap.result import Diagnosis, Overlay
 
 Array = NDArray[np.float64]
 

@@ -4,10 +4,10 @@ import json
 from collections.abc import Iterable
 from pathlib import Path
 
-from diagnosis.gap.result import Diagnosis
-from diagnosis.report import evidence, overlays, sections
-from diagnosis.report.markup import Html, el, join
-from diagnosis.report.words import headline
+from softarm.diagnosis.gap.result import Diagnosis
+from softarm.diagnosis.report import evidence, overlays, sections
+from softarm.diagnosis.report.markup import Html, el, join
+from softarm.diagnosis.report.words import headline
 
 _HERE = Path(__file__).parent
 # Whatever a name or a story holds, the browser fetches nothing.

@@ -1,9 +1,9 @@
 """Sections that say what follows: the answer, the chain, the next experiment, the small print. Result in, HTML out."""
 
-from diagnosis.gap.result import Diagnosis
-from diagnosis.report import causal, charts, evidence
-from diagnosis.report.markup import Html, bar, el, join, prose, table
-from diagnosis.report.words import (
+from softarm.diagnosis.gap.result import Diagnosis
+from softarm.diagnosis.report import causal, charts, evidence
+from softarm.diagnosis.report.markup import Html, bar, el, join, prose, table
+from softarm.diagnosis.report.words import (
     answer,
     change,
     headline,
@@ -16,8 +16,8 @@ from diagnosis.report.words import (
     reduction,
     unit_of,
 )
-from schemas.excitation import EXCITATIONS
-from simulator.model_rows import differences
+from softarm.schemas.excitation import EXCITATIONS
+from softarm.simulator.model_rows import differences
 
 _KINDS = {
     "named": "named: the named effects explain at least four fifths of what any model could",

@@ -4,9 +4,9 @@ import math
 import re
 from collections.abc import Iterable, Mapping
 
-from diagnosis.gap.result import Diagnosis
-from schemas.verdict import Interval, NamedEffect, Quantity
-from simulator import effects
+from softarm.diagnosis.gap.result import Diagnosis
+from softarm.schemas.verdict import Interval, NamedEffect, Quantity
+from softarm.simulator import effects
 
 # An effect's name within a sentence: stage.effect, perhaps with its parameter; no file's name.
 _FILE = r"[\w.]*\.(?:csv|html|json|mat|mcap|parquet|py|yaml)\b"

@@ -1,11 +1,11 @@
-"""What may be fitted to a stage of a rig, and what is no news beside it; in the form of `diagnosis.gap.candidates`."""
+"""What may be fitted to a stage of a rig, and what is no news beside it: `diagnosis/gap/candidates.py` for tables."""
 
 import math
 from collections.abc import Iterator, Sequence
 
-from diagnosis.gap.candidates import Candidate, Dial, Nuisance
-from diagnosis.rigs.views import RigView
-from simulator.effects import Effect, Parameter
+from softarm.diagnosis.gap.candidates import Candidate, Dial, Nuisance
+from softarm.diagnosis.rigs.views import RigView
+from softarm.simulator.effects import Effect, Parameter
 
 # Half widths: what a well-kept model of a rig may be off by. The zeros are taken in floors of the view. A published
 # viscous friction was fitted as the only one, and took the others' share: it is fitted anew beside every rival, or the

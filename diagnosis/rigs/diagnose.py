@@ -10,21 +10,21 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from diagnosis.gap.fits import Fit, Problem
-from diagnosis.gap.lens import BLOCK_S, blocks_of
-from diagnosis.gap.problem import Setup
-from diagnosis.gap.result import Diagnosis, Leftover, Overlay, Regime, Rival
-from diagnosis.gap.search import Gain, Member
-from diagnosis.gap.view import Array
-from diagnosis.rigs.candidates import candidates, nuisances
-from diagnosis.rigs.ceiling import ceiling
-from diagnosis.rigs.grid import windows
-from diagnosis.rigs.pendulum import WINDOW_S, PendulumView
-from diagnosis.rigs.selection import Backward, Refitted
-from diagnosis.rigs.tracking import TrackingView, velocity_warnings
-from diagnosis.rigs.views import RigView
-from diagnosis.trials import Trial, TrialError
-from schemas.verdict import Estimate, Gap, Interval, NamedEffect, Quantity, Shrink, Verdict, Where
+from softarm.diagnosis.gap.fits import Fit, Problem
+from softarm.diagnosis.gap.lens import BLOCK_S, blocks_of
+from softarm.diagnosis.gap.problem import Setup
+from softarm.diagnosis.gap.result import Diagnosis, Leftover, Overlay, Regime, Rival
+from softarm.diagnosis.gap.search import Gain, Member
+from softarm.diagnosis.gap.view import Array
+from softarm.diagnosis.rigs.candidates import candidates, nuisances
+from softarm.diagnosis.rigs.ceiling import ceiling
+from softarm.diagnosis.rigs.grid import windows
+from softarm.diagnosis.rigs.pendulum import WINDOW_S, PendulumView
+from softarm.diagnosis.rigs.selection import Backward, Refitted
+from softarm.diagnosis.rigs.tracking import TrackingView, velocity_warnings
+from softarm.diagnosis.rigs.views import RigView
+from softarm.diagnosis.trials import Trial, TrialError
+from softarm.schemas.verdict import Estimate, Gap, Interval, NamedEffect, Quantity, Shrink, Verdict, Where
 
 Tell = Callable[[str, float], None]
 NOTHING_FLOORS = 2.0  # a gap below this many floors is none

@@ -7,12 +7,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import savgol_filter
 
-from diagnosis.gap.view import Array, Point
-from diagnosis.rigs import kernels
-from diagnosis.rigs.grid import Grid, grid, smallest_step
-from diagnosis.rigs.views import RigView
-from diagnosis.rigs.vocabulary import effects
-from diagnosis.trials import Stage, Trial, TrialError
+from softarm.diagnosis.gap.view import Array, Point
+from softarm.diagnosis.rigs import kernels
+from softarm.diagnosis.rigs.grid import Grid, grid, smallest_step
+from softarm.diagnosis.rigs.views import RigView
+from softarm.diagnosis.rigs.vocabulary import effects
+from softarm.diagnosis.trials import Stage, Trial, TrialError
 
 RATE_HZ = 100.0  # ten times the fastest swing of a laboratory's pendulum
 SUBSTEP_S = 0.0105

@@ -5,14 +5,14 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from diagnosis.gap.view import Array, Point
-from diagnosis.rigs.vocabulary import Effect
+from softarm.diagnosis.gap.view import Array, Point
+from softarm.diagnosis.rigs.vocabulary import Effect
 
 FLOOR_SHARE = 1e-3  # of the signal: no simulator is blamed for a thousandth
 
 
 class RigView:
-    """One stage of a rig; satisfies `diagnosis.gap.view.View`."""
+    """One stage of a rig; satisfies `softarm.diagnosis.gap.view.View`."""
 
     def __init__(
         self, stage: str, unit: str, channels: tuple[str, ...], effects: Sequence[Effect],

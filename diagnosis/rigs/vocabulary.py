@@ -7,9 +7,9 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
-from schemas.trial import StageKind
-from simulator.effects import REGISTRY, Effect, Parameter
-from simulator.kernel.joints import REACH_RAD
+from softarm.schemas.trial import StageKind
+from softarm.simulator.effects import REGISTRY, Effect, Parameter
+from softarm.simulator.kernel.joints import REACH_RAD
 
 __all__ = ["Effect", "Parameter", "effects"]
 

@@ -8,11 +8,11 @@ from typing import Any
 
 import zenoh
 
-from drivers import mocap_payload
-from drivers.twin.faults import Faults
-from drivers.zenoh_session import client
-from schemas.config import ZenohMocap
-from schemas.messages import BODY_NAMES, Pose
+from softarm.drivers.mocap import payload as mocap_payload
+from softarm.drivers.mocap.zenoh_session import client
+from softarm.drivers.twin.faults import Faults
+from softarm.schemas.config import ZenohMocap
+from softarm.schemas.messages import BODY_NAMES, Pose
 
 RETRY_S = 0.1  # until the daemon listens for the first time; afterwards the session finds it again by itself
 FAULT_KEY, STATE_KEY = "softarm/twin/fault", "softarm/twin/state"

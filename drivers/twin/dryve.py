@@ -8,12 +8,12 @@ import asyncio
 import contextlib
 from collections.abc import Callable
 
-from drivers import dryve
-from drivers.base import DeviceError
-from drivers.cia402 import State, Status
-from drivers.dryve import Entry, Request
-from drivers.twin.faults import Faults
-from schemas.config import DryveRail
+from softarm.drivers.base import DeviceError
+from softarm.drivers.rail import dryve
+from softarm.drivers.rail.cia402 import State, Status
+from softarm.drivers.rail.dryve import Entry, Request
+from softarm.drivers.twin.faults import Faults
+from softarm.schemas.config import DryveRail
 
 SILENCE_MAX_S = 0.1
 AT_REST_M_S = 0.02

@@ -4,7 +4,7 @@ import json
 import math
 from collections.abc import Callable
 
-from schemas.messages import BODY_NAMES
+from softarm.schemas.messages import BODY_NAMES
 
 
 class Faults:

@@ -1,16 +1,16 @@
 """The twin's other body: the independent robot in MuJoCo, with sensors of its own. Needs the extra `mujoco`."""
 
-from drivers.twin.robot import Frame
-from reality.parameters import Parameters, of_model
-from reality.robot import Robot
-from schemas.messages import PressureReading, RailReading
-from schemas.model import Model
+from softarm.drivers.twin.robot import Frame
+from softarm.reality.parameters import Parameters, of_model
+from softarm.reality.robot import Robot
+from softarm.schemas.messages import PressureReading, RailReading
+from softarm.schemas.model import Model
 
 TOUCH_M = 0.0005  # so close to a stop counts as there
 
 
 class IndependentBody:
-    """A `reality.robot.Robot` as the twin moves it; starts at rest in the middle of the rail.
+    """A `softarm.reality.robot.Robot` as the twin moves it; starts at rest in the middle of the rail.
 
     Commands given for a step act from its start. `crashes` counts arrivals at a stop, which here are springs and
     dampers: the cart may lean on one for a while, and that is one arrival.

@@ -8,13 +8,13 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Self
 
-from drivers.twin.cameras import Cameras, TwinState
-from drivers.twin.dryve import LIMIT_SWITCH, DryveDevice, DryveServer
-from drivers.twin.faults import Faults
-from drivers.twin.robot import Body, TwinRobot
-from drivers.twin.teensy import TeensyDevice, TeensyPort
-from schemas.config import Config
-from schemas.model import Model
+from softarm.drivers.twin.cameras import Cameras, TwinState
+from softarm.drivers.twin.dryve import LIMIT_SWITCH, DryveDevice, DryveServer
+from softarm.drivers.twin.faults import Faults
+from softarm.drivers.twin.robot import Body, TwinRobot
+from softarm.drivers.twin.teensy import TeensyDevice, TeensyPort
+from softarm.schemas.config import Config
+from softarm.schemas.model import Model
 
 FRAME_HZ = 120
 STATE_EVERY = 4  # frames: 30 Hz

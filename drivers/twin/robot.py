@@ -4,16 +4,16 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from drivers.sight import Sight
-from schemas.messages import BODY_NAMES, Pose
-from schemas.model import Model
-from simulator.simulator import Simulator
+from softarm.drivers.bodies.sight import Sight
+from softarm.schemas.messages import BODY_NAMES, Pose
+from softarm.schemas.model import Model
+from softarm.simulator.simulator import Simulator
 
 PHYSICS_HZ = 1200.0
 
 
 class Frame(NamedTuple):
-    """What the cameras deliver: poses in `schemas.messages.BODY_NAMES` order, and how old their stamp is."""
+    """What the cameras deliver: poses in `softarm.schemas.messages.BODY_NAMES` order, and how old their stamp is."""
 
     age_s: float
     poses: tuple[Pose, ...]

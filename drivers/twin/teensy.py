@@ -8,9 +8,9 @@ import tty
 from collections.abc import Callable
 from pathlib import Path
 
-from drivers.base import DeviceError
-from drivers.cobs import DELIMITER, Deframer, frame
-from drivers.teensy import (
+from softarm.drivers.base import DeviceError
+from softarm.drivers.regulator.cobs import DELIMITER, Deframer, frame
+from softarm.drivers.regulator.teensy import (
     PRESSURE_RANGE_KPA,
     TIME_TO_LIVE_MAX_S,
     VENT_KPA,
@@ -23,7 +23,7 @@ from drivers.teensy import (
     decode,
     encode,
 )
-from drivers.twin.faults import Faults
+from softarm.drivers.twin.faults import Faults
 
 
 class TeensyDevice:

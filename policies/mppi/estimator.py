@@ -7,8 +7,8 @@ from 2 d points around the estimate, side by side in one batch, and the measurem
 import numpy as np
 from numpy.typing import NDArray
 
-from policies.mppi.shape import likely_joints, tip_from_cart_m
-from schemas.model import Model
+from softarm.policies.mppi.shape import likely_joints, tip_from_cart_m
+from softarm.schemas.model import Model
 
 Array = NDArray[np.float64]
 
@@ -33,7 +33,7 @@ class Estimator:
     """
 
     def __init__(self, model: Model, period_s: float) -> None:
-        from simulator.simulator import Simulator  # numba, which only those who fly this policy need
+        from softarm.simulator.simulator import Simulator  # numba, which only those who fly this policy need
 
         self._arm = model.arm
         n = model.arm.links

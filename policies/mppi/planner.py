@@ -5,13 +5,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from policies.mppi import plans
-from policies.mppi.cost import Cost
-from schemas.model import Model
-from schemas.policy import ACTION
+from softarm.policies.mppi import plans
+from softarm.policies.mppi.cost import Cost
+from softarm.schemas.model import Model
+from softarm.schemas.policy import ACTION
 
 if TYPE_CHECKING:
-    from simulator.simulator import Simulator
+    from softarm.simulator.simulator import Simulator
 
 Array = NDArray[np.float32]
 
@@ -27,7 +27,7 @@ class Planner:
     """Plans of `steps` commands a `period_s` apart for the robot of `model`; `rollouts` of them are flown a round."""
 
     def __init__(self, model: Model, rollouts: int, steps: int, period_s: float, cost: Cost | None = None) -> None:
-        from simulator.simulator import Simulator  # numba, which only those who fly this policy need
+        from softarm.simulator.simulator import Simulator  # numba, which only those who fly this policy need
 
         self._simulator: Simulator = Simulator(model, robots=rollouts, physics_rate_hz=PHYSICS_HZ)
         self._rollouts, self._steps, self._period_s = rollouts, steps, period_s

@@ -7,10 +7,10 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from policies.base import Array, PolicyError, PolicySpec
-from policies.mppi.estimator import Estimator
-from policies.mppi.planner import Planner
-from schemas.policy import OBSERVATION, REACH_GOAL
+from softarm.policies.base import Array, PolicyError, PolicySpec
+from softarm.policies.mppi.estimator import Estimator
+from softarm.policies.mppi.planner import Planner
+from softarm.schemas.policy import OBSERVATION, REACH_GOAL
 
 Seen = NDArray[np.float64]
 
@@ -52,7 +52,7 @@ class Mppi:
             low, high = _LIMITS[name]
             if not low <= value <= high:
                 raise PolicyError(f"option {name} is {value}; allowed {low} to {high}")
-        from simulator import model_file  # its kernel brings numba, which only those who fly this policy need
+        from softarm.simulator import model_file  # its kernel brings numba, which only those who fly this policy need
 
         try:
             loaded = model_file.load(model)
@@ -79,7 +79,7 @@ class Mppi:
         self.rounds_flown = 0  # in the last step
 
     def step(self, observation: Array, goal: Array) -> Array:
-        """See `policies.base.Policy.step`. Without time for a round it goes on with the plan that it has.
+        """See `softarm.policies.base.Policy.step`. Without time for a round it goes on with the plan that it has.
 
         Raises ValueError for an observation or a goal that is not finite; what it knew stays.
         """

@@ -7,7 +7,7 @@ elastic energy that its tip allows, given what the muscle pulls.
 import numpy as np
 from numpy.typing import NDArray
 
-from schemas.model import Arm
+from softarm.schemas.model import Arm
 
 Array = NDArray[np.float64]
 

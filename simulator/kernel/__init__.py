@@ -14,8 +14,8 @@ float32 in use; float64 compiles from the same source. No fast-math: a NaN stays
 numba's cache looks at one file alone: after a change, delete the `__pycache__` of simulator and kernel.
 """
 
-from simulator.kernel.layout import HISTORY, Rows, rows
-from simulator.kernel.run import advance, advance_cart, advance_parallel, advance_pressure, fly, locate, prepare
+from softarm.simulator.kernel.layout import HISTORY, Rows, rows
+from softarm.simulator.kernel.run import advance, advance_cart, advance_parallel, advance_pressure, fly, locate, prepare
 
 __all__ = [
     "HISTORY",

@@ -16,11 +16,11 @@ the step is chosen for accuracy, not for stability: (M + h D + h^2 K) a = forces
 # mypy: allow-untyped-defs, allow-untyped-calls
 from numba import njit
 
-from simulator.kernel.layout import CART_GIVEN, rows
-from simulator.kernel.numerics import sine_cosine
-from simulator.kernel.pressure import pull, regulate
-from simulator.kernel.rail import drive
-from simulator.simd import fill, load, store
+from softarm.simulator.kernel.layout import CART_GIVEN, rows
+from softarm.simulator.kernel.numerics import sine_cosine
+from softarm.simulator.kernel.pressure import pull, regulate
+from softarm.simulator.kernel.rail import drive
+from softarm.simulator.simd import fill, load, store
 
 # A cart that no arm can move, kg: its motion is given.
 IMMOVABLE_KG = 1e12

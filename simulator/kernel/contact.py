@@ -13,9 +13,9 @@ pull as the substep begins. Friction is a damper across the push, of as much as 
 # mypy: allow-untyped-defs, allow-untyped-calls
 from numba import njit
 
-from simulator.kernel.layout import rows
-from simulator.kernel.numerics import clip
-from simulator.simd import load, magnitude, root, select, some, store
+from softarm.simulator.kernel.layout import rows
+from softarm.simulator.kernel.numerics import clip
+from softarm.simulator.simd import load, magnitude, root, select, some, store
 
 RADIUS_M = 0.0381  # of the arm [P]
 DEPTH_M, THICKNESS_M, APART_M = 0.4, 0.01, 0.2  # of the boards, and between them [C]

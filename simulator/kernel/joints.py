@@ -3,9 +3,9 @@
 # mypy: allow-untyped-defs, allow-untyped-calls
 from numba import njit
 
-from simulator.kernel.layout import rows
-from simulator.kernel.numerics import clip, grip
-from simulator.simd import fill, load, root, select, store
+from softarm.simulator.kernel.layout import rows
+from softarm.simulator.kernel.numerics import clip, grip
+from softarm.simulator.simd import fill, load, root, select, store
 
 # How far a joint's dry friction gives before it slips, rad.
 REACH_RAD = 3e-4

@@ -3,7 +3,7 @@
 # mypy: allow-untyped-defs, allow-untyped-calls
 from numba import njit
 
-from simulator.simd import floor, load, magnitude, select
+from softarm.simulator.simd import floor, load, magnitude, select
 
 
 @njit(cache=True)

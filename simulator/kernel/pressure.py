@@ -3,9 +3,9 @@
 # mypy: allow-untyped-defs, allow-untyped-calls
 from numba import njit
 
-from simulator.kernel.layout import HISTORY, MUSCLE, OLD, PRESSURE, PRESSURE_GIVEN
-from simulator.kernel.numerics import clip, loss_over, tanh_over
-from simulator.simd import load, magnitude, select, some, store
+from softarm.simulator.kernel.layout import HISTORY, MUSCLE, OLD, PRESSURE, PRESSURE_GIVEN
+from softarm.simulator.kernel.numerics import clip, loss_over, tanh_over
+from softarm.simulator.simd import load, magnitude, select, some, store
 
 
 @njit(cache=True)

@@ -3,10 +3,10 @@
 # mypy: allow-untyped-defs, allow-untyped-calls
 from numba import njit
 
-from simulator.kernel.layout import RAIL
-from simulator.kernel.numerics import clip, grip
-from simulator.kernel.pressure import due
-from simulator.simd import fill, load, magnitude, select, some, store
+from softarm.simulator.kernel.layout import RAIL
+from softarm.simulator.kernel.numerics import clip, grip
+from softarm.simulator.kernel.pressure import due
+from softarm.simulator.simd import fill, load, magnitude, select, some, store
 
 # How far dry friction gives before it slips, m.
 REACH_M = 5e-5

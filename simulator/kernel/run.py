@@ -5,14 +5,25 @@ import math
 
 from numba import get_thread_id, njit, prange
 
-from simulator.kernel.arm import assemble, locate_block, solve
-from simulator.kernel.contact import add_shelf
-from simulator.kernel.joints import add_drag, add_joints, add_payload, add_tilt, settle_joints
-from simulator.kernel.layout import AIR, CART_GIVEN, JOINTS, PAYLOAD, PRESSURE, PRESSURE_GIVEN, RAIL, SHELF, TILT, rows
-from simulator.kernel.numerics import clip
-from simulator.kernel.pressure import age, issue, regulate
-from simulator.kernel.rail import drive, settle_cart
-from simulator.simd import load, store
+from softarm.simulator.kernel.arm import assemble, locate_block, solve
+from softarm.simulator.kernel.contact import add_shelf
+from softarm.simulator.kernel.joints import add_drag, add_joints, add_payload, add_tilt, settle_joints
+from softarm.simulator.kernel.layout import (
+    AIR,
+    CART_GIVEN,
+    JOINTS,
+    PAYLOAD,
+    PRESSURE,
+    PRESSURE_GIVEN,
+    RAIL,
+    SHELF,
+    TILT,
+    rows,
+)
+from softarm.simulator.kernel.numerics import clip
+from softarm.simulator.kernel.pressure import age, issue, regulate
+from softarm.simulator.kernel.rail import drive, settle_cart
+from softarm.simulator.simd import load, store
 
 # A fuse, far beyond what the robot does (its links turn at up to 30 rad/s): what numbers within the registry's bounds
 # can shake a light link into, at a step too coarse for it, stays finite.

@@ -9,10 +9,10 @@ import pytest
 from click.testing import CliRunner
 from pydantic import TypeAdapter
 
-from cli.main import main
-from daemon.records import EStop, Mode, Observed, Problems
-from daemon.status import Ages, RecorderInfo, Status
-from schemas.messages import Command
+from softarm.cli.main import main
+from softarm.daemon.api.status import Ages, RecorderInfo, Status
+from softarm.daemon.control.records import EStop, Mode, Observed, Problems
+from softarm.schemas.messages import Command
 
 STATUS = TypeAdapter(Status)
 
@@ -102,4 +102,4 @@ def make_status():
 @pytest.fixture(autouse=True)
 def _ordinary_scheduling(monkeypatch: pytest.MonkeyPatch) -> None:
     """A test that runs the daemon in its own process must not outrank the machine ever after."""
-    monkeypatch.setattr("daemon.realtime._set", lambda priority: None)
+    monkeypatch.setattr("softarm.daemon.shell.realtime._set", lambda priority: None)

@@ -1,9 +1,9 @@
 """`softarm bench train`: a level counts when it is held."""
 
-from benchmarks import training as measurement
-from training import evaluation
-from training.inference import workers
-from training.recipe import Recipe, begin
+from softarm.benchmarks import training as measurement
+from softarm.training.learn.inference import workers
+from softarm.training.run import evaluation
+from softarm.training.run.recipe import Recipe, begin
 
 
 def test_a_level_counts_from_where_it_is_held_for_three_more():

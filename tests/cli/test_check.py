@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 from click.testing import CliRunner
 
-from cli.main import main
+from softarm.cli.main import main
 
 ROOT = Path(__file__).parents[2]
 
@@ -52,7 +52,7 @@ def test_a_policy_that_could_not_fly_is_found(check):
 
 
 def test_the_policy_of_a_file_that_names_none_is_tried_too(check, monkeypatch, tmp_path):
-    monkeypatch.setattr("policies.registry.MODELS", tmp_path / "empty")
+    monkeypatch.setattr("softarm.policies.registry.MODELS", tmp_path / "empty")
     path, result = check("")
     assert result.exit_code == 1
     assert result.stderr.startswith(f"{path}: control.policy: no policy 'reach'")

@@ -9,19 +9,19 @@ import pytest
 from click.testing import CliRunner
 from rich.console import Console
 
-from cli import close_gap
-from cli.closing import HELD_BACK, OLD, changed
-from cli.flights import Place, fly, fly_all, shares, with_faults
-from cli.main import main
-from diagnosis.gap.result import Diagnosis
-from policies.base import MODELS
-from reality.parameters import Parameters
-from schemas.goals import TEST_TARGETS
-from schemas.model import Model
-from schemas.verdict import Estimate, Gap, Interval, NamedEffect, Shrink, Verdict, Where
-from simulator import model_file
-from training.retrain import Recipe
-from training.warm_start import load_weights
+from softarm.cli import close_gap
+from softarm.cli.closing import HELD_BACK, OLD, changed
+from softarm.cli.flights import Place, fly, fly_all, shares, with_faults
+from softarm.cli.main import main
+from softarm.diagnosis.gap.result import Diagnosis
+from softarm.policies.base import MODELS
+from softarm.reality.parameters import Parameters
+from softarm.schemas.goals import TEST_TARGETS
+from softarm.schemas.model import Model
+from softarm.schemas.verdict import Estimate, Gap, Interval, NamedEffect, Shrink, Verdict, Where
+from softarm.simulator import model_file
+from softarm.training.learn.warm_start import load_weights
+from softarm.training.run.retrain import Recipe
 
 REACH = MODELS / "reach.onnx"
 EASY, NEVER = TEST_TARGETS[4], TEST_TARGETS[-1]  # (-0.20, 0.55), and (0, 0.80), which no command reaches
@@ -53,7 +53,7 @@ def asked(monkeypatch):
     def diagnose(trials, model, tell=None):
         return Diagnosis(asked.verdict, asked.nominal, asked.patched, (("a", "seed", 1.0),))
 
-    monkeypatch.setitem(sys.modules, "diagnosis.diagnose", SimpleNamespace(diagnose=diagnose))
+    monkeypatch.setitem(sys.modules, "softarm.diagnosis.diagnose", SimpleNamespace(diagnose=diagnose))
     return asked
 
 

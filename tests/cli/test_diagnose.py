@@ -8,11 +8,21 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from cli.main import main
-from diagnosis.gap.result import Diagnosis, Overlay
-from schemas.model import Model
-from schemas.verdict import Estimate, Gap, Interval, NamedEffect, NextExperiment, Quantity, Shrink, Verdict, Where
-from simulator import model_file
+from softarm.cli.main import main
+from softarm.diagnosis.gap.result import Diagnosis, Overlay
+from softarm.schemas.model import Model
+from softarm.schemas.verdict import (
+    Estimate,
+    Gap,
+    Interval,
+    NamedEffect,
+    NextExperiment,
+    Quantity,
+    Shrink,
+    Verdict,
+    Where,
+)
+from softarm.simulator import model_file
 
 HALF = Interval(value=0.5, low=0.4, high=0.6)
 NAMED = Verdict(
@@ -67,7 +77,7 @@ def asked(monkeypatch):
         overlay = Overlay("pressure", trials[0].name, "seed", "pressure", "kPa", t, t, t + 1, None)
         return Diagnosis(asked.verdict, model, asked.patched, (("a", "seed", 1.0),), (overlay,))
 
-    monkeypatch.setitem(sys.modules, "diagnosis.diagnose", SimpleNamespace(diagnose=diagnose))
+    monkeypatch.setitem(sys.modules, "softarm.diagnosis.diagnose", SimpleNamespace(diagnose=diagnose))
     return asked
 
 

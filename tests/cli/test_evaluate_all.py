@@ -6,17 +6,17 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from cli.comparison import page, table, tests, trials
-from cli.comparison.robots import ROBOTS
-from cli.comparison.table import Entry, Job
-from cli.comparison.trials import Outcome, Trial
-from cli.main import main
-from policies import registry
-from policies.base import MODELS
-from policies.onnx_policy import OnnxPolicy
-from policies.pid import Pid
-from schemas.goals import Goal
-from training import ceiling
+from softarm.cli.comparison import page, table, tests, trials
+from softarm.cli.comparison.robots import ROBOTS
+from softarm.cli.comparison.table import Entry, Job
+from softarm.cli.comparison.trials import Outcome, Trial
+from softarm.cli.main import main
+from softarm.policies import registry
+from softarm.policies.base import MODELS
+from softarm.policies.onnx_policy import OnnxPolicy
+from softarm.policies.pid import Pid
+from softarm.schemas.goals import Goal
+from softarm.training.trajectory import ceiling
 
 
 def run(*arguments):

@@ -5,8 +5,8 @@ import json
 import pytest
 from click.testing import CliRunner
 
-from cli.main import main
-from simulator import model_file
+from softarm.cli.main import main
+from softarm.simulator import model_file
 
 
 def run(*arguments):
@@ -65,7 +65,7 @@ def test_a_wrong_command_says_what_to_do(arguments, says, code, tmp_path, monkey
 
 
 def test_the_list_shows_every_excitation():
-    from schemas.excitation import EXCITATIONS
+    from softarm.schemas.excitation import EXCITATIONS
 
     outcome = run("excite", "--list")
     assert all(line.split()[0] in EXCITATIONS for line in outcome.output.splitlines())

@@ -8,7 +8,8 @@ import click
 import pytest
 from click.testing import CliRunner
 
-from cli.main import VERBS, Verb, main
+from softarm import cli
+from softarm.cli.main import VERBS, Verb, main
 
 NAMES = [name for section in VERBS.values() for name in section]
 
@@ -20,7 +21,7 @@ def run(*arguments):
 def test_help_lists_every_verb_and_imports_nothing_heavy():
     heavy = {"numpy", "numba", "torch", "mujoco", "fastapi", "pydantic", "onnxruntime", "httpx", "zenoh", "rich"}
     code = (
-        "import sys; from cli.main import main; main(['--help'], standalone_mode=False);"
+        "import sys; from softarm.cli.main import main; main(['--help'], standalone_mode=False);"
         f"print('HEAVY', sorted({heavy!r} & set(sys.modules)))"
     )
     out = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True).stdout
@@ -68,9 +69,9 @@ def test_a_usage_error_exits_with_2(arguments):
 
 def test_a_package_that_is_not_installed_is_named_with_the_way_to_get_it(monkeypatch, tmp_path):
     (tmp_path / "needy_verb.py").write_text("import a_package_that_is_not_there\n")
-    monkeypatch.syspath_prepend(str(tmp_path))
+    monkeypatch.setattr("softarm.cli.__path__", [*cli.__path__, str(tmp_path)])
     monkeypatch.setitem(VERBS["Run"], "needy", Verb("needy_verb:verb", "Needs it.", "train"))
-    monkeypatch.setattr("cli.main._ALL", {"needy": VERBS["Run"]["needy"]})
+    monkeypatch.setattr("softarm.cli.main._ALL", {"needy": VERBS["Run"]["needy"]})
     result = run("needy")
     assert result.exit_code == 1
     assert result.stderr == (
@@ -84,7 +85,7 @@ def test_the_version_is_the_installed_one():
 
 def test_no_verb_of_the_daemons_clients_imports_the_simulator():
     code = (
-        "import sys; import cli.arming, cli.goal, cli.policy, cli.logs, cli.status, cli.twin, cli.check;"
+        "import sys; from softarm.cli import arming, goal, policy, logs, status, twin, check;"
         "print(sorted({'numba', 'torch', 'fastapi', 'zenoh', 'onnxruntime'} & set(sys.modules)))"
     )
     assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True).stdout == "[]\n"
@@ -92,6 +93,6 @@ def test_no_verb_of_the_daemons_clients_imports_the_simulator():
 
 def test_every_file_of_the_room_is_a_verb_or_what_verbs_share():
     shared = {"__init__", "main", "errors", "options", "remote", "rig", "closing", "closing_story", "flights"}
-    verbs = {verb.target.partition(":")[0].partition(".")[2] for s in VERBS.values() for verb in s.values()}
+    verbs = {verb.target.partition(":")[0] for s in VERBS.values() for verb in s.values()}
     files = {file.stem for file in (Path(__file__).parents[2] / "cli").glob("*.py")}
     assert files == shared | verbs

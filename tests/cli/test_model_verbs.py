@@ -5,8 +5,8 @@ from pathlib import Path
 import pytest
 from click.testing import CliRunner, Result
 
-from cli.main import main
-from simulator.effects import REGISTRY
+from softarm.cli.main import main
+from softarm.simulator.effects import REGISTRY
 
 
 def run(*arguments: object) -> Result:

@@ -5,11 +5,11 @@ import socket
 import pytest
 from click.testing import CliRunner
 
-from cli.main import main
-from daemon.records import ActiveEvent, EStop, Mode, Problems
-from schemas.goals import Goal, GoalStatus
-from schemas.log import LogEntry
-from schemas.rest import GoalAnswer, LogsAnswer, PoliciesAnswer, PolicyAnswer
+from softarm.cli.main import main
+from softarm.daemon.control.records import ActiveEvent, EStop, Mode, Problems
+from softarm.schemas.goals import Goal, GoalStatus
+from softarm.schemas.log import LogEntry
+from softarm.schemas.rest import GoalAnswer, LogsAnswer, PoliciesAnswer, PolicyAnswer
 
 
 def reach(state, number=3, **more):
@@ -239,7 +239,7 @@ def test_no_daemon_is_said_with_what_to_start():
 
 
 def test_a_daemon_that_does_not_answer_is_given_up(monkeypatch):
-    monkeypatch.setattr("cli.remote.TIMEOUT_S", 0.05)
+    monkeypatch.setattr("softarm.cli.remote.TIMEOUT_S", 0.05)
     with socket.create_server(("127.0.0.1", 0)) as silent:
         result = CliRunner().invoke(main, ["stop", "--url", f"http://127.0.0.1:{silent.getsockname()[1]}"])
     assert result.exit_code == 1

@@ -9,10 +9,10 @@ import httpx
 import pytest
 import zenoh
 
-from cli.rig import Rig
-from daemon import logs
-from drivers import zenoh_session
-from schemas.goals import Goal
+from softarm.cli.rig import Rig
+from softarm.daemon.logbook import logs
+from softarm.drivers.mocap import zenoh_session
+from softarm.schemas.goals import Goal
 
 pytestmark = pytest.mark.timeout(120)
 DEAD_S = 0.25

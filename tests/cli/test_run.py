@@ -9,8 +9,8 @@ import httpx
 import pytest
 from click.testing import CliRunner
 
-from cli.main import main
-from daemon import logs
+from softarm.cli.main import main
+from softarm.daemon.logbook import logs
 
 pytestmark = pytest.mark.timeout(120)
 
@@ -22,7 +22,7 @@ def write(path, text):
 
 def test_a_simulated_run_arms_swings_and_ends_cleanly(tmp_path):
     config = write(tmp_path / "c.yaml", f"api: {{port: 0}}\nrecorder: {{directory: {tmp_path}}}\n")
-    command = [sys.executable, "-m", "cli.main", "run", "--simulated", "--config", str(config)]
+    command = [sys.executable, "-m", "softarm.cli.main", "run", "--simulated", "--config", str(config)]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True) as process:
         try:
             url = next(m[1] for line in process.stdout if (m := re.search(r"serving (http://\S+)", line)))

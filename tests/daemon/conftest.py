@@ -11,15 +11,15 @@ import httpx
 import numpy as np
 import pytest
 
-from daemon.api import ApiContext, create_app
-from daemon.inbox import Inbox
-from daemon.records import EStop, Mode, Observed, Outputs, Problems, RequestResult
-from daemon.server import ApiServer
-from policies.base import PolicyError, PolicySpec
-from policies.registry import PolicyEntry
-from schemas.config import Api, Config
-from schemas.messages import Command
-from schemas.policy import TrainingRange
+from softarm.daemon.api.app import ApiContext, create_app
+from softarm.daemon.api.server import ApiServer
+from softarm.daemon.control.inbox import Inbox
+from softarm.daemon.control.records import EStop, Mode, Observed, Outputs, Problems, RequestResult
+from softarm.policies.base import PolicyError, PolicySpec
+from softarm.policies.registry import PolicyEntry
+from softarm.schemas.config import Api, Config
+from softarm.schemas.messages import Command
+from softarm.schemas.policy import TrainingRange
 
 LOCAL = "http://127.0.0.1"
 

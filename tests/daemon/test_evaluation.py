@@ -1,10 +1,10 @@
 import pytest
 
-from daemon import evaluation
-from daemon.offline import Lockstep
-from policies import registry
-from schemas.config import Config
-from schemas.goals import TEST_TARGETS, Goal
+from softarm.daemon import evaluation
+from softarm.daemon.shell.offline import Lockstep
+from softarm.policies import registry
+from softarm.schemas.config import Config
+from softarm.schemas.goals import TEST_TARGETS, Goal
 
 
 def test_the_test_targets_are_the_papers_grid():

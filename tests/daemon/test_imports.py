@@ -6,7 +6,7 @@ import sys
 
 def test_the_daemon_with_real_drivers_imports_neither_numba_nor_torch():
     program = (
-        "import sys; from daemon import daemon; from schemas.config import Config;"
+        "import sys; from softarm.daemon.shell import daemon; from softarm.schemas.config import Config;"
         "daemon.Daemon(Config(), daemon.real_devices(Config()));"
         "print(sorted({'numba', 'torch', 'mujoco', 'matplotlib', 'onnx'} & set(sys.modules)))"
     )

@@ -7,13 +7,13 @@ import time
 import numpy as np
 import pytest
 
-from daemon.records import EStop, Inputs, Mode, Problems, Request
-from daemon.tick import Controller
-from policies.base import PolicySpec
-from policies.runner import InlineRunner
-from schemas.config import Config
-from schemas.goals import Goal
-from schemas.messages import SAFE, Command, MocapFrame, Pose, PressureReading, RailReading
+from softarm.daemon.control.records import EStop, Inputs, Mode, Problems, Request
+from softarm.daemon.tick import Controller
+from softarm.policies.base import PolicySpec
+from softarm.policies.runner import InlineRunner
+from softarm.schemas.config import Config
+from softarm.schemas.goals import Goal
+from softarm.schemas.messages import SAFE, Command, MocapFrame, Pose, PressureReading, RailReading
 
 PERIOD_NS = 33_333_333
 

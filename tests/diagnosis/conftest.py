@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from diagnosis.trials import Series, Trial
-from schemas.excitation import EXCITATIONS
-from schemas.model import Model
-from simulator.simulator import Simulator
+from softarm.diagnosis.trials import Series, Trial
+from softarm.schemas.excitation import EXCITATIONS
+from softarm.schemas.model import Model
+from softarm.simulator.simulator import Simulator
 
 MOCAP_HZ = 120
 MOCAP_NOISE_M, ANGLE_NOISE_RAD, PRESSURE_NOISE_KPA = 0.2e-3, 2e-3, 0.05

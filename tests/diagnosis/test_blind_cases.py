@@ -6,9 +6,9 @@ from dataclasses import fields, replace
 import numpy as np
 import pytest
 
-from diagnosis.blind import make
-from diagnosis.blind.cases import FRESH, PROGRAMME, SHARES, SINGLES, counts, draw, separable
-from diagnosis.blind.imperfections import (
+from softarm.diagnosis.blind import make
+from softarm.diagnosis.blind.cases import FRESH, PROGRAMME, SHARES, SINGLES, counts, draw, separable
+from softarm.diagnosis.blind.imperfections import (
     KNOWN,
     REMOVABLE,
     UNKNOWN,
@@ -19,13 +19,13 @@ from diagnosis.blind.imperfections import (
     stage_of,
     variants_of,
 )
-from diagnosis.folder import read as read_trial
-from diagnosis.read import read_all
-from reality.parameters import Parameters
-from schemas.excitation import EXCITATIONS
-from schemas.model import Model
-from simulator import model_file
-from simulator.effects import REGISTRY
+from softarm.diagnosis.folder import read as read_trial
+from softarm.diagnosis.read import read_all
+from softarm.reality.parameters import Parameters
+from softarm.schemas.excitation import EXCITATIONS
+from softarm.schemas.model import Model
+from softarm.simulator import model_file
+from softarm.simulator.effects import REGISTRY
 
 CAUSES = (*KNOWN, *(UNKNOWN + name for name in UNKNOWNS))
 # Fields of reality that are neutral in a robot without a cause; the rest are what nuisances turn.

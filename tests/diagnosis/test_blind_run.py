@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from cli.blind import blind
-from diagnosis.blind import methods, opening, run, seal
-from diagnosis.trials import TrialError
-from reality.record import record
-from schemas.model import Model
-from schemas.verdict import Gap, Interval, NamedEffect, Shrink, Verdict, Where
-from simulator import model_file
+from softarm.cli.blind import blind
+from softarm.diagnosis.blind import methods, opening, run, seal
+from softarm.diagnosis.trials import TrialError
+from softarm.reality.record import record
+from softarm.schemas.model import Model
+from softarm.schemas.verdict import Gap, Interval, NamedEffect, Shrink, Verdict, Where
+from softarm.simulator import model_file
 
 CASES = ("case-a", "case-b", "case-c")
 LABELS = seal.Labels(

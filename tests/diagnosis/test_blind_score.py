@@ -2,9 +2,9 @@
 
 import pytest
 
-from diagnosis.blind import pages
-from diagnosis.blind.score import Scored, answer_set, calibration, coverage, score, share
-from schemas.verdict import Gap, Interval, NamedEffect, Shrink, Verdict, Where
+from softarm.diagnosis.blind import pages
+from softarm.diagnosis.blind.score import Scored, answer_set, calibration, coverage, score, share
+from softarm.schemas.verdict import Gap, Interval, NamedEffect, Shrink, Verdict, Where
 
 NOTHING = Gap(before={}, after={}, floor={}, ceiling={})
 

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from diagnosis import checks
-from diagnosis.trials import Series
+from softarm.diagnosis import checks
+from softarm.diagnosis.trials import Series
 
 T = np.arange(100) / 100
 

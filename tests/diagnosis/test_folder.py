@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from diagnosis import folder
-from diagnosis.read import read_all, sources
-from diagnosis.trials import TrialError
+from softarm.diagnosis import folder
+from softarm.diagnosis.read import read_all, sources
+from softarm.diagnosis.trials import TrialError
 
 
 @pytest.fixture(scope="module")

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.optimize import lsq_linear
 
-from diagnosis.gap import box
+from softarm.diagnosis.gap import box
 
 
 def _problem(seed, alike=0.0):

@@ -5,10 +5,10 @@ import math
 import numpy as np
 import pytest
 
-from diagnosis.gap.candidates import candidates, nuisances
-from diagnosis.gap.counts import TOLERANCE
-from schemas.model import Model
-from simulator.effects import REGISTRY, find, value
+from softarm.diagnosis.gap.candidates import candidates, nuisances
+from softarm.diagnosis.gap.counts import TOLERANCE
+from softarm.schemas.model import Model
+from softarm.simulator.effects import REGISTRY, find, value
 
 ALL = candidates(Model())
 BARE = Model(effects={})

@@ -5,9 +5,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from diagnosis.gap.counts import TOLERANCE, VELOCITY_FLOOR_M_S, counts
-from diagnosis.trials import Series, Trial
-from schemas.model import Model
+from softarm.diagnosis.gap.counts import TOLERANCE, VELOCITY_FLOOR_M_S, counts
+from softarm.diagnosis.trials import Series, Trial
+from softarm.schemas.model import Model
 
 TICK_S, FRAME_S, LENGTH_S = 1 / 30, 1 / 120, 20.0
 DIFFERENCED, TRUE = Model(), Model(effects={})

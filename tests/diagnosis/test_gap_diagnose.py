@@ -12,14 +12,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from diagnosis.diagnose import diagnose
-from diagnosis.shrink import measure_shrink
-from diagnosis.trials import Series, Trial, TrialError
-from schemas.excitation import EXCITATIONS
-from schemas.model import Model, seed_effects
-from schemas.verdict import Verdict
-from simulator.effects import validate
-from simulator.simulator import Simulator
+from softarm.diagnosis.diagnose import diagnose
+from softarm.diagnosis.shrink import measure_shrink
+from softarm.diagnosis.trials import Series, Trial, TrialError
+from softarm.schemas.excitation import EXCITATIONS
+from softarm.schemas.model import Model, seed_effects
+from softarm.schemas.verdict import Verdict
+from softarm.simulator.effects import validate
+from softarm.simulator.simulator import Simulator
 
 SEED = seed_effects()
 # Excitation -> from which second of it on; 5 s of each make a campaign that is diagnosed in seconds.

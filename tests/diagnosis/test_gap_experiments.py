@@ -5,10 +5,10 @@ import re
 import numpy as np
 import pytest
 
-from diagnosis.gap.experiments import CHANNELS, NOTHING, repeated, splitting
-from schemas.excitation import EXCITATIONS
-from schemas.model import Model
-from simulator.simulator import Simulator
+from softarm.diagnosis.gap.experiments import CHANNELS, NOTHING, repeated, splitting
+from softarm.schemas.excitation import EXCITATIONS
+from softarm.schemas.model import Model
+from softarm.simulator.simulator import Simulator
 
 LAG = {"rail.lag.time": 0.06}
 LIMIT = {"rail.acceleration_limit.acceleration": 3.0}

@@ -5,8 +5,8 @@ from dataclasses import dataclass, field
 import numpy as np
 import pytest
 
-from diagnosis.gap.candidates import Candidate, Dial, Nuisance
-from diagnosis.gap.problem import Setup
+from softarm.diagnosis.gap.candidates import Candidate, Dial, Nuisance
+from softarm.diagnosis.gap.problem import Setup
 
 RATE_HZ, LENGTH_S, NOISE = 60.0, 6.0, 0.05
 KINDS = ("steps", "chirp", "decay")

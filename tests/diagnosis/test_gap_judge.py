@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
-from diagnosis.gap.candidates import candidates
-from diagnosis.gap.confidence import confidence
-from diagnosis.gap.fits import Fit
-from diagnosis.gap.judge import RANDOM_SHARE, rule, stage_of, stage_shares
-from diagnosis.gap.search import Choice, Gain, Member
-from schemas.model import Model
-from simulator.effects import STAGES
+from softarm.diagnosis.gap.candidates import candidates
+from softarm.diagnosis.gap.confidence import confidence
+from softarm.diagnosis.gap.fits import Fit
+from softarm.diagnosis.gap.judge import RANDOM_SHARE, rule, stage_of, stage_shares
+from softarm.diagnosis.gap.search import Choice, Gain, Member
+from softarm.schemas.model import Model
+from softarm.simulator.effects import STAGES
 
 KNOWN = {each.name: each for each in candidates(Model())}
 

@@ -5,8 +5,8 @@ from dataclasses import dataclass, field
 import numpy as np
 import pytest
 
-from diagnosis.gap.lens import BLOCK_S, START_PRIOR, Gaps, Lens
-from diagnosis.gap.noise import Whitener
+from softarm.diagnosis.gap.lens import BLOCK_S, START_PRIOR, Gaps, Lens
+from softarm.diagnosis.gap.noise import Whitener
 
 RATE_HZ, SAMPLES, CHANNELS = 60.0, (300, 240), 2
 

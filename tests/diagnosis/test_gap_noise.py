@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from diagnosis.gap.noise import ORDER, scaled, whitener
+from softarm.diagnosis.gap.noise import ORDER, scaled, whitener
 
 LENGTH = 3000  # samples a trial
 

@@ -6,10 +6,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from diagnosis.gap.recordings import STEP_S, flight
-from diagnosis.gap.robot_views import robot_views
-from diagnosis.trials import Series, Trial, TrialError, mocap_columns
-from schemas.model import Model
+from softarm.diagnosis.gap.recordings import STEP_S, flight
+from softarm.diagnosis.gap.robot_views import robot_views
+from softarm.diagnosis.trials import Series, Trial, TrialError, mocap_columns
+from softarm.schemas.model import Model
 
 LENGTH_S = 6.0
 MODEL = Model()

@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from diagnosis.gap.candidates import candidates
-from diagnosis.gap.counts import TOLERANCE
-from diagnosis.gap.recordings import flight
-from diagnosis.gap.robot_views import ON_MOTOR, robot_views
-from schemas.model import Model
-from simulator.effects import REGISTRY
+from softarm.diagnosis.gap.candidates import candidates
+from softarm.diagnosis.gap.counts import TOLERANCE
+from softarm.diagnosis.gap.recordings import flight
+from softarm.diagnosis.gap.robot_views import ON_MOTOR, robot_views
+from softarm.schemas.model import Model
+from softarm.simulator.effects import REGISTRY
 
 MODEL = Model()
 SEEN_STAGES = ("pressure", "rail", "arm", "mocap")

@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from diagnosis import bench, motion, regression
-from diagnosis.identify import TIP_Y_M, TIP_Z_M, TORQUE_RMSE_NM, identify
-from diagnosis.trials import Series, TrialError
-from schemas.model import Model
+from softarm.diagnosis import bench, motion, regression
+from softarm.diagnosis.identify import TIP_Y_M, TIP_Z_M, TORQUE_RMSE_NM, identify
+from softarm.diagnosis.trials import Series, TrialError
+from softarm.schemas.model import Model
 
 
 @pytest.fixture(scope="module")

@@ -3,15 +3,15 @@
 import numpy as np
 import pytest
 
-from daemon import logs
-from daemon.offline import Lockstep
-from daemon.recorder import Recorder
-from diagnosis import mcap
-from diagnosis.trials import TrialError
-from policies.excite import Excite
-from schemas.config import Config
-from schemas.config import Recorder as RecorderConfig
-from schemas.goals import Goal
+from softarm.daemon.logbook import logs
+from softarm.daemon.logbook.recorder import Recorder
+from softarm.daemon.shell.offline import Lockstep
+from softarm.diagnosis import mcap
+from softarm.diagnosis.trials import TrialError
+from softarm.policies.excite import Excite
+from softarm.schemas.config import Config
+from softarm.schemas.config import Recorder as RecorderConfig
+from softarm.schemas.goals import Goal
 
 
 @pytest.fixture(scope="module")
@@ -58,7 +58,7 @@ def test_a_log_that_breaks_off_is_read_up_to_there(recording, tmp_path):
     whole = mcap.read(recording)
     live = tmp_path / "killed.mcap"
     # Unfinished logs have no chunks: write one as the recorder does while it runs, and cut it.
-    from daemon.recorder import LiveFile
+    from softarm.daemon.logbook.recorder import LiveFile
 
     with live.open("wb") as file:
         writer = LiveFile(file)

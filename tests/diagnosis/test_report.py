@@ -9,12 +9,12 @@ from html.parser import HTMLParser
 import numpy as np
 import pytest
 
-from diagnosis import report
-from diagnosis.gap.result import Diagnosis, Leftover, Overlay, Regime, Rival, Spectrum
-from diagnosis.report import charts, overlays, words
-from diagnosis.report.markup import prose
-from schemas.model import Model
-from schemas.verdict import (
+from softarm.diagnosis import report
+from softarm.diagnosis.gap.result import Diagnosis, Leftover, Overlay, Regime, Rival, Spectrum
+from softarm.diagnosis.report import charts, overlays, words
+from softarm.diagnosis.report.markup import prose
+from softarm.schemas.model import Model
+from softarm.schemas.verdict import (
     Estimate,
     Gap,
     Interval,

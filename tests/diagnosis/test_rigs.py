@@ -7,19 +7,19 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from diagnosis import tables
-from diagnosis.gap.fits import Problem
-from diagnosis.gap.lens import BLOCK_S, blocks_of
-from diagnosis.gap.problem import Setup
-from diagnosis.rigs.candidates import candidates, nuisances
-from diagnosis.rigs.diagnose import diagnose_table, view_of
-from diagnosis.rigs.grid import grid, smallest_step, windows
-from diagnosis.rigs.pendulum import PendulumView
-from diagnosis.rigs.selection import Refitted
-from diagnosis.rigs.tracking import TrackingView, velocity_warnings
-from diagnosis.rigs.vocabulary import effects
-from diagnosis.trials import Series, Stage, Trial, TrialError
-from simulator.effects import REGISTRY
+from softarm.diagnosis import tables
+from softarm.diagnosis.gap.fits import Problem
+from softarm.diagnosis.gap.lens import BLOCK_S, blocks_of
+from softarm.diagnosis.gap.problem import Setup
+from softarm.diagnosis.rigs.candidates import candidates, nuisances
+from softarm.diagnosis.rigs.diagnose import diagnose_table, view_of
+from softarm.diagnosis.rigs.grid import grid, smallest_step, windows
+from softarm.diagnosis.rigs.pendulum import PendulumView
+from softarm.diagnosis.rigs.selection import Refitted
+from softarm.diagnosis.rigs.tracking import TrackingView, velocity_warnings
+from softarm.diagnosis.rigs.vocabulary import effects
+from softarm.diagnosis.trials import Series, Stage, Trial, TrialError
+from softarm.simulator.effects import REGISTRY
 
 MODEL = {
     "mass_kg": 0.15, "centre_m": 0.15, "inertia_kg_m2": 1e-4, "damping_nm_s_rad": 2e-4, "gravity_m_s2": 9.81,
@@ -113,8 +113,8 @@ def test_a_wrong_velocity_is_told_and_a_right_one_is_not():
 
 def swing(point, amplitude=0.3, seconds=12.0, model=MODEL, rate_hz=100.0):
     """A window's worth of the law itself, from rest at an amplitude."""
-    from diagnosis.rigs import kernels
-    from diagnosis.rigs.pendulum import links
+    from softarm.diagnosis.rigs import kernels
+    from softarm.diagnosis.rigs.pendulum import links
 
     link = links(Stage("joint", "pendulum", model))
     n = link.shape[1]

@@ -8,8 +8,8 @@ import pytest
 from pyarrow import parquet
 from scipy.io import savemat
 
-from diagnosis import tables
-from diagnosis.trials import TrialError
+from softarm.diagnosis import tables
+from softarm.diagnosis.trials import TrialError
 
 STAGES = Path(tables.__file__).parent / "stages"
 T = np.arange(50) * 0.02

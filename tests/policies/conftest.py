@@ -8,15 +8,7 @@ import onnx
 import pytest
 from onnx import TensorProto, helper, numpy_helper
 
-from schemas.policy import (
-    ACTION,
-    METADATA_KEY,
-    OBSERVATION,
-    REACH_GOAL,
-    Golden,
-    PolicyMetadata,
-    TrainingRange,
-)
+from softarm.schemas.policy import ACTION, METADATA_KEY, OBSERVATION, REACH_GOAL, Golden, PolicyMetadata, TrainingRange
 
 STATE = 6
 INPUTS = len(OBSERVATION) + len(REACH_GOAL)

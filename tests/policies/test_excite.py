@@ -7,21 +7,21 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from daemon.offline import Lockstep
-from daemon.records import Mode
-from policies.base import PolicyError
-from policies.excite import LEAD_IN_S, Excite
-from policies.hold import Hold
-from policies.pid import Pid
-from schemas.config import Config
-from schemas.excitation import (
+from softarm.daemon.control.records import Mode
+from softarm.daemon.shell.offline import Lockstep
+from softarm.policies.base import PolicyError
+from softarm.policies.excite import LEAD_IN_S, Excite
+from softarm.policies.hold import Hold
+from softarm.policies.pid import Pid
+from softarm.schemas.config import Config
+from softarm.schemas.excitation import (
     CART_EXCURSION_MAX_M,
     CART_VELOCITY_MAX_M_S,
     EXCITATIONS,
     PRESSURE_MAX_KPA,
     PRESSURE_MIN_KPA,
 )
-from schemas.goals import Goal
+from softarm.schemas.goals import Goal
 
 
 @pytest.mark.parametrize("name", EXCITATIONS)
@@ -119,4 +119,4 @@ def test_a_reset_begins_again():
 
 def test_it_is_declared_as_a_plugin():
     project = tomllib.loads((Path(__file__).parents[2] / "pyproject.toml").read_text())
-    assert project["project"]["entry-points"]["softarm.policies"]["excite"] == "policies.excite:Excite"
+    assert project["project"]["entry-points"]["softarm.policies"]["excite"] == "softarm.policies.excite:Excite"

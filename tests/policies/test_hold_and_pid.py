@@ -5,9 +5,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from policies.base import Policy, PolicyError
-from policies.hold import Hold
-from policies.pid import Pid
+from softarm.policies.base import Policy, PolicyError
+from softarm.policies.hold import Hold
+from softarm.policies.pid import Pid
 
 metres = st.floats(-2, 2, width=32)
 speeds = st.floats(-5, 5, width=32)

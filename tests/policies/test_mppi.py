@@ -8,19 +8,19 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks import commands
-from daemon.offline import Lockstep
-from policies.base import Policy, PolicyError
-from policies.mppi import plans
-from policies.mppi.cost import Cost
-from policies.mppi.estimator import Estimator
-from policies.mppi.policy import Mppi
-from policies.mppi.shape import likely_joints, tip_from_cart_m
-from policies.runner import InlineRunner
-from schemas.config import Config
-from schemas.goals import Goal
-from schemas.model import Model
-from simulator.simulator import Simulator
+from softarm.benchmarks import commands
+from softarm.daemon.shell.offline import Lockstep
+from softarm.policies.base import Policy, PolicyError
+from softarm.policies.mppi import plans
+from softarm.policies.mppi.cost import Cost
+from softarm.policies.mppi.estimator import Estimator
+from softarm.policies.mppi.policy import Mppi
+from softarm.policies.mppi.shape import likely_joints, tip_from_cart_m
+from softarm.policies.runner import InlineRunner
+from softarm.schemas.config import Config
+from softarm.schemas.goals import Goal
+from softarm.schemas.model import Model
+from softarm.simulator.simulator import Simulator
 
 HANGING = np.array([0, 0, 0, 0.5225, 0, 0, 0, 0], dtype=np.float32)
 TARGET = np.array([-0.3, 0.65], dtype=np.float32)
@@ -232,7 +232,7 @@ class TestPlugin:
     def test_it_is_a_policy_and_it_is_published(self, flown):
         assert isinstance(flown[0], Policy)
         project = tomllib.loads((Path(__file__).parents[2] / "pyproject.toml").read_text(encoding="utf-8"))
-        assert project["project"]["entry-points"]["softarm.policies"]["mppi"] == "policies.mppi.policy:Mppi"
+        assert project["project"]["entry-points"]["softarm.policies"]["mppi"] == "softarm.policies.mppi.policy:Mppi"
 
     @pytest.mark.parametrize(
         ("options", "said"),
@@ -243,6 +243,9 @@ class TestPlugin:
             Mppi(**options)
 
     def test_listing_policies_does_not_import_the_simulator(self):
-        program = "import sys, policies.mppi.policy; print(sorted({'numba', 'simulator.simulator'} & set(sys.modules)))"
+        program = (
+            "import sys, softarm.policies.mppi.policy;"
+            "print(sorted({'numba', 'softarm.simulator.simulator'} & set(sys.modules)))"
+        )
         run = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=60, check=False)
         assert (run.stdout.strip(), run.returncode) == ("[]", 0), run.stderr

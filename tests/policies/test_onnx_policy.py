@@ -8,9 +8,9 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from policies.base import Policy, PolicyError
-from policies.onnx_policy import OnnxPolicy
-from schemas.policy import ACTION, OBSERVATION, REACH_GOAL, Golden
+from softarm.policies.base import Policy, PolicyError
+from softarm.policies.onnx_policy import OnnxPolicy
+from softarm.schemas.policy import ACTION, OBSERVATION, REACH_GOAL, Golden
 
 
 def fly(policy, inputs):

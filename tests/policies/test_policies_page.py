@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from policies.base import Policy
-from policies.registry import available
-from policies.runner import InlineRunner
+from softarm.policies.base import Policy
+from softarm.policies.registry import available
+from softarm.policies.runner import InlineRunner
 
 PAGE = (Path(__file__).parents[2] / "docs/policies.md").read_text(encoding="utf-8")
 

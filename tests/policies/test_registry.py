@@ -5,10 +5,10 @@ import textwrap
 
 import pytest
 
-from policies.base import Policy, PolicyError, PolicySpec
-from policies.onnx_policy import OnnxPolicy
-from policies.registry import available, load
-from schemas.config import Policy as Configured
+from softarm.policies.base import Policy, PolicyError, PolicySpec
+from softarm.policies.onnx_policy import OnnxPolicy
+from softarm.policies.registry import available, load
+from softarm.schemas.config import Policy as Configured
 
 
 @pytest.fixture
@@ -30,7 +30,7 @@ def install(tmp_path, monkeypatch):
 
 GOOD = """
     import numpy as np
-    from policies.base import PolicySpec
+    from softarm.policies.base import PolicySpec
 
     class Wave:
         spec = PolicySpec(name="whatever", description="swings to and fro")
@@ -92,8 +92,8 @@ def test_a_model_file_under_a_name_of_ones_own(write_model):
 def test_shipped_models_are_chosen_by_their_stem(write_model, tmp_path, monkeypatch):
     write_model("lob.onnx")
     (tmp_path / "torn.onnx").write_bytes(b"half")
-    monkeypatch.setattr("policies.registry.MODELS", tmp_path)
-    monkeypatch.setattr("policies.onnx_policy.MODELS", tmp_path)
+    monkeypatch.setattr("softarm.policies.registry.MODELS", tmp_path)
+    monkeypatch.setattr("softarm.policies.onnx_policy.MODELS", tmp_path)
     entries = available()
     assert entries["lob"].plugin == "onnx"
     assert load("lob").spec.name == "lob"

@@ -10,8 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from policies.base import PolicySpec
-from policies.runner import InlineRunner, PolicyRunner, ThreadRunner
+from softarm.policies.base import PolicySpec
+from softarm.policies.runner import InlineRunner, PolicyRunner, ThreadRunner
 
 OBSERVATION = np.arange(8, dtype=np.float32)
 GOAL = np.array([-0.2, 0.6], dtype=np.float32)

@@ -3,14 +3,14 @@
 import numpy as np
 import pytest
 
-from daemon.evaluation import CART_STARTS_M
-from daemon.offline import Lockstep
-from policies.base import MODELS, Policy, PolicyError
-from policies.plans import Plans
-from policies.runner import InlineRunner
-from policies.trajectory import Trajectory
-from schemas.config import Config
-from schemas.goals import TEST_TARGETS, Goal
+from softarm.daemon.evaluation import CART_STARTS_M
+from softarm.daemon.shell.offline import Lockstep
+from softarm.policies.base import MODELS, Policy, PolicyError
+from softarm.policies.plans import Plans
+from softarm.policies.runner import InlineRunner
+from softarm.policies.trajectory import Trajectory
+from softarm.schemas.config import Config
+from softarm.schemas.goals import TEST_TARGETS, Goal
 
 GOAL = np.array([-0.2, 0.6], dtype=np.float32)
 STEPS = 5

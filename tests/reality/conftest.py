@@ -6,9 +6,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from reality.parameters import Parameters
-from reality.robot import Robot
-from schemas.messages import MocapFrame, PressureReading, RailReading
+from softarm.reality.parameters import Parameters
+from softarm.reality.robot import Robot
+from softarm.schemas.messages import MocapFrame, PressureReading, RailReading
 
 PERIOD_S = 1 / 30
 GROUPS = {

@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from reality.chain import refine
-from reality.parameters import Arm, Parameters
-from reality.robot import Robot
-from schemas.model import Arm as ModelArm
-from simulator.simulator import Simulator
+from softarm.reality.chain import refine
+from softarm.reality.parameters import Arm, Parameters
+from softarm.reality.robot import Robot
+from softarm.schemas.model import Arm as ModelArm
+from softarm.simulator.simulator import Simulator
 
 BODY = ModelArm()
 

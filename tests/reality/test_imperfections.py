@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from reality.parameters import GROUPS
+from softarm.reality.parameters import GROUPS
 
 # A strong value, and the companions without which it has nothing to act on.
 EXEMPLARS: dict[str, tuple[float, dict[str, float]]] = {

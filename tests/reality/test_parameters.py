@@ -6,10 +6,10 @@ from typing import Any
 
 import pytest
 
-from reality.parameters import GROUPS, Arm, Mocap, Parameters, Rail, Regulator, of_model
-from reality.quantities import table
-from schemas.model import Arm as ModelArm
-from schemas.model import Model
+from softarm.reality.parameters import GROUPS, Arm, Mocap, Parameters, Rail, Regulator, of_model
+from softarm.reality.quantities import table
+from softarm.schemas.model import Arm as ModelArm
+from softarm.schemas.model import Model
 
 PAGE = Path(__file__).parents[2] / "docs" / "reality.md"
 FIELDS = [(group, field) for group in GROUPS for field in dataclasses.fields(group)]

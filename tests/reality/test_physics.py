@@ -6,12 +6,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from benchmarks import commands
-from reality.parameters import Arm, Parameters, Rail
-from reality.plant import energy_j
-from reality.robot import Robot
-from schemas.model import Arm as ModelArm
-from simulator.simulator import Simulator
+from softarm.benchmarks import commands
+from softarm.reality.parameters import Arm, Parameters, Rail
+from softarm.reality.plant import energy_j
+from softarm.reality.robot import Robot
+from softarm.schemas.model import Arm as ModelArm
+from softarm.simulator.simulator import Simulator
 
 STRAIGHT = ModelArm(torque_offset_nm=(0.0,) * 5)
 

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 import yaml
 
-from reality.parameters import Clock, Parameters
-from reality.record import SETTLE_S, record
-from reality.robot import Robot
+from softarm.reality.parameters import Clock, Parameters
+from softarm.reality.record import SETTLE_S, record
+from softarm.reality.robot import Robot
 
 LINKS = [f"link{i}_{part}" for i in range(1, 6) for part in ("y", "z", "angle")]
 COLUMNS = {

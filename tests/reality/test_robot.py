@@ -6,9 +6,9 @@ from typing import Any
 
 import pytest
 
-from reality.parameters import Parameters
-from reality.robot import Robot
-from schemas.model import Arm
+from softarm.reality.parameters import Parameters
+from softarm.reality.robot import Robot
+from softarm.schemas.model import Arm
 
 
 @pytest.mark.parametrize(

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from reality.parameters import Arm, Parameters
-from reality.plant import RADIUS_M
-from reality.robot import Robot
-from simulator.simulator import Simulator
+from softarm.reality.parameters import Arm, Parameters
+from softarm.reality.plant import RADIUS_M
+from softarm.reality.robot import Robot
+from softarm.simulator.simulator import Simulator
 
 PERIOD_S = 1 / 30
 EDGE_M, BOARD_M = -0.25, 0.55

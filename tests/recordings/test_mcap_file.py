@@ -5,8 +5,8 @@ import io
 import pytest
 from mcap.writer import Writer
 
-from recordings import channels, mcap_file
-from schemas.messages import RailReading
+from softarm.recordings import channels, mcap_file
+from softarm.schemas.messages import RailReading
 
 READINGS = [RailReading(n, n / 7, float("nan") if n == 3 else -0.0, True) for n in range(10)]
 

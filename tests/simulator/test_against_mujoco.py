@@ -5,10 +5,10 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from benchmarks import commands
-from benchmarks.mujoco_arm import fly
-from schemas.model import Arm, Cart, Model, seed_effects
-from simulator.simulator import Simulator
+from softarm.benchmarks import commands
+from softarm.benchmarks.mujoco_arm import fly
+from softarm.schemas.model import Arm, Cart, Model, seed_effects
+from softarm.simulator.simulator import Simulator
 
 # MuJoCo's arm has no end stops.
 ENDLESS = Cart(travel_m=100.0)

@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from benchmarks import commands
-from benchmarks.endurance import fly
-from schemas.model import Arm, Cart, Model
-from simulator import stages
-from simulator.effects import REGISTRY
-from simulator.simulator import Simulator
+from softarm.benchmarks import commands
+from softarm.benchmarks.endurance import fly
+from softarm.schemas.model import Arm, Cart, Model
+from softarm.simulator import stages
+from softarm.simulator.effects import REGISTRY
+from softarm.simulator.simulator import Simulator
 
 
 def energies_j(simulator: Simulator, shelf: tuple[float, float], stiffness: float) -> np.ndarray:
@@ -177,6 +177,6 @@ def test_single_precision_at_240_hz_is_near_the_reference_with_all_effects() -> 
 
 
 def test_random_parameters_within_bounds_stay_finite() -> None:
-    """A few thousand episodes; `python -m benchmarks.endurance` flies a million."""
+    """A few thousand episodes; `python -m softarm.benchmarks.endurance` flies a million."""
     for rate_hz in (120.0, 240.0):
         assert fly(1024, seed=round(rate_hz), rate_hz=rate_hz).finite

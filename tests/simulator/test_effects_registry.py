@@ -8,12 +8,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from schemas.model import Model, seed_effects
-from simulator import effects
-from simulator.effect_table import EFFECTS, RIVALS
-from simulator.effects import REGISTRY, STAGES, Effect, EffectError, Parameter
-from simulator.effects_page import page
-from simulator.quantities import MISTAKEN_UNITS, Range
+from softarm.schemas.model import Model, seed_effects
+from softarm.simulator import effects
+from softarm.simulator.effect_table import EFFECTS, RIVALS
+from softarm.simulator.effects import REGISTRY, STAGES, Effect, EffectError, Parameter
+from softarm.simulator.effects_page import page
+from softarm.simulator.quantities import MISTAKEN_UNITS, Range
 
 PAGE = Path(__file__).parents[2] / "docs" / "effects.md"
 PARAMETERS = [(effect, parameter) for effect in EFFECTS for parameter in effect.parameters]
@@ -139,7 +139,7 @@ def test_a_number_of_another_unit_is_converted(unit: str, data: st.DataObject) -
 
 
 def test_page_is_not_stale() -> None:
-    assert PAGE.read_text(encoding="utf-8") == page(), "python -m simulator.effects > docs/effects.md"
+    assert PAGE.read_text(encoding="utf-8") == page(), "python -m softarm.simulator.effects > docs/effects.md"
 
 
 def test_walk_through_shows_the_code_as_it_is() -> None:

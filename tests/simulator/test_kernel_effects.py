@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from numpy.typing import ArrayLike
 
-from schemas.model import Model
-from simulator import stages
-from simulator.effects import REGISTRY
-from simulator.sensors import Clock, Sensors
-from simulator.simulator import Simulator
+from softarm.schemas.model import Model
+from softarm.simulator import stages
+from softarm.simulator.effects import REGISTRY
+from softarm.simulator.sensors import Clock, Sensors
+from softarm.simulator.simulator import Simulator
 
 NUMERIC = [effect for effect in REGISTRY.values() if effect.parameters]
 BY_CHANCE = ("mocap.noise", "mocap.dropout", "clock.jitter", "clock.missed_ticks")

@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from schemas.model import Arm, Model
-from simulator import effects
-from simulator.effects import REGISTRY
-from simulator.mjcf import export
-from simulator.simulator import Simulator
+from softarm.schemas.model import Arm, Model
+from softarm.simulator import effects
+from softarm.simulator.effects import REGISTRY
+from softarm.simulator.mjcf import export
+from softarm.simulator.simulator import Simulator
 
 mujoco = pytest.importorskip("mujoco")
 

@@ -7,10 +7,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from schemas.model import Arm, Cart, Model, seed_effects
-from simulator import effects, model_file
-from simulator.model_file import ModelFileError
-from simulator.robot_table import ROBOT
+from softarm.schemas.model import Arm, Cart, Model, seed_effects
+from softarm.simulator import effects, model_file
+from softarm.simulator.model_file import ModelFileError
+from softarm.simulator.robot_table import ROBOT
 
 ABLATIONS = {
     "no-pressure-lag": "pressure.lag",

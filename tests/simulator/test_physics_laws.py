@@ -5,9 +5,9 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from benchmarks import commands
-from schemas.model import Arm, Cart, Model, seed_effects
-from simulator.simulator import Simulator
+from softarm.benchmarks import commands
+from softarm.schemas.model import Arm, Cart, Model, seed_effects
+from softarm.simulator.simulator import Simulator
 
 ARM = Arm()
 

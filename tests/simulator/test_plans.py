@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from benchmarks import commands
-from schemas.model import Arm, Model
-from simulator.simulator import Simulator
+from softarm.benchmarks import commands
+from softarm.schemas.model import Arm, Model
+from softarm.simulator.simulator import Simulator
 
 STEPS = 12
 

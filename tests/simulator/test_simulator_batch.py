@@ -5,9 +5,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from benchmarks import commands
-from schemas.model import Model, seed_effects
-from simulator.simulator import Simulator
+from softarm.benchmarks import commands
+from softarm.schemas.model import Model, seed_effects
+from softarm.simulator.simulator import Simulator
 
 SEED = Model()
 

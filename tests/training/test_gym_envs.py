@@ -11,19 +11,22 @@ pytest.importorskip("torch")
 from gymnasium.utils.env_checker import check_env  # noqa: E402
 from gymnasium.vector import AutoresetMode  # noqa: E402
 
-from simulator.model_file import ModelFileError  # noqa: E402
+from softarm.simulator.model_file import ModelFileError  # noqa: E402
 
 TASKS = ("Reach", "Shelf")
 REACH_POLICY = Path(__file__).parents[2] / "policies" / "models" / "reach.onnx"
 
 
 def one(task: str, **options):
-    return gymnasium.make(f"training.gym_envs:SoftArm{task}-v0", **options).unwrapped
+    return gymnasium.make(f"softarm.training.gym_envs:SoftArm{task}-v0", **options).unwrapped
 
 
 def many(task: str, robots: int, **options):
     return gymnasium.make_vec(
-        f"training.gym_envs:SoftArm{task}-v0", num_envs=robots, vectorization_mode="vector_entry_point", **options
+        f"softarm.training.gym_envs:SoftArm{task}-v0",
+        num_envs=robots,
+        vectorization_mode="vector_entry_point",
+        **options,
     ).unwrapped
 
 

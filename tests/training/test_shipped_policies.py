@@ -7,13 +7,13 @@ import numpy as np
 import onnxruntime
 import pytest
 
-import policies
-from schemas.model import Model
-from schemas.policy import METADATA_KEY, PolicyMetadata
-from training.evaluation import validation_trials
-from training.recipe import PRESETS
-from training.shelf import environment_of
-from training.tasks import ReachTask
+from softarm import policies
+from softarm.schemas.model import Model
+from softarm.schemas.policy import METADATA_KEY, PolicyMetadata
+from softarm.training.run.evaluation import validation_trials
+from softarm.training.run.recipe import PRESETS
+from softarm.training.task.reach import ReachTask
+from softarm.training.task.shelf import environment_of
 
 MODELS = Path(policies.__file__).parent / "models"
 

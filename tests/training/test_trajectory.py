@@ -4,16 +4,16 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from cli.main import main
-from policies.plans import Plans
-from schemas.model import Model, seed_effects
-from training import ceiling
-from training.tasks import ReachTask
-from training.trajectory.guesses import library, nearest, random_knots
-from training.trajectory.optimiser import UNIT, Batch, Optimiser
-from training.trajectory.planner import plan
-from training.trajectory.problem import Problem, interpolation
-from training.trajectory.rollout import VERIFYING_HZ, Rollouts
+from softarm.cli.main import main
+from softarm.policies.plans import Plans
+from softarm.schemas.model import Model, seed_effects
+from softarm.training.task.reach import ReachTask
+from softarm.training.trajectory import ceiling
+from softarm.training.trajectory.guesses import library, nearest, random_knots
+from softarm.training.trajectory.optimiser import UNIT, Batch, Optimiser
+from softarm.training.trajectory.planner import plan
+from softarm.training.trajectory.problem import Problem, interpolation
+from softarm.training.trajectory.rollout import VERIFYING_HZ, Rollouts
 
 TARGETS = np.array([[-0.2, 0.6], [-0.3, 0.7], [0.0, 0.8]], dtype=np.float32)
 REACHABLE = np.array([True, True, False])  # (0, 0.8): the rail is too short, whoever swings
@@ -22,9 +22,9 @@ REACHABLE = np.array([True, True, False])  # (0, 0.8): the rail is too short, wh
 @pytest.fixture(scope="module")
 def small(monkeymodule):
     """Fewer first guesses and iterations than shipped: enough for these targets."""
-    monkeymodule.setattr("training.trajectory.optimiser.OUTER", 5)
-    monkeymodule.setattr("training.trajectory.planner.LIBRARY", 512)
-    monkeymodule.setattr("training.trajectory.planner.EACH", 1)
+    monkeymodule.setattr("softarm.training.trajectory.optimiser.OUTER", 5)
+    monkeymodule.setattr("softarm.training.trajectory.planner.LIBRARY", 512)
+    monkeymodule.setattr("softarm.training.trajectory.planner.EACH", 1)
 
 
 @pytest.fixture(scope="module")
@@ -68,7 +68,7 @@ def test_plans_keep_the_limits_with_room_for_the_tracker(report):
 
 
 def test_same_seed_same_plans(small, monkeypatch):
-    monkeypatch.setattr("training.trajectory.optimiser.OUTER", 2)
+    monkeypatch.setattr("softarm.training.trajectory.optimiser.OUTER", 2)
     one, two = (plan(TARGETS[:1], (0.0,), seed=3).plans for _ in range(2))
     np.testing.assert_array_equal(one.command, two.command)
     np.testing.assert_array_equal(one.steps, two.steps)

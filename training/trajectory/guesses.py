@@ -9,8 +9,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from training.trajectory.problem import KNOT_STEPS, Array, Problem, interpolation
-from training.trajectory.rollout import Rollouts
+from softarm.training.trajectory.problem import KNOT_STEPS, Array, Problem, interpolation
+from softarm.training.trajectory.rollout import Rollouts
 
 STEPS_MIN = 12  # no target is reached sooner
 RAIL_WORTH = 2.0  # metres of distance from the target that a metre beyond the rail's limit is worth

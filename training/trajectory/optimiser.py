@@ -12,8 +12,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from training.trajectory.problem import KNOT_STEPS, Array, Problem, interpolation
-from training.trajectory.rollout import Motion, Rollouts
+from softarm.training.trajectory.problem import KNOT_STEPS, Array, Problem, interpolation
+from softarm.training.trajectory.rollout import Motion, Rollouts
 
 Mask = NDArray[np.bool_]
 

@@ -7,13 +7,13 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from policies.plans import Plans
-from schemas.model import Model
-from training.tasks import ReachTask
-from training.trajectory import guesses
-from training.trajectory.optimiser import INNER, OUTER, Batch, Optimiser, Solution
-from training.trajectory.problem import RAIL_SPARE_M, Array, Problem, interpolation
-from training.trajectory.rollout import VERIFYING_HZ, Rollouts
+from softarm.policies.plans import Plans
+from softarm.schemas.model import Model
+from softarm.training.task.reach import ReachTask
+from softarm.training.trajectory import guesses
+from softarm.training.trajectory.optimiser import INNER, OUTER, Batch, Optimiser, Solution
+from softarm.training.trajectory.problem import RAIL_SPARE_M, Array, Problem, interpolation
+from softarm.training.trajectory.rollout import VERIFYING_HZ, Rollouts
 
 Advance = Callable[[str, float], None]  # what is being done, share of the whole that this took
 

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from schemas.config import RailLimits
+from softarm.schemas.config import RailLimits
 
 Array = NDArray[np.float32]
 RAIL_SPARE_M = 0.005  # the plans' distance from where the safety filter begins to brake

@@ -5,9 +5,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from schemas.model import Model
-from simulator.simulator import Simulator
-from training.rail_guard import RailGuard
+from softarm.schemas.model import Model
+from softarm.simulator.simulator import Simulator
+from softarm.training.task.rail_guard import RailGuard
 
 Array = NDArray[np.float32]
 PLANNING_HZ = 240.0  # physics while planning; plans are verified at VERIFYING_HZ

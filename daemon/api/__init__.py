@@ -1,0 +1,1 @@
+"""REST and WebSocket: a guest of the control loop."""

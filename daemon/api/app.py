@@ -1,0 +1,401 @@
+"""The REST API: requests into the inbox, snapshots out. It never touches the control loop otherwise."""
+
+import asyncio
+import json
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Annotated, Any, Protocol
+
+import numpy as np
+from fastapi import Body, FastAPI, Query, Request, WebSocket, WebSocketDisconnect
+from fastapi.exceptions import RequestValidationError
+from fastapi.responses import Response
+from fastapi_offline import FastAPIOffline
+
+from softarm.daemon.api.auth import Guard, is_loopback, load_token
+from softarm.daemon.api.sentences import sentences
+from softarm.daemon.api.status import RecorderState, Status, StatusView
+from softarm.daemon.control import workspace
+from softarm.daemon.control.inbox import Inbox, InboxFull
+from softarm.daemon.control.records import Outputs, Problems, RequestKind, RequestResult
+from softarm.daemon.logbook import logs
+from softarm.daemon.logbook.about import package_version
+from softarm.policies import registry
+from softarm.policies.base import Policy, PolicyError
+from softarm.policies.registry import PolicyEntry
+from softarm.policies.runner import PolicyRunner, ThreadRunner
+from softarm.schemas.config import Config
+from softarm.schemas.goals import Goal
+from softarm.schemas.rest import (
+    GoalAnswer,
+    GoalBody,
+    Health,
+    LogsAnswer,
+    PoliciesAnswer,
+    PolicyAnswer,
+    PolicyBody,
+    ReachBody,
+    Refusal,
+)
+
+ANSWER_S = 0.5  # the control loop answers within a tick or two
+POLL_S = 0.005
+STREAM_HZ = 30.0
+REFUSALS = {
+    404: "no such policy; lists those there are",
+    409: "refused by the control loop, with its reasons",
+    422: "a wrong body or a target out of reach; says what is allowed",
+    503: "the control loop does not answer",
+}
+
+
+class Policies(Protocol):
+    """Which policies there are, and how one is made; both may take long and are called in a worker thread."""
+
+    def available(self) -> Mapping[str, PolicyEntry]:
+        """All, by name."""
+
+    def load(self, name: str) -> Policy:
+        """One. Raises PolicyError."""
+
+
+@dataclass(frozen=True, slots=True)
+class Installed:
+    """The installed, shipped and configured policies."""
+
+    config: Config
+
+    def available(self) -> Mapping[str, PolicyEntry]:
+        """See Policies."""
+        return registry.available(self.config.policies)
+
+    def load(self, name: str) -> Policy:
+        """See Policies."""
+        return registry.load(name, self.config.policies)
+
+
+def _no_problems() -> Problems:
+    return Problems()
+
+
+@dataclass(frozen=True, slots=True)
+class ApiContext:
+    """All that the API shares with the rest of the daemon."""
+
+    config: Config
+    inbox: Inbox
+    snapshot: Callable[[], Outputs | None]  # the newest one
+    problems: Callable[[], Problems] = _no_problems  # of the devices, as they are now
+    recorder: RecorderState | None = None
+    policies: Policies | None = None  # None: `Installed`
+    clock: Callable[[], int] = field(default=time.monotonic_ns)
+
+
+class Refused(Exception):
+    """A request that is answered with sentences instead."""
+
+    def __init__(self, status: int, *reasons: str) -> None:
+        super().__init__(*reasons)
+        self.status, self.reasons = status, reasons
+
+
+def create_app(context: ApiContext) -> FastAPI:
+    """The application.
+
+    Raises AuthError when `api.host` is no loopback address and `api.token_file` gives no good token.
+    """
+    token = load_token(context.config.api)
+    api = _Api(context)
+    app = FastAPIOffline(  # a bench may have no internet; FastAPI's own page loads its scripts from there
+        title="softarm",
+        version=package_version("softarm"),
+        summary="Goals in, status out: the control daemon of a soft arm on a rail.",
+        redoc_url=None,
+    )
+    app.add_middleware(Guard, token=token, loopback=is_loopback(context.config.api.host))
+    app.add_exception_handler(Refused, _on_refused)
+    app.add_exception_handler(RequestValidationError, api.on_invalid)
+    for method, path, endpoint, answer, statuses in (
+        ("GET", "/api/status", api.status, Status, (503,)),
+        ("GET", "/api/health", api.health, Health, ()),
+        ("POST", "/api/arm", api.arm, Status, (409, 503)),
+        ("POST", "/api/disarm", api.disarm, Status, (409, 503)),
+        ("POST", "/api/stop", api.stop, Status, (409, 503)),
+        ("POST", "/api/acknowledge", api.acknowledge, Status, (409, 503)),
+        ("POST", "/api/goal", api.post_goal, Status, (409, 422, 503)),
+        ("DELETE", "/api/goal", api.delete_goal, Status, (409, 503)),
+        ("GET", "/api/goal", api.get_goal, GoalAnswer, (503,)),
+        ("GET", "/api/policies", api.get_policies, PoliciesAnswer, ()),
+        ("PUT", "/api/policy", api.put_policy, Status, (404, 409, 422, 503)),
+        ("GET", "/api/logs", api.get_logs, LogsAnswer, ()),
+    ):
+        responses: dict[int | str, dict[str, Any]] = {200: {"model": answer}}
+        responses |= {code: {"model": Refusal, "description": REFUSALS[code]} for code in statuses}
+        if answer is Health:
+            responses[503] = {"model": Health, "description": "not healthy, and why"}
+        summary = (endpoint.__doc__ or "").partition(".")[0]
+        app.add_api_route(
+            path, endpoint, methods=[method], summary=summary, responses=responses, response_class=Response
+        )
+    app.add_api_websocket_route("/api/stream", api.stream)
+    return app
+
+
+def _json(data: bytes | str, status: int = 200) -> Response:
+    return Response(data, status, media_type="application/json")
+
+
+def _refusal(status: int, reasons: tuple[str, ...]) -> Response:
+    return _json(Refusal(detail="; ".join(reasons), reasons=reasons).model_dump_json(), status)
+
+
+async def _on_refused(_: Request, error: Exception) -> Response:
+    assert isinstance(error, Refused)  # registered for this type
+    return _refusal(error.status, error.reasons)
+
+
+class _Api:
+    """The endpoints. Their docstrings are the page at /docs."""
+
+    def __init__(self, context: ApiContext) -> None:
+        self._context = context
+        self._policies = context.policies or Installed(context.config)
+        self._loading = asyncio.Lock()  # one policy at a time
+        self._view = StatusView(
+            context.snapshot,
+            context.problems,
+            context.recorder,
+            self._policies.available(),
+            context.clock,
+            package_version("softarm"),
+        )
+
+    async def status(self) -> Response:
+        """Everything about the robot, as of the newest control tick."""
+        return _json(self._status())
+
+    async def health(self) -> Response:
+        """200 when the robot can be used, else 503 with the reasons."""
+        reasons = tuple(self._view.why_unhealthy())
+        return _json(Health(healthy=not reasons, reasons=reasons).model_dump_json(), 503 if reasons else 200)
+
+    async def arm(self) -> Response:
+        """Switch the drive on and let the regulator follow. Refused with every reason why not."""
+        return await self._ask("arm")
+
+    async def disarm(self) -> Response:
+        """Brake, vent, switch off. Always taken."""
+        return await self._ask("disarm")
+
+    async def stop(self) -> Response:
+        """Emergency stop: latched until acknowledged. It does not replace the button on the wall."""
+        return await self._ask("stop")
+
+    async def acknowledge(self) -> Response:
+        """Free the latch of an emergency stop whose cause is gone; the robot is disarmed then."""
+        return await self._ask("acknowledge")
+
+    async def post_goal(
+        self,
+        body: Annotated[
+            GoalBody,
+            Body(
+                openapi_examples={
+                    "reach": {"value": {"kind": "reach", "y_m": -0.2, "z_m": 0.65}},
+                    "hold": {"value": {"kind": "hold"}},
+                    "run": {"value": {"kind": "run"}},
+                }
+            ),
+        ],
+    ) -> Response:
+        """Give the armed robot a goal; one that runs is cancelled by it. The answer may carry `warnings`."""
+        goal = Goal(body.kind, body.y_m, body.z_m) if isinstance(body, ReachBody) else Goal(body.kind)
+        if reasons := workspace.refusals(goal, self._context.config):
+            raise Refused(422, *reasons)
+        snapshot = self._view.snapshot()
+        entry = self._view.policies.get(snapshot.policy) if snapshot else None
+        trained = entry.spec.trained if entry and entry.spec else None
+        warnings = workspace.warnings(goal, entry.name if entry else "", trained)
+        return await self._ask("goal", goal=goal, warnings=warnings)
+
+    async def delete_goal(self) -> Response:
+        """Take the goal back: the robot holds."""
+        return await self._ask("cancel_goal")
+
+    async def get_goal(self) -> Response:
+        """The newest goal and how it went; state `none` when there was none."""
+        snapshot = self._snapshot()
+        status, goal = snapshot.goal, snapshot.goal.goal
+        target = goal if goal is not None and goal.kind == "reach" else None
+        answer = GoalAnswer(
+            kind=goal.kind if goal else None,
+            state=status.state,
+            reason=status.reason,
+            y_m=target.y_m if target else None,
+            z_m=target.z_m if target else None,
+            closest_m=status.closest_m,
+            time_s=status.time_s,
+            number=status.number,
+        )
+        return _json(answer.model_dump_json())
+
+    async def get_policies(self) -> Response:
+        """All policies that can be chosen, and those that cannot, with the reason."""
+        self._view.policies = await asyncio.to_thread(self._policies.available)
+        snapshot = self._view.snapshot()
+        answer = PoliciesAnswer(
+            active=snapshot.policy if snapshot else None,
+            policies=tuple(map(_policy_answer, self._view.policies.values())),
+        )
+        return _json(answer.model_dump_json())
+
+    async def put_policy(
+        self, body: Annotated[PolicyBody, Body(openapi_examples={"reach": {"value": {"name": "reach"}}})]
+    ) -> Response:
+        """Use another policy: loaded and tried out beside the control loop, swapped between two ticks."""
+        async with self._loading:
+            runner = await asyncio.to_thread(self._load, body.name)
+            try:
+                answer = await self._ask("policy", policy=body.name, runner=runner)
+            except Refused as refusal:
+                if refusal.status == 409:  # at 503 the request, and so the runner, may still be taken
+                    runner.close()
+                raise
+        if self._context.recorder is not None:
+            self._context.recorder.policy(runner.policy.spec)
+        return answer
+
+    async def get_logs(self) -> Response:
+        """The logs in the recorder's directory."""
+        directory = self._context.config.recorder.directory.absolute()
+        current = self._context.recorder.path if self._context.recorder else None
+        found = await asyncio.to_thread(logs.listing, directory)
+        own = None if current is None else current.name
+        entries = tuple(entry.model_copy(update={"recording": entry.name == own}) for entry in found)
+        return _json(LogsAnswer(directory=str(directory), logs=entries).model_dump_json())
+
+    async def stream(self, socket: WebSocket, hz: Annotated[float, Query(gt=0, le=STREAM_HZ)] = STREAM_HZ) -> None:
+        """Every status that is new, at most `hz` times a second; a slow client gets fewer of them."""
+        await socket.accept()
+        sender = asyncio.create_task(self._send(socket, 1 / hz))
+        try:
+            while (await socket.receive())["type"] != "websocket.disconnect":
+                pass  # a client has nothing to say here
+        except WebSocketDisconnect:
+            pass
+        finally:
+            sender.cancel()
+            await asyncio.gather(sender, return_exceptions=True)
+
+    async def _send(self, socket: WebSocket, period_s: float) -> None:
+        sent = None
+        while True:
+            data = self._view.json()
+            if data is not None and data is not sent:
+                sent = data
+                await socket.send({"type": "websocket.send", "text": data.decode()})
+                await asyncio.sleep(0.8 * period_s)  # the rest in small steps, so that no tick slips by
+            else:
+                await asyncio.sleep(POLL_S)
+
+    async def on_invalid(self, request: Request, error: Exception) -> Response:
+        """A body of the wrong shape."""
+        assert isinstance(error, RequestValidationError)  # registered for this type
+        return _refusal(422, sentences(error.errors(), request.url.path, self._context.config))
+
+    def _snapshot(self) -> Outputs:
+        snapshot = self._view.snapshot()
+        if snapshot is None:
+            raise Refused(503, *self._view.why_unhealthy())
+        return snapshot
+
+    def _status(self) -> bytes:
+        data = self._view.json()
+        if data is None:
+            raise Refused(503, *self._view.why_unhealthy())
+        return data
+
+    async def _ask(
+        self,
+        kind: RequestKind,
+        *,
+        goal: Goal | None = None,
+        policy: str | None = None,
+        runner: PolicyRunner | None = None,
+        warnings: tuple[str, ...] = (),
+    ) -> Response:
+        """Leave a request and wait for the tick that answers it."""
+        try:
+            number = self._context.inbox.post(kind, goal=goal, policy=policy, runner=runner)
+        except InboxFull as error:
+            raise Refused(503, str(error)) from error
+        result = await self._result(number)
+        if result is None:
+            raise Refused(503, f"{kind}: the control loop did not answer within {ANSWER_S:g} s", *_meanwhile(kind))
+        if not result.accepted:
+            raise Refused(409, *result.reasons)
+        listed = b",".join(_quoted(warning) for warning in warnings)
+        return _json(self._status()[:-1] + b',"warnings":[' + listed + b"]}")
+
+    async def _result(self, number: int) -> RequestResult | None:
+        deadline = time.monotonic() + ANSWER_S
+        while time.monotonic() < deadline:
+            snapshot = self._view.snapshot()
+            for result in reversed(snapshot.results if snapshot else ()):
+                if result.number == number:
+                    return result
+            await asyncio.sleep(POLL_S)
+        return None
+
+    def _load(self, name: str) -> PolicyRunner:
+        """In a worker thread: make the policy, have it do its first step, give it a thread with a budget."""
+        entries = self._policies.available()
+        if name not in entries:
+            raise Refused(404, f"no policy '{name}'; there are: {', '.join(entries) or 'none'}")
+        self._view.policies = entries
+        try:
+            policy = self._policies.load(name)
+            policy.reset()
+            policy.step(_HANGING.copy(), _TARGET.copy())
+            policy.reset()
+        except PolicyError as error:
+            raise Refused(422, str(error)) from error
+        except Exception as error:
+            raise Refused(
+                422,
+                f"policy '{name}': its first step failed ({type(error).__name__}: {error}); choose another",
+            ) from error
+        return ThreadRunner(policy, self._context.config.failsafe.policy_budget_s)
+
+
+# What a policy is warmed up on: the arm hanging at rest, and a target that it knows.
+_HANGING = np.array([0.0, 0.0, 0.0, 0.52, 0.0, 0.0, 0.0, 0.0], dtype=np.float32)
+_TARGET = np.array([-0.2, 0.6], dtype=np.float32)
+
+
+def _quoted(text: str) -> bytes:
+    return json.dumps(text).encode()
+
+
+def _meanwhile(kind: RequestKind) -> tuple[str, ...]:
+    """What to do when the loop is silent."""
+    if kind == "stop":
+        return ("use the emergency-stop button; the request stays in the inbox and is answered first",)
+    return ("see GET /api/health; the request is still in the inbox",)
+
+
+def _policy_answer(entry: PolicyEntry) -> PolicyAnswer:
+    spec = entry.spec
+    if spec is None:
+        return PolicyAnswer(name=entry.name, plugin=entry.plugin, description=entry.description, error=entry.error)
+    return PolicyAnswer(
+        name=entry.name,
+        plugin=entry.plugin,
+        description=spec.description,
+        error=entry.error,
+        needs_target=spec.needs_target,
+        episode_steps=spec.episode_steps,
+        trained=spec.trained,
+        sha256=spec.sha256,
+    )

@@ -1,0 +1,43 @@
+"""Why a request body was refused, in sentences a person can act on."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from softarm.daemon.control.workspace import allowed_y, allowed_z
+from softarm.schemas.config import Config
+
+EXAMPLES = {
+    "/api/goal": '{"kind": "reach", "y_m": -0.2, "z_m": 0.65} or {"kind": "hold"}',
+    "/api/policy": '{"name": "reach"}',
+}
+
+
+def sentences(errors: Sequence[Mapping[str, Any]], path: str, config: Config) -> tuple[str, ...]:
+    """One sentence for each of pydantic's errors; each says what is allowed."""
+    return tuple(_sentence(error, f"send {EXAMPLES[path]}", config) for error in errors)
+
+
+def _sentence(error: Mapping[str, Any], example: str, config: Config) -> str:
+    kind, place = str(error["type"]), error["loc"]
+    if place[0] != "body":
+        return f"{place[-1]}: {str(error['msg']).lower()}"
+    name = next((str(p) for p in reversed(place[1:]) if p not in ("reach", "hold", "run")), "")
+    if kind == "json_invalid":
+        return f"the body is not JSON ({error.get('ctx', {}).get('error', error['msg'])}); {example}"
+    if kind.startswith("union_tag"):
+        return f"kind: must be 'reach', 'hold' or 'run'; {example}"
+    if not name or isinstance(place[-1], int):
+        return f"the body must be a JSON object with Content-Type: application/json; {example}"
+    if kind == "extra_forbidden":
+        return f"{name}: is not known here; {example}"
+    return f"{name}: {'is missing, it ' if kind == 'missing' else ''}must be {_allowed(name, config)}"
+
+
+def _allowed(name: str, config: Config) -> str:
+    match name:
+        case "y_m":
+            return f"a number; allowed {allowed_y(config)}"
+        case "z_m":
+            return f"a number; allowed {allowed_z(config)}"
+        case _:
+            return "text; GET /api/policies lists the names"

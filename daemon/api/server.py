@@ -1,0 +1,95 @@
+"""The web server in a thread of its own: a guest of the daemon, beside the control loop."""
+
+import asyncio
+import socket
+import threading
+import time
+
+import uvicorn
+from starlette.types import ASGIApp
+
+from softarm.schemas.config import Api
+
+START_S = 5.0
+
+
+class ApiError(Exception):
+    """The API cannot be opened; names the address and the next step."""
+
+
+class ApiServer:
+    """Serves an application until it is stopped. Takes no signals: they are the daemon's."""
+
+    def __init__(self, config: Api, app: ASGIApp) -> None:
+        self._config = config
+        self._server = uvicorn.Server(
+            uvicorn.Config(
+                app,
+                log_config=None,
+                access_log=False,
+                lifespan="off",
+                loop="asyncio",
+                ws="websockets-sansio",
+                ws_per_message_deflate=False,  # costs the interpreter more than loopback gains
+                server_header=False,
+                date_header=False,
+                timeout_graceful_shutdown=1,
+            )
+        )
+        self._thread: threading.Thread | None = None
+
+    def start(self) -> int:
+        """Bind, serve, return the port (which the system chooses for port 0).
+
+        Raises ApiError when the address cannot be bound.
+        """
+        listener = self._bind()
+        port = int(listener.getsockname()[1])
+        self._thread = threading.Thread(target=self._serve, args=(listener,), name="api", daemon=True)
+        self._thread.start()
+        deadline = time.monotonic() + START_S
+        while not self._server.started:
+            if not self._thread.is_alive() or time.monotonic() > deadline:
+                raise ApiError(f"the API on {self._where(port)} did not come up; see the log above")
+            time.sleep(0.005)
+        return port
+
+    def stop(self) -> None:
+        """Close every connection; done within a second, whatever the clients do."""
+        if self._thread is None:
+            return
+        self._server.should_exit = True
+        self._thread.join(timeout=0.5)
+        self._server.force_exit = True  # clients that do not take their goodbye
+        self._thread.join(timeout=0.5)
+
+    def _serve(self, listener: socket.socket) -> None:
+        asyncio.run(self._serve_until_stopped(listener))
+
+    async def _serve_until_stopped(self, listener: socket.socket) -> None:
+        await self._server.serve(sockets=[listener])
+        for connection in tuple(self._server.server_state.connections):
+            connection.transport.abort()  # to one that does not read, the goodbye would never be said
+        await asyncio.sleep(0)
+
+    def _where(self, port: int) -> str:
+        return f"{self._config.host} port {port}"
+
+    def _bind(self) -> socket.socket:
+        host, port = self._config.host, self._config.port
+        try:
+            family, kind, protocol, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
+            listener = socket.socket(family, kind, protocol)
+            try:
+                listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+                listener.bind(address)
+                listener.listen(128)
+            except OSError:
+                listener.close()
+                raise
+        except OSError as error:
+            raise ApiError(
+                f"api.host {host}, api.port {port}: cannot listen there ({error.strerror}); stop the program "
+                "that does (another daemon? `softarm status` asks it), or choose another api.port, 0 for any"
+            ) from error
+        return listener

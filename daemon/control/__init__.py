@@ -1,0 +1,1 @@
+"""What the tick is made of: observer, checks, failsafe, safety filter, goals. Pure."""

@@ -1,0 +1,100 @@
+"""Which events of the failsafe table do the devices' readings raise? Pure."""
+
+import math
+from collections.abc import Iterator
+
+from softarm.daemon.control.failsafe import Event
+from softarm.daemon.control.observer import Observer
+from softarm.daemon.control.records import Inputs
+from softarm.schemas.config import Config
+from softarm.schemas.messages import BODY_NAMES
+
+FUTURE_NS = 5_000_000  # clock noise that a capture stamp may be ahead
+DISAGREEING_TICKS = 5  # a single pair of readings may straddle a reversal
+OUTSIDE_M = 0.02  # past the rail limit before the failsafe takes over from the safety filter
+
+
+def device_events(
+    inputs: Inputs, observer: Observer, config: Config, engaged: bool, disagreeing_ticks: int
+) -> Iterator[Event]:
+    """All of them; `engaged`: the actuators are supposed to be on."""
+    yield from _mocap(inputs, observer, config)
+    yield from _pressure(inputs, config, engaged)
+    yield from _rail(inputs, config, engaged)
+    if disagreeing_ticks >= DISAGREEING_TICKS:
+        distance = observer.rail_against_mocap_m() or 0.0
+        yield Event("rail_disagrees", f"{distance * 1e3:.0f} mm apart")
+
+
+def _said(problem: str | None) -> str:
+    return f"; {problem}" if problem else ""
+
+
+def _old(age_s: float, limit_s: float, said: str) -> str:
+    return f"{age_s * 1e3:.0f} ms old, at most {limit_s * 1e3:.0f} ms{said}"
+
+
+def _mocap(inputs: Inputs, observer: Observer, config: Config) -> Iterator[Event]:
+    said = _said(inputs.problems.mocap)
+    age_ns = observer.mocap_age_ns(inputs.t_ns)
+    if any(not math.isfinite(v) for f in inputs.mocap for b in f.bodies if b.tracked for v in b[:3]):
+        yield Event("not_finite", "motion capture pose")
+    lost = (
+        []
+        if observer.newest is None
+        else [name for name, body in zip(BODY_NAMES, observer.newest.bodies, strict=False) if not body.tracked]
+    )
+    if lost:
+        yield Event("mocap_body_lost", ", ".join(lost))
+    if age_ns is None:
+        yield Event("mocap_missing", f"none since the start{said}")
+    elif age_ns < -FUTURE_NS:
+        yield Event("mocap_clock", f"{-age_ns / 1e6:.0f} ms ahead")
+    elif age_ns > config.failsafe.mocap_stale_s * 1e9:
+        yield Event("mocap_stale", _old(age_ns * 1e-9, config.failsafe.mocap_stale_s, said))
+    elif observer.frames_in_a_row < config.failsafe.arming_frames:
+        yield Event("mocap_settling", f"{observer.frames_in_a_row} of {config.failsafe.arming_frames} frames")
+
+
+def _pressure(inputs: Inputs, config: Config, engaged: bool) -> Iterator[Event]:
+    reading, said = inputs.pressure, _said(inputs.problems.regulator)
+    if reading is None:
+        yield Event("pressure_missing", f"none since the start{said}")
+        return
+    age_s = (inputs.t_ns - reading.t_receive_ns) * 1e-9
+    if age_s > config.failsafe.pressure_stale_s:
+        yield Event("pressure_stale", _old(age_s, config.failsafe.pressure_stale_s, said))
+        return
+    limits, kpa = config.limits.pressure, reading.pressure_kpa
+    low, high = limits.min_kpa - limits.sensor_tolerance_kpa, limits.max_kpa + limits.sensor_tolerance_kpa
+    if not math.isfinite(kpa):
+        yield Event("not_finite", "pressure")
+    elif not low <= kpa <= high:
+        yield Event("pressure_outside", f"{kpa:.1f} kPa, allowed {low:.1f} to {high:.1f} kPa")
+    if reading.faults:
+        yield Event("regulator_fault", ", ".join(reading.faults))
+    if engaged and not reading.armed:
+        yield Event("regulator_vented", f"last command it accepted: number {reading.sequence}")
+
+
+def _rail(inputs: Inputs, config: Config, engaged: bool) -> Iterator[Event]:
+    reading, said = inputs.rail, _said(inputs.problems.rail)
+    if reading is None:
+        yield Event("rail_missing", f"none since the start{said}")
+        return
+    age_s = (inputs.t_ns - reading.t_receive_ns) * 1e-9
+    if age_s > config.failsafe.rail_stale_s:
+        yield Event("rail_stale", _old(age_s, config.failsafe.rail_stale_s, said))
+        return
+    limits, position = config.limits.rail, reading.position_m
+    if not (math.isfinite(position) and math.isfinite(reading.velocity_m_s)):
+        yield Event("not_finite", "rail position or velocity")
+    elif not limits.position_min_m - OUTSIDE_M <= position <= limits.position_max_m + OUTSIDE_M:
+        allowed = f"{limits.position_min_m:.3f} to {limits.position_max_m:.3f} m"
+        yield Event("rail_outside", f"at {position:.3f} m, allowed {allowed}")
+    if not reading.remote:
+        yield Event("remote_off")
+    if reading.faults:
+        yield Event("rail_fault", ", ".join(reading.faults))
+    if engaged and not reading.enabled:
+        yield Event("rail_disabled", "operation is not enabled")

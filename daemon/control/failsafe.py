@@ -1,0 +1,325 @@
+"""What may go wrong and what is done about it: one table, and the machine that carries it out.
+
+The page docs/failsafe.md and the API's "why can I not arm" are made from this table.
+"""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from enum import IntEnum
+
+from softarm.daemon.control.records import ActiveEvent, EStop, Mode
+
+
+class Response(IntEnum):
+    """What an event does to an armed robot, mildest first."""
+
+    WARN = 0  # shown and logged
+    SOFT_STOP = 1  # brake and vent, then disarmed; arming again is a person's decision
+    STOP = 2  # the same at once, drive off, latched until acknowledged
+
+
+@dataclass(frozen=True, slots=True)
+class Rule:
+    """One line of the table."""
+
+    response: Response
+    blocks_arming: bool
+    meaning: str
+    remedy: str  # the next step
+    clears: str = "when the cause is gone"
+
+
+TABLE: dict[str, Rule] = {
+    "stop_requested": Rule(
+        Response.STOP,
+        True,
+        "somebody asked for an emergency stop",
+        "make sure the arm is free, then POST /api/acknowledge",
+        "at once; the latch stays",
+    ),
+    "remote_off": Rule(
+        Response.STOP,
+        True,
+        "the drive's enable input (DI7) is low: the emergency-stop circuit is open",
+        "release the emergency-stop button, then POST /api/acknowledge",
+    ),
+    "internal_error": Rule(
+        Response.STOP,
+        True,
+        "the control loop itself failed",
+        "keep the log, report the error, restart the service",
+        "never: restart the service",
+    ),
+    "rail_fault": Rule(
+        Response.STOP,
+        True,
+        "the drive reports a fault",
+        "clear the cause at the drive, then POST /api/acknowledge",
+    ),
+    "regulator_fault": Rule(
+        Response.STOP,
+        True,
+        "the pressure regulator reports a fault",
+        "check its supply and wiring, then POST /api/acknowledge",
+    ),
+    "rail_outside": Rule(
+        Response.STOP,
+        True,
+        "the cart is outside the rail limits",
+        "with the drive off, push the cart back inside by hand, then POST /api/acknowledge",
+    ),
+    "rail_disagrees": Rule(
+        Response.STOP,
+        True,
+        "the axis and motion capture disagree on where the cart is",
+        "home the axis or re-calibrate the motion capture frame, then POST /api/acknowledge",
+    ),
+    "pressure_outside": Rule(
+        Response.STOP,
+        True,
+        "the measured pressure is outside its limits",
+        "check the supply and the regulator's range, then POST /api/acknowledge",
+    ),
+    "not_finite": Rule(
+        Response.STOP,
+        True,
+        "a sensor sent something that is not a number",
+        "look at the named device's log, then POST /api/acknowledge",
+    ),
+    "mocap_missing": Rule(
+        Response.SOFT_STOP,
+        True,
+        "no usable motion capture frame has come",
+        "start the bridge; check that cart and tip are tracked",
+    ),
+    "mocap_stale": Rule(
+        Response.SOFT_STOP,
+        True,
+        "the newest usable motion capture frame is too old",
+        "check the bridge, and that cart and tip are in view",
+    ),
+    "mocap_clock": Rule(
+        Response.SOFT_STOP,
+        True,
+        "motion capture frames are stamped in the future",
+        "stamp frames with CLOCK_MONOTONIC of this host; check the bridge's clock sync",
+    ),
+    "mocap_settling": Rule(
+        Response.WARN,
+        True,
+        "motion capture has only just come up",
+        "wait for it",
+    ),
+    "mocap_body_lost": Rule(
+        Response.WARN,
+        False,
+        "a marker set is not tracked",
+        "check its markers and the cameras",
+    ),
+    "pressure_missing": Rule(
+        Response.SOFT_STOP,
+        True,
+        "the pressure regulator has not answered",
+        "check its cable and port",
+    ),
+    "pressure_stale": Rule(
+        Response.SOFT_STOP,
+        True,
+        "the pressure reading is too old",
+        "check the regulator's cable and port",
+    ),
+    "regulator_vented": Rule(
+        Response.SOFT_STOP,
+        False,
+        "the regulator vented by itself: commands did not reach it in time",
+        "check the cable and the load of this computer, then arm again",
+    ),
+    "rail_missing": Rule(
+        Response.SOFT_STOP,
+        True,
+        "the axis has not answered",
+        "check the drive's address and its gateway",
+    ),
+    "rail_stale": Rule(
+        Response.SOFT_STOP,
+        True,
+        "the axis reading is too old",
+        "check the network to the drive",
+    ),
+    "rail_disabled": Rule(
+        Response.SOFT_STOP,
+        False,
+        "the drive switched itself off",
+        "look at the drive's status, then arm again",
+    ),
+    "policy_fault": Rule(
+        Response.SOFT_STOP,
+        False,
+        "the policy failed",
+        "choose another with PUT /api/policy, or mend it",
+        "at once",
+    ),
+    "arming_timeout": Rule(
+        Response.SOFT_STOP,
+        False,
+        "drive or regulator did not take the arm command in time",
+        "look at their status, then arm again",
+        "at once",
+    ),
+    "ticks_missed": Rule(
+        Response.SOFT_STOP,
+        False,
+        "the control loop fell behind",
+        "take load off this computer, then arm again",
+        "at once",
+    ),
+    "tick_late": Rule(
+        Response.WARN,
+        False,
+        "a control tick was skipped",
+        "take load off this computer",
+        "at once",
+    ),
+    "recorder_dropping": Rule(
+        Response.WARN,
+        False,
+        "the recorder lost messages",
+        "check the disk's speed and free space",
+    ),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Event:
+    """Something of the table that holds in this tick, with its numbers."""
+
+    name: str
+    detail: str = ""
+
+    @property
+    def rule(self) -> Rule:
+        """Its line in the table."""
+        return TABLE[self.name]
+
+    @property
+    def text(self) -> str:
+        """What is wrong and what to do, in one sentence."""
+        detail = f" ({self.detail})" if self.detail else ""
+        return f"{self.rule.meaning}{detail}: {self.rule.remedy}"
+
+    def active(self) -> ActiveEvent:
+        """As the snapshot shows it."""
+        return ActiveEvent(self.name, self.rule.response.name.lower(), self.text)
+
+
+class ModeMachine:
+    """The five modes and the latch of the emergency stop. Pure: time is counted in ticks."""
+
+    def __init__(self, arming_ticks: int, braking_ticks: int) -> None:
+        self._arming_ticks = arming_ticks
+        self._braking_ticks = braking_ticks  # after which a soft stop ends even if the cart still creeps
+        self._ticks = 0  # in the present mode
+        self._stop_causes: tuple[str, ...] = ()  # texts of the STOP events that hold now
+        self.mode = Mode.DISARMED
+        self.estop = EStop.CLEAR
+        self.last_stop: str | None = None
+
+    def _go(self, mode: Mode) -> None:
+        self.mode = mode
+        self._ticks = 0
+
+    def update(self, events: Iterable[Event], *, devices_armed: bool, at_rest: bool) -> None:
+        """Answer this tick's events; the severest wins."""
+        self._ticks += 1
+        events = tuple(events)
+        stops = tuple(e for e in events if e.rule.response is Response.STOP)
+        self._stop_causes = tuple(e.text for e in stops)
+        active = self.mode in (Mode.ARMING, Mode.ARMED, Mode.STOPPING)
+        if stops and (active or stops[0].name == "stop_requested" or self.estop is not EStop.CLEAR):
+            if self.mode is not Mode.STOPPED:
+                self.last_stop = stops[0].text
+                self._go(Mode.STOPPED)
+            self.estop = EStop.ENGAGED
+            return
+        if self.estop is EStop.ENGAGED:
+            self.estop = EStop.LATCHED
+        if self.mode is Mode.STOPPED:
+            return
+        self._soft(events, devices_armed, at_rest)
+
+    def _soft(self, events: tuple[Event, ...], devices_armed: bool, at_rest: bool) -> None:
+        softs = [e for e in events if e.rule.response is Response.SOFT_STOP]
+        if self.mode is Mode.ARMING and not softs and not devices_armed and self._ticks > self._arming_ticks:
+            softs = [Event("arming_timeout", f"{self._ticks} ticks")]
+        if softs and self.mode in (Mode.ARMING, Mode.ARMED):
+            self.last_stop = softs[0].text
+            self._go(Mode.STOPPING)
+        elif self.mode is Mode.ARMING and devices_armed:
+            self._go(Mode.ARMED)
+        elif self.mode is Mode.STOPPING and (at_rest or self._ticks > self._braking_ticks):
+            self._go(Mode.DISARMED)
+
+    def arm(self, refusals: tuple[str, ...]) -> tuple[str, ...]:
+        """Begin to arm; returns why not."""
+        if self.mode in (Mode.ARMED, Mode.ARMING):
+            return ()
+        if refusals:
+            return refusals
+        self._go(Mode.ARMING)
+        return ()
+
+    def disarm(self, why: str) -> None:
+        """Brake, vent and switch off; always taken."""
+        if self.mode in (Mode.ARMED, Mode.ARMING):
+            self.last_stop = why
+            self._go(Mode.STOPPING)
+
+    def acknowledge(self) -> tuple[str, ...]:
+        """Free the latch; returns why not. The caller sends a fault reset to the devices either way."""
+        if self.estop is EStop.ENGAGED:
+            return (
+                *(f"the cause is still there: {text}" for text in self._stop_causes),
+                "a fault reset was sent to the devices: acknowledge again once the cause is gone",
+            )
+        if self.estop is EStop.LATCHED:
+            self.estop = EStop.CLEAR
+            self._go(Mode.DISARMED)
+        return ()
+
+    def refusals(self, events: Iterable[Event]) -> tuple[str, ...]:
+        """Why arming would be refused now."""
+        reasons = [e.text for e in events if e.rule.blocks_arming]
+        if self.estop is not EStop.CLEAR:
+            reasons.append("the emergency stop is latched: POST /api/acknowledge first")
+        if self.mode is Mode.STOPPING:
+            reasons.append("the arm is still stopping: try again in a moment")
+        return tuple(reasons)
+
+
+def page() -> str:
+    """docs/failsafe.md, made from the table: `python -m softarm.daemon.control.failsafe > docs/failsafe.md`."""
+    answers = {
+        Response.WARN: "shown and logged, nothing stops",
+        Response.SOFT_STOP: "brake and vent, then disarmed; arming again is a person's decision",
+        Response.STOP: "drive off and vented at once, latched until `POST /api/acknowledge`",
+    }
+    lines = ["# What may go wrong, and what is done about it", ""]
+    lines += [
+        "Made from the table in `daemon/control/failsafe.py`; edit that, then run",
+        "`python -m softarm.daemon.control.failsafe`.",
+        "",
+    ]
+    for response in sorted(answers, reverse=True):
+        lines += [f"## {response.name.lower().replace('_', ' ')}: {answers[response]}", ""]
+        lines += ["| event | what is wrong | next step | refuses arming | clears |", "|---|---|---|---|---|"]
+        lines += [
+            f"| `{name}` | {rule.meaning} | {rule.remedy} | {'yes' if rule.blocks_arming else 'no'} | {rule.clears} |"
+            for name, rule in TABLE.items()
+            if rule.response is response
+        ]
+        lines.append("")
+    return "\n".join(lines)
+
+
+if __name__ == "__main__":
+    print(page(), end="")

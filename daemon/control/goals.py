@@ -1,0 +1,66 @@
+"""Is the goal reached? Pure bookkeeping over the observed tip."""
+
+import math
+from dataclasses import replace
+
+from softarm.schemas.config import Goals
+from softarm.schemas.goals import Goal, GoalState, GoalStatus
+
+
+class GoalTracker:
+    """Follows one goal at a time; reached: the tip is within the success radius at a tick ([P] section 4)."""
+
+    def __init__(self, config: Goals) -> None:
+        self._config = config
+        self._started_ns: int | None = None  # at the first tick that the policy acts on the goal
+        self._run_s: float | None = None
+        self.status = GoalStatus()
+
+    @property
+    def running(self) -> Goal | None:
+        """The goal under way, if any."""
+        return self.status.goal if self.status.state == "running" else None
+
+    def take_up(self, goal: Goal, run_s: float | None = None) -> None:
+        """Begin a goal; one that was running is cancelled by it. `run_s`: after so long a run is over; None: never."""
+        self._run_s = run_s
+        self.status = GoalStatus(goal, "running", number=self.status.number + 1)
+        self._started_ns = None
+
+    def update(self, tip_y_m: float, tip_z_m: float, now_ns: int) -> None:
+        """Look at the tip before the policy acts: reached, out of time, or still under way."""
+        goal = self.running
+        if goal is None:
+            return
+        if self._started_ns is None:
+            self._started_ns = now_ns
+        elapsed = (now_ns - self._started_ns) * 1e-9
+        self.status = replace(self.status, time_s=elapsed)
+        if goal.kind == "run" and self._run_s is not None and elapsed >= self._run_s - 1e-4:
+            self._end("reached", None)
+        if goal.kind != "reach":
+            return
+        distance = math.hypot(tip_y_m - goal.y_m, tip_z_m - goal.z_m)
+        closest = distance if self.status.closest_m is None else min(distance, self.status.closest_m)
+        self.status = replace(self.status, closest_m=closest)
+        if distance < self._config.success_radius_m:
+            self._end("reached", None)
+        elif elapsed >= self._config.time_limit_s - 1e-4:
+            self._end(
+                "failed",
+                f"not reached within {self._config.time_limit_s:.2f} s; closest {closest * 1e3:.0f} mm, "
+                f"reached means within {self._config.success_radius_m * 1e3:.0f} mm",
+            )
+
+    def fail(self, reason: str) -> None:
+        """The goal cannot go on."""
+        if self.running is not None:
+            self._end("failed", reason)
+
+    def cancel(self, reason: str) -> None:
+        """Somebody took the goal back."""
+        if self.running is not None:
+            self._end("cancelled", reason)
+
+    def _end(self, state: GoalState, reason: str | None) -> None:
+        self.status = replace(self.status, state=state, reason=reason)

@@ -1,0 +1,140 @@
+"""The messages of a log: one JSON channel for each kind of record, and what makes a tick whole again.
+
+A measurement is written once, on its own channel, when it is new; /tick says which ones it used. In file
+order the messages that a tick used stand before it.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+from softarm.daemon.control.records import Inputs, Outputs, Problems, Request, TickTiming
+from softarm.recordings.channels import MOCAP as MOCAP
+from softarm.recordings.channels import PRESSURE as PRESSURE
+from softarm.recordings.channels import RAIL as RAIL
+from softarm.recordings.channels import Channel as Channel
+from softarm.schemas import log
+from softarm.schemas.messages import MocapFrame, PressureReading, RailReading
+
+
+@dataclass(frozen=True, slots=True)
+class TickInputs:
+    """What of `Inputs` has no channel of its own, and which of the other channels' messages the tick used."""
+
+    t_ns: int
+    late_ns: int
+    missed: int
+    mocap_frames: int  # the last so many messages of /mocap
+    requests: int  # the last so many messages of /request
+    pressure_t_receive_ns: int | None  # stamp of the reading used, the last one on /pressure; None: there was none
+    rail_t_receive_ns: int | None  # the same of /rail
+    problems: Problems
+    recorder_dropped: int
+
+
+@dataclass(frozen=True, slots=True)
+class TickRecord:
+    """Everything about one tick: with the messages it names, enough to run it again."""
+
+    inputs: TickInputs
+    outputs: Outputs
+    timing: TickTiming
+
+
+def _tick_inputs(inputs: Inputs) -> TickInputs:
+    return TickInputs(
+        inputs.t_ns,
+        inputs.late_ns,
+        inputs.missed,
+        len(inputs.mocap),
+        len(inputs.requests),
+        None if inputs.pressure is None else inputs.pressure.t_receive_ns,
+        None if inputs.rail is None else inputs.rail.t_receive_ns,
+        inputs.problems,
+        inputs.recorder_dropped,
+    )
+
+
+REQUEST = Channel(log.REQUEST, Request)
+TICK = Channel(log.TICK, TickRecord)
+
+CHANNELS: tuple[Channel[Any], ...] = (MOCAP, PRESSURE, RAIL, REQUEST, TICK)
+
+
+class Entry(NamedTuple):
+    """One message as a log takes it; both times are CLOCK_MONOTONIC nanoseconds."""
+
+    topic: str
+    log_time: int
+    publish_time: int
+    data: bytes
+
+
+class Splitter:
+    """Takes ticks apart into messages."""
+
+    def __init__(self) -> None:
+        self._pressure: PressureReading | None = None  # the last one written
+        self._rail: RailReading | None = None
+
+    def split(self, inputs: Inputs, outputs: Outputs, timing: TickTiming) -> Iterator[Entry]:
+        """The messages of a tick, /tick last. Raises what pydantic raises on a field of a wrong type."""
+        now = inputs.t_ns
+        for frame in inputs.mocap:
+            yield Entry(MOCAP.topic, frame.t_receive_ns, frame.t_capture_ns, MOCAP.encode(frame))
+        # By identity: 0.0 equals -0.0, but a replay has to get the one that was there.
+        if inputs.pressure is not None and inputs.pressure is not self._pressure:
+            self._pressure = inputs.pressure
+            yield Entry(PRESSURE.topic, self._pressure.t_receive_ns, now, PRESSURE.encode(self._pressure))
+        if inputs.rail is not None and inputs.rail is not self._rail:
+            self._rail = inputs.rail
+            yield Entry(RAIL.topic, self._rail.t_receive_ns, now, RAIL.encode(self._rail))
+        for request in inputs.requests:
+            yield Entry(REQUEST.topic, now, now, REQUEST.encode(request))
+        yield Entry(TICK.topic, now, now, TICK.encode(TickRecord(_tick_inputs(inputs), outputs, timing)))
+
+
+class Joiner:
+    """Puts ticks together again."""
+
+    def __init__(self) -> None:
+        self._frames: list[MocapFrame] = []
+        self._requests: list[Request] = []
+        self._pressure: PressureReading | None = None
+        self._rail: RailReading | None = None
+
+    def join(self, topic: str, data: bytes) -> tuple[Inputs, Outputs, TickTiming] | None:
+        """Take a message; the tick when it is the last of one.
+
+        Raises ValueError when the messages before /tick are not those it names, or are of another format.
+        """
+        if topic == MOCAP.topic:
+            self._frames.append(MOCAP.decode(data))
+        elif topic == PRESSURE.topic:
+            self._pressure = PRESSURE.decode(data)
+        elif topic == RAIL.topic:
+            self._rail = RAIL.decode(data)
+        elif topic == REQUEST.topic:
+            self._requests.append(REQUEST.decode(data))
+        elif topic == TICK.topic:
+            tick = TICK.decode(data)
+            return self._joined(tick.inputs), tick.outputs, tick.timing
+        return None
+
+    def _joined(self, tick: TickInputs) -> Inputs:
+        inputs = Inputs(
+            t_ns=tick.t_ns,
+            late_ns=tick.late_ns,
+            missed=tick.missed,
+            mocap=tuple(self._frames),
+            pressure=None if tick.pressure_t_receive_ns is None else self._pressure,
+            rail=None if tick.rail_t_receive_ns is None else self._rail,
+            requests=tuple(self._requests),
+            problems=tick.problems,
+            recorder_dropped=tick.recorder_dropped,
+        )
+        if _tick_inputs(inputs) != tick:
+            raise ValueError(f"the messages before the tick at {tick.t_ns} ns are not those that it names")
+        self._frames.clear()
+        self._requests.clear()
+        return inputs

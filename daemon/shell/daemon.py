@@ -1,0 +1,110 @@
+"""The whole daemon put together: recorder, control loop, REST API, and their order of life and death."""
+
+import logging
+import signal
+import sys
+import threading
+from collections.abc import Callable
+from types import FrameType
+
+from softarm.daemon.api.app import ApiContext, create_app
+from softarm.daemon.api.server import ApiServer
+from softarm.daemon.control.inbox import Inbox
+from softarm.daemon.logbook.recorder import Recorder
+from softarm.daemon.shell import realtime
+from softarm.daemon.shell.loop import ControlLoop, Devices
+from softarm.daemon.shell.service import Notifier, Watchdog
+from softarm.daemon.tick import Controller
+from softarm.policies import registry
+from softarm.policies.runner import ThreadRunner
+from softarm.schemas.config import Config
+
+log = logging.getLogger(__name__)
+
+SWITCH_INTERVAL_S = 0.0002  # the API's thread gives way to the control loop's within this, not in 5 ms
+
+
+def real_devices(config: Config) -> Devices:
+    """The robot on its wires (or the twin: the drivers cannot tell)."""
+    from softarm.drivers.mocap.driver import ZenohMocapSource
+    from softarm.drivers.rail.driver import DryveRailAxis
+    from softarm.drivers.regulator.driver import TeensyRegulator
+
+    return Devices(
+        ZenohMocapSource(config.drivers.mocap),
+        TeensyRegulator(config.drivers.regulator),
+        DryveRailAxis(config.drivers.rail),
+    )
+
+
+class Daemon:
+    """Started, it runs until stopped; the caller decides which devices it moves."""
+
+    def __init__(self, config: Config, devices: Devices) -> None:
+        """Raises PolicyError when `control.policy` cannot be loaded."""
+        self.config = config
+        realtime.outrank_other_programs(config.control.realtime_priority)
+        policy = registry.load(config.control.policy, config.policies)
+        self.recorder = Recorder(config, policy.spec)
+        self.inbox = Inbox()
+        self.notifier = Notifier()
+        self.watchdog = Watchdog(self.notifier)
+        self.loop = ControlLoop(
+            Controller(config, ThreadRunner(policy, config.failsafe.policy_budget_s)),
+            devices,
+            self.inbox,
+            self.recorder,
+            self.watchdog,
+            rate_hz=config.control.rate_hz,
+            realtime_priority=config.control.realtime_priority,
+        )
+        context = ApiContext(config, self.inbox, lambda: self.loop.snapshot, lambda: self.loop.problems, self.recorder)
+        self.api = ApiServer(config.api, create_app(context))
+        self.port = 0
+
+    def start(self) -> None:
+        """Recorder, API, loop: people can ask before the hardware is up.
+
+        Raises RecorderError or ApiError; nothing is left running then.
+        """
+        sys.setswitchinterval(SWITCH_INTERVAL_S)
+        self.recorder.start()
+        try:
+            self.port = self.api.start()
+        except Exception:
+            self.recorder.stop()
+            raise
+        self.loop.start()
+
+    def stop(self) -> None:
+        """The loop first: it leaves the devices safe. Each part is stopped whatever the others do."""
+        for part in (self.loop, self.api, self.recorder):
+            try:
+                part.stop()
+            except Exception:
+                log.exception("%s did not stop cleanly", type(part).__name__)
+
+    @property
+    def url(self) -> str:
+        """Where the API answers."""
+        return f"http://{self.config.api.host}:{self.port}"
+
+
+def run(config: Config, devices: Devices, on_ready: Callable[[Daemon], None]) -> None:
+    """Run until SIGINT or SIGTERM; tells systemd, if it is there."""
+    stop = threading.Event()
+
+    def end(_signal: int, _frame: FrameType | None) -> None:
+        stop.set()
+
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, end)
+    daemon = Daemon(config, devices)
+    daemon.start()
+    try:
+        on_ready(daemon)
+        daemon.notifier.ready(f"serving {daemon.url}")
+        stop.wait()
+        daemon.notifier.stopping()
+    finally:
+        daemon.stop()

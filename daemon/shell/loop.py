@@ -1,0 +1,209 @@
+"""The 30 Hz shell around the tick: read, decide, write.
+
+Owns the devices; shares an inbox and immutable snapshots, nothing else.
+"""
+
+import asyncio
+import gc
+import logging
+import selectors
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Protocol
+
+from softarm.daemon.control.failsafe import Event
+from softarm.daemon.control.inbox import Inbox
+from softarm.daemon.control.records import EStop, Inputs, Mode, Outputs, Problems, TickTiming
+from softarm.daemon.shell import realtime
+from softarm.daemon.tick import Controller
+from softarm.drivers.base import Device, MocapSource, PressureRegulator, RailAxis
+from softarm.policies.base import PolicySpec
+from softarm.policies.runner import PolicyRunner
+
+log = logging.getLogger(__name__)
+
+COLLECT_SLACK_NS = 15_000_000  # garbage is collected only when so much of the period is left
+
+
+@dataclass(frozen=True, slots=True)
+class Devices:
+    """What the loop reads and writes."""
+
+    mocap: MocapSource
+    regulator: PressureRegulator
+    rail: RailAxis
+
+    def all(self) -> tuple[Device, ...]:
+        """In the order in which they are started."""
+        return (self.rail, self.regulator, self.mocap)
+
+
+class TickRecorder(Protocol):
+    """Takes every tick without blocking."""
+
+    dropped: int
+
+    def tick(self, inputs: Inputs, outputs: Outputs, timing: TickTiming) -> None:
+        """Keep a tick."""
+
+    def policy(self, spec: PolicySpec) -> None:
+        """Note that the ticks from here on are another policy's."""
+
+
+class GoodTicks(Protocol):
+    """Hears of every tick that was on time and without an internal error (the service's watchdog)."""
+
+    def good_tick(self, now_ns: int) -> None:
+        """One more."""
+
+
+class ControlLoop:
+    """Runs the controller in a thread of its own, on absolute deadlines; a late tick skips whole periods."""
+
+    def __init__(
+        self,
+        controller: Controller,
+        devices: Devices,
+        inbox: Inbox,
+        recorder: TickRecorder | None,
+        watchdog: GoodTicks | None = None,
+        *,
+        rate_hz: int = 30,
+        realtime_priority: int = 0,
+        clock: Callable[[], int] = time.monotonic_ns,
+    ) -> None:
+        self._controller = controller
+        self._devices = devices
+        self._inbox = inbox
+        self._recorder = recorder
+        self._watchdog = watchdog
+        self._period_ns = round(1e9 / rate_hz)
+        self._priority = realtime_priority
+        self._clock = clock
+        self._thread = threading.Thread(target=self._main, name="control", daemon=True)
+        self._stop = threading.Event()
+        self._failed: str | None = None  # the controller's own exception; nothing moves after it
+        self.snapshot: Outputs | None = None
+        self.timing: TickTiming | None = None
+        self.problems = Problems()  # of the devices, as of the newest tick
+        self.on_tick: Callable[[Outputs, TickTiming], None] | None = None  # benchmarks listen here
+
+    def start(self) -> None:
+        """Start the thread."""
+        self._thread.start()
+
+    def stop(self) -> None:
+        """End the loop and leave every device safe. Takes at most a few seconds."""
+        self._stop.set()
+        self._thread.join(timeout=5.0)
+
+    def _main(self) -> None:
+        realtime.outrank_guests(self._priority)
+
+        # epoll rounds a timeout up to a whole millisecond; select does not.
+        def select_loop() -> asyncio.AbstractEventLoop:
+            return asyncio.SelectorEventLoop(selectors.SelectSelector())
+
+        with asyncio.Runner(loop_factory=select_loop) as runner:
+            runner.run(self._run())
+
+    async def _run(self) -> None:
+        for device in self._devices.all():
+            device.start()
+        gc.collect()
+        gc.freeze()
+        gc.disable()  # collected in the idle part of a tick instead
+        try:
+            deadline = self._clock() + self._period_ns
+            while not self._stop.is_set():
+                await self._sleep_until(deadline)
+                deadline = self._tick(deadline)
+        finally:
+            gc.enable()
+            await self._stop_devices()
+
+    async def _sleep_until(self, deadline_ns: int) -> None:
+        while (left := deadline_ns - self._clock()) > 0:
+            await asyncio.sleep(left * 1e-9)
+
+    def _tick(self, deadline_ns: int) -> int:
+        """Read, decide, write; returns the next deadline."""
+        now = self._clock()
+        late = now - deadline_ns
+        missed = late // self._period_ns
+        inputs, runners = self._read(now, late, missed)
+        read = self._clock()
+        outputs = self._decide(inputs, runners)
+        decided = self._clock()
+        self._write(outputs)
+        written = self._clock()
+        newest = inputs.mocap[-1].t_capture_ns if inputs.mocap else None
+        timing = TickTiming(read - now, decided - read, written - decided, written - newest if newest else None)
+        self.snapshot, self.timing, self.problems = outputs, timing, inputs.problems
+        if self._recorder is not None:
+            for number, runner in runners.items():
+                if any(result.number == number and result.accepted for result in outputs.results):
+                    self._recorder.policy(runner.policy.spec)
+            self._recorder.tick(inputs, outputs, timing)
+        if self._watchdog is not None and self._failed is None and not missed:
+            self._watchdog.good_tick(written)
+        if self.on_tick is not None:
+            self.on_tick(outputs, timing)
+        following = deadline_ns + (missed + 1) * self._period_ns
+        if following - self._clock() > COLLECT_SLACK_NS:
+            gc.collect(1)
+        return following
+
+    def _read(self, now: int, late: int, missed: int) -> tuple[Inputs, dict[int, PolicyRunner]]:
+        posts = self._inbox.take()
+        devices = self._devices
+        inputs = Inputs(
+            t_ns=now,
+            late_ns=late,
+            missed=missed,
+            mocap=devices.mocap.read(now),
+            pressure=devices.regulator.read(),
+            rail=devices.rail.read(),
+            requests=tuple(post.request for post in posts),
+            problems=Problems(devices.mocap.problem(), devices.regulator.problem(), devices.rail.problem()),
+            recorder_dropped=self._recorder.dropped if self._recorder is not None else 0,
+        )
+        return inputs, {p.request.number: p.runner for p in posts if p.runner is not None}
+
+    def _decide(self, inputs: Inputs, runners: dict[int, PolicyRunner]) -> Outputs:
+        if self._failed is None:
+            try:
+                return self._controller.tick(inputs, runners)
+            except Exception as error:
+                log.exception("the tick failed: the arm is braked and vented, restart the service")
+                self._failed = f"{type(error).__name__}: {error}"
+        event = Event("internal_error", self._failed)
+        return Outputs(
+            t_ns=inputs.t_ns,
+            tick=-1,
+            late_ns=inputs.late_ns,
+            missed=inputs.missed,
+            missed_total=0,
+            mode=Mode.STOPPED,
+            estop=EStop.ENGAGED,
+            events=(event.active(),),
+            arming_refusals=(event.text,),
+            last_stop=event.text,
+        )
+
+    def _write(self, outputs: Outputs) -> None:
+        sent = outputs.sent
+        self._devices.rail.write(sent.enable, sent.cart_velocity_m_s)
+        self._devices.regulator.write(sent.enable, sent.pressure_kpa)
+        if outputs.reset_devices:
+            self._devices.rail.reset_fault()
+            self._devices.regulator.reset_fault()
+
+    async def _stop_devices(self) -> None:
+        """Every device is tried, whatever the others do."""
+        results = await asyncio.gather(*(d.stop() for d in self._devices.all()), return_exceptions=True)
+        for result in results:
+            if isinstance(result, BaseException):
+                log.error("a device did not stop cleanly: %s", result)

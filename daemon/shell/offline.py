@@ -1,0 +1,136 @@
+"""The daemon without a clock: the same tick in lockstep with a robot in this process, as fast as it will go."""
+
+from dataclasses import dataclass
+from itertools import count
+
+from softarm.daemon.control.records import Inputs, Mode, Outputs, Request, RequestKind, TickTiming
+from softarm.daemon.shell.loop import TickRecorder
+from softarm.daemon.tick import Controller
+from softarm.drivers.base import InProcessRobot
+from softarm.drivers.bodies.simulated import SimulatedRobot
+from softarm.policies.base import Policy
+from softarm.policies.runner import InlineRunner
+from softarm.schemas.config import Config
+from softarm.schemas.goals import Goal, GoalStatus
+from softarm.schemas.model import Model
+
+SETTLED_NS = 1_000_000_000  # jump in time when the robot is put somewhere; nothing is differenced across it
+LIMIT_M = 0.25  # of the cart: a target counts only when it was reached within it ([P] SM-D)
+
+
+@dataclass(frozen=True, slots=True)
+class Flight:
+    """One goal, from being taken up to its end."""
+
+    status: GoalStatus
+    max_tip_z_m: float
+    max_cart_m: float  # farthest from the middle of the rail, truly
+    ticks: int
+
+    @property
+    def reached(self) -> bool:
+        """Whether it counts: reached, and the cart stayed within `LIMIT_M`."""
+        return self.status.state == "reached" and self.max_cart_m <= LIMIT_M
+
+
+class Lockstep:
+    """A controller and a robot that share one made-up time.
+
+    robot: instead of the simulated one, which is made of `model`.
+    """
+
+    def __init__(
+        self,
+        config: Config,
+        policy: Policy,
+        model: Model | None = None,
+        recorder: TickRecorder | None = None,
+        robot: InProcessRobot | None = None,
+    ) -> None:
+        self.config = config
+        self.robot = robot or SimulatedRobot(model)
+        self.controller = Controller(config, InlineRunner(policy))
+        self.outputs: Outputs | None = None
+        self._recorder = recorder
+        self._rate_hz = config.control.rate_hz
+        self._begun_ns = self.robot.now_ns  # the ticks count from here
+        self._ticks = 0
+        self._numbers = count(1)
+
+    def request(self, kind: RequestKind, goal: Goal | None = None) -> Request:
+        """A request as the inbox would number it."""
+        return Request(next(self._numbers), kind, goal)
+
+    def tick(self, *requests: Request) -> Outputs:
+        """Let one period pass, then one tick."""
+        self._ticks += 1
+        now_ns, robot = self._instant_ns(self._ticks), self.robot
+        inputs = Inputs(
+            t_ns=now_ns,
+            mocap=robot.mocap.read(now_ns),
+            pressure=robot.regulator.read(),
+            rail=robot.rail.read(),
+            requests=requests,
+        )
+        outputs = self.controller.tick(inputs)
+        robot.rail.write(outputs.sent.enable, outputs.sent.cart_velocity_m_s)
+        robot.regulator.write(outputs.sent.enable, outputs.sent.pressure_kpa)
+        if self._recorder is not None:
+            self._recorder.tick(inputs, outputs, TickTiming(0, 0, 0, 0))
+        self.outputs = outputs
+        return outputs
+
+    def arm(self) -> Outputs:
+        """Wait for the sensors, arm, wait until it has armed.
+
+        Raises RuntimeError with the daemon's own reasons when it does not.
+        """
+        for _ in range(self.config.failsafe.arming_frames):
+            self.tick()
+        outputs = self.tick(self.request("arm"))
+        ticks = round(self.config.failsafe.arming_timeout_s * self.config.control.rate_hz)
+        for _ in range(ticks):
+            if outputs.mode is Mode.ARMED:
+                return outputs
+            outputs = self.tick()
+        reasons = [reason for result in outputs.results for reason in result.reasons]
+        raise RuntimeError("did not arm: " + "; ".join(reasons))
+
+    def place(self, cart_position_m: float) -> None:
+        """Put the armed robot somewhere, its arm straight and at rest, as if a person had waited there.
+
+        Raises TypeError for a robot that stays where it was made.
+        """
+        if not isinstance(self.robot, SimulatedRobot):
+            raise TypeError(f"{type(self.robot).__name__} cannot be put anywhere: make it where it is to start")
+        self._begun_ns += SETTLED_NS
+        self.robot.place(cart_position_m)
+        self.robot.regulator.write(True, 0.0)
+        self.robot.rail.write(True, 0.0)
+        # The next tick looks at this very instant: nothing moves before the goal is taken up.
+        self.robot.now_ns = self._instant_ns(self._ticks + 1)
+
+    def fly(self, goal: Goal, cart_start_m: float) -> Flight:
+        """One goal from rest, until it is reached or has failed."""
+        if self.outputs is None or self.outputs.mode is not Mode.ARMED:
+            self.arm()
+        self.place(cart_start_m)
+        return self.pursue(goal)
+
+    def pursue(self, goal: Goal) -> Flight:
+        """One goal from wherever the armed robot is, at rest or not, until it is reached or has failed."""
+        outputs = self.tick(self.request("goal", goal))
+        top = farthest = 0.0
+        ticks = 1
+        while True:
+            farthest = max(farthest, abs(self.robot.cart_position_m))
+            if outputs.observed is not None:
+                top = max(top, outputs.observed.values[3])
+            if outputs.goal.state != "running":
+                return Flight(outputs.goal, top, farthest, ticks)
+            outputs = self.tick()
+            ticks += 1
+
+    def _instant_ns(self, tick: int) -> int:
+        """Of a tick by its number, so that no rounding adds up."""
+        return self._begun_ns + round(tick * 1e9 / self._rate_hz)

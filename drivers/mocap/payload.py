@@ -1,0 +1,63 @@
+"""One motion capture frame on the wire: JSON, so that any bridge can be written and read in ten lines.
+
+    {"sequence": 7, "t_capture_ns": 81234567890, "bodies": {"cart": [0.1, 0.97, 0.0], ..., "link5": null}}
+
+A body is [y (m), z (m), absolute angle (rad)], or null when the cameras have lost it; one that is left out
+counts as lost. Both ends use this module: the driver (`softarm.drivers.mocap.driver`) and whatever publishes.
+"""
+
+import json
+import math
+from collections.abc import Sequence
+
+from softarm.schemas.messages import BODY_NAMES, MocapFrame, Pose
+
+SCHEMA = "softarm.mocap.v1"  # of the Zenoh encoding application/json
+LOST = Pose(math.nan, math.nan, math.nan, tracked=False)
+
+
+def encode(sequence: int, t_capture_ns: int, bodies: Sequence[Pose]) -> bytes:
+    """Poses in `BODY_NAMES` order. Raises ValueError when a tracked pose is not finite."""
+    poses = {name: list(pose[:3]) if pose.tracked else None for name, pose in zip(BODY_NAMES, bodies, strict=True)}
+    message = {"sequence": sequence, "t_capture_ns": t_capture_ns, "bodies": poses}
+    return json.dumps(message, separators=(",", ":"), allow_nan=False).encode()
+
+
+def decode(payload: bytes, t_receive_ns: int) -> MocapFrame:
+    """The frame in `payload`. Raises ValueError with the field and what is allowed there."""
+    try:
+        message = json.loads(payload)
+    except (ValueError, RecursionError) as error:
+        raise ValueError(f"not JSON: {error}") from None
+    if not isinstance(message, dict) or set(message) != {"sequence", "t_capture_ns", "bodies"}:
+        raise ValueError("a frame has exactly the fields sequence, t_capture_ns and bodies")
+    bodies = message["bodies"]
+    if not isinstance(bodies, dict) or not set(bodies) <= set(BODY_NAMES):
+        raise ValueError(f"bodies may be called {', '.join(BODY_NAMES)}")
+    return MocapFrame(
+        sequence=_count(message, "sequence"),
+        t_capture_ns=_count(message, "t_capture_ns"),
+        t_receive_ns=t_receive_ns,
+        bodies=tuple(_pose(name, bodies.get(name)) for name in BODY_NAMES),
+    )
+
+
+def _count(message: dict[str, object], field: str) -> int:
+    value = message[field]
+    if type(value) is not int or not 0 <= value < 2**63:
+        raise ValueError(f"{field} must be an integer from 0 to 2^63 - 1")
+    return value
+
+
+def _pose(name: str, value: object) -> Pose:
+    if value is None:
+        return LOST
+    if not isinstance(value, list) or len(value) != 3 or any(type(v) not in (int, float) for v in value):
+        raise ValueError(f"{name} must be [y, z, angle] or null")
+    try:
+        y_m, z_m, angle_rad = map(float, value)
+    except OverflowError:
+        raise ValueError(f"{name} holds a number beyond a float's range") from None
+    if not all(map(math.isfinite, (y_m, z_m, angle_rad))):
+        raise ValueError(f"{name} holds a number that is not finite")
+    return Pose(y_m, z_m, angle_rad)

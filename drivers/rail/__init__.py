@@ -1,0 +1,1 @@
+"""The rail's drive, a dryve D1 on Modbus TCP."""

@@ -1,0 +1,1 @@
+"""The pressure regulator behind a Teensy on a serial line."""

@@ -1,0 +1,1 @@
+"""Flying many: runners, processes, tests, tables and pages of what came of it."""

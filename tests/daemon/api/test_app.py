@@ -1,0 +1,339 @@
+"""The REST API over a real inbox: every endpoint, and every refusal with its sentence."""
+
+import json
+import re
+import threading
+import time
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from softarm.daemon.api.status import StatusView
+from softarm.daemon.control import workspace
+from softarm.daemon.control.records import ActiveEvent, EStop, Outputs, Problems
+from softarm.daemon.logbook import logs
+from softarm.daemon.logbook.recorder import Recorder
+from softarm.policies.base import PolicySpec
+from softarm.schemas.config import Config
+from softarm.schemas.goals import Goal, GoalStatus
+
+
+def test_the_status_is_the_snapshot_and_what_stands_around_it(client, loop):
+    loop.problems = Problems(rail="127.0.0.1:502: connect: refused; is the gateway on?")
+    status = client.get("/api/status").json()
+    assert set(Outputs.__dataclass_fields__) <= set(status)
+    assert status["mode"] == "armed"
+    assert status["sent"] == {"enable": True, "cart_velocity_m_s": 0.25, "pressure_kpa": None}
+    assert status["ages_ms"] == {"mocap": 5.0, "pressure": 6.0, "rail": 7.0}
+    assert status["policy_info"]["trained"]["target_z_m"] == [0.55, 0.70]
+    assert status["problems"]["rail"].startswith("127.0.0.1:502")
+    assert status["recorder"] == {"log": None, "dropped": 0, "problem": None}
+    assert status["stalled"] is False
+    assert status["uptime_s"] >= 0
+    assert status["version"]
+
+
+def test_a_snapshot_is_encoded_once_however_many_ask(silent):
+    _, loop = silent
+    loop.outputs = replace(loop.outputs, t_ns=time.monotonic_ns() + 60_000_000_000)
+    view = StatusView(lambda: loop.outputs, Problems, None, {}, time.monotonic_ns, "1")
+    assert view.json() is view.json()
+    before = view.json()
+    loop.outputs = replace(loop.outputs, tick=99)
+    assert view.json() is not before
+    assert json.loads(view.json())["tick"] == 99
+
+
+def test_before_the_first_tick_there_is_no_status(silent):
+    client, loop = silent
+    loop.outputs = None
+    for path in ("/api/status", "/api/goal"):
+        answer = client.get(path)
+        assert answer.status_code == 503
+        assert "has not ticked yet" in answer.json()["detail"]
+
+
+def test_health_is_200_when_nothing_is_wrong(client):
+    answer = client.get("/api/health")
+    assert (answer.status_code, answer.json()) == (200, {"healthy": True, "reasons": []})
+
+
+@pytest.mark.parametrize(
+    ("change", "sentence"),
+    [
+        ({"estop": EStop.LATCHED}, "the emergency stop is latched: POST /api/acknowledge"),
+        ({"estop": EStop.ENGAGED}, "the emergency stop is engaged: remove its cause"),
+        (
+            {"events": (ActiveEvent("mocap_stale", "soft_stop", "too old (230 ms): check the bridge"),)},
+            "mocap_stale: too old (230 ms): check the bridge",
+        ),
+    ],
+)
+def test_health_is_503_with_the_reason(client, loop, change, sentence):
+    loop.outputs = replace(loop.outputs, **change)
+    answer = client.get("/api/health")
+    assert answer.status_code == 503
+    assert answer.json()["healthy"] is False
+    assert any(reason.startswith(sentence) for reason in answer.json()["reasons"])
+
+
+def test_a_warning_is_not_ill_health(client, loop):
+    loop.outputs = replace(loop.outputs, events=(ActiveEvent("tick_late", "warn", "late"),))
+    assert client.get("/api/health").status_code == 200
+
+
+def test_health_names_devices_and_recorder(loop, tmp_path, app, client_of):
+    recorder = Recorder(Config())
+    recorder.problem = "the log ends here: the disk is full"
+    loop.problems = Problems(mocap="tcp/127.0.0.1:7447: listen: address in use; stop the other one")
+    client = client_of(app(loop, recorder=recorder))
+    reasons = client.get("/api/health").json()["reasons"]
+    assert reasons == [
+        "mocap: tcp/127.0.0.1:7447: listen: address in use; stop the other one",
+        "recorder: the log ends here: the disk is full",
+    ]
+
+
+def test_a_loop_that_stands_still_is_told_by_health_and_status(silent):
+    client, loop = silent
+    loop.outputs = replace(loop.outputs, t_ns=time.monotonic_ns() - 3_000_000_000)
+    answer = client.get("/api/health")
+    assert answer.status_code == 503
+    assert answer.json()["reasons"][0].startswith("the control loop has not ticked for 3.")
+    assert client.get("/api/status").json()["stalled"] is True
+
+
+@pytest.mark.parametrize(
+    ("method", "path", "kind"),
+    [
+        ("POST", "/api/arm", "arm"),
+        ("POST", "/api/disarm", "disarm"),
+        ("POST", "/api/stop", "stop"),
+        ("POST", "/api/acknowledge", "acknowledge"),
+        ("DELETE", "/api/goal", "cancel_goal"),
+    ],
+)
+def test_a_request_is_answered_by_the_loop(client, loop, method, path, kind):
+    answer = client.request(method, path)
+    assert answer.status_code == 200
+    number = loop.taken[-1].request.number
+    assert loop.taken[-1].request.kind == kind
+    assert {"number": number, "accepted": True, "reasons": []} in answer.json()["results"]  # the new status
+    loop.refuse = ("the arm is stopping", "no mocap: start the bridge")
+    answer = client.request(method, path)
+    assert answer.status_code == 409
+    assert answer.json() == {
+        "detail": "the arm is stopping; no mocap: start the bridge",
+        "reasons": ["the arm is stopping", "no mocap: start the bridge"],
+    }
+
+
+def test_a_silent_loop_is_a_503_that_says_so(silent):
+    client, _ = silent
+    answer = client.post("/api/arm")
+    assert answer.status_code == 503
+    assert "arm: the control loop did not answer within 0.5 s" in answer.json()["detail"]
+    assert "use the emergency-stop button" in client.post("/api/stop").json()["detail"]
+
+
+def test_a_full_inbox_is_a_503_but_a_stop_gets_through(silent):
+    client, loop = silent
+    for _ in range(16):
+        loop.inbox.post("disarm")
+    answer = client.post("/api/arm")
+    assert answer.status_code == 503
+    assert "has not taken the last 16 requests" in answer.json()["detail"]
+    client.post("/api/stop")
+    assert loop.inbox.take()[0].request.kind == "stop"
+
+
+def test_a_goal_reaches_the_loop_and_comes_back(client, loop):
+    answer = client.post("/api/goal", json={"kind": "reach", "y_m": -0.2, "z_m": 0.65})
+    assert answer.status_code == 200
+    assert answer.json()["warnings"] == []
+    assert loop.taken[-1].request.goal == Goal("reach", -0.2, 0.65)
+    client.post("/api/goal", json={"kind": "hold"})
+    assert loop.taken[-1].request.goal.kind == "hold"
+
+
+def test_a_target_outside_the_training_range_is_taken_with_a_warning(client):
+    warnings = client.post("/api/goal", json={"kind": "reach", "y_m": 0.2, "z_m": 0.75}).json()["warnings"]
+    assert warnings == [
+        "y_m 0.2 lies outside what the policy 'reach' was trained on (-0.4..0 m): it may miss",
+        "z_m 0.75 lies outside what the policy 'reach' was trained on (0.55..0.7 m): it may miss",
+    ]
+
+
+def test_the_goal_is_shown_flat(client, loop):
+    nothing = client.get("/api/goal").json()
+    assert nothing == {
+        "kind": None,
+        "state": "none",
+        "reason": None,
+        "y_m": None,
+        "z_m": None,
+        "closest_m": None,
+        "time_s": 0.0,
+        "number": 0,
+    }
+    loop.outputs = replace(loop.outputs, goal=GoalStatus(Goal("reach", -0.2, 0.6), "failed", "too far", 0.07, 3.3, 4))
+    assert client.get("/api/goal").json() == {
+        "kind": "reach",
+        "state": "failed",
+        "reason": "too far",
+        "y_m": -0.2,
+        "z_m": 0.6,
+        "closest_m": 0.07,
+        "time_s": 3.3,
+        "number": 4,
+    }
+    loop.outputs = replace(loop.outputs, goal=GoalStatus(Goal("hold"), "running"))
+    assert client.get("/api/goal").json()["y_m"] is None
+
+
+@pytest.mark.parametrize(
+    ("body", "sentence"),
+    [
+        ('{"kind": "reach", "y_m": "left", "z_m": 0.6}', "y_m: must be a number; allowed -0.6..0.6 m"),
+        ('{"kind": "reach", "y_m": "0.1", "z_m": 0.6}', "y_m: must be a number; allowed -0.6..0.6 m"),
+        ('{"kind": "reach", "y_m": NaN, "z_m": 0.6}', "y_m: must be a number; allowed -0.6..0.6 m"),
+        ('{"kind": "reach", "y_m": 0, "z_m": 1e999}', "z_m: must be a number; allowed 0.5..0.85 m"),
+        ('{"kind": "reach", "y_m": 0}', "z_m: is missing, it must be a number; allowed 0.5..0.85 m"),
+        ('{"kind": "reach", "y_m": null, "z_m": 0.6}', "y_m: must be a number; allowed -0.6..0.6 m"),
+        ('{"kind": "fly"}', "kind: must be 'reach', 'hold' or 'run'; send {"),
+        ('{"y_m": 0, "z_m": 0.6}', "kind: must be 'reach', 'hold' or 'run'; send {"),
+        ('{"kind": "hold", "y_m": 0}', "y_m: is not known here; send {"),
+        ('{"kind": "reach"', "the body is not JSON ("),
+        ("[1, 2]", "the body must be a JSON object"),
+        ("", "the body must be a JSON object"),
+        ('{"kind": "reach", "y_m": 0.7, "z_m": 0.9}', "y_m 0.7 is outside the workspace; allowed -0.6..0.6 m"),
+        ('{"kind": "reach", "y_m": 0, "z_m": 0.9}', "z_m 0.9 is outside the workspace; allowed 0.5..0.85 m"),
+        ('{"kind": "reach", "y_m": 0.6, "z_m": 0.5}', "the target (0.6, 0.5) is 0.582 m from where the hinge"),
+    ],
+)
+def test_a_wrong_goal_is_refused_with_what_is_allowed(client, loop, body, sentence):
+    answer = client.post("/api/goal", content=body, headers={"Content-Type": "application/json"})
+    assert answer.status_code == 422
+    assert answer.json()["reasons"][0].startswith(sentence)
+    assert not loop.taken
+
+
+def test_a_body_without_its_content_type_is_told_what_to_send(client):
+    answer = client.post("/api/goal", content='{"kind": "hold"}', headers={"Content-Type": "text/plain"})
+    assert answer.status_code == 422
+    assert "Content-Type: application/json" in answer.json()["detail"]
+
+
+@given(y=st.floats(-0.6, 0.6), z=st.floats(0.5, 0.85))
+def test_a_target_is_within_reach_exactly_when_some_hinge_position_reaches_it(y, z):
+    refused = bool(workspace.refusals(Goal("reach", y, z), Config()))
+    hinges = np.linspace(-0.25, 0.25, 2001)
+    distance = np.hypot(y - hinges, z - 0.965).min()
+    if abs(distance - 0.4825) > 1e-3:
+        assert refused == (distance > 0.4825)
+
+
+def test_the_policies_are_listed_with_those_that_cannot_be_used(client):
+    answer = client.get("/api/policies").json()
+    assert answer["active"] == "reach"
+    by_name = {policy["name"]: policy for policy in answer["policies"]}
+    assert by_name["reach"]["sha256"] == "ab"
+    assert by_name["reach"]["trained"]["target_y_m"] == [-0.4, 0.0]
+    assert by_name["lost"]["error"] == "its file is gone; train it again"
+
+
+def test_a_policy_is_loaded_and_warmed_up_beside_the_loop(loop, app, client_of, shelf):
+    client = client_of(app(loop, policies=shelf))
+    answer = client.put("/api/policy", json={"name": "pid"})
+    assert answer.status_code == 200
+    policy, thread = shelf.loaded[0]
+    assert (policy.steps, policy.resets) == (1, 2)
+    assert "asyncio" in thread  # a worker's name
+    post = loop.taken[-1]
+    assert post.request.policy == "pid"
+    outcome = post.runner.step(np.zeros(8, dtype=np.float32), np.zeros(2, dtype=np.float32))
+    assert outcome.fault is None
+
+
+def test_the_log_notes_which_model_flies(loop, tmp_path, app, client_of):
+    recorder = Recorder(Config(recorder={"directory": tmp_path}), PolicySpec("reach", "swings"))
+    recorder.start()
+    client = client_of(app(loop, recorder=recorder))
+    assert client.put("/api/policy", json={"name": "pid"}).status_code == 200
+    loop.refuse = ("a goal is running",)
+    assert client.put("/api/policy", json={"name": "reach"}).status_code == 409
+    recorder.stop()
+    assert [policy["name"] for policy in logs.read(recorder.path).policies] == ["reach", "pid"]
+
+
+def test_the_runner_of_a_refused_policy_ends(client, loop):
+    loop.refuse = ("a goal is running: wait for it or DELETE /api/goal first",)
+    answer = client.put("/api/policy", json={"name": "pid"})
+    assert answer.status_code == 409
+    assert not any(thread.name == "policy pid" for thread in threading.enumerate())
+
+
+@pytest.mark.parametrize(
+    ("body", "code", "sentence"),
+    [
+        ({"name": "nix"}, 404, "no policy 'nix'; there are: broken, lost, pid, reach"),
+        ({"name": "lost"}, 422, "policy 'lost': its file is gone; available: pid, reach"),
+        ({"name": "broken"}, 422, "policy 'broken': its first step failed (ValueError: no weights)"),
+        ({}, 422, "name: is missing, it must be text; GET /api/policies lists the names"),
+        ({"name": 3}, 422, "name: must be text; GET /api/policies lists the names"),
+    ],
+)
+def test_a_wrong_policy_is_refused(client, loop, body, code, sentence):
+    answer = client.put("/api/policy", json=body)
+    assert answer.status_code == code
+    assert answer.json()["detail"].startswith(sentence)
+    assert not loop.taken
+
+
+def test_the_logs_are_listed_and_the_present_one_is_marked(loop, tmp_path, app, client_of):
+    config = Config(recorder={"directory": tmp_path})
+    old, new = Recorder(config), Recorder(config)
+    old.start()
+    old.stop()
+    new.start()
+    try:
+        client = client_of(app(loop, config, recorder=new))
+        answer = client.get("/api/logs").json()
+        status = client.get("/api/status").json()
+    finally:
+        new.stop()
+    assert answer["directory"] == str(tmp_path)
+    assert {entry["name"]: entry["recording"] for entry in answer["logs"]} == {
+        old.path.name: False,
+        new.path.name: True,
+    }
+    assert status["recorder"]["log"] == str(new.path)
+
+
+def test_the_documentation_names_every_endpoint_with_an_example(client):
+    page = client.get("/docs")
+    assert page.status_code == 200
+    scripts = re.findall(r'(?:src|href)="([^"]+)"', page.text)
+    assert scripts
+    assert all(client.get(script).status_code == 200 for script in scripts)  # nothing from the internet
+    api = client.get("/openapi.json").json()
+    assert {(method.upper(), path) for path, methods in api["paths"].items() for method in methods} == {
+        ("GET", "/api/status"),
+        ("GET", "/api/health"),
+        ("POST", "/api/arm"),
+        ("POST", "/api/disarm"),
+        ("POST", "/api/stop"),
+        ("POST", "/api/acknowledge"),
+        ("POST", "/api/goal"),
+        ("DELETE", "/api/goal"),
+        ("GET", "/api/goal"),
+        ("GET", "/api/policies"),
+        ("PUT", "/api/policy"),
+        ("GET", "/api/logs"),
+    }
+    goal = api["paths"]["/api/goal"]["post"]["requestBody"]["content"]["application/json"]
+    assert goal["examples"]["reach"]["value"] == {"kind": "reach", "y_m": -0.2, "z_m": 0.65}
+    assert all(method["description"] for methods in api["paths"].values() for method in methods.values())

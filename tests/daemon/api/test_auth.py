@@ -1,0 +1,105 @@
+"""Who may ask: hosts, pages and tokens."""
+
+import json
+from pathlib import Path
+
+import pytest
+from websockets.exceptions import InvalidStatus
+from websockets.sync.client import connect as connect_sync
+
+from softarm.daemon.api.auth import AuthError, is_loopback, load_token
+from softarm.schemas.config import Api, Config
+
+LOCAL = "http://127.0.0.1"
+TOKEN = "0123456789abcdef0123456789abcdef"
+
+
+def test_loopback_refuses_foreign_hosts_and_pages(client):
+    answer = client.get("/api/status", headers={"Host": "robot.example:8080"})
+    assert answer.status_code == 403
+    assert "the Host header is 'robot.example:8080'" in answer.json()["detail"]
+    answer = client.post("/api/arm", headers={"Origin": "https://evil.example"})
+    assert answer.status_code == 403
+    assert "a page of 'https://evil.example' may not command this robot" in answer.json()["detail"]
+    assert client.post("/api/arm", headers={"Origin": "null"}).status_code == 403
+    assert client.post("/api/arm", headers={"Origin": LOCAL}).status_code == 200
+    for host in ("localhost:8080", "[::1]:8080", "127.0.0.1"):
+        assert client.get("/api/status", headers={"Host": host}).status_code == 200
+
+
+def test_loopback_refuses_foreign_pages_on_the_stream_too(loop, app, serving):
+    with serving(app(loop)) as port, pytest.raises(InvalidStatus) as refusal:
+        connect_sync(f"ws://127.0.0.1:{port}/api/stream", origin="https://evil.example")
+    assert refusal.value.response.status_code == 403
+    assert b"may not command this robot" in refusal.value.response.body
+
+
+@pytest.mark.parametrize(
+    ("host", "expected"),
+    [
+        ("127.0.0.1", True),
+        ("127.9.9.9", True),
+        ("::1", True),
+        ("localhost", True),
+        ("0.0.0.0", False),
+        ("192.168.1.4", False),
+        ("robot.example", False),
+    ],
+)
+def test_loopback_is_known(host, expected):
+    assert is_loopback(host) is expected
+
+
+def token_file(directory: Path, text: str = TOKEN + "\n", mode: int = 0o600) -> Path:
+    path = directory / "token"
+    path.write_text(text)
+    path.chmod(mode)
+    return path
+
+
+def test_another_address_requires_a_token(loop, app):
+    with pytest.raises(AuthError, match=r"api\.host 0\.0\.0\.0 .* needs api\.token_file: write a long random"):
+        app(loop, Config(api={"host": "0.0.0.0"}))
+
+
+@pytest.mark.parametrize(
+    ("text", "mode", "sentence"),
+    [
+        ("short", 0o600, "holds 5 characters; allowed: one word, 16 or more"),
+        ("two words that are long enough", 0o600, "one word"),
+        (TOKEN, 0o604, "every user of this machine can open it; `chmod o= "),
+        ("ü" * 20, 0o600, "cannot be read"),
+    ],
+)
+def test_a_bad_token_file_is_refused(tmp_path, text, mode, sentence):
+    with pytest.raises(AuthError) as refusal:
+        load_token(Api(host="0.0.0.0", token_file=token_file(tmp_path, text, mode)))
+    assert sentence in str(refusal.value)
+    with pytest.raises(AuthError, match="cannot be read"):
+        load_token(Api(token_file=tmp_path / "missing"))
+
+
+def test_with_a_token_every_request_needs_it(loop, tmp_path, app, client_of):
+    config = Config(api={"host": "0.0.0.0", "token_file": token_file(tmp_path)})
+    client = client_of(app(loop, config), "http://robot.example")
+    for path in ("/api/status", "/docs", "/openapi.json", "/nothing"):
+        answer = client.get(path)
+        assert answer.status_code == 401
+        assert "send `Authorization: Bearer" in answer.json()["detail"]
+    wrong = client.get("/api/status", headers={"Authorization": f"Bearer {TOKEN}x"})
+    assert (wrong.status_code, wrong.json()["detail"][:18]) == (401, "the token is wrong")
+    assert client.get("/api/status", headers={"Authorization": TOKEN}).status_code == 401
+    right = {"Authorization": f"Bearer {TOKEN}"}
+    assert client.get("/api/status", headers=right).status_code == 200
+
+
+def test_with_a_token_the_stream_needs_it_too(loop, tmp_path, app, serving):
+    config = Config(api={"port": 0, "token_file": token_file(tmp_path)})
+    with serving(app(loop, config), config.api) as port:
+        address = f"ws://127.0.0.1:{port}/api/stream"
+        with pytest.raises(InvalidStatus) as refusal:
+            connect_sync(address)
+        assert refusal.value.response.status_code == 401
+        right = {"Authorization": f"Bearer {TOKEN}"}
+        with connect_sync(address, additional_headers=right) as socket:
+            assert json.loads(socket.recv(timeout=5))["mode"] == "armed"

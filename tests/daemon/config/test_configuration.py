@@ -1,0 +1,273 @@
+"""A mistake in the configuration is found before the arm moves: its line, what is allowed, what to do."""
+
+import re
+from pathlib import Path
+from textwrap import dedent
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from softarm.daemon.config.configuration import ConfigurationError, effective_limits, load, read
+from softarm.daemon.config.keys import find, leaves
+from softarm.schemas.config import Config
+
+ROOT = Path(__file__).parents[3]
+
+
+@pytest.fixture
+def write(tmp_path):
+    def write(text: str) -> Path:
+        path = tmp_path / "arm.yaml"
+        path.write_text(dedent(text))
+        return path
+
+    return write
+
+
+def problems(path: Path) -> list[str]:
+    """What is said of a file, without the folder it lies in."""
+    with pytest.raises(ConfigurationError) as refusal:
+        read(path)
+    assert str(refusal.value).splitlines() == list(refusal.value.problems)
+    return [problem.removeprefix(f"{path.parent}/") for problem in refusal.value.problems]
+
+
+def test_the_example_is_complete_and_shows_the_defaults():
+    example = read(ROOT / "softarm.yaml")
+    assert example.config.model_dump() == Config().model_dump()
+    absent = [key.name for key in leaves(Config) if key.path not in example.lines]
+    assert absent == []
+
+
+def test_the_twins_file_differs_from_the_example_only_in_where_things_are():
+    default, twin = Config().model_dump(), load(ROOT / "twin.yaml").model_dump()
+    assert {name for name in default if default[name] != twin[name]} == {"control", "drivers"}
+    assert twin["drivers"]["rail"]["host"] == "127.0.0.1"
+    assert twin["drivers"]["rail"]["port"] == 15020
+
+
+@pytest.mark.parametrize("text", ["", "# nothing\n", "limits:\n", "limits:\n  rail:\npolicies:\n"])
+def test_what_is_left_out_or_empty_has_its_defaults(write, text):
+    if "policies" in text:
+        assert problems(write(text))[0].startswith("arm.yaml:3: policies: is null; allowed a group of names")
+    else:
+        assert load(write(text)) == Config()
+
+
+def test_values_are_taken_over_with_their_lines(write):
+    path = write("""\
+        limits:
+          rail: {position_max_m: 0.2, velocity_max_m_s: 5e-1}
+        policies:
+          gentle: {plugin: pid, options: {kp_y: 0.5, note: slow, flag: true, n: 3}}
+        recorder:
+          directory: /var/lib/softarm
+        """)
+    loaded = read(path)
+    assert loaded.config.limits.rail.velocity_max_m_s == 0.5
+    assert loaded.config.policies["gentle"].options == {"kp_y": 0.5, "note": "slow", "flag": True, "n": 3}
+    assert loaded.config.recorder.directory == Path("/var/lib/softarm")
+    assert loaded.place(("limits", "rail", "position_max_m")) == f"{path}:2"
+    assert loaded.place(("limits", "rail", "position_min_m")) == str(path)
+
+
+def test_all_mistakes_are_told_at_once_in_the_files_order(write):
+    path = write("""\
+        limits:
+          rail:
+            position_max_m: 250
+            velocity_max_m_s: "1.0"
+            latency_s: 33 ms
+            max_kpa: 3
+            acceleration_max: 5
+            margin_m: yes
+          pressure:
+            min_kpa: .nan
+        control:
+          rate_hz: 60
+        goals: 3
+        policies:
+          mine:
+            options: {kp: [1]}
+        api:
+          port: 8080.5
+          port: 8080
+        apis: 3
+        """)
+    assert problems(path) == [
+        "arm.yaml:3: limits.rail.position_max_m: is 250; allowed -0.3 to 0.3 m; "
+        "the key is in m: if you meant 250 mm, write 0.25",
+        "arm.yaml:4: limits.rail.velocity_max_m_s: is '1.0'; allowed above 0, at most 1 m/s; "
+        "write the number without quotes",
+        "arm.yaml:5: limits.rail.latency_s: is '33 ms'; allowed 0 to 0.2 s; "
+        "write the bare number, the unit is in the key's name (s)",
+        "arm.yaml:6: limits.rail.max_kpa: unknown key here; move it to limits.pressure.max_kpa "
+        "(allowed above 0, at most 20 kPa; default 20)",
+        "arm.yaml:7: limits.rail.acceleration_max: unknown key; did you mean acceleration_max_m_s2? "
+        "(allowed above 0, at most 20 m/s^2; default 6)",
+        "arm.yaml:8: limits.rail.margin_m: is true; allowed 0 to 0.1 m; "
+        f"change it, or remove the line for the default {Config().limits.rail.margin_m:g}",
+        "arm.yaml:10: limits.pressure.min_kpa: is nan; allowed -0.7 to 0 kPa; "
+        "change it, or remove the line for the default -0.7",
+        "arm.yaml:12: control.rate_hz: is 60; allowed 30; change it, or remove the line for the default 30",
+        "arm.yaml:13: goals: is 3; allowed a group with the keys workspace, success_radius_m, time_limit_s; change it",
+        "arm.yaml:15: policies.mine: plugin is missing; allowed a text; add it",
+        "arm.yaml:16: policies.mine.options.kp: is a list; "
+        "allowed a text or a number or a whole number or true or false; change it",
+        "arm.yaml:18: api.port: is 8080.5; allowed 0 to 65535, a whole number; "
+        "change it, or remove the line for the default 8080",
+        "arm.yaml:19: api.port: stands twice (first in line 18); keep one",
+        "arm.yaml:20: apis: unknown key; did you mean api? (allowed a group with the keys host, port, token_file)",
+    ]
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        (
+            "drivers: {rail: {acceleration_m_s2: 8}}",
+            "1: drivers.rail.acceleration_m_s2: is 8.0, above limits.rail.acceleration_max_m_s2 6.0: "
+            "lower the drive's ramp or raise the limit",
+        ),
+        (
+            "limits:\n  rail: {position_min_m: 0.2, position_max_m: 0.1}",
+            "2: limits.rail: position_max_m must lie above position_min_m by four margin_m or more: "
+            "widen them or lower margin_m",
+        ),
+        (
+            "goals: {workspace: {z_min_m: 0.9}}",
+            "1: goals.workspace: y_min_m must lie below y_max_m, and z_min_m below z_max_m: swap or widen them",
+        ),
+        (
+            "failsafe: {mocap_stale_s: 100}",
+            "1: failsafe.mocap_stale_s: is 100; allowed above 0, at most 1 s; "
+            "the key is in s: if you meant 100 ms, write 0.1",
+        ),
+        (
+            "drivers: {rail: {driver: simplemotion}}",
+            "1: drivers.rail.driver: is 'simplemotion'; allowed 'dryve_d1'; "
+            "change it, or remove the line for the default 'dryve_d1'",
+        ),
+        (
+            "zzz: 1",
+            "1: zzz: unknown key; remove it, or use one of "
+            "limits, failsafe, control, goals, policies, drivers, api, recorder",
+        ),
+        (
+            "- 1",
+            "1: must hold keys; allowed: limits, failsafe, control, goals, policies, drivers, api, recorder",
+        ),
+        (
+            "limits: &a {rail: *a}",
+            "1: limits.rail: refers to itself; write the values out",
+        ),
+        ("? [1]\n: 2", "1: the file: a key must be a plain name"),
+        (
+            "limits: !!python/object:os.system {}",
+            "1: limits: has the tag tag:yaml.org,2002:python/object:os.system; remove it",
+        ),
+        (
+            "api:\n  host: 2024-13-45",
+            "2: api.host: cannot be read (month must be in 1..12); write a plain value",
+        ),
+        (
+            'api: {port: !!int ""}',
+            "1: api.port: cannot be read (string index out of range); write a plain value",
+        ),
+        (
+            "limits:\n\trail: 1",
+            "2: not valid YAML: while scanning for the next token found character '\\t' that cannot start "
+            "any token; check indentation, colons and quotes there",
+        ),
+        (
+            "a: 1\n---\nb: 2",
+            "2: not valid YAML: expected a single document in the stream but found another document; "
+            "check indentation, colons and quotes there",
+        ),
+    ],
+)
+def test_each_mistake_has_its_sentence(write, text, said):
+    assert f"arm.yaml:{said}" in problems(write(text))
+
+
+def test_a_file_that_cannot_be_read_is_named_with_the_way_out(tmp_path):
+    assert problems(tmp_path / "no.yaml") == [
+        "no.yaml: no such file; name an existing one, or start from a copy of the example softarm.yaml"
+    ]
+    (tmp_path / "latin.yaml").write_bytes("höhe: 1".encode("latin-1"))
+    assert "latin.yaml: not UTF-8 text" in problems(tmp_path / "latin.yaml")[0]
+    (tmp_path / "nul.yaml").write_bytes(b"\0")
+    assert "nul.yaml: not valid YAML: unacceptable character" in problems(tmp_path / "nul.yaml")[0]
+    assert problems(tmp_path)[0].endswith("cannot be read (Is a directory); name a readable file")
+
+
+@settings(deadline=None, max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(st.text(alphabet="ab:-{}[]&*!?|>'\"#%@ \n\t0.~<", max_size=60))
+def test_any_text_is_a_configuration_or_a_configuration_error(tmp_path, text):
+    path = tmp_path / "any.yaml"
+    path.write_text(text)
+    try:
+        load(path)
+    except ConfigurationError as refusal:
+        told = refusal.problems
+    else:
+        return
+    assert told
+    assert all(problem.startswith(str(path)) for problem in told)
+
+
+NUMBERS = [key for key in leaves(Config) if key.bounds]
+
+
+@settings(deadline=None, max_examples=150, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(st.sampled_from(NUMBERS), st.floats(-1e6, 1e6))
+def test_a_number_out_of_its_bounds_is_refused_at_its_line_and_the_hint_would_be_taken(tmp_path, key, value):
+    path = tmp_path / "number.yaml"
+    lines = [f"{'  ' * depth}{name}:" for depth, name in enumerate(key.path)]
+    path.write_text("\n".join(lines) + f" {value!r}\n")
+    if key.admits(value):
+        return
+    with pytest.raises(ConfigurationError) as refusal:
+        load(path)
+    said = next(p for p in refusal.value.problems if key.name + ":" in p)
+    assert said.startswith(f"{path}:{len(key.path)}: {key.name}: is ")
+    assert f"allowed {key.bounds}" in said
+    if "write " in said:
+        assert key.admits(float(said.rpartition("write ")[2]))
+
+
+def test_every_key_can_be_found_by_its_path_and_has_something_to_say():
+    for key in leaves(Config):
+        assert find(Config, key.path) == key
+        assert key.allowed
+    assert find(Config, ("limits", "rail", "nonsense")) is None
+    assert find(Config, ("policies", "mine", "plugin")).allowed == "a text"
+
+
+def test_every_key_whose_name_ends_in_a_unit_says_so():
+    units = {key.name: key.unit for key in leaves(Config)}
+    assert units["limits.rail.braking_m_s2"] == "m/s^2"
+    assert units["limits.pressure.slew_max_kpa_s"] == "kPa/s"
+    assert units["drivers.rail.units_per_m"] == "1/m"
+    assert units["failsafe.arming_frames"] == ""
+
+
+def test_effective_limits_say_value_bounds_and_where_each_comes_from(write):
+    path = write("limits:\n  rail:\n    velocity_max_m_s: 0.5\n    braking_m_s2: 2.5\n    latency_s: 0.1\n")
+    rows = {row.key: row for row in effective_limits(read(path))}
+    assert rows["limits.rail.velocity_max_m_s"][1:] == ("0.5", "m/s", "above 0, at most 1 m/s", "line 3")
+    assert rows["limits.pressure.max_kpa"][1:] == ("20", "kPa", "above 0, at most 20 kPa", "default")
+    in_force = {key.name for key in leaves(Config) if key.path[0] in ("limits", "failsafe", "goals")}
+    assert in_force <= rows.keys()
+    stopping = rows["stopping distance at full speed"]
+    assert float(stopping.value) == pytest.approx(0.5 * (0.1 + 1 / 30) + 0.25 / 5, rel=1e-3)
+    assert stopping.source == "derived"
+    assert float(rows["pressure step per tick"].value) == pytest.approx(20.7)
+
+
+def test_the_pages_example_says_what_the_page_says(write):
+    page = (ROOT / "docs/configuration.md").read_text(encoding="utf-8")
+    said = re.search(r"```\n(arm\.yaml:.*?)```", page, re.DOTALL)[1]
+    example = re.search(r"```yaml\n(.*?)```", page, re.DOTALL)[1]
+    assert problems(write(example)) == said.splitlines()

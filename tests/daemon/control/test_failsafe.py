@@ -1,0 +1,157 @@
+"""The failsafe table and the mode machine, every mode against every response."""
+
+from pathlib import Path
+
+import pytest
+
+from softarm.daemon.control.failsafe import TABLE, Event, ModeMachine, Response, page
+from softarm.daemon.control.records import EStop, Mode
+
+
+def machine(mode: Mode) -> ModeMachine:
+    """A machine brought into a mode by what would bring it there."""
+    made = ModeMachine(arming_ticks=3, braking_ticks=5)
+    if mode is Mode.DISARMED:
+        return made
+    assert made.arm(()) == ()
+    if mode is Mode.ARMING:
+        return made
+    step(made, devices_armed=True)
+    if mode is Mode.STOPPING:
+        made.disarm("by test")
+    elif mode is Mode.STOPPED:
+        step(made, "stop_requested")
+    assert made.mode is mode
+    return made
+
+
+def step(made: ModeMachine, *names: str, devices_armed: bool = False, at_rest: bool = False) -> None:
+    made.update([Event(name) for name in names], devices_armed=devices_armed, at_rest=at_rest)
+
+
+def names(response: Response) -> list[str]:
+    return [name for name, rule in TABLE.items() if rule.response is response]
+
+
+@pytest.mark.parametrize("name", TABLE)
+def test_every_line_of_the_table_says_what_is_wrong_and_what_to_do(name):
+    rule = TABLE[name]
+    assert rule.meaning
+    assert rule.remedy
+    text = Event(name, "42 ms").text
+    assert "42 ms" in text
+    assert rule.remedy in text
+
+
+def test_starts_disarmed():
+    assert ModeMachine(3, 5).mode is Mode.DISARMED
+    assert ModeMachine(3, 5).estop is EStop.CLEAR
+
+
+@pytest.mark.parametrize("name", names(Response.STOP))
+@pytest.mark.parametrize("mode", [Mode.ARMING, Mode.ARMED, Mode.STOPPING])
+def test_a_stop_ends_every_active_mode_and_latches(mode, name):
+    made = machine(mode)
+    step(made, name)
+    assert made.mode is Mode.STOPPED
+    assert made.estop is EStop.ENGAGED
+    assert made.last_stop == Event(name).text
+    step(made)
+    assert made.estop is EStop.LATCHED
+    step(made, devices_armed=True, at_rest=True)
+    assert made.mode is Mode.STOPPED
+
+
+@pytest.mark.parametrize("name", names(Response.SOFT_STOP))
+@pytest.mark.parametrize("mode", [Mode.ARMING, Mode.ARMED])
+def test_a_soft_stop_brakes_then_disarms_without_a_latch(mode, name):
+    made = machine(mode)
+    step(made, name, devices_armed=True)
+    assert made.mode is Mode.STOPPING
+    step(made)
+    assert made.mode is Mode.STOPPING
+    step(made, at_rest=True)
+    assert made.mode is Mode.DISARMED
+    assert made.estop is EStop.CLEAR
+
+
+@pytest.mark.parametrize("name", names(Response.WARN))
+def test_a_warning_changes_nothing(name):
+    made = machine(Mode.ARMED)
+    step(made, name, devices_armed=True)
+    assert made.mode is Mode.ARMED
+
+
+@pytest.mark.parametrize("name", [n for n in TABLE if n != "stop_requested"])
+def test_nothing_but_a_requested_stop_latches_a_disarmed_arm(name):
+    made = machine(Mode.DISARMED)
+    step(made, name)
+    assert made.mode is Mode.DISARMED
+    assert made.estop is EStop.CLEAR
+
+
+@pytest.mark.parametrize("mode", list(Mode))
+def test_a_requested_stop_latches_from_every_mode(mode):
+    made = machine(mode)
+    step(made, "stop_requested")
+    assert made.mode is Mode.STOPPED
+    assert made.estop is EStop.ENGAGED
+
+
+def test_the_severest_event_wins():
+    made = machine(Mode.ARMED)
+    step(made, "mocap_stale", "rail_fault", "tick_late", devices_armed=True)
+    assert made.mode is Mode.STOPPED
+
+
+def test_arming_waits_for_the_devices_and_gives_up_in_time():
+    made = machine(Mode.ARMING)
+    for _ in range(3):
+        step(made)
+        assert made.mode is Mode.ARMING
+    step(made)
+    assert made.mode is Mode.STOPPING
+    assert "did not take the arm command" in made.last_stop
+
+
+def test_a_cart_that_never_rests_is_let_go_after_a_while():
+    made = machine(Mode.STOPPING)
+    for _ in range(5):
+        step(made)
+        assert made.mode is Mode.STOPPING
+    step(made)
+    assert made.mode is Mode.DISARMED
+
+
+@pytest.mark.parametrize("name", [n for n, rule in TABLE.items() if rule.blocks_arming])
+def test_what_blocks_arming_is_named_with_its_remedy(name):
+    made = machine(Mode.DISARMED)
+    refusals = made.refusals([Event(name)])
+    assert refusals == (Event(name).text,)
+    assert made.arm(refusals) == refusals
+    assert made.mode is Mode.DISARMED
+
+
+def test_the_latch_is_freed_by_an_acknowledgement_once_the_cause_is_gone():
+    made = machine(Mode.ARMED)
+    step(made, "remote_off")
+    assert any("DI7" in reason for reason in made.acknowledge())
+    assert made.estop is EStop.ENGAGED
+    step(made)
+    assert made.arm(made.refusals([])) == ("the emergency stop is latched: POST /api/acknowledge first",)
+    assert made.acknowledge() == ()
+    assert (made.mode, made.estop) == (Mode.DISARMED, EStop.CLEAR)
+    assert made.arm(made.refusals([])) == ()
+
+
+def test_disarming_is_always_taken():
+    for mode in (Mode.ARMING, Mode.ARMED):
+        made = machine(mode)
+        made.disarm("by hand")
+        assert made.mode is Mode.STOPPING
+        assert made.last_stop == "by hand"
+
+
+def test_the_page_is_made_from_the_table():
+    made = Path(__file__).parents[3] / "docs" / "failsafe.md"
+    assert made.read_text() == page(), "stale: run `python -m softarm.daemon.control.failsafe > docs/failsafe.md`"

@@ -1,0 +1,27 @@
+import pytest
+
+from softarm.daemon.control.inbox import Inbox, InboxFull
+from softarm.schemas.goals import Goal
+
+
+def kinds(inbox: Inbox) -> list[str]:
+    return [post.request.kind for post in inbox.take()]
+
+
+def test_requests_come_out_once_in_order_with_growing_numbers():
+    inbox = Inbox()
+    first = inbox.post("arm")
+    second = inbox.post("goal", goal=Goal("hold"))
+    assert second > first
+    assert kinds(inbox) == ["arm", "goal"]
+    assert kinds(inbox) == []
+
+
+def test_a_stop_comes_first_and_is_taken_even_when_the_slot_is_full():
+    inbox = Inbox(capacity=2)
+    inbox.post("arm")
+    inbox.post("cancel_goal")
+    with pytest.raises(InboxFull, match="has not taken the last 2 requests"):
+        inbox.post("arm")
+    inbox.post("stop")
+    assert kinds(inbox) == ["stop", "arm", "cancel_goal"]

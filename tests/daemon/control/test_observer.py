@@ -1,0 +1,119 @@
+import math
+
+import pytest
+
+from softarm.daemon.control.observer import Observer
+from softarm.daemon.control.records import Inputs
+from softarm.schemas.messages import MocapFrame, Pose, PressureReading, RailReading
+from softarm.schemas.policy import OBSERVATION
+
+MS = 1_000_000
+STALE = 100 * MS
+
+
+def frame(t_ms, cart=0.0, tip=(0.0, 0.52), sequence=None, tracked=True):
+    bodies = [Pose(cart, 0.965, 0.0), *[Pose(0.0, 0.6, 0.0)] * 4, Pose(*tip, 0.0, tracked)]
+    return MocapFrame(t_ms if sequence is None else sequence, t_ms * MS, t_ms * MS, tuple(bodies))
+
+
+def feed(observer, t_ms, *frames, pressure=5.0, rail=(0.0, 0.0)):
+    now = t_ms * MS
+    observer.update(
+        Inputs(
+            t_ns=now,
+            mocap=frames,
+            pressure=PressureReading(now, pressure, True),
+            rail=RailReading(now, *rail, True),
+        )
+    )
+    return observer.observe(now, previous_cart_velocity_m_s=0.25)
+
+
+def test_the_observation_has_the_papers_order():
+    observer = Observer(STALE)
+    feed(observer, 0, frame(0, cart=0.1, tip=(-0.1, 0.55)))
+    observed = feed(observer, 40, frame(40, cart=0.12, tip=(-0.14, 0.56)))
+    names = [signal.name for signal in OBSERVATION]
+    assert dict(zip(names, observed.values, strict=True)) == pytest.approx(
+        {
+            "cart_position": 0.12,
+            "cart_velocity": 0.5,
+            "tip_y": -0.14,
+            "tip_z": 0.56,
+            "tip_vy": -1.0,
+            "tip_vz": 0.25,
+            "previous_cart_velocity_command": 0.25,
+            "pressure": 5.0,
+        }
+    )
+
+
+def test_velocities_are_differenced_over_capture_stamps_between_ticks_not_between_frames():
+    observer = Observer(STALE)
+    feed(observer, 33, frame(16, cart=0.0), frame(24, cart=0.0))
+    observed = feed(observer, 66, frame(33, cart=0.5), frame(41, cart=0.5), frame(54, cart=0.03))
+    assert observed.values[1] == pytest.approx(0.03 / 0.030)
+    assert observed.mocap_age_ns == 12 * MS
+
+
+def test_a_tick_without_a_frame_keeps_the_last_velocities_and_ages():
+    observer = Observer(STALE)
+    feed(observer, 0, frame(0))
+    feed(observer, 33, frame(33, cart=0.033))
+    observed = feed(observer, 66)
+    assert observed.values[1] == pytest.approx(1.0)
+    assert observed.mocap_age_ns == 33 * MS
+
+
+def test_nothing_is_differenced_across_a_gap():
+    observer = Observer(STALE)
+    feed(observer, 0, frame(0))
+    observed = feed(observer, 500, frame(500, cart=0.2))
+    assert observed.values[1] == 0.0
+
+
+@pytest.mark.parametrize("bad", [{"tracked": False}, {"tip": (math.nan, 0.5)}, {"cart": math.inf}])
+def test_a_frame_without_cart_or_tip_is_not_used(bad):
+    observer = Observer(STALE)
+    feed(observer, 0, frame(0, tip=(-0.1, 0.6)))
+    observed = feed(observer, 33, frame(33, **bad))
+    assert observed.values[2:4] == (-0.1, 0.6)
+    assert observed.mocap_age_ns == 33 * MS
+    assert observer.newest.t_capture_ns == 33 * MS
+
+
+def test_lost_frames_are_counted_by_the_bridges_own_numbers():
+    observer = Observer(STALE)
+    feed(observer, 0, frame(0, sequence=7))
+    feed(observer, 33, frame(8, sequence=8), frame(33, sequence=12))
+    assert observer.frames_lost == 3
+
+
+def test_silence_starts_the_count_of_frames_for_arming_again():
+    observer = Observer(STALE)
+    feed(observer, 33, frame(16), frame(24), frame(33))
+    assert observer.frames_in_a_row == 3
+    feed(observer, 300)
+    assert observer.frames_in_a_row == 0
+
+
+def test_the_axis_is_compared_with_mocap_at_one_instant():
+    """A cart at 1 m/s read 20 ms before the frame is 20 mm further by then: no disagreement."""
+    observer = Observer(STALE)
+    now = 40 * MS
+    observer.update(
+        Inputs(
+            t_ns=now,
+            mocap=(frame(30, cart=0.12),),
+            rail=RailReading(10 * MS, 0.10, 1.0, True),
+            pressure=PressureReading(now, 0.0, True),
+        )
+    )
+    assert observer.rail_against_mocap_m() == pytest.approx(0.0, abs=1e-12)
+    assert observer.cart(now).position_m == pytest.approx(0.13)
+
+
+def test_no_observation_before_every_sensor_has_been_heard():
+    observer = Observer(STALE)
+    observer.update(Inputs(t_ns=0, mocap=(frame(0),)))
+    assert observer.observe(0, 0.0) is None

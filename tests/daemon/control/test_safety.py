@@ -1,0 +1,198 @@
+"""The safety filter: whatever is wanted, what is sent keeps cart and muscle within their limits."""
+
+import math
+from collections import deque
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from softarm.daemon.control.safety import RETURN_SPEED_M_S, Cart, SafetyFilter
+from softarm.daemon.shell.offline import Lockstep
+from softarm.policies.base import PolicySpec
+from softarm.schemas.config import Config, Limits, PressureLimits, RailLimits
+from softarm.schemas.goals import Goal
+from softarm.schemas.messages import SAFE, Command
+
+PERIOD = 1 / 30
+RAIL, PRESSURE = RailLimits(), PressureLimits()
+MIDDLE = Cart(0.0, 0.0)
+
+
+def make(drive_ramp: float | None = 6.0, **limits) -> SafetyFilter:
+    return SafetyFilter(Limits(**limits), PERIOD, drive_ramp)
+
+
+any_number = st.floats(allow_nan=True, allow_infinity=True)
+carts = st.none() | st.builds(Cart, any_number, any_number)
+
+
+@given(st.lists(st.tuples(any_number, any_number, carts), min_size=1, max_size=20))
+def test_whatever_comes_in_what_goes_out_is_within_every_limit(steps):
+    safety = make()
+    pressure = 0.0
+    for velocity, kpa, cart in steps:
+        sent, _ = safety.apply(Command(True, velocity, kpa), cart)
+        assert abs(sent.cart_velocity_m_s) <= RAIL.velocity_max_m_s
+        assert PRESSURE.min_kpa <= sent.pressure_kpa <= PRESSURE.max_kpa
+        nothing_known = not all(map(math.isfinite, (velocity, kpa, *(cart or ()))))
+        assert nothing_known or abs(sent.pressure_kpa - pressure) <= PRESSURE.slew_max_kpa_s * PERIOD + 1e-9
+        pressure = sent.pressure_kpa
+
+
+@given(st.floats(-1, 1), st.floats(-0.7, 20.0))
+def test_an_action_within_the_limits_passes_untouched_in_the_middle_of_the_rail(velocity, kpa):
+    wanted = Command(True, velocity, kpa)
+    assert make().apply(wanted, MIDDLE) == (wanted, ())
+
+
+class RampingCart:
+    """A velocity-mode drive with latency whose ramp the arm helps or hinders, at 1 kHz."""
+
+    def __init__(self, position: float, pulls) -> None:
+        self.position, self.velocity = position, 0.0
+        self._pulls = pulls
+        self._queue = deque([0.0] * round(RAIL.latency_s * 1000))
+
+    def advance(self, set_point: float, tick: int) -> None:
+        pull = self._pulls[tick % len(self._pulls)]
+        for _ in range(33):
+            self._queue.append(set_point)
+            gap = self._queue.popleft() - self.velocity
+            ramp = 6.0 + pull * math.copysign(1.0, gap)  # the arm pulls towards +y
+            self.velocity += math.copysign(min(abs(gap), ramp / 1000), gap)
+            self.position += self.velocity / 1000
+
+
+@given(
+    st.lists(st.floats(-3, 3), min_size=5, max_size=60),
+    st.floats(-0.2, 0.2),
+    st.lists(st.floats(-2, 2), min_size=1, max_size=10),
+)
+def test_no_sequence_of_actions_drives_the_cart_past_its_limits(velocities, start, pulls):
+    safety = make()
+    cart = RampingCart(start, pulls)
+    for tick, velocity in enumerate([*velocities, 1.0, 1.0, 1.0, 1.0, 1.0]):
+        sent, _ = safety.apply(Command(True, velocity, 0.0), Cart(cart.position, cart.velocity))
+        cart.advance(sent.cart_velocity_m_s, tick)
+        assert RAIL.position_min_m <= cart.position <= RAIL.position_max_m
+
+
+@given(st.lists(st.floats(-2, 2), min_size=1, max_size=30), st.floats(-0.25, 0.25), st.floats(-1, 1))
+def test_a_mirrored_world_gets_mirrored_commands(velocities, position, speed):
+    here, mirrored = make(), make()
+    for velocity in velocities:
+        one, _ = here.apply(Command(True, velocity, 0.0), Cart(position, speed))
+        other, _ = mirrored.apply(Command(True, -velocity, 0.0), Cart(-position, -speed))
+        assert one.cart_velocity_m_s == -other.cart_velocity_m_s
+
+
+def test_at_the_end_of_the_rail_only_the_way_back_is_open():
+    safety = make()
+    out, clamps = safety.apply(Command(True, 1.0, 0.0), Cart(RAIL.position_max_m, 0.0))
+    assert out.cart_velocity_m_s <= 0
+    assert clamps == ("rail_position_max",)
+    back, clamps = make().apply(Command(True, -1.0, 0.0), Cart(RAIL.position_max_m, 0.0))
+    assert (back.cart_velocity_m_s, clamps) == (-1.0, ())
+
+
+@pytest.mark.parametrize("side", [-1, 1])
+def test_a_cart_outside_comes_back_gently_by_itself(side):
+    sent, _ = make().apply(Command(True, 0.0, 0.0), Cart(side * 0.28, 0.0))
+    assert sent.cart_velocity_m_s == pytest.approx(-side * RETURN_SPEED_M_S)
+
+
+def test_braking_begins_at_the_braking_distance():
+    """At 1 m/s: one tick of latency, one tick of the command itself, then v^2 / 2a."""
+    distance = RAIL.latency_s + PERIOD + 1.0 / (2 * RAIL.braking_m_s2) + RAIL.margin_m
+    for offset, passes in ((-0.002, True), (0.002, False)):
+        safety = make()
+        for _ in range(3):
+            safety.apply(Command(True, 1.0, 0.0), Cart(-0.1, 1.0))
+        sent, clamps = safety.apply(Command(True, 1.0, 0.0), Cart(RAIL.position_max_m - distance + offset, 1.0))
+        assert (sent.cart_velocity_m_s == 1.0) is passes
+        assert ("rail_position_max" in clamps) is not passes
+
+
+@pytest.mark.parametrize(
+    ("wanted", "clamp"),
+    [
+        (Command(True, 1.5, 0.0), "rail_velocity"),
+        (Command(True, 0.0, 21.0), "pressure_max"),
+        (Command(True, 0.0, -1.0), "pressure_min"),
+        (Command(True, math.nan, 5.0), "non_finite"),
+        (Command(True, 0.1, math.inf), "non_finite"),
+    ],
+)
+def test_every_clamp_says_its_name(wanted, clamp):
+    _, clamps = make().apply(wanted, MIDDLE)
+    assert clamp in clamps
+
+
+def test_a_number_that_is_none_brakes_and_vents():
+    sent, _ = make().apply(Command(True, math.nan, 10.0), MIDDLE)
+    assert sent == Command(True, 0.0, 0.0)
+    sent, _ = make().apply(Command(True, 1.0, 10.0), Cart(math.nan, 0.0))
+    assert sent == Command(True, 0.0, 0.0)
+
+
+def test_what_is_off_stays_off_wherever_the_cart_is():
+    assert make().apply(Command(False, 1.0, 9.0), Cart(0.28, 0.5)) == (SAFE, ())
+
+
+def test_without_a_cart_state_the_cart_stands_still():
+    sent, clamps = make().apply(Command(True, 0.5, 3.0), None)
+    assert sent == Command(True, 0.0, 3.0)
+    assert clamps == ("rail_unknown",)
+
+
+def test_the_pressure_slew_is_kept():
+    safety = make(pressure=PressureLimits(slew_max_kpa_s=60.0))
+    first, clamps = safety.apply(Command(True, 0.0, 20.0), MIDDLE)
+    assert first.pressure_kpa == pytest.approx(2.0)
+    assert clamps == ("pressure_slew",)
+    second, _ = safety.apply(Command(True, 0.0, 20.0), MIDDLE)
+    assert second.pressure_kpa == pytest.approx(4.0)
+
+
+def test_a_drive_without_its_own_ramp_has_its_set_points_slewed():
+    safety = make(drive_ramp=None)
+    sent, clamps = safety.apply(Command(True, 1.0, 0.0), MIDDLE)
+    assert sent.cart_velocity_m_s == pytest.approx(RAIL.acceleration_max_m_s2 * PERIOD)
+    assert clamps == ("rail_acceleration",)
+
+
+class Wild:
+    """Tries to throw the cart off the rail: bang-bang in time, or in step with the arm's swing."""
+
+    spec = PolicySpec("wild", "adversarial")
+
+    def __init__(self, kind: str, seed: int) -> None:
+        self._kind = kind
+        self._random = np.random.default_rng(seed)
+        self._action = np.zeros(2, dtype=np.float32)
+
+    def reset(self) -> None:
+        pass
+
+    def step(self, observation, goal):
+        swing = float(np.sign(observation[4]))
+        if self._kind == "with_swing":
+            return np.array([swing, 20.0 * (swing < 0)], dtype=np.float32)
+        if self._kind == "against_swing":
+            return np.array([-swing, 20.0 * (swing < 0)], dtype=np.float32)
+        if self._random.random() < 0.2:
+            self._action = np.array([self._random.choice([-1, 1]), self._random.choice([-0.7, 20])], dtype=np.float32)
+        return self._action
+
+
+@pytest.mark.parametrize("kind", ["bang_bang", "with_swing", "against_swing"])
+def test_on_the_simulated_robot_no_policy_passes_the_limits(kind):
+    """The arm's pull included, which the filter does not model but only allows for."""
+    for seed in range(6 if kind == "bang_bang" else 1):
+        flights = Lockstep(Config(), Wild(kind, seed))
+        for start in (-0.2, 0.0, 0.2):
+            flight = flights.fly(Goal("reach", 0.59, 0.51), start)
+            assert flight.status.state == "failed"  # out of time, not stopped by the failsafe
+            assert 0.15 < flight.max_cart_m <= 0.25

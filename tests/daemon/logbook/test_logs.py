@@ -1,0 +1,281 @@
+"""A log gives back every tick exactly as the loop saw it, also when it breaks off in the middle."""
+
+import math
+import struct
+from dataclasses import fields, is_dataclass
+from pathlib import Path
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from mcap.reader import make_reader
+
+from softarm.daemon.control.records import (
+    ActiveEvent,
+    EStop,
+    Inputs,
+    Mode,
+    Observed,
+    Outputs,
+    Problems,
+    Request,
+    RequestResult,
+    TickTiming,
+)
+from softarm.daemon.logbook import logs
+from softarm.daemon.logbook.channels import CHANNELS, Joiner, Splitter
+from softarm.daemon.logbook.recorder import LiveFile, Recorder
+from softarm.policies.base import PolicySpec
+from softarm.schemas.config import Config
+from softarm.schemas.goals import Goal, GoalStatus
+from softarm.schemas.messages import Command, MocapFrame, Pose, PressureReading, RailReading
+
+ns = st.integers(0, 2**63 - 1)
+count = st.integers(0, 2**31)
+number = st.floats(width=64)  # NaN, infinities, subnormals, -0.0
+text = st.text(max_size=20)
+texts = st.lists(text, max_size=3).map(tuple)
+maybe_number = st.none() | number
+goal = st.builds(Goal, st.sampled_from(["reach", "hold"]), number, number)
+pressure = st.none() | st.builds(PressureReading, ns, number, st.booleans(), texts, count)
+rail = st.none() | st.builds(RailReading, ns, number, number, st.booleans(), st.booleans(), texts)
+pose = st.builds(Pose, number, number, number, st.booleans())
+frame = st.builds(MocapFrame, count, ns, ns, st.lists(pose, min_size=1, max_size=6).map(tuple))
+request = st.builds(
+    Request, count, st.sampled_from(["arm", "stop", "goal", "policy"]), st.none() | goal, st.none() | text
+)
+inputs_of_a_tick = st.builds(
+    Inputs,
+    ns,
+    count,
+    count,
+    st.lists(frame, max_size=3).map(tuple),
+    pressure,
+    rail,
+    st.lists(request, max_size=2).map(tuple),
+    st.builds(Problems, st.none() | text, st.none() | text, st.none() | text),
+    count,
+)
+status_of_a_goal = st.builds(
+    GoalStatus,
+    st.none() | goal,
+    st.sampled_from(["none", "running", "failed"]),
+    st.none() | text,
+    maybe_number,
+    number,
+    count,
+)
+outputs_of_a_tick = st.builds(
+    Outputs,
+    t_ns=ns,
+    tick=count,
+    late_ns=count,
+    missed=count,
+    missed_total=count,
+    mode=st.sampled_from(Mode),
+    estop=st.sampled_from(EStop),
+    sent=st.builds(Command, st.booleans(), number, number),
+    action=st.none() | st.tuples(number, number),
+    policy=text,
+    policy_ns=count,
+    policy_fault=st.none() | text,
+    clamps=texts,
+    observed=st.none() | st.builds(Observed, st.lists(number, min_size=8, max_size=8).map(tuple), count, ns, ns, ns),
+    rail_position_m=maybe_number,
+    rail_velocity_m_s=maybe_number,
+    goal=status_of_a_goal,
+    events=st.lists(st.builds(ActiveEvent, text, text, text), max_size=2).map(tuple),
+    arming_refusals=texts,
+    last_stop=st.none() | text,
+    results=st.lists(st.builds(RequestResult, count, st.booleans(), texts), max_size=2).map(tuple),
+)
+timing_of_a_tick = st.builds(TickTiming, count, count, count, st.none() | count)
+tick = st.tuples(inputs_of_a_tick, outputs_of_a_tick, timing_of_a_tick)
+
+
+def exactly(value):
+    """A value that two records share only when they agree in type and in every bit (all NaN count as one)."""
+    if is_dataclass(value):
+        return type(value), tuple(exactly(getattr(value, field.name)) for field in fields(value))
+    if isinstance(value, tuple):
+        return type(value), tuple(map(exactly, value))
+    if isinstance(value, float):
+        return float, "nan" if math.isnan(value) else struct.pack("<d", value)
+    return type(value), value
+
+
+def make_tick(number: int, period_ns: int = 33_333_333) -> tuple[Inputs, Outputs, TickTiming]:
+    """A plausible tick: four frames, fresh readings."""
+    now = 1_000_000_000 + number * period_ns
+    poses = tuple(Pose(0.01 * number, 0.5 + i / 7, -0.1 * i) for i in range(6))
+    frames = tuple(
+        MocapFrame(4 * number + i, now - 8_000_000 * (4 - i), now - 8_000_000 * (4 - i) + 900_000, poses)
+        for i in range(4)
+    )
+    inputs = Inputs(
+        now,
+        mocap=frames,
+        pressure=PressureReading(now - 1_000_000, 1.5 + number / 3, True, (), number),
+        rail=RailReading(now - 2_000_000, 0.1, number / 9, True),
+        requests=(Request(number, "goal", Goal("hold")),) if number % 30 == 0 else (),
+    )
+    outputs = Outputs(
+        now,
+        number,
+        0,
+        0,
+        0,
+        Mode.ARMED,
+        EStop.CLEAR,
+        sent=Command(True, 0.1 + number / 7, 3.3),
+        policy="reach",
+    )
+    return inputs, outputs, TickTiming(10_000, 200_000, 5_000, 9_000_000)
+
+
+def record(directory: Path, ticks, **recorder) -> Path:
+    """Record ticks and stop."""
+    box = Recorder(Config(recorder={"directory": directory, **recorder}), PolicySpec("reach", "test"))
+    box.start()
+    for one in ticks:
+        box.tick(*one)
+    box.stop()
+    assert box.problem is None
+    assert box.path is not None
+    return box.path
+
+
+def unfinished(directory: Path, ticks) -> Path:
+    """A log as a killed daemon leaves it: unchunked, without an end."""
+    path = directory / "killed.mcap"
+    with path.open("wb") as file:
+        live = LiveFile(file)
+        live.head(Config(), PolicySpec("reach", "test"), 1, 2)
+        for one in ticks:
+            live.write(one)
+    return path
+
+
+@settings(deadline=None, max_examples=150)
+@given(st.lists(tick, max_size=4))
+def test_every_tick_comes_back_bit_for_bit(ticks):
+    splitter, joiner = Splitter(), Joiner()
+    joined = [joiner.join(entry.topic, entry.data) for one in ticks for entry in splitter.split(*one)]
+    assert exactly(tuple(one for one in joined if one is not None)) == exactly(tuple(ticks))
+
+
+@settings(deadline=None, max_examples=5, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(ticks=st.lists(tick, min_size=1, max_size=4))
+def test_a_finished_file_gives_every_tick_back_bit_for_bit(tmp_path, ticks):
+    log = logs.read(record(tmp_path, ticks))
+    assert log.finished
+    assert exactly(tuple(log)) == exactly(tuple(ticks))
+
+
+def test_a_reading_is_written_once_while_it_is_the_same():
+    inputs, outputs, timing = make_tick(1)
+    splitter = Splitter()
+    first = [entry.topic for entry in splitter.split(inputs, outputs, timing)]
+    again = [entry.topic for entry in splitter.split(inputs, outputs, timing)]
+    assert first.count("/pressure") == first.count("/rail") == 1
+    assert "/pressure" not in again
+    assert "/rail" not in again
+
+
+def test_messages_carry_real_stamps(tmp_path):
+    inputs, outputs, timing = make_tick(3)
+    path = record(tmp_path, [(inputs, outputs, timing)])
+    with path.open("rb") as file:
+        stamps = {c.topic: (m.log_time, m.publish_time) for _, c, m in make_reader(file).iter_messages()}
+    newest = inputs.mocap[-1]
+    assert stamps["/mocap"] == (newest.t_receive_ns, newest.t_capture_ns)
+    assert stamps["/pressure"][0] == inputs.pressure.t_receive_ns
+    assert stamps["/tick"][0] == inputs.t_ns
+
+
+@pytest.mark.parametrize("channel", CHANNELS, ids=lambda c: c.topic)
+def test_every_channel_describes_its_messages_as_objects(channel):
+    assert b'"type": "object"' in channel.json_schema()
+    entries = Splitter().split(*make_tick(30))
+    data = next(entry.data for entry in entries if entry.topic == channel.topic)
+    assert data.startswith(b'{"')
+    if channel.topic == "/mocap":
+        assert b'"angle_rad":' in data
+    if channel.topic == "/tick":
+        assert b'"sent":{"enable":true,"cart_velocity_m_s":' in data
+
+
+def test_a_log_cut_anywhere_is_read_up_to_the_last_whole_tick(tmp_path):
+    ticks = [make_tick(n) for n in range(12)]
+    whole = unfinished(tmp_path, ticks).read_bytes()
+    cut = tmp_path / "cut.mcap"
+    seen = []
+    for length in [*range(0, 12_000, 997), *range(12_000, len(whole), 211), len(whole)]:
+        cut.write_bytes(whole[:length])
+        log = logs.read(cut)
+        found = list(log)
+        assert not log.finished
+        assert exactly(tuple(found)) == exactly(tuple(ticks[: len(found)]))
+        assert f"{log.records} whole records over {log.duration_s:.2f} s" in log.ending
+        seen.append(len(found))
+    assert seen == sorted(seen)
+    assert (seen[0], seen[-1]) == (0, 12)
+
+
+def test_recover_makes_an_indexed_file_of_what_is_whole(tmp_path):
+    ticks = [make_tick(n) for n in range(40)]
+    path = unfinished(tmp_path, ticks)
+    path.write_bytes(path.read_bytes()[:-300])
+    log = logs.recover(path)
+    assert log.finished
+    assert exactly(tuple(log)) == exactly(tuple(ticks[:39]))
+    assert log.duration_s == pytest.approx(38 * 33_333_333e-9)
+    assert log.metadata["configuration"]["json"] == Config().model_dump_json()
+    with path.open("rb") as file:
+        summary = make_reader(file).get_summary()
+    assert summary.chunk_indexes
+    assert [p.name for p in tmp_path.iterdir()] == ["killed.mcap"]
+
+
+def test_recover_that_is_interrupted_leaves_the_old_file(tmp_path):
+    path = unfinished(tmp_path, [make_tick(n) for n in range(5)])
+    before = path.read_bytes()
+
+    def interrupt() -> None:
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        logs.recover(path, interrupt)
+    assert path.read_bytes() == before
+    assert [p.name for p in tmp_path.iterdir()] == ["killed.mcap"]
+
+
+def test_a_missing_file_and_a_foreign_one_are_refused_with_a_sentence(tmp_path):
+    with pytest.raises(logs.LogError, match=r"nothing\.mcap: cannot be read \(No such file"):
+        logs.read(tmp_path / "nothing.mcap")
+    (tmp_path / "notes.mcap").write_text("hello, this is not a log")
+    with pytest.raises(logs.LogError, match="not a log; a log is an MCAP file"):
+        logs.read(tmp_path / "notes.mcap")
+
+
+def test_a_log_whose_measurements_were_taken_out_is_not_replayed(tmp_path):
+    entries = list(Splitter().split(*make_tick(1)))
+    joiner = Joiner()
+    for entry in entries[1:-1]:
+        joiner.join(entry.topic, entry.data)
+    with pytest.raises(ValueError, match="not those that it names"):
+        joiner.join(entries[-1].topic, entries[-1].data)
+
+
+def test_the_listing_tells_finished_from_unfinished(tmp_path):
+    done = record(tmp_path, [make_tick(n) for n in range(31)])
+    unfinished(tmp_path, [make_tick(0)])
+    (tmp_path / "empty.mcap").touch()
+    entries = {entry.name: entry for entry in logs.listing(tmp_path)}
+    assert set(entries) == {done.name, "killed.mcap", "empty.mcap"}
+    assert entries[done.name].finished
+    assert entries[done.name].duration_s == pytest.approx(1.0, abs=0.05)
+    assert entries[done.name].bytes == done.stat().st_size
+    assert not entries["killed.mcap"].finished
+    assert not entries["empty.mcap"].finished
+    assert logs.listing(tmp_path / "nowhere") == ()

@@ -1,0 +1,257 @@
+"""The recorder never holds the loop up, loses at most a flush to a kill, and leaves a tidy file."""
+
+import os
+import random
+import struct
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+
+import pytest
+from mcap.reader import make_reader
+
+from softarm.daemon.control.records import EStop, Inputs, Mode, Outputs, TickTiming
+from softarm.daemon.logbook import logs
+from softarm.daemon.logbook.recorder import LiveFile, Recorder, RecorderError
+from softarm.policies.base import PolicySpec
+from softarm.schemas.config import Config
+from softarm.schemas.messages import MocapFrame, Pose
+
+SPEC = PolicySpec("reach", "swings", sha256="ab" * 32)
+
+
+def config(directory: Path, **recorder) -> Config:
+    return Config(recorder={"directory": directory, **recorder})
+
+
+def make_tick(number: int, t_ns: int | None = None) -> tuple[Inputs, Outputs, TickTiming]:
+    now = t_ns if t_ns is not None else 5_000_000_000 + number * 33_333_333
+    frames = tuple(MocapFrame(4 * number + i, now, now, (Pose(0.1, 0.2, 0.3),) * 6) for i in range(4))
+    outputs = Outputs(now, number, 0, 0, 0, Mode.DISARMED, EStop.CLEAR, policy="reach")
+    return Inputs(now, mocap=frames), outputs, TickTiming(1, 2, 3, None)
+
+
+def wait_for(condition, what: str) -> None:
+    deadline = time.monotonic() + 20
+    while not condition():
+        assert time.monotonic() < deadline, f"timed out waiting for {what}"
+        time.sleep(0.005)
+
+
+def test_a_clean_stop_leaves_a_compressed_file_with_an_index(tmp_path):
+    recorder = Recorder(config(tmp_path), SPEC)
+    recorder.start()
+    for number in range(90):
+        recorder.tick(*make_tick(number))
+    recorder.stop()
+    with recorder.path.open("rb") as file:
+        reader = make_reader(file)
+        summary = reader.get_summary()
+        topics = {channel.topic for _, channel, _ in reader.iter_messages()}
+    assert summary.statistics.message_count == 90 * 5
+    assert summary.chunk_indexes[0].compression == "zstd"
+    assert topics == {"/mocap", "/tick"}
+    assert [path.name for path in tmp_path.iterdir()] == [recorder.path.name]
+
+
+def test_the_head_of_a_log_says_what_ran_where_and_when(tmp_path):
+    settings = config(tmp_path)
+    recorder = Recorder(settings, SPEC, monotonic_ns=lambda: 1_000, wall_ns=lambda: 1_790_000_000_000_000_000)
+    recorder.start()
+    recorder.stop()
+    log = logs.read(recorder.path)
+    assert Config.model_validate_json(log.metadata["configuration"]["json"]) == settings
+    assert log.metadata["clock"]["wall_minus_monotonic_ns"] == str(1_790_000_000_000_000_000 - 1_000)
+    assert log.metadata["machine"]["name"] == os.uname().nodename
+    assert log.metadata["software"]["python"] == sys.version.split()[0]
+    assert {"softarm", "git_revision", "mcap", "numpy"} <= set(log.metadata["software"])
+    assert log.metadata["policy"] == {"name": "reach", "description": "swings", "sha256": "ab" * 32}
+    assert recorder.path.name == "softarm-20260921T141320Z.mcap"
+
+
+def test_a_change_of_policy_is_noted_in_its_place(tmp_path):
+    recorder = Recorder(config(tmp_path), SPEC)
+    recorder.start()
+    recorder.tick(*make_tick(0))
+    recorder.policy(PolicySpec("pid", "the seed's gains"))
+    recorder.tick(*make_tick(1))
+    recorder.stop()
+    assert [policy["name"] for policy in logs.read(recorder.path).policies] == ["reach", "pid"]
+
+
+def test_two_recorders_in_the_same_second_write_two_files(tmp_path):
+    boxes = [Recorder(config(tmp_path), wall_ns=lambda: 0) for _ in range(2)]
+    for box in boxes:
+        box.start()
+    for box in boxes:
+        box.stop()
+    assert sorted(p.name for p in tmp_path.iterdir()) == [
+        "softarm-19700101T000000Z-2.mcap",
+        "softarm-19700101T000000Z.mcap",
+    ]
+
+
+def test_a_full_queue_drops_and_counts_and_never_blocks(tmp_path, monkeypatch):
+    gate, entered = threading.Event(), threading.Event()
+    write = LiveFile.write
+
+    def slow_disk(self, item):
+        entered.set()
+        gate.wait(20)
+        write(self, item)
+
+    monkeypatch.setattr(LiveFile, "write", slow_disk)
+    recorder = Recorder(config(tmp_path, queue_max=100))
+    recorder.start()
+    recorder.tick(*make_tick(0))
+    assert entered.wait(20)  # the writer holds one tick and hangs
+    for number in range(1, 151):
+        recorder.tick(*make_tick(number))
+    assert recorder.dropped == 50
+    gate.set()
+    recorder.stop()
+    assert [o.tick for o in logs.read(recorder.path).outputs()] == list(range(101))
+    assert recorder.problem is None
+
+
+def test_a_directory_that_cannot_be_made_is_refused_with_the_next_step(tmp_path):
+    (tmp_path / "file").touch()
+    with pytest.raises(RecorderError) as refusal:
+        Recorder(config(tmp_path / "file" / "logs")).start()
+    assert str(tmp_path / "file" / "logs") in str(refusal.value)
+    assert "make it writable for uid" in str(refusal.value)
+    assert "set recorder.enabled: false" in str(refusal.value)
+
+
+def test_a_full_disk_is_refused_at_start(tmp_path, monkeypatch):
+    monkeypatch.setattr("softarm.daemon.logbook.recorder.FREE_MIN_BYTES", 1 << 62)
+    with pytest.raises(RecorderError, match=r"the disk is full .* delete old logs or name a directory"):
+        Recorder(config(tmp_path)).start()
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_disk_that_fills_up_ends_the_log_and_nothing_else(tmp_path, monkeypatch):
+    flush, full = LiveFile.flush, threading.Event()
+
+    def flush_on_a_full_disk(self):
+        if full.is_set():
+            raise OSError(28, "No space left on device")
+        flush(self)
+
+    monkeypatch.setattr(LiveFile, "flush", flush_on_a_full_disk)
+    recorder = Recorder(config(tmp_path))
+    recorder.start()
+    recorder.tick(*make_tick(0))
+    wait_for(lambda: logs.read(recorder.path).t_last_ns is not None, "the first tick in the file")
+    full.set()
+    wait_for(lambda: recorder.problem is not None, "the problem")
+    assert "the log ends here" in recorder.problem
+    assert "delete old logs" in recorder.problem
+    dropped = recorder.dropped
+    recorder.tick(*make_tick(1))
+    assert recorder.dropped == dropped + 1
+    recorder.stop()
+    assert [o.tick for o in logs.read(recorder.path).outputs()] == [0]
+
+
+def test_a_tick_that_cannot_be_encoded_is_a_problem_not_a_crash(tmp_path):
+    recorder = Recorder(config(tmp_path))
+    recorder.start()
+    inputs, _, timing = make_tick(0)
+    recorder.tick(inputs, "not outputs", timing)
+    wait_for(lambda: recorder.problem is not None, "the problem")
+    assert "in the recorder" in recorder.problem
+    recorder.stop()
+
+
+def test_switched_off_it_writes_nothing(tmp_path):
+    recorder = Recorder(config(tmp_path / "logs", enabled=False), SPEC)
+    recorder.start()
+    recorder.tick(*make_tick(0))
+    recorder.stop()
+    assert recorder.path is None
+    assert recorder.dropped == 0
+    assert not (tmp_path / "logs").exists()
+
+
+def test_the_next_start_finishes_what_a_kill_has_left(tmp_path):
+    left = tmp_path / "softarm-20200101T000000Z.mcap"
+    with left.open("wb") as file:
+        live = LiveFile(file)
+        live.head(Config(), SPEC, 0, 0)
+        for number in range(50):
+            live.write(make_tick(number))
+    (tmp_path / "softarm-20200101T000001Z.mcap").write_bytes(b"rubbish")
+    recorder = Recorder(config(tmp_path))
+    recorder.start()
+    wait_for(lambda: logs.is_finished(left), "the old log")
+    recorder.stop()
+    assert len(list(logs.read(left).inputs())) == 50
+    assert (tmp_path / "softarm-20200101T000001Z.mcap").read_bytes() == b"rubbish"
+
+
+def test_a_log_that_is_being_written_is_left_to_its_writer(tmp_path):
+    writer = Recorder(config(tmp_path))
+    writer.start()
+    writer.tick(*make_tick(0))
+    wait_for(lambda: logs.read(writer.path).t_last_ns is not None, "the first tick in the file")
+    assert not logs.recover(writer.path).finished
+    writer.tick(*make_tick(1))
+    writer.stop()
+    assert len(list(logs.read(writer.path).inputs())) == 2
+
+
+CHILD = """
+import os, struct, sys, time
+from tests_support import make_tick
+from softarm.daemon.logbook.recorder import Recorder
+from softarm.schemas.config import Config
+
+recorder = Recorder(Config(recorder={"directory": sys.argv[1]}))
+recorder.start()
+number = 0
+while True:
+    now = time.monotonic_ns()
+    recorder.tick(*make_tick(number, now))
+    os.write(1, struct.pack("<q", now))
+    number += 1
+    time.sleep(1 / 30)
+"""
+
+
+def test_a_kill_loses_no_more_than_the_last_flush(tmp_path):
+    (tmp_path / "tests_support.py").write_text(Path(__file__).read_text())
+    path = os.pathsep.join([str(tmp_path), *filter(None, sys.path)])
+    for seed in range(4):  # one after another: they would hold each other up
+        directory = tmp_path / f"logs{seed}"
+        command = [sys.executable, "-c", CHILD, str(directory)]
+        child = subprocess.Popen(command, stdout=subprocess.PIPE, env={**os.environ, "PYTHONPATH": path})
+        lifetime_s = random.Random(seed).uniform(0.3, 1.2)
+        first = child.stdout.read(8)  # its first tick
+        end_ns = struct.unpack("<q", first)[0] + lifetime_s * 1e9
+        wait_for(lambda end_ns=end_ns: time.monotonic_ns() > end_ns, "its time")
+        child.kill()
+        stamps = first + child.stdout.read()
+        child.stdout.close()
+        child.wait()
+        *_, (last_ns,) = struct.iter_unpack("<q", stamps)
+        log = logs.read(next(directory.glob("*.mcap")))
+        # A flush interval of 50 ms and the tick before it; the rest is for a processor that others keep busy.
+        assert (last_ns - log.t_last_ns) * 1e-9 < 0.5
+        assert len(list(log.frames())) >= 4 * len(list(log.inputs())) > 0
+        assert not log.finished
+        assert logs.recover(log.path).finished
+
+
+def test_two_minutes_are_finished_whole(tmp_path):
+    recorder = Recorder(config(tmp_path))
+    recorder.start()
+    for number in range(3600):
+        recorder.tick(*make_tick(number))
+    wait_for(lambda: not recorder._queue, "the queue")
+    recorder.stop()
+    log = logs.read(recorder.path)
+    assert log.finished
+    assert len(list(log.ticks())) == 3600

@@ -1,0 +1,148 @@
+"""The shell around the tick: punctual, unimpressed by errors, and it leaves every device safe."""
+
+import gc
+import itertools
+import threading
+import time
+
+import pytest
+
+from softarm.daemon.control.inbox import Inbox
+from softarm.daemon.control.records import EStop, Mode
+from softarm.daemon.shell.loop import ControlLoop, Devices
+from softarm.daemon.tick import Controller
+from softarm.drivers.bodies.simulated import SimulatedRobot
+from softarm.policies.hold import Hold
+from softarm.policies.runner import InlineRunner
+from softarm.schemas.config import Config
+from softarm.schemas.messages import SAFE
+
+WAIT_S = 20.0
+PERIOD_NS = round(1e9 / 30)
+
+
+class Watched:
+    """A device of the simulated robot that notes what was written and whether it was stopped."""
+
+    def __init__(self, device, stop_error=None):
+        self._device = device
+        self._stop_error = stop_error
+        self.written = []
+        self.stopped = False
+
+    def __getattr__(self, name):
+        return getattr(self._device, name)
+
+    def write(self, *values):
+        self.written.append(values)
+        self._device.write(*values)
+
+    async def stop(self):
+        self.stopped = True
+        if self._stop_error:
+            raise self._stop_error
+
+
+class Loop:
+    """A control loop on a simulated robot, and a way to wait for its ticks."""
+
+    def __init__(self, controller=None, **stop_errors):
+        robot = SimulatedRobot(now_ns=time.monotonic_ns())
+        parts = {name: Watched(getattr(robot, name), stop_errors.get(name)) for name in ("mocap", "regulator", "rail")}
+        self.devices = Devices(**parts)
+        self.inbox = Inbox()
+        self.good_ticks = 0
+        self.ticks = []
+        self.before_tick = {}
+        self._ticked = threading.Condition()
+        self.loop = ControlLoop(
+            controller or Controller(Config(), InlineRunner(Hold())), self.devices, self.inbox, None, self
+        )
+        self.loop.on_tick = self._on_tick
+
+    def good_tick(self, _now_ns):
+        self.good_ticks += 1
+
+    def _on_tick(self, outputs, timing):
+        with self._ticked:
+            self.ticks.append((outputs, timing))
+            self._ticked.notify_all()
+        if len(self.ticks) in self.before_tick:
+            self.before_tick[len(self.ticks)]()
+
+    def until(self, condition):
+        with self._ticked:
+            assert self._ticked.wait_for(lambda: self.ticks and condition(self.ticks[-1][0]), WAIT_S)
+        return self.ticks[-1][0]
+
+    def __enter__(self):
+        self.loop.start()
+        return self
+
+    def __exit__(self, *_):
+        self.loop.stop()
+
+
+def test_arms_over_the_inbox_and_writes_every_tick():
+    with Loop() as loop:
+        loop.until(lambda outputs: not outputs.arming_refusals)
+        number = loop.inbox.post("arm")
+        outputs = loop.until(lambda outputs: outputs.mode is Mode.ARMED)
+        assert [r.accepted for r in outputs.results if r.number == number] == [True]
+        assert loop.loop.snapshot.tick >= outputs.tick
+    assert loop.devices.rail.written[0] == (False, 0.0)
+    assert (True, 0.0) in loop.devices.rail.written
+    assert abs(len(loop.devices.rail.written) - len(loop.ticks)) <= 1
+
+
+def test_a_late_tick_skips_whole_periods_and_stays_on_its_grid():
+    loop = Loop()
+    loop.before_tick[5] = lambda: time.sleep(0.08)  # somebody holds up the loop
+    with loop:
+        loop.until(lambda outputs: outputs.missed_total >= 1 and outputs.tick >= 10)
+    deadlines = [outputs.t_ns - outputs.late_ns for outputs, _ in loop.ticks]
+    for earlier, later in itertools.pairwise(deadlines):
+        periods = (later - earlier) / PERIOD_NS
+        assert periods == pytest.approx(round(periods), abs=0.05 * round(periods))
+    assert [outputs.tick for outputs, _ in loop.ticks] == list(range(1, len(loop.ticks) + 1))
+    assert loop.good_ticks < len(loop.ticks)  # the watchdog did not hear of the late one
+
+
+class Failing:
+    """A controller with a bug."""
+
+    def __init__(self):
+        self.calls = 0
+
+    def tick(self, inputs, runners):
+        self.calls += 1
+        raise ZeroDivisionError("a bug")
+
+
+def test_a_bug_in_the_tick_brakes_vents_and_is_told_but_the_loop_goes_on(caplog):
+    controller = Failing()
+    with Loop(controller) as loop:
+        loop.until(lambda _: len(loop.ticks) >= 5)
+    outputs = loop.loop.snapshot
+    assert controller.calls == 1  # its state is not to be trusted any more
+    assert (outputs.mode, outputs.estop, outputs.sent) == (Mode.STOPPED, EStop.ENGAGED, SAFE)
+    assert "ZeroDivisionError: a bug" in outputs.arming_refusals[0]
+    assert set(loop.devices.rail.written) == {(False, 0.0)}
+    assert loop.good_ticks == 0  # so that the service is restarted
+    assert "the tick failed" in caplog.text
+
+
+def test_stopping_tries_every_device_whatever_the_others_do(caplog):
+    with Loop(rail=OSError("no route"), regulator=RuntimeError("stuck")) as loop:
+        loop.until(lambda _: True)
+    assert loop.devices.rail.stopped
+    assert loop.devices.regulator.stopped
+    assert loop.devices.mocap.stopped
+    assert "no route" in caplog.text
+
+
+def test_the_thread_ends_and_garbage_collection_is_back():
+    with Loop() as loop:
+        loop.until(lambda _: True)
+    assert not loop.loop._thread.is_alive()
+    assert gc.isenabled()

@@ -1,0 +1,88 @@
+"""systemd hears of readiness and of good ticks; without systemd nothing happens."""
+
+import os
+import socket
+from itertools import pairwise
+
+import pytest
+
+from softarm.daemon.shell.service import Notifier, Watchdog
+
+S = 1_000_000_000
+
+
+@pytest.fixture(params=["path", "abstract"])
+def manager(request, tmp_path):
+    """A service manager's end of the notification socket, and the environment it starts services with."""
+    name = str(tmp_path / "notify") if request.param == "path" else f"@softarm-test-{os.getpid()}"
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as receiver:
+        receiver.bind("\0" + name[1:] if name.startswith("@") else name)
+        receiver.settimeout(5)
+        yield receiver, {"NOTIFY_SOCKET": name}
+
+
+def test_ready_status_and_stopping_arrive_as_single_messages(manager):
+    receiver, environment = manager
+    notifier = Notifier(environment)
+    notifier.ready("disarmed,\nwaiting")
+    notifier.status("armed")
+    notifier.stopping()
+    assert [receiver.recv(4096) for _ in range(3)] == [
+        b"READY=1\nSTATUS=disarmed, waiting",
+        b"STATUS=armed",
+        b"STOPPING=1\nSTATUS=stopping",
+    ]
+
+
+def test_the_watchdog_is_fed_once_per_half_period_and_by_good_ticks_alone(manager):
+    receiver, environment = manager
+    environment |= {"WATCHDOG_USEC": "1000000", "WATCHDOG_PID": str(os.getpid())}
+    watchdog = Watchdog(Notifier(environment), environment)
+    receiver.settimeout(0)
+    with pytest.raises(BlockingIOError):
+        receiver.recv(100)  # nothing without a tick
+    ticks = [round(k * S / 30) for k in range(90)]
+    fed = []
+    for now in ticks:
+        watchdog.good_tick(now)
+        try:
+            assert receiver.recv(100) == b"WATCHDOG=1"
+        except BlockingIOError:
+            continue
+        fed.append(now)
+    gaps = [b - a for a, b in pairwise(fed)]
+    assert fed[0] == 0
+    assert all(S // 2 <= gap <= S // 2 + S // 30 for gap in gaps)
+    assert len(fed) == 6
+
+
+@pytest.mark.parametrize(
+    "environment",
+    [
+        {},
+        {"WATCHDOG_USEC": "0"},
+        {"WATCHDOG_USEC": "soon"},
+        {"WATCHDOG_USEC": "1000000", "WATCHDOG_PID": "1"},
+    ],
+)
+def test_no_watchdog_is_fed_that_nobody_set(manager, environment):
+    receiver, ours = manager
+    Watchdog(Notifier(ours), environment).good_tick(0)
+    receiver.settimeout(0)
+    with pytest.raises(BlockingIOError):
+        receiver.recv(100)
+
+
+@pytest.mark.parametrize("address", ["", "/nowhere/notify", "@nobody-listens", "/" + "x" * 300])
+def test_it_never_raises(address):
+    notifier = Notifier({"NOTIFY_SOCKET": address} if address else {})
+    notifier.ready("up")
+    Watchdog(notifier, {"WATCHDOG_USEC": "1000"}).good_tick(0)
+
+
+def test_it_never_blocks(tmp_path):
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as deaf:
+        deaf.bind(str(tmp_path / "deaf"))
+        notifier = Notifier({"NOTIFY_SOCKET": str(tmp_path / "deaf")})
+        for _ in range(2000):  # far more than its queue holds
+            notifier.status("x" * 1000)

@@ -1,0 +1,69 @@
+"""A model's sensor effects reach the wires: of the in-process robot and, through the same piece, of the twin."""
+
+import math
+
+import pytest
+
+from softarm.drivers.bodies.simulated import SimulatedRobot
+from softarm.schemas.model import Model
+
+PERIOD_NS = 33_333_333
+
+
+def robot(**effects):
+    seed = Model()
+    model = seed.model_copy(
+        update={"effects": {**seed.effects, **{k.replace("__", "."): v for k, v in effects.items()}}}
+    )
+    made = SimulatedRobot(model)
+    made.rail.write(True, 0.5)
+    made.regulator.write(True, 5.0)
+    return made
+
+
+def frames(made, ticks=30):
+    seen = [made.mocap.read(made.now_ns + PERIOD_NS) for _ in range(ticks)]
+    return [frame for several in seen for frame in several]
+
+
+def test_latency_shows_poses_older_than_their_stamp():
+    prompt, late = frames(robot()), frames(robot(mocap__latency={"delay": 2 * PERIOD_NS * 1e-9}))
+    assert late[20].t_capture_ns == prompt[20].t_capture_ns
+    assert late[20].bodies[0].y_m == pytest.approx(prompt[18].bodies[0].y_m, abs=1e-6)
+
+
+def test_a_dropped_frame_is_not_there_and_its_number_is_missing():
+    seen = frames(robot(mocap__dropout={"share": 0.5}), ticks=60)
+    assert 10 < len(seen) < 50
+    assert len({frame.sequence for frame in seen}) == len(seen)
+    assert seen[-1].sequence > len(seen)
+
+
+def test_the_frame_may_be_turned_scaled_shifted_and_noisy():
+    straight = frames(robot(), 5)[-1].bodies[5]
+    turned = frames(robot(mocap__rotation={"angle": 0.1}), 5)[-1].bodies[5]
+    assert turned.y_m == pytest.approx(math.cos(0.1) * straight.y_m - math.sin(0.1) * straight.z_m, abs=1e-6)
+    shifted = frames(robot(mocap__offset={"y": 0.01, "z": -0.02}), 5)[-1].bodies[5]
+    assert (shifted.y_m - straight.y_m, shifted.z_m - straight.z_m) == pytest.approx((0.01, -0.02), abs=1e-6)
+    noisy = frames(robot(mocap__noise={"sigma": 0.001}), 5)[-1].bodies[5]
+    assert 0 < abs(noisy.y_m - straight.y_m) < 0.006
+
+
+def test_the_pressure_sensor_may_read_high_while_the_arm_feels_the_truth():
+    true, biased = robot(), robot(pressure__sensor_bias={"bias": 1.5})
+    assert frames(true)[-1].bodies == frames(biased)[-1].bodies
+    assert biased.regulator.read().pressure_kpa - true.regulator.read().pressure_kpa == pytest.approx(1.5, abs=1e-5)
+
+
+def test_a_wrong_feed_constant_shows_between_read_back_and_mocap():
+    made = robot(rail__gain={"scale": 0.1})
+    cart = frames(made, 12)[-1].bodies[0].y_m
+    assert cart == pytest.approx(1.1 * made.rail.read().position_m, rel=1e-5)
+    assert made.rail.read().velocity_m_s == pytest.approx(0.5, abs=0.03)  # the axis believes it does as told
+
+
+def test_without_sensor_effects_the_robot_shows_the_truth():
+    made = robot()
+    last = frames(made)[-1]
+    assert last.bodies[0].y_m == float(made.simulator.cart_position_m[0])
+    assert last.bodies[5][:2] == tuple(made.simulator.tip_m()[0].tolist())

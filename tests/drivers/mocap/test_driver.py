@@ -1,0 +1,223 @@
+"""Motion capture over Zenoh: every good frame, oldest first; everything else is counted and told."""
+
+import asyncio
+import json
+import math
+import subprocess
+import sys
+from typing import Any
+
+import pytest
+import zenoh
+from hypothesis import given
+from hypothesis import strategies as st
+
+from softarm.drivers.mocap import payload as mocap_payload
+from softarm.drivers.mocap.driver import RING, ZenohMocapSource
+from softarm.drivers.mocap.zenoh_session import client, listener
+from softarm.schemas.config import ZenohMocap
+from softarm.schemas.messages import BODY_NAMES, Pose
+
+POSES = tuple(Pose(0.1 * i, 0.9 - 0.1 * i, 0.01 * i) for i in range(len(BODY_NAMES)))
+finite = st.floats(-1e6, 1e6)
+poses = st.builds(Pose, finite, finite, finite) | st.just(mocap_payload.LOST)
+
+
+def message(**changes: Any) -> bytes:
+    fields = {"sequence": 1, "t_capture_ns": 5, "bodies": {name: [0, 1, 2] for name in BODY_NAMES}}
+    return json.dumps(fields | changes).encode()
+
+
+@given(st.integers(0, 2**63 - 1), st.integers(0, 2**63 - 1), st.tuples(*[poses] * len(BODY_NAMES)))
+def test_payload_round_trip(sequence: int, t_capture_ns: int, bodies: tuple[Pose, ...]) -> None:
+    frame = mocap_payload.decode(mocap_payload.encode(sequence, t_capture_ns, bodies), t_receive_ns=9)
+    assert (frame.sequence, frame.t_capture_ns, frame.t_receive_ns) == (sequence, t_capture_ns, 9)
+    for sent, received in zip(bodies, frame.bodies, strict=True):
+        assert received.tracked == sent.tracked
+        assert received == sent or not sent.tracked
+
+
+def test_a_body_that_is_left_out_is_lost() -> None:
+    frame = mocap_payload.decode(message(bodies={"cart": [0, 1, 2]}), 0)
+    assert [body.tracked for body in frame.bodies] == [True, False, False, False, False, False]
+    assert all(math.isnan(v) for v in frame.bodies[5][:3])
+
+
+def test_a_tracked_pose_that_is_not_finite_is_not_published() -> None:
+    with pytest.raises(ValueError):
+        mocap_payload.encode(1, 1, (Pose(math.nan, 0, 0), *POSES[1:]))
+
+
+@pytest.mark.parametrize(
+    ("payload", "words"),
+    [
+        (b"\xff\x00", "not JSON"),
+        (b"[" * 5000, "not JSON"),
+        (b"[1]", "exactly the fields sequence, t_capture_ns and bodies"),
+        (message(extra=1), "exactly the fields"),
+        (message(sequence=-1), "sequence must be an integer from 0"),
+        (message(sequence=True), "sequence must be an integer"),
+        (message(t_capture_ns=1.5), "t_capture_ns must be an integer"),
+        (message(bodies={"link9": [0, 0, 0]}), "bodies may be called cart, link1"),
+        (message(bodies={"cart": [0, 0]}), r"cart must be \[y, z, angle\] or null"),
+        (message(bodies={"cart": [0, 0, "x"]}), r"cart must be \[y, z, angle\]"),
+        (message(bodies={"cart": [0, math.nan, 0]}), "cart holds a number that is not finite"),
+        (message(bodies={"cart": [0, 10**400, 0]}), "cart holds a number beyond"),
+    ],
+)
+def test_malformed_payloads_say_which_field(payload: bytes, words: str) -> None:
+    with pytest.raises(ValueError, match=words):
+        mocap_payload.decode(payload, 0)
+
+
+@given(
+    st.binary(max_size=60)
+    | st.recursive(st.none() | st.floats() | st.text(max_size=5), st.lists).map(
+        lambda value: json.dumps(value).encode()
+    )
+)
+def test_noise_is_a_value_error(payload: bytes) -> None:
+    with pytest.raises(ValueError):
+        mocap_payload.decode(payload, 0)
+
+
+class Bridge:
+    """A publisher beside a driver in this process."""
+
+    def __init__(self, endpoint: str) -> None:
+        self.session = zenoh.open(client(endpoint))
+
+    def send(self, payload: bytes) -> None:
+        # Zenoh may drop what comes too fast for it; here the last of a flood has to arrive.
+        self.session.put("softarm/mocap", payload, congestion_control=zenoh.CongestionControl.BLOCK)
+
+    def frame(self, sequence: int, t_capture_ns: int) -> None:
+        self.send(mocap_payload.encode(sequence, t_capture_ns, POSES))
+
+
+@pytest.fixture
+def config(free_port: int) -> ZenohMocap:
+    return ZenohMocap(endpoint=f"tcp/127.0.0.1:{free_port}")
+
+
+@pytest.fixture
+def with_bridge(config: ZenohMocap, clock: Any, run: Any, until: Any, running: Any) -> Any:
+    """Run `script(source, bridge, gather)`; `gather(n)` reads until n frames have come."""
+
+    async def play(script: Any) -> None:
+        source = ZenohMocapSource(config, clock)
+        async with running(source):
+            await until(lambda: "no frame yet" in (source.problem() or ""))
+            bridge = await asyncio.to_thread(Bridge, config.endpoint)
+            frames: list[Any] = []
+
+            async def gather(count: int) -> list[Any]:
+                await until(lambda: len(frames) >= count, lambda: frames.extend(source.read(clock())))
+                return frames
+
+            try:
+                await script(source, bridge, gather)
+            finally:
+                bridge.session.close()
+
+    return lambda script: run(play(script))
+
+
+def test_frames_come_in_order_with_their_own_stamps_and_the_readers(with_bridge: Any, clock: Any) -> None:
+    async def script(source: Any, bridge: Bridge, gather: Any) -> None:
+        bridge.frame(0, 10)
+        await gather(1)
+        for sequence in (1, 2, 4):  # 3 was lost on the bridge's side: the gap is passed on
+            bridge.frame(sequence, 10 + sequence)
+        frames = await gather(4)
+        assert [frame.sequence for frame in frames] == [0, 1, 2, 4]
+        assert [frame.t_capture_ns for frame in frames] == [10, 11, 12, 14]
+        assert {frame.t_receive_ns for frame in frames} == {clock()}
+        assert frames[0].bodies == POSES
+        assert source.problem() is None
+
+    with_bridge(script)
+
+
+def test_bad_samples_are_counted_and_told_and_the_next_good_one_passes(with_bridge: Any, clock: Any) -> None:
+    async def script(source: Any, bridge: Bridge, gather: Any) -> None:
+        bridge.send(b"{}")
+        bridge.frame(1, 10)
+        await gather(1)
+        assert source.malformed == 1
+        assert "a malformed sample: a frame has exactly the fields" in source.problem()
+        assert "docs/wires.md" in source.problem()
+        bridge.frame(2, 10)  # the same instant again
+        bridge.frame(3, clock() + 2_000_000_000)
+        bridge.frame(4, 11)
+        frames = await gather(2)
+        assert [frame.sequence for frame in frames] == [1, 4]
+        assert source.misplaced == 2
+        assert "2.000 s ahead of CLOCK_MONOTONIC" in source.problem()
+        clock.advance(1.1)
+        bridge.frame(5, 12)
+        await gather(3)
+        assert source.problem() is None
+
+    with_bridge(script)
+
+
+def test_silence_is_told(with_bridge: Any, clock: Any) -> None:
+    async def script(source: Any, bridge: Bridge, gather: Any) -> None:
+        bridge.frame(1, 10)
+        await gather(1)
+        clock.advance(0.5)
+        assert "no frame for 0.5 s; see to the cameras and the bridge" in source.problem()
+
+    with_bridge(script)
+
+
+def test_a_flood_keeps_the_newest_and_blocks_nobody(with_bridge: Any) -> None:
+    async def script(source: Any, bridge: Bridge, gather: Any) -> None:
+        for sequence in range(10 * RING):
+            bridge.frame(sequence, 100 + sequence)
+        frames = await gather(1)
+        while frames[-1].sequence != 10 * RING - 1:
+            await gather(len(frames) + 1)
+        sequences = [frame.sequence for frame in frames]
+        assert sequences == sorted(set(sequences))
+
+    with_bridge(script)
+
+
+def test_a_taken_endpoint_is_told_and_taken_over_when_it_is_free(
+    config: ZenohMocap, run: Any, until: Any, running: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("softarm.drivers.mocap.driver.RETRY_S", 0.01)
+
+    async def play() -> None:
+        other = zenoh.open(listener(config.endpoint))
+        source = ZenohMocapSource(config)
+        async with running(source):
+            await until(lambda: "Address already in use" in (source.problem() or ""))
+            assert source.problem().startswith(f"{config.endpoint} softarm/mocap: listen: ")
+            assert "stop the other daemon" in source.problem()
+            assert source.read(1) == ()
+            other.close()
+            await until(lambda: "no frame yet" in (source.problem() or ""))
+
+    run(play())
+
+
+def test_a_source_that_was_stopped_is_silent_and_frees_the_endpoint(config: ZenohMocap, run: Any, until: Any) -> None:
+    async def play() -> None:
+        source = ZenohMocapSource(config)
+        source.start()
+        await until(lambda: "no frame yet" in (source.problem() or ""))
+        await source.stop()
+        assert source.read(1) == ()
+        zenoh.open(listener(config.endpoint)).close()
+
+    run(play())
+
+
+def test_real_drivers_load_without_the_simulator() -> None:
+    drivers = ", ".join(f"softarm.drivers.{device}.driver" for device in ("mocap", "regulator", "rail"))
+    script = f"import sys, {drivers}; print(*sys.modules)"
+    loaded = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True).stdout.split()
+    assert not {"numba", "torch", "softarm.simulator"} & set(loaded)

@@ -1,0 +1,135 @@
+"""The D1's telegrams, byte for byte as the manual, the sample programs and real drives have them."""
+
+import asyncio
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from softarm.drivers.rail import dryve
+from softarm.drivers.rail.dryve import DryveMismatch, DryveRefusal, Entry
+
+FEED = Entry("feed", 0x6092, 1, 4)
+HOMING_SPEED = Entry("homing speed", 0x6099, 1, 4)
+HOMING_ACCELERATION = Entry("homing acceleration", 0x609A, 0, 4)
+
+REQUESTS = [
+    (dryve.STATUSWORD, None, "00000000000d002b0d00000060410000000002"),
+    (dryve.CONTROLWORD, 0x0006, "00000000000f002b0d010000604000000000020600"),
+    (dryve.CONTROLWORD, 0x0007, "00000000000f002b0d010000604000000000020700"),
+    (dryve.CONTROLWORD, 0x000F, "00000000000f002b0d010000604000000000020f00"),
+    (dryve.CONTROLWORD, 0x0100, "00000000000f002b0d010000604000000000020001"),
+    (dryve.MODE, 3, "00000000000e002b0d0100006060000000000103"),
+    (dryve.MODE_DISPLAY, None, "00000000000d002b0d00000060610000000001"),
+    (FEED, 7000, "000000000011002b0d01000060920100000004581b0000"),
+    (dryve.ACCELERATION, 1000, "000000000011002b0d01000060830000000004e8030000"),
+    (dryve.TARGET_VELOCITY, 1000, "000000000011002b0d01000060ff0000000004e8030000"),
+    (dryve.TARGET_VELOCITY, -1000, "000000000011002b0d01000060ff000000000418fcffff"),
+    (dryve.TARGET_VELOCITY, 0, "000000000011002b0d01000060ff000000000400000000"),
+    (HOMING_ACCELERATION, 100000, "000000000011002b0d010000609a0000000004a0860100"),
+    (HOMING_SPEED, 6000, "000000000011002b0d0100006099010000000470170000"),
+    (dryve.POSITION, None, "00000000000d002b0d00000060640000000004"),
+    (dryve.VELOCITY, None, "00000000000d002b0d000000606c0000000004"),
+]
+ACKNOWLEDGED = "00000000000d002b0d01000060400000000000"
+ABORTED = "00000000000b00abff00060dce00000206"
+
+
+@pytest.mark.parametrize(("entry", "value", "telegram"), REQUESTS)
+def test_requests(entry: Entry, value: int | None, telegram: str) -> None:
+    assert dryve.encode_request(0, entry, value).hex() == telegram
+
+
+@pytest.mark.parametrize(
+    ("telegram", "transaction", "entry", "value"),
+    [
+        ("00000000000f002b0d000000604100000000024006", 0, dryve.STATUSWORD, 0x0640),
+        ("0f0f0000000f002b0d000000604100000000024004", 0x0F0F, dryve.STATUSWORD, 0x0440),
+        ("00000000000e002b0d0000006061000000000103", 0, dryve.MODE_DISPLAY, 3),
+        ("000000000011002b0d00000060640000000004d08affff", 0, dryve.POSITION, -30000),
+        ("000000000011002b0d00000060640000000004efff f6f9".replace(" ", ""), 0, dryve.POSITION, -101253137),
+        ("00000000000f002b0d00000060830000000002e803", 0, dryve.ACCELERATION, 1000),  # 2 bytes of 4: no sign
+    ],
+)
+def test_answers(telegram: str, transaction: int, entry: Entry, value: int) -> None:
+    assert dryve.decode_answer(bytes.fromhex(telegram), transaction, entry, write=False) == value
+
+
+def test_the_acknowledgement_of_a_write() -> None:
+    assert dryve.decode_answer(bytes.fromhex(ACKNOWLEDGED), 0, dryve.CONTROLWORD, write=True) == 0
+
+
+@pytest.mark.parametrize(
+    ("telegram", "words"),
+    [
+        (ABORTED, r"the object does not exist \(SDO abort 0x06020000\)"),
+        ("00000000000300ab02", r"illegal address \(Modbus exception 0x02\)"),
+        ("00000000000300ab06", "busy"),
+        ("00000000000b00abff00060dce78563412", "refused .SDO abort 0x12345678"),
+    ],
+)
+def test_error_answers_become_sentences_that_name_the_object(telegram: str, words: str) -> None:
+    with pytest.raises(DryveRefusal, match=rf"6041h:0 \(statusword\): {words}"):
+        dryve.decode_answer(bytes.fromhex(telegram), 0, dryve.STATUSWORD, write=False)
+
+
+@pytest.mark.parametrize(
+    ("telegram", "entry", "words"),
+    [
+        ("00000000000f002b0d000000606c0000000002fbff", dryve.VELOCITY, "2 bytes for 606Ch:0"),
+        ("00010000000f002b0d000000604100000000024006", dryve.STATUSWORD, "transaction 1, not 0"),
+        ("00000000000f002b0d000000604000000000024006", dryve.STATUSWORD, "no answer to a request for 6041h"),
+        ("000000000010002b0d00000060410000000003400600", dryve.STATUSWORD, "3 bytes for 6041h"),
+        ("00000000000f002b0d000000604100000000044006", dryve.STATUSWORD, "declared 4"),
+        (ACKNOWLEDGED, dryve.CONTROLWORD, "no answer to a request for 6040h"),
+        ("00000000000e002b0d0000006041000000000140", dryve.STATUSWORD, "1 bytes for 6041h"),
+    ],
+)
+def test_answers_that_do_not_fit_are_refused(telegram: str, entry: Entry, words: str) -> None:
+    with pytest.raises(DryveMismatch, match=words):
+        dryve.decode_answer(bytes.fromhex(telegram), 0, entry, write=False)
+
+
+@given(st.integers(0, 65535), st.integers(-(2**31), 2**31 - 1))
+def test_the_drives_side_reads_what_the_masters_side_writes(transaction: int, value: int) -> None:
+    request = dryve.decode_request(dryve.encode_request(transaction, dryve.TARGET_VELOCITY, value))
+    assert request == dryve.Request(transaction, 0x60FF, 0, 4, value.to_bytes(4, "little", signed=True))
+    assert dryve.decode_answer(dryve.encode_acknowledgement(request), transaction, dryve.TARGET_VELOCITY, True) == 0
+    question = dryve.decode_request(dryve.encode_request(transaction, dryve.POSITION))
+    answer = dryve.encode_value(question, value.to_bytes(4, "little", signed=True))
+    assert dryve.decode_answer(answer, transaction, dryve.POSITION, write=False) == value
+
+
+@given(st.integers(0, 65535), st.sampled_from(sorted(dryve.ABORTS)))
+def test_aborts_are_17_bytes_and_exceptions_9(transaction: int, abort: int) -> None:
+    telegram = dryve.encode_abort(transaction, abort)
+    assert len(telegram) == 17
+    with pytest.raises(DryveRefusal, match=f"0x{abort:08X}"):
+        dryve.decode_answer(telegram, transaction, dryve.STATUSWORD, write=False)
+    assert len(dryve.encode_exception(transaction, 2)) == 9
+    assert dryve.encode_abort(0, 0x06020000).hex() == ABORTED
+
+
+@given(st.binary(max_size=40))
+def test_noise_never_raises_anything_else(telegram: bytes) -> None:
+    with pytest.raises((DryveRefusal, DryveMismatch)):
+        dryve.decode_answer(telegram, 0x7FFF, dryve.STATUSWORD, write=False)
+
+
+def test_telegrams_are_framed_on_their_length() -> None:
+    async def read() -> list[bytes]:
+        reader = asyncio.StreamReader()
+        reader.feed_data(bytes.fromhex(ABORTED + ACKNOWLEDGED))
+        return [await dryve.read_telegram(reader), await dryve.read_telegram(reader)]
+
+    assert [telegram.hex() for telegram in asyncio.run(read())] == [ABORTED, ACKNOWLEDGED]
+
+
+def test_a_length_that_no_telegram_has_is_refused() -> None:
+    async def read() -> None:
+        reader = asyncio.StreamReader()
+        reader.feed_data(bytes.fromhex("0000000004ff") + bytes(1279))
+        await dryve.read_telegram(reader)
+
+    with pytest.raises(ValueError, match="1279 bytes after its header"):
+        asyncio.run(read())

@@ -1,0 +1,89 @@
+"""Framing on the serial line: exact where the standard is, deaf to noise."""
+
+import random
+
+import pytest
+from cobs import cobs as oracle
+from hypothesis import given
+from hypothesis import strategies as st
+
+from softarm.drivers.regulator.cobs import FRAME_MAX_BYTES, Deframer, crc16, frame, stuff, unstuff
+
+VECTORS = [
+    ("", "01"),
+    ("00", "0101"),
+    ("0000", "010101"),
+    ("11220033", "0311220233"),
+    ("11000000", "0211010101"),
+]
+
+
+@pytest.mark.parametrize(("data", "stuffed"), VECTORS)
+def test_known_vectors(data: str, stuffed: str) -> None:
+    assert stuff(bytes.fromhex(data)).hex() == stuffed
+    assert unstuff(bytes.fromhex(stuffed)).hex() == data
+
+
+def test_a_run_of_254_bytes_takes_one_byte_more_and_255_take_two() -> None:
+    assert len(stuff(b"\1" * 254)) == 255
+    assert len(stuff(b"\1" * 255)) == 257
+
+
+@given(st.binary(max_size=700) | st.integers(250, 260).map(lambda n: b"\1" * n + b"\0" + b"\2" * n))
+def test_agrees_with_the_cobs_package_and_holds_no_zero(data: bytes) -> None:
+    assert stuff(data) == oracle.encode(data)
+    assert 0 not in stuff(data)
+    assert unstuff(stuff(data)) == data
+
+
+@given(st.binary(max_size=60))
+def test_refuses_what_the_cobs_package_refuses(block: bytes) -> None:
+    try:
+        expected = oracle.decode(block) if block else None
+    except oracle.DecodeError:
+        expected = None
+    if expected is None:
+        with pytest.raises(ValueError, match="COBS"):
+            unstuff(block)
+    else:
+        assert unstuff(block) == expected
+
+
+def test_crc_check_value() -> None:
+    assert crc16(b"123456789") == 0x29B1
+
+
+@given(st.lists(st.binary(min_size=1, max_size=40), max_size=8), st.data())
+def test_frames_survive_any_cutting_of_the_stream(bodies: list[bytes], data: st.DataObject) -> None:
+    stream = b"".join(map(frame, bodies))
+    cuts = sorted(data.draw(st.lists(st.integers(0, len(stream)), max_size=10)))
+    deframer = Deframer()
+    pieces = [stream[a:b] for a, b in zip([0, *cuts], [*cuts, len(stream)], strict=True)]
+    assert [body for piece in pieces for body in deframer.feed(piece)] == bodies
+    assert deframer.dropped == 0
+
+
+def test_the_frame_after_noise_is_heard() -> None:
+    deframer = Deframer()
+    assert deframer.feed(b"\x07noise without end") == []
+    assert deframer.feed(b"\0" + frame(b"hello")) == [b"hello"]
+    assert deframer.dropped == 1
+
+
+def test_noise_without_a_zero_does_not_pile_up() -> None:
+    deframer = Deframer()
+    for _ in range(100):
+        assert deframer.feed(b"\x55" * FRAME_MAX_BYTES) == []
+    assert deframer.dropped >= 49
+    assert deframer.feed(b"\0" + frame(b"hello")) == [b"hello"]
+
+
+def test_no_flipped_bit_is_accepted() -> None:
+    randomness = random.Random(1)
+    for _ in range(60):
+        body = randomness.randbytes(21)
+        good = frame(body)
+        for bit in range(8 * (len(good) - 1)):
+            bad = bytearray(good)
+            bad[bit // 8] ^= 1 << bit % 8
+            assert Deframer().feed(bytes(bad)) == []

@@ -1,0 +1,290 @@
+"""The regulator's driver against the twin's device behind a real pseudo-terminal."""
+
+import os
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from softarm.drivers.regulator.cobs import Deframer, frame
+from softarm.drivers.regulator.driver import Conversation, TeensyRegulator
+from softarm.drivers.regulator.teensy import Command, Fault, Hello, State, Welcome, decode, encode
+from softarm.drivers.twin.faults import Faults
+from softarm.drivers.twin.teensy import TeensyDevice, TeensyPort
+from softarm.schemas.config import SerialRegulator
+
+MEASURED_KPA = 3.25
+
+
+class Device(TeensyDevice):
+    """Remembers what it was told."""
+
+    def __init__(self) -> None:
+        self.heard: list[Any] = []
+        self._spy = Deframer()
+        super().__init__()
+
+    def receive(self, data: bytes, now_ns: int, pressure_kpa: float) -> bytes:
+        self.heard += [decode(body)[0] for body in self._spy.feed(data)]
+        return super().receive(data, now_ns, pressure_kpa)
+
+    def commands(self) -> list[Command]:
+        return [message for message in self.heard if isinstance(message, Command)]
+
+
+class Bench:
+    """Driver and device, on a clock that stands still."""
+
+    def __init__(self, path: Path, clock: Any, until: Any) -> None:
+        self.clock, self.path, self._until = clock, path, until
+        self.device, self.faults = Device(), Faults(clock)
+        self.port = TeensyPort(path, self.device, self.faults, clock, lambda: MEASURED_KPA)
+        self.regulator = TeensyRegulator(SerialRegulator(port=str(path)), clock)
+
+    async def write_until(self, condition: Any, armed: bool = False, pressure_kpa: float = 0.0) -> None:
+        def each() -> None:
+            self.regulator.write(armed, pressure_kpa)
+            self.port.step()
+
+        await self._until(condition, each)
+
+    async def arm(self, pressure_kpa: float = 10.0) -> None:
+        def disarmed() -> bool:
+            heard = self.device.commands()
+            return self.regulator.read() is not None and bool(heard) and not heard[-1].armed
+
+        await self.write_until(disarmed)
+        await self.write_until(lambda: self.regulator.read().armed, True, pressure_kpa)
+
+
+@pytest.fixture
+def bench(tmp_path: Path, clock: Any, until: Any, run: Any, running: Any, monkeypatch: Any) -> Any:
+    monkeypatch.setattr("softarm.drivers.regulator.driver.RETRY_S", (0.005, 0.01))
+    monkeypatch.setattr("softarm.drivers.regulator.driver.HELLO_S", 0.005)
+
+    async def play(script: Any) -> None:
+        bench = Bench(tmp_path / "teensy", clock, until)
+        bench.port.open()
+        try:
+            async with running(bench.regulator):
+                await script(bench)
+        finally:
+            bench.port.close()
+
+    return lambda script: run(play(script))
+
+
+def test_set_points_arrive_and_the_sensor_comes_back(bench: Any) -> None:
+    async def script(b: Bench) -> None:
+        await b.arm(12.5)
+        await b.write_until(lambda: b.device.set_point_kpa == 12.5, True, 12.5)
+        reading = b.regulator.read()
+        assert reading.pressure_kpa == MEASURED_KPA
+        assert reading.t_receive_ns == b.clock()
+        assert reading.faults == ()
+        assert b.regulator.problem() is None
+        assert b.device.commands()[-1].time_to_live_s == 0.1
+
+    bench(script)
+
+
+def test_without_writes_nothing_is_sent_and_the_device_vents_until_disarmed_and_armed_again(
+    bench: Any, until: Any
+) -> None:
+    async def script(b: Bench) -> None:
+        await b.arm()
+        await until(lambda: b.regulator.read().sequence == len(b.device.commands()) + 1)  # all answered
+        told = len(b.device.heard)
+        b.clock.advance(0.101)
+        b.port.step()
+        assert b.device.set_point_kpa == 0.0
+        assert len(b.device.heard) == told
+        await b.write_until(lambda: b.regulator.read().faults, True, 10.0)
+        assert "commands stopped, so the muscle was vented: disarm, then arm again" in b.regulator.problem()
+        await b.write_until(lambda: len(b.device.heard) > told + 5, True, 10.0)
+        assert b.device.set_point_kpa == 0.0  # armed commands alone do not bring it back
+        await b.write_until(lambda: not b.regulator.read().faults)
+        await b.arm()
+        assert b.device.set_point_kpa == 10.0
+
+    bench(script)
+
+
+def test_the_newest_set_point_wins(bench: Any, until: Any) -> None:
+    async def script(b: Bench) -> None:
+        await b.arm()
+        await until(lambda: b.regulator.read().sequence == len(b.device.commands()) + 1)
+        since = len(b.device.commands())
+        for kpa in range(11, 20):  # above what it is armed with
+            b.regulator.write(True, float(kpa))
+        await until(lambda: b.device.commands()[-1].pressure_kpa == 19.0)
+        told = [command.pressure_kpa for command in b.device.commands()[since:]]
+        assert told == sorted(told)  # any may be told again, to keep the device alive; none comes back
+
+    bench(script)
+
+
+def test_stop_vents_and_frees_the_port(bench: Any, running: Any) -> None:
+    async def script(b: Bench) -> None:
+        await b.arm()
+        await b.regulator.stop()
+        await b._until(lambda: not b.device.armed)
+        assert not b.device.commands()[-1].armed
+        again = TeensyRegulator(SerialRegulator(port=str(b.path)), b.clock)
+        async with running(again):  # exclusive, so the first must have let go
+            await b._until(lambda: again.problem() is None)
+        b.regulator.write(True, 5.0)  # harmless
+
+    bench(script)
+
+
+@pytest.mark.parametrize("bad_kpa", [float("nan"), float("inf")])
+def test_a_set_point_that_is_not_finite_vents(bench: Any, bad_kpa: float) -> None:
+    async def script(b: Bench) -> None:
+        await b.arm()
+        await b.write_until(lambda: not b.regulator.read().armed, True, bad_kpa)
+        assert b.device.set_point_kpa == 0.0
+
+    bench(script)
+
+
+def test_a_set_point_out_of_range_is_refused_in_words(bench: Any) -> None:
+    async def script(b: Bench) -> None:
+        await b.arm()
+        await b.write_until(lambda: b.regulator.read().faults, True, 25.0)
+        assert "out of range (-0.7 to 20.0 kPa" in b.regulator.problem()
+        assert b.device.set_point_kpa == 10.0  # the last good one, until its time runs out
+
+    bench(script)
+
+
+def test_garbled_answers_are_dropped_and_told(bench: Any) -> None:
+    async def script(b: Bench) -> None:
+        await b.arm()
+        b.faults.serial_garbage()
+        before = b.regulator.read()
+        told = len(b.device.heard)
+        await b.write_until(lambda: len(b.device.heard) > told + 20, True, 10.0)
+        b.clock.advance(0.3)
+        assert "no answer for 0.3 s" in b.regulator.problem()
+        assert "check the cable" in b.regulator.problem()
+        assert b.regulator.read().sequence < len(b.device.commands())
+        b.faults.clear()
+        await b.write_until(lambda: b.regulator.problem() is None)
+        assert b.regulator.read().t_receive_ns > before.t_receive_ns
+
+    bench(script)
+
+
+def test_silence_reopens_the_port_and_greets_again(bench: Any) -> None:
+    async def script(b: Bench) -> None:
+        await b.arm()
+        b.faults.serial_silence()
+        await b.write_until(lambda: "no answer for 0." in (tick(b) or ""), True, 10.0)
+        await b.write_until(lambda: "no answer for 1 s" in (tick(b) or ""), True, 10.0)
+        hellos = sum(isinstance(message, Hello) for message in b.device.heard)
+        b.faults.clear()
+        await b.write_until(lambda: b.regulator.problem() is None)
+        assert sum(isinstance(message, Hello) for message in b.device.heard) > hellos
+        assert not b.device.armed
+
+    def tick(b: Bench) -> str | None:
+        b.clock.advance(0.05)
+        return b.regulator.problem()
+
+    bench(script)
+
+
+def test_a_port_that_vanishes_while_open_comes_back_disarmed(bench: Any) -> None:
+    async def script(b: Bench) -> None:
+        await b.arm()
+        b.faults.serial_unplug()
+        await b.write_until(lambda: "No such file or directory" in (b.regulator.problem() or ""), True, 10.0)
+        assert "plug the Teensy in" in b.regulator.problem()
+        b.faults.clear()
+        told = len(b.device.heard)
+        await b.write_until(lambda: len(b.device.heard) > told + 5, True, 10.0)
+        assert not b.device.armed  # no armed command revives it
+        await b.arm()
+
+    bench(script)
+
+
+def test_a_device_that_restarts_is_greeted_again(bench: Any) -> None:
+    async def script(b: Bench) -> None:
+        await b.arm()
+        b.port.device = b.device = Device()
+        await b.write_until(lambda: b.regulator.read().faults == () and b.device.accepted_sequence)
+        await b.arm()
+
+    bench(script)
+
+
+def refused(path: Path, run: Any, until: Any, running: Any) -> str:
+    async def play() -> str:
+        regulator = TeensyRegulator(SerialRegulator(port=str(path)))
+        async with running(regulator):
+            await until(lambda: "not opened yet" not in (regulator.problem() or ""))
+            regulator.write(True, 5.0)
+            assert regulator.read() is None
+            return str(regulator.problem())
+
+    return str(run(play()))
+
+
+def test_ports_that_cannot_be_opened_are_told(tmp_path: Path, run: Any, until: Any, running: Any) -> None:
+    absent, plain = tmp_path / "absent", tmp_path / "plain"
+    plain.write_text("no port")
+    assert f"{absent}: open: " in refused(absent, run, until, running)
+    assert "plug the Teensy in (ls /dev/serial/by-id)" in refused(absent, run, until, running)
+    assert "is it a serial port?" in refused(plain, run, until, running)
+
+
+def test_a_port_that_another_process_holds_is_told(tmp_path: Path, clock: Any, run: Any, until: Any) -> None:
+    async def play() -> None:
+        bench = Bench(tmp_path / "teensy", clock, until)
+        bench.port.open()
+        rival = TeensyRegulator(SerialRegulator(port=str(bench.path)), clock)
+        bench.regulator.start()
+        await bench.write_until(lambda: bench.regulator.problem() is None)
+        rival.start()
+        await until(lambda: "another process holds the port: stop it" in (rival.problem() or ""))
+        await rival.stop()
+        await bench.regulator.stop()
+        bench.port.close()
+
+    run(play())
+
+
+def test_a_host_that_only_hears_itself_says_so(clock: Any) -> None:
+    talk = Conversation(0.1)
+    talk.receive(talk.greeting(clock()))
+    assert not talk.known
+    assert "echoes" in str(talk.complaint)
+
+
+def test_an_older_firmware_is_named() -> None:
+    talk = Conversation(0.1)
+    talk.receive(frame(b"\2" + encode(Welcome(1), 1, 1)[1:]))
+    assert "protocol version 2, this software speaks 1" in str(talk.complaint)
+    assert talk.dropped == 1
+
+
+def test_commands_wait_for_the_token(clock: Any) -> None:
+    talk = Conversation(0.1)
+    assert talk.command(True, 5.0, clock()) == b""
+    talk.receive(frame(encode(Welcome(77), 1, 1)))
+    [body] = Deframer().feed(talk.command(True, 5.0, clock()))
+    assert decode(body)[0] == Command(77, 0.1, True, 5.0)
+    talk.receive(frame(encode(State(0, False, Fault.TOKEN, 0.0), 2, 1)))
+    assert talk.command(True, 5.0, clock()) == b""
+
+
+def test_the_twin_leaves_a_real_device_alone(tmp_path: Path, clock: Any) -> None:
+    path = tmp_path / "ttyACM0"
+    path.write_text("the real thing")
+    port = TeensyPort(path, TeensyDevice(), Faults(clock), clock, lambda: 0.0)
+    with pytest.raises(Exception, match=r"something else is there; set drivers\.regulator\.port"):
+        port.open()
+    assert path.read_text() == "the real thing"
+    assert not os.path.islink(path)

@@ -1,0 +1,312 @@
+"""What the twin's two devices promise, on a clock that the test holds."""
+
+import json
+import math
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from softarm.drivers.rail import dryve
+from softarm.drivers.rail.cia402 import State, decode_state
+from softarm.drivers.regulator.cobs import Deframer, frame
+from softarm.drivers.regulator.teensy import Command, Fault, Hello, Welcome, decode, encode
+from softarm.drivers.twin.dryve import LIMIT_SWITCH, DryveDevice
+from softarm.drivers.twin.faults import Faults
+from softarm.drivers.twin.robot import TwinRobot
+from softarm.drivers.twin.teensy import TeensyDevice
+from softarm.schemas.config import DryveRail
+from softarm.schemas.messages import BODY_NAMES
+from softarm.schemas.model import Arm, Model
+
+MS = 1_000_000
+
+
+class Host:
+    """The other end of the Teensy's line."""
+
+    def __init__(self) -> None:
+        self.device = TeensyDevice()
+        self.now_ns = 0
+        self._deframer, self._sequence = Deframer(), 0
+        self.token = 0
+
+    def say(self, message: Any) -> Any:
+        self._sequence += 1
+        answer = self.device.receive(frame(encode(message, self._sequence, 0)), self.now_ns, 1.0)
+        [body] = self._deframer.feed(answer)
+        return decode(body)[0]
+
+    def greet(self) -> None:
+        answer = self.say(Hello())
+        assert isinstance(answer, Welcome)
+        self.token = answer.token
+
+    def command(self, armed: bool, kpa: float = 5.0, time_to_live_s: float = 0.1, token: int | None = None) -> Any:
+        return self.say(Command(self.token if token is None else token, time_to_live_s, armed, kpa))
+
+
+@pytest.fixture
+def host() -> Host:
+    host = Host()
+    host.greet()
+    return host
+
+
+def test_arming_takes_a_disarmed_command_first(host: Host) -> None:
+    assert not host.command(True).armed
+    assert not host.command(False).armed
+    assert host.command(True).armed
+    assert host.device.set_point_kpa == 5.0
+
+
+def test_it_vents_when_the_time_to_live_runs_out_and_no_late_command_revives_it(host: Host) -> None:
+    host.command(False)
+    host.command(True, time_to_live_s=0.1)
+    host.now_ns = 100 * MS
+    host.device.watch(host.now_ns)
+    assert host.device.set_point_kpa == 5.0
+    host.now_ns += 1
+    late = host.command(True)
+    assert (late.armed, late.faults) == (False, Fault.TIME_TO_LIVE)
+    assert host.device.set_point_kpa == 0.0
+    assert host.command(False).faults == Fault(0)
+    assert host.command(True).armed
+
+
+def test_the_wrong_token_neither_arms_nor_keeps_alive(host: Host) -> None:
+    host.command(False)
+    accepted = host.command(True).accepted_sequence
+    host.now_ns = 90 * MS
+    answer = host.command(True, token=host.token ^ 1)
+    assert (answer.faults, answer.accepted_sequence) == (Fault.TOKEN, accepted)
+    host.now_ns = 110 * MS
+    host.device.watch(host.now_ns)
+    assert not host.device.armed
+
+
+def test_a_new_greeting_vents_and_changes_the_token(host: Host) -> None:
+    host.command(False)
+    host.command(True)
+    old = host.token
+    host.greet()
+    assert host.token != old
+    assert host.device.set_point_kpa == 0.0
+    assert not host.command(True).armed
+
+
+@pytest.mark.parametrize(("kpa", "time_to_live_s"), [(20.1, 0.1), (-0.8, 0.1), (math.nan, 0.1), (1, 0), (1, 0.3)])
+def test_commands_out_of_range_are_not_accepted(host: Host, kpa: float, time_to_live_s: float) -> None:
+    host.command(False)
+    answer = host.command(True, kpa, time_to_live_s)
+    assert (answer.faults, answer.armed) == (Fault.RANGE, False)
+
+
+@given(st.lists(st.tuples(st.booleans(), st.integers(0, 200), st.booleans()), max_size=40))
+def test_it_is_never_armed_later_than_its_last_command_allows(script: list[tuple[bool, int, bool]]) -> None:
+    host = Host()
+    host.greet()
+    last_accepted_ns = -math.inf
+    for armed, wait_ms, honest in script:
+        host.now_ns += wait_ms * MS
+        if host.command(armed, token=host.token if honest else host.token ^ 1).faults == Fault(0):
+            last_accepted_ns = host.now_ns
+        host.device.watch(host.now_ns)
+        assert not host.device.armed or host.now_ns - last_accepted_ns <= 100 * MS
+
+
+@given(st.binary(max_size=100))
+def test_noise_on_the_line_never_arms(data: bytes) -> None:
+    device = TeensyDevice()
+    device.receive(data, 0, 0.0)
+    assert not device.armed
+
+
+class Master:
+    """The other end of the drive's line."""
+
+    def __init__(self, **config: Any) -> None:
+        self.drive = DryveDevice(DryveRail(**config))
+        self.now_ns = 0
+
+    def ask(self, telegram: str) -> str:
+        return self.drive.answer(bytes.fromhex(telegram), self.now_ns).hex()
+
+    def read(self, entry: dryve.Entry) -> int:
+        answer = self.drive.answer(dryve.encode_request(1, entry), self.now_ns)
+        return dryve.decode_answer(answer, 1, entry, write=False)
+
+    def write(self, entry: dryve.Entry, value: int) -> None:
+        answer = self.drive.answer(dryve.encode_request(1, entry, value), self.now_ns)
+        dryve.decode_answer(answer, 1, entry, write=True)
+
+    def enable(self) -> None:
+        self.write(dryve.MODE, 3)
+        for word in (0x0006, 0x0007, 0x000F):
+            self.write(dryve.CONTROLWORD, word)
+        assert decode_state(self.read(dryve.STATUSWORD)) is State.OPERATION_ENABLED
+
+
+@pytest.mark.parametrize(
+    ("telegram", "answer"),
+    [
+        ("00000000000d002b0d00000060410000000002", "00000000000f002b0d000000604100000000024006"),
+        ("0f0f0000000d002b0d00000060410000000002", "0f0f0000000f002b0d000000604100000000024006"),
+        ("00000000000f002b0d010000604000000000020600", "00000000000d002b0d01000060400000000000"),
+        ("00000000000d002b0d00000010010000000001", "00000000000b00abff00060dce00000206"),
+        ("00000000000d002b0d000000607d0100000004", "00000000000b00abff00060dce00000206"),
+        ("00000000000d002b0d01000060410000000000", "00000000000b00abff00060dce02000106"),
+        ("0000000000050003000a0001", "00000000000300ab03"),
+    ],
+)
+def test_the_drive_answers_as_real_ones_were_seen_to(telegram: str, answer: str) -> None:
+    assert Master().ask(telegram) == answer
+
+
+def test_di7_low_is_bit_9_and_nothing_works() -> None:
+    master = Master()
+    master.drive.remote = False
+    assert master.ask("0f0f0000000d002b0d00000060410000000002").endswith("4004")
+    for word in (0x0006, 0x0007, 0x000F):
+        master.write(dryve.CONTROLWORD, word)
+    assert master.drive.state is State.SWITCH_ON_DISABLED
+
+
+def test_the_walk_shows_the_states_of_the_sample_programs() -> None:
+    master, seen = Master(), []
+    for word in (0x0100, 0x0006, 0x0007, 0x000F):
+        master.write(dryve.CONTROLWORD, word)
+        seen.append(master.read(dryve.STATUSWORD) & 0x6F)
+    assert seen == [0x40, 0x21, 0x23, 0x27]
+
+
+def test_only_an_enabled_drive_in_velocity_mode_moves() -> None:
+    master = Master()
+    master.write(dryve.TARGET_VELOCITY, 50_000)
+    assert master.drive.target_velocity_m_s == 0.0
+    master.enable()
+    assert master.drive.target_velocity_m_s == 0.5
+    master.write(dryve.CONTROLWORD, 0x010F)
+    assert master.drive.target_velocity_m_s == 0.0
+    master.write(dryve.CONTROLWORD, 0x000F)
+    master.write(dryve.MODE, 1)
+    assert master.drive.target_velocity_m_s == 0.0
+
+
+def test_a_silent_master_makes_it_brake_and_switch_off() -> None:
+    master = Master()
+    master.enable()
+    master.write(dryve.TARGET_VELOCITY, 50_000)
+    master.drive.sense(0.1, 0.5)
+    master.drive.watch(master.now_ns + 100 * MS)
+    assert master.drive.target_velocity_m_s == 0.5
+    master.drive.watch(master.now_ns + 101 * MS)
+    assert (master.drive.state, master.drive.target_velocity_m_s) == (State.QUICK_STOP, 0.0)
+    master.write(dryve.CONTROLWORD, 0x000F)  # no way back while it brakes
+    assert master.drive.state is State.QUICK_STOP
+    master.drive.sense(0.12, 0.0)
+    master.drive.watch(master.now_ns)
+    assert master.drive.state is State.SWITCH_ON_DISABLED
+
+
+def test_read_backs_are_in_drive_units_from_the_homed_end() -> None:
+    master = Master(units_per_m=1000, centre_m=0.25)
+    master.drive.sense(-0.05, -0.125)
+    assert master.read(dryve.POSITION) == 200
+    assert master.read(dryve.VELOCITY) == -125
+
+
+def test_the_limit_switch_faults_until_a_rising_reset() -> None:
+    master = Master()
+    master.enable()
+    master.drive.trip(LIMIT_SWITCH)
+    assert decode_state(master.read(dryve.STATUSWORD)) is State.FAULT
+    assert master.read(dryve.ERROR_CODE) == 0xFF00
+    master.write(dryve.CONTROLWORD, 0x0006)
+    assert master.drive.state is State.FAULT
+    master.write(dryve.CONTROLWORD, 0x0080)
+    assert master.drive.state is State.SWITCH_ON_DISABLED
+
+
+@given(st.lists(st.integers(0, 0xFFFF), max_size=30))
+def test_operation_is_only_reached_through_switched_on(words: list[int]) -> None:
+    master = Master()
+    before = master.drive.state
+    for word in words:
+        master.write(dryve.CONTROLWORD, word)
+        if master.drive.in_operation:
+            assert before in (State.SWITCHED_ON, State.OPERATION_ENABLED)
+            assert word & 0x0F == 0x0F
+        before = master.drive.state
+
+
+@given(st.binary(max_size=40))
+def test_no_telegram_upsets_the_drive(telegram: bytes) -> None:
+    assert len(Master().drive.answer(telegram, 0)) in (9, 17, 19, 20, 21, 23)
+
+
+def test_faults_last_as_long_as_they_are_told(clock: Any) -> None:
+    faults = Faults(clock)
+    faults.apply(b'{"fault": "mocap_drop_body", "body": "link3", "seconds": 0.5}')
+    assert faults.active("mocap_drop_body")
+    assert faults.lost_body == "link3"
+    clock.advance(0.6)
+    assert not faults.active("mocap_drop_body")
+    faults.apply(b'{"fault": "rail_fault"}')
+    assert faults.take("rail_fault")
+    assert not faults.take("rail_fault")
+    faults.apply(b'{"fault": "remote_low"}')
+    clock.advance(1e6)
+    assert faults.active("remote_low")
+    faults.apply(b'{"fault": "clear"}')
+    assert not faults.active("remote_low")
+
+
+@pytest.mark.parametrize(
+    ("message", "words"),
+    [
+        (b"nonsense", "JSON object like"),
+        (b"[]", "JSON object like"),
+        (json.dumps({"fault": "earthquake"}).encode(), "no fault 'earthquake'; choose one of clear, mocap_drop_body"),
+        (json.dumps({"fault": "apply"}).encode(), "no fault 'apply'"),
+        (json.dumps({"fault": "__init__"}).encode(), "no fault '__init__'"),
+        (json.dumps({"fault": ["x"]}).encode(), "no fault"),
+        (json.dumps({"fault": "mocap_freeze", "seconds": -1}).encode(), "give a positive number"),
+        (json.dumps({"fault": "mocap_freeze", "second": 1}).encode(), "unexpected keyword argument 'second'"),
+        (json.dumps({"fault": "mocap_drop_body", "body": "nose"}).encode(), "no body 'nose'; choose one of cart"),
+    ],
+)
+def test_faults_that_do_not_exist_are_refused_in_words(clock: Any, message: bytes, words: str) -> None:
+    with pytest.raises(ValueError, match=words):
+        Faults(clock).apply(message)
+
+
+def test_the_cart_that_meets_its_stop_is_a_crash_and_rests_there() -> None:
+    robot = TwinRobot(None)
+    struck = [robot.step(1.0, 0.0, 1 / 120) for _ in range(120)]
+    assert robot.crashes == sum(struck) >= 1
+    assert robot.cart_max_abs_m == pytest.approx(robot.model.cart.travel_m, abs=1e-6)
+    assert abs(robot.cart_position_m) <= robot.model.cart.travel_m + 1e-6
+    first = struck.index(True)
+    assert 0.25 < first / 120 < 0.6  # 0.3 m at 1 m/s from rest
+    for _ in range(120):
+        robot.step(-0.5, 0.0, 1 / 120)
+    assert robot.cart_position_m < 0.0  # it can be driven away
+
+
+def test_the_cameras_see_the_arm_hang_from_the_cart() -> None:
+    robot = TwinRobot(None)
+    cart, *links = robot.look().poses
+    assert len(links) + 1 == len(BODY_NAMES)
+    assert (cart.y_m, cart.z_m) == (0.0, robot.model.arm.base_height_m)
+    assert [link.z_m for link in links] == pytest.approx([0.965 - 0.0885 * i for i in range(1, 6)], abs=1e-5)
+    noise = {"mocap.noise": {"sigma": 1e-3}}
+    noisy = TwinRobot(Model(effects=noise)).look().poses
+    assert 0 < abs(noisy[5].z_m - links[4].z_m) < 5e-3
+
+
+def test_a_model_with_another_number_of_links_is_refused() -> None:
+    arm = Arm(**{name: value[:3] if isinstance(value, tuple) else value for name, value in Arm()})
+    with pytest.raises(ValueError, match="the model has 3 links, the twin 5"):
+        TwinRobot(Model(arm=arm))

@@ -1,0 +1,216 @@
+"""The whole twin, in real time, as the daemon's drivers and as nobody at all."""
+
+import asyncio
+import json
+import signal
+import socket
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+import zenoh
+
+from softarm.drivers.base import DeviceError
+from softarm.drivers.mocap.driver import ZenohMocapSource
+from softarm.drivers.mocap.zenoh_session import listener
+from softarm.drivers.rail.driver import DryveRailAxis
+from softarm.drivers.regulator.driver import TeensyRegulator
+from softarm.drivers.twin.cameras import FAULT_KEY, STATE_KEY
+from softarm.drivers.twin.main import DeviceClock, Twin
+from softarm.schemas.config import Config, Drivers, DryveRail, SerialRegulator, ZenohMocap
+
+
+def free_ports() -> tuple[int, int]:
+    with socket.socket() as one, socket.socket() as two:
+        one.bind(("127.0.0.1", 0))
+        two.bind(("127.0.0.1", 0))
+        return one.getsockname()[1], two.getsockname()[1]
+
+
+@pytest.fixture
+def config(tmp_path: Path) -> Config:
+    mocap_port, rail_port = free_ports()
+    return Config(
+        drivers=Drivers(
+            mocap=ZenohMocap(endpoint=f"tcp/127.0.0.1:{mocap_port}"),
+            # The longest time to live that the device takes, for tests that share a busy machine.
+            regulator=SerialRegulator(port=str(tmp_path / "wires" / "teensy"), time_to_live_s=0.25),
+            rail=DryveRail(host="127.0.0.1", port=rail_port, timeout_s=1.0),
+        )
+    )
+
+
+class Hands:
+    """The daemon's three drivers, and a loop that writes."""
+
+    def __init__(self, config: Config, until: Any) -> None:
+        self.mocap = ZenohMocapSource(config.drivers.mocap)
+        self.regulator = TeensyRegulator(config.drivers.regulator)
+        self.rail = DryveRailAxis(config.drivers.rail)
+        self.frames: list[Any] = []
+        self._until = until
+
+    def problems(self) -> list[str | None]:
+        return [self.mocap.problem(), self.regulator.problem(), self.rail.problem()]
+
+    async def write_until(self, condition: Any, armed: bool = False, command: tuple[float, float] = (0, 0)) -> None:
+        def each() -> None:
+            self.regulator.write(armed, command[1])
+            self.rail.write(armed, command[0])
+            self.frames += self.mocap.read(self.mocap._clock())
+
+        await self._until(condition, each)
+
+    async def arm(self) -> None:
+        """As a person would: first see that all is well, then ask."""
+        await self.write_until(lambda: self.problems() == [None] * 3 and self.regulator.read() and self.rail.read())
+
+        def armed() -> bool:
+            return self.rail.read().enabled and self.regulator.read().armed
+
+        await self.write_until(armed, True)
+
+
+def test_the_drivers_move_the_twin_and_their_silence_stops_it(
+    config: Config, run: Any, until: Any, running: Any
+) -> None:
+    async def play() -> None:
+        hands = Hands(config, until)
+        async with running(hands.mocap, hands.regulator, hands.rail):  # the daemon is first
+            await until(lambda: all(hands.problems()))
+            async with Twin(config) as twin:
+                await hands.arm()
+                await hands.write_until(lambda: hands.frames, True)
+                start = hands.frames[-1].bodies
+                await hands.write_until(lambda: twin.state.cart_velocity_m_s < -0.2, True, (-0.3, 15.0))
+                await hands.write_until(lambda: hands.regulator.read().pressure_kpa > 5.0, True, (-0.3, 15.0))
+                moved = hands.frames[-1]
+                assert moved.bodies[0].y_m < start[0].y_m
+                assert moved.bodies[5].y_m < start[5].y_m  # pressure bends it towards -y
+                assert hands.rail.read().position_m == pytest.approx(twin.state.cart_position_m, abs=0.05)
+                sequences = [frame.sequence for frame in hands.frames]
+                assert sequences == sorted(set(sequences))
+                # The loop dies: nobody writes any more.
+                await until(lambda: twin.state.vented and abs(twin.state.cart_velocity_m_s) < 0.05)
+                assert twin.state.crashes == 0
+                assert twin.state.vented_since_ns is not None
+
+    run(play())
+
+
+def test_a_closed_connection_brakes_the_cart_within_the_rail(
+    config: Config, run: Any, until: Any, running: Any
+) -> None:
+    async def play() -> None:
+        async with Twin(config) as twin:
+            hands = Hands(config, until)
+            async with running(hands.mocap, hands.regulator, hands.rail):
+                await hands.arm()
+                await hands.write_until(lambda: twin.state.cart_velocity_m_s > 0.3, True, (0.4, 5.0))
+                assert hands.rail._task is not None
+                hands.rail._task.cancel()  # what the kernel does to a killed process: its sockets close
+                await until(lambda: twin.state.drive == "switch-on disabled")
+                off_ns = twin.state.out_of_operation_since_ns
+                await until(lambda: twin.state.braked_since_ns)
+                assert off_ns is not None
+                assert twin.state.cart_max_abs_m < 0.3
+                assert twin.state.crashes == 0
+
+    run(play())
+
+
+def test_faults_reach_the_drivers(config: Config, run: Any, until: Any, running: Any) -> None:
+    async def play() -> None:
+        async with Twin(config) as twin:
+            hands = Hands(config, until)
+            async with running(hands.mocap, hands.regulator, hands.rail):
+                await hands.write_until(lambda: hands.problems() == [None] * 3)
+                twin.faults.mocap_drop_body("link3")
+                await hands.write_until(lambda: not hands.frames[-1].bodies[3].tracked)
+                assert [body.tracked for body in hands.frames[-1].bodies].count(False) == 1
+                twin.faults.clear()
+                twin.faults.mocap_garbage()
+                await hands.write_until(lambda: hands.mocap.malformed == 1)
+                twin.faults.mocap_stuck()
+                await hands.write_until(lambda: hands.frames[-1].bodies == hands.frames[-2].bodies)
+                twin.faults.clear()
+                twin.faults.mocap_freeze()
+                await hands.write_until(lambda: "no frame for" in (hands.mocap.problem() or ""))
+
+    run(play())
+
+
+def test_the_devices_do_not_count_what_the_twin_was_held_up_for(clock: Any) -> None:
+    device_clock = DeviceClock(clock)
+    start_ns = device_clock()
+    for _ in range(12):
+        clock.advance(1 / 120)
+        device_clock.step()
+    assert device_clock() - start_ns == pytest.approx(0.1e9, rel=1e-6)
+    clock.advance(5.0)
+    device_clock.step()
+    assert device_clock() - start_ns == pytest.approx(0.125e9, rel=1e-6)
+
+
+def test_a_second_twin_is_refused_and_leaves_the_first_ones_wires_alone(config: Config, run: Any) -> None:
+    async def play() -> None:
+        async with Twin(config):
+            there = Path(config.drivers.regulator.port).readlink()
+            with pytest.raises(DeviceError, match="listen as the rail"):
+                async with Twin(config):
+                    pass
+            assert Path(config.drivers.regulator.port).readlink() == there
+
+    run(play())
+
+
+MAIN = """
+import sys
+from softarm.drivers.twin.main import run_twin
+from softarm.schemas.config import Config
+run_twin(Config.model_validate_json(sys.argv[1]), None, lambda line: print(line, flush=True))
+"""
+
+
+def test_its_process_outlives_the_daemon_hears_faults_and_ends_when_told(config: Config, run: Any, until: Any) -> None:
+    async def play() -> None:
+        process = await asyncio.create_subprocess_exec(
+            sys.executable, "-c", MAIN, config.model_dump_json(), stdout=subprocess.PIPE, stderr=subprocess.STDOUT
+        )
+        assert process.stdout is not None
+        ready = (await process.stdout.readline()).decode()
+        assert config.drivers.regulator.port in ready
+        assert Path(config.drivers.regulator.port).is_symlink()
+        for _ in range(2):  # a daemon comes, goes, and comes again
+            await watch_and_break(config, until)
+        process.send_signal(signal.SIGTERM)
+        output, _ = await asyncio.wait_for(process.communicate(), 5)
+        assert process.returncode == 0
+        assert b"there is no fault 'nonsense'" in output
+        assert not Path(config.drivers.regulator.port).is_symlink()
+
+    run(play())
+
+
+async def watch_and_break(config: Config, until: Any) -> None:
+    session = zenoh.open(listener(config.drivers.mocap.endpoint))
+    try:
+        states = session.declare_subscriber(STATE_KEY, zenoh.handlers.RingChannel(64))
+        frames = session.declare_subscriber(config.drivers.mocap.key, zenoh.handlers.RingChannel(64))
+        await until(states.try_recv)
+        await until(frames.try_recv)
+        session.put(FAULT_KEY, b'{"fault": "nonsense"}')
+        newest: list[dict[str, Any]] = [{}]
+
+        def look() -> None:
+            while (sample := states.try_recv()) is not None:
+                newest.append(json.loads(sample.payload.to_bytes()))
+
+        session.put(FAULT_KEY, b'{"fault": "rail_fault"}')
+        await until(lambda: newest[-1].get("drive") == "fault", look)
+        assert newest[-1]["vented"] is True
+        assert newest[-1]["crashes"] == 0
+    finally:
+        session.close()

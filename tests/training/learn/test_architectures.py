@@ -1,0 +1,132 @@
+"""The seed's three architectures and its arm without a muscle, from learning to the file."""
+
+from dataclasses import replace
+
+import numpy as np
+import onnxruntime
+import pytest
+import torch
+
+from softarm.policies.onnx_policy import OnnxPolicy
+from softarm.schemas.policy import OBSERVATION
+from softarm.training.learn.inference import infer, workers
+from softarm.training.learn.network import NetworkShape, PolicyNetwork
+from softarm.training.learn.ppo import Ppo, PpoConfig
+from softarm.training.record.export import onnx_model
+from softarm.training.run.session import Session, TrainingConfig
+from softarm.training.task.environment import Environment
+from softarm.training.task.reach import TASKS
+from softarm.training.task.shelf import ShelfTask, environment_of
+
+ORDERS = ("mlp-lstm", "lstm-mlp", "mlp")
+SMALL = TrainingConfig(seed=3, robots=16, validate_every=2, validation_trials=12)
+VENTED = 2 * 0.7 / 20.7 - 1.0
+
+
+def network(order: str) -> PolicyNetwork:
+    torch.manual_seed(1)
+    made = PolicyNetwork(NetworkShape(order=order))
+    made.observation_normaliser.update(3.0 * torch.randn(200, 10) + 1.0)
+    return made
+
+
+@pytest.mark.parametrize("order", ORDERS)
+def test_the_file_does_what_the_network_does(order):
+    made = network(order)
+    session = onnxruntime.InferenceSession(onnx_model(made).SerializeToString())
+    state = made.initial_state(4)
+    h, c = (part.numpy()[None] for part in state)
+    spread = []
+    with workers(1) as pool:
+        for k in range(20):
+            observation = torch.randn(4, 10, generator=torch.Generator().manual_seed(k))
+            mean, _, state = infer(made, observation, torch.ones(4), state, pool)
+            action, h, c = session.run(None, {"observation": observation.numpy(), "h_in": h, "c_in": c})
+            np.testing.assert_allclose(action, mean.clamp(-1, 1).numpy(), atol=1e-5, rtol=0)
+            spread.append(action)
+    assert np.std(spread) > 0.01
+
+
+@pytest.mark.parametrize("order", ORDERS)
+def test_only_an_lstm_remembers(order):
+    made = network(order)
+    with workers(1) as pool:
+        state = made.initial_state(1)
+        first, _, state = infer(made, torch.ones(1, 10), torch.ones(1), state, pool)
+        infer_again, _, _ = infer(made, torch.ones(1, 10), torch.ones(1), state, pool)
+    assert torch.equal(first, infer_again) == (order == "mlp")
+
+
+@pytest.mark.parametrize("order", ORDERS)
+def test_all_weights_learn(order):
+    made = network(order)
+    before = {name: weight.detach().clone() for name, weight in made.named_parameters()}
+    with workers(1) as pool:
+        Ppo(made, Environment(TASKS["reach"], 16, 0), PpoConfig(horizon=8), pool, 0).iterate()
+    assert [name for name, weight in made.named_parameters() if torch.equal(weight, before[name])] == []
+
+
+def test_an_order_that_there_is_not_is_refused():
+    with pytest.raises(ValueError, match="mlp-lstm, lstm-mlp, mlp"):
+        NetworkShape(order="gru")
+
+
+def test_noise_on_observations_reaches_the_learner_alone():
+    seen = {}
+    for noise in (0.0, 0.1):
+        with workers(1) as pool:
+            learner = Ppo(
+                network("mlp"), Environment(TASKS["reach"], 8, 0), PpoConfig(observation_noise=noise), pool, 0
+            )
+            observation = torch.zeros(8, 10)
+            seen[noise] = learner._noisy(observation) / learner.network.observation_normaliser.scale()
+    assert torch.equal(seen[0.0], torch.zeros(8, 10))
+    assert 0.06 < float(seen[0.1].std()) < 0.14
+
+
+def test_without_a_muscle_nothing_is_pumped_and_the_file_vents(tmp_path):
+    task = replace(TASKS["reach"], muscle=False)
+    environment = Environment(task, 8, 0)
+    environment.reset()
+    for _ in range(10):
+        environment.step(np.ones((8, 2), dtype=np.float32))
+        assert np.array_equal(environment.simulator.pressure_kpa, np.zeros(8))
+    with workers(1) as pool:
+        session = Session(task, SMALL, PpoConfig(), tmp_path, pool, resume=False)
+        policy = OnnxPolicy(str(session.run(frames=512, minutes=None)))
+    golden = np.array(policy.metadata.golden.outputs)
+    assert golden[:, 1] == pytest.approx(np.full(len(golden), VENTED), abs=1e-6)
+    action = policy.step(np.full(len(OBSERVATION), 0.3, np.float32), np.array((-0.2, 0.6), np.float32))
+    assert action[1] == pytest.approx(0.0, abs=1e-4)
+
+
+def test_a_shelf_run_is_killed_goes_on_and_leaves_a_policy_that_is_told_the_depth(tmp_path):
+    with workers(1) as pool:
+
+        def session(folder, resume):
+            return Session(ShelfTask(), SMALL, PpoConfig(), tmp_path / folder, pool, resume)
+
+        whole = session("whole", False)
+        for _ in range(4):
+            whole.advance()
+        killed = session("killed", False)
+        for _ in range(3):
+            killed.advance()
+        resumed = session("killed", True)
+        resumed.advance()
+        resumed.advance()
+        policy = OnnxPolicy(str(resumed.export_best()))
+    mine, theirs = resumed.network.state_dict(), whole.network.state_dict()
+    assert all(torch.equal(mine[key], theirs[key]) for key in theirs)
+    assert policy.metadata.task == "shelf"
+    observation, goal = np.zeros(8, np.float32), np.array((-0.45, 0.62), np.float32)
+    policy.target_depth_m = 0.11
+    policy.step(observation, goal)
+    assert policy._input[0, 8:] == pytest.approx([-0.45, 0.62, 0.11])
+
+
+def test_a_shelf_environment_ends_its_observation_with_the_depth():
+    environment = environment_of(ShelfTask(), 4, 0)
+    observation = environment.reset()
+    assert observation.shape == (4, environment.inputs) == (4, 11)
+    assert np.all((observation[:, 10] >= -0.05) & (observation[:, 10] <= 0.20))

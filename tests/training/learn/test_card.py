@@ -1,0 +1,80 @@
+"""A graphics card's way through the learner, checked without one: same numbers, and nothing left with the CPU."""
+
+import numpy as np
+import pytest
+import torch
+from torch._subclasses.fake_tensor import FakeTensor, FakeTensorDeviceMismatchError, FakeTensorMode
+
+from softarm.training.learn import lstm, ppo
+from softarm.training.learn.inference import device_named, workers
+from softarm.training.learn.network import NetworkShape, PolicyNetwork
+from softarm.training.learn.ppo import Ppo, PpoConfig
+from softarm.training.run.evaluation import fly, validation_trials
+from softarm.training.run.recipe import RECIPES, begin
+from softarm.training.task.environment import ACTIONS, INPUTS, Environment
+from softarm.training.task.reach import TASKS
+
+
+def learner(pool, shape: NetworkShape, **config) -> Ppo:
+    torch.manual_seed(0)
+    return Ppo(PolicyNetwork(shape), Environment(TASKS["reach"], 32, 0), PpoConfig(horizon=4, **config), pool, 0)
+
+
+def test_it_learns_the_same_there(monkeypatch):
+    weights = []
+    for compiled in (True, False):
+        monkeypatch.setattr(lstm, "_is_compiled_for", lambda _, compiled=compiled: compiled)
+        monkeypatch.setattr(ppo, "share_of", lambda count, most, _, compiled=compiled: 4 if compiled else count)
+        with workers(1) as pool:
+            made = learner(pool, NetworkShape(INPUTS, ACTIONS))
+            for _ in range(3):
+                made.iterate()
+            weights.append(made.network.state_dict())
+    for name, value in weights[0].items():
+        torch.testing.assert_close(weights[1][name], value, atol=2e-4, rtol=1e-4)
+
+
+@pytest.fixture
+def elsewhere(monkeypatch):
+    """Torch without numbers, but with devices: what meets a tensor of another one is an error.
+
+    The 'meta' device stands for the card; what is read back from it is zeros.
+    """
+    monkeypatch.setattr(torch.Tensor, "numpy", lambda tensor: np.zeros(tensor.shape, dtype=np.float32))
+    monkeypatch.setattr(FakeTensor, "tolist", lambda tensor: np.zeros(tensor.shape).tolist())
+    monkeypatch.setattr(torch.Tensor, "__float__", lambda _: 0.0)
+    monkeypatch.setattr(torch.Tensor, "__bool__", lambda _: True)  # the normaliser was never shown anything
+    with FakeTensorMode(allow_non_fake_inputs=True):
+        yield torch.device("meta")
+
+
+class HereAndNow:
+    """Does a pool's work in this thread, where torch has no numbers."""
+
+    def map(self, function, work):
+        return [function(each) for each in work]
+
+
+@pytest.mark.parametrize("order", ["mlp-lstm", "lstm-mlp", "mlp"])
+def test_nothing_of_an_iteration_or_of_a_flight_stays_behind(elsewhere, order):
+    with elsewhere:
+        network = PolicyNetwork(NetworkShape(INPUTS, ACTIONS, order=order))
+    environment = Environment(TASKS["reach"], 8, 0)
+    made = Ppo(network, environment, PpoConfig(horizon=4, observation_noise=0.01), HereAndNow(), 0)
+    environment._elapsed[:] = 98  # so that some run out of time
+    made.iterate()
+    fly(network, environment.task, validation_trials(environment.task, environment.simulator.links, 6), HereAndNow())
+    state = made._observation, made._keep, *made._state, *network.state_dict().values()
+    assert {each.device for each in state} == {elsewhere}
+    with pytest.raises(FakeTensorDeviceMismatchError):  # or the above would show nothing
+        network(torch.ones(1, 8, INPUTS, device="cpu"), made._keep[None], network.initial_state(8))
+
+
+@pytest.mark.parametrize(("name", "sentence"), [("tpu", "give one of cpu, cuda"), ("cuda", "sees no such card here")])
+def test_a_device_that_is_not_there_is_refused(monkeypatch, tmp_path, name, sentence):
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
+    recipe = RECIPES["reach"].model_copy(update={"settings": {"run.device": name}})
+    with workers(1) as pool, pytest.raises(ValueError, match=rf"run\.device is '{name}'.*{sentence}"):
+        begin(recipe, 1, tmp_path, pool, resume=False)
+    assert not (tmp_path / "latest.pt").exists()
+    assert device_named("cpu") == torch.device("cpu")

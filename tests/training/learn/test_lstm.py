@@ -1,0 +1,132 @@
+"""The fast recurrent layer is an LSTM: values and gradients of torch's own, episodes beginning anywhere."""
+
+import pytest
+import torch
+
+from softarm.training.learn import cell, lstm
+
+STEPS, BATCH, INPUTS, SIZE = 7, 5, 6, 24
+
+
+@pytest.fixture
+def reference() -> torch.nn.LSTM:
+    torch.manual_seed(0)
+    layer = torch.nn.LSTM(INPUTS, SIZE)
+    with torch.no_grad():
+        layer.bias_hh_l0.zero_()
+        for parameter in layer.parameters():
+            parameter.mul_(4.0)  # gates well away from the middle
+    return layer
+
+
+def torch_sequence(layer, x, keep, state):
+    """The plain way: one step at a time, the state zeroed where an episode begins."""
+    h, c = state
+    outputs = []
+    for t in range(x.shape[0]):
+        h, c = h * keep[t, :, None], c * keep[t, :, None]
+        out, (h, c) = layer(x[t : t + 1], (h[None], c[None]))
+        outputs.append(out[0])
+        h, c = h[0], c[0]
+    return torch.stack(outputs), (h, c)
+
+
+def inputs(seed: int = 1):
+    generator = torch.Generator().manual_seed(seed)
+    x = (3.0 * torch.randn(STEPS, BATCH, INPUTS, generator=generator)).requires_grad_()
+    keep = (torch.rand(STEPS, BATCH, generator=generator) > 0.3).float()
+    state = (torch.randn(BATCH, SIZE, generator=generator), torch.randn(BATCH, SIZE, generator=generator))
+    weight = torch.randn(STEPS, BATCH, SIZE, generator=generator)
+    return x, keep, state, weight
+
+
+def fast(layer, x, keep, state, dtype=torch.float32):
+    return lstm.sequence(x, keep, state, layer.weight_ih_l0, layer.weight_hh_l0, layer.bias_ih_l0, dtype)
+
+
+def test_values_and_last_state_equal_torch(reference):
+    x, keep, state, _ = inputs()
+    expected, (h, c) = torch_sequence(reference, x, keep, state)
+    hidden, (last_h, last_c) = fast(reference, x, keep, state)
+    torch.testing.assert_close(hidden, expected, atol=2e-6, rtol=0)
+    torch.testing.assert_close(last_h, h, atol=2e-6, rtol=0)
+    torch.testing.assert_close(last_c, c, atol=5e-6, rtol=1e-6)
+
+
+def test_gradients_equal_autograd(reference):
+    x, keep, state, weight = inputs()
+    wanted = [x, reference.weight_ih_l0, reference.weight_hh_l0, reference.bias_ih_l0]
+    expected = torch.autograd.grad((torch_sequence(reference, x, keep, state)[0] * weight).sum(), wanted)
+    actual = torch.autograd.grad((fast(reference, x, keep, state)[0] * weight).sum(), wanted)
+    for a, e in zip(actual, expected, strict=True):
+        torch.testing.assert_close(a, e, atol=1e-5 * float(e.abs().max()), rtol=0)
+
+
+def test_the_way_of_graphics_cards_gives_the_same(reference):
+    x, keep, state, weight = inputs()
+    wanted = [x, reference.weight_ih_l0, reference.weight_hh_l0, reference.bias_ih_l0]
+    compiled, (h, c) = fast(reference, x, keep, state)
+    plain, (plain_h, plain_c) = lstm._step_by_step(x, keep, state, *wanted[1:])
+    torch.testing.assert_close(plain, compiled, atol=2e-6, rtol=0)
+    torch.testing.assert_close(plain_h, h, atol=2e-6, rtol=0)
+    torch.testing.assert_close(plain_c, c, atol=5e-6, rtol=1e-6)
+    expected = torch.autograd.grad((compiled * weight).sum(), wanted)
+    for a, e in zip(torch.autograd.grad((plain * weight).sum(), wanted), expected, strict=True):
+        torch.testing.assert_close(a, e, atol=1e-5 * float(e.abs().max()), rtol=0)
+
+
+def test_no_gradient_crosses_the_beginning_of_an_episode(reference):
+    x, _, state, weight = inputs()
+    keep = torch.ones(STEPS, BATCH)
+    keep[4] = 0.0
+    hidden, _ = fast(reference, x, keep, state)
+    (gradient,) = torch.autograd.grad((hidden[4:] * weight[4:]).sum(), [x])
+    assert torch.all(gradient[:4] == 0.0)
+    assert torch.all(gradient[4:].abs().sum((1, 2)) > 0.0)
+
+
+def test_bfloat16_products_stay_close(reference):
+    x, keep, state, _ = inputs()
+    exact, _ = fast(reference, x, keep, state)
+    rough, _ = fast(reference, x, keep, state, torch.bfloat16)
+    assert 0.0 < float((exact - rough).detach().abs().mean()) < 0.02
+
+
+def test_gradients_through_bfloat16_products_stay_close(reference):
+    x, keep, state, weight = inputs()
+    wanted = [x, reference.weight_ih_l0, reference.weight_hh_l0, reference.bias_ih_l0]
+    exact = torch.autograd.grad((fast(reference, x, keep, state)[0] * weight).sum(), wanted)
+    rough = torch.autograd.grad((fast(reference, x, keep, state, torch.bfloat16)[0] * weight).sum(), wanted)
+    for r, e in zip(rough, exact, strict=True):
+        assert 0.0 < float((r - e).norm()) < 0.05 * float(e.norm())
+
+
+def test_what_the_next_step_is_fed_is_rounded_as_torch_rounds():
+    generator = torch.Generator().manual_seed(0)
+    pre_activations = 3.0 * torch.randn(64, 4 * SIZE, generator=generator)
+    pre_activations[0, :3] = torch.tensor([float("inf"), float("nan"), -0.0])
+    zeros, ones = torch.zeros(64, SIZE), torch.ones(64)
+    hidden, fed = torch.empty(64, SIZE), torch.empty(64, SIZE, dtype=torch.bfloat16)
+    given = (pre_activations, torch.zeros(4 * SIZE), zeros, ones, ones)
+    written = (torch.empty(64, 4 * SIZE), torch.empty(64, SIZE), hidden)
+    cell.forward(*(each.numpy() for each in given + written), fed.view(torch.uint16).numpy())
+    assert torch.isnan(hidden[0]).any()
+    torch.testing.assert_close(fed, hidden.to(torch.bfloat16), rtol=0, atol=0, equal_nan=True)
+
+
+def test_large_pre_activations_saturate_and_stay_finite(reference):
+    x, keep, state, _ = inputs()
+    x = (1e6 * x).detach().requires_grad_()
+    hidden, _ = fast(reference, x, keep, state)
+    (gradient,) = torch.autograd.grad(hidden.sum(), [x])
+    assert torch.isfinite(hidden).all()
+    assert torch.isfinite(gradient).all()
+
+
+def test_a_state_that_is_no_number_stays_visible(reference):
+    x, _, state, _ = inputs()
+    x = x.detach()
+    x[0, 2] = float("nan")
+    hidden, _ = fast(reference, x, torch.ones(STEPS, BATCH), state)
+    assert torch.isnan(hidden[-1, 2]).any()
+    assert torch.isfinite(hidden[:, [0, 1, 3, 4]]).all()

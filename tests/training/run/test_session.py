@@ -1,0 +1,262 @@
+"""A run end to end: it learns, it is killed, it goes on as if nothing had happened, it leaves a policy."""
+
+import csv
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import onnx
+import onnxruntime
+import pytest
+import torch
+from click.testing import CliRunner
+
+from softarm.cli.export import export as export_command
+from softarm.cli.train import train
+from softarm.schemas.policy import METADATA_KEY, OBSERVATION, REACH_GOAL, PolicyMetadata
+from softarm.training.learn.inference import infer, workers
+from softarm.training.learn.network import NetworkShape, PolicyNetwork
+from softarm.training.learn.ppo import PpoConfig
+from softarm.training.record.export import onnx_model
+from softarm.training.run import evaluation
+from softarm.training.run.checkpoint import CheckpointError
+from softarm.training.run.session import Session, TrainingConfig, averaged_share, export_checkpoint
+from softarm.training.task.environment import ACTIONS, INPUTS, Environment
+from softarm.training.task.reach import TASKS
+
+TASK = TASKS["reach"]
+SMALL = TrainingConfig(seed=3, robots=64, validate_every=2, validation_trials=24)
+FRAMES = 64 * 16
+
+
+def session(out: Path, pool, resume: bool = False, config: TrainingConfig = SMALL) -> Session:
+    return Session(TASK, config, PpoConfig(), out, pool, resume)
+
+
+def lively_network(seed: int = 0) -> PolicyNetwork:
+    """Random weights whose actions use the whole range, and a normaliser that has seen something."""
+    torch.manual_seed(seed)
+    network = PolicyNetwork(NetworkShape(INPUTS, ACTIONS))
+    environment = Environment(TASK, 64, seed)
+    network.observation_normaliser.update(torch.from_numpy(environment.reset()))
+    rng = np.random.default_rng(seed)
+    for _ in range(10):
+        step = environment.step(rng.uniform(-1, 1, (64, 2)).astype(np.float32))
+        network.observation_normaliser.update(torch.from_numpy(step.observation))
+    with torch.no_grad():
+        network.mean_head.weight.mul_(3.0)
+    return network
+
+
+def open_model(model: bytes | Path) -> onnxruntime.InferenceSession:
+    options = onnxruntime.SessionOptions()
+    options.intra_op_num_threads = 1
+    return onnxruntime.InferenceSession(model if isinstance(model, bytes) else str(model), options)
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory) -> Session:
+    """Four iterations without a break."""
+    with workers(2) as pool:
+        run = session(tmp_path_factory.mktemp("whole"), pool)
+        run.run(frames=4 * FRAMES, minutes=None)
+    return run
+
+
+def test_a_run_that_was_killed_goes_on_bit_for_bit(finished, tmp_path):
+    with workers(1) as pool:
+        killed = session(tmp_path, pool)
+        for _ in range(3):  # one beyond its last checkpoint
+            killed.advance()
+        resumed = session(tmp_path, pool, resume=True)
+        assert len(resumed.curve) == 2
+        resumed.run(frames=4 * FRAMES, minutes=None)
+    for mine, theirs in (
+        (resumed.network.state_dict(), finished.network.state_dict()),
+        (resumed.average.state_dict(), finished.average.state_dict()),
+    ):
+        assert all(torch.equal(mine[key], theirs[key]) for key in theirs)
+
+    def without_time(rows):
+        return [row._replace(seconds=0.0, frames_per_s=0.0) for row in rows]
+
+    assert without_time(resumed.curve) == without_time(finished.curve)
+
+
+def test_it_moves_away_from_where_it_began(finished, tmp_path):
+    with workers(1) as pool:
+        fresh = session(tmp_path, pool)
+    distance = max(
+        float((a - b).detach().abs().max())
+        for a, b in zip(fresh.network.parameters(), finished.network.parameters(), strict=True)
+    )
+    assert distance > 1e-3
+
+
+def test_what_is_validated_is_a_moving_average_of_the_weights(tmp_path):
+    with workers(1) as pool:
+        run = session(tmp_path, pool)
+        expected = torch.zeros_like(run.network.value_head.weight)
+        seen = []
+        for k in range(3):
+            run.advance()
+            seen.append(run.network.value_head.weight.detach().clone())
+            expected = expected.lerp(seen[-1], averaged_share(k, run.config.averaging))
+    torch.testing.assert_close(run.average.value_head.weight.detach(), expected, atol=1e-7, rtol=1e-4)
+    assert (seen[1] - seen[0]).abs().max() > 1e-5
+    assert torch.equal(run.average.observation_normaliser.mean, run.network.observation_normaliser.mean)
+
+
+def test_an_average_forgets_untrained_weights_and_then_moves_slowly():
+    shares = [averaged_share(k, 0.975) for k in range(2000)]
+    assert shares[0] == 1.0
+    assert shares == sorted(shares, reverse=True)
+    assert shares[100] == pytest.approx(10 / 110)
+    assert shares[-1] == pytest.approx(0.025)
+
+
+def test_it_leaves_a_curve_and_a_picture(finished):
+    with (finished.out / "learning_curve.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert [int(row["frames"]) for row in rows] == [FRAMES * k for k in (1, 2, 3, 4)]
+    assert [bool(row["validation"]) for row in rows] == [False, True, False, True]
+    assert (finished.out / "learning_curve.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_the_policy_file_describes_itself_and_reproduces_its_golden_run(finished):
+    path = finished.out / "reach.onnx"
+    policy = open_model(path)
+    described = PolicyMetadata.model_validate_json(policy.get_modelmeta().custom_metadata_map[METADATA_KEY])
+    assert described.observation == OBSERVATION
+    assert described.goal == REACH_GOAL
+    assert described.trained.target_z_m == TASK.target_z_m
+    assert (described.seed, described.training["run.robots"]) == (3, 64)
+    assert described.validation_success == finished.best
+    assert len(described.golden.inputs) == 100
+    h = c = np.zeros((1, 1, described.state_size), dtype=np.float32)
+    for given, expected in zip(described.golden.inputs, described.golden.outputs, strict=True):
+        observation = np.array([given], dtype=np.float32)
+        action, h, c = policy.run(None, {"observation": observation, "h_in": h, "c_in": c})
+        assert action[0] == pytest.approx(expected, abs=1e-5)
+
+
+def test_onnx_equals_torch_over_a_full_episode_with_resets():
+    network, robots = lively_network(), 16
+    policy = open_model(onnx_model(network).SerializeToString())
+    environment = Environment(TASK, robots, 1)
+    observation = environment.reset()
+    environment.stagger()
+    state, keep = network.initial_state(robots), torch.ones(robots)
+    h, c = (part.numpy()[None] for part in state)
+    resets, spread = 0, []
+    with workers(1) as pool:
+        for _ in range(100):
+            mean, _, state = infer(network, torch.from_numpy(observation), keep, state, pool)
+            kept = keep.numpy()[None, :, None]
+            feed = {"observation": observation, "h_in": h * kept, "c_in": c * kept}
+            action, h, c = policy.run(None, feed)
+            np.testing.assert_allclose(action, mean.clamp(-1, 1).numpy(), atol=1e-5, rtol=0)
+            spread.append(action.std())
+            step = environment.step(action)
+            over = step.terminated | step.truncated
+            resets += int(over.sum())
+            keep, observation = torch.from_numpy(1.0 - over.astype(np.float32)), step.observation
+    assert resets >= robots // 2
+    assert np.mean(spread) > 0.05  # actions that all look alike would prove nothing
+
+
+def test_the_graph_needs_an_old_operator_set_only():
+    model = onnx_model(lively_network())
+    assert [(entry.domain, entry.version) for entry in model.opset_import] == [("", 17)]
+    onnx.checker.check_model(model, full_check=True)
+    names = [[value.name for value in values] for values in (model.graph.input, model.graph.output)]
+    assert names == [["observation", "h_in", "c_in"], ["action", "h_out", "c_out"]]
+
+
+def test_other_settings_cannot_resume_a_run(finished):
+    with workers(1) as pool, pytest.raises(CheckpointError, match=r"run\.seed = 3, not 4"):
+        session(finished.out, pool, resume=True, config=TrainingConfig(4, 64, validate_every=2, validation_trials=24))
+
+
+def test_a_run_ends_when_its_patience_does(tmp_path):
+    patient = replace(SMALL, robots=16, validate_every=1, validation_trials=6, patience=2)
+    with workers(1) as pool:
+        run = session(tmp_path, pool, config=patient)
+        run.run(frames=100 * 256, minutes=None)
+    validated = [row.validation for row in run.curve]
+    assert len(validated) < 100
+    assert max(validated[-2:]) <= max(validated[:-2])
+
+
+def test_nothing_to_resume_is_said(tmp_path):
+    with workers(1) as pool, pytest.raises(CheckpointError, match="no such checkpoint"):
+        session(tmp_path, pool, resume=True)
+
+
+def test_a_damaged_checkpoint_is_refused(tmp_path):
+    path = tmp_path / "broken.pt"
+    path.write_bytes(b"not a checkpoint")
+    with pytest.raises(CheckpointError, match=r"broken\.pt: not a checkpoint"):
+        export_checkpoint(path, tmp_path / "out.onnx")
+    assert not (tmp_path / "out.onnx").exists()
+
+
+def test_validation_trials_are_none_of_the_test_targets():
+    trials, grid = evaluation.validation_trials(TASK, 5), evaluation.grid_trials(5)
+    assert len(np.unique(grid.target_m, axis=0)) == 54
+    assert sorted(np.unique(grid.starts.cart_position_m)) == pytest.approx([0.0, 0.1, 0.2])
+    apart = np.linalg.norm(trials.target_m[:, None] - grid.target_m[None], axis=2)
+    assert apart.min() > 0.0
+    assert np.mean(trials.target_m[:, 1] <= 0.70) == pytest.approx(2 / 3, abs=0.01)
+
+
+def test_flying_counts_each_trial_once_and_knows_how_close_it_came():
+    class Still(PolicyNetwork):
+        """Holds the cart and vents."""
+
+        def forward(self, observation, keep, state, dtype=torch.float32):
+            steps, batch, _ = observation.shape
+            mean = torch.tensor([0.0, 2 * 0.7 / 20.7 - 1.0]).expand(steps, batch, 2)
+            return mean, torch.zeros(steps, batch), state
+
+    targets = np.array([[0.0, 0.53], [-0.3, 0.80]], dtype=np.float32)
+    trials = evaluation.Trials(evaluation.at_rest(np.zeros(2), 5), targets)
+    with workers(1) as pool:
+        outcome = evaluation.fly(Still(NetworkShape(INPUTS, ACTIONS)), TASK, trials, pool)
+    assert outcome.reached.tolist() == [True, False]
+    assert outcome.time_s[0] == pytest.approx(1 / 30)
+    assert outcome.time_s[1] == pytest.approx(100 / 30)
+    assert outcome.closest_m[0] < 0.04
+    assert 0.1 < outcome.closest_m[1] < 0.5
+
+
+def test_the_commands_train_and_export(tmp_path):
+    runner, out = CliRunner(), tmp_path / "run"
+    arguments = ["reach", "--robots", "16", "--frames", "256", "--seed", "5", "--out", str(out)]
+    result = runner.invoke(train, arguments)
+    assert result.exit_code == 0, result.output
+    assert "softarm evaluate --policy my-reach" in result.output
+    assert "report.html" in result.output
+    for name in ("reach.onnx", "report.html", "tip_paths.png", "tensorboard"):
+        assert (out / name).exists()
+
+    again = runner.invoke(train, arguments)
+    assert again.exit_code == 1
+    assert "--resume" in again.output
+
+    exported = tmp_path / "copy.onnx"
+    result = runner.invoke(export_command, [str(out / "best.pt"), "--out", str(exported)])
+    assert result.exit_code == 0, result.output
+    metadata = {p.key: p.value for p in onnx.load(exported).metadata_props}
+    assert json.loads(metadata[METADATA_KEY])["seed"] == 5
+
+    result = runner.invoke(export_command, [str(tmp_path / "missing.pt"), "--out", str(exported)])
+    assert result.exit_code == 1
+    assert "no such checkpoint" in result.output
+
+
+def test_the_help_has_examples():
+    runner = CliRunner()
+    assert "softarm train reach --wide" in runner.invoke(train, ["reach", "--help"]).output
+    assert "softarm export runs" in runner.invoke(export_command, ["--help"]).output

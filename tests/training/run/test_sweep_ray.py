@@ -1,0 +1,121 @@
+"""Sweeps on a real Ray instance of this machine, as `softarm train --sweep FILE --ray local` starts one."""
+
+import csv
+import json
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("ray")
+
+from softarm.training.run import sweep
+
+ROOT = Path(sweep.__file__).parents[1]
+ENOUGH_S = 150.0  # seconds where there is a core to be had
+pytestmark = pytest.mark.timeout(400)
+FILE = """
+seeds: [1]
+base: {task: reach, settings: {run.robots: 16, run.validate_every: 4, run.validation_trials: 8}}
+runs:
+  short: {frames: 256}
+  long: {frames: 10240}
+"""
+
+
+@pytest.fixture
+def apart(monkeypatch):
+    """Ray's files in a folder of their own, whose name is short enough for its sockets; no process may outlive it."""
+    with tempfile.TemporaryDirectory(prefix="ray-") as folder:
+        monkeypatch.setenv("RAY_TMPDIR", folder)
+        monkeypatch.setenv("RAY_AUTH_MODE", "token")
+        monkeypatch.setenv("RAY_AUTH_TOKEN", "f" * 64)  # else Ray makes one in the home folder
+        monkeypatch.setenv("PYTHONPATH", str(ROOT))
+        yield Path(folder)
+        await_true(lambda: not processes(folder), "Ray's processes to end")
+
+
+@pytest.fixture
+def file(tmp_path):
+    path = tmp_path / "sweep.yaml"
+    path.write_text(FILE)
+    return path
+
+
+def processes(folder):
+    """Of Ray, by the folder that they were given."""
+    found = []
+    for each in Path("/proc").glob("[0-9]*"):
+        try:
+            state = (each / "stat").read_text().rpartition(")")[2].split()[0]
+            if f"RAY_TMPDIR={folder}".encode() in (each / "environ").read_bytes() and state != "Z":
+                found.append(int(each.name))
+        except OSError:
+            continue  # ended meanwhile, or another's
+    return sorted(set(found) - {os.getpid()})
+
+
+def await_true(condition, what):
+    deadline = time.monotonic() + ENOUGH_S
+    while not condition():
+        assert time.monotonic() < deadline, f"waited {ENOUGH_S:.0f} s for {what}"
+        time.sleep(0.02)
+
+
+def command(file, out):
+    arguments = ("train", "--sweep", str(file), "--out", str(out), "--ray", "local")
+    return [sys.executable, "-m", "softarm.cli.main", *arguments]
+
+
+def frames(folder):
+    with (folder / "learning_curve.csv").open() as opened:
+        return [int(float(row["frames"])) for row in csv.DictReader(opened)]
+
+
+def test_a_killed_sweep_started_again_skips_what_is_finished_and_goes_on_with_the_rest(file, tmp_path, apart):
+    out = tmp_path / "runs"
+    short, long = out / "short" / "seed-1", out / "long" / "seed-1"
+    first = subprocess.Popen(command(file, out), cwd=ROOT, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    try:
+        await_true(
+            lambda: first.poll() is not None or ((short / "result.json").exists() and (long / "latest.pt").exists()),
+            "one run to finish and the other to begin",
+        )
+    finally:
+        first.send_signal(signal.SIGKILL)
+        first.wait()
+    await_true(lambda: not processes(apart), "the killed sweep's processes to end")
+    assert not (long / "result.json").exists()
+    finished = (short / "result.json").stat().st_mtime_ns
+    before = frames(long)
+    assert before
+
+    again = subprocess.run(command(file, out), cwd=ROOT, capture_output=True, text=True, timeout=ENOUGH_S)
+    assert again.returncode == 0, again.stderr
+    assert "Traceback" not in again.stderr
+    assert (short / "result.json").stat().st_mtime_ns == finished
+    assert "short, seed 1" not in again.stdout
+    assert "long, seed 1: validation" in again.stdout
+    whole = frames(long)
+    assert whole == sorted(set(whole))  # gone on, not begun again
+    assert whole[-1] == 10240
+    assert {each["name"] for each in json.loads((out / "results.json").read_text())} == {"short", "long"}
+
+
+@pytest.mark.usefixtures("apart")
+def test_a_run_that_fails_is_told_in_its_own_words(file, tmp_path):
+    out = tmp_path / "runs"
+    for name in ("short", "long"):
+        (out / name / "seed-1").mkdir(parents=True)
+        (out / name / "seed-1" / "latest.pt").write_bytes(b"half a checkp")
+    failed = subprocess.run(command(file, out), cwd=ROOT, capture_output=True, text=True, timeout=ENOUGH_S)
+    assert failed.returncode == 1
+    (line,) = (line for line in failed.stderr.splitlines() if "mend it" in line)
+    assert "seed 1: CheckpointError: " in line
+    assert "latest.pt" in line
+    assert "Traceback" not in failed.stderr + failed.stdout

@@ -1,0 +1,159 @@
+"""The task as the robot's numbers define it."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from softarm.schemas.model import Model
+from softarm.simulator.simulator import Simulator
+from softarm.training.run.evaluation import at_rest
+from softarm.training.task.environment import Environment, to_physical
+from softarm.training.task.reach import TASKS, Starts
+
+REACH = TASKS["reach"]
+EXACT = replace(REACH, rail_guard=False, action_noise=0.0)
+FAR = np.array([[-0.2, 0.9]], dtype=np.float32)
+
+
+def begin(task=EXACT, cart=0.0, target=FAR, robots=1, model=None) -> Environment:
+    environment = Environment(task, robots, 0, model)
+    starts = at_rest(np.full(robots, cart), environment.simulator.links)
+    environment.reset(starts, np.tile(target, (robots, 1)))
+    return environment
+
+
+def test_the_presets_are_the_seeds_range_and_a_wider_one():
+    wide = TASKS["reach-wide"]
+    assert (REACH.target_y_m, REACH.target_z_m, REACH.cart_start_m) == ((-0.4, 0.0), (0.55, 0.70), (-0.025, 0.25))
+    assert wide.target_z_m[1] == 0.80
+    assert wide.cart_start_m[0] <= -0.2
+
+
+def test_actions_span_the_commands():
+    low, middle, high = to_physical(np.array([[-1, -1], [0, 0], [9, 9]], dtype=np.float32))
+    assert low == pytest.approx([-1.0, -0.7])
+    assert middle == pytest.approx([0.0, 9.65])
+    assert high == pytest.approx([1.0, 20.0])
+
+
+def test_observations_are_measured_and_differenced_in_the_declared_order():
+    environment = begin()
+    simulator = Simulator()
+    before = environment._observe()[0]
+    assert before == pytest.approx([0, 0, 0, 0.5225, 0, 0, 0, 0, -0.2, 0.9], abs=1e-6)
+    action = np.array([[0.5, 1.0]], dtype=np.float32)
+    for _ in range(3):
+        last = np.array([simulator.cart_position_m[0], *simulator.tip_m()[0]])
+        simulator.step(0.5, 20.0)
+        step = environment.step(action)
+    pose = np.array([simulator.cart_position_m[0], *simulator.tip_m()[0]])
+    rates = (pose - last) * 30.0
+    expected = [pose[0], rates[0], pose[1], pose[2], rates[1], rates[2], 0.5, simulator.pressure_kpa[0], -0.2, 0.9]
+    assert step.observation[0] == pytest.approx(expected, abs=1e-5)
+    assert step.reward[0] == pytest.approx(0.01 * 0.1 * np.hypot(rates[1], rates[2]), rel=1e-4)
+
+
+def test_without_the_effect_velocities_are_true():
+    seed = Model()
+    without = {name: values for name, values in seed.effects.items() if name != "observation.finite_difference"}
+    model = seed.model_copy(update={"effects": without})
+    environment = begin(model=model)
+    for _ in range(3):
+        step = environment.step(np.array([[1.0, 1.0]], dtype=np.float32))
+    assert step.observation[0, 1] == environment.simulator.cart_velocity_m_s[0]
+
+
+def test_reaching_ends_an_episode_with_the_reward():
+    step = begin(target=np.array([[0.0, 0.53]], dtype=np.float32)).step(np.zeros((1, 2), dtype=np.float32))
+    assert step.success[0]
+    assert step.terminated[0]
+    assert not step.truncated[0]
+    assert step.reward[0] == pytest.approx(10.0, abs=0.01)
+
+
+def test_leaving_the_rail_ends_an_episode_with_the_penalty():
+    environment = begin(cart=0.24)
+    for _ in range(20):
+        step = environment.step(np.array([[1.0, -0.93]], dtype=np.float32))
+        if step.terminated[0]:
+            break
+    assert step.terminated[0]
+    assert not step.success[0]
+    assert step.reward[0] == pytest.approx(-1.0, abs=0.01)
+    assert step.final_observation[0, 0] > 0.25
+    assert step.observation[0, 0] <= 0.25  # the next episode's start
+
+
+def test_the_guard_brakes_where_the_exact_task_crashes():
+    environment = begin(replace(REACH, action_noise=0.0), cart=0.2)
+    for _ in range(30):
+        step = environment.step(np.array([[1.0, -0.93]], dtype=np.float32))
+        assert not step.terminated[0]
+    assert step.observation[0, 6] < 1.0  # the command that was sent, not the one that was wanted
+
+
+def test_time_runs_out_after_a_hundred_steps_and_is_no_termination():
+    environment = begin()
+    for k in range(100):
+        step = environment.step(np.array([[0.0, -0.93]], dtype=np.float32))
+        assert step.truncated[0] == (k == 99)
+    assert not step.terminated[0]
+    assert not np.array_equal(step.observation, step.final_observation)
+    assert step.observation[0, 4:7].tolist() == [0.0, 0.0, 0.0]
+
+
+def test_a_robot_that_is_no_number_begins_again_and_harms_nobody():
+    environment = begin(robots=4)
+    environment.simulator.reset(robots=[2], pressure_kpa=np.nan)
+    for _ in range(3):
+        step = environment.step(np.zeros((4, 2), dtype=np.float32))
+        assert np.isfinite(step.observation).all()
+        assert np.isfinite(step.final_observation).all()
+        assert np.isfinite(step.reward).all()
+        assert not step.terminated[[0, 1, 3]].any()
+
+
+def test_same_seed_same_run_other_seed_other_run():
+    def run(seed: int) -> np.ndarray:
+        environment = Environment(REACH, 8, seed)
+        environment.reset()
+        return environment.step(np.full((8, 2), 0.3, dtype=np.float32)).observation
+
+    assert np.array_equal(run(1), run(1))
+    assert not np.array_equal(run(1), run(2))
+
+
+def test_a_snapshot_goes_on_bit_for_bit():
+    actions = np.random.default_rng(0).uniform(-1, 1, (60, 32, 2)).astype(np.float32)
+    one = Environment(REACH, 32, 5)
+    one.reset()
+    one.stagger()
+    for action in actions[:30]:
+        one.step(action)
+    snapshot = one.snapshot()
+    expected = [one.step(action) for action in actions[30:]]
+    two = Environment(REACH, 32, 99)
+    two.restore(snapshot)
+    for action, step in zip(actions[30:], expected, strict=True):
+        for ours, theirs in zip(two.step(action), step, strict=True):
+            assert np.array_equal(ours, theirs)
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.sampled_from(list(TASKS.values())), st.integers(0, 2**32 - 1))
+def test_starts_and_targets_stay_in_their_ranges(task, seed):
+    rng = np.random.default_rng(seed)
+    starts, targets = task.sample_starts(rng, 64, 5), task.sample_targets(rng, 64)
+    assert isinstance(starts, Starts)
+    for values, (low, high) in (
+        (starts.cart_position_m, task.cart_start_m),
+        (np.rad2deg(starts.joint_angles_rad), (-task.joint_start_deg, task.joint_start_deg)),
+        (starts.pressure_kpa, task.pressure_start_kpa),
+        (targets[:, 0], task.target_y_m),
+        (targets[:, 1], task.target_z_m),
+    ):
+        assert low - 1e-5 <= values.min()
+        assert values.max() <= high + 1e-5

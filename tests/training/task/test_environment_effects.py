@@ -1,0 +1,251 @@
+"""The task with the effects of sensors and clock: what robots show, what they do, and exact resume."""
+
+from dataclasses import replace
+
+import numpy as np
+import onnx
+import pytest
+from click.testing import CliRunner
+
+from softarm.cli.train import train
+from softarm.schemas.model import Model
+from softarm.schemas.policy import METADATA_KEY, PolicyMetadata
+from softarm.simulator import model_file
+from softarm.simulator.effects import REGISTRY, exemplars
+from softarm.training.learn.inference import workers
+from softarm.training.learn.network import NetworkShape, PolicyNetwork
+from softarm.training.learn.ppo import PpoConfig
+from softarm.training.run import evaluation
+from softarm.training.run.checkpoint import CheckpointError
+from softarm.training.run.session import Session, TrainingConfig
+from softarm.training.task.environment import ACTIONS, INPUTS, Environment, Step
+from softarm.training.task.reach import TASKS
+
+REACH = TASKS["reach"]
+EXACT = replace(REACH, rail_guard=False, action_noise=0.0)
+ROBOTS = 16
+FAR = np.tile(np.float32([[-0.2, 0.9]]), (ROBOTS, 1))
+TICK_S = 1 / 30
+OURS = [name for name in REGISTRY if name.startswith(("mocap.", "clock.")) or name == "pressure.sensor_bias"]
+CART, TIP, RATES, SENT, PRESSURE = 0, slice(2, 4), [1, 4, 5], 6, 7  # places in an observation
+
+
+def model(**effects: dict[str, float]) -> Model:
+    """The seed's model with more effects; `mocap__offset` for mocap.offset."""
+    seed = Model()
+    more = {name.replace("__", "."): values for name, values in effects.items()}
+    return seed.model_copy(update={"effects": seed.effects | more})
+
+
+def strong() -> Model:
+    """All effects of sensors and clock at their exemplars."""
+    return model(**{name: exemplars()[name] for name in OURS})
+
+
+def begin(model: Model | None = None, task=EXACT, targets=FAR) -> Environment:
+    environment = Environment(task, len(targets), 0, model)
+    environment.reset(evaluation.at_rest(np.zeros(len(targets)), 5), targets)
+    return environment
+
+
+def actions(steps: int) -> np.ndarray:
+    return np.random.default_rng(0).uniform(-1, 1, (steps, ROBOTS, 2)).astype(np.float32)
+
+
+def fly(environment: Environment, steps: int = 20) -> list[Step]:
+    return [environment.step(action) for action in actions(steps)]
+
+
+def same(ours: list[Step], theirs: list[Step]) -> bool:
+    return all(np.array_equal(a, b) for x, y in zip(ours, theirs, strict=True) for a, b in zip(x, y, strict=True))
+
+
+def test_neutral_effects_are_as_none_bit_for_bit():
+    neutral = {name: {p.name: p.neutral for p in REGISTRY[name].parameters} for name in OURS}
+    runs = []
+    for each in (None, model(**neutral)):
+        environment = Environment(REACH, ROBOTS, 7, each)
+        environment.reset()
+        environment.stagger()
+        runs.append(fly(environment, 60))
+    assert same(*runs)
+
+
+@pytest.mark.parametrize("name", OURS)
+def test_each_effect_changes_what_is_observed(name):
+    plain, changed = fly(begin()), fly(begin(model(**{name: exemplars()[name]})))
+    assert any(not np.allclose(a.observation, b.observation, atol=1e-6) for a, b in zip(plain, changed, strict=True))
+
+
+def test_latency_of_a_tick_shows_the_tick_before():
+    plain, late = fly(begin()), fly(begin(model(mocap__latency={"delay": TICK_S})))
+    for before, now in zip(plain, late[1:], strict=False):
+        np.testing.assert_allclose(now.observation[:, [0, 2, 3]], before.observation[:, [0, 2, 3]], atol=1e-6)
+        np.testing.assert_allclose(now.observation[:, RATES], before.observation[:, RATES], atol=1e-4)
+    for at_once, now in zip(plain, late, strict=True):
+        np.testing.assert_array_equal(now.observation[:, SENT:], at_once.observation[:, SENT:])  # no mocap's business
+        np.testing.assert_array_equal(now.reward, at_once.reward)
+
+
+def test_dropout_repeats_what_was_shown():
+    environment = begin(model(mocap__dropout={"share": 0.5}))
+    before, repeated = environment._observe(), 0
+    for step, plain in zip(fly(environment), fly(begin()), strict=True):
+        held = (step.observation[:, [0, 2, 3]] == before[:, [0, 2, 3]]).all(axis=1)
+        assert not step.observation[np.ix_(held, RATES)].any()
+        np.testing.assert_allclose(step.observation[~held, TIP], plain.observation[~held, TIP], atol=1e-6)
+        before, repeated = step.observation, repeated + held.sum()
+    assert 0.35 < repeated / (20 * ROBOTS) < 0.65
+
+
+def test_the_regulators_bias_is_read_and_not_felt():
+    for plain, read in zip(fly(begin()), fly(begin(model(pressure__sensor_bias={"bias": 1.5}))), strict=True):
+        np.testing.assert_allclose(read.observation[:, PRESSURE], plain.observation[:, PRESSURE] + 1.5, atol=1e-5)
+        np.testing.assert_array_equal(read.final_tip_m, plain.final_tip_m)
+
+
+def test_a_displaced_frame_moves_what_is_seen_and_not_success():
+    """Targets where the tip is, and where it is seen: the first are reached."""
+    displaced = model(mocap__offset={"y": 0.08, "z": -0.05}, mocap__rotation={"angle": 0.1})
+    tip = np.array([0.0, 0.5225])
+    turned = np.array([-np.sin(0.1), np.cos(0.1)]) * tip[1] + [0.08, -0.05]
+    environment = begin(displaced, targets=np.float32([tip, turned]))
+    np.testing.assert_allclose(environment._observe()[:, TIP], [turned, turned], atol=1e-5)
+    vent = np.tile(np.float32([0.0, 2 * 0.7 / 20.7 - 1.0]), (2, 1))
+    step = environment.step(vent)
+    assert step.success.tolist() == [True, False]
+    np.testing.assert_allclose(step.final_observation[0, TIP], turned, atol=5e-3)
+    np.testing.assert_allclose(step.final_tip_m[0], tip, atol=5e-3)
+
+
+@pytest.mark.parametrize("guard", [False, True])
+def test_a_missed_tick_keeps_the_command(guard):
+    environment = begin(model(clock__missed_ticks={"share": 0.5}), replace(EXACT, rail_guard=guard))
+    simulator, given = environment.simulator, []
+    issue = simulator.step
+    simulator.step = lambda velocity, pressure, *args, **more: (
+        given.append(np.column_stack((velocity, pressure))),
+        issue(velocity, pressure, *args, **more),
+    )
+    steps = fly(environment)
+    last, kept = np.zeros((ROBOTS, 2)), 0
+    for command, step in zip(given, steps, strict=True):
+        held = (command == last).all(axis=1)
+        assert ((command[:, 0] == last[:, 0]) == (command[:, 1] == last[:, 1])).all()  # both, or neither
+        np.testing.assert_array_equal(step.final_observation[:, SENT], command[:, 0].astype(np.float32))
+        over = step.terminated | step.truncated
+        last, kept = np.where(over[:, None], 0.0, command), kept + held.sum()
+        if over.any():  # begins with the pressure that it begins with
+            last[over, 1] = simulator.pressure_kpa[over]
+    assert 0.35 < kept / (20 * ROBOTS) < 0.65
+
+
+def test_who_begins_again_forgets_and_harms_nobody():
+    """Robot 0 reaches at once; what the others show does not depend on it."""
+    distorted = model(mocap__latency={"delay": 0.05}, mocap__offset={"y": 0.01})
+    near = FAR.copy()
+    near[0] = (0.0, 0.53)
+    one, other = begin(distorted, targets=near), begin(distorted)
+    restarts = 0
+    for action in actions(12):
+        ours, theirs = one.step(action), other.step(action)
+        np.testing.assert_array_equal(ours.observation[1:], theirs.observation[1:])
+        if ours.terminated[0] or ours.truncated[0]:
+            restarts += 1
+            pose = np.array([one.simulator.cart_position_m[0], *one.simulator.tip_m()[0]])
+            np.testing.assert_allclose(ours.observation[0, [0, 2, 3]], pose + np.array([0.01, 0.01, 0.0]), atol=1e-6)
+            assert not ours.observation[0, RATES].any()
+    assert restarts >= 1
+
+
+def test_a_robot_that_is_no_number_harms_nobody_through_its_sensors():
+    environment = begin(strong())
+    environment.simulator.reset(robots=[2], pressure_kpa=np.nan)
+    for step in fly(environment, 3):
+        assert np.isfinite(step.observation).all()
+        assert np.isfinite(step.final_observation).all()
+        assert np.isfinite(step.final_tip_m).all()
+
+
+def test_a_snapshot_goes_on_bit_for_bit():
+    one = Environment(REACH, ROBOTS, 5, strong())
+    one.reset()
+    one.stagger()
+    plan = actions(60)
+    for action in plan[:30]:
+        one.step(action)
+    snapshot = one.snapshot()
+    expected = [one.step(action) for action in plan[30:]]
+    two = Environment(REACH, ROBOTS, 99, strong())
+    two.reset()
+    two.restore(snapshot)
+    assert any((step.terminated | step.truncated).any() for step in expected)
+    assert same([two.step(action) for action in plan[30:]], expected)
+
+
+def test_how_close_a_trial_came_is_the_true_distance():
+    network = PolicyNetwork(NetworkShape(INPUTS, ACTIONS))
+    trials = evaluation.Trials(evaluation.at_rest(np.zeros(1), 5), np.float32([[0.0, 0.53]]))
+    displaced = model(mocap__offset={"y": 0.1, "z": 0.1})
+    with workers(1) as pool:
+        outcome = evaluation.fly(network, REACH, trials, pool, model=displaced)
+    assert outcome.reached[0]
+    assert outcome.closest_m[0] < REACH.success_radius_m
+
+
+def test_a_run_on_a_model_says_so_and_goes_on_bit_for_bit_and_on_no_other(tmp_path):
+    config = TrainingConfig(seed=3, robots=16, validate_every=1, validation_trials=6)
+
+    def session(out, resume=False, on=None) -> Session:
+        return Session(REACH, config, PpoConfig(), out, pool, resume, on or strong(), "strong")
+
+    with workers(1) as pool:
+        whole, killed = session(tmp_path / "whole"), session(tmp_path / "killed")
+        whole.advance(), whole.advance(), killed.advance()
+        resumed = session(tmp_path / "killed", resume=True)
+        resumed.advance()
+        with pytest.raises(CheckpointError, match=r"model\.sha256 = [0-9a-f]{64}, not"):
+            session(tmp_path / "killed", resume=True, on=Model())
+    described = onnx.load(whole.export_best()).metadata_props
+    (text,) = [p.value for p in described if p.key == METADATA_KEY]
+    training = PolicyMetadata.model_validate_json(text).training
+    assert (training["model.name"], training["model.sha256"]) == ("strong", model_file.fingerprint(strong()))
+    mine, theirs = resumed.network.state_dict(), whole.network.state_dict()
+    assert all(mine[key].equal(theirs[key]) for key in theirs)
+
+
+def test_the_command_takes_a_model_by_file_or_name(tmp_path, monkeypatch):
+    given = []
+
+    def session(*arguments):
+        given.append(arguments)
+        raise ValueError("enough")
+
+    monkeypatch.setattr("softarm.training.run.recipe.Session", session)
+    model_file.save(strong(), tmp_path / "blurred.yaml")
+    for name in (str(tmp_path / "blurred.yaml"), "no-delay"):
+        assert "enough" in CliRunner().invoke(train, ["reach", "--model", name]).output
+    assert [each[6:8] for each in given] == [(strong(), "blurred"), (model_file.load("no-delay"), "no-delay")]
+    assert [each[3].name for each in given] == ["reach-blurred-1", "reach-no-delay-1"]  # no run in another's folder
+    result = CliRunner().invoke(train, ["reach", "--model", "no-dely"])
+    assert result.exit_code == 1
+    assert "did you mean no-delay?" in result.output
+
+
+def test_gymnasium_shows_the_same_and_draws_from_its_seed():
+    gymnasium = pytest.importorskip("gymnasium")
+    from gymnasium.utils.env_checker import check_env
+
+    make = "softarm.training.gym_envs:SoftArmReach-v0"
+    check_env(gymnasium.make(make, model=strong()).unwrapped)
+    env = gymnasium.make_vec(make, num_envs=ROBOTS, vectorization_mode="vector_entry_point", model=strong()).unwrapped
+    ours = Environment(REACH, ROBOTS, 0, strong())
+    for _ in range(2):  # nothing is left over of an earlier episode
+        seen, _ = env.reset(seed=4)
+        ours.rng = np.random.Generator(np.random.PCG64(4))
+        np.testing.assert_array_equal(seen, ours.reset())
+        for action in actions(30):
+            seen, reward, *_ = env.step(action)
+            step = ours.step(action)
+            np.testing.assert_array_equal(seen, step.observation)
+            np.testing.assert_array_equal(reward, step.reward)

@@ -1,0 +1,105 @@
+"""Robots that differ: each has its own values, within the ranges, and a run that is resumed has the same ones."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from softarm.simulator.effects import EffectError
+from softarm.training.run.evaluation import at_rest
+from softarm.training.run.recipe import RECIPES, ROBUST, prepare
+from softarm.training.task.randomisation import Randomisation
+from softarm.training.task.reach import TASKS
+from softarm.training.task.shelf import ShelfTask, environment_of
+
+REACH = TASKS["reach"]
+PAYLOAD = {"arm.payload.mass": (0.01, 0.05)}
+
+
+def actions(robots: int, steps: int, seed: int = 0) -> np.ndarray:
+    return np.random.default_rng(seed).uniform(-1, 1, (steps, robots, 2)).astype(np.float32)
+
+
+def test_every_robot_has_a_value_of_its_own_within_the_range():
+    values = Randomisation(PAYLOAD).draw(np.random.default_rng(0), 200)["arm.payload.mass"]
+    assert values.shape == (200,)
+    assert 0.01 <= values.min() < 0.015
+    assert 0.045 < values.max() <= 0.05
+
+
+def test_robots_that_differ_move_apart_and_equal_ones_do_not():
+    task = replace(REACH, action_noise=0.0)
+    tips = {}
+    for name, ranges in (("alike", {}), ("different", PAYLOAD)):
+        environment = environment_of(task, 16, 3, randomisation=Randomisation(ranges))
+        environment.reset(at_rest(np.zeros(16), 5), np.full((16, 2), 0.9, dtype=np.float32))
+        for action in actions(1, 20):
+            environment.step(np.repeat(action, 16, axis=0))
+        tips[name] = np.ptp(environment.simulator.tip_m(), axis=0).max()
+    assert tips["alike"] < 1e-6
+    assert tips["different"] > 1e-3
+
+
+def test_what_is_drawn_once_stays_and_what_is_drawn_each_episode_changes_with_it():
+    for each_episode in (False, True):
+        environment = environment_of(REACH, 32, 1, randomisation=Randomisation(PAYLOAD, each_episode))
+        environment.reset()
+        environment.stagger()
+        before = environment.simulator.effects.value("arm.payload", "mass")
+        ended = np.zeros(32, dtype=np.bool_)
+        for action in actions(32, 30):
+            step = environment.step(action)
+            ended |= step.terminated | step.truncated
+        changed = environment.simulator.effects.value("arm.payload", "mass") != before
+        assert 0 < ended.sum() < 32
+        assert np.array_equal(changed, ended if each_episode else np.zeros(32, dtype=np.bool_))
+
+
+def test_sensors_and_clocks_are_drawn_too():
+    environment = environment_of(REACH, 8, 0, randomisation=Randomisation({"mocap.offset.y": (0.02, 0.03)}))
+    environment.reset()
+    observation = environment.step(np.zeros((8, 2), dtype=np.float32)).observation
+    offset = observation[:, 0] - environment.simulator.cart_position_m
+    assert np.all((offset > 0.019) & (offset < 0.031))
+    assert environment_of(REACH, 8, 0, randomisation=Randomisation({"clock.jitter.sigma": (0.0, 0.01)})).clock
+
+
+@pytest.mark.parametrize("task", [REACH, ShelfTask()])
+def test_a_batch_of_different_robots_is_restored_bit_for_bit(task):
+    randomisation = Randomisation(ROBUST, each_episode=True)
+    one = environment_of(task, 32, 5, randomisation=randomisation)
+    one.reset()
+    one.stagger()
+    for action in actions(32, 10):
+        one.step(action)
+    snapshot = one.snapshot()
+    two = environment_of(task, 32, 99, randomisation=randomisation)
+    two.reset()
+    two.restore(snapshot)
+    restarts = 0
+    for action in actions(32, 40, seed=1):
+        mine, theirs = one.step(action), two.step(action)
+        restarts += int((mine.terminated | mine.truncated).sum())
+        assert np.array_equal(mine.observation, theirs.observation)
+    assert restarts > 5
+
+
+@pytest.mark.parametrize(
+    ("ranges", "error", "words"),
+    [
+        ({"arm.paylod.mass": (0, 1)}, EffectError, "arm.payload"),
+        ({"arm.payload.mass": (0, 9.0)}, EffectError, "0.5"),
+        ({"arm.payload.mass": (0.2, 0.1)}, ValueError, "a lower and a higher"),
+    ],
+)
+def test_what_cannot_be_drawn_is_refused(ranges, error, words):
+    with pytest.raises(error, match=words):
+        Randomisation(ranges)
+
+
+def test_the_robust_recipe_draws_the_seeds_robot_among_others():
+    randomisation = prepare(RECIPES["reach-robust"], 1).randomisation
+    assert randomisation.each_episode
+    low, high = randomisation.ranges["rail.delay.delay"]
+    assert low < 1 / 30 < high
+    assert randomisation.ranges["arm.payload.mass"][0] == 0.0

@@ -1,0 +1,101 @@
+"""A network over many robots on a few threads, with the same numbers from any number of threads.
+
+Or on a graphics card, all robots at once.
+"""
+
+# mypy: allow-untyped-decorators
+
+import os
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+from typing import TypeVar
+
+import torch
+from torch import Tensor
+
+from softarm.training.learn.network import PolicyNetwork, State
+
+CHUNK = 512  # robots a thread takes at once
+DEVICES = ("cpu", "cuda")
+T = TypeVar("T")
+R = TypeVar("R")
+
+
+class Workers:
+    """Threads that each run torch single-threaded; results come in the order of the work."""
+
+    def __init__(self, count: int) -> None:
+        self._pool = ThreadPoolExecutor(count, "training", initializer=torch.set_num_threads, initargs=(1,))
+
+    def map(self, function: Callable[[T], R], work: Sequence[T]) -> list[R]:
+        """Apply the function to each piece of work."""
+        return list(self._pool.map(function, work))
+
+    def close(self) -> None:
+        """End the threads."""
+        self._pool.shutdown()
+
+
+@contextmanager
+def workers(count: int | None = None) -> Iterator[Workers]:
+    """Give `count` threads (default: one a core) for a while; torch outside them runs single-threaded meanwhile."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    pool = Workers(count or len(os.sched_getaffinity(0)))
+    try:
+        yield pool
+    finally:
+        pool.close()
+        torch.set_num_threads(before)
+
+
+def device_named(name: str) -> torch.device:
+    """Where a network learns. Raises ValueError for what there is not, or not here."""
+    if name not in DEVICES:
+        raise ValueError(f"run.device is {name!r}; give one of {', '.join(DEVICES)}")
+    if name == "cuda" and not torch.cuda.is_available():
+        raise ValueError(f"run.device is 'cuda', and torch {torch.__version__} sees no such card here; give cpu")
+    return torch.device(name)
+
+
+def quick_dtype(device: torch.device) -> torch.dtype:
+    """bfloat16 where the processor multiplies it in hardware, else float32."""
+    fast = device.type == "cpu" and torch.cpu._is_avx512_bf16_supported()
+    return torch.bfloat16 if fast else torch.float32
+
+
+def share_of(count: int, most: int, device: torch.device) -> int:
+    """How many of `count` are worked off at once: `most` on a thread, all of them on a graphics card."""
+    return most if device.type == "cpu" else count
+
+
+def infer(
+    network: PolicyNetwork,
+    observation: Tensor,
+    keep: Tensor,
+    state: State,
+    pool: Workers,
+    dtype: torch.dtype = torch.float32,
+) -> tuple[Tensor, Tensor, State]:
+    """One step for every robot.
+
+    observation: [R, inputs], keep: [R] (0 where an episode begins), state: [R, size] each; all where the network is.
+    Returns the action's mean [R, actions], the value in the reward's unit [R] and the next state.
+    """
+
+    count, size, device = observation.shape[0], state[0].shape[1], state[0].device
+    means, values = torch.empty(count, network.shape.actions, device=device), torch.empty(count, device=device)
+    hidden, cell = torch.empty(count, size, device=device), torch.empty(count, size, device=device)
+    chunk = share_of(count, CHUNK, device)
+
+    @torch.no_grad()  # a thread's own matter: of no effect on the pool where the caller sets it
+    def part(robots: slice) -> None:
+        mean, value, (hidden[robots], cell[robots]) = network(
+            observation[None, robots], keep[None, robots], (state[0][robots], state[1][robots]), dtype
+        )
+        means[robots] = mean[0]
+        values[robots] = network.value_normaliser.restore(value[0].unsqueeze(-1)).squeeze(-1)
+
+    pool.map(part, [slice(k, min(k + chunk, count)) for k in range(0, count, chunk)])
+    return means, values, (hidden, cell)

@@ -1,0 +1,1 @@
+"""What a run leaves: the learning curve, pictures, a page, the exported policy."""

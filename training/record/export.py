@@ -1,0 +1,197 @@
+"""A trained network as an ONNX file that describes and proves itself.
+
+The graph is built by hand: operator set 17, float32, raw physical values in, actions in -1..1 out, the recurrent
+state explicit. Inputs `observation` [batch, 10] (11 for the shelf), `h_in`, `c_in` [1, batch, 256]; outputs `action`
+[batch, 2], `h_out`, `c_out`. The self-description (`softarm.schemas.policy.PolicyMetadata`) is JSON under the
+metadata key `softarm`.
+"""
+
+import os
+import subprocess
+from dataclasses import asdict, replace
+from pathlib import Path
+
+import numpy as np
+import onnx
+import torch
+from onnx import TensorProto, helper, numpy_helper
+
+from softarm.schemas.policy import ACTION, METADATA_KEY, OBSERVATION, Golden, PolicyMetadata, TrainingRange
+from softarm.training.learn.inference import infer, workers
+from softarm.training.learn.network import PolicyNetwork
+from softarm.training.learn.normaliser import CLIP
+from softarm.training.run.evaluation import at_rest
+from softarm.training.task.reach import ReachTask
+from softarm.training.task.shelf import environment_of
+
+OPSET = 17
+IR_VERSION = 8  # the one that came with operator set 17: old runtimes read it
+Settings = dict[str, str | float | int | bool | list[float] | None]
+
+
+class _Graph:
+    """Nodes and weights as they are added; the methods return the name of what they give."""
+
+    def __init__(self) -> None:
+        self.nodes: list[onnx.NodeProto] = []
+        self.weights: list[onnx.TensorProto] = []
+
+    def weight(self, name: str, values: torch.Tensor | np.ndarray) -> str:
+        array = values.detach().numpy() if isinstance(values, torch.Tensor) else values
+        self.weights.append(numpy_helper.from_array(np.ascontiguousarray(array), name))
+        return name
+
+    def node(self, kind: str, inputs: list[str], outputs: list[str], **attributes: object) -> str:
+        self.nodes.append(helper.make_node(kind, inputs, outputs, **attributes))
+        return outputs[0]
+
+    def linear(self, name: str, module: torch.nn.Linear, x: str) -> str:
+        inputs = [x, self.weight(f"{name}_weight", module.weight), self.weight(f"{name}_bias", module.bias)]
+        return self.node("Gemm", inputs, [name], transB=1)
+
+    def clip(self, x: str, bound: float, output: str, of: str) -> str:
+        ends = (("low", -bound), ("high", bound))
+        limits = [self.weight(f"{of}_{name}", np.array(end, dtype=np.float32)) for name, end in ends]
+        return self.node("Clip", [x, *limits], [output])
+
+    def normalised(self, network: PolicyNetwork) -> str:
+        normaliser = network.observation_normaliser
+        mean = self.weight("observation_mean", normaliser.mean.float())
+        centred = self.node("Sub", ["observation", mean], ["centred"])
+        scale = self.weight("observation_scale", normaliser.scale())
+        return self.clip(self.node("Div", [centred, scale], ["scaled"]), CLIP, "normalised", "observation")
+
+    def mlp(self, network: PolicyNetwork, x: str) -> str:
+        modules = (module for module in network.mlp if isinstance(module, torch.nn.Linear))
+        for k, module in enumerate(modules):
+            x = self.node("Elu", [self.linear(f"mlp_{k}", module, x)], [f"mlp_{k}_elu"])
+        return x
+
+    def lstm(self, network: PolicyNetwork, x: str) -> str:
+        """The cell and its LayerNorm."""
+        size = network.shape.state
+
+        def gates(values: torch.Tensor) -> torch.Tensor:
+            i, f, g, o = values.detach().chunk(4)
+            return torch.cat((i, o, f, g))  # ONNX orders the gates input, output, forget, cell
+
+        axis = self.weight("axis_0", np.array([0], dtype=np.int64))
+        inputs = [
+            self.node("Unsqueeze", [x, axis], ["sequence"]),
+            self.weight("lstm_w", gates(network.w_x)[None]),
+            self.weight("lstm_r", gates(network.w_h)[None]),
+            self.weight("lstm_b", torch.cat((gates(network.bias), torch.zeros(4 * size)))[None]),
+            "",
+            "h_in",
+            "c_in",
+        ]
+        self.node("LSTM", inputs, ["", "h_out", "c_out"], hidden_size=size)
+        hidden = self.node("Squeeze", ["h_out", axis], ["hidden"])
+        norm = network.layer_norm
+        inputs = [hidden, self.weight("norm_scale", norm.weight), self.weight("norm_bias", norm.bias)]
+        return self.node("LayerNormalization", inputs, ["normed"], axis=-1, epsilon=norm.eps)
+
+
+def onnx_model(network: PolicyNetwork) -> onnx.ModelProto:
+    """Build the graph. Raises onnx.checker.ValidationError if it were malformed."""
+    shape, graph = network.shape, _Graph()
+    x = graph.normalised(network)
+    if shape.order == "mlp-lstm":
+        both = graph.node("Concat", [graph.mlp(network, x), x], ["features"], axis=1)
+        features = graph.lstm(network, both)
+    elif shape.order == "lstm-mlp":
+        features = graph.mlp(network, graph.lstm(network, x))
+    else:
+        features = graph.mlp(network, x)
+        for name in ("h", "c"):  # a state there must be; this one is handed through
+            graph.node("Identity", [f"{name}_in"], [f"{name}_out"])
+    graph.clip(graph.linear("head", network.mean_head, features), 1.0, "action", "action")
+
+    def signal(name: str, *dimensions: int | str) -> onnx.ValueInfoProto:
+        return helper.make_tensor_value_info(name, TensorProto.FLOAT, dimensions)
+
+    state = (1, "batch", shape.state)
+    whole = helper.make_graph(
+        graph.nodes,
+        "softarm_policy",
+        [signal("observation", "batch", shape.inputs), signal("h_in", *state), signal("c_in", *state)],
+        [signal("action", "batch", shape.actions), signal("h_out", *state), signal("c_out", *state)],
+        graph.weights,
+    )
+    model = helper.make_model(whole, opset_imports=[helper.make_opsetid("", OPSET)], ir_version=IR_VERSION)
+    onnx.checker.check_model(model, full_check=True)
+    return model
+
+
+def golden_run(network: PolicyNetwork, task: ReachTask, steps: int = 100) -> Golden:
+    """Record a closed-loop run of one robot at a typical target: what the exported file has to reproduce."""
+    # No radius: passing the target does not end the run.
+    recorded = replace(task, action_noise=0.0, success_radius_m=0.0, episode_steps=steps + 1)
+    environment = environment_of(recorded, 1, seed=0, physics_rate_hz=1200.0)
+    target = np.array([[np.mean(task.target_y_m), np.mean(task.target_z_m)]], dtype=np.float32)
+    observation = environment.reset(at_rest(np.array([0.1]), environment.simulator.links), target)
+    state = network.initial_state(1)
+    inputs, outputs = [], []
+    with workers(1) as pool:
+        for _ in range(steps):
+            inputs.append(tuple(observation[0].tolist()))
+            mean, _, state = infer(network, torch.from_numpy(observation), torch.ones(1), state, pool)
+            action = mean.clamp(-1.0, 1.0).numpy()
+            outputs.append(tuple(action[0].tolist()))
+            observation = environment.step(action).observation
+    return Golden(inputs=tuple(inputs), outputs=tuple(outputs))
+
+
+def git_revision() -> str:
+    """The source's revision, with `-dirty` when it was changed; `unknown` outside a repository."""
+    command = ["git", "describe", "--always", "--dirty", "--abbrev=40"]
+    try:
+        done = subprocess.run(command, cwd=Path(__file__).parent, capture_output=True, text=True, check=True)
+    except (OSError, subprocess.CalledProcessError):
+        return "unknown"
+    return done.stdout.strip()
+
+
+def metadata(
+    network: PolicyNetwork, task: ReachTask, settings: Settings, seed: int, validation_success: float
+) -> PolicyMetadata:
+    """Say what the policy is and how it came to be."""
+    return PolicyMetadata(
+        name=task.name,
+        task=task.kind,
+        rate_hz=task.rate_hz,
+        observation=OBSERVATION,
+        goal=task.goal,
+        action=ACTION,
+        state_size=network.shape.state,
+        rail_limit_m=task.rail_limit_m,
+        episode_steps=task.episode_steps,
+        trained=TrainingRange(target_y_m=task.target_y_m, target_z_m=task.target_z_m, cart_start_m=task.cart_start_m),
+        training=settings,
+        seed=seed,
+        git_revision=git_revision(),
+        validation_success=validation_success,
+        golden=golden_run(network, task),
+    )
+
+
+def write(network: PolicyNetwork, description: PolicyMetadata, path: Path) -> None:
+    """Write the file in one piece: a reader sees the old file or the new one."""
+    model = onnx_model(network)
+    helper.set_model_props(model, {METADATA_KEY: description.model_dump_json()})
+    path.parent.mkdir(parents=True, exist_ok=True)
+    temporary = path.with_name(f".{path.name}.{os.getpid()}")
+    onnx.save(model, temporary)
+    os.replace(temporary, path)
+
+
+def flat_settings(**parts: object) -> Settings:
+    """Dataclasses as one flat dictionary, `part.field` or `part.field.key`, tuples as lists."""
+    settings: Settings = {}
+    for name, part in parts.items():
+        for key, value in asdict(part).items():  # type: ignore[call-overload]
+            flat = value if isinstance(value, dict) else {"": value}
+            for under, single in flat.items():
+                path = ".".join(filter(None, (name, key, under)))
+                settings[path] = list(single) if isinstance(single, tuple) else single
+    return settings

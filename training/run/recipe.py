@@ -1,0 +1,130 @@
+"""What a run is trained with: a task, a model, robots that differ, and whatever else is not as usual.
+
+A recipe is a few lines of YAML; its `settings` have the names under which a policy's file records them.
+"""
+
+from dataclasses import fields, replace
+from pathlib import Path
+from typing import Any, NamedTuple, TypeVar, get_type_hints
+
+from pydantic import Field, field_validator
+
+from softarm.schemas.base import Strict
+from softarm.simulator import model_file
+from softarm.training.learn.inference import Workers
+from softarm.training.learn.network import NetworkShape
+from softarm.training.learn.ppo import PpoConfig
+from softarm.training.run.session import Session, TrainingConfig
+from softarm.training.task.randomisation import Randomisation
+from softarm.training.task.reach import TASKS, ReachTask
+from softarm.training.task.shelf import ShelfTask
+
+Setting = bool | int | float | str | tuple[float, ...]
+Part = TypeVar("Part")
+
+PRESETS: dict[str, ReachTask] = TASKS | {
+    "reach-robust": replace(TASKS["reach-wide"], name="reach-robust"),
+    "shelf": ShelfTask(),
+}
+# Robots that a bench might turn out to have; each episode has another one. Widest where it hurts: a swing is timed by
+# the cart, and a policy that knows but one drive loses a quarter of its targets to a later one.
+ROBUST = {
+    "pressure.lag.inflate": (0.10, 0.32),
+    "pressure.lag.deflate": (0.14, 0.44),
+    "pressure.dead_time.delay": (0.0, 0.1),
+    "pressure.gain.scale": (-0.08, 0.08),
+    "rail.acceleration_limit.acceleration": (2.5, 8.0),
+    "rail.delay.delay": (0.02, 0.1),
+    "rail.lag.time": (0.0, 0.08),
+    "arm.stiffness.scale": (-0.25, 0.35),
+    "arm.damping.scale": (-0.3, 1.5),
+    "arm.muscle_gain.scale": (-0.25, 0.25),
+    "arm.torque_offset.scale": (-0.5, 0.5),
+    "arm.payload.mass": (0.0, 0.1),
+    "arm.tilt.angle": (-0.01, 0.01),
+    "mocap.latency.delay": (0.0, 0.015),
+    "mocap.noise.sigma": (0.0, 0.001),
+}
+
+
+class Recipe(Strict):
+    """One run but for its seed."""
+
+    task: str = "reach"  # a preset's name
+    model: str = "seed"  # a shipped name or a file
+    frames: int = Field(5_000_000, ge=1)  # control steps of single robots
+    # 'part.field' of task, run, ppo or network -> its value, e.g. network.order: mlp
+    settings: dict[str, Setting] = Field(default_factory=dict)
+    # 'stage.effect.parameter' of the effect registry -> lowest and highest value
+    randomise: dict[str, tuple[float, float]] = Field(default_factory=dict)
+    each_episode: bool = True  # robots are drawn anew whenever they begin again
+
+    @field_validator("task")
+    @classmethod
+    def _known(cls, name: str) -> str:
+        if name not in PRESETS:
+            raise ValueError(f"no task {name!r}; there is {', '.join(PRESETS)}")
+        return name
+
+
+class Ingredients(NamedTuple):
+    """A recipe as a session takes it."""
+
+    task: ReachTask
+    run: TrainingConfig
+    ppo: PpoConfig
+    network: NetworkShape
+    randomisation: Randomisation
+
+
+def prepare(recipe: Recipe, seed: int) -> Ingredients:
+    """Turn names into objects. Raises ValueError for a setting or an effect that there is not."""
+    parts: dict[str, Any] = {
+        "task": PRESETS[recipe.task],
+        "run": TrainingConfig(seed=seed),
+        "ppo": PpoConfig(),
+        "network": NetworkShape(),
+    }
+    for name in recipe.settings:
+        part = name.partition(".")[0]
+        if part not in parts:
+            raise ValueError(f"{name}: there is no part {part!r}; settings begin with {', '.join(parts)}")
+    for part, usual in parts.items():
+        given = {
+            name.partition(".")[2]: value for name, value in recipe.settings.items() if name.partition(".")[0] == part
+        }
+        parts[part] = _changed(part, usual, given)
+    return Ingredients(**parts, randomisation=Randomisation(recipe.randomise, recipe.each_episode))
+
+
+def begin(recipe: Recipe, seed: int, out: Path, pool: Workers, resume: bool) -> Session:
+    """Make a recipe's session. Raises ValueError, ModelFileError, CheckpointError for what does not fit."""
+    parts, model = prepare(recipe, seed), model_file.load(recipe.model)
+    task, run, ppo, network, randomisation = parts
+    name = Path(recipe.model).stem
+    return Session(task, run, ppo, out, pool, resume, model, name, randomisation, network)
+
+
+def _changed(part: str, usual: Part, given: dict[str, Setting]) -> Part:
+    """A dataclass with other values of the same kind."""
+    kinds = get_type_hints(type(usual))
+    known = {each.name for each in fields(usual)}  # type: ignore[arg-type]
+    for name, value in given.items():
+        if name not in known:
+            raise ValueError(f"{part}.{name}: no such setting; {part} has {', '.join(sorted(known))}")
+        before = getattr(usual, name)
+        number = isinstance(before, int | float) and not isinstance(before, bool)
+        fits = isinstance(value, type(before)) or (number and type(value) in (int, float))
+        if not fits or (type(before) is int and type(value) is not int):
+            raise ValueError(f"{part}.{name} is {value!r}; give a {kinds[name]}, such as {before!r}")
+    return replace(usual, **given)  # type: ignore[type-var]
+
+
+# What the policies known by name are trained with.
+RECIPES: dict[str, Recipe] = {
+    "reach": Recipe(task="reach", frames=5_000_000),
+    "reach-wide": Recipe(task="reach-wide", frames=8_000_000),
+    "reach-robust": Recipe(task="reach-robust", frames=12_000_000, randomise=ROBUST),
+    # It learns from rare successes: the more steps of learning a frame, the better.
+    "shelf": Recipe(task="shelf", frames=5_000_000, settings={"run.robots": 1024}),
+}

@@ -1,0 +1,269 @@
+"""Many runs from one file: seeds x configurations, on this machine's processes or on a Ray cluster.
+
+A run's folder is OUT/NAME/seed-K. One that is finished (result.json) is not run again, one that was killed goes on from
+its checkpoint: to restart a sweep is to start it.
+"""
+
+import json
+import logging
+import multiprocessing
+import os
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import Executor, ProcessPoolExecutor, as_completed
+from concurrent.futures.process import BrokenProcessPool
+from pathlib import Path
+from statistics import mean, stdev
+from typing import Any, NamedTuple
+
+import numba
+import yaml
+from pydantic import Field, ValidationError
+
+from softarm.schemas.base import Strict
+from softarm.simulator import model_file
+from softarm.training.learn.inference import workers
+from softarm.training.run import recipe as recipes
+from softarm.training.run.recipe import RECIPES, Recipe
+from softarm.training.run.session import Standing
+
+RESULT = "result.json"
+LOCAL = "local"
+EXAMPLE = "{seeds: [1, 2], base: {task: reach, frames: 3000000}, runs: {full: {}, no-delay: {model: no-delay}}}"
+
+
+class SweepError(Exception):
+    """A sweep that cannot be run, or went wrong; the text names what, and the next step."""
+
+
+class Sweep(Strict):
+    """A sweep's file: `base` is what all runs have in common, each run adds to it or changes it.
+
+    What is `like: NAME` begins with the recipe of the shipped policy of that name.
+    """
+
+    seeds: tuple[int, ...] = Field(min_length=1)
+    base: dict[str, Any] = Field(default_factory=dict)
+    runs: dict[str, dict[str, Any] | None] = Field(min_length=1)
+
+    def recipes(self) -> dict[str, Recipe]:
+        """Each run's recipe by name; of settings and randomise the base's lines stay. Raises ValueError."""
+        made = {}
+        for name, own in self.runs.items():
+            lines = _merged(self.base, own or {})
+            if (like := lines.pop("like", None)) is not None:
+                if like not in RECIPES:
+                    raise ValueError(f"runs.{name}.like is {like!r}; give one of {', '.join(RECIPES)}")
+                lines = _merged(RECIPES[like].model_dump(exclude_defaults=True), lines)
+            made[name] = Recipe.model_validate(lines)
+        return made
+
+
+class Work(NamedTuple):
+    """One run, as it travels to a worker."""
+
+    name: str
+    seed: int
+    recipe: dict[str, Any]
+    folder: str
+    threads: int
+
+
+class Result(NamedTuple):
+    """What came of a run; `test` holds shares of the task's test trials on the run's own model."""
+
+    name: str
+    seed: int
+    recipe: dict[str, Any]
+    frames: int
+    seconds: float
+    validation: float
+    test: dict[str, float]
+    policy: str  # file name in the run's folder
+
+
+def load(path: Path) -> Sweep:
+    """Read a sweep's file and check every run in it. Raises SweepError with all that is wrong."""
+    try:
+        content = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise SweepError(f"{path}: cannot be read ({error.strerror}); write one, e.g. {EXAMPLE}") from None
+    except (UnicodeDecodeError, yaml.YAMLError) as error:
+        raise SweepError(f"{path}: is not YAML text ({' '.join(str(error).split())}); e.g. {EXAMPLE}") from None
+    try:
+        sweep = Sweep.model_validate(content)
+        made = sweep.recipes()
+    except ValidationError as error:
+        problems = (f"{'.'.join(map(str, e['loc'])) or 'the file'}: {e['msg']}" for e in error.errors())
+        raise SweepError(f"{path}: {'; '.join(problems)}; write e.g. {EXAMPLE}") from None
+    except ValueError as error:
+        raise SweepError(f"{path}: {error}") from None
+    for name, each in made.items():
+        try:
+            recipes.prepare(each, sweep.seeds[0])
+            model_file.load(each.model)
+        except (ValueError, model_file.ModelFileError) as error:
+            raise SweepError(f"{path}: runs.{name}: {error}") from None
+    return sweep
+
+
+def plan(sweep: Sweep, out: Path, threads: int) -> tuple[list[Work], list[Result]]:
+    """Return what is still to be done, seed by seed, and what is finished.
+
+    Raises SweepError where a folder holds a finished run of another recipe.
+    """
+    todo, finished = [], []
+    for seed in sweep.seeds:
+        for name, recipe in sweep.recipes().items():
+            folder, content = out / name / f"seed-{seed}", recipe.model_dump(mode="json")
+            done = _finished(folder)
+            if done is None:
+                todo.append(Work(name, seed, content, str(folder.absolute()), threads))
+            elif done.recipe != content:
+                raise SweepError(f"{folder}: was run with another recipe; remove it or give another --out")
+            else:
+                finished.append(done)
+    return todo, finished
+
+
+def train(work: Work) -> Result:
+    """Carry out one run to its end, going on from its checkpoint if it has one.
+
+    Raises SweepError when who started it is gone: a sweep that is started again trains in the same folder.
+    """
+    recipe, folder = Recipe.model_validate(work.recipe), Path(work.folder)
+    parent = os.getppid()
+
+    def tell(_: Standing) -> None:
+        if os.getppid() != parent:
+            raise SweepError(f"{folder}: the sweep was killed; start it again: this run goes on from its checkpoint")
+
+    numba.set_num_threads(min(work.threads, numba.config.NUMBA_NUM_THREADS))
+    with workers(work.threads) as pool:
+        session = recipes.begin(recipe, work.seed, folder, pool, (folder / "latest.pt").exists())
+        policy = session.run(recipe.frames, None, tell)
+        tested = session.test()
+        session.write_report(tested)
+    assert session.best is not None, "a run ends with a validation"
+    test = tested.report._asdict()
+    result = Result(work.name, work.seed, work.recipe, session.frames, session.seconds, session.best, test, policy.name)
+    temporary = folder / f".{RESULT}.{os.getpid()}"
+    temporary.write_text(json.dumps(result._asdict(), indent=1) + "\n")
+    os.replace(temporary, folder / RESULT)
+    return result
+
+
+def locally(todo: list[Work], processes: int, pool: Callable[[int], Executor] | None = None) -> Iterator[Result]:
+    """Run in so many processes side by side; results as they come. Raises SweepError when one fails or is killed."""
+    made = (pool or _processes)(processes)
+    try:
+        futures = {made.submit(train, work): work for work in todo}
+        for future in as_completed(futures):
+            try:
+                yield future.result()
+            except BrokenProcessPool:
+                raise SweepError("a worker was killed; start the sweep again: it goes on where it was") from None
+            except Exception as error:
+                raise _failed(futures[future], error) from error
+    finally:
+        made.shutdown(cancel_futures=True)
+
+
+def on_ray(todo: list[Work], address: str) -> Iterator[Result]:
+    """Run on a Ray cluster (`local` starts one here), whose machines share this file system; results as they come.
+
+    Raises SweepError when a run fails. Needs the extra `ray`.
+    """
+    try:
+        import ray
+    except ModuleNotFoundError:
+        raise SweepError("a cluster needs the package 'ray': pip install 'softarm[ray]'") from None
+    own: dict[str, Any] = {"num_cpus": len(os.sched_getaffinity(0)), "include_dashboard": False}
+    try:
+        ray.init(address=address, log_to_driver=False, logging_level=logging.ERROR, **(own if address == LOCAL else {}))
+    except Exception as error:
+        text = str(error).partition("\n")[0]
+        raise SweepError(f"no Ray cluster at '{address}': {text}; give its address, or 'local' for one here") from error
+    try:
+        remote = ray.remote(max_retries=0)(train)
+        waiting = {remote.options(num_cpus=work.threads, num_gpus=_cards(work)).remote(work): work for work in todo}
+        while waiting:
+            (ready, *_), _ = ray.wait(list(waiting), num_returns=1)
+            work = waiting.pop(ready)
+            try:
+                yield ray.get(ready)
+            except Exception as error:
+                # What the run itself raised is the `cause`; Ray's own text holds the worker's whole traceback.
+                raise _failed(work, getattr(error, "cause", None) or error) from error
+    finally:
+        ray.shutdown()
+
+
+class Line(NamedTuple):
+    """A configuration over its seeds; figures are mean and standard deviation (of one seed: 0)."""
+
+    name: str
+    seeds: int
+    seconds: tuple[float, float]
+    figures: dict[str, tuple[float, float]]  # validation and the test's shares
+
+
+def table(results: Iterable[Result]) -> list[Line]:
+    """One line a configuration, in the order in which they first appear."""
+    groups: dict[str, list[Result]] = {}
+    for result in results:
+        groups.setdefault(result.name, []).append(result)
+    lines = []
+    for name, group in groups.items():
+        figures = {"validation": spread([each.validation for each in group])}
+        for figure in group[0].test:
+            figures[figure] = spread([each.test[figure] for each in group])
+        lines.append(Line(name, len(group), spread([each.seconds for each in group]), figures))
+    return lines
+
+
+def markdown(lines: list[Line]) -> str:
+    """The table for people: shares in percent, mean +- standard deviation over seeds."""
+    names = list(dict.fromkeys(figure for line in lines for figure in line.figures))
+    rows = [["configuration", "seeds", "seconds", *names], ["---"] * (3 + len(names))]
+    for line in lines:
+        shares = [line.figures.get(name) for name in names]
+        cells = ["" if each is None else f"{100 * each[0]:.1f} +- {100 * each[1]:.1f} %" for each in shares]
+        rows.append([line.name, str(line.seeds), f"{line.seconds[0]:.0f}", *cells])
+    return "\n".join(f"| {' | '.join(row)} |" for row in rows) + "\n"
+
+
+def spread(values: list[float]) -> tuple[float, float]:
+    """Mean and standard deviation."""
+    return mean(values), stdev(values) if len(values) > 1 else 0.0
+
+
+def _merged(common: dict[str, Any], own: dict[str, Any]) -> dict[str, Any]:
+    tables = {key: common.get(key, {}) | own.get(key, {}) for key in ("settings", "randomise")}
+    return common | own | tables
+
+
+def _finished(folder: Path) -> Result | None:
+    try:
+        return Result(**json.loads((folder / RESULT).read_text()))
+    except FileNotFoundError:
+        return None
+    except (TypeError, ValueError) as error:
+        raise SweepError(f"{folder / RESULT}: cannot be read ({error}); remove it to train that run again") from None
+
+
+def _processes(count: int) -> Executor:
+    # Fresh ones: threads of the parent's libraries do not survive a fork.
+    return ProcessPoolExecutor(count, multiprocessing.get_context("spawn"))
+
+
+def _cards(work: Work) -> int:
+    """How many graphics cards it takes; Ray hides those that nobody asked for."""
+    return int(work.recipe["settings"].get("run.device") == "cuda")
+
+
+def _failed(work: Work, error: Exception) -> SweepError:
+    first, _, _ = str(error).strip().partition("\n")
+    return SweepError(
+        f"{work.name}, seed {work.seed}: {type(error).__name__}: {first}; "
+        "mend it and start the sweep again: what is finished stays"
+    )

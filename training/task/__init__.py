@@ -1,0 +1,1 @@
+"""What is to be learned, and the many robots it is learned on."""

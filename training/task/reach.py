@@ -1,0 +1,97 @@
+"""What is to be learned: ranges, rewards and starts. [P]: the paper; [C]: its authors' configuration."""
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from softarm.schemas.policy import REACH_GOAL, Signal, TaskKind
+
+Array = NDArray[np.float32]
+Range = tuple[float, float]
+
+
+class Starts(NamedTuple):
+    """Robots at rest."""
+
+    cart_position_m: Array  # [R]
+    joint_angles_rad: Array  # [R, links]
+    pressure_kpa: Array  # [R]
+
+
+@dataclass(frozen=True)
+class ReachTask:
+    """Swing the tip to a target in free space. The defaults are the seed's training range ([P] SM-E)."""
+
+    name: str = "reach"
+    target_y_m: Range = (-0.4, 0.0)
+    target_z_m: Range = (0.55, 0.70)
+    cart_start_m: Range = (-0.025, 0.25)  # [C]
+    joint_start_deg: float = 10.0  # uniform within +- this [C]
+    pressure_start_kpa: Range = (-0.7, 20.0)
+    vented_starts: float = 0.5  # share of the starts without pressure; [C] carries the last episode's over
+    success_radius_m: float = 0.04
+    episode_steps: int = 100
+    rate_hz: float = 30.0
+    rail_limit_m: float = 0.25  # an episode ends beyond it
+    success_reward: float = 1000.0
+    speed_reward: float = 0.1  # per m/s of the tip
+    rail_penalty: float = -100.0
+    reward_scale: float = 0.01  # [C]
+    action_noise: float = 0.001  # standard deviation on the +-1 action ([P] SM-E)
+    # Commands pass the same braking clamp as in the daemon; without it the exact task of the seed.
+    rail_guard: bool = True
+    muscle: bool = True  # False: it stays vented, whatever the policy wants ([P] section 4.2, cart actions only)
+
+    @property
+    def goal(self) -> tuple[Signal, ...]:
+        """What an observation ends with."""
+        return REACH_GOAL
+
+    @property
+    def kind(self) -> TaskKind:
+        """What the policy's file calls it."""
+        return "reach"
+
+    def sample_targets(self, rng: np.random.Generator, count: int) -> Array:
+        """Targets y, z in metres, float32 [count, 2], uniform over the range."""
+        y = rng.uniform(*self.target_y_m, count)
+        z = rng.uniform(*self.target_z_m, count)
+        return np.stack((y, z), axis=1).astype(np.float32)
+
+    def sample_starts(self, rng: np.random.Generator, count: int, links: int) -> Starts:
+        """Starts for `count` robots."""
+        cart = rng.uniform(*self.cart_start_m, count)
+        angles = rng.uniform(-1.0, 1.0, (count, links)) * np.deg2rad(self.joint_start_deg)
+        pressure = rng.uniform(*self.pressure_start_kpa, count)
+        pressure[rng.random(count) < (self.vented_starts if self.muscle else 1.0)] = 0.0
+        return Starts(cart.astype(np.float32), angles.astype(np.float32), pressure.astype(np.float32))
+
+    def succeeded(self, tip_m: Array, target_m: Array) -> NDArray[np.bool_]:
+        """Whether tips [R, 2] lie within the radius of their targets [R, 2]."""
+        offset = tip_m - target_m
+        near: NDArray[np.bool_] = np.hypot(offset[:, 0], offset[:, 1]) < self.success_radius_m
+        return near
+
+    def reward(self, success: NDArray[np.bool_], off_rail: NDArray[np.bool_], tip_speed_m_s: Array) -> Array:
+        """Scaled reward of a step, float32 [R] ([P] section 4)."""
+        total = self.success_reward * success + self.rail_penalty * off_rail + self.speed_reward * tip_speed_m_s
+        scaled: Array = (self.reward_scale * total).astype(np.float32)
+        return scaled
+
+
+# The demo asks for targets one after another, from wherever the last one left the cart.
+TASKS = {
+    task.name: task
+    for task in (
+        ReachTask(),
+        ReachTask(
+            name="reach-wide",
+            target_y_m=(-0.42, 0.02),
+            target_z_m=(0.54, 0.80),
+            cart_start_m=(-0.22, 0.24),
+            joint_start_deg=15.0,
+        ),
+    )
+}

@@ -1,0 +1,98 @@
+"""The shelf task: swing the tip into a shelf, between two boards. [P]: the paper; [C]: its authors' configuration."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from softarm.schemas.model import Model
+from softarm.schemas.policy import OBSERVATION, SHELF_GOAL, Signal, TaskKind
+from softarm.training.task.environment import Environment
+from softarm.training.task.randomisation import Randomisation
+from softarm.training.task.reach import Range, ReachTask, Starts
+
+Array = NDArray[np.float32]
+
+INPUTS = len(OBSERVATION) + len(SHELF_GOAL)
+
+
+@dataclass(frozen=True)
+class ShelfTask(ReachTask):
+    """Targets in a shelf that stands anew in each episode; by default the seed's training range ([P] section 4.2)."""
+
+    name: str = "shelf"
+    target_y_m: Range = (-0.48, -0.40)
+    target_z_m: Range = (0.58, 0.67)
+    target_depth_m: Range = (-0.05, 0.20)  # of the target behind the shelf's front edge; before it below zero
+    board_below_m: float = 0.005  # from the target down to the lower board's top [C]
+    action_noise: float = 0.01  # [C]
+
+    @property
+    def goal(self) -> tuple[Signal, ...]:
+        """What an observation ends with."""
+        return SHELF_GOAL
+
+    @property
+    def kind(self) -> TaskKind:
+        """What the policy's file calls it."""
+        return "shelf"
+
+    def sample_depths(self, rng: np.random.Generator, count: int) -> Array:
+        """Depths in metres, float32 [count], uniform over the range."""
+        return rng.uniform(*self.target_depth_m, count).astype(np.float32)
+
+
+class ShelfEnvironment(Environment):
+    """A batch of robots, each before its own shelf; the observation [R, 11] ends with the target's depth."""
+
+    inputs = INPUTS
+    _arrays = (*Environment._arrays, "_depth")
+    task: ShelfTask
+
+    def __init__(
+        self,
+        task: ShelfTask,
+        robots: int,
+        seed: int,
+        model: Model | None = None,
+        physics_rate_hz: float = 240.0,
+        randomisation: Randomisation | None = None,
+    ) -> None:
+        super().__init__(task, robots, seed, model, physics_rate_hz, randomisation)
+        self._depth = np.zeros(robots, dtype=np.float32)
+
+    def reset(
+        self, starts: Starts | None = None, targets_m: Array | None = None, depths_m: Array | None = None
+    ) -> Array:
+        """As for reaching; depths_m [R] of the targets behind the shelves' edges, drawn where not given."""
+        super().reset(starts, targets_m)
+        if depths_m is not None:
+            self._place(np.ones(self.robots, dtype=np.bool_), depths_m)
+        return self._observe()
+
+    def _begin(self, which: NDArray[np.bool_], starts: Starts, targets_m: Array) -> None:
+        super()._begin(which, starts, targets_m)
+        self._place(which, self.task.sample_depths(self.rng, self.robots))
+
+    def _place(self, which: NDArray[np.bool_], depths_m: Array) -> None:
+        """Stand the shelves of some robots such that their targets lie so deep."""
+        self._depth[which] = depths_m[which]
+        edge = self._target[:, 0] + self._depth
+        self.simulator.place_shelf(edge, self._target[:, 1] - self.task.board_below_m, robots=which)
+
+    def _observe(self) -> Array:
+        return np.concatenate((super()._observe(), self._depth[:, None]), axis=1)
+
+
+def environment_of(
+    task: ReachTask,
+    robots: int,
+    seed: int,
+    model: Model | None = None,
+    physics_rate_hz: float = 240.0,
+    randomisation: Randomisation | None = None,
+) -> Environment:
+    """The environment of a task, whichever it is; arguments as `Environment`'s."""
+    kind: type = ShelfEnvironment if isinstance(task, ShelfTask) else Environment
+    made: Environment = kind(task, robots, seed, model, physics_rate_hz, randomisation)
+    return made
