@@ -1,9 +1,10 @@
-# Two commands: `make demo` swings the arm, `make test` proves the house. Each sets itself up in .venv.
+# `make demo` swings the arm, `make test` proves the house, `make quick` is for between two thoughts. Each sets itself up
+# in .venv.
 PYTHON ?= python3
 BIN := .venv/bin
 SHELL := /bin/sh
 
-.PHONY: install demo test lint types imports unit clean
+.PHONY: install demo test quick lint types imports unit unit-quick coverage clean
 
 install: .venv/.installed
 
@@ -21,8 +22,13 @@ install: .venv/.installed
 demo: install
 	$(BIN)/softarm demo
 
+# All that a landing has to pass.
 test: .venv/.installed-dev
-	$(MAKE) --no-print-directory lint types imports unit
+	$(MAKE) --no-print-directory lint types imports unit coverage
+
+# The same without the tests that take long or want the machine for themselves: under a minute.
+quick: .venv/.installed-dev
+	$(MAKE) --no-print-directory lint types imports unit-quick
 
 lint:
 	$(BIN)/ruff check .
@@ -34,8 +40,19 @@ types:
 imports:
 	$(BIN)/lint-imports
 
+# Those with deadlines run last and alone: two cores that are busy with other tests keep none.
 unit:
-	$(BIN)/pytest -n 2
+	$(BIN)/pytest -n 2 -m 'not realtime' --cov --cov-report=
+	$(BIN)/pytest -m realtime --cov --cov-append --cov-report=
+
+unit-quick:
+	$(BIN)/pytest -n 2 -m 'not realtime and not slow'
+
+# Lines that the last `make unit` ran, room by room.
+coverage:
+	@for room in $$($(BIN)/python -c 'import os, softarm; print(*sorted(e.name for e in os.scandir(softarm.__path__[0]) if e.is_dir()))'); do \
+	    share=$$($(BIN)/coverage report --format=total --include="softarm/$$room/*" 2>/dev/null) && echo "coverage of $$room: $$share %"; \
+	done; echo "coverage of the house: $$($(BIN)/coverage report --format=total) %"
 
 clean:
-	rm -rf .venv build *.egg-info
+	rm -rf .venv build *.egg-info .coverage
