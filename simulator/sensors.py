@@ -67,9 +67,8 @@ class Sensors:
 
     def snapshot(self) -> dict[str, NDArray[Any]]:
         """What was seen, for `restore`: copies. The random numbers and the simulator's time are not among it."""
-        past = zip(*self._past, strict=True)
         names = ("time_s", "positions_m", "angles_rad", "velocities_m_s")
-        kept = {f"past.{name}": np.array(each) for name, each in zip(names, past, strict=False)}
+        kept = {f"past.{name}": np.array([frame[i] for frame in self._past]) for i, name in enumerate(names)}
         sight = {} if self._shown is None else vars(self._shown)
         shown = {f"shown.{name}": each.copy() for name, each in sight.items()}
         return kept | shown | {"shown_at_s": np.array(self._shown_at), "restarted": self._restarted.copy()}

@@ -1,6 +1,7 @@
 """Reading logs, also those of a daemon that was killed, and finishing them: compressed, with an index."""
 
 import fcntl
+import glob
 import os
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
@@ -12,6 +13,7 @@ from mcap.reader import make_reader
 from mcap.records import Channel, Message, Metadata, Schema
 from mcap.writer import MCAP0_MAGIC, Writer
 
+from softarm.common import files
 from softarm.daemon.control.records import Inputs, Outputs, TickTiming
 from softarm.daemon.logbook import channels
 from softarm.recordings import mcap_file
@@ -137,17 +139,12 @@ def finish(path: Path, pause: Callable[[], None] = NEVER) -> int:
     Atomic: until the very end the old file stays. A file without a whole message is left alone. `pause` is
     called after every record; what it raises ends the work and leaves the old file. Raises LogError, OSError.
     """
-    draft = path.with_name(f".{path.name}.draft")
-    try:
-        with draft.open("wb") as file:
-            messages = _copy(path, file, pause)
-            file.flush()
-            os.fsync(file.fileno())
-        if messages:
-            draft.replace(path)
-    finally:
-        draft.unlink(missing_ok=True)
-    return messages
+    for stale in path.parent.glob(f".{glob.escape(path.name)}.*"):  # of a kill in the middle of this
+        stale.unlink()
+    if next(mcap_file.messages(path), None) is None:
+        return 0
+    with files.replacing(path) as draft:
+        return _copy(path, draft, pause)
 
 
 def recover(path: Path | str, pause: Callable[[], None] = NEVER) -> LogFile:

@@ -6,7 +6,6 @@ state explicit. Inputs `observation` [batch, 10] (11 for the shelf), `h_in`, `c_
 metadata key `softarm`.
 """
 
-import os
 import subprocess
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -16,6 +15,7 @@ import onnx
 import torch
 from onnx import TensorProto, helper, numpy_helper
 
+from softarm.common import files
 from softarm.schemas.policy import ACTION, METADATA_KEY, OBSERVATION, Golden, PolicyMetadata, TrainingRange
 from softarm.training.learn.inference import infer, workers
 from softarm.training.learn.network import PolicyNetwork
@@ -180,9 +180,7 @@ def write(network: PolicyNetwork, description: PolicyMetadata, path: Path) -> No
     model = onnx_model(network)
     helper.set_model_props(model, {METADATA_KEY: description.model_dump_json()})
     path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = path.with_name(f".{path.name}.{os.getpid()}")
-    onnx.save(model, temporary)
-    os.replace(temporary, path)
+    files.write_bytes(path, model.SerializeToString())
 
 
 def flat_settings(**parts: object) -> Settings:

@@ -1,10 +1,12 @@
 """The learning curve as a table and a picture."""
 
 import csv
-import os
+import io
 from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
+
+from softarm.common import files
 
 # Colours that colour-blind people tell apart (Okabe and Ito), as in the reports of `softarm diagnose`.
 BLUE, ORANGE, GREEN, PAPER = "#0a6aa8", "#b84f0e", "#1d6b45", "#fdfcfa"
@@ -28,12 +30,11 @@ class Row(NamedTuple):
 
 def write_csv(rows: Sequence[Row], path: Path) -> None:
     """Write the table in one piece."""
-    temporary = path.with_name(f".{path.name}.{os.getpid()}")
-    with temporary.open("w", newline="") as file:
-        writer = csv.writer(file)
-        writer.writerow(Row._fields)
-        writer.writerows(rows)
-    os.replace(temporary, path)
+    text = io.StringIO()
+    writer = csv.writer(text)
+    writer.writerow(Row._fields)
+    writer.writerows(rows)
+    files.write_text(path, text.getvalue())
 
 
 def write_png(rows: Sequence[Row], path: Path, title: str) -> None:

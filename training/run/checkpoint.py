@@ -1,10 +1,11 @@
 """A training run on disk: everything needed to go on as if nothing had happened, or to export the policy."""
 
-import os
 from pathlib import Path
 from typing import Any
 
 import torch
+
+from softarm.common import files
 
 FORMAT = 1
 
@@ -16,9 +17,8 @@ class CheckpointError(Exception):
 def save(path: Path, content: dict[str, Any]) -> None:
     """Write in one piece, so that a kill leaves the file before or the file after."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = path.with_name(f".{path.name}.{os.getpid()}")
-    torch.save({"format": FORMAT, **content}, temporary)
-    os.replace(temporary, path)
+    with files.replacing(path) as file:
+        torch.save({"format": FORMAT, **content}, file)
 
 
 def load(path: Path) -> dict[str, Any]:

@@ -19,6 +19,7 @@ import numba
 import yaml
 from pydantic import Field, ValidationError
 
+from softarm.common import files
 from softarm.schemas.base import Strict
 from softarm.simulator import model_file
 from softarm.training.learn.inference import workers
@@ -146,9 +147,7 @@ def train(work: Work) -> Result:
     assert session.best is not None, "a run ends with a validation"
     test = tested.report._asdict()
     result = Result(work.name, work.seed, work.recipe, session.frames, session.seconds, session.best, test, policy.name)
-    temporary = folder / f".{RESULT}.{os.getpid()}"
-    temporary.write_text(json.dumps(result._asdict(), indent=1) + "\n")
-    os.replace(temporary, folder / RESULT)
+    files.write_text(folder / RESULT, json.dumps(result._asdict(), indent=1) + "\n")
     return result
 
 

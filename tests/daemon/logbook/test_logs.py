@@ -237,6 +237,13 @@ def test_recover_makes_an_indexed_file_of_what_is_whole(tmp_path):
     assert [p.name for p in tmp_path.iterdir()] == ["killed.mcap"]
 
 
+def test_recover_clears_away_what_a_kill_in_an_earlier_one_has_left(tmp_path):
+    path = unfinished(tmp_path, [make_tick(0)])
+    (tmp_path / f".{path.name}.draft").write_bytes(b"half")
+    logs.recover(path)
+    assert [p.name for p in tmp_path.iterdir()] == [path.name]
+
+
 def test_recover_that_is_interrupted_leaves_the_old_file(tmp_path):
     path = unfinished(tmp_path, [make_tick(n) for n in range(5)])
     before = path.read_bytes()

@@ -1,0 +1,99 @@
+"""A file is replaced in one piece, whatever happens while it is written."""
+
+import os
+import stat
+import subprocess
+import sys
+import threading
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from softarm.common import files
+
+
+@settings(deadline=None, max_examples=25, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(st.text(), st.binary())
+def test_what_was_written_is_what_is_read_and_nothing_else_is_there(tmp_path, text, content):
+    files.write_text(tmp_path / "a.txt", text)
+    files.write_bytes(tmp_path / "a.bin", content)
+    assert (tmp_path / "a.txt").read_bytes() == text.encode()  # line ends stay what they are
+    assert (tmp_path / "a.bin").read_bytes() == content
+    assert sorted(os.listdir(tmp_path)) == ["a.bin", "a.txt"]
+
+
+@pytest.mark.parametrize("error", [ValueError, KeyboardInterrupt])
+def test_what_fails_half_way_leaves_the_old_file_and_no_draft(tmp_path, error):
+    path = tmp_path / "a.txt"
+    path.write_text("old")
+    with pytest.raises(error), files.replacing(path) as file:  # noqa: PT012 - it must fail inside
+        file.write(b"half of the n")
+        raise error
+    assert path.read_text() == "old"
+    assert os.listdir(tmp_path) == ["a.txt"]
+
+
+def test_until_the_block_ends_readers_see_the_old_file(tmp_path):
+    path = tmp_path / "a.txt"
+    path.write_text("old")
+    with files.replacing(path) as file:
+        file.write(b"new")
+        file.flush()
+        assert path.read_text() == "old"
+    assert path.read_text() == "new"
+
+
+def test_a_kill_half_way_leaves_the_old_file(tmp_path):
+    path = tmp_path / "a.txt"
+    path.write_text("old")
+    killed = f"""
+import os, signal
+from softarm.common import files
+with files.replacing({str(path)!r}) as file:
+    file.write(b"half of the n")
+    file.flush()
+    os.kill(os.getpid(), signal.SIGKILL)
+"""
+    assert subprocess.run([sys.executable, "-c", killed], check=False).returncode < 0
+    assert path.read_text() == "old"
+
+
+def test_a_folder_that_is_not_there_is_an_error_that_names_it(tmp_path):
+    with pytest.raises(FileNotFoundError, match="nowhere"):
+        files.write_text(tmp_path / "nowhere" / "a.txt", "x")
+
+
+def test_a_new_file_has_the_permissions_of_any_new_file(tmp_path):
+    (tmp_path / "plain").write_text("x")
+    files.write_text(tmp_path / "ours", "x")
+    assert (tmp_path / "ours").stat().st_mode == (tmp_path / "plain").stat().st_mode
+
+
+@pytest.mark.parametrize("mode", [0o600, 0o640, 0o755])
+def test_an_old_file_hands_down_its_permissions(tmp_path, mode):
+    path = tmp_path / "a.txt"
+    path.write_text("old")
+    path.chmod(mode)
+    files.write_text(path, "new")
+    assert stat.S_IMODE(path.stat().st_mode) == mode
+
+
+def test_a_link_stays_a_link_to_the_new_content(tmp_path):
+    (tmp_path / "disk").mkdir()
+    (tmp_path / "disk" / "a.txt").write_text("old")
+    (tmp_path / "link.txt").symlink_to(tmp_path / "disk" / "a.txt")
+    files.write_text(tmp_path / "link.txt", "new")
+    assert (tmp_path / "link.txt").is_symlink()
+    assert (tmp_path / "disk" / "a.txt").read_text() == "new"
+
+
+def test_a_pipe_is_written_into_and_stays_a_pipe(tmp_path):
+    os.mkfifo(tmp_path / "pipe")
+    heard = []
+    listener = threading.Thread(target=lambda: heard.append((tmp_path / "pipe").read_bytes()), daemon=True)
+    listener.start()
+    files.write_text(tmp_path / "pipe", "new")
+    listener.join(timeout=10)
+    assert heard == [b"new"]
+    assert (tmp_path / "pipe").is_fifo()
