@@ -15,8 +15,8 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TimeElapsedColumn
 from rich.table import Table
 
-from softarm.cli.flights import Place, fly_all, shares, with_faults
-from softarm.daemon.evaluation import FLIGHTS
+from softarm.flights.evaluation import FLIGHTS
+from softarm.flights.many import Place, fly_all, shares, with_faults
 from softarm.policies import registry
 from softarm.policies.base import PolicyError
 from softarm.reality.parameters import Parameters

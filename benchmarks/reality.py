@@ -15,9 +15,9 @@ from rich.progress import Progress
 from rich.table import Table
 
 from softarm.benchmarks import commands
-from softarm.cli.comparison import trials
-from softarm.cli.comparison.robots import ROBOTS
-from softarm.daemon.evaluation import FLIGHTS
+from softarm.flights import runner as trials
+from softarm.flights.evaluation import FLIGHTS
+from softarm.flights.robots import ROBOTS
 from softarm.policies import registry
 from softarm.policies.base import PolicyError
 from softarm.reality.parameters import Arm, Parameters

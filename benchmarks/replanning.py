@@ -21,8 +21,8 @@ from rich.progress import Progress
 from rich.table import Table
 
 from softarm.daemon.control.records import Mode
-from softarm.daemon.evaluation import CART_STARTS_M, FLIGHTS
 from softarm.daemon.shell.offline import Lockstep
+from softarm.flights.evaluation import CART_STARTS_M, FLIGHTS
 from softarm.policies import registry
 from softarm.policies.base import Array, Policy, PolicyError
 from softarm.schemas.config import Config

@@ -27,7 +27,7 @@ from rl_games.torch_runner import Runner
 from softarm.schemas.policy import ACTION
 from softarm.training.learn.inference import workers
 from softarm.training.learn.network import NetworkShape, PolicyNetwork
-from softarm.training.run import evaluation
+from softarm.training.run import validation
 from softarm.training.task.environment import INPUTS, Environment
 from softarm.training.task.reach import ReachTask
 
@@ -131,7 +131,7 @@ def main(frames: int, every: int, json_file: Path | None) -> None:
 
     def look(frame: int, network: PolicyNetwork) -> None:
         with workers() as pool:
-            report = evaluation.grid_report(network, TASK, pool)
+            report = validation.grid_report(network, TASK, pool)
         torch.set_num_threads(threads)
         curve.append((time.monotonic() - begun_s, int(frame), *report))
         shares = " / ".join(f"{100 * share:.1f}" for share in report)

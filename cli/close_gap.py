@@ -14,8 +14,8 @@ from softarm.cli.options import FILE
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from softarm.cli.flights import Place
     from softarm.diagnosis.gap.result import Diagnosis
+    from softarm.flights.many import Place
     from softarm.schemas.goals import Goal
     from softarm.schemas.model import Model
     from softarm.training.run.retrain import Recipe, Retrained
@@ -83,11 +83,12 @@ def run(
     recipe: "Recipe", console: "Console", targets: "Sequence[Goal] | None" = None, processes: int | None = None,
 ) -> None:  # fmt: skip
     """The verb with everything named. Raises TrialError, ModelFileError, CheckpointError, PolicyError, ValueError."""
-    from softarm.cli import closing, closing_story
     from softarm.cli.diagnose import run as diagnose_inputs
-    from softarm.cli.flights import Place, fly_all
-    from softarm.daemon.evaluation import CART_STARTS_M
     from softarm.diagnosis import report
+    from softarm.flights.closing import story as closing_story
+    from softarm.flights.closing import summary as closing
+    from softarm.flights.evaluation import CART_STARTS_M
+    from softarm.flights.many import Place, fly_all
     from softarm.schemas.goals import TEST_TARGETS
     from softarm.simulator import model_file as files
     from softarm.training.learn.warm_start import load_weights
@@ -141,9 +142,9 @@ def _retrain(policy: Path, model: "Model", out: Path, recipe: "Recipe", console:
 
 def _held_back(robot: str, faults: Sequence[str]) -> "Place":
     """Raises ValueError for faults or packages that there are none of; ends the command for a model that is none."""
-    from softarm.cli.closing import HELD_BACK
-    from softarm.cli.flights import Place, with_faults
     from softarm.cli.options import flown_model
+    from softarm.flights.closing.summary import HELD_BACK
+    from softarm.flights.many import Place, with_faults
     from softarm.reality.parameters import Parameters
 
     if robot != REALITY:

@@ -76,9 +76,9 @@ def _compare(
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn
 
-    from softarm.cli.comparison import page, table
-    from softarm.cli.comparison import tests as known
     from softarm.cli.errors import fail
+    from softarm.flights import page, table
+    from softarm.flights import tests as known
     from softarm.policies.base import PolicyError
     from softarm.simulator.model_file import ModelFileError
 
@@ -113,8 +113,8 @@ def _evaluate(policy: str, json_file: Path | None, config_file: Path | None, mod
     from rich.table import Table
 
     from softarm.cli.errors import fail
-    from softarm.daemon import evaluation
     from softarm.daemon.config import configuration
+    from softarm.flights import evaluation
     from softarm.policies.base import PolicyError
     from softarm.schemas.config import Config
 

@@ -10,10 +10,10 @@ from click.testing import CliRunner
 from rich.console import Console
 
 from softarm.cli import close_gap
-from softarm.cli.closing import HELD_BACK, OLD, changed
-from softarm.cli.flights import Place, fly, fly_all, shares, with_faults
 from softarm.cli.main import main
 from softarm.diagnosis.gap.result import Diagnosis
+from softarm.flights.closing.summary import HELD_BACK, OLD, changed
+from softarm.flights.many import Place, fly, fly_all, shares, with_faults
 from softarm.policies.base import MODELS
 from softarm.reality.parameters import Parameters
 from softarm.schemas.goals import TEST_TARGETS

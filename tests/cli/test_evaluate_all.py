@@ -6,11 +6,12 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from softarm.cli.comparison import page, table, tests, trials
-from softarm.cli.comparison.robots import ROBOTS
-from softarm.cli.comparison.table import Entry, Job
-from softarm.cli.comparison.trials import Outcome, Trial
 from softarm.cli.main import main
+from softarm.flights import page, table, tests
+from softarm.flights import runner as trials
+from softarm.flights.robots import ROBOTS
+from softarm.flights.runner import Outcome, Trial
+from softarm.flights.table import Entry, Job
 from softarm.policies import registry
 from softarm.policies.base import MODELS
 from softarm.policies.onnx_policy import OnnxPolicy

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from softarm.daemon.evaluation import CART_STARTS_M
 from softarm.daemon.shell.offline import Lockstep
+from softarm.flights.evaluation import CART_STARTS_M
 from softarm.policies.base import MODELS, Policy, PolicyError
 from softarm.policies.plans import Plans
 from softarm.policies.runner import InlineRunner

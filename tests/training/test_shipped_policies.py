@@ -10,8 +10,8 @@ import pytest
 from softarm import policies
 from softarm.schemas.model import Model
 from softarm.schemas.policy import METADATA_KEY, PolicyMetadata
-from softarm.training.run.evaluation import validation_trials
 from softarm.training.run.recipe import PRESETS
+from softarm.training.run.validation import validation_trials
 from softarm.training.task.reach import ReachTask
 from softarm.training.task.shelf import environment_of
 

@@ -20,7 +20,7 @@ from softarm.schemas.policy import ACTION, METADATA_KEY, OBSERVATION, Golden, Po
 from softarm.training.learn.inference import infer, workers
 from softarm.training.learn.network import PolicyNetwork
 from softarm.training.learn.normaliser import CLIP
-from softarm.training.run.evaluation import at_rest
+from softarm.training.run.validation import at_rest
 from softarm.training.task.reach import ReachTask
 from softarm.training.task.shelf import environment_of
 

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from softarm.simulator.kernel.contact import APART_M, DEPTH_M, THICKNESS_M
 from softarm.training.record.report import BLUE, ORANGE, PAPER
-from softarm.training.run.evaluation import Tested
+from softarm.training.run.validation import Tested
 from softarm.training.task.reach import ReachTask
 from softarm.training.task.shelf import ShelfTask
 

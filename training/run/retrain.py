@@ -16,7 +16,7 @@ from softarm.training.learn import warm_start
 from softarm.training.learn.inference import workers
 from softarm.training.learn.ppo import PpoConfig
 from softarm.training.record.report import Row
-from softarm.training.run import evaluation
+from softarm.training.run import validation
 from softarm.training.run.session import Session, Standing, TrainingConfig, export_checkpoint
 from softarm.training.task.randomisation import Randomisation
 
@@ -98,8 +98,8 @@ def retrain(
     ppo, robots = PpoConfig(learning_rate=recipe.learning_rate), around(model, recipe.spread)
     with workers() as pool:
         tell("flying the old policy in validation", 0.0)
-        trials = evaluation.validation_trials(prior.task, model.arm.links, recipe.validation_trials)
-        flown = evaluation.fly(
+        trials = validation.validation_trials(prior.task, model.arm.links, recipe.validation_trials)
+        flown = validation.fly(
             prior.network, prior.task, trials, pool, config.physics_rate_hz, model, randomisation=robots
         )
         before = flown.reached.mean()

@@ -17,7 +17,7 @@ from softarm.training.learn.network import NetworkShape, PolicyNetwork
 from softarm.training.learn.ppo import Ppo, PpoConfig
 from softarm.training.record import export, page, path_figure, report
 from softarm.training.record.tensorboard import EventFile
-from softarm.training.run import checkpoint, evaluation
+from softarm.training.run import checkpoint, validation
 from softarm.training.run.checkpoint import CheckpointError
 from softarm.training.task.environment import ACTIONS
 from softarm.training.task.randomisation import Randomisation
@@ -99,7 +99,7 @@ class Session:
             self.network = PolicyNetwork(self._shape).to(device)
         # What is validated and exported: single iterations jitter around it.
         self.average = copy.deepcopy(self.network)
-        self._trials = evaluation.validation_trials(task, environment.simulator.links, config.validation_trials)
+        self._trials = validation.validation_trials(task, environment.simulator.links, config.validation_trials)
         self.learner = Ppo(self.network, environment, ppo, pool, config.seed, DTYPES[self._products])
         self.frames, self.seconds = 0, 0.0
         self.curve: list[report.Row] = []
@@ -167,14 +167,14 @@ class Session:
         export_checkpoint(self.out / "best.pt", path)
         return path
 
-    def test(self) -> evaluation.Tested:
+    def test(self) -> validation.Tested:
         """Fly the task's test trials with the exported policy, for the record; nothing is chosen by it."""
         network, _ = load_policy(self.out / "best.pt")
         if isinstance(self.task, ShelfTask):
-            return evaluation.shelf_test(network, self.task, self._pool, model=self.model)
-        return evaluation.grid_test(network, self.task, self._pool, model=self.model)
+            return validation.shelf_test(network, self.task, self._pool, model=self.model)
+        return validation.grid_test(network, self.task, self._pool, model=self.model)
 
-    def write_report(self, tested: evaluation.Tested) -> Path:
+    def write_report(self, tested: validation.Tested) -> Path:
         """Leave report.html and tip_paths.png beside the curve that `run` drew; returns the page's path."""
         path_figure.write_png(tested, self.task, self.out / "tip_paths.png", self.title)
         best = next(row for row in self.curve if row.validation is not None and row.validation == self.best)
@@ -203,7 +203,7 @@ class Session:
         return len(validated) - 1 - validated.index(max(validated)) if validated else 0
 
     def _validate_and_save(self) -> None:
-        outcome = evaluation.fly(
+        outcome = validation.fly(
             self.average,
             self.task,
             self._trials,
@@ -283,7 +283,7 @@ def _quick_products(device: torch.device) -> str:
 
 
 def _chosen_by(task: ReachTask) -> str:
-    return evaluation.SHELF_VALIDATION_SET if isinstance(task, ShelfTask) else evaluation.VALIDATION_SET
+    return validation.SHELF_VALIDATION_SET if isinstance(task, ShelfTask) else validation.VALIDATION_SET
 
 
 def _identity(model: Model, name: str) -> export.Settings:

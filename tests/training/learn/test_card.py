@@ -9,8 +9,8 @@ from softarm.training.learn import lstm, ppo
 from softarm.training.learn.inference import device_named, workers
 from softarm.training.learn.network import NetworkShape, PolicyNetwork
 from softarm.training.learn.ppo import Ppo, PpoConfig
-from softarm.training.run.evaluation import fly, validation_trials
 from softarm.training.run.recipe import RECIPES, begin
+from softarm.training.run.validation import fly, validation_trials
 from softarm.training.task.environment import ACTIONS, INPUTS, Environment
 from softarm.training.task.reach import TASKS
 

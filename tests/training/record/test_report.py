@@ -16,7 +16,7 @@ from softarm.training.learn import warm_start
 from softarm.training.learn.inference import workers
 from softarm.training.learn.ppo import PpoConfig
 from softarm.training.record import page, path_figure, tensorboard
-from softarm.training.run import evaluation
+from softarm.training.run import validation
 from softarm.training.run.session import Session, TrainingConfig
 from softarm.training.task.reach import ReachTask
 from softarm.training.task.shelf import ShelfTask
@@ -36,14 +36,14 @@ def flown():
     """The 54 targets by the shipped policy: most reached, some missed."""
     prior = warm_start.load_weights(SHIPPED)
     with workers(1) as pool:
-        return evaluation.grid_test(prior.network, prior.task, pool, physics_rate_hz=240.0)
+        return validation.grid_test(prior.network, prior.task, pool, physics_rate_hz=240.0)
 
 
 def flown_at_shelf(run, pool):
     """Only the twelve, and coarsely."""
-    trials = evaluation.shelf_trials(run.task, run.model.arm.links)
-    outcome = evaluation.fly(run.average, run.task, trials, pool)
-    return evaluation.Tested(evaluation.ShelfReport(float(outcome.reached.mean()), 0.25), trials, outcome)
+    trials = validation.shelf_trials(run.task, run.model.arm.links)
+    outcome = validation.fly(run.average, run.task, trials, pool)
+    return validation.Tested(validation.ShelfReport(float(outcome.reached.mean()), 0.25), trials, outcome)
 
 
 def read(folder):

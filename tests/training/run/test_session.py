@@ -19,7 +19,7 @@ from softarm.training.learn.inference import infer, workers
 from softarm.training.learn.network import NetworkShape, PolicyNetwork
 from softarm.training.learn.ppo import PpoConfig
 from softarm.training.record.export import onnx_model
-from softarm.training.run import evaluation
+from softarm.training.run import validation
 from softarm.training.run.checkpoint import CheckpointError
 from softarm.training.run.session import Session, TrainingConfig, averaged_share, export_checkpoint
 from softarm.training.task.environment import ACTIONS, INPUTS, Environment
@@ -203,7 +203,7 @@ def test_a_damaged_checkpoint_is_refused(tmp_path):
 
 
 def test_validation_trials_are_none_of_the_test_targets():
-    trials, grid = evaluation.validation_trials(TASK, 5), evaluation.grid_trials(5)
+    trials, grid = validation.validation_trials(TASK, 5), validation.grid_trials(5)
     assert len(np.unique(grid.target_m, axis=0)) == 54
     assert sorted(np.unique(grid.starts.cart_position_m)) == pytest.approx([0.0, 0.1, 0.2])
     apart = np.linalg.norm(trials.target_m[:, None] - grid.target_m[None], axis=2)
@@ -221,9 +221,9 @@ def test_flying_counts_each_trial_once_and_knows_how_close_it_came():
             return mean, torch.zeros(steps, batch), state
 
     targets = np.array([[0.0, 0.53], [-0.3, 0.80]], dtype=np.float32)
-    trials = evaluation.Trials(evaluation.at_rest(np.zeros(2), 5), targets)
+    trials = validation.Trials(validation.at_rest(np.zeros(2), 5), targets)
     with workers(1) as pool:
-        outcome = evaluation.fly(Still(NetworkShape(INPUTS, ACTIONS)), TASK, trials, pool)
+        outcome = validation.fly(Still(NetworkShape(INPUTS, ACTIONS)), TASK, trials, pool)
     assert outcome.reached.tolist() == [True, False]
     assert outcome.time_s[0] == pytest.approx(1 / 30)
     assert outcome.time_s[1] == pytest.approx(100 / 30)

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from softarm.schemas.model import Model
 from softarm.simulator.simulator import Simulator
-from softarm.training.run.evaluation import at_rest
+from softarm.training.run.validation import at_rest
 from softarm.training.task.environment import Environment, to_physical
 from softarm.training.task.reach import TASKS, Starts
 

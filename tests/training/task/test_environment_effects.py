@@ -15,7 +15,7 @@ from softarm.simulator.effects import REGISTRY, exemplars
 from softarm.training.learn.inference import workers
 from softarm.training.learn.network import NetworkShape, PolicyNetwork
 from softarm.training.learn.ppo import PpoConfig
-from softarm.training.run import evaluation
+from softarm.training.run import validation
 from softarm.training.run.checkpoint import CheckpointError
 from softarm.training.run.session import Session, TrainingConfig
 from softarm.training.task.environment import ACTIONS, INPUTS, Environment, Step
@@ -44,7 +44,7 @@ def strong() -> Model:
 
 def begin(model: Model | None = None, task=EXACT, targets=FAR) -> Environment:
     environment = Environment(task, len(targets), 0, model)
-    environment.reset(evaluation.at_rest(np.zeros(len(targets)), 5), targets)
+    environment.reset(validation.at_rest(np.zeros(len(targets)), 5), targets)
     return environment
 
 
@@ -185,10 +185,10 @@ def test_a_snapshot_goes_on_bit_for_bit():
 
 def test_how_close_a_trial_came_is_the_true_distance():
     network = PolicyNetwork(NetworkShape(INPUTS, ACTIONS))
-    trials = evaluation.Trials(evaluation.at_rest(np.zeros(1), 5), np.float32([[0.0, 0.53]]))
+    trials = validation.Trials(validation.at_rest(np.zeros(1), 5), np.float32([[0.0, 0.53]]))
     displaced = model(mocap__offset={"y": 0.1, "z": 0.1})
     with workers(1) as pool:
-        outcome = evaluation.fly(network, REACH, trials, pool, model=displaced)
+        outcome = validation.fly(network, REACH, trials, pool, model=displaced)
     assert outcome.reached[0]
     assert outcome.closest_m[0] < REACH.success_radius_m
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from softarm.simulator.effects import EffectError
-from softarm.training.run.evaluation import at_rest
 from softarm.training.run.recipe import RECIPES, ROBUST, prepare
+from softarm.training.run.validation import at_rest
 from softarm.training.task.randomisation import Randomisation
 from softarm.training.task.reach import TASKS
 from softarm.training.task.shelf import ShelfTask, environment_of

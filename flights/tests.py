@@ -4,9 +4,9 @@ import importlib.util
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
-from softarm.cli.comparison import trials
-from softarm.cli.comparison.robots import ROBOTS
-from softarm.cli.comparison.trials import Outcome, Trial
+from softarm.flights import runner as trials
+from softarm.flights.robots import ROBOTS
+from softarm.flights.runner import Outcome, Trial
 from softarm.policies.base import Policy
 from softarm.schemas.model import Model
 from softarm.simulator import model_file

@@ -2,7 +2,7 @@
 
 from html import escape
 
-from softarm.cli.comparison.table import CEILING, Comparison, Figure
+from softarm.flights.table import CEILING, Comparison, Figure
 from softarm.schemas.goals import TEST_TARGETS
 
 _STYLE = """

@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softarm.daemon.control.records import Mode
-from softarm.daemon.evaluation import CART_STARTS_M
 from softarm.daemon.shell.offline import Lockstep
 from softarm.drivers.bodies.simulated import SimulatedRobot
+from softarm.flights.evaluation import CART_STARTS_M
 from softarm.policies.base import Array, Policy, PolicyError
 from softarm.reality.parameters import Parameters
 from softarm.schemas.config import Config

@@ -4,12 +4,12 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from softarm.cli.closing import HELD_BACK, NEW, OLD, PATCHED, changed
-from softarm.cli.flights import Place, Reached, shares
 from softarm.diagnosis.gap.result import Diagnosis
 from softarm.diagnosis.report import charts
 from softarm.diagnosis.report.markup import Html, bar, el, join, prose, table
 from softarm.diagnosis.report.words import number, percent
+from softarm.flights.closing.summary import HELD_BACK, NEW, OLD, PATCHED, changed
+from softarm.flights.many import Place, Reached, shares
 from softarm.schemas.goals import TEST_TARGETS, Goal
 from softarm.training.run.retrain import Retrained
 

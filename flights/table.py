@@ -12,9 +12,9 @@ from typing import NamedTuple, TypedDict
 
 import numpy as np
 
-from softarm.cli.comparison.tests import COLUMNS, TESTS, label
-from softarm.cli.comparison.trials import Outcome, Trial
-from softarm.daemon.evaluation import CART_STARTS_M
+from softarm.flights.evaluation import CART_STARTS_M
+from softarm.flights.runner import Outcome, Trial
+from softarm.flights.tests import COLUMNS, TESTS, label
 from softarm.policies import registry
 from softarm.policies.base import PolicyError
 from softarm.policies.onnx_policy import OnnxPolicy

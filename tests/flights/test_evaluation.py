@@ -1,7 +1,7 @@
 import pytest
 
-from softarm.daemon import evaluation
 from softarm.daemon.shell.offline import Lockstep
+from softarm.flights import evaluation
 from softarm.policies import registry
 from softarm.schemas.config import Config
 from softarm.schemas.goals import TEST_TARGETS, Goal

@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from softarm.cli.flights import Place, Reached, shares
 from softarm.diagnosis.gap.result import Diagnosis
+from softarm.flights.many import Place, Reached, shares
 from softarm.schemas.goals import TEST_TARGETS, Goal
 from softarm.schemas.verdict import Task
 from softarm.simulator.model_rows import differences

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from softarm.cli.comparison import trials
+from softarm.flights import runner as trials
 from softarm.policies import registry
 from softarm.reality.parameters import GROUPS, Parameters
 from softarm.schemas.config import Policy as ConfiguredPolicy

@@ -1,0 +1,1 @@
+"""The steps of `softarm close-gap` after the diagnosis, and what they leave behind."""
