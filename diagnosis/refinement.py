@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from softarm.common import resample
 from softarm.diagnosis.bench import Bench, to_columns
 from softarm.diagnosis.motion import Motion
 from softarm.schemas.model import Arm
@@ -20,8 +21,6 @@ NUDGE = 0.01  # of a parameter's scale, for a column of the Jacobian
 STRIDES = (1.0, 0.5, 0.25, 0.1, 0.02)
 CONVERGED = 2e-4  # a step smaller than this share of every scale ends the fit
 BLOCK_S = 1.0  # residuals of one block are drawn together: they are not independent
-RESAMPLES = 1000
-LEVEL = 0.95
 START_NUDGES = (0.01, 0.1)  # rad, rad/s
 START_SHARE = 0.02  # a direction of the start that moves the signals less than this share of the best is left alone
 
@@ -170,12 +169,10 @@ def _interval(motions: Sequence[Motion], locals_: Sequence[_Local], column: Arra
             normals.append(part.T @ part)
             slopes.append(part.T @ item.projected[block == index])
     normal, slope = np.array(normals), np.array(slopes)
-    draw = np.random.default_rng(0)
-    counts = draw.multinomial(len(normal), np.full(len(normal), 1 / len(normal)), size=RESAMPLES)
+    counts = resample.draws(len(normal))
     ridge = 1e-9 * np.trace(normal.sum(axis=0)) * np.eye(len(column))
     steps = np.linalg.solve(
         np.tensordot(counts, normal, axes=1) + ridge, np.tensordot(counts, slope, axes=1)[:, :, None]
     )[:, :, 0]
-    tail = (1 - LEVEL) / 2
-    spread = np.quantile(steps - steps.mean(axis=0), (tail, 1 - tail), axis=0) * scale
-    return column + spread[0], column + spread[1]
+    low, high = resample.interval(steps - steps.mean(axis=0))
+    return column + low * scale, column + high * scale

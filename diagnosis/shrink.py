@@ -4,6 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from softarm.common import resample
 from softarm.diagnosis.gap.counts import counts
 from softarm.diagnosis.gap.recordings import Flight, flight
 from softarm.diagnosis.gap.robot_views import ON_MOTOR, robot_views
@@ -12,7 +13,6 @@ from softarm.diagnosis.trials import Trial
 from softarm.schemas.model import Model
 from softarm.simulator.effects import REGISTRY, value
 
-RESAMPLES = 2000
 # Trials drawn anew know nothing of excitations that were not flown. On opened cases of the blind benchmark the bare
 # intervals held three quarters of the shrinks that fresh excitations showed; this much wider, 95 in 100.
 WIDER, WIDER_BY = 1.5, 0.01
@@ -59,10 +59,8 @@ def point_between(nominal: Model, patched: Model) -> Point:
 def interval(before: Array, after: Array) -> tuple[float, float, float]:
     """1 - sqrt(sum after / sum before) with its 95 % interval: trials drawn anew; squares by trial, [K] each."""
     value_ = 1 - float(np.sqrt(after.sum() / before.sum())) if before.sum() > 0 else 0.0
-    k = len(before)
-    counts_ = np.random.default_rng(0).multinomial(k, np.full(k, 1 / k), RESAMPLES)
-    ratio = np.sqrt((counts_ @ after) / np.maximum(counts_ @ before, 1e-30))
-    low, high = np.quantile(1 - ratio, (0.025, 0.975))
+    drawn = resample.draws(len(before))
+    low, high = resample.interval(1 - np.sqrt((drawn @ after) / np.maximum(drawn @ before, 1e-30)))
     return value_, *widened(value_, float(low), float(high))
 
 

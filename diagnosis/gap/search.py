@@ -5,10 +5,10 @@ Every comparison is between nested fits that share their nuisances, on blocks th
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cache
 
 import numpy as np
 
+from softarm.common import resample
 from softarm.diagnosis.gap.candidates import Candidate
 from softarm.diagnosis.gap.fits import Fit, Problem, Set, U
 from softarm.diagnosis.gap.view import Array
@@ -16,7 +16,6 @@ from softarm.diagnosis.gap.view import Array
 EFFECTS_MAX = 3
 STARTS_KEPT = 1
 PROMISING = 10  # candidates that are fitted to the end
-RESAMPLES = 2000
 GAIN_MIN = 8.0  # what an effect must add, held out: weighted squares, about four per second and view
 # And in one view that it acts on: share of the residual's energy, energy in units of the floor's, and the lower end of
 # the gain. What moves a residual within the floor is news only if it is a part of it and beyond all doubt.
@@ -201,15 +200,8 @@ class Search:
 
 def bootstrap(difference: Array) -> tuple[float, float]:
     """95 % interval of a sum over blocks, the blocks drawn anew; the draws are always the same."""
-    low, high = np.quantile(_draws(len(difference)) @ difference, (0.025, 0.975))
+    low, high = resample.interval(resample.draws(len(difference)) @ difference)
     return float(low), float(high)
-
-
-@cache
-def _draws(blocks: int) -> Array:
-    """How often each block is drawn, [RESAMPLES, blocks]."""
-    drawn = np.random.default_rng(0).multinomial(blocks, np.full(blocks, 1 / blocks), RESAMPLES)
-    return np.asarray(drawn, dtype=np.float64)
 
 
 def _without(fit: Fit, i: int) -> tuple[Set, U]:

@@ -4,12 +4,12 @@ import math
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
-from functools import cache
 from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
+from softarm.common import resample
 from softarm.diagnosis.gap.fits import Fit, Problem
 from softarm.diagnosis.gap.lens import BLOCK_S, blocks_of
 from softarm.diagnosis.gap.problem import Setup
@@ -29,7 +29,6 @@ from softarm.schemas.verdict import Estimate, Gap, Interval, NamedEffect, Quanti
 Tell = Callable[[str, float], None]
 NOTHING_FLOORS = 2.0  # a gap below this many floors is none
 NAMED_SHARE, INCOMPLETE_SHARE = 0.8, 0.3  # of what any model could explain
-RESAMPLES = 1000
 FOLDS_LEAST, FOLDS_MOST = 4, 6  # of whole trials
 FOLDS = 5  # of blocks
 _CONFIDENCE_NOTE = (
@@ -213,17 +212,10 @@ def _odds(gain: Gain) -> float:
 
 def _shrink(less: Array, more: Array) -> Interval:
     """Share of the RMS that goes, with its 95 % interval over blocks drawn anew."""
-    counts = _draws(len(less))
-    ratios = np.sqrt(np.maximum(counts @ more, 0.0) / np.maximum(counts @ less, 1e-12))
-    low, high = np.quantile(1 - ratios, (0.025, 0.975))
+    drawn = resample.draws(len(less))
+    low, high = resample.interval(1 - np.sqrt(np.maximum(drawn @ more, 0.0) / np.maximum(drawn @ less, 1e-12)))
     value = 1 - math.sqrt(max(float(more.sum()), 0.0) / max(float(less.sum()), 1e-12))
     return Interval(value=value, low=min(float(low), value), high=max(float(high), value))
-
-
-@cache
-def _draws(blocks: int) -> NDArray[np.int64]:
-    """[RESAMPLES, blocks] how often each block is drawn."""
-    return np.random.default_rng(0).multinomial(blocks, np.full(blocks, 1 / blocks), RESAMPLES)
 
 
 def _explained(stage: Stage) -> float:

@@ -15,7 +15,7 @@ from softarm.diagnosis.gap.candidates import Candidate
 from softarm.diagnosis.gap.fits import Fit, Problem, Set, U, point_of, split
 from softarm.diagnosis.gap.lens import BLOCK_S, Moments, Rows
 from softarm.diagnosis.gap.problem import PER_SECOND
-from softarm.diagnosis.gap.search import GAIN_MIN, RESAMPLES, RIVAL_SHARE, TIE, Gain, Search
+from softarm.diagnosis.gap.search import GAIN_MIN, RIVAL_SHARE, TIE, Gain, Search, bootstrap
 from softarm.diagnosis.gap.view import Array
 
 SHARE_MIN, FLOORS_MIN = 0.10, 0.30  # of the energy that is left without an effect, and in units of the floor's
@@ -96,9 +96,6 @@ class Backward(Search):
         super().__init__(problem, plain, stages, candidates)
         self._reduced: dict[tuple[tuple[str, ...], U], list[Fit]] = {}
         self._settled: dict[str, tuple[float, ...]] = {}  # the chosen effects' dials
-        size = len(problem.blocks)
-        counts = np.random.default_rng(0).multinomial(size, np.full(size, 1 / size), RESAMPLES)
-        self._counts = counts.astype(np.float32)  # drawn once: of hundreds of blocks that takes longer than a fit
 
     def gain(self, less: Fit, more: Fit) -> Gain:
         """See Search; but blocks that hold more than their share count by the logarithm of it.
@@ -108,9 +105,8 @@ class Backward(Search):
         difference = tempered(less) - tempered(more)
         before, after = self.energies(less), self.energies(more)
         shares = {s: 1 - after[s] / before[s] for s in self.stages if before[s] > 1e-9}
-        low, high = np.quantile(self._counts @ difference.astype(np.float32), (0.025, 0.975))
         gone = {s: before[s] - after[s] for s in shares}
-        return Gain(float(difference.sum()), float(low), float(high), shares, gone)
+        return Gain(float(difference.sum()), *bootstrap(difference), shares, gone)
 
     def worth(self, gain: Gain) -> bool:
         """Whether a gain is one: beyond chance, a share of what is left, and above the floor.
