@@ -8,7 +8,6 @@ every operation is SIMD.
     store(memory, row, lanes, select(x > 0.0, x * x, 0.5 - x))
 
 Vectors take + - * / and comparisons with each other and with scalars. They live in compiled functions only.
-numba's cache looks at the caller's file alone: after a change here, delete `simulator/__pycache__`.
 """
 
 # Code generators: their arguments are numba's own.

@@ -1,14 +1,19 @@
 """Least squares in a box, many small problems: coordinate descent finds who is at a bound, then the rest is solved."""
 
 # mypy: allow-untyped-defs, allow-untyped-calls
+from pathlib import Path
+
 import numpy as np
-from numba import njit
+
+from softarm.simulator.compiled import compiler
+
+compiled = compiler(Path(__file__))
 
 ROUNDS, SWEEPS = 40, 10
 FINE = 1e-12  # of the largest gradient at the start
 
 
-@njit(cache=True)
+@compiled
 def solve(normal, slope, low, high):
     """Minimise x' normal x / 2 - slope' x within low <= x <= high; normal [q, q] symmetric, contiguous, the rest [q].
 

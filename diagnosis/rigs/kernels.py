@@ -2,15 +2,19 @@
 
 # mypy: allow-untyped-defs, allow-untyped-calls
 import math
+from pathlib import Path
 
 import numpy as np
-from numba import njit
+
+from softarm.simulator.compiled import compiler
+
+compiled = compiler(Path(__file__))
 
 # Columns of a follower's parameters.
 SCALE, OFFSET, WIDTH, LAG, RATE, ACCELERATION, GAP = range(7)
 
 
-@njit(cache=True)
+@compiled
 def follow(command, start, law, step_s, each, out):
     """Follow a command: an error beyond the dead zone closes with the lag's time, within rate and acceleration.
 
@@ -36,7 +40,7 @@ def follow(command, start, law, step_s, each, out):
 GRAVITY, CUBIC, DAMPING, TORQUE, GIVE, DRAG = range(6)
 
 
-@njit(cache=True)
+@compiled
 def accelerations(q, v, z, push, link, law, matrix, rhs):
     """Angular accelerations of a chain of n links into rhs.
 
@@ -73,7 +77,7 @@ def accelerations(q, v, z, push, link, law, matrix, rhs):
     _solve(matrix, rhs)
 
 
-@njit(cache=True)
+@compiled
 def _add_drag(q, v, link, coefficient, rhs):
     """Quadratic drag of every link at its centre."""
     for i in range(len(q)):
@@ -88,7 +92,7 @@ def _add_drag(q, v, link, coefficient, rhs):
             rhs[j] += force * arm * (y * math.cos(q[j]) + z * math.sin(q[j]))
 
 
-@njit(cache=True)
+@compiled
 def _solve(matrix, rhs):
     """Gauss without pivots: the matrix is positive definite."""
     n = len(rhs)
@@ -104,7 +108,7 @@ def _solve(matrix, rhs):
         rhs[i] /= matrix[i, i]
 
 
-@njit(cache=True)
+@compiled
 def swing(state, shear, push, link, law, step_s, each, out):
     """Let a chain swing (Runge and Kutta, fourth order); out: [T, n] angles, the first at the start.
 
@@ -135,7 +139,7 @@ def swing(state, shear, push, link, law, step_s, each, out):
             z[:] = zs
 
 
-@njit(cache=True)
+@compiled
 def _shear(before, after, z, give, out):
     """Friction is sheared by the turn of its joint until it slips."""
     turned = 0.0
@@ -145,7 +149,7 @@ def _shear(before, after, z, give, out):
         turned = turn
 
 
-@njit(cache=True)
+@compiled
 def shot(seen, start, moving, push, link, law, bias, step_s, each, rounds, prior, out):
     """Fit where a window starts (Gauss-Newton, `rounds`) and write what is left, measured minus swung, [T, n].
 
@@ -177,7 +181,7 @@ def shot(seen, start, moving, push, link, law, bias, step_s, each, rounds, prior
         start += slope
 
 
-@njit(cache=True)
+@compiled
 def _start_shear(start, moving, link, law, shear):
     """Friction at the start: whole where a joint turns; where none does, what holds the chain where it hangs."""
     n = len(shear)

@@ -2,8 +2,8 @@
 
 Robots stand side by side along the SIMD lanes (simulator/simd.py), so the code reads as if for one. A block
 holds one group of lanes as a flat array of rows (layout.py): parameters, state, command history and scratch,
-one value a lane. One file a stage: pressure.py, rail.py, arm.py with joints.py, air.py and contact.py; run.py
-puts them together.
+one value a lane. One file a stage: pressure.py, rail.py, arm.py with joints.py and contact.py; run.py puts them
+together, numerics.py has what they share.
 
 The numbers of links and lanes are the lengths of two tuples: constants to the compiler, so one source serves
 any n, and both a large batch and a single robot. What a batch needs of the effects is a set of bits that each
@@ -11,7 +11,7 @@ block looks at once a substep: a scalar branch beside a thousand vector operatio
 value is an exact identity, so that a robot's numbers are the same bit for bit whatever its neighbours have.
 float32 in use; float64 compiles from the same source. No fast-math: a NaN stays visible.
 
-numba's cache looks at one file alone: after a change, delete the `__pycache__` of simulator and kernel.
+A change of any of these files compiles all of them anew (compiled.py): numba alone would look at run.py only.
 """
 
 from softarm.simulator.kernel.layout import HISTORY, Rows, rows

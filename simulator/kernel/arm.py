@@ -14,8 +14,7 @@ the step is chosen for accuracy, not for stability: (M + h D + h^2 K) a = forces
 """
 
 # mypy: allow-untyped-defs, allow-untyped-calls
-from numba import njit
-
+from softarm.simulator.kernel.compiled import compiled
 from softarm.simulator.kernel.layout import CART_GIVEN, rows
 from softarm.simulator.kernel.numerics import sine_cosine
 from softarm.simulator.kernel.pressure import pull, regulate
@@ -26,7 +25,7 @@ from softarm.simulator.simd import fill, load, store
 IMMOVABLE_KG = 1e12
 
 
-@njit(cache=True)
+@compiled
 def assemble(m, w, links, lanes, active, end, dt):
     """Advance the actuators and fill matrix and right-hand side of the equations of motion."""
     n, h = len(links), 0.5 * dt
@@ -78,7 +77,7 @@ def assemble(m, w, links, lanes, active, end, dt):
     store(w, at.rhs, lanes, force)
 
 
-@njit(cache=True)
+@compiled
 def solve(w, links, lanes):
     """Solve matrix a = rhs by L D L^T in place; leaves the solution in `rhs`."""
     order, at = len(links) + 1, rows(links)
@@ -107,7 +106,7 @@ def solve(w, links, lanes):
         store(w, at.rhs + i, lanes, right)
 
 
-@njit(cache=True)
+@compiled
 def locate_block(m, links, lanes):
     """Set position and velocity of every link's far end."""
     at = rows(links)

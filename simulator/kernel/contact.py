@@ -11,8 +11,7 @@ pull as the substep begins. Friction is a damper across the push, of as much as 
 """
 
 # mypy: allow-untyped-defs, allow-untyped-calls
-from numba import njit
-
+from softarm.simulator.kernel.compiled import compiled
 from softarm.simulator.kernel.layout import rows
 from softarm.simulator.kernel.numerics import clip
 from softarm.simulator.simd import load, magnitude, root, select, some, store
@@ -29,7 +28,7 @@ INERTIA_MOST_KG = 0.3
 CREEP_M_S = 0.01
 
 
-@njit(cache=True)
+@compiled
 def add_shelf(m, w, links, lanes, dt):
     """Add what both boards push against every link to the equations of motion."""
     at, h = rows(links), 0.5 * dt
@@ -53,7 +52,7 @@ def add_shelf(m, w, links, lanes, dt):
         y, z = y + length * sine, z - length * cosine
 
 
-@njit(cache=True)
+@compiled
 def _push(m, w, links, lanes, i, reach, gap_y, gap_z, dt):
     """Push link i apart from a board: at `reach` along it, across a gap (m) from the board's line to the link's."""
     at, h = rows(links), 0.5 * dt
@@ -85,7 +84,7 @@ def _push(m, w, links, lanes, i, reach, gap_y, gap_z, dt):
         _apply(w, links, lanes, i, at.shear, 0.0 - grip * slide, grip * dt)
 
 
-@njit(cache=True)
+@compiled
 def _levers(m, w, links, lanes, i, reach, ny, nz):
     """Set what each coordinate moves the point of contact along the normal and across; returns both speeds."""
     at = rows(links)
@@ -104,7 +103,7 @@ def _levers(m, w, links, lanes, i, reach, ny, nz):
     return rate, slide
 
 
-@njit(cache=True)
+@compiled
 def _apply(w, links, lanes, i, levers, force, inertia):
     """Add a force and its implicit inertia along the direction whose levers are given."""
     at, order = rows(links), len(links) + 1

@@ -1,8 +1,7 @@
 """What the joints do beyond linear springs and dampers, gravity on a tilted rail, and air drag."""
 
 # mypy: allow-untyped-defs, allow-untyped-calls
-from numba import njit
-
+from softarm.simulator.kernel.compiled import compiled
 from softarm.simulator.kernel.layout import rows
 from softarm.simulator.kernel.numerics import clip, grip
 from softarm.simulator.simd import fill, load, root, select, store
@@ -11,7 +10,7 @@ from softarm.simulator.simd import fill, load, root, select, store
 REACH_RAD = 3e-4
 
 
-@njit(cache=True)
+@compiled
 def add_joints(m, w, links, lanes, dt):
     """Add stiffening, creep and dry friction of every joint to the equations of motion.
 
@@ -45,7 +44,7 @@ def add_joints(m, w, links, lanes, dt):
             store(w, at.rhs + i, lanes, load(w, at.rhs + i, lanes) - torque)
 
 
-@njit(cache=True)
+@compiled
 def settle_joints(m, w, links, lanes, dt):
     """Shear the joints' dry friction by the way of a substep; before the rates are advanced."""
     at, h = rows(links), 0.5 * dt
@@ -57,7 +56,7 @@ def settle_joints(m, w, links, lanes, dt):
         before = mean
 
 
-@njit(cache=True)
+@compiled
 def add_tilt(m, w, links, lanes):
     """Add the part of gravity that points along a rail that is not level."""
     at = rows(links)
@@ -68,7 +67,7 @@ def add_tilt(m, w, links, lanes):
         store(w, at.rhs + i + 1, lanes, load(w, at.rhs + i + 1, lanes) - lean)
 
 
-@njit(cache=True)
+@compiled
 def add_payload(m, w, links, lanes, dt):
     """Take implicitly how a payload straightens the links that it hangs from, by weight and centrifugal force.
 
@@ -88,7 +87,7 @@ def add_payload(m, w, links, lanes, dt):
         store(w, own, lanes, load(w, own, lanes) + straightening)
 
 
-@njit(cache=True)
+@compiled
 def add_drag(m, w, links, lanes, dt):
     """Add drag -c |v| v at every link's centre, at the midpoint as foreseen from the last acceleration.
 

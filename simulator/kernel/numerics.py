@@ -1,12 +1,11 @@
 """Functions of vectors, and what all stages share."""
 
 # mypy: allow-untyped-defs, allow-untyped-calls
-from numba import njit
-
+from softarm.simulator.kernel.compiled import compiled
 from softarm.simulator.simd import floor, load, magnitude, select
 
 
-@njit(cache=True)
+@compiled
 def sine_cosine(x):
     """Return sin x and cos x, to float32's rounding for |x| up to ten thousand turns.
 
@@ -29,14 +28,14 @@ def sine_cosine(x):
     return 2.0 * sine * cosine, 1.0 - 2.0 * sine * sine
 
 
-@njit(cache=True)
+@compiled
 def clip(x, low, high):
     """Bring x between two bounds; NaN stays NaN."""
     x = select(x < low, low, x)
     return select(x > high, high, x)
 
 
-@njit(cache=True)
+@compiled
 def loss_over(x):
     """Return (1 - exp(-x)) / x for x >= 0, exactly 1 at 0, to 2e-6.
 
@@ -53,7 +52,7 @@ def loss_over(x):
     return select(x < 1.0, near, (1.0 - fade) / select(x < 1.0, 1.0, x))
 
 
-@njit(cache=True)
+@compiled
 def tanh_over(x):
     """Return tanh(x) / x, exactly 1 at 0."""
     y = magnitude(x)
@@ -61,7 +60,7 @@ def tanh_over(x):
     return loss / (1.0 - y * loss)
 
 
-@njit(cache=True)
+@compiled
 def grip(m, lanes, row, strength, reach, rate, acceleration, dt):
     """Return dry friction's force at the end of a substep, less accelerations', and its implicit inertia.
 

@@ -1,14 +1,13 @@
 """Commands on their way, and the pressure stage: from command to what the muscle pulls with."""
 
 # mypy: allow-untyped-defs, allow-untyped-calls
-from numba import njit
-
+from softarm.simulator.kernel.compiled import compiled
 from softarm.simulator.kernel.layout import HISTORY, MUSCLE, OLD, PRESSURE, PRESSURE_GIVEN
 from softarm.simulator.kernel.numerics import clip, loss_over, tanh_over
 from softarm.simulator.simd import load, magnitude, select, some, store
 
 
-@njit(cache=True)
+@compiled
 def issue(m, lanes, command, history, width, late):
     """Put each lane's command at the head of its history, unless it is within `width` of the newest.
 
@@ -24,7 +23,7 @@ def issue(m, lanes, command, history, width, late):
         store(m, history + HISTORY, lanes, select(fresh, 0.0 - late, load(m, history + HISTORY, lanes)))
 
 
-@njit(cache=True)
+@compiled
 def age(m, lanes, history, duration):
     """Make a history older at the end of a step. An old command is old; its age need not lose its digits."""
     for i in range(history + HISTORY, history + 2 * HISTORY):
@@ -32,7 +31,7 @@ def age(m, lanes, history, duration):
         store(m, i, lanes, select(older > OLD, OLD, older))
 
 
-@njit(cache=True)
+@compiled
 def due(m, lanes, history, delay, end, dt):
     """Return the command in force at the end of a substep, the one at its start, and the former's share of it.
 
@@ -54,7 +53,7 @@ def due(m, lanes, history, delay, end, dt):
     return latest, before, clip(share, 0.0, 1.0)
 
 
-@njit(cache=True)
+@compiled
 def regulate(m, lanes, at, active, end, dt):
     """Advance the pressure by a substep; returns its mean over the substep, kPa."""
     old = load(m, at.pressure, lanes)
@@ -86,7 +85,7 @@ def regulate(m, lanes, at, active, end, dt):
     return mean
 
 
-@njit(cache=True)
+@compiled
 def pull(m, lanes, at, active, before, mean):
     """Return the pressure by which the muscle pulls: after hysteresis and saturation, kPa.
 

@@ -1,8 +1,7 @@
 """The rail stage: from velocity command to the force on the cart."""
 
 # mypy: allow-untyped-defs, allow-untyped-calls
-from numba import njit
-
+from softarm.simulator.kernel.compiled import compiled
 from softarm.simulator.kernel.layout import RAIL
 from softarm.simulator.kernel.numerics import clip, grip
 from softarm.simulator.kernel.pressure import due
@@ -12,7 +11,7 @@ from softarm.simulator.simd import fill, load, magnitude, select, some, store
 REACH_M = 5e-5
 
 
-@njit(cache=True)
+@compiled
 def _law(m, lanes, at, command, v, dt):
     """Return the drive's force (N) and implicit mass (kg).
 
@@ -29,7 +28,7 @@ def _law(m, lanes, at, command, v, dt):
     return force, share * load(m, at.drive_inertia, lanes) + 0.5 * dt * gain
 
 
-@njit(cache=True)
+@compiled
 def _follow(m, lanes, at, command, before, share):
     """Pass a command through the feed constant and the lag; returns its mean over the substep, m/s."""
     gain, lagged = load(m, at.rail_gain, lanes), load(m, at.lagged, lanes)
@@ -39,7 +38,7 @@ def _follow(m, lanes, at, command, before, share):
     return command + load(m, at.mean_rail, lanes) * (lagged - command)
 
 
-@njit(cache=True)
+@compiled
 def _engage(m, lanes, at, error, force, dt):
     """Return the share of the substep in which the drive touches the cart, and move within the backlash.
 
@@ -56,7 +55,7 @@ def _engage(m, lanes, at, error, force, dt):
     return clip(1.0 - left / closing, 0.0, 1.0)
 
 
-@njit(cache=True)
+@compiled
 def drive(m, lanes, at, active, end, dt):
     """Return what drive, friction and end stops put into the cart's row: force (N) and implicit mass (kg)."""
     h, v = 0.5 * dt, load(m, at.v, lanes)
@@ -91,7 +90,7 @@ def drive(m, lanes, at, active, end, dt):
     return force, mass
 
 
-@njit(cache=True)
+@compiled
 def settle_cart(m, lanes, at, way):
     """Shear the cart's dry friction by the way that a substep took, m."""
     store(m, at.cart_bristle, lanes, clip(load(m, at.cart_bristle, lanes) + way, -REACH_M, REACH_M))

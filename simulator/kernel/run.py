@@ -3,9 +3,10 @@
 # mypy: allow-untyped-defs, allow-untyped-calls
 import math
 
-from numba import get_thread_id, njit, prange
+from numba import get_thread_id, prange
 
 from softarm.simulator.kernel.arm import assemble, locate_block, solve
+from softarm.simulator.kernel.compiled import compiled
 from softarm.simulator.kernel.contact import add_shelf
 from softarm.simulator.kernel.joints import add_drag, add_joints, add_payload, add_tilt, settle_joints
 from softarm.simulator.kernel.layout import (
@@ -30,7 +31,7 @@ from softarm.simulator.simd import load, store
 FASTEST_RAD_S, FASTEST_M_S = 80.0, 20.0
 
 
-@njit(cache=True)
+@compiled
 def _issue(m, lanes, at, active):
     late = load(m, at.late, lanes)
     if not active & CART_GIVEN:
@@ -39,7 +40,7 @@ def _issue(m, lanes, at, active):
         issue(m, lanes, load(m, at.pressure_command, lanes), at.pressure_history, load(m, at.deadband, lanes), late)
 
 
-@njit(cache=True)
+@compiled
 def _grow_older(m, lanes, at, active, duration):
     if not active & CART_GIVEN:
         age(m, lanes, at.rail_history, duration)
@@ -47,7 +48,7 @@ def _grow_older(m, lanes, at, active, duration):
         age(m, lanes, at.pressure_history, duration)
 
 
-@njit(cache=True)
+@compiled
 def _advance_block(m, w, links, lanes, parts, active, substeps, dt):
     """Advance one block by `substeps` substeps of `dt` seconds under its commands."""
     at, h = rows(links), 0.5 * dt
@@ -82,7 +83,7 @@ def _advance_block(m, w, links, lanes, parts, active, substeps, dt):
     _grow_older(m, lanes, at, active, substeps * dt)
 
 
-@njit(cache=True)
+@compiled
 def advance(memory, scratch, links, lanes, parts, active, substeps, dt):
     """Advance every block on this thread.
 
@@ -94,14 +95,14 @@ def advance(memory, scratch, links, lanes, parts, active, substeps, dt):
         _advance_block(memory[block], scratch[0], links, lanes, parts, active, substeps, dt)
 
 
-@njit(cache=True, parallel=True)
+@compiled(parallel=True)
 def advance_parallel(memory, scratch, links, lanes, parts, active, substeps, dt):
     """Advance every block on all cores; as `advance`."""
     for block in prange(memory.shape[0]):
         _advance_block(memory[block], scratch[get_thread_id()], links, lanes, parts, active, substeps, dt)
 
 
-@njit(cache=True, nogil=True)
+@compiled(nogil=True)
 def fly(memory, scratch, links, lanes, parts, active, substeps, dt, velocity, pressure, path):
     """Advance every block on this thread through a whole plan, block after block: its rows stay in the nearest cache.
 
@@ -124,7 +125,7 @@ def fly(memory, scratch, links, lanes, parts, active, substeps, dt, velocity, pr
                 path[step, 3, first + k] = m[(at.end_z + n - 1) * width + k]
 
 
-@njit(cache=True)
+@compiled
 def advance_pressure(memory, scratch, links, lanes, parts, active, substeps, dt):
     """Advance the pressure alone; as `advance`."""
     at = rows(links)
@@ -136,7 +137,7 @@ def advance_pressure(memory, scratch, links, lanes, parts, active, substeps, dt)
         _grow_older(m, lanes, at, active | CART_GIVEN, substeps * dt)
 
 
-@njit(cache=True)
+@compiled
 def advance_cart(memory, scratch, links, lanes, parts, active, substeps, dt):
     """Advance the cart alone, pushed by its drive and by the force at `cart_push`; as `advance`."""
     at, h = rows(links), 0.5 * dt
@@ -156,7 +157,7 @@ def advance_cart(memory, scratch, links, lanes, parts, active, substeps, dt):
         _grow_older(m, lanes, at, active | PRESSURE_GIVEN, substeps * dt)
 
 
-@njit(cache=True)
+@compiled
 def prepare(memory, links, lanes, dt):
     """Set, in every block, what depends on the length of the substep alone."""
     n, width = len(links), len(lanes)
@@ -180,7 +181,7 @@ def prepare(memory, links, lanes, dt):
                     m[(at.diagonal + i - 1) * width + k] += implicit
 
 
-@njit(cache=True)
+@compiled
 def locate(memory, links, lanes):
     """Set position and velocity of every link's far end."""
     for block in range(memory.shape[0]):

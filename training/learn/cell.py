@@ -6,10 +6,16 @@ between is float32. No function here takes the interpreter's lock or starts a th
 
 # mypy: allow-untyped-defs, allow-untyped-calls, allow-untyped-decorators
 
+from pathlib import Path
+
 import numpy as np
 from llvmlite import ir
 from numba import njit, types
 from numba.extending import intrinsic
+
+from softarm.simulator.compiled import compiler
+
+compiled = compiler(Path(__file__))
 
 # No `nnan`: a NaN has to stay visible. `reassoc` is left out so that results do not depend on the vector width.
 # numpy's error model, as the usual test for a division by zero keeps a loop from becoming SIMD.
@@ -86,7 +92,7 @@ def _tanh(x):
 # turns each loop into SIMD.
 
 
-@njit(nogil=True, cache=True, **SIMD)
+@compiled(nogil=True, **SIMD)
 def forward(product, bias, cell_before, keep, keep_next, gates, cell, hidden, fed):
     """One step of B rows, state of size H.
 
@@ -112,7 +118,7 @@ def forward(product, bias, cell_before, keep, keep_next, gates, cell, hidden, fe
             next_fed[j] = _as(next_fed[j], kept_next * out[j])
 
 
-@njit(nogil=True, cache=True, **SIMD)
+@compiled(nogil=True, **SIMD)
 def backward(gates, cell_before, keep, keep_next, cell, d_hidden, d_fed, d_product, d_cell, d_bias):
     """One step back.
 

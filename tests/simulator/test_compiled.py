@@ -1,0 +1,179 @@
+"""A stale kernel never runs: tried on copies."""
+
+import importlib
+import os
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from softarm.simulator import compiled, kernel
+from softarm.simulator.kernel.compiled import SOURCES
+
+SIMULATOR = Path(kernel.__file__).parents[1]
+HOUSE = SIMULATOR.resolve().parent
+OF_THE_KERNEL = """
+import numpy as np
+from softarm.simulator import kernel
+links, lanes = (0,) * 2, (0,) * 8
+at = kernel.rows(links)
+memory, scratch = (np.zeros((1, 8 * rows)) for rows in (at.end, at.scratch_end))
+block = memory.reshape(-1, 8)
+block[at.pressure_command] = 10.0
+kernel.advance_pressure(memory, scratch, links, lanes, (), 0, 8, 1 / 240)
+print(block[at.pressure, 0], len(kernel.advance_pressure.stats.cache_hits))
+"""
+# Two files, one inlined into the other: what numba by itself looks at, entry.py, does not change with law.py.
+MADE = """
+from pathlib import Path
+from softarm.simulator.compiled import compiler
+compiled = compiler(*(Path(__file__).with_name(name) for name in ("law.py", "entry.py")))
+"""
+LAW = "from made import compiled\n@compiled\ndef law(x): return 2 * x\n"
+ENTRY = "from made import compiled\nfrom law import law\n@compiled\ndef entry(x): return law(x)\n"
+
+
+def process(code, path):
+    """Start Python in a folder, with the modules that lie there before the house's."""
+    # Python's own cache tells versions of a file apart by the second and the length alone.
+    env = {name: value for name, value in os.environ.items() if not name.startswith("NUMBA_")}
+    env |= {"PYTHONPATH": f"{path}{os.pathsep}{HOUSE}", "PYTHONDONTWRITEBYTECODE": "1"}
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
+    return subprocess.Popen([sys.executable, "-c", code], cwd=path, env=env, text=True, **pipes)
+
+
+def answer(started):
+    """Return what a process printed; it must not have complained."""
+    with started:
+        out, complaints = started.communicate(timeout=120)
+    assert (started.returncode, complaints) == (0, "")
+    return out.split()
+
+
+def kept(folder):
+    return sorted(path.name for path in folder.rglob("*.nbi"))
+
+
+def test_an_edit_of_the_pressure_stage_is_flown_at_once(tmp_path):
+    for room in ("simulator", "schemas", "common"):
+        shutil.copytree(HOUSE / room, tmp_path / "softarm" / room, ignore=shutil.ignore_patterns("__pycache__"))
+    shutil.copy(HOUSE / "softarm" / "__init__.py", tmp_path / "softarm")
+    assert answer(process(OF_THE_KERNEL, tmp_path)) == ["10.0", "0"]
+    assert answer(process(OF_THE_KERNEL, tmp_path)) == ["10.0", "1"]
+
+    law = tmp_path / "softarm/simulator/kernel/pressure.py"
+    text = law.read_text()
+    assert text.count("target + keep * gap") == 1
+    law.write_text(text.replace("target + keep * gap", "0.0 * target + keep * gap"))
+    assert answer(process(OF_THE_KERNEL, tmp_path)) == ["0.0", "0"]
+
+
+def test_the_kernels_stamp_covers_every_file_of_ours_that_it_imports():
+    code = (
+        "import sys, softarm.simulator.kernel; print(*(m.__file__ for n, m in sys.modules.items() if 'softarm.' in n))"
+    )
+    files = map(Path, answer(process(code, HOUSE)))
+    assert set(files) - {SIMULATOR / "__init__.py"} == set(SOURCES)
+
+
+def test_no_function_is_kept_by_numbas_own_cache():
+    for file in HOUSE.glob("*/**/*.py"):
+        assert not re.search(r"^ *@.*\bcache=True", file.read_text(), re.MULTILINE), file
+
+
+@pytest.fixture
+def package(tmp_path, monkeypatch):
+    """The two files in a folder of their own; the user's cache would lie in `home` beside it."""
+    folder = tmp_path / "package"
+    folder.mkdir()
+    for name, text in (("made", MADE), ("law", LAW), ("entry", ENTRY)):
+        (folder / f"{name}.py").write_text(text)
+    monkeypatch.syspath_prepend(folder)
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "home"))
+    monkeypatch.setattr(compiled.numba.config, "CACHE_DIR", "")
+    monkeypatch.setattr(sys, "dont_write_bytecode", True)
+    compiled._say.cache_clear()
+    yield folder
+    forget()
+
+
+def forget():
+    for name in ("made", "law", "entry"):
+        sys.modules.pop(name, None)
+
+
+def entry():
+    """The function as a process that starts now would have it."""
+    forget()
+    importlib.invalidate_caches()
+    return importlib.import_module("entry").entry
+
+
+def hits(function):
+    return sum(function.stats.cache_hits.values())
+
+
+def edit(package):
+    (package / "law.py").write_text(LAW.replace("2 * x", "3 * x"))
+
+
+def test_what_was_kept_is_found_again_and_what_an_edit_made_useless_is_deleted(package):
+    assert entry()(1.0) == 2.0
+    before, again = kept(package), entry()
+    assert (again(1.0), hits(again)) == (2.0, 1)
+    edit(package)
+    assert entry()(1.0) == 3.0
+    assert len(kept(package)) == len(before) == 2
+    assert not set(kept(package)) & set(before)
+
+
+def test_another_version_compiles_anew(package, monkeypatch):
+    entry()(1.0)
+    monkeypatch.setattr(compiled, "VERSIONS", (*compiled.VERSIONS[:-1], "another"))
+    new = entry()
+    assert (new(1.0), hits(new)) == (2.0, 0)
+
+
+def test_a_process_that_outlives_an_edit_leaves_nothing_of_the_old_text_behind(package):
+    old = entry()
+    edit(package)
+    assert entry()(1.0) == 3.0
+    assert old(1) == 2
+    assert entry()(1) == 3
+
+
+def test_several_that_start_at_once_after_an_edit_all_see_it(package):
+    entry()(1.0)
+    edit(package)
+    started = [process("from entry import entry; print(entry(1.0))", package) for _ in range(3)]
+    assert [answer(each) for each in started] == [["3.0"]] * 3
+    again = entry()
+    assert (again(1.0), hits(again)) == (3.0, 1)
+
+
+def test_beside_files_that_cannot_be_written_the_users_cache_is_as_safe_and_it_says_once_where_that_is(package, caplog):
+    (package / "__pycache__").touch()  # no folder can be made there, not even by root
+    home = package.with_name("home")
+    assert entry()(1.0) == 2.0
+    (said,) = (record.getMessage() for record in caplog.records)
+    assert f"{package} cannot be written" in said
+    assert str(home) in said
+    before, again = kept(home), entry()
+    assert (again(1.0), hits(again)) == (2.0, 1)
+    edit(package)
+    assert entry()(1.0) == 3.0
+    assert len(kept(home)) == len(before) == 2
+    assert len(caplog.records) == 1
+
+
+def test_with_no_place_to_write_at_all_it_compiles_at_each_start_and_says_so_once(package, caplog):
+    (package / "__pycache__").touch()
+    package.with_name("home").touch()
+    assert entry()(1.0) == 2.0
+    edit(package)
+    assert entry()(1.0) == 3.0
+    (said,) = (record.getMessage() for record in caplog.records)
+    assert "Set NUMBA_CACHE_DIR" in said
