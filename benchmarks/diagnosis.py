@@ -5,12 +5,11 @@ the same split: one kind of excitation is left out, everything is found anew fro
 then simulated, pressure stage and arm each by itself. mujoco.sysid fits the parameters that it is told to
 (benchmarks/mujoco_sysid.py); the diagnosis is told nothing, and only what it names goes into its simulator.
 
-    python -m softarm.benchmarks.diagnosis [--campaign FOLDER] [--json FILE]
+    python -m softarm.benchmarks.diagnosis --json FILE
 
 Needs the extras diagnosis and mujoco, and for the peer mujoco[sysid]; without it the rest is measured.
 """
 
-import json
 import os
 import tempfile
 import time
@@ -27,7 +26,7 @@ from rich.console import Console
 from rich.progress import Progress
 from rich.table import Table
 
-from softarm.benchmarks import mujoco_sysid
+from softarm.benchmarks import mujoco_sysid, results
 from softarm.diagnosis.blind import cases, make
 from softarm.diagnosis.blind.imperfections import draw_nuisances
 from softarm.diagnosis.diagnose import diagnose
@@ -122,7 +121,7 @@ def peers(trials: Sequence[Trial], kinds: Sequence[str], model: Model, advance: 
     """mujoco.sysid, on all trials and without each kind."""
     before, after = _empty(), _empty()
     folds = []
-    stages = [stage(model) for stage in mujoco_sysid.STAGES]
+    stages = [stage(model) for stage in mujoco_sysid.FITTED]
     for kind in kinds:
         advance(f"mujoco.sysid without {kind}")
         known, left_out = split(trials, kind)
@@ -137,7 +136,7 @@ def peers(trials: Sequence[Trial], kinds: Sequence[str], model: Model, advance: 
     return Side(whole, folds, _rms(before), _rms(after), {name: asdict(each) for name, each in found.items()})
 
 
-def _fitted(stages: Sequence[mujoco_sysid.Stage], shown: Flight) -> dict[str, mujoco_sysid.Fitted]:
+def _fitted(stages: Sequence[mujoco_sysid.SysidStage], shown: Flight) -> dict[str, mujoco_sysid.Fitted]:
     recorded = {stage: [each for _, each in mujoco_sysid.every_recorded(stage, shown)] for stage in stages}
     return {stage.name: stage.fit(each) for stage, each in recorded.items() if each}
 
@@ -207,8 +206,8 @@ def _check(folder: Path, known: set[str], kinds: Sequence[str]) -> None:
 
 def _given(trials: Sequence[Trial], model: Model) -> dict[str, Any]:
     """What mujoco.sysid was told to fit, and what its step costs."""
-    stages = [stage(model) for stage in mujoco_sysid.STAGES]
-    recorded = [each for _, each in mujoco_sysid.every_recorded(mujoco_sysid.ArmStage(model), flight(trials, model))]
+    stages = [stage(model) for stage in mujoco_sysid.FITTED]
+    recorded = [each for _, each in mujoco_sysid.every_recorded(mujoco_sysid.SysidArm(model), flight(trials, model))]
     return {
         "given": {stage.name: dict(stage.bounds) for stage in stages},  # start, low, high
         "step_hz": mujoco_sysid.STEP_HZ,
@@ -259,9 +258,15 @@ def _words(effect: Mapping[str, Any]) -> str:
 @click.command()
 @click.option("--campaign", type=click.Path(path_type=Path, exists=True, file_okay=False), help="By default, one made.")
 @click.option("--hold-out", "kinds", multiple=True, help=f"Kinds of excitation; by default {', '.join(HELD_OUT)}.")
-@click.option("--json", "json_path", type=click.Path(path_type=Path, dir_okay=False), help="Write the figures there.")
-def main(campaign: Path | None, kinds: tuple[str, ...], json_path: Path | None) -> None:
-    """Measure the diagnosis beside mujoco.sysid."""
+@results.json_option
+def main(campaign: Path | None, kinds: tuple[str, ...], json_file: Path | None) -> None:
+    """Measure the diagnosis beside mujoco.sysid.
+
+    \b
+    Examples:
+      python -m softarm.benchmarks.diagnosis --json diagnosis.json
+      python -m softarm.benchmarks.diagnosis --campaign campaign --hold-out seed
+    """
     console = Console(soft_wrap=True)
     with tempfile.TemporaryDirectory() as scratch:
         if campaign is None:
@@ -271,8 +276,8 @@ def main(campaign: Path | None, kinds: tuple[str, ...], json_path: Path | None) 
             result = compare(campaign, kinds or HELD_OUT)
         except (TrialError, model_file.ModelFileError) as error:
             raise click.ClickException(str(error)) from None
-    if json_path is not None:
-        json_path.write_text(json.dumps(result, indent=2) + "\n", encoding="utf-8")
+    if json_file is not None:
+        results.write(json_file, result)
     show(result, console)
 
 

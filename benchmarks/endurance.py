@@ -1,16 +1,18 @@
 """Episodes with random parameters anywhere within the registry's bounds: does any robot ever turn NaN?
 
-python -m softarm.benchmarks.endurance            # a million episodes of 100 control steps
+python -m softarm.benchmarks.endurance --json FILE      a million episodes of 100 control steps
 """
 
 import time
 from dataclasses import dataclass
+from pathlib import Path
 
 import click
 import numpy as np
 from rich.console import Console
 from rich.progress import track
 
+from softarm.benchmarks import results
 from softarm.simulator.effects import REGISTRY
 from softarm.simulator.simulator import Simulator
 
@@ -22,14 +24,14 @@ WILD_RAD = 5.0
 
 
 @dataclass(frozen=True)
-class Flights:
+class Episodes:
     """What came of a batch of episodes."""
 
     finite: bool
     wild: int  # robots that ended wound up
 
 
-def fly(robots: int, seed: int, rate_hz: float = 240.0) -> Flights:
+def fly(robots: int, seed: int, rate_hz: float = 240.0) -> Episodes:
     """Fly one episode a robot, full-range commands every tenth of a second, a shelf within reach."""
     rng = np.random.default_rng(seed)
     simulator = Simulator(None, robots, rate_hz, overrides=draw(rng, robots))
@@ -45,7 +47,7 @@ def fly(robots: int, seed: int, rate_hz: float = 240.0) -> Flights:
         simulator.step(velocity, pressure)
     angles = simulator.link_angles_rad
     finite = bool(np.isfinite(angles).all() and np.isfinite(simulator.cart_position_m).all())
-    return Flights(finite, int((np.abs(angles).max(axis=1) > WILD_RAD).sum()))
+    return Episodes(finite, int((np.abs(angles).max(axis=1) > WILD_RAD).sum()))
 
 
 def draw(rng: np.random.Generator, robots: int) -> dict[str, np.ndarray]:
@@ -61,18 +63,30 @@ def draw(rng: np.random.Generator, robots: int) -> dict[str, np.ndarray]:
 
 
 @click.command()
-@click.option("--episodes", default=1_000_000, show_default=True)
-def main(episodes: int) -> None:
-    """Fly episodes and say how many ended in NaN or wound up."""
-    start, flights = time.perf_counter(), []
-    for seed in track(range(-(-episodes // BATCH)), transient=True):
-        flights.append(fly(BATCH, seed))
-    broken, wild = sum(not each.finite for each in flights), sum(each.wild for each in flights)
+@click.option("--episodes", default=1_000_000, show_default=True, type=click.IntRange(min=1))
+@results.json_option
+def main(episodes: int, json_file: Path | None) -> None:
+    """Fly episodes and say how many ended in NaN or wound up; exit code 1 when one is NaN.
+
+    \b
+    Example:
+      python -m softarm.benchmarks.endurance --episodes 100000
+    """
+    start = time.perf_counter()
+    batches = [fly(BATCH, seed) for seed in track(range(-(-episodes // BATCH)), transient=True)]
+    figures = {
+        "episodes": len(batches) * BATCH,
+        "seconds": time.perf_counter() - start,
+        "batches_with_nan": sum(not each.finite for each in batches),
+        "wound_up": sum(each.wild for each in batches),
+    }
+    if json_file is not None:
+        results.write(json_file, figures)
     Console(soft_wrap=True).print(
-        f"{len(flights) * BATCH:,} episodes in {time.perf_counter() - start:.0f} s: "
-        f"{broken} batches with NaN, {wild} arms wound up"
+        f"{figures['episodes']:,} episodes in {figures['seconds']:.0f} s: "
+        f"{figures['batches_with_nan']} batches with NaN, {figures['wound_up']} arms wound up"
     )
-    raise SystemExit(broken > 0)
+    raise SystemExit(figures["batches_with_nan"] > 0)
 
 
 if __name__ == "__main__":

@@ -6,7 +6,6 @@ Every flight is the daemon's own tick in lockstep. A policy's ranges of randomis
 follow from this table. Needs the extra `mujoco`.
 """
 
-import json
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
@@ -15,6 +14,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TimeElapsedColumn
 from rich.table import Table
 
+from softarm.benchmarks import results
 from softarm.flights.evaluation import FLIGHTS
 from softarm.flights.many import Place, fly_all, shares, with_faults
 from softarm.policies import registry
@@ -22,6 +22,7 @@ from softarm.policies.base import PolicyError
 from softarm.reality.parameters import Parameters
 
 NONE = "none"
+MARKERS = "osD^vP*X"  # of matplotlib, one a policy
 # Strong, within what the registry of effects and a bench allow; the rail's first.
 FAULTS = (
     "rail.delay_s=0.06",
@@ -69,7 +70,8 @@ def draw(found: dict[str, dict[str, float]], policies: Sequence[str], path: Path
     rows = range(len(found))
     for row, reached in zip(rows, found.values(), strict=True):
         axes.plot([100 * min(reached.values()), 100 * max(reached.values())], [row, row], color="0.8", lw=3, zorder=1)
-    for policy, marker in zip(policies, "osD^vP*X", strict=False):
+    for number, policy in enumerate(policies):
+        marker = MARKERS[number % len(MARKERS)]
         axes.scatter([100 * reached[policy] for reached in found.values()], rows, marker=marker, label=policy, zorder=2)
     axes.set_yticks(rows, ["no fault" if fault == NONE else fault for fault in found])
     axes.invert_yaxis()
@@ -81,15 +83,26 @@ def draw(found: dict[str, dict[str, float]], policies: Sequence[str], path: Path
 
 
 @click.command()
-@click.option("--policy", "policies", multiple=True, default=("reach", "reach-wide", "reach-robust"), show_default=True,
-              help="Name, as `softarm policy list` shows it; again for more.")  # fmt: skip
+@click.option(
+    "--policy",
+    "policies",
+    multiple=True,
+    default=("reach", "reach-wide", "reach-robust"),
+    show_default=True,
+    help="Name, as `softarm policy list` shows it; again for more.",
+)
 @click.option(
     "--fault", "faults", multiple=True, metavar="GROUP.QUANTITY=VALUE", help="This one alone; again for more."
 )
-@click.option("--json", "json_file", type=click.Path(path_type=Path, dir_okay=False), help="Write the shares there.")
-@click.option("--png", type=click.Path(path_type=Path, dir_okay=False), help="Draw them there.")
+@results.json_option
+@click.option("--png", type=results.FILE, help="Draw the figures to this file.")
 def main(policies: tuple[str, ...], faults: tuple[str, ...], json_file: Path | None, png: Path | None) -> None:
-    """Print a row a fault, a column a policy."""
+    """Print a row a fault, a column a policy.
+
+    \b
+    Example:
+      python -m softarm.benchmarks.faults --policy reach --policy pid --json faults.json --png faults.png
+    """
     console = Console()
     wanted = faults or FAULTS
     try:
@@ -103,7 +116,7 @@ def main(policies: tuple[str, ...], faults: tuple[str, ...], json_file: Path | N
         table.add_row(fault, *(f"{reached[policy]:.1%}" for policy in policies))
     console.print(table)
     if json_file is not None:
-        json_file.write_text(json.dumps(found, indent=1) + "\n")
+        results.write(json_file, found)
     if png is not None:
         draw(found, policies, png)
 

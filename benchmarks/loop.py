@@ -3,11 +3,12 @@
 The figures come from the daemon's own log: every tick carries its lateness and the times of its parts. Twin, daemon
 and the hammering clients are separate processes on the same cores. A bare loop, which does nothing but sleep to its
 deadlines with the same priority, runs beside them: what is late there is the machine's doing.
+
+    python -m softarm.benchmarks.loop --seconds 60 --json FILE
 """
 
 import asyncio
 import gc
-import json
 import multiprocessing
 import random
 import select
@@ -18,12 +19,17 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any, Self
 
+import click
 import numpy as np
+from rich.console import Console
+from rich.progress import Progress
+from rich.table import Table
 
-from softarm.cli.rig import Rig
+from softarm.benchmarks import results
 from softarm.daemon.control.records import Inputs, Outputs, TickTiming
 from softarm.daemon.logbook import logs
 from softarm.daemon.shell import realtime
+from softarm.flights.software_in_the_loop import SoftwareInTheLoop, SoftwareInTheLoopError
 from softarm.schemas.config import Config
 from softarm.schemas.goals import TEST_TARGETS
 
@@ -31,39 +37,41 @@ REQUESTS_PER_S = 200
 WEBSOCKETS = 2
 GOAL_EVERY_S = 4.0
 Tick = tuple[Inputs, Outputs, TickTiming]
+SHOWN = {
+    "compute_ms": "compute (ms)",
+    "lateness_ms": "lateness (ms)",
+    "bare_loop_lateness_ms": "lateness of a bare loop beside it (ms)",
+    "sensor_to_command_ms": "sensor to command (ms)",
+}
+COUNTED = {"ticks": "ticks", "missed_ticks": "missed ticks", "policy_ticks": "ticks with a policy"}
 
 
-def run(
-    seconds: float,
-    json_path: Path | None,
-    report: Callable[[float], None] = lambda share: None,
-    model: Path | None = None,
-) -> dict[str, Any]:
-    """Measure both for `seconds` each, the arm swinging all the while; returns what is written as JSON."""
+def run(seconds: float, report: Callable[[float], None], model: Path | None = None) -> dict[str, Any]:
+    """Measure both for `seconds` each, the arm swinging all the while; report(share done).
+
+    Raises SoftwareInTheLoopError when twin or daemon do not come up.
+    """
     with tempfile.TemporaryDirectory() as folder:
-        with BareLoop(Path(folder)) as bare, Rig(Path(folder), model=model) as rig:
-            log = Path(rig.status()["recorder"]["log"])
-            rig.arm()
-            idle = _swing(rig, seconds, lambda share: report(share / 2))
-            hammer = multiprocessing.get_context("spawn").Process(target=_hammer, args=(rig.url, seconds + 5.0))
+        with BareLoop(Path(folder)) as bare, SoftwareInTheLoop(Path(folder), model=model) as sil:
+            log = Path(sil.status()["recorder"]["log"])
+            sil.arm()
+            idle = _swing(sil, seconds, lambda share: report(share / 2))
+            hammer = multiprocessing.get_context("spawn").Process(target=_hammer, args=(sil.url, seconds + 5.0))
             hammer.start()
             time.sleep(2.0)  # its interpreter starts outside the measurement
-            hammered = _swing(rig, seconds, lambda share: report(0.5 + share / 2))
+            hammered = _swing(sil, seconds, lambda share: report(0.5 + share / 2))
             hammer.terminate()
             hammer.join()
         ticks = list(logs.read(log))
-        result = {"idle": _figures(ticks, idle, bare), "hammered": _figures(ticks, hammered, bare)}
-    if json_path is not None:
-        json_path.write_text(json.dumps(result, indent=1) + "\n")
-    return result
+        return {"idle": _figures(ticks, idle, bare), "hammered": _figures(ticks, hammered, bare)}
 
 
-def _swing(rig: Rig, seconds: float, report: Callable[[float], None]) -> tuple[int, int]:
+def _swing(sil: SoftwareInTheLoop, seconds: float, report: Callable[[float], None]) -> tuple[int, int]:
     """Give goals for a while; returns the window, monotonic nanoseconds."""
     targets = random.Random(0)
     start = time.monotonic()
     while (passed := time.monotonic() - start) < seconds:
-        rig.reach(targets.choice(TEST_TARGETS))
+        sil.reach(targets.choice(TEST_TARGETS))
         report(passed / seconds)
         time.sleep(min(GOAL_EVERY_S, max(0.0, seconds - passed)))
     return round(start * 1e9), time.monotonic_ns()
@@ -154,3 +162,35 @@ async def _hammering(url: str, seconds: float) -> None:
         tasks = [ask(client, workers / REQUESTS_PER_S) for _ in range(workers)]
         tasks += [listen() for _ in range(WEBSOCKETS)]
         await asyncio.wait_for(asyncio.gather(*tasks), seconds + 60.0)
+
+
+@click.command()
+@click.option("--seconds", default=60.0, show_default=True, type=click.FloatRange(5, 3600), help="For each part.")
+@results.json_option
+@click.option("--model", "model_file", type=results.FILE, help="The twin's: a file or a shipped name (default: seed).")
+def main(seconds: float, json_file: Path | None, model_file: Path | None) -> None:
+    """Punctuality of the loop on the twin, alone and with the API hammered.
+
+    \b
+    Example:
+      python -m softarm.benchmarks.loop --seconds 60 --json loop.json
+    """
+    console = Console()
+    try:
+        with Progress(console=console, transient=True) as progress:
+            task = progress.add_task("ticking", total=1.0)
+            result = run(seconds, lambda share: progress.update(task, completed=share), model_file)
+    except SoftwareInTheLoopError as error:
+        raise click.ClickException(str(error)) from None
+    if json_file is not None:
+        results.write(json_file, result)
+    table = Table("p50 / p99 / max", *result)
+    for name, label in SHOWN.items():
+        table.add_row(label, *("{p50:.2f} / {p99:.2f} / {max:.2f}".format(**part[name]) for part in result.values()))
+    for name, label in COUNTED.items():
+        table.add_row(label, *(str(part[name]) for part in result.values()))
+    console.print(table)
+
+
+if __name__ == "__main__":
+    main()

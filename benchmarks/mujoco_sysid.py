@@ -68,7 +68,7 @@ class Fitted:
     iterations: int
 
 
-class Stage:
+class SysidStage:
     """A part of the robot that is fitted by itself."""
 
     name, unit = "", ""
@@ -139,7 +139,7 @@ class Stage:
         return sensors
 
 
-class ArmStage(Stage):
+class SysidArm(SysidStage):
     """Measured pressure and cart to the link ends against the cart."""
 
     name, unit = "arm", "m"
@@ -149,7 +149,7 @@ class ArmStage(Stage):
         self.bounds = ARM_BOUNDS
 
     def recorded(self, flight: Flight, trial: int) -> Recorded | None:
-        """See Stage."""
+        """See SysidStage."""
         t, rows = _grid(flight, trial)
         pressure, links = flight.pressure_kpa[rows, trial], flight.links_m[rows, trial]
         seen = np.isfinite(links).all(axis=1) & np.isfinite(pressure) & (t >= SKIPPED_S)
@@ -174,9 +174,13 @@ class ArmStage(Stage):
             link = spec.body(f"link{i}")
             link.add_site(name=f"end{i}", pos=(0.0, 0.0, -length))
             spec.add_sensor(
-                name=f"link{i}", type=mujoco.mjtSensor.mjSENS_FRAMEPOS, objtype=mujoco.mjtObj.mjOBJ_SITE,
-                objname=f"end{i}", reftype=mujoco.mjtObj.mjOBJ_XBODY, refname="cart",
-            )  # fmt: skip
+                name=f"link{i}",
+                type=mujoco.mjtSensor.mjSENS_FRAMEPOS,
+                objtype=mujoco.mjtObj.mjOBJ_SITE,
+                objname=f"end{i}",
+                reftype=mujoco.mjtObj.mjOBJ_XBODY,
+                refname="cart",
+            )
         if not any(body.name == "payload" for body in spec.bodies):
             load = link.add_body(name="payload", pos=(0.0, 0.0, -length))
             load.explicitinertial, load.mass, load.inertia = True, 1e-9, (1e-9, 1e-9, 1e-9)
@@ -212,7 +216,7 @@ class ArmStage(Stage):
         return np.concatenate((sensors[:, 0::3], sensors[:, 2::3]), axis=1)
 
 
-class PressureStage(Stage):
+class SysidPressure(SysidStage):
     """Command to the regulator's own reading: a lag, as MJCF has it, with gain, offset and the sensor's delay."""
 
     name, unit = "pressure", "kPa"
@@ -228,7 +232,7 @@ class PressureStage(Stage):
         }
 
     def recorded(self, flight: Flight, trial: int) -> Recorded | None:
-        """See Stage."""
+        """See SysidStage."""
         t, rows = _grid(flight, trial)
         pressure = flight.pressure_kpa[rows, trial]
         seen = np.isfinite(pressure) & (t >= SKIPPED_S)
@@ -264,17 +268,17 @@ class PressureStage(Stage):
         return np.asarray(sysid.create_initial_state(model, np.zeros(1), np.zeros(1), np.array([trial.first_kpa])))
 
 
-STAGES: tuple[type[Stage], ...] = (PressureStage, ArmStage)
+FITTED: tuple[type[SysidStage], ...] = (SysidPressure, SysidArm)
 
 
 def step_error_m(model: Model, trials: Sequence[Recorded]) -> float:
     """RMS of the link ends that MuJoCo's step costs, against one of an eighth."""
-    stage = ArmStage(model)
+    stage = SysidArm(model)
     pairs = [(stage.predict(stage.nominal(), t), stage.predict(stage.nominal(), t, 8 * STEP_HZ)) for t in trials]
     return float(np.sqrt(np.concatenate([(a - b).ravel() ** 2 for a, b in pairs]).mean()))
 
 
-def every_recorded(stage: Stage, flight: Flight) -> Iterator[tuple[int, Recorded]]:
+def every_recorded(stage: SysidStage, flight: Flight) -> Iterator[tuple[int, Recorded]]:
     """Trials of a flight that show a stage, with their numbers."""
     for trial in range(len(flight.trials)):
         if (found := stage.recorded(flight, trial)) is not None:

@@ -58,7 +58,12 @@ def agreement_mm(draw: Callable[..., tuple[NDArray[np.float64], NDArray[np.float
 @click.option("--changed", type=click.Choice(list(ROBOTS)), default="nominal", help="How this robot differs.")
 @click.option("--sets", default=32, show_default=True, type=click.IntRange(1), help="Random command sets.")
 def main(policy: str, changed: str, sets: int) -> None:
-    """Print both comparisons."""
+    """Print both comparisons.
+
+    \b
+    Example:
+      python -m softarm.benchmarks.reality --policy reach
+    """
     console = Console()
     table = Table("commands", "links", "tip RMS over 3 s")
     try:

@@ -6,7 +6,6 @@ Both parts are the daemon's own tick in lockstep with the simulated robot. The s
 that caches and clock rates are those of a process that wakes 30 times a second.
 """
 
-import json
 import random
 import time
 from collections.abc import Callable
@@ -20,6 +19,7 @@ from rich.console import Console
 from rich.progress import Progress
 from rich.table import Table
 
+from softarm.benchmarks import results
 from softarm.daemon.control.records import Mode
 from softarm.daemon.shell.offline import Lockstep
 from softarm.flights.evaluation import CART_STARTS_M, FLIGHTS
@@ -130,9 +130,14 @@ def fly_paced(policy: Policy, seconds: float, advance: Callable[[], None]) -> di
 @click.command()
 @click.option("--policy", "name", default="mppi", show_default=True, help="Name, as `softarm policy list` shows it.")
 @click.option("--seconds", default=60.0, show_default=True, type=click.FloatRange(5.0), help="Of the paced part.")
-@click.option("--json", "json_file", type=click.Path(path_type=Path), help="Write all figures to this file.")
+@results.json_option
 def main(name: str, seconds: float, json_file: Path | None) -> None:
-    """Print success and planning times."""
+    """Print success and planning times.
+
+    \b
+    Example:
+      python -m softarm.benchmarks.replanning --policy mppi --seconds 60 --json replanning.json
+    """
     console = Console()
     try:
         policy = registry.load(name)
@@ -155,7 +160,7 @@ def main(name: str, seconds: float, json_file: Path | None) -> None:
         table.add_row(label, *cells, str(figures["steps"]), str(figures["cut_short"]))
     console.print(table)
     if json_file is not None:
-        json_file.write_text(json.dumps({"policy": name, "targets": targets, "paced": paced}, indent=1) + "\n")
+        results.write(json_file, {"policy": name, "targets": targets, "paced": paced})
 
 
 if __name__ == "__main__":

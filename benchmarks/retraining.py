@@ -60,7 +60,12 @@ def main(
     spread: float,
     frames: int,
 ) -> None:
-    """Train POLICY on, on MODEL, by every combination of the options; validation before and after."""
+    """Train POLICY on, on MODEL, by every combination of the options; validation before and after.
+
+    \b
+    Example:
+      python -m softarm.benchmarks.retraining patched-model.yaml --std 0.3 --std 0.85 --frames 1000000
+    """
     recipes = [
         replace(_DEFAULT, std=s, learning_rate=r, robots=n, spread=spread, frames=frames, seconds=float("inf"))
         for s, r, n in product(std, rate, robots)
@@ -74,10 +79,16 @@ def main(
     for recipe, result, cpu_s in rows:
         last = result.curve[-1].validation
         table.add_row(
-            f"{recipe.std:g}", f"{recipe.learning_rate:g}", str(recipe.robots), f"{result.before:.1%}",
-            f"{result.after:.1%}", "-" if last is None else f"{last:.1%}", str(result.frames),
-            f"{result.seconds:.0f}", f"{cpu_s:.0f}",
-        )  # fmt: skip
+            f"{recipe.std:g}",
+            f"{recipe.learning_rate:g}",
+            str(recipe.robots),
+            f"{result.before:.1%}",
+            f"{result.after:.1%}",
+            "-" if last is None else f"{last:.1%}",
+            str(result.frames),
+            f"{result.seconds:.0f}",
+            f"{cpu_s:.0f}",
+        )
     console.print(table)
 
 

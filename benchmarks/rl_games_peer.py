@@ -1,4 +1,4 @@
-"""rl_games on our environment with the seed's exact settings: the peer of `softarm bench train`.
+"""rl_games on our environment with the seed's exact settings: the peer of benchmarks/training.py.
 
     python -m softarm.benchmarks.rl_games_peer --json FILE      what it learns from 4.5 million frames, some ten minutes
 
@@ -9,7 +9,6 @@ Its key for sequences is `seq_length` (`seq_len` is ignored); compilation is off
 
 import contextlib
 import io
-import json
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -24,6 +23,7 @@ from rl_games.common import env_configurations, vecenv
 from rl_games.common.algo_observer import AlgoObserver
 from rl_games.torch_runner import Runner
 
+from softarm.benchmarks import results
 from softarm.schemas.policy import ACTION
 from softarm.training.learn.inference import workers
 from softarm.training.learn.network import NetworkShape, PolicyNetwork
@@ -123,9 +123,14 @@ def steps_per_s(epochs: int = 6, warm_up: int = 2) -> float:
 @click.command()
 @click.option("--frames", type=click.IntRange(ROBOTS * HORIZON), default=4_500_000, show_default=True)
 @click.option("--every", type=click.IntRange(1), default=10, show_default=True, help="Epochs from test to test.")
-@click.option("--json", "json_file", type=click.Path(path_type=Path, dir_okay=False))
+@results.json_option
 def main(frames: int, every: int, json_file: Path | None) -> None:
-    """Train with rl_games and fly the 54 targets with what it learnt, by the same means as our own policies."""
+    """Train with rl_games and fly the 54 targets with what it learnt, by the same means as our own policies.
+
+    \b
+    Example:
+      python -m softarm.benchmarks.rl_games_peer --json rl_games.json
+    """
     begun_s, curve = time.monotonic(), []
     threads = torch.get_num_threads()
 
@@ -139,7 +144,7 @@ def main(frames: int, every: int, json_file: Path | None) -> None:
 
     train(frames // (ROBOTS * HORIZON), _Watcher(every, look))
     if json_file is not None:
-        json_file.write_text(json.dumps({"seconds, frames, in range, above, all": curve}, indent=1) + "\n")
+        results.write(json_file, {"seconds, frames, in range, above, all": curve})
 
 
 def _settings(epochs: int, folder: str) -> dict[str, Any]:

@@ -9,14 +9,14 @@ whose tip error after 3 s is about equal to ours; the reference for both errors 
 Beside it stand the cost of the effects, the scaling with cores and batch, and the distance from the machine's
 arithmetic peak (simulator_profile.py).
 
-    softarm bench simulator --json FILE, or python -m softarm.benchmarks.simulator --json FILE
+    python -m softarm.benchmarks.simulator --json FILE
 """
 
-import json
 import os
 import statistics
 import time
 from pathlib import Path
+from typing import Any
 
 import click
 import mujoco
@@ -25,7 +25,7 @@ from mujoco import rollout
 from rich.console import Console
 from rich.progress import Progress
 
-from softarm.benchmarks import commands, simulator_profile
+from softarm.benchmarks import commands, results, simulator_profile
 from softarm.benchmarks.mujoco_arm import mjcf
 from softarm.schemas.model import Cart, Model, seed_effects
 from softarm.simulator.simulator import Simulator
@@ -43,8 +43,8 @@ MODEL = Model(
 )
 
 
-def run(json_path: Path | None, quick: bool = False) -> dict[str, object]:
-    """Measure, print a table, write the JSON if a path is given and return what is in it.
+def run(quick: bool = False) -> dict[str, Any]:
+    """Measure both, and where the simulator's time goes.
 
     quick: fewer command sets and rounds, for a look; the figures then scatter.
     """
@@ -73,7 +73,7 @@ def run(json_path: Path | None, quick: bool = False) -> dict[str, object]:
         progress.update(task, description="Profile", total=None)
         more = simulator_profile.measure(rounds)
     our_speed, mujoco_speed = (statistics.median(side) for side in zip(*speeds, strict=True))
-    result: dict[str, object] = {
+    return {
         "control_steps_per_s": our_speed,
         "mujoco_control_steps_per_s": mujoco_speed,
         "ratio": our_speed / mujoco_speed,
@@ -89,10 +89,6 @@ def run(json_path: Path | None, quick: bool = False) -> dict[str, object]:
         **more,
         "load_average": {"before": load_before, "after": os.getloadavg()[0]},
     }
-    _show(result, ours, theirs)
-    if json_path is not None:
-        json_path.write_text(json.dumps(result, indent=2) + "\n", encoding="utf-8")
-    return result
 
 
 def _command_sets(of_each: int) -> tuple[np.ndarray, np.ndarray]:
@@ -181,14 +177,13 @@ class _Race:
         return ROBOTS * self.MUJOCO_STEPS / (time.perf_counter() - start)
 
 
-def _show(result: dict[str, object], ours: dict[str, float], theirs: dict[str, float]) -> None:
+def _show(result: dict[str, Any]) -> None:
     console = Console(soft_wrap=True)
-    for name, rate, speed, error in (
-        ("simulator", RATE_HZ, result["control_steps_per_s"], ours),
-        ("MuJoCo", result["mujoco_step_rate_hz"], result["mujoco_control_steps_per_s"], theirs),
-    ):
+    for name, key in (("simulator", ""), ("MuJoCo", "mujoco_")):
+        error = result[f"{key}tip_error_mm"]
         console.print(
-            f"{name:<9} {rate:5.0f} Hz  {speed:12,.0f} control steps/s  "
+            f"{name:<9} {result[f'{key}step_rate_hz']:5.0f} Hz  "
+            f"{result[f'{key}control_steps_per_s']:12,.0f} control steps/s  "
             f"tip error after 3 s: mean {error['mean']:.3f} mm, max {error['max']:.3f} mm"
         )
     simulator_profile.show(console, result)
@@ -196,11 +191,19 @@ def _show(result: dict[str, object], ours: dict[str, float], theirs: dict[str, f
 
 
 @click.command()
-@click.option("--json", "json_path", type=click.Path(path_type=Path), help="Write the figures to this file.")
-@click.option("--quick", is_flag=True, help="Fewer command sets and rounds.")
-def main(json_path: Path | None, quick: bool) -> None:
-    """Measure the simulator against MuJoCo."""
-    run(json_path, quick)
+@results.json_option
+@click.option("--quick", is_flag=True, help="A few seconds, to see that it runs; the figures are rough.")
+def main(json_file: Path | None, quick: bool) -> None:
+    """Control steps a second against MuJoCo's rollout at equal accuracy, in one run on this machine.
+
+    \b
+    Example:
+      python -m softarm.benchmarks.simulator --json simulator.json
+    """
+    result = run(quick)
+    _show(result)
+    if json_file is not None:
+        results.write(json_file, result)
 
 
 if __name__ == "__main__":

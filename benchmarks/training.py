@@ -3,15 +3,19 @@
 The clock runs from the making of a run to the validation at which its averaged policy reaches the paper's level on the
 54 targets and holds it over the next three; only the flying of those targets is left out of it. It counts whatever
 else the machine does, so measure on a quiet one.
+
+    python -m softarm.benchmarks.training --json FILE
 """
 
-import json
 import time
 from collections.abc import Callable
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import NamedTuple, TypedDict
 
+import click
+
+from softarm.benchmarks import results
 from softarm.training.learn.inference import Workers, workers
 from softarm.training.run import validation
 from softarm.training.run.recipe import RECIPES, begin
@@ -31,8 +35,8 @@ class Point(NamedTuple):
     report: validation.GridReport
 
 
-class Outcome(TypedDict):
-    """What `softarm bench train --json` writes; a list has one entry a seed."""
+class TimesToLevel(TypedDict):
+    """What `--json` writes; a list has one entry a seed."""
 
     seconds_to_seed_level: list[float | None]  # None: never, within FRAMES_MOST
     steps_per_s: float  # control steps of single robots, over all runs
@@ -69,7 +73,7 @@ def follow(make: Callable[[], Session], pool: Workers, frames_most: int = FRAMES
     return points
 
 
-def run(json_file: Path | None, seeds: tuple[int, ...], frames_most: int, tell: Callable[[str], None]) -> Outcome:
+def run(seeds: tuple[int, ...], frames_most: int, tell: Callable[[str], None]) -> TimesToLevel:
     """Measure all seeds, then rl_games if it is there."""
     times: list[float | None] = []
     curves = []
@@ -89,12 +93,9 @@ def run(json_file: Path | None, seeds: tuple[int, ...], frames_most: int, tell: 
             )
             tell(f"seed {seed}: {after}")
         theirs = _rl_games(tell)
-    result = Outcome(
+    return TimesToLevel(
         seconds_to_seed_level=times, steps_per_s=frames / seconds, rl_games_steps_per_s=theirs, curves=curves
     )
-    if json_file is not None:
-        json_file.write_text(json.dumps(result, indent=1) + "\n")
-    return result
 
 
 def _rl_games(tell: Callable[[str], None]) -> float | None:
@@ -104,3 +105,26 @@ def _rl_games(tell: Callable[[str], None]) -> float | None:
         tell(f"rl_games is left out: the package '{error.name}' is not installed (pip install rl_games)")
         return None
     return steps_per_s()
+
+
+@click.command()
+@results.json_option
+@click.option("--seed", "seeds", type=click.IntRange(min=0), multiple=True, help="Again for more.  [default: 1 to 5]")
+@click.option("--frames", type=click.IntRange(min=1), help="Give a seed up after so many control steps of its robots.")
+def main(json_file: Path | None, seeds: tuple[int, ...], frames: int | None) -> None:
+    """Wall time from a run's start to the paper's 94/50/80 %, held over three more evaluations; beside rl_games.
+
+    \b
+    Example:
+      python -m softarm.benchmarks.training --json training.json
+    """
+    result = run(seeds or SEEDS, frames or FRAMES_MOST, click.echo)
+    if json_file is not None:
+        results.write(json_file, result)
+    theirs = result["rl_games_steps_per_s"]
+    beside = "" if theirs is None else f"; rl_games, the seed's settings: {theirs:,.0f}"
+    click.echo(f"control steps of single robots a second: {result['steps_per_s']:,.0f}{beside}")
+
+
+if __name__ == "__main__":
+    main()

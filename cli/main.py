@@ -50,7 +50,6 @@ VERBS: dict[str, dict[str, Verb]] = {
         "plan": Verb("plan:plan", "Optimise trajectories for the policy that tracks them.", "sim"),
         "evaluate": Verb("evaluate:evaluate", "Fly the test targets, by the daemon's own tick.", "sim"),
         "model": Verb("model:model", "Show, compare, check and export models of the robot."),
-        "bench": Verb("bench:bench", "Measure the loop, the simulator and the training.", "mujoco"),
     },
 }
 _ALL = {name: verb for section in VERBS.values() for name, verb in section.items()}

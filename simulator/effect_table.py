@@ -278,13 +278,13 @@ EFFECTS = (
         "clock.jitter",
         (_P("sigma", "s", 0.0, 0.0, 0.02, 0.003, "standard deviation of a tick's lateness"),),
         "the loop does not tick on time",
-        "operating systems wake late; `softarm bench loop` measures it",
+        "operating systems wake late; `python -m softarm.benchmarks.loop` measures it",
     ),
     Effect(
         "clock.missed_ticks",
         (_P("share", "-", 0.0, 0.0, 0.5, 0.05, "of the ticks"),),
         "ticks are left out: the last command holds on",
-        "a late loop skips whole periods; `softarm bench loop` counts them",
+        "a late loop skips whole periods; `python -m softarm.benchmarks.loop` counts them",
     ),
     Effect(
         "contact.friction",

@@ -1,4 +1,8 @@
-"""Twin and daemon as two processes of their own, joined by a pty, TCP and Zenoh: for the demo, benchmarks and tests."""
+"""Software in the loop: twin and daemon as two processes of their own, joined by a pty, TCP and Zenoh.
+
+The demo, the loop's benchmark and tests fly it. The processes are the commands that a person starts, `softarm twin`
+and `softarm run`; all that is asked of them goes over REST.
+"""
 
 import contextlib
 import os
@@ -8,6 +12,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Callable
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
@@ -16,16 +21,20 @@ import httpx
 import yaml
 
 from softarm.schemas.goals import Goal
+from softarm.schemas.policy import OBSERVATION
 
 START_S = 60.0  # a cold start compiles the simulator
 STOP_S = 5.0
+SETTLED_M_S = 0.05  # tip speed at which the arm hangs nearly still
+SETTLE_MIN_S, SETTLE_MAX_S = 0.5, 6.0
+POLL_S = 0.05
 
 
-class RigError(Exception):
-    """A process did not come up or went away; carries the end of what it printed."""
+class SoftwareInTheLoopError(Exception):
+    """A process did not come up or went away, with the end of what it printed; or the daemon refused, with why."""
 
 
-class Rig:
+class SoftwareInTheLoop:
     """A context: inside it twin and daemon run on free ports of this machine, outside it neither does."""
 
     def __init__(self, logs: Path, overrides: dict[str, Any] | None = None, model: Path | None = None) -> None:
@@ -91,37 +100,63 @@ class Rig:
     def arm(self) -> None:
         """Arm and wait until it is.
 
-        Raises RigError with the daemon's own reasons.
+        Raises SoftwareInTheLoopError with the daemon's own reasons.
         """
         self.post("arm")
         deadline = time.monotonic() + 5.0
         while (status := self.status())["mode"] != "armed":
             if time.monotonic() > deadline:
-                raise RigError(f"did not arm: {status['mode']}, {status['last_stop']}")
+                raise SoftwareInTheLoopError(f"did not arm: {status['mode']}, {status['last_stop']}")
             time.sleep(0.02)
 
     def post(self, verb: str, **body: Any) -> None:
         """POST /api/VERB.
 
-        Raises RigError with the daemon's own reasons when it refuses.
+        Raises SoftwareInTheLoopError with the daemon's own reasons when it refuses.
         """
         answer = self.client.post(f"/api/{verb}", json=body or None)
         if answer.status_code != 200:
             stopped = self.status()["last_stop"]
-            raise RigError(f"{verb} was refused: {answer.json()['detail']} (last stop: {stopped})")
+            raise SoftwareInTheLoopError(f"{verb} was refused: {answer.json()['detail']} (last stop: {stopped})")
 
     def reach(self, goal: Goal) -> None:
-        """Give the arm a target. Raises RigError when it is refused."""
+        """Give the arm a target. Raises SoftwareInTheLoopError when it is refused."""
         self.post("goal", kind="reach", y_m=goal.y_m, z_m=goal.z_m)
+
+    def fly(self, goal: Goal, on_tip: Callable[[float, float], None]) -> dict[str, Any]:
+        """A target from a hanging arm to its end; returns GET /api/goal's last answer. on_tip(y, z, in metres).
+
+        Raises SoftwareInTheLoopError when it is refused.
+        """
+        self._settle()
+        self.reach(goal)
+        while (result := self.client.get("/api/goal").json())["state"] == "running":
+            observed = self.observed()
+            on_tip(observed["tip_y"], observed["tip_z"])
+            time.sleep(POLL_S)
+        return dict(result)
 
     def status(self) -> dict[str, Any]:
         """GET /api/status."""
         return dict(self.client.get("/api/status").raise_for_status().json())
 
+    def observed(self) -> dict[str, float]:
+        """The newest observation: signal -> value."""
+        return dict(zip((signal.name for signal in OBSERVATION), self.status()["observed"]["values"], strict=True))
+
     def printed(self, verb: str) -> str:
         """What a process has printed."""
         path = self.folder / f"{verb}.out"
         return path.read_text(errors="replace") if path.exists() else ""
+
+    def _settle(self) -> None:
+        """Wait until the arm hangs nearly still, or for long enough."""
+        started = time.monotonic()
+        while (passed := time.monotonic() - started) < SETTLE_MAX_S:
+            observed = self.observed()
+            if passed > SETTLE_MIN_S and max(abs(observed["tip_vy"]), abs(observed["tip_vz"])) < SETTLED_M_S:
+                return
+            time.sleep(POLL_S)
 
     def _start(self, verb: str, *options: str) -> subprocess.Popen[bytes]:
         with (self.folder / f"{verb}.out").open("ab") as output:
@@ -132,14 +167,16 @@ class Rig:
                 env={**os.environ, "PYTHONUNBUFFERED": "1"},
             )
 
-    def _wait(self, verb: str, process: subprocess.Popen[bytes], ready: Any) -> None:
+    def _wait(self, verb: str, process: subprocess.Popen[bytes], ready: Callable[[], bool]) -> None:
         deadline = time.monotonic() + START_S
         while not ready():
             if process.poll() is not None:
-                raise RigError(f"`softarm {verb}` ended with {process.returncode}:\n{self._tail(verb)}")
+                raise SoftwareInTheLoopError(f"`softarm {verb}` ended with {process.returncode}:\n{self._tail(verb)}")
             if time.monotonic() > deadline:
-                raise RigError(f"`softarm {verb}` is not ready after {START_S:.0f} s:\n{self._tail(verb)}")
-            time.sleep(0.05)
+                raise SoftwareInTheLoopError(
+                    f"`softarm {verb}` is not ready after {START_S:.0f} s:\n{self._tail(verb)}"
+                )
+            time.sleep(POLL_S)
 
     def _tail(self, verb: str) -> str:
         lines = self.printed(verb).splitlines()[-15:]

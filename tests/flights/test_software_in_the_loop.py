@@ -9,9 +9,9 @@ import httpx
 import pytest
 import zenoh
 
-from softarm.cli.rig import Rig
 from softarm.daemon.logbook import logs
 from softarm.drivers.mocap import zenoh_session
+from softarm.flights.software_in_the_loop import SoftwareInTheLoop
 from softarm.schemas.goals import Goal
 
 pytestmark = pytest.mark.timeout(120)
@@ -19,9 +19,9 @@ DEAD_S = 0.25
 
 
 @pytest.fixture
-def rig(tmp_path):
-    with Rig(tmp_path / "logs", {"control": {"policy": "reach"}}) as rig:
-        yield rig
+def sil(tmp_path):
+    with SoftwareInTheLoop(tmp_path / "logs", {"control": {"policy": "reach"}}) as sil:
+        yield sil
 
 
 def wait(condition, what, seconds=10.0):
@@ -32,15 +32,15 @@ def wait(condition, what, seconds=10.0):
     return found
 
 
-def test_a_goal_over_rest_is_reached_over_the_wires_and_recorded(rig):
-    rig.arm()
-    rig.reach(Goal("reach", -0.2, 0.6))
-    goal = wait(lambda: (g := rig.client.get("/api/goal").json())["state"] != "running" and g, "the goal's end")
+def test_a_goal_over_rest_is_reached_over_the_wires_and_recorded(sil):
+    sil.arm()
+    sil.reach(Goal("reach", -0.2, 0.6))
+    goal = wait(lambda: (g := sil.client.get("/api/goal").json())["state"] != "running" and g, "the goal's end")
     assert goal["state"] == "reached"
     assert goal["closest_m"] < 0.04
-    path = rig.status()["recorder"]["log"]
-    rig.post("disarm")
-    wait(lambda: rig.status()["mode"] == "disarmed", "disarmed")
+    path = sil.status()["recorder"]["log"]
+    sil.post("disarm")
+    wait(lambda: sil.status()["mode"] == "disarmed", "disarmed")
     log = logs.read(path)
     sequences = [frame.sequence for frame in log.frames()]
     assert all(later > earlier for earlier, later in itertools.pairwise(sequences))
@@ -56,21 +56,21 @@ def twin_state(endpoint):
         return json.loads(wait(states.try_recv, "a state of the twin").payload.to_string())
 
 
-def test_a_killed_daemon_leaves_a_vented_muscle_and_a_braked_cart_inside_the_rail(rig):
+def test_a_killed_daemon_leaves_a_vented_muscle_and_a_braked_cart_inside_the_rail(sil):
     """kill -9 in mid-swing: nobody is left to say stop."""
-    rig.arm()
-    path = rig.status()["recorder"]["log"]
-    rig.reach(Goal("reach", 0.0, 0.8))
+    sil.arm()
+    path = sil.status()["recorder"]["log"]
+    sil.reach(Goal("reach", 0.0, 0.8))
 
     def swinging():
-        status = rig.status()
+        status = sil.status()
         return abs(status["rail_velocity_m_s"]) > 0.5 and status["sent"]["pressure_kpa"] > 2
 
     wait(swinging, "a swing")
-    rig.daemon.send_signal(signal.SIGKILL)
+    sil.daemon.send_signal(signal.SIGKILL)
     killed_ns = time.monotonic_ns()
-    rig.daemon.wait(5.0)
-    state = twin_state(rig.settings["drivers"]["mocap"]["endpoint"])
+    sil.daemon.wait(5.0)
+    state = twin_state(sil.settings["drivers"]["mocap"]["endpoint"])
     assert state["vented"]
     assert killed_ns < state["vented_since_ns"] <= killed_ns + DEAD_S * 1e9
     assert killed_ns < state["out_of_operation_since_ns"] <= killed_ns + DEAD_S * 1e9
@@ -81,10 +81,10 @@ def test_a_killed_daemon_leaves_a_vented_muscle_and_a_braked_cart_inside_the_rai
     assert abs(killed_ns - log.t_last_ns) <= 0.2e9
 
 
-def test_a_stopped_daemon_leaves_no_process_and_a_finished_log(rig):
-    path = rig.status()["recorder"]["log"]
-    rig.daemon.send_signal(signal.SIGTERM)
-    assert rig.daemon.wait(5.0) == 0
+def test_a_stopped_daemon_leaves_no_process_and_a_finished_log(sil):
+    path = sil.status()["recorder"]["log"]
+    sil.daemon.send_signal(signal.SIGTERM)
+    assert sil.daemon.wait(5.0) == 0
     assert logs.read(path).finished
     with pytest.raises(httpx.TransportError):
-        rig.client.get("/api/status")
+        sil.client.get("/api/status")

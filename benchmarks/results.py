@@ -1,0 +1,35 @@
+"""What a measurement leaves: its figures as JSON, and under `about` which software gave them, where, when and how."""
+
+import json
+import os
+import shlex
+import sys
+from collections.abc import Mapping
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import click
+
+from softarm.daemon.logbook.about import git_revision, machine
+
+FILE = click.Path(path_type=Path, dir_okay=False)
+json_option = click.option("--json", "json_file", type=FILE, help="Write the figures to this file.")
+
+
+def write(file: Path, figures: Mapping[str, Any]) -> None:
+    """Write figures, by name, and where they come from."""
+    about = {
+        "revision": git_revision(),
+        "machine": {**machine(), "cores": len(os.sched_getaffinity(0))},
+        "date": datetime.now(UTC).isoformat(timespec="seconds"),
+        "command": _command(),
+    }
+    file.write_text(json.dumps({"about": about, **figures}, indent=1) + "\n", encoding="utf-8")
+
+
+def _command() -> str:
+    """How this program was started: a module of the package by its name, anything else by its file."""
+    spec = sys.modules["__main__"].__spec__
+    started = ["python", sys.argv[0]] if spec is None else ["python", "-m", spec.name]
+    return shlex.join([*started, *sys.argv[1:]])

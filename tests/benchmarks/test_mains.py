@@ -1,0 +1,61 @@
+"""Every benchmark is started alike: `python -m softarm.benchmarks.NAME`, the same options by the same names."""
+
+import importlib
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import click
+import pytest
+from click.testing import CliRunner
+
+from softarm import benchmarks
+from softarm.benchmarks import results
+from softarm.daemon.logbook.about import git_revision
+
+FOLDER = Path(benchmarks.__file__).parent
+STARTED = sorted(file.stem for file in FOLDER.glob("*.py") if "def main(" in file.read_text(encoding="utf-8"))
+UNITS = {"json_file": "--json", "seconds": "--seconds", "seed": "--seed", "seeds": "--seed"}
+
+
+@pytest.fixture(params=STARTED)
+def main(request) -> click.Command:
+    if request.param == "rl_games_peer":
+        pytest.importorskip("rl_games")
+    return importlib.import_module(f"softarm.benchmarks.{request.param}").main
+
+
+def test_help_shows_an_example_of_itself(main):
+    out = CliRunner().invoke(main, ["--help"])
+    assert out.exit_code == 0
+    name = main.callback.__module__
+    assert f"python -m {name}" in out.output.partition("Example")[2], name
+
+
+def test_what_two_benchmarks_are_told_has_one_name(main):
+    options = {option.name: option.opts for option in main.params}
+    for name in options.keys() & UNITS.keys():
+        assert options[name] == [UNITS[name]]
+    assert not {name for name in options if "json" in name} - {"json_file"}
+
+
+def test_figures_are_kept_with_where_they_come_from(tmp_path):
+    file = tmp_path / "figures.json"
+    program = f"from softarm.benchmarks import results; results.write(results.Path({str(file)!r}), {{'speed': 2.5}})"
+    subprocess.run([sys.executable, "-c", program, "--seconds", "3"], check=True)
+    found = json.loads(file.read_text())
+    assert found["speed"] == 2.5
+    assert found["about"].keys() == {"revision", "machine", "date", "command"}
+    assert found["about"]["revision"] == git_revision()
+    assert found["about"]["machine"]["cores"] >= 1
+    assert found["about"]["command"].endswith("--seconds 3")
+
+
+def test_a_benchmarks_figures_name_the_command_that_gave_them(tmp_path, monkeypatch):
+    spec = importlib.util.find_spec("softarm.benchmarks.endurance")
+    monkeypatch.setattr(sys.modules["__main__"], "__spec__", spec)
+    monkeypatch.setattr(sys, "argv", [spec.origin, "--episodes", "5"])
+    results.write(tmp_path / "figures.json", {})
+    about = json.loads((tmp_path / "figures.json").read_text())["about"]
+    assert about["command"] == "python -m softarm.benchmarks.endurance --episodes 5"
