@@ -13,6 +13,7 @@ from fastapi.exceptions import RequestValidationError
 from fastapi.responses import Response
 from fastapi_offline import FastAPIOffline
 
+from softarm import __version__
 from softarm.daemon.api.auth import Guard, is_loopback, load_token
 from softarm.daemon.api.sentences import sentences
 from softarm.daemon.api.status import RecorderState, Status, StatusView
@@ -20,7 +21,6 @@ from softarm.daemon.control import workspace
 from softarm.daemon.control.inbox import Inbox, InboxFull
 from softarm.daemon.control.records import Outputs, Problems, RequestKind, RequestResult
 from softarm.daemon.logbook import logs
-from softarm.daemon.logbook.about import package_version
 from softarm.policies import registry
 from softarm.policies.base import Policy, PolicyError
 from softarm.policies.registry import PolicyEntry
@@ -109,7 +109,7 @@ def create_app(context: ApiContext) -> FastAPI:
     api = _Api(context)
     app = FastAPIOffline(  # a bench may have no internet; FastAPI's own page loads its scripts from there
         title="softarm",
-        version=package_version("softarm"),
+        version=__version__,
         summary="Goals in, status out: the control daemon of a soft arm on a rail.",
         redoc_url=None,
     )
@@ -168,7 +168,7 @@ class _Api:
             context.recorder,
             self._policies.available(),
             context.clock,
-            package_version("softarm"),
+            __version__,
         )
 
     async def status(self) -> Response:

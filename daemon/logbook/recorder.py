@@ -19,14 +19,17 @@ from typing import Any, BinaryIO
 
 from mcap.writer import Writer
 
+from softarm.common import revision
 from softarm.daemon.control.records import Inputs, Outputs, TickTiming
-from softarm.daemon.logbook import about, channels, logs
+from softarm.daemon.logbook import channels, logs
 from softarm.policies.base import PolicySpec
 from softarm.schemas import log as names
 from softarm.schemas.config import Config
 
 log = logging.getLogger(__name__)
 
+# What the daemon stands on, besides Python.
+PACKAGES = ("numpy", "onnxruntime", "pyserial", "eclipse-zenoh", "pydantic", "mcap", "fastapi", "uvicorn")
 SYNC_INTERVAL_S = 1.0  # what a power cut may take
 FREE_MIN_BYTES = 100_000_000  # about ten minutes
 FINISH_S = 5.0  # a log that takes longer to finish at stop is finished at the next start
@@ -223,8 +226,8 @@ class LiveFile:
         """What a reader of the log has to know besides the ticks."""
         add = self._writer.add_metadata
         add(names.CONFIGURATION, {"json": config.model_dump_json()})
-        add(names.SOFTWARE, about.software())
-        add(names.MACHINE, about.machine())
+        add(names.SOFTWARE, revision.software(PACKAGES))
+        add(names.MACHINE, revision.machine())
         add(
             names.CLOCK,
             {

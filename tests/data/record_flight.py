@@ -10,7 +10,7 @@ import dataclasses
 import tempfile
 from pathlib import Path
 
-from softarm.daemon.logbook import about
+from softarm.common import revision
 from softarm.daemon.logbook.recorder import Recorder
 from softarm.daemon.shell.offline import Lockstep
 from softarm.policies import registry
@@ -62,7 +62,7 @@ def record(directory: Path) -> Path:
 
 
 if __name__ == "__main__":
-    about.machine = lambda: {"name": "anybody's"}
+    revision.machine = lambda: {"name": "anybody's"}
     with tempfile.TemporaryDirectory() as directory:
         FLIGHT.write_bytes(record(Path(directory)).read_bytes())
     print(f"recorded {FLIGHT}")

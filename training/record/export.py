@@ -6,7 +6,6 @@ state explicit. Inputs `observation` [batch, 10] (11 for the shelf), `h_in`, `c_
 metadata key `softarm`.
 """
 
-import subprocess
 from dataclasses import asdict, replace
 from pathlib import Path
 
@@ -15,7 +14,7 @@ import onnx
 import torch
 from onnx import TensorProto, helper, numpy_helper
 
-from softarm.common import files
+from softarm.common import files, revision
 from softarm.schemas.policy import ACTION, METADATA_KEY, OBSERVATION, Golden, PolicyMetadata, TrainingRange
 from softarm.training.learn.inference import infer, workers
 from softarm.training.learn.network import PolicyNetwork
@@ -142,16 +141,6 @@ def golden_run(network: PolicyNetwork, task: ReachTask, steps: int = 100) -> Gol
     return Golden(inputs=tuple(inputs), outputs=tuple(outputs))
 
 
-def git_revision() -> str:
-    """The source's revision, with `-dirty` when it was changed; `unknown` outside a repository."""
-    command = ["git", "describe", "--always", "--dirty", "--abbrev=40"]
-    try:
-        done = subprocess.run(command, cwd=Path(__file__).parent, capture_output=True, text=True, check=True)
-    except (OSError, subprocess.CalledProcessError):
-        return "unknown"
-    return done.stdout.strip()
-
-
 def metadata(
     network: PolicyNetwork, task: ReachTask, settings: Settings, seed: int, validation_success: float
 ) -> PolicyMetadata:
@@ -169,7 +158,7 @@ def metadata(
         trained=TrainingRange(target_y_m=task.target_y_m, target_z_m=task.target_z_m, cart_start_m=task.cart_start_m),
         training=settings,
         seed=seed,
-        git_revision=git_revision(),
+        git_revision=revision.revision(),
         validation_success=validation_success,
         golden=golden_run(network, task),
     )
