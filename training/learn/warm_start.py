@@ -6,6 +6,7 @@ nor the exploration noise: the critic is fitted to the actor as it is before eit
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import onnx
@@ -53,7 +54,7 @@ def load_weights(path: Path) -> Prior:
         text = next(prop.value for prop in model.metadata_props if prop.key == METADATA_KEY)
         metadata = PolicyMetadata.model_validate_json(text)
         values = {item.name: torch.from_numpy(numpy_helper.to_array(item).copy()) for item in model.graph.initializer}
-        network = _network(values, _frames(metadata))
+        network = _network(values, metadata)
     except (StopIteration, KeyError, ValueError, RuntimeError, ValidationError) as error:
         reason = str(error).partition("\n")[0] or "without metadata"
         raise CheckpointError(f"{path}: not a policy of `softarm train` ({reason}); name one of its files") from error
@@ -95,27 +96,30 @@ def _task(metadata: PolicyMetadata) -> ReachTask:
     return kind(**{key: tuple(v) if isinstance(v, list) else v for key, v in given.items()})  # type: ignore[arg-type]
 
 
-def _network(values: dict[str, Tensor], frames: float) -> PolicyNetwork:
+def _network(values: dict[str, Tensor], metadata: PolicyMetadata) -> PolicyNetwork:
     """The inverse of `softarm.training.record.export.onnx_model`."""
     mlp = tuple(values[f"mlp_{k}_weight"].shape[0] for k in range(sum(f"mlp_{k}_weight" in values for k in range(99))))
     inputs, actions = values["observation_mean"].shape[0], values["head_weight"].shape[0]
-    network = PolicyNetwork(NetworkShape(inputs, actions, mlp, values["lstm_r"].shape[-1]))
-    scale = values["observation_scale"].double()
+    order: Any = metadata.training.get("network.order", NetworkShape.order)  # older files do not say: the only one then
+    network = PolicyNetwork(NetworkShape(inputs, actions, mlp, metadata.state_size, order))
     state = {
         "observation_normaliser.mean": values["observation_mean"].double(),
-        "observation_normaliser.variance": scale**2 - VARIANCE_FLOOR,
-        "observation_normaliser.count": torch.tensor(frames, dtype=torch.float64),
-        "w_x": _from_onnx_gates(values["lstm_w"][0]),
-        "w_h": _from_onnx_gates(values["lstm_r"][0]),
-        "bias": _from_onnx_gates(values["lstm_b"][0].chunk(2)[0]),
-        "layer_norm.weight": values["norm_scale"],
-        "layer_norm.bias": values["norm_bias"],
+        "observation_normaliser.variance": values["observation_scale"].double() ** 2 - VARIANCE_FLOOR,
+        "observation_normaliser.count": torch.tensor(_frames(metadata), dtype=torch.float64),
         "mean_head.weight": values["head_weight"],
         "mean_head.bias": values["head_bias"],
     }
     linear = [name for name, module in network.mlp.named_children() if isinstance(module, torch.nn.Linear)]
     for k, name in enumerate(linear):
         state |= {f"mlp.{name}.{part}": values[f"mlp_{k}_{part}"] for part in ("weight", "bias")}
+    if order != "mlp":
+        state |= {
+            "w_x": _from_onnx_gates(values["lstm_w"][0]),
+            "w_h": _from_onnx_gates(values["lstm_r"][0]),
+            "bias": _from_onnx_gates(values["lstm_b"][0].chunk(2)[0]),
+            "layer_norm.weight": values["norm_scale"],
+            "layer_norm.bias": values["norm_bias"],
+        }
     network.load_state_dict(network.state_dict() | state)
     return network
 

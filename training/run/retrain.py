@@ -103,7 +103,9 @@ def retrain(
             prior.network, prior.task, trials, pool, config.physics_rate_hz, model, randomisation=robots
         )
         before = flown.reached.mean()
-        session = Session(prior.task, config, ppo, out / "training", pool, False, model, name, robots)
+        session = Session(
+            prior.task, config, ppo, out / "training", pool, False, model, name, robots, prior.network.shape
+        )
         tell("fitting the critic", 0.0)
         warm_start.begin(session, prior, recipe.std, recipe.critic_iterations)
 

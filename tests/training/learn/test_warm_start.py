@@ -11,12 +11,15 @@ from onnx import numpy_helper
 from softarm.policies.base import MODELS
 from softarm.training.learn import warm_start
 from softarm.training.learn.inference import workers
+from softarm.training.learn.network import NetworkShape
 from softarm.training.learn.normaliser import VARIANCE_FLOOR
 from softarm.training.learn.ppo import PpoConfig
 from softarm.training.record import export
 from softarm.training.run.checkpoint import CheckpointError
 from softarm.training.run.recipe import PRESETS
 from softarm.training.run.session import Session, TrainingConfig
+from softarm.training.task.environment import ACTIONS, INPUTS
+from softarm.training.task.reach import TASKS
 
 SMALL = TrainingConfig(seed=3, robots=64, validate_every=2, validation_trials=8, matrix_products="float32")
 
@@ -35,6 +38,25 @@ def test_a_policy_that_is_read_and_written_again_is_the_same_bit_for_bit(name):
     for key in before:
         assert before[key].tobytes() == after[key].tobytes(), key
     assert prior.task == PRESETS[name]
+
+
+@pytest.mark.parametrize("order", ["mlp-lstm", "lstm-mlp", "mlp"])
+def test_a_policy_of_any_order_of_layers_is_read_again_and_trained_on(order, tmp_path):
+    shape = NetworkShape(INPUTS, ACTIONS, mlp=(16, 12), state=8, order=order)
+    with workers(1) as pool:
+        session = Session(TASKS["reach"], SMALL, PpoConfig(), tmp_path / "first", pool, resume=False, shape=shape)
+        file = session.run(frames=64 * 16, minutes=None)
+        prior = warm_start.load_weights(file)
+        assert prior.network.shape == shape
+        before, after = weights(onnx.load(file)), weights(export.onnx_model(prior.network))
+        assert {name: each.tobytes() for name, each in before.items()} == {
+            name: each.tobytes() for name, each in after.items()
+        }
+        again = Session(
+            prior.task, SMALL, PpoConfig(), tmp_path / "second", pool, resume=False, shape=prior.network.shape
+        )
+        warm_start.begin(again, prior, critic_iterations=1)
+        again.advance()
 
 
 def test_the_normaliser_is_kept_with_the_weight_of_what_it_has_seen():
