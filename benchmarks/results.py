@@ -11,7 +11,7 @@ from typing import Any
 
 import click
 
-from softarm.daemon.logbook.about import git_revision, machine
+from softarm.common.revision import machine, revision
 
 FILE = click.Path(path_type=Path, dir_okay=False)
 json_option = click.option("--json", "json_file", type=FILE, help="Write the figures to this file.")
@@ -20,7 +20,7 @@ json_option = click.option("--json", "json_file", type=FILE, help="Write the fig
 def write(file: Path, figures: Mapping[str, Any]) -> None:
     """Write figures, by name, and where they come from."""
     about = {
-        "revision": git_revision(),
+        "revision": revision(),
         "machine": {**machine(), "cores": len(os.sched_getaffinity(0))},
         "date": datetime.now(UTC).isoformat(timespec="seconds"),
         "command": _command(),
