@@ -63,8 +63,9 @@ def simulated_devices(model_file: Path | None) -> "Devices":
     import time
 
     from softarm.daemon.shell.loop import Devices
-    from softarm.drivers.bodies.simulated import SimulatedRobot
+    from softarm.drivers.bodies.in_process import InProcessRobot
+    from softarm.drivers.bodies.simulated import SimulatedBody
 
-    robot = SimulatedRobot(flown_model(model_file))
-    robot.now_ns = time.monotonic_ns()  # from here on it moves in real time
+    body = SimulatedBody(flown_model(model_file))
+    robot = InProcessRobot(body, time.monotonic_ns())  # from here on it moves in real time
     return Devices(robot.mocap, robot.regulator, robot.rail)

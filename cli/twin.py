@@ -8,7 +8,7 @@ import click
 from softarm.cli.options import FILE, flown_model, model_option
 
 if TYPE_CHECKING:
-    from softarm.drivers.twin.robot import Body
+    from softarm.drivers.bodies.base import Body
     from softarm.schemas.model import Model
 
 
@@ -48,9 +48,9 @@ def _independent_body(model: "Model | None") -> "Body":
     from softarm.cli.errors import fail
 
     try:
-        from softarm.drivers.twin.independent import independent_body
+        from softarm.drivers.bodies.independent import IndependentBody
 
-        return independent_body(model)
+        return IndependentBody.of_model(model)
     except ModuleNotFoundError as error:
         if error.name != "mujoco":
             raise

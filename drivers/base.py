@@ -74,25 +74,3 @@ class RailAxis(Device, Protocol):
 
     def write(self, enable: bool, velocity_m_s: float) -> None:
         """Velocity set-point until the next call; `enable=False` brakes, then switches the drive off."""
-
-
-class InProcessRobot(Protocol):
-    """A robot and its three devices in lockstep with whoever reads them: `mocap.read` moves it on."""
-
-    now_ns: int
-
-    @property
-    def cart_position_m(self) -> float:
-        """True, from the middle of the rail."""
-
-    @property
-    def mocap(self) -> MocapSource:
-        """Its eyes."""
-
-    @property
-    def regulator(self) -> PressureRegulator:
-        """Its muscle."""
-
-    @property
-    def rail(self) -> RailAxis:
-        """Its cart."""

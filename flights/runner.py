@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from softarm.daemon.control.records import Mode
 from softarm.daemon.shell.offline import Lockstep
-from softarm.drivers.bodies.simulated import SimulatedRobot
+from softarm.drivers.bodies.simulated import SimulatedBody
 from softarm.flights.evaluation import CART_STARTS_M
 from softarm.policies.base import Array, Policy, PolicyError
 from softarm.reality.parameters import Parameters
@@ -136,13 +136,13 @@ class Swung(Policy):
 def fly(policy: Policy, model: Model | None, trials: Iterable[Trial]) -> list[Outcome]:
     """From rest on the simulated robot; a policy that asks for a shelf's depth is told."""
     heard, outcomes = Heard(policy), []
-    robot, daemon = _armed(heard, model)
+    body, daemon = _armed(heard, model)
     for trial in trials:
         if daemon.outputs is None or daemon.outputs.mode is not Mode.ARMED:  # the last one was stopped
-            robot, daemon = _armed(heard, model)
+            body, daemon = _armed(heard, model)
         heard.refusal = None
         if trial.shelf_m is not None:
-            robot.simulator.place_shelf(*trial.shelf_m)
+            body.simulator.place_shelf(*trial.shelf_m)
         _tell_depth(policy, trial)
         reached = daemon.fly(trial.goal, trial.cart_start_m).reached
         outcomes.append(Outcome(reached, heard.refusal))
@@ -174,24 +174,24 @@ def swing(policy: Policy, model: Model | None, trial: Trial) -> Lockstep:
 
 def fly_held_back(policy: Policy, parameters: Parameters, trials: Iterable[Trial]) -> list[Outcome]:
     """From rest on an independent robot, a new one for each trial. Needs the extra `mujoco`."""
-    from softarm.drivers.bodies.independent import IndependentRobot
+    from softarm.drivers.bodies.independent import IndependentBody
 
     outcomes = []
     for trial in trials:
         heard = Heard(policy)
         _tell_depth(policy, trial)
-        robot = IndependentRobot(parameters, trial.seed, cart_position_m=trial.cart_start_m, shelf_m=trial.shelf_m)
-        daemon = Lockstep(Config(), heard, robot=robot)
+        body = IndependentBody(parameters, trial.seed, cart_position_m=trial.cart_start_m, shelf_m=trial.shelf_m)
+        daemon = Lockstep(Config(), heard, body=body)
         daemon.arm()
         outcomes.append(Outcome(daemon.pursue(trial.goal).reached, heard.refusal))
     return outcomes
 
 
-def _armed(policy: Policy, model: Model | None) -> tuple[SimulatedRobot, Lockstep]:
-    robot = SimulatedRobot(model)
-    daemon = Lockstep(Config(), policy, robot=robot)
+def _armed(policy: Policy, model: Model | None) -> tuple[SimulatedBody, Lockstep]:
+    body = SimulatedBody(model)
+    daemon = Lockstep(Config(), policy, body=body)
     daemon.arm()
-    return robot, daemon
+    return body, daemon
 
 
 def _tell_depth(policy: Policy, trial: Trial) -> None:

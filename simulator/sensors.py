@@ -16,7 +16,7 @@ _KEPT = 2
 
 
 @dataclass(frozen=True)
-class Sight:
+class MocapReadings:
     """What the mocap shows at a control step, one row a robot."""
 
     positions_m: NDArray[np.float64]  # [R, n + 1, 2]: y, z of the cart and of each link's end
@@ -39,7 +39,7 @@ class Sensors:
         self._simulator, self.rng = simulator, rng
         self._differenced = np.array(["observation.finite_difference" in each.effects for each in simulator.models])
         self._past: list[tuple[float, Array, Array, Array]] = []
-        self._shown: Sight | None = None
+        self._shown: MocapReadings | None = None
         self._shown_at = 0.0
         self._restarted = np.ones(simulator.robots, dtype=np.bool_)
 
@@ -49,28 +49,29 @@ class Sensors:
             self._past, self._shown = [], None
         self._restarted |= True if robots is None else robots
 
-    def look(self, robots: NDArray[np.bool_] | None = None) -> Sight:
+    def look(self, robots: NDArray[np.bool_] | None = None) -> MocapReadings:
         """Look at the robots now; call it once a control step.
 
         robots: bool mask [R], those put elsewhere since the look of this very instant: they are looked at again, the
         others go on showing what they showed.
         """
         before, instant = self._shown, self._shown_at
-        sight = self._look()
+        readings = self._look()
         if robots is None or before is None or robots.all():
-            return sight
+            return readings
         if instant != self._simulator.time_s:
             raise ValueError("robots are looked at alone only at the instant at which all were; look at all of them")
-        pairs = ((new, vars(before)[name]) for name, new in vars(sight).items())
-        self._shown = Sight(*(np.where(robots.reshape(-1, *[1] * (new.ndim - 1)), new, old) for new, old in pairs))
+        pairs = ((new, vars(before)[name]) for name, new in vars(readings).items())
+        chosen = (np.where(robots.reshape(-1, *[1] * (new.ndim - 1)), new, old) for new, old in pairs)
+        self._shown = MocapReadings(*chosen)
         return self._shown
 
     def snapshot(self) -> dict[str, NDArray[Any]]:
         """What was seen, for `restore`: copies. The random numbers and the simulator's time are not among it."""
         names = ("time_s", "positions_m", "angles_rad", "velocities_m_s")
         kept = {f"past.{name}": np.array([frame[i] for frame in self._past]) for i, name in enumerate(names)}
-        sight = {} if self._shown is None else vars(self._shown)
-        shown = {f"shown.{name}": each.copy() for name, each in sight.items()}
+        readings = {} if self._shown is None else vars(self._shown)
+        shown = {f"shown.{name}": each.copy() for name, each in readings.items()}
         return kept | shown | {"shown_at_s": np.array(self._shown_at), "restarted": self._restarted.copy()}
 
     def restore(self, snapshot: dict[str, NDArray[Any]]) -> None:
@@ -79,10 +80,10 @@ class Sensors:
         past = [each for name, each in kept.items() if name.startswith("past.")]
         shown = [each for name, each in kept.items() if name.startswith("shown.")]
         self._past = [(float(time_s), *frame) for time_s, *frame in zip(*past, strict=True)]
-        self._shown = Sight(*shown) if shown else None
+        self._shown = MocapReadings(*shown) if shown else None
         self._shown_at, self._restarted = float(kept["shown_at_s"]), kept["restarted"]
 
-    def _look(self) -> Sight:
+    def _look(self) -> MocapReadings:
         effects, robots = self._simulator.effects, self._simulator.robots
         positions, angles, velocities = self._delayed(effects.value("mocap.latency", "delay"))
         turn = effects.value("mocap.rotation", "angle")
@@ -102,7 +103,7 @@ class Sensors:
         angles: NDArray[np.float64],
         velocities: NDArray[np.float64],
         fresh: NDArray[np.bool_],
-    ) -> Sight:
+    ) -> MocapReadings:
         """Repeat the last frame where one was dropped, and difference positions where they are differenced."""
         now, before, since = self._simulator.time_s, self._shown, 0.0
         fresh = fresh | self._restarted
@@ -118,7 +119,7 @@ class Sensors:
                 rates = (positions - before.positions_m) / since
                 rates[self._restarted] = 0.0
             velocities = np.where(self._differenced[:, None, None], rates, velocities)
-        self._shown, self._shown_at = Sight(positions, angles, velocities, fresh), now
+        self._shown, self._shown_at = MocapReadings(positions, angles, velocities, fresh), now
         self._restarted = np.zeros_like(self._restarted)
         return self._shown
 

@@ -6,8 +6,9 @@ from itertools import count
 from softarm.daemon.control.records import Inputs, Mode, Outputs, Request, RequestKind, TickTiming
 from softarm.daemon.shell.loop import TickRecorder
 from softarm.daemon.tick import Controller
-from softarm.drivers.base import InProcessRobot
-from softarm.drivers.bodies.simulated import SimulatedRobot
+from softarm.drivers.bodies.base import Body
+from softarm.drivers.bodies.in_process import InProcessRobot
+from softarm.drivers.bodies.simulated import SimulatedBody
 from softarm.policies.base import Policy
 from softarm.policies.runner import InlineRunner
 from softarm.schemas.config import Config
@@ -36,7 +37,7 @@ class Flight:
 class Lockstep:
     """A controller and a robot that share one made-up time.
 
-    robot: instead of the simulated one, which is made of `model`.
+    body: instead of the simulated one, which is made of `model`.
     """
 
     def __init__(
@@ -45,10 +46,10 @@ class Lockstep:
         policy: Policy,
         model: Model | None = None,
         recorder: TickRecorder | None = None,
-        robot: InProcessRobot | None = None,
+        body: Body | None = None,
     ) -> None:
         self.config = config
-        self.robot = robot or SimulatedRobot(model)
+        self.robot = InProcessRobot(body or SimulatedBody(model))
         self.controller = Controller(config, InlineRunner(policy))
         self.outputs: Outputs | None = None
         self._recorder = recorder
@@ -99,12 +100,10 @@ class Lockstep:
     def place(self, cart_position_m: float) -> None:
         """Put the armed robot somewhere, its arm straight and at rest, as if a person had waited there.
 
-        Raises TypeError for a robot that stays where it was made.
+        Raises PlacementError for a body that stays where it was made.
         """
-        if not isinstance(self.robot, SimulatedRobot):
-            raise TypeError(f"{type(self.robot).__name__} cannot be put anywhere: make it where it is to start")
+        self.robot.body.place(cart_position_m)
         self._begun_ns += SETTLED_NS
-        self.robot.place(cart_position_m)
         self.robot.regulator.write(True, 0.0)
         self.robot.rail.write(True, 0.0)
         # The next tick looks at this very instant: nothing moves before the goal is taken up.
@@ -123,7 +122,7 @@ class Lockstep:
         top = farthest = 0.0
         ticks = 1
         while True:
-            farthest = max(farthest, abs(self.robot.cart_position_m))
+            farthest = max(farthest, abs(self.robot.body.cart_position_m))
             if outputs.observed is not None:
                 top = max(top, outputs.observed.values[3])
             if outputs.goal.state != "running":

@@ -1,1 +1,1 @@
-"""Robots in this process, in lockstep with whoever reads them: the simulator's and the independent one."""
+"""Robots without wires, the simulator's and the independent one, and the devices of either in this process."""

@@ -1,21 +1,18 @@
-"""The independent robot of `reality/` as three devices in this process: lockstep, no sleeping, no wire.
+"""The independent robot of `reality/` as a body, with sensors of its own. Needs the extra `mujoco`."""
 
-What `drivers/bodies/simulated.py` is for the simulator's robot. Needs the extra `mujoco`.
-"""
+from typing import Self
 
-from dataclasses import replace
-
-from softarm.drivers.base import WithoutWire
-from softarm.reality.parameters import Parameters
+from softarm.drivers.bodies.base import PlacementError
+from softarm.reality.parameters import Parameters, of_model
 from softarm.reality.robot import Robot
 from softarm.schemas.messages import MocapFrame, PressureReading, RailReading
+from softarm.schemas.model import Model
 
 
-class IndependentRobot:
-    """One robot and its three devices; at time 0 it hangs at rest where it is made.
+class IndependentBody:
+    """A `softarm.reality.robot.Robot` that hangs at rest where it is made; see `softarm.drivers.bodies.base.Body`.
 
-    Sensors have rates and delays of their own, so a tick may bring no frame or two. Raises ValueError for a cart beyond
-    its travel. shelf_m: as `softarm.reality.robot.Robot`.
+    Its sensors have rates and delays of their own, so a step may bring no frame or several.
     """
 
     def __init__(
@@ -26,75 +23,66 @@ class IndependentRobot:
         cart_position_m: float = 0.0,
         shelf_m: tuple[float, float] | None = None,
     ) -> None:
-        self.body = Robot(parameters, seed, cart_position_m=cart_position_m, hanging=True, shelf_m=shelf_m)
+        """Raises ValueError as `softarm.reality.robot.Robot` does; `shelf_m` as there."""
+        self._robot = Robot(parameters, seed, cart_position_m=cart_position_m, hanging=True, shelf_m=shelf_m)
+        self._truth = self._robot.truth
+        # What a device knows when it is switched on.
+        self._pressure = PressureReading(0, self._truth.pressure_kpa, True)
+        self._rail = RailReading(0, self._truth.cart_position_m, 0.0, True)
         self.now_ns = 0
-        self.mocap = IndependentMocap(self)
-        self.regulator = IndependentRegulator(self)
-        self.rail = IndependentRail(self)
+
+    @classmethod
+    def of_model(cls, model: Model | None, seed: int = 0) -> Self:
+        """The nominal robot of a model (None: the seed's). Raises ValueError for a model that it cannot be."""
+        return cls(of_model(model or Model()), seed)
+
+    @property
+    def travel_m(self) -> float:
+        """To either side."""
+        return self._robot.parameters.cart.travel_m
 
     @property
     def cart_position_m(self) -> float:
         """True, from the middle of the rail."""
-        return self.body.truth.cart_position_m
+        return self._truth.cart_position_m
 
-    def advance(self, now_ns: int) -> None:
-        """Move up to an instant under the commands last written."""
-        if now_ns <= self.now_ns:
-            return
-        self.body.command(self.now_ns * 1e-9, self.rail.set_point_m_s, self.regulator.set_point_kpa)
-        self.body.advance(now_ns * 1e-9)
-        self.now_ns = now_ns
+    @property
+    def cart_velocity_m_s(self) -> float:
+        """True velocity."""
+        return self._truth.cart_velocity_m_s
 
+    @property
+    def pressure_kpa(self) -> float:
+        """True, in the muscle."""
+        return self._truth.pressure_kpa
 
-class IndependentMocap(WithoutWire):
-    """The frames that have come."""
+    @property
+    def tip_m(self) -> tuple[float, float]:
+        """True y, z."""
+        y, z = self._truth.link_ends_m[-1].tolist()
+        return y, z
 
-    def __init__(self, robot: IndependentRobot) -> None:
-        self._robot = robot
+    def step(self, cart_velocity_m_s: float, pressure_kpa: float, duration_ns: int) -> None:
+        """See `Body.step`; the commands act from the start of the step."""
+        self._robot.command(self.now_ns * 1e-9, cart_velocity_m_s, pressure_kpa)
+        self.now_ns += duration_ns
+        self._robot.advance(self.now_ns * 1e-9)
+        self._truth = self._robot.truth
 
-    def read(self, now_ns: int) -> tuple[MocapFrame, ...]:
-        """Move the robot up to now and look at it."""
-        self._robot.advance(now_ns)
-        return tuple(self._robot.body.mocap())
+    def place(self, cart_position_m: float) -> None:
+        """Raises PlacementError: see `Body.place`."""
+        raise PlacementError("the independent robot cannot be put anywhere: make it where it is to start")
 
+    def frames(self) -> tuple[MocapFrame, ...]:
+        """See `Body.frames`."""
+        return tuple(self._robot.mocap())
 
-class IndependentRegulator(WithoutWire):
-    """Vents when not armed, as the device does."""
+    def gauge(self) -> PressureReading:
+        """See `Body.gauge`."""
+        *_, self._pressure = (self._pressure, *self._robot.pressure())
+        return self._pressure
 
-    def __init__(self, robot: IndependentRobot) -> None:
-        self._robot = robot
-        self._armed = False
-        self._newest: PressureReading | None = None
-        self.set_point_kpa = 0.0
-
-    def read(self) -> PressureReading | None:
-        """The newest reading of its sensor."""
-        for reading in self._robot.body.pressure():
-            self._newest = replace(reading, armed=self._armed)
-        return self._newest
-
-    def write(self, armed: bool, pressure_kpa: float) -> None:
-        """Set-point until the next call."""
-        self._armed = armed
-        self.set_point_kpa = pressure_kpa if armed else 0.0
-
-
-class IndependentRail(WithoutWire):
-    """Holds still when it is off."""
-
-    def __init__(self, robot: IndependentRobot) -> None:
-        self._robot = robot
-        self._enabled = False
-        self._newest: RailReading | None = None
-        self.set_point_m_s = 0.0
-
-    def read(self) -> RailReading | None:
-        """The axis's newest read-back."""
-        for reading in self._robot.body.rail():
-            self._newest = replace(reading, enabled=self._enabled)
-        return self._newest
-
-    def write(self, enable: bool, velocity_m_s: float) -> None:
-        """Set-point until the next call."""
-        self._enabled = enable
-        self.set_point_m_s = velocity_m_s if enable else 0.0
+    def encoder(self) -> RailReading:
+        """See `Body.encoder`."""
+        *_, self._rail = (self._rail, *self._robot.rail())
+        return self._rail

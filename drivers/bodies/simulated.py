@@ -1,102 +1,98 @@
-"""The three devices as one simulated robot in this process: lockstep, no sleeping, no wire.
+"""The simulator's robot as a body, with the sensor effects of its model."""
 
-Time is what the caller says: each `mocap.read(now_ns)` first moves the robot up to `now_ns` under the last
-commands. So the same robot serves the offline flights, where time jumps by a tick, and
-`softarm run --simulated`, where it is real.
-"""
+import numpy as np
 
-from softarm.drivers.base import WithoutWire
-from softarm.drivers.bodies.sight import Sight
-from softarm.schemas.messages import MocapFrame, PressureReading, RailReading
+from softarm.schemas.messages import BODY_NAMES, MocapFrame, Pose, PressureReading, RailReading
 from softarm.schemas.model import Model
+from softarm.simulator.sensors import Sensors
 from softarm.simulator.simulator import Simulator
 
 PHYSICS_HZ = 1200.0  # the seed's
 
 
-class SimulatedRobot:
-    """One robot and its three devices; starts at rest at time `now_ns`."""
+class SimulatedBody:
+    """One simulated robot that starts at rest in the middle of the rail; see `softarm.drivers.bodies.base.Body`.
 
-    def __init__(self, model: Model | None = None, now_ns: int = 0, physics_rate_hz: float = PHYSICS_HZ) -> None:
+    Sensors show every instant at once, but for the model's effects. Those of `clock` are the loop's own and no
+    sensor's: here the loop is real.
+
+    Raises ValueError for a model with another number of links than there are marker sets.
+    """
+
+    def __init__(self, model: Model | None = None, physics_rate_hz: float = PHYSICS_HZ) -> None:
         self.model = model or Model()
+        links = self.model.arm.links
+        if links != len(BODY_NAMES) - 1:
+            raise ValueError(f"the model has {links} links, the robot {len(BODY_NAMES) - 1}: give such a model")
         self.simulator = Simulator(self.model, robots=1, physics_rate_hz=physics_rate_hz)
         self.simulator.step(0.0, 0.0, 1 / physics_rate_hz)  # the first step may compile; nobody is waiting yet
         self.simulator.reset()
-        self.sight = Sight(self.simulator)
-        self.now_ns = now_ns
-        self.mocap = SimulatedMocap(self)
-        self.regulator = SimulatedRegulator(self)
-        self.rail = SimulatedRail(self)
+        self.now_ns = 0
+        self._feed = 1.0 + float(self.simulator.effects.value("rail.gain", "scale")[0])
+        distorted = any(name.startswith("mocap.") for name in self.model.effects)
+        self._sensors = Sensors(self.simulator, np.random.default_rng(0)) if distorted else None
+        self._frame = 0
+
+    @property
+    def travel_m(self) -> float:
+        """To either side."""
+        return self.model.cart.travel_m
 
     @property
     def cart_position_m(self) -> float:
         """True, from the middle of the rail."""
         return float(self.simulator.cart_position_m[0])
 
+    @property
+    def cart_velocity_m_s(self) -> float:
+        """True velocity."""
+        return float(self.simulator.cart_velocity_m_s[0])
+
+    @property
+    def pressure_kpa(self) -> float:
+        """True, in the muscle."""
+        return float(self.simulator.pressure_kpa[0])
+
+    @property
+    def tip_m(self) -> tuple[float, float]:
+        """True y, z."""
+        y, z = self.simulator.tip_m()[0].tolist()
+        return y, z
+
+    def step(self, cart_velocity_m_s: float, pressure_kpa: float, duration_ns: int) -> None:
+        """See `Body.step`."""
+        self.simulator.step(cart_velocity_m_s, pressure_kpa, duration_ns * 1e-9)
+        self.now_ns += duration_ns
+
     def place(self, cart_position_m: float) -> None:
-        """Put the robot somewhere, its arm straight and at rest, the muscle vented."""
+        """See `Body.place`; what was seen before is not shown late."""
         self.simulator.reset(cart_position_m=cart_position_m)
-        self.sight.forget()
+        if self._sensors is not None:
+            self._sensors.reset()
 
-    def advance(self, now_ns: int) -> None:
-        """Move up to an instant under the commands last written."""
-        if now_ns <= self.now_ns:
-            return
-        duration_s = (now_ns - self.now_ns) * 1e-9
-        self.simulator.step(self.rail.set_point_m_s, self.regulator.set_point_kpa, duration_s)
-        self.now_ns = now_ns
+    def frames(self) -> tuple[MocapFrame, ...]:
+        """One frame of this instant; none when it was dropped."""
+        self._frame += 1
+        poses = self._poses()
+        return () if poses is None else (MocapFrame(self._frame, self.now_ns, self.now_ns, poses),)
 
+    def gauge(self) -> PressureReading:
+        """As the regulator's own sensor reads it now."""
+        return PressureReading(self.now_ns, float(self.simulator.pressure_reading_kpa[0]), True)
 
-class SimulatedMocap(WithoutWire):
-    """Six poses at the instant of the read."""
+    def encoder(self) -> RailReading:
+        """The cart now as the axis counts it: a wrong feed constant it cannot see."""
+        position_m, velocity_m_s = self.cart_position_m / self._feed, self.cart_velocity_m_s / self._feed
+        return RailReading(self.now_ns, position_m, velocity_m_s, True)
 
-    def __init__(self, robot: SimulatedRobot) -> None:
-        self._robot = robot
-        self._sequence = 0
-
-    def read(self, now_ns: int) -> tuple[MocapFrame, ...]:
-        """Move the robot up to now and look at it."""
-        robot = self._robot
-        robot.advance(now_ns)
-        self._sequence += 1
-        poses = robot.sight.poses()
-        return () if poses is None else (MocapFrame(self._sequence, robot.now_ns, now_ns, poses),)
-
-
-class SimulatedRegulator(WithoutWire):
-    """Takes a set-point at once; its lag is the simulator's."""
-
-    def __init__(self, robot: SimulatedRobot) -> None:
-        self._robot = robot
-        self._armed = False
-        self._sequence = 0
-        self.set_point_kpa = 0.0
-
-    def read(self) -> PressureReading | None:
-        """The pressure as its sensor has it."""
-        kpa = self._robot.sight.pressure_kpa()
-        return PressureReading(self._robot.now_ns, kpa, self._armed, (), self._sequence)
-
-    def write(self, armed: bool, pressure_kpa: float) -> None:
-        """Set-point until the next call; vents when not armed."""
-        self._armed = armed
-        self._sequence += 1
-        self.set_point_kpa = pressure_kpa if armed else 0.0
-
-
-class SimulatedRail(WithoutWire):
-    """Takes a set-point at once; ramp and delay are the simulator's."""
-
-    def __init__(self, robot: SimulatedRobot) -> None:
-        self._robot = robot
-        self._enabled = False
-        self.set_point_m_s = 0.0
-
-    def read(self) -> RailReading | None:
-        """The cart as the axis has it."""
-        return RailReading(self._robot.now_ns, *self._robot.sight.rail(), self._enabled)
-
-    def write(self, enable: bool, velocity_m_s: float) -> None:
-        """Set-point until the next call; a drive that is off holds still."""
-        self._enabled = enable
-        self.set_point_m_s = velocity_m_s if enable else 0.0
+    def _poses(self) -> tuple[Pose, ...] | None:
+        if self._sensors is None:
+            ends = self.simulator.link_ends_m()[0].tolist()
+            angles = self.simulator.link_angles_rad[0].tolist()
+            cart = Pose(self.cart_position_m, self.model.arm.base_height_m, 0.0)
+            return (cart, *(Pose(y, z, angle) for (y, z), angle in zip(ends, angles, strict=True)))
+        seen = self._sensors.look()
+        if not seen.fresh[0]:
+            return None
+        bodies = zip(seen.positions_m[0].tolist(), seen.angles_rad[0].tolist(), strict=True)
+        return tuple(Pose(y, z, angle) for (y, z), angle in bodies)

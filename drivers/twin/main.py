@@ -8,10 +8,11 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Self
 
+from softarm.drivers.bodies.base import Body
+from softarm.drivers.bodies.simulated import SimulatedBody
 from softarm.drivers.twin.cameras import Cameras, TwinState
 from softarm.drivers.twin.dryve import LIMIT_SWITCH, DryveDevice, DryveServer
 from softarm.drivers.twin.faults import Faults
-from softarm.drivers.twin.robot import Body, TwinRobot
 from softarm.drivers.twin.teensy import TeensyDevice, TeensyPort
 from softarm.schemas.config import Config
 from softarm.schemas.model import Model
@@ -19,6 +20,7 @@ from softarm.schemas.model import Model
 FRAME_HZ = 120
 STATE_EVERY = 4  # frames: 30 Hz
 BRAKED_M_S = 0.05  # the swinging arm drags a standing cart about at less than this
+TOUCH_M = 0.0005  # so close to an end of the travel counts as there
 HELD_UP_NS = 25_000_000
 CATCH_UP_FRAMES = 30  # a twin that was held up for longer lets the time pass instead
 
@@ -51,6 +53,28 @@ class Since:
         return self.t_ns
 
 
+class EndStops:
+    """Arrivals of the cart at the ends of its travel; it may lean on one for a while, and that is one arrival.
+
+    `cart_max_abs_m` is the farthest it has been from the middle.
+    """
+
+    def __init__(self, travel_m: float) -> None:
+        self.crashes = 0
+        self.cart_max_abs_m = 0.0
+        self._travel_m = travel_m
+        self._there = False
+
+    def see(self, cart_position_m: float) -> bool:
+        """Take notice; True when it has just arrived."""
+        distance_m = abs(cart_position_m)
+        self.cart_max_abs_m = max(self.cart_max_abs_m, min(distance_m, self._travel_m))
+        before, self._there = self._there, distance_m > self._travel_m - TOUCH_M
+        struck = self._there and not before
+        self.crashes += struck
+        return struck
+
+
 class Twin:
     """The robot behind a pty, a TCP port and a Zenoh session. Use as `async with Twin(config) as twin`.
 
@@ -67,7 +91,7 @@ class Twin:
     ) -> None:
         drivers = config.drivers
         self.faults = Faults(clock)
-        self.robot: Body = body or TwinRobot(model)
+        self._body: Body = body or SimulatedBody(model)
         self.teensy, self.dryve = TeensyDevice(), DryveDevice(drivers.rail)
         self._clock, self._device_clock = clock, DeviceClock(clock)
         self._port = TeensyPort(
@@ -75,10 +99,11 @@ class Twin:
             self.teensy,
             self.faults,
             self._device_clock,
-            lambda: self.robot.gauge_kpa(),
+            lambda: self._body.gauge().pressure_kpa,
         )
         self._server = DryveServer(drivers.rail.host, drivers.rail.port, self.dryve, self.faults, self._device_clock)
         self._cameras = Cameras(drivers.mocap, self.faults)
+        self._ends = EndStops(self._body.travel_m)
         self._vented, self._off, self._braked = Since(), Since(), Since()
         self._task: asyncio.Task[None] | None = None
         self.state = self._observe(clock())
@@ -116,52 +141,57 @@ class Twin:
             if due > frame + CATCH_UP_FRAMES:
                 start_ns, due = start_ns + round((due - frame - 1) * 1e9 / FRAME_HZ), frame + 1
             if due > frame:
-                self._advance((due - frame) / FRAME_HZ)
-                self._publish(
-                    due, start_ns + due * 1_000_000_000 // FRAME_HZ, due // STATE_EVERY > frame // STATE_EVERY
-                )
+                self._advance(_instant_ns(due) - _instant_ns(frame))
+                self._publish(due, start_ns + _instant_ns(due), due // STATE_EVERY > frame // STATE_EVERY)
                 frame = due
-            next_ns = start_ns + (frame + 1) * 1_000_000_000 // FRAME_HZ
+            next_ns = start_ns + _instant_ns(frame + 1)
             await asyncio.sleep(max(0, next_ns - self._clock()) / 1e9)
 
-    def _advance(self, duration_s: float) -> None:
+    def _advance(self, duration_ns: int) -> None:
         self._device_clock.step()
         self._cameras.hear_faults()
         self._port.step()
         self._server.step()
-        if self.robot.step(self.dryve.target_velocity_m_s, self.teensy.set_point_kpa, duration_s):
+        self._body.step(self.dryve.target_velocity_m_s, self.teensy.set_point_kpa, duration_ns)
+        if self._ends.see(self._body.cart_position_m):
             self.dryve.trip(LIMIT_SWITCH)
         self._sense()
         self.state = self._observe(self._clock())
 
     def _publish(self, frame: int, t_capture_ns: int, with_state: bool) -> None:
-        seen = self.robot.look()
-        if seen is not None:
-            self._cameras.publish_frame(frame, t_capture_ns - round(seen.age_s * 1e9), seen.poses)
+        for seen in self._body.frames()[-1:]:
+            age_ns = self._body.now_ns - seen.t_capture_ns
+            self._cameras.publish_frame(frame, t_capture_ns - age_ns, seen.bodies)
         if with_state:
             self._cameras.publish_state(self.state)
 
     def _sense(self) -> None:
-        self.dryve.sense(*self.robot.encoder())
+        reading = self._body.encoder()
+        self.dryve.sense(reading.position_m, reading.velocity_m_s)
 
     def _observe(self, now_ns: int) -> TwinState:
-        robot, drive = self.robot, self.dryve
-        tip_y_m, tip_z_m = robot.tip_m
+        body, drive = self._body, self.dryve
+        tip_y_m, tip_z_m = body.tip_m
         return TwinState(
             t_ns=now_ns,
-            cart_position_m=robot.cart_position_m,
-            cart_velocity_m_s=robot.cart_velocity_m_s,
-            pressure_kpa=robot.pressure_kpa,
+            cart_position_m=body.cart_position_m,
+            cart_velocity_m_s=body.cart_velocity_m_s,
+            pressure_kpa=body.pressure_kpa,
             tip_y_m=tip_y_m,
             tip_z_m=tip_z_m,
             vented=not self.teensy.armed,
             vented_since_ns=self._vented.see(not self.teensy.armed, now_ns),
             drive=drive.state.value,
             out_of_operation_since_ns=self._off.see(not drive.in_operation, now_ns),
-            braked_since_ns=self._braked.see(abs(robot.cart_velocity_m_s) < BRAKED_M_S, now_ns),
-            cart_max_abs_m=robot.cart_max_abs_m,
-            crashes=robot.crashes,
+            braked_since_ns=self._braked.see(abs(body.cart_velocity_m_s) < BRAKED_M_S, now_ns),
+            cart_max_abs_m=self._ends.cart_max_abs_m,
+            crashes=self._ends.crashes,
         )
+
+
+def _instant_ns(frame: int) -> int:
+    """Of a frame by its number, so that no rounding adds up."""
+    return round(frame * 1e9 / FRAME_HZ)
 
 
 def run_twin(

@@ -12,7 +12,7 @@ CONFIG = str(Path(__file__).parents[2] / "twin.yaml")
 
 
 def test_without_mujoco_it_names_the_extra(monkeypatch: pytest.MonkeyPatch) -> None:
-    for module in ("softarm.drivers.twin.independent", "softarm.reality.robot", "softarm.reality.plant"):
+    for module in ("softarm.drivers.bodies.independent", "softarm.reality.robot", "softarm.reality.plant"):
         monkeypatch.delitem(sys.modules, module, raising=False)
     monkeypatch.setitem(sys.modules, "mujoco", None)
     answer = CliRunner().invoke(main, ["twin", "--config", CONFIG, "--reality"])

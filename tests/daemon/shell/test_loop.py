@@ -11,7 +11,8 @@ from softarm.daemon.control.inbox import Inbox
 from softarm.daemon.control.records import EStop, Mode
 from softarm.daemon.shell.loop import ControlLoop, Devices
 from softarm.daemon.tick import Controller
-from softarm.drivers.bodies.simulated import SimulatedRobot
+from softarm.drivers.bodies.in_process import InProcessRobot
+from softarm.drivers.bodies.simulated import SimulatedBody
 from softarm.policies.hold import Hold
 from softarm.policies.runner import InlineRunner
 from softarm.schemas.config import Config
@@ -47,7 +48,7 @@ class Loop:
     """A control loop on a simulated robot, and a way to wait for its ticks."""
 
     def __init__(self, controller=None, **stop_errors):
-        robot = SimulatedRobot(now_ns=time.monotonic_ns())
+        robot = InProcessRobot(SimulatedBody(), time.monotonic_ns())
         parts = {name: Watched(getattr(robot, name), stop_errors.get(name)) for name in ("mocap", "regulator", "rail")}
         self.devices = Devices(**parts)
         self.inbox = Inbox()

@@ -1,18 +1,25 @@
-"""The independent robot in this process: the daemon cannot tell it from the simulated one, but by how it flies."""
+"""The independent robot as a body: the daemon cannot tell it from the simulated one, but by how it flies."""
 
+import numpy as np
 import pytest
 
 from softarm.daemon.shell.offline import Lockstep
-from softarm.drivers.bodies.independent import IndependentRobot
+from softarm.drivers.bodies.base import PlacementError
+from softarm.drivers.bodies.in_process import InProcessRobot
+from softarm.drivers.bodies.independent import IndependentBody
 from softarm.policies import registry
 from softarm.policies.hold import Hold
-from softarm.reality.parameters import Parameters, Rail
+from softarm.reality.parameters import Mocap, Parameters, PressureSensor, Rail, RailSensor
 from softarm.schemas.config import Config
 from softarm.schemas.goals import Goal
+from softarm.schemas.messages import BODY_NAMES
+from softarm.schemas.model import Arm, Model
+
+FRAME_NS = 8_333_334
 
 
 def test_it_hangs_where_it_was_made_until_it_is_told_to_move_and_stops_when_it_is_not_enabled():
-    robot = IndependentRobot(cart_position_m=0.1)
+    robot = InProcessRobot(IndependentBody(cart_position_m=0.1))
     (*_, frame) = robot.mocap.read(200_000_000)
     assert frame.bodies[0].y_m == pytest.approx(0.1, abs=0.002)
     assert robot.rail.read().position_m == pytest.approx(0.1, abs=0.002)
@@ -22,7 +29,7 @@ def test_it_hangs_where_it_was_made_until_it_is_told_to_move_and_stops_when_it_i
     robot.rail.write(True, 0.3)
     robot.regulator.write(True, 10.0)
     robot.mocap.read(700_000_000)
-    assert robot.cart_position_m > 0.15
+    assert robot.body.cart_position_m > 0.15
     assert robot.rail.read().enabled
     assert robot.regulator.read().armed
     assert robot.regulator.read().pressure_kpa > 5.0
@@ -30,15 +37,15 @@ def test_it_hangs_where_it_was_made_until_it_is_told_to_move_and_stops_when_it_i
     robot.rail.write(False, 0.3)
     robot.regulator.write(False, 10.0)
     robot.mocap.read(1_700_000_000)
-    held = robot.cart_position_m
+    held = robot.body.cart_position_m
     robot.mocap.read(2_200_000_000)
-    assert robot.cart_position_m == pytest.approx(held, abs=0.01)
+    assert robot.body.cart_position_m == pytest.approx(held, abs=0.01)
     assert robot.regulator.read().pressure_kpa < 1.0
 
 
 def test_the_daemons_own_tick_flies_it_and_a_change_of_the_robot_is_felt():
     def closest_m(parameters):
-        daemon = Lockstep(Config(), registry.load("reach"), robot=IndependentRobot(parameters, cart_position_m=0.1))
+        daemon = Lockstep(Config(), registry.load("reach"), body=IndependentBody(parameters, cart_position_m=0.1))
         daemon.arm()
         flight = daemon.pursue(Goal("reach", -0.2, 0.6))
         assert flight.max_cart_m >= 0.1
@@ -50,13 +57,53 @@ def test_the_daemons_own_tick_flies_it_and_a_change_of_the_robot_is_felt():
 
 
 def test_it_cannot_be_put_anywhere():
-    daemon = Lockstep(Config(), Hold(), robot=IndependentRobot())
-    with pytest.raises(TypeError, match="IndependentRobot cannot be put anywhere"):
+    daemon = Lockstep(Config(), Hold(), body=IndependentBody())
+    with pytest.raises(PlacementError, match="cannot be put anywhere: make it where it is to start"):
         daemon.fly(Goal("reach", -0.2, 0.6), 0.1)
 
 
 def test_ticks_are_a_thirtieth_of_a_second_however_many_there_were():
-    daemon = Lockstep(Config(), Hold(), robot=IndependentRobot())
+    daemon = Lockstep(Config(), Hold(), body=IndependentBody())
     for _ in range(90):
         daemon.tick()
     assert daemon.robot.now_ns == 3_000_000_000
+
+
+def test_it_moves_as_commanded_and_shows_what_its_sensors_read():
+    parameters = Parameters(
+        mocap=Mocap(transport_s=0.02, noise_m=0.0),
+        pressure_sensor=PressureSensor(bias_kpa=1.0, noise_kpa=0.0),
+        rail_sensor=RailSensor(position_quantum_m=0.01),
+    )
+    body = IndependentBody(parameters)
+    seen = []
+    for _ in range(60):
+        body.step(-0.3, 15.0, FRAME_NS)
+        seen.append(body.frames())
+    assert body.cart_position_m < -0.05
+    assert body.gauge().pressure_kpa == pytest.approx(body.pressure_kpa + 1.0, abs=0.01)
+    assert body.gauge() is body.gauge()
+    reading = body.encoder()
+    position_m = reading.position_m
+    assert position_m == pytest.approx(body.cart_position_m, abs=0.005 + 1e-9)
+    assert position_m % 0.01 == pytest.approx(0.0, abs=1e-9) or position_m % 0.01 == pytest.approx(0.01, abs=1e-9)
+    assert reading.velocity_m_s == pytest.approx(-0.3, abs=0.1)
+    assert seen[0] == ()  # still on its way
+    (newest,) = seen[-1]
+    assert body.now_ns - newest.t_capture_ns == pytest.approx(20e6, abs=10e6)
+    assert newest.t_receive_ns - newest.t_capture_ns == 20_000_000
+    assert len(newest.bodies) == len(BODY_NAMES)
+    assert np.hypot(*np.subtract(newest.bodies[-1][:2], body.tip_m)) < 0.03
+
+
+def test_the_cart_leans_on_the_end_of_its_travel():
+    body = IndependentBody()
+    for _ in range(120):
+        body.step(1.0, 0.0, FRAME_NS)
+    assert body.cart_position_m == pytest.approx(body.travel_m, abs=1e-3)
+
+
+def test_a_model_that_it_cannot_be_is_refused():
+    short = Arm(**{name: value[:3] for name, value in Arm() if isinstance(value, tuple)})
+    with pytest.raises(ValueError, match="body has 3 links"):
+        IndependentBody.of_model(Model(arm=short))

@@ -14,11 +14,8 @@ from softarm.drivers.regulator.cobs import Deframer, frame
 from softarm.drivers.regulator.teensy import Command, Fault, Hello, Welcome, decode, encode
 from softarm.drivers.twin.dryve import LIMIT_SWITCH, DryveDevice
 from softarm.drivers.twin.faults import Faults
-from softarm.drivers.twin.robot import TwinRobot
 from softarm.drivers.twin.teensy import TeensyDevice
 from softarm.schemas.config import DryveRail
-from softarm.schemas.messages import BODY_NAMES
-from softarm.schemas.model import Arm, Model
 
 MS = 1_000_000
 
@@ -280,33 +277,3 @@ def test_faults_last_as_long_as_they_are_told(clock: Any) -> None:
 def test_faults_that_do_not_exist_are_refused_in_words(clock: Any, message: bytes, words: str) -> None:
     with pytest.raises(ValueError, match=words):
         Faults(clock).apply(message)
-
-
-def test_the_cart_that_meets_its_stop_is_a_crash_and_rests_there() -> None:
-    robot = TwinRobot(None)
-    struck = [robot.step(1.0, 0.0, 1 / 120) for _ in range(120)]
-    assert robot.crashes == sum(struck) >= 1
-    assert robot.cart_max_abs_m == pytest.approx(robot.model.cart.travel_m, abs=1e-6)
-    assert abs(robot.cart_position_m) <= robot.model.cart.travel_m + 1e-6
-    first = struck.index(True)
-    assert 0.25 < first / 120 < 0.6  # 0.3 m at 1 m/s from rest
-    for _ in range(120):
-        robot.step(-0.5, 0.0, 1 / 120)
-    assert robot.cart_position_m < 0.0  # it can be driven away
-
-
-def test_the_cameras_see_the_arm_hang_from_the_cart() -> None:
-    robot = TwinRobot(None)
-    cart, *links = robot.look().poses
-    assert len(links) + 1 == len(BODY_NAMES)
-    assert (cart.y_m, cart.z_m) == (0.0, robot.model.arm.base_height_m)
-    assert [link.z_m for link in links] == pytest.approx([0.965 - 0.0885 * i for i in range(1, 6)], abs=1e-5)
-    noise = {"mocap.noise": {"sigma": 1e-3}}
-    noisy = TwinRobot(Model(effects=noise)).look().poses
-    assert 0 < abs(noisy[5].z_m - links[4].z_m) < 5e-3
-
-
-def test_a_model_with_another_number_of_links_is_refused() -> None:
-    arm = Arm(**{name: value[:3] if isinstance(value, tuple) else value for name, value in Arm()})
-    with pytest.raises(ValueError, match="the model has 3 links, the twin 5"):
-        TwinRobot(Model(arm=arm))

@@ -6,18 +6,14 @@ import sys
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 
+from softarm.drivers.bodies.independent import IndependentBody
 from softarm.drivers.mocap.driver import ZenohMocapSource
 from softarm.drivers.rail.driver import DryveRailAxis
 from softarm.drivers.regulator.driver import TeensyRegulator
-from softarm.drivers.twin.independent import IndependentBody, independent_body
 from softarm.drivers.twin.main import Twin
-from softarm.reality.parameters import Mocap, Parameters, PressureSensor, RailSensor
 from softarm.schemas.config import Config, Drivers, DryveRail, SerialRegulator, ZenohMocap
-from softarm.schemas.messages import BODY_NAMES
-from softarm.schemas.model import Arm, Model
 
 
 @pytest.fixture
@@ -35,45 +31,6 @@ def config(tmp_path: Path) -> Config:
     )
 
 
-def test_it_moves_as_commanded_and_shows_what_its_sensors_read() -> None:
-    parameters = Parameters(
-        mocap=Mocap(transport_s=0.02, noise_m=0.0),
-        pressure_sensor=PressureSensor(bias_kpa=1.0, noise_kpa=0.0),
-        rail_sensor=RailSensor(position_quantum_m=0.01),
-    )
-    body = IndependentBody(parameters)
-    sights = []
-    for _ in range(60):
-        assert body.step(-0.3, 15.0, 1 / 120) is False
-        sights.append(body.look())
-    assert body.cart_position_m < -0.05
-    assert body.gauge_kpa() == pytest.approx(body.pressure_kpa + 1.0, abs=0.01)
-    position_m, velocity_m_s = body.encoder()
-    assert position_m == pytest.approx(body.cart_position_m, abs=0.005 + 1e-9)
-    assert position_m % 0.01 == pytest.approx(0.0, abs=1e-9) or position_m % 0.01 == pytest.approx(0.01, abs=1e-9)
-    assert velocity_m_s == pytest.approx(-0.3, abs=0.1)
-    assert sights[0] is None  # still on its way
-    newest = sights[-1]
-    assert newest is not None
-    assert newest.age_s == pytest.approx(0.02, abs=0.01)
-    assert len(newest.poses) == len(BODY_NAMES)
-    assert np.hypot(*np.subtract(newest.poses[-1][:2], body.tip_m)) < 0.03
-
-
-def test_the_stop_is_struck_once() -> None:
-    body = IndependentBody()
-    struck = [body.step(1.0, 0.0, 1 / 120) for _ in range(120)]
-    assert struck.count(True) == 1
-    assert body.crashes == 1
-    assert body.cart_max_abs_m == pytest.approx(0.30, abs=1e-3)
-
-
-def test_a_model_that_it_cannot_be_is_refused() -> None:
-    short = Arm(**{name: value[:3] for name, value in Arm() if isinstance(value, tuple)})
-    with pytest.raises(ValueError, match="body has 3 links"):
-        independent_body(Model(arm=short))
-
-
 def test_the_daemons_drivers_move_it(config: Config, run: Any, until: Any, running: Any) -> None:
     async def play() -> None:
         mocap, regulator = ZenohMocapSource(config.drivers.mocap), TeensyRegulator(config.drivers.regulator)
@@ -86,7 +43,7 @@ def test_the_daemons_drivers_move_it(config: Config, run: Any, until: Any, runni
             rail.write(bool(command[0]), command[1])
             frames.extend(mocap.read(mocap._clock()))
 
-        async with Twin(config, body=independent_body(None)) as twin, running(mocap, regulator, rail):
+        async with Twin(config, body=IndependentBody()) as twin, running(mocap, regulator, rail):
             await until(lambda: not any((mocap.problem(), regulator.problem(), rail.problem())), each)
             await until(lambda: regulator.read() and rail.read() and frames, each)
             start = frames[-1].bodies

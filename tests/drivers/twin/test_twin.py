@@ -13,12 +13,14 @@ import pytest
 import zenoh
 
 from softarm.drivers.base import DeviceError
+from softarm.drivers.bodies.independent import IndependentBody
+from softarm.drivers.bodies.simulated import SimulatedBody
 from softarm.drivers.mocap.driver import ZenohMocapSource
 from softarm.drivers.mocap.zenoh_session import listener
 from softarm.drivers.rail.driver import DryveRailAxis
 from softarm.drivers.regulator.driver import TeensyRegulator
 from softarm.drivers.twin.cameras import FAULT_KEY, STATE_KEY
-from softarm.drivers.twin.main import DeviceClock, Twin
+from softarm.drivers.twin.main import DeviceClock, EndStops, Twin
 from softarm.schemas.config import Config, Drivers, DryveRail, SerialRegulator, ZenohMocap
 
 
@@ -214,3 +216,15 @@ async def watch_and_break(config: Config, until: Any) -> None:
         assert newest[-1]["crashes"] == 0
     finally:
         session.close()
+
+
+@pytest.mark.parametrize("body", [SimulatedBody, IndependentBody])
+def test_a_cart_that_leans_on_the_end_of_its_travel_has_crashed_once(body: Any) -> None:
+    made = body()
+    ends, struck = EndStops(made.travel_m), []
+    for velocity_m_s in (*[1.0] * 120, *[-0.2] * 60, *[1.0] * 60):
+        made.step(velocity_m_s, 0.0, 8_333_334)
+        struck.append(ends.see(made.cart_position_m))
+    assert ends.crashes == struck.count(True) == 2
+    assert 0.25 < struck.index(True) / 120 < 0.6  # 0.3 m at 1 m/s from rest
+    assert ends.cart_max_abs_m == made.travel_m

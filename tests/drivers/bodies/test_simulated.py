@@ -1,11 +1,13 @@
-"""A model's sensor effects reach the wires: of the in-process robot and, through the same piece, of the twin."""
+"""The simulated robot as a body: its model's sensor effects are in what it shows, and the rail may have ends."""
 
 import math
 
 import pytest
 
-from softarm.drivers.bodies.simulated import SimulatedRobot
-from softarm.schemas.model import Model
+from softarm.drivers.bodies.in_process import InProcessRobot
+from softarm.drivers.bodies.simulated import SimulatedBody
+from softarm.schemas.messages import BODY_NAMES
+from softarm.schemas.model import Arm, Model
 
 PERIOD_NS = 33_333_333
 
@@ -15,7 +17,7 @@ def robot(**effects):
     model = seed.model_copy(
         update={"effects": {**seed.effects, **{k.replace("__", "."): v for k, v in effects.items()}}}
     )
-    made = SimulatedRobot(model)
+    made = InProcessRobot(SimulatedBody(model))
     made.rail.write(True, 0.5)
     made.regulator.write(True, 5.0)
     return made
@@ -65,5 +67,31 @@ def test_a_wrong_feed_constant_shows_between_read_back_and_mocap():
 def test_without_sensor_effects_the_robot_shows_the_truth():
     made = robot()
     last = frames(made)[-1]
-    assert last.bodies[0].y_m == float(made.simulator.cart_position_m[0])
-    assert last.bodies[5][:2] == tuple(made.simulator.tip_m()[0].tolist())
+    assert last.bodies[0].y_m == float(made.body.simulator.cart_position_m[0])
+    assert last.bodies[5][:2] == tuple(made.body.simulator.tip_m()[0].tolist())
+
+
+def test_the_cart_rests_at_the_end_of_its_travel_and_can_be_driven_away():
+    body = SimulatedBody()
+    for _ in range(30):
+        body.step(1.0, 0.0, PERIOD_NS)
+    assert body.cart_position_m == pytest.approx(body.travel_m, abs=1e-3)
+    assert body.cart_velocity_m_s == pytest.approx(0.0, abs=1e-3)
+    for _ in range(30):
+        body.step(-0.5, 0.0, PERIOD_NS)
+    assert body.cart_position_m < 0.0
+
+
+def test_the_cameras_see_the_arm_hang_from_the_cart():
+    body = SimulatedBody()
+    [frame] = body.frames()
+    cart, *links = frame.bodies
+    assert len(links) + 1 == len(BODY_NAMES)
+    assert (cart.y_m, cart.z_m) == (0.0, body.model.arm.base_height_m)
+    assert [link.z_m for link in links] == pytest.approx([0.965 - 0.0885 * i for i in range(1, 6)], abs=1e-5)
+
+
+def test_a_model_with_another_number_of_links_is_refused():
+    arm = Arm(**{name: value[:3] if isinstance(value, tuple) else value for name, value in Arm()})
+    with pytest.raises(ValueError, match="the model has 3 links, the robot 5"):
+        SimulatedBody(Model(arm=arm))

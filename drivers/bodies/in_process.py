@@ -1,0 +1,103 @@
+"""The three devices of any body in this process: lockstep, no sleeping, no wire.
+
+Time is what the caller says: each `mocap.read(now_ns)` first moves the body up to `now_ns` under the last commands. So
+the same devices serve the offline flights, where time jumps by a tick, and `softarm run --simulated`, where it is real.
+"""
+
+from dataclasses import replace
+
+from softarm.drivers.base import WithoutWire
+from softarm.drivers.bodies.base import Body
+from softarm.schemas.messages import MocapFrame, PressureReading, RailReading
+
+
+class InProcessRobot:
+    """A body and its three devices; it is as it is at time `now_ns`.
+
+    Set `now_ns` forward to let time pass in which nothing moves.
+    """
+
+    def __init__(self, body: Body, now_ns: int = 0) -> None:
+        self.body = body
+        self.now_ns = now_ns
+        self.mocap = InProcessMocap(self)
+        self.regulator = InProcessRegulator(self)
+        self.rail = InProcessRail(self)
+
+    @property
+    def body_started_ns(self) -> int:
+        """The caller's time at which the body's clock began."""
+        return self.now_ns - self.body.now_ns
+
+    def advance(self, now_ns: int) -> None:
+        """Move up to an instant under the commands last written."""
+        if now_ns <= self.now_ns:
+            return
+        self.body.step(self.rail.set_point_m_s, self.regulator.set_point_kpa, now_ns - self.now_ns)
+        self.now_ns = now_ns
+
+
+class InProcessMocap(WithoutWire):
+    """The body's own frames."""
+
+    def __init__(self, robot: InProcessRobot) -> None:
+        self._robot = robot
+
+    def read(self, now_ns: int) -> tuple[MocapFrame, ...]:
+        """Move the body up to now and look at it."""
+        self._robot.advance(now_ns)
+        start_ns = self._robot.body_started_ns
+        return tuple(
+            replace(frame, t_capture_ns=frame.t_capture_ns + start_ns, t_receive_ns=frame.t_receive_ns + start_ns)
+            for frame in self._robot.body.frames()
+        )
+
+
+class InProcessRegulator(WithoutWire):
+    """Takes a set-point at once; lag and delay are the body's."""
+
+    def __init__(self, robot: InProcessRobot) -> None:
+        self._robot = robot
+        self._armed = False
+        self._sequence = 0
+        self._seen: PressureReading | None = None
+        self._newest: PressureReading | None = None
+        self.set_point_kpa = 0.0
+
+    def read(self) -> PressureReading | None:
+        """The newest reading of its sensor."""
+        seen = self._robot.body.gauge()
+        if seen is not self._seen:
+            self._seen, stamp_ns = seen, seen.t_receive_ns + self._robot.body_started_ns
+            self._newest = replace(seen, t_receive_ns=stamp_ns, armed=self._armed, sequence=self._sequence)
+        return self._newest
+
+    def write(self, armed: bool, pressure_kpa: float) -> None:
+        """Set-point until the next call; vents when not armed."""
+        self._armed = armed
+        self._sequence += 1
+        self.set_point_kpa = pressure_kpa if armed else 0.0
+
+
+class InProcessRail(WithoutWire):
+    """Takes a set-point at once; ramp and delay are the body's."""
+
+    def __init__(self, robot: InProcessRobot) -> None:
+        self._robot = robot
+        self._enabled = False
+        self._seen: RailReading | None = None
+        self._newest: RailReading | None = None
+        self.set_point_m_s = 0.0
+
+    def read(self) -> RailReading | None:
+        """The axis's newest read-back."""
+        seen = self._robot.body.encoder()
+        if seen is not self._seen:
+            self._seen, stamp_ns = seen, seen.t_receive_ns + self._robot.body_started_ns
+            self._newest = replace(seen, t_receive_ns=stamp_ns, enabled=self._enabled)
+        return self._newest
+
+    def write(self, enable: bool, velocity_m_s: float) -> None:
+        """Set-point until the next call; a drive that is off holds still."""
+        self._enabled = enable
+        self.set_point_m_s = velocity_m_s if enable else 0.0
