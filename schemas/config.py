@@ -5,6 +5,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
+from softarm.common.braking import BrakingLaw
 from softarm.schemas.base import Strict
 
 
@@ -33,6 +34,17 @@ class RailLimits(Strict):
                 "position_max_m must lie above position_min_m by four margin_m or more: widen them or lower margin_m"
             )
         return self
+
+    def braking_law(self, period_s: float) -> BrakingLaw:
+        """The law that holds the cart to these limits, for one command every `period_s`."""
+        return BrakingLaw(
+            position_min_m=self.position_min_m + self.margin_m,
+            position_max_m=self.position_max_m - self.margin_m,
+            surge_m_s2=self.surge_m_s2,
+            braking_m_s2=self.braking_m_s2,
+            latency_s=self.latency_s,
+            period_s=period_s,
+        )
 
 
 class PressureLimits(Strict):

@@ -8,7 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from softarm.daemon.control.safety import RETURN_SPEED_M_S, Cart, SafetyFilter
+from softarm.common.braking import RETURN_SPEED_M_S
+from softarm.daemon.control.safety import Cart, SafetyFilter
 from softarm.daemon.shell.offline import Lockstep
 from softarm.policies.base import PolicySpec
 from softarm.schemas.config import Config, Limits, PressureLimits, RailLimits
