@@ -1,15 +1,14 @@
 """Policies over the 54 test targets on several robots, the daemon's own tick in all of them, a process a core."""
 
-import multiprocessing
-import os
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from softarm.common.processes import as_they_come, cores
 from softarm.flights import runner as trials
 from softarm.policies import registry
 from softarm.reality.parameters import GROUPS, Parameters
@@ -78,23 +77,20 @@ def fly_all(
     parts = [targets[i : i + _PART] for i in range(0, len(targets), _PART)]
     jobs = [(name, place, i) for place in places for name in policies for i in range(len(parts))]
     found: dict[tuple[str, str, int], Reached] = {}
-    count = min(processes or len(os.sched_getaffinity(0)), len(jobs))
-    if count == 1:
-        for name, place, i in jobs:
-            found[name, place.key, i] = fly(policies[name], place, parts[i])
-            on_flights(found[name, place.key, i].size)
-    else:
-        # Not forked: this process has threads of its own by now.
-        with ProcessPoolExecutor(count, multiprocessing.get_context("spawn")) as pool:
-            waiting = {pool.submit(fly, policies[n], place, parts[i]): (n, place.key, i) for n, place, i in jobs}
-            for done in as_completed(waiting):
-                found[waiting[done]] = done.result()
-                on_flights(done.result().size)
+    for job, reached in as_they_come(partial(_fly, policies, parts), jobs, processes or cores()):
+        name, place, i = job
+        found[name, place.key, i] = reached
+        on_flights(reached.size)
     return {
         (name, place.key): np.concatenate([found[name, place.key, i] for i in range(len(parts))])
         for place in places
         for name in policies
     }
+
+
+def _fly(policies: Mapping[str, Path | str], parts: Sequence[Sequence[Goal]], job: tuple[str, Place, int]) -> Reached:
+    name, place, i = job
+    return fly(policies[name], place, parts[i])
 
 
 def with_faults(robot: Parameters, faults: Sequence[str]) -> Parameters:

@@ -3,15 +3,14 @@
 The ceiling, an open-loop search that knows the simulator, stands among the policies.
 """
 
-import multiprocessing
 from collections.abc import Callable, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
 from pathlib import Path
 from statistics import mean, stdev
 from typing import NamedTuple, TypedDict
 
 import numpy as np
 
+from softarm.common.processes import as_they_come
 from softarm.flights.evaluation import CART_STARTS_M
 from softarm.flights.runner import Outcome, Trial
 from softarm.flights.tests import COLUMNS, TESTS, label
@@ -138,16 +137,9 @@ def compare(
     """Fly all in so many processes (1: this one); advance(how many more trials are done)."""
     todo = jobs(found, tests)
     flown: dict[Job, list[Outcome]] = {}
-    if processes == 1:
-        for job in todo:
-            flown[job] = measure(job)
-            advance(len(job.part))
-        return summary(flown)
-    with ProcessPoolExecutor(processes, multiprocessing.get_context("spawn"), _one_thread) as pool:
-        futures = {pool.submit(measure, job): job for job in todo}
-        for future in as_completed(futures):
-            flown[futures[future]] = future.result()
-            advance(len(futures[future].part))
+    for job, outcomes in as_they_come(measure, todo, processes):
+        flown[job] = outcomes
+        advance(len(job.part))
     return summary({job: flown[job] for job in todo})
 
 
@@ -187,13 +179,6 @@ def _search(wanted: Sequence[Trial], model: Model | None) -> list[Outcome]:
     targets_m = np.array([(trial.goal.y_m, trial.goal.z_m) for trial in wanted], dtype=np.float32)
     found = search(targets_m, wanted[0].cart_start_m, model)
     return [Outcome(bool(np.isfinite(reached_s))) for reached_s in found.reached_s]
-
-
-def _one_thread() -> None:
-    """A worker has one core; only the search would take more."""
-    import numba
-
-    numba.set_num_threads(1)
 
 
 def _split(entry: Entry, test: str, outcomes: list[Outcome]) -> dict[str, Cell]:

@@ -2,11 +2,12 @@
 
 import shutil
 from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 
+from softarm.common.processes import as_they_come
 from softarm.diagnosis.blind import seal
 from softarm.diagnosis.blind.cases import Case, Flight, draw
-from softarm.diagnosis.blind.processes import as_they_come
 from softarm.reality.parameters import Parameters
 from softarm.reality.record import record
 from softarm.schemas.excitation import EXCITATIONS
@@ -75,7 +76,7 @@ def write_cases(
             finished(case.name)
         else:
             todo.append(case)
-    for name in as_they_come(write_case, [(case, data, fresh) for case in todo], processes):
+    for _, name in as_they_come(partial(write_case, data=data, fresh=fresh), todo, processes):
         finished(name)
 
 

@@ -4,14 +4,15 @@ import json
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-from softarm import diagnosis, schemas, simulator
+from softarm import common, diagnosis, schemas, simulator
+from softarm.common.processes import as_they_come
 from softarm.diagnosis import read
 from softarm.diagnosis.blind import methods, seal
-from softarm.diagnosis.blind.processes import as_they_come
 from softarm.diagnosis.trials import Trial
 from softarm.schemas.model import Model
 from softarm.schemas.verdict import Verdict
@@ -43,18 +44,18 @@ def run(
     seal.keep_apart(file, data)
     file.parent.mkdir(parents=True, exist_ok=True)
     about = {"method": method if trials is None else f"{method}, {trials} trials", "tool": tool_version()}
-    partial = _beside(file, ".partial")
-    done = _kept(file, partial, about, cases)
+    begun = _beside(file, ".partial")
+    done = _kept(file, begun, about, cases)
     todo = [case for case in cases if case.name not in done]
-    with partial.open("a", encoding="utf-8") as out:
-        for answer in as_they_come(answer_case, [(case, method, trials) for case in todo], processes):
+    with begun.open("a", encoding="utf-8") as out:
+        for _, answer in as_they_come(partial(answer_case, method=method, shown=trials), todo, processes):
             done[answer["case"]] = answer
             out.write(json.dumps({**about, **answer}) + "\n")
             out.flush()
             if on_answer is not None:
                 on_answer(answer["case"], len(done), len(cases))
     _write(file, about, done)
-    partial.unlink()
+    begun.unlink()
     return seal.freeze(file)
 
 
@@ -104,7 +105,7 @@ def digest(folder: Path) -> str:
 def tool_version() -> str:
     """The package's version and a hash of the code that answers: another code, another version."""
     lines = []
-    for package in (diagnosis, schemas, simulator):
+    for package in (common, diagnosis, schemas, simulator):
         root = Path(str(package.__file__)).parent
         for path in sorted(
             p for p in root.rglob("*") if p.suffix in _CODE and "blind" not in p.relative_to(root).parts
@@ -132,7 +133,7 @@ def _anonymous(trial: Trial, folder: Path) -> Trial:
     return replace(trial, source=Path("case") / trial.source.name, warnings=warnings, missing=missing)
 
 
-def _kept(file: Path, partial: Path, about: dict[str, str], cases: Sequence[Path]) -> dict[str, dict[str, Any]]:
+def _kept(file: Path, begun: Path, about: dict[str, str], cases: Sequence[Path]) -> dict[str, dict[str, Any]]:
     """Answers that still hold: same tool and method, same data."""
     lines: list[dict[str, Any]] = []
     if file.is_file():
@@ -141,8 +142,8 @@ def _kept(file: Path, partial: Path, about: dict[str, str], cases: Sequence[Path
             {"method": before["method"], "tool": before["tool"], **answer, "seconds": seconds.get(answer["case"], 0.0)}
             for answer in before["answers"]
         ]
-    if partial.is_file():
-        for line in partial.read_text(encoding="utf-8").splitlines():
+    if begun.is_file():
+        for line in begun.read_text(encoding="utf-8").splitlines():
             try:
                 lines.append(json.loads(line))
             except ValueError:

@@ -9,12 +9,12 @@ Prints the table of docs/blind.md.
 import tempfile
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
-from multiprocessing import Pool
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from softarm.common.processes import as_they_come, cores
 from softarm.diagnosis import folder
 from softarm.diagnosis.blind.imperfections import (
     KNOWN,
@@ -109,13 +109,15 @@ def jobs() -> Iterator[tuple[str, Variant]]:
             yield name, variant
 
 
-def _fly_weakest(name: str, variant: Variant) -> dict[str, Signals]:
+def _fly_weakest(job: tuple[str, Variant]) -> dict[str, Signals]:
+    name, variant = job
     robot, _ = given(_healthy(_SEED), variant, [knob.low for knob in variant])
     return fly(robot, stage_of(name))
 
 
-def _fly_other(stage: str, seed: int) -> dict[str, Signals]:
-    """The healthy robot with another's nuisances in one stage."""
+def _fly_other(job: tuple[str, int]) -> dict[str, Signals]:
+    """The healthy robot with another's nuisances in one stage: a stage and a seed."""
+    stage, seed = job
     other = _healthy(seed)
     return fly(replace(_healthy(_SEED), **{group: getattr(other, group) for group in _OWN[stage]}), stage)
 
@@ -137,14 +139,14 @@ def _ranges(variant: Variant) -> str:
 
 
 def main() -> None:
-    """Fly everything on both cores and print the table."""
-    with Pool() as pool:
-        same = dict(zip(_OWN, pool.starmap(_fly_other, [(stage, _SEED) for stage in _OWN]), strict=True))
-        seeds = range(_SEED + 1, _SEED + 1 + OTHERS)
-        others = {stage: pool.starmap(_fly_other, [(stage, seed) for seed in seeds]) for stage in _OWN}
-        flown = pool.starmap(_fly_weakest, jobs(), chunksize=1)
+    """Fly everything, a flight a core, and print the table."""
+    seeds = range(_SEED, _SEED + 1 + OTHERS)
+    healthy = dict(as_they_come(_fly_other, [(stage, seed) for stage in _OWN for seed in seeds], cores()))
+    same = {stage: healthy[stage, _SEED] for stage in _OWN}
+    others = {stage: [healthy[stage, seed] for seed in seeds[1:]] for stage in _OWN}
+    weakest = dict(as_they_come(_fly_weakest, list(jobs()), cores()))
     print("| cause | drawn | its weakest shows in | changes | nuisances | ratio |\n|---|---|---|---|---|---|")
-    for (name, variant), result in zip(jobs(), flown, strict=True):
+    for (name, variant), result in ((job, weakest[job]) for job in jobs()):
         stage = stage_of(name)
         by_cause = {s: rms(values, same[stage][stage][s]) for s, values in result[stage].items()}
         usual = {

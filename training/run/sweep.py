@@ -6,11 +6,8 @@ its checkpoint: to restart a sweep is to start it.
 
 import json
 import logging
-import multiprocessing
 import os
-from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import Executor, ProcessPoolExecutor, as_completed
-from concurrent.futures.process import BrokenProcessPool
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from statistics import mean, stdev
 from typing import Any, NamedTuple
@@ -20,12 +17,12 @@ import yaml
 from pydantic import Field, ValidationError
 
 from softarm.common import files
+from softarm.common.processes import WorkerDied, as_they_come
 from softarm.schemas.base import Strict
 from softarm.simulator import model_file
 from softarm.training.learn.inference import workers
 from softarm.training.run import recipe as recipes
 from softarm.training.run.recipe import RECIPES, Recipe
-from softarm.training.run.session import Standing
 
 RESULT = "result.json"
 LOCAL = "local"
@@ -127,21 +124,12 @@ def plan(sweep: Sweep, out: Path, threads: int) -> tuple[list[Work], list[Result
 
 
 def train(work: Work) -> Result:
-    """Carry out one run to its end, going on from its checkpoint if it has one.
-
-    Raises SweepError when who started it is gone: a sweep that is started again trains in the same folder.
-    """
+    """Carry out one run to its end, going on from its checkpoint if it has one."""
     recipe, folder = Recipe.model_validate(work.recipe), Path(work.folder)
-    parent = os.getppid()
-
-    def tell(_: Standing) -> None:
-        if os.getppid() != parent:
-            raise SweepError(f"{folder}: the sweep was killed; start it again: this run goes on from its checkpoint")
-
     numba.set_num_threads(min(work.threads, numba.config.NUMBA_NUM_THREADS))
     with workers(work.threads) as pool:
         session = recipes.begin(recipe, work.seed, folder, pool, (folder / "latest.pt").exists())
-        policy = session.run(recipe.frames, None, tell)
+        policy = session.run(recipe.frames, None)
         tested = session.test()
         session.write_report(tested)
     assert session.best is not None, "a run ends with a validation"
@@ -151,20 +139,25 @@ def train(work: Work) -> Result:
     return result
 
 
-def locally(todo: list[Work], processes: int, pool: Callable[[int], Executor] | None = None) -> Iterator[Result]:
-    """Run in so many processes side by side; results as they come. Raises SweepError when one fails or is killed."""
-    made = (pool or _processes)(processes)
+def locally(todo: list[Work], processes: int) -> Iterator[Result]:
+    """Run in so many processes side by side, 1: in this one; results as they come.
+
+    Raises SweepError when one fails or is killed.
+    """
+    threads = max((work.threads for work in todo), default=1)
     try:
-        futures = {made.submit(train, work): work for work in todo}
-        for future in as_completed(futures):
-            try:
-                yield future.result()
-            except BrokenProcessPool:
-                raise SweepError("a worker was killed; start the sweep again: it goes on where it was") from None
-            except Exception as error:
-                raise _failed(futures[future], error) from error
-    finally:
-        made.shutdown(cancel_futures=True)
+        for _, result in as_they_come(_trained, todo, processes, threads):
+            yield result
+    except WorkerDied:
+        raise SweepError("a worker was killed; start the sweep again: it goes on where it was") from None
+
+
+def _trained(work: Work) -> Result:
+    """As `train`, and an error says which run's it is."""
+    try:
+        return train(work)
+    except Exception as error:
+        raise _failed(work, error) from error
 
 
 def on_ray(todo: list[Work], address: str) -> Iterator[Result]:
@@ -248,11 +241,6 @@ def _finished(folder: Path) -> Result | None:
         return None
     except (TypeError, ValueError) as error:
         raise SweepError(f"{folder / RESULT}: cannot be read ({error}); remove it to train that run again") from None
-
-
-def _processes(count: int) -> Executor:
-    # Fresh ones: threads of the parent's libraries do not survive a fork.
-    return ProcessPoolExecutor(count, multiprocessing.get_context("spawn"))
 
 
 def _cards(work: Work) -> int:

@@ -1,9 +1,7 @@
 """A sweep: from a file to a table, restartable; and what a recipe may say."""
 
 import json
-import os
 import sys
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
@@ -33,10 +31,6 @@ def file(tmp_path):
     return path
 
 
-def in_this_process(_count):
-    return ThreadPoolExecutor(1)
-
-
 def test_a_sweep_is_restarted_where_it_was(file, tmp_path):
     out, wanted = tmp_path / "runs", sweep.load(file)
     todo, finished = sweep.plan(wanted, out, threads=1)
@@ -48,7 +42,7 @@ def test_a_sweep_is_restarted_where_it_was(file, tmp_path):
         session = begin(Recipe.model_validate(killed.recipe), killed.seed, Path(killed.folder), pool, resume=False)
         session.advance()
         session.advance()
-    results = list(sweep.locally(todo[:2], 1, in_this_process))
+    results = list(sweep.locally(todo[:2], 1))
     assert {result.name for result in results} == {"full", "mlp"}
     rows = (Path(killed.folder) / "learning_curve.csv").read_text().splitlines()
     assert [row.split(",")[1] for row in rows[1:]] == ["256", "512"]  # gone on, not begun again
@@ -58,17 +52,6 @@ def test_a_sweep_is_restarted_where_it_was(file, tmp_path):
     assert done == sorted(results, key=lambda each: each.name)
     assert (out / "mlp" / "seed-1" / done[1].policy).is_file()
     assert (out / "mlp" / "seed-1" / "report.html").is_file()
-
-
-def test_a_run_ends_with_the_sweep_that_started_it(file, tmp_path, monkeypatch):
-    todo, _ = sweep.plan(sweep.load(file), tmp_path, threads=1)
-    parents = iter((7, 7, 1))  # the orphan's is another process
-    monkeypatch.setattr(os, "getppid", lambda: next(parents))
-    with pytest.raises(SweepError, match="the sweep was killed; start it again"):
-        sweep.train(todo[0])
-    assert not (Path(todo[0].folder) / sweep.RESULT).exists()
-    monkeypatch.undo()
-    assert sweep.train(todo[0]).frames == Recipe.model_validate(todo[0].recipe).frames
 
 
 def test_a_finished_run_of_another_recipe_is_not_taken_for_this_one(file, tmp_path):
@@ -85,7 +68,7 @@ def test_a_run_that_fails_is_named(file, tmp_path):
     todo, _ = sweep.plan(sweep.load(file), tmp_path, threads=1)
     broken = todo[0]._replace(recipe=todo[0].recipe | {"model": str(tmp_path / "gone.yaml")})
     with pytest.raises(SweepError, match="full, seed 1: ModelFileError"):
-        list(sweep.locally([broken], 1, in_this_process))
+        list(sweep.locally([broken], 1))
 
 
 def test_the_table_has_mean_and_spread_over_seeds():

@@ -1,0 +1,135 @@
+"""Work on several cores, and how far it is: the one pool of processes, the one bar on the terminal."""
+
+import os
+import signal
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
+from multiprocessing import active_children, get_context, parent_process
+from typing import TYPE_CHECKING, TypeVar
+
+if TYPE_CHECKING:
+    from rich.progress import Progress, TaskID
+
+J = TypeVar("J")
+R = TypeVar("R")
+_THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS")
+
+
+class WorkerDied(Exception):
+    """A process of the pool was killed by somebody else."""
+
+
+def cores() -> int:
+    """How many this process may use."""
+    return len(os.sched_getaffinity(0))
+
+
+def as_they_come(work: Callable[[J], R], jobs: Sequence[J], processes: int, threads: int = 1) -> Iterator[tuple[J, R]]:
+    """Each job and what `work` returned for it, the first to finish first; jobs begin in their order.
+
+    With one process, or one job, in this process: no other is started. Else work, jobs and results are pickled, and a
+    worker's numba and BLAS run on so many threads. Workers end with this process, and at once on Ctrl-C. Whoever
+    stops listening, or hears an error, leaves no job behind that has not begun.
+
+    Raises what `work` raises, and WorkerDied.
+    """
+    if processes == 1 or len(jobs) < 2:
+        yield from ((job, work(job)) for job in jobs)
+        return
+    others = set(active_children())
+    # A new interpreter each: threads of this one do not survive a fork.
+    pool = ProcessPoolExecutor(min(processes, len(jobs)), get_context("spawn"), _begin)
+    try:
+        with _threads(threads):
+            waiting = {pool.submit(work, job): job for job in jobs}
+        for future in as_completed(waiting):
+            yield waiting[future], future.result()
+    except BrokenProcessPool:
+        raise WorkerDied(
+            "a worker process was killed, which is what a machine does that runs out of memory; "
+            "start again with fewer processes"
+        ) from None
+    except KeyboardInterrupt:
+        for worker in set(active_children()) - others:
+            worker.terminate()
+        raise
+    finally:
+        pool.shutdown(cancel_futures=True)
+
+
+def _begin() -> None:
+    """In a worker, before its first job."""
+    signal.signal(signal.SIGINT, signal.SIG_DFL)  # Ctrl-C reaches workers too: no traceback from each
+    threading.Thread(target=_end_with_the_parent, daemon=True).start()
+
+
+def _end_with_the_parent() -> None:
+    """A worker whose pool was killed would wait for jobs for ever, or write where the next start writes too."""
+    parent = parent_process()
+    if parent is not None:
+        parent.join()
+        os._exit(1)
+
+
+@contextmanager
+def _threads(count: int) -> Iterator[None]:
+    """For processes that begin meanwhile: numba and BLAS read these when they are first imported."""
+    before = {name: os.environ.get(name) for name in _THREADS}
+    os.environ.update(dict.fromkeys(_THREADS, str(count)))
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            if value is None:
+                del os.environ[name]
+            else:
+                os.environ[name] = value
+
+
+class Bar:
+    """How far a piece of work is."""
+
+    def __init__(self, progress: "Progress", task: "TaskID") -> None:
+        self._progress, self._task = progress, task
+
+    def advance(self, by: float = 1, text: str | None = None) -> None:
+        """So much more is done; text: what is being done."""
+        self._progress.update(self._task, advance=by, description=text)
+
+    def show(self, done: float | None = None, total: float | None = None, text: str | None = None) -> None:
+        """What is given is shown from now on."""
+        self._progress.update(self._task, completed=done, total=total, description=text)
+
+    def print(self, line: str) -> None:
+        """A line that stays, above the bar."""
+        self._progress.print(line, markup=False, highlight=False, soft_wrap=True)
+
+
+@contextmanager
+def bar(text: str, total: float | None = 1.0, *, done: float = 0, stay: bool = False) -> Iterator[Bar]:
+    """A bar on standard error while this lasts, if that is a terminal.
+
+    total: a whole number is counted (3/12), any other shown in percent; None: not known yet, to be counted. stay: leave
+    the bar on the terminal at the end.
+    """
+    from rich.console import Console
+    from rich.progress import (
+        BarColumn,
+        MofNCompleteColumn,
+        Progress,
+        TaskProgressColumn,
+        TextColumn,
+        TimeElapsedColumn,
+        TimeRemainingColumn,
+    )
+
+    console = Console(stderr=True)
+    figure = TaskProgressColumn() if isinstance(total, float) else MofNCompleteColumn()
+    columns = (TextColumn("{task.description}"), BarColumn(), figure, TimeElapsedColumn(), TimeRemainingColumn())
+    with Progress(*columns, console=console, transient=not stay, disable=not console.is_terminal) as progress:
+        shown = Bar(progress, progress.add_task(text, total=total))
+        shown.advance(done)
+        yield shown

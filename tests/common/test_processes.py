@@ -1,0 +1,136 @@
+"""The pool: all results, from any number of processes; errors, kills and Ctrl-C end it, and nothing stays behind."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from functools import partial
+from pathlib import Path
+
+import pytest
+
+from softarm.common import processes
+from softarm.common.processes import WorkerDied, as_they_come
+
+ROOT = Path(__file__).parents[2]
+# A program that hangs in its workers: each says its number, then waits.
+HANGING = """
+import os, signal, sys, time
+from softarm.common.processes import as_they_come
+
+def work(folder):
+    open(f"{folder}/{os.getpid()}", "w").close()
+    time.sleep(60)
+
+if __name__ == "__main__":
+    signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell in the background has it ignored
+    list(as_they_come(work, [sys.argv[1]] * 4, 2))
+"""
+
+
+def squared(number):
+    return number * number, os.getpid(), os.environ["OMP_NUM_THREADS"]
+
+
+def failing(number):
+    if number == 1:
+        raise ValueError("no such thing as 1")
+    return number
+
+
+def killed(number):
+    if number == 1:
+        os.kill(os.getpid(), signal.SIGKILL)
+    return number
+
+
+def noted(folder, number):
+    (folder / str(number)).touch()
+    return number
+
+
+@pytest.mark.parametrize("count", [1, 2])
+def test_every_job_comes_back_with_its_result(count):
+    assert dict(as_they_come(abs, [-3, 1, -2], count)) == {-3: 3, 1: 1, -2: 2}
+
+
+def test_one_process_is_this_one_and_works_in_order(tmp_path):
+    begun = as_they_come(partial(noted, tmp_path), [5, 3, 4], 1)
+    assert next(begun) == (5, 5)
+    assert [path.name for path in tmp_path.iterdir()] == ["5"]  # lazily: the next begins when it is asked for
+    assert list(begun) == [(3, 3), (4, 4)]
+
+
+def test_workers_are_others_with_a_thread_each_and_this_process_keeps_its_own(monkeypatch):
+    monkeypatch.setenv("OMP_NUM_THREADS", "7")
+    monkeypatch.delenv("NUMBA_NUM_THREADS", raising=False)
+    results = [result for _, result in as_they_come(squared, [2, 3], 2)]
+    assert {value for value, _, _ in results} == {4, 9}
+    assert os.getpid() not in {pid for _, pid, _ in results}
+    assert {threads for _, _, threads in results} == {"1"}
+    assert os.environ["OMP_NUM_THREADS"] == "7"
+    assert "NUMBA_NUM_THREADS" not in os.environ
+
+
+@pytest.mark.parametrize("count", [1, 2])
+def test_what_the_work_raises_is_raised(count):
+    with pytest.raises(ValueError, match="no such thing as 1"):
+        list(as_they_come(failing, [0, 1, 2], count))
+
+
+def test_a_worker_that_was_killed_is_told():
+    with pytest.raises(WorkerDied, match="start again with fewer processes"):
+        list(as_they_come(killed, [0, 1, 2, 3], 2))
+
+
+def test_whoever_stops_listening_leaves_no_job_behind(tmp_path):
+    for _ in as_they_come(partial(noted, tmp_path), list(range(400)), 2):
+        break
+    there = len(list(tmp_path.iterdir()))
+    assert 1 <= there < 400
+
+
+@pytest.mark.parametrize("end", [signal.SIGINT, signal.SIGKILL])
+def test_workers_end_with_the_program_that_started_them(tmp_path, end):
+    script, folder = tmp_path / "hanging.py", tmp_path / "pids"
+    script.write_text(HANGING)
+    folder.mkdir()
+    with subprocess.Popen(
+        [sys.executable, str(script), str(folder)],
+        env=os.environ | {"PYTHONPATH": str(ROOT)},
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,  # the signal is this program's alone
+    ) as program:
+        try:
+            wait_for(lambda: len(list(folder.iterdir())) == 2)
+            program.send_signal(end)
+            said = program.communicate(timeout=60)[1]
+            wait_for(lambda: not any(runs(path.name) for path in folder.iterdir()))
+        finally:
+            program.kill()
+    assert program.returncode != 0
+    assert said.count("Traceback") <= 1  # the program's own
+
+
+def runs(pid):
+    """One that has ended may still stand in the list, as a zombie."""
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    except (FileNotFoundError, ProcessLookupError):
+        return False
+
+
+def wait_for(condition, seconds=60.0):
+    deadline = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < deadline, "it took too long"
+        time.sleep(0.02)
+
+
+def test_a_bar_says_nothing_where_there_is_no_terminal(capsys):
+    with processes.bar("working", 3) as bar:
+        bar.advance()
+        bar.show(2, text="still working")
+    assert capsys.readouterr() == ("", "")
