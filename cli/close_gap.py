@@ -222,7 +222,7 @@ def _show(
     """A row a robot, what came of it, where it stands."""
     from rich.table import Table
 
-    from softarm.diagnosis.report.words import percent
+    from softarm.pages.numbers import percent
 
     table = Table("flown on", *(["old policy", "retrained", "gained", "lost"] if told["retrained"] else ["policy"]))
     for place in places:

@@ -162,7 +162,7 @@ def _show(result: "Diagnosis", console: "Console", json_file: Path | None) -> No
     from rich.table import Table
 
     from softarm.diagnosis import report
-    from softarm.diagnosis.report.words import percent, quantity
+    from softarm.pages.numbers import percent, quantity
 
     verdict, gap = result.verdict, result.verdict.gap
     for sentence in report.answer(result):

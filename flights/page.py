@@ -1,19 +1,13 @@
 """A comparison as one HTML file that needs nothing else, and as lines of Markdown."""
 
-from html import escape
+from collections.abc import Iterator
 
 from softarm.flights.table import CEILING, Comparison, Figure
+from softarm.pages import charts
+from softarm.pages.document import Section, document
+from softarm.pages.markup import Child, Html, el, join, shaded, table
 from softarm.schemas.goals import TEST_TARGETS
 
-_STYLE = """
-body { font: 15px/1.45 system-ui, sans-serif; margin: 2rem auto; max-width: 75rem; padding: 0 1rem; color: #222 }
-table { border-collapse: collapse } th, td { padding: .35rem .6rem; text-align: right; border-bottom: 1px solid #ddd }
-th:first-child, td:first-child { text-align: left } td + td { white-space: nowrap }
-td small { color: #444 } .paper td { color: #555 }
-sup { line-height: 0; position: absolute; font-size: .65em }
-figure { display: inline-block; margin: 1rem 1.5rem 0 0 } figcaption { font-weight: 600 }
-"""
-_CELL_PX = 22
 READING = (  # below every table
     "Empty: not measured, or no test of it. A dash: the policy had an answer to none of these trials.",
     "Ceiling: a cross-entropy search over open-loop commands, trial by trial, on the simulator itself and behind the "
@@ -47,31 +41,32 @@ def markdown(comparison: Comparison) -> str:
 
 def html(comparison: Comparison, command: str) -> str:
     """The page. command: what made it, to stand on it."""
-    names, notes = columns(comparison), footnotes(comparison)
-    head = "".join(f"<th>{escape(comparison['columns'][name])}</th>" for name in names)
-    body = ""
+    names = columns(comparison)
+    told = "Share of trials reached, in percent; mean and standard deviation over seeds."
+    lead = [el("h1", "Policies compared"), el("div", el("p", told), class_="lead")]
+    made = el("p", "Made by ", el("code", command), ".", class_="hint")
+    head = ("policy", "seeds", *(comparison["columns"][name] for name in names))
+    caption = "Each policy at each test; the stronger the ground, the more was reached"
+    whole = table(head, _rows(comparison, names), caption, numbers=range(1, len(head)))
+    notes = el("ol", *(el("li", note) for note in footnotes(comparison)))
+    reading = [el("p", line, class_="hint") for line in READING]
+    y, z = [goal.y_m for goal in TEST_TARGETS], [goal.z_m for goal in TEST_TARGETS]
+    maps = (charts.disc_map(y, z, shares, _title(policy)) for policy, shares in comparison["reached"].items())
+    inked = el("p", "A disc's ink is the share of starts and seeds that reach the target.")
+    sections = (
+        Section("All policies at all tests", "table", join([whole, notes, *reading])),
+        Section("The 54 targets", "targets", join([inked, el("div", *maps, class_="multiples maps")])),
+    )
+    return document("Policies compared", "softarm evaluate", join([*lead, made]), sections)
+
+
+def _rows(comparison: Comparison, names: list[str]) -> Iterator[list[Child]]:
+    notes = footnotes(comparison)
     for policy, figures in comparison["policies"].items():
-        cells = "".join(
-            _cell(figures.get(name), _marks(comparison, notes, policy, name, "<sup>{}</sup>")) for name in names
-        )
-        body += f"<tr><td>{escape(_title(policy))}</td><td>{_seeds(comparison, policy)}</td>{cells}</tr>\n"
+        cells = (_cell(figures.get(name), _marks(comparison, notes, policy, name, "{}")) for name in names)
+        yield [_title(policy), _seeds(comparison, policy), *cells]
     for policy, shares in _hardware(comparison, names):
-        cells = "".join(f"<td>{100 * shares[name]:.0f}</td>" if name in shares else "<td></td>" for name in names)
-        body += f'<tr class="paper"><td>{escape(policy)}</td><td></td>{cells}</tr>\n'
-    maps = "".join(
-        f"<figure><figcaption>{escape(_title(policy))}</figcaption>{_map(shares)}</figure>"
-        for policy, shares in comparison["reached"].items()
-    )
-    said = "".join(f"<li>{escape(note)}</li>" for note in notes)
-    reading = "".join(f"<p>{escape(line)}</p>" for line in READING)
-    return (
-        f'<!doctype html><html lang="en"><meta charset="utf-8"><title>Policies compared</title><style>{_STYLE}</style>'
-        f"<h1>Policies compared</h1><p>Share of trials reached, in percent; mean and standard deviation over seeds. "
-        f"Made by <code>{escape(command)}</code>.</p>"
-        f"<table><tr><th>policy</th><th>seeds</th>{head}</tr>\n{body}</table><ol>{said}</ol>{reading}"
-        f"<h2>The 54 targets</h2><p>y from -0.40 (left) to 0.00 m, z from 0.55 (below) to 0.80 m; the darker, the more "
-        f"starts and seeds reach it.</p>{maps}</html>\n"
-    )
+        yield [policy, "", *(f"{100 * shares[name]:.0f}" if name in shares else "" for name in names)]
 
 
 def footnotes(comparison: Comparison) -> list[str]:
@@ -109,23 +104,9 @@ def _text(figure: Figure | None) -> str:
     return f"{100 * figure['mean']:.1f}{spread}"
 
 
-def _cell(figure: Figure | None, marks: str) -> str:
+def _cell(figure: Figure | None, marks: str) -> Html:
     if figure is None:
-        return "<td></td>"
-    text = escape(_text(figure)).replace(" +- ", " <small>&plusmn;&thinsp;") + ("</small>" if figure["spread"] else "")
-    return f'<td style="background:{_shade(figure["mean"])}">{text}{marks}</td>'
-
-
-def _shade(share: float) -> str:
-    return f"hsl(210 60% {96 - 36 * share:.0f}%)"
-
-
-def _map(shares: list[float]) -> str:
-    ys, zs = sorted({g.y_m for g in TEST_TARGETS}), sorted({g.z_m for g in TEST_TARGETS}, reverse=True)
-    boxes = "".join(
-        f'<rect x="{ys.index(goal.y_m) * _CELL_PX}" y="{zs.index(goal.z_m) * _CELL_PX}" width="{_CELL_PX - 1}" '
-        f'height="{_CELL_PX - 1}" fill="{_shade(share)}"><title>y {goal.y_m:.2f}, z {goal.z_m:.2f} m: '
-        f"{100 * share:.0f} %</title></rect>"
-        for goal, share in zip(TEST_TARGETS, shares, strict=True)
-    )
-    return f'<svg width="{len(ys) * _CELL_PX}" height="{len(zs) * _CELL_PX}">{boxes}</svg>'
+        return Html("")
+    mean, _, spread = _text(figure).partition(" +- ")
+    parts = [mean, el("small", f" ±\N{THIN SPACE}{spread}") if spread else "", el("sup", marks) if marks else ""]
+    return shaded(figure["mean"], join(parts))

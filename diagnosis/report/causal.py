@@ -3,9 +3,10 @@
 from typing import NamedTuple
 
 from softarm.diagnosis.gap.result import Diagnosis
-from softarm.diagnosis.report.charts import line, svg, write
-from softarm.diagnosis.report.markup import Html, el, join
-from softarm.diagnosis.report.words import change, percent, quantity
+from softarm.diagnosis.report.words import change
+from softarm.pages.drawing import line, svg, write
+from softarm.pages.markup import Html, el, join
+from softarm.pages.numbers import percent, quantity
 from softarm.simulator.effects import STAGES
 
 _BOX_W, _BOX_H = 172.0, 96.0
@@ -116,18 +117,22 @@ def _beside(layout: Layout, down: bool) -> Html:
         return write(x + _BOX_W + 12, y + _BOX_H / 2 + 4, "beside: when each tick runs", kind="small")
     to = layout.places["command"]
     dashes = f"M{x:.1f} {y + 70:.1f}H{to[0] + _SLIM / 2:.1f}V{to[1] + _BOX_H + 4:.1f}"
-    told = [write(x + _BOX_W + 12, y + 45, "beside:", kind="small"),
-            write(x + _BOX_W + 12, y + 61, "when each tick runs", kind="small")]  # fmt: skip
+    told = [
+        write(x + _BOX_W + 12, y + 45, "beside:", kind="small"),
+        write(x + _BOX_W + 12, y + 61, "when each tick runs", kind="small"),
+    ]
     return join([el("path", d=dashes, class_="beside"), *told])
 
 
 def _box(diagnosis: Diagnosis, name: str, at: tuple[float, float]) -> Html:
     x, y = at
     if name == "command":
-        return join([
-            el("rect", x=x, y=y, width=_SLIM, height=_BOX_H, rx=8, class_="box plain"),
-            write(x + _SLIM / 2, y + _BOX_H / 2 + 4, "command", "middle", "name"),
-        ])  # fmt: skip
+        return join(
+            [
+                el("rect", x=x, y=y, width=_SLIM, height=_BOX_H, rx=8, class_="box plain"),
+                write(x + _SLIM / 2, y + _BOX_H / 2 + 4, "command", "middle", "name"),
+            ]
+        )
     verdict, gap = diagnosis.verdict, diagnosis.verdict.gap
     chosen = " chosen" if name == verdict.where.stage else ""
     before, after, floor = gap.before.get(name), gap.after.get(name), gap.floor.get(name)
@@ -144,7 +149,7 @@ def _box(diagnosis: Diagnosis, name: str, at: tuple[float, float]) -> Html:
             line(x + 12, y + 35, x + 12 + share * (_BOX_W - 24), y + 35, "part") if share > 0 else Html(""),
         ]
     if before is None:
-        return join([*parts, write(x + 12, y + 58, "no gap was measured here", kind="small")])
+        return join([*parts, write(x + 12, y + 58, "no gap measured", kind="small")])
     changed = after is not None and diagnosis.verdict.effects
     told = change(before, after) if after and changed else quantity(before.value, before.unit)
     parts.append(write(x + 12, y + 60, told, kind="gap"))

@@ -2,54 +2,35 @@
 
 from collections.abc import Iterable
 
-from softarm.diagnosis.gap.result import Diagnosis, Regime, Rival
-from softarm.diagnosis.report import charts, overlays
-from softarm.diagnosis.report.markup import Html, bar, el, join, prose, table
-from softarm.diagnosis.report.words import interval, number, percent, percents, quantity, unit_of
+from softarm.diagnosis.gap.result import Diagnosis, Regime, Rival, Spectrum
+from softarm.diagnosis.report import overlays
+from softarm.diagnosis.report.words import interval, percents, unit_of
+from softarm.pages import charts, plot
+from softarm.pages.markup import Html, bar, el, join, legend, prose, table
+from softarm.pages.numbers import number, percent, quantity
 from softarm.schemas.verdict import Interval
-
-LEGEND = ("measured", "nominal", "patched")
-
-
-def legend(*kinds: str) -> Html:
-    """What the colours are."""
-    items = (el("span", el("i", class_=f"key {kind}", aria_hidden="true"), kind, class_="entry") for kind in kinds)
-    return el("p", *items, class_="legend")
 
 
 def traces(diagnosis: Diagnosis) -> Html:
-    """Measured, nominal and patched over time; drawn by page.js from the data beneath."""
+    """Measured, nominal and patched over time; drawn by the page's script from the data beneath."""
     if not diagnosis.overlays:
         return el("p", "This diagnosis holds no recordings to draw.", class_="none")
-    kinds = LEGEND if any(o.patched is not None for o in diagnosis.overlays) else LEGEND[:2]
-    every = overlays.every(diagnosis.overlays)
+    shown = overlays.traces(diagnosis)
+    kinds = max((list(one.curves) for one in shown), key=len)
+    every = plot.every(shown)
     thin = f" To keep this page small, one of {every} samples is drawn." if every > 1 else ""
-    choices = (
-        el("label", name, " ", el("select", id=f"pick-{name}", disabled="")) for name in ("stage", "trial", "channel")
+    told = (
+        "Each stage is simulated alone, driven by what was measured before it, so that no stage answers for another. "
+        f"The strip beneath is measured minus simulated; its grey band is the stage's floor.{thin}"
     )
-    keys = (("−", "out", "zoom out"), ("+", "in", "zoom in"), ("‹", "left", "earlier"), ("›", "right", "later"))
-    buttons = [el("button", text, type="button", data_do=do, aria_label=name) for text, do, name in keys]
-    buttons.append(el("button", "whole trial", type="button", data_do="reset"))
-    return join([
-        el("p", "Each stage is simulated alone, driven by what was measured before it, so that no stage answers for "
-                "another. The strip beneath is measured minus simulated; its grey band is the stage's floor." + thin),
-        el("div", *choices, class_="picks"),
-        legend(*kinds),
-        el("canvas", id="traces", tabindex="0", role="img", aria_label="measured and simulated signals over time"),
-        el("p", id="readout", class_="readout"),
-        el("p", *buttons, class_="buttons"),
-        el("p", "Drag to zoom, drag with Shift to move, double-click for the whole trial; on the keyboard: arrows, +, "
-                "− and 0.", class_="hint"),
-        el("noscript", el("p", "A script inside this page draws the recordings; this browser does not run it.")),
-    ])  # fmt: skip
+    drawn = plot.canvas(overlays.CHOICES, kinds, "measured and simulated signals over time")
+    return join([el("p", told), drawn])
 
 
 def frequencies(diagnosis: Diagnosis) -> Html:
     """In which band the residual is, and in which part of the data."""
-    drawn = [(s, drawing) for s in diagnosis.spectra if (drawing := charts.spectrum(s)) is not None]
-    figures = [
-        el("figure", el("figcaption", el("b", s.stage), f"  {s.unit}/√Hz"), drawing) for s, drawing in drawn
-    ]  # fmt: skip
+    drawn = [(s, drawing) for s in diagnosis.spectra if (drawing := _spectrum(s)) is not None]
+    figures = [el("figure", el("figcaption", el("b", s.stage), f"  {s.unit}/√Hz"), drawing) for s, drawing in drawn]
     patched = any(s.patched is not None for s, _ in drawn)
     parts: list[Html] = []
     if figures:
@@ -63,9 +44,16 @@ def frequencies(diagnosis: Diagnosis) -> Html:
     return join(parts) if parts else el("p", "No spectra were computed.", class_="none")
 
 
+def _spectrum(of: Spectrum) -> Html | None:
+    curves = {"nominal": of.nominal} if of.patched is None else {"nominal": of.nominal, "patched": of.patched}
+    text = f"Residual amplitude density of {of.stage} in {of.unit} per root hertz over frequency"
+    return charts.spectrum(of.frequency_hz, curves, of.floor, text)
+
+
 def _regimes(regimes: Iterable[Regime]) -> Html:
     """A regime a row; bars are relative to the largest of their stage."""
     regimes = tuple(regimes)
+    patched = any(regime.patched_rms is not None for regime in regimes)
     most: dict[str, float] = {}
     for regime in regimes:
         most[regime.stage] = max(most.get(regime.stage, 0.0), regime.nominal_rms, regime.patched_rms or 0.0)
@@ -75,13 +63,13 @@ def _regimes(regimes: Iterable[Regime]) -> Html:
             return Html("–")
         return bar(value / (most[regime.stage] or 1.0), kind, quantity(value, regime.unit))
 
-    rows = (
-        (r.stage, r.name, f"{r.samples:,}".replace(",", " "), cell(r, r.nominal_rms, "nominal"),
-         cell(r, r.patched_rms, "patched"))
-        for r in regimes
-    )  # fmt: skip
+    rows = []
+    for r in regimes:
+        row = [r.stage, r.name, f"{r.samples:,}".replace(",", " "), cell(r, r.nominal_rms, "nominal")]
+        rows.append([*row, cell(r, r.patched_rms, "patched")] if patched else row)
+    head = ["stage", "regime", "samples", "nominal", *(["patched"] if patched else [])]
     caption = "Root mean square of the residual by regime; bars are relative to the largest of their stage"
-    return table(("stage", "regime", "samples", "nominal", "patched"), rows, caption, numbers=(2,))
+    return table(head, rows, caption, numbers=(2,))
 
 
 def contenders(diagnosis: Diagnosis) -> Html:
@@ -89,16 +77,14 @@ def contenders(diagnosis: Diagnosis) -> Html:
     if not diagnosis.rivals:
         return el("p", "No effect was tried.", class_="none")
     forest = charts.Forest([r.conditional for r in diagnosis.rivals if r.conditional is not None])
-    head = (
-        "effect", el("span", "alone"), join(["beside the named ones, percent", forest.axis()]), "fitted", "note",
-    )  # fmt: skip
+    head = ("effect", "alone", join(["beside the named ones, percent", forest.axis()]), "fitted", "note")
     rows = [_rival(rival, forest) for rival in diagnosis.rivals]
     caption = "Effects that were tried as the cause; shares of the stage's gap on unseen data"
-    return join([
-        prose("Alone, a wrong effect can pass for the right one. What counts is the second figure: what an effect adds "
-              "beside the others, with its 95 % interval. An effect whose interval is clear of zero adds something."),
-        el("div", table(head, rows, caption), class_="rivals"),
-    ])  # fmt: skip
+    told = (
+        "Alone, a wrong effect can pass for the right one. What counts is the second figure: what an effect adds "
+        "beside the others, with its 95 % interval. An effect whose interval is clear of zero adds something."
+    )
+    return join([el("p", prose(told)), el("div", table(head, rows, caption), class_="rivals")])
 
 
 def _rival(rival: Rival, forest: charts.Forest) -> tuple[Html, ...]:
@@ -127,13 +113,17 @@ def left(diagnosis: Diagnosis) -> Html:
         drawn = charts.ladder(before.value, *(q.value if q else None for q in (shown, floor, ceiling)))
         texts = [quantity(q.value, q.unit) if q else "–" for q in (before, shown, ceiling, floor)]
         rows.append((_place(stage), *texts, drawn))
+    told = (
+        "The ceiling is what a flexible model with no physics in it leaves: nothing known or unknown could do much "
+        "better. The floor is repeats, noise and what two honest simulators of one robot differ by."
+    )
+    head = ("stage", "before", "after", "ceiling", "floor", "on one scale")
+    caption = "Root mean square of the gap, before and after"
     parts = [
-        el("p", "The ceiling is what a flexible model with no physics in it leaves: nothing known or unknown could do "
-                "much better. The floor is repeats, noise and what two honest simulators of one robot differ by."),
-        legend("nominal", "patched", "ceiling", "floor"),
-        table(("stage", "before", "after", "ceiling", "floor", "on one scale"), rows,
-              "Root mean square of the gap, before and after", numbers=(1, 2, 3, 4)),
-    ]  # fmt: skip
+        el("p", told),
+        legend("nominal", *(["patched"] if named else []), "ceiling", "floor"),
+        table(head, rows, caption, numbers=(1, 2, 3, 4)),
+    ]
     for leftover in diagnosis.leftovers:
         parts += [el("h3", leftover.stage), _depends(leftover.explained_share, leftover.depends_on, named)]
     return join(parts)

@@ -1,22 +1,14 @@
 """Sections that say what follows: the answer, the chain, the next experiment, the small print. Result in, HTML out."""
 
+import numpy as np
+
 from softarm.diagnosis.gap.result import Diagnosis
-from softarm.diagnosis.report import causal, charts, evidence
-from softarm.diagnosis.report.markup import Html, bar, el, join, prose, table
-from softarm.diagnosis.report.words import (
-    answer,
-    change,
-    headline,
-    listed,
-    meaning,
-    number,
-    percent,
-    percents,
-    quantity,
-    reduction,
-    unit_of,
-)
-from softarm.schemas.excitation import EXCITATIONS
+from softarm.diagnosis.report import causal, evidence
+from softarm.diagnosis.report.words import answer, change, headline, meaning, percents, reduction, unit_of
+from softarm.pages import charts
+from softarm.pages.markup import Html, bar, el, join, prose, table, tiles
+from softarm.pages.numbers import listed, number, percent, quantity
+from softarm.schemas.excitation import EXCITATIONS, Excitation
 from softarm.simulator.model_rows import differences
 
 _KINDS = {
@@ -31,13 +23,9 @@ def result(diagnosis: Diagnosis) -> Html:
     """The answer: headline, three sentences, the figures behind them."""
     kind = diagnosis.verdict.verdict
     lead = [el("p", prose(sentence)) for sentence in answer(diagnosis)]
-    return join([
-        el("p", el("span", kind, class_=f"verdict {kind}", title=_KINDS[kind]), class_="chip"),
-        el("h1", prose(headline(diagnosis))),
-        el("div", *lead, class_="lead"),
-        el("dl", *(el("div", el("dt", name), el("dd", text)) for name, text in _figures(diagnosis)), class_="figures"),
-        _task(diagnosis),
-    ])  # fmt: skip
+    chip = el("p", el("span", kind, class_=f"verdict {kind}", title=_KINDS[kind]), class_="chip")
+    title = el("h1", prose(headline(diagnosis)))
+    return join([chip, title, el("div", *lead, class_="lead"), tiles(_figures(diagnosis)), _task(diagnosis)])
 
 
 def _figures(diagnosis: Diagnosis) -> list[tuple[str, Html | str]]:
@@ -64,11 +52,13 @@ def _figures(diagnosis: Diagnosis) -> list[tuple[str, Html | str]]:
 
 def _task(diagnosis: Diagnosis) -> Html:
     task = diagnosis.verdict.task
-    given = () if task is None else (
+    if task is None:
+        return Html("")
+    given = (
         ("on the robot", task.success_real, "measured"),
         ("in the nominal simulator", task.success_nominal, "nominal"),
         ("in the patched simulator", task.success_patched, "patched"),
-    )  # fmt: skip
+    )
     rows = [(name, bar(share, kind, percent(share))) for name, share, kind in given if share is not None]
     return table(("policy's success", "share"), rows, "How often the policy succeeds") if rows else Html("")
 
@@ -98,18 +88,29 @@ def next_step(diagnosis: Diagnosis) -> Html:
         return el("p", "This diagnosis asks for no further experiment.", class_="none")
     known = EXCITATIONS.get(plan.excitation)
     rows = [(el("code", effect), prose(text)) for effect, text in plan.expect.items()]
+    what = f" ({known.description})" if known else ""
+    apart = [", which tells apart ", prose(listed(plan.separates))] if plan.separates else []
+    simulated = el("code", "softarm excite --plan verdict.json --simulated")
+    then = ". Then diagnose again, with the new recording beside the old ones."
     parts = [
-        el("p", "Play ", el("b", plan.excitation), f" ({known.description})" if known else "",
-           *([", which tells apart ", prose(listed(plan.separates))] if plan.separates else []), ":"),
+        el("p", "Play ", el("b", plan.excitation), what, *apart, ":"),
         el("pre", "softarm excite --plan verdict.json --config softarm.yaml"),
-        el("p", "On a simulated robot: ", el("code", "softarm excite --plan verdict.json --simulated"),
-           ". Then diagnose again, with the new recording beside the old ones."),
-    ]  # fmt: skip
+        el("p", "On a simulated robot: ", simulated, then),
+    ]
     if rows:
         parts.append(table(("if the cause is", "one would see"), rows, "What the experiment would show"))
     if known is not None:
-        parts.append(el("figure", el("figcaption", f"Commands of {known.name}"), charts.excitation(known)))
+        parts.append(el("figure", el("figcaption", f"Commands of {known.name}"), _commands(known)))
     return join(parts)
+
+
+def _commands(of: Excitation, samples: int = 600) -> Html:
+    """What an excitation commands over time: pressure, and the cart's velocity where it moves."""
+    t = np.linspace(0.0, of.duration_s, samples)
+    velocity, pressure = np.array([of.at(float(s)) for s in t]).T
+    curves = {"pressure (kPa)": pressure} if of.pressure_kpa else {}
+    curves |= {"cart (m/s)": velocity} if of.moves_rail else {}
+    return charts.lanes(t, curves, f"Commands of the excitation {of.name}: {of.description}")
 
 
 def details(diagnosis: Diagnosis) -> Html:
@@ -129,12 +130,15 @@ def details(diagnosis: Diagnosis) -> Html:
 def _named(diagnosis: Diagnosis) -> Html:
     rows = [
         (
-            el("code", e.name), prose(meaning(e.name)), percent(e.confidence),
+            el("code", e.name),
+            prose(meaning(e.name)),
+            percent(e.confidence),
             join([el("code", other) for other in e.equivalents], " ") if e.equivalents else "–",
-            percents(e.shrink.stage), percents(e.shrink.chain) if e.shrink.chain else "–",
+            percents(e.shrink.stage),
+            percents(e.shrink.chain) if e.shrink.chain else "–",
         )
         for e in diagnosis.verdict.effects
-    ]  # fmt: skip
+    ]
     head = ("effect", "what it is", "confidence", "cannot be told from", "shrinks its stage by", "shrinks the chain by")
     caption = "Named effects, in order of what each adds beside the others; held out, 95 %"
     return join([el("h3", "Named effects"), table(head, rows, caption)]) if rows else Html("")

@@ -2,14 +2,12 @@
 
 from collections.abc import Mapping, Sequence
 
-import numpy as np
-
 from softarm.diagnosis.gap.result import Diagnosis
-from softarm.diagnosis.report import charts
-from softarm.diagnosis.report.markup import Html, bar, el, join, prose, table
-from softarm.diagnosis.report.words import number, percent
 from softarm.flights.closing.summary import HELD_BACK, NEW, OLD, PATCHED, changed
 from softarm.flights.many import Place, Reached, shares
+from softarm.pages import charts
+from softarm.pages.markup import Html, bar, el, join, prose, table
+from softarm.pages.numbers import number, percent
 from softarm.schemas.goals import TEST_TARGETS, Goal
 from softarm.training.run.retrain import Retrained
 
@@ -58,7 +56,7 @@ def _before_and_after(
         if place.key in (HELD_BACK, PATCHED):
             pictures = [_map(flown[name, place.key], targets, f"{label} policy, {place.title}")
                         for name, label in ((OLD, "old"), (NEW, "retrained"))]  # fmt: skip
-            parts.append(el("div", *pictures, class_="multiples"))
+            parts.append(el("div", *pictures, class_="multiples maps"))
     note = (
         f"The paper's {len(targets)} targets from {next(iter(flown.values())).shape[1]} cart positions each, the "
         "daemon's own tick in every flight. A disc's ink is the share of its flights that reached; targets above "
@@ -88,24 +86,8 @@ def _shares(places: Sequence[Place], flown: Flown, targets: Sequence[Goal]) -> H
 
 def _map(reached: Reached, targets: Sequence[Goal], title: str) -> Html:
     """Targets where they are, inked by how many of their flights reached."""
-    y, z = np.array([goal.y_m for goal in targets]), np.array([goal.z_m for goal in targets])
-    scale, left, top = 560.0, 46.0, 14.0
-    x_at = left + scale * (y - y.min())
-    y_at = top + scale * (z.max() - z)
-    width, height = left + scale * np.ptp(y) + 20, top + scale * np.ptp(z) + 34
-    parts: list[Html] = []
-    for a, b, share in zip(x_at, y_at, reached.mean(axis=1), strict=True):
-        parts.append(el("circle", cx=f"{a:.1f}", cy=f"{b:.1f}", r=9, class_="dot"))
-        parts.append(
-            el("circle", cx=f"{a:.1f}", cy=f"{b:.1f}", r=9, class_="dot clear", fill_opacity=f"{share:.2f}",
-               stroke_opacity=f"{share:.2f}")
-        )  # fmt: skip
-    for value in sorted(set(z)):
-        parts.append(charts.write(left - 16, top + scale * (z.max() - value) + 4, f"{value:.2f}", "end"))
-    for value in sorted(set(y))[::2]:
-        parts.append(charts.write(left + scale * (value - y.min()), height - 8, f"{value:.2f}", "middle"))
-    caption = el("figcaption", title, f": {percent(float(reached.mean()))} (z over y, m)")
-    return el("figure", caption, charts.svg(width, height, f"{title}: targets reached", *parts))
+    y, z = [goal.y_m for goal in targets], [goal.z_m for goal in targets]
+    return charts.disc_map(y, z, reached.mean(axis=1).tolist(), title)
 
 
 def _training(policy: str, retrained: Retrained) -> Html:

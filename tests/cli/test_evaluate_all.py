@@ -89,7 +89,7 @@ def test_the_ceiling_is_a_row_of_the_table_and_a_map(monkeypatch, tmp_path):
     assert 0.0 < written["policies"]["ceiling"]["all"]["mean"] < 1.0
     assert len(written["reached"]["ceiling"]) == 54
     assert "| ceiling (open-loop search) |  |" in result.output
-    assert "ceiling (open-loop search)</figcaption>" in page.html(written, "")
+    assert "<figcaption><b>ceiling (open-loop search)</b>" in page.html(written, "")
 
 
 def test_the_ceilings_trials_are_searched_from_their_own_starts(monkeypatch):

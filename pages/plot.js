@@ -1,12 +1,11 @@
-// The overlays: one canvas, signals above, measured minus simulated beneath. Data: overlays.py.
+// Recordings: one canvas, the curves above; beneath, the first of them minus each of the others. Data: plot.py.
 (() => {
   "use strict";
   const data = JSON.parse(document.getElementById("data").textContent);
   const canvas = document.getElementById("traces");
   if (!canvas || !data.items.length) return;
   const readout = document.getElementById("readout");
-  const picks = ["stage", "trial", "channel"].map((name) => [name, document.getElementById(`pick-${name}`)]);
-  const SERIES = ["measured", "nominal", "patched"];
+  const picks = data.choices.map((name) => document.getElementById(`pick-${name}`));
   const LEFT = 62, RIGHT = 8, TOP = 8, BOTTOM = 26, BETWEEN = 14, STRIP = 0.3;
   const NAN = 65535, STEPS = 65534, MIN_SAMPLES = 8;
 
@@ -22,7 +21,6 @@
   }
 
   function curve(packed) {
-    if (!packed) return null;
     const step = (packed.high - packed.low) / STEPS;
     return Float64Array.from(new Uint16Array(bytes(packed.levels)), (v) => (v === NAN ? NaN : packed.low + v * step));
   }
@@ -32,15 +30,11 @@
     return Float64Array.from({ length: t.n }, (_, i) => t.start + i * (t.step || 0));
   }
 
-  function decode(raw) {
-    const shown = { ...raw, t: stamps(raw.t) };
-    for (const name of SERIES) shown[name] = curve(raw[name]);
-    for (const name of ["nominal", "patched"]) {
-      shown[`${name}Gap`] = shown[name] && shown.measured.map((v, i) => v - shown[name][i]);
-    }
-    const floor = data.floors[raw.stage];
-    shown.floor = floor && floor.unit === raw.unit ? floor.value : 0;
-    return shown;
+  function decode(raw) { // curves and gaps: [name, values] each; a gap is the first curve minus another
+    const curves = Object.entries(raw.curves).map(([name, packed]) => [name, curve(packed)]);
+    const [[, first], ...others] = curves;
+    const gaps = others.map(([name, values]) => [name, first.map((v, i) => v - values[i])]);
+    return { ...raw, t: stamps(raw.t), curves, gaps };
   }
 
   function after(t, at) { // index of the first stamp that is not before `at`
@@ -54,8 +48,8 @@
 
   function extent(curves, from, to) {
     let low = Infinity, high = -Infinity;
-    for (const values of curves) {
-      for (let i = from; values && i < to; i++) {
+    for (const [, values] of curves) {
+      for (let i = from; i < to; i++) {
         if (values[i] < low) low = values[i];
         if (values[i] > high) high = values[i];
       }
@@ -77,7 +71,8 @@
 
   function ticks(low, high, count) {
     const raw = (high - low) / count, power = 10 ** Math.floor(Math.log10(raw));
-    const step = [1, 2, 5, 10].map((s) => s * power).find((s) => s >= raw);
+    const steps = [0.5, 1, 2, 5, 10].map((s) => s * power), fit = steps.findIndex((s) => s >= raw);
+    const step = (high - low) / steps[fit] < 2.5 ? steps[fit - 1] : steps[fit]; // one mark alone says nothing
     const found = [];
     for (let k = Math.ceil(low / step); k * step <= high + step * 1e-9; k++) found.push(k * step);
     return [found, Math.max(0, -Math.floor(Math.log10(step) + 1e-9))];
@@ -164,12 +159,12 @@
     pen.lineJoin = "round";
 
     const from = Math.max(0, after(item.t, view[0]) - 1), to = Math.min(item.t.length, after(item.t, view[1]) + 1);
-    const gaps = [item.nominalGap, item.patchedGap];
-    const unit = item.unit === "-" || item.unit === "1" ? "" : item.unit;
-    const y = panel(pen, g, g.main, extent(SERIES.map((s) => item[s]), from, to), colour, unit ? `${item.channel} (${unit})` : item.channel);
-    const range = extent(gaps, from, to);
-    const low = Math.min(range[0], -item.floor * 1.1, 0), high = Math.max(range[1], item.floor * 1.1, 0);
-    const r = panel(pen, g, g.strip, [low, high], colour, "residual");
+    const name = item.chosen[item.chosen.length - 1];
+    const title = item.unit ? `${name} (${item.unit})` : name;
+    const y = panel(pen, g, g.main, extent(item.curves, from, to), colour, title);
+    const [least, most] = extent(item.gaps, from, to), band = item.band;
+    const range = [Math.min(least, -band * 1.1, 0), Math.max(most, band * 1.1, 0)];
+    const r = panel(pen, g, g.strip, range, colour, "residual");
 
     pen.textAlign = "center";
     const [marks, decimals] = ticks(view[0], view[1], Math.max(2, (g.right - LEFT) / 90));
@@ -179,15 +174,16 @@
     pen.beginPath();
     pen.rect(LEFT, 0, g.right - LEFT, g.height - BOTTOM);
     pen.clip();
-    if (item.floor) {
+    if (band) {
       pen.fillStyle = colour("--band");
-      pen.fillRect(LEFT, r(item.floor), g.right - LEFT, r(-item.floor) - r(item.floor));
+      pen.fillRect(LEFT, r(band), g.right - LEFT, r(-band) - r(band));
     }
-    for (const [name, width] of [["measured", 2.6], ["nominal", 1.5], ["patched", 1.5]]) {
-      pen.strokeStyle = colour(`--${name}`);
-      pen.lineWidth = width;
-      if (item[name]) trace(pen, g, item[name], y, from, to);
-      if (item[`${name}Gap`]) trace(pen, g, item[`${name}Gap`], r, from, to);
+    for (const [curves, place] of [[item.curves, y], [item.gaps, r]]) {
+      for (const [name, values] of curves) {
+        pen.strokeStyle = colour(`--${name}`);
+        pen.lineWidth = name === item.curves[0][0] ? 2.6 : 1.5;
+        trace(pen, g, values, place, from, to);
+      }
     }
     if (drag && drag.zoom) {
       pen.fillStyle = colour("--band");
@@ -201,19 +197,21 @@
       pen.stroke();
     }
     pen.restore();
-    tell(g, from, to, unit);
+    tell(g, from, to);
   }
 
-  function tell(g, from, to, unit) { // the same in words, for the eye and for who hears the page
-    const part = SERIES.slice(1).filter((s) => item[s]).map((s) => `${s} ${number(rms(item[`${s}Gap`], from, to))}`);
-    const window_ = `${view[0].toFixed(2).replace(/^-0\.00$/, "0.00")} to ${view[1].toFixed(2)} s`;
-    const gaps = `RMS of measured minus simulated, ${window_}: ${part.join(", ")} ${unit}`;
-    canvas.setAttribute("aria-label", `${item.stage}, ${item.channel}, trial ${item.trial} (${item.kind}). ${gaps}`);
+  function tell(g, from, to) { // the same in words, for the eye and for who hears the page
+    const named = ([name, value]) => `${name} ${number(value)}`;
+    const seconds = `${view[0].toFixed(2).replace(/^-0\.00$/, "0.00")} to ${view[1].toFixed(2)} s`;
+    const left = item.gaps.map(([name, values]) => named([name, rms(values, from, to)])).join(", ");
+    const gaps = `RMS of ${item.curves[0][0]} minus simulated, ${seconds}: ${left} ${item.unit}`;
+    const what = item.chosen.map((value, i) => `${data.choices[i]} ${value}`).join(", ");
+    canvas.setAttribute("aria-label", `${what} (${item.note}). ${gaps}`);
     let at = "";
     if (hover !== null) {
-      const t = g.t(hover), i = Math.min(item.t.length - 1, after(item.t, t));
-      const values = SERIES.filter((s) => item[s]).map((s) => `${s} ${number(item[s][i])}`);
-      at = ` At ${item.t[i].toFixed(3)} s: ${values.join(", ")} ${unit}.`;
+      const i = Math.min(item.t.length - 1, after(item.t, g.t(hover)));
+      const values = item.curves.map(([name, curve]) => named([name, curve[i]])).join(", ");
+      at = ` At ${item.t[i].toFixed(3)} s: ${values} ${item.unit}.`;
     }
     readout.textContent = `${gaps}.${at}`;
   }
@@ -259,19 +257,17 @@
 
   function choose(wanted) { // keep what was chosen where the new stage or trial has it
     let rest = data.items;
-    for (const [name, select] of picks) {
-      const values = [...new Set(rest.map((it) => it[name]))];
-      const value = options(select, values, values.includes(wanted[name]) ? wanted[name] : values[0]);
-      rest = rest.filter((it) => it[name] === value);
-    }
-    const same = item && item.trial === rest[0].trial;
+    picks.forEach((select, k) => {
+      const values = [...new Set(rest.map((it) => it.chosen[k]))];
+      const value = options(select, values, values.includes(wanted[k]) ? wanted[k] : values[0]);
+      rest = rest.filter((it) => it.chosen[k] === value);
+    });
+    const trial = data.choices.indexOf("trial"), same = item && item.chosen[trial] === rest[0].chosen[trial];
     item = decode(rest[0]);
     if (same) look(...view); else look(...whole());
   }
 
-  for (const [, select] of picks) {
-    select.addEventListener("change", () => choose(Object.fromEntries(picks.map(([name, s]) => [name, s.value]))));
-  }
+  for (const select of picks) select.addEventListener("change", () => choose(picks.map((each) => each.value)));
 
   // ---- pointer, wheel, keys
 
@@ -330,5 +326,5 @@
   matchMedia("(prefers-color-scheme: dark)").addEventListener("change", soon);
   addEventListener("beforeprint", () => { document.documentElement.dataset.print = ""; draw(); });
   addEventListener("afterprint", () => { delete document.documentElement.dataset.print; draw(); });
-  choose(data.items[data.first]);
+  choose(data.items[data.first].chosen);
 })();

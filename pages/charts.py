@@ -1,16 +1,15 @@
-"""Small drawings: spectra, intervals, a commanded signal. Values in, SVG out; colours are the style sheet's."""
+"""Small drawings: spectra, intervals, signals, bars, a map. Values in, SVG out; colours are the style sheet's."""
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Mapping, Sequence
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from softarm.diagnosis.gap.result import Spectrum
-from softarm.diagnosis.report.markup import Html, el, join
-from softarm.diagnosis.report.words import number, percent
-from softarm.schemas.excitation import Excitation
-from softarm.schemas.verdict import Interval
+from softarm.pages.drawing import line, path, svg, write
+from softarm.pages.markup import Html, el
+from softarm.pages.numbers import number, percent
 
 Array = NDArray[np.float64]
 
@@ -19,34 +18,15 @@ _WIDTH, _HEIGHT = 460.0, 260.0
 _LEFT, _RIGHT, _TOP, _BOTTOM = 62.0, 10.0, 10.0, 40.0
 
 
-def path(x: Iterable[float], y: Iterable[float]) -> str:
-    """Points as the `d` of a path; a point that is not finite breaks it."""
-    parts, pen = [], "M"
-    for a, b in zip(x, y, strict=True):
-        if not (math.isfinite(a) and math.isfinite(b)):
-            pen = "M"
-            continue
-        parts.append(f"{pen}{a:.1f} {b:.1f}")
-        pen = "L"
-    return "".join(parts)
+class Span(Protocol):
+    """A value between two bounds."""
 
-
-def svg(width: float, height: float, text: str, *children: Html, kind: str = "chart") -> Html:
-    """A drawing that scales with its place; `text` says what it shows to who cannot see it."""
-    return el(
-        "svg", el("title", text), *children, viewBox=f"0 0 {width:.0f} {height:.0f}", role="img", class_=kind,
-        aria_label=text,
-    )  # fmt: skip
-
-
-def write(x: float, y: float, text: str, anchor: str = "start", kind: str = "") -> Html:
-    """Text in a drawing."""
-    return el("text", text, x=f"{x:.1f}", y=f"{y:.1f}", text_anchor=anchor, class_=kind or None)
-
-
-def line(x1: float, y1: float, x2: float, y2: float, kind: str) -> Html:
-    """A straight line in a drawing."""
-    return el("line", x1=f"{x1:.1f}", y1=f"{y1:.1f}", x2=f"{x2:.1f}", y2=f"{y2:.1f}", class_=kind)
+    @property
+    def value(self) -> float: ...  # noqa: D102
+    @property
+    def low(self) -> float: ...  # noqa: D102
+    @property
+    def high(self) -> float: ...  # noqa: D102
 
 
 def decades(low: float, high: float) -> list[float]:
@@ -72,41 +52,44 @@ def thinned(frequency_hz: Array, density: Array, bins: int = _SPECTRUM_BINS) -> 
     return np.bincount(index, f) / count, np.sqrt(np.bincount(index, d * d) / count)
 
 
-def spectrum(of: Spectrum) -> Html | None:
-    """Residuals by frequency, both axes logarithmic; None where there is nothing to draw."""
-    given = (("nominal", of.nominal), ("patched", of.patched))
-    curves = {kind: thinned(of.frequency_hz, density) for kind, density in given if density is not None}
-    curves = {kind: (f[d > 0], d[d > 0]) for kind, (f, d) in curves.items() if (d > 0).any()}
-    if not curves:
+def spectrum(frequency_hz: Array, curves: Mapping[str, Array], floor: float, text: str) -> Html | None:
+    """Densities by frequency, both axes logarithmic; None where there is nothing to draw.
+
+    curves: name -> a density a frequency; the name is the colour's too. floor: a level to mark, in the curves' unit;
+    none where it is not positive. text: what is shown, to which the curves' names are added.
+    """
+    thin = {name: thinned(frequency_hz, density) for name, density in curves.items()}
+    drawn = {name: (f[d > 0], d[d > 0]) for name, (f, d) in thin.items() if (d > 0).any()}
+    if not drawn:
         return None
-    f_low, f_high = (pick([f.min() if pick is min else f.max() for f, _ in curves.values()]) for pick in (min, max))
-    floor = of.floor if of.floor > 0 and math.isfinite(of.floor) else None
-    values = np.concatenate([d for _, d in curves.values()] + ([np.array([floor])] if floor else []))
-    d_low, d_high = max(values.min(), values.max() * 1e-5) / 1.5, values.max() * 1.5
+    frequencies = np.concatenate([f for f, _ in drawn.values()])
+    level = [floor] if floor > 0 and math.isfinite(floor) else []
+    densities = np.concatenate([*(d for _, d in drawn.values()), level])
+    f_low, f_high = float(frequencies.min()), float(frequencies.max())
     f_high = f_high if f_high > f_low else f_low * 2
+    d_low, d_high = max(densities.min(), densities.max() * 1e-5) / 1.5, densities.max() * 1.5
+    right, bottom = _WIDTH - _RIGHT, _HEIGHT - _BOTTOM
 
     def x(f: Array | float) -> Array:
         share = np.log(np.asarray(f) / f_low) / math.log(f_high / f_low)
-        return np.asarray(_LEFT + share * (_WIDTH - _LEFT - _RIGHT))
+        return np.asarray(_LEFT + share * (right - _LEFT))
 
     def y(d: Array | float) -> Array:
         share = np.log(np.maximum(d, d_low) / d_low) / math.log(d_high / d_low)
-        return np.asarray(_HEIGHT - _BOTTOM - share * (_HEIGHT - _TOP - _BOTTOM))
+        return np.asarray(bottom - share * (bottom - _TOP))
 
     parts = []
     for tick in decades(f_low, f_high):
         at = float(x(tick))
-        parts += [line(at, _TOP, at, _HEIGHT - _BOTTOM, "grid"), write(at, _HEIGHT - 24, number(tick, 1), "middle")]
+        parts += [line(at, _TOP, at, bottom, "grid"), write(at, _HEIGHT - 24, number(tick, 1), "middle")]
     for tick in decades(d_low, d_high):
         at = float(y(tick))
-        parts += [line(_LEFT, at, _WIDTH - _RIGHT, at, "grid"), write(_LEFT - 6, at + 4, _power(tick), "end")]
-    if floor:
-        parts.append(line(_LEFT, float(y(floor)), _WIDTH - _RIGHT, float(y(floor)), "floor"))
-    for kind, (f, d) in curves.items():
-        parts.append(el("path", d=path(x(f).tolist(), y(d).tolist()), class_=f"curve {kind}"))
-    parts.append(write((_LEFT + _WIDTH - _RIGHT) / 2, _HEIGHT - 6, "frequency (Hz)", "middle", "axis"))
-    text = f"Residual amplitude density of {of.stage} in {of.unit} per root hertz over frequency: {', '.join(curves)}"
-    return svg(_WIDTH, _HEIGHT, text, *parts)
+        parts += [line(_LEFT, at, right, at, "grid"), write(_LEFT - 6, at + 4, _power(tick), "end")]
+    parts += [line(_LEFT, float(y(at)), right, float(y(at)), "floor") for at in level]
+    for name, (f, d) in drawn.items():
+        parts.append(el("path", d=path(x(f).tolist(), y(d).tolist()), class_=f"curve {name}"))
+    parts.append(write((_LEFT + right) / 2, _HEIGHT - 6, "frequency (Hz)", "middle", "axis"))
+    return svg(_WIDTH, _HEIGHT, f"{text}: {', '.join(drawn)}", *parts)
 
 
 def _power(tick: float) -> str:
@@ -114,11 +97,11 @@ def _power(tick: float) -> str:
 
 
 class Forest:
-    """Intervals of shares on one axis, a row each."""
+    """Spans of shares on one axis, a row each."""
 
     _W, _H = 240.0, 22.0
 
-    def __init__(self, intervals: Sequence[Interval]) -> None:
+    def __init__(self, intervals: Sequence[Span]) -> None:
         """The axis holds zero and every interval; what is far outside -50 % .. 100 % is cut."""
         low = min((max(i.low, -0.5) for i in intervals), default=0.0)
         high = max((min(i.high, 1.0) for i in intervals), default=1.0)
@@ -128,7 +111,7 @@ class Forest:
         inside = (min(max(share, self._low), self._high) - self._low) / (self._high - self._low)
         return 8 + inside * (self._W - 16)
 
-    def row(self, of: Interval, text: str) -> Html:
+    def row(self, of: Span, text: str) -> Html:
         """A point with its whisker."""
         middle = self._H / 2
         low, high = self._x(of.low), self._x(of.high)
@@ -147,15 +130,11 @@ class Forest:
         return svg(self._W, 18, "share of the gap in percent", *marks, kind="forest")
 
 
-def excitation(of: Excitation, samples: int = 600) -> Html:
-    """What an excitation commands over time: pressure, and the cart's velocity where it moves."""
-    t = np.linspace(0.0, of.duration_s, samples)
-    velocity, pressure = np.array([of.at(float(s)) for s in t]).T
-    lanes = [("pressure (kPa)", pressure)] if of.pressure_kpa else []
-    lanes += [("cart (m/s)", velocity)] if of.moves_rail else []
+def lanes(t_s: Array, curves: Mapping[str, Array], text: str) -> Html:
+    """Signals over time, one beneath the other, each on a scale of its own that holds zero."""
     height, parts = 86.0, []
-    x = (_LEFT + t / of.duration_s * (_WIDTH - _LEFT - _RIGHT)).tolist()
-    for i, (name, values) in enumerate(lanes):
+    x = (_LEFT + t_s / t_s[-1] * (_WIDTH - _LEFT - _RIGHT)).tolist()
+    for i, (name, values) in enumerate(curves.items()):
         low, high = float(min(values.min(), 0.0)), float(values.max())
         top = 18 + i * height
         y = (top + (high - values) / ((high - low) or 1.0) * (height - 30)).tolist()
@@ -165,9 +144,9 @@ def excitation(of: Excitation, samples: int = 600) -> Html:
             write(_LEFT - 6, top + height - 28, number(low, 2), "end"),
             el("path", d=path(x, y), class_="curve measured"),
         ]
-    bottom = 18 + len(lanes) * height
-    parts += [write(_LEFT, bottom, "0 s"), write(_WIDTH - _RIGHT, bottom, f"{of.duration_s:.0f} s", "end")]
-    return svg(_WIDTH, bottom + 8, f"Commands of the excitation {of.name}: {of.description}", join(parts))
+    bottom = 18 + len(curves) * height
+    parts += [write(_LEFT, bottom, "0 s"), write(_WIDTH - _RIGHT, bottom, f"{t_s[-1]:.0f} s", "end")]
+    return svg(_WIDTH, bottom + 8, text, *parts)
 
 
 def ladder(before: float, after: float | None, floor: float | None, ceiling: float | None) -> Html:
@@ -182,3 +161,26 @@ def ladder(before: float, after: float | None, floor: float | None, ceiling: flo
             parts.append(line(at, 0, at, 24, kind))
     text = "before" if after is None or before <= 0 else f"after is {percent(after / before)} of before"
     return svg(width, 24, text, *parts, kind="ladder")
+
+
+def disc_map(y_m: Sequence[float], z_m: Sequence[float], shares: Sequence[float], title: str) -> Html:
+    """Places in the plane, each a disc whose ink is its share (0 .. 1), with the mean of all in the caption."""
+    scale, left, top, radius = 560.0, 46.0, 14.0, 9
+    width, height = left + scale * (max(y_m) - min(y_m)) + 20, top + scale * (max(z_m) - min(z_m)) + 34
+
+    def x_at(y: float) -> float:
+        return left + scale * (y - min(y_m))
+
+    def y_at(z: float) -> float:
+        return top + scale * (max(z_m) - z)
+
+    parts: list[Html] = []
+    for y, z, share in zip(y_m, z_m, shares, strict=True):
+        told = el("title", f"y {y:.2f}, z {z:.2f} m: {percent(share)}")
+        at = {"cx": f"{x_at(y):.1f}", "cy": f"{y_at(z):.1f}", "r": radius}
+        ink = el("circle", **at, class_="dot clear", fill_opacity=f"{share:.2f}", stroke_opacity=f"{share:.2f}")
+        parts.append(el("g", told, el("circle", **at, class_="dot"), ink))
+    parts += [write(left - 16, y_at(z) + 4, f"{z:.2f}", "end") for z in sorted(set(z_m))]
+    parts += [write(x_at(y), height - 8, f"{y:.2f}", "middle") for y in sorted(set(y_m))[::2]]
+    caption = el("figcaption", el("b", title), f" {percent(sum(shares) / len(shares))} (z over y, m)")
+    return el("figure", caption, svg(width, height, f"{title}: targets reached", *parts))

@@ -2,13 +2,16 @@
 
 import math
 import re
+from base64 import b64encode
 from collections.abc import Iterable
 from html import escape
 
-from softarm.diagnosis.report.words import NAME
-
 _UNIT = re.compile(r"(?<=\d) (?=(?:%|[kM]?Pa|m?s|mm?|mm?/s|rad|k?g|N|Hz)(?!\w))")
-_VOID = frozenset({"br", "meta", "input", "circle", "line", "path", "rect"})
+_VOID = frozenset({"br", "meta", "input", "img", "circle", "line", "path", "rect"})
+
+# A dotted name within a sentence (stage.effect, perhaps with its parameter); no file's name.
+_FILE = r"[\w.]*\.(?:csv|html|json|mat|mcap|parquet|py|yaml)\b"
+_NAME = re.compile(rf"(?<![\w./-])(?!{_FILE})[a-z][a-z0-9_]{{2,}}(?:\.[a-z][a-z0-9_]+){{1,2}}\b")
 
 
 class Html(str):
@@ -41,11 +44,11 @@ def join(children: Iterable[Child], between: str = "") -> Html:
 
 
 def prose(text: str) -> Html:
-    """A sentence with the effects' names in it set as code, and no line break between a number and its unit."""
+    """A sentence with the dotted names in it set as code, and no line break between a number and its unit."""
     text = _UNIT.sub("\N{NO-BREAK SPACE}", text)
     parts: list[Child] = []
     end = 0
-    for found in NAME.finditer(text):
+    for found in _NAME.finditer(text):
         parts += [text[end : found.start()], el("code", found.group())]
         end = found.end()
     return join([*parts, text[end:]])
@@ -66,10 +69,31 @@ def table(head: Iterable[Child], rows: Iterable[Iterable[Child]], caption: str, 
     return el("div", whole, class_="wide", tabindex="0", role="region", aria_label=caption)
 
 
+def shaded(share: float, content: Child) -> Html:
+    """A number on a ground that is the stronger the larger its share (0 .. 1)."""
+    return el("span", content, class_="shaded", style=f"--share:{min(1.0, max(0.0, share)):.3f}")
+
+
 def bar(share: float, kind: str, text: str) -> Html:
     """A number with a bar of its share (0 .. 1, cut there; none where it is not known) beside it."""
     width = 100 * min(1.0, max(0.0, share)) if math.isfinite(share) else 0.0
     fill = el("span", class_=f"fill {kind}", style=f"width:{width:.1f}%")
-    return el(
-        "span", el("span", text, class_="num"), el("span", fill, class_="track", aria_hidden="true"), class_="bar"
-    )
+    track = el("span", fill, class_="track", aria_hidden="true")
+    return el("span", el("span", text, class_="num"), track, class_="bar")
+
+
+def tiles(facts: Iterable[tuple[str, Child]]) -> Html:
+    """The figures at the top of a page: (what it is, its value)."""
+    return el("dl", *(el("div", el("dt", name), el("dd", value)) for name, value in facts), class_="figures")
+
+
+def legend(*kinds: str) -> Html:
+    """What the colours are."""
+    items = (el("span", el("i", class_=f"key {kind}", aria_hidden="true"), kind, class_="entry") for kind in kinds)
+    return el("p", *items, class_="legend")
+
+
+def picture(png: bytes, text: str, kind: str | None = None) -> Html:
+    """A PNG inside the page; `text` says what it shows to who cannot see it."""
+    source = f"data:image/png;base64,{b64encode(png).decode('ascii')}"
+    return el("figure", el("img", alt=text, src=source), class_=f"picture {kind}" if kind else "picture")

@@ -1,0 +1,34 @@
+"""Strokes and texts of a drawing in SVG; colours are the style sheet's."""
+
+import math
+from collections.abc import Iterable
+
+from softarm.pages.markup import Html, el
+
+
+def path(x: Iterable[float], y: Iterable[float]) -> str:
+    """Points as the `d` of a path; a point that is not finite breaks it."""
+    parts, pen = [], "M"
+    for a, b in zip(x, y, strict=True):
+        if not (math.isfinite(a) and math.isfinite(b)):
+            pen = "M"
+            continue
+        parts.append(f"{pen}{a:.1f} {b:.1f}")
+        pen = "L"
+    return "".join(parts)
+
+
+def svg(width: float, height: float, text: str, *children: Html, kind: str = "chart") -> Html:
+    """A drawing that scales with its place; `text` says what it shows to who cannot see it."""
+    place = f"0 0 {width:.0f} {height:.0f}"
+    return el("svg", el("title", text), *children, viewBox=place, role="img", class_=kind, aria_label=text)
+
+
+def write(x: float, y: float, text: str, anchor: str = "start", kind: str = "") -> Html:
+    """Text in a drawing."""
+    return el("text", text, x=f"{x:.1f}", y=f"{y:.1f}", text_anchor=anchor, class_=kind or None)
+
+
+def line(x1: float, y1: float, x2: float, y2: float, kind: str) -> Html:
+    """A straight line in a drawing."""
+    return el("line", x1=f"{x1:.1f}", y1=f"{y1:.1f}", x2=f"{x2:.1f}", y2=f"{y2:.1f}", class_=kind)

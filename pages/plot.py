@@ -1,0 +1,97 @@
+"""The plot of recordings: a canvas that plot.js draws on, and its data, 16 bits a sample, stamps as start and step."""
+
+import base64
+import math
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from softarm.pages.markup import Html, el, join, legend
+
+Array = NDArray[np.float64]
+
+# Samples of a page over all its curves: about 10 MB. Beyond it every k-th sample is shown; the page should say so.
+BUDGET = 3_000_000
+_STEPS = 65534  # the level after the last one is NaN
+_UNIFORM_S = 1e-6
+
+
+class Traces(NamedTuple):
+    """Curves of one signal over time; the first is what the others are compared with in the strip beneath."""
+
+    chosen: tuple[str, ...]  # one of each choice; the last one names the signal
+    note: str  # what else there is to say of it
+    unit: str
+    t_s: Array
+    curves: Mapping[str, Array]  # name -> a value a stamp, NaN where there is none; the name is the colour's too
+    band: float = 0.0  # differences up to this one count as none
+
+
+def every(items: Sequence[Traces]) -> int:
+    """Of how many samples one is on the page."""
+    return max(1, math.ceil(sum(len(item.t_s) * len(item.curves) for item in items) / BUDGET))
+
+
+def packed(choices: Sequence[str], items: Sequence[Traces], first: int = 0) -> dict[str, object]:
+    """What plot.js reads. first: index of the item that is shown first."""
+    step = every(items)
+    return {"choices": list(choices), "first": first, "items": [_item(item, step) for item in items]}
+
+
+def canvas(choices: Sequence[str], kinds: Sequence[str], text: str) -> Html:
+    """Where plot.js draws, with what steers it. kinds: the curves' names; text: for who cannot see it."""
+    picks = (el("label", name, " ", el("select", id=f"pick-{name}", disabled="")) for name in choices)
+    keys = (("−", "out", "zoom out"), ("+", "in", "zoom in"), ("‹", "left", "earlier"), ("›", "right", "later"))
+    buttons = [el("button", text, type="button", data_do=do, aria_label=name) for text, do, name in keys]
+    buttons.append(el("button", "whole trial", type="button", data_do="reset"))
+    hint = (
+        "Drag to zoom, drag with Shift to move, double-click for the whole trial; on the keyboard: arrows, +, − and 0."
+    )
+    return join(
+        [
+            el("div", *picks, class_="picks"),
+            legend(*kinds),
+            el("canvas", id="traces", tabindex="0", role="img", aria_label=text),
+            el("p", id="readout", class_="readout"),
+            el("p", *buttons, class_="buttons"),
+            el("p", hint, class_="hint"),
+            el("noscript", el("p", "A script inside this page draws the recordings; this browser does not run it.")),
+        ]
+    )
+
+
+def _item(item: Traces, step: int) -> dict[str, object]:
+    return {
+        "chosen": list(item.chosen),
+        "note": item.note,
+        "unit": "" if item.unit in ("-", "1") else item.unit,
+        "band": item.band,
+        "t": _stamps(item.t_s[::step]),
+        "curves": {name: _levels(values[::step]) for name, values in item.curves.items()},
+    }
+
+
+def _stamps(t_s: Array) -> dict[str, object]:
+    """Start, step and count of uniform stamps; microseconds since the start of others."""
+    n = len(t_s)
+    start, step = (float(t_s[0]) if n else 0.0), (float(t_s[-1] - t_s[0]) / (n - 1) if n > 1 else 0.0)
+    about: dict[str, object] = {"n": n, "start": round(start, 6)}
+    if n < 2 or np.abs(t_s - (start + step * np.arange(n))).max() < _UNIFORM_S:
+        return about | {"step": step}
+    return about | {"us": _text(np.round((t_s - start) * 1e6).astype("<u4"))}
+
+
+def _levels(values: Array) -> dict[str, object]:
+    """Values as 16-bit levels between their own extremes; what is not finite is the last level."""
+    seen = np.isfinite(values)
+    low, high = (float(values[seen].min()), float(values[seen].max())) if seen.any() else (0.0, 0.0)
+    scale = _STEPS / (high - low) if high > low else 0.0
+    levels = np.full(len(values), _STEPS + 1, dtype="<u2")
+    levels[seen] = np.round((values[seen] - low) * scale).astype("<u2")
+    return {"low": low, "high": high, "levels": _text(levels)}
+
+
+def _text(values: NDArray[np.unsignedinteger]) -> str:
+    return base64.b64encode(values.tobytes()).decode("ascii")
