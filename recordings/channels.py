@@ -17,7 +17,7 @@ class _Message(RootModel[T], Generic[T]):
     model_config = ConfigDict(ser_json_inf_nan="strings", allow_inf_nan=True)
 
 
-class Channel(Generic[T]):
+class LogChannel(Generic[T]):
     """A topic and the one type of record on it, as JSON with every digit: it is read as it was written."""
 
     def __init__(self, topic: str, record: type[T]) -> None:
@@ -39,6 +39,6 @@ class Channel(Generic[T]):
         return self._message.model_validate_json(data).root
 
 
-MOCAP = Channel(log.MOCAP, MocapFrame)
-PRESSURE = Channel(log.PRESSURE, PressureReading)
-RAIL = Channel(log.RAIL, RailReading)
+MOCAP = LogChannel(log.MOCAP, MocapFrame)
+PRESSURE = LogChannel(log.PRESSURE, PressureReading)
+RAIL = LogChannel(log.RAIL, RailReading)

@@ -12,7 +12,7 @@ from softarm.daemon.control.records import Inputs, Outputs, Problems, Request, T
 from softarm.recordings.channels import MOCAP as MOCAP
 from softarm.recordings.channels import PRESSURE as PRESSURE
 from softarm.recordings.channels import RAIL as RAIL
-from softarm.recordings.channels import Channel as Channel
+from softarm.recordings.channels import LogChannel as LogChannel
 from softarm.schemas import log
 from softarm.schemas.messages import MocapFrame, PressureReading, RailReading
 
@@ -55,10 +55,10 @@ def _tick_inputs(inputs: Inputs) -> TickInputs:
     )
 
 
-REQUEST = Channel(log.REQUEST, Request)
-TICK = Channel(log.TICK, TickRecord)
+REQUEST = LogChannel(log.REQUEST, Request)
+TICK = LogChannel(log.TICK, TickRecord)
 
-CHANNELS: tuple[Channel[Any], ...] = (MOCAP, PRESSURE, RAIL, REQUEST, TICK)
+CHANNELS: tuple[LogChannel[Any], ...] = (MOCAP, PRESSURE, RAIL, REQUEST, TICK)
 
 
 class Entry(NamedTuple):

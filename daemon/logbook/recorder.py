@@ -218,7 +218,7 @@ class LiveFile:
         self._sequence = 0
         self._synced_s = time.monotonic()
 
-    def _register(self, channel: channels.Channel[Any]) -> int:
+    def _register(self, channel: channels.LogChannel[Any]) -> int:
         schema = self._writer.register_schema(channel.schema_name, "jsonschema", channel.json_schema())
         return int(self._writer.register_channel(channel.topic, "json", schema))
 

@@ -6,7 +6,7 @@ Pure: a statusword goes in, a state and the next controlword come out.
 from enum import Enum, IntFlag
 
 
-class Status(IntFlag):
+class StatusWord(IntFlag):
     """Bits of the statusword (6041h) that are read beside the state."""
 
     REMOTE = 1 << 9  # the D1's enable input DI7; while it is low nothing works, not even a fault reset
@@ -25,7 +25,7 @@ class Control:
     FAULT_RESET = 0x0080  # acts on the rising edge of bit 7
 
 
-class State(Enum):
+class DriveState(Enum):
     """Where the drive is."""
 
     NOT_READY = "not ready to switch on"
@@ -40,29 +40,29 @@ class State(Enum):
 
 
 _STATES = (  # mask, value, state
-    (0x4F, 0x00, State.NOT_READY),
-    (0x4F, 0x40, State.SWITCH_ON_DISABLED),
-    (0x6F, 0x21, State.READY),
-    (0x6F, 0x23, State.SWITCHED_ON),
-    (0x6F, 0x27, State.OPERATION_ENABLED),
-    (0x6F, 0x07, State.QUICK_STOP),
-    (0x4F, 0x0F, State.FAULT_REACTION),
-    (0x4F, 0x08, State.FAULT),
+    (0x4F, 0x00, DriveState.NOT_READY),
+    (0x4F, 0x40, DriveState.SWITCH_ON_DISABLED),
+    (0x6F, 0x21, DriveState.READY),
+    (0x6F, 0x23, DriveState.SWITCHED_ON),
+    (0x6F, 0x27, DriveState.OPERATION_ENABLED),
+    (0x6F, 0x07, DriveState.QUICK_STOP),
+    (0x4F, 0x0F, DriveState.FAULT_REACTION),
+    (0x4F, 0x08, DriveState.FAULT),
 )
 
 _TOWARDS_OPERATION = {
-    State.SWITCH_ON_DISABLED: Control.SHUTDOWN,
-    State.READY: Control.SWITCH_ON,
-    State.SWITCHED_ON: Control.ENABLE_OPERATION,
+    DriveState.SWITCH_ON_DISABLED: Control.SHUTDOWN,
+    DriveState.READY: Control.SWITCH_ON,
+    DriveState.SWITCHED_ON: Control.ENABLE_OPERATION,
 }
 
 
-def decode_state(statusword: int) -> State:
+def decode_state(statusword: int) -> DriveState:
     """The state in a statusword; INVALID when it matches none."""
-    return next((state for mask, value, state in _STATES if statusword & mask == value), State.INVALID)
+    return next((state for mask, value, state in _STATES if statusword & mask == value), DriveState.INVALID)
 
 
-def next_controlword(state: State, enable: bool, at_rest: bool) -> int | None:
+def next_controlword(state: DriveState, enable: bool, at_rest: bool) -> int | None:
     """The one controlword that leads on from `state`, or None where there is nothing to send.
 
     Towards operation the drive is walked up step by step; a quick stop is left to end by itself. Away from it
@@ -71,6 +71,6 @@ def next_controlword(state: State, enable: bool, at_rest: bool) -> int | None:
     """
     if enable:
         return _TOWARDS_OPERATION.get(state)
-    if state is State.SWITCHED_ON or (state is State.OPERATION_ENABLED and at_rest):
+    if state is DriveState.SWITCHED_ON or (state is DriveState.OPERATION_ENABLED and at_rest):
         return Control.SHUTDOWN
     return None

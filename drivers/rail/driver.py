@@ -15,7 +15,7 @@ from dataclasses import dataclass
 
 from softarm.drivers.base import DeviceError
 from softarm.drivers.rail import dryve
-from softarm.drivers.rail.cia402 import Control, State, Status, decode_state, next_controlword
+from softarm.drivers.rail.cia402 import Control, DriveState, StatusWord, decode_state, next_controlword
 from softarm.drivers.rail.dryve_link import DryveLink
 from softarm.schemas.config import DryveRail
 from softarm.schemas.messages import RailReading
@@ -44,7 +44,7 @@ _LINK_ERRORS = (
     dryve.DryveMismatch,
     dryve.DryveRefusal,
 )
-_AT_EASE = (State.NOT_READY, State.SWITCH_ON_DISABLED, State.READY, State.FAULT, State.INVALID)
+_AT_EASE = (DriveState.NOT_READY, DriveState.SWITCH_ON_DISABLED, DriveState.READY, DriveState.FAULT, DriveState.INVALID)
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,7 +61,7 @@ class Feedback:
     """What one poll of the drive found."""
 
     t_ns: int
-    state: State
+    state: DriveState
     statusword: int
     position_m: float
     velocity_m_s: float
@@ -70,7 +70,7 @@ class Feedback:
     @property
     def remote(self) -> bool:
         """The enable input DI7."""
-        return bool(self.statusword & Status.REMOTE)
+        return bool(self.statusword & StatusWord.REMOTE)
 
     @property
     def at_rest(self) -> bool:
@@ -79,9 +79,9 @@ class Feedback:
 
     def faults(self) -> tuple[str, ...]:
         """The drive's fault in words."""
-        if self.state is State.INVALID:
+        if self.state is DriveState.INVALID:
             return (f"{self.state.value} (statusword 0x{self.statusword:04X})",)
-        if self.state in (State.FAULT, State.FAULT_REACTION):
+        if self.state in (DriveState.FAULT, DriveState.FAULT_REACTION):
             return (f"{dryve.ERROR_CODES.get(self.error_code, 'unknown error')} (0x{self.error_code:04X})",)
         return ()
 
@@ -103,7 +103,7 @@ class DryveRailAxis:
         self._wanted = SetPoint(False, 0.0, clock())
         self._walk_since_ns: int | None = None  # set while enabling is permitted
         self._operating = False  # operation enabled was reached in this walk
-        self._last_step: tuple[State, int] | None = None  # the state shown and the controlword it was given
+        self._last_step: tuple[DriveState, int] | None = None  # the state shown and the controlword it was given
         self._brake_since_ns: int | None = None
         self._reset_asked = False
         self._feedback: Feedback | None = None
@@ -213,7 +213,7 @@ class DryveRailAxis:
         self._unfit = None if unfit is None else self._say("set up", unfit, remedy)
 
     async def _come_to_rest(self, link: DryveLink) -> None:
-        operating = decode_state(await link.read(dryve.STATUSWORD)) is State.OPERATION_ENABLED
+        operating = decode_state(await link.read(dryve.STATUSWORD)) is DriveState.OPERATION_ENABLED
         if operating:
             await link.write(dryve.TARGET_VELOCITY, 0)
             await link.write(dryve.CONTROLWORD, Control.ENABLE_AND_HALT)
@@ -245,7 +245,7 @@ class DryveRailAxis:
         await self._lead(link, feedback)
 
     def _operating_now(self) -> bool:
-        return self._feedback is not None and self._feedback.state is State.OPERATION_ENABLED
+        return self._feedback is not None and self._feedback.state is DriveState.OPERATION_ENABLED
 
     def _set_point_age_s(self) -> float:
         return (self._clock() - self._wanted.t_ns) / 1e9
@@ -261,7 +261,7 @@ class DryveRailAxis:
         t_ns = self._clock()
         velocity = await link.read(dryve.VELOCITY)
         state = decode_state(statusword)
-        faulty = state in (State.FAULT, State.FAULT_REACTION)
+        faulty = state in (DriveState.FAULT, DriveState.FAULT_REACTION)
         return Feedback(
             t_ns=t_ns,
             state=state,
@@ -277,7 +277,7 @@ class DryveRailAxis:
             t_receive_ns=feedback.t_ns,
             position_m=feedback.position_m,
             velocity_m_s=feedback.velocity_m_s,
-            enabled=feedback.state is State.OPERATION_ENABLED,
+            enabled=feedback.state is DriveState.OPERATION_ENABLED,
             remote=feedback.remote,
             faults=feedback.faults() + (() if self._unfit is None else (self._unfit,)),
         )
@@ -293,7 +293,7 @@ class DryveRailAxis:
         where = f"'{feedback.state.value}' (statusword 0x{feedback.statusword:04X})"
         if not feedback.remote or feedback.faults() or self._unfit is not None:
             self._forbid()
-        elif feedback.state is State.OPERATION_ENABLED:
+        elif feedback.state is DriveState.OPERATION_ENABLED:
             self._operating = True
             if self._set_point_age_s() > SET_POINT_S:
                 stalled = f"no set-point for {SET_POINT_S} s, so zero was sent"
@@ -326,7 +326,7 @@ class DryveRailAxis:
         self._last_step = step
 
     def _braking_for_s(self, feedback: Feedback, enable: bool) -> float:
-        if enable or feedback.state is not State.OPERATION_ENABLED:
+        if enable or feedback.state is not DriveState.OPERATION_ENABLED:
             self._brake_since_ns = None
             return 0.0
         self._brake_since_ns = self._brake_since_ns or feedback.t_ns
@@ -334,7 +334,7 @@ class DryveRailAxis:
 
     async def _reset_fault_if_asked(self, link: DryveLink, feedback: Feedback) -> None:
         asked, self._reset_asked = self._reset_asked, False
-        if asked and feedback.state is State.FAULT and feedback.remote and not self._wanted.enable:
+        if asked and feedback.state is DriveState.FAULT and feedback.remote and not self._wanted.enable:
             # Bit 7 acts on its rising edge; the D1 then wants HALT seen before it is walked up again.
             for word in (Control.RESET_AND_HALT, Control.FAULT_RESET, Control.RESET_AND_HALT):
                 await link.write(dryve.CONTROLWORD, word)

@@ -104,7 +104,7 @@ class DryveMismatch(Exception):
 
 
 @dataclass(frozen=True, slots=True)
-class Request:
+class ModbusRequest:
     """What is asked: a read of `count` bytes, or a write of `data` (then `count` is its length)."""
 
     transaction: int
@@ -141,7 +141,7 @@ def decode_answer(telegram: bytes, transaction: int, entry: Entry, write: bool) 
     return int.from_bytes(data, "little", signed=entry.signed)
 
 
-def decode_request(telegram: bytes) -> Request:
+def decode_request(telegram: bytes) -> ModbusRequest:
     """The drive's side. Raises ValueError on what is no request."""
     write = telegram[9:10] == b"\x01"
     if len(telegram) < 19 or telegram[2:4] != b"\0\0" or telegram[7:9] != bytes((FUNCTION, MEI_TYPE)):
@@ -150,15 +150,15 @@ def decode_request(telegram: bytes) -> Request:
     if len(data) != (count if write else 0):
         raise ValueError(f"{telegram.hex()} carries {len(data)} bytes, declared {count}")
     index = int.from_bytes(telegram[12:14], "big")
-    return Request(int.from_bytes(telegram[:2], "big"), index, telegram[14], count, data if write else None)
+    return ModbusRequest(int.from_bytes(telegram[:2], "big"), index, telegram[14], count, data if write else None)
 
 
-def encode_value(request: Request, data: bytes) -> bytes:
+def encode_value(request: ModbusRequest, data: bytes) -> bytes:
     """The drive's answer to a read."""
     return _telegram(request.transaction, False, request.index, request.sub, len(data), data)
 
 
-def encode_acknowledgement(request: Request) -> bytes:
+def encode_acknowledgement(request: ModbusRequest) -> bytes:
     """The drive's answer to a write."""
     return _telegram(request.transaction, True, request.index, request.sub, 0, b"")
 

@@ -20,7 +20,7 @@ import serial
 
 from softarm.drivers.base import DeviceError
 from softarm.drivers.regulator.cobs import Deframer, frame
-from softarm.drivers.regulator.teensy import Command, Fault, Hello, State, Welcome, decode, encode
+from softarm.drivers.regulator.teensy import Fault, Hello, RegulatorCommand, RegulatorState, Welcome, decode, encode
 from softarm.schemas.config import SerialRegulator
 from softarm.schemas.messages import PressureReading
 
@@ -46,7 +46,7 @@ class Conversation:
     """
 
     def __init__(self, time_to_live_s: float) -> None:
-        self.state: State | None = None
+        self.state: RegulatorState | None = None
         self.complaint: str | None = None
         self.unanswered_since_ns: int | None = None
         self._time_to_live_s = time_to_live_s
@@ -78,9 +78,9 @@ class Conversation:
         """A set-point; nothing before the device has told its token."""
         if self._token is None:
             return b""
-        return self._frame(Command(self._token, self._time_to_live_s, armed, pressure_kpa), now_ns)
+        return self._frame(RegulatorCommand(self._token, self._time_to_live_s, armed, pressure_kpa), now_ns)
 
-    def receive(self, data: bytes) -> State | None:
+    def receive(self, data: bytes) -> RegulatorState | None:
         """The newest state in `data`, if one came."""
         newest = None
         for body in self._deframer.feed(data):
@@ -92,7 +92,7 @@ class Conversation:
                 continue
             if isinstance(message, Welcome):
                 self._token = message.token
-            elif isinstance(message, State):
+            elif isinstance(message, RegulatorState):
                 self.state = newest = message
                 if Fault.TOKEN in message.faults:
                     self._token = self._greeted_ns = None  # the device has restarted: greet it again
@@ -103,7 +103,7 @@ class Conversation:
             self.unanswered_since_ns = self.complaint = None
         return newest
 
-    def _frame(self, message: Hello | Command, now_ns: int) -> bytes:
+    def _frame(self, message: Hello | RegulatorCommand, now_ns: int) -> bytes:
         if self.unanswered_since_ns is None:
             self.unanswered_since_ns = now_ns
         self._sequence += 1
@@ -230,7 +230,7 @@ class TeensyRegulator:
             armed, pressure_kpa = self._wanted.popleft()
             port.write(talk.command(armed, pressure_kpa, self._clock()))
 
-    def _take(self, state: State | None) -> None:
+    def _take(self, state: RegulatorState | None) -> None:
         if state is not None:
             self._reading = PressureReading(
                 t_receive_ns=self._clock(),

@@ -64,7 +64,7 @@ class Welcome:
 
 
 @dataclass(frozen=True, slots=True)
-class Command:
+class RegulatorCommand:
     """An absolute set-point; harmless when repeated."""
 
     token: int
@@ -74,7 +74,7 @@ class Command:
 
 
 @dataclass(frozen=True, slots=True)
-class State:
+class RegulatorState:
     """The device's answer to every command, accepted or not."""
 
     accepted_sequence: int
@@ -83,7 +83,7 @@ class State:
     pressure_kpa: float
 
 
-Message = Hello | Welcome | Command | State
+Message = Hello | Welcome | RegulatorCommand | RegulatorState
 
 
 def encode(message: Message, sequence: int, time_us: int) -> bytes:
@@ -93,11 +93,11 @@ def encode(message: Message, sequence: int, time_us: int) -> bytes:
             kind, payload = Kind.HELLO, b""
         case Welcome():
             kind, payload = Kind.WELCOME, _TOKEN.pack(message.token)
-        case Command():
+        case RegulatorCommand():
             time_to_live_ms = round(message.time_to_live_s * 1000)
             payload = _COMMAND.pack(message.token, time_to_live_ms, message.armed, message.pressure_kpa)
             kind = Kind.COMMAND
-        case State():
+        case RegulatorState():
             payload = _STATE.pack(message.accepted_sequence, message.armed, message.faults, message.pressure_kpa)
             kind = Kind.STATE
     return _HEADER.pack(VERSION, kind, sequence & 0xFFFFFFFF, time_us & 0xFFFFFFFF) + payload
@@ -119,11 +119,11 @@ def decode(body: bytes) -> tuple[Message, int]:
                 return Welcome(*_TOKEN.unpack(payload)), sequence
             case Kind.COMMAND:
                 token, time_to_live_ms, flags, pressure_kpa = _COMMAND.unpack(payload)
-                return Command(token, time_to_live_ms / 1000, bool(flags & _ARMED), pressure_kpa), sequence
+                return RegulatorCommand(token, time_to_live_ms / 1000, bool(flags & _ARMED), pressure_kpa), sequence
             case Kind.STATE:
                 accepted, flags, faults, pressure_kpa = _STATE.unpack(payload)
                 if math.isfinite(pressure_kpa):
-                    return State(accepted, bool(flags & _ARMED), Fault(faults & 0xF), pressure_kpa), sequence
+                    return RegulatorState(accepted, bool(flags & _ARMED), Fault(faults & 0xF), pressure_kpa), sequence
                 raise ValueError(f"a measured pressure of {pressure_kpa}")
     except struct.error as error:
         raise ValueError(f"message type 0x{kind:02x} with {len(payload)} bytes of payload: {error}") from None

@@ -10,8 +10,8 @@ from collections.abc import Callable
 
 from softarm.drivers.base import DeviceError
 from softarm.drivers.rail import dryve
-from softarm.drivers.rail.cia402 import State, Status
-from softarm.drivers.rail.dryve import Entry, Request
+from softarm.drivers.rail.cia402 import DriveState, StatusWord
+from softarm.drivers.rail.dryve import Entry, ModbusRequest
 from softarm.drivers.twin.faults import Faults
 from softarm.schemas.config import DryveRail
 
@@ -22,13 +22,13 @@ LIMIT_SWITCH, FOLLOWING_ERROR = 0xFF00, 0x8611
 MODES = (1, 3, 6, 8)  # PP, PV, homing, CSP; the D1 has no other
 
 _STATE_BITS = {
-    State.NOT_READY: 0x00,
-    State.SWITCH_ON_DISABLED: 0x40,
-    State.READY: 0x21,
-    State.SWITCHED_ON: 0x23,
-    State.OPERATION_ENABLED: 0x27,
-    State.QUICK_STOP: 0x07,
-    State.FAULT: 0x08,
+    DriveState.NOT_READY: 0x00,
+    DriveState.SWITCH_ON_DISABLED: 0x40,
+    DriveState.READY: 0x21,
+    DriveState.SWITCHED_ON: 0x23,
+    DriveState.OPERATION_ENABLED: 0x27,
+    DriveState.QUICK_STOP: 0x07,
+    DriveState.FAULT: 0x08,
 }
 _READ_ONLY = (dryve.STATUSWORD, dryve.MODE_DISPLAY, dryve.POSITION, dryve.VELOCITY, dryve.ERROR_CODE)
 _STORED = (
@@ -59,7 +59,7 @@ class DryveDevice:
     """
 
     def __init__(self, config: DryveRail) -> None:
-        self.state = State.SWITCH_ON_DISABLED
+        self.state = DriveState.SWITCH_ON_DISABLED
         self.remote = True
         self._units_per_m, self._centre_m = config.units_per_m, config.centre_m
         self._values = dict.fromkeys(_ENTRIES.values(), 0)
@@ -70,7 +70,7 @@ class DryveDevice:
     @property
     def in_operation(self) -> bool:
         """CiA 402 operation enabled."""
-        return self.state is State.OPERATION_ENABLED
+        return self.state is DriveState.OPERATION_ENABLED
 
     @property
     def target_velocity_m_s(self) -> float:
@@ -109,19 +109,19 @@ class DryveDevice:
         silent = now_ns - self._heard_ns > SILENCE_MAX_S * 1e9
         if silent or not self.remote:
             self.quick_stop()
-        if self.state is State.QUICK_STOP and abs(self._velocity_m_s) < AT_REST_M_S:
-            self.state = State.SWITCH_ON_DISABLED
-        if not self.remote and self.state in (State.READY, State.SWITCHED_ON):
-            self.state = State.SWITCH_ON_DISABLED
+        if self.state is DriveState.QUICK_STOP and abs(self._velocity_m_s) < AT_REST_M_S:
+            self.state = DriveState.SWITCH_ON_DISABLED
+        if not self.remote and self.state in (DriveState.READY, DriveState.SWITCHED_ON):
+            self.state = DriveState.SWITCH_ON_DISABLED
 
     def quick_stop(self) -> None:
         """Brake, if in operation, and then switch off."""
         if self.in_operation:
-            self.state = State.QUICK_STOP
+            self.state = DriveState.QUICK_STOP
 
     def trip(self, error_code: int) -> None:
         """Fault with this 603Fh code."""
-        self.state = State.FAULT
+        self.state = DriveState.FAULT
         self._values[dryve.ERROR_CODE] = error_code
 
     def _read(self, entry: Entry) -> int:
@@ -131,13 +131,13 @@ class DryveDevice:
 
     def _statusword(self) -> int:
         word = _STATE_BITS[self.state]
-        word |= Status.REMOTE if self.remote else 0
+        word |= StatusWord.REMOTE if self.remote else 0
         reached = abs(self._velocity_m_s - self.target_velocity_m_s) < REACHED_M_S
-        word |= Status.TARGET_REACHED if reached else 0
-        word |= Status.AT_REST if self.in_operation and abs(self._velocity_m_s) < AT_REST_M_S else 0
+        word |= StatusWord.TARGET_REACHED if reached else 0
+        word |= StatusWord.AT_REST if self.in_operation and abs(self._velocity_m_s) < AT_REST_M_S else 0
         return word
 
-    def _write(self, entry: Entry, request: Request) -> int | None:
+    def _write(self, entry: Entry, request: ModbusRequest) -> int | None:
         """Store a value; returns the SDO abort code of a refusal."""
         if entry in _READ_ONLY:
             return _NOT_WRITABLE
@@ -157,27 +157,27 @@ class DryveDevice:
         reset = word & 0x80 and not self._values[dryve.CONTROLWORD] & 0x80
         if not self.remote:
             return
-        if self.state is State.FAULT:
+        if self.state is DriveState.FAULT:
             if reset:
-                self.state = State.SWITCH_ON_DISABLED
+                self.state = DriveState.SWITCH_ON_DISABLED
                 self._values[dryve.ERROR_CODE] = 0
             return
-        if self.state is State.QUICK_STOP:
+        if self.state is DriveState.QUICK_STOP:
             return
-        on = self.state in (State.READY, State.SWITCHED_ON, State.OPERATION_ENABLED)
+        on = self.state in (DriveState.READY, DriveState.SWITCHED_ON, DriveState.OPERATION_ENABLED)
         if not word & 0x02:  # disable voltage
-            self.state = State.SWITCH_ON_DISABLED
+            self.state = DriveState.SWITCH_ON_DISABLED
         elif not word & 0x04:
             if self.in_operation:
                 self.quick_stop()
             else:
-                self.state = State.SWITCH_ON_DISABLED
+                self.state = DriveState.SWITCH_ON_DISABLED
         elif not word & 0x01:
-            self.state = State.READY
+            self.state = DriveState.READY
         elif on and not word & 0x08:
-            self.state = State.SWITCHED_ON
-        elif self.state is State.SWITCHED_ON:
-            self.state = State.OPERATION_ENABLED
+            self.state = DriveState.SWITCHED_ON
+        elif self.state is DriveState.SWITCHED_ON:
+            self.state = DriveState.OPERATION_ENABLED
 
 
 class DryveServer:

@@ -14,11 +14,11 @@ from softarm.drivers.regulator.teensy import (
     PRESSURE_RANGE_KPA,
     TIME_TO_LIVE_MAX_S,
     VENT_KPA,
-    Command,
     Fault,
     Hello,
     Message,
-    State,
+    RegulatorCommand,
+    RegulatorState,
     Welcome,
     decode,
     encode,
@@ -65,9 +65,9 @@ class TeensyDevice:
                 message, sequence = decode(body)
                 if isinstance(message, Hello):
                     answers += self._frame(self._greet(), now_ns)
-                elif isinstance(message, Command):
+                elif isinstance(message, RegulatorCommand):
                     self._obey(message, sequence, now_ns)
-                    state = State(self.accepted_sequence, self.armed, self.faults, pressure_kpa)
+                    state = RegulatorState(self.accepted_sequence, self.armed, self.faults, pressure_kpa)
                     answers += self._frame(state, now_ns)
         return answers
 
@@ -76,7 +76,7 @@ class TeensyDevice:
         self.armed = self._may_arm = False
         return Welcome(self._token)
 
-    def _obey(self, command: Command, sequence: int, now_ns: int) -> None:
+    def _obey(self, command: RegulatorCommand, sequence: int, now_ns: int) -> None:
         self.faults &= ~(Fault.TOKEN | Fault.RANGE)
         low_kpa, high_kpa = PRESSURE_RANGE_KPA
         if command.token != self._token:

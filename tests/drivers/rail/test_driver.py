@@ -9,9 +9,9 @@ from typing import Any
 import pytest
 
 from softarm.drivers.rail import dryve
-from softarm.drivers.rail.cia402 import State
+from softarm.drivers.rail.cia402 import DriveState
 from softarm.drivers.rail.driver import DryveRailAxis
-from softarm.drivers.rail.dryve import Request
+from softarm.drivers.rail.dryve import ModbusRequest
 from softarm.drivers.twin.dryve import DryveDevice, DryveServer
 from softarm.drivers.twin.faults import Faults
 from softarm.schemas.config import DryveRail
@@ -24,7 +24,7 @@ class Drive(DryveDevice):
 
     def __init__(self, config: DryveRail) -> None:
         super().__init__(config)
-        self.heard: list[tuple[Request, State]] = []
+        self.heard: list[tuple[ModbusRequest, DriveState]] = []
         self.script: Callable[[bytes, Callable[[], bytes]], bytes] | None = None
         self.position_m = self.velocity_m_s = 0.0
         self.coasts = False
@@ -117,7 +117,7 @@ def no_word_was_sent_twice_and_operation_kept_its_bits(drive: Drive) -> None:
         assert not repeated
     for request, state in words:
         value = int.from_bytes(request.data or b"", "little")
-        assert state is not State.OPERATION_ENABLED or value & 0x0F == 0x0F or value == 0x0006
+        assert state is not DriveState.OPERATION_ENABLED or value & 0x0F == 0x0F or value == 0x0006
 
 
 def test_walks_up_once_drives_and_reads_back(bench: Any) -> None:
@@ -174,7 +174,7 @@ def test_disabling_brakes_first_and_switches_off_at_rest(bench: Any) -> None:
         b.drive.coasts = False
         await b.write_until(lambda: not b.axis.read().enabled)
         assert b.drive.writes(dryve.CONTROLWORD, since) == [0x0006]
-        assert b.drive.state is State.READY
+        assert b.drive.state is DriveState.READY
 
     bench(script)
 
@@ -221,7 +221,7 @@ def test_stop_brakes_switches_off_and_hangs_up(bench: Any) -> None:
     async def script(b: Bench) -> None:
         await b.enable()
         await b.stop()
-        assert b.drive.state is State.READY
+        assert b.drive.state is DriveState.READY
         assert b.drive.writes(dryve.CONTROLWORD)[-1] == 0x0006
         assert b.drive.writes(dryve.TARGET_VELOCITY)[-1] == 0
 
@@ -233,7 +233,7 @@ def test_a_dropped_connection_brakes_and_does_not_bring_the_motion_back(bench: A
         await b.enable()
         since = len(b.drive.heard)
         b.faults.rail_drop_connection()
-        await b.write_until(lambda: b.drive.state is State.SWITCH_ON_DISABLED, True, 0.3)
+        await b.write_until(lambda: b.drive.state is DriveState.SWITCH_ON_DISABLED, True, 0.3)
         await b.write_until(lambda: len(b.drive.heard) > since + 60, True, 0.3)
         assert b.drive.velocity_m_s == 0.0
         assert b.drive.writes(dryve.CONTROLWORD, since) == [0x0100]
@@ -248,7 +248,7 @@ def test_a_dropped_connection_brakes_and_does_not_bring_the_motion_back(bench: A
 
 def test_a_drive_found_in_operation_is_braked_before_anything_else(bench: Any) -> None:
     def in_operation(b: Bench) -> None:
-        b.drive.state = State.OPERATION_ENABLED
+        b.drive.state = DriveState.OPERATION_ENABLED
         b.drive.coasts, b.drive.velocity_m_s = True, 0.5
         b.step()
 

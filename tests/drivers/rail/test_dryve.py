@@ -93,7 +93,7 @@ def test_answers_that_do_not_fit_are_refused(telegram: str, entry: Entry, words:
 @given(st.integers(0, 65535), st.integers(-(2**31), 2**31 - 1))
 def test_the_drives_side_reads_what_the_masters_side_writes(transaction: int, value: int) -> None:
     request = dryve.decode_request(dryve.encode_request(transaction, dryve.TARGET_VELOCITY, value))
-    assert request == dryve.Request(transaction, 0x60FF, 0, 4, value.to_bytes(4, "little", signed=True))
+    assert request == dryve.ModbusRequest(transaction, 0x60FF, 0, 4, value.to_bytes(4, "little", signed=True))
     assert dryve.decode_answer(dryve.encode_acknowledgement(request), transaction, dryve.TARGET_VELOCITY, True) == 0
     question = dryve.decode_request(dryve.encode_request(transaction, dryve.POSITION))
     answer = dryve.encode_value(question, value.to_bytes(4, "little", signed=True))

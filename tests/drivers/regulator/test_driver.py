@@ -8,7 +8,7 @@ import pytest
 
 from softarm.drivers.regulator.cobs import Deframer, frame
 from softarm.drivers.regulator.driver import Conversation, TeensyRegulator
-from softarm.drivers.regulator.teensy import Command, Fault, Hello, State, Welcome, decode, encode
+from softarm.drivers.regulator.teensy import Fault, Hello, RegulatorCommand, RegulatorState, Welcome, decode, encode
 from softarm.drivers.twin.faults import Faults
 from softarm.drivers.twin.teensy import TeensyDevice, TeensyPort
 from softarm.schemas.config import SerialRegulator
@@ -28,8 +28,8 @@ class Device(TeensyDevice):
         self.heard += [decode(body)[0] for body in self._spy.feed(data)]
         return super().receive(data, now_ns, pressure_kpa)
 
-    def commands(self) -> list[Command]:
-        return [message for message in self.heard if isinstance(message, Command)]
+    def commands(self) -> list[RegulatorCommand]:
+        return [message for message in self.heard if isinstance(message, RegulatorCommand)]
 
 
 class Bench:
@@ -275,8 +275,8 @@ def test_commands_wait_for_the_token(clock: Any) -> None:
     assert talk.command(True, 5.0, clock()) == b""
     talk.receive(frame(encode(Welcome(77), 1, 1)))
     [body] = Deframer().feed(talk.command(True, 5.0, clock()))
-    assert decode(body)[0] == Command(77, 0.1, True, 5.0)
-    talk.receive(frame(encode(State(0, False, Fault.TOKEN, 0.0), 2, 1)))
+    assert decode(body)[0] == RegulatorCommand(77, 0.1, True, 5.0)
+    talk.receive(frame(encode(RegulatorState(0, False, Fault.TOKEN, 0.0), 2, 1)))
     assert talk.command(True, 5.0, clock()) == b""
 
 

@@ -8,15 +8,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from softarm.drivers.regulator.teensy import Command, Fault, Hello, State, Welcome, decode, encode
+from softarm.drivers.regulator.teensy import Fault, Hello, RegulatorCommand, RegulatorState, Welcome, decode, encode
 
 u32 = st.integers(0, 2**32 - 1)
 f32 = st.floats(width=32, allow_nan=False, allow_infinity=False)
 messages = st.one_of(
     st.just(Hello()),
     st.builds(Welcome, u32),
-    st.builds(Command, u32, st.integers(0, 65535).map(lambda ms: ms / 1000), st.booleans(), f32),
-    st.builds(State, u32, st.booleans(), st.integers(0, 15).map(Fault), f32),
+    st.builds(RegulatorCommand, u32, st.integers(0, 65535).map(lambda ms: ms / 1000), st.booleans(), f32),
+    st.builds(RegulatorState, u32, st.booleans(), st.integers(0, 15).map(Fault), f32),
 )
 
 
@@ -26,14 +26,14 @@ def test_round_trip(message: object, sequence: int, time_us: int) -> None:
 
 
 def test_the_layout_that_the_firmware_reads() -> None:
-    body = encode(Command(0xA1B2C3D4, 0.1, True, 12.5), sequence=7, time_us=2**32 + 1)
+    body = encode(RegulatorCommand(0xA1B2C3D4, 0.1, True, 12.5), sequence=7, time_us=2**32 + 1)
     assert body.hex() == "0102" + "07000000" + "01000000" + "d4c3b2a1" + "6400" + "01" + "00004841"
 
 
 @given(st.binary(max_size=40))
 def test_noise_is_a_message_or_a_value_error(body: bytes) -> None:
     with contextlib.suppress(ValueError):
-        assert isinstance(decode(body)[0], Hello | Welcome | Command | State)
+        assert isinstance(decode(body)[0], Hello | Welcome | RegulatorCommand | RegulatorState)
 
 
 @pytest.mark.parametrize(
@@ -41,10 +41,10 @@ def test_noise_is_a_message_or_a_value_error(body: bytes) -> None:
     [
         (b"\1\2\3", "3 bytes"),
         (b"\2" + encode(Hello(), 1, 1)[1:], "protocol version 2.*update the older side"),
-        (encode(Command(1, 0.1, True, 1.0), 1, 1)[:-1], "type 0x02 with 10 bytes"),
+        (encode(RegulatorCommand(1, 0.1, True, 1.0), 1, 1)[:-1], "type 0x02 with 10 bytes"),
         (encode(Hello(), 1, 1) + b"x", "type 0x01 with 1 bytes"),
         (b"\1\x77" + bytes(8), "type 0x77"),
-        (encode(State(1, True, Fault(0), 0.0), 1, 1)[:-4] + struct.pack("<f", math.nan), "pressure of nan"),
+        (encode(RegulatorState(1, True, Fault(0), 0.0), 1, 1)[:-4] + struct.pack("<f", math.nan), "pressure of nan"),
     ],
 )
 def test_refusals_say_what_is_wrong(body: bytes, words: str) -> None:

@@ -9,9 +9,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from softarm.drivers.rail import dryve
-from softarm.drivers.rail.cia402 import State, decode_state
+from softarm.drivers.rail.cia402 import DriveState, decode_state
 from softarm.drivers.regulator.cobs import Deframer, frame
-from softarm.drivers.regulator.teensy import Command, Fault, Hello, Welcome, decode, encode
+from softarm.drivers.regulator.teensy import Fault, Hello, RegulatorCommand, Welcome, decode, encode
 from softarm.drivers.twin.dryve import LIMIT_SWITCH, DryveDevice
 from softarm.drivers.twin.faults import Faults
 from softarm.drivers.twin.teensy import TeensyDevice
@@ -41,7 +41,7 @@ class Host:
         self.token = answer.token
 
     def command(self, armed: bool, kpa: float = 5.0, time_to_live_s: float = 0.1, token: int | None = None) -> Any:
-        return self.say(Command(self.token if token is None else token, time_to_live_s, armed, kpa))
+        return self.say(RegulatorCommand(self.token if token is None else token, time_to_live_s, armed, kpa))
 
 
 @pytest.fixture
@@ -142,7 +142,7 @@ class Master:
         self.write(dryve.MODE, 3)
         for word in (0x0006, 0x0007, 0x000F):
             self.write(dryve.CONTROLWORD, word)
-        assert decode_state(self.read(dryve.STATUSWORD)) is State.OPERATION_ENABLED
+        assert decode_state(self.read(dryve.STATUSWORD)) is DriveState.OPERATION_ENABLED
 
 
 @pytest.mark.parametrize(
@@ -167,7 +167,7 @@ def test_di7_low_is_bit_9_and_nothing_works() -> None:
     assert master.ask("0f0f0000000d002b0d00000060410000000002").endswith("4004")
     for word in (0x0006, 0x0007, 0x000F):
         master.write(dryve.CONTROLWORD, word)
-    assert master.drive.state is State.SWITCH_ON_DISABLED
+    assert master.drive.state is DriveState.SWITCH_ON_DISABLED
 
 
 def test_the_walk_shows_the_states_of_the_sample_programs() -> None:
@@ -199,12 +199,12 @@ def test_a_silent_master_makes_it_brake_and_switch_off() -> None:
     master.drive.watch(master.now_ns + 100 * MS)
     assert master.drive.target_velocity_m_s == 0.5
     master.drive.watch(master.now_ns + 101 * MS)
-    assert (master.drive.state, master.drive.target_velocity_m_s) == (State.QUICK_STOP, 0.0)
+    assert (master.drive.state, master.drive.target_velocity_m_s) == (DriveState.QUICK_STOP, 0.0)
     master.write(dryve.CONTROLWORD, 0x000F)  # no way back while it brakes
-    assert master.drive.state is State.QUICK_STOP
+    assert master.drive.state is DriveState.QUICK_STOP
     master.drive.sense(0.12, 0.0)
     master.drive.watch(master.now_ns)
-    assert master.drive.state is State.SWITCH_ON_DISABLED
+    assert master.drive.state is DriveState.SWITCH_ON_DISABLED
 
 
 def test_read_backs_are_in_drive_units_from_the_homed_end() -> None:
@@ -218,12 +218,12 @@ def test_the_limit_switch_faults_until_a_rising_reset() -> None:
     master = Master()
     master.enable()
     master.drive.trip(LIMIT_SWITCH)
-    assert decode_state(master.read(dryve.STATUSWORD)) is State.FAULT
+    assert decode_state(master.read(dryve.STATUSWORD)) is DriveState.FAULT
     assert master.read(dryve.ERROR_CODE) == 0xFF00
     master.write(dryve.CONTROLWORD, 0x0006)
-    assert master.drive.state is State.FAULT
+    assert master.drive.state is DriveState.FAULT
     master.write(dryve.CONTROLWORD, 0x0080)
-    assert master.drive.state is State.SWITCH_ON_DISABLED
+    assert master.drive.state is DriveState.SWITCH_ON_DISABLED
 
 
 @given(st.lists(st.integers(0, 0xFFFF), max_size=30))
@@ -233,7 +233,7 @@ def test_operation_is_only_reached_through_switched_on(words: list[int]) -> None
     for word in words:
         master.write(dryve.CONTROLWORD, word)
         if master.drive.in_operation:
-            assert before in (State.SWITCHED_ON, State.OPERATION_ENABLED)
+            assert before in (DriveState.SWITCHED_ON, DriveState.OPERATION_ENABLED)
             assert word & 0x0F == 0x0F
         before = master.drive.state
 
