@@ -1,20 +1,10 @@
 """`softarm excite`: play an excitation through the daemon, on the robot or a simulated one, and record."""
 
-import time
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import click
 
 from softarm.cli.options import FILE, config_option, flown_model, model_option
-
-if TYPE_CHECKING:
-    from softarm.daemon.shell.daemon import Daemon
-    from softarm.schemas.config import Config
-    from softarm.schemas.goals import GoalStatus
-
-_POLL_S = 0.1
-_ARMING_S = 10.0  # drivers connect, mocap is seen, drive and regulator arm
 
 
 @click.command()
@@ -39,13 +29,16 @@ def excite(
       softarm excite rail-chirp --simulated            on a simulated one
       softarm excite --plan verdict.json --config softarm.yaml    the next experiment of `softarm diagnose`
     """
+    from rich.progress import Progress
+
     from softarm.cli.errors import fail
     from softarm.daemon.api.auth import AuthError
     from softarm.daemon.api.server import ApiError
     from softarm.daemon.config import configuration
     from softarm.daemon.logbook.recorder import RecorderError
+    from softarm.daemon.shell.daemon import real_devices
+    from softarm.daemon.shell.play import length_s, play, play_simulated
     from softarm.policies.base import PolicyError
-    from softarm.policies.excite import Excite
     from softarm.schemas.config import Config
     from softarm.schemas.excitation import EXCITATIONS
 
@@ -64,12 +57,19 @@ def excite(
     if model_file is not None and not simulated:
         raise click.UsageError("--model is of the simulated robot: add --simulated")
     try:
-        Excite.describe(name)
-        config = configured(configuration.load(config_file) if config_file else Config(), name)
-        if simulated:
-            status, log = _play_simulated(config, name, model_file)
-        else:
-            status, log = _play(config, name)
+        config = configuration.load(config_file) if config_file else Config()
+        total_s = length_s(config, name)
+        model = flown_model(model_file)
+        with Progress(transient=True) as bar:
+            task = bar.add_task(f"playing {name}", total=total_s)
+
+            def tell(time_s: float) -> None:
+                bar.update(task, completed=time_s)
+
+            if simulated:
+                status, log = play_simulated(config, name, model, tell)
+            else:
+                status, log = play(config, name, real_devices(config), tell)
     except (configuration.ConfigurationError, PolicyError, RecorderError, ApiError, AuthError, RuntimeError) as error:
         fail(str(error))
     if status.state != "reached":
@@ -101,104 +101,3 @@ def _planned(plan: Path) -> str:
     for effect, expected in verdict.next_experiment.expect.items():
         click.echo(f"if {effect}: {expected}")
     return verdict.next_experiment.excitation
-
-
-def configured(config: "Config", name: str) -> "Config":
-    """The configuration with the excitation as the policy in use."""
-    from softarm.schemas.config import Policy
-
-    policy = f"excite-{name}"
-    return config.model_copy(
-        update={
-            "policies": {**config.policies, policy: Policy(plugin="excite", options={"excitation": name})},
-            "control": config.control.model_copy(update={"policy": policy}),
-        }
-    )
-
-
-def _play_simulated(config: "Config", name: str, model_file: Path | None) -> tuple["GoalStatus", Path | None]:
-    """In lockstep: no sleeping, the same recording every time. Raises RuntimeError when it does not arm."""
-    from dataclasses import replace
-
-    from rich.progress import Progress
-
-    from softarm.daemon.logbook.recorder import Recorder
-    from softarm.daemon.shell.offline import Lockstep
-    from softarm.policies.excite import Excite
-    from softarm.schemas.goals import Goal
-
-    model = flown_model(model_file)
-    policy = Excite(name)
-    policy.spec = replace(policy.spec, name=config.control.policy)
-    recorder = Recorder(config, policy.spec)
-    recorder.start()
-    try:
-        lockstep = Lockstep(config, policy, model, recorder)
-        lockstep.arm()
-        with Progress(transient=True) as bar:
-            task = bar.add_task(f"playing {name}", total=policy.spec.episode_steps)
-            outputs = lockstep.tick(lockstep.request("goal", Goal("run")))
-            while outputs.goal.state == "running":
-                outputs = lockstep.tick()
-                bar.advance(task)
-        status = outputs.goal
-        lockstep.tick(lockstep.request("disarm"))
-    finally:
-        recorder.stop()
-    return status, recorder.path
-
-
-def _play(config: "Config", name: str) -> tuple["GoalStatus", Path | None]:
-    """On the devices, in real time; Ctrl-C brakes and vents. Raises RuntimeError when it does not arm."""
-    from rich.progress import Progress
-
-    from softarm.daemon.shell.daemon import Daemon, real_devices
-    from softarm.policies.excite import Excite
-    from softarm.schemas.goals import Goal
-
-    daemon = Daemon(config, real_devices(config))
-    daemon.start()
-    try:
-        _arm(daemon)
-        number = daemon.inbox.post("goal", goal=Goal("run"))
-        length_s = (Excite.describe(name).episode_steps or 0) / config.control.rate_hz
-        deadline_s = time.monotonic() + length_s + _ARMING_S
-        with Progress(transient=True) as bar:
-            task = bar.add_task(f"playing {name}", total=length_s)
-            while (status := _goal(daemon, number)) is None or status.state == "running":
-                bar.update(task, completed=0.0 if status is None else status.time_s)
-                if time.monotonic() > deadline_s:
-                    raise RuntimeError("the control loop has stalled; see its own output")
-                time.sleep(_POLL_S)
-        return status, daemon.recorder.path
-    finally:
-        daemon.stop()  # brakes, vents and switches off, whatever has happened
-
-
-def _goal(daemon: "Daemon", number: int) -> "GoalStatus | None":
-    """How the goal goes; None until the loop has taken the request. Raises RuntimeError when it is refused."""
-    snapshot = daemon.loop.snapshot
-    answer = next((r for r in snapshot.results if r.number == number), None) if snapshot else None
-    if snapshot is None or answer is None:
-        # Requests are answered in the order they came: a running goal is ours even when its answer is long gone.
-        return snapshot.goal if snapshot and snapshot.goal.number else None
-    if not answer.accepted:
-        raise RuntimeError("; ".join(answer.reasons))
-    return snapshot.goal
-
-
-def _arm(daemon: "Daemon") -> None:
-    """Wait until the daemon would arm, arm, and wait until it has. Raises RuntimeError with its own reasons."""
-    deadline_s = time.monotonic() + _ARMING_S
-    asked = False
-    reasons: tuple[str, ...] = ("no control tick yet",)
-    while time.monotonic() < deadline_s:
-        if (snapshot := daemon.loop.snapshot) is not None:
-            if snapshot.mode == "armed":
-                return
-            reasons = snapshot.arming_refusals or reasons
-            if not snapshot.arming_refusals and not asked:
-                daemon.inbox.post("arm")
-                asked = True
-        time.sleep(_POLL_S)
-    raise RuntimeError(f"did not arm within {_ARMING_S:.0f} s: {'; '.join(reasons)}; then try again")

@@ -9,7 +9,6 @@ from softarm.cli.options import config_option, flown_model, model_option
 
 if TYPE_CHECKING:
     from softarm.daemon.shell.daemon import Daemon
-    from softarm.daemon.shell.loop import Devices
 
 
 @click.command()
@@ -44,7 +43,7 @@ def run(config_file: Path | None, simulated: bool, model_file: Path | None) -> N
     logging.getLogger("uvicorn").setLevel(logging.WARNING)
     try:
         config = configuration.load(config_file) if config_file else Config()
-        devices = simulated_devices(model_file) if simulated else daemon.real_devices(config)
+        devices = daemon.simulated_devices(flown_model(model_file)) if simulated else daemon.real_devices(config)
         daemon.run(config, devices, announce)
     except (configuration.ConfigurationError, PolicyError, RecorderError, ApiError, AuthError) as error:
         fail(str(error))
@@ -56,16 +55,3 @@ def announce(running: "Daemon") -> None:
     click.echo(f"softarm: serving {running.url} (API: {running.url}/docs), disarmed")
     click.echo(f"softarm: recording {log}" if log else "softarm: not recording (recorder.enabled is false)")
     click.echo("softarm: next: `softarm arm`, then `softarm goal reach -0.2 0.6`; Ctrl-C ends")
-
-
-def simulated_devices(model_file: Path | None) -> "Devices":
-    """The in-process robot, starting at this instant."""
-    import time
-
-    from softarm.daemon.shell.loop import Devices
-    from softarm.drivers.bodies.in_process import InProcessRobot
-    from softarm.drivers.bodies.simulated import SimulatedBody
-
-    body = SimulatedBody(flown_model(model_file))
-    robot = InProcessRobot(body, time.monotonic_ns())  # from here on it moves in real time
-    return Devices(robot.mocap, robot.regulator, robot.rail)

@@ -4,6 +4,7 @@ import logging
 import signal
 import sys
 import threading
+import time
 from collections.abc import Callable
 from types import FrameType
 
@@ -18,6 +19,7 @@ from softarm.daemon.tick import Controller
 from softarm.policies import registry
 from softarm.policies.runner import ThreadRunner
 from softarm.schemas.config import Config
+from softarm.schemas.model import Model
 
 log = logging.getLogger(__name__)
 
@@ -35,6 +37,15 @@ def real_devices(config: Config) -> Devices:
         TeensyRegulator(config.drivers.regulator),
         DryveRailAxis(config.drivers.rail),
     )
+
+
+def simulated_devices(model: Model | None = None) -> Devices:
+    """The robot simulated in this process, which moves in real time from this instant on. Needs the extra `sim`."""
+    from softarm.drivers.bodies.in_process import InProcessRobot
+    from softarm.drivers.bodies.simulated import SimulatedBody
+
+    robot = InProcessRobot(SimulatedBody(model), time.monotonic_ns())
+    return Devices(robot.mocap, robot.regulator, robot.rail)
 
 
 class Daemon:

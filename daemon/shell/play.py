@@ -1,0 +1,114 @@
+"""An excitation played by the daemon from arming to disarming, in real time on devices or in lockstep, and recorded."""
+
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import NamedTuple
+
+from softarm.daemon.logbook.recorder import Recorder
+from softarm.daemon.shell.daemon import Daemon
+from softarm.daemon.shell.loop import Devices
+from softarm.daemon.shell.offline import Lockstep
+from softarm.policies.excite import Excite
+from softarm.schemas.config import Config, Policy
+from softarm.schemas.goals import Goal, GoalStatus
+from softarm.schemas.model import Model
+
+_POLL_S = 0.1
+_ARMING_S = 10.0  # drivers connect, mocap is seen, drive and regulator arm
+
+
+class Played(NamedTuple):
+    """How an excitation went: `reached` when it was played to its end. No log when nothing is recorded."""
+
+    status: GoalStatus
+    log: Path | None
+
+
+def length_s(config: Config, excitation: str) -> float:
+    """How long it plays, its lead-in included. Raises PolicyError when there is none of that name."""
+    return (Excite.describe(excitation).episode_steps or 0) / config.control.rate_hz
+
+
+def play(config: Config, excitation: str, devices: Devices, on_time: Callable[[float], None]) -> Played:
+    """In real time; on_time(seconds played). The devices are left braked and vented, whatever happens.
+
+    Raises RuntimeError with the daemon's own reasons when it does not arm or does not start, and what Daemon does.
+    """
+    config = _with_excitation(config, excitation)
+    daemon = Daemon(config, devices)
+    daemon.start()
+    try:
+        _arm(daemon)
+        number = daemon.inbox.post("goal", goal=Goal("run"))
+        deadline_s = time.monotonic() + length_s(config, excitation) + _ARMING_S
+        while (status := _goal(daemon, number)) is None or status.state == "running":
+            on_time(0.0 if status is None else status.time_s)
+            if time.monotonic() > deadline_s:
+                raise RuntimeError("the control loop has stalled; see its own output")
+            time.sleep(_POLL_S)
+        return Played(status, daemon.recorder.path)
+    finally:
+        daemon.stop()  # brakes, vents and switches off
+
+
+def play_simulated(config: Config, excitation: str, model: Model | None, on_time: Callable[[float], None]) -> Played:
+    """In lockstep with the simulated robot: no sleeping, the same recording every time; on_time(seconds played).
+
+    Raises RuntimeError with the daemon's own reasons when it does not arm, RecorderError, and PolicyError for an
+    excitation that there is none of.
+    """
+    config = _with_excitation(config, excitation)
+    policy = Excite(excitation)
+    policy.spec = replace(policy.spec, name=config.control.policy)
+    recorder = Recorder(config, policy.spec)
+    recorder.start()
+    try:
+        lockstep = Lockstep(config, policy, model, recorder)
+        lockstep.arm()
+        outputs = lockstep.tick(lockstep.request("goal", Goal("run")))
+        while outputs.goal.state == "running":
+            outputs = lockstep.tick()
+            on_time(outputs.goal.time_s)
+        lockstep.tick(lockstep.request("disarm"))
+    finally:
+        recorder.stop()
+    return Played(outputs.goal, recorder.path)
+
+
+def _with_excitation(config: Config, excitation: str) -> Config:
+    """The configuration with the excitation as the policy in use."""
+    name = f"excite-{excitation}"
+    policies = {**config.policies, name: Policy(plugin="excite", options={"excitation": excitation})}
+    control = config.control.model_copy(update={"policy": name})
+    return config.model_copy(update={"policies": policies, "control": control})
+
+
+def _arm(daemon: Daemon) -> None:
+    """Wait until the daemon would arm, arm, and wait until it has. Raises RuntimeError with its own reasons."""
+    deadline_s = time.monotonic() + _ARMING_S
+    asked = False
+    reasons: tuple[str, ...] = ("no control tick yet",)
+    while time.monotonic() < deadline_s:
+        if (snapshot := daemon.loop.snapshot) is not None:
+            if snapshot.mode == "armed":
+                return
+            reasons = snapshot.arming_refusals or reasons
+            if not snapshot.arming_refusals and not asked:
+                daemon.inbox.post("arm")
+                asked = True
+        time.sleep(_POLL_S)
+    raise RuntimeError(f"did not arm within {_ARMING_S:.0f} s: {'; '.join(reasons)}; then try again")
+
+
+def _goal(daemon: Daemon, number: int) -> GoalStatus | None:
+    """How the goal goes; None until the loop has taken the request. Raises RuntimeError when it is refused."""
+    snapshot = daemon.loop.snapshot
+    answer = next((r for r in snapshot.results if r.number == number), None) if snapshot else None
+    if snapshot is None or answer is None:
+        # Requests are answered in the order they came: a running goal is ours even when its answer is long gone.
+        return snapshot.goal if snapshot and snapshot.goal.number else None
+    if not answer.accepted:
+        raise RuntimeError("; ".join(answer.reasons))
+    return snapshot.goal
