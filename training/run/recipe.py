@@ -3,6 +3,7 @@
 A recipe is a few lines of YAML; its `settings` have the names under which a policy's file records them.
 """
 
+from collections.abc import Mapping
 from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar, get_type_hints
@@ -65,6 +66,13 @@ class Recipe(Strict):
         if name not in PRESETS:
             raise ValueError(f"no task {name!r}; there is {', '.join(PRESETS)}")
         return name
+
+    def changed(self, model: Path | None, settings: Mapping[str, Setting | None]) -> "Recipe":
+        """The recipe with what is given instead of its own; None: its own."""
+        given = {name: value for name, value in settings.items() if value is not None}
+        return self.model_copy(
+            update={"model": self.model if model is None else str(model), "settings": self.settings | given}
+        )
 
 
 class Ingredients(NamedTuple):

@@ -55,6 +55,15 @@ class Standing:
     validation: float | None  # newest
     best: float | None
 
+    @property
+    def sentence(self) -> str:
+        """For people who watch."""
+        validation = "-" if self.validation is None else f"{self.validation:.1%}, best {self.best:.1%}"
+        return (
+            f"{self.frames / 1e6:.1f} M frames, {self.frames_per_s / 1e3:.0f} k/s, "
+            f"reward {self.reward:.2f}, valid {validation}"
+        )
+
 
 class Session:
     """One run. Files in `out`: latest.pt, best.pt, learning_curve.csv and .png, tensorboard/, at the end the policy,

@@ -224,6 +224,16 @@ def markdown(lines: list[Line]) -> str:
     return "\n".join(f"| {' | '.join(row)} |" for row in rows) + "\n"
 
 
+def save(sweep: Sweep, results: Iterable[Result], out: Path) -> str:
+    """Write all results, in the order of the sweep's file, to OUT/results.json and results.md; returns the latter."""
+    names = list(sweep.runs)
+    ordered = sorted(results, key=lambda each: (names.index(each.name), each.seed))
+    text = markdown(table(ordered))
+    files.write_text(out / "results.json", json.dumps([each._asdict() for each in ordered], indent=1) + "\n")
+    files.write_text(out / "results.md", text)
+    return text
+
+
 def spread(values: list[float]) -> tuple[float, float]:
     """Mean and standard deviation."""
     return mean(values), stdev(values) if len(values) > 1 else 0.0
