@@ -83,8 +83,9 @@ def run(
     recipe: "Recipe", console: "Console", targets: "Sequence[Goal] | None" = None, processes: int | None = None,
 ) -> None:  # fmt: skip
     """The verb with everything named. Raises TrialError, ModelFileError, CheckpointError, PolicyError, ValueError."""
-    from softarm.cli.diagnose import run as diagnose_inputs
+    from softarm.common.processes import bar
     from softarm.diagnosis import report
+    from softarm.diagnosis.from_files import diagnose_files
     from softarm.flights.closing import story as closing_story
     from softarm.flights.closing import summary as closing
     from softarm.flights.evaluation import CART_STARTS_M
@@ -95,8 +96,8 @@ def run(
 
     load_weights(policy)  # before minutes of work
     targets, spent = targets or TEST_TARGETS, dict[str, dict[str, float]]()
-    with _timed(spent, "diagnose"):
-        found = diagnose_inputs((campaign,), model_file, None, console)
+    with _timed(spent, "diagnose"), bar("reading") as shown:
+        found = diagnose_files([campaign], model_file, tell=shown.tell, warn=lambda text: click.echo(text, err=True))
     if found.nominal is None:
         raise ValueError(f"{campaign}: is of another rig, for which there is no policy; `softarm diagnose` is its verb")
     held_back = _of_the_nominal_body(held_back, found.nominal)
@@ -116,10 +117,10 @@ def run(
             retrained = _retrain(policy, found.patched, out, recipe, console)
         flown_policies[closing.NEW] = retrained.policy
     places.append(held_back)
-    with _timed(spent, "fly"), _bar(console) as bar:
+    with _timed(spent, "fly"), _bar(console) as moving:
         total = len(places) * len(flown_policies) * len(targets) * len(CART_STARTS_M)
-        task = bar.add_task("flying old and new" if retrained else "flying", total=total)
-        flown = fly_all(flown_policies, places, targets, lambda flights: bar.advance(task, flights), processes)
+        task = moving.add_task("flying old and new" if retrained else "flying", total=total)
+        flown = fly_all(flown_policies, places, targets, lambda flights: moving.advance(task, flights), processes)
     found = closing.with_task(found, flown, is_the_robot)
     story = closing_story.story(found, policy.stem, places, flown, retrained, targets)
     report.write(found, out / "report.html", story=story)
@@ -134,10 +135,10 @@ def _retrain(policy: Path, model: "Model", out: Path, recipe: "Recipe", console:
     """Behind a bar."""
     from softarm.training.run.retrain import retrain
 
-    with _bar(console) as bar:
-        task = bar.add_task("retraining", total=1.0)
+    with _bar(console) as moving:
+        task = moving.add_task("retraining", total=1.0)
         return retrain(policy, model, f"{out.name}/patched-model", out, recipe,
-                       lambda text, share: bar.update(task, description=text, completed=share))  # fmt: skip
+                       lambda text, share: moving.update(task, description=text, completed=share))  # fmt: skip
 
 
 def _held_back(robot: str, faults: Sequence[str]) -> "Place":

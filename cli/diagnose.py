@@ -1,31 +1,31 @@
 """`softarm diagnose`: where robot and simulator differ, which effect is behind it, how far the gap shrinks."""
 
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
-from softarm.cli.options import FILE
+from softarm.cli.errors import fail
+from softarm.cli.options import FILE, FOLDER, check_places
+from softarm.common.processes import bar
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from rich.console import Console
 
     from softarm.diagnosis.gap.result import Diagnosis
-    from softarm.diagnosis.trials import Trial
-    from softarm.schemas.model import Model
 
 INPUT = click.Path(path_type=Path)
-FOLDER = click.Path(path_type=Path, file_okay=False)
-_TABLES = (".yaml", ".yml")
-_READING = 0.05  # share of the bar that reading takes
 
 
 @click.command()
 @click.argument("inputs", metavar="INPUT...", type=INPUT, nargs=-1, required=True)
-@click.option("--model", "model_file", type=FILE, help="Nominal simulator: a file or a shipped name "
-              "(default: the campaign's model.yaml, else seed).")  # fmt: skip
+@click.option(
+    "--model",
+    "model_file",
+    type=FILE,
+    help="Nominal simulator: a file or a shipped name (default: the campaign's model.yaml, else seed).",
+)
 @click.option("--data", type=FOLDER, help="Where the files of a stage.yaml lie (default: beside it).")
 @click.option("--json", "json_file", type=FILE, help="Write the verdict to this file.")
 @click.option("--report", "report_file", type=FILE, help="Write the report, one HTML page, to this file.")
@@ -51,104 +51,38 @@ def diagnose(
     """
     from rich.console import Console
 
-    from softarm.cli.errors import fail
+    from softarm.common import files
     from softarm.diagnosis import report
+    from softarm.diagnosis.from_files import TABLES, diagnose_files
     from softarm.diagnosis.trials import TrialError
-    from softarm.simulator import model_file as files
+    from softarm.simulator import model_file as models
 
-    tables = [path for path in inputs if path.suffix in _TABLES]
-    if data is not None and not tables:
+    if data is not None and not any(path.suffix in TABLES for path in inputs):
         raise click.UsageError("--data is where the files of a stage.yaml lie: name one as INPUT, or leave --data out")
-    _check_places([path for path in (json_file, report_file, patch_file) if path is not None])
-    console = Console()
+    check_places(json_file, report_file, patch_file)
     try:
-        result = run(inputs, model_file, data, console)
-    except (TrialError, files.ModelFileError) as error:
+        with bar("reading") as shown:
+            result = diagnose_files(inputs, model_file, data, shown.tell, partial(click.echo, err=True))
+    except (TrialError, models.ModelFileError) as error:
         fail(str(error))
     written = []
     try:
         if json_file is not None:
-            json_file.write_text(result.verdict.model_dump_json(indent=1) + "\n", encoding="utf-8")
+            files.write_text(json_file, result.verdict.model_dump_json(indent=1) + "\n")
             written.append(json_file)
         if report_file is not None:
             report.write(result, report_file)
             written.append(report_file)
         if patch_file is not None and result.patched is not None:
-            files.save(result.patched, patch_file)
+            models.save(result.patched, patch_file)
             written.append(patch_file)
     except OSError as error:
         fail(f"{error.filename}: cannot be written ({error.strerror}); name another place")
-    _show(result, console, json_file)
+    _show(result, Console(), json_file)
     if patch_file is not None and result.patched is None:
         click.echo(f"{patch_file}: not written, {_no_patch(result)}", err=True)
     if written:
-        console.print(f"wrote {', '.join(map(str, written))}", soft_wrap=True, highlight=False)
-
-
-def _check_places(paths: list[Path]) -> None:
-    """Before minutes of work: can the results be put there? Ends the command with a sentence where not."""
-    from softarm.cli.errors import fail
-
-    for path in paths:
-        if not path.parent.is_dir():
-            fail(f"{path}: there is no folder {path.parent}; make it, or name another place")
-
-
-def run(inputs: tuple[Path, ...], model_file: Path | None, data: Path | None, console: "Console") -> "Diagnosis":
-    """Read and diagnose, with a bar. Raises TrialError and ModelFileError."""
-    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
-
-    from softarm.diagnosis.diagnose import diagnose
-
-    columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn())
-    with Progress(*columns, console=console, transient=True) as bar:
-        task = bar.add_task("reading", total=1.0)
-
-        def tell(text: str, share: float) -> None:
-            bar.update(task, description=text, completed=_READING + share * (1 - _READING))
-
-        trials = _read(inputs, data, lambda source: bar.update(task, description=f"reading {source.name}"))
-        return diagnose(trials, _nominal(inputs, model_file, trials), tell)
-
-
-def _read(inputs: tuple[Path, ...], data: Path | None, on_trial: "Callable[[Path], None]") -> "tuple[Trial, ...]":
-    """Every trial of the inputs; the files of a stage.yaml may lie in `data`. Raises TrialError."""
-    from softarm.diagnosis import tables
-    from softarm.diagnosis.read import read_all
-    from softarm.diagnosis.trials import unique_names
-
-    if data is None:
-        return read_all(inputs, on_trial)
-    rest = read_all([path for path in inputs if path.suffix not in _TABLES], on_trial)
-    own = (trial for path in inputs if path.suffix in _TABLES for trial in tables.read(path, data))
-    return unique_names((*rest, *own))
-
-
-def _nominal(inputs: tuple[Path, ...], model_file: Path | None, trials: "tuple[Trial, ...]") -> "Model | None":
-    """The simulator in question: --model, a campaign's model.yaml, else the seed's; None for another rig's tables.
-
-    Raises TrialError for campaigns with several, ModelFileError for one that cannot be read.
-    """
-    from softarm.diagnosis.folder import is_trial
-    from softarm.diagnosis.trials import TrialError
-    from softarm.schemas.model import Model
-    from softarm.simulator import model_file as files
-
-    if all(trial.stage is not None for trial in trials):
-        return None
-    if model_file is not None:
-        return files.load(model_file)
-    campaigns = {path if path.is_dir() and not is_trial(path) else path.parent for path in inputs}
-    beside = sorted(folder / "model.yaml" for folder in campaigns)
-    models = {path: files.load(path) for path in beside if path.is_file()}
-    if not models:
-        click.echo("no --model and no model.yaml beside the trials: the seed's simulator is taken as nominal", err=True)
-        return Model()
-    (one, model), *others = models.items()
-    for other, another in others:
-        if another != model:
-            raise TrialError(f"{one} and {other} differ; say by --model which of the simulators is meant")
-    return model
+        click.echo(f"wrote {', '.join(map(str, written))}")
 
 
 def _no_patch(result: "Diagnosis") -> str:
@@ -179,7 +113,6 @@ def _show(result: "Diagnosis", console: "Console", json_file: Path | None) -> No
         plan = verdict.next_experiment
         file = json_file or "VERDICT.json (of --json)"
         split = f" tells {', '.join(plan.separates)} apart" if plan.separates else ""
-        console.print(f"next: the excitation {plan.excitation}{split}: softarm excite --plan {file}",
-                      markup=False, highlight=False, soft_wrap=True)  # fmt: skip
+        click.echo(f"next: the excitation {plan.excitation}{split}: softarm excite --plan {file}")
     for warning in verdict.warnings:
         click.echo(f"warning: {warning}", err=True)

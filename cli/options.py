@@ -43,3 +43,10 @@ def flown_model(file: Path | None) -> "Model | None":
     if clock:
         click.echo(f"{', '.join(clock)}: not simulated here, the control loop that flies is the real one", err=True)
     return model
+
+
+def check_places(*files: Path | None) -> None:
+    """Before minutes of work: can the results be put there? Ends the command with a sentence where not."""
+    for file in files:
+        if file is not None and not file.parent.is_dir():
+            fail(f"{file}: there is no folder {file.parent}; make it, or name another place")

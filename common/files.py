@@ -36,7 +36,7 @@ def replacing(path: Path | str) -> Iterator[BinaryIO]:
     target = Path(os.path.realpath(target))
     draft = target.with_name(f".{target.name}.{secrets.token_hex(4)}")
     try:
-        with draft.open("xb") as file:
+        with _begun(draft, path) as file:
             if target.exists():
                 os.fchmod(file.fileno(), stat.S_IMODE(target.stat().st_mode))
             yield file
@@ -45,3 +45,11 @@ def replacing(path: Path | str) -> Iterator[BinaryIO]:
         draft.replace(target)
     finally:
         draft.unlink(missing_ok=True)
+
+
+def _begun(draft: Path, path: Path | str) -> BinaryIO:
+    """The opened draft; an error speaks of the file that people know."""
+    try:
+        return draft.open("xb")
+    except OSError as error:
+        raise OSError(error.errno, error.strerror, str(path)) from None

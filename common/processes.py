@@ -103,6 +103,10 @@ class Bar:
         """What is given is shown from now on."""
         self._progress.update(self._task, completed=done, total=total, description=text)
 
+    def tell(self, text: str, share: float) -> None:
+        """What is being done, and how much of it all is: a bar of total 1.0 as long work calls it back."""
+        self.show(share, text=text)
+
     def print(self, line: str) -> None:
         """A line that stays, above the bar."""
         self._progress.print(line, markup=False, highlight=False, soft_wrap=True)

@@ -1,7 +1,6 @@
 """`softarm close-gap`: what it leaves behind, with a stand-in for the diagnosis and a few frames of training."""
 
 import json
-import sys
 from types import SimpleNamespace
 
 import numpy as np
@@ -53,7 +52,7 @@ def asked(monkeypatch):
     def diagnose(trials, model, tell=None):
         return Diagnosis(asked.verdict, asked.nominal, asked.patched, (("a", "seed", 1.0),))
 
-    monkeypatch.setitem(sys.modules, "softarm.diagnosis.diagnose", SimpleNamespace(diagnose=diagnose))
+    monkeypatch.setattr("softarm.diagnosis.from_files.diagnose", diagnose)
     return asked
 
 

@@ -1,7 +1,6 @@
 """`softarm diagnose` and `softarm excite --plan`: what goes in and out; the diagnosis itself is a stand-in."""
 
 import json
-import sys
 from types import SimpleNamespace
 
 import numpy as np
@@ -77,7 +76,7 @@ def asked(monkeypatch):
         overlay = Overlay("pressure", trials[0].name, "seed", "pressure", "kPa", t, t, t + 1, None)
         return Diagnosis(asked.verdict, model, asked.patched, (("a", "seed", 1.0),), (overlay,))
 
-    monkeypatch.setitem(sys.modules, "softarm.diagnosis.diagnose", SimpleNamespace(diagnose=diagnose))
+    monkeypatch.setattr("softarm.diagnosis.from_files.diagnose", diagnose)
     return asked
 
 

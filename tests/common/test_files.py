@@ -97,3 +97,9 @@ def test_a_pipe_is_written_into_and_stays_a_pipe(tmp_path):
     listener.join(timeout=10)
     assert heard == [b"new"]
     assert (tmp_path / "pipe").is_fifo()
+
+
+def test_an_error_speaks_of_the_file_and_not_of_its_draft(tmp_path):
+    with pytest.raises(FileNotFoundError) as raised:
+        files.write_text(tmp_path / "no" / "a.txt", "new")
+    assert raised.value.filename == str(tmp_path / "no" / "a.txt")
