@@ -2,14 +2,15 @@
 
 import numpy as np
 
-PERIOD_S = 1 / 30
+from softarm.schemas.robot import CONTROL_PERIOD_S, PRESSURE_MAX_KPA, PRESSURE_MIN_KPA
+
 STEPS = 90
 
 
 def smooth(robots: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
     """Sums of three sinusoids in the command range: cart velocity (m/s), pressure (kPa), each [STEPS, R]."""
     rng = np.random.default_rng(seed)
-    t = np.arange(STEPS)[:, None] * PERIOD_S
+    t = np.arange(STEPS)[:, None] * CONTROL_PERIOD_S
 
     def wave() -> np.ndarray:
         total = sum(
@@ -26,4 +27,4 @@ def bang_bang(robots: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
     """Full-range switching, a fresh draw every 0.1 s; shapes as `smooth`."""
     rng = np.random.default_rng(seed)
     draws = rng.integers(0, 2, (2, STEPS // 3, robots)).repeat(3, axis=1)
-    return 2.0 * draws[0] - 1.0, np.where(draws[1] == 1, 20.0, -0.7)
+    return 2.0 * draws[0] - 1.0, np.where(draws[1] == 1, PRESSURE_MAX_KPA, PRESSURE_MIN_KPA)

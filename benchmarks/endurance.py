@@ -13,6 +13,7 @@ from rich.console import Console
 from rich.progress import track
 
 from softarm.benchmarks import results
+from softarm.schemas.robot import PRESSURE_MAX_KPA, PRESSURE_MIN_KPA, RAIL_LIMIT_M, TRAINING_PHYSICS_RATE_HZ
 from softarm.simulator.effects import REGISTRY
 from softarm.simulator.simulator import Simulator
 
@@ -31,19 +32,20 @@ class Episodes:
     wild: int  # robots that ended wound up
 
 
-def fly(robots: int, seed: int, rate_hz: float = 240.0) -> Episodes:
+def fly(robots: int, seed: int, rate_hz: float = TRAINING_PHYSICS_RATE_HZ) -> Episodes:
     """Fly one episode a robot, full-range commands every tenth of a second, a shelf within reach."""
     rng = np.random.default_rng(seed)
     simulator = Simulator(None, robots, rate_hz, overrides=draw(rng, robots))
     simulator.place_shelf(rng.uniform(-0.6, -0.25, robots), rng.uniform(0.55, 0.7, robots))
     simulator.reset(
-        cart_position_m=rng.uniform(-0.025, 0.25, robots),
+        cart_position_m=rng.uniform(-0.025, RAIL_LIMIT_M, robots),
         joint_angles_rad=rng.uniform(-0.17, 0.17, (robots, 5)),
-        pressure_kpa=rng.uniform(0.0, 20.0, robots),
+        pressure_kpa=rng.uniform(0.0, PRESSURE_MAX_KPA, robots),
     )
     for step in range(STEPS):
         if step % 3 == 0:
-            velocity, pressure = rng.uniform(-1.0, 1.0, robots), rng.choice([-0.7, 20.0], robots)
+            velocity = rng.uniform(-1.0, 1.0, robots)
+            pressure = rng.choice([PRESSURE_MIN_KPA, PRESSURE_MAX_KPA], robots)
         simulator.step(velocity, pressure)
     angles = simulator.link_angles_rad
     finite = bool(np.isfinite(angles).all() and np.isfinite(simulator.cart_position_m).all())

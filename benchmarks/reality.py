@@ -23,6 +23,7 @@ from softarm.policies.base import PolicyError
 from softarm.reality.parameters import Arm, Parameters
 from softarm.reality.robot import Robot
 from softarm.schemas.goals import TRAINED_Z_MAX_M
+from softarm.schemas.robot import CONTROL_PERIOD_S, PHYSICS_RATE_HZ
 from softarm.simulator.simulator import Simulator
 
 CART_SHARE = 0.3  # of the random commands' velocity, so that the cart stays off the stops
@@ -44,11 +45,11 @@ def agreement_mm(draw: Callable[..., tuple[NDArray[np.float64], NDArray[np.float
     apart = []
     for seed in range(sets):
         velocity, pressure = draw(1, seed=seed)
-        simulator, robot = Simulator(physics_rate_hz=1200.0), Robot(Parameters(arm=Arm(pieces=pieces)))
+        simulator, robot = Simulator(physics_rate_hz=PHYSICS_RATE_HZ), Robot(Parameters(arm=Arm(pieces=pieces)))
         for tick, (v, p) in enumerate(zip(CART_SHARE * velocity[:, 0], pressure[:, 0], strict=True)):
-            simulator.step(float(v), float(p), commands.PERIOD_S)
-            robot.command(tick * commands.PERIOD_S, float(v), float(p))
-            robot.advance((tick + 1) * commands.PERIOD_S)
+            simulator.step(float(v), float(p), CONTROL_PERIOD_S)
+            robot.command(tick * CONTROL_PERIOD_S, float(v), float(p))
+            robot.advance((tick + 1) * CONTROL_PERIOD_S)
             apart.append(robot.truth.link_ends_m[-1] - simulator.tip_m()[0])
     return float(1e3 * np.sqrt(np.square(apart).sum(axis=1).mean()))
 

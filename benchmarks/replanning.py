@@ -27,8 +27,8 @@ from softarm.policies import registry
 from softarm.policies.base import Array, Policy, PolicyError
 from softarm.schemas.config import Config
 from softarm.schemas.goals import TEST_TARGETS, TRAINED_Z_MAX_M
+from softarm.schemas.robot import CONTROL_PERIOD_S
 
-PERIOD_S = 1 / 30
 PATIENCE_TICKS = (6, 20)  # after which a goal is replaced in mid-swing
 EASY_Z_MAX_M = 0.65  # of goals that the rail is long enough for
 
@@ -110,8 +110,8 @@ def fly_paced(policy: Policy, seconds: float, advance: Callable[[], None]) -> di
     reached: list[bool] = []
     patience: int | None = None  # ticks until the goal under way is replaced; None: it is flown to its end
     deadline = time.perf_counter()
-    for _ in range(round(seconds / PERIOD_S)):
-        deadline += PERIOD_S
+    for _ in range(round(seconds / CONTROL_PERIOD_S)):
+        deadline += CONTROL_PERIOD_S
         time.sleep(max(0.0, deadline - time.perf_counter()))
         if outputs.goal.state == "running" and patience != 0:
             outputs = daemon.tick()
@@ -144,7 +144,7 @@ def main(name: str, seconds: float, json_file: Path | None) -> None:
     except PolicyError as error:
         raise click.ClickException(str(error)) from None
     with Progress(console=console, transient=True) as progress:
-        task = progress.add_task(name, total=FLIGHTS + round(seconds / PERIOD_S))
+        task = progress.add_task(name, total=FLIGHTS + round(seconds / CONTROL_PERIOD_S))
         targets = fly_targets(policy, lambda: progress.advance(task))
         paced = fly_paced(policy, seconds, lambda: progress.advance(task))
     success = targets["success"]

@@ -28,10 +28,10 @@ from rich.progress import Progress
 from softarm.benchmarks import commands, results, simulator_profile
 from softarm.benchmarks.mujoco_arm import mjcf
 from softarm.schemas.model import Cart, Model, seed_effects
+from softarm.schemas.robot import CONTROL_PERIOD_S, TRAINING_PHYSICS_RATE_HZ
 from softarm.simulator.simulator import Simulator
 
 ROBOTS = 4096
-RATE_HZ = 240.0
 REFERENCE_SUBSTEPS = 400
 CANDIDATES = (20, 30, 40, 50, 60, 70, 80, 90, 100, 120, 140, 160, 200, 240, 320)
 # MuJoCo's error may be this much above ours and still count as equal.
@@ -79,7 +79,7 @@ def run(quick: bool = False) -> dict[str, Any]:
         "ratio": our_speed / mujoco_speed,
         "tip_error_mm": ours,
         "mujoco_tip_error_mm": theirs,
-        "step_rate_hz": RATE_HZ,
+        "step_rate_hz": TRAINING_PHYSICS_RATE_HZ,
         "mujoco_step_rate_hz": 30 * substeps,
         "mujoco_integrator": "implicitfast",
         "mujoco_version": mujoco.__version__,
@@ -98,16 +98,16 @@ def _command_sets(of_each: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _our_tips(velocity: np.ndarray, pressure: np.ndarray) -> np.ndarray:
-    simulator = Simulator(MODEL, velocity.shape[1], RATE_HZ)
+    simulator = Simulator(MODEL, velocity.shape[1], TRAINING_PHYSICS_RATE_HZ)
     for v, p in zip(velocity, pressure, strict=True):
-        simulator.step(v, p, commands.PERIOD_S)
+        simulator.step(v, p, CONTROL_PERIOD_S)
     return simulator.tip_m()
 
 
 def _mujoco_tips(
     velocity: np.ndarray, pressure: np.ndarray, substeps: int, cores: int, integrator: str = "implicitfast"
 ) -> np.ndarray:
-    model = mujoco.MjModel.from_xml_string(mjcf(MODEL, substeps / commands.PERIOD_S, integrator, actuators=True))
+    model = mujoco.MjModel.from_xml_string(mjcf(MODEL, substeps / CONTROL_PERIOD_S, integrator, actuators=True))
     control = _mujoco_controls(velocity, pressure, substeps)
     workers = [mujoco.MjData(model) for _ in range(cores)]
     with rollout.Rollout(nthread=cores) as pool:
@@ -122,7 +122,7 @@ def _mujoco_tips(
 def _mujoco_controls(velocity: np.ndarray, pressure: np.ndarray, substeps: int) -> np.ndarray:
     """Return what the actuators see: delayed velocity and mean lagged pressure, [robots, steps, 2]."""
     lag, delay_s = MODEL.effects["pressure.lag"], MODEL.effects["rail.delay"]["delay"]
-    dt = commands.PERIOD_S / substeps
+    dt = CONTROL_PERIOD_S / substeps
     late = round(delay_s / dt)
     fine_velocity, fine_pressure = np.repeat(velocity, substeps, axis=0), np.repeat(pressure, substeps, axis=0)
     control = np.zeros((*fine_velocity.shape[::-1], 2))
@@ -152,8 +152,8 @@ class _Race:
 
     def __init__(self, mujoco_substeps: int, cores: int) -> None:
         self._velocity, self._pressure = commands.smooth(ROBOTS, seed=3)
-        self._simulator = Simulator(MODEL, ROBOTS, RATE_HZ)
-        self._model = mujoco.MjModel.from_xml_string(mjcf(MODEL, mujoco_substeps / commands.PERIOD_S, actuators=True))
+        self._simulator = Simulator(MODEL, ROBOTS, TRAINING_PHYSICS_RATE_HZ)
+        self._model = mujoco.MjModel.from_xml_string(mjcf(MODEL, mujoco_substeps / CONTROL_PERIOD_S, actuators=True))
         self._workers = [mujoco.MjData(self._model) for _ in range(cores)]
         self._pool = rollout.Rollout(nthread=cores)
         self._control = _mujoco_controls(
@@ -168,7 +168,7 @@ class _Race:
     def ours(self) -> float:
         start = time.perf_counter()
         for v, p in zip(self._velocity[: self.STEPS], self._pressure[: self.STEPS], strict=True):
-            self._simulator.step(v, p, commands.PERIOD_S)
+            self._simulator.step(v, p, CONTROL_PERIOD_S)
         return ROBOTS * self.STEPS / (time.perf_counter() - start)
 
     def mujoco(self) -> float:

@@ -9,12 +9,12 @@ from scipy.interpolate import CubicSpline
 
 from softarm.diagnosis.motion import Motion
 from softarm.schemas.model import Arm, Model
+from softarm.schemas.robot import TRAINING_PHYSICS_RATE_HZ
 from softarm.simulator.simulator import Simulator
 
 Array = NDArray[np.float64]
 
 PARAMETERS = ("stiffness_nm_rad", "damping_nm_s_rad", "muscle_gain_nm_kpa", "torque_offset_nm")
-PHYSICS_HZ = 240.0
 
 
 def to_columns(arm: Arm) -> Array:
@@ -43,7 +43,7 @@ class Bench:
         if columns.ndim != 2 or columns.shape[1] != len(PARAMETERS) * arm.links:
             raise ValueError(f"columns have shape {columns.shape}; give [robots, {len(PARAMETERS) * arm.links}]")
         models = [Model(arm=from_column(arm, column), effects={}) for column in columns]
-        self._simulator = Simulator(models, physics_rate_hz=PHYSICS_HZ)
+        self._simulator = Simulator(models, physics_rate_hz=TRAINING_PHYSICS_RATE_HZ)
         self._lengths = np.array(arm.link_length_m)
 
     def replay(self, motion: Motion, starts: Array) -> Array:

@@ -6,6 +6,7 @@ from itertools import pairwise
 import numpy as np
 
 from softarm.diagnosis.trials import Array, Series
+from softarm.schemas.robot import PRESSURE_MAX_KPA, PRESSURE_MIN_KPA
 
 GAP_FACTOR, GAP_MIN_S = 5.0, 0.05  # of the usual step: a gap
 SPLIT_S = 60.0  # a step longer than this is a jump of the clock, not a pause
@@ -83,7 +84,8 @@ def _pressure_units(channels: Mapping[str, Series], where: str) -> Iterator[str]
         column = f"{where}/{name}: column pressure"
         if top > 40.0:
             unit = "Pa" if top > 4000 else "mbar or hPa"
-            yield f"{column} goes up to {top:.4g}; the range is -0.7 .. 20 kPa: is it in {unit}? convert to kPa"
+            allowed = f"{PRESSURE_MIN_KPA:g} .. {PRESSURE_MAX_KPA:g} kPa"
+            yield f"{column} goes up to {top:.4g}; the range is {allowed}: is it in {unit}? convert to kPa"
         elif tops.get("command", top) <= 0.02:
             continue  # the muscle was left at rest: what its sensor shows is noise
         elif 0.02 < top <= 0.3:

@@ -16,6 +16,7 @@ from softarm.reality.parameters import Parameters
 from softarm.schemas.config import Config
 from softarm.schemas.goals import SHELF_TARGETS, TEST_TARGETS, Goal
 from softarm.schemas.model import Model
+from softarm.schemas.robot import CONTROL_RATE_HZ
 
 BOARD_BELOW_M = 0.005  # from a shelf's target down to its lower board ([C], as training.shelf)
 SHELF_Y_M, SHELF_Z_M, SHELF_DEPTH_M = (-0.48, -0.40), (0.58, 0.67), (-0.05, 0.20)  # [P] section 4.2
@@ -128,7 +129,7 @@ class Swung(Policy):
         """Sinusoids, or what the policy wants."""
         if self._goals > 1:
             return self._policy.step(observation, goal)
-        wave = np.sin(2.0 * math.pi * self._swing.rate_hz * self._step / 30.0 + self._swing.phase_rad)
+        wave = np.sin(2.0 * math.pi * self._swing.rate_hz * self._step / CONTROL_RATE_HZ + self._swing.phase_rad)
         self._step += 1
         return np.array((0.6 * wave[0], 9.0 + 8.0 * wave[1]), dtype=np.float32)
 

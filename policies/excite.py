@@ -7,8 +7,8 @@ import numpy as np
 
 from softarm.policies.base import Array, PolicyError, PolicySpec
 from softarm.schemas.excitation import EXCITATIONS
+from softarm.schemas.robot import CONTROL_RATE_HZ
 
-RATE_HZ = 30.0
 LEAD_IN_S = 4.0  # the cart comes to the middle, the arm to rest
 _APPROACH_PER_S, _APPROACH_MAX_M_S = 2.0, 0.15
 _CART = 0  # in the observation
@@ -35,7 +35,7 @@ class Excite:
             hint = f"; did you mean {near[0]}?" if near else ""
             raise PolicyError(f"no excitation {excitation!r}{hint} (there are: {', '.join(EXCITATIONS)})")
         chosen = EXCITATIONS[excitation]
-        steps = math.ceil((LEAD_IN_S + chosen.duration_s) * RATE_HZ)
+        steps = math.ceil((LEAD_IN_S + chosen.duration_s) * CONTROL_RATE_HZ)
         return PolicySpec(
             "excite", f"plays {chosen.name}: {chosen.description}", needs_target=False, episode_steps=steps
         )
@@ -46,7 +46,7 @@ class Excite:
 
     def step(self, observation: Array, goal: Array) -> Array:
         """The next command; only the lead-in looks at the observation (where the cart is)."""
-        t_s = self._step / RATE_HZ - LEAD_IN_S
+        t_s = self._step / CONTROL_RATE_HZ - LEAD_IN_S
         self._step += 1
         if t_s >= 0:
             return np.array(self._excitation.at(t_s), dtype=np.float32)

@@ -11,8 +11,8 @@ from pydantic import ValidationError
 
 from softarm.policies.base import MODELS, Array, PolicyError, PolicySpec
 from softarm.schemas.policy import ACTION, GOALS, METADATA_KEY, OBSERVATION, REACH_GOAL, PolicyMetadata, Signal
+from softarm.schemas.robot import CONTROL_RATE_HZ
 
-RATE_HZ = 30
 _WARM_UP_STEPS = 3
 DEPTH_M = 0.075  # the middle of the depths that the seed trains its shelf policies on
 
@@ -161,8 +161,8 @@ def _metadata(path: Path, entries: dict[str, str]) -> PolicyMetadata:
         *_signal_problems("action", metadata.action, ACTION),
         *_golden_problems(metadata),
     ]
-    if metadata.rate_hz != RATE_HZ:
-        problems.append(f"rate_hz is {metadata.rate_hz:g}; the control loop runs at {RATE_HZ}")
+    if metadata.rate_hz != CONTROL_RATE_HZ:
+        problems.append(f"rate_hz is {metadata.rate_hz:g}; the control loop runs at {CONTROL_RATE_HZ}")
     if problems:
         raise PolicyError(f"{path}: metadata: {'; '.join(problems)}: train or export it again for this robot")
     return metadata

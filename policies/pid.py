@@ -6,11 +6,11 @@ import numpy as np
 
 from softarm.policies.base import Array, PolicyError, PolicySpec
 from softarm.schemas.policy import ACTION, OBSERVATION
+from softarm.schemas.robot import CONTROL_PERIOD_S
 
 _NAMES = [signal.name for signal in OBSERVATION]
 _TIP = slice(_NAMES.index("tip_y"), _NAMES.index("tip_z") + 1)
 _TIP_VELOCITY = slice(_NAMES.index("tip_vy"), _NAMES.index("tip_vz") + 1)
-_STEP_S = 1 / 30
 _LOW = np.array([signal.low for signal in ACTION], dtype=np.float32)
 _HIGH = np.array([signal.high for signal in ACTION], dtype=np.float32)
 
@@ -50,7 +50,7 @@ class Pid:
     def step(self, observation: Array, goal: Array) -> Array:
         """Return [cart velocity, pressure] within `ACTION`'s ranges."""
         error = observation[_TIP] - goal
-        integral = self._integral + error * np.float32(_STEP_S)
+        integral = self._integral + error * np.float32(CONTROL_PERIOD_S)
         action = -self._kp * error - self._kd * observation[_TIP_VELOCITY] - self._ki * integral
         clipped: Array = np.clip(action, _LOW, _HIGH)
         self._integral = np.where(clipped == action, integral, self._integral)

@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softarm.policies.base import MODELS, Array, PolicyError
+from softarm.schemas.robot import CONTROL_RATE_HZ
 
 FORMAT = 1
-RATE_HZ = 30
 _SHAPES = {"target_m": 2, "cart_start_m": 1, "steps": 1, "miss_m": 1, "command": 3, "tip_m": 3}  # dimensions
 
 
@@ -35,7 +35,7 @@ class Plans:
         arrays = {name: getattr(self, name) for name in _SHAPES}
         arrays |= {"command": command.astype(np.float32), "tip_m": tip.astype(np.float32)}
         with file.open("wb") as opened:
-            np.savez_compressed(opened, format=FORMAT, rate_hz=RATE_HZ, model=self.model, **arrays)
+            np.savez_compressed(opened, format=FORMAT, rate_hz=CONTROL_RATE_HZ, model=self.model, **arrays)
 
     @classmethod
     def load(cls, file: Path) -> Self:
@@ -50,10 +50,10 @@ class Plans:
             raise PolicyError(f"{file} is not a file of plans ({error}); {again}") from error
         if missing := sorted({"format", "rate_hz", "model", *_SHAPES} - content.keys()):
             raise PolicyError(f"{file} lacks {', '.join(missing)}; {again}")
-        if int(content["format"]) != FORMAT or int(content["rate_hz"]) != RATE_HZ:
+        if int(content["format"]) != FORMAT or int(content["rate_hz"]) != CONTROL_RATE_HZ:
             raise PolicyError(
                 f"{file} has format {content['format']} at {content['rate_hz']} Hz; "
-                f"this version flies format {FORMAT} at {RATE_HZ} Hz: {again}"
+                f"this version flies format {FORMAT} at {CONTROL_RATE_HZ} Hz: {again}"
             )
         plans = cls(
             **{field.name: content[field.name] for field in fields(cls) if field.name != "model"},

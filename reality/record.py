@@ -16,8 +16,8 @@ from softarm.reality.parameters import Parameters
 from softarm.reality.robot import Robot
 from softarm.schemas.messages import BODY_NAMES, MocapFrame
 from softarm.schemas.policy import OBSERVATION
+from softarm.schemas.robot import CONTROL_RATE_HZ
 
-RATE_HZ = 30
 SETTLE_S = 0.5  # every sensor is heard; not recorded
 STALE_S = 0.1  # velocities are not differenced over a longer gap
 _CLOCK = 4  # the controller's random stream, beside the robot's own
@@ -118,11 +118,11 @@ def _fly(robot: Robot, excitation: Excitation, duration_s: float, random: np.ran
     robot.advance(SETTLE_S)
     before.take(robot)
     log.frame, log.pressure_kpa = before.frame, before.pressure_kpa
-    for tick in range(round(duration_s * RATE_HZ)):
+    for tick in range(round(duration_s * CONTROL_RATE_HZ)):
         late_s, fate = abs(random.normal()) * clock.tick_jitter_s, random.random()
         if fate < clock.missed_ticks:
             continue
-        since_s = tick / RATE_HZ + min(late_s, 0.9 / RATE_HZ)
+        since_s = tick / CONTROL_RATE_HZ + min(late_s, 0.9 / CONTROL_RATE_HZ)
         t_s = SETTLE_S + since_s
         robot.advance(t_s)
         log.take(robot)

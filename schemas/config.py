@@ -7,21 +7,30 @@ from pydantic import Field, model_validator
 
 from softarm.common.braking import BrakingLaw
 from softarm.schemas.base import Strict
+from softarm.schemas.robot import (
+    CART_VELOCITY_MAX_M_S,
+    CONTROL_PERIOD_S,
+    CONTROL_RATE_HZ,
+    PRESSURE_MAX_KPA,
+    PRESSURE_MIN_KPA,
+    RAIL_LIMIT_M,
+    RAIL_TRAVEL_M,
+)
 
 
 class RailLimits(Strict):
-    """What the safety filter holds the cart to. Mechanical travel is +-0.30 m, the task's limit +-0.25 m."""
+    """What the safety filter holds the cart to."""
 
-    position_min_m: Annotated[float, Field(ge=-0.30, le=0.30)] = -0.25
-    position_max_m: Annotated[float, Field(ge=-0.30, le=0.30)] = 0.25
-    velocity_max_m_s: Annotated[float, Field(gt=0, le=1.0)] = 1.0
+    position_min_m: Annotated[float, Field(ge=-RAIL_TRAVEL_M, le=RAIL_TRAVEL_M)] = -RAIL_LIMIT_M
+    position_max_m: Annotated[float, Field(ge=-RAIL_TRAVEL_M, le=RAIL_TRAVEL_M)] = RAIL_LIMIT_M
+    velocity_max_m_s: Annotated[float, Field(gt=0, le=CART_VELOCITY_MAX_M_S)] = CART_VELOCITY_MAX_M_S
     # The drive's own ramp is refused above this; a drive without one has its set-points slewed at it.
     acceleration_max_m_s2: Annotated[float, Field(gt=0, le=20.0)] = 6.0
     # What speeding up and braking are counted on: the swinging arm pulls the cart along either way.
     surge_m_s2: Annotated[float, Field(gt=0, le=40.0)] = 9.0
     braking_m_s2: Annotated[float, Field(gt=0, le=20.0)] = 3.0
     # From a command to its effect on the cart.
-    latency_s: Annotated[float, Field(ge=0, le=0.2)] = 1 / 30
+    latency_s: Annotated[float, Field(ge=0, le=0.2)] = CONTROL_PERIOD_S
     # How far before the limit the filter aims to stop; covers sensing error and the arm's pull at rest.
     margin_m: Annotated[float, Field(ge=0, le=0.1)] = 0.01
 
@@ -50,8 +59,8 @@ class RailLimits(Strict):
 class PressureLimits(Strict):
     """What the safety filter holds the muscle's pressure to (gauge)."""
 
-    min_kpa: Annotated[float, Field(ge=-0.7, le=0.0)] = -0.7
-    max_kpa: Annotated[float, Field(gt=0.0, le=20.0)] = 20.0
+    min_kpa: Annotated[float, Field(ge=PRESSURE_MIN_KPA, le=0.0)] = PRESSURE_MIN_KPA
+    max_kpa: Annotated[float, Field(gt=0.0, le=PRESSURE_MAX_KPA)] = PRESSURE_MAX_KPA
     # The seed's policies may step the full range within a tick (621 kPa/s at 30 Hz); lower it to be gentle.
     slew_max_kpa_s: Annotated[float, Field(gt=0, le=1000.0)] = 621.0
     # The regulator's own sensor may pass the range by this much before the failsafe stops the arm.
@@ -81,7 +90,7 @@ class Failsafe(Strict):
 class Control(Strict):
     """The loop."""
 
-    rate_hz: Literal[30] = 30  # what the shipped policies were trained at
+    rate_hz: Literal[30] = CONTROL_RATE_HZ
     realtime_priority: Annotated[int, Field(ge=0, le=98)] = 20  # SCHED_FIFO of the loop where granted; 0: off
     policy: str = "reach"  # at start
 
@@ -106,7 +115,7 @@ class Goals(Strict):
 
     workspace: Workspace = Workspace()
     success_radius_m: Annotated[float, Field(gt=0, le=0.2)] = 0.04
-    time_limit_s: Annotated[float, Field(gt=0, le=600)] = 100 / 30
+    time_limit_s: Annotated[float, Field(gt=0, le=600)] = 100 / CONTROL_RATE_HZ
 
 
 class Policy(Strict):

@@ -8,9 +8,7 @@ import math
 from dataclasses import dataclass
 from typing import Protocol
 
-PRESSURE_MIN_KPA, PRESSURE_MAX_KPA = -0.7, 20.0  # command range [P]
-CART_VELOCITY_MAX_M_S = 1.0  # [P]
-CART_EXCURSION_MAX_M = 0.20  # of what is commanded; the soft limit is 0.25
+CART_EXCURSION_MAX_M = 0.20  # of what is commanded: short of RAIL_LIMIT_M
 
 
 class Segment(Protocol):

@@ -11,6 +11,7 @@ from typing import Annotated, Self
 from pydantic import Field, model_validator
 
 from softarm.schemas.base import Strict
+from softarm.schemas.robot import CONTROL_PERIOD_S, RAIL_TRAVEL_M
 
 KPA_PER_PSI = 6.894757
 
@@ -58,7 +59,7 @@ class Cart(Strict):
     acceleration_gain_kg: NonNegative = 0.30
     velocity_gain_n_s_m: NonNegative = 30.0
     tracking_switch_m_s: NonNegative = 0.1
-    travel_m: Positive = 0.30  # mechanical stops at +-travel_m [P]
+    travel_m: Positive = RAIL_TRAVEL_M  # mechanical stops at +-travel_m
 
 
 # An effect's parameters by name, each in the unit that the registry says (simulator/effects.py); inf is allowed: the
@@ -70,9 +71,9 @@ def seed_effects() -> dict[str, dict[str, float]]:
     """The four effects of the seed's simulator; its Table 1 removes them one by one."""
     return {
         # [C] filters once per 30 Hz step and keeps 0.81 (inflating) and 0.86 (deflating) of the old pressure.
-        "pressure.lag": {"inflate": -1 / 30 / math.log(0.81), "deflate": -1 / 30 / math.log(0.86)},
+        "pressure.lag": {"inflate": -CONTROL_PERIOD_S / math.log(0.81), "deflate": -CONTROL_PERIOD_S / math.log(0.86)},
         "rail.acceleration_limit": {"acceleration": 6.0},  # m/s^2 [P]
-        "rail.delay": {"delay": 1 / 30},  # one control step [P]
+        "rail.delay": {"delay": CONTROL_PERIOD_S},  # one control step [P]
         "observation.finite_difference": {},
     }
 

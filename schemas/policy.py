@@ -5,6 +5,7 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from softarm.schemas.base import Strict
+from softarm.schemas.robot import CART_VELOCITY_MAX_M_S, PRESSURE_MAX_KPA, PRESSURE_MIN_KPA
 
 METADATA_KEY = "softarm"
 TaskKind = Literal["reach", "shelf"]
@@ -33,8 +34,8 @@ REACH_GOAL = (Signal(name="target_y", unit="m"), Signal(name="target_z", unit="m
 SHELF_GOAL = (*REACH_GOAL, Signal(name="target_depth", unit="m"))  # behind the shelf's front edge
 GOALS = {"reach": REACH_GOAL, "shelf": SHELF_GOAL}  # by the policy's task
 ACTION = (
-    Signal(name="cart_velocity", unit="m/s", low=-1.0, high=1.0),
-    Signal(name="pressure", unit="kPa", low=-0.7, high=20.0),
+    Signal(name="cart_velocity", unit="m/s", low=-CART_VELOCITY_MAX_M_S, high=CART_VELOCITY_MAX_M_S),
+    Signal(name="pressure", unit="kPa", low=PRESSURE_MIN_KPA, high=PRESSURE_MAX_KPA),
 )
 
 

@@ -8,13 +8,11 @@ import math
 from typing import NamedTuple
 
 from softarm.schemas.model import Model
+from softarm.schemas.robot import CART_VELOCITY_MAX_M_S, PHYSICS_RATE_HZ, PRESSURE_MAX_KPA, PRESSURE_MIN_KPA
 from softarm.simulator import effects
 from softarm.simulator.effects import REGISTRY
 
 RADIUS_M = 0.0381  # of the beam ([P] SM-E); looks alone, nothing collides
-COMMAND_KPA = (-0.7, 20.0)  # [P] section 3.2
-COMMAND_M_S = 1.0
-PHYSICS_HZ = 1200.0  # the seed's
 
 # Effects that the file holds as they are, whatever their values.
 _EXPRESSED = {
@@ -48,7 +46,7 @@ def export(model: Model) -> Export:
         '<mujoco model="softarm">',
         *(f"  <!-- Left out: {sentence.replace('--', '- -')} -->" for sentence in left_out),
         '  <compiler angle="radian" inertiafromgeom="false"/>',
-        f'  <option timestep="{1 / PHYSICS_HZ!r}" integrator="implicitfast" gravity="{_gravity(model)}"/>',
+        f'  <option timestep="{1 / PHYSICS_RATE_HZ!r}" integrator="implicitfast" gravity="{_gravity(model)}"/>',
         '  <default><geom contype="0" conaffinity="0"/></default>',
         "  <worldbody>",
         '    <light pos="0 -2 3" dir="0 0.5 -1"/>',
@@ -120,14 +118,14 @@ def _actuators(model: Model) -> list[str]:
         1.0 + effects.value(model, "pressure.gain", "scale"),
         effects.value(model, "pressure.gain", "offset"),
     )
-    lowest, highest = COMMAND_KPA[0], (effects.value(model, "pressure.ceiling", "limit") - zero) / reached
-    highest = min(max(highest, lowest + 1e-3), COMMAND_KPA[1])
+    lowest, highest = PRESSURE_MIN_KPA, (effects.value(model, "pressure.ceiling", "limit") - zero) / reached
+    highest = min(max(highest, lowest + 1e-3), PRESSURE_MAX_KPA)
     return [
         f'<tendon><fixed name="muscle">{coefficients}</fixed></tendon>',
         "<actuator>",
         f'  <general name="cart_velocity" joint="cart" {_filter(effects.value(model, "rail.lag", "time"))}'
         f' gainprm="{kv * feed!r}" biastype="affine" biasprm="0 0 {-kv!r}"'
-        f' ctrllimited="true" ctrlrange="{-COMMAND_M_S} {COMMAND_M_S}"/>',
+        f' ctrllimited="true" ctrlrange="{-CART_VELOCITY_MAX_M_S} {CART_VELOCITY_MAX_M_S}"/>',
         f'  <general name="pressure" tendon="muscle" {_filter(_mean_lag(model))}'
         f' gainprm="{reached!r}" biastype="affine" biasprm="{zero!r} 0 0"'
         f' ctrllimited="true" ctrlrange="{lowest!r} {highest!r}"/>',

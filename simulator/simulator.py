@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from softarm.schemas.model import Model
+from softarm.schemas.robot import CONTROL_PERIOD_S, TRAINING_PHYSICS_RATE_HZ
 from softarm.simulator import kernel
 from softarm.simulator.kernel import layout
 from softarm.simulator.pack import Effects, needed, pack
@@ -63,7 +64,7 @@ class Simulator:
         self,
         model: Model | Sequence[Model] | None = None,
         robots: int | None = None,
-        physics_rate_hz: float = 240.0,
+        physics_rate_hz: float = TRAINING_PHYSICS_RATE_HZ,
         *,
         overrides: Mapping[str, ArrayLike] | None = None,
         fixed_base: bool = False,
@@ -183,7 +184,7 @@ class Simulator:
         self,
         cart_velocity_m_s: ArrayLike,
         pressure_kpa: ArrayLike,
-        duration_s: float = 1 / 30,
+        duration_s: float = CONTROL_PERIOD_S,
         *,
         late_s: ArrayLike | None = None,
     ) -> None:
@@ -197,7 +198,7 @@ class Simulator:
         self._command(self._at.pressure_command, pressure_kpa)
         self._run_late(self._advance, duration_s, late_s)
 
-    def fly(self, cart_velocity_m_s: Array, pressure_kpa: Array, step_s: float = 1 / 30) -> Array:
+    def fly(self, cart_velocity_m_s: Array, pressure_kpa: Array, step_s: float = CONTROL_PERIOD_S) -> Array:
         """Issue a command every step_s, T of them, on this thread alone; for planners, who fly thousands of plans.
 
         cart_velocity_m_s, pressure_kpa: [T, R]. Returns, at the end of every step, the cart's y and velocity and the

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from softarm.schemas.model import Model
+from softarm.schemas.robot import PHYSICS_RATE_HZ, TRAINING_PHYSICS_RATE_HZ
 from softarm.simulator.simulator import Array, Simulator
 
 Overrides = Mapping[str, ArrayLike]
@@ -99,7 +100,7 @@ def rail_alone(
     arm_force_n: ArrayLike = 0.0,
     robots: int | None = None,
     overrides: Overrides | None = None,
-    physics_rate_hz: float = 1200.0,
+    physics_rate_hz: float = PHYSICS_RATE_HZ,
     start_m: ArrayLike = 0.0,
 ) -> tuple[Array, Array]:
     """Replay velocity commands through the rail; returns the cart's position (m) and velocity (m/s), [S, R].
@@ -130,7 +131,7 @@ def arm_alone(
     *,
     robots: int | None = None,
     overrides: Overrides | None = None,
-    physics_rate_hz: float = 240.0,
+    physics_rate_hz: float = TRAINING_PHYSICS_RATE_HZ,
     joint_angles_rad: ArrayLike = 0.0,
     see: Callable[[Simulator], Array] = lambda simulator: simulator.link_angles_rad,
 ) -> Array:

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from softarm.schemas.model import Model
 from softarm.schemas.policy import ACTION, OBSERVATION
+from softarm.schemas.robot import TRAINING_PHYSICS_RATE_HZ
 from softarm.simulator import model_file
 from softarm.training.task.environment import Step
 from softarm.training.task.reach import ReachTask
@@ -149,7 +150,10 @@ class ReachEnv(_SingleEnv):
     """`SoftArmReach-v0`: swing the tip to a target in free space."""
 
     def __init__(
-        self, task: ReachTask | None = None, model: Model | Path | str | None = None, physics_rate_hz: float = 240.0
+        self,
+        task: ReachTask | None = None,
+        model: Model | Path | str | None = None,
+        physics_rate_hz: float = TRAINING_PHYSICS_RATE_HZ,
     ) -> None:
         """Default task: the seed's; model: a `Model`, a file or a shipped name. Raises ModelFileError."""
         super().__init__(task or ReachTask(), model, physics_rate_hz)
@@ -163,7 +167,7 @@ class ReachVectorEnv(_ManyEnv):
         num_envs: int = 1,
         task: ReachTask | None = None,
         model: Model | Path | str | None = None,
-        physics_rate_hz: float = 240.0,
+        physics_rate_hz: float = TRAINING_PHYSICS_RATE_HZ,
     ) -> None:
         """As `ReachEnv`."""
         super().__init__(task or ReachTask(), num_envs, model, physics_rate_hz)
@@ -173,7 +177,10 @@ class ShelfEnv(_SingleEnv):
     """`SoftArmShelf-v0`: swing the tip into a shelf, between two boards."""
 
     def __init__(
-        self, task: ShelfTask | None = None, model: Model | Path | str | None = None, physics_rate_hz: float = 240.0
+        self,
+        task: ShelfTask | None = None,
+        model: Model | Path | str | None = None,
+        physics_rate_hz: float = TRAINING_PHYSICS_RATE_HZ,
     ) -> None:
         """As `ReachEnv`."""
         super().__init__(task or ShelfTask(), model, physics_rate_hz)
@@ -187,7 +194,7 @@ class ShelfVectorEnv(_ManyEnv):
         num_envs: int = 1,
         task: ShelfTask | None = None,
         model: Model | Path | str | None = None,
-        physics_rate_hz: float = 240.0,
+        physics_rate_hz: float = TRAINING_PHYSICS_RATE_HZ,
     ) -> None:
         """As `ReachEnv`."""
         super().__init__(task or ShelfTask(), num_envs, model, physics_rate_hz)

@@ -38,10 +38,10 @@ from softarm.schemas.rest import (
     ReachBody,
     Refusal,
 )
+from softarm.schemas.robot import CONTROL_RATE_HZ
 
 ANSWER_S = 0.5  # the control loop answers within a tick or two
 POLL_S = 0.005
-STREAM_HZ = 30.0
 REFUSALS = {
     404: "no such policy; lists those there are",
     409: "refused by the control loop, with its reasons",
@@ -275,7 +275,9 @@ class _Api:
         entries = tuple(entry.model_copy(update={"recording": entry.name == own}) for entry in found)
         return _json(LogsAnswer(directory=str(directory), logs=entries).model_dump_json())
 
-    async def stream(self, socket: WebSocket, hz: Annotated[float, Query(gt=0, le=STREAM_HZ)] = STREAM_HZ) -> None:
+    async def stream(
+        self, socket: WebSocket, hz: Annotated[float, Query(gt=0, le=CONTROL_RATE_HZ)] = CONTROL_RATE_HZ
+    ) -> None:
         """Every status that is new, at most `hz` times a second; a slow client gets fewer of them."""
         await socket.accept()
         sender = asyncio.create_task(self._send(socket, 1 / hz))

@@ -21,6 +21,7 @@ from softarm.daemon.tick import Controller
 from softarm.drivers.base import Device, MocapSource, PressureRegulator, RailAxis
 from softarm.policies.base import PolicySpec
 from softarm.policies.runner import PolicyRunner
+from softarm.schemas.robot import CONTROL_RATE_HZ
 
 log = logging.getLogger(__name__)
 
@@ -70,7 +71,7 @@ class ControlLoop:
         recorder: TickRecorder | None,
         watchdog: GoodTicks | None = None,
         *,
-        rate_hz: int = 30,
+        rate_hz: int = CONTROL_RATE_HZ,
         realtime_priority: int = 0,
         clock: Callable[[], int] = time.monotonic_ns,
     ) -> None:

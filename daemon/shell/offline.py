@@ -14,9 +14,9 @@ from softarm.policies.runner import InlineRunner
 from softarm.schemas.config import Config
 from softarm.schemas.goals import Goal, GoalStatus
 from softarm.schemas.model import Model
+from softarm.schemas.robot import RAIL_LIMIT_M
 
 SETTLED_NS = 1_000_000_000  # jump in time when the robot is put somewhere; nothing is differenced across it
-LIMIT_M = 0.25  # of the cart: a target counts only when it was reached within it ([P] SM-D)
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,8 +30,8 @@ class Flight:
 
     @property
     def reached(self) -> bool:
-        """Whether it counts: reached, and the cart stayed within `LIMIT_M`."""
-        return self.status.state == "reached" and self.max_cart_m <= LIMIT_M
+        """Whether it counts: reached, and the cart stayed within the rail's limit ([P] SM-D)."""
+        return self.status.state == "reached" and self.max_cart_m <= RAIL_LIMIT_M
 
 
 class Lockstep:

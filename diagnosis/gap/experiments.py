@@ -10,11 +10,11 @@ from softarm.diagnosis.gap.robot_views import FLOOR_KPA, FLOOR_M_S
 from softarm.diagnosis.gap.view import Point
 from softarm.schemas.excitation import EXCITATIONS, Excitation
 from softarm.schemas.model import Model
+from softarm.schemas.robot import CONTROL_PERIOD_S
 from softarm.schemas.verdict import NextExperiment
 from softarm.simulator.effects import value
 from softarm.simulator.simulator import Simulator
 
-TICK_S = 1 / 30
 # Channel -> unit and what counts as a difference.
 CHANNELS = {
     "pressure": ("kPa", FLOOR_KPA),
@@ -68,8 +68,9 @@ def _expected(names: tuple[str, ...], seen: NDArray[np.float64]) -> dict[str, st
     spread = np.ptp(seen[:, 1:], axis=1) / floors
     t, c = np.unravel_index(int(np.argmax(spread)), spread.shape)
     channel, (unit, _) = list(CHANNELS.items())[c]
+    when = f"at {t * CONTROL_PERIOD_S:.1f} s"
     return {
-        name: f"{channel} {seen[t, 1 + i, c] - seen[t, 0, c]:+.3g} {unit} against nominal at {t * TICK_S:.1f} s"
+        name: f"{channel} {seen[t, 1 + i, c] - seen[t, 0, c]:+.3g} {unit} against nominal {when}"
         for i, name in enumerate(names)
     }
 
@@ -83,10 +84,10 @@ def _fly(model: Model, excitation: Excitation, points: list[Point]) -> NDArray[n
         overrides[path] = np.array([point.get(path, nominal) for point in points])
     simulator = Simulator(model, len(points), overrides=overrides)
     seen = []
-    for tick in range(round(excitation.duration_s / TICK_S)):
+    for tick in range(round(excitation.duration_s / CONTROL_PERIOD_S)):
         tip = simulator.tip_m()
         seen.append(
             np.stack((simulator.pressure_reading_kpa, simulator.cart_velocity_m_s, tip[:, 0], tip[:, 1]), axis=1)
         )
-        simulator.step(*excitation.at(tick * TICK_S), TICK_S)
+        simulator.step(*excitation.at(tick * CONTROL_PERIOD_S), CONTROL_PERIOD_S)
     return np.asarray(seen, dtype=np.float64)

@@ -4,10 +4,9 @@ import numpy as np
 
 from softarm.schemas.messages import BODY_NAMES, MocapFrame, Pose, PressureReading, RailReading
 from softarm.schemas.model import Model
+from softarm.schemas.robot import PHYSICS_RATE_HZ
 from softarm.simulator.sensors import Sensors
 from softarm.simulator.simulator import Simulator
-
-PHYSICS_HZ = 1200.0  # the seed's
 
 
 class SimulatedBody:
@@ -19,7 +18,7 @@ class SimulatedBody:
     Raises ValueError for a model with another number of links than there are marker sets.
     """
 
-    def __init__(self, model: Model | None = None, physics_rate_hz: float = PHYSICS_HZ) -> None:
+    def __init__(self, model: Model | None = None, physics_rate_hz: float = PHYSICS_RATE_HZ) -> None:
         self.model = model or Model()
         links = self.model.arm.links
         if links != len(BODY_NAMES) - 1:

@@ -8,9 +8,11 @@ import struct
 from dataclasses import dataclass
 from enum import IntEnum, IntFlag
 
+from softarm.schemas.robot import PRESSURE_MAX_KPA, PRESSURE_MIN_KPA
+
 VERSION = 1
 VENT_KPA = 0.0  # gauge: the muscle is open to the room
-PRESSURE_RANGE_KPA = (-0.7, 20.0)  # what the device accepts as a set-point [P]
+PRESSURE_RANGE_KPA = (PRESSURE_MIN_KPA, PRESSURE_MAX_KPA)  # what the device accepts as a set-point
 TIME_TO_LIVE_MAX_S = 0.25  # the device refuses to be left alone for longer
 
 _HEADER = struct.Struct("<BBII")  # version, type, sequence, sender's clock in microseconds (wraps)

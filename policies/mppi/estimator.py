@@ -9,10 +9,10 @@ from numpy.typing import NDArray
 
 from softarm.policies.mppi.shape import likely_joints, tip_from_cart_m
 from softarm.schemas.model import Model
+from softarm.schemas.robot import TRAINING_PHYSICS_RATE_HZ
 
 Array = NDArray[np.float64]
 
-PHYSICS_HZ = 240.0
 # Of an observation: cart y, tip y and z, pressure. Its velocities are differences of these.
 _MEASURED = [0, 2, 3, 7]
 # Standard deviations. Of the first guess:
@@ -39,7 +39,7 @@ class Estimator:
         n = model.arm.links
         self._links, self._period_s = n, period_s
         self.size = 2 * n + 3
-        self.simulator = Simulator(model, robots=2 * self.size + 1, physics_rate_hz=PHYSICS_HZ)
+        self.simulator = Simulator(model, robots=2 * self.size + 1, physics_rate_hz=TRAINING_PHYSICS_RATE_HZ)
         self._drift = self._variances(
             DRIFT_CART_M, DRIFT_ANGLE_RAD, DRIFT_CART_M_S, DRIFT_RATE_RAD_S, DRIFT_PRESSURE_KPA
         )

@@ -11,10 +11,10 @@ from softarm.policies.base import Array, PolicyError, PolicySpec
 from softarm.policies.mppi.estimator import Estimator
 from softarm.policies.mppi.planner import Planner
 from softarm.schemas.policy import OBSERVATION, REACH_GOAL
+from softarm.schemas.robot import CONTROL_PERIOD_S
 
 Seen = NDArray[np.float64]
 
-PERIOD_S = 1 / 30
 LOST_M = 0.04  # an estimate whose tip is so far from the seen one is begun anew
 _NAMES = [signal.name for signal in OBSERVATION]
 _COMMAND, _PRESSURE = _NAMES.index("previous_cart_velocity_command"), _NAMES.index("pressure")
@@ -58,8 +58,8 @@ class Mppi:
             loaded = model_file.load(model)
         except model_file.ModelFileError as error:
             raise PolicyError(f"option model: {error}") from error
-        self._estimator = Estimator(loaded, PERIOD_S)
-        self._planner = Planner(loaded, rollouts, round(horizon_s / PERIOD_S), PERIOD_S)
+        self._estimator = Estimator(loaded, CONTROL_PERIOD_S)
+        self._planner = Planner(loaded, rollouts, round(horizon_s / CONTROL_PERIOD_S), CONTROL_PERIOD_S)
         self._rounds, self._budget_ns, self._seed, self._clock = rounds, round(budget_s * 1e9), seed, clock
         self._warm_up(loaded.arm.base_height_m - sum(loaded.arm.link_length_m))
 

@@ -16,12 +16,10 @@ from softarm.policies.pid import Pid
 from softarm.schemas.config import Config
 from softarm.schemas.excitation import (
     CART_EXCURSION_MAX_M,
-    CART_VELOCITY_MAX_M_S,
     EXCITATIONS,
-    PRESSURE_MAX_KPA,
-    PRESSURE_MIN_KPA,
 )
 from softarm.schemas.goals import Goal
+from softarm.schemas.robot import CART_VELOCITY_MAX_M_S, PRESSURE_MAX_KPA, PRESSURE_MIN_KPA
 
 
 @pytest.mark.parametrize("name", EXCITATIONS)

@@ -8,6 +8,7 @@ import pytest
 from softarm.benchmarks import commands
 from softarm.benchmarks.mujoco_arm import fly
 from softarm.schemas.model import Arm, Cart, Model, seed_effects
+from softarm.schemas.robot import CONTROL_PERIOD_S
 from softarm.simulator.simulator import Simulator
 
 # MuJoCo's arm has no end stops.
@@ -18,13 +19,13 @@ MUJOCO_SUBSTEPS = 300  # 9 kHz: its own error is then below 0.1 mm on average
 def tips_m(model: Model, velocity: np.ndarray, pressure: np.ndarray, rate_hz: float) -> np.ndarray:
     simulator = Simulator(model, velocity.shape[1], rate_hz)
     for v, p in zip(velocity, pressure, strict=True):
-        simulator.step(v, p, commands.PERIOD_S)
+        simulator.step(v, p, CONTROL_PERIOD_S)
     return simulator.tip_m()
 
 
 def mujoco_tips_m(model: Model, velocity: np.ndarray, pressure: np.ndarray, substeps: int) -> np.ndarray:
     columns = zip(velocity.T, pressure.T, strict=True)
-    return np.array([fly(model, v, p, commands.PERIOD_S, substeps)[-1] for v, p in columns])
+    return np.array([fly(model, v, p, CONTROL_PERIOD_S, substeps)[-1] for v, p in columns])
 
 
 def error_mm(ours: np.ndarray, theirs: np.ndarray) -> np.ndarray:

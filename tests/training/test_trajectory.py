@@ -7,13 +7,14 @@ from click.testing import CliRunner
 from softarm.cli.main import main
 from softarm.policies.plans import Plans
 from softarm.schemas.model import Model, seed_effects
+from softarm.schemas.robot import PHYSICS_RATE_HZ
 from softarm.training.task.reach import ReachTask
 from softarm.training.trajectory import ceiling
 from softarm.training.trajectory.guesses import library, nearest, random_knots
 from softarm.training.trajectory.optimiser import UNIT, Batch, Optimiser
 from softarm.training.trajectory.planner import plan
 from softarm.training.trajectory.problem import Problem, interpolation
-from softarm.training.trajectory.rollout import VERIFYING_HZ, Rollouts
+from softarm.training.trajectory.rollout import Rollouts
 
 TARGETS = np.array([[-0.2, 0.6], [-0.3, 0.7], [0.0, 0.8]], dtype=np.float32)
 REACHABLE = np.array([True, True, False])  # (0, 0.8): the rail is too short, whoever swings
@@ -48,7 +49,7 @@ def test_reachable_targets_are_hit_and_others_are_said_to_be_missed(report):
 
 def test_a_plan_flown_again_goes_where_it_says_whatever_integrates_it(report):
     plans = report.plans
-    for rate_hz, tolerance_m in ((VERIFYING_HZ, 1e-4), (4800.0, 2e-3)):
+    for rate_hz, tolerance_m in ((PHYSICS_RATE_HZ, 1e-4), (4800.0, 2e-3)):
         flown = Rollouts(physics_rate_hz=rate_hz).fly(plans.command.transpose(1, 0, 2), plans.cart_start_m)
         for k in range(2):
             n = plans.steps[k]
@@ -58,7 +59,7 @@ def test_a_plan_flown_again_goes_where_it_says_whatever_integrates_it(report):
 
 def test_plans_keep_the_limits_with_room_for_the_tracker(report):
     problem, plans = Problem(), report.plans
-    flown = Rollouts(physics_rate_hz=VERIFYING_HZ).fly(plans.command.transpose(1, 0, 2), plans.cart_start_m)
+    flown = Rollouts(physics_rate_hz=PHYSICS_RATE_HZ).fly(plans.command.transpose(1, 0, 2), plans.cart_start_m)
     for k, n in enumerate(plans.steps):
         velocity, pressure = plans.command[k, :n].T
         assert np.abs(velocity).max() <= problem.velocity_max_m_s + 1e-6
@@ -80,7 +81,7 @@ def test_a_plan_knows_the_effects_of_its_model(small, report):
     target = TARGETS[1:2]
     late = plan(target, (0.1,), Model(effects=effects), seed=1).plans
     usual = report.plans
-    there = Rollouts(Model(effects=effects), physics_rate_hz=VERIFYING_HZ)
+    there = Rollouts(Model(effects=effects), physics_rate_hz=PHYSICS_RATE_HZ)
 
     def end_miss_m(plans: Plans, k: int) -> float:
         flown = there.fly(plans.command.transpose(1, 0, 2), plans.cart_start_m)

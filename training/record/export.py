@@ -16,6 +16,7 @@ from onnx import TensorProto, helper, numpy_helper
 
 from softarm.common import files, revision
 from softarm.schemas.policy import ACTION, METADATA_KEY, OBSERVATION, Golden, PolicyMetadata, TrainingRange
+from softarm.schemas.robot import PHYSICS_RATE_HZ
 from softarm.training.learn.inference import infer, workers
 from softarm.training.learn.network import PolicyNetwork
 from softarm.training.learn.normaliser import CLIP
@@ -126,7 +127,7 @@ def golden_run(network: PolicyNetwork, task: ReachTask, steps: int = 100) -> Gol
     """Record a closed-loop run of one robot at a typical target: what the exported file has to reproduce."""
     # No radius: passing the target does not end the run.
     recorded = replace(task, action_noise=0.0, success_radius_m=0.0, episode_steps=steps + 1)
-    environment = environment_of(recorded, 1, seed=0, physics_rate_hz=1200.0)
+    environment = environment_of(recorded, 1, seed=0, physics_rate_hz=PHYSICS_RATE_HZ)
     target = np.array([[np.mean(task.target_y_m), np.mean(task.target_z_m)]], dtype=np.float32)
     observation = environment.reset(at_rest(np.array([0.1]), environment.simulator.links), target)
     state = network.initial_state(1)

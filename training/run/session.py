@@ -11,6 +11,7 @@ import torch
 
 from softarm.schemas.model import Model
 from softarm.schemas.policy import ACTION
+from softarm.schemas.robot import TRAINING_PHYSICS_RATE_HZ
 from softarm.simulator import model_file
 from softarm.training.learn.inference import Workers, device_named, quick_dtype
 from softarm.training.learn.network import NetworkShape, PolicyNetwork
@@ -34,7 +35,7 @@ class TrainingConfig:
 
     seed: int = 1
     robots: int = 2048
-    physics_rate_hz: float = 240.0
+    physics_rate_hz: float = TRAINING_PHYSICS_RATE_HZ
     validate_every: int = 20  # iterations; a checkpoint is kept as often
     validation_trials: int = 1536
     averaging: float = 0.975  # share of the averaged weights that an iteration leaves, in the long run

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from softarm.schemas.goals import SHELF_TARGETS
 from softarm.schemas.model import Model
+from softarm.schemas.robot import PHYSICS_RATE_HZ, TRAINING_PHYSICS_RATE_HZ
 from softarm.training.learn.inference import Workers, infer
 from softarm.training.learn.network import PolicyNetwork
 from softarm.training.task.environment import Environment
@@ -65,7 +66,7 @@ class GridReport(NamedTuple):
     def sentence(self) -> str:
         """For people."""
         shares = f"{self.in_range:.1%} in range, {self.above:.1%} above, {self.all:.1%} in all"
-        return f"54 test targets from three starts, at 1200 Hz: {shares}"
+        return f"54 test targets from three starts, at {PHYSICS_RATE_HZ:g} Hz: {shares}"
 
 
 class ShelfReport(NamedTuple):
@@ -77,7 +78,8 @@ class ShelfReport(NamedTuple):
     @property
     def sentence(self) -> str:
         """For people."""
-        return f"the seed's 12 shelf trials, at 1200 Hz: {self.trials:.1%}; 500 random ones: {self.random:.1%}"
+        random = f"500 random ones: {self.random:.1%}"
+        return f"the seed's 12 shelf trials, at {PHYSICS_RATE_HZ:g} Hz: {self.trials:.1%}; {random}"
 
 
 class Tested(NamedTuple):
@@ -144,7 +146,7 @@ def fly(
     task: ReachTask,
     trials: Trials,
     pool: Workers,
-    physics_rate_hz: float = 240.0,
+    physics_rate_hz: float = TRAINING_PHYSICS_RATE_HZ,
     model: Model | None = None,
     dtype: torch.dtype = torch.float32,
     randomisation: Randomisation | None = None,
@@ -177,7 +179,7 @@ def shelf_test(
     network: PolicyNetwork,
     task: ShelfTask,
     pool: Workers,
-    physics_rate_hz: float = 1200.0,
+    physics_rate_hz: float = PHYSICS_RATE_HZ,
     model: Model | None = None,
 ) -> Tested:
     """Success at the shelf on a model (default: the seed's), for the record; nothing is chosen by it."""
@@ -192,7 +194,7 @@ def grid_test(
     network: PolicyNetwork,
     task: ReachTask,
     pool: Workers,
-    physics_rate_hz: float = 1200.0,
+    physics_rate_hz: float = PHYSICS_RATE_HZ,
     model: Model | None = None,
 ) -> Tested:
     """Success on the 54 targets on a model (default: the seed's), for the record; nothing is chosen by it."""
@@ -207,7 +209,7 @@ def grid_report(
     network: PolicyNetwork,
     task: ReachTask,
     pool: Workers,
-    physics_rate_hz: float = 1200.0,
+    physics_rate_hz: float = PHYSICS_RATE_HZ,
     model: Model | None = None,
 ) -> GridReport:
     """Only the shares of `grid_test`."""

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from softarm.schemas.model import Model
 from softarm.schemas.policy import ACTION, OBSERVATION, REACH_GOAL
+from softarm.schemas.robot import TRAINING_PHYSICS_RATE_HZ
 from softarm.simulator.model_rows import idle_effects
 from softarm.simulator.sensors import Clock, Sensors
 from softarm.simulator.simulator import Simulator
@@ -62,7 +63,7 @@ class Environment:
         robots: int,
         seed: int,
         model: Model | None = None,
-        physics_rate_hz: float = 240.0,
+        physics_rate_hz: float = TRAINING_PHYSICS_RATE_HZ,
         randomisation: Randomisation | None = None,
     ) -> None:
         """Robots of one model (default: the seed's), alike but for what is randomised."""

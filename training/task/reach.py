@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softarm.schemas.policy import REACH_GOAL, Signal, TaskKind
+from softarm.schemas.robot import CONTROL_RATE_HZ, PRESSURE_MAX_KPA, PRESSURE_MIN_KPA, RAIL_LIMIT_M
 
 Array = NDArray[np.float32]
 Range = tuple[float, float]
@@ -27,14 +28,14 @@ class ReachTask:
     name: str = "reach"
     target_y_m: Range = (-0.4, 0.0)
     target_z_m: Range = (0.55, 0.70)
-    cart_start_m: Range = (-0.025, 0.25)  # [C]
+    cart_start_m: Range = (-0.025, RAIL_LIMIT_M)  # [C]
     joint_start_deg: float = 10.0  # uniform within +- this [C]
-    pressure_start_kpa: Range = (-0.7, 20.0)
+    pressure_start_kpa: Range = (PRESSURE_MIN_KPA, PRESSURE_MAX_KPA)
     vented_starts: float = 0.5  # share of the starts without pressure; [C] carries the last episode's over
     success_radius_m: float = 0.04
     episode_steps: int = 100
-    rate_hz: float = 30.0
-    rail_limit_m: float = 0.25  # an episode ends beyond it
+    rate_hz: float = float(CONTROL_RATE_HZ)
+    rail_limit_m: float = RAIL_LIMIT_M  # an episode ends beyond it
     success_reward: float = 1000.0
     speed_reward: float = 0.1  # per m/s of the tip
     rail_penalty: float = -100.0

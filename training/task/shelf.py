@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from softarm.schemas.model import Model
 from softarm.schemas.policy import OBSERVATION, SHELF_GOAL, Signal, TaskKind
+from softarm.schemas.robot import TRAINING_PHYSICS_RATE_HZ
 from softarm.training.task.environment import Environment
 from softarm.training.task.randomisation import Randomisation
 from softarm.training.task.reach import Range, ReachTask, Starts
@@ -55,7 +56,7 @@ class ShelfEnvironment(Environment):
         robots: int,
         seed: int,
         model: Model | None = None,
-        physics_rate_hz: float = 240.0,
+        physics_rate_hz: float = TRAINING_PHYSICS_RATE_HZ,
         randomisation: Randomisation | None = None,
     ) -> None:
         super().__init__(task, robots, seed, model, physics_rate_hz, randomisation)
@@ -89,7 +90,7 @@ def environment_of(
     robots: int,
     seed: int,
     model: Model | None = None,
-    physics_rate_hz: float = 240.0,
+    physics_rate_hz: float = TRAINING_PHYSICS_RATE_HZ,
     randomisation: Randomisation | None = None,
 ) -> Environment:
     """The environment of a task, whichever it is; arguments as `Environment`'s."""

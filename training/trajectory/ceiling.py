@@ -12,9 +12,10 @@ from numpy.typing import NDArray
 
 from softarm.schemas.model import Model
 from softarm.schemas.policy import ACTION
+from softarm.schemas.robot import TRAINING_PHYSICS_RATE_HZ
 from softarm.training.task.reach import ReachTask
 from softarm.training.trajectory.problem import Array, interpolation
-from softarm.training.trajectory.rollout import PLANNING_HZ, Rollouts
+from softarm.training.trajectory.rollout import Rollouts
 
 POPULATION, ELITES, ROUNDS = 96, 12, 40
 SMOOTH = 0.15  # how much of the old mean and spread a round keeps
@@ -35,7 +36,7 @@ def search(
     cart_start_m: float = 0.0,
     model: Model | None = None,
     seed: int = 0,
-    physics_rate_hz: float = PLANNING_HZ,
+    physics_rate_hz: float = TRAINING_PHYSICS_RATE_HZ,
     on_round: Callable[[], None] = lambda: None,
 ) -> Ceiling:
     """Search commands for every target [G, 2] from a straight, vented arm at rest; at the actuators' full ranges."""

@@ -9,11 +9,12 @@ from numpy.typing import NDArray
 
 from softarm.policies.plans import Plans
 from softarm.schemas.model import Model
+from softarm.schemas.robot import PHYSICS_RATE_HZ
 from softarm.training.task.reach import ReachTask
 from softarm.training.trajectory import guesses
 from softarm.training.trajectory.optimiser import INNER, OUTER, Batch, Optimiser, Solution
 from softarm.training.trajectory.problem import RAIL_SPARE_M, Array, Problem, interpolation
-from softarm.training.trajectory.rollout import VERIFYING_HZ, Rollouts
+from softarm.training.trajectory.rollout import Rollouts
 
 Advance = Callable[[str, float], None]  # what is being done, share of the whole that this took
 
@@ -86,7 +87,7 @@ class _Planner:
     def __init__(self, problem: Problem, model: Model | None) -> None:
         self._problem = problem
         self._rollouts = Rollouts(model, problem.rate_hz)
-        self._verifier = Rollouts(model, problem.rate_hz, VERIFYING_HZ)
+        self._verifier = Rollouts(model, problem.rate_hz, PHYSICS_RATE_HZ)
 
     def from_start(self, targets_m: Array, start_m: float, rng: np.random.Generator, on_advance: Advance) -> _Flown:
         """Optimise some guesses a target, fly them, keep the best of each target."""

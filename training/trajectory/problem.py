@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softarm.schemas.config import RailLimits
+from softarm.schemas.robot import CONTROL_RATE_HZ
 
 Array = NDArray[np.float32]
 RAIL_SPARE_M = 0.005  # the plans' distance from where the safety filter begins to brake
@@ -26,7 +27,7 @@ class Problem:
     """Weights and limits. Defaults: [P] SM-H where it gives a number."""
 
     steps_max: int = 98  # control steps until the tip is on target; the rest of 100 are for the extended horizon
-    rate_hz: float = 30.0
+    rate_hz: float = float(CONTROL_RATE_HZ)
     # diag(Q^k), diag(Q^N), of positions (m, rad) and of rates; R is 1 of both inputs.
     position_weight: float = 10.0
     rate_weight: float = 1.0

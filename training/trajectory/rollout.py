@@ -6,12 +6,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softarm.schemas.model import Model
+from softarm.schemas.robot import CONTROL_RATE_HZ, TRAINING_PHYSICS_RATE_HZ
 from softarm.simulator.simulator import Simulator
 from softarm.training.task.rail_guard import RailGuard
 
 Array = NDArray[np.float32]
-PLANNING_HZ = 240.0  # physics while planning; plans are verified at VERIFYING_HZ
-VERIFYING_HZ = 1200.0
 
 
 class Motion(NamedTuple):
@@ -25,7 +24,12 @@ class Motion(NamedTuple):
 class Rollouts:
     """Simulators by batch size, kept: making one costs more than a step."""
 
-    def __init__(self, model: Model | None = None, rate_hz: float = 30.0, physics_rate_hz: float = PLANNING_HZ) -> None:
+    def __init__(
+        self,
+        model: Model | None = None,
+        rate_hz: float = CONTROL_RATE_HZ,
+        physics_rate_hz: float = TRAINING_PHYSICS_RATE_HZ,
+    ) -> None:
         self.model = model or Model()
         self._rate_hz = rate_hz
         self._physics_rate_hz = physics_rate_hz
