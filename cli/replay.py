@@ -26,12 +26,13 @@ def replay(log: Path) -> None:
     from softarm.daemon.shell.replay import replay as replay_log
     from softarm.policies import registry
     from softarm.policies.base import PolicyError
+    from softarm.recordings.mcap_file import LogError
 
     try:
         recorded = logs.read(log)
         config = recorded.config
         ticks, differences = replay_log(recorded.ticks(), config, lambda name: registry.load(name, config.policies))
-    except (logs.LogError, PolicyError) as error:
+    except (LogError, PolicyError) as error:
         fail(str(error))
     click.echo(recorded.ending)
     for difference in differences[:SHOWN]:

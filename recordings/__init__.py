@@ -1,1 +1,1 @@
-"""Recordings as files: whole MCAP records and the devices' channels, for whoever reads or writes a log."""
+"""Recordings as files: MCAP written while it is flown, read however it ends, finished and listed."""

@@ -1,5 +1,6 @@
 """Whole records of an MCAP file, also of one that breaks off in the middle."""
 
+import os
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -43,3 +44,12 @@ def messages(path: Path) -> Iterator[tuple[str, bytes]]:
             topics[record.id] = record.topic
         elif isinstance(record, Message):
             yield topics[record.channel_id], record.data
+
+
+def is_finished(path: Path) -> bool:
+    """Does the file end as a whole MCAP file does? Raises OSError when it cannot be read."""
+    with path.open("rb") as file:
+        if os.fstat(file.fileno()).st_size < 2 * len(MCAP0_MAGIC):
+            return False
+        file.seek(-len(MCAP0_MAGIC), os.SEEK_END)
+        return bool(file.read() == MCAP0_MAGIC)

@@ -1,4 +1,4 @@
-"""What a log file (MCAP) holds, by name. Messages: `softarm.daemon.logbook.channels`; the page: docs/logs.md."""
+"""What a log file (MCAP) holds, by name. The devices' messages: `softarm.recordings.channels`; docs/logs.md has all."""
 
 from pydantic import AwareDatetime
 

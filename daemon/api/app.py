@@ -20,11 +20,11 @@ from softarm.daemon.api.status import RecorderState, Status, StatusView
 from softarm.daemon.control import workspace
 from softarm.daemon.control.inbox import Inbox, InboxFull
 from softarm.daemon.control.records import Outputs, Problems, RequestKind, RequestResult
-from softarm.daemon.logbook import logs
 from softarm.policies import registry
 from softarm.policies.base import Policy, PolicyError
 from softarm.policies.registry import PolicyEntry
 from softarm.policies.runner import PolicyRunner, ThreadRunner
+from softarm.recordings.listing import listing
 from softarm.schemas.config import Config
 from softarm.schemas.goals import Goal
 from softarm.schemas.rest import (
@@ -270,7 +270,7 @@ class _Api:
         """The logs in the recorder's directory."""
         directory = self._context.config.recorder.directory.absolute()
         current = self._context.recorder.path if self._context.recorder else None
-        found = await asyncio.to_thread(logs.listing, directory)
+        found = await asyncio.to_thread(listing, directory)
         own = None if current is None else current.name
         entries = tuple(entry.model_copy(update={"recording": entry.name == own}) for entry in found)
         return _json(LogsAnswer(directory=str(directory), logs=entries).model_dump_json())

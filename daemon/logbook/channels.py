@@ -6,13 +6,11 @@ order the messages that a tick used stand before it.
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any
 
 from softarm.daemon.control.records import Inputs, Outputs, Problems, Request, TickTiming
-from softarm.recordings.channels import MOCAP as MOCAP
-from softarm.recordings.channels import PRESSURE as PRESSURE
-from softarm.recordings.channels import RAIL as RAIL
-from softarm.recordings.channels import LogChannel as LogChannel
+from softarm.recordings.channels import MOCAP, PRESSURE, RAIL, LogChannel
+from softarm.recordings.live import LogMessage
 from softarm.schemas import log
 from softarm.schemas.messages import MocapFrame, PressureReading, RailReading
 
@@ -61,15 +59,6 @@ TICK = LogChannel(log.TICK, TickRecord)
 CHANNELS: tuple[LogChannel[Any], ...] = (MOCAP, PRESSURE, RAIL, REQUEST, TICK)
 
 
-class Entry(NamedTuple):
-    """One message as a log takes it; both times are CLOCK_MONOTONIC nanoseconds."""
-
-    topic: str
-    log_time: int
-    publish_time: int
-    data: bytes
-
-
 class Splitter:
     """Takes ticks apart into messages."""
 
@@ -77,21 +66,21 @@ class Splitter:
         self._pressure: PressureReading | None = None  # the last one written
         self._rail: RailReading | None = None
 
-    def split(self, inputs: Inputs, outputs: Outputs, timing: TickTiming) -> Iterator[Entry]:
+    def split(self, inputs: Inputs, outputs: Outputs, timing: TickTiming) -> Iterator[LogMessage]:
         """The messages of a tick, /tick last. Raises what pydantic raises on a field of a wrong type."""
         now = inputs.t_ns
         for frame in inputs.mocap:
-            yield Entry(MOCAP.topic, frame.t_receive_ns, frame.t_capture_ns, MOCAP.encode(frame))
+            yield LogMessage(MOCAP.topic, frame.t_receive_ns, frame.t_capture_ns, MOCAP.encode(frame))
         # By identity: 0.0 equals -0.0, but a replay has to get the one that was there.
         if inputs.pressure is not None and inputs.pressure is not self._pressure:
             self._pressure = inputs.pressure
-            yield Entry(PRESSURE.topic, self._pressure.t_receive_ns, now, PRESSURE.encode(self._pressure))
+            yield LogMessage(PRESSURE.topic, self._pressure.t_receive_ns, now, PRESSURE.encode(self._pressure))
         if inputs.rail is not None and inputs.rail is not self._rail:
             self._rail = inputs.rail
-            yield Entry(RAIL.topic, self._rail.t_receive_ns, now, RAIL.encode(self._rail))
+            yield LogMessage(RAIL.topic, self._rail.t_receive_ns, now, RAIL.encode(self._rail))
         for request in inputs.requests:
-            yield Entry(REQUEST.topic, now, now, REQUEST.encode(request))
-        yield Entry(TICK.topic, now, now, TICK.encode(TickRecord(_tick_inputs(inputs), outputs, timing)))
+            yield LogMessage(REQUEST.topic, now, now, REQUEST.encode(request))
+        yield LogMessage(TICK.topic, now, now, TICK.encode(TickRecord(_tick_inputs(inputs), outputs, timing)))
 
 
 class Joiner:

@@ -15,14 +15,14 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any, BinaryIO
-
-from mcap.writer import Writer
+from typing import BinaryIO
 
 from softarm.common import revision
 from softarm.daemon.control.records import Inputs, Outputs, TickTiming
-from softarm.daemon.logbook import channels, logs
+from softarm.daemon.logbook import channels
 from softarm.policies.base import PolicySpec
+from softarm.recordings import finishing, mcap_file
+from softarm.recordings.live import LiveFile
 from softarm.schemas import log as names
 from softarm.schemas.config import Config
 
@@ -30,7 +30,6 @@ log = logging.getLogger(__name__)
 
 # What the daemon stands on, besides Python.
 PACKAGES = ("numpy", "onnxruntime", "pyserial", "eclipse-zenoh", "pydantic", "mcap", "fastapi", "uvicorn")
-SYNC_INTERVAL_S = 1.0  # what a power cut may take
 FREE_MIN_BYTES = 100_000_000  # about ten minutes
 FINISH_S = 5.0  # a log that takes longer to finish at stop is finished at the next start
 BREATH_RECORDS, BREATH_S = 20, 0.002  # tidying old logs gives the interpreter back this often
@@ -124,7 +123,7 @@ class Recorder:
                 file = path.open("xb")
             except FileExistsError:
                 continue
-            logs.hold(file.fileno())
+            finishing.hold(file.fileno())
             return path.absolute(), file
         raise FileExistsError(errno.EEXIST, f"a thousand logs called {stem}")
 
@@ -144,7 +143,7 @@ class Recorder:
         """The writer's thread, from the first record to the finished file."""
         try:
             with file:
-                live = LiveFile(file)
+                live = TickFile(file)
                 live.head(self._config, self._policy, self._monotonic_ns(), self._wall_ns())
                 while not self._stopping.wait(self._settings.flush_interval_s):
                     self._drain(live)
@@ -153,7 +152,7 @@ class Recorder:
         except Exception as error:
             self._fail(error)
 
-    def _drain(self, live: "LiveFile") -> None:
+    def _drain(self, live: "TickFile") -> None:
         while self._queue:
             live.write(self._queue.popleft())
         live.flush()
@@ -167,7 +166,7 @@ class Recorder:
                 raise _Enough
 
         try:
-            logs.finish(path, look_at_the_clock)
+            finishing.finish(path, look_at_the_clock)
         except _Enough:
             log.info("%s is long: it will be compressed at the next start", path)
         except OSError as error:
@@ -198,37 +197,27 @@ class Recorder:
 
         for path in sorted(own.parent.glob("*.mcap")):
             try:
-                if path != own and not logs.is_finished(path):
-                    log.info("finishing a log that was left: %s", logs.recover(path, breathe).ending)
+                if path != own and not mcap_file.is_finished(path):
+                    log.info("finishing a log that was left: %s", finishing.recover(path, breathe).ending)
             except _Enough:
                 return
             except Exception as error:  # an old log is no reason to disturb the new one
                 log.warning("an old log cannot be finished and stays as it is: %s: %s", path, error)
 
 
-class LiveFile:
-    """An MCAP file while it is written: no chunks, so that every flush leaves whole records behind."""
+class TickFile(LiveFile):
+    """A live file of ticks, with the head that a reader needs."""
 
     def __init__(self, file: BinaryIO) -> None:
-        self._file = file
-        self._writer = Writer(file, use_chunking=False)
-        self._writer.start(profile="", library="softarm")
+        super().__init__(file, channels.CHANNELS)
         self._splitter = channels.Splitter()
-        self._ids = {channel.topic: self._register(channel) for channel in channels.CHANNELS}
-        self._sequence = 0
-        self._synced_s = time.monotonic()
-
-    def _register(self, channel: channels.LogChannel[Any]) -> int:
-        schema = self._writer.register_schema(channel.schema_name, "jsonschema", channel.json_schema())
-        return int(self._writer.register_channel(channel.topic, "json", schema))
 
     def head(self, config: Config, policy: PolicySpec | None, monotonic_ns: int, wall_ns: int) -> None:
         """What a reader of the log has to know besides the ticks."""
-        add = self._writer.add_metadata
-        add(names.CONFIGURATION, {"json": config.model_dump_json()})
-        add(names.SOFTWARE, revision.software(PACKAGES))
-        add(names.MACHINE, revision.machine())
-        add(
+        self.note(names.CONFIGURATION, {"json": config.model_dump_json()})
+        self.note(names.SOFTWARE, revision.software(PACKAGES))
+        self.note(names.MACHINE, revision.machine())
+        self.note(
             names.CLOCK,
             {
                 "monotonic_ns": str(monotonic_ns),
@@ -245,20 +234,8 @@ class LiveFile:
         if isinstance(item, _PolicyChange):
             self._policy(item.spec)
             return
-        for entry in self._splitter.split(*item):
-            self._sequence += 1
-            self._writer.add_message(
-                self._ids[entry.topic], entry.log_time, entry.data, entry.publish_time, self._sequence
-            )
+        for message in self._splitter.split(*item):
+            self.add(message)
 
     def _policy(self, spec: PolicySpec) -> None:
-        self._writer.add_metadata(
-            names.POLICY, {"name": spec.name, "description": spec.description, "sha256": spec.sha256 or ""}
-        )
-
-    def flush(self) -> None:
-        """To the system now; to the disk when it is time."""
-        self._file.flush()
-        if time.monotonic() - self._synced_s >= SYNC_INTERVAL_S:
-            os.fsync(self._file.fileno())
-            self._synced_s = time.monotonic()
+        self.note(names.POLICY, {"name": spec.name, "description": spec.description, "sha256": spec.sha256 or ""})

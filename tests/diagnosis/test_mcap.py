@@ -58,10 +58,10 @@ def test_a_log_that_breaks_off_is_read_up_to_there(recording, tmp_path):
     whole = mcap.read(recording)
     live = tmp_path / "killed.mcap"
     # Unfinished logs have no chunks: write one as the recorder does while it runs, and cut it.
-    from softarm.daemon.logbook.recorder import LiveFile
+    from softarm.daemon.logbook.recorder import TickFile
 
     with live.open("wb") as file:
-        writer = LiveFile(file)
+        writer = TickFile(file)
         for tick in logs.read(recording):
             writer.write(tick)
         writer.flush()

@@ -24,8 +24,9 @@ from softarm.daemon.control.records import (
 )
 from softarm.daemon.logbook import logs
 from softarm.daemon.logbook.channels import CHANNELS, Joiner, Splitter
-from softarm.daemon.logbook.recorder import LiveFile, Recorder
+from softarm.daemon.logbook.recorder import Recorder, TickFile
 from softarm.policies.base import PolicySpec
+from softarm.recordings import finishing
 from softarm.schemas.config import Config
 from softarm.schemas.goals import Goal, GoalStatus
 from softarm.schemas.messages import Command, MocapFrame, Pose, PressureReading, RailReading
@@ -149,7 +150,7 @@ def unfinished(directory: Path, ticks) -> Path:
     """A log as a killed daemon leaves it: unchunked, without an end."""
     path = directory / "killed.mcap"
     with path.open("wb") as file:
-        live = LiveFile(file)
+        live = TickFile(file)
         live.head(Config(), PolicySpec("reach", "test"), 1, 2)
         for one in ticks:
             live.write(one)
@@ -222,47 +223,15 @@ def test_a_log_cut_anywhere_is_read_up_to_the_last_whole_tick(tmp_path):
     assert (seen[0], seen[-1]) == (0, 12)
 
 
-def test_recover_makes_an_indexed_file_of_what_is_whole(tmp_path):
+def test_a_log_that_was_finished_later_holds_the_same_ticks(tmp_path):
     ticks = [make_tick(n) for n in range(40)]
     path = unfinished(tmp_path, ticks)
     path.write_bytes(path.read_bytes()[:-300])
-    log = logs.recover(path)
-    assert log.finished
+    assert finishing.recover(path).finished
+    log = logs.read(path)
     assert exactly(tuple(log)) == exactly(tuple(ticks[:39]))
     assert log.duration_s == pytest.approx(38 * 33_333_333e-9)
-    assert log.metadata["configuration"]["json"] == Config().model_dump_json()
-    with path.open("rb") as file:
-        summary = make_reader(file).get_summary()
-    assert summary.chunk_indexes
-    assert [p.name for p in tmp_path.iterdir()] == ["killed.mcap"]
-
-
-def test_recover_clears_away_what_a_kill_in_an_earlier_one_has_left(tmp_path):
-    path = unfinished(tmp_path, [make_tick(0)])
-    (tmp_path / f".{path.name}.draft").write_bytes(b"half")
-    logs.recover(path)
-    assert [p.name for p in tmp_path.iterdir()] == [path.name]
-
-
-def test_recover_that_is_interrupted_leaves_the_old_file(tmp_path):
-    path = unfinished(tmp_path, [make_tick(n) for n in range(5)])
-    before = path.read_bytes()
-
-    def interrupt() -> None:
-        raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        logs.recover(path, interrupt)
-    assert path.read_bytes() == before
-    assert [p.name for p in tmp_path.iterdir()] == ["killed.mcap"]
-
-
-def test_a_missing_file_and_a_foreign_one_are_refused_with_a_sentence(tmp_path):
-    with pytest.raises(logs.LogError, match=r"nothing\.mcap: cannot be read \(No such file"):
-        logs.read(tmp_path / "nothing.mcap")
-    (tmp_path / "notes.mcap").write_text("hello, this is not a log")
-    with pytest.raises(logs.LogError, match="not a log; a log is an MCAP file"):
-        logs.read(tmp_path / "notes.mcap")
+    assert log.config == Config()
 
 
 def test_a_log_whose_measurements_were_taken_out_is_not_replayed(tmp_path):
@@ -272,17 +241,3 @@ def test_a_log_whose_measurements_were_taken_out_is_not_replayed(tmp_path):
         joiner.join(entry.topic, entry.data)
     with pytest.raises(ValueError, match="not those that it names"):
         joiner.join(entries[-1].topic, entries[-1].data)
-
-
-def test_the_listing_tells_finished_from_unfinished(tmp_path):
-    done = record(tmp_path, [make_tick(n) for n in range(31)])
-    unfinished(tmp_path, [make_tick(0)])
-    (tmp_path / "empty.mcap").touch()
-    entries = {entry.name: entry for entry in logs.listing(tmp_path)}
-    assert set(entries) == {done.name, "killed.mcap", "empty.mcap"}
-    assert entries[done.name].finished
-    assert entries[done.name].duration_s == pytest.approx(1.0, abs=0.05)
-    assert entries[done.name].bytes == done.stat().st_size
-    assert not entries["killed.mcap"].finished
-    assert not entries["empty.mcap"].finished
-    assert logs.listing(tmp_path / "nowhere") == ()

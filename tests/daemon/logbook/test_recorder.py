@@ -14,8 +14,10 @@ from mcap.reader import make_reader
 
 from softarm.daemon.control.records import EStop, Inputs, Mode, Outputs, TickTiming
 from softarm.daemon.logbook import logs
-from softarm.daemon.logbook.recorder import LiveFile, Recorder, RecorderError
+from softarm.daemon.logbook.recorder import Recorder, RecorderError, TickFile
 from softarm.policies.base import PolicySpec
+from softarm.recordings import finishing
+from softarm.recordings.mcap_file import is_finished
 from softarm.schemas.config import Config
 from softarm.schemas.messages import MocapFrame, Pose
 
@@ -95,14 +97,14 @@ def test_two_recorders_in_the_same_second_write_two_files(tmp_path):
 
 def test_a_full_queue_drops_and_counts_and_never_blocks(tmp_path, monkeypatch):
     gate, entered = threading.Event(), threading.Event()
-    write = LiveFile.write
+    write = TickFile.write
 
     def slow_disk(self, item):
         entered.set()
         gate.wait(20)
         write(self, item)
 
-    monkeypatch.setattr(LiveFile, "write", slow_disk)
+    monkeypatch.setattr(TickFile, "write", slow_disk)
     recorder = Recorder(config(tmp_path, queue_max=100))
     recorder.start()
     recorder.tick(*make_tick(0))
@@ -133,14 +135,14 @@ def test_a_full_disk_is_refused_at_start(tmp_path, monkeypatch):
 
 
 def test_a_disk_that_fills_up_ends_the_log_and_nothing_else(tmp_path, monkeypatch):
-    flush, full = LiveFile.flush, threading.Event()
+    flush, full = TickFile.flush, threading.Event()
 
     def flush_on_a_full_disk(self):
         if full.is_set():
             raise OSError(28, "No space left on device")
         flush(self)
 
-    monkeypatch.setattr(LiveFile, "flush", flush_on_a_full_disk)
+    monkeypatch.setattr(TickFile, "flush", flush_on_a_full_disk)
     recorder = Recorder(config(tmp_path))
     recorder.start()
     recorder.tick(*make_tick(0))
@@ -179,14 +181,14 @@ def test_switched_off_it_writes_nothing(tmp_path):
 def test_the_next_start_finishes_what_a_kill_has_left(tmp_path):
     left = tmp_path / "softarm-20200101T000000Z.mcap"
     with left.open("wb") as file:
-        live = LiveFile(file)
+        live = TickFile(file)
         live.head(Config(), SPEC, 0, 0)
         for number in range(50):
             live.write(make_tick(number))
     (tmp_path / "softarm-20200101T000001Z.mcap").write_bytes(b"rubbish")
     recorder = Recorder(config(tmp_path))
     recorder.start()
-    wait_for(lambda: logs.is_finished(left), "the old log")
+    wait_for(lambda: is_finished(left), "the old log")
     recorder.stop()
     assert len(list(logs.read(left).inputs())) == 50
     assert (tmp_path / "softarm-20200101T000001Z.mcap").read_bytes() == b"rubbish"
@@ -197,7 +199,7 @@ def test_a_log_that_is_being_written_is_left_to_its_writer(tmp_path):
     writer.start()
     writer.tick(*make_tick(0))
     wait_for(lambda: logs.read(writer.path).t_last_ns is not None, "the first tick in the file")
-    assert not logs.recover(writer.path).finished
+    assert not finishing.recover(writer.path).finished
     writer.tick(*make_tick(1))
     writer.stop()
     assert len(list(logs.read(writer.path).inputs())) == 2
@@ -242,7 +244,7 @@ def test_a_kill_loses_no_more_than_the_last_flush(tmp_path):
         assert (last_ns - log.t_last_ns) * 1e-9 < 0.5
         assert len(list(log.frames())) >= 4 * len(list(log.inputs())) > 0
         assert not log.finished
-        assert logs.recover(log.path).finished
+        assert finishing.recover(log.path).finished
 
 
 def test_two_minutes_are_finished_whole(tmp_path):

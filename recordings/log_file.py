@@ -1,0 +1,73 @@
+"""A log as a whole: what its head says, how much there is, how it ends."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Self
+
+from mcap.records import Channel, Message, Metadata
+
+from softarm.recordings import mcap_file
+from softarm.schemas import log
+from softarm.schemas.config import Config
+
+
+@dataclass(frozen=True, slots=True)
+class LogFile:
+    """The summary of a log, taken when it was opened."""
+
+    path: Path
+    metadata: Mapping[str, Mapping[str, str]]  # by schemas.log name, as it was at the end
+    policies: tuple[Mapping[str, str], ...]  # in the order in which they were used
+    records: int  # whole messages
+    t_first_ns: int | None  # first tick, CLOCK_MONOTONIC of the recording machine
+    t_last_ns: int | None
+    finished: bool  # False: the daemon was killed, or is still writing
+
+    @classmethod
+    def open(cls, path: Path | str) -> Self:
+        """Open a log; one that ends in the middle of a record is read up to the last whole one.
+
+        Raises LogError when there is no such file or it is not MCAP.
+        """
+        path = Path(path)
+        metadata: dict[str, Mapping[str, str]] = {}
+        policies: list[Mapping[str, str]] = []
+        topics: dict[int, str] = {}
+        records, first, last = 0, None, None
+        for record in mcap_file.records(path):
+            if isinstance(record, Channel):
+                topics[record.id] = record.topic
+            elif isinstance(record, Metadata):
+                metadata[record.name] = record.metadata
+                if record.name == log.POLICY:
+                    policies.append(record.metadata)
+            elif isinstance(record, Message):
+                records += 1
+                if topics[record.channel_id] == log.TICK:
+                    first = record.log_time if first is None else first
+                    last = record.log_time
+        return cls(path, metadata, tuple(policies), records, first, last, mcap_file.is_finished(path))
+
+    @property
+    def config(self) -> Config:
+        """The configuration that it was recorded under."""
+        return Config.model_validate_json(self.metadata[log.CONFIGURATION]["json"])
+
+    @property
+    def duration_s(self) -> float:
+        """From the first tick to the last."""
+        if self.t_first_ns is None or self.t_last_ns is None:
+            return 0.0
+        return (self.t_last_ns - self.t_first_ns) * 1e-9
+
+    @property
+    def ending(self) -> str:
+        """How the file ends, in one sentence."""
+        whole = f"{self.records} whole records over {self.duration_s:.2f} s"
+        if self.finished:
+            return f"{self.path}: finished, {whole}"
+        return (
+            f"{self.path}: not finished (the daemon was killed, the disk was full or it still records), "
+            f"{whole}; the recorder finishes it at its next start"
+        )

@@ -1,0 +1,32 @@
+"""A log of rail readings, whole and as a kill leaves it."""
+
+from pathlib import Path
+
+import pytest
+
+from softarm.recordings.channels import RAIL
+from softarm.recordings.live import LiveFile, LogMessage
+from softarm.schemas.messages import RailReading
+
+READINGS = [RailReading(n * 100_000_000, n / 7, float("nan") if n == 3 else -0.0, True) for n in range(30)]
+
+
+def write(path: Path, readings=READINGS) -> Path:
+    with path.open("wb") as file:
+        live = LiveFile(file, [RAIL])
+        live.note("machine", {"name": "a test's"})
+        for reading in readings:
+            live.add(LogMessage(RAIL.topic, reading.t_receive_ns, reading.t_receive_ns, RAIL.encode(reading)))
+        live.flush()
+    return path
+
+
+@pytest.fixture
+def readings():
+    return READINGS
+
+
+@pytest.fixture
+def killed(tmp_path):
+    """As a killed daemon leaves it: unchunked, without an end."""
+    return write(tmp_path / "killed.mcap")
