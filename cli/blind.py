@@ -1,16 +1,13 @@
 """`softarm blind`: the blind benchmark: make and seal cases, answer them, open the labels over the answers."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import click
 
-from softarm.cli.options import FILE
+from softarm.cli.errors import fail
+from softarm.cli.options import FILE, FOLDER
+from softarm.common.processes import bar
 
-if TYPE_CHECKING:
-    from rich.progress import Progress
-
-FOLDER = click.Path(path_type=Path, file_okay=False)
 labels_option = click.option("--labels", "labels_file", type=FILE, required=True, help="The sealed labels.")
 processes_option = click.option(
     "--processes", default=2, show_default=True, type=click.IntRange(1, 64), help="At a time; each takes one core."
@@ -45,7 +42,6 @@ def make(data: Path, labels_file: Path, fresh: Path | None, count: int, seed: in
     Example:
       softarm blind make cases --cases 100 --labels sealed/labels.json --fresh sealed/fresh
     """
-    from softarm.cli.errors import fail
     from softarm.diagnosis.blind import make as making
     from softarm.diagnosis.blind.seal import SealError
 
@@ -53,9 +49,8 @@ def make(data: Path, labels_file: Path, fresh: Path | None, count: int, seed: in
         cases = making.prepare(data, labels_file, fresh, count, seed)
     except SealError as error:
         fail(str(error))
-    with _progress() as bar:
-        task = bar.add_task("flying", total=len(cases))
-        making.write_cases(cases, data, fresh, processes, lambda name: bar.advance(task))
+    with bar("flying", len(cases)) as shown:
+        making.write_cases(cases, data, fresh, processes, lambda name: shown.advance())
     click.echo(f"{len(cases)} cases in {data}, labels in {labels_file}, commitment in {data / 'commitment.json'}")
     click.echo(f"next: softarm blind run {data} --answers answers.json")
 
@@ -76,18 +71,12 @@ def run(data: Path, answers_file: Path, method: str, trials: int | None, process
       softarm blind run cases --answers answers.json
       softarm blind run cases --answers bic.json --method bic
     """
-    from softarm.cli.errors import fail
     from softarm.diagnosis.blind import run as running
     from softarm.diagnosis.blind.seal import SealError
 
     try:
-        with _progress() as bar:
-            task = bar.add_task(method, total=None)
-
-            def tell(case: str, done: int, of: int) -> None:
-                bar.update(task, completed=done, total=of, description=case)
-
-            digest = running.run(data, answers_file, method, processes, tell, trials)
+        with bar(method, total=None) as shown:
+            digest = running.run(data, answers_file, method, processes, shown.count, trials)
     except SealError as error:
         fail(str(error))
     click.echo(f"wrote {answers_file}; frozen as {digest}")
@@ -109,35 +98,13 @@ def open_(data: Path, labels_file: Path, answer_files: tuple[Path, ...], fresh: 
       softarm blind open cases --labels sealed/labels.json --fresh sealed/fresh \\
         --answers answers.json --answers bic.json --out score
     """
-    from softarm.cli.errors import fail
     from softarm.diagnosis.blind import opening
     from softarm.diagnosis.blind.seal import SealError
     from softarm.diagnosis.trials import TrialError
 
     try:
-        with _progress() as bar:
-            task = bar.add_task("opening", total=None)
-
-            def tell(case: str, done: int, of: int) -> None:
-                bar.update(task, completed=done, total=of, description=case)
-
-            opening.open_labels(data, labels_file, answer_files, out, fresh, on_case=tell)
+        with bar("opening", total=None) as shown:
+            opening.open_labels(data, labels_file, answer_files, out, fresh, on_case=shown.count)
     except (SealError, TrialError) as error:
         fail(str(error))
     click.echo((out / "score.md").read_text(encoding="utf-8"))
-
-
-def _progress() -> "Progress":
-    from rich.progress import (
-        BarColumn,
-        MofNCompleteColumn,
-        Progress,
-        TextColumn,
-        TimeElapsedColumn,
-        TimeRemainingColumn,
-    )
-
-    return Progress(
-        TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), TimeRemainingColumn(),
-        transient=True,
-    )  # fmt: skip

@@ -6,6 +6,9 @@ from typing import TYPE_CHECKING
 
 import click
 
+from softarm.cli.errors import fail
+from softarm.cli.tables import print_table
+
 if TYPE_CHECKING:
     from softarm.daemon.config.configuration import Loaded
 
@@ -21,23 +24,14 @@ def check(file: Path) -> None:
     Example:
       softarm check softarm.yaml
     """
-    import sys
-
-    from rich.console import Console
-    from rich.table import Table
-    from rich.text import Text
-
-    from softarm.cli.errors import fail
     from softarm.daemon.config.configuration import ConfigurationError, effective_limits, read
 
     try:
         loaded = read(file)
     except ConfigurationError as error:
         fail(str(error))
-    table = Table("limit", "value", "unit", "allowed, or how it follows", "from", title=f"{file}: limits in force")
-    for row in effective_limits(loaded):
-        table.add_row(*map(Text, row))
-    Console(width=None if sys.stdout.isatty() else 140).print(table)
+    columns = ("limit", "value", "unit", "allowed, or how it follows", "from")
+    print_table(columns, effective_limits(loaded), f"{file}: limits in force", width=140)
     if problems := list(_policy_problems(loaded)):
         fail("\n".join(problems))
     click.echo(f"{file}: sound; starts with policy '{loaded.config.control.policy}'")

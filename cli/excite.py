@@ -4,6 +4,7 @@ from pathlib import Path
 
 import click
 
+from softarm.cli.errors import fail
 from softarm.cli.options import FILE, config_option, flown_model, model_option
 
 
@@ -31,7 +32,6 @@ def excite(
     """
     from rich.progress import Progress
 
-    from softarm.cli.errors import fail
     from softarm.daemon.api.auth import AuthError
     from softarm.daemon.api.server import ApiError
     from softarm.daemon.config import configuration
@@ -85,7 +85,6 @@ def _planned(plan: Path) -> str:
     """The excitation that a verdict asks for next. Ends the command with a sentence where there is none."""
     from pydantic import ValidationError
 
-    from softarm.cli.errors import fail
     from softarm.schemas.verdict import Verdict
 
     try:

@@ -4,7 +4,8 @@ from pathlib import Path
 
 import click
 
-FILE = click.Path(path_type=Path, dir_okay=False)
+from softarm.cli.errors import fail
+from softarm.cli.options import FILE
 
 
 @click.command()
@@ -17,7 +18,6 @@ def export(checkpoint: Path, out: Path) -> None:
     Example:
       softarm export runs/reach-1/best.pt --out my-reach.onnx
     """
-    from softarm.cli.errors import fail
     from softarm.training.run.checkpoint import CheckpointError
     from softarm.training.run.session import export_checkpoint
 

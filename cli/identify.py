@@ -5,15 +5,14 @@ from typing import TYPE_CHECKING
 
 import click
 
-from softarm.cli.options import FILE, json_option, model_option
+from softarm.cli.errors import fail
+from softarm.cli.options import FILE, FOLDER, json_option, model_option
+from softarm.common.processes import bar
 
 if TYPE_CHECKING:
-    from rich.console import Console
-
-    from softarm.diagnosis.identify import Identification
+    from softarm.diagnosis.identify import Estimate, Identification
 
 INPUT = click.Path(path_type=Path)
-FOLDER = click.Path(path_type=Path, file_okay=False)
 
 
 @click.command()
@@ -43,39 +42,33 @@ def identify(
     """
     import json
 
-    from rich.console import Console
-    from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
-
-    from softarm.cli.errors import fail
+    from softarm.common import files
     from softarm.diagnosis.identify import identify as fit
     from softarm.diagnosis.read import read_all
     from softarm.diagnosis.trials import TrialError
     from softarm.schemas.model import Model
-    from softarm.simulator import model_file as files
+    from softarm.simulator import model_file as models
 
-    console = Console()
     try:
-        model = files.load(model_file) if model_file else Model()
-        columns = (SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn())
-        with Progress(*columns, console=console, transient=True) as bar:
-            task = bar.add_task("reading", total=None)
+        model = models.load(model_file) if model_file else Model()
+        with bar("reading", total=None) as shown:
 
             def tell(text: object) -> None:
-                bar.update(task, description=str(text))
+                shown.show(text=str(text))
 
             trials, unseen = read_all(inputs, tell), read_all(checks, tell)
             result = fit(model, trials, unseen, tell)
-        files.save(result.model, out)
+        models.save(result.model, out)
         if json_file is not None:
-            json_file.write_text(json.dumps(result.summary(), indent=1) + "\n")
+            files.write_text(json_file, json.dumps(result.summary(), indent=1) + "\n")
         pictures = _pictures(result, plots)
-    except (TrialError, files.ModelFileError) as error:
+    except (TrialError, models.ModelFileError) as error:
         fail(str(error))
     except OSError as error:
         fail(f"{error.filename}: cannot be written ({error.strerror}); name another place")
-    _show(result, console)
+    _show(result)
     written = [out, *([json_file] if json_file else []), *pictures]
-    console.print(f"wrote {', '.join(map(str, written))}", soft_wrap=True)
+    click.echo(f"wrote {', '.join(map(str, written))}")
 
 
 def _pictures(result: "Identification", folder: Path | None) -> list[Path]:
@@ -86,23 +79,18 @@ def _pictures(result: "Identification", folder: Path | None) -> list[Path]:
     return plots.save(result, folder)
 
 
-def _show(result: "Identification", console: "Console") -> None:
+def _show(result: "Identification") -> None:
     """The parameters with their intervals, how well they do, and every doubt."""
+    from rich.console import Console
     from rich.table import Table
 
     from softarm.diagnosis.identify import gain_nm_psi
 
-    n = result.model.arm.links
+    console = Console()
     table = Table("joint", "K (N m/rad)", "D (N m s/rad)", "b (N m/kPa)", "b (N m/psi)", "offset (N m)")
-    estimates = result.estimates
-    for i in range(n):
-        k, d, b, o = (estimates[part * n + i] for part in range(4))
-        cells = [f"{e['value']:.4f} ±{(e['high'] - e['low']) / 2:.4f}" for e in (k, d)]
-        gain = f"{b['value']:.6f} ±{(b['high'] - b['low']) / 2:.6f}"
-        table.add_row(
-            str(i + 1), *cells, gain, f"{gain_nm_psi(b['value']):.4f}",
-            f"{o['value']:.4f} ±{(o['high'] - o['low']) / 2:.4f}",
-        )  # fmt: skip
+    for number, (k, d, b, o) in enumerate(result.joints, 1):
+        psi = f"{gain_nm_psi(b['value']):.4f}"
+        table.add_row(str(number), _cell(k), _cell(d), _cell(b, 6), psi, _cell(o))
     console.print(table)
     low, high = result.regression.range_nm
     console.print(
@@ -114,3 +102,8 @@ def _show(result: "Identification", console: "Console") -> None:
         console.print(f"unseen {check.trial}: tip within {y * 1e3:.2f} mm in y, {z * 1e3:.2f} mm in z RMS")
     for warning in result.warnings:
         click.echo(f"warning: {warning}", err=True)
+
+
+def _cell(estimate: "Estimate", digits: int = 4) -> str:
+    half = (estimate["high"] - estimate["low"]) / 2
+    return f"{estimate['value']:.{digits}f} ±{half:.{digits}f}"

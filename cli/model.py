@@ -1,9 +1,13 @@
 """`softarm model`: what a model file says, what sets two apart, whether one is sound, and the robot for MuJoCo."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
+
+from softarm.cli.errors import fail
+from softarm.cli.options import FILE
+from softarm.cli.tables import print_table
 
 if TYPE_CHECKING:
     from softarm.schemas.model import Model
@@ -38,9 +42,9 @@ def show(name: Path) -> None:
     loaded = _load(name)
     columns = ("parameter", "value", "unit", "allowed", "source of the seed's")
     rows = [(row.key, row.value, *row[2:]) for row in robot_rows(loaded)]
-    _print(f"{name}: robot", columns, rows)
+    print_table(columns, rows, f"{name}: robot")
     rows = [(row.key, row.value, *row[2:]) for row in effect_rows(loaded)]
-    _print(f"{name}: effects", ("effect.parameter", "value", "unit", "allowed", "source"), rows)
+    print_table(("effect.parameter", "value", "unit", "allowed", "source"), rows, f"{name}: effects")
     click.echo(_idle(loaded), nl=False)
 
 
@@ -60,7 +64,7 @@ def diff(one: Path, other: Path) -> None:
     if not found:
         click.echo("no difference")
         return
-    _print("", ("parameter", "unit", str(one), str(other)), found)
+    print_table(("parameter", "unit", str(one), str(other)), found)
 
 
 @model.command()
@@ -79,9 +83,7 @@ def check(file: Path) -> None:
 
 @model.command()
 @click.argument("name", metavar="MODEL", type=MODEL)
-@click.option(
-    "--mjcf", "out", required=True, type=click.Path(path_type=Path, dir_okay=False), help="The file to write."
-)
+@click.option("--mjcf", "out", required=True, type=FILE, help="The file to write.")
 def export(name: Path, out: Path) -> None:
     """Write the robot as MJCF for MuJoCo; what that cannot express is listed on stderr and in the file.
 
@@ -89,7 +91,6 @@ def export(name: Path, out: Path) -> None:
     Example:
       softarm model export --mjcf arm.xml seed      then: python -m mujoco.viewer --mjcf=arm.xml
     """
-    from softarm.cli.errors import fail
     from softarm.simulator import mjcf
 
     exported = mjcf.export(_load(name))
@@ -103,7 +104,6 @@ def export(name: Path, out: Path) -> None:
 
 
 def _load(name: Path) -> "Model":
-    from softarm.cli.errors import fail
     from softarm.simulator import model_file
 
     try:
@@ -116,16 +116,3 @@ def _idle(loaded: "Model") -> str:
     from softarm.simulator.model_rows import idle_effects
 
     return "".join(f"{name} is at its neutral value: it changes nothing\n" for name in idle_effects(loaded))
-
-
-def _print(title: str, columns: tuple[str, ...], rows: list[Any]) -> None:
-    import sys
-
-    from rich.console import Console
-    from rich.table import Table
-    from rich.text import Text
-
-    table = Table(*columns, title=title)
-    for row in rows:
-        table.add_row(*map(Text, row))
-    Console(width=None if sys.stdout.isatty() else 160).print(table)

@@ -69,10 +69,17 @@ class Remote:
 def remote(function: Callable[..., None]) -> Callable[..., None]:
     """Give a command --url and --token-file, and the daemon that they lead to as its first argument."""
 
-    @click.option("--url", default=DEFAULT_URL, envvar="SOFTARM_URL", show_default=True, show_envvar=True,
-                  help="The daemon's address.")  # fmt: skip
-    @click.option("--token-file", type=FILE,
-                  help="File with the API's token; else $SOFTARM_TOKEN. Not needed on loopback.")  # fmt: skip
+    @click.option(
+        "--url",
+        default=DEFAULT_URL,
+        envvar="SOFTARM_URL",
+        show_default=True,
+        show_envvar=True,
+        help="The daemon's address.",
+    )
+    @click.option(
+        "--token-file", type=FILE, help="File with the API's token; else $SOFTARM_TOKEN. Not needed on loopback."
+    )
     @functools.wraps(function)
     def command(*args: Any, url: str, token_file: Path | None, **kwargs: Any) -> None:
         with Remote(url, _token(token_file)) as daemon:

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import click
 
+from softarm.cli.errors import fail
 from softarm.cli.options import FILE
 
 SHOWN = 10
@@ -21,7 +22,6 @@ def replay(log: Path) -> None:
     Example:
       softarm replay logs/softarm-20260101T120000Z.mcap
     """
-    from softarm.cli.errors import fail
     from softarm.daemon.logbook import logs
     from softarm.daemon.shell.replay import replay as replay_log
     from softarm.policies import registry

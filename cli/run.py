@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from softarm.cli.errors import fail
 from softarm.cli.options import config_option, flown_model, model_option
 
 if TYPE_CHECKING:
@@ -28,7 +29,6 @@ def run(config_file: Path | None, simulated: bool, model_file: Path | None) -> N
     """
     import logging
 
-    from softarm.cli.errors import fail
     from softarm.daemon.api.auth import AuthError
     from softarm.daemon.api.server import ApiError
     from softarm.daemon.config import configuration

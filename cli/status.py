@@ -11,6 +11,7 @@ from rich.live import Live
 from rich.text import Text
 
 from softarm.cli.remote import Remote, remote
+from softarm.schemas.policy import OBSERVATION
 
 Json = dict[str, Any]
 
@@ -53,10 +54,10 @@ def lines(now: Json) -> Iterator[str]:
     if goal := _goal(now["goal"]):
         yield f"goal      {goal}"
     if observed := now["observed"]:
-        cart_y, cart_v, tip_y, tip_z, *_, pressure = observed["values"]
-        yield f"tip       y {tip_y:+.3f} m, z {tip_z:.3f} m"
-        yield f"cart      y {cart_y:+.3f} m, {cart_v:+.2f} m/s"
-        yield f"pressure  {pressure:.1f} kPa"
+        seen = dict(zip((signal.name for signal in OBSERVATION), observed["values"], strict=True))
+        yield f"tip       y {seen['tip_y']:+.3f} m, z {seen['tip_z']:.3f} m"
+        yield f"cart      y {seen['cart_position']:+.3f} m, {seen['cart_velocity']:+.2f} m/s"
+        yield f"pressure  {seen['pressure']:.1f} kPa"
     clamps = f" (limited by {', '.join(now['clamps'])})" if now["clamps"] else ""
     sent = now["sent"]
     yield f"sent      {sent['cart_velocity_m_s']:+.2f} m/s, {sent['pressure_kpa']:.1f} kPa{clamps}"

@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from softarm.cli.errors import fail
 from softarm.cli.options import FILE, flown_model, model_option
 
 if TYPE_CHECKING:
@@ -13,11 +14,17 @@ if TYPE_CHECKING:
 
 
 @click.command()
-@click.option("--config", "config_file", type=FILE, required=True,
-              help="The daemon's own file: the twin answers at the ports that it names.")  # fmt: skip
+@click.option(
+    "--config",
+    "config_file",
+    type=FILE,
+    required=True,
+    help="The daemon's own file: the twin answers at the ports that it names.",
+)
 @model_option
-@click.option("--reality", is_flag=True,
-              help="Be the independent robot in MuJoCo, not the simulator (docs/reality.md).")  # fmt: skip
+@click.option(
+    "--reality", is_flag=True, help="Be the independent robot in MuJoCo, not the simulator (docs/reality.md)."
+)
 def twin(config_file: Path, model_file: Path | None, reality: bool) -> None:
     """Be the robot until Ctrl-C: serial line, rail axis over TCP, motion capture over Zenoh, in real time.
 
@@ -26,7 +33,6 @@ def twin(config_file: Path, model_file: Path | None, reality: bool) -> None:
       softarm twin --config twin.yaml          then, beside it: softarm run --config twin.yaml
       softarm twin --config twin.yaml --reality
     """
-    from softarm.cli.errors import fail
     from softarm.daemon.config.configuration import ConfigurationError, load
     from softarm.daemon.shell import realtime
     from softarm.drivers.base import DeviceError
@@ -45,7 +51,6 @@ def twin(config_file: Path, model_file: Path | None, reality: bool) -> None:
 
 def _independent_body(model: "Model | None") -> "Body":
     """The robot of `reality/`; a sentence when its extra is missing or the model is none that it can be."""
-    from softarm.cli.errors import fail
 
     try:
         from softarm.drivers.bodies.independent import IndependentBody

@@ -107,6 +107,10 @@ class Bar:
         """What is being done, and how much of it all is: a bar of total 1.0 as long work calls it back."""
         self.show(share, text=text)
 
+    def count(self, text: str, done: int, of: int) -> None:
+        """The same for work that counts."""
+        self.show(done, of, text)
+
     def print(self, line: str) -> None:
         """A line that stays, above the bar."""
         self._progress.print(line, markup=False, highlight=False, soft_wrap=True)

@@ -76,6 +76,12 @@ class Identification:
             for name, s, v, lo, hi in zip(names, *columns, strict=True)
         ]
 
+    @property
+    def joints(self) -> list[tuple[Estimate, ...]]:
+        """Each joint's stiffness, damping, muscle gain and torque offset."""
+        estimates, links = self.estimates, self.model.arm.links
+        return [tuple(estimates[joint::links]) for joint in range(links)]
+
     def summary(self) -> dict[str, object]:
         """What `softarm identify --json` writes."""
         return {

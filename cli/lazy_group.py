@@ -1,0 +1,80 @@
+"""A click group of verbs in sections: a verb's module is imported when the verb is used; help imports none."""
+
+import difflib
+from collections.abc import Mapping
+from importlib import import_module
+from typing import Any, NamedTuple, NoReturn
+
+import click
+
+from softarm.cli.errors import fail
+
+
+class Verb(NamedTuple):
+    """Where a verb's click command is, and its line in `softarm --help`."""
+
+    target: str  # module of `softarm.cli`:attribute
+    help: str
+    extra: str = ""  # the extra of the package that brings what it imports
+
+
+class LazyGroup(click.Group):
+    """Commands by a table: section -> name -> verb."""
+
+    def __init__(self, *args: Any, sections: Mapping[str, Mapping[str, Verb]], **options: Any) -> None:
+        super().__init__(*args, **options)
+        self._sections = sections
+
+    @property
+    def _verbs(self) -> dict[str, Verb]:
+        return {name: verb for section in self._sections.values() for name, verb in section.items()}
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        """Names in the table's order."""
+        return list(self._verbs)
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+        """Import a verb's module and return its command."""
+        if (verb := self._verbs.get(cmd_name)) is None:
+            return None
+        module, _, attribute = verb.target.partition(":")
+        command = getattr(import_module(f"softarm.cli.{module}"), attribute)
+        assert isinstance(command, click.Command)
+        return command
+
+    def resolve_command(
+        self, ctx: click.Context, args: list[str]
+    ) -> tuple[str | None, click.Command | None, list[str]]:
+        """Find the verb; a missing package and a misspelt name are told with what to do."""
+        try:
+            return super().resolve_command(ctx, args)
+        except ModuleNotFoundError as error:
+            self._explain_missing(args[0], error)
+        except click.UsageError:
+            near = difflib.get_close_matches(args[0], self._verbs, n=1)
+            hint = f"did you mean '{near[0]}'?" if near else "`softarm --help` lists the verbs."
+            raise click.UsageError(f"no verb '{args[0]}'; {hint}", ctx) from None
+
+    def invoke(self, ctx: click.Context) -> Any:
+        """Run the verb."""
+        try:
+            return super().invoke(ctx)
+        except ModuleNotFoundError as error:
+            self._explain_missing(ctx.invoked_subcommand or "", error)
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """List the verbs from the table, so that help imports nothing."""
+        for title, section in self._sections.items():
+            with formatter.section(title):
+                formatter.write_dl([(name, verb.help) for name, verb in section.items()])
+
+    def _explain_missing(self, name: str, error: ModuleNotFoundError) -> NoReturn:
+        """Turn a package that is not installed into a sentence; a module of our own that is missing is a bug."""
+        package = (error.name or "").partition(".")[0]
+        if package == "softarm":
+            raise error
+        verb = self._verbs.get(name)
+        fail(
+            f"softarm {name} needs the package '{package}': "
+            + (f"pip install 'softarm[{verb.extra}]'" if verb and verb.extra else "install softarm again")
+        )
