@@ -18,13 +18,13 @@ class SimulatedBody:
     Raises ValueError for a model with another number of links than there are marker sets.
     """
 
-    def __init__(self, model: Model | None = None, physics_rate_hz: float = PHYSICS_RATE_HZ) -> None:
+    def __init__(self, model: Model | None = None) -> None:
         self.model = model or Model()
         links = self.model.arm.links
         if links != len(BODY_NAMES) - 1:
             raise ValueError(f"the model has {links} links, the robot {len(BODY_NAMES) - 1}: give such a model")
-        self.simulator = Simulator(self.model, robots=1, physics_rate_hz=physics_rate_hz)
-        self.simulator.step(0.0, 0.0, 1 / physics_rate_hz)  # the first step may compile; nobody is waiting yet
+        self.simulator = Simulator(self.model, robots=1, physics_rate_hz=PHYSICS_RATE_HZ)
+        self.simulator.step(0.0, 0.0, 1 / PHYSICS_RATE_HZ)  # the first step may compile; nobody is waiting yet
         self.simulator.reset()
         self.now_ns = 0
         self._feed = 1.0 + float(self.simulator.effects.value("rail.gain", "scale")[0])

@@ -14,7 +14,7 @@ class StatusWord(IntFlag):
     AT_REST = 1 << 12  # in profile velocity mode
 
 
-class Control:
+class ControlWord:
     """Values of the controlword (6040h)."""
 
     SHUTDOWN = 0x0006
@@ -51,9 +51,9 @@ _STATES = (  # mask, value, state
 )
 
 _TOWARDS_OPERATION = {
-    DriveState.SWITCH_ON_DISABLED: Control.SHUTDOWN,
-    DriveState.READY: Control.SWITCH_ON,
-    DriveState.SWITCHED_ON: Control.ENABLE_OPERATION,
+    DriveState.SWITCH_ON_DISABLED: ControlWord.SHUTDOWN,
+    DriveState.READY: ControlWord.SWITCH_ON,
+    DriveState.SWITCHED_ON: ControlWord.ENABLE_OPERATION,
 }
 
 
@@ -72,5 +72,5 @@ def next_controlword(state: DriveState, enable: bool, at_rest: bool) -> int | No
     if enable:
         return _TOWARDS_OPERATION.get(state)
     if state is DriveState.SWITCHED_ON or (state is DriveState.OPERATION_ENABLED and at_rest):
-        return Control.SHUTDOWN
+        return ControlWord.SHUTDOWN
     return None

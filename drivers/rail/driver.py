@@ -15,7 +15,7 @@ from dataclasses import dataclass
 
 from softarm.drivers.base import DeviceError
 from softarm.drivers.rail import dryve
-from softarm.drivers.rail.cia402 import Control, DriveState, StatusWord, decode_state, next_controlword
+from softarm.drivers.rail.cia402 import ControlWord, DriveState, StatusWord, decode_state, next_controlword
 from softarm.drivers.rail.dryve_link import DryveLink
 from softarm.schemas.config import DryveRail
 from softarm.schemas.messages import RailReading
@@ -216,11 +216,11 @@ class DryveRailAxis:
         operating = decode_state(await link.read(dryve.STATUSWORD)) is DriveState.OPERATION_ENABLED
         if operating:
             await link.write(dryve.TARGET_VELOCITY, 0)
-            await link.write(dryve.CONTROLWORD, Control.ENABLE_AND_HALT)
+            await link.write(dryve.CONTROLWORD, ControlWord.ENABLE_AND_HALT)
         until_ns = self._clock() + int(BRAKE_MAX_S * 1e9)
         while abs(await link.read(dryve.VELOCITY)) > self._units(AT_REST_M_S) and self._clock() < until_ns:
             await asyncio.sleep(0.01)
-        await link.write(dryve.CONTROLWORD, Control.SHUTDOWN if operating else Control.RESET_AND_HALT)
+        await link.write(dryve.CONTROLWORD, ControlWord.SHUTDOWN if operating else ControlWord.RESET_AND_HALT)
 
     async def _mode_not_taken(self, link: DryveLink) -> str | None:
         until_ns = self._clock() + int(MODE_MAX_S * 1e9)
@@ -320,7 +320,7 @@ class DryveRailAxis:
         word = next_controlword(feedback.state, enable, braked) if feedback.remote else None
         step = None if word is None else (feedback.state, word)
         if word is not None and step != self._last_step:
-            if word == Control.ENABLE_OPERATION:
+            if word == ControlWord.ENABLE_OPERATION:
                 await link.write(dryve.TARGET_VELOCITY, 0)
             await link.write(dryve.CONTROLWORD, word)
         self._last_step = step
@@ -336,7 +336,7 @@ class DryveRailAxis:
         asked, self._reset_asked = self._reset_asked, False
         if asked and feedback.state is DriveState.FAULT and feedback.remote and not self._wanted.enable:
             # Bit 7 acts on its rising edge; the D1 then wants HALT seen before it is walked up again.
-            for word in (Control.RESET_AND_HALT, Control.FAULT_RESET, Control.RESET_AND_HALT):
+            for word in (ControlWord.RESET_AND_HALT, ControlWord.FAULT_RESET, ControlWord.RESET_AND_HALT):
                 await link.write(dryve.CONTROLWORD, word)
 
     # Words and numbers

@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from softarm.drivers.rail.cia402 import Control, DriveState, StatusWord, decode_state, next_controlword
+from softarm.drivers.rail.cia402 import ControlWord, DriveState, StatusWord, decode_state, next_controlword
 
 
 @pytest.mark.parametrize(
@@ -49,7 +49,7 @@ def test_the_walk_up_takes_one_word_a_state() -> None:
 
 def test_operation_ends_only_at_rest() -> None:
     assert next_controlword(DriveState.OPERATION_ENABLED, enable=False, at_rest=False) is None
-    assert next_controlword(DriveState.OPERATION_ENABLED, enable=False, at_rest=True) == Control.SHUTDOWN
+    assert next_controlword(DriveState.OPERATION_ENABLED, enable=False, at_rest=True) == ControlWord.SHUTDOWN
 
 
 @given(st.sampled_from(DriveState), st.booleans(), st.booleans())

@@ -1,0 +1,62 @@
+"""The devices in this process are the same for either body; their time is the caller's."""
+
+import pytest
+
+from softarm.drivers.bodies.in_process import InProcessRobot
+from softarm.drivers.bodies.independent import IndependentBody
+from softarm.drivers.bodies.simulated import SimulatedBody
+
+BOOTED_NS = 123_456_789_012_345
+PERIOD_NS = 33_333_333
+
+
+@pytest.fixture(params=[SimulatedBody, IndependentBody])
+def robot(request):
+    return InProcessRobot(request.param(), BOOTED_NS)
+
+
+def test_every_stamp_is_on_the_callers_clock(robot):
+    for tick in range(1, 4):
+        now_ns = BOOTED_NS + tick * PERIOD_NS
+        *_, frame = robot.mocap.read(now_ns)
+        for stamp_ns in (frame.t_capture_ns, robot.regulator.read().t_receive_ns, robot.rail.read().t_receive_ns):
+            assert now_ns - 10_000_000 < stamp_ns <= now_ns
+    assert robot.body.now_ns == 3 * PERIOD_NS
+
+
+def test_it_moves_under_the_commands_last_written_and_not_at_all_when_they_are_off(robot):
+    def fly(enable):
+        robot.rail.write(enable, 0.4)
+        robot.regulator.write(enable, 10.0)
+        for _ in range(15):
+            robot.mocap.read(robot.now_ns + PERIOD_NS)
+        return robot.body.cart_velocity_m_s, robot.body.pressure_kpa, robot.rail.read(), robot.regulator.read()
+
+    velocity_m_s, kpa, rail, regulator = fly(True)
+    assert velocity_m_s == pytest.approx(0.4, abs=0.1)
+    assert kpa > 7.0
+    assert (rail.enabled, regulator.armed, regulator.sequence) == (True, True, 1)
+    velocity_m_s, kpa, rail, regulator = fly(False)
+    assert velocity_m_s == pytest.approx(0.0, abs=0.1)
+    assert kpa < 3.0
+    assert (rail.enabled, regulator.armed, regulator.sequence) == (False, False, 2)
+
+
+def test_time_that_is_skipped_moves_nothing(robot):
+    robot.rail.write(True, 0.5)
+    robot.mocap.read(BOOTED_NS + PERIOD_NS)
+    before = robot.body.cart_position_m
+    robot.now_ns += 10_000_000_000
+    robot.mocap.read(robot.now_ns)
+    assert robot.body.cart_position_m == before
+    assert robot.body.now_ns == PERIOD_NS
+
+
+def test_a_reading_is_the_same_object_until_the_sensor_has_a_new_one():
+    robot = InProcessRobot(IndependentBody())
+    robot.mocap.read(PERIOD_NS)
+    assert robot.rail.read() is robot.rail.read()
+    assert robot.regulator.read() is robot.regulator.read()
+    first = robot.rail.read()
+    robot.mocap.read(2 * PERIOD_NS)
+    assert robot.rail.read().t_receive_ns > first.t_receive_ns
