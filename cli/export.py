@@ -18,8 +18,8 @@ def export(checkpoint: Path, out: Path) -> None:
     Example:
       softarm export runs/reach-1/best.pt --out my-reach.onnx
     """
+    from softarm.training.record.export import export_checkpoint
     from softarm.training.run.checkpoint import CheckpointError
-    from softarm.training.run.session import export_checkpoint
 
     try:
         export_checkpoint(checkpoint, out)

@@ -6,7 +6,7 @@ state explicit. Inputs `observation` [batch, 10] (11 for the shelf), `h_in`, `c_
 metadata key `softarm`.
 """
 
-from dataclasses import asdict, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -20,13 +20,15 @@ from softarm.schemas.robot import PHYSICS_RATE_HZ
 from softarm.training.learn.inference import infer, workers
 from softarm.training.learn.network import PolicyNetwork
 from softarm.training.learn.normaliser import CLIP
-from softarm.training.run.validation import at_rest
+from softarm.training.record.curve import Row, validated
+from softarm.training.run import validation
+from softarm.training.run.checkpoint import load_policy, task_of
+from softarm.training.run.settings import Settings
 from softarm.training.task.reach import ReachTask
 from softarm.training.task.shelf import environment_of
 
 OPSET = 17
 IR_VERSION = 8  # the one that came with operator set 17: old runtimes read it
-Settings = dict[str, str | float | int | bool | list[float] | None]
 
 
 class _Graph:
@@ -123,13 +125,34 @@ def onnx_model(network: PolicyNetwork) -> onnx.ModelProto:
     return model
 
 
+def export_checkpoint(source: Path, target: Path) -> None:
+    """Turn a checkpoint of a session into an ONNX policy named after its task. Raises CheckpointError."""
+    network, saved = load_policy(source)
+    task = task_of(saved)
+    if not task.muscle:
+        _vent(network)
+    shares = validated([Row(*row) for row in saved["curve"]])
+    settings = saved["settings"] | {"run.frames": saved["frames"], "run.validation_set": validation.chosen_by(task)}
+    write(network, metadata(network, task, settings, saved["seed"], shares[-1] if shares else 0.0), target)
+
+
+def _vent(network: PolicyNetwork) -> None:
+    """Have a network whose muscle was never used say so: its pressure stays at 0."""
+    low, high = ACTION[1].low, ACTION[1].high
+    assert low is not None
+    assert high is not None
+    with torch.no_grad():
+        network.mean_head.weight[1] = 0.0
+        network.mean_head.bias[1] = -2.0 * low / (high - low) - 1.0
+
+
 def golden_run(network: PolicyNetwork, task: ReachTask, steps: int = 100) -> Golden:
     """Record a closed-loop run of one robot at a typical target: what the exported file has to reproduce."""
     # No radius: passing the target does not end the run.
     recorded = replace(task, action_noise=0.0, success_radius_m=0.0, episode_steps=steps + 1)
     environment = environment_of(recorded, 1, seed=0, physics_rate_hz=PHYSICS_RATE_HZ)
     target = np.array([[np.mean(task.target_y_m), np.mean(task.target_z_m)]], dtype=np.float32)
-    observation = environment.reset(at_rest(np.array([0.1]), environment.simulator.links), target)
+    observation = environment.reset(validation.at_rest(np.array([0.1]), environment.simulator.links), target)
     state = network.initial_state(1)
     inputs, outputs = [], []
     with workers(1) as pool:
@@ -171,15 +194,3 @@ def write(network: PolicyNetwork, description: PolicyMetadata, path: Path) -> No
     helper.set_model_props(model, {METADATA_KEY: description.model_dump_json()})
     path.parent.mkdir(parents=True, exist_ok=True)
     files.write_bytes(path, model.SerializeToString())
-
-
-def flat_settings(**parts: object) -> Settings:
-    """Dataclasses as one flat dictionary, `part.field` or `part.field.key`, tuples as lists."""
-    settings: Settings = {}
-    for name, part in parts.items():
-        for key, value in asdict(part).items():  # type: ignore[call-overload]
-            flat = value if isinstance(value, dict) else {"": value}
-            for under, single in flat.items():
-                path = ".".join(filter(None, (name, key, under)))
-                settings[path] = list(single) if isinstance(single, tuple) else single
-    return settings

@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 from softarm.pages.document import Section, document
 from softarm.pages.markup import Html, el, join, picture, table, tiles
-from softarm.training.record.export import Settings
+from softarm.training.run.settings import Settings
 
 
 class Summary(NamedTuple):

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softarm.simulator.kernel.contact import APART_M, DEPTH_M, THICKNESS_M
-from softarm.training.record.report import BLUE, ORANGE, PAPER
+from softarm.training.record.curve import BLUE, ORANGE, PAPER
 from softarm.training.run.validation import Tested
 from softarm.training.task.reach import ReachTask
 from softarm.training.task.shelf import ShelfTask

@@ -6,7 +6,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
-from softarm.training.record.report import Row
+from softarm.training.record.curve import Row
 
 SCALARS = {
     "episodes/success": "success",

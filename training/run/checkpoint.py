@@ -1,11 +1,20 @@
 """A training run on disk: everything needed to go on as if nothing had happened, or to export the policy."""
 
+from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import torch
 
 from softarm.common import files
+from softarm.training.learn.network import NetworkShape, PolicyNetwork
+from softarm.training.record.curve import Row
+from softarm.training.run.settings import usual
+from softarm.training.task.reach import ReachTask
+from softarm.training.task.shelf import ShelfTask
+
+if TYPE_CHECKING:
+    from softarm.training.run.session import Session
 
 FORMAT = 1
 
@@ -33,3 +42,57 @@ def load(path: Path) -> dict[str, Any]:
     if not isinstance(content, dict) or content.get("format") != FORMAT:
         raise CheckpointError(f"{path}: not a checkpoint of format {FORMAT}; train again with this version")
     return content
+
+
+def policy_of(session: "Session") -> dict[str, Any]:
+    """What of a session makes its policy: the averaged weights and how they came to be."""
+    return {
+        "settings": session.settings,
+        "average": session.average.state_dict(),
+        "network": asdict(session.network.shape),
+        "kind": session.task.kind,
+        "task": asdict(session.task),
+        "seed": session.config.seed,
+        "frames": session.frames,
+        "seconds": session.seconds,
+        "best": session.best,
+        "curve": [tuple(row) for row in session.curve],
+    }
+
+
+def all_of(session: "Session") -> dict[str, Any]:
+    """What a session goes on from: its policy, and where the learner stands."""
+    return policy_of(session) | {"learner": session.learner.snapshot()}
+
+
+def restore(session: "Session", saved: dict[str, Any]) -> None:
+    """Put a new session where `all_of` left one. Raises CheckpointError when that had other settings."""
+    # Older ones knew no other model, network or robots that differ.
+    settings = usual(session.task, session.network.shape.inputs) | saved["settings"]
+    for key, value in session.settings.items():
+        if settings.get(key) != value:
+            raise CheckpointError(
+                f"{session.out / 'latest.pt'}: was trained with {key} = {settings.get(key)}, not {value}; "
+                "resume with the same settings or give another --out"
+            )
+    session.learner.restore(saved["learner"])
+    session.average.load_state_dict(saved["average"])
+    session.frames, session.seconds = saved["frames"], saved["seconds"]
+    session.curve = [Row(*row) for row in saved["curve"]]
+
+
+def load_policy(source: Path) -> tuple[PolicyNetwork, dict[str, Any]]:
+    """Return the network of a session's checkpoint, and all else that is in the file. Raises CheckpointError."""
+    saved = load(source)
+    missing = {"settings", "task", "seed", "curve", "average"} - saved.keys()
+    if missing:
+        raise CheckpointError(f"{source}: {', '.join(sorted(missing))} missing; give a .pt file of `softarm train`")
+    network = PolicyNetwork(NetworkShape(**saved.get("network", {})))
+    network.load_state_dict(saved["average"])
+    return network, saved
+
+
+def task_of(saved: dict[str, Any]) -> ReachTask:
+    """The task of a checkpoint."""
+    kind = ShelfTask if saved.get("kind") == "shelf" else ReachTask
+    return kind(**saved["task"])

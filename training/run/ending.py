@@ -3,7 +3,7 @@
 from collections.abc import Iterator
 from pathlib import Path
 
-from softarm.training.record import tensorboard
+from softarm.training.record import report, tensorboard
 from softarm.training.run.session import Session
 
 
@@ -13,9 +13,9 @@ def ending(session: Session, policy: Path) -> Iterator[str]:
     yield f"{session.frames / 1e6:.2f} M frames in {session.seconds / 60:.1f} min, {session.out}:"
     yield f"  {policy.name}: the checkpoint with {session.best:.1%} of the validation set reached"
     yield "  learning_curve.csv and .png, latest.pt (to resume), best.pt (`softarm export`)"
-    tested = session.test()
+    tested = report.fly_test_trials(session)
     yield f"  {tested.report.sentence}"
-    page = session.write_report(tested)
+    page = report.write(session, tested)
     yield f"  {page.name}: the curves and the tip's paths at these trials, also in tip_paths.png"
     if session.events.fault is None:
         yield f"  tensorboard/: see it with `tensorboard --logdir {session.out}`"

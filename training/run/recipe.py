@@ -15,7 +15,8 @@ from softarm.simulator import model_file
 from softarm.training.learn.inference import Workers
 from softarm.training.learn.network import NetworkShape
 from softarm.training.learn.ppo import PpoConfig
-from softarm.training.run.session import Session, TrainingConfig
+from softarm.training.run.session import Session
+from softarm.training.run.settings import TrainingConfig
 from softarm.training.task.randomisation import Randomisation
 from softarm.training.task.reach import TASKS, ReachTask
 from softarm.training.task.shelf import ShelfTask

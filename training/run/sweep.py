@@ -21,6 +21,7 @@ from softarm.common.processes import WorkerDied, as_they_come
 from softarm.schemas.base import Strict
 from softarm.simulator import model_file
 from softarm.training.learn.inference import workers
+from softarm.training.record import report
 from softarm.training.run import recipe as recipes
 from softarm.training.run.recipe import RECIPES, Recipe
 
@@ -130,8 +131,8 @@ def train(work: Work) -> Result:
     with workers(work.threads) as pool:
         session = recipes.begin(recipe, work.seed, folder, pool, (folder / "latest.pt").exists())
         policy = session.run(recipe.frames, None)
-        tested = session.test()
-        session.write_report(tested)
+        tested = report.fly_test_trials(session)
+        report.write(session, tested)
     assert session.best is not None, "a run ends with a validation"
     test = tested.report._asdict()
     result = Result(work.name, work.seed, work.recipe, session.frames, session.seconds, session.best, test, policy.name)

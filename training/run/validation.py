@@ -1,6 +1,6 @@
 """How often a policy reaches: a validation set to choose by; to report, the seed's 54 targets and its shelf."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -173,6 +173,37 @@ def fly(
         alive &= ~over
         observation = step.observation  # robots that began again fly on unseen
     return Outcome(reached, time_s, closest, path)
+
+
+@dataclass(frozen=True)
+class Validation:
+    """What a run's checkpoints are chosen by: the same trials every time, on robots such as it learns on."""
+
+    task: ReachTask
+    trials: Trials
+    pool: Workers
+    physics_rate_hz: float
+    model: Model
+    dtype: torch.dtype  # of the network's matrix products
+    randomisation: Randomisation
+
+    def success(self, network: PolicyNetwork) -> float:
+        """Share of the trials that a network reaches."""
+        rate_hz, dtype, robots = self.physics_rate_hz, self.dtype, self.randomisation
+        outcome = fly(network, self.task, self.trials, self.pool, rate_hz, self.model, dtype, robots)
+        return float(outcome.reached.mean())
+
+
+def chosen_by(task: ReachTask) -> str:
+    """What a task's validation set is, for people."""
+    return SHELF_VALIDATION_SET if isinstance(task, ShelfTask) else VALIDATION_SET
+
+
+def test(network: PolicyNetwork, task: ReachTask, pool: Workers, model: Model) -> Tested:
+    """Fly a task's test trials on a model, for the record; nothing is chosen by it."""
+    if isinstance(task, ShelfTask):
+        return shelf_test(network, task, pool, model=model)
+    return grid_test(network, task, pool, model=model)
 
 
 def shelf_test(

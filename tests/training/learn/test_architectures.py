@@ -13,7 +13,8 @@ from softarm.training.learn.inference import infer, workers
 from softarm.training.learn.network import NetworkShape, PolicyNetwork
 from softarm.training.learn.ppo import Ppo, PpoConfig
 from softarm.training.record.export import onnx_model
-from softarm.training.run.session import Session, TrainingConfig
+from softarm.training.run.session import Session
+from softarm.training.run.settings import TrainingConfig
 from softarm.training.task.environment import Environment
 from softarm.training.task.reach import TASKS
 from softarm.training.task.shelf import ShelfTask, environment_of

@@ -17,7 +17,8 @@ from softarm.training.learn.ppo import PpoConfig
 from softarm.training.record import export
 from softarm.training.run.checkpoint import CheckpointError
 from softarm.training.run.recipe import PRESETS
-from softarm.training.run.session import Session, TrainingConfig
+from softarm.training.run.session import Session
+from softarm.training.run.settings import TrainingConfig
 from softarm.training.task.environment import ACTIONS, INPUTS
 from softarm.training.task.reach import TASKS
 

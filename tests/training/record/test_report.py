@@ -15,9 +15,10 @@ from softarm.cli.train import train
 from softarm.training.learn import warm_start
 from softarm.training.learn.inference import workers
 from softarm.training.learn.ppo import PpoConfig
-from softarm.training.record import page, path_figure, tensorboard
+from softarm.training.record import page, path_figure, report, tensorboard
 from softarm.training.run import validation
-from softarm.training.run.session import Session, TrainingConfig
+from softarm.training.run.session import Session
+from softarm.training.run.settings import TrainingConfig
 from softarm.training.task.reach import ReachTask
 from softarm.training.task.shelf import ShelfTask
 
@@ -88,7 +89,7 @@ def test_a_resumed_run_has_no_point_twice_and_none_missing(tmp_path):
 
 def test_without_its_package_training_goes_on_and_says_so_once(tmp_path, monkeypatch):
     monkeypatch.setattr(tensorboard, "find_spec", lambda name: None)
-    monkeypatch.setattr(Session, "test", lambda self: flown())
+    monkeypatch.setattr(report, "fly_test_trials", lambda session: flown())
     arguments = ["reach", "--robots", "16", "--frames", str(FRAMES), "--out", str(tmp_path)]
     result = CliRunner().invoke(train, arguments)
     assert result.exit_code == 0, result.output
@@ -150,7 +151,7 @@ def test_a_report_needs_nothing_else(tmp_path):
     with workers(1) as pool:
         run = session(tmp_path, pool)
         run.run(frames=2 * FRAMES, minutes=None)
-        text = run.write_report(flown()).read_text()
+        text = report.write(run, flown()).read_text()
     for picture in ("learning_curve.png", "tip_paths.png"):
         content = (tmp_path / picture).read_bytes()
         assert content.startswith(b"\x89PNG")
@@ -169,7 +170,7 @@ def test_the_shelf_is_drawn_with_its_boards(tmp_path):
         run = session(tmp_path, pool, task=ShelfTask())
         run.run(frames=2 * FRAMES, minutes=None)
         tested = flown_at_shelf(run, pool)
-        text = run.write_report(tested).read_text()
+        text = report.write(run, tested).read_text()
     assert "shelf, seed 3" in text
     assert text.count("data:image/png;base64,") == 2
     figure = path_figure.draw(tested, run.task, run.title)

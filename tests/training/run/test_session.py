@@ -18,10 +18,11 @@ from softarm.schemas.policy import METADATA_KEY, OBSERVATION, REACH_GOAL, Policy
 from softarm.training.learn.inference import infer, workers
 from softarm.training.learn.network import NetworkShape, PolicyNetwork
 from softarm.training.learn.ppo import PpoConfig
-from softarm.training.record.export import onnx_model
+from softarm.training.record.export import export_checkpoint, onnx_model
 from softarm.training.run import validation
 from softarm.training.run.checkpoint import CheckpointError
-from softarm.training.run.session import Session, TrainingConfig, averaged_share, export_checkpoint
+from softarm.training.run.session import Session, averaged_share
+from softarm.training.run.settings import TrainingConfig
 from softarm.training.task.environment import ACTIONS, INPUTS, Environment
 from softarm.training.task.reach import TASKS
 

@@ -17,7 +17,8 @@ from softarm.training.learn.network import NetworkShape, PolicyNetwork
 from softarm.training.learn.ppo import PpoConfig
 from softarm.training.run import validation
 from softarm.training.run.checkpoint import CheckpointError
-from softarm.training.run.session import Session, TrainingConfig
+from softarm.training.run.session import Session
+from softarm.training.run.settings import TrainingConfig
 from softarm.training.task.environment import ACTIONS, INPUTS, Environment, Step
 from softarm.training.task.reach import TASKS
 
