@@ -92,7 +92,7 @@ def run(
     from softarm.flights.many import Place, fly_all
     from softarm.schemas.goals import TEST_TARGETS
     from softarm.simulator import model_file as files
-    from softarm.training.learn.warm_start import load_weights
+    from softarm.training.run.warm_start import load_weights
 
     load_weights(policy)  # before minutes of work
     targets, spent = targets or TEST_TARGETS, dict[str, dict[str, float]]()

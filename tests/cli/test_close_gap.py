@@ -19,8 +19,8 @@ from softarm.schemas.goals import TEST_TARGETS
 from softarm.schemas.model import Model
 from softarm.schemas.verdict import Estimate, Gap, Interval, NamedEffect, Shrink, Verdict, Where
 from softarm.simulator import model_file
-from softarm.training.learn.warm_start import load_weights
 from softarm.training.run.retrain import Recipe
+from softarm.training.run.warm_start import load_weights
 
 REACH = MODELS / "reach.onnx"
 EASY, NEVER = TEST_TARGETS[4], TEST_TARGETS[-1]  # (-0.20, 0.55), and (0, 0.80), which no command reaches

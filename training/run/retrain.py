@@ -12,12 +12,11 @@ from pathlib import Path
 
 from softarm.schemas.model import Model
 from softarm.simulator.effects import find
-from softarm.training.learn import warm_start
 from softarm.training.learn.inference import workers
 from softarm.training.learn.ppo import PpoConfig
 from softarm.training.record.curve import Row
 from softarm.training.record.export import export_checkpoint
-from softarm.training.run import validation
+from softarm.training.run import validation, warm_start
 from softarm.training.run.session import Session, Standing
 from softarm.training.run.settings import TrainingConfig
 from softarm.training.task.randomisation import Randomisation

@@ -12,11 +12,10 @@ from tensorboard.backend.event_processing.event_accumulator import EventAccumula
 
 from softarm import policies
 from softarm.cli.train import train
-from softarm.training.learn import warm_start
 from softarm.training.learn.inference import workers
 from softarm.training.learn.ppo import PpoConfig
 from softarm.training.record import page, path_figure, report, tensorboard
-from softarm.training.run import validation
+from softarm.training.run import validation, warm_start
 from softarm.training.run.session import Session
 from softarm.training.run.settings import TrainingConfig
 from softarm.training.task.reach import ReachTask

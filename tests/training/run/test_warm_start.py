@@ -9,12 +9,12 @@ import torch
 from onnx import numpy_helper
 
 from softarm.policies.base import MODELS
-from softarm.training.learn import warm_start
 from softarm.training.learn.inference import workers
 from softarm.training.learn.network import NetworkShape
 from softarm.training.learn.normaliser import VARIANCE_FLOOR
 from softarm.training.learn.ppo import PpoConfig
 from softarm.training.record import export
+from softarm.training.run import warm_start
 from softarm.training.run.checkpoint import CheckpointError
 from softarm.training.run.recipe import PRESETS
 from softarm.training.run.session import Session
