@@ -32,6 +32,23 @@ class Device(Protocol):
         """Why there is no fresh reading: port, command and next step in one sentence; None: all is well."""
 
 
+class WithoutWire:
+    """The part of a device in this process that is the same for all: there is nothing that could come loose."""
+
+    def start(self) -> None:
+        """Nothing to connect to."""
+
+    async def stop(self) -> None:
+        """Nothing to free."""
+
+    def reset_fault(self) -> None:
+        """There are no faults."""
+
+    def problem(self) -> str | None:
+        """None."""
+        return None
+
+
 class MocapSource(Device, Protocol):
     """Poses of six rigid bodies."""
 

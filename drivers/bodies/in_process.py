@@ -6,6 +6,7 @@ the same devices serve the offline flights, where time jumps by a tick, and `sof
 
 from dataclasses import replace
 
+from softarm.drivers.base import WithoutWire
 from softarm.drivers.bodies.base import Body
 from softarm.schemas.messages import MocapFrame, PressureReading, RailReading
 
@@ -36,24 +37,7 @@ class InProcessRobot:
         self.now_ns = now_ns
 
 
-class _WithoutWire:
-    """The part that is the same for all three: there is nothing that could come loose."""
-
-    def start(self) -> None:
-        """Nothing to connect to."""
-
-    async def stop(self) -> None:
-        """Nothing to free."""
-
-    def reset_fault(self) -> None:
-        """There are no faults."""
-
-    def problem(self) -> str | None:
-        """None."""
-        return None
-
-
-class InProcessMocap(_WithoutWire):
+class InProcessMocap(WithoutWire):
     """The body's own frames."""
 
     def __init__(self, robot: InProcessRobot) -> None:
@@ -69,7 +53,7 @@ class InProcessMocap(_WithoutWire):
         )
 
 
-class InProcessRegulator(_WithoutWire):
+class InProcessRegulator(WithoutWire):
     """Takes a set-point at once; lag and delay are the body's."""
 
     def __init__(self, robot: InProcessRobot) -> None:
@@ -95,7 +79,7 @@ class InProcessRegulator(_WithoutWire):
         self.set_point_kpa = pressure_kpa if armed else 0.0
 
 
-class InProcessRail(_WithoutWire):
+class InProcessRail(WithoutWire):
     """Takes a set-point at once; ramp and delay are the body's."""
 
     def __init__(self, robot: InProcessRobot) -> None:
