@@ -23,10 +23,10 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 from rich.console import Console
-from rich.progress import Progress
 from rich.table import Table
 
 from softarm.benchmarks import mujoco_sysid, results
+from softarm.common.processes import bar, cores
 from softarm.diagnosis.blind import cases, make
 from softarm.diagnosis.blind.imperfections import draw_nuisances
 from softarm.diagnosis.diagnose import diagnose
@@ -172,11 +172,10 @@ def compare(folder: Path, kinds: Sequence[str]) -> dict[str, Any]:
     model = model_file.load(folder / "model.yaml") if (folder / "model.yaml").is_file() else Model()
     _check(folder, {trial.kind for trial in trials}, kinds)
     load, installed = os.getloadavg()[0], mujoco_sysid.is_installed()
-    with Progress(transient=True) as progress:
-        task = progress.add_task("", total=(len(kinds) + 1) * (1 + installed), completed=-1)
+    with bar("reading", (len(kinds) + 1) * (1 + installed), done=-1) as shown:
 
         def advance(what: str) -> None:
-            progress.update(task, description=what, advance=1)
+            shown.advance(text=what)
 
         our_side = ours(trials, kinds, model, advance)
         their_side = peers(trials, kinds, model, advance) if installed else None
@@ -187,7 +186,7 @@ def compare(folder: Path, kinds: Sequence[str]) -> dict[str, Any]:
         "units": {"pressure": "kPa", "arm": "m"},
         "diagnosis": asdict(our_side),
         "mujoco_sysid": None,
-        "cores": len(os.sched_getaffinity(0)),
+        "cores": cores(),
         "load_average": {"before": load, "after": os.getloadavg()[0]},
         "mujoco_version": mujoco.__version__,
     }

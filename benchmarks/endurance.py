@@ -10,9 +10,9 @@ from pathlib import Path
 import click
 import numpy as np
 from rich.console import Console
-from rich.progress import track
 
 from softarm.benchmarks import results
+from softarm.common.processes import bar
 from softarm.schemas.robot import PRESSURE_MAX_KPA, PRESSURE_MIN_KPA, RAIL_LIMIT_M, TRAINING_PHYSICS_RATE_HZ
 from softarm.simulator.effects import REGISTRY
 from softarm.simulator.simulator import Simulator
@@ -75,7 +75,11 @@ def main(episodes: int, json_file: Path | None) -> None:
       python -m softarm.benchmarks.endurance --episodes 100000
     """
     start = time.perf_counter()
-    batches = [fly(BATCH, seed) for seed in track(range(-(-episodes // BATCH)), transient=True)]
+    batches, count = [], -(-episodes // BATCH)
+    with bar("flying", count) as shown:
+        for seed in range(count):
+            batches.append(fly(BATCH, seed))
+            shown.advance()
     figures = {
         "episodes": len(batches) * BATCH,
         "seconds": time.perf_counter() - start,

@@ -22,10 +22,10 @@ from typing import Any, Self
 import click
 import numpy as np
 from rich.console import Console
-from rich.progress import Progress
 from rich.table import Table
 
 from softarm.benchmarks import results
+from softarm.common.processes import bar
 from softarm.daemon.control.records import Inputs, Outputs, TickTiming
 from softarm.daemon.logbook import logs
 from softarm.daemon.shell import realtime
@@ -175,11 +175,9 @@ def main(seconds: float, json_file: Path | None, model_file: Path | None) -> Non
     Example:
       python -m softarm.benchmarks.loop --seconds 60 --json loop.json
     """
-    console = Console()
     try:
-        with Progress(console=console, transient=True) as progress:
-            task = progress.add_task("ticking", total=1.0)
-            result = run(seconds, lambda share: progress.update(task, completed=share), model_file)
+        with bar("ticking") as shown:
+            result = run(seconds, shown.show, model_file)
     except SoftwareInTheLoopError as error:
         raise click.ClickException(str(error)) from None
     if json_file is not None:
@@ -189,7 +187,7 @@ def main(seconds: float, json_file: Path | None, model_file: Path | None) -> Non
         table.add_row(label, *("{p50:.2f} / {p99:.2f} / {max:.2f}".format(**part[name]) for part in result.values()))
     for name, label in COUNTED.items():
         table.add_row(label, *(str(part[name]) for part in result.values()))
-    console.print(table)
+    Console().print(table)
 
 
 if __name__ == "__main__":

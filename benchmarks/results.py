@@ -1,7 +1,6 @@
 """What a measurement leaves: its figures as JSON, and under `about` which software gave them, where, when and how."""
 
 import json
-import os
 import shlex
 import sys
 from collections.abc import Mapping
@@ -11,6 +10,8 @@ from typing import Any
 
 import click
 
+from softarm.common import files
+from softarm.common.processes import cores
 from softarm.common.revision import machine, revision
 
 FILE = click.Path(path_type=Path, dir_okay=False)
@@ -21,11 +22,17 @@ def write(file: Path, figures: Mapping[str, Any]) -> None:
     """Write figures, by name, and where they come from."""
     about = {
         "revision": revision(),
-        "machine": {**machine(), "cores": len(os.sched_getaffinity(0))},
+        "machine": {**machine(), "cpu": _cpu(), "cores": cores()},
         "date": datetime.now(UTC).isoformat(timespec="seconds"),
         "command": _command(),
     }
-    file.write_text(json.dumps({"about": about, **figures}, indent=1) + "\n", encoding="utf-8")
+    files.write_text(file, json.dumps({"about": about, **figures}, indent=1) + "\n")
+
+
+def _cpu() -> str:
+    """The processor's own name; empty where the system does not say."""
+    lines = Path("/proc/cpuinfo").read_text(encoding="utf-8", errors="replace").splitlines()
+    return next((line.partition(":")[2].strip() for line in lines if line.startswith("model name")), "")
 
 
 def _command() -> str:

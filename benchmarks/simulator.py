@@ -23,10 +23,10 @@ import mujoco
 import numpy as np
 from mujoco import rollout
 from rich.console import Console
-from rich.progress import Progress
 
 from softarm.benchmarks import commands, results, simulator_profile
 from softarm.benchmarks.mujoco_arm import mjcf
+from softarm.common.processes import bar, cores
 from softarm.schemas.model import Cart, Model, seed_effects
 from softarm.schemas.robot import CONTROL_PERIOD_S, TRAINING_PHYSICS_RATE_HZ
 from softarm.simulator.simulator import Simulator
@@ -48,15 +48,14 @@ def run(quick: bool = False) -> dict[str, Any]:
 
     quick: fewer command sets and rounds, for a look; the figures then scatter.
     """
-    cores = len(os.sched_getaffinity(0))
+    threads = cores()
     load_before = os.getloadavg()[0]
-    with Progress(transient=True) as progress:
-        task = progress.add_task("Tip errors", total=None)
+    with bar("tip errors", total=None) as shown:
         sets = _command_sets(4 if quick else 16)
-        reference = _mujoco_tips(*sets, REFERENCE_SUBSTEPS, cores, "RK4")
+        reference = _mujoco_tips(*sets, REFERENCE_SUBSTEPS, threads, "RK4")
         ours = _error_mm(_our_tips(*sets), reference)
         for substeps in CANDIDATES:
-            theirs = _error_mm(_mujoco_tips(*sets, substeps, cores), reference)
+            theirs = _error_mm(_mujoco_tips(*sets, substeps, threads), reference)
             if theirs["mean"] <= EQUAL * ours["mean"]:
                 break
         else:
@@ -64,13 +63,13 @@ def run(quick: bool = False) -> dict[str, Any]:
                 f"MuJoCo's error stays above {ours['mean']:.3f} mm even at {30 * substeps} Hz; add finer CANDIDATES"
             )
         rounds = 3 if quick else 9
-        progress.update(task, description="Speed", total=rounds)
+        shown.show(total=rounds, text="speed")
         speeds = []
-        race = _Race(substeps, cores)
+        race = _Race(substeps, threads)
         for _ in range(rounds):
             speeds.append((race.ours(), race.mujoco()))
-            progress.advance(task)
-        progress.update(task, description="Profile", total=None)
+            shown.advance()
+        shown.show(text="profile")
         more = simulator_profile.measure(rounds)
     our_speed, mujoco_speed = (statistics.median(side) for side in zip(*speeds, strict=True))
     return {
@@ -84,7 +83,7 @@ def run(quick: bool = False) -> dict[str, Any]:
         "mujoco_integrator": "implicitfast",
         "mujoco_version": mujoco.__version__,
         "robots": ROBOTS,
-        "cores": cores,
+        "cores": threads,
         "rounds": rounds,
         **more,
         "load_average": {"before": load_before, "after": os.getloadavg()[0]},
@@ -105,12 +104,12 @@ def _our_tips(velocity: np.ndarray, pressure: np.ndarray) -> np.ndarray:
 
 
 def _mujoco_tips(
-    velocity: np.ndarray, pressure: np.ndarray, substeps: int, cores: int, integrator: str = "implicitfast"
+    velocity: np.ndarray, pressure: np.ndarray, substeps: int, threads: int, integrator: str = "implicitfast"
 ) -> np.ndarray:
     model = mujoco.MjModel.from_xml_string(mjcf(MODEL, substeps / CONTROL_PERIOD_S, integrator, actuators=True))
     control = _mujoco_controls(velocity, pressure, substeps)
-    workers = [mujoco.MjData(model) for _ in range(cores)]
-    with rollout.Rollout(nthread=cores) as pool:
+    workers = [mujoco.MjData(model) for _ in range(threads)]
+    with rollout.Rollout(nthread=threads) as pool:
         states, _ = pool.rollout(model, workers, _state_at_rest(model), control)
     position = states[:, -1, 1 : 1 + model.nq]  # the state begins with the time
     angles, length = np.cumsum(position[:, 1:], axis=1), np.array(MODEL.arm.link_length_m)
@@ -150,12 +149,12 @@ class _Race:
 
     STEPS, MUJOCO_STEPS = 60, 1
 
-    def __init__(self, mujoco_substeps: int, cores: int) -> None:
+    def __init__(self, mujoco_substeps: int, threads: int) -> None:
         self._velocity, self._pressure = commands.smooth(ROBOTS, seed=3)
         self._simulator = Simulator(MODEL, ROBOTS, TRAINING_PHYSICS_RATE_HZ)
         self._model = mujoco.MjModel.from_xml_string(mjcf(MODEL, mujoco_substeps / CONTROL_PERIOD_S, actuators=True))
-        self._workers = [mujoco.MjData(self._model) for _ in range(cores)]
-        self._pool = rollout.Rollout(nthread=cores)
+        self._workers = [mujoco.MjData(self._model) for _ in range(threads)]
+        self._pool = rollout.Rollout(nthread=threads)
         self._control = _mujoco_controls(
             self._velocity[: self.MUJOCO_STEPS], self._pressure[: self.MUJOCO_STEPS], mujoco_substeps
         )

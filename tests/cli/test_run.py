@@ -20,6 +20,7 @@ def write(path, text):
     return path
 
 
+@pytest.mark.realtime
 def test_a_simulated_run_arms_swings_and_ends_cleanly(tmp_path):
     config = write(tmp_path / "c.yaml", f"api: {{port: 0}}\nrecorder: {{directory: {tmp_path}}}\n")
     command = [sys.executable, "-m", "softarm.cli.main", "run", "--simulated", "--config", str(config)]
