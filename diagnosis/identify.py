@@ -7,12 +7,13 @@ from typing import TypedDict
 import numpy as np
 from numpy.typing import NDArray
 
+from softarm.common.quantity import KPA_PER_PSI
 from softarm.diagnosis import bench, motion, refinement, regression
 from softarm.diagnosis.motion import Derivatives, Motion
 from softarm.diagnosis.refinement import Refinement
 from softarm.diagnosis.regression import Regression
 from softarm.diagnosis.trials import Trial, TrialError
-from softarm.schemas.model import KPA_PER_PSI, Model
+from softarm.schemas.model import Model
 
 Array = NDArray[np.float64]
 Progress = Callable[[str], None]

@@ -7,10 +7,11 @@ from typing import Any
 
 import numpy as np
 
+from softarm.common.quantity import factor
 from softarm.diagnosis import checks, yaml_file
 from softarm.diagnosis.folder import numbers, read_table
 from softarm.diagnosis.trials import Array, Series, Stage, Trial, TrialError
-from softarm.schemas.trial import UNITS, Channel, Column, StageFile, TableTrial
+from softarm.schemas.trial import Channel, Column, StageFile, TableTrial
 
 EXAMPLE = "one of diagnosis/stages/*.yaml"
 # Kind -> channel -> unit groups of which one column is needed.
@@ -129,8 +130,8 @@ def _column(path: Path, table: Any, column: Column, segment: str | None, element
         raise TrialError(f"{path}: {source} is {values.shape}; say with `row` which of its rows is meant")
     if (bad := np.flatnonzero(~np.isfinite(values))).size:
         raise TrialError(f"{path}: column {source}, row {bad[0] + 1}: {values[bad[0]]}; leave such rows out")
-    factor, _ = UNITS[column.unit]
-    return values * factor + column.add
+    worth, _ = factor(column.unit)
+    return values * worth + column.add
 
 
 def _cells(path: Path, name: str, cells: list[str]) -> list[str] | Array:
@@ -179,7 +180,7 @@ def _range_warnings(series: Series, channel: Channel, where: str) -> list[str]:
     limits = {"rad": (13.0, "degrees"), "m": (20.0, "millimetres"), "kPa": (2000.0, "Pa"), "m/s": (50.0, "mm/s")}
     warnings = []
     for name, column in channel.columns.items():
-        unit = UNITS[column.unit][1]
+        _, unit = factor(column.unit)
         top = float(np.max(np.abs(series[name] - column.add), initial=0.0))
         if unit in limits and top > limits[unit][0]:
             warnings.append(

@@ -10,10 +10,9 @@ from typing import Annotated, Self
 
 from pydantic import Field, model_validator
 
+from softarm.common.quantity import KPA_PER_PSI
 from softarm.schemas.base import Strict
 from softarm.schemas.robot import CONTROL_PERIOD_S, RAIL_TRAVEL_M
-
-KPA_PER_PSI = 6.894757
 
 Positive = Annotated[float, Field(gt=0)]
 NonNegative = Annotated[float, Field(ge=0)]
@@ -64,7 +63,7 @@ class Cart(Strict):
 
 # An effect's parameters by name, each in the unit that the registry says (simulator/effects.py); inf is allowed: the
 # neutral value of some.
-Parameters = dict[str, Annotated[float, Field(allow_inf_nan=True)]]
+EffectValues = dict[str, Annotated[float, Field(allow_inf_nan=True)]]
 
 
 def seed_effects() -> dict[str, dict[str, float]]:
@@ -87,4 +86,4 @@ class Model(Strict):
 
     arm: Arm = Arm()
     cart: Cart = Cart()
-    effects: dict[str, Parameters] = Field(default_factory=seed_effects)
+    effects: dict[str, EffectValues] = Field(default_factory=seed_effects)

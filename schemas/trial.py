@@ -2,35 +2,19 @@
 
 from typing import Annotated, Literal
 
-from pydantic import Field
+from pydantic import AfterValidator, Field
 
+from softarm.common.quantity import factor
 from softarm.schemas.base import Strict
 
-# What a column's numbers are multiplied by to get the unit that diagnosis works in.
-UNITS: dict[str, tuple[float, str]] = {
-    "s": (1.0, "s"),
-    "ms": (1e-3, "s"),
-    "us": (1e-6, "s"),
-    "ns": (1e-9, "s"),
-    "m": (1.0, "m"),
-    "mm": (1e-3, "m"),
-    "m/s": (1.0, "m/s"),
-    "mm/s": (1e-3, "m/s"),
-    "rad": (1.0, "rad"),
-    "deg": (0.017453292519943295, "rad"),
-    "rad/s": (1.0, "rad/s"),
-    "deg/s": (0.017453292519943295, "rad/s"),
-    "kPa": (1.0, "kPa"),
-    "bar": (100.0, "kPa"),
-    "psi": (6.894757, "kPa"),
-    "N": (1.0, "N"),
-    "N m": (1.0, "N m"),
-    "1": (1.0, "1"),
-}
-Unit = Literal[
-    "s", "ms", "us", "ns", "m", "mm", "m/s", "mm/s", "rad", "deg", "rad/s", "deg/s", "kPa", "bar", "psi", "N",
-    "N m", "1",
-]  # fmt: skip
+
+def _known(unit: str) -> str:
+    factor(unit)
+    return unit
+
+
+# Of a column's numbers; what they are multiplied by is `softarm.common.quantity.factor`'s to say.
+Unit = Annotated[str, AfterValidator(_known)]
 StageKind = Literal["tracking", "driven_mass", "pendulum"]
 
 

@@ -5,31 +5,27 @@ the standard model of the thing, named. Bounds are physical: what a rig of this 
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
-from softarm.simulator.quantities import Range
+from softarm.common.quantity import Quantity
 
 STAGES = ("pressure", "rail", "arm", "mocap", "observation", "clock", "contact")
 
 
-@dataclass(frozen=True)
-class Parameter:
-    """A number of an effect, in `unit`; fits and randomisation stay within low .. high."""
+@dataclass(frozen=True, kw_only=True)
+class Parameter(Quantity):
+    """A number of an effect; fits and randomisation stay within low .. high.
 
-    name: str
-    unit: str  # "-" for a pure number
+    `default` is of a shape parameter alone, which has no neutral of its own (hysteresis.width): its value where none
+    is given.
+    """
+
     neutral: float  # here the effect changes nothing; inf where only a bound far away does that
-    low: float
-    high: float
     exemplar: float  # strong but sane: for tests, and for "all effects on"
-    meaning: str
-    # Only of a shape parameter, which has no neutral of its own (hysteresis.width): its value where none is given.
-    default: float | None = None
 
-    @property
-    def range(self) -> Range:
-        """What it may be: its bounds, and its neutral wherever that is."""
-        return Range(self.unit, self.low, self.high, also=self.neutral)
+    def __post_init__(self) -> None:
+        """The neutral is allowed, wherever it is."""
+        object.__setattr__(self, "also", self.neutral)
 
     @property
     def otherwise(self) -> float:
@@ -54,11 +50,17 @@ class Effect:
         return self.name.partition(".")[0]
 
 
-def _shape(name: str, unit: str, default: float, low: float, high: float, exemplar: float, meaning: str) -> Parameter:
-    return Parameter(name, unit, default, low, high, exemplar, meaning, default=default)
+def strength(name: str, unit: str, neutral: float, low: float, high: float, exemplar: float, meaning: str) -> Parameter:
+    """How strong an effect is."""
+    return Parameter(name=name, unit=unit, neutral=neutral, low=low, high=high, exemplar=exemplar, meaning=meaning)
 
 
-_P, _INF = Parameter, math.inf
+def shape(name: str, unit: str, default: float, low: float, high: float, exemplar: float, meaning: str) -> Parameter:
+    """What form an effect has; it has no neutral of its own."""
+    return replace(strength(name, unit, default, low, high, exemplar, meaning), default=default)
+
+
+_P, _INF = strength, math.inf
 
 EFFECTS = (
     Effect(
@@ -189,7 +191,7 @@ EFFECTS = (
         (
             # From a half on, a reversal would first pull the wrong way.
             _P("strength", "-", 0.0, 0.0, 0.5, 0.3, "half height of the loop over its width"),
-            _shape(
+            shape(
                 "width", "kPa", 2.0, 0.1, 20.0, 2.0, "change of pressure after which a reversal has turned (1 - 1/e)"
             ),
         ),
@@ -224,7 +226,7 @@ EFFECTS = (
         "arm.creep",
         (
             _P("strength", "-", 0.0, 0.0, 1.0, 0.3, "share of the bending that comes late"),
-            _shape("time", "s", 5.0, 0.3, 100.0, 2.0, "time constant of that share"),
+            shape("time", "s", 5.0, 0.3, 100.0, 2.0, "time constant of that share"),
         ),
         "slow viscoelastic bending: a bent link keeps bending",
         "standard linear solid (Zener 1948); fabric beams creep",

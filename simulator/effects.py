@@ -1,32 +1,31 @@
-"""The registry of effects: what a simulator can have or lack. Everything that speaks of an effect reads it here.
+"""The registry of effects: what a simulator can have or lack. Everything that speaks of an effect reads it here."""
 
-`python -m softarm.simulator.effects` prints docs/effects.md.
-"""
-
-import difflib
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
+from functools import partial
 from typing import NamedTuple
 
+from softarm.common.yaml_lines import MAX_TOLD
+from softarm.common.yaml_schema import did_you_mean
 from softarm.schemas.model import Model
 from softarm.simulator.effect_table import EFFECTS, RIVALS, STAGES, Effect, Parameter
 
 __all__ = ["REGISTRY", "STAGES", "Effect", "EffectError", "Parameter", "exemplars", "find", "validate", "value"]
 
 
-class Problem(NamedTuple):
-    """What is wrong with a model's effects, and with which of them."""
+class Violation(NamedTuple):
+    """What is wrong with a model's effects, and with which of them. The words are made when they are told."""
 
     place: tuple[str, ...]  # effect, or effect and parameter
-    text: str
+    say: Callable[[], str]
 
 
 class EffectError(ValueError):
-    """Effects that no simulator has; `problems` holds all that is wrong, the message one a line."""
+    """Effects that no simulator has; `violations` holds all that is wrong, the message the first, one a line."""
 
-    def __init__(self, problems: list[Problem]) -> None:
-        super().__init__("\n".join(f"{'.'.join(problem.place)}: {problem.text}" for problem in problems))
-        self.problems = tuple(problems)
+    def __init__(self, *violations: Violation) -> None:
+        super().__init__("\n".join(f"{'.'.join(each.place)}: {each.say()}" for each in violations[:MAX_TOLD]))
+        self.violations = violations
 
 
 def _registry() -> dict[str, Effect]:
@@ -51,8 +50,11 @@ def find(path: str) -> tuple[Effect, Parameter]:
     """Return the effect and the parameter of `stage.effect.parameter`. Raises EffectError when there is none."""
     name, _, parameter = path.rpartition(".")
     if name not in REGISTRY:
-        raise EffectError([Problem((path,), _unknown(name))])
-    return REGISTRY[name], _parameter(REGISTRY[name], parameter)
+        raise EffectError(Violation((path,), partial(_unknown, name)))
+    for known in REGISTRY[name].parameters:
+        if known.name == parameter:
+            return REGISTRY[name], known
+    raise EffectError(Violation((name, parameter), partial(_unknown_parameter, REGISTRY[name], parameter)))
 
 
 def value(model: Model, effect: str, parameter: str) -> float:
@@ -73,52 +75,48 @@ def exemplars() -> dict[str, dict[str, float]]:
 
 def validate(effects: Mapping[str, Mapping[str, float]]) -> None:
     """Check a model's effects: names, parameters, bounds. Raises EffectError with everything that is wrong."""
-    if found := list(problems(effects)):
-        raise EffectError(found)
+    if found := list(violations(effects)):
+        raise EffectError(*found)
 
 
-def problems(effects: Mapping[str, Mapping[str, float]]) -> Iterator[Problem]:
+def violations(effects: Mapping[str, Mapping[str, object]]) -> Iterator[Violation]:
     """Find what is wrong with a model's effects, in their order."""
     for name, given in effects.items():
         effect = REGISTRY.get(name)
         if effect is None:
-            yield Problem((name,), _unknown(name))
+            yield Violation((name,), partial(_unknown, name))
             continue
         if effect.parameters and not given:
-            wanted = ", ".join(f"{p.name} ({p.unit})" for p in effect.parameters)
-            yield Problem((name,), f"names no parameter, so it would change nothing; give {wanted}, or remove the line")
-        for parameter, number in given.items():
-            try:
-                known = _parameter(effect, parameter)
-            except EffectError as error:
-                yield error.problems[0]
-                continue
-            if not known.range.admits(number):
-                yield Problem((name, parameter), f"{known.range.complaint(number)}; source: {effect.source}")
+            yield Violation((name,), partial(_without, effect))
+        for parameter, value in given.items():
+            known = next((p for p in effect.parameters if p.name == parameter), None)
+            if known is None:
+                yield Violation((name, parameter), partial(_unknown_parameter, effect, parameter))
+            elif not known.takes(value):
+                yield out_of_range(effect, known, value)
 
 
-def _parameter(effect: Effect, name: str) -> Parameter:
-    known = {p.name: p for p in effect.parameters}
-    if name in known:
-        return known[name]
-    if not known:
-        text = "has no parameters: it is on or absent; write {}"
-    else:
-        near = difflib.get_close_matches(name, known, n=1)
-        hint = f"did you mean {near[0]}? " if near else ""
-        wanted = ", ".join(f"{p.name} ({p.unit})" for p in effect.parameters)
-        text = f"unknown parameter; {hint}{effect.name} has {wanted}"
-    raise EffectError([Problem((effect.name, name), text)])
+def out_of_range(effect: Effect, parameter: Parameter, value: object) -> Violation:
+    """Say of a parameter's value that it is not allowed."""
+    return Violation((effect.name, parameter.name), lambda: f"{parameter.complaint(value)}; source: {effect.source}")
 
 
 def _unknown(name: str) -> str:
     near = [known for known in REGISTRY if known.partition(".")[2] == name.rpartition(".")[2]]  # on another stage
-    near = near or difflib.get_close_matches(name, REGISTRY, cutoff=0.5)
-    hint = f"did you mean {near[0]}? " if near else ""
+    hint = f"did you mean {near[0]}? " if near else did_you_mean(name, REGISTRY, cutoff=0.5)
     return f"unknown effect; {hint}docs/effects.md lists them all"
 
 
-if __name__ == "__main__":
-    from softarm.simulator.effects_page import page
+def _unknown_parameter(effect: Effect, name: str) -> str:
+    if not effect.parameters:
+        return "has no parameters: it is on or absent; write {}"
+    hint = did_you_mean(name, [p.name for p in effect.parameters])
+    return f"unknown parameter; {hint}{effect.name} has {_wanted(effect)}"
 
-    print(page(), end="")
+
+def _without(effect: Effect) -> str:
+    return f"names no parameter, so it would change nothing; give {_wanted(effect)}, or remove the line"
+
+
+def _wanted(effect: Effect) -> str:
+    return ", ".join(f"{p.name} ({p.unit})" for p in effect.parameters)

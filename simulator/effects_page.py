@@ -1,4 +1,4 @@
-"""docs/effects.md, from the registry: `python -m softarm.simulator.effects > docs/effects.md`."""
+"""docs/effects.md, from the registry: `python -m softarm.simulator.effects_page > docs/effects.md`."""
 
 from collections.abc import Iterator
 
@@ -7,7 +7,7 @@ from softarm.simulator.effect_table import RIVALS
 from softarm.simulator.effects import REGISTRY, STAGES, Effect, Parameter
 
 _INTRO = """\
-<!-- Written by `python -m softarm.simulator.effects > docs/effects.md`; edit simulator/effect_table.py instead. -->
+<!-- Written by `python -m softarm.simulator.effects_page > docs/effects.md`; edit effect_table.py instead. -->
 # Effects
 
 An effect is a named piece of physics, actuation, sensing or timing that a simulator can have or lack. A model file
@@ -67,3 +67,7 @@ def _effect(effect: Effect) -> Iterator[str]:
 def _row(p: Parameter) -> str:
     neutral = f"{p.neutral:g}" if p.default is None else f"- ({p.default:g})"
     return f"| {p.name} | {p.unit} | {neutral} | {p.low:g} .. {p.high:g} | {p.exemplar:g} | {p.meaning} |"
+
+
+if __name__ == "__main__":
+    print(page(), end="")

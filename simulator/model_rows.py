@@ -31,7 +31,7 @@ def robot_rows(model: Model) -> Iterator[Row]:
         group, _, name = key.partition(".")
         value = getattr(getattr(model, group), name)
         numbers = value if isinstance(value, tuple) else (value,)
-        yield Row(key, numbers, quantity.range.unit, str(quantity.range), quantity.source)
+        yield Row(key, numbers, quantity.unit, str(quantity), quantity.source)
 
 
 def effect_rows(model: Model) -> Iterator[Row]:
@@ -43,7 +43,7 @@ def effect_rows(model: Model) -> Iterator[Row]:
             yield Row(name, (), "", "", effect.source)
         for p in effect.parameters:
             value = effects.value(model, name, p.name)
-            yield Row(f"{name}.{p.name}", (value,), p.unit, str(p.range), effect.source)
+            yield Row(f"{name}.{p.name}", (value,), p.unit, str(p), effect.source)
 
 
 def idle_effects(model: Model) -> list[str]:

@@ -7,7 +7,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from softarm.schemas.model import Arm, Cart, Model
 from softarm.simulator import kernel
-from softarm.simulator.effects import EffectError, Problem, find, validate, value
+from softarm.simulator.effects import EffectError, find, out_of_range, validate, value
 from softarm.simulator.kernel import contact, layout
 
 Array = NDArray[np.float64]
@@ -61,9 +61,9 @@ def _checked(path: str, values: ArrayLike, robots: int) -> Array:
     array = np.atleast_1d(np.asarray(values, dtype=np.float64))
     if array.shape not in ((1,), (robots,)):
         raise ValueError(f"{path} has shape {array.shape}; give a scalar or one entry a robot, ({robots},)")
-    bad = [number for number in (array.min(), array.max()) if not parameter.range.admits(number)]
+    bad = [float(number) for number in (array.min(), array.max()) if not parameter.admits(number)]
     if bad:
-        raise EffectError([Problem((effect.name, parameter.name), parameter.range.complaint(bad[0]))])
+        raise EffectError(out_of_range(effect, parameter, bad[0]))
     return array
 
 

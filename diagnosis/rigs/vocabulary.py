@@ -8,6 +8,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
 from softarm.schemas.trial import StageKind
+from softarm.simulator.effect_table import shape
 from softarm.simulator.effects import REGISTRY, Effect, Parameter
 from softarm.simulator.kernel.joints import REACH_RAD
 
@@ -81,16 +82,7 @@ _SPANS: dict[tuple[str, str], tuple[float, float, float]] = {
     ("kPa", "gap"): (0.0, 5.0, 0.5),
 }
 # Beyond the registry: how far a joint turns before its dry friction is whole. The simulator's kernel has it fixed.
-_GIVE = Parameter(
-    "give",
-    "rad",
-    REACH_RAD,
-    REACH_RAD,
-    0.05,
-    5e-3,
-    "turn after which the friction has its full value",
-    default=REACH_RAD,
-)
+_GIVE = shape("give", "rad", REACH_RAD, REACH_RAD, 0.05, 5e-3, "turn after which the friction has its full value")
 # Of a pendulum's weight's moment: what dry friction must take to be noticed.
 _NOTICED_SHARE = 0.003
 

@@ -63,7 +63,10 @@ def test_a_bad_cell_is_named_by_file_column_and_row(written, name, row, column, 
 
 def test_trial_yaml_is_checked(written):
     (written / "trial.yaml").write_text("kind: chirp\nrail: clamped\n")
-    with pytest.raises(TrialError, match=r"trial\.yaml: rail: Input should be 'free' or 'held'"):
+    with pytest.raises(
+        TrialError,
+        match=r"trial\.yaml:2: rail: is 'clamped'; allowed 'free' or 'held'; change it",
+    ):
         folder.read(written)
 
 

@@ -66,8 +66,8 @@ def test_every_effect_of_a_rig_is_the_registrys(kind):
         assert any(effect.source == registered.source for registered in REGISTRY.values())
         for p in effect.parameters:
             assert p.low < p.high
-            assert p.range.admits(p.neutral)
-            assert p.range.admits(p.exemplar)
+            assert p.admits(p.neutral)
+            assert p.admits(p.exemplar)
         assert set(effect.confused_with) <= {e.name for e in effects(kind, "thing", "rad")}
 
 

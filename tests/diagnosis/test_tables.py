@@ -63,9 +63,13 @@ def test_degrees_that_are_called_radians_are_noticed(tmp_path):
     ("old", "new", "says"),
     [
         ("source: y", "source: z", "no column z; it has t, u, y"),
-        ("kind: tracking", "kind: tracker", "kind: Input should be 'tracking', 'driven_mass' or 'pendulum'"),
+        (
+            "kind: tracking",
+            "kind: tracker",
+            "kind: is 'tracker'; allowed 'tracking' or 'driven_mass' or 'pendulum'",
+        ),
         ("position: {", "angle: {", "a tracking stage needs a column position or velocity or pressure there"),
-        ("unit: deg", "unit: turns", "unit: Input should be 's'"),
+        ("unit: deg", "unit: turns", "unit: no unit 'turns'; allowed .*, s, ms, us, ns, m"),
         ("measured: data.csv", "measured: other.csv", r"other\.csv: is not there"),
     ],
 )

@@ -6,8 +6,9 @@ from typing import Any
 
 import pytest
 
+from softarm.common.quantity import UNITS
 from softarm.reality.parameters import GROUPS, Arm, Mocap, Parameters, Rail, Regulator, of_model
-from softarm.reality.quantities import table
+from softarm.reality.quantities import of, table
 from softarm.schemas.model import Arm as ModelArm
 from softarm.schemas.model import Model
 
@@ -18,25 +19,30 @@ NAMES = [f"{group.__name__}.{field.name}" for group, field in FIELDS]
 
 @pytest.mark.parametrize(("group", "field"), FIELDS, ids=NAMES)
 def test_every_quantity_declares_itself_and_its_default_is_allowed(group: Any, field: Any) -> None:
-    assert field.metadata["low"] <= field.default <= field.metadata["high"]
-    assert field.metadata["unit"]
-    assert len(field.metadata["meaning"]) > 3
+    declared = of(group)[field.name]
+    assert declared.takes(field.default)
+    assert declared.whole == (field.type == "int" or field.type is int)
+    assert declared.unit in UNITS
+    assert len(declared.meaning) > 3
 
 
 @pytest.mark.parametrize(("group", "field"), FIELDS, ids=NAMES)
 def test_no_quantity_takes_what_is_below_its_range(group: Any, field: Any) -> None:
-    with pytest.raises(ValueError, match=rf"{group.__name__}\.{field.name} is .*; allowed are"):
-        group(**{field.name: type(field.default)(field.metadata["low"] - 1)})
+    with pytest.raises(ValueError, match=rf"{group.__name__}\.{field.name} is .*; allowed "):
+        group(**{field.name: type(field.default)(of(group)[field.name].low - 1)})
 
 
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (lambda: Regulator(dead_time_s=0.5), r"Regulator.dead_time_s is 0.5; allowed are 0 to 0.3 \(s\): choose"),
-        (lambda: Rail(coulomb_n=float("nan")), r"Rail.coulomb_n is nan; allowed are 0 to 10"),
-        (lambda: Mocap(loose_link=2.5), r"Mocap.loose_link is 2.5; give a whole number"),  # type: ignore[arg-type]
-        (lambda: Arm(payload_kg=True), r"Arm.payload_kg is True; give a number"),
-        (lambda: Arm(tilt_rad="0.1"), r"Arm.tilt_rad is '0.1'; give a number"),  # type: ignore[arg-type]
+        (lambda: Regulator(dead_time_s=0.5), r"Regulator.dead_time_s is 0.5; allowed 0 to 0.3 s"),
+        (lambda: Rail(coulomb_n=float("nan")), r"Rail.coulomb_n is nan; allowed 0 to 10 N"),
+        (lambda: Mocap(loose_link=2.5), r"Mocap.loose_link is 2.5; allowed 0 to 5, a whole number"),  # type: ignore[arg-type]
+        (lambda: Arm(payload_kg=True), r"Arm.payload_kg is true; allowed 0 to 0.5 kg"),
+        (
+            lambda: Arm(tilt_rad="0.1"),
+            r"Arm.tilt_rad is '0.1'; .* write a bare number in rad: 0.1",
+        ),  # type: ignore[arg-type]
     ],
 )
 def test_a_bad_value_is_told_with_its_range(make: Any, message: str) -> None:

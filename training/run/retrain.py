@@ -74,7 +74,7 @@ def around(model: Model, spread: float) -> Randomisation:
         for key, value in values.items():
             if math.isfinite(value):  # else it is none
                 path = f"{name}.{key}"
-                allowed = find(path)[1].range
+                allowed = find(path)[1]
                 low, high = sorted(((1 - spread) * value, (1 + spread) * value))
                 ranges[path] = (max(low, allowed.low), min(high, allowed.high))
     unsaid = {path: ends for path, ends in OPEN.items() if path.rpartition(".")[0] not in model.effects}

@@ -13,11 +13,12 @@ from statistics import mean, stdev
 from typing import Any, NamedTuple
 
 import numba
-import yaml
 from pydantic import Field, ValidationError
 
-from softarm.common import files
+from softarm.common import files, yaml_lines
 from softarm.common.processes import WorkerDied, as_they_come
+from softarm.common.yaml_lines import FileError
+from softarm.common.yaml_schema import fit
 from softarm.schemas.base import Strict
 from softarm.simulator import model_file
 from softarm.training.learn.inference import workers
@@ -83,14 +84,10 @@ class Result(NamedTuple):
 def load(path: Path) -> Sweep:
     """Read a sweep's file and check every run in it. Raises SweepError with all that is wrong."""
     try:
-        content = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise SweepError(f"{path}: cannot be read ({error.strerror}); write one, e.g. {EXAMPLE}") from None
-    except (UnicodeDecodeError, yaml.YAMLError) as error:
-        raise SweepError(f"{path}: is not YAML text ({' '.join(str(error).split())}); e.g. {EXAMPLE}") from None
-    try:
-        sweep = Sweep.model_validate(content)
+        sweep = fit(yaml_lines.read(path, f"write one, e.g. {EXAMPLE}"), Sweep)
         made = sweep.recipes()
+    except FileError as error:
+        raise SweepError(f"{error}\nwrite e.g. {EXAMPLE}") from None
     except ValidationError as error:
         problems = (f"{'.'.join(map(str, e['loc'])) or 'the file'}: {e['msg']}" for e in error.errors())
         raise SweepError(f"{path}: {'; '.join(problems)}; write e.g. {EXAMPLE}") from None

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from softarm.simulator.effects import EffectError, Problem, find
+from softarm.simulator.effects import EffectError, find, out_of_range
 
 Draw = dict[str, NDArray[np.float64]]  # 'stage.effect.parameter' -> one value a robot, [R]
 
@@ -27,8 +27,8 @@ class Randomisation:
         for path, (low, high) in self.ranges.items():
             effect, parameter = find(path)
             for end in (low, high):
-                if not parameter.range.admits(end):
-                    raise EffectError([Problem((effect.name, parameter.name), parameter.range.complaint(end))])
+                if not parameter.admits(end):
+                    raise EffectError(out_of_range(effect, parameter, end))
             if not low <= high < np.inf:
                 raise ValueError(f"{path} is to be drawn from {low} to {high}; give a lower and a higher finite end")
 

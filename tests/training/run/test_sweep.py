@@ -92,7 +92,7 @@ def test_the_table_has_mean_and_spread_over_seeds():
         ("{seeds: [1], runs: {a: {randomise: {arm.payload.mass: [0, 9]}}}}", "arm.payload"),
         ("{seeds: [1], runs: {a: {model: no-dely}}}", "did you mean no-delay"),
         ("{seeds: [1], runs: {a: {like: fly}}}", "give one of reach"),
-        ("[1", "not YAML"),
+        ("[1", "bad.yaml:1: not valid YAML: while parsing a flow sequence"),
     ],
 )
 def test_a_file_that_cannot_be_run_is_refused_before_anything_is(tmp_path, text, words):

@@ -1,0 +1,152 @@
+"""A number with its unit and bounds, and the sentence that helps who wrote another."""
+
+import math
+import re
+from dataclasses import dataclass
+from numbers import Integral, Real
+from pathlib import Path
+from typing import TypeGuard
+
+PURE = "-"  # the unit of a pure number
+KPA_PER_PSI = 6.894757
+DEGREE_RAD = math.pi / 180
+
+# Every unit of the house, and what one of another is worth in it: to convert columns, and to guess what was meant.
+UNITS: dict[str, dict[str, float]] = {
+    PURE: {"%": 1e-2, "percent": 1e-2},
+    "s": {"ms": 1e-3, "us": 1e-6, "ns": 1e-9},
+    "m": {"mm": 1e-3, "cm": 1e-2},
+    "m/s": {"mm/s": 1e-3, "cm/s": 1e-2},
+    "m/s^2": {"mm/s^2": 1e-3, "cm/s^2": 1e-2},
+    "rad": {"degrees": DEGREE_RAD, "deg": DEGREE_RAD, "mrad": 1e-3},
+    "rad/s": {"deg/s": DEGREE_RAD},
+    "1/rad^2": {"1/degree^2": DEGREE_RAD**-2},
+    "kPa": {"psi": KPA_PER_PSI, "Pa": 1e-3, "mbar": 0.1, "bar": 100.0},
+    "kPa/s": {"psi/s": KPA_PER_PSI, "Pa/s": 1e-3, "mbar/s": 0.1, "bar/s": 100.0},
+    "kg": {"g": 1e-3},
+    "kg m^2": {"kg cm^2": 1e-4, "kg mm^2": 1e-6, "g cm^2": 1e-7, "g mm^2": 1e-9},
+    "N": {"mN": 1e-3},
+    "N m": {"mN m": 1e-3, "N mm": 1e-3},
+    "N/m": {"N/mm": 1e3, "kN/m": 1e3},
+    "N s/m": {},
+    "N s^2/m^2": {},
+    "N m/rad": {"N mm/rad": 1e-3, "N m/degree": 1 / DEGREE_RAD},
+    "N m s/rad": {"N mm s/rad": 1e-3, "N m s/degree": 1 / DEGREE_RAD},
+    "N m/kPa": {"N m/psi": 1 / KPA_PER_PSI, "N m/bar": 1e-2, "N mm/kPa": 1e-3},
+    "Hz": {},
+    "1/m": {},
+    "kg/m^3": {},
+}
+_HUGE = 1e15  # beyond, a number is a slip of the hand, not of the unit
+_NUMBER = re.compile(r"\s*([-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?)\s*(.*?)\s*")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Quantity:
+    """low .. high in `unit`, and one number beside the range that is allowed too (inf: no such effect)."""
+
+    name: str = ""
+    unit: str = PURE
+    low: float = -math.inf
+    high: float = math.inf
+    above: bool = False  # low itself is not allowed
+    below: bool = False  # high itself is not allowed
+    also: float | None = None
+    whole: bool = False  # whole numbers only
+    default: float | None = None
+    meaning: str = ""
+    source: str = ""
+
+    def admits(self, number: float) -> bool:
+        """Whether a number is allowed; NaN never is."""
+        over = number > self.low if self.above else number >= self.low
+        under = number < self.high if self.below else number <= self.high
+        return (over and under) or number == self.also
+
+    def takes(self, value: object) -> TypeGuard[float]:
+        """Whether a value is a number, and allowed."""
+        return is_number(value) and (isinstance(value, Integral) or not self.whole) and self.admits(value)
+
+    @property
+    def bounds(self) -> str:
+        """The allowed numbers with their unit; empty when there is no bound."""
+        low = f"above {self.low:g}" if self.above else f"{self.low:g}"
+        high = f"below {self.high:g}" if self.below else f"{self.high:g}"
+        unit = "" if self.unit == PURE else f" {self.unit}"
+        match math.isfinite(self.low), math.isfinite(self.high):
+            case True, True:
+                text = f"{low}, at most {high}" if self.above else f"{low} to {high}"
+            case True, False:
+                text = low if self.above else f"{low} or more"
+            case False, True:
+                text = f"at most {high}"
+            case _:
+                return ""
+        outside = self.also is not None and not self.low <= self.also <= self.high
+        return text + unit + (f", or {self.also:g} for none" if outside else "")
+
+    def __str__(self) -> str:
+        kind = "a whole number" if self.whole else "a number"
+        if self.bounds:
+            return f"{self.bounds}, {kind}" if self.whole else self.bounds
+        return kind if self.unit == PURE else f"{kind} in {self.unit}"
+
+    def complaint(self, value: object) -> str:
+        """Say of what is not allowed: `is 250; allowed -0.3 to 0.3 m; if you meant 250 mm, write 0.25`."""
+        hint = self.hint(value)
+        return f"is {shown(value)}; allowed {self}" + (f"; {hint}" if hint else "")
+
+    def hint(self, value: object) -> str:
+        """Guess what was meant by a number of another unit, or by a text; empty when no guess fits."""
+        if isinstance(value, str):
+            bare = "a bare number" if self.unit == PURE else f"a bare number in {self.unit}"
+            match = _NUMBER.fullmatch(value)
+            worth = ({"": 1.0, self.unit: 1.0} | UNITS.get(self.unit, {})).get(match[2]) if match else None
+            meant = f"{float(match[1]) * worth:.6g}" if match and worth else ""
+            return f"write {bare}: {meant}" if meant and self._allowed(meant) else f"write {bare}"
+        if is_number(value) and abs(value) < _HUGE and not self.whole:
+            for unit, worth in UNITS.get(self.unit, {}).items():
+                if self._allowed(meant := f"{value * worth:.4g}"):
+                    return f"if you meant {value:g} {unit}, write {meant}"
+        return ""
+
+    def _allowed(self, text: str) -> bool:
+        return math.isfinite(float(text)) and self.admits(float(text))
+
+
+def is_number(value: object) -> TypeGuard[float]:
+    """Whether a value is a number, of whichever library; true and false are none."""
+    return isinstance(value, Real) and not isinstance(value, bool)
+
+
+def factor(unit: str) -> tuple[float, str]:
+    """What one of a unit is worth in the house's unit, and which that is. Raises ValueError with the known ones."""
+    for own, others in UNITS.items():
+        if unit == own:
+            return 1.0, own
+        if unit in others:
+            return others[unit], own
+    known = ", ".join(name for own, others in UNITS.items() for name in (own, *others))
+    raise ValueError(f"no unit '{unit}'; allowed {known}")
+
+
+def shown(value: object) -> str:
+    """Show a value as YAML would, no more than a line of it."""
+    match value:
+        case None:
+            return "null"
+        case bool():
+            return str(value).lower()
+        case int() if abs(value) < _HUGE:
+            return str(value)
+        case int():
+            return "beyond 1e15"
+        case float():
+            return f"{value:.6g}"
+        case dict():
+            return "a group"
+        case list() | tuple():
+            return "a list"
+        case str() | Path():
+            return f"{str(value)[:80]!r}"
+    return str(value)

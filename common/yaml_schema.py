@@ -1,0 +1,103 @@
+"""A YAML file as its pydantic schema has it, or all that is wrong with it, line by line."""
+
+import difflib
+import json
+import re
+from collections.abc import Callable, Iterable, Mapping
+from functools import partial
+from typing import Any, TypeVar
+
+from pydantic import BaseModel, ValidationError
+
+from softarm.common.keys import children, find, leaves
+from softarm.common.quantity import shown
+from softarm.common.yaml_lines import Document, FileError, Finding, Place, refuse
+
+M = TypeVar("M", bound=BaseModel)
+
+
+def fit(document: Document, schema: type[M], more: Mapping[Place, Callable[[], str]] | None = None) -> M:
+    """Make the schema's object of a document. `more` is wrong at places besides, and goes before what the schema says.
+
+    A group whose keys are all commented out has its defaults. Raises FileError with all that is wrong.
+    """
+    if not isinstance(document.data, dict):
+        names = ", ".join(key.name for key in children(schema))
+        raise FileError([f"{document.path}:{document.line(())}: must hold keys; allowed: {names}"])
+    found = [Finding(place, document.line(place), say) for place, say in (more or {}).items()]
+    try:
+        # By way of JSON, where strict means that a number is a number (not "0.1", not yes), a path a text.
+        fitted = schema.model_validate_json(json.dumps(_filled(document.data, schema, ())), strict=True)
+    except ValidationError as error:
+        items = error.errors(include_url=False)
+        found += [each for item in items if (each := _finding(document, schema, item)).place not in (more or {})]
+    if document.findings or found:
+        raise refuse(document, [*document.findings, *found])
+    return fitted
+
+
+def did_you_mean(word: str, known: Iterable[str], cutoff: float = 0.6) -> str:
+    """`did you mean reach? `, or nothing where no known word is near."""
+    near = difflib.get_close_matches(word, list(known), n=1, cutoff=cutoff)
+    return f"did you mean {near[0]}? " if near else ""
+
+
+def _filled(data: Any, schema: type[BaseModel], place: Place) -> Any:
+    """Put {} for a group that is there without keys."""
+    if not isinstance(data, dict):
+        return data
+    keys = {name: find(schema, (*place, name)) for name, value in data.items() if isinstance(value, dict | None)}
+    empty = {name for name, key in keys.items() if key and key.group and not key.nullable and data[name] is None}
+    return {name: {} if name in empty else _filled(value, schema, (*place, name)) for name, value in data.items()}
+
+
+def _finding(document: Document, schema: type[BaseModel], item: Mapping[str, Any]) -> Finding:
+    """What pydantic found, at the line where it stands, to be put into words."""
+    loc: Place = item["loc"]
+    place = document.known(loc)  # pydantic's adds the branches of a union
+    if item["type"] == "value_error":
+        text = str(item["ctx"]["error"])
+        place = _named_in(text, document) or place
+        return Finding(place, document.line(place), partial(str.removeprefix, text, f"{'.'.join(map(str, place))} "))
+    return Finding(place, document.line(place), partial(_explain, schema, place, item))
+
+
+def _explain(schema: type[BaseModel], place: Place, item: Mapping[str, Any]) -> str:
+    key, value, kind = find(schema, place), item["input"], item["type"]
+    if kind == "extra_forbidden":
+        return _unknown_key(schema, place)
+    if kind == "missing":
+        wanted = find(schema, item["loc"])
+        return f"{item['loc'][-1]} is missing; allowed {wanted.allowed if wanted else 'any'}; add it"
+    if key is None:
+        return f"{item['msg']}; write another value"
+    if kind.endswith("too_short"):
+        return f"is empty; allowed {key.allowed}; write one"
+    text = f"is {shown(value)}; allowed {key.allowed}"
+    if key.quantity and (hint := key.quantity.hint(value)):
+        return f"{text}; {hint}"
+    if key.group is not None or key.field.is_required() or key.default in (shown({}), shown([])):
+        return f"{text}; change it"
+    return f"{text}; change it, or remove the line for the default {key.default}"
+
+
+def _unknown_key(schema: type[BaseModel], place: Place) -> str:
+    parent = find(schema, place[:-1])
+    group = parent.group if parent is not None else schema
+    known = {str(key.path[-1]): key for key in (children(group, place[:-1]) if group is not None else [])}
+    same = [key for key in leaves(schema) if key.path[-1] == place[-1]]
+    if len(same) == 1:
+        return f"unknown key here; move it to {same[0].name} (allowed {same[0].allowed}; default {same[0].default})"
+    if near := difflib.get_close_matches(str(place[-1]), known, n=1, cutoff=0.5):
+        key = known[near[0]]
+        default = "" if key.group else f"; default {key.default}"
+        return f"unknown key; did you mean {near[0]}? (allowed {key.allowed}{default})"
+    return f"unknown key; remove it, or use one of {', '.join(known)}"
+
+
+def _named_in(text: str, document: Document) -> Place | None:
+    """The first key of the file that a sentence names by its full path."""
+    for word in re.findall(r"[a-z_0-9.]+\.[a-z_0-9]+", text):
+        if (place := tuple(word.split("."))) in document.lines:
+            return place
+    return None

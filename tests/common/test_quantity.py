@@ -1,0 +1,92 @@
+"""A number out of its bounds gets one sentence, whoever asks for it; what the sentence says to write is allowed."""
+
+import math
+
+import pytest
+from hypothesis import assume, given
+from hypothesis import strategies as st
+
+from softarm.common.quantity import PURE, UNITS, Quantity, factor, shown
+
+CONVERSIONS = [(unit, other, worth) for unit, others in UNITS.items() for other, worth in others.items()]
+METRES, SECONDS = Quantity(unit="m", low=-0.3, high=0.3), Quantity(unit="s", low=0, high=0.2)
+ONE_TO_TWO = {unit: Quantity(unit=unit, low=1.0, high=2.0) for unit in UNITS}
+
+
+@pytest.mark.parametrize(
+    ("allowed", "value", "said"),
+    [
+        (METRES, 250, "is 250; allowed -0.3 to 0.3 m; if you meant 250 mm, write 0.25"),
+        (
+            Quantity(unit="s", low=0, high=0.2),
+            "33 ms",
+            "is '33 ms'; allowed 0 to 0.2 s; write a bare number in s: 0.033",
+        ),
+        (SECONDS, "33 m", "is '33 m'; allowed 0 to 0.2 s; write a bare number in s"),
+        (SECONDS, "soon", "is 'soon'; allowed 0 to 0.2 s; write a bare number in s"),
+        (Quantity(low=0, high=1), "50 %", "is '50 %'; allowed 0 to 1; write a bare number: 0.5"),
+        (Quantity(low=0, above=True, high=1, unit="m/s"), 0, "is 0; allowed above 0, at most 1 m/s"),
+        (Quantity(low=0, high=9, whole=True), 2.5, "is 2.5; allowed 0 to 9, a whole number"),
+        (Quantity(low=100, whole=True), True, "is true; allowed 100 or more, a whole number"),
+        (Quantity(unit="kPa", low=1, high=9, also=math.inf), math.nan, "is nan; allowed 1 to 9 kPa, or inf for none"),
+        (Quantity(unit="rad", high=3), [3], "is a list; allowed at most 3 rad"),
+        (Quantity(unit="N"), None, "is null; allowed a number in N"),
+        (Quantity(low=0, high=1), 10**400, "is beyond 1e15; allowed 0 to 1"),
+    ],
+)
+def test_the_sentence(allowed, value, said):
+    assert not allowed.takes(value)
+    assert allowed.complaint(value) == said
+
+
+@given(st.sampled_from(CONVERSIONS), st.floats(1.0, 2.0))
+def test_a_number_of_another_unit_is_converted_as_text(conversion, wanted):
+    unit, other, worth = conversion
+    told = ONE_TO_TWO[unit].complaint(f"{wanted / worth!r} {other}")
+    if ONE_TO_TWO[unit].admits(float(f"{wanted:.6g}")):
+        assert float(told.rpartition(": ")[2]) == pytest.approx(wanted, rel=1e-5)
+
+
+@given(st.sampled_from(list(UNITS)), st.floats(-1e9, 1e9))
+def test_what_is_said_to_be_written_would_be_taken(unit, number):
+    allowed = ONE_TO_TWO[unit]
+    assume(not allowed.admits(number))
+    _, said, meant = allowed.complaint(number).rpartition("write ")
+    assert not said or allowed.admits(float(meant))
+
+
+@given(st.floats(allow_nan=False), st.floats(allow_nan=False), st.booleans(), st.booleans(), st.floats())
+def test_what_is_admitted_lies_within(low, high, above, below, number):
+    allowed = Quantity(low=low, high=high, above=above, below=below)
+    within = low < number < high or (number == low <= high and not above) or (number == high >= low and not below)
+    if low < high:
+        assert allowed.admits(number) == within
+
+
+def test_a_unit_stands_in_the_table_once():
+    names = [name for unit, others in UNITS.items() for name in (unit, *others)]
+    assert len(names) == len(set(names))
+
+
+@pytest.mark.parametrize(("unit", "worth"), [("s", (1.0, "s")), ("deg", (math.pi / 180, "rad")), ("bar", (100, "kPa"))])
+def test_a_column_is_multiplied_by_what_its_unit_is_worth(unit, worth):
+    assert factor(unit) == worth
+
+
+def test_an_unknown_unit_is_refused_with_the_known_ones():
+    with pytest.raises(ValueError, match=r"no unit 'turns'; allowed .*, s, ms, us, ns, m, mm"):
+        factor("turns")
+
+
+def test_a_value_is_shown_as_a_file_would_have_it_and_no_longer_than_a_line():
+    assert [shown(each) for each in (None, True, 3, 0.1 + 0.2, "a", {}, (1,))] == [
+        "null",
+        "true",
+        "3",
+        "0.3",
+        "'a'",
+        "a group",
+        "a list",
+    ]  # fmt: skip - one beside the other
+    assert len(shown("x" * 10_000)) < 100
+    assert str(Quantity(unit=PURE, low=0, high=1)) == "0 to 1"

@@ -1,0 +1,123 @@
+"""A file against its schema: all that is wrong, at its line, in one pass, and in little time however much it is."""
+
+import difflib
+from pathlib import Path
+from typing import Annotated, Literal
+
+import pytest
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+from softarm.common import yaml_schema
+from softarm.common.yaml_lines import MAX_TOLD, FileError, parse
+from softarm.common.yaml_schema import did_you_mean, fit
+from softarm.schemas.config import Config
+from softarm.schemas.model import Model
+
+
+class Part(BaseModel):
+    model_config = ConfigDict(extra="forbid")
+    length_m: Annotated[float, Field(gt=0, le=2)] = 1.0
+    name: Annotated[str, Field(min_length=1)]
+
+
+class Thing(BaseModel):
+    model_config = ConfigDict(extra="forbid")
+    kind: Literal["one", "other"] = "one"
+    main: Part = Part(name="main")
+    parts: tuple[Part, ...] = ()
+    named: dict[str, Part] = Field(default_factory=dict)
+    row: Annotated[int, Field(ge=0)] | None = None
+    delay_s: Annotated[float, Field(ge=0, le=0.2)] = 0.1
+
+    @model_validator(mode="after")
+    def _one_row(self):
+        if self.row == 7:
+            raise ValueError("main.length_m must be 1 where row is 7")
+        return self
+
+
+def problems(text: str, schema=Thing) -> list[str]:
+    with pytest.raises(FileError) as error:
+        fit(parse(text, Path("file.yaml")), schema)
+    return [problem.removeprefix("file.yaml:") for problem in error.value.problems]
+
+
+def test_a_file_becomes_its_schema():
+    text = "kind: other\nmain:\nparts:\n- {name: a, length_m: 2}\nnamed: {b: {name: b}}\nrow: null\n"
+    with pytest.raises(FileError, match=r":2: main: name is missing; allowed a text; add it"):
+        fit(parse(text, Path("file.yaml")), Thing)  # an empty group has defaults, where it has them
+    thing = fit(parse(text.replace("main:\n", "main: {name: m}\n"), Path("file.yaml")), Thing)
+    assert (thing.kind, thing.parts[0].length_m, thing.named["b"].name, thing.row) == ("other", 2.0, "b", None)
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("- 1", "1: must hold keys; allowed: kind, main, parts, named, row, delay_s"),
+        ("just text", "1: must hold keys; allowed: kind, main, parts, named, row, delay_s"),
+        (
+            "kind: third",
+            "1: kind: is 'third'; allowed 'one' or 'other'; change it, or remove the line for the default 'one'",
+        ),
+        (
+            "parts:\n- name: a\n- name: b\n  lenght_m: 3",
+            "4: parts.1.lenght_m: unknown key; did you mean length_m? (allowed above 0, at most 2 m; default 1)",
+        ),
+        (
+            "parts:\n- {name: a,\n   length_m: 150}",
+            "3: parts.0.length_m: is 150; allowed above 0, at most 2 m; if you meant 150 mm, write 0.15",
+        ),
+        ("named:\n  b: {name: 3}", "2: named.b.name: is 3; allowed a text; change it"),
+        ("named:\n  b: {name: ''}", "2: named.b.name: is empty; allowed a text; write one"),
+        ("parts: {}", "1: parts: is a group; allowed a list; change it"),
+        (
+            "row: -1",
+            "1: row: is -1; allowed 0 or more, a whole number; change it, or remove the line for the default null",
+        ),
+        ("delay_s: 33 ms", "1: delay_s: is '33 ms'; allowed 0 to 0.2 s; write a bare number in s: 0.033"),
+        (
+            "delay_s: [1, 2]",
+            "1: delay_s: is a list; allowed 0 to 0.2 s; change it, or remove the line for the default 0.1",
+        ),
+        (
+            "named: {b: {name: b, delay_s: 0.1}}",
+            "1: named.b.delay_s: unknown key here; move it to delay_s (allowed 0 to 0.2 s; default 0.1)",
+        ),
+        ("zzz: 1", "1: zzz: unknown key; remove it, or use one of kind, main, parts, named, row, delay_s"),
+        ("row: 7\nmain:\n  name: m\n  length_m: 2", "4: main.length_m: must be 1 where row is 7"),
+    ],
+)  # fmt: skip - a file and its sentence
+def test_each_mistake_has_its_sentence(text, said):
+    assert said in problems(text)
+
+
+def test_a_key_that_cannot_be_read_is_told_once():
+    assert problems("delay_s: 2024-13-45") == [
+        "1: delay_s: cannot be read (month must be in 1..12); write a plain value"
+    ]
+
+
+FLOODS = {
+    "unknown keys": (Config, "".join(f"unknown_key_{i}: {i}\n" for i in range(5000))),
+    "unknown keys of a group": (Config, "limits:\n" + "".join(f"  rial_{i}:\n" for i in range(5000))),
+    "unknown keys of a model": (Model, "cart:\n" + "".join(f"  mass_{i}: {i}\n" for i in range(5000))),
+    "wrong values": (Model, "arm: {link_mass_kg: [" + "x, " * 5000 + "]}"),
+    "keys that stand twice": (Config, "limits:\n" * 5001),
+}
+
+
+@pytest.mark.parametrize(("schema", "text"), FLOODS.values(), ids=FLOODS)
+def test_of_thousands_of_mistakes_the_first_are_told_and_the_rest_counted(schema, text, monkeypatch):
+    """The words of a mistake may cost a search among the known keys: there are as many searches as are told."""
+    searches = []
+    real = difflib.get_close_matches
+    monkeypatch.setattr(yaml_schema.difflib, "get_close_matches", lambda *a, **k: searches.append(a) or real(*a, **k))
+    told = problems(text, schema)
+    assert len(told) == MAX_TOLD + 1
+    assert told[-1] == f" and {5000 - MAX_TOLD} more; mend these first"
+    assert len(searches) <= MAX_TOLD
+
+
+def test_a_near_word_is_offered_and_a_far_one_is_not():
+    assert did_you_mean("raech", ["reach", "hold"]) == "did you mean reach? "
+    assert did_you_mean("zzz", ["reach", "hold"]) == ""
