@@ -1,6 +1,16 @@
-"""What a measurement leaves: its figures as JSON, and under `about` which software gave them, where, when and how."""
+"""What measurements leave: figures as JSON with where they come from, and the tables of the pages, made from them.
+
+    python -m softarm.benchmarks.results            write every table anew
+    python -m softarm.benchmarks.results --check    fail where a page does not say what the results say
+
+Results lie in benchmarks/results/, a file a measurement. Under `about` stand the software's revision, the machine, the
+date and the command; `transcribed` marks figures that were copied from a page and are no stored run: their revision is
+the commit at which the page's table was last changed. A page holds `<!-- results: NAME -->` and `<!-- /results -->`
+around each table of benchmarks/tables.py.
+"""
 
 import json
+import re
 import shlex
 import sys
 from collections.abc import Mapping
@@ -14,17 +24,21 @@ from softarm.common import files
 from softarm.common.processes import cores
 from softarm.common.revision import machine, revision
 
+FOLDER = Path(__file__).parent / "results"
+DOCS = Path(__file__).resolve().parents[1] / "docs"
+_TABLE = re.compile(r"(<!-- results: ([\w-]+) -->\n).*?(<!-- /results -->)", re.DOTALL)
+
 FILE = click.Path(path_type=Path, dir_okay=False)
 json_option = click.option("--json", "json_file", type=FILE, help="Write the figures to this file.")
 
 
-def write(file: Path, figures: Mapping[str, Any]) -> None:
-    """Write figures, by name, and where they come from."""
+def write(file: Path, figures: Mapping[str, Any], command: str | None = None) -> None:
+    """Write figures, by name, and where they come from. command: what gave them (default: this program)."""
     about = {
         "revision": revision(),
         "machine": {**machine(), "cpu": _cpu(), "cores": cores()},
         "date": datetime.now(UTC).isoformat(timespec="seconds"),
-        "command": _command(),
+        "command": command or _command(),
     }
     files.write_text(file, json.dumps({"about": about, **figures}, indent=1) + "\n")
 
@@ -35,8 +49,46 @@ def _cpu() -> str:
     return next((line.partition(":")[2].strip() for line in lines if line.startswith("model name")), "")
 
 
+def read(name: str, folder: Path = FOLDER) -> dict[str, Any]:
+    """A stored result."""
+    found: dict[str, Any] = json.loads((folder / f"{name}.json").read_text(encoding="utf-8"))
+    return found
+
+
+def rendered(page: str) -> str:
+    """A page with every table as the results have it. Raises KeyError for a table that there is none of."""
+    from softarm.benchmarks.tables import TABLES
+
+    return _TABLE.sub(lambda found: f"{found[1]}{TABLES[found[2]](read)}{found[3]}", page)
+
+
 def _command() -> str:
     """How this program was started: a module of the package by its name, anything else by its file."""
     spec = sys.modules["__main__"].__spec__
     started = ["python", sys.argv[0]] if spec is None else ["python", "-m", spec.name]
     return shlex.join([*started, *sys.argv[1:]])
+
+
+@click.command()
+@click.option("--check", is_flag=True, help="Write nothing; exit code 1 when a page is stale.")
+def main(check: bool) -> None:
+    """Put the stored results into the tables of docs/.
+
+    \b
+    Example:
+      python -m softarm.benchmarks.results --check
+    """
+    stale = [(page, new) for page in sorted(DOCS.glob("*.md")) if (new := rendered(text := _text(page))) != text]
+    for page, new in stale:
+        if not check:
+            files.write_text(page, new)
+        click.echo(f"{page.name}: {'stale; run python -m softarm.benchmarks.results' if check else 'written'}")
+    raise SystemExit(check and bool(stale))
+
+
+def _text(page: Path) -> str:
+    return page.read_text(encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

@@ -39,6 +39,7 @@ class TimesToLevel(TypedDict):
     """What `--json` writes; a list has one entry a seed."""
 
     seconds_to_seed_level: list[float | None]  # None: never, within FRAMES_MOST
+    frames_to_seed_level: list[int | None]
     steps_per_s: float  # control steps of single robots, over all runs
     rl_games_steps_per_s: float | None  # None: rl_games is not installed
     curves: list[list[tuple[float, int, float, float, float]]]  # seconds, frames, in range, above, all
@@ -76,6 +77,7 @@ def follow(make: Callable[[], Session], pool: Workers, frames_most: int = FRAMES
 def run(seeds: tuple[int, ...], frames_most: int, tell: Callable[[str], None]) -> TimesToLevel:
     """Measure all seeds, then rl_games if it is there."""
     times: list[float | None] = []
+    frames_there: list[int | None] = []
     curves = []
     frames = seconds = 0.0
     with workers() as pool, TemporaryDirectory() as folder:
@@ -84,6 +86,7 @@ def run(seeds: tuple[int, ...], frames_most: int, tell: Callable[[str], None]) -
             points = follow(lambda: begin(RECIPES["reach"], seed, out, pool, resume=False), pool, frames_most)  # noqa: B023
             place = first_held([is_at_level(point.report) for point in points])
             times.append(None if place is None else points[place].seconds)
+            frames_there.append(None if place is None else points[place].frames)
             frames, seconds = frames + points[-1].frames, seconds + points[-1].seconds
             curves.append([(point.seconds, point.frames, *point.report) for point in points])
             after = (
@@ -94,7 +97,11 @@ def run(seeds: tuple[int, ...], frames_most: int, tell: Callable[[str], None]) -
             tell(f"seed {seed}: {after}")
         theirs = _rl_games(tell)
     return TimesToLevel(
-        seconds_to_seed_level=times, steps_per_s=frames / seconds, rl_games_steps_per_s=theirs, curves=curves
+        seconds_to_seed_level=times,
+        frames_to_seed_level=frames_there,
+        steps_per_s=frames / seconds,
+        rl_games_steps_per_s=theirs,
+        curves=curves,
     )
 
 

@@ -1,6 +1,6 @@
 """A comparison as one HTML file that needs nothing else, and as lines of Markdown."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 from softarm.flights.table import CEILING, Comparison, Figure
 from softarm.pages import charts
@@ -27,15 +27,11 @@ def columns(comparison: Comparison) -> list[str]:
 
 def markdown(comparison: Comparison) -> str:
     """The table: shares in percent, mean and spread (standard deviation) over seeds; below it its footnotes."""
-    names, notes = columns(comparison), footnotes(comparison)
-    rows = [["policy", "seeds", *(comparison["columns"][name] for name in names)], ["---"] * (len(names) + 2)]
-    for policy, figures in comparison["policies"].items():
-        cells = (_text(figures.get(name)) + _marks(comparison, notes, policy, name, " [{}]") for name in names)
-        rows.append([_title(policy), _seeds(comparison, policy), *cells])
-    for policy, shares in _hardware(comparison, names):
-        rows.append([policy, "", *(f"{100 * shares[name]:.0f}" if name in shares else "" for name in names)])
-    lines = [f"| {' | '.join(row)} |" for row in rows]
-    said = [f"- [{number}] {note}" for number, note in enumerate(notes, start=1)]
+    names = columns(comparison)
+    head = ["policy", "seeds", *(comparison["columns"][name] for name in names)]
+    rows = _rows(comparison, names, lambda figure, marks: _text(figure) + (f" [{marks}]" if marks else ""))
+    lines = [f"| {' | '.join(row)} |" for row in (head, ["---"] * len(head), *rows)]
+    said = [f"- [{number}] {note}" for number, note in enumerate(footnotes(comparison), start=1)]
     return "\n".join([*lines, "", *said, *(f"- {line}" for line in READING)]) + "\n"
 
 
@@ -47,7 +43,7 @@ def html(comparison: Comparison, command: str) -> str:
     made = el("p", "Made by ", el("code", command), ".", class_="hint")
     head = ("policy", "seeds", *(comparison["columns"][name] for name in names))
     caption = "Each policy at each test; the stronger the ground, the more was reached"
-    whole = table(head, _rows(comparison, names), caption, numbers=range(1, len(head)))
+    whole = table(head, _rows(comparison, names, _cell), caption, numbers=range(1, len(head)))
     notes = el("ol", *(el("li", note) for note in footnotes(comparison)))
     reading = [el("p", line, class_="hint") for line in READING]
     y, z = [goal.y_m for goal in TEST_TARGETS], [goal.z_m for goal in TEST_TARGETS]
@@ -60,13 +56,17 @@ def html(comparison: Comparison, command: str) -> str:
     return document("Policies compared", "softarm evaluate", join([*lead, made]), sections)
 
 
-def _rows(comparison: Comparison, names: list[str]) -> Iterator[list[Child]]:
+def _rows(
+    comparison: Comparison, names: list[str], cell: Callable[[Figure | None, str], Child]
+) -> Iterator[list[Child]]:
+    """A row a policy, then the paper's. cell(a figure, the numbers of its footnotes)."""
     notes = footnotes(comparison)
     for policy, figures in comparison["policies"].items():
-        cells = (_cell(figures.get(name), _marks(comparison, notes, policy, name, "{}")) for name in names)
+        cells = (cell(figures.get(name), _marks(comparison, notes, policy, name)) for name in names)
         yield [_title(policy), _seeds(comparison, policy), *cells]
-    for policy, shares in _hardware(comparison, names):
-        yield [policy, "", *(f"{100 * shares[name]:.0f}" if name in shares else "" for name in names)]
+    for policy, shares in comparison["hardware"].items():
+        if shares.keys() & set(names):
+            yield [policy, "", *(f"{100 * shares[name]:.0f}" if name in shares else "" for name in names)]
 
 
 def footnotes(comparison: Comparison) -> list[str]:
@@ -75,15 +75,9 @@ def footnotes(comparison: Comparison) -> list[str]:
     return list(dict.fromkeys(note for row in rows for name in columns(comparison) for note in row.get(name, ())))
 
 
-def _hardware(comparison: Comparison, names: list[str]) -> list[tuple[str, dict[str, float]]]:
-    """The paper's rows that have something to say in these columns."""
-    return [(policy, shares) for policy, shares in comparison["hardware"].items() if shares.keys() & set(names)]
-
-
-def _marks(comparison: Comparison, notes: list[str], policy: str, column: str, mark: str) -> str:
-    """The numbers of a figure's footnotes, e.g. ` [1,2]`."""
-    own = comparison["notes"].get(policy, {}).get(column, [])
-    return mark.format(",".join(str(1 + notes.index(note)) for note in own)) if own else ""
+def _marks(comparison: Comparison, notes: list[str], policy: str, column: str) -> str:
+    """The numbers of a figure's footnotes, e.g. `1,2`."""
+    return ",".join(str(1 + notes.index(note)) for note in comparison["notes"].get(policy, {}).get(column, []))
 
 
 def _title(policy: str) -> str:

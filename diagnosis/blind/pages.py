@@ -1,6 +1,6 @@
 """The score as people read it: tables in Markdown, the reliability diagram."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -9,6 +9,16 @@ def markdown(result: Mapping[str, Any]) -> str:
     """The tables for docs/diagnosis.md: one column a method, and the wrong answers of each."""
     methods: Mapping[str, Mapping[str, Any]] = result["methods"]
     return "\n".join((*_measures(methods), "", *_causes(methods), *_all_wrong(methods))) + "\n"
+
+
+def strength(rows: Iterable[Mapping[str, Any]]) -> str:
+    """The table for docs/blind.md: how clearly the weakest of every cause shows."""
+    lines = ["| cause | drawn | its weakest shows in | changes | nuisances | ratio |", "|---|---|---|---|---|---|"]
+    for row in rows:
+        ratio = "inf" if row["ratio"] is None else f"{row['ratio']:.1f}"
+        figures = f"{row['changes']:.3g} | {row['nuisances']:.3g} | {ratio}"
+        lines.append(f"| {row['cause']} | {row['drawn']} | {row['signal']} | {figures} |")
+    return "\n".join(lines) + "\n"
 
 
 def _measures(methods: Mapping[str, Mapping[str, Any]]) -> Iterator[str]:

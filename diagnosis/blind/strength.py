@@ -6,16 +6,21 @@ where the robot has another's nuisances in that stage: a diagnosis drives each s
 Prints the table of docs/blind.md.
 """
 
+import json
 import tempfile
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
+from typing import TypedDict
 
+import click
 import numpy as np
 from numpy.typing import NDArray
 
+from softarm.common import files
 from softarm.common.processes import as_they_come, cores
 from softarm.diagnosis import folder
+from softarm.diagnosis.blind import pages
 from softarm.diagnosis.blind.imperfections import (
     KNOWN,
     UNKNOWN,
@@ -138,25 +143,50 @@ def _ranges(variant: Variant) -> str:
     )
 
 
-def main() -> None:
-    """Fly everything, a flight a core, and print the table."""
+class Strength(TypedDict):
+    """How the weakest of a cause shows where it shows best; root mean squares in the signal's own unit."""
+
+    cause: str
+    drawn: str
+    signal: str
+    changes: float
+    nuisances: float
+    ratio: float | None  # None: the nuisances change nothing there
+
+
+def measure() -> list[Strength]:
+    """Fly everything, a flight a core; a row a cause and variant."""
     seeds = range(_SEED, _SEED + 1 + OTHERS)
     healthy = dict(as_they_come(_fly_other, [(stage, seed) for stage in _OWN for seed in seeds], cores()))
     same = {stage: healthy[stage, _SEED] for stage in _OWN}
     others = {stage: [healthy[stage, seed] for seed in seeds[1:]] for stage in _OWN}
     weakest = dict(as_they_come(_fly_weakest, list(jobs()), cores()))
-    print("| cause | drawn | its weakest shows in | changes | nuisances | ratio |\n|---|---|---|---|---|---|")
-    for (name, variant), result in ((job, weakest[job]) for job in jobs()):
+    rows = []
+    for name, variant in jobs():
         stage = stage_of(name)
-        by_cause = {s: rms(values, same[stage][stage][s]) for s, values in result[stage].items()}
+        by_cause = {s: rms(values, same[stage][stage][s]) for s, values in weakest[name, variant][stage].items()}
         usual = {
             s: float(np.sqrt(np.mean([rms(other[stage][s], same[stage][stage][s]) ** 2 for other in others[stage]])))
             for s in by_cause
         }
         ratio = {s: by_cause[s] / usual[s] if usual[s] else (np.inf if by_cause[s] else 0.0) for s in by_cause}
         best = max(by_cause, key=lambda s: (ratio[s], by_cause[s]))
-        figures = f"{by_cause[best]:.3g} | {usual[best]:.3g} | {ratio[best]:.1f}"
-        print(f"| {name} | {_ranges(variant)} | {best} | {figures} |")
+        told = ratio[best] if np.isfinite(ratio[best]) else None
+        drawn = _ranges(variant)
+        rows.append(
+            Strength(cause=name, drawn=drawn, signal=best, changes=by_cause[best], nuisances=usual[best], ratio=told)
+        )
+    return rows
+
+
+@click.command()
+@click.option("--json", "json_file", type=click.Path(path_type=Path, dir_okay=False), help="Write the figures here.")
+def main(json_file: Path | None) -> None:
+    """Fly everything and print the table."""
+    rows = measure()
+    click.echo(pages.strength(rows), nl=False)
+    if json_file is not None:
+        files.write_text(json_file, json.dumps({"causes": rows}, indent=1) + "\n")
 
 
 if __name__ == "__main__":

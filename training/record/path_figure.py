@@ -181,7 +181,16 @@ def _head(figure: "Figure", tested: Tested, task: ReachTask, title: str) -> None
     )
     figure.text(left, 1 - 0.64 / height_in, tested.report.sentence, color=_INK, fontsize=10.5, va="center")
     figure.legend(
-        list(signs.values()), list(signs), loc="center left", ncols=len(signs), frameon=False, fontsize=9,
-        labelcolor=_SOFT, handletextpad=0.5, columnspacing=1.6, borderaxespad=0, borderpad=0,
+        list(signs.values()),
+        list(signs),
+        loc="center left",
         bbox_to_anchor=(left, 1 - 0.94 / height_in),
-    )  # fmt: skip
+        ncols=len(signs),
+        frameon=False,
+        fontsize=9,
+        labelcolor=_SOFT,
+        handletextpad=0.5,
+        columnspacing=1.6,
+        borderaxespad=0,
+        borderpad=0,
+    )

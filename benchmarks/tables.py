@@ -1,0 +1,310 @@
+"""The tables of the pages: stored results in, Markdown out. What a table says beside its figures stands here too: aims,
+the paper's own figures, what is set in bold.
+"""
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import Any
+
+from softarm.diagnosis.blind import pages
+from softarm.flights.table import HARDWARE
+
+Read = Callable[[str], Mapping[str, Any]]  # the name of a stored result -> what it holds
+Figure = Mapping[str, Any] | None  # mean, spread, refused: softarm.flights.table.Figure
+
+
+def markdown(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    """A table; raises ValueError for a row that does not fit its head."""
+    lines = [_line(head), "|" + "---|" * len(head)]
+    for row in rows:
+        if len(row) != len(head):
+            raise ValueError(f"a row of {len(row)} cells in a table of {len(head)} columns: {row}")
+        lines.append(_line(row))
+    return "\n".join(lines) + "\n"
+
+
+def _line(cells: Sequence[str]) -> str:
+    return "|" + "|".join(f" {cell} " if cell else " " for cell in cells) + "|"
+
+
+def _percent(share: float, digits: int = 1) -> str:
+    """A share in percent; nothing at all is a plain 0."""
+    return f"{100 * share:.{digits}f}" if share else "0"
+
+
+def cell(figure: Figure, digits: int = 1, trials: int | None = None) -> str:
+    """Mean and spread over seeds in percent; trials: of one seed, to say how many were refused."""
+    if figure is None:
+        return ""
+    if figure["spread"] is not None:
+        return f"{100 * figure['mean']:.{digits}f} +- {100 * figure['spread']:.{digits}f}"
+    refused = figure.get("refused", 0)
+    if refused == 1:
+        return "-"
+    told = f" (refused {round(refused * trials)} of {trials})" if refused and trials else ""
+    return _percent(figure["mean"], digits) + told
+
+
+# The 54 targets ------------------------------------------------------------------------------------------------------
+
+_GRID = {
+    "reach": "`reach` (trained on z 0.55 to 0.70)",
+    "reach-wide": "`reach-wide` (trained on z 0.54 to 0.80)",
+    "reach-robust": "`reach-robust` (as `reach-wide`, on robots that differ)",
+    "trajectory": "`trajectory` (planned, tracked: [trajectory.md](trajectory.md))",
+    "mppi": "`mppi` (replans at 30 Hz)",
+    "pid": "`pid` (the paper's gains)",
+}
+
+
+def grid(read: Read) -> str:
+    """Each shipped policy at the paper's 54 targets, beside the paper's robot."""
+    speed = read("grid-speed")["real_time_factor"]
+    rows = []
+    for policy, title in _GRID.items():
+        found = read(f"grid-{policy}")
+        shares = [f"{_percent(found['success'][part])} %" for part in ("in_range", "above", "all")]
+        places = [f"{found['max_tip_z_m']:.2f} m", f"{found['max_cart_m']:.3f} m"]
+        rows.append([title, *shares, *places, speed.get(policy, "")])
+    for (policy, found), tip in zip(HARDWARE.items(), ("", "", "0.56 m"), strict=True):
+        shares = [f"{100 * found[part]:.0f} %" if part in found else "" for part in ("in_range", "above", "all")]
+        rows.append([f"{policy}, its hardware", *shares, tip, "", ""])
+    return markdown(("policy", "z <= 0.70 m", "z > 0.70 m", "all", "highest tip", "farthest cart", "speed"), rows)
+
+
+# Column of `softarm evaluate --all` -> its title, trials of one seed.
+_TESTS = {
+    "in_range": ("<= 0.70 m", 108),
+    "above": ("> 0.70 m", 54),
+    "all": ("all 54", 162),
+    "swinging": ("mid-swing", 162),
+    "shelf": ("shelf, 12", 12),
+    "shelf_random": ("shelf, random", 500),
+    "held_back": ("held-back", 162),
+    "held_back_changed": ("held-back, changed", 162),
+    "held_back_shelf": ("held-back, shelf", 12),
+}
+
+
+def all_tests(read: Read) -> str:
+    """All policies at all tests: what a sweep trained, over its seeds, and those that nobody trained."""
+    rows = []
+    for found in map(read, ("all-tests-trained", "all-tests-mppi", "all-tests-others")):
+        for policy, figures in found["policies"].items():
+            title = "ceiling (open-loop search)" if policy == "ceiling" else f"`{policy}`"
+            cells = [cell(figures.get(column), trials=trials) for column, (_, trials) in _TESTS.items()]
+            rows.append([title, str(len(found["seeds"][policy]) or ""), *cells])
+    for policy, shares in HARDWARE.items():
+        cells = [f"{100 * shares[column]:.0f}" if column in shares else "" for column in _TESTS]
+        rows.append([f"{policy}, its hardware", "", *cells])
+    return markdown(("policy", "seeds", *(title for title, _ in _TESTS.values())), rows)
+
+
+# Training ------------------------------------------------------------------------------------------------------------
+
+
+def sweep(read: Read) -> str:
+    """What five seeds of each shipped policy's training gave, in the run's own test."""
+    columns = ("in_range", "above", "all", "shelf", "shelf_random")
+    rows = []
+    for name, run in read("sweep")["runs"].items():
+        cells = [f"{cell(run[column])} %" if column in run else "" for column in columns]
+        rows.append([f"`{name}`", f"{run['frames'] / 1e6:.0f} M", f"{run['seconds']:.0f}", *cells])
+    return markdown(
+        ("run", "frames", "seconds on one core", "in range", "above", "all", "shelf, 12", "shelf, 500"), rows
+    )
+
+
+def time_to_level(read: Read) -> str:
+    """How long each seed takes to the paper's level."""
+    found = read("training")
+    seconds, frames = found["seconds_to_seed_level"], found["frames_to_seed_level"]
+    head = ("", *(f"seed {k}" if k == 1 else str(k) for k in range(1, 1 + len(seconds))), "aim")
+    return markdown(
+        head,
+        [
+            ["seconds", *("never" if value is None else f"{value:.0f}" for value in seconds), "60 for four of five"],
+            ["million frames", *("" if value is None else f"{value / 1e6:.1f}" for value in frames), ""],
+        ],
+    )
+
+
+def rl_games(read: Read) -> str:
+    """What rl_games learnt, by seconds."""
+    curve = read("rl-games")["seconds, frames, in range, above, all"]
+    shares = (" / ".join(f"{100 * share:.0f}" for share in point[2:]) for point in curve)
+    return markdown(
+        ("seconds", *(f"{point[0]:.0f}" for point in curve)),
+        [
+            ["million frames", *(f"{point[1] / 1e6:.2f}" for point in curve)],
+            ["in range / above / all, %", *shares],
+        ],
+    )
+
+
+# Robots that differ --------------------------------------------------------------------------------------------------
+
+_NOMINAL = {"rail.delay_s=0.06": " (nominal 0.033)", "rail.acceleration_m_s2=3": " (nominal 6)"}
+_ROBUST_WINS = ("rail.delay_s=0.09", "rail.acceleration_m_s2=3", "rail.acceleration_m_s2=2")
+
+
+def faults(read: Read) -> str:
+    """What one fault of the independent robot costs."""
+    found = {fault: shares for fault, shares in read("faults").items() if fault != "about"}
+    policies = list(found["none"])
+    rows = []
+    for fault, shares in found.items():
+        title = fault if fault == "none" else f"`{fault}`{_NOMINAL.get(fault, '')}"
+        cells = [_percent(share) for share in shares.values()]
+        rows.append([title, *_bold(cells, policies.index("reach-robust") if fault in _ROBUST_WINS else None)])
+    return markdown(("fault", *(f"`{policy}`" for policy in policies)), rows)
+
+
+_ROBOTS = {
+    "all": "all 54",
+    "held_back": "held-back",
+    "held_back_payload": "50 g at the tip",
+    "held_back_slow": "slow regulator",
+    "held_back_late": "late rail (50 ms)",
+    "held_back_changed": "all three",
+    "held_back_later": "rail 90 ms late",
+    "held_back_weak": "drive at 3 m/s^2",
+}
+_LEARNED_BEST = {
+    "reach-wide": ("all", "held_back"),
+    "reach-robust": ("held_back_changed", "held_back_later", "held_back_weak"),
+}
+
+
+def differ(read: Read) -> str:
+    """Policies over seeds on robots that differ."""
+    rows = []
+    for policy, figures in read("differ")["policies"].items():
+        row = [f"`{policy}`"]
+        for column in _ROBOTS:
+            mean, plus, spread = cell(figures.get(column)).partition(" +- ")
+            best = column in _LEARNED_BEST.get(policy, ())
+            row.append((f"**{mean}**" if best else mean) + plus + spread)
+        rows.append(row)
+    return markdown(("policy", *_ROBOTS.values()), rows)
+
+
+def _bold(cells: list[str], at: int | None) -> list[str]:
+    return [f"**{cell}**" if i == at else cell for i, cell in enumerate(cells)]
+
+
+# Run of benchmarks/ablation.yaml -> what it is, the paper's hardware (its Table 1; of 12 trials, percent).
+_ABLATION = {
+    "full": ("everything (action noise, LSTM after the MLP)", "92"),
+    "no-pressure-lag": ("no pressure lag", "0"),
+    "no-acceleration-limit": ("no acceleration limit of the cart", "8"),
+    "no-delay": ("no delay", "0"),
+    "no-finite-difference": ("true velocities instead of differences", "0"),
+    "no-finite-difference-long": ("the same, 10 M frames", ""),
+    "observations": ("noise on observations instead", "25"),
+    "dynamics": ("randomised dynamics instead", "25"),
+    "no-randomisation": ("no randomisation", "17"),
+    "mlp-only": ("MLP alone", "0"),
+    "lstm-before-mlp": ("LSTM before the MLP", "0"),
+    "lstm-before-mlp-long": ("the same, 10 M frames", ""),
+    "no-muscle": ("no muscle", "0"),
+}
+_MATRIX = {
+    "shelf": "shelf, 12",
+    "shelf_random": "shelf, 500",
+    "shelf_random@no-pressure-lag": "500 without pressure lag",
+    "shelf_random@no-acceleration-limit": "500 without acceleration limit",
+    "shelf_random@no-delay": "500 without delay",
+    "held_back_shelf": "independent robot, 12",
+}
+
+
+def ablation(read: Read) -> str:
+    """The paper's Table 1: what was trained with one thing left out or changed, at the shelf."""
+    found = read("ablation")["policies"]
+    rows = [
+        [title, *(cell(found[run][column], digits=0) for column in _MATRIX), hardware]
+        for run, (title, hardware) in _ABLATION.items()
+    ]
+    return markdown(("trained with", *_MATRIX.values(), "the paper's hardware"), rows)
+
+
+# Loop, simulator, diagnosis ------------------------------------------------------------------------------------------
+
+_LOOP = {
+    "compute_ms": ("compute", "2"),
+    "lateness_ms": ("lateness", "3"),
+    "bare_loop_lateness_ms": ("lateness of the bare loop", ""),
+    "sensor_to_command_ms": ("sensor to command", ""),
+}
+
+
+def loop(read: Read) -> str:
+    """How punctual the control loop is."""
+    found = read("loop")
+    conditions = [found["idle"], found["hammered"]]
+    rows = [
+        [title, *(" / ".join(f"{at[key][part]:.2f}" for part in ("p50", "p99", "max")) for at in conditions), aim]
+        for key, (title, aim) in _LOOP.items()
+    ]
+    rows.append(["missed ticks", *(f"{at['missed_ticks']} of {at['ticks']}" for at in conditions), "0"])
+    return markdown(("p50 / p99 / max (ms)", "idle", "hammered", "aim (p99)"), rows)
+
+
+def simulator(read: Read) -> str:
+    """Speed and error beside MuJoCo."""
+    found = read("simulator")
+    ours, theirs = (
+        f"{found[key]['mean']:.2f} / {found[key]['max']:.2f} mm" for key in ("tip_error_mm", "mujoco_tip_error_mm")
+    )
+    fast, slow = found["control_steps_per_s"], found["mujoco_control_steps_per_s"]
+    version = found["mujoco_version"].rpartition(".")[0]
+    return markdown(
+        ("", "step rate", "control steps/s", "tip error after 3 s, mean / max"),
+        [
+            ["softarm", f"{found['step_rate_hz']:.0f} Hz", f"{fast / 1e6:.1f} M", ours],
+            [f"MuJoCo {version}", f"{found['mujoco_step_rate_hz']:.0f} Hz", f"{slow / 1e3:.1f} k", theirs],
+            ["ratio", "", f"{found['ratio']:.0f} (aim 250)", ""],
+        ],
+    )
+
+
+def blind(read: Read) -> str:
+    """How often the diagnosis is right, beside what was aimed at."""
+    found = read("blind")["methods"]["diagnose"]
+    measures, (holds, *_) = found["measures"], found["coverage"].values()
+
+    def share(name: str) -> str:
+        return f"{100 * measures[name]['share']:.0f} %"
+
+    rows = [
+        ["right stage (of a single cause)", f"{share('right stage')} ({share('right stage, single')})", "95 %"],
+        ["a single effect named exactly", share("single, exact"), "85 %"],
+        ["both of two effects", share("two, both exact"), "75 %"],
+        ["an unknown effect given a name", share("unknown, given a name"), "5 %"],
+        ["a name when nothing is wrong", share("none, given a name"), "2 %"],
+        ["95 % intervals of the shrink hold fresh data", f"{100 * holds['share']:.0f} %", "90 to 98 %"],
+        ["calibration error", f"{found['calibration']['ece']:.3f}", "0.05"],
+        ["a diagnosis of eight trials (median, wall, two at a time)", f"{found['seconds_median']:.0f} s", "60 s"],
+    ]
+    return markdown(("", "reached", "aim"), rows)
+
+
+def strength(read: Read) -> str:
+    """How clearly the weakest of every imperfection shows."""
+    return pages.strength(read("strength")["causes"])
+
+
+TABLES: dict[str, Callable[[Read], str]] = {
+    "grid": grid,
+    "all-tests": all_tests,
+    "sweep": sweep,
+    "time-to-level": time_to_level,
+    "rl-games": rl_games,
+    "faults": faults,
+    "differ": differ,
+    "ablation": ablation,
+    "loop": loop,
+    "simulator": simulator,
+    "blind": blind,
+    "strength": strength,
+}
