@@ -4,7 +4,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from softarm.daemon.control.records import Inputs, Outputs, TickTiming
-from softarm.daemon.logbook import channels
+from softarm.daemon.logbook import ticks
 from softarm.recordings import mcap_file
 from softarm.recordings.channels import MOCAP
 from softarm.recordings.log_file import LogFile
@@ -23,7 +23,7 @@ class TickLog(LogFile):
 
         Raises LogError when a tick's own messages are not there (a log of another version, or edited).
         """
-        joiner = channels.Joiner()
+        joiner = ticks.Joiner()
         for topic, data in mcap_file.messages(self.path):
             try:
                 tick = joiner.join(topic, data)

@@ -19,7 +19,7 @@ from typing import BinaryIO
 
 from softarm.common import revision
 from softarm.daemon.control.records import Inputs, Outputs, TickTiming
-from softarm.daemon.logbook import channels
+from softarm.daemon.logbook import ticks
 from softarm.policies.base import PolicySpec
 from softarm.recordings import finishing, mcap_file
 from softarm.recordings.live import LiveFile
@@ -209,8 +209,8 @@ class TickFile(LiveFile):
     """A live file of ticks, with the head that a reader needs."""
 
     def __init__(self, file: BinaryIO) -> None:
-        super().__init__(file, channels.CHANNELS)
-        self._splitter = channels.Splitter()
+        super().__init__(file, ticks.CHANNELS)
+        self._splitter = ticks.Splitter()
 
     def head(self, config: Config, policy: PolicySpec | None, monotonic_ns: int, wall_ns: int) -> None:
         """What a reader of the log has to know besides the ticks."""

@@ -23,8 +23,8 @@ from softarm.daemon.control.records import (
     TickTiming,
 )
 from softarm.daemon.logbook import logs
-from softarm.daemon.logbook.channels import CHANNELS, Joiner, Splitter
 from softarm.daemon.logbook.recorder import Recorder, TickFile
+from softarm.daemon.logbook.ticks import CHANNELS, Joiner, Splitter
 from softarm.policies.base import PolicySpec
 from softarm.recordings import finishing
 from softarm.schemas.config import Config

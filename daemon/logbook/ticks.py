@@ -1,4 +1,4 @@
-"""The messages of a log: one JSON channel for each kind of record, and what makes a tick whole again.
+"""A tick as messages of a log, one JSON channel for each kind of record, and what makes it whole again.
 
 A measurement is written once, on its own channel, when it is new; /tick says which ones it used. In file
 order the messages that a tick used stand before it.
