@@ -155,8 +155,7 @@ class Controller:
             return None
         if any(e.rule.response > 0 for e in (*self._pending_events, *conditions)):
             return None
-        _, _, tip_y, tip_z, *_ = observed.values
-        self._goals.update(tip_y, tip_z, now_ns)
+        self._goals.update(observed.values.tip_y_m, observed.values.tip_z_m, now_ns)
         goal = self._goals.running
         if goal is None or goal.kind == "hold":
             return None

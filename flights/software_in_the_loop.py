@@ -21,7 +21,7 @@ import httpx
 import yaml
 
 from softarm.schemas.goals import Goal
-from softarm.schemas.policy import OBSERVATION
+from softarm.schemas.policy import Observation
 
 START_S = 60.0  # a cold start compiles the simulator
 STOP_S = 5.0
@@ -132,7 +132,7 @@ class SoftwareInTheLoop:
         self.reach(goal)
         while (result := self.client.get("/api/goal").json())["state"] == "running":
             observed = self.observed()
-            on_tip(observed["tip_y"], observed["tip_z"])
+            on_tip(observed.tip_y_m, observed.tip_z_m)
             time.sleep(POLL_S)
         return dict(result)
 
@@ -140,9 +140,9 @@ class SoftwareInTheLoop:
         """GET /api/status."""
         return dict(self.client.get("/api/status").raise_for_status().json())
 
-    def observed(self) -> dict[str, float]:
-        """The newest observation: signal -> value."""
-        return dict(zip((signal.name for signal in OBSERVATION), self.status()["observed"]["values"], strict=True))
+    def observed(self) -> Observation:
+        """The newest observation."""
+        return Observation(*self.status()["observed"]["values"])
 
     def printed(self, verb: str) -> str:
         """What a process has printed."""
@@ -154,7 +154,7 @@ class SoftwareInTheLoop:
         started = time.monotonic()
         while (passed := time.monotonic() - started) < SETTLE_MAX_S:
             observed = self.observed()
-            if passed > SETTLE_MIN_S and max(abs(observed["tip_vy"]), abs(observed["tip_vz"])) < SETTLED_M_S:
+            if passed > SETTLE_MIN_S and max(abs(observed.tip_vy_m_s), abs(observed.tip_vz_m_s)) < SETTLED_M_S:
                 return
             time.sleep(POLL_S)
 

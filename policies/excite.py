@@ -7,11 +7,12 @@ import numpy as np
 
 from softarm.policies.base import Array, PolicyError, PolicySpec
 from softarm.schemas.excitation import EXCITATIONS
+from softarm.schemas.policy import places
 from softarm.schemas.robot import CONTROL_RATE_HZ
 
 LEAD_IN_S = 4.0  # the cart comes to the middle, the arm to rest
 _APPROACH_PER_S, _APPROACH_MAX_M_S = 2.0, 0.15
-_CART = 0  # in the observation
+[_CART] = places("cart_position_m")
 
 
 class Excite:

@@ -5,12 +5,10 @@ import math
 import numpy as np
 
 from softarm.policies.base import Array, PolicyError, PolicySpec
-from softarm.schemas.policy import ACTION, OBSERVATION
+from softarm.schemas.policy import ACTION, places
 from softarm.schemas.robot import CONTROL_PERIOD_S
 
-_NAMES = [signal.name for signal in OBSERVATION]
-_TIP = slice(_NAMES.index("tip_y"), _NAMES.index("tip_z") + 1)
-_TIP_VELOCITY = slice(_NAMES.index("tip_vy"), _NAMES.index("tip_vz") + 1)
+_TIP, _TIP_VELOCITY = places("tip_y_m", "tip_z_m"), places("tip_vy_m_s", "tip_vz_m_s")
 _LOW = np.array([signal.low for signal in ACTION], dtype=np.float32)
 _HIGH = np.array([signal.high for signal in ACTION], dtype=np.float32)
 

@@ -7,13 +7,11 @@ import numpy as np
 
 from softarm.policies.base import Array, PolicyError, PolicySpec
 from softarm.policies.plans import Plans, find, sha256
-from softarm.schemas.policy import ACTION, OBSERVATION, TrainingRange
+from softarm.schemas.policy import ACTION, TrainingRange, places
 
 TARGET_TOLERANCE_M = 0.01
 START_TOLERANCE_M = 0.03  # of the cart and of the tip, from where a plan begins
-_NAMES = [signal.name for signal in OBSERVATION]
-_CART = _NAMES.index("cart_position")
-_TIP = slice(_NAMES.index("tip_y"), _NAMES.index("tip_z") + 1)
+[_CART], _TIP = places("cart_position_m"), places("tip_y_m", "tip_z_m")
 _LOW = np.array([signal.low for signal in ACTION], dtype=np.float32)
 _HIGH = np.array([signal.high for signal in ACTION], dtype=np.float32)
 

@@ -15,7 +15,7 @@ import yaml
 from softarm.reality.parameters import Parameters
 from softarm.reality.robot import Robot
 from softarm.schemas.messages import BODY_NAMES, MocapFrame
-from softarm.schemas.policy import OBSERVATION
+from softarm.schemas.policy import OBSERVATION, Observation
 from softarm.schemas.robot import CONTROL_RATE_HZ
 
 SETTLE_S = 0.5  # every sensor is heard; not recorded
@@ -60,12 +60,21 @@ class _Log:
             self._difference(frames[-1])
 
     def observe(self, t_s: float) -> None:
-        """One row in the order of `softarm.schemas.policy.OBSERVATION`, once every sensor has been heard."""
+        """One row, once every sensor has been heard."""
         if self.frame is None or self.pressure_kpa is None:
             return
         cart, tip = self.frame.bodies[0], self.frame.bodies[-1]
-        (cart_m_s, *tip_m_s), command = self.velocities, self.cart_command_m_s
-        row = (cart.y_m, cart_m_s, tip.y_m, tip.z_m, *tip_m_s, command, self.pressure_kpa)
+        cart_m_s, tip_y_m_s, tip_z_m_s = self.velocities
+        row = Observation(
+            cart_position_m=cart.y_m,
+            cart_velocity_m_s=cart_m_s,
+            tip_y_m=tip.y_m,
+            tip_z_m=tip.z_m,
+            tip_vy_m_s=tip_y_m_s,
+            tip_vz_m_s=tip_z_m_s,
+            previous_cart_velocity_command_m_s=self.cart_command_m_s,
+            pressure_kpa=self.pressure_kpa,
+        )
         self.rows["observation"].append((f"{t_s:.9f}", *row))
 
     def _difference(self, frame: MocapFrame) -> None:

@@ -15,6 +15,18 @@ class Strict(BaseModel):
 Record = TypeVar("Record", bound=tuple[Any, ...])
 
 
+def json_array(record: type[Record]) -> type[Record]:
+    """Have pydantic read and write a NamedTuple of floats as a bare array of so many numbers."""
+
+    def schema(cls: type[Record], source: object, handler: GetCoreSchemaHandler) -> CoreSchema:
+        count = len(get_type_hints(cls))
+        numbers = core_schema.tuple_variable_schema(core_schema.float_schema(), min_length=count, max_length=count)
+        return core_schema.no_info_after_validator_function(lambda values: cls(*values), numbers)
+
+    setattr(record, "__get_pydantic_core_schema__", classmethod(schema))  # noqa: B010
+    return record
+
+
 def json_object(record: type[Record]) -> type[Record]:
     """Have pydantic write a NamedTuple as an object of named fields; left alone it writes a bare array."""
 

@@ -1,10 +1,10 @@
 """What a policy says of itself; an ONNX policy carries it as JSON under the metadata key `softarm`."""
 
-from typing import Annotated, Literal
+from typing import Annotated, Literal, NamedTuple
 
 from pydantic import Field
 
-from softarm.schemas.base import Strict
+from softarm.schemas.base import Strict, json_array
 from softarm.schemas.robot import CART_VELOCITY_MAX_M_S, PRESSURE_MAX_KPA, PRESSURE_MIN_KPA
 
 METADATA_KEY = "softarm"
@@ -20,6 +20,29 @@ class Signal(Strict):
     high: float | None = None
 
 
+@json_array
+class Observation(NamedTuple):
+    """What a policy is fed; as an array, float32 [8] in this order.
+
+    Velocities are first differences over a control step ([P] section 3.3).
+    """
+
+    cart_position_m: float
+    cart_velocity_m_s: float
+    tip_y_m: float
+    tip_z_m: float
+    tip_vy_m_s: float
+    tip_vz_m_s: float
+    previous_cart_velocity_command_m_s: float  # as it was sent
+    pressure_kpa: float
+
+
+def places(*names: str) -> list[int]:
+    """Where these fields of an `Observation` stand in an array of it."""
+    return [Observation._fields.index(name) for name in names]
+
+
+# The same for files and logs, field by field.
 OBSERVATION = (
     Signal(name="cart_position", unit="m"),
     Signal(name="cart_velocity", unit="m/s"),

@@ -27,6 +27,7 @@ from softarm.policies.runner import PolicyRunner, ThreadRunner
 from softarm.recordings.listing import listing
 from softarm.schemas.config import Config
 from softarm.schemas.goals import Goal
+from softarm.schemas.policy import Observation, places
 from softarm.schemas.rest import (
     GoalAnswer,
     GoalBody,
@@ -372,7 +373,8 @@ class _Api:
 
 
 # What a policy is warmed up on: the arm hanging at rest, and a target that it knows.
-_HANGING = np.array([0.0, 0.0, 0.0, 0.52, 0.0, 0.0, 0.0, 0.0], dtype=np.float32)
+_HANGING = np.zeros(len(Observation._fields), dtype=np.float32)
+_HANGING[places("tip_z_m")] = 0.52
 _TARGET = np.array([-0.2, 0.6], dtype=np.float32)
 
 

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from softarm.daemon.control.records import Inputs, Observed
 from softarm.daemon.control.safety import Cart
 from softarm.schemas.messages import MocapFrame, PressureReading, RailReading
+from softarm.schemas.policy import Observation
 
 CART, TIP = 0, -1  # places in MocapFrame.bodies
 
@@ -90,21 +91,21 @@ class Observer:
         return abs(self.rail.position_m + self.rail.velocity_m_s * lead_s - self._frame.bodies[CART].y_m)
 
     def observe(self, now_ns: int, previous_cart_velocity_m_s: float) -> Observed | None:
-        """The observation in `softarm.schemas.policy.OBSERVATION` order; None while a sensor has never been heard."""
+        """The observation and its age; None while a sensor has never been heard."""
         if self._frame is None or self.pressure is None or self.rail is None:
             return None
         cart, tip = self._frame.bodies[CART], self._frame.bodies[TIP]
         cart_velocity, tip_vy, tip_vz = self._velocities
         return Observed(
-            values=(
-                cart.y_m,
-                cart_velocity,
-                tip.y_m,
-                tip.z_m,
-                tip_vy,
-                tip_vz,
-                previous_cart_velocity_m_s,
-                self.pressure.pressure_kpa,
+            values=Observation(
+                cart_position_m=cart.y_m,
+                cart_velocity_m_s=cart_velocity,
+                tip_y_m=tip.y_m,
+                tip_z_m=tip.z_m,
+                tip_vy_m_s=tip_vy,
+                tip_vz_m_s=tip_vz,
+                previous_cart_velocity_command_m_s=previous_cart_velocity_m_s,
+                pressure_kpa=self.pressure.pressure_kpa,
             ),
             mocap_sequence=self._frame.sequence,
             mocap_age_ns=now_ns - self._frame.t_capture_ns,

@@ -6,6 +6,7 @@ from typing import Literal
 
 from softarm.schemas.goals import Goal, GoalStatus
 from softarm.schemas.messages import SAFE, Command, MocapFrame, PressureReading, RailReading
+from softarm.schemas.policy import Observation
 
 
 class Mode(StrEnum):
@@ -85,7 +86,7 @@ class ActiveEvent:
 class Observed:
     """What the policy was fed, and how old it was."""
 
-    values: tuple[float, ...]  # schemas.policy.OBSERVATION order
+    values: Observation
     mocap_sequence: int
     mocap_age_ns: int
     pressure_age_ns: int

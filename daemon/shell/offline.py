@@ -124,7 +124,7 @@ class Lockstep:
         while True:
             farthest = max(farthest, abs(self.robot.body.cart_position_m))
             if outputs.observed is not None:
-                top = max(top, outputs.observed.values[3])
+                top = max(top, outputs.observed.values.tip_z_m)
             if outputs.goal.state != "running":
                 return Flight(outputs.goal, top, farthest, ticks)
             outputs = self.tick()

@@ -9,12 +9,13 @@ from numpy.typing import NDArray
 
 from softarm.policies.mppi.shape import likely_joints, tip_from_cart_m
 from softarm.schemas.model import Model
+from softarm.schemas.policy import Observation, places
 from softarm.schemas.robot import TRAINING_PHYSICS_RATE_HZ
 
 Array = NDArray[np.float64]
 
-# Of an observation: cart y, tip y and z, pressure. Its velocities are differences of these.
-_MEASURED = [0, 2, 3, 7]
+_TIP, _TIP_VELOCITY = places("tip_y_m", "tip_z_m"), places("tip_vy_m_s", "tip_vz_m_s")
+_MEASURED = places("cart_position_m", "tip_y_m", "tip_z_m", "pressure_kpa")  # the velocities are differences of these
 # Standard deviations. Of the first guess:
 START_ANGLE_RAD, START_RATE_RAD_S = 0.05, 0.6
 START_CART_M, START_CART_M_S, START_PRESSURE_KPA = 1e-3, 0.05, 0.1
@@ -50,10 +51,11 @@ class Estimator:
 
     def begin(self, observation: Array) -> None:
         """Guess from one observation [8] alone."""
-        cart, cart_velocity, *_, command, pressure = observation
+        seen = Observation(*observation)
+        cart, cart_velocity, pressure = seen.cart_position_m, seen.cart_velocity_m_s, seen.pressure_kpa
         hinge = np.array((cart, self._arm.base_height_m))
         angles, rates = likely_joints(
-            self._arm, observation[2:4] - hinge, observation[4:6] - (cart_velocity, 0.0), pressure
+            self._arm, observation[_TIP] - hinge, observation[_TIP_VELOCITY] - (cart_velocity, 0.0), pressure
         )
         self.mean = np.array([cart, *angles, cart_velocity, *rates, pressure])
         self._covariance = self._variances(
@@ -62,7 +64,7 @@ class Estimator:
         self._seen = np.full(4, np.nan)
         self.simulator.reset(pressure_kpa=pressure)
         # The robot is put elsewhere at once; what stays of this step is the last command, under way for a tick.
-        self.simulator.step(float(command), float(pressure), self._period_s)
+        self.simulator.step(float(seen.previous_cart_velocity_command_m_s), float(pressure), self._period_s)
         self._correct(observation)
 
     def follow(self, observation: Array, sent_velocity_m_s: float, sent_pressure_kpa: float) -> None:
@@ -82,7 +84,7 @@ class Estimator:
 
     def distance_m(self, observation: Array) -> float:
         """How far the estimate's tip is from the observed one."""
-        return float(np.linalg.norm(self.tip_m() - observation[2:4]))
+        return float(np.linalg.norm(self.tip_m() - observation[_TIP]))
 
     def tip_m(self) -> Array:
         """Where the estimate has the tip: y, z."""

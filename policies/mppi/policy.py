@@ -10,15 +10,14 @@ from numpy.typing import NDArray
 from softarm.policies.base import Array, PolicyError, PolicySpec
 from softarm.policies.mppi.estimator import Estimator
 from softarm.policies.mppi.planner import Planner
-from softarm.schemas.policy import OBSERVATION, REACH_GOAL
+from softarm.schemas.policy import OBSERVATION, REACH_GOAL, places
 from softarm.schemas.robot import CONTROL_PERIOD_S
 
 Seen = NDArray[np.float64]
 
 LOST_M = 0.04  # an estimate whose tip is so far from the seen one is begun anew
-_NAMES = [signal.name for signal in OBSERVATION]
-_COMMAND, _PRESSURE = _NAMES.index("previous_cart_velocity_command"), _NAMES.index("pressure")
-_GIVEN = [*_NAMES, *(signal.name for signal in REACH_GOAL)]
+_COMMAND, _PRESSURE = places("previous_cart_velocity_command_m_s", "pressure_kpa")
+_GIVEN = [signal.name for signal in (*OBSERVATION, *REACH_GOAL)]
 _LIMITS = {
     "horizon_s": (0.5, 4.0),
     "rollouts": (64, 8192),
@@ -66,7 +65,7 @@ class Mppi:
     def _warm_up(self, hanging_z_m: float) -> None:
         """Compile and fill the caches before anybody waits; learn how long a round takes."""
         hanging = np.zeros(len(OBSERVATION), dtype=np.float32)
-        hanging[_NAMES.index("tip_z")] = hanging_z_m
+        hanging[places("tip_z_m")] = hanging_z_m
         self.reset()
         for _ in range(3):
             self._round_ns = 0  # what the last step took: the first one compiles

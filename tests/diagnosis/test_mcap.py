@@ -42,7 +42,7 @@ def test_the_trial_holds_what_the_log_holds(recording):
     first = next(i for i, (_, o) in enumerate(ticks) if o.sent.enable)
     np.testing.assert_array_equal(trial.channels["command"]["pressure"], [kpa for _, kpa in sent[first:]])
     np.testing.assert_array_equal(trial.channels["pressure"]["pressure"], [i.pressure.pressure_kpa for i, _ in ticks])
-    assert trial.channels["observation"]["tip_z"][-1] == ticks[-1][1].observed.values[3]
+    assert trial.channels["observation"]["tip_z"][-1] == ticks[-1][1].observed.values.tip_z_m
     assert (trial.kind, trial.not_observable, trial.warnings) == ("excite", {}, ())
 
 

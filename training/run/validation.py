@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from softarm.schemas.goals import SHELF_TARGETS
 from softarm.schemas.model import Model
+from softarm.schemas.policy import Observation
 from softarm.schemas.robot import PHYSICS_RATE_HZ, TRAINING_PHYSICS_RATE_HZ
 from softarm.training.learn.inference import Workers, infer
 from softarm.training.learn.network import PolicyNetwork
@@ -152,7 +153,7 @@ def fly(
     randomisation: Randomisation | None = None,
 ) -> Outcome:
     """Fly every trial once with the policy's mean action and no noise of the action's."""
-    count = len(trials.target_m)
+    count, first = len(trials.target_m), len(Observation._fields)  # the goal follows the observation
     environment = environment_of(replace(task, action_noise=0.0), count, 0, model, physics_rate_hz, randomisation)
     observation = trials.begin(environment)
     reached, alive = np.zeros(count, dtype=np.bool_), np.ones(count, dtype=np.bool_)
@@ -164,7 +165,7 @@ def fly(
     for k in range(task.episode_steps):
         mean, _, state = infer(network, torch.from_numpy(observation).to(network.device), keep, state, pool, dtype)
         step = environment.step(mean.cpu().numpy())
-        tip, target = step.final_tip_m, step.final_observation[:, 8:10]
+        tip, target = step.final_tip_m, step.final_observation[:, first : first + 2]
         closest[alive] = np.minimum(closest, np.linalg.norm(tip - target, axis=1))[alive]
         path[k + 1, alive] = tip[alive]
         over = alive & (step.terminated | step.truncated)

@@ -13,7 +13,7 @@ import torch
 from numpy.typing import NDArray
 
 from softarm.schemas.model import Model
-from softarm.schemas.policy import ACTION, OBSERVATION, REACH_GOAL
+from softarm.schemas.policy import ACTION, REACH_GOAL, Observation, places
 from softarm.schemas.robot import TRAINING_PHYSICS_RATE_HZ
 from softarm.simulator.model_rows import idle_effects
 from softarm.simulator.sensors import Clock, Sensors
@@ -25,10 +25,12 @@ from softarm.training.task.reach import ReachTask, Starts
 Array = NDArray[np.float32]
 Mask = NDArray[np.bool_]
 
-INPUTS = len(OBSERVATION) + len(REACH_GOAL)
+INPUTS = len(Observation._fields) + len(REACH_GOAL)
 ACTIONS = len(ACTION)
 _LOW = np.array([signal.low for signal in ACTION], dtype=np.float32)
 _HIGH = np.array([signal.high for signal in ACTION], dtype=np.float32)
+_SEEN = places("cart_position_m", "tip_y_m", "tip_z_m", "cart_velocity_m_s", "tip_vy_m_s", "tip_vz_m_s")
+_SENT, _PRESSURE = places("previous_cart_velocity_command_m_s", "pressure_kpa")
 _ARRAYS_OF_EFFECTS = ("_seen", "_sent_kpa")
 # Robots that differ are drawn apart from what happens to them.
 _DIFFERENCES = 7919
@@ -241,15 +243,7 @@ class Environment:
         seen, pressure = np.concatenate((self._pose, self._rates), axis=1), self.simulator.pressure_kpa
         if self.sensors is not None:
             seen, pressure = self._seen, self.simulator.pressure_reading_kpa
-        return np.concatenate(
-            (
-                seen[:, :1],
-                seen[:, 3:4],
-                seen[:, 1:3],
-                seen[:, 4:],
-                self._sent[:, None],
-                pressure[:, None],
-                self._target,
-            ),
-            axis=1,
-        )
+        observation = np.empty((self.robots, INPUTS), dtype=np.float32)
+        observation[:, _SEEN], observation[:, _SENT], observation[:, _PRESSURE] = seen, self._sent, pressure
+        observation[:, len(Observation._fields) :] = self._target
+        return observation

@@ -15,6 +15,7 @@ from softarm.policies.base import PolicySpec
 from softarm.schemas.config import Config, Limits, PressureLimits, RailLimits
 from softarm.schemas.goals import Goal
 from softarm.schemas.messages import SAFE, Command
+from softarm.schemas.policy import Observation
 
 PERIOD = 1 / 30
 RAIL, PRESSURE = RailLimits(), PressureLimits()
@@ -178,7 +179,7 @@ class Wild:
         pass
 
     def step(self, observation, goal):
-        swing = float(np.sign(observation[4]))
+        swing = float(np.sign(Observation(*observation).tip_vy_m_s))
         if self._kind == "with_swing":
             return np.array([swing, 20.0 * (swing < 0)], dtype=np.float32)
         if self._kind == "against_swing":
