@@ -19,14 +19,14 @@ from rich.table import Table
 from softarm.policies.base import MODELS
 from softarm.simulator import model_file
 from softarm.training.run.checkpoint import CheckpointError
-from softarm.training.run.retrain import Recipe, Retrained, retrain
+from softarm.training.run.retrain import Retrained, RetrainingConfig, retrain
 
-_DEFAULT = Recipe()
+_DEFAULT = RetrainingConfig()
 
 
 def compare(
-    policy: Path, model: Path, recipes: list[Recipe], console: Console
-) -> list[tuple[Recipe, Retrained, float]]:
+    policy: Path, model: Path, recipes: list[RetrainingConfig], console: Console
+) -> list[tuple[RetrainingConfig, Retrained, float]]:
     """Every recipe, what it came to and its CPU seconds. Raises CheckpointError and ModelFileError."""
     robot, found = model_file.load(model), []
     with Progress(console=console, transient=True) as bar:

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from softarm.flights.many import Place
     from softarm.schemas.goals import Goal
     from softarm.schemas.model import Model
-    from softarm.training.run.retrain import Recipe, Retrained
+    from softarm.training.run.retrain import Retrained, RetrainingConfig
 
 FOLDER = click.Path(path_type=Path, file_okay=False)
 FILES = ("verdict.json", "report.html", "summary.json", "patched-model.yaml", "retrained.onnx", "retrained.pt")
@@ -37,9 +37,14 @@ REALITY = "reality"
               help="What is wrong with the independent robot; again for more.")  # fmt: skip
 @click.option("--seconds", type=click.FloatRange(1, 86400), help="Of retraining, at most.  [default: 120]")
 def close_gap(
-    campaign: Path, out: Path, policy: str, model_file: Path | None, robot: str, faults: tuple[str, ...],
+    campaign: Path,
+    out: Path,
+    policy: str,
+    model_file: Path | None,
+    robot: str,
+    faults: tuple[str, ...],
     seconds: float | None,
-) -> None:  # fmt: skip
+) -> None:
     """Diagnose CAMPAIGN, patch the simulator, train the policy on in it, and fly old and new.
 
     Both fly the paper's 54 targets from three cart positions, by the daemon's own tick, on the nominal simulator, the
@@ -62,11 +67,11 @@ def close_gap(
     from softarm.policies.base import PolicyError
     from softarm.simulator.model_file import ModelFileError
     from softarm.training.run.checkpoint import CheckpointError
-    from softarm.training.run.retrain import Recipe
+    from softarm.training.run.retrain import RetrainingConfig
 
     if faults and robot != REALITY:
         raise click.UsageError("--fault is for the independent robot: leave --robot out, or put it into that model")
-    recipe = Recipe() if seconds is None else replace(Recipe(), seconds=seconds)
+    recipe = RetrainingConfig() if seconds is None else replace(RetrainingConfig(), seconds=seconds)
     try:
         held_back = _held_back(robot, faults)
         file = _policy_file(policy)
@@ -79,9 +84,17 @@ def close_gap(
 
 
 def run(
-    campaign: Path, out: Path, policy: Path, model_file: Path | None, held_back: "Place", is_the_robot: bool,
-    recipe: "Recipe", console: "Console", targets: "Sequence[Goal] | None" = None, processes: int | None = None,
-) -> None:  # fmt: skip
+    campaign: Path,
+    out: Path,
+    policy: Path,
+    model_file: Path | None,
+    held_back: "Place",
+    is_the_robot: bool,
+    recipe: "RetrainingConfig",
+    console: "Console",
+    targets: "Sequence[Goal] | None" = None,
+    processes: int | None = None,
+) -> None:
     """The verb with everything named. Raises TrialError, ModelFileError, CheckpointError, PolicyError, ValueError."""
     from softarm.common.processes import bar
     from softarm.diagnosis import report
@@ -131,7 +144,7 @@ def run(
     _show(found, told, places, closing_story.sentence(places, flown, retrained), out, console)
 
 
-def _retrain(policy: Path, model: "Model", out: Path, recipe: "Recipe", console: "Console") -> "Retrained":
+def _retrain(policy: Path, model: "Model", out: Path, recipe: "RetrainingConfig", console: "Console") -> "Retrained":
     """Behind a bar."""
     from softarm.training.run.retrain import retrain
 

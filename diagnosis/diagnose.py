@@ -23,6 +23,7 @@ def diagnose(trials: Sequence[Trial], model: Model | None = None, tell: Tell | N
     ordered = sorted(trials, key=lambda trial: (trial.name, str(trial.source)))
     say = tell or (lambda what, share: None)
     if tables:
+        # Another rig's laws are compiled when they are needed.
         from softarm.diagnosis.rigs.diagnose import diagnose_table
 
         return diagnose_table(ordered, say)

@@ -234,9 +234,13 @@ class Simulator:
         self._located = False
 
     def place(
-        self, cart_position_m: Array, cart_velocity_m_s: Array, link_angles_rad: Array, link_rates_rad_s: Array,
+        self,
+        cart_position_m: Array,
+        cart_velocity_m_s: Array,
+        link_angles_rad: Array,
+        link_rates_rad_s: Array,
         pressure_kpa: Array,
-    ) -> None:  # fmt: skip
+    ) -> None:
         """Put every robot somewhere in mid-flight: unlike after `reset`, commands under way stay under way.
 
         The first two and the last: [R]; absolute link angles and their rates: [R, n].

@@ -130,6 +130,9 @@ class Estimator:
         states = np.concatenate((self.mean[None], self._points()))
         n = self._links
         self.simulator.place(
-            states[:, 0], states[:, n + 1], states[:, 1 : n + 1].cumsum(axis=1), states[:, n + 2 : -1].cumsum(axis=1),
+            states[:, 0],
+            states[:, n + 1],
+            states[:, 1 : n + 1].cumsum(axis=1),
+            states[:, n + 2 : -1].cumsum(axis=1),
             states[:, -1],
-        )  # fmt: skip
+        )

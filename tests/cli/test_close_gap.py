@@ -19,12 +19,14 @@ from softarm.schemas.goals import TEST_TARGETS
 from softarm.schemas.model import Model
 from softarm.schemas.verdict import Estimate, Gap, Interval, NamedEffect, Shrink, Verdict, Where
 from softarm.simulator import model_file
-from softarm.training.run.retrain import Recipe
+from softarm.training.run.retrain import RetrainingConfig
 from softarm.training.run.warm_start import load_weights
 
 REACH = MODELS / "reach.onnx"
 EASY, NEVER = TEST_TARGETS[4], TEST_TARGETS[-1]  # (-0.20, 0.55), and (0, 0.80), which no command reaches
-TINY = Recipe(frames=2048, seconds=float("inf"), robots=64, validate_every=1, validation_trials=12, critic_iterations=1)
+TINY = RetrainingConfig(
+    frames=2048, seconds=float("inf"), robots=64, validate_every=1, validation_trials=12, critic_iterations=1
+)
 LATE = Model(effects=Model().effects | {"pressure.dead_time": {"delay": 0.06}})
 NAMED = Verdict(
     verdict="named",

@@ -50,10 +50,17 @@ class Network:
     def model(self) -> onnx.ModelProto:
         """The same as an ONNX graph."""
         constants = {
-            "mean": self.mean, "deviation": self.deviation, "w": self.w, "r": self.r, "b": self.b,
-            "head": self.head, "low": np.float32(-1), "high": np.float32(1),
-            "axis": np.array([0], np.int64), "direction": np.array([1], np.int64),
-        }  # fmt: skip
+            "mean": self.mean,
+            "deviation": self.deviation,
+            "w": self.w,
+            "r": self.r,
+            "b": self.b,
+            "head": self.head,
+            "low": np.float32(-1),
+            "high": np.float32(1),
+            "axis": np.array([0], np.int64),
+            "direction": np.array([1], np.int64),
+        }
         nodes = [
             helper.make_node("Sub", ["observation", "mean"], ["centred"]),
             helper.make_node("Div", ["centred", "deviation"], ["normal"]),
@@ -86,12 +93,22 @@ class Network:
 def metadata_of(network: Network) -> PolicyMetadata:
     """The self-description that a training run would have written."""
     return PolicyMetadata(
-        name="small", task="reach", rate_hz=30, observation=OBSERVATION, goal=REACH_GOAL, action=ACTION,
-        state_size=STATE, rail_limit_m=0.25, episode_steps=100,
+        name="small",
+        task="reach",
+        rate_hz=30,
+        observation=OBSERVATION,
+        goal=REACH_GOAL,
+        action=ACTION,
+        state_size=STATE,
+        rail_limit_m=0.25,
+        episode_steps=100,
         trained=TrainingRange(target_y_m=(-0.4, 0.0), target_z_m=(0.55, 0.7), cart_start_m=(-0.025, 0.25)),
-        training={"frames": 0}, seed=0, git_revision="0" * 40, validation_success=0.97,
+        training={"frames": 0},
+        seed=0,
+        git_revision="0" * 40,
+        validation_success=0.97,
         golden=Golden(inputs=network.inputs.tolist(), outputs=network.run(network.inputs).tolist()),
-    )  # fmt: skip
+    )
 
 
 @pytest.fixture

@@ -39,8 +39,12 @@ def test_the_seeds_sequence_lasts_about_28_s_and_holds_its_three_parts():
     plan = EXCITATIONS["seed"]
     assert plan.duration_s == pytest.approx(28, abs=1)
     assert [type(s).__name__ for s in plan.pressure_kpa if s.at(0.1) or s.at(0.7)] == [
-        "Ramp", "Ramp", "Square", "Chirp", "Chirp",
-    ]  # fmt: skip
+        "Ramp",
+        "Ramp",
+        "Square",
+        "Chirp",
+        "Chirp",
+    ]
 
 
 @pytest.mark.parametrize("name", ["both", "rail-steps", "free-decay"])

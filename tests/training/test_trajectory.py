@@ -13,7 +13,7 @@ from softarm.training.trajectory import ceiling
 from softarm.training.trajectory.guesses import library, nearest, random_knots
 from softarm.training.trajectory.optimiser import UNIT, Batch, Optimiser
 from softarm.training.trajectory.planner import plan
-from softarm.training.trajectory.problem import Problem, interpolation
+from softarm.training.trajectory.problem import PlanningProblem, interpolation
 from softarm.training.trajectory.rollout import Rollouts
 
 TARGETS = np.array([[-0.2, 0.6], [-0.3, 0.7], [0.0, 0.8]], dtype=np.float32)
@@ -58,7 +58,7 @@ def test_a_plan_flown_again_goes_where_it_says_whatever_integrates_it(report):
 
 
 def test_plans_keep_the_limits_with_room_for_the_tracker(report):
-    problem, plans = Problem(), report.plans
+    problem, plans = PlanningProblem(), report.plans
     flown = Rollouts(physics_rate_hz=PHYSICS_RATE_HZ).fly(plans.command.transpose(1, 0, 2), plans.cart_start_m)
     for k, n in enumerate(plans.steps):
         velocity, pressure = plans.command[k, :n].T
@@ -93,12 +93,12 @@ def test_a_plan_knows_the_effects_of_its_model(small, report):
 @pytest.fixture(scope="module")
 def optimiser():
     batch = Batch(TARGETS[:2], np.array([0.1, -0.2], dtype=np.float32), np.array([20, 26]))
-    return Optimiser(Problem(), Rollouts(), batch)
+    return Optimiser(PlanningProblem(), Rollouts(), batch)
 
 
 def test_the_gradient_is_the_merits_own_slope(optimiser):
     """Of the objective and of every constraint; a step to either side tells."""
-    knots = random_knots(Problem(), 2, np.random.default_rng(5))[:, : optimiser._knots] / UNIT
+    knots = random_knots(PlanningProblem(), 2, np.random.default_rng(5))[:, : optimiser._knots] / UNIT
     knots = np.clip(knots, (-0.9, 0.1), (0.9, 1.9)).reshape(2, -1).astype(np.float32)
     penalty = np.full(2, 50.0, dtype=np.float32)
     terms = optimiser._terms(knots[None], optimiser._fly(knots[None]))
@@ -125,7 +125,7 @@ def test_interpolation_is_straight_between_knots():
 
 
 def test_first_guesses_pass_near_their_targets_within_the_rail():
-    problem, rollouts = Problem(), Rollouts()
+    problem, rollouts = PlanningProblem(), Rollouts()
     swings = library(problem, rollouts, 0.0, 512, np.random.default_rng(0))
     guesses = nearest(swings, TARGETS[:1], 3)
     assert guesses.knots.shape == (3, problem.knots, 2)

@@ -14,7 +14,7 @@ from typing import TypeVar
 import torch
 from torch import Tensor
 
-from softarm.training.learn.network import PolicyNetwork, State
+from softarm.training.learn.network import PolicyNetwork, RecurrentState
 
 CHUNK = 512  # robots a thread takes at once
 DEVICES = ("cpu", "cuda")
@@ -74,10 +74,10 @@ def infer(
     network: PolicyNetwork,
     observation: Tensor,
     keep: Tensor,
-    state: State,
+    state: RecurrentState,
     pool: Workers,
     dtype: torch.dtype = torch.float32,
-) -> tuple[Tensor, Tensor, State]:
+) -> tuple[Tensor, Tensor, RecurrentState]:
     """One step for every robot.
 
     observation: [R, inputs], keep: [R] (0 where an episode begins), state: [R, size] each; all where the network is.

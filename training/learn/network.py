@@ -14,7 +14,7 @@ from torch import Tensor, nn
 from softarm.training.learn import lstm
 from softarm.training.learn.normaliser import RunningNormaliser
 
-State = tuple[Tensor, Tensor]  # hidden and cell, float32 [B, size] each
+RecurrentState = tuple[Tensor, Tensor]  # hidden and cell, float32 [B, size] each
 WIDE = 64  # inputs; narrower products gain nothing in bfloat16, and the first sees where the robot is
 Order = Literal["mlp-lstm", "lstm-mlp", "mlp"]
 
@@ -77,14 +77,14 @@ class PolicyNetwork(nn.Module):
         """Where it is, and what it works on has to be."""
         return self.log_std.device
 
-    def initial_state(self, batch: int) -> State:
+    def initial_state(self, batch: int) -> RecurrentState:
         """The state in which every episode begins."""
         hidden, cell = torch.zeros((2, batch, self.shape.state), device=self.device)
         return hidden, cell
 
     def forward(
-        self, observation: Tensor, keep: Tensor, state: State, dtype: torch.dtype = torch.float32
-    ) -> tuple[Tensor, Tensor, State]:
+        self, observation: Tensor, keep: Tensor, state: RecurrentState, dtype: torch.dtype = torch.float32
+    ) -> tuple[Tensor, Tensor, RecurrentState]:
         """Run over sequences.
 
         observation: float32 [T, B, inputs], physical units; keep: float32 [T, B], 0 where an episode begins.

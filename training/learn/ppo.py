@@ -15,7 +15,7 @@ import torch
 from torch import Tensor
 
 from softarm.training.learn.inference import Workers, infer, share_of
-from softarm.training.learn.network import PolicyNetwork, State
+from softarm.training.learn.network import PolicyNetwork, RecurrentState
 from softarm.training.task.environment import Environment
 
 MICRO_SEQUENCES = 128
@@ -47,7 +47,7 @@ class Rollout(NamedTuple):
 
     observation: Tensor
     keep: Tensor  # 0 where an episode begins
-    state: State  # before the first step, [R, size] each
+    state: RecurrentState  # before the first step, [R, size] each
     action: Tensor  # as sampled, before any clamp
     mean: Tensor
     value: Tensor
@@ -178,11 +178,13 @@ class Ppo:
         noise = self._normal(observation.shape)
         return observation + self.config.observation_noise * self.network.observation_normaliser.scale() * noise
 
-    def _infer(self, observation: Tensor, keep: Tensor, state: State) -> tuple[Tensor, Tensor, State]:
-        result: tuple[Tensor, Tensor, State] = infer(self.network, observation, keep, state, self._pool, self._dtype)
+    def _infer(self, observation: Tensor, keep: Tensor, state: RecurrentState) -> tuple[Tensor, Tensor, RecurrentState]:
+        result: tuple[Tensor, Tensor, RecurrentState] = infer(
+            self.network, observation, keep, state, self._pool, self._dtype
+        )
         return result
 
-    def _values_of(self, which: Any, observation: Any, state: State) -> tuple[Tensor, Tensor]:
+    def _values_of(self, which: Any, observation: Any, state: RecurrentState) -> tuple[Tensor, Tensor]:
         indices = which.nonzero()[0]
         robots = self._there(indices)
         if len(robots) == 0:

@@ -1,4 +1,4 @@
-"""Train a policy on, on another simulator, for minutes: a recipe, and what came of it.
+"""Train a policy on, on another simulator, for minutes: how, and what came of it.
 
 Not on that simulator alone: no diagnosis is exact, so the robots that it is trained on lie around the model.
 """
@@ -33,8 +33,8 @@ OPEN = {
 
 
 @dataclass(frozen=True)
-class Recipe:
-    """How a policy is trained on. `python -m softarm.benchmarks.retraining` compares recipes, on the validation set."""
+class RetrainingConfig:
+    """How a policy is trained on. `python -m softarm.benchmarks.retraining` compares some, on the validation set."""
 
     frames: int = 2_000_000
     seconds: float = 120.0  # at most, whatever the frames
@@ -82,7 +82,7 @@ def around(model: Model, spread: float) -> Randomisation:
 
 
 def retrain(
-    policy: Path, model: Model, name: str, out: Path, recipe: Recipe, tell: Callable[[str, float], None]
+    policy: Path, model: Model, name: str, out: Path, config: RetrainingConfig, tell: Callable[[str, float], None]
 ) -> Retrained:
     """Train a policy on, on a model recorded under `name`; writes out/retrained.onnx, .pt and out/training/.
 
@@ -90,34 +90,34 @@ def retrain(
     """
     started = time.monotonic()
     prior = warm_start.load_weights(policy)
-    config = TrainingConfig(
-        recipe.seed,
-        recipe.robots,
-        validate_every=recipe.validate_every,
-        validation_trials=recipe.validation_trials,
+    training = TrainingConfig(
+        config.seed,
+        config.robots,
+        validate_every=config.validate_every,
+        validation_trials=config.validation_trials,
     )
-    ppo, robots = PpoConfig(learning_rate=recipe.learning_rate), around(model, recipe.spread)
+    ppo, robots = PpoConfig(learning_rate=config.learning_rate), around(model, config.spread)
     with workers() as pool:
         tell("flying the old policy in validation", 0.0)
-        trials = validation.validation_trials(prior.task, model.arm.links, recipe.validation_trials)
+        trials = validation.validation_trials(prior.task, model.arm.links, config.validation_trials)
         flown = validation.fly(
-            prior.network, prior.task, trials, pool, config.physics_rate_hz, model, randomisation=robots
+            prior.network, prior.task, trials, pool, training.physics_rate_hz, model, randomisation=robots
         )
         before = flown.reached.mean()
         session = Session(
-            prior.task, config, ppo, out / "training", pool, False, model, name, robots, prior.network.shape
+            prior.task, training, ppo, out / "training", pool, False, model, name, robots, prior.network.shape
         )
         tell("fitting the critic", 0.0)
-        warm_start.begin(session, prior, recipe.std, recipe.critic_iterations)
+        warm_start.begin(session, prior, config.std, config.critic_iterations)
 
         def standing(now: Standing) -> None:
             best = "" if now.best is None else f", validation {now.best:.1%}"
-            share = max(now.frames / recipe.frames, now.seconds / recipe.seconds)
+            share = max(now.frames / config.frames, now.seconds / config.seconds)
             tell(f"retraining, {now.frames / 1e6:.2f} M frames{best}", min(1.0, share))
 
         session.seconds = time.monotonic() - started  # what came before counts
         standing(session.advance())  # at least one, however slow the machine
-        session.run(recipe.frames, recipe.seconds / 60.0, standing)
+        session.run(config.frames, config.seconds / 60.0, standing)
     best = out / "training" / "best.pt"
     export_checkpoint(best, out / "retrained.onnx")
     shutil.copyfile(best, out / "retrained.pt")

@@ -83,6 +83,11 @@ class Environment:
         self.clock = Clock(self.simulator, self._rng) if any(name.startswith("clock.") for name in effects) else None
         self._differenced = "observation.finite_difference" in self.simulator.model.effects
         self._guard = RailGuard(robots, 1.0 / task.rate_hz) if task.rail_guard else None
+        self._allocate()
+
+    def _allocate(self) -> None:
+        """Make the arrays that hold what there is of every robot."""
+        robots = self.robots
         self._target = np.zeros((robots, 2), dtype=np.float32)
         self._elapsed = np.zeros(robots, dtype=np.int64)
         self._sent = np.zeros(robots, dtype=np.float32)

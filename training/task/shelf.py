@@ -50,17 +50,9 @@ class ShelfEnvironment(Environment):
     _arrays = (*Environment._arrays, "_depth")
     task: ShelfTask
 
-    def __init__(
-        self,
-        task: ShelfTask,
-        robots: int,
-        seed: int,
-        model: Model | None = None,
-        physics_rate_hz: float = TRAINING_PHYSICS_RATE_HZ,
-        randomisation: Randomisation | None = None,
-    ) -> None:
-        super().__init__(task, robots, seed, model, physics_rate_hz, randomisation)
-        self._depth = np.zeros(robots, dtype=np.float32)
+    def _allocate(self) -> None:
+        super()._allocate()
+        self._depth = np.zeros(self.robots, dtype=np.float32)
 
     def reset(
         self, starts: Starts | None = None, targets_m: Array | None = None, depths_m: Array | None = None

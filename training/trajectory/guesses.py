@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from softarm.training.trajectory.problem import KNOT_STEPS, Array, Problem, interpolation
+from softarm.training.trajectory.problem import KNOT_STEPS, Array, PlanningProblem, interpolation
 from softarm.training.trajectory.rollout import Rollouts
 
 STEPS_MIN = 12  # no target is reached sooner
@@ -31,7 +31,7 @@ class Library(NamedTuple):
     beyond_m: Array  # [steps + 1, L]: how far the cart had been beyond its limit by then
 
 
-def random_knots(problem: Problem, count: int, rng: np.random.Generator) -> Array:
+def random_knots(problem: PlanningProblem, count: int, rng: np.random.Generator) -> Array:
     """Smooth random commands, [count, knots, 2]: a swing of random pitch and phase, a wandering pressure."""
     t = np.arange(problem.knots) * KNOT_STEPS / problem.rate_hz
     frequency, phase = rng.uniform(0.5, 2.2, (count, 1)), rng.uniform(0, 2 * np.pi, (count, 1))
@@ -50,7 +50,9 @@ def random_knots(problem: Problem, count: int, rng: np.random.Generator) -> Arra
     return clipped
 
 
-def library(problem: Problem, rollouts: Rollouts, cart_start_m: float, count: int, rng: np.random.Generator) -> Library:
+def library(
+    problem: PlanningProblem, rollouts: Rollouts, cart_start_m: float, count: int, rng: np.random.Generator
+) -> Library:
     """Fly random swings from a start."""
     knots = random_knots(problem, count, rng)
     commands = np.einsum("tk,lkc->tlc", interpolation(problem.steps_max), knots)

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from softarm.training.trajectory.problem import KNOT_STEPS, Array, Problem, interpolation
+from softarm.training.trajectory.problem import KNOT_STEPS, Array, PlanningProblem, interpolation
 from softarm.training.trajectory.rollout import Motion, Rollouts
 
 Mask = NDArray[np.bool_]
@@ -59,7 +59,7 @@ class _Terms(NamedTuple):
 class Optimiser:
     """One batch of plans, all at once."""
 
-    def __init__(self, problem: Problem, rollouts: Rollouts, batch: Batch) -> None:
+    def __init__(self, problem: PlanningProblem, rollouts: Rollouts, batch: Batch) -> None:
         self._problem, self._rollouts, self._batch = problem, rollouts, batch
         self._steps = int(batch.steps.max())
         self._spread = interpolation(self._steps)

@@ -13,7 +13,7 @@ from softarm.schemas.robot import PHYSICS_RATE_HZ
 from softarm.training.task.reach import ReachTask
 from softarm.training.trajectory import guesses
 from softarm.training.trajectory.optimiser import INNER, OUTER, Batch, Optimiser, Solution
-from softarm.training.trajectory.problem import RAIL_SPARE_M, Array, Problem, interpolation
+from softarm.training.trajectory.problem import RAIL_SPARE_M, Array, PlanningProblem, interpolation
 from softarm.training.trajectory.rollout import Rollouts
 
 Advance = Callable[[str, float], None]  # what is being done, share of the whole that this took
@@ -61,7 +61,7 @@ def plan(
 
     A plan that misses is kept as the best that was found. model, name: what the plans are made on.
     """
-    planner, rng = _Planner(Problem(), model), np.random.default_rng(seed)
+    planner, rng = _Planner(PlanningProblem(), model), np.random.default_rng(seed)
     share = 1.0 / len(cart_starts_m)
 
     def advance(doing: str, part: float) -> None:
@@ -84,7 +84,7 @@ def _joined(rows: Sequence[Sequence[Any]]) -> list[Any]:
 class _Planner:
     """Plans from one start after another."""
 
-    def __init__(self, problem: Problem, model: Model | None) -> None:
+    def __init__(self, problem: PlanningProblem, model: Model | None) -> None:
         self._problem = problem
         self._rollouts = Rollouts(model, problem.rate_hz)
         self._verifier = Rollouts(model, problem.rate_hz, PHYSICS_RATE_HZ)

@@ -23,7 +23,7 @@ KNOT_STEPS = 3  # control steps between knots; commands run straight between the
 
 
 @dataclass(frozen=True)
-class Problem:
+class PlanningProblem:
     """Weights and limits. Defaults: [P] SM-H where it gives a number."""
 
     steps_max: int = 98  # control steps until the tip is on target; the rest of 100 are for the extended horizon
@@ -59,6 +59,6 @@ class Problem:
 
 def interpolation(steps: int) -> Array:
     """Matrix [steps, knots] from knots to the commands of each control step."""
-    knots = Problem.knots_for(steps)
+    knots = PlanningProblem.knots_for(steps)
     k = np.arange(steps) / KNOT_STEPS
     return np.maximum(0.0, 1.0 - np.abs(k[:, None] - np.arange(knots))).astype(np.float32)

@@ -127,9 +127,11 @@ def test_learning_raises_the_value_of_good_actions():
         ppo = learner(pool, robots=64, minibatches=1, mini_epochs=5, learning_rate=1e-3)
         rollout, _ = ppo._collect()
         rollout = rollout._replace(
-            reward=rollout.action[..., 0], value=torch.zeros_like(rollout.value), done=torch.ones_like(rollout.done),
+            reward=rollout.action[..., 0],
+            value=torch.zeros_like(rollout.value),
+            done=torch.ones_like(rollout.done),
             following=torch.zeros_like(rollout.following),
-        )  # fmt: skip
+        )
         before = rollout.mean[..., 0].mean()
         statistics = ppo._learn(rollout)
         with torch.no_grad():

@@ -12,13 +12,14 @@ from pathlib import Path
 
 import pytest
 
+import softarm
+
 pytest.importorskip("ray")
 
-from softarm.training.run import sweep
 
-ROOT = Path(sweep.__file__).parents[1]
+ROOT = Path(softarm.__file__).parents[1]
 ENOUGH_S = 150.0  # seconds where there is a core to be had
-pytestmark = pytest.mark.timeout(400)
+pytestmark = [pytest.mark.slow, pytest.mark.timeout(400)]
 FILE = """
 seeds: [1]
 base: {task: reach, settings: {run.robots: 16, run.validate_every: 4, run.validation_trials: 8}}
