@@ -265,13 +265,18 @@ class Problem:
         normal, slope, squares = np.zeros((size, p + q, p + q)), np.zeros((size, p + q)), np.zeros(size)
         place = {name: i for i, name in enumerate(self.blocks)}
         for lens, jacobian, base in zip(self.lenses, jacobians, bases, strict=True):
-            columns = np.concatenate((jacobian, lens.columns)) if len(jacobian) else lens.columns
-            first = 0 if len(jacobian) else p
-            for name, part in lens.blocks:
-                b, c, r = place[name], columns[:, part], base.rows[part]
-                normal[b, first:, first:] += c @ c.T
-                slope[b, first:] += c @ r
+            for (name, part), gg in zip(lens.blocks, lens.block_gg, strict=True):
+                b, c, r = place[name], lens.columns[:, part], base.rows[part]
+                normal[b, p:, p:] += gg
+                slope[b, p:] += c @ r
                 squares[b] += r @ r
+                if len(jacobian):
+                    j = jacobian[:, part]
+                    across = j @ c.T
+                    normal[b, :p, :p] += j @ j.T
+                    normal[b, :p, p:] += across
+                    normal[b, p:, :p] += across.T
+                    slope[b, :p] += j @ r
         return normal, slope, squares
 
 

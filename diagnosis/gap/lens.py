@@ -6,6 +6,7 @@ Everything is cached by the part of a point that the view can see, so that a rai
 from collections import OrderedDict
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
@@ -71,6 +72,12 @@ class Lens:
         self._moments: OrderedDict[Key, Moments] = OrderedDict()
         width = nuisances.shape[2]
         self.blocks = [(name, slice(a * width, b * width)) for name, a, b in blocks_of(view, BLOCK_S)]
+
+    @cached_property
+    def block_gg(self) -> Array:
+        """Gram matrices of the nuisance columns, block by block, [blocks, q, q]: every fit needs them, none changes."""
+        columns = (self.columns[:, part] for _, part in self.blocks)
+        return np.stack([c @ c.T for c in columns]).astype(np.float64)
 
     def moments(self, points: Sequence[Point]) -> list[Moments]:
         """Of each point."""

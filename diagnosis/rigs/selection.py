@@ -63,9 +63,8 @@ class Refitted(Problem):
         place = {name: i for i, name in enumerate(self.blocks)}
         edges = [part.start for _, part in lens.blocks]  # they follow one another without gaps
         order = [place[name] for name, _ in lens.blocks]
-        c = lens.columns.astype(float)
-        gg = np.zeros((len(place), len(c), len(c)))
-        gg[order] = np.moveaxis(np.add.reduceat(c[:, None] * c, edges, axis=2), 2, 0)
+        gg = np.zeros((len(place), *lens.gg.shape))
+        gg[order] = lens.block_gg
         return edges, order, gg
 
     def _sums(self, moments: Moments, edges: list[int], order: list[int]) -> tuple[Array, Array]:

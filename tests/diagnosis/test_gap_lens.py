@@ -116,3 +116,13 @@ def test_blocks_hold_every_row_once_and_none_holds_two_trials(view):
     for (number, _), part in lens.blocks:
         assert set(trial[part]) == {number}
         assert part.stop - part.start <= BLOCK_S * RATE_HZ * CHANNELS + CHANNELS
+
+
+def test_the_nuisances_gram_matrices_are_formed_once_block_by_block(view):
+    lens = _lens(view, weight=3.0)
+    assert lens.block_gg is lens.block_gg
+    np.testing.assert_allclose(lens.block_gg.sum(axis=0), lens.gg, rtol=1e-5)
+    for (_, part), gg in zip(lens.blocks, lens.block_gg, strict=True):
+        samples = (part.stop - part.start) / CHANNELS
+        # One nuisance moves both channels by one, the other the second channel by two.
+        np.testing.assert_allclose(gg, 3.0 * samples * np.array([[2.0, 2.0], [2.0, 4.0]]), rtol=1e-5)
