@@ -8,6 +8,7 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
+from softarm.diagnosis.gap.lens import slices
 from softarm.diagnosis.gap.view import Array, View
 
 LAGS = (3, 8, 20, 45)  # samples, of every feature
@@ -49,13 +50,14 @@ def explainable(view: View, residual: NDArray[np.floating], folds: NDArray[np.in
 
 
 def _features(view: View) -> tuple[list[str], Array]:
-    """Every feature now and before, [M, F], and the name of each column's feature."""
+    """Every feature now and before, [M, F], and the name of each column's feature; before a trial its first value."""
     names, columns = [], []
+    now = np.arange(len(view.trial))
+    first = np.concatenate([np.full(part.stop - part.start, part.start) for part in slices(view.trial)])
     for name, values in view.features.items():
         for lag in (0, *LAGS):
-            moved = np.roll(values, lag)
             names.append(name)
-            columns.append(moved)
+            columns.append(values[np.maximum(now - lag, first)])
     return names, np.stack(columns, axis=1)
 
 
