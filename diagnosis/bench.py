@@ -3,6 +3,8 @@
 The regulator and the drive are left out: the measured pressure goes in, and the cart moves as it was measured.
 """
 
+from itertools import pairwise
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
@@ -59,7 +61,7 @@ class Bench:
         carts = np.column_stack((motion.cart_m - motion.cart_m[0], speeds, motion.pressure_at(motion.t_s))).tolist()
         lengths = np.round(np.diff(motion.t_s), 8).tolist()  # equal ones to the last bit: nothing is prepared anew
         seen = [simulator.link_angles_rad]
-        for before, (cart, speed, pressure), length in zip(carts, carts[1:], lengths, strict=False):
+        for (before, (cart, speed, pressure)), length in zip(pairwise(carts), lengths, strict=True):
             simulator.step_arm(cart, speed, pressure, length, start=before)
             seen.append(simulator.link_angles_rad)
         return self._signals(np.stack(seen, axis=1))

@@ -187,7 +187,7 @@ def _doubts(model: Model, fitted: Refinement, rmse_nm: float, checks: Sequence[C
     half = (fitted.high - fitted.low) / 2
     wide = [
         f"{name} (+-{100 * h / abs(v):.0f} %)"
-        for name, v, h in zip(bench.names(n)[: 3 * n], fitted.column, half, strict=False)
+        for name, v, h in zip(bench.names(n)[: 3 * n], fitted.column[: 3 * n], half[: 3 * n], strict=True)
         if h > WIDE * abs(v)
     ]
     if wide:

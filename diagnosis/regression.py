@@ -37,7 +37,7 @@ class Regression:
 def joint_torques(arm: Arm, motion: Derivatives) -> Array:
     """Inverse dynamics ([P] eq. 2): torques at the joints, [M, n], N m, positive towards +y.
 
-    In absolute angles phi, with S and C as in simulator/kernel.py, link i takes
+    In absolute angles phi, with S and C as in simulator/kernel/, link i takes
     sum_j C_ij (cos(phi_i - phi_j) phi_j'' + sin(phi_i - phi_j) phi_j'^2) + S_i (cos phi_i y'' + g sin phi_i);
     a joint carries all links beyond it.
     """

@@ -42,7 +42,9 @@ class NamedEffect(Strict):
 
     name: str  # stage.effect
     parameters: dict[str, Estimate]  # empty for an effect that is on or off
-    confidence: Share  # how often such an answer was right, on cases of known cause
+    # Of the robot: how often such an answer was right, on cases of known cause. Of another rig, which has no such
+    # cases: how sure its own blocks are that the gain is above nought (a normal tail); a warning says so.
+    confidence: Share
     equivalents: tuple[str, ...] = ()  # cannot be told apart on this data
     shrink: Shrink
 

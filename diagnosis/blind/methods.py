@@ -1,7 +1,6 @@
 """Who answers: the diagnosis itself, and simpler rules under the same protocol. No method sees more than another."""
 
 from collections.abc import Callable, Sequence
-from importlib import import_module
 from typing import Protocol
 
 from softarm.diagnosis.trials import Trial
@@ -24,23 +23,39 @@ class Diagnosed(Protocol):
 Method = Callable[[Sequence[Trial], Model], Verdict | Diagnosed]
 
 
-def _target(where: str) -> Method:
-    """A function by `module:name`, imported when it is called: each brings libraries of its own."""
+# Imported when they are called: each brings numba, SciPy and more, and `softarm blind make` needs none of it.
 
-    def method(trials: Sequence[Trial], model: Model) -> Verdict | Diagnosed:
-        module, _, name = where.partition(":")
-        answer: Verdict | Diagnosed = getattr(import_module(module), name)(trials, model)
-        return answer
 
-    return method
+def _diagnose(trials: Sequence[Trial], model: Model) -> Diagnosed:
+    from softarm.diagnosis.diagnose import diagnose
+
+    return diagnose(trials, model)
+
+
+def _largest_gain(trials: Sequence[Trial], model: Model) -> Verdict:
+    from softarm.diagnosis.baselines import largest_gain
+
+    return largest_gain(trials, model)
+
+
+def _bic(trials: Sequence[Trial], model: Model) -> Verdict:
+    from softarm.diagnosis.baselines import bic
+
+    return bic(trials, model)
+
+
+def _all_at_once(trials: Sequence[Trial], model: Model) -> Verdict:
+    from softarm.diagnosis.baselines import all_at_once
+
+    return all_at_once(trials, model)
 
 
 DEFAULT = "diagnose"
 METHODS: dict[str, Method] = {
-    DEFAULT: _target("softarm.diagnosis.diagnose:diagnose"),
-    "largest-gain": _target("softarm.diagnosis.baselines:largest_gain"),  # the one effect that gains most over nominal
-    "bic": _target("softarm.diagnosis.baselines:bic"),  # forward selection by BIC alone
-    "all-at-once": _target("softarm.diagnosis.baselines:all_at_once"),  # all fitted, ranked by value over interval
+    DEFAULT: _diagnose,
+    "largest-gain": _largest_gain,  # the one effect that gains most over nominal
+    "bic": _bic,  # forward selection by BIC alone
+    "all-at-once": _all_at_once,  # all fitted, ranked by value over interval
 }
 
 

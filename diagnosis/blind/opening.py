@@ -3,7 +3,6 @@
 import json
 import statistics
 from collections.abc import Callable, Mapping, Sequence
-from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -23,8 +22,9 @@ OnCase = Callable[[str, int, int], None]
 
 def measure_shrink(trials: Sequence[Trial], nominal: Model, patched: Model) -> Mapping[str, float]:
     """That of `softarm.diagnosis.shrink`, imported when it is needed."""
-    found: Mapping[str, float] = import_module("softarm.diagnosis.shrink").measure_shrink(trials, nominal, patched)
-    return found
+    from softarm.diagnosis import shrink
+
+    return shrink.measure_shrink(trials, nominal, patched)
 
 
 def open_labels(

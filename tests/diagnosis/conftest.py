@@ -3,14 +3,16 @@
 import csv
 import os
 from collections.abc import Callable
+from functools import cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 from softarm.diagnosis.trials import Series, Trial
 from softarm.schemas.excitation import EXCITATIONS
-from softarm.schemas.model import Model
+from softarm.schemas.model import Arm, Model, seed_effects
 from softarm.simulator.simulator import Simulator
 
 MOCAP_HZ = 120
@@ -62,6 +64,74 @@ def _write(trial: Trial, folder: Path) -> Path:
             out.writerow(["t_capture" if name == "mocap" else "t", *series.columns])
             out.writerows(zip(series.t_s.tolist(), *(v.tolist() for v in series.columns.values()), strict=True))
     return folder
+
+
+# Excitation -> from which second of it on; 5 s of each make a campaign that is diagnosed in seconds.
+CAMPAIGN = {"pressure-multisine": 0.0, "both": 1.0, "rail-steps": 9.5, "rail-multisine": 1.7}
+LENGTH_S, FRAME_S, MOCAP_LATE_S, FRAMES_A_TICK = 5.0, 1 / 120, 0.004, 4
+
+
+@cache
+def _campaign(
+    effects: tuple[Any, ...] = (), kinds: tuple[str, ...] = tuple(CAMPAIGN), arm: Arm | None = None
+) -> tuple[Trial, ...]:
+    """The seed's robot with further effects ((name, ((parameter, value), ...)), ...) under a campaign's excitations."""
+    model = Model(effects=seed_effects() | {name: dict(values) for name, values in effects})
+    model = model if arm is None else model.model_copy(update={"arm": arm})
+    return tuple(_fly(kind, model, seed) for seed, kind in enumerate(kinds))
+
+
+def _fly(kind: str, model: Model, seed: int) -> Trial:
+    """Mocap at 120 Hz, readings at 60 Hz, ticks at 30 Hz whose velocities are differences over a tick."""
+    draw, plan = np.random.default_rng(seed), EXCITATIONS[kind]
+    from_s = CAMPAIGN.get(kind, 0.0)
+    robot = Simulator(model, physics_rate_hz=720.0)
+    for _ in range(60):  # hang still before the recording
+        robot.step(*plan.at(from_s), 1 / 30)
+    frames, slow = [], []
+    for k in range(round(LENGTH_S / FRAME_S)):
+        t = k * FRAME_S
+        bodies = [(robot.cart_position_m[0], model.arm.base_height_m, 0.0)]
+        bodies += [(y, z, a) for (y, z), a in zip(robot.link_ends_m()[0], robot.link_angles_rad[0], strict=True)]
+        noise = draw.normal(size=(6, 3)) * (MOCAP_NOISE_M, MOCAP_NOISE_M, ANGLE_NOISE_RAD)
+        poses = np.array(bodies, dtype=float) + noise
+        frames.append((t, t + MOCAP_LATE_S, *poses.ravel()))
+        command = plan.at(from_s + FRAMES_A_TICK * FRAME_S * (k // FRAMES_A_TICK))
+        if k % 2 == 0:
+            reading = robot.pressure_reading_kpa[0] + draw.normal() * PRESSURE_NOISE_KPA
+            slow.append((t, *command, reading, robot.cart_position_m[0], robot.cart_velocity_m_s[0]))
+        robot.step(*command, FRAME_S)
+    return _flown(kind, np.array(frames, dtype=float), np.array(slow, dtype=float))
+
+
+def _flown(name: str, frames: np.ndarray, slow: np.ndarray) -> Trial:
+    bodies = ("cart", *(f"link{i}" for i in range(1, 6)))
+    columns = ["t_receive", *(f"{body}_{part}" for body in bodies for part in ("y", "z", "angle"))]
+    t, sent = slow[:, 0], slow[:: FRAMES_A_TICK // 2]
+    mocap = Series(frames[:, 0].copy(), {c: frames[:, i].copy() for i, c in enumerate(columns, 1)})
+    return Trial(name, name, Path(name), {
+        "command": Series(sent[:, 0].copy(), {"cart_velocity": sent[:, 1].copy(), "pressure": sent[:, 2].copy()}),
+        "pressure": Series(t.copy(), {"pressure": slow[:, 3].copy()}),
+        "rail": Series(t.copy(), {"position": slow[:, 4].copy(), "velocity": slow[:, 5].copy()}),
+        "mocap": mocap,
+        "observation": _observation(mocap, sent[2:, 0]),
+    })  # fmt: skip
+
+
+def _observation(mocap: Series, ticks: np.ndarray) -> Series:
+    """What a policy is shown at its ticks: the newest pose, velocities as differences from tick to tick."""
+    newest = np.searchsorted(mocap["t_receive"], ticks + 1e-9, side="right") - 1
+    rates = {}
+    for part in ("y", "z"):
+        place, before = mocap[f"link5_{part}"][newest], mocap[f"link5_{part}"][newest - FRAMES_A_TICK]
+        rates[f"tip_v{part}"] = (place - before) / (mocap.t_s[newest] - mocap.t_s[newest - FRAMES_A_TICK])
+    return Series(ticks.copy(), rates)
+
+
+@pytest.fixture(scope="session")
+def campaign() -> Callable[..., tuple[Trial, ...]]:
+    """A short campaign of the seed's robot, flown once for all tests."""
+    return _campaign
 
 
 @pytest.fixture(scope="session")

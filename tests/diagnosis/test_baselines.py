@@ -1,0 +1,49 @@
+"""The published baselines run and answer as they are described: what the diagnosis is compared with is really there."""
+
+import pytest
+
+from softarm.diagnosis.blind.methods import METHODS, patched
+from softarm.schemas.model import Model
+from softarm.simulator.effects import validate
+
+pytestmark = pytest.mark.slow
+LATE = (("pressure.dead_time", (("delay", 0.06),)),)
+LATE_AND_LOADED = (*LATE, ("arm.payload", (("mass", 0.06),)))
+
+
+def _names(verdict):
+    return [effect.name for effect in verdict.effects]
+
+
+@pytest.mark.parametrize("method", ["largest-gain", "bic"])
+def test_one_strong_effect_is_named(campaign, method):
+    verdict = METHODS[method](campaign(LATE), Model())
+    assert _names(verdict)[0] == "pressure.dead_time"
+    assert verdict.effects[0].parameters["delay"].value == pytest.approx(0.06, abs=0.01)
+    assert verdict.where.stage == "pressure"
+    validate(patched(Model(), verdict).effects)
+
+
+def test_the_largest_gain_is_of_one_effect_however_many_there_are(campaign):
+    assert len(_names(METHODS["largest-gain"](campaign(LATE_AND_LOADED), Model()))) == 1
+
+
+def test_the_largest_gain_sees_no_gap_where_there_is_none(campaign):
+    verdict = METHODS["largest-gain"](campaign(), Model())
+    assert (verdict.verdict, _names(verdict)) == ("none", [])
+
+
+def test_bic_goes_on_to_the_second_effect(campaign):
+    assert {"pressure.dead_time", "arm.payload"} <= set(_names(METHODS["bic"](campaign(LATE_AND_LOADED), Model())))
+
+
+def test_all_at_once_names_one_effect_of_the_registry_and_its_patch_is_a_model(campaign):
+    """What it names is no better than chance: docs/diagnosis.md."""
+    verdict = METHODS["all-at-once"](campaign(LATE), Model())
+    assert len(verdict.effects) <= 1
+    validate(patched(Model(), verdict).effects)
+
+
+def test_the_order_of_the_trials_does_not_count(campaign):
+    trials = campaign(LATE)
+    assert METHODS["largest-gain"](trials, Model()) == METHODS["largest-gain"](trials[::-1], Model())
