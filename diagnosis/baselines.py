@@ -55,9 +55,10 @@ def all_at_once(trials: Sequence[Trial], model: Model) -> Verdict:
     # Kinked effects have no slope where they are absent: all begin a little way in.
     start = tuple(tuple(min(max(d.nominal + 0.1 * d.size, d.low), d.high) for d in c.dials) for c in effects)
     fit = search.problem.fit([(effects, start)], rounds=6)[0]
+    low, high = search.problem.interval(fit)
     at, ranked = 0, []
     for effect, us in zip(fit.effects, fit.u, strict=True):
-        half = (fit.high[at : at + len(us)] - fit.low[at : at + len(us)]) / 2
+        half = (high[at : at + len(us)] - low[at : at + len(us)]) / 2
         clear = max(abs(u - d.nominal) / max(h, 1e-9 * d.size) for u, d, h in zip(us, effect.dials, half, strict=True))
         ranked.append((clear, effect, us))
         at += len(us)

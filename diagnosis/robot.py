@@ -12,7 +12,7 @@ from softarm.diagnosis.gap.ceiling import explainable
 from softarm.diagnosis.gap.chain import FLOOR_M, tip_gap
 from softarm.diagnosis.gap.confidence import confidence
 from softarm.diagnosis.gap.counts import Count, counts
-from softarm.diagnosis.gap.fits import Fit, point_of
+from softarm.diagnosis.gap.fits import point_of
 from softarm.diagnosis.gap.judge import Ruling, rule, stage_of, stage_shares
 from softarm.diagnosis.gap.lens import BLOCK_S, Key, Lens, blocks_of
 from softarm.diagnosis.gap.problem import Setup
@@ -84,7 +84,7 @@ class Robot:
             regimes=evidence.regime_rows(self.views, pairs),
             rivals=evidence.rivals(search, choice, ruling.members),
             leftovers=evidence.leftovers(flexible, explained),
-            nuisances=self._nuisances(choice.chosen),
+            nuisances=self.setup.fitted_nuisances(choice.chosen),
             seconds=time.monotonic() - self.begun,
         )
 
@@ -128,7 +128,8 @@ class Robot:
         if named:
             kind = "named" if kind in ("none", "named") else "incomplete"
         stage = None if kind == "none" else stage_of(shares, STAGES)
-        members = [self._member(choice, ruling, m, point) for m in ruling.members]
+        bounds = search.problem.interval(choice.chosen)
+        members = [self._member(choice, bounds, m, point) for m in ruling.members]
         effects = sorted(
             (*members, *(_count_effect(c) for c in named)), key=lambda e: -shares.get(e.name.partition(".")[0], 0.0)
         )
@@ -147,14 +148,17 @@ class Robot:
                 return evidence.where_in_words(view, gaps.fetch([{}])[()])
         return "throughout"
 
-    def _member(self, choice: Choice, ruling: Ruling, member: Member, point: Point) -> NamedEffect:
-        """One named effect: parameters with intervals, confidence, held-out shrink beside the others."""
+    def _member(self, choice: Choice, bounds: tuple[Array, Array], member: Member, point: Point) -> NamedEffect:
+        """One named effect: parameters with intervals, confidence, held-out shrink beside the others.
+
+        bounds: low and high of all chosen parameters.
+        """
         fit = choice.chosen
         i = fit.names.index(member.candidate.name)
         at = sum(len(c.dials) for c in fit.effects[:i])
         parameters = {}
         for j, dial in enumerate(member.candidate.dials):
-            value, ends = dial.value(fit.u[i][j]), (dial.value(fit.low[at + j]), dial.value(fit.high[at + j]))
+            value, ends = dial.value(fit.u[i][j]), (dial.value(bounds[0][at + j]), dial.value(bounds[1][at + j]))
             if np.isfinite(value):
                 bounded = [x if np.isfinite(x) else find(dial.path)[1].high for x in (value, *ends)]
                 name = dial.path.rpartition(".")[2]
@@ -267,13 +271,6 @@ class Robot:
             )
             return experiments.repeated(self.trials[worst].kind)
         return None
-
-    def _nuisances(self, fit: Fit) -> dict[str, float]:
-        """What was fitted within tolerance, in the registry's units; joints' as shares."""
-        found = {}
-        for nuisance, x in zip(self.setup.nuisances, fit.nuisance, strict=False):
-            found[nuisance.path] = nuisance.nominal + float(x) * (nuisance.edge - nuisance.nominal)
-        return found
 
     def _warnings(self, choice: Choice, ruling: Ruling) -> tuple[str, ...]:
         found = [w for trial in self.trials for w in trial.warnings]

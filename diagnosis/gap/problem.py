@@ -33,15 +33,17 @@ class Setup:
         self.views, self.nuisances = tuple(views), tuple(nuisances)
         self.gaps = tuple(Gaps(view) for view in views)
         arms = [view for view in views if isinstance(view, ArmView)]
-        self._joints = len(JOINT_SHARES) * arms[0].flight.links if arms else 0
+        links = arms[0].flight.links if arms else 0
+        # Of single joints, by the model's own names; their unit is a share.
+        self._joints = {f"arm.{n}[{i}]": share for n, share in JOINT_SHARES.items() for i in range(1, links + 1)}
         self.directions = tuple(self._directions(g) for g in self.gaps)
         self.blocks = tuple(dict.fromkeys(name for view in views for name, *_ in blocks_of(view, BLOCK_S)))
         self.fold = _folds(self.blocks, kinds)
         edges = [(n.low - n.nominal, n.high - n.nominal, n.edge - n.nominal) for n in self.nuisances]
         boxes = [sorted((low / edge, high / edge)) if edge else [0.0, 0.0] for low, high, edge in edges]
-        self._low = np.array([b[0] for b in boxes] + [-1.0] * self._joints)
-        self._high = np.array([b[1] for b in boxes] + [1.0] * self._joints)
-        self._paths = (*(n.path for n in self.nuisances), *[""] * self._joints)
+        self._low = np.array([b[0] for b in boxes] + [-1.0] * len(self._joints))
+        self._high = np.array([b[1] for b in boxes] + [1.0] * len(self._joints))
+        self._paths = (*(n.path for n in self.nuisances), *self._joints)
 
     def weighed(self, residuals: Sequence[NDArray[np.floating]] | None = None) -> Problem:
         """The problem under weights from these residuals (by view, [M, S]); without, from the nominal gap's size."""
@@ -70,6 +72,14 @@ class Setup:
             found.append(np.where(np.isfinite(view.measured), left, np.float32(np.nan)))
         return found
 
+    def fitted_nuisances(self, fit: Fit) -> dict[str, float]:
+        """Nuisances beside a set, in the registry's unit, joints' as shares; without what the set itself fits."""
+        edges = [(n.path, n.nominal, n.edge - n.nominal) for n in self.nuisances]
+        edges += [(name, 0.0, share) for name, share in self._joints.items()]
+        own = {p.path for each in fit.effects for p in each.dials}
+        found = zip(edges, fit.nuisance, strict=True)
+        return {path: nominal + float(x) * edge for (path, nominal, edge), x in found if path not in own}
+
     def _problem(self, filters: Sequence[Whitener], per_second: float | None) -> Problem:
         lenses = []
         for gaps, whiten, directions in zip(self.gaps, filters, self.directions, strict=True):
@@ -85,7 +95,7 @@ class Setup:
         found = gaps.fetch(points)
         base = found[()]
         columns = [found[gaps.key(p)] - base for p in points[1:]]
-        columns += [np.zeros_like(base)] * self._joints
+        columns += [np.zeros_like(base)] * len(self._joints)
         starts = None
         if isinstance(view, ArmView):
             starts = view.start_directions()

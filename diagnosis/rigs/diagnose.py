@@ -52,6 +52,8 @@ class Stage:
     left: Array
     ceiling: float  # RMS
     leans: tuple[tuple[str, float], ...]
+    nuisances: Mapping[str, float]  # fitted beside the chosen
+    bounds: tuple[Array, Array]  # 95 % interval of the chosen's parameters, low and high
 
     @property
     def before(self) -> float:
@@ -91,7 +93,7 @@ def diagnose_table(trials: Sequence[Trial], tell: Tell = lambda text, share: Non
         regimes=tuple(regime for stage in stages for regime in _regimes(stage)),
         rivals=tuple(rival for stage in stages for rival in _rivals(stage)),
         leftovers=tuple(Leftover(s.view.stage, _explained(s), s.leans) for s in stages),
-        nuisances={path: value for s in stages for path, value in _nuisances(s).items()},
+        nuisances={path: value for s in stages for path, value in s.nuisances.items()},
         seconds=time.monotonic() - started,
     )
 
@@ -146,8 +148,9 @@ def _stage(trials: Sequence[Trial]) -> Stage:
     lowest, leans = ceiling(left, view.features, fold)
     nominal = view.gap([{}])[0].astype(float)
     return Stage(
-        view, ordered, nothing, chosen, members, without, alone, further, nominal, left, _rms(lowest[None]), leans
-    )
+        view, ordered, nothing, chosen, members, without, alone, further, nominal, left, _rms(lowest[None]), leans,
+        setup.fitted_nuisances(chosen), search.problem.interval(chosen),
+    )  # fmt: skip
 
 
 def _verdict(stages: Sequence[Stage], warnings: Sequence[str]) -> Verdict:
@@ -190,7 +193,7 @@ def _named(stage: Stage, member: Member) -> NamedEffect:
     first = sum(len(each.dials) for each in stage.chosen.effects[:at])
     estimates = {}
     for i, (dial, u) in enumerate(zip(member.candidate.dials, stage.chosen.u[at], strict=True)):
-        low, high = (min(max(float(x[first + i]), dial.low), dial.high) for x in (stage.chosen.low, stage.chosen.high))
+        low, high = (min(max(float(x[first + i]), dial.low), dial.high) for x in stage.bounds)
         low, high = (low, high) if not dial.inverse else (high, low)
         finite = [v if math.isfinite(v) else 1e12 for v in (dial.value(low), dial.value(u), dial.value(high))]
         name = dial.path.rpartition(".")[2]
@@ -279,18 +282,9 @@ def _worst_regime(stage: Stage) -> str:
     return "everywhere" if found is None else f"most where: {found.name}"
 
 
-def _nuisances(stage: Stage) -> dict[str, float]:
-    """What was fitted beside the chosen, in the registry's unit; an effect's own parameter replaces its nuisance."""
-    found = {}
-    for nuisance, w in zip(nuisances(stage.view), stage.chosen.nuisance, strict=True):
-        if nuisance.path not in stage.chosen.point:
-            found[nuisance.path] = nuisance.nominal + float(w) * (nuisance.edge - nuisance.nominal)
-    return found
-
-
 def _notes(stage: Stage) -> list[str]:
     """What a fit beside the named effects says of the model itself."""
-    damping = _nuisances(stage).get(f"{stage.view.stage}.damping.scale")
+    damping = stage.nuisances.get(f"{stage.view.stage}.damping.scale")
     if damping is None or not stage.members or damping > -0.9:
         return []
     return [

@@ -22,7 +22,7 @@ def _fit(*names, folds=(1.0, 1.0, 1.0), halves=(1.0, 1.0)):
     nominal = np.array([d.nominal for each in effects for d in each.dials])
     change = np.array([x for us in u for x in us]) - nominal
     without, parts = nominal + np.outer(folds, change), nominal + np.outer(halves, change)
-    return Fit(effects, u, empty, 0.0, empty, without, parts, empty, empty)
+    return Fit(effects, u, empty, 0.0, empty, without, parts)
 
 
 def _gain(value=100.0, **energies):
