@@ -35,7 +35,7 @@ from softarm.diagnosis.gap.robot_views import robot_views
 from softarm.diagnosis.read import read_all
 from softarm.diagnosis.shrink import point_between
 from softarm.diagnosis.trials import Trial, TrialError
-from softarm.reality.parameters import Parameters
+from softarm.reality.parameters import RobotParameters
 from softarm.schemas.excitation import EXCITATIONS
 from softarm.schemas.model import Model
 from softarm.schemas.verdict import Verdict
@@ -79,7 +79,7 @@ def measured(work: Callable[[], T]) -> tuple[T, Effort]:
 def make_campaign(folder: Path) -> Path:
     """Eight trials of an independent robot, as robots are, with a late regulator and a weight at its tip."""
     random = np.random.default_rng(SEED)
-    robot = draw_nuisances(Parameters(), random)
+    robot = draw_nuisances(RobotParameters(), random)
     robot = replace(
         robot,
         regulator=replace(robot.regulator, dead_time_s=DEAD_TIME_S),

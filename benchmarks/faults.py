@@ -19,7 +19,7 @@ from softarm.flights.evaluation import FLIGHTS
 from softarm.flights.many import Place, fly_all, shares, with_faults
 from softarm.policies import registry
 from softarm.policies.base import PolicyError
-from softarm.reality.parameters import Parameters
+from softarm.reality.parameters import RobotParameters
 
 NONE = "none"
 MARKERS = "osD^vP*X"  # of matplotlib, one a policy
@@ -51,7 +51,7 @@ def measure(policies: Sequence[str], faults: Sequence[str], tell: Callable[[int]
 
     tell(how many more are done). Raises PolicyError and, for a fault that there is none of, ValueError.
     """
-    robots = {NONE: Parameters()} | {fault: with_faults(Parameters(), [fault]) for fault in faults}
+    robots = {NONE: RobotParameters()} | {fault: with_faults(RobotParameters(), [fault]) for fault in faults}
     for policy in policies:
         registry.load(policy)  # before minutes of work
     places = [Place(fault, fault, parameters=robot) for fault, robot in robots.items()]

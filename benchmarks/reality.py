@@ -20,7 +20,7 @@ from softarm.flights.evaluation import FLIGHTS
 from softarm.flights.robots import ROBOTS
 from softarm.policies import registry
 from softarm.policies.base import PolicyError
-from softarm.reality.parameters import Arm, Parameters
+from softarm.reality.parameters import Arm, RobotParameters
 from softarm.reality.robot import Robot
 from softarm.schemas.goals import TRAINED_Z_MAX_M
 from softarm.schemas.robot import CONTROL_PERIOD_S, PHYSICS_RATE_HZ
@@ -29,7 +29,7 @@ from softarm.simulator.simulator import Simulator
 CART_SHARE = 0.3  # of the random commands' velocity, so that the cart stays off the stops
 
 
-def fly_targets(name: str, parameters: Parameters, advance: Callable[[], None]) -> dict[str, NDArray[np.bool_]]:
+def fly_targets(name: str, parameters: RobotParameters, advance: Callable[[], None]) -> dict[str, NDArray[np.bool_]]:
     """Reached or not, and whether the target is in the trained range, of each trial of the grid."""
     policy, reached, inside = registry.load(name), [], []
     for trial in trials.grid_trials():
@@ -45,7 +45,7 @@ def agreement_mm(draw: Callable[..., tuple[NDArray[np.float64], NDArray[np.float
     apart = []
     for seed in range(sets):
         velocity, pressure = draw(1, seed=seed)
-        simulator, robot = Simulator(physics_rate_hz=PHYSICS_RATE_HZ), Robot(Parameters(arm=Arm(pieces=pieces)))
+        simulator, robot = Simulator(physics_rate_hz=PHYSICS_RATE_HZ), Robot(RobotParameters(arm=Arm(pieces=pieces)))
         for tick, (v, p) in enumerate(zip(CART_SHARE * velocity[:, 0], pressure[:, 0], strict=True)):
             simulator.step(float(v), float(p), CONTROL_PERIOD_S)
             robot.command(tick * CONTROL_PERIOD_S, float(v), float(p))

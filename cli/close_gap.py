@@ -159,7 +159,7 @@ def _held_back(robot: str, faults: Sequence[str]) -> "Place":
     from softarm.cli.options import flown_model
     from softarm.flights.closing.summary import HELD_BACK
     from softarm.flights.many import Place, with_faults
-    from softarm.reality.parameters import Parameters
+    from softarm.reality.parameters import RobotParameters
 
     if robot != REALITY:
         return Place(HELD_BACK, f"the held-back robot ({robot})", model=flown_model(Path(robot)))
@@ -170,7 +170,7 @@ def _held_back(robot: str, faults: Sequence[str]) -> "Place":
             "the independent robot needs the package 'mujoco': pip install 'softarm[mujoco]', or give --robot MODEL"
         ) from None
     title = f"the independent robot ({', '.join(faults) or 'without a fault'})"
-    return Place(HELD_BACK, title, parameters=with_faults(Parameters(), faults))
+    return Place(HELD_BACK, title, parameters=with_faults(RobotParameters(), faults))
 
 
 def _of_the_nominal_body(place: "Place", nominal: "Model") -> "Place":

@@ -1,6 +1,5 @@
 """A click group of verbs in sections: a verb's module is imported when the verb is used; help imports none."""
 
-import difflib
 from collections.abc import Mapping
 from importlib import import_module
 from typing import Any, NamedTuple, NoReturn
@@ -8,6 +7,7 @@ from typing import Any, NamedTuple, NoReturn
 import click
 
 from softarm.cli.errors import fail
+from softarm.common.words import nearest
 
 
 class Verb(NamedTuple):
@@ -51,8 +51,8 @@ class LazyGroup(click.Group):
         except ModuleNotFoundError as error:
             self._explain_missing(args[0], error)
         except click.UsageError:
-            near = difflib.get_close_matches(args[0], self._verbs, n=1)
-            hint = f"did you mean '{near[0]}'?" if near else "`softarm --help` lists the verbs."
+            near = nearest(args[0], self._verbs)
+            hint = f"did you mean '{near}'?" if near else "`softarm --help` lists the verbs."
             raise click.UsageError(f"no verb '{args[0]}'; {hint}", ctx) from None
 
     def invoke(self, ctx: click.Context) -> Any:

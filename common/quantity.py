@@ -13,7 +13,7 @@ DEGREE_RAD = math.pi / 180
 
 # Every unit of the house, and what one of another is worth in it: to convert columns, and to guess what was meant.
 UNITS: dict[str, dict[str, float]] = {
-    PURE: {"%": 1e-2, "percent": 1e-2},
+    PURE: {"1": 1.0, "%": 1e-2, "percent": 1e-2},
     "s": {"ms": 1e-3, "us": 1e-6, "ns": 1e-9},
     "m": {"mm": 1e-3, "cm": 1e-2},
     "m/s": {"mm/s": 1e-3, "cm/s": 1e-2},

@@ -1,9 +1,8 @@
 """A YAML file as its pydantic schema has it, or all that is wrong with it, line by line."""
 
-import difflib
 import json
 import re
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from functools import partial
 from typing import Any, TypeVar
 
@@ -11,6 +10,7 @@ from pydantic import BaseModel, ValidationError
 
 from softarm.common.keys import children, find, leaves
 from softarm.common.quantity import shown
+from softarm.common.words import nearest
 from softarm.common.yaml_lines import Document, FileError, Finding, Place, refuse
 
 M = TypeVar("M", bound=BaseModel)
@@ -34,12 +34,6 @@ def fit(document: Document, schema: type[M], more: Mapping[Place, Callable[[], s
     if document.findings or found:
         raise refuse(document, [*document.findings, *found])
     return fitted
-
-
-def did_you_mean(word: str, known: Iterable[str], cutoff: float = 0.6) -> str:
-    """`did you mean reach? `, or nothing where no known word is near."""
-    near = difflib.get_close_matches(word, list(known), n=1, cutoff=cutoff)
-    return f"did you mean {near[0]}? " if near else ""
 
 
 def _filled(data: Any, schema: type[BaseModel], place: Place) -> Any:
@@ -88,10 +82,10 @@ def _unknown_key(schema: type[BaseModel], place: Place) -> str:
     same = [key for key in leaves(schema) if key.path[-1] == place[-1]]
     if len(same) == 1:
         return f"unknown key here; move it to {same[0].name} (allowed {same[0].allowed}; default {same[0].default})"
-    if near := difflib.get_close_matches(str(place[-1]), known, n=1, cutoff=0.5):
-        key = known[near[0]]
+    if near := nearest(str(place[-1]), known, cutoff=0.5):
+        key = known[near]
         default = "" if key.group else f"; default {key.default}"
-        return f"unknown key; did you mean {near[0]}? (allowed {key.allowed}{default})"
+        return f"unknown key; did you mean {near}? (allowed {key.allowed}{default})"
     return f"unknown key; remove it, or use one of {', '.join(known)}"
 
 

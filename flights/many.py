@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from softarm.common.processes import as_they_come, cores
 from softarm.flights import runner as trials
 from softarm.policies import registry
-from softarm.reality.parameters import GROUPS, Parameters
+from softarm.reality.parameters import GROUPS, RobotParameters
 from softarm.schemas.config import Policy as ConfiguredPolicy
 from softarm.schemas.goals import TEST_TARGETS, TRAINED_Z_MAX_M, Goal
 from softarm.schemas.model import Model
@@ -27,7 +27,7 @@ class Place:
     key: str  # nominal, patched, held-back
     title: str
     model: Model | None = None
-    parameters: Parameters | None = None
+    parameters: RobotParameters | None = None
 
 
 @dataclass(frozen=True)
@@ -93,7 +93,7 @@ def _fly(policies: Mapping[str, Path | str], parts: Sequence[Sequence[Goal]], jo
     return fly(policies[name], place, parts[i])
 
 
-def with_faults(robot: Parameters, faults: Sequence[str]) -> Parameters:
+def with_faults(robot: RobotParameters, faults: Sequence[str]) -> RobotParameters:
     """Give the independent robot its faults, `group.quantity=value` each (docs/reality.md lists them).
 
     Raises ValueError for one that there is none of, or whose value is out of bounds.

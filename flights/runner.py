@@ -12,7 +12,7 @@ from softarm.daemon.shell.offline import Lockstep
 from softarm.drivers.bodies.simulated import SimulatedBody
 from softarm.flights.evaluation import CART_STARTS_M
 from softarm.policies.base import Array, Policy, PolicyError
-from softarm.reality.parameters import Parameters
+from softarm.reality.parameters import RobotParameters
 from softarm.schemas.config import Config
 from softarm.schemas.goals import SHELF_TARGETS, TEST_TARGETS, Goal
 from softarm.schemas.model import Model
@@ -173,7 +173,7 @@ def swing(policy: Policy, model: Model | None, trial: Trial) -> Lockstep:
     return daemon
 
 
-def fly_held_back(policy: Policy, parameters: Parameters, trials: Iterable[Trial]) -> list[Outcome]:
+def fly_held_back(policy: Policy, parameters: RobotParameters, trials: Iterable[Trial]) -> list[Outcome]:
     """From rest on an independent robot, a new one for each trial. Needs the extra `mujoco`."""
     from softarm.drivers.bodies.independent import IndependentBody
 

@@ -1,10 +1,10 @@
 """Play an excitation: open loop, for a recording that shows what the robot is made of."""
 
-import difflib
 import math
 
 import numpy as np
 
+from softarm.common.words import nearest
 from softarm.policies.base import Array, PolicyError, PolicySpec
 from softarm.schemas.excitation import EXCITATIONS
 from softarm.schemas.policy import places
@@ -32,8 +32,8 @@ class Excite:
     def describe(cls, excitation: str = "seed") -> PolicySpec:
         """Its description and how many steps it takes, without making it."""
         if excitation not in EXCITATIONS:
-            near = difflib.get_close_matches(excitation, EXCITATIONS, n=1)
-            hint = f"; did you mean {near[0]}?" if near else ""
+            near = nearest(excitation, EXCITATIONS)
+            hint = f"; did you mean {near}?" if near else ""
             raise PolicyError(f"no excitation {excitation!r}{hint} (there are: {', '.join(EXCITATIONS)})")
         chosen = EXCITATIONS[excitation]
         steps = math.ceil((LEAD_IN_S + chosen.duration_s) * CONTROL_RATE_HZ)

@@ -1,11 +1,11 @@
 """Which policies there are, and how one is made from its name."""
 
-import difflib
 import inspect
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from importlib.metadata import entry_points
 
+from softarm.common.words import nearest
 from softarm.policies.base import MODELS, Policy, PolicyError, PolicySpec
 from softarm.schemas.config import Policy as ConfiguredPolicy
 
@@ -53,8 +53,8 @@ def load(name: str, configured: Mapping[str, ConfiguredPolicy] | None = None) ->
     entries = available(configured)
     usable = ", ".join(n for n, entry in entries.items() if entry.error is None) or "none"
     if name not in entries:
-        near = difflib.get_close_matches(name, entries, n=1)
-        hint = f"did you mean '{near[0]}'? " if near else ""
+        near = nearest(name, entries)
+        hint = f"did you mean '{near}'? " if near else ""
         raise PolicyError(f"no policy '{name}'; {hint}available: {usable}")
     entry = entries[name]
     if entry.error is not None:
@@ -87,8 +87,8 @@ def _entry(
 def _describe(plugin: str, options: Mapping[str, Option], plugins: Mapping[str, Callable[[], Plugin]]) -> PolicySpec:
     """Ask the plugin's class for its spec: from `describe(**options)` where it has one, else from `spec`."""
     if plugin not in plugins:
-        near = difflib.get_close_matches(plugin, plugins, n=1)
-        hint = f"; did you mean '{near[0]}'?" if near else ""
+        near = nearest(plugin, plugins)
+        hint = f"; did you mean '{near}'?" if near else ""
         raise PolicyError(f"no plugin '{plugin}'{hint} (installed: {', '.join(sorted(plugins)) or 'none'})")
     make = plugins[plugin]()
     _check_options(plugin, make, options)
@@ -105,8 +105,8 @@ def _check_options(plugin: str, make: Plugin, options: Mapping[str, Option]) -> 
     takes_any = any(p.kind is p.VAR_KEYWORD for p in parameters)
     for name in options:
         if name not in known and not takes_any:
-            near = difflib.get_close_matches(name, known, n=1)
-            hint = f"; did you mean '{near[0]}'?" if near else ""
+            near = nearest(name, known)
+            hint = f"; did you mean '{near}'?" if near else ""
             raise PolicyError(f"plugin '{plugin}' has no option '{name}'{hint} (known: {', '.join(known) or 'none'})")
     required = {p.name for p in parameters if p.name in known and p.default is p.empty}
     if missing := sorted(required - options.keys()):

@@ -130,7 +130,7 @@ GROUPS = (Regulator, Rail, Arm, Mocap, PressureSensor, RailSensor, Clock)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Parameters:
+class RobotParameters:
     """One robot. `body` is the five-link arm that the finer one is made from, `cart` gives mass and travel."""
 
     body: seed.Arm = field(default_factory=seed.Arm)
@@ -149,7 +149,7 @@ class Parameters:
             raise ValueError(f"body has {self.body.links} links; a mocap frame carries 5: give a model with 5")
 
 
-def of_model(model: seed.Model) -> Parameters:
+def of_model(model: seed.Model) -> RobotParameters:
     """The nominal robot of a model file: its arm and cart, and its actuators' time constants."""
     lag = model.effects.get("pressure.lag", {})
     regulator = Regulator(inflate_s=lag.get("inflate", 0.0), deflate_s=lag.get("deflate", 0.0))
@@ -159,4 +159,4 @@ def of_model(model: seed.Model) -> Parameters:
         velocity_gain_n_s_m=model.cart.velocity_gain_n_s_m,
         feedforward_kg=model.cart.feedforward_mass_kg,
     )
-    return Parameters(body=model.arm, cart=model.cart, regulator=regulator, rail=rail)
+    return RobotParameters(body=model.arm, cart=model.cart, regulator=regulator, rail=rail)

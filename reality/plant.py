@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softarm.reality.chain import Chain, refine
-from softarm.reality.parameters import Parameters
+from softarm.reality.parameters import RobotParameters
 
 Array = NDArray[np.float64]
 
@@ -28,7 +28,7 @@ class Plant:
 
     def __init__(
         self,
-        parameters: Parameters,
+        parameters: RobotParameters,
         cart_position_m: float,
         held: bool,
         motor_kg: float,
@@ -133,7 +133,9 @@ class Plant:
         return pressure_kpa
 
 
-def _mjcf(parameters: Parameters, chain: Chain, motor_kg: float, shelf_m: tuple[float, float] | None = None) -> str:
+def _mjcf(
+    parameters: RobotParameters, chain: Chain, motor_kg: float, shelf_m: tuple[float, float] | None = None
+) -> str:
     """The robot as MJCF; its x is our y. Only a shelf makes contact: the links pass through each other.
 
     To MuJoCo's air a body is a box as large as its inertia: the cart has none.

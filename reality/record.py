@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import yaml
 
-from softarm.reality.parameters import Parameters
+from softarm.reality.parameters import RobotParameters
 from softarm.reality.robot import Robot
 from softarm.schemas.messages import BODY_NAMES, MocapFrame
 from softarm.schemas.policy import OBSERVATION, Observation
@@ -92,7 +92,7 @@ def record(
     excitation: Excitation,
     folder: Path | str,
     duration_s: float,
-    parameters: Parameters | None = None,
+    parameters: RobotParameters | None = None,
     seed: int = 0,
     *,
     kind: str,

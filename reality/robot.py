@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from softarm.reality.parameters import Parameters
+from softarm.reality.parameters import RobotParameters
 from softarm.reality.plant import RATE_HZ, Plant
 from softarm.reality.rail import Servo
 from softarm.reality.regulator import PressureRegulator
@@ -39,7 +39,7 @@ class Robot:
 
     def __init__(
         self,
-        parameters: Parameters | None = None,
+        parameters: RobotParameters | None = None,
         seed: int = 0,
         *,
         cart_position_m: float = 0.0,
@@ -51,7 +51,7 @@ class Robot:
 
         shelf_m: y of the front edge and z of the lower board's top of a shelf that is open towards +y.
         """
-        self.parameters = p = parameters or Parameters()
+        self.parameters = p = parameters or RobotParameters()
         if not abs(cart_position_m) <= p.cart.travel_m:
             raise ValueError(
                 f"cart_position_m is {cart_position_m}; the travel is +-{p.cart.travel_m} m: start within it"

@@ -5,8 +5,8 @@ from dataclasses import replace
 from functools import partial
 from typing import NamedTuple
 
+from softarm.common.words import did_you_mean
 from softarm.common.yaml_lines import MAX_TOLD
-from softarm.common.yaml_schema import did_you_mean
 from softarm.schemas.model import Model
 from softarm.simulator.effect_table import EFFECTS, RIVALS, STAGES, Effect, Parameter
 

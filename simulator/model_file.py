@@ -11,8 +11,9 @@ import yaml
 
 from softarm.common import files, yaml_lines
 from softarm.common.quantity import Quantity
+from softarm.common.words import did_you_mean
 from softarm.common.yaml_lines import FileError, Place
-from softarm.common.yaml_schema import did_you_mean, fit
+from softarm.common.yaml_schema import fit
 from softarm.schemas.model import Model
 from softarm.simulator import effects
 from softarm.simulator.robot_table import ROBOT

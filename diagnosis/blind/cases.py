@@ -7,7 +7,7 @@ from typing import Any, Literal, TypeVar
 import numpy as np
 
 from softarm.diagnosis.blind.imperfections import KNOWN, REMOVABLE, UNKNOWN, UNKNOWNS, Cause, draw_cause, draw_nuisances
-from softarm.reality.parameters import Parameters
+from softarm.reality.parameters import RobotParameters
 from softarm.schemas.excitation import EXCITATIONS
 from softarm.schemas.model import Model
 from softarm.simulator.effects import REGISTRY
@@ -53,7 +53,7 @@ class Case:
     name: str
     kind: Kind
     causes: tuple[Cause, ...]
-    robot: Parameters
+    robot: RobotParameters
     model: Model
     flights: tuple[Flight, ...]
     fresh: tuple[Flight, ...]  # never given to the tool
@@ -127,7 +127,7 @@ def _in_turn(items: Sequence[T], random: np.random.Generator) -> Iterator[T]:
 
 
 def _case(name: str, kind: Kind, wanted: Sequence[tuple[str, bool]], random: np.random.Generator) -> Case:
-    robot = draw_nuisances(Parameters(), random)
+    robot = draw_nuisances(RobotParameters(), random)
     causes = []
     for effect, removed in wanted:
         robot, cause = draw_cause(robot, effect, removed, random)

@@ -11,7 +11,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from softarm.reality.parameters import Parameters
+from softarm.reality.parameters import RobotParameters
 from softarm.schemas.model import Arm
 
 UNKNOWN = "unknown."
@@ -152,7 +152,9 @@ def stage_of(name: str) -> str:
     return name.partition(".")[0]
 
 
-def draw_cause(robot: Parameters, name: str, removed: bool, random: np.random.Generator) -> tuple[Parameters, Cause]:
+def draw_cause(
+    robot: RobotParameters, name: str, removed: bool, random: np.random.Generator
+) -> tuple[RobotParameters, Cause]:
     """Give a robot one cause, drawn; `removed` leaves it as it is."""
     if removed:
         return robot, Cause(name, True, {})
@@ -167,7 +169,9 @@ def variants_of(name: str) -> tuple[Variant, ...]:
     return UNKNOWNS[name.removeprefix(UNKNOWN)] if name.startswith(UNKNOWN) else KNOWN[name]
 
 
-def given(robot: Parameters, variant: Variant, values: Sequence[float]) -> tuple[Parameters, dict[str, float]]:
+def given(
+    robot: RobotParameters, variant: Variant, values: Sequence[float]
+) -> tuple[RobotParameters, dict[str, float]]:
     """A robot with one variant at these values, and what it is set to, by parameter of reality."""
     settings: dict[str, float] = {}
     for knob, value in zip(variant, values, strict=True):
@@ -177,13 +181,13 @@ def given(robot: Parameters, variant: Variant, values: Sequence[float]) -> tuple
     return robot, settings
 
 
-def read(robot: Parameters, path: str) -> float:
+def read(robot: RobotParameters, path: str) -> float:
     """A parameter of reality, `group.field`."""
     group, _, name = path.partition(".")
     return float(getattr(getattr(robot, group), name))
 
 
-def turned(robot: Parameters, path: str, how: str, value: float) -> Parameters:
+def turned(robot: RobotParameters, path: str, how: str, value: float) -> RobotParameters:
     """A robot with one parameter changed. Raises ValueError for what reality does not allow."""
     group, _, name = path.partition(".")
     old = getattr(getattr(robot, group), name)
@@ -218,7 +222,7 @@ _MASS_HALF_WIDTH = 0.005
 _SENSOR_NOISE = ("mocap.noise_m", "mocap.angle_noise_rad", "pressure_sensor.noise_kpa")
 
 
-def draw_nuisances(robot: Parameters, random: np.random.Generator) -> Parameters:
+def draw_nuisances(robot: RobotParameters, random: np.random.Generator) -> RobotParameters:
     """A robot as robots are: nothing wrong with it, nothing quite as written."""
     body = robot.body
     update: dict[str, tuple[float, ...]] = {

@@ -8,7 +8,7 @@ from pathlib import Path
 from softarm.common.processes import as_they_come
 from softarm.diagnosis.blind import seal
 from softarm.diagnosis.blind.cases import Case, Flight, draw
-from softarm.reality.parameters import Parameters
+from softarm.reality.parameters import RobotParameters
 from softarm.reality.record import record
 from softarm.schemas.excitation import EXCITATIONS
 from softarm.simulator import model_file
@@ -80,6 +80,6 @@ def write_cases(
         finished(name)
 
 
-def _fly(robot: Parameters, flight: Flight, folder: Path) -> None:
+def _fly(robot: RobotParameters, flight: Flight, folder: Path) -> None:
     excitation = EXCITATIONS[flight.excitation]
     record(excitation.at, folder, excitation.duration_s, robot, flight.seed, kind=flight.excitation, held=flight.held)

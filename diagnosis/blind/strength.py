@@ -32,7 +32,7 @@ from softarm.diagnosis.blind.imperfections import (
     variants_of,
 )
 from softarm.diagnosis.trials import Trial
-from softarm.reality.parameters import Parameters
+from softarm.reality.parameters import RobotParameters
 from softarm.reality.record import SETTLE_S, record
 from softarm.schemas.excitation import EXCITATIONS
 
@@ -92,7 +92,7 @@ def signals(trial: Trial, duration_s: float) -> dict[str, Signals]:
     }  # fmt: skip
 
 
-def fly(robot: Parameters, stage: str) -> dict[str, Signals]:
+def fly(robot: RobotParameters, stage: str) -> dict[str, Signals]:
     """Its signals under the excitation that shakes a stage."""
     flight, held = FLIGHTS[stage]
     excitation = EXCITATIONS[flight]
@@ -127,8 +127,8 @@ def _fly_other(job: tuple[str, int]) -> dict[str, Signals]:
     return fly(replace(_healthy(_SEED), **{group: getattr(other, group) for group in _OWN[stage]}), stage)
 
 
-def _healthy(seed: int) -> Parameters:
-    return draw_nuisances(Parameters(), np.random.default_rng(seed))
+def _healthy(seed: int) -> RobotParameters:
+    return draw_nuisances(RobotParameters(), np.random.default_rng(seed))
 
 
 def _ranges(variant: Variant) -> str:

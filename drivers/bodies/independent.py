@@ -3,7 +3,7 @@
 from typing import Self
 
 from softarm.drivers.bodies.base import PlacementError
-from softarm.reality.parameters import Parameters, of_model
+from softarm.reality.parameters import RobotParameters, of_model
 from softarm.reality.robot import Robot
 from softarm.schemas.messages import MocapFrame, PressureReading, RailReading
 from softarm.schemas.model import Model
@@ -17,7 +17,7 @@ class IndependentBody:
 
     def __init__(
         self,
-        parameters: Parameters | None = None,
+        parameters: RobotParameters | None = None,
         seed: int = 0,
         *,
         cart_position_m: float = 0.0,

@@ -14,7 +14,7 @@ from softarm.diagnosis.gap.result import Diagnosis
 from softarm.flights.closing.summary import HELD_BACK, OLD, changed
 from softarm.flights.many import Place, fly, fly_all, shares, with_faults
 from softarm.policies.base import MODELS
-from softarm.reality.parameters import Parameters
+from softarm.reality.parameters import RobotParameters
 from softarm.schemas.goals import TEST_TARGETS
 from softarm.schemas.model import Model
 from softarm.schemas.verdict import Estimate, Gap, Interval, NamedEffect, Shrink, Verdict, Where
@@ -81,7 +81,7 @@ def close(campaign, out, held_back, declared=True):
 
 def test_a_named_effect_is_patched_trained_on_and_flown(asked, campaign, tmp_path):
     out = tmp_path / "closed"
-    robot = Place(HELD_BACK, "the robot", parameters=with_faults(Parameters(), ["regulator.dead_time_s=0.06"]))
+    robot = Place(HELD_BACK, "the robot", parameters=with_faults(RobotParameters(), ["regulator.dead_time_s=0.06"]))
     verdict, summary = close(campaign, out, robot)
     assert model_file.load(out / "patched-model.yaml") == LATE
     old, new = load_weights(REACH), load_weights(out / "retrained.onnx")
@@ -169,7 +169,7 @@ def test_shares_and_changes_count_flights():
 
 
 def test_faults_are_set_one_by_one():
-    robot = with_faults(Parameters(), ["regulator.dead_time_s=0.06", "mocap.loose_link=2"])
+    robot = with_faults(RobotParameters(), ["regulator.dead_time_s=0.06", "mocap.loose_link=2"])
     assert robot.regulator.dead_time_s == 0.06
     assert robot.mocap.loose_link == 2
-    assert robot.rail == Parameters().rail
+    assert robot.rail == RobotParameters().rail

@@ -68,7 +68,9 @@ def test_a_unit_stands_in_the_table_once():
     assert len(names) == len(set(names))
 
 
-@pytest.mark.parametrize(("unit", "worth"), [("s", (1.0, "s")), ("deg", (math.pi / 180, "rad")), ("bar", (100, "kPa"))])
+@pytest.mark.parametrize(
+    ("unit", "worth"), [("s", (1.0, "s")), ("deg", (math.pi / 180, "rad")), ("bar", (100, "kPa")), ("1", (1.0, PURE))]
+)
 def test_a_column_is_multiplied_by_what_its_unit_is_worth(unit, worth):
     assert factor(unit) == worth
 
@@ -87,6 +89,6 @@ def test_a_value_is_shown_as_a_file_would_have_it_and_no_longer_than_a_line():
         "'a'",
         "a group",
         "a list",
-    ]  # fmt: skip - one beside the other
+    ]
     assert len(shown("x" * 10_000)) < 100
     assert str(Quantity(unit=PURE, low=0, high=1)) == "0 to 1"

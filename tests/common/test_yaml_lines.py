@@ -64,7 +64,7 @@ def test_a_number_is_what_people_take_for_one():
         "b": 5e3,
         "c": math.inf,
         "d": "2024-01-02",
-    }  # fmt: skip - one beside the other
+    }
 
 
 def test_every_key_and_item_has_its_line():
@@ -77,7 +77,7 @@ def test_every_key_and_item_has_its_line():
         ("a", "c", 0): 4,
         ("a", "c", 1): 5,
         ("a", "c", 1, "d"): 5,
-    }  # fmt: skip - one beside the other
+    }
     assert document.line(("a", "c", 7, "e")) == 3
 
 
@@ -178,7 +178,7 @@ def test_names_of_keys_are_texts_as_they_were_written():
         "2.50": "b",
         "yes": "c",
         "2024-01-02": "d",
-    }  # fmt: skip - one beside the other
+    }
 
 
 @pytest.mark.parametrize("text", ["", "# nothing\n", "---\n"])

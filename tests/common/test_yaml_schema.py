@@ -7,9 +7,8 @@ from typing import Annotated, Literal
 import pytest
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from softarm.common import yaml_schema
 from softarm.common.yaml_lines import MAX_TOLD, FileError, parse
-from softarm.common.yaml_schema import did_you_mean, fit
+from softarm.common.yaml_schema import fit
 from softarm.schemas.config import Config
 from softarm.schemas.model import Model
 
@@ -86,7 +85,7 @@ def test_a_file_becomes_its_schema():
         ("zzz: 1", "1: zzz: unknown key; remove it, or use one of kind, main, parts, named, row, delay_s"),
         ("row: 7\nmain:\n  name: m\n  length_m: 2", "4: main.length_m: must be 1 where row is 7"),
     ],
-)  # fmt: skip - a file and its sentence
+)
 def test_each_mistake_has_its_sentence(text, said):
     assert said in problems(text)
 
@@ -111,13 +110,8 @@ def test_of_thousands_of_mistakes_the_first_are_told_and_the_rest_counted(schema
     """The words of a mistake may cost a search among the known keys: there are as many searches as are told."""
     searches = []
     real = difflib.get_close_matches
-    monkeypatch.setattr(yaml_schema.difflib, "get_close_matches", lambda *a, **k: searches.append(a) or real(*a, **k))
+    monkeypatch.setattr(difflib, "get_close_matches", lambda *a, **k: searches.append(a) or real(*a, **k))
     told = problems(text, schema)
     assert len(told) == MAX_TOLD + 1
     assert told[-1] == f" and {5000 - MAX_TOLD} more; mend these first"
     assert len(searches) <= MAX_TOLD
-
-
-def test_a_near_word_is_offered_and_a_far_one_is_not():
-    assert did_you_mean("raech", ["reach", "hold"]) == "did you mean reach? "
-    assert did_you_mean("zzz", ["reach", "hold"]) == ""

@@ -21,7 +21,7 @@ from softarm.diagnosis.blind.imperfections import (
 )
 from softarm.diagnosis.folder import read as read_trial
 from softarm.diagnosis.read import read_all
-from softarm.reality.parameters import Parameters
+from softarm.reality.parameters import RobotParameters
 from softarm.schemas.excitation import EXCITATIONS
 from softarm.schemas.model import Model
 from softarm.simulator import model_file
@@ -86,7 +86,7 @@ def test_two_causes_are_never_look_alikes(cases):
 
 @pytest.mark.parametrize("name", CAUSES)
 def test_reality_allows_every_cause_at_both_ends_and_it_changes_the_robot(name):
-    nominal = Parameters()
+    nominal = RobotParameters()
     for variant in variants_of(name):
         for end in ("low", "high"):
             values = [getattr(knob, end) for knob in variant]
@@ -124,12 +124,12 @@ def test_a_removed_effect_leaves_the_robot_alone_and_is_out_of_the_model_file(ca
     for case in cases:
         if case not in removed:
             assert case.model == Model()
-    robot = draw_nuisances(Parameters(), np.random.default_rng(1))
+    robot = draw_nuisances(RobotParameters(), np.random.default_rng(1))
     assert draw_cause(robot, "rail.delay", True, np.random.default_rng(2))[0] == robot
 
 
 def test_nuisances_turn_everything_that_is_never_quite_right_and_nothing_else():
-    nominal = Parameters()
+    nominal = RobotParameters()
     robots = [draw_nuisances(nominal, np.random.default_rng(seed)) for seed in range(100)]
     for group in GROUPS:
         for field in fields(getattr(nominal, group)):

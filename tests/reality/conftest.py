@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from softarm.reality.parameters import Parameters
+from softarm.reality.parameters import RobotParameters
 from softarm.reality.robot import Robot
 from softarm.schemas.messages import MocapFrame, PressureReading, RailReading
 
@@ -43,7 +43,7 @@ def shake(t_s: float) -> tuple[float, float]:
 
 
 def fly(
-    parameters: Parameters, seconds: float = 1.5, excitation: Any = shake, seed: int = 1, **robot_options: Any
+    parameters: RobotParameters, seconds: float = 1.5, excitation: Any = shake, seed: int = 1, **robot_options: Any
 ) -> Flown:
     robot = Robot(parameters, seed, **robot_options)
     truths = []
@@ -62,9 +62,9 @@ def fly(
     )
 
 
-def perturb(group: str, **values: float) -> Parameters:
+def perturb(group: str, **values: float) -> RobotParameters:
     """The nominal robot with some values of one group."""
-    name, nominal = GROUPS[group], Parameters()
+    name, nominal = GROUPS[group], RobotParameters()
     return replace(nominal, **{name: replace(getattr(nominal, name), **values)})
 
 
@@ -80,4 +80,4 @@ def _perturb() -> Any:
 
 @pytest.fixture(scope="session")
 def nominal() -> Flown:
-    return fly(Parameters())
+    return fly(RobotParameters())

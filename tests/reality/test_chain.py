@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from softarm.reality.chain import refine
-from softarm.reality.parameters import Arm, Parameters
+from softarm.reality.parameters import Arm, RobotParameters
 from softarm.reality.robot import Robot
 from softarm.schemas.model import Arm as ModelArm
 from softarm.simulator.simulator import Simulator
@@ -57,7 +57,7 @@ def test_a_fine_joints_share_of_the_models_angle() -> None:
 def test_the_hanging_pose_is_the_five_link_simulators(pressure_kpa: float) -> None:
     simulator = Simulator(physics_rate_hz=1200.0)
     simulator.step(0.0, pressure_kpa, 8.0)
-    robot = Robot(Parameters(), held=True)
+    robot = Robot(RobotParameters(), held=True)
     robot.command(0.0, 0.0, pressure_kpa)
     robot.advance(8.0)
     truth = robot.truth
@@ -71,4 +71,4 @@ def test_a_joint_without_stiffness_and_pieces_without_inertia_are_refused() -> N
     with pytest.raises(ValueError, match=r"stiffness_nm_rad is .* a beam needs every entry above 0"):
         refine(ModelArm(stiffness_nm_rad=(0.0, 1.0, 1.0, 1.0, 1.0)), 2)
     with pytest.raises(ValueError, match=r"link_inertia_kg_m2 is .* 2 pieces need more than"):
-        Robot(Parameters(body=ModelArm(link_inertia_kg_m2=(1e-7,) * 5), arm=Arm(pieces=2)))
+        Robot(RobotParameters(body=ModelArm(link_inertia_kg_m2=(1e-7,) * 5), arm=Arm(pieces=2)))

@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from softarm.common.quantity import UNITS
-from softarm.reality.parameters import GROUPS, Arm, Mocap, Parameters, Rail, Regulator, of_model
+from softarm.reality.parameters import GROUPS, Arm, Mocap, Rail, Regulator, RobotParameters, of_model
 from softarm.reality.quantities import of, table
 from softarm.schemas.model import Arm as ModelArm
 from softarm.schemas.model import Model
@@ -51,7 +51,7 @@ def test_a_bad_value_is_told_with_its_range(make: Any, message: str) -> None:
 
 
 def test_the_nominal_robot_is_the_models() -> None:
-    assert of_model(Model()) == Parameters()
+    assert of_model(Model()) == RobotParameters()
 
 
 def test_a_model_without_effects_has_neither_lag_nor_delay() -> None:
@@ -63,7 +63,7 @@ def test_a_model_without_effects_has_neither_lag_nor_delay() -> None:
 def test_an_arm_of_other_than_five_links_is_refused() -> None:
     short = ModelArm(**{name: value[:2] for name, value in ModelArm() if isinstance(value, tuple)})
     with pytest.raises(ValueError, match="body has 2 links; a mocap frame carries 5"):
-        Parameters(body=short)
+        RobotParameters(body=short)
 
 
 def test_the_pages_table_is_the_declaration() -> None:

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from softarm.benchmarks import commands
-from softarm.reality.parameters import Arm, Parameters, Rail
+from softarm.reality.parameters import Arm, Rail, RobotParameters
 from softarm.reality.plant import energy_j
 from softarm.reality.robot import Robot
 from softarm.schemas.model import Arm as ModelArm
@@ -17,7 +17,7 @@ STRAIGHT = ModelArm(torque_offset_nm=(0.0,) * 5)
 
 
 def test_it_hangs_straight_where_nothing_bends_it() -> None:
-    robot = Robot(Parameters(body=STRAIGHT))
+    robot = Robot(RobotParameters(body=STRAIGHT))
     robot.advance(1.0)
     np.testing.assert_allclose(robot.truth.link_angles_rad, 0.0, atol=1e-9)
     tip_z_m = STRAIGHT.base_height_m - sum(STRAIGHT.link_length_m)
@@ -49,7 +49,7 @@ def test_pressure_bends_it_towards_minus_y_and_more_pressure_more() -> None:
 @pytest.mark.parametrize("arm", [Arm(), Arm(friction_nm=0.02), Arm(air_kg_m3=5.0), Arm(payload_kg=0.1)])
 def test_energy_is_never_created_with_everything_off(held: bool, arm: Arm) -> None:
     """Bent, let go, with no pressure and no drive: springs, gravity and dampers alone."""
-    robot = Robot(Parameters(body=STRAIGHT, arm=arm), held=held)
+    robot = Robot(RobotParameters(body=STRAIGHT, arm=arm), held=held)
     robot.plant.data.qpos[1:] = -0.15
     energies = [energy_j(robot.plant)]
     for _ in range(3000):
@@ -61,7 +61,7 @@ def test_energy_is_never_created_with_everything_off(held: bool, arm: Arm) -> No
 
 def test_momentum_along_a_free_rail_is_kept() -> None:
     """The bent arm is let go on a cart that nothing drives: their centre of mass stays where it was."""
-    robot = Robot(Parameters(body=STRAIGHT))
+    robot = Robot(RobotParameters(body=STRAIGHT))
     plant = robot.plant
     plant.data.qpos[1:] = -0.15
 
@@ -108,7 +108,7 @@ def test_two_kilohertz_are_enough() -> None:
     """The same swing with the step halved, through MuJoCo alone: the tip agrees to half a millimetre."""
 
     def swing(steps: int, halved: int) -> np.ndarray:
-        robot = Robot(Parameters(), held=True)
+        robot = Robot(RobotParameters(), held=True)
         robot.plant.model.opt.timestep /= halved
         for _ in range(steps * halved):
             robot.plant.step(0.0, 0.0, 10.0)
@@ -120,7 +120,7 @@ def test_two_kilohertz_are_enough() -> None:
 
 def test_a_limp_drive_gives_way_to_the_arm() -> None:
     def wander_m(gain: float) -> float:
-        robot = Robot(replace(Parameters(), rail=Rail(velocity_gain_n_s_m=gain)))
+        robot = Robot(replace(RobotParameters(), rail=Rail(velocity_gain_n_s_m=gain)))
         robot.command(0.0, 0.0, 20.0)
         farthest = 0.0
         for step in range(60):

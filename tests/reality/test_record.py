@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import yaml
 
-from softarm.reality.parameters import Clock, Parameters
+from softarm.reality.parameters import Clock, RobotParameters
 from softarm.reality.record import SETTLE_S, record
 from softarm.reality.robot import Robot
 
@@ -46,7 +46,7 @@ def test_a_trial_folder_has_the_formats_files_and_columns(tmp_path: Path) -> Non
 
 def test_what_is_read_back_is_what_the_robot_measured(tmp_path: Path) -> None:
     """The same commands given to a second robot by hand yield the file's numbers, digit for digit."""
-    parameters = replace(Parameters(), clock=Clock(tick_jitter_s=0.003))
+    parameters = replace(RobotParameters(), clock=Clock(tick_jitter_s=0.003))
     trial = read(record(swing, tmp_path / "trial", 1.0, parameters, seed=5, kind="sine"))
     robot = Robot(parameters, seed=5, hanging=True)
     robot.command(0.0, 0.0, 0.0)
@@ -89,7 +89,7 @@ def test_the_same_arguments_write_the_same_bytes_and_another_seed_does_not(tmp_p
 
 def test_a_restless_controller_ticks_late_and_misses(tmp_path: Path) -> None:
     clock = Clock(tick_jitter_s=0.005, missed_ticks=0.2)
-    trial = read(record(swing, tmp_path / "trial", 8.0, replace(Parameters(), clock=clock), kind="sine"))
+    trial = read(record(swing, tmp_path / "trial", 8.0, replace(RobotParameters(), clock=clock), kind="sine"))
     late_s = (trial["command"]["t"] - SETTLE_S) % (1 / 30)
     assert len(trial["command"]) == pytest.approx(0.8 * 240, abs=20)
     assert np.sqrt(np.mean(late_s**2)) == pytest.approx(0.005, rel=0.2)

@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from softarm.reality.parameters import Parameters
+from softarm.reality.parameters import RobotParameters
 from softarm.reality.robot import Robot
 from softarm.schemas.model import Arm
 
@@ -28,7 +28,7 @@ def test_it_says_what_is_wrong(use: Any, message: str) -> None:
 
 def test_a_body_that_no_step_can_follow_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)  # MuJoCo keeps a diary of its warnings
-    robot = Robot(Parameters(body=Arm(stiffness_nm_rad=(1e5,) * 5)))
+    robot = Robot(RobotParameters(body=Arm(stiffness_nm_rad=(1e5,) * 5)))
     robot.command(0.0, 0.3, 10.0)
     with pytest.raises(FloatingPointError, match=r"the robot flew apart at .* s; soften"):
         robot.advance(1.0)

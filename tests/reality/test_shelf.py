@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from softarm.reality.parameters import Arm, Parameters
+from softarm.reality.parameters import Arm, RobotParameters
 from softarm.reality.plant import RADIUS_M
 from softarm.reality.robot import Robot
 from softarm.simulator.simulator import Simulator
@@ -14,7 +14,7 @@ EDGE_M, BOARD_M = -0.25, 0.55
 
 def swing(shelf_m, air=0.0, steps=30):
     """Tips of the independent robot and of ours, both [steps, 2], swung towards a shelf."""
-    robot = Robot(Parameters(arm=Arm(air_kg_m3=air)), cart_position_m=0.1, shelf_m=shelf_m)
+    robot = Robot(RobotParameters(arm=Arm(air_kg_m3=air)), cart_position_m=0.1, shelf_m=shelf_m)
     simulator = Simulator(None, 1, 1200.0)
     simulator.reset(cart_position_m=0.1)
     if shelf_m:

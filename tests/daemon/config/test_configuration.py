@@ -8,7 +8,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from softarm.common.keys import find, leaves
+from softarm.common.keys import leaves
 from softarm.daemon.config.configuration import ConfigurationError, effective_limits, load, read
 from softarm.schemas.config import Config
 
@@ -232,22 +232,6 @@ def test_a_number_out_of_its_bounds_is_refused_at_its_line_and_the_hint_would_be
     assert f"allowed {key.bounds}" in said
     if "write " in said:
         assert key.quantity.admits(float(said.rpartition("write ")[2]))
-
-
-def test_every_key_can_be_found_by_its_path_and_has_something_to_say():
-    for key in leaves(Config):
-        assert find(Config, key.path) == key
-        assert key.allowed
-    assert find(Config, ("limits", "rail", "nonsense")) is None
-    assert find(Config, ("policies", "mine", "plugin")).allowed == "a text"
-
-
-def test_every_key_whose_name_ends_in_a_unit_says_so():
-    units = {key.name: key.unit for key in leaves(Config)}
-    assert units["limits.rail.braking_m_s2"] == "m/s^2"
-    assert units["limits.pressure.slew_max_kpa_s"] == "kPa/s"
-    assert units["drivers.rail.units_per_m"] == "1/m"
-    assert units["failsafe.arming_frames"] == ""
 
 
 def test_effective_limits_say_value_bounds_and_where_each_comes_from(write):

@@ -9,7 +9,7 @@ from softarm.drivers.bodies.in_process import InProcessRobot
 from softarm.drivers.bodies.independent import IndependentBody
 from softarm.policies import registry
 from softarm.policies.hold import Hold
-from softarm.reality.parameters import Mocap, Parameters, PressureSensor, Rail, RailSensor
+from softarm.reality.parameters import Mocap, PressureSensor, Rail, RailSensor, RobotParameters
 from softarm.schemas.config import Config
 from softarm.schemas.goals import Goal
 from softarm.schemas.messages import BODY_NAMES
@@ -51,7 +51,7 @@ def test_the_daemons_own_tick_flies_it_and_a_change_of_the_robot_is_felt():
         assert flight.max_cart_m >= 0.1
         return flight.status.closest_m, flight.reached
 
-    nominal, late = closest_m(None), closest_m(Parameters(rail=Rail(delay_s=0.05)))
+    nominal, late = closest_m(None), closest_m(RobotParameters(rail=Rail(delay_s=0.05)))
     assert nominal[1]
     assert nominal[0] != late[0]
 
@@ -70,7 +70,7 @@ def test_ticks_are_a_thirtieth_of_a_second_however_many_there_were():
 
 
 def test_it_moves_as_commanded_and_shows_what_its_sensors_read():
-    parameters = Parameters(
+    parameters = RobotParameters(
         mocap=Mocap(transport_s=0.02, noise_m=0.0),
         pressure_sensor=PressureSensor(bias_kpa=1.0, noise_kpa=0.0),
         rail_sensor=RailSensor(position_quantum_m=0.01),
