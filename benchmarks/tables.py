@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
 from softarm.diagnosis.blind import pages
-from softarm.flights.table import HARDWARE
+from softarm.flights.table import CEILING, HARDWARE
 
 Read = Callable[[str], Mapping[str, Any]]  # the name of a stored result -> what it holds
 Figure = Mapping[str, Any] | None  # mean, spread, refused: softarm.flights.table.Figure
@@ -83,16 +83,19 @@ _TESTS = {
     "held_back_changed": ("held-back, changed", 162),
     "held_back_shelf": ("held-back, shelf", 12),
 }
+_ROWS = ("reach", "reach-wide", "reach-robust", "shelf", "mppi", "trajectory", "pid", CEILING)
 
 
 def all_tests(read: Read) -> str:
     """All policies at all tests: what a sweep trained, over its seeds, and those that nobody trained."""
+    stored = [read(name) for name in ("all-tests-trained", "all-tests-mppi", "all-tests-others")]
+    figures = {policy: row for each in stored for policy, row in each["policies"].items()}
+    seeds = {policy: known for each in stored for policy, known in each["seeds"].items()}
     rows = []
-    for found in map(read, ("all-tests-trained", "all-tests-mppi", "all-tests-others")):
-        for policy, figures in found["policies"].items():
-            title = "ceiling (open-loop search)" if policy == "ceiling" else f"`{policy}`"
-            cells = [cell(figures.get(column), trials=trials) for column, (_, trials) in _TESTS.items()]
-            rows.append([title, str(len(found["seeds"][policy]) or ""), *cells])
+    for policy in _ROWS:
+        title = "ceiling (open-loop search)" if policy == CEILING else f"`{policy}`"
+        cells = [cell(figures[policy].get(column), trials=trials) for column, (_, trials) in _TESTS.items()]
+        rows.append([title, str(len(seeds[policy]) or ""), *cells])
     for policy, shares in HARDWARE.items():
         cells = [f"{100 * shares[column]:.0f}" if column in shares else "" for column in _TESTS]
         rows.append([f"{policy}, its hardware", "", *cells])
