@@ -4,6 +4,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
+from click.core import ParameterSource
 
 from softarm.cli.errors import fail
 
@@ -21,6 +22,17 @@ model_option = click.option(
     type=FILE,
     help="Model of the robot: a file, or a shipped name such as no-delay (default: seed).",
 )
+
+
+def typed() -> list[str]:
+    """What of the running verb's arguments and options stood on its command line, by the names that people type."""
+    context = click.get_current_context()
+    parameters = ((each, context.get_parameter_source(each.name or "")) for each in context.command.params)
+    return [
+        each.human_readable_name if isinstance(each, click.Argument) else each.opts[0]
+        for each, source in parameters
+        if source is ParameterSource.COMMANDLINE
+    ]
 
 
 def flown_model(file: Path | None) -> "Model | None":

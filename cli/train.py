@@ -5,7 +5,7 @@ from pathlib import Path
 import click
 
 from softarm.cli.errors import fail
-from softarm.cli.options import FILE, FOLDER, model_option
+from softarm.cli.options import FILE, FOLDER, model_option, typed
 from softarm.common.processes import bar, cores
 
 
@@ -106,6 +106,7 @@ def _sweep(file: Path, out: Path, processes: int, ray_address: str | None) -> No
     if missing := tensorboard.missing():
         click.secho(missing, fg="yellow")
     try:
+        sweep.refuse_beside(typed())
         wanted = sweep.load(file)
         todo, results = sweep.plan(wanted, out, max(1, cores() // processes))
         with bar("training", len(todo) + len(results), done=len(results), stay=True) as shown:
@@ -116,5 +117,4 @@ def _sweep(file: Path, out: Path, processes: int, ray_address: str | None) -> No
                 shown.advance()
     except sweep.SweepError as error:
         fail(str(error))
-    click.echo(sweep.save(wanted, results, out), nl=False)
-    click.echo(f"wrote {out / 'results.json'} and {out / 'results.md'}")
+    click.echo(f"{sweep.save(wanted, results, out)}wrote {out / 'results.json'} and {out / 'results.md'}")

@@ -7,6 +7,8 @@ its checkpoint: to restart a sweep is to start it.
 import json
 import logging
 import os
+import threading
+import time
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 from statistics import mean, stdev
@@ -28,6 +30,19 @@ from softarm.training.run.recipe import RECIPES, Recipe
 
 RESULT = "result.json"
 LOCAL = "local"
+# What `softarm train` takes for a single run, and how a sweep's file says it.
+SINGLE = {
+    "TASK": "task: reach",
+    "--task": "task: reach",
+    "--wide": "task: reach-wide",
+    "--seed": "seeds: [1]",
+    "--frames": "frames: 3000000",
+    "--minutes": "frames: 3000000",
+    "--robots": "settings: {run.robots: 1024}",
+    "--device": "settings: {run.device: cuda}",
+    "--model": "model: no-delay",
+    "--resume": "nothing, as a sweep that is started again goes on",
+}
 EXAMPLE = "{seeds: [1, 2], base: {task: reach, frames: 3000000}, runs: {full: {}, no-delay: {model: no-delay}}}"
 
 
@@ -56,6 +71,14 @@ class Sweep(Strict):
                 lines = _merged(RECIPES[like].model_dump(exclude_defaults=True), lines)
             made[name] = Recipe.model_validate(lines)
         return made
+
+
+def refuse_beside(options: Iterable[str]) -> None:
+    """Raises SweepError where a single run's options stand beside a sweep's file, which says all that itself."""
+    if wrong := [f"{option} ({SINGLE[option]})" for option in options if option in SINGLE]:
+        raise SweepError(
+            f"{', '.join(wrong)}: beside --sweep it is the file that says so; write it there, as in brackets"
+        )
 
 
 class Work(NamedTuple):
@@ -158,6 +181,19 @@ def _trained(work: Work) -> Result:
         raise _failed(work, error) from error
 
 
+def _trained_on_ray(work: Work) -> Result:
+    """As `train`, in a worker of Ray's; it ends with the process that started it, which a killed sweep takes along."""
+    threading.Thread(target=_end_with, args=(os.getppid(),), daemon=True).start()
+    return train(work)
+
+
+def _end_with(parent: int) -> None:
+    """A run that went on would write where the next start of the sweep writes too."""
+    while os.getppid() == parent:
+        time.sleep(0.2)
+    os._exit(1)
+
+
 def on_ray(todo: list[Work], address: str) -> Iterator[Result]:
     """Run on a Ray cluster (`local` starts one here), whose machines share this file system; results as they come.
 
@@ -174,7 +210,7 @@ def on_ray(todo: list[Work], address: str) -> Iterator[Result]:
         text = str(error).partition("\n")[0]
         raise SweepError(f"no Ray cluster at '{address}': {text}; give its address, or 'local' for one here") from error
     try:
-        remote = ray.remote(max_retries=0)(train)
+        remote = ray.remote(max_retries=0)(_trained_on_ray)
         waiting = {remote.options(num_cpus=work.threads, num_gpus=_cards(work)).remote(work): work for work in todo}
         while waiting:
             (ready, *_), _ = ray.wait(list(waiting), num_returns=1)

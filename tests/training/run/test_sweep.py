@@ -54,6 +54,18 @@ def test_a_sweep_is_restarted_where_it_was(file, tmp_path):
     assert (out / "mlp" / "seed-1" / "report.html").is_file()
 
 
+def test_what_a_single_runs_options_say_stands_in_a_sweeps_file(file, tmp_path):
+    out = ["--out", str(tmp_path / "out")]
+    beside = ["reach", "--seed", "1", "--robots", "16", "--device", "cpu", "--resume"]
+    result = CliRunner().invoke(train_command, ["--sweep", str(file), *out, *beside])
+    assert result.exit_code == 1
+    for part in ("TASK", "--seed", "--robots", "--device", "--resume", "seeds: [1]", "run.robots"):
+        assert part in result.output
+    assert "--frames" not in result.output  # was not given
+    assert "--out" not in result.output
+    assert not (tmp_path / "out").exists()
+
+
 def test_a_finished_run_of_another_recipe_is_not_taken_for_this_one(file, tmp_path):
     wanted = sweep.load(file)
     folder = tmp_path / "runs" / "full" / "seed-1"
