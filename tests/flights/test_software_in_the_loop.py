@@ -11,7 +11,7 @@ import zenoh
 
 from softarm.daemon.logbook import logs
 from softarm.drivers.mocap import zenoh_session
-from softarm.flights.software_in_the_loop import SoftwareInTheLoop
+from softarm.flights.software_in_the_loop import SoftwareInTheLoop, SoftwareInTheLoopError
 from softarm.schemas.goals import Goal
 
 pytestmark = [pytest.mark.timeout(120), pytest.mark.realtime]
@@ -89,3 +89,11 @@ def test_a_stopped_daemon_leaves_no_process_and_a_finished_log(sil):
     assert logs.read(path).finished
     with pytest.raises(httpx.TransportError):
         sil.client.get("/api/status")
+
+
+def test_a_daemon_that_ends_at_once_leaves_its_last_words(tmp_path):
+    with (
+        pytest.raises(SoftwareInTheLoopError, match=r"`softarm run` ended with 1:\n.*no policy 'raech'"),
+        SoftwareInTheLoop(tmp_path / "logs", {"control": {"policy": "raech"}}),
+    ):
+        pass

@@ -1,0 +1,25 @@
+"""`softarm demo`: the whole of it in a few seconds, and an end that a script can trust."""
+
+import pytest
+from click.testing import CliRunner, Result
+
+from softarm.cli.main import main
+
+pytestmark = [pytest.mark.timeout(120), pytest.mark.realtime]
+
+
+def demo(logs, *arguments) -> Result:
+    return CliRunner().invoke(main, ["demo", "--targets", "1", "--logs", str(logs), *arguments])
+
+
+def test_a_target_is_reached_and_no_limit_exceeded(tmp_path):
+    result = demo(tmp_path)
+    assert result.exit_code == 0, result.output
+    assert "1 of 1 reached, no limit exceeded" in result.output
+    assert len(list(tmp_path.glob("*.mcap"))) == 1
+
+
+def test_what_the_daemon_refuses_is_said_and_a_failure(tmp_path):
+    result = demo(tmp_path, "--policy", "hold")
+    assert result.exit_code == 1
+    assert "the policy 'hold' does not move to targets" in result.output
