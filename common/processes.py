@@ -111,10 +111,6 @@ class Bar:
         """The same for work that counts."""
         self.show(done, of, text)
 
-    def print(self, line: str) -> None:
-        """A line that stays, above the bar."""
-        self._progress.print(line, markup=False, highlight=False, soft_wrap=True)
-
 
 @contextmanager
 def bar(text: str, total: float | None = 1.0, *, done: float = 0, stay: bool = False) -> Iterator[Bar]:
