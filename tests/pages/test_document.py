@@ -3,6 +3,7 @@
 import json
 import re
 
+from softarm.pages.colours import LIGHT
 from softarm.pages.document import Section, document
 from softarm.pages.markup import el
 
@@ -41,3 +42,8 @@ def test_light_dark_and_paper_have_the_same_colours_to_give():
     light, dark = (set(re.findall(r"--([a-z]+):", part)) for part in re.findall(r":root[^{]*\{([^}]*)\}", style)[:2])
     assert light == dark
     assert set(re.findall(r"var\(--([a-z]+)\)", style)) - {"share"} <= light
+
+
+def test_pictures_have_the_light_pages_colours():
+    assert LIGHT["paper"] == "#fdfcfa"
+    assert LIGHT.keys() >= {"ink", "soft", "line", "measured", "nominal", "patched", "good"}

@@ -7,9 +7,9 @@ from pathlib import Path
 from typing import NamedTuple
 
 from softarm.common import files
+from softarm.pages.colours import LIGHT
 
-# Colours that colour-blind people tell apart (Okabe and Ito), as in the reports of `softarm diagnose`.
-BLUE, ORANGE, GREEN, PAPER = "#0a6aa8", "#b84f0e", "#1d6b45", "#fdfcfa"
+BLUE, ORANGE, GREEN, PAPER = (LIGHT[name] for name in ("patched", "nominal", "good", "paper"))  # as on the pages
 
 
 class Row(NamedTuple):

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from softarm.pages.colours import LIGHT
 from softarm.simulator.kernel.contact import APART_M, DEPTH_M, THICKNESS_M
 from softarm.training.record.curve import BLUE, ORANGE, PAPER
 from softarm.training.run.validation import Tested
@@ -17,7 +18,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 REACHED, MISSED = BLUE, ORANGE
-_INK, _SOFT, _LINE, _BEYOND, _BOARD = "#21201d", "#615d56", "#dcd8d0", "#f3f1ec", "#b9ae9a"
+_INK, _SOFT, _LINE = (LIGHT[name] for name in ("ink", "soft", "line"))
+_BEYOND, _BOARD = "#f3f1ec", "#b9ae9a"
 _MARGIN_M = 0.035
 _WIDTH_IN, _LEFT_IN, _RIGHT_IN, _TOP_IN, _BOTTOM_IN, _GAP_IN = 13.4, 0.5, 0.1, 1.15, 0.35, 0.05
 
