@@ -26,7 +26,7 @@ block[at.pressure_command] = 10.0
 kernel.advance_pressure(memory, scratch, links, lanes, (), 0, 8, 1 / 240)
 print(block[at.pressure, 0], len(kernel.advance_pressure.stats.cache_hits))
 """
-# Two files, one inlined into the other: what numba by itself looks at, entry.py, does not change with law.py.
+# Two files, `law` inlined into `entry`: numba by itself looks at the second alone, which does not change.
 MADE = """
 from pathlib import Path
 from softarm.simulator.compiled import compiler
