@@ -11,12 +11,13 @@ from pathlib import Path
 
 import click
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TimeElapsedColumn
 from rich.table import Table
 
 from softarm.benchmarks import results
+from softarm.common.processes import WorkerDied, bar
 from softarm.flights.evaluation import FLIGHTS
-from softarm.flights.many import Place, fly_all, shares, with_faults
+from softarm.flights.many import fly_all, shares
+from softarm.flights.robots import with_faults
 from softarm.policies import registry
 from softarm.policies.base import PolicyError
 from softarm.reality.parameters import RobotParameters
@@ -54,8 +55,7 @@ def measure(policies: Sequence[str], faults: Sequence[str], tell: Callable[[int]
     robots = {NONE: RobotParameters()} | {fault: with_faults(RobotParameters(), [fault]) for fault in faults}
     for policy in policies:
         registry.load(policy)  # before minutes of work
-    places = [Place(fault, fault, parameters=robot) for fault, robot in robots.items()]
-    flown = fly_all({policy: policy for policy in policies}, places, on_flights=tell)
+    flown = fly_all({policy: policy for policy in policies}, robots, on_flights=tell)
     return {fault: {policy: shares(flown[policy, fault]).all for policy in policies} for fault in robots}
 
 
@@ -106,10 +106,9 @@ def main(policies: tuple[str, ...], faults: tuple[str, ...], json_file: Path | N
     console = Console()
     wanted = faults or FAULTS
     try:
-        with Progress("{task.description}", BarColumn(), TimeElapsedColumn(), console=console, transient=True) as bar:
-            task = bar.add_task("flying", total=(1 + len(wanted)) * len(policies) * FLIGHTS)
-            found = measure(policies, wanted, lambda flights: bar.advance(task, flights))
-    except (PolicyError, ValueError) as error:
+        with bar("flying", (1 + len(wanted)) * len(policies) * FLIGHTS) as shown:
+            found = measure(policies, wanted, shown.advance)
+    except (PolicyError, ValueError, WorkerDied) as error:
         raise click.ClickException(str(error)) from None
     table = Table("fault", *policies)
     for fault, reached in found.items():

@@ -31,7 +31,7 @@ from softarm.daemon.logbook import logs
 from softarm.daemon.shell import realtime
 from softarm.flights.software_in_the_loop import SoftwareInTheLoop, SoftwareInTheLoopError
 from softarm.schemas.config import Config
-from softarm.schemas.goals import TEST_TARGETS
+from softarm.schemas.flights import TEST_TARGETS
 
 REQUESTS_PER_S = 200
 WEBSOCKETS = 2

@@ -11,33 +11,32 @@ import click
 import numpy as np
 from numpy.typing import NDArray
 from rich.console import Console
-from rich.progress import Progress
 from rich.table import Table
 
 from softarm.benchmarks import commands
-from softarm.flights import runner as trials
+from softarm.common.processes import bar
 from softarm.flights.evaluation import FLIGHTS
 from softarm.flights.robots import ROBOTS
+from softarm.flights.runner import Runner
 from softarm.policies import registry
 from softarm.policies.base import PolicyError
 from softarm.reality.parameters import Arm, RobotParameters
 from softarm.reality.robot import Robot
-from softarm.schemas.goals import TRAINED_Z_MAX_M
+from softarm.schemas import flights
+from softarm.schemas.flights import Shares
 from softarm.schemas.robot import CONTROL_PERIOD_S, PHYSICS_RATE_HZ
 from softarm.simulator.simulator import Simulator
 
 CART_SHARE = 0.3  # of the random commands' velocity, so that the cart stays off the stops
 
 
-def fly_targets(name: str, parameters: RobotParameters, advance: Callable[[], None]) -> dict[str, NDArray[np.bool_]]:
-    """Reached or not, and whether the target is in the trained range, of each trial of the grid."""
-    policy, reached, inside = registry.load(name), [], []
-    for trial in trials.grid_trials():
-        (outcome,) = trials.fly_held_back(policy, parameters, [trial])
-        reached.append(outcome.reached)
-        inside.append(trial.goal.z_m <= TRAINED_Z_MAX_M)
+def fly_targets(name: str, parameters: RobotParameters, advance: Callable[[], None]) -> Shares:
+    """Fly the 54 targets from three cart starts."""
+    runner, scenarios, reached = Runner(registry.load(name), parameters), flights.grid(), []
+    for scenario in scenarios:
+        reached.append(runner.fly(scenario).reached)
         advance()
-    return {"reached": np.array(reached), "inside": np.array(inside)}
+    return flights.shares(reached, flights.heights(scenarios))
 
 
 def agreement_mm(draw: Callable[..., tuple[NDArray[np.float64], NDArray[np.float64]]], pieces: int, sets: int) -> float:
@@ -68,23 +67,19 @@ def main(policy: str, changed: str, sets: int) -> None:
     console = Console()
     table = Table("commands", "links", "tip RMS over 3 s")
     try:
-        with Progress(console=console, transient=True) as progress:
-            task = progress.add_task("independent robot", total=4 + FLIGHTS)
+        with bar("independent robot", 4 + FLIGHTS) as shown:
             for draw in (commands.smooth, commands.bang_bang):
                 for pieces in (1, 2):
                     apart_mm = agreement_mm(draw, pieces, sets)
                     table.add_row(draw.__name__, str(5 * pieces), f"{apart_mm:.1f} mm")
-                    progress.advance(task)
-            flown = fly_targets(policy, ROBOTS[changed], lambda: progress.advance(task))
+                    shown.advance()
+            shares = fly_targets(policy, ROBOTS[changed], shown.advance)
     except PolicyError as error:
         raise click.ClickException(str(error)) from None
     console.print(table)
-    reached, inside = flown["reached"], flown["inside"]
-    shares = (100 * reached[chosen].mean() for chosen in (inside, ~inside, inside | ~inside))
+    low, above, both = (f"{100 * share:.1f} %" for share in shares)
     console.print(
-        "{}, robot {}, 54 targets x 3 cart starts: z <= 0.70 m {:.1f} %, above {:.1f} %, all {:.1f} %".format(
-            policy, changed, *shares
-        )
+        f"{policy}, robot {changed}, 54 targets x 3 cart starts: z <= 0.70 m {low}, above {above}, all {both}"
     )
 
 

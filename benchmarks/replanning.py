@@ -16,17 +16,19 @@ from typing import Any
 import click
 import numpy as np
 from rich.console import Console
-from rich.progress import Progress
 from rich.table import Table
 
 from softarm.benchmarks import results
+from softarm.common.processes import bar
 from softarm.daemon.control.records import Mode
 from softarm.daemon.shell.offline import Lockstep
-from softarm.flights.evaluation import CART_STARTS_M, FLIGHTS
+from softarm.flights.evaluation import FLIGHTS
+from softarm.flights.runner import Runner
 from softarm.policies import registry
 from softarm.policies.base import Array, Policy, PolicyError
+from softarm.schemas import flights
 from softarm.schemas.config import Config
-from softarm.schemas.goals import TEST_TARGETS, TRAINED_Z_MAX_M
+from softarm.schemas.flights import TEST_TARGETS
 from softarm.schemas.robot import CONTROL_PERIOD_S
 
 PATIENCE_TICKS = (6, 20)  # after which a goal is replaced in mid-swing
@@ -80,20 +82,15 @@ def _spread(values: list[float]) -> dict[str, float]:
 def fly_targets(policy: Policy, advance: Callable[[], None]) -> dict[str, Any]:
     """Fly every test target from rest at every cart start, as fast as it goes."""
     timed = Timed(policy)
-    daemon = Lockstep(Config(), timed)
-    reached, inside, times_s = [], [], []
-    for goal in TEST_TARGETS:
-        for start_m in CART_STARTS_M:
-            flight = daemon.fly(goal, start_m)
-            reached.append(flight.reached)
-            inside.append(goal.z_m <= TRAINED_Z_MAX_M)
-            times_s.append(flight.status.time_s)
-            advance()
-    hit, low = np.array(reached), np.array(inside)
-    success = {"in_range": hit[low].mean(), "above": hit[~low].mean(), "all": hit.mean()}
+    runner, scenarios, flown = Runner(timed), flights.grid(), []
+    for scenario in scenarios:
+        flown.append(runner.fly(scenario))
+        advance()
+    success = flights.shares([flight.reached for flight in flown], flights.heights(scenarios))
+    times_s = [flight.status.time_s for flight in flown if flight.reached]
     return {
-        "success": {name: float(share) for name, share in success.items()},
-        "time_s": float(np.mean(np.array(times_s)[hit])) if hit.any() else None,
+        "success": success._asdict(),
+        "time_s": float(np.mean(times_s)) if times_s else None,
         "planning": timed.figures(),
     }
 
@@ -143,10 +140,8 @@ def main(name: str, seconds: float, json_file: Path | None) -> None:
         policy = registry.load(name)
     except PolicyError as error:
         raise click.ClickException(str(error)) from None
-    with Progress(console=console, transient=True) as progress:
-        task = progress.add_task(name, total=FLIGHTS + round(seconds / CONTROL_PERIOD_S))
-        targets = fly_targets(policy, lambda: progress.advance(task))
-        paced = fly_paced(policy, seconds, lambda: progress.advance(task))
+    with bar(name, FLIGHTS + round(seconds / CONTROL_PERIOD_S)) as shown:
+        targets, paced = fly_targets(policy, shown.advance), fly_paced(policy, seconds, shown.advance)
     success = targets["success"]
     console.print(
         f"{name}, 54 targets x 3 cart starts: z <= 0.70 m {100 * success['in_range']:.1f} %, "

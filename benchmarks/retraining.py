@@ -13,9 +13,9 @@ from pathlib import Path
 
 import click
 from rich.console import Console
-from rich.progress import Progress
 from rich.table import Table
 
+from softarm.common.processes import bar
 from softarm.policies.base import MODELS
 from softarm.simulator import model_file
 from softarm.training.run.checkpoint import CheckpointError
@@ -25,16 +25,15 @@ _DEFAULT = RetrainingConfig()
 
 
 def compare(
-    policy: Path, model: Path, recipes: list[RetrainingConfig], console: Console
+    policy: Path, model: Path, recipes: list[RetrainingConfig]
 ) -> list[tuple[RetrainingConfig, Retrained, float]]:
     """Every recipe, what it came to and its CPU seconds. Raises CheckpointError and ModelFileError."""
     robot, found = model_file.load(model), []
-    with Progress(console=console, transient=True) as bar:
-        task = bar.add_task("", total=len(recipes))
+    with bar("", float(len(recipes))) as shown:
         for number, recipe in enumerate(recipes):
 
             def tell(text: str, share: float, before: int = number) -> None:
-                bar.update(task, description=text, completed=before + share)
+                shown.show(before + share, text=text)
 
             with tempfile.TemporaryDirectory() as folder:
                 began = time.process_time()
@@ -72,7 +71,7 @@ def main(
     ]
     console = Console()
     try:
-        rows = compare(policy, model, recipes, console)
+        rows = compare(policy, model, recipes)
     except (CheckpointError, model_file.ModelFileError) as error:
         raise click.ClickException(str(error)) from None
     table = Table("std", "rate", "robots", "before", "best", "last", "frames", "wall s", "CPU s")

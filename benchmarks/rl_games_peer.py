@@ -136,7 +136,7 @@ def main(frames: int, every: int, json_file: Path | None) -> None:
 
     def look(frame: int, network: PolicyNetwork) -> None:
         with workers() as pool:
-            report = validation.grid_report(network, TASK, pool)
+            report = validation.grid_shares(network, TASK, pool)
         torch.set_num_threads(threads)
         curve.append((time.monotonic() - begun_s, int(frame), *report))
         shares = " / ".join(f"{100 * share:.1f}" for share in report)

@@ -16,12 +16,13 @@ from typing import NamedTuple, TypedDict
 import click
 
 from softarm.benchmarks import results
+from softarm.schemas.flights import Shares
 from softarm.training.learn.inference import Workers, workers
 from softarm.training.run import validation
 from softarm.training.run.recipe import RECIPES, begin
 from softarm.training.run.session import Session
 
-LEVEL = validation.GridReport(in_range=0.94, above=0.50, all=0.80)  # [P] section 4.1, on its hardware
+LEVEL = Shares(in_range=0.94, above=0.50, all=0.80)  # [P] section 4.1, on its hardware
 HELD = 3  # evaluations after the first, as high
 FRAMES_MOST = 8_000_000
 SEEDS = (1, 2, 3, 4, 5)
@@ -32,7 +33,7 @@ class Point(NamedTuple):
 
     seconds: float
     frames: int
-    report: validation.GridReport
+    report: Shares
 
 
 class TimesToLevel(TypedDict):
@@ -53,7 +54,7 @@ def first_held(reached: list[bool], held: int = HELD) -> int | None:
     return None
 
 
-def is_at_level(report: validation.GridReport) -> bool:
+def is_at_level(report: Shares) -> bool:
     """As good as the paper's robot, in each of its three figures."""
     return all(ours >= theirs for ours, theirs in zip(report, LEVEL, strict=True))
 
@@ -68,7 +69,7 @@ def follow(make: Callable[[], Session], pool: Workers, frames_most: int = FRAMES
         if len(session.curve) % session.config.validate_every:
             continue
         now = time.monotonic()
-        report = validation.grid_report(session.average, session.task, pool)
+        report = validation.grid_shares(session.average, session.task, pool)
         points.append(Point(now - start - aside, standing.frames, report))
         aside += time.monotonic() - now
     return points

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from softarm.cli.options import model_option
-from softarm.schemas.goals import TEST_TARGETS, Goal
+from softarm.schemas.flights import TEST_TARGETS
+from softarm.schemas.goals import Goal
 
 if TYPE_CHECKING:
     from rich.console import Console

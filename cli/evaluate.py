@@ -1,6 +1,5 @@
 """`softarm evaluate`: a policy at the paper's 54 targets, or all policies at all tests, by the daemon's own tick."""
 
-import os
 from pathlib import Path
 
 import click
@@ -15,30 +14,18 @@ from softarm.cli.options import FILE, config_option, flown_model, json_option, m
 @model_option
 @click.option("--all", "compare_all", is_flag=True, help="All policies at all tests, the shelf and other robots too.")
 @click.option("--report", type=FILE, help="With --all: write the table as one HTML file.")
-@click.option(
-    "--runs",
-    type=click.Path(path_type=Path, file_okay=False, exists=True),
-    help="With --all: a sweep's folder; its policies stand for the shipped ones, with the spread over seeds.",
-)
-@click.option(
-    "--only", multiple=True, metavar="NAME", help="With --all: this policy (or `ceiling`) alone; again for more."
-)
+@click.option("--runs", type=click.Path(path_type=Path, file_okay=False, exists=True), help="With --all: a sweep's "
+              "folder; its policies stand for the shipped ones, with the spread over seeds.")  # fmt: skip
+@click.option("--only", multiple=True, metavar="NAME",
+              help="With --all: this policy (or `ceiling`) alone; again for more.")  # fmt: skip
 @click.option("--test", "tests", multiple=True, help="With --all: this test alone, TEST or TEST@MODEL; again for more.")
 @click.option("--matrix", is_flag=True, help="With --runs: the sweep alone, on every shipped model and beyond.")
 @click.option("--workers", type=click.IntRange(min=1), help="With --all: processes.  [default: one a core]")
 def evaluate(
-    policy: str,
-    json_file: Path | None,
-    config_file: Path | None,
-    model_file: Path | None,
-    compare_all: bool,
-    report: Path | None,
-    runs: Path | None,
-    only: tuple[str, ...],
-    tests: tuple[str, ...],
-    matrix: bool,
+    policy: str, json_file: Path | None, config_file: Path | None, model_file: Path | None, compare_all: bool,
+    report: Path | None, runs: Path | None, only: tuple[str, ...], tests: tuple[str, ...], matrix: bool,
     workers: int | None,
-) -> None:
+) -> None:  # fmt: skip
     """Fly the 54 test targets from rest at cart positions 0, 0.1 and 0.2 m, in lockstep at 1200 Hz.
 
     Observer, policy, safety filter and failsafe are the daemon's own; only the devices are simulated. With --all
@@ -53,7 +40,7 @@ def evaluate(
       softarm evaluate --all --runs runs/compare --only reach --test grid --test held_back
     """
     if compare_all or matrix:
-        _compare(json_file, report, runs, only, tests, matrix, workers or len(os.sched_getaffinity(0)))
+        _compare(json_file, report, runs, only, tests, matrix, workers)
         return
     if report or runs or only or tests:
         raise click.UsageError("--report, --runs, --only and --test go with --all")
@@ -61,22 +48,15 @@ def evaluate(
 
 
 def _compare(
-    json_file: Path | None,
-    report: Path | None,
-    runs: Path | None,
-    only: tuple[str, ...],
-    tests: tuple[str, ...],
-    matrix: bool,
-    workers: int,
-) -> None:
+    json_file: Path | None, report: Path | None, runs: Path | None, only: tuple[str, ...], tests: tuple[str, ...],
+    matrix: bool, workers: int | None,
+) -> None:  # fmt: skip
     import json
     import shlex
     import sys
 
-    from rich.console import Console
-    from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn
-
     from softarm.cli.errors import fail
+    from softarm.common.processes import WorkerDied, bar, cores
     from softarm.flights import page, table
     from softarm.flights import tests as known
     from softarm.policies.base import PolicyError
@@ -89,12 +69,10 @@ def _compare(
         for test in tests:
             known.check(test)
         found = table.entries(runs, only, only_runs=matrix)
-    except (PolicyError, ModelFileError, ValueError) as error:
+        with bar("flying", sum(len(job.part) for job in table.jobs(found, tests))) as shown:
+            result = table.compare(found, workers or cores(), tests, shown.advance)
+    except (PolicyError, ModelFileError, ValueError, WorkerDied) as error:
         fail(str(error))
-    columns = (TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), TimeElapsedColumn())
-    with Progress(*columns, console=Console(stderr=True), transient=True) as progress:
-        shown = progress.add_task("flying", total=sum(len(job.part) for job in table.jobs(found, tests)))
-        result = table.compare(found, workers, tests, lambda trials: progress.advance(shown, trials))
     click.echo(page.markdown(result), nl=False)
     if json_file is not None:
         json_file.write_text(json.dumps(result, indent=1) + "\n")
@@ -109,10 +87,10 @@ def _evaluate(policy: str, json_file: Path | None, config_file: Path | None, mod
     import json
 
     from rich.console import Console
-    from rich.progress import Progress
     from rich.table import Table
 
     from softarm.cli.errors import fail
+    from softarm.common.processes import bar
     from softarm.daemon.config import configuration
     from softarm.flights import evaluation
     from softarm.policies.base import PolicyError
@@ -122,16 +100,13 @@ def _evaluate(policy: str, json_file: Path | None, config_file: Path | None, mod
     try:
         config = configuration.load(config_file) if config_file else Config()
         model = flown_model(model_file)
-        with Progress(console=console, transient=True) as progress:
-            task = progress.add_task(f"flying {policy}", total=evaluation.FLIGHTS)
-            result = evaluation.evaluate(policy, config, model, lambda: progress.advance(task))
+        with bar(f"flying {policy}", evaluation.FLIGHTS) as shown:
+            result = evaluation.evaluate(policy, config, model, shown.advance)
     except (configuration.ConfigurationError, PolicyError) as error:
         fail(str(error))
-    success = result["success"]
-    rows = (("z <= 0.70 m", success["in_range"]), ("z > 0.70 m", success["above"]), ("all", success["all"]))
     table = Table("targets", "reached", title=f"{policy}: 54 targets x 3 cart starts")
-    for label, share in rows:
-        table.add_row(label, f"{100 * share:.1f} %")
+    for label, part in (("z <= 0.70 m", "in_range"), ("z > 0.70 m", "above"), ("all", "all")):
+        table.add_row(label, f"{100 * result['success'][part]:.1f} %")
     console.print(table)
     console.print(
         f"highest tip {result['max_tip_z_m']:.3f} m, farthest cart {result['max_cart_m']:.3f} m, "

@@ -1,69 +1,36 @@
 """`softarm plan`: optimise trajectories for the policy `trajectory`, or search how much can be reached at all."""
 
-import json
 from pathlib import Path
-from typing import TYPE_CHECKING, TypedDict
+from typing import TYPE_CHECKING
 
 import click
 
 from softarm.cli.options import json_option, model_option
+from softarm.schemas.flights import CART_STARTS_M
 
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from softarm.schemas.model import Model
-    from softarm.training.trajectory.problem import Array
+    from softarm.training.trajectory.rows import Row
 
 OUT = Path("runs/trajectories.npz")
-STARTS_M = (0.0, 0.1, 0.2)  # as `softarm evaluate`
 LISTED = 12  # so many plans are shown one by one
-
-
-class Row(TypedDict):
-    """One target from one start; distances of the tip from the target."""
-
-    y: float
-    z: float
-    start: float
-    planned: bool | None  # reached in the plan, the cart within its limit; None: a search plans nothing
-    planned_miss_m: float | None
-    miss_m: float
-    reached: bool
-    time_s: float | None  # until it was reached
 
 
 @click.command()
 @click.option("--target", "targets", type=(float, float), multiple=True, metavar="Y Z", help="Default: the paper's 54.")
-@click.option(
-    "--start",
-    "starts",
-    type=click.FloatRange(-0.2, 0.2),
-    multiple=True,
-    default=STARTS_M,
-    show_default=True,
-    metavar="M",
-    help="Where the cart begins.",
-)
+@click.option("--start", "starts", type=click.FloatRange(-0.2, 0.2), multiple=True, default=CART_STARTS_M,
+              show_default=True, metavar="M", help="Where the cart begins.")  # fmt: skip
 @model_option
 @click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Of the first guesses.")
-@click.option(
-    "--out",
-    type=click.Path(path_type=Path, dir_okay=False),
-    default=OUT,
-    show_default=True,
-    help="The file of plans to write.",
-)
+@click.option("--out", type=click.Path(path_type=Path, dir_okay=False), default=OUT, show_default=True,
+              help="The file of plans to write.")  # fmt: skip
 @click.option("--ceiling", is_flag=True, help="Search by trial alone and write no plans: what can be reached at all?")
 @json_option
 def plan(
-    targets: tuple[tuple[float, float], ...],
-    starts: tuple[float, ...],
-    model_file: Path | None,
-    seed: int,
-    out: Path,
-    ceiling: bool,
-    json_file: Path | None,
-) -> None:
+    targets: tuple[tuple[float, float], ...], starts: tuple[float, ...], model_file: Path | None, seed: int, out: Path,
+    ceiling: bool, json_file: Path | None,
+) -> None:  # fmt: skip
     """Optimise commands that swing the tip onto targets (the paper's upper bound) and write them to a file.
 
     Every plan begins with the arm straight and at rest, and is flown at 1200 Hz behind the daemon's braking clamp
@@ -75,14 +42,18 @@ def plan(
       softarm plan --target -0.2 0.7 --start 0
       softarm plan --ceiling
     """
+    import json
     import time
 
     import numpy as np
     from rich.console import Console
 
     from softarm.cli.errors import fail
-    from softarm.schemas.goals import TEST_TARGETS
+    from softarm.common.processes import bar
+    from softarm.schemas.flights import TEST_TARGETS
     from softarm.simulator import model_file as files
+    from softarm.training.trajectory import planner, rows
+    from softarm.training.trajectory.ceiling import ROUNDS
 
     console = Console()
     try:
@@ -92,15 +63,21 @@ def plan(
     wanted = np.array(targets or [(goal.y_m, goal.z_m) for goal in TEST_TARGETS], dtype=np.float32)
     wall, cpu = time.perf_counter(), time.process_time()
     if ceiling:
-        rows = _search(wanted, starts, model, seed, console)
+        with bar("searching", ROUNDS * len(starts)) as shown:
+            found = rows.of_searches(wanted, starts, model, seed, shown.advance)
     else:
-        rows = _plan(wanted, starts, model, model_file.stem if model_file else "seed", seed, out, console)
+        with bar("flying random swings") as shown:
+            name = model_file.stem if model_file else "seed"
+            report = planner.plan(wanted, starts, model, name, seed, lambda text, share: shown.advance(share, text))
+        out.parent.mkdir(parents=True, exist_ok=True)
+        report.plans.save(out)
+        found = rows.of_plans(report)
     wall, cpu = time.perf_counter() - wall, time.process_time() - cpu
-    _show(rows, console)
+    _show(found, console)
     done = "searched" if ceiling else "planned and flown"
-    console.print(f"{len(rows)} {done} in {wall:.1f} s ({cpu:.1f} s of processor time)")
+    console.print(f"{len(found)} {done} in {wall:.1f} s ({cpu:.1f} s of processor time)")
     if json_file is not None:
-        json_file.write_text(json.dumps({"wall_s": wall, "cpu_s": cpu, "rows": rows}, indent=1) + "\n")
+        json_file.write_text(json.dumps({"wall_s": wall, "cpu_s": cpu, "rows": found}, indent=1) + "\n")
         console.print(f"wrote {json_file}")
     if not ceiling:
         console.print(f"wrote {out}. Next: fly them through the daemon's own tick:")
@@ -108,89 +85,11 @@ def plan(
         click.echo("  softarm evaluate --policy mine --config mine.yaml")
 
 
-def _plan(
-    targets_m: "Array",
-    starts_m: tuple[float, ...],
-    model: "Model | None",
-    name: str,
-    seed: int,
-    out: Path,
-    console: "Console",
-) -> list[Row]:
-    """Plan behind a progress bar and write the file."""
-    from rich.progress import Progress
-
-    from softarm.training.trajectory.planner import plan
-
-    with Progress(console=console, transient=True) as bar:
-        shown = bar.add_task("flying random swings", total=1.0)
-        report = plan(
-            targets_m,
-            starts_m,
-            model,
-            name,
-            seed,
-            on_advance=lambda doing, share: bar.update(shown, description=doing, advance=share),
-        )
-    plans = report.plans
-    out.parent.mkdir(parents=True, exist_ok=True)
-    plans.save(out)
-    columns = (
-        plans.target_m,
-        plans.cart_start_m,
-        plans.miss_m,
-        report.reached_s,
-        report.planned,
-        report.planned_miss_m,
-    )
-    return [_row(*values) for values in zip(*columns, strict=True)]
-
-
-def _search(
-    targets_m: "Array", starts_m: tuple[float, ...], model: "Model | None", seed: int, console: "Console"
-) -> list[Row]:
-    """Search behind a progress bar."""
-    from rich.progress import Progress
-
-    from softarm.training.trajectory.ceiling import ROUNDS, search
-
-    rows = []
-    with Progress(console=console, transient=True) as bar:
-        shown = bar.add_task("searching", total=ROUNDS * len(starts_m))
-        for start in starts_m:
-            found = search(targets_m, start, model, seed, on_round=lambda: bar.advance(shown))
-            columns = zip(targets_m, found.closest_m, found.reached_s, strict=True)
-            rows += [_row(target, start, miss, reached_s) for target, miss, reached_s in columns]
-    return rows
-
-
-def _row(
-    target_m: "Array",
-    start_m: float,
-    miss_m: float,
-    reached_s: float,
-    planned: bool | None = None,
-    planned_miss_m: float | None = None,
-) -> Row:
-    """Plain numbers, for the table and for JSON."""
-    reached = reached_s == reached_s
-    return Row(
-        y=round(float(target_m[0]), 6),
-        z=round(float(target_m[1]), 6),
-        start=round(float(start_m), 6),
-        planned=None if planned is None else bool(planned),
-        planned_miss_m=None if planned_miss_m is None else float(planned_miss_m),
-        miss_m=float(miss_m),
-        reached=bool(reached),
-        time_s=float(reached_s) if reached else None,
-    )
-
-
-def _show(rows: list[Row], console: "Console") -> None:
+def _show(rows: "list[Row]", console: "Console") -> None:
     """A few plans one by one, many by their height; and what was not reached."""
     from rich.table import Table
 
-    from softarm.schemas.goals import TRAINED_Z_MAX_M
+    from softarm.schemas.flights import in_range
 
     if len(rows) <= LISTED:
         table = Table("start (m)", "y, z (m)", "planned (mm)", "in the simulator (mm)", "reached after (s)")
@@ -201,22 +100,16 @@ def _show(rows: list[Row], console: "Console") -> None:
             table.add_row(f"{row['start']:.2f}", place, planned, f"{row['miss_m'] * 1e3:.1f}", after)
         console.print(table)
         return
-    high = TRAINED_Z_MAX_M + 1e-4
     table = Table("targets", "from starts", "in the plan", "in the simulator", "reached after (s)")
-    parts = (("z <= 0.70 m", 0.0, high), ("z > 0.70 m", high, 9.0), ("all", 0.0, 9.0))
-    for label, low, top in parts:
-        part = [row for row in rows if low < row["z"] <= top]
+    low, above = ([row for row in rows if in_range(row["z"]) == inside] for inside in (True, False))
+    for label, part in (("z <= 0.70 m", low), ("z > 0.70 m", above), ("all", rows)):
         if not part:
             continue
         hits = [row["planned"] for row in part if row["planned"] is not None]
         times = [row["time_s"] for row in part if row["time_s"] is not None]
-        table.add_row(
-            label,
-            str(len(part)),
-            f"{100 * sum(hits) / len(hits):.1f} %" if hits else "-",
-            f"{100 * len(times) / len(part):.1f} %",
-            f"{sum(times) / len(times):.2f} on average" if times else "-",
-        )
+        planned = f"{100 * sum(hits) / len(hits):.1f} %" if hits else "-"
+        after = f"{sum(times) / len(times):.2f} on average" if times else "-"
+        table.add_row(label, str(len(part)), planned, f"{100 * len(times) / len(part):.1f} %", after)
     console.print(table)
     missed = sorted({(row["y"], row["z"]) for row in rows if not row["reached"]})
     if missed:

@@ -1,116 +1,86 @@
-"""Policies over the 54 test targets on several robots, the daemon's own tick in all of them, a process a core."""
+"""Policies over the 54 test targets on several robots, a process a core."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from softarm.common.processes import as_they_come, cores
-from softarm.flights import runner as trials
+from softarm.flights.runner import Robot, fly
 from softarm.policies import registry
-from softarm.reality.parameters import GROUPS, RobotParameters
+from softarm.policies.base import Policy
+from softarm.schemas import flights
 from softarm.schemas.config import Policy as ConfiguredPolicy
-from softarm.schemas.goals import TEST_TARGETS, TRAINED_Z_MAX_M, Goal
-from softarm.schemas.model import Model
+from softarm.schemas.flights import TEST_TARGETS, Shares
+from softarm.schemas.goals import Goal
 
 Reached = NDArray[np.bool_]  # [targets, starts]
+PolicyName = Path | str  # an ONNX file, or a name that the registry knows
+Flown = Mapping[tuple[str, str], Reached]  # (policy, robot), as they were named -> what it reached there
 _PART = 9  # targets that a process takes at once
 
 
-@dataclass(frozen=True)
-class Place:
-    """A robot to fly on: the simulator with a model, or, with `parameters`, the independent robot."""
+class Job(NamedTuple):
+    """What a process does at once."""
 
-    key: str  # nominal, patched, held-back
-    title: str
-    model: Model | None = None
-    parameters: RobotParameters | None = None
-
-
-@dataclass(frozen=True)
-class Shares:
-    """Of the flights, how many reached their target."""
-
-    in_range: float | None  # z <= 0.70 m; None without such targets
-    above: float | None
-    all: float
+    policy: str
+    robot: str
+    first: int  # of the targets
+    flown: PolicyName
+    on: Robot
+    targets: Sequence[Goal]
 
 
-def shares(reached: Reached, targets: Sequence[Goal] = TEST_TARGETS) -> Shares:
-    """Shares by where the targets lie; reached is [targets, starts]."""
-    inside = np.array([goal.z_m <= TRAINED_Z_MAX_M for goal in targets])
-    parts = [float(reached[rows].mean()) if rows.any() else None for rows in (inside, ~inside)]
-    return Shares(parts[0], parts[1], float(reached.mean()))
-
-
-def fly(policy: Path | str, place: Place, targets: Sequence[Goal] = TEST_TARGETS) -> Reached:
-    """Fly every target from rest at every cart start; policy: an ONNX file, or a name that the registry knows.
-
-    Raises PolicyError for what is no policy.
-    """
+def load(policy: PolicyName) -> Policy:
+    """A policy to fly. Raises PolicyError for what is none."""
     if isinstance(policy, str):
-        plugin = registry.load(policy)
-    else:
-        plugin = registry.load("flown", {"flown": ConfiguredPolicy(plugin="onnx", options={"model": str(policy)})})
-    wanted = trials.grid_trials(targets)
-    if place.parameters is None:
-        flown = trials.fly(plugin, place.model, wanted)
-    else:
-        flown = trials.fly_held_back(plugin, place.parameters, wanted)
-    return np.array([outcome.reached for outcome in flown]).reshape(len(targets), -1)
+        return registry.load(policy)
+    return registry.load("flown", {"flown": ConfiguredPolicy(plugin="onnx", options={"model": str(policy)})})
+
+
+def fly_grid(policy: PolicyName, robot: Robot, targets: Sequence[Goal] = TEST_TARGETS) -> Reached:
+    """Fly every target from rest at every cart start. Raises PolicyError for what is no policy."""
+    flown = fly(load(policy), robot, flights.grid(targets))
+    return np.array([flight.reached for flight in flown]).reshape(len(targets), -1)
 
 
 def fly_all(
-    policies: Mapping[str, Path | str],
-    places: Sequence[Place],
+    policies: Mapping[str, PolicyName],
+    robots: Mapping[str, Robot],
     targets: Sequence[Goal] = TEST_TARGETS,
     on_flights: Callable[[int], None] = lambda flights: None,
     processes: int | None = None,
 ) -> dict[tuple[str, str], Reached]:
-    """(policy's name, place's key) -> reached, [targets, starts]. on_flights(how many more are done).
+    """Every policy on every robot. on_flights(how many more are done).
 
-    The same figures from any number of processes; none is started for 1. Raises what `fly` raises.
+    The same figures from any number of processes (default: one a core); none is started for 1. Raises what `fly_grid`
+    raises, and WorkerDied.
     """
-    parts = [targets[i : i + _PART] for i in range(0, len(targets), _PART)]
-    jobs = [(name, place, i) for place in places for name in policies for i in range(len(parts))]
+    firsts = range(0, len(targets), _PART)
+    jobs = [
+        Job(policy, robot, first, policies[policy], robots[robot], targets[first : first + _PART])
+        for robot in robots
+        for policy in policies
+        for first in firsts
+    ]
     found: dict[tuple[str, str, int], Reached] = {}
-    for job, reached in as_they_come(partial(_fly, policies, parts), jobs, processes or cores()):
-        name, place, i = job
-        found[name, place.key, i] = reached
+    for job, reached in as_they_come(_fly, jobs, processes or cores()):
+        found[job.policy, job.robot, job.first] = reached
         on_flights(reached.size)
     return {
-        (name, place.key): np.concatenate([found[name, place.key, i] for i in range(len(parts))])
-        for place in places
-        for name in policies
+        (policy, robot): np.concatenate([found[policy, robot, first] for first in firsts])
+        for robot in robots
+        for policy in policies
     }
 
 
-def _fly(policies: Mapping[str, Path | str], parts: Sequence[Sequence[Goal]], job: tuple[str, Place, int]) -> Reached:
-    name, place, i = job
-    return fly(policies[name], place, parts[i])
+def shares(reached: Reached, targets: Sequence[Goal] = TEST_TARGETS) -> Shares:
+    """Shares by where the targets lie; reached is [targets, starts]."""
+    heights_m = np.repeat([goal.z_m for goal in targets], reached.shape[1])
+    return flights.shares(reached.ravel(), heights_m)
 
 
-def with_faults(robot: RobotParameters, faults: Sequence[str]) -> RobotParameters:
-    """Give the independent robot its faults, `group.quantity=value` each (docs/reality.md lists them).
-
-    Raises ValueError for one that there is none of, or whose value is out of bounds.
-    """
-    for text in faults:
-        key, equals, number = text.partition("=")
-        group, _, name = key.strip().partition(".")
-        part = getattr(robot, group, None) if type(getattr(robot, group, None)) in GROUPS else None
-        known = part.__dataclass_fields__ if part is not None else {}
-        if not equals or part is None or name not in known:
-            groups = [g for g in robot.__dataclass_fields__ if type(getattr(robot, g)) in GROUPS]
-            allowed = ", ".join(known) if part is not None else f"a group of {', '.join(groups)}"
-            raise ValueError(f"--fault {text}: write group.quantity=value, such as regulator.dead_time_s=0.06; "
-                             f"allowed here: {allowed}")  # fmt: skip
-        try:
-            value = int(number) if known[name].type in (int, "int") else float(number)
-        except ValueError:
-            raise ValueError(f"--fault {text}: '{number}' is no number; give one") from None
-        robot = replace(robot, **{group: replace(part, **{name: value})})
-    return robot
+def _fly(job: Job) -> Reached:
+    return fly_grid(job.flown, job.on, job.targets)

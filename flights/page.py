@@ -6,7 +6,7 @@ from softarm.flights.table import CEILING, Comparison, Figure
 from softarm.pages import charts
 from softarm.pages.document import Section, document
 from softarm.pages.markup import Child, Html, el, join, shaded, table
-from softarm.schemas.goals import TEST_TARGETS
+from softarm.schemas.flights import TEST_TARGETS
 
 READING = (  # below every table
     "Empty: not measured, or no test of it. A dash: the policy had an answer to none of these trials.",

@@ -3,7 +3,10 @@
 All but the nominal one differ from what every policy but a robust one was trained for.
 """
 
-from softarm.reality.parameters import Arm, Rail, Regulator, RobotParameters
+from collections.abc import Sequence
+from dataclasses import replace
+
+from softarm.reality.parameters import GROUPS, Arm, Rail, Regulator, RobotParameters
 from softarm.simulator.effects import exemplars
 
 # As strong as the registry's examples: 50 g at the tip, a regulator that takes half as long again, a drive that hears
@@ -22,3 +25,26 @@ ROBOTS = {
     "later": RobotParameters(rail=Rail(delay_s=0.09)),
     "weak": RobotParameters(rail=Rail(acceleration_m_s2=3.0)),
 }
+
+
+def with_faults(robot: RobotParameters, faults: Sequence[str]) -> RobotParameters:
+    """Give the independent robot its faults, `group.quantity=value` each (docs/reality.md lists them).
+
+    Raises ValueError for one that there is none of, or whose value is out of bounds.
+    """
+    for text in faults:
+        key, equals, number = text.partition("=")
+        group, _, name = key.strip().partition(".")
+        part = getattr(robot, group, None) if type(getattr(robot, group, None)) in GROUPS else None
+        known = part.__dataclass_fields__ if part is not None else {}
+        if not equals or part is None or name not in known:
+            groups = [g for g in robot.__dataclass_fields__ if type(getattr(robot, g)) in GROUPS]
+            allowed = ", ".join(known) if part is not None else f"a group of {', '.join(groups)}"
+            raise ValueError(f"--fault {text}: write group.quantity=value, such as regulator.dead_time_s=0.06; "
+                             f"allowed here: {allowed}")  # fmt: skip
+        try:
+            value = int(number) if known[name].type in (int, "int") else float(number)
+        except ValueError:
+            raise ValueError(f"--fault {text}: '{number}' is no number; give one") from None
+        robot = replace(robot, **{group: replace(part, **{name: value})})
+    return robot

@@ -11,17 +11,16 @@ from typing import NamedTuple, TypedDict
 import numpy as np
 
 from softarm.common.processes import as_they_come
-from softarm.flights.evaluation import CART_STARTS_M
-from softarm.flights.runner import Outcome, Trial
-from softarm.flights.tests import COLUMNS, TESTS, label
+from softarm.flights.many import load
+from softarm.flights.runner import Robot, fly
+from softarm.flights.tests import COLUMNS, TESTS, label, robot, scenarios
 from softarm.policies import registry
 from softarm.policies.base import PolicyError
 from softarm.policies.onnx_policy import OnnxPolicy
-from softarm.schemas.config import Policy as ConfiguredPolicy
-from softarm.schemas.goals import TEST_TARGETS, TRAINED_Z_MAX_M, Goal
+from softarm.schemas.flights import CART_STARTS_M, TEST_TARGETS, Scenario, heights, in_range
+from softarm.schemas.goals import Goal
 from softarm.schemas.model import Model
 from softarm.schemas.policy import TrainingRange
-from softarm.simulator import model_file
 
 # The paper's own figures, on its hardware (section 4, Table 1, SM-H, SM-I); shares.
 HARDWARE: dict[str, dict[str, float]] = {
@@ -30,7 +29,7 @@ HARDWARE: dict[str, dict[str, float]] = {
     "the paper's PID": {"all": 0.17},
 }
 CEILING = "ceiling"
-PART = 27  # trials that a process takes at once
+PART = 27  # flights that a process makes at once
 OUTSIDE = "none of these targets lies in the range that the policy was made for"
 
 
@@ -39,22 +38,29 @@ class Entry(NamedTuple):
 
     name: str
     seed: int | None = None  # None: not learned
-    model: str | None = None  # of an ONNX file; None: the registry knows the name
+    file: Path | None = None  # of an ONNX policy; None: the registry knows the name
     trained: TrainingRange | None = None
 
 
 class Job(NamedTuple):
-    """What a process does at once: some trials of one test."""
+    """What a process does at once: some scenarios of one test."""
 
     entry: Entry
     test: str
     part: range
 
 
+class Score(NamedTuple):
+    """What the table keeps of a flight, or of a search."""
+
+    reached: bool
+    refusal: str | None = None  # the policy's words when it had no answer; such a trial is not reached
+
+
 class Cell(NamedTuple):
     """What one policy did in one column of the table."""
 
-    outcomes: list[Outcome]
+    scores: list[Score]
     inside: bool  # at least one target lies in the range that it was made for
 
 
@@ -87,7 +93,7 @@ def entries(runs: Path | None, names: tuple[str, ...] = (), only_runs: bool = Fa
     trained: dict[str, list[Entry]] = {}
     for file in sorted(runs.glob("*/seed-*/*.onnx")) if runs else ():
         name, number = file.parts[-3], int(file.parts[-2].removeprefix("seed-"))
-        trained.setdefault(name, []).append(Entry(name, number, str(file), OnnxPolicy.describe(str(file)).trained))
+        trained.setdefault(name, []).append(Entry(name, number, file, OnnxPolicy.describe(str(file)).trained))
     if runs and not trained:
         raise PolicyError(f"{runs}: no NAME/seed-K/*.onnx in it; `softarm train --sweep` writes them")
     shipped: dict[str, list[Entry]] = {}
@@ -107,25 +113,21 @@ def jobs(found: Sequence[Entry], tests: Sequence[str]) -> list[Job]:
     made = []
     for entry in found:
         for test in tests:
-            name = test.partition("@")[0]
-            count, step = len(TESTS[name].make()), len(CART_STARTS_M)
+            count, step = len(scenarios(test)), len(CART_STARTS_M)
             if entry.name != CEILING:
                 made += [Job(entry, test, range(first, min(first + PART, count))) for first in range(0, count, PART)]
-            elif name == "grid":
+            elif test.partition("@")[0] == "grid":
                 made += [Job(entry, test, range(start, count, step)) for start in range(step)]
     return made
 
 
-def measure(job: Job) -> list[Outcome]:
-    """Fly a job's trials; in a worker."""
-    entry = job.entry
-    name, _, model = job.test.partition("@")
-    every = TESTS[name].make()
-    chosen, on = [every[number] for number in job.part], model_file.load(model) if model else None
+def measure(job: Job) -> list[Score]:
+    """Fly a job's scenarios; in a worker."""
+    entry, every, on = job.entry, scenarios(job.test), robot(job.test)
+    chosen = [every[number] for number in job.part]
     if entry.name == CEILING:
         return _search(chosen, on)
-    configured = {} if entry.model is None else {entry.name: _onnx(entry.model)}
-    return TESTS[name].fly(registry.load(entry.name, configured), on, chosen)
+    return [Score(flight.reached, flight.refusal) for flight in fly(load(entry.file or entry.name), on, chosen)]
 
 
 def compare(
@@ -136,28 +138,28 @@ def compare(
 ) -> Comparison:
     """Fly all in so many processes (1: this one); advance(how many more trials are done)."""
     todo = jobs(found, tests)
-    flown: dict[Job, list[Outcome]] = {}
-    for job, outcomes in as_they_come(measure, todo, processes):
-        flown[job] = outcomes
+    flown: dict[Job, list[Score]] = {}
+    for job, scores in as_they_come(measure, todo, processes):
+        flown[job] = scores
         advance(len(job.part))
     return summary({job: flown[job] for job in todo})
 
 
-def summary(flown: dict[Job, list[Outcome]]) -> Comparison:
+def summary(flown: dict[Job, list[Score]]) -> Comparison:
     """Shares by policy and column, with the spread over seeds."""
-    whole: dict[tuple[Entry, str], dict[int, Outcome]] = {}
-    for job, outcomes in flown.items():
-        whole.setdefault((job.entry, job.test), {}).update(zip(job.part, outcomes, strict=True))
+    whole: dict[tuple[Entry, str], dict[int, Score]] = {}
+    for job, part in flown.items():
+        whole.setdefault((job.entry, job.test), {}).update(zip(job.part, part, strict=True))
     cells: dict[str, dict[str, list[Cell]]] = {}  # policy -> column -> seed
     per_target: dict[str, list[list[float]]] = {}
     seeds: dict[str, list[int]] = {}
     for (entry, test), numbered in whole.items():
-        outcomes = [numbered[number] for number in range(len(numbered))]
+        scores = [numbered[number] for number in range(len(numbered))]
         row = cells.setdefault(entry.name, {})
-        for column, cell in _split(entry, test, outcomes).items():
+        for column, cell in _split(entry, test, scores).items():
             row.setdefault(column, []).append(cell)
         if test == "grid":
-            hits = np.array([outcome.reached for outcome in outcomes], dtype=float).reshape(len(TEST_TARGETS), -1)
+            hits = np.array([score.reached for score in scores], dtype=float).reshape(len(TEST_TARGETS), -1)
             per_target.setdefault(entry.name, []).append(hits.mean(axis=1).tolist())
         known = seeds.setdefault(entry.name, [])
         known += [entry.seed] if entry.seed is not None and entry.seed not in known else []
@@ -172,26 +174,26 @@ def summary(flown: dict[Job, list[Outcome]]) -> Comparison:
     )
 
 
-def _search(wanted: Sequence[Trial], model: Model | None) -> list[Outcome]:
-    """Search open-loop commands for trials that share their start."""
+def _search(wanted: Sequence[Scenario], on: Robot) -> list[Score]:
+    """Search open-loop commands for scenarios that share their start."""
     from softarm.training.trajectory.ceiling import search
 
-    targets_m = np.array([(trial.goal.y_m, trial.goal.z_m) for trial in wanted], dtype=np.float32)
-    found = search(targets_m, wanted[0].cart_start_m, model)
-    return [Outcome(bool(np.isfinite(reached_s))) for reached_s in found.reached_s]
+    assert isinstance(on, Model), "the grid is flown on the simulator"
+    targets_m = np.array([(each.goal.y_m, each.goal.z_m) for each in wanted], dtype=np.float32)
+    found = search(targets_m, wanted[0].cart_start_m, on)
+    return [Score(bool(np.isfinite(reached_s))) for reached_s in found.reached_s]
 
 
-def _split(entry: Entry, test: str, outcomes: list[Outcome]) -> dict[str, Cell]:
+def _split(entry: Entry, test: str, scores: list[Score]) -> dict[str, Cell]:
     """A test's columns; on another model the grid is one."""
-    goals = [trial.goal for trial in TESTS[test.partition("@")[0]].make()]
-    flown = list(zip(goals, outcomes, strict=True))
-    columns = {test: flown}
+    flown = scenarios(test)
+    columns: dict[str, Sequence[int]] = {test: range(len(flown))}
     if test == "grid":
-        low = [(goal, outcome) for goal, outcome in flown if goal.z_m <= TRAINED_Z_MAX_M]
-        above = [(goal, outcome) for goal, outcome in flown if goal.z_m > TRAINED_Z_MAX_M]
-        columns = {"in_range": low, "above": above, "all": flown}
+        low = in_range(heights(flown))
+        inside, above = np.flatnonzero(low).tolist(), np.flatnonzero(~low).tolist()
+        columns = {"in_range": inside, "above": above, "all": range(len(flown))}
     return {
-        column: Cell([outcome for _, outcome in part], any(_inside(goal, entry.trained) for goal, _ in part))
+        column: Cell([scores[k] for k in part], any(_inside(flown[k].goal, entry.trained) for k in part))
         for column, part in columns.items()
     }
 
@@ -204,21 +206,17 @@ def _inside(goal: Goal, made_for: TrainingRange | None) -> bool:
 
 
 def _figure(seeds: list[Cell]) -> Figure:
-    values = [mean(outcome.reached for outcome in seed.outcomes) for seed in seeds]
-    refused = mean(outcome.refusal is not None for seed in seeds for outcome in seed.outcomes)
+    values = [mean(score.reached for score in seed.scores) for seed in seeds]
+    refused = mean(score.refusal is not None for seed in seeds for score in seed.scores)
     return Figure(mean=mean(values), spread=stdev(values) if len(values) > 1 else None, values=values, refused=refused)
 
 
 def _notes(seeds: list[Cell]) -> list[str]:
     """Whether it is beyond what the policy was made for; how often it had no answer, in its own words."""
-    outcomes = [outcome for seed in seeds for outcome in seed.outcomes]
-    words = [outcome.refusal for outcome in outcomes if outcome.refusal is not None]
-    notes = [] if len(words) == len(outcomes) or any(seed.inside for seed in seeds) else [OUTSIDE]
+    scores = [score for seed in seeds for score in seed.scores]
+    words = [score.refusal for score in scores if score.refusal is not None]
+    notes = [] if len(words) == len(scores) or any(seed.inside for seed in seeds) else [OUTSIDE]
     if words:
         first, _, _ = words[0].partition(":")
-        notes.append(f"refused {len(words)} of {len(outcomes)} trials, which count as not reached; the first: {first}")
+        notes.append(f"refused {len(words)} of {len(scores)} trials, which count as not reached; the first: {first}")
     return notes
-
-
-def _onnx(model: str) -> ConfiguredPolicy:
-    return ConfiguredPolicy(plugin="onnx", options={"model": model})

@@ -1,13 +1,14 @@
 """Which tests there are. `TEST@MODEL` is one on another simulator, a shipped model or a file."""
 
 import importlib.util
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import NamedTuple
 
-from softarm.flights import runner as trials
 from softarm.flights.robots import ROBOTS
-from softarm.flights.runner import Outcome, Trial
-from softarm.policies.base import Policy
+from softarm.flights.runner import Robot
+from softarm.reality.parameters import RobotParameters
+from softarm.schemas import flights
+from softarm.schemas.flights import Scenario
 from softarm.schemas.model import Model
 from softarm.simulator import model_file
 
@@ -30,30 +31,25 @@ COLUMNS = {
 
 
 class Test(NamedTuple):
-    """Trials, and the robot that they are flown on."""
+    """Scenarios, and the robot that they are flown on."""
 
-    make: Callable[[], list[Trial]]
-    fly: Callable[[Policy, Model | None, Sequence[Trial]], list[Outcome]]
-
-
-def _held_back(robot: str) -> Callable[[Policy, Model | None, Sequence[Trial]], list[Outcome]]:
-    """The independent robot is what it is: it takes no model of ours."""
-    return lambda policy, _, flown: trials.fly_held_back(policy, ROBOTS[robot], flown)
+    scenarios: Callable[[], list[Scenario]]
+    robot: RobotParameters | None = None  # None: the simulator
 
 
 TESTS = {
-    "grid": Test(trials.grid_trials, trials.fly),
-    "swinging": Test(trials.swinging_trials, trials.fly_swinging),
-    "shelf": Test(trials.shelf_trials, trials.fly),
-    "shelf_random": Test(trials.random_shelf_trials, trials.fly),
-    "held_back": Test(trials.grid_trials, _held_back("nominal")),
-    "held_back_payload": Test(trials.grid_trials, _held_back("payload")),
-    "held_back_slow": Test(trials.grid_trials, _held_back("slow")),
-    "held_back_late": Test(trials.grid_trials, _held_back("late")),
-    "held_back_changed": Test(trials.grid_trials, _held_back("changed")),
-    "held_back_later": Test(trials.grid_trials, _held_back("later")),
-    "held_back_weak": Test(trials.grid_trials, _held_back("weak")),
-    "held_back_shelf": Test(trials.shelf_trials, _held_back("nominal")),
+    "grid": Test(flights.grid),
+    "swinging": Test(flights.swinging),
+    "shelf": Test(flights.shelf),
+    "shelf_random": Test(flights.random_shelf),
+    "held_back": Test(flights.grid, ROBOTS["nominal"]),
+    "held_back_payload": Test(flights.grid, ROBOTS["payload"]),
+    "held_back_slow": Test(flights.grid, ROBOTS["slow"]),
+    "held_back_late": Test(flights.grid, ROBOTS["late"]),
+    "held_back_changed": Test(flights.grid, ROBOTS["changed"]),
+    "held_back_later": Test(flights.grid, ROBOTS["later"]),
+    "held_back_weak": Test(flights.grid, ROBOTS["weak"]),
+    "held_back_shelf": Test(flights.shelf, ROBOTS["nominal"]),
 }
 # Training model x evaluation model, as the paper's Table 1: its shelf on every shipped simulator and beyond.
 MATRIX = (
@@ -65,20 +61,30 @@ MATRIX = (
 )
 
 
+def scenarios(test: str) -> list[Scenario]:
+    """What is flown in a test."""
+    return TESTS[test.partition("@")[0]].scenarios()
+
+
+def robot(test: str) -> Robot:
+    """What it is flown on. Raises ModelFileError."""
+    name, _, model = test.partition("@")
+    return TESTS[name].robot or (model_file.load(model) if model else Model())
+
+
 def check(test: str) -> None:
     """Raises ValueError for a test that there is not or that cannot be flown here, ModelFileError for its model."""
     name, _, model = test.partition("@")
-    held_back = name.startswith("held_back")
     if name not in TESTS:
         raise ValueError(
             f"no test '{name}'; there is {', '.join(TESTS)}, each also as TEST@MODEL but the held-back ones"
         )
+    held_back = TESTS[name].robot is not None
     if model and held_back:
         raise ValueError(f"{test}: the held-back robot takes no model; leave @{model} out")
     if held_back and importlib.util.find_spec("mujoco") is None:
         raise ValueError(f"{test} needs the package 'mujoco': pip install 'softarm[mujoco]', or choose tests by --test")
-    if model:
-        model_file.load(model)
+    robot(test)
 
 
 def label(test: str) -> str:

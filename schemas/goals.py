@@ -29,15 +29,3 @@ class GoalStatus:
     closest_m: float | None = None  # the tip's closest distance to the target so far
     time_s: float = 0.0  # since the goal was taken up; stands still once it has ended
     number: int = 0  # goals taken up since the daemon started
-
-
-# The paper's free-space test set: 9 x 6 over y in [-0.4, 0.0], z in [0.55, 0.80]; it trained on z <= 0.70.
-TEST_TARGETS = tuple(
-    Goal("reach", round(-0.40 + 0.05 * column, 2), round(0.55 + 0.05 * row, 2))
-    for row in range(6)
-    for column in range(9)
-)
-TRAINED_Z_MAX_M = 0.70
-
-# The paper's four targets on the shelf, y and z (its section 4.2, where the third is printed with y = +0.48).
-SHELF_TARGETS = ((-0.48, 0.60), (-0.48, 0.63), (-0.48, 0.66), (-0.53, 0.63))

@@ -1,6 +1,5 @@
 """The daemon without a clock: the same tick in lockstep with a robot in this process, as fast as it will go."""
 
-from dataclasses import dataclass
 from itertools import count
 
 from softarm.daemon.control.records import Inputs, Mode, Outputs, Request, RequestKind, TickTiming
@@ -12,26 +11,11 @@ from softarm.drivers.bodies.simulated import SimulatedBody
 from softarm.policies.base import Policy
 from softarm.policies.runner import InlineRunner
 from softarm.schemas.config import Config
-from softarm.schemas.goals import Goal, GoalStatus
+from softarm.schemas.flights import Flight
+from softarm.schemas.goals import Goal
 from softarm.schemas.model import Model
-from softarm.schemas.robot import RAIL_LIMIT_M
 
 SETTLED_NS = 1_000_000_000  # jump in time when the robot is put somewhere; nothing is differenced across it
-
-
-@dataclass(frozen=True, slots=True)
-class Flight:
-    """One goal, from being taken up to its end."""
-
-    status: GoalStatus
-    max_tip_z_m: float
-    max_cart_m: float  # farthest from the middle of the rail, truly
-    ticks: int
-
-    @property
-    def reached(self) -> bool:
-        """Whether it counts: reached, and the cart stayed within the rail's limit ([P] SM-D)."""
-        return self.status.state == "reached" and self.max_cart_m <= RAIL_LIMIT_M
 
 
 class Lockstep:

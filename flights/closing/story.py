@@ -1,87 +1,80 @@
 """What `softarm close-gap` adds to the diagnosis' report: the retraining, and the policy before and after."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
-from softarm.diagnosis.gap.result import Diagnosis
-from softarm.flights.closing.summary import HELD_BACK, NEW, OLD, PATCHED, changed
-from softarm.flights.many import Place, Reached, shares
+import numpy as np
+
+from softarm.flights.closing.closed import HELD_BACK, NEW, OLD, PATCHED, Closed, changed
+from softarm.flights.many import Reached, shares
 from softarm.pages import charts
 from softarm.pages.markup import Html, bar, el, join, prose, table
 from softarm.pages.numbers import number, percent
-from softarm.schemas.goals import TEST_TARGETS, Goal
+from softarm.schemas.goals import Goal
 from softarm.training.run.retrain import Retrained
 
-Flown = Mapping[tuple[str, str], Reached]
 
-
-def story(
-    diagnosis: Diagnosis,
-    policy: str,
-    places: Sequence[Place],
-    flown: Flown,
-    retrained: Retrained | None,
-    targets: Sequence[Goal] = TEST_TARGETS,
-) -> list[tuple[str, str]]:
+def sections(closed: Closed) -> list[tuple[str, str]]:
     """Sections for the report, (title, HTML)."""
-    if retrained is None:
-        why = f"The verdict is {diagnosis.verdict.verdict}: nothing was named, so nothing was patched or retrained."
-        return [("The policy", join([el("p", why), _shares(places, flown, targets)]))]
+    if closed.retrained is None:
+        verdict = closed.diagnosis.verdict.verdict
+        why = f"The verdict is {verdict}: nothing was named, so nothing was patched or retrained."
+        return [("The policy", join([el("p", why), _shares(closed)]))]
     return [
-        ("The policy before and after", _before_and_after(policy, places, flown, retrained, targets)),
-        ("Retraining", _training(policy, retrained)),
+        ("The policy before and after", _before_and_after(closed)),
+        ("Retraining", _training(closed.policy.stem, closed.retrained)),
     ]
 
 
-def sentence(places: Sequence[Place], flown: Flown, retrained: Retrained | None) -> str:
+def sentence(closed: Closed) -> str:
     """What came of it, for the terminal and the top of the section."""
-    if retrained is None:
+    if closed.retrained is None:
         return "Nothing was named, so nothing was patched and the policy was not retrained."
-    last = next(place for key in (HELD_BACK, PATCHED) for place in places if place.key == key)
-    old, new = flown[OLD, last.key], flown[NEW, last.key]
+    last = next(place for key in (HELD_BACK, PATCHED) for place in closed.places if place.key == key)
+    old, new = closed.flown[OLD, last.key], closed.flown[NEW, last.key]
     both = changed(old, new)
     told = (
         f"On {last.title} the old policy reaches {percent(float(old.mean()))} of the targets and the retrained one "
         f"{percent(float(new.mean()))}: of {old.size} flights {both['gained']} gained, {both['lost']} lost."
     )
-    if retrained.better:
+    if closed.retrained.better:
         return told
     return told + " In validation the retrained one is no better: keep the old one, or train on with more --seconds."
 
 
-def _before_and_after(
-    policy: str, places: Sequence[Place], flown: Flown, retrained: Retrained, targets: Sequence[Goal]
-) -> Html:
-    parts = [el("p", prose(sentence(places, flown, retrained))), _shares(places, flown, targets)]
-    for place in places:
+def _before_and_after(closed: Closed) -> Html:
+    parts = [el("p", prose(sentence(closed))), _shares(closed)]
+    for place in closed.places:
         if place.key in (HELD_BACK, PATCHED):
-            pictures = [_map(flown[name, place.key], targets, f"{label} policy, {place.title}")
-                        for name, label in ((OLD, "old"), (NEW, "retrained"))]  # fmt: skip
+            pictures = [
+                _map(closed.flown[name, place.key], closed.targets, f"{label} policy, {place.title}")
+                for name, label in ((OLD, "old"), (NEW, "retrained"))
+            ]
             parts.append(el("div", *pictures, class_="multiples maps"))
+    targets = len(closed.targets)
     note = (
-        f"The paper's {len(targets)} targets from {next(iter(flown.values())).shape[1]} cart positions each, the "
+        f"The paper's {targets} targets from {closed.flights // targets} cart positions each, the "
         "daemon's own tick in every flight. A disc's ink is the share of its flights that reached; targets above "
-        f"z = 0.70 m lie outside the training range. The old policy is {policy}."
+        f"z = 0.70 m lie outside the training range. The old policy is {closed.policy.stem}."
     )
     return join([*parts, el("p", note, class_="hint")])
 
 
-def _shares(places: Sequence[Place], flown: Flown, targets: Sequence[Goal]) -> Html:
-    names = [name for name in (OLD, NEW) if any(key[0] == name for key in flown)]
+def _shares(closed: Closed) -> Html:
     rows = []
-    for place in places:
+    for place in closed.places:
         row: list[Html | str] = [place.title]
-        for name, kind in zip(names, ("nominal", "patched"), strict=False):
-            share = shares(flown[name, place.key], targets)
-            row.append(bar(share.all, kind, percent(share.all)))
-            row.append("–" if share.in_range is None else percent(share.in_range))
-        if NEW in names:
-            both = changed(flown[OLD, place.key], flown[NEW, place.key])
+        for name in closed.policies:
+            share = shares(closed.flown[name, place.key], closed.targets)
+            row.append(bar(share.all, "nominal" if name == OLD else "patched", percent(share.all)))
+            row.append("–" if np.isnan(share.in_range) else percent(share.in_range))
+        if NEW in closed.policies:
+            both = changed(closed.flown[OLD, place.key], closed.flown[NEW, place.key])
             row.append(f"+{both['gained']} −{both['lost']}")
         rows.append(row)
-    head = ["flown on", *(title for n in names for title in (f"{n} policy", f"{n}, z to 0.70 m"))]
-    if NEW in names:
+    head = ["flown on", *(title for n in closed.policies for title in (f"{n} policy", f"{n}, z to 0.70 m"))]
+    if NEW in closed.policies:
         head.append("flights gained, lost")
-    return table(head, rows, "How often the policy reaches its target", numbers=(2, 4, 5)) if rows else Html("")
+    return table(head, rows, "How often the policy reaches its target", numbers=(2, 4, 5))
 
 
 def _map(reached: Reached, targets: Sequence[Goal], title: str) -> Html:

@@ -1,8 +1,8 @@
 """`softarm bench train`: a level counts when it is held."""
 
 from softarm.benchmarks import training as measurement
+from softarm.schemas.flights import Shares
 from softarm.training.learn.inference import workers
-from softarm.training.run import validation
 from softarm.training.run.recipe import Recipe, begin
 
 
@@ -14,9 +14,9 @@ def test_a_level_counts_from_where_it_is_held_for_three_more():
 
 
 def test_the_level_is_the_papers_in_all_three_figures():
-    assert measurement.is_at_level(validation.GridReport(0.94, 0.50, 0.80))
+    assert measurement.is_at_level(Shares(0.94, 0.50, 0.80))
     for worse in ((0.93, 0.9, 0.9), (0.99, 0.49, 0.9), (0.99, 0.9, 0.79)):
-        assert not measurement.is_at_level(validation.GridReport(*worse))
+        assert not measurement.is_at_level(Shares(*worse))
 
 
 def test_a_run_is_followed_validation_by_validation_to_its_end(tmp_path):

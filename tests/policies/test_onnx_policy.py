@@ -181,3 +181,10 @@ def test_a_step_costs_far_less_than_the_loop_can_spare(write_model, network):
         policy.step(observation, goal)
         times.append(time.perf_counter_ns() - start)
     assert np.median(times) < 1e6  # ns; tens of microseconds on an idle machine
+
+
+def test_a_reaching_policy_ignores_the_depth():
+    policy = OnnxPolicy("reach")
+    policy.target_depth_m = 0.3
+    policy.step(np.zeros(8, np.float32), np.array((-0.2, 0.6), np.float32))
+    assert policy._input.shape == (1, 10)

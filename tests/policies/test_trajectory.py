@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 
 from softarm.daemon.shell.offline import Lockstep
-from softarm.flights.evaluation import CART_STARTS_M
 from softarm.policies.base import MODELS, Policy, PolicyError
 from softarm.policies.plans import Plans
 from softarm.policies.runner import InlineRunner
 from softarm.policies.trajectory import Trajectory
 from softarm.schemas.config import Config
-from softarm.schemas.goals import TEST_TARGETS, Goal
+from softarm.schemas.flights import CART_STARTS_M, TEST_TARGETS
+from softarm.schemas.goals import Goal
 
 GOAL = np.array([-0.2, 0.6], dtype=np.float32)
 STEPS = 5

@@ -11,7 +11,7 @@ from softarm import policies
 from softarm.schemas.model import Model
 from softarm.schemas.policy import METADATA_KEY, PolicyMetadata
 from softarm.training.run.recipe import PRESETS
-from softarm.training.run.validation import validation_trials
+from softarm.training.run.validation import validation_scenarios
 from softarm.training.task.reach import ReachTask
 from softarm.training.task.shelf import environment_of
 
@@ -27,7 +27,7 @@ def shipped(name: str) -> onnxruntime.InferenceSession:
 def reached_in_range(policy: onnxruntime.InferenceSession, task: ReachTask, model: Model | None = None) -> float:
     """Share of random targets of the task's training range."""
     task = replace(task, action_noise=0.0)
-    trials, count = validation_trials(task, 5, 384), 256  # the first two thirds lie in the range
+    trials, count = validation_scenarios(task, 5, 384), 256  # the first two thirds lie in the range
     environment = environment_of(task, 384, 0, model)
     observation = trials.begin(environment)
     h = c = np.zeros((1, 384, policy.get_inputs()[1].shape[2]), dtype=np.float32)

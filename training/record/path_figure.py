@@ -60,7 +60,7 @@ def draw(tested: Tested, task: ReachTask, title: str) -> "Figure":
         place = (left / size_in[0], bottom / size_in[1], width_in / size_in[0], height_in / size_in[1])
         axes = figure.add_axes(place, xlim=window.y, ylim=window.z, xticks=[], yticks=[], facecolor="white")
         _fill(axes, tested, panel, task)
-        y, z = tested.trials.target_m[panel.trials[0]]
+        y, z = tested.scenarios.target_m[panel.trials[0]]
         if not shelf and panel.row == rows - 1:
             axes.set_xlabel(f"y {y:.2f} m", color=_SOFT, fontsize=9)
         if not shelf and panel.column == 0:
@@ -76,7 +76,7 @@ def write_png(tested: Tested, task: ReachTask, path: Path, title: str) -> None:
 
 def _grid_panels(tested: Tested) -> list[Panel]:
     """Targets where they are: y from left to right, z from below."""
-    y, z = tested.trials.target_m.T
+    y, z = tested.scenarios.target_m.T
     places = [
         (row, column, np.flatnonzero((y == across) & (z == height)))
         for row, height in enumerate(np.unique(z)[::-1])
@@ -87,7 +87,7 @@ def _grid_panels(tested: Tested) -> list[Panel]:
 
 def _shelf_panels(tested: Tested) -> list[Panel]:
     """Targets in their own order, two in a row."""
-    targets, first, which = np.unique(tested.trials.target_m, axis=0, return_index=True, return_inverse=True)
+    targets, first, which = np.unique(tested.scenarios.target_m, axis=0, return_index=True, return_inverse=True)
     return [
         Panel(k // 2, k % 2, np.flatnonzero(which == i), f"target at y {targets[i, 0]:.2f}, z {targets[i, 1]:.2f} m")
         for k, i in enumerate(np.argsort(first))
@@ -96,10 +96,10 @@ def _shelf_panels(tested: Tested) -> list[Panel]:
 
 def _window(tested: Tested, task: ReachTask) -> _Window:
     """What holds every path, every target and the rail's limits."""
-    points = np.concatenate((tested.outcome.tip_m.reshape(-1, 2), tested.trials.target_m))
+    points = np.concatenate((tested.flown.tip_m.reshape(-1, 2), tested.scenarios.target_m))
     low, high = np.nanmin(points, axis=0) - _MARGIN_M, np.nanmax(points, axis=0) + _MARGIN_M
     if isinstance(task, ShelfTask):
-        high[1] = max(high[1], float(tested.trials.target_m[:, 1].max()) + APART_M + _MARGIN_M)
+        high[1] = max(high[1], float(tested.scenarios.target_m[:, 1].max()) + APART_M + _MARGIN_M)
     else:
         high[1] += 0.25 * (high[1] - low[1])  # a line of words
     room = task.rail_limit_m + _MARGIN_M
@@ -114,9 +114,9 @@ def _fill(axes: "Axes", tested: Tested, panel: Panel, task: ReachTask) -> None:
     left, right = axes.get_xlim()
     axes.axvspan(left, -task.rail_limit_m, color=_BEYOND, linewidth=0, zorder=0)
     axes.axvspan(task.rail_limit_m, right, color=_BEYOND, linewidth=0, zorder=0)
-    outcome, target = tested.outcome, tested.trials.target_m[panel.trials[0]]
-    if tested.trials.depth_m is not None and isinstance(task, ShelfTask):
-        _boards(axes, target[0] + tested.trials.depth_m[panel.trials[0]], target[1] - task.board_below_m)
+    outcome, target = tested.flown, tested.scenarios.target_m[panel.trials[0]]
+    if tested.scenarios.depth_m is not None and isinstance(task, ShelfTask):
+        _boards(axes, target[0] + tested.scenarios.depth_m[panel.trials[0]], target[1] - task.board_below_m)
     reached = outcome.reached[panel.trials]
     colour = REACHED if reached.all() else MISSED
     axes.add_patch(Circle(target, task.success_radius_m, facecolor=f"{colour}2c", edgecolor=colour, linewidth=0.8))
@@ -134,10 +134,10 @@ def _fill(axes: "Axes", tested: Tested, panel: Panel, task: ReachTask) -> None:
 
 def _result(tested: Tested, panel: Panel) -> str:
     """How it went, in few words."""
-    reached = tested.outcome.reached[panel.trials]
+    reached = tested.flown.reached[panel.trials]
     if reached.all():
-        return f"in {tested.outcome.time_s[panel.trials].max():.1f} s"
-    short_cm = 100.0 * float(tested.outcome.closest_m[panel.trials][~reached].min())
+        return f"in {tested.flown.time_s[panel.trials].max():.1f} s"
+    short_cm = 100.0 * float(tested.flown.closest_m[panel.trials][~reached].min())
     return f"{reached.sum()} of {len(reached)}, {short_cm:.1f} cm away"
 
 
@@ -181,7 +181,7 @@ def _head(figure: "Figure", tested: Tested, task: ReachTask, title: str) -> None
         fontweight="bold",
         va="center",
     )
-    figure.text(left, 1 - 0.64 / height_in, tested.report.sentence, color=_INK, fontsize=10.5, va="center")
+    figure.text(left, 1 - 0.64 / height_in, tested.sentence, color=_INK, fontsize=10.5, va="center")
     figure.legend(
         list(signs.values()),
         list(signs),

@@ -32,7 +32,7 @@ def write(session: Session, tested: Tested) -> Path:
         best=best.validation or 0.0,
         best_frames=best.frames,
         chosen_by=chosen_by(session.task),
-        test=tested.report.sentence,
+        test=tested.sentence,
         changed=page.changed(settings, expected),
     )
     pictures = ((out / name).read_bytes() for name in ("learning_curve.png", "tip_paths.png"))

@@ -14,7 +14,7 @@ def ending(session: Session, policy: Path) -> Iterator[str]:
     yield f"  {policy.name}: the checkpoint with {session.best:.1%} of the validation set reached"
     yield "  learning_curve.csv and .png, latest.pt (to resume), best.pt (`softarm export`)"
     tested = report.fly_test_trials(session)
-    yield f"  {tested.report.sentence}"
+    yield f"  {tested.sentence}"
     page = report.write(session, tested)
     yield f"  {page.name}: the curves and the tip's paths at these trials, also in tip_paths.png"
     if session.events.fault is None:

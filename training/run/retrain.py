@@ -99,9 +99,9 @@ def retrain(
     ppo, robots = PpoConfig(learning_rate=config.learning_rate), around(model, config.spread)
     with workers() as pool:
         tell("flying the old policy in validation", 0.0)
-        trials = validation.validation_trials(prior.task, model.arm.links, config.validation_trials)
+        scenarios = validation.validation_scenarios(prior.task, model.arm.links, config.validation_trials)
         flown = validation.fly(
-            prior.network, prior.task, trials, pool, training.physics_rate_hz, model, randomisation=robots
+            prior.network, prior.task, scenarios, pool, training.physics_rate_hz, model, randomisation=robots
         )
         before = flown.reached.mean()
         session = Session(

@@ -16,7 +16,7 @@ from softarm.training.record import curve, export
 from softarm.training.record.tensorboard import EventFile
 from softarm.training.run import checkpoint
 from softarm.training.run.settings import DTYPES, TrainingConfig, recorded
-from softarm.training.run.validation import Validation, validation_trials
+from softarm.training.run.validation import Validation, validation_scenarios
 from softarm.training.task.environment import ACTIONS
 from softarm.training.task.randomisation import Randomisation
 from softarm.training.task.reach import ReachTask
@@ -89,8 +89,8 @@ class Session:
             self.network = PolicyNetwork(shape).to(device)
         # What is validated and exported: single iterations jitter around it.
         self.average = copy.deepcopy(self.network)
-        trials = validation_trials(task, environment.simulator.links, config.validation_trials)
-        self._validation = Validation(task, trials, pool, rate_hz, self.model, DTYPES[products], robots)
+        scenarios = validation_scenarios(task, environment.simulator.links, config.validation_trials)
+        self._validation = Validation(task, scenarios, pool, rate_hz, self.model, DTYPES[products], robots)
         self.learner = Ppo(self.network, environment, ppo, pool, config.seed, DTYPES[products])
         self.frames, self.seconds = 0, 0.0
         self.curve: list[curve.Row] = []

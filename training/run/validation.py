@@ -1,5 +1,6 @@
 """How often a policy reaches: a validation set to choose by; to report, the seed's 54 targets and its shelf."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -7,7 +8,8 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from softarm.schemas.goals import SHELF_TARGETS
+from softarm.schemas import flights
+from softarm.schemas.flights import TRAINED_Z_MAX_M, Scenario, Shares
 from softarm.schemas.model import Model
 from softarm.schemas.policy import Observation
 from softarm.schemas.robot import PHYSICS_RATE_HZ, TRAINING_PHYSICS_RATE_HZ
@@ -27,12 +29,10 @@ SHELF_VALIDATION_SET = (
     "random targets, depths and cart starts of the training range, arm straight at rest; seed 20230; "
     "none of the test trials"
 )
-ABOVE_M = 0.70  # targets above it lie outside the seed's training range
-GRID_STARTS_M = (0.0, 0.1, 0.2)
 RANDOM_SHELF_SEED = 54
 
 
-class Trials(NamedTuple):
+class Scenarios(NamedTuple):
     """Starts and targets of a set of episodes."""
 
     starts: Starts
@@ -40,34 +40,20 @@ class Trials(NamedTuple):
     depth_m: Array | None = None  # [R], of the targets in their shelves
 
     def begin(self, environment: Environment) -> Array:
-        """Put an environment's robots where the trials begin; returns the observation."""
+        """Put an environment's robots where the episodes begin; returns the observation."""
         if self.depth_m is None:
             return environment.reset(self.starts, self.target_m)
         assert isinstance(environment, ShelfEnvironment), "depths are the shelf's"
         return environment.reset(self.starts, self.target_m, self.depth_m)
 
 
-class Outcome(NamedTuple):
-    """What became of each trial."""
+class Flown(NamedTuple):
+    """What came of each scenario."""
 
     reached: NDArray[np.bool_]  # [R]
     time_s: Array  # [R], until the success or the episode's end
     closest_m: Array  # [R]
-    tip_m: Array  # [steps + 1, R, 2], the tips' paths y, z from the start on; NaN after a trial's end
-
-
-class GridReport(NamedTuple):
-    """Shares of the 54 targets from three starts that were reached."""
-
-    in_range: float
-    above: float
-    all: float
-
-    @property
-    def sentence(self) -> str:
-        """For people."""
-        shares = f"{self.in_range:.1%} in range, {self.above:.1%} above, {self.all:.1%} in all"
-        return f"54 test targets from three starts, at {PHYSICS_RATE_HZ:g} Hz: {shares}"
+    tip_m: Array  # [steps + 1, R, 2], the tips' paths y, z from the start on; NaN after an episode's end
 
 
 class ShelfReport(NamedTuple):
@@ -84,11 +70,18 @@ class ShelfReport(NamedTuple):
 
 
 class Tested(NamedTuple):
-    """A task's test trials, how each went, and the shares that are told."""
+    """A task's test scenarios, how each went, and the shares that are told."""
 
-    report: GridReport | ShelfReport
-    trials: Trials  # the grid's, or the seed's at the shelf
-    outcome: Outcome
+    report: Shares | ShelfReport
+    scenarios: Scenarios  # the grid's, or the seed's at the shelf
+    flown: Flown
+
+    @property
+    def sentence(self) -> str:
+        """For people."""
+        if isinstance(self.report, ShelfReport):
+            return self.report.sentence
+        return f"54 test targets from three starts, at {PHYSICS_RATE_HZ:g} Hz: {self.report.sentence}"
 
 
 def at_rest(cart_position_m: Array, links: int) -> Starts:
@@ -98,7 +91,7 @@ def at_rest(cart_position_m: Array, links: int) -> Starts:
     return Starts(cart_position_m.astype(np.float32), still, np.zeros(count, dtype=np.float32))
 
 
-def validation_trials(task: ReachTask, links: int, count: int = 1536) -> Trials:
+def validation_scenarios(task: ReachTask, links: int, count: int = 1536) -> Scenarios:
     """What checkpoints are chosen by: two thirds random targets of the task's training range, one third of the band
     above the seed's (z 0.70 to 0.80 m, where many are out of reach), from random cart positions of the training
     range, arm straight at rest. Random points: the seed's 54 test targets are a grid, and none of them. For the shelf
@@ -106,56 +99,55 @@ def validation_trials(task: ReachTask, links: int, count: int = 1536) -> Trials:
     """
     rng = np.random.default_rng(VALIDATION_SEED)
     if isinstance(task, ShelfTask):
-        return _random_shelf_trials(task, links, count, rng)
+        return _random_shelf_scenarios(task, links, count, rng)
     inside = task.sample_targets(rng, count - count // 3)
-    band = replace(task, target_z_m=(ABOVE_M, 0.80)).sample_targets(rng, count // 3)
+    band = replace(task, target_z_m=(TRAINED_Z_MAX_M, 0.80)).sample_targets(rng, count // 3)
     cart = rng.uniform(*task.cart_start_m, count).clip(-0.24, 0.24)
-    return Trials(at_rest(cart, links), np.concatenate((inside, band)))
+    return Scenarios(at_rest(cart, links), np.concatenate((inside, band)))
 
 
-def grid_trials(links: int) -> Trials:
+def grid_scenarios(links: int) -> Scenarios:
     """The seed's 54 test targets from each of three starts: [3 x 54], start by start."""
-    y, z = np.meshgrid(np.linspace(-0.4, 0.0, 9), np.linspace(0.55, 0.80, 6))
-    targets = np.tile(np.column_stack((y.ravel(), z.ravel())), (len(GRID_STARTS_M), 1))
-    cart = np.repeat(np.array(GRID_STARTS_M), 54)
-    return Trials(at_rest(cart, links), targets.astype(np.float32))
+    return _together(sorted(flights.grid(), key=lambda scenario: scenario.cart_start_m), links)
 
 
-def shelf_trials(task: ShelfTask, links: int) -> Trials:
-    """The seed's twelve: four targets ([P] section 4.2), each from the three cart starts of the 54 targets.
-
-    The paper does not say where its shelf stood: here the targets lie in the middle of the range of depths.
-    """
-    targets = np.repeat(np.array(SHELF_TARGETS, dtype=np.float32), len(GRID_STARTS_M), axis=0)
-    cart = np.tile(np.array(GRID_STARTS_M), len(SHELF_TARGETS))
-    depths = np.full(len(targets), np.mean(task.target_depth_m), dtype=np.float32)
-    return Trials(at_rest(cart, links), targets, depths)
+def shelf_scenarios(links: int) -> Scenarios:
+    """The seed's twelve: four targets, each from the three cart starts of the 54 targets."""
+    return _together(flights.shelf(), links)
 
 
-def random_shelf_trials(task: ShelfTask, links: int, count: int = 500) -> Trials:
+def _together(scenarios: Sequence[Scenario], links: int) -> Scenarios:
+    """Scenarios that begin at rest, all before a shelf or none."""
+    targets_m = np.array([(each.goal.y_m, each.goal.z_m) for each in scenarios], dtype=np.float32)
+    depths = [each.depth_m for each in scenarios if each.depth_m is not None]
+    starts = at_rest(np.array([each.cart_start_m for each in scenarios]), links)
+    return Scenarios(starts, targets_m, np.array(depths, dtype=np.float32) if depths else None)
+
+
+def random_shelf_scenarios(task: ShelfTask, links: int, count: int = 500) -> Scenarios:
     """Random targets, depths and cart starts of the task's training range; the same ones every time."""
-    return _random_shelf_trials(task, links, count, np.random.default_rng(RANDOM_SHELF_SEED))
+    return _random_shelf_scenarios(task, links, count, np.random.default_rng(RANDOM_SHELF_SEED))
 
 
-def _random_shelf_trials(task: ShelfTask, links: int, count: int, rng: np.random.Generator) -> Trials:
+def _random_shelf_scenarios(task: ShelfTask, links: int, count: int, rng: np.random.Generator) -> Scenarios:
     targets, depths = task.sample_targets(rng, count), task.sample_depths(rng, count)
-    return Trials(at_rest(rng.uniform(*task.cart_start_m, count).clip(-0.24, 0.24), links), targets, depths)
+    return Scenarios(at_rest(rng.uniform(*task.cart_start_m, count).clip(-0.24, 0.24), links), targets, depths)
 
 
 def fly(
     network: PolicyNetwork,
     task: ReachTask,
-    trials: Trials,
+    scenarios: Scenarios,
     pool: Workers,
     physics_rate_hz: float = TRAINING_PHYSICS_RATE_HZ,
     model: Model | None = None,
     dtype: torch.dtype = torch.float32,
     randomisation: Randomisation | None = None,
-) -> Outcome:
-    """Fly every trial once with the policy's mean action and no noise of the action's."""
-    count, first = len(trials.target_m), len(Observation._fields)  # the goal follows the observation
+) -> Flown:
+    """Fly every scenario once with the policy's mean action and no noise of the action's."""
+    count, first = len(scenarios.target_m), len(Observation._fields)  # the goal follows the observation
     environment = environment_of(replace(task, action_noise=0.0), count, 0, model, physics_rate_hz, randomisation)
-    observation = trials.begin(environment)
+    observation = scenarios.begin(environment)
     reached, alive = np.zeros(count, dtype=np.bool_), np.ones(count, dtype=np.bool_)
     time_s = np.full(count, task.episode_steps / task.rate_hz, dtype=np.float32)
     closest = np.full(count, np.inf, dtype=np.float32)
@@ -173,15 +165,15 @@ def fly(
         reached |= alive & step.success
         alive &= ~over
         observation = step.observation  # robots that began again fly on unseen
-    return Outcome(reached, time_s, closest, path)
+    return Flown(reached, time_s, closest, path)
 
 
 @dataclass(frozen=True)
 class Validation:
-    """What a run's checkpoints are chosen by: the same trials every time, on robots such as it learns on."""
+    """What a run's checkpoints are chosen by: the same scenarios every time, on robots such as it learns on."""
 
     task: ReachTask
-    trials: Trials
+    scenarios: Scenarios
     pool: Workers
     physics_rate_hz: float
     model: Model
@@ -189,10 +181,10 @@ class Validation:
     randomisation: Randomisation
 
     def success(self, network: PolicyNetwork) -> float:
-        """Share of the trials that a network reaches."""
+        """Share of the scenarios that a network reaches."""
         rate_hz, dtype, robots = self.physics_rate_hz, self.dtype, self.randomisation
-        outcome = fly(network, self.task, self.trials, self.pool, rate_hz, self.model, dtype, robots)
-        return float(outcome.reached.mean())
+        flown = fly(network, self.task, self.scenarios, self.pool, rate_hz, self.model, dtype, robots)
+        return float(flown.reached.mean())
 
 
 def chosen_by(task: ReachTask) -> str:
@@ -216,10 +208,10 @@ def shelf_test(
 ) -> Tested:
     """Success at the shelf on a model (default: the seed's), for the record; nothing is chosen by it."""
     links = (model or Model()).arm.links
-    trials = shelf_trials(task, links)
-    random = random_shelf_trials(replace(ShelfTask(), muscle=task.muscle), links)
-    seeds, others = (fly(network, task, each, pool, physics_rate_hz, model) for each in (trials, random))
-    return Tested(ShelfReport(float(seeds.reached.mean()), float(others.reached.mean())), trials, seeds)
+    scenarios = shelf_scenarios(links)
+    random = random_shelf_scenarios(replace(ShelfTask(), muscle=task.muscle), links)
+    seeds, others = (fly(network, task, each, pool, physics_rate_hz, model) for each in (scenarios, random))
+    return Tested(ShelfReport(float(seeds.reached.mean()), float(others.reached.mean())), scenarios, seeds)
 
 
 def grid_test(
@@ -230,21 +222,13 @@ def grid_test(
     model: Model | None = None,
 ) -> Tested:
     """Success on the 54 targets on a model (default: the seed's), for the record; nothing is chosen by it."""
-    trials = grid_trials(links=(model or Model()).arm.links)
-    outcome = fly(network, task, trials, pool, physics_rate_hz, model)
-    inside = trials.target_m[:, 1] < ABOVE_M + 1e-4
-    shares = (float(outcome.reached[which].mean()) for which in (inside, ~inside, slice(None)))
-    return Tested(GridReport(*shares), trials, outcome)
+    scenarios = grid_scenarios(links=(model or Model()).arm.links)
+    flown = fly(network, task, scenarios, pool, physics_rate_hz, model)
+    return Tested(flights.shares(flown.reached, scenarios.target_m[:, 1]), scenarios, flown)
 
 
-def grid_report(
-    network: PolicyNetwork,
-    task: ReachTask,
-    pool: Workers,
-    physics_rate_hz: float = PHYSICS_RATE_HZ,
-    model: Model | None = None,
-) -> GridReport:
+def grid_shares(network: PolicyNetwork, task: ReachTask, pool: Workers) -> Shares:
     """Only the shares of `grid_test`."""
-    report = grid_test(network, task, pool, physics_rate_hz, model).report
-    assert isinstance(report, GridReport)
+    report = grid_test(network, task, pool).report
+    assert isinstance(report, Shares)
     return report

@@ -6,6 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from softarm.schemas.flights import TRAINED_Z_MAX_M
 from softarm.schemas.policy import REACH_GOAL, Signal, TaskKind
 from softarm.schemas.robot import CONTROL_RATE_HZ, PRESSURE_MAX_KPA, PRESSURE_MIN_KPA, RAIL_LIMIT_M
 
@@ -27,7 +28,7 @@ class ReachTask:
 
     name: str = "reach"
     target_y_m: Range = (-0.4, 0.0)
-    target_z_m: Range = (0.55, 0.70)
+    target_z_m: Range = (0.55, TRAINED_Z_MAX_M)
     cart_start_m: Range = (-0.025, RAIL_LIMIT_M)  # [C]
     joint_start_deg: float = 10.0  # uniform within +- this [C]
     pressure_start_kpa: Range = (PRESSURE_MIN_KPA, PRESSURE_MAX_KPA)

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from softarm.schemas import flights
 from softarm.schemas.model import Model
 from softarm.schemas.policy import OBSERVATION, SHELF_GOAL, Signal, TaskKind
 from softarm.schemas.robot import TRAINING_PHYSICS_RATE_HZ
@@ -22,10 +23,10 @@ class ShelfTask(ReachTask):
     """Targets in a shelf that stands anew in each episode; by default the seed's training range ([P] section 4.2)."""
 
     name: str = "shelf"
-    target_y_m: Range = (-0.48, -0.40)
-    target_z_m: Range = (0.58, 0.67)
-    target_depth_m: Range = (-0.05, 0.20)  # of the target behind the shelf's front edge; before it below zero
-    board_below_m: float = 0.005  # from the target down to the lower board's top [C]
+    target_y_m: Range = flights.SHELF_Y_M
+    target_z_m: Range = flights.SHELF_Z_M
+    target_depth_m: Range = flights.SHELF_DEPTH_M  # of the target behind the shelf's front edge; before it below zero
+    board_below_m: float = flights.BOARD_BELOW_M  # from the target down to the lower board's top [C]
     action_noise: float = 0.01  # [C]
 
     @property

@@ -10,7 +10,7 @@ from softarm.training.learn.inference import device_named, workers
 from softarm.training.learn.network import NetworkShape, PolicyNetwork
 from softarm.training.learn.ppo import Ppo, PpoConfig
 from softarm.training.run.recipe import RECIPES, begin
-from softarm.training.run.validation import fly, validation_trials
+from softarm.training.run.validation import fly, validation_scenarios
 from softarm.training.task.environment import ACTIONS, INPUTS, Environment
 from softarm.training.task.reach import TASKS
 
@@ -63,7 +63,7 @@ def test_nothing_of_an_iteration_or_of_a_flight_stays_behind(elsewhere, order):
     made = Ppo(network, environment, PpoConfig(horizon=4, observation_noise=0.01), HereAndNow(), 0)
     environment._elapsed[:] = 98  # so that some run out of time
     made.iterate()
-    fly(network, environment.task, validation_trials(environment.task, environment.simulator.links, 6), HereAndNow())
+    fly(network, environment.task, validation_scenarios(environment.task, environment.simulator.links, 6), HereAndNow())
     state = made._observation, made._keep, *made._state, *network.state_dict().values()
     assert {each.device for each in state} == {elsewhere}
     with pytest.raises(FakeTensorDeviceMismatchError):  # or the above would show nothing

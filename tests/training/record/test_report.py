@@ -41,7 +41,7 @@ def flown():
 
 def flown_at_shelf(run, pool):
     """Only the twelve, and coarsely."""
-    trials = validation.shelf_trials(run.task, run.model.arm.links)
+    trials = validation.shelf_scenarios(run.model.arm.links)
     outcome = validation.fly(run.average, run.task, trials, pool)
     return validation.Tested(validation.ShelfReport(float(outcome.reached.mean()), 0.25), trials, outcome)
 
@@ -110,7 +110,7 @@ def test_a_folder_that_cannot_be_written_stops_no_run(tmp_path):
 
 
 def test_paths_end_where_success_says():
-    trials, outcome = flown().trials, flown().outcome
+    trials, outcome = flown().scenarios, flown().flown
     assert 20 < outcome.reached.sum() < 150, "trials that all end alike would prove nothing"
     np.testing.assert_allclose(outcome.tip_m[0, :, 0], trials.starts.cart_position_m, atol=1e-3)  # the arm hangs
     for trial, reached in enumerate(outcome.reached):
@@ -130,10 +130,10 @@ def test_the_picture_shows_every_trial_of_the_54_targets():
     assert len(figure.axes) == 54
     drawn = {line.get_gid(): line for axes in figure.axes for line in axes.get_lines() if line.get_gid()}
     assert drawn.keys() == {f"trial-{k}" for k in range(162)}
-    for k, reached in enumerate(tested.outcome.reached):
+    for k, reached in enumerate(tested.flown.reached):
         line = drawn[f"trial-{k}"]
         assert line.get_color() == (path_figure.REACHED if reached else path_figure.MISSED)
-        away = np.linalg.norm(line.get_xydata()[-1] - tested.trials.target_m[k])
+        away = np.linalg.norm(line.get_xydata()[-1] - tested.scenarios.target_m[k])
         assert (away < RADIUS_M) == reached
     # Panels lie as the targets do, whatever order those have.
     places = [axes.get_position() for axes in figure.axes]
@@ -175,7 +175,9 @@ def test_the_shelf_is_drawn_with_its_boards(tmp_path):
     figure = path_figure.draw(tested, run.task, run.title)
     assert len(figure.axes) == 4
     assert sum(len([line for line in axes.get_lines() if line.get_gid()]) for axes in figure.axes) == 12
-    for axes, target, depth in zip(figure.axes, tested.trials.target_m[::3], tested.trials.depth_m[::3], strict=True):
+    for axes, target, depth in zip(
+        figure.axes, tested.scenarios.target_m[::3], tested.scenarios.depth_m[::3], strict=True
+    ):
         boards = [patch.get_path().get_extents() for patch in axes.patches if isinstance(patch, FancyBboxPatch)]
         lower, upper = sorted(boards, key=lambda board: board.y0)
         assert lower.y1 == pytest.approx(target[1] - run.task.board_below_m, abs=1e-6)

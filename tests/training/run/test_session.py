@@ -204,7 +204,7 @@ def test_a_damaged_checkpoint_is_refused(tmp_path):
 
 
 def test_validation_trials_are_none_of_the_test_targets():
-    trials, grid = validation.validation_trials(TASK, 5), validation.grid_trials(5)
+    trials, grid = validation.validation_scenarios(TASK, 5), validation.grid_scenarios(5)
     assert len(np.unique(grid.target_m, axis=0)) == 54
     assert sorted(np.unique(grid.starts.cart_position_m)) == pytest.approx([0.0, 0.1, 0.2])
     apart = np.linalg.norm(trials.target_m[:, None] - grid.target_m[None], axis=2)
@@ -222,7 +222,7 @@ def test_flying_counts_each_trial_once_and_knows_how_close_it_came():
             return mean, torch.zeros(steps, batch), state
 
     targets = np.array([[0.0, 0.53], [-0.3, 0.80]], dtype=np.float32)
-    trials = validation.Trials(validation.at_rest(np.zeros(2), 5), targets)
+    trials = validation.Scenarios(validation.at_rest(np.zeros(2), 5), targets)
     with workers(1) as pool:
         outcome = validation.fly(Still(NetworkShape(INPUTS, ACTIONS)), TASK, trials, pool)
     assert outcome.reached.tolist() == [True, False]

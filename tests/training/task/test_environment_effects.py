@@ -186,7 +186,7 @@ def test_a_snapshot_goes_on_bit_for_bit():
 
 def test_how_close_a_trial_came_is_the_true_distance():
     network = PolicyNetwork(NetworkShape(INPUTS, ACTIONS))
-    trials = validation.Trials(validation.at_rest(np.zeros(1), 5), np.float32([[0.0, 0.53]]))
+    trials = validation.Scenarios(validation.at_rest(np.zeros(1), 5), np.float32([[0.0, 0.53]]))
     displaced = model(mocap__offset={"y": 0.1, "z": 0.1})
     with workers(1) as pool:
         outcome = validation.fly(network, REACH, trials, pool, model=displaced)

@@ -1,0 +1,131 @@
+"""From a diagnosis to a policy that was trained on what it showed: patch, retrain, fly old and new, write it down."""
+
+import importlib.util
+import json
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+
+from softarm.common import files
+from softarm.common.processes import bar
+from softarm.diagnosis import report
+from softarm.diagnosis.gap.result import Diagnosis
+from softarm.flights.closing import story, summary
+from softarm.flights.closing.closed import HELD_BACK, NEW, NOMINAL, OLD, PATCHED, Closed, Place
+from softarm.flights.many import fly_all
+from softarm.flights.robots import with_faults
+from softarm.policies.base import MODELS
+from softarm.reality.parameters import RobotParameters
+from softarm.schemas.flights import CART_STARTS_M, TEST_TARGETS
+from softarm.schemas.goals import Goal
+from softarm.schemas.messages import BODY_NAMES
+from softarm.schemas.model import Model
+from softarm.simulator import model_file
+from softarm.training.run.retrain import Retrained, RetrainingConfig, retrain
+
+FILES = ("verdict.json", "report.html", "summary.json", "patched-model.yaml", "retrained.onnx", "retrained.pt")
+Spent = dict[str, dict[str, float]]  # step -> wall_s, cpu_s
+
+
+def close(
+    found: Diagnosis,
+    policy: Path,
+    out: Path,
+    held_back: Place,
+    is_the_robot: bool,
+    config: RetrainingConfig,
+    spent: Spent,
+    targets: Sequence[Goal] = TEST_TARGETS,
+    processes: int | None = None,
+) -> Closed:
+    """Patch the nominal simulator, train the policy on in it, fly old and new; all that is known ends up in `out`.
+
+    is_the_robot: the held-back robot was declared to be the campaign's, so its flights are the verdict's success_real.
+    What the steps take is added to `spent`. Raises ValueError for a robot that no policy flies, CheckpointError for a
+    policy that training did not write, PolicyError, OSError.
+    """
+    if found.nominal is None:
+        raise ValueError("the campaign is of another rig, for which there is no policy; `softarm diagnose` is its verb")
+    held_back = of_the_nominal_body(held_back, found.nominal)
+    places = [Place(NOMINAL, "the nominal simulator", found.nominal)]
+    retrained: Retrained | None = None
+    if found.patched is not None:
+        model_file.save(found.patched, out / "patched-model.yaml")
+        places.append(Place(PATCHED, "the patched simulator", found.patched))
+        with timed(spent, "retrain"):
+            retrained = _retrain(policy, found.patched, out, config)
+    places.append(held_back)
+    policies = {OLD: policy} if retrained is None else {OLD: policy, NEW: retrained.policy}
+    robots, flights = {place.key: place.robot for place in places}, len(targets) * len(CART_STARTS_M)
+    doing = "flying old and new" if retrained else "flying"
+    with timed(spent, "fly"), bar(doing, len(places) * len(policies) * flights) as shown:
+        flown = fly_all(policies, robots, targets, shown.advance, processes)
+    closed = Closed(found, policy, tuple(places), flown, retrained, tuple(targets)).with_task(is_the_robot)
+    report.write(closed.diagnosis, out / "report.html", story=story.sections(closed))
+    files.write_text(out / "verdict.json", closed.diagnosis.verdict.model_dump_json(indent=1) + "\n")
+    files.write_text(out / "summary.json", json.dumps(summary.summary(closed, spent), indent=1) + "\n")
+    return closed
+
+
+def _retrain(policy: Path, model: Model, out: Path, config: RetrainingConfig) -> Retrained:
+    """Behind a bar."""
+    with bar("retraining") as shown:
+        name = f"{out.name}/patched-model"
+        return retrain(policy, model, name, out, config, shown.tell)
+
+
+def independent(faults: Sequence[str]) -> Place:
+    """The independent robot, with its faults. Raises ValueError for faults or packages that there are none of."""
+    if importlib.util.find_spec("mujoco") is None:
+        raise ValueError(
+            "the independent robot needs the package 'mujoco': pip install 'softarm[mujoco]', or give --robot MODEL"
+        )
+    title = f"the independent robot ({', '.join(faults) or 'without a fault'})"
+    return Place(HELD_BACK, title, with_faults(RobotParameters(), faults))
+
+
+def of_the_nominal_body(place: Place, nominal: Model) -> Place:
+    """The independent robot has the arm and the cart that the nominal model says; its actuators are its own.
+
+    Raises ValueError for an arm that it cannot be.
+    """
+    if nominal.arm.links != len(BODY_NAMES) - 1:
+        raise ValueError(
+            f"the nominal model has {nominal.arm.links} links; policies fly an arm of {len(BODY_NAMES) - 1} marker sets"
+        )
+    if isinstance(place.robot, Model):
+        return place
+    return replace(place, robot=replace(place.robot, body=nominal.arm, cart=nominal.cart))
+
+
+def policy_file(name: str) -> Path:
+    """The file of a policy: its own name, or a shipped one. Raises ValueError when there is none."""
+    file = Path(name) if name.endswith(".onnx") else MODELS / f"{name}.onnx"
+    if not file.is_file():
+        shipped = ", ".join(sorted(path.stem for path in MODELS.glob("*.onnx")))
+        raise ValueError(f"--policy {name}: is not there; name an .onnx file of `softarm train`, or one of {shipped}")
+    return file
+
+
+def make_folder(out: Path) -> None:
+    """Raises ValueError when results are there already, OSError when it cannot be made."""
+    there = [name for name in (*FILES, "training") if (out / name).exists()]
+    if there:
+        raise ValueError(f"{out} holds {', '.join(there)} already; name a new --out")
+    out.mkdir(parents=True, exist_ok=True)
+
+
+@contextmanager
+def timed(spent: Spent, step: str) -> Iterator[None]:
+    """Note wall and CPU seconds of a step, child processes with it."""
+    import resource
+
+    def cpu_s() -> float:
+        used = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
+        return sum(u.ru_utime + u.ru_stime for u in used)
+
+    wall, cpu = time.monotonic(), cpu_s()
+    yield
+    spent[step] = {"wall_s": round(time.monotonic() - wall, 1), "cpu_s": round(cpu_s() - cpu, 1)}

@@ -1,0 +1,109 @@
+"""Closing a gap: what its steps leave behind, with a diagnosis made up and a few frames of training."""
+
+import json
+
+import numpy as np
+import pytest
+
+from softarm.diagnosis.gap.result import Diagnosis
+from softarm.flights.closing import steps
+from softarm.flights.closing.closed import HELD_BACK, Place, changed
+from softarm.flights.robots import with_faults
+from softarm.policies.base import MODELS
+from softarm.reality.parameters import RobotParameters
+from softarm.schemas.flights import TEST_TARGETS
+from softarm.schemas.model import Arm, Model
+from softarm.schemas.verdict import Estimate, Gap, Interval, NamedEffect, Shrink, Verdict, Where
+from softarm.simulator import model_file
+from softarm.training.run.retrain import RetrainingConfig
+from softarm.training.run.warm_start import load_weights
+
+REACH = MODELS / "reach.onnx"
+EASY, NEVER = TEST_TARGETS[4], TEST_TARGETS[-1]  # (-0.20, 0.55), and (0, 0.80), which no command reaches
+TINY = RetrainingConfig(
+    frames=2048, seconds=float("inf"), robots=64, validate_every=1, validation_trials=12, critic_iterations=1
+)
+LATE = Model(effects=Model().effects | {"pressure.dead_time": {"delay": 0.06}})
+NAMED = Verdict(
+    verdict="named",
+    where=Where(stage="pressure", share={"pressure": 1.0}, regime="throughout"),
+    effects=(
+        NamedEffect(
+            name="pressure.dead_time",
+            parameters={"delay": Estimate(value=0.06, low=0.05, high=0.07, unit="s")},
+            confidence=0.9,
+            shrink=Shrink(stage=Interval(value=0.5, low=0.4, high=0.6)),
+        ),
+    ),
+    gap=Gap(before={}, after={}, floor={}, ceiling={}),
+)
+NONE = NAMED.model_copy(
+    update={"verdict": "none", "effects": (), "where": Where(stage=None, share={}, regime="nowhere")}
+)
+
+
+def close(out, held_back, declared=True, **found):
+    out.mkdir()
+    usual = {"verdict": NAMED, "nominal": Model(), "patched": LATE, "trials": (("a", "seed", 1.0),)}
+    diagnosis = Diagnosis(**usual | found)
+    spent = {}
+    steps.close(diagnosis, REACH, out, held_back, declared, TINY, spent, targets=(EASY, NEVER), processes=1)
+    summary = json.loads((out / "summary.json").read_text())
+    assert summary["spent"].keys() == spent.keys()
+    return Verdict.model_validate_json((out / "verdict.json").read_text()), summary
+
+
+def test_a_named_effect_is_patched_trained_on_and_flown(tmp_path):
+    out = tmp_path / "closed"
+    robot = Place(HELD_BACK, "the robot", with_faults(RobotParameters(), ["regulator.dead_time_s=0.06"]))
+    verdict, summary = close(out, robot)
+    assert model_file.load(out / "patched-model.yaml") == LATE
+    old, new = load_weights(REACH), load_weights(out / "retrained.onnx")
+    assert new.metadata.training["start.frames"] == old.metadata.training["run.frames"]
+    assert new.metadata.training["model.sha256"] == model_file.fingerprint(LATE)
+    assert not np.array_equal(new.network.w_h.detach(), old.network.w_h.detach())
+    assert (out / "retrained.pt").stat().st_size > 1e6
+    # One target of two can be reached at all; nominal, the shipped policy reaches it.
+    assert verdict.task.success_nominal == pytest.approx(0.5)
+    assert 0 <= verdict.task.success_patched <= 0.5
+    assert verdict.task.success_real == summary["success"]["held-back"]["old"]["all"]
+    assert set(summary["success"]) == {"nominal", "patched", "held-back"}
+    for row in summary["success"].values():
+        assert {"old", "new", "gained", "lost"} <= set(row)
+    assert summary["flights"] == 6
+    assert summary["retrained"]["frames"] == TINY.frames
+    assert set(summary["spent"]) == {"retrain", "fly"}
+    page = (out / "report.html").read_text(encoding="utf-8")
+    assert page.count("<html") == 1
+    for text in ("The policy before and after", "Retraining", "retrained policy, the robot"):
+        assert text in page
+
+
+def test_where_nothing_is_named_nothing_is_patched_or_retrained(tmp_path):
+    late = Place(HELD_BACK, "late", LATE)
+    verdict, summary = close(tmp_path / "out", late, declared=False, verdict=NONE, patched=None)
+    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == ["report.html", "summary.json", "verdict.json"]
+    assert verdict.task.success_nominal == pytest.approx(0.5)
+    assert verdict.task.success_patched is None
+    assert verdict.task.success_real is None  # nobody said that it was this robot
+    assert summary["retrained"] is None
+    assert set(summary["success"]) == {"nominal", "held-back"}
+    assert "nothing was patched or retrained" in (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
+
+
+def test_another_rig_has_no_policy(tmp_path):
+    with pytest.raises(ValueError, match="is of another rig, for which there is no policy"):
+        close(tmp_path / "out", Place(HELD_BACK, "late", LATE), nominal=None)
+
+
+def test_the_independent_robot_gets_the_nominal_arm_and_cart_and_keeps_its_actuators():
+    heavier = Model(arm=Arm(link_mass_kg=(0.005, 0.005, 0.005, 0.005, 0.2)))
+    place = steps.of_the_nominal_body(steps.independent(["regulator.dead_time_s=0.06"]), heavier)
+    assert place.robot.body == heavier.arm
+    assert place.robot.regulator.dead_time_s == 0.06
+    assert steps.of_the_nominal_body(Place(HELD_BACK, "late", LATE), heavier).robot == LATE
+
+
+def test_changes_count_flights():
+    old, new = np.array([[True, True], [False, False]]), np.array([[False, True], [True, True]])
+    assert changed(old, new) == {"gained": 2, "lost": 1}

@@ -1,0 +1,63 @@
+"""What became of each target and start as plain rows, of plans and of the search for the ceiling alike."""
+
+from collections.abc import Callable, Sequence
+from typing import TypedDict
+
+from softarm.schemas.model import Model
+from softarm.training.trajectory.ceiling import search
+from softarm.training.trajectory.planner import Report
+from softarm.training.trajectory.problem import Array
+
+
+class Row(TypedDict):
+    """One target from one start; distances of the tip from the target."""
+
+    y: float
+    z: float
+    start: float
+    planned: bool | None  # reached in the plan, the cart within its limit; None: a search plans nothing
+    planned_miss_m: float | None
+    miss_m: float
+    reached: bool
+    time_s: float | None  # until it was reached
+
+
+def of_plans(report: Report) -> list[Row]:
+    """A row a plan, start by start."""
+    plans = report.plans
+    flown = zip(plans.target_m, plans.cart_start_m, plans.miss_m, report.reached_s, strict=True)
+    rows = [_row(*each) for each in flown]
+    for row, planned, miss_m in zip(rows, report.planned, report.planned_miss_m, strict=True):
+        row["planned"], row["planned_miss_m"] = bool(planned), float(miss_m)
+    return rows
+
+
+def of_searches(
+    targets_m: Array,
+    starts_m: Sequence[float],
+    model: Model | None = None,
+    seed: int = 0,
+    on_round: Callable[[], None] = lambda: None,
+) -> list[Row]:
+    """Search open-loop commands for every target [G, 2] from every start, start by start."""
+    rows = []
+    for start_m in starts_m:
+        found = search(targets_m, start_m, model, seed, on_round=on_round)
+        columns = zip(targets_m, found.closest_m, found.reached_s, strict=True)
+        rows += [_row(target, start_m, miss_m, reached_s) for target, miss_m, reached_s in columns]
+    return rows
+
+
+def _row(target_m: Array, start_m: float, miss_m: float, reached_s: float) -> Row:
+    """Plain numbers, for tables and for JSON. reached_s is NaN where it was not."""
+    reached = bool(reached_s == reached_s)
+    return Row(
+        y=round(float(target_m[0]), 6),
+        z=round(float(target_m[1]), 6),
+        start=round(float(start_m), 6),
+        planned=None,
+        planned_miss_m=None,
+        miss_m=float(miss_m),
+        reached=reached,
+        time_s=float(reached_s) if reached else None,
+    )
