@@ -32,7 +32,7 @@ class Controller:
         rate = config.control.rate_hz
         self._config = config
         self._policy = policy
-        self._observer = Observer(stale_ns=round(config.failsafe.mocap_stale_s * 1e9))
+        self._observer = Observer(round(config.failsafe.mocap_stale_s * 1e9), config.failsafe.rail_mocap_disagreement_m)
         self._safety = SafetyFilter(config.limits, 1 / rate, config.drivers.rail.acceleration_m_s2)
         self._machine = ModeMachine(round(config.failsafe.arming_timeout_s * rate), round(BRAKING_S * rate))
         self._goals = GoalTracker(config.goals)
@@ -40,7 +40,6 @@ class Controller:
         self._tick = 0
         self._missed_total = 0
         self._sent = SAFE
-        self._disagreeing = 0
         self._pending_events: list[Event] = []  # of this tick, from requests and the policy
 
     def tick(self, inputs: Inputs, runners: Mapping[int, PolicyRunner] | None = None) -> Outputs:
@@ -90,11 +89,8 @@ class Controller:
 
     def _conditions(self, inputs: Inputs) -> Iterator[Event]:
         """What holds now, from the devices and from the loop itself."""
-        distance = self._observer.rail_against_mocap_m()
-        apart = distance is not None and distance > self._config.failsafe.rail_mocap_disagreement_m
-        self._disagreeing = self._disagreeing + 1 if apart else 0
         engaged = self._machine.mode in (Mode.ARMED, Mode.STOPPING)
-        yield from device_events(inputs, self._observer, self._config, engaged, self._disagreeing)
+        yield from device_events(inputs, self._observer, self._config, engaged)
         if inputs.missed >= self._config.failsafe.missed_ticks_max:
             yield Event("ticks_missed", f"{inputs.missed} in a row, {inputs.late_ns / 1e6:.0f} ms late")
         elif inputs.missed:

@@ -32,6 +32,11 @@ class MocapFrame:
     t_receive_ns: int  # when the control loop took it
     bodies: tuple[Pose, ...]
 
+    def __post_init__(self) -> None:
+        """Raises ValueError for another number of bodies."""
+        if len(self.bodies) != len(BODY_NAMES):
+            raise ValueError(f"a frame has {len(BODY_NAMES)} bodies ({', '.join(BODY_NAMES)}), not {len(self.bodies)}")
+
 
 @dataclass(frozen=True, slots=True)
 class PressureReading:

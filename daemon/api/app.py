@@ -1,40 +1,36 @@
 """The REST API: requests into the inbox, snapshots out. It never touches the control loop otherwise."""
 
 import asyncio
-import json
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Annotated, Any, Protocol
+from typing import Annotated, Any
 
-import numpy as np
-from fastapi import Body, FastAPI, Query, Request, WebSocket, WebSocketDisconnect
+from fastapi import Body, FastAPI, Query, Request, WebSocket
 from fastapi.exceptions import RequestValidationError
 from fastapi.responses import Response
 from fastapi_offline import FastAPIOffline
 
 from softarm import __version__
 from softarm.daemon.api.auth import Guard, is_loopback, load_token
+from softarm.daemon.api.policies import Installed, Policies, policy_answer, warmed_up
+from softarm.daemon.api.refusals import Refused, json_response, on_refused, refusal
 from softarm.daemon.api.sentences import sentences
-from softarm.daemon.api.status import RecorderState, Status, StatusView
+from softarm.daemon.api.status import RecorderState, RequestAnswer, Status, StatusView
+from softarm.daemon.api.stream import POLL_S, stream
 from softarm.daemon.control import workspace
 from softarm.daemon.control.inbox import Inbox, InboxFull
 from softarm.daemon.control.records import Outputs, Problems, RequestKind, RequestResult
-from softarm.policies import registry
-from softarm.policies.base import Policy, PolicyError
-from softarm.policies.registry import PolicyEntry
-from softarm.policies.runner import PolicyRunner, ThreadRunner
+from softarm.policies.runner import PolicyRunner
 from softarm.recordings.listing import listing
 from softarm.schemas.config import Config
 from softarm.schemas.goals import Goal
-from softarm.schemas.policy import Observation, places
 from softarm.schemas.rest import (
     GoalAnswer,
     GoalBody,
     Health,
     LogsAnswer,
     PoliciesAnswer,
-    PolicyAnswer,
     PolicyBody,
     ReachBody,
     Refusal,
@@ -42,38 +38,12 @@ from softarm.schemas.rest import (
 from softarm.schemas.robot import CONTROL_RATE_HZ
 
 ANSWER_S = 0.5  # the control loop answers within a tick or two
-POLL_S = 0.005
 REFUSALS = {
     404: "no such policy; lists those there are",
     409: "refused by the control loop, with its reasons",
     422: "a wrong body or a target out of reach; says what is allowed",
     503: "the control loop does not answer",
 }
-
-
-class Policies(Protocol):
-    """Which policies there are, and how one is made; both may take long and are called in a worker thread."""
-
-    def available(self) -> Mapping[str, PolicyEntry]:
-        """All, by name."""
-
-    def load(self, name: str) -> Policy:
-        """One. Raises PolicyError."""
-
-
-@dataclass(frozen=True, slots=True)
-class Installed:
-    """The installed, shipped and configured policies."""
-
-    config: Config
-
-    def available(self) -> Mapping[str, PolicyEntry]:
-        """See Policies."""
-        return registry.available(self.config.policies)
-
-    def load(self, name: str) -> Policy:
-        """See Policies."""
-        return registry.load(name, self.config.policies)
 
 
 def _no_problems() -> Problems:
@@ -93,14 +63,6 @@ class ApiContext:
     clock: Callable[[], int] = field(default=time.monotonic_ns)
 
 
-class Refused(Exception):
-    """A request that is answered with sentences instead."""
-
-    def __init__(self, status: int, *reasons: str) -> None:
-        super().__init__(*reasons)
-        self.status, self.reasons = status, reasons
-
-
 def create_app(context: ApiContext) -> FastAPI:
     """The application.
 
@@ -115,20 +77,20 @@ def create_app(context: ApiContext) -> FastAPI:
         redoc_url=None,
     )
     app.add_middleware(Guard, token=token, loopback=is_loopback(context.config.api.host))
-    app.add_exception_handler(Refused, _on_refused)
+    app.add_exception_handler(Refused, on_refused)
     app.add_exception_handler(RequestValidationError, api.on_invalid)
     for method, path, endpoint, answer, statuses in (
         ("GET", "/api/status", api.status, Status, (503,)),
         ("GET", "/api/health", api.health, Health, ()),
-        ("POST", "/api/arm", api.arm, Status, (409, 503)),
-        ("POST", "/api/disarm", api.disarm, Status, (409, 503)),
-        ("POST", "/api/stop", api.stop, Status, (409, 503)),
-        ("POST", "/api/acknowledge", api.acknowledge, Status, (409, 503)),
-        ("POST", "/api/goal", api.post_goal, Status, (409, 422, 503)),
-        ("DELETE", "/api/goal", api.delete_goal, Status, (409, 503)),
+        ("POST", "/api/arm", api.arm, RequestAnswer, (409, 503)),
+        ("POST", "/api/disarm", api.disarm, RequestAnswer, (409, 503)),
+        ("POST", "/api/stop", api.stop, RequestAnswer, (409, 503)),
+        ("POST", "/api/acknowledge", api.acknowledge, RequestAnswer, (409, 503)),
+        ("POST", "/api/goal", api.post_goal, RequestAnswer, (409, 422, 503)),
+        ("DELETE", "/api/goal", api.delete_goal, RequestAnswer, (409, 503)),
         ("GET", "/api/goal", api.get_goal, GoalAnswer, (503,)),
         ("GET", "/api/policies", api.get_policies, PoliciesAnswer, ()),
-        ("PUT", "/api/policy", api.put_policy, Status, (404, 409, 422, 503)),
+        ("PUT", "/api/policy", api.put_policy, RequestAnswer, (404, 409, 422, 503)),
         ("GET", "/api/logs", api.get_logs, LogsAnswer, ()),
     ):
         responses: dict[int | str, dict[str, Any]] = {200: {"model": answer}}
@@ -141,19 +103,6 @@ def create_app(context: ApiContext) -> FastAPI:
         )
     app.add_api_websocket_route("/api/stream", api.stream)
     return app
-
-
-def _json(data: bytes | str, status: int = 200) -> Response:
-    return Response(data, status, media_type="application/json")
-
-
-def _refusal(status: int, reasons: tuple[str, ...]) -> Response:
-    return _json(Refusal(detail="; ".join(reasons), reasons=reasons).model_dump_json(), status)
-
-
-async def _on_refused(_: Request, error: Exception) -> Response:
-    assert isinstance(error, Refused)  # registered for this type
-    return _refusal(error.status, error.reasons)
 
 
 class _Api:
@@ -174,12 +123,12 @@ class _Api:
 
     async def status(self) -> Response:
         """Everything about the robot, as of the newest control tick."""
-        return _json(self._status())
+        return json_response(self._told(self._view.json()))
 
     async def health(self) -> Response:
         """200 when the robot can be used, else 503 with the reasons."""
         reasons = tuple(self._view.why_unhealthy())
-        return _json(Health(healthy=not reasons, reasons=reasons).model_dump_json(), 503 if reasons else 200)
+        return json_response(Health(healthy=not reasons, reasons=reasons).model_dump_json(), 503 if reasons else 200)
 
     async def arm(self) -> Response:
         """Switch the drive on and let the regulator follow. Refused with every reason why not."""
@@ -239,7 +188,7 @@ class _Api:
             time_s=status.time_s,
             number=status.number,
         )
-        return _json(answer.model_dump_json())
+        return json_response(answer.model_dump_json())
 
     async def get_policies(self) -> Response:
         """All policies that can be chosen, and those that cannot, with the reason."""
@@ -247,9 +196,9 @@ class _Api:
         snapshot = self._view.snapshot()
         answer = PoliciesAnswer(
             active=snapshot.policy if snapshot else None,
-            policies=tuple(map(_policy_answer, self._view.policies.values())),
+            policies=tuple(map(policy_answer, self._view.policies.values())),
         )
-        return _json(answer.model_dump_json())
+        return json_response(answer.model_dump_json())
 
     async def put_policy(
         self, body: Annotated[PolicyBody, Body(openapi_examples={"reach": {"value": {"name": "reach"}}})]
@@ -258,14 +207,11 @@ class _Api:
         async with self._loading:
             runner = await asyncio.to_thread(self._load, body.name)
             try:
-                answer = await self._ask("policy", policy=body.name, runner=runner)
-            except Refused as refusal:
-                if refusal.status == 409:  # at 503 the request, and so the runner, may still be taken
+                return await self._ask("policy", policy=body.name, runner=runner)
+            except Refused as refused:
+                if refused.status == 409:  # at 503 the request, and so the runner, may still be taken
                     runner.close()
                 raise
-        if self._context.recorder is not None:
-            self._context.recorder.policy(runner.policy.spec)
-        return answer
 
     async def get_logs(self) -> Response:
         """The logs in the recorder's directory."""
@@ -274,38 +220,18 @@ class _Api:
         found = await asyncio.to_thread(listing, directory)
         own = None if current is None else current.name
         entries = tuple(entry.model_copy(update={"recording": entry.name == own}) for entry in found)
-        return _json(LogsAnswer(directory=str(directory), logs=entries).model_dump_json())
+        return json_response(LogsAnswer(directory=str(directory), logs=entries).model_dump_json())
 
     async def stream(
         self, socket: WebSocket, hz: Annotated[float, Query(gt=0, le=CONTROL_RATE_HZ)] = CONTROL_RATE_HZ
     ) -> None:
         """Every status that is new, at most `hz` times a second; a slow client gets fewer of them."""
-        await socket.accept()
-        sender = asyncio.create_task(self._send(socket, 1 / hz))
-        try:
-            while (await socket.receive())["type"] != "websocket.disconnect":
-                pass  # a client has nothing to say here
-        except WebSocketDisconnect:
-            pass
-        finally:
-            sender.cancel()
-            await asyncio.gather(sender, return_exceptions=True)
-
-    async def _send(self, socket: WebSocket, period_s: float) -> None:
-        sent = None
-        while True:
-            data = self._view.json()
-            if data is not None and data is not sent:
-                sent = data
-                await socket.send({"type": "websocket.send", "text": data.decode()})
-                await asyncio.sleep(0.8 * period_s)  # the rest in small steps, so that no tick slips by
-            else:
-                await asyncio.sleep(POLL_S)
+        await stream(self._view, socket, hz)
 
     async def on_invalid(self, request: Request, error: Exception) -> Response:
         """A body of the wrong shape."""
         assert isinstance(error, RequestValidationError)  # registered for this type
-        return _refusal(422, sentences(error.errors(), request.url.path, self._context.config))
+        return refusal(422, sentences(error.errors(), request.url.path, self._context.config))
 
     def _snapshot(self) -> Outputs:
         snapshot = self._view.snapshot()
@@ -313,11 +239,10 @@ class _Api:
             raise Refused(503, *self._view.why_unhealthy())
         return snapshot
 
-    def _status(self) -> bytes:
-        data = self._view.json()
-        if data is None:
+    def _told(self, status: bytes | None) -> bytes:
+        if status is None:
             raise Refused(503, *self._view.why_unhealthy())
-        return data
+        return status
 
     async def _ask(
         self,
@@ -338,8 +263,7 @@ class _Api:
             raise Refused(503, f"{kind}: the control loop did not answer within {ANSWER_S:g} s", *_meanwhile(kind))
         if not result.accepted:
             raise Refused(409, *result.reasons)
-        listed = b",".join(_quoted(warning) for warning in warnings)
-        return _json(self._status()[:-1] + b',"warnings":[' + listed + b"]}")
+        return json_response(self._told(self._view.answer(warnings)))
 
     async def _result(self, number: int) -> RequestResult | None:
         deadline = time.monotonic() + ANSWER_S
@@ -352,34 +276,12 @@ class _Api:
         return None
 
     def _load(self, name: str) -> PolicyRunner:
-        """In a worker thread: make the policy, have it do its first step, give it a thread with a budget."""
+        """In a worker thread: a policy, warmed up."""
         entries = self._policies.available()
         if name not in entries:
             raise Refused(404, f"no policy '{name}'; there are: {', '.join(entries) or 'none'}")
         self._view.policies = entries
-        try:
-            policy = self._policies.load(name)
-            policy.reset()
-            policy.step(_HANGING.copy(), _TARGET.copy())
-            policy.reset()
-        except PolicyError as error:
-            raise Refused(422, str(error)) from error
-        except Exception as error:
-            raise Refused(
-                422,
-                f"policy '{name}': its first step failed ({type(error).__name__}: {error}); choose another",
-            ) from error
-        return ThreadRunner(policy, self._context.config.failsafe.policy_budget_s)
-
-
-# What a policy is warmed up on: the arm hanging at rest, and a target that it knows.
-_HANGING = np.zeros(len(Observation._fields), dtype=np.float32)
-_HANGING[places("tip_z_m")] = 0.52
-_TARGET = np.array([-0.2, 0.6], dtype=np.float32)
-
-
-def _quoted(text: str) -> bytes:
-    return json.dumps(text).encode()
+        return warmed_up(self._policies, name, self._context.config.failsafe.policy_budget_s)
 
 
 def _meanwhile(kind: RequestKind) -> tuple[str, ...]:
@@ -387,19 +289,3 @@ def _meanwhile(kind: RequestKind) -> tuple[str, ...]:
     if kind == "stop":
         return ("use the emergency-stop button; the request stays in the inbox and is answered first",)
     return ("see GET /api/health; the request is still in the inbox",)
-
-
-def _policy_answer(entry: PolicyEntry) -> PolicyAnswer:
-    spec = entry.spec
-    if spec is None:
-        return PolicyAnswer(name=entry.name, plugin=entry.plugin, description=entry.description, error=entry.error)
-    return PolicyAnswer(
-        name=entry.name,
-        plugin=entry.plugin,
-        description=spec.description,
-        error=entry.error,
-        needs_target=spec.needs_target,
-        episode_steps=spec.episode_steps,
-        trained=spec.trained,
-        sha256=spec.sha256,
-    )

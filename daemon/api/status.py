@@ -3,12 +3,11 @@
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Protocol
+from typing import Any, Protocol
 
 from pydantic import TypeAdapter
 
 from softarm.daemon.control.records import EStop, Outputs, Problems
-from softarm.policies.base import PolicySpec
 from softarm.policies.registry import PolicyEntry
 from softarm.schemas.policy import TrainingRange
 
@@ -17,14 +16,11 @@ _OUTPUTS = tuple(field.name for field in fields(Outputs))
 
 
 class RecorderState(Protocol):
-    """What the API shows and tells the recorder."""
+    """What the API shows of the recorder."""
 
     path: Path | None
     dropped: int
     problem: str | None
-
-    def policy(self, spec: PolicySpec) -> None:
-        """Note a change of policy. Never blocks."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,7 +64,14 @@ class Status(Outputs):
     version: str
 
 
-_STATUS = TypeAdapter(Status)
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RequestAnswer(Status):
+    """The status once a request was carried out."""
+
+    warnings: tuple[str, ...]  # what a person should know of a request that was taken all the same
+
+
+_STATUS, _ANSWER = TypeAdapter(Status), TypeAdapter(RequestAnswer)
 
 
 class StatusView:
@@ -103,31 +106,40 @@ class StatusView:
         outputs = self._snapshot()
         if outputs is None:
             return None
-        stalled = self.age_ns(outputs) > STALLED_NS
+        stalled = self._stalled(outputs)
         known, was_stalled, data = self._cached
         if known is not outputs or was_stalled is not stalled:
-            data = _STATUS.dump_json(self._status(outputs, stalled))
+            data = _STATUS.dump_json(Status(**self._parts(outputs, stalled)))
             self._cached = (outputs, stalled, data)
         return data
 
-    def _status(self, outputs: Outputs, stalled: bool) -> Status:
+    def answer(self, warnings: tuple[str, ...]) -> bytes | None:
+        """The answer to a request that was carried out, as JSON; None before the first tick."""
+        outputs = self._snapshot()
+        if outputs is None:
+            return None
+        return _ANSWER.dump_json(RequestAnswer(**self._parts(outputs, self._stalled(outputs)), warnings=warnings))
+
+    def _stalled(self, outputs: Outputs) -> bool:
+        return self.age_ns(outputs) > STALLED_NS
+
+    def _parts(self, outputs: Outputs, stalled: bool) -> dict[str, Any]:
         entry = self.policies.get(outputs.policy)
         spec = entry.spec if entry else None
         box, seen = self._recorder, outputs.observed
-        return Status(
-            **{name: getattr(outputs, name) for name in _OUTPUTS},
-            stalled=stalled,
-            ages_ms=Ages()
+        return {name: getattr(outputs, name) for name in _OUTPUTS} | {
+            "stalled": stalled,
+            "ages_ms": Ages()
             if seen is None
             else Ages(seen.mocap_age_ns * 1e-6, seen.pressure_age_ns * 1e-6, seen.rail_age_ns * 1e-6),
-            problems=self._problems(),
-            policy_info=PolicyInfo(spec.name, spec.description, spec.trained, spec.sha256) if spec else None,
-            recorder=RecorderInfo(None, 0, None)
+            "problems": self._problems(),
+            "policy_info": PolicyInfo(spec.name, spec.description, spec.trained, spec.sha256) if spec else None,
+            "recorder": RecorderInfo(None, 0, None)
             if box is None
             else RecorderInfo(str(box.path) if box.path else None, box.dropped, box.problem),
-            uptime_s=(outputs.t_ns - self._started_ns) * 1e-9,
-            version=self._version,
-        )
+            "uptime_s": (outputs.t_ns - self._started_ns) * 1e-9,
+            "version": self._version,
+        }
 
     def why_unhealthy(self) -> list[str]:
         """Every reason for which the robot cannot be used now; empty when it can."""

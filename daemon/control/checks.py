@@ -14,14 +14,12 @@ DISAGREEING_TICKS = 5  # a single pair of readings may straddle a reversal
 OUTSIDE_M = 0.02  # past the rail limit before the failsafe takes over from the safety filter
 
 
-def device_events(
-    inputs: Inputs, observer: Observer, config: Config, engaged: bool, disagreeing_ticks: int
-) -> Iterator[Event]:
+def device_events(inputs: Inputs, observer: Observer, config: Config, engaged: bool) -> Iterator[Event]:
     """All of them; `engaged`: the actuators are supposed to be on."""
     yield from _mocap(inputs, observer, config)
     yield from _pressure(inputs, config, engaged)
     yield from _rail(inputs, config, engaged)
-    if disagreeing_ticks >= DISAGREEING_TICKS:
+    if observer.disagreeing_ticks >= DISAGREEING_TICKS:
         distance = observer.rail_against_mocap_m() or 0.0
         yield Event("rail_disagrees", f"{distance * 1e3:.0f} mm apart")
 
@@ -42,7 +40,7 @@ def _mocap(inputs: Inputs, observer: Observer, config: Config) -> Iterator[Event
     lost = (
         []
         if observer.newest is None
-        else [name for name, body in zip(BODY_NAMES, observer.newest.bodies, strict=False) if not body.tracked]
+        else [name for name, body in zip(BODY_NAMES, observer.newest.bodies, strict=True) if not body.tracked]
     )
     if lost:
         yield Event("mocap_body_lost", ", ".join(lost))

@@ -235,7 +235,8 @@ class ModeMachine:
         stops = tuple(e for e in events if e.rule.response is Response.STOP)
         self._stop_causes = tuple(e.text for e in stops)
         active = self.mode in (Mode.ARMING, Mode.ARMED, Mode.STOPPING)
-        if stops and (active or stops[0].name == "stop_requested" or self.estop is not EStop.CLEAR):
+        asked_for = any(e.name == "stop_requested" for e in stops)
+        if stops and (active or asked_for or self.estop is not EStop.CLEAR):
             if self.mode is not Mode.STOPPED:
                 self.last_stop = stops[0].text
                 self._go(Mode.STOPPED)

@@ -28,8 +28,9 @@ class Observer:
     there are two frames.
     """
 
-    def __init__(self, stale_ns: int) -> None:
+    def __init__(self, stale_ns: int, disagreement_m: float) -> None:
         self._stale_ns = stale_ns  # a gap longer than this is not differenced over
+        self._disagreement_m = disagreement_m  # between axis and mocap: farther apart, they disagree
         self._frame: MocapFrame | None = None
         self._velocities = (0.0, 0.0, 0.0)  # cart, tip y, tip z
         self.newest: MocapFrame | None = None  # usable or not
@@ -37,6 +38,7 @@ class Observer:
         self.rail: RailReading | None = None
         self.frames_in_a_row = 0  # usable frames without a longer gap, for arming
         self.frames_lost = 0  # by the bridge's own count
+        self.disagreeing_ticks = 0  # in a row, until now
 
     def update(self, inputs: Inputs) -> None:
         """Take in a tick's measurements."""
@@ -56,6 +58,9 @@ class Observer:
         elif (self.mocap_age_ns(inputs.t_ns) or 0) > self._stale_ns:
             self.frames_in_a_row = 0
             self._velocities = (0.0, 0.0, 0.0)
+        distance_m = self.rail_against_mocap_m()
+        apart = distance_m is not None and distance_m > self._disagreement_m
+        self.disagreeing_ticks = self.disagreeing_ticks + 1 if apart else 0
 
     def _difference(self, frame: MocapFrame) -> None:
         before = self._frame

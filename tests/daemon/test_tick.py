@@ -266,6 +266,15 @@ def test_an_axis_that_disagrees_with_mocap_for_long_stops():
     assert "50 mm apart" in rig.outputs.last_stop
 
 
+def test_asking_what_holds_changes_nothing():
+    rig = Rig().swinging()
+    rig.cart = 0.1
+    for _ in range(3):
+        rig.tick(rail=RailReading(rig.now, 0.05, 0.0, True))
+    inputs = rig.inputs()
+    assert tuple(rig.controller._conditions(inputs)) == tuple(rig.controller._conditions(inputs))
+
+
 def test_a_device_that_switches_itself_off_ends_the_swing():
     for changes in ({"of": "rail", "enabled": False}, {"of": "pressure", "armed": False}):
         rig = Rig().swinging()

@@ -11,12 +11,18 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from softarm.daemon.api.app import ApiContext, create_app
 from softarm.daemon.api.status import StatusView
 from softarm.daemon.control import workspace
+from softarm.daemon.control.inbox import Inbox
 from softarm.daemon.control.records import ActiveEvent, EStop, Outputs, Problems
 from softarm.daemon.logbook import logs
 from softarm.daemon.logbook.recorder import Recorder
-from softarm.policies.base import PolicySpec
+from softarm.daemon.shell.daemon import simulated_devices
+from softarm.daemon.shell.loop import ControlLoop
+from softarm.daemon.tick import Controller
+from softarm.policies.hold import Hold
+from softarm.policies.runner import InlineRunner
 from softarm.schemas.config import Config
 from softarm.schemas.goals import Goal, GoalStatus
 
@@ -258,15 +264,27 @@ def test_a_policy_is_loaded_and_warmed_up_beside_the_loop(loop, app, client_of, 
     assert outcome.fault is None
 
 
-def test_the_log_notes_which_model_flies(loop, tmp_path, app, client_of):
-    recorder = Recorder(Config(recorder={"directory": tmp_path}), PolicySpec("reach", "swings"))
+@pytest.mark.realtime
+def test_the_log_notes_every_change_of_policy_once(tmp_path, client_of, shelf):
+    config = Config(recorder={"directory": tmp_path})
+    recorder, inbox = Recorder(config, Hold.spec), Inbox()
+    loop = ControlLoop(Controller(config, InlineRunner(Hold())), simulated_devices(), inbox, recorder)
+    context = ApiContext(config, inbox, lambda: loop.snapshot, recorder=recorder, policies=shelf)
+    client = client_of(create_app(context))
     recorder.start()
-    client = client_of(app(loop, recorder=recorder))
-    assert client.put("/api/policy", json={"name": "pid"}).status_code == 200
-    loop.refuse = ("a goal is running",)
-    assert client.put("/api/policy", json={"name": "reach"}).status_code == 409
-    recorder.stop()
-    assert [policy["name"] for policy in logs.read(recorder.path).policies] == ["reach", "pid"]
+    loop.start()
+    try:
+        assert [client.put("/api/policy", json={"name": name}).status_code for name in ("reach", "lost")] == [200, 422]
+    finally:
+        loop.stop()
+        recorder.stop()
+    assert [policy["name"] for policy in logs.read(recorder.path).policies] == ["hold", "reach"]
+
+
+def test_the_documentation_says_that_an_answer_may_warn(client):
+    api = client.get("/openapi.json").json()
+    answer = api["paths"]["/api/goal"]["post"]["responses"]["200"]["content"]["application/json"]["schema"]["$ref"]
+    assert "warnings" in api["components"]["schemas"][answer.rpartition("/")[2]]["properties"]
 
 
 def test_the_runner_of_a_refused_policy_ends(client, loop):

@@ -3,6 +3,8 @@
 from pathlib import Path
 
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from softarm.daemon.control.failsafe import TABLE, Event, ModeMachine, Response, page
 from softarm.daemon.control.records import EStop, Mode
@@ -96,6 +98,25 @@ def test_a_requested_stop_latches_from_every_mode(mode):
     step(made, "stop_requested")
     assert made.mode is Mode.STOPPED
     assert made.estop is EStop.ENGAGED
+
+
+some_events = st.lists(st.sampled_from(list(TABLE)), max_size=5, unique=True)
+
+
+@settings(max_examples=500, deadline=None)
+@given(st.sampled_from(Mode), some_events.flatmap(lambda some: st.tuples(st.just(some), st.permutations(some))))
+def test_the_order_of_events_changes_neither_mode_nor_latch(mode, orders):
+    one, other = machine(mode), machine(mode)
+    step(one, *orders[0])
+    step(other, *orders[1])
+    assert (one.mode, one.estop) == (other.mode, other.estop)
+
+
+@pytest.mark.parametrize("other", [n for n in names(Response.STOP) if n != "stop_requested"])
+def test_a_requested_stop_latches_whatever_else_is_wrong_before_it(other):
+    made = machine(Mode.DISARMED)
+    step(made, other, "stop_requested")
+    assert (made.mode, made.estop) == (Mode.STOPPED, EStop.ENGAGED)
 
 
 def test_the_severest_event_wins():

@@ -1,0 +1,80 @@
+"""Which policies the API offers, and how one is made ready beside the control loop."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from softarm.daemon.api.refusals import Refused
+from softarm.policies import registry
+from softarm.policies.base import Policy, PolicyError
+from softarm.policies.registry import PolicyEntry
+from softarm.policies.runner import PolicyRunner, ThreadRunner
+from softarm.schemas.config import Config
+from softarm.schemas.policy import Observation, places
+from softarm.schemas.rest import PolicyAnswer
+
+# What a policy is warmed up on: the arm hanging at rest, and a target that it knows.
+_HANGING = np.zeros(len(Observation._fields), dtype=np.float32)
+_HANGING[places("tip_z_m")] = 0.52
+_TARGET = np.array([-0.2, 0.6], dtype=np.float32)
+
+
+class Policies(Protocol):
+    """Which policies there are, and how one is made; both may take long and are called in a worker thread."""
+
+    def available(self) -> Mapping[str, PolicyEntry]:
+        """All, by name."""
+
+    def load(self, name: str) -> Policy:
+        """One. Raises PolicyError."""
+
+
+@dataclass(frozen=True, slots=True)
+class Installed:
+    """The installed, shipped and configured policies."""
+
+    config: Config
+
+    def available(self) -> Mapping[str, PolicyEntry]:
+        """See Policies."""
+        return registry.available(self.config.policies)
+
+    def load(self, name: str) -> Policy:
+        """See Policies."""
+        return registry.load(name, self.config.policies)
+
+
+def warmed_up(policies: Policies, name: str, budget_s: float) -> PolicyRunner:
+    """Make a policy, have it do its first step, give it a thread with a budget. Raises Refused."""
+    try:
+        policy = policies.load(name)
+        policy.reset()
+        policy.step(_HANGING.copy(), _TARGET.copy())
+        policy.reset()
+    except PolicyError as error:
+        raise Refused(422, str(error)) from error
+    except Exception as error:
+        raise Refused(
+            422,
+            f"policy '{name}': its first step failed ({type(error).__name__}: {error}); choose another",
+        ) from error
+    return ThreadRunner(policy, budget_s)
+
+
+def policy_answer(entry: PolicyEntry) -> PolicyAnswer:
+    """A policy as GET /api/policies shows it."""
+    spec = entry.spec
+    if spec is None:
+        return PolicyAnswer(name=entry.name, plugin=entry.plugin, description=entry.description, error=entry.error)
+    return PolicyAnswer(
+        name=entry.name,
+        plugin=entry.plugin,
+        description=spec.description,
+        error=entry.error,
+        needs_target=spec.needs_target,
+        episode_steps=spec.episode_steps,
+        trained=spec.trained,
+        sha256=spec.sha256,
+    )
