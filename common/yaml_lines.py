@@ -155,7 +155,7 @@ class _Reader:
             raise self._refuse(event, _TOO_DEEP, "write it flatter")
         elif event.tag not in _PLAIN_TAGS:
             self._find(event, place, f"has the tag {event.tag}; remove it")
-            self._skip(event)
+            self._skip(event, place)
             value = None
         else:
             value = self._mapping(place) if isinstance(event, yaml.MappingStartEvent) else self._sequence(place)
@@ -178,14 +178,14 @@ class _Reader:
             line = key.start_mark.line + 1
             if not isinstance(key, yaml.ScalarEvent):
                 self._find(key, place, "a key must be a plain name")
-                self._skip(key)
-                self._skip(next(self.events))
+                self._skip(key, place)
+                self._skip(next(self.events), place)
                 continue
             name = self._text(key)
             here = (*place, name)
             if here in self.read.lines:
                 self._find(key, here, f"stands twice (first in line {self.read.lines[here]}); keep one")
-                self._skip(next(self.events))
+                self._skip(next(self.events), place)
                 continue
             self.read.lines[here] = line
             value = self._value(event := next(self.events), here)
@@ -248,13 +248,15 @@ class _Reader:
             for key in value if isinstance(value, dict) else range(len(value)):
                 self._repeat(event, (*old, key), (*new, key), value[key])
 
-    def _skip(self, event: Any) -> None:
+    def _skip(self, event: Any, place: Place) -> None:
         """Leave out a value."""
         depth = 0
         while True:
             depth += isinstance(event, yaml.CollectionStartEvent) - isinstance(event, yaml.CollectionEndEvent)
             if depth == 0:
                 return
+            if len(place) + depth > MAX_DEPTH:
+                raise self._refuse(event, _TOO_DEEP, "write it flatter")
             event = next(self.events)
 
     def _find(self, event: Any, place: Place, text: str) -> None:

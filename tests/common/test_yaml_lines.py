@@ -119,6 +119,8 @@ def test_what_is_merged_keeps_the_line_where_it_was_written():
         ("\x00", "file.yaml: not valid YAML: unacceptable character"),
         ("a: " + "[" * 100_000, f"file.yaml:1: not valid YAML: it is nested too deeply (more than {MAX_DEPTH} levels)"),
         ("a: " + "{b: " * 100_000, "file.yaml:1: not valid YAML: it is nested too deeply"),
+        ("? " + "[" * 10_000, "file.yaml:1: not valid YAML: it is nested too deeply"),
+        ("a: !x " + "[" * 10_000, "file.yaml:1: not valid YAML: it is nested too deeply"),
         ("\n".join(" " * i + "a:" for i in range(500)), f"file.yaml:{MAX_DEPTH + 1}: not valid YAML: it is nested too"),
     ],
 )
