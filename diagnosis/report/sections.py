@@ -4,7 +4,16 @@ import numpy as np
 
 from softarm.diagnosis.gap.result import Diagnosis
 from softarm.diagnosis.report import causal, evidence
-from softarm.diagnosis.report.words import answer, change, headline, meaning, percents, reduction, unit_of
+from softarm.diagnosis.report.words import (
+    answer,
+    change,
+    headline,
+    meaning,
+    percents,
+    reduction,
+    shrink_bounds,
+    unit_of,
+)
 from softarm.pages import charts
 from softarm.pages.markup import Html, bar, el, join, prose, table, tiles
 from softarm.pages.numbers import listed, number, percent, quantity
@@ -41,7 +50,9 @@ def _figures(diagnosis: Diagnosis) -> list[tuple[str, Html | str]]:
         before, after = gap.before[place], gap.after.get(place)
         if after is not None and verdict.effects:
             share = reduction(before, after)
-            label = f"{label}, {percent(abs(share))} {'less' if share >= 0 else 'more'}" if share is not None else label
+            if share is not None:
+                bounds = shrink_bounds(diagnosis) if place == stage else ""
+                label += f", {percent(abs(share))} {'less' if share >= 0 else 'more'}{bounds}"
             figures.append((label, change(before, after)))
         else:
             figures.append((label, quantity(before.value, before.unit)))

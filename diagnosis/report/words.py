@@ -1,12 +1,14 @@
 """A diagnosis in plain words: the answer in three sentences, changes and intervals as people read them."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 from softarm.diagnosis.gap.result import Diagnosis
 from softarm.pages.numbers import listed, number, percent, quantity, scaled
 from softarm.schemas.verdict import Interval, NamedEffect, Quantity
 from softarm.simulator import effects
+
+_HEADLINE_MOST = 3  # names
 
 
 def change(before: Quantity, after: Quantity, arrow: str = " → ") -> str:
@@ -141,13 +143,20 @@ def _shrink_of(diagnosis: Diagnosis, place: str, whose: str, first: bool) -> str
     share = reduction(before, after)
     if before is None or after is None or share is None:
         return ""
-    one = diagnosis.verdict.effects[0].shrink.stage if first and len(diagnosis.verdict.effects) == 1 else None
-    bounds = f", {round(100 * one.low)} to {round(100 * one.high)} %" if one else ""
+    bounds = shrink_bounds(diagnosis) if first else ""
     verb = "shrinks" if share >= 0 else "grows"
     return (
         f"{whose} {verb} from {change(before, after, ' to ')} RMS "
         f"({percent(abs(share))} {'less' if share >= 0 else 'more'}{bounds})"
     )
+
+
+def shrink_bounds(diagnosis: Diagnosis) -> str:
+    """The 95 % interval of the stage's shrink, as `, 70 to 78 %`; it is one effect's, so none where there are more."""
+    if len(diagnosis.verdict.effects) != 1:
+        return ""
+    of = diagnosis.verdict.effects[0].shrink.stage
+    return f", {round(100 * of.low)} to {round(100 * of.high)} %"
 
 
 def _unknown(diagnosis: Diagnosis) -> tuple[str, str, str]:
@@ -201,5 +210,11 @@ def headline(diagnosis: Diagnosis) -> str:
         return "No gap"
     if verdict.verdict == "unknown" or not verdict.effects:
         return f"An unknown effect in {verdict.where.stage}" if verdict.where.stage else "An unknown effect"
-    names = [listed((e.name, *e.equivalents), "or") for e in verdict.effects]
-    return listed(names) + (", and more" if verdict.verdict == "incomplete" else "")
+    names = [_few((e.name, *e.equivalents), "or") for e in verdict.effects]
+    return _few(names, "and") + (", and more" if verdict.verdict == "incomplete" else "")
+
+
+def _few(names: Sequence[str], last: str) -> str:
+    """A list that stays a headline; the rest is counted."""
+    more = len(names) - _HEADLINE_MOST
+    return listed(names, last) if more < 2 else listed((*names[:_HEADLINE_MOST], f"{more} others"), last)

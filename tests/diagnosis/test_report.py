@@ -215,6 +215,26 @@ def test_a_set_is_told_as_a_set_and_no_single_member_of_it_as_the_cause():
     assert what == "The simulator lacks one of pressure.dead_time or pressure.lag (this data cannot tell which)."
 
 
+def test_a_headline_names_few_and_counts_the_rest():
+    many = tuple(DEAD_TIME.model_copy(update={"name": f"joint.effect{i}"}) for i in range(26))
+    assert words.headline(diagnosis(verdict=verdict(effects=many))) == (
+        "joint.effect0, joint.effect1, joint.effect2 and 23 others"
+    )
+    assert words.headline(diagnosis(verdict=verdict(effects=many[:4]))).endswith("joint.effect2 and joint.effect3")
+    alike = DEAD_TIME.model_copy(update={"equivalents": tuple(e.name for e in many)})
+    assert words.headline(diagnosis(verdict=verdict(effects=(alike,)))) == (
+        "pressure.dead_time, joint.effect0, joint.effect1 or 24 others"
+    )
+
+
+def test_the_shrink_at_the_top_has_its_interval_where_one_effect_has_it():
+    told = "pressure gap, 74 % less"
+    assert f"{told}, 70 to 78 %" in Page(report.render(CASES["named"])).words
+    several = Page(report.render(CASES["incomplete"])).words
+    assert told in several
+    assert f"{told}, 70" not in several
+
+
 def test_an_unknown_cause_names_no_effect_as_the_cause():
     what, sure, then = report.answer(CASES["unknown"])
     assert "none of the known effects explains it" in what
