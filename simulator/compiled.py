@@ -2,16 +2,19 @@
 
 Before numba loads a compiled function it looks at that function's own file alone; what was inlined from other files
 may have changed since, and the old numbers would come back to every digit. Here a function's name on disk also holds
-a stamp: a hash over all of its files and over the versions of what compiles them. Another stamp is another name, so
-what was made of other text is not found, wherever numba keeps it, and however many processes start at once; it is
-deleted. Who keeps two environments with different versions beside one checkout compiles at each change.
+a stamp: a hash over all of its files and over the versions of what compiles them. Another stamp is another name: what
+was made of other text is not found, wherever numba keeps it, and is deleted. Any number of processes may start at
+once; they save one after the other. Who keeps two environments beside one checkout compiles at each change of them.
 """
 
 # mypy: allow-untyped-defs, allow-untyped-calls, allow-subclassing-any
+import fcntl
 import functools
 import hashlib
 import logging
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -43,7 +46,8 @@ def compiler(*sources: Path) -> Any:
         def save_overload(self, sig, data):
             # A process that outlives an edit keeps to itself what it makes of the text before.
             if _stamp(sources) == stamp:
-                super().save_overload(sig, data)
+                with _alone(Path(self.cache_path)):
+                    super().save_overload(sig, data)
 
     def compiled(function=None, **options):
         if function is None:
@@ -67,6 +71,20 @@ def _stamp(sources: tuple[Path, ...]) -> str:
     for path in sources:
         digest.update(hashlib.sha256(path.read_bytes()).digest())
     return digest.hexdigest()[:16]
+
+
+@contextmanager
+def _alone(folder: Path) -> Iterator[None]:
+    """Hold other processes back from saving: numba reads its index, changes and writes it, and numbers files by it."""
+    folder.mkdir(parents=True, exist_ok=True)
+    with (folder / "softarm.lock").open("w") as lock:
+        with suppress(OSError):  # a network's file system may know no locks
+            fcntl.flock(lock, fcntl.LOCK_EX)
+        try:
+            yield
+        finally:
+            with suppress(OSError):
+                fcntl.flock(lock, fcntl.LOCK_UN)  # closing it is not enough where a fork has it too
 
 
 @functools.cache

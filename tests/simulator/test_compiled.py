@@ -57,6 +57,7 @@ def kept(folder):
     return sorted(path.name for path in folder.rglob("*.nbi"))
 
 
+@pytest.mark.slow
 def test_an_edit_of_the_pressure_stage_is_flown_at_once(tmp_path):
     for room in ("simulator", "schemas", "common"):
         shutil.copytree(HOUSE / room, tmp_path / "softarm" / room, ignore=shutil.ignore_patterns("__pycache__"))
@@ -145,6 +146,7 @@ def test_a_process_that_outlives_an_edit_leaves_nothing_of_the_old_text_behind(p
     assert entry()(1) == 3
 
 
+@pytest.mark.slow
 def test_several_that_start_at_once_after_an_edit_all_see_it(package):
     entry()(1.0)
     edit(package)
@@ -152,6 +154,40 @@ def test_several_that_start_at_once_after_an_edit_all_see_it(package):
     assert [answer(each) for each in started] == [["3.0"]] * 3
     again = entry()
     assert (again(1.0), hits(again)) == (3.0, 1)
+
+
+# One process reads the index; before it writes, another has compiled for another type and saved, if it may.
+SLOW = """
+import os, time
+from numba.core.caching import IndexDataCacheFile
+from entry import entry
+save = IndexDataCacheFile._save_index
+def late(self, overloads):
+    if "entry" in self._index_name:
+        open("reading", "w").close()
+        until = time.monotonic() + 1.0
+        while not os.path.exists("saved") and time.monotonic() < until:
+            time.sleep(0.01)
+    save(self, overloads)
+IndexDataCacheFile._save_index = late
+print(entry(1))
+"""
+QUICK = """
+import os, time
+from entry import entry
+while not os.path.exists("reading"):
+    time.sleep(0.01)
+print(entry(1.0))
+open("saved", "w").close()
+"""
+
+
+@pytest.mark.slow
+def test_two_that_save_at_once_both_keep_what_they_made(package):
+    slow, quick = (process(code, package) for code in (SLOW, QUICK))
+    assert (answer(slow), answer(quick)) == (["2"], ["2.0"])
+    again = entry()
+    assert (again(1), again(1.0), hits(again)) == (2, 2.0, 2)
 
 
 def test_beside_files_that_cannot_be_written_the_users_cache_is_as_safe_and_it_says_once_where_that_is(package, caplog):
