@@ -12,6 +12,7 @@ around each table of benchmarks/tables.py.
 import json
 import re
 import shlex
+import subprocess
 import sys
 from collections.abc import Mapping
 from datetime import UTC, datetime
@@ -22,7 +23,7 @@ import click
 
 from softarm.common import files
 from softarm.common.processes import cores
-from softarm.common.revision import machine, revision
+from softarm.common.revision import ROOT, machine, revision
 
 FOLDER = Path(__file__).parent / "results"
 DOCS = Path(__file__).resolve().parents[1] / "docs"
@@ -35,12 +36,19 @@ json_option = click.option("--json", "json_file", type=FILE, help="Write the fig
 def write(file: Path, figures: Mapping[str, Any], command: str | None = None) -> None:
     """Write figures, by name, and where they come from. command: what gave them (default: this program)."""
     about = {
-        "revision": revision(),
+        "revision": measured(),
         "machine": {**machine(), "cpu": _cpu(), "cores": cores()},
         "date": datetime.now(UTC).isoformat(timespec="seconds"),
         "command": command or _command(),
     }
     files.write_text(file, json.dumps({"about": about, **figures}, indent=1) + "\n")
+
+
+def measured(root: Path = ROOT) -> str:
+    """The revision that a measurement ran at: results and pages changed since change no figure."""
+    aside = [f":(exclude){DOCS.name}", f":(exclude){FOLDER.parent.name}/{FOLDER.name}"]
+    same = subprocess.run(["git", "diff", "--quiet", "HEAD", "--", ".", *aside], cwd=root, check=False).returncode == 0
+    return revision(root).removesuffix("+changes") if same else revision(root)
 
 
 def _cpu() -> str:

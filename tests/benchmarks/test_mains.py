@@ -12,7 +12,6 @@ from click.testing import CliRunner
 
 from softarm import benchmarks
 from softarm.benchmarks import results
-from softarm.common.revision import revision
 
 FOLDER = Path(benchmarks.__file__).parent
 STARTED = sorted(file.stem for file in FOLDER.glob("*.py") if "def main(" in file.read_text(encoding="utf-8"))
@@ -47,7 +46,7 @@ def test_figures_are_kept_with_where_they_come_from(tmp_path):
     found = json.loads(file.read_text())
     assert found["speed"] == 2.5
     assert found["about"].keys() == {"revision", "machine", "date", "command"}
-    assert found["about"]["revision"] == revision()
+    assert found["about"]["revision"] == results.measured()
     assert found["about"]["machine"]["cores"] >= 1
     assert found["about"]["command"].endswith("--seconds 3")
 

@@ -2,6 +2,7 @@
 
 import json
 import re
+import subprocess
 import sys
 
 import pytest
@@ -108,3 +109,22 @@ def test_of_a_command_that_failed_nothing_is_kept(tmp_path, monkeypatch):
     assert run.exit_code == 1
     assert "ended with 3; nothing was kept" in run.output
     assert not (tmp_path / "mine.json").exists()
+
+
+def test_results_and_pages_that_changed_since_do_not_change_the_revision(tmp_path):
+    def git(*words):
+        who = ("-c", "user.name=a", "-c", "user.email=a@example.org")
+        return subprocess.run(["git", *who, *words], cwd=tmp_path, check=True, capture_output=True, text=True).stdout
+
+    result, code = tmp_path / "benchmarks" / "results" / "loop.json", tmp_path / "benchmarks" / "loop.py"
+    result.parent.mkdir(parents=True)
+    result.write_text("1")
+    code.write_text("1")
+    git("init", "-q")
+    git("add", ".")
+    git("commit", "-qm", "all")
+    commit = git("rev-parse", "HEAD").strip()
+    result.write_text("2")
+    assert results.measured(tmp_path) == commit
+    code.write_text("2")
+    assert results.measured(tmp_path) == f"{commit}+changes"
