@@ -22,6 +22,7 @@ from rich.console import Console
 
 from softarm.benchmarks import commands
 from softarm.schemas.model import Model
+from softarm.schemas.robot import TRAINING_PHYSICS_RATE_HZ
 from softarm.simulator.effects import REGISTRY
 from softarm.simulator.simd import load, store
 from softarm.simulator.simulator import Simulator
@@ -153,7 +154,7 @@ def count(model: Model) -> dict[str, int]:
         simulator.step(v, p)
     m = [_Number(x) for x in simulator._rows[0, :, 0]]
     w = [_Number(0.0) for _ in range(simulator._at.scratch_end)]
-    links, dt = (0,) * simulator.links, 1 / 240
+    links, dt = (0,) * simulator.links, 1 / TRAINING_PHYSICS_RATE_HZ
     _Number.counts = Counter()
     with _interpreted():
         run = importlib.import_module("softarm.simulator.kernel.run")

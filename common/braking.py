@@ -121,6 +121,6 @@ def _ramp(law: BrakingLaw, position: Number, velocity: Number, target: Number, t
 
 def _choose(condition: Any, one: Any, other: Any) -> Any:
     """`one` where the condition holds, else the other."""
-    if isinstance(condition, np.ndarray):
-        return np.where(condition, one, other)
-    return one if condition else other
+    if isinstance(condition, bool):
+        return one if condition else other
+    return np.where(condition, one, other)[()]  # [()]: of a number of numpy's own, a number again

@@ -81,10 +81,9 @@ class Multisine:
     def at(self, t_s: float) -> float:
         """See Segment."""
         each = self.amplitude / (1.4 * math.sqrt(self.count))  # Schroeder's phases stay below 1.4 sqrt(count)
-        return self.mean + max(-self.amplitude, min(self.amplitude, each * sum(
-            math.cos(2 * math.pi * k * t_s / self.period_s - math.pi * k * (k - 1) / self.count)
-            for k in range(1, self.count + 1)
-        )))  # fmt: skip
+        harmonics = range(1, self.count + 1)
+        phases = (2 * math.pi * k * t_s / self.period_s - math.pi * k * (k - 1) / self.count for k in harmonics)
+        return self.mean + max(-self.amplitude, min(self.amplitude, each * sum(map(math.cos, phases))))
 
 
 Signal = tuple[Segment, ...]

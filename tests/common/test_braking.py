@@ -133,6 +133,13 @@ def test_every_cart_of_a_batch_gets_what_it_would_get_alone(batch, sent):
     assert [tuple(cart) for cart in zip(*together, strict=True)] == [tuple(cart) for cart in alone]
 
 
+@given(speeds, positions, speeds, speeds)
+def test_numbers_of_numpys_own_are_numbers(wanted, position, velocity, sent):
+    own = law().bound(*map(np.float64, (wanted, position, velocity)), [np.float64(sent)])
+    assert own == law().bound(wanted, position, velocity, [sent])
+    assert isinstance(own.velocity_m_s, float)
+
+
 @given(batches, speeds)
 def test_a_batch_in_float32_differs_by_its_rounding(batch, sent):
     rule, step = law(), 2.5 / 2**BISECTIONS
