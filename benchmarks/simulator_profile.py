@@ -6,7 +6,6 @@ fused, since the kernel's are not (a robot's numbers are to be the same in any b
 """
 
 import importlib
-import os
 import statistics
 import time
 from collections import Counter
@@ -21,6 +20,7 @@ import numpy as np
 from rich.console import Console
 
 from softarm.benchmarks import commands
+from softarm.common.processes import cores
 from softarm.schemas.model import Model
 from softarm.schemas.robot import TRAINING_PHYSICS_RATE_HZ
 from softarm.simulator.effects import REGISTRY
@@ -41,9 +41,9 @@ def measure(rounds: int) -> dict[str, Any]:
     seed, full = _Flight(None, ROBOTS), _Flight(all_effects(), ROBOTS)
     pairs = [(seed.speed(), full.speed()) for _ in range(rounds)]
     seed_speed, full_speed = (statistics.median(side) for side in zip(*pairs, strict=True))
-    cores = len(os.sched_getaffinity(0))
+    threads = cores()
     counted = count(Model())
-    peak = _peak_gflops(cores)
+    peak = _peak_gflops(threads)
     achieved = seed_speed * SUBSTEPS * counted["flops"] / 1e9
     return {
         "effects": {
@@ -52,7 +52,7 @@ def measure(rounds: int) -> dict[str, Any]:
             "all_over_seed": full_speed / seed_speed,
         },
         "scaling": {
-            "cores": {str(n): _on(n, seed.speed, rounds) for n in range(1, cores + 1)},
+            "cores": {str(n): _on(n, seed.speed, rounds) for n in range(1, threads + 1)},
             "batch": {str(n): _Flight(None, n).best(rounds) for n in BATCHES},
         },
         "profile": {
@@ -230,10 +230,10 @@ def _multiply_and_add(memory, lanes, repeats):  # type: ignore[no-untyped-def]
         store(m, 0, lanes, a + b + c + d + e + f + g + h + i + j + k + n)
 
 
-def _peak_gflops(cores: int, repeats: int = 4_000_000) -> float:
+def _peak_gflops(threads: int, repeats: int = 4_000_000) -> float:
     """The most unfused multiplications and additions a second, 1e9, on all cores; lanes of 16, a 512 bit register."""
     lanes = (0,) * 16
-    memory = np.zeros((cores, 14 * len(lanes)), np.float32)
+    memory = np.zeros((threads, 14 * len(lanes)), np.float32)
     memory[:, 12 * len(lanes) : 13 * len(lanes)] = 0.5
     memory[:, 13 * len(lanes) :] = 1.0
     _multiply_and_add(memory, lanes, 1)
@@ -241,5 +241,5 @@ def _peak_gflops(cores: int, repeats: int = 4_000_000) -> float:
     for _ in range(5):
         start = time.perf_counter()
         _multiply_and_add(memory, lanes, repeats)
-        best = max(best, cores * len(lanes) * 24 * repeats / (time.perf_counter() - start))
+        best = max(best, threads * len(lanes) * 24 * repeats / (time.perf_counter() - start))
     return best / 1e9

@@ -6,6 +6,7 @@ import click
 
 from softarm.cli.errors import fail
 from softarm.cli.options import FILE, config_option, flown_model, model_option
+from softarm.common.processes import bar
 
 
 @click.command()
@@ -30,8 +31,6 @@ def excite(
       softarm excite rail-chirp --simulated            on a simulated one
       softarm excite --plan verdict.json --config softarm.yaml    the next experiment of `softarm diagnose`
     """
-    from rich.progress import Progress
-
     from softarm.daemon.api.auth import AuthError
     from softarm.daemon.api.server import ApiError
     from softarm.daemon.config import configuration
@@ -60,16 +59,11 @@ def excite(
         config = configuration.load(config_file) if config_file else Config()
         total_s = length_s(config, name)
         model = flown_model(model_file)
-        with Progress(transient=True) as bar:
-            task = bar.add_task(f"playing {name}", total=total_s)
-
-            def tell(time_s: float) -> None:
-                bar.update(task, completed=time_s)
-
+        with bar(f"playing {name}", total_s) as shown:
             if simulated:
-                status, log = play_simulated(config, name, model, tell)
+                status, log = play_simulated(config, name, model, shown.show)
             else:
-                status, log = play(config, name, real_devices(config), tell)
+                status, log = play(config, name, real_devices(config), shown.show)
     except (configuration.ConfigurationError, PolicyError, RecorderError, ApiError, AuthError, RuntimeError) as error:
         fail(str(error))
     if status.state != "reached":

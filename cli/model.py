@@ -91,11 +91,12 @@ def export(name: Path, out: Path) -> None:
     Example:
       softarm model export --mjcf arm.xml seed      then: python -m mujoco.viewer --mjcf=arm.xml
     """
+    from softarm.common import files
     from softarm.simulator import mjcf
 
     exported = mjcf.export(_load(name))
     try:
-        out.write_text(exported.xml, encoding="utf-8")
+        files.write_text(out, exported.xml)
     except OSError as error:
         fail(f"{out}: cannot be written ({error.strerror}); name a file in an existing folder")
     for sentence in exported.left_out:

@@ -1,4 +1,4 @@
-"""`softarm bench train`: a level counts when it is held."""
+"""The time to a level: it counts when it is held."""
 
 from softarm.benchmarks import training as measurement
 from softarm.schemas.flights import Shares
