@@ -5,7 +5,7 @@ from pathlib import Path
 import click
 
 from softarm.cli.errors import fail
-from softarm.cli.tables import print_table
+from softarm.cli.printing import print_table
 
 
 @click.command()

@@ -1,22 +1,21 @@
 """`softarm close-gap`: from recordings of a robot to a policy that was trained on what they showed."""
 
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
-from softarm.cli.options import FILE
+from softarm.cli.errors import fail
+from softarm.cli.options import FILE, FOLDER, flown_model
+from softarm.cli.printing import print_table, print_text
+from softarm.common.processes import WorkerDied, bar
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from rich.console import Console
-
     from softarm.flights.closing.closed import Closed, Place
     from softarm.flights.closing.steps import Spent
 
-FOLDER = click.Path(path_type=Path, file_okay=False)
 REALITY = "reality"
 
 
@@ -24,17 +23,32 @@ REALITY = "reality"
 @click.argument("campaign", type=click.Path(path_type=Path))
 @click.option("--out", type=FOLDER, required=True, help="Folder for everything that comes out.")
 @click.option("--policy", default="reach-robust", show_default=True, help="To train on: a shipped name or .onnx file.")
-@click.option("--model", "model_file", type=FILE,
-              help="Nominal simulator (default: the campaign's model.yaml, else seed).")  # fmt: skip
-@click.option("--robot", default=REALITY, show_default=True,
-              help="Held-back robot to prove it on: `reality`, the independent one, or a model.")  # fmt: skip
-@click.option("--fault", "faults", multiple=True, metavar="GROUP.QUANTITY=VALUE",
-              help="What is wrong with the independent robot; again for more.")  # fmt: skip
+@click.option(
+    "--model", "model_file", type=FILE, help="Nominal simulator (default: the campaign's model.yaml, else seed)."
+)
+@click.option(
+    "--robot",
+    default=REALITY,
+    show_default=True,
+    help="Held-back robot to prove it on: `reality`, the independent one, or a model.",
+)
+@click.option(
+    "--fault",
+    "faults",
+    multiple=True,
+    metavar="GROUP.QUANTITY=VALUE",
+    help="What is wrong with the independent robot; again for more.",
+)
 @click.option("--seconds", type=click.FloatRange(1, 86400), help="Of retraining, at most.  [default: 120]")
 def close_gap(
-    campaign: Path, out: Path, policy: str, model_file: Path | None, robot: str, faults: tuple[str, ...],
+    campaign: Path,
+    out: Path,
+    policy: str,
+    model_file: Path | None,
+    robot: str,
+    faults: tuple[str, ...],
     seconds: float | None,
-) -> None:  # fmt: skip
+) -> None:
     """Diagnose CAMPAIGN, patch the simulator, train the policy on in it, and fly old and new.
 
     Both fly the paper's 54 targets from three cart positions, by the daemon's own tick, on the nominal simulator, the
@@ -48,12 +62,6 @@ def close_gap(
       softarm close-gap campaign --out closed --fault regulator.dead_time_s=0.06 --fault arm.payload_kg=0.03
       softarm close-gap campaign --out closed --robot other-robot.yaml --seconds 60
     """
-    from dataclasses import replace
-
-    from rich.console import Console
-
-    from softarm.cli.errors import fail
-    from softarm.common.processes import WorkerDied, bar
     from softarm.diagnosis import report
     from softarm.diagnosis.from_files import diagnose_files
     from softarm.diagnosis.trials import TrialError
@@ -62,35 +70,29 @@ def close_gap(
     from softarm.simulator.model_file import ModelFileError
     from softarm.training.run.checkpoint import CheckpointError
     from softarm.training.run.retrain import RetrainingConfig
-    from softarm.training.run.warm_start import load_weights
 
     if faults and robot != REALITY:
         raise click.UsageError("--fault is for the independent robot: leave --robot out, or put it into that model")
     recipe = RetrainingConfig() if seconds is None else replace(RetrainingConfig(), seconds=seconds)
-    console, warn, spent = Console(), partial(click.echo, err=True), steps.Spent()
-    declared = bool(faults) or robot != REALITY
+    warn, spent = partial(click.echo, err=True), steps.Spent()
     try:
         held_back, file = _held_back(robot, faults), steps.policy_file(policy)
         steps.make_folder(out)
-        load_weights(file)  # before minutes of work
         with steps.timed(spent, "diagnose"), bar("reading") as shown:
-            found = diagnose_files(
-                [campaign], model_file, tell=shown.tell, warn=lambda text: click.echo(text, err=True)
-            )
-        console.print("\n".join(report.answer(found)), markup=False, highlight=False)
+            found = diagnose_files([campaign], model_file, tell=shown.tell, warn=warn)
+        print_text("\n".join(report.answer(found)))
         if clock := [name for name in (found.patched.effects if found.patched else ()) if name.startswith("clock.")]:
             warn(f"{', '.join(clock)}: trained with, not flown; the control loop that flies is the real one")
-        closed = steps.close(found, file, out, held_back, declared, recipe, spent)
+        closed = steps.close(found, file, out, held_back, bool(faults) or robot != REALITY, recipe, spent)
     except (TrialError, ModelFileError, CheckpointError, PolicyError, WorkerDied, ValueError) as error:
         fail(str(error))
     except OSError as error:
         fail(f"{error.filename}: cannot be written ({error.strerror}); name another --out")
-    _show(closed, spent, out, console)
+    _show(closed, spent, out)
 
 
-def _held_back(robot: str, faults: "Sequence[str]") -> "Place":
+def _held_back(robot: str, faults: tuple[str, ...]) -> "Place":
     """Raises ValueError for faults or packages that there are none of; ends the command for a model that is none."""
-    from softarm.cli.options import flown_model
     from softarm.flights.closing import steps
     from softarm.flights.closing.closed import HELD_BACK, Place
 
@@ -98,23 +100,21 @@ def _held_back(robot: str, faults: "Sequence[str]") -> "Place":
     return steps.independent(faults) if model is None else Place(HELD_BACK, f"the held-back robot ({robot})", model)
 
 
-def _show(closed: "Closed", spent: "Spent", out: Path, console: "Console") -> None:
+def _show(closed: "Closed", spent: "Spent", out: Path) -> None:
     """A row a robot, what came of it, where it stands."""
-    from rich.table import Table
-
     from softarm.flights.closing import steps, story
     from softarm.flights.closing.closed import NEW, OLD, changed
     from softarm.pages.numbers import percent
 
     both = NEW in closed.policies
-    table = Table("flown on", *(["old policy", "retrained", "gained", "lost"] if both else ["policy"]))
+    columns, rows = ("old policy", "retrained", "gained", "lost") if both else ("policy",), []
     for place in closed.places:
         reached = [closed.flown[name, place.key] for name in closed.policies]
         other = changed(closed.flown[OLD, place.key], closed.flown[NEW, place.key]).values() if both else ()
-        table.add_row(place.title, *(percent(float(each.mean())) for each in reached), *map(str, other))
-    console.print(table)
-    console.print(story.sentence(closed), markup=False, highlight=False)
-    console.print(", ".join(f"{step} {t['wall_s']:.0f} s ({t['cpu_s']:.0f} s of CPU)" for step, t in spent.items()))
+        rows.append((place.title, *(percent(float(each.mean())) for each in reached), *map(str, other)))
+    print_table(("flown on", *columns), rows)
+    print_text(story.sentence(closed))
+    print_text(", ".join(f"{step} {t['wall_s']:.0f} s ({t['cpu_s']:.0f} s of CPU)" for step, t in spent.items()))
     click.echo(f"wrote {', '.join(name for name in steps.FILES if (out / name).exists())} to {out}")
     for warning in closed.diagnosis.verdict.warnings:
         click.echo(f"warning: {warning}", err=True)

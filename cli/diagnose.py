@@ -8,11 +8,10 @@ import click
 
 from softarm.cli.errors import fail
 from softarm.cli.options import FILE, FOLDER, check_places
+from softarm.cli.printing import print_table, print_text
 from softarm.common.processes import bar
 
 if TYPE_CHECKING:
-    from rich.console import Console
-
     from softarm.diagnosis.gap.result import Diagnosis
 
 INPUT = click.Path(path_type=Path)
@@ -49,8 +48,6 @@ def diagnose(
       softarm diagnose logs/*.mcap --model mine.yaml --report report.html
       softarm diagnose stage.yaml --data recordings --json verdict.json
     """
-    from rich.console import Console
-
     from softarm.common import files
     from softarm.diagnosis import report
     from softarm.diagnosis.from_files import TABLES, diagnose_files
@@ -78,7 +75,7 @@ def diagnose(
             written.append(patch_file)
     except OSError as error:
         fail(f"{error.filename}: cannot be written ({error.strerror}); name another place")
-    _show(result, Console(), json_file)
+    _show(result, json_file)
     if patch_file is not None and result.patched is None:
         click.echo(f"{patch_file}: not written, {_no_patch(result)}", err=True)
     if written:
@@ -91,24 +88,22 @@ def _no_patch(result: "Diagnosis") -> str:
     return f"nothing was named (verdict: {result.verdict.verdict})"
 
 
-def _show(result: "Diagnosis", console: "Console", json_file: Path | None) -> None:
+def _show(result: "Diagnosis", json_file: Path | None) -> None:
     """The answer in three sentences, a row a stage, every doubt."""
-    from rich.table import Table
-
     from softarm.diagnosis import report
     from softarm.pages.numbers import percent, quantity
 
     verdict, gap = result.verdict, result.verdict.gap
     for sentence in report.answer(result):
-        console.print(sentence, markup=False, highlight=False)
-    table = Table("stage", "share", "before", "after", "ceiling", "floor")
+        print_text(sentence)
+    rows = []
     for stage, before in gap.before.items():
         share = verdict.where.share.get(stage)
         after = gap.after.get(stage) if verdict.effects else None
         others = (before, after, gap.ceiling.get(stage), gap.floor.get(stage))
         cells = [quantity(q.value, q.unit) if q else "-" for q in others]
-        table.add_row(stage, "-" if share is None else percent(share), *cells)
-    console.print(table)
+        rows.append((stage, "-" if share is None else percent(share), *cells))
+    print_table(("stage", "share", "before", "after", "ceiling", "floor"), rows)
     if verdict.next_experiment is not None:
         plan = verdict.next_experiment
         file = json_file or "VERDICT.json (of --json)"

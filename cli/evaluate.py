@@ -1,10 +1,15 @@
 """`softarm evaluate`: a policy at the paper's 54 targets, or all policies at all tests, by the daemon's own tick."""
 
+import shlex
+import sys
 from pathlib import Path
 
 import click
 
-from softarm.cli.options import FILE, config_option, flown_model, json_option, model_option
+from softarm.cli.errors import fail
+from softarm.cli.options import FILE, config_option, flown_model, json_option, model_option, write, write_json
+from softarm.cli.printing import print_table
+from softarm.common.processes import WorkerDied, bar, cores
 
 
 @click.command()
@@ -14,18 +19,30 @@ from softarm.cli.options import FILE, config_option, flown_model, json_option, m
 @model_option
 @click.option("--all", "compare_all", is_flag=True, help="All policies at all tests, the shelf and other robots too.")
 @click.option("--report", type=FILE, help="With --all: write the table as one HTML file.")
-@click.option("--runs", type=click.Path(path_type=Path, file_okay=False, exists=True), help="With --all: a sweep's "
-              "folder; its policies stand for the shipped ones, with the spread over seeds.")  # fmt: skip
-@click.option("--only", multiple=True, metavar="NAME",
-              help="With --all: this policy (or `ceiling`) alone; again for more.")  # fmt: skip
+@click.option(
+    "--runs",
+    type=click.Path(path_type=Path, file_okay=False, exists=True),
+    help="With --all: a sweep's folder; its policies stand for the shipped ones, with the spread over seeds.",
+)
+@click.option(
+    "--only", multiple=True, metavar="NAME", help="With --all: this policy (or `ceiling`) alone; again for more."
+)
 @click.option("--test", "tests", multiple=True, help="With --all: this test alone, TEST or TEST@MODEL; again for more.")
 @click.option("--matrix", is_flag=True, help="With --runs: the sweep alone, on every shipped model and beyond.")
 @click.option("--workers", type=click.IntRange(min=1), help="With --all: processes.  [default: one a core]")
 def evaluate(
-    policy: str, json_file: Path | None, config_file: Path | None, model_file: Path | None, compare_all: bool,
-    report: Path | None, runs: Path | None, only: tuple[str, ...], tests: tuple[str, ...], matrix: bool,
+    policy: str,
+    json_file: Path | None,
+    config_file: Path | None,
+    model_file: Path | None,
+    compare_all: bool,
+    report: Path | None,
+    runs: Path | None,
+    only: tuple[str, ...],
+    tests: tuple[str, ...],
+    matrix: bool,
     workers: int | None,
-) -> None:  # fmt: skip
+) -> None:
     """Fly the 54 test targets from rest at cart positions 0, 0.1 and 0.2 m, in lockstep at 1200 Hz.
 
     Observer, policy, safety filter and failsafe are the daemon's own; only the devices are simulated. With --all
@@ -48,15 +65,14 @@ def evaluate(
 
 
 def _compare(
-    json_file: Path | None, report: Path | None, runs: Path | None, only: tuple[str, ...], tests: tuple[str, ...],
-    matrix: bool, workers: int | None,
-) -> None:  # fmt: skip
-    import json
-    import shlex
-    import sys
-
-    from softarm.cli.errors import fail
-    from softarm.common.processes import WorkerDied, bar, cores
+    json_file: Path | None,
+    report: Path | None,
+    runs: Path | None,
+    only: tuple[str, ...],
+    tests: tuple[str, ...],
+    matrix: bool,
+    workers: int | None,
+) -> None:
     from softarm.flights import page, table
     from softarm.flights import tests as known
     from softarm.policies.base import PolicyError
@@ -74,29 +90,17 @@ def _compare(
     except (PolicyError, ModelFileError, ValueError, WorkerDied) as error:
         fail(str(error))
     click.echo(page.markdown(result), nl=False)
-    if json_file is not None:
-        json_file.write_text(json.dumps(result, indent=1) + "\n")
-        click.echo(f"wrote {json_file}")
+    write_json(json_file, result)
     if report is not None:
-        command = shlex.join(["softarm", *sys.argv[1:]])
-        report.write_text(page.html(result, command), encoding="utf-8")
-        click.echo(f"wrote {report}")
+        write(report, page.html(result, shlex.join(["softarm", *sys.argv[1:]])))
 
 
 def _evaluate(policy: str, json_file: Path | None, config_file: Path | None, model_file: Path | None) -> None:
-    import json
-
-    from rich.console import Console
-    from rich.table import Table
-
-    from softarm.cli.errors import fail
-    from softarm.common.processes import bar
     from softarm.daemon.config import configuration
     from softarm.flights import evaluation
     from softarm.policies.base import PolicyError
     from softarm.schemas.config import Config
 
-    console = Console()
     try:
         config = configuration.load(config_file) if config_file else Config()
         model = flown_model(model_file)
@@ -104,14 +108,11 @@ def _evaluate(policy: str, json_file: Path | None, config_file: Path | None, mod
             result = evaluation.evaluate(policy, config, model, shown.advance)
     except (configuration.ConfigurationError, PolicyError) as error:
         fail(str(error))
-    table = Table("targets", "reached", title=f"{policy}: 54 targets x 3 cart starts")
-    for label, part in (("z <= 0.70 m", "in_range"), ("z > 0.70 m", "above"), ("all", "all")):
-        table.add_row(label, f"{100 * result['success'][part]:.1f} %")
-    console.print(table)
-    console.print(
+    parts = {"z <= 0.70 m": "in_range", "z > 0.70 m": "above", "all": "all"}
+    rows = [(label, f"{100 * result['success'][part]:.1f} %") for label, part in parts.items()]
+    print_table(("targets", "reached"), rows, f"{policy}: 54 targets x 3 cart starts")
+    click.echo(
         f"highest tip {result['max_tip_z_m']:.3f} m, farthest cart {result['max_cart_m']:.3f} m, "
         f"{result['real_time_factor']:.0f}x real time"
     )
-    if json_file is not None:
-        json_file.write_text(json.dumps(result, indent=1) + "\n")
-        console.print(f"wrote {json_file}")
+    write_json(json_file, result)

@@ -6,13 +6,14 @@ from typing import TYPE_CHECKING
 import click
 
 from softarm.cli.errors import fail
-from softarm.cli.options import FILE
-from softarm.cli.tables import print_table
+from softarm.cli.options import FILE, load_model
+from softarm.cli.printing import print_table
 
 if TYPE_CHECKING:
     from softarm.schemas.model import Model
 
 MODEL = click.Path(path_type=Path)
+WIDTH = 160  # of tables where there is no terminal
 
 
 @click.group()
@@ -39,12 +40,12 @@ def show(name: Path) -> None:
     """
     from softarm.simulator.model_rows import effect_rows, robot_rows
 
-    loaded = _load(name)
+    loaded = load_model(name)
     columns = ("parameter", "value", "unit", "allowed", "source of the seed's")
     rows = [(row.key, row.value, *row[2:]) for row in robot_rows(loaded)]
-    print_table(columns, rows, f"{name}: robot")
+    print_table(columns, rows, f"{name}: robot", WIDTH)
     rows = [(row.key, row.value, *row[2:]) for row in effect_rows(loaded)]
-    print_table(("effect.parameter", "value", "unit", "allowed", "source"), rows, f"{name}: effects")
+    print_table(("effect.parameter", "value", "unit", "allowed", "source"), rows, f"{name}: effects", WIDTH)
     click.echo(_idle(loaded), nl=False)
 
 
@@ -60,11 +61,11 @@ def diff(one: Path, other: Path) -> None:
     """
     from softarm.simulator.model_rows import differences
 
-    found = differences(_load(one), _load(other))
+    found = differences(load_model(one), load_model(other))
     if not found:
         click.echo("no difference")
         return
-    print_table(("parameter", "unit", str(one), str(other)), found)
+    print_table(("parameter", "unit", str(one), str(other)), found, width=WIDTH)
 
 
 @model.command()
@@ -76,7 +77,7 @@ def check(file: Path) -> None:
     Example:
       softarm model check mine.yaml
     """
-    loaded = _load(file)
+    loaded = load_model(file)
     names = ", ".join(loaded.effects) or "none"
     click.echo(f"{_idle(loaded)}{file}: sound; {loaded.arm.links} links; effects: {names}")
 
@@ -94,7 +95,7 @@ def export(name: Path, out: Path) -> None:
     from softarm.common import files
     from softarm.simulator import mjcf
 
-    exported = mjcf.export(_load(name))
+    exported = mjcf.export(load_model(name))
     try:
         files.write_text(out, exported.xml)
     except OSError as error:
@@ -102,15 +103,6 @@ def export(name: Path, out: Path) -> None:
     for sentence in exported.left_out:
         click.echo(f"left out: {sentence}", err=True)
     click.echo(f"wrote {out}")
-
-
-def _load(name: Path) -> "Model":
-    from softarm.simulator import model_file
-
-    try:
-        return model_file.load(name)
-    except model_file.ModelFileError as error:
-        fail(str(error))
 
 
 def _idle(loaded: "Model") -> str:

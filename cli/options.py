@@ -1,5 +1,6 @@
 """Parameter types and options that several verbs share."""
 
+import json
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -7,6 +8,7 @@ import click
 from click.core import ParameterSource
 
 from softarm.cli.errors import fail
+from softarm.common import files
 
 if TYPE_CHECKING:
     from softarm.schemas.model import Model
@@ -35,20 +37,26 @@ def typed() -> list[str]:
     ]
 
 
+def load_model(file: Path) -> "Model":
+    """A model by its file or shipped name. Ends the command with a sentence when there is none, or it is not sound."""
+    from softarm.simulator import model_file
+
+    try:
+        return model_file.load(file)
+    except model_file.ModelFileError as error:
+        fail(str(error))
+
+
 def flown_model(file: Path | None) -> "Model | None":
     """The model of a robot that the real loop flies; None without a file. Says what it cannot show.
 
     Ends the command with a sentence when there is no such model, or it is not this robot's.
     """
     from softarm.schemas.messages import BODY_NAMES
-    from softarm.simulator import model_file
 
     if file is None:
         return None
-    try:
-        model = model_file.load(file)
-    except model_file.ModelFileError as error:
-        fail(str(error))
+    model = load_model(file)
     if model.arm.links != len(BODY_NAMES) - 1:
         fail(f"{file}: has {model.arm.links} links; the daemon flies an arm of {len(BODY_NAMES) - 1} marker sets")
     clock = [name for name in model.effects if name.startswith("clock.")]
@@ -57,8 +65,23 @@ def flown_model(file: Path | None) -> "Model | None":
     return model
 
 
-def check_places(*files: Path | None) -> None:
+def write_json(file: Path | None, data: object) -> None:
+    """Write what --json asks for, and say so. Ends the command with a sentence when it cannot be written."""
+    if file is not None:
+        write(file, json.dumps(data, indent=1) + "\n")
+
+
+def write(file: Path, text: str) -> None:
+    """Write a file, and say so. Ends the command with a sentence when it cannot be written."""
+    try:
+        files.write_text(file, text)
+    except OSError as error:
+        fail(f"{error.filename}: cannot be written ({error.strerror}); name another place")
+    click.echo(f"wrote {file}")
+
+
+def check_places(*places: Path | None) -> None:
     """Before minutes of work: can the results be put there? Ends the command with a sentence where not."""
-    for file in files:
+    for file in places:
         if file is not None and not file.parent.is_dir():
             fail(f"{file}: there is no folder {file.parent}; make it, or name another place")

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from softarm.cli.options import json_option, model_option
+from softarm.cli.options import FILE, json_option, load_model, model_option, write_json
 from softarm.schemas.flights import CART_STARTS_M
 
 if TYPE_CHECKING:
@@ -19,18 +19,30 @@ LISTED = 12  # so many plans are shown one by one
 
 @click.command()
 @click.option("--target", "targets", type=(float, float), multiple=True, metavar="Y Z", help="Default: the paper's 54.")
-@click.option("--start", "starts", type=click.FloatRange(-0.2, 0.2), multiple=True, default=CART_STARTS_M,
-              show_default=True, metavar="M", help="Where the cart begins.")  # fmt: skip
+@click.option(
+    "--start",
+    "starts",
+    type=click.FloatRange(-0.2, 0.2),
+    multiple=True,
+    default=CART_STARTS_M,
+    show_default=True,
+    metavar="M",
+    help="Where the cart begins.",
+)
 @model_option
 @click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Of the first guesses.")
-@click.option("--out", type=click.Path(path_type=Path, dir_okay=False), default=OUT, show_default=True,
-              help="The file of plans to write.")  # fmt: skip
+@click.option("--out", type=FILE, default=OUT, show_default=True, help="The file of plans to write.")
 @click.option("--ceiling", is_flag=True, help="Search by trial alone and write no plans: what can be reached at all?")
 @json_option
 def plan(
-    targets: tuple[tuple[float, float], ...], starts: tuple[float, ...], model_file: Path | None, seed: int, out: Path,
-    ceiling: bool, json_file: Path | None,
-) -> None:  # fmt: skip
+    targets: tuple[tuple[float, float], ...],
+    starts: tuple[float, ...],
+    model_file: Path | None,
+    seed: int,
+    out: Path,
+    ceiling: bool,
+    json_file: Path | None,
+) -> None:
     """Optimise commands that swing the tip onto targets (the paper's upper bound) and write them to a file.
 
     Every plan begins with the arm straight and at rest, and is flown at 1200 Hz behind the daemon's braking clamp
@@ -42,24 +54,18 @@ def plan(
       softarm plan --target -0.2 0.7 --start 0
       softarm plan --ceiling
     """
-    import json
     import time
 
     import numpy as np
     from rich.console import Console
 
-    from softarm.cli.errors import fail
     from softarm.common.processes import bar
     from softarm.schemas.flights import TEST_TARGETS
-    from softarm.simulator import model_file as files
     from softarm.training.trajectory import planner, rows
     from softarm.training.trajectory.ceiling import ROUNDS
 
     console = Console()
-    try:
-        model = files.load(model_file) if model_file else None
-    except files.ModelFileError as error:
-        fail(str(error))
+    model = load_model(model_file) if model_file else None
     wanted = np.array(targets or [(goal.y_m, goal.z_m) for goal in TEST_TARGETS], dtype=np.float32)
     wall, cpu = time.perf_counter(), time.process_time()
     if ceiling:
@@ -76,9 +82,7 @@ def plan(
     _show(found, console)
     done = "searched" if ceiling else "planned and flown"
     console.print(f"{len(found)} {done} in {wall:.1f} s ({cpu:.1f} s of processor time)")
-    if json_file is not None:
-        json_file.write_text(json.dumps({"wall_s": wall, "cpu_s": cpu, "rows": found}, indent=1) + "\n")
-        console.print(f"wrote {json_file}")
+    write_json(json_file, {"wall_s": wall, "cpu_s": cpu, "rows": found})
     if not ceiling:
         console.print(f"wrote {out}. Next: fly them through the daemon's own tick:")
         click.echo(f"  echo '{{policies: {{mine: {{plugin: trajectory, options: {{plans: {out}}}}}}}}}' > mine.yaml")

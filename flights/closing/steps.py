@@ -24,6 +24,7 @@ from softarm.schemas.messages import BODY_NAMES
 from softarm.schemas.model import Model
 from softarm.simulator import model_file
 from softarm.training.run.retrain import Retrained, RetrainingConfig, retrain
+from softarm.training.run.warm_start import load_weights
 
 FILES = ("verdict.json", "report.html", "summary.json", "patched-model.yaml", "retrained.onnx", "retrained.pt")
 Spent = dict[str, dict[str, float]]  # step -> wall_s, cpu_s
@@ -101,11 +102,15 @@ def of_the_nominal_body(place: Place, nominal: Model) -> Place:
 
 
 def policy_file(name: str) -> Path:
-    """The file of a policy: its own name, or a shipped one. Raises ValueError when there is none."""
+    """The file of a policy: its own name, or a shipped one.
+
+    Raises ValueError when there is none, CheckpointError when it cannot be trained on.
+    """
     file = Path(name) if name.endswith(".onnx") else MODELS / f"{name}.onnx"
     if not file.is_file():
         shipped = ", ".join(sorted(path.stem for path in MODELS.glob("*.onnx")))
         raise ValueError(f"--policy {name}: is not there; name an .onnx file of `softarm train`, or one of {shipped}")
+    load_weights(file)  # to know it before minutes of work
     return file
 
 
