@@ -12,7 +12,7 @@ from softarm.pages.colours import LIGHT
 BLUE, ORANGE, GREEN, PAPER = (LIGHT[name] for name in ("patched", "nominal", "good", "paper"))  # as on the pages
 
 
-class Row(NamedTuple):
+class Iteration(NamedTuple):
     """One iteration."""
 
     iteration: int
@@ -28,27 +28,27 @@ class Row(NamedTuple):
     validation: float | None = None  # success on the validation set, where one was flown
 
 
-def validated(rows: Sequence[Row]) -> list[float]:
+def validated(rows: Sequence[Iteration]) -> list[float]:
     """The validations' shares, in their order."""
     return [row.validation for row in rows if row.validation is not None]
 
 
-def fruitless(rows: Sequence[Row]) -> int:
+def fruitless(rows: Sequence[Iteration]) -> int:
     """Validations since the best one."""
     shares = validated(rows)
     return len(shares) - 1 - shares.index(max(shares)) if shares else 0
 
 
-def write_csv(rows: Sequence[Row], path: Path) -> None:
+def write_csv(rows: Sequence[Iteration], path: Path) -> None:
     """Write the table in one piece."""
     text = io.StringIO()
     writer = csv.writer(text)
-    writer.writerow(Row._fields)
+    writer.writerow(Iteration._fields)
     writer.writerows(rows)
     files.write_text(path, text.getvalue())
 
 
-def write_png(rows: Sequence[Row], path: Path, title: str) -> None:
+def write_png(rows: Sequence[Iteration], path: Path, title: str) -> None:
     """Draw success, reward and what steers the learning rate against frames."""
     from matplotlib.figure import Figure  # no pyplot: no global state, no display
 

@@ -20,7 +20,7 @@ from softarm.schemas.robot import PHYSICS_RATE_HZ
 from softarm.training.learn.inference import infer, workers
 from softarm.training.learn.network import PolicyNetwork
 from softarm.training.learn.normaliser import CLIP
-from softarm.training.record.curve import Row, validated
+from softarm.training.record.curve import Iteration, validated
 from softarm.training.run import validation
 from softarm.training.run.checkpoint import load_policy, task_of
 from softarm.training.run.settings import Settings
@@ -131,7 +131,7 @@ def export_checkpoint(source: Path, target: Path) -> None:
     task = task_of(saved)
     if not task.muscle:
         _vent(network)
-    shares = validated([Row(*row) for row in saved["curve"]])
+    shares = validated([Iteration(*row) for row in saved["curve"]])
     settings = saved["settings"] | {"run.frames": saved["frames"], "run.validation_set": validation.chosen_by(task)}
     write(network, metadata(network, task, settings, saved["seed"], shares[-1] if shares else 0.0), target)
 

@@ -6,7 +6,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
-from softarm.training.record.curve import Row
+from softarm.training.record.curve import Iteration
 
 SCALARS = {
     "episodes/success": "success",
@@ -41,12 +41,12 @@ class EventFile:
         self._folder = folder
         self._writer: Any = None
 
-    def add(self, curve: Sequence[Row]) -> None:
+    def add(self, curve: Sequence[Iteration]) -> None:
         """Write the newest row; all of them, the first time."""
         if self.fault is None:
             self._try(self._begin if self._writer is None else self._go_on, curve)
 
-    def add_validation(self, row: Row) -> None:
+    def add_validation(self, row: Iteration) -> None:
         """Write what validation said of the row that was added last."""
         if self._writer is not None:
             self._try(self._write, row, ("validation/success",), time.time())
@@ -57,7 +57,7 @@ class EventFile:
             self._try(self._writer.close)
             self._writer = None
 
-    def _begin(self, curve: Sequence[Row]) -> None:
+    def _begin(self, curve: Sequence[Iteration]) -> None:
         from torch.utils.tensorboard import SummaryWriter  # takes a second
 
         for old in self._folder.glob("events.out.tfevents.*"):
@@ -68,10 +68,10 @@ class EventFile:
         for row in curve:
             self._write(row, SCALARS, now - (curve[-1].seconds - row.seconds))
 
-    def _go_on(self, curve: Sequence[Row]) -> None:
+    def _go_on(self, curve: Sequence[Iteration]) -> None:
         self._write(curve[-1], SCALARS, time.time())
 
-    def _write(self, row: Row, tags: Iterable[str], at_s: float) -> None:
+    def _write(self, row: Iteration, tags: Iterable[str], at_s: float) -> None:
         for tag in tags:
             value = getattr(row, SCALARS[tag])
             if value is not None:

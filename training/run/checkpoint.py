@@ -8,7 +8,7 @@ import torch
 
 from softarm.common import files
 from softarm.training.learn.network import NetworkShape, PolicyNetwork
-from softarm.training.record.curve import Row
+from softarm.training.record.curve import Iteration
 from softarm.training.run.settings import usual
 from softarm.training.task.reach import ReachTask
 from softarm.training.task.shelf import ShelfTask
@@ -78,7 +78,7 @@ def restore(session: "Session", saved: dict[str, Any]) -> None:
     session.learner.restore(saved["learner"])
     session.average.load_state_dict(saved["average"])
     session.frames, session.seconds = saved["frames"], saved["seconds"]
-    session.curve = [Row(*row) for row in saved["curve"]]
+    session.curve = [Iteration(*row) for row in saved["curve"]]
 
 
 def load_policy(source: Path) -> tuple[PolicyNetwork, dict[str, Any]]:

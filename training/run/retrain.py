@@ -14,7 +14,7 @@ from softarm.schemas.model import Model
 from softarm.simulator.effects import find
 from softarm.training.learn.inference import workers
 from softarm.training.learn.ppo import PpoConfig
-from softarm.training.record.curve import Row
+from softarm.training.record.curve import Iteration
 from softarm.training.record.export import export_checkpoint
 from softarm.training.run import validation, warm_start
 from softarm.training.run.session import Session, Standing
@@ -57,7 +57,7 @@ class Retrained:
     seconds: float
     before: float
     after: float
-    curve: tuple[Row, ...]
+    curve: tuple[Iteration, ...]
 
     @property
     def better(self) -> bool:

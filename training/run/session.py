@@ -93,7 +93,7 @@ class Session:
         self._validation = Validation(task, scenarios, pool, rate_hz, self.model, DTYPES[products], robots)
         self.learner = Ppo(self.network, environment, ppo, pool, config.seed, DTYPES[products])
         self.frames, self.seconds = 0, 0.0
-        self.curve: list[curve.Row] = []
+        self.curve: list[curve.Iteration] = []
         self.events = EventFile(out / "tensorboard")
         if saved is not None:
             checkpoint.restore(self, saved)
@@ -138,7 +138,7 @@ class Session:
         steps = self.config.robots * self.ppo.horizon
         self.frames += steps
         self.seconds += took
-        row = curve.Row(len(self.curve) + 1, self.frames, self.seconds, steps / took, **statistics._asdict())
+        row = curve.Iteration(len(self.curve) + 1, self.frames, self.seconds, steps / took, **statistics._asdict())
         self.curve.append(row)
         self.events.add(self.curve)
         if len(self.curve) % self.config.validate_every == 0:
