@@ -15,7 +15,7 @@ DEGREE_RAD = math.pi / 180
 UNITS: dict[str, dict[str, float]] = {
     PURE: {"1": 1.0, "%": 1e-2, "percent": 1e-2},
     "s": {"ms": 1e-3, "us": 1e-6, "ns": 1e-9},
-    "m": {"mm": 1e-3, "cm": 1e-2},
+    "m": {"mm": 1e-3, "cm": 1e-2, "millimetres": 1e-3, "centimetres": 1e-2, "inches": 0.0254},
     "m/s": {"mm/s": 1e-3, "cm/s": 1e-2},
     "m/s^2": {"mm/s^2": 1e-3, "cm/s^2": 1e-2},
     "rad": {"degrees": DEGREE_RAD, "deg": DEGREE_RAD, "mrad": 1e-3},

@@ -5,16 +5,17 @@ from itertools import pairwise
 
 import numpy as np
 
+from softarm.common.quantity import UNITS
 from softarm.diagnosis.trials import Array, Series
 from softarm.schemas.robot import PRESSURE_MAX_KPA, PRESSURE_MIN_KPA
 
 GAP_FACTOR, GAP_MIN_S = 5.0, 0.05  # of the usual step: a gap
 SPLIT_S = 60.0  # a step longer than this is a jump of the clock, not a pause
-PSI, BAR = 6.894757, 100.0  # kPa
 # A ratio of two columns that should agree, within 15 %, and what it says.
-_PRESSURE_RATIOS = ((1 / PSI, "psi"), (1 / BAR, "bar"), (1000.0, "Pa"))
-_LENGTH_RATIOS = ((1000.0, "millimetres"), (100.0, "centimetres"), (39.37, "inches"))
-_ANGLE_RATIOS = ((57.29578, "degrees"), (-1.0, "radians of the opposite sign"), (-57.29578, "degrees, sign turned"))
+_PRESSURE_RATIOS = tuple((1 / UNITS["kPa"][unit], unit) for unit in ("psi", "bar", "Pa"))
+_LENGTH_RATIOS = tuple((1 / UNITS["m"][unit], unit) for unit in ("millimetres", "centimetres", "inches"))
+_DEGREES = 1 / UNITS["rad"]["degrees"]
+_ANGLE_RATIOS = ((_DEGREES, "degrees"), (-1.0, "radians of the opposite sign"), (-_DEGREES, "degrees, sign turned"))
 
 
 def tidy_stamps(series: Series, where: str) -> tuple[Series, tuple[str, ...]]:

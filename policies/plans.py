@@ -9,6 +9,7 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
+from softarm.common import files
 from softarm.policies.base import MODELS, Array, PolicyError
 from softarm.schemas.robot import CONTROL_RATE_HZ
 
@@ -34,7 +35,7 @@ class Plans:
         tip = np.round(self.tip_m.astype(np.float64), 5)
         arrays = {name: getattr(self, name) for name in _SHAPES}
         arrays |= {"command": command.astype(np.float32), "tip_m": tip.astype(np.float32)}
-        with file.open("wb") as opened:
+        with files.replacing(file) as opened:
             np.savez_compressed(opened, format=FORMAT, rate_hz=CONTROL_RATE_HZ, model=self.model, **arrays)
 
     @classmethod
