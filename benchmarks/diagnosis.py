@@ -30,8 +30,8 @@ from softarm.common.processes import bar, cores
 from softarm.diagnosis.blind import cases, make
 from softarm.diagnosis.blind.imperfections import draw_nuisances
 from softarm.diagnosis.diagnose import diagnose
-from softarm.diagnosis.gap.recordings import Flight, flight
 from softarm.diagnosis.gap.robot_views import robot_views
+from softarm.diagnosis.gap.trial_grid import TrialGrid, on_grid
 from softarm.diagnosis.read import read_all
 from softarm.diagnosis.shrink import point_between
 from softarm.diagnosis.trials import Trial, TrialError
@@ -86,7 +86,7 @@ def make_campaign(folder: Path) -> Path:
         arm=replace(robot.arm, payload_kg=PAYLOAD_KG),
     )
     flights = tuple(
-        cases.Flight(f"trial-{i}", name, not EXCITATIONS[name].moves_rail, int(random.integers(2**31)))
+        cases.PlannedTrial(f"trial-{i}", name, not EXCITATIONS[name].moves_rail, int(random.integers(2**31)))
         for i, name in enumerate(cases.PROGRAMME, 1)
     )
     case = cases.Case("campaign", "two", (), robot, Model(), flights, ())
@@ -108,7 +108,7 @@ def ours(trials: Sequence[Trial], kinds: Sequence[str], model: Model, advance: C
         diagnosed, effort = measured(lambda known=known: diagnose(known, model))  # type: ignore[misc]
         folds.append(effort)
         point = point_between(model, diagnosed.patched or model)
-        for view in robot_views(flight(left_out, model), model):
+        for view in robot_views(on_grid(left_out, model), model):
             if view.stage in COMPARED:
                 for squares, gap in zip((before, after), view.gap([{}, point]), strict=True):
                     squares[view.stage].append(_squares(gap))
@@ -125,18 +125,18 @@ def peers(trials: Sequence[Trial], kinds: Sequence[str], model: Model, advance: 
     for kind in kinds:
         advance(f"mujoco.sysid without {kind}")
         known, left_out = split(trials, kind)
-        found, effort = measured(lambda known=known: _fitted(stages, flight(known, model)))  # type: ignore[misc]
+        found, effort = measured(lambda known=known: _fitted(stages, on_grid(known, model)))  # type: ignore[misc]
         folds.append(effort)
         for stage in (each for each in stages if each.name in found):
-            for _, trial in mujoco_sysid.every_recorded(stage, flight(left_out, model)):
+            for _, trial in mujoco_sysid.every_recorded(stage, on_grid(left_out, model)):
                 for squares, values in ((before, stage.nominal()), (after, found[stage.name].values)):
                     squares[stage.name].append(_squares(trial.measured - stage.predict(values, trial)))
     advance("mujoco.sysid on every trial")
-    found, whole = measured(lambda: _fitted(stages, flight(trials, model)))
+    found, whole = measured(lambda: _fitted(stages, on_grid(trials, model)))
     return Side(whole, folds, _rms(before), _rms(after), {name: asdict(each) for name, each in found.items()})
 
 
-def _fitted(stages: Sequence[mujoco_sysid.SysidStage], shown: Flight) -> dict[str, mujoco_sysid.Fitted]:
+def _fitted(stages: Sequence[mujoco_sysid.SysidStage], shown: TrialGrid) -> dict[str, mujoco_sysid.Fitted]:
     recorded = {stage: [each for _, each in mujoco_sysid.every_recorded(stage, shown)] for stage in stages}
     return {stage.name: stage.fit(each) for stage, each in recorded.items() if each}
 
@@ -206,7 +206,7 @@ def _check(folder: Path, known: set[str], kinds: Sequence[str]) -> None:
 def _given(trials: Sequence[Trial], model: Model) -> dict[str, Any]:
     """What mujoco.sysid was told to fit, and what its step costs."""
     stages = [stage(model) for stage in mujoco_sysid.FITTED]
-    recorded = [each for _, each in mujoco_sysid.every_recorded(mujoco_sysid.SysidArm(model), flight(trials, model))]
+    recorded = [each for _, each in mujoco_sysid.every_recorded(mujoco_sysid.SysidArm(model), on_grid(trials, model))]
     return {
         "given": {stage.name: dict(stage.bounds) for stage in stages},  # start, low, high
         "step_hz": mujoco_sysid.STEP_HZ,

@@ -18,8 +18,8 @@ from mujoco import sysid
 from numpy.typing import NDArray
 from scipy.interpolate import CubicHermiteSpline
 
-from softarm.diagnosis.gap.recordings import RATE_HZ, SKIPPED_S, Flight
 from softarm.diagnosis.gap.robot_views import directions
+from softarm.diagnosis.gap.trial_grid import RATE_HZ, SKIPPED_S, TrialGrid
 from softarm.schemas.model import Model
 from softarm.simulator.mjcf import export
 
@@ -78,7 +78,7 @@ class SysidStage:
         self.model = model
         self.spec = self._spec(STEP_HZ)
 
-    def recorded(self, flight: Flight, trial: int) -> Recorded | None:
+    def recorded(self, grid: TrialGrid, trial: int) -> Recorded | None:
         """A trial of a flight; None where it measured nothing of this stage."""
         raise NotImplementedError
 
@@ -148,17 +148,17 @@ class SysidArm(SysidStage):
         super().__init__(model)
         self.bounds = ARM_BOUNDS
 
-    def recorded(self, flight: Flight, trial: int) -> Recorded | None:
+    def recorded(self, grid: TrialGrid, trial: int) -> Recorded | None:
         """See SysidStage."""
-        t, rows = _grid(flight, trial)
-        pressure, links = flight.pressure_kpa[rows, trial], flight.links_m[rows, trial]
+        t, rows = _grid(grid, trial)
+        pressure, links = grid.pressure_kpa[rows, trial], grid.links_m[rows, trial]
         seen = np.isfinite(links).all(axis=1) & np.isfinite(pressure) & (t >= SKIPPED_S)
         if not seen.any():
             return None
-        way = CubicHermiteSpline(t, flight.hinge_m[rows, trial], flight.hinge_m_s[rows, trial])
+        way = CubicHermiteSpline(t, grid.hinge_m[rows, trial], grid.hinge_m_s[rows, trial])
         fine = np.arange(int(t[-1] * STEP_HZ) + 1) / STEP_HZ
         control = np.stack((way(fine, 1), np.interp(fine, t, np.nan_to_num(pressure)), way(fine)), axis=1)
-        joints = np.diff(directions(flight)[trial], prepend=0.0)
+        joints = np.diff(directions(grid)[trial], prepend=0.0)
         return Recorded(fine, control, joints, float(control[0, 1]), t[seen], links[seen])
 
     def _spec(self, step_hz: float) -> Any:
@@ -231,16 +231,16 @@ class SysidPressure(SysidStage):
             "delay": (0.0, -0.02, 0.3),  # s
         }
 
-    def recorded(self, flight: Flight, trial: int) -> Recorded | None:
+    def recorded(self, grid: TrialGrid, trial: int) -> Recorded | None:
         """See SysidStage."""
-        t, rows = _grid(flight, trial)
-        pressure = flight.pressure_kpa[rows, trial]
+        t, rows = _grid(grid, trial)
+        pressure = grid.pressure_kpa[rows, trial]
         seen = np.isfinite(pressure) & (t >= SKIPPED_S)
         if not seen.any():
             return None
         fine = np.arange(int(t[-1] * STEP_HZ) + 1) / STEP_HZ
-        came = np.maximum.accumulate(t + flight.late_s[rows, trial])
-        held = flight.pressure_command_kpa[rows, trial][np.maximum(np.searchsorted(came, fine, side="right") - 1, 0)]
+        came = np.maximum.accumulate(t + grid.late_s[rows, trial])
+        held = grid.pressure_command_kpa[rows, trial][np.maximum(np.searchsorted(came, fine, side="right") - 1, 0)]
         return Recorded(fine, held[:, None], np.zeros(0), float(pressure[seen][0]), t[seen], pressure[seen][:, None])
 
     def _spec(self, step_hz: float) -> Any:
@@ -278,10 +278,10 @@ def step_error_m(model: Model, trials: Sequence[Recorded]) -> float:
     return float(np.sqrt(np.concatenate([(a - b).ravel() ** 2 for a, b in pairs]).mean()))
 
 
-def every_recorded(stage: SysidStage, flight: Flight) -> Iterator[tuple[int, Recorded]]:
+def every_recorded(stage: SysidStage, grid: TrialGrid) -> Iterator[tuple[int, Recorded]]:
     """Trials of a flight that show a stage, with their numbers."""
-    for trial in range(len(flight.trials)):
-        if (found := stage.recorded(flight, trial)) is not None:
+    for trial in range(len(grid.trials)):
+        if (found := stage.recorded(grid, trial)) is not None:
             yield trial, found
 
 
@@ -299,8 +299,8 @@ def _lead_cart(spec: Any) -> None:
     place.gainprm[0], place.biasprm[1] = stiff, -stiff
 
 
-def _grid(flight: Flight, trial: int) -> tuple[Array, slice]:
-    steps = int(flight.steps[trial])
+def _grid(grid: TrialGrid, trial: int) -> tuple[Array, slice]:
+    steps = int(grid.steps[trial])
     return np.arange(steps) / RATE_HZ, slice(0, steps)
 
 

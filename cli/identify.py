@@ -10,7 +10,7 @@ from softarm.cli.options import FILE, FOLDER, json_option, model_option
 from softarm.common.processes import bar
 
 if TYPE_CHECKING:
-    from softarm.diagnosis.identify import Estimate, Identification
+    from softarm.diagnosis.identify import Identification, IdentifiedParameter
 
 INPUT = click.Path(path_type=Path)
 
@@ -104,6 +104,6 @@ def _show(result: "Identification") -> None:
         click.echo(f"warning: {warning}", err=True)
 
 
-def _cell(estimate: "Estimate", digits: int = 4) -> str:
+def _cell(estimate: "IdentifiedParameter", digits: int = 4) -> str:
     half = (estimate["high"] - estimate["low"]) / 2
     return f"{estimate['value']:.{digits}f} ±{half:.{digits}f}"

@@ -10,9 +10,9 @@ import numpy as np
 from softarm.diagnosis.gap.candidates import candidates, nuisances
 from softarm.diagnosis.gap.fits import Fit
 from softarm.diagnosis.gap.problem import Setup
-from softarm.diagnosis.gap.recordings import flight
 from softarm.diagnosis.gap.robot_views import robot_views
 from softarm.diagnosis.gap.search import EFFECTS_MAX, Search
+from softarm.diagnosis.gap.trial_grid import on_grid
 from softarm.diagnosis.trials import Trial
 from softarm.schemas.model import Model
 from softarm.schemas.verdict import Estimate, Gap, Interval, NamedEffect, Shrink, Verdict, Where
@@ -25,19 +25,19 @@ CLEARLY = 1.96  # half intervals that a parameter must stand off its neutral val
 def largest_gain(trials: Sequence[Trial], model: Model) -> Verdict:
     """The one effect that, alone, lowers the nominal misfit most: no rivals, no nuisances in the choice."""
     search = _search(trials, model)
-    nothing = search.problem.fit([((), ())])[0]
-    best = min(search.extended(nothing), key=lambda f: f.loss)
-    return _verdict([best] if best.loss < (1 - GAIN_MIN) * nothing.loss else [])
+    null_model = search.problem.fit([((), ())])[0]
+    best = min(search.extended(null_model), key=lambda f: f.loss)
+    return _verdict([best] if best.loss < (1 - GAIN_MIN) * null_model.loss else [])
 
 
 def bic(trials: Sequence[Trial], model: Model) -> Verdict:
     """Forward selection by BIC, every sample taken as independent."""
     search = _search(trials, model)
-    samples = sum(lens.kept for lens in search.problem.lenses)
+    samples = sum(residual.kept for residual in search.problem.whitened)
     chosen = search.problem.fit([((), ())])[0]
 
     def criterion(fit: Fit) -> float:
-        return float(samples * np.log(fit.loss) + np.log(samples) * sum(len(c.dials) for c in fit.effects))
+        return float(samples * np.log(fit.loss) + np.log(samples) * sum(len(c.parameters) for c in fit.effects))
 
     while len(chosen.effects) < EFFECTS_MAX:
         best = min(search.extended(chosen), key=criterion)
@@ -53,13 +53,15 @@ def all_at_once(trials: Sequence[Trial], model: Model) -> Verdict:
     known = {c.name: c for c in reversed(search.candidates)}
     effects = tuple(known[name] for name in REGISTRY if name in known)
     # Kinked effects have no slope where they are absent: all begin a little way in.
-    start = tuple(tuple(min(max(d.nominal + 0.1 * d.size, d.low), d.high) for d in c.dials) for c in effects)
+    start = tuple(tuple(min(max(d.nominal + 0.1 * d.size, d.low), d.high) for d in c.parameters) for c in effects)
     fit = search.problem.fit([(effects, start)], rounds=6)[0]
     low, high = search.problem.interval(fit)
     at, ranked = 0, []
     for effect, us in zip(fit.effects, fit.u, strict=True):
         half = (high[at : at + len(us)] - low[at : at + len(us)]) / 2
-        clear = max(abs(u - d.nominal) / max(h, 1e-9 * d.size) for u, d, h in zip(us, effect.dials, half, strict=True))
+        clear = max(
+            abs(u - d.nominal) / max(h, 1e-9 * d.size) for u, d, h in zip(us, effect.parameters, half, strict=True)
+        )
         ranked.append((clear, effect, us))
         at += len(us)
     ranked.sort(key=lambda each: -each[0])
@@ -67,7 +69,7 @@ def all_at_once(trials: Sequence[Trial], model: Model) -> Verdict:
 
 
 def _search(trials: Sequence[Trial], model: Model) -> Search:
-    shown = flight(sorted(trials, key=lambda t: t.name), model)
+    shown = on_grid(sorted(trials, key=lambda t: t.name), model)
     views = robot_views(shown, model)
     setup = Setup(views, nuisances(model), [trial.kind for trial in sorted(trials, key=lambda t: t.name)])
     return Search(setup.weighed(), setup.plain(), [view.stage for view in views], candidates(model))
@@ -82,7 +84,7 @@ def _named(found: Sequence[tuple[object, tuple[float, ...], float]]) -> Verdict:
     for candidate, us, _ in found:
         parameters = {
             d.path.rpartition(".")[2]: Estimate(value=d.value(u), low=d.value(u), high=d.value(u), unit=d.unit)
-            for d, u in zip(candidate.dials, us, strict=True)  # type: ignore[attr-defined]
+            for d, u in zip(candidate.parameters, us, strict=True)  # type: ignore[attr-defined]
             if np.isfinite(d.value(u))
         }
         all_of_it = Interval(value=0.0, low=0.0, high=0.0)  # a baseline says nothing of the shrink

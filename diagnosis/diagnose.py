@@ -3,13 +3,13 @@
 from collections.abc import Sequence
 
 from softarm.diagnosis.gap.result import Diagnosis
-from softarm.diagnosis.gap.search import Tell
+from softarm.diagnosis.gap.search import Progress
 from softarm.diagnosis.robot import Robot
 from softarm.diagnosis.trials import Trial, TrialError
 from softarm.schemas.model import Model
 
 
-def diagnose(trials: Sequence[Trial], model: Model | None = None, tell: Tell | None = None) -> Diagnosis:
+def diagnose(trials: Sequence[Trial], model: Model | None = None, tell: Progress | None = None) -> Diagnosis:
     """Where robot and simulator differ, which effect causes it, how far the gap shrinks. Deterministic.
 
     model: the nominal simulator, by default the seed's; tables of another rig bring their own. tell(what, share done).

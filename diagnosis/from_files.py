@@ -7,7 +7,7 @@ from softarm.diagnosis import tables
 from softarm.diagnosis.diagnose import diagnose
 from softarm.diagnosis.folder import is_trial
 from softarm.diagnosis.gap.result import Diagnosis
-from softarm.diagnosis.gap.search import Tell
+from softarm.diagnosis.gap.search import Progress
 from softarm.diagnosis.read import read_all
 from softarm.diagnosis.trials import Trial, TrialError, unique_names
 from softarm.schemas.model import Model
@@ -21,7 +21,7 @@ def diagnose_files(
     inputs: Sequence[Path],
     model: Path | None = None,
     data: Path | None = None,
-    tell: Tell = lambda what, share: None,
+    tell: Progress = lambda what, share: None,
     warn: Callable[[str], None] = lambda text: None,
 ) -> Diagnosis:
     """Diagnose what the inputs hold: logs, trial folders, campaigns, another rig's stage.yaml.

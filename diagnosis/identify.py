@@ -23,9 +23,12 @@ WIDE = 0.10  # a half interval over this share of K, D or b is said
 MISPRINTED_SHELL_KG = 0.05  # [P] SM-B; its own total of 0.12 kg needs 0.005
 TORQUE_RMSE_NM = 0.02  # what [P] reports
 TIP_Y_M, TIP_Z_M = 0.02, 0.003
+UNCHECKED = (
+    "no unseen excitation was given: name one with --check, else nobody knows how the model does on other motions"
+)
 
 
-class Estimate(TypedDict):
+class IdentifiedParameter(TypedDict):
     """A parameter as `--json` writes it."""
 
     name: str
@@ -67,18 +70,18 @@ class Identification:
     warnings: tuple[str, ...] = field(default=())
 
     @property
-    def estimates(self) -> list[Estimate]:
+    def estimates(self) -> list[IdentifiedParameter]:
         """Every fitted parameter with its 95 % interval."""
         names = bench.names(self.model.arm.links)
         fitted = self.refinement
         columns = (self.regression.column, fitted.column, fitted.low, fitted.high)
         return [
-            Estimate(name=name, start=float(s), value=float(v), low=float(lo), high=float(hi))
+            IdentifiedParameter(name=name, start=float(s), value=float(v), low=float(lo), high=float(hi))
             for name, s, v, lo, hi in zip(names, *columns, strict=True)
         ]
 
     @property
-    def joints(self) -> list[tuple[Estimate, ...]]:
+    def joints(self) -> list[tuple[IdentifiedParameter, ...]]:
         """Each joint's stiffness, damping, muscle gain and torque offset."""
         estimates, links = self.estimates, self.model.arm.links
         return [tuple(estimates[joint::links]) for joint in range(links)]
@@ -110,8 +113,7 @@ def identify(
     _apart(trials, unseen)
     arm = model.arm
     motions, warnings = _motions(trials, arm.links)
-    checked, more = _motions(unseen, arm.links) if unseen else ([], ["no unseen excitation was given: name one with "
-                             "--check, else nobody knows how the model does on other motions"])  # fmt: skip
+    checked, more = _motions(unseen, arm.links) if unseen else ([], [UNCHECKED])
     warnings += more
     on_progress("torques by inverse dynamics, least squares")
     smooth = tuple(motion.derivatives(m) for m in motions)

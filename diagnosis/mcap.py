@@ -118,8 +118,10 @@ def _trial(path: Path, rows: Rows, policies: set[str]) -> Trial:
             continue
         table = np.array(rows[name], dtype=float)
         if table.shape[1] != len(units) + 1:
-            raise TrialError(f"{path}: a {name} reading has {table.shape[1] - 1} numbers, {len(units)} are needed "
-                             f"(bodies: {', '.join(BODY_NAMES)}); name a log of this robot")  # fmt: skip
+            raise TrialError(
+                f"{path}: a {name} reading has {table.shape[1] - 1} numbers, {len(units)} are needed "
+                f"(bodies: {', '.join(BODY_NAMES)}); name a log of this robot"
+            )
         series = Series(table[:, 0].copy(), {c: table[:, i].copy() for i, c in enumerate(units, 1)})
         # The loop reads what it has; the same reading twice is one reading.
         found[name], odd = checks.tidy_stamps(series, f"{path}: {name}")

@@ -12,15 +12,15 @@ from softarm.diagnosis.gap.ceiling import explainable
 from softarm.diagnosis.gap.chain import FLOOR_M, tip_gap
 from softarm.diagnosis.gap.confidence import confidence
 from softarm.diagnosis.gap.counts import Count, counts
+from softarm.diagnosis.gap.decision import Decision, decide, stage_of, stage_shares
 from softarm.diagnosis.gap.fits import point_of
-from softarm.diagnosis.gap.judge import Ruling, rule, stage_of, stage_shares
-from softarm.diagnosis.gap.lens import BLOCK_S, Key, Lens, blocks_of
 from softarm.diagnosis.gap.problem import Setup
-from softarm.diagnosis.gap.recordings import Flight, flight
 from softarm.diagnosis.gap.result import Diagnosis
 from softarm.diagnosis.gap.robot_views import robot_views
-from softarm.diagnosis.gap.search import Choice, Member, Search, Tell
+from softarm.diagnosis.gap.search import Choice, Progress, Search, SelectedEffect
+from softarm.diagnosis.gap.trial_grid import TrialGrid, on_grid
 from softarm.diagnosis.gap.view import Array, Point
+from softarm.diagnosis.gap.whitened import BLOCK_S, Key, WhitenedResidual, blocks_of
 from softarm.diagnosis.shrink import interval, widened
 from softarm.diagnosis.trials import Trial, TrialError
 from softarm.schemas.model import Model
@@ -45,12 +45,12 @@ LOOKED_AT = 0.6  # energy of a residual from which on a flexible model looks at 
 class Robot:
     """One diagnosis, step by step. Raises TrialError where nothing can be compared."""
 
-    def __init__(self, trials: Sequence[Trial], model: Model, tell: Tell) -> None:
-        self.begun = time.monotonic()
+    def __init__(self, trials: Sequence[Trial], model: Model, tell: Progress) -> None:
+        self.started = time.monotonic()
         self.trials, self.model, self.tell = tuple(trials), model, tell
         tell("bringing trials to one grid", 0.02)
-        self.flight: Flight = flight(trials, model)
-        self.views = robot_views(self.flight, model)
+        self.grid: TrialGrid = on_grid(trials, model)
+        self.views = robot_views(self.grid, model)
         if not self.views:
             raise TrialError(f"{trials[0].source}: no stage can be compared; record pressure, rail or mocap as well")
         self.stages = tuple(view.stage for view in self.views)
@@ -65,15 +65,15 @@ class Robot:
         self.tell("what any model could explain", 0.75)
         flexible = self._flexible(choice)
         counted = counts(self.trials, self.model)
-        ruling = rule(choice, {stage: share for stage, (share, _) in flexible.items()})
+        decision = decide(choice, {stage: share for stage, (share, _) in flexible.items()})
         named = [c for c in counted if c.named]
-        patched = _patched(self.model, ruling, choice, named) if ruling.members or named else None
+        patched = _patched(self.model, decision, choice, named) if decision.selected or named else None
         self.tell("how far the gap shrinks", 0.85)
-        point = _point(ruling, choice)
-        verdict = self._verdict(search, choice, ruling, counted, flexible, point)
+        point = _point(decision, choice)
+        verdict = self._verdict(search, choice, decision, counted, flexible, point)
         self.tell("gathering the evidence", 0.95)
         pairs = evidence.gaps(self.setup, {}, point or None)
-        explained = dict.fromkeys(self.stages, ruling.explained)
+        explained = dict.fromkeys(self.stages, decision.explained)
         return Diagnosis(
             verdict=verdict,
             nominal=self.model,
@@ -82,17 +82,17 @@ class Robot:
             overlays=evidence.overlays(self.views, pairs, self.trials),
             spectra=evidence.spectra(self.views, pairs),
             regimes=evidence.regime_rows(self.views, pairs),
-            rivals=evidence.rivals(search, choice, ruling.members),
+            rivals=evidence.rivals(search, choice, decision.selected),
             leftovers=evidence.leftovers(flexible, explained),
             nuisances=self.setup.fitted_nuisances(choice.chosen),
-            seconds=time.monotonic() - self.begun,
+            seconds=time.monotonic() - self.started,
         )
 
     def _search(self) -> tuple[Search, Choice]:
         """Twice: the first time to learn what the rest looks like, the second with that rest as the noise."""
         known = candidates(self.model)
 
-        def part(low: float, high: float) -> Tell:
+        def part(low: float, high: float) -> Progress:
             return lambda what, share: self.tell(what, low + share * (high - low))
 
         rough = Search(self.setup.weighed(), self.plain, self.stages, known).run(part(0.12, 0.4))
@@ -114,7 +114,7 @@ class Robot:
         self,
         search: Search,
         choice: Choice,
-        ruling: Ruling,
+        decision: Decision,
         counted: Sequence[Count],
         flexible: Mapping[str, tuple[float, Mapping[str, float]]],
         point: Point,
@@ -123,24 +123,25 @@ class Robot:
         energies: dict[str, float] = {}
         for c in named:
             energies[c.stage] = energies.get(c.stage, 0.0) + (c.before / c.floor) ** 2
-        shares = stage_shares(ruling, energies)
-        kind = ruling.kind
+        shares = stage_shares(decision, energies)
+        kind = decision.kind
         if named:
             kind = "named" if kind in ("none", "named") else "incomplete"
         stage = None if kind == "none" else stage_of(shares, STAGES)
         bounds = search.problem.interval(choice.chosen)
-        members = [self._member(choice, bounds, m, point) for m in ruling.members]
+        selected = [self._named_effect(choice, bounds, m, point) for m in decision.selected]
         effects = sorted(
-            (*members, *(_count_effect(c) for c in named)), key=lambda e: -shares.get(e.name.partition(".")[0], 0.0)
+            (*selected, *(_count_effect(c) for c in named)),
+            key=lambda e: -shares.get(e.name.partition(".")[0], 0.0),
         )
         return Verdict(
             verdict=kind,
             where=Where(stage=stage, share=shares, regime=self._regime(stage) if stage else "nowhere"),
             effects=tuple(effects),
             gap=self._gap(choice, flexible, point, counted),
-            next_experiment=self._next(choice, ruling),
-            warnings=self._warnings(choice, ruling),
-        )  # fmt: skip
+            next_experiment=self._next(choice, decision),
+            warnings=self._warnings(choice, decision),
+        )
 
     def _regime(self, stage: str | None) -> str:
         for view, gaps in zip(self.views, self.setup.gaps, strict=True):
@@ -148,57 +149,63 @@ class Robot:
                 return evidence.where_in_words(view, gaps.fetch([{}])[()])
         return "throughout"
 
-    def _member(self, choice: Choice, bounds: tuple[Array, Array], member: Member, point: Point) -> NamedEffect:
+    def _named_effect(
+        self, choice: Choice, bounds: tuple[Array, Array], effect: SelectedEffect, point: Point
+    ) -> NamedEffect:
         """One named effect: parameters with intervals, confidence, held-out shrink beside the others.
 
         bounds: low and high of all chosen parameters.
         """
         fit = choice.chosen
-        i = fit.names.index(member.candidate.name)
-        at = sum(len(c.dials) for c in fit.effects[:i])
+        i = fit.names.index(effect.candidate.name)
+        at = sum(len(c.parameters) for c in fit.effects[:i])
         parameters = {}
-        for j, dial in enumerate(member.candidate.dials):
-            value, ends = dial.value(fit.u[i][j]), (dial.value(bounds[0][at + j]), dial.value(bounds[1][at + j]))
+        for j, parameter in enumerate(effect.candidate.parameters):
+            value, ends = (
+                parameter.value(fit.u[i][j]),
+                (parameter.value(bounds[0][at + j]), parameter.value(bounds[1][at + j])),
+            )
             if np.isfinite(value):
-                bounded = [x if np.isfinite(x) else find(dial.path)[1].high for x in (value, *ends)]
-                name = dial.path.rpartition(".")[2]
-                parameters[name] = Estimate(value=value, low=min(bounded), high=max(bounded), unit=dial.unit)
+                bounded = [x if np.isfinite(x) else find(parameter.path)[1].high for x in (value, *ends)]
+                name = parameter.path.rpartition(".")[2]
+                parameters[name] = Estimate(value=value, low=min(bounded), high=max(bounded), unit=parameter.unit)
         return NamedEffect(
-            name=member.candidate.name,
+            name=effect.candidate.name,
             parameters=parameters,
-            confidence=confidence(member),
-            equivalents=member.equivalents,
-            shrink=self._shrink(choice, member, point),
+            confidence=confidence(effect),
+            equivalents=effect.equivalents,
+            shrink=self._shrink(choice, effect, point),
         )
 
-    def _shrink(self, choice: Choice, member: Member, point: Point) -> Shrink:
+    def _shrink(self, choice: Choice, effect: SelectedEffect, point: Point) -> Shrink:
         """Of the effect's stage (where its simulation shows most) and of the tip, beside the other named effects.
 
         Every trial is judged by parameters that were fitted without its kind of excitation.
         """
-        own = {d.path for d in member.candidate.dials} | set(member.candidate.form)
+        own = {d.path for d in effect.candidate.parameters} | set(effect.candidate.form)
         chosen = choice.chosen
-        stage = _shows(member)
-        lens = self.plain.lenses[self.stages.index(stage)]
-        before, after = self._squares(lens, member.without.fold_points), self._squares(lens, chosen.fold_points)
+        stage = _shows(effect)
+        residual = self.plain.whitened[self.stages.index(stage)]
+        before, after = (
+            self._squares(residual, effect.without.fold_points),
+            self._squares(residual, chosen.fold_points),
+        )
         value, low, high = interval(before, after)
         points = _points(choice, point)
         without = [{k: v for k, v in each.items() if k not in own} for each in points]
         tips = [self._held_out(found) for found in np.split(self._tips([*without, *points]), 2)]
-        trial = self.flight.sample[1]
+        trial = self.grid.sample[1]
         squares = [np.array([np.nansum(t[trial == k] ** 2) for k in range(len(self.trials))]) for t in tips]
         chain = interval(*squares) if np.isfinite(tips).any() else None
-        return Shrink(
-            stage=_interval(value, low, high), chain=None if chain is None else _interval(*chain)
-        )  # fmt: skip
+        return Shrink(stage=_interval(value, low, high), chain=None if chain is None else _interval(*chain))
 
-    def _squares(self, lens: Lens, fold_points: Sequence[Point]) -> Array:
+    def _squares(self, residual: WhitenedResidual, fold_points: Sequence[Point]) -> Array:
         """Squares of a stage's residual by trial [K], floors as units, each trial at its own fold's point."""
-        moments = lens.moments(list(fold_points))
+        moments = residual.moments(list(fold_points))
         folds = list(np.unique(self.plain.fold))
         squares = np.zeros(len(self.trials))
         for (trial, number), fold in zip(self.plain.blocks, self.plain.fold, strict=True):
-            for name, part in lens.blocks:
+            for name, part in residual.blocks:
                 if name == (trial, number):
                     rows = moments[folds.index(fold)].rows[part]
                     squares[trial] += float(rows @ rows)
@@ -208,7 +215,7 @@ class Robot:
         """Gaps of the tip at each point, [P, M, 2]; every point is flown once."""
         keys = [tuple(sorted(point.items())) for point in points]
         if missing := [key for key in dict.fromkeys(keys) if key not in self._flown]:
-            self._flown |= zip(missing, tip_gap(self.flight, self.model, [dict(key) for key in missing]), strict=True)
+            self._flown |= zip(missing, tip_gap(self.grid, self.model, [dict(key) for key in missing]), strict=True)
         return np.stack([self._flown[key] for key in keys])
 
     def _held_out(self, gaps: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -250,21 +257,21 @@ class Robot:
             floor["chain"] = Quantity(value=FLOOR_M, unit="m")
         return Gap(before=before, after=after, floor=floor, ceiling=ceiling)
 
-    def _next(self, choice: Choice, ruling: Ruling) -> NextExperiment | None:
-        for member in ruling.members:
-            close = [(f, g) for f, g in member.rivals if f.effects[-1].name in member.equivalents]
-            if not close and ruling.kind == "incomplete":
-                close = [(f, g) for f, g in member.rivals if not f.at_bound][:1]
+    def _next(self, choice: Choice, decision: Decision) -> NextExperiment | None:
+        for effect in decision.selected:
+            close = [(f, g) for f, g in effect.rivals if f.effects[-1].name in effect.equivalents]
+            if not close and decision.kind == "incomplete":
+                close = [(f, g) for f, g in effect.rivals if not f.at_bound][:1]
             if close:
-                explanations = {member.candidate.name: choice.chosen.point} | {
+                explanations = {effect.candidate.name: choice.chosen.point} | {
                     f.effects[-1].name: f.point for f, _ in close[:3]
                 }
                 return experiments.splitting(self.model, explanations)
-        if ruling.kind == "unknown":
-            view, lens = max(
-                zip(self.views, self.plain.lenses, strict=True), key=lambda p: choice.energies[1][p[0].stage]
+        if decision.kind == "unknown":
+            view, residual = max(
+                zip(self.views, self.plain.whitened, strict=True), key=lambda p: choice.energies[1][p[0].stage]
             )
-            rows = lens.moments([{}])[0].rows.reshape(len(view.trial), -1)
+            rows = residual.moments([{}])[0].rows.reshape(len(view.trial), -1)
             worst = max(
                 range(len(self.trials)),
                 key=lambda k: float((rows[view.trial == k] ** 2).mean()) if (view.trial == k).any() else 0.0,
@@ -272,7 +279,7 @@ class Robot:
             return experiments.repeated(self.trials[worst].kind)
         return None
 
-    def _warnings(self, choice: Choice, ruling: Ruling) -> tuple[str, ...]:
+    def _warnings(self, choice: Choice, decision: Decision) -> tuple[str, ...]:
         found = [w for trial in self.trials for w in trial.warnings]
         for trial in self.trials:
             found += [f"{trial.name}: {text}" for text in trial.not_observable.values()]
@@ -280,10 +287,10 @@ class Robot:
             found.append(
                 "fewer than three kinds of excitation: a plain lag fits a chirp, not steps; fly more (softarm excite)"
             )
-        for member in choice.members:
-            if member not in ruling.members:
+        for effect in choice.selected:
+            if effect not in decision.selected:
                 found.append(
-                    f"{member.candidate.name} shrinks the gap and leaves more than it explains: it is not named"
+                    f"{effect.candidate.name} shrinks the gap and leaves more than it explains: it is not named"
                 )
         for fit, gain in choice.alone[:3]:
             if fit.at_bound and gain.value > 50:
@@ -293,9 +300,9 @@ class Robot:
         return tuple(dict.fromkeys(found))
 
 
-def _shows(member: Member) -> str:
-    """The stage that an effect's shrink is told of: its own where it shows there, else where it shows most."""
-    energies, own = member.gain.energies, member.candidate.stage
+def _shows(effect: SelectedEffect) -> str:
+    """The stage that an effect's shrink is of: its own where it shows there, else where it shows most."""
+    energies, own = effect.gain.energies, effect.candidate.stage
     return own if energies.get(own, 0.0) > OWN_STAGE_MIN else max(energies, key=lambda s: energies[s])
 
 
@@ -312,19 +319,19 @@ def _interval(value: float, low: float, high: float) -> Interval:
     return Interval(value=value, low=min(low, value), high=max(high, value))
 
 
-def _point(ruling: Ruling, choice: Choice) -> dict[str, float]:
+def _point(decision: Decision, choice: Choice) -> dict[str, float]:
     """The named effects' parameters."""
-    named = {m.candidate.name for m in ruling.members}
+    named = {m.candidate.name for m in decision.selected}
     pairs = [(c, u) for c, u in zip(choice.chosen.effects, choice.chosen.u, strict=True) if c.name in named]
     return point_of(tuple(c for c, _ in pairs), tuple(u for _, u in pairs))
 
 
-def _patched(model: Model, ruling: Ruling, choice: Choice, named: Sequence[Count]) -> Model:
+def _patched(model: Model, decision: Decision, choice: Choice, named: Sequence[Count]) -> Model:
     """The nominal model with the named effects; one that the robot turns out not to have is taken out."""
     effects = {name: dict(values) for name, values in model.effects.items()}
-    point = _point(ruling, choice)
-    for member in ruling.members:
-        name = member.candidate.name
+    point = _point(decision, choice)
+    for effect in decision.selected:
+        name = effect.candidate.name
         values = {p.name: point[f"{name}.{p.name}"] for p in REGISTRY[name].parameters}
         if all(values[p.name] == p.neutral for p in REGISTRY[name].parameters if p.default is None):
             effects.pop(name, None)

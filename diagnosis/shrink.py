@@ -6,8 +6,8 @@ import numpy as np
 
 from softarm.common import resample
 from softarm.diagnosis.gap.counts import counts
-from softarm.diagnosis.gap.recordings import Flight, flight
 from softarm.diagnosis.gap.robot_views import ON_MOTOR, robot_views
+from softarm.diagnosis.gap.trial_grid import TrialGrid, on_grid
 from softarm.diagnosis.gap.view import Array, Point
 from softarm.diagnosis.trials import Trial
 from softarm.schemas.model import Model
@@ -23,7 +23,7 @@ def measure_shrink(trials: Sequence[Trial], nominal: Model, patched: Model) -> d
 
     Stages that the trials do not show are left out. Nothing is fitted.
     """
-    shown = flight(trials, nominal)
+    shown = on_grid(trials, nominal)
     difference = point_between(nominal, patched)
     # A model file does not say where the axis's encoder sits: the reading that fits better counts.
     readings = [difference, {**difference, ON_MOTOR: 1.0}]
@@ -37,7 +37,7 @@ def measure_shrink(trials: Sequence[Trial], nominal: Model, patched: Model) -> d
     return found
 
 
-def _shrinks(shown: Flight, nominal: Model, point: Point) -> dict[str, float]:
+def _shrinks(shown: TrialGrid, nominal: Model, point: Point) -> dict[str, float]:
     found = {}
     for view in robot_views(shown, nominal):
         before, after = view.gap([{}, point])

@@ -10,8 +10,8 @@ import numpy as np
 from softarm.common.quantity import factor
 from softarm.diagnosis import checks, yaml_file
 from softarm.diagnosis.folder import numbers, read_table
-from softarm.diagnosis.trials import Array, Series, Stage, Trial, TrialError
-from softarm.schemas.trial import Channel, Column, StageFile, TableTrial
+from softarm.diagnosis.trials import Array, Series, TableStage, Trial, TrialError
+from softarm.schemas.trial import Column, StageFile, TableChannel, TableTrial
 
 EXAMPLE = "one of diagnosis/stages/*.yaml"
 # Kind -> channel -> unit groups of which one column is needed.
@@ -69,7 +69,7 @@ def _trial(base: Path, about: StageFile, trial: TableTrial, element: str, loaded
         warnings += (*found, *_range_warnings(channels[name], channel, f"{path}: {name}"))
     if not channels:
         raise TrialError(f"trial {trial.name}: names no file of {', '.join(about.channels)}; add one under files")
-    stage = Stage(element or about.name, about.kind, about.model)
+    stage = TableStage(element or about.name, about.kind, about.model)
     name = f"{trial.name}/{element}" if element else trial.name
     return Trial(
         name, trial.kind, base / next(iter(trial.files.values())), channels, "free", stage, tuple(warnings), missing
@@ -98,7 +98,7 @@ def _load(path: Path) -> Any:
     raise TrialError(f"{path}: tables are .csv, .parquet or .mat; export it as one of these")
 
 
-def _series(path: Path, table: Any, channel: Channel, segment: str | None, element: int | None) -> Series:
+def _series(path: Path, table: Any, channel: TableChannel, segment: str | None, element: int | None) -> Series:
     time = _column(path, table, channel.time, segment, None)
     columns = {n: _column(path, table, column, segment, element) for n, column in channel.columns.items()}
     for name, values in columns.items():
@@ -175,7 +175,7 @@ def _find(path: Path, table: Any, source: str) -> Any:
     return found
 
 
-def _range_warnings(series: Series, channel: Channel, where: str) -> list[str]:
+def _range_warnings(series: Series, channel: TableChannel, where: str) -> list[str]:
     """Ranges that no mechanism of a laboratory has in the unit that the stage.yaml names."""
     limits = {"rad": (13.0, "degrees"), "m": (20.0, "millimetres"), "kPa": (2000.0, "Pa"), "m/s": (50.0, "mm/s")}
     warnings = []

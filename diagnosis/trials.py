@@ -66,7 +66,7 @@ class Series:
 
 
 @dataclass(frozen=True, slots=True)
-class Stage:
+class TableStage:
     """What a single-stage table says of its mechanism."""
 
     name: str
@@ -83,7 +83,7 @@ class Trial:
     source: Path
     channels: Mapping[str, Series]  # by ROBOT_CHANNELS, or by the stage.yaml of a single stage
     rail: Literal["free", "held"] = "free"
-    stage: Stage | None = None  # None: the whole robot
+    stage: TableStage | None = None  # None: the whole robot
     warnings: tuple[str, ...] = ()  # what is odd about the data, each with its remedy
     missing: Mapping[str, str] = field(default_factory=dict)  # channel -> why it is not there
 

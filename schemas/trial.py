@@ -34,7 +34,7 @@ class Column(Strict):
     add: float = 0.0  # then added, in the unit that diagnosis works in (a pendulum's angle that hangs at pi)
 
 
-class Channel(Strict):
+class TableChannel(Strict):
     """Columns that share stamps."""
 
     time: Column
@@ -63,6 +63,6 @@ class StageFile(Strict):
     links: Annotated[int, Field(ge=1, le=12)] = 1  # of a pendulum
     # Where cells hold lists, one stage for each element: its name -> the place in the list.
     elements: dict[str, Annotated[int, Field(ge=0)]] = Field(default_factory=dict)
-    channels: Annotated[dict[str, Channel], Field(min_length=1)]
+    channels: Annotated[dict[str, TableChannel], Field(min_length=1)]
     model: dict[str, float | tuple[float, ...]] = Field(default_factory=dict)  # nominal parameters, units in names
     trials: Annotated[tuple[TableTrial, ...], Field(min_length=1)]

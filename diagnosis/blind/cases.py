@@ -1,4 +1,4 @@
-"""Which cases a benchmark has: kinds in fixed shares, causes in turn, robots and flights drawn. Pure."""
+"""Which cases a benchmark has: kinds in fixed shares, causes in turn, robots and trials drawn. Pure."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -37,7 +37,7 @@ SINGLES: tuple[tuple[str, bool], ...] = (*((name, False) for name in KNOWN), *((
 
 
 @dataclass(frozen=True, slots=True)
-class Flight:
+class PlannedTrial:
     """One trial to record."""
 
     folder: str
@@ -55,8 +55,8 @@ class Case:
     causes: tuple[Cause, ...]
     robot: RobotParameters
     model: Model
-    flights: tuple[Flight, ...]
-    fresh: tuple[Flight, ...]  # never given to the tool
+    planned: tuple[PlannedTrial, ...]
+    fresh: tuple[PlannedTrial, ...]  # never given to the tool
 
     @property
     def label(self) -> dict[str, Any]:
@@ -140,13 +140,13 @@ def _case(name: str, kind: Kind, wanted: Sequence[tuple[str, bool]], random: np.
         programme.remove(gone)
         programme.append(programme[random.integers(len(programme))])
     random.shuffle(programme)
-    return Case(name, kind, tuple(causes), robot, model, _flights(programme, random), _flights(FRESH, random))
+    return Case(name, kind, tuple(causes), robot, model, _planned(programme, random), _planned(FRESH, random))
 
 
-def _flights(programme: Sequence[str], random: np.random.Generator) -> tuple[Flight, ...]:
-    flights = []
+def _planned(programme: Sequence[str], random: np.random.Generator) -> tuple[PlannedTrial, ...]:
+    planned = []
     for number, name in enumerate(programme, 1):
         excitation = EXCITATIONS[name]
         free = excitation.moves_rail or (excitation.duration_s < 20 and random.random() < _FREE_SHARE)
-        flights.append(Flight(f"trial-{number}", name, not free, int(random.integers(_SEEDS))))
-    return tuple(flights)
+        planned.append(PlannedTrial(f"trial-{number}", name, not free, int(random.integers(_SEEDS))))
+    return tuple(planned)

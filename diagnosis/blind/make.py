@@ -7,7 +7,7 @@ from pathlib import Path
 
 from softarm.common.processes import as_they_come
 from softarm.diagnosis.blind import seal
-from softarm.diagnosis.blind.cases import Case, Flight, draw
+from softarm.diagnosis.blind.cases import Case, PlannedTrial, draw
 from softarm.reality.parameters import RobotParameters
 from softarm.reality.record import record
 from softarm.schemas.excitation import EXCITATIONS
@@ -21,14 +21,14 @@ def write_case(case: Case, data: Path, fresh: Path | None = None) -> str:
 
     Returns the case's name.
     """
-    for root, flights in ((data, case.flights), (fresh, case.fresh)):
+    for root, planned in ((data, case.planned), (fresh, case.fresh)):
         if root is None:
             continue
         folder = root / case.name
         shutil.rmtree(folder, ignore_errors=True)  # a half-written case of a run that was stopped
         folder.mkdir(parents=True)
-        for flight in flights:
-            _fly(case.robot, flight, folder / flight.folder)
+        for trial in planned:
+            _fly(case.robot, trial, folder / trial.folder)
         model_file.save(case.model, folder / "model.yaml")  # last: it marks the case as whole
     return case.name
 
@@ -80,6 +80,6 @@ def write_cases(
         finished(name)
 
 
-def _fly(robot: RobotParameters, flight: Flight, folder: Path) -> None:
-    excitation = EXCITATIONS[flight.excitation]
-    record(excitation.at, folder, excitation.duration_s, robot, flight.seed, kind=flight.excitation, held=flight.held)
+def _fly(robot: RobotParameters, trial: PlannedTrial, folder: Path) -> None:
+    excitation = EXCITATIONS[trial.excitation]
+    record(excitation.at, folder, excitation.duration_s, robot, trial.seed, kind=trial.excitation, held=trial.held)

@@ -30,9 +30,8 @@ def _measures(methods: Mapping[str, Mapping[str, Any]]) -> Iterator[str]:
     for name in first["coverage"]:
         cells = (_share(method["coverage"][name]) for method in methods.values())
         yield f"| 95 % interval of the shrink holds, {name} | " + " | ".join(cells) + " |"
-    yield "| calibration error (ECE) | " + " | ".join(
-        _number(method["calibration"]["ece"], ".3f") for method in methods.values()
-    ) + " |"  # fmt: skip
+    cells = (_number(method["calibration"]["ece"], ".3f") for method in methods.values())
+    yield "| calibration error (ECE) | " + " | ".join(cells) + " |"
     cells = (_number(method["seconds_median"], ".0f") for method in methods.values())
     yield "| seconds a case (median) | " + " | ".join(cells) + " |"
 

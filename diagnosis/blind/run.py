@@ -44,10 +44,10 @@ def run(
     seal.keep_apart(file, data)
     file.parent.mkdir(parents=True, exist_ok=True)
     about = {"method": method if trials is None else f"{method}, {trials} trials", "tool": tool_version()}
-    begun = _beside(file, ".partial")
-    done = _kept(file, begun, about, cases)
+    unfinished = _beside(file, ".partial")
+    done = _kept(file, unfinished, about, cases)
     todo = [case for case in cases if case.name not in done]
-    with begun.open("a", encoding="utf-8") as out:
+    with unfinished.open("a", encoding="utf-8") as out:
         for _, answer in as_they_come(partial(answer_case, method=method, shown=trials), todo, processes):
             done[answer["case"]] = answer
             out.write(json.dumps({**about, **answer}) + "\n")
@@ -55,7 +55,7 @@ def run(
             if on_answer is not None:
                 on_answer(answer["case"], len(done), len(cases))
     _write(file, about, done)
-    begun.unlink()
+    unfinished.unlink()
     return seal.freeze(file)
 
 
@@ -133,7 +133,7 @@ def _anonymous(trial: Trial, folder: Path) -> Trial:
     return replace(trial, source=Path("case") / trial.source.name, warnings=warnings, missing=missing)
 
 
-def _kept(file: Path, begun: Path, about: dict[str, str], cases: Sequence[Path]) -> dict[str, dict[str, Any]]:
+def _kept(file: Path, unfinished: Path, about: dict[str, str], cases: Sequence[Path]) -> dict[str, dict[str, Any]]:
     """Answers that still hold: same tool and method, same data."""
     lines: list[dict[str, Any]] = []
     if file.is_file():
@@ -142,8 +142,8 @@ def _kept(file: Path, begun: Path, about: dict[str, str], cases: Sequence[Path])
             {"method": before["method"], "tool": before["tool"], **answer, "seconds": seconds.get(answer["case"], 0.0)}
             for answer in before["answers"]
         ]
-    if begun.is_file():
-        for line in begun.read_text(encoding="utf-8").splitlines():
+    if unfinished.is_file():
+        for line in unfinished.read_text(encoding="utf-8").splitlines():
             try:
                 lines.append(json.loads(line))
             except ValueError:

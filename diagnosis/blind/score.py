@@ -98,12 +98,14 @@ MEASURES: dict[str, tuple[tuple[str, ...], Callable[[Scored], bool]]] = {
     "two, at least one": (("two",), lambda s: any(name in s.causes for name in s.names)),
     "unknown, given a name": (("unknown",), lambda s: bool(s.names)),
     "unknown, given a name as the whole answer": (
-        ("unknown",), lambda s: s.verdict is not None and s.verdict.verdict == "named"),
+        ("unknown",),
+        lambda s: s.verdict is not None and s.verdict.verdict == "named",
+    ),
     "unknown, said so": (("unknown",), lambda s: s.verdict is not None and s.verdict.verdict == "unknown"),
     "none, given a name": (("none",), lambda s: bool(s.names)),
     "none, said so": (("none",), lambda s: s.verdict is not None and s.verdict.verdict == "none"),
     "failed": (("single", "two", "unknown", "none"), lambda s: s.verdict is None),
-}  # fmt: skip
+}
 
 
 def score(cases: Sequence[Scored]) -> dict[str, Any]:

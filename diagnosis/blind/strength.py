@@ -87,9 +87,11 @@ def signals(trial: Trial, duration_s: float) -> dict[str, Signals]:
             "scatter (m)": np.array([np.std(np.diff(mocap["cart_z"]))]),
             "frames lost (-)": np.array([1 - len(mocap) / 120.0 / (mocap.t_s[-1] - mocap.t_s[0])]),
         },
-        "clock": {"spread of ticks (s)": np.array([np.median(np.abs(steps - np.median(steps)))]),
-                  "ticks lost (-)": np.array([np.mean(steps > 0.05)])},
-    }  # fmt: skip
+        "clock": {
+            "spread of ticks (s)": np.array([np.median(np.abs(steps - np.median(steps)))]),
+            "ticks lost (-)": np.array([np.mean(steps > 0.05)]),
+        },
+    }
 
 
 def fly(robot: RobotParameters, stage: str) -> dict[str, Signals]:

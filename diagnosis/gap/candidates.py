@@ -12,12 +12,12 @@ from softarm.diagnosis.gap.view import Point
 from softarm.schemas.model import Model
 from softarm.simulator.effects import REGISTRY, Parameter, value
 
-BOUND_SHARE = 0.02  # of a dial's size: closer to a bound than this is at it
+BOUND_SHARE = 0.02  # of a parameter's size: closer to a bound than this is at it
 
 
 @dataclass(frozen=True, slots=True)
-class Dial:
-    """A parameter as a search turns it: one coordinate u. Where the neutral value is infinite, u = 1 / value."""
+class FittedParameter:
+    """A parameter as a search moves it: one coordinate u. Where the neutral value is infinite, u = 1 / value."""
 
     path: str
     unit: str
@@ -28,7 +28,7 @@ class Dial:
     neutral: float  # u at which the effect is absent
     inverse: bool = False
     news: float = 0.0  # a smaller change, u, is none that anybody would call a gap
-    least: float = 0.0  # of an inverse dial: below lies nothing but the neutral value
+    least: float = 0.0  # of an inverse parameter: below lies nothing but the neutral value
 
     def value(self, u: float) -> float:
         """In the registry's unit, within the bounds."""
@@ -44,25 +44,25 @@ class Candidate:
 
     name: str
     stage: str
-    dials: tuple[Dial, ...]
-    starts: tuple[tuple[float, ...], ...]  # where a search begins, u of each dial
+    parameters: tuple[FittedParameter, ...]
+    starts: tuple[tuple[float, ...], ...]  # where a search begins, u of each parameter
     form: Mapping[str, float] = field(default_factory=dict)
 
     def is_news(self, u: Sequence[float]) -> bool:
-        """Whether a dial is off its nominal value by more than well-kept robots are."""
-        return any(abs(x - d.nominal) >= d.news for d, x in zip(self.dials, u, strict=True))
+        """Whether a parameter is off its nominal value by more than well-kept robots are."""
+        return any(abs(x - d.nominal) >= d.news for d, x in zip(self.parameters, u, strict=True))
 
     def at_bound(self, u: Sequence[float]) -> bool:
-        """Whether a dial stands at a physical bound that is neither its nominal nor its neutral value."""
+        """Whether a parameter stands at a physical bound that is neither its nominal nor its neutral value."""
         return any(
             min(x - d.low, d.high - x) < BOUND_SHARE * d.size
             and min(abs(x - d.nominal), abs(x - d.neutral)) > BOUND_SHARE * d.size
-            for d, x in zip(self.dials, u, strict=True)
+            for d, x in zip(self.parameters, u, strict=True)
         )
 
     def point(self, u: tuple[float, ...]) -> dict[str, float]:
         """The registry's parameters at coordinates u."""
-        return {d.path: d.value(x) for d, x in zip(self.dials, u, strict=True)} | dict(self.form)
+        return {d.path: d.value(x) for d, x in zip(self.parameters, u, strict=True)} | dict(self.form)
 
 
 @dataclass(frozen=True, slots=True)
@@ -168,21 +168,21 @@ def _nuisances(model: Model) -> Iterator[Nuisance]:
 
 def _forms(name: str, model: Model) -> Iterator[Candidate]:
     effect = REGISTRY[name]
-    dials = tuple(_dial(name, parameter, model) for parameter in effect.parameters)
+    parameters = tuple(_parameter(name, p, model) for p in effect.parameters)
     for form in _FORMS.get(name, ({},)):
-        yield Candidate(name, effect.stage, dials, tuple(starts(dials, effect.parameters)), form)
+        yield Candidate(name, effect.stage, parameters, tuple(starts(parameters, effect.parameters)), form)
 
 
-def _dial(name: str, p: Parameter, model: Model) -> Dial:
+def _parameter(name: str, p: Parameter, model: Model) -> FittedParameter:
     path, nominal = f"{name}.{p.name}", value(model, name, p.name)
     if math.isinf(p.neutral):
         u = 0.0 if math.isinf(nominal) else 1 / nominal
         size = abs(1 / p.exemplar - u) or 1 / p.exemplar
-        return Dial(
+        return FittedParameter(
             path, p.unit, u, 0.0, (1 - 1e-9) / p.low, size, 0.0, True, _news(path, u, size), (1 + 1e-9) / p.high
         )
     size = p.exemplar if p.default is not None else abs(p.exemplar - p.neutral)
-    return Dial(path, p.unit, nominal, p.low, p.high, size, p.neutral, news=_news(path, nominal, size))
+    return FittedParameter(path, p.unit, nominal, p.low, p.high, size, p.neutral, news=_news(path, nominal, size))
 
 
 def _news(path: str, nominal: float, size: float) -> float:
@@ -193,10 +193,10 @@ def _news(path: str, nominal: float, size: float) -> float:
     return 2 * _ABSOLUTE[path] if path in _ABSOLUTE else _NEWS_SHARE * size
 
 
-def starts(dials: tuple[Dial, ...], parameters: tuple[Parameter, ...]) -> Iterator[tuple[float, ...]]:
+def starts(parameters: tuple[FittedParameter, ...], declared: tuple[Parameter, ...]) -> Iterator[tuple[float, ...]]:
     """Changes of several sizes, both ways where the bounds allow; with a shape parameter at three of its values."""
-    strengths = [d for d, p in zip(dials, parameters, strict=True) if p.default is None]
-    shapes = [(d, p) for d, p in zip(dials, parameters, strict=True) if p.default is not None]
+    strengths = [d for d, p in zip(parameters, declared, strict=True) if p.default is None]
+    shapes = [(d, p) for d, p in zip(parameters, declared, strict=True) if p.default is not None]
     seen = set()
     for share in (*_SHARES, *(-s for s in _SHARES)):
         moved = {d.path: min(max(d.nominal + share * d.size, d.low), d.high) for d in strengths}
@@ -207,7 +207,7 @@ def starts(dials: tuple[Dial, ...], parameters: tuple[Parameter, ...]) -> Iterat
         for each in alone:
             for factor in (0.4, 1.0, 2.5) if shapes else (1.0,):
                 shaped = {d.path: min(max((p.default or 0.0) * factor, d.low), d.high) for d, p in shapes}
-                u = tuple((each | shaped)[d.path] for d in dials)
+                u = tuple((each | shaped)[d.path] for d in parameters)
                 if u not in seen and any(each[d.path] != d.nominal for d in strengths):
                     seen.add(u)
                     yield u

@@ -8,8 +8,8 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from softarm.diagnosis.gap.lens import slices
 from softarm.diagnosis.gap.view import Array, View
+from softarm.diagnosis.gap.whitened import slices
 
 LAGS = (3, 8, 20, 45)  # samples, of every feature
 THIN = 3  # every third sample: neighbours say the same

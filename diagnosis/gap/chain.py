@@ -5,8 +5,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from softarm.diagnosis.gap.recordings import STEP_S, Flight
 from softarm.diagnosis.gap.robot_views import ABOUT_RAIL, ARM_HZ, delayed, directions, parameters
+from softarm.diagnosis.gap.trial_grid import STEP_S, TrialGrid
 from softarm.diagnosis.gap.view import Array, Point
 from softarm.schemas.model import Model
 from softarm.simulator.effects import REGISTRY, value
@@ -16,12 +16,12 @@ FLOOR_M = 0.004  # what two honest simulators of one robot differ by at the tip,
 _PHYSICS = parameters(*(n for n, e in REGISTRY.items() if e.stage in ("pressure", "rail", "arm")))
 
 
-def tip_gap(flight: Flight, model: Model, points: Sequence[Point]) -> NDArray[np.float32]:
+def tip_gap(grid: TrialGrid, model: Model, points: Sequence[Point]) -> NDArray[np.float32]:
     """Measured minus simulated tip (y, z) at each point, [P, M, 2], m; NaN where mocap saw nothing.
 
     A trial begins where the robot was seen to hang; everything after follows from the commands.
     """
-    k = len(flight.trials)
+    k = len(grid.trials)
     names = sorted({path for point in points for path in point if path in _PHYSICS})
 
     def each(path: str) -> Array:
@@ -29,20 +29,20 @@ def tip_gap(flight: Flight, model: Model, points: Sequence[Point]) -> NDArray[np
         return np.array([p.get(path, value(model, effect, parameter)) for p in points])
 
     simulator = Simulator(model, len(points) * k, ARM_HZ, overrides={n: np.repeat(each(n), k) for n in names})
-    joints = np.tile(np.diff(directions(flight), axis=1, prepend=0.0), (len(points), 1))
-    first = np.nan_to_num(flight.pressure_kpa[0])
+    joints = np.tile(np.diff(directions(grid), axis=1, prepend=0.0), (len(points), 1))
+    first = np.nan_to_num(grid.pressure_kpa[0])
     simulator.reset(
-        cart_position_m=np.tile(flight.hinge_m[0], len(points)),
+        cart_position_m=np.tile(grid.hinge_m[0], len(points)),
         joint_angles_rad=joints,
         pressure_kpa=np.tile(first, len(points)),
     )
     velocity, pressure, late = (
-        np.tile(x, (1, len(points))) for x in (flight.cart_velocity_m_s, flight.pressure_command_kpa, flight.late_s)
+        np.tile(x, (1, len(points))) for x in (grid.cart_velocity_m_s, grid.pressure_command_kpa, grid.late_s)
     )
-    held = np.tile(flight.held, len(points))
-    flown = np.empty((len(flight.t_s), len(points) * k, 2), np.float32)
-    start = np.tile(flight.hinge_m[0], len(points))
-    for t in range(len(flight.t_s)):
+    held = np.tile(grid.held, len(points))
+    flown = np.empty((len(grid.t_s), len(points) * k, 2), np.float32)
+    start = np.tile(grid.hinge_m[0], len(points))
+    for t in range(len(grid.t_s)):
         tip = simulator.tip_m()
         tip[:, 0] += np.where(held, start - simulator.cart_position_m, 0.0)
         flown[t] = tip
@@ -50,13 +50,11 @@ def tip_gap(flight: Flight, model: Model, points: Sequence[Point]) -> NDArray[np
     seen = flown.reshape(len(flown), len(points), k, 2)
     for i, point in enumerate(points):
         seen[:, i] = _as_seen(seen[:, i], point, model)
-    step, trial = flight.sample
+    step, trial = grid.sample
     flat = seen[step, :, trial].transpose(1, 0, 2)
-    n = flight.links
-    measured = np.stack(
-        (flight.links_m[:, :, n - 1] + flight.cart_y_m, flight.links_m[:, :, -1] + flight.cart_z_m), axis=2
-    )
-    return np.asarray(flight.flat(measured)[None].astype(np.float32) - flat)
+    n = grid.links
+    measured = np.stack((grid.links_m[:, :, n - 1] + grid.cart_y_m, grid.links_m[:, :, -1] + grid.cart_z_m), axis=2)
+    return np.asarray(grid.flat(measured)[None].astype(np.float32) - flat)
 
 
 def _as_seen(tip: NDArray[np.float32], point: Point, model: Model) -> NDArray[np.float32]:

@@ -4,14 +4,14 @@
 named with one, one was. More cases of the second kind are needed; until then a set of k counts 1 / k and a little.
 """
 
-from softarm.diagnosis.gap.search import Member
+from softarm.diagnosis.gap.search import SelectedEffect
 
 ALONE = 0.94
 OF_A_SET = 0.6
 
 
-def confidence(member: Member) -> float:
+def confidence(effect: SelectedEffect) -> float:
     """The share of answers like this one that named the cause."""
-    if not member.equivalents:
+    if not effect.equivalents:
         return ALONE
-    return max(OF_A_SET - 0.1 * (len(member.equivalents) - 1), 1 / (1 + len(member.equivalents)))
+    return max(OF_A_SET - 0.1 * (len(effect.equivalents) - 1), 1 / (1 + len(effect.equivalents)))

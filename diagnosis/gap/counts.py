@@ -20,7 +20,7 @@ TOLERANCE = {"clock.jitter": 0.0012, "clock.missed_ticks": 0.015, "mocap.dropout
 FEW = 5  # events, at least, for a share
 HALF_NORMAL_STD = 0.6028  # of its sigma
 SKEWED = 0.5
-TELLS = 0.75  # one way of making velocities must leave no more than this share of the other's error
+VELOCITY_RATIO_MAX = 0.75  # one way of making velocities must leave no more than this share of the other's error
 VELOCITY_FLOOR_M_S = 0.03
 
 
@@ -150,11 +150,21 @@ def _velocities(trials: Sequence[Trial], model: Model) -> Count | None:
     modelled = name in model.effects
     differenced, true = np.sqrt((errors**2).mean(axis=0))
     before, after = (differenced, true) if modelled else (true, differenced)
-    named = after < TELLS * before and before > VELOCITY_FLOOR_M_S
+    named = after < VELOCITY_RATIO_MAX * before and before > VELOCITY_FLOOR_M_S
     return Count(
-        name, "", "m/s", 0.0, 0.0, 0.0, 0.0, float(before), float(min(after, before)), VELOCITY_FLOOR_M_S, bool(named),
+        name,
+        "",
+        "m/s",
+        0.0,
+        0.0,
+        0.0,
+        0.0,
+        float(before),
+        float(min(after, before)),
+        VELOCITY_FLOOR_M_S,
+        bool(named),
         present=not modelled,
-    )  # fmt: skip
+    )
 
 
 def _velocity_errors(trial: Trial) -> tuple[float, float] | None:

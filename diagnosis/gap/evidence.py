@@ -8,9 +8,9 @@ from scipy.signal import welch
 
 from softarm.diagnosis.gap.ceiling import regimes
 from softarm.diagnosis.gap.problem import Setup
-from softarm.diagnosis.gap.recordings import RATE_HZ
 from softarm.diagnosis.gap.result import Leftover, Overlay, Regime, Rival, Spectrum
-from softarm.diagnosis.gap.search import Choice, Gain, Member, Search
+from softarm.diagnosis.gap.search import Choice, Gain, Search, SelectedEffect
+from softarm.diagnosis.gap.trial_grid import RATE_HZ
 from softarm.diagnosis.gap.view import Point, View
 from softarm.diagnosis.trials import Trial
 from softarm.schemas.verdict import Interval
@@ -102,26 +102,26 @@ def where_in_words(view: View, gap: Gap) -> str:
     return f"throughout, {band}"
 
 
-def rivals(search: Search, choice: Choice, members: Sequence[Member]) -> tuple[Rival, ...]:
+def rivals(search: Search, choice: Choice, selected: Sequence[SelectedEffect]) -> tuple[Rival, ...]:
     """The named effects, who was tried in their place, and what each explains alone."""
     alone = {fit.names[0]: _alone(gain) for fit, gain in choice.alone}
-    named = {m.candidate.name for m in members}
+    named = {m.candidate.name for m in selected}
     found = []
-    for member in members:
-        name = member.candidate.name
-        scale = max(member.gain.value, 1e-9)
-        same = f"; cannot be told from {', '.join(member.equivalents)}" if member.equivalents else ""
+    for effect in selected:
+        name = effect.candidate.name
+        scale = max(effect.gain.value, 1e-9)
+        same = f"; cannot be told from {', '.join(effect.equivalents)}" if effect.equivalents else ""
         found.append(
             Rival(
                 (name,),
                 alone.get(name, 0.0),
-                _share(member.gain, scale),
+                _share(effect.gain, scale),
                 _own(choice.chosen.point, name),
                 f"named{same}",
             )
         )
     further = [(f, g) for f, g in search.ranked(choice.chosen) if f.effects[-1].name not in named][:RIVALS_SHOWN]
-    scale = max((m.gain.value for m in members), default=max((g.value for _, g in further), default=1.0)) or 1.0
+    scale = max((m.gain.value for m in selected), default=max((g.value for _, g in further), default=1.0)) or 1.0
     for fit, gain in further:
         name = fit.effects[-1].name
         note = "at its bound" if fit.at_bound else "adds too little to be named"

@@ -13,14 +13,14 @@ from scipy.special import stdtrit
 
 from softarm.diagnosis.gap import box
 from softarm.diagnosis.gap.candidates import Candidate
-from softarm.diagnosis.gap.lens import Lens, Moments, Rows
 from softarm.diagnosis.gap.view import Array, Point
+from softarm.diagnosis.gap.whitened import Moments, Rows, WhitenedResidual
 
 ROUNDS = 4
 CONVERGED = 1e-3  # of the loss: a round that gains less is the last
-NUDGE = 0.04  # of a dial's size, for a column of the Jacobian
+NUDGE = 0.04  # of a parameter's size, for a column of the Jacobian
 SHORTER = 0.3  # of a step that did not help
-REACH = 2.0  # of a dial's size: how far a round may go
+REACH = 2.0  # of a parameter's size: how far a round may go
 
 Set = tuple[Candidate, ...]
 U = tuple[tuple[float, ...], ...]  # coordinates, a tuple for each candidate
@@ -69,11 +69,11 @@ class Fit:
         return float(abs(late - early) / change)
 
     def _strongest(self, i: int) -> tuple[int, float]:
-        """Of an effect's dials the one turned furthest for its size: its place among all, and how far it is turned."""
-        dials, us = self.effects[i].dials, self.u[i]
-        j = max(range(len(dials)), key=lambda k: abs(us[k] - dials[k].nominal) / dials[k].size)
-        at = sum(len(each.dials) for each in self.effects[:i]) + j
-        return at, max(abs(us[j] - dials[j].nominal), 1e-9 * dials[j].size)
+        """Of an effect's parameters the one furthest off for its size: its place among all, and how far off it is."""
+        parameters, us = self.effects[i].parameters, self.u[i]
+        j = max(range(len(parameters)), key=lambda k: abs(us[k] - parameters[k].nominal) / parameters[k].size)
+        at = sum(len(each.parameters) for each in self.effects[:i]) + j
+        return at, max(abs(us[j] - parameters[j].nominal), 1e-9 * parameters[j].size)
 
     @property
     def is_news(self) -> bool:
@@ -101,7 +101,7 @@ class _Descent:
         self.bases: list[Moments] = []
         self._step = np.zeros_like(start)
 
-    def advance(self, problem: "Problem", jacobians: list[Rows], bases: list[Moments]) -> None:
+    def advance(self, problem: "FitProblem", jacobians: list[Rows], bases: list[Moments]) -> None:
         """Take what was found at `tried`: go on from there, or look closer to the best so far."""
         loss, step = problem.solve(self.effects, self.tried, jacobians, bases)
         if loss < self.loss or not self.bases:
@@ -114,10 +114,10 @@ class _Descent:
 
 
 @dataclass(frozen=True, slots=True)
-class Problem:
-    """Lenses on all views, the nuisances' boxes, and which fold each block is in."""
+class FitProblem:
+    """Whitened residuals of all views, the nuisances' boxes, and which fold each block is in."""
 
-    lenses: tuple[Lens, ...]
+    whitened: tuple[WhitenedResidual, ...]
     nuisance_paths: tuple[str, ...]  # [q] of the registry, or a single joint's, which no effect replaces
     nuisance_low: Array  # [q] in units of the edges
     nuisance_high: Array
@@ -142,18 +142,18 @@ class Problem:
 
     def nuisance_box(self, effects: Set) -> tuple[Array, Array]:
         """Box of the nuisances beside a set: what the set fits itself is no nuisance."""
-        own = {d.path for each in effects for d in each.dials}
+        own = {d.path for each in effects for d in each.parameters}
         free = np.array([path not in own for path in self.nuisance_paths])
         return self.nuisance_low * free, self.nuisance_high * free
 
     def _moments(self, points: Sequence[Point]) -> list[list[Moments]]:
-        """[lens][point]."""
-        return [lens.moments(points) for lens in self.lenses]
+        """[view][point]."""
+        return [residual.moments(points) for residual in self.whitened]
 
     def _losses(self, effects: Sequence[Set], state: Sequence[Array]) -> list[float]:
         points = [point_of(e, split(e, x)) for e, x in zip(effects, state, strict=True)]
         moments = self._moments(points)
-        gg = sum(lens.gg for lens in self.lenses)
+        gg = sum(residual.gg for residual in self.whitened)
         result = []
         for i, each in enumerate(effects):
             rr, gr = sum(m[i].rr for m in moments), sum(m[i].gr for m in moments)
@@ -163,12 +163,12 @@ class Problem:
         return result
 
     def _linear(self, effects: Sequence[Set], state: Sequence[Array]) -> list[tuple[list[Rows], list[Moments]]]:
-        """For every set: Jacobian by lens ([p, N] or empty) and moments by lens."""
+        """For every set: Jacobian by view ([p, N] or empty) and moments by view."""
         points, nudges = [], []
         for each, x in zip(effects, state, strict=True):
-            dials = [d for c in each for d in c.dials]
-            away = [1 if v + NUDGE * d.size <= d.high else -1 for d, v in zip(dials, x, strict=True)]
-            nudge = np.array([NUDGE * d.size * sign for d, sign in zip(dials, away, strict=True)])
+            parameters = [d for c in each for d in c.parameters]
+            away = [1 if v + NUDGE * d.size <= d.high else -1 for d, v in zip(parameters, x, strict=True)]
+            nudge = np.array([NUDGE * d.size * sign for d, sign in zip(parameters, away, strict=True)])
             nudges.append(nudge)
             points.append([point_of(each, split(each, x + change)) for change in (0 * x, *np.diag(nudge))])
         flat = [p for ps in points for p in ps]
@@ -176,14 +176,15 @@ class Problem:
         for ps, nudge in zip(points, nudges, strict=True):
             jacobians: list[Rows] = []
             bases: list[Moments] = []
-            for lens_moments in moments:
-                base = lens_moments[at]
-                rows = [m.rows for m in lens_moments[at + 1 : at + len(ps)]]
+            for residual_moments in moments:
+                base = residual_moments[at]
+                rows = [m.rows for m in residual_moments[at + 1 : at + len(ps)]]
                 moved = any(row is not base.rows for row in rows)
                 jacobians.append(
-                    np.stack([(row - base.rows) / np.float32(n) for row, n in zip(rows, nudge, strict=True)]) if moved
+                    np.stack([(row - base.rows) / np.float32(n) for row, n in zip(rows, nudge, strict=True)])
+                    if moved
                     else np.empty((0, 0), np.float32)
-                )  # fmt: skip
+                )
                 bases.append(base)
             found.append((jacobians, bases))
             at += len(ps)
@@ -201,21 +202,21 @@ class Problem:
     def _normal(self, p: int, jacobians: list[Rows], bases: list[Moments]) -> tuple[Array, Array]:
         q = len(self.nuisance_low)
         normal, slope = np.zeros((p + q, p + q)), np.zeros(p + q)
-        for lens, jacobian, base in zip(self.lenses, jacobians, bases, strict=True):
-            normal[p:, p:] += lens.gg
+        for residual, jacobian, base in zip(self.whitened, jacobians, bases, strict=True):
+            normal[p:, p:] += residual.gg
             slope[p:] += base.gr
             if len(jacobian):
                 normal[:p, :p] += jacobian @ jacobian.T
-                across = jacobian @ lens.columns.T
+                across = jacobian @ residual.columns.T
                 normal[:p, p:] += across
                 normal[p:, :p] += across.T
                 slope[:p] += jacobian @ base.rows
         return normal, slope
 
     def _box(self, effects: Set, x: Array) -> tuple[Array, Array]:
-        dials = [d for c in effects for d in c.dials]
-        low = np.array([max(d.low - v, -REACH * d.size) for d, v in zip(dials, x, strict=True)])
-        high = np.array([min(d.high - v, REACH * d.size) for d, v in zip(dials, x, strict=True)])
+        parameters = [d for c in effects for d in c.parameters]
+        low = np.array([max(d.low - v, -REACH * d.size) for d, v in zip(parameters, x, strict=True)])
+        high = np.array([min(d.high - v, REACH * d.size) for d, v in zip(parameters, x, strict=True)])
         nuisance_low, nuisance_high = self.nuisance_box(effects)
         return np.concatenate((low, nuisance_low)), np.concatenate((high, nuisance_high))
 
@@ -285,9 +286,9 @@ class Problem:
         size, q = len(self.blocks), len(self.nuisance_low)
         normal, slope, squares = np.zeros((size, p + q, p + q)), np.zeros((size, p + q)), np.zeros(size)
         place = {name: i for i, name in enumerate(self.blocks)}
-        for lens, jacobian, base in zip(self.lenses, jacobians, bases, strict=True):
-            for (name, part), gg in zip(lens.blocks, lens.block_gg, strict=True):
-                b, c, r = place[name], lens.columns[:, part], base.rows[part]
+        for residual, jacobian, base in zip(self.whitened, jacobians, bases, strict=True):
+            for (name, part), gg in zip(residual.blocks, residual.block_gg, strict=True):
+                b, c, r = place[name], residual.columns[:, part], base.rows[part]
                 normal[b, p:, p:] += gg
                 slope[b, p:] += c @ r
                 squares[b] += r @ r
@@ -305,6 +306,6 @@ def split(effects: Set, x: Array) -> U:
     """Coordinates in a row, [p], to a tuple for each effect."""
     parts, at = [], 0
     for each in effects:
-        parts.append(tuple(float(v) for v in x[at : at + len(each.dials)]))
-        at += len(each.dials)
+        parts.append(tuple(float(v) for v in x[at : at + len(each.parameters)]))
+        at += len(each.parameters)
     return tuple(parts)

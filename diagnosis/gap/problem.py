@@ -7,11 +7,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softarm.diagnosis.gap.candidates import JOINT_SHARES, Nuisance
-from softarm.diagnosis.gap.fits import Fit, Problem
-from softarm.diagnosis.gap.lens import BLOCK_S, Gaps, Lens, blocks_of
+from softarm.diagnosis.gap.fits import Fit, FitProblem
 from softarm.diagnosis.gap.noise import Whitener, scaled, whitener
 from softarm.diagnosis.gap.robot_views import ArmView
 from softarm.diagnosis.gap.view import View
+from softarm.diagnosis.gap.whitened import BLOCK_S, Gaps, WhitenedResidual, blocks_of
 
 # What a second of a view's data is worth, in weighted squares: neighbouring samples and channels say the same twice.
 PER_SECOND = 4.0
@@ -33,7 +33,7 @@ class Setup:
         self.views, self.nuisances = tuple(views), tuple(nuisances)
         self.gaps = tuple(Gaps(view) for view in views)
         arms = [view for view in views if isinstance(view, ArmView)]
-        links = arms[0].flight.links if arms else 0
+        links = arms[0].grid.links if arms else 0
         # Of single joints, by the model's own names; their unit is a share.
         self._joints = {f"arm.{n}[{i}]": share for n, share in JOINT_SHARES.items() for i in range(1, links + 1)}
         self.directions = tuple(self._directions(g) for g in self.gaps)
@@ -45,7 +45,7 @@ class Setup:
         self._high = np.array([b[1] for b in boxes] + [1.0] * len(self._joints))
         self._paths = (*(n.path for n in self.nuisances), *self._joints)
 
-    def weighed(self, residuals: Sequence[NDArray[np.floating]] | None = None) -> Problem:
+    def weighed(self, residuals: Sequence[NDArray[np.floating]] | None = None) -> FitProblem:
         """The problem under weights from these residuals (by view, [M, S]); without, from the nominal gap's size."""
         filters = []
         for i, view in enumerate(self.views):
@@ -55,7 +55,7 @@ class Setup:
                 filters.append(whitener(view, residuals[i].astype(np.float64)))
         return self._problem(filters, PER_SECOND)
 
-    def plain(self) -> Problem:
+    def plain(self) -> FitProblem:
         """The problem weighed by the floors alone, every sample counting one."""
         filters = [
             Whitener((1 / v.floor)[:, None].astype(np.float32), np.isfinite(v.measured).astype(np.float32))
@@ -63,11 +63,11 @@ class Setup:
         ]
         return self._problem(filters, None)
 
-    def residuals(self, plain: Problem, fit: Fit) -> list[NDArray[np.float32]]:
+    def residuals(self, plain: FitProblem, fit: Fit) -> list[NDArray[np.float32]]:
         """What a fit leaves of every view, [M, S], NaN where nothing was measured."""
         found = []
-        for view, lens in zip(self.views, plain.lenses, strict=True):
-            rows = lens.moments([fit.point])[0].rows + fit.nuisance.astype(np.float32) @ lens.columns
+        for view, residual in zip(self.views, plain.whitened, strict=True):
+            rows = residual.moments([fit.point])[0].rows + fit.nuisance.astype(np.float32) @ residual.columns
             left = rows.reshape(view.measured.shape) * view.floor.astype(np.float32)
             found.append(np.where(np.isfinite(view.measured), left, np.float32(np.nan)))
         return found
@@ -76,18 +76,18 @@ class Setup:
         """Nuisances beside a set, in the registry's unit, joints' as shares; without what the set itself fits."""
         edges = [(n.path, n.nominal, n.edge - n.nominal) for n in self.nuisances]
         edges += [(name, 0.0, share) for name, share in self._joints.items()]
-        own = {p.path for each in fit.effects for p in each.dials}
+        own = {p.path for each in fit.effects for p in each.parameters}
         found = zip(edges, fit.nuisance, strict=True)
         return {path: nominal + float(x) * edge for (path, nominal, edge), x in found if path not in own}
 
-    def _problem(self, filters: Sequence[Whitener], per_second: float | None) -> Problem:
-        lenses = []
+    def _problem(self, filters: Sequence[Whitener], per_second: float | None) -> FitProblem:
+        whitened = []
         for gaps, whiten, directions in zip(self.gaps, filters, self.directions, strict=True):
             kept = float(whiten.keep.sum())
             seconds = kept / whiten.keep.shape[1] * float(np.median(np.diff(gaps.view.t_s)))
             weight = 1.0 if per_second is None else per_second * seconds / max(kept, 1.0)
-            lenses.append(Lens(gaps, whiten, directions.nuisances, directions.starts, weight))
-        return Problem(tuple(lenses), self._paths, self._low, self._high, self.blocks, self.fold)
+            whitened.append(WhitenedResidual(gaps, whiten, directions.nuisances, directions.starts, weight))
+        return FitProblem(tuple(whitened), self._paths, self._low, self._high, self.blocks, self.fold)
 
     def _directions(self, gaps: Gaps) -> Directions:
         view = gaps.view

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from softarm.diagnosis.gap.recordings import RATE_HZ, STEP_S, Flight
+from softarm.diagnosis.gap.trial_grid import RATE_HZ, STEP_S, TrialGrid
 from softarm.diagnosis.gap.view import Array, Point
 from softarm.schemas.model import Model
 from softarm.simulator.effects import REGISTRY, value
@@ -44,8 +44,8 @@ class RobotView:
     _channels: tuple[str, ...] = ()
     _floor = 0.0
 
-    def __init__(self, flight: Flight, model: Model) -> None:
-        self.flight, self.model = flight, model
+    def __init__(self, grid: TrialGrid, model: Model) -> None:
+        self.grid, self.model = grid, model
 
     @property
     def channels(self) -> tuple[str, ...]:
@@ -55,12 +55,12 @@ class RobotView:
     @property
     def t_s(self) -> Array:
         """See View."""
-        return np.asarray(self.flight.flat(self.flight.t_s))
+        return np.asarray(self.grid.flat(self.grid.t_s))
 
     @property
     def trial(self) -> NDArray[np.int64]:
         """See View."""
-        return self.flight.sample[1]
+        return self.grid.sample[1]
 
     @property
     def floor(self) -> Array:
@@ -75,30 +75,30 @@ class RobotView:
     @cached_property
     def measured(self) -> Array:
         """See View."""
-        return np.asarray(self.flight.flat(self._seen()))
+        return np.asarray(self.grid.flat(self._seen()))
 
     @property
     def regimes(self) -> Mapping[str, NDArray[np.bool_]]:
         """See View."""
-        flat = {name: np.asarray(self.flight.flat(values)) for name, values in self._signals().items()}
+        flat = {name: np.asarray(self.grid.flat(values)) for name, values in self._signals().items()}
         return _regimes(flat)
 
     @property
     def features(self) -> Mapping[str, Array]:
         """See View."""
-        since = self.flight.t_s - self.flight.t_s[0]
+        since = self.grid.t_s - self.grid.t_s[0]
         signals = {**self._signals(), "time since the start": since}
-        return {name: np.asarray(self.flight.flat(values)) for name, values in signals.items()}
+        return {name: np.asarray(self.grid.flat(values)) for name, values in signals.items()}
 
     def gap(self, points: Sequence[Point]) -> NDArray[np.float32]:
         """See View."""
-        most = max(1, ROBOTS_MAX // len(self.flight.trials))
+        most = max(1, ROBOTS_MAX // len(self.grid.trials))
         parts = [self._gap(points[i : i + most]) for i in range(0, len(points), most)]
         return np.concatenate(parts)
 
     def _gap(self, points: Sequence[Point]) -> NDArray[np.float32]:
         predicted = self._predict(points)  # [T, P, K, S]
-        step, trial = self.flight.sample
+        step, trial = self.grid.sample
         flat = predicted[step, :, trial].transpose(1, 0, 2)
         return np.asarray(self.measured.astype(np.float32)[None] - flat)
 
@@ -115,7 +115,7 @@ class RobotView:
 
     def _robots(self, values: Array) -> Array:
         """One value a point to one a robot; a point's trials are side by side."""
-        return np.repeat(values, len(self.flight.trials))
+        return np.repeat(values, len(self.grid.trials))
 
     def _overrides(self, points: Sequence[Point], effects: frozenset[str]) -> dict[str, Array]:
         named = sorted({path for point in points for path in point if path in effects})
@@ -127,7 +127,7 @@ class RobotView:
 
     def _signals(self) -> dict[str, Array]:
         """Inputs and measured states, [T, K]: for regimes and for a flexible model."""
-        f = self.flight
+        f = self.grid
         return {
             "pressure command": f.pressure_command_kpa,
             "pressure": np.nan_to_num(f.pressure_kpa),
@@ -146,10 +146,10 @@ class PressureView(RobotView):
     acts = parameters(*_stage("pressure"))
 
     def _seen(self) -> Array:
-        return self.flight.pressure_kpa[:, :, None]
+        return self.grid.pressure_kpa[:, :, None]
 
     def _predict(self, points: Sequence[Point]) -> NDArray[np.float32]:
-        f, robots = self.flight, len(points) * len(self.flight.trials)
+        f, robots = self.grid, len(points) * len(self.grid.trials)
         simulator = Simulator(self.model, robots, ARM_HZ, overrides=self._overrides(points, self.acts))
         bias = self._robots(self._value(points, "pressure.sensor_bias.bias"))
         first = np.nan_to_num(f.pressure_kpa[0])
@@ -169,12 +169,12 @@ class RailView(RobotView):
     acts = parameters(*_stage("rail"), "arm.payload", "arm.tilt", "arm.drag") | {ON_MOTOR}
 
     def _seen(self) -> Array:
-        seen = self.flight.axis_m_s.copy()
-        seen[:, self.flight.held] = np.nan
+        seen = self.grid.axis_m_s.copy()
+        seen[:, self.grid.held] = np.nan
         return seen[:, :, None]
 
     def _predict(self, points: Sequence[Point]) -> NDArray[np.float32]:
-        f, robots = self.flight, len(points) * len(self.flight.trials)
+        f, robots = self.grid, len(points) * len(self.grid.trials)
         overrides = self._overrides(points, parameters(*_stage("rail")))
         on_motor = np.array([point.get(ON_MOTOR, 0.0) > 0 for point in points])
         for path in _DRAW:  # an encoder on the motor shows neither
@@ -192,7 +192,7 @@ class RailView(RobotView):
 
     def _push(self, points: Sequence[Point]) -> Array:
         """What pushes the cart besides its drive: the arm with payload and drag, and weight on a tilted rail."""
-        f, arm = self.flight, self.model.arm
+        f, arm = self.grid, self.model.arm
         names = ("arm.payload.mass", "arm.tilt.angle", "arm.drag.coefficient")
         payload, tilt, drag = (self._robots(self._value(points, name)) for name in names)
         weight = (self.model.cart.mass_kg + sum(arm.link_mass_kg) + payload) * arm.gravity_m_s2
@@ -211,46 +211,46 @@ class ArmView(RobotView):
     @property
     def channels(self) -> tuple[str, ...]:
         """See View."""
-        return tuple(f"link {i} {part}" for part in ("y", "z") for i in range(1, self.flight.links + 1))
+        return tuple(f"link {i} {part}" for part in ("y", "z") for i in range(1, self.grid.links + 1))
 
     @property
     def floor(self) -> Array:
         """See View."""
-        link = np.arange(1, self.flight.links + 1)
+        link = np.arange(1, self.grid.links + 1)
         return np.concatenate((FLOOR_LINK_Y_M * link, FLOOR_LINK_Z_M * (1 + link) / 2))
 
     @property
     def noise(self) -> Array:
         """See View: of a link end and of the cart."""
-        return np.full(2 * self.flight.links, np.sqrt(2) * self.flight.noise_m)
+        return np.full(2 * self.grid.links, np.sqrt(2) * self.grid.noise_m)
 
     def _seen(self) -> Array:
-        seen = self.flight.links_m.copy()
-        seen[np.isnan(self.flight.pressure_kpa)] = np.nan
+        seen = self.grid.links_m.copy()
+        seen[np.isnan(self.grid.pressure_kpa)] = np.nan
         return seen
 
     def _predict(self, points: Sequence[Point]) -> NDArray[np.float32]:
-        robots = len(points) * len(self.flight.trials)
+        robots = len(points) * len(self.grid.trials)
         simulator = Simulator(self.model, robots, ARM_HZ, overrides=self._overrides(points, parameters(*_stage("arm"))))
         return self._fly(simulator, points)
 
     def start_directions(self, angle_rad: float = 0.02, rate_rad_s: float = 0.2) -> NDArray[np.float32]:
         """How the gap changes with where a trial starts, [2 n, M, S] for the changes given: angles, then rates."""
-        n = self.flight.links
+        n = self.grid.links
         base = self._gap([{}])
         changes = (
             np.concatenate((angle_rad * np.eye(n), np.zeros((n, n)))),
             np.concatenate((np.zeros((n, n)), rate_rad_s * np.eye(n))),
         )
-        simulator = Simulator(self.model, 2 * n * len(self.flight.trials), ARM_HZ)
+        simulator = Simulator(self.model, 2 * n * len(self.grid.trials), ARM_HZ)
         moved = self._fly(simulator, [{}] * (2 * n), changes)
-        step, trial = self.flight.sample
+        step, trial = self.grid.sample
         flat = self.measured.astype(np.float32)[None] - moved[step, :, trial].transpose(1, 0, 2)
         return np.asarray(flat - base)
 
     def joint_directions(self, shares: Mapping[str, float]) -> NDArray[np.float32]:
         """How the gap changes with the parameters of single joints, [len(shares) n, M, S], per share given."""
-        n, arm, k = self.flight.links, self.model.arm, len(self.flight.trials)
+        n, arm, k = self.grid.links, self.model.arm, len(self.grid.trials)
         models = []
         for name, share in shares.items():
             for i in range(n):
@@ -258,7 +258,7 @@ class ArmView(RobotView):
                 values[i] += share * (values[i] if name != "torque_offset_nm" else max(map(abs, values)))
                 models += [self.model.model_copy(update={"arm": arm.model_copy(update={name: tuple(values)})})] * k
         moved = self._fly(Simulator(models, physics_rate_hz=ARM_HZ), [{}] * (len(shares) * n))
-        step, trial = self.flight.sample
+        step, trial = self.grid.sample
         flat = self.measured.astype(np.float32)[None] - moved[step, :, trial].transpose(1, 0, 2)
         return np.asarray(flat - self._gap([{}]))
 
@@ -266,7 +266,7 @@ class ArmView(RobotView):
         self, simulator: Simulator, points: Sequence[Point], changes: tuple[Array, Array] | None = None
     ) -> NDArray[np.float32]:
         """Every trial at every point, [T, P, K, 2 n]; `changes` of starting angles and rates, [P, n] each."""
-        f, k = self.flight, len(self.flight.trials)
+        f, k = self.grid, len(self.grid.trials)
         angles, rates = np.tile(directions(f), (len(points), 1)), np.zeros((len(points) * k, f.links))
         if changes is not None:
             angles, rates = angles + np.repeat(changes[0], k, axis=0), np.repeat(changes[1], k, axis=0)
@@ -290,14 +290,14 @@ class ArmView(RobotView):
 
     def _cart(self, points: Sequence[Point]) -> tuple[Array, Array]:
         """The cart's way and velocity, [T, P K]: the axis's, stretched if its feed is wrong unknown to it."""
-        f = self.flight
+        f = self.grid
         scale = np.array([p.get("rail.gain.scale", 0.0) if p.get(ON_MOTOR, 0.0) > 0 else 0.0 for p in points])
         stretch = 1 + self._robots(scale) * np.tile(f.axis_true, len(points))
         return self._tiled(f.hinge_m, points) * stretch, self._tiled(f.hinge_m_s, points) * stretch
 
     def _as_seen(self, ends: NDArray[np.float32], points: Sequence[Point]) -> NDArray[np.float32]:
         """What mocap makes of true link ends [T, P, K, 2 n]: late, turned, scaled."""
-        n = self.flight.links
+        n = self.grid.links
         latency = self._value(points, "mocap.latency.delay")
         turn, scale = (self._value(points, f"mocap.{name}") for name in ("rotation.angle", "scale.scale"))
         for i in np.flatnonzero(latency):
@@ -310,11 +310,11 @@ class ArmView(RobotView):
 
     def _signals(self) -> dict[str, Array]:
         signals = super()._signals()
-        links = np.nan_to_num(self.flight.links_m)
-        for i in range(self.flight.links):
+        links = np.nan_to_num(self.grid.links_m)
+        for i in range(self.grid.links):
             signals[f"link {i + 1} y"] = links[:, :, i]
         signals["tip z"] = links[:, :, -1]
-        signals["tip velocity"] = _rate(links[:, :, self.flight.links - 1])
+        signals["tip velocity"] = _rate(links[:, :, self.grid.links - 1])
         return signals
 
 
@@ -323,22 +323,24 @@ class MocapView(RobotView):
 
     stage, unit, _channels, _floor = "mocap", "m", ("cart y", "cart z"), FLOOR_MOCAP_M
     acts = parameters("mocap.latency", "mocap.rotation", "mocap.scale", "mocap.offset") | {
-        *_DRAW, ON_MOTOR, ABOUT_RAIL,
-    }  # fmt: skip
+        *_DRAW,
+        ON_MOTOR,
+        ABOUT_RAIL,
+    }
 
     @property
     def noise(self) -> Array:
         """See View."""
-        return np.full(2, self.flight.noise_m)
+        return np.full(2, self.grid.noise_m)
 
     def _seen(self) -> Array:
-        f = self.flight
+        f = self.grid
         seen = np.stack((f.cart_y_m, f.cart_z_m), axis=2)
         seen[np.isnan(f.axis_m)] = np.nan  # held or not: without the axis's own word there is nothing to compare
         return seen
 
     def _predict(self, points: Sequence[Point]) -> NDArray[np.float32]:
-        f = self.flight
+        f = self.grid
         axis = np.where(f.held, f.hinge_m, f.axis_m)
         base = self.model.arm.base_height_m
         names = ("latency.delay", "rotation.angle", "scale.scale", "offset.y", "offset.z")
@@ -360,7 +362,7 @@ class MocapView(RobotView):
         half = point.get("rail.backlash.gap", 0.0) / 2
         if half <= 0:
             return way
-        return _coasting(way, half, np.where(self.flight.held, 0.0, self.flight.push_n) / self.model.cart.mass_kg)
+        return _coasting(way, half, np.where(self.grid.held, 0.0, self.grid.push_n) / self.model.cart.mass_kg)
 
 
 def _coasting(way: Array, half: float, pushed_m_s2: Array) -> Array:
@@ -395,12 +397,12 @@ def delayed(values: Any, delay_s: float) -> Any:
     return one + part * (other - one)
 
 
-def directions(flight: Flight) -> Array:
+def directions(grid: TrialGrid) -> Array:
     """Absolute angles of the links at the start of every trial, [K, n]."""
-    n = flight.links
-    ends = np.nan_to_num(np.nanmean(flight.links_m[:6], axis=0)) if np.isfinite(flight.links_m[:6]).any() else None
+    n = grid.links
+    ends = np.nan_to_num(np.nanmean(grid.links_m[:6], axis=0)) if np.isfinite(grid.links_m[:6]).any() else None
     if ends is None:
-        return np.zeros((len(flight.trials), n))
+        return np.zeros((len(grid.trials), n))
     steps = np.diff(ends.reshape(-1, 2, n), axis=2, prepend=0.0)
     return np.asarray(np.arctan2(steps[:, 0], -steps[:, 1]))
 
@@ -426,7 +428,7 @@ def _regimes(signals: Mapping[str, Array]) -> dict[str, NDArray[np.bool_]]:
 VIEWS = (PressureView, RailView, MocapView, ArmView)
 
 
-def robot_views(flight: Flight, model: Model) -> tuple[RobotView, ...]:
+def robot_views(grid: TrialGrid, model: Model) -> tuple[RobotView, ...]:
     """The stages that these trials show."""
-    views = [view(flight, model) for view in VIEWS]
+    views = [view(grid, model) for view in VIEWS]
     return tuple(view for view in views if np.isfinite(view.measured).any())

@@ -10,7 +10,7 @@ import numpy as np
 
 from softarm.common import resample
 from softarm.diagnosis.gap.candidates import Candidate
-from softarm.diagnosis.gap.fits import Fit, Problem, Set, U
+from softarm.diagnosis.gap.fits import Fit, FitProblem, Set, U
 from softarm.diagnosis.gap.view import Array
 
 EFFECTS_MAX = 3
@@ -25,7 +25,7 @@ SHOWN = ((0.10, 0.30, 0.0), (0.20, 0.10, 0.0), (0.10, 0.05, 10.0))
 FURTHER_MIN, FURTHER_SHARE = 0.06, 0.4
 TIE = 10.0  # what a rival lacks, held out: no more than this is no difference
 RIVAL_SHARE = 0.12  # a rival that lacks no more than this share of the gain may be the cause as well
-Tell = Callable[[str, float], None]
+Progress = Callable[[str, float], None]
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,11 +40,11 @@ class Gain:
 
 
 @dataclass(frozen=True, slots=True)
-class Member:
+class SelectedEffect:
     """A chosen effect: what it adds beside the others, and who could stand in for it."""
 
     candidate: Candidate
-    without: Fit  # the other members alone
+    without: Fit  # the other selected effects alone
     gain: Gain
     rivals: tuple[tuple[Fit, Gain], ...]  # the whole set with a rival in its place, and what the chosen has over it
     equivalents: tuple[str, ...]
@@ -54,30 +54,30 @@ class Member:
 class Choice:
     """The outcome of a search."""
 
-    nothing: Fit  # nuisances alone
+    null_model: Fit  # nuisances alone
     alone: tuple[tuple[Fit, Gain], ...]  # every candidate alone, the best first
     chosen: Fit
-    members: tuple[Member, ...]  # in order of what each adds
+    selected: tuple[SelectedEffect, ...]  # in order of what each adds
     next_gain: Gain | None  # of the best that was not taken
     energies: tuple[Mapping[str, float], Mapping[str, float]]  # stage -> mean square over floor squared, before, after
 
 
 class Search:
-    """Candidates on a problem. `plain`: the same problem's lenses weighed by the floors alone."""
+    """Candidates on a problem. `plain`: the same problem, its residuals weighed by the floors alone."""
 
     def __init__(
-        self, problem: Problem, plain: Problem, stages: Sequence[str], candidates: Sequence[Candidate]
+        self, problem: FitProblem, plain: FitProblem, stages: Sequence[str], candidates: Sequence[Candidate]
     ) -> None:
         self.problem, self.plain, self.stages = problem, plain, tuple(stages)
         self.candidates = tuple(candidates)
         self._first: Mapping[str, float] = {}  # the whole gap's energies
         self._extended: dict[frozenset[str], list[Fit]] = {}  # by the names of the base
 
-    def run(self, tell: Tell, effects_max: int = EFFECTS_MAX) -> Choice:
+    def run(self, tell: Progress, effects_max: int = EFFECTS_MAX) -> Choice:
         """Search. Deterministic."""
-        nothing = self.problem.fit([((), ())])[0]
-        chosen, seen = nothing, {frozenset[str]()}
-        self._first = self.energies(nothing)
+        null_model = self.problem.fit([((), ())])[0]
+        chosen, seen = null_model, {frozenset[str]()}
+        self._first = self.energies(null_model)
         while True:
             tell(f"which effect: {len(chosen.effects) + 1}", min(0.9, 0.3 * len(chosen.effects)))
             ranked = self.ranked(chosen)
@@ -90,9 +90,9 @@ class Search:
             seen.add(frozenset(further.names))
             chosen = further
         following = next((g for f, g in ranked if not f.at_bound), None)
-        energies = self.energies(nothing), self.energies(chosen)
-        members = self.members(chosen, nothing)
-        return Choice(nothing, tuple(self.ranked(nothing)), chosen, members, following, energies)
+        energies = self.energies(null_model), self.energies(chosen)
+        selected = self.selected(chosen, null_model)
+        return Choice(null_model, tuple(self.ranked(null_model)), chosen, selected, following, energies)
 
     def ranked(self, base: Fit) -> list[tuple[Fit, Gain]]:
         """A set with every further candidate and what that adds, the best first."""
@@ -113,7 +113,7 @@ class Search:
         memory = frozenset(base.names)
         if memory not in self._extended:
             options = [c for c in self.candidates if c.name not in base.names]
-            rough = sorted(self.problem.fit(self._begun(base, options), rounds=2), key=lambda f: f.loss)
+            rough = sorted(self.problem.fit(self._started(base, options), rounds=2), key=lambda f: f.loss)
             fine = self.problem.fit([(f.effects, f.u) for f in rough[:PROMISING]]) + rough[PROMISING:]
             forms: dict[str, Fit] = {}
             for fit in sorted(fine, key=lambda f: f.loss):  # of the forms of one effect the better one
@@ -121,15 +121,15 @@ class Search:
             self._extended[memory] = list(forms.values())
         return [fit for fit in self._extended[memory] if fit.effects[-1].name not in without]
 
-    def _begun(self, base: Fit, options: Sequence[Candidate]) -> list[tuple[Set, U]]:
+    def _started(self, base: Fit, options: Sequence[Candidate]) -> list[tuple[Set, U]]:
         """Every option at its best start beside the base."""
         sets: list[tuple[Set, U]] = [((*base.effects, c), (*base.u, start)) for c in options for start in c.starts]
-        losses, at, begun = self.problem.losses(sets), 0, []
+        losses, at, started = self.problem.losses(sets), 0, []
         for c in options:
             mine = sorted(range(at, at + len(c.starts)), key=lambda i: losses[i])[:STARTS_KEPT]
-            begun += [sets[i] for i in mine]
+            started += [sets[i] for i in mine]
             at += len(c.starts)
-        return begun
+        return started
 
     def reduced(self, fit: Fit) -> list[Fit]:
         """A set without each of its effects."""
@@ -152,25 +152,28 @@ class Search:
             if len(fit.effects) < 2:
                 return fit
             options = [
-                each for less in self.reduced(fit)
+                each
+                for less in self.reduced(fit)
                 for each in self.extended(less, tuple(set(fit.names) - set(less.names)))
                 if each.is_news and not each.at_bound
-            ]  # fmt: skip
+            ]
             best = min(options, key=lambda f: float(f.held_out.sum()), default=fit)
             if not self.gain(fit, best).low > 0:
                 return fit
             fit = best
         return fit
 
-    def members(self, chosen: Fit, nothing: Fit) -> tuple[Member, ...]:
+    def selected(self, chosen: Fit, null_model: Fit) -> tuple[SelectedEffect, ...]:
         """What each effect adds beside the others, and its rivals there."""
         found = []
-        for i, less in enumerate(self.reduced(chosen) if len(chosen.effects) > 1 else [nothing] * len(chosen.effects)):
+        for i, less in enumerate(
+            self.reduced(chosen) if len(chosen.effects) > 1 else [null_model] * len(chosen.effects)
+        ):
             name, gain = chosen.effects[i].name, self.gain(less, chosen)
             rivals = [(f, self.gain(f, chosen)) for f in self.extended(less, (name,))]
             rivals.sort(key=lambda each: (each[1].value, each[0].names))
             same = tuple(f.effects[-1].name for f, g in rivals if self.alike(less, f, g, gain))
-            found.append(Member(chosen.effects[i], less, gain, tuple(rivals), same))
+            found.append(SelectedEffect(chosen.effects[i], less, gain, tuple(rivals), same))
         return tuple(sorted(found, key=lambda m: (-m.gain.value, m.candidate.name)))
 
     def alike(self, less: Fit, rival: Fit, lack: Gain, gain: Gain) -> bool:
@@ -191,10 +194,10 @@ class Search:
     def energies(self, fit: Fit) -> dict[str, float]:
         """Stage -> mean square of the residual in units of the floor."""
         result = {}
-        for stage, lens in zip(self.stages, self.plain.lenses, strict=True):
-            rows = lens.moments([fit.point])[0].rows + fit.nuisance.astype(np.float32) @ lens.columns
-            noise = float(np.mean((lens.gaps.view.noise / lens.gaps.view.floor) ** 2))
-            result[stage] = max(float(rows @ rows) / max(lens.kept, 1.0) - noise, 0.0)
+        for stage, residual in zip(self.stages, self.plain.whitened, strict=True):
+            rows = residual.moments([fit.point])[0].rows + fit.nuisance.astype(np.float32) @ residual.columns
+            noise = float(np.mean((residual.gaps.view.noise / residual.gaps.view.floor) ** 2))
+            result[stage] = max(float(rows @ rows) / max(residual.kept, 1.0) - noise, 0.0)
         return result
 
 

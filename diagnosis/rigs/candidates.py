@@ -3,7 +3,7 @@
 import math
 from collections.abc import Iterator, Sequence
 
-from softarm.diagnosis.gap.candidates import Candidate, Dial, Nuisance
+from softarm.diagnosis.gap.candidates import Candidate, FittedParameter, Nuisance
 from softarm.diagnosis.rigs.views import RigView
 from softarm.simulator.effects import Effect, Parameter
 
@@ -33,29 +33,31 @@ def nuisances(view: RigView) -> tuple[Nuisance, ...]:
 
 
 def _candidate(view: RigView, effect: Effect) -> Candidate:
-    dials = tuple(_dial(view, effect, parameter) for parameter in effect.parameters)
-    return Candidate(effect.name, view.stage, dials, tuple(_starts(dials, effect.parameters)))
+    parameters = tuple(_parameter(view, effect, p) for p in effect.parameters)
+    return Candidate(effect.name, view.stage, parameters, tuple(_starts(parameters, effect.parameters)))
 
 
-def _dial(view: RigView, effect: Effect, p: Parameter) -> Dial:
+def _parameter(view: RigView, effect: Effect, p: Parameter) -> FittedParameter:
     path = f"{effect.name}.{p.name}"
     nominal, news = view.nominal(path.partition(".")[2]), _BEYOND * _ABSOLUTE.get(path.partition(".")[2], 0.0)
     if math.isinf(p.neutral):
         u = 0.0 if math.isinf(nominal) else 1 / nominal
-        return Dial(path, p.unit, u, 0.0, 1 / p.low, abs(1 / p.exemplar - u) or 1 / p.exemplar, 0.0, True, news)
+        return FittedParameter(
+            path, p.unit, u, 0.0, 1 / p.low, abs(1 / p.exemplar - u) or 1 / p.exemplar, 0.0, True, news
+        )
     size = p.exemplar if p.default is not None else abs(p.exemplar - nominal) or p.exemplar
-    return Dial(path, p.unit, nominal, p.low, p.high, size, p.neutral, news=news)
+    return FittedParameter(path, p.unit, nominal, p.low, p.high, size, p.neutral, news=news)
 
 
-def _starts(dials: Sequence[Dial], parameters: Sequence[Parameter]) -> Iterator[tuple[float, ...]]:
+def _starts(parameters: Sequence[FittedParameter], declared: Sequence[Parameter]) -> Iterator[tuple[float, ...]]:
     """Changes of several sizes, both ways where the bounds allow; a shape parameter stays as it is."""
     seen = set()
     for share in (*_SHARES, *(-s for s in _SHARES)):
         u = tuple(
             d.nominal if p.default is not None else min(max(d.nominal + share * d.size, d.low), d.high)
-            for d, p in zip(dials, parameters, strict=True)
+            for d, p in zip(parameters, declared, strict=True)
         )
-        if u not in seen and u != tuple(d.nominal for d in dials):
+        if u not in seen and u != tuple(d.nominal for d in parameters):
             seen.add(u)
             yield u
 

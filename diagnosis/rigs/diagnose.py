@@ -10,12 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softarm.common import resample
-from softarm.diagnosis.gap.fits import Fit, Problem
-from softarm.diagnosis.gap.lens import BLOCK_S, blocks_of
+from softarm.diagnosis.gap.fits import Fit, FitProblem
 from softarm.diagnosis.gap.problem import Setup
 from softarm.diagnosis.gap.result import Diagnosis, Leftover, Overlay, Regime, Rival
-from softarm.diagnosis.gap.search import Gain, Member
+from softarm.diagnosis.gap.search import Gain, Progress, SelectedEffect
 from softarm.diagnosis.gap.view import Array
+from softarm.diagnosis.gap.whitened import BLOCK_S, blocks_of
 from softarm.diagnosis.rigs.candidates import candidates, nuisances
 from softarm.diagnosis.rigs.ceiling import ceiling
 from softarm.diagnosis.rigs.grid import windows
@@ -26,8 +26,7 @@ from softarm.diagnosis.rigs.views import RigView
 from softarm.diagnosis.trials import Trial, TrialError
 from softarm.schemas.verdict import Estimate, Gap, Interval, NamedEffect, Quantity, Shrink, Verdict, Where
 
-Tell = Callable[[str, float], None]
-NOTHING_FLOORS = 2.0  # a gap below this many floors is none
+NULL_FLOORS = 2.0  # a gap below this many floors is none
 NAMED_SHARE, INCOMPLETE_SHARE = 0.8, 0.3  # of what any model could explain
 FOLDS_LEAST, FOLDS_MOST = 4, 6  # of whole trials
 FOLDS = 5  # of blocks
@@ -37,14 +36,14 @@ _CONFIDENCE_NOTE = (
 
 
 @dataclass(frozen=True, slots=True)
-class Stage:
+class StageFinding:
     """What was found of one stage."""
 
     view: RigView
     trials: tuple[Trial, ...]  # in the view's order
-    nothing: Fit
+    null_model: Fit
     chosen: Fit
-    members: tuple[Member, ...]
+    selected: tuple[SelectedEffect, ...]
     without: Mapping[str, Fit]  # the chosen without each of its effects
     alone: tuple[tuple[Fit, Gain], ...]
     further: tuple[tuple[Fit, Gain], ...]  # the chosen with one more
@@ -67,7 +66,7 @@ class Stage:
         return min(_rms(self.left) * math.sqrt(max(spoiled, 1.0)), self.before)
 
 
-def diagnose_table(trials: Sequence[Trial], tell: Tell = lambda text, share: None) -> Diagnosis:
+def diagnose_table(trials: Sequence[Trial], tell: Progress = lambda text, share: None) -> Diagnosis:
     """Diagnose every stage of a table's trials, each alone; deterministic.
 
     tell: what is being done, and how far it is (0 to 1). Raises TrialError for trials of no table, and for kinds that
@@ -127,37 +126,51 @@ def stretches(view: RigView) -> NDArray[np.int64]:
     return fold
 
 
-def _stage(trials: Sequence[Trial]) -> Stage:
+def _stage(trials: Sequence[Trial]) -> StageFinding:
     view, ordered, fold = view_of(trials)
     setup = Setup([view], nuisances(view), [t.kind for t in ordered])
     plain, problem = setup.plain(), setup.weighed()
     problem = replace(problem, fold=np.array([fold[a] for _, a, _ in blocks_of(view, BLOCK_S)]))
     search = Backward(
-        Refitted(*(getattr(problem, f.name) for f in fields(Problem))), plain, [view.stage], candidates(view)
+        Refitted(*(getattr(problem, f.name) for f in fields(FitProblem))), plain, [view.stage], candidates(view)
     )
-    nothing = search.problem.fit([((), ())])[0]
+    null_model = search.problem.fit([((), ())])[0]
     chosen = (
-        search.chosen(search.full(nothing), nothing) if _floors(view.gap([{}])[0], view) > NOTHING_FLOORS else nothing
+        search.chosen(search.full(null_model), null_model)
+        if _floors(view.gap([{}])[0], view) > NULL_FLOORS
+        else null_model
     )
-    members = search.members(chosen, nothing) if chosen.effects else ()
-    spared = search.reduced(chosen) if len(chosen.effects) > 1 else [nothing] * len(chosen.effects)
+    selected = search.selected(chosen, null_model) if chosen.effects else ()
+    spared = search.reduced(chosen) if len(chosen.effects) > 1 else [null_model] * len(chosen.effects)
     without = dict(zip(chosen.names, spared, strict=True))
-    alone = tuple((f, search.gain(nothing, f)) for f in search.extended(nothing))
+    alone = tuple((f, search.gain(null_model, f)) for f in search.extended(null_model))
     further = tuple((f, search.gain(chosen, f)) for f in search.extended(chosen)) if chosen.effects else ()
     left = setup.residuals(plain, chosen)[0].astype(float)
     lowest, leans = ceiling(left, view.features, fold)
     nominal = view.gap([{}])[0].astype(float)
-    return Stage(
-        view, ordered, nothing, chosen, members, without, alone, further, nominal, left, _rms(lowest[None]), leans,
-        setup.fitted_nuisances(chosen), search.problem.interval(chosen),
-    )  # fmt: skip
+    return StageFinding(
+        view,
+        ordered,
+        null_model,
+        chosen,
+        selected,
+        without,
+        alone,
+        further,
+        nominal,
+        left,
+        _rms(lowest[None]),
+        leans,
+        setup.fitted_nuisances(chosen),
+        search.problem.interval(chosen),
+    )
 
 
-def _verdict(stages: Sequence[Stage], warnings: Sequence[str]) -> Verdict:
+def _verdict(stages: Sequence[StageFinding], warnings: Sequence[str]) -> Verdict:
     energy = {s.view.stage: (s.before / float(s.view.floor.mean())) ** 2 for s in stages}
     total = sum(energy.values())
-    gaps = [s for s in stages if _floors(s.nominal, s.view) > NOTHING_FLOORS]
-    named = [s for s in gaps if s.members]
+    gaps = [s for s in stages if _floors(s.nominal, s.view) > NULL_FLOORS]
+    named = [s for s in gaps if s.selected]
     answer: Literal["named", "incomplete", "unknown", "none"]
     if not gaps:
         answer = "none"
@@ -168,7 +181,7 @@ def _verdict(stages: Sequence[Stage], warnings: Sequence[str]) -> Verdict:
     where = max(gaps, key=lambda s: energy[s.view.stage]) if gaps else None
     quantity = {s.view.stage: s.view.unit for s in stages}
 
-    def each(value: Callable[[Stage], float]) -> dict[str, Quantity]:
+    def each(value: Callable[[StageFinding], float]) -> dict[str, Quantity]:
         return {s.view.stage: Quantity(value=value(s), unit=quantity[s.view.stage]) for s in stages}
 
     return Verdict(
@@ -178,33 +191,39 @@ def _verdict(stages: Sequence[Stage], warnings: Sequence[str]) -> Verdict:
             share={name: value / total if total else 0.0 for name, value in energy.items()},
             regime=_worst_regime(where) if where else "nowhere: the gap is within the floor",
         ),
-        effects=tuple(_named(s, m) for s in stages for m in s.members),
+        effects=tuple(_named(s, m) for s in stages for m in s.selected),
         gap=Gap(
-            before=each(lambda s: s.before), after=each(lambda s: s.after),
+            before=each(lambda s: s.before),
+            after=each(lambda s: s.after),
             floor=each(lambda s: float(np.sqrt(np.mean(s.view.floor**2)))),
             ceiling=each(lambda s: min(s.ceiling, s.after)),
         ),
         warnings=(*warnings, *([_CONFIDENCE_NOTE] if named else [])),
-    )  # fmt: skip
+    )
 
 
-def _named(stage: Stage, member: Member) -> NamedEffect:
-    at = [each.name for each in stage.chosen.effects].index(member.candidate.name)
-    first = sum(len(each.dials) for each in stage.chosen.effects[:at])
+def _named(stage: StageFinding, effect: SelectedEffect) -> NamedEffect:
+    at = [each.name for each in stage.chosen.effects].index(effect.candidate.name)
+    first = sum(len(each.parameters) for each in stage.chosen.effects[:at])
     estimates = {}
-    for i, (dial, u) in enumerate(zip(member.candidate.dials, stage.chosen.u[at], strict=True)):
-        low, high = (min(max(float(x[first + i]), dial.low), dial.high) for x in stage.bounds)
-        low, high = (low, high) if not dial.inverse else (high, low)
-        finite = [v if math.isfinite(v) else 1e12 for v in (dial.value(low), dial.value(u), dial.value(high))]
-        name = dial.path.rpartition(".")[2]
-        estimates[name] = Estimate(value=finite[1], low=min(finite), high=max(finite), unit=dial.unit)
-    rivals = [g for f, g in member.rivals if f.effects[-1].name not in member.equivalents and not f.at_bound]
-    sure = _odds(member.gain) * min((_odds(g) for g in rivals), default=1.0) / (1 + len(member.equivalents))
-    less = stage.without[member.candidate.name]
+    for i, (parameter, u) in enumerate(zip(effect.candidate.parameters, stage.chosen.u[at], strict=True)):
+        low, high = (min(max(float(x[first + i]), parameter.low), parameter.high) for x in stage.bounds)
+        low, high = (low, high) if not parameter.inverse else (high, low)
+        finite = [
+            v if math.isfinite(v) else 1e12 for v in (parameter.value(low), parameter.value(u), parameter.value(high))
+        ]
+        name = parameter.path.rpartition(".")[2]
+        estimates[name] = Estimate(value=finite[1], low=min(finite), high=max(finite), unit=parameter.unit)
+    rivals = [g for f, g in effect.rivals if f.effects[-1].name not in effect.equivalents and not f.at_bound]
+    sure = _odds(effect.gain) * min((_odds(g) for g in rivals), default=1.0) / (1 + len(effect.equivalents))
+    less = stage.without[effect.candidate.name]
     return NamedEffect(
-        name=member.candidate.name, parameters=estimates, confidence=min(sure, 0.99), equivalents=member.equivalents,
+        name=effect.candidate.name,
+        parameters=estimates,
+        confidence=min(sure, 0.99),
+        equivalents=effect.equivalents,
         shrink=Shrink(stage=_shrink(less.held_out, stage.chosen.held_out)),
-    )  # fmt: skip
+    )
 
 
 def _odds(gain: Gain) -> float:
@@ -221,20 +240,20 @@ def _shrink(less: Array, more: Array) -> Interval:
     return Interval(value=value, low=min(float(low), value), high=max(float(high), value))
 
 
-def _explained(stage: Stage) -> float:
+def _explained(stage: StageFinding) -> float:
     """Share of what any model could explain that the named effects do."""
     could = stage.before**2 - min(stage.ceiling, stage.after) ** 2
     return min(max((stage.before**2 - stage.after**2) / could, 0.0), 1.0) if could > 0 else 1.0
 
 
-def _rivals(stage: Stage) -> list[Rival]:
+def _rivals(stage: StageFinding) -> list[Rival]:
     alone = {f.effects[0].name: f for f, _ in stage.alone}
     further = {f.effects[-1].name: f for f, _ in stage.further}
-    members = {m.candidate.name: m for m in stage.members}
+    selected = {m.candidate.name: m for m in stage.selected}
     found = []
     for name, fit in alone.items():
-        share = min(max(_shrink(stage.nothing.held_out, fit.held_out).value, 0.0), 1.0)
-        if name in members:
+        share = min(max(_shrink(stage.null_model.held_out, fit.held_out).value, 0.0), 1.0)
+        if name in selected:
             conditional, note, parameters = (
                 _shrink(stage.without[name].held_out, stage.chosen.held_out),
                 "named",
@@ -243,15 +262,15 @@ def _rivals(stage: Stage) -> list[Rival]:
             parameters = {k: v for k, v in parameters.items() if k.startswith(f"{name}.")}
         else:
             more = further.get(name, fit)
-            conditional = _shrink((stage.chosen if name in further else stage.nothing).held_out, more.held_out)
+            conditional = _shrink((stage.chosen if name in further else stage.null_model).held_out, more.held_out)
             parameters = {k: v for k, v in more.point.items() if k.startswith(f"{name}.")}
-            stands_in = [m.candidate.name for m in stage.members if name in m.equivalents]
+            stands_in = [m.candidate.name for m in stage.selected if name in m.equivalents]
             note = f"cannot be told from {stands_in[0]}" if stands_in else ("at its bound" if more.at_bound else "")
         found.append(Rival((name,), share, conditional, parameters, note))
     return sorted(found, key=lambda r: (-r.alone, r.names))
 
 
-def _overlays(stage: Stage) -> list[Overlay]:
+def _overlays(stage: StageFinding) -> list[Overlay]:
     view, found = stage.view, []
     for k, trial in enumerate(stage.trials):
         mine = view.trial == k
@@ -265,27 +284,31 @@ def _overlays(stage: Stage) -> list[Overlay]:
     return found
 
 
-def _regimes(stage: Stage) -> list[Regime]:
+def _regimes(stage: StageFinding) -> list[Regime]:
     named = bool(stage.chosen.effects)
     return [
         Regime(
-            stage.view.stage, name, int(mask.sum()), _rms(stage.nominal[mask]),
-            _rms(stage.left[mask]) if named else None, stage.view.unit,
+            stage.view.stage,
+            name,
+            int(mask.sum()),
+            _rms(stage.nominal[mask]),
+            _rms(stage.left[mask]) if named else None,
+            stage.view.unit,
         )
         for name, mask in stage.view.regimes.items()
         if np.isfinite(stage.nominal[mask]).any()
-    ]  # fmt: skip
+    ]
 
 
-def _worst_regime(stage: Stage) -> str:
+def _worst_regime(stage: StageFinding) -> str:
     found = max(_regimes(stage), key=lambda r: r.nominal_rms, default=None)
     return "everywhere" if found is None else f"most where: {found.name}"
 
 
-def _notes(stage: Stage) -> list[str]:
+def _notes(stage: StageFinding) -> list[str]:
     """What a fit beside the named effects says of the model itself."""
     damping = stage.nuisances.get(f"{stage.view.stage}.damping.scale")
-    if damping is None or not stage.members or damping > -0.9:
+    if damping is None or not stage.selected or damping > -0.9:
         return []
     return [
         f"{stage.view.stage}: beside the named effects nothing is left of the model's viscous friction "

@@ -12,7 +12,7 @@ from softarm.diagnosis.rigs import kernels
 from softarm.diagnosis.rigs.grid import Grid, grid, smallest_step
 from softarm.diagnosis.rigs.views import RigView
 from softarm.diagnosis.rigs.vocabulary import effects
-from softarm.diagnosis.trials import Stage, Trial, TrialError
+from softarm.diagnosis.trials import TableStage, Trial, TrialError
 
 RATE_HZ = 100.0  # ten times the fastest swing of a laboratory's pendulum
 SUBSTEP_S = 0.0105
@@ -94,9 +94,19 @@ class PendulumView(RigView):
         each = max(1, int(np.ceil(g.step_s / SUBSTEP_S)))
         sigma = np.repeat((ANGLE_SIGMA_RAD, RATE_SIGMA_RAD_S), n)
         kernels.shot(
-            self._seen[k], start, moving, self._pushes[k], self._link, law, bias, g.step_s, each, rounds,
-            (float(self.floor.mean()) / sigma) ** 2, out,
-        )  # fmt: skip
+            self._seen[k],
+            start,
+            moving,
+            self._pushes[k],
+            self._link,
+            law,
+            bias,
+            g.step_s,
+            each,
+            rounds,
+            (float(self.floor.mean()) / sigma) ** 2,
+            out,
+        )
 
     def _gap(self, points: Sequence[Point], i: int) -> Array:
         point = points[i : i + 1]
@@ -109,7 +119,7 @@ class PendulumView(RigView):
         return np.where(np.isfinite(self.measured), np.concatenate(parts), np.nan)
 
 
-def links(stage: Stage) -> Array:
+def links(stage: TableStage) -> Array:
     """[5, n] rows of `kernels.accelerations` from a stage's model. Raises TrialError for what it lacks."""
     lacking = [name for name in _NEEDED if name not in stage.model]
     if lacking:
@@ -124,12 +134,17 @@ def links(stage: Stage) -> Array:
     damping = np.ravel(np.asarray(stage.model.get("damping_nm_s_rad", 0.0), dtype=float))
     beyond = np.concatenate((np.cumsum(mass[::-1])[::-1][1:], [0.0]))  # mass that hangs from each link
     return np.stack(
-        (mass * centre + length * beyond, inertia + mass * centre**2 + length**2 * beyond, length, centre,
-         np.broadcast_to(damping, n))
-    )  # fmt: skip
+        (
+            mass * centre + length * beyond,
+            inertia + mass * centre**2 + length**2 * beyond,
+            length,
+            centre,
+            np.broadcast_to(damping, n),
+        )
+    )
 
 
-def _stage(trials: Sequence[Trial]) -> Stage:
+def _stage(trials: Sequence[Trial]) -> TableStage:
     stages = {t.stage.name: t.stage for t in trials if t.stage is not None and t.stage.kind == "pendulum"}
     if len(stages) != 1:
         raise TrialError(f"one pendulum at a time: these trials have {', '.join(sorted(stages)) or 'none'}")

@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 
 from softarm.diagnosis.gap import box
 from softarm.diagnosis.gap.candidates import Candidate
-from softarm.diagnosis.gap.fits import Fit, Problem, Set, U, point_of, split
-from softarm.diagnosis.gap.lens import BLOCK_S, Moments, Rows
+from softarm.diagnosis.gap.fits import Fit, FitProblem, Set, U, point_of, split
 from softarm.diagnosis.gap.problem import PER_SECOND
 from softarm.diagnosis.gap.search import GAIN_MIN, RIVAL_SHARE, TIE, Gain, Search, bootstrap
 from softarm.diagnosis.gap.view import Array
+from softarm.diagnosis.gap.whitened import BLOCK_S, Moments, Rows
 
 SHARE_MIN, FLOORS_MIN = 0.10, 0.30  # of the energy that is left without an effect, and in units of the floor's
 MISFIT_SHARE = 0.25  # of the loss that the best leaves: what a rival may lack and still be the cause
@@ -28,12 +28,12 @@ STRIDES = (1.0, 0.3)
 
 
 @dataclass(frozen=True, slots=True)
-class Refitted(Problem):
+class Refitted(FitProblem):
     """A problem of one view whose held-out losses are simulated: the laws of rigs have kinks, a line misleads there."""
 
     def _fit(self, effects: Set, x: Array, loss: float, jacobians: list[Rows], bases: list[Moments]) -> Fit:
         # Named: zero-argument super() does not work in a dataclass with slots.
-        fit = Problem._fit(self, effects, x, loss, jacobians, bases)
+        fit = FitProblem._fit(self, effects, x, loss, jacobians, bases)
         return replace(fit, held_out=self._held_out(effects, x, fit.folds))
 
     def _held_out(self, effects: Set, x: Array, refits: Array) -> Array:
@@ -58,18 +58,18 @@ class Refitted(Problem):
         return held_out
 
     def _blocks(self) -> tuple[list[int], list[int], Array]:
-        """Of the one lens: first row and place of every block, and the nuisances' products there [B, q, q]."""
-        (lens,) = self.lenses
+        """Of the one view: first row and place of every block, and the nuisances' products there [B, q, q]."""
+        (residual,) = self.whitened
         place = {name: i for i, name in enumerate(self.blocks)}
-        edges = [part.start for _, part in lens.blocks]  # they follow one another without gaps
-        order = [place[name] for name, _ in lens.blocks]
-        gg = np.zeros((len(place), *lens.gg.shape))
-        gg[order] = lens.block_gg
+        edges = [part.start for _, part in residual.blocks]  # they follow one another without gaps
+        order = [place[name] for name, _ in residual.blocks]
+        gg = np.zeros((len(place), *residual.gg.shape))
+        gg[order] = residual.block_gg
         return edges, order, gg
 
     def _sums(self, moments: Moments, edges: list[int], order: list[int]) -> tuple[Array, Array]:
         """Squares [B] of a point's rows, and their products with the nuisances [B, q]."""
-        r, c = moments.rows.astype(float), self.lenses[0].columns
+        r, c = moments.rows.astype(float), self.whitened[0].columns
         rr, gr = np.zeros(len(self.blocks)), np.zeros((len(self.blocks), len(c)))
         rr[order] = np.add.reduceat(r * r, edges)
         gr[order] = np.add.reduceat(c * r, edges, axis=1).T
@@ -89,12 +89,12 @@ class Backward(Search):
     """A search that begins with every effect that takes a share of the loss."""
 
     def __init__(
-        self, problem: Problem, plain: Problem, stages: Sequence[str], candidates: Sequence[Candidate]
+        self, problem: FitProblem, plain: FitProblem, stages: Sequence[str], candidates: Sequence[Candidate]
     ) -> None:
         """See Search."""
         super().__init__(problem, plain, stages, candidates)
         self._reduced: dict[tuple[tuple[str, ...], U], list[Fit]] = {}
-        self._settled: dict[str, tuple[float, ...]] = {}  # the chosen effects' dials
+        self._settled: dict[str, tuple[float, ...]] = {}  # the chosen effects' parameters
 
     def gain(self, less: Fit, more: Fit) -> Gain:
         """See Search; but blocks that hold more than their share count by the logarithm of it.
@@ -132,11 +132,11 @@ class Backward(Search):
         memory = frozenset(base.names)
         if memory not in self._extended:
             options = [c for c in self.candidates if c.name not in base.names]
-            begun = self._begun(base, options)
+            started = self._started(base, options)
             # Without one of the chosen the others stand askew; a rival fits better beside what they were with it.
             u = tuple(self._settled.get(c.name, own) for c, own in zip(base.effects, base.u, strict=True))
-            begun += self._begun(replace(base, u=u), options) if u != base.u else []
-            fits = sorted(self.problem.fit(begun, ROUNDS), key=lambda f: f.loss)
+            started += self._started(replace(base, u=u), options) if u != base.u else []
+            fits = sorted(self.problem.fit(started, ROUNDS), key=lambda f: f.loss)
             best = {fit.effects[-1].name: fit for fit in reversed(fits)}
             self._extended[memory] = list(best.values())
         return [fit for fit in self._extended[memory] if fit.effects[-1].name not in without]
@@ -150,30 +150,30 @@ class Backward(Search):
             self._reduced[memory] = self.problem.fit(sets, ROUNDS) if sets else []
         return self._reduced[memory]
 
-    def full(self, nothing: Fit) -> Fit:
+    def full(self, null_model: Fit) -> Fit:
         """All effects at once, from starts of several sizes; of the wells the deepest. No folds here."""
-        quick = Problem(*(getattr(self.problem, f.name) for f in fields(Problem)))
-        begun = [(self.candidates, tuple(_moved(c, size) for c in self.candidates)) for size in SIZES]
-        fit = min(quick.fit(begun, rounds=ROUNDS), key=lambda f: f.loss)
+        quick = FitProblem(*(getattr(self.problem, f.name) for f in fields(FitProblem)))
+        started = [(self.candidates, tuple(_moved(c, size) for c in self.candidates)) for size in SIZES]
+        fit = min(quick.fit(started, rounds=ROUNDS), key=lambda f: f.loss)
         for _ in range(POLISH):
             best = quick.fit([(fit.effects, fit.u)], rounds=ROUNDS)[0]
             settled = not best.loss < fit.loss * (1 - SETTLED)
             fit = min((fit, best), key=lambda f: f.loss)
             if settled:
                 break
-        return self.problem.fit([(fit.effects, fit.u)], rounds=1)[0] if fit.loss < nothing.loss else nothing
+        return self.problem.fit([(fit.effects, fit.u)], rounds=1)[0] if fit.loss < null_model.loss else null_model
 
-    def chosen(self, full: Fit, nothing: Fit) -> Fit:
+    def chosen(self, full: Fit, null_model: Fit) -> Fit:
         """What is left when nothing more can be spared, stands at a bound or is no news."""
         fit = self.pruned(full)
         while fit.effects:
             pinned = [i for i, each in enumerate(fit.effects) if each.at_bound(fit.u[i]) or not each.is_news(fit.u[i])]
-            lone = len(fit.effects) == 1 and not self.worth(self.gain(nothing, fit))
+            lone = len(fit.effects) == 1 and not self.worth(self.gain(null_model, fit))
             if not pinned and not lone:
                 self._settled = dict(zip(fit.names, fit.u, strict=True))
                 return fit
             if len(fit.effects) == 1:
-                return nothing
+                return null_model
             fit = self.pruned(self.reduced(fit)[pinned[0]])
         return fit
 
@@ -184,5 +184,5 @@ def tempered(fit: Fit) -> Array:
 
 
 def _moved(candidate: Candidate, size: float) -> tuple[float, ...]:
-    """Every dial away from its nominal by a share of its usual change, as far as the bounds allow."""
-    return tuple(min(max(d.nominal + size * d.size, d.low), d.high) for d in candidate.dials)
+    """Every parameter away from its nominal by a share of its usual change, as far as the bounds allow."""
+    return tuple(min(max(d.nominal + size * d.size, d.low), d.high) for d in candidate.parameters)

@@ -15,9 +15,16 @@ class RigView:
     """One stage of a rig; satisfies `softarm.diagnosis.gap.view.View`."""
 
     def __init__(
-        self, stage: str, unit: str, channels: tuple[str, ...], effects: Sequence[Effect],
-        t_s: Sequence[Array], measured: Sequence[Array], step: float, signals: Sequence[Mapping[str, Array]],
-    ) -> None:  # fmt: skip
+        self,
+        stage: str,
+        unit: str,
+        channels: tuple[str, ...],
+        effects: Sequence[Effect],
+        t_s: Sequence[Array],
+        measured: Sequence[Array],
+        step: float,
+        signals: Sequence[Mapping[str, Array]],
+    ) -> None:
         """Lists are by trial; measured [T, S]; step: an encoder's; signals: name -> [T]."""
         self.stage, self.unit, self.channels, self.effects = stage, unit, channels, tuple(effects)
         self.t_s: Array = np.concatenate(t_s)

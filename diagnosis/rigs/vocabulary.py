@@ -116,16 +116,19 @@ def _effect(stage: str, name: str, uses: Mapping[str, _Use], unit: str, moment_n
     parameters = [_parameter(known[there], here, use, unit, moment_nm) for there, here in use.names.items()]
     if "torque" in use.names:
         parameters.append(_GIVE)
-    told = dict(text.split(": ", 1) for text in registered.separated_by.split("; ") if ": " in text)
-    apart = {other: told[u.origin] for other, u in uses.items() if u.origin in told and other != name}
+    differences = dict(text.split(": ", 1) for text in registered.separated_by.split("; ") if ": " in text)
+    apart = {other: differences[u.origin] for other, u in uses.items() if u.origin in differences and other != name}
     for one, other, how in _RIVALS:
         if name in (one, other) and {one, other} <= uses.keys():
             apart[other if name == one else one] = how
     return Effect(
-        f"{stage}.{name}", tuple(parameters), use.meaning or registered.meaning, registered.source,
+        f"{stage}.{name}",
+        tuple(parameters),
+        use.meaning or registered.meaning,
+        registered.source,
         tuple(f"{stage}.{other}" for other in apart),
         "; ".join(f"{stage}.{other}: {how}" for other, how in apart.items()),
-    )  # fmt: skip
+    )
 
 
 def _parameter(p: Parameter, name: str, use: _Use, unit: str, moment_nm: float) -> Parameter:

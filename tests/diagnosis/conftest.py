@@ -109,13 +109,18 @@ def _flown(name: str, frames: np.ndarray, slow: np.ndarray) -> Trial:
     columns = ["t_receive", *(f"{body}_{part}" for body in bodies for part in ("y", "z", "angle"))]
     t, sent = slow[:, 0], slow[:: FRAMES_A_TICK // 2]
     mocap = Series(frames[:, 0].copy(), {c: frames[:, i].copy() for i, c in enumerate(columns, 1)})
-    return Trial(name, name, Path(name), {
-        "command": Series(sent[:, 0].copy(), {"cart_velocity": sent[:, 1].copy(), "pressure": sent[:, 2].copy()}),
-        "pressure": Series(t.copy(), {"pressure": slow[:, 3].copy()}),
-        "rail": Series(t.copy(), {"position": slow[:, 4].copy(), "velocity": slow[:, 5].copy()}),
-        "mocap": mocap,
-        "observation": _observation(mocap, sent[2:, 0]),
-    })  # fmt: skip
+    return Trial(
+        name,
+        name,
+        Path(name),
+        {
+            "command": Series(sent[:, 0].copy(), {"cart_velocity": sent[:, 1].copy(), "pressure": sent[:, 2].copy()}),
+            "pressure": Series(t.copy(), {"pressure": slow[:, 3].copy()}),
+            "rail": Series(t.copy(), {"position": slow[:, 4].copy(), "velocity": slow[:, 5].copy()}),
+            "mocap": mocap,
+            "observation": _observation(mocap, sent[2:, 0]),
+        },
+    )
 
 
 def _observation(mocap: Series, ticks: np.ndarray) -> Series:

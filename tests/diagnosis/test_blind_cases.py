@@ -30,10 +30,25 @@ from softarm.simulator.effects import REGISTRY
 CAUSES = (*KNOWN, *(UNKNOWN + name for name in UNKNOWNS))
 # Fields of reality that are neutral in a robot without a cause; the rest are what nuisances turn.
 TURNED = {
-    "inflate_s", "deflate_s", "tube_s", "acceleration_m_s2", "delay_s", "velocity_gain_n_s_m", "bias_kpa", "offset_y_m",
-    "offset_z_m", "rotation_rad", "noise_m", "angle_noise_rad", "noise_kpa", "camera_drift", "tick_jitter_s",
-    "transport_s", "transport_jitter_s", "dropout",
-}  # fmt: skip
+    "inflate_s",
+    "deflate_s",
+    "tube_s",
+    "acceleration_m_s2",
+    "delay_s",
+    "velocity_gain_n_s_m",
+    "bias_kpa",
+    "offset_y_m",
+    "offset_z_m",
+    "rotation_rad",
+    "noise_m",
+    "angle_noise_rad",
+    "noise_kpa",
+    "camera_drift",
+    "tick_jitter_s",
+    "transport_s",
+    "transport_jitter_s",
+    "dropout",
+}
 GROUPS = ("regulator", "rail", "arm", "mocap", "pressure_sensor", "rail_sensor", "clock")
 
 
@@ -147,17 +162,17 @@ def test_nuisances_turn_everything_that_is_never_quite_right_and_nothing_else():
 def test_every_case_has_eight_trials_of_both_rails_and_fresh_ones_unlike_them(cases):
     repeats = 0
     for case in cases:
-        names = [flight.excitation for flight in case.flights]
+        names = [trial.excitation for trial in case.planned]
         assert len(names) == 8
         assert set(names) <= set(PROGRAMME)
         assert "seed" in names
         repeats += len(set(names)) < 8
-        assert {flight.held for flight in case.flights} == {True, False}
-        assert not any(flight.held and EXCITATIONS[flight.excitation].moves_rail for flight in case.flights)
+        assert {trial.held for trial in case.planned} == {True, False}
+        assert not any(trial.held and EXCITATIONS[trial.excitation].moves_rail for trial in case.planned)
         assert 100 < sum(EXCITATIONS[name].duration_s for name in names) < 180
-        seeds = [flight.seed for flight in (*case.flights, *case.fresh)]
+        seeds = [trial.seed for trial in (*case.planned, *case.fresh)]
         assert len(set(seeds)) == len(seeds)
-        assert {flight.excitation for flight in case.fresh} == set(FRESH)
+        assert {trial.excitation for trial in case.fresh} == set(FRESH)
     assert 60 < repeats < 140
 
 
@@ -165,7 +180,7 @@ def test_names_say_nothing(cases):
     assert len({case.name for case in cases}) == len(cases)
     by_name = [case.kind for case in sorted(cases, key=lambda case: case.name)]
     assert by_name != sorted(by_name)
-    assert {flight.folder for case in cases for flight in case.flights} == {f"trial-{i}" for i in range(1, 9)}
+    assert {trial.folder for case in cases for trial in case.planned} == {f"trial-{i}" for i in range(1, 9)}
 
 
 @pytest.mark.parametrize(("count", "seed"), [(0, 1), (5, -1)])
@@ -176,8 +191,8 @@ def test_what_cannot_be_drawn_is_refused_in_words(count, seed):
 
 def test_a_written_case_is_a_campaign_and_a_half_written_one_is_flown_again(tmp_path):
     case = next(case for case in draw(20, seed=2) if case.kind == "single")
-    short = next(flight for flight in case.fresh if flight.excitation == "rail-multisine")
-    case = replace(case, flights=(replace(short, folder="trial-1"),), fresh=(replace(short, seed=99),))
+    short = next(trial for trial in case.fresh if trial.excitation == "rail-multisine")
+    case = replace(case, planned=(replace(short, folder="trial-1"),), fresh=(replace(short, seed=99),))
     data, fresh = tmp_path / "data", tmp_path / "fresh"
     (data / case.name / "trial-1").mkdir(parents=True)
     (data / case.name / "trial-1" / "left.csv").write_text("half")

@@ -21,13 +21,17 @@ LABELS = seal.Labels(
     "5a" * 32,
     3,
     {
-        "case-a": {"kind": "single", "causes": [
-            {"name": "pressure.gain", "stage": "pressure", "removed": False, "settings": {}}]},
+        "case-a": {
+            "kind": "single",
+            "causes": [{"name": "pressure.gain", "stage": "pressure", "removed": False, "settings": {}}],
+        },
         "case-b": {"kind": "none", "causes": []},
-        "case-c": {"kind": "unknown", "causes": [
-            {"name": "unknown.cable", "stage": "rail", "removed": False, "settings": {}}]},
+        "case-c": {
+            "kind": "unknown",
+            "causes": [{"name": "unknown.cable", "stage": "rail", "removed": False, "settings": {}}],
+        },
     },
-)  # fmt: skip
+)
 
 
 @pytest.fixture(scope="module")

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.stats import binom
 
-from softarm.diagnosis.gap.candidates import Candidate, Dial, Nuisance
+from softarm.diagnosis.gap.candidates import Candidate, FittedParameter, Nuisance
 from softarm.diagnosis.gap.problem import Setup
 
 RATE_HZ, LENGTH_S, NOISE = 60.0, 6.0, 0.05
@@ -15,12 +15,12 @@ SCALE, TIME, BIAS = "stage.gain.scale", "stage.lag.time", "stage.zero.bias"
 TRUE = {SCALE: 0.3, TIME: 0.15, BIAS: 0.2}
 
 
-def _dial(path, low, high, size, nominal=0.0):
-    return Dial(path, "-", nominal, low, high, size, nominal)
+def _parameter(path, low, high, size, nominal=0.0):
+    return FittedParameter(path, "-", nominal, low, high, size, nominal)
 
 
-GAIN = Candidate("stage.gain", "stage", (_dial(SCALE, -0.5, 0.5, 0.1),), ((0.1,), (-0.1,)))
-LAG = Candidate("stage.lag", "stage", (_dial(TIME, 0.0, 1.0, 0.1),), ((0.05,), (0.4,)))
+GAIN = Candidate("stage.gain", "stage", (_parameter(SCALE, -0.5, 0.5, 0.1),), ((0.1,), (-0.1,)))
+LAG = Candidate("stage.lag", "stage", (_parameter(TIME, 0.0, 1.0, 0.1),), ((0.05,), (0.4,)))
 ZERO = Nuisance(BIAS, 0.0, -0.3, 0.3)
 UNSEEN = Nuisance("elsewhere.zero.bias", 0.0, -0.3, 0.3)  # of another stage: no column of it is anything but zero
 
@@ -142,7 +142,7 @@ def test_a_nuisance_stays_in_its_box():
 
 
 def test_what_an_effect_fits_itself_is_no_nuisance_beside_it():
-    own = Candidate("stage.zero", "stage", (_dial(BIAS, -2.0, 2.0, 0.2),), ((0.2,),))
+    own = Candidate("stage.zero", "stage", (_parameter(BIAS, -2.0, 2.0, 0.2),), ((0.2,),))
     fit = _fit(_problem(_View(truth={BIAS: 0.9})), own)
     assert fit.nuisance[0] == 0.0
     assert fit.point[BIAS] == pytest.approx(0.9, abs=0.02)
@@ -189,6 +189,9 @@ def test_of_one_kind_trials_are_the_folds_and_of_one_trial_its_stretches():
     single = _View()
     mine = single.trial == 0
     single.t_s, single.trial, single.measured, single.inputs = (
-        single.t_s[mine], single.trial[mine], single.measured[mine], single.inputs[:1],
-    )  # fmt: skip
+        single.t_s[mine],
+        single.trial[mine],
+        single.measured[mine],
+        single.inputs[:1],
+    )
     assert len(set(Setup([single], (ZERO,), ("steps",)).plain().fold)) > 1

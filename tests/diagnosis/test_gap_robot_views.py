@@ -5,8 +5,8 @@ import pytest
 
 from softarm.diagnosis.gap.candidates import candidates
 from softarm.diagnosis.gap.counts import TOLERANCE
-from softarm.diagnosis.gap.recordings import flight
 from softarm.diagnosis.gap.robot_views import ON_MOTOR, robot_views
+from softarm.diagnosis.gap.trial_grid import on_grid
 from softarm.schemas.model import Model
 from softarm.simulator.effects import REGISTRY
 
@@ -18,7 +18,7 @@ SEEN_STAGES = ("pressure", "rail", "arm", "mocap")
 def views(record):
     """All four stages of this very simulator, flown at 1200 Hz and seen through noisy sensors."""
     trials = [record(name, seed=i) for i, name in enumerate(("pressure-multisine", "rail-steps"))]
-    return {view.stage: view for view in robot_views(flight(trials, MODEL), MODEL)}
+    return {view.stage: view for view in robot_views(on_grid(trials, MODEL), MODEL)}
 
 
 @pytest.fixture(scope="module")

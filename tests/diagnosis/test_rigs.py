@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from softarm.diagnosis import tables
-from softarm.diagnosis.gap.fits import Problem
-from softarm.diagnosis.gap.lens import BLOCK_S, blocks_of
+from softarm.diagnosis.gap.fits import FitProblem
 from softarm.diagnosis.gap.problem import Setup
+from softarm.diagnosis.gap.whitened import BLOCK_S, blocks_of
 from softarm.diagnosis.rigs.candidates import candidates, nuisances
 from softarm.diagnosis.rigs.diagnose import diagnose_table, view_of
 from softarm.diagnosis.rigs.grid import grid, smallest_step, windows
@@ -18,12 +18,16 @@ from softarm.diagnosis.rigs.pendulum import PendulumView
 from softarm.diagnosis.rigs.selection import Refitted
 from softarm.diagnosis.rigs.tracking import TrackingView, velocity_warnings
 from softarm.diagnosis.rigs.vocabulary import effects
-from softarm.diagnosis.trials import Series, Stage, Trial, TrialError
+from softarm.diagnosis.trials import Series, TableStage, Trial, TrialError
 from softarm.simulator.effects import REGISTRY
 
 MODEL = {
-    "mass_kg": 0.15, "centre_m": 0.15, "inertia_kg_m2": 1e-4, "damping_nm_s_rad": 2e-4, "gravity_m_s2": 9.81,
-}  # fmt: skip
+    "mass_kg": 0.15,
+    "centre_m": 0.15,
+    "inertia_kg_m2": 1e-4,
+    "damping_nm_s_rad": 2e-4,
+    "gravity_m_s2": 9.81,
+}
 
 
 def servo(command, position, t, kind="multisine", name="one", **more):
@@ -31,13 +35,17 @@ def servo(command, position, t, kind="multisine", name="one", **more):
         "command": Series(t.copy(), {"command": command.copy()}),
         "measured": Series(t.copy(), {"position": position.copy(), **more}),
     }
-    return Trial(name, kind, Path(name), channels, stage=Stage("servo", "tracking", {}))
+    return Trial(name, kind, Path(name), channels, stage=TableStage("servo", "tracking", {}))
 
 
 def pendulum(angle, t, name="swing", model=MODEL):
     columns = {f"angle{i + 1}": np.ascontiguousarray(a) for i, a in enumerate(np.atleast_2d(angle))}
     return Trial(
-        name, "free swing", Path(name), {"measured": Series(t.copy(), columns)}, stage=Stage("joint", "pendulum", model)
+        name,
+        "free swing",
+        Path(name),
+        {"measured": Series(t.copy(), columns)},
+        stage=TableStage("joint", "pendulum", model),
     )
 
 
@@ -116,7 +124,7 @@ def swing(point, amplitude=0.3, seconds=12.0, model=MODEL, rate_hz=100.0):
     from softarm.diagnosis.rigs import kernels
     from softarm.diagnosis.rigs.pendulum import links
 
-    link = links(Stage("joint", "pendulum", model))
+    link = links(TableStage("joint", "pendulum", model))
     n = link.shape[1]
     law = np.array([9.81, 0.0, point.get("damping", 1.0), point.get("torque", 0.0), 3e-4, point.get("drag", 0.0)])
     out = np.empty((round(seconds * rate_hz), n))
@@ -144,9 +152,12 @@ def test_viscous_friction_decays_on_an_exponential_and_dry_friction_on_a_line():
 
 def test_a_chain_without_friction_keeps_its_energy():
     chain = {
-        "mass_kg": (0.25, 0.28, 0.12), "centre_m": (0.16, 0.2, 0.18), "length_m": (0.17, 0.23),
-        "inertia_kg_m2": (1e-4, 3e-4, 2e-4), "damping_nm_s_rad": (0.0, 0.0, 0.0),
-    }  # fmt: skip
+        "mass_kg": (0.25, 0.28, 0.12),
+        "centre_m": (0.16, 0.2, 0.18),
+        "length_m": (0.17, 0.23),
+        "inertia_kg_m2": (1e-4, 3e-4, 2e-4),
+        "damping_nm_s_rad": (0.0, 0.0, 0.0),
+    }
     _, angles = swing({}, 0.6, 4.0, chain, 1000.0)
     rates = np.gradient(angles, 1e-3, axis=0)
     mass, centre, inertia = (np.array(chain[k]) for k in ("mass_kg", "centre_m", "inertia_kg_m2"))
@@ -203,7 +214,7 @@ def test_windows_share_nothing_and_lose_nothing():
 
 def test_what_has_no_view_says_so():
     t = T
-    trial = Trial("push", "steps", Path("push"), {}, stage=Stage("cart", "driven_mass", {}))
+    trial = Trial("push", "steps", Path("push"), {}, stage=TableStage("cart", "driven_mass", {}))
     with pytest.raises(TrialError, match="a driven_mass stage cannot be diagnosed yet"):
         view_of([trial])
     with pytest.raises(TrialError, match="are of no single-stage table"):
@@ -308,13 +319,13 @@ def test_every_fold_leaves_out_a_part_of_every_trial():
 def test_blocks_are_summed_as_one_by_one_and_held_out_losses_are_no_smaller():
     view, ordered, _ = view_of(late_servo())
     problem = Setup([view], nuisances(view), [t.kind for t in ordered]).weighed()
-    refitted = Refitted(*(getattr(problem, f.name) for f in fields(Problem)))
-    (lens,) = refitted.lenses
-    moments = lens.moments([{}])[0]
+    refitted = Refitted(*(getattr(problem, f.name) for f in fields(FitProblem)))
+    (residual,) = refitted.whitened
+    moments = residual.moments([{}])[0]
     edges, order, gg = refitted._blocks()
     rr, gr = refitted._sums(moments, edges, order)
-    for i, (_, part) in zip(order, lens.blocks, strict=True):
-        rows, columns = moments.rows[part], lens.columns[:, part]
+    for i, (_, part) in zip(order, residual.blocks, strict=True):
+        rows, columns = moments.rows[part], residual.columns[:, part]
         assert rr[i] == pytest.approx(float(rows @ rows), rel=1e-4)
         np.testing.assert_allclose(gr[i], columns @ rows, rtol=1e-3, atol=1e-3 * np.abs(gr).max())
         np.testing.assert_allclose(gg[i], columns @ columns.T, rtol=1e-3, atol=1e-3 * np.abs(gg).max())

@@ -29,7 +29,7 @@ DELAYS_S = np.arange(-0.02, 0.121, 0.005)
 
 
 @dataclass(frozen=True, slots=True)
-class Flight:
+class TrialGrid:
     """K trials over T steps; a trial's arrays go on with their last value after its own length."""
 
     trials: tuple[Trial, ...]
@@ -64,7 +64,7 @@ class Flight:
         return values[self.sample]
 
 
-def flight(trials: Sequence[Trial], model: Model) -> Flight:
+def on_grid(trials: Sequence[Trial], model: Model) -> TrialGrid:
     """Bring trials to one grid. A channel that a trial lacks is NaN there.
 
     Raises TrialError for a trial without commands or without anything else, or too short.
@@ -79,7 +79,7 @@ def flight(trials: Sequence[Trial], model: Model) -> Flight:
     held, axis_true = (stacked.pop(name)[0] > 0 for name in ("held", "axis_true"))
     noise = np.array([each[0] for trial in trials if (each := mocap_noise(trial)) is not None])
     beyond = np.sqrt(max(float(np.median(noise)) ** 2 - ORDINARY_M**2, 0.0)) if len(noise) else 0.0
-    return Flight(
+    return TrialGrid(
         trials=tuple(trials),
         steps=steps,
         sample=sample,
@@ -201,22 +201,22 @@ def _way(cart_y: Array, axis: Array, held: bool) -> tuple[Array, bool]:
     if not np.isfinite(axis).any():
         return _smooth(cart_y, CART_CUTOFF_HZ), False
     seen, best, late = _smooth(cart_y, CART_CUTOFF_HZ), np.inf, 0.0
-    told = _smooth(axis, CART_CUTOFF_HZ)
+    read_back = _smooth(axis, CART_CUTOFF_HZ)
     inner = slice(12, -12)
-    steps = np.arange(len(told))
+    steps = np.arange(len(read_back))
     for delay in DELAYS_S:
-        moved = np.interp(steps - delay / STEP_S, steps, told)
+        moved = np.interp(steps - delay / STEP_S, steps, read_back)
         regressors = np.stack((moved, np.ones(len(moved))), axis=1)[inner]
         left = seen[inner] - regressors @ np.linalg.lstsq(regressors, seen[inner], rcond=None)[0]
         if (rms := float(np.sqrt(np.mean(left**2)))) < best:
             best, late = rms, float(delay)
     if best < AGREES_M:
-        return told, True
+        return read_back, True
     return np.interp(steps + late / STEP_S, steps, seen), False
 
 
 def _push(links: Array, way: Array, model: Model) -> tuple[Array, Array, Array]:
-    """From the arm's motion: its force on the cart along the rail (N), the tip's acceleration, and `Flight.air_m2_s2`.
+    """From the arm's motion: its force on the cart along the rail (N), the tip's acceleration, `TrialGrid.air_m2_s2`.
 
     Zero where mocap saw nothing.
     """

@@ -57,7 +57,7 @@ class Moments:
     gr: Array  # [q]
 
 
-class Lens:
+class WhitenedResidual:
     """Rows of one view under one weighing. q nuisance columns, the same for all views of a problem."""
 
     def __init__(self, gaps: Gaps, whiten: Whitener, nuisances: Rows, starts: Rows | None, weight: float) -> None:

@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from softarm.diagnosis.gap.recordings import STEP_S, flight
 from softarm.diagnosis.gap.robot_views import robot_views
+from softarm.diagnosis.gap.trial_grid import STEP_S, on_grid
 from softarm.diagnosis.trials import Series, Trial, TrialError, mocap_columns
 from softarm.schemas.model import Model
 
@@ -49,7 +49,7 @@ def test_commands_keep_their_stamps():
     """Each tick up to 9 ms late: within its step every command comes exactly as late."""
     late = 0.009 * np.random.default_rng(0).random(170)
     stamps = 2.0 + np.arange(170) / 30 + late
-    shown = flight([_trial(stamps)], MODEL)
+    shown = on_grid([_trial(stamps)], MODEL)
     assert shown.t_s[0, 0] == stamps[0]
     for number in range(1, 160):
         assert _came(shown, number) == pytest.approx(stamps[number], abs=1e-9)
@@ -58,7 +58,7 @@ def test_commands_keep_their_stamps():
 
 def test_of_two_commands_within_a_step_both_come_one_after_the_other():
     stamps = 2.0 + np.array([0.0, 1.0, 1.002, 1.5, 6.0])
-    shown = flight([_trial(stamps)], MODEL)
+    shown = on_grid([_trial(stamps)], MODEL)
     assert _came(shown, 1) == pytest.approx(3.0, abs=1e-9)
     assert _came(shown, 2) == pytest.approx(3.002, abs=STEP_S)
     assert _came(shown, 2) > _came(shown, 1)
@@ -67,7 +67,7 @@ def test_of_two_commands_within_a_step_both_come_one_after_the_other():
 
 def test_a_missing_tick_leaves_the_command_as_it_was():
     stamps = np.delete(2.0 + np.arange(170) / 30, [50, 51, 52])
-    shown = flight([_trial(stamps)], MODEL)
+    shown = on_grid([_trial(stamps)], MODEL)
     t = shown.t_s[:, 0]
     silent = (t > stamps[49] + 1e-6) & (t < stamps[50] - 1e-6)
     assert silent.sum() > 5
@@ -80,7 +80,7 @@ def test_gaps_are_not_bridged():
     trial = _trial()
     t, values = trial.channels["pressure"].t_s, trial.channels["pressure"]["pressure"]
     here = ~(((t > 4.0) & (t < 4.5)) | ((t > 5.0) & (t < 5.04)))
-    shown = flight([_trial(pressure=Series(t[here], {"pressure": values[here]}))], MODEL)
+    shown = on_grid([_trial(pressure=Series(t[here], {"pressure": values[here]}))], MODEL)
     grid, seen = shown.t_s[:, 0], np.isfinite(shown.pressure_kpa[:, 0])
     assert not seen[(grid > 4.01) & (grid < 4.49)].any()
     assert seen[(grid < 3.98) | (grid > 4.52)].all()
@@ -91,7 +91,7 @@ def test_a_hidden_marker_is_missing_alone():
     trial = _trial()
     poses = {name: values.copy() for name, values in trial.channels["mocap"].columns.items()}
     poses["link3_y"][100:160] = np.nan
-    shown = flight([_trial(mocap=Series(trial.channels["mocap"].t_s, poses))], MODEL)
+    shown = on_grid([_trial(mocap=Series(trial.channels["mocap"].t_s, poses))], MODEL)
     hidden = np.isnan(shown.links_m[110:150, 0])
     assert hidden[:, 2].all()
     assert not np.delete(hidden, 2, axis=1).any()
@@ -106,7 +106,7 @@ def test_the_cameras_drift_is_taken_out():
     poses = {name: np.interp(true, *_of(_trial(), "mocap", name)) for name in mocap_columns()}
     poses["cart_y"] = 0.05 * np.sin(2 * np.pi * (true - 2.0))
     poses["t_receive"] = true + 0.004 + 0.001 * draw.random(len(true))
-    shown = flight([_trial(mocap=Series(stamps, poses))], MODEL)
+    shown = on_grid([_trial(mocap=Series(stamps, poses))], MODEL)
     late = shown.t_s[:, 0] > 2.0 + LENGTH_S - 1
     wanted = 0.05 * np.sin(2 * np.pi * (shown.t_s[late, 0] - 2.0))
     left = np.sqrt(np.mean((shown.cart_y_m[late, 0] - wanted) ** 2))
@@ -119,15 +119,15 @@ def _of(trial, channel, column):
 
 
 def test_a_steady_delay_of_reception_is_no_drift():
-    shown = flight([_trial()], MODEL)
+    shown = on_grid([_trial()], MODEL)
     np.testing.assert_allclose(shown.cart_y_m[:, 0], 0.05 * np.sin(2 * np.pi * (shown.t_s[:, 0] - 2.0)), atol=1e-4)
 
 
 def test_a_held_rail_stands_still():
-    held = flight([replace(_trial(), rail="held")], MODEL)
+    held = on_grid([replace(_trial(), rail="held")], MODEL)
     assert not held.cart_velocity_m_s.any()
     assert np.ptp(held.hinge_m) == 0
-    both = robot_views(flight([_trial(), replace(_trial(), rail="held")], MODEL), MODEL)
+    both = robot_views(on_grid([_trial(), replace(_trial(), rail="held")], MODEL), MODEL)
     rail = next(view for view in both if view.stage == "rail")
     assert [bool(np.isfinite(rail.measured[rail.trial == k]).any()) for k in (0, 1)] == [True, False]
     assert {v.stage for v in robot_views(held, MODEL)} == {"pressure", "mocap", "arm"}
@@ -146,14 +146,14 @@ def test_a_held_rail_stands_still():
 )
 def test_a_missing_channel_takes_its_own_stages_away_and_no_other(channels, stages):
     trial = _without(_trial(), *channels)
-    views = robot_views(flight([trial], MODEL), MODEL)
+    views = robot_views(on_grid([trial], MODEL), MODEL)
     assert {view.stage for view in views} == stages
     for view in views:
         assert np.isfinite(view.gap([{}])).any()
 
 
 def test_a_stage_that_keeps_its_channels_does_not_see_that_others_are_gone():
-    whole, part = (robot_views(flight([each], MODEL), MODEL) for each in (_trial(), _without(_trial(), "mocap")))
+    whole, part = (robot_views(on_grid([each], MODEL), MODEL) for each in (_trial(), _without(_trial(), "mocap")))
     np.testing.assert_array_equal(whole[0].gap([{}]), part[0].gap([{}]))
 
 
@@ -167,7 +167,7 @@ def _halved(trial):
 
 def test_trials_of_unlike_lengths_lie_side_by_side():
     short = _halved(_trial())
-    both, alone = flight([_trial(), short], MODEL), flight([short], MODEL)
+    both, alone = on_grid([_trial(), short], MODEL), on_grid([short], MODEL)
     step, trial = both.sample
     assert np.bincount(trial).tolist() == (both.steps - 30).tolist()
     np.testing.assert_array_equal(both.pressure_kpa[: both.steps[1], 1], alone.pressure_kpa[:, 0])
@@ -188,7 +188,7 @@ def test_trials_of_unlike_lengths_lie_side_by_side():
 )
 def test_errors_name_the_file_and_the_next_step(spoil, message):
     with pytest.raises(TrialError, match=message) as caught:
-        flight([spoil(_trial())], MODEL)
+        on_grid([spoil(_trial())], MODEL)
     assert str(Path("campaign/one")) in str(caught.value)
 
 
@@ -196,5 +196,5 @@ def test_an_arm_of_other_links_is_refused_by_name():
     trial = _trial()
     poses = {n: v for n, v in trial.channels["mocap"].columns.items() if not n.startswith("link5")}
     with pytest.raises(TrialError, match="mocap sees 4 links, the model has 5") as caught:
-        flight([_trial(mocap=Series(trial.channels["mocap"].t_s, poses))], MODEL)
+        on_grid([_trial(mocap=Series(trial.channels["mocap"].t_s, poses))], MODEL)
     assert str(Path("campaign/one")) in str(caught.value)
