@@ -112,7 +112,7 @@ def test_an_encoder_on_the_motor_believes_in_a_wrong_feed(views):
     np.testing.assert_array_equal(rail[2], rail[0])
     np.testing.assert_array_equal(mocap[1], mocap[0])
     np.testing.assert_array_equal(arm[1], arm[0])
-    way = views["mocap"].flight
+    way = views["mocap"].grid
     expected = 0.1 * way.flat(way.axis_m)
     np.testing.assert_allclose((mocap[0] - mocap[2])[:, 0], expected, atol=1e-6)
     assert np.nanmax(np.abs(arm[2] - arm[0])) > 1e-3
