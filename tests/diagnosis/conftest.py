@@ -153,8 +153,8 @@ def write() -> Callable[[Trial, Path], Path]:
 
 @pytest.fixture(scope="session")
 def data() -> Path:
-    """The folder of real data."""
-    folder = os.environ.get("SOFTARM_DATA")
-    if folder is None or not Path(folder).is_dir():
-        pytest.skip("SOFTARM_DATA does not name the folder of real data: nothing of it is loaded or diagnosed")
-    return Path(folder)
+    """The folder of real data: what SOFTARM_DATA names, else ../shared/data beside the checkout."""
+    folder = Path(os.environ.get("SOFTARM_DATA") or Path(__file__).parents[3] / "shared" / "data")
+    if not folder.is_dir():
+        pytest.skip(f"{folder} holds no real data (SOFTARM_DATA may name another folder): none is loaded or diagnosed")
+    return folder

@@ -342,6 +342,7 @@ def named(stage, data, element=None):
     return diagnosis, {e.name.partition(".")[2]: e.parameters for e in diagnosis.verdict.effects}
 
 
+@pytest.mark.slow
 def test_a_real_pendulums_small_swings_are_dry_friction_and_not_viscous(data):
     diagnosis, found = named("pendulum-free.yaml", data)
     assert all(e.equivalents == () for e in diagnosis.verdict.effects)
@@ -352,6 +353,7 @@ def test_a_real_pendulums_small_swings_are_dry_friction_and_not_viscous(data):
     assert viscous.conditional.value < 0.1
 
 
+@pytest.mark.slow
 def test_a_real_pendulums_large_swings_reject_dry_friction_alone(data):
     diagnosis, found = named("pendulum-single.yaml", data)
     assert set(found) == {"coulomb_friction", "drag"}
@@ -361,6 +363,7 @@ def test_a_real_pendulums_large_swings_reject_dry_friction_alone(data):
     assert any("nothing is left of the model's viscous friction" in text for text in diagnosis.verdict.warnings)
 
 
+@pytest.mark.slow
 def test_a_real_servos_dead_zone_droop_and_delay_are_named(data):
     diagnosis, found = named("so101.yaml", data, "servo3")
     zones = [e for e in diagnosis.verdict.effects if "servo3.deadband" in {e.name, *e.equivalents}]
