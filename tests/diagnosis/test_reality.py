@@ -6,7 +6,7 @@ import pytest
 
 from softarm.diagnosis import folder
 from softarm.diagnosis.diagnose import diagnose
-from softarm.reality.parameters import Parameters
+from softarm.reality.parameters import RobotParameters
 from softarm.reality.record import record
 from softarm.schemas.excitation import EXCITATIONS
 from softarm.schemas.model import Model
@@ -19,7 +19,7 @@ pytestmark = pytest.mark.slow
 @pytest.fixture(scope="module")
 def found(tmp_path_factory):
     """The diagnosis of an independent robot whose regulator has a dead time, by the seed's simulator."""
-    robot = Parameters()
+    robot = RobotParameters()
     late = replace(robot, regulator=replace(robot.regulator, dead_time_s=DEAD_TIME_S))
     place = tmp_path_factory.mktemp("campaign")
     trials = []
@@ -38,7 +38,7 @@ def test_the_one_effect_is_named_and_nothing_else(found):
 
 def test_its_size_and_what_it_takes_away(found):
     (effect,) = found.verdict.effects
-    whole_s = DEAD_TIME_S + Parameters().regulator.tube_s  # the simulator has no tube
+    whole_s = DEAD_TIME_S + RobotParameters().regulator.tube_s  # the simulator has no tube
     assert effect.parameters["delay"].value == pytest.approx(whole_s, abs=0.005)
     assert effect.shrink.stage.value > 0.8
     assert found.patched.effects["pressure.dead_time"]["delay"] == effect.parameters["delay"].value
