@@ -5,6 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from softarm.schemas.config import RailLimits
+
 Array = NDArray[np.float32]
 
 
@@ -18,7 +20,7 @@ class Cost:
     wait_m_s: float = 0.03  # per second of flight
     rail_m: float = 0.237  # where a cart must be able to stop
     rail_weight: float = 10.0
-    braking_m_s2: float = 3.0  # as the safety filter reckons
+    braking_m_s2: float = RailLimits().braking_m_s2  # as the safety filter reckons
 
     def of(self, path: Array, target_m: Array, period_s: float) -> Array:
         """Costs [N] of paths [T, 4, N] (cart y and velocity, tip y and z) to a target [2]. NaN counts as infinite."""

@@ -1,6 +1,7 @@
 """The tick as a whole: from disarmed to a goal, and every fault on the way."""
 
 import dataclasses
+import itertools
 import math
 import time
 
@@ -264,6 +265,13 @@ def test_an_axis_that_disagrees_with_mocap_for_long_stops():
             break
     assert ticks == 5
     assert "50 mm apart" in rig.outputs.last_stop
+
+
+@pytest.mark.parametrize("kinds", list(itertools.permutations(["stop", "acknowledge", "arm", "disarm"])))
+def test_a_stop_latches_whatever_is_asked_for_beside_it(kinds):
+    rig = Rig().swinging()
+    rig.tick(*kinds)
+    assert (rig.outputs.mode, rig.outputs.estop, rig.outputs.sent) == (Mode.STOPPED, EStop.ENGAGED, SAFE)
 
 
 def test_asking_what_holds_changes_nothing():
