@@ -53,7 +53,10 @@ class MocapSource(Device, Protocol):
     """Poses of six rigid bodies."""
 
     def read(self, now_ns: int) -> tuple[MocapFrame, ...]:
-        """All frames since the last call, oldest first, received stamp `now_ns`; empty when none came."""
+        """All frames since the last call, oldest first, each with the stamp of its arrival; empty when none came.
+
+        `now_ns` is the tick's time: what has no clock of its own moves on to it.
+        """
 
 
 class PressureRegulator(Device, Protocol):

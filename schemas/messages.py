@@ -29,7 +29,7 @@ class MocapFrame:
 
     sequence: int  # the bridge's own count; a step of more than 1 is a lost frame
     t_capture_ns: int
-    t_receive_ns: int  # when the control loop took it
+    t_receive_ns: int  # when it arrived; logs up to November 2026: the tick that took it
     bodies: tuple[Pose, ...]
 
     def __post_init__(self) -> None:

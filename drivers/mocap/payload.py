@@ -13,6 +13,7 @@ from collections.abc import Sequence
 from softarm.schemas.messages import BODY_NAMES, MocapFrame, Pose
 
 SCHEMA = "softarm.mocap.v1"  # of the Zenoh encoding application/json
+MAX_BYTES = 4096  # six bodies at full precision take 500
 LOST = Pose(math.nan, math.nan, math.nan, tracked=False)
 
 

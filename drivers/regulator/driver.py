@@ -8,6 +8,7 @@ import asyncio
 import contextlib
 import errno
 import math
+import os
 import select
 import socket
 import termios
@@ -20,7 +21,17 @@ import serial
 
 from softarm.drivers.base import DeviceError
 from softarm.drivers.regulator.cobs import Deframer, frame
-from softarm.drivers.regulator.teensy import Fault, Hello, RegulatorCommand, RegulatorState, Welcome, decode, encode
+from softarm.drivers.regulator.teensy import (
+    Fault,
+    Hello,
+    Message,
+    RegulatorCommand,
+    RegulatorState,
+    Welcome,
+    decode,
+    encode,
+    is_newer,
+)
 from softarm.schemas.config import SerialRegulator
 from softarm.schemas.messages import PressureReading
 
@@ -41,8 +52,8 @@ _REMEDY = {
 class Conversation:
     """The host's half of one opening of the port: bytes in, bytes out, no I/O.
 
-    `state` is the device's newest answer, `dropped` counts frames that were no message of the device,
-    `complaint` says why the last of them was not.
+    `state` is the device's newest answer, `dropped` counts frames that were no new message of the device,
+    `complaint` says why the last of them was not. What the device says counts once: its own count must advance.
     """
 
     def __init__(self, time_to_live_s: float) -> None:
@@ -52,14 +63,15 @@ class Conversation:
         self._time_to_live_s = time_to_live_s
         self._token: int | None = None
         self._sequence = 0
+        self._heard: int | None = None  # the device's own count; it begins anew with a welcome
         self._greeted_ns: int | None = None
         self._deframer = Deframer()
-        self._undecoded = 0
+        self._refused = 0
 
     @property
     def dropped(self) -> int:
-        """Frames that were garbled, or no message that a device sends."""
-        return self._deframer.dropped + self._undecoded
+        """Frames that were garbled, no message that a device sends, or one that was heard before."""
+        return self._deframer.dropped + self._refused
 
     @property
     def known(self) -> bool:
@@ -85,23 +97,29 @@ class Conversation:
         newest = None
         for body in self._deframer.feed(data):
             try:
-                message, _ = decode(body)
+                message = self._heed(*decode(body))
             except ValueError as error:
-                self._undecoded += 1
+                self._refused += 1
                 self.complaint = str(error)
                 continue
-            if isinstance(message, Welcome):
-                self._token = message.token
-            elif isinstance(message, RegulatorState):
-                self.state = newest = message
-                if Fault.TOKEN in message.faults:
-                    self._token = self._greeted_ns = None  # the device has restarted: greet it again
-            else:  # our own words come back
-                self._undecoded += 1
-                self.complaint = "the port echoes what is sent: is it a device at all?"
-                continue
             self.unanswered_since_ns = self.complaint = None
+            if isinstance(message, RegulatorState):
+                self.state = newest = message
         return newest
+
+    def _heed(self, message: Message, sequence: int) -> Message:
+        """Take in what the device says. Raises ValueError on what it cannot be saying now."""
+        known, new = self.known, self._heard is not None and is_newer(sequence, self._heard)
+        if isinstance(message, Welcome):
+            self._token = message.token if new or not known else self._token
+        elif not isinstance(message, RegulatorState):
+            raise ValueError("the port echoes what is sent: is it a device at all?")
+        elif known and Fault.TOKEN in message.faults:
+            self._token = self._greeted_ns = None  # the device has restarted: greet it again, whatever its count
+        if not new and (known or isinstance(message, RegulatorState)):
+            raise ValueError(f"the device's message {sequence} is not newer than the last: repeated, or late")
+        self._heard = sequence
+        return message
 
     def _frame(self, message: Hello | RegulatorCommand, now_ns: int) -> bytes:
         if self.unanswered_since_ns is None:
@@ -198,13 +216,13 @@ class TeensyRegulator:
     def _rest(self, pause_s: float) -> None:
         until_s = time.monotonic() + pause_s
         while not self._stopping and (left_s := until_s - time.monotonic()) > 0:
-            select.select([self._bell], [], [], left_s)
+            _wait(left_s, self._bell.fileno())
             self._hush()
             self._wanted.clear()  # said to nobody; what is old must not be sent later
 
     def _open(self) -> serial.Serial:
         try:
-            return serial.Serial(self._config.port, BAUD, timeout=0, write_timeout=0.1, exclusive=True)
+            return serial.Serial(self._config.port, BAUD, timeout=0, exclusive=True)
         except (OSError, termios.error) as error:  # a SerialException is an OSError
             number = error.errno if isinstance(error, OSError) else None
             remedy = _REMEDY.get(number or 0, "is it a serial port? Correct drivers.regulator.port")
@@ -212,13 +230,13 @@ class TeensyRegulator:
 
     def _converse(self, port: serial.Serial, talk: Conversation) -> None:
         while not self._stopping:
-            port.write(talk.greeting(self._clock()))
-            ready, _, _ = select.select([port.fileno(), self._bell.fileno()], [], [], HELLO_S)
+            _write(port, talk.greeting(self._clock()))
+            ready = _wait(HELLO_S, port.fileno(), self._bell.fileno())
             if self._bell.fileno() in ready:
                 self._hush()
                 self._send_newest(port, talk)
             if port.fileno() in ready:
-                self._take(talk.receive(port.read(4096)))
+                self._take(talk.receive(_read(port)))
             since_ns = talk.unanswered_since_ns
             if since_ns is not None and self._clock() - since_ns > REOPEN_S * 1e9:
                 remedy = "check the cable and that the firmware runs; the port is opened anew"
@@ -228,7 +246,7 @@ class TeensyRegulator:
     def _send_newest(self, port: serial.Serial, talk: Conversation) -> None:
         with contextlib.suppress(IndexError):
             armed, pressure_kpa = self._wanted.popleft()
-            port.write(talk.command(armed, pressure_kpa, self._clock()))
+            _write(port, talk.command(armed, pressure_kpa, self._clock()))
 
     def _take(self, state: RegulatorState | None) -> None:
         if state is not None:
@@ -245,11 +263,33 @@ class TeensyRegulator:
             self._bell.recv(4096)
 
     def _say_farewell(self, port: serial.Serial, talk: Conversation) -> None:
-        port.write(talk.command(False, 0.0, self._clock()))
+        _write(port, talk.command(False, 0.0, self._clock()))
         until_s = time.monotonic() + FAREWELL_S
         while talk.known and (left_s := until_s - time.monotonic()) > 0:
-            if select.select([port], [], [], left_s)[0]:
-                state = talk.receive(port.read(4096))
+            if _wait(left_s, port.fileno()):
+                state = talk.receive(_read(port))
                 self._take(state)
                 if state is not None and not state.armed:
                     return
+
+
+# pyserial opens the port and sets it up; its read and write end above 1,024 descriptors, for they use select.
+
+
+def _wait(timeout_s: float, *descriptors: int) -> set[int]:
+    poll = select.poll()
+    for descriptor in descriptors:
+        poll.register(descriptor, select.POLLIN)
+    return {descriptor for descriptor, _ in poll.poll(timeout_s * 1e3)}
+
+
+def _read(port: serial.Serial) -> bytes:
+    data = os.read(port.fileno(), 4096)
+    if not data:
+        raise OSError(errno.EIO, "end of file: the device is gone")
+    return data
+
+
+def _write(port: serial.Serial, data: bytes) -> None:
+    if os.write(port.fileno(), data) < len(data):
+        raise OSError(errno.EAGAIN, "the port takes no more: nobody reads at its other end")

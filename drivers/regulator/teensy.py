@@ -38,10 +38,12 @@ class Fault(IntFlag):
     TOKEN = 2  # the last command carried the wrong arm token: not accepted
     RANGE = 4  # the last command's set-point or time to live was out of range: not accepted
     SENSOR = 8  # the pressure sensor reads outside its own span
+    SEQUENCE = 16  # the last command was no newer than one before it: not accepted
 
     def sentences(self) -> tuple[str, ...]:
-        """One clause for each bit that is set."""
-        return tuple(_SENTENCE[fault] for fault in Fault if fault in self)
+        """One clause for each bit that is set, known here or not."""
+        bits = [bit for bit in range(16) if self & 1 << bit]
+        return tuple(_SENTENCE.get(Fault(1 << bit), _UNKNOWN.format(bit)) for bit in bits)
 
 
 _SENTENCE = {
@@ -50,7 +52,9 @@ _SENTENCE = {
     Fault.RANGE: f"the command was out of range ({PRESSURE_RANGE_KPA[0]} to {PRESSURE_RANGE_KPA[1]} kPa, "
     f"time to live up to {TIME_TO_LIVE_MAX_S} s)",
     Fault.SENSOR: "the pressure sensor is outside its span: check its plug and supply",
+    Fault.SEQUENCE: "a command came twice, or an old one late: check the cable",
 }
+_UNKNOWN = "fault bit {}, which this software does not know: update it, or see the firmware's notes"
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,6 +90,11 @@ class RegulatorState:
 
 
 Message = Hello | Welcome | RegulatorCommand | RegulatorState
+
+
+def is_newer(sequence: int, than: int) -> bool:
+    """Whether a counter that wraps at 2^32 has advanced, by less than half its range."""
+    return 0 < (sequence - than) % 2**32 < 2**31
 
 
 def encode(message: Message, sequence: int, time_us: int) -> bytes:
@@ -125,7 +134,7 @@ def decode(body: bytes) -> tuple[Message, int]:
             case Kind.STATE:
                 accepted, flags, faults, pressure_kpa = _STATE.unpack(payload)
                 if math.isfinite(pressure_kpa):
-                    return RegulatorState(accepted, bool(flags & _ARMED), Fault(faults & 0xF), pressure_kpa), sequence
+                    return RegulatorState(accepted, bool(flags & _ARMED), Fault(faults), pressure_kpa), sequence
                 raise ValueError(f"a measured pressure of {pressure_kpa}")
     except struct.error as error:
         raise ValueError(f"message type 0x{kind:02x} with {len(payload)} bytes of payload: {error}") from None

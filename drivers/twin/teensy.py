@@ -22,6 +22,7 @@ from softarm.drivers.regulator.teensy import (
     Welcome,
     decode,
     encode,
+    is_newer,
 )
 from softarm.drivers.twin.faults import Faults
 
@@ -39,6 +40,7 @@ class TeensyDevice:
         self.accepted_sequence = 0
         self._new_token = new_token
         self._token: int | None = None
+        self._newest = 0  # the sequence of the last hello or accepted command
         self._may_arm = False
         self._set_point_kpa = VENT_KPA
         self._expires_ns = 0
@@ -64,27 +66,29 @@ class TeensyDevice:
             with contextlib.suppress(ValueError):  # not for us; silence is the answer to noise
                 message, sequence = decode(body)
                 if isinstance(message, Hello):
-                    answers += self._frame(self._greet(), now_ns)
+                    answers += self._frame(self._greet(sequence), now_ns)
                 elif isinstance(message, RegulatorCommand):
                     self._obey(message, sequence, now_ns)
                     state = RegulatorState(self.accepted_sequence, self.armed, self.faults, pressure_kpa)
                     answers += self._frame(state, now_ns)
         return answers
 
-    def _greet(self) -> Welcome:
-        self._token = self._new_token()
+    def _greet(self, sequence: int) -> Welcome:
+        self._token, self._newest, self.accepted_sequence = self._new_token(), sequence, 0
         self.armed = self._may_arm = False
         return Welcome(self._token)
 
     def _obey(self, command: RegulatorCommand, sequence: int, now_ns: int) -> None:
-        self.faults &= ~(Fault.TOKEN | Fault.RANGE)
+        self.faults &= ~(Fault.TOKEN | Fault.RANGE | Fault.SEQUENCE)
         low_kpa, high_kpa = PRESSURE_RANGE_KPA
         if command.token != self._token:
             self.faults |= Fault.TOKEN
+        elif not is_newer(sequence, self._newest):
+            self.faults |= Fault.SEQUENCE
         elif not (low_kpa <= command.pressure_kpa <= high_kpa and 0 < command.time_to_live_s <= TIME_TO_LIVE_MAX_S):
             self.faults |= Fault.RANGE
         else:
-            self.accepted_sequence = sequence
+            self.accepted_sequence = self._newest = sequence
             self._expires_ns = now_ns + int(command.time_to_live_s * 1e9)
             self._set_point_kpa = command.pressure_kpa
             if not command.armed:

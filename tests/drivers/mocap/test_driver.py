@@ -5,6 +5,7 @@ import json
 import math
 import subprocess
 import sys
+import threading
 from typing import Any
 
 import pytest
@@ -123,7 +124,7 @@ def with_bridge(config: ZenohMocap, clock: Any, run: Any, until: Any, running: A
     return lambda script: run(play(script))
 
 
-def test_frames_come_in_order_with_their_own_stamps_and_the_readers(with_bridge: Any, clock: Any) -> None:
+def test_frames_come_in_order_with_the_stamps_of_capture_and_arrival(with_bridge: Any, clock: Any) -> None:
     async def script(source: Any, bridge: Bridge, gather: Any) -> None:
         bridge.frame(0, 10)
         await gather(1)
@@ -135,6 +136,72 @@ def test_frames_come_in_order_with_their_own_stamps_and_the_readers(with_bridge:
         assert {frame.t_receive_ns for frame in frames} == {clock()}
         assert frames[0].bodies == POSES
         assert source.problem() is None
+
+    with_bridge(script)
+
+
+def test_a_frame_is_stamped_when_it_arrives_not_when_the_loop_takes_it(
+    with_bridge: Any, clock: Any, until: Any
+) -> None:
+    async def script(source: Any, bridge: Bridge, gather: Any) -> None:
+        arrivals = []
+        for sequence in (1, 2):
+            bridge.frame(sequence, 10 + sequence)
+            await until(lambda sequence=sequence: source.frames == sequence)
+            arrivals.append(clock())
+            clock.advance(0.033)
+        frames = source.read(clock())
+        assert [frame.t_receive_ns for frame in frames] == arrivals
+        assert arrivals[0] < arrivals[1] < clock()
+
+    with_bridge(script)
+
+
+def test_a_late_tick_does_not_blame_the_cameras_clock(with_bridge: Any, clock: Any, until: Any) -> None:
+    async def script(source: Any, bridge: Bridge, gather: Any) -> None:
+        tick_ns = clock()
+        clock.advance(0.3)  # the loop is held up, the cameras are not
+        bridge.frame(1, clock())
+        await until(lambda: source.frames)
+        assert [frame.sequence for frame in source.read(tick_ns)] == [1]
+        assert source.misplaced == 0
+
+    with_bridge(script)
+
+
+def test_a_sample_that_is_too_long_is_counted_and_told_and_never_parsed(with_bridge: Any, until: Any) -> None:
+    async def script(source: Any, bridge: Bridge, gather: Any) -> None:
+        whole = mocap_payload.encode(1, 10, POSES)
+        bridge.send(whole + b" " * (mocap_payload.MAX_BYTES - len(whole)))
+        await until(lambda: source.frames == 1)
+        longer = mocap_payload.encode(2, 11, POSES)
+        bridge.send(longer + b" " * (mocap_payload.MAX_BYTES + 1 - len(longer)))  # a frame, if anybody looked
+        await until(lambda: source.oversized == 1)
+        assert "a sample of 4097 bytes, at most 4096: not parsed (1 oversized, 0 malformed" in source.problem()
+        bridge.send(b"[" * 2_000_000)
+        await until(lambda: source.oversized == 2)
+        bridge.frame(3, 12)
+        assert [frame.sequence for frame in await gather(2)] == [1, 3]
+        assert source.malformed == 0
+
+    with_bridge(script)
+
+
+def test_samples_are_parsed_off_the_control_loops_thread(with_bridge: Any, until: Any, monkeypatch: Any) -> None:
+    threads: list[int] = []
+
+    def spy(*arguments: Any) -> Any:
+        threads.append(threading.get_ident())
+        return decode(*arguments)
+
+    decode = mocap_payload.decode
+    monkeypatch.setattr(mocap_payload, "decode", spy)
+
+    async def script(source: Any, bridge: Bridge, gather: Any) -> None:
+        bridge.frame(1, 10)
+        await gather(1)
+        assert threads
+        assert threading.get_ident() not in threads
 
     with_bridge(script)
 

@@ -280,6 +280,91 @@ def test_commands_wait_for_the_token(clock: Any) -> None:
     assert talk.command(True, 5.0, clock()) == b""
 
 
+def heard(talk: Conversation, message: Any, sequence: int) -> RegulatorState | None:
+    return talk.receive(frame(encode(message, sequence, 0)))
+
+
+def test_a_state_that_is_heard_again_is_no_new_reading(clock: Any) -> None:
+    talk = Conversation(0.1)
+    heard(talk, Welcome(77), 2**32 - 2)
+    talk.command(True, 5.0, clock())
+    state = RegulatorState(1, True, Fault(0), 5.0)
+    assert heard(talk, state, 2**32 - 1) == state
+    assert heard(talk, state, 0) == state  # the count wraps
+    clock.advance(0.5)
+    talk.command(True, 5.0, clock())
+    for old in (0, 0, 2**32 - 1):
+        assert heard(talk, state, old) is None
+    assert "message 4294967295 is not newer than the last: repeated, or late" in str(talk.complaint)
+    assert talk.dropped == 3
+    assert talk.unanswered_since_ns == clock()  # it does not count as an answer either
+    assert heard(talk, state, 1) == state
+    assert talk.complaint is None
+
+
+def test_an_answer_to_an_earlier_opening_is_no_reading() -> None:
+    talk = Conversation(0.1)
+    assert heard(talk, RegulatorState(1, True, Fault(0), 5.0), 9) is None
+    heard(talk, Welcome(77), 10)
+    assert talk.known
+
+
+def test_an_old_welcome_does_not_change_the_token(clock: Any) -> None:
+    talk = Conversation(0.1)
+    heard(talk, Welcome(1), 5)
+    heard(talk, Welcome(2), 6)  # two greetings were under way: the device's last word counts
+    heard(talk, Welcome(1), 5)
+    [body] = Deframer().feed(talk.command(True, 5.0, clock()))
+    assert decode(body)[0] == RegulatorCommand(2, 0.1, True, 5.0)
+
+
+def test_a_device_that_counts_anew_after_a_restart_is_greeted_and_believed_again(clock: Any) -> None:
+    talk = Conversation(0.1)
+    heard(talk, Welcome(1), 5000)
+    heard(talk, RegulatorState(0, False, Fault.TOKEN, 0.0), 1)
+    assert talk.greeting(clock())
+    heard(talk, Welcome(2), 2)
+    state = RegulatorState(3, False, Fault(0), 5.0)
+    assert heard(talk, state, 3) == state
+
+
+def test_a_repeating_line_leaves_the_reading_to_grow_old(bench: Any) -> None:
+    """The twin's line says its last frame again and again; the daemon sees a device that has fallen silent."""
+
+    async def script(b: Bench) -> None:
+        await b.arm()
+        answer = b.device.receive
+        kept: list[bytes] = []
+
+        def repeat(data: bytes, now_ns: int, pressure_kpa: float) -> bytes:
+            kept.append(answer(data, now_ns, pressure_kpa))
+            return kept[0]
+
+        b.device.receive = repeat  # type: ignore[method-assign]
+        await b.write_until(lambda: len(kept) > 3, True, 10.0)
+        stamp_ns = b.regulator.read().t_receive_ns
+        b.clock.advance(0.3)
+        await b.write_until(lambda: len(kept) > 6, True, 10.0)
+        assert b.regulator.read().t_receive_ns == stamp_ns
+        assert "not newer than the last" in b.regulator.problem()
+
+    bench(script)
+
+
+def test_a_thousand_other_descriptors_hurt_nothing(bench: Any, many_descriptors: Any) -> None:
+    async def script(b: Bench) -> None:
+        b.faults.serial_unplug()
+        await b.write_until(lambda: "plug the Teensy in" in (b.regulator.problem() or ""))
+        with many_descriptors():  # takes the closed port's number too
+            b.faults.clear()
+            await b.arm()
+            assert b.regulator.problem() is None
+            await b.regulator.stop()
+            assert not b.device.commands()[-1].armed
+
+    bench(script)
+
+
 def test_the_twin_leaves_a_real_device_alone(tmp_path: Path, clock: Any) -> None:
     path = tmp_path / "ttyACM0"
     path.write_text("the real thing")

@@ -8,7 +8,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from softarm.drivers.regulator.teensy import Fault, Hello, RegulatorCommand, RegulatorState, Welcome, decode, encode
+from softarm.drivers.regulator.teensy import (
+    Fault,
+    Hello,
+    RegulatorCommand,
+    RegulatorState,
+    Welcome,
+    decode,
+    encode,
+    is_newer,
+)
 
 u32 = st.integers(0, 2**32 - 1)
 f32 = st.floats(width=32, allow_nan=False, allow_infinity=False)
@@ -16,7 +25,7 @@ messages = st.one_of(
     st.just(Hello()),
     st.builds(Welcome, u32),
     st.builds(RegulatorCommand, u32, st.integers(0, 65535).map(lambda ms: ms / 1000), st.booleans(), f32),
-    st.builds(RegulatorState, u32, st.booleans(), st.integers(0, 15).map(Fault), f32),
+    st.builds(RegulatorState, u32, st.booleans(), st.integers(0, 65535).map(Fault), f32),
 )
 
 
@@ -53,5 +62,25 @@ def test_refusals_say_what_is_wrong(body: bytes, words: str) -> None:
 
 
 def test_every_fault_has_its_words() -> None:
-    assert len(Fault(15).sentences()) == 4
     assert Fault(0).sentences() == ()
+    assert not [sentence for fault in Fault for sentence in fault.sentences() if "does not know" in sentence]
+
+
+def test_a_fault_bit_that_nobody_here_knows_is_a_fault_with_its_number() -> None:
+    body = encode(RegulatorState(1, True, Fault(0), 1.0), 1, 1)
+    body = body[:15] + (1 << 2 | 1 << 15 | 1 << 9).to_bytes(2, "little") + body[17:]
+    state, _ = decode(body)
+    assert isinstance(state, RegulatorState)
+    known, ninth, fifteenth = state.faults.sentences()
+    assert "out of range" in known
+    assert "fault bit 9, which this software does not know" in ninth
+    assert "fault bit 15" in fifteenth
+    assert len(Fault(0xFFFF).sentences()) == 16
+
+
+@pytest.mark.parametrize(
+    ("sequence", "than", "newer"),
+    [(1, 0, True), (0, 0, False), (0, 1, False), (0, 2**32 - 1, True), (2**32 - 1, 0, False), (2**31, 0, False)],
+)
+def test_a_counter_that_wraps_still_advances(sequence: int, than: int, newer: bool) -> None:
+    assert is_newer(sequence, than) is newer

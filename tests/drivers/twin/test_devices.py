@@ -100,6 +100,31 @@ def test_commands_out_of_range_are_not_accepted(host: Host, kpa: float, time_to_
     assert (answer.faults, answer.armed) == (Fault.RANGE, False)
 
 
+def test_a_command_that_comes_again_is_answered_and_keeps_nothing_alive(host: Host) -> None:
+    host.command(False)
+    accepted = host.command(True).accepted_sequence
+    host.now_ns = 90 * MS
+    host._sequence -= 1
+    answer = host.command(True)
+    assert (answer.faults, answer.accepted_sequence) == (Fault.SEQUENCE, accepted)
+    host.now_ns = 110 * MS
+    host.device.watch(host.now_ns)
+    assert not host.device.armed
+
+
+def test_the_count_of_accepted_commands_begins_with_the_hello(host: Host) -> None:
+    assert host.command(False, token=host.token ^ 1).accepted_sequence == 0
+    assert host.command(False).accepted_sequence == 3  # after the hello and the one refused
+    host.greet()
+    assert host.command(False, 25.0).accepted_sequence == 0
+
+
+def test_before_the_first_hello_every_command_has_the_wrong_token() -> None:
+    stranger = Host()
+    answer = stranger.command(True)
+    assert (answer.faults, answer.accepted_sequence, answer.armed) == (Fault.TOKEN, 0, False)
+
+
 @given(st.lists(st.tuples(st.booleans(), st.integers(0, 200), st.booleans()), max_size=40))
 def test_it_is_never_armed_later_than_its_last_command_allows(script: list[tuple[bool, int, bool]]) -> None:
     host = Host()
