@@ -292,6 +292,21 @@ def blind(read: Read) -> str:
     return markdown(("", "reached", "aim"), rows)
 
 
+def blind_methods(read: Read) -> str:
+    """The diagnosis beside simpler rules, every measure with its 95 % interval."""
+    methods = read("blind")["methods"]
+    head, rule, *rows = pages.measures(methods)
+    right = (str(_right_in_all(method["measures"])) for method in methods.values())
+    return "\n".join((head, rule, _line(["right in all (of 100)", *right]), *rows)) + "\n"
+
+
+def _right_in_all(measures: Mapping[str, Mapping[str, Any]]) -> int:
+    """Cases: exact singles and pairs, unknown ones without a name, none found to be none."""
+    named = ("unknown, given a name", "none, given a name")
+    exact = sum(measures[name]["hits"] for name in ("single, exact", "two, both exact"))
+    return exact + sum(measures[name]["of"] - measures[name]["hits"] for name in named)
+
+
 def strength(read: Read) -> str:
     """How clearly the weakest of every imperfection shows."""
     return pages.strength(read("strength")["causes"])
@@ -309,5 +324,6 @@ TABLES: dict[str, Callable[[Read], str]] = {
     "loop": loop,
     "simulator": simulator,
     "blind": blind,
+    "blind-methods": blind_methods,
     "strength": strength,
 }

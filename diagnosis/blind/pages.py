@@ -8,7 +8,7 @@ from typing import Any
 def markdown(result: Mapping[str, Any]) -> str:
     """The tables for docs/diagnosis.md: one column a method, and the wrong answers of each."""
     methods: Mapping[str, Mapping[str, Any]] = result["methods"]
-    return "\n".join((*_measures(methods), "", *_causes(methods), *_all_wrong(methods))) + "\n"
+    return "\n".join((*measures(methods), "", *_causes(methods), *_all_wrong(methods))) + "\n"
 
 
 def strength(rows: Iterable[Mapping[str, Any]]) -> str:
@@ -21,7 +21,8 @@ def strength(rows: Iterable[Mapping[str, Any]]) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _measures(methods: Mapping[str, Mapping[str, Any]]) -> Iterator[str]:
+def measures(methods: Mapping[str, Mapping[str, Any]]) -> Iterator[str]:
+    """The lines of the first of them: a row a measure, a column a method."""
     first = next(iter(methods.values()))
     yield f"| {first['cases']} cases | " + " | ".join(methods) + " |"
     yield "|---|" + "---|" * len(methods)
