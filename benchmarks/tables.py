@@ -303,8 +303,9 @@ def blind_methods(read: Read) -> str:
 def _right_in_all(measures: Mapping[str, Mapping[str, Any]]) -> int:
     """Cases: exact singles and pairs, unknown ones without a name, none found to be none."""
     named = ("unknown, given a name", "none, given a name")
-    exact = sum(measures[name]["hits"] for name in ("single, exact", "two, both exact"))
-    return exact + sum(measures[name]["of"] - measures[name]["hits"] for name in named)
+    exact: int = sum(measures[name]["hits"] for name in ("single, exact", "two, both exact"))
+    rest: int = sum(measures[name]["of"] - measures[name]["hits"] for name in named)
+    return exact + rest
 
 
 def strength(read: Read) -> str:
