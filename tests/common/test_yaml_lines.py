@@ -109,6 +109,11 @@ def test_what_is_merged_keeps_the_line_where_it_was_written():
     assert (document.lines["d", "b"], document.lines["d", "c"]) == (2, 5)
 
 
+def test_an_alias_stands_where_it_was_written_and_what_it_names_where_that_was():
+    document = parse("a: &x\n  b: 1\nd: *x\n", FILE)
+    assert (document.lines["d",], document.lines["d", "b"]) == (3, 2)
+
+
 @pytest.mark.parametrize(
     ("text", "said"),
     [
