@@ -1,6 +1,5 @@
 """`softarm close-gap`: from recordings of a robot to a policy that was trained on what they showed."""
 
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -13,7 +12,7 @@ from softarm.cli.printing import print_table, print_text
 from softarm.common.processes import WorkerDied, bar
 
 if TYPE_CHECKING:
-    from softarm.flights.closing.closed import Closed, Place
+    from softarm.flights.closing.closed import Closed
     from softarm.flights.closing.steps import Spent
 
 REALITY = "reality"
@@ -73,17 +72,19 @@ def close_gap(
 
     if faults and robot != REALITY:
         raise click.UsageError("--fault is for the independent robot: leave --robot out, or put it into that model")
-    recipe = RetrainingConfig() if seconds is None else replace(RetrainingConfig(), seconds=seconds)
+    config = RetrainingConfig() if seconds is None else RetrainingConfig(seconds=seconds)
     warn, spent = partial(click.echo, err=True), steps.Spent()
     try:
-        held_back, file = _held_back(robot, faults), steps.policy_file(policy)
+        model = None if robot == REALITY else flown_model(Path(robot))
+        held_back = steps.independent(faults) if model is None else steps.simulated(robot, model)
+        file = steps.policy_file(policy)
         steps.make_folder(out)
         with steps.timed(spent, "diagnose"), bar("reading") as shown:
             found = diagnose_files([campaign], model_file, tell=shown.tell, warn=warn)
         print_text("\n".join(report.answer(found)))
         if clock := [name for name in (found.patched.effects if found.patched else ()) if name.startswith("clock.")]:
             warn(f"{', '.join(clock)}: trained with, not flown; the control loop that flies is the real one")
-        closed = steps.close(found, file, out, held_back, bool(faults) or robot != REALITY, recipe, spent)
+        closed = steps.close(found, file, out, held_back, bool(faults) or robot != REALITY, config, spent)
     except (TrialError, ModelFileError, CheckpointError, PolicyError, WorkerDied, ValueError) as error:
         fail(str(error))
     except OSError as error:
@@ -91,27 +92,17 @@ def close_gap(
     _show(closed, spent, out)
 
 
-def _held_back(robot: str, faults: tuple[str, ...]) -> "Place":
-    """Raises ValueError for faults or packages that there are none of; ends the command for a model that is none."""
-    from softarm.flights.closing import steps
-    from softarm.flights.closing.closed import HELD_BACK, Place
-
-    model = None if robot == REALITY else flown_model(Path(robot))
-    return steps.independent(faults) if model is None else Place(HELD_BACK, f"the held-back robot ({robot})", model)
-
-
 def _show(closed: "Closed", spent: "Spent", out: Path) -> None:
     """A row a robot, what came of it, where it stands."""
     from softarm.flights.closing import steps, story
-    from softarm.flights.closing.closed import NEW, OLD, changed
     from softarm.pages.numbers import percent
 
-    both = NEW in closed.policies
+    both = len(closed.policies) > 1
     columns, rows = ("old policy", "retrained", "gained", "lost") if both else ("policy",), []
     for place in closed.places:
-        reached = [closed.flown[name, place.key] for name in closed.policies]
-        other = changed(closed.flown[OLD, place.key], closed.flown[NEW, place.key]).values() if both else ()
-        rows.append((place.title, *(percent(float(each.mean())) for each in reached), *map(str, other)))
+        reached = (closed.flown[name, place.key] for name in closed.policies)
+        shares = (percent(float(each.mean())) for each in reached)
+        rows.append((place.title, *shares, *map(str, closed.changed(place.key).values())))
     print_table(("flown on", *columns), rows)
     print_text(story.sentence(closed))
     print_text(", ".join(f"{step} {t['wall_s']:.0f} s ({t['cpu_s']:.0f} s of CPU)" for step, t in spent.items()))

@@ -6,11 +6,10 @@ from typing import TYPE_CHECKING
 import click
 
 from softarm.cli.options import FILE, json_option, load_model, model_option, write_json
+from softarm.cli.printing import print_table, print_text
 from softarm.schemas.flights import CART_STARTS_M
 
 if TYPE_CHECKING:
-    from rich.console import Console
-
     from softarm.training.trajectory.rows import Row
 
 OUT = Path("runs/trajectories.npz")
@@ -57,14 +56,12 @@ def plan(
     import time
 
     import numpy as np
-    from rich.console import Console
 
     from softarm.common.processes import bar
     from softarm.schemas.flights import TEST_TARGETS
     from softarm.training.trajectory import planner, rows
     from softarm.training.trajectory.ceiling import ROUNDS
 
-    console = Console()
     model = load_model(model_file) if model_file else None
     wanted = np.array(targets or [(goal.y_m, goal.z_m) for goal in TEST_TARGETS], dtype=np.float32)
     wall, cpu = time.perf_counter(), time.process_time()
@@ -79,42 +76,33 @@ def plan(
         report.plans.save(out)
         found = rows.of_plans(report)
     wall, cpu = time.perf_counter() - wall, time.process_time() - cpu
-    _show(found, console)
+    _show(found)
     done = "searched" if ceiling else "planned and flown"
-    console.print(f"{len(found)} {done} in {wall:.1f} s ({cpu:.1f} s of processor time)")
+    print_text(f"{len(found)} {done} in {wall:.1f} s ({cpu:.1f} s of processor time)")
     write_json(json_file, {"wall_s": wall, "cpu_s": cpu, "rows": found})
     if not ceiling:
-        console.print(f"wrote {out}. Next: fly them through the daemon's own tick:")
+        print_text(f"wrote {out}. Next: fly them through the daemon's own tick:")
         click.echo(f"  echo '{{policies: {{mine: {{plugin: trajectory, options: {{plans: {out}}}}}}}}}' > mine.yaml")
         click.echo("  softarm evaluate --policy mine --config mine.yaml")
 
 
-def _show(rows: "list[Row]", console: "Console") -> None:
+def _show(found: "list[Row]") -> None:
     """A few plans one by one, many by their height; and what was not reached."""
-    from rich.table import Table
+    from softarm.training.trajectory import rows
 
-    from softarm.schemas.flights import in_range
-
-    if len(rows) <= LISTED:
-        table = Table("start (m)", "y, z (m)", "planned (mm)", "in the simulator (mm)", "reached after (s)")
-        for row in rows:
+    told = []
+    if len(found) <= LISTED:
+        for row in found:
+            start, place, miss = f"{row['start']:.2f}", f"{row['y']:.2f}, {row['z']:.2f}", f"{row['miss_m'] * 1e3:.1f}"
             planned = "-" if row["planned_miss_m"] is None else f"{row['planned_miss_m'] * 1e3:.1f}"
-            after = "not" if row["time_s"] is None else f"{row['time_s']:.2f}"
-            place = f"{row['y']:.2f}, {row['z']:.2f}"
-            table.add_row(f"{row['start']:.2f}", place, planned, f"{row['miss_m'] * 1e3:.1f}", after)
-        console.print(table)
+            told.append((start, place, planned, miss, "not" if row["time_s"] is None else f"{row['time_s']:.2f}"))
+        columns = ("start (m)", "y, z (m)", "planned (mm)", "in the simulator (mm)", "reached after (s)")
+        print_table(columns, told)
         return
-    table = Table("targets", "from starts", "in the plan", "in the simulator", "reached after (s)")
-    low, above = ([row for row in rows if in_range(row["z"]) == inside] for inside in (True, False))
-    for label, part in (("z <= 0.70 m", low), ("z > 0.70 m", above), ("all", rows)):
-        if not part:
-            continue
-        hits = [row["planned"] for row in part if row["planned"] is not None]
-        times = [row["time_s"] for row in part if row["time_s"] is not None]
-        planned = f"{100 * sum(hits) / len(hits):.1f} %" if hits else "-"
-        after = f"{sum(times) / len(times):.2f} on average" if times else "-"
-        table.add_row(label, str(len(part)), planned, f"{100 * len(times) / len(part):.1f} %", after)
-    console.print(table)
-    missed = sorted({(row["y"], row["z"]) for row in rows if not row["reached"]})
-    if missed:
-        console.print("missed from a start or more: " + ", ".join(f"({y:.2f}, {z:.2f})" for y, z in missed))
+    for label, part in rows.by_height(found).items():
+        planned = "-" if part.planned is None else f"{100 * part.planned:.1f} %"
+        after = "-" if part.mean_time_s is None else f"{part.mean_time_s:.2f} on average"
+        told.append((label, str(part.rows), planned, f"{100 * part.reached:.1f} %", after))
+    print_table(("targets", "from starts", "in the plan", "in the simulator", "reached after (s)"), told)
+    if missed := sorted({(row["y"], row["z"]) for row in found if not row["reached"]}):
+        print_text("missed from a start or more: " + ", ".join(f"({y:.2f}, {z:.2f})" for y, z in missed))

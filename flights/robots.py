@@ -39,9 +39,10 @@ def with_faults(robot: RobotParameters, faults: Sequence[str]) -> RobotParameter
         known = part.__dataclass_fields__ if part is not None else {}
         if not equals or part is None or name not in known:
             groups = [g for g in robot.__dataclass_fields__ if type(getattr(robot, g)) in GROUPS]
-            allowed = ", ".join(known) if part is not None else f"a group of {', '.join(groups)}"
-            raise ValueError(f"--fault {text}: write group.quantity=value, such as regulator.dead_time_s=0.06; "
-                             f"allowed here: {allowed}")  # fmt: skip
+            here = ", ".join(known) if part is not None else f"a group of {', '.join(groups)}"
+            raise ValueError(
+                f"--fault {text}: write group.quantity=value, such as regulator.dead_time_s=0.06; allowed here: {here}"
+            )
         try:
             value = int(number) if known[name].type in (int, "int") else float(number)
         except ValueError:

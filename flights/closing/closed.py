@@ -7,7 +7,7 @@ from typing import Self
 import numpy as np
 
 from softarm.diagnosis.gap.result import Diagnosis
-from softarm.flights.many import Flown, Reached
+from softarm.flights.many import Flown
 from softarm.flights.runner import Robot
 from softarm.schemas.goals import Goal
 from softarm.schemas.verdict import Task
@@ -47,6 +47,13 @@ class Closed:
         """Of each policy in each place."""
         return int(next(iter(self.flown.values())).size)
 
+    def changed(self, place: str) -> dict[str, int]:
+        """Flights that only the new policy reached there, and that only the old one did; nothing without a new one."""
+        if NEW not in self.policies:
+            return {}
+        old, new = self.flown[OLD, place], self.flown[NEW, place]
+        return {"gained": int(np.sum(new & ~old)), "lost": int(np.sum(old & ~new))}
+
     def with_task(self, is_the_robot: bool) -> Self:
         """Put the old policy's success into the verdict; the held-back robot's as real if it was declared to be so."""
 
@@ -57,8 +64,3 @@ class Closed:
         task = Task(success_real=real, success_nominal=share(NOMINAL), success_patched=share(PATCHED))
         verdict = self.diagnosis.verdict.model_copy(update={"task": task})
         return replace(self, diagnosis=replace(self.diagnosis, verdict=verdict))
-
-
-def changed(old: Reached, new: Reached) -> dict[str, int]:
-    """Flights that only the new policy reached, and those that only the old one did."""
-    return {"gained": int(np.sum(new & ~old)), "lost": int(np.sum(old & ~new))}

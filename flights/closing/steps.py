@@ -87,6 +87,11 @@ def independent(faults: Sequence[str]) -> Place:
     return Place(HELD_BACK, title, with_faults(RobotParameters(), faults))
 
 
+def simulated(name: str, model: Model) -> Place:
+    """The simulator with a model that stands for the robot."""
+    return Place(HELD_BACK, f"the held-back robot ({name})", model)
+
+
 def of_the_nominal_body(place: Place, nominal: Model) -> Place:
     """The independent robot has the arm and the cart that the nominal model says; its actuators are its own.
 

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from softarm.flights.closing.closed import HELD_BACK, NEW, OLD, PATCHED, Closed, changed
+from softarm.flights.closing.closed import HELD_BACK, NEW, OLD, PATCHED, Closed
 from softarm.flights.many import Reached, shares
 from softarm.pages import charts
 from softarm.pages.markup import Html, bar, el, join, prose, table
@@ -31,7 +31,7 @@ def sentence(closed: Closed) -> str:
         return "Nothing was named, so nothing was patched and the policy was not retrained."
     last = next(place for key in (HELD_BACK, PATCHED) for place in closed.places if place.key == key)
     old, new = closed.flown[OLD, last.key], closed.flown[NEW, last.key]
-    both = changed(old, new)
+    both = closed.changed(last.key)
     told = (
         f"On {last.title} the old policy reaches {percent(float(old.mean()))} of the targets and the retrained one "
         f"{percent(float(new.mean()))}: of {old.size} flights {both['gained']} gained, {both['lost']} lost."
@@ -68,7 +68,7 @@ def _shares(closed: Closed) -> Html:
             row.append(bar(share.all, "nominal" if name == OLD else "patched", percent(share.all)))
             row.append("–" if np.isnan(share.in_range) else percent(share.in_range))
         if NEW in closed.policies:
-            both = changed(closed.flown[OLD, place.key], closed.flown[NEW, place.key])
+            both = closed.changed(place.key)
             row.append(f"+{both['gained']} −{both['lost']}")
         rows.append(row)
     head = ["flown on", *(title for n in closed.policies for title in (f"{n} policy", f"{n}, z to 0.70 m"))]
@@ -90,8 +90,10 @@ def _training(policy: str, retrained: Retrained) -> Html:
         f"{number(retrained.seconds, 2)} s. Of the validation set (random targets, none of the test's) it reached "
         f"{percent(retrained.before)} before and {percent(retrained.after)} after."
     )
-    use = "echo '{policies: {retrained: {plugin: onnx, options: {model: retrained.onnx}}}}' > retrained.yaml\n" \
-          "softarm evaluate --policy retrained --config retrained.yaml --model patched-model.yaml"  # fmt: skip
+    use = (
+        "echo '{policies: {retrained: {plugin: onnx, options: {model: retrained.onnx}}}}' > retrained.yaml\n"
+        "softarm evaluate --policy retrained --config retrained.yaml --model patched-model.yaml"
+    )
     rows = [
         (f"{row.frames / 1e6:.2f} M", f"{row.seconds:.0f} s", percent(row.validation))
         for row in retrained.curve

@@ -4,7 +4,7 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
-from softarm.flights.closing.closed import HELD_BACK, NEW, OLD, Closed, changed
+from softarm.flights.closing.closed import HELD_BACK, Closed
 from softarm.flights.many import shares
 from softarm.simulator.model_rows import differences
 from softarm.training.run.retrain import Retrained
@@ -32,9 +32,7 @@ def _success(closed: Closed, place: str) -> dict[str, Any]:
     for name in closed.policies:
         parts = shares(closed.flown[name, place], closed.targets)._asdict()
         told[name] = {part: None if math.isnan(share) else share for part, share in parts.items()}
-    if NEW in told:
-        told |= changed(closed.flown[OLD, place], closed.flown[NEW, place])
-    return told
+    return told | closed.changed(place)
 
 
 def _retrained(retrained: Retrained) -> dict[str, Any]:

@@ -2,14 +2,12 @@
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 
-from softarm.cli.main import main
 from softarm.policies.plans import Plans
 from softarm.schemas.model import Model, seed_effects
 from softarm.schemas.robot import PHYSICS_RATE_HZ
 from softarm.training.task.reach import ReachTask
-from softarm.training.trajectory import ceiling
+from softarm.training.trajectory import ceiling, rows
 from softarm.training.trajectory.guesses import library, nearest, random_knots
 from softarm.training.trajectory.optimiser import UNIT, Batch, Optimiser
 from softarm.training.trajectory.planner import plan
@@ -145,22 +143,22 @@ def test_a_search_by_trial_agrees_about_what_can_be_reached(monkeypatch):
     assert 0.1 < found.closest_m[2] < 0.2
 
 
-def test_the_verb_plans_shows_and_writes_a_file_that_loads(small, tmp_path):
-    out, told = tmp_path / "deep/mine.npz", tmp_path / "mine.json"
-    arguments = ["plan", "--target", "-0.2", "0.6", "--start", "0", "--out", str(out), "--json", str(told)]
-    result = CliRunner().invoke(main, arguments)
-    assert result.exit_code == 0, result.output
-    plans = Plans.load(out)
-    np.testing.assert_allclose(plans.target_m, [[-0.2, 0.6]], atol=1e-6)
-    assert plans.model == "seed"
-    assert '"reached": true' in told.read_text()
-    assert str(out) in result.output.replace("\n", "")
-
-
-def test_the_verb_says_what_is_wrong():
-    result = CliRunner().invoke(main, ["plan", "--start", "0.3"])
-    assert result.exit_code == 2
-    assert "0.3 is not in the range" in result.output
-    result = CliRunner().invoke(main, ["plan", "--model", "nothing.yaml"])
-    assert result.exit_code == 1
-    assert "nothing.yaml" in result.output
+def test_rows_tell_of_plans_and_of_searches_alike(report, monkeypatch):
+    found = rows.of_plans(report)
+    assert [row["reached"] for row in found] == REACHABLE.tolist() == [row["planned"] for row in found]
+    assert found[0] == pytest.approx({**found[0], "y": -0.2, "z": 0.6, "start": 0.1})
+    assert found[2]["time_s"] is None
+    closest = ceiling.Ceiling(np.float32([0.01, 0.03, 0.12]), np.float32([1.0, 2.0, np.nan]))
+    monkeypatch.setattr(rows, "search", lambda targets_m, start_m, *_, **__: closest)
+    searched = rows.of_searches(TARGETS, (0.0, 0.1))
+    assert [row["start"] for row in searched] == [0.0] * 3 + [0.1] * 3
+    assert {row["planned"] for row in searched} == {None}
+    parts = rows.by_height(searched)
+    assert {label: (part.rows, part.planned, part.mean_time_s) for label, part in parts.items()} == {
+        "z <= 0.70 m": (4, None, 1.5),
+        "z > 0.70 m": (2, None, None),
+        "all": (6, None, 1.5),
+    }
+    assert parts["all"].reached == pytest.approx(2 / 3)
+    assert rows.by_height(found)["all"].planned == pytest.approx(2 / 3)
+    assert list(rows.by_height(found[:2])) == ["z <= 0.70 m", "all"]

@@ -1,8 +1,10 @@
 """What became of each target and start as plain rows, of plans and of the search for the ceiling alike."""
 
 from collections.abc import Callable, Sequence
-from typing import TypedDict
+from statistics import fmean
+from typing import NamedTuple, TypedDict
 
+from softarm.schemas.flights import in_range
 from softarm.schemas.model import Model
 from softarm.training.trajectory.ceiling import search
 from softarm.training.trajectory.planner import Report
@@ -20,6 +22,15 @@ class Row(TypedDict):
     miss_m: float
     reached: bool
     time_s: float | None  # until it was reached
+
+
+class Part(NamedTuple):
+    """What became of several rows."""
+
+    rows: int
+    planned: float | None  # share; None of a search
+    reached: float  # share
+    mean_time_s: float | None  # of those that were reached, if any
 
 
 def of_plans(report: Report) -> list[Row]:
@@ -46,6 +57,24 @@ def of_searches(
         columns = zip(targets_m, found.closest_m, found.reached_s, strict=True)
         rows += [_row(target, start_m, miss_m, reached_s) for target, miss_m, reached_s in columns]
     return rows
+
+
+def by_height(rows: Sequence[Row]) -> dict[str, Part]:
+    """Rows by where their targets lie, and all of them; a part that has none is left out."""
+    low, above = ([row for row in rows if in_range(row["z"]) == inside] for inside in (True, False))
+    parts = {"z <= 0.70 m": low, "z > 0.70 m": above, "all": rows}
+    return {label: _part(part) for label, part in parts.items() if part}
+
+
+def _part(rows: Sequence[Row]) -> Part:
+    hits = [row["planned"] for row in rows if row["planned"] is not None]
+    times_s = [row["time_s"] for row in rows if row["time_s"] is not None]
+    return Part(
+        rows=len(rows),
+        planned=fmean(hits) if hits else None,
+        reached=len(times_s) / len(rows),
+        mean_time_s=fmean(times_s) if times_s else None,
+    )
 
 
 def _row(target_m: Array, start_m: float, miss_m: float, reached_s: float) -> Row:

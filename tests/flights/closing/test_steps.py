@@ -1,13 +1,14 @@
 """Closing a gap: what its steps leave behind, with a diagnosis made up and a few frames of training."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from softarm.diagnosis.gap.result import Diagnosis
 from softarm.flights.closing import steps
-from softarm.flights.closing.closed import HELD_BACK, Place, changed
+from softarm.flights.closing.closed import HELD_BACK, NEW, OLD, Closed, Place
 from softarm.flights.robots import with_faults
 from softarm.policies.base import MODELS
 from softarm.reality.parameters import RobotParameters
@@ -106,4 +107,7 @@ def test_the_independent_robot_gets_the_nominal_arm_and_cart_and_keeps_its_actua
 
 def test_changes_count_flights():
     old, new = np.array([[True, True], [False, False]]), np.array([[False, True], [True, True]])
-    assert changed(old, new) == {"gained": 2, "lost": 1}
+    place, diagnosis = Place(HELD_BACK, "late", LATE), Diagnosis(NONE, Model(), None, ())
+    closed = Closed(diagnosis, REACH, (place,), {(OLD, HELD_BACK): old, (NEW, HELD_BACK): new}, None, (EASY, NEVER))
+    assert closed.changed(HELD_BACK) == {"gained": 2, "lost": 1}
+    assert replace(closed, flown={(OLD, HELD_BACK): old}).changed(HELD_BACK) == {}
