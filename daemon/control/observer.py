@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softarm.daemon.control.records import Inputs, Observed
-from softarm.daemon.control.safety import Cart
+from softarm.daemon.control.safety import CartState
 from softarm.schemas.messages import MocapFrame, PressureReading, RailReading
 from softarm.schemas.policy import Observation
 
@@ -81,12 +81,12 @@ class Observer:
         """Age of the newest usable frame's capture; None before the first."""
         return None if self._frame is None else now_ns - self._frame.t_capture_ns
 
-    def cart(self, now_ns: int) -> Cart | None:
+    def cart(self, now_ns: int) -> CartState | None:
         """The axis's own read-back, carried forward to now; None when there is none."""
         if self.rail is None:
             return None
         age_s = max(0, now_ns - self.rail.t_receive_ns) * 1e-9
-        return Cart(self.rail.position_m + self.rail.velocity_m_s * age_s, self.rail.velocity_m_s)
+        return CartState(self.rail.position_m + self.rail.velocity_m_s * age_s, self.rail.velocity_m_s)
 
     def rail_against_mocap_m(self) -> float | None:
         """Distance between the cart as the axis reads it and as mocap sees it, brought to one instant."""

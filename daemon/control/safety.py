@@ -19,7 +19,7 @@ class Filtered(NamedTuple):
     clamps: tuple[str, ...]
 
 
-class Cart(NamedTuple):
+class CartState(NamedTuple):
     """The axis's own read-back, carried forward to now."""
 
     position_m: float
@@ -41,7 +41,7 @@ class SafetyFilter:
         self._sent_velocity = 0.0
         self._sent_pressure = 0.0
 
-    def apply(self, wanted: Command, cart: Cart | None) -> Filtered:
+    def apply(self, wanted: Command, cart: CartState | None) -> Filtered:
         """Bound a command. Without a known cart state, or with a number that is none, it brakes and vents."""
         if not wanted.enable:
             return self._keep(SAFE, ())
@@ -70,7 +70,7 @@ class SafetyFilter:
             clamps.append("pressure_slew")
         return slewed, tuple(clamps)
 
-    def _bound_velocity(self, wanted: float, cart: Cart | None) -> tuple[float, tuple[str, ...]]:
+    def _bound_velocity(self, wanted: float, cart: CartState | None) -> tuple[float, tuple[str, ...]]:
         if cart is None:
             return 0.0, ("rail_unknown",) if wanted != 0.0 else ()
         clamps: list[str] = []

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from softarm.common.braking import RETURN_SPEED_M_S
-from softarm.daemon.control.safety import Cart, SafetyFilter
+from softarm.daemon.control.safety import CartState, SafetyFilter
 from softarm.daemon.shell.offline import Lockstep
 from softarm.policies.base import PolicySpec
 from softarm.schemas.config import Config, Limits, PressureLimits, RailLimits
@@ -19,7 +19,7 @@ from softarm.schemas.policy import Observation
 
 PERIOD = 1 / 30
 RAIL, PRESSURE = RailLimits(), PressureLimits()
-MIDDLE = Cart(0.0, 0.0)
+MIDDLE = CartState(0.0, 0.0)
 
 
 def make(drive_ramp: float | None = 6.0, **limits) -> SafetyFilter:
@@ -27,7 +27,7 @@ def make(drive_ramp: float | None = 6.0, **limits) -> SafetyFilter:
 
 
 any_number = st.floats(allow_nan=True, allow_infinity=True)
-carts = st.none() | st.builds(Cart, any_number, any_number)
+carts = st.none() | st.builds(CartState, any_number, any_number)
 
 
 @given(st.lists(st.tuples(any_number, any_number, carts), min_size=1, max_size=20))
@@ -76,7 +76,7 @@ def test_no_sequence_of_actions_drives_the_cart_past_its_limits(velocities, star
     safety = make()
     cart = RampingCart(start, pulls)
     for tick, velocity in enumerate([*velocities, 1.0, 1.0, 1.0, 1.0, 1.0]):
-        sent, _ = safety.apply(Command(True, velocity, 0.0), Cart(cart.position, cart.velocity))
+        sent, _ = safety.apply(Command(True, velocity, 0.0), CartState(cart.position, cart.velocity))
         cart.advance(sent.cart_velocity_m_s, tick)
         assert RAIL.position_min_m <= cart.position <= RAIL.position_max_m
 
@@ -85,23 +85,23 @@ def test_no_sequence_of_actions_drives_the_cart_past_its_limits(velocities, star
 def test_a_mirrored_world_gets_mirrored_commands(velocities, position, speed):
     here, mirrored = make(), make()
     for velocity in velocities:
-        one, _ = here.apply(Command(True, velocity, 0.0), Cart(position, speed))
-        other, _ = mirrored.apply(Command(True, -velocity, 0.0), Cart(-position, -speed))
+        one, _ = here.apply(Command(True, velocity, 0.0), CartState(position, speed))
+        other, _ = mirrored.apply(Command(True, -velocity, 0.0), CartState(-position, -speed))
         assert one.cart_velocity_m_s == -other.cart_velocity_m_s
 
 
 def test_at_the_end_of_the_rail_only_the_way_back_is_open():
     safety = make()
-    out, clamps = safety.apply(Command(True, 1.0, 0.0), Cart(RAIL.position_max_m, 0.0))
+    out, clamps = safety.apply(Command(True, 1.0, 0.0), CartState(RAIL.position_max_m, 0.0))
     assert out.cart_velocity_m_s <= 0
     assert clamps == ("rail_position_max",)
-    back, clamps = make().apply(Command(True, -1.0, 0.0), Cart(RAIL.position_max_m, 0.0))
+    back, clamps = make().apply(Command(True, -1.0, 0.0), CartState(RAIL.position_max_m, 0.0))
     assert (back.cart_velocity_m_s, clamps) == (-1.0, ())
 
 
 @pytest.mark.parametrize("side", [-1, 1])
 def test_a_cart_outside_comes_back_gently_by_itself(side):
-    sent, _ = make().apply(Command(True, 0.0, 0.0), Cart(side * 0.28, 0.0))
+    sent, _ = make().apply(Command(True, 0.0, 0.0), CartState(side * 0.28, 0.0))
     assert sent.cart_velocity_m_s == pytest.approx(-side * RETURN_SPEED_M_S)
 
 
@@ -111,8 +111,8 @@ def test_braking_begins_at_the_braking_distance():
     for offset, passes in ((-0.002, True), (0.002, False)):
         safety = make()
         for _ in range(3):
-            safety.apply(Command(True, 1.0, 0.0), Cart(-0.1, 1.0))
-        sent, clamps = safety.apply(Command(True, 1.0, 0.0), Cart(RAIL.position_max_m - distance + offset, 1.0))
+            safety.apply(Command(True, 1.0, 0.0), CartState(-0.1, 1.0))
+        sent, clamps = safety.apply(Command(True, 1.0, 0.0), CartState(RAIL.position_max_m - distance + offset, 1.0))
         assert (sent.cart_velocity_m_s == 1.0) is passes
         assert ("rail_position_max" in clamps) is not passes
 
@@ -135,12 +135,12 @@ def test_every_clamp_says_its_name(wanted, clamp):
 def test_a_number_that_is_none_brakes_and_vents():
     sent, _ = make().apply(Command(True, math.nan, 10.0), MIDDLE)
     assert sent == Command(True, 0.0, 0.0)
-    sent, _ = make().apply(Command(True, 1.0, 10.0), Cart(math.nan, 0.0))
+    sent, _ = make().apply(Command(True, 1.0, 10.0), CartState(math.nan, 0.0))
     assert sent == Command(True, 0.0, 0.0)
 
 
 def test_what_is_off_stays_off_wherever_the_cart_is():
-    assert make().apply(Command(False, 1.0, 9.0), Cart(0.28, 0.5)) == (SAFE, ())
+    assert make().apply(Command(False, 1.0, 9.0), CartState(0.28, 0.5)) == (SAFE, ())
 
 
 def test_without_a_cart_state_the_cart_stands_still():

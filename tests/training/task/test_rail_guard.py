@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from softarm.daemon.control.safety import Cart, SafetyFilter
+from softarm.daemon.control.safety import CartState, SafetyFilter
 from softarm.schemas.config import Limits, RailLimits
 from softarm.schemas.messages import Command
 from softarm.simulator.simulator import Simulator
@@ -22,7 +22,7 @@ def test_it_sends_what_the_daemons_filter_sends(steps: list[tuple[float, float, 
     daemon = SafetyFilter(Limits(), PERIOD_S, drive_ramp_m_s2=6.0)
     for wanted, position, velocity in steps:
         sent = guard.apply(*(np.array([x], dtype=np.float32) for x in (wanted, position, velocity)))
-        expected = daemon.apply(Command(True, wanted, 0.0), Cart(position, velocity)).command.cart_velocity_m_s
+        expected = daemon.apply(Command(True, wanted, 0.0), CartState(position, velocity)).command.cart_velocity_m_s
         # A bisection of 2 m/s in 12 halvings may take one comparison differently in float32.
         assert sent[0] == pytest.approx(expected, abs=1e-3)
         guard.sent_m_s[:] = daemon._sent_velocity  # keep the histories the same
