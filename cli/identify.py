@@ -33,7 +33,7 @@ def identify(
     """Fit the arm to INPUTS: logs of the daemon (.mcap), trial folders, or campaigns of them.
 
     First the paper's way: torques by inverse dynamics, least squares. Then the simulator itself is fitted to every
-    link's motion; intervals are 95 %, from a bootstrap of one-second blocks. Masses and lengths are taken from --model.
+    link's motion; intervals are 95 %, by leaving one-second blocks out. Masses and lengths are taken from --model.
 
     \b
     Examples:

@@ -1,4 +1,4 @@
-"""Simulation-error fitting: Gauss-Newton on the batch simulator, and intervals by a bootstrap of blocks.
+"""Simulation-error fitting: Gauss-Newton on the batch simulator, and intervals by leaving blocks out.
 
 A Jacobian is one batch whose robots differ in one parameter each; a line search is another.
 """
@@ -9,8 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from softarm.common import resample
 from softarm.diagnosis.bench import Bench, to_columns
+from softarm.diagnosis.jackknife import half_width
 from softarm.diagnosis.motion import Motion
 from softarm.schemas.model import Arm
 
@@ -20,7 +20,7 @@ ROUNDS_MAX = 12
 NUDGE = 0.01  # of a parameter's scale, for a column of the Jacobian
 STRIDES = (1.0, 0.5, 0.25, 0.1, 0.02)
 CONVERGED = 2e-4  # a step smaller than this share of every scale ends the fit
-BLOCK_S = 1.0  # residuals of one block are drawn together: they are not independent
+BLOCK_S = 1.0  # residuals of one block are left out together: they are not independent
 START_NUDGES = (0.01, 0.1)  # rad, rad/s
 START_SHARE = 0.02  # a direction of the start that moves the signals less than this share of the best is left alone
 
@@ -30,7 +30,7 @@ class Refinement:
     """The parameters under which the simulation follows the measurement best."""
 
     column: Array  # [4 n] in bench.PARAMETERS order
-    low: Array  # [4 n] 95 % interval, block bootstrap
+    low: Array  # [4 n] 95 % interval: blocks left out one at a time
     high: Array
     rmse_before_m: float  # link ends, all links and frames compared, at the start
     rmse_m: float
@@ -159,7 +159,7 @@ def _mean_rmse(motions: Sequence[Motion], locals_: Sequence[_Local]) -> float:
 
 
 def _interval(motions: Sequence[Motion], locals_: Sequence[_Local], column: Array, scale: Array) -> tuple[Array, Array]:
-    """Block bootstrap: whole seconds are drawn with replacement, the linearised fit is repeated on each draw."""
+    """95 % interval of the linearised fit, whole seconds left out one at a time."""
     normals, slopes = [], []
     for motion, item in zip(motions, locals_, strict=True):
         t = motion.t_s[motion.compared]
@@ -169,10 +169,6 @@ def _interval(motions: Sequence[Motion], locals_: Sequence[_Local], column: Arra
             normals.append(part.T @ part)
             slopes.append(part.T @ item.projected[block == index])
     normal, slope = np.array(normals), np.array(slopes)
-    counts = resample.draws(len(normal))
-    ridge = 1e-9 * np.trace(normal.sum(axis=0)) * np.eye(len(column))
-    steps = np.linalg.solve(
-        np.tensordot(counts, normal, axes=1) + ridge, np.tensordot(counts, slope, axes=1)[:, :, None]
-    )[:, :, 0]
-    low, high = resample.interval(steps - steps.mean(axis=0))
-    return column + low * scale, column + high * scale
+    step = np.linalg.lstsq(normal.sum(axis=0), slope.sum(axis=0), rcond=1e-10)[0]
+    half = half_width(normal, -slope, step) * scale
+    return column - half, column + half

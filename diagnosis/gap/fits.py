@@ -9,12 +9,12 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import stdtrit
 
 from softarm.diagnosis.gap import box
 from softarm.diagnosis.gap.candidates import Candidate
 from softarm.diagnosis.gap.view import Array, Point
 from softarm.diagnosis.gap.whitened import Moments, Rows, WhitenedResidual
+from softarm.diagnosis.jackknife import half_width
 
 ROUNDS = 4
 CONVERGED = 1e-3  # of the loss: a round that gains less is the last
@@ -250,11 +250,7 @@ class FitProblem:
         )
 
     def interval(self, fit: Fit) -> tuple[Array, Array]:
-        """95 % interval of a fit's parameters, low and high [p]: what other blocks of the same kind would have said.
-
-        Blocks are left out one at a time (a jackknife) and the error is Student's. With a dozen blocks the scatter of
-        their slopes (a sandwich) is a third too narrow. MacKinnon, Nielsen and Webb 2023, Cluster-robust inference.
-        """
+        """95 % interval of a fit's parameters, low and high [p]: what other blocks of the same kind would have said."""
         x = np.array([v for us in fit.u for v in us])
         p = len(x)
         if not p:
@@ -262,16 +258,11 @@ class FitProblem:
         ((jacobians, bases),) = self._linear([fit.effects], [x])
         normal, slope, _ = self._by_block(p, jacobians, bases)
         low, high = self._box(fit.effects, x)
-        total = normal.sum(axis=0)
-        best = box.solve(total, -slope.sum(axis=0), low, high)
+        best = box.solve(normal.sum(axis=0), -slope.sum(axis=0), low, high)
         free = (best > low + 1e-9) & (best < high - 1e-9)  # a nuisance at its box's edge stays there
         free[:p] = True
-        without = (total - normal)[:, free][:, :, free]
-        without += 1e-10 * total.diagonal().max() * np.eye(free.sum())
-        moved = np.linalg.solve(without, (slope + normal @ best)[:, free, None])[:, :p, 0]
-        blocks = len(normal)
-        error = np.sqrt((blocks - 1) / blocks * (moved**2).sum(axis=0))
-        half = stdtrit(blocks - 1, 0.975) * error
+        slope = slope + normal[:, :, ~free] @ best[~free]
+        half = half_width(normal[:, free][:, :, free], slope[:, free], best[free])[:p]
         return x + best[:p] - half, x + best[:p] + half
 
     def _late(self) -> NDArray[np.bool_]:

@@ -4,8 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.stats import binom
 
-from softarm.diagnosis import bench, motion, regression
+from softarm.diagnosis import bench, motion, refinement, regression
 from softarm.diagnosis.identify import TIP_Y_M, TIP_Z_M, TORQUE_RMSE_NM, identify
 from softarm.diagnosis.trials import Series, TrialError
 from softarm.schemas.model import Model
@@ -26,12 +27,14 @@ def result(truth, record):
     return identify(Model(), trials, (record("sinusoid", truth, seed=3),))
 
 
+@pytest.mark.slow
 def test_stiffness_damping_and_gain_are_within_five_percent(result, truth):
     errors = result.refinement.column / bench.to_columns(truth.arm) - 1
     assert np.abs(errors[:15]).max() < 0.05
     assert result.refinement.converged
 
 
+@pytest.mark.slow
 def test_the_refinement_earns_its_place(result, truth):
     """The regression alone misses the five percent: sensor noise in the angles, the filter."""
     errors = result.regression.column / bench.to_columns(truth.arm) - 1
@@ -39,14 +42,43 @@ def test_the_refinement_earns_its_place(result, truth):
     assert result.refinement.rmse_m < 0.5 * result.refinement.rmse_before_m
 
 
-def test_intervals_hold_the_truth_and_say_something(result, truth):
+@pytest.mark.slow
+def test_intervals_say_something(result, truth):
     fitted, true = result.refinement, bench.to_columns(truth.arm)
     half = (fitted.high - fitted.low) / 2
-    # 20 parameters, 95 % each; a systematic part (240 Hz physics, filtered cart) is not in them.
-    assert np.mean(np.abs(fitted.column - true) < 1.5 * half) >= 0.8
     assert np.median(half[:15] / true[:15]) < 0.05
 
 
+def _swings(arm, seed):
+    """Two motions of 8 s as the fit's own simulator has them, under white noise: nothing systematic is wrong."""
+    noise, t, motions = np.array([2e-4, 2e-4, 2e-3]), np.arange(0, 8, 1 / 60), []
+    for k in range(2):
+        pressure, cart = 6 + 5 * np.sign(np.sin((0.9 + 0.4 * k) * t)), 0.08 * np.sin((3 + k) * t)
+        readings = Series(t.copy(), {"pressure": pressure.copy()})
+        rest = motion.Motion(
+            f"{k}", t, np.zeros((len(t), 3)), noise, cart, pressure, readings, np.zeros(2), np.ones(len(t), bool)
+        )
+        exact = bench.Bench(arm, bench.to_columns(arm)[None]).replay(rest, np.zeros(2))[0]
+        drawn = np.random.default_rng((seed, k)).normal(size=exact.shape)
+        motions.append(replace(rest, signals=exact + noise * drawn))
+    return motions
+
+
+@pytest.mark.slow
+def test_95_percent_intervals_hold_the_truth_95_times_in_100():
+    """Of 60 recordings as many as chance allows an interval that is right (0.1 % beyond either end)."""
+    arm = Model().arm
+    one = {name: values[:1] for name, values in arm.model_dump().items() if isinstance(values, tuple)}
+    arm = arm.model_copy(update={**one, "link_mass_kg": (0.1,)})
+    true, inside, runs = bench.to_columns(arm), np.zeros(4), 60
+    for seed in range(runs):
+        fitted = refinement.fit(arm, _swings(arm, seed), 1.05 * true)
+        inside += (fitted.low <= true) & (true <= fitted.high)
+    fewest, most = binom.ppf((0.001, 0.999), runs, 0.95)
+    assert ((fewest <= inside) & (inside <= most)).all(), inside / runs
+
+
+@pytest.mark.slow
 def test_torques_and_the_unseen_sinusoid_are_within_what_the_paper_reports(result):
     assert result.regression.rmse_nm <= TORQUE_RMSE_NM
     assert result.torque_rmse_nm <= TORQUE_RMSE_NM
@@ -56,6 +88,7 @@ def test_torques_and_the_unseen_sinusoid_are_within_what_the_paper_reports(resul
     assert np.ptp(check.measured_m[:, 0]) > 0.05  # there was something to follow
 
 
+@pytest.mark.slow
 def test_two_runs_agree_to_the_last_bit_and_the_order_of_trials_does_not_count(record):
     a, b = record("pressure-multisine"), record("rail-multisine")
     columns = [identify(Model(), trials).refinement for trials in ((a, b), (b, a))]
