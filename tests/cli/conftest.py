@@ -13,6 +13,7 @@ from softarm.cli.main import main
 from softarm.daemon.api.status import Ages, RecorderInfo, Status
 from softarm.daemon.control.records import EStop, Mode, Observed, Problems
 from softarm.schemas.messages import Command
+from softarm.schemas.policy import Observation
 
 STATUS = TypeAdapter(Status)
 
@@ -22,7 +23,7 @@ def status(**changes):
     values = {
         "t_ns": 0, "tick": 1234, "late_ns": 200_000, "missed": 0, "missed_total": 2, "mode": Mode.ARMED,
         "estop": EStop.CLEAR, "policy": "reach", "sent": Command(True, 0.25, 5.0),
-        "observed": Observed((0.012, 0.1, -0.123, 0.541, 0.0, 0.0, 0.2, 4.2), 7, 0, 0, 0),
+        "observed": Observed(Observation(0.012, 0.1, -0.123, 0.541, 0.0, 0.0, 0.2, 4.2), 7, 0, 0, 0),
         "stalled": False, "ages_ms": Ages(), "problems": Problems(), "policy_info": None,
         "recorder": RecorderInfo("logs/a.mcap", 0, None), "uptime_s": 3.0, "version": "0.1.0",
     }  # fmt: skip

@@ -19,7 +19,7 @@ from softarm.policies.base import PolicyError, PolicySpec
 from softarm.policies.registry import PolicyEntry
 from softarm.schemas.config import Api, Config
 from softarm.schemas.messages import Command
-from softarm.schemas.policy import TrainingRange
+from softarm.schemas.policy import Observation, TrainingRange
 
 LOCAL = "http://127.0.0.1"
 
@@ -83,7 +83,7 @@ class Loop:
             EStop.CLEAR,
             sent=Command(True, 0.25, math.nan),
             policy="reach",
-            observed=Observed((0.0,) * 8, 7, 5_000_000, 6_000_000, 7_000_000),
+            observed=Observed(Observation(*[0.0] * 8), 7, 5_000_000, 6_000_000, 7_000_000),
         )
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._run)

@@ -30,6 +30,7 @@ from softarm.recordings import finishing
 from softarm.schemas.config import Config
 from softarm.schemas.goals import Goal, GoalStatus
 from softarm.schemas.messages import Command, MocapFrame, Pose, PressureReading, RailReading
+from softarm.schemas.policy import Observation
 
 ns = st.integers(0, 2**63 - 1)
 count = st.integers(0, 2**31)
@@ -41,7 +42,7 @@ goal = st.builds(Goal, st.sampled_from(["reach", "hold"]), number, number)
 pressure = st.none() | st.builds(PressureReading, ns, number, st.booleans(), texts, count)
 rail = st.none() | st.builds(RailReading, ns, number, number, st.booleans(), st.booleans(), texts)
 pose = st.builds(Pose, number, number, number, st.booleans())
-frame = st.builds(MocapFrame, count, ns, ns, st.lists(pose, min_size=1, max_size=6).map(tuple))
+frame = st.builds(MocapFrame, count, ns, ns, st.tuples(*[pose] * 6))
 request = st.builds(
     Request, count, st.sampled_from(["arm", "stop", "goal", "policy"]), st.none() | goal, st.none() | text
 )
@@ -81,7 +82,7 @@ outputs_of_a_tick = st.builds(
     policy_ns=count,
     policy_fault=st.none() | text,
     clamps=texts,
-    observed=st.none() | st.builds(Observed, st.lists(number, min_size=8, max_size=8).map(tuple), count, ns, ns, ns),
+    observed=st.none() | st.builds(Observed, st.builds(Observation, *[number] * 8), count, ns, ns, ns),
     rail_position_m=maybe_number,
     rail_velocity_m_s=maybe_number,
     goal=status_of_a_goal,
