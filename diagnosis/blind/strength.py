@@ -173,10 +173,10 @@ def measure() -> list[Strength]:
         }
         ratio = {s: by_cause[s] / usual[s] if usual[s] else (np.inf if by_cause[s] else 0.0) for s in by_cause}
         best = max(by_cause, key=lambda s: (ratio[s], by_cause[s]))
-        told = ratio[best] if np.isfinite(ratio[best]) else None
+        shown = ratio[best] if np.isfinite(ratio[best]) else None
         drawn = _ranges(variant)
         rows.append(
-            Strength(cause=name, drawn=drawn, signal=best, changes=by_cause[best], nuisances=usual[best], ratio=told)
+            Strength(cause=name, drawn=drawn, signal=best, changes=by_cause[best], nuisances=usual[best], ratio=shown)
         )
     return rows
 

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
+from scipy.special import stdtrit
 
 from softarm.diagnosis.gap.view import Array
 from softarm.diagnosis.trials import Series, Trial
@@ -20,6 +21,7 @@ TOLERANCE = {"clock.jitter": 0.0012, "clock.missed_ticks": 0.015, "mocap.dropout
 FEW = 5  # events, at least, for a share
 HALF_NORMAL_STD = 0.6028  # of its sigma
 SKEWED = 0.5
+MEDIAN_WIDER = 1.2533  # the error of a median over that of a mean
 VELOCITY_RATIO_MAX = 0.75  # one way of making velocities must leave no more than this share of the other's error
 VELOCITY_FLOOR_M_S = 0.03
 
@@ -33,7 +35,7 @@ class Count:
     unit: str
     nominal: float
     value: float  # pooled
-    low: float  # 95 % interval over trials
+    low: float  # 95 % interval over trials, Student's t
     high: float
     before: float  # RMS over trials of what the nominal model is off by
     after: float  # the same of the other trials' estimate
@@ -72,8 +74,10 @@ def counts(trials: Sequence[Trial], model: Model) -> tuple[Count, ...]:
 
 def _pooled(name: str, parameter: str, model: Model, values: Array, events: float) -> Count:
     nominal, floor = value(model, name, parameter), TOLERANCE[name]
-    pooled = float(np.median(values)) if name in ("clock.jitter", "mocap.noise") else float(values.mean())
-    half = 1.96 * float(np.std(values, ddof=1)) / np.sqrt(len(values)) if len(values) > 1 else pooled
+    robust, trials = name in ("clock.jitter", "mocap.noise"), len(values)
+    pooled = float(np.median(values) if robust else values.mean())
+    error = (MEDIAN_WIDER if robust else 1.0) * float(np.std(values, ddof=1)) / np.sqrt(trials) if trials > 1 else 0.0
+    half = float(stdtrit(trials - 1, 0.975)) * error if trials > 1 else pooled
     others = [np.delete(values, i).mean() for i in range(len(values))] if len(values) > 1 else [pooled]
     before = float(np.sqrt(np.mean((values - nominal) ** 2)))
     after = float(np.sqrt(np.mean((values - others) ** 2)))

@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.stats import binom
 
 from softarm.diagnosis.gap.counts import TOLERANCE, VELOCITY_FLOOR_M_S, counts
 from softarm.diagnosis.trials import Series, Trial
@@ -158,3 +159,23 @@ def test_finite_differences_and_true_velocities_are_told_apart(robot, model):
 @pytest.mark.parametrize(("robot", "model"), [(True, DIFFERENCED), (False, TRUE)], ids=["both have", "neither has"])
 def test_velocities_that_are_as_modelled_are_no_news(robot, model):
     assert not _count([_seen(f"t{i}", robot, i) for i in range(3)], "observation.finite_difference", model).named
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["clock.missed_ticks", "clock.jitter"])
+def test_95_percent_intervals_hold_the_truth_95_times_in_100(name):
+    """Of 300 campaigns of five trials as many as chance allows an interval that is right (0.1 % beyond either end)."""
+    k, share, sigma_s, runs, inside = np.arange(400), 0.05, 0.004, 300, 0
+    truth = share if name == "clock.missed_ticks" else sigma_s
+    for seed in range(runs):
+        draw, trials = np.random.default_rng(seed), []
+        for i in range(5):
+            kept = draw.random(len(k)) >= (share if truth is share else 0.0)
+            kept[[0, -1]] = True
+            late = sigma_s * np.abs(draw.normal(size=len(k))) if truth is sigma_s else 0.0
+            stamps = (10.0 + k * TICK_S + late)[kept]
+            trials.append(Trial(f"t{i}", "", Path(f"t{i}"), {"command": Series(stamps, {})}))
+        found = _count(trials, name)
+        inside += int(found.low <= truth <= found.high)
+    fewest, most = binom.ppf((0.001, 0.999), runs, 0.95)
+    assert fewest <= inside <= most, inside / runs
