@@ -1,20 +1,23 @@
 """The REST API: requests into the inbox, snapshots out. It never touches the control loop otherwise."""
 
 import asyncio
+import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Annotated, Any
 
-from fastapi import Body, FastAPI, Query, Request, WebSocket
+from fastapi import Body, FastAPI, Request, WebSocket
 from fastapi.exceptions import RequestValidationError
 from fastapi.responses import Response
 from fastapi_offline import FastAPIOffline
+from starlette.exceptions import HTTPException
 
 from softarm import __version__
-from softarm.daemon.api.auth import Guard, is_loopback, load_token
+from softarm.daemon.api.auth import Door
+from softarm.daemon.api.bounds import STREAMS_MAX, Guard
 from softarm.daemon.api.policies import Installed, Policies, policy_answer, warmed_up
-from softarm.daemon.api.refusals import Refused, json_response, on_refused, refusal
+from softarm.daemon.api.refusals import Refused, json_response, on_http_error, on_refused, refusal
 from softarm.daemon.api.sentences import sentences
 from softarm.daemon.api.status import RecorderState, RequestAnswer, Status, StatusView
 from softarm.daemon.api.stream import POLL_S, stream
@@ -41,6 +44,7 @@ ANSWER_S = 0.5  # the control loop answers within a tick or two
 REFUSALS = {
     404: "no such policy; lists those there are",
     409: "refused by the control loop, with its reasons",
+    413: "a body of more than 4096 bytes",
     422: "a wrong body or a target out of reach; says what is allowed",
     503: "the control loop does not answer",
 }
@@ -68,7 +72,7 @@ def create_app(context: ApiContext) -> FastAPI:
 
     Raises AuthError when `api.host` is no loopback address and `api.token_file` gives no good token.
     """
-    token = load_token(context.config.api)
+    door = Door(context.config.api)
     api = _Api(context)
     app = FastAPIOffline(  # a bench may have no internet; FastAPI's own page loads its scripts from there
         title="softarm",
@@ -76,8 +80,9 @@ def create_app(context: ApiContext) -> FastAPI:
         summary="Goals in, status out: the control daemon of a soft arm on a rail.",
         redoc_url=None,
     )
-    app.add_middleware(Guard, token=token, loopback=is_loopback(context.config.api.host))
+    app.add_middleware(Guard, door=door)
     app.add_exception_handler(Refused, on_refused)
+    app.add_exception_handler(HTTPException, on_http_error)
     app.add_exception_handler(RequestValidationError, api.on_invalid)
     for method, path, endpoint, answer, statuses in (
         ("GET", "/api/status", api.status, Status, (503,)),
@@ -86,11 +91,11 @@ def create_app(context: ApiContext) -> FastAPI:
         ("POST", "/api/disarm", api.disarm, RequestAnswer, (409, 503)),
         ("POST", "/api/stop", api.stop, RequestAnswer, (409, 503)),
         ("POST", "/api/acknowledge", api.acknowledge, RequestAnswer, (409, 503)),
-        ("POST", "/api/goal", api.post_goal, RequestAnswer, (409, 422, 503)),
+        ("POST", "/api/goal", api.post_goal, RequestAnswer, (409, 413, 422, 503)),
         ("DELETE", "/api/goal", api.delete_goal, RequestAnswer, (409, 503)),
         ("GET", "/api/goal", api.get_goal, GoalAnswer, (503,)),
         ("GET", "/api/policies", api.get_policies, PoliciesAnswer, ()),
-        ("PUT", "/api/policy", api.put_policy, RequestAnswer, (404, 409, 422, 503)),
+        ("PUT", "/api/policy", api.put_policy, RequestAnswer, (404, 409, 413, 422, 503)),
         ("GET", "/api/logs", api.get_logs, LogsAnswer, ()),
     ):
         responses: dict[int | str, dict[str, Any]] = {200: {"model": answer}}
@@ -112,6 +117,7 @@ class _Api:
         self._context = context
         self._policies = context.policies or Installed(context.config)
         self._loading = asyncio.Lock()  # one policy at a time
+        self._streams = 0
         self._view = StatusView(
             context.snapshot,
             context.problems,
@@ -222,11 +228,24 @@ class _Api:
         entries = tuple(entry.model_copy(update={"recording": entry.name == own}) for entry in found)
         return json_response(LogsAnswer(directory=str(directory), logs=entries).model_dump_json())
 
-    async def stream(
-        self, socket: WebSocket, hz: Annotated[float, Query(gt=0, le=CONTROL_RATE_HZ)] = CONTROL_RATE_HZ
-    ) -> None:
+    async def stream(self, socket: WebSocket, hz: str = str(CONTROL_RATE_HZ)) -> None:
         """Every status that is new, at most `hz` times a second; a slow client gets fewer of them."""
-        await stream(self._view, socket, hz)
+        try:
+            rate = float(hz)
+        except ValueError:
+            rate = math.nan
+        if not 0 < rate <= CONTROL_RATE_HZ:
+            sentence = f"hz: is {hz[:20]!r}; allowed above 0, at most {CONTROL_RATE_HZ}"
+            await socket.send_denial_response(refusal(422, (sentence,)))
+        elif self._streams >= STREAMS_MAX:
+            sentence = f"{STREAMS_MAX} clients have a stream already: close one, or GET /api/status"
+            await socket.send_denial_response(refusal(503, (sentence,)))
+        else:
+            self._streams += 1
+            try:
+                await stream(self._view, socket, rate)
+            finally:
+                self._streams -= 1
 
     async def on_invalid(self, request: Request, error: Exception) -> Response:
         """A body of the wrong shape."""
@@ -258,17 +277,20 @@ class _Api:
             number = self._context.inbox.post(kind, goal=goal, policy=policy, runner=runner)
         except InboxFull as error:
             raise Refused(503, str(error)) from error
-        result = await self._result(number)
+        asked_ns = self._context.clock()
+        result = await self._result(kind, number, asked_ns)
         if result is None:
             raise Refused(503, f"{kind}: the control loop did not answer within {ANSWER_S:g} s", *_meanwhile(kind))
         if not result.accepted:
             raise Refused(409, *result.reasons)
         return json_response(self._told(self._view.answer(warnings)))
 
-    async def _result(self, number: int) -> RequestResult | None:
+    async def _result(self, kind: RequestKind, number: int, asked_ns: int) -> RequestResult | None:
         deadline = time.monotonic() + ANSWER_S
         while time.monotonic() < deadline:
             snapshot = self._view.snapshot()
+            if kind == "stop" and snapshot is not None and snapshot.stopped_since(asked_ns):
+                return RequestResult(number, True)
             for result in reversed(snapshot.results if snapshot else ()):
                 if result.number == number:
                     return result

@@ -2,11 +2,9 @@
 
 import hmac
 import ipaddress
-import json
+from collections.abc import Mapping
 from pathlib import Path
-from urllib.parse import urlsplit
-
-from starlette.types import ASGIApp, Receive, Scope, Send
+from urllib.parse import SplitResult, urlsplit
 
 from softarm.schemas.config import Api
 
@@ -62,36 +60,27 @@ def _read(path: Path) -> str:
     return token
 
 
-class Guard:
-    """ASGI middleware in front of everything, WebSockets included.
+class Door:
+    """Whether a request may come in, by its headers; of the REST API and of the stop's own way alike.
 
     On loopback a web page that a person happens to visit must not reach the robot: a foreign Host header
     gives DNS rebinding away, a foreign Origin a page of another site.
     """
 
-    def __init__(self, app: ASGIApp, token: str | None, loopback: bool) -> None:
-        self._app = app
+    def __init__(self, config: Api) -> None:
+        """Raises AuthError when `api.host` is no loopback address and `api.token_file` gives no good token."""
+        token = load_token(config)
         self._bearer = None if token is None else f"Bearer {token}".encode("ascii")
-        self._loopback = loopback
+        self._loopback = is_loopback(config.host)
 
-    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Pass on, or answer with a sentence."""
-        if scope["type"] not in ("http", "websocket"):
-            await self._app(scope, receive, send)
-            return
-        refusal = self._refusal(dict(scope["headers"]))
-        if refusal is None:
-            await self._app(scope, receive, send)
-        else:
-            await _refuse(scope, receive, send, *refusal)
-
-    def _refusal(self, headers: dict[bytes, bytes]) -> tuple[int, str] | None:
+    def refusal(self, headers: Mapping[bytes, bytes]) -> tuple[int, str] | None:
+        """HTTP status and why not; None for one that may. headers: by their names in small letters."""
         if self._loopback:
             host = headers.get(b"host", b"").decode("latin-1")
-            if not is_loopback(_host_name(host)):
+            if not is_loopback(_parts(f"//{host}").hostname or ""):
                 return 403, f"the Host header is {host!r}; ask for this machine as 127.0.0.1 or localhost"
             origin = headers.get(b"origin", b"").decode("latin-1")
-            if origin and urlsplit(origin).netloc != host:
+            if origin and _parts(origin).netloc != host:
                 return 403, f"a page of {origin!r} may not command this robot; use the daemon's own pages"
         if self._bearer is None:
             return None
@@ -106,24 +95,9 @@ class Guard:
         return None
 
 
-def _host_name(host: str) -> str:
+def _parts(url: str) -> SplitResult:
+    """An address that cannot be read, such as `http://[::1`, has none."""
     try:
-        return urlsplit(f"//{host}").hostname or ""
+        return urlsplit(url)
     except ValueError:
-        return ""
-
-
-async def _refuse(scope: Scope, receive: Receive, send: Send, status: int, sentence: str) -> None:
-    kind = "http"
-    if scope["type"] == "websocket":
-        await receive()  # websocket.connect
-        if "websocket.http.response" not in scope.get("extensions", {}):
-            await send({"type": "websocket.close", "code": 1008, "reason": sentence[:120]})
-            return
-        kind = "websocket.http"
-    headers = [(b"content-type", b"application/json")]
-    if status == 401:
-        headers.append((b"www-authenticate", b"Bearer"))
-    body = json.dumps({"detail": sentence, "reasons": [sentence]}).encode()
-    await send({"type": f"{kind}.response.start", "status": status, "headers": headers})
-    await send({"type": f"{kind}.response.body", "body": body})
+        return SplitResult("", "", "", "", "")

@@ -1,9 +1,18 @@
 """Answers of the API: a body of JSON, or why there is none."""
 
+from collections.abc import Mapping
+
 from fastapi import Request
 from fastapi.responses import Response
+from starlette.exceptions import HTTPException
 
 from softarm.schemas.rest import Refusal
+
+_FRAMEWORK = {
+    400: "the body is not JSON that can be read: UTF-8, not nested deeply; see /docs for what to send",
+    404: "nothing is here; /docs lists every path",
+    405: "this path takes another method; /docs lists which",
+}
 
 
 class Refused(Exception):
@@ -19,12 +28,20 @@ def json_response(data: bytes | str, status: int = 200) -> Response:
     return Response(data, status, media_type="application/json")
 
 
-def refusal(status: int, reasons: tuple[str, ...]) -> Response:
+def refusal(status: int, reasons: tuple[str, ...], headers: Mapping[str, str] | None = None) -> Response:
     """Sentences, one by one and in one line."""
-    return json_response(Refusal(detail="; ".join(reasons), reasons=reasons).model_dump_json(), status)
+    body = Refusal(detail="; ".join(reasons), reasons=reasons).model_dump_json()
+    return Response(body, status, headers, media_type="application/json")
 
 
 async def on_refused(_: Request, error: Exception) -> Response:
     """The handler of `Refused`."""
     assert isinstance(error, Refused)  # registered for this type
     return refusal(error.status, error.reasons)
+
+
+async def on_http_error(_: Request, error: Exception) -> Response:
+    """The handler of what the framework itself refuses."""
+    assert isinstance(error, HTTPException)  # registered for this type
+    reason = _FRAMEWORK.get(error.status_code, str(error.detail))
+    return refusal(error.status_code, (reason,), error.headers)

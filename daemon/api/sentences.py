@@ -12,9 +12,14 @@ EXAMPLES = {
 }
 
 
+TOLD = 5  # so many mistakes of one body
+NAME_MAX = 40  # characters of a key that is nobody's
+
+
 def sentences(errors: Sequence[Mapping[str, Any]], path: str, config: Config) -> tuple[str, ...]:
-    """One sentence for each of pydantic's errors; each says what is allowed."""
-    return tuple(_sentence(error, f"send {EXAMPLES[path]}", config) for error in errors)
+    """One sentence for each of pydantic's first errors; each says what is allowed."""
+    told = tuple(_sentence(error, f"send {EXAMPLES[path]}", config) for error in errors[:TOLD])
+    return told if len(errors) <= TOLD else (*told, f"and {len(errors) - TOLD} mistakes more")
 
 
 def _sentence(error: Mapping[str, Any], example: str, config: Config) -> str:
@@ -29,7 +34,7 @@ def _sentence(error: Mapping[str, Any], example: str, config: Config) -> str:
     if not name or isinstance(place[-1], int):
         return f"the body must be a JSON object with Content-Type: application/json; {example}"
     if kind == "extra_forbidden":
-        return f"{name}: is not known here; {example}"
+        return f"{name if len(name) <= NAME_MAX else name[:NAME_MAX] + '...'}: is not known here; {example}"
     return f"{name}: {'is missing, it ' if kind == 'missing' else ''}must be {_allowed(name, config)}"
 
 

@@ -8,6 +8,7 @@ import time
 import uvicorn
 from starlette.types import ASGIApp
 
+from softarm.daemon.api import bounds
 from softarm.schemas.config import Api
 
 START_S = 5.0
@@ -34,6 +35,10 @@ class ApiServer:
                 server_header=False,
                 date_header=False,
                 timeout_graceful_shutdown=1,
+                http=bounds.BoundedHttp,
+                backlog=bounds.CONNECTIONS_MAX,  # as many are taken at once
+                h11_max_incomplete_event_size=bounds.HEADER_MAX,
+                ws_max_size=bounds.MESSAGE_MAX,
             )
         )
         self._thread: threading.Thread | None = None
@@ -83,7 +88,7 @@ class ApiServer:
             try:
                 listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
                 listener.bind(address)
-                listener.listen(128)
+                listener.listen(bounds.CONNECTIONS_MAX)
             except OSError:
                 listener.close()
                 raise

@@ -1,6 +1,7 @@
 """The WebSocket that says every new status."""
 
 import asyncio
+import time
 
 from fastapi import WebSocket, WebSocketDisconnect
 
@@ -9,10 +10,26 @@ from softarm.daemon.api.status import StatusView
 POLL_S = 0.005
 
 
+class Pace:
+    """When a client that wants `hz` a second may have the next: on average no faster, and no tick slips by."""
+
+    def __init__(self, hz: float) -> None:
+        self._period_s = 1 / hz
+        self._due_s = float("-inf")
+
+    def wait_s(self, now_s: float) -> float:
+        """How long until the next may be sent; 0 or less: now."""
+        return self._due_s - now_s
+
+    def sent(self, now_s: float) -> None:
+        """Count one. From one that was late on, the pace goes by when it was due, unless that was too long ago."""
+        self._due_s = max(self._due_s + self._period_s, now_s)
+
+
 async def stream(view: StatusView, socket: WebSocket, hz: float) -> None:
     """Send every status that is new, at most `hz` times a second, until the client leaves."""
     await socket.accept()
-    sender = asyncio.create_task(_send(view, socket, 1 / hz))
+    sender = asyncio.create_task(_send(view, socket, Pace(hz)))
     try:
         while (await socket.receive())["type"] != "websocket.disconnect":
             pass  # a client has nothing to say here
@@ -23,13 +40,14 @@ async def stream(view: StatusView, socket: WebSocket, hz: float) -> None:
         await asyncio.gather(sender, return_exceptions=True)
 
 
-async def _send(view: StatusView, socket: WebSocket, period_s: float) -> None:
+async def _send(view: StatusView, socket: WebSocket, pace: Pace) -> None:
     sent = None
     while True:
-        data = view.json()
+        wait_s = pace.wait_s(time.monotonic())
+        data = view.json() if wait_s <= 0 else None
         if data is not None and data is not sent:
             sent = data
+            pace.sent(time.monotonic())
             await socket.send({"type": "websocket.send", "text": data.decode()})
-            await asyncio.sleep(0.8 * period_s)  # the rest in small steps, so that no tick slips by
         else:
-            await asyncio.sleep(POLL_S)
+            await asyncio.sleep(max(wait_s, POLL_S))

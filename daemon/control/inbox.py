@@ -39,9 +39,12 @@ class Inbox:
     ) -> int:
         """Leave a request; returns its number, under which `Outputs.results` will answer it.
 
+        A stop that still waits there is every later one's, too: a thousand of them are one.
         Raises InboxFull when the loop has not emptied the slot for `capacity` requests (never for a stop).
         """
         with self._lock:
+            if kind == "stop" and self._slot and self._slot[0].request.kind == "stop":
+                return self._slot[0].request.number
             post = Post(Request(next(self._numbers), kind, goal, policy), runner)
             if kind == "stop":
                 self._slot = (post, *self._slot)

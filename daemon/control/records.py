@@ -120,6 +120,12 @@ class Outputs:
     results: tuple[RequestResult, ...] = ()  # of this tick and a few before
     reset_devices: bool = False  # an acknowledgement also sends a fault reset to the devices
 
+    def stopped_since(self, asked_ns: int) -> bool:
+        """Did this tick take a stop that lay in the inbox at `asked_ns`, and does it hold? Needs none of `results`,
+        which a flood of requests, or a tick that failed, leaves behind.
+        """
+        return self.t_ns >= asked_ns and self.estop is not EStop.CLEAR
+
 
 @dataclass(frozen=True, slots=True)
 class TickTiming:

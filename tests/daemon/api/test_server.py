@@ -5,7 +5,7 @@ import json
 import signal
 import socket
 import time
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from dataclasses import replace
 
 import httpx
@@ -15,6 +15,7 @@ from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import connect as connect_sync
 
 from softarm.daemon.api.server import ApiError, ApiServer
+from softarm.daemon.api.stream import Pace
 from softarm.schemas.config import Api
 
 LOCAL = "http://127.0.0.1"
@@ -63,14 +64,50 @@ def test_the_stream_sends_new_snapshots_at_the_rate_asked_for(loop, app, serving
     assert slow[-1] - slow[0] > fast[-1] - fast[0]
 
 
+def sent_in(pace: Pace, ticks_hz: float, seconds: float) -> list[int]:
+    """Numbers of the ticks that are sent; the sender looks every 5 ms, ticks come up to 2 ms late."""
+    sent, now_s, late_s = [], 0.0, (0.0, 0.002, 0.0005, 0.001)
+    while now_s < seconds:
+        tick = int(now_s * ticks_hz)
+        is_there = tick / ticks_hz + late_s[tick % 4] <= now_s
+        if pace.wait_s(now_s) <= 0 and is_there and tick not in sent[-1:]:
+            sent.append(tick)
+            pace.sent(now_s)
+        now_s += 0.005
+    return sent
+
+
+@pytest.mark.parametrize(("hz", "ticks_hz"), [(30, 30), (10, 30), (20, 30), (7, 30), (30, 100), (0.5, 30)])
+def test_the_pace_is_what_was_asked_for(hz, ticks_hz):
+    sent = sent_in(Pace(hz), ticks_hz, 60)
+    assert len(sent) == pytest.approx(60 * hz, abs=1.01)
+    if hz == ticks_hz:
+        assert sent == list(range(len(sent)))  # every tick
+
+
 @pytest.mark.parametrize("hz", ["0", "-1", "31", "nan", "fast"])
 def test_the_stream_refuses_a_rate_it_does_not_have(loop, hz, app, serving):
-    with (
-        serving(app(loop)) as port,
-        pytest.raises((InvalidStatus, ConnectionClosed)),
-        connect_sync(f"ws://127.0.0.1:{port}/api/stream?hz={hz}") as socket,
-    ):
-        socket.recv(timeout=5)
+    with serving(app(loop)) as port, pytest.raises(InvalidStatus) as refusal:
+        connect_sync(f"ws://127.0.0.1:{port}/api/stream?hz={hz}")
+    assert refusal.value.response.status_code == 422
+    assert f"hz: is '{hz}'; allowed above 0, at most 30".encode() in refusal.value.response.body
+
+
+def test_streams_are_so_many_and_one_that_ends_makes_room(loop, app, serving, monkeypatch):
+    monkeypatch.setattr("softarm.daemon.api.app.STREAMS_MAX", 2)
+    with serving(app(loop)) as port, ExitStack() as stack:
+        address = f"ws://127.0.0.1:{port}/api/stream"
+        first, second = (stack.enter_context(connect_sync(address)) for _ in range(2))
+        first.recv(timeout=5), second.recv(timeout=5)
+        with pytest.raises(InvalidStatus) as refusal:
+            connect_sync(address)
+        assert refusal.value.response.status_code == 503
+        assert b"2 clients have a stream already" in refusal.value.response.body
+        first.close()
+        while True:
+            with suppress(InvalidStatus):  # the server may still be hearing of it
+                stack.enter_context(connect_sync(address)).recv(timeout=5)
+                break
 
 
 def test_a_client_that_does_not_read_holds_up_nobody_and_piles_nothing_up(loop, app, serving):

@@ -25,3 +25,12 @@ def test_a_stop_comes_first_and_is_taken_even_when_the_slot_is_full():
         inbox.post("arm")
     inbox.post("stop")
     assert kinds(inbox) == ["stop", "arm", "cancel_goal"]
+
+
+def test_stops_that_wait_are_one():
+    inbox = Inbox(capacity=2)
+    number = inbox.post("stop")
+    inbox.post("arm")
+    assert {inbox.post("stop") for _ in range(1000)} == {number}
+    assert kinds(inbox) == ["stop", "arm"]
+    assert inbox.post("stop") > number

@@ -1,0 +1,120 @@
+"""What a guest may take up before it is heard: who may ask, how large a body, how long, how many at once."""
+
+import asyncio
+from typing import Any
+
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+from uvicorn.protocols.http.h11_impl import H11Protocol
+
+from softarm.daemon.api.auth import Door
+from softarm.daemon.api.refusals import refusal
+
+BODY_MAX = 4096  # bytes; the longest that means anything, a goal, has a hundred
+BODY_S = 5.0  # for all of it
+HEADER_MAX = 16_384  # bytes
+QUIET_S = 5.0  # without a whole request, since the connection was made or answered last
+CONNECTIONS_MAX = 128
+STREAMS_MAX = 32
+MESSAGE_MAX = 1024  # bytes of what a WebSocket client says, which nobody listens to
+CLOSE = {"Connection": "close"}  # what is left of such a body is not read
+
+
+class Guard:
+    """ASGI middleware in front of everything, WebSockets included: who may ask, then how much they may send."""
+
+    def __init__(self, app: ASGIApp, door: Door) -> None:
+        self._app, self._door = app, door
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Pass on with the whole body, or answer with a sentence."""
+        if scope["type"] not in ("http", "websocket"):
+            await self._app(scope, receive, send)
+            return
+        headers = dict(scope["headers"])
+        refused = self._door.refusal(headers)
+        if refused is None and scope["type"] == "http":
+            refused = _too_long(headers.get(b"content-length", b""))
+            if refused is None:
+                try:
+                    async with asyncio.timeout(BODY_S):
+                        body = await _whole(receive)
+                except TimeoutError:
+                    refused = 408, f"the body did not come within {BODY_S:g} s; send it in one piece"
+                else:
+                    refused = _too_long(b"%d" % len(body))
+                    receive = _again(body, receive)
+        if refused is None:
+            await self._app(scope, receive, send)
+            return
+        if scope["type"] == "websocket":
+            await receive()  # websocket.connect
+        status, sentence = refused
+        headers_out = CLOSE | ({"WWW-Authenticate": "Bearer"} if status == 401 else {})
+        await refusal(status, (sentence,), headers_out)(scope, receive, send)
+
+
+def _too_long(length: bytes) -> tuple[int, str] | None:
+    if not length.isdigit() or int(length[:20]) <= BODY_MAX:
+        return None
+    return 413, f"the body has more than {BODY_MAX} bytes, which is all that is allowed; see /docs for what to send"
+
+
+async def _whole(receive: Receive) -> bytes:
+    """The body; of a longer one no more than it takes to know."""
+    body = b""
+    while len(body) <= BODY_MAX:
+        message = await receive()
+        body += message.get("body", b"")
+        if not message.get("more_body", False):
+            break
+    return body
+
+
+def _again(body: bytes, receive: Receive) -> Receive:
+    """Receive a body that was read already, then whatever comes."""
+    first: list[Message] = [{"type": "http.request", "body": body, "more_body": False}]
+
+    async def next_message() -> Message:
+        return first.pop() if first else await receive()
+
+    return next_message
+
+
+class BoundedHttp(H11Protocol):
+    """uvicorn's HTTP, where a connection that does nothing is closed, or gives its place to one that comes."""
+
+    def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
+        """Make room, then wait for a request, not for ever."""
+        if len(self.connections) >= CONNECTIONS_MAX:
+            idle = [one for one in self.connections if isinstance(one, BoundedHttp) and one.gives_way()]
+            oldest = min(idle, key=lambda one: one.since, default=None)
+            (transport if oldest is None else oldest.transport).abort()
+        self.since = self.loop.time()
+        super().connection_made(transport)
+        self._patience = self.loop.call_later(QUIET_S, self._hang_up)
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        """Nothing more to wait for."""
+        self._patience.cancel()
+        super().connection_lost(exc)
+
+    def handle_websocket_upgrade(self, event: Any) -> None:
+        """From here on it is a stream."""
+        self._patience.cancel()
+        super().handle_websocket_upgrade(event)
+
+    def on_response_complete(self) -> None:
+        """Wait for the next request, whatever else comes."""
+        self._patience.cancel()
+        self.since = self.loop.time()
+        self._patience = self.loop.call_later(QUIET_S, self._hang_up)
+        super().on_response_complete()
+
+    def gives_way(self) -> bool:
+        """It waits for a request, or for the rest of one, and has not been closed yet."""
+        waiting = self.cycle is None or self.cycle.response_complete or self.cycle.more_body
+        return waiting and not self.transport.is_closing()
+
+    def _hang_up(self) -> None:
+        if self.cycle is None or self.cycle.response_complete:
+            self.transport.abort()

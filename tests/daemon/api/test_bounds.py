@@ -1,0 +1,163 @@
+"""An untrusted guest is bounded: sizes, keys, connections, time; and a stop gets through."""
+
+import asyncio
+import json
+import socket
+import time
+from contextlib import ExitStack
+from dataclasses import replace
+
+import httpx
+import pytest
+
+from softarm.daemon.control.records import EStop, Mode
+
+LOCAL = "http://127.0.0.1"
+JSON = {"Content-Type": "application/json"}
+
+
+def keys(count: int) -> str:
+    return json.dumps({"kind": "hold"} | {f"key{i}": i for i in range(count)})
+
+
+def test_a_body_that_is_too_long_is_not_even_parsed(client, loop):
+    started = time.process_time()
+    answer = client.post("/api/goal", content=keys(100_000), headers=JSON)
+    spent_s = time.process_time() - started
+    assert answer.status_code == 413
+    assert answer.json()["detail"].startswith("the body has more than 4096 bytes")
+    assert spent_s < 0.2  # its 100,000 mistakes took seconds
+    assert not loop.taken
+
+
+def test_so_is_one_that_does_not_say_its_length(client, loop):
+    async def pieces():
+        for _ in range(1000):
+            yield b" " * 1000
+
+    answer = client.post("/api/goal", content=pieces(), headers=JSON)
+    assert answer.status_code == 413
+    assert not loop.taken
+
+
+def test_of_many_mistakes_the_first_are_told(client):
+    reasons = client.post("/api/goal", content=keys(100), headers=JSON).json()["reasons"]
+    assert len(reasons) == 6
+    assert reasons[0].startswith("key0: is not known here")
+    assert reasons[-1] == "and 95 mistakes more"
+
+
+def test_a_long_name_is_not_told_back(client):
+    reason = client.post("/api/goal", json={"kind": "hold", "x" * 3000: 1}).json()["reasons"][0]
+    assert reason.startswith("x" * 40 + "...: is not known here")
+
+
+@pytest.mark.parametrize("body", [b"[" * 4000, b'{"kind": "\xff"}'])
+def test_a_body_that_cannot_be_read_is_told_so(client, body):
+    answer = client.post("/api/goal", content=body, headers=JSON)
+    assert answer.status_code == 400
+    assert answer.json()["reasons"] == [answer.json()["detail"]]
+    assert "UTF-8, not nested deeply" in answer.json()["detail"]
+
+
+@pytest.mark.parametrize("origin", ["http://[::1", "http://[", "//[x]:y"])
+def test_an_origin_that_cannot_be_read_is_a_foreign_one(client, origin):
+    answer = client.post("/api/arm", headers={"Origin": origin})
+    assert answer.status_code == 403
+    assert "may not command this robot" in answer.json()["detail"]
+
+
+def test_a_stop_in_a_flood_is_answered_as_done(loop, app):
+    async def flood():
+        transport = httpx.ASGITransport(app(loop))
+        async with httpx.AsyncClient(transport=transport, base_url=LOCAL) as client:
+            return await asyncio.gather(*(client.post("/api/stop") for _ in range(200)))
+
+    answers = asyncio.run(flood())  # more of them in a tick than results are kept
+    assert {answer.status_code for answer in answers} == {200}
+
+
+def test_a_stop_is_done_when_a_later_tick_holds_it_whatever_became_of_its_result(silent):
+    client, loop = silent
+    stopped = replace(loop.outputs, mode=Mode.STOPPED, estop=EStop.LATCHED, results=())
+    loop.outputs = replace(stopped, t_ns=time.monotonic_ns() + 10**9)
+    assert client.post("/api/stop").status_code == 200
+    loop.outputs = replace(stopped, t_ns=time.monotonic_ns() - 1)
+    assert client.post("/api/stop").status_code == 503  # an earlier stop's
+
+
+def opened(stack: ExitStack, port: int, sent: bytes = b"") -> socket.socket:
+    connection = stack.enter_context(socket.create_connection(("127.0.0.1", port), timeout=5))
+    connection.sendall(sent)
+    return connection
+
+
+@pytest.mark.parametrize(
+    "sent", [b"", b"POST /api/goal HTTP/1.1\r\nHost: 127.0.0.1\r\nContent-Length: 4000\r\n\r\n{"], ids=["idle", "slow"]
+)
+def test_clients_that_only_stay_leave_room_for_the_next(loop, app, serving, sent):
+    with serving(app(loop)) as port, ExitStack() as stack:
+        idle = [opened(stack, port, sent) for _ in range(300)]
+        assert httpx.post(f"{LOCAL}:{port}/api/stop", timeout=5).status_code == 200
+        gone = sum(is_closed(one) for one in idle)
+        assert 300 - 128 <= gone <= 300 - 126  # the oldest gave way, no more
+
+
+def is_closed(connection: socket.socket) -> bool:
+    connection.setblocking(False)
+    try:
+        return connection.recv(1) == b""
+    except BlockingIOError:
+        return False
+    except ConnectionResetError:
+        return True
+
+
+def said_until_closed(connection: socket.socket, trickle: bytes = b"") -> bytes:
+    """All that the server says; meanwhile a byte goes out now and then."""
+    said = b""
+    connection.settimeout(0.05)
+    while True:
+        try:
+            part = connection.recv(65536)
+        except TimeoutError:
+            try:
+                connection.sendall(trickle)
+            except (BrokenPipeError, ConnectionResetError):
+                return said
+        except ConnectionResetError:
+            return said
+        else:
+            if not part:
+                return said
+            said += part
+
+
+@pytest.mark.parametrize(
+    ("sent", "trickle"),
+    [
+        (b"", b""),
+        (b"GET /api/status HTTP/1.1\r\nX-Slow: ", b"x"),
+        (b"GET /nothing HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\nGET ", b"x"),
+    ],
+    ids=["nothing said", "a slow header", "a slow second header"],
+)
+def test_who_does_not_come_to_a_request_is_hung_up_on(loop, app, serving, monkeypatch, sent, trickle):
+    monkeypatch.setattr("softarm.daemon.api.bounds.QUIET_S", 0.3)
+    with serving(app(loop)) as port, ExitStack() as stack:
+        said_until_closed(opened(stack, port, sent), trickle)  # ends
+
+
+def test_a_slow_body_is_refused_and_its_connection_closed(loop, app, serving, monkeypatch):
+    monkeypatch.setattr("softarm.daemon.api.bounds.BODY_S", 0.3)
+    with serving(app(loop)) as port, ExitStack() as stack:
+        request = b"POST /api/goal HTTP/1.1\r\nHost: 127.0.0.1\r\nContent-Length: 4000\r\n\r\n"
+        said = said_until_closed(opened(stack, port, request), b" ")
+        assert said.startswith(b"HTTP/1.1 408 ")
+        assert b"did not come within 0.3 s" in said
+
+
+def test_a_header_that_is_too_long_is_refused(loop, app, serving):
+    with serving(app(loop)) as port, ExitStack() as stack:
+        said = said_until_closed(opened(stack, port, b"GET / HTTP/1.1\r\nX: " + b"x" * 100_000))
+        assert said.startswith(b"HTTP/1.1 400 ") or not said
