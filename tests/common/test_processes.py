@@ -14,23 +14,28 @@ from softarm.common import processes
 from softarm.common.processes import WorkerDied, as_they_come
 
 ROOT = Path(__file__).parents[2]
-# A program that hangs in its workers: each says its number, then waits.
+# A program with a worker that hangs and one that waits for work; each leaves its number.
 HANGING = """
 import os, signal, sys, time
 from softarm.common.processes import as_they_come
 
-def work(folder):
+def work(job):
+    folder, seconds = job
     open(f"{folder}/{os.getpid()}", "w").close()
-    time.sleep(60)
+    time.sleep(seconds)
 
 if __name__ == "__main__":
     signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell in the background has it ignored
-    list(as_they_come(work, [sys.argv[1]] * 4, 2))
+    list(as_they_come(work, [(sys.argv[1], 100), (sys.argv[1], 0)], 2))
 """
 
 
 def squared(number):
     return number * number, os.getpid(), os.environ["OMP_NUM_THREADS"]
+
+
+def on_interrupt(_number):
+    return signal.getsignal(signal.SIGINT)
 
 
 def failing(number):
@@ -73,6 +78,10 @@ def test_workers_are_others_with_a_thread_each_and_this_process_keeps_its_own(mo
     assert "NUMBA_NUM_THREADS" not in os.environ
 
 
+def test_ctrl_c_ends_a_worker_without_a_word():
+    assert {result for _, result in as_they_come(on_interrupt, [0, 1], 2)} == {signal.SIG_DFL}
+
+
 @pytest.mark.parametrize("count", [1, 2])
 def test_what_the_work_raises_is_raised(count):
     with pytest.raises(ValueError, match="no such thing as 1"):
@@ -91,8 +100,12 @@ def test_whoever_stops_listening_leaves_no_job_behind(tmp_path):
     assert 1 <= there < 400
 
 
-@pytest.mark.parametrize("end", [signal.SIGINT, signal.SIGKILL])
-def test_workers_end_with_the_program_that_started_them(tmp_path, end):
+@pytest.mark.parametrize(
+    ("kill", "end"),
+    [(os.kill, signal.SIGINT), (os.killpg, signal.SIGINT), (os.kill, signal.SIGKILL)],
+    ids=["interrupted alone", "Ctrl-C", "killed"],
+)
+def test_workers_end_with_the_program_that_started_them(tmp_path, kill, end):
     script, folder = tmp_path / "hanging.py", tmp_path / "pids"
     script.write_text(HANGING)
     folder.mkdir()
@@ -101,11 +114,11 @@ def test_workers_end_with_the_program_that_started_them(tmp_path, end):
         env=os.environ | {"PYTHONPATH": str(ROOT)},
         stderr=subprocess.PIPE,
         text=True,
-        start_new_session=True,  # the signal is this program's alone
+        start_new_session=True,  # a group of its own, as a shell gives it
     ) as program:
         try:
             wait_for(lambda: len(list(folder.iterdir())) == 2)
-            program.send_signal(end)
+            kill(program.pid, end)
             said = program.communicate(timeout=60)[1]
             wait_for(lambda: not any(runs(path.name) for path in folder.iterdir()))
         finally:
