@@ -11,6 +11,7 @@ from softarm.reality.parameters import Arm, Rail, RobotParameters
 from softarm.reality.plant import energy_j
 from softarm.reality.robot import Robot
 from softarm.schemas.model import Arm as ModelArm
+from softarm.schemas.robot import CONTROL_PERIOD_S
 from softarm.simulator.simulator import Simulator
 
 STRAIGHT = ModelArm(torque_offset_nm=(0.0,) * 5)
@@ -94,7 +95,7 @@ def test_nominal_it_stays_near_the_five_link_simulator(draw: Any) -> None:
         velocity, pressure = draw(1, seed=seed)
         simulator, robot = Simulator(physics_rate_hz=1200.0), Robot()
         for tick, (v, p) in enumerate(zip(0.3 * velocity[:, 0], pressure[:, 0], strict=True)):
-            simulator.step(float(v), float(p), commands.PERIOD_S)
+            simulator.step(float(v), float(p), CONTROL_PERIOD_S)
             robot.command(tick / 30, float(v), float(p))
             robot.advance((tick + 1) / 30)
             truth = robot.truth
