@@ -6,7 +6,6 @@ Owns the devices; shares an inbox and immutable snapshots, nothing else.
 import asyncio
 import gc
 import logging
-import selectors
 import threading
 import time
 from collections.abc import Callable
@@ -17,6 +16,7 @@ from softarm.daemon.control.failsafe import Event
 from softarm.daemon.control.inbox import Inbox
 from softarm.daemon.control.records import EStop, Inputs, Mode, Outputs, Problems, TickTiming
 from softarm.daemon.shell import realtime
+from softarm.daemon.shell.wakeup import PunctualSelector
 from softarm.daemon.tick import Controller
 from softarm.drivers.base import Device, MocapSource, PressureRegulator, RailAxis
 from softarm.policies.base import PolicySpec
@@ -103,11 +103,10 @@ class ControlLoop:
     def _main(self) -> None:
         realtime.outrank_guests(self._priority)
 
-        # epoll rounds a timeout up to a whole millisecond; select does not.
-        def select_loop() -> asyncio.AbstractEventLoop:
-            return asyncio.SelectorEventLoop(selectors.SelectSelector())
+        def punctual_loop() -> asyncio.AbstractEventLoop:
+            return asyncio.SelectorEventLoop(PunctualSelector())
 
-        with asyncio.Runner(loop_factory=select_loop) as runner:
+        with asyncio.Runner(loop_factory=punctual_loop) as runner:
             runner.run(self._run())
 
     async def _run(self) -> None:

@@ -2,7 +2,8 @@
 
 One task on the control loop owns the connection. A `write` wakes it: the set-point goes out, then status,
 position and velocity are read back. Link loss is the danger, for a drive without a communication watchdog
-keeps its last set-point: a broken link is replaced at once, and the first thing said on a new one is a stop.
+keeps its last set-point: the first and the last thing said on any link is a stop, one bad answer does not end a link
+in operation, and a broken one is replaced at once.
 """
 
 import asyncio
@@ -16,7 +17,7 @@ from dataclasses import dataclass
 from softarm.drivers.base import DeviceError
 from softarm.drivers.rail import dryve
 from softarm.drivers.rail.cia402 import ControlWord, DriveState, StatusWord, decode_state, next_controlword
-from softarm.drivers.rail.dryve_link import DryveLink
+from softarm.drivers.rail.dryve_link import EXCHANGE_ERRORS, DryveLink
 from softarm.schemas.config import DryveRail
 from softarm.schemas.messages import RailReading
 
@@ -30,6 +31,8 @@ CONNECT_S = 1.0
 RETRY_S = (0.02, 1.0)  # first and longest pause between attempts to connect
 COMPLAINT_S = 2.0  # how long a walk that failed is remembered
 STOP_S = 0.8
+AGAIN_S = 0.005  # after an exchange that failed in operation; the second in a row ends the link
+HALT_TRIES, HALT_AGAIN_S = 20, 0.01  # a drive that refuses to say how it is
 
 _REMEDY = {
     errno.ECONNREFUSED: "switch on 'Modbus TCP Gateway' on the drive's web page (a restart may lose it)",
@@ -179,9 +182,7 @@ class DryveRailAxis:
                 link = await DryveLink.open(host, port, CONNECT_S, self._config.timeout_s)
                 await self._set_up(link)
                 pause_s = RETRY_S[0]
-                while True:
-                    await self._cycle(link)
-                    self._link_problem = None
+                await self._converse(link)
             except _LINK_ERRORS as error:
                 self._link_problem = self._explain(error, connected=link is not None)
                 if self._walk_since_ns is not None:
@@ -189,9 +190,25 @@ class DryveRailAxis:
             finally:
                 self._forbid()
                 if link is not None:
-                    link.close()
+                    await link.close()
             await asyncio.sleep(pause_s)
-            pause_s = min(2 * pause_s, RETRY_S[1])
+            if self._at_ease.is_set():  # a cart that may be moving is not kept waiting
+                pause_s = min(2 * pause_s, RETRY_S[1])
+
+    async def _converse(self, link: DryveLink) -> None:
+        """Cycle until the link fails: at once out of operation, at the second failure in a row in it."""
+        failed = False
+        while True:
+            try:
+                await self._cycle(link)
+            except EXCHANGE_ERRORS:
+                if failed or not self._operating_now():
+                    raise
+                failed = True
+                self._written.set()  # the set-point may not have arrived: the newest one goes next
+                await asyncio.sleep(AGAIN_S)
+            else:
+                failed, self._link_problem = False, None
 
     async def _set_up(self, link: DryveLink) -> None:
         """Bring the drive to rest, whatever went before, then set mode and ramps and read them back."""
@@ -213,14 +230,28 @@ class DryveRailAxis:
         self._unfit = None if unfit is None else self._say("set up", unfit, remedy)
 
     async def _come_to_rest(self, link: DryveLink) -> None:
-        operating = decode_state(await link.read(dryve.STATUSWORD)) is DriveState.OPERATION_ENABLED
-        if operating:
-            await link.write(dryve.TARGET_VELOCITY, 0)
-            await link.write(dryve.CONTROLWORD, ControlWord.ENABLE_AND_HALT)
+        operating = await self._halt(link)
         until_ns = self._clock() + int(BRAKE_MAX_S * 1e9)
         while abs(await link.read(dryve.VELOCITY)) > self._units(AT_REST_M_S) and self._clock() < until_ns:
             await asyncio.sleep(0.01)
         await link.write(dryve.CONTROLWORD, ControlWord.SHUTDOWN if operating else ControlWord.RESET_AND_HALT)
+
+    async def _halt(self, link: DryveLink) -> bool:
+        """Whether the drive was in operation; if so it brakes now. While it refuses to say, it is told to stop."""
+        for left in reversed(range(HALT_TRIES)):
+            try:
+                operating = decode_state(await link.read(dryve.STATUSWORD)) is DriveState.OPERATION_ENABLED
+                if operating:
+                    await link.write(dryve.TARGET_VELOCITY, 0)
+                    await link.write(dryve.CONTROLWORD, ControlWord.ENABLE_AND_HALT)
+                return operating
+            except dryve.DryveRefusal:
+                if not left:
+                    raise
+                await asyncio.sleep(HALT_AGAIN_S)
+                with contextlib.suppress(dryve.DryveRefusal):
+                    await link.write(dryve.TARGET_VELOCITY, 0)
+        raise AssertionError("the last try returns or raises")
 
     async def _mode_not_taken(self, link: DryveLink) -> str | None:
         until_ns = self._clock() + int(MODE_MAX_S * 1e9)

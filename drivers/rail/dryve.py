@@ -174,17 +174,41 @@ def encode_abort(transaction: int, abort: int) -> bytes:
     return _prefix(transaction, len(body)) + body
 
 
-async def read_telegram(reader: asyncio.StreamReader) -> bytes:
-    """The next whole telegram, framed on the length in its header, however TCP has cut it.
+class Telegrams:
+    """Whole telegrams from a stream, framed on the length in their header, however TCP has cut them.
 
-    Raises EOFError when the other side closes (asyncio.IncompleteReadError), ValueError on a length that no
-    telegram has.
+    A wait that is given up loses no byte.
     """
-    head = await reader.readexactly(_MBAP_BYTES)
-    length = int.from_bytes(head[4:], "big")
-    if not 3 <= length <= _LENGTH_MAX:
-        raise ValueError(f"a telegram of {length} bytes after its header; the D1's have 3 to {_LENGTH_MAX}")
-    return head + await reader.readexactly(length)
+
+    def __init__(self, reader: asyncio.StreamReader) -> None:
+        self._reader = reader
+        self._pending = b""
+
+    async def next(self) -> bytes:
+        """The next one. Raises EOFError when the other side closes; ValueError on a header that no telegram has,
+        and throws away what came with it.
+        """
+        while (telegram := self._cut()) is None:
+            data = await self._reader.read(4096)
+            if not data:
+                raise EOFError("the other side closed the connection")
+            self._pending += data
+        return telegram
+
+    def _cut(self) -> bytes | None:
+        if len(self._pending) < _MBAP_BYTES:
+            return None
+        head, length = self._pending[:_MBAP_BYTES], int.from_bytes(self._pending[4:_MBAP_BYTES], "big")
+        if head[2:4] != b"\0\0" or not 3 <= length <= _LENGTH_MAX:
+            self._pending = b""
+            raise ValueError(
+                f"{head.hex()} heads no telegram: protocol 0, then 3 to {_LENGTH_MAX} bytes, here {length}"
+            )
+        end = _MBAP_BYTES + length
+        if len(self._pending) < end:
+            return None
+        telegram, self._pending = self._pending[:end], self._pending[end:]
+        return telegram
 
 
 def _telegram(transaction: int, write: bool, index: int, sub: int, count: int, data: bytes) -> bytes:

@@ -224,8 +224,9 @@ class DryveServer:
         self._hang_up()
         self._master = writer
         with contextlib.suppress(OSError, EOFError, ValueError):
+            telegrams = dryve.Telegrams(reader)
             while True:
-                telegram = await dryve.read_telegram(reader)
+                telegram = await telegrams.next()
                 if not self._faults.active("rail_silence"):
                     await self._reply(writer, self.device.answer(telegram, self._clock()))
         if self._master is writer:

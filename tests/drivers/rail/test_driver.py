@@ -20,17 +20,22 @@ WALK = [0x0100, 0x0006, 0x0007, 0x000F]
 
 
 class Drive(DryveDevice):
-    """Remembers what it was asked; `script` may answer in its place, and `inertia` delays its motion."""
+    """Remembers what it was asked; `script` may answer in its place, `coasts` delays its motion, and `stubborn` keeps
+    its set-point when its master is gone.
+    """
 
     def __init__(self, config: DryveRail) -> None:
         super().__init__(config)
         self.heard: list[tuple[ModbusRequest, DriveState]] = []
+        self.links: list[list[ModbusRequest]] = []  # the same by connection
+        self.stubborn = False
         self.script: Callable[[bytes, Callable[[], bytes]], bytes] | None = None
         self.position_m = self.velocity_m_s = 0.0
         self.coasts = False
 
     def answer(self, telegram: bytes, now_ns: int) -> bytes:
         self.heard.append((dryve.decode_request(telegram), self.state))
+        self.links[-1].append(self.heard[-1][0])
         if self.script is None:
             return super().answer(telegram, now_ns)
         return self.script(telegram, lambda: super(Drive, self).answer(telegram, now_ns))
@@ -38,6 +43,10 @@ class Drive(DryveDevice):
     def move(self) -> None:
         self.velocity_m_s = self.velocity_m_s if self.coasts else self.target_velocity_m_s
         self.sense(self.position_m, self.velocity_m_s)
+
+    def quick_stop(self) -> None:
+        if not self.stubborn:
+            super().quick_stop()
 
     def writes(self, entry: dryve.Entry, since: int = 0) -> list[int]:
         return [
@@ -47,13 +56,21 @@ class Drive(DryveDevice):
         ]
 
 
+class Server(DryveServer):
+    """Tells the drive of each connection."""
+
+    async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        self.device.links.append([])  # type: ignore[attr-defined]
+        await super()._serve(reader, writer)
+
+
 class Bench:
     """Driver and drive; the driver's clock stands still until told, the drive's own watchdog never bites."""
 
     def __init__(self, clock: Any, until: Any, config: DryveRail) -> None:
         self.clock, self._until = clock, until
         self.drive, self.faults = Drive(config), Faults(clock)
-        self.server = DryveServer("127.0.0.1", 0, self.drive, self.faults, lambda: 0)
+        self.server = Server("127.0.0.1", 0, self.drive, self.faults, lambda: 0)
         self.config = config
         self.axis: DryveRailAxis
 
@@ -140,7 +157,8 @@ def test_mode_and_ramps_are_set_before_anything_moves(bench: Any) -> None:
         assert b.drive.writes(dryve.MODE) == [3]
         assert b.drive.writes(dryve.ACCELERATION) == b.drive.writes(dryve.DECELERATION) == [400_000]
         assert b.drive.writes(dryve.QUICK_STOP) == [800_000]
-        first_velocity = [request.index for request, _ in b.drive.heard].index(0x60FF)
+        moving = [request.index == 0x60FF and request.data != bytes(4) for request, _ in b.drive.heard]
+        first_velocity = moving.index(True)
         assert {0x6060, 0x6083, 0x6084, 0x6085} <= {r.index for r, _ in b.drive.heard[:first_velocity]}
 
     bench(script, acceleration_m_s2=4.0, quick_stop_m_s2=8.0)
@@ -254,7 +272,7 @@ def test_a_drive_found_in_operation_is_braked_before_anything_else(bench: Any) -
 
     async def script(b: Bench) -> None:
         await b.wait_until(lambda: len(b.drive.heard) > 10)
-        assert b.drive.writes(dryve.TARGET_VELOCITY) == [0]
+        assert set(b.drive.writes(dryve.TARGET_VELOCITY)) == {0}
         assert b.drive.writes(dryve.CONTROLWORD) == [0x010F]
         assert b.axis.read() is None
         b.drive.coasts = False
@@ -309,7 +327,7 @@ def test_a_wrong_transaction_id_is_never_believed(bench: Any) -> None:
     async def script(b: Bench) -> None:
         b.drive.script = wrong
         await b.wait_until(lambda: "no answer within 0.05 s" in (b.axis.problem() or ""))
-        assert "(1 answers to other requests)" in b.axis.problem()
+        assert "(2 answers to other requests)" in b.axis.problem()  # the first stop's, and this one's
         assert b.axis.read() is None
 
     bench(script, timeout_s=0.05)
@@ -320,7 +338,7 @@ def test_a_wrong_transaction_id_is_never_believed(bench: Any) -> None:
     [
         (lambda t: dryve.encode_abort(t, 0x06020000), "6041h:0 (statusword): the object does not exist"),
         (lambda t: dryve.encode_exception(t, 6), "6041h:0 (statusword): busy (Modbus exception 0x06)"),
-        (lambda t: t.to_bytes(2, "big") + bytes.fromhex("0000ffff"), "65535 bytes after its header"),
+        (lambda t: t.to_bytes(2, "big") + bytes.fromhex("0000ffff"), "3 to 64 bytes, here 65535"),
         (lambda t: t.to_bytes(2, "big") + bytes.fromhex("00000003002b0d"), "no answer to a request for 6041h"),
     ],
 )
@@ -330,6 +348,109 @@ def test_error_answers_are_told(bench: Any, answer: Callable[[int], bytes], word
         await b.wait_until(lambda: words in (b.axis.problem() or ""))
         assert b.axis.problem().startswith(f"127.0.0.1:{b.server.port}: ")
         assert "connecting again" in b.axis.problem()
+
+    bench(script)
+
+
+STOP = ("60ff", bytes(4))
+BAD_ANSWERS = {
+    "refused": lambda t: dryve.encode_abort(t, 0x08000022),
+    "busy": lambda t: dryve.encode_exception(t, 6),
+    "garbled": lambda t: bytes.fromhex("ffffffffffffffffff"),
+    "another's": lambda t: (t ^ 0x5500).to_bytes(2, "big") + bytes.fromhex("00000003002b0d"),
+    "cut short": lambda t: t.to_bytes(2, "big") + bytes.fromhex("00000003002b0d"),
+    "none": lambda t: b"",
+}
+
+
+def ends(link: list[ModbusRequest]) -> tuple[Any, Any]:
+    return tuple((f"{request.index:04x}", request.data) for request in (link[0], link[-1]))  # type: ignore[return-value]
+
+
+@pytest.mark.parametrize("kind", BAD_ANSWERS)
+def test_a_link_begins_and_ends_with_a_stop_whatever_is_answered(bench: Any, kind: str) -> None:
+    async def script(b: Bench) -> None:
+        b.drive.stubborn = True  # nothing but what is said stops it
+        await b.enable()
+        b.drive.script = lambda telegram, _: BAD_ANSWERS[kind](int.from_bytes(telegram[:2], "big"))
+        await b.write_until(lambda: len(b.drive.links) > 3, True, 0.3)
+        assert [ends(link) for link in b.drive.links[:3]] == [(STOP, STOP)] * 3
+
+    bench(script, timeout_s=0.02)
+
+
+def test_a_link_that_is_left_in_peace_begins_and_ends_with_a_stop_too(bench: Any, until: Any) -> None:
+    async def script(b: Bench) -> None:
+        await b.enable()
+        await b.stop()
+        await until(lambda: ends(b.drive.links[0]) == (STOP, STOP))
+
+    bench(script)
+
+
+@pytest.mark.parametrize("kind", BAD_ANSWERS)
+@pytest.mark.parametrize("index", [0x60FF, 0x6041, 0x6064, 0x606C])
+def test_one_bad_answer_does_not_end_a_link_in_motion(bench: Any, kind: str, index: int) -> None:
+    async def script(b: Bench) -> None:
+        await b.enable(0.3)
+        spoilt: list[int] = []
+
+        def spoil(telegram: bytes, answer: Callable[[], bytes]) -> bytes:
+            if int.from_bytes(telegram[12:14], "big") == index and not spoilt:
+                spoilt.append(index)
+                return BAD_ANSWERS[kind](int.from_bytes(telegram[:2], "big"))
+            return answer()
+
+        b.drive.script = spoil
+        await b.write_until(lambda: spoilt, True, 0.4)
+        await b.write_until(lambda: b.axis.read().velocity_m_s == 0.4, True, 0.4)
+        assert len(b.drive.links) == 1
+        assert b.axis.read().enabled
+        assert b.axis.problem() is None
+
+    bench(script, timeout_s=0.05)
+
+
+def test_a_set_point_that_was_refused_once_is_said_again_without_waiting_for_the_next(bench: Any) -> None:
+    async def script(b: Bench) -> None:
+        await b.enable(0.3)
+        refused: list[int] = []
+
+        def refuse(telegram: bytes, answer: Callable[[], bytes]) -> bytes:
+            if telegram[12:14].hex() == "60ff" and telegram[9] and not refused:
+                refused.append(1)
+                return dryve.encode_abort(int.from_bytes(telegram[:2], "big"), 0x08000022)
+            return answer()
+
+        b.drive.script = refuse
+        b.axis.write(True, 0.0)  # once
+        await b.wait_until(lambda: refused and b.drive.velocity_m_s == 0.0)
+
+    bench(script)
+
+
+@pytest.mark.parametrize("storm", [3, 40, 150])  # telegrams; a link's end falls within the longer ones
+def test_a_cart_in_motion_is_stopped_as_soon_as_refusals_end(
+    bench: Any, storm: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("softarm.drivers.rail.driver.RETRY_S", (0.005, 60.0))  # no pause may grow meanwhile
+
+    async def script(b: Bench) -> None:
+        b.drive.stubborn = True
+        await b.enable(0.3)
+        began = len(b.drive.heard)
+
+        def refuse(telegram: bytes, answer: Callable[[], bytes]) -> bytes:
+            if len(b.drive.heard) <= began + storm:
+                return dryve.encode_abort(int.from_bytes(telegram[:2], "big"), 0x08000022)
+            return answer()
+
+        b.drive.script = refuse
+        await b.write_until(lambda: len(b.drive.heard) > began + storm, True, 0.3)
+        await b.write_until(lambda: b.drive.velocity_m_s == 0.0, True, 0.3)
+        after = [request for request, _ in b.drive.heard[began + storm :]]
+        stops = [request.index == 0x60FF and request.data == bytes(4) for request in after]
+        assert stops.index(True) <= 1
 
     bench(script)
 

@@ -1,0 +1,86 @@
+"""The control loop's waiting: to the microsecond, and on descriptors of any number."""
+
+import asyncio
+import os
+import resource
+import socket
+import time
+from collections.abc import Iterator
+
+import pytest
+
+from softarm.daemon.shell.wakeup import PunctualSelector
+
+READY_S = 5.0  # never waited for when the code is right
+
+
+@pytest.fixture
+def selector() -> Iterator[PunctualSelector]:
+    selector = PunctualSelector()
+    yield selector
+    selector.close()
+
+
+@pytest.fixture
+def pair() -> Iterator[tuple[socket.socket, socket.socket]]:
+    near, far = socket.socketpair()
+    yield near, far
+    near.close()
+    far.close()
+
+
+def test_a_time_out_is_not_rounded_up_to_a_millisecond(selector: PunctualSelector) -> None:
+    shortest_s = min(lasted_s(selector, 0.0002) for _ in range(200))
+    assert 0.0002 <= shortest_s < 0.0006
+
+
+def lasted_s(selector: PunctualSelector, timeout_s: float) -> float:
+    began_ns = time.monotonic_ns()
+    assert selector.select(timeout_s) == []
+    return (time.monotonic_ns() - began_ns) * 1e-9
+
+
+def test_a_timer_that_ran_out_does_not_wake_the_next_wait(
+    selector: PunctualSelector, pair: tuple[socket.socket, socket.socket]
+) -> None:
+    near, far = pair
+    assert selector.select(0.0001) == []
+    assert lasted_s(selector, 0.02) >= 0.02
+    selector.register(near, 1, "mine")
+    selector._set_timer(1)
+    far.send(b"!")
+    for timeout_s in (None, READY_S, 0.0, -1.0):
+        [(key, _)] = selector.select(timeout_s)
+        assert key.data == "mine"
+
+
+def test_a_tiny_time_out_ends(selector: PunctualSelector) -> None:
+    assert selector.select(1e-12) == []
+
+
+def test_descriptors_above_1023_are_waited_for() -> None:
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    if hard != resource.RLIM_INFINITY and hard < 2048:
+        pytest.skip("this machine allows fewer than 2048 open files")
+    resource.setrlimit(resource.RLIMIT_NOFILE, (max(soft, 2048), hard))
+    many = [os.open(os.devnull, os.O_RDONLY) for _ in range(1100)]
+
+    async def converse() -> bytes:
+        async def echo(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+            writer.write(await reader.readexactly(2))
+
+        async with await asyncio.start_server(echo, "127.0.0.1", 0) as server:
+            reader, writer = await asyncio.open_connection(*server.sockets[0].getsockname())
+            assert writer.get_extra_info("socket").fileno() > 1023
+            writer.write(b"hi")
+            answer = await reader.readexactly(2)
+            writer.close()
+            return answer
+
+    try:
+        with asyncio.Runner(loop_factory=lambda: asyncio.SelectorEventLoop(PunctualSelector())) as runner:
+            assert runner.run(asyncio.wait_for(converse(), READY_S)) == b"hi"
+    finally:
+        for descriptor in many:
+            os.close(descriptor)
+        resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
