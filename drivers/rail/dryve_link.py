@@ -54,14 +54,17 @@ class DryveLink:
 
     async def close(self) -> None:
         """Say stop and hang up, in any state of the connection. Takes `LINGER_S` at most."""
-        with contextlib.suppress(OSError):
+        try:
             self._send(dryve.TARGET_VELOCITY, 0)
             self._writer.write_eof()
             # Unread answers would turn the end of the connection into a reset, which may overtake the stop.
             async with asyncio.timeout(LINGER_S):
                 while await self._reader.read(4096):
                     pass
-        self._writer.transport.abort()
+        except OSError:
+            pass  # the connection is broken, or the other side keeps it open
+        finally:
+            self._writer.transport.abort()
 
     def _send(self, entry: Entry, value: int | None) -> int:
         self._transaction = self._transaction % 255 + 1  # 1 to 255: what is known to work on real drives

@@ -68,6 +68,7 @@ def test_descriptors_above_1023_are_waited_for() -> None:
     async def converse() -> bytes:
         async def echo(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
             writer.write(await reader.readexactly(2))
+            writer.close()
 
         async with await asyncio.start_server(echo, "127.0.0.1", 0) as server:
             reader, writer = await asyncio.open_connection(*server.sockets[0].getsockname())
