@@ -19,6 +19,7 @@ def check(file: Path) -> None:
     Example:
       softarm check softarm.yaml
     """
+    from softarm.daemon.api.auth import AuthError, load_token
     from softarm.daemon.config.configuration import ConfigurationError, effective_limits, read
     from softarm.daemon.config.policies import policy_problems
 
@@ -28,6 +29,12 @@ def check(file: Path) -> None:
         fail(str(error))
     columns = ("limit", "value", "unit", "allowed, or how it follows", "from")
     print_table(columns, effective_limits(loaded), f"{file}: limits in force", width=140)
-    if problems := list(policy_problems(loaded)):
+    problems = list(policy_problems(loaded))
+    try:
+        load_token(loaded.config.api)
+    except AuthError as error:
+        key = "host" if loaded.config.api.token_file is None else "token_file"
+        problems.append(f"{loaded.place(('api', key))}: {error}")
+    if problems:
         fail("\n".join(problems))
     click.echo(f"{file}: sound; starts with policy '{loaded.config.control.policy}'")

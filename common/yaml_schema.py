@@ -2,7 +2,7 @@
 
 import json
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from functools import partial
 from typing import Any, TypeVar
 
@@ -16,9 +16,15 @@ from softarm.common.yaml_lines import Document, FileError, Finding, Place, refus
 M = TypeVar("M", bound=BaseModel)
 
 
-def fit(document: Document, schema: type[M], more: Mapping[Place, Callable[[], str]] | None = None) -> M:
+def fit(
+    document: Document,
+    schema: type[M],
+    more: Mapping[Place, Callable[[], str]] | None = None,
+    rules: Callable[[M], Iterable[str]] = lambda fitted: (),
+) -> M:
     """Make the schema's object of a document. `more` is wrong at places besides, and goes before what the schema says.
 
+    rules: sentences on what is wrong with an object that fits the schema, each naming its keys by their full paths.
     A group whose keys are all commented out has its defaults. Raises FileError with all that is wrong.
     """
     if not isinstance(document.data, dict):
@@ -31,6 +37,8 @@ def fit(document: Document, schema: type[M], more: Mapping[Place, Callable[[], s
     except ValidationError as error:
         items = error.errors(include_url=False)
         found += [each for item in items if (each := _finding(document, schema, item)).place not in (more or {})]
+    else:
+        found += [_said(document, text, ()) for text in rules(fitted)]
     if document.findings or found:
         raise refuse(document, [*document.findings, *found])
     return fitted
@@ -50,10 +58,14 @@ def _finding(document: Document, schema: type[BaseModel], item: Mapping[str, Any
     loc: Place = item["loc"]
     place = document.known(loc)  # pydantic's adds the branches of a union
     if item["type"] == "value_error":
-        text = str(item["ctx"]["error"])
-        place = _named_in(text, document) or place
-        return Finding(place, document.line(place), partial(str.removeprefix, text, f"{'.'.join(map(str, place))} "))
+        return _said(document, str(item["ctx"]["error"]), place)
     return Finding(place, document.line(place), partial(_explain, schema, place, item))
+
+
+def _said(document: Document, text: str, otherwise: Place) -> Finding:
+    """A sentence, at the first key of the file that it names, or else at another place."""
+    place = _named_in(text, document) or otherwise
+    return Finding(place, document.line(place), partial(str.removeprefix, text, f"{'.'.join(map(str, place))} "))
 
 
 def _explain(schema: type[BaseModel], place: Place, item: Mapping[str, Any]) -> str:

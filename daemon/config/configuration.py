@@ -11,6 +11,7 @@ from softarm.common.keys import leaves
 from softarm.common.quantity import shown
 from softarm.common.yaml_lines import FileError, Place
 from softarm.common.yaml_schema import fit
+from softarm.daemon.config.contradictions import contradictions
 from softarm.schemas.config import Config
 
 
@@ -40,7 +41,7 @@ def read(path: Path | str) -> Loaded:
     """Read the configuration and where in the file it stands. Raises ConfigurationError as `load` does."""
     try:
         document = yaml_lines.read(path, "name an existing one, or start from a copy of the example softarm.yaml")
-        return Loaded(document.path, fit(document, Config), document.lines)
+        return Loaded(document.path, fit(document, Config, rules=contradictions), document.lines)
     except FileError as error:
         raise ConfigurationError(error.problems) from None
 

@@ -58,6 +58,27 @@ def test_the_policy_of_a_file_that_names_none_is_tried_too(check, monkeypatch, t
     assert result.stderr.startswith(f"{path}: control.policy: no policy 'reach'")
 
 
+def test_an_address_that_run_would_not_open_is_found(check, tmp_path):
+    path, result = check("api:\n  host: 0.0.0.0\n")
+    assert result.exit_code == 1
+    assert result.stderr.startswith(f"{path}:2: api.host 0.0.0.0 can be reached from other machines and needs api.")
+    path, result = check(f"api:\n  host: 0.0.0.0\n  token_file: {tmp_path}/none\n")
+    assert result.exit_code == 1
+    assert result.stderr.startswith(f"{path}:3: api.token_file {tmp_path}/none: cannot be read")
+
+
+@pytest.mark.parametrize("verb", [["check"], ["run", "--simulated", "--config"], ["twin", "--config"]])
+def test_what_contradicts_itself_is_refused_by_every_verb_with_the_same_words(tmp_path, verb):
+    path = tmp_path / "arm.yaml"
+    path.write_text("limits: {rail: {latency_s: 0}}\n")
+    result = CliRunner().invoke(main, [*verb, str(path)])
+    assert result.exit_code == 1
+    assert result.stderr == (
+        f"{path}:1: limits.rail.latency_s: is 0.0, below 0.005: no command reaches drivers.rail.driver dryve_d1 at "
+        "once; measure it, or remove the line for the default\n"
+    )
+
+
 @pytest.mark.parametrize("name", ["softarm.yaml", "twin.yaml"])
 def test_the_shipped_files_are_sound(name):
     result = CliRunner().invoke(main, ["check", str(ROOT / name)])

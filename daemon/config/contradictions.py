@@ -1,0 +1,76 @@
+"""What of a configuration contradicts itself, though each of its values is allowed: plain comparisons.
+
+Asked of every file that is read, by whichever verb. Not of `Config` itself: the configuration inside an old log stays
+readable, whatever it says.
+"""
+
+from collections.abc import Iterator
+
+from softarm.daemon.control.checks import OUTSIDE_M
+from softarm.schemas.config import Config
+from softarm.schemas.robot import RAIL_TRAVEL_M
+
+LATENCY_MIN_S = 0.005  # a telegram to the drive and its answer take longer on any network
+PULL_SHARE_MAX = 0.5  # of the drive's ramp; a surge that counts on more is caution, and says nothing of braking
+ROUNDING = 1e-9  # 1/30 s written by hand is no contradiction
+
+
+def contradictions(config: Config) -> Iterator[str]:
+    """A sentence for each: both keys, their values, the next step. The key that is wrong comes first."""
+    yield from _rail(config)
+    yield from _times(config)
+
+
+def _rail(config: Config) -> Iterator[str]:
+    limits, drive = config.limits.rail, config.drivers.rail
+    ramp, surge, braking = drive.acceleration_m_s2, limits.surge_m_s2, limits.braking_m_s2
+    if surge < ramp:
+        yield (
+            f"limits.rail.surge_m_s2 is {surge}, below drivers.rail.acceleration_m_s2 {ramp}: the drive alone speeds "
+            f"the cart up faster than is counted on; raise surge_m_s2 to {ramp} and the arm's pull, or lower the ramp"
+        )
+    pull = min(max(surge - ramp, 0.0), PULL_SHARE_MAX * ramp)
+    if braking > ramp - pull + ROUNDING:
+        yield (
+            f"limits.rail.braking_m_s2 is {braking}, above drivers.rail.acceleration_m_s2 {ramp} less the arm's pull "
+            f"of {pull:g} (limits.rail.surge_m_s2 {surge} less the ramp, at most half of it): the cart cannot brake "
+            f"so hard; lower braking_m_s2 to {ramp - pull:g}, or raise the ramp"
+        )
+    if braking > drive.quick_stop_m_s2:
+        yield (
+            f"drivers.rail.quick_stop_m_s2 is {drive.quick_stop_m_s2}, below limits.rail.braking_m_s2 {braking}: an "
+            f"emergency stop would brake less than is counted on; raise quick_stop_m_s2 to {braking} or more"
+        )
+    if limits.latency_s < LATENCY_MIN_S:
+        yield (
+            f"limits.rail.latency_s is {limits.latency_s}, below {LATENCY_MIN_S}: no command reaches "
+            f"drivers.rail.driver {drive.driver} at once; measure it, or remove the line for the default"
+        )
+    for key, limit_m in (("position_min_m", limits.position_min_m), ("position_max_m", limits.position_max_m)):
+        if abs(limit_m) + OUTSIDE_M > RAIL_TRAVEL_M + ROUNDING:
+            yield (
+                f"limits.rail.{key} is {limit_m}, and the mechanical stop at {RAIL_TRAVEL_M} m lies less than "
+                f"{OUTSIDE_M} m beyond it: the cart would hit the stop before the failsafe calls it outside; "
+                f"bring it within {RAIL_TRAVEL_M - OUTSIDE_M:g} m of the middle"
+            )
+
+
+def _times(config: Config) -> Iterator[str]:
+    rate = config.control.rate_hz
+    period_s = 1 / rate
+    failsafe, live_s = config.failsafe, config.drivers.regulator.time_to_live_s
+    if live_s <= period_s + ROUNDING:
+        yield (
+            f"drivers.regulator.time_to_live_s is {live_s}, no longer than a tick ({period_s:.4f} s at control.rate_hz "
+            f"{rate}): the regulator would vent between two commands; raise it to {3 * period_s:.1f}"
+        )
+    for key, device, stale_s in (
+        ("mocap_stale_s", "motion capture", failsafe.mocap_stale_s),
+        ("pressure_stale_s", "the regulator", failsafe.pressure_stale_s),
+        ("rail_stale_s", "the axis", failsafe.rail_stale_s),
+    ):
+        if stale_s <= period_s + ROUNDING:
+            yield (
+                f"failsafe.{key} is {stale_s}, no longer than a tick ({period_s:.4f} s at control.rate_hz {rate}): a "
+                f"reading of {device} that is in order would count as too old; raise it to {2 * period_s:.2f} or more"
+            )

@@ -1,0 +1,113 @@
+"""A configuration that contradicts itself is refused before the arm moves, though each of its values is allowed."""
+
+import pytest
+
+from softarm.daemon.config.configuration import ConfigurationError, load
+from softarm.daemon.config.contradictions import contradictions
+from softarm.schemas.config import Config
+
+RAIL = "drivers.rail.acceleration_m_s2"
+
+
+@pytest.fixture
+def refusals(tmp_path):
+    def refusals(text: str) -> list[str]:
+        path = tmp_path / "arm.yaml"
+        path.write_text(text)
+        try:
+            load(path)
+        except ConfigurationError as refusal:
+            return [problem.removeprefix(f"{path}:") for problem in refusal.problems]
+        return []
+
+    return refusals
+
+
+def test_the_defaults_are_sound():
+    assert list(contradictions(Config())) == []
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        (
+            "drivers: {rail: {acceleration_m_s2: 3}}",
+            f"1: {RAIL}: limits.rail.braking_m_s2 is 3.0, above {RAIL} 3.0 less the arm's pull of 1.5 (limits.rail."
+            "surge_m_s2 9.0 less the ramp, at most half of it): the cart cannot brake so hard; "
+            "lower braking_m_s2 to 1.5, or raise the ramp",
+        ),
+        (
+            "limits: {rail: {braking_m_s2: 3.5}}",
+            f"1: limits.rail.braking_m_s2: is 3.5, above {RAIL} 6.0 less the arm's pull of 3 (limits.rail.surge_m_s2 "
+            "9.0 less the ramp, at most half of it): the cart cannot brake so hard; "
+            "lower braking_m_s2 to 3, or raise the ramp",
+        ),
+        (
+            "limits:\n  rail: {surge_m_s2: 1}",
+            f"2: limits.rail.surge_m_s2: is 1.0, below {RAIL} 6.0: the drive alone speeds the cart up faster than is "
+            "counted on; raise surge_m_s2 to 6.0 and the arm's pull, or lower the ramp",
+        ),
+        (
+            "drivers: {rail: {quick_stop_m_s2: 2}}",
+            "1: drivers.rail.quick_stop_m_s2: is 2.0, below limits.rail.braking_m_s2 3.0: an emergency stop would "
+            "brake less than is counted on; raise quick_stop_m_s2 to 3.0 or more",
+        ),
+        (
+            "limits: {rail: {latency_s: 0}}",
+            "1: limits.rail.latency_s: is 0.0, below 0.005: no command reaches drivers.rail.driver dryve_d1 at once; "
+            "measure it, or remove the line for the default",
+        ),
+        (
+            "limits: {rail: {position_max_m: 0.3}}",
+            "1: limits.rail.position_max_m: is 0.3, and the mechanical stop at 0.3 m lies less than 0.02 m beyond it: "
+            "the cart would hit the stop before the failsafe calls it outside; bring it within 0.28 m of the middle",
+        ),
+        (
+            "limits: {rail: {position_min_m: -0.29}}",
+            "1: limits.rail.position_min_m: is -0.29, and the mechanical stop at 0.3 m lies less than 0.02 m "
+            "beyond it: the cart would hit the stop before the failsafe calls it outside; "
+            "bring it within 0.28 m of the middle",
+        ),
+        (
+            "drivers: {regulator: {time_to_live_s: 0.031}}",
+            "1: drivers.regulator.time_to_live_s: is 0.031, no longer than a tick (0.0333 s at control.rate_hz 30): "
+            "the regulator would vent between two commands; raise it to 0.1",
+        ),
+        (
+            "failsafe: {mocap_stale_s: 0.03}",
+            "1: failsafe.mocap_stale_s: is 0.03, no longer than a tick (0.0333 s at control.rate_hz 30): a reading of "
+            "motion capture that is in order would count as too old; raise it to 0.07 or more",
+        ),
+    ],
+)
+def test_each_contradiction_has_both_keys_their_values_and_the_next_step(refusals, text, said):
+    assert refusals(text) == [said]
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "limits: {rail: {braking_m_s2: 4, surge_m_s2: 8}}",  # measured on a robot whose arm pulls less
+        "limits: {rail: {braking_m_s2: 1.7, surge_m_s2: 10.3}}",
+        "limits: {rail: {braking_m_s2: 1}}\ndrivers: {rail: {acceleration_m_s2: 2}}",
+        "limits: {rail: {position_min_m: -0.28, position_max_m: 0.28}}",
+        "limits: {rail: {latency_s: 0.09}}",
+        "failsafe: {rail_stale_s: 0.04}\ndrivers: {regulator: {time_to_live_s: 0.04}}",
+    ],
+)
+def test_what_a_robot_may_be_is_no_contradiction(refusals, text):
+    assert refusals(text) == []
+
+
+def test_all_are_told_at_once_in_the_files_order(refusals):
+    told = refusals("limits:\n  rail:\n    surge_m_s2: 1\n    latency_s: 0\nfailsafe: {pressure_stale_s: 0.01}\n")
+    assert [problem.split(": ")[:2] for problem in told] == [
+        ["3", "limits.rail.surge_m_s2"],
+        ["4", "limits.rail.latency_s"],
+        ["5", "failsafe.pressure_stale_s"],
+    ]
+
+
+def test_the_configuration_inside_an_old_log_stays_readable():
+    old = Config.model_validate_json('{"limits": {"rail": {"latency_s": 0.0, "braking_m_s2": 20.0}}}')
+    assert len(list(contradictions(old))) == 3  # the quick stop is weaker, too
