@@ -49,17 +49,26 @@ def disarm(daemon: Remote) -> None:
 
 
 @click.command()
+@click.option(
+    "--stop-port",
+    type=click.IntRange(1, 65535),
+    envvar="SOFTARM_STOP_PORT",
+    show_envvar=True,
+    help="The daemon's api.stop_port (default: the one after the port in --url).",
+)
 @remote
-def stop(daemon: Remote) -> None:
+def stop(daemon: Remote, stop_port: int | None) -> None:
     """Emergency stop by software: brake, vent, and stay stopped until `softarm acknowledge`.
 
-    It goes through the network and the daemon. The button on the wall does not.
+    It goes by the stop's own way, which nothing else can hold up, and over the API where that does not answer.
+    It needs the network and the daemon. The button on the wall does not.
 
     \b
     Example:
       softarm stop
     """
-    daemon.post("/api/stop")
+    if not daemon.stop(stop_port):
+        daemon.post("/api/stop")
     click.echo("stopped; latched until `softarm acknowledge`")
 
 

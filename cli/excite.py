@@ -32,7 +32,7 @@ def excite(
       softarm excite --plan verdict.json --config softarm.yaml    the next experiment of `softarm diagnose`
     """
     from softarm.daemon.api.auth import AuthError
-    from softarm.daemon.api.server import ApiError
+    from softarm.daemon.api.sockets import ApiError
     from softarm.daemon.config import configuration
     from softarm.daemon.logbook.recorder import RecorderError
     from softarm.daemon.shell.daemon import real_devices

@@ -1,6 +1,8 @@
 """The daemon's REST API as the verbs use it."""
 
 import functools
+import http.client
+import json
 import os
 from collections.abc import Callable
 from pathlib import Path
@@ -15,6 +17,7 @@ from softarm.cli.options import FILE
 
 DEFAULT_URL = "http://127.0.0.1:8080"
 TIMEOUT_S = 5.0
+STOP_TIMEOUT_S = 1.0  # by the stop's own way: the daemon has 0.5 s
 
 
 class Remote:
@@ -44,6 +47,21 @@ class Remote:
     def post(self, path: str, body: object = None) -> Any:
         """Ask for something."""
         return self.request("POST", path, body)
+
+    def stop(self, port: int | None = None) -> bool:
+        """Stop by the stop's own way; False where that did not say so. port: default the API's plus one."""
+        url = self._client.base_url
+        if url.scheme != "http":
+            return False  # a proxy, which knows nothing of another port
+        headers = {name: value for name, value in self._client.headers.items() if name == "authorization"}
+        way = http.client.HTTPConnection(url.host, port or (url.port or 80) + 1, timeout=STOP_TIMEOUT_S)
+        try:
+            way.request("POST", "/api/stop", headers=headers)
+            return json.loads(way.getresponse().read(4096)).get("stopped") is True
+        except (OSError, http.client.HTTPException, ValueError, AttributeError):
+            return False
+        finally:
+            way.close()
 
     def request(self, method: str, path: str, body: object = None) -> Any:
         """Return the answer as parsed JSON; the server's own sentence when it refuses."""

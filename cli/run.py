@@ -30,7 +30,7 @@ def run(config_file: Path | None, simulated: bool, model_file: Path | None) -> N
     import logging
 
     from softarm.daemon.api.auth import AuthError
-    from softarm.daemon.api.server import ApiError
+    from softarm.daemon.api.sockets import ApiError
     from softarm.daemon.config import configuration
     from softarm.daemon.logbook.recorder import RecorderError
     from softarm.daemon.shell import daemon
@@ -51,7 +51,11 @@ def run(config_file: Path | None, simulated: bool, model_file: Path | None) -> N
 
 def announce(running: "Daemon") -> None:
     """Say where it is and what comes next."""
+    from softarm.daemon.stop.terminal import is_offered
+
     log = running.recorder.path
     click.echo(f"softarm: serving {running.url} (API: {running.url}/docs), disarmed")
     click.echo(f"softarm: recording {log}" if log else "softarm: not recording (recorder.enabled is false)")
+    key = "; space or s here is an emergency stop" if is_offered() else ""
+    click.echo(f"softarm: stop: `softarm stop`, or POST {running.stop_url}{key}")
     click.echo("softarm: next: `softarm arm`, then `softarm goal reach -0.2 0.6`; Ctrl-C ends")

@@ -42,15 +42,15 @@ class SoftwareInTheLoop:
         self._twin_options = [] if model is None else ["--model", str(model)]
         self._folder = tempfile.TemporaryDirectory(prefix="softarm-")
         self.folder = Path(self._folder.name)
-        mocap, rail, api = _free_ports(3)
-        self.url = f"http://127.0.0.1:{api}"
+        mocap, rail, api, stop = _free_ports(4)
+        self.url, self.stop_port = f"http://127.0.0.1:{api}", stop
         self.settings: dict[str, Any] = {
             "drivers": {
                 "mocap": {"endpoint": f"tcp/127.0.0.1:{mocap}"},
                 "regulator": {"port": str(self.folder / "regulator")},
                 "rail": {"host": "127.0.0.1", "port": rail},
             },
-            "api": {"port": api},
+            "api": {"port": api, "stop_port": stop},
             "recorder": {"directory": str(logs)},
             **(overrides or {}),
         }

@@ -169,7 +169,21 @@ class Api(Strict):
 
     host: str = "127.0.0.1"
     port: Annotated[int, Field(ge=0, le=65535)] = 8080
+    stop_port: Annotated[int, Field(ge=0, le=65535)] | None = None  # of the stop's own way; null: the one after port
     token_file: Path | None = None
+
+    @model_validator(mode="after")
+    def _a_port_for_each(self) -> Self:
+        if self.stop_port is None and self.port == 65535:
+            raise ValueError("port 65535 has none after it: choose another, or name a stop_port")
+        if self.stop_port == self.port != 0:
+            raise ValueError(f"stop_port is {self.port} like port: choose another, or null for the one after port")
+        return self
+
+    @property
+    def stops_at(self) -> int:
+        """The port of the stop's own way; 0: any."""
+        return self.stop_port if self.stop_port is not None else self.port + 1 if self.port else 0
 
 
 class Recorder(Strict):

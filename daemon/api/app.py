@@ -22,7 +22,7 @@ from softarm.daemon.api.sentences import sentences
 from softarm.daemon.api.status import RecorderState, RequestAnswer, Status, StatusView
 from softarm.daemon.api.stream import POLL_S, stream
 from softarm.daemon.control import workspace
-from softarm.daemon.control.inbox import Inbox, InboxFull
+from softarm.daemon.control.inbox import ANSWER_S, STOP_WAITS, Inbox, InboxFull
 from softarm.daemon.control.records import Outputs, Problems, RequestKind, RequestResult
 from softarm.policies.runner import PolicyRunner
 from softarm.recordings.listing import listing
@@ -40,7 +40,6 @@ from softarm.schemas.rest import (
 )
 from softarm.schemas.robot import CONTROL_RATE_HZ
 
-ANSWER_S = 0.5  # the control loop answers within a tick or two
 REFUSALS = {
     404: "no such policy; lists those there are",
     409: "refused by the control loop, with its reasons",
@@ -309,5 +308,5 @@ class _Api:
 def _meanwhile(kind: RequestKind) -> tuple[str, ...]:
     """What to do when the loop is silent."""
     if kind == "stop":
-        return ("use the emergency-stop button; the request stays in the inbox and is answered first",)
+        return (STOP_WAITS,)
     return ("see GET /api/health; the request is still in the inbox",)

@@ -9,13 +9,10 @@ import uvicorn
 from starlette.types import ASGIApp
 
 from softarm.daemon.api import bounds
+from softarm.daemon.api.sockets import ApiError, listen
 from softarm.schemas.config import Api
 
 START_S = 5.0
-
-
-class ApiError(Exception):
-    """The API cannot be opened; names the address and the next step."""
 
 
 class ApiServer:
@@ -48,7 +45,7 @@ class ApiServer:
 
         Raises ApiError when the address cannot be bound.
         """
-        listener = self._bind()
+        listener = listen(self._config.host, self._config.port, "api.port", bounds.CONNECTIONS_MAX)
         port = int(listener.getsockname()[1])
         self._thread = threading.Thread(target=self._serve, args=(listener,), name="api", daemon=True)
         self._thread.start()
@@ -79,22 +76,3 @@ class ApiServer:
 
     def _where(self, port: int) -> str:
         return f"{self._config.host} port {port}"
-
-    def _bind(self) -> socket.socket:
-        host, port = self._config.host, self._config.port
-        try:
-            family, kind, protocol, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
-            listener = socket.socket(family, kind, protocol)
-            try:
-                listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-                listener.bind(address)
-                listener.listen(bounds.CONNECTIONS_MAX)
-            except OSError:
-                listener.close()
-                raise
-        except OSError as error:
-            raise ApiError(
-                f"api.host {host}, api.port {port}: cannot listen there ({error.strerror}); stop the program "
-                "that does (another daemon? `softarm status` asks it), or choose another api.port, 0 for any"
-            ) from error
-        return listener

@@ -95,5 +95,7 @@ def _derived(config: Config) -> Iterator[LimitRow]:
     yield row("pressure step per tick", pressure.slew_max_kpa_s * period_s, "kPa", "slew_max x tick")
     ticks = math.ceil((pressure.max_kpa - pressure.min_kpa) / (pressure.slew_max_kpa_s * period_s) - 1e-9)
     yield row("full pressure range in", ticks, "ticks", "(max - min) / step")
+    way, how = f"{config.api.host}:{config.api.stops_at}", "api.stop_port, or the one after api.port"
+    yield LimitRow("stop's own way", way, "", how, "derived")
     share = 100 * config.failsafe.policy_budget_s / period_s
     yield row("policy's share of a tick", share, "%", "policy_budget / tick")

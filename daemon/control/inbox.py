@@ -8,6 +8,9 @@ from softarm.daemon.control.records import Request, RequestKind
 from softarm.policies.runner import PolicyRunner
 from softarm.schemas.goals import Goal
 
+ANSWER_S = 0.5  # the control loop answers within a tick or two
+STOP_WAITS = "use the emergency-stop button; the request stays in the inbox and is answered first"
+
 
 class Post(NamedTuple):
     """A request and, for a change of policy, the loaded and warmed-up runner."""

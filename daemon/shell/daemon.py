@@ -14,7 +14,9 @@ from softarm.daemon.control.inbox import Inbox
 from softarm.daemon.logbook.recorder import Recorder
 from softarm.daemon.shell import realtime
 from softarm.daemon.shell.loop import ControlLoop, Devices
-from softarm.daemon.shell.service import Notifier, Watchdog
+from softarm.daemon.shell.service import Notifier, Watchdog, allow_descriptors
+from softarm.daemon.stop.listener import StopListener
+from softarm.daemon.stop.terminal import StopKey
 from softarm.daemon.tick import Controller
 from softarm.policies import registry
 from softarm.policies.runner import ThreadRunner
@@ -71,25 +73,30 @@ class Daemon:
         )
         context = ApiContext(config, self.inbox, lambda: self.loop.snapshot, lambda: self.loop.problems, self.recorder)
         self.api = ApiServer(config.api, create_app(context))
-        self.port = 0
+        self.stop_way = StopListener(
+            config.api, self.inbox, lambda: self.loop.snapshot, config.control.realtime_priority
+        )
+        self.port = self.stop_port = 0
 
     def start(self) -> None:
-        """Recorder, API, loop: people can ask before the hardware is up.
+        """Recorder, stop, API, loop: people can ask before the hardware is up.
 
         Raises RecorderError or ApiError; nothing is left running then.
         """
         sys.setswitchinterval(SWITCH_INTERVAL_S)
         self.recorder.start()
         try:
+            self.stop_port = self.stop_way.start()
             self.port = self.api.start()
         except Exception:
+            self.stop_way.stop()
             self.recorder.stop()
             raise
         self.loop.start()
 
     def stop(self) -> None:
         """The loop first: it leaves the devices safe. Each part is stopped whatever the others do."""
-        for part in (self.loop, self.api, self.recorder):
+        for part in (self.loop, self.stop_way, self.api, self.recorder):
             try:
                 part.stop()
             except Exception:
@@ -99,6 +106,16 @@ class Daemon:
     def url(self) -> str:
         """Where the API answers."""
         return f"http://{self.config.api.host}:{self.port}"
+
+    @property
+    def stop_url(self) -> str:
+        """Where a stop is taken that waits for nobody."""
+        return f"http://{self.config.api.host}:{self.stop_port}/api/stop"
+
+    def stop_by_key(self) -> None:
+        """Somebody pressed a key."""
+        self.inbox.post("stop")
+        log.warning("emergency stop by a key: `softarm acknowledge` frees the latch")
 
 
 def run(config: Config, devices: Devices, on_ready: Callable[[Daemon], None]) -> None:
@@ -110,12 +127,14 @@ def run(config: Config, devices: Devices, on_ready: Callable[[Daemon], None]) ->
 
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, end)
+    allow_descriptors()
     daemon = Daemon(config, devices)
     daemon.start()
     try:
         on_ready(daemon)
         daemon.notifier.ready(f"serving {daemon.url}")
-        stop.wait()
+        with StopKey(daemon.stop_by_key):
+            stop.wait()
         daemon.notifier.stopping()
     finally:
         daemon.stop()

@@ -1,9 +1,25 @@
-"""Talking to systemd: one datagram per message (sd_notify(3)). Without systemd every call does nothing."""
+"""What the daemon tells the system, and asks of it.
+
+Talking to systemd is one datagram per message (sd_notify(3)); without systemd every call does nothing.
+"""
 
 import contextlib
 import os
+import resource
 import socket
 from collections.abc import Mapping
+
+DESCRIPTORS = 8192
+
+
+def allow_descriptors(wanted: int = DESCRIPTORS) -> int:
+    """Raise this process's own limit of open files as far as the system lets it; returns the limit. Never lowers it."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    if soft == resource.RLIM_INFINITY or soft >= wanted:
+        return soft
+    new = wanted if hard == resource.RLIM_INFINITY else min(wanted, hard)
+    resource.setrlimit(resource.RLIMIT_NOFILE, (new, hard))
+    return new
 
 
 class Notifier:

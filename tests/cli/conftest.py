@@ -87,6 +87,7 @@ def daemon():
 def softarm(daemon, monkeypatch):
     """Run the command line against the fake daemon."""
     monkeypatch.setenv("SOFTARM_URL", daemon.url)
+    monkeypatch.setenv("SOFTARM_STOP_PORT", "1")  # nobody's; the one after the URL's may be another test's
     monkeypatch.delenv("SOFTARM_TOKEN", raising=False)
 
     def run(*arguments):

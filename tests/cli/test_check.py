@@ -30,6 +30,7 @@ def test_a_sound_file_prints_its_limits_and_where_they_come_from(check):
     row = next(line for line in result.stdout.splitlines() if "pressure.max_kpa" in line)
     assert "default" in row
     assert "stopping distance at full speed" in result.stdout
+    assert "127.0.0.1:8081" in next(line for line in result.stdout.splitlines() if "stop's own way" in line)
     assert result.stdout.endswith(f"{path}: sound; starts with policy 'hold'\n")
 
 

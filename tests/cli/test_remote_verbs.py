@@ -6,7 +6,10 @@ import pytest
 from click.testing import CliRunner
 
 from softarm.cli.main import main
-from softarm.daemon.control.records import ActiveEvent, EStop, Mode, Problems
+from softarm.daemon.control.inbox import Inbox
+from softarm.daemon.control.records import ActiveEvent, EStop, Mode, Outputs, Problems
+from softarm.daemon.stop.listener import StopListener
+from softarm.schemas.config import Api
 from softarm.schemas.goals import Goal, GoalStatus
 from softarm.schemas.log import LogEntry
 from softarm.schemas.rest import GoalAnswer, LogsAnswer, PoliciesAnswer, PolicyAnswer
@@ -56,6 +59,38 @@ def test_disarm_stop_and_acknowledge(softarm, daemon, make_status, verb, path, p
     result = softarm(verb)
     assert (result.exit_code, result.stdout) == (0, printed + "\n")
     assert daemon.requests[0] == ("POST", path, None)
+
+
+@pytest.fixture
+def stop_way():
+    """The inbox of a daemon that is stopped already, behind the stop's own way, and its port."""
+    inbox = Inbox()
+    stopped = Outputs(1 << 62, 1, 0, 0, 0, Mode.STOPPED, EStop.LATCHED)
+    way = StopListener(Api(port=0), inbox, lambda: stopped)
+    yield inbox, way.start()
+    way.stop()
+
+
+def test_a_stop_goes_by_its_own_way(softarm, daemon, stop_way):
+    inbox, port = stop_way
+    result = softarm("stop", "--stop-port", port)
+    assert (result.exit_code, result.stdout) == (0, "stopped; latched until `softarm acknowledge`\n")
+    assert [post.request.kind for post in inbox.take()] == ["stop"]
+    assert daemon.requests == []
+
+
+def test_the_stops_way_is_the_port_after_the_apis(softarm, stop_way, monkeypatch):
+    inbox, port = stop_way
+    monkeypatch.delenv("SOFTARM_STOP_PORT")
+    assert softarm("stop", "--url", f"http://127.0.0.1:{port - 1}").exit_code == 0
+    assert [post.request.kind for post in inbox.take()] == ["stop"]
+
+
+def test_a_stop_goes_over_rest_where_another_program_has_the_port(softarm, daemon, make_status):
+    daemon.on("POST", "/api/stop", make_status())  # an answer without `stopped`
+    result = softarm("stop", "--stop-port", daemon.server.server_port)
+    assert result.exit_code == 0
+    assert [path for _, path, _ in daemon.requests] == ["/api/stop"] * 2
 
 
 def test_a_goal_with_negative_coordinates_is_no_option(softarm, accepts_goal):

@@ -1,5 +1,6 @@
 """`softarm run`: the daemon as a person starts it."""
 
+import os
 import re
 import signal
 import subprocess
@@ -24,10 +25,13 @@ def write(path, text):
 def test_a_simulated_run_arms_swings_and_ends_cleanly(tmp_path):
     config = write(tmp_path / "c.yaml", f"api: {{port: 0}}\nrecorder: {{directory: {tmp_path}}}\n")
     command = [sys.executable, "-m", "softarm.cli.main", "run", "--simulated", "--config", str(config)]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True) as process:
+    typist, terminal = os.openpty()
+    pipes = {"stdin": terminal, "stdout": subprocess.PIPE, "stderr": subprocess.STDOUT}
+    with subprocess.Popen(command, **pipes, text=True, start_new_session=True) as process:
         try:
             url = next(m[1] for line in process.stdout if (m := re.search(r"serving (http://\S+)", line)))
             recording = next(m[1] for line in process.stdout if (m := re.search(r"recording (\S+)", line)))
+            stop_url = next(m[1] for line in process.stdout if (m := re.search(r"POST (\S+); space or s here", line)))
             with httpx.Client(base_url=url) as client:
                 # Not a status before the first tick, refusals until motion capture has settled.
                 while (status := client.get("/api/status").json()).get("arming_refusals") != []:
@@ -41,9 +45,18 @@ def test_a_simulated_run_arms_swings_and_ends_cleanly(tmp_path):
                 while (answer := client.get("/api/goal").json())["state"] == "running":
                     pass
                 assert answer["state"] == "reached"
+                assert httpx.post(stop_url).json()["mode"] == "stopped"
+                while client.get("/api/status").json()["estop"] != "latched":
+                    pass
+                assert client.post("/api/acknowledge").status_code == 200
+                os.write(typist, b" ")
+                while client.get("/api/status").json()["estop"] != "latched":
+                    pass
         finally:
             process.send_signal(signal.SIGTERM)
         assert process.wait(10) == 0
+    os.close(typist)
+    os.close(terminal)
     assert logs.read(recording).finished
 
 

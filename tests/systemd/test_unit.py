@@ -8,6 +8,8 @@ from pathlib import Path
 
 import pytest
 
+from softarm.daemon.shell.service import DESCRIPTORS
+
 SYSTEMD = Path(__file__).parents[2] / "systemd"
 ANALYZE = shutil.which("systemd-analyze")
 needs_systemd = pytest.mark.skipif(ANALYZE is None, reason="systemd-analyze is not on this machine")
@@ -60,6 +62,10 @@ def test_the_watchdog_is_slower_than_a_few_ticks_and_systemd_waits_for_the_log()
     assert service["WatchdogSec"] == "1s"
     assert service["TimeoutStopSec"] == "10s"
     assert service["ExecStart"] == "/opt/softarm/.venv/bin/softarm run --config /etc/softarm/softarm.yaml"
+
+
+def test_files_may_be_opened_as_the_daemon_asks():
+    assert int(unit()["Service"]["LimitNOFILE"]) == DESCRIPTORS
 
 
 def test_nothing_takes_away_the_serial_port_or_real_time():

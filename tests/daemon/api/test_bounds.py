@@ -20,13 +20,11 @@ def keys(count: int) -> str:
     return json.dumps({"kind": "hold"} | {f"key{i}": i for i in range(count)})
 
 
-def test_a_body_that_is_too_long_is_not_even_parsed(client, loop):
-    started = time.process_time()
-    answer = client.post("/api/goal", content=keys(100_000), headers=JSON)
-    spent_s = time.process_time() - started
-    assert answer.status_code == 413
+@pytest.mark.parametrize("body", [keys(100_000), "{" * 5000], ids=["100,000 keys", "no JSON"])
+def test_a_body_that_is_too_long_is_not_even_parsed(client, loop, body):
+    answer = client.post("/api/goal", content=body, headers=JSON)
+    assert answer.status_code == 413  # parsed, it would be 422 or 400
     assert answer.json()["detail"].startswith("the body has more than 4096 bytes")
-    assert spent_s < 0.2  # its 100,000 mistakes took seconds
     assert not loop.taken
 
 

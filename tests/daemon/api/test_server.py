@@ -14,7 +14,8 @@ from websockets.asyncio.client import connect
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import connect as connect_sync
 
-from softarm.daemon.api.server import ApiError, ApiServer
+from softarm.daemon.api.server import ApiServer
+from softarm.daemon.api.sockets import ApiError
 from softarm.daemon.api.stream import Pace
 from softarm.schemas.config import Api
 

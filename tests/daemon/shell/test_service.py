@@ -1,12 +1,13 @@
 """systemd hears of readiness and of good ticks; without systemd nothing happens."""
 
 import os
+import resource
 import socket
 from itertools import pairwise
 
 import pytest
 
-from softarm.daemon.shell.service import Notifier, Watchdog
+from softarm.daemon.shell.service import Notifier, Watchdog, allow_descriptors
 
 S = 1_000_000_000
 
@@ -86,3 +87,20 @@ def test_it_never_blocks(tmp_path):
         notifier = Notifier({"NOTIFY_SOCKET": str(tmp_path / "deaf")})
         for _ in range(2000):  # far more than its queue holds
             notifier.status("x" * 1000)
+
+
+@pytest.fixture
+def limit_of_files():
+    before = resource.getrlimit(resource.RLIMIT_NOFILE)
+    yield before
+    resource.setrlimit(resource.RLIMIT_NOFILE, before)
+
+
+def test_the_limit_of_open_files_is_raised_as_far_as_granted_and_never_lowered(limit_of_files):
+    _, hard = limit_of_files
+    resource.setrlimit(resource.RLIMIT_NOFILE, (256, hard))
+    assert allow_descriptors(512) == 512
+    assert resource.getrlimit(resource.RLIMIT_NOFILE) == (512, hard)
+    assert allow_descriptors(100) == 512
+    if hard != resource.RLIM_INFINITY:
+        assert allow_descriptors(hard + 1) == hard

@@ -1,0 +1,1 @@
+"""Ways to an emergency stop that share nothing with the API: a socket with a thread of its own, a key."""

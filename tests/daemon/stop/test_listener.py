@@ -1,0 +1,199 @@
+"""The stop's own way: who may ask, what it answers, and that nobody there can hold it up."""
+
+import http.client
+import json
+import socket
+import threading
+import time
+from contextlib import ExitStack, contextmanager
+from dataclasses import replace
+
+import pytest
+
+from softarm.daemon.api.auth import AuthError
+from softarm.daemon.api.sockets import ApiError
+from softarm.daemon.control.inbox import Inbox
+from softarm.daemon.control.records import EStop, Mode
+from softarm.daemon.stop import listener
+from softarm.daemon.stop.listener import StopListener
+from softarm.schemas.config import Api
+
+TOKEN = "0123456789abcdef0123456789abcdef"
+GOOD = b"POST /api/stop HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n"
+
+
+class StoppingLoop:
+    """Takes what is in the inbox at each look at its snapshot, as a tick between two looks would."""
+
+    def __init__(self, outputs):
+        self.inbox, self.outputs, self.ticks = Inbox(), outputs, True
+        self.taken = []
+
+    def snapshot(self):
+        if self.ticks and (posts := self.inbox.take()):
+            self.taken += [post.request.kind for post in posts]
+            latched = {"mode": Mode.STOPPED, "estop": EStop.LATCHED}
+            self.outputs = replace(self.outputs, t_ns=time.monotonic_ns() + 10**9, **latched)
+        return self.outputs
+
+
+@pytest.fixture
+def stopping(silent):
+    return StoppingLoop(silent[1].outputs)
+
+
+@contextmanager
+def way(loop, config: Api | None = None):
+    made = StopListener(config or Api(port=0), loop.inbox, loop.snapshot)
+    port = made.start()
+    try:
+        yield port
+    finally:
+        made.stop()
+        assert not any(thread.name == "stop" for thread in threading.enumerate())
+
+
+def ask(port: int, method: str = "POST", path: str = "/api/stop", **headers: str) -> tuple[int, dict]:
+    connection = http.client.HTTPConnection("127.0.0.1", port, timeout=5)
+    connection.request(method, path, headers=headers)
+    answer = connection.getresponse()
+    found = answer.status, json.loads(answer.read())
+    connection.close()
+    return found
+
+
+def test_a_stop_is_taken_and_answered_once_a_tick_holds_it(stopping):
+    with way(stopping) as port:
+        status, said = ask(port)
+    assert (status, said["stopped"], said["mode"], said["estop"]) == (200, True, "stopped", "latched")
+    assert stopping.taken == ["stop"]
+
+
+def test_a_loop_that_stands_still_is_told_and_the_stop_waits_for_it(stopping):
+    stopping.ticks = False
+    with way(stopping) as port:
+        status, said = ask(port)
+    assert status == 503
+    assert said["reasons"][0] == "stop: the control loop did not answer within 0.5 s"
+    assert "use the emergency-stop button" in said["detail"]
+    assert [post.request.kind for post in stopping.inbox.take()] == ["stop"]
+
+
+@pytest.mark.parametrize(
+    ("path", "headers", "status", "sentence"),
+    [
+        ("/api/stop", {"Host": "robot.example"}, 403, "the Host header is 'robot.example'"),
+        ("/api/stop", {"Origin": "https://evil.example"}, 403, "may not command this robot"),
+        ("/api/stop", {"Origin": "http://[::1"}, 403, "may not command this robot"),
+        ("/api/arm", {}, 404, "here is POST /api/stop alone"),
+    ],
+)
+def test_what_is_no_stop_or_from_somewhere_else_is_refused(stopping, path, headers, status, sentence):
+    with way(stopping) as port:
+        code, said = ask(port, path=path, **headers)
+        assert (code, said["reasons"]) == (status, [said["detail"]])
+        assert sentence in said["detail"]
+        assert ask(port, method="GET")[0] == 404
+    assert stopping.taken == []
+
+
+def test_where_a_token_is_asked_for_a_stop_needs_it_too(stopping, tmp_path):
+    (tmp_path / "token").write_text(TOKEN)
+    (tmp_path / "token").chmod(0o600)
+    with way(stopping, Api(port=0, token_file=tmp_path / "token")) as port:
+        assert ask(port)[0] == 401
+        assert ask(port, Authorization=f"Bearer {TOKEN}x")[0] == 401
+        assert stopping.taken == []
+        assert ask(port, Authorization=f"Bearer {TOKEN}")[0] == 200
+    with pytest.raises(AuthError):
+        StopListener(Api(host="0.0.0.0"), stopping.inbox, stopping.snapshot)
+
+
+@pytest.mark.parametrize(
+    "sent",
+    [
+        b"\r\n\r\n",
+        b"\x00" * 5000 + b"\r\n\r\n",
+        b"POST /api/stop\r\n\r\n",
+        b"POST  /api/stop HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n",
+        b"GET /api/stop HTTP/1.1\r\n:\r\nHost\r\n\r\n",
+        b"x" * 20_000,
+        b"\xff\xfe: \xff\r\n\r\n",
+    ],
+)
+def test_what_is_no_request_is_refused_and_harms_nobody(stopping, sent):
+    with way(stopping) as port, socket.create_connection(("127.0.0.1", port), timeout=5) as client:
+        client.sendall(sent)
+        assert client.recv(100).startswith(b"HTTP/1.1 4")
+        assert stopping.taken == []
+        assert ask(port)[0] == 200
+
+
+def test_a_body_that_comes_along_does_not_cost_the_answer(stopping):
+    with way(stopping) as port, socket.create_connection(("127.0.0.1", port), timeout=5) as client:
+        client.sendall(GOOD.replace(b"\r\n\r\n", b"\r\nContent-Length: 100000\r\n\r\n") + b"x" * 100_000)
+        assert client.recv(100).startswith(b"HTTP/1.1 200 OK")
+
+
+def test_a_request_may_come_in_pieces(stopping):
+    with way(stopping) as port, socket.create_connection(("127.0.0.1", port), timeout=5) as client:
+        client.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        for byte in GOOD:
+            client.sendall(bytes([byte]))
+        assert client.recv(100).startswith(b"HTTP/1.1 200 OK")
+
+
+@pytest.mark.parametrize("sent", [b"", b"POST /api/st"])
+def test_clients_that_say_nothing_give_way(stopping, sent):
+    with way(stopping) as port, ExitStack() as stack:
+        for _ in range(300):
+            stack.enter_context(socket.create_connection(("127.0.0.1", port), timeout=5)).sendall(sent)
+        assert ask(port)[0] == 200
+
+
+def test_a_client_that_says_nothing_is_hung_up_on(stopping, monkeypatch):
+    monkeypatch.setattr(listener, "PATIENCE_S", 0.2)
+    with way(stopping) as port, socket.create_connection(("127.0.0.1", port), timeout=5) as client:
+        assert client.recv(1) == b""
+
+
+def test_many_stops_at_once_are_one_and_all_are_answered(stopping):
+    stopping.ticks = False
+    with way(stopping) as port, ExitStack() as stack:
+        clients = [stack.enter_context(socket.create_connection(("127.0.0.1", port), timeout=5)) for _ in range(50)]
+        for client in clients:
+            client.sendall(GOOD)
+        stopping.ticks = True
+        assert all(client.recv(100).startswith(b"HTTP/1.1 200 OK") for client in clients)
+
+
+def test_no_descriptor_left_is_no_end(stopping, monkeypatch):
+    """The oldest client gives its own; the kernel's refusal itself is what is played."""
+    real, refused = socket.socket.accept, []
+
+    def accept(self):
+        if len(refused) < 3:
+            refused.append(True)
+            raise OSError(24, "Too many open files")
+        return real(self)
+
+    monkeypatch.setattr(socket.socket, "accept", accept)
+    with way(stopping) as port:
+        assert ask(port)[0] == 200
+    assert len(refused) == 3
+
+
+def test_a_port_that_is_taken_is_refused_with_its_key(stopping):
+    with way(stopping) as port, pytest.raises(ApiError, match=rf"api\.stop_port {port}: cannot listen there"):
+        StopListener(Api(stop_port=port), stopping.inbox, stopping.snapshot).start()
+
+
+@pytest.mark.parametrize(("port", "stop_port", "expected"), [(8080, None, 8081), (0, None, 0), (8080, 9, 9), (5, 0, 0)])
+def test_the_port_is_the_next_or_the_named(port, stop_port, expected):
+    assert Api(port=port, stop_port=stop_port).stops_at == expected
+
+
+@pytest.mark.parametrize(("port", "stop_port"), [(65535, None), (8080, 8080)])
+def test_two_ports_are_two(port, stop_port):
+    with pytest.raises(ValueError, match="choose another"):
+        Api(port=port, stop_port=stop_port)

@@ -1,0 +1,61 @@
+"""The key that stops, on a terminal that the test holds the other end of."""
+
+import os
+import termios
+import threading
+
+import pytest
+
+from softarm.daemon.stop.terminal import StopKey
+
+
+@pytest.fixture
+def terminal():
+    """The far end, at which a person types, and the daemon's own."""
+    typist, ours = os.openpty()
+    yield typist, ours
+    os.close(typist)
+    os.close(ours)
+
+
+@pytest.mark.parametrize("typed", [b" ", b"s", b"S", b"xyz s\n"])
+def test_space_and_s_stop_without_enter(terminal, typed):
+    typist, ours = terminal
+    stopped = threading.Event()
+    with StopKey(stopped.set, ours):
+        os.write(typist, typed)
+        assert stopped.wait(5)
+
+
+def test_another_key_does_not(terminal):
+    typist, ours = terminal
+    pressed, last = [], threading.Event()
+
+    def press():
+        pressed.append(True)
+        last.set()
+
+    with StopKey(press, ours):
+        os.write(typist, b"abcdef\n\x1b[A")
+        os.write(typist, b" ")
+        assert last.wait(5)
+    assert len(pressed) == 1
+
+
+def test_the_terminal_is_given_back_as_it_was(terminal):
+    _, ours = terminal
+    before = termios.tcgetattr(ours)
+    with StopKey(lambda: None, ours):
+        assert not termios.tcgetattr(ours)[3] & (termios.ICANON | termios.ECHO)
+        assert termios.tcgetattr(ours)[3] & termios.ISIG  # Ctrl-C ends the daemon as ever
+    assert termios.tcgetattr(ours) == before
+
+
+def test_where_there_is_no_terminal_nothing_is_read(tmp_path):
+    read, write = os.pipe()
+    os.write(write, b" ")
+    with StopKey(lambda: pytest.fail("a pipe is no terminal"), read):
+        pass
+    assert os.read(read, 1) == b" "
+    os.close(read)
+    os.close(write)
