@@ -1,0 +1,309 @@
+"""docs/wires.md against the code: every vector of the page through the encoder and decoder of both ends."""
+
+import json
+import math
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from softarm.drivers.mocap import payload as mocap_payload
+from softarm.drivers.rail import dryve
+from softarm.drivers.rail.cia402 import DriveState
+from softarm.drivers.rail.driver import DryveRailAxis
+from softarm.drivers.rail.dryve import DryveRefusal, Entry
+from softarm.drivers.regulator import cobs, teensy
+from softarm.drivers.regulator.driver import Conversation
+from softarm.drivers.regulator.teensy import Fault, Hello, RegulatorCommand, RegulatorState, Welcome
+from softarm.drivers.twin.dryve import DryveDevice, DryveServer
+from softarm.drivers.twin.faults import Faults
+from softarm.drivers.twin.teensy import TeensyDevice
+from softarm.schemas.config import DryveRail
+from softarm.schemas.messages import BODY_NAMES, Pose
+
+PAGE = (Path(__file__).parents[2] / "docs" / "wires.md").read_text()
+
+
+def table(*columns: str) -> list[list[str]]:
+    """The cells of the page's one table with these columns."""
+    [rows] = re.findall(rf"^\| {re.escape(' | '.join(columns))} \|\n\|[-|]+\n((?:\|.*\n)+)", PAGE, re.MULTILINE)
+    return [[cell.strip(" `") for cell in line.strip("|").split("|")] for line in rows.splitlines()]
+
+
+def number(text: str) -> int:
+    """As the page writes it: 7, -25000 or 0640h."""
+    return int(text[:-1], 16) if text.endswith("h") else int(text)
+
+
+# The regulator
+
+
+@pytest.mark.parametrize(("data", "stuffed"), table("data", "stuffed"))
+def test_stuffing(data: str, stuffed: str) -> None:
+    assert cobs.stuff(bytes.fromhex(data)) == bytes.fromhex(stuffed)
+    assert cobs.unstuff(bytes.fromhex(stuffed)) == bytes.fromhex(data)
+
+
+@pytest.mark.parametrize(("body", "crc", "line"), table("body", "CRC-16", "on the line"))
+def test_framing(body: str, crc: str, line: str) -> None:
+    assert cobs.crc16(bytes.fromhex(body)) == number(crc)
+    assert cobs.frame(bytes.fromhex(body)) == bytes.fromhex(line)
+    assert cobs.Deframer().feed(bytes.fromhex(line)) == [bytes.fromhex(body)]
+
+
+@pytest.mark.parametrize(("line", "why"), table("on the line", "dropped because"))
+def test_lines_that_are_dropped(line: str, why: str) -> None:
+    deframer = cobs.Deframer()
+    assert deframer.feed(bytes.fromhex(line)) == []
+    assert deframer.dropped == 1, why
+
+
+@dataclass(frozen=True)
+class Said:
+    """A row of the conversation."""
+
+    device: bool
+    message: teensy.Message
+    sequence: int
+    t_ns: int
+    body: bytes
+    line: bytes
+
+
+def said() -> Iterator[Said]:
+    """The conversation on the page, in its order."""
+    for who, text, time_us, body, line in table("from", "message", "time, us", "body", "on the line"):
+        kind, sequence, fields = re.fullmatch(r"(\w+) (\d+)(?:: (.*))?", text).groups()  # type: ignore[union-attr]
+        field = fields.split(", ") if fields else []
+        message: teensy.Message
+        if kind == "hello":
+            message = Hello()
+        elif kind == "welcome":
+            message = Welcome(number(field[0].removeprefix("token ")))
+        elif kind == "command":
+            token, live, armed, kpa = field
+            milliseconds = int(live.removesuffix(" ms"))
+            message = RegulatorCommand(
+                number(token.removeprefix("token ")), milliseconds / 1000, armed == "armed", kilopascal(kpa)
+            )
+        else:
+            accepted, armed, faults, kpa = field
+            bits = Fault(number(faults.removeprefix("faults ")))
+            message = RegulatorState(int(accepted.removeprefix("accepted ")), armed == "armed", bits, kilopascal(kpa))
+        yield Said(
+            who == "device", message, int(sequence), int(time_us) * 1000, bytes.fromhex(body), bytes.fromhex(line)
+        )
+
+
+def kilopascal(text: str) -> float:
+    return float(text.removesuffix(" kPa"))
+
+
+def same(one: teensy.Message, other: teensy.Message) -> bool:
+    """Equal, and NaN equals NaN."""
+    return repr(one) == repr(other)
+
+
+@pytest.mark.parametrize("row", list(said()))
+def test_each_message_is_packed_and_unpacked(row: Said) -> None:
+    assert teensy.encode(row.message, row.sequence, row.t_ns // 1000) == row.body
+    assert cobs.frame(row.body) == row.line
+    message, sequence = teensy.decode(row.body)
+    assert same(message, row.message)
+    assert sequence == row.sequence
+
+
+def test_the_twins_device_says_what_the_page_says() -> None:
+    device = TeensyDevice(lambda: 0xA1B2C3D4)
+    rows = list(said())
+    for asked, answered in zip(rows[::2], rows[1::2], strict=True):
+        assert (asked.device, answered.device) == (False, True)
+        pressure_kpa = answered.message.pressure_kpa if isinstance(answered.message, RegulatorState) else 0.0
+        assert device.receive(asked.line, asked.t_ns, pressure_kpa).hex() == answered.line.hex(), asked
+
+
+def test_the_driver_says_what_the_page_says_and_believes_its_answers() -> None:
+    talk, spoken = Conversation(0.1), []
+    for row in said():
+        if row.device:
+            state = talk.receive(row.line)
+            assert state is None if isinstance(row.message, Welcome) else same(state, row.message)  # type: ignore[arg-type]
+            if talk.known is False:
+                break  # from here on the page shows what no driver says
+        elif isinstance(row.message, Hello):
+            spoken.append((talk.greeting(row.t_ns), row.line))
+        elif isinstance(row.message, RegulatorCommand):
+            spoken.append((talk.command(row.message.armed, row.message.pressure_kpa, row.t_ns), row.line))
+    assert len(spoken) > 5
+    assert all(line == shown for line, shown in spoken[:4])
+
+
+@pytest.mark.parametrize(("bit", "name"), [row[:2] for row in table("fault bit", "name", "meaning", "ends with")])
+def test_fault_bits_have_the_pages_numbers(bit: str, name: str) -> None:
+    assert Fault[name.upper().replace(" ", "_")] == 1 << int(bit)
+
+
+# The rail
+
+ENTRIES = {(entry.index, entry.sub): entry for entry in vars(dryve).values() if isinstance(entry, Entry)}
+RAIL = DryveRail(host="127.0.0.1")
+
+
+@dataclass(frozen=True)
+class Exchange:
+    """A row of the rail's session: a request and its answer, or, without telegrams, what happens to the drive."""
+
+    says: str
+    request: bytes
+    answers: str
+    answer: bytes
+
+    @property
+    def transaction(self) -> int:
+        return int(self.says.split(":")[0])
+
+    @property
+    def entry(self) -> Entry:
+        index, sub = re.search(r"([0-9A-F]{4})h:(\d)", self.says).groups()  # type: ignore[union-attr]
+        return ENTRIES.get((int(index, 16), int(sub)), Entry("unknown here", int(index, 16), int(sub), 1))
+
+    @property
+    def value(self) -> int | None:
+        _, is_write, value = self.says.partition(" = ")
+        return number(value) if is_write else None
+
+
+SESSION = [
+    Exchange(says, bytes.fromhex(request), answers, bytes.fromhex(answer))
+    for says, request, answers, answer in table("master", "telegram", "drive", "its telegram")
+]
+EXCHANGES = [row for row in SESSION if row.request]
+REFUSED = [
+    Exchange(says, bytes.fromhex(request), answers, bytes.fromhex(answer))
+    for says, request, answers, answer in table("master", "telegram", "drive refuses", "its telegram")
+]
+
+
+@pytest.mark.parametrize("row", EXCHANGES)
+def test_telegrams_of_the_session_both_ways(row: Exchange) -> None:
+    entry, write = row.entry, row.value is not None
+    assert dryve.encode_request(row.transaction, entry, row.value) == row.request
+    request = dryve.decode_request(row.request)
+    assert (request.transaction, request.index, request.sub) == (row.transaction, entry.index, entry.sub)
+    value = dryve.decode_answer(row.answer, row.transaction, entry, write)
+    if write:
+        assert row.answers == "done"
+        assert dryve.encode_acknowledgement(request) == row.answer
+    else:
+        assert value == number(row.answers)
+        assert dryve.encode_value(request, value.to_bytes(entry.size, "little", signed=entry.signed)) == row.answer
+
+
+@pytest.mark.parametrize("row", REFUSED)
+def test_refusals_both_ways(row: Exchange) -> None:
+    kind, code = row.answers.split()[:2]
+    made = dryve.encode_abort if kind == "abort" else dryve.encode_exception
+    assert made(row.transaction, number(code)) == row.answer
+    if "no request" not in row.says:
+        assert dryve.encode_request(row.transaction, row.entry, row.value) == row.request
+        with pytest.raises(DryveRefusal, match=number(code).to_bytes(4, "big").hex().upper().lstrip("0")):
+            dryve.decode_answer(row.answer, row.transaction, row.entry, row.value is not None)
+    assert DryveDevice(RAIL).answer(row.request, 0) == row.answer
+
+
+class Stubborn(DryveDevice):
+    """Keeps its set-point when its master is gone, and remembers what it was asked."""
+
+    def __init__(self) -> None:
+        super().__init__(RAIL)
+        self.asked: list[bytes] = []
+
+    def answer(self, telegram: bytes, now_ns: int) -> bytes:
+        self.asked.append(telegram)
+        return super().answer(telegram, now_ns)
+
+    def quick_stop(self) -> None:
+        pass
+
+    def undergo(self, event: str) -> None:
+        """What a row without telegrams says."""
+        if motion := re.fullmatch(r"\*the cart is at (\S+) m, moving at (\S+) m/s\*", event):
+            self.sense(*map(float, motion.groups()))
+        elif trip := re.fullmatch(r"\*the drive trips: (\w+)\*", event):
+            self.trip(number(trip[1]))
+        else:
+            assert event == "*a new connection*"
+
+
+def test_the_twins_drive_answers_as_the_page_says() -> None:
+    drive = Stubborn()
+    drive.sense(0.0, 0.0)
+    for row in SESSION:
+        if not row.request:
+            drive.undergo(row.says)
+        else:
+            assert drive.answer(row.request, 0).hex() == row.answer.hex(), row.says
+
+
+def test_the_driver_says_what_the_page_says_and_nothing_else(
+    clock: Any, run: Any, until: Any, running: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("softarm.drivers.rail.driver.POLL_S", 0.005)
+
+    async def play() -> Stubborn:
+        drive, faults = Stubborn(), Faults(clock)
+        server = DryveServer("127.0.0.1", 0, drive, faults, lambda: 0)
+        drive.sense(0.0, 0.0)
+        await server.open()
+        axis = DryveRailAxis(RAIL.model_copy(update={"port": server.port, "timeout_s": 1.0}), clock)
+
+        async def fly(condition: Any, enable: bool = False, velocity_m_s: float = 0.0) -> None:
+            await until(condition, lambda: axis.write(enable, velocity_m_s) or server.step())
+
+        try:
+            async with running(axis):
+                await fly(lambda: axis.problem() is None and axis.read() is not None)
+                for velocity_m_s in (0.25, -0.25):
+                    await fly(lambda v=velocity_m_s: drive.target_velocity_m_s == v, True, velocity_m_s)
+                drive.sense(0.1, 0.25)
+                faults.rail_drop_connection()
+                await fly(lambda: drive.target_velocity_m_s == 0.0)
+                drive.sense(0.12, 0.0)
+                await fly(lambda: axis.problem() is None and drive.state is DriveState.READY)
+                drive.trip(0x8611)
+                await fly(lambda: axis.read().faults)  # type: ignore[union-attr]
+                axis.reset_fault()
+                await fly(lambda: drive.state is DriveState.SWITCH_ON_DISABLED)
+        finally:
+            await server.close()
+        return drive
+
+    asked = run(play()).asked
+    set_up = [row.request for row in EXCHANGES[:12]]
+    assert asked[: len(set_up)] == set_up
+    assert {telegram[2:] for telegram in asked} == {row.request[2:] for row in EXCHANGES}
+
+
+# Motion capture
+
+
+def test_the_mocap_payload() -> None:
+    [shown] = re.findall(r"```json\n(\{\"sequence\".*)\n```", PAGE)
+    [coded] = re.findall(r"```text\n((?:[0-9a-f]+\n)+)```", PAGE)
+    payload = bytes.fromhex(coded)
+    assert payload.decode() == json.dumps(json.loads(shown), separators=(",", ":"))
+    frame = mocap_payload.decode(payload, t_receive_ns=9)
+    assert (frame.sequence, frame.t_capture_ns) == (7, 81234567890)
+    assert frame.bodies[0] == Pose(0.1, 0.965, 0.0)
+    assert [name for name, body in zip(BODY_NAMES, frame.bodies, strict=True) if not body.tracked] == ["link2"]
+    assert mocap_payload.encode(7, 81234567890, frame.bodies) == payload
+    assert all(math.isnan(value) for value in frame.bodies[2][:3])
+
+
+@pytest.mark.parametrize(("payload", "why"), table("payload", "refused because"))
+def test_mocap_payloads_that_are_refused(payload: str, why: str) -> None:
+    with pytest.raises(ValueError, match=re.escape(why)):
+        mocap_payload.decode(payload.encode(), 0)
