@@ -9,6 +9,7 @@ import numpy as np
 import onnxruntime as ort
 from pydantic import ValidationError
 
+from softarm.policies import onnx_graph
 from softarm.policies.base import MODELS, Array, PolicyError, PolicySpec
 from softarm.schemas.policy import ACTION, GOALS, METADATA_KEY, OBSERVATION, REACH_GOAL, PolicyMetadata, Signal
 from softarm.schemas.robot import CONTROL_RATE_HZ
@@ -123,6 +124,10 @@ def _read(path: Path, _mtime_ns: int, _size: int) -> _File:
     options.add_session_config_entry("session.inter_op.allow_spinning", "0")
     options.log_severity_level = 3
     content = path.read_bytes()
+    try:
+        onnx_graph.check(content)  # a loop would end neither the loading nor the service
+    except onnx_graph.GraphError as error:
+        raise PolicyError(f"{path}: not an ONNX model that can be run ({error}); export it again") from error
     try:
         session = ort.InferenceSession(content, options, providers=["CPUExecutionProvider"])
     except Exception as error:  # onnxruntime raises a class of its own for every kind of damage

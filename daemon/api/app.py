@@ -14,9 +14,10 @@ from fastapi_offline import FastAPIOffline
 from starlette.exceptions import HTTPException
 
 from softarm import __version__
+from softarm.daemon.api.aside import Aside
 from softarm.daemon.api.auth import Door
 from softarm.daemon.api.bounds import STREAMS_MAX, Guard
-from softarm.daemon.api.policies import Installed, Policies, policy_answer, warmed_up
+from softarm.daemon.api.policies import Installed, Policies, policy_answer, tried_out
 from softarm.daemon.api.refusals import Refused, json_response, on_http_error, on_refused, refusal
 from softarm.daemon.api.sentences import sentences
 from softarm.daemon.api.status import RecorderState, RequestAnswer, Status, StatusView
@@ -24,7 +25,8 @@ from softarm.daemon.api.stream import POLL_S, stream
 from softarm.daemon.control import workspace
 from softarm.daemon.control.inbox import ANSWER_S, STOP_WAITS, Inbox, InboxFull
 from softarm.daemon.control.records import Outputs, Problems, RequestKind, RequestResult
-from softarm.policies.runner import PolicyRunner
+from softarm.policies.base import Policy
+from softarm.policies.runner import PolicyRunner, ThreadRunner
 from softarm.recordings.listing import listing
 from softarm.schemas.config import Config
 from softarm.schemas.goals import Goal
@@ -40,12 +42,15 @@ from softarm.schemas.rest import (
 )
 from softarm.schemas.robot import CONTROL_RATE_HZ
 
+LOADS_MAX, LOADING_S = 2, 30.0  # policies at once, time for each
+LISTINGS_MAX, LISTING_S = 8, 30.0
 REFUSALS = {
     404: "no such policy; lists those there are",
     409: "refused by the control loop, with its reasons",
     413: "a body of more than 4096 bytes",
     422: "a wrong body or a target out of reach; says what is allowed",
     503: "the control loop does not answer",
+    504: "the policy was not loaded in time and was given up",
 }
 
 
@@ -94,7 +99,7 @@ def create_app(context: ApiContext) -> FastAPI:
         ("DELETE", "/api/goal", api.delete_goal, RequestAnswer, (409, 503)),
         ("GET", "/api/goal", api.get_goal, GoalAnswer, (503,)),
         ("GET", "/api/policies", api.get_policies, PoliciesAnswer, ()),
-        ("PUT", "/api/policy", api.put_policy, RequestAnswer, (404, 409, 413, 422, 503)),
+        ("PUT", "/api/policy", api.put_policy, RequestAnswer, (404, 409, 413, 422, 503, 504)),
         ("GET", "/api/logs", api.get_logs, LogsAnswer, ()),
     ):
         responses: dict[int | str, dict[str, Any]] = {200: {"model": answer}}
@@ -115,7 +120,8 @@ class _Api:
     def __init__(self, context: ApiContext) -> None:
         self._context = context
         self._policies = context.policies or Installed(context.config)
-        self._loading = asyncio.Lock()  # one policy at a time
+        self._loading = Aside(LOADS_MAX, LOADING_S)
+        self._listing = Aside(LISTINGS_MAX, LISTING_S)
         self._streams = 0
         self._view = StatusView(
             context.snapshot,
@@ -197,7 +203,7 @@ class _Api:
 
     async def get_policies(self) -> Response:
         """All policies that can be chosen, and those that cannot, with the reason."""
-        self._view.policies = await asyncio.to_thread(self._policies.available)
+        self._view.policies = await self._listing.run("listing the policies", self._policies.available)
         snapshot = self._view.snapshot()
         answer = PoliciesAnswer(
             active=snapshot.policy if snapshot else None,
@@ -209,20 +215,20 @@ class _Api:
         self, body: Annotated[PolicyBody, Body(openapi_examples={"reach": {"value": {"name": "reach"}}})]
     ) -> Response:
         """Use another policy: loaded and tried out beside the control loop, swapped between two ticks."""
-        async with self._loading:
-            runner = await asyncio.to_thread(self._load, body.name)
-            try:
-                return await self._ask("policy", policy=body.name, runner=runner)
-            except Refused as refused:
-                if refused.status == 409:  # at 503 the request, and so the runner, may still be taken
-                    runner.close()
-                raise
+        policy = await self._loading.run(f"loading the policy '{body.name[:40]}'", lambda: self._load(body.name))
+        runner = ThreadRunner(policy, self._context.config.failsafe.policy_budget_s)
+        try:
+            return await self._ask("policy", policy=body.name, runner=runner)
+        except Refused as refused:
+            if refused.status == 409:  # at 503 the request, and so the runner, may still be taken
+                runner.close()
+            raise
 
     async def get_logs(self) -> Response:
         """The logs in the recorder's directory."""
         directory = self._context.config.recorder.directory.absolute()
         current = self._context.recorder.path if self._context.recorder else None
-        found = await asyncio.to_thread(listing, directory)
+        found = await self._listing.run("listing the logs", lambda: listing(directory))
         own = None if current is None else current.name
         entries = tuple(entry.model_copy(update={"recording": entry.name == own}) for entry in found)
         return json_response(LogsAnswer(directory=str(directory), logs=entries).model_dump_json())
@@ -296,13 +302,13 @@ class _Api:
             await asyncio.sleep(POLL_S)
         return None
 
-    def _load(self, name: str) -> PolicyRunner:
-        """In a worker thread: a policy, warmed up."""
+    def _load(self, name: str) -> Policy:
+        """Aside: a policy, tried out."""
         entries = self._policies.available()
         if name not in entries:
             raise Refused(404, f"no policy '{name}'; there are: {', '.join(entries) or 'none'}")
         self._view.policies = entries
-        return warmed_up(self._policies, name, self._context.config.failsafe.policy_budget_s)
+        return tried_out(self._policies, name)
 
 
 def _meanwhile(kind: RequestKind) -> tuple[str, ...]:

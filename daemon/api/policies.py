@@ -10,7 +10,6 @@ from softarm.daemon.api.refusals import Refused
 from softarm.policies import registry
 from softarm.policies.base import Policy, PolicyError
 from softarm.policies.registry import PolicyEntry
-from softarm.policies.runner import PolicyRunner, ThreadRunner
 from softarm.schemas.config import Config
 from softarm.schemas.policy import Observation, places
 from softarm.schemas.rest import PolicyAnswer
@@ -46,13 +45,14 @@ class Installed:
         return registry.load(name, self.config.policies)
 
 
-def warmed_up(policies: Policies, name: str, budget_s: float) -> PolicyRunner:
-    """Make a policy, have it do its first step, give it a thread with a budget. Raises Refused."""
+def tried_out(policies: Policies, name: str) -> Policy:
+    """Make a policy and have it do its first step. Raises Refused."""
     try:
         policy = policies.load(name)
         policy.reset()
         policy.step(_HANGING.copy(), _TARGET.copy())
         policy.reset()
+        return policy
     except PolicyError as error:
         raise Refused(422, str(error)) from error
     except Exception as error:
@@ -60,7 +60,6 @@ def warmed_up(policies: Policies, name: str, budget_s: float) -> PolicyRunner:
             422,
             f"policy '{name}': its first step failed ({type(error).__name__}: {error}); choose another",
         ) from error
-    return ThreadRunner(policy, budget_s)
 
 
 def policy_answer(entry: PolicyEntry) -> PolicyAnswer:

@@ -6,6 +6,7 @@ import threading
 import time
 from dataclasses import replace
 
+import httpx
 import numpy as np
 import pytest
 from hypothesis import given
@@ -257,7 +258,7 @@ def test_a_policy_is_loaded_and_warmed_up_beside_the_loop(loop, app, client_of, 
     assert answer.status_code == 200
     policy, thread = shelf.loaded[0]
     assert (policy.steps, policy.resets) == (1, 2)
-    assert "asyncio" in thread  # a worker's name
+    assert thread == "aside: loading the policy 'pid'"
     post = loop.taken[-1]
     assert post.request.policy == "pid"
     outcome = post.runner.step(np.zeros(8, dtype=np.float32), np.zeros(2, dtype=np.float32))
@@ -292,6 +293,30 @@ def test_the_runner_of_a_refused_policy_ends(client, loop):
     answer = client.put("/api/policy", json={"name": "pid"})
     assert answer.status_code == 409
     assert not any(thread.name == "policy pid" for thread in threading.enumerate())
+
+
+def test_a_policy_that_never_loads_is_given_up_and_holds_up_neither_the_next_nor_the_end(
+    loop, app, serving, shelf, monkeypatch
+):
+    monkeypatch.setattr("softarm.daemon.api.app.LOADING_S", 0.2)
+    wedged = threading.Event()  # stands for a first step without end
+    load = shelf.load
+    shelf.load = lambda name: (wedged.wait(), load(name))[1] if name == "reach" else load(name)
+    with serving(app(loop, policies=shelf)) as port:  # which checks that its end comes soon
+        with httpx.Client(base_url=f"http://127.0.0.1:{port}") as client:
+            answer = client.put("/api/policy", json={"name": "reach"})
+            assert answer.status_code == 504
+            assert "loading the policy 'reach': not done within 0.2 s" in answer.json()["detail"]
+            assert client.put("/api/policy", json={"name": "pid"}).status_code == 200
+            assert client.put("/api/policy", json={"name": "reach"}).status_code == 504
+            answer = client.put("/api/policy", json={"name": "pid"})
+            assert answer.status_code == 503  # two that never end are enough
+            assert "2 of these run already" in answer.json()["detail"]
+        wedges = [thread for thread in threading.enumerate() if thread.name.startswith("aside: ")]
+    assert [thread.daemon for thread in wedges] == [True, True]  # the process does not wait for them
+    wedged.set()
+    for thread in wedges:
+        thread.join()
 
 
 @pytest.mark.parametrize(

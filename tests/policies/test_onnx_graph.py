@@ -1,0 +1,102 @@
+"""A model is looked through before any of it runs: no loops, nothing of its own, not too large."""
+
+import contextlib
+
+import onnx
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from onnx import TensorProto, helper
+
+from softarm.policies import onnx_graph
+from softarm.policies.base import MODELS, PolicyError
+from softarm.policies.onnx_graph import GraphError, check, operators
+from softarm.policies.onnx_policy import OnnxPolicy
+
+
+def loop_without_end() -> list[onnx.NodeProto]:
+    """Nodes that count for ever: a body that says `go on` of itself, 2^62 times."""
+    scalar = helper.make_tensor("trips", TensorProto.INT64, [], [1 << 62])
+    yes = helper.make_tensor("yes", TensorProto.BOOL, [], [True])
+    body = helper.make_graph(
+        [helper.make_node("Identity", ["go"], ["go_on"]), helper.make_node("Identity", ["x"], ["x_out"])],
+        "body",
+        [
+            helper.make_tensor_value_info("i", TensorProto.INT64, []),
+            helper.make_tensor_value_info("go", TensorProto.BOOL, []),
+            helper.make_tensor_value_info("x", TensorProto.INT64, []),
+        ],
+        [
+            helper.make_tensor_value_info("go_on", TensorProto.BOOL, []),
+            helper.make_tensor_value_info("x_out", TensorProto.INT64, []),
+        ],
+    )
+    return [
+        helper.make_node("Constant", [], ["count"], value=scalar),
+        helper.make_node("Constant", [], ["start"], value=yes),
+        helper.make_node("Loop", ["count", "start", "count"], ["end"], body=body),
+    ]
+
+
+def with_nodes(path, nodes) -> bytes:
+    model = onnx.load(path)
+    model.graph.node.extend(nodes)
+    path.write_bytes(model.SerializeToString())
+    return path.read_bytes()
+
+
+def test_the_shipped_models_hold_what_onnx_says_they_hold():
+    for path in sorted(MODELS.glob("*.onnx")):
+        content = path.read_bytes()
+        assert list(operators(memoryview(content))) == [node.op_type for node in onnx.load(path).graph.node]
+        check(content)
+
+
+@pytest.mark.parametrize("kind", ["Loop", "If", "Scan", "Expand", "Tile", "RandomNormal", "Range"])
+def test_an_operator_that_no_policy_needs_is_refused_by_name(write_model, kind):
+    path = write_model()
+    content = with_nodes(path, [helper.make_node(kind, ["observation"], ["more"])])
+    with pytest.raises(GraphError, match=f"its graph holds {kind}, which no policy needs"):
+        check(content)
+
+
+def test_a_loop_without_end_is_refused_before_it_runs(write_model):
+    path = write_model()
+    with_nodes(path, loop_without_end())
+    for load in (OnnxPolicy, OnnxPolicy.describe):
+        with pytest.raises(PolicyError, match=r"small\.onnx: not an ONNX model that can be run \(its graph holds Loop"):
+            load(model=str(path))
+
+
+def test_operators_of_other_domains_and_functions_of_its_own_are_refused(write_model):
+    path = write_model()
+    content = with_nodes(path, [helper.make_node("Relu", ["observation"], ["more"], domain="theirs")])
+    with pytest.raises(GraphError, match=r"holds theirs\.Relu"):
+        check(content)
+    model = onnx.load(write_model("function.onnx"))
+    node = helper.make_node("Relu", ["x"], ["y"])
+    model.functions.append(helper.make_function("theirs", "F", ["x"], ["y"], [node], [helper.make_opsetid("", 17)]))
+    with pytest.raises(GraphError, match="holds a function of its own"):
+        check(model.SerializeToString())
+
+
+def test_what_is_too_large_is_refused(write_model, monkeypatch):
+    path = write_model()
+    with pytest.raises(GraphError, match="its graph has 1007 nodes; allowed are 1000"):
+        check(with_nodes(path, [helper.make_node("Relu", ["observation"], [f"r{i}"]) for i in range(1000)]))
+    monkeypatch.setattr(onnx_graph, "SIZE_MAX", 100)
+    with pytest.raises(GraphError, match="allowed are"):
+        check(path.read_bytes())
+
+
+@given(content=st.binary(max_size=200))
+def test_any_bytes_are_read_or_refused(content):
+    with contextlib.suppress(GraphError):
+        check(content)
+
+
+def test_a_model_cut_anywhere_is_read_or_refused(write_model):
+    content = write_model().read_bytes()
+    for end in range(0, len(content), 7):
+        with contextlib.suppress(GraphError):
+            check(content[:end])
