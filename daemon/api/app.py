@@ -42,7 +42,7 @@ from softarm.schemas.rest import (
 )
 from softarm.schemas.robot import CONTROL_RATE_HZ
 
-LOADS_MAX, LOADING_S = 2, 30.0  # policies at once, time for each
+LOADS_MAX, LOADING_S = 2, 120.0  # policies at once, time for each
 LISTINGS_MAX, LISTING_S = 8, 30.0
 REFUSALS = {
     404: "no such policy; lists those there are",
@@ -294,7 +294,7 @@ class _Api:
         deadline = time.monotonic() + ANSWER_S
         while time.monotonic() < deadline:
             snapshot = self._view.snapshot()
-            if kind == "stop" and snapshot is not None and snapshot.stopped_since(asked_ns):
+            if kind == "stop" and snapshot is not None and snapshot.has_stopped(number, asked_ns):
                 return RequestResult(number, True)
             for result in reversed(snapshot.results if snapshot else ()):
                 if result.number == number:

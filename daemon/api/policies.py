@@ -4,20 +4,14 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Protocol
 
-import numpy as np
-
 from softarm.daemon.api.refusals import Refused
-from softarm.policies import registry
+from softarm.policies import registry, trial
 from softarm.policies.base import Policy, PolicyError
 from softarm.policies.registry import PolicyEntry
 from softarm.schemas.config import Config
-from softarm.schemas.policy import Observation, places
 from softarm.schemas.rest import PolicyAnswer
 
-# What a policy is warmed up on: the arm hanging at rest, and a target that it knows.
-_HANGING = np.zeros(len(Observation._fields), dtype=np.float32)
-_HANGING[places("tip_z_m")] = 0.52
-_TARGET = np.array([-0.2, 0.6], dtype=np.float32)
+TRIAL_S = 90.0  # to load and step once, elsewhere: a plugin may compile for half a minute
 
 
 class Policies(Protocol):
@@ -41,7 +35,8 @@ class Installed:
         return registry.available(self.config.policies)
 
     def load(self, name: str) -> Policy:
-        """See Policies."""
+        """See Policies; tried out in a process of its own before."""
+        trial.try_out(name, self.config.policies, TRIAL_S)
         return registry.load(name, self.config.policies)
 
 
@@ -49,9 +44,7 @@ def tried_out(policies: Policies, name: str) -> Policy:
     """Make a policy and have it do its first step. Raises Refused."""
     try:
         policy = policies.load(name)
-        policy.reset()
-        policy.step(_HANGING.copy(), _TARGET.copy())
-        policy.reset()
+        trial.first_step(policy)
         return policy
     except PolicyError as error:
         raise Refused(422, str(error)) from error

@@ -120,11 +120,14 @@ class Outputs:
     results: tuple[RequestResult, ...] = ()  # of this tick and a few before
     reset_devices: bool = False  # an acknowledgement also sends a fault reset to the devices
 
-    def stopped_since(self, asked_ns: int) -> bool:
-        """Did this tick take a stop that lay in the inbox at `asked_ns`, and does it hold? Needs none of `results`,
-        which a flood of requests, or a tick that failed, leaves behind.
+    def has_stopped(self, number: int, asked_ns: int) -> bool:
+        """Was the stop of this number carried out, which lay in the inbox at `asked_ns`?
+
+        A later tick that holds a stop says so as well as its result does: that one, a flood of requests or a tick that
+        failed leaves behind.
         """
-        return self.t_ns >= asked_ns and self.estop is not EStop.CLEAR
+        held = self.t_ns >= asked_ns and self.estop is not EStop.CLEAR
+        return held or any(result.number == number and result.accepted for result in self.results)
 
 
 @dataclass(frozen=True, slots=True)

@@ -33,7 +33,7 @@ class _Client:
     socket: socket.socket
     until_s: float  # is closed then
     heard: bytearray = field(default_factory=bytearray)
-    asked_ns: int | None = None  # when the stop lay in the inbox; None before and after
+    asked: tuple[int, int] | None = None  # the stop's number, and when it lay in the inbox; None before and after
     answered: bool = False
 
 
@@ -88,7 +88,7 @@ class StopListener:
                 self._look_after_all()
 
     def _timeout_s(self) -> float | None:
-        if any(client.asked_ns is not None for client in self._clients):
+        if any(client.asked is not None for client in self._clients):
             return POLL_S
         return PATIENCE_S / 4 if self._clients else None
 
@@ -101,7 +101,7 @@ class StopListener:
             time.sleep(POLL_S)
             return
         if len(self._clients) >= CLIENTS_MAX:
-            self._close(next((client for client in self._clients if client.asked_ns is None), self._clients[0]))
+            self._close(next((client for client in self._clients if client.asked is None), self._clients[0]))
         connection.setblocking(False)
         client = _Client(connection, time.monotonic() + PATIENCE_S)
         self._clients.append(client)
@@ -125,7 +125,7 @@ class StopListener:
         if not part:
             self._close(client)
             return
-        if client.answered or client.asked_ns is not None:
+        if client.answered or client.asked is not None:
             return  # a body: nothing in it can matter
         client.heard += part
         if b"\r\n\r\n" in client.heard:
@@ -143,20 +143,19 @@ class StopListener:
         elif first.split(b" ")[:2] != [b"POST", b"/api/stop"]:
             self._refuse(client, 404, f"here is POST /api/stop alone; all else is at port {self._config.port}")
         else:
-            self._inbox.post("stop")
-            client.asked_ns = time.monotonic_ns()
+            client.asked = self._inbox.post("stop"), time.monotonic_ns()
             client.until_s = time.monotonic() + ANSWER_S
 
     def _look_after_all(self) -> None:
         """Answer those whose stop was carried out, end what has lasted too long."""
         now_s, snapshot = time.monotonic(), self._snapshot()
         for client in tuple(self._clients):
-            if client.asked_ns is not None and snapshot is not None and snapshot.stopped_since(client.asked_ns):
+            if client.asked is not None and snapshot is not None and snapshot.has_stopped(*client.asked):
                 done = {"stopped": True, "mode": snapshot.mode, "estop": snapshot.estop, "tick": snapshot.tick}
                 self._answer(client, 200, done)
             elif now_s < client.until_s:
                 continue
-            elif client.asked_ns is not None:
+            elif client.asked is not None:
                 self._refuse(client, 503, f"stop: the control loop did not answer within {ANSWER_S:g} s", STOP_WAITS)
             else:
                 self._close(client)
@@ -176,5 +175,5 @@ class StopListener:
         with contextlib.suppress(OSError):
             client.socket.sendall("\r\n".join((*head, "", "")).encode() + data)
             client.socket.shutdown(socket.SHUT_WR)
-        client.asked_ns, client.answered = None, True
+        client.asked, client.answered = None, True
         client.until_s = time.monotonic() + PATIENCE_S

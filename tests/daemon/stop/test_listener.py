@@ -13,7 +13,7 @@ import pytest
 from softarm.daemon.api.auth import AuthError
 from softarm.daemon.api.sockets import ApiError
 from softarm.daemon.control.inbox import Inbox
-from softarm.daemon.control.records import EStop, Mode
+from softarm.daemon.control.records import EStop, Mode, RequestResult
 from softarm.daemon.stop import listener
 from softarm.daemon.stop.listener import StopListener
 from softarm.schemas.config import Api
@@ -197,3 +197,15 @@ def test_the_port_is_the_next_or_the_named(port, stop_port, expected):
 def test_two_ports_are_two(port, stop_port):
     with pytest.raises(ValueError, match="choose another"):
         Api(port=port, stop_port=stop_port)
+
+
+def test_a_stop_is_done_by_its_result_too_though_its_tick_began_before_the_clock_was_read(stopping):
+    class Early(StoppingLoop):
+        def snapshot(self):
+            for post in self.inbox.take():
+                result = RequestResult(post.request.number, True)
+                self.outputs = replace(self.outputs, t_ns=0, estop=EStop.ENGAGED, results=(result,))
+            return self.outputs
+
+    with way(Early(stopping.outputs)) as port:
+        assert ask(port)[0] == 200

@@ -1,0 +1,87 @@
+"""A policy is tried out in a process of its own before the daemon loads it: that one can be killed, and may crash.
+
+    python -m softarm.policies.trial NAME           the configured policies as JSON on standard input
+
+The answer on standard output is what is wrong with it; nothing is wrong when there is none and the exit code is 0.
+"""
+
+import json
+import os
+import resource
+import signal
+import subprocess
+import sys
+from collections.abc import Mapping
+
+import numpy as np
+
+from softarm.policies import registry
+from softarm.policies.base import Policy, PolicyError
+from softarm.schemas.config import Policy as ConfiguredPolicy
+from softarm.schemas.policy import Observation, places
+
+MEMORY_MAX = 16 * 1024**3  # bytes of address space, most of which a just-in-time compiler only reserves
+# What a policy takes its first step on: the arm hanging at rest, and a target that it knows.
+_HANGING = np.zeros(len(Observation._fields), dtype=np.float32)
+_HANGING[places("tip_z_m")] = 0.52
+_TARGET = np.array([-0.2, 0.6], dtype=np.float32)
+
+
+def first_step(policy: Policy) -> None:
+    """Have a policy do one step and forget it. Raises what the policy raises."""
+    policy.reset()
+    policy.step(_HANGING.copy(), _TARGET.copy())
+    policy.reset()
+
+
+def try_out(name: str, configured: Mapping[str, ConfiguredPolicy], limit_s: float) -> None:
+    """Load a policy and have it do its first step, elsewhere.
+
+    Raises PolicyError with what is wrong, also when it takes longer than `limit_s` or ends the process.
+    """
+    process = subprocess.Popen(
+        [sys.executable, "-m", "softarm.policies.trial", name],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.DEVNULL,
+    )
+    with process:
+        try:
+            policies = json.dumps({key: policy.model_dump(mode="json") for key, policy in configured.items()})
+            answer, _ = process.communicate(policies.encode(), timeout=limit_s)
+        except subprocess.TimeoutExpired:
+            raise PolicyError(
+                f"policy '{name}': did not load and do its first step within {limit_s:g} s; mend it or choose another"
+            ) from None
+        finally:
+            process.kill()
+    if answer:
+        raise PolicyError(answer.decode(errors="replace"))
+    if process.returncode:
+        how = process.returncode
+        ended = f"by {signal.Signals(-how).name}" if how < 0 else f"with exit code {how}"
+        raise PolicyError(f"policy '{name}': its process ended {ended} while it was tried out; mend it")
+
+
+def _main(name: str) -> str:
+    """What is wrong with it; empty for nothing."""
+    configured = {key: ConfiguredPolicy.model_validate(policy) for key, policy in json.load(sys.stdin).items()}
+    try:
+        first_step(registry.load(name, configured))
+    except PolicyError as error:
+        return str(error)
+    except Exception as error:
+        return f"policy '{name}': its first step failed ({type(error).__name__}: {error}); choose another"
+    return ""
+
+
+if __name__ == "__main__":
+    os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))  # the daemon's own priority is not for guests
+    os.nice(10)
+    _, _hard = resource.getrlimit(resource.RLIMIT_AS)
+    resource.setrlimit(resource.RLIMIT_AS, (MEMORY_MAX, _hard))
+    _answer = os.dup(1)
+    os.dup2(2, 1)  # what a plugin prints is no answer
+    os.write(_answer, _main(sys.argv[1]).encode())
+    sys.stdout.flush()
+    os._exit(0)  # threads of a plugin's own may not end

@@ -1,0 +1,82 @@
+"""A policy is tried out where it can do no harm, whatever it is."""
+
+import os
+
+import pytest
+
+from softarm.policies.base import PolicyError
+from softarm.policies.trial import try_out
+from softarm.schemas.config import Policy as Configured
+
+pytestmark = pytest.mark.timeout(120)
+
+PLUGIN = """
+import os, signal, sys, time
+import numpy as np
+from softarm.policies.base import PolicySpec
+
+class Guest:
+    spec = PolicySpec("guest", "does as its option says")
+
+    def __init__(self, does="well"):
+        self.does = does
+        print("I am loaded")
+        if does == "wedges":
+            while True:
+                pass
+
+    def reset(self):
+        pass
+
+    def step(self, observation, goal):
+        if self.does == "crashes":
+            os.kill(os.getpid(), signal.SIGSEGV)
+        if self.does == "raises":
+            raise ValueError("no weights")
+        if self.does == "leaves":
+            os._exit(3)
+        if self.does == "hoards":
+            np.ones(40 * 1024**3, dtype=np.uint8)
+        assert os.sched_getscheduler(0) == os.SCHED_OTHER
+        return np.zeros(2, dtype=np.float32)
+"""
+
+
+@pytest.fixture
+def guest(tmp_path, monkeypatch):
+    """guest(does): a policy of an installed plugin, ready to be configured."""
+    (tmp_path / "guest_arm.py").write_text(PLUGIN)
+    info = tmp_path / "guest_arm-1.0.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: guest-arm\nVersion: 1.0\n")
+    (info / "entry_points.txt").write_text("[softarm.policies]\nguest = guest_arm:Guest\n")
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path), prepend=os.pathsep)
+    return lambda does: {"mine": Configured(plugin="guest", options={"does": does})}
+
+
+def test_a_good_policy_passes_whatever_it_prints(guest):
+    try_out("mine", guest("well"), 60)
+
+
+@pytest.mark.parametrize(
+    ("does", "sentence"),
+    [
+        ("crashes", "policy 'mine': its process ended by SIGSEGV while it was tried out"),
+        ("leaves", "policy 'mine': its process ended with exit code 3"),
+        ("raises", r"policy 'mine': its first step failed \(ValueError: no weights\)"),
+        ("hoards", "policy 'mine': its first step failed .*Unable to allocate"),
+    ],
+)
+def test_what_goes_wrong_is_told(guest, does, sentence):
+    with pytest.raises(PolicyError, match=sentence):
+        try_out("mine", guest(does), 60)
+
+
+def test_one_that_never_ends_is_killed(guest):
+    with pytest.raises(PolicyError, match="did not load and do its first step within 3 s"):
+        try_out("mine", guest("wedges"), 3)
+
+
+def test_an_unknown_name_is_told_as_ever():
+    with pytest.raises(PolicyError, match="no policy 'hodl'; did you mean 'hold'"):
+        try_out("hodl", {}, 60)
