@@ -1,7 +1,5 @@
 """The rail's driver against a D1 on a TCP port: what it sends, when, and never twice."""
 
-import asyncio
-import itertools
 import math
 from collections.abc import Callable
 from typing import Any
@@ -11,7 +9,6 @@ import pytest
 from softarm.drivers.rail import dryve
 from softarm.drivers.rail.cia402 import DriveState
 from softarm.drivers.rail.driver import DryveRailAxis
-from softarm.drivers.rail.dryve import ModbusRequest
 from softarm.drivers.twin.dryve import DryveDevice, DryveServer
 from softarm.drivers.twin.faults import Faults
 from softarm.schemas.config import DryveRail
@@ -19,126 +16,8 @@ from softarm.schemas.config import DryveRail
 WALK = [0x0100, 0x0006, 0x0007, 0x000F]
 
 
-class Drive(DryveDevice):
-    """Remembers what it was asked; `script` may answer in its place, `coasts` delays its motion, and `stubborn` keeps
-    its set-point when its master is gone.
-    """
-
-    def __init__(self, config: DryveRail) -> None:
-        super().__init__(config)
-        self.heard: list[tuple[ModbusRequest, DriveState]] = []
-        self.links: list[list[ModbusRequest]] = []  # the same by connection
-        self.stubborn = False
-        self.script: Callable[[bytes, Callable[[], bytes]], bytes] | None = None
-        self.position_m = self.velocity_m_s = 0.0
-        self.coasts = False
-
-    def answer(self, telegram: bytes, now_ns: int) -> bytes:
-        self.heard.append((dryve.decode_request(telegram), self.state))
-        self.links[-1].append(self.heard[-1][0])
-        if self.script is None:
-            return super().answer(telegram, now_ns)
-        return self.script(telegram, lambda: super(Drive, self).answer(telegram, now_ns))
-
-    def move(self) -> None:
-        self.velocity_m_s = self.velocity_m_s if self.coasts else self.target_velocity_m_s
-        self.sense(self.position_m, self.velocity_m_s)
-
-    def quick_stop(self) -> None:
-        if not self.stubborn:
-            super().quick_stop()
-
-    def writes(self, entry: dryve.Entry, since: int = 0) -> list[int]:
-        return [
-            int.from_bytes(request.data, "little", signed=entry.signed)
-            for request, _ in self.heard[since:]
-            if request.data is not None and (request.index, request.sub) == (entry.index, entry.sub)
-        ]
-
-
-class Server(DryveServer):
-    """Tells the drive of each connection."""
-
-    async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        self.device.links.append([])  # type: ignore[attr-defined]
-        await super()._serve(reader, writer)
-
-
-class Bench:
-    """Driver and drive; the driver's clock stands still until told, the drive's own watchdog never bites."""
-
-    def __init__(self, clock: Any, until: Any, config: DryveRail) -> None:
-        self.clock, self._until = clock, until
-        self.drive, self.faults = Drive(config), Faults(clock)
-        self.server = Server("127.0.0.1", 0, self.drive, self.faults, lambda: 0)
-        self.config = config
-        self.axis: DryveRailAxis
-
-    async def open(self) -> None:
-        await self.server.open()
-        self.config = self.config.model_copy(update={"port": self.server.port})
-        self.axis = DryveRailAxis(self.config, self.clock)
-
-    def step(self) -> None:
-        self.server.step()
-        self.drive.move()
-
-    async def stop(self) -> None:
-        mover = asyncio.create_task(self._until(lambda: False, self.step))
-        await self.axis.stop()
-        mover.cancel()
-
-    async def write_until(self, condition: Any, enable: bool = False, velocity_m_s: float = 0.0) -> None:
-        def each() -> None:
-            self.axis.write(enable, velocity_m_s)
-            self.step()
-
-        await self._until(condition, each)
-
-    async def wait_until(self, condition: Any) -> None:
-        await self._until(condition, self.step)
-
-    async def enable(self, velocity_m_s: float = 0.3) -> None:
-        await self.write_until(lambda: self.axis.problem() is None and self.axis.read() is not None)
-        await self.write_until(lambda: self.drive.velocity_m_s == velocity_m_s, True, velocity_m_s)
-        await self.write_until(lambda: self.axis.read().velocity_m_s == velocity_m_s, True, velocity_m_s)
-
-
-@pytest.fixture
-def bench(clock: Any, until: Any, run: Any, running: Any, monkeypatch: Any) -> Any:
-    monkeypatch.setattr("softarm.drivers.rail.driver.RETRY_S", (0.005, 0.01))
-    monkeypatch.setattr("softarm.drivers.rail.driver.POLL_S", 0.005)
-
-    async def play(script: Any, config: DryveRail, prepare: Any) -> None:
-        bench = Bench(clock, until, config)
-        prepare(bench)
-        await bench.open()
-        try:
-            async with running(bench.axis):
-                await script(bench)
-                await bench.stop()
-        finally:
-            await bench.server.close()
-        no_word_was_sent_twice_and_operation_kept_its_bits(bench.drive)
-
-    def start(script: Any, prepare: Any = lambda b: None, **config: Any) -> None:
-        run(play(script, DryveRail(host="127.0.0.1", timeout_s=1.0).model_copy(update=config), prepare))
-
-    return start
-
-
-def no_word_was_sent_twice_and_operation_kept_its_bits(drive: Drive) -> None:
-    words = [(r, state) for r, state in drive.heard if (r.index, bool(r.data)) == (0x6040, True)]
-    for (earlier, _), (later, _) in itertools.pairwise(words):
-        repeated = earlier.data == later.data and earlier.transaction == later.transaction
-        assert not repeated
-    for request, state in words:
-        value = int.from_bytes(request.data or b"", "little")
-        assert state is not DriveState.OPERATION_ENABLED or value & 0x0F == 0x0F or value == 0x0006
-
-
 def test_walks_up_once_drives_and_reads_back(bench: Any) -> None:
-    async def script(b: Bench) -> None:
+    async def script(b: Any) -> None:
         b.drive.position_m = 0.125
         await b.enable(0.3)
         reading = b.axis.read()
@@ -152,7 +31,7 @@ def test_walks_up_once_drives_and_reads_back(bench: Any) -> None:
 
 
 def test_mode_and_ramps_are_set_before_anything_moves(bench: Any) -> None:
-    async def script(b: Bench) -> None:
+    async def script(b: Any) -> None:
         await b.enable()
         assert b.drive.writes(dryve.MODE) == [3]
         assert b.drive.writes(dryve.ACCELERATION) == b.drive.writes(dryve.DECELERATION) == [400_000]
@@ -169,7 +48,7 @@ def test_a_ramp_that_does_not_read_back_keeps_the_drive_off(bench: Any) -> None:
         wrong = telegram[9:14] == bytes.fromhex("0000006083")
         return telegram[:5] + b"\x11" + telegram[6:] + bytes(4) if wrong else answer()
 
-    async def script(b: Bench) -> None:
+    async def script(b: Any) -> None:
         b.drive.script = lie
         await b.write_until(lambda: b.axis.read() is not None)
         await b.write_until(lambda: len(b.drive.heard) > 60, True, 0.3)
@@ -182,7 +61,7 @@ def test_a_ramp_that_does_not_read_back_keeps_the_drive_off(bench: Any) -> None:
 
 
 def test_disabling_brakes_first_and_switches_off_at_rest(bench: Any) -> None:
-    async def script(b: Bench) -> None:
+    async def script(b: Any) -> None:
         await b.enable()
         b.drive.coasts = True
         since = len(b.drive.heard)
@@ -198,7 +77,7 @@ def test_disabling_brakes_first_and_switches_off_at_rest(bench: Any) -> None:
 
 
 def test_a_brake_that_never_ends_is_cut_after_a_second(bench: Any) -> None:
-    async def script(b: Bench) -> None:
+    async def script(b: Any) -> None:
         await b.enable()
         b.drive.coasts = True
         since = len(b.drive.heard)
@@ -210,7 +89,7 @@ def test_a_brake_that_never_ends_is_cut_after_a_second(bench: Any) -> None:
 
 
 def test_without_writes_for_a_tenth_of_a_second_zero_is_sent(bench: Any) -> None:
-    async def script(b: Bench) -> None:
+    async def script(b: Any) -> None:
         await b.enable()
         since = len(b.drive.heard)
         await b.wait_until(lambda: len(b.drive.heard) > since + 20)
@@ -228,7 +107,7 @@ def test_without_writes_for_a_tenth_of_a_second_zero_is_sent(bench: Any) -> None
 
 @pytest.mark.parametrize("bad", [math.nan, math.inf])
 def test_a_velocity_that_is_not_finite_is_zero(bench: Any, bad: float) -> None:
-    async def script(b: Bench) -> None:
+    async def script(b: Any) -> None:
         await b.enable()
         await b.write_until(lambda: b.drive.velocity_m_s == 0.0, True, bad)
 
@@ -236,7 +115,7 @@ def test_a_velocity_that_is_not_finite_is_zero(bench: Any, bad: float) -> None:
 
 
 def test_stop_brakes_switches_off_and_hangs_up(bench: Any) -> None:
-    async def script(b: Bench) -> None:
+    async def script(b: Any) -> None:
         await b.enable()
         await b.stop()
         assert b.drive.state is DriveState.READY
@@ -247,7 +126,7 @@ def test_stop_brakes_switches_off_and_hangs_up(bench: Any) -> None:
 
 
 def test_a_dropped_connection_brakes_and_does_not_bring_the_motion_back(bench: Any) -> None:
-    async def script(b: Bench) -> None:
+    async def script(b: Any) -> None:
         await b.enable()
         since = len(b.drive.heard)
         b.faults.rail_drop_connection()
@@ -265,12 +144,12 @@ def test_a_dropped_connection_brakes_and_does_not_bring_the_motion_back(bench: A
 
 
 def test_a_drive_found_in_operation_is_braked_before_anything_else(bench: Any) -> None:
-    def in_operation(b: Bench) -> None:
+    def in_operation(b: Any) -> None:
         b.drive.state = DriveState.OPERATION_ENABLED
         b.drive.coasts, b.drive.velocity_m_s = True, 0.5
         b.step()
 
-    async def script(b: Bench) -> None:
+    async def script(b: Any) -> None:
         await b.wait_until(lambda: len(b.drive.heard) > 10)
         assert set(b.drive.writes(dryve.TARGET_VELOCITY)) == {0}
         assert b.drive.writes(dryve.CONTROLWORD) == [0x010F]
@@ -291,7 +170,7 @@ def test_an_answer_that_never_comes_ends_the_connection_and_nothing_is_sent_agai
             return b""
         return answer()
 
-    async def script(b: Bench) -> None:
+    async def script(b: Any) -> None:
         b.drive.script = lose_the_first_switch_on
         await b.write_until(lambda: b.axis.read() is not None)
         told: list[str] = []
@@ -312,7 +191,7 @@ def test_answers_to_other_requests_are_skipped(bench: Any) -> None:
         late, previous[0] = previous[0], answer()
         return late + previous[0]  # the last answer once more, then the right one
 
-    async def script(b: Bench) -> None:
+    async def script(b: Any) -> None:
         b.drive.script = repeat
         await b.enable()
         assert b.axis.read().velocity_m_s == 0.3
@@ -324,7 +203,7 @@ def test_a_wrong_transaction_id_is_never_believed(bench: Any) -> None:
     def wrong(telegram: bytes, answer: Callable[[], bytes]) -> bytes:
         return b"\x77\x77" + answer()[2:]
 
-    async def script(b: Bench) -> None:
+    async def script(b: Any) -> None:
         b.drive.script = wrong
         await b.wait_until(lambda: "no answer within 0.05 s" in (b.axis.problem() or ""))
         assert "(2 answers to other requests)" in b.axis.problem()  # the first stop's, and this one's
@@ -343,114 +222,11 @@ def test_a_wrong_transaction_id_is_never_believed(bench: Any) -> None:
     ],
 )
 def test_error_answers_are_told(bench: Any, answer: Callable[[int], bytes], words: str) -> None:
-    async def script(b: Bench) -> None:
+    async def script(b: Any) -> None:
         b.drive.script = lambda telegram, _: answer(int.from_bytes(telegram[:2], "big"))
         await b.wait_until(lambda: words in (b.axis.problem() or ""))
         assert b.axis.problem().startswith(f"127.0.0.1:{b.server.port}: ")
         assert "connecting again" in b.axis.problem()
-
-    bench(script)
-
-
-STOP = ("60ff", bytes(4))
-BAD_ANSWERS = {
-    "refused": lambda t: dryve.encode_abort(t, 0x08000022),
-    "busy": lambda t: dryve.encode_exception(t, 6),
-    "garbled": lambda t: bytes.fromhex("ffffffffffffffffff"),
-    "another's": lambda t: (t ^ 0x5500).to_bytes(2, "big") + bytes.fromhex("00000003002b0d"),
-    "cut short": lambda t: t.to_bytes(2, "big") + bytes.fromhex("00000003002b0d"),
-    "none": lambda t: b"",
-}
-
-
-def ends(link: list[ModbusRequest]) -> tuple[Any, Any]:
-    return tuple((f"{request.index:04x}", request.data) for request in (link[0], link[-1]))  # type: ignore[return-value]
-
-
-@pytest.mark.parametrize("kind", BAD_ANSWERS)
-def test_a_link_begins_and_ends_with_a_stop_whatever_is_answered(bench: Any, kind: str) -> None:
-    async def script(b: Bench) -> None:
-        b.drive.stubborn = True  # nothing but what is said stops it
-        await b.enable()
-        b.drive.script = lambda telegram, _: BAD_ANSWERS[kind](int.from_bytes(telegram[:2], "big"))
-        await b.write_until(lambda: len(b.drive.links) > 3, True, 0.3)
-        assert [ends(link) for link in b.drive.links[:3]] == [(STOP, STOP)] * 3
-
-    bench(script, timeout_s=0.02)
-
-
-def test_a_link_that_is_left_in_peace_begins_and_ends_with_a_stop_too(bench: Any, until: Any) -> None:
-    async def script(b: Bench) -> None:
-        await b.enable()
-        await b.stop()
-        await until(lambda: ends(b.drive.links[0]) == (STOP, STOP))
-
-    bench(script)
-
-
-@pytest.mark.parametrize("kind", BAD_ANSWERS)
-@pytest.mark.parametrize("index", [0x60FF, 0x6041, 0x6064, 0x606C])
-def test_one_bad_answer_does_not_end_a_link_in_motion(bench: Any, kind: str, index: int) -> None:
-    async def script(b: Bench) -> None:
-        await b.enable(0.3)
-        spoilt: list[int] = []
-
-        def spoil(telegram: bytes, answer: Callable[[], bytes]) -> bytes:
-            if int.from_bytes(telegram[12:14], "big") == index and not spoilt:
-                spoilt.append(index)
-                return BAD_ANSWERS[kind](int.from_bytes(telegram[:2], "big"))
-            return answer()
-
-        b.drive.script = spoil
-        await b.write_until(lambda: spoilt, True, 0.4)
-        await b.write_until(lambda: b.axis.read().velocity_m_s == 0.4, True, 0.4)
-        assert len(b.drive.links) == 1
-        assert b.axis.read().enabled
-        assert b.axis.problem() is None
-
-    bench(script, timeout_s=0.05)
-
-
-def test_a_set_point_that_was_refused_once_is_said_again_without_waiting_for_the_next(bench: Any) -> None:
-    async def script(b: Bench) -> None:
-        await b.enable(0.3)
-        refused: list[int] = []
-
-        def refuse(telegram: bytes, answer: Callable[[], bytes]) -> bytes:
-            if telegram[12:14].hex() == "60ff" and telegram[9] and not refused:
-                refused.append(1)
-                return dryve.encode_abort(int.from_bytes(telegram[:2], "big"), 0x08000022)
-            return answer()
-
-        b.drive.script = refuse
-        b.axis.write(True, 0.0)  # once
-        await b.wait_until(lambda: refused and b.drive.velocity_m_s == 0.0)
-
-    bench(script)
-
-
-@pytest.mark.parametrize("storm", [3, 40, 150])  # telegrams; a link's end falls within the longer ones
-def test_a_cart_in_motion_is_stopped_as_soon_as_refusals_end(
-    bench: Any, storm: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("softarm.drivers.rail.driver.RETRY_S", (0.005, 60.0))  # no pause may grow meanwhile
-
-    async def script(b: Bench) -> None:
-        b.drive.stubborn = True
-        await b.enable(0.3)
-        began = len(b.drive.heard)
-
-        def refuse(telegram: bytes, answer: Callable[[], bytes]) -> bytes:
-            if len(b.drive.heard) <= began + storm:
-                return dryve.encode_abort(int.from_bytes(telegram[:2], "big"), 0x08000022)
-            return answer()
-
-        b.drive.script = refuse
-        await b.write_until(lambda: len(b.drive.heard) > began + storm, True, 0.3)
-        await b.write_until(lambda: b.drive.velocity_m_s == 0.0, True, 0.3)
-        after = [request for request, _ in b.drive.heard[began + storm :]]
-        stops = [request.index == 0x60FF and request.data == bytes(4) for request in after]
-        assert stops.index(True) <= 1
 
     bench(script)
 
@@ -462,7 +238,7 @@ def test_two_bytes_for_a_velocity_are_no_reading(bench: Any) -> None:
             return whole
         return whole[:5] + b"\x0f" + whole[6:18] + b"\x02" + whole[19:21]
 
-    async def script(b: Bench) -> None:
+    async def script(b: Any) -> None:
         b.drive.script = shorten
         await b.wait_until(lambda: "2 bytes for 606Ch:0 (velocity actual)" in (b.axis.problem() or ""))
         assert b.axis.read() is None
@@ -471,7 +247,7 @@ def test_two_bytes_for_a_velocity_are_no_reading(bench: Any) -> None:
 
 
 def test_segmented_answers_are_put_together(bench: Any) -> None:
-    async def script(b: Bench) -> None:
+    async def script(b: Any) -> None:
         b.faults.rail_segment()
         await b.enable()
 
@@ -483,7 +259,7 @@ def test_an_invalid_boot_state_is_told_and_left_alone(bench: Any) -> None:
         whole = answer()
         return whole[:19] + b"\x04\x27" if telegram[9:14].hex() == "0000006041" else whole
 
-    async def script(b: Bench) -> None:
+    async def script(b: Any) -> None:
         b.drive.script = invalid
         await b.write_until(lambda: b.axis.read() is not None)
         await b.write_until(lambda: len(b.drive.heard) > 60, True, 0.3)
@@ -494,7 +270,7 @@ def test_an_invalid_boot_state_is_told_and_left_alone(bench: Any) -> None:
 
 
 def test_the_hardware_e_stop_stops_and_its_release_does_not_start(bench: Any) -> None:
-    async def script(b: Bench) -> None:
+    async def script(b: Any) -> None:
         await b.enable()
         b.faults.remote_low()
         await b.write_until(lambda: not b.axis.read().remote, True, 0.3)
@@ -513,7 +289,7 @@ def test_the_hardware_e_stop_stops_and_its_release_does_not_start(bench: Any) ->
 
 
 def test_a_fault_is_named_kept_while_nobody_acknowledges_and_reset_when_asked(bench: Any) -> None:
-    async def script(b: Bench) -> None:
+    async def script(b: Any) -> None:
         await b.enable()
         b.faults.rail_fault()
         await b.write_until(lambda: b.axis.read().faults, True, 0.3)
@@ -538,7 +314,7 @@ def test_a_drive_that_will_not_walk_up_is_told(bench: Any) -> None:
             return dryve.encode_acknowledgement(dryve.decode_request(telegram))
         return answer()
 
-    async def script(b: Bench) -> None:
+    async def script(b: Any) -> None:
         b.drive.script = refuse
         await b.write_until(lambda: b.axis.read() is not None)
         await b.write_until(lambda: 0x0006 in b.drive.writes(dryve.CONTROLWORD), True, 0.3)

@@ -1,0 +1,134 @@
+"""A bench for the rail: the driver, and a drive on a TCP port that does as it is told."""
+
+import asyncio
+import itertools
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+
+from softarm.drivers.rail import dryve
+from softarm.drivers.rail.cia402 import DriveState
+from softarm.drivers.rail.driver import DryveRailAxis
+from softarm.drivers.rail.dryve import ModbusRequest
+from softarm.drivers.twin.dryve import DryveDevice, DryveServer
+from softarm.drivers.twin.faults import Faults
+from softarm.schemas.config import DryveRail
+
+
+class Drive(DryveDevice):
+    """Remembers what it was asked; `script` may answer in its place, `coasts` delays its motion, and `stubborn` keeps
+    its set-point when its master is gone.
+    """
+
+    def __init__(self, config: DryveRail) -> None:
+        super().__init__(config)
+        self.heard: list[tuple[ModbusRequest, DriveState]] = []
+        self.links: list[list[ModbusRequest]] = []  # the same by connection
+        self.stubborn = False
+        self.script: Callable[[bytes, Callable[[], bytes]], bytes] | None = None
+        self.position_m = self.velocity_m_s = 0.0
+        self.coasts = False
+
+    def answer(self, telegram: bytes, now_ns: int) -> bytes:
+        self.heard.append((dryve.decode_request(telegram), self.state))
+        self.links[-1].append(self.heard[-1][0])
+        if self.script is None:
+            return super().answer(telegram, now_ns)
+        return self.script(telegram, lambda: super(Drive, self).answer(telegram, now_ns))
+
+    def move(self) -> None:
+        self.velocity_m_s = self.velocity_m_s if self.coasts else self.target_velocity_m_s
+        self.sense(self.position_m, self.velocity_m_s)
+
+    def quick_stop(self) -> None:
+        if not self.stubborn:
+            super().quick_stop()
+
+    def writes(self, entry: dryve.Entry, since: int = 0) -> list[int]:
+        return [
+            int.from_bytes(request.data, "little", signed=entry.signed)
+            for request, _ in self.heard[since:]
+            if request.data is not None and (request.index, request.sub) == (entry.index, entry.sub)
+        ]
+
+
+class Server(DryveServer):
+    """Tells the drive of each connection."""
+
+    async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        self.device.links.append([])  # type: ignore[attr-defined]
+        await super()._serve(reader, writer)
+
+
+class Bench:
+    """Driver and drive; the driver's clock stands still until told, the drive's own watchdog never bites."""
+
+    def __init__(self, clock: Any, until: Any, config: DryveRail) -> None:
+        self.clock, self._until = clock, until
+        self.drive, self.faults = Drive(config), Faults(clock)
+        self.server = Server("127.0.0.1", 0, self.drive, self.faults, lambda: 0)
+        self.config = config
+        self.axis: DryveRailAxis
+
+    async def open(self) -> None:
+        await self.server.open()
+        self.config = self.config.model_copy(update={"port": self.server.port})
+        self.axis = DryveRailAxis(self.config, self.clock)
+
+    def step(self) -> None:
+        self.server.step()
+        self.drive.move()
+
+    async def stop(self) -> None:
+        mover = asyncio.create_task(self._until(lambda: False, self.step))
+        await self.axis.stop()
+        mover.cancel()
+
+    async def write_until(self, condition: Any, enable: bool = False, velocity_m_s: float = 0.0) -> None:
+        def each() -> None:
+            self.axis.write(enable, velocity_m_s)
+            self.step()
+
+        await self._until(condition, each)
+
+    async def wait_until(self, condition: Any) -> None:
+        await self._until(condition, self.step)
+
+    async def enable(self, velocity_m_s: float = 0.3) -> None:
+        await self.write_until(lambda: self.axis.problem() is None and self.axis.read() is not None)
+        await self.write_until(lambda: self.drive.velocity_m_s == velocity_m_s, True, velocity_m_s)
+        await self.write_until(lambda: self.axis.read().velocity_m_s == velocity_m_s, True, velocity_m_s)
+
+
+@pytest.fixture
+def bench(clock: Any, until: Any, run: Any, running: Any, monkeypatch: Any) -> Any:
+    monkeypatch.setattr("softarm.drivers.rail.driver.RETRY_S", (0.005, 0.01))
+    monkeypatch.setattr("softarm.drivers.rail.driver.POLL_S", 0.005)
+
+    async def play(script: Any, config: DryveRail, prepare: Any) -> None:
+        bench = Bench(clock, until, config)
+        prepare(bench)
+        await bench.open()
+        try:
+            async with running(bench.axis):
+                await script(bench)
+                await bench.stop()
+        finally:
+            await bench.server.close()
+        no_word_was_sent_twice_and_operation_kept_its_bits(bench.drive)
+
+    def start(script: Any, prepare: Any = lambda b: None, **config: Any) -> None:
+        run(play(script, DryveRail(host="127.0.0.1", timeout_s=1.0).model_copy(update=config), prepare))
+
+    return start
+
+
+def no_word_was_sent_twice_and_operation_kept_its_bits(drive: Drive) -> None:
+    words = [(r, state) for r, state in drive.heard if (r.index, bool(r.data)) == (0x6040, True)]
+    for (earlier, _), (later, _) in itertools.pairwise(words):
+        repeated = earlier.data == later.data and earlier.transaction == later.transaction
+        assert not repeated
+    for request, state in words:
+        value = int.from_bytes(request.data or b"", "little")
+        assert state is not DriveState.OPERATION_ENABLED or value & 0x0F == 0x0F or value == 0x0006

@@ -1,0 +1,111 @@
+"""A rail link that answers badly: it begins and ends with a stop, and one bad answer in motion is borne."""
+
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+
+from softarm.drivers.rail import dryve
+from softarm.drivers.rail.dryve import ModbusRequest
+
+STOP = ("60ff", bytes(4))
+BAD_ANSWERS = {
+    "refused": lambda t: dryve.encode_abort(t, 0x08000022),
+    "busy": lambda t: dryve.encode_exception(t, 6),
+    "garbled": lambda t: bytes.fromhex("ffffffffffffffffff"),
+    "another's": lambda t: (t ^ 0x5500).to_bytes(2, "big") + bytes.fromhex("00000003002b0d"),
+    "cut short": lambda t: t.to_bytes(2, "big") + bytes.fromhex("00000003002b0d"),
+    "none": lambda t: b"",
+}
+
+
+def ends(link: list[ModbusRequest]) -> tuple[Any, Any]:
+    return tuple((f"{request.index:04x}", request.data) for request in (link[0], link[-1]))  # type: ignore[return-value]
+
+
+@pytest.mark.parametrize("kind", BAD_ANSWERS)
+def test_a_link_begins_and_ends_with_a_stop_whatever_is_answered(bench: Any, kind: str) -> None:
+    async def script(b: Any) -> None:
+        b.drive.stubborn = True  # nothing but what is said stops it
+        await b.enable()
+        b.drive.script = lambda telegram, _: BAD_ANSWERS[kind](int.from_bytes(telegram[:2], "big"))
+        await b.write_until(lambda: len(b.drive.links) > 3, True, 0.3)
+        assert [ends(link) for link in b.drive.links[:3]] == [(STOP, STOP)] * 3
+
+    bench(script, timeout_s=0.02)
+
+
+def test_a_link_that_is_left_in_peace_begins_and_ends_with_a_stop_too(bench: Any, until: Any) -> None:
+    async def script(b: Any) -> None:
+        await b.enable()
+        await b.stop()
+        await until(lambda: ends(b.drive.links[0]) == (STOP, STOP))
+
+    bench(script)
+
+
+@pytest.mark.parametrize("kind", BAD_ANSWERS)
+@pytest.mark.parametrize("index", [0x60FF, 0x6041, 0x6064, 0x606C])
+def test_one_bad_answer_does_not_end_a_link_in_motion(bench: Any, kind: str, index: int) -> None:
+    async def script(b: Any) -> None:
+        await b.enable(0.3)
+        spoilt: list[int] = []
+
+        def spoil(telegram: bytes, answer: Callable[[], bytes]) -> bytes:
+            if int.from_bytes(telegram[12:14], "big") == index and not spoilt:
+                spoilt.append(index)
+                return BAD_ANSWERS[kind](int.from_bytes(telegram[:2], "big"))
+            return answer()
+
+        b.drive.script = spoil
+        await b.write_until(lambda: spoilt, True, 0.4)
+        await b.write_until(lambda: b.axis.read().velocity_m_s == 0.4, True, 0.4)
+        assert len(b.drive.links) == 1
+        assert b.axis.read().enabled
+        assert b.axis.problem() is None
+
+    bench(script, timeout_s=0.05)
+
+
+def test_a_set_point_that_was_refused_once_is_said_again_without_waiting_for_the_next(bench: Any) -> None:
+    async def script(b: Any) -> None:
+        await b.enable(0.3)
+        refused: list[int] = []
+
+        def refuse(telegram: bytes, answer: Callable[[], bytes]) -> bytes:
+            if telegram[12:14].hex() == "60ff" and telegram[9] and not refused:
+                refused.append(1)
+                return dryve.encode_abort(int.from_bytes(telegram[:2], "big"), 0x08000022)
+            return answer()
+
+        b.drive.script = refuse
+        b.axis.write(True, 0.0)  # once
+        await b.wait_until(lambda: refused and b.drive.velocity_m_s == 0.0)
+
+    bench(script)
+
+
+@pytest.mark.parametrize("storm", [3, 40, 150])  # telegrams; a link's end falls within the longer ones
+def test_a_cart_in_motion_is_stopped_as_soon_as_refusals_end(
+    bench: Any, storm: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("softarm.drivers.rail.driver.RETRY_S", (0.005, 60.0))  # no pause may grow meanwhile
+
+    async def script(b: Any) -> None:
+        b.drive.stubborn = True
+        await b.enable(0.3)
+        began = len(b.drive.heard)
+
+        def refuse(telegram: bytes, answer: Callable[[], bytes]) -> bytes:
+            if len(b.drive.heard) <= began + storm:
+                return dryve.encode_abort(int.from_bytes(telegram[:2], "big"), 0x08000022)
+            return answer()
+
+        b.drive.script = refuse
+        await b.write_until(lambda: len(b.drive.heard) > began + storm, True, 0.3)
+        await b.write_until(lambda: b.drive.velocity_m_s == 0.0, True, 0.3)
+        after = [request for request, _ in b.drive.heard[began + storm :]]
+        stops = [request.index == 0x60FF and request.data == bytes(4) for request in after]
+        assert stops.index(True) <= 1
+
+    bench(script)
