@@ -2,10 +2,8 @@
 
 import asyncio
 import contextlib
-import os
-import resource
 import socket
-from collections.abc import AsyncIterator, Callable, Coroutine, Iterator
+from collections.abc import AsyncIterator, Callable, Coroutine
 from typing import Any
 
 import pytest
@@ -73,25 +71,6 @@ async def running(*devices: Any) -> AsyncIterator[None]:
     finally:
         for device in devices:
             await device.stop()
-
-
-@contextlib.contextmanager
-def many_descriptors() -> Iterator[None]:
-    """As many open files as make every new one's number too large for select."""
-    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
-    if hard != resource.RLIM_INFINITY and hard < 2048:
-        pytest.skip("this machine allows fewer than 2048 open files")
-    resource.setrlimit(resource.RLIMIT_NOFILE, (max(soft, 2048), hard))
-    with contextlib.ExitStack() as files:
-        while files.enter_context(open(os.devnull)).fileno() < 1024:
-            pass
-        yield
-    resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
-
-
-@pytest.fixture(name="many_descriptors")
-def _many_descriptors() -> Any:
-    return many_descriptors
 
 
 @pytest.fixture(name="running")

@@ -96,6 +96,11 @@ def test_arms_over_the_inbox_and_writes_every_tick():
     assert abs(len(loop.devices.rail.written) - len(loop.ticks)) <= 1
 
 
+def test_a_thousand_other_descriptors_hurt_nothing(many_descriptors):
+    with many_descriptors(), Loop() as loop:
+        loop.until(lambda outputs: outputs.tick >= 3)
+
+
 def test_a_late_tick_skips_whole_periods_and_stays_on_its_grid():
     loop = Loop()
     loop.before_tick[5] = lambda: time.sleep(0.08)  # somebody holds up the loop

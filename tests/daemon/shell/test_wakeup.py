@@ -1,11 +1,10 @@
 """The control loop's waiting: to the microsecond, and on descriptors of any number."""
 
 import asyncio
-import os
-import resource
 import socket
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager
 
 import pytest
 
@@ -58,13 +57,7 @@ def test_a_tiny_time_out_ends(selector: PunctualSelector) -> None:
     assert selector.select(1e-12) == []
 
 
-def test_descriptors_above_1023_are_waited_for() -> None:
-    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
-    if hard != resource.RLIM_INFINITY and hard < 2048:
-        pytest.skip("this machine allows fewer than 2048 open files")
-    resource.setrlimit(resource.RLIMIT_NOFILE, (max(soft, 2048), hard))
-    many = [os.open(os.devnull, os.O_RDONLY) for _ in range(1100)]
-
+def test_descriptors_above_1023_are_waited_for(many_descriptors: Callable[[], AbstractContextManager[None]]) -> None:
     async def converse() -> bytes:
         async def echo(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
             writer.write(await reader.readexactly(2))
@@ -78,10 +71,8 @@ def test_descriptors_above_1023_are_waited_for() -> None:
             writer.close()
             return answer
 
-    try:
-        with asyncio.Runner(loop_factory=lambda: asyncio.SelectorEventLoop(PunctualSelector())) as runner:
-            assert runner.run(asyncio.wait_for(converse(), READY_S)) == b"hi"
-    finally:
-        for descriptor in many:
-            os.close(descriptor)
-        resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
+    with (
+        many_descriptors(),
+        asyncio.Runner(loop_factory=lambda: asyncio.SelectorEventLoop(PunctualSelector())) as runner,
+    ):
+        assert runner.run(asyncio.wait_for(converse(), READY_S)) == b"hi"
