@@ -1,5 +1,7 @@
 """The time to a level: it counts when it is held."""
 
+import pytest
+
 from softarm.benchmarks import training as measurement
 from softarm.schemas.flights import Shares
 from softarm.training.learn.inference import workers
@@ -19,6 +21,7 @@ def test_the_level_is_the_papers_in_all_three_figures():
         assert not measurement.is_at_level(Shares(*worse))
 
 
+@pytest.mark.slow
 def test_a_run_is_followed_validation_by_validation_to_its_end(tmp_path):
     settings = {"run.robots": 16, "run.validate_every": 2, "run.validation_trials": 12}
     with workers(1) as pool:

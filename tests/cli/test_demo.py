@@ -12,6 +12,7 @@ def demo(logs, *arguments) -> Result:
     return CliRunner().invoke(main, ["demo", "--targets", "1", "--logs", str(logs), *arguments])
 
 
+@pytest.mark.slow
 def test_a_target_is_reached_and_no_limit_exceeded(tmp_path):
     result = demo(tmp_path)
     assert result.exit_code == 0, result.output
@@ -19,6 +20,7 @@ def test_a_target_is_reached_and_no_limit_exceeded(tmp_path):
     assert len(list(tmp_path.glob("*.mcap"))) == 1
 
 
+@pytest.mark.slow
 def test_what_the_daemon_refuses_is_said_and_a_failure(tmp_path):
     result = demo(tmp_path, "--policy", "hold")
     assert result.exit_code == 1

@@ -27,6 +27,7 @@ def runs(tmp_path_factory):
     return folder
 
 
+@pytest.mark.slow
 def test_learned_policies_come_with_their_spread_beside_the_papers_figures(runs, tmp_path):
     page = tmp_path / "all.html"
     result = run(

@@ -11,6 +11,8 @@ from softarm.diagnosis.identify import TIP_Y_M, TIP_Z_M, TORQUE_RMSE_NM, identif
 from softarm.diagnosis.trials import Series, TrialError
 from softarm.schemas.model import Model
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def truth():
@@ -27,14 +29,12 @@ def result(truth, record):
     return identify(Model(), trials, (record("sinusoid", truth, seed=3),))
 
 
-@pytest.mark.slow
 def test_stiffness_damping_and_gain_are_within_five_percent(result, truth):
     errors = result.refinement.column / bench.to_columns(truth.arm) - 1
     assert np.abs(errors[:15]).max() < 0.05
     assert result.refinement.converged
 
 
-@pytest.mark.slow
 def test_the_refinement_earns_its_place(result, truth):
     """The regression alone misses the five percent: sensor noise in the angles, the filter."""
     errors = result.regression.column / bench.to_columns(truth.arm) - 1
@@ -42,7 +42,6 @@ def test_the_refinement_earns_its_place(result, truth):
     assert result.refinement.rmse_m < 0.5 * result.refinement.rmse_before_m
 
 
-@pytest.mark.slow
 def test_intervals_say_something(result, truth):
     fitted, true = result.refinement, bench.to_columns(truth.arm)
     half = (fitted.high - fitted.low) / 2
@@ -64,7 +63,6 @@ def _swings(arm, seed):
     return motions
 
 
-@pytest.mark.slow
 def test_95_percent_intervals_hold_the_truth_95_times_in_100():
     """Of 60 recordings as many as chance allows an interval that is right (0.1 % beyond either end)."""
     arm = Model().arm
@@ -78,7 +76,6 @@ def test_95_percent_intervals_hold_the_truth_95_times_in_100():
     assert ((fewest <= inside) & (inside <= most)).all(), inside / runs
 
 
-@pytest.mark.slow
 def test_torques_and_the_unseen_sinusoid_are_within_what_the_paper_reports(result):
     assert result.regression.rmse_nm <= TORQUE_RMSE_NM
     assert result.torque_rmse_nm <= TORQUE_RMSE_NM
@@ -88,7 +85,6 @@ def test_torques_and_the_unseen_sinusoid_are_within_what_the_paper_reports(resul
     assert np.ptp(check.measured_m[:, 0]) > 0.05  # there was something to follow
 
 
-@pytest.mark.slow
 def test_two_runs_agree_to_the_last_bit_and_the_order_of_trials_does_not_count(record):
     a, b = record("pressure-multisine"), record("rail-multisine")
     columns = [identify(Model(), trials).refinement for trials in ((a, b), (b, a))]

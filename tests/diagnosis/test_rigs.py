@@ -223,6 +223,7 @@ def test_what_has_no_view_says_so():
         PendulumView([pendulum(np.sin(t), t, model={"centre_m": 0.1, "inertia_kg_m2": 1.0})])
 
 
+@pytest.mark.slow
 def test_a_dry_joint_is_named_and_not_its_look_alikes():
     """Small swings of a joint that has dry friction besides the model's viscous one."""
     draw = np.random.default_rng(1)
@@ -282,6 +283,7 @@ def late_servo():
     return trials
 
 
+@pytest.mark.slow
 def test_lateness_is_split_into_dead_time_lag_and_an_end_of_the_torque():
     verdict = diagnose_table(late_servo()).verdict
     found = {e.name.partition(".")[2]: e for e in verdict.effects}
@@ -292,6 +294,7 @@ def test_lateness_is_split_into_dead_time_lag_and_an_end_of_the_torque():
     assert found["acceleration_limit"].parameters["acceleration"].value == pytest.approx(12.0, rel=0.1)
 
 
+@pytest.mark.slow
 def test_large_swings_of_a_dry_joint_in_air_reject_dry_friction_alone():
     """The model's viscous friction stands in for dry friction and drag: both are named, and it shrinks."""
     draw = np.random.default_rng(5)

@@ -6,6 +6,8 @@ from softarm.policies import registry
 from softarm.schemas.config import Config
 from softarm.schemas.goals import Goal
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def reach():

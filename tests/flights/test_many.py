@@ -1,6 +1,7 @@
 """Many flights in parts, and the robots that they are flown on."""
 
 import numpy as np
+import pytest
 
 from softarm.flights.many import fly_all, fly_grid, shares
 from softarm.flights.robots import with_faults
@@ -22,6 +23,7 @@ def test_flights_are_the_same_in_parts():
     assert np.array_equal(flown["old", "nominal"], reached)
 
 
+@pytest.mark.slow
 def test_every_policy_flies_on_every_robot_from_any_number_of_processes(monkeypatch):
     monkeypatch.setattr("softarm.flights.many._PART", 1)
     policies = {"file": REACH, "plugin": "hold"}

@@ -32,6 +32,7 @@ def wait(condition, what, seconds=10.0):
     return found
 
 
+@pytest.mark.slow
 def test_a_goal_over_rest_is_reached_over_the_wires_and_recorded(sil):
     sil.arm()
     tips = []
@@ -57,6 +58,7 @@ def twin_state(endpoint):
         return json.loads(wait(states.try_recv, "a state of the twin").payload.to_string())
 
 
+@pytest.mark.slow
 def test_a_killed_daemon_leaves_a_vented_muscle_and_a_braked_cart_inside_the_rail(sil):
     """kill -9 in mid-swing: nobody is left to say stop."""
     sil.arm()
@@ -82,6 +84,7 @@ def test_a_killed_daemon_leaves_a_vented_muscle_and_a_braked_cart_inside_the_rai
     assert abs(killed_ns - log.t_last_ns) <= 0.2e9
 
 
+@pytest.mark.slow
 def test_a_stopped_daemon_leaves_no_process_and_a_finished_log(sil):
     path = sil.status()["recorder"]["log"]
     sil.daemon.send_signal(signal.SIGTERM)
@@ -91,6 +94,7 @@ def test_a_stopped_daemon_leaves_no_process_and_a_finished_log(sil):
         sil.client.get("/api/status")
 
 
+@pytest.mark.slow
 def test_a_daemon_that_ends_at_once_leaves_its_last_words(tmp_path):
     with (
         pytest.raises(SoftwareInTheLoopError, match=r"`softarm run` ended with 1:\n.*no policy 'raech'"),

@@ -8,6 +8,8 @@ from softarm.flights.table import Entry, Job, Score
 from softarm.policies.onnx_policy import OnnxPolicy
 from softarm.training.trajectory import ceiling
 
+pytestmark = pytest.mark.slow
+
 
 def test_a_test_on_another_model_gets_a_column_of_its_own():
     found = table.entries(None, ("pid",))

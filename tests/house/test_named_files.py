@@ -60,6 +60,7 @@ def unknown(text: str) -> list[str]:
     return [name for name in (*paths, *names) if not STANDS_FOR_MANY.search(name)]
 
 
+@pytest.mark.slow
 def test_every_file_and_name_of_ours_that_prose_names_is_there():
     wrong = {
         name: missing

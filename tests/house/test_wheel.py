@@ -13,6 +13,8 @@ import pytest
 
 from softarm import __version__ as softarm_version
 
+pytestmark = pytest.mark.slow
+
 ROOT = Path(__file__).parents[2]
 DEPENDENCIES = sysconfig.get_path("purelib")
 
@@ -152,7 +154,6 @@ def test_help_and_the_list_of_policies_from_the_users_project(installed: Path) -
     assert f"version {softarm_version}" in run(installed, "-m", "softarm.cli.main", "--version", cwd=home)
 
 
-@pytest.mark.slow
 @pytest.mark.timeout(400)  # the kernel is compiled anew
 def test_the_users_plugin_is_flown_and_so_is_a_shipped_policy(installed: Path) -> None:
     home = installed.parents[2] / "their-arm"

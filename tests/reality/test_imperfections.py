@@ -160,6 +160,7 @@ def test_it_fills_and_vents_with_the_declared_time_constants(fly: Any, perturb: 
         np.testing.assert_allclose(np.add(lags_s, 0.5 / 30), (0.1, 0.2), rtol=0.03)
 
 
+@pytest.mark.slow
 def test_the_arm_hangs_as_declared(fly: Any, perturb: Any) -> None:
     def hang_m(pressure_kpa: float, **values: float) -> float:
         seconds = 8.0 if pressure_kpa else 0.1  # it starts at rest without pressure

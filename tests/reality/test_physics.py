@@ -87,6 +87,7 @@ def test_the_stops_hold_the_cart() -> None:
     assert 0.299 < farthest < 0.305
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("draw", [commands.smooth, commands.bang_bang])
 def test_nominal_it_stays_near_the_five_link_simulator(draw: Any) -> None:
     """Six command sets of 3 s; docs/reality.md gives the RMS over more."""

@@ -32,6 +32,7 @@ def error_mm(ours: np.ndarray, theirs: np.ndarray) -> np.ndarray:
     return 1e3 * np.linalg.norm(ours - theirs, axis=1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("draw", [commands.smooth, commands.bang_bang])
 def test_tip_agrees_after_three_seconds(draw: Callable[..., tuple[np.ndarray, np.ndarray]]) -> None:
     """Sixteen command sets of each kind, all effects present. Issue 2 allows 1 / 3 mm and 0.3 / 1 mm."""

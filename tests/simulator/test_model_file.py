@@ -184,6 +184,7 @@ VALUES = ["1", "-1e9", ".nan", ".inf", "null", "2020-13-45", "'", "\x00", "<<"]
 MARKS = [":", " ", "\n", "\n  ", "{", "}", "[", "]", ",", "&a ", "*a", "!!int ", "!!bool ", "!!timestamp ", "? ", "- "]
 
 
+@pytest.mark.slow
 @settings(max_examples=300, deadline=None, derandomize=True)
 @given(st.lists(st.sampled_from(KEYS + VALUES + MARKS), max_size=25).map("".join) | st.text(max_size=40))
 def test_whatever_is_in_the_file_gives_a_model_or_a_complaint_with_its_name(

@@ -15,6 +15,8 @@ from softarm.training.run.validation import validation_scenarios
 from softarm.training.task.reach import ReachTask
 from softarm.training.task.shelf import environment_of
 
+pytestmark = pytest.mark.slow
+
 MODELS = Path(policies.__file__).parent / "models"
 
 

@@ -45,6 +45,7 @@ def test_reachable_targets_are_hit_and_others_are_said_to_be_missed(report):
     assert (report.reached_s[:2] <= (report.plans.steps[:2] + 3) / 30 + 1e-6).all()
 
 
+@pytest.mark.slow
 def test_a_plan_flown_again_goes_where_it_says_whatever_integrates_it(report):
     plans = report.plans
     for rate_hz, tolerance_m in ((PHYSICS_RATE_HZ, 1e-4), (4800.0, 2e-3)):

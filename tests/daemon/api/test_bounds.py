@@ -90,6 +90,7 @@ def opened(stack: ExitStack, port: int, sent: bytes = b"") -> socket.socket:
     return connection
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "sent", [b"", b"POST /api/goal HTTP/1.1\r\nHost: 127.0.0.1\r\nContent-Length: 4000\r\n\r\n{"], ids=["idle", "slow"]
 )

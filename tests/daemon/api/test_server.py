@@ -133,6 +133,7 @@ def small_pipe(port: int) -> socket.socket:
     return pipe
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("reading", [True, False])
 def test_stopping_closes_open_streams_at_once(loop, reading, app, serving):
     with ExitStack() as stack:

@@ -158,6 +158,7 @@ def unfinished(directory: Path, ticks) -> Path:
     return path
 
 
+@pytest.mark.slow
 @settings(deadline=None, max_examples=150)
 @given(st.lists(tick, max_size=4))
 def test_every_tick_comes_back_bit_for_bit(ticks):

@@ -223,6 +223,7 @@ while True:
 """
 
 
+@pytest.mark.slow
 def test_a_kill_loses_no_more_than_the_last_flush(tmp_path):
     (tmp_path / "tests_support.py").write_text(Path(__file__).read_text())
     path = os.pathsep.join([str(tmp_path), *filter(None, sys.path)])

@@ -143,6 +143,7 @@ def test_a_request_may_come_in_pieces(stopping):
         assert client.recv(100).startswith(b"HTTP/1.1 200 OK")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("sent", [b"", b"POST /api/st"])
 def test_clients_that_say_nothing_give_way(stopping, sent):
     with way(stopping) as port, ExitStack() as stack:

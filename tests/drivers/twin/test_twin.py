@@ -176,6 +176,7 @@ run_twin(Config.model_validate_json(sys.argv[1]), None, lambda line: print(line,
 """
 
 
+@pytest.mark.slow
 def test_its_process_outlives_the_daemon_hears_faults_and_ends_when_told(config: Config, run: Any, until: Any) -> None:
     async def play() -> None:
         process = await asyncio.create_subprocess_exec(

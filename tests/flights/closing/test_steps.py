@@ -19,6 +19,8 @@ from softarm.simulator import model_file
 from softarm.training.run.retrain import RetrainingConfig
 from softarm.training.run.warm_start import load_weights
 
+pytestmark = pytest.mark.slow
+
 REACH = MODELS / "reach.onnx"
 EASY, NEVER = TEST_TARGETS[4], TEST_TARGETS[-1]  # (-0.20, 0.55), and (0, 0.80), which no command reaches
 TINY = RetrainingConfig(

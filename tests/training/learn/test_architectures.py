@@ -101,6 +101,7 @@ def test_without_a_muscle_nothing_is_pumped_and_the_file_vents(tmp_path):
     assert action[1] == pytest.approx(0.0, abs=1e-4)
 
 
+@pytest.mark.slow
 def test_a_shelf_run_is_killed_goes_on_and_leaves_a_policy_that_is_told_the_depth(tmp_path):
     with workers(1) as pool:
 

@@ -14,6 +14,8 @@ from softarm.training.run.validation import fly, validation_scenarios
 from softarm.training.task.environment import ACTIONS, INPUTS, Environment
 from softarm.training.task.reach import TASKS
 
+pytestmark = pytest.mark.slow
+
 
 def learner(pool, shape: NetworkShape, **config) -> Ppo:
     torch.manual_seed(0)

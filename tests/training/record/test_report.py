@@ -21,6 +21,8 @@ from softarm.training.run.settings import TrainingConfig
 from softarm.training.task.reach import ReachTask
 from softarm.training.task.shelf import ShelfTask
 
+pytestmark = pytest.mark.slow
+
 SMALL = TrainingConfig(seed=3, robots=16, validate_every=2, validation_trials=12)
 FRAMES = 16 * 16
 SHIPPED = Path(policies.__file__).parent / "models" / "reach.onnx"

@@ -65,6 +65,7 @@ def finished(tmp_path_factory) -> Session:
     return run
 
 
+@pytest.mark.slow
 def test_a_run_that_was_killed_goes_on_bit_for_bit(finished, tmp_path):
     with workers(1) as pool:
         killed = session(tmp_path, pool)
@@ -232,6 +233,7 @@ def test_flying_counts_each_trial_once_and_knows_how_close_it_came():
     assert 0.1 < outcome.closest_m[1] < 0.5
 
 
+@pytest.mark.slow
 def test_the_commands_train_and_export(tmp_path):
     runner, out = CliRunner(), tmp_path / "run"
     arguments = ["reach", "--robots", "16", "--frames", "256", "--seed", "5", "--out", str(out)]

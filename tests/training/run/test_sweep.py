@@ -31,6 +31,7 @@ def file(tmp_path):
     return path
 
 
+@pytest.mark.slow
 def test_a_sweep_is_restarted_where_it_was(file, tmp_path):
     out, wanted = tmp_path / "runs", sweep.load(file)
     todo, finished = sweep.plan(wanted, out, threads=1)

@@ -41,6 +41,7 @@ def test_a_policy_that_is_read_and_written_again_is_the_same_bit_for_bit(name):
     assert prior.task == PRESETS[name]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("order", ["mlp-lstm", "lstm-mlp", "mlp"])
 def test_a_policy_of_any_order_of_layers_is_read_again_and_trained_on(order, tmp_path):
     shape = NetworkShape(INPUTS, ACTIONS, mlp=(16, 12), state=8, order=order)

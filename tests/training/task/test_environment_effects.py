@@ -194,6 +194,7 @@ def test_how_close_a_trial_came_is_the_true_distance():
     assert outcome.closest_m[0] < REACH.success_radius_m
 
 
+@pytest.mark.slow
 def test_a_run_on_a_model_says_so_and_goes_on_bit_for_bit_and_on_no_other(tmp_path):
     config = TrainingConfig(seed=3, robots=16, validate_every=1, validation_trials=6)
 
