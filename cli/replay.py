@@ -1,12 +1,17 @@
 """`softarm replay`: a recorded log through the same tick; it must give the same commands."""
 
 import sys
+from collections.abc import Iterator
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
 from softarm.cli.errors import fail
 from softarm.cli.options import FILE
+
+if TYPE_CHECKING:
+    from softarm.daemon.shell.replay import Replayed
 
 SHOWN = 10
 
@@ -16,7 +21,8 @@ SHOWN = 10
 def replay(log: Path) -> None:
     """Run a log's inputs through the tick again and compare every command, bit for bit.
 
-    Ends with 1 when a tick comes out otherwise: the software, a policy file or the configuration has changed.
+    Ends with 1 when a tick comes out otherwise: the software, a policy file or the configuration has changed. Where the
+    log leaves ticks out, as it does while the arm is switched off and still, it says how many.
 
     \b
     Example:
@@ -31,13 +37,34 @@ def replay(log: Path) -> None:
     try:
         recorded = logs.read(log)
         config = recorded.config
-        ticks, differences = replay_log(recorded.ticks(), config, lambda name: registry.load(name, config.policies))
+        replayed = replay_log(recorded.ticks(), config, lambda name: registry.load(name, config.policies))
     except (LogError, PolicyError) as error:
         fail(str(error))
     click.echo(recorded.ending)
+    differences = replayed.differences
     for difference in differences[:SHOWN]:
         click.echo(f"tick {difference.tick} {difference.field}: was {difference.recorded}, is {difference.replayed}")
+    for sentence in _gaps(replayed):
+        click.echo(sentence)
     if differences:
-        click.echo(f"{len(differences)} differences in {ticks} ticks", err=True)
+        click.echo(f"{len(differences)} differences in {replayed.compared} ticks", err=True)
         sys.exit(1)
-    click.echo(f"{ticks} ticks, every command the same")
+    click.echo(f"{replayed.compared} ticks, every command the same")
+
+
+def _gaps(replayed: "Replayed") -> Iterator[str]:
+    """What the log does not hold, and what could not be compared for it."""
+    armed = [gap for gap in replayed.gaps if gap.armed]
+    off = [gap for gap in replayed.gaps if not gap.armed]
+    if off:
+        yield (
+            f"{sum(gap.missing for gap in off)} ticks in {len(off)} gaps ({sum(gap.seconds for gap in off):.0f} s) are "
+            "not in this log: the arm was switched off and nothing changed, or an earlier file holds them"
+        )
+    for gap in armed[:SHOWN]:
+        yield (
+            f"tick {gap.tick}: the {gap.missing} before it are not in this log, and the drive was on: "
+            "what follows may differ for that alone"
+        )
+    if unsure := replayed.ticks - replayed.compared:
+        yield f"{unsure} ticks right after a gap were run but not compared"

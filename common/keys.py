@@ -20,10 +20,12 @@ _UNITS = {
     "_kpa_s": "kPa/s",
     "_m_s": "m/s",
     "_per_m": "1/m",
+    "_days": "days",
     "_kpa": "kPa",
     "_hz": "Hz",
     "_rad": "rad",
     "_kg": "kg",
+    "_mb": "MB",
     "_m": "m",
     "_s": "s",
 }

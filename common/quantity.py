@@ -36,6 +36,8 @@ UNITS: dict[str, dict[str, float]] = {
     "Hz": {},
     "1/m": {},
     "kg/m^3": {},
+    "MB": {"GB": 1e3},
+    "days": {"h": 1 / 24},
 }
 _HUGE = 1e15  # beyond, a number is a slip of the hand, not of the unit
 _NUMBER = re.compile(r"\s*([-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?)\s*(.*?)\s*")

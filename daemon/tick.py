@@ -22,6 +22,7 @@ from softarm.schemas.messages import SAFE, Command
 RESULTS_KEPT = 32
 REST_SPEED_M_S = 0.02  # of a cart that counts as braked
 BRAKING_S = 1.0  # a soft stop waits this long for the cart to rest
+UNSETTLED = ("mocap_missing", "mocap_stale", "mocap_clock", "mocap_settling")  # fewer frames than arming takes
 _NO_TARGET = np.full(2, np.nan, dtype=np.float32)
 
 
@@ -87,6 +88,14 @@ class Controller:
             reset_devices=any(request.kind == "acknowledge" for request in inputs.requests),
         )
 
+    def resume(self, recorded: Outputs) -> None:
+        """Stand where a recorded tick left off: for the replay of a log with gaps. Not what the policy remembers."""
+        self._tick, self._missed_total, self._sent = recorded.tick, recorded.missed_total, recorded.sent
+        self._machine.resume(recorded.mode, recorded.estop, recorded.last_stop)
+        self._goals.status = recorded.goal
+        if not any(event.name in UNSETTLED for event in recorded.events):
+            self._observer.frames_in_a_row = max(self._observer.frames_in_a_row, self._config.failsafe.arming_frames)
+
     def _conditions(self, inputs: Inputs) -> Iterator[Event]:
         """What holds now, from the devices and from the loop itself."""
         engaged = self._machine.mode in (Mode.ARMED, Mode.STOPPING)
@@ -95,6 +104,8 @@ class Controller:
             yield Event("ticks_missed", f"{inputs.missed} in a row, {inputs.late_ns / 1e6:.0f} ms late")
         elif inputs.missed:
             yield Event("tick_late", f"{inputs.missed} skipped, {inputs.late_ns / 1e6:.0f} ms late")
+        if inputs.recorder_problem is not None and not self._config.recorder.arm_without_log:
+            yield Event("not_recorded", inputs.recorder_problem)
         if inputs.recorder_dropped:
             yield Event("recorder_dropping", f"{inputs.recorder_dropped} so far")
 

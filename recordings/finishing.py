@@ -48,6 +48,12 @@ def hold(descriptor: int) -> None:
     _lock(descriptor)
 
 
+def is_held(path: Path) -> bool:
+    """Is a daemon still writing it? Raises OSError when it cannot be read."""
+    with path.open("rb") as file:
+        return not _lock(file.fileno())
+
+
 def _lock(descriptor: int) -> bool:
     try:
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)

@@ -69,5 +69,5 @@ class LogFile:
             return f"{self.path}: finished, {whole}"
         return (
             f"{self.path}: not finished (the daemon was killed, the disk was full or it still records), "
-            f"{whole}; the recorder finishes it at its next start"
+            f"{whole}; the recorder finishes it at its next start, `softarm logs recover` now"
         )

@@ -193,6 +193,17 @@ class Recorder(Strict):
     enabled: bool = True
     flush_interval_s: Annotated[float, Field(gt=0, le=1)] = 0.05
     queue_max: Annotated[int, Field(ge=100)] = 10_000
+    # Of a disarmed arm at which nothing changes one tick so often, 0 for all; around a change all, before and after.
+    idle_interval_s: Annotated[float, Field(ge=0, le=3600)] = 5.0
+    around_s: Annotated[float, Field(ge=0.5, le=60)] = 5.0
+    # A new file once one is so large or so old, as soon as the arm is disarmed.
+    file_max_mb: Annotated[int, Field(ge=1, le=1_000_000)] = 500
+    file_max_days: Annotated[float, Field(gt=0, le=365)] = 1.0
+    # The oldest logs are deleted beyond this.
+    keep_mb: Annotated[int, Field(ge=2, le=100_000_000)] = 20_000
+    keep_days: Annotated[float, Field(gt=0, le=36_500)] = 365.0
+    # Otherwise arming is refused while nothing can be written. (`enabled: false` asks for no log: it refuses nothing.)
+    arm_without_log: bool = False
 
 
 class Config(Strict):

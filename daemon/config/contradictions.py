@@ -19,6 +19,7 @@ def contradictions(config: Config) -> Iterator[str]:
     """A sentence for each: both keys, their values, the next step. The key that is wrong comes first."""
     yield from _rail(config)
     yield from _times(config)
+    yield from _logs(config)
 
 
 def _rail(config: Config) -> Iterator[str]:
@@ -74,3 +75,12 @@ def _times(config: Config) -> Iterator[str]:
                 f"failsafe.{key} is {stale_s}, no longer than a tick ({period_s:.4f} s at control.rate_hz {rate}): a "
                 f"reading of {device} that is in order would count as too old; raise it to {2 * period_s:.2f} or more"
             )
+
+
+def _logs(config: Config) -> Iterator[str]:
+    kept_mb, file_mb = config.recorder.keep_mb, config.recorder.file_max_mb
+    if kept_mb < 2 * file_mb:
+        yield (
+            f"recorder.keep_mb is {kept_mb}, less than two files of recorder.file_max_mb {file_mb}: a log would be "
+            f"deleted as soon as the next one is full; raise keep_mb to {2 * file_mb} or lower file_max_mb"
+        )

@@ -180,6 +180,12 @@ TABLE: dict[str, Rule] = {
         "take load off this computer",
         "at once",
     ),
+    "not_recorded": Rule(
+        Response.WARN,
+        True,
+        "no log is being written",
+        "mend that and recording goes on by itself, or set recorder.arm_without_log: true",
+    ),
     "recorder_dropping": Rule(
         Response.WARN,
         False,
@@ -286,6 +292,12 @@ class ModeMachine:
             self.estop = EStop.CLEAR
             self._go(Mode.DISARMED)
         return ()
+
+    def resume(self, mode: Mode, estop: EStop, last_stop: str | None) -> None:
+        """Stand where a recorded tick left off."""
+        if mode is not self.mode:
+            self._go(mode)
+        self.estop, self.last_stop = estop, last_stop
 
     def refusals(self, events: Iterable[Event]) -> tuple[str, ...]:
         """Why arming would be refused now."""

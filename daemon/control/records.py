@@ -71,6 +71,7 @@ class Inputs:
     requests: tuple[Request, ...] = ()
     problems: Problems = Problems()
     recorder_dropped: int = 0  # messages the recorder could not take, since start
+    recorder_problem: str | None = None  # why no log is being written; None: one is, or none is asked for
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,27 +1,25 @@
-"""The black box: every motion capture frame and every tick into an MCAP file, never holding up the loop.
+"""The black box: frames and ticks into MCAP files, never holding up the loop.
 
-The loop only appends to a bounded queue. One thread encodes and writes. It hands its bytes to the system
-every flush interval, so a daemon that is killed loses no more than that, and to the disk once a second.
+The loop only appends to a bounded queue. One thread encodes and writes, and begins a new file when one is full or when
+a disk that failed is there again. It hands its bytes to the system every flush interval, so a daemon that is killed
+loses no more of a flight than that, and to the disk once a second.
 """
 
-import errno
 import logging
-import os
-import shutil
 import threading
 import time
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import BinaryIO
 
 from softarm.common import revision
 from softarm.daemon.control.records import Inputs, Outputs, TickTiming
-from softarm.daemon.logbook import ticks
+from softarm.daemon.logbook import folder, ticks
+from softarm.daemon.logbook.thinning import Thinning, Tick
 from softarm.policies.base import PolicySpec
-from softarm.recordings import finishing, mcap_file
+from softarm.recordings import finishing
 from softarm.recordings.live import LiveFile
 from softarm.schemas import log as names
 from softarm.schemas.config import Config
@@ -30,11 +28,10 @@ log = logging.getLogger(__name__)
 
 # What the daemon stands on, besides Python.
 PACKAGES = ("numpy", "onnxruntime", "pyserial", "eclipse-zenoh", "pydantic", "mcap", "fastapi", "uvicorn")
-FREE_MIN_BYTES = 100_000_000  # about ten minutes
 FINISH_S = 5.0  # a log that takes longer to finish at stop is finished at the next start
+RETRY_S = 2.0  # a disk that failed is looked at so often
 BREATH_RECORDS, BREATH_S = 20, 0.002  # tidying old logs gives the interpreter back this often
 
-Tick = tuple[Inputs, Outputs, TickTiming]
 Clock = Callable[[], int]
 
 
@@ -52,7 +49,7 @@ class _Enough(Exception):
 
 
 class Recorder:
-    """Writes one log, from start to stop. `tick` is for the control loop's thread and never blocks."""
+    """Writes logs, from start to stop. `tick` is for the control loop's thread and never blocks."""
 
     def __init__(
         self,
@@ -67,11 +64,13 @@ class Recorder:
         self._monotonic_ns, self._wall_ns = monotonic_ns, wall_ns
         self._queue: deque[Tick | _PolicyChange] = deque()
         self._stopping = threading.Event()
-        self._threads: list[threading.Thread] = []
+        self._writer: threading.Thread | None = None
+        self._tidier: threading.Thread | None = None
         self._policy = policy
+        self._thinning = Thinning(self._settings.idle_interval_s, self._settings.around_s)
         self.path: Path | None = None  # of the log being written
         self.dropped = 0  # ticks that could not be kept, since start
-        self.problem: str | None = None  # why nothing is written any more
+        self.problem: str | None = None  # why nothing is written now
 
     def start(self) -> None:
         """Open the log and begin; nothing when `recorder.enabled` is false.
@@ -81,21 +80,18 @@ class Recorder:
         if not self._settings.enabled:
             return
         try:
-            self.path, file = self._open()
+            self.path, file = folder.new_log(self._settings.directory, self._wall_ns())
         except OSError as error:
-            raise RecorderError(self._advice(error)) from error
-        self._threads = [
-            threading.Thread(target=self._write, args=(self.path, file), name="recorder", daemon=True),
-            threading.Thread(target=self._tidy, args=(self.path,), name="recorder tidying", daemon=True),
-        ]
-        for thread in self._threads:
-            thread.start()
+            raise RecorderError(folder.advice(self._settings.directory, error)) from error
+        self._writer = threading.Thread(target=self._write, args=(self.path, file), name="recorder", daemon=True)
+        self._writer.start()
 
     def stop(self) -> None:
         """Write what is queued and finish the file: compressed, with an index. Takes some seconds at most."""
         self._stopping.set()
-        for thread in self._threads:
-            thread.join(timeout=FINISH_S + 2.0)
+        for thread in (self._writer, self._tidier):
+            if thread is not None:
+                thread.join(timeout=FINISH_S + 2.0)
 
     def tick(self, inputs: Inputs, outputs: Outputs, timing: TickTiming) -> None:
         """Keep a tick. Never blocks, never raises; one that finds the queue full is counted in `dropped`."""
@@ -111,50 +107,54 @@ class Recorder:
         if self._settings.enabled:
             self._queue.append(_PolicyChange(spec))
 
-    def _open(self) -> tuple[Path, BinaryIO]:
-        directory = self._settings.directory
-        directory.mkdir(parents=True, exist_ok=True)
-        if shutil.disk_usage(directory).free < FREE_MIN_BYTES:
-            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-        stem = datetime.fromtimestamp(self._wall_ns() * 1e-9, UTC).strftime("softarm-%Y%m%dT%H%M%SZ")
-        for suffix in ("", *(f"-{n}" for n in range(2, 1000))):
-            path = directory / f"{stem}{suffix}.mcap"
-            try:
-                file = path.open("xb")
-            except FileExistsError:
-                continue
-            finishing.hold(file.fileno())
-            return path.absolute(), file
-        raise FileExistsError(errno.EEXIST, f"a thousand logs called {stem}")
-
-    def _advice(self, error: OSError) -> str:
-        directory = self._settings.directory.absolute()
-        if error.errno == errno.ENOSPC:
-            return (
-                f"recorder.directory {directory}: the disk is full (less than "
-                f"{FREE_MIN_BYTES // 1_000_000} MB free); delete old logs or name a directory on another disk"
-            )
-        return (
-            f"recorder.directory {directory}: no log can be written there ({error.strerror}); make it "
-            f"writable for uid {os.geteuid()}, name another directory, or set recorder.enabled: false"
-        )
-
     def _write(self, path: Path, file: BinaryIO) -> None:
-        """The writer's thread, from the first record to the finished file."""
-        try:
-            with file:
-                live = TickFile(file)
-                live.head(self._config, self._policy, self._monotonic_ns(), self._wall_ns())
-                while not self._stopping.wait(self._settings.flush_interval_s):
-                    self._drain(live)
+        """The writer's thread: one file after the other."""
+        following: tuple[Path, BinaryIO] | None = (path, file)
+        while following is not None:
+            self.path, file = following
+            self.problem = None
+            try:
+                following = self._fill(self.path, file)
+            except OSError as error:
+                why = folder.advice(self._settings.directory, error)
+                self._fail(f"the log ends here: {why}; recording goes on by itself in a new one")
+                following = self._when_it_can()
+            except Exception as error:
+                what = f"{type(error).__name__} in the recorder ({error})"
+                self._fail(f"the log ends here: {what}; report it and restart the service")
+                return
+
+    def _fill(self, path: Path, file: BinaryIO) -> tuple[Path, BinaryIO] | None:
+        """Write one file, from the first record to the finished file; the next one when it is full."""
+        with file:
+            live = TickFile(file)
+            live.head(self._config, self._policy, self._monotonic_ns(), self._wall_ns())
+            self._thinning.begin()
+            self._tidy_up(path)
+            end_ns = self._monotonic_ns() + round(self._settings.file_max_days * 86_400e9)
+            while not self._stopping.wait(self._settings.flush_interval_s):
                 self._drain(live)
-                self._finish(path)  # while the file is open: its lock keeps others from doing the same
-        except Exception as error:
-            self._fail(error)
+                full = file.tell() >= self._settings.file_max_mb * 1e6 or self._monotonic_ns() >= end_ns
+                if full and self._thinning.is_off:
+                    return folder.new_log(self._settings.directory, self._wall_ns())
+            self._drain(live)
+            for tick in self._thinning.rest():
+                live.write(tick)
+            live.flush()
+            self._finish(path)  # while the file is open: its lock keeps others from doing the same
+        return None
 
     def _drain(self, live: "TickFile") -> None:
         while self._queue:
-            live.write(self._queue.popleft())
+            item = self._queue.popleft()
+            if isinstance(item, _PolicyChange):
+                for tick in self._thinning.rest():
+                    live.write(tick)
+                self._policy = item.spec
+                live.policy(item.spec)
+                continue
+            for tick in self._thinning.take(item):
+                live.write(tick)
         live.flush()
 
     def _finish(self, path: Path) -> None:
@@ -170,21 +170,45 @@ class Recorder:
         except _Enough:
             log.info("%s is long: it will be compressed at the next start", path)
         except OSError as error:
-            log.warning("%s is whole but could not be compressed: %s", path, self._advice(error))
+            why = folder.advice(self._settings.directory, error)
+            log.warning("%s is whole but could not be compressed: %s", path, why)
 
-    def _fail(self, error: Exception) -> None:
-        """Stop recording; the loop goes on without."""
-        if isinstance(error, OSError):
-            self.problem = f"the log ends here: {self._advice(error)}; then restart the service"
-        else:
-            what = f"{type(error).__name__} in the recorder ({error})"
-            self.problem = f"the log ends here: {what}; report it and restart the service"
-        self.dropped += sum(isinstance(item, tuple) for item in self._queue)
-        self._queue.clear()
-        log.error("%s", self.problem)
+    def _fail(self, problem: str) -> None:
+        """Stop recording for now; the loop goes on without."""
+        self.problem = problem
+        self._drop()
+        log.error("%s", problem)
+
+    def _drop(self) -> None:
+        """Nothing can be written: ticks are counted, changes of policy remembered for the head of the next log."""
+        while self._queue:
+            item = self._queue.popleft()
+            if isinstance(item, _PolicyChange):
+                self._policy = item.spec
+            else:
+                self.dropped += 1
+
+    def _when_it_can(self) -> tuple[Path, BinaryIO] | None:
+        """Wait until a log can be written again; None when the recorder stops before."""
+        self._thinning.rest()  # what waited belongs to the file that broke off
+        while not self._stopping.wait(RETRY_S):
+            self._drop()
+            try:
+                following = folder.new_log(self._settings.directory, self._wall_ns())
+            except OSError:
+                continue
+            log.info("recording goes on: %s", following[0])
+            return following
+        return None
+
+    def _tidy_up(self, own: Path) -> None:
+        """Begin to tidy the directory, in a thread of its own, unless that is still being done."""
+        if self._tidier is None or not self._tidier.is_alive():
+            self._tidier = threading.Thread(target=self._tidy, args=(own,), name="recorder tidying", daemon=True)
+            self._tidier.start()
 
     def _tidy(self, own: Path) -> None:
-        """Finish the logs of daemons that were killed; in small bites, the loop needs the interpreter too."""
+        """Finish what was left and delete what is too much; in small bites, the loop needs the interpreter too."""
         records = 0
 
         def breathe() -> None:
@@ -195,14 +219,13 @@ class Recorder:
             if records % BREATH_RECORDS == 0:
                 time.sleep(BREATH_S)
 
-        for path in sorted(own.parent.glob("*.mcap")):
-            try:
-                if path != own and not mcap_file.is_finished(path):
-                    log.info("finishing a log that was left: %s", finishing.recover(path, breathe).ending)
-            except _Enough:
-                return
-            except Exception as error:  # an old log is no reason to disturb the new one
-                log.warning("an old log cannot be finished and stays as it is: %s: %s", path, error)
+        try:
+            folder.finish_left(own.parent, own, breathe)
+            folder.delete_oldest(own.parent, own, self._settings)
+        except _Enough:
+            return
+        except Exception as error:
+            log.warning("%s: cannot be tidied: %s", own.parent, error)
 
 
 class TickFile(LiveFile):
@@ -226,16 +249,14 @@ class TickFile(LiveFile):
             },
         )
         if policy is not None:
-            self._policy(policy)
+            self.policy(policy)
         self.flush()
 
-    def write(self, item: Tick | _PolicyChange) -> None:
-        """One queued thing."""
-        if isinstance(item, _PolicyChange):
-            self._policy(item.spec)
-            return
-        for message in self._splitter.split(*item):
+    def write(self, tick: Tick) -> None:
+        """One tick."""
+        for message in self._splitter.split(*tick):
             self.add(message)
 
-    def _policy(self, spec: PolicySpec) -> None:
+    def policy(self, spec: PolicySpec) -> None:
+        """The policy of the ticks from here on."""
         self.note(names.POLICY, {"name": spec.name, "description": spec.description, "sha256": spec.sha256 or ""})

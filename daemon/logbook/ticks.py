@@ -28,6 +28,7 @@ class TickInputs:
     rail_t_receive_ns: int | None  # the same of /rail
     problems: Problems
     recorder_dropped: int
+    recorder_problem: str | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,6 +51,7 @@ def _tick_inputs(inputs: Inputs) -> TickInputs:
         None if inputs.rail is None else inputs.rail.t_receive_ns,
         inputs.problems,
         inputs.recorder_dropped,
+        inputs.recorder_problem,
     )
 
 
@@ -121,6 +123,7 @@ class Joiner:
             requests=tuple(self._requests),
             problems=tick.problems,
             recorder_dropped=tick.recorder_dropped,
+            recorder_problem=tick.recorder_problem,
         )
         if _tick_inputs(inputs) != tick:
             raise ValueError(f"the messages before the tick at {tick.t_ns} ns are not those that it names")

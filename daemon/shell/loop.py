@@ -45,6 +45,7 @@ class TickRecorder(Protocol):
     """Takes every tick without blocking."""
 
     dropped: int
+    problem: str | None
 
     def tick(self, inputs: Inputs, outputs: Outputs, timing: TickTiming) -> None:
         """Keep a tick."""
@@ -169,6 +170,7 @@ class ControlLoop:
             requests=tuple(post.request for post in posts),
             problems=Problems(devices.mocap.problem(), devices.regulator.problem(), devices.rail.problem()),
             recorder_dropped=self._recorder.dropped if self._recorder is not None else 0,
+            recorder_problem=self._recorder.problem if self._recorder is not None else None,
         )
         return inputs, {p.request.number: p.runner for p in posts if p.runner is not None}
 

@@ -1,8 +1,15 @@
-"""The same tick over a recorded log: it must give the same commands, bit for bit."""
+"""The same tick over a recorded log: it must give the same commands, bit for bit, wherever the log holds every tick.
 
+Where ticks are missing (of a still arm that was switched off, most are; a log may begin in the middle of a run) the
+controller is put where the log says it stood. A few ticks later it has seen all that a tick remembers of the devices,
+and is compared again.
+"""
+
+import math
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
+from softarm.daemon.control.checks import DISAGREEING_TICKS
 from softarm.daemon.control.records import Inputs, Outputs
 from softarm.daemon.tick import Controller
 from softarm.policies.base import Array, Policy
@@ -47,13 +54,28 @@ class _RecordedFaults:
 COMPARED = ("mode", "estop", "sent", "action", "clamps", "observed", "goal", "events")
 
 
-def replay(
-    ticks: Iterable[tuple[Inputs, Outputs]], config: Config, load: Callable[[str], Policy]
-) -> tuple[int, list[Difference]]:
-    """Run a log through a new controller; returns the number of ticks and every difference.
+@dataclass(frozen=True, slots=True)
+class Gap:
+    """Ticks that the daemon made and the log does not hold."""
 
-    `load` makes a policy by name. The log has to begin with the daemon's first tick.
-    """
+    tick: int  # the first one after it
+    missing: int
+    seconds: float  # from the last tick before it; 0 at the beginning of a log
+    armed: bool  # the drive was on before or after it: what follows need not come out as it was
+
+
+@dataclass(frozen=True, slots=True)
+class Replayed:
+    """How a replay went."""
+
+    ticks: int  # that the log holds
+    compared: int  # the others follow a gap too closely
+    differences: list[Difference]
+    gaps: list[Gap]
+
+
+def replay(ticks: Iterable[tuple[Inputs, Outputs]], config: Config, load: Callable[[str], Policy]) -> Replayed:
+    """Run a log through a new controller. `load` makes a policy by name."""
     runners: dict[str, _RecordedFaults] = {}
 
     def runner(name: str) -> _RecordedFaults:
@@ -61,25 +83,47 @@ def replay(
             runners[name] = _RecordedFaults(load(name))
         return runners[name]
 
+    # A pair of readings that disagrees counts for so long, a frame is differenced over for so long.
+    memory = max(DISAGREEING_TICKS, math.ceil(config.failsafe.mocap_stale_s * config.control.rate_hz) + 1)
     controller: Controller | None = None
+    before: Outputs | None = None
     differences: list[Difference] = []
-    number = 0
+    gaps: list[Gap] = []
+    number = compared = unsure = 0
     for inputs, recorded in ticks:
+        if (gap := _gap(before, recorded)) is not None:
+            gaps.append(gap)
+            unsure = memory
         if controller is None:
-            controller = Controller(config, runner(config.control.policy))
+            controller = Controller(config, runner(config.control.policy if gap is None else recorded.policy))
         changes: dict[int, PolicyRunner] = {
             r.number: runner(r.policy) for r in inputs.requests if r.kind == "policy" and r.policy is not None
         }
         for known in runners.values():
             known.recorded = recorded
         replayed = controller.tick(inputs, changes)
-        number += 1
+        number, before = number + 1, recorded
+        if unsure:
+            unsure -= 1
+            controller.resume(recorded)
+            continue
+        compared += 1
         differences += [
             Difference(recorded.tick, name, was, now)
             for name in COMPARED
             if not _same(was := getattr(recorded, name), now := getattr(replayed, name))
         ]
-    return number, differences
+    return Replayed(number, compared, differences, gaps)
+
+
+def _gap(before: Outputs | None, recorded: Outputs) -> Gap | None:
+    """What is missing before a tick; nothing before the daemon's first."""
+    missing = recorded.tick - 1 - (0 if before is None else before.tick)
+    if missing <= 0:  # a tick that failed is number -1
+        return None
+    seconds = 0.0 if before is None else (recorded.t_ns - before.t_ns) * 1e-9
+    armed = recorded.sent.enable or (before is not None and before.sent.enable)
+    return Gap(recorded.tick, missing, seconds, armed)
 
 
 def _same(one: object, other: object) -> bool:

@@ -39,9 +39,9 @@ class Steady:
 class Rig:
     """Feeds a controller with readings of a robot that stands still, and lets a test spoil any of them."""
 
-    def __init__(self, policy=None):
+    def __init__(self, policy=None, config=None):
         self.policy = policy or Steady()
-        self.controller = Controller(Config(), InlineRunner(self.policy))
+        self.controller = Controller(config or Config(), InlineRunner(self.policy))
         self.now = 0
         self.number = 0
         self.sequence = 0
@@ -359,6 +359,39 @@ def test_a_recorder_that_loses_messages_warns():
     rig.tick(recorder_dropped=3)
     assert rig.outputs.mode is Mode.ARMED
     assert "3 so far" in rig.outputs.events[0].text
+
+
+NO_LOG = {"recorder_problem": "the log ends here: the disk is full"}
+
+
+def test_without_a_log_arming_is_refused_with_the_next_step():
+    rig = Rig()
+    for _ in range(30):
+        rig.tick(**NO_LOG)
+    rig.tick("arm", **NO_LOG)
+    assert rig.outputs.mode is Mode.DISARMED
+    assert rig.outputs.arming_refusals == (
+        "no log is being written (the log ends here: the disk is full): "
+        "mend that and recording goes on by itself, or set recorder.arm_without_log: true",
+    )
+    rig.tick("arm")
+    assert rig.outputs.mode is Mode.ARMING
+
+
+def test_a_log_that_ends_in_flight_warns_and_the_swing_goes_on():
+    rig = Rig().swinging()
+    rig.tick(**NO_LOG)
+    assert rig.outputs.mode is Mode.ARMED
+    assert rig.outputs.action is not None
+    assert [event.response for event in rig.outputs.events] == ["warn"]
+
+
+def test_who_says_so_arms_without_a_log():
+    rig = Rig(config=Config(recorder={"arm_without_log": True}))
+    for _ in range(30):
+        rig.tick(**NO_LOG)
+    rig.tick("arm", **NO_LOG)
+    assert rig.outputs.mode is Mode.ARMING
 
 
 def test_the_tick_is_a_function_of_its_inputs_alone(monkeypatch):

@@ -78,6 +78,11 @@ def test_the_defaults_are_sound():
             "1: failsafe.mocap_stale_s: is 0.03, no longer than a tick (0.0333 s at control.rate_hz 30): a reading of "
             "motion capture that is in order would count as too old; raise it to 0.07 or more",
         ),
+        (
+            "recorder: {file_max_mb: 500, keep_mb: 600}",
+            "1: recorder.keep_mb: is 600, less than two files of recorder.file_max_mb 500: a log would be deleted as "
+            "soon as the next one is full; raise keep_mb to 1000 or lower file_max_mb",
+        ),
     ],
 )
 def test_each_contradiction_has_both_keys_their_values_and_the_next_step(refusals, text, said):

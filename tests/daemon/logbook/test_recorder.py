@@ -1,5 +1,6 @@
 """The recorder never holds the loop up, loses at most a flush to a kill, and leaves a tidy file."""
 
+import dataclasses
 import os
 import random
 import struct
@@ -13,7 +14,7 @@ import pytest
 from mcap.reader import make_reader
 
 from softarm.daemon.control.records import EStop, Inputs, Mode, Outputs, TickTiming
-from softarm.daemon.logbook import logs
+from softarm.daemon.logbook import folder, logs
 from softarm.daemon.logbook.recorder import Recorder, RecorderError, TickFile
 from softarm.policies.base import PolicySpec
 from softarm.recordings import finishing
@@ -25,7 +26,8 @@ SPEC = PolicySpec("reach", "swings", sha256="ab" * 32)
 
 
 def config(directory: Path, **recorder) -> Config:
-    return Config(recorder={"directory": directory, **recorder})
+    """All ticks are kept: what of a still arm is left out is `test_thinning.py`'s."""
+    return Config(recorder={"directory": directory, "idle_interval_s": 0, **recorder})
 
 
 def make_tick(number: int, t_ns: int | None = None) -> tuple[Inputs, Outputs, TickTiming]:
@@ -128,34 +130,92 @@ def test_a_directory_that_cannot_be_made_is_refused_with_the_next_step(tmp_path)
 
 
 def test_a_full_disk_is_refused_at_start(tmp_path, monkeypatch):
-    monkeypatch.setattr("softarm.daemon.logbook.recorder.FREE_MIN_BYTES", 1 << 62)
+    monkeypatch.setattr("softarm.daemon.logbook.folder.FREE_MIN_BYTES", 1 << 62)
     with pytest.raises(RecorderError, match=r"the disk is full .* delete old logs or name a directory"):
         Recorder(config(tmp_path)).start()
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_disk_that_fills_up_ends_the_log_and_nothing_else(tmp_path, monkeypatch):
-    flush, full = TickFile.flush, threading.Event()
+@pytest.fixture
+def disk(monkeypatch):
+    """A disk that can be full; looked at often."""
+    full = threading.Event()
+    flush, new_log = TickFile.flush, folder.new_log
 
-    def flush_on_a_full_disk(self):
-        if full.is_set():
-            raise OSError(28, "No space left on device")
-        flush(self)
+    def on_the_disk(function):
+        def guarded(*arguments):
+            if full.is_set():
+                raise OSError(28, "No space left on device")
+            return function(*arguments)
 
-    monkeypatch.setattr(TickFile, "flush", flush_on_a_full_disk)
+        return guarded
+
+    monkeypatch.setattr(TickFile, "flush", on_the_disk(flush))
+    monkeypatch.setattr(folder, "new_log", on_the_disk(new_log))
+    monkeypatch.setattr("softarm.daemon.logbook.recorder.RETRY_S", 0.01)
+    return full
+
+
+def test_a_disk_that_fills_up_ends_the_log_and_nothing_else(tmp_path, disk):
     recorder = Recorder(config(tmp_path))
     recorder.start()
     recorder.tick(*make_tick(0))
     wait_for(lambda: logs.read(recorder.path).t_last_ns is not None, "the first tick in the file")
-    full.set()
+    disk.set()
     wait_for(lambda: recorder.problem is not None, "the problem")
     assert "the log ends here" in recorder.problem
     assert "delete old logs" in recorder.problem
+    assert "recording goes on by itself" in recorder.problem
     dropped = recorder.dropped
     recorder.tick(*make_tick(1))
     assert recorder.dropped == dropped + 1
     recorder.stop()
     assert [o.tick for o in logs.read(recorder.path).outputs()] == [0]
+
+
+def test_recording_goes_on_in_a_new_file_when_there_is_room_again(tmp_path, disk):
+    recorder = Recorder(config(tmp_path), SPEC)
+    recorder.start()
+    first = recorder.path
+    recorder.tick(*make_tick(0))
+    wait_for(lambda: logs.read(first).t_last_ns is not None, "the first tick in the file")
+    disk.set()
+    wait_for(lambda: recorder.problem is not None, "the problem")
+    recorder.tick(*make_tick(1))
+    recorder.policy(PolicySpec("pid", "the seed's gains"))  # taken up while nothing could be written
+    disk.clear()
+    wait_for(lambda: recorder.problem is None, "the new log")
+    recorder.tick(*make_tick(2))
+    recorder.stop()
+    assert recorder.path != first
+    assert recorder.dropped == 1
+    log = logs.read(recorder.path)
+    assert log.finished
+    assert [o.tick for o in log.outputs()] == [2]
+    assert [policy["name"] for policy in log.policies] == ["pid"]
+    assert [o.tick for o in logs.read(first).outputs()] == [0]
+
+
+def test_a_full_file_is_followed_by_another_once_the_drive_has_been_off_for_a_while(tmp_path):
+    recorder = Recorder(config(tmp_path, file_max_mb=1, around_s=0.5), SPEC)
+    recorder.start()
+    first = recorder.path
+    for number in range(1, 1001):
+        inputs, outputs, timing = make_tick(number)
+        recorder.tick(inputs, dataclasses.replace(outputs, mode=Mode.ARMED), timing)
+    wait_for(lambda: first.stat().st_size > 1_500_000, "a file that is more than full")
+    wait_for(lambda: not recorder._queue, "the queue")
+    assert recorder.path == first  # a flight is not parted
+    for number in range(1001, 1051):
+        recorder.tick(*make_tick(number))
+    wait_for(lambda: recorder.path != first, "the next file")
+    recorder.tick(*make_tick(1051))
+    wait_for(lambda: is_finished(first), "the first one to be finished")
+    recorder.stop()
+    parts = [[o.tick for o in logs.read(path).outputs()] for path in (first, recorder.path)]
+    assert parts[0] + parts[1] == list(range(1, 1052))
+    assert len(parts[0]) > 1000
+    assert logs.read(recorder.path).metadata["policy"]["name"] == "reach"
 
 
 def test_a_tick_that_cannot_be_encoded_is_a_problem_not_a_crash(tmp_path):
@@ -211,7 +271,7 @@ from tests_support import make_tick
 from softarm.daemon.logbook.recorder import Recorder
 from softarm.schemas.config import Config
 
-recorder = Recorder(Config(recorder={"directory": sys.argv[1]}))
+recorder = Recorder(Config(recorder={"directory": sys.argv[1], "idle_interval_s": 0}))
 recorder.start()
 number = 0
 while True:

@@ -39,15 +39,14 @@ class AsRecorded(Policy):
 
 def test_every_tick_comes_out_as_recorded_bit_for_bit(log):
     actions = (outputs.action for outputs in log.outputs() if outputs.action is not None)
-    ticks, differences = replay(log.ticks(), log.config, lambda name: AsRecorded(registry.load(name), actions))
-    assert ticks == len(list(log.outputs())) > 300
-    assert differences == []
+    replayed = replay(log.ticks(), log.config, lambda name: AsRecorded(registry.load(name), actions))
+    assert replayed.compared == replayed.ticks == len(list(log.outputs())) > 300
+    assert replayed.differences == []
     assert next(actions, None) is None
 
 
 def test_the_shipped_policies_still_fly_it(log):
-    _, differences = replay(log.ticks(), log.config, registry.load)
-    for difference in differences:
+    for difference in replay(log.ticks(), log.config, registry.load).differences:
         assert difference.field in ("action", "sent", "observed")
         assert numbers(difference.replayed) == pytest.approx(numbers(difference.recorded), abs=ROUNDING)
 

@@ -9,6 +9,7 @@ import pytest
 
 from softarm.daemon.control.inbox import Inbox
 from softarm.daemon.control.records import EStop, Mode
+from softarm.daemon.logbook.recorder import Recorder
 from softarm.daemon.shell.loop import ControlLoop, Devices
 from softarm.daemon.tick import Controller
 from softarm.drivers.bodies.in_process import InProcessRobot
@@ -47,7 +48,7 @@ class Watched:
 class Loop:
     """A control loop on a simulated robot, and a way to wait for its ticks."""
 
-    def __init__(self, controller=None, **stop_errors):
+    def __init__(self, controller=None, recorder=None, **stop_errors):
         robot = InProcessRobot(SimulatedBody(), time.monotonic_ns())
         parts = {name: Watched(getattr(robot, name), stop_errors.get(name)) for name in ("mocap", "regulator", "rail")}
         self.devices = Devices(**parts)
@@ -57,7 +58,7 @@ class Loop:
         self.before_tick = {}
         self._ticked = threading.Condition()
         self.loop = ControlLoop(
-            controller or Controller(Config(), InlineRunner(Hold())), self.devices, self.inbox, None, self
+            controller or Controller(Config(), InlineRunner(Hold())), self.devices, self.inbox, recorder, self
         )
         self.loop.on_tick = self._on_tick
 
@@ -99,6 +100,19 @@ def test_arms_over_the_inbox_and_writes_every_tick():
 def test_a_thousand_other_descriptors_hurt_nothing(many_descriptors):
     with many_descriptors(), Loop() as loop:
         loop.until(lambda outputs: outputs.tick >= 3)
+
+
+def test_while_the_recorder_cannot_write_arming_is_refused(tmp_path):
+    recorder = Recorder(Config(recorder={"directory": tmp_path}))
+    recorder.problem = "the log ends here: the disk is full"
+    with Loop(recorder=recorder) as loop:
+        loop.until(lambda outputs: outputs.tick > 60)
+        number = loop.inbox.post("arm")
+        outputs = loop.until(lambda outputs: any(r.number == number for r in outputs.results))
+        assert outputs.mode is Mode.DISARMED
+        assert "the disk is full" in outputs.results[-1].reasons[-1]
+        recorder.problem = None
+        loop.until(lambda outputs: not outputs.arming_refusals)
 
 
 def test_a_late_tick_skips_whole_periods_and_stays_on_its_grid():

@@ -1,6 +1,7 @@
 """A log replayed through the tick gives the same commands, bit for bit."""
 
 import dataclasses
+from itertools import pairwise
 
 import pytest
 
@@ -9,6 +10,7 @@ from softarm.daemon.logbook.recorder import Recorder
 from softarm.daemon.shell.offline import Lockstep
 from softarm.daemon.shell.replay import replay
 from softarm.policies import registry
+from softarm.policies.runner import InlineRunner
 from softarm.schemas.config import Config
 from softarm.schemas.config import Recorder as RecorderConfig
 from softarm.schemas.goals import Goal
@@ -37,9 +39,9 @@ def log(tmp_path):
 
 
 def test_every_tick_comes_out_as_recorded(log):
-    ticks, differences = replay(log.ticks(), log.config, registry.load)
-    assert ticks == len(list(log.ticks())) > 70
-    assert differences == []
+    replayed = replay(log.ticks(), log.config, registry.load)
+    assert replayed.compared == replayed.ticks == len(list(log.ticks())) > 70
+    assert replayed.differences == replayed.gaps == []
 
 
 def test_a_changed_command_is_found(log):
@@ -49,5 +51,81 @@ def test_a_changed_command_is_found(log):
     inputs, outputs = ticks[moving]
     sent = outputs.sent._replace(cart_velocity_m_s=outputs.sent.cart_velocity_m_s * (1 + 1e-7))
     ticks[moving] = (inputs, dataclasses.replace(outputs, sent=sent))
-    _, differences = replay(ticks, log.config, registry.load)
-    assert [d.field for d in differences] == ["sent"]
+    assert [d.field for d in replay(ticks, log.config, registry.load).differences] == ["sent"]
+
+
+@pytest.fixture
+def thinned(tmp_path):
+    """Two flights, long still times before, between and after them, a change of policy, a stop that stays latched."""
+    config = Config(recorder=RecorderConfig(directory=tmp_path, around_s=1.0))
+    policy = registry.load(POLICY)
+    recorder = Recorder(config, policy.spec)
+    recorder.start()
+    daemon, runners = Lockstep(config, policy, recorder=recorder), {}
+    tick = daemon.controller.tick
+    daemon.controller.tick = lambda inputs: tick(inputs, runners)
+
+    def wait(seconds: int) -> None:
+        for _ in range(30 * seconds):
+            daemon.tick()
+
+    def fly(*target: float) -> None:
+        daemon.arm()
+        daemon.tick(daemon.request("goal", Goal("reach", *target)))
+        wait(2)
+
+    wait(60)
+    fly(-0.3, 0.6)
+    daemon.tick(daemon.request("disarm"))
+    wait(60)
+    change = dataclasses.replace(daemon.request("policy"), policy="pid")
+    runners[change.number] = InlineRunner(registry.load("pid"))
+    daemon.tick(change)
+    wait(60)
+    fly(-0.1, 0.65)
+    daemon.tick(daemon.request("stop"))
+    wait(60)
+    daemon.tick(daemon.request("acknowledge"))
+    recorder.stop()
+    return logs.read(recorder.path)
+
+
+def test_a_log_with_gaps_comes_out_the_same_wherever_it_can_be_compared(thinned):
+    replayed = replay(thinned.ticks(), thinned.config, registry.load)
+    assert replayed.differences == []
+    assert not any(gap.armed for gap in replayed.gaps)
+    outputs = list(thinned.outputs())
+    missing = sum(gap.missing for gap in replayed.gaps)
+    assert missing + replayed.ticks == outputs[-1].tick
+    assert missing > 6000
+    assert replayed.compared > 250
+    armed = [tick.tick for tick in outputs if tick.mode in ("arming", "armed", "stopping")]
+    assert {tick.policy for tick in outputs if tick.mode == "armed"} == {"reach", "pid"}
+    assert len(armed) == sum(b - a == 1 for a, b in pairwise(armed)) + 2  # two flights, both whole
+
+
+def test_a_changed_command_is_found_after_a_gap_too(thinned):
+    ticks = list(thinned.ticks())
+    last = max(i for i, (_, outputs) in enumerate(ticks) if outputs.sent.cart_velocity_m_s)
+    inputs, outputs = ticks[last]
+    ticks[last] = (inputs, dataclasses.replace(outputs, sent=outputs.sent._replace(pressure_kpa=19.0)))
+    assert [d.field for d in replay(ticks, thinned.config, registry.load).differences] == ["sent"]
+
+
+def test_a_log_that_begins_in_the_middle_of_a_run_is_taken_up_where_it_stands(thinned):
+    """As the file after a full one does: the controller starts with the goal, the policy and the last stop of then."""
+    ticks = list(thinned.ticks())
+    start = next(i for i, (_, outputs) in enumerate(ticks) if outputs.policy == "pid")
+    replayed = replay(ticks[start:], thinned.config, registry.load)
+    assert replayed.differences == []
+    assert replayed.gaps[0].tick == ticks[start][1].tick
+    assert replayed.compared > 100
+
+
+def test_ticks_lost_in_flight_are_told(log):
+    """The recorder's queue was full: no still arm, so the replay says that it does not know what happened there."""
+    ticks = list(log.ticks())
+    moving = next(i for i, (_, outputs) in enumerate(ticks) if outputs.sent.cart_velocity_m_s)
+    del ticks[moving : moving + 3]
+    (gap,) = replay(ticks, log.config, registry.load).gaps
+    assert (gap.missing, gap.armed) == (3, True)

@@ -1,0 +1,82 @@
+"""The recorder's directory: a new log in it, those that were left are finished, the oldest deleted."""
+
+import errno
+import logging
+import os
+import re
+import shutil
+import time
+from collections.abc import Callable
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import BinaryIO
+
+from softarm.recordings import finishing, mcap_file
+from softarm.schemas.config import Recorder
+
+log = logging.getLogger(__name__)
+
+FREE_MIN_BYTES = 100_000_000  # about ten minutes of flight
+OWN_NAME = re.compile(r"softarm-\d{8}T\d{6}Z(-\d+)?\.mcap")  # only what the recorder named itself is ever deleted
+
+
+def new_log(directory: Path, wall_ns: int) -> tuple[Path, BinaryIO]:
+    """Make an empty log, marked as being written. Raises OSError, also when the disk is nearly full."""
+    directory.mkdir(parents=True, exist_ok=True)
+    if shutil.disk_usage(directory).free < FREE_MIN_BYTES:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+    stem = datetime.fromtimestamp(wall_ns * 1e-9, UTC).strftime("softarm-%Y%m%dT%H%M%SZ")
+    for suffix in ("", *(f"-{n}" for n in range(2, 1000))):
+        path = directory / f"{stem}{suffix}.mcap"
+        try:
+            file = path.open("xb")
+        except FileExistsError:
+            continue
+        finishing.hold(file.fileno())
+        return path.absolute(), file
+    raise FileExistsError(errno.EEXIST, f"a thousand logs called {stem}")
+
+
+def advice(directory: Path, error: OSError) -> str:
+    """Why nothing can be written there, and the next step."""
+    directory = directory.absolute()
+    if error.errno == errno.ENOSPC:
+        return (
+            f"recorder.directory {directory}: the disk is full (less than "
+            f"{FREE_MIN_BYTES // 1_000_000} MB free); delete old logs or name a directory on another disk"
+        )
+    return (
+        f"recorder.directory {directory}: no log can be written there ({error.strerror}); make it "
+        f"writable for uid {os.geteuid()}, name another directory, or set recorder.enabled: false"
+    )
+
+
+def finish_left(directory: Path, own: Path, pause: Callable[[], None]) -> None:
+    """Finish the logs that were cut off; what `pause` raises ends it."""
+    for path in sorted(directory.glob("*.mcap")):
+        try:
+            if path != own and not mcap_file.is_finished(path):
+                log.info("finishing a log that was left: %s", finishing.recover(path, pause).ending)
+        except (OSError, mcap_file.LogError) as error:  # an old log is no reason to disturb the new one
+            log.warning("an old log cannot be finished and stays as it is: %s: %s", path, error)
+
+
+def delete_oldest(directory: Path, own: Path, settings: Recorder, now_s: float | None = None) -> list[Path]:
+    """Delete the oldest of the recorder's own logs until what is left is within `keep_mb` and `keep_days`.
+
+    Never the one being written, by this daemon or another. now_s: seconds of the wall clock. Raises OSError.
+    """
+    now_s = time.time() if now_s is None else now_s
+    states = {path: path.stat() for path in sorted(directory.glob("*.mcap")) if OWN_NAME.fullmatch(path.name)}
+    total_bytes = sum(state.st_size for state in states.values())
+    deleted = []
+    for path, state in states.items():
+        too_old = now_s - state.st_mtime > settings.keep_days * 86_400
+        too_much = total_bytes > settings.keep_mb * 1e6
+        if path == own or not (too_old or too_much) or finishing.is_held(path):
+            continue
+        path.unlink()
+        total_bytes -= state.st_size
+        deleted.append(path)
+        log.info("deleted an old log: %s (recorder.keep_days, recorder.keep_mb)", path)
+    return deleted

@@ -1,0 +1,113 @@
+"""Of a still arm that is switched off a log keeps a tick now and then, of all else everything."""
+
+from dataclasses import replace
+from itertools import pairwise
+
+import pytest
+
+from softarm.daemon.control.records import ActiveEvent, EStop, Inputs, Mode, Outputs, Request, TickTiming
+from softarm.daemon.logbook.thinning import Thinning
+from softarm.schemas.messages import Command, MocapFrame, Pose, PressureReading, RailReading
+
+PERIOD_NS = 33_333_334  # thirty are a little more than a second
+TIMING = TickTiming(1, 2, 3, None)
+
+
+def tick(number: int, **changes):
+    """Of a still arm, as every device sees it."""
+    now = number * PERIOD_NS
+    bodies = changes.pop("bodies", (Pose(0.1, 0.2, 0.3),) * 6)
+    inputs = Inputs(
+        now,
+        mocap=tuple(MocapFrame(4 * number + i, now, now, bodies) for i in range(4)),
+        pressure=PressureReading(now, changes.pop("kpa", 0.0), False),
+        rail=RailReading(now, changes.pop("cart_m", 0.0), 0.0, False),
+        requests=changes.pop("requests", ()),
+        missed=changes.pop("missed", 0),
+    )
+    return inputs, replace(Outputs(now, number, 0, 0, 0, Mode.DISARMED, EStop.CLEAR), **changes), TIMING
+
+
+def numbers(ticks) -> list[int]:
+    return [outputs.tick for _, outputs, _ in ticks]
+
+
+@pytest.fixture
+def still():
+    """One tick a second, all for a second around a change; 1000 ticks of a still arm have gone by."""
+    thinning = Thinning(1.0, 1.0)
+    thinning.kept = [number for n in range(1, 1001) for number in numbers(thinning.take(tick(n)))]
+    return thinning
+
+
+def test_a_still_arm_is_written_once_per_interval_and_whole_at_the_start(still):
+    assert still.kept[:30] == list(range(1, 31))
+    seldom = still.kept[30:]
+    assert len(seldom) == 31
+    assert all(30 <= later - earlier <= 31 for earlier, later in pairwise(seldom))
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"requests": (Request(1, "arm"),)},
+        {"mode": Mode.ARMING},
+        {"mode": Mode.STOPPED, "estop": EStop.ENGAGED},
+        {"events": (ActiveEvent("mocap_stale", "soft_stop", "120 ms old"),)},
+        {"bodies": (*(Pose(0.1, 0.2, 0.3),) * 5, Pose(0.106, 0.2, 0.3))},
+        {"bodies": (*(Pose(0.1, 0.2, 0.3),) * 5, Pose(0.1, 0.2, 0.3, tracked=False))},
+        {"kpa": 0.6},
+        {"cart_m": 0.006},
+        {"missed": 1},
+        {"policy": "pid"},
+        {"sent": Command(True, 0.0, 0.0)},
+    ],
+    ids=str,
+)
+def test_what_led_to_a_change_and_what_follows_it_is_there_whole(still, change):
+    kept = numbers(still.take(tick(1001, **change)))
+    assert kept == list(range(971, 1002))
+    change.pop("requests", None)
+    for n in range(1002, 1031):
+        kept += numbers(still.take(tick(n, **change)))
+    assert kept == list(range(971, 1031))
+
+
+def test_a_flight_is_kept_whole_however_long(still):
+    flown = [tick(n, mode=Mode.ARMED, sent=Command(True, 0.0, 0.0)) for n in range(1001, 2001)]
+    kept = [number for each in flown for number in numbers(still.take(each))]
+    assert kept[-1000:] == list(range(1001, 2001))
+    assert not still.is_off
+
+
+def test_sentences_that_count_are_no_change(still):
+    def stale(n: int):
+        return tick(n, events=(ActiveEvent("mocap_stale", "soft_stop", f"{n} ms old"),), arming_refusals=(f"{n} ms",))
+
+    kept = [number for n in range(1001, 2001) for number in numbers(still.take(stale(n)))]
+    assert kept.count(1001) == 1
+    assert len([number for number in kept if number > 1040]) < 35
+
+
+def test_ticks_come_out_in_their_order_each_once_and_the_rest_at_the_end(still):
+    kept = list(still.kept)
+    for n in range(1001, 3001):
+        kept += numbers(still.take(tick(n, kpa=0.6 if n % 700 == 0 else 0.0)))
+    kept += numbers(still.rest())
+    assert kept == sorted(set(kept))
+    assert kept[-30:] == list(range(2971, 3001))
+    assert still.rest() == []
+
+
+def test_an_interval_of_none_keeps_every_tick():
+    thinning = Thinning(0.0, 1.0)
+    assert [number for n in range(1, 500) for number in numbers(thinning.take(tick(n)))] == list(range(1, 500))
+
+
+def test_the_drive_is_off_for_long_once_all_around_a_flight_is_written():
+    thinning = Thinning(1.0, 1.0)
+    assert thinning.take(tick(1, mode=Mode.ARMED))
+    thinning.take(tick(30))
+    assert not thinning.is_off
+    thinning.take(tick(31))
+    assert thinning.is_off
