@@ -21,12 +21,24 @@ STATUS = TypeAdapter(Status)
 def status(**changes):
     """A status as GET /api/status gives it."""
     values = {
-        "t_ns": 0, "tick": 1234, "late_ns": 200_000, "missed": 0, "missed_total": 2, "mode": Mode.ARMED,
-        "estop": EStop.CLEAR, "policy": "reach", "sent": Command(True, 0.25, 5.0),
+        "t_ns": 0,
+        "tick": 1234,
+        "late_ns": 200_000,
+        "missed": 0,
+        "missed_total": 2,
+        "mode": Mode.ARMED,
+        "estop": EStop.CLEAR,
+        "policy": "reach",
+        "sent": Command(True, 0.25, 5.0),
         "observed": Observed(Observation(0.012, 0.1, -0.123, 0.541, 0.0, 0.0, 0.2, 4.2), 7, 0, 0, 0),
-        "stalled": False, "ages_ms": Ages(), "problems": Problems(), "policy_info": None,
-        "recorder": RecorderInfo("logs/a.mcap", 0, None), "uptime_s": 3.0, "version": "0.1.0",
-    }  # fmt: skip
+        "stalled": False,
+        "ages_ms": Ages(),
+        "problems": Problems(),
+        "policy_info": None,
+        "recorder": RecorderInfo("logs/a.mcap", 0, None),
+        "uptime_s": 3.0,
+        "version": "0.1.0",
+    }
     return json.loads(STATUS.dump_json(Status(**values | changes)))
 
 

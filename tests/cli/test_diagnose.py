@@ -136,13 +136,14 @@ def test_tables_of_another_rig_may_lie_in_a_folder_of_their_own(asked, tmp_path)
     (tmp_path / "data" / "a.csv").write_text("t,c,p\n" + "".join(f"{k / 10},{k},{k}\n" for k in range(20)))
     column = {"source": "t", "unit": "s"}
     stage = {
-        "name": "axis", "kind": "tracking",
+        "name": "axis",
+        "kind": "tracking",
         "channels": {
             "command": {"time": column, "columns": {"command": {"source": "c", "unit": "rad"}}},
             "measured": {"time": column, "columns": {"position": {"source": "p", "unit": "rad"}}},
         },
         "trials": [{"name": "one", "kind": "ramp", "files": {"command": "a.csv", "measured": "a.csv"}}],
-    }  # fmt: skip
+    }
     (tmp_path / "stage.yaml").write_text(json.dumps(stage))
     outcome = run("diagnose", tmp_path / "stage.yaml", "--data", tmp_path / "data")
     assert outcome.exit_code == 0, outcome.output

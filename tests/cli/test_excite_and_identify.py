@@ -26,8 +26,16 @@ def recorded(tmp_path_factory):
 
 
 def test_identify_writes_a_model_numbers_and_pictures(recorded, tmp_path):
-    outcome = run("identify", recorded, "--out", tmp_path / "m.yaml", "--json", tmp_path / "m.json",
-                  "--plots", tmp_path / "pictures")  # fmt: skip
+    outcome = run(
+        "identify",
+        recorded,
+        "--out",
+        tmp_path / "m.yaml",
+        "--json",
+        tmp_path / "m.json",
+        "--plots",
+        tmp_path / "pictures",
+    )
     assert outcome.exit_code == 0, outcome.output
     fitted = model_file.load(tmp_path / "m.yaml").arm
     assert fitted.stiffness_nm_rad[0] == pytest.approx(0.8385, rel=0.01)

@@ -164,12 +164,20 @@ def test_a_policy_is_chosen_by_name(softarm, daemon, make_status):
 
 def test_logs_are_listed_with_size_length_and_place(softarm, daemon, monkeypatch):
     logs = tuple(
-        LogEntry(name=name, bytes=size, modified="2026-11-21T10:00:00+00:00", duration_s=length,
-                 finished=length is not None, recording=recording)
-        for name, size, length, recording in (
-            ("b.mcap", 2_500_000, None, True), ("a.mcap", 9_100_000, 61.04, False), ("c.mcap", 0, None, False)
+        LogEntry(
+            name=name,
+            bytes=size,
+            modified="2026-11-21T10:00:00+00:00",
+            duration_s=length,
+            finished=length is not None,
+            recording=recording,
         )
-    )  # fmt: skip
+        for name, size, length, recording in (
+            ("b.mcap", 2_500_000, None, True),
+            ("a.mcap", 9_100_000, 61.04, False),
+            ("c.mcap", 0, None, False),
+        )
+    )
     daemon.on("GET", "/api/logs", LogsAnswer(directory="/var/log/softarm", logs=logs).model_dump(mode="json"))
     lines = softarm("logs").stdout.splitlines()
     assert [line[19:] for line in lines] == [
@@ -207,12 +215,18 @@ def test_status_tells_all_that_is_wrong(softarm, daemon, make_status):
         "GET",
         "/api/status",
         make_status(
-            mode=Mode.STOPPED, estop=EStop.LATCHED, observed=None, events=(event,), stalled=True,
-            policy_fault="late: 20 ms", problems=Problems(rail="10.0.0.1:502: connect: refused; switch it on"),
-            arming_refusals=("acknowledge the stop first",), last_stop="mocap_stale",
+            mode=Mode.STOPPED,
+            estop=EStop.LATCHED,
+            observed=None,
+            events=(event,),
+            stalled=True,
+            policy_fault="late: 20 ms",
+            problems=Problems(rail="10.0.0.1:502: connect: refused; switch it on"),
+            arming_refusals=("acknowledge the stop first",),
+            last_stop="mocap_stale",
             goal=GoalStatus(Goal("hold"), "cancelled", reason="stopped"),
         ),
-    )  # fmt: skip
+    )
     out = softarm("status").stdout
     for line in (
         "the control loop no longer ticks: what follows is old; see the daemon's own output",

@@ -136,13 +136,14 @@ def test_only_softarm_is_added_to_the_environment(installed: Path) -> None:
 
 def test_the_users_own_packages_and_ours_are_both_there(installed: Path, tmp_path: Path) -> None:
     said = run(
-        installed, "-c",
+        installed,
+        "-c",
         "import policies.base, training, softarm.policies.base, softarm.training.gym_envs;"
         "import gymnasium;"
         "print(policies.base.THEIRS, training.THEIRS, softarm.__file__);"
         "print(gymnasium.spec('SoftArmReach-v0').id)",
         cwd=installed.parents[2] / "their-arm",
-    )  # fmt: skip
+    )
     site = next(installed.parents[1].glob("lib/python*/site-packages"))
     assert said.splitlines() == [f"True True {site}/softarm/__init__.py", "SoftArmReach-v0"]
 

@@ -67,7 +67,7 @@ def test_what_is_read_back_is_what_the_robot_measured(tmp_path: Path) -> None:
 def test_the_observation_is_the_newest_frame_and_first_differences(tmp_path: Path) -> None:
     trial = read(record(swing, tmp_path / "trial", 1.0, kind="sine"))
     observed, mocap = trial["observation"], trial["mocap"]
-    for before, now, sent in zip(observed[1:], observed[2:], trial["command"][1:], strict=False):
+    for before, now, sent in zip(observed[1:-1], observed[2:], trial["command"][1:-1], strict=True):
         new = mocap[np.searchsorted(mocap["t_receive"], now["t"] + 1e-9) - 1]
         old = mocap[np.searchsorted(mocap["t_receive"], before["t"] + 1e-9) - 1]
         step = new["t_capture"] - old["t_capture"]
