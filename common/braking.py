@@ -78,11 +78,10 @@ def _highest(
     # How fast the arm drags a cart that holds its velocity: a small, steady lead over its set-point.
     lead = velocity - sent[0] if sent else velocity
     creep = _choose((lead > 0.0) & (lead < CREEP_MAX_M_S), lead, 0.0)
-    remaining = law.latency_s
+    time_s = law.latency_s - law.period_s * (len(sent) - 1)  # the oldest acts already: until the next one does
     for command in sent:
-        time_s = min(remaining, law.period_s)
         position, velocity = _ramp(law, position, velocity, command + creep, time_s)
-        remaining -= time_s
+        time_s = law.period_s
     fits = stops_at(law, position, velocity, wanted + creep) <= aim_m
     if not isinstance(wanted, np.ndarray):
         return wanted if fits else _search(law, wanted, position, velocity, creep, aim_m)

@@ -38,18 +38,21 @@ class LawfulCart:
     def follow(self, command: float) -> float:
         """A command joins those under way and a tick passes; the farthest point of it, on the way back its last."""
         self.under_way.append(command)
-        target = self.under_way.popleft() + self.creep
-        farthest, dt_s = -FAR_M, PERIOD_S / self.STEPS
+        target, farthest = self.under_way.popleft() + self.creep, -FAR_M
         for _ in range(self.STEPS):
             if self.velocity > 0:
                 farthest = max(farthest, self.position)
-            gap = target - self.velocity
-            braked = gap < 0 if self.one_end or self.velocity > 0 else gap > 0
-            rate = self.law.braking_m_s2 if braked else self.law.surge_m_s2
-            change = max(-rate * dt_s, min(gap, rate * dt_s))
-            self.position += (self.velocity + change / 2) * dt_s
-            self.velocity += change
+            self.advance(target)
         return max(farthest, self.position)
+
+    def advance(self, target: float) -> None:
+        """A step of a tick towards a velocity."""
+        dt_s, gap = PERIOD_S / self.STEPS, target - self.velocity
+        braked = gap < 0 if self.one_end or self.velocity > 0 else gap > 0
+        rate = self.law.braking_m_s2 if braked else self.law.surge_m_s2
+        change = max(-rate * dt_s, min(gap, rate * dt_s))
+        self.position += (self.velocity + change / 2) * dt_s
+        self.velocity += change
 
 
 def farthest_after(rule: BrakingLaw, position: float, velocity: float, sent: float, command: float) -> float:
@@ -96,6 +99,26 @@ def test_a_cart_that_was_at_rest_never_passes_an_end_whatever_is_wanted(rule, st
     for velocity in [*wanted, *[wanted[-1]] * 10]:
         cart.follow(rule.bound(velocity, cart.position, cart.velocity, cart.under_way).velocity_m_s)
         assert rule.position_min_m - ROUNDING_M <= cart.position <= rule.position_max_m + ROUNDING_M
+
+
+@settings(deadline=None)
+@given(
+    st.builds(law, st.floats(1.5, 6.0), st.floats(6.0, 20.0)),
+    st.integers(1, 4 * LawfulCart.STEPS),
+    st.floats(-0.2, 0.2),
+    st.lists(st.floats(-1.0, 1.0) | st.sampled_from([-1.0, 1.0]), min_size=1, max_size=40),
+)
+def test_nor_does_one_whose_commands_act_between_two_ticks(rule, late, start, wanted):
+    rule = rule._replace(latency_s=late * PERIOD_S / LawfulCart.STEPS)
+    cart = LawfulCart(rule, start, 0.0, deque())
+    sent = [0.0] * (rule.under_way + 1)  # the newest last; the first of them acts already
+    for velocity in [*wanted, *[wanted[-1]] * 10]:
+        under_way = sent[len(sent) - rule.under_way :]
+        sent.append(rule.bound(velocity, cart.position, cart.velocity, under_way).velocity_m_s)
+        for step in range(LawfulCart.STEPS):
+            begun = (step - late) // LawfulCart.STEPS  # ticks from the newest command to the one that acts now
+            cart.advance(sent[begun - 1] if begun < 0 else sent[-1])
+            assert rule.position_min_m - ROUNDING_M <= cart.position <= rule.position_max_m + ROUNDING_M
 
 
 @given(speeds, st.tuples(speeds, speeds), st.tuples(positions, positions), speeds)
