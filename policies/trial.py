@@ -1,8 +1,7 @@
 """A policy is tried out in a process of its own before the daemon loads it: that one can be killed, and may crash.
 
-    python -m softarm.policies.trial NAME           the configured policies as JSON on standard input
-
-The answer on standard output is what is wrong with it; nothing is wrong when there is none and the exit code is 0.
+It gets the policy's name, and the configured policies as JSON on standard input. Its answer on standard output is what
+is wrong; nothing is when there is none and the exit code is 0.
 """
 
 import json
@@ -21,6 +20,14 @@ from softarm.schemas.config import Policy as ConfiguredPolicy
 from softarm.schemas.policy import Observation, places
 
 MEMORY_MAX = 16 * 1024**3  # bytes of address space, most of which a just-in-time compiler only reserves
+# The daemon's real-time priority is not for guests: it is given up before anything is imported.
+_PROGRAM = """
+import os
+os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
+os.nice(10)
+from softarm.policies import trial
+trial.main()
+"""
 # What a policy takes its first step on: the arm hanging at rest, and a target that it knows.
 _HANGING = np.zeros(len(Observation._fields), dtype=np.float32)
 _HANGING[places("tip_z_m")] = 0.52
@@ -40,7 +47,7 @@ def try_out(name: str, configured: Mapping[str, ConfiguredPolicy], limit_s: floa
     Raises PolicyError with what is wrong, also when it takes longer than `limit_s` or ends the process.
     """
     process = subprocess.Popen(
-        [sys.executable, "-m", "softarm.policies.trial", name],
+        [sys.executable, "-c", _PROGRAM, name],
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         stderr=subprocess.DEVNULL,
@@ -63,7 +70,7 @@ def try_out(name: str, configured: Mapping[str, ConfiguredPolicy], limit_s: floa
         raise PolicyError(f"policy '{name}': its process ended {ended} while it was tried out; mend it")
 
 
-def _main(name: str) -> str:
+def _problem(name: str) -> str:
     """What is wrong with it; empty for nothing."""
     configured = {key: ConfiguredPolicy.model_validate(policy) for key, policy in json.load(sys.stdin).items()}
     try:
@@ -75,13 +82,11 @@ def _main(name: str) -> str:
     return ""
 
 
-if __name__ == "__main__":
-    os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))  # the daemon's own priority is not for guests
-    os.nice(10)
-    _, _hard = resource.getrlimit(resource.RLIMIT_AS)
-    resource.setrlimit(resource.RLIMIT_AS, (MEMORY_MAX, _hard))
-    _answer = os.dup(1)
+def main() -> None:
+    """The process's own program; it does not return."""
+    _, hard = resource.getrlimit(resource.RLIMIT_AS)
+    resource.setrlimit(resource.RLIMIT_AS, (MEMORY_MAX, hard))
+    answer = os.dup(1)
     os.dup2(2, 1)  # what a plugin prints is no answer
-    os.write(_answer, _main(sys.argv[1]).encode())
-    sys.stdout.flush()
+    os.write(answer, _problem(sys.argv[1]).encode())
     os._exit(0)  # threads of a plugin's own may not end

@@ -16,6 +16,7 @@ QUIET_S = 5.0  # without a whole request, since the connection was made or answe
 CONNECTIONS_MAX = 128
 STREAMS_MAX = 32
 MESSAGE_MAX = 1024  # bytes of what a WebSocket client says, which nobody listens to
+STOP = "/api/stop"  # is carried out whatever comes along with it
 CLOSE = {"Connection": "close"}  # what is left of such a body is not read
 
 
@@ -32,7 +33,7 @@ class Guard:
             return
         headers = dict(scope["headers"])
         refused = self._door.refusal(headers)
-        if refused is None and scope["type"] == "http":
+        if refused is None and scope["type"] == "http" and scope["path"] != STOP:
             refused = _too_long(headers.get(b"content-length", b""))
             if refused is None:
                 try:

@@ -6,6 +6,7 @@ cannot hold it up. Of the daemon it shares the inbox and the snapshots.
 
 import contextlib
 import json
+import logging
 import selectors
 import socket
 import threading
@@ -20,6 +21,8 @@ from softarm.daemon.control.inbox import ANSWER_S, STOP_WAITS, Inbox
 from softarm.daemon.control.records import Outputs
 from softarm.daemon.shell import realtime
 from softarm.schemas.config import Api
+
+log = logging.getLogger(__name__)
 
 CLIENTS_MAX = 64
 REQUEST_MAX = 8192  # bytes
@@ -117,11 +120,16 @@ class StopListener:
         if client not in self._clients:
             return  # it gave way a moment ago
         try:
-            part = client.socket.recv(REQUEST_MAX)
+            self._take(client, client.socket.recv(REQUEST_MAX))
         except BlockingIOError:
             return
         except OSError:
-            part = b""
+            self._close(client)
+        except Exception:  # whatever one client sends, the next is heard
+            log.exception("a client of the stop's own way was hung up on")
+            self._close(client)
+
+    def _take(self, client: _Client, part: bytes) -> None:
         if not part:
             self._close(client)
             return

@@ -1,6 +1,7 @@
 """A policy is tried out where it can do no harm, whatever it is."""
 
 import os
+import threading
 
 import pytest
 
@@ -14,6 +15,8 @@ PLUGIN = """
 import os, signal, sys, time
 import numpy as np
 from softarm.policies.base import PolicySpec
+
+assert os.sched_getscheduler(0) == os.SCHED_OTHER
 
 class Guest:
     spec = PolicySpec("guest", "does as its option says")
@@ -37,7 +40,6 @@ class Guest:
             os._exit(3)
         if self.does == "hoards":
             np.ones(40 * 1024**3, dtype=np.uint8)
-        assert os.sched_getscheduler(0) == os.SCHED_OTHER
         return np.zeros(2, dtype=np.float32)
 """
 
@@ -56,6 +58,18 @@ def guest(tmp_path, monkeypatch):
 
 def test_a_good_policy_passes_whatever_it_prints(guest):
     try_out("mine", guest("well"), 60)
+
+
+def test_the_daemons_priority_is_not_its_guests(guest):
+    thread = threading.get_native_id()
+    try:
+        os.sched_setscheduler(thread, os.SCHED_FIFO, os.sched_param(1))
+    except PermissionError:
+        pytest.skip("this machine grants no real-time priority")
+    try:
+        try_out("mine", guest("well"), 60)
+    finally:
+        os.sched_setscheduler(thread, os.SCHED_OTHER, os.sched_param(0))
 
 
 @pytest.mark.parametrize(

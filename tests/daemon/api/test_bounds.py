@@ -84,6 +84,14 @@ def test_a_stop_is_done_when_a_later_tick_holds_it_whatever_became_of_its_result
     assert client.post("/api/stop").status_code == 503  # an earlier stop's
 
 
+@pytest.mark.parametrize("length", [100, 5_000_000])
+def test_a_stop_does_not_wait_for_a_body(loop, app, serving, length):
+    with serving(app(loop)) as port, ExitStack() as stack:
+        request = b"POST /api/stop HTTP/1.1\r\nHost: 127.0.0.1\r\nContent-Length: %d\r\n\r\nx" % length
+        assert opened(stack, port, request).recv(100).startswith(b"HTTP/1.1 200 ")
+    assert [post.request.kind for post in loop.taken] == ["stop"]
+
+
 def opened(stack: ExitStack, port: int, sent: bytes = b"") -> socket.socket:
     connection = stack.enter_context(socket.create_connection(("127.0.0.1", port), timeout=5))
     connection.sendall(sent)

@@ -129,6 +129,16 @@ def test_what_is_no_request_is_refused_and_harms_nobody(stopping, sent):
         assert ask(port)[0] == 200
 
 
+def test_what_we_did_not_think_of_costs_one_client_alone(stopping, monkeypatch, caplog):
+    monkeypatch.setattr(listener.Door, "refusal", lambda self, headers: headers[b"x-needed"])
+    with way(stopping) as port:
+        with pytest.raises(http.client.RemoteDisconnected):
+            ask(port)
+        assert "was hung up on" in caplog.text
+        monkeypatch.undo()
+        assert ask(port)[0] == 200
+
+
 def test_a_body_that_comes_along_does_not_cost_the_answer(stopping):
     with way(stopping) as port, socket.create_connection(("127.0.0.1", port), timeout=5) as client:
         client.sendall(GOOD.replace(b"\r\n\r\n", b"\r\nContent-Length: 100000\r\n\r\n") + b"x" * 100_000)
