@@ -56,15 +56,15 @@ def _gaps(replayed: "Replayed") -> Iterator[str]:
     """What the log does not hold, and what could not be compared for it."""
     armed = [gap for gap in replayed.gaps if gap.armed]
     off = [gap for gap in replayed.gaps if not gap.armed]
+    if off and off[0].after is None:
+        yield f"the log begins at tick {off.pop(0).tick} of its run: an earlier file holds what was before"
     if off:
-        yield (
-            f"{sum(gap.missing for gap in off)} ticks in {len(off)} gaps ({sum(gap.seconds for gap in off):.0f} s) are "
-            "not in this log: the arm was switched off and nothing changed, or an earlier file holds them"
-        )
+        missing, seconds = sum(gap.missing for gap in off), sum(gap.seconds for gap in off)
+        yield f"not in this log: {missing} ticks ({seconds:.0f} s) of an arm that was switched off and still"
     for gap in armed[:SHOWN]:
         yield (
             f"tick {gap.tick}: the {gap.missing} before it are not in this log, and the drive was on: "
             "what follows may differ for that alone"
         )
     if unsure := replayed.ticks - replayed.compared:
-        yield f"{unsure} ticks right after a gap were run but not compared"
+        yield f"run but not compared: {unsure} ticks, each one of the first few after some that are missing"

@@ -89,9 +89,10 @@ class Recorder:
     def stop(self) -> None:
         """Write what is queued and finish the file: compressed, with an index. Takes some seconds at most."""
         self._stopping.set()
-        for thread in (self._writer, self._tidier):
-            if thread is not None:
-                thread.join(timeout=FINISH_S + 2.0)
+        if self._writer is not None:
+            self._writer.join(timeout=FINISH_S + 2.0)
+        if self._tidier is not None:  # begun by the writer
+            self._tidier.join(timeout=FINISH_S)
 
     def tick(self, inputs: Inputs, outputs: Outputs, timing: TickTiming) -> None:
         """Keep a tick. Never blocks, never raises; one that finds the queue full is counted in `dropped`."""

@@ -58,6 +58,7 @@ COMPARED = ("mode", "estop", "sent", "action", "clamps", "observed", "goal", "ev
 class Gap:
     """Ticks that the daemon made and the log does not hold."""
 
+    after: int | None  # the last tick before it; None: the log begins in the middle of a run
     tick: int  # the first one after it
     missing: int
     seconds: float  # from the last tick before it; 0 at the beginning of a log
@@ -123,7 +124,7 @@ def _gap(before: Outputs | None, recorded: Outputs) -> Gap | None:
         return None
     seconds = 0.0 if before is None else (recorded.t_ns - before.t_ns) * 1e-9
     armed = recorded.sent.enable or (before is not None and before.sent.enable)
-    return Gap(recorded.tick, missing, seconds, armed)
+    return Gap(None if before is None else before.tick, recorded.tick, missing, seconds, armed)
 
 
 def _same(one: object, other: object) -> bool:
