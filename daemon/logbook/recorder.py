@@ -149,8 +149,6 @@ class Recorder:
         while self._queue:
             item = self._queue.popleft()
             if isinstance(item, _PolicyChange):
-                for tick in self._thinning.rest():
-                    live.write(tick)
                 self._policy = item.spec
                 live.policy(item.spec)
                 continue
@@ -191,7 +189,6 @@ class Recorder:
 
     def _when_it_can(self) -> tuple[Path, BinaryIO] | None:
         """Wait until a log can be written again; None when the recorder stops before."""
-        self._thinning.rest()  # what waited belongs to the file that broke off
         while not self._stopping.wait(RETRY_S):
             self._drop()
             try:

@@ -85,6 +85,17 @@ def test_a_change_of_policy_is_noted_in_its_place(tmp_path):
     assert [policy["name"] for policy in logs.read(recorder.path).policies] == ["reach", "pid"]
 
 
+def test_of_a_still_arm_little_is_written_and_all_that_waits_at_the_end(tmp_path):
+    recorder = Recorder(config(tmp_path, idle_interval_s=5.0, around_s=1.0), SPEC)
+    recorder.start()
+    for number in range(400):
+        recorder.tick(*make_tick(number))
+    recorder.stop()
+    kept = [outputs.tick for outputs in logs.read(recorder.path).outputs()]
+    assert len(kept) < 70
+    assert kept[-30:] == list(range(370, 400))
+
+
 def test_two_recorders_in_the_same_second_write_two_files(tmp_path):
     boxes = [Recorder(config(tmp_path), wall_ns=lambda: 0) for _ in range(2)]
     for box in boxes:
@@ -197,7 +208,7 @@ def test_recording_goes_on_in_a_new_file_when_there_is_room_again(tmp_path, disk
 
 
 def test_a_full_file_is_followed_by_another_once_the_drive_has_been_off_for_a_while(tmp_path):
-    recorder = Recorder(config(tmp_path, file_max_mb=1, around_s=0.5), SPEC)
+    recorder = Recorder(config(tmp_path, file_max_mb=1, around_s=2.0, idle_interval_s=5), SPEC)
     recorder.start()
     first = recorder.path
     for number in range(1, 1001):
@@ -206,14 +217,15 @@ def test_a_full_file_is_followed_by_another_once_the_drive_has_been_off_for_a_wh
     wait_for(lambda: first.stat().st_size > 1_500_000, "a file that is more than full")
     wait_for(lambda: not recorder._queue, "the queue")
     assert recorder.path == first  # a flight is not parted
-    for number in range(1001, 1051):
+    for number in range(1001, 1071):
         recorder.tick(*make_tick(number))
     wait_for(lambda: recorder.path != first, "the next file")
-    recorder.tick(*make_tick(1051))
+    recorder.tick(*make_tick(1071))
+    wait_for(lambda: logs.read(recorder.path).t_last_ns == make_tick(1071)[0].t_ns, "its first ticks, at once")
     wait_for(lambda: is_finished(first), "the first one to be finished")
     recorder.stop()
     parts = [[o.tick for o in logs.read(path).outputs()] for path in (first, recorder.path)]
-    assert parts[0] + parts[1] == list(range(1, 1052))
+    assert parts[0] + parts[1] == list(range(1, 1072))
     assert len(parts[0]) > 1000
     assert logs.read(recorder.path).metadata["policy"]["name"] == "reach"
 

@@ -5,8 +5,9 @@ from itertools import pairwise
 
 import pytest
 
-from softarm.daemon.control.records import ActiveEvent, EStop, Inputs, Mode, Outputs, Request, TickTiming
+from softarm.daemon.control.records import ActiveEvent, EStop, Inputs, Mode, Outputs, Problems, Request, TickTiming
 from softarm.daemon.logbook.thinning import Thinning
+from softarm.schemas.goals import Goal, GoalStatus
 from softarm.schemas.messages import Command, MocapFrame, Pose, PressureReading, RailReading
 
 PERIOD_NS = 33_333_334  # thirty are a little more than a second
@@ -24,6 +25,7 @@ def tick(number: int, **changes):
         rail=RailReading(now, changes.pop("cart_m", 0.0), 0.0, False),
         requests=changes.pop("requests", ()),
         missed=changes.pop("missed", 0),
+        problems=changes.pop("problems", Problems()),
     )
     return inputs, replace(Outputs(now, number, 0, 0, 0, Mode.DISARMED, EStop.CLEAR), **changes), TIMING
 
@@ -60,6 +62,8 @@ def test_a_still_arm_is_written_once_per_interval_and_whole_at_the_start(still):
         {"cart_m": 0.006},
         {"missed": 1},
         {"policy": "pid"},
+        {"goal": GoalStatus(Goal("hold"), "cancelled")},
+        {"problems": Problems(rail="rail 10.0.0.9:502: refused")},
         {"sent": Command(True, 0.0, 0.0)},
     ],
     ids=str,
@@ -111,3 +115,15 @@ def test_the_drive_is_off_for_long_once_all_around_a_flight_is_written():
     assert not thinning.is_off
     thinning.take(tick(31))
     assert thinning.is_off
+
+
+def test_while_motion_capture_settles_every_tick_is_kept_for_a_replay_has_to_count_its_frames(still):
+    settling = (ActiveEvent("mocap_settling", "warn", "12 of 1000 frames"),)
+    kept = [number for n in range(1001, 1201) for number in numbers(still.take(tick(n, events=settling)))]
+    assert kept[-200:] == list(range(1001, 1201))
+
+
+def test_a_new_file_begins_with_what_waited_and_its_first_ticks_whole(still):
+    still.begin()
+    assert numbers(still.take(tick(1001))) == list(range(971, 1002))
+    assert numbers(still.take(tick(1002))) == [1002]
