@@ -30,6 +30,11 @@ if __name__ == "__main__":
 """
 
 
+@pytest.fixture(autouse=True)
+def workers_find_this_file(monkeypatch):
+    monkeypatch.syspath_prepend(str(ROOT))
+
+
 def squared(number):
     return number * number, os.getpid(), os.environ["OMP_NUM_THREADS"]
 
