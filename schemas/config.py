@@ -199,9 +199,9 @@ class Recorder(Strict):
     # A new file once one is so large or so old, as soon as the arm is disarmed.
     file_max_mb: Annotated[int, Field(ge=1, le=1_000_000)] = 500
     file_max_days: Annotated[float, Field(gt=0, le=365)] = 1.0
-    # The oldest logs are deleted beyond this.
-    keep_mb: Annotated[int, Field(ge=2, le=100_000_000)] = 20_000
-    keep_days: Annotated[float, Field(gt=0, le=36_500)] = 365.0
+    # The oldest logs are deleted beyond this; without a number none ever is.
+    keep_mb: Annotated[int, Field(ge=2, le=100_000_000)] | None = None
+    keep_days: Annotated[float, Field(gt=0, le=36_500)] | None = None
     # Otherwise arming is refused while nothing can be written. (`enabled: false` asks for no log: it refuses nothing.)
     arm_without_log: bool = False
 

@@ -79,7 +79,7 @@ def _times(config: Config) -> Iterator[str]:
 
 def _logs(config: Config) -> Iterator[str]:
     kept_mb, file_mb = config.recorder.keep_mb, config.recorder.file_max_mb
-    if kept_mb < 2 * file_mb:
+    if kept_mb is not None and kept_mb < 2 * file_mb:
         yield (
             f"recorder.keep_mb is {kept_mb}, less than two files of recorder.file_max_mb {file_mb}: a log would be "
             f"deleted as soon as the next one is full; raise keep_mb to {2 * file_mb} or lower file_max_mb"

@@ -2,6 +2,7 @@
 
 import errno
 import logging
+import math
 import os
 import re
 import shutil
@@ -64,15 +65,18 @@ def finish_left(directory: Path, own: Path, pause: Callable[[], None]) -> None:
 def delete_oldest(directory: Path, own: Path, settings: Recorder, now_s: float | None = None) -> list[Path]:
     """Delete the oldest of the recorder's own logs until what is left is within `keep_mb` and `keep_days`.
 
-    Never the one being written, by this daemon or another. now_s: seconds of the wall clock. Raises OSError.
+    Where neither is set, none. Never the one being written, by this daemon or another. now_s: seconds of the wall
+    clock. Raises OSError.
     """
+    keep_s = math.inf if settings.keep_days is None else settings.keep_days * 86_400
+    keep_bytes = math.inf if settings.keep_mb is None else settings.keep_mb * 1e6
     now_s = time.time() if now_s is None else now_s
     states = {path: path.stat() for path in sorted(directory.glob("*.mcap")) if OWN_NAME.fullmatch(path.name)}
     total_bytes = sum(state.st_size for state in states.values())
     deleted = []
     for path, state in states.items():
-        too_old = now_s - state.st_mtime > settings.keep_days * 86_400
-        too_much = total_bytes > settings.keep_mb * 1e6
+        too_old = now_s - state.st_mtime > keep_s
+        too_much = total_bytes > keep_bytes
         if path == own or not (too_old or too_much) or finishing.is_held(path):
             continue
         path.unlink()

@@ -24,11 +24,17 @@ def directory(tmp_path):
 def days(directory, **keep) -> list[int]:
     """The days whose logs are left."""
     own = directory / "softarm-20260105T000000Z.mcap"
-    delete_oldest(directory, own, Recorder(**{"keep_mb": 20_000, **keep}), now_s=5 * DAY_S)
+    delete_oldest(directory, own, Recorder(**keep), now_s=5 * DAY_S)
     return [int(path.name[14:16]) for path in sorted(directory.glob("softarm-2026*.mcap"))]
 
 
 def test_within_size_and_age_all_are_kept(directory):
+    assert days(directory, keep_mb=20_000, keep_days=365) == [1, 2, 3, 4, 5]
+
+
+def test_nobody_s_recordings_are_deleted_unasked(directory):
+    with (directory / "softarm-20260101T000000Z.mcap").open("r+b") as file:
+        file.truncate(10**12)  # a sparse terabyte
     assert days(directory) == [1, 2, 3, 4, 5]
 
 
