@@ -253,6 +253,16 @@ def loop(read: Read) -> str:
     return markdown(("p50 / p99 / max (ms)", "idle", "hammered", "aim (p99)"), rows)
 
 
+def stop(read: Read) -> str:
+    """How soon a stop is answered under attack."""
+    rows = []
+    for attack, ways in read("stop")["answer_ms"].items():
+        cells = ["{p50:.0f} / {p99:.0f} / {max:.0f}".format(**ways[way]) for way in ("stop", "api")]
+        unanswered = sum(ways[way]["unanswered"] for way in ("stop", "api"))
+        rows.append([attack, *cells, f"{unanswered} of {sum(ways[way]['asked'] for way in ('stop', 'api'))}"])
+    return markdown(("p50 / p99 / max (ms), under", "own way", "REST", "unanswered"), rows)
+
+
 def simulator(read: Read) -> str:
     """Speed and error beside MuJoCo."""
     found = read("simulator")
@@ -323,6 +333,7 @@ TABLES: dict[str, Callable[[Read], str]] = {
     "differ": differ,
     "ablation": ablation,
     "loop": loop,
+    "stop": stop,
     "simulator": simulator,
     "blind": blind,
     "blind-methods": blind_methods,
