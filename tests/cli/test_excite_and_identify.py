@@ -25,6 +25,7 @@ def recorded(tmp_path_factory):
     return log
 
 
+@pytest.mark.slow
 def test_identify_writes_a_model_numbers_and_pictures(recorded, tmp_path):
     outcome = run(
         "identify",

@@ -86,6 +86,7 @@ def test_what_goes_wrong_is_told(guest, does, sentence):
         try_out("mine", guest(does), 60)
 
 
+@pytest.mark.slow
 def test_one_that_never_ends_is_killed(guest):
     with pytest.raises(PolicyError, match="did not load and do its first step within 3 s"):
         try_out("mine", guest("wedges"), 3)

@@ -37,6 +37,7 @@ def report(small):
     return plan(TARGETS, (0.1,), seed=1)
 
 
+@pytest.mark.slow
 def test_reachable_targets_are_hit_and_others_are_said_to_be_missed(report):
     np.testing.assert_array_equal(np.isfinite(report.reached_s), REACHABLE)
     np.testing.assert_array_equal(report.planned, REACHABLE)
@@ -56,6 +57,7 @@ def test_a_plan_flown_again_goes_where_it_says_whatever_integrates_it(report):
             assert np.hypot(*(flown.tip_m[n, k] - TARGETS[k])) < ReachTask().success_radius_m
 
 
+@pytest.mark.slow
 def test_plans_keep_the_limits_with_room_for_the_tracker(report):
     problem, plans = PlanningProblem(), report.plans
     flown = Rollouts(physics_rate_hz=PHYSICS_RATE_HZ).fly(plans.command.transpose(1, 0, 2), plans.cart_start_m)

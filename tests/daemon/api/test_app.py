@@ -138,6 +138,7 @@ def test_a_request_is_answered_by_the_loop(client, loop, method, path, kind):
     }
 
 
+@pytest.mark.slow
 def test_a_silent_loop_is_a_503_that_says_so(silent):
     client, _ = silent
     answer = client.post("/api/arm")

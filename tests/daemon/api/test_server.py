@@ -45,6 +45,7 @@ def test_the_server_takes_no_signals(loop, app, serving):
         assert {s: signal.getsignal(s) for s in before} == before
 
 
+@pytest.mark.slow
 def test_the_stream_sends_new_snapshots_at_the_rate_asked_for(loop, app, serving):
     async def watch(port: int, query: str) -> tuple[list[int], float]:
         async with connect(f"ws://127.0.0.1:{port}/api/stream{query}") as socket:
@@ -111,6 +112,7 @@ def test_streams_are_so_many_and_one_that_ends_makes_room(loop, app, serving, mo
                 break
 
 
+@pytest.mark.slow
 def test_a_client_that_does_not_read_holds_up_nobody_and_piles_nothing_up(loop, app, serving):
     loop.outputs = replace(loop.outputs, clamps=("x" * 1_000_000,))
     with serving(app(loop)) as port, ExitStack() as stack:

@@ -103,6 +103,7 @@ def test_a_requested_stop_latches_from_every_mode(mode):
 some_events = st.lists(st.sampled_from(list(TABLE)), max_size=5, unique=True)
 
 
+@pytest.mark.slow
 @settings(max_examples=500, deadline=None)
 @given(st.sampled_from(Mode), some_events.flatmap(lambda some: st.tuples(st.just(some), st.permutations(some))))
 def test_the_order_of_events_changes_neither_mode_nor_latch(mode, orders):

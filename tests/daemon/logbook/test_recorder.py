@@ -207,6 +207,7 @@ def test_recording_goes_on_in_a_new_file_when_there_is_room_again(tmp_path, disk
     assert [o.tick for o in logs.read(first).outputs()] == [0]
 
 
+@pytest.mark.slow
 def test_a_full_file_is_followed_by_another_once_the_drive_has_been_off_for_a_while(tmp_path):
     recorder = Recorder(config(tmp_path, file_max_mb=1, around_s=2.0, idle_interval_s=5), SPEC)
     recorder.start()
@@ -320,6 +321,7 @@ def test_a_kill_loses_no_more_than_the_last_flush(tmp_path):
         assert finishing.recover(log.path).finished
 
 
+@pytest.mark.slow
 def test_two_minutes_are_finished_whole(tmp_path):
     recorder = Recorder(config(tmp_path))
     recorder.start()

@@ -85,6 +85,7 @@ class Loop:
         self.loop.stop()
 
 
+@pytest.mark.slow
 def test_arms_over_the_inbox_and_writes_every_tick():
     with Loop() as loop:
         loop.until(lambda outputs: not outputs.arming_refusals)
@@ -102,6 +103,7 @@ def test_a_thousand_other_descriptors_hurt_nothing(many_descriptors):
         loop.until(lambda outputs: outputs.tick >= 3)
 
 
+@pytest.mark.slow
 def test_while_the_recorder_cannot_write_arming_is_refused(tmp_path):
     recorder = Recorder(Config(recorder={"directory": tmp_path}))
     recorder.problem = "the log ends here: the disk is full"

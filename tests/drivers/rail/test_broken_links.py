@@ -23,6 +23,7 @@ def ends(link: list[ModbusRequest]) -> tuple[Any, Any]:
     return tuple((f"{request.index:04x}", request.data) for request in (link[0], link[-1]))  # type: ignore[return-value]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", BAD_ANSWERS)
 def test_a_link_begins_and_ends_with_a_stop_whatever_is_answered(bench: Any, kind: str) -> None:
     async def script(b: Any) -> None:
@@ -85,6 +86,7 @@ def test_a_set_point_that_was_refused_once_is_said_again_without_waiting_for_the
     bench(script)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("storm", [3, 40, 150])  # telegrams; a link's end falls within the longer ones
 def test_a_cart_in_motion_is_stopped_as_soon_as_refusals_end(
     bench: Any, storm: int, monkeypatch: pytest.MonkeyPatch

@@ -75,6 +75,7 @@ class Hands:
         await self.write_until(armed, True)
 
 
+@pytest.mark.slow
 def test_the_drivers_move_the_twin_and_their_silence_stops_it(
     config: Config, run: Any, until: Any, running: Any
 ) -> None:
@@ -102,6 +103,7 @@ def test_the_drivers_move_the_twin_and_their_silence_stops_it(
     run(play())
 
 
+@pytest.mark.slow
 def test_a_closed_connection_brakes_the_cart_within_the_rail(
     config: Config, run: Any, until: Any, running: Any
 ) -> None:
@@ -123,6 +125,7 @@ def test_a_closed_connection_brakes_the_cart_within_the_rail(
     run(play())
 
 
+@pytest.mark.slow
 def test_faults_reach_the_drivers(config: Config, run: Any, until: Any, running: Any) -> None:
     async def play() -> None:
         async with Twin(config) as twin:

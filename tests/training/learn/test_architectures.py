@@ -58,6 +58,7 @@ def test_only_an_lstm_remembers(order):
     assert torch.equal(first, infer_again) == (order == "mlp")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("order", ORDERS)
 def test_all_weights_learn(order):
     made = network(order)
@@ -85,6 +86,7 @@ def test_noise_on_observations_reaches_the_learner_alone():
     assert 0.06 < float(seen[0.1].std()) < 0.14
 
 
+@pytest.mark.slow
 def test_without_a_muscle_nothing_is_pumped_and_the_file_vents(tmp_path):
     task = replace(TASKS["reach"], muscle=False)
     environment = Environment(task, 8, 0)

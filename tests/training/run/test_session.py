@@ -86,6 +86,7 @@ def test_a_run_that_was_killed_goes_on_bit_for_bit(finished, tmp_path):
     assert without_time(resumed.curve) == without_time(finished.curve)
 
 
+@pytest.mark.slow
 def test_it_moves_away_from_where_it_began(finished, tmp_path):
     with workers(1) as pool:
         fresh = session(tmp_path, pool)
@@ -181,6 +182,7 @@ def test_other_settings_cannot_resume_a_run(finished):
         session(finished.out, pool, resume=True, config=TrainingConfig(4, 64, validate_every=2, validation_trials=24))
 
 
+@pytest.mark.slow
 def test_a_run_ends_when_its_patience_does(tmp_path):
     patient = replace(SMALL, robots=16, validate_every=1, validation_trials=6, patience=2)
     with workers(1) as pool:
