@@ -154,6 +154,10 @@ class DryveRail(Strict):
     acceleration_m_s2: Annotated[float, Field(gt=0, le=20)] = 6.0
     quick_stop_m_s2: Annotated[float, Field(gt=0, le=20)] = 6.0
     timeout_s: Annotated[float, Field(gt=0, le=1)] = 0.1
+    # A set-point that is not renewed for so long makes the link brake, and go on when the next one comes ...
+    hold_s: Annotated[float, Field(gt=0.03, le=0.1)] = 0.045
+    # ... and for so long makes it stop, switch the drive off and leave it off until armed anew.
+    time_to_live_s: Annotated[float, Field(gt=0.03, le=0.5)] = 0.15
 
 
 class Drivers(Strict):

@@ -65,6 +65,17 @@ def _times(config: Config) -> Iterator[str]:
             f"drivers.regulator.time_to_live_s is {live_s}, no longer than a tick ({period_s:.4f} s at control.rate_hz "
             f"{rate}): the regulator would vent between two commands; raise it to {3 * period_s:.1f}"
         )
+    rail = config.drivers.rail
+    if rail.hold_s <= period_s + ROUNDING:
+        yield (
+            f"drivers.rail.hold_s is {rail.hold_s}, no longer than a tick ({period_s:.4f} s at control.rate_hz "
+            f"{rate}): the cart would be braked between two set-points; raise it to 0.045 or remove the line"
+        )
+    if rail.time_to_live_s <= rail.hold_s:
+        yield (
+            f"drivers.rail.time_to_live_s is {rail.time_to_live_s}, not above drivers.rail.hold_s {rail.hold_s}: the "
+            f"drive would be switched off before it is braked; raise it to {max(0.15, 2 * rail.hold_s):g}"
+        )
     for key, device, stale_s in (
         ("mocap_stale_s", "motion capture", failsafe.mocap_stale_s),
         ("pressure_stale_s", "the regulator", failsafe.pressure_stale_s),

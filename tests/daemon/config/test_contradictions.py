@@ -74,6 +74,16 @@ def test_the_defaults_are_sound():
             "the regulator would vent between two commands; raise it to 0.1",
         ),
         (
+            "drivers: {rail: {hold_s: 0.033}}",
+            "1: drivers.rail.hold_s: is 0.033, no longer than a tick (0.0333 s at control.rate_hz 30): the cart would "
+            "be braked between two set-points; raise it to 0.045 or remove the line",
+        ),
+        (
+            "drivers: {rail: {hold_s: 0.1, time_to_live_s: 0.1}}",
+            "1: drivers.rail.time_to_live_s: is 0.1, not above drivers.rail.hold_s 0.1: the drive would be switched "
+            "off before it is braked; raise it to 0.2",
+        ),
+        (
             "failsafe: {mocap_stale_s: 0.03}",
             "1: failsafe.mocap_stale_s: is 0.03, no longer than a tick (0.0333 s at control.rate_hz 30): a reading of "
             "motion capture that is in order would count as too old; raise it to 0.07 or more",
