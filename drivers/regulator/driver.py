@@ -128,6 +128,17 @@ class Conversation:
         return frame(encode(message, self._sequence, now_ns // 1000))
 
 
+def reading_of(state: RegulatorState, now_ns: int) -> PressureReading:
+    """What the control loop hears. A vent by time to live is no fault of the device: it is armed no longer."""
+    return PressureReading(
+        t_receive_ns=now_ns,
+        pressure_kpa=state.pressure_kpa,
+        armed=state.armed,
+        faults=(state.faults & ~Fault.TIME_TO_LIVE).sentences(),
+        sequence=state.accepted_sequence,
+    )
+
+
 class TeensyRegulator:
     """A `softarm.drivers.base.PressureRegulator`; configured by `softarm.schemas.config.SerialRegulator`."""
 
@@ -170,7 +181,7 @@ class TeensyRegulator:
 
     def problem(self) -> str | None:
         """See `softarm.drivers.base.Device.problem`."""
-        talk, reading = self._talk, self._reading
+        talk = self._talk
         if talk is None:
             return self._link_problem
         since_ns = talk.unanswered_since_ns
@@ -183,8 +194,8 @@ class TeensyRegulator:
             return str(self._error("command", heard, "check the cable and that the firmware runs"))
         if not talk.known:
             return str(self._error("hello", "no answer yet", "wait a second"))
-        if reading is not None and reading.faults:
-            return str(self._error("command", "the device reports a fault", "; ".join(reading.faults)))
+        if talk.state is not None and talk.state.faults:
+            return str(self._error("command", "the device reports a fault", "; ".join(talk.state.faults.sentences())))
         return None
 
     def _error(self, command: str, problem: str, remedy: str) -> DeviceError:
@@ -250,13 +261,7 @@ class TeensyRegulator:
 
     def _take(self, state: RegulatorState | None) -> None:
         if state is not None:
-            self._reading = PressureReading(
-                t_receive_ns=self._clock(),
-                pressure_kpa=state.pressure_kpa,
-                armed=state.armed,
-                faults=state.faults.sentences(),
-                sequence=state.accepted_sequence,
-            )
+            self._reading = reading_of(state, self._clock())
 
     def _hush(self) -> None:
         with contextlib.suppress(OSError):

@@ -10,6 +10,8 @@ import pytest
 
 from softarm.daemon.control.records import EStop, Inputs, Mode, Problems, Request
 from softarm.daemon.tick import Controller
+from softarm.drivers.regulator.driver import reading_of
+from softarm.drivers.regulator.teensy import Fault, RegulatorState
 from softarm.policies.base import PolicySpec
 from softarm.policies.runner import InlineRunner
 from softarm.schemas.config import Config
@@ -244,6 +246,26 @@ def test_a_sensor_that_goes_quiet_ends_in_a_soft_stop_in_time(device, event):
     rig.tick(**({"mocap": ()} if device == "mocap" else {}))
     assert rig.outputs.mode is Mode.DISARMED
     assert rig.outputs.sent == SAFE
+
+
+def test_a_regulator_that_vented_by_itself_is_a_soft_stop_and_nothing_else():
+    rig = Rig().swinging()
+    state = RegulatorState(41, False, Fault.TIME_TO_LIVE, 0.5)
+    rig.tick(pressure=reading_of(state, rig.now + PERIOD_NS))
+    assert [event.name for event in rig.outputs.events] == ["regulator_vented"]
+    assert rig.outputs.mode is Mode.STOPPING
+    rig.tick(pressure=reading_of(state, rig.now + PERIOD_NS))
+    assert (rig.outputs.mode, rig.outputs.estop) == (Mode.DISARMED, EStop.CLEAR)
+    assert rig.tick(pressure=reading_of(state, rig.now + PERIOD_NS)).arming_refusals == ()
+
+
+@pytest.mark.parametrize("fault", [fault for fault in Fault if fault is not Fault.TIME_TO_LIVE])
+def test_every_other_fault_of_the_regulator_stops_and_latches_also_beside_a_vent(fault):
+    rig = Rig().swinging()
+    state = RegulatorState(41, False, fault | Fault.TIME_TO_LIVE, 0.5)
+    rig.tick(pressure=reading_of(state, rig.now + PERIOD_NS))
+    assert "regulator_fault" in [event.name for event in rig.outputs.events]
+    assert (rig.outputs.mode, rig.outputs.estop) == (Mode.STOPPED, EStop.ENGAGED)
 
 
 def test_mocap_stamped_in_the_future_is_not_flown_on():
