@@ -32,7 +32,9 @@ class Controller:
         rate = config.control.rate_hz
         self._config = config
         self._policy = policy
-        self._observer = Observer(round(config.failsafe.mocap_stale_s * 1e9), config.failsafe.rail_mocap_disagreement_m)
+        self._observer = Observer(
+            round(1e9 / rate), round(config.failsafe.mocap_stale_s * 1e9), config.failsafe.rail_mocap_disagreement_m
+        )
         self._safety = SafetyFilter(config.limits, 1 / rate, config.drivers.rail.acceleration_m_s2)
         self._machine = ModeMachine(round(config.failsafe.arming_timeout_s * rate), round(BRAKING_S * rate))
         self._goals = GoalTracker(config.goals)
@@ -161,7 +163,7 @@ class Controller:
             return None
         if any(e.rule.response > 0 for e in (*self._pending_events, *conditions)):
             return None
-        self._goals.update(observed.values.tip_y_m, observed.values.tip_z_m, now_ns)
+        self._goals.update([(one.tip_y_m, one.tip_z_m) for one in self._observer.seen], now_ns)
         goal = self._goals.running
         if goal is None or goal.kind == "hold":
             return None

@@ -1,6 +1,7 @@
 """Is the goal reached? Pure bookkeeping over the observed tip."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 
 from softarm.schemas.config import Goals
@@ -8,7 +9,7 @@ from softarm.schemas.goals import Goal, GoalState, GoalStatus
 
 
 class GoalTracker:
-    """Follows one goal at a time; reached: the tip is within the success radius at a tick ([P] section 4)."""
+    """Follows one goal at a time; reached: the tip is seen within the success radius ([P] section 4)."""
 
     def __init__(self, config: Goals) -> None:
         self._config = config
@@ -27,30 +28,41 @@ class GoalTracker:
         self.status = GoalStatus(goal, "running", number=self.status.number + 1)
         self._started_ns = None
 
-    def update(self, tip_y_m: float, tip_z_m: float, now_ns: int) -> None:
-        """Look at the tip before the policy acts: reached, out of time, or still under way."""
+    def update(self, tips_m: Sequence[tuple[float, float]], now_ns: int) -> None:
+        """Look at the tip before the policy acts: reached, out of time, or still under way.
+
+        tips_m: y, z of each time that it was seen since the last update, oldest first. Only the last counts at a goal's
+        first update: the others were before it.
+        """
         goal = self.running
         if goal is None:
             return
         if self._started_ns is None:
             self._started_ns = now_ns
+            tips_m = tips_m[-1:]
         elapsed = (now_ns - self._started_ns) * 1e-9
         self.status = replace(self.status, time_s=elapsed)
         if goal.kind == "run" and self._run_s is not None and elapsed >= self._run_s - 1e-4:
             self._end("reached", None)
         if goal.kind != "reach":
             return
-        distance = math.hypot(tip_y_m - goal.y_m, tip_z_m - goal.z_m)
-        closest = distance if self.status.closest_m is None else min(distance, self.status.closest_m)
-        self.status = replace(self.status, closest_m=closest)
-        if distance < self._config.success_radius_m:
-            self._end("reached", None)
-        elif elapsed >= self._config.time_limit_s - 1e-4:
-            self._end(
-                "failed",
-                f"not reached within {self._config.time_limit_s:.2f} s; closest {closest * 1e3:.0f} mm, "
-                f"reached means within {self._config.success_radius_m * 1e3:.0f} mm",
-            )
+        for y_m, z_m in tips_m:
+            distance = math.hypot(y_m - goal.y_m, z_m - goal.z_m)
+            closest = distance if self.status.closest_m is None else min(distance, self.status.closest_m)
+            self.status = replace(self.status, closest_m=closest)
+            if distance < self._config.success_radius_m:
+                self._end("reached", None)
+                return
+        if elapsed >= self._config.time_limit_s - 1e-4:
+            self._end("failed", self._why_not())
+
+    def _why_not(self) -> str:
+        closest = self.status.closest_m
+        came = "the tip was not seen" if closest is None else f"closest {closest * 1e3:.0f} mm"
+        return (
+            f"not reached within {self._config.time_limit_s:.2f} s; {came}, "
+            f"reached means within {self._config.success_radius_m * 1e3:.0f} mm"
+        )
 
     def fail(self, reason: str) -> None:
         """The goal cannot go on."""

@@ -1,6 +1,9 @@
 """From what the devices measured to what the policy is fed. Pure; time comes in with the inputs."""
 
 import math
+from collections import deque
+from collections.abc import Iterator
+from typing import NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,19 +24,37 @@ def is_usable(frame: MocapFrame) -> bool:
     )
 
 
-class Observer:
-    """Keeps the newest usable frame and the one used a tick before, for first differences.
+class Sighting(NamedTuple):
+    """What of a frame is flown by."""
 
-    Velocities are first differences over a control step ([P] section 3.3), by real capture stamps; zero until
-    there are two frames.
+    t_ns: int  # of its capture
+    cart_y_m: float
+    tip_y_m: float
+    tip_z_m: float
+
+    @classmethod
+    def of(cls, frame: MocapFrame) -> Self:
+        """Of a usable frame."""
+        cart, tip = frame.bodies[CART], frame.bodies[TIP]
+        return cls(frame.t_capture_ns, cart.y_m, tip.y_m, tip.z_m)
+
+
+class Observer:
+    """Keeps the usable frames of the last while.
+
+    Velocities are first differences over a control step ([P] section 3.3), by real capture stamps: from the frame
+    that was taken most nearly a step before the newest one. Zero until there is one.
     """
 
-    def __init__(self, stale_ns: int, disagreement_m: float) -> None:
+    def __init__(self, period_ns: int, stale_ns: int, disagreement_m: float) -> None:
+        self._period_ns = period_ns
         self._stale_ns = stale_ns  # a gap longer than this is not differenced over
         self._disagreement_m = disagreement_m  # between axis and mocap: farther apart, they disagree
-        self._frame: MocapFrame | None = None
+        self._recent: deque[Sighting] = deque()  # of at least the last step, oldest first
         self._velocities = (0.0, 0.0, 0.0)  # cart, tip y, tip z
+        self._sequence = 0  # of the newest usable frame
         self.newest: MocapFrame | None = None  # usable or not
+        self.seen: tuple[Sighting, ...] = ()  # this tick's, oldest first
         self.pressure: PressureReading | None = None
         self.rail: RailReading | None = None
         self.frames_in_a_row = 0  # usable frames without a longer gap, for arming
@@ -44,17 +65,9 @@ class Observer:
         """Take in a tick's measurements."""
         self.pressure = inputs.pressure
         self.rail = inputs.rail
-        usable: MocapFrame | None = None
-        for frame in inputs.mocap:
-            if self.newest is not None and frame.sequence > self.newest.sequence + 1:
-                self.frames_lost += frame.sequence - self.newest.sequence - 1
-            self.newest = frame
-            if is_usable(frame) and (self._frame is None or frame.t_capture_ns > self._frame.t_capture_ns):
-                usable = frame
-                self.frames_in_a_row += 1
-        if usable is not None:
-            self._difference(usable)
-            self._frame = usable
+        self.seen = tuple(self._usable(inputs.mocap))
+        if self.seen:
+            self._keep(self.seen)
         elif (self.mocap_age_ns(inputs.t_ns) or 0) > self._stale_ns:
             self.frames_in_a_row = 0
             self._velocities = (0.0, 0.0, 0.0)
@@ -62,24 +75,33 @@ class Observer:
         apart = distance_m is not None and distance_m > self._disagreement_m
         self.disagreeing_ticks = self.disagreeing_ticks + 1 if apart else 0
 
-    def _difference(self, frame: MocapFrame) -> None:
-        before = self._frame
-        step_ns = frame.t_capture_ns - before.t_capture_ns if before is not None else 0
-        if before is None or step_ns > self._stale_ns:
-            self._velocities = (0.0, 0.0, 0.0)
-            return
-        cart, old_cart = frame.bodies[CART], before.bodies[CART]
-        tip, old_tip = frame.bodies[TIP], before.bodies[TIP]
-        per_s = 1e9 / step_ns
-        self._velocities = (
-            (cart.y_m - old_cart.y_m) * per_s,
-            (tip.y_m - old_tip.y_m) * per_s,
-            (tip.z_m - old_tip.z_m) * per_s,
+    def _usable(self, frames: tuple[MocapFrame, ...]) -> Iterator[Sighting]:
+        newest_ns = self._recent[-1].t_ns if self._recent else None
+        for frame in frames:
+            if self.newest is not None and frame.sequence > self.newest.sequence + 1:
+                self.frames_lost += frame.sequence - self.newest.sequence - 1
+            self.newest = frame
+            if is_usable(frame) and (newest_ns is None or frame.t_capture_ns > newest_ns):
+                newest_ns, self._sequence = frame.t_capture_ns, frame.sequence
+                self.frames_in_a_row += 1
+                yield Sighting.of(frame)
+
+    def _keep(self, seen: tuple[Sighting, ...]) -> None:
+        """Difference over the step before the newest, and forget what no later step can begin with."""
+        recent, newest = self._recent, seen[-1]
+        before = min(
+            (one for one in (*recent, *seen[:-1]) if newest.t_ns - one.t_ns <= self._stale_ns),
+            key=lambda one: abs(newest.t_ns - one.t_ns - self._period_ns),
+            default=None,
         )
+        self._velocities = (0.0, 0.0, 0.0) if before is None else _rates(before, newest)
+        recent.extend(seen)
+        while len(recent) > 1 and newest.t_ns - recent[1].t_ns >= 2 * self._period_ns:
+            recent.popleft()
 
     def mocap_age_ns(self, now_ns: int) -> int | None:
         """Age of the newest usable frame's capture; None before the first."""
-        return None if self._frame is None else now_ns - self._frame.t_capture_ns
+        return now_ns - self._recent[-1].t_ns if self._recent else None
 
     def cart(self, now_ns: int) -> CartState | None:
         """The axis's own read-back, carried forward to now; None when there is none."""
@@ -90,33 +112,44 @@ class Observer:
 
     def rail_against_mocap_m(self) -> float | None:
         """Distance between the cart as the axis reads it and as mocap sees it, brought to one instant."""
-        if self.rail is None or self._frame is None:
+        if self.rail is None or not self._recent:
             return None
-        lead_s = (self._frame.t_capture_ns - self.rail.t_receive_ns) * 1e-9
-        return abs(self.rail.position_m + self.rail.velocity_m_s * lead_s - self._frame.bodies[CART].y_m)
+        newest = self._recent[-1]
+        lead_s = (newest.t_ns - self.rail.t_receive_ns) * 1e-9
+        return abs(self.rail.position_m + self.rail.velocity_m_s * lead_s - newest.cart_y_m)
 
     def observe(self, now_ns: int, previous_cart_velocity_m_s: float) -> Observed | None:
         """The observation and its age; None while a sensor has never been heard."""
-        if self._frame is None or self.pressure is None or self.rail is None:
+        if not self._recent or self.pressure is None or self.rail is None:
             return None
-        cart, tip = self._frame.bodies[CART], self._frame.bodies[TIP]
+        newest = self._recent[-1]
         cart_velocity, tip_vy, tip_vz = self._velocities
         return Observed(
             values=Observation(
-                cart_position_m=cart.y_m,
+                cart_position_m=newest.cart_y_m,
                 cart_velocity_m_s=cart_velocity,
-                tip_y_m=tip.y_m,
-                tip_z_m=tip.z_m,
+                tip_y_m=newest.tip_y_m,
+                tip_z_m=newest.tip_z_m,
                 tip_vy_m_s=tip_vy,
                 tip_vz_m_s=tip_vz,
                 previous_cart_velocity_command_m_s=previous_cart_velocity_m_s,
                 pressure_kpa=self.pressure.pressure_kpa,
             ),
-            mocap_sequence=self._frame.sequence,
-            mocap_age_ns=now_ns - self._frame.t_capture_ns,
+            mocap_sequence=self._sequence,
+            mocap_age_ns=now_ns - newest.t_ns,
             pressure_age_ns=now_ns - self.pressure.t_receive_ns,
             rail_age_ns=now_ns - self.rail.t_receive_ns,
         )
+
+
+def _rates(before: Sighting, newest: Sighting) -> tuple[float, float, float]:
+    """Of cart and tip (y, z) between two frames, m/s."""
+    per_s = 1e9 / (newest.t_ns - before.t_ns)
+    return (
+        (newest.cart_y_m - before.cart_y_m) * per_s,
+        (newest.tip_y_m - before.tip_y_m) * per_s,
+        (newest.tip_z_m - before.tip_z_m) * per_s,
+    )
 
 
 def as_array(observed: Observed) -> NDArray[np.float32]:

@@ -9,6 +9,7 @@ from softarm.schemas.policy import OBSERVATION
 
 MS = 1_000_000
 STALE = 100 * MS
+PERIOD = 33_333_333
 
 
 def frame(t_ms, cart=0.0, tip=(0.0, 0.52), sequence=None, tracked=True):
@@ -30,7 +31,7 @@ def feed(observer, t_ms, *frames, pressure=5.0, rail=(0.0, 0.0)):
 
 
 def test_the_observation_has_the_papers_order():
-    observer = Observer(STALE, 0.03)
+    observer = Observer(PERIOD, STALE, 0.03)
     feed(observer, 0, frame(0, cart=0.1, tip=(-0.1, 0.55)))
     observed = feed(observer, 40, frame(40, cart=0.12, tip=(-0.14, 0.56)))
     names = [signal.name for signal in OBSERVATION]
@@ -48,16 +49,34 @@ def test_the_observation_has_the_papers_order():
     )
 
 
-def test_velocities_are_differenced_over_capture_stamps_between_ticks_not_between_frames():
-    observer = Observer(STALE, 0.03)
-    feed(observer, 33, frame(16, cart=0.0), frame(24, cart=0.0))
-    observed = feed(observer, 66, frame(33, cart=0.5), frame(41, cart=0.5), frame(54, cart=0.03))
-    assert observed.values.cart_velocity_m_s == pytest.approx(0.03 / 0.030)
-    assert observed.mocap_age_ns == 12 * MS
+def test_velocities_are_differenced_over_the_step_that_comes_nearest_to_a_control_step():
+    """Whichever tick it came in: a tick that was late or early has other frames for its newest."""
+    observer = Observer(PERIOD, STALE, 0.03)
+    feed(observer, 33, frame(16, cart=9.0), frame(24, cart=0.0), frame(29, cart=9.0))
+    observed = feed(observer, 66, frame(33, cart=9.0), frame(41, cart=9.0), frame(58, cart=0.034))
+    assert observed.values.cart_velocity_m_s == pytest.approx(0.034 / 0.034)
+    assert observed.mocap_age_ns == 8 * MS
+    observed = feed(observer, 70, frame(66, cart=9.05))  # four milliseconds after the last
+    assert observed.values.cart_velocity_m_s == pytest.approx(0.05 / 0.033)
+
+
+def test_a_camera_as_fast_as_the_loop_is_differenced_from_tick_to_tick():
+    observer = Observer(PERIOD, STALE, 0.03)
+    feed(observer, 33, frame(33, cart=0.0))
+    observed = feed(observer, 100, frame(100, cart=0.067))
+    assert observed.values.cart_velocity_m_s == pytest.approx(1.0)
+
+
+def test_every_frame_of_a_tick_is_seen():
+    observer = Observer(PERIOD, STALE, 0.03)
+    feed(observer, 33, frame(16), frame(24, tip=(-0.2, 0.6)), frame(24, tip=(0.3, 0.6)), frame(33))
+    assert [(one.t_ns, one.tip_y_m) for one in observer.seen] == [(16 * MS, 0.0), (24 * MS, -0.2), (33 * MS, 0.0)]
+    feed(observer, 66)
+    assert observer.seen == ()
 
 
 def test_a_tick_without_a_frame_keeps_the_last_velocities_and_ages():
-    observer = Observer(STALE, 0.03)
+    observer = Observer(PERIOD, STALE, 0.03)
     feed(observer, 0, frame(0))
     feed(observer, 33, frame(33, cart=0.033))
     observed = feed(observer, 66)
@@ -66,7 +85,7 @@ def test_a_tick_without_a_frame_keeps_the_last_velocities_and_ages():
 
 
 def test_nothing_is_differenced_across_a_gap():
-    observer = Observer(STALE, 0.03)
+    observer = Observer(PERIOD, STALE, 0.03)
     feed(observer, 0, frame(0))
     observed = feed(observer, 500, frame(500, cart=0.2))
     assert observed.values.cart_velocity_m_s == 0.0
@@ -74,7 +93,7 @@ def test_nothing_is_differenced_across_a_gap():
 
 @pytest.mark.parametrize("bad", [{"tracked": False}, {"tip": (math.nan, 0.5)}, {"cart": math.inf}])
 def test_a_frame_without_cart_or_tip_is_not_used(bad):
-    observer = Observer(STALE, 0.03)
+    observer = Observer(PERIOD, STALE, 0.03)
     feed(observer, 0, frame(0, tip=(-0.1, 0.6)))
     observed = feed(observer, 33, frame(33, **bad))
     assert (observed.values.tip_y_m, observed.values.tip_z_m) == (-0.1, 0.6)
@@ -83,14 +102,14 @@ def test_a_frame_without_cart_or_tip_is_not_used(bad):
 
 
 def test_lost_frames_are_counted_by_the_bridges_own_numbers():
-    observer = Observer(STALE, 0.03)
+    observer = Observer(PERIOD, STALE, 0.03)
     feed(observer, 0, frame(0, sequence=7))
     feed(observer, 33, frame(8, sequence=8), frame(33, sequence=12))
     assert observer.frames_lost == 3
 
 
 def test_silence_starts_the_count_of_frames_for_arming_again():
-    observer = Observer(STALE, 0.03)
+    observer = Observer(PERIOD, STALE, 0.03)
     feed(observer, 33, frame(16), frame(24), frame(33))
     assert observer.frames_in_a_row == 3
     feed(observer, 300)
@@ -99,7 +118,7 @@ def test_silence_starts_the_count_of_frames_for_arming_again():
 
 def test_the_axis_is_compared_with_mocap_at_one_instant():
     """A cart at 1 m/s read 20 ms before the frame is 20 mm further by then: no disagreement."""
-    observer = Observer(STALE, 0.03)
+    observer = Observer(PERIOD, STALE, 0.03)
     now = 40 * MS
     observer.update(
         Inputs(
@@ -114,13 +133,13 @@ def test_the_axis_is_compared_with_mocap_at_one_instant():
 
 
 def test_no_observation_before_every_sensor_has_been_heard():
-    observer = Observer(STALE, 0.03)
+    observer = Observer(PERIOD, STALE, 0.03)
     observer.update(Inputs(t_ns=0, mocap=(frame(0),)))
     assert observer.observe(0, 0.0) is None
 
 
 def test_ticks_of_disagreement_are_counted_in_a_row():
-    observer = Observer(STALE, 0.03)
+    observer = Observer(PERIOD, STALE, 0.03)
     counted = []
     for tick, apart in enumerate((0.05, 0.05, 0.02, 0.05)):
         feed(observer, 40 * tick, frame(40 * tick, cart=apart))
