@@ -1,5 +1,6 @@
 """docs/wires.md against the code: every vector of the page through the encoder and decoder of both ends."""
 
+import itertools
 import json
 import math
 import re
@@ -12,7 +13,7 @@ import pytest
 
 from softarm.drivers.mocap import payload as mocap_payload
 from softarm.drivers.rail import dryve
-from softarm.drivers.rail.cia402 import DriveState
+from softarm.drivers.rail.cia402 import DriveState, decode_state
 from softarm.drivers.rail.driver import DryveRailAxis
 from softarm.drivers.rail.dryve import DryveRefusal, Entry
 from softarm.drivers.regulator import cobs, teensy
@@ -141,6 +142,20 @@ def test_the_driver_says_what_the_page_says_and_believes_its_answers() -> None:
     assert all(line == shown for line, shown in spoken[:4])
 
 
+def test_a_hello_leaves_the_fault_bits_and_a_refusal_takes_the_place_of_the_last() -> None:
+    device, count = TeensyDevice(lambda: 5), itertools.count(1)
+
+    def say(message: teensy.Message) -> None:
+        device.receive(cobs.frame(teensy.encode(message, next(count), 0)), 0, 0.0)
+
+    say(RegulatorCommand(4, 0.1, True, 1.0))
+    assert device.faults == Fault.TOKEN
+    say(Hello())
+    assert device.faults == Fault.TOKEN
+    say(RegulatorCommand(5, 0.1, True, 21.0))
+    assert device.faults == Fault.RANGE
+
+
 @pytest.mark.parametrize(("bit", "name"), [row[:2] for row in table("fault bit", "name", "meaning", "ends with")])
 def test_fault_bits_have_the_pages_numbers(bit: str, name: str) -> None:
     assert Fault[name.upper().replace(" ", "_")] == 1 << int(bit)
@@ -212,6 +227,16 @@ def test_refusals_both_ways(row: Exchange) -> None:
         with pytest.raises(DryveRefusal, match=number(code).to_bytes(4, "big").hex().upper().lstrip("0")):
             dryve.decode_answer(row.answer, row.transaction, row.entry, row.value is not None)
     assert DryveDevice(RAIL).answer(row.request, 0) == row.answer
+
+
+@pytest.mark.parametrize("row", table("word", "in", "leads to", "and"), ids=lambda row: " ".join(row[:3]))
+def test_each_word_leads_where_the_page_says(row: list[str]) -> None:
+    word, before, after = (number(cell.split()[0]) for cell in row[:3])
+    drive = DryveDevice(RAIL)
+    drive.state = decode_state(before)
+    drive.answer(dryve.encode_request(1, dryve.CONTROLWORD, word), 0)
+    assert drive.state is decode_state(after)
+    assert drive.state.value == row[2].split(" ", 1)[1]
 
 
 class Stubborn(DryveDevice):
