@@ -42,22 +42,19 @@ class Controller:
         self._tick = 0
         self._missed_total = 0
         self._sent = SAFE
-        self._pending_events: list[Event] = []  # of this tick, from requests and the policy
 
     def tick(self, inputs: Inputs, runners: Mapping[int, PolicyRunner] | None = None) -> Outputs:
         """Decide. `runners` holds, by request number, the loaded policies of this tick's policy requests."""
         self._tick += 1
         self._missed_total += inputs.missed
-        self._pending_events = []
         self._observer.update(inputs)
         observed = self._observer.observe(inputs.t_ns, self._sent.cart_velocity_m_s)
-        conditions = tuple(self._conditions(inputs))
+        events = tuple(self._events(inputs))
         for request in inputs.requests:
-            self._answer(request, conditions, runners or {})
-        outcome = self._run_policy(inputs.t_ns, observed, conditions)
+            self._answer(request, events, runners or {})
+        outcome = self._run_policy(inputs.t_ns, observed, events)
         if outcome is not None and outcome.fault is not None:
-            self._pending_events.append(Event("policy_fault", outcome.fault))
-        events = (*self._pending_events, *conditions)
+            events = (Event("policy_fault", outcome.fault), *events)
         self._machine.update(events, devices_armed=self._devices_armed(), at_rest=self._at_rest())
         if self._machine.mode is not Mode.ARMED:
             self._goals.fail(self._machine.last_stop or "the arm is not armed")
@@ -83,7 +80,7 @@ class Controller:
             rail_velocity_m_s=inputs.rail.velocity_m_s if inputs.rail else None,
             goal=self._goals.status,
             events=tuple(event.active() for event in events),
-            arming_refusals=self._machine.refusals(conditions),
+            arming_refusals=self._machine.refusals(events),
             last_stop=self._machine.last_stop,
             results=tuple(self._results),
             reset_devices=any(request.kind == "acknowledge" for request in inputs.requests),
@@ -97,8 +94,10 @@ class Controller:
         if not any(event.name in UNSETTLED for event in recorded.events):
             self._observer.frames_in_a_row = max(self._observer.frames_in_a_row, self._config.failsafe.arming_frames)
 
-    def _conditions(self, inputs: Inputs) -> Iterator[Event]:
-        """What holds now, from the devices and from the loop itself."""
+    def _events(self, inputs: Inputs) -> Iterator[Event]:
+        """What holds in this tick, before any request is answered: of the devices, of the loop itself, a stop."""
+        if any(request.kind == "stop" for request in inputs.requests):
+            yield Event("stop_requested")
         engaged = self._machine.mode in (Mode.ARMED, Mode.STOPPING)
         yield from device_events(inputs, self._observer, self._config, engaged)
         if inputs.missed >= self._config.failsafe.missed_ticks_max:
@@ -110,16 +109,16 @@ class Controller:
         if inputs.recorder_dropped:
             yield Event("recorder_dropping", f"{inputs.recorder_dropped} so far")
 
-    def _answer(self, request: Request, conditions: tuple[Event, ...], runners: Mapping[int, PolicyRunner]) -> None:
+    def _answer(self, request: Request, events: tuple[Event, ...], runners: Mapping[int, PolicyRunner]) -> None:
         """Carry out a request and keep its result."""
         reasons: tuple[str, ...] = ()
         match request.kind:
             case "stop":
-                self._pending_events.append(Event("stop_requested"))
+                pass  # an event, so that it comes first wherever it stood among the requests
             case "acknowledge":
-                reasons = self._machine.acknowledge()
+                reasons = self._machine.acknowledge(events)
             case "arm":
-                reasons = self._machine.arm(self._machine.refusals(conditions))
+                reasons = self._machine.arm(events)
             case "disarm":
                 self._machine.disarm("disarmed by request")
             case "goal":
@@ -155,13 +154,11 @@ class Controller:
         self._policy = runner
         return ()
 
-    def _run_policy(
-        self, now_ns: int, observed: Observed | None, conditions: tuple[Event, ...]
-    ) -> PolicyOutcome | None:
+    def _run_policy(self, now_ns: int, observed: Observed | None, events: tuple[Event, ...]) -> PolicyOutcome | None:
         """Ask the policy when the arm is armed, a goal other than hold runs and nothing stops it; None otherwise."""
         if self._machine.mode is not Mode.ARMED or observed is None:
             return None
-        if any(e.rule.response > 0 for e in (*self._pending_events, *conditions)):
+        if any(e.rule.response > 0 for e in events):
             return None
         self._goals.update([(one.tip_y_m, one.tip_z_m) for one in self._observer.seen], now_ns)
         goal = self._goals.running

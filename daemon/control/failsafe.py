@@ -3,7 +3,7 @@
 The page docs/failsafe.md and the API's "why can I not arm" are made from this table.
 """
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
 
@@ -225,7 +225,6 @@ class ModeMachine:
         self._arming_ticks = arming_ticks
         self._braking_ticks = braking_ticks  # after which a soft stop ends even if the cart still creeps
         self._ticks = 0  # in the present mode
-        self._stop_causes: tuple[str, ...] = ()  # texts of the STOP events that hold now
         self.mode = Mode.DISARMED
         self.estop = EStop.CLEAR
         self.last_stop: str | None = None
@@ -234,25 +233,26 @@ class ModeMachine:
         self.mode = mode
         self._ticks = 0
 
+    def _causes(self, events: Iterable[Event]) -> tuple[Event, ...]:
+        """What of a tick's events stops the arm, or keeps it stopped; of one that is off, a person's stop alone."""
+        stops = tuple(event for event in events if event.rule.response is Response.STOP)
+        asked_for = any(event.name == "stop_requested" for event in stops)
+        return stops if asked_for or self.mode is not Mode.DISARMED else ()
+
     def update(self, events: Iterable[Event], *, devices_armed: bool, at_rest: bool) -> None:
         """Answer this tick's events; the severest wins."""
         self._ticks += 1
         events = tuple(events)
-        stops = tuple(e for e in events if e.rule.response is Response.STOP)
-        self._stop_causes = tuple(e.text for e in stops)
-        active = self.mode in (Mode.ARMING, Mode.ARMED, Mode.STOPPING)
-        asked_for = any(e.name == "stop_requested" for e in stops)
-        if stops and (active or asked_for or self.estop is not EStop.CLEAR):
+        causes = self._causes(events)
+        if causes:
             if self.mode is not Mode.STOPPED:
-                self.last_stop = stops[0].text
+                self.last_stop = causes[0].text
                 self._go(Mode.STOPPED)
             self.estop = EStop.ENGAGED
-            return
-        if self.estop is EStop.ENGAGED:
+        elif self.mode is Mode.STOPPED:
             self.estop = EStop.LATCHED
-        if self.mode is Mode.STOPPED:
-            return
-        self._soft(events, devices_armed, at_rest)
+        else:
+            self._soft(events, devices_armed, at_rest)
 
     def _soft(self, events: tuple[Event, ...], devices_armed: bool, at_rest: bool) -> None:
         softs = [e for e in events if e.rule.response is Response.SOFT_STOP]
@@ -266,11 +266,11 @@ class ModeMachine:
         elif self.mode is Mode.STOPPING and (at_rest or self._ticks > self._braking_ticks):
             self._go(Mode.DISARMED)
 
-    def arm(self, refusals: tuple[str, ...]) -> tuple[str, ...]:
-        """Begin to arm; returns why not."""
-        if self.mode in (Mode.ARMED, Mode.ARMING):
+    def arm(self, events: Sequence[Event]) -> tuple[str, ...]:
+        """Begin to arm, under this tick's events; returns why not."""
+        if self.mode in (Mode.ARMED, Mode.ARMING) and not self._causes(events):
             return ()
-        if refusals:
+        if refusals := self.refusals(events):
             return refusals
         self._go(Mode.ARMING)
         return ()
@@ -281,14 +281,17 @@ class ModeMachine:
             self.last_stop = why
             self._go(Mode.STOPPING)
 
-    def acknowledge(self) -> tuple[str, ...]:
-        """Free the latch; returns why not. The caller sends a fault reset to the devices either way."""
-        if self.estop is EStop.ENGAGED:
+    def acknowledge(self, events: Sequence[Event]) -> tuple[str, ...]:
+        """Free the latch if none of this tick's events is a cause of it; returns why not.
+
+        The caller sends a fault reset to the devices either way.
+        """
+        if causes := self._causes(events):
             return (
-                *(f"the cause is still there: {text}" for text in self._stop_causes),
+                *(f"the cause is still there: {cause.text}" for cause in causes),
                 "a fault reset was sent to the devices: acknowledge again once the cause is gone",
             )
-        if self.estop is EStop.LATCHED:
+        if self.estop is not EStop.CLEAR:
             self.estop = EStop.CLEAR
             self._go(Mode.DISARMED)
         return ()

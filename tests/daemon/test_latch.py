@@ -1,0 +1,167 @@
+"""The emergency stop's latch, whatever is asked for and whatever fails in a tick, in any order.
+
+The law: it is freed by an acknowledgement in a tick in which no cause of a stop holds, and by nothing else.
+"""
+
+import dataclasses
+import itertools
+from collections.abc import Sequence
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from softarm.daemon.control.failsafe import TABLE, Response
+from softarm.daemon.control.records import EStop, Inputs, Mode, Outputs, Request
+from softarm.daemon.tick import Controller
+from softarm.policies.base import PolicySpec
+from softarm.policies.runner import InlineRunner
+from softarm.schemas.config import Config, Failsafe
+from softarm.schemas.messages import SAFE, MocapFrame, Pose, PressureReading, RailReading
+
+PERIOD_NS = 33_333_333
+KINDS = ("stop", "acknowledge", "arm", "disarm")
+ORDERS = [order for size in range(len(KINDS) + 1) for order in itertools.permutations(KINDS, size)]
+# What may be wrong in a tick, with nothing wrong among it: a name, and the reading that shows it.
+CAUSES = {
+    "nothing": {},
+    "rail_fault": {"rail": {"faults": ("E12 limit switch",)}},
+    "remote_off": {"rail": {"remote": False}},
+    "regulator_fault": {"pressure": {"faults": ("supply low",)}},
+    "regulator_vented": {"pressure": {"armed": False}},
+    "rail_disabled": {"rail": {"enabled": False}},
+    "mocap_clock": {"mocap": None},
+}
+STARTS = {
+    Mode.DISARMED: (),
+    Mode.ARMING: ("arm",),
+    Mode.ARMED: ("arm", ""),
+    Mode.STOPPING: ("arm", "", "disarm"),
+    Mode.STOPPED: ("stop",),
+}
+
+
+class Still:
+    """A policy that asks for nothing."""
+
+    spec = PolicySpec("still", "for tests")
+
+    def reset(self) -> None:
+        """Nothing to forget."""
+
+    def step(self, observation: object, goal: object) -> np.ndarray:
+        return np.zeros(2, dtype=np.float32)
+
+
+class Rig:
+    """A controller, and devices that take every command at once."""
+
+    def __init__(self, mode: Mode = Mode.DISARMED) -> None:
+        self.controller = Controller(Config(failsafe=Failsafe(arming_frames=1)), InlineRunner(Still()))
+        self.now = self.number = 0
+        self.on = False
+        self.before: Outputs | None = None
+        self.outputs = self.tick()
+        for request in STARTS[mode]:
+            self.tick(*filter(None, [request]))
+        assert self.outputs.mode is mode
+
+    def tick(self, *kinds: str, cause: str = "nothing") -> Outputs:
+        wrong = CAUSES[cause]
+        self.now += PERIOD_NS
+        ahead = 50_000_000 if "mocap" in wrong else 0
+        moving = 0.5 if self.on else 0.0  # a cart that still rolls: a soft stop lasts
+        self.before = getattr(self, "outputs", None)
+        requests = []
+        for kind in kinds:
+            self.number += 1
+            requests.append(
+                Request(
+                    self.number,
+                    kind,
+                )
+            )
+        self.outputs = self.controller.tick(
+            Inputs(
+                t_ns=self.now,
+                mocap=(MocapFrame(self.now, self.now + ahead, self.now, (Pose(0.0, 0.7, 0.0),) * 6),),
+                pressure=dataclasses.replace(PressureReading(self.now, 0.0, self.on), **wrong.get("pressure", {})),
+                rail=dataclasses.replace(RailReading(self.now, 0.0, moving, self.on), **wrong.get("rail", {})),
+                requests=tuple(requests),
+            )
+        )
+        self.on = self.outputs.sent.enable
+        return self.outputs
+
+    def obeys(self, kinds: Sequence[str]) -> None:
+        """The law, over the tick that was just made."""
+        was = self.before is not None and self.before.estop is not EStop.CLEAR
+        made = self.outputs
+        causes = [event.name for event in made.events if event.response == "stop"]
+        accepted = dict(zip(kinds, (r.accepted for r in made.results[len(made.results) - len(kinds) :]), strict=True))
+        latched = made.estop is not EStop.CLEAR
+        assert ("stop_requested" in causes) == ("stop" in kinds)
+        assert latched == (made.mode is Mode.STOPPED)
+        assert made.sent == SAFE or not latched
+        if "stop" in kinds:
+            assert latched
+            assert not accepted.get("arm", False)
+        if was:
+            freed = "acknowledge" in kinds and not causes
+            assert latched is not freed
+            assert accepted.get("acknowledge", freed) is freed
+        if latched:
+            assert made.estop is (EStop.ENGAGED if causes else EStop.LATCHED)
+            assert made.last_stop
+            assert made.arming_refusals
+
+
+@pytest.mark.parametrize("cause", CAUSES)
+@pytest.mark.parametrize("mode", STARTS)
+def test_within_a_tick_no_order_of_requests_frees_a_latch_that_has_a_cause(mode: Mode, cause: str) -> None:
+    for order in ORDERS:
+        rig = Rig(mode)
+        rig.tick(*order, cause=cause)
+        rig.obeys(order)
+
+
+ticks = st.lists(st.tuples(st.sampled_from(ORDERS), st.sampled_from(list(CAUSES))), min_size=1, max_size=12)
+
+
+@pytest.mark.slow
+@settings(max_examples=400, deadline=None)
+@given(ticks)
+def test_over_ticks_a_latch_is_freed_by_an_acknowledgement_without_a_cause_and_by_nothing_else(story) -> None:
+    rig = Rig()
+    for kinds, cause in story:
+        rig.tick(*kinds, cause=cause)
+        rig.obeys(kinds)
+
+
+@pytest.mark.parametrize("cause", [c for c in CAUSES if c in TABLE and TABLE[c].response is Response.STOP])
+def test_a_cause_that_comes_back_in_the_tick_of_the_acknowledgement_keeps_the_latch(cause: str) -> None:
+    rig = Rig(Mode.STOPPED)
+    rig.tick()
+    assert rig.outputs.estop is EStop.LATCHED
+    rig.tick("acknowledge", cause=cause)
+    assert rig.outputs.estop is EStop.ENGAGED
+    assert "the cause is still there" in rig.outputs.results[-1].reasons[0]
+
+
+@pytest.mark.parametrize("order", [("stop", "acknowledge"), ("acknowledge", "stop")])
+def test_an_acknowledgement_beside_a_stop_is_refused_and_says_so(order: tuple[str, str]) -> None:
+    rig = Rig(Mode.STOPPED)
+    rig.tick()
+    rig.tick(*order)
+    answers = dict(zip(order, rig.outputs.results[-2:], strict=True))
+    assert answers["stop"].accepted
+    assert "somebody asked for an emergency stop" in answers["acknowledge"].reasons[0]
+
+
+@pytest.mark.parametrize("order", [("stop", "arm"), ("arm", "stop")])
+def test_arming_beside_a_stop_is_refused_and_says_so(order: tuple[str, str]) -> None:
+    rig = Rig()
+    rig.tick(*order)
+    answers = dict(zip(order, rig.outputs.results[-2:], strict=True))
+    assert not answers["arm"].accepted
