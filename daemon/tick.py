@@ -22,7 +22,7 @@ from softarm.schemas.messages import SAFE, Command
 RESULTS_KEPT = 32
 REST_SPEED_M_S = 0.02  # of a cart that counts as braked
 BRAKING_S = 1.0  # a soft stop waits this long for the cart to rest
-UNSETTLED = ("mocap_missing", "mocap_stale", "mocap_clock", "mocap_settling")  # fewer frames than arming takes
+UNSETTLED = ("mocap_missing", "mocap_stale", "mocap_settling")  # fewer frames than arming takes
 
 
 class Controller:

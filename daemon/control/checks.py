@@ -9,7 +9,6 @@ from softarm.daemon.control.records import Inputs
 from softarm.schemas.config import Config
 from softarm.schemas.messages import BODY_NAMES
 
-FUTURE_NS = 5_000_000  # clock noise that a capture stamp may be ahead
 DISAGREEING_TICKS = 5  # a single pair of readings may straddle a reversal
 OUTSIDE_M = 0.02  # past the rail limit before the failsafe takes over from the safety filter
 
@@ -44,10 +43,9 @@ def _mocap(inputs: Inputs, observer: Observer, config: Config) -> Iterator[Event
     )
     if lost:
         yield Event("mocap_body_lost", ", ".join(lost))
+    yield from observer.plausibility.events()
     if age_ns is None:
         yield Event("mocap_missing", f"none since the start{said}")
-    elif age_ns < -FUTURE_NS:
-        yield Event("mocap_clock", f"{-age_ns / 1e6:.0f} ms ahead")
     elif age_ns > config.failsafe.mocap_stale_s * 1e9:
         yield Event("mocap_stale", _old(age_ns * 1e-9, config.failsafe.mocap_stale_s, said))
     elif observer.frames_in_a_row < config.failsafe.arming_frames:

@@ -104,6 +104,42 @@ TABLE: dict[str, Rule] = {
         "motion capture frames are stamped in the future",
         "stamp frames with CLOCK_MONOTONIC of this host; check the bridge's clock sync",
     ),
+    "mocap_two_sources": Rule(
+        Response.SOFT_STOP,
+        True,
+        "motion capture frames are not counted up: two bridges publish at once",
+        "stop one of them, or give it another drivers.mocap.key",
+    ),
+    "mocap_height": Rule(
+        Response.SOFT_STOP,
+        True,
+        "motion capture shows the cart at a wrong height",
+        "calibrate the frame: z is 0 at the floor; check which marker set is called cart",
+    ),
+    "mocap_reach": Rule(
+        Response.SOFT_STOP,
+        True,
+        "motion capture shows the tip where the arm cannot be",
+        "check the frame's scale and axes, and which marker set is called link5",
+    ),
+    "mocap_jump": Rule(
+        Response.SOFT_STOP,
+        True,
+        "motion capture shows jumps that no body makes",
+        "look for swapped marker sets, reflections, or a second bridge",
+    ),
+    "mocap_frozen": Rule(
+        Response.SOFT_STOP,
+        True,
+        "motion capture repeats a pose of something that moves",
+        "restart the bridge: it publishes poses that it no longer sees",
+    ),
+    "mocap_outlier": Rule(
+        Response.WARN,
+        False,
+        "a motion capture frame that cannot be true was left out",
+        "nothing for one by itself; the log has it",
+    ),
     "mocap_settling": Rule(
         Response.WARN,
         True,
