@@ -47,6 +47,8 @@ class Controller:
         """Decide. `runners` holds, by request number, the loaded policies of this tick's policy requests."""
         self._tick += 1
         self._missed_total += inputs.missed
+        if inputs.latched is not None:
+            self._machine.latch(inputs.latched)
         self._observer.update(inputs)
         observed = self._observer.observe(inputs.t_ns, self._sent.cart_velocity_m_s)
         events = tuple(self._events(inputs))
@@ -106,6 +108,8 @@ class Controller:
             yield Event("tick_late", f"{inputs.missed} skipped, {inputs.late_ns / 1e6:.0f} ms late")
         if inputs.recorder_problem is not None and not self._config.recorder.arm_without_log:
             yield Event("not_recorded", inputs.recorder_problem)
+        if inputs.latch_problem is not None:
+            yield Event("stop_not_kept", inputs.latch_problem)
         if inputs.recorder_dropped:
             yield Event("recorder_dropping", f"{inputs.recorder_dropped} so far")
 

@@ -222,6 +222,12 @@ TABLE: dict[str, Rule] = {
         "no log is being written",
         "mend that and recording goes on by itself, or set recorder.arm_without_log: true",
     ),
+    "stop_not_kept": Rule(
+        Response.WARN,
+        True,
+        "an emergency stop would not outlive a restart of the daemon",
+        "mend that; the file is tried again every second",
+    ),
     "recorder_dropping": Rule(
         Response.WARN,
         False,
@@ -332,6 +338,11 @@ class ModeMachine:
             self._go(Mode.DISARMED)
         return ()
 
+    def latch(self, why: str) -> None:
+        """Stand as the daemon before this one ended: stopped, until that is acknowledged."""
+        self._go(Mode.STOPPED)
+        self.estop, self.last_stop = EStop.LATCHED, why
+
     def resume(self, mode: Mode, estop: EStop, last_stop: str | None) -> None:
         """Stand where a recorded tick left off."""
         if mode is not self.mode:
@@ -346,6 +357,24 @@ class ModeMachine:
         if self.mode is Mode.STOPPING:
             reasons.append("the arm is still stopping: try again in a moment")
         return tuple(reasons)
+
+
+LATCH = """\
+## The latch outlives the daemon
+
+What stopped the robot is kept in a file. A daemon that is started again, after a crash, a kill or a restart of the
+service, begins `stopped` and latched, with the old reason, until `POST /api/acknowledge`. A file that cannot be read
+counts as a stop.
+
+The file, `stop-HOST-PORT.json`, is named after the axis (`drivers.rail`): it is the robot's, whichever configuration
+is run. It lies in the service's `/var/lib/softarm`, otherwise in `recorder.directory`; `softarm check` names it. A
+robot that is simulated in the daemon's own process begins anew with it, and keeps none.
+
+It is written by a thread of its own once the tick that stopped has ended: a few milliseconds after the stop is
+answered it outlives a kill, and once the disk has it, a power cut. It is there before anything can stop and is
+overwritten in place, which a full disk cannot refuse. While writing fails, or takes longer than 1 s, arming is refused
+(`stop_not_kept`). A daemon that ends with nothing stopped removes it.
+"""
 
 
 def page() -> str:
@@ -370,6 +399,7 @@ def page() -> str:
             if rule.response is response
         ]
         lines.append("")
+    lines.append(LATCH)
     return "\n".join(lines)
 
 

@@ -72,6 +72,8 @@ class Inputs:
     problems: Problems = Problems()
     recorder_dropped: int = 0  # messages the recorder could not take, since start
     recorder_problem: str | None = None  # why no log is being written; None: one is, or none is asked for
+    latched: str | None = None  # in a daemon's first tick: what had stopped the robot when the one before it ended
+    latch_problem: str | None = None  # why a stop would not outlive this daemon
 
 
 @dataclass(frozen=True, slots=True)
