@@ -59,7 +59,7 @@ class Rig:
 
     def __init__(self, mode: Mode = Mode.DISARMED, **first: str) -> None:
         self.controller = Controller(Config(failsafe=Failsafe(arming_frames=1)), InlineRunner(Still()))
-        self.now = self.number = 0
+        self.now = self.number = self.ticks = 0
         self.on = False
         self.before: Outputs | None = None
         self.outputs = self.tick(**first)
@@ -70,6 +70,7 @@ class Rig:
     def tick(self, *kinds: str, cause: str = "nothing", **first: str) -> Outputs:
         wrong = CAUSES[cause]
         self.now += PERIOD_NS
+        self.ticks += 1
         ahead = 50_000_000 if "mocap" in wrong else 0
         moving = 0.5 if self.on else 0.0  # a cart that still rolls: a soft stop lasts
         self.before = getattr(self, "outputs", None)
@@ -85,7 +86,7 @@ class Rig:
         self.outputs = self.controller.tick(
             Inputs(
                 t_ns=self.now,
-                mocap=(MocapFrame(self.now, self.now + ahead, self.now, (Pose(0.0, 0.7, 0.0),) * 6),),
+                mocap=(MocapFrame(self.ticks, self.now - 8_000_000 + ahead, self.now, self.bodies()),),
                 pressure=dataclasses.replace(PressureReading(self.now, 0.0, self.on), **wrong.get("pressure", {})),
                 rail=dataclasses.replace(RailReading(self.now, 0.0, moving, self.on), **wrong.get("rail", {})),
                 requests=tuple(requests),
@@ -94,6 +95,11 @@ class Rig:
         )
         self.on = self.outputs.sent.enable
         return self.outputs
+
+    def bodies(self) -> tuple[Pose, ...]:
+        """An arm that hangs, as cameras with a little noise see it."""
+        tip = Pose(1e-5 * (self.ticks % 2), 0.52, 0.0)
+        return (Pose(0.0, 0.965, 0.0), *[Pose(0.0, 0.7, 0.0)] * 4, tip)
 
     def obeys(self, kinds: Sequence[str]) -> None:
         """The law, over the tick that was just made."""
