@@ -35,7 +35,8 @@ class Controller:
         self._observer = Observer(
             round(1e9 / rate), round(config.failsafe.mocap_stale_s * 1e9), config.failsafe.rail_mocap_disagreement_m
         )
-        self._safety = SafetyFilter(config.limits, 1 / rate, config.drivers.rail.acceleration_m_s2)
+        drive = config.drivers.rail
+        self._safety = SafetyFilter(config.limits, 1 / rate, drive.acceleration_m_s2, drive.hold_s)
         self._machine = ModeMachine(round(config.failsafe.arming_timeout_s * rate), round(BRAKING_S * rate))
         self._goals = GoalTracker(config.goals)
         self._results: deque[RequestResult] = deque(maxlen=RESULTS_KEPT)
@@ -61,7 +62,7 @@ class Controller:
         if self._machine.mode is not Mode.ARMED:
             self._goals.fail(self._machine.last_stop or "the arm is not armed")
         wanted = self._wanted(outcome)
-        sent, clamps = self._safety.apply(wanted, self._observer.cart(inputs.t_ns))
+        sent, clamps = self._safety.apply(wanted, inputs.rail, inputs.t_ns)
         self._sent = sent
         return Outputs(
             t_ns=inputs.t_ns,
@@ -91,6 +92,7 @@ class Controller:
     def resume(self, recorded: Outputs) -> None:
         """Stand where a recorded tick left off: for the replay of a log with gaps. Not what the policy remembers."""
         self._tick, self._missed_total, self._sent = recorded.tick, recorded.missed_total, recorded.sent
+        self._safety.resume(recorded.sent)
         self._machine.resume(recorded.mode, recorded.estop, recorded.last_stop)
         self._goals.status = recorded.goal
         if not any(event.name in UNSETTLED for event in recorded.events):

@@ -74,13 +74,14 @@ def effective_limits(loaded: Loaded) -> list[LimitRow]:
 def _derived(config: Config) -> Iterator[LimitRow]:
     rail, pressure, period_s = config.limits.rail, config.limits.pressure, 1 / config.control.rate_hz
     speed = rail.velocity_max_m_s
-    stopping_m = speed * (rail.latency_s + period_s) + speed**2 / (2 * rail.braking_m_s2)
+    hold_s = config.drivers.rail.hold_s
+    stopping_m = speed * (rail.latency_s + hold_s) + speed**2 / (2 * rail.braking_m_s2)
 
     def row(key: str, value: float, unit: str, how: str) -> LimitRow:
         return LimitRow(key, f"{value:.4g}", unit, how, "derived")
 
     yield row("tick", period_s * 1e3, "ms", "1 / control.rate_hz")
-    yield row("stopping distance at full speed", stopping_m, "m", "v (latency + tick) + v^2 / (2 braking)")
+    yield row("stopping distance at full speed", stopping_m, "m", "v (latency + hold) + v^2 / (2 braking)")
     yield row(
         "full speed towards +y up to",
         rail.position_max_m - rail.margin_m - stopping_m,

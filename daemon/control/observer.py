@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 
 from softarm.daemon.control.plausibility import CART, TIP, Plausibility, is_usable
 from softarm.daemon.control.records import Inputs, Observed
-from softarm.daemon.control.safety import CartState
 from softarm.schemas.messages import MocapFrame, PressureReading, RailReading
 from softarm.schemas.policy import Observation
 
@@ -95,13 +94,6 @@ class Observer:
     def mocap_age_ns(self, now_ns: int) -> int | None:
         """Age of the newest good frame's capture; None before the first."""
         return now_ns - self._recent[-1].t_ns if self._recent else None
-
-    def cart(self, now_ns: int) -> CartState | None:
-        """The axis's own read-back, carried forward to now; None when there is none."""
-        if self.rail is None:
-            return None
-        age_s = max(0, now_ns - self.rail.t_receive_ns) * 1e-9
-        return CartState(self.rail.position_m + self.rail.velocity_m_s * age_s, self.rail.velocity_m_s)
 
     def rail_against_mocap_m(self) -> float | None:
         """Distance between the cart as the axis reads it and as mocap sees it, brought to one instant."""

@@ -136,7 +136,6 @@ def test_the_axis_is_compared_with_mocap_at_one_instant():
         )
     )
     assert observer.rail_against_mocap_m() == pytest.approx(0.0, abs=1e-12)
-    assert observer.cart(now).position_m == pytest.approx(0.13)
 
 
 def test_no_observation_before_every_sensor_has_been_heard():
