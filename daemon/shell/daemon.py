@@ -38,7 +38,7 @@ def real_devices(config: Config) -> Devices:
     return Devices(
         ZenohMocapSource(config.drivers.mocap),
         TeensyRegulator(config.drivers.regulator),
-        DryveRailAxis(config.drivers.rail),
+        DryveRailAxis(config.drivers.rail, config.control.realtime_priority),
     )
 
 
