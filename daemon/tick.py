@@ -81,6 +81,8 @@ class Controller:
             observed=observed,
             rail_position_m=inputs.rail.position_m if inputs.rail else None,
             rail_velocity_m_s=inputs.rail.velocity_m_s if inputs.rail else None,
+            rail_cycle_p50_ms=inputs.rail.cycle_p50_ns / 1e6 or None if inputs.rail else None,
+            rail_cycle_max_ms=inputs.rail.cycle_max_ns / 1e6 or None if inputs.rail else None,
             goal=self._goals.status,
             events=tuple(event.active() for event in events),
             arming_refusals=self._machine.refusals(events),

@@ -182,6 +182,24 @@ TABLE: dict[str, Rule] = {
         "the axis reading is too old",
         "check the network to the drive",
     ),
+    "rail_link_lost": Rule(
+        Response.SOFT_STOP,
+        True,
+        "the process that leads the drive ended or hung; a new one stops the drive first",
+        "look at the service's log for why, then arm again",
+    ),
+    "rail_too_slow": Rule(
+        Response.SOFT_STOP,
+        True,
+        "the drive answers so slowly that set-points reach it later than the safety filter counts on",
+        "look for what slows the network or the drive, or measure limits.rail.latency_s anew",
+    ),
+    "rail_slow": Rule(
+        Response.WARN,
+        False,
+        "a cycle of questions and answers with the drive took longer than a tick",
+        "look for what else uses its network; limits.rail.latency_s has to cover this",
+    ),
     "rail_disabled": Rule(
         Response.SOFT_STOP,
         False,

@@ -116,6 +116,8 @@ class Outputs:
     observed: Observed | None = None
     rail_position_m: float | None = None  # the axis's own read-back
     rail_velocity_m_s: float | None = None
+    rail_cycle_p50_ms: float | None = None  # what the questions and answers of a tick take, over the last second
+    rail_cycle_max_ms: float | None = None
     goal: GoalStatus = field(default_factory=GoalStatus)
     events: tuple[ActiveEvent, ...] = ()
     arming_refusals: tuple[str, ...] = ()  # why arming would be refused now; empty: it would not

@@ -273,9 +273,7 @@ def test_the_twins_drive_answers_as_the_page_says() -> None:
             assert drive.answer(row.request, 0).hex() == row.answer.hex(), row.says
 
 
-def test_the_driver_says_what_the_page_says_and_nothing_else(
-    run: Any, until: Any, running: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_driver_says_what_the_page_says_and_nothing_else(run: Any, until: Any, running: Any) -> None:
 
     async def play() -> Stubborn:
         drive, faults = Stubborn(), Faults(lambda: 0)
