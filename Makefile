@@ -4,7 +4,7 @@ PYTHON ?= python3
 BIN := .venv/bin
 SHELL := /bin/sh
 
-.PHONY: install demo test quick lint types imports unit unit-quick coverage clean
+.PHONY: install demo test quick lint types imports unit unit-quick coverage prove clean
 
 install: .venv/.installed
 
@@ -54,6 +54,10 @@ coverage: .venv/.installed-dev
 	@for room in $$(cd softarm && ls -d */ | grep -v benchmarks); do \
 	    echo "$$room $$($(BIN)/coverage report --format=total --include="softarm/$$room*") %"; \
 	done; echo "the house $$($(BIN)/coverage report --format=total) %"
+
+# What is shown by trying for long, part by part: docs/proof.md. A small part of each is among the tests.
+prove: .venv/.installed-dev
+	$(BIN)/python -m softarm.benchmarks.prove.mutants
 
 clean:
 	rm -rf .venv build *.egg-info .coverage

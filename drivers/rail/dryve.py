@@ -1,10 +1,11 @@
 """The telegrams of the igus dryve D1: CANopen objects in Modbus TCP, function 0x2B, MEI type 0x0D.
 
 Source: dryve D1 Operating Manual V2.4, pages 103 to 110; the byte lists of igus' sample programs. Header and
-object index are big-endian, data little-endian. Imports next to nothing: the rail's process starts with it.
+object index are big-endian, data little-endian. One request is outstanding at a time.
 """
 
-from typing import NamedTuple
+import asyncio
+from dataclasses import dataclass
 
 FUNCTION, MEI_TYPE = 0x2B, 0x0D
 EXCEPTION = FUNCTION | 0x80
@@ -66,11 +67,12 @@ ERROR_CODES = {
 }
 
 
-class Entry(NamedTuple):
+@dataclass(frozen=True, slots=True)
+class Entry:
     """One entry of the drive's object dictionary that we use; `size` in bytes."""
 
     name: str
-    index: int  # type: ignore[assignment]
+    index: int
     sub: int
     size: int
     signed: bool = False
@@ -101,13 +103,14 @@ class DryveMismatch(Exception):
     """An answer that does not fit the request."""
 
 
-class ModbusRequest(NamedTuple):
+@dataclass(frozen=True, slots=True)
+class ModbusRequest:
     """What is asked: a read of `count` bytes, or a write of `data` (then `count` is its length)."""
 
     transaction: int
-    index: int  # type: ignore[assignment]
+    index: int
     sub: int
-    count: int  # type: ignore[assignment]
+    count: int
     data: bytes | None = None
 
 
@@ -172,20 +175,27 @@ def encode_abort(transaction: int, abort: int) -> bytes:
 
 
 class Telegrams:
-    """Whole telegrams from a stream, framed on the length in their header, however TCP has cut them."""
+    """Whole telegrams from a stream, framed on the length in their header, however TCP has cut them.
 
-    def __init__(self) -> None:
+    A wait that is given up loses no byte.
+    """
+
+    def __init__(self, reader: asyncio.StreamReader) -> None:
+        self._reader = reader
         self._pending = b""
 
-    def feed(self, data: bytes) -> None:
-        """What came."""
-        self._pending += data
-
-    def next(self) -> bytes | None:
-        """The next one; None while it is not whole.
-
-        Raises ValueError on a header that no telegram has, and throws away what came with it.
+    async def next(self) -> bytes:
+        """The next one. Raises EOFError when the other side closes; ValueError on a header that no telegram has,
+        and throws away what came with it.
         """
+        while (telegram := self._cut()) is None:
+            data = await self._reader.read(4096)
+            if not data:
+                raise EOFError("the other side closed the connection")
+            self._pending += data
+        return telegram
+
+    def _cut(self) -> bytes | None:
         if len(self._pending) < _MBAP_BYTES:
             return None
         head, length = self._pending[:_MBAP_BYTES], int.from_bytes(self._pending[4:_MBAP_BYTES], "big")

@@ -161,6 +161,12 @@ def test_fault_bits_have_the_pages_numbers(bit: str, name: str) -> None:
     assert Fault[name.upper().replace(" ", "_")] == 1 << int(bit)
 
 
+def test_bounds_of_the_line_and_of_the_device_are_the_pages() -> None:
+    assert f"more than {cobs.FRAME_MAX_BYTES} bytes without a zero" in PAGE
+    assert f"outside 1 to {round(teensy.TIME_TO_LIVE_MAX_S * 1000)} ms" in PAGE
+    assert f"set-point {teensy.VENT_KPA:.0f} kPa gauge" in PAGE
+
+
 # The rail
 
 ENTRIES = {(entry.index, entry.sub): entry for entry in vars(dryve).values() if isinstance(entry, Entry)}
@@ -273,14 +279,17 @@ def test_the_twins_drive_answers_as_the_page_says() -> None:
             assert drive.answer(row.request, 0).hex() == row.answer.hex(), row.says
 
 
-def test_the_driver_says_what_the_page_says_and_nothing_else(run: Any, until: Any, running: Any) -> None:
+def test_the_driver_says_what_the_page_says_and_nothing_else(
+    clock: Any, run: Any, until: Any, running: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("softarm.drivers.rail.driver.POLL_S", 0.005)
 
     async def play() -> Stubborn:
-        drive, faults = Stubborn(), Faults(lambda: 0)
+        drive, faults = Stubborn(), Faults(clock)
         server = DryveServer("127.0.0.1", 0, drive, faults, lambda: 0)
         drive.sense(0.0, 0.0)
         await server.open()
-        axis = DryveRailAxis(RAIL.model_copy(update={"port": server.port, "timeout_s": 1.0}))
+        axis = DryveRailAxis(RAIL.model_copy(update={"port": server.port, "timeout_s": 1.0}), clock)
 
         async def fly(condition: Any, enable: bool = False, velocity_m_s: float = 0.0) -> None:
             await until(condition, lambda: axis.write(enable, velocity_m_s) or server.step())
@@ -310,6 +319,10 @@ def test_the_driver_says_what_the_page_says_and_nothing_else(run: Any, until: An
 
 
 # Motion capture
+
+
+def test_the_longest_sample_is_the_pages() -> None:
+    assert f"whole sample has at most {mocap_payload.MAX_BYTES:,} bytes" in PAGE
 
 
 def test_the_mocap_payload() -> None:

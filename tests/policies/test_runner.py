@@ -81,6 +81,7 @@ def boom(observation, goal):
         (lambda o, g: np.array([True, False]), "step returned an array of bool instead of float32"),
         (lambda o, g: np.array([np.nan, 0]), "step returned [nan, 0.0], which is not finite"),
         (lambda o, g: np.array([0, -np.inf]), "step returned [0.0, -inf], which is not finite"),
+        (lambda o, g: np.array([-np.inf, 0]), "step returned [-inf, 0.0], which is not finite"),
         (lambda o, g: np.array([0, 1e300]), "step returned [0.0, inf], which is not finite"),
     ],
 )
@@ -135,6 +136,28 @@ def test_reset_comes_before_the_first_step_and_once_for_each_time_it_was_asked_f
     assert calls == ["reset", "step", "step", "reset", "step"]
 
 
+def test_a_reset_that_is_asked_for_before_the_first_step_is_the_one_that_was_due(run):
+    calls = []
+    runner = run(lambda o, g: calls.append("step") or o[:2], lambda: calls.append("reset"))
+    runner.reset()
+    runner.step(OBSERVATION, GOAL)
+    assert calls == ["reset", "step"]
+
+
+def interrupted(observation, goal):
+    raise KeyboardInterrupt
+
+
+def test_ctrl_c_ends_a_lockstep_run_and_no_policys_thread():
+    with pytest.raises(KeyboardInterrupt):
+        InlineRunner(Scripted(interrupted)).step(OBSERVATION, GOAL)
+    steps = iter([interrupted, lambda o, g: o[:2]])
+    runner = ThreadRunner(Scripted(lambda o, g: next(steps)(o, g)), PATIENT_S)
+    assert runner.step(OBSERVATION, GOAL).fault == "policy 'scripted': step raised KeyboardInterrupt"
+    assert runner.step(OBSERVATION, GOAL).fault is None
+    runner.close()
+
+
 def test_a_reset_that_fails_is_a_fault_and_is_tried_again_before_any_step(run):
     resets = iter([RuntimeError("not yet"), None])
 
@@ -186,6 +209,8 @@ def test_a_late_policy_is_not_waited_for_and_its_stale_action_is_thrown_away():
     policy.let_go.release(100)
     outcome = until(lambda: (o := runner.step(OBSERVATION + 5, GOAL)).fault is None and o)
     assert outcome.action[0] == 5  # of the new observation: the late answer, for 0, is gone
+    for _ in range(3):
+        assert runner.step(OBSERVATION, GOAL).fault is None  # and the policy is not held to be late any more
     runner.close()
 
 
@@ -211,7 +236,7 @@ def test_a_policy_stuck_for_ever_is_left_behind_and_holds_nothing_up():
     assert time.monotonic() - start < 1
     stuck = [thread for thread in threading.enumerate() if thread.name == "policy slow"]
     assert all(thread.daemon for thread in stuck)  # the process ends without them
-    assert "is closed" in runner.step(OBSERVATION, GOAL).fault
+    assert runner.step(OBSERVATION, GOAL) == (None, "policy 'slow': its runner is closed", 0)
     policy.let_go.release()
     for thread in stuck:
         thread.join()  # once unstuck it ends by itself
@@ -256,8 +281,25 @@ def test_inline_and_threaded_give_the_same_actions():
 
 
 def test_the_clock_is_injected():
-    ticks = iter(range(0, 1000, 7))
-    assert InlineRunner(Scripted(), clock=lambda: next(ticks)).step(OBSERVATION, GOAL).duration_ns == 7
+    for make in (InlineRunner, lambda policy, clock: ThreadRunner(policy, PATIENT_S, clock)):
+        ticks = iter(range(100, 1000, 7))
+        runner = make(Scripted(), clock=lambda ticks=ticks: next(ticks))
+        assert runner.step(OBSERVATION, GOAL).duration_ns == 7
+        runner.close()
+
+
+def test_a_late_step_is_told_by_how_long_it_has_run():
+    policy, now_ns = Slow(), [5_000_000_000]
+    runner = ThreadRunner(policy, budget_s=0.02, clock=lambda: now_ns[0])
+
+    def late_at(ns):
+        now_ns[0] = ns
+        return runner.step(OBSERVATION, GOAL).fault
+
+    assert late_at(5_000_000_000) == "late: policy 'slow' has not answered for 0 ms; its budget is 20 ms"
+    assert late_at(5_066_000_000) == "late: policy 'slow' has not answered for 66 ms; its budget is 20 ms"
+    policy.let_go.release(100)
+    runner.close()
 
 
 def test_handing_over_costs_little():

@@ -30,6 +30,15 @@ def test_a_tip_that_passes_by_between_two_ticks_has_reached():
     assert goals.status.closest_m == pytest.approx(0.01)
 
 
+def test_a_goal_that_is_reached_as_time_runs_out_is_reached_and_the_rest_of_the_tick_is_past_it():
+    goals = GoalTracker(Goals(time_limit_s=2.0))
+    goals.take_up(Goal("reach", -0.2, 0.6))
+    goals.update([(0.0, 0.52)], 0)
+    goals.update([(-0.18, 0.6), (-0.2, 0.6)], 2 * SECOND)
+    assert (goals.status.state, goals.status.reason) == ("reached", None)
+    assert goals.status.closest_m == pytest.approx(0.02)
+
+
 def test_where_the_tip_was_before_the_goal_does_not_count():
     goals = GoalTracker(Goals())
     goals.take_up(Goal("reach", -0.2, 0.6))
@@ -75,6 +84,77 @@ def test_a_hold_has_no_end_of_its_own():
     assert goals.running == goals.status.goal
     assert goals.status.closest_m is None
     assert math.isnan(goals.running.y_m)
+
+
+TICK = SECOND // 30
+
+
+def flown(goals, ticks, tip=(0.0, 0.5), start=0):
+    """The states after each of so many ticks at 30 Hz, stamped in whole nanoseconds."""
+    states = []
+    for tick in range(ticks):
+        goals.update([tip], start + tick * TICK)
+        states.append(goals.status.state)
+    return states
+
+
+def test_a_run_is_over_with_the_policys_episode_to_the_tick():
+    goals = GoalTracker(Goals())
+    goals.take_up(Goal("run"), run_s=10 / 30)
+    assert flown(goals, 11) == ["running"] * 10 + ["reached"]
+    assert goals.status.reason is None
+    assert goals.status.closest_m is None
+
+
+def test_a_run_of_a_policy_without_an_episode_goes_on():
+    goals = GoalTracker(Goals())
+    goals.take_up(Goal("run"))
+    assert set(flown(goals, 300)) == {"running"}
+
+
+def test_time_is_up_to_the_tick():
+    goals = GoalTracker(Goals(time_limit_s=10 / 30))
+    goals.take_up(Goal("reach", 0.0, 0.6))
+    assert flown(goals, 11) == ["running"] * 10 + ["failed"]
+
+
+@pytest.mark.parametrize("goal", [Goal("reach", 0.0, 0.6), Goal("hold")])
+def test_the_end_of_the_policys_episode_reaches_no_target_and_ends_no_hold(goal):
+    goals = GoalTracker(Goals(time_limit_s=100))
+    goals.take_up(goal, run_s=10 / 30)
+    assert set(flown(goals, 100)) == {"running"}
+
+
+def test_every_goal_has_a_time_and_an_episode_of_its_own():
+    goals = GoalTracker(Goals())
+    goals.take_up(Goal("run"), run_s=10 / 30)
+    flown(goals, 5)
+    goals.take_up(Goal("run"), run_s=10 / 30)
+    assert flown(goals, 11, start=5 * TICK) == ["running"] * 10 + ["reached"]
+    goals.take_up(Goal("run"))
+    assert set(flown(goals, 300, start=99 * TICK)) == {"running"}
+
+
+def test_without_a_goal_nothing_is_looked_at():
+    goals = GoalTracker(Goals())
+    before = goals.status
+    goals.update([(0.0, 0.5)], SECOND)
+    goals.fail("nothing to fail")
+    goals.cancel("nothing to cancel")
+    assert goals.status == before
+
+
+@pytest.mark.parametrize(("end", "state"), [("fail", "failed"), ("cancel", "cancelled")])
+def test_a_goal_that_is_ended_says_how_and_why_and_keeps_its_time(end, state):
+    goals = GoalTracker(Goals())
+    goals.take_up(Goal("reach", 0.0, 0.6))
+    flown(goals, 4)
+    getattr(goals, end)("because")
+    assert (goals.status.state, goals.status.reason) == (state, "because")
+    assert goals.running is None
+    goals.update([(0.0, 0.6)], SECOND)
+    assert goals.status.state == state
+    assert goals.status.time_s == pytest.approx(0.1)
 
 
 def test_failing_and_cancelling_leave_an_ended_goal_alone():

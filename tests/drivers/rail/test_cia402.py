@@ -29,9 +29,60 @@ def test_statuswords(statusword: int, state: DriveState) -> None:
     assert decode_state(statusword) is state
 
 
-def test_remote_is_bit_9() -> None:
+# The standard's own table: low byte of the statusword, x for bits that say nothing of the state.
+STANDARD = {
+    "x0xx0000": DriveState.NOT_READY,
+    "x1xx0000": DriveState.SWITCH_ON_DISABLED,
+    "x01x0001": DriveState.READY,
+    "x01x0011": DriveState.SWITCHED_ON,
+    "x01x0111": DriveState.OPERATION_ENABLED,
+    "x00x0111": DriveState.QUICK_STOP,
+    "x0xx1111": DriveState.FAULT_REACTION,
+    "x0xx1000": DriveState.FAULT,
+}
+
+
+def fits(low_byte: int, pattern: str) -> bool:
+    return all(bit in ("x", shown) for bit, shown in zip(pattern, f"{low_byte:08b}", strict=True))
+
+
+@pytest.mark.parametrize("low_byte", range(256))
+def test_every_low_byte_is_the_state_of_the_standards_table_or_none(low_byte: int) -> None:
+    states = [state for pattern, state in STANDARD.items() if fits(low_byte, pattern)]
+    assert [decode_state(low_byte)] == (states or [DriveState.INVALID])
+
+
+def bits(word: int) -> set[int]:
+    return {bit for bit in range(16) if word >> bit & 1}
+
+
+def test_bits_of_the_statusword_stand_where_the_manual_has_them() -> None:
+    assert [bits(flag) for flag in (StatusWord.REMOTE, StatusWord.TARGET_REACHED, StatusWord.AT_REST)] == [
+        {9},
+        {10},
+        {12},
+    ]
     assert 0x0640 & StatusWord.REMOTE
     assert not 0x0440 & StatusWord.REMOTE
+
+
+def test_control_words_say_what_the_standards_bits_say() -> None:
+    switch_on, voltage, no_quick_stop, operate, reset, halt = 0, 1, 2, 3, 7, 8
+    assert bits(ControlWord.SHUTDOWN) == {voltage, no_quick_stop}
+    assert bits(ControlWord.SWITCH_ON) == {voltage, no_quick_stop, switch_on}
+    assert bits(ControlWord.ENABLE_OPERATION) == {voltage, no_quick_stop, switch_on, operate}
+    assert bits(ControlWord.ENABLE_AND_HALT) == {voltage, no_quick_stop, switch_on, operate, halt}
+    assert bits(ControlWord.RESET_AND_HALT) == {halt}
+    assert bits(ControlWord.FAULT_RESET) == {reset}
+
+
+def test_states_are_told_by_the_standards_names() -> None:
+    assert [decode_state(word).value for word in (0x0640, 0x0221, 0x0627, 0x0608)] == [
+        "switch-on disabled",
+        "ready to switch on",
+        "operation enabled",
+        "fault",
+    ]
 
 
 def test_the_walk_up_takes_one_word_a_state() -> None:
@@ -50,6 +101,12 @@ def test_the_walk_up_takes_one_word_a_state() -> None:
 def test_operation_ends_only_at_rest() -> None:
     assert next_controlword(DriveState.OPERATION_ENABLED, enable=False, at_rest=False) is None
     assert next_controlword(DriveState.OPERATION_ENABLED, enable=False, at_rest=True) == ControlWord.SHUTDOWN
+
+
+@pytest.mark.parametrize("at_rest", [False, True])
+def test_a_drive_that_is_switched_on_but_holds_no_cart_is_shut_down_at_once(at_rest: bool) -> None:
+    assert next_controlword(DriveState.SWITCHED_ON, enable=False, at_rest=at_rest) == ControlWord.SHUTDOWN
+    assert next_controlword(DriveState.READY, enable=False, at_rest=at_rest) is None
 
 
 @given(st.sampled_from(DriveState), st.booleans(), st.booleans())

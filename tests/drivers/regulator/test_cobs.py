@@ -4,10 +4,10 @@ import random
 
 import pytest
 from cobs import cobs as oracle
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
-from softarm.drivers.regulator.cobs import FRAME_MAX_BYTES, Deframer, crc16, frame, stuff, unstuff
+from softarm.drivers.regulator.cobs import DELIMITER, FRAME_MAX_BYTES, Deframer, crc16, frame, stuff, unstuff
 
 VECTORS = [
     ("", "01"),
@@ -37,6 +37,8 @@ def test_agrees_with_the_cobs_package_and_holds_no_zero(data: bytes) -> None:
 
 
 @given(st.binary(max_size=60))
+@example(b"\x03\x01\x00")  # a zero within a run
+@example(b"\x01\x00\x01")
 def test_refuses_what_the_cobs_package_refuses(block: bytes) -> None:
     try:
         expected = oracle.decode(block) if block else None
@@ -74,8 +76,33 @@ def test_noise_without_a_zero_does_not_pile_up() -> None:
     deframer = Deframer()
     for _ in range(100):
         assert deframer.feed(b"\x55" * FRAME_MAX_BYTES) == []
-    assert deframer.dropped >= 49
+    assert deframer.dropped == 50  # every second time what has piled up is longer than any frame
     assert deframer.feed(b"\0" + frame(b"hello")) == [b"hello"]
+    assert deframer.dropped == 50
+
+
+def test_the_longest_frame_passes_whole_or_in_pieces_and_one_byte_more_does_not() -> None:
+    longest, too_long = frame(bytes(FRAME_MAX_BYTES - 3)), frame(bytes(FRAME_MAX_BYTES - 2))
+    assert len(longest) == FRAME_MAX_BYTES + len(DELIMITER)
+    for cut in (1, FRAME_MAX_BYTES, len(longest)):
+        deframer = Deframer()
+        assert [*deframer.feed(longest[:cut]), *deframer.feed(longest[cut:])] == [bytes(FRAME_MAX_BYTES - 3)]
+        assert deframer.dropped == 0
+    deframer = Deframer()
+    assert deframer.feed(too_long) == []
+    assert deframer.dropped == 1
+
+
+def test_zeros_between_frames_are_no_frames() -> None:
+    deframer = Deframer()
+    assert deframer.feed(b"\0\0" + frame(b"hello") + b"\0" + frame(b"again")) == [b"hello", b"again"]
+    assert deframer.dropped == 0
+
+
+def test_a_frame_around_nothing_is_noise() -> None:
+    deframer = Deframer()
+    assert deframer.feed(frame(b"")) == []  # its CRC is right
+    assert deframer.dropped == 1
 
 
 def test_no_flipped_bit_is_accepted() -> None:

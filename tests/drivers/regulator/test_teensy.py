@@ -39,6 +39,14 @@ def test_the_layout_that_the_firmware_reads() -> None:
     assert body.hex() == "0102" + "07000000" + "01000000" + "d4c3b2a1" + "6400" + "01" + "00004841"
 
 
+@pytest.mark.parametrize(("flags", "armed"), [(0x00, False), (0x01, True), (0xFE, False), (0xFF, True)])
+def test_the_lowest_flag_arms_and_the_others_say_nothing(flags: int, armed: bool) -> None:
+    command = encode(RegulatorCommand(1, 0.1, True, 1.0), 1, 1)
+    assert decode(command[:16] + bytes([flags]) + command[17:])[0] == RegulatorCommand(1, 0.1, armed, 1.0)
+    state = encode(RegulatorState(1, True, Fault(0), 1.0), 1, 1)
+    assert decode(state[:14] + bytes([flags]) + state[15:])[0] == RegulatorState(1, armed, Fault(0), 1.0)
+
+
 @given(st.binary(max_size=40))
 def test_noise_is_a_message_or_a_value_error(body: bytes) -> None:
     with contextlib.suppress(ValueError):
@@ -50,7 +58,7 @@ def test_noise_is_a_message_or_a_value_error(body: bytes) -> None:
     [
         (b"\1\2\3", "3 bytes"),
         (b"\2" + encode(Hello(), 1, 1)[1:], "protocol version 2.*update the older side"),
-        (encode(RegulatorCommand(1, 0.1, True, 1.0), 1, 1)[:-1], "type 0x02 with 10 bytes"),
+        (encode(RegulatorCommand(1, 0.1, True, 1.0), 1, 1)[:-1], "type 0x02 with 10 bytes of payload: .* 11 bytes"),
         (encode(Hello(), 1, 1) + b"x", "type 0x01 with 1 bytes"),
         (b"\1\x77" + bytes(8), "type 0x77"),
         (encode(RegulatorState(1, True, Fault(0), 0.0), 1, 1)[:-4] + struct.pack("<f", math.nan), "pressure of nan"),
@@ -72,7 +80,7 @@ def test_a_fault_bit_that_nobody_here_knows_is_a_fault_with_its_number() -> None
     state, _ = decode(body)
     assert isinstance(state, RegulatorState)
     known, ninth, fifteenth = state.faults.sentences()
-    assert "out of range" in known
+    assert known == "the command was out of range (-0.7 to 20.0 kPa, time to live up to 0.25 s)"
     assert "fault bit 9, which this software does not know" in ninth
     assert "fault bit 15" in fifteenth
     assert len(Fault(0xFFFF).sentences()) == 16
@@ -80,7 +88,15 @@ def test_a_fault_bit_that_nobody_here_knows_is_a_fault_with_its_number() -> None
 
 @pytest.mark.parametrize(
     ("sequence", "than", "newer"),
-    [(1, 0, True), (0, 0, False), (0, 1, False), (0, 2**32 - 1, True), (2**32 - 1, 0, False), (2**31, 0, False)],
+    [
+        (1, 0, True),
+        (0, 0, False),
+        (0, 1, False),
+        (0, 2**32 - 1, True),
+        (2**32 - 1, 0, False),
+        (2**31, 0, False),
+        (2**31 - 1, 0, True),
+    ],
 )
 def test_a_counter_that_wraps_still_advances(sequence: int, than: int, newer: bool) -> None:
     assert is_newer(sequence, than) is newer

@@ -1,0 +1,159 @@
+"""Mutate what keeps people and robots whole, and see which test notices.
+
+    python -m softarm.benchmarks.prove.mutants
+    python -m softarm.benchmarks.prove.mutants --module daemon/control/safety.py
+
+Every mutant is killed by a test, or stands in explained.yaml beside this file with the reason why it may live. The rest
+is printed as that file lists it: write the test that is missing, or say why there is none to write.
+"""
+
+import time
+from collections import Counter
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from random import Random
+from typing import NamedTuple
+
+import click
+from rich.console import Console
+from rich.table import Column, Table
+
+from softarm.benchmarks import results
+from softarm.benchmarks.prove.mutants import explained
+from softarm.benchmarks.prove.mutants.explained import Explanation
+from softarm.benchmarks.prove.mutants.operators import Mutant, mutants
+from softarm.benchmarks.prove.mutants.targets import TARGETS, Target
+from softarm.benchmarks.prove.mutants.trials import FailsUnchanged, Trial, trials
+from softarm.common.processes import bar, cores
+
+
+class Found(NamedTuple):
+    """What came of a module's mutants."""
+
+    target: Target
+    trials: list[Trial]
+    explained: list[Mutant]  # survived, and may
+    unexplained: list[Mutant]
+    needless: list[Mutant]  # explained, and yet killed
+    stale: list[Explanation]
+    seconds: float
+
+    @property
+    def sound(self) -> bool:
+        """Whether nothing is left to do."""
+        return not (self.unexplained or self.stale)
+
+
+def prove(
+    target: Target,
+    explanations: Sequence[Explanation],
+    jobs: int,
+    sample: int | None = None,
+    seed: int = 0,
+    tell: Callable[[Trial], None] = lambda _: None,
+) -> Found:
+    """Try the mutants of a module, or a sample of so many. Raises FailsUnchanged."""
+    start_s = time.monotonic()
+    every = mutants(target.source)
+    stale = explained.stale(explanations, target.module, every)
+    known = {each.key for each in explanations if each.module == target.module}
+    chosen = every if sample is None else Random(seed).sample(every, min(sample, len(every)))
+    done = []
+    for trial in trials(target, chosen, jobs):
+        done.append(trial)
+        tell(trial)
+    alive = [trial.mutant for trial in done if trial.end == "survived"]
+    return Found(
+        target,
+        done,
+        [mutant for mutant in alive if explained.key(mutant) in known],
+        [mutant for mutant in alive if explained.key(mutant) not in known],
+        [trial.mutant for trial in done if trial.end != "survived" and explained.key(trial.mutant) in known],
+        stale,
+        time.monotonic() - start_s,
+    )
+
+
+@click.command()
+@click.option(
+    "--module",
+    "modules",
+    multiple=True,
+    type=click.Choice(list(TARGETS)),
+    metavar="FILE",
+    help="This one alone; again for more.",
+)
+@click.option("--sample", type=click.IntRange(1), help="Try so many mutants of each module, drawn by the seed.")
+@click.option("--seed", default=0, show_default=True, help="Of the sample.")
+@click.option("--jobs", default=cores(), show_default=True, type=click.IntRange(1), help="Mutants tried at once.")
+@click.option("--killers", is_flag=True, help="Print every mutant with the test that killed it.")
+@results.json_option
+def main(
+    modules: tuple[str, ...], sample: int | None, seed: int, jobs: int, killers: bool, json_file: Path | None
+) -> None:
+    """Print a row a module, and every survivor that nothing explains.
+
+    \b
+    Example:
+      python -m softarm.benchmarks.prove.mutants --module daemon/control/goals.py --json mutants.json
+    """
+    explanations = explained.read()
+    targets = [TARGETS[module] for module in modules] or list(TARGETS.values())
+    total = sum(min(sample or 10**9, len(mutants(target.source))) for target in targets)
+    found = []
+    try:
+        with bar("mutants", total) as shown:
+            for target in targets:
+                shown.advance(0, target.module)
+                found.append(prove(target, explanations, jobs, sample, seed, lambda _: shown.advance()))
+    except FailsUnchanged as error:
+        raise click.ClickException(str(error)) from None
+    _print(found, killers)
+    if json_file is not None:
+        results.write(json_file, {"modules": {each.target.module: figures(each) for each in found}})
+    raise SystemExit(not all(each.sound for each in found))
+
+
+def figures(found: Found) -> dict[str, object]:
+    """What is kept of a module."""
+    ends = Counter(trial.end for trial in found.trials)
+    return {
+        "tried": len(found.trials),
+        "killed": ends["killed"],
+        "timed_out": ends["timed out"],
+        "explained": len(found.explained),
+        "unexplained": len(found.unexplained),
+        "seconds": round(found.seconds, 1),
+        "tests": list(found.target.tests),
+    }
+
+
+def _print(found: Sequence[Found], killers: bool) -> None:
+    console = Console()
+    table = Table(Column("module", no_wrap=True), "tried", "killed", "timed out", "explained", "unexplained", "s")
+    for each in found:
+        numbers = figures(each)
+        names = ("tried", "killed", "timed_out", "explained", "unexplained", "seconds")
+        table.add_row(each.target.module, *(str(numbers[name]) for name in names))
+    console.print(table)
+    for each in found:
+        if killers:
+            for trial in each.trials:
+                click.echo(f"{each.target.module}: {trial.mutant}: {trial.end} {trial.by} {trial.seconds:.1f} s")
+        _tell(each)
+
+
+def _tell(found: Found) -> None:
+    module = found.target.module
+    for old in found.stale:
+        click.echo(f"{module}: the list explains what is not there any more, take it out: {old.function}: {old.was}")
+    for mutant in found.needless:
+        click.echo(f"{module}: the list explains what a test kills by now, take it out: {mutant}")
+    if found.unexplained:
+        click.echo(f"\n# No test notices; explained.yaml would say why none needs to:\n{module}:")
+    for mutant in found.unexplained:
+        click.echo(explained.as_entry(mutant))
+
+
+if __name__ == "__main__":
+    main()

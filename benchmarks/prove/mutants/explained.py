@@ -1,0 +1,63 @@
+"""The mutants that no test can or should notice, each with the reason: explained.yaml."""
+
+from collections.abc import Iterable
+from pathlib import Path
+from typing import NamedTuple
+
+from softarm.benchmarks.prove.mutants.operators import Mutant
+from softarm.common import yaml_lines
+
+FILE = Path(__file__).with_name("explained.yaml")
+Key = tuple[str, str, str, int]
+
+
+class Explanation(NamedTuple):
+    """Why one mutant of a module may live."""
+
+    module: str
+    function: str
+    was: str
+    now: str
+    which: int
+    why: str
+
+    @property
+    def key(self) -> Key:
+        """What it has in common with its mutant."""
+        return self.function, self.was, self.now, self.which
+
+
+def read(path: Path = FILE) -> list[Explanation]:
+    """All of a file. Raises yaml_lines.FileError, and ValueError for an entry that is not whole."""
+    modules = yaml_lines.read(path, "it lists the mutants that may live").data or {}
+    return [_entry(module, entry) for module, entries in modules.items() for entry in entries]
+
+
+def _entry(module: str, entry: dict[str, object]) -> Explanation:
+    if not {"in", "was", "now", "why"} <= entry.keys() <= {"in", "was", "now", "which", "why"} or not entry["why"]:
+        raise ValueError(f"{module}: an entry says in, was, now, why (and which, where several read alike): {entry}")
+    which = entry.get("which", 1)
+    assert isinstance(which, int)
+    return Explanation(module, str(entry["in"]), str(entry["was"]), str(entry["now"]), which, str(entry["why"]))
+
+
+def key(mutant: Mutant) -> Key:
+    """What a mutant has in common with its explanation."""
+    return mutant.function, mutant.was, mutant.now, mutant.which
+
+
+def stale(explanations: Iterable[Explanation], module: str, mutants: Iterable[Mutant]) -> list[Explanation]:
+    """Those of a module that speak of code which is not there any more."""
+    there = set(map(key, mutants))
+    return [each for each in explanations if each.module == module and each.key not in there]
+
+
+def as_entry(mutant: Mutant) -> str:
+    """A mutant as the file lists it, for somebody to say why."""
+    lines = [f"in: {mutant.function}", f"was: {_quoted(mutant.was)}", f"now: {_quoted(mutant.now)}"]
+    lines += [f"which: {mutant.which}"] if mutant.which > 1 else []
+    return "  - " + "\n    ".join([*lines, "why:"])
+
+
+def _quoted(text: str) -> str:
+    return "'" + text.replace("'", "''") + "'"

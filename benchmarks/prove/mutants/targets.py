@@ -1,0 +1,40 @@
+"""What is mutated, and the tests that promise how it behaves."""
+
+from pathlib import Path
+from typing import NamedTuple
+
+from softarm.common.revision import ROOT
+
+
+class Target(NamedTuple):
+    """A module, and the tests that have to notice when it changes."""
+
+    module: str  # its file, from the root of the sources
+    tests: tuple[str, ...]
+    root: Path = ROOT
+    package: str = "softarm"  # what its import name begins with; empty: nothing
+
+    @property
+    def name(self) -> str:
+        """What it is imported as."""
+        return ".".join([self.package, *Path(self.module).with_suffix("").parts]).lstrip(".")
+
+    @property
+    def source(self) -> str:
+        """Its text."""
+        return (self.root / self.module).read_text(encoding="utf-8")
+
+
+_CONTROL = "tests/daemon/control"
+_PAGE = "tests/drivers/test_wires_page.py"  # docs/wires.md is the promise of every codec
+TARGETS = {
+    target.module: target
+    for target in (
+        Target("daemon/control/goals.py", (f"{_CONTROL}/test_goals.py",)),
+        Target("policies/runner.py", ("tests/policies/test_runner.py",)),
+        Target("drivers/rail/cia402.py", ("tests/drivers/rail/test_cia402.py", _PAGE)),
+        Target("drivers/regulator/teensy.py", ("tests/drivers/regulator/test_teensy.py", _PAGE)),
+        Target("drivers/regulator/cobs.py", ("tests/drivers/regulator/test_cobs.py", _PAGE)),
+        Target("drivers/mocap/payload.py", ("tests/drivers/mocap/test_payload.py", _PAGE)),
+    )
+}

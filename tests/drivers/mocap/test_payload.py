@@ -1,0 +1,85 @@
+"""One frame of motion capture on the wire: what is packed is unpacked, and nothing else is taken for a frame."""
+
+import json
+import math
+from typing import Any
+
+import pytest
+from hypothesis import example, given
+from hypothesis import strategies as st
+
+from softarm.drivers.mocap.payload import LOST, decode, encode
+from softarm.schemas.messages import BODY_NAMES, Pose
+
+POSES = tuple(Pose(0.1 * i, 0.9 - 0.1 * i, 0.01 * i) for i in range(len(BODY_NAMES)))
+finite = st.floats(-1e6, 1e6)
+poses = st.builds(Pose, finite, finite, finite) | st.just(LOST)
+
+
+def message(**changes: Any) -> bytes:
+    fields = {"sequence": 1, "t_capture_ns": 5, "bodies": {name: [0, 1, 2] for name in BODY_NAMES}}
+    return json.dumps(fields | changes).encode()
+
+
+@given(st.integers(0, 2**63 - 1), st.integers(0, 2**63 - 1), st.tuples(*[poses] * len(BODY_NAMES)))
+@example(2**63 - 1, 2**63 - 1, POSES)
+def test_payload_round_trip(sequence: int, t_capture_ns: int, bodies: tuple[Pose, ...]) -> None:
+    frame = decode(encode(sequence, t_capture_ns, bodies), t_receive_ns=9)
+    assert (frame.sequence, frame.t_capture_ns, frame.t_receive_ns) == (sequence, t_capture_ns, 9)
+    for sent, received in zip(bodies, frame.bodies, strict=True):
+        assert received.tracked == sent.tracked
+        assert received == sent or not sent.tracked
+
+
+def test_a_body_that_is_left_out_is_lost() -> None:
+    frame = decode(message(bodies={"cart": [0, 1, 2]}), 0)
+    assert [body.tracked for body in frame.bodies] == [True, False, False, False, False, False]
+    assert all(math.isnan(v) for v in frame.bodies[5][:3])
+
+
+def test_a_tracked_pose_that_is_not_finite_is_not_published() -> None:
+    with pytest.raises(ValueError):
+        encode(1, 1, (Pose(math.nan, 0, 0), *POSES[1:]))
+
+
+def test_a_frame_that_leaves_a_body_unsaid_is_not_published() -> None:
+    with pytest.raises(ValueError):
+        encode(1, 1, POSES[:-1])
+
+
+@pytest.mark.parametrize(
+    ("payload", "words"),
+    [
+        (b"\xff\x00", "not JSON"),
+        (b"[" * 5000, "not JSON"),
+        (b"[1]", "exactly the fields sequence, t_capture_ns and bodies"),
+        (message(extra=1), "exactly the fields"),
+        (message(sequence=-1), "sequence must be an integer from 0"),
+        (message(sequence=True), "sequence must be an integer"),
+        (message(sequence=2**63), r"sequence must be an integer from 0 to 2\^63 - 1"),
+        (message(t_capture_ns=1.5), "t_capture_ns must be an integer"),
+        (message(bodies={"link9": [0, 0, 0]}), "bodies may be called cart, link1"),
+        (message(bodies=["cart"]), "bodies may be called"),
+        (message(bodies=None), "bodies may be called"),
+        (message(bodies={"cart": 7}), r"cart must be \[y, z, angle\] or null"),
+        (message(bodies={"cart": {"y": 0, "z": 0, "angle": 0}}), r"cart must be \[y, z, angle\] or null"),
+        (message(bodies={"cart": [0, 0]}), r"cart must be \[y, z, angle\] or null"),
+        (message(bodies={"cart": [0, 0, "x"]}), r"cart must be \[y, z, angle\]"),
+        (message(bodies={"cart": [0, math.nan, 0]}), "cart holds a number that is not finite"),
+        (message(bodies={"cart": [0, 10**400, 0]}), "cart holds a number beyond"),
+    ],
+)
+def test_malformed_payloads_say_which_field(payload: bytes, words: str) -> None:
+    with pytest.raises(ValueError, match=words):
+        decode(payload, 0)
+
+
+@given(
+    st.binary(max_size=60)
+    | st.recursive(st.none() | st.floats() | st.text(max_size=5), st.lists).map(
+        lambda value: json.dumps(value).encode()
+    )
+)
+def test_noise_is_a_value_error(payload: bytes) -> None:
+    with pytest.raises(ValueError):
+        decode(payload, 0)
