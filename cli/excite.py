@@ -35,8 +35,9 @@ def excite(
     from softarm.daemon.api.sockets import ApiError
     from softarm.daemon.config import configuration
     from softarm.daemon.logbook.recorder import RecorderError
-    from softarm.daemon.shell.daemon import real_devices
+    from softarm.daemon.shell.daemon import latch_of, real_devices
     from softarm.daemon.shell.play import length_s, play, play_simulated
+    from softarm.daemon.stop.latch import LatchError
     from softarm.policies.base import PolicyError
     from softarm.schemas.config import Config
     from softarm.schemas.excitation import EXCITATIONS
@@ -63,8 +64,16 @@ def excite(
             if simulated:
                 status, log = play_simulated(config, name, model, shown.show)
             else:
-                status, log = play(config, name, real_devices(config), shown.show)
-    except (configuration.ConfigurationError, PolicyError, RecorderError, ApiError, AuthError, RuntimeError) as error:
+                status, log = play(config, name, real_devices(config), shown.show, latch_of(config))
+    except (
+        configuration.ConfigurationError,
+        PolicyError,
+        LatchError,
+        RecorderError,
+        ApiError,
+        AuthError,
+        RuntimeError,
+    ) as error:
         fail(str(error))
     if status.state != "reached":
         fail(f"{name} was not played to its end: {status.state}, {status.reason}; what there is lies in {log}")

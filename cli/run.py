@@ -34,6 +34,7 @@ def run(config_file: Path | None, simulated: bool, model_file: Path | None) -> N
     from softarm.daemon.config import configuration
     from softarm.daemon.logbook.recorder import RecorderError
     from softarm.daemon.shell import daemon
+    from softarm.daemon.stop.latch import LatchError
     from softarm.policies.base import PolicyError
     from softarm.schemas.config import Config
 
@@ -43,9 +44,11 @@ def run(config_file: Path | None, simulated: bool, model_file: Path | None) -> N
     logging.getLogger("uvicorn").setLevel(logging.WARNING)
     try:
         config = configuration.load(config_file) if config_file else Config()
-        devices = daemon.simulated_devices(flown_model(model_file)) if simulated else daemon.real_devices(config)
-        daemon.run(config, devices, announce)
-    except (configuration.ConfigurationError, PolicyError, RecorderError, ApiError, AuthError) as error:
+        if simulated:
+            daemon.run(config, daemon.simulated_devices(flown_model(model_file)), announce)
+        else:
+            daemon.run(config, daemon.real_devices(config), announce, daemon.latch_of(config))
+    except (configuration.ConfigurationError, PolicyError, LatchError, RecorderError, ApiError, AuthError) as error:
         fail(str(error))
 
 
@@ -54,7 +57,9 @@ def announce(running: "Daemon") -> None:
     from softarm.daemon.stop.terminal import is_offered
 
     log = running.recorder.path
-    click.echo(f"softarm: serving {running.url} (API: {running.url}/docs), disarmed")
+    left = None if running.latch is None else running.latch.left
+    state = "disarmed" if left is None else f"stopped, as it was left ({left}): `softarm acknowledge`"
+    click.echo(f"softarm: serving {running.url} (API: {running.url}/docs), {state}")
     click.echo(f"softarm: recording {log}" if log else "softarm: not recording (recorder.enabled is false)")
     key = "; space or s here is an emergency stop" if is_offered() else ""
     click.echo(f"softarm: stop: `softarm stop`, or POST {running.stop_url}{key}")

@@ -22,7 +22,7 @@ from softarm.schemas.messages import SAFE, Command
 RESULTS_KEPT = 32
 REST_SPEED_M_S = 0.02  # of a cart that counts as braked
 BRAKING_S = 1.0  # a soft stop waits this long for the cart to rest
-UNSETTLED = ("mocap_missing", "mocap_stale", "mocap_clock", "mocap_settling")  # fewer frames than arming takes
+UNSETTLED = ("mocap_missing", "mocap_stale", "mocap_settling")  # fewer frames than arming takes
 
 
 class Controller:
@@ -35,7 +35,8 @@ class Controller:
         self._observer = Observer(
             round(1e9 / rate), round(config.failsafe.mocap_stale_s * 1e9), config.failsafe.rail_mocap_disagreement_m
         )
-        self._safety = SafetyFilter(config.limits, 1 / rate, config.drivers.rail.acceleration_m_s2)
+        drive = config.drivers.rail
+        self._safety = SafetyFilter(config.limits, 1 / rate, drive.acceleration_m_s2, drive.hold_s)
         self._machine = ModeMachine(round(config.failsafe.arming_timeout_s * rate), round(BRAKING_S * rate))
         self._goals = GoalTracker(config.goals)
         self._results: deque[RequestResult] = deque(maxlen=RESULTS_KEPT)
@@ -47,6 +48,8 @@ class Controller:
         """Decide. `runners` holds, by request number, the loaded policies of this tick's policy requests."""
         self._tick += 1
         self._missed_total += inputs.missed
+        if inputs.latched is not None:
+            self._machine.latch(inputs.latched)
         self._observer.update(inputs)
         observed = self._observer.observe(inputs.t_ns, self._sent.cart_velocity_m_s)
         events = tuple(self._events(inputs))
@@ -59,7 +62,7 @@ class Controller:
         if self._machine.mode is not Mode.ARMED:
             self._goals.fail(self._machine.last_stop or "the arm is not armed")
         wanted = self._wanted(outcome)
-        sent, clamps = self._safety.apply(wanted, self._observer.cart(inputs.t_ns))
+        sent, clamps = self._safety.apply(wanted, inputs.rail, inputs.t_ns)
         self._sent = sent
         return Outputs(
             t_ns=inputs.t_ns,
@@ -78,6 +81,8 @@ class Controller:
             observed=observed,
             rail_position_m=inputs.rail.position_m if inputs.rail else None,
             rail_velocity_m_s=inputs.rail.velocity_m_s if inputs.rail else None,
+            rail_cycle_p50_ms=inputs.rail.cycle_p50_ns / 1e6 or None if inputs.rail else None,
+            rail_cycle_max_ms=inputs.rail.cycle_max_ns / 1e6 or None if inputs.rail else None,
             goal=self._goals.status,
             events=tuple(event.active() for event in events),
             arming_refusals=self._machine.refusals(events),
@@ -89,6 +94,7 @@ class Controller:
     def resume(self, recorded: Outputs) -> None:
         """Stand where a recorded tick left off: for the replay of a log with gaps. Not what the policy remembers."""
         self._tick, self._missed_total, self._sent = recorded.tick, recorded.missed_total, recorded.sent
+        self._safety.resume(recorded.sent)
         self._machine.resume(recorded.mode, recorded.estop, recorded.last_stop)
         self._goals.status = recorded.goal
         if not any(event.name in UNSETTLED for event in recorded.events):
@@ -106,6 +112,8 @@ class Controller:
             yield Event("tick_late", f"{inputs.missed} skipped, {inputs.late_ns / 1e6:.0f} ms late")
         if inputs.recorder_problem is not None and not self._config.recorder.arm_without_log:
             yield Event("not_recorded", inputs.recorder_problem)
+        if inputs.latch_problem is not None:
+            yield Event("stop_not_kept", inputs.latch_problem)
         if inputs.recorder_dropped:
             yield Event("recorder_dropping", f"{inputs.recorder_dropped} so far")
 

@@ -29,7 +29,7 @@ class RailLimits(Strict):
     # What speeding up and braking are counted on: the swinging arm pulls the cart along either way.
     surge_m_s2: Annotated[float, Field(gt=0, le=40.0)] = 9.0
     braking_m_s2: Annotated[float, Field(gt=0, le=20.0)] = 3.0
-    # From a command to its effect on the cart.
+    # From the tick that decides on a command to its effect on the cart, at most.
     latency_s: Annotated[float, Field(ge=0, le=0.2)] = CONTROL_PERIOD_S
     # How far before the limit the filter aims to stop; covers sensing error and the arm's pull at rest.
     margin_m: Annotated[float, Field(ge=0, le=0.1)] = 0.01
@@ -44,15 +44,15 @@ class RailLimits(Strict):
             )
         return self
 
-    def braking_law(self, period_s: float) -> BrakingLaw:
-        """The law that holds the cart to these limits, for one command every `period_s`."""
+    def braking_law(self, hold_s: float) -> BrakingLaw:
+        """The law that holds the cart to these limits, with a rail whose link holds a set-point for `hold_s`."""
         return BrakingLaw(
             position_min_m=self.position_min_m + self.margin_m,
             position_max_m=self.position_max_m - self.margin_m,
             surge_m_s2=self.surge_m_s2,
             braking_m_s2=self.braking_m_s2,
             latency_s=self.latency_s,
-            period_s=period_s,
+            hold_s=hold_s,
         )
 
 

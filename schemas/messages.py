@@ -53,12 +53,15 @@ class PressureReading:
 class RailReading:
     """The axis's own read-back."""
 
-    t_receive_ns: int
+    t_receive_ns: int  # when it was asked for: it is no older; logs up to November 2026: when the answer came
     position_m: float
     velocity_m_s: float
     enabled: bool  # CiA 402 operation enabled
     remote: bool = True  # the drive's enable input (DI7); False is the hardware e-stop
     faults: tuple[str, ...] = ()
+    linked: bool = True  # False: whoever spoke with the drive is gone, and the rest is what it said last
+    cycle_p50_ns: int = 0  # from a set-point's turn on the wire to the end of what follows it, over the last second
+    cycle_max_ns: int = 0
 
 
 @json_object

@@ -12,6 +12,7 @@ from softarm.common.quantity import shown
 from softarm.common.yaml_lines import FileError, Place
 from softarm.common.yaml_schema import fit
 from softarm.daemon.config.contradictions import contradictions
+from softarm.daemon.stop.latch import latch_path
 from softarm.schemas.config import Config
 
 
@@ -73,13 +74,14 @@ def effective_limits(loaded: Loaded) -> list[LimitRow]:
 def _derived(config: Config) -> Iterator[LimitRow]:
     rail, pressure, period_s = config.limits.rail, config.limits.pressure, 1 / config.control.rate_hz
     speed = rail.velocity_max_m_s
-    stopping_m = speed * (rail.latency_s + period_s) + speed**2 / (2 * rail.braking_m_s2)
+    hold_s = config.drivers.rail.hold_s
+    stopping_m = speed * (rail.latency_s + hold_s) + speed**2 / (2 * rail.braking_m_s2)
 
     def row(key: str, value: float, unit: str, how: str) -> LimitRow:
         return LimitRow(key, f"{value:.4g}", unit, how, "derived")
 
     yield row("tick", period_s * 1e3, "ms", "1 / control.rate_hz")
-    yield row("stopping distance at full speed", stopping_m, "m", "v (latency + tick) + v^2 / (2 braking)")
+    yield row("stopping distance at full speed", stopping_m, "m", "v (latency + hold) + v^2 / (2 braking)")
     yield row(
         "full speed towards +y up to",
         rail.position_max_m - rail.margin_m - stopping_m,
@@ -97,5 +99,7 @@ def _derived(config: Config) -> Iterator[LimitRow]:
     yield row("full pressure range in", ticks, "ticks", "(max - min) / step")
     way, how = f"{config.api.host}:{config.api.stops_at}", "api.stop_port, or the one after api.port"
     yield LimitRow("stop's own way", way, "", how, "derived")
+    where, how = str(latch_path(config)), "in the service's folder, else recorder.directory; the axis names it"
+    yield LimitRow("stop's latch is kept in", where, "", how, "derived")
     share = 100 * config.failsafe.policy_budget_s / period_s
     yield row("policy's share of a tick", share, "%", "policy_budget / tick")

@@ -7,9 +7,8 @@ from softarm.daemon.control.failsafe import Event
 from softarm.daemon.control.observer import Observer
 from softarm.daemon.control.records import Inputs
 from softarm.schemas.config import Config
-from softarm.schemas.messages import BODY_NAMES
+from softarm.schemas.messages import BODY_NAMES, RailReading
 
-FUTURE_NS = 5_000_000  # clock noise that a capture stamp may be ahead
 DISAGREEING_TICKS = 5  # a single pair of readings may straddle a reversal
 OUTSIDE_M = 0.02  # past the rail limit before the failsafe takes over from the safety filter
 
@@ -44,10 +43,9 @@ def _mocap(inputs: Inputs, observer: Observer, config: Config) -> Iterator[Event
     )
     if lost:
         yield Event("mocap_body_lost", ", ".join(lost))
+    yield from observer.plausibility.events()
     if age_ns is None:
         yield Event("mocap_missing", f"none since the start{said}")
-    elif age_ns < -FUTURE_NS:
-        yield Event("mocap_clock", f"{-age_ns / 1e6:.0f} ms ahead")
     elif age_ns > config.failsafe.mocap_stale_s * 1e9:
         yield Event("mocap_stale", _old(age_ns * 1e-9, config.failsafe.mocap_stale_s, said))
     elif observer.frames_in_a_row < config.failsafe.arming_frames:
@@ -80,6 +78,9 @@ def _rail(inputs: Inputs, config: Config, engaged: bool) -> Iterator[Event]:
     if reading is None:
         yield Event("rail_missing", f"none since the start{said}")
         return
+    if not reading.linked:
+        yield Event("rail_link_lost", said.removeprefix("; "))
+        return
     age_s = (inputs.t_ns - reading.t_receive_ns) * 1e-9
     if age_s > config.failsafe.rail_stale_s:
         yield Event("rail_stale", _old(age_s, config.failsafe.rail_stale_s, said))
@@ -95,4 +96,17 @@ def _rail(inputs: Inputs, config: Config, engaged: bool) -> Iterator[Event]:
     if reading.faults:
         yield Event("rail_fault", ", ".join(reading.faults))
     if engaged and not reading.enabled:
-        yield Event("rail_disabled", "operation is not enabled")
+        yield Event("rail_disabled", f"operation is not enabled{said}")
+    yield from _rail_cycle(reading, config)
+
+
+def _rail_cycle(reading: RailReading, config: Config) -> Iterator[Event]:
+    """A set-point waits for the cycle that runs when it comes: what it takes is part of the law's latency."""
+    period_s = 1 / config.control.rate_hz
+    counted_s = max(period_s, config.limits.rail.latency_s)
+    p50_s, max_s = reading.cycle_p50_ns * 1e-9, reading.cycle_max_ns * 1e-9
+    told = f"{p50_s * 1e3:.0f} ms, at most {max_s * 1e3:.0f} ms in the last second"
+    if p50_s > counted_s:
+        yield Event("rail_too_slow", f"{told}; {counted_s * 1e3:.0f} ms are counted on")
+    elif max_s > period_s:
+        yield Event("rail_slow", told)

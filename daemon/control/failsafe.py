@@ -104,6 +104,42 @@ TABLE: dict[str, Rule] = {
         "motion capture frames are stamped in the future",
         "stamp frames with CLOCK_MONOTONIC of this host; check the bridge's clock sync",
     ),
+    "mocap_two_sources": Rule(
+        Response.SOFT_STOP,
+        True,
+        "motion capture frames are not counted up: two bridges publish at once",
+        "stop one of them, or give it another drivers.mocap.key",
+    ),
+    "mocap_height": Rule(
+        Response.SOFT_STOP,
+        True,
+        "motion capture shows the cart at a wrong height",
+        "calibrate the frame: z is 0 at the floor; check which marker set is called cart",
+    ),
+    "mocap_reach": Rule(
+        Response.SOFT_STOP,
+        True,
+        "motion capture shows the tip where the arm cannot be",
+        "check the frame's scale and axes, and which marker set is called link5",
+    ),
+    "mocap_jump": Rule(
+        Response.SOFT_STOP,
+        True,
+        "motion capture shows jumps that no body makes",
+        "look for swapped marker sets, reflections, or a second bridge",
+    ),
+    "mocap_frozen": Rule(
+        Response.SOFT_STOP,
+        True,
+        "motion capture repeats a pose of something that moves",
+        "restart the bridge: it publishes poses that it no longer sees",
+    ),
+    "mocap_outlier": Rule(
+        Response.WARN,
+        False,
+        "a motion capture frame that cannot be true was left out",
+        "nothing for one by itself; the log has it",
+    ),
     "mocap_settling": Rule(
         Response.WARN,
         True,
@@ -146,6 +182,24 @@ TABLE: dict[str, Rule] = {
         "the axis reading is too old",
         "check the network to the drive",
     ),
+    "rail_link_lost": Rule(
+        Response.SOFT_STOP,
+        True,
+        "the process that leads the drive ended or hung; a new one stops the drive first",
+        "look at the service's log for why, then arm again",
+    ),
+    "rail_too_slow": Rule(
+        Response.SOFT_STOP,
+        True,
+        "the drive answers so slowly that set-points reach it later than the safety filter counts on",
+        "look for what slows the network or the drive, or measure limits.rail.latency_s anew",
+    ),
+    "rail_slow": Rule(
+        Response.WARN,
+        False,
+        "a cycle of questions and answers with the drive took longer than a tick",
+        "look for what else uses its network; limits.rail.latency_s has to cover this",
+    ),
     "rail_disabled": Rule(
         Response.SOFT_STOP,
         False,
@@ -185,6 +239,12 @@ TABLE: dict[str, Rule] = {
         True,
         "no log is being written",
         "mend that and recording goes on by itself, or set recorder.arm_without_log: true",
+    ),
+    "stop_not_kept": Rule(
+        Response.WARN,
+        True,
+        "an emergency stop would not outlive a restart of the daemon",
+        "mend that; the file is tried again every second",
     ),
     "recorder_dropping": Rule(
         Response.WARN,
@@ -296,6 +356,11 @@ class ModeMachine:
             self._go(Mode.DISARMED)
         return ()
 
+    def latch(self, why: str) -> None:
+        """Stand as the daemon before this one ended: stopped, until that is acknowledged."""
+        self._go(Mode.STOPPED)
+        self.estop, self.last_stop = EStop.LATCHED, why
+
     def resume(self, mode: Mode, estop: EStop, last_stop: str | None) -> None:
         """Stand where a recorded tick left off."""
         if mode is not self.mode:
@@ -310,6 +375,24 @@ class ModeMachine:
         if self.mode is Mode.STOPPING:
             reasons.append("the arm is still stopping: try again in a moment")
         return tuple(reasons)
+
+
+LATCH = """\
+## The latch outlives the daemon
+
+What stopped the robot is kept in a file. A daemon that is started again, after a crash, a kill or a restart of the
+service, begins `stopped` and latched, with the old reason, until `POST /api/acknowledge`. A file that cannot be read
+counts as a stop.
+
+The file, `stop-HOST-PORT.json`, is named after the axis (`drivers.rail`): it is the robot's, whichever configuration
+is run. It lies in the service's `/var/lib/softarm`, otherwise in `recorder.directory`; `softarm check` names it. A
+robot that is simulated in the daemon's own process begins anew with it, and keeps none.
+
+It is written by a thread of its own once the tick that stopped has ended: a few milliseconds after the stop is
+answered it outlives a kill, and once the disk has it, a power cut. It is there before anything can stop and is
+overwritten in place, which a full disk cannot refuse. While writing fails, or takes longer than 1 s, arming is refused
+(`stop_not_kept`). A daemon that ends with nothing stopped removes it.
+"""
 
 
 def page() -> str:
@@ -334,6 +417,7 @@ def page() -> str:
             if rule.response is response
         ]
         lines.append("")
+    lines.append(LATCH)
     return "\n".join(lines)
 
 

@@ -1,6 +1,5 @@
 """From what the devices measured to what the policy is fed. Pure; time comes in with the inputs."""
 
-import math
 from collections import deque
 from collections.abc import Iterator
 from typing import NamedTuple, Self
@@ -8,20 +7,10 @@ from typing import NamedTuple, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from softarm.daemon.control.plausibility import CART, TIP, Plausibility, is_usable
 from softarm.daemon.control.records import Inputs, Observed
-from softarm.daemon.control.safety import CartState
 from softarm.schemas.messages import MocapFrame, PressureReading, RailReading
 from softarm.schemas.policy import Observation
-
-CART, TIP = 0, -1  # places in MocapFrame.bodies
-
-
-def is_usable(frame: MocapFrame) -> bool:
-    """The cart and the tip are seen, and every number of theirs is one."""
-    return all(
-        body.tracked and math.isfinite(body.y_m) and math.isfinite(body.z_m)
-        for body in (frame.bodies[CART], frame.bodies[TIP])
-    )
 
 
 class Sighting(NamedTuple):
@@ -34,13 +23,13 @@ class Sighting(NamedTuple):
 
     @classmethod
     def of(cls, frame: MocapFrame) -> Self:
-        """Of a usable frame."""
+        """Of a frame in which both are seen."""
         cart, tip = frame.bodies[CART], frame.bodies[TIP]
         return cls(frame.t_capture_ns, cart.y_m, tip.y_m, tip.z_m)
 
 
 class Observer:
-    """Keeps the usable frames of the last while.
+    """Keeps the good frames of the last while: usable and plausible.
 
     Velocities are first differences over a control step ([P] section 3.3), by real capture stamps: from the frame
     that was taken most nearly a step before the newest one. Zero until there is one.
@@ -52,12 +41,13 @@ class Observer:
         self._disagreement_m = disagreement_m  # between axis and mocap: farther apart, they disagree
         self._recent: deque[Sighting] = deque()  # of at least the last step, oldest first
         self._velocities = (0.0, 0.0, 0.0)  # cart, tip y, tip z
-        self._sequence = 0  # of the newest usable frame
-        self.newest: MocapFrame | None = None  # usable or not
+        self._sequence = 0  # of the newest good frame
+        self.plausibility = Plausibility()
+        self.newest: MocapFrame | None = None  # good or not
         self.seen: tuple[Sighting, ...] = ()  # this tick's, oldest first
         self.pressure: PressureReading | None = None
         self.rail: RailReading | None = None
-        self.frames_in_a_row = 0  # usable frames without a longer gap, for arming
+        self.frames_in_a_row = 0  # good frames without a longer gap, for arming
         self.frames_lost = 0  # by the bridge's own count
         self.disagreeing_ticks = 0  # in a row, until now
 
@@ -65,7 +55,7 @@ class Observer:
         """Take in a tick's measurements."""
         self.pressure = inputs.pressure
         self.rail = inputs.rail
-        self.seen = tuple(self._usable(inputs.mocap))
+        self.seen = tuple(self._good(inputs.mocap))
         if self.seen:
             self._keep(self.seen)
         elif (self.mocap_age_ns(inputs.t_ns) or 0) > self._stale_ns:
@@ -75,13 +65,15 @@ class Observer:
         apart = distance_m is not None and distance_m > self._disagreement_m
         self.disagreeing_ticks = self.disagreeing_ticks + 1 if apart else 0
 
-    def _usable(self, frames: tuple[MocapFrame, ...]) -> Iterator[Sighting]:
+    def _good(self, frames: tuple[MocapFrame, ...]) -> Iterator[Sighting]:
         newest_ns = self._recent[-1].t_ns if self._recent else None
+        axis_m = self.rail.position_m if self.rail is not None else None
         for frame in frames:
             if self.newest is not None and frame.sequence > self.newest.sequence + 1:
                 self.frames_lost += frame.sequence - self.newest.sequence - 1
             self.newest = frame
-            if is_usable(frame) and (newest_ns is None or frame.t_capture_ns > newest_ns):
+            newer = newest_ns is None or frame.t_capture_ns > newest_ns
+            if newer and is_usable(frame) and self.plausibility.accepts(frame, axis_m):
                 newest_ns, self._sequence = frame.t_capture_ns, frame.sequence
                 self.frames_in_a_row += 1
                 yield Sighting.of(frame)
@@ -100,15 +92,8 @@ class Observer:
             recent.popleft()
 
     def mocap_age_ns(self, now_ns: int) -> int | None:
-        """Age of the newest usable frame's capture; None before the first."""
+        """Age of the newest good frame's capture; None before the first."""
         return now_ns - self._recent[-1].t_ns if self._recent else None
-
-    def cart(self, now_ns: int) -> CartState | None:
-        """The axis's own read-back, carried forward to now; None when there is none."""
-        if self.rail is None:
-            return None
-        age_s = max(0, now_ns - self.rail.t_receive_ns) * 1e-9
-        return CartState(self.rail.position_m + self.rail.velocity_m_s * age_s, self.rail.velocity_m_s)
 
     def rail_against_mocap_m(self) -> float | None:
         """Distance between the cart as the axis reads it and as mocap sees it, brought to one instant."""

@@ -72,6 +72,8 @@ class Inputs:
     problems: Problems = Problems()
     recorder_dropped: int = 0  # messages the recorder could not take, since start
     recorder_problem: str | None = None  # why no log is being written; None: one is, or none is asked for
+    latched: str | None = None  # in a daemon's first tick: what had stopped the robot when the one before it ended
+    latch_problem: str | None = None  # why a stop would not outlive this daemon
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,6 +116,8 @@ class Outputs:
     observed: Observed | None = None
     rail_position_m: float | None = None  # the axis's own read-back
     rail_velocity_m_s: float | None = None
+    rail_cycle_p50_ms: float | None = None  # what the questions and answers of a tick take, over the last second
+    rail_cycle_max_ms: float | None = None
     goal: GoalStatus = field(default_factory=GoalStatus)
     events: tuple[ActiveEvent, ...] = ()
     arming_refusals: tuple[str, ...] = ()  # why arming would be refused now; empty: it would not

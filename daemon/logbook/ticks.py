@@ -29,6 +29,8 @@ class TickInputs:
     problems: Problems
     recorder_dropped: int
     recorder_problem: str | None = None
+    latched: str | None = None
+    latch_problem: str | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,6 +54,8 @@ def _tick_inputs(inputs: Inputs) -> TickInputs:
         inputs.problems,
         inputs.recorder_dropped,
         inputs.recorder_problem,
+        inputs.latched,
+        inputs.latch_problem,
     )
 
 
@@ -124,6 +128,8 @@ class Joiner:
             problems=tick.problems,
             recorder_dropped=tick.recorder_dropped,
             recorder_problem=tick.recorder_problem,
+            latched=tick.latched,
+            latch_problem=tick.latch_problem,
         )
         if _tick_inputs(inputs) != tick:
             raise ValueError(f"the messages before the tick at {tick.t_ns} ns are not those that it names")

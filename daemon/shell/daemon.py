@@ -15,6 +15,7 @@ from softarm.daemon.logbook.recorder import Recorder
 from softarm.daemon.shell import realtime
 from softarm.daemon.shell.loop import ControlLoop, Devices
 from softarm.daemon.shell.service import Notifier, Watchdog, allow_descriptors
+from softarm.daemon.stop.latch import LatchKeeper, latch_path
 from softarm.daemon.stop.listener import StopListener
 from softarm.daemon.stop.terminal import StopKey
 from softarm.daemon.tick import Controller
@@ -37,7 +38,7 @@ def real_devices(config: Config) -> Devices:
     return Devices(
         ZenohMocapSource(config.drivers.mocap),
         TeensyRegulator(config.drivers.regulator),
-        DryveRailAxis(config.drivers.rail),
+        DryveRailAxis(config.drivers.rail, config.control.realtime_priority),
     )
 
 
@@ -50,16 +51,22 @@ def simulated_devices(model: Model | None = None) -> Devices:
     return Devices(robot.mocap, robot.regulator, robot.rail)
 
 
+def latch_of(config: Config) -> LatchKeeper:
+    """The latch of the robot on its wires. One simulated in this process begins anew, and has none."""
+    return LatchKeeper(latch_path(config), config.control.realtime_priority)
+
+
 class Daemon:
     """Started, it runs until stopped; the caller decides which devices it moves."""
 
-    def __init__(self, config: Config, devices: Devices) -> None:
+    def __init__(self, config: Config, devices: Devices, latch: LatchKeeper | None = None) -> None:
         """Raises PolicyError when `control.policy` cannot be loaded."""
         self.config = config
         realtime.outrank_other_programs(config.control.realtime_priority)
         policy = registry.load(config.control.policy, config.policies)
         self.recorder = Recorder(config, policy.spec)
         self.inbox = Inbox()
+        self.latch = latch
         self.notifier = Notifier()
         self.watchdog = Watchdog(self.notifier)
         self.loop = ControlLoop(
@@ -68,6 +75,7 @@ class Daemon:
             self.inbox,
             self.recorder,
             self.watchdog,
+            latch,
             rate_hz=config.control.rate_hz,
             realtime_priority=config.control.realtime_priority,
         )
@@ -79,26 +87,31 @@ class Daemon:
         self.port = self.stop_port = 0
 
     def start(self) -> None:
-        """Recorder, stop, API, loop: people can ask before the hardware is up.
+        """Latch, recorder, stop, API, loop: people can ask before the hardware is up.
 
-        Raises RecorderError or ApiError; nothing is left running then.
+        Raises LatchError, RecorderError or ApiError; nothing is left running then.
         """
         sys.setswitchinterval(SWITCH_INTERVAL_S)
-        self.recorder.start()
         try:
+            if self.latch is not None:
+                self.latch.start()
+            self.recorder.start()
             self.stop_port = self.stop_way.start()
             self.port = self.api.start()
         except Exception:
             self.stop_way.stop()
             self.recorder.stop()
+            if self.latch is not None:
+                self.latch.stop()
             raise
         self.loop.start()
 
     def stop(self) -> None:
         """The loop first: it leaves the devices safe. Each part is stopped whatever the others do."""
-        for part in (self.loop, self.stop_way, self.api, self.recorder):
+        for part in (self.loop, self.latch, self.stop_way, self.api, self.recorder):
             try:
-                part.stop()
+                if part is not None:
+                    part.stop()
             except Exception:
                 log.exception("%s did not stop cleanly", type(part).__name__)
 
@@ -118,7 +131,7 @@ class Daemon:
         log.warning("emergency stop by a key: `softarm acknowledge` frees the latch")
 
 
-def run(config: Config, devices: Devices, on_ready: Callable[[Daemon], None]) -> None:
+def run(config: Config, devices: Devices, on_ready: Callable[[Daemon], None], latch: LatchKeeper | None = None) -> None:
     """Run until SIGINT or SIGTERM; tells systemd, if it is there."""
     stop = threading.Event()
 
@@ -128,7 +141,7 @@ def run(config: Config, devices: Devices, on_ready: Callable[[Daemon], None]) ->
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, end)
     allow_descriptors()
-    daemon = Daemon(config, devices)
+    daemon = Daemon(config, devices, latch)
     daemon.start()
     try:
         on_ready(daemon)

@@ -54,6 +54,19 @@ class TickRecorder(Protocol):
         """Note that the ticks from here on are another policy's."""
 
 
+class Latch(Protocol):
+    """What outlives the daemon of an emergency stop; never blocks."""
+
+    left: str | None  # why the robot was stopped when the daemon before this one ended
+
+    @property
+    def problem(self) -> str | None:
+        """Why it is not kept now."""
+
+    def note(self, reason: str | None) -> None:
+        """Why the robot is stopped; None: it is not."""
+
+
 class GoodTicks(Protocol):
     """Hears of every tick that was on time and without an internal error (the service's watchdog)."""
 
@@ -71,6 +84,7 @@ class ControlLoop:
         inbox: Inbox,
         recorder: TickRecorder | None,
         watchdog: GoodTicks | None = None,
+        latch: Latch | None = None,
         *,
         rate_hz: int = CONTROL_RATE_HZ,
         realtime_priority: int = 0,
@@ -81,6 +95,7 @@ class ControlLoop:
         self._inbox = inbox
         self._recorder = recorder
         self._watchdog = watchdog
+        self._latch = latch
         self._period_ns = round(1e9 / rate_hz)
         self._priority = realtime_priority
         self._clock = clock
@@ -143,6 +158,8 @@ class ControlLoop:
         newest = inputs.mocap[-1].t_capture_ns if inputs.mocap else None
         timing = TickTiming(read - now, decided - read, written - decided, written - newest if newest else None)
         self.snapshot, self.timing, self.problems = outputs, timing, inputs.problems
+        if self._latch is not None:
+            self._latch.note(None if outputs.estop is EStop.CLEAR else outputs.last_stop)
         if self._recorder is not None:
             for number, runner in runners.items():
                 if any(result.number == number and result.accepted for result in outputs.results):
@@ -171,6 +188,8 @@ class ControlLoop:
             problems=Problems(devices.mocap.problem(), devices.regulator.problem(), devices.rail.problem()),
             recorder_dropped=self._recorder.dropped if self._recorder is not None else 0,
             recorder_problem=self._recorder.problem if self._recorder is not None else None,
+            latched=self._latch.left if self._latch is not None and self.snapshot is None else None,
+            latch_problem=self._latch.problem if self._latch is not None else None,
         )
         return inputs, {p.request.number: p.runner for p in posts if p.runner is not None}
 

@@ -33,7 +33,7 @@ class Lockstep:
         body: Body | None = None,
     ) -> None:
         self.config = config
-        self.robot = InProcessRobot(body or SimulatedBody(model))
+        self.robot = InProcessRobot(body or SimulatedBody(model), hold_s=config.drivers.rail.hold_s)
         self.controller = Controller(config, InlineRunner(policy))
         self.outputs: Outputs | None = None
         self._recorder = recorder

@@ -10,6 +10,7 @@ from softarm.daemon.logbook.recorder import Recorder
 from softarm.daemon.shell.daemon import Daemon
 from softarm.daemon.shell.loop import Devices
 from softarm.daemon.shell.offline import Lockstep
+from softarm.daemon.stop.latch import LatchKeeper
 from softarm.policies.excite import Excite
 from softarm.schemas.config import Config, Policy
 from softarm.schemas.goals import Goal, GoalStatus
@@ -31,13 +32,19 @@ def length_s(config: Config, excitation: str) -> float:
     return (Excite.describe(excitation).episode_steps or 0) / config.control.rate_hz
 
 
-def play(config: Config, excitation: str, devices: Devices, on_time: Callable[[float], None]) -> Played:
+def play(
+    config: Config,
+    excitation: str,
+    devices: Devices,
+    on_time: Callable[[float], None],
+    latch: LatchKeeper | None = None,
+) -> Played:
     """In real time; on_time(seconds played). The devices are left braked and vented, whatever happens.
 
     Raises RuntimeError with the daemon's own reasons when it does not arm or does not start, and what Daemon does.
     """
     config = _with_excitation(config, excitation)
-    daemon = Daemon(config, devices)
+    daemon = Daemon(config, devices, latch)
     daemon.start()
     try:
         _arm(daemon)

@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
 from softarm.daemon.control.checks import DISAGREEING_TICKS
+from softarm.daemon.control.plausibility import WINDOW
 from softarm.daemon.control.records import Inputs, Outputs
 from softarm.daemon.tick import Controller
 from softarm.policies.base import Array, Policy
@@ -84,8 +85,8 @@ def replay(ticks: Iterable[tuple[Inputs, Outputs]], config: Config, load: Callab
             runners[name] = _RecordedFaults(load(name))
         return runners[name]
 
-    # A pair of readings that disagrees counts for so long, a frame is differenced over for so long.
-    memory = max(DISAGREEING_TICKS, math.ceil(config.failsafe.mocap_stale_s * config.control.rate_hz) + 1)
+    # A pair of readings that disagrees counts for so long, a frame that cannot be true, and one is differenced over.
+    memory = max(DISAGREEING_TICKS, WINDOW, math.ceil(config.failsafe.mocap_stale_s * config.control.rate_hz) + 1)
     controller: Controller | None = None
     before: Outputs | None = None
     differences: list[Difference] = []

@@ -8,18 +8,21 @@ from dataclasses import replace
 
 from softarm.drivers.base import WithoutWire
 from softarm.drivers.bodies.base import Body
+from softarm.schemas.config import DryveRail
 from softarm.schemas.messages import MocapFrame, PressureReading, RailReading
 
 
 class InProcessRobot:
     """A body and its three devices; it is as it is at time `now_ns`.
 
-    Set `now_ns` forward to let time pass in which nothing moves.
+    Set `now_ns` forward to let time pass in which nothing moves. A set-point of the rail that is not renewed for
+    `hold_s` is followed by zero, as the rail's link does it.
     """
 
-    def __init__(self, body: Body, now_ns: int = 0) -> None:
+    def __init__(self, body: Body, now_ns: int = 0, hold_s: float = DryveRail().hold_s) -> None:
         self.body = body
         self.now_ns = now_ns
+        self._hold_ns = round(hold_s * 1e9)
         self.mocap = InProcessMocap(self)
         self.regulator = InProcessRegulator(self)
         self.rail = InProcessRail(self)
@@ -31,10 +34,14 @@ class InProcessRobot:
 
     def advance(self, now_ns: int) -> None:
         """Move up to an instant under the commands last written."""
-        if now_ns <= self.now_ns:
-            return
-        self.body.step(self.rail.set_point_m_s, self.regulator.set_point_kpa, now_ns - self.now_ns)
-        self.now_ns = now_ns
+        held_until_ns = min(now_ns, self.rail.written_ns + self._hold_ns)
+        self._step(self.rail.set_point_m_s, held_until_ns)
+        self._step(0.0, now_ns)
+
+    def _step(self, velocity_m_s: float, until_ns: int) -> None:
+        if until_ns > self.now_ns:
+            self.body.step(velocity_m_s, self.regulator.set_point_kpa, until_ns - self.now_ns)
+            self.now_ns = until_ns
 
 
 class InProcessMocap(WithoutWire):
@@ -88,6 +95,7 @@ class InProcessRail(WithoutWire):
         self._seen: RailReading | None = None
         self._newest: RailReading | None = None
         self.set_point_m_s = 0.0
+        self.written_ns = robot.now_ns
 
     def read(self) -> RailReading | None:
         """The axis's newest read-back."""
@@ -98,6 +106,7 @@ class InProcessRail(WithoutWire):
         return self._newest
 
     def write(self, enable: bool, velocity_m_s: float) -> None:
-        """Set-point until the next call; a drive that is off holds still."""
+        """Set-point until the next call or until it is too old; a drive that is off holds still."""
         self._enabled = enable
+        self.written_ns = self._robot.now_ns
         self.set_point_m_s = velocity_m_s if enable else 0.0

@@ -1,392 +1,223 @@
-"""The rail: an igus dryve D1 in profile velocity mode over Modbus TCP.
+"""The rail: an igus dryve D1, led by a process of its own so that the daemon's death, freeze or stall stops the cart.
 
-One task on the control loop owns the connection. A `write` wakes it: the set-point goes out, then status,
-position and velocity are read back. Link loss is the danger, for a drive without a communication watchdog
-keeps its last set-point: the first and the last thing said on any link is a stop, one bad answer does not end a link
-in operation, and a broken one is replaced at once.
+Here is the daemon's end: set-points go to that process (`process.py`, `master.py`) over a pair of sockets, reports come
+back. It is replaced when it ends, and ended when it falls silent; the new one stops the drive first.
 """
 
 import asyncio
 import contextlib
-import errno
+import logging
 import math
+import os
+import socket
+import subprocess
+import sys
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import replace
+from pathlib import Path
+from typing import Protocol
 
+import softarm
 from softarm.drivers.base import DeviceError
-from softarm.drivers.rail import dryve
-from softarm.drivers.rail.cia402 import ControlWord, DriveState, StatusWord, decode_state, next_controlword
-from softarm.drivers.rail.dryve_link import EXCHANGE_ERRORS, DryveLink
+from softarm.drivers.rail import pair, process
+from softarm.drivers.rail.master import Settings
+from softarm.drivers.rail.pair import Report, SetPoint
 from softarm.schemas.config import DryveRail
 from softarm.schemas.messages import RailReading
 
-POLL_S = 0.04  # status is read this often when no write comes
-SET_POINT_S = 0.1  # a set-point older than this is replaced by zero: the loop is dead or stuck
-AT_REST_M_S = 0.02  # a swinging arm keeps pulling at a cart that stands
-BRAKE_MAX_S = 1.0  # from 1 m/s at 6 m/s^2 it takes 0.17 s
-WALK_MAX_S = 2.0  # from switch-on disabled to operation enabled
-MODE_MAX_S = 0.5  # 6061h lags 6060h by up to a quarter of a second
-CONNECT_S = 1.0
-RETRY_S = (0.02, 1.0)  # first and longest pause between attempts to connect
-COMPLAINT_S = 2.0  # how long a walk that failed is remembered
-STOP_S = 0.8
-AGAIN_S = 0.005  # after an exchange that failed in operation; the second in a row ends the link
-HALT_TRIES, HALT_AGAIN_S = 20, 0.01  # a drive that refuses to say how it is
+log = logging.getLogger(__name__)
 
-_REMEDY = {
-    errno.ECONNREFUSED: "switch on 'Modbus TCP Gateway' on the drive's web page (a restart may lose it)",
-    errno.EHOSTUNREACH: "check the drive's supply, the cable, and drivers.rail.host",
-    errno.ENETUNREACH: "give this host an address in the drive's network, or correct drivers.rail.host",
-}
-_LINK_ERRORS = (
-    OSError,
-    EOFError,
-    ValueError,
-    OverflowError,  # units_per_m makes a number beyond 32 bits
-    dryve.DryveMismatch,
-    dryve.DryveRefusal,
-)
-_AT_EASE = (DriveState.NOT_READY, DriveState.SWITCH_ON_DISABLED, DriveState.READY, DriveState.FAULT, DriveState.INVALID)
+SILENT_S = 0.2  # without a report for so long while the drive may move, the process hangs
+START_S = 5.0  # the same while it starts, or tries to find a drive that is off
+STOP_S = 3.0  # to brake, switch off and hang up, over new connections too if need be
+RETRY_S = (0.05, 1.0)  # first and longest pause before a process is replaced that did not live for `LIVED_S`
+LIVED_S = 5.0
 
 
-@dataclass(frozen=True, slots=True)
-class SetPoint:
-    """What the control loop wants, and since when."""
+class Child(Protocol):
+    """What is asked of a process: a part of `subprocess.Popen`."""
 
-    enable: bool
-    velocity_m_s: float
-    t_ns: int
+    def poll(self) -> int | None:
+        """Its exit code; None while it lives."""
+
+    def kill(self) -> None:
+        """End it, whatever it does."""
 
 
-@dataclass(frozen=True, slots=True)
-class Feedback:
-    """What one poll of the drive found."""
+Launch = Callable[[Settings, socket.socket, int], Child]
 
-    t_ns: int
-    state: DriveState
-    statusword: int
-    position_m: float
-    velocity_m_s: float
-    error_code: int
 
-    @property
-    def remote(self) -> bool:
-        """The enable input DI7."""
-        return bool(self.statusword & StatusWord.REMOTE)
-
-    @property
-    def at_rest(self) -> bool:
-        """No speed worth braking."""
-        return abs(self.velocity_m_s) < AT_REST_M_S
-
-    def faults(self) -> tuple[str, ...]:
-        """The drive's fault in words."""
-        if self.state is DriveState.INVALID:
-            return (f"{self.state.value} (statusword 0x{self.statusword:04X})",)
-        if self.state in (DriveState.FAULT, DriveState.FAULT_REACTION):
-            return (f"{dryve.ERROR_CODES.get(self.error_code, 'unknown error')} (0x{self.error_code:04X})",)
-        return ()
+def launch(settings: Settings, theirs: socket.socket, priority: int) -> Child:
+    """Start the process with its end of the pair. In a session of its own: Ctrl-C is not for it."""
+    return subprocess.Popen(
+        # Without site: nothing is needed from there, and reading it takes longer than all else.
+        [sys.executable, "-S", "-P", "-m", process.__name__, *process.arguments(settings, priority)],
+        stdin=theirs.fileno(),
+        stdout=subprocess.DEVNULL,
+        env={**os.environ, "PYTHONPATH": str(Path(softarm.__file__).parents[1])},
+        start_new_session=True,
+    )
 
 
 class DryveRailAxis:
     """A `softarm.drivers.base.RailAxis`; configured by `softarm.schemas.config.DryveRail`.
 
-    The drive is walked into operation only after `write` has turned from disable to enable, and again only
-    after the next such turn: nothing that happens on the wire or at the drive sets the cart in motion.
+    The drive is switched on only after `write` has turned from disable to enable, and again only after the next such
+    turn: no process that is replaced sets the cart in motion.
     """
 
-    def __init__(self, config: DryveRail, clock: Callable[[], int] = time.monotonic_ns) -> None:
-        self._config, self._clock = config, clock
-        self._task: asyncio.Task[None] | None = None
-        self._stopping = False
-        self._written = asyncio.Event()
-        self._at_ease = asyncio.Event()  # as far as we know, the drive is out of operation
-        self._at_ease.set()
-        self._wanted = SetPoint(False, 0.0, clock())
-        self._walk_since_ns: int | None = None  # set while enabling is permitted
-        self._operating = False  # operation enabled was reached in this walk
-        self._last_step: tuple[DriveState, int] | None = None  # the state shown and the controlword it was given
-        self._brake_since_ns: int | None = None
-        self._reset_asked = False
-        self._feedback: Feedback | None = None
+    def __init__(
+        self,
+        config: DryveRail,
+        realtime_priority: int = 0,
+        clock: Callable[[], int] = time.monotonic_ns,
+        launch: Launch = launch,
+    ) -> None:
+        """`realtime_priority`: of the control loop; the process is put above it. 0: not at all."""
+        self._config, self._clock, self._launch = config, clock, launch
+        self._priority = realtime_priority + 1 if realtime_priority else 0
+        self._loop: asyncio.AbstractEventLoop | None = None
+        self._child: Child | None = None
+        self._line: socket.socket | None = None
+        self._again: asyncio.TimerHandle | None = None
+        self._pause_s = RETRY_S[0]
+        self._started_ns = self._heard_ns = clock()
+        self._number = self._acknowledged = 0
         self._reading: RailReading | None = None
-        self._link_problem: str | None = self._say("connect", "not connected yet", "wait a second")
-        self._unfit: str | None = None
-        self._complaint: tuple[int, str] | None = None
-
-    # What the control loop calls
+        self._report: Report | None = None  # of the present process
+        self._at_ease = True  # the drive, as far as we know
+        self._lost: str | None = None  # why the process before this one ended
+        self._loss_untold = False  # `read` has to show it once
+        self._ended = asyncio.Event()
+        self._stopping = False
+        self._burials: list[asyncio.Task[None]] = []
 
     def start(self) -> None:
-        """Connect in a task of the running loop."""
-        self._task = asyncio.get_running_loop().create_task(self._run(), name="rail")
+        """Start the process; it connects by itself."""
+        self._loop = asyncio.get_running_loop()
+        self._start_child()
 
     async def stop(self) -> None:
-        """Brake, switch the drive off, close. Tries for 0.8 s, over new connections too if need be."""
+        """Hang up, which makes the process brake, switch the drive off and end; waits for that for `STOP_S`."""
         self._stopping = True
-        self.write(False, 0.0)
-        if self._task is None:
-            return
-        with contextlib.suppress(TimeoutError):
-            async with asyncio.timeout(STOP_S):
-                await self._at_ease.wait()
-        self._task.cancel()
-        await asyncio.gather(self._task, return_exceptions=True)
+        if self._again is not None:
+            self._again.cancel()
+            self._start_child()
+        if self._line is not None:
+            self._line.shutdown(socket.SHUT_WR)
+            with contextlib.suppress(TimeoutError):
+                async with asyncio.timeout(STOP_S):
+                    await self._ended.wait()
+            self._part()
+        await asyncio.gather(*self._burials)
 
     def read(self) -> RailReading | None:
         """See `softarm.drivers.base.RailAxis.read`."""
+        self._loss_untold = False
         return self._reading
 
     def write(self, enable: bool, velocity_m_s: float) -> None:
         """See `softarm.drivers.base.RailAxis.write`; from the loop's own thread. A velocity of NaN is zero."""
-        now_ns = self._clock()
-        if enable and not self._wanted.enable:
-            self._walk_since_ns, self._complaint, self._operating = now_ns, None, False
-        elif not enable:
-            self._walk_since_ns = None
-        self._wanted = SetPoint(enable, velocity_m_s if math.isfinite(velocity_m_s) else 0.0, now_ns)
-        self._written.set()
+        if self._line is None:
+            return
+        now_ns, velocity_m_s = self._clock(), velocity_m_s if math.isfinite(velocity_m_s) else 0.0
+        self._number = (self._number + 1) % 2**32
+        set_point = SetPoint(self._number, now_ns, enable, velocity_m_s, self._acknowledged)
+        with contextlib.suppress(OSError):  # it has ended, which is heard, or hangs, which is seen here
+            self._line.send(pair.encode_set_point(set_point))
+        moving = self._report is not None and not self._report.at_ease
+        patience_s = SILENT_S if moving else START_S
+        if self._child is not None and now_ns - self._heard_ns > patience_s * 1e9:
+            self._lost = f"it was silent for {patience_s} s and was killed"
+            self._child.kill()
 
     def reset_fault(self) -> None:
         """See `softarm.drivers.base.Device.reset_fault`; only a drive in fault, and while disabled, is reset."""
-        self._reset_asked = True
-        self._written.set()
+        self._acknowledged += 1
 
     def problem(self) -> str | None:
         """See `softarm.drivers.base.Device.problem`."""
-        feedback, task = self._feedback, self._task
-        if task is not None and task.done() and not self._stopping:
-            return self._say("poll", f"the driver ended: {task}", "restart the daemon and report this")
-        if self._link_problem is not None or feedback is None:
-            return self._link_problem
-        if self._unfit is not None:
-            return self._unfit
-        if feedback.faults():
-            remedy = "see to its cause, then acknowledge; an invalid boot state needs a power cycle"
-            return self._say("read 6041h", f"the drive reports {', '.join(feedback.faults())}", remedy)
-        if not feedback.remote:
-            return self._say("read 6041h", "the enable input DI7 is low", "release the hardware e-stop")
-        if self._complaint is None:
-            return None
-        age_s = (self._clock() - self._complaint[0]) / 1e9
-        return self._complaint[1] if self._wanted.enable or age_s < COMPLAINT_S else None
+        if self._report is not None:
+            return self._report.problem
+        where = f"{self._config.host}:{self._config.port}"
+        if self._lost is None:
+            return str(DeviceError(where, "connect", "not connected yet", "wait a second"))
+        remedy = "a new one stops the drive first; look at the service's log, then arm again"
+        return str(DeviceError(where, "lead the drive", f"the rail's process ended: {self._lost}", remedy))
 
-    # The task
+    # The process
 
-    async def _run(self) -> None:
-        pause_s = RETRY_S[0]
-        while True:
-            link: DryveLink | None = None
+    def _start_child(self) -> None:
+        assert self._loop is not None
+        self._again = None
+        config = {name: value for name, value in self._config.model_dump().items() if name in Settings._fields}
+        ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        ours.setblocking(False)
+        with theirs:
+            self._child = self._launch(Settings(**config, may_move=not self._at_ease), theirs, self._priority)
+        self._line, self._report = ours, None
+        self._started_ns = self._heard_ns = self._clock()
+        self._loop.add_reader(ours, self._hear)
+
+    def _hear(self) -> None:
+        """All that the process has reported; or its end."""
+        while self._line is not None:
             try:
-                host, port = self._config.host, self._config.port
-                link = await DryveLink.open(host, port, CONNECT_S, self._config.timeout_s)
-                await self._set_up(link)
-                pause_s = RETRY_S[0]
-                await self._converse(link)
-            except _LINK_ERRORS as error:
-                self._link_problem = self._explain(error, connected=link is not None)
-                if self._walk_since_ns is not None:
-                    self._complain("converse", f"the connection was lost ({error})", "disarm, then arm")
-            finally:
-                self._forbid()
-                if link is not None:
-                    await link.close()
-            await asyncio.sleep(pause_s)
-            if self._at_ease.is_set():  # a cart that may be moving is not kept waiting
-                pause_s = min(2 * pause_s, RETRY_S[1])
-
-    async def _converse(self, link: DryveLink) -> None:
-        """Cycle until the link fails: at once out of operation, at the second failure in a row in it."""
-        failed = False
-        while True:
-            try:
-                await self._cycle(link)
-            except EXCHANGE_ERRORS:
-                if failed or not self._operating_now():
-                    raise
-                failed = True
-                self._written.set()  # the set-point may not have arrived: the newest one goes next
-                await asyncio.sleep(AGAIN_S)
+                packet = self._line.recv(pair.PACKET_MAX)
+            except BlockingIOError:
+                return
+            except OSError:
+                packet = b""
+            if packet:
+                self._take(pair.decode_report(packet))
             else:
-                failed, self._link_problem = False, None
+                self._bury()
 
-    async def _set_up(self, link: DryveLink) -> None:
-        """Bring the drive to rest, whatever went before, then set mode and ramps and read them back."""
-        await self._come_to_rest(link)
-        await link.write(dryve.MODE, dryve.PROFILE_VELOCITY)
-        unfit = await self._mode_not_taken(link)
-        ramp = self._units(self._config.acceleration_m_s2)
-        quick_stop = self._units(self._config.quick_stop_m_s2)
-        for entry, value in (
-            (dryve.ACCELERATION, ramp),
-            (dryve.DECELERATION, ramp),
-            (dryve.QUICK_STOP, quick_stop),
-        ):
-            await link.write(entry, value)
-            actual = await link.read(entry)
-            if actual != value:
-                unfit = unfit or f"{entry} reads {actual} after {value} was written"
-        remedy = "set it on the drive's web page, or correct drivers.rail, and start again; it is not enabled"
-        self._unfit = None if unfit is None else self._say("set up", unfit, remedy)
+    def _take(self, report: Report) -> None:
+        known, found = self._report.reading if self._report is not None else None, report.reading
+        self._report, self._heard_ns, self._at_ease = report, self._clock(), report.at_ease
+        if found is not None and found != known and not self._loss_untold:
+            self._reading = RailReading(
+                t_receive_ns=found.t_ns,
+                position_m=found.position_m,
+                velocity_m_s=found.velocity_m_s,
+                enabled=found.enabled,
+                remote=found.remote,
+                faults=found.faults,
+                cycle_p50_ns=found.cycle_p50_ns,
+                cycle_max_ns=found.cycle_max_ns,
+            )
 
-    async def _come_to_rest(self, link: DryveLink) -> None:
-        operating = await self._halt(link)
-        until_ns = self._clock() + int(BRAKE_MAX_S * 1e9)
-        while abs(await link.read(dryve.VELOCITY)) > self._units(AT_REST_M_S) and self._clock() < until_ns:
-            await asyncio.sleep(0.01)
-        await link.write(dryve.CONTROLWORD, ControlWord.SHUTDOWN if operating else ControlWord.RESET_AND_HALT)
-
-    async def _halt(self, link: DryveLink) -> bool:
-        """Whether the drive was in operation; if so it brakes now. While it refuses to say, it is told to stop."""
-        for left in reversed(range(HALT_TRIES)):
-            try:
-                operating = decode_state(await link.read(dryve.STATUSWORD)) is DriveState.OPERATION_ENABLED
-                if operating:
-                    await link.write(dryve.TARGET_VELOCITY, 0)
-                    await link.write(dryve.CONTROLWORD, ControlWord.ENABLE_AND_HALT)
-                return operating
-            except dryve.DryveRefusal:
-                if not left:
-                    raise
-                await asyncio.sleep(HALT_AGAIN_S)
-                with contextlib.suppress(dryve.DryveRefusal):
-                    await link.write(dryve.TARGET_VELOCITY, 0)
-        raise AssertionError("the last try returns or raises")
-
-    async def _mode_not_taken(self, link: DryveLink) -> str | None:
-        until_ns = self._clock() + int(MODE_MAX_S * 1e9)
-        while (mode := await link.read(dryve.MODE_DISPLAY)) != dryve.PROFILE_VELOCITY:
-            if self._clock() > until_ns:
-                return f"{dryve.MODE_DISPLAY} stays at {mode} after {dryve.PROFILE_VELOCITY} was written"
-            await asyncio.sleep(0.02)
-        return None
-
-    async def _cycle(self, link: DryveLink) -> None:
-        """One set-point out (if a new one came), one feedback in, at most one controlword out."""
-        with contextlib.suppress(TimeoutError):
-            async with asyncio.timeout(POLL_S):
-                await self._written.wait()
-        if self._written.is_set() or self._set_point_age_s() > SET_POINT_S:
-            self._written.clear()
-            if self._operating_now():
-                await link.write(dryve.TARGET_VELOCITY, self._units(self._velocity_m_s()))
-        feedback = await self._poll(link)
-        self._publish(feedback)
-        self._judge(feedback)
-        await self._lead(link, feedback)
-
-    def _operating_now(self) -> bool:
-        return self._feedback is not None and self._feedback.state is DriveState.OPERATION_ENABLED
-
-    def _set_point_age_s(self) -> float:
-        return (self._clock() - self._wanted.t_ns) / 1e9
-
-    def _velocity_m_s(self) -> float:
-        """The set-point that may go out: zero unless enabled, permitted and fresh."""
-        fresh = self._set_point_age_s() <= SET_POINT_S
-        return self._wanted.velocity_m_s if self._walk_since_ns is not None and fresh else 0.0
-
-    async def _poll(self, link: DryveLink) -> Feedback:
-        statusword = await link.read(dryve.STATUSWORD)
-        position = await link.read(dryve.POSITION)
-        t_ns = self._clock()
-        velocity = await link.read(dryve.VELOCITY)
-        state = decode_state(statusword)
-        faulty = state in (DriveState.FAULT, DriveState.FAULT_REACTION)
-        return Feedback(
-            t_ns=t_ns,
-            state=state,
-            statusword=statusword,
-            position_m=position / self._config.units_per_m - self._config.centre_m,
-            velocity_m_s=velocity / self._config.units_per_m,
-            error_code=await link.read(dryve.ERROR_CODE) if faulty else 0,
-        )
-
-    def _publish(self, feedback: Feedback) -> None:
-        self._feedback = feedback
-        self._reading = RailReading(
-            t_receive_ns=feedback.t_ns,
-            position_m=feedback.position_m,
-            velocity_m_s=feedback.velocity_m_s,
-            enabled=feedback.state is DriveState.OPERATION_ENABLED,
-            remote=feedback.remote,
-            faults=feedback.faults() + (() if self._unfit is None else (self._unfit,)),
-        )
-        if feedback.state in _AT_EASE:
-            self._at_ease.set()
-        else:
-            self._at_ease.clear()
-
-    def _judge(self, feedback: Feedback) -> None:
-        """Withdraw the permission to enable when the drive does not follow."""
-        if self._walk_since_ns is None:
+    def _bury(self) -> None:
+        """The process has ended: replace it, unless that was asked for."""
+        self._part()
+        self._ended.set()
+        if self._stopping or self._loop is None:
             return
-        where = f"'{feedback.state.value}' (statusword 0x{feedback.statusword:04X})"
-        if not feedback.remote or feedback.faults() or self._unfit is not None:
-            self._forbid()
-        elif feedback.state is DriveState.OPERATION_ENABLED:
-            self._operating = True
-            if self._set_point_age_s() > SET_POINT_S:
-                stalled = f"no set-point for {SET_POINT_S} s, so zero was sent"
-                self._complain("write 60FFh", stalled, "see what keeps the control loop")
-        elif self._operating:
-            self._complain("write 60FFh", f"the drive fell back to {where} by itself", "disarm, then arm")
-            self._forbid()
-        elif self._clock() - self._walk_since_ns > WALK_MAX_S * 1e9:
-            remedy = "check DI7, load supply and the drive's web page, then disarm and arm"
-            self._complain("enable", f"the drive stays in {where}", remedy)
-            self._forbid()
+        self._lost = self._lost or "by itself"
+        log.error("the rail's process ended (%s): a new one stops the drive first", self._lost)
+        if self._reading is not None:
+            self._reading, self._loss_untold = replace(self._reading, enabled=False, linked=False), True
+        if self._clock() - self._started_ns > LIVED_S * 1e9:
+            self._pause_s = RETRY_S[0]
+            self._start_child()
+        else:
+            self._again = self._loop.call_later(self._pause_s, self._start_child)
+            self._pause_s = min(2 * self._pause_s, RETRY_S[1])
 
-    def _forbid(self) -> None:
-        self._walk_since_ns, self._operating = None, False
+    def _part(self) -> None:
+        """From the process as from one that has ended, or will never."""
+        line, child = self._line, self._child
+        self._line = self._child = self._report = None
+        if line is not None and self._loop is not None:
+            self._loop.remove_reader(line)
+            line.close()
+        if child is not None and self._loop is not None:
+            child.kill()
+            self._burials.append(self._loop.create_task(_reap(child)))
 
-    def _complain(self, command: str, problem: str, remedy: str) -> None:
-        self._complaint = (self._clock(), self._say(command, problem, remedy))
 
-    async def _lead(self, link: DryveLink, feedback: Feedback) -> None:
-        """Send the next controlword, once for each state that the drive shows."""
-        enable = self._walk_since_ns is not None and not self._stopping
-        await self._reset_fault_if_asked(link, feedback)
-        braked = feedback.at_rest or self._braking_for_s(feedback, enable) > BRAKE_MAX_S
-        word = next_controlword(feedback.state, enable, braked) if feedback.remote else None
-        step = None if word is None else (feedback.state, word)
-        if word is not None and step != self._last_step:
-            if word == ControlWord.ENABLE_OPERATION:
-                await link.write(dryve.TARGET_VELOCITY, 0)
-            await link.write(dryve.CONTROLWORD, word)
-        self._last_step = step
-
-    def _braking_for_s(self, feedback: Feedback, enable: bool) -> float:
-        if enable or feedback.state is not DriveState.OPERATION_ENABLED:
-            self._brake_since_ns = None
-            return 0.0
-        self._brake_since_ns = self._brake_since_ns or feedback.t_ns
-        return (feedback.t_ns - self._brake_since_ns) / 1e9
-
-    async def _reset_fault_if_asked(self, link: DryveLink, feedback: Feedback) -> None:
-        asked, self._reset_asked = self._reset_asked, False
-        if asked and feedback.state is DriveState.FAULT and feedback.remote and not self._wanted.enable:
-            # Bit 7 acts on its rising edge; the D1 then wants HALT seen before it is walked up again.
-            for word in (ControlWord.RESET_AND_HALT, ControlWord.FAULT_RESET, ControlWord.RESET_AND_HALT):
-                await link.write(dryve.CONTROLWORD, word)
-
-    # Words and numbers
-
-    def _units(self, metres: float) -> int:
-        """Drive units: 60A8h, the same for position, velocity and acceleration."""
-        return round(metres * self._config.units_per_m)
-
-    def _say(self, command: str, problem: str, remedy: str) -> str:
-        return str(DeviceError(f"{self._config.host}:{self._config.port}", command, problem, remedy))
-
-    def _explain(self, error: Exception, connected: bool) -> str:
-        command = "converse" if connected else "connect"
-        if isinstance(error, dryve.DryveRefusal):
-            return self._say("request", str(error), "see the drive's manual; connecting again")
-        if isinstance(error, EOFError):
-            remedy = "see that no other master is connected"
-            return self._say(command, "the drive closed the connection", remedy)
-        if isinstance(error, TimeoutError) and not connected:
-            return self._say(command, f"no answer within {CONNECT_S} s", _REMEDY[errno.EHOSTUNREACH])
-        number = error.errno if isinstance(error, OSError) else None
-        return self._say(command, str(error), _REMEDY.get(number or 0, "check the cable; connecting again"))
+async def _reap(child: Child) -> None:
+    while child.poll() is None:
+        await asyncio.sleep(0.005)

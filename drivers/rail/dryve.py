@@ -1,11 +1,10 @@
 """The telegrams of the igus dryve D1: CANopen objects in Modbus TCP, function 0x2B, MEI type 0x0D.
 
 Source: dryve D1 Operating Manual V2.4, pages 103 to 110; the byte lists of igus' sample programs. Header and
-object index are big-endian, data little-endian. One request is outstanding at a time.
+object index are big-endian, data little-endian. Imports next to nothing: the rail's process starts with it.
 """
 
-import asyncio
-from dataclasses import dataclass
+from typing import NamedTuple
 
 FUNCTION, MEI_TYPE = 0x2B, 0x0D
 EXCEPTION = FUNCTION | 0x80
@@ -67,12 +66,11 @@ ERROR_CODES = {
 }
 
 
-@dataclass(frozen=True, slots=True)
-class Entry:
+class Entry(NamedTuple):
     """One entry of the drive's object dictionary that we use; `size` in bytes."""
 
     name: str
-    index: int
+    index: int  # type: ignore[assignment]
     sub: int
     size: int
     signed: bool = False
@@ -103,14 +101,13 @@ class DryveMismatch(Exception):
     """An answer that does not fit the request."""
 
 
-@dataclass(frozen=True, slots=True)
-class ModbusRequest:
+class ModbusRequest(NamedTuple):
     """What is asked: a read of `count` bytes, or a write of `data` (then `count` is its length)."""
 
     transaction: int
-    index: int
+    index: int  # type: ignore[assignment]
     sub: int
-    count: int
+    count: int  # type: ignore[assignment]
     data: bytes | None = None
 
 
@@ -175,27 +172,20 @@ def encode_abort(transaction: int, abort: int) -> bytes:
 
 
 class Telegrams:
-    """Whole telegrams from a stream, framed on the length in their header, however TCP has cut them.
+    """Whole telegrams from a stream, framed on the length in their header, however TCP has cut them."""
 
-    A wait that is given up loses no byte.
-    """
-
-    def __init__(self, reader: asyncio.StreamReader) -> None:
-        self._reader = reader
+    def __init__(self) -> None:
         self._pending = b""
 
-    async def next(self) -> bytes:
-        """The next one. Raises EOFError when the other side closes; ValueError on a header that no telegram has,
-        and throws away what came with it.
-        """
-        while (telegram := self._cut()) is None:
-            data = await self._reader.read(4096)
-            if not data:
-                raise EOFError("the other side closed the connection")
-            self._pending += data
-        return telegram
+    def feed(self, data: bytes) -> None:
+        """What came."""
+        self._pending += data
 
-    def _cut(self) -> bytes | None:
+    def next(self) -> bytes | None:
+        """The next one; None while it is not whole.
+
+        Raises ValueError on a header that no telegram has, and throws away what came with it.
+        """
         if len(self._pending) < _MBAP_BYTES:
             return None
         head, length = self._pending[:_MBAP_BYTES], int.from_bytes(self._pending[4:_MBAP_BYTES], "big")

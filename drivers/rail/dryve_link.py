@@ -1,7 +1,11 @@
 """One TCP connection to a dryve D1: a request, its answer, then the next request."""
 
-import asyncio
 import contextlib
+import os
+import select
+import socket
+import time
+from collections.abc import Callable
 from typing import Self
 
 from softarm.drivers.rail import dryve
@@ -13,6 +17,10 @@ LINGER_S = 0.02  # waited for the other side to close, so that our last bytes ar
 # An exchange that failed on a connection that may still be good: refused, garbled or late.
 EXCHANGE_ERRORS = (dryve.DryveRefusal, dryve.DryveMismatch, ValueError, TimeoutError)
 
+# Is the socket ready for one of these events (of `select.poll`) within so many seconds? Whoever waits for the drive may
+# see to other things meanwhile.
+Wait = Callable[[socket.socket, int, float], bool]
+
 
 class DryveLink:
     """Good for one connection. Its first and its last bytes are a stop (60FFh = 0) that depends on no answer.
@@ -21,76 +29,110 @@ class DryveLink:
     counts answers with another request's transaction id: they are skipped, never believed. Nothing is sent twice.
     """
 
-    def __init__(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter, request_timeout_s: float) -> None:
+    def __init__(self, line: socket.socket, wait: Wait, request_timeout_s: float) -> None:
+        """`line`: connected, or about to be, and not blocking."""
         self.strays = 0
-        self._reader, self._writer, self._timeout_s = reader, writer, request_timeout_s
-        self._telegrams = dryve.Telegrams(reader)
+        self._line, self._wait, self._timeout_s = line, wait, request_timeout_s
+        self._telegrams = dryve.Telegrams()
         self._transaction = 0
 
     @classmethod
-    async def open(cls, host: str, port: int, connect_timeout_s: float, request_timeout_s: float) -> Self:
+    def open(cls, address: tuple[str, int], wait: Wait, connect_timeout_s: float, request_timeout_s: float) -> Self:
         """Connect and say stop; whatever the drive answers, or nothing, is as well.
 
         Raises OSError, TimeoutError (which is one) after `connect_timeout_s`, and EOFError.
         """
-        async with asyncio.timeout(connect_timeout_s):
-            reader, writer = await asyncio.open_connection(host, port)
-        link = cls(reader, writer, request_timeout_s)
+        family, kind, protocol, _, where = socket.getaddrinfo(*address, type=socket.SOCK_STREAM)[0]
+        line = socket.socket(family, kind | socket.SOCK_NONBLOCK, protocol)
+        try:
+            line.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            _connect(line, where, wait, connect_timeout_s)
+        except BaseException:
+            line.close()
+            raise
+        link = cls(line, wait, request_timeout_s)
         try:
             with contextlib.suppress(*EXCHANGE_ERRORS):
-                await link.write(dryve.TARGET_VELOCITY, 0)
+                link.write(dryve.TARGET_VELOCITY, 0)
         except BaseException:
-            writer.transport.abort()
+            link.close()
             raise
         return link
 
-    async def read(self, entry: Entry) -> int:
+    def read(self, entry: Entry) -> int:
         """The entry's value. Raises as `_request` does."""
-        return await self._request(entry, None)
+        return self._request(entry, None)
 
-    async def write(self, entry: Entry, value: int) -> None:
+    def write(self, entry: Entry, value: int) -> None:
         """Set the entry. Raises as `_request` does."""
-        await self._request(entry, value)
+        self._request(entry, value)
 
-    async def close(self) -> None:
+    def stop(self) -> None:
+        """Say stop, whatever is outstanding, and wait for nothing. Raises OSError."""
+        self._send(dryve.TARGET_VELOCITY, 0)
+
+    def close(self) -> None:
         """Say stop and hang up, in any state of the connection. Takes `LINGER_S` at most."""
         try:
-            self._send(dryve.TARGET_VELOCITY, 0)
-            self._writer.write_eof()
+            self.stop()
+            self._line.shutdown(socket.SHUT_WR)
             # Unread answers would turn the end of the connection into a reset, which may overtake the stop.
-            async with asyncio.timeout(LINGER_S):
-                while await self._reader.read(4096):
-                    pass
+            until_s = time.monotonic() + LINGER_S
+            while (left_s := until_s - time.monotonic()) > 0 and _readable(self._line, left_s):
+                if not self._line.recv(4096):
+                    break
         except OSError:
-            pass  # the connection is broken, or the other side keeps it open
+            pass  # the connection is broken
         finally:
-            self._writer.transport.abort()
+            self._line.close()
 
     def _send(self, entry: Entry, value: int | None) -> int:
         self._transaction = self._transaction % 255 + 1  # 1 to 255: what is known to work on real drives
-        self._writer.write(dryve.encode_request(self._transaction, entry, value))
+        self._line.sendall(dryve.encode_request(self._transaction, entry, value))
         return self._transaction
 
-    async def _request(self, entry: Entry, value: int | None) -> int:
+    def _request(self, entry: Entry, value: int | None) -> int:
         """One exchange.
 
         Raises DryveRefusal (the drive said no), DryveMismatch or ValueError (nonsense), EOFError (the other
         side closed), TimeoutError or another OSError (no answer).
         """
         transaction = self._send(entry, value)
-        try:
-            async with asyncio.timeout(self._timeout_s):
-                telegram = await self._answer_to(transaction, entry)
-        except TimeoutError:
-            verb = "read" if value is None else "write"
-            strays = f" ({self.strays} answers to other requests)" if self.strays else ""
-            raise TimeoutError(f"{verb} {entry}: no answer within {self._timeout_s} s{strays}") from None
-        return dryve.decode_answer(telegram, transaction, entry, write=value is not None)
-
-    async def _answer_to(self, transaction: int, entry: Entry) -> bytes:
+        until_s = time.monotonic() + self._timeout_s
         for _ in range(STRAYS_MAX + 1):
-            telegram = await self._telegrams.next()
+            telegram = self._next_telegram(until_s)
+            if telegram is None:
+                verb = "read" if value is None else "write"
+                strays = f" ({self.strays} answers to other requests)" if self.strays else ""
+                raise TimeoutError(f"{verb} {entry}: no answer within {self._timeout_s} s{strays}")
             if int.from_bytes(telegram[:2], "big") == transaction:
-                return telegram
+                return dryve.decode_answer(telegram, transaction, entry, write=value is not None)
             self.strays += 1
         raise dryve.DryveMismatch(f"{entry}: more than {STRAYS_MAX} answers to other requests in a row")
+
+    def _next_telegram(self, until_s: float) -> bytes | None:
+        while (telegram := self._telegrams.next()) is None:
+            if not self._wait(self._line, select.POLLIN, until_s - time.monotonic()):
+                return None
+            data = self._line.recv(4096)
+            if not data:
+                raise EOFError("the other side closed the connection")
+            self._telegrams.feed(data)
+        return telegram
+
+
+def _connect(line: socket.socket, where: object, wait: Wait, timeout_s: float) -> None:
+    try:
+        line.connect(where)  # type: ignore[arg-type]
+    except BlockingIOError:
+        if not wait(line, select.POLLOUT, timeout_s):
+            raise TimeoutError(f"no answer within {timeout_s} s") from None
+        number = line.getsockopt(socket.SOL_SOCKET, socket.SO_ERROR)
+        if number:
+            raise OSError(number, os.strerror(number)) from None
+
+
+def _readable(line: socket.socket, seconds: float) -> bool:
+    poll = select.poll()
+    poll.register(line, select.POLLIN)
+    return bool(poll.poll(seconds * 1e3))

@@ -223,12 +223,13 @@ class DryveServer:
     async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         self._hang_up()
         self._master = writer
-        with contextlib.suppress(OSError, EOFError, ValueError):
-            telegrams = dryve.Telegrams(reader)
-            while True:
-                telegram = await telegrams.next()
-                if not self._faults.active("rail_silence"):
-                    await self._reply(writer, self.device.answer(telegram, self._clock()))
+        telegrams = dryve.Telegrams()
+        with contextlib.suppress(OSError, ValueError):
+            while data := await reader.read(4096):
+                telegrams.feed(data)
+                while (telegram := telegrams.next()) is not None:
+                    if not self._faults.active("rail_silence"):
+                        await self._reply(writer, self.device.answer(telegram, self._clock()))
         if self._master is writer:
             self._hang_up()
 

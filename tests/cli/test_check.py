@@ -31,6 +31,8 @@ def test_a_sound_file_prints_its_limits_and_where_they_come_from(check):
     assert "default" in row
     assert "stopping distance at full speed" in result.stdout
     assert "127.0.0.1:8081" in next(line for line in result.stdout.splitlines() if "stop's own way" in line)
+    latch = next(line for line in result.stdout.splitlines() if "stop's latch" in line)
+    assert "logs/stop-169.254.0.1-502.json" in latch
     assert result.stdout.endswith(f"{path}: sound; starts with policy 'hold'\n")
 
 

@@ -57,19 +57,20 @@ class Still:
 class Rig:
     """A controller, and devices that take every command at once."""
 
-    def __init__(self, mode: Mode = Mode.DISARMED) -> None:
+    def __init__(self, mode: Mode = Mode.DISARMED, **first: str) -> None:
         self.controller = Controller(Config(failsafe=Failsafe(arming_frames=1)), InlineRunner(Still()))
-        self.now = self.number = 0
+        self.now = self.number = self.ticks = 0
         self.on = False
         self.before: Outputs | None = None
-        self.outputs = self.tick()
+        self.outputs = self.tick(**first)
         for request in STARTS[mode]:
             self.tick(*filter(None, [request]))
-        assert self.outputs.mode is mode
+        assert first or self.outputs.mode is mode
 
-    def tick(self, *kinds: str, cause: str = "nothing") -> Outputs:
+    def tick(self, *kinds: str, cause: str = "nothing", **first: str) -> Outputs:
         wrong = CAUSES[cause]
         self.now += PERIOD_NS
+        self.ticks += 1
         ahead = 50_000_000 if "mocap" in wrong else 0
         moving = 0.5 if self.on else 0.0  # a cart that still rolls: a soft stop lasts
         self.before = getattr(self, "outputs", None)
@@ -85,14 +86,20 @@ class Rig:
         self.outputs = self.controller.tick(
             Inputs(
                 t_ns=self.now,
-                mocap=(MocapFrame(self.now, self.now + ahead, self.now, (Pose(0.0, 0.7, 0.0),) * 6),),
+                mocap=(MocapFrame(self.ticks, self.now - 8_000_000 + ahead, self.now, self.bodies()),),
                 pressure=dataclasses.replace(PressureReading(self.now, 0.0, self.on), **wrong.get("pressure", {})),
                 rail=dataclasses.replace(RailReading(self.now, 0.0, moving, self.on), **wrong.get("rail", {})),
                 requests=tuple(requests),
+                **first,
             )
         )
         self.on = self.outputs.sent.enable
         return self.outputs
+
+    def bodies(self) -> tuple[Pose, ...]:
+        """An arm that hangs, as cameras with a little noise see it."""
+        tip = Pose(1e-5 * (self.ticks % 2), 0.52, 0.0)
+        return (Pose(0.0, 0.965, 0.0), *[Pose(0.0, 0.7, 0.0)] * 4, tip)
 
     def obeys(self, kinds: Sequence[str]) -> None:
         """The law, over the tick that was just made."""
@@ -165,3 +172,22 @@ def test_arming_beside_a_stop_is_refused_and_says_so(order: tuple[str, str]) -> 
     rig.tick(*order)
     answers = dict(zip(order, rig.outputs.results[-2:], strict=True))
     assert not answers["arm"].accepted
+
+
+def test_a_latch_that_was_left_holds_from_the_first_tick_with_the_old_reason() -> None:
+    rig = Rig(latched="the drive reports a fault (E12)")
+    assert (rig.outputs.mode, rig.outputs.estop, rig.outputs.sent) == (Mode.STOPPED, EStop.LATCHED, SAFE)
+    assert rig.outputs.last_stop == "the drive reports a fault (E12)"
+    rig.tick("arm")
+    assert rig.outputs.results[-1].reasons == ("the emergency stop is latched: POST /api/acknowledge first",)
+    rig.tick("acknowledge", cause="rail_fault")
+    assert rig.outputs.estop is EStop.ENGAGED
+    rig.tick("acknowledge", "arm")
+    assert (rig.outputs.mode, rig.outputs.estop) == (Mode.ARMING, EStop.CLEAR)
+
+
+def test_while_a_stop_would_not_be_kept_arming_is_refused() -> None:
+    rig = Rig()
+    rig.tick("arm", latch_problem="stop.json: cannot be written (Input/output error)")
+    assert rig.outputs.mode is Mode.DISARMED
+    assert "would not outlive a restart of the daemon (stop.json: cannot" in rig.outputs.results[-1].reasons[0]

@@ -1,7 +1,7 @@
 """Records `flight.mcap`, the flight that `tests/daemon/shell/test_golden_log.py` replays.
 
-It was made with revision 49d06ef, before the rooms were moved, and stays as it is: that it still loads is half of what
-it shows. Only when the tick's behaviour is changed on purpose is a new one made, in the commit that changes it:
+It stays as it is: that it still loads is half of what it shows. Only when the tick's behaviour is changed on purpose is
+a new one made, in the commit that changes it:
 
     python tests/data/record_flight.py
 """

@@ -279,17 +279,14 @@ def test_the_twins_drive_answers_as_the_page_says() -> None:
             assert drive.answer(row.request, 0).hex() == row.answer.hex(), row.says
 
 
-def test_the_driver_says_what_the_page_says_and_nothing_else(
-    clock: Any, run: Any, until: Any, running: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("softarm.drivers.rail.driver.POLL_S", 0.005)
+def test_the_driver_says_what_the_page_says_and_nothing_else(run: Any, until: Any, running: Any) -> None:
 
     async def play() -> Stubborn:
-        drive, faults = Stubborn(), Faults(clock)
+        drive, faults = Stubborn(), Faults(lambda: 0)
         server = DryveServer("127.0.0.1", 0, drive, faults, lambda: 0)
         drive.sense(0.0, 0.0)
         await server.open()
-        axis = DryveRailAxis(RAIL.model_copy(update={"port": server.port, "timeout_s": 1.0}), clock)
+        axis = DryveRailAxis(RAIL.model_copy(update={"port": server.port, "timeout_s": 1.0}))
 
         async def fly(condition: Any, enable: bool = False, velocity_m_s: float = 0.0) -> None:
             await until(condition, lambda: axis.write(enable, velocity_m_s) or server.step())

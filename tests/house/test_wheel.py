@@ -160,4 +160,5 @@ def test_the_users_plugin_is_flown_and_so_is_a_shipped_policy(installed: Path) -
     home = installed.parents[2] / "their-arm"
     softarm = installed.with_name("softarm")
     assert "left: 54 targets" in run(softarm, "evaluate", "--policy", "left", cwd=home, seconds=390)
-    assert "│ all         │ 90.7 %" in run(softarm, "evaluate", "--policy", "reach", cwd=home)
+    flown = run(softarm, "evaluate", "--policy", "reach", cwd=home)
+    assert float(flown.partition("│ all         │")[2].partition("%")[0]) > 85.0

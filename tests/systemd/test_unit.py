@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from softarm.daemon.shell.service import DESCRIPTORS
+from softarm.drivers.rail import master
 
 SYSTEMD = Path(__file__).parents[2] / "systemd"
 ANALYZE = shutil.which("systemd-analyze")
@@ -85,3 +86,9 @@ def test_the_rule_gives_the_teensy_to_the_daemon_and_keeps_modemmanager_off():
     assert terms["GROUP"] == "dialout"
     assert terms["ENV{ID_MM_DEVICE_IGNORE}"] == "1"
     assert terms["SYMLINK"] == "softarm-regulator"
+
+
+def test_the_end_of_the_daemon_leaves_the_rails_process_time_to_stop_the_drive():
+    service = unit()["Service"]
+    assert service["KillMode"] == "control-group"  # SIGTERM, which it does not heed, and SIGKILL only later
+    assert float(service["TimeoutStopSec"].removesuffix("s")) > master.PART_S + master.BRAKE_MAX_S

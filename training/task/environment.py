@@ -157,7 +157,7 @@ class Environment:
     def snapshot(self) -> dict[str, Any]:
         """Where every robot is and which random numbers come next, as tensors and plain values."""
         arrays = {name: torch.from_numpy(getattr(self, name).copy()) for name in self._arrays}
-        guard = None if self._guard is None else torch.from_numpy(self._guard.sent_m_s.copy())
+        guard = None if self._guard is None else torch.from_numpy(self._guard.sent_m_s)
         simulator = torch.from_numpy(self.simulator.snapshot())
         rng = json.dumps(self.rng.bit_generator.state)
         drawn = {path: torch.from_numpy(values) for path, values in self._drawn.items()}
@@ -197,7 +197,7 @@ class Environment:
         velocity = np.where(ticks, velocity, self._sent)
         self._sent_kpa = np.where(ticks, pressure, self._sent_kpa)
         if self._guard is not None:
-            self._guard.sent_m_s = velocity.copy()
+            self._guard.replace(velocity)
         return velocity, self._sent_kpa
 
     def _restart(self, over: Mask) -> None:

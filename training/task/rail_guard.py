@@ -1,36 +1,57 @@
 """The daemon's braking clamp for a whole batch, so that policies learn with the brakes they will fly with."""
 
+import math
+from collections import deque
+
 import numpy as np
 from numpy.typing import NDArray
 
-from softarm.schemas.config import RailLimits
+from softarm.schemas.config import DryveRail, RailLimits
 
 Array = NDArray[np.float32]
 
 
 class RailGuard:
-    """Clamps velocity commands of a batch by the braking law; remembers the command before."""
+    """Clamps velocity commands of a batch by the braking law; remembers the commands before, as long as they act."""
 
-    def __init__(self, robots: int, period_s: float, limits: RailLimits | None = None) -> None:
-        """Raises ValueError when the latency is longer than a tick: one command on the way is what it knows."""
+    def __init__(
+        self,
+        robots: int,
+        period_s: float,
+        limits: RailLimits | None = None,
+        hold_s: float = DryveRail().hold_s,
+    ) -> None:
+        """One command every `period_s`; readings are of this instant. The rest is the daemon's configuration."""
         limits = limits or RailLimits()
-        law = limits.braking_law(period_s)
-        if law.under_way > 1:
-            raise ValueError(
-                f"latency_s is {limits.latency_s}; the batch clamp takes at most one period of {period_s} s"
-            )
-        self._under_way = law.under_way
-        self._law = law.in_float32()
+        self._law = limits.braking_law(hold_s).in_float32()
+        self._period_s = period_s
         self._velocity_max_m_s = limits.velocity_max_m_s
-        self.sent_m_s = np.zeros(robots, dtype=np.float32)  # the command before
+        before = math.ceil(limits.latency_s / period_s - 1e-9) + 1  # that act from now on, and until now
+        self._sent: deque[Array] = deque((np.zeros(robots, dtype=np.float32) for _ in range(before)), maxlen=before)
+
+    @property
+    def sent_m_s(self) -> Array:
+        """The commands before, float32 [commands, R], the newest last."""
+        return np.stack(self._sent)
+
+    @sent_m_s.setter
+    def sent_m_s(self, sent: Array) -> None:
+        self._sent.extend(np.atleast_2d(sent))
 
     def reset(self, robots: NDArray[np.bool_]) -> None:
-        """Robots [R] whose command before is zero."""
-        self.sent_m_s[robots] = 0.0
+        """Robots [R] whose commands before are zero."""
+        for sent in self._sent:
+            sent[robots] = 0.0
+
+    def replace(self, sent_m_s: Array) -> None:
+        """Other commands than the last ones [R] were sent in their place."""
+        self._sent[-1] = sent_m_s.copy()
 
     def apply(self, wanted_m_s: Array, position_m: Array, velocity_m_s: Array) -> Array:
         """Commands that keep the carts inside the limits, float32 [R]."""
         wanted = np.clip(wanted_m_s, -self._velocity_max_m_s, self._velocity_max_m_s)
-        under_way = (self.sent_m_s,) * self._under_way
-        self.sent_m_s = self._law.bound(wanted, position_m, velocity_m_s, under_way).velocity_m_s
-        return self.sent_m_s.copy()
+        ages = range(len(self._sent), 0, -1)
+        sent = [(age * self._period_s, each) for age, each in zip(ages, self._sent, strict=True)]
+        bounded = self._law.bound(wanted, position_m, velocity_m_s, sent=sent).velocity_m_s
+        self._sent.append(bounded)
+        return bounded.copy()

@@ -243,7 +243,7 @@ def test_effective_limits_say_value_bounds_and_where_each_comes_from(write):
     in_force = {key.name for key in leaves(Config) if key.path[0] in ("limits", "failsafe", "goals")}
     assert in_force <= rows.keys()
     stopping = rows["stopping distance at full speed"]
-    assert float(stopping.value) == pytest.approx(0.5 * (0.1 + 1 / 30) + 0.25 / 5, rel=1e-3)
+    assert float(stopping.value) == pytest.approx(0.5 * (0.1 + 0.045) + 0.25 / 5, rel=1e-3)
     assert stopping.source == "derived"
     assert float(rows["pressure step per tick"].value) == pytest.approx(20.7)
 

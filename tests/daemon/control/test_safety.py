@@ -2,6 +2,7 @@
 
 import math
 from collections import deque
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,36 +10,42 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from softarm.common.braking import RETURN_SPEED_M_S
-from softarm.daemon.control.safety import CartState, SafetyFilter
+from softarm.daemon.control.safety import KNOWN_S, SafetyFilter
 from softarm.daemon.shell.offline import Lockstep
 from softarm.policies.base import PolicySpec
-from softarm.schemas.config import Config, Limits, PressureLimits, RailLimits
+from softarm.schemas.config import Config, DryveRail, Limits, PressureLimits, RailLimits
 from softarm.schemas.goals import Goal
-from softarm.schemas.messages import SAFE, Command
+from softarm.schemas.messages import SAFE, Command, RailReading
 from softarm.schemas.policy import Observation
 
 PERIOD = 1 / 30
 RAIL, PRESSURE = RailLimits(), PressureLimits()
-MIDDLE = CartState(0.0, 0.0)
+HOLD_S = DryveRail().hold_s
+SOON_NS = round(PERIOD * 1e9)
 
 
 def make(drive_ramp: float | None = 6.0, **limits) -> SafetyFilter:
-    return SafetyFilter(Limits(**limits), PERIOD, drive_ramp)
+    return SafetyFilter(Limits(**limits), PERIOD, drive_ramp, HOLD_S)
 
 
+def read(position: float, velocity: float, t_ns: int = 0) -> RailReading:
+    return RailReading(t_ns, position, velocity, True)
+
+
+MIDDLE = read(0.0, 0.0)
 any_number = st.floats(allow_nan=True, allow_infinity=True)
-carts = st.none() | st.builds(CartState, any_number, any_number)
+readings = st.none() | st.builds(read, any_number, any_number, st.integers(-(10**9), 10**9))
 
 
-@given(st.lists(st.tuples(any_number, any_number, carts), min_size=1, max_size=20))
+@given(st.lists(st.tuples(any_number, any_number, readings), min_size=1, max_size=20))
 def test_whatever_comes_in_what_goes_out_is_within_every_limit(steps):
     safety = make()
     pressure = 0.0
-    for velocity, kpa, cart in steps:
-        sent, _ = safety.apply(Command(True, velocity, kpa), cart)
+    for tick, (velocity, kpa, rail) in enumerate(steps):
+        sent, clamps = safety.apply(Command(True, velocity, kpa), rail, tick * SOON_NS)
         assert abs(sent.cart_velocity_m_s) <= RAIL.velocity_max_m_s
         assert PRESSURE.min_kpa <= sent.pressure_kpa <= PRESSURE.max_kpa
-        nothing_known = not all(map(math.isfinite, (velocity, kpa, *(cart or ()))))
+        nothing_known = "non_finite" in clamps
         assert nothing_known or abs(sent.pressure_kpa - pressure) <= PRESSURE.slew_max_kpa_s * PERIOD + 1e-9
         pressure = sent.pressure_kpa
 
@@ -46,7 +53,7 @@ def test_whatever_comes_in_what_goes_out_is_within_every_limit(steps):
 @given(st.floats(-1, 1), st.floats(-0.7, 20.0))
 def test_an_action_within_the_limits_passes_untouched_in_the_middle_of_the_rail(velocity, kpa):
     wanted = Command(True, velocity, kpa)
-    assert make().apply(wanted, MIDDLE) == (wanted, ())
+    assert make().apply(wanted, MIDDLE, 0) == (wanted, ())
 
 
 class RampingCart:
@@ -56,11 +63,13 @@ class RampingCart:
         self.position, self.velocity = position, 0.0
         self._pulls = pulls
         self._queue = deque([0.0] * round(RAIL.latency_s * 1000))
+        self.track: list[RailReading] = []  # of every millisecond
 
-    def advance(self, set_point: float, tick: int) -> None:
+    def advance(self, set_point: float, tick: int, steps: int) -> None:
         pull = self._pulls[tick % len(self._pulls)]
-        for _ in range(33):
-            self._queue.append(set_point)
+        for step in range(steps):
+            self.track.append(read(self.position, self.velocity, len(self.track) * 1_000_000))
+            self._queue.append(set_point if step < HOLD_S * 1000 else 0.0)
             gap = self._queue.popleft() - self.velocity
             ramp = 6.0 + pull * math.copysign(1.0, gap)  # the arm pulls towards +y
             self.velocity += math.copysign(min(abs(gap), ramp / 1000), gap)
@@ -71,50 +80,96 @@ class RampingCart:
     st.lists(st.floats(-3, 3), min_size=5, max_size=60),
     st.floats(-0.2, 0.2),
     st.lists(st.floats(-2, 2), min_size=1, max_size=10),
+    st.lists(st.integers(0, 150), min_size=1, max_size=5) | st.just([0]),
+    st.lists(st.sampled_from([33, 33, 34, 67, 133]), min_size=1, max_size=5),
 )
-def test_no_sequence_of_actions_drives_the_cart_past_its_limits(velocities, start, pulls):
+def test_no_sequence_of_actions_drives_the_cart_past_its_limits(velocities, start, pulls, ages, pauses):
+    """However old the readings are and whichever ticks are skipped."""
     safety = make()
     cart = RampingCart(start, pulls)
+    cart.advance(0.0, 0, 1)
     for tick, velocity in enumerate([*velocities, 1.0, 1.0, 1.0, 1.0, 1.0]):
-        sent, _ = safety.apply(Command(True, velocity, 0.0), CartState(cart.position, cart.velocity))
-        cart.advance(sent.cart_velocity_m_s, tick)
-        assert RAIL.position_min_m <= cart.position <= RAIL.position_max_m
+        seen = cart.track[max(0, len(cart.track) - 1 - ages[tick % len(ages)])]
+        sent, _ = safety.apply(Command(True, velocity, 0.0), seen, (len(cart.track) - 1) * 1_000_000)
+        cart.advance(sent.cart_velocity_m_s, tick, pauses[tick % len(pauses)])
+    assert all(RAIL.position_min_m <= each.position_m <= RAIL.position_max_m for each in cart.track)
 
 
 @given(st.lists(st.floats(-2, 2), min_size=1, max_size=30), st.floats(-0.25, 0.25), st.floats(-1, 1))
 def test_a_mirrored_world_gets_mirrored_commands(velocities, position, speed):
     here, mirrored = make(), make()
-    for velocity in velocities:
-        one, _ = here.apply(Command(True, velocity, 0.0), CartState(position, speed))
-        other, _ = mirrored.apply(Command(True, -velocity, 0.0), CartState(-position, -speed))
+    for tick, velocity in enumerate(velocities):
+        t_ns = tick * SOON_NS
+        one, _ = here.apply(Command(True, velocity, 0.0), read(position, speed, t_ns), t_ns)
+        other, _ = mirrored.apply(Command(True, -velocity, 0.0), read(-position, -speed, t_ns), t_ns)
         assert one.cart_velocity_m_s == -other.cart_velocity_m_s
 
 
 def test_at_the_end_of_the_rail_only_the_way_back_is_open():
     safety = make()
-    out, clamps = safety.apply(Command(True, 1.0, 0.0), CartState(RAIL.position_max_m, 0.0))
+    out, clamps = safety.apply(Command(True, 1.0, 0.0), read(RAIL.position_max_m, 0.0), 0)
     assert out.cart_velocity_m_s <= 0
     assert clamps == ("rail_position_max",)
-    back, clamps = make().apply(Command(True, -1.0, 0.0), CartState(RAIL.position_max_m, 0.0))
+    back, clamps = make().apply(Command(True, -1.0, 0.0), read(RAIL.position_max_m, 0.0), 0)
     assert (back.cart_velocity_m_s, clamps) == (-1.0, ())
 
 
 @pytest.mark.parametrize("side", [-1, 1])
 def test_a_cart_outside_comes_back_gently_by_itself(side):
-    sent, _ = make().apply(Command(True, 0.0, 0.0), CartState(side * 0.28, 0.0))
+    sent, _ = make().apply(Command(True, 0.0, 0.0), read(side * 0.28, 0.0), 0)
     assert sent.cart_velocity_m_s == pytest.approx(-side * RETURN_SPEED_M_S)
 
 
-def test_braking_begins_at_the_braking_distance():
-    """At 1 m/s: one tick of latency, one tick of the command itself, then v^2 / 2a."""
-    distance = RAIL.latency_s + PERIOD + 1.0 / (2 * RAIL.braking_m_s2) + RAIL.margin_m
+def under_way(velocity: float) -> SafetyFilter:
+    """A filter that has sent one velocity for ten ticks, the last of them at -1."""
+    safety = make()
+    for tick in range(-10, 0):
+        safety.apply(Command(True, velocity, 0.0), read(-0.2, velocity, tick * SOON_NS), tick * SOON_NS)
+    return safety
+
+
+@pytest.mark.parametrize("age_s", [0.0, 0.03, 0.15])
+def test_braking_begins_at_the_braking_distance(age_s):
+    """At 0.9 m/s: what the reading is old, the latency, as long as the link holds the command, then v^2 / 2a."""
+    distance = 0.9 * (age_s + RAIL.latency_s + HOLD_S) + 0.9**2 / (2 * RAIL.braking_m_s2) + RAIL.margin_m
     for offset, passes in ((-0.002, True), (0.002, False)):
-        safety = make()
-        for _ in range(3):
-            safety.apply(Command(True, 1.0, 0.0), CartState(-0.1, 1.0))
-        sent, clamps = safety.apply(Command(True, 1.0, 0.0), CartState(RAIL.position_max_m - distance + offset, 1.0))
-        assert (sent.cart_velocity_m_s == 1.0) is passes
+        seen = read(RAIL.position_max_m - distance + offset, 0.9, -round(age_s * 1e9))
+        sent, clamps = under_way(0.9).apply(Command(True, 0.9, 0.0), seen, 0)
+        assert (sent.cart_velocity_m_s == 0.9) is passes
         assert ("rail_position_max" in clamps) is not passes
+
+
+def test_after_a_pause_the_link_has_braked_and_that_counts():
+    """From 0.9 m/s, the cart may stand already or still roll: no more speed passes than if it rolled."""
+    seen = read(0.02, 0.9, -SOON_NS)
+    fresh, _ = under_way(0.9).apply(Command(True, 0.9, 0.0), seen, 0)
+    later, _ = under_way(0.9).apply(Command(True, 0.9, 0.0), seen, 4 * SOON_NS)
+    never, _ = under_way(0.9).apply(Command(True, 0.9, 0.0), replace(seen, position_m=-0.2), 4 * SOON_NS)
+    assert fresh.cart_velocity_m_s < 0.9
+    assert later.cart_velocity_m_s < 0.9
+    assert never.cart_velocity_m_s == 0.9
+
+
+def test_a_reading_that_is_too_old_is_none():
+    old_ns = round(KNOWN_S * 1e9)
+    for age_ns, unknown in ((old_ns, False), (old_ns + 1000, True)):
+        sent, clamps = make().apply(Command(True, -0.1, 3.0), MIDDLE, age_ns)
+        assert ("rail_unknown" in clamps) is unknown
+        assert sent.pressure_kpa == 3.0
+        assert not unknown or sent.cart_velocity_m_s == 0.0
+
+
+def test_a_stamp_ahead_of_the_clock_is_a_reading_of_now():
+    wanted = Command(True, 0.8, 0.0)
+    ahead, now = (make().apply(wanted, read(0.1, 0.5, t_ns), 0) for t_ns in (10_000_000, 0))
+    assert ahead == now
+
+
+def test_what_is_remembered_of_the_commands_is_bounded():
+    safety = make()
+    for tick in range(2000):
+        safety.apply(Command(True, 0.1, 0.0), None if tick < 1000 else MIDDLE, tick * SOON_NS)
+    assert len(safety._sent) < 30
 
 
 @pytest.mark.parametrize(
@@ -128,39 +183,39 @@ def test_braking_begins_at_the_braking_distance():
     ],
 )
 def test_every_clamp_says_its_name(wanted, clamp):
-    _, clamps = make().apply(wanted, MIDDLE)
+    _, clamps = make().apply(wanted, MIDDLE, 0)
     assert clamp in clamps
 
 
 def test_a_number_that_is_none_brakes_and_vents():
-    sent, _ = make().apply(Command(True, math.nan, 10.0), MIDDLE)
+    sent, _ = make().apply(Command(True, math.nan, 10.0), MIDDLE, 0)
     assert sent == Command(True, 0.0, 0.0)
-    sent, _ = make().apply(Command(True, 1.0, 10.0), CartState(math.nan, 0.0))
+    sent, _ = make().apply(Command(True, 1.0, 10.0), read(math.nan, 0.0), 0)
     assert sent == Command(True, 0.0, 0.0)
 
 
 def test_what_is_off_stays_off_wherever_the_cart_is():
-    assert make().apply(Command(False, 1.0, 9.0), CartState(0.28, 0.5)) == (SAFE, ())
+    assert make().apply(Command(False, 1.0, 9.0), read(0.28, 0.5), 0) == (SAFE, ())
 
 
 def test_without_a_cart_state_the_cart_stands_still():
-    sent, clamps = make().apply(Command(True, 0.5, 3.0), None)
+    sent, clamps = make().apply(Command(True, 0.5, 3.0), None, 0)
     assert sent == Command(True, 0.0, 3.0)
     assert clamps == ("rail_unknown",)
 
 
 def test_the_pressure_slew_is_kept():
     safety = make(pressure=PressureLimits(slew_max_kpa_s=60.0))
-    first, clamps = safety.apply(Command(True, 0.0, 20.0), MIDDLE)
+    first, clamps = safety.apply(Command(True, 0.0, 20.0), MIDDLE, 0)
     assert first.pressure_kpa == pytest.approx(2.0)
     assert clamps == ("pressure_slew",)
-    second, _ = safety.apply(Command(True, 0.0, 20.0), MIDDLE)
+    second, _ = safety.apply(Command(True, 0.0, 20.0), MIDDLE, SOON_NS)
     assert second.pressure_kpa == pytest.approx(4.0)
 
 
 def test_a_drive_without_its_own_ramp_has_its_set_points_slewed():
     safety = make(drive_ramp=None)
-    sent, clamps = safety.apply(Command(True, 1.0, 0.0), MIDDLE)
+    sent, clamps = safety.apply(Command(True, 1.0, 0.0), MIDDLE, 0)
     assert sent.cart_velocity_m_s == pytest.approx(RAIL.acceleration_max_m_s2 * PERIOD)
     assert clamps == ("rail_acceleration",)
 

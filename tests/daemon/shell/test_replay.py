@@ -5,6 +5,7 @@ from itertools import pairwise
 
 import pytest
 
+from softarm.daemon.control.plausibility import WINDOW
 from softarm.daemon.logbook import logs
 from softarm.daemon.logbook.recorder import Recorder
 from softarm.daemon.shell.offline import Lockstep
@@ -141,12 +142,12 @@ def test_what_a_tick_remembers_of_before_a_gap_is_not_taken_for_a_difference(tmp
     read = daemon.robot.rail.read
     apart = [0.0]
     daemon.robot.rail.read = lambda: dataclasses.replace(read(), position_m=read().position_m + apart[0])
-    for number in range(200):
-        apart[0] = 0.1 if number % 10 == 0 or number >= 190 else 0.0
+    for number in range(240):
+        apart[0] = 0.04 if number % 10 == 0 or number >= 190 else 0.0
         daemon.tick()
     recorder.stop()
     ticks = [t for i, t in enumerate(logs.read(recorder.path).ticks()) if (i % 10 == 0 and i > 30) or i >= 190]
     assert "rail_disagrees" in [event.name for event in ticks[-1][1].events]
     replayed = replay(ticks, config, lambda _: registry.load("hold"))
     assert replayed.differences == []
-    assert replayed.compared == 5
+    assert replayed.compared == 50 - WINDOW

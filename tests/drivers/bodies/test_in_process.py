@@ -26,9 +26,9 @@ def test_every_stamp_is_on_the_callers_clock(robot):
 
 def test_it_moves_under_the_commands_last_written_and_not_at_all_when_they_are_off(robot):
     def fly(enable):
-        robot.rail.write(enable, 0.4)
         robot.regulator.write(enable, 10.0)
         for _ in range(15):
+            robot.rail.write(enable, 0.4)
             robot.mocap.read(robot.now_ns + PERIOD_NS)
         return robot.body.cart_velocity_m_s, robot.body.pressure_kpa, robot.rail.read(), robot.regulator.read()
 
@@ -40,6 +40,22 @@ def test_it_moves_under_the_commands_last_written_and_not_at_all_when_they_are_o
     assert velocity_m_s == pytest.approx(0.0, abs=0.1)
     assert kpa < 3.0
     assert (rail.enabled, regulator.armed, regulator.sequence) == (False, False, 2)
+
+
+def test_a_set_point_that_is_not_renewed_brakes_the_cart_until_the_next_one(robot):
+    """As the rail's link does; however long the pause, it acts for its hold."""
+    for tick in range(1, 16):
+        robot.rail.write(True, 0.4)
+        robot.mocap.read(BOOTED_NS + tick * PERIOD_NS)
+    moved = robot.body.cart_position_m
+    robot.mocap.read(robot.now_ns + 30 * PERIOD_NS)
+    assert robot.body.cart_velocity_m_s == pytest.approx(0.0, abs=0.1)
+    assert robot.body.cart_position_m < moved + 0.4 * (0.045 + 0.034) + 0.4**2 / 6  # the hold, the delay, the brake
+    robot.rail.write(True, 0.4)
+    robot.mocap.read(robot.now_ns + PERIOD_NS)
+    robot.rail.write(True, 0.4)
+    robot.mocap.read(robot.now_ns + 3 * PERIOD_NS // 2)
+    assert robot.body.cart_velocity_m_s > 0.05
 
 
 def test_time_that_is_skipped_moves_nothing(robot):

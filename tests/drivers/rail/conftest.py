@@ -1,7 +1,10 @@
-"""A bench for the rail: the driver, and a drive on a TCP port that does as it is told."""
+"""A bench for the rail: the driver, its process as a thread, and a drive on a TCP port that does as it is told."""
 
 import asyncio
 import itertools
+import math
+import socket
+import threading
 from collections.abc import Callable
 from typing import Any
 
@@ -11,6 +14,7 @@ from softarm.drivers.rail import dryve
 from softarm.drivers.rail.cia402 import DriveState
 from softarm.drivers.rail.driver import DryveRailAxis
 from softarm.drivers.rail.dryve import ModbusRequest
+from softarm.drivers.rail.master import Master, Settings
 from softarm.drivers.twin.dryve import DryveDevice, DryveServer
 from softarm.drivers.twin.faults import Faults
 from softarm.schemas.config import DryveRail
@@ -61,6 +65,26 @@ class Server(DryveServer):
         await super()._serve(reader, writer)
 
 
+class Leading(threading.Thread):
+    """The rail's process as a thread: a clock that stands still cannot reach into another process."""
+
+    def __init__(self, settings: Settings, theirs: socket.socket, clock: Any) -> None:
+        super().__init__(daemon=True)
+        self._theirs = theirs.dup()  # the caller closes its own, as it would for a process
+        self.master = Master(settings, self._theirs, clock)
+        self.start()
+
+    def run(self) -> None:
+        with self._theirs:
+            self.master.run()
+
+    def poll(self) -> int | None:
+        return None if self.is_alive() else 0
+
+    def kill(self) -> None:
+        """It ends by itself once the pair is closed."""
+
+
 class Bench:
     """Driver and drive; the driver's clock stands still until told, the drive's own watchdog never bites."""
 
@@ -74,7 +98,7 @@ class Bench:
     async def open(self) -> None:
         await self.server.open()
         self.config = self.config.model_copy(update={"port": self.server.port})
-        self.axis = DryveRailAxis(self.config, self.clock)
+        self.axis = DryveRailAxis(self.config, 0, self.clock, lambda *start: Leading(*start[:2], self.clock))
 
     def step(self) -> None:
         self.server.step()
@@ -92,6 +116,14 @@ class Bench:
 
         await self._until(condition, each)
 
+    async def pass_time(self, seconds: float, enable: bool, velocity_m_s: float) -> None:
+        """The clock goes on, and with it the control loop."""
+        for _ in range(math.ceil(seconds / 0.03)):
+            self.clock.advance(0.03)
+            self.axis.write(enable, velocity_m_s)
+            number = self.axis._number
+            await self.wait_until(lambda n=number: self.axis._report.taken == n)
+
     async def wait_until(self, condition: Any) -> None:
         await self._until(condition, self.step)
 
@@ -103,8 +135,8 @@ class Bench:
 
 @pytest.fixture
 def bench(clock: Any, until: Any, run: Any, running: Any, monkeypatch: Any) -> Any:
-    monkeypatch.setattr("softarm.drivers.rail.driver.RETRY_S", (0.005, 0.01))
-    monkeypatch.setattr("softarm.drivers.rail.driver.POLL_S", 0.005)
+    monkeypatch.setattr("softarm.drivers.rail.master.RETRY_S", (0.005, 0.01))
+    monkeypatch.setattr("softarm.drivers.rail.master.POLL_S", 0.005)
 
     async def play(script: Any, config: DryveRail, prepare: Any) -> None:
         bench = Bench(clock, until, config)

@@ -91,7 +91,7 @@ def test_a_set_point_that_was_refused_once_is_said_again_without_waiting_for_the
 def test_a_cart_in_motion_is_stopped_as_soon_as_refusals_end(
     bench: Any, storm: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("softarm.drivers.rail.driver.RETRY_S", (0.005, 60.0))  # no pause may grow meanwhile
+    monkeypatch.setattr("softarm.drivers.rail.master.RETRY_S", (0.005, 60.0))  # no pause may grow meanwhile
 
     async def script(b: Any) -> None:
         b.drive.stubborn = True

@@ -1,7 +1,5 @@
 """The D1's telegrams, byte for byte as the manual, the sample programs and real drives have them."""
 
-import asyncio
-
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -119,23 +117,16 @@ def test_noise_never_raises_anything_else(telegram: bytes) -> None:
 def read_all(*pieces: bytes) -> list[str]:
     """The telegrams in a stream that arrives in these pieces; a broken one's error in its place."""
 
-    async def read() -> list[str]:
-        reader = asyncio.StreamReader()
-        telegrams, out = dryve.Telegrams(reader), []
-        for piece in pieces:
-            reader.feed_data(piece)
-            waiting = asyncio.ensure_future(telegrams.next())
-            for _ in range(3):
-                await asyncio.sleep(0)
-            if waiting.cancel():  # nothing whole yet: the wait is given up
-                continue
-            try:
-                out.append(waiting.result().hex())
-            except ValueError as error:
-                out.append(str(error))
-        return out
-
-    return asyncio.run(read())
+    telegrams, out = dryve.Telegrams(), []
+    for piece in pieces:
+        telegrams.feed(piece)
+        try:
+            telegram = telegrams.next()
+        except ValueError as error:
+            out.append(str(error))
+        else:
+            out += [] if telegram is None else [telegram.hex()]
+    return out
 
 
 def test_telegrams_are_framed_on_their_length() -> None:

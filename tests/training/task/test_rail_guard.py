@@ -5,9 +5,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from softarm.daemon.control.safety import CartState, SafetyFilter
-from softarm.schemas.config import Limits, RailLimits
-from softarm.schemas.messages import Command
+from softarm.daemon.control.safety import SafetyFilter
+from softarm.schemas.config import DryveRail, Limits, RailLimits
+from softarm.schemas.messages import Command, RailReading
 from softarm.simulator.simulator import Simulator
 from softarm.training.task.rail_guard import RailGuard
 
@@ -16,16 +16,20 @@ states = st.tuples(st.floats(-1.5, 1.5, width=32), st.floats(-0.3125, 0.3125, wi
 
 
 @settings(max_examples=200, deadline=None)
-@given(st.lists(states, min_size=1, max_size=6))
-def test_it_sends_what_the_daemons_filter_sends(steps: list[tuple[float, float, float]]) -> None:
-    guard = RailGuard(1, PERIOD_S)
-    daemon = SafetyFilter(Limits(), PERIOD_S, drive_ramp_m_s2=6.0)
-    for wanted, position, velocity in steps:
+@given(st.lists(states, min_size=1, max_size=6), st.sampled_from([0.0, 0.02, PERIOD_S, 0.05, 0.1]))
+def test_it_sends_what_the_daemons_filter_sends(steps: list[tuple[float, float, float]], latency_s: float) -> None:
+    """Whatever the latency: the commands of as many ticks are remembered."""
+    limits = RailLimits(latency_s=latency_s)
+    guard = RailGuard(1, PERIOD_S, limits)
+    daemon = SafetyFilter(Limits(rail=limits), PERIOD_S, 6.0, DryveRail().hold_s)
+    for tick, (wanted, position, velocity) in enumerate(steps):
         sent = guard.apply(*(np.array([x], dtype=np.float32) for x in (wanted, position, velocity)))
-        expected = daemon.apply(Command(True, wanted, 0.0), CartState(position, velocity)).command.cart_velocity_m_s
+        t_ns = round(tick * 1e9 / 30)
+        passed = daemon.apply(Command(True, wanted, 0.0), RailReading(t_ns, position, velocity, True), t_ns)
+        expected = passed.command.cart_velocity_m_s
         # A bisection of 2 m/s in 12 halvings may take one comparison differently in float32.
         assert sent[0] == pytest.approx(expected, abs=1e-3)
-        guard.sent_m_s[:] = daemon._sent_velocity  # keep the histories the same
+        guard.replace(np.array([expected], dtype=np.float32))  # keep the histories the same
 
 
 def test_hard_swings_stay_on_the_rail_but_for_millimetres() -> None:
@@ -44,6 +48,27 @@ def test_hard_swings_stay_on_the_rail_but_for_millimetres() -> None:
     assert 0.2 < farthest < RailLimits().position_max_m + 0.005
 
 
-def test_a_latency_beyond_a_tick_is_refused() -> None:
-    with pytest.raises(ValueError, match="one period"):
-        RailGuard(1, PERIOD_S, RailLimits(latency_s=0.05))
+def test_a_robot_that_begins_anew_was_told_to_stand() -> None:
+    def sent(position: float) -> list[float]:
+        at = np.full(2, position, dtype=np.float32)
+        return guard.apply(np.ones(2, dtype=np.float32), at, np.zeros(2, dtype=np.float32)).tolist()
+
+    guard = RailGuard(2, PERIOD_S, RailLimits(latency_s=0.1))
+    for _ in range(6):
+        sent(-0.2)
+    guard.reset(np.array([True, False]))
+    new, old = sent(0.1)
+    assert new == RailGuard(1, PERIOD_S, RailLimits(latency_s=0.1)).apply(*np.float32([[1.0], [0.1], [0.0]]))[0]
+    assert old < new
+
+
+def test_it_goes_on_where_a_snapshot_was_taken() -> None:
+    """Also of one made when there was one command to remember."""
+    guard, other = RailGuard(3, PERIOD_S), RailGuard(3, PERIOD_S)
+    now = np.float32([[1.0, 0.5, -1.0], [0.05, 0.1, -0.1], [0.5, 0.2, -0.3]])
+    for _ in range(4):
+        guard.apply(*now)
+    other.sent_m_s = guard.sent_m_s
+    np.testing.assert_array_equal(guard.apply(*now), other.apply(*now))
+    other.sent_m_s = guard.sent_m_s[-1]
+    assert other.sent_m_s.shape == (2, 3)

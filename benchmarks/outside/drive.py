@@ -1,0 +1,229 @@
+"""The rail's drive: telegrams over Modbus TCP, the power state machine of CiA 402, ramps and a velocity servo."""
+
+import collections
+import contextlib
+import socket
+import struct
+
+OFF, _READY, _ON, RUN, _QUICK, _REACTION, _FAULT = 0x40, 0x21, 0x23, 0x27, 0x07, 0x0F, 0x08
+_AFTER = {_QUICK: OFF, _REACTION: _FAULT}  # braking, then at rest
+_REMOTE = 0x200  # the enable input
+_UNITS = 100_000  # per metre
+_CENTRE_M = 0.30
+_SILENCE_S = 0.1
+_SERVO_NS_M, _SERVO_N_M = 30.0, 150.0  # velocity loop: proportional, integral
+_FORWARD_KG = 0.5
+_FORCE_N = 40.0
+_WIDE_M_S, _WIDE_S = 0.5, 0.1  # farther than this behind its reference for so long, it trips
+_FOLLOWING = 0x8611
+_FREE_NS_M = 4.0  # a motor without power
+_REST_M_S = 0.01
+
+# index: (bytes, signed, writable)
+_OBJECTS = {
+    0x6040: (2, False, True), 0x6041: (2, False, False), 0x603F: (2, False, False),
+    0x6060: (1, True, True), 0x6061: (1, True, False),
+    0x6083: (4, False, True), 0x6084: (4, False, True), 0x6085: (4, False, True),
+    0x60FF: (4, True, True), 0x6064: (4, True, False), 0x606C: (4, True, False),
+}  # fmt: skip
+
+
+class Drive:
+    """One drive, homed and with its enable input high.
+
+    ramp_m_s2: what it really drives (None: 6083h to 6085h); latency_s: from a written 60FFh to the ramp's start;
+    age_s: of what 6064h and 606Ch say; keep: it goes on at its last set-point when its master is gone or silent.
+    """
+
+    def __init__(self, ramp_m_s2: float | None, latency_s: float, age_s: float, keep: bool) -> None:
+        self._fixed_ramp, self._latency_s, self._age_s, self._keep = ramp_m_s2, latency_s, age_s, keep
+        self._values = {0x6040: 0, 0x603F: 0, 0x6060: 0, 0x6083: _UNITS, 0x6084: _UNITS, 0x6085: _UNITS, 0x60FF: 0}
+        self.state = OFF
+        self._coming: collections.deque[tuple[float, float]] = collections.deque()  # set-points under way
+        self._target = self._ref = self._sum_n = 0.0
+        self._seen: collections.deque[tuple[float, float, float]] = collections.deque([(-1.0, 0.0, 0.0)])
+        self._heard = 0.0
+        self._wide_s = 0.0
+
+    @property
+    def powered(self) -> bool:
+        """Does the motor hold the cart?"""
+        return self.state in (RUN, *_AFTER)
+
+    def step(self, h: float, now: float, y: float, v: float) -> tuple[float, float]:
+        """The motor's force (N) and its stiffness against velocity (N s/m) for a step of `h` s from `now`."""
+        self._seen.append((now, y, v))
+        while len(self._seen) > 1 and self._seen[1][0] <= now - self._age_s:
+            self._seen.popleft()
+        while self._coming and self._coming[0][0] <= now:
+            self._target = self._coming.popleft()[1]
+        if self.state == RUN and not self._keep and now - self._heard > _SILENCE_S:
+            self.state = _QUICK
+        if not self.powered:
+            self._ref, self._sum_n = v, 0.0
+            return 0.0, _FREE_NS_M
+        before = self._ref
+        self._ramp(h)
+        if self.state in _AFTER and self._ref == 0.0 and abs(v) < _REST_M_S:
+            self.state = _AFTER[self.state]
+        return self._servo(h, (self._ref - before) / h, self._ref - v)
+
+    def _ramp(self, h: float) -> None:
+        """Move the servo's reference towards the target."""
+        quick, halted = self.state in _AFTER, self._values[0x6040] & 0x100 or self._values[0x6060] != 3
+        target = 0.0 if quick or halted else self._target
+        faster = target * self._ref >= 0 and abs(target) > abs(self._ref)
+        written = self._values[0x6085 if quick else 0x6083 if faster else 0x6084] / _UNITS
+        most = (self._fixed_ramp or written) * h
+        self._ref += max(-most, min(most, target - self._ref))
+
+    def _servo(self, h: float, feed_m_s2: float, error_m_s: float) -> tuple[float, float]:
+        self._wide_s = self._wide_s + h if abs(error_m_s) > _WIDE_M_S else 0.0
+        if self._wide_s > _WIDE_S:
+            self.trip(_FOLLOWING)
+        self._sum_n = max(-_FORCE_N / 2, min(_FORCE_N / 2, self._sum_n + _SERVO_N_M * error_m_s * h))
+        force_n = _FORWARD_KG * feed_m_s2 + _SERVO_NS_M * error_m_s + self._sum_n
+        if abs(force_n) > _FORCE_N:
+            return (_FORCE_N if force_n > 0 else -_FORCE_N), 0.0
+        return force_n, _SERVO_NS_M
+
+    def trip(self, code: int) -> None:
+        """Fault with this 603Fh: brake, then off."""
+        if self.state not in (_REACTION, _FAULT):
+            self.state = _REACTION if self.powered else _FAULT
+            self._values[0x603F] = code
+
+    def hang_up(self) -> None:
+        """The master is gone."""
+        if self.state == RUN and not self._keep:
+            self.state = _QUICK
+
+    def _control(self, word: int) -> None:
+        before, self._values[0x6040] = self._values[0x6040], word
+        if self.state == _REACTION:
+            pass
+        elif self.state == _FAULT:
+            if word & 0x80 and not before & 0x80:
+                self.state, self._values[0x603F] = OFF, 0
+        elif not word & 0x02:  # disable voltage
+            self.state = OFF
+        elif not word & 0x04:  # quick stop
+            self.state = _QUICK if self.state == RUN else self.state if self.state == _QUICK else OFF
+        elif self.state == _QUICK:
+            pass
+        elif word & 0x0F == 0x06:
+            self.state = _READY
+        elif word & 0x0F == 0x07:
+            if self.state in (_READY, RUN):
+                self.state = _ON
+        elif word & 0x0F == 0x0F and self.state in (_READY, _ON):
+            self.state = RUN
+
+    def _read(self, index: int) -> int:
+        if index == 0x6041:
+            return self.state | _REMOTE
+        if index == 0x6061:
+            return self._values[0x6060]
+        if index == 0x6064:
+            return round((self._seen[0][1] + _CENTRE_M) * _UNITS)
+        if index == 0x606C:
+            return round(self._seen[0][2] * _UNITS)
+        return self._values[index]
+
+    def _write(self, index: int, value: int, now: float) -> int:
+        if index == 0x6040:
+            self._control(value)
+            return 0
+        if index == 0x6060 and value != 3:
+            return 0x06090030
+        if index == 0x60FF:
+            self._coming.append((now + self._latency_s, value / _UNITS))
+        self._values[index] = value
+        return 0
+
+    def answer(self, telegram: bytes, now: float) -> bytes:
+        """The telegram that answers one request."""
+        self._heard = now
+        head, pdu = telegram[:4], telegram[7:]
+
+        def wrap(reply: bytes) -> bytes:
+            return head + struct.pack(">HB", len(reply) + 1, 0) + reply
+
+        def abort(code: int) -> bytes:
+            return wrap(b"\xab\xff\x00\x06\x0d\xce" + code.to_bytes(4, "little"))
+
+        if pdu[:1] != b"\x2b":
+            return wrap(bytes([pdu[0] | 0x80, 1]))
+        if len(pdu) < 12 or pdu[1] != 0x0D or pdu[2] > 1:
+            return wrap(b"\xab\x03")
+        index, sub, count, data = int.from_bytes(pdu[5:7], "big"), pdu[7], pdu[11], pdu[12:]
+        if index not in _OBJECTS or sub:
+            return abort(0x06020000)
+        width, signed, writable = _OBJECTS[index]
+        if count != width:
+            return abort(0x06070010)
+        if pdu[2] == 0:
+            return wrap(pdu[:11] + bytes([width]) + self._read(index).to_bytes(width, "little", signed=signed))
+        if not writable:
+            return abort(0x06010002)
+        if len(data) != width:
+            return wrap(b"\xab\x03")
+        refused = self._write(index, int.from_bytes(data, "little", signed=signed), now)
+        return abort(refused) if refused else wrap(pdu[:11] + b"\0")
+
+
+class Port:
+    """The drive behind TCP: one master at a time, the newest."""
+
+    def __init__(self, drive: Drive, host: str, port: int) -> None:
+        self._drive = drive
+        self._server = socket.create_server((host, port))
+        self._server.setblocking(False)
+        self._master: socket.socket | None = None
+        self._buffer = b""
+
+    def serve(self, now: float) -> None:
+        """Take a new master, answer what has come; never waits."""
+        with contextlib.suppress(BlockingIOError):
+            master, _ = self._server.accept()
+            self._end()
+            master.setblocking(False)
+            master.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            self._master = master
+        if self._master is None:
+            return
+        try:
+            data = self._master.recv(4096)
+        except BlockingIOError:
+            return
+        except OSError:
+            data = b""
+        self._buffer += data
+        if not self._obey(self._master, now) or not data:
+            self._end()
+
+    def _obey(self, master: socket.socket, now: float) -> bool:
+        """All whole telegrams; False when something is none."""
+        while len(self._buffer) >= 7:
+            protocol, length = struct.unpack_from(">HH", self._buffer, 2)
+            if protocol or not 3 <= length <= 64:
+                return False
+            if len(self._buffer) < 6 + length:
+                return True
+            telegram, self._buffer = self._buffer[: 6 + length], self._buffer[6 + length :]
+            answer = self._drive.answer(telegram, now)
+            with contextlib.suppress(OSError):  # who does not listen is obeyed all the same: the last word is a stop
+                master.sendall(answer)
+        return True
+
+    def _end(self) -> None:
+        self._buffer = b""
+        if self._master is not None:
+            self._master.close()
+            self._master = None
+            self._drive.hang_up()
+
+    def close(self) -> None:
+        """Stop listening."""
+        self._end()
+        self._server.close()

@@ -1,0 +1,164 @@
+"""The regulator board's firmware, COBS frames on a pseudo-terminal; no clock but the caller's."""
+
+import contextlib
+import os
+import struct
+import tty
+
+_HELLO, _WELCOME, _COMMAND, _STATE = 0x01, 0x81, 0x02, 0x82
+_HEAD = struct.Struct("<BBII")
+_CALL = struct.Struct("<IHBf")
+_SAY = struct.Struct("<IBHf")
+_LENGTHS = {_HELLO: _HEAD.size, _COMMAND: _HEAD.size + _CALL.size}
+_TTL, _TOKEN, _RANGE, _SEQUENCE = 1, 2, 4, 16
+_REFUSALS = _TOKEN | _RANGE | _SEQUENCE
+
+
+def crc16(data: bytes) -> int:
+    """CRC-16/IBM-3740."""
+    crc = 0xFFFF
+    for byte in data:
+        crc ^= byte << 8
+        for _ in range(8):
+            crc = (crc << 1 ^ 0x1021 if crc & 0x8000 else crc << 1) & 0xFFFF
+    return crc
+
+
+def stuff(body: bytes) -> bytes:
+    """A frame with its zero; a body is shorter than 252 bytes."""
+    data = body + struct.pack("<H", crc16(body))
+    return b"".join(bytes([len(run) + 1]) + run for run in data.split(b"\0")) + b"\0"
+
+
+def unstuff(frame: bytes) -> bytes | None:
+    """The body of one frame without its zero, or None."""
+    data, at = bytearray(), 0
+    while at < len(frame):
+        end = at + frame[at]
+        if end > len(frame):
+            return None
+        data += frame[at + 1 : end]
+        if frame[at] < 0xFF and end < len(frame):
+            data.append(0)
+        at = end
+    if len(data) < 3 or crc16(bytes(data[:-2])) != int.from_bytes(data[-2:], "little"):
+        return None
+    return bytes(data[:-2])
+
+
+class Firmware:
+    """Bytes and the time go in, answers and a set-point come out."""
+
+    def __init__(self) -> None:
+        self.armed = False
+        self.set_kpa = 0.0
+        self._faults = 0
+        self._token: int | None = None
+        self._newest = self._accepted = self._count = 0
+        self._ready = False  # a disarmed command was heard
+        self._ends_us = 0
+        self._line = bytearray()
+        self._lost = False  # too much without a zero
+
+    def _vent(self) -> None:
+        self.armed, self.set_kpa = False, 0.0
+
+    def run(self, now_us: int) -> None:
+        """Vent when commands have stopped."""
+        if self.armed and now_us >= self._ends_us:
+            self._vent()
+            self._ready = False
+            self._faults |= _TTL
+
+    def hear(self, data: bytes, now_us: int, sensor_kpa: float) -> bytes:
+        """The answers to what `data` completes."""
+        answers = b""
+        for byte in data:
+            if byte:
+                self._line.append(byte)
+                if len(self._line) > 256:
+                    self._lost = True
+                    self._line.clear()
+                continue
+            frame, lost = bytes(self._line), self._lost
+            self._line.clear()
+            self._lost = False
+            body = unstuff(frame) if frame and not lost else None
+            if body is not None:
+                answers += self._handle(body, now_us, sensor_kpa)
+        return answers
+
+    def _say(self, kind: int, now_us: int, payload: bytes) -> bytes:
+        self._count = self._count + 1 & 0xFFFFFFFF
+        return stuff(_HEAD.pack(1, kind, self._count, now_us & 0xFFFFFFFF) + payload)
+
+    def _handle(self, body: bytes, now_us: int, sensor_kpa: float) -> bytes:
+        if len(body) < _HEAD.size:
+            return b""
+        version, kind, sequence, _ = _HEAD.unpack_from(body)
+        if version != 1 or _LENGTHS.get(kind) != len(body):
+            return b""
+        self.run(now_us)
+        if kind == _HELLO:
+            self._vent()
+            self._ready = False
+            self._accepted, self._newest = 0, sequence
+            self._token = int.from_bytes(os.urandom(4), "little")
+            return self._say(_WELCOME, now_us, struct.pack("<I", self._token))
+        refusal = self._obey(sequence, body[_HEAD.size :], now_us)
+        self._faults = self._faults & ~_REFUSALS | refusal
+        say = _SAY.pack(self._accepted, int(self.armed), self._faults, sensor_kpa)
+        return self._say(_STATE, now_us, say)
+
+    def _obey(self, sequence: int, call: bytes, now_us: int) -> int:
+        """Take a command; returns the fault bit of its refusal, or 0."""
+        token, ttl_ms, flags, kpa = _CALL.unpack(call)
+        if token != self._token:
+            return _TOKEN
+        if not 1 <= (sequence - self._newest & 0xFFFFFFFF) <= 0x7FFFFFFF:
+            return _SEQUENCE
+        if not -0.7 <= kpa <= 20 or not 1 <= ttl_ms <= 250:
+            return _RANGE
+        self._newest = self._accepted = sequence
+        self._ends_us = now_us + ttl_ms * 1000
+        if not flags & 1:
+            self._vent()
+            self._ready = True
+            self._faults &= ~_TTL
+        elif self._ready:
+            self.armed, self.set_kpa = True, kpa
+        return 0
+
+
+class Board:
+    """The firmware behind a pseudo-terminal, found at the symbolic link `path`."""
+
+    def __init__(self, firmware: Firmware, path: str) -> None:
+        self._firmware = firmware
+        self._path = path
+        self._master, slave = os.openpty()
+        tty.setraw(slave)
+        if os.path.islink(path):
+            os.unlink(path)
+        os.symlink(os.ttyname(slave), path)
+        # Our end of the slave is not kept: a host's TIOCEXCL would outlive the host.
+        os.close(slave)
+        os.set_blocking(self._master, False)
+
+    def serve(self, now_us: int, sensor_kpa: float) -> None:
+        """Answer what has come; never waits."""
+        self._firmware.run(now_us)
+        try:
+            data = os.read(self._master, 4096)
+        except OSError:  # nothing to read, or nobody has it open
+            return
+        answer = self._firmware.hear(data, now_us, sensor_kpa)
+        if answer:
+            with contextlib.suppress(OSError):  # a host that does not read loses answers
+                os.write(self._master, answer)
+
+    def close(self) -> None:
+        """Unplug it."""
+        os.close(self._master)
+        if os.path.islink(self._path):
+            os.unlink(self._path)

@@ -1,0 +1,172 @@
+"""The emergency stop's latch, kept on the disk: a daemon that was killed begins as stopped as it ended.
+
+The file has one size, is there before anything can stop, and is overwritten in place: that needs no room, so a full
+disk cannot refuse it. A write that was cut short leaves what cannot be read, and what cannot be read is a stop.
+"""
+
+import contextlib
+import fcntl
+import json
+import logging
+import os
+import re
+import threading
+import time
+from collections.abc import Callable, Mapping
+from pathlib import Path
+
+from softarm.common import files
+from softarm.daemon.shell import realtime
+from softarm.schemas.config import Config
+
+log = logging.getLogger(__name__)
+
+VERSION = 1
+SIZE = 4096  # bytes, one page: the system takes it in one piece
+REASON_MAX = 300  # characters of it that are kept: as JSON they fit, whatever they are
+RETRY_S = 1.0  # a write that failed is tried again
+OVERDUE_S = 1.0  # a write that takes longer is a problem
+PRIORITY = 2  # of SCHED_FIFO, like the stop's own way
+
+
+class LatchError(Exception):
+    """The latch cannot be kept; names the file and the next step."""
+
+
+def latch_path(config: Config, environment: Mapping[str, str] = os.environ) -> Path:
+    """Of the robot on this axis: in the service's own folder, otherwise beside the logs.
+
+    A robot has one axis, whichever configuration names it and on whatever port its daemon answers.
+    """
+    folder = environment.get("STATE_DIRECTORY", "").partition(":")[0]
+    rail = config.drivers.rail
+    name = re.sub(r"[^A-Za-z0-9.-]", "_", f"stop-{rail.host}-{rail.port}")
+    return (Path(folder) if folder else config.recorder.directory) / f"{name}.json"
+
+
+def encoded(reason: str | None) -> bytes:
+    """The file's content, padded to its size. reason: what stopped the robot; None: nothing does."""
+    record = {"version": VERSION, "stopped": reason if reason is None else reason[:REASON_MAX]}
+    return json.dumps(record).encode().ljust(SIZE - 1) + b"\n"
+
+
+def decoded(content: bytes) -> str | None:
+    """What `encoded` was given. Raises ValueError on everything else, a newer version included."""
+    record = json.loads(content) if len(content) == SIZE else None
+    if not isinstance(record, dict) or "version" not in record:
+        raise ValueError(f"{len(content)} bytes that are no record of a stop")
+    if record["version"] != VERSION:
+        raise ValueError(f"version {record['version']!r}, this software reads {VERSION}")
+    if set(record) != {"version", "stopped"} or not isinstance(record["stopped"], str | None):
+        raise ValueError("a record of a stop that says something else")
+    return record["stopped"]
+
+
+class LatchKeeper:
+    """Keeps the latch from start to stop, in a thread of its own."""
+
+    def __init__(self, path: Path, realtime_priority: int = 0, clock: Callable[[], float] = time.monotonic) -> None:
+        """realtime_priority: the control loop's. clock: seconds."""
+        self.path, self._clock = path.absolute(), clock
+        self._priority = min(PRIORITY, realtime_priority)
+        self._wanted: str | None = None  # as noted last
+        self._kept: str | None = None  # as the file has it
+        self._since_s = 0.0  # the note that the file lacks
+        self._failed: str | None = None
+        self._bell, self._stopping = threading.Event(), threading.Event()
+        self._thread: threading.Thread | None = None
+        self.left: str | None = None  # why the robot was stopped when the daemon before this one ended
+
+    def start(self) -> None:
+        """Read what was left, and begin.
+
+        Raises LatchError when the file cannot be read and written, or made, or another daemon has it.
+        """
+        try:
+            self._file, content = _opened(self.path)
+        except OSError as error:
+            raise LatchError(
+                f"{self.path}: cannot be kept there ({error.strerror}), and an emergency stop would not outlive this "
+                f"daemon; make file and folder writable for uid {os.geteuid()}, or name another recorder.directory"
+            ) from error
+        try:
+            self.left = decoded(content)
+        except (ValueError, RecursionError) as error:
+            self.left = f"whether the robot was stopped is not known ({self.path}: {error})"
+        self._wanted = self._kept = self.left
+        self._thread = threading.Thread(target=self._run, name="latch", daemon=True)
+        self._thread.start()
+
+    def note(self, reason: str | None) -> None:
+        """Keep this from now on. For the control loop's thread, every tick; never blocks."""
+        if reason == self._wanted:
+            return
+        self._wanted, self._since_s = reason, self._clock()
+        self._bell.set()
+
+    @property
+    def problem(self) -> str | None:
+        """Why what was noted is not on the disk, when it should be."""
+        wanted, kept = self._wanted, self._kept
+        if self._failed is not None or wanted == kept:
+            return self._failed
+        late_s = self._clock() - self._since_s
+        return f"{self.path}: not written for {late_s:.0f} s" if late_s > OVERDUE_S else None
+
+    def stop(self) -> None:
+        """Write what was noted last; where nothing is stopped, leave no file behind. Takes a second at most."""
+        if self._thread is None:
+            return
+        self._stopping.set()
+        self._bell.set()
+        self._thread.join(timeout=OVERDUE_S)
+        if not self._thread.is_alive():
+            if self._kept is None and self._wanted is None:
+                with contextlib.suppress(OSError):
+                    self.path.unlink()
+            os.close(self._file)
+        self._thread = None
+
+    def _run(self) -> None:
+        realtime.outrank_guests(self._priority)
+        last = False
+        while not last:
+            self._bell.wait(None if self._failed is None else RETRY_S)
+            self._bell.clear()
+            last = self._stopping.is_set()  # looked at first: a note that came before is written
+            self._keep(self._wanted)
+
+    def _keep(self, reason: str | None) -> None:
+        if reason == self._kept and self._failed is None:
+            return
+        try:
+            os.pwrite(self._file, encoded(reason), 0)
+            os.ftruncate(self._file, SIZE)  # something else may have lain there
+            os.fdatasync(self._file)
+        except OSError as error:
+            self._failed = f"{self.path}: cannot be written ({error.strerror})"
+            log.error("the emergency stop's latch is not kept: %s", self._failed)
+        else:
+            self._kept, self._failed = reason, None
+
+
+def _opened(path: Path) -> tuple[int, bytes]:
+    """The file's descriptor and content; makes one that says nothing is stopped where there is none.
+
+    Raises OSError; LatchError where another daemon has it.
+    """
+    if not path.exists():
+        path.parent.mkdir(parents=True, exist_ok=True)
+        files.write_bytes(path, encoded(None))
+    descriptor = os.open(path, os.O_RDWR)
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        if os.fstat(descriptor).st_nlink == 0:
+            raise LatchError(f"{path}: another daemon of this robot ended this instant; start again")
+        return descriptor, os.pread(descriptor, SIZE + 1, 0)
+    except BlockingIOError:
+        os.close(descriptor)
+        raise LatchError(f"{path}: another daemon has this robot; stop that one, `softarm status` asks it") from None
+    except (OSError, LatchError):
+        os.close(descriptor)
+        raise

@@ -1,0 +1,248 @@
+"""The latch on the disk: whatever ends the daemon, and wherever a write was cut short, a stop is never lost."""
+
+import os
+import re
+import socket
+import subprocess
+import sys
+import threading
+import time
+from contextlib import contextmanager
+
+import httpx
+import pytest
+import yaml
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from softarm.daemon.stop import latch
+from softarm.daemon.stop.latch import SIZE, LatchError, LatchKeeper, decoded, encoded, latch_path
+from softarm.schemas.config import Config
+
+WHY = "the drive reports a fault (E12): clear the cause at the drive, then POST /api/acknowledge"
+
+
+@pytest.fixture
+def path(tmp_path):
+    return tmp_path / "robot" / "stop.json"
+
+
+@contextmanager
+def keeping(path):
+    made = LatchKeeper(path)
+    made.start()
+    try:
+        yield made
+    finally:
+        made.stop()
+
+
+def until(condition):
+    deadline = time.monotonic() + 10.0
+    while not condition():
+        assert time.monotonic() < deadline
+        time.sleep(0.002)
+
+
+def killed(path):
+    """What a daemon finds that is started after one that was killed: the file as it is, and no lock on it."""
+    return decoded(path.read_bytes())
+
+
+def test_a_robot_that_never_was_stopped_begins_free_and_leaves_no_file(path):
+    with keeping(path) as keeper:
+        assert (keeper.left, keeper.problem, killed(path)) == (None, None, None)
+    assert not path.exists()
+
+
+def test_what_was_noted_is_on_the_disk_without_being_asked_for(path):
+    with keeping(path) as keeper:
+        keeper.note(WHY)
+        until(lambda: killed(path) == WHY)
+    with keeping(path) as keeper:
+        assert keeper.left == WHY
+        keeper.note(None)
+        until(lambda: killed(path) is None)
+    with keeping(path) as keeper:
+        assert keeper.left is None
+
+
+def test_the_end_writes_what_was_noted_last(path):
+    with keeping(path) as keeper:
+        for number in range(20):
+            keeper.note(f"stop {number}")
+    assert killed(path) == "stop 19"
+
+
+def test_it_is_overwritten_where_it_lies_so_that_a_full_disk_cannot_refuse_it(path):
+    with keeping(path) as keeper:
+        before = path.stat()
+        keeper.note(WHY)
+        until(lambda: killed(path) == WHY)
+        after = path.stat()
+    assert before.st_size == after.st_size == SIZE
+    assert (before.st_ino, before.st_blocks) == (after.st_ino, after.st_blocks)
+
+
+@pytest.mark.parametrize("content", [b"", b"\0" * SIZE, encoded(None)[:-1], encoded(None) + b" ", b"[" * SIZE])
+def test_a_file_that_cannot_be_read_counts_as_a_stop(path, content):
+    path.parent.mkdir()
+    path.write_bytes(content)
+    with keeping(path) as keeper:
+        assert f"whether the robot was stopped is not known ({path}" in keeper.left
+        keeper.note(None)
+        until(lambda: path.read_bytes() == encoded(None))
+
+
+def test_a_file_of_a_newer_version_counts_as_a_stop_and_names_both(path):
+    path.parent.mkdir()
+    path.write_bytes(b'{"version": 2, "free": true}'.ljust(SIZE))
+    with keeping(path) as keeper:
+        assert "version 2, this software reads 1" in keeper.left
+
+
+reasons = st.none() | st.text(max_size=latch.REASON_MAX)
+
+
+@settings(max_examples=300, deadline=None)
+@given(reasons, reasons, st.integers(0, SIZE))
+def test_a_write_cut_short_leaves_the_old_the_new_or_a_stop(old, new, whole):
+    torn = encoded(new)[:whole] + encoded(old)[whole:]
+    assert len(torn) == SIZE
+    try:
+        found = decoded(torn)
+    except ValueError:
+        return  # a stop
+    assert found is not None or None in (old, new)
+    if found is None and new is not None:
+        assert torn == encoded(None)  # nothing of the new one is on the disk yet
+    if found is None and old is not None:
+        assert torn == encoded(None)  # nothing of the old one is left
+
+
+@given(st.text())
+def test_a_reason_of_any_length_and_alphabet_fits(reason):
+    assert decoded(encoded(reason)) == reason[: latch.REASON_MAX]
+
+
+def test_a_disk_that_fails_is_a_problem_until_it_takes_the_note(path, monkeypatch, caplog):
+    monkeypatch.setattr(latch, "RETRY_S", 0.01)
+    write = os.pwrite
+    broken = threading.Event()
+    broken.set()
+
+    def failing(*arguments):
+        if broken.is_set():
+            raise OSError(5, "Input/output error")
+        return write(*arguments)
+
+    monkeypatch.setattr(os, "pwrite", failing)
+    with keeping(path) as keeper:
+        keeper.note(WHY)
+        until(lambda: keeper.problem is not None)
+        assert keeper.problem == f"{path}: cannot be written (Input/output error)"
+        broken.clear()
+        until(lambda: keeper.problem is None)
+        assert killed(path) == WHY
+        broken.set()
+        keeper.note(None)
+        until(lambda: keeper.problem is not None)
+        keeper.note(WHY)  # as the file has it, for all that is known
+        broken.clear()
+        until(lambda: keeper.problem is None)
+
+
+def test_a_disk_that_hangs_is_a_problem_within_a_second(path, monkeypatch):
+    now_s, release = [0.0], threading.Event()
+    monkeypatch.setattr(os, "fdatasync", lambda _: release.wait(10.0))
+    keeper = LatchKeeper(path, clock=lambda: now_s[0])
+    keeper.start()
+    keeper.note(WHY)
+    now_s[0] = 0.9
+    assert keeper.problem is None
+    now_s[0] = 1.2
+    assert keeper.problem == f"{path}: not written for 1 s"
+    release.set()
+    keeper.stop()
+
+
+def test_a_second_daemon_of_the_same_robot_is_refused_and_takes_nothing_from_the_first(path):
+    with keeping(path) as first:
+        with pytest.raises(LatchError, match="another daemon has this robot"):
+            LatchKeeper(path).start()
+        first.note(WHY)
+        until(lambda: killed(path) == WHY)
+
+
+def test_where_nothing_can_be_kept_it_says_so(tmp_path):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(LatchError, match=r"stop\.json: cannot be kept there .* make file and folder writable"):
+        LatchKeeper(tmp_path / "file" / "stop.json").start()
+
+
+def test_the_file_is_the_robots_whatever_else_is_configured(tmp_path):
+    one = Config(drivers={"rail": {"host": "fe80::1", "port": 502}}, api={"port": 1}, recorder={"directory": tmp_path})
+    assert latch_path(one, {}) == tmp_path / "stop-fe80__1-502.json"
+    service = latch_path(one, {"STATE_DIRECTORY": "/var/lib/softarm:/var/lib/other"})
+    assert str(service) == "/var/lib/softarm/stop-fe80__1-502.json"
+
+
+class Killed:
+    """Daemons of one robot that is not there, each ended by kill -9."""
+
+    def __init__(self, folder):
+        with socket.socket() as probe:
+            probe.bind(("127.0.0.1", 0))
+            mocap = probe.getsockname()[1]
+        settings = {
+            "api": {"port": 0},
+            "drivers": {
+                "mocap": {"endpoint": f"tcp/127.0.0.1:{mocap}"},
+                "regulator": {"port": str(folder / "none")},
+                "rail": {"host": "127.0.0.1", "port": 1},
+            },
+            "control": {"policy": "hold"},
+            "recorder": {"directory": str(folder / "logs")},
+        }
+        self.config = folder / "arm.yaml"
+        self.config.write_text(yaml.safe_dump(settings))
+
+    @contextmanager
+    def running(self):
+        """A client of one more daemon, where it takes a stop, and what it said of how it begins."""
+        command = [sys.executable, "-m", "softarm.cli.main", "run", "--config", str(self.config)]
+        pipes = {"stdin": subprocess.DEVNULL, "stdout": subprocess.PIPE, "stderr": subprocess.STDOUT}
+        with subprocess.Popen(command, **pipes, text=True, env={**os.environ, "PYTHONUNBUFFERED": "1"}) as process:
+            try:
+                said = ""
+                for line in process.stdout:
+                    said += line
+                    if "softarm: next:" in line:
+                        break
+                url = re.search(r"serving (http://[^ ]+)", said)[1]
+                with httpx.Client(base_url=url, timeout=10.0) as client:
+                    until(lambda: client.get("/api/status").status_code == 200)
+                    yield client, re.search(r"POST (http://\S+)", said)[1], said
+            finally:
+                process.kill()
+
+
+@pytest.mark.slow
+def test_a_daemon_that_is_killed_begins_stopped_until_that_is_acknowledged(tmp_path):
+    robot = Killed(tmp_path)
+    file = tmp_path / "logs" / "stop-127.0.0.1-1.json"
+    with robot.running() as (client, stop_url, said):
+        assert client.get("/api/status").json()["estop"] == "clear"
+        assert httpx.post(stop_url).json()["stopped"] is True
+        until(lambda: killed(file) is not None)
+    for _ in range(2):
+        with robot.running() as (client, _, said):
+            status = client.get("/api/status").json()
+            assert (status["mode"], status["estop"]) == ("stopped", "latched")
+            assert status["last_stop"].startswith("somebody asked for an emergency stop")
+            assert "stopped, as it was left (somebody asked" in said
+    with robot.running() as (client, _, _):
+        assert client.post("/api/acknowledge").status_code == 200
+        until(lambda: killed(file) is None)
+    with robot.running() as (client, _, _):
+        assert client.get("/api/status").json()["estop"] == "clear"

@@ -1,0 +1,219 @@
+"""The rail's process, for real: it outlives the daemon until the drive is off, though that keeps its set-point."""
+
+import asyncio
+import contextlib
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import AsyncIterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import softarm
+from softarm.drivers.rail import dryve
+from softarm.drivers.rail.cia402 import DriveState
+from softarm.drivers.rail.driver import DryveRailAxis
+from softarm.drivers.twin.dryve import DryveDevice, DryveServer
+from softarm.drivers.twin.faults import Faults
+from softarm.schemas.config import DryveRail
+
+HEAVY = {"numpy", "numba", "pydantic", "asyncio", "zenoh", "logging", "json", "yaml", "dataclasses", "inspect"}
+
+# A daemon in miniature: arms as a person would, then renews a set-point more often than a tick would.
+DAEMON = """
+import asyncio, ctypes, signal, sys
+from softarm.drivers.rail.driver import DryveRailAxis
+from softarm.schemas.config import DryveRail
+
+async def main():
+    axis = DryveRailAxis(DryveRail.model_validate_json(sys.argv[1]))
+    axis.start()
+    signal.signal(signal.SIGUSR1, lambda *_: ctypes.PyDLL(None).usleep(600_000))  # with the interpreter's lock
+    print(axis._child.pid, flush=True)
+    enable = False
+    while True:
+        axis.write(enable, 0.5)
+        enable = enable or axis.read() is not None and axis.problem() is None
+        await asyncio.sleep(1 / 60)
+
+asyncio.run(main())
+"""
+
+
+class Drive(DryveDevice):
+    """Keeps its set-point when nobody speaks with it; notes when each one came."""
+
+    def __init__(self) -> None:
+        super().__init__(DryveRail(host="127.0.0.1"))
+        self.velocities: list[tuple[float, int]] = []
+
+    def answer(self, telegram: bytes, now_ns: int) -> bytes:
+        request = dryve.decode_request(telegram)
+        if request.index == 0x60FF and request.data is not None:
+            self.velocities.append((time.monotonic(), int.from_bytes(request.data, "little", signed=True)))
+        return super().answer(telegram, now_ns)
+
+    def quick_stop(self) -> None:
+        pass
+
+    @property
+    def moving(self) -> bool:
+        return self.target_velocity_m_s != 0
+
+    @property
+    def off(self) -> bool:
+        return self.state in (DriveState.READY, DriveState.SWITCH_ON_DISABLED)
+
+    def step(self) -> None:
+        self.sense(0.0, self.target_velocity_m_s)
+
+    def longest_hold_s(self) -> float:
+        """From a set-point that moves to the next of any kind."""
+        pairs = zip(self.velocities, self.velocities[1:], strict=False)
+        return max(later - earlier for (earlier, velocity), (later, _) in pairs if velocity)
+
+
+@contextlib.asynccontextmanager
+async def served(drive: Drive) -> AsyncIterator[DryveRail]:
+    server = DryveServer("127.0.0.1", 0, drive, Faults(time.monotonic_ns), lambda: 0)
+    await server.open()
+    try:
+        yield DryveRail(host="127.0.0.1", port=server.port, timeout_s=1.0)
+    finally:
+        await server.close()
+
+
+@contextlib.asynccontextmanager
+async def flying(config: DryveRail, drive: Drive, until: Any) -> AsyncIterator[tuple[int, int]]:
+    """A daemon that moves the cart: its process and the rail's."""
+    daemon = await asyncio.create_subprocess_exec(
+        sys.executable, "-c", DAEMON, config.model_dump_json(), stdout=subprocess.PIPE, start_new_session=True
+    )
+    assert daemon.stdout is not None
+    rail = int(await daemon.stdout.readline())
+    try:
+        await until(lambda: drive.moving, drive.step)
+        yield daemon.pid, rail
+    finally:
+        with contextlib.suppress(ProcessLookupError):
+            daemon.kill()
+        await daemon.wait()
+
+
+def gone(process: int) -> bool:
+    """Ended, be it unburied."""
+    try:
+        return Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[0] == "Z"
+    except FileNotFoundError:
+        return True
+
+
+@pytest.mark.realtime
+@pytest.mark.parametrize("end", [signal.SIGKILL, signal.SIGABRT, signal.SIGINT, signal.SIGHUP])
+def test_when_the_daemon_dies_the_drive_is_stopped_and_switched_off(run: Any, until: Any, end: signal.Signals) -> None:
+    async def play() -> None:
+        drive = Drive()
+        async with served(drive) as config, flying(config, drive, until) as (daemon, rail):
+            os.killpg(daemon, end)  # as Ctrl-C, or the end of a session: to all that are with it
+            await until(lambda: drive.off, drive.step)
+            await until(lambda: gone(rail))
+            assert drive.longest_hold_s() < 0.3
+
+    run(play())
+
+
+@pytest.mark.realtime
+@pytest.mark.parametrize("freeze", [signal.SIGSTOP, signal.SIGUSR1])
+def test_when_the_daemon_freezes_the_drive_is_off_and_stays_off_when_it_wakes(
+    run: Any, until: Any, freeze: signal.Signals
+) -> None:
+    async def play() -> None:
+        drive = Drive()
+        async with served(drive) as config, flying(config, drive, until) as (daemon, _):
+            os.kill(daemon, freeze)
+            await until(lambda: drive.off, drive.step)
+            assert drive.longest_hold_s() < 0.3
+            os.kill(daemon, signal.SIGCONT)
+            since = len(drive.velocities)
+            until_s = time.monotonic() + 1.0  # SIGUSR1's freeze ends by itself, and both daemons say "enable" again
+            await until(lambda: time.monotonic() > until_s, drive.step)
+            assert {velocity for _, velocity in drive.velocities[since:]} <= {0}
+            assert drive.off
+
+    run(play())
+
+
+@pytest.mark.realtime
+@pytest.mark.parametrize("end", [signal.SIGKILL, signal.SIGSTOP])
+def test_when_the_rails_process_dies_or_hangs_a_new_one_stops_the_drive_first(
+    run: Any, until: Any, running: Any, end: signal.Signals
+) -> None:
+    async def play() -> None:
+        drive = Drive()
+        async with served(drive) as config:
+            axis = DryveRailAxis(config)
+            seen: list[bool] = []
+
+            def each(enable: bool) -> None:
+                drive.step()
+                axis.write(enable, 0.5)
+                if (reading := axis.read()) is not None:
+                    seen.append(reading.linked)
+
+            async with running(axis):
+                await until(lambda: axis.read() is not None and axis.problem() is None, lambda: each(False))
+                await until(lambda: axis.read().velocity_m_s, lambda: each(True))  # type: ignore[union-attr]
+                first = axis._child.pid  # type: ignore[union-attr]
+                os.kill(first, end)
+                await until(lambda: False in seen, lambda: each(True))
+                assert "the rail's process ended" in (axis.problem() or "")
+                since = len(drive.velocities)
+                await until(lambda: drive.off and axis.read().linked, lambda: each(True))  # type: ignore[union-attr]
+                assert drive.velocities[since][1] == 0
+                assert not axis.read().enabled  # type: ignore[union-attr]
+                assert gone(first)
+                assert axis._child.pid != first  # type: ignore[union-attr]
+                await until(lambda: axis.problem() is None, lambda: each(False))
+                await until(lambda: drive.moving, lambda: each(True))  # a person has disarmed and armed
+
+    run(play())
+
+
+def test_stopping_the_driver_switches_the_drive_off_and_leaves_no_process(run: Any, until: Any, running: Any) -> None:
+    async def play() -> None:
+        drive = Drive()
+        async with served(drive) as config:
+            axis = DryveRailAxis(config)
+            async with running(axis):
+                process = axis._child.pid  # type: ignore[union-attr]
+                await until(lambda: axis.problem() is None, lambda: axis.write(False, 0.0))
+                await until(lambda: drive.moving, lambda: axis.write(True, 0.5) or drive.step())
+                os.kill(process, signal.SIGTERM)  # a service manager says so to all; only the pair ends it
+                mover = asyncio.create_task(until(lambda: False, drive.step))
+                await axis.stop()
+                mover.cancel()
+            assert drive.off
+            assert gone(process)
+
+    run(play())
+
+
+def test_it_weighs_little(free_port: int, run: Any, until: Any, running: Any) -> None:
+    async def play() -> None:
+        axis = DryveRailAxis(DryveRail(host="127.0.0.1", port=free_port))
+        async with running(axis):
+            await until(lambda: "Connection refused" in (axis.problem() or ""), lambda: axis.write(False, 0.0))
+            status = Path(f"/proc/{axis._child.pid}/status").read_text()  # type: ignore[union-attr]
+            [resident_kb] = [int(line.split()[1]) for line in status.splitlines() if line.startswith("VmRSS")]
+            assert resident_kb < 25_000  # an empty interpreter has 9,000, the daemon 200,000
+
+    run(play())
+    names = "import sys, softarm.drivers.rail.process; print(*sys.modules)"
+    root = str(Path(softarm.__file__).parents[1])
+    command = [sys.executable, "-S", "-P", "-c", names]
+    listed = subprocess.run(command, env={"PYTHONPATH": root}, capture_output=True, text=True, check=True).stdout
+    assert not HEAVY & {name.partition(".")[0] for name in listed.split()}
