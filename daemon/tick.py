@@ -59,6 +59,8 @@ class Controller:
         if outcome is not None and outcome.fault is not None:
             events = (Event("policy_fault", outcome.fault), *events)
         self._machine.update(events, devices_armed=self._devices_armed(), at_rest=self._at_rest())
+        if self._machine.mode in (Mode.DISARMED, Mode.STOPPED):
+            self._observer.alignment.restart()  # or a camera that was too late could never show that it is mended
         if self._machine.mode is not Mode.ARMED:
             self._goals.fail(self._machine.last_stop or "the arm is not armed")
         wanted = self._wanted(outcome)

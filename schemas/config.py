@@ -78,6 +78,8 @@ class Failsafe(Strict):
     """How old or late a thing may be before the failsafe answers."""
 
     mocap_stale_s: Annotated[float, Field(gt=0, le=1.0)] = 0.1
+    # A camera whose poses are so old on arrival is flown with a warning, an older one is not.
+    mocap_late_max_s: Annotated[float, Field(gt=0, le=0.14)] = 0.1
     pressure_stale_s: Annotated[float, Field(gt=0, le=1.0)] = 0.15
     rail_stale_s: Annotated[float, Field(gt=0, le=1.0)] = 0.15
     arming_frames: Annotated[int, Field(ge=1, le=1000)] = 30  # fresh mocap frames seen before arming

@@ -9,6 +9,7 @@ from softarm.daemon.control.records import Inputs
 from softarm.schemas.config import Config
 from softarm.schemas.messages import BODY_NAMES, RailReading
 
+LATE_S = 0.03  # a pose that arrives older than a control step
 DISAGREEING_TICKS = 5  # a single pair of readings may straddle a reversal
 OUTSIDE_M = 0.02  # past the rail limit before the failsafe takes over from the safety filter
 
@@ -18,9 +19,19 @@ def device_events(inputs: Inputs, observer: Observer, config: Config, engaged: b
     yield from _mocap(inputs, observer, config)
     yield from _pressure(inputs, config, engaged)
     yield from _rail(inputs, config, engaged)
-    if observer.disagreeing_ticks >= DISAGREEING_TICKS:
-        distance = observer.rail_against_mocap_m() or 0.0
-        yield Event("rail_disagrees", f"{distance * 1e3:.0f} mm apart")
+    yield from _rail_beside_mocap(observer, config)
+
+
+def _rail_beside_mocap(observer: Observer, config: Config) -> Iterator[Event]:
+    late_s = observer.mocap_late_ns() * 1e-9
+    if late_s > config.failsafe.mocap_late_max_s:
+        yield Event("mocap_too_late", f"{late_s * 1e3:.0f} ms, at most {config.failsafe.mocap_late_max_s * 1e3:.0f} ms")
+    elif late_s > LATE_S:
+        yield Event("mocap_late", f"{late_s * 1e3:.0f} ms")
+    if observer.alignment.mirrored:
+        yield Event("mocap_mirrored", "the cart moves against the axis")
+    elif observer.disagreeing_ticks >= DISAGREEING_TICKS:
+        yield Event("rail_disagrees", f"{(observer.apart_m or 0.0) * 1e3:.0f} mm apart")
 
 
 def _said(problem: str | None) -> str:

@@ -134,6 +134,24 @@ TABLE: dict[str, Rule] = {
         "motion capture repeats a pose of something that moves",
         "restart the bridge: it publishes poses that it no longer sees",
     ),
+    "mocap_mirrored": Rule(
+        Response.SOFT_STOP,
+        False,
+        "motion capture shows the cart moving the other way",
+        "turn the frame's y axis round: it has the same sense as the rail's position",
+    ),
+    "mocap_too_late": Rule(
+        Response.SOFT_STOP,
+        False,
+        "motion capture shows where the robot was too long ago",
+        "speed up cameras, tracking and network, or raise failsafe.mocap_late_max_s",
+    ),
+    "mocap_late": Rule(
+        Response.WARN,
+        False,
+        "motion capture is late",
+        "speed up cameras, tracking and network, or train policies for it (softarm diagnose measures it)",
+    ),
     "mocap_outlier": Rule(
         Response.WARN,
         False,

@@ -7,7 +7,8 @@ from typing import NamedTuple, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from softarm.daemon.control.plausibility import CART, TIP, Plausibility, is_usable
+from softarm.daemon.control.alignment import Alignment
+from softarm.daemon.control.plausibility import CART, TIP, WINDOW, Plausibility, is_usable
 from softarm.daemon.control.records import Inputs, Observed
 from softarm.schemas.messages import MocapFrame, PressureReading, RailReading
 from softarm.schemas.policy import Observation
@@ -43,12 +44,15 @@ class Observer:
         self._velocities = (0.0, 0.0, 0.0)  # cart, tip y, tip z
         self._sequence = 0  # of the newest good frame
         self.plausibility = Plausibility()
+        self._on_the_way_ns: deque[int] = deque(maxlen=WINDOW)
         self.newest: MocapFrame | None = None  # good or not
         self.seen: tuple[Sighting, ...] = ()  # this tick's, oldest first
         self.pressure: PressureReading | None = None
         self.rail: RailReading | None = None
         self.frames_in_a_row = 0  # good frames without a longer gap, for arming
         self.frames_lost = 0  # by the bridge's own count
+        self.alignment = Alignment()
+        self.apart_m: float | None = None  # axis from mocap, when they were last compared
         self.disagreeing_ticks = 0  # in a row, until now
 
     def update(self, inputs: Inputs) -> None:
@@ -61,9 +65,16 @@ class Observer:
         elif (self.mocap_age_ns(inputs.t_ns) or 0) > self._stale_ns:
             self.frames_in_a_row = 0
             self._velocities = (0.0, 0.0, 0.0)
-        distance_m = self.rail_against_mocap_m()
-        apart = distance_m is not None and distance_m > self._disagreement_m
-        self.disagreeing_ticks = self.disagreeing_ticks + 1 if apart else 0
+        self._compare()
+
+    def _compare(self) -> None:
+        """Axis and motion capture, where both are fresh; a silent one tells nothing of the other."""
+        if self.rail is not None:
+            self.alignment.axis.add(self.rail)
+        apart_m = self.alignment.see(self.seen[-1].t_ns, self.seen[-1].cart_y_m) if self.seen else None
+        if apart_m is not None:
+            self.apart_m = apart_m
+            self.disagreeing_ticks = self.disagreeing_ticks + 1 if apart_m > self._disagreement_m else 0
 
     def _good(self, frames: tuple[MocapFrame, ...]) -> Iterator[Sighting]:
         newest_ns = self._recent[-1].t_ns if self._recent else None
@@ -76,6 +87,7 @@ class Observer:
             if newer and is_usable(frame) and self.plausibility.accepts(frame, axis_m):
                 newest_ns, self._sequence = frame.t_capture_ns, frame.sequence
                 self.frames_in_a_row += 1
+                self._on_the_way_ns.append(frame.t_receive_ns - frame.t_capture_ns)
                 yield Sighting.of(frame)
 
     def _keep(self, seen: tuple[Sighting, ...]) -> None:
@@ -95,13 +107,11 @@ class Observer:
         """Age of the newest good frame's capture; None before the first."""
         return now_ns - self._recent[-1].t_ns if self._recent else None
 
-    def rail_against_mocap_m(self) -> float | None:
-        """Distance between the cart as the axis reads it and as mocap sees it, brought to one instant."""
-        if self.rail is None or not self._recent:
-            return None
-        newest = self._recent[-1]
-        lead_s = (newest.t_ns - self.rail.t_receive_ns) * 1e-9
-        return abs(self.rail.position_m + self.rail.velocity_m_s * lead_s - newest.cart_y_m)
+    def mocap_late_ns(self) -> int:
+        """How old a pose is on arrival: by its stamps, and by what the axis shows that they do not say."""
+        if not self._on_the_way_ns:
+            return 0
+        return round(sum(self._on_the_way_ns) / len(self._on_the_way_ns)) + (self.alignment.lag_ns or 0)
 
     def observe(self, now_ns: int, previous_cart_velocity_m_s: float) -> Observed | None:
         """The observation and its age; None while a sensor has never been heard."""

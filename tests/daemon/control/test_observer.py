@@ -126,16 +126,13 @@ def test_silence_starts_the_count_of_frames_for_arming_again():
 def test_the_axis_is_compared_with_mocap_at_one_instant():
     """A cart at 1 m/s read 20 ms before the frame is 20 mm further by then: no disagreement."""
     observer = Observer(PERIOD, STALE, 0.03)
-    now = 40 * MS
-    observer.update(
-        Inputs(
-            t_ns=now,
-            mocap=(frame(30, cart=0.12),),
-            rail=RailReading(10 * MS, 0.10, 1.0, True),
-            pressure=PressureReading(now, 0.0, True),
+    for tick in range(8):
+        now, cart = 40 * tick * MS, 0.04 * tick
+        reading = RailReading(now - 30 * MS, cart - 0.03, 1.0, True)
+        observer.update(
+            Inputs(t_ns=now, mocap=(frame(40 * tick - 10, cart=cart - 0.01, tip=(cart, 0.6)),), rail=reading)
         )
-    )
-    assert observer.rail_against_mocap_m() == pytest.approx(0.0, abs=1e-12)
+    assert observer.apart_m == pytest.approx(0.0, abs=1e-3)
 
 
 def test_no_observation_before_every_sensor_has_been_heard():
@@ -145,12 +142,26 @@ def test_no_observation_before_every_sensor_has_been_heard():
 
 
 def test_ticks_of_disagreement_are_counted_in_a_row():
+    """From when no camera, as late as they may be, can explain it."""
     observer = Observer(PERIOD, STALE, 0.03)
     counted = []
-    for tick, apart in enumerate((0.05, 0.05, 0.02, 0.05)):
-        feed(observer, 40 * tick, frame(40 * tick), rail=(apart, 0.0))
+    for tick in range(14):
+        feed(observer, 40 * tick, frame(40 * tick), rail=(0.02 if tick == 7 else 0.05, 0.0))
         counted.append(observer.disagreeing_ticks)
-    assert counted == [1, 2, 0, 1]
+    assert counted == [0, 0, 0, 0, 1, 2, 3, 0, 0, 0, 0, 0, 1, 2]
+
+
+def test_a_silent_axis_and_a_silent_camera_disagree_with_nobody():
+    """The cart was under way when the one fell silent; the other goes on."""
+    for silent in ("rail", "mocap"):
+        observer = Observer(PERIOD, STALE, 0.03)
+        for tick in range(40):
+            cart = 0.02 * min(tick, 20)
+            frames = () if silent == "mocap" and tick > 10 else (frame(33 * tick, cart=cart, tip=(cart, 0.52)),)
+            at = min(tick, 10) if silent == "rail" else tick
+            reading = RailReading(33 * at * MS, 0.02 * min(at, 20), 0.6 if at < 20 else 0.0, True)
+            observer.update(Inputs(t_ns=33 * tick * MS, mocap=frames, rail=reading))
+            assert observer.disagreeing_ticks == 0
 
 
 def test_a_frame_of_another_number_of_bodies_cannot_be_made():
