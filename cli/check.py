@@ -1,23 +1,32 @@
-"""`softarm check`: is the configuration sound, and what does it hold the arm to."""
+"""`softarm check`: is the configuration sound, what does it hold the arm to, and was the robot worse than it says."""
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
 from softarm.cli.errors import fail
+from softarm.cli.options import FOLDER
 from softarm.cli.printing import print_table
+
+if TYPE_CHECKING:
+    from softarm.daemon.config.configuration import Loaded
 
 
 @click.command()
 @click.argument("file", type=click.Path(path_type=Path))
-def check(file: Path) -> None:
+@click.option("--logs", "folder", type=FOLDER, help="Logs of the robot: is FILE milder than it was?")
+def check(file: Path, folder: Path | None) -> None:
     """Check a configuration FILE; print the limits in force and where each comes from.
 
-    Exit code 1, with every mistake and its line, when the daemon would refuse the file.
+    Exit code 1, with every mistake and its line, when the daemon would refuse the file; with --logs also when the robot
+    was later, slower to brake or quicker to speed up than the rail's limits say. What too few logs show is said, and
+    is no mistake.
 
     \b
-    Example:
+    Examples:
       softarm check softarm.yaml
+      softarm check softarm.yaml --logs logs
     """
     from softarm.daemon.api.auth import AuthError, load_token
     from softarm.daemon.config.configuration import ConfigurationError, effective_limits, read
@@ -35,6 +44,33 @@ def check(file: Path) -> None:
     except AuthError as error:
         key = "host" if loaded.config.api.token_file is None else "token_file"
         problems.append(f"{loaded.place(('api', key))}: {error}")
+    if folder is not None:
+        problems += _milder(loaded, folder)
     if problems:
         fail("\n".join(problems))
     click.echo(f"{file}: sound; starts with policy '{loaded.config.control.policy}'")
+
+
+def _milder(loaded: "Loaded", folder: Path) -> list[str]:
+    """Prints what the logs of a folder show of the rail; a sentence for each limit that is milder."""
+    from softarm.daemon.limits.findings import findings
+    from softarm.recordings import rail_motion
+    from softarm.recordings.mcap_file import LogError
+
+    try:
+        motions = [rail_motion.read(path) for path in sorted(folder.glob("*.mcap"))]
+    except LogError as error:
+        fail(str(error))
+    if not motions:
+        fail(f"{folder}: holds no log; name the folder of recorder.directory, or any with .mcap files of the robot")
+    found = findings(motions, loaded.config)
+    rows = [(row.key, f"{row.configured:g}", row.measured, row.why) for row in found.rows]
+    print_table(("limits.rail", "configured", "measured", "what the logs show"), rows, f"{folder}: the rail", width=140)
+    for reason in found.measured.left_out:
+        click.echo(f"left out: {reason}", err=True)
+    return [
+        f"{loaded.place(('limits', 'rail', row.key))}: limits.rail.{row.key}: is {row.configured:g}, milder than the "
+        f"robot in {folder}: {row.why}; {row.advice}"
+        for row in found.rows
+        if row.milder
+    ]

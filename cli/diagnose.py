@@ -9,6 +9,7 @@ import click
 from softarm.cli.errors import fail
 from softarm.cli.options import FILE, FOLDER, check_places
 from softarm.cli.printing import print_table, print_text
+from softarm.cli.rail_limits import limits_option, write_limits
 from softarm.common.processes import bar
 
 if TYPE_CHECKING:
@@ -29,6 +30,7 @@ INPUT = click.Path(path_type=Path)
 @click.option("--json", "json_file", type=FILE, help="Write the verdict to this file.")
 @click.option("--report", "report_file", type=FILE, help="Write the report, one HTML page, to this file.")
 @click.option("--patch", "patch_file", type=FILE, help="Write the model with the named effects to this file.")
+@limits_option
 def diagnose(
     inputs: tuple[Path, ...],
     model_file: Path | None,
@@ -36,6 +38,7 @@ def diagnose(
     json_file: Path | None,
     report_file: Path | None,
     patch_file: Path | None,
+    limits_file: Path | None,
 ) -> None:
     """Find the effect that a simulator lacks, by recordings of the robot.
 
@@ -45,7 +48,7 @@ def diagnose(
     \b
     Examples:
       softarm diagnose campaign --json verdict.json --report report.html --patch patched-model.yaml
-      softarm diagnose logs/*.mcap --model mine.yaml --report report.html
+      softarm diagnose logs/*.mcap --model mine.yaml --report report.html --limits limits-patch.yaml
       softarm diagnose stage.yaml --data recordings --json verdict.json
     """
     from softarm.common import files
@@ -56,7 +59,7 @@ def diagnose(
 
     if data is not None and not any(path.suffix in TABLES for path in inputs):
         raise click.UsageError("--data is where the files of a stage.yaml lie: name one as INPUT, or leave --data out")
-    check_places(json_file, report_file, patch_file)
+    check_places(json_file, report_file, patch_file, limits_file)
     try:
         with bar("reading") as shown:
             result = diagnose_files(inputs, model_file, data, shown.tell, partial(click.echo, err=True))
@@ -73,6 +76,11 @@ def diagnose(
         if patch_file is not None and result.patched is not None:
             models.save(result.patched, patch_file)
             written.append(patch_file)
+        if limits_file is not None:
+            write_limits(inputs, limits_file)
+            written.append(limits_file)
+    except TrialError as error:
+        fail(str(error))
     except OSError as error:
         fail(f"{error.filename}: cannot be written ({error.strerror}); name another place")
     _show(result, json_file)

@@ -7,6 +7,7 @@ import click
 
 from softarm.cli.errors import fail
 from softarm.cli.options import FILE, FOLDER, json_option, model_option
+from softarm.cli.rail_limits import limits_option, write_limits
 from softarm.common.processes import bar
 
 if TYPE_CHECKING:
@@ -20,6 +21,7 @@ INPUT = click.Path(path_type=Path)
 @click.option("--out", type=FILE, required=True, help="Model file to write.")
 @click.option("--check", "checks", type=INPUT, multiple=True, help="Recording that is only compared; may be repeated.")
 @click.option("--plots", type=FOLDER, help="Folder for pictures (PNG).")
+@limits_option
 @json_option
 @model_option
 def identify(
@@ -27,6 +29,7 @@ def identify(
     out: Path,
     checks: tuple[Path, ...],
     plots: Path | None,
+    limits_file: Path | None,
     json_file: Path | None,
     model_file: Path | None,
 ) -> None:
@@ -34,11 +37,13 @@ def identify(
 
     First the paper's way: torques by inverse dynamics, least squares. Then the simulator itself is fitted to every
     link's motion; intervals are 95 %, by leaving one-second blocks out. Masses and lengths are taken from --model.
+    With --limits the rail is looked at too: how late, how weakly braked and how quick the cart was at worst.
 
     \b
     Examples:
       softarm identify logs/seed.mcap --check logs/sinusoid.mcap --out mine.yaml --plots pictures
       softarm identify campaign --out mine.yaml --json mine.json
+      softarm identify logs/*.mcap --out mine.yaml --limits limits-patch.yaml
     """
     import json
 
@@ -62,12 +67,14 @@ def identify(
         if json_file is not None:
             files.write_text(json_file, json.dumps(result.summary(), indent=1) + "\n")
         pictures = _pictures(result, plots)
+        if limits_file is not None:
+            write_limits((*inputs, *checks), limits_file)
     except (TrialError, models.ModelFileError) as error:
         fail(str(error))
     except OSError as error:
         fail(f"{error.filename}: cannot be written ({error.strerror}); name another place")
     _show(result)
-    written = [out, *([json_file] if json_file else []), *pictures]
+    written = [out, *filter(None, (json_file, limits_file)), *pictures]
     click.echo(f"wrote {', '.join(map(str, written))}")
 
 

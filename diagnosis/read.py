@@ -1,10 +1,15 @@
 """Inputs as people name them: logs, trial folders, campaigns, stage.yaml files."""
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
+
+import numpy as np
 
 from softarm.diagnosis import folder, mcap, tables
 from softarm.diagnosis.trials import Trial, TrialError, unique_names
+from softarm.recordings import rail_motion
+from softarm.recordings.mcap_file import LogError
+from softarm.recordings.rail_motion import RailMotion
 
 
 def read_all(paths: Iterable[Path], on_trial: Callable[[Path], None] | None = None) -> tuple[Trial, ...]:
@@ -23,6 +28,32 @@ def read_all(paths: Iterable[Path], on_trial: Callable[[Path], None] | None = No
             if on_trial is not None:
                 on_trial(source)
     return unique_names(trials)
+
+
+def rail_motions(paths: Iterable[Path]) -> tuple[RailMotion, ...]:
+    """What the inputs hold of the rail, recording by recording; tables of other rigs hold nothing of it.
+
+    Raises TrialError as `read_all` does.
+    """
+    found: list[RailMotion] = []
+    for source in (source for path in paths for source in sources(path)):
+        if source.suffix == ".mcap":
+            try:
+                found.append(rail_motion.read(source))
+            except LogError as error:
+                raise TrialError(str(error)) from None
+        elif source.is_dir():
+            found += _rail_of(folder.read(source))
+    return tuple(found)
+
+
+def _rail_of(trial: Trial) -> Iterator[RailMotion]:
+    """A recording of another stack: all that it commanded counts as obeyed."""
+    if {"command", "rail"} <= trial.channels.keys():
+        sent, seen = trial.channel("command"), trial.channel("rail")
+        obeyed = np.ones(len(sent), dtype=bool)
+        columns = seen.t_s, seen["position"], seen["velocity"]
+        yield RailMotion(trial.source, sent.t_s, sent["cart_velocity"], obeyed, *columns)
 
 
 def sources(path: Path) -> tuple[Path, ...]:

@@ -147,6 +147,18 @@ def _sine(seconds: float, amplitude: float, hz: float) -> Signal:
     return (Chirp(seconds, 0.0, amplitude, hz, hz),)
 
 
+def _dashes(count: int) -> Signal:
+    """Away from the middle and back, on either side, `count` times; no two alike, so that the arm swings any way."""
+    signal: list[Segment] = []
+    for number in range(count):
+        hold, pause, side = (number * step % 1.0 for step in (0.618034, 0.754878, 0.41))
+        dash_s = 0.14 + 0.22 * hold
+        speed_m_s = min(0.85, 0.16 / dash_s) * (1 if side < 0.5 else -1)
+        rest = Ramp(0.25 * pause, 0.0, 0.0)
+        signal += (Ramp(dash_s, speed_m_s, speed_m_s), rest, Ramp(dash_s, -speed_m_s, -speed_m_s), rest)
+    return tuple(signal)
+
+
 _REST = Ramp(2.0, 0.0, 0.0)
 
 EXCITATIONS: dict[str, Excitation] = {
@@ -202,6 +214,12 @@ EXCITATIONS: dict[str, Excitation] = {
             "eight harmonics of 0.5 Hz in the cart's velocity; muscle at rest",
             (),
             (_REST, Multisine(8.0, 0.0, 0.5, 2.0, 8), _REST),
+        ),
+        Excitation(
+            "rail-dashes",
+            "the cart hard to and fro while the muscle swings the arm: what the rail's limits are measured by",
+            (Ramp(1.0, 0.0, 10.0), Chirp(56.0, 10.0, 9.5, 0.3, 1.5), _REST),
+            (Ramp(1.0, 0.0, 0.0), *_dashes(75), _REST),
         ),
         Excitation(
             "both",

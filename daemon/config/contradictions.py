@@ -22,6 +22,11 @@ def contradictions(config: Config) -> Iterator[str]:
     yield from _logs(config)
 
 
+def arms_pull_m_s2(ramp_m_s2: float, surge_m_s2: float) -> float:
+    """What braking has to reckon with where speeding up is counted on with `surge_m_s2`."""
+    return min(max(surge_m_s2 - ramp_m_s2, 0.0), PULL_SHARE_MAX * ramp_m_s2)
+
+
 def _rail(config: Config) -> Iterator[str]:
     limits, drive = config.limits.rail, config.drivers.rail
     ramp, surge, braking = drive.acceleration_m_s2, limits.surge_m_s2, limits.braking_m_s2
@@ -30,7 +35,7 @@ def _rail(config: Config) -> Iterator[str]:
             f"limits.rail.surge_m_s2 is {surge}, below drivers.rail.acceleration_m_s2 {ramp}: the drive alone speeds "
             f"the cart up faster than is counted on; raise surge_m_s2 to {ramp} and the arm's pull, or lower the ramp"
         )
-    pull = min(max(surge - ramp, 0.0), PULL_SHARE_MAX * ramp)
+    pull = arms_pull_m_s2(ramp, surge)
     if braking > ramp - pull + ROUNDING:
         yield (
             f"limits.rail.braking_m_s2 is {braking}, above drivers.rail.acceleration_m_s2 {ramp} less the arm's pull "

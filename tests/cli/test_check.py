@@ -105,3 +105,49 @@ def test_the_twin_refuses_a_bad_file_with_the_same_words(tmp_path):
         f"{path}:1: api.port: is 70000; allowed 0 to 65535, a whole number; "
         "change it, or remove the line for the default 8080\n"
     }
+
+
+@pytest.fixture(scope="module")
+def logs(tmp_path_factory):
+    """A folder with a log of a robot whose rail is late and weak, as `softarm excite` records it."""
+    folder = tmp_path_factory.mktemp("logs")
+    config = folder / "careful.yaml"
+    careful = "{latency_s: 0.09, braking_m_s2: 1, velocity_max_m_s: 0.6}"
+    config.write_text(f"limits: {{rail: {careful}}}\nrecorder: {{directory: {folder}}}\n")
+    model = folder / "model.yaml"
+    lag = "pressure.lag: {inflate: 0.158, deflate: 0.221}"
+    rail = "rail.delay: {delay: 0.06}, rail.acceleration_limit: {acceleration: 4}"
+    model.write_text(f"effects: {{{lag}, {rail}}}\n")
+    played = ["excite", "rail-dashes", "--simulated", "--config", str(config), "--model", str(model)]
+    result = CliRunner().invoke(main, played)
+    assert result.exit_code == 0, result.output
+    return folder
+
+
+@pytest.mark.slow
+def test_logs_say_where_a_configuration_is_milder_than_the_robot_was(logs, tmp_path):
+    path = tmp_path / "arm.yaml"
+    path.write_text("limits:\n  rail:\n    latency_s: 0.02\n")
+    result = CliRunner().invoke(main, ["check", str(path), "--logs", str(logs)])
+    assert result.exit_code == 1
+    latency, braking = result.stderr.splitlines()
+    assert latency.startswith(f"{path}:3: limits.rail.latency_s: is 0.02, milder than the robot in {logs}: 9")
+    assert "% of set-point steps act within 0.06" in latency
+    assert "; raise it to 0.06" in latency
+    assert braking.startswith(f"{path}: limits.rail.braking_m_s2: is 3, milder than the robot in {logs}: 9")
+    assert "; lower it to " in braking
+    assert "the rail" in result.stdout
+    path.write_text("limits:\n  rail: {latency_s: 0.075, braking_m_s2: 1}\n")
+    assert CliRunner().invoke(main, ["check", str(path), "--logs", str(logs)]).exit_code == 0
+
+
+def test_a_folder_without_logs_is_refused_and_one_with_too_few_is_no_mistake(tmp_path):
+    path = tmp_path / "arm.yaml"
+    path.write_text("")
+    result = CliRunner().invoke(main, ["check", str(path), "--logs", str(tmp_path)])
+    assert result.exit_code == 1
+    assert result.stderr.startswith(f"{tmp_path}: holds no log; name the folder of recorder.directory")
+    flown = ROOT / "tests" / "data"
+    result = CliRunner().invoke(main, ["check", str(path), "--logs", str(flown)])
+    assert result.exit_code == 0
+    assert "it takes 59" in result.stdout

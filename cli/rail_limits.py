@@ -1,0 +1,30 @@
+"""The limits that recordings show of the rail, written by the verbs that read recordings."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import click
+
+from softarm.cli.options import FILE
+
+limits_option = click.option(
+    "--limits",
+    "limits_file",
+    type=FILE,
+    help="Write the rail's limits as the recordings show them to this file, a piece of softarm.yaml.",
+)
+
+
+def write_limits(inputs: Sequence[Path], file: Path) -> None:
+    """Write limits-patch.yaml and say what becomes stricter. Raises TrialError, OSError."""
+    from softarm.common import files
+    from softarm.daemon.limits.findings import findings
+    from softarm.diagnosis.read import rail_motions
+
+    found = findings(rail_motions(inputs))
+    files.write_text(file, found.patch())
+    for row in found.rows:
+        if row.milder:
+            click.echo(f"limits.rail.{row.key} was {row.configured:g}: {row.why}; {row.advice}")
+        elif row.bound is None:
+            click.echo(f"limits.rail.{row.key}: {row.why}", err=True)

@@ -1,0 +1,146 @@
+"""The rail's limits as recordings show the robot: worst cases, and how much data stands behind each."""
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+
+from softarm.daemon.limits.latency import AFTER, BEFORE, step_latencies
+from softarm.daemon.limits.swings import Stretches, brakings, surges
+from softarm.recordings.rail_motion import Array, RailMotion
+from softarm.schemas.robot import RAIL_TRAVEL_M
+
+SHARE = 0.99  # of what happens is to stay within a limit
+SURE = 0.95
+SHARE_MIN = 0.95  # with less data behind it a limit is not given
+COUNT_MIN = math.ceil(math.log(1 - SURE) / math.log(SHARE_MIN))  # events: 59
+SPACING_S = 1 / 30  # of the readings that are looked at; a faster read-back is thinned
+STOP_ROOM_M = 0.01  # nearer to the mechanical stop it may be the stop that brakes
+SCALE_MAX = 0.1  # by which the velocity that is read back may differ from the slope of the position
+MOVING_M_S = 0.05
+EARLIEST_PERCENT = 5  # of the steps act sooner than a command is taken to act at the earliest
+NO_STRETCHES = Stretches(np.empty(0), np.empty(0))
+
+
+class Bound(NamedTuple):
+    """What `share` of all events stay within, SURE of it."""
+
+    value: float
+    share: float
+    median: float
+    events: int
+    seconds: float  # that they lasted, all together
+
+
+@dataclass(frozen=True, slots=True)
+class Measured:
+    """A bound is None where there are fewer than COUNT_MIN events."""
+
+    latency: Bound | None  # s, largest
+    surely: Bound | None  # the same, of what each step shows for certain
+    braking: Bound | None  # m/s^2, least
+    surge: Bound | None  # m/s^2, largest
+    ramp_m_s2: float  # that the drive kept, about
+    steps: int  # of the set-point, that told their latency
+    brakings: int  # none are counted where the latency is not known
+    runs: int
+    recordings: int
+    seconds: float
+    left_out: tuple[str, ...]  # recordings, each with the reason
+
+
+def tolerance_bound(values: Array, seconds: float, *, least: bool = False) -> Bound | None:
+    """Below (`least`: above) which SHARE of all such values lie, SURE of it, whatever their distribution.
+
+    An order statistic (Wilks 1941). From fewer than 299 values it is the most extreme, which bounds a smaller share;
+    None where that is below SHARE_MIN.
+    """
+    count = len(values)
+    if count < COUNT_MIN:
+        return None
+    ordered = np.sort(values) if least else np.sort(-values)
+    beyond = _may_lie_beyond(count)
+    share = SHARE if beyond is not None else (1 - SURE) ** (1 / count)
+    value = float(ordered[beyond or 0])
+    return Bound(value if least else -value, share, float(np.median(values)), count, seconds)
+
+
+def _may_lie_beyond(count: int) -> int | None:
+    """How many of `count` values may lie beyond the bound; None where it takes more values to bound SHARE."""
+    found, below, term = None, 0.0, SHARE**count
+    for number in range(count):
+        below += term  # so likely are at most `number` values beyond SHARE's true bound
+        if below > 1 - SURE:
+            break
+        found = number
+        term *= (count - number) / (number + 1) * (1 - SHARE) / SHARE
+    return found
+
+
+def measure(motions: Iterable[RailMotion], ramp_m_s2: float) -> Measured:
+    """What recordings show of a rail whose drive ramps at `ramp_m_s2`.
+
+    Those of another ramp are left out, and those that cannot be believed.
+    """
+    kept, left_out = [], []
+    for motion in motions:
+        reason = _unusable(motion, ramp_m_s2)
+        if reason is None:
+            kept.append(_thinned(motion))
+        else:
+            left_out.append(f"{motion.source}: {reason}")
+    steps = step_latencies(kept)
+    lasted_s = len(steps.surely_s) * (BEFORE + AFTER) * SPACING_S
+    latency, surely = (tolerance_bound(each, lasted_s) for each in (steps.likeliest_s, steps.surely_s))
+    braked = sped = NO_STRETCHES
+    if latency is not None:  # else nobody knows when the cart was being braked
+        earliest_s = float(np.percentile(steps.likeliest_s, EARLIEST_PERCENT))
+        braked = _together(brakings(motion, earliest_s, latency.value) for motion in kept)
+        sped = _together(surges(motion, earliest_s, latency.value) for motion in kept)
+    return Measured(
+        latency,
+        surely,
+        tolerance_bound(braked.m_s2, float(braked.seconds.sum()), least=True),
+        tolerance_bound(sped.m_s2, float(sped.seconds.sum())),
+        steps.ramp_m_s2,
+        len(steps.surely_s),
+        len(braked.m_s2),
+        len(sped.m_s2),
+        len(kept),
+        float(sum(motion.t_s[-1] - motion.t_s[0] for motion in kept)),
+        tuple(left_out),
+    )
+
+
+def _together(parts: Iterable[Stretches]) -> Stretches:
+    return Stretches(*(np.concatenate(each) for each in zip(NO_STRETCHES, *parts, strict=True)))
+
+
+def _unusable(motion: RailMotion, ramp_m_s2: float) -> str | None:
+    """Why a recording says nothing of these limits; None where it does."""
+    if len(motion.t_s) < 2 or len(motion.sent_s) < 2:
+        return "holds no set-points and readings of the axis"
+    ramp = ramp_m_s2 if motion.config is None else motion.config.drivers.rail.acceleration_m_s2
+    if ramp != ramp_m_s2:
+        return f"was flown with drivers.rail.acceleration_m_s2 {ramp:g}, not {ramp_m_s2:g}"
+    steps_s = np.diff(motion.t_s)
+    way = 0.5 * (motion.velocity_m_s[1:] + motion.velocity_m_s[:-1]) * steps_s
+    moving = np.abs(way) > MOVING_M_S * steps_s
+    if not moving.any():
+        return "the cart stood still"
+    scale = float((np.diff(motion.position_m)[moving] @ way[moving]) / (way[moving] @ way[moving]))
+    if abs(scale - 1.0) > SCALE_MAX:
+        return f"the axis's velocity is {1 / scale:.2g} times the slope of its position: see to drivers.rail first"
+    return None
+
+
+def _thinned(motion: RailMotion) -> RailMotion:
+    """The readings that are looked at: away from the mechanical stops, no nearer to each other than they need be."""
+    free = np.flatnonzero(np.abs(motion.position_m) <= RAIL_TRAVEL_M - STOP_ROOM_M)
+    every = max(1, round(SPACING_S / float(np.median(np.diff(motion.t_s)))))
+    rows = free[free % every == 0]
+    return replace(
+        motion, t_s=motion.t_s[rows], position_m=motion.position_m[rows], velocity_m_s=motion.velocity_m_s[rows]
+    )

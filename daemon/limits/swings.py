@@ -1,0 +1,91 @@
+"""How hard the cart was braked and sped up, stretch by stretch, from what the axis read back.
+
+A stretch of braking is one in which every set-point that could be acting, however early or late, asks for a slower cart
+by more than the drive's soft zone, and somewhere for one that is much slower. It counts with the constant deceleration
+of the same way, (v0^2 - v1^2) / 2 s: what the braking law reckons with. A stretch of speeding up counts with its
+steepest interval between two readings.
+"""
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from softarm.daemon.limits.latency import GAP_MAX_S
+from softarm.recordings.rail_motion import Array, RailMotion
+
+ZONE_M_S = 0.1  # so near to its set-point no drive needs to push with all it has
+ASKED_M_S = 2 * ZONE_M_S  # that a stretch of braking is asked to lose; the arm may drag the cart by less of it
+
+
+class Stretches(NamedTuple):
+    """One entry for each stretch [N]."""
+
+    m_s2: Array
+    seconds: Array
+
+
+class _InForce(NamedTuple):
+    """Of each interval between readings: set-points that may have acted in it."""
+
+    highest_m_s: Array
+    lowest_m_s: Array
+    known: NDArray[np.bool_]  # nothing else moved the cart
+
+
+def brakings(motion: RailMotion, earliest_s: float, latest_s: float) -> Stretches:
+    """Deceleration of every stretch of braking; set-points act between `earliest_s` and `latest_s` after they are sent.
+
+    Below zero where the arm pulled harder than the drive.
+    """
+    acting, found = _in_force(motion, earliest_s, latest_s), []
+    for sign, furthest in ((1.0, acting.highest_m_s), (-1.0, -acting.lowest_m_s)):
+        velocity = sign * motion.velocity_m_s
+        asked = np.maximum(furthest, 0.0)
+        slower, faster = np.minimum(velocity[:-1], velocity[1:]), np.maximum(velocity[:-1], velocity[1:])
+        for first, last in _runs(acting.known & (slower - asked > ZONE_M_S)):
+            way_m = sign * (motion.position_m[last] - motion.position_m[first])
+            if (faster - asked)[first:last].max() > ASKED_M_S:
+                lost = velocity[first] ** 2 - velocity[last] ** 2
+                found.append((lost / (2 * way_m), motion.t_s[last] - motion.t_s[first]))
+    return _stretches(found)
+
+
+def surges(motion: RailMotion, earliest_s: float, latest_s: float) -> Stretches:
+    """Steepest acceleration of every stretch in which the cart went after a set-point, and gained speed."""
+    acting, found = _in_force(motion, earliest_s, latest_s), []
+    for sign, furthest in ((1.0, acting.highest_m_s), (-1.0, -acting.lowest_m_s)):
+        velocity = sign * motion.velocity_m_s
+        slope = np.diff(velocity) / np.diff(motion.t_s)
+        for first, last in _runs(acting.known & (slope > 0.0) & (furthest > velocity[:-1])):
+            if velocity[last] - velocity[first] > ZONE_M_S:
+                found.append((float(slope[first:last].max()), motion.t_s[last] - motion.t_s[first]))
+    return _stretches(found)
+
+
+def _stretches(found: list[tuple[float, float]]) -> Stretches:
+    table = np.array(found, dtype=np.float64).reshape(-1, 2)
+    return Stretches(table[:, 0], table[:, 1])
+
+
+def _runs(wanted: NDArray[np.bool_]) -> Iterator[tuple[int, int]]:
+    """First and last reading of each run of intervals."""
+    edges = np.flatnonzero(np.diff(wanted.astype(np.int8), prepend=0, append=0))
+    yield from zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True)
+
+
+def _in_force(motion: RailMotion, earliest_s: float, latest_s: float) -> _InForce:
+    t_s = motion.t_s
+    first = np.searchsorted(motion.sent_s, t_s[:-1] - latest_s + 1e-9, side="right") - 1
+    last = np.searchsorted(motion.sent_s, t_s[1:] - earliest_s + 1e-9, side="right") - 1
+    known = (first >= 0) & (np.diff(t_s) <= GAP_MAX_S)
+    first = np.maximum(first, 0)
+    last = np.maximum(last, first)
+    highest = lowest = motion.set_point_m_s[first]
+    for ahead in range(int((last - first).max(initial=0)) + 1):
+        sent = np.minimum(first + ahead, last)
+        highest = np.maximum(highest, motion.set_point_m_s[sent])
+        lowest = np.minimum(lowest, motion.set_point_m_s[sent])
+        known = known & motion.obeyed[sent]
+    return _InForce(highest, lowest, known)
