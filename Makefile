@@ -56,8 +56,10 @@ coverage: .venv/.installed-dev
 	done; echo "the house $$($(BIN)/coverage report --format=total) %"
 
 # What is shown by trying for long, part by part: docs/proof.md. A small part of each is among the tests.
+FUZZ_MINUTES ?= 60
 prove: .venv/.installed-dev
 	$(BIN)/python -m softarm.benchmarks.prove.mutants
+	$(BIN)/python -m softarm.benchmarks.prove.fuzz --minutes $(FUZZ_MINUTES)
 
 clean:
 	rm -rf .venv build *.egg-info .coverage

@@ -1,7 +1,8 @@
 """The house's one reader of YAML: plain data, and the line at which each key and item stands.
 
 YAML 1.1 as PyYAML reads it, plus the numbers that it takes for texts (1e-3); names of keys are texts, dates stay texts.
-What a file may cost is bounded: it is nested MAX_DEPTH levels at most, and its aliases stand for MAX_ALIASED values.
+What a file may cost is bounded: it has MAX_BYTES at most, is nested MAX_DEPTH levels at most, and its aliases stand for
+MAX_ALIASED values.
 """
 
 import re
@@ -19,6 +20,7 @@ Place = tuple[str | int, ...]  # keys and numbers of items, from the outside in;
 
 MAX_DEPTH = 50
 MAX_ALIASED = 10_000
+MAX_BYTES = 2_000_000  # a file that people write has some thousands
 MAX_TOLD = 20  # so many mistakes of a file are told, the others counted
 
 _TOO_DEEP = f"it is nested too deeply (more than {MAX_DEPTH} levels)"
@@ -68,7 +70,11 @@ def read(path: Path | str, instead: str) -> Document:
     """Read a file; `instead` says what to do when it is not there. Raises FileError."""
     path = Path(path)
     try:
-        return parse(path.read_text(encoding="utf-8"), path)
+        with path.open("rb") as file:
+            content = file.read(MAX_BYTES + 1)
+        if len(content) > MAX_BYTES:
+            raise FileError([f"{path}: has more than {MAX_BYTES / 1e6:g} MB; name a file that a person wrote"])
+        return parse(content.decode("utf-8"), path)
     except FileNotFoundError:
         raise FileError([f"{path}: no such file; {instead}"]) from None
     except OSError as error:

@@ -2,6 +2,9 @@
 
 import json
 import re
+import signal
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -90,12 +93,26 @@ def _load(path: Path) -> Any:
             table = parquet.read_table(path)
             return {name: table[name].to_numpy() for name in table.column_names}
         if path.suffix == ".mat":
-            from scipy.io import loadmat
-
-            return {k: v for k, v in loadmat(path).items() if not k.startswith("__")}
-    except (OSError, ValueError, NotImplementedError) as error:
+            return _matlab(path)
+    except TrialError:
+        raise
+    except Exception as error:  # whatever a damaged file makes its library raise
         raise TrialError(f"{path}: cannot be read ({error}); export it again (.mat: version 7 or older)") from None
     raise TrialError(f"{path}: tables are .csv, .parquet or .mat; export it as one of these")
+
+
+def _matlab(path: Path) -> dict[str, Any]:
+    """Variables by name. Read elsewhere first: of a damaged file scipy's reader (1.17) ends its process.
+
+    Raises ValueError, and what scipy raises.
+    """
+    from scipy.io import loadmat
+
+    program = "import sys; from scipy.io import loadmat; loadmat(sys.argv[1])"
+    tried = subprocess.run([sys.executable, "-c", program, str(path)], capture_output=True, check=False)
+    if tried.returncode < 0:
+        raise ValueError(f"its reader was ended by {signal.Signals(-tried.returncode).name}: the file is damaged")
+    return {k: v for k, v in loadmat(path).items() if not k.startswith("__")}
 
 
 def _series(path: Path, table: Any, channel: TableChannel, segment: str | None, element: int | None) -> Series:

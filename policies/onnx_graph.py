@@ -23,10 +23,15 @@ class GraphError(Exception):
     """A file that is not run; a sentence that says why."""
 
 
+def check_size(size: int) -> None:
+    """Raises GraphError for a file of so many bytes, where they are too many."""
+    if size > SIZE_MAX:
+        raise GraphError(f"it has {size / 1e6:.0f} MB; allowed are {SIZE_MAX / 1e6:.0f}")
+
+
 def check(content: bytes) -> None:
     """Raises GraphError for a model that is too large, or made of what no policy needs."""
-    if len(content) > SIZE_MAX:
-        raise GraphError(f"it has {len(content) / 1e6:.0f} MB; allowed are {SIZE_MAX / 1e6:.0f}")
+    check_size(len(content))
     found = list(operators(memoryview(content)))
     if len(found) > NODES_MAX:
         raise GraphError(f"its graph has {len(found)} nodes; allowed are {NODES_MAX}")

@@ -14,6 +14,7 @@ from softarm.policies.base import MODELS, Array, PolicyError
 from softarm.schemas.robot import CONTROL_RATE_HZ
 
 FORMAT = 1
+SIZE_MAX = 256 * 1024 * 1024  # bytes, unpacked; the shipped plans have one million
 _SHAPES = {"target_m": 2, "cart_start_m": 1, "steps": 1, "miss_m": 1, "command": 3, "tip_m": 3}  # dimensions
 
 
@@ -43,15 +44,19 @@ class Plans:
         """Read and check a file. Raises PolicyError, which says what is wrong and what to do."""
         again = "make one with `softarm plan --out FILE`"
         try:
+            with zipfile.ZipFile(file) as archive:
+                size = sum(member.file_size for member in archive.infolist())
+            if size > SIZE_MAX:
+                raise ValueError(f"it unpacks to {size / 1e6:.0f} MB; allowed are {SIZE_MAX / 1e6:.0f}")
             with np.load(file, allow_pickle=False) as opened:
-                content = {name: opened[name] for name in opened.files}
+                content = {name: np.asarray(opened[name]) for name in opened.files}
         except FileNotFoundError:
             raise PolicyError(f"no file {file}; {again}") from None
-        except (OSError, ValueError, EOFError, zipfile.BadZipFile) as error:
+        except Exception as error:  # whatever a damaged file makes zipfile and numpy raise
             raise PolicyError(f"{file} is not a file of plans ({error}); {again}") from error
         if missing := sorted({"format", "rate_hz", "model", *_SHAPES} - content.keys()):
             raise PolicyError(f"{file} lacks {', '.join(missing)}; {again}")
-        if int(content["format"]) != FORMAT or int(content["rate_hz"]) != CONTROL_RATE_HZ:
+        if not (np.array_equal(content["format"], FORMAT) and np.array_equal(content["rate_hz"], CONTROL_RATE_HZ)):
             raise PolicyError(
                 f"{file} has format {content['format']} at {content['rate_hz']} Hz; "
                 f"this version flies format {FORMAT} at {CONTROL_RATE_HZ} Hz: {again}"
@@ -68,8 +73,9 @@ class Plans:
         """What is wrong with the arrays, if anything."""
         for name, dimensions in _SHAPES.items():
             array = getattr(self, name)
-            if array.ndim != dimensions or len(array) != len(self.steps) or not len(array):
-                return f"{name} has shape {list(array.shape)}, which does not fit {len(self.steps)} plans"
+            plans = self.steps.size
+            if array.ndim != dimensions or len(array) != plans or not plans:
+                return f"{name} has shape {list(array.shape)}, which does not fit {plans} plans"
             if array.dtype.kind not in "fiu" or not np.isfinite(array).all():
                 return f"{name} has entries that are not finite numbers"
         longest = self.command.shape[1]

@@ -66,7 +66,7 @@ def _copy(path: Path, file: BinaryIO, pause: Callable[[], None]) -> int:
     """Copy all that is whole into a new, chunked file."""
     writer = Writer(file)
     writer.start(profile="", library=LIBRARY)
-    schemas: dict[int, int] = {}
+    schemas = {0: 0}  # a channel without one
     copies: dict[int, int] = {}
     messages = 0
     for record in mcap_file.records(path):

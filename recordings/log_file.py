@@ -6,8 +6,10 @@ from pathlib import Path
 from typing import Self
 
 from mcap.records import Channel, Message, Metadata
+from pydantic import ValidationError
 
 from softarm.recordings import mcap_file
+from softarm.recordings.mcap_file import LogError
 from softarm.schemas import log
 from softarm.schemas.config import Config
 
@@ -51,8 +53,12 @@ class LogFile:
 
     @property
     def config(self) -> Config:
-        """The configuration that it was recorded under."""
-        return Config.model_validate_json(self.metadata[log.CONFIGURATION]["json"])
+        """The configuration that it was recorded under. Raises LogError where the log does not say."""
+        try:
+            return Config.model_validate_json(self.metadata[log.CONFIGURATION]["json"])
+        except (KeyError, ValidationError) as error:
+            what = str(error).partition("\n")[0]
+            raise LogError(f"{self.path}: holds no configuration that can be read ({what}); name another log") from None
 
     @property
     def duration_s(self) -> float:

@@ -4,7 +4,7 @@ import os
 from collections.abc import Iterator
 from pathlib import Path
 
-from mcap.records import Channel, McapRecord, Message
+from mcap.records import Channel, McapRecord, Message, Schema
 from mcap.stream_reader import StreamReader
 from mcap.writer import MCAP0_MAGIC
 
@@ -15,6 +15,8 @@ class LogError(Exception):
 
 def records(path: Path) -> Iterator[McapRecord]:
     """Every whole record, in file order; a file that breaks off just ends.
+
+    What stands on nothing (a message of a channel, a channel of a schema, that did not come before) is left out.
 
     Raises LogError when there is no such file or it is not MCAP.
     """
@@ -27,12 +29,22 @@ def records(path: Path) -> Iterator[McapRecord]:
         if not MCAP0_MAGIC.startswith(magic):
             raise LogError(f"{path}: not a log; a log is an MCAP file, as the recorder writes it")
         file.seek(0)
-        stream = StreamReader(file, record_size_limit=None).records
+        stream = StreamReader(file, record_size_limit=os.fstat(file.fileno()).st_size).records
+        schemas, channels = {0}, set[int]()  # 0: a channel without one
         while True:
             try:
                 record = next(stream)
             except Exception:  # the library raises whatever its parser met at the break
                 return
+            match record:
+                case Schema():
+                    schemas.add(record.id)
+                case Channel() if record.schema_id in schemas:
+                    channels.add(record.id)
+                case Channel():
+                    continue
+                case Message() if record.channel_id not in channels:
+                    continue
             yield record
 
 

@@ -6,6 +6,8 @@ from collections.abc import Callable
 
 from softarm.schemas.messages import BODY_NAMES
 
+FOREVER_S = 1e9
+
 
 class Faults:
     """Each method starts one fault, for `seconds` or until `clear`. The parts of the twin ask `active`."""
@@ -90,7 +92,7 @@ class Faults:
         try:
             arguments = json.loads(message)
             name = arguments.pop("fault")
-        except (ValueError, AttributeError, KeyError, TypeError):
+        except (ValueError, AttributeError, KeyError, TypeError, RecursionError):
             raise ValueError('a fault is a JSON object like {"fault": "mocap_freeze", "seconds": 1}') from None
         if not isinstance(name, str) or name not in _NAMES:
             raise ValueError(f"there is no fault {name!r}; choose one of {', '.join(sorted(_NAMES))}")
@@ -102,7 +104,7 @@ class Faults:
     def _last(self, name: str, seconds: float) -> None:
         if isinstance(seconds, bool) or not isinstance(seconds, int | float) or not seconds > 0:
             raise ValueError(f"{name}: seconds is {seconds!r}; give a positive number")
-        self._until_ns[name] = self._clock() + seconds * 1e9
+        self._until_ns[name] = self._clock() + min(seconds, FOREVER_S) * 1e9
 
 
 _NAMES = {name for name in vars(Faults) if name[0] != "_"} - {"active", "take", "apply"}

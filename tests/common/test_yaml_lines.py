@@ -217,3 +217,8 @@ def test_a_file_that_cannot_be_read_is_named_with_the_way_out(tmp_path):
         with pytest.raises(FileError) as error:
             read(tmp_path / name, "write one")
         assert str(error.value).endswith(f": {said}")
+
+
+def test_a_file_that_never_ends_is_not_read_to_its_end():
+    with pytest.raises(FileError, match=r"/dev/zero: has more than 2 MB; name a file that a person wrote"):
+        read("/dev/zero", "")

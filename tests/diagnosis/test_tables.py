@@ -52,6 +52,16 @@ def test_the_same_numbers_from_every_format(tmp_path, suffix):
     np.testing.assert_allclose(trial.channels["measured"]["position"], np.sin(T - 0.1) + 1.0, rtol=1e-12)
 
 
+@pytest.mark.parametrize("byte", [130, 144])
+def test_a_damaged_table_of_matlab_is_refused_even_where_its_reader_dies_of_it(tmp_path, byte):
+    stage = put(tmp_path, ".mat")
+    data = bytearray((tmp_path / "data.mat").read_bytes())
+    data[byte] ^= 0xDB
+    (tmp_path / "data.mat").write_bytes(data)
+    with pytest.raises(TrialError, match=r"data\.mat: "):
+        tables.read(stage)
+
+
 def test_degrees_that_are_called_radians_are_noticed(tmp_path):
     stage = put(tmp_path, ".csv")
     stage.write_text(stage.read_text().replace("unit: deg", "unit: rad"))

@@ -32,6 +32,24 @@ def test_it_computes_what_numpy_computes_and_scales_to_units(write_model, networ
     assert np.ptp(actions, axis=0).min() > 0.1  # or the comparison would say nothing
 
 
+def test_a_file_of_more_than_a_model_has_is_not_even_read(tmp_path):
+    with (tmp_path / "large.onnx").open("wb") as file:
+        file.truncate(10**12)
+    with pytest.raises(PolicyError, match=r"large\.onnx: .* 1000000 MB; allowed are 67"):
+        OnnxPolicy(str(tmp_path / "large.onnx"))
+
+
+def test_text_in_it_that_is_no_text_is_refused(write_model, capfd):
+    path = write_model()
+    path.write_bytes(path.read_bytes().replace(b'"unit":"m/s"', b'"unit":"m\xff\xfe"'))
+    with pytest.raises(PolicyError, match="not an ONNX model that can be run"):
+        OnnxPolicy(str(path))
+    path.write_bytes(write_model().read_bytes().replace(b"LSTM", b"LST\xff"))
+    with pytest.raises(PolicyError, match="no policy needs"):
+        OnnxPolicy(str(path))
+    assert capfd.readouterr() == ("", "")
+
+
 def test_reset_forgets_and_without_it_the_past_matters(write_model, network):
     policy = OnnxPolicy(model=str(write_model()))
     first = fly(policy, network.inputs[:3])

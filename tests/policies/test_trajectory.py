@@ -1,5 +1,8 @@
 """The tracking policy adds the seed's feedback to a plan, holds its end, and refuses what it has no plan for."""
 
+import contextlib
+import zipfile
+
 import numpy as np
 import pytest
 
@@ -121,6 +124,10 @@ def broken(file, **changed):
         ({"steps": np.array([5, 6])}, "does not fit 2 plans"),
         ({"command": np.full((3, 8, 2), np.nan)}, "command has entries that are not finite"),
         ({"command": np.zeros((3, 9, 2))}, "do not belong together"),
+        ({"steps": np.float64(5)}, "does not fit 1 plans"),
+        ({"format": np.array([1, 1])}, "has format"),
+        ({"format": "one"}, "has format one"),
+        ({"miss_m": np.array(["a", "b", "c"])}, "miss_m has entries that are not finite numbers"),
     ],
 )
 def test_a_file_that_is_not_sound_is_refused(file, changed, said):
@@ -128,6 +135,25 @@ def test_a_file_that_is_not_sound_is_refused(file, changed, said):
     with pytest.raises(PolicyError, match=said) as refused:
         Trajectory(str(file))
     assert "softarm plan" in str(refused.value)
+
+
+@pytest.mark.parametrize(("name", "content"), [("steps.npy", b"no array"), ("more.npy", bytes(300_000_000))])
+def test_a_file_with_a_member_that_is_no_array_or_too_large_is_refused(file, name, content):
+    with zipfile.ZipFile(file) as archive:
+        members = {each: archive.read(each) for each in archive.namelist()}
+    with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED) as archive:
+        for each, data in (members | {name: content}).items():
+            archive.writestr(each, data)
+    with pytest.raises(PolicyError, match="softarm plan"):
+        Trajectory(str(file))
+
+
+def test_a_file_with_a_changed_byte_is_refused_or_flown_wherever_it_is(file):
+    data = file.read_bytes()
+    for at in range(0, len(data), len(data) // 300 + 1):
+        file.write_bytes(data[:at] + bytes([data[at] ^ 0x90]) + data[at + 1 :])
+        with contextlib.suppress(PolicyError):
+            Trajectory(str(file))
 
 
 def test_no_file_and_no_such_file_are_refused(tmp_path):

@@ -1,10 +1,15 @@
 """A recording is read up to where it breaks off, by whoever reads it."""
 
-import pytest
+from dataclasses import replace
 
+import pytest
+from mcap.writer import Writer
+
+from softarm.recordings import finishing
 from softarm.recordings.channels import RAIL
 from softarm.recordings.log_file import LogFile
 from softarm.recordings.mcap_file import LogError, messages
+from softarm.schemas import log
 
 
 def test_every_cut_gives_a_prefix(killed, readings):
@@ -17,6 +22,28 @@ def test_every_cut_gives_a_prefix(killed, readings):
         counts.append(len(read))
     assert counts == sorted(counts)
     assert (counts[0], counts[-1]) == (0, len(readings))
+
+
+def test_what_stands_on_nothing_is_left_out(killed, readings):
+    """A message of a channel, a channel of a schema, that a damaged file does not hold."""
+    with killed.open("wb") as file:
+        writer = Writer(file, use_chunking=False)
+        writer.start(profile="", library="")
+        rail = writer.register_channel(RAIL.topic, "json", writer.register_schema("rail", "jsonschema", b"{}"))
+        lost = writer.register_channel("lost", "json", 99)
+        bare = writer.register_channel("bare", "json", 0)
+        for channel in (rail, bare + 7, lost, bare):
+            writer.add_message(channel, 1, RAIL.encode(readings[0]), 1)
+    assert [topic for topic, _ in messages(killed)] == [RAIL.topic, "bare"]
+    assert LogFile.open(killed).records == 2
+    assert finishing.recover(killed).records == 2
+
+
+@pytest.mark.parametrize("metadata", [{}, {log.CONFIGURATION: {}}, {log.CONFIGURATION: {"json": "{"}}])
+def test_a_log_without_a_configuration_that_can_be_read_says_so(killed, metadata):
+    opened = replace(LogFile.open(killed), metadata=metadata)
+    with pytest.raises(LogError, match=r"killed\.mcap: holds no configuration that can be read .*; name another log"):
+        assert opened.config
 
 
 @pytest.mark.parametrize("read", [lambda path: list(messages(path)), LogFile.open])

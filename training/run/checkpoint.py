@@ -87,8 +87,12 @@ def load_policy(source: Path) -> tuple[PolicyNetwork, dict[str, Any]]:
     missing = {"settings", "task", "seed", "curve", "average"} - saved.keys()
     if missing:
         raise CheckpointError(f"{source}: {', '.join(sorted(missing))} missing; give a .pt file of `softarm train`")
-    network = PolicyNetwork(NetworkShape(**saved.get("network", {})))
-    network.load_state_dict(saved["average"])
+    try:
+        network = PolicyNetwork(NetworkShape(**saved.get("network", {})))
+        network.load_state_dict(saved["average"])
+    except Exception as error:  # of sizes that are none, or weights of another network
+        reason = " ".join(str(error).split())[:200]
+        raise CheckpointError(f"{source}: holds no network ({reason}); give a .pt file of `softarm train`") from error
     return network, saved
 
 

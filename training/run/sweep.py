@@ -66,7 +66,7 @@ class Sweep(Strict):
         for name, own in self.runs.items():
             lines = _merged(self.base, own or {})
             if (like := lines.pop("like", None)) is not None:
-                if like not in RECIPES:
+                if like not in tuple(RECIPES):  # which need not be hashable
                     raise ValueError(f"runs.{name}.like is {like!r}; give one of {', '.join(RECIPES)}")
                 lines = _merged(RECIPES[like].model_dump(exclude_defaults=True), lines)
             made[name] = Recipe.model_validate(lines)
@@ -274,7 +274,12 @@ def spread(values: list[float]) -> tuple[float, float]:
 
 
 def _merged(common: dict[str, Any], own: dict[str, Any]) -> dict[str, Any]:
-    tables = {key: common.get(key, {}) | own.get(key, {}) for key in ("settings", "randomise")}
+    tables: dict[str, Any] = {"settings": {}, "randomise": {}}
+    for key, table in tables.items():
+        for lines in (common, own):
+            if not isinstance(given := lines.get(key, {}), dict):
+                raise ValueError(f"{key} is {given!r}; give a group of keys")
+            table |= given
     return common | own | tables
 
 

@@ -285,11 +285,18 @@ def test_faults_last_as_long_as_they_are_told(clock: Any) -> None:
     assert not faults.active("remote_low")
 
 
+def test_a_fault_may_last_for_more_seconds_than_there_are_nanoseconds(clock: Any) -> None:
+    faults = Faults(clock)
+    faults.apply(b'{"fault": "mocap_freeze", "seconds": 1' + b"0" * 400 + b"}")
+    assert faults.active("mocap_freeze")
+
+
 @pytest.mark.parametrize(
     ("message", "words"),
     [
         (b"nonsense", "JSON object like"),
         (b"[]", "JSON object like"),
+        (b"[" * 100_000, "JSON object like"),
         (json.dumps({"fault": "earthquake"}).encode(), "no fault 'earthquake'; choose one of clear, mocap_drop_body"),
         (json.dumps({"fault": "apply"}).encode(), "no fault 'apply'"),
         (json.dumps({"fault": "__init__"}).encode(), "no fault '__init__'"),

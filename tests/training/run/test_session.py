@@ -19,7 +19,7 @@ from softarm.training.learn.inference import infer, workers
 from softarm.training.learn.network import NetworkShape, PolicyNetwork
 from softarm.training.learn.ppo import PpoConfig
 from softarm.training.record.export import export_checkpoint, onnx_model
-from softarm.training.run import validation
+from softarm.training.run import checkpoint, validation
 from softarm.training.run.checkpoint import CheckpointError
 from softarm.training.run.session import Session, averaged_share
 from softarm.training.run.settings import TrainingConfig
@@ -204,6 +204,25 @@ def test_a_damaged_checkpoint_is_refused(tmp_path):
     with pytest.raises(CheckpointError, match=r"broken\.pt: not a checkpoint"):
         export_checkpoint(path, tmp_path / "out.onnx")
     assert not (tmp_path / "out.onnx").exists()
+
+
+@pytest.mark.parametrize(
+    "changed",
+    [
+        {"network": ["mlp"]},
+        {"network": {"state": "many"}},
+        {"network": {"mlp": 3}},
+        {"network": {"width": 3}},
+        {"network": {"state": 7}},
+        {"average": {}},
+        {"average": 3},
+    ],
+)
+def test_a_checkpoint_whose_network_is_none_is_refused(tmp_path, changed):
+    whole = {"settings": {}, "task": {}, "seed": 1, "curve": [], "average": PolicyNetwork(NetworkShape()).state_dict()}
+    checkpoint.save(tmp_path / "odd.pt", whole | changed)
+    with pytest.raises(CheckpointError, match=r"odd\.pt: holds no network"):
+        checkpoint.load_policy(tmp_path / "odd.pt")
 
 
 def test_validation_trials_are_none_of_the_test_targets():

@@ -105,6 +105,9 @@ def test_the_table_has_mean_and_spread_over_seeds():
         ("{seeds: [1], runs: {a: {randomise: {arm.payload.mass: [0, 9]}}}}", "arm.payload"),
         ("{seeds: [1], runs: {a: {model: no-dely}}}", "did you mean no-delay"),
         ("{seeds: [1], runs: {a: {like: fly}}}", "give one of reach"),
+        ("{seeds: [1], runs: {a: {like: [reach]}}}", "give one of reach"),
+        ("{seeds: [1], runs: {a: {settings: 3}}}", "settings is 3; give a group of keys"),
+        ("{seeds: [1], base: {randomise: [1]}, runs: {a: {}}}", "randomise is [1]; give a group of keys"),
         ("[1", "bad.yaml:1: not valid YAML: while parsing a flow sequence"),
     ],
 )

@@ -1,0 +1,1 @@
+"""Fuzzing: does every parser refuse in words what it cannot take?"""

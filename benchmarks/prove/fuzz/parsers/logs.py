@@ -1,0 +1,108 @@
+"""Recordings: MCAP files as whoever lists, mends, replays or diagnoses them reads them."""
+
+from collections.abc import Callable
+from functools import cache
+from pathlib import Path
+from random import Random
+
+from softarm.benchmarks.prove.fuzz import mutate
+from softarm.benchmarks.prove.fuzz.parsers.base import Parser, folder, written
+
+
+@cache
+def example() -> bytes:
+    """A short flight as the recorder leaves it when it is killed: no chunks, no end."""
+    from softarm.daemon.control.records import Inputs, Outputs, TickTiming
+    from softarm.daemon.logbook.recorder import TickFile
+    from softarm.daemon.shell.offline import Lockstep
+    from softarm.policies.base import PolicySpec
+    from softarm.policies.hold import Hold
+    from softarm.schemas.config import Config
+
+    class Keep:
+        """Writes every tick at once."""
+
+        dropped = 0
+        problem: str | None = None
+
+        def tick(self, inputs: Inputs, outputs: Outputs, timing: TickTiming) -> None:
+            live.write((inputs, outputs, timing))
+
+        def policy(self, spec: PolicySpec) -> None:
+            live.policy(spec)
+
+    path = folder() / "live.mcap"
+    with path.open("wb") as file:
+        live = TickFile(file)
+        live.head(Config(), Hold.spec, 5, 7)
+        daemon = Lockstep(Config(), Hold(), recorder=Keep())
+        daemon.arm()
+        live.flush()
+    return path.read_bytes()
+
+
+@cache
+def examples() -> list[bytes]:
+    """The same, and finished: in chunks, with an index."""
+    from softarm.recordings import finishing
+
+    path = written("example.mcap", example())
+    finishing.finish(path)
+    return [example(), path.read_bytes()]
+
+
+def _draw(random: Random) -> bytes:
+    return mutate.of_bytes(random, examples())
+
+
+def _listed() -> Parser:
+    from softarm.recordings.listing import listing
+
+    def take(data: bytes) -> None:
+        path = written("logs.d.mcap", data)
+        assert path.name in {entry.name for entry in listing(path.parent)}
+
+    return Parser(_draw, take, ())
+
+
+def _recovered() -> Parser:
+    """`softarm logs recover`: whatever the file holds, it is whole then, or told why not."""
+    from softarm.recordings import finishing, mcap_file
+
+    def take(data: bytes) -> None:
+        path = written("cut.mcap", data)
+        before = finishing.recover(path)
+        if before.finished:
+            assert len(list(mcap_file.messages(path))) == before.records
+
+    return Parser(_draw, take, (mcap_file.LogError,))
+
+
+def _replayed() -> Parser:
+    """`softarm replay`: a log's own configuration and every tick of it."""
+    from softarm.daemon.logbook import logs
+    from softarm.daemon.shell.replay import replay
+    from softarm.policies.base import PolicyError
+    from softarm.policies.hold import Hold
+    from softarm.recordings.mcap_file import LogError
+
+    def take(path: Path) -> None:
+        log = logs.read(path)
+        replay(log.ticks(), log.config, lambda name: Hold())
+
+    return Parser(_draw, lambda data: take(written("replay.mcap", data)), (LogError, PolicyError))
+
+
+def _diagnosed() -> Parser:
+    from softarm.diagnosis import mcap
+    from softarm.diagnosis.trials import TrialError
+
+    return Parser(_draw, lambda data: mcap.read(written("trial.mcap", data)), (TrialError,))
+
+
+PARSERS: dict[str, Callable[[], Parser]] = {
+    "log.listing": _listed,
+    "log.recover": _recovered,
+    "log.replay": _replayed,
+    "log.diagnose": _diagnosed,
+}
