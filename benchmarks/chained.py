@@ -165,11 +165,13 @@ class Outside(SoftwareInTheLoop):
                 stdout=output,
                 stderr=subprocess.STDOUT,
             )
-        self._wait("outside", self.twin, self._truth_file.exists)
+        self._wait("outside", self.twin, lambda: self._truth_file.exists() and self._truth_file.stat().st_size > 0)
 
     def truth(self) -> dict[str, Any]:
         """What the robot knows of itself, at most 50 ms old."""
-        return dict(json.loads(self._truth_file.read_text()))
+        while True:  # it is written in place
+            with contextlib.suppress(json.JSONDecodeError):
+                return dict(json.loads(self._truth_file.read_text()))
 
 
 class OnWires:
@@ -195,13 +197,13 @@ class OnWires:
         if last or stop:
             time.sleep(AFTER_S)
         after = loop.truth()
-        timing = {name: after[name] - before[name] for name in ("steps", "late_steps", "paused_s")}
+        timing = {name: after[name] - before[name] for name in ("steps", "late_steps", "stalls", "paused_s")}
         return Leg(
             reached=status["goal"]["state"] == "reached",
             trained=trained,
             max_cart_m=after["max_cart_m"],
             excursions=after["excursions"] - before["excursions"],
-            crashes=len(after["crashes"]) - len(before["crashes"]),
+            crashes=after["crashes"] - before["crashes"],
             stop=stop,
             events=sorted(events | {event["name"] for event in status["events"]}),
             seconds=status["goal"]["time_s"],
@@ -263,10 +265,11 @@ def summary(legs: Sequence[Leg]) -> dict[str, Any]:
         "seconds": sum(leg.seconds for leg in legs),
     }
     if timed := [leg.timing for leg in legs if leg.timing]:
-        found["timing"] = {
-            **{name: sum(each[name] for each in timed) for name in ("steps", "late_steps", "paused_s", "missed_ticks")},
-            "max_late_s": max(each["max_late_s"] for each in timed),
-        }
+        longest = {"max_late_s": max(each["max_late_s"] for each in timed)}
+        found["timing"] = {name: sum(each[name] for each in timed) for name in timed[0]} | longest
+    found["incidents"] = [
+        {"goal": number, **asdict(leg)} for number, leg in enumerate(legs) if leg.excursions or leg.crashes or leg.stop
+    ]
     return found
 
 
@@ -375,8 +378,8 @@ def _say(figures: dict[str, Any], bound: float) -> None:
         timing = figures["timing"]
         console.print(
             f"  robot: {timing['late_steps']} of {timing['steps']} steps more than 5 ms late, the latest "
-            f"{1e3 * timing['max_late_s']:.0f} ms, stood still for {timing['paused_s']:.2f} s; daemon: "
-            f"{timing['missed_ticks']} ticks missed"
+            f"{1e3 * timing['max_late_s']:.0f} ms ({timing['stalls']} times more than 20 ms), stood still for "
+            f"{timing['paused_s']:.2f} s; daemon: {timing['missed_ticks']} ticks missed"
         )
 
 

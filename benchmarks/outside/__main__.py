@@ -20,8 +20,8 @@ from .drive import Drive, Port
 from .regulator import Board
 from .robot import STEP_S, Robot
 
-STATUS_S = 0.05
-LATE_S = 0.005
+STATUS_S, STATUS_BYTES = 0.05, 4096
+LATE_S, STALL_S = 0.005, 0.02
 PAUSE_S = 0.1
 PRIORITY = 30  # of SCHED_FIFO, where the system grants it: hardware does not wait for other programs
 
@@ -35,7 +35,7 @@ def main() -> None:
     add("--rail-port", type=int, required=True)
     add("--endpoint", default="tcp/127.0.0.1:7447", help="where the daemon listens for motion capture")
     add("--key", default="softarm/mocap")
-    add("--status", required=True, help="JSON file, written anew twenty times a second")
+    add("--status", required=True, help="file to make: one JSON object and blanks, twenty times a second")
     add("--bound-m", type=float, default=0.255, help="of the cart from the middle; excursions beyond are counted")
     add("--latency-ms", type=float, default=20.0, help="from a written 60FFh to the start of the ramp")
     add("--ramp", type=float, help="m/s^2 really driven, whatever 6083h to 6085h say")
@@ -63,6 +63,38 @@ def main() -> None:
         cameras.close()
 
 
+class Pace:
+    """Absolute deadlines, one for each step, and how well they were kept."""
+
+    def __init__(self, begin: float) -> None:
+        self._begin = begin
+        self._stalled = False
+        self.steps = self.late_steps = self.stalls = 0
+        self.max_late_s = self.paused_s = 0.0
+
+    @property
+    def due(self) -> float:
+        """When the next step is to be taken."""
+        return self._begin + self.steps * STEP_S
+
+    def step(self, now: float) -> float:
+        """A step that is taken now; returns its instant."""
+        late = now - self.due
+        self.late_steps += late > LATE_S
+        self.stalls += late > STALL_S and not self._stalled
+        self._stalled = late > STALL_S
+        self.max_late_s = max(self.max_late_s, late)
+        if late > PAUSE_S:
+            self._begin += late
+            self.paused_s += late
+        due, self.steps = self.due, self.steps + 1
+        return due
+
+    def figures(self) -> dict[str, float]:
+        """For the status."""
+        return {name: value for name, value in vars(self).items() if not name.startswith("_")}
+
+
 def run(robot: Robot, port: Port, board: Board, cameras: Cameras, frame_rate_hz: float, status: str) -> None:
     """Until a signal comes."""
     ended = threading.Event()
@@ -70,33 +102,28 @@ def run(robot: Robot, port: Port, board: Board, cameras: Cameras, frame_rate_hz:
         signal.signal(number, lambda *_: ended.set())
     with contextlib.suppress(PermissionError):
         os.sched_setscheduler(threading.get_native_id(), os.SCHED_FIFO, os.sched_param(PRIORITY))
-    late_steps, max_late_s, paused_s = 0, 0.0, 0.0
-    begin = time.monotonic()
-    frame_due = status_due = begin
-    steps = 0
+    file = os.open(status, os.O_RDWR | os.O_CREAT | os.O_TRUNC, 0o644)
+    pace = Pace(time.monotonic())
+    frame_due = status_due = pace.due
     while not ended.is_set():
-        now, due = time.monotonic(), begin + steps * STEP_S
-        if now < due:
-            time.sleep(due - now)
+        now = time.monotonic()
+        if now < pace.due:
+            time.sleep(pace.due - now)
             continue
-        late_steps, max_late_s = late_steps + (now - due > LATE_S), max(max_late_s, now - due)
-        if now - due > PAUSE_S:
-            begin, paused_s = begin + now - due, paused_s + now - due
-            continue
+        due = pace.step(now)
         board.serve(int(now * 1e6), robot.body.pressure_kpa)
         port.serve(now)
         robot.step(due)
-        steps += 1
         if due >= frame_due:
             frame_due = max(frame_due + 1 / frame_rate_hz, due)
             cameras.take(int(due * 1e9), robot.body.poses())
         cameras.send(int(now * 1e9))
         if due >= status_due:
             status_due = due + STATUS_S
-            timing = {"steps": steps, "late_steps": late_steps, "max_late_s": max_late_s, "paused_s": paused_s}
-            with open(f"{status}.new", "w") as file:
-                json.dump({"t_s": due, **robot.truth(), **timing}, file)
-            os.replace(f"{status}.new", status)
+            # In place: to rename a file may wait for the disk. A reader may see one half old, and asks again.
+            text = json.dumps({"t_s": due, **robot.truth(), **pace.figures()})
+            os.pwrite(file, text.encode().ljust(STATUS_BYTES), 0)
+    os.close(file)
 
 
 if __name__ == "__main__":

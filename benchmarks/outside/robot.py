@@ -6,6 +6,7 @@ from .regulator import Firmware
 
 STEP_S = 0.001
 _CRASHED = 0xFF00
+_REMEMBERED = 8
 _CLEAR_M = 0.001  # off the stop by so much, the next touch is another crash
 
 
@@ -16,7 +17,8 @@ class Robot:
         self.body, self.drive, self.firmware = body, drive, Firmware()
         self.max_cart_m = 0.0
         self.excursions = 0
-        self.crashes: list[dict[str, float]] = []
+        self.crashes = 0
+        self.last_crashes: list[dict[str, float]] = []
         self._bound_m = bound_m
         self._beyond = self._touching = False
 
@@ -32,7 +34,9 @@ class Robot:
         self._beyond = beyond
         touching = away > STOP_M - _CLEAR_M if self._touching else away >= STOP_M
         if touching and not self._touching:
-            self.crashes.append({"t_s": now, "cart_m": body.cart_m, "speed_m_s": speed})
+            self.crashes += 1
+            self.last_crashes.append({"t_s": now, "cart_m": body.cart_m, "speed_m_s": speed})
+            del self.last_crashes[:-_REMEMBERED]
             self.drive.trip(_CRASHED)
         self._touching = touching
 
@@ -49,4 +53,5 @@ class Robot:
             "max_cart_m": self.max_cart_m,
             "excursions": self.excursions,
             "crashes": self.crashes,
+            "last_crashes": self.last_crashes,
         }

@@ -60,7 +60,7 @@ def test_after_a_stop_a_new_arm_takes_the_next_goal_and_every_arm_is_put_away():
 
 
 def test_the_summary_counts_what_happened():
-    timing = {"steps": 10, "late_steps": 1, "paused_s": 0.0, "missed_ticks": 2, "max_late_s": 0.01}
+    timing = {"steps": 10, "late_steps": 1, "stalls": 0, "paused_s": 0.0, "missed_ticks": 2, "max_late_s": 0.01}
     legs = [
         leg(max_cart_m=0.26, excursions=1, events=["rail_outside"], timing=timing),
         leg(reached=False, trained=False, crashes=1, events=["rail_outside"], timing={**timing, "max_late_s": 0.02}),
@@ -74,6 +74,7 @@ def test_the_summary_counts_what_happened():
     }
     assert (found["max_cart_m"], found["excursions"], found["crashes"]) == (0.26, 1, 1)
     assert found["goals_with_event"] == {"rail_outside": 2}
+    assert [incident["goal"] for incident in found["incidents"]] == [0, 1]
     assert found["timing"] == {**timing, "steps": 20, "late_steps": 2, "missed_ticks": 4, "max_late_s": 0.02}
 
 
