@@ -2,8 +2,9 @@
 
     python -m softarm.benchmarks.outside --serial /tmp/regulator --rail-port 15020 --status status.json
 
-One thread steps the body 1000 times a second by absolute deadlines and serves the serial line and the drive in between.
-Ends on SIGINT or SIGTERM. Later than PAUSE_S, the robot's world stands still and does not catch up; the status says so.
+One thread steps the body 1000 times a second by absolute deadlines and serves the drive in between; the regulator
+listens on its own. Later than PAUSE_S, the robot's world stands still and does not catch up, and the status says so.
+Ends on SIGINT or SIGTERM.
 """
 
 import argparse
@@ -49,11 +50,13 @@ def main() -> None:
     add("--noise-mm", type=float, default=0.1)
     options = parser.parse_args()
 
+    with contextlib.suppress(PermissionError):  # before any thread is started, Zenoh's too: they take it over
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(PRIORITY))
     body = Body(options.payload_g / 1000, options.friction_n, options.start)
     drive = Drive(options.ramp, options.latency_ms / 1000, options.age_ms / 1000, options.keep)
     robot = Robot(body, drive, options.bound_m)
     port = Port(drive, options.rail_host, options.rail_port)
-    board = Board(robot.firmware, options.serial)
+    board = Board(robot.firmware, options.serial, lambda: robot.body.pressure_kpa)
     cameras = Cameras(options.endpoint, options.key, options.delay_ms / 1000, options.noise_mm / 1000)
     try:
         run(robot, port, board, cameras, options.rate, options.status)
@@ -100,8 +103,6 @@ def run(robot: Robot, port: Port, board: Board, cameras: Cameras, frame_rate_hz:
     ended = threading.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: ended.set())
-    with contextlib.suppress(PermissionError):
-        os.sched_setscheduler(threading.get_native_id(), os.SCHED_FIFO, os.sched_param(PRIORITY))
     file = os.open(status, os.O_RDWR | os.O_CREAT | os.O_TRUNC, 0o644)
     pace = Pace(time.monotonic())
     frame_due = status_due = pace.due
@@ -111,7 +112,7 @@ def run(robot: Robot, port: Port, board: Board, cameras: Cameras, frame_rate_hz:
             time.sleep(pace.due - now)
             continue
         due = pace.step(now)
-        board.serve(int(now * 1e6), robot.body.pressure_kpa)
+        board.watch()
         port.serve(now)
         robot.step(due)
         if due >= frame_due:

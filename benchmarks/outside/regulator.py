@@ -2,8 +2,12 @@
 
 import contextlib
 import os
+import select
 import struct
+import threading
+import time
 import tty
+from collections.abc import Callable
 
 _HELLO, _WELCOME, _COMMAND, _STATE = 0x01, 0x81, 0x02, 0x82
 _HEAD = struct.Struct("<BBII")
@@ -12,6 +16,7 @@ _SAY = struct.Struct("<IBHf")
 _LENGTHS = {_HELLO: _HEAD.size, _COMMAND: _HEAD.size + _CALL.size}
 _TTL, _TOKEN, _RANGE, _SEQUENCE = 1, 2, 4, 16
 _REFUSALS = _TOKEN | _RANGE | _SEQUENCE
+_UNPLUGGED_S = 0.01
 
 
 def crc16(data: bytes) -> int:
@@ -131,11 +136,14 @@ class Firmware:
 
 
 class Board:
-    """The firmware behind a pseudo-terminal, found at the symbolic link `path`."""
+    """The firmware behind a pseudo-terminal, found at the symbolic link `path`; a thread of its own listens.
 
-    def __init__(self, firmware: Firmware, path: str) -> None:
-        self._firmware = firmware
-        self._path = path
+    Not the thread that steps the body: to read a pseudo-terminal may wait for a kernel's worker of ordinary priority.
+    """
+
+    def __init__(self, firmware: Firmware, path: str, sensor_kpa: Callable[[], float]) -> None:
+        self._firmware, self._path, self._sensor_kpa = firmware, path, sensor_kpa
+        self._lock = threading.Lock()
         self._master, slave = os.openpty()
         tty.setraw(slave)
         if os.path.islink(path):
@@ -144,21 +152,35 @@ class Board:
         # Our end of the slave is not kept: a host's TIOCEXCL would outlive the host.
         os.close(slave)
         os.set_blocking(self._master, False)
+        threading.Thread(target=self._listen, daemon=True).start()
 
-    def serve(self, now_us: int, sensor_kpa: float) -> None:
-        """Answer what has come; never waits."""
-        self._firmware.run(now_us)
-        try:
-            data = os.read(self._master, 4096)
-        except OSError:  # nothing to read, or nobody has it open
-            return
-        answer = self._firmware.hear(data, now_us, sensor_kpa)
-        if answer:
-            with contextlib.suppress(OSError):  # a host that does not read loses answers
-                os.write(self._master, answer)
+    def watch(self) -> None:
+        """Vent when commands have stopped; never waits for the line."""
+        with self._lock:
+            self._firmware.run(_now_us())
 
     def close(self) -> None:
         """Unplug it."""
-        os.close(self._master)
         if os.path.islink(self._path):
             os.unlink(self._path)
+
+    def _listen(self) -> None:
+        poll = select.poll()
+        poll.register(self._master, select.POLLIN)
+        while True:
+            poll.poll()
+            try:
+                data = os.read(self._master, 4096)
+            except BlockingIOError:
+                continue
+            except OSError:  # nobody has it open
+                time.sleep(_UNPLUGGED_S)
+                continue
+            with self._lock:
+                answer = self._firmware.hear(data, _now_us(), self._sensor_kpa())
+            with contextlib.suppress(OSError):  # a host that does not read loses answers
+                os.write(self._master, answer)
+
+
+def _now_us() -> int:
+    return time.monotonic_ns() // 1000
