@@ -37,12 +37,21 @@ class SoftwareInTheLoopError(Exception):
 class SoftwareInTheLoop:
     """A context: inside it twin and daemon run on free ports of this machine, outside it neither does."""
 
-    def __init__(self, logs: Path, overrides: dict[str, Any] | None = None, model: Path | None = None) -> None:
-        """`overrides`: further keys of the configuration file; `model`: the twin's model file."""
+    def __init__(
+        self,
+        logs: Path,
+        overrides: dict[str, Any] | None = None,
+        model: Path | None = None,
+        twin_drivers: dict[str, Any] | None = None,
+    ) -> None:
+        """`overrides`: further keys of the configuration file; `model`: the twin's model file.
+
+        `twin_drivers`: where the twin answers, when that is not where the daemon asks: something stands between them.
+        """
         self._twin_options = [] if model is None else ["--model", str(model)]
         self._folder = tempfile.TemporaryDirectory(prefix="softarm-")
         self.folder = Path(self._folder.name)
-        mocap, rail, api, stop = _free_ports(4)
+        mocap, rail, api, stop = free_ports(4)
         self.url, self.stop_port = f"http://127.0.0.1:{api}", stop
         self.settings: dict[str, Any] = {
             "drivers": {
@@ -54,8 +63,10 @@ class SoftwareInTheLoop:
             "recorder": {"directory": str(logs)},
             **(overrides or {}),
         }
-        self.config_file = self.folder / "softarm.yaml"
+        self.config_file, self._twin_file = self.folder / "softarm.yaml", self.folder / "twin.yaml"
         self.config_file.write_text(yaml.safe_dump(self.settings))
+        apart = {} if twin_drivers is None else {"drivers": twin_drivers}
+        self._twin_file.write_text(yaml.safe_dump(self.settings | apart))
         self.client = httpx.Client(base_url=self.url, timeout=5.0)
         self.twin: subprocess.Popen[bytes] | None = None
         self.daemon: subprocess.Popen[bytes] | None = None
@@ -73,21 +84,25 @@ class SoftwareInTheLoop:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
+        self.end()
+        self.client.close()
+        self._folder.cleanup()
+
+    def end(self) -> None:
         """End the daemon, then the twin."""
         for process in (self.daemon, self.twin):
             if process is not None:
                 _end(process)
-        self.client.close()
-        self._folder.cleanup()
 
     def start_twin(self) -> None:
         """The robot."""
-        self.twin = self._start("twin", *self._twin_options)
-        self._wait("twin", self.twin, lambda: (self.folder / "regulator").exists())
+        self.twin = self._start("twin", self._twin_file, *self._twin_options)
+        link = Path(yaml.safe_load(self._twin_file.read_text())["drivers"]["regulator"]["port"])
+        self._wait("twin", self.twin, link.exists)
 
     def start_daemon(self) -> None:
         """The daemon, until it sees the whole robot."""
-        self.daemon = self._start("run")
+        self.daemon = self._start("run", self.config_file)
         self._wait("run", self.daemon, self.healthy)
 
     def healthy(self) -> bool:
@@ -158,10 +173,10 @@ class SoftwareInTheLoop:
                 return
             time.sleep(POLL_S)
 
-    def _start(self, verb: str, *options: str) -> subprocess.Popen[bytes]:
+    def _start(self, verb: str, config_file: Path, *options: str) -> subprocess.Popen[bytes]:
         with (self.folder / f"{verb}.out").open("ab") as output:
             return subprocess.Popen(
-                [sys.executable, "-m", "softarm.cli.main", verb, "--config", str(self.config_file), *options],
+                [sys.executable, "-m", "softarm.cli.main", verb, "--config", str(config_file), *options],
                 stdout=output,
                 stderr=subprocess.STDOUT,
                 env={**os.environ, "PYTHONUNBUFFERED": "1"},
@@ -196,7 +211,8 @@ def _end(process: subprocess.Popen[bytes]) -> None:
             process.wait()
 
 
-def _free_ports(count: int) -> list[int]:
+def free_ports(count: int) -> list[int]:
+    """So many TCP ports that nobody listens at now."""
     with contextlib.ExitStack() as stack:
         sockets = [stack.enter_context(socket.socket()) for _ in range(count)]
         for one in sockets:
