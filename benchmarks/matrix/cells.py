@@ -24,6 +24,8 @@ BLAMES = {
     "rail link": ("rail_",),
     "disk": ("not_recorded", "recorder_"),
 }
+# Whose remedy (home the axis, report the error) helps against nothing of what is broken here.
+NEVER = ("rail_disagrees", "internal_error", "stop_requested")
 # Faults of a policy that the daemon has an answer for other than to stop.
 BORNE = ("sweep", "wild")
 
@@ -108,7 +110,7 @@ def faults_of(cell: Cell, outcome: Outcome) -> list[str]:
             if took_ms is None or took_ms > SAFE_S * 1e3:
                 wrong.append(f"unsafe: {what} after {'never' if took_ms is None else f'{took_ms:.0f} ms'}")
     blamed = BLAMES[cell.who]
-    others = [cause for cause in outcome.causes if not cause.startswith(blamed)]
+    others = [cause for cause in outcome.causes if cause in NEVER or not cause.startswith(blamed)]
     if others:
         wrong.append(f"wrongly blamed: {', '.join(others)}")
     if cell.must_stop and cell.phase not in ("close", "process") and not outcome.causes:
