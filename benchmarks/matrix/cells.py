@@ -6,7 +6,7 @@ from typing import Any
 
 from softarm.benchmarks.matrix.guests import NAMES
 from softarm.benchmarks.matrix.wires import Direction, Fault
-from softarm.schemas.robot import RAIL_LIMIT_M
+from softarm.schemas.robot import RAIL_LIMIT_M, RAIL_TRAVEL_M
 
 MARGIN_M = 0.005  # beyond the soft limit, at most
 SAFE_S = (
@@ -49,6 +49,14 @@ class Cell:
         if self.who in DEVICES:
             return self.fault not in (Fault.SLOW, Fault.CLOCK_JUMP)
         return self.who not in ("disk",) and self.fault not in BORNE
+
+    @property
+    def reach_m(self) -> float:
+        """How far from the middle the cart may come. No law can count on a drive that is slow from one moment to the
+        next by more than it was measured to be: then it is the hard stop that must not be reached.
+        """
+        slow = self.who == "rail" and self.fault == Fault.SLOW
+        return RAIL_TRAVEL_M - MARGIN_M if slow else RAIL_LIMIT_M + MARGIN_M
 
     def __str__(self) -> str:
         return f"{self.who}, {self.phase}: {self.fault}"
@@ -101,7 +109,7 @@ def faults_of(cell: Cell, outcome: Outcome) -> list[str]:
     wrong = list(outcome.problems)
     if outcome.crashes:
         wrong.append("unsafe: the cart struck the end of the rail")
-    if outcome.farthest_m > RAIL_LIMIT_M + MARGIN_M:
+    if outcome.farthest_m > cell.reach_m:
         wrong.append(f"unsafe: the cart was at {outcome.farthest_m:.3f} m")
     if cell.must_stop and not outcome.stopped:
         wrong.append("unsafe: it was flown on")

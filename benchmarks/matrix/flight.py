@@ -27,6 +27,7 @@ RECOVERY_S = 8.0
 SETTLED_S = 0.3
 POLL_S = 0.03
 EXIT_S = 10.0
+POLICY_S = guests.GOOD_S - 0.3  # a goal is a little older than its answer
 FULL_BYTES = 200_000  # a log that may grow by so much
 
 
@@ -97,7 +98,7 @@ class Bench:
         """Process id of the rail's link. Raises SoftwareInTheLoopError when there is none."""
         for child in Path(f"/proc/{self.daemon().pid}/task").glob("*/children"):
             for pid in child.read_text().split():
-                if b"drivers.rail" in Path(f"/proc/{pid}/cmdline").read_bytes():
+                if b"rail" in Path(f"/proc/{pid}/cmdline").read_bytes():
                     return int(pid)
         raise SoftwareInTheLoopError("the daemon has no process for the rail's link")
 
@@ -181,7 +182,7 @@ def _fly(bench: Bench, cell: Cell, outcome: Outcome) -> None:
     status = bench.status() or {}
     log = Path(status["recorder"]["log"])
     crashes, mark = bench.truth[-1]["crashes"], len(bench.truth)
-    since_ns = time.monotonic_ns() + (int(guests.GOOD_S * 1e9) if cell.who == "policy" else 0)
+    since_ns = time.monotonic_ns() + (int(POLICY_S * 1e9) if cell.who == "policy" else 0)
     with _wrong(bench, cell):
         _watch(bench, outcome, FAULT_S + (guests.GOOD_S if cell.who == "policy" else 0.0))
         _measure(bench, outcome, mark, crashes, since_ns)
@@ -193,9 +194,9 @@ def _fly(bench: Bench, cell: Cell, outcome: Outcome) -> None:
     if cell.phase == "process":
         _watch(bench, outcome, 1.0)  # what a daemon says that goes on
         until_ns = time.monotonic_ns()
+    outcome.causes, outcome.logged = bench.events(log, since_ns, until_ns)
     said = bench.ready()
     outcome.again = outcome.again or ("-" if not outcome.stopped else said)
-    outcome.causes, outcome.logged = bench.events(log, since_ns, until_ns)
     if bench.daemon().poll() is None and not outcome.stopped:
         bench.sil.post("disarm")
     time.sleep(SETTLED_S)

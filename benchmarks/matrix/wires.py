@@ -148,10 +148,15 @@ class RailWire(Wire):
             self._open -= ends
 
     async def _pump(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter, direction: Direction) -> None:
+        loop = asyncio.get_running_loop()
         with contextlib.suppress(OSError):
             while data := await reader.read(4096):
-                await asyncio.sleep(self.delay_s(direction))
-                writer.write(self.through(data, direction))
+                loop.call_later(self.delay_s(direction), _write, writer, self.through(data, direction))
+
+
+def _write(writer: asyncio.StreamWriter, data: bytes) -> None:
+    if not writer.is_closing():
+        writer.write(data)
 
 
 class RegulatorWire(Wire):
