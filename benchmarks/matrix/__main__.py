@@ -23,7 +23,7 @@ def main(only: str | None, json_file: Path | None) -> None:
     \b
     Examples:
       python -m softarm.benchmarks.matrix --only "rail, read"
-      python -m softarm.benchmarks.matrix --json benchmarks/results/matrix.json
+      python -m softarm.benchmarks.matrix --json matrix.json
     """
     chosen = [cell for cell in cells() if only is None or only in str(cell)]
     if not chosen:
