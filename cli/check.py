@@ -28,7 +28,7 @@ def check(file: Path, folder: Path | None) -> None:
       softarm check softarm.yaml
       softarm check softarm.yaml --logs logs
     """
-    from softarm.daemon.api.auth import AuthError, load_token
+    from softarm.daemon.api.auth import AuthError, load_tokens
     from softarm.daemon.config.configuration import ConfigurationError, effective_limits, read
     from softarm.daemon.config.policies import policy_problems
 
@@ -40,10 +40,9 @@ def check(file: Path, folder: Path | None) -> None:
     print_table(columns, effective_limits(loaded), f"{file}: limits in force", width=140)
     problems = list(policy_problems(loaded))
     try:
-        load_token(loaded.config.api)
+        load_tokens(loaded.config.api)
     except AuthError as error:
-        key = "host" if loaded.config.api.token_file is None else "token_file"
-        problems.append(f"{loaded.place(('api', key))}: {error}")
+        problems.append(f"{loaded.place(('api', error.key))}: {error}")
     if folder is not None:
         problems += _milder(loaded, folder)
     if problems:

@@ -171,12 +171,23 @@ class Drivers(Strict):
 
 
 class Api(Strict):
-    """The REST endpoint; any address but loopback requires a token."""
+    """The REST endpoint; any address but loopback requires a token. Each file holds one, of another role."""
 
     host: str = "127.0.0.1"
     port: Annotated[int, Field(ge=0, le=65535)] = 8080
     stop_port: Annotated[int, Field(ge=0, le=65535)] | None = None  # of the stop's own way; null: the one after port
-    token_file: Path | None = None
+    token_file: Path | None = None  # whose holder may do everything
+    view_token_file: Path | None = None  # may look, and stop
+    stop_token_file: Path | None = None  # may stop
+
+    @model_validator(mode="after")
+    def _commanding_takes_a_token_if_looking_does(self) -> Self:
+        for key in ("view_token_file", "stop_token_file"):
+            if self.token_file is None and getattr(self, key) is not None:
+                raise ValueError(
+                    f"{key} without token_file: whoever has no token may command; name a token_file too, or remove it"
+                )
+        return self
 
     @model_validator(mode="after")
     def _a_port_for_each(self) -> Self:

@@ -68,13 +68,15 @@ class ApiContext:
     problems: Callable[[], Problems] = _no_problems  # of the devices, as they are now
     recorder: RecorderState | None = None
     policies: Policies | None = None  # None: `Installed`
+    stop_port: Callable[[], int | None] = lambda: None  # of the stop's own way
     clock: Callable[[], int] = field(default=time.monotonic_ns)
 
 
 def create_app(context: ApiContext) -> FastAPI:
     """The application.
 
-    Raises AuthError when `api.host` is no loopback address and `api.token_file` gives no good token.
+    Raises AuthError when `api.host` is no loopback address and `api.token_file` gives no good token, or another role's
+    file does not.
     """
     door = Door(context.config.api)
     api = _Api(context)
@@ -130,6 +132,7 @@ class _Api:
             self._policies.available(),
             context.clock,
             __version__,
+            context.stop_port,
         )
 
     async def status(self) -> Response:

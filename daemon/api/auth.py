@@ -1,8 +1,10 @@
-"""Who may use the API: on loopback this machine's own programs, elsewhere holders of the token."""
+"""Who may use the API: on loopback this machine's own programs, elsewhere holders of a token, each in its role."""
 
 import hmac
 import ipaddress
 from collections.abc import Mapping
+from enum import IntEnum
+from itertools import combinations
 from pathlib import Path
 from urllib.parse import SplitResult, urlsplit
 
@@ -11,8 +13,24 @@ from softarm.schemas.config import Api
 TOKEN_MIN = 16  # characters
 
 
+class Role(IntEnum):
+    """What the holder of a token may do; each may do what those below it may."""
+
+    STOP = 1  # POST /api/stop, and nothing else
+    VIEW = 2  # status, stream, goal, policies, logs
+    COMMAND = 3  # everything
+
+
+# Which key of the configuration names whose token.
+TOKEN_FILES = {Role.COMMAND: "token_file", Role.VIEW: "view_token_file", Role.STOP: "stop_token_file"}
+
+
 class AuthError(Exception):
     """The API may not be opened like this; the text says what is missing and how to make it."""
+
+    def __init__(self, key: str, text: str) -> None:
+        super().__init__(text)
+        self.key = key  # of the section `api`
 
 
 def is_loopback(host: str) -> bool:
@@ -25,38 +43,47 @@ def is_loopback(host: str) -> bool:
         return False
 
 
-def load_token(config: Api) -> str | None:
-    """The token that requests have to carry; None when the API listens on loopback and none is configured.
+def load_tokens(config: Api) -> dict[Role, str]:
+    """The tokens that requests have to carry; none when the API listens on loopback and none is configured.
 
-    Raises AuthError when another address has no token, or its file is unreadable, too short or open to all.
+    Raises AuthError when another address has no token that commands, when a file is unreadable, too short or open to
+    all, and when two hold the same.
     """
-    path = config.token_file
-    if path is None:
-        if is_loopback(config.host):
-            return None
+    files = {role: getattr(config, key) for role, key in TOKEN_FILES.items()}
+    tokens = {role: _read(TOKEN_FILES[role], path) for role, path in files.items() if path is not None}
+    if Role.COMMAND not in tokens and not is_loopback(config.host):
         raise AuthError(
+            "host",
             f"api.host {config.host} can be reached from other machines and needs api.token_file: "
             "write a long random token into a file that only the service can read, for example with "
-            "`umask 077; openssl rand -hex 32 > /etc/softarm/token`, or set api.host to 127.0.0.1"
+            "`umask 077; openssl rand -hex 32 > /etc/softarm/token`, or set api.host to 127.0.0.1",
         )
-    return _read(path)
+    for one, other in combinations(tokens, 2):
+        if tokens[one] == tokens[other]:
+            raise AuthError(
+                TOKEN_FILES[other],
+                f"api.{TOKEN_FILES[other]} {files[other]}: holds the token of api.{TOKEN_FILES[one]}, which may do "
+                "more; make another with `openssl rand -hex 32`",
+            )
+    return tokens
 
 
-def _read(path: Path) -> str:
+def _read(key: str, path: Path) -> str:
     try:
         token = path.read_text(encoding="ascii").strip()
         mode = path.stat().st_mode
     except (OSError, UnicodeError) as error:
-        raise AuthError(f"api.token_file {path}: cannot be read ({error}); make one with `openssl rand -hex 32`") from (
+        raise AuthError(key, f"api.{key} {path}: cannot be read ({error}); make one with `openssl rand -hex 32`") from (
             error
         )
     if len(token) < TOKEN_MIN or any(c.isspace() for c in token):
         raise AuthError(
-            f"api.token_file {path}: holds {len(token)} characters; allowed: one word, {TOKEN_MIN} or more; "
-            "make one with `openssl rand -hex 32`"
+            key,
+            f"api.{key} {path}: holds {len(token)} characters; allowed: one word, {TOKEN_MIN} or more; "
+            "make one with `openssl rand -hex 32`",
         )
     if mode & 0o007:
-        raise AuthError(f"api.token_file {path}: every user of this machine can open it; `chmod o= {path}`")
+        raise AuthError(key, f"api.{key} {path}: every user of this machine can open it; `chmod o= {path}`")
     return token
 
 
@@ -68,31 +95,48 @@ class Door:
     """
 
     def __init__(self, config: Api) -> None:
-        """Raises AuthError when `api.host` is no loopback address and `api.token_file` gives no good token."""
-        token = load_token(config)
-        self._bearer = None if token is None else f"Bearer {token}".encode("ascii")
+        """Raises AuthError as `load_tokens` does."""
+        self._roles = {f"Bearer {token}".encode("ascii"): role for role, token in load_tokens(config).items()}
         self._loopback = is_loopback(config.host)
 
-    def refusal(self, headers: Mapping[bytes, bytes]) -> tuple[int, str] | None:
-        """HTTP status and why not; None for one that may. headers: by their names in small letters."""
+    def refusal(self, headers: Mapping[bytes, bytes], role: Role, page: str | None = None) -> tuple[int, str] | None:
+        """HTTP status and why not; None for one that may.
+
+        headers: by their names in small letters. role: that it takes. page: an origin that may ask as well, see
+        `own_page`.
+        """
         if self._loopback:
             host = headers.get(b"host", b"").decode("latin-1")
             if not is_loopback(_parts(f"//{host}").hostname or ""):
                 return 403, f"the Host header is {host!r}; ask for this machine as 127.0.0.1 or localhost"
             origin = headers.get(b"origin", b"").decode("latin-1")
-            if origin and _parts(origin).netloc != host:
+            if origin and origin != page and _parts(origin).netloc != host:
                 return 403, f"a page of {origin!r} may not command this robot; use the daemon's own pages"
-        if self._bearer is None:
+        if not self._roles:
             return None
         given = headers.get(b"authorization")
         if given is None:
             return 401, "this API needs a token: send `Authorization: Bearer <the text in api.token_file>`"
-        if not hmac.compare_digest(given, self._bearer):
+        holds = max((mine for bearer, mine in self._roles.items() if hmac.compare_digest(given, bearer)), default=None)
+        if holds is None:
             return (
                 401,
                 "the token is wrong: send the text in api.token_file as `Authorization: Bearer <token>`",
             )
+        if holds < role:
+            may = "look and stop" if holds is Role.VIEW else "stop"
+            return 403, f"this token may {may}, nothing else: use that of api.{TOKEN_FILES[role]}"
         return None
+
+    def own_page(self, headers: Mapping[bytes, bytes], port: int) -> str | None:
+        """The Origin, if it is a page that the REST API on `port` of this same host has served; None for any other."""
+        origin = headers.get(b"origin", b"").decode("latin-1")
+        page, asked = _parts(origin), _parts(f"//{headers.get(b'host', b'').decode('latin-1')}")
+        hosts = page.hostname or "", asked.hostname or ""
+        if origin != f"http://{page.netloc}" or page.username is not None or _port(page) != port or not all(hosts):
+            return None
+        same = all(map(is_loopback, hosts)) if self._loopback else hosts[0] == hosts[1]
+        return origin if same else None
 
 
 def _parts(url: str) -> SplitResult:
@@ -101,3 +145,10 @@ def _parts(url: str) -> SplitResult:
         return urlsplit(url)
     except ValueError:
         return SplitResult("", "", "", "", "")
+
+
+def _port(parts: SplitResult) -> int | None:
+    try:
+        return parts.port or 80
+    except ValueError:
+        return None

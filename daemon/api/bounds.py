@@ -6,7 +6,7 @@ from typing import Any
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
-from softarm.daemon.api.auth import Door
+from softarm.daemon.api.auth import Door, Role
 from softarm.daemon.api.refusals import refusal
 
 BODY_MAX = 4096  # bytes; the longest that means anything, a goal, has a hundred
@@ -32,7 +32,7 @@ class Guard:
             await self._app(scope, receive, send)
             return
         headers = dict(scope["headers"])
-        refused = self._door.refusal(headers)
+        refused = self._door.refusal(headers, _role(scope))
         if refused is None and scope["type"] == "http" and scope["path"] != STOP:
             refused = _too_long(headers.get(b"content-length", b""))
             if refused is None:
@@ -52,6 +52,13 @@ class Guard:
         status, sentence = refused
         headers_out = CLOSE | ({"WWW-Authenticate": "Bearer"} if status == 401 else {})
         await refusal(status, (sentence,), headers_out)(scope, receive, send)
+
+
+def _role(scope: Scope) -> Role:
+    """That a request takes."""
+    if scope["type"] == "websocket" or scope["method"] in ("GET", "HEAD"):
+        return Role.VIEW
+    return Role.STOP if (scope["method"], scope["path"]) == ("POST", STOP) else Role.COMMAND
 
 
 def _too_long(length: bytes) -> tuple[int, str] | None:

@@ -62,6 +62,7 @@ class Status(Outputs):
     recorder: RecorderInfo
     uptime_s: float
     version: str
+    stop_port: int | None  # of this host, where POST /api/stop waits for nobody
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -85,10 +86,12 @@ class StatusView:
         policies: Mapping[str, PolicyEntry],
         clock: Callable[[], int],
         version: str,
+        stop_port: Callable[[], int | None] = lambda: None,
     ) -> None:
         self._snapshot, self._problems, self._recorder = snapshot, problems, recorder
         self._clock = clock
         self._version = version
+        self._stop_port = stop_port
         self._started_ns = clock()
         self._cached: tuple[Outputs | None, bool, bytes] = (None, False, b"")
         self.policies = policies  # as they were last looked up
@@ -139,6 +142,7 @@ class StatusView:
             else RecorderInfo(str(box.path) if box.path else None, box.dropped, box.problem),
             "uptime_s": (outputs.t_ns - self._started_ns) * 1e-9,
             "version": self._version,
+            "stop_port": self._stop_port(),
         }
 
     def why_unhealthy(self) -> list[str]:

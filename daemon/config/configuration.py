@@ -11,6 +11,7 @@ from softarm.common.keys import leaves
 from softarm.common.quantity import shown
 from softarm.common.yaml_lines import FileError, Place
 from softarm.common.yaml_schema import fit
+from softarm.daemon.api.auth import TOKEN_FILES
 from softarm.daemon.config.contradictions import contradictions
 from softarm.daemon.stop.latch import latch_path
 from softarm.schemas.config import Config
@@ -99,6 +100,9 @@ def _derived(config: Config) -> Iterator[LimitRow]:
     yield row("full pressure range in", ticks, "ticks", "(max - min) / step")
     way, how = f"{config.api.host}:{config.api.stops_at}", "api.stop_port, or the one after api.port"
     yield LimitRow("stop's own way", way, "", how, "derived")
+    roles = [role.name.lower() for role, key in TOKEN_FILES.items() if getattr(config.api, key) is not None]
+    who = f"holders of tokens: {', '.join(roles)}" if roles else "programs of this machine"
+    yield LimitRow("API's guests", who, "", "api.token_file, view_token_file, stop_token_file", "derived")
     where, how = str(latch_path(config)), "in the service's folder, else recorder.directory; the axis names it"
     yield LimitRow("stop's latch is kept in", where, "", how, "derived")
     share = 100 * config.failsafe.policy_budget_s / period_s

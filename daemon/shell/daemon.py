@@ -79,10 +79,17 @@ class Daemon:
             rate_hz=config.control.rate_hz,
             realtime_priority=config.control.realtime_priority,
         )
-        context = ApiContext(config, self.inbox, lambda: self.loop.snapshot, lambda: self.loop.problems, self.recorder)
+        context = ApiContext(
+            config,
+            self.inbox,
+            lambda: self.loop.snapshot,
+            lambda: self.loop.problems,
+            self.recorder,
+            stop_port=lambda: self.stop_port,
+        )
         self.api = ApiServer(config.api, create_app(context))
         self.stop_way = StopListener(
-            config.api, self.inbox, lambda: self.loop.snapshot, config.control.realtime_priority
+            config.api, self.inbox, lambda: self.loop.snapshot, config.control.realtime_priority, lambda: self.port
         )
         self.port = self.stop_port = 0
 

@@ -15,7 +15,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from http import HTTPStatus
 
-from softarm.daemon.api.auth import Door
+from softarm.daemon.api.auth import Door, Role
 from softarm.daemon.api.sockets import listen
 from softarm.daemon.control.inbox import ANSWER_S, STOP_WAITS, Inbox
 from softarm.daemon.control.records import Outputs
@@ -28,6 +28,11 @@ CLIENTS_MAX = 64
 REQUEST_MAX = 8192  # bytes
 PATIENCE_S = 2.0  # for a request, and for a client to take its answer
 POLL_S = 0.002  # between looks for the tick that stops
+PREFLIGHT = (
+    "Access-Control-Allow-Methods: POST",
+    "Access-Control-Allow-Headers: Authorization, Content-Type",
+    "Access-Control-Max-Age: 600",
+)
 PRIORITY = 2  # of SCHED_FIFO: above the daemon's other guests, below the control loop
 
 
@@ -38,16 +43,27 @@ class _Client:
     heard: bytearray = field(default_factory=bytearray)
     asked: tuple[int, int] | None = None  # the stop's number, and when it lay in the inbox; None before and after
     answered: bool = False
+    page: str | None = None  # of the REST API, that asks from a browser
 
 
 class StopListener:
     """Listens until it is stopped."""
 
     def __init__(
-        self, config: Api, inbox: Inbox, snapshot: Callable[[], Outputs | None], realtime_priority: int = 0
+        self,
+        config: Api,
+        inbox: Inbox,
+        snapshot: Callable[[], Outputs | None],
+        realtime_priority: int = 0,
+        pages_at: Callable[[], int] | None = None,
     ) -> None:
-        """Raises AuthError like the REST API: the same may ask. realtime_priority: the control loop's."""
+        """Raises AuthError like the REST API: the same may ask.
+
+        realtime_priority: the control loop's. pages_at: the REST API's port, whose pages may ask, too; default
+        `api.port`.
+        """
         self._config, self._inbox, self._snapshot = config, inbox, snapshot
+        self._pages_at = pages_at or (lambda: config.port)
         self._door = Door(config)
         self._priority = min(PRIORITY, realtime_priority)
         self._clients: list[_Client] = []  # oldest first
@@ -145,10 +161,15 @@ class StopListener:
         """Take the stop, if it is one and the client may ask for it."""
         first, *lines = bytes(client.heard).partition(b"\r\n\r\n")[0].split(b"\r\n")
         headers = {name.strip().lower(): value.strip() for name, _, value in (line.partition(b":") for line in lines)}
-        refused = self._door.refusal(headers)
+        asked = first.split(b" ")[:2]
+        client.page = self._door.own_page(headers, self._pages_at())
+        if client.page is not None and asked == [b"OPTIONS", b"/api/stop"]:
+            self._answer(client, 204, None, *PREFLIGHT)  # a browser's question, before it sends a token to another port
+            return
+        refused = self._door.refusal(headers, Role.STOP, client.page)
         if refused is not None:
             self._refuse(client, *refused)
-        elif first.split(b" ")[:2] != [b"POST", b"/api/stop"]:
+        elif asked != [b"POST", b"/api/stop"]:
             self._refuse(client, 404, f"here is POST /api/stop alone; all else is at port {self._config.port}")
         else:
             client.asked = self._inbox.post("stop"), time.monotonic_ns()
@@ -171,15 +192,14 @@ class StopListener:
     def _refuse(self, client: _Client, status: int, *reasons: str) -> None:
         self._answer(client, status, {"detail": "; ".join(reasons), "reasons": reasons})
 
-    def _answer(self, client: _Client, status: int, body: object) -> None:
+    def _answer(self, client: _Client, status: int, body: object, *headers: str) -> None:
         """Say it; the client closes then, so that what it may still be sending does not make it lose the answer."""
-        data = json.dumps(body).encode()
-        head = (
-            f"HTTP/1.1 {status} {HTTPStatus(status).phrase}",
-            "Content-Type: application/json",
-            f"Content-Length: {len(data)}",
-            "Connection: close",
-        )
+        data = b"" if body is None else json.dumps(body).encode()
+        if data:
+            headers = ("Content-Type: application/json", f"Content-Length: {len(data)}", *headers)
+        if client.page is not None:
+            headers = (f"Access-Control-Allow-Origin: {client.page}", "Vary: Origin", *headers)
+        head = (f"HTTP/1.1 {status} {HTTPStatus(status).phrase}", *headers, "Connection: close")
         with contextlib.suppress(OSError):
             client.socket.sendall("\r\n".join((*head, "", "")).encode() + data)
             client.socket.shutdown(socket.SHUT_WR)

@@ -7,7 +7,7 @@ import pytest
 from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect as connect_sync
 
-from softarm.daemon.api.auth import AuthError, is_loopback, load_token
+from softarm.daemon.api.auth import AuthError, Role, is_loopback, load_tokens
 from softarm.schemas.config import Api, Config
 
 LOCAL = "http://127.0.0.1"
@@ -50,8 +50,8 @@ def test_loopback_is_known(host, expected):
     assert is_loopback(host) is expected
 
 
-def token_file(directory: Path, text: str = TOKEN + "\n", mode: int = 0o600) -> Path:
-    path = directory / "token"
+def token_file(directory: Path, text: str = TOKEN + "\n", mode: int = 0o600, name: str = "token") -> Path:
+    path = directory / name
     path.write_text(text)
     path.chmod(mode)
     return path
@@ -73,10 +73,10 @@ def test_another_address_requires_a_token(loop, app):
 )
 def test_a_bad_token_file_is_refused(tmp_path, text, mode, sentence):
     with pytest.raises(AuthError) as refusal:
-        load_token(Api(host="0.0.0.0", token_file=token_file(tmp_path, text, mode)))
+        load_tokens(Api(host="0.0.0.0", token_file=token_file(tmp_path, text, mode)))
     assert sentence in str(refusal.value)
     with pytest.raises(AuthError, match="cannot be read"):
-        load_token(Api(token_file=tmp_path / "missing"))
+        load_tokens(Api(token_file=tmp_path / "missing"))
 
 
 def test_with_a_token_every_request_needs_it(loop, tmp_path, app, client_of):
@@ -103,3 +103,63 @@ def test_with_a_token_the_stream_needs_it_too(loop, tmp_path, app, serving):
         right = {"Authorization": f"Bearer {TOKEN}"}
         with connect_sync(address, additional_headers=right) as socket:
             assert json.loads(socket.recv(timeout=5))["mode"] == "armed"
+
+
+ROLES = {"stop_token_file": "s" * 32, "view_token_file": "v" * 32, "token_file": TOKEN}
+MAY = {  # the least of them that may
+    ("GET", "/api/status"): "view_token_file",
+    ("HEAD", "/api/status"): "view_token_file",
+    ("GET", "/api/health"): "view_token_file",
+    ("GET", "/api/goal"): "view_token_file",
+    ("GET", "/api/policies"): "view_token_file",
+    ("GET", "/api/logs"): "view_token_file",
+    ("GET", "/openapi.json"): "view_token_file",
+    ("GET", "/api/stop"): "view_token_file",
+    ("POST", "/api/stop"): "stop_token_file",
+    ("PUT", "/api/stop"): "token_file",
+    ("POST", "/api/stop/"): "token_file",
+    ("POST", "/api/arm"): "token_file",
+    ("POST", "/api/disarm"): "token_file",
+    ("POST", "/api/acknowledge"): "token_file",
+    ("POST", "/api/goal"): "token_file",
+    ("DELETE", "/api/goal"): "token_file",
+    ("PUT", "/api/policy"): "token_file",
+    ("OPTIONS", "/api/status"): "token_file",
+    ("BREW", "/api/status"): "token_file",
+}
+
+
+@pytest.fixture
+def roles(tmp_path: Path) -> dict[str, Path]:
+    return {key: token_file(tmp_path, token, name=key) for key, token in ROLES.items()}
+
+
+@pytest.mark.parametrize(("asked", "least"), MAY.items(), ids=lambda value: "-".join(value) if value[0] else "")
+@pytest.mark.parametrize("key", ROLES)
+def test_each_role_may_what_those_below_it_may_and_no_more(loop, roles, app, client_of, key, asked, least):
+    client = client_of(app(loop, Config(api={"host": "0.0.0.0"} | roles)), "http://robot.example")
+    answer = client.request(*asked, headers={"Authorization": f"Bearer {ROLES[key]}"})
+    allowed = list(ROLES).index(key) >= list(ROLES).index(least)
+    assert (answer.status_code not in (401, 403)) is allowed
+    if not allowed and asked[0] != "HEAD":
+        assert f"use that of api.{least}" in answer.json()["detail"]
+
+
+def test_whoever_may_look_has_the_stream_and_whoever_may_only_stop_has_not(loop, roles, app, serving):
+    config = Config(api={"port": 0} | roles)
+    with serving(app(loop, config), config.api) as port:
+        address = f"ws://127.0.0.1:{port}/api/stream"
+        with connect_sync(address, additional_headers={"Authorization": f"Bearer {'v' * 32}"}) as socket:
+            assert json.loads(socket.recv(timeout=5))["mode"] == "armed"
+        with pytest.raises(InvalidStatus) as refusal:
+            connect_sync(address, additional_headers={"Authorization": f"Bearer {'s' * 32}"})
+        assert refusal.value.response.status_code == 403
+
+
+def test_the_roles_need_one_that_commands_and_tokens_of_their_own(tmp_path, roles):
+    assert load_tokens(Api(**roles)) == {Role.COMMAND: TOKEN, Role.VIEW: "v" * 32, Role.STOP: "s" * 32}
+    with pytest.raises(ValueError, match="view_token_file without token_file: whoever has no token may command"):
+        Api(view_token_file=roles["view_token_file"])
+    with pytest.raises(AuthError, match=r"holds the token of api\.token_file, which may do more") as refusal:
+        load_tokens(Api(token_file=roles["token_file"], stop_token_file=token_file(tmp_path, TOKEN)))
+    assert refusal.value.key == "stop_token_file"

@@ -109,6 +109,81 @@ def test_where_a_token_is_asked_for_a_stop_needs_it_too(stopping, tmp_path):
         StopListener(Api(host="0.0.0.0"), stopping.inbox, stopping.snapshot)
 
 
+PAGES = Api(port=8080, stop_port=0)  # as if the API served at 8080
+
+
+def fetch(port: int, method: str, **headers: str) -> tuple[int, dict[str, str]]:
+    """As a browser sees it: the status, and what the answer allows."""
+    connection = http.client.HTTPConnection("127.0.0.1", port, timeout=5)
+    connection.request(method, "/api/stop", headers=headers)
+    answer = connection.getresponse()
+    answer.read()
+    connection.close()
+    return answer.status, {name: value for name, value in answer.getheaders() if name.startswith("Access-Control")}
+
+
+@pytest.mark.parametrize("origin", ["http://127.0.0.1:8080", "http://localhost:8080", "http://[::1]:8080"])
+def test_a_page_of_the_api_may_stop_by_this_port_too(stopping, origin):
+    with way(stopping, PAGES) as port:
+        status, allowed = fetch(port, "OPTIONS", Origin=origin, **{"Access-Control-Request-Method": "POST"})
+        assert status == 204
+        assert allowed["Access-Control-Allow-Origin"] == origin
+        assert allowed["Access-Control-Allow-Methods"] == "POST"
+        assert "Authorization" in allowed["Access-Control-Allow-Headers"]
+        assert stopping.taken == []
+        assert fetch(port, "POST", Origin=origin) == (200, {"Access-Control-Allow-Origin": origin})
+    assert stopping.taken == ["stop"]
+
+
+@pytest.mark.parametrize(
+    ("origin", "host"),
+    [
+        ("http://127.0.0.1:8079", "127.0.0.1"),
+        ("https://127.0.0.1:8080", "127.0.0.1"),
+        ("http://evil.example:8080", "127.0.0.1"),
+        ("http://evil.example:8080", "evil.example:8081"),
+        ("http://127.0.0.1:8080", "evil.example:8081"),
+        ("http://127.0.0.1:8080.evil.example", "127.0.0.1"),
+        ("http://evil@127.0.0.1:8080", "127.0.0.1"),
+        ("http://127.0.0.1:8080/", "127.0.0.1"),
+        ("http://127.0.0.1:99999", "127.0.0.1"),
+        ("http://127.0.0.1:", "127.0.0.1"),
+        ("http://[::1", "127.0.0.1"),
+        ("null", "127.0.0.1"),
+        ("", "127.0.0.1"),
+    ],
+)
+def test_no_other_page_may_nor_is_it_told_that_it_could(stopping, origin, host):
+    with way(stopping, PAGES) as port:
+        for method in ("OPTIONS", "POST") if origin else ("OPTIONS",):
+            status, allowed = fetch(port, method, Origin=origin, Host=host)
+            assert (status >= 400, allowed) == (True, {})
+    assert stopping.taken == []
+
+
+def test_beyond_loopback_a_page_is_the_apis_by_its_host_and_still_needs_a_token(stopping, tmp_path):
+    (tmp_path / "token").write_text(TOKEN)
+    (tmp_path / "token").chmod(0o600)
+    config = Api(host="0.0.0.0", port=8080, stop_port=0, token_file=tmp_path / "token")
+    page = {"Origin": "http://robot.example:8080", "Host": "robot.example:8081"}
+    with way(stopping, config) as port:
+        assert fetch(port, "OPTIONS", **page)[0] == 204
+        assert fetch(port, "POST", **page) == (401, {"Access-Control-Allow-Origin": page["Origin"]})
+        assert fetch(port, "POST", **page, Authorization=f"Bearer {TOKEN}")[0] == 200
+        assert fetch(port, "OPTIONS", **page | {"Origin": "http://other.example:8080"})[0] == 401
+    assert stopping.taken == ["stop"]
+
+
+@pytest.mark.parametrize("key", ["token_file", "view_token_file", "stop_token_file"])
+def test_every_role_may_stop(stopping, tmp_path, key):
+    files = {name: tmp_path / name for name in ("token_file", "view_token_file", "stop_token_file")}
+    for number, file in enumerate(files.values()):
+        file.write_text(f"{number}" * 32)
+        file.chmod(0o600)
+    with way(stopping, Api(port=0, **files)) as port:
+        assert ask(port, Authorization=f"Bearer {files[key].read_text()}")[0] == 200
+
+
 @pytest.mark.parametrize(
     "sent",
     [
