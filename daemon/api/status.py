@@ -62,7 +62,7 @@ class Status(Outputs):
     recorder: RecorderInfo
     uptime_s: float
     version: str
-    stop_port: int | None  # of this host, where POST /api/stop waits for nobody
+    stop_port: int | None = None  # of this host, where POST /api/stop waits for nobody
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
