@@ -38,6 +38,7 @@ REALITY = "reality"
     metavar="GROUP.QUANTITY=VALUE",
     help="What is wrong with the independent robot; again for more.",
 )
+@click.option("--config", "config_file", type=FILE, help="Configuration to fly and train by; default values without.")
 @click.option("--seconds", type=click.FloatRange(1, 86400), help="Of retraining, at most.  [default: 120]")
 def close_gap(
     campaign: Path,
@@ -46,13 +47,15 @@ def close_gap(
     model_file: Path | None,
     robot: str,
     faults: tuple[str, ...],
+    config_file: Path | None,
     seconds: float | None,
 ) -> None:
     """Diagnose CAMPAIGN, patch the simulator, train the policy on in it, and fly old and new.
 
     Both fly the paper's 54 targets from three cart positions, by the daemon's own tick, on the nominal simulator, the
-    patched one and a held-back robot. Leaves verdict.json, report.html, summary.json, and, when an effect was named,
-    patched-model.yaml and the retrained policy (.onnx, .pt). A robot that is declared (--fault, --robot MODEL) counts
+    patched one and a held-back robot. Leaves verdict.json, report.html, summary.json, limits-patch.yaml (what the
+    campaign shows of the rail, by which is trained and flown), and, when an effect was named, patched-model.yaml and
+    the retrained policy (.onnx, .pt). A robot that is declared (--fault, --robot MODEL) counts
     as the campaign's own: its flights are the verdict's success_real.
 
     \b
@@ -61,20 +64,25 @@ def close_gap(
       softarm close-gap campaign --out closed --fault regulator.dead_time_s=0.06 --fault arm.payload_kg=0.03
       softarm close-gap campaign --out closed --robot other-robot.yaml --seconds 60
     """
+    from softarm.daemon.config import configuration
+    from softarm.daemon.limits.findings import findings
     from softarm.diagnosis import report
     from softarm.diagnosis.from_files import diagnose_files
+    from softarm.diagnosis.read import rail_motions
     from softarm.diagnosis.trials import TrialError
     from softarm.flights.closing import steps
     from softarm.policies.base import PolicyError
+    from softarm.schemas.config import Config
     from softarm.simulator.model_file import ModelFileError
     from softarm.training.run.checkpoint import CheckpointError
     from softarm.training.run.retrain import RetrainingConfig
 
     if faults and robot != REALITY:
         raise click.UsageError("--fault is for the independent robot: leave --robot out, or put it into that model")
-    config = RetrainingConfig() if seconds is None else RetrainingConfig(seconds=seconds)
+    recipe = RetrainingConfig() if seconds is None else RetrainingConfig(seconds=seconds)
     warn, spent = partial(click.echo, err=True), steps.Spent()
     try:
+        config = configuration.load(config_file) if config_file else Config()
         model = None if robot == REALITY else flown_model(Path(robot))
         held_back = steps.independent(faults) if model is None else steps.simulated(robot, model)
         file = steps.policy_file(policy)
@@ -82,10 +90,19 @@ def close_gap(
         with steps.timed(spent, "diagnose"), bar("reading") as shown:
             found = diagnose_files([campaign], model_file, tell=shown.tell, warn=warn)
         print_text("\n".join(report.answer(found)))
+        rail = findings(rail_motions([campaign]), config)
         if clock := [name for name in (found.patched.effects if found.patched else ()) if name.startswith("clock.")]:
             warn(f"{', '.join(clock)}: trained with, not flown; the control loop that flies is the real one")
-        closed = steps.close(found, file, out, held_back, bool(faults) or robot != REALITY, config, spent)
-    except (TrialError, ModelFileError, CheckpointError, PolicyError, WorkerDied, ValueError) as error:
+        closed = steps.close(found, rail, file, out, held_back, bool(faults) or robot != REALITY, recipe, spent)
+    except (
+        configuration.ConfigurationError,
+        TrialError,
+        ModelFileError,
+        CheckpointError,
+        PolicyError,
+        WorkerDied,
+        ValueError,
+    ) as error:
         fail(str(error))
     except OSError as error:
         fail(f"{error.filename}: cannot be written ({error.strerror}); name another --out")
@@ -105,6 +122,9 @@ def _show(closed: "Closed", spent: "Spent", out: Path) -> None:
         rows.append((place.title, *shares, *map(str, closed.changed(place.key).values())))
     print_table(("flown on", *columns), rows)
     print_text(story.sentence(closed))
+    for row in closed.rail.rows:
+        if row.milder:
+            print_text(f"limits.rail.{row.key} was {row.configured:g}: {row.why}; {row.advice}")
     print_text(", ".join(f"{step} {t['wall_s']:.0f} s ({t['cpu_s']:.0f} s of CPU)" for step, t in spent.items()))
     click.echo(f"wrote {', '.join(name for name in steps.FILES if (out / name).exists())} to {out}")
     for warning in closed.diagnosis.verdict.warnings:

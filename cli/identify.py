@@ -64,11 +64,12 @@ def identify(
             trials, unseen = read_all(inputs, tell), read_all(checks, tell)
             result = fit(model, trials, unseen, tell)
         models.save(result.model, out)
-        if json_file is not None:
-            files.write_text(json_file, json.dumps(result.summary(), indent=1) + "\n")
-        pictures = _pictures(result, plots)
+        summary = result.summary()
         if limits_file is not None:
-            write_limits((*inputs, *checks), limits_file)
+            summary |= {"limits": write_limits((*inputs, *checks), limits_file).summary()}
+        if json_file is not None:
+            files.write_text(json_file, json.dumps(summary, indent=1) + "\n")
+        pictures = _pictures(result, plots)
     except (TrialError, models.ModelFileError) as error:
         fail(str(error))
     except OSError as error:

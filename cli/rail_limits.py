@@ -2,10 +2,14 @@
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
 from softarm.cli.options import FILE
+
+if TYPE_CHECKING:
+    from softarm.daemon.limits.findings import RailFindings
 
 limits_option = click.option(
     "--limits",
@@ -15,7 +19,7 @@ limits_option = click.option(
 )
 
 
-def write_limits(inputs: Sequence[Path], file: Path) -> None:
+def write_limits(inputs: Sequence[Path], file: Path) -> "RailFindings":
     """Write limits-patch.yaml and say what becomes stricter. Raises TrialError, OSError."""
     from softarm.common import files
     from softarm.daemon.limits.findings import findings
@@ -28,3 +32,4 @@ def write_limits(inputs: Sequence[Path], file: Path) -> None:
             click.echo(f"limits.rail.{row.key} was {row.configured:g}: {row.why}; {row.advice}")
         elif row.bound is None:
             click.echo(f"limits.rail.{row.key}: {row.why}", err=True)
+    return found

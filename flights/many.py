@@ -12,6 +12,7 @@ from softarm.flights.runner import Robot, fly
 from softarm.policies import registry
 from softarm.policies.base import Policy
 from softarm.schemas import flights
+from softarm.schemas.config import Config
 from softarm.schemas.config import Policy as ConfiguredPolicy
 from softarm.schemas.flights import TEST_TARGETS, Shares
 from softarm.schemas.goals import Goal
@@ -31,6 +32,7 @@ class Job(NamedTuple):
     flown: PolicyName
     on: Robot
     targets: Sequence[Goal]
+    config: Config | None
 
 
 def load(policy: PolicyName) -> Policy:
@@ -40,9 +42,11 @@ def load(policy: PolicyName) -> Policy:
     return registry.load("flown", {"flown": ConfiguredPolicy(plugin="onnx", options={"model": str(policy)})})
 
 
-def fly_grid(policy: PolicyName, robot: Robot, targets: Sequence[Goal] = TEST_TARGETS) -> Reached:
+def fly_grid(
+    policy: PolicyName, robot: Robot, targets: Sequence[Goal] = TEST_TARGETS, config: Config | None = None
+) -> Reached:
     """Fly every target from rest at every cart start. Raises PolicyError for what is no policy."""
-    flown = fly(load(policy), robot, flights.grid(targets))
+    flown = fly(load(policy), robot, flights.grid(targets), config)
     return np.array([flight.reached for flight in flown]).reshape(len(targets), -1)
 
 
@@ -52,15 +56,16 @@ def fly_all(
     targets: Sequence[Goal] = TEST_TARGETS,
     on_flights: Callable[[int], None] = lambda flights: None,
     processes: int | None = None,
+    config: Config | None = None,
 ) -> dict[tuple[str, str], Reached]:
-    """Every policy on every robot. on_flights(how many more are done).
+    """Every policy on every robot, by the daemon's configuration. on_flights(how many more are done).
 
     The same figures from any number of processes (default: one a core); none is started for 1. Raises what `fly_grid`
     raises, and WorkerDied.
     """
     firsts = range(0, len(targets), _PART)
     jobs = [
-        Job(policy, robot, first, policies[policy], robots[robot], targets[first : first + _PART])
+        Job(policy, robot, first, policies[policy], robots[robot], targets[first : first + _PART], config)
         for robot in robots
         for policy in policies
         for first in firsts
@@ -83,4 +88,4 @@ def shares(reached: Reached, targets: Sequence[Goal] = TEST_TARGETS) -> Shares:
 
 
 def _fly(job: Job) -> Reached:
-    return fly_grid(job.flown, job.on, job.targets)
+    return fly_grid(job.flown, job.on, job.targets, job.config)

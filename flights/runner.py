@@ -131,9 +131,11 @@ class Runner:
         return daemon
 
 
-def fly(policy: Policy, robot: Robot | None, scenarios: Iterable[Scenario]) -> list[Flight]:
+def fly(
+    policy: Policy, robot: Robot | None, scenarios: Iterable[Scenario], config: Config | None = None
+) -> list[Flight]:
     """All scenarios in their order. Raises what a Runner raises."""
-    runner = Runner(policy, robot)
+    runner = Runner(policy, robot, config)
     return [runner.fly(scenario) for scenario in scenarios]
 
 

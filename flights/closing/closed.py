@@ -6,6 +6,7 @@ from typing import Self
 
 import numpy as np
 
+from softarm.daemon.limits.findings import RailFindings
 from softarm.diagnosis.gap.result import Diagnosis
 from softarm.flights.many import Flown
 from softarm.flights.runner import Robot
@@ -36,6 +37,7 @@ class Closed:
     flown: Flown  # OLD or NEW, a place's key
     retrained: Retrained | None  # None: nothing was named
     targets: tuple[Goal, ...]
+    rail: RailFindings  # what the campaign shows of the rail; its patched configuration is what was flown by
 
     @property
     def policies(self) -> tuple[str, ...]:

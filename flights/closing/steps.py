@@ -10,6 +10,7 @@ from pathlib import Path
 
 from softarm.common import files
 from softarm.common.processes import bar
+from softarm.daemon.limits.findings import RailFindings
 from softarm.diagnosis import report
 from softarm.diagnosis.gap.result import Diagnosis
 from softarm.flights.closing import story, summary
@@ -18,6 +19,7 @@ from softarm.flights.many import fly_all
 from softarm.flights.robots import with_faults
 from softarm.policies.base import MODELS
 from softarm.reality.parameters import RobotParameters
+from softarm.schemas.config import RailLimits
 from softarm.schemas.flights import CART_STARTS_M, TEST_TARGETS
 from softarm.schemas.goals import Goal
 from softarm.schemas.messages import BODY_NAMES
@@ -26,12 +28,14 @@ from softarm.simulator import model_file
 from softarm.training.run.retrain import Retrained, RetrainingConfig, retrain
 from softarm.training.run.warm_start import load_weights
 
-FILES = ("verdict.json", "report.html", "summary.json", "patched-model.yaml", "retrained.onnx", "retrained.pt")
+LIMITS = "limits-patch.yaml"
+FILES = ("verdict.json", "report.html", "summary.json", LIMITS, "patched-model.yaml", "retrained.onnx", "retrained.pt")
 Spent = dict[str, dict[str, float]]  # step -> wall_s, cpu_s
 
 
 def close(
     found: Diagnosis,
+    rail: RailFindings,
     policy: Path,
     out: Path,
     held_back: Place,
@@ -43,6 +47,7 @@ def close(
 ) -> Closed:
     """Patch the nominal simulator, train the policy on in it, fly old and new; all that is known ends up in `out`.
 
+    Trained and flown with the limits that the campaign shows of the rail, where those are stricter than configured.
     is_the_robot: the held-back robot was declared to be the campaign's, so its flights are the verdict's success_real.
     What the steps take is added to `spent`. Raises ValueError for a robot that no policy flies, CheckpointError for a
     policy that training did not write, PolicyError, OSError.
@@ -56,25 +61,26 @@ def close(
         model_file.save(found.patched, out / "patched-model.yaml")
         places.append(Place(PATCHED, "the patched simulator", found.patched))
         with timed(spent, "retrain"):
-            retrained = _retrain(policy, found.patched, out, config)
+            retrained = _retrain(policy, found.patched, out, config, rail.patched.limits.rail)
     places.append(held_back)
     policies = {OLD: policy} if retrained is None else {OLD: policy, NEW: retrained.policy}
     robots, flights = {place.key: place.robot for place in places}, len(targets) * len(CART_STARTS_M)
     doing = "flying old and new" if retrained else "flying"
     with timed(spent, "fly"), bar(doing, len(places) * len(policies) * flights) as shown:
-        flown = fly_all(policies, robots, targets, shown.advance, processes)
-    closed = Closed(found, policy, tuple(places), flown, retrained, tuple(targets)).with_task(is_the_robot)
+        flown = fly_all(policies, robots, targets, shown.advance, processes, rail.patched)
+    closed = Closed(found, policy, tuple(places), flown, retrained, tuple(targets), rail).with_task(is_the_robot)
+    files.write_text(out / LIMITS, rail.patch())
     report.write(closed.diagnosis, out / "report.html", story=story.sections(closed))
     files.write_text(out / "verdict.json", closed.diagnosis.verdict.model_dump_json(indent=1) + "\n")
     files.write_text(out / "summary.json", json.dumps(summary.summary(closed, spent), indent=1) + "\n")
     return closed
 
 
-def _retrain(policy: Path, model: Model, out: Path, config: RetrainingConfig) -> Retrained:
+def _retrain(policy: Path, model: Model, out: Path, config: RetrainingConfig, limits: RailLimits) -> Retrained:
     """Behind a bar."""
     with bar("retraining") as shown:
         name = f"{out.name}/patched-model"
-        return retrain(policy, model, name, out, config, shown.tell)
+        return retrain(policy, model, name, out, config, shown.tell, limits)
 
 
 def independent(faults: Sequence[str]) -> Place:

@@ -18,9 +18,10 @@ def sections(closed: Closed) -> list[tuple[str, str]]:
     if closed.retrained is None:
         verdict = closed.diagnosis.verdict.verdict
         why = f"The verdict is {verdict}: nothing was named, so nothing was patched or retrained."
-        return [("The policy", join([el("p", why), _shares(closed)]))]
+        return [("The policy", join([el("p", why), _shares(closed)])), ("The rail's limits", _limits(closed))]
     return [
         ("The policy before and after", _before_and_after(closed)),
+        ("The rail's limits", _limits(closed)),
         ("Retraining", _training(closed.policy.stem, closed.retrained)),
     ]
 
@@ -59,6 +60,19 @@ def _before_and_after(closed: Closed) -> Html:
     return join([*parts, el("p", note, class_="hint")])
 
 
+def _limits(closed: Closed) -> Html:
+    rows = []
+    for row in closed.rail.rows:
+        flown = getattr(closed.rail.patched.limits.rail, row.key)
+        rows.append((row.key, f"{row.configured:.3g}", row.measured, f"{flown:.3g}", row.why))
+    note = (
+        "What the campaign shows of the rail, and what the policies were trained and flown by: where the configuration "
+        "was milder than the robot, it is patched (limits-patch.yaml)."
+    )
+    head = ("limits.rail", "configured", "measured", "flown with", "what the recordings show")
+    return join([el("p", note), table(head, rows, "The rail's limits")])
+
+
 def _shares(closed: Closed) -> Html:
     rows = []
     for place in closed.places:
@@ -91,7 +105,8 @@ def _training(policy: str, retrained: Retrained) -> Html:
         f"{percent(retrained.before)} before and {percent(retrained.after)} after."
     )
     use = (
-        "echo '{policies: {retrained: {plugin: onnx, options: {model: retrained.onnx}}}}' > retrained.yaml\n"
+        "echo 'policies: {retrained: {plugin: onnx, options: {model: retrained.onnx}}}' > retrained.yaml\n"
+        "cat limits-patch.yaml >> retrained.yaml\n"
         "softarm evaluate --policy retrained --config retrained.yaml --model patched-model.yaml"
     )
     rows = [

@@ -18,6 +18,7 @@ def summary(closed: Closed, spent: Mapping[str, Mapping[str, float]]) -> dict[st
         "verdict": diagnosis.verdict.verdict,
         "effects": [effect.name for effect in diagnosis.verdict.effects],
         "patch": [row._asdict() for row in patch],
+        "limits": closed.rail.summary(),
         "policy": str(closed.policy),
         "held_back_robot": next(place.title for place in closed.places if place.key == HELD_BACK),
         "flights": closed.flights,

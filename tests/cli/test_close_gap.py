@@ -55,7 +55,7 @@ def test_it_tells_how_often_the_policy_reaches_and_where_everything_lies(asked, 
     assert outcome.exit_code == 0, outcome.output
     for words in ("flown on", "the nominal simulator", "the held-back robot", "50 %", "Nothing was named"):
         assert words in outcome.output
-    assert f"wrote verdict.json, report.html, summary.json to {tmp_path / 'out'}" in outcome.output
+    assert f"wrote verdict.json, report.html, summary.json, limits-patch.yaml to {tmp_path / 'out'}" in outcome.output
     assert json.loads((tmp_path / "out" / "summary.json").read_text())["spent"].keys() == {"diagnose", "fly"}
 
 

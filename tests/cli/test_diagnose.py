@@ -8,7 +8,9 @@ import pytest
 from click.testing import CliRunner
 
 from softarm.cli.main import main
+from softarm.daemon.config import configuration
 from softarm.diagnosis.gap.result import Diagnosis, Overlay
+from softarm.schemas.config import Config
 from softarm.schemas.model import Model
 from softarm.schemas.verdict import (
     Estimate,
@@ -94,6 +96,24 @@ def test_it_writes_verdict_report_and_patch_and_says_the_answer(asked, tmp_path)
     assert "warning: one frame is missing" in told
     assert f"softarm excite --plan {places[0]}" in told
     assert [trial.name for trial in asked.trials] == ["a"]
+
+
+def test_it_writes_what_the_recordings_show_of_the_rail(asked, tmp_path):
+    trial = write_trial(tmp_path / "campaign" / "a")
+    times = [k / 30 for k in range(300)]
+    speeds = [0.5 if k % 20 < 10 else -0.5 for k in range(300)]
+    commands = [f"{t:.5f},{v},0.0" for t, v in zip(times, speeds, strict=True)]
+    (trial / "command.csv").write_text("\n".join(("t,cart_velocity,pressure", *commands)) + "\n")
+    places = [0.1 + (k % 20 if k % 20 < 10 else 20 - k % 20) / 60 for k in range(300)]
+    readings = [f"{t:.5f},{y:.5f},{v}" for t, y, v in zip(times, places, speeds, strict=True)]
+    (trial / "rail.csv").write_text("\n".join(("t,position,velocity", *readings)) + "\n")
+    patch = tmp_path / "limits-patch.yaml"
+    outcome = run("diagnose", trial.parent, "--limits", patch)
+    assert outcome.exit_code == 0, outcome.output
+    assert configuration.load(patch) == Config()
+    assert "(1 recording, 10 s)" in patch.read_text()
+    assert "set-point steps were seen, it takes 59: fly `softarm excite rail-dashes` for more" in outcome.output
+    assert f"wrote {patch}" in outcome.output
 
 
 def test_the_nominal_simulator_is_the_named_one_else_the_campaigns_else_the_seeds(asked, tmp_path):

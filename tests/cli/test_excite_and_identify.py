@@ -6,6 +6,8 @@ import pytest
 from click.testing import CliRunner
 
 from softarm.cli.main import main
+from softarm.daemon.config import configuration
+from softarm.schemas.config import Config
 from softarm.simulator import model_file
 
 
@@ -36,6 +38,8 @@ def test_identify_writes_a_model_numbers_and_pictures(recorded, tmp_path):
         tmp_path / "m.json",
         "--plots",
         tmp_path / "pictures",
+        "--limits",
+        tmp_path / "limits-patch.yaml",
     )
     assert outcome.exit_code == 0, outcome.output
     fitted = model_file.load(tmp_path / "m.yaml").arm
@@ -44,6 +48,10 @@ def test_identify_writes_a_model_numbers_and_pictures(recorded, tmp_path):
     written = json.loads((tmp_path / "m.json").read_text())
     assert written["torque_rmse_nm"]["refined"] < 0.02
     assert len(written["parameters"]) == 20
+    # The cart stood still: nothing is known of its rail, and nothing is patched.
+    assert "# Left out: " in (tmp_path / "limits-patch.yaml").read_text()
+    assert configuration.load(tmp_path / "limits-patch.yaml") == Config()
+    assert written["limits"]["rail"]["braking_m_s2"]["measured"] is None
     assert "no unseen excitation was given" in outcome.output
     pictures = sorted(p.name for p in (tmp_path / "pictures").iterdir())
     assert pictures == ["parameters.png", f"torques-{recorded.stem}.png"]

@@ -7,6 +7,7 @@ from softarm.flights.many import fly_all, fly_grid, shares
 from softarm.flights.robots import with_faults
 from softarm.policies.base import MODELS
 from softarm.reality.parameters import RobotParameters
+from softarm.schemas.config import Config, Limits, RailLimits
 from softarm.schemas.flights import TEST_TARGETS
 from softarm.schemas.model import Model
 
@@ -20,6 +21,14 @@ def test_flights_are_the_same_in_parts():
     told = []
     flown = fly_all({"old": REACH}, {"nominal": Model()}, (EASY, NEVER), told.append, processes=1)
     assert told == [6]
+    assert np.array_equal(flown["old", "nominal"], reached)
+
+
+def test_they_are_flown_by_the_configuration_that_is_given():
+    held = Config(limits=Limits(rail=RailLimits(velocity_max_m_s=0.02)))
+    reached = fly_grid(REACH, Model(), (EASY,), held)
+    assert reached.sum() < 3  # a cart that hardly moves leaves most of it to the muscle
+    flown = fly_all({"old": REACH}, {"nominal": Model()}, (EASY,), processes=1, config=held)
     assert np.array_equal(flown["old", "nominal"], reached)
 
 

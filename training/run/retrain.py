@@ -7,9 +7,10 @@ import math
 import shutil
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
+from softarm.schemas.config import RailLimits
 from softarm.schemas.model import Model
 from softarm.simulator.effects import find
 from softarm.training.learn.inference import workers
@@ -82,14 +83,23 @@ def around(model: Model, spread: float) -> Randomisation:
 
 
 def retrain(
-    policy: Path, model: Model, name: str, out: Path, config: RetrainingConfig, tell: Callable[[str, float], None]
+    policy: Path,
+    model: Model,
+    name: str,
+    out: Path,
+    config: RetrainingConfig,
+    tell: Callable[[str, float], None],
+    limits: RailLimits | None = None,
 ) -> Retrained:
     """Train a policy on, on a model recorded under `name`; writes out/retrained.onnx, .pt and out/training/.
 
-    tell(what, share done). Raises CheckpointError for a policy that training did not write.
+    tell(what, share done). limits: that the robot's daemon holds the rail to; without, those it was trained under
+    before. Raises CheckpointError for a policy that training did not write.
     """
     started = time.monotonic()
     prior = warm_start.load_weights(policy)
+    if limits is not None:
+        prior = replace(prior, task=prior.task.under(limits))
     training = TrainingConfig(
         config.seed,
         config.robots,

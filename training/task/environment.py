@@ -82,7 +82,7 @@ class Environment:
         self.sensors = Sensors(self.simulator, self._rng) if distorted else None
         self.clock = Clock(self.simulator, self._rng) if any(name.startswith("clock.") for name in effects) else None
         self._differenced = "observation.finite_difference" in self.simulator.model.effects
-        self._guard = RailGuard(robots, 1.0 / task.rate_hz) if task.rail_guard else None
+        self._guard = RailGuard(robots, 1.0 / task.rate_hz, task.rail_limits) if task.rail_guard else None
         self._allocate()
 
     def _allocate(self) -> None:

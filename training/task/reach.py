@@ -1,11 +1,12 @@
 """What is to be learned: ranges, rewards and starts. [P]: the paper; [C]: its authors' configuration."""
 
-from dataclasses import dataclass
-from typing import NamedTuple
+from dataclasses import dataclass, replace
+from typing import NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
+from softarm.schemas.config import RailLimits
 from softarm.schemas.flights import TRAINED_Z_MAX_M
 from softarm.schemas.policy import REACH_GOAL, Signal, TaskKind
 from softarm.schemas.robot import CONTROL_RATE_HZ, PRESSURE_MAX_KPA, PRESSURE_MIN_KPA, RAIL_LIMIT_M
@@ -44,7 +45,23 @@ class ReachTask:
     action_noise: float = 0.001  # standard deviation on the +-1 action ([P] SM-E)
     # Commands pass the same braking clamp as in the daemon; without it the exact task of the seed.
     rail_guard: bool = True
+    # What that clamp counts on, as the daemon's limits.rail say it (softarm.schemas.config.RailLimits).
+    rail_latency_s: float = RailLimits().latency_s
+    rail_braking_m_s2: float = RailLimits().braking_m_s2
+    rail_surge_m_s2: float = RailLimits().surge_m_s2
     muscle: bool = True  # False: it stays vented, whatever the policy wants ([P] section 4.2, cart actions only)
+
+    @property
+    def rail_limits(self) -> RailLimits:
+        """What commands are clamped by."""
+        return RailLimits(
+            latency_s=self.rail_latency_s, braking_m_s2=self.rail_braking_m_s2, surge_m_s2=self.rail_surge_m_s2
+        )
+
+    def under(self, limits: RailLimits) -> Self:
+        """The same task with the clamp of a robot whose rail has these limits."""
+        counted_on = {f"rail_{key}": getattr(limits, key) for key in ("latency_s", "braking_m_s2", "surge_m_s2")}
+        return replace(self, **counted_on)
 
     @property
     def goal(self) -> tuple[Signal, ...]:

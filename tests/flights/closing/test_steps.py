@@ -6,12 +6,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from softarm.daemon.config.configuration import load
+from softarm.daemon.limits.findings import RailFindings, compared
+from softarm.daemon.limits.measured import Bound, Measured
 from softarm.diagnosis.gap.result import Diagnosis
 from softarm.flights.closing import steps
 from softarm.flights.closing.closed import HELD_BACK, NEW, OLD, Closed, Place
 from softarm.flights.robots import with_faults
 from softarm.policies.base import MODELS
 from softarm.reality.parameters import RobotParameters
+from softarm.schemas.config import Config, Limits, RailLimits
 from softarm.schemas.flights import TEST_TARGETS
 from softarm.schemas.model import Arm, Model
 from softarm.schemas.verdict import Estimate, Gap, Interval, NamedEffect, Shrink, Verdict, Where
@@ -21,6 +25,11 @@ from softarm.training.run.warm_start import load_weights
 
 pytestmark = pytest.mark.slow
 
+CAREFUL = Config(limits=Limits(rail=RailLimits(surge_m_s2=9.5)))
+SEEN = Measured(
+    *(Bound(value, 0.97, value, 100, 50.0) for value in (0.05, 0.05, 2.6, 8.0)), 6.0, 100, 100, 100, 1, 50.0, ()
+)
+RAIL = RailFindings(CAREFUL, SEEN, compared(SEEN, CAREFUL))
 REACH = MODELS / "reach.onnx"
 EASY, NEVER = TEST_TARGETS[4], TEST_TARGETS[-1]  # (-0.20, 0.55), and (0, 0.80), which no command reaches
 TINY = RetrainingConfig(
@@ -50,7 +59,8 @@ def close(out, held_back, declared=True, **found):
     usual = {"verdict": NAMED, "nominal": Model(), "patched": LATE, "trials": (("a", "seed", 1.0),)}
     diagnosis = Diagnosis(**usual | found)
     spent = {}
-    steps.close(diagnosis, REACH, out, held_back, declared, TINY, spent, targets=(EASY, NEVER), processes=1)
+    targets = (EASY, NEVER)
+    steps.close(diagnosis, RAIL, REACH, out, held_back, declared, TINY, spent, targets=targets, processes=1)
     summary = json.loads((out / "summary.json").read_text())
     assert summary["spent"].keys() == spent.keys()
     return Verdict.model_validate_json((out / "verdict.json").read_text()), summary
@@ -64,6 +74,13 @@ def test_a_named_effect_is_patched_trained_on_and_flown(tmp_path):
     old, new = load_weights(REACH), load_weights(out / "retrained.onnx")
     assert new.metadata.training["start.frames"] == old.metadata.training["run.frames"]
     assert new.metadata.training["model.sha256"] == model_file.fingerprint(LATE)
+    # What the campaign showed of the rail is what the policy trained under, and what its owner is handed.
+    patched = RAIL.patched.limits.rail
+    assert (patched.latency_s, patched.braking_m_s2, patched.surge_m_s2) == (0.05, 2.6, 9.5)
+    assert load(out / "limits-patch.yaml").limits.rail == patched
+    for key in ("latency_s", "braking_m_s2", "surge_m_s2"):
+        assert new.metadata.training[f"task.rail_{key}"] == getattr(patched, key)
+    assert summary["limits"]["rail"]["braking_m_s2"]["advised"] == 2.6
     assert not np.array_equal(new.network.w_h.detach(), old.network.w_h.detach())
     assert (out / "retrained.pt").stat().st_size > 1e6
     # One target of two can be reached at all; nominal, the shipped policy reaches it.
@@ -78,14 +95,15 @@ def test_a_named_effect_is_patched_trained_on_and_flown(tmp_path):
     assert set(summary["spent"]) == {"retrain", "fly"}
     page = (out / "report.html").read_text(encoding="utf-8")
     assert page.count("<html") == 1
-    for text in ("The policy before and after", "Retraining", "retrained policy, the robot"):
+    for text in ("The policy before and after", "Retraining", "The rail&#x27;s limits", "retrained policy, the robot"):
         assert text in page
 
 
 def test_where_nothing_is_named_nothing_is_patched_or_retrained(tmp_path):
     late = Place(HELD_BACK, "late", LATE)
     verdict, summary = close(tmp_path / "out", late, declared=False, verdict=NONE, patched=None)
-    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == ["report.html", "summary.json", "verdict.json"]
+    left = ["limits-patch.yaml", "report.html", "summary.json", "verdict.json"]
+    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == left
     assert verdict.task.success_nominal == pytest.approx(0.5)
     assert verdict.task.success_patched is None
     assert verdict.task.success_real is None  # nobody said that it was this robot
@@ -110,6 +128,8 @@ def test_the_independent_robot_gets_the_nominal_arm_and_cart_and_keeps_its_actua
 def test_changes_count_flights():
     old, new = np.array([[True, True], [False, False]]), np.array([[False, True], [True, True]])
     place, diagnosis = Place(HELD_BACK, "late", LATE), Diagnosis(NONE, Model(), None, ())
-    closed = Closed(diagnosis, REACH, (place,), {(OLD, HELD_BACK): old, (NEW, HELD_BACK): new}, None, (EASY, NEVER))
+    closed = Closed(
+        diagnosis, REACH, (place,), {(OLD, HELD_BACK): old, (NEW, HELD_BACK): new}, None, (EASY, NEVER), RAIL
+    )
     assert closed.changed(HELD_BACK) == {"gained": 2, "lost": 1}
     assert replace(closed, flown={(OLD, HELD_BACK): old}).changed(HELD_BACK) == {}
