@@ -5,6 +5,7 @@ is wrong; nothing is when there is none and the exit code is 0.
 """
 
 import json
+import math
 import os
 import resource
 import signal
@@ -19,10 +20,15 @@ from softarm.policies.base import Policy, PolicyError
 from softarm.schemas.config import Policy as ConfiguredPolicy
 from softarm.schemas.policy import Observation, places
 
+TRIAL_S = 90.0  # to load and step once, elsewhere: a plugin may compile for half a minute
 MEMORY_MAX = 16 * 1024**3  # bytes of address space, most of which a just-in-time compiler only reserves
-# The daemon's real-time priority is not for guests: it is given up before anything is imported.
+# It ends by itself, also where the daemon that would kill it has ended. The daemon's real-time priority is not for
+# guests: it is given up before anything is imported.
 _PROGRAM = """
 import os
+import signal
+import sys
+signal.alarm(int(sys.argv[2]))
 os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
 os.nice(10)
 from softarm.policies import trial
@@ -34,11 +40,22 @@ _HANGING[places("tip_z_m")] = 0.52
 _TARGET = np.array([-0.2, 0.6], dtype=np.float32)
 
 
-def first_step(policy: Policy) -> None:
-    """Have a policy do one step and forget it. Raises what the policy raises."""
-    policy.reset()
-    policy.step(_HANGING.copy(), _TARGET.copy())
-    policy.reset()
+def ready(policy: Policy) -> Policy:
+    """The policy, once it has done a first step and forgotten it. Raises PolicyError when that fails."""
+    try:
+        policy.reset()
+        policy.step(_HANGING.copy(), _TARGET.copy())
+        policy.reset()
+    except Exception as error:
+        why = f"its first step failed ({type(error).__name__}: {error}); choose another"
+        raise PolicyError(f"policy '{policy.spec.name}': {why}") from error
+    return policy
+
+
+def load(name: str, configured: Mapping[str, ConfiguredPolicy], limit_s: float) -> Policy:
+    """A policy that is ready, tried out elsewhere before it is loaded here. Raises PolicyError as `try_out` does."""
+    try_out(name, configured, limit_s)
+    return ready(registry.load(name, configured))
 
 
 def try_out(name: str, configured: Mapping[str, ConfiguredPolicy], limit_s: float) -> None:
@@ -47,7 +64,7 @@ def try_out(name: str, configured: Mapping[str, ConfiguredPolicy], limit_s: floa
     Raises PolicyError with what is wrong, also when it takes longer than `limit_s` or ends the process.
     """
     process = subprocess.Popen(
-        [sys.executable, "-c", _PROGRAM, name],
+        [sys.executable, "-c", _PROGRAM, name, str(math.ceil(limit_s) + 1)],
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         stderr=subprocess.DEVNULL,
@@ -74,11 +91,9 @@ def _problem(name: str) -> str:
     """What is wrong with it; empty for nothing."""
     configured = {key: ConfiguredPolicy.model_validate(policy) for key, policy in json.load(sys.stdin).items()}
     try:
-        first_step(registry.load(name, configured))
+        ready(registry.load(name, configured))
     except PolicyError as error:
         return str(error)
-    except Exception as error:
-        return f"policy '{name}': its first step failed ({type(error).__name__}: {error}); choose another"
     return ""
 
 

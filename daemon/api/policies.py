@@ -11,8 +11,6 @@ from softarm.policies.registry import PolicyEntry
 from softarm.schemas.config import Config
 from softarm.schemas.rest import PolicyAnswer
 
-TRIAL_S = 90.0  # to load and step once, elsewhere: a plugin may compile for half a minute
-
 
 class Policies(Protocol):
     """Which policies there are, and how one is made; both may take long and are called in a worker thread."""
@@ -21,7 +19,7 @@ class Policies(Protocol):
         """All, by name."""
 
     def load(self, name: str) -> Policy:
-        """One. Raises PolicyError."""
+        """One that has done its first step. Raises PolicyError."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,23 +34,15 @@ class Installed:
 
     def load(self, name: str) -> Policy:
         """See Policies; tried out in a process of its own before."""
-        trial.try_out(name, self.config.policies, TRIAL_S)
-        return registry.load(name, self.config.policies)
+        return trial.load(name, self.config.policies, trial.TRIAL_S)
 
 
 def tried_out(policies: Policies, name: str) -> Policy:
-    """Make a policy and have it do its first step. Raises Refused."""
+    """Make a policy. Raises Refused."""
     try:
-        policy = policies.load(name)
-        trial.first_step(policy)
-        return policy
+        return policies.load(name)
     except PolicyError as error:
         raise Refused(422, str(error)) from error
-    except Exception as error:
-        raise Refused(
-            422,
-            f"policy '{name}': its first step failed ({type(error).__name__}: {error}); choose another",
-        ) from error
 
 
 def policy_answer(entry: PolicyEntry) -> PolicyAnswer:

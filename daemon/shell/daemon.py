@@ -13,6 +13,7 @@ from softarm.daemon.api.server import ApiServer
 from softarm.daemon.control.inbox import Inbox
 from softarm.daemon.logbook.recorder import Recorder
 from softarm.daemon.shell import realtime
+from softarm.daemon.shell.first_policy import first_policy
 from softarm.daemon.shell.loop import ControlLoop, Devices
 from softarm.daemon.shell.service import Notifier, Watchdog, allow_descriptors
 from softarm.daemon.stop.latch import LatchKeeper, latch_path
@@ -20,6 +21,7 @@ from softarm.daemon.stop.listener import StopListener
 from softarm.daemon.stop.terminal import StopKey
 from softarm.daemon.tick import Controller
 from softarm.policies import registry
+from softarm.policies.base import Policy
 from softarm.policies.runner import ThreadRunner
 from softarm.schemas.config import Config
 from softarm.schemas.model import Model
@@ -59,11 +61,13 @@ def latch_of(config: Config) -> LatchKeeper:
 class Daemon:
     """Started, it runs until stopped; the caller decides which devices it moves."""
 
-    def __init__(self, config: Config, devices: Devices, latch: LatchKeeper | None = None) -> None:
-        """Raises PolicyError when `control.policy` cannot be loaded."""
+    def __init__(
+        self, config: Config, devices: Devices, latch: LatchKeeper | None = None, policy: Policy | None = None
+    ) -> None:
+        """policy: `control.policy`; loaded here without one. Raises PolicyError when it cannot be."""
         self.config = config
         realtime.outrank_other_programs(config.control.realtime_priority)
-        policy = registry.load(config.control.policy, config.policies)
+        policy = policy or registry.load(config.control.policy, config.policies)
         self.recorder = Recorder(config, policy.spec)
         self.inbox = Inbox()
         self.latch = latch
@@ -139,7 +143,7 @@ class Daemon:
 
 
 def run(config: Config, devices: Devices, on_ready: Callable[[Daemon], None], latch: LatchKeeper | None = None) -> None:
-    """Run until SIGINT or SIGTERM; tells systemd, if it is there."""
+    """Run until SIGINT or SIGTERM; tells systemd, if it is there. Raises what `first_policy` and Daemon raise."""
     stop = threading.Event()
 
     def end(_signal: int, _frame: FrameType | None) -> None:
@@ -148,7 +152,11 @@ def run(config: Config, devices: Devices, on_ready: Callable[[Daemon], None], la
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, end)
     allow_descriptors()
-    daemon = Daemon(config, devices, latch)
+    realtime.outrank_other_programs(config.control.realtime_priority)  # the policy's own threads as well
+    policy = first_policy(config, stop)
+    if policy is None:
+        return
+    daemon = Daemon(config, devices, latch, policy)
     daemon.start()
     try:
         on_ready(daemon)

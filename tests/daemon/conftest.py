@@ -15,6 +15,7 @@ from softarm.daemon.api.app import ApiContext, create_app
 from softarm.daemon.api.server import ApiServer
 from softarm.daemon.control.inbox import Inbox
 from softarm.daemon.control.records import EStop, Mode, Observed, Outputs, Problems, RequestResult
+from softarm.policies import trial
 from softarm.policies.base import PolicyError, PolicySpec
 from softarm.policies.registry import PolicyEntry
 from softarm.schemas.config import Api, Config
@@ -62,7 +63,7 @@ class Shelf:
             raise PolicyError("policy 'lost': its file is gone; available: pid, reach")
         policy = Swing(name, ValueError("no weights") if name == "broken" else None)
         self.loaded.append((policy, threading.current_thread().name))
-        return policy
+        return trial.ready(policy)
 
 
 class Loop:

@@ -1,10 +1,15 @@
 """A policy is tried out where it can do no harm, whatever it is."""
 
+import json
 import os
+import signal
+import subprocess
+import sys
 import threading
 
 import pytest
 
+from softarm.policies import trial
 from softarm.policies.base import PolicyError
 from softarm.policies.trial import try_out
 from softarm.schemas.config import Policy as Configured
@@ -90,6 +95,19 @@ def test_what_goes_wrong_is_told(guest, does, sentence):
 def test_one_that_never_ends_is_killed(guest):
     with pytest.raises(PolicyError, match="did not load and do its first step within 3 s"):
         try_out("mine", guest("wedges"), 3)
+
+
+@pytest.mark.slow
+def test_one_whose_daemon_is_gone_ends_by_itself(guest):
+    policies = json.dumps({name: one.model_dump() for name, one in guest("wedges").items()})
+    left = subprocess.run([sys.executable, "-c", trial._PROGRAM, "mine", "2"], input=policies.encode(), timeout=60)
+    assert left.returncode == -signal.SIGALRM
+
+
+def test_what_is_loaded_here_was_tried_there(guest):
+    assert trial.load("hold", {}, 60).spec.name == "hold"
+    with pytest.raises(PolicyError, match="its process ended by SIGSEGV"):
+        trial.load("mine", guest("crashes"), 60)
 
 
 def test_an_unknown_name_is_told_as_ever():
