@@ -32,10 +32,8 @@ class Controller:
         rate = config.control.rate_hz
         self._config = config
         self._policy = policy
-        self._observer = Observer(
-            round(1e9 / rate), round(config.failsafe.mocap_stale_s * 1e9), config.failsafe.rail_mocap_disagreement_m
-        )
         drive = config.drivers.rail
+        self._observer = Observer(config)
         self._safety = SafetyFilter(config.limits, 1 / rate, drive.acceleration_m_s2, drive.hold_s)
         self._machine = ModeMachine(round(config.failsafe.arming_timeout_s * rate), round(BRAKING_S * rate))
         self._goals = GoalTracker(config.goals)
@@ -174,7 +172,8 @@ class Controller:
         goal = self._goals.running
         if goal is None or goal.kind == "hold":
             return None
-        return self._policy.step(as_array(observed), np.array((goal.y_m, goal.z_m), dtype=np.float32))
+        observation = as_array(observed, self._policy.policy.spec.wants_sight)
+        return self._policy.step(observation, np.array((goal.y_m, goal.z_m), dtype=np.float32))
 
     def _wanted(self, outcome: PolicyOutcome | None) -> Command:
         """The command before the safety filter; all but a good action of an armed arm brakes and vents."""

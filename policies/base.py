@@ -34,6 +34,7 @@ class PolicySpec:
     episode_steps: int | None = None  # ticks after which it was never trained to go on
     trained: TrainingRange | None = None
     sha256: str | None = None  # of the model file
+    wants_sight: bool = False  # True: the observation has `softarm.schemas.policy.SIGHT` behind it
 
 
 @runtime_checkable
@@ -48,7 +49,8 @@ class Policy(Protocol):
     def step(self, observation: Array, goal: Array) -> Array:
         """Choose the next command.
 
-        observation: float32 [8], `softarm.schemas.policy.OBSERVATION` order, SI units and kPa.
+        observation: float32 [8], `softarm.schemas.policy.OBSERVATION` order, SI units and kPa; [10] with
+            `spec.wants_sight`.
         goal: float32 [2], target y and z in metres.
         Returns float32 [2]: cart velocity (m/s), muscle pressure (kPa). The safety filter has the last word.
         """

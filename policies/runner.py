@@ -31,7 +31,7 @@ class PolicyRunner(Protocol):
         """Have the policy forget the past before its next step."""
 
     def step(self, observation: Array, goal: Array) -> PolicyOutcome:
-        """One step on copies of observation [8] and goal [2]; see `softarm.policies.base.Policy.step`."""
+        """One step on copies of observation and goal [2]; see `softarm.policies.base.Policy.step`."""
 
     def close(self) -> None:
         """Take no more steps."""

@@ -77,7 +77,9 @@ class Limits(Strict):
 class Failsafe(Strict):
     """How old or late a thing may be before the failsafe answers."""
 
+    # Without a bridge; a drop-out is bridged by an estimate for so long, 0: not at all.
     mocap_stale_s: Annotated[float, Field(gt=0, le=1.0)] = 0.1
+    mocap_bridge_s: Annotated[float, Field(ge=0, le=0.25)] = 0.15
     # A camera whose poses are so old on arrival is flown with a warning, an older one is not.
     mocap_late_max_s: Annotated[float, Field(gt=0, le=0.14)] = 0.1
     pressure_stale_s: Annotated[float, Field(gt=0, le=1.0)] = 0.15

@@ -53,6 +53,9 @@ OBSERVATION = (
     Signal(name="previous_cart_velocity_command", unit="m/s"),
     Signal(name="pressure", unit="kPa"),
 )
+# Behind them, for a policy that asks for it (`PolicySpec.wants_sight`): for how long the cameras have seen nothing, and
+# how far off the tip may be that was carried on; 0 while they see.
+SIGHT = (Signal(name="dark", unit="s"), Signal(name="tip_deviation", unit="m"))
 REACH_GOAL = (Signal(name="target_y", unit="m"), Signal(name="target_z", unit="m"))
 SHELF_GOAL = (*REACH_GOAL, Signal(name="target_depth", unit="m"))  # behind the shelf's front edge
 GOALS = {"reach": REACH_GOAL, "shelf": SHELF_GOAL}  # by the policy's task

@@ -8,12 +8,10 @@ between the two are summed and slowly forgotten; the lag that leaves least is th
 from collections import deque
 from collections.abc import Sequence
 
-from softarm.schemas.messages import RailReading
-
 STEP_NS = 10_000_000
 LAGS_NS = tuple(step * STEP_NS for step in range(16))  # 0 to 150 ms
 KEPT_NS = 400_000_000  # of the axis: the longest lag behind a frame that is itself late
-AHEAD_NS = 50_000_000  # that a reading is carried on at constant speed
+AHEAD_NS = 50_000_000  # that a reading is carried on at its rate
 FORGOTTEN = 0.03  # of the sums in a tick in which the cart moves: they are of about a second
 MOVING_M = 0.003  # in a step
 TELLING_M = 0.01  # that lags either side, 30 ms off, must leave more than the best
@@ -21,46 +19,42 @@ EITHER_SIDE = 3  # lags
 MIRRORED_M2 = 5e-4  # of squared steps: about 50 mm in a few ticks
 
 
-class Axis:
-    """Where the axis was, by its own read-back."""
+class Past:
+    """What a device read of a quantity and of its rate, for a while back."""
 
     def __init__(self) -> None:
-        self._readings: deque[RailReading] = deque()  # oldest first
+        self._readings: deque[tuple[int, float, float]] = deque()  # stamp, value, rate (1/s); oldest first
 
-    def add(self, reading: RailReading) -> None:
+    def add(self, t_ns: int, value: float, rate: float = 0.0) -> None:
         """Take in the newest reading, if it is a new one."""
         readings = self._readings
-        if readings and reading.t_receive_ns <= readings[-1].t_receive_ns:
+        if readings and t_ns <= readings[-1][0]:
             return
-        readings.append(reading)
-        while reading.t_receive_ns - readings[0].t_receive_ns > KEPT_NS:
+        readings.append((t_ns, value, rate))
+        while t_ns - readings[0][0] > KEPT_NS:
             readings.popleft()
 
     def at(self, t_ns: int) -> tuple[float, float] | None:
-        """Position (m) and velocity (m/s) at an instant; None where no reading is near."""
+        """Value and rate at an instant; None where no reading is near."""
         readings = self._readings
-        if not readings or t_ns < readings[0].t_receive_ns or t_ns - readings[-1].t_receive_ns > AHEAD_NS:
+        if not readings or t_ns < readings[0][0] or t_ns - readings[-1][0] > AHEAD_NS:
             return None
-        newest = readings[-1]
-        if t_ns >= newest.t_receive_ns:
-            ahead_s = (t_ns - newest.t_receive_ns) * 1e-9
-            return newest.position_m + newest.velocity_m_s * ahead_s, newest.velocity_m_s
-        for place in range(len(readings) - 2, -1, -1):
-            before, after = readings[place], readings[place + 1]
-            if before.t_receive_ns <= t_ns:
-                break
-        share = (t_ns - before.t_receive_ns) / (after.t_receive_ns - before.t_receive_ns)
-        return (
-            before.position_m + share * (after.position_m - before.position_m),
-            before.velocity_m_s + share * (after.velocity_m_s - before.velocity_m_s),
-        )
+        newest_ns, value, rate = readings[-1]
+        if t_ns >= newest_ns:
+            return value + rate * (t_ns - newest_ns) * 1e-9, rate
+        place = len(readings) - 2
+        while readings[place][0] > t_ns:
+            place -= 1
+        (before_ns, value, rate), (after_ns, next_value, next_rate) = readings[place], readings[place + 1]
+        share = (t_ns - before_ns) / (after_ns - before_ns)
+        return value + share * (next_value - value), rate + share * (next_rate - rate)
 
 
 class Alignment:
     """How far motion capture is behind the axis, and how far from it."""
 
     def __init__(self) -> None:
-        self.axis = Axis()
+        self.axis = Past()  # m, m/s
         self.lag_ns: int | None = None  # None until the cart has moved enough to tell
         self._before: tuple[int, float, tuple[float, ...]] | None = None  # stamp, cart, the axis at each lag
         self.restart()

@@ -57,10 +57,15 @@ def _mocap(inputs: Inputs, observer: Observer, config: Config) -> Iterator[Event
     yield from observer.plausibility.events()
     if age_ns is None:
         yield Event("mocap_missing", f"none since the start{said}")
-    elif age_ns > config.failsafe.mocap_stale_s * 1e9:
+    elif not observer.dark_ns and age_ns > config.failsafe.mocap_stale_s * 1e9:
         yield Event("mocap_stale", _old(age_ns * 1e-9, config.failsafe.mocap_stale_s, said))
     elif observer.frames_in_a_row < config.failsafe.arming_frames:
         yield Event("mocap_settling", f"{observer.frames_in_a_row} of {config.failsafe.arming_frames} frames")
+    if observer.dark_ns and not observer.seen:
+        deviation_m = observer.tip_deviation_m
+        yield Event(
+            "mocap_bridged", f"for {observer.dark_ns / 1e6:.0f} ms, the tip to {deviation_m * 1e3:.0f} mm{said}"
+        )
 
 
 def _pressure(inputs: Inputs, config: Config, engaged: bool) -> Iterator[Event]:

@@ -146,6 +146,12 @@ TABLE: dict[str, Rule] = {
         "motion capture shows where the robot was too long ago",
         "speed up cameras, tracking and network, or raise failsafe.mocap_late_max_s",
     ),
+    "mocap_bridged": Rule(
+        Response.WARN,
+        False,
+        "the cameras see nothing, and what they saw last is carried on by a model",
+        "check the bridge, and that cart and tip are in view",
+    ),
     "mocap_late": Rule(
         Response.WARN,
         False,

@@ -2,47 +2,41 @@
 
 from collections import deque
 from collections.abc import Iterator
-from typing import NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from softarm.daemon.control.alignment import Alignment
+from softarm.daemon.control.alignment import Alignment, Past
+from softarm.daemon.control.bridge import Bridge, Readings, Sighting, TipModel
 from softarm.daemon.control.plausibility import CART, TIP, WINDOW, Plausibility, is_usable
 from softarm.daemon.control.records import Inputs, Observed
+from softarm.schemas.config import Config
 from softarm.schemas.messages import MocapFrame, PressureReading, RailReading
 from softarm.schemas.policy import Observation
 
 
-class Sighting(NamedTuple):
-    """What of a frame is flown by."""
-
-    t_ns: int  # of its capture
-    cart_y_m: float
-    tip_y_m: float
-    tip_z_m: float
-
-    @classmethod
-    def of(cls, frame: MocapFrame) -> Self:
-        """Of a frame in which both are seen."""
-        cart, tip = frame.bodies[CART], frame.bodies[TIP]
-        return cls(frame.t_capture_ns, cart.y_m, tip.y_m, tip.z_m)
-
-
 class Observer:
-    """Keeps the good frames of the last while: usable and plausible.
+    """Keeps the good frames of the last while, usable and plausible, and carries the newest on through the dark.
 
-    Velocities are first differences over a control step ([P] section 3.3), by real capture stamps: from the frame
-    that was taken most nearly a step before the newest one. Zero until there is one.
+    Velocities are first differences over a control step ([P] section 3.3), by real capture stamps: from what was most
+    nearly a step before the newest. Zero until there is something.
     """
 
-    def __init__(self, period_ns: int, stale_ns: int, disagreement_m: float) -> None:
-        self._period_ns = period_ns
-        self._stale_ns = stale_ns  # a gap longer than this is not differenced over
-        self._disagreement_m = disagreement_m  # between axis and mocap: farther apart, they disagree
-        self._recent: deque[Sighting] = deque()  # of at least the last step, oldest first
+    def __init__(self, config: Config) -> None:
+        failsafe = config.failsafe
+        self._period_ns = round(1e9 / config.control.rate_hz)
+        self._stale_ns = round(failsafe.mocap_stale_s * 1e9)  # a gap longer than this is not differenced over
+        self._bridge_ns = round(failsafe.mocap_bridge_s * 1e9)
+        self._disagreement_m = failsafe.rail_mocap_disagreement_m  # farther apart, axis and mocap disagree
+        self._recent: deque[Sighting] = deque()  # seen, of at least the last step, oldest first
+        self._carried: deque[Sighting] = deque()  # and what was flown by between them
+        self._bridge: Bridge | None = None  # from the newest one seen
+        self._ages_ns: deque[int] = deque(maxlen=WINDOW)  # of the newest one seen, at ticks that brought one
+        self._pressures = Past()
         self._velocities = (0.0, 0.0, 0.0)  # cart, tip y, tip z
         self._sequence = 0  # of the newest good frame
+        self._shown: Sighting | None = None  # what is flown by
+        self.dark_ns = 0  # that it was carried on for; 0: it was seen
         self.plausibility = Plausibility()
         self._on_the_way_ns: deque[int] = deque(maxlen=WINDOW)
         self.newest: MocapFrame | None = None  # good or not
@@ -57,20 +51,67 @@ class Observer:
 
     def update(self, inputs: Inputs) -> None:
         """Take in a tick's measurements."""
-        self.pressure = inputs.pressure
-        self.rail = inputs.rail
+        self.pressure, self.rail = inputs.pressure, inputs.rail
+        if self.rail is not None:
+            self.alignment.axis.add(self.rail.t_receive_ns, self.rail.position_m, self.rail.velocity_m_s)
+        if self.pressure is not None:
+            self._pressures.add(self.pressure.t_receive_ns, self.pressure.pressure_kpa)
         self.seen = tuple(self._good(inputs.mocap))
         if self.seen:
-            self._keep(self.seen)
-        elif (self.mocap_age_ns(inputs.t_ns) or 0) > self._stale_ns:
+            self._recent.extend(self.seen)
+            self._ages_ns.append(inputs.t_ns - self.seen[-1].t_ns)
+            self._bridge = None
+        self._show(inputs.t_ns)
+        self._compare()
+
+    def _show(self, now_ns: int) -> None:
+        """Fly by the newest that was seen; when that is older than it should be, by what it is carried on to."""
+        if not self._recent:
+            return
+        newest = self._recent[-1]
+        carried = self._carry_on(newest, now_ns - min(self._ages_ns))
+        self.dark_ns = 0 if carried is None else carried.t_ns - newest.t_ns
+        shown = carried or newest
+        if carried is not None or self.seen:
+            before = self._step_before(shown)
+            self._velocities = (0.0, 0.0, 0.0) if before is None else _rates(before, shown)
+        elif now_ns - newest.t_ns > self._stale_ns:
             self.frames_in_a_row = 0
             self._velocities = (0.0, 0.0, 0.0)
-        self._compare()
+        self._shown = shown
+        if carried is not None:
+            self._carried.append(carried)
+        for past in (self._recent, self._carried):  # what no later step can begin with
+            while len(past) > 1 and shown.t_ns - past[1].t_ns >= 2 * self._period_ns:
+                past.popleft()
+
+    def _carry_on(self, newest: Sighting, until_ns: int) -> Sighting | None:
+        """To when the cameras' newest would be from by now; None when it is seen, or was for too long not."""
+        overdue_ns = until_ns - newest.t_ns - self._period_ns // 2
+        if not 0 < overdue_ns <= self._bridge_ns:
+            return None
+        if self._bridge is None:
+            before = self._step_before(newest)
+            if before is None:
+                return None
+            readings = Readings(self.alignment.axis, self._pressures, self.alignment.lag_ns or 0)
+            self._bridge = Bridge(before, newest, readings)
+        return self._bridge.at(until_ns)
+
+    def _step_before(self, shown: Sighting) -> Sighting | None:
+        """Most nearly a control step before."""
+        return min(
+            (
+                one
+                for one in (*self._recent, *self._carried)
+                if one.t_ns < shown.t_ns and shown.t_ns - one.t_ns <= self._stale_ns
+            ),
+            key=lambda one: abs(shown.t_ns - one.t_ns - self._period_ns),
+            default=None,
+        )
 
     def _compare(self) -> None:
         """Axis and motion capture, where both are fresh; a silent one tells nothing of the other."""
-        if self.rail is not None:
-            self.alignment.axis.add(self.rail)
         apart_m = self.alignment.see(self.seen[-1].t_ns, self.seen[-1].cart_y_m) if self.seen else None
         if apart_m is not None:
             self.apart_m = apart_m
@@ -88,20 +129,7 @@ class Observer:
                 newest_ns, self._sequence = frame.t_capture_ns, frame.sequence
                 self.frames_in_a_row += 1
                 self._on_the_way_ns.append(frame.t_receive_ns - frame.t_capture_ns)
-                yield Sighting.of(frame)
-
-    def _keep(self, seen: tuple[Sighting, ...]) -> None:
-        """Difference over the step before the newest, and forget what no later step can begin with."""
-        recent, newest = self._recent, seen[-1]
-        before = min(
-            (one for one in (*recent, *seen[:-1]) if newest.t_ns - one.t_ns <= self._stale_ns),
-            key=lambda one: abs(newest.t_ns - one.t_ns - self._period_ns),
-            default=None,
-        )
-        self._velocities = (0.0, 0.0, 0.0) if before is None else _rates(before, newest)
-        recent.extend(seen)
-        while len(recent) > 1 and newest.t_ns - recent[1].t_ns >= 2 * self._period_ns:
-            recent.popleft()
+                yield _sighting(frame)
 
     def mocap_age_ns(self, now_ns: int) -> int | None:
         """Age of the newest good frame's capture; None before the first."""
@@ -113,32 +141,44 @@ class Observer:
             return 0
         return round(sum(self._on_the_way_ns) / len(self._on_the_way_ns)) + (self.alignment.lag_ns or 0)
 
+    @property
+    def tip_deviation_m(self) -> float:
+        """Standard deviation of a tip that was carried on; 0 of one that was seen."""
+        return TipModel().deviation_m(self.dark_ns * 1e-9) if self.dark_ns else 0.0
+
     def observe(self, now_ns: int, previous_cart_velocity_m_s: float) -> Observed | None:
         """The observation and its age; None while a sensor has never been heard."""
-        if not self._recent or self.pressure is None or self.rail is None:
+        if self._shown is None or self.pressure is None or self.rail is None:
             return None
-        newest = self._recent[-1]
+        shown = self._shown
         cart_velocity, tip_vy, tip_vz = self._velocities
         return Observed(
             values=Observation(
-                cart_position_m=newest.cart_y_m,
+                cart_position_m=shown.cart_y_m,
                 cart_velocity_m_s=cart_velocity,
-                tip_y_m=newest.tip_y_m,
-                tip_z_m=newest.tip_z_m,
+                tip_y_m=shown.tip_y_m,
+                tip_z_m=shown.tip_z_m,
                 tip_vy_m_s=tip_vy,
                 tip_vz_m_s=tip_vz,
                 previous_cart_velocity_command_m_s=previous_cart_velocity_m_s,
                 pressure_kpa=self.pressure.pressure_kpa,
             ),
             mocap_sequence=self._sequence,
-            mocap_age_ns=now_ns - newest.t_ns,
+            mocap_age_ns=now_ns - self._recent[-1].t_ns,
             pressure_age_ns=now_ns - self.pressure.t_receive_ns,
             rail_age_ns=now_ns - self.rail.t_receive_ns,
+            dark_ns=self.dark_ns,
+            tip_deviation_m=self.tip_deviation_m,
         )
 
 
+def _sighting(frame: MocapFrame) -> Sighting:
+    cart, tip = frame.bodies[CART], frame.bodies[TIP]
+    return Sighting(frame.t_capture_ns, cart.y_m, tip.y_m, tip.z_m)
+
+
 def _rates(before: Sighting, newest: Sighting) -> tuple[float, float, float]:
-    """Of cart and tip (y, z) between two frames, m/s."""
+    """Of cart and tip (y, z), m/s."""
     per_s = 1e9 / (newest.t_ns - before.t_ns)
     return (
         (newest.cart_y_m - before.cart_y_m) * per_s,
@@ -147,6 +187,7 @@ def _rates(before: Sighting, newest: Sighting) -> tuple[float, float, float]:
     )
 
 
-def as_array(observed: Observed) -> NDArray[np.float32]:
-    """The observation as the policy takes it, float32 [8]."""
-    return np.array(observed.values, dtype=np.float32)
+def as_array(observed: Observed, wants_sight: bool) -> NDArray[np.float32]:
+    """The observation as the policy takes it, float32 [8]; with what tells whether it was seen, [10]."""
+    sight = (observed.dark_ns * 1e-9, observed.tip_deviation_m) if wants_sight else ()
+    return np.array((*observed.values, *sight), dtype=np.float32)

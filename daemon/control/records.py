@@ -87,13 +87,15 @@ class ActiveEvent:
 
 @dataclass(frozen=True, slots=True)
 class Observed:
-    """What the policy was fed, and how old it was."""
+    """What the policy was fed, and how old it was: as it was seen or, in the dark, as it was carried on from there."""
 
     values: Observation
-    mocap_sequence: int
-    mocap_age_ns: int
+    mocap_sequence: int  # of the newest good frame
+    mocap_age_ns: int  # of that frame
     pressure_age_ns: int
     rail_age_ns: int
+    dark_ns: int = 0  # that the values were carried on for; 0: they were seen
+    tip_deviation_m: float = 0.0  # standard deviation of the tip then
 
 
 @dataclass(frozen=True, slots=True)

@@ -507,14 +507,37 @@ def test_a_lost_marker_set_in_the_middle_of_the_arm_warns_by_name_and_the_swing_
     assert "link2" in rig.outputs.events[0].text
 
 
-def test_a_lost_tip_is_flown_on_the_last_good_frame_only_until_it_is_stale():
-    rig = Rig().swinging()
+@pytest.mark.parametrize(("bridge_s", "flown"), [(0.15, 5), (0.06, 2), (0.0, 2)])
+def test_a_lost_tip_is_carried_on_only_for_so_long(bridge_s, flown):
+    rig = Rig(config=Config(failsafe={"mocap_bridge_s": bridge_s})).swinging()
     for ticks in range(1, 10):
         rig.tick(mocap=respoil_bodies(rig, 5, Pose(0.0, 0.5, 0.0, tracked=False)))
+        names = [event.name for event in rig.outputs.events]
         if rig.outputs.mode is not Mode.ARMED:
             break
-    assert ticks == 3  # 100 ms
-    assert "mocap_stale" in [event.name for event in rig.outputs.events]
+        assert ("mocap_bridged" in names) == (bridge_s > 0 and ticks * PERIOD_NS * 1e-9 <= bridge_s + 0.0167)
+    assert ticks == flown + 1
+    assert "mocap_stale" in names
+    assert rig.outputs.observed.dark_ns == 0
+
+
+class Told(Steady):
+    spec = PolicySpec("told", "asks whether it sees", wants_sight=True)
+
+
+def test_a_policy_that_asks_is_told_whether_it_sees_and_no_other_is():
+    for policy in (Steady(), Told()):
+        rig = Rig(policy).swinging()
+        for _ in range(3):
+            rig.tick(mocap=())
+        assert [len(observation) for observation, _ in policy.seen] == [10 if isinstance(policy, Told) else 8] * 4
+    told = [observation[8:].tolist() for observation, _ in policy.seen]
+    assert told[0] == [0.0, 0.0]
+    dark_s, deviations_m = zip(*told[1:], strict=True)
+    assert dark_s == pytest.approx((0.0333, 0.0667, 0.1), abs=1e-3)
+    assert 0 < deviations_m[0] < deviations_m[1] < deviations_m[2] < 0.03
+    observed = rig.outputs.observed
+    assert (observed.dark_ns * 1e-9, observed.tip_deviation_m) == pytest.approx((dark_s[-1], deviations_m[-1]))
 
 
 def test_arming_waits_until_the_last_stop_is_over():

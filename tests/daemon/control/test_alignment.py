@@ -5,8 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from softarm.daemon.control.alignment import Alignment
-from softarm.schemas.messages import RailReading
+from softarm.daemon.control.alignment import Alignment, Past
 
 MS = 1_000_000
 TICK_NS = 33_333_333
@@ -27,7 +26,7 @@ def flown(late_ms=0.0, sense=1.0, offset_m=0.0, ticks=60, noise_m=0.0003, axis_s
         now_ns = tick * TICK_NS
         slip_m = 0.05 if axis_slips_at is not None and tick >= axis_slips_at else 0.0
         t_s = now_ns * 1e-9
-        alignment.axis.add(RailReading(now_ns, place_m(t_s) + slip_m, velocity_m_s(t_s), True))
+        alignment.axis.add(now_ns, place_m(t_s) + slip_m, velocity_m_s(t_s))
         shown_ns = now_ns - 4 * MS
         seen_s = (shown_ns - late_ms * MS) * 1e-9
         apart_m = alignment.see(shown_ns, sense * place_m(seen_s) + offset_m + rng.normal(0.0, noise_m))
@@ -71,7 +70,7 @@ def test_a_mirrored_frame_is_found_within_a_few_ticks_of_moving(late_ms):
 def test_a_cart_at_rest_tells_no_delay():
     alignment, rng = Alignment(), np.random.default_rng(0)
     for tick in range(200):
-        alignment.axis.add(RailReading(tick * TICK_NS, 0.1, 0.0, True))
+        alignment.axis.add(tick * TICK_NS, 0.1, 0.0)
         assert (alignment.see(tick * TICK_NS, 0.1 + rng.normal(0.0, 0.002)) or 0.0) < 0.01
     assert alignment.lag_ns is None
     assert not alignment.mirrored
@@ -80,7 +79,7 @@ def test_a_cart_at_rest_tells_no_delay():
 def test_an_axis_that_moves_under_a_camera_that_shows_nothing_tells_no_delay():
     alignment = Alignment()
     for tick in range(60):
-        alignment.axis.add(RailReading(tick * TICK_NS, place_m(tick / 30), velocity_m_s(tick / 30), True))
+        alignment.axis.add(tick * TICK_NS, place_m(tick / 30), velocity_m_s(tick / 30))
         alignment.see(tick * TICK_NS, 0.0)
     assert alignment.lag_ns is None
 
@@ -91,12 +90,12 @@ def test_what_the_steps_told_is_forgotten_on_request():
     assert alignment.lag_ns is None
 
 
-def test_the_axis_is_asked_only_where_it_was_read():
-    alignment = Alignment()
-    assert alignment.axis.at(0) is None
-    for t_ms, position_m in ((100, 0.0), (140, 0.04)):
-        alignment.axis.add(RailReading(t_ms * MS, position_m, 1.0, True))
-    assert alignment.axis.at(99 * MS) is None
-    assert alignment.axis.at(110 * MS) == pytest.approx((0.01, 1.0))
-    assert alignment.axis.at(190 * MS) == pytest.approx((0.09, 1.0))  # carried on
-    assert alignment.axis.at(191 * MS) is None
+def test_a_device_is_asked_only_where_it_was_read():
+    past = Past()
+    assert past.at(0) is None
+    for t_ms, position_m in ((100, 0.0), (140, 0.04), (140, 9.0), (120, 9.0)):  # the last two are no newer
+        past.add(t_ms * MS, position_m, 1.0)
+    assert past.at(99 * MS) is None
+    assert past.at(110 * MS) == pytest.approx((0.01, 1.0))
+    assert past.at(190 * MS) == pytest.approx((0.09, 1.0))  # carried on
+    assert past.at(191 * MS) is None

@@ -4,12 +4,11 @@ import pytest
 
 from softarm.daemon.control.observer import Observer
 from softarm.daemon.control.records import Inputs
+from softarm.schemas.config import Config
 from softarm.schemas.messages import MocapFrame, Pose, PressureReading, RailReading
 from softarm.schemas.policy import OBSERVATION
 
 MS = 1_000_000
-STALE = 100 * MS
-PERIOD = 33_333_333
 
 
 def frame(t_ms, cart=0.0, tip=(0.0, 0.52), sequence=None, tracked=True):
@@ -31,7 +30,7 @@ def feed(observer, t_ms, *frames, pressure=5.0, rail=(0.0, 0.0)):
 
 
 def test_the_observation_has_the_papers_order():
-    observer = Observer(PERIOD, STALE, 0.03)
+    observer = Observer(Config())
     feed(observer, 0, frame(0, cart=0.1, tip=(-0.1, 0.55)))
     observed = feed(observer, 40, frame(40, cart=0.12, tip=(-0.14, 0.56)))
     names = [signal.name for signal in OBSERVATION]
@@ -51,7 +50,7 @@ def test_the_observation_has_the_papers_order():
 
 def test_velocities_are_differenced_over_the_step_that_comes_nearest_to_a_control_step():
     """Whichever tick it came in: a tick that was late or early has other frames for its newest."""
-    observer = Observer(PERIOD, STALE, 0.03)
+    observer = Observer(Config())
     feed(observer, 33, frame(16, cart=0.009), frame(24, tip=(0.0, 0.521)), frame(29, cart=0.009))
     observed = feed(observer, 66, frame(33, cart=0.009, tip=(0.0, 0.521)), frame(41, cart=0.009), frame(58, cart=0.034))
     assert observed.values.cart_velocity_m_s == pytest.approx(0.034 / 0.034)
@@ -61,14 +60,14 @@ def test_velocities_are_differenced_over_the_step_that_comes_nearest_to_a_contro
 
 
 def test_a_camera_as_fast_as_the_loop_is_differenced_from_tick_to_tick():
-    observer = Observer(PERIOD, STALE, 0.03)
+    observer = Observer(Config())
     feed(observer, 33, frame(33, cart=0.0))
     observed = feed(observer, 100, frame(100, cart=0.067))
     assert observed.values.cart_velocity_m_s == pytest.approx(1.0)
 
 
 def test_every_frame_of_a_tick_is_seen():
-    observer = Observer(PERIOD, STALE, 0.03)
+    observer = Observer(Config())
     feed(
         observer,
         33,
@@ -82,8 +81,8 @@ def test_every_frame_of_a_tick_is_seen():
     assert observer.seen == ()
 
 
-def test_a_tick_without_a_frame_keeps_the_last_velocities_and_ages():
-    observer = Observer(PERIOD, STALE, 0.03)
+def test_a_tick_without_a_frame_keeps_the_last_velocities_and_ages_where_nothing_is_bridged():
+    observer = Observer(Config(failsafe={"mocap_bridge_s": 0.0}))
     feed(observer, 0, frame(0))
     feed(observer, 33, frame(33, cart=0.033))
     observed = feed(observer, 66)
@@ -92,7 +91,7 @@ def test_a_tick_without_a_frame_keeps_the_last_velocities_and_ages():
 
 
 def test_nothing_is_differenced_across_a_gap():
-    observer = Observer(PERIOD, STALE, 0.03)
+    observer = Observer(Config())
     feed(observer, 0, frame(0))
     observed = feed(observer, 500, frame(500, cart=0.2))
     assert observed.values.cart_velocity_m_s == 0.0
@@ -100,7 +99,7 @@ def test_nothing_is_differenced_across_a_gap():
 
 @pytest.mark.parametrize("bad", [{"tracked": False}, {"tip": (math.nan, 0.5)}, {"cart": math.inf}])
 def test_a_frame_without_cart_or_tip_is_not_used(bad):
-    observer = Observer(PERIOD, STALE, 0.03)
+    observer = Observer(Config())
     feed(observer, 0, frame(0, tip=(-0.1, 0.6)))
     observed = feed(observer, 33, frame(33, **bad))
     assert (observed.values.tip_y_m, observed.values.tip_z_m) == (-0.1, 0.6)
@@ -109,14 +108,14 @@ def test_a_frame_without_cart_or_tip_is_not_used(bad):
 
 
 def test_lost_frames_are_counted_by_the_bridges_own_numbers():
-    observer = Observer(PERIOD, STALE, 0.03)
+    observer = Observer(Config())
     feed(observer, 0, frame(0, sequence=7))
     feed(observer, 33, frame(8, sequence=8), frame(33, sequence=12))
     assert observer.frames_lost == 3
 
 
 def test_silence_starts_the_count_of_frames_for_arming_again():
-    observer = Observer(PERIOD, STALE, 0.03)
+    observer = Observer(Config())
     feed(observer, 33, frame(16), frame(24), frame(33))
     assert observer.frames_in_a_row == 3
     feed(observer, 300)
@@ -125,7 +124,7 @@ def test_silence_starts_the_count_of_frames_for_arming_again():
 
 def test_the_axis_is_compared_with_mocap_at_one_instant():
     """A cart at 1 m/s read 20 ms before the frame is 20 mm further by then: no disagreement."""
-    observer = Observer(PERIOD, STALE, 0.03)
+    observer = Observer(Config())
     for tick in range(8):
         now, cart = 40 * tick * MS, 0.04 * tick
         reading = RailReading(now - 30 * MS, cart - 0.03, 1.0, True)
@@ -136,14 +135,14 @@ def test_the_axis_is_compared_with_mocap_at_one_instant():
 
 
 def test_no_observation_before_every_sensor_has_been_heard():
-    observer = Observer(PERIOD, STALE, 0.03)
+    observer = Observer(Config())
     observer.update(Inputs(t_ns=0, mocap=(frame(0),)))
     assert observer.observe(0, 0.0) is None
 
 
 def test_ticks_of_disagreement_are_counted_in_a_row():
     """From when no camera, as late as they may be, can explain it."""
-    observer = Observer(PERIOD, STALE, 0.03)
+    observer = Observer(Config())
     counted = []
     for tick in range(14):
         feed(observer, 40 * tick, frame(40 * tick), rail=(0.02 if tick == 7 else 0.05, 0.0))
@@ -154,7 +153,7 @@ def test_ticks_of_disagreement_are_counted_in_a_row():
 def test_a_silent_axis_and_a_silent_camera_disagree_with_nobody():
     """The cart was under way when the one fell silent; the other goes on."""
     for silent in ("rail", "mocap"):
-        observer = Observer(PERIOD, STALE, 0.03)
+        observer = Observer(Config())
         for tick in range(40):
             cart = 0.02 * min(tick, 20)
             frames = () if silent == "mocap" and tick > 10 else (frame(33 * tick, cart=cart, tip=(cart, 0.52)),)

@@ -1,0 +1,301 @@
+"""What bridging the cameras' drop-outs wins: policies over the 54 targets while the cameras go dark at random.
+
+    python -m softarm.benchmarks.bridging --json bridging.json   flights with and without; what the estimate is off
+    python -m softarm.benchmarks.bridging --fit                  the numbers of `daemon/control/bridge.py`, fitted anew
+
+Every flight is the daemon's own tick in lockstep, with 120 frames a second, on the simulator (noise added) and on the
+independent robot. A drop-out follows another after a third of a second to one second of sight. Three ways through the
+dark: the failsafe acts at once when a frame is stale; what was seen last is held; it is carried on. Needs the extra
+`mujoco`.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import click
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from softarm.benchmarks import results
+from softarm.common.processes import as_they_come, bar
+from softarm.daemon.control.alignment import Past
+from softarm.daemon.control.bridge import Bridge, Readings, Sighting, TipModel
+from softarm.daemon.control.plausibility import CART, TIP
+from softarm.daemon.control.records import Inputs, Mode, Outputs, TickTiming
+from softarm.daemon.shell.offline import Lockstep
+from softarm.drivers.bodies.in_process import InProcessMocap, InProcessRobot
+from softarm.drivers.bodies.simulated import SimulatedBody
+from softarm.flights.robots import ROBOTS
+from softarm.flights.runner import NOWHERE, Swung
+from softarm.policies import registry
+from softarm.policies.base import Policy, PolicySpec
+from softarm.schemas.config import Config, Failsafe
+from softarm.schemas.flights import CART_STARTS_M, TEST_TARGETS, Swing
+from softarm.schemas.messages import MocapFrame, Pose
+from softarm.schemas.robot import CONTROL_PERIOD_S
+
+SIMULATOR = "simulator"
+BODIES = (SIMULATOR, "nominal", "payload", "later")
+DARK_MS = (0, 33, 67, 100, 150, 200, 250)
+SIGHT_S = (1 / 3, 1.0)  # between two drop-outs
+FRAMES = 4  # in a tick
+NOISE_M = 0.0003  # of the simulator's cameras; the independent robot's have their own
+HORIZONS = 5  # ticks without a frame
+WAYS = {
+    "stopped": Failsafe(mocap_bridge_s=0.0),
+    "held": Failsafe(mocap_bridge_s=0.0, mocap_stale_s=0.3),
+    "bridged": Failsafe(mocap_bridge_s=0.25),
+    "default": Failsafe(),
+}
+METHODS = ("hold", "constant velocity", "model")
+FITTED = 7  # of the numbers of TipModel; the last says how unlike other robots are
+
+
+class Blinking(InProcessMocap):
+    """Cameras at 120 Hz that see nothing now and then, for `dark_s` each time."""
+
+    def __init__(self, robot: InProcessRobot, seed: int, dark_s: float, noise_m: float) -> None:
+        super().__init__(robot)
+        self._rng, self._dark_s, self._noise_m = np.random.default_rng(seed), dark_s, noise_m
+        self._dark_from_ns: int | None = None  # None: not yet
+
+    def begin(self) -> None:
+        """The drop-outs begin."""
+        if self._dark_s:
+            self._dark_from_ns = self._robot.now_ns + round(1e9 * self._rng.uniform(0.0, SIGHT_S[1]))
+
+    def read(self, now_ns: int) -> tuple[MocapFrame, ...]:
+        """Those of the frames since the last call that fall into no drop-out."""
+        since_ns = self._robot.now_ns
+        instants_ns = [since_ns + round(part * (now_ns - since_ns) / FRAMES) for part in range(1, FRAMES + 1)]
+        return tuple(
+            self._blurred(f) for t_ns in instants_ns for f in super(Blinking, self).read(t_ns) if self._sees(f)
+        )
+
+    def _sees(self, frame: MocapFrame) -> bool:
+        begins_ns, t_ns = self._dark_from_ns, frame.t_capture_ns
+        if begins_ns is None or t_ns < begins_ns:
+            return True
+        ends_ns = begins_ns + round(1e9 * self._dark_s)
+        if t_ns < ends_ns:
+            return False
+        self._dark_from_ns = ends_ns + round(1e9 * self._rng.uniform(*SIGHT_S))
+        return True
+
+    def _blurred(self, frame: MocapFrame) -> MocapFrame:
+        if not self._noise_m:
+            return frame
+        noise_m = self._rng.normal(0.0, self._noise_m, (len(frame.bodies), 2)).tolist()
+        bodies = (Pose(p.y_m + dy, p.z_m + dz, p.angle_rad) for p, (dy, dz) in zip(frame.bodies, noise_m, strict=True))
+        return replace(frame, bodies=tuple(bodies))
+
+
+class Kept:
+    """A recorder that keeps what a tick was given while the arm was armed."""
+
+    def __init__(self) -> None:
+        self.dropped = 0
+        self.problem: str | None = None
+        self.ticks: list[Inputs] = []
+
+    def tick(self, inputs: Inputs, outputs: Outputs, timing: TickTiming) -> None:
+        """Keep it."""
+        if outputs.mode is Mode.ARMED:
+            self.ticks.append(inputs)
+
+    def policy(self, spec: PolicySpec) -> None:
+        """Nobody asks."""
+
+
+class Job(NamedTuple):
+    """Flights of one kind."""
+
+    policy: str
+    body: str
+    dark_ms: int
+    way: str
+
+
+class Flown(NamedTuple):
+    """What came of them."""
+
+    flights: int
+    reached: int
+    stopped: int  # by the failsafe
+
+
+def begun(
+    policy: Policy, body: str, cart_start_m: float, seed: int, dark_s: float = 0.0, way: str = "default"
+) -> tuple[Lockstep, Kept]:
+    """An armed daemon whose cameras have begun to blink."""
+    kept = Kept()
+    config = Config(failsafe=WAYS[way])
+    if body == SIMULATOR:
+        daemon = Lockstep(config, policy, recorder=kept, body=SimulatedBody())
+    else:
+        from softarm.drivers.bodies.independent import IndependentBody
+
+        robot = IndependentBody(ROBOTS[body], seed, cart_position_m=cart_start_m)
+        daemon = Lockstep(config, policy, recorder=kept, body=robot)
+    eyes = daemon.robot.mocap = Blinking(daemon.robot, seed, dark_s, NOISE_M if body == SIMULATOR else 0.0)
+    daemon.arm()
+    if body == SIMULATOR:
+        daemon.place(cart_start_m)
+    eyes.begin()
+    return daemon, kept
+
+
+def fly(job: Job) -> Flown:
+    """All targets, each from one of the three starts."""
+    reached = stopped = 0
+    policy = registry.load(job.policy)
+    for number, goal in enumerate(TEST_TARGETS):
+        start_m = CART_STARTS_M[number % len(CART_STARTS_M)]
+        daemon, _ = begun(policy, job.body, start_m, number, job.dark_ms * 1e-3, job.way)
+        reached += daemon.pursue(goal).reached
+        stopped += daemon.outputs is not None and daemon.outputs.mode is not Mode.ARMED
+    return Flown(len(TEST_TARGETS), reached, stopped)
+
+
+class Window(NamedTuple):
+    """A last sight, what is read from then on, and where cart and tip were at the ticks that follow."""
+
+    before: Sighting
+    seen: Sighting
+    axis: Past
+    pressure: Past
+    then: tuple[Sighting, ...]
+
+
+def swings(body: str, seed: int = 0) -> Iterator[list[Inputs]]:
+    """Ticks of flights without drop-outs: learned swings, and sinusoids."""
+    for policy in ("reach", "reach-wide"):
+        for number in range(seed, len(TEST_TARGETS), 6):
+            daemon, kept = begun(registry.load(policy), body, CART_STARTS_M[number % 3], number)
+            daemon.pursue(TEST_TARGETS[number])
+            yield kept.ticks
+    for number in range(4):
+        daemon, kept = begun(Swung(registry.load("reach"), Swing.draw(seed + number)), body, 0.0, number)
+        daemon.tick(daemon.request("goal", NOWHERE))
+        for _ in range(90):
+            daemon.tick()
+        yield kept.ticks
+
+
+def windows(flights: Iterator[list[Inputs]], every: int = 2) -> list[Window]:
+    """Cut flights into windows, one from every so many ticks."""
+    found = []
+    for ticks in flights:
+        for first in range(3, len(ticks) - HORIZONS, every):
+            part = ticks[first - 3 : first + HORIZONS + 1]
+            if all(tick.mocap for tick in part):
+                found.append(_window(part))
+    return found
+
+
+def _window(part: Sequence[Inputs]) -> Window:
+    axis, pressure = Past(), Past()
+    for tick in part:
+        assert tick.rail is not None
+        assert tick.pressure is not None
+        axis.add(tick.rail.t_receive_ns, tick.rail.position_m, tick.rail.velocity_m_s)
+        pressure.add(tick.pressure.t_receive_ns, tick.pressure.pressure_kpa)
+    earlier = [_sighting(frame) for tick in part[:4] for frame in tick.mocap]
+    seen = earlier.pop()
+    before = min(earlier, key=lambda one: abs(seen.t_ns - one.t_ns - 1e9 * CONTROL_PERIOD_S))
+    return Window(before, seen, axis, pressure, tuple(_sighting(tick.mocap[-1]) for tick in part[4:]))
+
+
+def _sighting(frame: MocapFrame) -> Sighting:
+    cart, tip = frame.bodies[CART], frame.bodies[TIP]
+    return Sighting(frame.t_capture_ns, cart.y_m, tip.y_m, tip.z_m)
+
+
+def off_m(window: Window, method: str, model: TipModel | None = None) -> list[tuple[float, float]]:
+    """By how much the tip is off (y, z) at the ticks that follow."""
+    seen, before = window.seen, window.before
+    bridge = Bridge(before, seen, Readings(window.axis, window.pressure, 0), model)
+    off = []
+    for then in window.then:
+        if method == "model":
+            guess = bridge.at(then.t_ns) or seen
+        else:
+            share = (then.t_ns - seen.t_ns) / (seen.t_ns - before.t_ns) if method != "hold" else 0.0
+            y_m, z_m = (new + share * (new - old) for new, old in zip(seen[2:], before[2:], strict=True))
+            guess = seen._replace(tip_y_m=y_m, tip_z_m=z_m)
+        off.append((guess.tip_y_m - then.tip_y_m, guess.tip_z_m - then.tip_z_m))
+    return off
+
+
+def errors(body: str) -> dict[str, list[float]]:
+    """Method -> root mean square of the tip's error after one tick without a frame, two, ... (m)."""
+    cut = windows(swings(body, seed=3))
+    return {
+        method: np.sqrt(np.square([off_m(each, method) for each in cut]).sum(axis=2).mean(axis=0)).tolist()
+        for method in METHODS
+    }
+
+
+def fit() -> TipModel:
+    """The model's numbers from swings of the simulator, each error counted up to its tick; robust against outliers."""
+    from scipy.optimize import least_squares
+
+    cut = windows(swings(SIMULATOR), every=3)
+
+    def left(numbers: np.ndarray) -> np.ndarray:
+        model = TipModel(*numbers.tolist())
+        return 100 * np.array([off_m(each, "model", model) for each in cut]).ravel()
+
+    found = least_squares(left, TipModel()[:FITTED], loss="soft_l1", x_scale=np.abs(TipModel()[:FITTED]))
+    return TipModel(*found.x.tolist())
+
+
+@click.command()
+@click.option("--fit", "fitting", is_flag=True, help="Print the model's numbers, fitted to the simulator, and end.")
+@click.option("--policy", "policies", multiple=True, default=("reach",), show_default=True, help="Again for more.")
+@click.option("--body", "bodies", multiple=True, default=BODIES, show_default=True, help="Again for more.")
+@click.option("--processes", type=click.IntRange(1), default=1, show_default=True, help="How many to fly with.")
+@results.json_option
+def main(fitting: bool, policies: Sequence[str], bodies: Sequence[str], processes: int, json_file: Path | None) -> None:
+    """Print what comes of flights with drop-outs, without and with a bridge, and what estimates of the tip are off.
+
+    \b
+    Example:
+      python -m softarm.benchmarks.bridging --policy reach --body simulator --json bridging.json
+    """
+    console = Console()
+    if fitting:
+        for name, number in fit()._asdict().items():
+            console.print(f"{name}: {number:.4g}")
+        return
+    jobs = [Job(p, b, ms, way) for p in policies for b in bodies for ms in DARK_MS for way in WAYS]
+    flown: dict[Job, Flown] = {}
+    with bar("flying", len(jobs)) as shown:
+        for job, came in as_they_come(fly, jobs, processes):
+            flown[job] = came
+            shown.advance(1)
+    table = Table("policy", "body", "dark, ms", *(f"{way}: reached, stopped" for way in WAYS))
+    for policy, body, ms in dict.fromkeys(job[:3] for job in jobs):
+        came_of = [flown[Job(policy, body, ms, way)] for way in WAYS]
+        table.add_row(policy, body, str(ms), *(f"{came.reached}, {came.stopped}" for came in came_of))
+    console.print(table)
+    off = {body: errors(body) for body in bodies}
+    table = Table("body", "estimate", *(f"{1e3 * CONTROL_PERIOD_S * tick:.0f} ms" for tick in range(1, HORIZONS + 1)))
+    for body, methods in off.items():
+        for method, rms_m in methods.items():
+            table.add_row(body, method, *(f"{1e3 * each:.0f} mm" for each in rms_m))
+    console.print(table)
+    if json_file is not None:
+        results.write(json_file, _figures(flown, off))
+
+
+def _figures(flown: dict[Job, Flown], off: dict[str, dict[str, list[float]]]) -> dict[str, Any]:
+    flights = [job._asdict() | came._asdict() for job, came in flown.items()]
+    return {"flights": flights, "tip_rms_m": off}
+
+
+if __name__ == "__main__":
+    main()
