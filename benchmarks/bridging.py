@@ -16,13 +16,14 @@ from typing import Any, NamedTuple
 
 import click
 import numpy as np
+from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
 
 from softarm.benchmarks import results
 from softarm.common.processes import as_they_come, bar
 from softarm.daemon.control.alignment import Past
-from softarm.daemon.control.bridge import Bridge, Readings, Sighting, TipModel
+from softarm.daemon.control.bridge import Bridge, Readings, Sighting, Strength, TipModel
 from softarm.daemon.control.plausibility import CART, TIP
 from softarm.daemon.control.records import Inputs, Mode, Outputs, TickTiming
 from softarm.daemon.shell.offline import Lockstep
@@ -50,8 +51,8 @@ WAYS = {
     "bridged": Failsafe(mocap_bridge_s=0.25),
     "default": Failsafe(),
 }
-METHODS = ("hold", "constant velocity", "model")
-FITTED = 7  # of the numbers of TipModel; the last says how unlike other robots are
+METHODS = ("hold", "constant velocity", "model as fitted", "model")
+FITTED = 7  # of the numbers of TipModel
 
 
 class Blinking(InProcessMocap):
@@ -167,6 +168,7 @@ class Window(NamedTuple):
     seen: Sighting
     axis: Past
     pressure: Past
+    strength: float  # as the second before told it
     then: tuple[Sighting, ...]
 
 
@@ -187,26 +189,32 @@ def swings(body: str, seed: int = 0) -> Iterator[list[Inputs]]:
 
 def windows(flights: Iterator[list[Inputs]], every: int = 2) -> list[Window]:
     """Cut flights into windows, one from every so many ticks."""
-    found = []
-    for ticks in flights:
-        for first in range(3, len(ticks) - HORIZONS, every):
-            part = ticks[first - 3 : first + HORIZONS + 1]
-            if all(tick.mocap for tick in part):
-                found.append(_window(part))
-    return found
+    return [window for ticks in flights for window in _windows(ticks, every)]
 
 
-def _window(part: Sequence[Inputs]) -> Window:
+def _windows(ticks: Sequence[Inputs], every: int) -> Iterator[Window]:
     axis, pressure = Past(), Past()
-    for tick in part:
-        assert tick.rail is not None
-        assert tick.pressure is not None
-        axis.add(tick.rail.t_receive_ns, tick.rail.position_m, tick.rail.velocity_m_s)
-        pressure.add(tick.pressure.t_receive_ns, tick.pressure.pressure_kpa)
-    earlier = [_sighting(frame) for tick in part[:4] for frame in tick.mocap]
-    seen = earlier.pop()
-    before = min(earlier, key=lambda one: abs(seen.t_ns - one.t_ns - 1e9 * CONTROL_PERIOD_S))
-    return Window(before, seen, axis, pressure, tuple(_sighting(tick.mocap[-1]) for tick in part[4:]))
+    strength = Strength()
+    for number, tick in enumerate(ticks[: -HORIZONS or None]):
+        _read(tick, axis, pressure)
+        frames = [frame for each in ticks[max(number - 3, 0) : number + 1] for frame in each.mocap]
+        *earlier, seen = map(_sighting, frames)
+        strength.see(seen, Readings(axis, pressure, 0))
+        then = ticks[number + 1 : number + HORIZONS + 1]
+        if number < 3 or number % every or not all(each.mocap for each in then):
+            continue
+        before = min(earlier, key=lambda one: abs(seen.t_ns - one.t_ns - 1e9 * CONTROL_PERIOD_S))
+        read = Past(), Past()
+        for each in ticks[number - 3 : number + HORIZONS + 1]:
+            _read(each, *read)
+        yield Window(before, seen, *read, strength.value, tuple(_sighting(each.mocap[-1]) for each in then))
+
+
+def _read(tick: Inputs, axis: Past, pressure: Past) -> None:
+    assert tick.rail is not None
+    assert tick.pressure is not None
+    axis.add(tick.rail.t_receive_ns, tick.rail.position_m, tick.rail.velocity_m_s)
+    pressure.add(tick.pressure.t_receive_ns, tick.pressure.pressure_kpa)
 
 
 def _sighting(frame: MocapFrame) -> Sighting:
@@ -217,10 +225,11 @@ def _sighting(frame: MocapFrame) -> Sighting:
 def off_m(window: Window, method: str, model: TipModel | None = None) -> list[tuple[float, float]]:
     """By how much the tip is off (y, z) at the ticks that follow."""
     seen, before = window.seen, window.before
-    bridge = Bridge(before, seen, Readings(window.axis, window.pressure, 0), model)
+    strength = window.strength if method == "model" else 1.0
+    bridge = Bridge(before, seen, Readings(window.axis, window.pressure, 0), strength, model)
     off = []
     for then in window.then:
-        if method == "model":
+        if method.startswith("model"):
             guess = bridge.at(then.t_ns) or seen
         else:
             share = (then.t_ns - seen.t_ns) / (seen.t_ns - before.t_ns) if method != "hold" else 0.0
@@ -245,9 +254,9 @@ def fit() -> TipModel:
 
     cut = windows(swings(SIMULATOR), every=3)
 
-    def left(numbers: np.ndarray) -> np.ndarray:
+    def left(numbers: NDArray[np.float64]) -> NDArray[np.float64]:
         model = TipModel(*numbers.tolist())
-        return 100 * np.array([off_m(each, "model", model) for each in cut]).ravel()
+        return 100 * np.array([off_m(each, "model as fitted", model) for each in cut]).ravel()
 
     found = least_squares(left, TipModel()[:FITTED], loss="soft_l1", x_scale=np.abs(TipModel()[:FITTED]))
     return TipModel(*found.x.tolist())

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softarm.daemon.control.alignment import Alignment, Past
-from softarm.daemon.control.bridge import Bridge, Readings, Sighting, TipModel
+from softarm.daemon.control.bridge import Bridge, Readings, Sighting, Strength, TipModel
 from softarm.daemon.control.plausibility import CART, TIP, WINDOW, Plausibility, is_usable
 from softarm.daemon.control.records import Inputs, Observed
 from softarm.schemas.config import Config
@@ -31,6 +31,7 @@ class Observer:
         self._recent: deque[Sighting] = deque()  # seen, of at least the last step, oldest first
         self._carried: deque[Sighting] = deque()  # and what was flown by between them
         self._bridge: Bridge | None = None  # from the newest one seen
+        self._strength = Strength()
         self._ages_ns: deque[int] = deque(maxlen=WINDOW)  # of the newest one seen, at ticks that brought one
         self._pressures = Past()
         self._velocities = (0.0, 0.0, 0.0)  # cart, tip y, tip z
@@ -61,6 +62,7 @@ class Observer:
             self._recent.extend(self.seen)
             self._ages_ns.append(inputs.t_ns - self.seen[-1].t_ns)
             self._bridge = None
+            self._strength.see(self.seen[-1], self._readings())
         self._show(inputs.t_ns)
         self._compare()
 
@@ -94,9 +96,11 @@ class Observer:
             before = self._step_before(newest)
             if before is None:
                 return None
-            readings = Readings(self.alignment.axis, self._pressures, self.alignment.lag_ns or 0)
-            self._bridge = Bridge(before, newest, readings)
+            self._bridge = Bridge(before, newest, self._readings(), self._strength.value)
         return self._bridge.at(until_ns)
+
+    def _readings(self) -> Readings:
+        return Readings(self.alignment.axis, self._pressures, self.alignment.lag_ns or 0)
 
     def _step_before(self, shown: Sighting) -> Sighting | None:
         """Most nearly a control step before."""

@@ -5,7 +5,7 @@ import math
 import pytest
 
 from softarm.daemon.control.alignment import Past
-from softarm.daemon.control.bridge import Bridge, Readings, Sighting, TipModel
+from softarm.daemon.control.bridge import Bridge, Readings, Sighting, Strength, TipModel
 from softarm.daemon.control.observer import Observer
 from softarm.daemon.control.records import Inputs
 from softarm.daemon.shell.offline import Lockstep
@@ -20,10 +20,10 @@ TICK_NS = 33_333_333
 HINGE_M = 0.965
 
 
-def swing(lag_ns=0, cart_off_m=0.0, read_until_ns=10**12):
+def swing(lag_ns=0, cart_off_m=0.0, read_until_ns=10**12, strength=1.0, angle=0.3):
     """A robot that is as the model says: sightings every 8 ms, axis and pressure read beside them."""
     model, axis, pressure = TipModel(), Past(), Past()
-    angle, rate, seen = 0.3, -1.0, []
+    rate, seen = -1.0, []
     for step in range(60):
         t_ns = round(step * 1e9 / 120)
         cart_m, cart_m_s, cart_m_s2 = (
@@ -39,7 +39,7 @@ def swing(lag_ns=0, cart_off_m=0.0, read_until_ns=10**12):
         cart_y_m = cart_m + cart_off_m
         tip = (cart_y_m + length * math.sin(angle), HINGE_M - length * math.cos(angle))
         seen.append(Sighting(t_ns + lag_ns, cart_y_m, *tip))
-        rate += model.acceleration_rad_s2(angle, rate, kpa, cart_m_s2) / 120
+        rate += (strength * model.own_rad_s2(angle, rate, kpa) + model.pulled_rad_s2(angle, cart_m_s2)) / 120
         angle += rate / 120
     return seen, Readings(axis, pressure, lag_ns)
 
@@ -56,6 +56,31 @@ def test_a_robot_that_is_as_the_model_says_is_carried_on_to_a_millimetre(lag_ms,
     bridge = Bridge(seen[16], seen[20], readings)
     for then in (seen[24], seen[28], seen[32], seen[40]):
         assert off_m(bridge.at(then.t_ns), then) < 0.003
+
+
+@pytest.mark.parametrize("strength", [0.75, 1.0, 1.2])
+def test_the_arms_strength_is_told_from_its_swing(strength):
+    seen, readings = swing(strength=strength, angle=0.9)
+    told = Strength()
+    for sighting in seen[::4]:
+        told.see(sighting, readings)
+    assert told.value == pytest.approx(strength, abs=0.05)
+
+
+def test_an_arm_at_rest_tells_no_strength_and_a_gap_is_not_differenced_over():
+    seen, readings = swing()
+    told = Strength()
+    for sighting in (seen[0], seen[4], seen[30], seen[34]):
+        told.see(sighting, readings)
+    assert told.value == 1.0
+    still, axis, pressure = Strength(), Past(), Past()
+    for tick in range(30):
+        axis.add(tick * TICK_NS, 0.0)
+        pressure.add(tick * TICK_NS, 0.0)
+        angle = TipModel().offset_rad_s2 / TipModel().stiffness_1_s2 + 1e-3 * (tick % 2)
+        hanging = Sighting(tick * TICK_NS, 0.0, 0.44 * math.sin(angle), HINGE_M - 0.44 * math.cos(angle))
+        still.see(hanging, Readings(axis, pressure, 0))
+    assert still.value == pytest.approx(1.0, abs=0.1)
 
 
 def test_where_axis_or_pressure_is_silent_too_nothing_is_carried_on():
