@@ -32,14 +32,14 @@ def test_the_defaults_are_sound():
     [
         (
             "drivers: {rail: {acceleration_m_s2: 3}}",
-            f"1: {RAIL}: limits.rail.braking_m_s2 is 3.0, above {RAIL} 3.0 less the arm's pull of 1.5 (limits.rail."
-            "surge_m_s2 9.0 less the ramp, at most half of it): the cart cannot brake so hard; "
+            f"1: {RAIL}: limits.rail.braking_m_s2 is 1.7, above {RAIL} 3.0 less the arm's pull of 1.5 (limits.rail."
+            "surge_m_s2 10.5 less the ramp, at most half of it): the cart cannot brake so hard; "
             "lower braking_m_s2 to 1.5, or raise the ramp",
         ),
         (
             "limits: {rail: {braking_m_s2: 3.5}}",
             f"1: limits.rail.braking_m_s2: is 3.5, above {RAIL} 6.0 less the arm's pull of 3 (limits.rail.surge_m_s2 "
-            "9.0 less the ramp, at most half of it): the cart cannot brake so hard; "
+            "10.5 less the ramp, at most half of it): the cart cannot brake so hard; "
             "lower braking_m_s2 to 3, or raise the ramp",
         ),
         (
@@ -48,9 +48,9 @@ def test_the_defaults_are_sound():
             "counted on; raise surge_m_s2 to 6.0 and the arm's pull, or lower the ramp",
         ),
         (
-            "drivers: {rail: {quick_stop_m_s2: 2}}",
-            "1: drivers.rail.quick_stop_m_s2: is 2.0, below limits.rail.braking_m_s2 3.0: an emergency stop would "
-            "brake less than is counted on; raise quick_stop_m_s2 to 3.0 or more",
+            "drivers: {rail: {quick_stop_m_s2: 1.5}}",
+            "1: drivers.rail.quick_stop_m_s2: is 1.5, below limits.rail.braking_m_s2 1.7: an emergency stop would "
+            "brake less than is counted on; raise quick_stop_m_s2 to 1.7 or more",
         ),
         (
             "limits: {rail: {latency_s: 0}}",
