@@ -140,14 +140,14 @@ def test_braking_begins_at_the_braking_distance(age_s):
 
 
 def test_after_a_pause_the_link_has_braked_and_that_counts():
-    """From 0.9 m/s, the cart may stand already or still roll: no more speed passes than if it rolled."""
-    seen = read(0.02, 0.9, -SOON_NS)
-    fresh, _ = under_way(0.9).apply(Command(True, 0.9, 0.0), seen, 0)
-    later, _ = under_way(0.9).apply(Command(True, 0.9, 0.0), seen, 4 * SOON_NS)
-    never, _ = under_way(0.9).apply(Command(True, 0.9, 0.0), replace(seen, position_m=-0.2), 4 * SOON_NS)
-    assert fresh.cart_velocity_m_s < 0.9
-    assert later.cart_velocity_m_s < 0.9
-    assert never.cart_velocity_m_s == 0.9
+    """From 0.5 m/s, the cart may stand already or still roll: no more speed passes than if it rolled."""
+    seen = read(0.13, 0.5, -SOON_NS)
+    fresh, _ = under_way(0.5).apply(Command(True, 0.5, 0.0), seen, 0)
+    later, _ = under_way(0.5).apply(Command(True, 0.5, 0.0), seen, 4 * SOON_NS)
+    never, _ = under_way(0.5).apply(Command(True, 0.5, 0.0), replace(seen, position_m=-0.2), 4 * SOON_NS)
+    assert fresh.cart_velocity_m_s < 0.5
+    assert later.cart_velocity_m_s < 0.5
+    assert never.cart_velocity_m_s == 0.5
 
 
 def test_a_reading_that_is_too_old_is_none():
@@ -252,4 +252,4 @@ def test_on_the_simulated_robot_no_policy_passes_the_limits(kind):
         for start in (-0.2, 0.0, 0.2):
             flight = flights.fly(Goal("reach", 0.59, 0.51), start)
             assert flight.status.state == "failed"  # out of time, not stopped by the failsafe
-            assert 0.15 < flight.max_cart_m <= 0.25
+            assert 0.1 < flight.max_cart_m <= 0.25
