@@ -27,7 +27,7 @@ class RailLimits(Strict):
     # The drive's own ramp is refused above this; a drive without one has its set-points slewed at it.
     acceleration_max_m_s2: Annotated[float, Field(gt=0, le=20.0)] = 6.0
     # What speeding up and braking are counted on. The swinging arm pulls the cart along either way: an arm that is
-    # swung up on purpose leaves little of the ramp for a tenth of a second (python -m softarm.benchmarks.adversary).
+    # swung up on purpose leaves little of the ramp for a tenth of a second.
     surge_m_s2: Annotated[float, Field(gt=0, le=40.0)] = 10.5
     braking_m_s2: Annotated[float, Field(gt=0, le=20.0)] = 1.7
     # From the tick that decides on a command to its effect on the cart, at most.
