@@ -30,8 +30,8 @@ def found(config: Config, seen: Measured) -> RailFindings:
         (measured(0.0333, 3.5, 8.0), {}),
         (measured(0.041, 3.0, 9.0, surely=0.036), {}),  # within what a step may be misjudged by
         (measured(0.0571, 3.5, 8.0, surely=0.052), {"latency_s": 0.058}),
-        (measured(0.01, 1.73, 8.0), {"braking_m_s2": 1.7}),
-        (measured(0.01, 2.9, 10.31), {"surge_m_s2": 10.4}),
+        (measured(0.01, 1.43, 8.0), {"braking_m_s2": 1.4}),
+        (measured(0.01, 2.9, 11.31), {"surge_m_s2": 11.4}),
         (measured(None, None, None), {}),
     ],
 )
