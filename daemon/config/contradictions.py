@@ -7,6 +7,7 @@ readable, whatever it says.
 from collections.abc import Iterator
 
 from softarm.daemon.control.checks import OUTSIDE_M
+from softarm.daemon.control.safety import KNOWN_S
 from softarm.schemas.config import Config
 from softarm.schemas.robot import RAIL_TRAVEL_M
 
@@ -80,6 +81,17 @@ def _times(config: Config) -> Iterator[str]:
         yield (
             f"drivers.rail.time_to_live_s is {rail.time_to_live_s}, not above drivers.rail.hold_s {rail.hold_s}: the "
             f"drive would be switched off before it is braked; raise it to {max(0.15, 2 * rail.hold_s):g}"
+        )
+    if rail.timeout_s >= rail.time_to_live_s:
+        yield (
+            f"drivers.rail.timeout_s is {rail.timeout_s}, not below drivers.rail.time_to_live_s {rail.time_to_live_s}: "
+            f"the link would still wait for an answer when it has to switch the drive off; lower it to "
+            f"{min(0.1, 0.5 * rail.time_to_live_s):g}"
+        )
+    if failsafe.rail_stale_s > KNOWN_S:
+        yield (
+            f"failsafe.rail_stale_s is {failsafe.rail_stale_s}, above {KNOWN_S}: the safety filter brakes for a "
+            f"reading of the axis that is older than that, and nothing would say why; lower it to {KNOWN_S} or less"
         )
     for key, device, stale_s in (
         ("mocap_stale_s", "motion capture", failsafe.mocap_stale_s),

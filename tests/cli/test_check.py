@@ -127,14 +127,14 @@ def logs(tmp_path_factory):
 @pytest.mark.slow
 def test_logs_say_where_a_configuration_is_milder_than_the_robot_was(logs, tmp_path):
     path = tmp_path / "arm.yaml"
-    path.write_text("limits:\n  rail:\n    latency_s: 0.02\n")
+    path.write_text("limits:\n  rail:\n    latency_s: 0.02\n    braking_m_s2: 3\n    surge_m_s2: 9\n")
     result = CliRunner().invoke(main, ["check", str(path), "--logs", str(logs)])
     assert result.exit_code == 1
     latency, braking = result.stderr.splitlines()
     assert latency.startswith(f"{path}:3: limits.rail.latency_s: is 0.02, milder than the robot in {logs}: 9")
     assert "% of set-point steps act within 0.06" in latency
     assert "; raise it to 0.06" in latency
-    assert braking.startswith(f"{path}: limits.rail.braking_m_s2: is 3, milder than the robot in {logs}: 9")
+    assert braking.startswith(f"{path}:4: limits.rail.braking_m_s2: is 3, milder than the robot in {logs}: 9")
     assert "; lower it to " in braking
     assert "the rail" in result.stdout
     path.write_text("limits:\n  rail: {latency_s: 0.075, braking_m_s2: 1}\n")

@@ -79,7 +79,17 @@ def test_the_defaults_are_sound():
             "be braked between two set-points; raise it to 0.045 or remove the line",
         ),
         (
-            "drivers: {rail: {hold_s: 0.1, time_to_live_s: 0.1}}",
+            "drivers: {rail: {timeout_s: 0.4, time_to_live_s: 0.3}}",
+            "1: drivers.rail.timeout_s: is 0.4, not below drivers.rail.time_to_live_s 0.3: the link would still wait "
+            "for an answer when it has to switch the drive off; lower it to 0.1",
+        ),
+        (
+            "failsafe: {rail_stale_s: 0.6}",
+            "1: failsafe.rail_stale_s: is 0.6, above 0.5: the safety filter brakes for a reading of the axis that is "
+            "older than that, and nothing would say why; lower it to 0.5 or less",
+        ),
+        (
+            "drivers: {rail: {hold_s: 0.1, time_to_live_s: 0.1, timeout_s: 0.05}}",
             "1: drivers.rail.time_to_live_s: is 0.1, not above drivers.rail.hold_s 0.1: the drive would be switched "
             "off before it is braked; raise it to 0.2",
         ),

@@ -11,6 +11,9 @@ from softarm.daemon.limits.findings import RailFindings, compared, findings
 from softarm.daemon.limits.measured import Bound, Measured
 from softarm.schemas.config import Config
 
+# The rail's limits of most tests, whatever the defaults are.
+CONFIG = Config.model_validate({"limits": {"rail": {"latency_s": 0.0333, "braking_m_s2": 3.0, "surge_m_s2": 9.0}}})
+
 
 def measured(latency=None, braking=None, surge=None, surely=None, ramp=6.0) -> Measured:
     def bound(value):
@@ -36,7 +39,7 @@ def found(config: Config, seen: Measured) -> RailFindings:
     ],
 )
 def test_what_is_milder_than_the_robot_was_is_rounded_to_the_safe_side(seen, advised):
-    rows = compared(seen, Config())
+    rows = compared(seen, CONFIG)
     assert {row.key: row.advised for row in rows if row.milder} == advised
 
 
@@ -71,7 +74,7 @@ def test_braking_that_a_new_surge_contradicts_is_lowered_with_it(tmp_path):
 @pytest.mark.parametrize(
     "config",
     [
-        {},
+        {"limits": {"rail": {"braking_m_s2": 3.0, "surge_m_s2": 9.0}}},
         {"limits": {"rail": {"braking_m_s2": 1.4}}, "drivers": {"rail": {"acceleration_m_s2": 3.0}}},
         {
             "limits": {"rail": {"acceleration_max_m_s2": 9.0, "surge_m_s2": 8.5, "braking_m_s2": 7.0}},
@@ -91,12 +94,12 @@ def test_a_patch_is_a_configuration_that_check_accepts(tmp_path, config, seen):
 
 
 def test_what_no_allowed_value_covers_is_said_and_stays(tmp_path):
-    result = found(Config(), measured(0.03, -0.4, 9.0))
+    result = found(CONFIG, measured(0.03, -0.4, 9.0))
     braking = next(row for row in result.rows if row.key == "braking_m_s2")
     assert (braking.milder, braking.advised) == (True, None)
     assert "see to the drive" in braking.advice
     assert "# no allowed value covers it" in result.patch()
-    assert result.patched == Config()
+    assert result.patched == CONFIG
 
 
 def test_too_little_data_says_how_much_and_how_to_get_it(cart):

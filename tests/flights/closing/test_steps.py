@@ -25,7 +25,7 @@ from softarm.training.run.warm_start import load_weights
 
 pytestmark = pytest.mark.slow
 
-CAREFUL = Config(limits=Limits(rail=RailLimits(surge_m_s2=9.5)))
+CAREFUL = Config(limits=Limits(rail=RailLimits(braking_m_s2=3.0, surge_m_s2=9.0)))
 SEEN = Measured(
     *(Bound(value, 0.97, value, 100, 50.0) for value in (0.05, 0.05, 2.6, 8.0)), 6.0, 100, 100, 100, 1, 50.0, ()
 )
@@ -76,7 +76,7 @@ def test_a_named_effect_is_patched_trained_on_and_flown(tmp_path):
     assert new.metadata.training["model.sha256"] == model_file.fingerprint(LATE)
     # What the campaign showed of the rail is what the policy trained under, and what its owner is handed.
     patched = RAIL.patched.limits.rail
-    assert (patched.latency_s, patched.braking_m_s2, patched.surge_m_s2) == (0.05, 2.6, 9.5)
+    assert (patched.latency_s, patched.braking_m_s2, patched.surge_m_s2) == (0.05, 2.6, 9.0)
     assert load(out / "limits-patch.yaml").limits.rail == patched
     for key in ("latency_s", "braking_m_s2", "surge_m_s2"):
         assert new.metadata.training[f"task.rail_{key}"] == getattr(patched, key)
