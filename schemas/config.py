@@ -216,7 +216,7 @@ class Recorder(Strict):
     # Of a disarmed arm at which nothing changes one tick so often, 0 for all; around a change all, before and after.
     idle_interval_s: Annotated[float, Field(ge=0, le=3600)] = 5.0
     around_s: Annotated[float, Field(ge=0.5, le=60)] = 5.0
-    # A new file once one is so large or so old, as soon as the arm is disarmed.
+    # A new file once one is so large or so old, as soon as no goal is flown.
     file_max_mb: Annotated[int, Field(ge=1, le=1_000_000)] = 500
     file_max_days: Annotated[float, Field(gt=0, le=365)] = 1.0
     # The oldest logs are deleted beyond this; without a number none ever is.

@@ -8,6 +8,7 @@ MOCAP, PRESSURE, RAIL, REQUEST, TICK = "/mocap", "/pressure", "/rail", "/request
 
 # Metadata records. A later record of the same name replaces the earlier one from there on.
 CONFIGURATION, SOFTWARE, MACHINE, CLOCK, POLICY = "configuration", "software", "machine", "clock", "policy"
+RUN = "run"  # of the daemon, and which part of it the file is: "id", "part" from "1"
 
 
 class LogEntry(Strict):

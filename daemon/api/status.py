@@ -19,8 +19,11 @@ class RecorderState(Protocol):
     """What the API shows of the recorder."""
 
     path: Path | None
-    dropped: int
     problem: str | None
+
+    @property
+    def dropped(self) -> int:
+        """Ticks that could not be kept."""
 
 
 @dataclass(frozen=True, slots=True)

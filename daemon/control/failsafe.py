@@ -274,7 +274,7 @@ TABLE: dict[str, Rule] = {
         Response.WARN,
         False,
         "the recorder lost messages",
-        "check the disk's speed and free space",
+        "check the disk's speed and free space; the service's log says what could not be written",
     ),
 }
 

@@ -1,6 +1,7 @@
 """Logs read back as ticks, also those of a daemon that was killed."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from itertools import pairwise
 from pathlib import Path
 
 from softarm.daemon.control.records import Inputs, Outputs, TickTiming
@@ -62,3 +63,19 @@ def read(path: Path | str) -> TickLog:
     Raises LogError when there is no such file or it is not MCAP.
     """
     return TickLog.open(path)
+
+
+def parts(paths: Sequence[Path]) -> list[TickLog]:
+    """Open the logs that one run of the daemon has left, in their order; a single log is one.
+
+    Raises LogError as `read` does, and when they are not parts of one run, or not in their order.
+    """
+    opened = [read(path) for path in paths]
+    for earlier, later in pairwise(opened):
+        before, after = (each.metadata.get(log.RUN, {}) for each in (earlier, later))
+        if not before or before.get("id") != after.get("id") or int(before["part"]) >= int(after["part"]):
+            raise LogError(
+                f"{later.path}: does not follow {earlier.path} in one run of the daemon; name the logs of one run, in "
+                "their order, or one alone"
+            )
+    return opened

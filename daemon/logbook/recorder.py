@@ -1,15 +1,16 @@
 """The black box: frames and ticks into MCAP files, never holding up the loop.
 
-The loop only appends to a bounded queue. One thread encodes and writes, and begins a new file when one is full or when
-a disk that failed is there again. It hands its bytes to the system every flush interval, so a daemon that is killed
-loses no more of a flight than that, and to the disk once a second.
+The loop only appends to a bounded queue. One thread encodes and writes, and begins a new file when one is full, also in
+flight (the queue waits for it), or when a disk that failed is there again. It hands its bytes to the system every flush
+interval, so a daemon that is killed loses no more of a flight than that, and to the disk once a second.
 """
 
 import logging
+import secrets
 import threading
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO
@@ -30,6 +31,7 @@ log = logging.getLogger(__name__)
 PACKAGES = ("numpy", "onnxruntime", "pyserial", "eclipse-zenoh", "pydantic", "mcap", "fastapi", "uvicorn")
 FINISH_S = 5.0  # a log that takes longer to finish at stop is finished at the next start
 RETRY_S = 2.0  # a disk that failed is looked at so often
+OVERFULL = 1.1  # of file_max_mb: no longer does a full file wait for the end of a goal, whose policy remembers the past
 BREATH_RECORDS, BREATH_S = 20, 0.002  # tidying old logs gives the interpreter back this often
 
 Clock = Callable[[], int]
@@ -68,9 +70,18 @@ class Recorder:
         self._tidier: threading.Thread | None = None
         self._policy = policy
         self._thinning = Thinning(self._settings.idle_interval_s, self._settings.around_s)
+        self._run, self._parts = secrets.token_hex(8), 0  # one run may leave several files
+        self._refused = 0  # ticks that the loop could not leave here
+        self._lost = 0  # ticks that the writer took and could not write
+        self._in_goal = False  # a policy flies one
+        self._next_try_s = 0.0  # to begin the next file
         self.path: Path | None = None  # of the log being written
-        self.dropped = 0  # ticks that could not be kept, since start
         self.problem: str | None = None  # why nothing is written now
+
+    @property
+    def dropped(self) -> int:
+        """Ticks that could not be kept, since start."""
+        return self._refused + self._lost
 
     def start(self) -> None:
         """Open the log and begin; nothing when `recorder.enabled` is false.
@@ -99,7 +110,7 @@ class Recorder:
         if not self._settings.enabled:
             return
         if self.problem is not None or len(self._queue) >= self._settings.queue_max:
-            self.dropped += 1
+            self._refused += 1
         else:
             self._queue.append((inputs, outputs, timing))
 
@@ -129,32 +140,66 @@ class Recorder:
         """Write one file, from the first record to the finished file; the next one when it is full."""
         with file:
             live = TickFile(file)
-            live.head(self._config, self._policy, self._monotonic_ns(), self._wall_ns())
+            self._parts += 1
+            run = {"id": self._run, "part": str(self._parts)}
+            live.head(self._config, self._policy, self._monotonic_ns(), self._wall_ns(), run)
             self._thinning.begin()
             self._tidy_up(path)
+            full_bytes = self._settings.file_max_mb * 1e6
             end_ns = self._monotonic_ns() + round(self._settings.file_max_days * 86_400e9)
+
+            def ends() -> bool:
+                return self._may_part(file.tell() / full_bytes, self._monotonic_ns() >= end_ns)
+
             while not self._stopping.wait(self._settings.flush_interval_s):
-                self._drain(live)
-                full = file.tell() >= self._settings.file_max_mb * 1e6 or self._monotonic_ns() >= end_ns
-                if full and self._thinning.is_off:
-                    return folder.new_log(self._settings.directory, self._wall_ns())
+                if self._drain(live, ends) and (following := self._following()) is not None:
+                    return following
             self._drain(live)
             for tick in self._thinning.rest():
-                live.write(tick)
+                self._put(live, tick)
             live.flush()
             self._finish(path)  # while the file is open: its lock keeps others from doing the same
         return None
 
-    def _drain(self, live: "TickFile") -> None:
+    def _may_part(self, fullness: float, is_old: bool) -> bool:
+        """May the file end here? Where no policy flies a goal, if it can be: the next file is replayed by itself."""
+        due = fullness >= OVERFULL or ((fullness >= 1 or is_old) and not self._in_goal)
+        return due and time.monotonic() >= self._next_try_s
+
+    def _following(self) -> tuple[Path, BinaryIO] | None:
+        """The next file; None where it cannot be made: then the full one goes on, as long as it can."""
+        try:
+            return folder.new_log(self._settings.directory, self._wall_ns())
+        except OSError as error:
+            self._next_try_s = time.monotonic() + RETRY_S
+            log.warning("no next log: %s; %s goes on", folder.advice(self._settings.directory, error), self.path)
+            return None
+
+    def _drain(self, live: "TickFile", ends: Callable[[], bool] = lambda: False) -> bool:
+        """Write what is queued, or up to where the file ends: then it is True."""
         while self._queue:
             item = self._queue.popleft()
             if isinstance(item, _PolicyChange):
                 self._policy = item.spec
                 live.policy(item.spec)
                 continue
+            goal = item[1].goal
+            self._in_goal = goal.state == "running" and goal.goal is not None and goal.goal.kind != "hold"
             for tick in self._thinning.take(item):
-                live.write(tick)
+                self._put(live, tick)
+            if ends():
+                break
         live.flush()
+        return ends()
+
+    def _put(self, live: "TickFile", tick: Tick) -> None:
+        """Write a tick; one that cannot be encoded costs itself alone."""
+        try:
+            live.write(tick)
+        except ticks.EncodingError as error:
+            self._lost += 1
+            if self._lost & (self._lost - 1) == 0:  # the 1st, 2nd, 4th, ...: a fault in every tick floods nothing
+                log.error("%s: left out of the log, like %d before it", error, self._lost - 1)
 
     def _finish(self, path: Path) -> None:
         """Compress and index; a log that takes too long stays as it is, whole, until the next start."""
@@ -185,7 +230,7 @@ class Recorder:
             if isinstance(item, _PolicyChange):
                 self._policy = item.spec
             else:
-                self.dropped += 1
+                self._lost += 1
 
     def _when_it_can(self) -> tuple[Path, BinaryIO] | None:
         """Wait until a log can be written again; None when the recorder stops before."""
@@ -233,7 +278,14 @@ class TickFile(LiveFile):
         super().__init__(file, ticks.CHANNELS)
         self._splitter = ticks.Splitter()
 
-    def head(self, config: Config, policy: PolicySpec | None, monotonic_ns: int, wall_ns: int) -> None:
+    def head(
+        self,
+        config: Config,
+        policy: PolicySpec | None,
+        monotonic_ns: int,
+        wall_ns: int,
+        run: Mapping[str, str] | None = None,
+    ) -> None:
         """What a reader of the log has to know besides the ticks."""
         self.note(names.CONFIGURATION, {"json": config.model_dump_json()})
         self.note(names.SOFTWARE, revision.software(PACKAGES))
@@ -246,12 +298,14 @@ class TickFile(LiveFile):
                 "wall_minus_monotonic_ns": str(wall_ns - monotonic_ns),
             },
         )
+        if run is not None:
+            self.note(names.RUN, run)
         if policy is not None:
             self.policy(policy)
         self.flush()
 
     def write(self, tick: Tick) -> None:
-        """One tick."""
+        """One tick, whole or not at all. Raises EncodingError."""
         for message in self._splitter.split(*tick):
             self.add(message)
 

@@ -29,17 +29,12 @@ class Thinning:
         self._written: Inputs | None = None  # of the newest tick that was written
         self._frame: MocapFrame | None = None  # the newest up to there
         self._all_until_ns = 0
-        self.is_off = False  # the drive has been off for `around_s`: a new file may begin
-        self._on_ns = 0  # when it was on last
 
     def take(self, tick: Tick) -> list[Tick]:
         """One more. What is due: usually this very tick, of a still arm seldom one, at a change all that led to it."""
         inputs, outputs, _ = tick
         if self._interval_ns == 0 or self._is_news(inputs, outputs):
             self._all_until_ns = inputs.t_ns + self._around_ns
-        if outputs.sent.enable or outputs.mode not in OFF or not self._on_ns:
-            self._on_ns = inputs.t_ns
-        self.is_off = inputs.t_ns - self._on_ns > self._around_ns
         self._waiting.append(tick)
         if inputs.t_ns <= self._all_until_ns:
             return self.rest()

@@ -65,6 +65,10 @@ TICK = LogChannel(log.TICK, TickRecord)
 CHANNELS: tuple[LogChannel[Any], ...] = (MOCAP, PRESSURE, RAIL, REQUEST, TICK)
 
 
+class EncodingError(Exception):
+    """A tick that cannot be written as JSON; names it."""
+
+
 class Splitter:
     """Takes ticks apart into messages."""
 
@@ -72,8 +76,15 @@ class Splitter:
         self._pressure: PressureReading | None = None  # the last one written
         self._rail: RailReading | None = None
 
-    def split(self, inputs: Inputs, outputs: Outputs, timing: TickTiming) -> Iterator[LogMessage]:
-        """The messages of a tick, /tick last. Raises what pydantic raises on a field of a wrong type."""
+    def split(self, inputs: Inputs, outputs: Outputs, timing: TickTiming) -> tuple[LogMessage, ...]:
+        """The messages of a tick, /tick last; all of them or, raising EncodingError, none."""
+        try:
+            return tuple(self._split(inputs, outputs, timing))
+        except Exception as error:  # pydantic raises many
+            self._pressure = self._rail = None  # were not written: the next tick does
+            raise EncodingError(f"tick {outputs.tick}: {type(error).__name__} ({error})") from error
+
+    def _split(self, inputs: Inputs, outputs: Outputs, timing: TickTiming) -> Iterator[LogMessage]:
         now = inputs.t_ns
         for frame in inputs.mocap:
             yield LogMessage(MOCAP.topic, frame.t_receive_ns, frame.t_capture_ns, MOCAP.encode(frame))

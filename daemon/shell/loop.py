@@ -44,8 +44,11 @@ class Devices:
 class TickRecorder(Protocol):
     """Takes every tick without blocking."""
 
-    dropped: int
     problem: str | None
+
+    @property
+    def dropped(self) -> int:
+        """Ticks that could not be kept, since start."""
 
     def tick(self, inputs: Inputs, outputs: Outputs, timing: TickTiming) -> None:
         """Keep a tick."""

@@ -2,7 +2,7 @@
 
 Where ticks are missing (of a still arm that was switched off, most are; a log may begin in the middle of a run) the
 controller is put where the log says it stood. A few ticks later it has seen all that a tick remembers of the devices,
-and is compared again.
+and is compared again; where a goal was flown, once that is over, for its policy remembers more.
 """
 
 import math
@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from softarm.daemon.control.checks import DISAGREEING_TICKS
 from softarm.daemon.control.plausibility import WINDOW
 from softarm.daemon.control.records import Inputs, Outputs
+from softarm.daemon.control.safety import KNOWN_S
 from softarm.daemon.tick import Controller
 from softarm.policies.base import Array, Policy
 from softarm.policies.runner import InlineRunner, PolicyOutcome, PolicyRunner
@@ -87,15 +88,20 @@ def replay(ticks: Iterable[tuple[Inputs, Outputs]], config: Config, load: Callab
 
     # A pair of readings that disagrees counts for so long, a frame that cannot be true, and one is differenced over.
     memory = max(DISAGREEING_TICKS, WINDOW, math.ceil(config.failsafe.mocap_stale_s * config.control.rate_hz) + 1)
+    # What was sent may matter to the safety filter for so long.
+    sent_s = KNOWN_S + config.drivers.rail.hold_s + config.limits.rail.latency_s
+    sent_memory = memory + math.ceil(sent_s * config.control.rate_hz)
     controller: Controller | None = None
     before: Outputs | None = None
     differences: list[Difference] = []
     gaps: list[Gap] = []
     number = compared = unsure = 0
+    unknown: int | None = None  # the goal that was flown at a gap: what its policy remembers of before is not known
     for inputs, recorded in ticks:
+        flown = _flown(recorded)
         if (gap := _gap(before, recorded)) is not None:
             gaps.append(gap)
-            unsure = memory
+            unsure, unknown = sent_memory if gap.armed else memory, flown
         if controller is None:
             controller = Controller(config, runner(config.control.policy if gap is None else recorded.policy))
         changes: dict[int, PolicyRunner] = {
@@ -105,8 +111,9 @@ def replay(ticks: Iterable[tuple[Inputs, Outputs]], config: Config, load: Callab
             known.recorded = recorded
         replayed = controller.tick(inputs, changes)
         number, before = number + 1, recorded
-        if unsure:
-            unsure -= 1
+        if unsure or unknown is not None:
+            unsure = max(unsure - 1, 0)
+            unknown = unknown if flown == unknown else None
             controller.resume(recorded)
             continue
         compared += 1
@@ -116,6 +123,12 @@ def replay(ticks: Iterable[tuple[Inputs, Outputs]], config: Config, load: Callab
             if not _same(was := getattr(recorded, name), now := getattr(replayed, name))
         ]
     return Replayed(number, compared, differences, gaps)
+
+
+def _flown(recorded: Outputs) -> int | None:
+    """Number of the goal that a policy flew in a tick."""
+    goal = recorded.goal
+    return goal.number if goal.state == "running" and goal.goal is not None and goal.goal.kind != "hold" else None
 
 
 def _gap(before: Outputs | None, recorded: Outputs) -> Gap | None:

@@ -13,14 +13,15 @@ from pathlib import Path
 import pytest
 from mcap.reader import make_reader
 
-from softarm.daemon.control.records import EStop, Inputs, Mode, Outputs, TickTiming
+from softarm.daemon.control.records import EStop, Inputs, Mode, Outputs, Problems, TickTiming
 from softarm.daemon.logbook import folder, logs
 from softarm.daemon.logbook.recorder import Recorder, RecorderError, TickFile
 from softarm.policies.base import PolicySpec
 from softarm.recordings import finishing
 from softarm.recordings.mcap_file import is_finished
 from softarm.schemas.config import Config
-from softarm.schemas.messages import MocapFrame, Pose
+from softarm.schemas.goals import Goal, GoalStatus
+from softarm.schemas.messages import MocapFrame, Pose, PressureReading
 
 SPEC = PolicySpec("reach", "swings", sha256="ab" * 32)
 
@@ -207,38 +208,106 @@ def test_recording_goes_on_in_a_new_file_when_there_is_room_again(tmp_path, disk
     assert [o.tick for o in logs.read(first).outputs()] == [0]
 
 
+def flown(number: int, goal: str | None = None) -> tuple[Inputs, Outputs, TickTiming]:
+    """A tick of an armed arm, which flies a goal of this kind."""
+    inputs, outputs, timing = make_tick(number)
+    status = GoalStatus() if goal is None else GoalStatus(Goal(goal, -0.2, 0.6), "running")
+    return inputs, dataclasses.replace(outputs, mode=Mode.ARMED, goal=status), timing
+
+
+def stop_when_written(recorder: Recorder) -> None:
+    """What is queued at the end is written into the last file, however much it is."""
+    wait_for(lambda: not recorder._queue, "the queue")
+    recorder.stop()
+
+
+def parts(directory: Path) -> list[list[int]]:
+    """The ticks of each log, in the order of the run."""
+    found = sorted(map(logs.read, directory.glob("*.mcap")), key=lambda each: int(each.metadata["run"]["part"]))
+    assert len({each.metadata["run"]["id"] for each in found}) == 1
+    assert all(each.metadata["policy"]["name"] == "reach" for each in found)
+    return [[outputs.tick for outputs in each.outputs()] for each in found]
+
+
 @pytest.mark.slow
-def test_a_full_file_is_followed_by_another_once_the_drive_has_been_off_for_a_while(tmp_path):
-    recorder = Recorder(config(tmp_path, file_max_mb=1, around_s=2.0, idle_interval_s=5), SPEC)
+@pytest.mark.parametrize("goal", [None, "hold"])
+def test_a_run_of_days_in_flight_leaves_files_of_a_bounded_size_and_no_tick_out(tmp_path, goal):
+    recorder = Recorder(config(tmp_path, file_max_mb=1), SPEC)
+    recorder.start()
+    for number in range(1, 1501):
+        recorder.tick(*flown(number, goal))
+    stop_when_written(recorder)
+    ticks = parts(tmp_path)
+    assert len(ticks) >= 3
+    assert [number for part in ticks for number in part] == list(range(1, 1501))
+    assert all(abs(len(part) - len(ticks[0])) < 5 for part in ticks[:-1])
+    assert recorder.dropped == 0
+
+
+@pytest.mark.slow
+def test_a_full_file_waits_for_the_end_of_a_goal_but_not_for_ever(tmp_path):
+    recorder = Recorder(config(tmp_path, file_max_mb=1), SPEC)
+    recorder.start()
+    for number in range(1, 1501):  # a goal begins before the file is full, and ends a little after
+        recorder.tick(*flown(number, "reach" if 300 <= number < 1400 else None))
+    stop_when_written(recorder)
+    first, *others = parts(tmp_path)
+    assert 300 < len(first) < 1400
+    recorder = Recorder(config(tmp_path / "short", file_max_mb=1), SPEC)
+    recorder.start()
+    full = round(len(first) / 1.1)
+    for number in range(1, 1001):
+        recorder.tick(*flown(number, "reach" if 300 <= number < full + 10 else None))
+    stop_when_written(recorder)
+    assert parts(tmp_path / "short")[0][-1] == full + 10  # the first tick in which no policy flew
+    assert [number for part in (first, *others) for number in part] == list(range(1, 1501))
+
+
+@pytest.mark.slow
+def test_a_full_file_goes_on_while_no_other_can_be_begun(tmp_path, disk, monkeypatch):
+    recorder = Recorder(config(tmp_path, file_max_mb=1), SPEC)
     recorder.start()
     first = recorder.path
-    for number in range(1, 1001):
-        inputs, outputs, timing = make_tick(number)
-        recorder.tick(inputs, dataclasses.replace(outputs, mode=Mode.ARMED), timing)
+    new_log = folder.new_log
+    monkeypatch.setattr(folder, "new_log", lambda *_: (_ for _ in ()).throw(OSError(28, "No space left on device")))
+    for number in range(1, 801):
+        recorder.tick(*flown(number))
     wait_for(lambda: first.stat().st_size > 1_500_000, "a file that is more than full")
-    wait_for(lambda: not recorder._queue, "the queue")
-    assert recorder.path == first  # a flight is not parted
-    for number in range(1001, 1071):
-        recorder.tick(*make_tick(number))
+    assert (recorder.path, recorder.problem) == (first, None)
+    monkeypatch.setattr(folder, "new_log", new_log)
+    recorder.tick(*flown(801))
     wait_for(lambda: recorder.path != first, "the next file")
-    recorder.tick(*make_tick(1071))
-    wait_for(lambda: logs.read(recorder.path).t_last_ns == make_tick(1071)[0].t_ns, "its first ticks, at once")
-    wait_for(lambda: is_finished(first), "the first one to be finished")
     recorder.stop()
-    parts = [[o.tick for o in logs.read(path).outputs()] for path in (first, recorder.path)]
-    assert parts[0] + parts[1] == list(range(1, 1072))
-    assert len(parts[0]) > 1000
-    assert logs.read(recorder.path).metadata["policy"]["name"] == "reach"
+    assert [number for part in parts(tmp_path) for number in part] == list(range(1, 802))
 
 
-def test_a_tick_that_cannot_be_encoded_is_a_problem_not_a_crash(tmp_path):
-    recorder = Recorder(config(tmp_path))
+def test_a_tick_that_cannot_be_encoded_costs_itself_alone_and_is_counted(tmp_path, caplog):
+    recorder = Recorder(config(tmp_path), SPEC)
     recorder.start()
-    inputs, _, timing = make_tick(0)
-    recorder.tick(inputs, "not outputs", timing)
-    wait_for(lambda: recorder.problem is not None, "the problem")
-    assert "in the recorder" in recorder.problem
+    reading = PressureReading(1, 0.5, False)
+    for number in range(1, 11):
+        inputs, outputs, timing = make_tick(number)
+        wrong = {"problems": Problems(rail="\ud800")} if number in (1, 5, 6) else {}
+        recorder.tick(dataclasses.replace(inputs, pressure=reading, **wrong), outputs, timing)
     recorder.stop()
+    assert (recorder.dropped, recorder.problem) == (3, None)
+    ticks = list(logs.read(recorder.path))
+    assert [outputs.tick for _, outputs, _ in ticks] == [2, 3, 4, 7, 8, 9, 10]
+    assert all(inputs.pressure == reading and len(inputs.mocap) == 4 for inputs, _, _ in ticks)
+    assert "tick 1: PydanticSerializationError" in caplog.text
+    assert "left out of the log, like 1 before it" in caplog.text
+
+
+def test_a_frame_that_cannot_be_encoded_takes_its_tick_along_for_a_reader_counts_them(tmp_path):
+    recorder = Recorder(config(tmp_path), SPEC)
+    recorder.start()
+    for number in range(1, 4):
+        inputs, outputs, timing = make_tick(number)
+        frames = (*inputs.mocap[:2], None, inputs.mocap[3]) if number == 2 else inputs.mocap
+        recorder.tick(dataclasses.replace(inputs, mocap=frames), outputs, timing)
+    recorder.stop()
+    assert [outputs.tick for outputs in logs.read(recorder.path).outputs()] == [1, 3]
+    assert recorder.dropped == 1
 
 
 def test_switched_off_it_writes_nothing(tmp_path):

@@ -81,7 +81,6 @@ def test_a_flight_is_kept_whole_however_long(still):
     flown = [tick(n, mode=Mode.ARMED, sent=Command(True, 0.0, 0.0)) for n in range(1001, 2001)]
     kept = [number for each in flown for number in numbers(still.take(each))]
     assert kept[-1000:] == list(range(1001, 2001))
-    assert not still.is_off
 
 
 def test_sentences_that_count_are_no_change(still):
@@ -106,15 +105,6 @@ def test_ticks_come_out_in_their_order_each_once_and_the_rest_at_the_end(still):
 def test_an_interval_of_none_keeps_every_tick():
     thinning = Thinning(0.0, 1.0)
     assert [number for n in range(1, 500) for number in numbers(thinning.take(tick(n)))] == list(range(1, 500))
-
-
-def test_the_drive_is_off_for_long_once_all_around_a_flight_is_written():
-    thinning = Thinning(1.0, 1.0)
-    assert thinning.take(tick(1, mode=Mode.ARMED))
-    thinning.take(tick(30))
-    assert not thinning.is_off
-    thinning.take(tick(31))
-    assert thinning.is_off
 
 
 def test_while_motion_capture_settles_every_tick_is_kept_for_a_replay_has_to_count_its_frames(still):

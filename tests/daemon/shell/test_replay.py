@@ -1,6 +1,7 @@
 """A log replayed through the tick gives the same commands, bit for bit."""
 
 import dataclasses
+import time
 from itertools import pairwise
 
 import pytest
@@ -12,6 +13,7 @@ from softarm.daemon.shell.offline import Lockstep
 from softarm.daemon.shell.replay import replay
 from softarm.policies import registry
 from softarm.policies.runner import InlineRunner
+from softarm.recordings.mcap_file import LogError
 from softarm.schemas.config import Config
 from softarm.schemas.config import Recorder as RecorderConfig
 from softarm.schemas.goals import Goal
@@ -122,6 +124,56 @@ def test_a_log_that_begins_in_the_middle_of_a_run_is_taken_up_where_it_stands(th
     assert replayed.differences == []
     assert (replayed.gaps[0].after, replayed.gaps[0].tick) == (None, ticks[start][1].tick)
     assert replayed.compared > 100
+
+
+@pytest.fixture
+def parted(tmp_path):
+    """A flight from goal to goal that was long enough for several files; parts of a run, in their order."""
+    config = Config(recorder=RecorderConfig(directory=tmp_path, file_max_mb=1))
+    policy = registry.load(POLICY)
+    recorder = Recorder(config, policy.spec)
+    recorder.start()
+    daemon = Lockstep(config, policy, recorder=recorder)
+    daemon.arm()
+    for y_m in (-0.3, -0.1, -0.25, -0.05) * 8:
+        outputs = daemon.tick(daemon.request("goal", Goal("reach", y_m, 0.62)))
+        while outputs.goal.state == "running":
+            outputs = daemon.tick()
+        daemon.tick()
+    while recorder._queue:
+        time.sleep(0.01)
+    recorder.stop()
+    return logs.parts(sorted(tmp_path.glob("*.mcap"), key=lambda path: int(logs.read(path).metadata["run"]["part"])))
+
+
+@pytest.mark.slow
+def test_a_flight_that_was_parted_comes_out_the_same_as_a_whole_and_each_part_by_itself(parted):
+    assert len(parted) >= 3
+    whole = replay([tick for part in parted for tick in part.ticks()], parted[0].config, registry.load)
+    assert (whole.differences, whole.gaps, whole.compared) == ([], [], whole.ticks)
+    for part in parted[1:]:
+        alone = replay(part.ticks(), part.config, registry.load)
+        assert alone.differences == []
+        assert [(gap.after, gap.armed) for gap in alone.gaps] == [(None, True)]
+        assert alone.compared > 0.5 * alone.ticks
+
+
+@pytest.mark.slow
+def test_parts_out_of_order_or_of_different_runs_are_no_run(parted, log):
+    one, two, *_ = (part.path for part in parted)
+    for wrong in ((two, one), (one, one), (one, log.path)):
+        with pytest.raises(LogError, match=r"does not follow .* in one run"):
+            logs.parts(wrong)
+
+
+def test_within_a_goal_that_was_flown_at_a_gap_nothing_is_compared(log):
+    """Its policy remembers what the log does not hold."""
+    ticks = list(log.ticks())
+    moving = next(i for i, (_, outputs) in enumerate(ticks) if outputs.sent.cart_velocity_m_s)
+    replayed = replay(ticks[moving + 5 :], log.config, registry.load)
+    assert replayed.differences == []
+    flown = sum(outputs.goal.state == "running" for _, outputs in ticks[moving + 5 :])
+    assert replayed.ticks - replayed.compared >= flown
 
 
 def test_ticks_lost_in_flight_are_told(log):
