@@ -14,6 +14,7 @@ import httpx
 
 from softarm.cli.errors import fail
 from softarm.cli.options import FILE
+from softarm.schemas.rest import API_HEADER, API_VERSION
 
 DEFAULT_URL = "http://127.0.0.1:8080"
 TIMEOUT_S = 5.0
@@ -25,7 +26,7 @@ class Remote:
 
     def __init__(self, url: str, token: str | None = None) -> None:
         self.url = url.rstrip("/")
-        headers = {"Authorization": f"Bearer {token}"} if token else {}
+        headers = {API_HEADER: str(API_VERSION)} | ({"Authorization": f"Bearer {token}"} if token else {})
         try:
             # No proxy from the environment: a robot is on this machine or on its own network.
             self._client = httpx.Client(base_url=self.url, headers=headers, timeout=TIMEOUT_S, trust_env=False)
@@ -75,6 +76,12 @@ class Remote:
             fail(f"the daemon at {self.url} has not answered for {TIMEOUT_S:g} s: see its own output")
         except httpx.HTTPError as error:
             fail(f"the connection to {self.url} broke ({error}): see whether the daemon still runs")
+        version = response.headers.get(API_HEADER, "1")  # daemons up to 0.2 say none
+        if path != "/api/stop" and not (version.isdecimal() and int(version) <= API_VERSION):
+            fail(
+                f"the daemon at {self.url} speaks version {version} of the API, this command version {API_VERSION}: "
+                "update softarm here"
+            )
         try:
             answer = response.json()
         except ValueError:

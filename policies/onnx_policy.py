@@ -1,6 +1,7 @@
 """A learned policy from an ONNX file that describes itself; see docs/policies.md for what the file holds."""
 
 import hashlib
+import json
 from functools import lru_cache
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -11,7 +12,16 @@ from pydantic import ValidationError
 
 from softarm.policies import onnx_graph
 from softarm.policies.base import MODELS, Array, PolicyError, PolicySpec
-from softarm.schemas.policy import ACTION, GOALS, METADATA_KEY, OBSERVATION, REACH_GOAL, PolicyMetadata, Signal
+from softarm.schemas.policy import (
+    ACTION,
+    GOALS,
+    METADATA_FORMAT,
+    METADATA_KEY,
+    OBSERVATION,
+    REACH_GOAL,
+    PolicyMetadata,
+    Signal,
+)
 from softarm.schemas.robot import CONTROL_RATE_HZ
 
 _WARM_UP_STEPS = 3
@@ -152,6 +162,11 @@ def _metadata(path: Path, entries: dict[str, str]) -> PolicyMetadata:
     """Read and check what the file says of itself."""
     if METADATA_KEY not in entries:
         raise PolicyError(f"{path}: no metadata under the key '{METADATA_KEY}'; export it with `softarm export`")
+    if (format_ := _format(entries[METADATA_KEY])) > METADATA_FORMAT:
+        raise PolicyError(
+            f"{path}: its metadata has format {format_}, this software reads {METADATA_FORMAT}: update it, or export "
+            "the policy again with this version"
+        )
     try:
         metadata = PolicyMetadata.model_validate_json(entries[METADATA_KEY])
     except ValidationError as error:
@@ -171,6 +186,16 @@ def _metadata(path: Path, entries: dict[str, str]) -> PolicyMetadata:
     if problems:
         raise PolicyError(f"{path}: metadata: {'; '.join(problems)}: train or export it again for this robot")
     return metadata
+
+
+def _format(metadata: str) -> int:
+    """That the metadata says of itself; 0 where it says none."""
+    try:
+        content = json.loads(metadata)
+    except (ValueError, RecursionError):
+        return 0
+    format_ = content.get("format") if isinstance(content, dict) else None
+    return format_ if isinstance(format_, int) else 0
 
 
 def _signal_problems(vector: str, got: tuple[Signal, ...], wanted: tuple[Signal, ...]) -> list[str]:

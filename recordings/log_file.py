@@ -30,7 +30,7 @@ class LogFile:
     def open(cls, path: Path | str) -> Self:
         """Open a log; one that ends in the middle of a record is read up to the last whole one.
 
-        Raises LogError when there is no such file or it is not MCAP.
+        Raises LogError when there is no such file, it is not MCAP, or of a newer format than this software reads.
         """
         path = Path(path)
         metadata: dict[str, Mapping[str, str]] = {}
@@ -42,6 +42,8 @@ class LogFile:
                 topics[record.id] = record.topic
             elif isinstance(record, Metadata):
                 metadata[record.name] = record.metadata
+                if record.name == log.SOFTWARE:
+                    _check_format(path, record.metadata)
                 if record.name == log.POLICY:
                     policies.append(record.metadata)
             elif isinstance(record, Message):
@@ -76,4 +78,13 @@ class LogFile:
         return (
             f"{self.path}: not finished (the daemon was killed, the disk was full or it still records), "
             f"{whole}; the recorder finishes it at its next start, `softarm logs recover` now"
+        )
+
+
+def _check_format(path: Path, software: Mapping[str, str]) -> None:
+    format_ = software.get(log.FORMAT_KEY, "1")
+    if not format_.isdecimal() or int(format_) > log.FORMAT:
+        raise LogError(
+            f"{path}: is a log of format {format_}, written by softarm {software.get('softarm', 'unknown')}; this "
+            f"software reads format {log.FORMAT}: update it"
         )

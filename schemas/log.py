@@ -6,6 +6,9 @@ from softarm.schemas.base import Strict
 
 MOCAP, PRESSURE, RAIL, REQUEST, TICK = "/mocap", "/pressure", "/rail", "/request", "/tick"
 
+FORMAT = 1  # of channels and metadata; a log says its own as FORMAT_KEY of `software`, none: 1
+FORMAT_KEY = "log_format"
+
 # Metadata records. A later record of the same name replaces the earlier one from there on.
 CONFIGURATION, SOFTWARE, MACHINE, CLOCK, POLICY = "configuration", "software", "machine", "clock", "policy"
 RUN = "run"  # of the daemon, and which part of it the file is: "id", "part" from "1"

@@ -8,6 +8,7 @@ from softarm.schemas.base import Strict, json_array
 from softarm.schemas.robot import CART_VELOCITY_MAX_M_S, PRESSURE_MAX_KPA, PRESSURE_MIN_KPA
 
 METADATA_KEY = "softarm"
+METADATA_FORMAT = 1
 TaskKind = Literal["reach", "shelf"]
 
 

@@ -9,6 +9,9 @@ from softarm.schemas.goals import GoalKind, GoalState
 from softarm.schemas.log import LogEntry
 from softarm.schemas.policy import TrainingRange
 
+API_VERSION = 1  # a daemon's answers and a client's requests may say theirs; a newer one is not read by an older
+API_HEADER = "softarm-api"
+
 
 class ReachBody(Strict):
     """Bring the tip to a target."""

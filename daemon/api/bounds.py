@@ -8,6 +8,7 @@ from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from softarm.daemon.api.auth import Door, Role
 from softarm.daemon.api.refusals import refusal
+from softarm.schemas.rest import API_HEADER, API_VERSION
 
 BODY_MAX = 4096  # bytes; the longest that means anything, a goal, has a hundred
 BODY_S = 5.0  # for all of it
@@ -17,6 +18,7 @@ CONNECTIONS_MAX = 128
 STREAMS_MAX = 32
 MESSAGE_MAX = 1024  # bytes of what a WebSocket client says, which nobody listens to
 STOP = "/api/stop"  # is carried out whatever comes along with it
+VERSION = (API_HEADER.encode(), b"%d" % API_VERSION)
 CLOSE = {"Connection": "close"}  # what is left of such a body is not read
 
 
@@ -32,9 +34,10 @@ class Guard:
             await self._app(scope, receive, send)
             return
         headers = dict(scope["headers"])
+        send = _versioned(send)
         refused = self._door.refusal(headers, _role(scope))
         if refused is None and scope["type"] == "http" and scope["path"] != STOP:
-            refused = _too_long(headers.get(b"content-length", b""))
+            refused = _too_new(headers.get(VERSION[0])) or _too_long(headers.get(b"content-length", b""))
             if refused is None:
                 try:
                     async with asyncio.timeout(BODY_S):
@@ -52,6 +55,25 @@ class Guard:
         status, sentence = refused
         headers_out = CLOSE | ({"WWW-Authenticate": "Bearer"} if status == 401 else {})
         await refusal(status, (sentence,), headers_out)(scope, receive, send)
+
+
+def _versioned(send: Send) -> Send:
+    """Every answer says the API's version."""
+
+    async def saying(message: Message) -> None:
+        if message["type"] in ("http.response.start", "websocket.accept", "websocket.http.response.start"):
+            message = {**message, "headers": [*message.get("headers", ()), VERSION]}
+        await send(message)
+
+    return saying
+
+
+def _too_new(version: bytes | None) -> tuple[int, str] | None:
+    """A stop is never asked this."""
+    if version is None or (version.isdigit() and int(version[:20]) <= API_VERSION):
+        return None
+    said = version[:20].decode("latin-1")
+    return 400, f"this daemon speaks version {API_VERSION} of the API, the request version {said}: update the daemon"
 
 
 def _role(scope: Scope) -> Role:

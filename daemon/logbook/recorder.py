@@ -288,7 +288,7 @@ class TickFile(LiveFile):
     ) -> None:
         """What a reader of the log has to know besides the ticks."""
         self.note(names.CONFIGURATION, {"json": config.model_dump_json()})
-        self.note(names.SOFTWARE, revision.software(PACKAGES))
+        self.note(names.SOFTWARE, {**revision.software(PACKAGES), names.FORMAT_KEY: str(names.FORMAT)})
         self.note(names.MACHINE, revision.machine())
         self.note(
             names.CLOCK,

@@ -21,6 +21,7 @@ from softarm.daemon.control.inbox import ANSWER_S, STOP_WAITS, Inbox
 from softarm.daemon.control.records import Outputs
 from softarm.daemon.shell import realtime
 from softarm.schemas.config import Api
+from softarm.schemas.rest import API_HEADER, API_VERSION
 
 log = logging.getLogger(__name__)
 
@@ -199,7 +200,8 @@ class StopListener:
             headers = ("Content-Type: application/json", f"Content-Length: {len(data)}", *headers)
         if client.page is not None:
             headers = (f"Access-Control-Allow-Origin: {client.page}", "Vary: Origin", *headers)
-        head = (f"HTTP/1.1 {status} {HTTPStatus(status).phrase}", *headers, "Connection: close")
+        first = (f"HTTP/1.1 {status} {HTTPStatus(status).phrase}", f"{API_HEADER}: {API_VERSION}")
+        head = (*first, *headers, "Connection: close")
         with contextlib.suppress(OSError):
             client.socket.sendall("\r\n".join((*head, "", "")).encode() + data)
             client.socket.shutdown(socket.SHUT_WR)

@@ -106,6 +106,7 @@ class ZenohMocapSource:
             self._complaint = (now_ns, f"a sample of {size} bytes, at most {mocap_payload.MAX_BYTES}: not parsed")
             return
         try:
+            mocap_payload.check_schema(str(sample.encoding))
             frame = mocap_payload.decode(sample.payload.to_bytes(), now_ns)
         except ValueError as error:
             self.malformed += 1

@@ -12,7 +12,7 @@ from collections.abc import Sequence
 
 from softarm.schemas.messages import BODY_NAMES, MocapFrame, Pose
 
-SCHEMA = "softarm.mocap.v1"  # of the Zenoh encoding application/json
+SCHEMA = "softarm.mocap.v1"  # of the Zenoh encoding application/json; a bridge may leave it out
 MAX_BYTES = 4096  # six bodies at full precision take 500
 LOST = Pose(math.nan, math.nan, math.nan, tracked=False)
 
@@ -22,6 +22,13 @@ def encode(sequence: int, t_capture_ns: int, bodies: Sequence[Pose]) -> bytes:
     poses = {name: list(pose[:3]) if pose.tracked else None for name, pose in zip(BODY_NAMES, bodies, strict=True)}
     message = {"sequence": sequence, "t_capture_ns": t_capture_ns, "bodies": poses}
     return json.dumps(message, separators=(",", ":"), allow_nan=False).encode()
+
+
+def check_schema(encoding: str) -> None:
+    """Is a sample of this Zenoh encoding ours to read? Raises ValueError for another version, with both."""
+    schema = encoding.partition(";")[2]
+    if schema.startswith("softarm.mocap.") and schema != SCHEMA:
+        raise ValueError(f"the sample is {schema[:40]}, this software reads {SCHEMA}: update the older side")
 
 
 def decode(payload: bytes, t_receive_ns: int) -> MocapFrame:

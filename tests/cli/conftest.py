@@ -47,6 +47,7 @@ class FakeDaemon:
 
     def __init__(self):
         self.answers = {}
+        self.says = {}  # further headers of every answer
         self.requests = []
         daemon = self
 
@@ -64,6 +65,8 @@ class FakeDaemon:
                 data = answer if isinstance(answer, bytes) else json.dumps(answer).encode()
                 self.send_response(code)
                 self.send_header("Content-Length", str(len(data)))
+                for name, value in daemon.says.items():
+                    self.send_header(name, value)
                 self.end_headers()
                 self.wfile.write(data)
 

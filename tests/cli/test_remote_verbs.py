@@ -336,3 +336,14 @@ def test_a_proxy_of_the_environment_is_not_asked(softarm, daemon, monkeypatch, m
     monkeypatch.setenv("ALL_PROXY", "http://127.0.0.1:9")
     daemon.on("GET", "/api/status", make_status())
     assert softarm("status").exit_code == 0
+
+
+def test_a_daemon_of_a_newer_api_is_refused_with_both_versions_but_a_stop_is_done(softarm, daemon, make_status):
+    daemon.says = {"softarm-api": "2"}
+    daemon.on("POST", "/api/arm", make_status())
+    result = softarm("arm")
+    assert result.exit_code == 1
+    assert "speaks version 2 of the API, this command version 1: update softarm here" in result.stderr
+    assert daemon.headers["softarm-api"] == "1"
+    daemon.on("POST", "/api/stop", make_status())
+    assert softarm("stop").exit_code == 0

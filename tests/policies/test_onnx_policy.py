@@ -126,6 +126,7 @@ def swapped(signals, i, j):
     ("changes", "message"),
     [
         ({"metadata": None}, "no metadata under the key 'softarm'"),
+        ({"format": 2}, "its metadata has format 2, this software reads 1"),
         ({"task": "juggle"}, "task: Input should be 'reach'"),
         ({"rate_hz": 60.0}, "rate_hz is 60; the control loop runs at 30"),
         ({"observation": swapped(OBSERVATION, 2, 3)}, "observation 2 is tip_z in m, not tip_y in m"),

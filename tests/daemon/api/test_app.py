@@ -383,3 +383,17 @@ def test_the_documentation_names_every_endpoint_with_an_example(client):
     goal = api["paths"]["/api/goal"]["post"]["requestBody"]["content"]["application/json"]
     assert goal["examples"]["reach"]["value"] == {"kind": "reach", "y_m": -0.2, "z_m": 0.65}
     assert all(method["description"] for methods in api["paths"].values() for method in methods.values())
+
+
+def test_every_answer_says_the_apis_version(client):
+    for answer in (client.get("/api/status"), client.get("/nothing"), client.get("/api/status", headers={"Host": "x"})):
+        assert answer.headers["softarm-api"] == "1"
+
+
+@pytest.mark.parametrize("version", ["2", "99999999999999999999999", "one"])
+def test_a_request_of_a_newer_version_is_refused_with_both_but_a_stop_is_not(client, version):
+    answer = client.post("/api/arm", headers={"softarm-api": version})
+    assert answer.status_code == 400
+    assert f"speaks version 1 of the API, the request version {version[:20]}" in answer.json()["detail"]
+    assert client.post("/api/stop", headers={"softarm-api": version}).status_code == 200
+    assert client.post("/api/arm", headers={"softarm-api": "1"}).status_code == 200

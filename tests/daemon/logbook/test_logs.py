@@ -27,6 +27,7 @@ from softarm.daemon.logbook.recorder import Recorder, TickFile
 from softarm.daemon.logbook.ticks import CHANNELS, Joiner, Splitter
 from softarm.policies.base import PolicySpec
 from softarm.recordings import finishing
+from softarm.recordings.mcap_file import LogError
 from softarm.schemas.config import Config
 from softarm.schemas.goals import Goal, GoalStatus
 from softarm.schemas.messages import Command, MocapFrame, Pose, PressureReading, RailReading
@@ -243,3 +244,14 @@ def test_a_log_whose_measurements_were_taken_out_is_not_replayed(tmp_path):
         joiner.join(entry.topic, entry.data)
     with pytest.raises(ValueError, match="not those that it names"):
         joiner.join(entries[-1].topic, entries[-1].data)
+
+
+@pytest.mark.parametrize("version", ["2", "-1"])
+def test_a_log_of_a_newer_format_is_refused_with_both(tmp_path, version):
+    path = tmp_path / "newer.mcap"
+    with path.open("wb") as file:
+        live = TickFile(file)
+        live.note("software", {"softarm": "0.9.0", "log_format": version})
+        live.flush()
+    with pytest.raises(LogError, match=rf"format {version}, written by softarm 0\.9\.0; this software reads format 1"):
+        logs.read(path)

@@ -155,7 +155,7 @@ def test_a_flight_that_was_parted_comes_out_the_same_as_a_whole_and_each_part_by
         alone = replay(part.ticks(), part.config, registry.load)
         assert alone.differences == []
         assert [(gap.after, gap.armed) for gap in alone.gaps] == [(None, True)]
-        assert alone.compared > 0.5 * alone.ticks
+        assert 0 < alone.ticks - alone.compared < 60  # about two seconds
 
 
 @pytest.mark.slow

@@ -109,6 +109,15 @@ def test_where_a_token_is_asked_for_a_stop_needs_it_too(stopping, tmp_path):
         StopListener(Api(host="0.0.0.0"), stopping.inbox, stopping.snapshot)
 
 
+def test_its_answers_say_the_apis_version_and_a_stop_of_any_is_taken(stopping):
+    with way(stopping) as port:
+        connection = http.client.HTTPConnection("127.0.0.1", port, timeout=5)
+        connection.request("POST", "/api/stop", headers={"softarm-api": "7"})
+        answer = connection.getresponse()
+        assert (answer.status, answer.getheader("softarm-api")) == (200, "1")
+        connection.close()
+
+
 PAGES = Api(port=8080, stop_port=0)  # as if the API served at 8080
 
 

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from softarm.drivers.mocap.payload import LOST, decode, encode
+from softarm.drivers.mocap.payload import LOST, check_schema, decode, encode
 from softarm.schemas.messages import BODY_NAMES, Pose
 
 POSES = tuple(Pose(0.1 * i, 0.9 - 0.1 * i, 0.01 * i) for i in range(len(BODY_NAMES)))
@@ -83,3 +83,10 @@ def test_malformed_payloads_say_which_field(payload: bytes, words: str) -> None:
 def test_noise_is_a_value_error(payload: bytes) -> None:
     with pytest.raises(ValueError):
         decode(payload, 0)
+
+
+def test_a_sample_of_another_version_is_refused_with_both_and_one_that_says_none_is_ours():
+    for encoding in ("application/json;softarm.mocap.v1", "application/json", "zenoh/bytes", "text/plain;other"):
+        check_schema(encoding)
+    with pytest.raises(ValueError, match=r"the sample is softarm\.mocap\.v2, this software reads softarm\.mocap\.v1"):
+        check_schema("application/json;softarm.mocap.v2")
