@@ -71,7 +71,8 @@ class Blinking(InProcessMocap):
     def read(self, now_ns: int) -> tuple[MocapFrame, ...]:
         """Those of the frames since the last call that fall into no drop-out."""
         since_ns = self._robot.now_ns
-        instants_ns = [since_ns + round(part * (now_ns - since_ns) / FRAMES) for part in range(1, FRAMES + 1)]
+        frames = FRAMES if now_ns > since_ns else 1  # a robot that was put somewhere is looked at where it is
+        instants_ns = [since_ns + round(part * (now_ns - since_ns) / frames) for part in range(1, frames + 1)]
         return tuple(
             self._blurred(f) for t_ns in instants_ns for f in super(Blinking, self).read(t_ns) if self._sees(f)
         )
@@ -266,9 +267,25 @@ def fit() -> TipModel:
 @click.option("--fit", "fitting", is_flag=True, help="Print the model's numbers, fitted to the simulator, and end.")
 @click.option("--policy", "policies", multiple=True, default=("reach",), show_default=True, help="Again for more.")
 @click.option("--body", "bodies", multiple=True, default=BODIES, show_default=True, help="Again for more.")
+@click.option(
+    "--dark",
+    "darks_ms",
+    type=int,
+    multiple=True,
+    default=DARK_MS,
+    show_default=True,
+    help="Of a drop-out, ms; again for more.",
+)
 @click.option("--processes", type=click.IntRange(1), default=1, show_default=True, help="How many to fly with.")
 @results.json_option
-def main(fitting: bool, policies: Sequence[str], bodies: Sequence[str], processes: int, json_file: Path | None) -> None:
+def main(
+    fitting: bool,
+    policies: Sequence[str],
+    bodies: Sequence[str],
+    darks_ms: Sequence[int],
+    processes: int,
+    json_file: Path | None,
+) -> None:
     """Print what comes of flights with drop-outs, without and with a bridge, and what estimates of the tip are off.
 
     \b
@@ -280,7 +297,7 @@ def main(fitting: bool, policies: Sequence[str], bodies: Sequence[str], processe
         for name, number in fit()._asdict().items():
             console.print(f"{name}: {number:.4g}")
         return
-    jobs = [Job(p, b, ms, way) for p in policies for b in bodies for ms in DARK_MS for way in WAYS]
+    jobs = [Job(p, b, ms, way) for p in policies for b in bodies for ms in darks_ms for way in WAYS]
     flown: dict[Job, Flown] = {}
     with bar("flying", len(jobs)) as shown:
         for job, came in as_they_come(fly, jobs, processes):

@@ -16,7 +16,7 @@ from softarm.daemon.control.plausibility import REACH_MAX_M, REACH_MIN_M
 from softarm.schemas.model import Arm
 
 SUBSTEP_S = 1 / 120  # what the numbers were fitted with
-NOISE_M = 0.001  # of what is carried on
+NOISE_M = 0.0015  # of what is carried on
 TOLD_NS = 1_000_000_000  # that the arm's strength is told from
 STEP_MAX_S = 0.08  # of its second differences
 AS_FITTED = 200.0  # (rad/s^2)^2: the weight of the model's own strength beside what a swing tells
