@@ -60,6 +60,7 @@ FUZZ_MINUTES ?= 60
 prove: .venv/.installed-dev
 	$(BIN)/python -m softarm.benchmarks.prove.mutants
 	$(BIN)/python -m softarm.benchmarks.prove.fuzz --minutes $(FUZZ_MINUTES)
+	$(BIN)/python -m softarm.benchmarks.prove.api
 
 clean:
 	rm -rf .venv build *.egg-info .coverage

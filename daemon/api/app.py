@@ -45,13 +45,18 @@ from softarm.schemas.robot import CONTROL_RATE_HZ
 LOADS_MAX, LOADING_S = 2, 120.0  # policies at once, time for each
 LISTINGS_MAX, LISTING_S = 8, 30.0
 REFUSALS = {
+    400: "a body that cannot be read as JSON at all",
+    401: "the token is missing or wrong",
+    403: "asked under a foreign host name, or by a page of another site",
     404: "no such policy; lists those there are",
+    408: "the body did not come in time",
     409: "refused by the control loop, with its reasons",
     413: "a body of more than 4096 bytes",
     422: "a wrong body or a target out of reach; says what is allowed",
     503: "the control loop does not answer",
-    504: "the policy was not loaded in time and was given up",
+    504: "it was not done in time and was given up",
 }
+ANYWHERE = (401, 403, 408, 413)  # before a request is looked at
 
 
 def _no_problems() -> Problems:
@@ -97,15 +102,16 @@ def create_app(context: ApiContext) -> FastAPI:
         ("POST", "/api/disarm", api.disarm, RequestAnswer, (409, 503)),
         ("POST", "/api/stop", api.stop, RequestAnswer, (409, 503)),
         ("POST", "/api/acknowledge", api.acknowledge, RequestAnswer, (409, 503)),
-        ("POST", "/api/goal", api.post_goal, RequestAnswer, (409, 413, 422, 503)),
+        ("POST", "/api/goal", api.post_goal, RequestAnswer, (400, 409, 422, 503)),
         ("DELETE", "/api/goal", api.delete_goal, RequestAnswer, (409, 503)),
         ("GET", "/api/goal", api.get_goal, GoalAnswer, (503,)),
-        ("GET", "/api/policies", api.get_policies, PoliciesAnswer, ()),
-        ("PUT", "/api/policy", api.put_policy, RequestAnswer, (404, 409, 413, 422, 503, 504)),
-        ("GET", "/api/logs", api.get_logs, LogsAnswer, ()),
+        ("GET", "/api/policies", api.get_policies, PoliciesAnswer, (503, 504)),
+        ("PUT", "/api/policy", api.put_policy, RequestAnswer, (400, 404, 409, 422, 503, 504)),
+        ("GET", "/api/logs", api.get_logs, LogsAnswer, (503, 504)),
     ):
         responses: dict[int | str, dict[str, Any]] = {200: {"model": answer}}
-        responses |= {code: {"model": Refusal, "description": REFUSALS[code]} for code in statuses}
+        may_come = sorted({*ANYWHERE, *statuses})
+        responses |= {code: {"model": Refusal, "description": REFUSALS[code]} for code in may_come}
         if answer is Health:
             responses[503] = {"model": Health, "description": "not healthy, and why"}
         summary = (endpoint.__doc__ or "").partition(".")[0]

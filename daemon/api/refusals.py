@@ -5,6 +5,7 @@ from collections.abc import Mapping
 from fastapi import Request
 from fastapi.responses import Response
 from starlette.exceptions import HTTPException
+from starlette.routing import Match, Route
 
 from softarm.schemas.rest import Refusal
 
@@ -40,8 +41,18 @@ async def on_refused(_: Request, error: Exception) -> Response:
     return refusal(error.status, error.reasons)
 
 
-async def on_http_error(_: Request, error: Exception) -> Response:
+async def on_http_error(request: Request, error: Exception) -> Response:
     """The handler of what the framework itself refuses."""
     assert isinstance(error, HTTPException)  # registered for this type
     reason = _FRAMEWORK.get(error.status_code, str(error.detail))
-    return refusal(error.status_code, (reason,), error.headers)
+    headers = error.headers
+    if error.status_code == 405:  # the framework tells the methods of the first route alone
+        headers = {"Allow": ", ".join(sorted(_methods(request)))}
+    return refusal(error.status_code, (reason,), headers)
+
+
+def _methods(request: Request) -> set[str]:
+    """All that the path of a request takes."""
+    routes = (route for route in request.app.routes if isinstance(route, Route))
+    here = (route for route in routes if route.matches(request.scope)[0] is not Match.NONE)
+    return {method for route in here for method in route.methods or ()}

@@ -87,6 +87,19 @@ def test_health_is_503_with_the_reason(client, loop, change, sentence):
     assert any(reason.startswith(sentence) for reason in answer.json()["reasons"])
 
 
+def test_another_method_is_told_all_that_the_path_takes(client):
+    answer = client.request("PATCH", "/api/goal")
+    assert answer.status_code == 405
+    assert answer.headers["Allow"] == "DELETE, GET, POST"
+
+
+def test_the_schema_names_every_refusal_that_may_come(client):
+    paths = client.get("/openapi.json").json()["paths"]
+    told = {(method, path): set(each["responses"]) for path, at in paths.items() for method, each in at.items()}
+    assert all(codes >= {"200", "401", "403", "408", "413"} for way, codes in told.items() if way[1] != "/api/stop")
+    assert {way for way, codes in told.items() if "400" in codes} == {("post", "/api/goal"), ("put", "/api/policy")}
+
+
 def test_a_warning_is_not_ill_health(client, loop):
     loop.outputs = replace(loop.outputs, events=(ActiveEvent("tick_late", "warn", "late"),))
     assert client.get("/api/health").status_code == 200

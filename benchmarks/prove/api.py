@@ -1,0 +1,58 @@
+"""Does the API do what its own schema says? Schemathesis asks a daemon that really runs, with a robot simulated in it.
+
+    python -m softarm.benchmarks.prove.api --examples 500
+
+An answer may be a refusal: 422 for a target out of reach is one that a schema cannot foresee, 503 one that it names.
+"""
+
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+import click
+
+from softarm.benchmarks.stop import DaemonError, daemon
+
+_EXPECTED = """
+[checks.not_a_server_error]
+expected-statuses = ["2xx", "3xx", "4xx", 503, 504]
+[checks.positive_data_acceptance]
+expected-statuses = ["2xx", 404, 409, 422, 503, 504]
+"""
+
+
+def run(examples: int, seed: int) -> tuple[bool, str]:
+    """Whether every check held, and what Schemathesis said. Raises DaemonError."""
+    with daemon() as ports, tempfile.TemporaryDirectory(prefix="softarm-") as folder:
+        expected = Path(folder) / "schemathesis.toml"
+        expected.write_text(_EXPECTED)
+        program = [sys.executable, "-m", "schemathesis.cli", "--config-file", str(expected), "--no-color", "run"]
+        asked = f"http://127.0.0.1:{ports.api}/openapi.json --checks all --phases examples,coverage,fuzzing"
+        options = f"--continue-on-failure --seed {seed} --max-examples {examples}"
+        done = subprocess.run(
+            [*program, *asked.split(), *options.split()], cwd=folder, capture_output=True, text=True, check=False
+        )
+    return done.returncode == 0, done.stdout + done.stderr
+
+
+@click.command()
+@click.option("--examples", default=200, show_default=True, type=click.IntRange(1), help="At most, of each operation.")
+@click.option("--seed", default=0, show_default=True)
+def main(examples: int, seed: int) -> None:
+    """Ask for what the schema allows and for what it does not; exit code 1 when an answer is not as it says.
+
+    \b
+    Example:
+      python -m softarm.benchmarks.prove.api --examples 500 --seed 1
+    """
+    try:
+        held, said = run(examples, seed)
+    except DaemonError as error:
+        raise click.ClickException(str(error)) from None
+    click.echo(said)
+    raise SystemExit(not held)
+
+
+if __name__ == "__main__":
+    main()
