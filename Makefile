@@ -57,10 +57,12 @@ coverage: .venv/.installed-dev
 
 # What is shown by trying for long, part by part: docs/proof.md. A small part of each is among the tests.
 FUZZ_MINUTES ?= 60
+SOAK_HOURS ?= 1
 prove: .venv/.installed-dev
 	$(BIN)/python -m softarm.benchmarks.prove.mutants
 	$(BIN)/python -m softarm.benchmarks.prove.fuzz --minutes $(FUZZ_MINUTES)
 	$(BIN)/python -m softarm.benchmarks.prove.api
+	$(BIN)/softarm soak --hours $(SOAK_HOURS) --lockstep-days 1
 
 clean:
 	rm -rf .venv build *.egg-info .coverage

@@ -130,10 +130,10 @@ class Forest:
         return svg(self._W, 18, "share of the gap in percent", *marks, kind="forest")
 
 
-def lanes(t_s: Array, curves: Mapping[str, Array], text: str) -> Html:
-    """Signals over time, one beneath the other, each on a scale of its own that holds zero."""
+def lanes(t: Array, curves: Mapping[str, Array], text: str, unit: str = "s") -> Html:
+    """Signals over time, one beneath the other, each on a scale of its own that holds zero. unit: of the time."""
     height, parts = 86.0, []
-    x = (_LEFT + t_s / t_s[-1] * (_WIDTH - _LEFT - _RIGHT)).tolist()
+    x = (_LEFT + t / t[-1] * (_WIDTH - _LEFT - _RIGHT)).tolist()
     for i, (name, values) in enumerate(curves.items()):
         low, high = float(min(values.min(), 0.0)), float(values.max())
         top = 18 + i * height
@@ -145,7 +145,10 @@ def lanes(t_s: Array, curves: Mapping[str, Array], text: str) -> Html:
             el("path", d=path(x, y), class_="curve measured"),
         ]
     bottom = 18 + len(curves) * height
-    parts += [write(_LEFT, bottom, "0 s"), write(_WIDTH - _RIGHT, bottom, f"{t_s[-1]:.0f} s", "end")]
+    parts += [
+        write(_LEFT, bottom, f"0 {unit}"),
+        write(_WIDTH - _RIGHT, bottom, f"{number(float(t[-1]), 2)} {unit}", "end"),
+    ]
     return svg(_WIDTH, bottom + 8, text, *parts)
 
 

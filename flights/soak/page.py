@@ -1,0 +1,109 @@
+"""What came of hours of flying, as one HTML page and as data."""
+
+from collections.abc import Iterable, Iterator, Sequence
+from typing import Any
+
+import numpy as np
+
+from softarm.flights.soak import lockstep, realtime
+from softarm.flights.soak.script import Unexpected
+from softarm.flights.soak.slopes import Slope, judge, warm_up
+from softarm.pages import charts
+from softarm.pages.document import Section, document
+from softarm.pages.markup import Html, el, join, table, tiles
+
+NAMES = {
+    "memory_mb": "memory (MB)",
+    "descriptors": "open descriptors",
+    "threads": "threads",
+    "cpu_percent": "processor (% of a core)",
+    "late_ms": "lateness of a tick, median (ms)",
+    "missed": "ticks missed since the beginning",
+    "logs_mb": "folder of logs (MB)",
+}
+
+
+def problems(real: realtime.Soaked | None, stepped: lockstep.Stepped | None) -> list[str]:
+    """A sentence for all that is not flat or was not expected; none when the soak is passed."""
+    found: list[str] = []
+    for where, per, soaked in (("in real time", "hour", real), ("in lockstep", "simulated day", stepped)):
+        if soaked is not None:
+            found += [f"{where}: {_named(line)}" for line in judge(soaked.slopes, per)]
+            found += [f"{where}: {_told(one)}" for one in soaked.unexpected]
+    return found
+
+
+def figures(real: realtime.Soaked | None, stepped: lockstep.Stepped | None) -> dict[str, Any]:
+    """All of it as plain data."""
+    return {
+        name: None if soaked is None else _plain(soaked)
+        for name, soaked in (("real_time", real), ("lockstep", stepped))
+    }
+
+
+def html(real: realtime.Soaked | None, stepped: lockstep.Stepped | None, command: str) -> str:
+    """The page. command: what made it."""
+    wrong = problems(real, stepped)
+    verdict = "Flat, and nothing happened that should not." if not wrong else f"{len(wrong)} findings."
+    lead = [el("h1", "Soak"), el("div", el("p", verdict), class_="lead"), el("p", "Made by ", el("code", command), ".")]
+    sections = [Section("Findings", "findings", _list(wrong))]
+    if real is not None:
+        facts = [("hours", f"{real.hours:.2f}"), *_facts(real.counts, real.cart_max_m)]
+        body = [tiles(facts), _slopes(real.slopes, "an hour"), *_curves(real.samples, "hours", warm_up(real.hours))]
+        sections.append(Section("In real time", "real", join([*body, _counts(real.counts)])))
+    if stepped is not None:
+        facts = [("simulated days", f"{stepped.days:.2f}"), *_facts(stepped.counts, stepped.cart_max_m)]
+        body = [tiles(facts), _slopes(stepped.slopes, "a simulated day")]
+        body += _curves(stepped.samples, "simulated days", warm_up(stepped.days))
+        sections.append(Section("In lockstep", "lockstep", join([*body, _counts(stepped.counts)])))
+    return document("Soak", "softarm soak", join(lead), sections)
+
+
+def _plain(soaked: realtime.Soaked | lockstep.Stepped) -> dict[str, Any]:
+    slopes = {name: one._asdict() | {"verdict": one.verdict} for name, one in soaked.slopes.items()}
+    samples = {"fields": soaked.samples[0]._fields if soaked.samples else (), "rows": soaked.samples}
+    unexpected = [one._asdict() for one in soaked.unexpected]
+    return soaked._asdict() | {"slopes": slopes, "samples": samples, "unexpected": unexpected}
+
+
+def _named(sentence: str) -> str:
+    key, _, rest = sentence.partition(" ")
+    return f"{NAMES[key]} {rest}"
+
+
+def _told(one: Unexpected) -> str:
+    return f"after {one.time_s:.0f} s: {one.what}" + (f" (log: {one.log})" if one.log else "")
+
+
+def _facts(counts: dict[str, int], cart_max_m: float) -> Iterator[tuple[str, str]]:
+    yield "goals", f"{counts.get('goals', 0):,}"
+    yield "reached", f"{counts.get('reached', 0):,}"
+    yield "farthest cart", f"{cart_max_m:.3f} m"
+
+
+def _slopes(slopes: dict[str, Slope], per: str) -> Html:
+    rows = [
+        (NAMES[name], f"{s.value:.3g}", f"{s.low:.3g} to {s.high:.3g}", f"{s.allowed:g}", s.verdict)
+        for name, s in slopes.items()
+    ]
+    head = ("what", f"growth {per}", "95 % interval", "allowed", "so it")
+    return table(head, rows, "Growth after the warm-up", numbers=(1, 2, 3))
+
+
+def _curves(samples: Sequence[Any], unit: str, warm: float) -> list[Html]:
+    if len(samples) < 2:
+        return []
+    time, *names = samples[0]._fields
+    t = np.array([getattr(one, time) for one in samples])
+    curves = {NAMES[name]: np.array([float(getattr(one, name)) for one in samples]) for name in names}
+    told = f"Samples over time; the first {warm:.2g} {unit} are warm-up and count for no slope."
+    return [el("figure", el("figcaption", told), charts.lanes(t, curves, f"usage over {unit}", unit))]
+
+
+def _counts(counts: dict[str, int]) -> Html:
+    return table(("what", "how often"), [(what, f"{n:,}") for what, n in counts.items()], "What happened", numbers=(1,))
+
+
+def _list(sentences: Iterable[str]) -> Html:
+    items = [el("li", sentence) for sentence in sentences]
+    return el("ul", *items) if items else el("p", "None.")

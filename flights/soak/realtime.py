@@ -1,0 +1,187 @@
+"""Hours in real time: daemon and twin as processes of their own, joined by their wires, with faults and bad clients."""
+
+import contextlib
+import json
+import time
+from collections import Counter
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import httpx
+import zenoh
+
+from softarm.drivers.mocap import zenoh_session
+from softarm.drivers.twin.cameras import FAULT_KEY, STATE_KEY
+from softarm.flights.soak import usage
+from softarm.flights.soak.hammer import Hammer
+from softarm.flights.soak.script import Act, Script, Unexpected
+from softarm.flights.soak.slopes import Slope, slope
+from softarm.flights.software_in_the_loop import SoftwareInTheLoop
+
+LOOK_S = 0.1  # between two looks at the status
+SAMPLES = 1000  # of a run; none more often than every second
+KEEP_MB, FILE_MB = 20, 5  # small, so that files follow each other and are deleted within the run
+LOGS_MAX_MB = KEEP_MB + 2 * FILE_MB  # one is being written, one compressed
+
+# An hour's growth that is no leak.
+ALLOWED = {
+    "memory_mb": 3.0,
+    "descriptors": 1.0,
+    "threads": 0.5,
+    "cpu_percent": 5.0,
+    "late_ms": 0.5,
+}
+
+
+class Sample(NamedTuple):
+    """How the daemon was, with the process that leads the rail."""
+
+    time_h: float
+    memory_mb: float
+    descriptors: int
+    threads: int
+    cpu_percent: float  # of one core, since the sample before
+    late_ms: float  # median of what was seen since the sample before
+    missed: int  # ticks, since the beginning
+    logs_mb: float
+
+
+class Soaked(NamedTuple):
+    """What came of it."""
+
+    seed: int
+    hours: float
+    samples: list[Sample]
+    slopes: dict[str, Slope]
+    counts: dict[str, int]
+    unexpected: list[Unexpected]
+    cart_max_m: float
+    logs_max_mb: float
+
+
+def soak(hours: float, seed: int, logs: Path, tell: Callable[[str, float], None]) -> Soaked:
+    """Fly for so long. logs: an empty folder. tell(what is happening, share done).
+
+    Raises SoftwareInTheLoopError when twin or daemon do not come up.
+    """
+    recorder = {"directory": str(logs), "keep_mb": KEEP_MB, "file_max_mb": FILE_MB}
+    with SoftwareInTheLoop(logs, {"recorder": recorder}) as sil, contextlib.ExitStack() as stack:
+        assert sil.daemon is not None
+        session = stack.enter_context(zenoh.open(zenoh_session.client(sil.settings["drivers"]["mocap"]["endpoint"])))
+        states = session.declare_subscriber(STATE_KEY, zenoh.handlers.RingChannel(1))
+        watch = _Watch(sil.daemon.pid, logs)
+        script, begun_s = Script(seed), time.monotonic()
+        unexpected = script.unexpected
+        # A policy is tried out for seconds; nobody waits for that.
+        with Hammer(sil.url, sil.stop_port, seed) as hammer, ThreadPoolExecutor(2) as doing:
+            truth: dict[str, Any] = {}
+            while (now_s := time.monotonic() - begun_s) < 3600 * hours:
+                if sil.daemon.poll() is not None:
+                    unexpected.append(Unexpected(now_s, f"the daemon ended with {sil.daemon.returncode}", None))
+                    break
+                try:
+                    status = sil.status()
+                    for act in script.acts(status, now_s):
+                        doing.submit(_do, act, sil.url, session, script.counts)
+                    watch.look(status, now_s)
+                except httpx.HTTPError as error:
+                    what = f"no answer to the script: {type(error).__name__} {error}"
+                    unexpected.append(Unexpected(now_s, what, None))
+                while (heard := states.try_recv()) is not None:
+                    truth = json.loads(heard.payload.to_bytes())
+                watch.sample_when_due(3600 * hours)
+                tell(f"{script.counts['goals']} goals, {len(unexpected)} unexpected", now_s / 3600 / hours)
+                time.sleep(LOOK_S)
+        end_s = time.monotonic() - begun_s
+        unexpected += [Unexpected(end_s, what, None) for what in _odd(sil, hammer, truth, watch)]
+        counts = script.counts + Counter({f"answer: {code}": n for code, n in hammer.answers.items()})
+    slopes = {
+        name: slope([s.time_h for s in watch.samples], [getattr(s, name) for s in watch.samples], allowed)
+        for name, allowed in ALLOWED.items()
+    }
+    cart_max_m = float(truth.get("cart_max_abs_m", 0.0))
+    return Soaked(
+        seed,
+        end_s / 3600,
+        watch.samples,
+        slopes,
+        dict(sorted(counts.items())),
+        unexpected,
+        cart_max_m,
+        watch.logs_max_mb,
+    )
+
+
+class _Watch:
+    """Keeps samples of the daemon."""
+
+    def __init__(self, pid: int, logs: Path) -> None:
+        self._pids = [pid, *usage.children(pid)]  # those that are there now; a policy's trial comes and goes
+        self._logs = logs
+        self._begun_s = self._sampled_s = time.monotonic()
+        self._cpu_s = usage.of(self._pids).cpu_s
+        self._late_ms: list[float] = []
+        self._missed = 0
+        self.logs_max_mb = 0.0
+        self.samples: list[Sample] = []
+
+    def look(self, status: dict[str, Any], now_s: float) -> None:
+        """Take notice of a status."""
+        self._late_ms.append(status["late_ns"] * 1e-6)
+        self._missed = status["missed_total"]
+
+    def sample_when_due(self, total_s: float) -> None:
+        """Look at the processes, not too often."""
+        now_s = time.monotonic()
+        if now_s - self._sampled_s < max(1.0, total_s / SAMPLES) or not self._late_ms:
+            return
+        try:
+            now = usage.of(self._pids)
+        except OSError:  # the rail's process was replaced, or the daemon has ended
+            self._pids = self._pids[:1] + [pid for pid in usage.children(self._pids[0]) if pid not in self._pids]
+            return
+        logs_mb = usage.folder_mb(self._logs)
+        self.logs_max_mb = max(self.logs_max_mb, logs_mb)
+        late_ms = sorted(self._late_ms)[len(self._late_ms) // 2]
+        cpu = 100 * (now.cpu_s - self._cpu_s) / (now_s - self._sampled_s)
+        self.samples.append(
+            Sample(
+                (now_s - self._begun_s) / 3600,
+                now.memory_mb,
+                now.descriptors,
+                now.threads,
+                cpu,
+                late_ms,
+                self._missed,
+                logs_mb,
+            )
+        )
+        self._sampled_s, self._cpu_s, self._late_ms = now_s, now.cpu_s, []
+
+
+def _do(act: Act, url: str, session: zenoh.Session, counts: Counter[str]) -> None:
+    if act.kind == "fault":
+        session.put(FAULT_KEY, act.path.encode())
+        return
+    try:
+        answer = httpx.request(act.kind, url + act.path, json=act.body, timeout=130.0 if act.kind == "PUT" else 5.0)
+    except httpx.TransportError as error:
+        counts[f"unanswered: {act.kind} {act.path}: {type(error).__name__}"] += 1
+        return
+    if answer.is_error:
+        counts[f"refused: {act.kind} {act.path}: {answer.status_code}"] += 1
+
+
+def _odd(sil: SoftwareInTheLoop, hammer: Hammer, truth: dict[str, Any], watch: _Watch) -> list[str]:
+    """What should not have happened, besides stops."""
+    found = [f"{what} ({times} times)" for what, times in hammer.wrong.items()]
+    for verb in ("run", "twin"):
+        lines = sil.printed(verb).splitlines()
+        found += [f"softarm {verb}: {line}" for line in lines if line.startswith(("ERROR", "CRITICAL", "Traceback"))]
+    if truth.get("crashes"):
+        found.append(f"the cart struck the end of its rail {truth['crashes']} times")
+    if watch.logs_max_mb > LOGS_MAX_MB:
+        found.append(f"the logs took {watch.logs_max_mb:.0f} MB; retention of {KEEP_MB} allows {LOGS_MAX_MB}")
+    return found

@@ -1,0 +1,144 @@
+"""A person at the bench who never tires: arms, gives goals, breaks things, and says which stops were to be expected."""
+
+import json
+import random
+from collections import Counter
+from typing import Any, NamedTuple
+
+from softarm.daemon.control.failsafe import TABLE
+from softarm.schemas.flights import TEST_TARGETS
+
+AFTERMATH_S = 6.0  # so long after a fault has ended it may still stop the robot: links are made anew
+PATIENCE_S = 0.5  # until a request shows in the status
+POLICIES = ("reach", "reach-wide", "reach-robust", "pid")
+
+# What the twin can be made to do, for how long, and the first words of the events that may come of it.
+MOCAP, REGULATOR, RAIL = ("mocap_", "rail_disagrees"), ("pressure_", "regulator_"), ("rail_", "remote_off")
+FAULTS: dict[str, tuple[float, float, tuple[str, ...]]] = {
+    "mocap_freeze": (0.05, 2.0, MOCAP),
+    "mocap_stuck": (0.05, 2.0, MOCAP),
+    "mocap_drop_body": (0.05, 2.0, MOCAP),
+    "mocap_garbage": (0.0, 0.0, MOCAP),
+    "serial_silence": (0.05, 2.0, REGULATOR),
+    "serial_garbage": (0.05, 2.0, REGULATOR),
+    "serial_unplug": (0.1, 3.0, REGULATOR),
+    "rail_silence": (0.05, 2.0, RAIL),
+    "rail_segment": (0.1, 2.0, RAIL),
+    "rail_drop_connection": (0.0, 0.0, RAIL),
+    "rail_fault": (0.0, 0.0, RAIL),
+    "remote_low": (0.1, 2.0, RAIL),
+}
+
+
+class Unexpected(NamedTuple):
+    """Something that should not have happened."""
+
+    time_s: float  # since the beginning
+    what: str
+    log: str | None  # the recording that holds it
+
+
+class Act(NamedTuple):
+    """What the script does next: a fault for the twin, or a request to the daemon."""
+
+    kind: str  # fault, or a request's method
+    path: str  # or the fault's JSON
+    body: dict[str, Any] | None = None
+
+
+class Script:
+    """Pure: the status and the time go in, acts come out; the same seed and statuses, the same acts."""
+
+    def __init__(self, seed: int, fault_every_s: float = 15.0, change_every_s: float = 45.0) -> None:
+        """So often, on average, something breaks; so often a policy is changed, the arm disarmed, or stopped."""
+        self._chance = random.Random(seed)
+        self._every = {"fault": fault_every_s, "change": change_every_s}
+        self._due_s = {what: self._chance.expovariate(1 / every) for what, every in self._every.items()}
+        self._broken: list[tuple[float, tuple[str, ...]]] = []  # until when, which events
+        self._was: dict[str, Any] = {}
+        self._patient_until_s = 0.0
+        self._asked_s = -AFTERMATH_S  # when the script itself last ended a flight
+        self.counts: Counter[str] = Counter()
+        self.unexpected: list[Unexpected] = []
+
+    def acts(self, status: dict[str, Any], now_s: float) -> list[Act]:
+        """What to do about a status."""
+        self._look(status, now_s)
+        self._was = status
+        if found := [*self._break(now_s), *self._change(now_s)]:
+            return found
+        if now_s < self._patient_until_s:
+            return []
+        if found := self._next(status):
+            self._patient_until_s = now_s + PATIENCE_S
+        return found
+
+    def _next(self, status: dict[str, Any]) -> list[Act]:
+        """What a person would ask for now."""
+        if status["estop"] == "latched":
+            return [Act("POST", "/api/acknowledge")]
+        if status["mode"] == "disarmed" and not status["arming_refusals"]:
+            return [Act("POST", "/api/arm")]
+        if status["mode"] == "armed" and status["goal"]["state"] != "running":
+            goal = self._chance.choice(TEST_TARGETS)
+            self.counts["goals"] += 1
+            return [Act("POST", "/api/goal", {"kind": "reach", "y_m": goal.y_m, "z_m": goal.z_m})]
+        return []
+
+    def _look(self, status: dict[str, Any], now_s: float) -> None:
+        """Count what happened since the last status."""
+        was = self._was
+        if not was:
+            return
+        if status["goal"]["number"] == was["goal"]["number"] and was["goal"]["state"] == "running":
+            self.counts["reached"] += status["goal"]["state"] == "reached"
+        ended = was["mode"] in ("arming", "armed") and status["mode"] not in ("arming", "armed")
+        again = status["last_stop"] != was["last_stop"]
+        if not (ended or again) or now_s - self._asked_s < 1.0:
+            return
+        event = _event(status["last_stop"] or "")
+        self.counts[f"stop: {event}"] += 1
+        if not self._foreseen(event, now_s):
+            log = status["recorder"]["log"]
+            self.unexpected.append(Unexpected(now_s, f"stopped: {status['last_stop']}", log))
+
+    def _foreseen(self, event: str, now_s: float) -> bool:
+        broken = [names for until_s, names in self._broken if now_s <= until_s + AFTERMATH_S]
+        return any(event.startswith(name) for names in broken for name in (*names, "arming_timeout"))
+
+    def _break(self, now_s: float) -> list[Act]:
+        if not self._is_due("fault", now_s):
+            return []
+        name = self._chance.choice(tuple(FAULTS))
+        least_s, most_s, events = FAULTS[name]
+        fault: dict[str, Any] = {"fault": name}
+        if most_s:
+            fault["seconds"] = round(self._chance.uniform(least_s, most_s), 3)
+        if name == "mocap_drop_body":
+            fault["body"] = self._chance.choice(("cart", "link1", "link5"))
+        self.counts[f"fault: {name}"] += 1
+        self._broken = [each for each in self._broken if each[0] + AFTERMATH_S >= now_s]
+        self._broken.append((now_s + fault.get("seconds", 0.0), events))
+        return [Act("fault", json.dumps(fault))]
+
+    def _change(self, now_s: float) -> list[Act]:
+        if not self._is_due("change", now_s):
+            return []
+        what = self._chance.choice(("disarm", "stop", "policy", "policy"))
+        self.counts[f"asked: {what}"] += 1
+        if what == "policy":
+            return [Act("PUT", "/api/policy", {"name": self._chance.choice(POLICIES)})]
+        self._asked_s = now_s
+        return [Act("POST", f"/api/{what}")]
+
+    def _is_due(self, what: str, now_s: float) -> bool:
+        due = now_s >= self._due_s[what]
+        if due:
+            self._due_s[what] = now_s + self._chance.expovariate(1 / self._every[what])
+        return due
+
+
+def _event(sentence: str) -> str:
+    """The event of the failsafe table whose words a stop's sentence begins with; the sentence where there is none."""
+    fitting = [name for name, rule in TABLE.items() if sentence.startswith(rule.meaning)]
+    return max(fitting, key=lambda name: len(TABLE[name].meaning), default=sentence)

@@ -1,0 +1,57 @@
+"""What processes have, as Linux tells it (proc(5))."""
+
+import os
+from collections.abc import Iterable
+from pathlib import Path
+from typing import NamedTuple
+
+_TICKS_HZ = os.sysconf("SC_CLK_TCK")
+
+
+class Usage(NamedTuple):
+    """Of one process, or of several together."""
+
+    memory_mb: float  # proportional set size: pages that others share count by their share
+    descriptors: int
+    threads: int
+    cpu_s: float  # since it began
+
+
+def of(pids: Iterable[int]) -> Usage:
+    """Of these processes together. Raises OSError when one has ended."""
+    each = [_of(Path(f"/proc/{pid}")) for pid in pids]
+    return Usage(
+        sum(one.memory_mb for one in each),
+        sum(one.descriptors for one in each),
+        sum(one.threads for one in each),
+        sum(one.cpu_s for one in each),
+    )
+
+
+def children(pid: int) -> list[int]:
+    """The processes that it started and that live."""
+    found = (Path(f"/proc/{pid}/task") / task / "children" for task in os.listdir(f"/proc/{pid}/task"))
+    return sorted(int(child) for file in found for child in file.read_text().split())
+
+
+def folder_mb(folder: Path) -> float:
+    """Size of the files in a folder; one that goes meanwhile counts as gone."""
+    total = 0
+    for path in folder.iterdir():
+        try:
+            total += path.stat().st_size
+        except FileNotFoundError:
+            continue
+    return total / 1e6
+
+
+def _of(process: Path) -> Usage:
+    rollup = (process / "smaps_rollup").read_text()
+    # After the name, which may hold anything: state is field 3, user and system time 14 and 15, threads 20.
+    fields = (process / "stat").read_text().rpartition(")")[2].split()
+    return Usage(
+        int(rollup.partition("\nPss:")[2].split(maxsplit=1)[0]) / 1024,
+        len(os.listdir(process / "fd")),
+        int(fields[17]),
+        (int(fields[11]) + int(fields[12])) / _TICKS_HZ,
+    )
