@@ -60,7 +60,7 @@ class OnnxPolicy:
     @classmethod
     def describe(cls, model: str, target_depth_m: float = DEPTH_M) -> PolicySpec:
         """Return the spec of a model without running it. Raises PolicyError as the constructor does."""
-        return _open(_path(model)).spec
+        return _open(_path(model), to_run=False).spec
 
     def reset(self) -> None:
         """Zero the recurrent state."""
@@ -121,14 +121,16 @@ def _path(model: str) -> Path:
     )
 
 
-def _open(path: Path) -> _File:
+def _open(path: Path, to_run: bool = True) -> _File:
     status = path.stat()
-    return _read(path, status.st_mtime_ns, status.st_size)
+    return _read(path, status.st_mtime_ns, status.st_size, to_run)
 
 
 @lru_cache(maxsize=16)  # listing the policies must not parse every model again; a changed file is another key
-def _read(path: Path, _mtime_ns: int, size: int) -> _File:
+def _read(path: Path, _mtime_ns: int, size: int, to_run: bool) -> _File:
     options = ort.SessionOptions()
+    if not to_run:  # optimising works out what depends on constants alone, for however long that takes
+        options.graph_optimization_level = ort.GraphOptimizationLevel.ORT_DISABLE_ALL
     # One thread, no spinning: a pool's hand-over costs milliseconds at p99.9 beside a loaded control loop.
     options.intra_op_num_threads = options.inter_op_num_threads = 1
     options.add_session_config_entry("session.intra_op.allow_spinning", "0")

@@ -4,6 +4,7 @@ import hashlib
 import time
 
 import numpy as np
+import onnxruntime
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
@@ -37,6 +38,22 @@ def test_a_file_of_more_than_a_model_has_is_not_even_read(tmp_path):
         file.truncate(10**12)
     with pytest.raises(PolicyError, match=r"large\.onnx: .* 1000000 MB; allowed are 67"):
         OnnxPolicy(str(tmp_path / "large.onnx"))
+
+
+def test_describing_a_file_works_nothing_out(write_model, monkeypatch):
+    """Optimising a graph runs what depends on constants alone, for however long that takes."""
+    levels, real = [], onnxruntime.InferenceSession
+
+    def session(content, options, **more):
+        levels.append(options.graph_optimization_level)
+        return real(content, options, **more)
+
+    monkeypatch.setattr(onnxruntime, "InferenceSession", session)
+    path = str(write_model())
+    OnnxPolicy.describe(path)
+    assert levels == [onnxruntime.GraphOptimizationLevel.ORT_DISABLE_ALL]
+    OnnxPolicy(path)
+    assert levels[1:] == [onnxruntime.GraphOptimizationLevel.ORT_ENABLE_ALL]
 
 
 def test_text_in_it_that_is_no_text_is_refused(write_model, capfd):
