@@ -6,6 +6,8 @@ from collections import Counter
 from collections.abc import Callable
 from typing import NamedTuple
 
+import numpy as np
+
 from softarm.daemon.control.records import EStop, Mode, Outputs, Request
 from softarm.daemon.shell.offline import Lockstep
 from softarm.flights.soak import usage
@@ -74,7 +76,7 @@ class _Flight:
                 tell(self._ticks / ticks)
         found = self._samples
         slopes = {
-            name: slope([s.day for s in found], [getattr(s, name) for s in found], allowed)
+            name: slope([s.day for s in found], [getattr(s, name) for s in found], allowed, np.min)
             for name, allowed in ALLOWED.items()
         }
         counts = dict(sorted(self._counts.items()))

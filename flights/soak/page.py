@@ -48,7 +48,11 @@ def html(real: realtime.Soaked | None, stepped: lockstep.Stepped | None, command
     lead = [el("h1", "Soak"), el("div", el("p", verdict), class_="lead"), el("p", "Made by ", el("code", command), ".")]
     sections = [Section("Findings", "findings", _list(wrong))]
     if real is not None:
-        facts = [("hours", f"{real.hours:.2f}"), *_facts(real.counts, real.cart_max_m)]
+        facts = [
+            ("hours", f"{real.hours:.2f}"),
+            ("of them armed", f"{real.armed_share:.0%}"),
+            *_facts(real.counts, real.cart_max_m),
+        ]
         body = [tiles(facts), _slopes(real.slopes, "an hour"), *_curves(real.samples, "hours", warm_up(real.hours))]
         sections.append(Section("In real time", "real", join([*body, _counts(real.counts)])))
     if stepped is not None:

@@ -9,6 +9,7 @@ from softarm.daemon.control.failsafe import TABLE
 from softarm.schemas.flights import TEST_TARGETS
 
 AFTERMATH_S = 6.0  # so long after a fault has ended it may still stop the robot: links are made anew
+ASKED_S = 5.0  # until a stop that was asked for, or a disarming, shows for certain
 PATIENCE_S = 0.5  # until a request shows in the status
 POLICIES = ("reach", "reach-wide", "reach-robust", "pid")
 
@@ -58,6 +59,7 @@ class Script:
         self._was: dict[str, Any] = {}
         self._patient_until_s = 0.0
         self._asked_s = -AFTERMATH_S  # when the script itself last ended a flight
+        self.looks = self.armed = 0
         self.counts: Counter[str] = Counter()
         self.unexpected: list[Unexpected] = []
 
@@ -77,8 +79,8 @@ class Script:
         """What a person would ask for now."""
         if status["estop"] == "latched":
             return [Act("POST", "/api/acknowledge")]
-        if status["mode"] == "disarmed" and not status["arming_refusals"]:
-            return [Act("POST", "/api/arm")]
+        if status["mode"] == "disarmed":  # a fault of a device is acknowledged too, when its cause is gone
+            return [Act("POST", "/api/acknowledge" if status["arming_refusals"] else "/api/arm")]
         if status["mode"] == "armed" and status["goal"]["state"] != "running":
             goal = self._chance.choice(TEST_TARGETS)
             self.counts["goals"] += 1
@@ -88,13 +90,15 @@ class Script:
     def _look(self, status: dict[str, Any], now_s: float) -> None:
         """Count what happened since the last status."""
         was = self._was
+        self.looks += 1
+        self.armed += status["mode"] == "armed"
         if not was:
             return
         if status["goal"]["number"] == was["goal"]["number"] and was["goal"]["state"] == "running":
             self.counts["reached"] += status["goal"]["state"] == "reached"
         ended = was["mode"] in ("arming", "armed") and status["mode"] not in ("arming", "armed")
         again = status["last_stop"] != was["last_stop"]
-        if not (ended or again) or now_s - self._asked_s < 1.0:
+        if not (ended or again) or now_s - self._asked_s < ASKED_S:
             return
         event = _event(status["last_stop"] or "")
         self.counts[f"stop: {event}"] += 1

@@ -1,15 +1,17 @@
 """Does a quantity grow? A straight line through its samples, and how sure its slope is."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Literal, NamedTuple
 
 import numpy as np
 
 BLOCKS = 8
+WINDOWS = 64  # of what comes after the warm-up; each gives one number
 _T95 = 2.365  # Student's t, 97.5 %, BLOCKS - 1 degrees of freedom
 WARM_UP_SHARE, WARM_UP_MAX_H = 0.25, 0.25  # of a run; what fills caches is no leak
 
+Statistic = Callable[[np.ndarray], float]
 Verdict = Literal["flat", "grows", "too short to tell"]
 
 
@@ -27,16 +29,21 @@ class Slope(NamedTuple):
         return "flat" if self.high <= self.allowed else "grows" if self.low > self.allowed else "too short to tell"
 
 
-def slope(time: Sequence[float], values: Sequence[float], allowed: float) -> Slope:
-    """Of what comes after the warm-up. Samples depend on their neighbours: blocks of time are left out one at a time.
+def slope(time: Sequence[float], values: Sequence[float], allowed: float, of: Statistic = np.median) -> Slope:
+    """Of what comes after the warm-up.
 
-    The same jackknife as `softarm.diagnosis.jackknife`, for one line. Infinitely wide for too few samples.
+    of: what stands for a window of time; the least, for what is taken and given back: a leak raises that too.
+    Windows depend on their neighbours: blocks of them are left out one at a time, the same jackknife as
+    `softarm.diagnosis.jackknife`, for one line. Infinitely wide for too few samples.
     """
     t, y = np.asarray(time, float), np.asarray(values, float)
     warm = t - t[0] >= warm_up(float(t[-1] - t[0])) if len(t) else np.zeros(0, bool)
     t, y = t[warm], y[warm]
     if len(t) < 2 * BLOCKS:
         return Slope(math.nan, -math.inf, math.inf, allowed)
+    parts = min(WINDOWS, len(t))
+    t = np.array([part.mean() for part in np.array_split(t, parts)])
+    y = np.array([of(part) for part in np.array_split(y, parts)])
     whole = _fit(t, y)
     block = np.arange(len(t)) * BLOCKS // len(t)
     moved = np.array([_fit(t[block != one], y[block != one]) for one in range(BLOCKS)]) - whole

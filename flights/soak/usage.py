@@ -34,6 +34,11 @@ def children(pid: int) -> list[int]:
     return sorted(int(child) for file in found for child in file.read_text().split())
 
 
+def command(pid: int) -> str:
+    """What it was started with. Raises OSError when it has ended."""
+    return Path(f"/proc/{pid}/cmdline").read_bytes().replace(b"\0", b" ").decode(errors="replace")
+
+
 def folder_mb(folder: Path) -> float:
     """Size of the files in a folder; one that goes meanwhile counts as gone."""
     total = 0

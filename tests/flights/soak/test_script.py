@@ -37,6 +37,7 @@ def stop(name):
     ("seen", "path"),
     [
         (status("disarmed"), "/api/arm"),
+        (status("disarmed", refusals=["the drive reports a fault"]), "/api/acknowledge"),
         (status("stopped", estop="latched"), "/api/acknowledge"),
         (status("armed"), "/api/goal"),
         (status("armed", "failed"), "/api/goal"),
@@ -50,7 +51,7 @@ def test_it_asks_for_what_comes_next_and_waits_until_that_shows(calm, seen, path
 
 @pytest.mark.parametrize(
     "seen",
-    [status("armed", "running"), status("stopped", estop="engaged"), status("disarmed", refusals=["no frame"])],
+    [status("armed", "running"), status("stopped", estop="engaged"), status("stopping")],
 )
 def test_it_waits_where_there_is_nothing_to_do(calm, seen):
     assert calm.acts(seen, 1.0) == []

@@ -33,6 +33,12 @@ def test_what_fills_up_in_the_beginning_is_no_leak():
     assert slope(HOURS, 100 + 50 * np.minimum(HOURS, 0.2), 2.0).verdict == "flat"
 
 
+def test_what_is_taken_and_given_back_is_no_leak_and_hides_none():
+    busy = np.random.default_rng(0).exponential(5.0, 400)
+    assert slope(HOURS, 100 + busy, 2.0, np.min).verdict == "flat"
+    assert slope(HOURS, 100 + busy + 8 * HOURS, 2.0, np.min).verdict == "grows"
+
+
 def test_a_count_that_never_changes_has_no_slope():
     assert slope(HOURS, np.full(400, 17.0), 0.5)[:3] == pytest.approx((0.0, 0.0, 0.0), abs=1e-9)
 

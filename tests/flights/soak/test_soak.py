@@ -47,7 +47,7 @@ def test_findings_stand_on_the_page_and_in_the_figures(minute):
     grown = {name: Slope(9.0, 8.0, 10.0, 1.0) for name in realtime.ALLOWED}
     samples = [realtime.Sample(0.1 * n, 100.0 + n, 40, 12, 17.0, 0.2, 0, 3.0) for n in range(10)]
     odd = [Unexpected(7.0, "stopped: <b>for nothing</b>", "logs/one.mcap")]
-    real = realtime.Soaked(1, 1.0, samples, grown, {"goals": 3}, odd, 0.2, 12.0)
+    real = realtime.Soaked(1, 1.0, 0.8, samples, grown, {"goals": 3}, odd, 0.2, 12.0)
     told = page.problems(real, None)
     assert told[0] == "in real time: memory (MB) grows: 9 per hour (8 to 10), allowed 1"
     assert told[-1] == "in real time: after 7 s: stopped: <b>for nothing</b> (log: logs/one.mcap)"
