@@ -35,7 +35,7 @@ VERBS: dict[str, dict[str, Verb]] = {
         "train": Verb("train:train", "Train a policy in the simulator.", "train"),
         "export": Verb("export:export", "Write a checkpoint as an ONNX policy.", "train"),
         "plan": Verb("plan:plan", "Optimise trajectories for the policy that tracks them.", "sim"),
-        "soak": Verb("soak:soak", "Fly for hours: does anything grow, does anything happen?", "sim"),
+        "soak": Verb("soak:soak", "Fly for hours; tell what grows and what happens.", "sim"),
         "evaluate": Verb("evaluate:evaluate", "Fly the test targets, by the daemon's own tick.", "sim"),
         "model": Verb("model:model", "Show, compare, check and export models of the robot."),
     },

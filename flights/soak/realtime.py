@@ -25,7 +25,8 @@ LOOK_S = 0.1  # between two looks at the status
 SAMPLES = 1000  # of a run; none more often than every second
 RAIL_PROCESS = "softarm.drivers.rail.process"  # on its command line
 KEEP_MB, FILE_MB = 20, 5  # small, so that files follow each other and are deleted within the run
-LOGS_MAX_MB = KEEP_MB + 2 * FILE_MB  # one is being written, one compressed
+AROUND_S = 1.0  # so soon after it was switched off a new file may begin
+LOGS_MAX_MB = KEEP_MB + 50  # one is written meanwhile, for a minute or two; none ends while the robot flies
 
 # An hour's growth that is no leak, and what stands for a while of it.
 ALLOWED: dict[str, tuple[float, Statistic]] = {
@@ -69,7 +70,7 @@ def soak(hours: float, seed: int, logs: Path, tell: Callable[[str, float], None]
 
     Raises SoftwareInTheLoopError when twin or daemon do not come up.
     """
-    recorder = {"directory": str(logs), "keep_mb": KEEP_MB, "file_max_mb": FILE_MB}
+    recorder = {"directory": str(logs), "keep_mb": KEEP_MB, "file_max_mb": FILE_MB, "around_s": AROUND_S}
     with SoftwareInTheLoop(logs, {"recorder": recorder}) as sil, contextlib.ExitStack() as stack:
         assert sil.daemon is not None
         session = stack.enter_context(zenoh.open(zenoh_session.client(sil.settings["drivers"]["mocap"]["endpoint"])))

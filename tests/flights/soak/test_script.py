@@ -6,7 +6,7 @@ import pytest
 
 from softarm.daemon.control.failsafe import TABLE
 from softarm.drivers.twin.faults import Faults
-from softarm.flights.soak.script import AFTERMATH_S, FAULTS, PATIENCE_S, Script
+from softarm.flights.soak.script import AFTERMATH_S, FAULTS, PATIENCE_S, REST_EVERY_S, REST_S, Script
 from softarm.schemas.flights import TEST_TARGETS
 
 NEVER = 1e9
@@ -86,10 +86,16 @@ def test_a_fault_explains_stops_of_its_own_device_for_a_while(calm, monkeypatch,
     assert (calm.unexpected == []) is expected
 
 
+def test_now_and_then_it_rests_for_a_while(calm):
+    assert [act.path for act in calm.acts(status("armed", "running"), REST_EVERY_S)] == ["/api/disarm"]
+    assert calm.acts(status("disarmed"), REST_EVERY_S + 0.9 * REST_S) == []
+    assert [act.path for act in calm.acts(status("disarmed"), REST_EVERY_S + REST_S)] == ["/api/arm"]
+
+
 def test_its_own_stops_and_disarms_are_no_surprise():
     script = Script(0, fault_every_s=NEVER, change_every_s=1.0)
     armed, asked = status("armed", "running"), []
-    for tick in range(600):
+    for tick in range(700):
         acts = script.acts(armed, 0.1 * tick)
         asked += [act.path for act in acts]
         if acts and acts[0].path in ("/api/stop", "/api/disarm"):
