@@ -43,7 +43,7 @@ def main() -> None:
     add("--age-ms", type=float, default=0.0, help="age of what 6064h and 606Ch say")
     add("--keep", action="store_true", help="the drive keeps its last set-point when its master is gone or silent")
     add("--payload-g", type=float, default=0.0)
-    add("--friction-n", type=float, default=1.0)
+    add("--friction-n", type=float, default=3.0, help="of axis and motor; all that holds a cart without power")
     add("--start", type=float, default=0.0, help="cart, m")
     add("--rate", type=float, default=120.0, help="frames a second")
     add("--delay-ms", type=float, default=8.0, help="from a frame's exposure to its sample")

@@ -36,7 +36,7 @@ _EMPTY_KPA = 1e-9
 class Body:
     """The arm hangs straight and at rest, vented, where it is made; `step` alone moves it."""
 
-    def __init__(self, payload_kg: float = 0.0, friction_n: float = 1.0, cart_m: float = 0.0) -> None:
+    def __init__(self, payload_kg: float = 0.0, friction_n: float = 3.0, cart_m: float = 0.0) -> None:
         arms = np.tril(np.full((LINKS, LINKS), LENGTH_M), -1) + np.eye(LINKS) * LENGTH_M / 2  # lever of phi_j on COM k
         masses = MASS_KG
         if payload_kg:  # a point at the tip

@@ -130,6 +130,18 @@ def test_a_silent_master_is_a_stop_and_a_drive_that_keeps_its_set_point_goes_on_
     assert STOP_M <= kept.max_cart_m < STOP_M + 0.005
 
 
+@pytest.mark.parametrize(
+    ("angle_rad", "friction_n", "rolled_mm"), [(1.0, 0.0, 130), (1.0, 3.0, 1), (1.5, 0.0, 155), (1.5, 3.0, 7)]
+)
+def test_a_cart_without_power_is_rolled_by_the_arm(angle_rad: float, friction_n: float, rolled_mm: int) -> None:
+    """docs/safety.md says so."""
+    robot = Robot(Body(friction_n=friction_n), Drive(None, 0.0, 0.0, keep=False), bound_m=1.0)
+    robot.body.q[1:] = angle_rad
+    for step in range(2000):
+        robot.step(step * STEP_S)
+    assert 1e3 * robot.max_cart_m == pytest.approx(rolled_mm, abs=1)
+
+
 def test_two_authors_agree_on_the_arm_and_its_pull() -> None:
     """The same pressures on a cart that gives way: two formulations of one robot, tips within 2 mm."""
     body, simulator = Body(friction_n=0.0), Simulator(physics_rate_hz=PHYSICS_RATE_HZ)
