@@ -53,7 +53,7 @@ def main() -> None:
     with contextlib.suppress(PermissionError):  # before any thread is started, Zenoh's too: they take it over
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(PRIORITY))
     body = Body(options.payload_g / 1000, options.friction_n, options.start)
-    drive = Drive(options.ramp, options.latency_ms / 1000, options.age_ms / 1000, options.keep)
+    drive = Drive(options.ramp, options.latency_ms / 1000, options.age_ms / 1000, options.keep, options.friction_n)
     robot = Robot(body, drive, options.bound_m)
     port = Port(drive, options.rail_host, options.rail_port)
     board = Board(robot.firmware, options.serial, lambda: robot.body.pressure_kpa)

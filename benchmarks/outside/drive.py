@@ -13,6 +13,7 @@ _CENTRE_M = 0.30
 _SILENCE_S = 0.1
 _SERVO_NS_M, _SERVO_N_M = 30.0, 150.0  # velocity loop: proportional, integral
 _FORWARD_KG = 0.5
+_SLIPS_M_S = 0.02  # friction is made up for from this speed on
 _FORCE_N = 40.0
 _WIDE_M_S, _WIDE_S = 0.5, 0.1  # farther than this behind its reference for so long, it trips
 _FOLLOWING = 0x8611
@@ -32,12 +33,16 @@ class Drive:
     """One drive, homed and with its enable input high.
 
     ramp_m_s2: what it really drives (None: 6083h to 6085h); latency_s: from a written 60FFh to the ramp's start;
-    age_s: of what 6064h and 606Ch say; keep: it goes on at its last set-point when its master is gone or silent.
+    age_s: of what 6064h and 606Ch say; keep: it goes on at its last set-point when its master is gone or silent;
+    friction_n: of axis and motor, as it was commissioned for.
     """
 
-    def __init__(self, ramp_m_s2: float | None, latency_s: float, age_s: float, keep: bool) -> None:
+    def __init__(
+        self, ramp_m_s2: float | None, latency_s: float, age_s: float, keep: bool, friction_n: float = 0.0
+    ) -> None:
         self._fixed_ramp, self._latency_s, self._age_s, self._keep = ramp_m_s2, latency_s, age_s, keep
         self._values = {0x6040: 0, 0x603F: 0, 0x6060: 0, 0x6083: _UNITS, 0x6084: _UNITS, 0x6085: _UNITS, 0x60FF: 0}
+        self._friction_n = friction_n
         self.state = OFF
         self._coming: collections.deque[tuple[float, float]] = collections.deque()  # set-points under way
         self._target = self._ref = self._sum_n = 0.0
@@ -82,7 +87,8 @@ class Drive:
         if self._wide_s > _WIDE_S:
             self.trip(_FOLLOWING)
         self._sum_n = max(-_FORCE_N / 2, min(_FORCE_N / 2, self._sum_n + _SERVO_N_M * error_m_s * h))
-        force_n = _FORWARD_KG * feed_m_s2 + _SERVO_NS_M * error_m_s + self._sum_n
+        force_n = self._friction_n * max(-1.0, min(1.0, self._ref / _SLIPS_M_S))
+        force_n += _FORWARD_KG * feed_m_s2 + _SERVO_NS_M * error_m_s + self._sum_n
         if abs(force_n) > _FORCE_N:
             return (_FORCE_N if force_n > 0 else -_FORCE_N), 0.0
         return force_n, _SERVO_NS_M

@@ -93,7 +93,7 @@ def telegram(index: int, value: int, size: int) -> bytes:
 
 def running(keep: bool = False, latency_s: float = 0.0) -> Robot:
     """In operation at time 0."""
-    robot = Robot(Body(), Drive(6.0, latency_s, 0.0, keep), bound_m=0.2)
+    robot = Robot(Body(), Drive(6.0, latency_s, 0.0, keep, friction_n=3.0), bound_m=0.2)
     for index, value, size in ((0x6060, 3, 1), (0x6040, 6, 2), (0x6040, 7, 2), (0x6040, 15, 2)):
         robot.drive.answer(telegram(index, value, size), 0.0)
     assert robot.drive.state == RUN
