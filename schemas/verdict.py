@@ -1,10 +1,12 @@
 """verdict.json: what a diagnosis says. The JSON Schema is printed by `python -m softarm.schemas.verdict`."""
 
-from typing import Annotated, Literal
+from typing import Annotated, Final, Literal
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from softarm.schemas.base import Strict
+
+FORMAT: Final = 1
 
 Share = Annotated[float, Field(ge=0, le=1)]
 
@@ -85,6 +87,7 @@ class NextExperiment(Strict):
 class Verdict(Strict):
     """The answer, whole."""
 
+    format: Literal[1] = 1
     verdict: Literal["named", "incomplete", "unknown", "none"]
     where: Where
     effects: tuple[NamedEffect, ...] = ()  # in order of what each adds given the others
@@ -92,6 +95,14 @@ class Verdict(Strict):
     task: Task | None = None
     next_experiment: NextExperiment | None = None
     warnings: tuple[str, ...] = ()
+
+    @model_validator(mode="before")
+    @classmethod
+    def _not_newer(cls, content: object) -> object:
+        format_ = content.get("format", FORMAT) if isinstance(content, dict) else FORMAT
+        if isinstance(format_, int) and format_ > FORMAT:
+            raise ValueError(f"a verdict of format {format_}; this software reads format {FORMAT}: update it")
+        return content
 
 
 if __name__ == "__main__":
