@@ -35,6 +35,7 @@ class _Kind:
     says: str  # of the bound, its unit behind
 
 
+_UNTIMED = "Not looked at: without the latency nobody can tell when the cart was told to"
 _KINDS = {
     "latency_s": _Kind("s", 0.001, False, "set-point steps", "act within {}"),
     "braking_m_s2": _Kind("m/s^2", 0.05, True, "brakings", "slow down by {} or more"),
@@ -141,6 +142,8 @@ def compared(measured: Measured, config: Config) -> tuple[LimitRow, ...]:
     latency = _row(config, "latency_s", measured.latency, measured.surely, measured.steps)
     braking = _row(config, "braking_m_s2", measured.braking, measured.braking, measured.brakings)
     surge = _row(config, "surge_m_s2", measured.surge, measured.surge, measured.runs)
+    if measured.latency is None:
+        braking, surge = (replace(row, why=_UNTIMED) for row in (braking, surge))
     # What `softarm check` would refuse beside the new surge is lowered with it.
     ramp, counted_on = config.drivers.rail.acceleration_m_s2, surge.advised or surge.configured
     most = _rounded("braking_m_s2", ramp - arms_pull_m_s2(ramp, counted_on))
