@@ -101,9 +101,9 @@ class SoftwareInTheLoop:
         self._wait("twin", self.twin, link.exists)
 
     def start_daemon(self) -> None:
-        """The daemon, until it sees the whole robot."""
+        """The daemon, until it sees the whole robot. A stop that the one before it left is acknowledged."""
         self.daemon = self._start("run", self.config_file)
-        self._wait("run", self.daemon, self.healthy)
+        self._wait("run", self.daemon, self._taken_up)
 
     def healthy(self) -> bool:
         """Would arming be accepted?"""
@@ -111,6 +111,14 @@ class SoftwareInTheLoop:
             status = self.client.get("/api/status")
             return status.status_code == 200 and status.json()["arming_refusals"] == []
         return False
+
+    def _taken_up(self) -> bool:
+        """Healthy, once nothing that was left holds it."""
+        with contextlib.suppress(httpx.TransportError):
+            status = self.client.get("/api/status")
+            if status.status_code == 200 and status.json()["estop"] == "latched":
+                self.client.post("/api/acknowledge")
+        return self.healthy()
 
     def arm(self) -> None:
         """Arm and wait until it is.

@@ -101,3 +101,16 @@ def test_a_daemon_that_ends_at_once_leaves_its_last_words(tmp_path):
         SoftwareInTheLoop(tmp_path / "logs", {"control": {"policy": "raech"}}),
     ):
         pass
+
+
+@pytest.mark.slow
+def test_a_stop_that_a_killed_daemon_left_is_acknowledged_by_the_next_start(sil, tmp_path):
+    (latch,) = (tmp_path / "logs").glob("stop-*.json")
+    sil.post("stop")
+    wait(lambda: b"somebody asked" in latch.read_bytes(), "the latch on the disk")
+    sil.daemon.kill()
+    sil.daemon.wait()
+    sil.start_daemon()
+    assert sil.status()["estop"] == "clear"
+    sil.arm()
+    assert "stopped, as it was left (somebody asked for an emergency stop" in sil.printed("run")
