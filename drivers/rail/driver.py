@@ -1,7 +1,8 @@
 """The rail: an igus dryve D1, led by a process of its own so that the daemon's death, freeze or stall stops the cart.
 
 Here is the daemon's end: set-points go to that process (`process.py`, `master.py`) over a pair of sockets, reports come
-back. It is replaced when it ends, and ended when it falls silent; the new one stops the drive first.
+back. When it ends another takes its place, which is kept ready and stops the drive first; when it falls silent it is
+ended.
 """
 
 import asyncio
@@ -16,7 +17,7 @@ import time
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import softarm
 from softarm.drivers.base import DeviceError
@@ -28,11 +29,12 @@ from softarm.schemas.messages import RailReading
 
 log = logging.getLogger(__name__)
 
-SILENT_S = 0.2  # without a report for so long while the drive may move, the process hangs
+SILENT_S = 0.15  # without a report for so long while the drive may move, the process hangs
 START_S = 5.0  # the same while it starts, or tries to find a drive that is off
 STOP_S = 3.0  # to brake, switch off and hang up, over new connections too if need be
 RETRY_S = (0.05, 1.0)  # first and longest pause before a process is replaced that did not live for `LIVED_S`
 LIVED_S = 5.0
+SPARE_S = 1.0  # after a process has begun, another is made ready
 
 
 class Child(Protocol):
@@ -43,6 +45,13 @@ class Child(Protocol):
 
     def kill(self) -> None:
         """End it, whatever it does."""
+
+
+class Process(NamedTuple):
+    """One, and our end of the pair."""
+
+    child: Child
+    line: socket.socket
 
 
 Launch = Callable[[Settings, socket.socket, int], Child]
@@ -78,11 +87,11 @@ class DryveRailAxis:
         self._config, self._clock, self._launch = config, clock, launch
         self._priority = realtime_priority + 1 if realtime_priority else 0
         self._loop: asyncio.AbstractEventLoop | None = None
-        self._child: Child | None = None
-        self._line: socket.socket | None = None
-        self._again: asyncio.TimerHandle | None = None
+        self._leading: Process | None = None
+        self._spare: Process | None = None
+        self._later: asyncio.TimerHandle | None = None
         self._pause_s = RETRY_S[0]
-        self._started_ns = self._heard_ns = clock()
+        self._began_ns = self._heard_ns = clock()
         self._number = self._acknowledged = 0
         self._reading: RailReading | None = None
         self._report: Report | None = None  # of the present process
@@ -94,22 +103,28 @@ class DryveRailAxis:
         self._burials: list[asyncio.Task[None]] = []
 
     def start(self) -> None:
-        """Start the process; it connects by itself."""
+        """Start the process, which connects by itself, and the one in reserve."""
         self._loop = asyncio.get_running_loop()
-        self._start_child()
+        self._begin()
+        self._make_ready()
 
     async def stop(self) -> None:
         """Hang up, which makes the process brake, switch the drive off and end; waits for that for `STOP_S`."""
         self._stopping = True
-        if self._again is not None:
-            self._again.cancel()
-            self._start_child()
-        if self._line is not None:
-            self._line.shutdown(socket.SHUT_WR)
+        if self._later is not None:
+            self._later.cancel()
+        if self._leading is None and not self._at_ease:
+            self._begin()
+        if self._leading is not None:
+            self._leading.line.shutdown(socket.SHUT_WR)
             with contextlib.suppress(TimeoutError):
                 async with asyncio.timeout(STOP_S):
                     await self._ended.wait()
             self._part()
+            self._at_ease = True  # or it could not be reached
+        if self._spare is not None:
+            self._bury(self._spare)
+            self._spare = None
         await asyncio.gather(*self._burials)
 
     def read(self) -> RailReading | None:
@@ -119,18 +134,18 @@ class DryveRailAxis:
 
     def write(self, enable: bool, velocity_m_s: float) -> None:
         """See `softarm.drivers.base.RailAxis.write`; from the loop's own thread. A velocity of NaN is zero."""
-        if self._line is None:
+        if self._leading is None:
             return
         now_ns, velocity_m_s = self._clock(), velocity_m_s if math.isfinite(velocity_m_s) else 0.0
         self._number = (self._number + 1) % 2**32
         set_point = SetPoint(self._number, now_ns, enable, velocity_m_s, self._acknowledged)
         with contextlib.suppress(OSError):  # it has ended, which is heard, or hangs, which is seen here
-            self._line.send(pair.encode_set_point(set_point))
+            self._leading.line.send(pair.encode_set_point(set_point))
         moving = self._report is not None and not self._report.at_ease
         patience_s = SILENT_S if moving else START_S
-        if self._child is not None and now_ns - self._heard_ns > patience_s * 1e9:
+        if now_ns - self._heard_ns > patience_s * 1e9:
             self._lost = f"it was silent for {patience_s} s and was killed"
-            self._child.kill()
+            self._leading.child.kill()
 
     def reset_fault(self) -> None:
         """See `softarm.drivers.base.Device.reset_fault`; only a drive in fault, and while disabled, is reset."""
@@ -148,23 +163,32 @@ class DryveRailAxis:
 
     # The process
 
-    def _start_child(self) -> None:
-        assert self._loop is not None
-        self._again = None
+    def _start(self) -> Process:
         config = {name: value for name, value in self._config.model_dump().items() if name in Settings._fields}
         ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         ours.setblocking(False)
         with theirs:
-            self._child = self._launch(Settings(**config, may_move=not self._at_ease), theirs, self._priority)
-        self._line, self._report = ours, None
-        self._started_ns = self._heard_ns = self._clock()
-        self._loop.add_reader(ours, self._hear)
+            return Process(self._launch(Settings(**config), theirs, self._priority), ours)
+
+    def _begin(self) -> None:
+        """Have a process lead the drive: the one in reserve, if there is one."""
+        assert self._loop is not None
+        self._leading, self._spare = self._spare or self._start(), None
+        self._began_ns = self._heard_ns = self._clock()
+        with contextlib.suppress(OSError):  # its end is heard
+            self._leading.line.send(pair.encode_begin(not self._at_ease))
+        self._loop.add_reader(self._leading.line, self._hear)
+        self._later = self._loop.call_later(SPARE_S, self._make_ready)
+
+    def _make_ready(self) -> None:
+        """Keep one in reserve."""
+        self._spare = self._spare or self._start()
 
     def _hear(self) -> None:
         """All that the process has reported; or its end."""
-        while self._line is not None:
+        while self._leading is not None:
             try:
-                packet = self._line.recv(pair.PACKET_MAX)
+                packet = self._leading.line.recv(pair.PACKET_MAX)
             except BlockingIOError:
                 return
             except OSError:
@@ -172,7 +196,7 @@ class DryveRailAxis:
             if packet:
                 self._take(pair.decode_report(packet))
             else:
-                self._bury()
+                self._replace()
 
     def _take(self, report: Report) -> None:
         known, found = self._report.reading if self._report is not None else None, report.reading
@@ -189,33 +213,37 @@ class DryveRailAxis:
                 cycle_max_ns=found.cycle_max_ns,
             )
 
-    def _bury(self) -> None:
-        """The process has ended: replace it, unless that was asked for."""
+    def _replace(self) -> None:
+        """The process has ended: have another lead the drive, unless that was asked for."""
         self._part()
         self._ended.set()
         if self._stopping or self._loop is None:
             return
         self._lost = self._lost or "by itself"
-        log.error("the rail's process ended (%s): a new one stops the drive first", self._lost)
+        log.error("the rail's process ended (%s): another stops the drive first", self._lost)
         if self._reading is not None:
             self._reading, self._loss_untold = replace(self._reading, enabled=False, linked=False), True
-        if self._clock() - self._started_ns > LIVED_S * 1e9:
+        if self._later is not None:
+            self._later.cancel()
+        if self._clock() - self._began_ns > LIVED_S * 1e9 or self._spare is not None:
             self._pause_s = RETRY_S[0]
-            self._start_child()
+            self._begin()
         else:
-            self._again = self._loop.call_later(self._pause_s, self._start_child)
+            self._later = self._loop.call_later(self._pause_s, self._begin)
             self._pause_s = min(2 * self._pause_s, RETRY_S[1])
 
     def _part(self) -> None:
         """From the process as from one that has ended, or will never."""
-        line, child = self._line, self._child
-        self._line = self._child = self._report = None
-        if line is not None and self._loop is not None:
-            self._loop.remove_reader(line)
-            line.close()
-        if child is not None and self._loop is not None:
-            child.kill()
-            self._burials.append(self._loop.create_task(_reap(child)))
+        process, self._leading, self._report = self._leading, None, None
+        if process is not None and self._loop is not None:
+            self._loop.remove_reader(process.line)
+            self._bury(process)
+
+    def _bury(self, process: Process) -> None:
+        process.line.close()
+        process.child.kill()
+        assert self._loop is not None
+        self._burials.append(self._loop.create_task(_reap(process.child)))
 
 
 async def _reap(child: Child) -> None:

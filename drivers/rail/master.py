@@ -51,7 +51,7 @@ _LINK_ERRORS = (
 
 
 class Settings(NamedTuple):
-    """Of `softarm.schemas.config.DryveRail`, by its names; and what a process before this one left behind."""
+    """Of `softarm.schemas.config.DryveRail`, by its names."""
 
     host: str
     port: int
@@ -62,7 +62,6 @@ class Settings(NamedTuple):
     timeout_s: float
     hold_s: float
     time_to_live_s: float
-    may_move: float  # 1.0: as far as is known the drive is in operation, and nobody leads it
 
 
 class HungUp(Exception):
@@ -76,8 +75,14 @@ class Master:
     the daemon or to this process sets the cart in motion.
     """
 
-    def __init__(self, settings: Settings, daemon: socket.socket, clock: Callable[[], int] = time.monotonic_ns) -> None:
-        """`daemon`: our end of the pair."""
+    def __init__(
+        self,
+        settings: Settings,
+        daemon: socket.socket,
+        may_move: bool,
+        clock: Callable[[], int] = time.monotonic_ns,
+    ) -> None:
+        """`daemon`: our end of the pair; `may_move`: the drive may be in operation, with nobody who leads it."""
         self._settings, self._daemon, self._clock = settings, daemon, clock
         daemon.setblocking(False)
         self._orders = Orders(settings.hold_s, settings.time_to_live_s)
@@ -88,7 +93,7 @@ class Master:
         self._told_s = 0.0  # when the daemon was told last
         self._link: DryveLink | None = None
         self._target = 0  # the velocity that the drive was told last, in its units
-        self._at_ease = not settings.may_move  # as far as we know, the drive is out of operation
+        self._at_ease = not may_move  # as far as we know, the drive is out of operation
         self._operating = False  # operation enabled was reached since permission was given
         self._last_step: tuple[DriveState, int] | None = None  # the state shown and the controlword it was given
         self._brake_since_ns: int | None = None

@@ -1,6 +1,6 @@
 """What the daemon and the rail's process say to each other: one packet of a socket pair is one message.
 
-Set-points go down, reports come up. Every stamp is CLOCK_MONOTONIC, which all processes of a host share.
+A beginning and set-points go down, reports come up. Every stamp is CLOCK_MONOTONIC, which a host's processes share.
 """
 
 import struct
@@ -9,6 +9,7 @@ from typing import NamedTuple
 VERSION = 1
 PACKET_MAX = 8192  # bytes
 
+_BEGIN = struct.Struct("<BB")
 _SET_POINT = struct.Struct("<BBIIqd")
 _REPORT = struct.Struct("<BBIqqqdd")
 _ENABLE = 1
@@ -45,6 +46,18 @@ class Report(NamedTuple):
     at_ease: bool  # as far as it knows, the drive is out of operation
     reading: Reading | None  # the newest; None before the first
     problem: str | None
+
+
+def encode_begin(may_move: bool) -> bytes:
+    """The first packet: from now on this process leads the drive. `may_move`: as far as is known it is in operation."""
+    return _BEGIN.pack(VERSION, may_move)
+
+
+def decode_begin(packet: bytes) -> bool:
+    """Raises ValueError on a packet of another version or length."""
+    if len(packet) != _BEGIN.size or packet[0] != VERSION:
+        raise ValueError(f"{packet[:32].hex()} is no beginning of version {VERSION}")
+    return bool(packet[1])
 
 
 def encode_set_point(message: SetPoint) -> bytes:

@@ -1,7 +1,8 @@
 """The rail's process: `python -m softarm.drivers.rail.process`, started by `driver.py`, with the pair as its input.
 
-It outlives the daemon by as long as it takes to stop the drive: no signal that a terminal or a service manager sends
-ends it, only the end of the pair does. Imports next to nothing, so that it is there at once and is nobody's hostage.
+It waits until it is told to begin: a second one is kept ready, so that the end of the first costs no start of a
+program. It outlives the daemon by as long as it takes to stop the drive: no signal that a terminal or a service manager
+sends ends it, only the end of the pair does. Imports next to nothing, so that it is there at once and nobody's hostage.
 """
 
 import contextlib
@@ -10,6 +11,7 @@ import signal
 import socket
 import sys
 
+from softarm.drivers.rail import pair
 from softarm.drivers.rail.master import Master, Settings
 
 MCL_CURRENT = 1
@@ -31,7 +33,9 @@ def main(words: list[str]) -> None:
     settings = Settings(host, int(port), *map(float, numbers))
     with socket.socket(fileno=os.dup(sys.stdin.fileno())) as daemon:
         sys.stdin.close()
-        Master(settings, daemon).run()
+        packet = daemon.recv(pair.PACKET_MAX)
+        if packet:  # else the daemon has ended, and nothing was begun
+            Master(settings, daemon, pair.decode_begin(packet)).run()
 
 
 def _outrank(priority: int) -> None:

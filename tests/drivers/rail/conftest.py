@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from softarm.drivers.rail import dryve
+from softarm.drivers.rail import dryve, pair
 from softarm.drivers.rail.cia402 import DriveState
 from softarm.drivers.rail.driver import DryveRailAxis
 from softarm.drivers.rail.dryve import ModbusRequest
@@ -71,12 +71,13 @@ class Leading(threading.Thread):
     def __init__(self, settings: Settings, theirs: socket.socket, clock: Any) -> None:
         super().__init__(daemon=True)
         self._theirs = theirs.dup()  # the caller closes its own, as it would for a process
-        self.master = Master(settings, self._theirs, clock)
+        self._settings, self._clock = settings, clock
         self.start()
 
     def run(self) -> None:
         with self._theirs:
-            self.master.run()
+            if packet := self._theirs.recv(pair.PACKET_MAX):
+                Master(self._settings, self._theirs, pair.decode_begin(packet), self._clock).run()
 
     def poll(self) -> int | None:
         return None if self.is_alive() else 0

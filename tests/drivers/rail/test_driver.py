@@ -64,6 +64,7 @@ def test_disabling_brakes_first_and_switches_off_at_rest(bench: Any) -> None:
     async def script(b: Any) -> None:
         await b.enable()
         b.drive.coasts = True
+        await b.write_until(lambda: b.drive.writes(dryve.TARGET_VELOCITY)[-1] == 0)
         since = len(b.drive.heard)
         await b.write_until(lambda: len(b.drive.heard) > since + 40)
         assert set(b.drive.writes(dryve.TARGET_VELOCITY, since)) == {0}

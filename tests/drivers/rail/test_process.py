@@ -33,7 +33,7 @@ async def main():
     axis = DryveRailAxis(DryveRail.model_validate_json(sys.argv[1]))
     axis.start()
     signal.signal(signal.SIGUSR1, lambda *_: ctypes.PyDLL(None).usleep(600_000))  # with the interpreter's lock
-    print(axis._child.pid, flush=True)
+    print(axis._leading.child.pid, flush=True)
     enable = False
     while True:
         axis.write(enable, 0.5)
@@ -167,7 +167,7 @@ def test_when_the_rails_process_dies_or_hangs_a_new_one_stops_the_drive_first(
             async with running(axis):
                 await until(lambda: axis.read() is not None and axis.problem() is None, lambda: each(False))
                 await until(lambda: axis.read().velocity_m_s, lambda: each(True))  # type: ignore[union-attr]
-                first = axis._child.pid  # type: ignore[union-attr]
+                first = axis._leading.child.pid  # type: ignore[union-attr]
                 os.kill(first, end)
                 await until(lambda: False in seen, lambda: each(True))
                 assert "the rail's process ended" in (axis.problem() or "")
@@ -176,7 +176,7 @@ def test_when_the_rails_process_dies_or_hangs_a_new_one_stops_the_drive_first(
                 assert drive.velocities[since][1] == 0
                 assert not axis.read().enabled  # type: ignore[union-attr]
                 assert gone(first)
-                assert axis._child.pid != first  # type: ignore[union-attr]
+                assert axis._leading.child.pid != first  # type: ignore[union-attr]
                 await until(lambda: axis.problem() is None, lambda: each(False))
                 await until(lambda: drive.moving, lambda: each(True))  # a person has disarmed and armed
 
@@ -189,7 +189,7 @@ def test_stopping_the_driver_switches_the_drive_off_and_leaves_no_process(run: A
         async with served(drive) as config:
             axis = DryveRailAxis(config)
             async with running(axis):
-                process = axis._child.pid  # type: ignore[union-attr]
+                process = axis._leading.child.pid  # type: ignore[union-attr]
                 await until(lambda: axis.problem() is None, lambda: axis.write(False, 0.0))
                 await until(lambda: drive.moving, lambda: axis.write(True, 0.5) or drive.step())
                 os.kill(process, signal.SIGTERM)  # a service manager says so to all; only the pair ends it
@@ -207,7 +207,7 @@ def test_it_weighs_little(free_port: int, run: Any, until: Any, running: Any) ->
         axis = DryveRailAxis(DryveRail(host="127.0.0.1", port=free_port))
         async with running(axis):
             await until(lambda: "Connection refused" in (axis.problem() or ""), lambda: axis.write(False, 0.0))
-            status = Path(f"/proc/{axis._child.pid}/status").read_text()  # type: ignore[union-attr]
+            status = Path(f"/proc/{axis._leading.child.pid}/status").read_text()  # type: ignore[union-attr]
             [resident_kb] = [int(line.split()[1]) for line in status.splitlines() if line.startswith("VmRSS")]
             assert resident_kb < 25_000  # an empty interpreter has 9,000, the daemon 200,000
 

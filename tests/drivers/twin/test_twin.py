@@ -113,8 +113,8 @@ def test_a_closed_connection_brakes_the_cart_within_the_rail(
             async with running(hands.mocap, hands.regulator, hands.rail):
                 await hands.arm()
                 await hands.write_until(lambda: twin.state.cart_velocity_m_s > 0.3, True, (0.4, 5.0))
-                assert hands.rail._child is not None
-                hands.rail._child.kill()  # the kernel closes its connection
+                assert hands.rail._leading is not None
+                hands.rail._leading.child.kill()  # the kernel closes its connection
                 await until(lambda: twin.state.drive == "switch-on disabled")
                 off_ns = twin.state.out_of_operation_since_ns
                 await until(lambda: twin.state.braked_since_ns)
