@@ -33,6 +33,7 @@ class TwinState:
     drive: str  # the CiA 402 state in words
     out_of_operation_since_ns: int | None
     braked_since_ns: int | None
+    halted_after_s: float | None  # from the last set-point that moved the cart to what stopped it; null while it moves
     cart_max_abs_m: float
     crashes: int
 

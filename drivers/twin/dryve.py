@@ -61,6 +61,9 @@ class DryveDevice:
     def __init__(self, config: DryveRail) -> None:
         self.state = DriveState.SWITCH_ON_DISABLED
         self.remote = True
+        self.keeps_going = False  # as a drive does that has no watchdog of its own
+        self.moved_ns: int | None = None  # when the newest set-point came that moves the cart
+        self.halted_ns: int | None = None  # and since when it has not been told to move any more
         self._units_per_m, self._centre_m = config.units_per_m, config.centre_m
         self._values = dict.fromkeys(_ENTRIES.values(), 0)
         self._values |= {_ENTRIES[0x60A8, 0]: 0x00FB0100, _ENTRIES[0x60FD, 0]: 0x00420008}
@@ -96,6 +99,7 @@ class DryveDevice:
         abort = self._write(entry, request)
         if abort is not None:
             return dryve.encode_abort(request.transaction, abort)
+        self._note(now_ns, set_point=entry == dryve.TARGET_VELOCITY)
         return dryve.encode_acknowledgement(request)
 
     def sense(self, position_m: float, velocity_m_s: float) -> None:
@@ -106,13 +110,20 @@ class DryveDevice:
 
     def watch(self, now_ns: int) -> None:
         """Brake when the master has fallen silent or DI7 is low; end a quick stop at rest."""
-        silent = now_ns - self._heard_ns > SILENCE_MAX_S * 1e9
-        if silent or not self.remote:
+        if now_ns - self._heard_ns > SILENCE_MAX_S * 1e9:
+            self.lose_master()
+        if not self.remote:
             self.quick_stop()
         if self.state is DriveState.QUICK_STOP and abs(self._velocity_m_s) < AT_REST_M_S:
             self.state = DriveState.SWITCH_ON_DISABLED
         if not self.remote and self.state in (DriveState.READY, DriveState.SWITCHED_ON):
             self.state = DriveState.SWITCH_ON_DISABLED
+        self._note(now_ns)
+
+    def lose_master(self) -> None:
+        """Brake, unless it keeps going: nobody is there to lead it."""
+        if not self.keeps_going:
+            self.quick_stop()
 
     def quick_stop(self) -> None:
         """Brake, if in operation, and then switch off."""
@@ -123,6 +134,13 @@ class DryveDevice:
         """Fault with this 603Fh code."""
         self.state = DriveState.FAULT
         self._values[dryve.ERROR_CODE] = error_code
+
+    def _note(self, now_ns: int, set_point: bool = False) -> None:
+        moving = self.target_velocity_m_s != 0
+        if moving and set_point:
+            self.moved_ns, self.halted_ns = now_ns, None
+        elif not moving and self.halted_ns is None:
+            self.halted_ns = now_ns
 
     def _read(self, entry: Entry) -> int:
         if entry == dryve.STATUSWORD:
@@ -208,6 +226,7 @@ class DryveServer:
     def step(self) -> None:
         """Let the drive look at its clock, its inputs and its faults."""
         self.device.remote = not self._faults.active("remote_low")
+        self.device.keeps_going = self._faults.active("rail_keeps_going")
         if self._faults.take("rail_drop_connection"):
             self._hang_up()
         if self._faults.take("rail_fault"):
@@ -218,7 +237,7 @@ class DryveServer:
         if self._master is not None:
             self._master.transport.abort()
             self._master = None
-            self.device.quick_stop()
+            self.device.lose_master()
 
     async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         self._hang_up()

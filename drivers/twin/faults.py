@@ -68,6 +68,10 @@ class Faults:
         """The drive neither hears nor answers telegrams; its watchdog runs on."""
         self._last("rail_silence", seconds)
 
+    def rail_keeps_going(self, seconds: float = math.inf) -> None:
+        """The drive obeys its last set-point also when its master is silent or gone."""
+        self._last("rail_keeps_going", seconds)
+
     def rail_segment(self, seconds: float = math.inf) -> None:
         """Answers arrive byte by byte."""
         self._last("rail_segment", seconds)

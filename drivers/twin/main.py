@@ -184,6 +184,9 @@ class Twin:
             drive=drive.state.value,
             out_of_operation_since_ns=self._off.see(not drive.in_operation, now_ns),
             braked_since_ns=self._braked.see(abs(body.cart_velocity_m_s) < BRAKED_M_S, now_ns),
+            halted_after_s=None
+            if drive.moved_ns is None or drive.halted_ns is None
+            else (drive.halted_ns - drive.moved_ns) * 1e-9,
             cart_max_abs_m=self._ends.cart_max_abs_m,
             crashes=self._ends.crashes,
         )

@@ -251,6 +251,41 @@ def test_a_sensor_that_goes_quiet_ends_in_a_soft_stop_in_time(device, event):
     assert rig.outputs.sent == SAFE
 
 
+def test_the_loss_of_the_rails_process_is_a_soft_stop_that_names_it():
+    rig = Rig().swinging()
+    lost = RailReading(rig.now, 0.0, 0.0, False, linked=False)
+    rig.tick(rail=lost, problems=Problems(rail="the rail's process ended: by itself"))
+    assert [event.name for event in rig.outputs.events] == ["rail_link_lost"]
+    assert "the rail's process ended: by itself" in rig.outputs.last_stop
+    assert rig.outputs.mode is Mode.STOPPING
+    assert rig.tick(rail=lost).arming_refusals
+
+
+@pytest.mark.parametrize(
+    ("p50_ms", "max_ms", "latency_s", "named"),
+    [
+        (20, 33, 1 / 30, []),
+        (20, 34, 1 / 30, ["rail_slow"]),
+        (34, 40, 1 / 30, ["rail_too_slow"]),
+        (34, 40, 0.05, ["rail_slow"]),
+        (51, 60, 0.05, ["rail_too_slow"]),
+        (34, 40, 0.01, ["rail_too_slow"]),
+    ],
+)
+def test_a_drive_that_is_slower_than_the_law_counts_on_stops_the_arm_and_one_slow_cycle_is_told(
+    p50_ms, max_ms, latency_s, named
+):
+    config = Config.model_validate({"limits": {"rail": {"latency_s": latency_s}}})
+    rig = Rig(config=config).swinging()
+    cycles = {"cycle_p50_ns": p50_ms * 1_000_000, "cycle_max_ns": max_ms * 1_000_000}
+    rig.tick(rail=RailReading(rig.now + PERIOD_NS, 0.0, 0.0, True, **cycles))
+    assert [event.name for event in rig.outputs.events] == named
+    assert rig.outputs.mode is (Mode.STOPPING if named == ["rail_too_slow"] else Mode.ARMED)
+    assert (rig.outputs.rail_cycle_p50_ms, rig.outputs.rail_cycle_max_ms) == (p50_ms, max_ms)
+    for event in rig.outputs.events:
+        assert f"{p50_ms} ms, at most {max_ms} ms in the last second" in event.text
+
+
 def test_a_regulator_that_vented_by_itself_is_a_soft_stop_and_nothing_else():
     rig = Rig().swinging()
     state = RegulatorState(41, False, Fault.TIME_TO_LIVE, 0.5)

@@ -232,6 +232,25 @@ def test_a_silent_master_makes_it_brake_and_switch_off() -> None:
     assert master.drive.state is DriveState.SWITCH_ON_DISABLED
 
 
+def test_a_drive_that_keeps_going_does_so_without_its_master_and_stops_when_told() -> None:
+    master = Master()
+    master.drive.keeps_going = True
+    master.enable()
+    master.write(dryve.TARGET_VELOCITY, 50_000)
+    master.drive.watch(master.now_ns + 10_000 * MS)
+    master.drive.lose_master()
+    assert master.drive.target_velocity_m_s == 0.5
+    assert (master.drive.moved_ns, master.drive.halted_ns) == (0, None)
+    master.now_ns = 7 * MS
+    master.write(dryve.TARGET_VELOCITY, 0)
+    assert (master.drive.moved_ns, master.drive.halted_ns) == (0, 7 * MS)
+    master.write(dryve.TARGET_VELOCITY, -1)
+    assert (master.drive.moved_ns, master.drive.halted_ns) == (7 * MS, None)
+    master.now_ns = 9 * MS
+    master.write(dryve.CONTROLWORD, 0x010F)
+    assert master.drive.halted_ns == 9 * MS
+
+
 def test_read_backs_are_in_drive_units_from_the_homed_end() -> None:
     master = Master(units_per_m=1000, centre_m=0.25)
     master.drive.sense(-0.05, -0.125)
