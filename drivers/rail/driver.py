@@ -31,7 +31,7 @@ log = logging.getLogger(__name__)
 
 SILENT_S = 0.15  # without a report for so long while the drive may move, the process hangs
 START_S = 5.0  # the same while it starts, or tries to find a drive that is off
-STOP_S = 3.0  # to brake, switch off and hang up, over new connections too if need be
+STOP_S = 2.2  # to brake, switch off and hang up, over new connections too if need be
 RETRY_S = (0.05, 1.0)  # first and longest pause before a process is replaced that did not live for `LIVED_S`
 LIVED_S = 5.0
 SPARE_S = 1.0  # after a process has begun, another is made ready
@@ -113,15 +113,17 @@ class DryveRailAxis:
         self._stopping = True
         if self._later is not None:
             self._later.cancel()
-        if self._leading is None and not self._at_ease:
-            self._begin()
-        if self._leading is not None:
+        for _ in range(2):  # one that hangs is replaced once more
+            if self._leading is None and not self._at_ease:
+                self._begin()
+            if self._leading is None:
+                break
             self._leading.line.shutdown(socket.SHUT_WR)
             with contextlib.suppress(TimeoutError):
                 async with asyncio.timeout(STOP_S):
                     await self._ended.wait()
+                    self._at_ease = True  # or it could not be reached
             self._part()
-            self._at_ease = True  # or it could not be reached
         if self._spare is not None:
             self._bury(self._spare)
             self._spare = None

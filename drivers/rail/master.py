@@ -321,8 +321,8 @@ class Master:
         self._lapse(self._clock())
         if self._news or not self._orders.holds(self._clock()):
             self._news = False
+            self._target = self._velocity() if self._operating_now() else 0
             if self._operating_now():
-                self._target = self._velocity()
                 self._drive.write(dryve.TARGET_VELOCITY, self._target)
         feedback = self._poll()
         self._judge(feedback)

@@ -50,8 +50,10 @@ class Drive(DryveDevice):
     def __init__(self) -> None:
         super().__init__(DryveRail(host="127.0.0.1"))
         self.velocities: list[tuple[float, int]] = []
+        self.asked = 0
 
     def answer(self, telegram: bytes, now_ns: int) -> bytes:
+        self.asked += 1
         request = dryve.decode_request(telegram)
         if request.index == 0x60FF and request.data is not None:
             self.velocities.append((time.monotonic(), int.from_bytes(request.data, "little", signed=True)))
@@ -179,6 +181,45 @@ def test_when_the_rails_process_dies_or_hangs_a_new_one_stops_the_drive_first(
                 assert axis._leading.child.pid != first  # type: ignore[union-attr]
                 await until(lambda: axis.problem() is None, lambda: each(False))
                 await until(lambda: drive.moving, lambda: each(True))  # a person has disarmed and armed
+
+    run(play())
+
+
+@pytest.mark.realtime
+def test_a_process_that_hangs_when_the_daemon_ends_is_replaced_by_one_that_stops_the_drive(
+    run: Any, until: Any, running: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("softarm.drivers.rail.driver.STOP_S", 1.0)
+
+    async def play() -> None:
+        drive = Drive()
+        async with served(drive) as config:
+            axis = DryveRailAxis(config)
+            async with running(axis):
+                await until(lambda: axis.problem() is None, lambda: axis.write(False, 0.0))
+                await until(lambda: drive.moving, lambda: axis.write(True, 0.5) or drive.step())
+                os.kill(axis._leading.child.pid, signal.SIGSTOP)  # type: ignore[union-attr]
+                mover = asyncio.create_task(until(lambda: False, drive.step))
+                await axis.stop()
+                mover.cancel()
+            assert drive.off
+
+    run(play())
+
+
+def test_a_drive_that_trips_in_motion_is_asked_no_oftener_than_before(run: Any, until: Any, running: Any) -> None:
+    async def play() -> None:
+        drive = Drive()
+        async with served(drive) as config:
+            axis = DryveRailAxis(config)
+            async with running(axis):
+                await until(lambda: axis.problem() is None, lambda: axis.write(False, 0.0))
+                await until(lambda: drive.moving, lambda: axis.write(True, 0.5) or drive.step())
+                drive.trip(0x8611)
+                await until(lambda: axis.read().faults, lambda: axis.write(True, 0.5))  # type: ignore[union-attr]
+                since, began_s = drive.asked, time.monotonic()
+                await until(lambda: time.monotonic() > began_s + 0.5)
+                assert drive.asked - since < 150  # a cycle in 40 ms has four
 
     run(play())
 
