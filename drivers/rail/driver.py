@@ -155,13 +155,13 @@ class DryveRailAxis:
 
     def problem(self) -> str | None:
         """See `softarm.drivers.base.Device.problem`."""
-        if self._report is not None:
-            return self._report.problem
         where = f"{self._config.host}:{self._config.port}"
-        if self._lost is None:
+        if self._reading is not None and not self._reading.linked:
+            remedy = "another stops the drive first; look at the service's log, then arm again"
+            return str(DeviceError(where, "lead the drive", f"the rail's process ended: {self._lost}", remedy))
+        if self._report is None:
             return str(DeviceError(where, "connect", "not connected yet", "wait a second"))
-        remedy = "a new one stops the drive first; look at the service's log, then arm again"
-        return str(DeviceError(where, "lead the drive", f"the rail's process ended: {self._lost}", remedy))
+        return self._report.problem
 
     # The process
 

@@ -286,7 +286,7 @@ def test_the_driver_says_what_the_page_says_and_nothing_else(run: Any, until: An
         server = DryveServer("127.0.0.1", 0, drive, faults, lambda: 0)
         drive.sense(0.0, 0.0)
         await server.open()
-        axis = DryveRailAxis(RAIL.model_copy(update={"port": server.port, "timeout_s": 1.0}))
+        axis = DryveRailAxis(RAIL.model_copy(update={"port": server.port, "timeout_s": 1.0}), 20)
 
         async def fly(condition: Any, enable: bool = False, velocity_m_s: float = 0.0) -> None:
             await until(condition, lambda: axis.write(enable, velocity_m_s) or server.step())

@@ -65,7 +65,7 @@ def test_one_bad_answer_does_not_end_a_link_in_motion(bench: Any, kind: str, ind
         assert b.axis.read().enabled
         assert b.axis.problem() is None
 
-    bench(script, timeout_s=0.05)
+    bench(script, timeout_s=0.3)  # longer than a busy machine holds up either side
 
 
 def test_a_set_point_that_was_refused_once_is_said_again_without_waiting_for_the_next(bench: Any) -> None:

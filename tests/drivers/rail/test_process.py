@@ -1,4 +1,7 @@
-"""The rail's process, for real: it outlives the daemon until the drive is off, though that keeps its set-point."""
+"""The rail's process, for real: it outlives the daemon until the drive is off, though that keeps its set-point.
+
+How soon is measured by softarm.benchmarks.dead_daemon.
+"""
 
 import asyncio
 import contextlib
@@ -30,7 +33,7 @@ from softarm.drivers.rail.driver import DryveRailAxis
 from softarm.schemas.config import DryveRail
 
 async def main():
-    axis = DryveRailAxis(DryveRail.model_validate_json(sys.argv[1]))
+    axis = DryveRailAxis(DryveRail.model_validate_json(sys.argv[1]), 20)
     axis.start()
     signal.signal(signal.SIGUSR1, lambda *_: ctypes.PyDLL(None).usleep(600_000))  # with the interpreter's lock
     print(axis._leading.child.pid, flush=True)
@@ -73,11 +76,6 @@ class Drive(DryveDevice):
     def step(self) -> None:
         self.sense(0.0, self.target_velocity_m_s)
 
-    def longest_hold_s(self) -> float:
-        """From a set-point that moves to the next of any kind."""
-        pairs = zip(self.velocities, self.velocities[1:], strict=False)
-        return max(later - earlier for (earlier, velocity), (later, _) in pairs if velocity)
-
 
 @contextlib.asynccontextmanager
 async def served(drive: Drive) -> AsyncIterator[DryveRail]:
@@ -114,7 +112,6 @@ def gone(process: int) -> bool:
         return True
 
 
-@pytest.mark.realtime
 @pytest.mark.parametrize("end", [signal.SIGKILL, signal.SIGABRT, signal.SIGINT, signal.SIGHUP])
 def test_when_the_daemon_dies_the_drive_is_stopped_and_switched_off(run: Any, until: Any, end: signal.Signals) -> None:
     async def play() -> None:
@@ -123,12 +120,10 @@ def test_when_the_daemon_dies_the_drive_is_stopped_and_switched_off(run: Any, un
             os.killpg(daemon, end)  # as Ctrl-C, or the end of a session: to all that are with it
             await until(lambda: drive.off, drive.step)
             await until(lambda: gone(rail))
-            assert drive.longest_hold_s() < 0.3
 
     run(play())
 
 
-@pytest.mark.realtime
 @pytest.mark.parametrize("freeze", [signal.SIGSTOP, signal.SIGUSR1])
 def test_when_the_daemon_freezes_the_drive_is_off_and_stays_off_when_it_wakes(
     run: Any, until: Any, freeze: signal.Signals
@@ -138,7 +133,6 @@ def test_when_the_daemon_freezes_the_drive_is_off_and_stays_off_when_it_wakes(
         async with served(drive) as config, flying(config, drive, until) as (daemon, _):
             os.kill(daemon, freeze)
             await until(lambda: drive.off, drive.step)
-            assert drive.longest_hold_s() < 0.3
             os.kill(daemon, signal.SIGCONT)
             since = len(drive.velocities)
             until_s = time.monotonic() + 1.0  # SIGUSR1's freeze ends by itself, and both daemons say "enable" again
@@ -149,7 +143,6 @@ def test_when_the_daemon_freezes_the_drive_is_off_and_stays_off_when_it_wakes(
     run(play())
 
 
-@pytest.mark.realtime
 @pytest.mark.parametrize("end", [signal.SIGKILL, signal.SIGSTOP])
 def test_when_the_rails_process_dies_or_hangs_a_new_one_stops_the_drive_first(
     run: Any, until: Any, running: Any, end: signal.Signals
@@ -157,7 +150,7 @@ def test_when_the_rails_process_dies_or_hangs_a_new_one_stops_the_drive_first(
     async def play() -> None:
         drive = Drive()
         async with served(drive) as config:
-            axis = DryveRailAxis(config)
+            axis = DryveRailAxis(config, 20)
             seen: list[bool] = []
 
             def each(enable: bool) -> None:
@@ -185,7 +178,6 @@ def test_when_the_rails_process_dies_or_hangs_a_new_one_stops_the_drive_first(
     run(play())
 
 
-@pytest.mark.realtime
 def test_a_process_that_hangs_when_the_daemon_ends_is_replaced_by_one_that_stops_the_drive(
     run: Any, until: Any, running: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -194,7 +186,7 @@ def test_a_process_that_hangs_when_the_daemon_ends_is_replaced_by_one_that_stops
     async def play() -> None:
         drive = Drive()
         async with served(drive) as config:
-            axis = DryveRailAxis(config)
+            axis = DryveRailAxis(config, 20)
             async with running(axis):
                 await until(lambda: axis.problem() is None, lambda: axis.write(False, 0.0))
                 await until(lambda: drive.moving, lambda: axis.write(True, 0.5) or drive.step())
@@ -211,7 +203,7 @@ def test_a_drive_that_trips_in_motion_is_asked_no_oftener_than_before(run: Any, 
     async def play() -> None:
         drive = Drive()
         async with served(drive) as config:
-            axis = DryveRailAxis(config)
+            axis = DryveRailAxis(config, 20)
             async with running(axis):
                 await until(lambda: axis.problem() is None, lambda: axis.write(False, 0.0))
                 await until(lambda: drive.moving, lambda: axis.write(True, 0.5) or drive.step())
@@ -228,7 +220,7 @@ def test_stopping_the_driver_switches_the_drive_off_and_leaves_no_process(run: A
     async def play() -> None:
         drive = Drive()
         async with served(drive) as config:
-            axis = DryveRailAxis(config)
+            axis = DryveRailAxis(config, 20)
             async with running(axis):
                 process = axis._leading.child.pid  # type: ignore[union-attr]
                 await until(lambda: axis.problem() is None, lambda: axis.write(False, 0.0))

@@ -50,7 +50,7 @@ class Hands:
     def __init__(self, config: Config, until: Any) -> None:
         self.mocap = ZenohMocapSource(config.drivers.mocap)
         self.regulator = TeensyRegulator(config.drivers.regulator)
-        self.rail = DryveRailAxis(config.drivers.rail)
+        self.rail = DryveRailAxis(config.drivers.rail, 20)
         self.frames: list[Any] = []
         self._until = until
 
