@@ -32,6 +32,9 @@ import asyncio, ctypes, signal, sys
 from softarm.drivers.rail.driver import DryveRailAxis
 from softarm.schemas.config import DryveRail
 
+signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background job inherits it ignored
+signal.signal(signal.SIGHUP, signal.SIG_DFL)
+
 async def main():
     axis = DryveRailAxis(DryveRail.model_validate_json(sys.argv[1]), 20)
     axis.start()
