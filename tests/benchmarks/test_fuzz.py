@@ -11,7 +11,15 @@ from softarm.benchmarks.prove.fuzz.trials import try_case
 
 # What takes milliseconds a case gets fewer; the others CASES.
 CASES = 300
-FEW = {"table.mat": 4, "pt.checkpoint": 20, "onnx.model": 40, "onnx.metadata": 20, "csv.trial": 40, "npz.plans": 100}
+FEW = {
+    "table.mat": 4,
+    "pt.checkpoint": 20,
+    "onnx.model": 40,
+    "onnx.metadata": 20,
+    "onnx.weights": 20,
+    "csv.trial": 40,
+    "npz.plans": 100,
+}
 FEW |= {name: 80 for name in PARSERS if name.startswith(("yaml.", "log."))}
 
 

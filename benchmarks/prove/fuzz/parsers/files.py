@@ -222,6 +222,19 @@ def _verdict() -> Parser:
     )
 
 
+def _latch() -> Parser:
+    """What a daemon before this one left of an emergency stop: nothing but its own words say that there was none."""
+    from softarm.daemon.stop import latch
+
+    kept = [latch.encoded(None), latch.encoded("somebody asked for an emergency stop"), latch.encoded("\0" * 400)]
+
+    def take(content: bytes) -> None:
+        if latch.decoded(content) is None:
+            assert b'"stopped": null' in content
+
+    return Parser(lambda random: mutate.of_bytes(random, kept), take, (ValueError, RecursionError))
+
+
 PARSERS: dict[str, Callable[[], Parser]] = {
     "yaml.configuration": _configuration,
     "yaml.model": _model,
@@ -231,4 +244,5 @@ PARSERS: dict[str, Callable[[], Parser]] = {
     "table.mat": _matlab,
     "table.parquet": _parquet,
     "json.verdict": _verdict,
+    "json.latch": _latch,
 }

@@ -100,9 +100,22 @@ def _diagnosed() -> Parser:
     return Parser(_draw, lambda data: mcap.read(written("trial.mcap", data)), (TrialError,))
 
 
+def _limits() -> Parser:
+    """`softarm check --logs`: what recordings show of the rail's limits."""
+    from softarm.daemon.limits.findings import findings
+    from softarm.diagnosis.read import rail_motions
+    from softarm.diagnosis.trials import TrialError
+
+    def take(data: bytes) -> object:
+        return findings(rail_motions([written("motion.mcap", data)])).patch()
+
+    return Parser(_draw, take, (TrialError,))
+
+
 PARSERS: dict[str, Callable[[], Parser]] = {
     "log.listing": _listed,
     "log.recover": _recovered,
     "log.replay": _replayed,
     "log.diagnose": _diagnosed,
+    "log.limits": _limits,
 }

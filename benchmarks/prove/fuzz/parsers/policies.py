@@ -43,6 +43,24 @@ def _onnx() -> Parser:
     return Parser(draw, lambda data: OnnxPolicy(str(written("model.onnx", data))), (PolicyError,))
 
 
+def _weights() -> Parser:
+    """The same model as training goes on from it."""
+    from softarm.policies.base import MODELS
+    from softarm.training.run.checkpoint import CheckpointError
+    from softarm.training.run.warm_start import load_weights
+
+    model = (MODELS / "reach.onnx").read_bytes()
+    return Parser(
+        lambda random: (
+            mutate.of_bytes(random, [model[:4000]]) + model[4000:]
+            if random.random() < 0.5
+            else model[:-20_000] + mutate.of_bytes(random, [model[-20_000:]])
+        ),
+        lambda data: load_weights(written("weights.onnx", data)),
+        (CheckpointError,),
+    )
+
+
 def _metadata() -> Parser:
     """What a model says of itself, changed in its meaning."""
     import json
@@ -142,6 +160,7 @@ PARSERS: dict[str, Callable[[], Parser]] = {
     "onnx.graph": _graph,
     "onnx.model": _onnx,
     "onnx.metadata": _metadata,
+    "onnx.weights": _weights,
     "npz.plans": _plans,
     "pt.checkpoint": _checkpoint,
 }
