@@ -26,6 +26,9 @@ from softarm.schemas.robot import CONTROL_RATE_HZ
 log = logging.getLogger(__name__)
 
 COLLECT_SLACK_NS = 15_000_000  # garbage is collected only when so much of the period is left
+COLLECT_ALL_EVERY = (
+    300  # collections; the others leave alone what has survived two, such as a connection of some seconds
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,6 +107,7 @@ class ControlLoop:
         self._clock = clock
         self._thread = threading.Thread(target=self._main, name="control", daemon=True)
         self._stop = threading.Event()
+        self._collections = 0
         self._failed: str | None = None  # the controller's own exception; nothing moves after it
         self.snapshot: Outputs | None = None
         self.timing: TickTiming | None = None
@@ -163,10 +167,12 @@ class ControlLoop:
         self.snapshot, self.timing, self.problems = outputs, timing, inputs.problems
         if self._latch is not None:
             self._latch.note(None if outputs.estop is EStop.CLEAR else outputs.last_stop)
-        if self._recorder is not None:
-            for number, runner in runners.items():
-                if any(result.number == number and result.accepted for result in outputs.results):
+        for number, runner in runners.items():
+            if any(result.number == number and result.accepted for result in outputs.results):
+                gc.freeze()  # what came with it lives as long as it does: no collection has to look through that
+                if self._recorder is not None:
                     self._recorder.policy(runner.policy.spec)
+        if self._recorder is not None:
             self._recorder.tick(inputs, outputs, timing)
         if self._watchdog is not None and self._failed is None and not missed:
             self._watchdog.good_tick(written)
@@ -174,7 +180,8 @@ class ControlLoop:
             self.on_tick(outputs, timing)
         following = deadline_ns + (missed + 1) * self._period_ns
         if following - self._clock() > COLLECT_SLACK_NS:
-            gc.collect(1)
+            self._collections += 1
+            gc.collect(2 if self._collections % COLLECT_ALL_EVERY == 0 else 1)
         return following
 
     def _read(self, now: int, late: int, missed: int) -> tuple[Inputs, dict[int, PolicyRunner]]:

@@ -4,12 +4,14 @@ import gc
 import itertools
 import threading
 import time
+import weakref
 
 import pytest
 
 from softarm.daemon.control.inbox import Inbox
 from softarm.daemon.control.records import EStop, Mode
 from softarm.daemon.logbook.recorder import Recorder
+from softarm.daemon.shell import loop as shell
 from softarm.daemon.shell.loop import ControlLoop, Devices
 from softarm.daemon.tick import Controller
 from softarm.drivers.bodies.in_process import InProcessRobot
@@ -96,6 +98,23 @@ def test_arms_over_the_inbox_and_writes_every_tick():
     assert loop.devices.rail.written[0] == (False, 0.0)
     assert (True, 0.0) in loop.devices.rail.written
     assert abs(len(loop.devices.rail.written) - len(loop.ticks)) <= 1
+
+
+class Cycle:
+    def __init__(self):
+        self.own = self
+
+
+def test_garbage_that_has_grown_old_is_collected_too(monkeypatch):
+    """A client's connection refers to itself and lives for seconds: what never goes would be a leak."""
+    monkeypatch.setattr(shell, "COLLECT_ALL_EVERY", 5)
+    with Loop() as loop:
+        first = loop.until(lambda outputs: outputs.tick >= 1).tick
+        cycle = Cycle()
+        alive = weakref.ref(cycle)
+        loop.until(lambda outputs: outputs.tick >= first + 4)
+        del cycle
+        loop.until(lambda outputs: alive() is None)
 
 
 def test_a_thousand_other_descriptors_hurt_nothing(many_descriptors):
