@@ -1,7 +1,7 @@
 """What bridging the cameras' drop-outs wins: policies over the 54 targets while the cameras go dark at random.
 
     python -m softarm.benchmarks.bridging --json bridging.json   flights with and without; what the estimate is off
-    python -m softarm.benchmarks.bridging --fit                  the numbers of `daemon/control/bridge.py`, fitted anew
+    python -m softarm.benchmarks.bridging --fit                  the numbers of dead_reckoning.py, fitted anew
 
 Every flight is the daemon's own tick in lockstep, with 120 frames a second, on the simulator (noise added) and on the
 independent robot. A drop-out follows another after a third of a second to one second of sight. Three ways through the
@@ -23,7 +23,7 @@ from rich.table import Table
 from softarm.benchmarks import results
 from softarm.common.processes import as_they_come, bar
 from softarm.daemon.control.alignment import Past
-from softarm.daemon.control.bridge import Bridge, Readings, Sighting, Strength, TipModel
+from softarm.daemon.control.dead_reckoning import DeadReckoning, Readings, Sighting, Strength, TipModel
 from softarm.daemon.control.plausibility import CART, TIP
 from softarm.daemon.control.records import Inputs, Mode, Outputs, TickTiming
 from softarm.daemon.shell.offline import Lockstep
@@ -227,11 +227,11 @@ def off_m(window: Window, method: str, model: TipModel | None = None) -> list[tu
     """By how much the tip is off (y, z) at the ticks that follow."""
     seen, before = window.seen, window.before
     strength = window.strength if method == "model" else 1.0
-    bridge = Bridge(before, seen, Readings(window.axis, window.pressure, 0), strength, model)
+    reckoning = DeadReckoning(before, seen, Readings(window.axis, window.pressure, 0), strength, model)
     off = []
     for then in window.then:
         if method.startswith("model"):
-            guess = bridge.at(then.t_ns) or seen
+            guess = reckoning.at(then.t_ns) or seen
         else:
             share = (then.t_ns - seen.t_ns) / (seen.t_ns - before.t_ns) if method != "hold" else 0.0
             y_m, z_m = (new + share * (new - old) for new, old in zip(seen[2:], before[2:], strict=True))
@@ -286,7 +286,7 @@ def main(
     processes: int,
     json_file: Path | None,
 ) -> None:
-    """Print what comes of flights with drop-outs, without and with a bridge, and what estimates of the tip are off.
+    """Print what comes of flights with drop-outs, however they are gone through, and what estimates of the tip are off.
 
     \b
     Example:

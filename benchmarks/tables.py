@@ -7,8 +7,10 @@ from typing import Any
 
 from softarm.diagnosis.blind import pages
 from softarm.flights.table import CEILING, HARDWARE
+from softarm.schemas.robot import CONTROL_PERIOD_S
 
 Read = Callable[[str], Mapping[str, Any]]  # the name of a stored result -> what it holds
+BRIDGED = ("bridging", "bridging-payload")
 Figure = Mapping[str, Any] | None  # mean, spread, refused: softarm.flights.table.Figure
 
 
@@ -263,6 +265,31 @@ def stop(read: Read) -> str:
     return markdown(("p50 / p99 / max (ms), under", "own way", "REST", "unanswered"), rows)
 
 
+def bridging(read: Read) -> str:
+    """Flights while the cameras blink, by the way through the dark."""
+    ways = {"stopped": "none", "held": "last frame held", "bridged": "bridged", "default": "as configured by default"}
+    found = [each for name in BRIDGED for each in read(name)["flights"]]
+    flights = {(each["body"], each["dark_ms"], each["way"]): each for each in found}
+    rows = []
+    for body, dark_ms in dict.fromkeys(key[:2] for key in flights):
+        came = [flights[body, dark_ms, way] for way in ways]
+        cells = [f"{each['reached']}, {each['stopped']}" for each in came]
+        rows.append([body, f"{dark_ms} ms" if dark_ms else "none", *cells])
+    return markdown(("body", "drop-outs of", *(f"{way}: reached, stopped" for way in ways.values())), rows)
+
+
+def estimates(read: Read) -> str:
+    """What the tip is off by after so many ticks without a frame."""
+    rows = [
+        [body, method, *(f"{1e3 * off_m:.1f}" for off_m in rms_m)]
+        for name in BRIDGED
+        for body, methods in read(name)["tip_rms_m"].items()
+        for method, rms_m in methods.items()
+    ]
+    ticks = [f"{1e3 * CONTROL_PERIOD_S * tick:.0f} ms" for tick in range(1, len(rows[0]) - 1)]
+    return markdown(("body", "estimate: tip off by (RMS, mm) after", *ticks), rows)
+
+
 def simulator(read: Read) -> str:
     """Speed and error beside MuJoCo."""
     found = read("simulator")
@@ -334,6 +361,8 @@ TABLES: dict[str, Callable[[Read], str]] = {
     "ablation": ablation,
     "loop": loop,
     "stop": stop,
+    "bridging": bridging,
+    "estimates": estimates,
     "simulator": simulator,
     "blind": blind,
     "blind-methods": blind_methods,

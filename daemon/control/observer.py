@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softarm.daemon.control.alignment import Alignment, Past
-from softarm.daemon.control.bridge import Bridge, Readings, Sighting, Strength, TipModel
+from softarm.daemon.control.dead_reckoning import DeadReckoning, Readings, Sighting, Strength, TipModel
 from softarm.daemon.control.plausibility import CART, TIP, WINDOW, Plausibility, is_usable
 from softarm.daemon.control.records import Inputs, Observed
 from softarm.schemas.config import Config
@@ -30,7 +30,7 @@ class Observer:
         self._disagreement_m = failsafe.rail_mocap_disagreement_m  # farther apart, axis and mocap disagree
         self._recent: deque[Sighting] = deque()  # seen, of at least the last step, oldest first
         self._carried: deque[Sighting] = deque()  # and what was flown by between them
-        self._bridge: Bridge | None = None  # from the newest one seen
+        self._reckoning: DeadReckoning | None = None  # from the newest one seen
         self._strength = Strength()
         self._ages_ns: deque[int] = deque(maxlen=WINDOW)  # of the newest one seen, at ticks that brought one
         self._pressures = Past()
@@ -61,7 +61,7 @@ class Observer:
         if self.seen:
             self._recent.extend(self.seen)
             self._ages_ns.append(inputs.t_ns - self.seen[-1].t_ns)
-            self._bridge = None
+            self._reckoning = None
             self._strength.see(self.seen[-1], self._readings())
         self._show(inputs.t_ns)
         self._compare()
@@ -92,12 +92,12 @@ class Observer:
         overdue_ns = until_ns - newest.t_ns - self._period_ns // 2
         if not 0 < overdue_ns <= self._bridge_ns:
             return None
-        if self._bridge is None:
+        if self._reckoning is None:
             before = self._step_before(newest)
             if before is None:
                 return None
-            self._bridge = Bridge(before, newest, self._readings(), self._strength.value)
-        return self._bridge.at(until_ns)
+            self._reckoning = DeadReckoning(before, newest, self._readings(), self._strength.value)
+        return self._reckoning.at(until_ns)
 
     def _readings(self) -> Readings:
         return Readings(self.alignment.axis, self._pressures, self.alignment.lag_ns or 0)

@@ -1,4 +1,4 @@
-"""The benchmark of the bridge flies what it says: cameras that blink, and an estimate that is better than none."""
+"""The benchmark of bridged drop-outs flies what it says: cameras that blink, and an estimate better than none."""
 
 from itertools import pairwise
 

@@ -1,4 +1,4 @@
-"""Where cart and tip are while the cameras see nothing: carried on from what they saw last. Pure.
+"""Dead reckoning: where cart and tip are while the cameras see nothing, carried on from what they saw last. Pure.
 
 The cart goes on as the axis reads it. The tip hangs from it on a line whose angle swings as a damped pendulum, pulled
 by the muscle and by the cart; the line is as long as angle and pressure make it. Axis and pressure are read while the
@@ -129,7 +129,7 @@ class Strength:
         return min(max(product / squared, STRENGTHS[0]), STRENGTHS[1])
 
 
-class Bridge:
+class DeadReckoning:
     """Carries one sighting on."""
 
     def __init__(

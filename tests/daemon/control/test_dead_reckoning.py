@@ -5,7 +5,7 @@ import math
 import pytest
 
 from softarm.daemon.control.alignment import Past
-from softarm.daemon.control.bridge import Bridge, Readings, Sighting, Strength, TipModel
+from softarm.daemon.control.dead_reckoning import DeadReckoning, Readings, Sighting, Strength, TipModel
 from softarm.daemon.control.observer import Observer
 from softarm.daemon.control.records import Inputs
 from softarm.daemon.shell.offline import Lockstep
@@ -53,9 +53,9 @@ def off_m(one, other):
 def test_a_robot_that_is_as_the_model_says_is_carried_on_to_a_millimetre(lag_ms, cart_off_m):
     """Also where the cameras are late, and where their frame is off: the cart goes on from where it was seen."""
     seen, readings = swing(lag_ms * MS, cart_off_m)
-    bridge = Bridge(seen[16], seen[20], readings)
+    reckoning = DeadReckoning(seen[16], seen[20], readings)
     for then in (seen[24], seen[28], seen[32], seen[40]):
-        assert off_m(bridge.at(then.t_ns), then) < 0.003
+        assert off_m(reckoning.at(then.t_ns), then) < 0.003
 
 
 @pytest.mark.parametrize("strength", [0.75, 1.0, 1.2])
@@ -85,12 +85,12 @@ def test_an_arm_at_rest_tells_no_strength_and_a_gap_is_not_differenced_over():
 
 def test_where_axis_or_pressure_is_silent_too_nothing_is_carried_on():
     seen, readings = swing(read_until_ns=200 * MS)
-    bridge = Bridge(seen[16], seen[20], readings)
-    assert bridge.at(240 * MS) is not None
-    assert bridge.at(260 * MS) is None
-    assert bridge.at(270 * MS) is None
+    reckoning = DeadReckoning(seen[16], seen[20], readings)
+    assert reckoning.at(240 * MS) is not None
+    assert reckoning.at(260 * MS) is None
+    assert reckoning.at(270 * MS) is None
     blind = Readings(Past(), readings.pressure, 0)
-    assert Bridge(seen[16], seen[20], blind).at(200 * MS) is None
+    assert DeadReckoning(seen[16], seen[20], blind).at(200 * MS) is None
 
 
 def test_the_deviation_grows_with_the_dark():
