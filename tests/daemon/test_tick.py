@@ -328,6 +328,8 @@ def test_a_loop_that_comes_late_does_not_blame_the_cameras_clock():
     rig.tick(mocap=tuple(frames), t_ns=inputs.t_ns)
     assert rig.outputs.mode is Mode.ARMED
     assert rig.outputs.events == ()
+    rig.tick()
+    assert rig.outputs.observed.dark_ns == 0  # nor does it expect the cameras to be ahead of it from now on
 
 
 def test_an_axis_that_disagrees_with_mocap_for_long_stops():
