@@ -290,6 +290,33 @@ def estimates(read: Read) -> str:
     return markdown(("body", "estimate: tip off by (RMS, mm) after", *ticks), rows)
 
 
+def chained(read: Read) -> str:
+    """Goals without a rest, by body."""
+    rows = []
+    for body, what in (
+        ("simulated", "our simulator, lockstep"),
+        ("reality", "`reality/`, lockstep"),
+        ("outside", "`benchmarks/outside/`, over the wires"),
+    ):
+        found = read(f"chained-{body}")
+        stops, timing = found["stops"], found.get("timing")
+        missed = "" if timing is None else f"{timing['late_steps']} of {timing['steps']}, {timing['missed_ticks']}"
+        rows.append(
+            [
+                what,
+                f"{found['reached']} of {found['goals']}",
+                f"{found['trained_reached']} of {found['trained_goals']}",
+                f"{1e3 * found['max_cart_m']:.0f} mm",
+                str(found["excursions"]),
+                str(found["crashes"]),
+                str(sum(stops.values())),
+                missed,
+            ]
+        )
+    head = ("body", "reached", "where it was trained", "farthest cart", "beyond 255 mm", "at the end", "stops unasked")
+    return markdown((*head, "late steps, missed ticks"), rows)
+
+
 def simulator(read: Read) -> str:
     """Speed and error beside MuJoCo."""
     found = read("simulator")
@@ -363,6 +390,7 @@ TABLES: dict[str, Callable[[Read], str]] = {
     "stop": stop,
     "bridging": bridging,
     "estimates": estimates,
+    "chained": chained,
     "simulator": simulator,
     "blind": blind,
     "blind-methods": blind_methods,
