@@ -358,6 +358,23 @@ def test_a_camera_that_is_too_late_ends_in_a_soft_stop_that_does_not_blame_the_a
     assert late.arm().mode is Mode.ARMED
 
 
+def test_a_mirrored_frame_is_named_and_is_no_fault_of_the_axis():
+    daemon = Lockstep(Config(), Steady((0.4, 0.0)))
+    read = daemon.robot.mocap.read
+
+    def mirrored(now_ns):
+        frames = read(now_ns)
+        return tuple(dataclasses.replace(f, bodies=tuple(b._replace(y_m=-b.y_m) for b in f.bodies)) for f in frames)
+
+    daemon.robot.mocap.read = mirrored
+    daemon.arm()
+    daemon.tick(daemon.request("goal", Goal("reach", 0.0, 0.9)))
+    for _ in range(15):
+        daemon.tick()
+    assert "moving the other way" in daemon.outputs.last_stop
+    assert daemon.outputs.estop is EStop.CLEAR
+
+
 def swung_under_late_cameras(delay_s):
     """A second of the cart going to and fro on a robot whose cameras are late and do not say so."""
     model = Model()
