@@ -58,7 +58,10 @@ coverage: .venv/.installed-dev
 # What is shown by trying for long, part by part: docs/proof.md. A small part of each is among the tests.
 FUZZ_MINUTES ?= 60
 SOAK_HOURS ?= 1
+ADVERSARY_TICKS ?= 10000000
 prove: .venv/.installed-dev
+	$(BIN)/python -m softarm.benchmarks.adversary --ticks $(ADVERSARY_TICKS)
+	$(BIN)/python -m softarm.benchmarks.adversary --ticks $$(( $(ADVERSARY_TICKS) / 20 )) --through tick
 	$(BIN)/python -m softarm.benchmarks.prove.mutants
 	$(BIN)/python -m softarm.benchmarks.prove.fuzz --minutes $(FUZZ_MINUTES)
 	$(BIN)/python -m softarm.benchmarks.prove.api

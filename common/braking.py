@@ -77,16 +77,17 @@ class BrakingLaw(NamedTuple):
         spans = [span for span in _spans(self, sent, stand) if span[1] + INSTANT_S > -age_s]
         acting = [each for begin, end, each in spans if begin + INSTANT_S < -age_s < end + INSTANT_S]
         since, ahead = _cut(spans, -age_s, 0.0), _cut(spans, 0.0, self.latency_s)
+        unseen_m = CREEP_MAX_M_S * age_s  # of a cart that the arm has begun to drag since
         creep = _creep(velocity, acting)
         up = [(time_s, highest + creep) for time_s, highest, _ in since]
         later = [(time_s, highest + creep) for time_s, highest, _ in ahead]
-        highest = _highest(self, wanted, *_follow(self, position, velocity, up), later, creep, self.position_max_m)
+        aim_m = self.position_max_m - unseen_m
+        highest = _highest(self, wanted, *_follow(self, position, velocity, up), later, creep, aim_m)
         creep = _creep(-velocity, [-each for each in acting])
         up = [(time_s, creep - lowest) for time_s, _, lowest in since]
         later = [(time_s, creep - lowest) for time_s, _, lowest in ahead]
-        mirrored = _highest(
-            self, -highest, *_follow(self, -position, -velocity, up), later, creep, -self.position_min_m
-        )
+        aim_m = -self.position_min_m - unseen_m
+        mirrored = _highest(self, -highest, *_follow(self, -position, -velocity, up), later, creep, aim_m)
         at_max, at_min = highest < wanted, -mirrored > highest
         return Bounded(_choose(at_max & at_min, 0.0, -mirrored), at_max, at_min)
 

@@ -10,6 +10,7 @@ import numpy as np
 
 from softarm.daemon.control.checks import device_events
 from softarm.daemon.control.failsafe import Event, ModeMachine
+from softarm.daemon.control.following import Following
 from softarm.daemon.control.goals import GoalTracker
 from softarm.daemon.control.observer import Observer, as_array
 from softarm.daemon.control.records import Inputs, Mode, Observed, Outputs, Request, RequestResult
@@ -35,6 +36,7 @@ class Controller:
         drive = config.drivers.rail
         self._observer = Observer(config)
         self._safety = SafetyFilter(config.limits, 1 / rate, drive.acceleration_m_s2, drive.hold_s)
+        self._following = Following(config.limits.rail.braking_law(drive.hold_s))
         self._machine = ModeMachine(round(config.failsafe.arming_timeout_s * rate), round(BRAKING_S * rate))
         self._goals = GoalTracker(config.goals)
         self._results: deque[RequestResult] = deque(maxlen=RESULTS_KEPT)
@@ -49,6 +51,7 @@ class Controller:
         if inputs.latched is not None:
             self._machine.latch(inputs.latched)
         self._observer.update(inputs)
+        self._following.update(inputs.rail, self._safety.sent)
         observed = self._observer.observe(inputs.t_ns, self._sent.cart_velocity_m_s)
         events = tuple(self._events(inputs))
         for request in inputs.requests:
@@ -106,6 +109,8 @@ class Controller:
             yield Event("stop_requested")
         engaged = self._machine.mode in (Mode.ARMED, Mode.STOPPING)
         yield from device_events(inputs, self._observer, self._config, engaged)
+        if self._following.lost:
+            yield Event("rail_astray", f"{self._following.off_m_s:.2f} m/s off for {self._following.ticks} ticks")
         if inputs.missed >= self._config.failsafe.missed_ticks_max:
             yield Event("ticks_missed", f"{inputs.missed} in a row, {inputs.late_ns / 1e6:.0f} ms late")
         elif inputs.missed:

@@ -12,6 +12,7 @@ CONTROL_PERIOD_S = 1 / CONTROL_RATE_HZ
 PRESSURE_MIN_KPA, PRESSURE_MAX_KPA = -0.7, 20.0  # gauge; what may be commanded ([P] section 3.2)
 CART_VELOCITY_MAX_M_S = 1.0  # either way; what may be commanded [P]
 
+RAIL_EXCURSION_M = 0.005  # beyond the soft limit: no farther, the safety filter promises, on a robot as configured
 RAIL_LIMIT_M = 0.25  # of the cart from the middle: the task's, and the safety filter's default ([P] SM-D)
 RAIL_TRAVEL_M = 0.30  # the mechanical stops [P]
 

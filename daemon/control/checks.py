@@ -8,6 +8,7 @@ from softarm.daemon.control.observer import Observer
 from softarm.daemon.control.records import Inputs
 from softarm.schemas.config import Config
 from softarm.schemas.messages import BODY_NAMES, RailReading
+from softarm.schemas.robot import RAIL_EXCURSION_M
 
 LATE_S = 0.03  # a pose that arrives older than a control step
 DISAGREEING_TICKS = 5  # a single pair of readings may straddle a reversal
@@ -107,6 +108,8 @@ def _rail(inputs: Inputs, config: Config, engaged: bool) -> Iterator[Event]:
     elif not limits.position_min_m - OUTSIDE_M <= position <= limits.position_max_m + OUTSIDE_M:
         allowed = f"{limits.position_min_m:.3f} to {limits.position_max_m:.3f} m"
         yield Event("rail_outside", f"at {position:.3f} m, allowed {allowed}")
+    elif (beyond_m := max(position - limits.position_max_m, limits.position_min_m - position)) > RAIL_EXCURSION_M:
+        yield Event("rail_overrun", f"{beyond_m * 1e3:.0f} mm beyond it, at most {RAIL_EXCURSION_M * 1e3:.0f} mm")
     if not reading.remote:
         yield Event("remote_off")
     if reading.faults:

@@ -68,6 +68,12 @@ TABLE: dict[str, Rule] = {
         "the cart is outside the rail limits",
         "with the drive off, push the cart back inside by hand, then POST /api/acknowledge",
     ),
+    "rail_astray": Rule(
+        Response.STOP,
+        True,
+        "the cart does not do what the drive was told",
+        "see that nothing holds the cart and that the belt and the drive's mode are right, then POST /api/acknowledge",
+    ),
     "rail_disagrees": Rule(
         Response.STOP,
         True,
@@ -229,6 +235,12 @@ TABLE: dict[str, Rule] = {
         False,
         "the drive switched itself off",
         "look at the drive's status, then arm again",
+    ),
+    "rail_overrun": Rule(
+        Response.WARN,
+        False,
+        "the cart passed its soft limit by more than it can on the robot that limits.rail describes",
+        "lower limits.rail.braking_m_s2 or raise latency_s: `softarm check CONFIG --logs FOLDER` says to what",
     ),
     "policy_fault": Rule(
         Response.SOFT_STOP,

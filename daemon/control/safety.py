@@ -34,7 +34,7 @@ class SafetyFilter:
         self._period_s = period_s
         self._slews = drive_ramp_m_s2 is None or drive_ramp_m_s2 > limits.rail.acceleration_max_m_s2
         self._law = limits.rail.braking_law(hold_s)
-        self._sent: deque[tuple[int, float]] = deque()  # when (ns) and what (m/s), as far back as it may matter
+        self.sent: deque[tuple[int, float]] = deque()  # when (ns) and what (m/s), as far back as it may matter
         self._remembered_ns = round((KNOWN_S + hold_s + self._law.latency_s) * 1e9)
         self._sent_pressure = 0.0
 
@@ -45,16 +45,16 @@ class SafetyFilter:
         """
         age_s = math.inf if rail is None else max(0, t_ns - rail.t_receive_ns) * 1e-9
         filtered = self._bound(wanted, rail if age_s <= KNOWN_S else None, age_s, t_ns)
-        self._sent.append((t_ns, filtered.command.cart_velocity_m_s))
+        self.sent.append((t_ns, filtered.command.cart_velocity_m_s))
         self._sent_pressure = filtered.command.pressure_kpa
-        while self._sent[0][0] < t_ns - self._remembered_ns:
-            self._sent.popleft()
+        while self.sent[0][0] < t_ns - self._remembered_ns:
+            self.sent.popleft()
         return filtered
 
     def resume(self, sent: Command) -> None:
         """Another command than the last one was sent in its place: for the replay of a log with gaps."""
-        t_ns, _ = self._sent.pop()
-        self._sent.append((t_ns, sent.cart_velocity_m_s))
+        t_ns, _ = self.sent.pop()
+        self.sent.append((t_ns, sent.cart_velocity_m_s))
         self._sent_pressure = sent.pressure_kpa
 
     def _bound(self, wanted: Command, rail: RailReading | None, age_s: float, t_ns: int) -> Filtered:
@@ -91,13 +91,13 @@ class SafetyFilter:
             clamps.append("rail_velocity")
         if self._slews:
             step = self._rail.acceleration_max_m_s2 * self._period_s
-            before = self._sent[-1][1] if self._sent else 0.0
+            before = self.sent[-1][1] if self.sent else 0.0
             slewed = min(max(velocity, before - step), before + step)
             if slewed != velocity:
                 clamps.append("rail_acceleration")
             velocity = slewed
         # Position comes last: braking for the end of the rail may need more than the slew allows.
-        sent = [((t_ns - sent_ns) * 1e-9, each) for sent_ns, each in self._sent]
+        sent = [((t_ns - sent_ns) * 1e-9, each) for sent_ns, each in self.sent]
         velocity, at_max, at_min = self._law.bound(velocity, rail.position_m, rail.velocity_m_s, age_s, sent)
         if at_max:
             clamps.append("rail_position_max")

@@ -39,7 +39,7 @@ class Lockstep:
         self._recorder = recorder
         self._rate_hz = config.control.rate_hz
         self._begun_ns = self.robot.now_ns  # the ticks count from here
-        self._ticks = 0
+        self._ticks = self._skipped = 0
         self._numbers = count(1)
 
     def request(self, kind: RequestKind, goal: Goal | None = None) -> Request:
@@ -56,7 +56,9 @@ class Lockstep:
             pressure=robot.regulator.read(),
             rail=robot.rail.read(),
             requests=requests,
+            missed=self._skipped,
         )
+        self._skipped = 0
         outputs = self.controller.tick(inputs)
         robot.rail.write(outputs.sent.enable, outputs.sent.cart_velocity_m_s)
         robot.regulator.write(outputs.sent.enable, outputs.sent.pressure_kpa)
@@ -64,6 +66,11 @@ class Lockstep:
             self._recorder.tick(inputs, outputs, TickTiming(0, 0, 0, 0))
         self.outputs = outputs
         return outputs
+
+    def skip(self, ticks: int) -> None:
+        """Leave out so many ticks before the next one, as a loop that was held up does."""
+        self._ticks += ticks
+        self._skipped += ticks
 
     def arm(self) -> Outputs:
         """Wait for the sensors, arm, wait until it has armed.

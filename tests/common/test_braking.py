@@ -167,7 +167,7 @@ def test_a_cart_stops_in_time_after_what_passes_and_might_not_after_much_more(
     told = [(at * STEP_S, each) for at, each in sent]
     assume(not any(0 < velocity - each < CREEP_MAX_M_S for each in (0.0, *(each for _, each in sent))))  # creep: below
     passed, at_max, at_min = rule.bound(wanted, position, velocity, age * STEP_S, told)
-    aim, back = rule.position_max_m, min(wanted, -RETURN_SPEED_M_S)
+    aim, back = rule.position_max_m - CREEP_MAX_M_S * age * STEP_S, min(wanted, -RETURN_SPEED_M_S)
     assert not at_min
     assert at_max is (passed < wanted)
     if passed != back:  # to come back is allowed where nothing is in time any more

@@ -232,6 +232,31 @@ def test_a_device_that_fails_stops_the_arm_and_latches(name):
 
 
 @pytest.mark.parametrize(
+    ("position_m", "said"), [(0.2549, None), (-0.2549, None), (0.2561, "6 mm"), (-0.2692, "19 mm"), (0.2701, None)]
+)
+def test_between_the_soft_limit_and_the_hard_one_there_are_millimetres(position_m, said):
+    """Said from the margin on that the filter promises; farther out it is a stop."""
+    rig = Rig().swinging()
+    rig.tick(**spoil(rig, of="rail", position_m=position_m))
+    texts = [event.text for event in rig.outputs.events if event.name == "rail_overrun"]
+    assert len(texts) == (said is not None)
+    assert said is None or said in texts[0]
+    assert (rig.outputs.mode is Mode.STOPPED) is (abs(position_m) > 0.27)
+
+
+def test_a_drive_that_does_not_follow_stops_the_arm():
+    """It runs at full speed, the other way than the set-points want it."""
+    rig = Rig().swinging()
+    for ticks in range(1, 30):
+        rig.tick(rail=RailReading(rig.now + PERIOD_NS, 0.0, -1.0, True))
+        if rig.outputs.mode is not Mode.ARMED:
+            break
+    assert ticks < 15
+    assert (rig.outputs.mode, rig.outputs.estop) == (Mode.STOPPED, EStop.ENGAGED)
+    assert "does not do what the drive was told" in rig.outputs.last_stop
+
+
+@pytest.mark.parametrize(
     ("device", "event"), [("pressure", "pressure_stale"), ("rail", "rail_stale"), ("mocap", "mocap_stale")]
 )
 def test_a_sensor_that_goes_quiet_ends_in_a_soft_stop_in_time(device, event):
