@@ -317,6 +317,24 @@ def chained(read: Read) -> str:
     return markdown((*head, "late steps, missed ticks"), rows)
 
 
+def dead_daemon(read: Read) -> str:
+    """How far the cart goes when a process ends or freezes."""
+    rows = []
+    for name, found in read("dead-daemon")["cases"].items():
+        measured = ("told_to_stop_ms", "vented_ms", "travel_mm", "farthest_mm")
+        cells = ["{p50:.0f} / {p99:.0f} / {max:.0f}".format(**found[key]) for key in measured]
+        rows.append([name, *cells, f"{found['crashes']} of {found['trials']}"])
+    heads = (
+        "p50 / p99 / max",
+        "told to stop (ms)",
+        "valve open (ms)",
+        "travel (mm)",
+        "from the middle (mm)",
+        "at the end stop",
+    )
+    return markdown(heads, rows)
+
+
 def simulator(read: Read) -> str:
     """Speed and error beside MuJoCo."""
     found = read("simulator")
@@ -391,6 +409,7 @@ TABLES: dict[str, Callable[[Read], str]] = {
     "bridging": bridging,
     "estimates": estimates,
     "chained": chained,
+    "dead-daemon": dead_daemon,
     "simulator": simulator,
     "blind": blind,
     "blind-methods": blind_methods,
