@@ -1,0 +1,244 @@
+"""Which events a tick's readings raise, with which numbers, and from where on."""
+
+import math
+from dataclasses import replace
+
+import pytest
+
+from softarm.daemon.control.checks import device_events
+from softarm.daemon.control.observer import Observer
+from softarm.daemon.control.records import Inputs, Problems
+from softarm.schemas.config import Config
+from softarm.schemas.messages import MocapFrame, Pose, PressureReading, RailReading
+
+MS = 1_000_000
+NOW = 7_000 * MS
+PRESSURE = PressureReading(NOW, 3.0, armed=True, sequence=41)
+RAIL = RailReading(NOW, 0.0, 0.0, enabled=True)
+HANGING = (Pose(0.0, 0.965, 0.0), *[Pose(0.0, 0.7, 0.0)] * 4, Pose(0.0, 0.52, 0.0))
+FRAME = MocapFrame(1, NOW - 8 * MS, NOW, HANGING)
+HEALTHY = Inputs(t_ns=NOW, mocap=(FRAME,), pressure=PRESSURE, rail=RAIL)
+CONFIG = Config.model_validate({"failsafe": {"arming_frames": 1}})
+
+
+def raised(*inputs: Inputs, engaged: bool = True, config: Config = CONFIG) -> dict[str, str]:
+    """The events of the last of some ticks, each with its numbers."""
+    observer = Observer(
+        round(1e9 / config.control.rate_hz),
+        round(config.failsafe.mocap_stale_s * 1e9),
+        config.failsafe.rail_mocap_disagreement_m,
+    )
+    for each in inputs:
+        observer.update(each)
+    return {event.name: event.detail for event in device_events(inputs[-1], observer, config, engaged)}
+
+
+def test_a_healthy_robot_raises_nothing():
+    assert raised(HEALTHY) == {}
+
+
+# The regulator
+
+
+def of_pressure(*, engaged: bool = True, problem: str | None = None, **changes) -> dict[str, str]:
+    reading = replace(PRESSURE, **changes)
+    return raised(replace(HEALTHY, pressure=reading, problems=Problems(regulator=problem)), engaged=engaged)
+
+
+def test_a_regulator_that_never_answered_is_missing_and_its_driver_says_why():
+    assert raised(replace(HEALTHY, pressure=None)) == {"pressure_missing": "none since the start"}
+    said = Problems(regulator="no such port")
+    assert raised(replace(HEALTHY, pressure=None, problems=said)) == {
+        "pressure_missing": "none since the start; no such port"
+    }
+
+
+def test_a_pressure_is_stale_from_its_limit_on_and_nothing_else_is_said_of_it():
+    limit_ms = round(CONFIG.failsafe.pressure_stale_s * 1e3)
+    assert of_pressure(t_receive_ns=NOW - (limit_ms - 1) * MS) == {}
+    old = {"t_receive_ns": NOW - (limit_ms + 1) * MS, "pressure_kpa": 99.0, "faults": ("supply low",), "armed": False}
+    assert of_pressure(**old) == {"pressure_stale": f"{limit_ms + 1} ms old, at most {limit_ms} ms"}
+    assert of_pressure(**old, problem="silent") == {
+        "pressure_stale": f"{limit_ms + 1} ms old, at most {limit_ms} ms; silent"
+    }
+
+
+def test_a_pressure_may_be_off_by_the_sensors_tolerance_and_no_more():
+    limits = CONFIG.limits.pressure
+    low, high = limits.min_kpa - limits.sensor_tolerance_kpa, limits.max_kpa + limits.sensor_tolerance_kpa
+    assert limits.sensor_tolerance_kpa > 0.1
+    for allowed in (low, limits.min_kpa, limits.max_kpa, high):
+        assert of_pressure(pressure_kpa=allowed) == {}
+    for beyond in (low - 0.05, high + 0.05):
+        assert of_pressure(pressure_kpa=beyond) == {
+            "pressure_outside": f"{beyond:.1f} kPa, allowed {low:.1f} to {high:.1f} kPa"
+        }
+
+
+@pytest.mark.parametrize("number", [math.nan, math.inf, -math.inf])
+def test_a_pressure_that_is_no_number_is_named_and_is_not_outside(number):
+    assert of_pressure(pressure_kpa=number) == {"not_finite": "pressure"}
+
+
+def test_a_regulators_faults_are_told_beside_what_else_is_wrong():
+    assert of_pressure(faults=("supply low", "sensor out of span"), pressure_kpa=99.0).keys() == {
+        "regulator_fault",
+        "pressure_outside",
+    }
+    assert (
+        of_pressure(faults=("supply low", "sensor out of span"))["regulator_fault"] == "supply low, sensor out of span"
+    )
+
+
+def test_a_regulator_that_is_off_vented_by_itself_only_if_it_should_be_on():
+    assert of_pressure(armed=False) == {"regulator_vented": "last command it accepted: number 41"}
+    assert of_pressure(armed=False, engaged=False) == {}
+
+
+# The axis
+
+
+def of_rail(*, engaged: bool = True, problem: str | None = None, config: Config = CONFIG, **changes) -> dict[str, str]:
+    inputs = replace(HEALTHY, rail=replace(RAIL, **changes), problems=Problems(rail=problem))
+    return raised(inputs, engaged=engaged, config=config)
+
+
+def test_an_axis_that_never_answered_is_missing_and_its_driver_says_why():
+    assert raised(replace(HEALTHY, rail=None)) == {"rail_missing": "none since the start"}
+    assert raised(replace(HEALTHY, rail=None, problems=Problems(rail="refused"))) == {
+        "rail_missing": "none since the start; refused"
+    }
+
+
+def test_an_axis_is_stale_from_its_limit_on_and_nothing_else_is_said_of_it():
+    limit_ms = round(CONFIG.failsafe.rail_stale_s * 1e3)
+    assert of_rail(t_receive_ns=NOW - (limit_ms - 1) * MS) == {}
+    old = {"t_receive_ns": NOW - (limit_ms + 1) * MS, "position_m": 9.0, "remote": False, "enabled": False}
+    assert of_rail(**old, faults=("E12",), cycle_max_ns=10**9) == {
+        "rail_stale": f"{limit_ms + 1} ms old, at most {limit_ms} ms"
+    }
+
+
+def test_an_axis_whose_link_is_gone_says_that_alone():
+    gone = {"linked": False, "t_receive_ns": 0, "position_m": 9.0, "remote": False}
+    assert of_rail(**gone, problem="its process ended") == {"rail_link_lost": "its process ended"}
+
+
+@pytest.mark.parametrize("side", [-1, 1])
+def test_the_failsafe_takes_over_two_centimetres_past_the_limit(side):
+    limits = CONFIG.limits.rail
+    end = limits.position_max_m if side > 0 else limits.position_min_m
+
+    def beyond(by_m: float) -> dict[str, str]:
+        there = Pose(end + side * by_m, 0.965, 0.0), *HANGING[1:-1], Pose(end + side * by_m, 0.52, 0.0)
+        inputs = replace(HEALTHY, mocap=(replace(FRAME, bodies=there),))
+        return raised(replace(inputs, rail=replace(RAIL, position_m=end + side * by_m)))
+
+    assert "rail_outside" not in beyond(0.0199)
+    assert beyond(0.0201)["rail_outside"] == (
+        f"at {end + side * 0.0201:.3f} m, allowed {limits.position_min_m:.3f} to {limits.position_max_m:.3f} m"
+    )
+
+
+@pytest.mark.parametrize("number", [math.nan, math.inf, -math.inf])
+@pytest.mark.parametrize("field", ["position_m", "velocity_m_s"])
+def test_an_axis_that_reads_no_number_is_named_and_is_not_outside(field, number):
+    assert of_rail(**{field: number}) == {"not_finite": "rail position or velocity"}
+
+
+def test_the_drives_own_troubles_are_told_side_by_side():
+    assert of_rail(remote=False, faults=("E12 limit switch", "E20"), enabled=False) == {
+        "remote_off": "",
+        "rail_fault": "E12 limit switch, E20",
+        "rail_disabled": "operation is not enabled",
+    }
+    assert of_rail(enabled=False, problem="drive is in fault")["rail_disabled"] == (
+        "operation is not enabled; drive is in fault"
+    )
+    assert of_rail(enabled=False, engaged=False) == {}
+
+
+def test_a_cycle_of_more_than_a_tick_warns_and_one_beyond_what_the_law_counts_on_is_too_slow():
+    period_ms = 1e3 / CONFIG.control.rate_hz
+    counted_ms = 60.0
+    config = Config.model_validate({"limits": {"rail": {"latency_s": 0.06}}, "failsafe": {"arming_frames": 1}})
+
+    def cycle(p50_ms: float, max_ms: float, config: Config = config) -> dict[str, str]:
+        return of_rail(config=config, cycle_p50_ns=round(p50_ms * MS), cycle_max_ns=round(max_ms * MS))
+
+    assert cycle(3, period_ms - 1) == {}
+    assert cycle(3, period_ms + 1) == {"rail_slow": "3 ms, at most 34 ms in the last second"}
+    assert cycle(counted_ms - 1, counted_ms + 20) == {"rail_slow": "59 ms, at most 80 ms in the last second"}
+    assert cycle(counted_ms + 1, counted_ms + 20) == {
+        "rail_too_slow": "61 ms, at most 80 ms in the last second; 60 ms are counted on"
+    }
+    short = Config.model_validate({"limits": {"rail": {"latency_s": 0.01}}, "failsafe": {"arming_frames": 1}})
+    assert cycle(20, 25, short) == {}  # a tick's length is waited for in any case
+    assert cycle(35, 40, short) == {"rail_too_slow": "35 ms, at most 40 ms in the last second; 33 ms are counted on"}
+
+
+# Motion capture
+
+
+def test_before_the_first_frame_motion_capture_is_missing_and_its_driver_says_why():
+    assert raised(replace(HEALTHY, mocap=())) == {"mocap_missing": "none since the start"}
+    said = Problems(mocap="no frame yet")
+    assert raised(replace(HEALTHY, mocap=(), problems=said)) == {"mocap_missing": "none since the start; no frame yet"}
+
+
+def later(ms: float, **changes) -> Inputs:
+    """A healthy tick without a frame, so long after the last frame was taken."""
+    now = FRAME.t_capture_ns + round(ms * MS)
+    pressure, rail = replace(PRESSURE, t_receive_ns=now), replace(RAIL, t_receive_ns=now)
+    return replace(HEALTHY, t_ns=now, mocap=(), pressure=pressure, rail=rail, **changes)
+
+
+def test_motion_capture_is_stale_from_its_limit_on():
+    limit_ms = round(CONFIG.failsafe.mocap_stale_s * 1e3)
+    assert "mocap_stale" not in raised(HEALTHY, later(limit_ms - 1))
+    said = Problems(mocap="silent")
+    assert raised(HEALTHY, later(limit_ms + 1, problems=said)) == {
+        "mocap_stale": f"{limit_ms + 1} ms old, at most {limit_ms} ms; silent"
+    }
+
+
+def test_motion_capture_settles_with_the_frame_that_makes_arming_possible():
+    config = Config.model_validate({"failsafe": {"arming_frames": 3}})
+    second = replace(FRAME, sequence=2, t_capture_ns=FRAME.t_capture_ns + 4 * MS)
+    third = replace(FRAME, sequence=3, t_capture_ns=FRAME.t_capture_ns + 8 * MS)
+    assert raised(replace(HEALTHY, mocap=(FRAME, second)), config=config) == {"mocap_settling": "2 of 3 frames"}
+    assert raised(replace(HEALTHY, mocap=(FRAME, second, third)), config=config) == {}
+
+
+def seen(place: int, pose: Pose) -> Inputs:
+    return replace(HEALTHY, mocap=(replace(FRAME, bodies=(*HANGING[:place], pose, *HANGING[place + 1 :])),))
+
+
+def test_bodies_that_are_not_tracked_are_named():
+    first = seen(2, Pose(0.0, 0.7, 0.0, tracked=False)).mocap[0]
+    bodies = (*first.bodies[:4], Pose(0.0, 0.6, 0.0, tracked=False), first.bodies[5])
+    assert raised(replace(HEALTHY, mocap=(replace(first, bodies=bodies),))) == {"mocap_body_lost": "link2, link4"}
+
+
+@pytest.mark.parametrize("number", [math.nan, math.inf, -math.inf])
+@pytest.mark.parametrize("field", ["y_m", "z_m", "angle_rad"])
+@pytest.mark.parametrize("place", [0, 3, 5])
+def test_a_pose_that_is_no_number_is_named_unless_it_is_not_tracked(place, field, number):
+    pose = HANGING[place]._replace(**{field: number})
+    assert raised(seen(place, pose))["not_finite"] == "motion capture pose"
+    assert "not_finite" not in raised(seen(place, pose._replace(tracked=False)))
+
+
+def arriving(late_ms: float) -> Inputs:
+    """A frame that was so long on its way, by its stamps."""
+    return replace(HEALTHY, mocap=(replace(FRAME, t_capture_ns=NOW - round(late_ms * MS)),))
+
+
+def test_poses_that_arrive_late_are_told_and_beyond_what_is_allowed_not_flown():
+    allowed_ms = round(CONFIG.failsafe.mocap_late_max_s * 1e3)
+    assert raised(arriving(29)) == {}
+    assert raised(arriving(31)) == {"mocap_late": "31 ms"}
+    assert raised(arriving(allowed_ms - 1))["mocap_late"] == f"{allowed_ms - 1} ms"
+    late = raised(arriving(allowed_ms + 1))
+    assert late["mocap_too_late"] == f"{allowed_ms + 1} ms, at most {allowed_ms} ms"
+    assert "mocap_late" not in late
