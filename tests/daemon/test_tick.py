@@ -7,7 +7,7 @@ import time
 import numpy as np
 import pytest
 
-from softarm.daemon.control.records import EStop, Inputs, Mode, Problems, Request
+from softarm.daemon.control.records import EStop, Inputs, Mode, Problems, Request, RequestResult
 from softarm.daemon.shell.offline import Lockstep
 from softarm.daemon.tick import Controller
 from softarm.drivers.regulator.driver import reading_of
@@ -135,6 +135,18 @@ def test_the_policy_flies_the_goal_and_sees_what_was_really_sent():
     assert goal == pytest.approx([-0.2, 0.6])
 
 
+def test_ticks_are_counted_from_one_and_a_policy_that_is_not_asked_takes_no_time():
+    rig = Rig()
+    assert [rig.tick().tick for _ in range(3)] == [1, 2, 3]
+    assert (rig.outputs.policy_ns, rig.outputs.policy_fault, rig.outputs.action) == (0, None, None)
+
+
+def test_the_muscles_slew_is_of_the_loops_own_period():
+    limits = {"pressure": {"slew_max_kpa_s": 60.0}}
+    rig = Rig(Steady((0.0, 20.0)), Config.model_validate({"limits": limits})).swinging()
+    assert rig.outputs.sent.pressure_kpa == pytest.approx(60.0 / 30)
+
+
 def test_a_reached_goal_ends_in_a_hold():
     rig = Rig().swinging()
     for tenth in range(1, 10):
@@ -161,6 +173,46 @@ def test_a_new_goal_in_mid_swing_takes_over_and_resets_the_policy():
     assert rig.outputs.goal.number == 2
     assert rig.policy.resets == 2
     assert rig.policy.seen[-1][1] == pytest.approx([-0.3, 0.7])
+
+
+class Episode(Steady):
+    """Needs no target, and is over after ten steps."""
+
+    spec = PolicySpec("episode", "for tests", needs_target=False, episode_steps=10)
+
+
+def test_a_run_lasts_for_the_policys_episode_and_a_run_that_has_none_goes_on():
+    rig = Rig(Episode()).armed()
+    states = [rig.tick("goal", goal=Goal("run")).goal.state] + [rig.tick().goal.state for _ in range(10)]
+    assert states == ["running"] * 10 + ["reached"]
+    assert len(rig.policy.seen) == 10
+    endless = Episode()
+    endless.spec = PolicySpec("endless", "for tests", needs_target=False)
+    rig = Rig(endless).armed()
+    rig.tick("goal", goal=Goal("run"))
+    assert {rig.tick().goal.state for _ in range(300)} == {"running"}
+
+
+def test_what_a_policy_is_for_decides_which_goals_it_takes_and_every_policy_holds():
+    rig = Rig().armed()
+    rig.tick("goal", goal=Goal("run"))
+    assert rig.reasons() == (
+        "the policy 'steady' needs a target: give a reach goal, or choose one with PUT /api/policy"
+    )
+    assert rig.outputs.goal.state == "none"
+    for policy in (Steady(), Episode()):
+        rig = Rig(policy).armed()
+        rig.tick("goal", goal=Goal("hold"))
+        assert rig.outputs.results[-1].accepted
+        assert (rig.outputs.goal.state, rig.policy.seen) == ("running", [])
+
+
+def test_a_goal_that_a_stop_ends_says_which():
+    rig = Rig().swinging()
+    rig.tick(**spoil(rig, of="rail", faults=("E12 limit switch",)))
+    assert rig.outputs.goal.state == "failed"
+    assert rig.outputs.goal.reason == rig.outputs.last_stop
+    assert "E12 limit switch" in rig.outputs.goal.reason
 
 
 @pytest.mark.parametrize("kind", ["goal", "cancel_goal"])
@@ -195,6 +247,29 @@ def test_the_policy_is_not_changed_under_a_running_goal():
     assert rig.outputs.results[-1].accepted
     rig.tick("goal", goal=Goal("reach", -0.2, 0.6))
     assert rig.outputs.sent.pressure_kpa == 1.0
+
+
+def test_a_hold_is_no_reason_to_keep_a_policy_and_the_old_one_is_closed():
+    rig = Rig().armed()
+    rig.tick("goal", goal=Goal("hold"))
+    closed = []
+    rig.controller._policy.close = lambda: closed.append("old")
+    rig.tick("policy", runners={rig.number + 1: InlineRunner(Steady((0.0, 1.0)))})
+    assert rig.outputs.results[-1] == RequestResult(rig.number, True)
+    assert closed == ["old"]
+
+
+def test_the_newest_results_are_kept_for_whoever_asks_late():
+    rig = Rig()
+    rig.tick(*["disarm"] * 40)
+    assert [result.number for result in rig.outputs.results] == list(range(9, 41))
+    assert rig.outputs.results[0] == RequestResult(9, True)
+
+
+def test_an_acknowledgement_resets_the_devices_whatever_else_is_asked_for():
+    rig = Rig()
+    assert rig.tick("disarm", "acknowledge", "arm").reset_devices
+    assert not rig.tick("disarm").reset_devices
 
 
 def spoil(rig, **fields):
@@ -429,6 +504,23 @@ def test_nor_in_the_tick_of_a_stop_that_somebody_asked_for():
     assert (len(rig.policy.seen), rig.outputs.action) == (steps, None)
 
 
+@pytest.mark.parametrize(("velocity_m_s", "mode"), [(0.019, Mode.DISARMED), (0.021, Mode.STOPPING)])
+def test_a_cart_is_braked_below_two_centimetres_a_second(velocity_m_s, mode):
+    rig = Rig().armed()
+    rig.tick("disarm", **spoil(rig, of="rail", velocity_m_s=velocity_m_s))
+    assert rig.outputs.mode is mode
+
+
+def test_a_cart_that_does_not_come_to_rest_is_waited_for_for_a_second():
+    rig = Rig().armed()
+    rig.tick("disarm", **spoil(rig, of="rail", velocity_m_s=0.1))
+    ticks = 1
+    while rig.outputs.mode is Mode.STOPPING:
+        rig.tick(**spoil(rig, of="rail", velocity_m_s=0.1))
+        ticks += 1
+    assert ticks == 31  # the tick that begins it, and a second
+
+
 @pytest.mark.parametrize("velocity_m_s", [-0.5, 0.5])
 def test_a_cart_that_rolls_either_way_is_not_braked_yet(velocity_m_s):
     rig = Rig().armed()
@@ -496,6 +588,9 @@ def test_late_ticks_warn_and_many_in_a_row_stop(missed, mode):
     rig.tick(missed=missed, late_ns=missed * PERIOD_NS)
     assert rig.outputs.mode is mode
     assert rig.outputs.missed_total == missed
+    late = {1: "1 skipped, 33 ms late", 2: "2 skipped, 67 ms late", 3: "3 in a row, 100 ms late"}[missed]
+    assert late in rig.outputs.events[0].text
+    assert rig.outputs.events[0].name == ("ticks_missed" if missed == 3 else "tick_late")
 
 
 def test_a_stop_request_latches_until_acknowledged():
@@ -548,6 +643,59 @@ def test_who_says_so_arms_without_a_log():
         rig.tick(**NO_LOG)
     rig.tick("arm", **NO_LOG)
     assert rig.outputs.mode is Mode.ARMING
+
+
+def test_only_when_drive_and_regulator_both_took_the_command_is_the_arm_armed():
+    for pressure, rail in ((True, False), (False, True), (None, True), (True, None)):
+        rig = Rig()
+        for _ in range(30):
+            rig.tick()
+        rig.tick("arm")
+        fresh = rig.inputs()
+        changes = {
+            "pressure": None if pressure is None else dataclasses.replace(fresh.pressure, armed=pressure),
+            "rail": None if rail is None else dataclasses.replace(fresh.rail, enabled=rail),
+        }
+        rig.now -= PERIOD_NS
+        assert rig.tick(**changes).mode in (Mode.ARMING, Mode.STOPPING)
+        assert rig.outputs.sent == Command(True, 0.0, 0.0)
+
+
+def test_a_replay_resumes_where_the_record_left_off():
+    """A log has a gap: from the tick before it on, the same ticks decide the same."""
+    flown = Rig().swinging()
+    for _ in range(5):
+        flown.tick(missed=1, late_ns=PERIOD_NS)
+    replayed = Rig()
+    replayed.sequence, replayed.now = flown.sequence - 4, flown.now - PERIOD_NS
+    replayed.tick()
+    replayed.controller.resume(flown.outputs)
+    replayed.on = True
+    assert flown.outputs.missed_total == 5
+    for _ in range(3):
+        one, other = flown.tick(), replayed.tick()
+        same = ("tick", "missed_total", "mode", "estop", "sent", "action", "last_stop", "arming_refusals", "events")
+        assert [getattr(one, name) for name in same] == [getattr(other, name) for name in same]
+        assert (one.goal.goal, one.goal.state, one.goal.number) == (
+            other.goal.goal,
+            other.goal.state,
+            other.goal.number,
+        )
+    flown.tick("stop")
+    replayed.controller.resume(flown.outputs)
+    assert replayed.tick().arming_refusals == flown.tick().arming_refusals
+    assert (replayed.outputs.mode, replayed.outputs.estop) == (Mode.STOPPED, EStop.LATCHED)
+    assert replayed.outputs.last_stop == flown.outputs.last_stop
+
+
+@pytest.mark.parametrize("settled", [False, True])
+def test_a_replay_that_resumes_has_seen_as_many_frames_as_the_record_says(settled):
+    flown, replayed = Rig(), Rig()
+    for _ in range(30 if settled else 3):
+        flown.tick()
+    replayed.tick()
+    replayed.controller.resume(flown.outputs)
+    assert (replayed.tick().arming_refusals == ()) is settled
 
 
 def test_the_tick_is_a_function_of_its_inputs_alone(monkeypatch):

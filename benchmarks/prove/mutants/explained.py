@@ -1,8 +1,8 @@
 """The mutants that no test can or should notice, each with the reason: explained.yaml."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from softarm.benchmarks.prove.mutants.operators import Mutant
 from softarm.common import yaml_lines
@@ -30,15 +30,14 @@ class Explanation(NamedTuple):
 def read(path: Path = FILE) -> list[Explanation]:
     """All of a file. Raises yaml_lines.FileError, and ValueError for an entry that is not whole."""
     modules = yaml_lines.read(path, "it lists the mutants that may live").data or {}
-    return [_entry(module, entry) for module, entries in modules.items() for entry in entries]
+    return [each for module, entries in modules.items() for entry in entries for each in _explanations(module, entry)]
 
 
-def _entry(module: str, entry: dict[str, object]) -> Explanation:
+def _explanations(module: str, entry: dict[str, Any]) -> Iterator[Explanation]:
     if not {"in", "was", "now", "why"} <= entry.keys() <= {"in", "was", "now", "which", "why"} or not entry["why"]:
         raise ValueError(f"{module}: an entry says in, was, now, why (and which, where several read alike): {entry}")
-    which = entry.get("which", 1)
-    assert isinstance(which, int)
-    return Explanation(module, str(entry["in"]), str(entry["was"]), str(entry["now"]), which, str(entry["why"]))
+    for now in entry["now"] if isinstance(entry["now"], list) else [entry["now"]]:
+        yield Explanation(module, entry["in"], entry["was"], now, entry.get("which", 1), entry["why"])
 
 
 def key(mutant: Mutant) -> Key:

@@ -229,6 +229,19 @@ def test_a_pose_that_is_no_number_is_named_unless_it_is_not_tracked(place, field
     assert "not_finite" not in raised(seen(place, pose._replace(tracked=False)))
 
 
+def test_motion_capture_that_moves_against_the_axis_is_mirrored():
+    def tick(number: int) -> Inputs:
+        now, cart = number * 33 * MS, 0.15 * math.sin(0.15 * number)
+        bodies = (Pose(-cart, 0.965, 0.0), *HANGING[1:-1], Pose(-cart, 0.52, 1e-5 * number))
+        rail = replace(RAIL, t_receive_ns=now, position_m=cart, velocity_m_s=0.15 * 4.5 * math.cos(0.15 * number))
+        frame = MocapFrame(number, now - 8 * MS, now, bodies)
+        return replace(HEALTHY, t_ns=now, mocap=(frame,), pressure=replace(PRESSURE, t_receive_ns=now), rail=rail)
+
+    mirrored = raised(*map(tick, range(40)))
+    assert mirrored["mocap_mirrored"] == "the cart moves against the axis"
+    assert "rail_disagrees" not in mirrored  # which would have somebody home the axis
+
+
 def arriving(late_ms: float) -> Inputs:
     """A frame that was so long on its way, by its stamps."""
     return replace(HEALTHY, mocap=(replace(FRAME, t_capture_ns=NOW - round(late_ms * MS)),))
