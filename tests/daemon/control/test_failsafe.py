@@ -143,6 +143,54 @@ def test_arming_waits_for_the_devices_and_gives_up_in_time():
     assert "did not take the arm command" in made.last_stop
 
 
+def test_devices_that_take_the_command_in_the_last_tick_are_in_time():
+    made = machine(Mode.ARMING)
+    for _ in range(3):
+        step(made)
+    step(made, devices_armed=True)
+    assert made.mode is Mode.ARMED
+
+
+def test_arming_that_something_else_ends_is_not_blamed_on_the_devices():
+    made = machine(Mode.ARMING)
+    for _ in range(3):
+        step(made)
+    step(made, "mocap_stale")
+    assert made.last_stop == Event("mocap_stale").text
+
+
+def test_the_time_for_arming_is_over_once_the_arm_is_armed():
+    """A device that switches itself off later is an event of its own."""
+    made = machine(Mode.ARMED)
+    for _ in range(10):
+        step(made, devices_armed=False)
+    assert made.mode is Mode.ARMED
+
+
+def test_arming_an_armed_arm_is_no_refusal_and_changes_nothing():
+    for mode in (Mode.ARMING, Mode.ARMED):
+        made = machine(mode)
+        assert made.arm(()) == ()
+        assert made.mode is mode
+
+
+def test_events_may_come_one_by_one():
+    made = machine(Mode.ARMED)
+    made.update(iter([Event("tick_late"), Event("mocap_stale")]), devices_armed=True, at_rest=False)
+    assert made.mode is Mode.STOPPING
+
+
+def test_who_resumes_in_the_mode_that_holds_does_not_begin_it_anew():
+    made = machine(Mode.STOPPING)
+    for _ in range(5):
+        step(made)
+        made.resume(Mode.STOPPING, EStop.CLEAR, "as recorded")
+    step(made)
+    assert (made.mode, made.last_stop) == (Mode.DISARMED, "as recorded")
+    made.resume(Mode.STOPPED, EStop.LATCHED, "as recorded")
+    assert (made.mode, made.estop) == (Mode.STOPPED, EStop.LATCHED)
+
+
 def test_a_cart_that_never_rests_is_let_go_after_a_while():
     made = machine(Mode.STOPPING)
     for _ in range(5):
