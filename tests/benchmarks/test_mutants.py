@@ -30,7 +30,7 @@ def test_the_list_speaks_of_modules_that_are_mutated_and_of_each_mutant_once():
 @pytest.mark.slow
 @pytest.mark.parametrize("module", TARGETS)
 def test_a_sample_of_mutants_is_killed_or_explained(module):
-    found = command.prove(TARGETS[module], EXPLAINED, jobs=1, sample=SAMPLE)
+    found = command.prove(TARGETS[module], EXPLAINED, 1, command.Choice(SAMPLE))
     assert len(found.trials) == SAMPLE
     assert found.unexplained == []
 

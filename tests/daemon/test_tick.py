@@ -141,6 +141,29 @@ def test_ticks_are_counted_from_one_and_a_policy_that_is_not_asked_takes_no_time
     assert (rig.outputs.policy_ns, rig.outputs.policy_fault, rig.outputs.action) == (0, None, None)
 
 
+def test_velocities_are_of_a_control_step_and_not_of_a_gap():
+    rig = Rig()
+    for cart in (0.0, 0.001, 0.003, 0.006):  # ever faster
+        rig.cart = cart
+        rig.tick()
+    assert rig.outputs.observed.values.cart_velocity_m_s == pytest.approx(0.003 * 30)
+    for quiet, velocity_m_s in ((1, 0.06), (3, 0.0)):  # frames 67 and 133 ms apart; 100 ms are stale
+        for _ in range(quiet):
+            rig.tick(mocap=())
+        rig.cart += 0.004
+        newest = rig.inputs().mocap[-1:]
+        rig.now -= PERIOD_NS
+        rig.tick(mocap=newest)
+        assert rig.outputs.observed.values.cart_velocity_m_s == pytest.approx(velocity_m_s)
+
+
+def test_what_the_rails_wire_takes_is_told_in_milliseconds_once_it_is_known():
+    rig = Rig()
+    assert (rig.tick().rail_cycle_p50_ms, rig.outputs.rail_cycle_max_ms) == (None, None)
+    rig.tick(**spoil(rig, of="rail", cycle_p50_ns=3_000_000, cycle_max_ns=7_500_000))
+    assert (rig.outputs.rail_cycle_p50_ms, rig.outputs.rail_cycle_max_ms) == (3.0, 7.5)
+
+
 def test_the_muscles_slew_is_of_the_loops_own_period():
     limits = {"pressure": {"slew_max_kpa_s": 60.0}}
     rig = Rig(Steady((0.0, 20.0)), Config.model_validate({"limits": limits})).swinging()

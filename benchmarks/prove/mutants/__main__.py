@@ -27,6 +27,22 @@ from softarm.benchmarks.prove.mutants.trials import FailsUnchanged, Trial, trial
 from softarm.common.processes import bar, cores
 
 
+class Choice(NamedTuple):
+    """Which mutants of a module are tried."""
+
+    sample: int | None = None  # so many, drawn by the seed
+    seed: int = 0
+    like: str = ""  # those that say this
+
+    def of(self, every: Sequence[Mutant]) -> Sequence[Mutant]:
+        """Those of a module's."""
+        alike = [mutant for mutant in every if self.like in str(mutant)]
+        return alike if self.sample is None else Random(self.seed).sample(alike, min(self.sample, len(alike)))
+
+
+EVERY = Choice()
+
+
 class Found(NamedTuple):
     """What came of a module's mutants."""
 
@@ -48,18 +64,16 @@ def prove(
     target: Target,
     explanations: Sequence[Explanation],
     jobs: int,
-    sample: int | None = None,
-    seed: int = 0,
+    choice: Choice = EVERY,
     tell: Callable[[Trial], None] = lambda _: None,
 ) -> Found:
-    """Try the mutants of a module, or a sample of so many. Raises FailsUnchanged."""
+    """Try the mutants of a module that are chosen. Raises FailsUnchanged."""
     start_s = time.monotonic()
     every = mutants(target.source)
     stale = explained.stale(explanations, target.module, every)
     known = {each.key for each in explanations if each.module == target.module}
-    chosen = every if sample is None else Random(seed).sample(every, min(sample, len(every)))
     done = []
-    for trial in trials(target, chosen, jobs):
+    for trial in trials(target, choice.of(every), jobs):
         done.append(trial)
         tell(trial)
     alive = [trial.mutant for trial in done if trial.end == "survived"]
@@ -85,11 +99,18 @@ def prove(
 )
 @click.option("--sample", type=click.IntRange(1), help="Try so many mutants of each module, drawn by the seed.")
 @click.option("--seed", default=0, show_default=True, help="Of the sample.")
+@click.option("--like", default="", metavar="TEXT", help="Only those that have this in what they were or are.")
 @click.option("--jobs", default=cores(), show_default=True, type=click.IntRange(1), help="Mutants tried at once.")
 @click.option("--killers", is_flag=True, help="Print every mutant with the test that killed it.")
 @results.json_option
 def main(
-    modules: tuple[str, ...], sample: int | None, seed: int, jobs: int, killers: bool, json_file: Path | None
+    modules: tuple[str, ...],
+    sample: int | None,
+    seed: int,
+    like: str,
+    jobs: int,
+    killers: bool,
+    json_file: Path | None,
 ) -> None:
     """Print a row a module, and every survivor that nothing explains.
 
@@ -99,13 +120,14 @@ def main(
     """
     explanations = explained.read()
     targets = [TARGETS[module] for module in modules] or list(TARGETS.values())
-    total = sum(min(sample or 10**9, len(mutants(target.source))) for target in targets)
+    choice = Choice(sample, seed, like)
+    total = sum(len(choice.of(mutants(target.source))) for target in targets)
     found = []
     try:
         with bar("mutants", total) as shown:
             for target in targets:
                 shown.advance(0, target.module)
-                found.append(prove(target, explanations, jobs, sample, seed, lambda _: shown.advance()))
+                found.append(prove(target, explanations, jobs, choice, lambda _: shown.advance()))
     except FailsUnchanged as error:
         raise click.ClickException(str(error)) from None
     _print(found, killers)

@@ -90,11 +90,47 @@ def test_a_tick_without_a_frame_keeps_the_last_velocities_and_ages_where_nothing
     assert observed.mocap_age_ns == 33 * MS
 
 
-def test_nothing_is_differenced_across_a_gap():
+def velocities(observed):
+    return observed.values.cart_velocity_m_s, observed.values.tip_vy_m_s, observed.values.tip_vz_m_s
+
+
+def test_nothing_is_differenced_across_a_gap_nor_before_there_are_two_frames():
+    observer = Observer(Config())
+    assert velocities(feed(observer, 0, frame(0))) == (0.0, 0.0, 0.0)
+    assert velocities(feed(observer, 33, frame(33, cart=0.01, tip=(0.01, 0.53)))) != (0.0, 0.0, 0.0)
+    assert velocities(feed(observer, 500, frame(500, cart=0.2, tip=(0.2, 0.55)))) == (0.0, 0.0, 0.0)
+
+
+def test_two_frames_of_one_tick_are_differenced():
+    observer = Observer(Config())
+    observed = feed(observer, 40, frame(0), frame(33, cart=0.033))
+    assert observed.values.cart_velocity_m_s == pytest.approx(1.0)
+
+
+def test_cameras_that_are_silent_for_long_show_no_velocity_any_more():
     observer = Observer(Config())
     feed(observer, 0, frame(0))
-    observed = feed(observer, 500, frame(500, cart=0.2))
-    assert observed.values.cart_velocity_m_s == 0.0
+    feed(observer, 33, frame(33, cart=0.033, tip=(0.033, 0.53)))
+    assert velocities(feed(observer, 133)) != (0.0, 0.0, 0.0)
+    assert velocities(feed(observer, 134)) == (0.0, 0.0, 0.0)
+
+
+def test_a_frame_that_was_taken_before_the_newest_is_not_used():
+    observer = Observer(Config())
+    feed(observer, 33, frame(33, tip=(-0.1, 0.52)))
+    observed = feed(observer, 66, frame(24, tip=(-0.11, 0.52), sequence=34))
+    assert observed.values.tip_y_m == -0.1
+    assert observer.seen == ()
+
+
+def test_every_sensor_has_an_age_of_its_own():
+    observer = Observer(Config())
+    now = 100 * MS
+    pressure, rail = PressureReading(now - 7 * MS, 5.0, True), RailReading(now - 3 * MS, 0.0, 0.0, True)
+    observer.update(Inputs(t_ns=now, mocap=(frame(88),), pressure=pressure, rail=rail))
+    observed = observer.observe(now, 0.0)
+    assert (observed.mocap_age_ns, observed.pressure_age_ns, observed.rail_age_ns) == (12 * MS, 7 * MS, 3 * MS)
+    assert observed.mocap_sequence == 88
 
 
 @pytest.mark.parametrize("bad", [{"tracked": False}, {"tip": (math.nan, 0.5)}, {"cart": math.inf}])
@@ -112,6 +148,10 @@ def test_lost_frames_are_counted_by_the_bridges_own_numbers():
     feed(observer, 0, frame(0, sequence=7))
     feed(observer, 33, frame(8, sequence=8), frame(33, sequence=12))
     assert observer.frames_lost == 3
+    feed(observer, 66, frame(66, sequence=14))
+    assert observer.frames_lost == 4
+    feed(observer, 99, frame(80, sequence=14), frame(99, sequence=3))  # sent twice; the bridge was started again
+    assert observer.frames_lost == 4
 
 
 def test_silence_starts_the_count_of_frames_for_arming_again():
@@ -135,9 +175,11 @@ def test_the_axis_is_compared_with_mocap_at_one_instant():
 
 
 def test_no_observation_before_every_sensor_has_been_heard():
-    observer = Observer(Config())
-    observer.update(Inputs(t_ns=0, mocap=(frame(0),)))
-    assert observer.observe(0, 0.0) is None
+    whole = {"mocap": (frame(0),), "pressure": PressureReading(0, 5.0, True), "rail": RailReading(0, 0.0, 0.0, True)}
+    for unheard in (*whole, None):
+        observer = Observer(Config())
+        observer.update(Inputs(t_ns=0, **{name: heard for name, heard in whole.items() if name != unheard}))
+        assert (observer.observe(0, 0.0) is None) is (unheard is not None)
 
 
 def test_ticks_of_disagreement_are_counted_in_a_row():

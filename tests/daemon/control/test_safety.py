@@ -112,6 +112,9 @@ def test_at_the_end_of_the_rail_only_the_way_back_is_open():
     assert clamps == ("rail_position_max",)
     back, clamps = make().apply(Command(True, -1.0, 0.0), read(RAIL.position_max_m, 0.0), 0)
     assert (back.cart_velocity_m_s, clamps) == (-1.0, ())
+    out, clamps = make().apply(Command(True, -1.0, 0.0), read(RAIL.position_min_m, 0.0), 0)
+    assert out.cart_velocity_m_s >= 0
+    assert clamps == ("rail_position_min",)
 
 
 @pytest.mark.parametrize("side", [-1, 1])
@@ -155,7 +158,7 @@ def test_after_a_pause_the_link_has_braked_and_that_counts():
 
 
 def test_a_reading_that_is_too_old_is_none():
-    old_ns = round(KNOWN_S * 1e9)
+    old_ns = 500_000_000
     for age_ns, unknown in ((old_ns, False), (old_ns + 1000, True)):
         sent, clamps = make().apply(Command(True, -0.1, 3.0), MIDDLE, age_ns)
         assert ("rail_unknown" in clamps) is unknown
@@ -167,6 +170,33 @@ def test_a_stamp_ahead_of_the_clock_is_a_reading_of_now():
     wanted = Command(True, 0.8, 0.0)
     ahead, now = (make().apply(wanted, read(0.1, 0.5, t_ns), 0) for t_ns in (10_000_000, 0))
     assert ahead == now
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_what_is_forgotten_of_the_commands_could_not_matter_any_more(seed):
+    """Of a reading as old as any that counts, and with ticks left out: the law says the same with all that was sent."""
+    draw = np.random.default_rng(seed)
+    safety, sent, now_ns = make(), [], 0
+    for _ in range(40):
+        now_ns += int(draw.choice([33, 33, 67, 100])) * 1_000_000
+        wanted = float(draw.choice([-1.0, 1.0]))
+        age_ns = int(draw.choice([0, 250, 450, 499, 500])) * 1_000_000
+        seen = read(float(draw.uniform(-0.1, 0.1)), float(draw.uniform(-0.3, 0.3)), now_ns - age_ns)
+        told = [((now_ns - at_ns) * 1e-9, each) for at_ns, each in sent]
+        law = RAIL.braking_law(HOLD_S).bound(wanted, seen.position_m, seen.velocity_m_s, age_ns * 1e-9, told)
+        passed, _ = safety.apply(Command(True, wanted, 0.0), seen, now_ns)
+        assert passed.cart_velocity_m_s == law.velocity_m_s
+        sent.append((now_ns, passed.cart_velocity_m_s))
+
+
+def test_what_was_sent_instead_counts():
+    """A replay stands where the record does: the axis under another command, the muscle from another pressure."""
+    safety = make(None, pressure=PressureLimits(slew_max_kpa_s=60.0))
+    safety.apply(Command(True, -1.0, 0.0), MIDDLE, 0)
+    safety.resume(Command(True, 0.4, 10.0))
+    sent, _ = safety.apply(Command(True, 1.0, 20.0), replace(MIDDLE, t_receive_ns=SOON_NS), SOON_NS)
+    assert sent.cart_velocity_m_s == pytest.approx(0.4 + RAIL.acceleration_max_m_s2 * PERIOD)
+    assert sent.pressure_kpa == pytest.approx(12.0)
 
 
 def test_what_is_remembered_of_the_commands_is_bounded():
@@ -191,6 +221,11 @@ def test_every_clamp_says_its_name(wanted, clamp):
     assert clamp in clamps
 
 
+@pytest.mark.parametrize("kpa", [PRESSURE.min_kpa, PRESSURE.max_kpa])
+def test_a_pressure_at_its_limit_is_within_it(kpa):
+    assert make().apply(Command(True, 0.0, kpa), MIDDLE, 0) == (Command(True, 0.0, kpa), ())
+
+
 def test_a_number_that_is_none_brakes_and_vents():
     sent, _ = make().apply(Command(True, math.nan, 10.0), MIDDLE, 0)
     assert sent == Command(True, 0.0, 0.0)
@@ -206,6 +241,7 @@ def test_without_a_cart_state_the_cart_stands_still():
     sent, clamps = make().apply(Command(True, 0.5, 3.0), None, 0)
     assert sent == Command(True, 0.0, 3.0)
     assert clamps == ("rail_unknown",)
+    assert make().apply(Command(True, 0.0, 3.0), None, 0) == (Command(True, 0.0, 3.0), ())
 
 
 def test_the_pressure_slew_is_kept():
@@ -222,6 +258,22 @@ def test_a_drive_without_its_own_ramp_has_its_set_points_slewed():
     sent, clamps = safety.apply(Command(True, 1.0, 0.0), MIDDLE, 0)
     assert sent.cart_velocity_m_s == pytest.approx(RAIL.acceleration_max_m_s2 * PERIOD)
     assert clamps == ("rail_acceleration",)
+
+
+@pytest.mark.parametrize("ramp", [None, RAIL.acceleration_max_m_s2 + 0.1])
+def test_so_has_one_whose_ramp_is_steeper_than_the_cart_may_have_and_both_ways(ramp):
+    safety, step = make(drive_ramp=ramp), RAIL.acceleration_max_m_s2 * PERIOD
+    wanted = [0.5, 0.5, 0.5, 0.5, -0.5, -0.5, -0.5]
+    sent = [
+        safety.apply(Command(True, each, 0.0), read(0.0, 0.0, tick * SOON_NS), tick * SOON_NS).command.cart_velocity_m_s
+        for tick, each in enumerate(wanted)
+    ]
+    assert sent == pytest.approx([step, 2 * step, 0.5, 0.5, 0.5 - step, 0.5 - 2 * step, 0.5 - 3 * step])
+
+
+def test_one_whose_own_ramp_is_gentle_enough_is_left_to_it():
+    sent, clamps = make(drive_ramp=RAIL.acceleration_max_m_s2).apply(Command(True, 0.5, 0.0), MIDDLE, 0)
+    assert (sent.cart_velocity_m_s, clamps) == (0.5, ())
 
 
 class Wild:
