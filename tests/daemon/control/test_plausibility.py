@@ -6,7 +6,7 @@ import math
 import numpy as np
 import pytest
 
-from softarm.daemon.control.plausibility import FEW, Plausibility
+from softarm.daemon.control.plausibility import FEW, Plausibility, is_usable
 from softarm.daemon.shell.offline import Lockstep
 from softarm.drivers.bodies.simulated import SimulatedBody
 from softarm.policies.base import PolicySpec
@@ -207,3 +207,134 @@ def test_no_policy_on_the_simulated_robot_is_doubted_however_hard_it_swings(effe
         for _ in range(500):
             found |= {event.name for event in daemon.tick().events}
     assert not {name for name in found if name.startswith("mocap")} - {"mocap_late", "mocap_bridged"}
+
+
+# Where the limits are: just within them nothing is said, just beyond it is named, with its numbers
+
+
+def still(number, cart=(0.0, HINGE_M), tip=(0.0, 0.525), ahead_ns=-2_000_000, step_ns=FRAME_NS):
+    """A frame of an arm that hangs; cameras have noise."""
+    noise = 1e-5 * (number % 2)
+    bodies = (Pose(cart[0] + noise, cart[1], 0.0), *[Pose(0.0, 0.7, 0.0)] * 4, Pose(tip[0] + noise, tip[1], 0.0))
+    return MocapFrame(number, number * step_ns, number * step_ns - ahead_ns, bodies)
+
+
+def said(*frames, axis=lambda frame: None):
+    """What is said of the last of these frames, as one that by itself cannot be true."""
+    judge, taken = judged(frames, axis)
+    return "" if taken[-1] else list(judge.events())[-1].detail.partition(";")[0]
+
+
+@pytest.mark.parametrize("ahead_ms", [4.9, 5.1])
+def test_a_stamp_may_be_ahead_by_the_clocks_noise(ahead_ms):
+    assert said(still(1, ahead_ns=round(ahead_ms * 1e6))) == ("" if ahead_ms < 5 else "5 ms ahead")
+    assert said(still(1, ahead_ns=50_000_000)) == "50 ms ahead"
+
+
+@pytest.mark.parametrize("side", [-1, 1])
+def test_the_cart_may_be_off_the_hinges_height_by_five_centimetres(side):
+    assert said(still(1, cart=(0.0, HINGE_M + side * 0.049), tip=(0.0, 0.55))) == ""
+    off_m = HINGE_M + side * 0.051
+    assert said(still(1, cart=(0.0, off_m), tip=(0.0, 0.55))) == f"the cart at z {off_m:.3f} m, the hinge is at 0.965 m"
+
+
+def test_the_tip_may_be_as_far_from_the_cart_as_an_arm_can_be():
+    longest_m = 1.1 * sum(Model().arm.link_length_m)
+    for reach_m, plausible in ((0.149, False), (0.151, True), (longest_m - 1e-3, True), (longest_m + 1e-3, False)):
+        found = said(still(1, tip=(reach_m, HINGE_M)))
+        assert (found == "") is plausible
+        assert plausible or found == f"{reach_m:.3f} m from the cart, the arm allows 0.15 to {longest_m:.3f} m"
+
+
+@pytest.mark.parametrize(("body", "top_m_s"), [("tip", 8.0), ("cart", 2.0)])
+@pytest.mark.parametrize("step_ms", [8, 33])
+def test_a_body_may_be_as_fast_as_it_can_be_and_is_looked_at_with_cameras_noise(body, top_m_s, step_ms):
+    """After one frame, which tells no velocity."""
+    for off_m, plausible in ((-1e-3, True), (1e-3, False)):
+        far_m = top_m_s * step_ms * 1e-3 + 0.03 + off_m
+        angle = 2 * math.asin(min(1.0, far_m / 2 / 0.44))  # along the arc
+        to = (0.44 * math.sin(angle), HINGE_M - 0.44 * math.cos(angle))
+        place = {"tip": to} if body == "tip" else {"cart": (far_m, HINGE_M), "tip": (0.2, 0.6)}
+        first = {"tip": (0.0, 0.525)} if body == "tip" else {"tip": (0.2, 0.6)}
+        frames = [still(number, **at, step_ns=step_ms * 1_000_000) for number, at in ((2, first), (3, place))]
+        bodies = list(frames[1].bodies)
+        bodies[0 if body == "cart" else 5] = bodies[0 if body == "cart" else 5]._replace(
+            y_m=bodies[0 if body == "cart" else 5].y_m - 1e-5
+        )
+        found = said(frames[0], MocapFrame(3, frames[1].t_capture_ns, frames[1].t_receive_ns, tuple(bodies)))
+        assert (found == "") is plausible, found
+        assert plausible or found == f"the {body} by {far_m * 1e3:.0f} mm in {step_ms} ms"
+
+
+@pytest.mark.parametrize(("place", "name", "top_m_s2"), [(5, "tip", 150.0), (0, "cart", 60.0)])
+def test_a_bodys_velocity_may_change_as_fast_as_it_can(place, name, top_m_s2):
+    """At rest in two frames 33 ms apart, and then elsewhere: by its acceleration over both steps, and noise."""
+    step_ns = 33_000_000
+    allowed_m = top_m_s2 * 0.033**2 + 0.03
+    for off_m, plausible in ((-1e-3, True), (1e-3, False)):
+        rest = [still(number, tip=(0.2, 0.6), step_ns=step_ns) for number in (2, 3)]
+        last = moved(still(4, tip=(0.2, 0.6), step_ns=step_ns), place, dy_m=-(allowed_m + off_m))
+        assert (said(*rest, last) == "") is plausible
+
+
+def test_two_frames_of_one_instant_tell_no_speed():
+    frame = still(1)
+    again = MocapFrame(2, frame.t_capture_ns, frame.t_receive_ns, still(2, tip=(0.2, 0.6)).bodies)
+    assert said(frame, again) == ""
+
+
+def stuck(count, place, *, came_m=0.0, cart_m=0.0, axis_m=0.0):
+    """What is said of a body that comes by so much and stays to the last digit, of so many frames, as others move."""
+    frames = [still(1, tip=(0.1, 0.6)), moved(still(2, tip=(0.1, 0.6)), place, dy_m=came_m)]
+    for number in range(3, count + 2):
+        share = (number - 2) / (count - 1)
+        bodies = list(still(number, tip=(0.1, 0.6)).bodies)
+        bodies[0] = bodies[0]._replace(y_m=frames[1].bodies[0].y_m + cart_m * share)
+        bodies[place] = frames[1].bodies[place]
+        frames.append(MocapFrame(number, number * FRAME_NS, number * FRAME_NS, tuple(bodies)))
+    return said(*frames, axis=lambda frame: 0.1 + axis_m * (frame.sequence - 2) / (count - 1))
+
+
+def test_a_tip_that_stops_dead_out_of_a_swing_is_frozen_in_the_third_frame():
+    frame_s = FRAME_NS * 1e-9
+    assert stuck(2, 5, came_m=0.5 * frame_s) == ""
+    found = stuck(3, 5, came_m=0.5 * frame_s)
+    assert found == "the tip at one place to the last digit in 3 frames, out of a swing at 0.5 m/s"
+    assert stuck(3, 5, came_m=0.29 * frame_s) == ""
+    assert "swing" in stuck(3, 5, came_m=0.31 * frame_s)
+    assert stuck(3, 0, came_m=0.5 * frame_s) == ""  # a cart may stop dead: it has a drive
+
+
+@pytest.mark.parametrize("side", [-1, 1])
+def test_a_tip_that_stays_while_the_cart_moves_is_frozen(side):
+    assert stuck(3, 5, cart_m=side * 0.0099) == ""
+    assert stuck(3, 5, cart_m=side * 0.0101) == (
+        "the tip at one place to the last digit in 3 frames, while the cart moved 10 mm"
+    )
+
+
+@pytest.mark.parametrize("side", [-1, 1])
+@pytest.mark.parametrize(("name", "place"), [("tip", 5), ("cart", 0)])
+def test_a_body_that_stays_while_the_axis_moves_is_frozen(name, place, side):
+    assert stuck(3, place, axis_m=side * 0.0499) == ""
+    assert stuck(3, place, axis_m=side * 0.0501) == (
+        f"the {name} at one place to the last digit in 3 frames, while the axis moved 50 mm"
+    )
+
+
+@pytest.mark.parametrize("heard", [range(1, 3), range(3, 6), range(0)])
+def test_of_an_axis_that_was_not_heard_at_both_ends_nothing_is_known(heard):
+    still_frames = [MocapFrame(n, n * FRAME_NS, n * FRAME_NS, still(1).bodies) for n in range(1, 6)]
+    assert said(*still_frames, axis=lambda frame: 0.2 * frame.sequence if frame.sequence in heard else None) == ""
+
+
+@pytest.mark.parametrize("place", [0, 5])
+@pytest.mark.parametrize("lack", [{"tracked": False}, {"y_m": math.nan}, {"z_m": math.inf}])
+def test_a_frame_is_usable_with_every_number_of_cart_and_tip_and_whatever_the_links_show(place, lack):
+    whole = still(1)
+    assert is_usable(whole)
+    bodies = list(whole.bodies)
+    bodies[place] = bodies[place]._replace(**lack)
+    assert not is_usable(MocapFrame(1, 0, 0, tuple(bodies)))
+    links = (whole.bodies[0], *[whole.bodies[1]._replace(**lack)] * 4, whole.bodies[5])
+    assert is_usable(MocapFrame(1, 0, 0, links))
