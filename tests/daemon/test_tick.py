@@ -226,7 +226,7 @@ def test_what_a_policy_is_for_decides_which_goals_it_takes_and_every_policy_hold
     for policy in (Steady(), Episode()):
         rig = Rig(policy).armed()
         rig.tick("goal", goal=Goal("hold"))
-        assert rig.outputs.results[-1].accepted
+        assert rig.outputs.results[-1] == RequestResult(rig.number, True)
         assert (rig.outputs.goal.state, rig.policy.seen) == ("running", [])
 
 
@@ -686,10 +686,12 @@ def test_only_when_drive_and_regulator_both_took_the_command_is_the_arm_armed():
 
 def test_a_replay_resumes_where_the_record_left_off():
     """A log has a gap: from the tick before it on, the same ticks decide the same."""
-    flown = Rig().swinging()
+    slewed = Config.model_validate({"limits": {"pressure": {"slew_max_kpa_s": 15.0}}})
+    flown = Rig(config=slewed).swinging()
     for _ in range(5):
         flown.tick(missed=1, late_ns=PERIOD_NS)
-    replayed = Rig()
+    assert 2.0 < flown.outputs.sent.pressure_kpa < 4.0  # on its way
+    replayed = Rig(config=slewed)
     replayed.sequence, replayed.now = flown.sequence - 4, flown.now - PERIOD_NS
     replayed.tick()
     replayed.controller.resume(flown.outputs)
@@ -711,11 +713,15 @@ def test_a_replay_resumes_where_the_record_left_off():
     assert replayed.outputs.last_stop == flown.outputs.last_stop
 
 
-@pytest.mark.parametrize("settled", [False, True])
-def test_a_replay_that_resumes_has_seen_as_many_frames_as_the_record_says(settled):
+@pytest.mark.parametrize(
+    ("seen", "then_none", "settled"), [(30, 0, True), (3, 0, False), (0, 3, False), (30, 4, False)]
+)
+def test_a_replay_that_resumes_has_seen_as_many_frames_as_the_record_says(seen, then_none, settled):
     flown, replayed = Rig(), Rig()
-    for _ in range(30 if settled else 3):
+    for _ in range(seen):
         flown.tick()
+    for _ in range(then_none):
+        flown.tick(mocap=())
     replayed.tick()
     replayed.controller.resume(flown.outputs)
     assert (replayed.tick().arming_refusals == ()) is settled

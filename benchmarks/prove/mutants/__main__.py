@@ -15,6 +15,7 @@ from random import Random
 from typing import NamedTuple
 
 import click
+from rich.box import SIMPLE
 from rich.console import Console
 from rich.table import Column, Table
 
@@ -152,7 +153,7 @@ def figures(found: Found) -> dict[str, object]:
 
 def _print(found: Sequence[Found], killers: bool) -> None:
     console = Console()
-    table = Table(Column("module", no_wrap=True), "tried", "killed", "timed out", "explained", "unexplained", "s")
+    table = Table(Column("module", no_wrap=True), "tried", "killed", "ended", "explained", "left", "s", box=SIMPLE)
     for each in found:
         numbers = figures(each)
         names = ("tried", "killed", "timed_out", "explained", "unexplained", "seconds")
