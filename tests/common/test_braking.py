@@ -255,8 +255,14 @@ def test_a_batch_in_float32_differs_by_its_rounding(batch, sent):
 
 
 def test_a_cart_outside_is_brought_back_gently():
+    assert RETURN_SPEED_M_S == 0.1
     assert law().bound(0.0, 0.28, 0.0) == (-RETURN_SPEED_M_S, True, False)
     assert law().bound(0.0, -0.28, 0.0) == (RETURN_SPEED_M_S, False, True)
+
+
+def test_a_reading_of_which_no_age_is_told_is_of_now():
+    assert law().bound(1.0, 0.1, 0.5) == law().bound(1.0, 0.1, 0.5, 0.0)
+    assert law().bound(1.0, 0.1, 0.5) != law().bound(1.0, 0.1, 0.5, 0.1)
 
 
 def test_where_both_ends_are_too_near_for_what_is_known_the_cart_stands_still():
@@ -272,6 +278,30 @@ def test_a_cart_that_is_dragged_along_is_braked_earlier(lead, age_s):
     position = 0.2325 - 0.05 * age_s
     held, dragged = (law().bound(0.1, position, velocity, age_s, told).velocity_m_s for velocity in (0.05, 0.05 + lead))
     assert dragged < held - 0.6 * lead or dragged == -RETURN_SPEED_M_S
+
+
+@pytest.mark.parametrize("side", [-1, 1])
+@pytest.mark.parametrize("age", [0, 20, 100])
+@pytest.mark.parametrize("lead", [0.01, 0.09])
+def test_a_cart_that_is_dragged_along_stops_in_time_and_might_not_after_much_more(lead, age, side):
+    """As one whose every set-point were higher by the lead: to either end."""
+    rule = law(ends=(-FAR_M, 0.24) if side > 0 else (-0.24, FAR_M))
+    told = [(k * TICK, 0.05) for k in range(8, 0, -1)]
+    position, velocity = 0.2 - 0.05 * age * STEP_S, 0.05 + lead
+    sent = [(at * STEP_S, side * each) for at, each in told]
+    passed = side * rule.bound(side * 1.0, side * position, side * velocity, age * STEP_S, sent).velocity_m_s
+    assert -RETURN_SPEED_M_S < passed < 1.0
+    dragged = [(at, each + lead) for at, each in told]
+    up = law(ends=(-FAR_M, 0.24))
+    more = passed + 1.001 * 1.1 / 2**BISECTIONS
+    assert worst_after(up, position, velocity, age, dragged, passed + lead) <= 0.24 + ROUNDING_M
+    assert worst_after(up, position, velocity, age, dragged, more + lead) >= 0.24 - ROUNDING_M
+
+
+def test_a_larger_lead_is_a_ramp_under_way_and_does_not_last():
+    told = [(k * TICK * STEP_S, 0.05) for k in range(8, 0, -1)]
+    dragged, ramping = (law().bound(1.0, 0.2, 0.05 + lead, 0.0, told).velocity_m_s for lead in (0.099, 0.101))
+    assert ramping > dragged + 0.05
 
 
 @pytest.mark.parametrize("number", [np.nan, np.inf])

@@ -32,10 +32,11 @@ _PAGE = "tests/drivers/test_wires_page.py"  # docs/wires.md is the promise of ev
 TARGETS = {
     target.module: target
     for target in (
+        Target("common/braking.py", ("tests/common/test_braking.py", f"{_CONTROL}/test_safety.py")),
         Target("daemon/control/safety.py", (f"{_CONTROL}/test_safety.py",)),
         Target("daemon/control/failsafe.py", (f"{_CONTROL}/test_failsafe.py", _LATCH, _TICK)),
         Target("daemon/control/checks.py", (f"{_CONTROL}/test_checks.py", _TICK)),
-        Target("daemon/control/observer.py", (f"{_CONTROL}/test_observer.py", _TICK)),
+        Target("daemon/control/plausibility.py", (f"{_CONTROL}/test_plausibility.py",)),
         Target("daemon/control/goals.py", (f"{_CONTROL}/test_goals.py",)),
         Target("daemon/tick.py", (_TICK, _LATCH)),
         Target("policies/runner.py", ("tests/policies/test_runner.py",)),

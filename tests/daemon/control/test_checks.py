@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import pytest
 
+from softarm.daemon.control.bridge import TipModel
 from softarm.daemon.control.checks import device_events
 from softarm.daemon.control.observer import Observer
 from softarm.daemon.control.records import Inputs, Problems
@@ -23,11 +24,7 @@ CONFIG = Config.model_validate({"failsafe": {"arming_frames": 1}})
 
 def raised(*inputs: Inputs, engaged: bool = True, config: Config = CONFIG) -> dict[str, str]:
     """The events of the last of some ticks, each with its numbers."""
-    observer = Observer(
-        round(1e9 / config.control.rate_hz),
-        round(config.failsafe.mocap_stale_s * 1e9),
-        config.failsafe.rail_mocap_disagreement_m,
-    )
+    observer = Observer(config)
     for each in inputs:
         observer.update(each)
     return {event.name: event.detail for event in device_events(inputs[-1], observer, config, engaged)}
@@ -200,6 +197,29 @@ def test_motion_capture_is_stale_from_its_limit_on():
     assert raised(HEALTHY, later(limit_ms + 1, problems=said)) == {
         "mocap_stale": f"{limit_ms + 1} ms old, at most {limit_ms} ms; silent"
     }
+
+
+def test_cameras_that_see_nothing_for_a_while_are_bridged_with_what_that_costs():
+    def tick(number: int, *, dark: bool = False) -> Inputs:
+        now = number * 33_333_333
+        bodies = (Pose(0.0, 0.965, 0.0), *HANGING[1:-1], Pose(1e-5 * (number % 2), 0.52, 0.0))
+        frames = () if dark else (MocapFrame(number, now - 8 * MS, now, bodies),)
+        pressure, rail = replace(PRESSURE, t_receive_ns=now), replace(RAIL, t_receive_ns=now)
+        said = Problems(mocap="silent" if dark else None)
+        return replace(HEALTHY, t_ns=now, mocap=frames, pressure=pressure, rail=rail, problems=said)
+
+    seen = [tick(number) for number in range(1, 10)]
+    one, three = [*seen, tick(10, dark=True)], [*seen, *(tick(number, dark=True) for number in (10, 11, 12))]
+    after_33_ms, after_100_ms = (f"{TipModel().deviation_m(dark_s) * 1e3:.0f} mm" for dark_s in (1 / 30, 0.1))
+    assert after_33_ms != after_100_ms
+    assert raised(*one) == {"mocap_bridged": f"for 33 ms, the tip to {after_33_ms}; silent"}
+    assert raised(*three) == {"mocap_bridged": f"for 100 ms, the tip to {after_100_ms}; silent"}
+    assert raised(*three, tick(13)) == {}
+    late = tick(10).mocap[0]
+    late = replace(late, t_capture_ns=late.t_capture_ns - 24 * MS)
+    assert raised(*seen, replace(tick(10), mocap=(late,))) == {}  # carried on as well, but something was seen
+    gone = raised(*three, *(tick(number, dark=True) for number in range(13, 20)))
+    assert gone.keys() == {"mocap_stale"}
 
 
 def test_motion_capture_settles_with_the_frame_that_makes_arming_possible():

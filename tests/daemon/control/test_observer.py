@@ -108,7 +108,7 @@ def test_two_frames_of_one_tick_are_differenced():
 
 
 def test_cameras_that_are_silent_for_long_show_no_velocity_any_more():
-    observer = Observer(Config())
+    observer = Observer(Config(failsafe={"mocap_bridge_s": 0.0}))
     feed(observer, 0, frame(0))
     feed(observer, 33, frame(33, cart=0.033, tip=(0.033, 0.53)))
     assert velocities(feed(observer, 133)) != (0.0, 0.0, 0.0)
