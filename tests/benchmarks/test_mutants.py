@@ -28,6 +28,7 @@ def test_the_list_speaks_of_modules_that_are_mutated_and_of_each_mutant_once():
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(900)  # a module's tests are run a few times over, on a machine that may be busy
 @pytest.mark.parametrize("module", TARGETS)
 def test_a_sample_of_mutants_is_killed_or_explained(module):
     found = command.prove(TARGETS[module], EXPLAINED, 1, command.Choice(SAMPLE))

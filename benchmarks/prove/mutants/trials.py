@@ -103,7 +103,7 @@ def _serve(target: Target, mutants: Sequence[Mutant], jobs: int, slack_s: float,
 
 
 def _end(*_: object) -> None:
-    for process in _running:
+    for process in tuple(_running):
         _kill(process)
     os._exit(1)
 

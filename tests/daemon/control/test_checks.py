@@ -209,17 +209,17 @@ def test_cameras_that_see_nothing_for_a_while_are_bridged_with_what_that_costs()
         return replace(HEALTHY, t_ns=now, mocap=frames, pressure=pressure, rail=rail, problems=said)
 
     seen = [tick(number) for number in range(1, 10)]
-    one, three = [*seen, tick(10, dark=True)], [*seen, *(tick(number, dark=True) for number in (10, 11, 12))]
-    after_33_ms, after_100_ms = (f"{TipModel().deviation_m(dark_s) * 1e3:.0f} mm" for dark_s in (1 / 30, 0.1))
-    assert after_33_ms != after_100_ms
-    assert raised(*one) == {"mocap_bridged": f"for 33 ms, the tip to {after_33_ms}; silent"}
-    assert raised(*three) == {"mocap_bridged": f"for 100 ms, the tip to {after_100_ms}; silent"}
-    assert raised(*three, tick(13)) == {}
+    dark = [tick(number, dark=True) for number in range(10, 20)]
+    for ticks, told_ms in ((1, 33), (2, 67), (4, 133)):
+        off_mm = TipModel().deviation_m(ticks * 0.033333333) * 1e3
+        assert raised(*seen, *dark[:ticks]) == {
+            "mocap_bridged": f"for {told_ms} ms, the tip to {off_mm:.0f} mm; silent"
+        }
+    assert raised(*seen, *dark[:3], tick(13)) == {}
     late = tick(10).mocap[0]
     late = replace(late, t_capture_ns=late.t_capture_ns - 24 * MS)
     assert raised(*seen, replace(tick(10), mocap=(late,))) == {}  # carried on as well, but something was seen
-    gone = raised(*three, *(tick(number, dark=True) for number in range(13, 20)))
-    assert gone.keys() == {"mocap_stale"}
+    assert raised(*seen, *dark).keys() == {"mocap_stale"}
 
 
 def test_motion_capture_settles_with_the_frame_that_makes_arming_possible():
