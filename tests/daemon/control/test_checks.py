@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import pytest
 
-from softarm.daemon.control.bridge import TipModel
+from softarm.daemon.control.dead_reckoning import TipModel
 from softarm.daemon.control.checks import device_events
 from softarm.daemon.control.observer import Observer
 from softarm.daemon.control.records import Inputs, Problems
