@@ -5,12 +5,13 @@ from dataclasses import replace
 
 import pytest
 
-from softarm.daemon.control.dead_reckoning import TipModel
 from softarm.daemon.control.checks import device_events
+from softarm.daemon.control.dead_reckoning import TipModel
 from softarm.daemon.control.observer import Observer
 from softarm.daemon.control.records import Inputs, Problems
 from softarm.schemas.config import Config
 from softarm.schemas.messages import MocapFrame, Pose, PressureReading, RailReading
+from softarm.schemas.robot import RAIL_EXCURSION_M
 
 MS = 1_000_000
 NOW = 7_000 * MS
@@ -122,7 +123,7 @@ def test_an_axis_whose_link_is_gone_says_that_alone():
 
 
 @pytest.mark.parametrize("side", [-1, 1])
-def test_the_failsafe_takes_over_two_centimetres_past_the_limit(side):
+def test_past_the_limit_there_are_millimetres_and_from_two_centimetres_on_the_failsafe_takes_over(side):
     limits = CONFIG.limits.rail
     end = limits.position_max_m if side > 0 else limits.position_min_m
 
@@ -131,6 +132,11 @@ def test_the_failsafe_takes_over_two_centimetres_past_the_limit(side):
         inputs = replace(HEALTHY, mocap=(replace(FRAME, bodies=there),))
         return raised(replace(inputs, rail=replace(RAIL, position_m=end + side * by_m)))
 
+    assert beyond(RAIL_EXCURSION_M - 1e-4) == {}
+    assert beyond(RAIL_EXCURSION_M + 1e-4) == {
+        "rail_overrun": f"{RAIL_EXCURSION_M * 1e3:.0f} mm beyond it, at most {RAIL_EXCURSION_M * 1e3:.0f} mm"
+    }
+    assert beyond(0.0199)["rail_overrun"].startswith("20 mm beyond it")
     assert "rail_outside" not in beyond(0.0199)
     assert beyond(0.0201)["rail_outside"] == (
         f"at {end + side * 0.0201:.3f} m, allowed {limits.position_min_m:.3f} to {limits.position_max_m:.3f} m"

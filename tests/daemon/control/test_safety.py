@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from softarm.common.braking import CREEP_MAX_M_S, RETURN_SPEED_M_S
-from softarm.daemon.control.safety import KNOWN_S, SafetyFilter
+from softarm.daemon.control.safety import SafetyFilter
 from softarm.daemon.shell.offline import Lockstep
 from softarm.policies.base import PolicySpec
 from softarm.schemas.config import Config, DryveRail, Limits, PressureLimits, RailLimits
