@@ -33,7 +33,7 @@ class RailLimits(Strict):
     # From the tick that decides on a command to its effect on the cart, at most.
     latency_s: Annotated[float, Field(ge=0, le=0.2)] = CONTROL_PERIOD_S
     # How far before the limit the filter aims to stop; covers sensing error and the arm's pull at rest.
-    margin_m: Annotated[float, Field(ge=0, le=0.1)] = 0.005
+    margin_m: Annotated[float, Field(ge=0, le=0.1)] = 0.01
 
     @model_validator(mode="after")
     def _ordered(self) -> Self:
