@@ -9,6 +9,7 @@ import click
 from softarm.cli.errors import fail
 from softarm.cli.options import FILE, FOLDER, flown_model
 from softarm.cli.printing import print_table, print_text
+from softarm.cli.rail_limits import tell_stricter
 from softarm.common.processes import WorkerDied, bar
 
 if TYPE_CHECKING:
@@ -22,22 +23,9 @@ REALITY = "reality"
 @click.argument("campaign", type=click.Path(path_type=Path))
 @click.option("--out", type=FOLDER, required=True, help="Folder for everything that comes out.")
 @click.option("--policy", default="reach-robust", show_default=True, help="To train on: a shipped name or .onnx file.")
-@click.option(
-    "--model", "model_file", type=FILE, help="Nominal simulator (default: the campaign's model.yaml, else seed)."
-)
-@click.option(
-    "--robot",
-    default=REALITY,
-    show_default=True,
-    help="Held-back robot to prove it on: `reality`, the independent one, or a model.",
-)
-@click.option(
-    "--fault",
-    "faults",
-    multiple=True,
-    metavar="GROUP.QUANTITY=VALUE",
-    help="What is wrong with the independent robot; again for more.",
-)
+@click.option("--model", "model_file", type=FILE, help="Nominal simulator (default: the campaign's, else seed).")
+@click.option("--robot", default=REALITY, show_default=True, help="To prove it on: the independent one, or a model.")
+@click.option("--fault", "faults", multiple=True, metavar="GROUP.QUANTITY=VALUE", help="Of that robot; again for more.")
 @click.option("--config", "config_file", type=FILE, help="Configuration to fly and train by; default values without.")
 @click.option("--seconds", type=click.FloatRange(1, 86400), help="Of retraining, at most.  [default: 120]")
 def close_gap(
@@ -64,7 +52,7 @@ def close_gap(
       softarm close-gap campaign --out closed --fault regulator.dead_time_s=0.06 --fault arm.payload_kg=0.03
       softarm close-gap campaign --out closed --robot other-robot.yaml --seconds 60
     """
-    from softarm.daemon.config import configuration
+    from softarm.daemon.config.configuration import ConfigurationError, load
     from softarm.daemon.limits.findings import findings
     from softarm.diagnosis import report
     from softarm.diagnosis.from_files import diagnose_files
@@ -82,7 +70,7 @@ def close_gap(
     recipe = RetrainingConfig() if seconds is None else RetrainingConfig(seconds=seconds)
     warn, spent = partial(click.echo, err=True), steps.Spent()
     try:
-        config = configuration.load(config_file) if config_file else Config()
+        config = load(config_file) if config_file else Config()
         model = None if robot == REALITY else flown_model(Path(robot))
         held_back = steps.independent(faults) if model is None else steps.simulated(robot, model)
         file = steps.policy_file(policy)
@@ -95,7 +83,7 @@ def close_gap(
             warn(f"{', '.join(clock)}: trained with, not flown; the control loop that flies is the real one")
         closed = steps.close(found, rail, file, out, held_back, bool(faults) or robot != REALITY, recipe, spent)
     except (
-        configuration.ConfigurationError,
+        ConfigurationError,
         TrialError,
         ModelFileError,
         CheckpointError,
@@ -122,9 +110,7 @@ def _show(closed: "Closed", spent: "Spent", out: Path) -> None:
         rows.append((place.title, *shares, *map(str, closed.changed(place.key).values())))
     print_table(("flown on", *columns), rows)
     print_text(story.sentence(closed))
-    for row in closed.rail.rows:
-        if row.milder:
-            print_text(f"limits.rail.{row.key} was {row.configured:g}: {row.why}; {row.advice}")
+    tell_stricter(closed.rail)
     print_text(", ".join(f"{step} {t['wall_s']:.0f} s ({t['cpu_s']:.0f} s of CPU)" for step, t in spent.items()))
     click.echo(f"wrote {', '.join(name for name in steps.FILES if (out / name).exists())} to {out}")
     for warning in closed.diagnosis.verdict.warnings:

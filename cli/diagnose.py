@@ -102,8 +102,7 @@ def _show(result: "Diagnosis", json_file: Path | None) -> None:
     from softarm.pages.numbers import percent, quantity
 
     verdict, gap = result.verdict, result.verdict.gap
-    for sentence in report.answer(result):
-        print_text(sentence)
+    print_text("\n".join(report.answer(result)))
     rows = []
     for stage, before in gap.before.items():
         share = verdict.where.share.get(stage)

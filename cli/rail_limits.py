@@ -27,9 +27,15 @@ def write_limits(inputs: Sequence[Path], file: Path) -> "RailFindings":
 
     found = findings(rail_motions(inputs))
     files.write_text(file, found.patch())
+    tell_stricter(found)
+    for row in found.rows:
+        if row.bound is None:
+            click.echo(f"limits.rail.{row.key}: {row.why}", err=True)
+    return found
+
+
+def tell_stricter(found: "RailFindings") -> None:
+    """A line for each limit that is milder than the robot was."""
     for row in found.rows:
         if row.milder:
             click.echo(f"limits.rail.{row.key} was {row.configured:g}: {row.why}; {row.advice}")
-        elif row.bound is None:
-            click.echo(f"limits.rail.{row.key}: {row.why}", err=True)
-    return found

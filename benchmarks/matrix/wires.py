@@ -340,3 +340,4 @@ class Wires:
             asyncio.run_coroutine_threadsafe(wire.close(), self._loop).result(10)
         self._loop.call_soon_threadsafe(self._loop.stop)
         self._thread.join(5)
+        self._loop.close()
