@@ -1,6 +1,7 @@
 """Parameter types and options that several verbs share."""
 
 import json
+import os
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -85,3 +86,13 @@ def check_places(*places: Path | None) -> None:
     for file in places:
         if file is not None and not file.parent.is_dir():
             fail(f"{file}: there is no folder {file.parent}; make it, or name another place")
+
+
+def token_of(file: Path | None) -> str | None:
+    """The API's token: the file's, else $SOFTARM_TOKEN."""
+    if file is None:
+        return os.environ.get("SOFTARM_TOKEN")
+    try:
+        return file.read_text(encoding="utf-8").strip()
+    except (OSError, UnicodeDecodeError) as error:
+        fail(f"--token-file {file}: cannot be read ({error}); name the file of the daemon's api.token_file")

@@ -3,7 +3,6 @@
 import functools
 import http.client
 import json
-import os
 from collections.abc import Callable
 from pathlib import Path
 from types import TracebackType
@@ -13,7 +12,7 @@ import click
 import httpx
 
 from softarm.cli.errors import fail
-from softarm.cli.options import FILE
+from softarm.cli.options import FILE, token_of
 from softarm.schemas.rest import API_HEADER, API_VERSION
 
 DEFAULT_URL = "http://127.0.0.1:8080"
@@ -107,19 +106,10 @@ def remote(function: Callable[..., None]) -> Callable[..., None]:
     )
     @functools.wraps(function)
     def command(*args: Any, url: str, token_file: Path | None, **kwargs: Any) -> None:
-        with Remote(url, _token(token_file)) as daemon:
+        with Remote(url, token_of(token_file)) as daemon:
             function(daemon, *args, **kwargs)
 
     return command
-
-
-def _token(file: Path | None) -> str | None:
-    if file is None:
-        return os.environ.get("SOFTARM_TOKEN")
-    try:
-        return file.read_text(encoding="utf-8").strip()
-    except (OSError, UnicodeDecodeError) as error:
-        fail(f"--token-file {file}: cannot be read ({error}); name the file of the daemon's api.token_file")
 
 
 def _detail(answer: object) -> str | None:
