@@ -183,7 +183,7 @@ def test_the_shipped_plans_cover_the_papers_targets_and_reach_them_through_the_d
     pairs = zip(plans.target_m.tolist(), plans.cart_start_m.tolist(), strict=True)
     planned = {tuple(round(number, 2) for number in (*target, start)) for target, start in pairs}
     assert planned == {(goal.y_m, goal.z_m, start) for goal in TEST_TARGETS for start in CART_STARTS_M}
-    assert (plans.miss_m < 0.04).sum() >= 0.89 * len(plans.steps)
+    assert (plans.miss_m < 0.04).sum() >= 8 / 9 * len(plans.steps)
     daemon = Lockstep(Config(), Trajectory())
     for y, z, start in ((-0.4, 0.8, 0.0), (-0.15, 0.75, 0.2), (-0.25, 0.7, 0.1), (-0.1, 0.55, 0.0)):
         flight = daemon.fly(Goal("reach", y, z), start)

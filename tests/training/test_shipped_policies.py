@@ -56,9 +56,10 @@ def test_a_shipped_policy_reaches_random_targets_of_its_training_range(name, lea
     assert reached_in_range(policy, task) >= least
 
 
-def test_the_robust_policy_bears_a_late_rail_that_undoes_the_others():
+def test_the_robust_policy_bears_a_late_and_weak_rail_that_undoes_the_others():
     model = Model()
-    late = model.model_copy(update={"effects": dict(model.effects) | {"rail.delay": {"delay": 0.09}}})
+    rail = {"rail.delay": {"delay": 0.09}, "rail.acceleration_limit": {"acceleration": 2.5}}
+    late = model.model_copy(update={"effects": dict(model.effects) | rail})
     task = PRESETS["reach-wide"]
     robust, wide, reach = (reached_in_range(shipped(f"reach{name}"), task, late) for name in ("-robust", "-wide", ""))
-    assert robust > max(wide, reach) + 0.05
+    assert robust > max(wide, reach) + 0.2
