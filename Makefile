@@ -62,6 +62,7 @@ ADVERSARY_TICKS ?= 10000000
 prove: .venv/.installed-dev
 	$(BIN)/python -m softarm.benchmarks.adversary --ticks $(ADVERSARY_TICKS)
 	$(BIN)/python -m softarm.benchmarks.adversary --ticks $$(( $(ADVERSARY_TICKS) / 20 )) --through tick
+	$(BIN)/python -m softarm.benchmarks.matrix
 	$(BIN)/python -m softarm.benchmarks.prove.mutants
 	$(BIN)/python -m softarm.benchmarks.prove.fuzz --minutes $(FUZZ_MINUTES)
 	$(BIN)/python -m softarm.benchmarks.prove.api

@@ -73,7 +73,7 @@ def rendered(page: str) -> str:
 def _command() -> str:
     """How this program was started: a module of the package by its name, anything else by its file."""
     spec = sys.modules["__main__"].__spec__
-    started = ["python", sys.argv[0]] if spec is None else ["python", "-m", spec.name]
+    started = ["python", sys.argv[0]] if spec is None else ["python", "-m", spec.name.removesuffix(".__main__")]
     return shlex.join([*started, *sys.argv[1:]])
 
 

@@ -395,6 +395,29 @@ def strength(read: Read) -> str:
     return pages.strength(read("strength")["causes"])
 
 
+# What goes wrong ----------------------------------------------------------------------------------------------------
+
+
+def matrix(read: Read) -> str:
+    """Every cell: what the arm did, how soon it was safe, what was said."""
+    rows = []
+    for found in read("matrix")["cells"]:
+        took = [found["braked_ms"], found["vented_ms"]]
+        moving = found["phase"] != "open" and found["stopped"]
+        safe = f"{max(took):.0f} ms" if moving and None not in took else ""
+        did = "**" + "; ".join(found["wrong"]) + "**" if found["wrong"] else _did(found)
+        logged = ", ".join(f"`{name}`" for name in found["logged"])
+        rows.append([found["who"], found["phase"], found["fault"], did, safe, found["told"], logged, found["again"]])
+    heads = ("what", "at", "fault", "the arm", "safe after", "the operator reads", "the log holds", "afterwards")
+    return markdown(heads, rows)
+
+
+def _did(found: Mapping[str, Any]) -> str:
+    if found["phase"] == "open":
+        return "is not armed" if found["stopped"] and found["causes"] else "may be armed"
+    return "stops" if found["stopped"] else "flies on"
+
+
 TABLES: dict[str, Callable[[Read], str]] = {
     "grid": grid,
     "all-tests": all_tests,
@@ -410,6 +433,7 @@ TABLES: dict[str, Callable[[Read], str]] = {
     "estimates": estimates,
     "chained": chained,
     "dead-daemon": dead_daemon,
+    "matrix": matrix,
     "simulator": simulator,
     "blind": blind,
     "blind-methods": blind_methods,
