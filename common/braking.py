@@ -44,6 +44,16 @@ class Stretch(NamedTuple, Generic[Number]):
     lowest: Number
 
 
+class _Course(NamedTuple, Generic[Number]):
+    """A cart on its way towards +y, whatever it is told now."""
+
+    position: Number  # as far and as fast as it may be
+    velocity: Number
+    ahead: list[tuple[float, Number]]  # targets (time in s, m/s) that may act beside a command, each with its creep
+    creep: Number
+    aim_m: float  # before which it has to stop
+
+
 class BrakingLaw(NamedTuple):
     """What the law counts on."""
 
@@ -71,25 +81,21 @@ class BrakingLaw(NamedTuple):
 
         wanted, in m/s, would be sent now; position in m and velocity in m/s as they were `age_s` ago; sent: every
         set-point that may have acted since then, oldest first, each with its age in s. Before them the cart was told
-        to stand. A cart for which both ends are too near is told to stand still.
+        to stand. Where the ends ask for what rules each other out, the cart is told to stand still.
         """
         stand: Any = np.zeros_like(wanted) if isinstance(wanted, np.ndarray) else 0.0
         spans = [span for span in _spans(self, sent, stand) if span[1] + INSTANT_S > -age_s]
         acting = [each for begin, end, each in spans if begin + INSTANT_S < -age_s < end + INSTANT_S]
         since, ahead = _cut(spans, -age_s, 0.0), _cut(spans, 0.0, self.latency_s)
         unseen_m = CREEP_MAX_M_S * age_s  # of a cart that the arm has begun to drag since
-        creep = _creep(velocity, acting)
-        up = [(time_s, highest + creep) for time_s, highest, _ in since]
-        later = [(time_s, highest + creep) for time_s, highest, _ in ahead]
-        aim_m = self.position_max_m - unseen_m
-        highest = _highest(self, wanted, *_follow(self, position, velocity, up), later, creep, aim_m)
-        creep = _creep(-velocity, [-each for each in acting])
-        up = [(time_s, creep - lowest) for time_s, _, lowest in since]
-        later = [(time_s, creep - lowest) for time_s, _, lowest in ahead]
-        aim_m = -self.position_min_m - unseen_m
-        mirrored = _highest(self, -highest, *_follow(self, -position, -velocity, up), later, creep, aim_m)
-        at_max, at_min = highest < wanted, -mirrored > highest
-        return Bounded(_choose(at_max & at_min, 0.0, -mirrored), at_max, at_min)
+        up = _course(self, position, velocity, acting, since, ahead, self.position_max_m - unseen_m)
+        highest = _highest(self, wanted, up)
+        acting, since, ahead = [-each for each in acting], _mirrored(since), _mirrored(ahead)
+        down = _course(self, -position, -velocity, acting, since, ahead, -self.position_min_m - unseen_m)
+        lowest = -_highest(self, -highest, down)
+        at_max, at_min = highest < wanted, lowest > highest
+        torn = _too_high(self, lowest, at_min & (lowest > -RETURN_SPEED_M_S), up)
+        return Bounded(_choose(torn, 0.0, lowest), at_max | torn, at_min)
 
 
 def stretches(
@@ -137,46 +143,64 @@ def _creep(velocity: Number, acting: Sequence[Number]) -> Number:
     return creep
 
 
-def _highest(
+def _course(
     law: BrakingLaw,
-    wanted: Number,
     position: Number,
     velocity: Number,
-    ahead: Sequence[tuple[float, Number]],
-    creep: Number,
+    acting: Sequence[Number],
+    since: Sequence[Stretch[Number]],
+    ahead: Sequence[Stretch[Number]],
     aim_m: float,
-) -> Number:
-    """The highest command, up to the wanted one, after which the cart can still stop before `aim_m`.
+) -> _Course[Number]:
+    """From where and how fast the cart was when it was read, and what may have acted then, since, and may yet."""
+    creep = _creep(velocity, acting)
+    followed = _follow(law, position, velocity, [(time_s, highest + creep) for time_s, highest, _ in since])
+    return _Course(*followed, [(time_s, highest + creep) for time_s, highest, _ in ahead], creep, aim_m)
 
-    position, velocity: as far and as fast as the cart may be now; ahead: the targets (time in s, m/s) that may act
-    beside the command.
-    """
-    fits = farthest(law, position, velocity, ahead, wanted + creep) <= aim_m
+
+def _of(course: _Course[Number], rows: Any) -> _Course[Number]:
+    """The same of some robots of a batch."""
+    ahead = [(time_s, target[rows]) for time_s, target in course.ahead]
+    return _Course(course.position[rows], course.velocity[rows], ahead, course.creep[rows], course.aim_m)
+
+
+def _mirrored(pieces: Iterable[Stretch[Number]]) -> list[Stretch[Number]]:
+    return [Stretch(time_s, -lowest, -highest) for time_s, highest, lowest in pieces]
+
+
+def _fits(law: BrakingLaw, command: Number, course: _Course[Number]) -> Any:
+    """Whether a cart can still stop before its aim after a command: a bool, or bool [R]."""
+    return farthest(law, course.position, course.velocity, course.ahead, command + course.creep) <= course.aim_m
+
+
+def _highest(law: BrakingLaw, wanted: Number, course: _Course[Number]) -> Number:
+    """The highest command, up to the wanted one, that fits."""
+    fits = _fits(law, wanted, course)
     if not isinstance(wanted, np.ndarray):
-        return wanted if fits else _search(law, wanted, position, velocity, ahead, creep, aim_m)
+        return wanted if fits else _search(law, wanted, course)
     highest = wanted.copy()
     if (tight := np.flatnonzero(~fits)).size:  # most carts of a batch are far from the ends
-        ahead = [(time_s, target[tight]) for time_s, target in ahead]
-        highest[tight] = _search(law, wanted[tight], position[tight], velocity[tight], ahead, creep[tight], aim_m)
+        highest[tight] = _search(law, wanted[tight], _of(course, tight))
     return highest
 
 
-def _search(
-    law: BrakingLaw,
-    wanted: Number,
-    position: Number,
-    velocity: Number,
-    ahead: Sequence[tuple[float, Number]],
-    creep: Number,
-    aim_m: float,
-) -> Number:
+def _too_high(law: BrakingLaw, command: Number, asked: Any, course: _Course[Number]) -> Any:
+    """Where it is asked for: whether the command does not fit."""
+    if not isinstance(asked, np.ndarray):
+        return asked and not _fits(law, command, course)
+    if (rows := np.flatnonzero(asked)).size:
+        asked[rows] = ~_fits(law, command[rows], _of(course, rows))
+    return asked
+
+
+def _search(law: BrakingLaw, wanted: Number, course: _Course[Number]) -> Number:
     """Bisect between coming back and what is wanted, which is too much."""
     low: Number = _choose(wanted < -RETURN_SPEED_M_S, wanted, -RETURN_SPEED_M_S)
     # Where even coming back passes the end there is nothing to search: it is all that can be done.
-    high = _choose(farthest(law, position, velocity, ahead, low + creep) <= aim_m, wanted, low)
+    high = _choose(_fits(law, low, course), wanted, low)
     for _ in range(BISECTIONS):
         middle = 0.5 * (low + high)
-        fits = farthest(law, position, velocity, ahead, middle + creep) <= aim_m
+        fits = _fits(law, middle, course)
         low, high = _choose(fits, middle, low), _choose(fits, high, middle)
     return low
 

@@ -270,6 +270,26 @@ def test_where_both_ends_are_too_near_for_what_is_known_the_cart_stands_still():
     assert law(latency=100).bound(1.0, 0.0, 0.0, 0.4, to_and_fro) == (0.0, True, True)
 
 
+def test_the_farther_end_never_sends_the_cart_towards_the_nearer():
+    # A slow drive, told to come back from 24 mm before its end: it may not stop in time before the other end either.
+    slow = law(0.622, 6.41, latency=62)
+    sent = [(0.167, 0.069), (0.133, 0.061), (0.1, 0.056), (0.067, -0.819), (0.033, -0.645)]
+    assert slow.bound(-0.819, 0.2158, -0.004, 0.1, sent) == (0.0, True, True)
+
+
+slow_laws = st.builds(law, st.floats(0.3, 0.8), st.floats(4.0, 8.0), st.integers(30, 120))
+
+
+@given(slow_laws, few, speeds, st.floats(-0.26, 0.26), st.floats(-0.1, 0.1), st.integers(50, 150))
+def test_what_passes_before_both_ends_passes_before_each_or_is_a_way_back_from_it(
+    rule, sent, wanted, position, velocity, age
+):
+    passed = rule.bound(wanted, position, velocity, age * STEP_S, sent).velocity_m_s
+    upper, lower = rule._replace(position_min_m=-FAR_M), rule._replace(position_max_m=FAR_M)
+    for one, back in ((upper, passed <= -RETURN_SPEED_M_S), (lower, passed >= RETURN_SPEED_M_S)):
+        assert passed == 0.0 or back or one.bound(passed, position, velocity, age * STEP_S, sent).velocity_m_s == passed
+
+
 @pytest.mark.parametrize("age_s", [0.0, 0.02, 0.1])
 @pytest.mark.parametrize("lead", [0.01, 0.05, 0.09])
 def test_a_cart_that_is_dragged_along_is_braked_earlier(lead, age_s):
