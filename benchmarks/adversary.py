@@ -155,7 +155,7 @@ def _throw(daemon: Lockstep, world: World, rng: np.random.Generator, stops: Coun
             ticks += 1 + skipped
         if outputs.mode is not Mode.ARMED:
             stops.update(event.name for event in outputs.events if event.response != "warn")
-            for _ in range(40):  # it brakes, comes to rest and is armed anew
+            while outputs.mode is Mode.STOPPING:  # it brakes, hangs still and is armed anew
                 outputs = daemon.tick()
                 ticks += 1
             daemon.tick(daemon.request("acknowledge"))

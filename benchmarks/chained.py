@@ -43,8 +43,8 @@ from softarm.policies.base import Policy
 from softarm.schemas.config import Config
 from softarm.schemas.goals import Goal
 from softarm.schemas.policy import TrainingRange
+from softarm.schemas.robot import RAIL_EXCURSION_M
 
-MARGIN_M = 0.005  # past the soft limit; what goes farther is an excursion
 STOP_M = 0.0005  # this near the end of travel is at it
 LOOKS = 8  # at the cart in each tick of a body in lockstep: 240 a second
 AFTER_S = 1.0  # watched after a stop, and after the last goal
@@ -218,7 +218,7 @@ class OnWires:
 def bound_m(config: Config) -> float:
     """How far from the middle the cart may be: the soft limit and the margin."""
     rail = config.limits.rail
-    return max(-rail.position_min_m, rail.position_max_m) + MARGIN_M
+    return max(-rail.position_min_m, rail.position_max_m) + RAIL_EXCURSION_M
 
 
 def draw(config: Config, seed: int, number: int) -> Goal:

@@ -88,10 +88,15 @@ class BrakingLaw(NamedTuple):
         acting = [each for begin, end, each in spans if begin + INSTANT_S < -age_s < end + INSTANT_S]
         since, ahead = _cut(spans, -age_s, 0.0), _cut(spans, 0.0, self.latency_s)
         unseen_m = CREEP_MAX_M_S * age_s  # of a cart that the arm has begun to drag since
-        up = _course(self, position, velocity, acting, since, ahead, self.position_max_m - unseen_m)
+        targets = (
+            [(time_s, highest) for time_s, highest, _ in since],
+            [(time_s, highest) for time_s, highest, _ in ahead],
+        )
+        up = _course(self, position, velocity, acting, *targets, self.position_max_m - unseen_m)
         highest = _highest(self, wanted, up)
-        acting, since, ahead = [-each for each in acting], _mirrored(since), _mirrored(ahead)
-        down = _course(self, -position, -velocity, acting, since, ahead, -self.position_min_m - unseen_m)
+        acting = [-each for each in acting]
+        targets = [(time_s, -lowest) for time_s, _, lowest in since], [(time_s, -lowest) for time_s, _, lowest in ahead]
+        down = _course(self, -position, -velocity, acting, *targets, -self.position_min_m - unseen_m)
         lowest = -_highest(self, -highest, down)
         at_max, at_min = highest < wanted, lowest > highest
         torn = _too_high(self, lowest, at_min & (lowest > -RETURN_SPEED_M_S), up)
@@ -148,24 +153,20 @@ def _course(
     position: Number,
     velocity: Number,
     acting: Sequence[Number],
-    since: Sequence[Stretch[Number]],
-    ahead: Sequence[Stretch[Number]],
+    since: Sequence[tuple[float, Number]],
+    ahead: Sequence[tuple[float, Number]],
     aim_m: float,
 ) -> _Course[Number]:
-    """From where and how fast the cart was when it was read, and what may have acted then, since, and may yet."""
+    """From where and how fast the cart was when it was read, and what may have acted then, since and from now on."""
     creep = _creep(velocity, acting)
-    followed = _follow(law, position, velocity, [(time_s, highest + creep) for time_s, highest, _ in since])
-    return _Course(*followed, [(time_s, highest + creep) for time_s, highest, _ in ahead], creep, aim_m)
+    followed = _follow(law, position, velocity, [(time_s, target + creep) for time_s, target in since])
+    return _Course(*followed, [(time_s, target + creep) for time_s, target in ahead], creep, aim_m)
 
 
-def _of(course: _Course[Number], rows: Any) -> _Course[Number]:
+def _of(course: _Course[Any], rows: Any) -> _Course[Any]:
     """The same of some robots of a batch."""
     ahead = [(time_s, target[rows]) for time_s, target in course.ahead]
     return _Course(course.position[rows], course.velocity[rows], ahead, course.creep[rows], course.aim_m)
-
-
-def _mirrored(pieces: Iterable[Stretch[Number]]) -> list[Stretch[Number]]:
-    return [Stretch(time_s, -lowest, -highest) for time_s, highest, lowest in pieces]
 
 
 def _fits(law: BrakingLaw, command: Number, course: _Course[Number]) -> Any:
@@ -184,7 +185,7 @@ def _highest(law: BrakingLaw, wanted: Number, course: _Course[Number]) -> Number
     return highest
 
 
-def _too_high(law: BrakingLaw, command: Number, asked: Any, course: _Course[Number]) -> Any:
+def _too_high(law: BrakingLaw, command: Any, asked: Any, course: _Course[Any]) -> Any:
     """Where it is asked for: whether the command does not fit."""
     if not isinstance(asked, np.ndarray):
         return asked and not _fits(law, command, course)

@@ -23,6 +23,9 @@ from softarm.schemas.messages import SAFE, Command
 RESULTS_KEPT = 32
 REST_SPEED_M_S = 0.02  # of a cart that counts as braked
 BRAKING_S = 1.0  # a soft stop waits this long for the cart to rest
+SWING_M_S = 0.3  # of a tip whose arm could roll a cart that a drive no longer holds
+HALF_SWING_S = 0.75  # a swinging tip is as slow as that while it turns round
+SETTLING_S = 10.0  # a soft stop waits this long for the arm to be seen still
 UNSETTLED = ("mocap_missing", "mocap_stale", "mocap_settling")  # fewer frames than arming takes
 
 
@@ -37,12 +40,14 @@ class Controller:
         self._observer = Observer(config)
         self._safety = SafetyFilter(config.limits, 1 / rate, drive.acceleration_m_s2, drive.hold_s)
         self._following = Following(config.limits.rail.braking_law(drive.hold_s))
-        self._machine = ModeMachine(round(config.failsafe.arming_timeout_s * rate), round(BRAKING_S * rate))
+        waits_s = (config.failsafe.arming_timeout_s, BRAKING_S, SETTLING_S)
+        self._machine = ModeMachine(*(round(each * rate) for each in waits_s))
         self._goals = GoalTracker(config.goals)
         self._results: deque[RequestResult] = deque(maxlen=RESULTS_KEPT)
         self._tick = 0
         self._missed_total = 0
         self._sent = SAFE
+        self._swung_ns: int | None = None  # when the arm was last seen to swing, or not seen
 
     def tick(self, inputs: Inputs, runners: Mapping[int, PolicyRunner] | None = None) -> Outputs:
         """Decide. `runners` holds, by request number, the loaded policies of this tick's policy requests."""
@@ -59,7 +64,8 @@ class Controller:
         outcome = self._run_policy(inputs.t_ns, observed, events)
         if outcome is not None and outcome.fault is not None:
             events = (Event("policy_fault", outcome.fault), *events)
-        self._machine.update(events, devices_armed=self._devices_armed(), at_rest=self._at_rest())
+        still = self._still(inputs.t_ns, observed)
+        self._machine.update(events, devices_armed=self._devices_armed(), at_rest=self._at_rest(), still=still)
         if self._machine.mode in (Mode.DISARMED, Mode.STOPPED):
             self._observer.alignment.restart()  # or a camera that was too late could never show that it is mended
         if self._machine.mode is not Mode.ARMED:
@@ -197,6 +203,15 @@ class Controller:
     def _at_rest(self) -> bool:
         rail = self._observer.rail
         return rail is not None and abs(rail.velocity_m_s) < REST_SPEED_M_S
+
+    def _still(self, now_ns: int, observed: Observed | None) -> bool:
+        """Whether a drive that is switched off would leave the cart where it is: it may roll with a swinging arm."""
+        stale_ns = self._config.failsafe.mocap_stale_s * 1e9
+        unseen = observed is None or observed.mocap_age_ns > stale_ns
+        swings = observed is not None and abs(observed.values.tip_vy_m_s) > SWING_M_S
+        if self._swung_ns is None or unseen or swings:
+            self._swung_ns = now_ns
+        return now_ns - self._swung_ns >= HALF_SWING_S * 1e9
 
 
 def _pair(outcome: PolicyOutcome) -> tuple[float, float]:

@@ -6,9 +6,8 @@ from typing import Any
 
 from softarm.benchmarks.matrix.guests import NAMES
 from softarm.benchmarks.matrix.wires import Direction, Fault
-from softarm.schemas.robot import RAIL_LIMIT_M, RAIL_TRAVEL_M
+from softarm.schemas.robot import RAIL_EXCURSION_M, RAIL_LIMIT_M, RAIL_TRAVEL_M
 
-MARGIN_M = 0.005  # beyond the soft limit, at most
 # From a fault that stops to a braked cart and a regulator switched off; for a silent axis a stop waits 1 s.
 SAFE_S = 1.5
 DEVICES = ("mocap", "regulator", "rail")
@@ -55,7 +54,7 @@ class Cell:
         next by more than it was measured to be: then it is the hard stop that must not be reached.
         """
         slow = self.who == "rail" and self.fault == Fault.SLOW
-        return RAIL_TRAVEL_M - MARGIN_M if slow else RAIL_LIMIT_M + MARGIN_M
+        return RAIL_TRAVEL_M - RAIL_EXCURSION_M if slow else RAIL_LIMIT_M + RAIL_EXCURSION_M
 
     def __str__(self) -> str:
         return f"{self.who}, {self.phase}: {self.fault}"

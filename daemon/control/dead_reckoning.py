@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 from softarm.daemon.control.alignment import Past
 from softarm.daemon.control.plausibility import REACH_MAX_M, REACH_MIN_M
-from softarm.schemas.model import Arm
+from softarm.daemon.control.workspace import HINGE_Z_M
 
 SUBSTEP_S = 1 / 120  # what the numbers were fitted with
 NOISE_M = 0.0015  # of what is carried on
@@ -174,17 +174,14 @@ class DeadReckoning:
         length_m = min(max(length_m, REACH_MIN_M), REACH_MAX_M)
         cart_y_m = now[0] + self._cart_off_m
         tip_y_m = cart_y_m + length_m * math.sin(self._angle_rad)
-        return Sighting(t_ns, cart_y_m, tip_y_m, _HINGE_Z_M - length_m * math.cos(self._angle_rad))
+        return Sighting(t_ns, cart_y_m, tip_y_m, HINGE_Z_M - length_m * math.cos(self._angle_rad))
 
     def _pull(self, for_s: float, kpa: float, cart_m_s2: float) -> None:
         own = self._strength * self._model.own_rad_s2(self._angle_rad, self._rate_rad_s, kpa)
         self._rate_rad_s += for_s * (own + self._model.pulled_rad_s2(self._angle_rad, cart_m_s2))
 
 
-_HINGE_Z_M = Arm().base_height_m
-
-
 def _line(seen: Sighting) -> tuple[float, float]:
     """Angle and length of the line from hinge to tip."""
-    y_m, down_m = seen.tip_y_m - seen.cart_y_m, _HINGE_Z_M - seen.tip_z_m
+    y_m, down_m = seen.tip_y_m - seen.cart_y_m, HINGE_Z_M - seen.tip_z_m
     return math.atan2(y_m, down_m), math.hypot(y_m, down_m)

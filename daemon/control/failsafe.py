@@ -14,7 +14,9 @@ class Response(IntEnum):
     """What an event does to an armed robot, mildest first."""
 
     WARN = 0  # shown and logged
-    SOFT_STOP = 1  # brake and vent, then disarmed; arming again is a person's decision
+    SOFT_STOP = (
+        1  # brake, vent, hold the cart until the arm is still, then disarmed; arming again is a person's decision
+    )
     STOP = 2  # the same at once, drive off, latched until acknowledged
 
 
@@ -317,17 +319,19 @@ class Event:
 class ModeMachine:
     """The five modes and the latch of the emergency stop. Pure: time is counted in ticks."""
 
-    def __init__(self, arming_ticks: int, braking_ticks: int) -> None:
+    def __init__(self, arming_ticks: int, braking_ticks: int, settling_ticks: int) -> None:
         self._arming_ticks = arming_ticks
-        self._braking_ticks = braking_ticks  # after which a soft stop ends even if the cart still creeps
+        self._braking_ticks = braking_ticks  # after which a soft stop ends if the cart has never come to rest
+        self._settling_ticks = settling_ticks  # after which it ends even if the arm still swings
         self._ticks = 0  # in the present mode
+        self._rested = False  # in the present mode
         self.mode = Mode.DISARMED
         self.estop = EStop.CLEAR
         self.last_stop: str | None = None
 
     def _go(self, mode: Mode) -> None:
         self.mode = mode
-        self._ticks = 0
+        self._ticks, self._rested = 0, False
 
     def _causes(self, events: Iterable[Event]) -> tuple[Event, ...]:
         """What of a tick's events stops the arm, or keeps it stopped; of one that is off, a person's stop alone."""
@@ -335,9 +339,10 @@ class ModeMachine:
         asked_for = any(event.name == "stop_requested" for event in stops)
         return stops if asked_for or self.mode is not Mode.DISARMED else ()
 
-    def update(self, events: Iterable[Event], *, devices_armed: bool, at_rest: bool) -> None:
-        """Answer this tick's events; the severest wins."""
+    def update(self, events: Iterable[Event], *, devices_armed: bool, at_rest: bool, still: bool) -> None:
+        """Answer this tick's events; the severest wins. `at_rest` is the cart, `still` the arm."""
         self._ticks += 1
+        self._rested |= at_rest
         events = tuple(events)
         causes = self._causes(events)
         if causes:
@@ -348,9 +353,9 @@ class ModeMachine:
         elif self.mode is Mode.STOPPED:
             self.estop = EStop.LATCHED
         else:
-            self._soft(events, devices_armed, at_rest)
+            self._soft(events, devices_armed, at_rest and still)
 
-    def _soft(self, events: tuple[Event, ...], devices_armed: bool, at_rest: bool) -> None:
+    def _soft(self, events: tuple[Event, ...], devices_armed: bool, over: bool) -> None:
         softs = [e for e in events if e.rule.response is Response.SOFT_STOP]
         if self.mode is Mode.ARMING and not softs and not devices_armed and self._ticks > self._arming_ticks:
             softs = [Event("arming_timeout", f"{self._ticks} ticks")]
@@ -359,8 +364,13 @@ class ModeMachine:
             self._go(Mode.STOPPING)
         elif self.mode is Mode.ARMING and devices_armed:
             self._go(Mode.ARMED)
-        elif self.mode is Mode.STOPPING and (at_rest or self._ticks > self._braking_ticks):
+        elif self.mode is Mode.STOPPING and (over or self._ticks > self._stopping_ticks):
             self._go(Mode.DISARMED)
+
+    @property
+    def _stopping_ticks(self) -> int:
+        """A soft stop lasts no longer."""
+        return self._settling_ticks if self._rested else self._braking_ticks
 
     def arm(self, events: Sequence[Event]) -> tuple[str, ...]:
         """Begin to arm, under this tick's events; returns why not."""
@@ -409,7 +419,7 @@ class ModeMachine:
         if self.estop is not EStop.CLEAR:
             reasons.append("the emergency stop is latched: POST /api/acknowledge first")
         if self.mode is Mode.STOPPING:
-            reasons.append("the arm is still stopping: try again in a moment")
+            reasons.append("the arm is still stopping: try again when it hangs still")
         return tuple(reasons)
 
 
@@ -435,7 +445,7 @@ def page() -> str:
     """docs/failsafe.md, made from the table: `python -m softarm.daemon.control.failsafe > docs/failsafe.md`."""
     answers = {
         Response.WARN: "shown and logged, nothing stops",
-        Response.SOFT_STOP: "brake and vent, then disarmed; arming again is a person's decision",
+        Response.SOFT_STOP: "brake, vent and hold the cart until the arm is still, then disarmed; a person arms again",
         Response.STOP: "drive off and vented at once, latched until `POST /api/acknowledge`",
     }
     lines = ["# What may go wrong, and what is done about it", ""]

@@ -10,6 +10,7 @@ from collections.abc import Iterator
 from typing import NamedTuple
 
 from softarm.daemon.control.failsafe import Event
+from softarm.daemon.control.workspace import HINGE_Z_M
 from softarm.schemas.messages import MocapFrame, Pose
 from softarm.schemas.model import Arm
 
@@ -83,9 +84,8 @@ class Plausibility:
             yield "mocap_clock", f"{ahead_ns / 1e6:.0f} ms ahead"
         if self._before is not None and frame.sequence <= self._before.sequence:
             yield "mocap_two_sources", f"frame {frame.sequence} came after frame {self._before.sequence}"
-        hinge_m = Arm().base_height_m
-        if abs(cart.z_m - hinge_m) > HEIGHT_TOLERANCE_M:
-            yield "mocap_height", f"the cart at z {cart.z_m:.3f} m, the hinge is at {hinge_m:.3f} m"
+        if abs(cart.z_m - HINGE_Z_M) > HEIGHT_TOLERANCE_M:
+            yield "mocap_height", f"the cart at z {cart.z_m:.3f} m, the hinge is at {HINGE_Z_M:.3f} m"
         reach_m = math.hypot(tip.y_m - cart.y_m, tip.z_m - cart.z_m)
         if not REACH_MIN_M <= reach_m <= REACH_MAX_M:
             yield "mocap_reach", f"{reach_m:.3f} m from the cart, the arm allows {REACH_MIN_M} to {REACH_MAX_M:.3f} m"

@@ -8,7 +8,7 @@ from softarm.schemas.goals import Goal
 from softarm.schemas.model import Arm
 from softarm.schemas.policy import TrainingRange
 
-_HINGE_Z_M = Arm().base_height_m
+HINGE_Z_M = Arm().base_height_m
 _ARM_M = sum(Arm().link_length_m)
 
 
@@ -36,13 +36,13 @@ def _refusals(y_m: float, z_m: float, config: Config) -> Iterator[str]:
     if not workspace.z_min_m <= z_m <= workspace.z_max_m:
         yield f"z_m {z_m:g} is outside the workspace; allowed {allowed_z(config)} (goals.workspace)"
     nearest_hinge_m = min(max(y_m, rail.position_min_m), rail.position_max_m)
-    distance = math.hypot(y_m - nearest_hinge_m, z_m - _HINGE_Z_M)
+    distance = math.hypot(y_m - nearest_hinge_m, z_m - HINGE_Z_M)
     reach = _ARM_M + config.goals.success_radius_m
     if distance > reach:
         yield (
             f"the target ({y_m:g}, {z_m:g}) is {distance:.3f} m from where the hinge can be on the rail; "
             f"allowed up to {reach:.3f} m, the arm's length and the success radius: come closer to "
-            f"y {rail.position_min_m:g}..{rail.position_max_m:g}, z {_HINGE_Z_M:g}"
+            f"y {rail.position_min_m:g}..{rail.position_max_m:g}, z {HINGE_Z_M:g}"
         )
 
 

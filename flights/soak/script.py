@@ -10,7 +10,6 @@ from softarm.schemas.flights import TEST_TARGETS
 
 AFTERMATH_S = 6.0  # so long after a fault has ended it may still stop the robot: links are made anew
 ASKED_S = 5.0  # until a stop that was asked for, or a disarming, shows for certain
-REST_EVERY_S, REST_S = 60.0, 5.0
 PATIENCE_S = 0.5  # until a request shows in the status
 POLICIES = ("reach", "reach-wide", "reach-robust", "pid")
 
@@ -58,7 +57,7 @@ class Script:
         self._due_s = {what: self._chance.expovariate(1 / every) for what, every in self._every.items()}
         self._broken: list[tuple[float, tuple[str, ...]]] = []  # until when, which events
         self._was: dict[str, Any] = {}
-        self._patient_until_s, self._rest_s = 0.0, REST_EVERY_S
+        self._patient_until_s = 0.0
         self._asked_s = -AFTERMATH_S  # when the script itself last ended a flight
         self.looks = self.armed = 0
         self.counts: Counter[str] = Counter()
@@ -68,7 +67,7 @@ class Script:
         """What to do about a status."""
         self._look(status, now_s)
         self._was = status
-        if found := [*self._break(now_s), *self._change(now_s), *self._rest(now_s)]:
+        if found := [*self._break(now_s), *self._change(now_s)]:
             return found
         if now_s < self._patient_until_s:
             return []
@@ -129,19 +128,11 @@ class Script:
     def _change(self, now_s: float) -> list[Act]:
         if not self._is_due("change", now_s):
             return []
-        what = self._chance.choice(("stop", "policy", "policy"))
+        what = self._chance.choice(("stop", "disarm", "policy", "policy"))
         if what == "policy":
             self.counts["asked: policy"] += 1
             return [Act("PUT", "/api/policy", {"name": self._chance.choice(POLICIES)})]
-        return [self._end("stop", now_s)]
-
-    def _rest(self, now_s: float) -> list[Act]:
-        """Switched off for a while: only then does a new log begin."""
-        if now_s < self._rest_s:
-            return []
-        self._rest_s = now_s + REST_EVERY_S
-        self._patient_until_s = now_s + REST_S
-        return [self._end("disarm", now_s)]
+        return [self._end(what, now_s)]
 
     def _end(self, what: str, now_s: float) -> Act:
         self.counts[f"asked: {what}"] += 1

@@ -131,14 +131,22 @@ def test_a_silent_master_is_a_stop_and_a_drive_that_keeps_its_set_point_goes_on_
 
 
 @pytest.mark.parametrize(
-    ("angle_rad", "friction_n", "rolled_mm"), [(1.0, 0.0, 130), (1.0, 3.0, 1), (1.5, 0.0, 155), (1.5, 3.0, 7)]
+    ("angle_rad", "friction_n", "held_s", "rolled_mm"),
+    [(1.0, 0.0, 0, 130), (1.0, 3.0, 0, 1), (1.5, 0.0, 0, 155), (1.5, 3.0, 0, 7), (1.5, 1.0, 0, 72), (1.5, 1.0, 3, 1)],
 )
-def test_a_cart_without_power_is_rolled_by_the_arm(angle_rad: float, friction_n: float, rolled_mm: int) -> None:
+def test_a_cart_without_power_is_rolled_by_the_arm(
+    angle_rad: float, friction_n: float, held_s: int, rolled_mm: int
+) -> None:
     """docs/safety.md says so."""
-    robot = Robot(Body(friction_n=friction_n), Drive(None, 0.0, 0.0, keep=False), bound_m=1.0)
-    robot.body.q[1:] = angle_rad
+    body = Body(friction_n=friction_n)
+    body.q[1:] = angle_rad
+    for _ in range(round(held_s / STEP_S)):
+        body.step(STEP_S, 0.0, 0.0, servo_ns_m=1e5)
+    begin_m = body.cart_m
+    robot = Robot(body, Drive(None, 0.0, 0.0, keep=False), bound_m=1.0)
     for step in range(2000):
         robot.step(step * STEP_S)
+    assert abs(begin_m) < 0.001
     assert 1e3 * robot.max_cart_m == pytest.approx(rolled_mm, abs=1)
 
 

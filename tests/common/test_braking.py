@@ -277,6 +277,14 @@ def test_the_farther_end_never_sends_the_cart_towards_the_nearer():
     assert slow.bound(-0.819, 0.2158, -0.004, 0.1, sent) == (0.0, True, True)
 
 
+def test_a_cart_outside_comes_back_as_fast_as_the_farther_end_allows():
+    slow = law(0.622, 6.41, latency=62)
+    passed, at_max, at_min = slow.bound(-1.0, 0.25, -0.5)
+    assert (at_max, at_min) == (False, True)
+    assert passed == slow._replace(position_max_m=FAR_M).bound(-1.0, 0.25, -0.5).velocity_m_s
+    assert -0.8 < passed < -0.6
+
+
 slow_laws = st.builds(law, st.floats(0.3, 0.8), st.floats(4.0, 8.0), st.integers(30, 120))
 
 

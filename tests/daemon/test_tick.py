@@ -9,7 +9,7 @@ import pytest
 
 from softarm.daemon.control.records import EStop, Inputs, Mode, Problems, Request, RequestResult
 from softarm.daemon.shell.offline import Lockstep
-from softarm.daemon.tick import Controller
+from softarm.daemon.tick import HALF_SWING_S, SETTLING_S, Controller
 from softarm.drivers.regulator.driver import reading_of
 from softarm.drivers.regulator.teensy import Fault, RegulatorState
 from softarm.policies.base import PolicySpec
@@ -369,7 +369,8 @@ def test_a_sensor_that_goes_quiet_ends_in_a_soft_stop_in_time(device, event):
     assert rig.outputs.sent == Command(True, 0.0, 0.0)
     assert rig.outputs.events[0].name == f"{device}_stale"
     assert rig.outputs.goal.state == "failed"
-    rig.tick(**({"mocap": ()} if device == "mocap" else {}))
+    for _ in range(1 + math.ceil(HALF_SWING_S * 30)):  # the other sensors are back, and what is seen is still
+        rig.tick()
     assert rig.outputs.mode is Mode.DISARMED
     assert rig.outputs.sent == SAFE
 
@@ -476,6 +477,9 @@ def test_a_late_camera_warns_with_its_milliseconds_and_flies():
 
 def test_a_camera_that_is_too_late_ends_in_a_soft_stop_that_does_not_blame_the_axis_and_may_be_tried_again():
     late = swung_under_late_cameras(0.12)
+    assert late.outputs.mode is Mode.STOPPING
+    while late.outputs.mode is Mode.STOPPING:
+        late.tick()
     assert late.outputs.mode is Mode.DISARMED
     assert "too long ago (120 ms, at most 100 ms)" in late.outputs.last_stop
     assert late.arm().mode is Mode.ARMED
@@ -532,6 +536,33 @@ def test_a_cart_is_braked_below_two_centimetres_a_second(velocity_m_s, mode):
     rig = Rig().armed()
     rig.tick("disarm", **spoil(rig, of="rail", velocity_m_s=velocity_m_s))
     assert rig.outputs.mode is mode
+
+
+def test_a_soft_stop_holds_the_cart_until_the_arm_no_longer_swings():
+    rig = Rig().armed()
+    for tick in range(90):
+        swing_m = 0.1 if tick < 60 else 0.03  # 0.57 m/s at most, then 0.17
+        rig.tip = (swing_m * math.sin(2 * math.pi * rig.now * 1e-9 / 1.1), 0.52)
+        rig.tick(*["disarm"] * (tick == 10))
+        if tick == 60:
+            assert rig.outputs.mode is Mode.STOPPING
+        if rig.outputs.mode is Mode.DISARMED:
+            break
+        assert rig.outputs.sent == Command(True, 0.0, 0.0)
+    assert 60 + 10 < tick <= 61 + math.ceil(30 * HALF_SWING_S)
+
+
+def test_an_arm_that_nobody_sees_is_held_for_ten_seconds():
+    rig = Rig().swinging()
+    ticks = 0
+    while rig.outputs.mode is not Mode.STOPPING:
+        rig.tick(mocap=())
+    while rig.outputs.mode is Mode.STOPPING:
+        assert rig.outputs.sent == Command(True, 0.0, 0.0)
+        rig.tick(mocap=())
+        ticks += 1
+    assert ticks == 30 * SETTLING_S + 1
+    assert rig.outputs.sent == SAFE
 
 
 def test_a_cart_that_does_not_come_to_rest_is_waited_for_for_a_second():

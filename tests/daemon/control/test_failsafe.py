@@ -12,7 +12,7 @@ from softarm.daemon.control.records import EStop, Mode
 
 def machine(mode: Mode) -> ModeMachine:
     """A machine brought into a mode by what would bring it there."""
-    made = ModeMachine(arming_ticks=3, braking_ticks=5)
+    made = ModeMachine(arming_ticks=3, braking_ticks=5, settling_ticks=9)
     if mode is Mode.DISARMED:
         return made
     assert made.arm(()) == ()
@@ -27,8 +27,10 @@ def machine(mode: Mode) -> ModeMachine:
     return made
 
 
-def step(made: ModeMachine, *names: str, devices_armed: bool = False, at_rest: bool = False) -> None:
-    made.update([Event(name) for name in names], devices_armed=devices_armed, at_rest=at_rest)
+def step(
+    made: ModeMachine, *names: str, devices_armed: bool = False, at_rest: bool = False, still: bool = False
+) -> None:
+    made.update([Event(name) for name in names], devices_armed=devices_armed, at_rest=at_rest, still=still)
 
 
 def names(response: Response) -> list[str]:
@@ -46,8 +48,8 @@ def test_every_line_of_the_table_says_what_is_wrong_and_what_to_do(name):
 
 
 def test_starts_disarmed():
-    assert ModeMachine(3, 5).mode is Mode.DISARMED
-    assert ModeMachine(3, 5).estop is EStop.CLEAR
+    assert ModeMachine(3, 5, 9).mode is Mode.DISARMED
+    assert ModeMachine(3, 5, 9).estop is EStop.CLEAR
 
 
 @pytest.mark.parametrize("name", names(Response.STOP))
@@ -60,7 +62,7 @@ def test_a_stop_ends_every_active_mode_and_latches(mode, name):
     assert made.last_stop == Event(name).text
     step(made)
     assert made.estop is EStop.LATCHED
-    step(made, devices_armed=True, at_rest=True)
+    step(made, devices_armed=True, at_rest=True, still=True)
     assert made.mode is Mode.STOPPED
 
 
@@ -79,7 +81,11 @@ def test_a_soft_stop_brakes_then_disarms_without_a_latch(mode, name):
     assert made.mode is Mode.STOPPING
     step(made)
     assert made.mode is Mode.STOPPING
+    step(made, still=True)  # while it turns round the tip is slow, too
+    assert made.mode is Mode.STOPPING
     step(made, at_rest=True)
+    assert made.mode is Mode.STOPPING
+    step(made, at_rest=True, still=True)
     assert made.mode is Mode.DISARMED
     assert made.estop is EStop.CLEAR
 
@@ -176,7 +182,7 @@ def test_arming_an_armed_arm_is_no_refusal_and_changes_nothing():
 
 def test_events_may_come_one_by_one():
     made = machine(Mode.ARMED)
-    made.update(iter([Event("tick_late"), Event("mocap_stale")]), devices_armed=True, at_rest=False)
+    made.update(iter([Event("tick_late"), Event("mocap_stale")]), devices_armed=True, at_rest=False, still=False)
     assert made.mode is Mode.STOPPING
 
 
@@ -197,6 +203,26 @@ def test_a_cart_that_never_rests_is_let_go_after_a_while():
         step(made)
         assert made.mode is Mode.STOPPING
     step(made)
+    assert made.mode is Mode.DISARMED
+
+
+@pytest.mark.parametrize("rests_in", range(5))
+def test_a_cart_that_rests_under_an_arm_that_goes_on_swinging_is_let_go_a_while_later(rests_in):
+    made = machine(Mode.STOPPING)
+    for tick in range(9):
+        step(made, at_rest=tick == rests_in)
+        assert made.mode is Mode.STOPPING
+    step(made)
+    assert made.mode is Mode.DISARMED
+
+
+def test_that_the_cart_rested_in_the_stop_before_says_nothing_of_this_one():
+    made = machine(Mode.STOPPING)
+    step(made, at_rest=True, still=True)
+    assert made.arm(()) == ()
+    made.disarm("by test")
+    for _ in range(6):
+        step(made)
     assert made.mode is Mode.DISARMED
 
 

@@ -6,7 +6,7 @@ import pytest
 
 from softarm.daemon.control.failsafe import TABLE
 from softarm.drivers.twin.faults import Faults
-from softarm.flights.soak.script import AFTERMATH_S, FAULTS, PATIENCE_S, REST_EVERY_S, REST_S, Script
+from softarm.flights.soak.script import AFTERMATH_S, FAULTS, PATIENCE_S, Script
 from softarm.schemas.flights import TEST_TARGETS
 
 NEVER = 1e9
@@ -84,12 +84,6 @@ def test_a_fault_explains_stops_of_its_own_device_for_a_while(calm, monkeypatch,
     assert json.loads(act.path)["fault"] == "mocap_freeze"
     calm.acts(status("stopping", stop=stop(event)), 1.0 + after_s)
     assert (calm.unexpected == []) is expected
-
-
-def test_now_and_then_it_rests_for_a_while(calm):
-    assert [act.path for act in calm.acts(status("armed", "running"), REST_EVERY_S)] == ["/api/disarm"]
-    assert calm.acts(status("disarmed"), REST_EVERY_S + 0.9 * REST_S) == []
-    assert [act.path for act in calm.acts(status("disarmed"), REST_EVERY_S + REST_S)] == ["/api/arm"]
 
 
 def test_its_own_stops_and_disarms_are_no_surprise():
