@@ -60,9 +60,8 @@ class Observer:
         self.seen = tuple(self._good(inputs.mocap))
         if self.seen:
             self._recent.extend(self.seen)
-            self._ages_ns.append(
-                max(0, inputs.t_ns - self.seen[-1].t_ns)
-            )  # a late loop reads what came after its start
+            # Never below zero: a late loop reads what came after its start.
+            self._ages_ns.append(max(0, inputs.t_ns - self.seen[-1].t_ns))
             self._reckoning = None
             self._strength.see(self.seen[-1], self._readings())
         self._show(inputs.t_ns)

@@ -12,6 +12,7 @@ from softarm.drivers.rail import dryve
 from softarm.drivers.rail.dryve import Entry
 
 STRAYS_MAX = 8  # answers to other requests that one exchange skips; more are a flood
+ECHO_S = 0.02  # an answer that has come before: the right one is behind it, or the wire says the same again and again
 LINGER_S = 0.02  # waited for the other side to close, so that our last bytes are not cut off
 
 # An exchange that failed on a connection that may still be good: refused, garbled or late.
@@ -26,7 +27,8 @@ class DryveLink:
     """Good for one connection. Its first and its last bytes are a stop (60FFh = 0) that depends on no answer.
 
     After one of EXCHANGE_ERRORS the next request may be tried; after any other error it is to be closed. `strays`
-    counts answers with another request's transaction id: they are skipped, never believed. Nothing is sent twice.
+    counts answers with another request's transaction id: they are skipped, never believed. After one to a request that
+    was answered before, the right one is waited for no longer than `ECHO_S`. Nothing is sent twice.
     """
 
     def __init__(self, line: socket.socket, wait: Wait, request_timeout_s: float) -> None:
@@ -35,6 +37,7 @@ class DryveLink:
         self._line, self._wait, self._timeout_s = line, wait, request_timeout_s
         self._telegrams = dryve.Telegrams()
         self._transaction = 0
+        self._unanswered: set[int] = set()
 
     @classmethod
     def open(cls, address: tuple[str, int], wait: Wait, connect_timeout_s: float, request_timeout_s: float) -> Self:
@@ -89,6 +92,7 @@ class DryveLink:
     def _send(self, entry: Entry, value: int | None) -> int:
         self._transaction = self._transaction % 255 + 1  # 1 to 255: what is known to work on real drives
         self._line.sendall(dryve.encode_request(self._transaction, entry, value))
+        self._unanswered.add(self._transaction)
         return self._transaction
 
     def _request(self, entry: Entry, value: int | None) -> int:
@@ -98,14 +102,19 @@ class DryveLink:
         side closed), TimeoutError or another OSError (no answer).
         """
         transaction = self._send(entry, value)
-        until_s = time.monotonic() + self._timeout_s
+        whole_s = until_s = time.monotonic() + self._timeout_s
         for _ in range(STRAYS_MAX + 1):
             telegram = self._next_telegram(until_s)
             if telegram is None:
                 verb = "read" if value is None else "write"
                 strays = f" ({self.strays} answers to other requests)" if self.strays else ""
-                raise TimeoutError(f"{verb} {entry}: no answer within {self._timeout_s} s{strays}")
-            if int.from_bytes(telegram[:2], "big") == transaction:
+                waited_s = self._timeout_s - max(0.0, whole_s - until_s)
+                raise TimeoutError(f"{verb} {entry}: no answer within {waited_s:.2g} s{strays}")
+            answered = int.from_bytes(telegram[:2], "big")
+            if answered not in self._unanswered:
+                until_s = min(until_s, time.monotonic() + ECHO_S)
+            self._unanswered.discard(answered)
+            if answered == transaction:
                 return dryve.decode_answer(telegram, transaction, entry, write=value is not None)
             self.strays += 1
         raise dryve.DryveMismatch(f"{entry}: more than {STRAYS_MAX} answers to other requests in a row")

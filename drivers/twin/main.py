@@ -10,6 +10,7 @@ from typing import Self
 
 from softarm.drivers.bodies.base import Body
 from softarm.drivers.bodies.simulated import SimulatedBody
+from softarm.drivers.regulator.teensy import VENT_KPA
 from softarm.drivers.twin.cameras import Cameras, TwinState
 from softarm.drivers.twin.dryve import LIMIT_SWITCH, DryveDevice, DryveServer
 from softarm.drivers.twin.faults import Faults
@@ -172,6 +173,7 @@ class Twin:
     def _observe(self, now_ns: int) -> TwinState:
         body, drive = self._body, self.dryve
         tip_y_m, tip_z_m = body.tip_m
+        vented = self.teensy.set_point_kpa == VENT_KPA
         return TwinState(
             t_ns=now_ns,
             cart_position_m=body.cart_position_m,
@@ -179,8 +181,8 @@ class Twin:
             pressure_kpa=body.pressure_kpa,
             tip_y_m=tip_y_m,
             tip_z_m=tip_z_m,
-            vented=not self.teensy.armed,
-            vented_since_ns=self._vented.see(not self.teensy.armed, now_ns),
+            vented=vented,
+            vented_since_ns=self._vented.see(vented, now_ns),
             drive=drive.state.value,
             out_of_operation_since_ns=self._off.see(not drive.in_operation, now_ns),
             braked_since_ns=self._braked.see(abs(body.cart_velocity_m_s) < BRAKED_M_S, now_ns),

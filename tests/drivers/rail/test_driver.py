@@ -225,7 +225,7 @@ def test_a_wrong_transaction_id_is_never_believed(bench: Any) -> None:
 
     async def script(b: Any) -> None:
         b.drive.script = wrong
-        await b.wait_until(lambda: "no answer within 0.05 s" in (b.axis.problem() or ""))
+        await b.wait_until(lambda: "no answer within 0.02" in (b.axis.problem() or ""))
         assert "(2 answers to other requests)" in b.axis.problem()  # the first stop's, and this one's
         assert b.axis.read() is None
 

@@ -3,6 +3,7 @@
 import asyncio
 import select
 import socket
+import time
 from collections.abc import Callable
 from typing import Any
 
@@ -11,6 +12,7 @@ import pytest
 from softarm.drivers.rail import dryve
 from softarm.drivers.rail.dryve_link import EXCHANGE_ERRORS, STRAYS_MAX, DryveLink
 
+PATIENCE_S = 5.0
 STRAY = bytes.fromhex("77770000000d002b0d01000060ff0000000000")
 
 
@@ -18,7 +20,7 @@ STRAY = bytes.fromhex("77770000000d002b0d01000060ff0000000000")
 def linked(run: Any) -> Callable[..., None]:
     """Run `script(link)` against a drive whose answer to the n-th telegram, from 0, is `answers(n, telegram)`."""
 
-    async def play(script: Any, answers: Callable[[int, bytes], bytes]) -> None:
+    async def play(script: Any, answers: Callable[[int, bytes], bytes], timeout_s: float) -> None:
         async def serve(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
             telegrams, number = dryve.Telegrams(), 0
             while data := await reader.read(4096):
@@ -29,14 +31,14 @@ def linked(run: Any) -> Callable[..., None]:
             writer.close()
 
         def talk(port: int) -> None:
-            link = DryveLink.open(("127.0.0.1", port), wait, 1.0, 5.0)
+            link = DryveLink.open(("127.0.0.1", port), wait, 1.0, timeout_s)
             script(link)
             link.close()
 
         async with await asyncio.start_server(serve, "127.0.0.1", 0) as server:
             await asyncio.to_thread(talk, server.sockets[0].getsockname()[1])
 
-    return lambda script, answers: run(play(script, answers))
+    return lambda script, answers, timeout_s=PATIENCE_S: run(play(script, answers, timeout_s))
 
 
 def wait(line: socket.socket, events: int, seconds: float) -> bool:
@@ -65,6 +67,39 @@ def test_a_few_strays_are_skipped(linked: Any) -> None:
         assert link.strays == 3 * STRAYS_MAX  # the stop at the start had some too
 
     linked(script, lambda _, telegram: STRAY * STRAYS_MAX + acknowledge(telegram))
+
+
+def test_a_wire_that_says_the_same_again_and_again_is_given_up_long_before_the_time_of_an_answer(linked: Any) -> None:
+    began_s = time.monotonic()
+
+    def script(link: DryveLink) -> None:
+        link.write(dryve.TARGET_VELOCITY, 1)
+        with pytest.raises(TimeoutError, match=r"write 60FFh:0 .*: no answer within 0.02\d* s \(1 answers to other"):
+            link.write(dryve.TARGET_VELOCITY, 2)
+        assert time.monotonic() - began_s < 0.5 * PATIENCE_S
+
+    first = []
+
+    def repeat(_: int, telegram: bytes) -> bytes:
+        first.append(acknowledge(telegram))
+        return first[min(len(first) - 1, 1)]
+
+    linked(script, repeat)
+
+
+def test_an_answer_that_is_late_does_not_hurry_the_next(linked: Any) -> None:
+    late = []
+
+    def hold_back(number: int, telegram: bytes) -> bytes:
+        late.append(acknowledge(telegram))
+        return b"" if number == 0 else late[number - 1] + (late[number] if number == 2 else b"")
+
+    def script(link: DryveLink) -> None:
+        with pytest.raises(TimeoutError, match=r"no answer within 0.1 s \(1 answers to other"):
+            link.write(dryve.TARGET_VELOCITY, 1)
+        link.write(dryve.TARGET_VELOCITY, 2)
+
+    linked(script, hold_back, timeout_s=0.1)
 
 
 def test_an_exchange_after_a_garbled_one_is_whole(linked: Any) -> None:
