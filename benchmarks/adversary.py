@@ -134,7 +134,9 @@ def attack_by_ticks(world: World, seed: int) -> dict[str, Any]:
         farthest[name] = body.farthest_m
     return {
         "world": world.__dict__,
-        "limits": {key: round(getattr(limits, key), 3) for key in ("braking_m_s2", "surge_m_s2", "latency_s")},
+        "limits": {
+            key: round(getattr(limits, key), 3) for key in ("braking_m_s2", "surge_m_s2", "latency_s", "drag_m_s")
+        },
         "seed": seed,
         "robot_ticks": ticks,
         "farthest_m": farthest,

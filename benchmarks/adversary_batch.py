@@ -141,6 +141,7 @@ class Flown(NamedTuple):
     clamped: float  # share of the commands
     braking_m_s2: float  # the worst mean over a whole stop
     surge_m_s2: float  # the highest mean over a tick
+    drag_m_s: float  # the most that the cart was faster than all that may have acted while that went unseen
 
 
 def fly(world: World, limits: RailLimits, policies: Policies, ticks: int, rng: Rng) -> Flown:
@@ -160,6 +161,7 @@ class _Batch:
         self._sent: deque[tuple[float, Array]] = deque()
         self._farthest = np.zeros(robots)
         self._stops = _Stops(robots)
+        self._drags = _Drags(world.latency_s + world.age_s)
         self._look()
 
     def fly(self, ticks: int) -> Flown:
@@ -177,7 +179,9 @@ class _Batch:
             skipped = int(self._rng.integers(1, self._world.skipped_max + 1)) if skips else 0
             self._hold(command, pressure, (1 + skipped) * CONTROL_PERIOD_S)
             done, times = done + 1 + skipped, times + 1
-        return Flown(self._farthest, clamped / times, self._stops.braking_m_s2, self._stops.surge_m_s2)
+        return Flown(
+            self._farthest, clamped / times, self._stops.braking_m_s2, self._stops.surge_m_s2, self._drags.drag_m_s
+        )
 
     def _read(self) -> tuple[float, Array, Array]:
         """The newest look that is as old as readings are."""
@@ -203,6 +207,7 @@ class _Batch:
         self._seen.append((self._t_s, position, velocity))
         self._farthest = np.maximum(self._farthest, np.abs(position))
         self._stops.look(self._t_s, position, velocity)
+        self._drags.look(self._t_s, velocity, self._stops.acting)
 
 
 class _Stops:
@@ -210,7 +215,7 @@ class _Stops:
 
     def __init__(self, robots: int) -> None:
         self._due: deque[tuple[float, Array]] = deque()
-        self._acting = np.zeros(robots)
+        self.acting = np.zeros(robots)
         self._from = np.zeros((2, robots))  # where and how fast each stop began; no speed: there is none
         self._before: deque[tuple[float, Array]] = deque()
         self.braking_m_s2, self.surge_m_s2 = np.inf, 0.0
@@ -220,8 +225,8 @@ class _Stops:
 
     def look(self, t_s: float, position: Array, velocity: Array) -> None:
         while self._due and self._due[0][0] <= t_s + 1e-9:
-            self._acting = self._due.popleft()[1]
-        against = self._acting * velocity <= 0.0
+            self.acting = self._due.popleft()[1]
+        against = self.acting * velocity <= 0.0
         place, speed = self._from
         over = (speed != 0.0) & (velocity * speed <= 0.0)
         if over.any():
@@ -236,6 +241,24 @@ class _Stops:
             then_s, then = self._before.popleft()
             faster = (np.abs(velocity) - np.abs(then))[velocity * then > 0]
             self.surge_m_s2 = max(self.surge_m_s2, float(faster.max(initial=0.0)) / (t_s - then_s))
+
+
+class _Drags:
+    """How much faster a cart becomes than it was and was told, within so long."""
+
+    def __init__(self, unseen_s: float) -> None:
+        self._unseen_s = unseen_s
+        self._seen: deque[tuple[float, Array, Array]] = deque()  # when, how fast, told to be how fast
+        self.drag_m_s = 0.0
+
+    def look(self, t_s: float, velocity: Array, acting: Array) -> None:
+        self._seen.append((t_s, velocity, acting))
+        while len(self._seen) > 1 and self._seen[1][0] <= t_s - self._unseen_s + 1e-9:
+            self._seen.popleft()
+        told, before = np.stack([each for _, _, each in self._seen]), self._seen[0][1]
+        highest = np.maximum(np.maximum(told.max(axis=0), before), 0.0)
+        lowest = np.minimum(np.minimum(told.min(axis=0), before), 0.0)
+        self.drag_m_s = max(self.drag_m_s, float(np.maximum(velocity - highest, lowest - velocity).max()))
 
 
 def measured(world: World, robots: int, rng: Rng) -> RailLimits:
@@ -254,6 +277,7 @@ def measured(world: World, robots: int, rng: Rng) -> RailLimits:
             update={
                 "braking_m_s2": max(0.1, min(limits.braking_m_s2, CAUTION * flown.braking_m_s2)),
                 "surge_m_s2": min(40.0, max(limits.surge_m_s2, float(flown.surge_m_s2))),
+                "drag_m_s": min(1.0, max(limits.drag_m_s, flown.drag_m_s)),
             }
         )
     return limits
@@ -278,7 +302,9 @@ def attack(world: World, robots: int, seed: int) -> dict[str, Any]:
     everything = np.concatenate(beyond)
     return {
         "world": asdict(world),
-        "limits": {key: round(getattr(limits, key), 3) for key in ("braking_m_s2", "surge_m_s2", "latency_s")},
+        "limits": {
+            key: round(getattr(limits, key), 3) for key in ("braking_m_s2", "surge_m_s2", "latency_s", "drag_m_s")
+        },
         "seed": seed,
         "robot_ticks": (1 + GENERATIONS) * FLOWN_TICKS * robots,
         "farthest_m": {**farthest, "search": float(max(each.max() for each in beyond[1:]))},

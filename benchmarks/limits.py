@@ -203,7 +203,7 @@ def tried(robot: Robot) -> dict[str, Any]:
     found = measured(robot)
     attacked = fly(robot, found.patched, Attack(2), ATTACK_S, None)
     seen = found.measured
-    bounds = {"latency_s": seen.latency, "braking_m_s2": seen.braking, "surge_m_s2": seen.surge}
+    bounds = {"latency_s": seen.latency, "braking_m_s2": seen.braking, "surge_m_s2": seen.surge, "drag_m_s": seen.drag}
     return {
         "robot": asdict(robot),
         "measured": {key: None if bound is None else bound._asdict() for key, bound in bounds.items()},

@@ -63,10 +63,11 @@ class BrakingLaw(NamedTuple):
     braking_m_s2: float
     latency_s: float  # from a command to its effect on the cart, at most
     hold_s: float  # a set-point that is not renewed for so long is followed by the link's own brake
+    drag_m_s: float = 0.0  # by which the arm may come to drag the cart beyond its set-point, unseen as yet
 
     def in_float32(self) -> Self:
         """For float32 batches: a 64-bit constant among them would widen what it is chosen beside."""
-        numbers: Any = (*map(np.float32, self[:4]), *self[4:])
+        numbers: Any = (*map(np.float32, self[:4]), *self[4:-1], np.float32(self.drag_m_s))
         return type(self)(*numbers)
 
     def bound(
@@ -158,7 +159,7 @@ def _course(
     aim_m: float,
 ) -> _Course[Number]:
     """From where and how fast the cart was when it was read, and what may have acted then, since and from now on."""
-    creep = _creep(velocity, acting)
+    creep = _higher(_creep(velocity, acting), law.drag_m_s)
     followed = _follow(law, position, velocity, [(time_s, target + creep) for time_s, target in since])
     return _Course(*followed, [(time_s, target + creep) for time_s, target in ahead], creep, aim_m)
 

@@ -32,6 +32,8 @@ class RailLimits(Strict):
     braking_m_s2: Annotated[float, Field(gt=0, le=20.0)] = 1.7
     # From the tick that decides on a command to its effect on the cart, at most.
     latency_s: Annotated[float, Field(ge=0, le=0.2)] = CONTROL_PERIOD_S
+    # By how much the arm may come to drag the cart beyond its set-points, unseen; what is seen is counted anyway.
+    drag_m_s: Annotated[float, Field(ge=0, le=1.0)] = 0.0
     # How far before the limit the filter aims to stop; covers sensing error and the arm's pull at rest.
     margin_m: Annotated[float, Field(ge=0, le=0.1)] = 0.01
 
@@ -54,6 +56,7 @@ class RailLimits(Strict):
             braking_m_s2=self.braking_m_s2,
             latency_s=self.latency_s,
             hold_s=hold_s,
+            drag_m_s=self.drag_m_s,
         )
 
 

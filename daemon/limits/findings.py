@@ -17,6 +17,7 @@ from softarm.schemas.config import Config
 EXCITATION = "rail-dashes"  # of all there are, the one that shows every limit
 LATENCY_TOLERANCE_S = 0.005  # a configuration that is milder by less is not blamed
 TOLERANCE = 0.05  # likewise, as a share, of braking and surge
+DRAG_TOLERANCE_M_S = 0.05  # likewise: the margin covers it
 
 _HEADER = """\
 # The rail's limits as the robot showed them ({recordings}, {seconds:.0f} s); none is milder than it was configured.
@@ -40,7 +41,10 @@ _KINDS = {
     "latency_s": _Kind("s", 0.001, False, "set-point steps", "act within {}"),
     "braking_m_s2": _Kind("m/s^2", 0.05, True, "brakings", "slow down by {} or more"),
     "surge_m_s2": _Kind("m/s^2", 0.1, False, "runs", "speed up by {} or less"),
+    "drag_m_s": _Kind("m/s", 0.01, False, "seconds in motion", "saw the cart dragged along by {} or less"),
 }
+
+_TOLERANCES = {"latency_s": LATENCY_TOLERANCE_S, "drag_m_s": DRAG_TOLERANCE_M_S}
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,7 +103,7 @@ class RailFindings:
         return self.config.model_copy(update={"limits": limits.model_copy(update={"rail": rail})})
 
     def patch(self) -> str:
-        """limits-patch.yaml: the three limits, and what of the drive they were measured with."""
+        """limits-patch.yaml: the four limits, and what of the drive they were measured with."""
         count = self.measured.recordings
         said = f"{count} recording{'s' if count != 1 else ''}"
         lines = [_HEADER.format(recordings=said, seconds=self.measured.seconds), "limits:", "  rail:"]
@@ -142,15 +146,16 @@ def compared(measured: Measured, config: Config) -> tuple[LimitRow, ...]:
     latency = _row(config, "latency_s", measured.latency, measured.surely, measured.steps)
     braking = _row(config, "braking_m_s2", measured.braking, measured.braking, measured.brakings)
     surge = _row(config, "surge_m_s2", measured.surge, measured.surge, measured.runs)
+    drag = _row(config, "drag_m_s", measured.drag, measured.drag, measured.moving)
     if measured.latency is None:
-        braking, surge = (replace(row, why=_UNTIMED) for row in (braking, surge))
+        braking, surge, drag = (replace(row, why=_UNTIMED) for row in (braking, surge, drag))
     # What `softarm check` would refuse beside the new surge is lowered with it.
     ramp, counted_on = config.drivers.rail.acceleration_m_s2, surge.advised or surge.configured
     most = _rounded("braking_m_s2", ramp - arms_pull_m_s2(ramp, counted_on))
     if surge.milder and braking.advised is not None and braking.advised > most:
         why = f"{braking.why}; with surge_m_s2 {counted_on:g} no more than {most:g} agrees"
         braking = replace(braking, advised=most, why=why)
-    return latency, braking, surge
+    return latency, braking, surge, drag
 
 
 def _row(config: Config, key: str, bound: Bound | None, surely: Bound | None, count: int) -> LimitRow:
@@ -164,7 +169,7 @@ def _row(config: Config, key: str, bound: Bound | None, surely: Bound | None, co
         f"{math.floor(100 * bound.share + 1e-9)}% of {kind.events} {worst}, {SURE:.0%} sure "
         f"({bound.events} seen in {bound.seconds:.0f} s, median {bound.median:.3g})"
     )
-    tolerance = LATENCY_TOLERANCE_S if key == "latency_s" else TOLERANCE * configured
+    tolerance = _TOLERANCES.get(key, TOLERANCE * configured)
     beyond = configured - surely.value if kind.least else surely.value - configured
     if beyond <= tolerance:
         return LimitRow(key, configured, bound, configured, why)

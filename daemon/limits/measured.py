@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from softarm.daemon.limits.latency import AFTER, BEFORE, step_latencies
-from softarm.daemon.limits.swings import Stretches, brakings, surges
+from softarm.daemon.limits.swings import Stretches, brakings, drags, surges
 from softarm.recordings.rail_motion import Array, RailMotion
 from softarm.schemas.robot import RAIL_TRAVEL_M
 
@@ -42,10 +42,12 @@ class Measured:
     surely: Bound | None  # the same, of what each step shows for certain
     braking: Bound | None  # m/s^2, least
     surge: Bound | None  # m/s^2, largest
+    drag: Bound | None  # m/s, largest
     ramp_m_s2: float  # that the drive kept, about
     steps: int  # of the set-point, that told their latency
     brakings: int  # none are counted where the latency is not known
     runs: int
+    moving: int  # seconds in which the cart moved
     recordings: int
     seconds: float
     left_out: tuple[str, ...]  # recordings, each with the reason
@@ -94,20 +96,23 @@ def measure(motions: Iterable[RailMotion], ramp_m_s2: float) -> Measured:
     steps = step_latencies(kept)
     lasted_s = len(steps.surely_s) * (BEFORE + AFTER) * SPACING_S
     latency, surely = (tolerance_bound(each, lasted_s) for each in (steps.likeliest_s, steps.surely_s))
-    braked = sped = NO_STRETCHES
+    braked = sped = dragged = NO_STRETCHES
     if latency is not None:  # else nobody knows when the cart was being braked
         earliest_s = float(np.percentile(steps.likeliest_s, EARLIEST_PERCENT))
         braked = _together(brakings(motion, earliest_s, latency.value) for motion in kept)
         sped = _together(surges(motion, earliest_s, latency.value) for motion in kept)
+        dragged = _together(drags(motion, earliest_s, latency.value) for motion in kept)
     return Measured(
         latency,
         surely,
-        tolerance_bound(braked.m_s2, float(braked.seconds.sum()), least=True),
-        tolerance_bound(sped.m_s2, float(sped.seconds.sum())),
+        tolerance_bound(braked.values, float(braked.seconds.sum()), least=True),
+        tolerance_bound(sped.values, float(sped.seconds.sum())),
+        tolerance_bound(dragged.values, float(dragged.seconds.sum())),
         steps.ramp_m_s2,
         len(steps.surely_s),
-        len(braked.m_s2),
-        len(sped.m_s2),
+        len(braked.values),
+        len(sped.values),
+        len(dragged.values),
         len(kept),
         float(sum(motion.t_s[-1] - motion.t_s[0] for motion in kept)),
         tuple(left_out),

@@ -1,15 +1,17 @@
-"""How hard the cart was braked and sped up, stretch by stretch, from what the axis read back.
+"""How hard the cart was braked, sped up and dragged along, stretch by stretch, from what the axis read back.
 
 A stretch of braking is one in which every set-point that could be acting, however early or late, asks for a slower cart
 by more than the drive's soft zone, and somewhere for one that is much slower. It counts with the constant deceleration
 of the same way, (v0^2 - v1^2) / 2 s: what the braking law reckons with. A stretch of speeding up counts with its
-steepest interval between two readings.
+steepest interval between two readings. A cart is dragged along by what it is faster than it was a latency ago and than
+all that may have acted since: nobody could have told.
 """
 
 from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from softarm.daemon.limits.latency import GAP_MAX_S
@@ -22,7 +24,7 @@ ASKED_M_S = 2 * ZONE_M_S  # that a stretch of braking is asked to lose; the arm 
 class Stretches(NamedTuple):
     """One entry for each stretch [N]."""
 
-    m_s2: Array
+    values: Array  # m/s^2, of a drag m/s
     seconds: Array
 
 
@@ -62,6 +64,27 @@ def surges(motion: RailMotion, earliest_s: float, latest_s: float) -> Stretches:
             if velocity[last] - velocity[first] > ZONE_M_S:
                 found.append((float(slope[first:last].max()), motion.t_s[last] - motion.t_s[first]))
     return _stretches(found)
+
+
+def drags(motion: RailMotion, earliest_s: float, latest_s: float) -> Stretches:
+    """Drag of every second in which the cart moved; nought where it stayed behind its set-points."""
+    acting, spacing_s = _in_force(motion, earliest_s, latest_s), float(np.median(np.diff(motion.t_s)))
+    unseen = max(1, round(latest_s / spacing_s))  # intervals
+    if len(acting.known) < unseen:
+        return _stretches([])
+    now, then = motion.velocity_m_s[unseen:], motion.velocity_m_s[:-unseen]
+    highest, lowest, known = (sliding_window_view(each, unseen) for each in acting)
+    top = np.maximum(np.maximum(highest.max(axis=1), then), 0.0)
+    bottom = np.minimum(np.minimum(lowest.min(axis=1), then), 0.0)
+    lead = np.where(known.all(axis=1), np.maximum(np.maximum(now - top, bottom - now), 0.0), -1.0)
+    moving = known.all(axis=1) & (np.abs(now) > ZONE_M_S)
+    seconds = np.floor(motion.t_s[unseen:] - motion.t_s[0]).astype(np.int64)
+    return _stretches([(float(lead[rows].max()), 1.0) for rows in _each(seconds) if moving[rows].any()])
+
+
+def _each(labels: NDArray[np.int64]) -> Iterator[NDArray[np.int64]]:
+    """Places of each label; equal ones stand together."""
+    yield from np.split(np.arange(len(labels)), np.flatnonzero(np.diff(labels)) + 1)
 
 
 def _stretches(found: list[tuple[float, float]]) -> Stretches:

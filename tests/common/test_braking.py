@@ -15,9 +15,9 @@ FAR_M = 100.0  # an end that never matters
 ROUNDING_M = 2e-5  # of the cart below, which moves in steps
 
 
-def law(braking_m_s2=3.0, surge_m_s2=9.0, latency=TICK, hold=45, ends=(-0.24, 0.24)) -> BrakingLaw:
+def law(braking_m_s2=3.0, surge_m_s2=9.0, latency=TICK, hold=45, ends=(-0.24, 0.24), drag_m_s=0.0) -> BrakingLaw:
     """latency and hold in steps."""
-    return BrakingLaw(*ends, surge_m_s2, braking_m_s2, latency * STEP_S, hold * STEP_S)
+    return BrakingLaw(*ends, surge_m_s2, braking_m_s2, latency * STEP_S, hold * STEP_S, drag_m_s)
 
 
 laws = st.builds(law, st.floats(0.8, 6.0), st.floats(6.0, 20.0), st.integers(0, 120), st.integers(34, 90))
@@ -325,6 +325,22 @@ def test_a_cart_that_is_dragged_along_stops_in_time_and_might_not_after_much_mor
     aim = 0.24 - CREEP_MAX_M_S * age * STEP_S  # it may have begun to drag since
     assert worst_after(up, position, velocity, age, dragged, passed + lead) <= aim + ROUNDING_M
     assert worst_after(up, position, velocity, age, dragged, more + lead) >= aim - ROUNDING_M
+
+
+@pytest.mark.parametrize("lead", [0.0, 0.05, 0.2])
+@pytest.mark.parametrize("drag", [0.05, 0.3])
+def test_a_cart_that_may_come_to_be_dragged_along_is_braked_as_one_that_is(drag, lead):
+    """From the reading on: what is seen of it, if less, changes nothing but the velocity that the cart begins with."""
+    told = [(k * TICK, 0.05) for k in range(8, 0, -1)]
+    sent = [(at * STEP_S, each) for at, each in told]
+    passed = law(ends=(-FAR_M, 0.24), drag_m_s=drag).bound(1.0, 0.13, 0.05 + lead, 0.02, sent).velocity_m_s
+    assert -RETURN_SPEED_M_S < passed < 1.0
+    counted = max(drag, lead if lead < CREEP_MAX_M_S else 0.0)
+    dragged, up = [(at, each + counted) for at, each in told], law(ends=(-FAR_M, 0.24))
+    more = passed + 1.001 * 1.1 / 2**BISECTIONS
+    aim = 0.24 - CREEP_MAX_M_S * 0.02
+    assert worst_after(up, 0.13, 0.05 + lead, 20, dragged, passed + counted) <= aim + ROUNDING_M
+    assert worst_after(up, 0.13, 0.05 + lead, 20, dragged, more + counted) >= aim - ROUNDING_M
 
 
 def test_a_larger_lead_is_a_ramp_under_way_and_does_not_last():

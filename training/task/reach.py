@@ -23,6 +23,9 @@ class Starts(NamedTuple):
     pressure_kpa: Array  # [R]
 
 
+COUNTED_ON = ("latency_s", "braking_m_s2", "surge_m_s2", "drag_m_s")  # of limits.rail, by the braking law
+
+
 @dataclass(frozen=True)
 class ReachTask:
     """Swing the tip to a target in free space. The defaults are the seed's training range ([P] SM-E)."""
@@ -49,19 +52,17 @@ class ReachTask:
     rail_latency_s: float = RailLimits().latency_s
     rail_braking_m_s2: float = RailLimits().braking_m_s2
     rail_surge_m_s2: float = RailLimits().surge_m_s2
+    rail_drag_m_s: float = RailLimits().drag_m_s
     muscle: bool = True  # False: it stays vented, whatever the policy wants ([P] section 4.2, cart actions only)
 
     @property
     def rail_limits(self) -> RailLimits:
         """What commands are clamped by."""
-        return RailLimits(
-            latency_s=self.rail_latency_s, braking_m_s2=self.rail_braking_m_s2, surge_m_s2=self.rail_surge_m_s2
-        )
+        return RailLimits(**{key: getattr(self, f"rail_{key}") for key in COUNTED_ON})
 
     def under(self, limits: RailLimits) -> Self:
         """The same task with the clamp of a robot whose rail has these limits."""
-        counted_on = {f"rail_{key}": getattr(limits, key) for key in ("latency_s", "braking_m_s2", "surge_m_s2")}
-        return replace(self, **counted_on)
+        return replace(self, **{f"rail_{key}": getattr(limits, key) for key in COUNTED_ON})
 
     @property
     def goal(self) -> tuple[Signal, ...]:

@@ -15,12 +15,12 @@ from softarm.schemas.config import Config
 CONFIG = Config.model_validate({"limits": {"rail": {"latency_s": 0.0333, "braking_m_s2": 3.0, "surge_m_s2": 9.0}}})
 
 
-def measured(latency=None, braking=None, surge=None, surely=None, ramp=6.0) -> Measured:
+def measured(latency=None, braking=None, surge=None, drag=None, surely=None, ramp=6.0) -> Measured:
     def bound(value):
         return None if value is None else Bound(value, 0.99, value, 300, 60.0)
 
-    values = (latency, latency if surely is None else surely, braking, surge)
-    return Measured(*map(bound, values), ramp, 300, 300, 300, 3, 120.0, ())
+    values = (latency, latency if surely is None else surely, braking, surge, drag)
+    return Measured(*map(bound, values), ramp, 300, 300, 300, 300, 3, 120.0, ())
 
 
 def found(config: Config, seen: Measured) -> RailFindings:
@@ -35,6 +35,8 @@ def found(config: Config, seen: Measured) -> RailFindings:
         (measured(0.0571, 3.5, 8.0, surely=0.052), {"latency_s": 0.058}),
         (measured(0.01, 1.43, 8.0), {"braking_m_s2": 1.4}),
         (measured(0.01, 2.9, 11.31), {"surge_m_s2": 11.4}),
+        (measured(0.01, 3.5, 8.0, 0.049), {}),  # the margin covers it
+        (measured(0.01, 3.5, 8.0, 0.051), {"drag_m_s": 0.06}),
         (measured(None, None, None), {}),
     ],
 )
@@ -105,7 +107,7 @@ def test_what_no_allowed_value_covers_is_said_and_stays(tmp_path):
 def test_too_little_data_says_how_much_and_how_to_get_it(cart):
     result = findings([cart(seconds=10.0)])
     assert not any(row.milder for row in result.rows)
-    latency, braking, surge = (row.why for row in result.rows)
+    latency, braking, surge, _ = (row.why for row in result.rows)
     assert "it takes 59: fly `softarm excite rail-dashes` for more" in latency
     assert braking == surge == "Not looked at: without the latency nobody can tell when the cart was told to"
     assert result.config == Config()

@@ -34,6 +34,13 @@ def test_the_limits_of_a_known_cart_are_found_and_none_is_milder_than_it_was(car
     assert found.ramp_m_s2 == pytest.approx(ramp, rel=0.1)
 
 
+def test_an_arm_that_pulls_harder_than_the_drive_drags_the_cart_along_and_no_other_does(cart):
+    """A pull of p against a ramp of r in a sine of 1.3 Hz wins p - r at most, for the time of a latency of it."""
+    for pull, least, most in ((0.0, 0.0, 0.01), (2.0, 0.0, 0.05), (4.0, 0.05, 0.25)):
+        found = measure([cart(ramp_m_s2=2.0, latency_s=0.1, pull_m_s2=pull, seconds=180.0)], 6.0)
+        assert least <= found.drag.value <= most
+
+
 def test_a_velocity_that_is_read_back_late_belongs_to_the_latency(cart):
     fresh, filtered = (measure([cart(pull_m_s2=2.0, filter_s=s)], 6.0).latency for s in (0.0, 0.02))
     assert 0.008 < filtered.median - fresh.median < 0.025
@@ -47,7 +54,7 @@ def test_set_points_that_act_late_now_and_then_count(cart):
 
 def test_too_little_is_no_measurement(cart):
     found = measure([cart(seconds=10.0)], 6.0)
-    assert (found.latency, found.braking, found.surge) == (None, None, None)
+    assert (found.latency, found.braking, found.surge, found.drag) == (None,) * 4
     assert 0 < found.steps < COUNT_MIN
     assert measure([], 6.0).recordings == 0
 

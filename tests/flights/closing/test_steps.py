@@ -27,7 +27,15 @@ pytestmark = pytest.mark.slow
 
 CAREFUL = Config(limits=Limits(rail=RailLimits(braking_m_s2=3.0, surge_m_s2=9.0)))
 SEEN = Measured(
-    *(Bound(value, 0.97, value, 100, 50.0) for value in (0.05, 0.05, 2.6, 8.0)), 6.0, 100, 100, 100, 1, 50.0, ()
+    *(Bound(value, 0.97, value, 100, 50.0) for value in (0.05, 0.05, 2.6, 8.0, 0.02)),
+    6.0,
+    100,
+    100,
+    100,
+    100,
+    1,
+    50.0,
+    (),
 )
 RAIL = RailFindings(CAREFUL, SEEN, compared(SEEN, CAREFUL))
 REACH = MODELS / "reach.onnx"
