@@ -180,7 +180,7 @@ def cost(policies: Iterable[str], step: Callable[[], None]) -> dict[str, dict[st
         nominal = {"ramp_m_s2": 6.0, "latency_s": 1 / 30, "payload_kg": 0.0, "age_s": 0.0}
         world = World(**{**nominal, **changes}, skips=0.0, skipped_max=1)
         limits = measured(world, MEASURED_ROBOTS, np.random.default_rng(0)) if changes else RailLimits()
-        table[name] = {"braking_m_s2": round(limits.braking_m_s2, 2)}
+        table[name] = {key: round(getattr(limits, key), 2) for key in ("braking_m_s2", "drag_m_s")}
         for policy in policies:
             daemon = Lockstep(configured(world, limits), registry.load(policy), body=LateBody(world))
             reached = 0

@@ -226,7 +226,7 @@ def main(json_file: Path | None) -> None:
         for robot, figures in as_they_come(tried, ROBOTS, cores()):
             rows[robot] = figures
             shown.advance(1)
-    table = Table("body", "ramp", "payload", "latency true", "measured", "braking", "surge", "cart at most")
+    table = Table("body", "ramp", "payload", "latency true", "measured", "braking", "surge", "drag", "cart at most")
     for robot in ROBOTS:
         figures = rows[robot]
         bounds = (

@@ -412,6 +412,56 @@ def matrix(read: Read) -> str:
     return markdown(heads, rows)
 
 
+def adversary(read: Read) -> str:
+    """How far mean policies bring the cart, past the law alone and past the whole tick."""
+    rows = []
+    for name, what in (("adversary", "the law"), ("adversary-tick", "the whole tick")):
+        found = read(name)
+        kinds = [f"{1e3 * farthest_m:.0f}" if farthest_m else "" for farthest_m in found["farthest_m"].values()]
+        beyond = f"{1e3 * max(world['beyond_m'] for world in found['worst']):.1f} mm"
+        counts = [str(found[key]) for key in ("worlds_beyond_margin", "worlds_at_hard_limit")]
+        rows.append([what, str(found["worlds"]), f"{found['robot_ticks']:,}", *kinds, beyond, *counts])
+    kinds = [f"{kind} (mm)" for kind in read("adversary")["farthest_m"]]
+    head = ("past", "robots", "ticks", *kinds, "beyond 250 mm at most", "robots farther than 5 mm", "at the end")
+    return markdown(head, rows)
+
+
+def adversary_cost(read: Read) -> str:
+    """The share of the paper's targets that is reached where the limits are patched to a robot."""
+    found = read("adversary-cost")["cost"]
+    policies = [key for key in found["as it is"] if key not in COUNTED]
+    rows = []
+    for world, figures in found.items():
+        counted = [f"{figures[key]:.2f}" for key in COUNTED]
+        rows.append([world, *counted, *(f"{100 * figures[policy]:.0f} %" for policy in policies)])
+    return markdown(("robot", *(f"`{key}`" for key in COUNTED), *(f"`{policy}`" for policy in policies)), rows)
+
+
+COUNTED = ("braking_m_s2", "drag_m_s")
+
+
+def rail_limits(read: Read) -> str:
+    """Measured limits beside the truth, and how far an attack comes past the patched ones."""
+    rows = []
+    for found in read("limits")["rows"]:
+        robot, measured = found["robot"], found["measured"]
+        bounds = ["-" if each is None else f"{each['value']:.3g} ({each['events']})" for each in measured.values()]
+        late = f"{1e3 * (robot['latency_s'] + robot['age_s']):.0f} ms"
+        truth = (robot["body"], f"{robot['ramp_m_s2']:g}", f"{1e3 * robot['payload_kg']:.0f} g", late)
+        rows.append([*truth, *bounds, f"{1e3 * found['farthest_m']:.0f} mm"])
+    keys = [f"`{key}`" for key in read("limits")["rows"][0]["measured"]]
+    return markdown(("body", "ramp", "payload", "truly late by", *keys, "cart at most"), rows)
+
+
+def mutants(read: Read) -> str:
+    """What the tests notice of every small change of what keeps people and robots whole."""
+    modules = read("mutants")["modules"]
+    counts = ("tried", "killed", "timed_out", "explained", "unexplained", "seconds")
+    rows = [[f"`{name}`", *(f"{found[count]:.0f}" for count in counts)] for name, found in modules.items()]
+    rows.append(["all", *(f"{sum(found[count] for found in modules.values()):.0f}" for count in counts)])
+    return markdown(("module", "tried", "killed by a test", "ended: too long", "explained", "left", "s"), rows)
+
+
 def _did(found: Mapping[str, Any]) -> str:
     if found["phase"] == "open":
         return "is not armed" if found["stopped"] and found["causes"] else "may be armed"
@@ -434,6 +484,10 @@ TABLES: dict[str, Callable[[Read], str]] = {
     "chained": chained,
     "dead-daemon": dead_daemon,
     "matrix": matrix,
+    "adversary": adversary,
+    "adversary-cost": adversary_cost,
+    "limits": rail_limits,
+    "mutants": mutants,
     "simulator": simulator,
     "blind": blind,
     "blind-methods": blind_methods,

@@ -18,6 +18,7 @@ EXCITATION = "rail-dashes"  # of all there are, the one that shows every limit
 LATENCY_TOLERANCE_S = 0.005  # a configuration that is milder by less is not blamed
 TOLERANCE = 0.05  # likewise, as a share, of braking and surge
 DRAG_TOLERANCE_M_S = 0.05  # likewise: the margin covers it
+SPEEDS_M_S = tuple(0.1 * tenth for tenth in range(11))  # that a cart is stopped from
 
 _HEADER = """\
 # The rail's limits as the robot showed them ({recordings}, {seconds:.0f} s); none is milder than it was configured.
@@ -147,6 +148,9 @@ def compared(measured: Measured, config: Config) -> tuple[LimitRow, ...]:
     braking = _row(config, "braking_m_s2", measured.braking, measured.braking, measured.brakings)
     surge = _row(config, "surge_m_s2", measured.surge, measured.surge, measured.runs)
     drag = _row(config, "drag_m_s", measured.drag, measured.drag, measured.moving)
+    if drag.milder and _stops_anyway(config, measured, braking.advised or braking.configured):
+        why = f"{drag.why}; with braking_m_s2 {braking.advised:g} the cart stops in time all the same"
+        drag = replace(drag, advised=drag.configured, why=why)
     if measured.latency is None:
         braking, surge, drag = (replace(row, why=_UNTIMED) for row in (braking, surge, drag))
     # What `softarm check` would refuse beside the new surge is lowered with it.
@@ -156,6 +160,21 @@ def compared(measured: Measured, config: Config) -> tuple[LimitRow, ...]:
         why = f"{braking.why}; with surge_m_s2 {counted_on:g} no more than {most:g} agrees"
         braking = replace(braking, advised=most, why=why)
     return latency, braking, surge, drag
+
+
+def _stops_anyway(config: Config, measured: Measured, counted_on_m_s2: float) -> bool:
+    """Whether a cart that is dragged along stops, with the robot's own braking, where it does on paper without drag.
+
+    Or half of the margin behind: from any speed.
+    """
+    if measured.braking is None or measured.drag is None:
+        return False
+    limits, drag_m_s = config.limits.rail, measured.drag.value
+    return all(
+        (speed + drag_m_s) ** 2 / (2.0 * measured.braking.value) + drag_m_s * limits.latency_s
+        <= speed**2 / (2.0 * counted_on_m_s2) + limits.margin_m / 2
+        for speed in SPEEDS_M_S
+    )
 
 
 def _row(config: Config, key: str, bound: Bound | None, surely: Bound | None, count: int) -> LimitRow:

@@ -36,7 +36,10 @@ def found(config: Config, seen: Measured) -> RailFindings:
         (measured(0.01, 1.43, 8.0), {"braking_m_s2": 1.4}),
         (measured(0.01, 2.9, 11.31), {"surge_m_s2": 11.4}),
         (measured(0.01, 3.5, 8.0, 0.049), {}),  # the margin covers it
-        (measured(0.01, 3.5, 8.0, 0.051), {"drag_m_s": 0.06}),
+        (measured(0.01, 3.0, 8.0, 0.051), {"drag_m_s": 0.06}),
+        (measured(0.01, 6.0, 8.0, 0.08), {}),  # of a robot that brakes twice as hard as is counted on
+        (measured(0.01, 2.0, 8.0, 0.08), {"braking_m_s2": 2.0, "drag_m_s": 0.08}),
+        (measured(0.01, 6.0, 8.0, 0.25), {"drag_m_s": 0.25}),
         (measured(None, None, None), {}),
     ],
 )
