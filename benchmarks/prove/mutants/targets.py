@@ -37,6 +37,7 @@ TARGETS = {
         Target("daemon/control/failsafe.py", (f"{_CONTROL}/test_failsafe.py", _LATCH, _TICK)),
         Target("daemon/control/checks.py", (f"{_CONTROL}/test_checks.py", _TICK)),
         Target("daemon/control/plausibility.py", (f"{_CONTROL}/test_plausibility.py",)),
+        Target("daemon/control/observer.py", (f"{_CONTROL}/test_observer.py",)),
         Target("daemon/control/goals.py", (f"{_CONTROL}/test_goals.py",)),
         Target("daemon/tick.py", (_TICK, _LATCH)),
         Target("policies/runner.py", ("tests/policies/test_runner.py",)),
