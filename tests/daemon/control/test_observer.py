@@ -324,6 +324,18 @@ def test_each_dark_begins_where_the_light_ended():
     assert observed.values.cart_position_m == pytest.approx(0.01)
 
 
+@pytest.mark.parametrize("every", [2, 3, 4])
+def test_no_dark_begins_with_what_the_one_before_made_up(every):
+    """An arm that hangs still is seen in every so manieth tick alone: it hangs still, for as long as that lasts."""
+    observer = Observer(Config())
+    for tick in range(60):
+        now, tremor_m = 33 * tick, 3e-4 * (tick // every % 2)
+        seen = [frame(now - ago, tip=(-0.009 + tremor_m, 0.525)) for ago in (24, 16, 8)]
+        observed = feed(observer, now, *(seen if tick < 8 or tick % every == 0 else []), pressure=0.0)
+        assert math.hypot(*velocities(observed)) < 0.1
+        assert math.dist(observed.values[2:4], (-0.009, 0.525)) < 0.005
+
+
 def test_a_late_tick_that_flew_by_what_was_carried_on_costs_the_next_no_step():
     """It flew by a later instant than the next, whose frame is old but not overdue."""
     observer = Observer(Config())
