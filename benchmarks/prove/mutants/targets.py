@@ -39,6 +39,7 @@ TARGETS = {
         Target("daemon/control/plausibility.py", (f"{_CONTROL}/test_plausibility.py",)),
         Target("daemon/control/observer.py", (f"{_CONTROL}/test_observer.py",)),
         Target("daemon/control/alignment.py", (f"{_CONTROL}/test_alignment.py",)),
+        Target("daemon/control/dead_reckoning.py", (f"{_CONTROL}/test_dead_reckoning.py",)),
         Target("daemon/control/following.py", (f"{_CONTROL}/test_following.py",)),
         Target("daemon/control/goals.py", (f"{_CONTROL}/test_goals.py",)),
         Target("daemon/tick.py", (_TICK, _LATCH)),
