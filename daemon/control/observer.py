@@ -1,7 +1,7 @@
 """From what the devices measured to what the policy is fed. Pure; time comes in with the inputs."""
 
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 
 import numpy as np
 from numpy.typing import NDArray
@@ -76,7 +76,7 @@ class Observer:
         self.dark_ns = 0 if carried is None else carried.t_ns - newest.t_ns
         shown = carried or newest
         if carried is not None or self.seen:
-            before = self._step_before(shown)
+            before = self._step_before(shown, (*self._recent, *self._carried))
             self._velocities = (0.0, 0.0, 0.0) if before is None else _rates(before, shown)
         elif now_ns - newest.t_ns > self._stale_ns:
             self.frames_in_a_row = 0
@@ -84,8 +84,8 @@ class Observer:
         self._shown = shown
         if carried is not None:
             self._carried.append(carried)
-        for past in (self._recent, self._carried):  # what no later step can begin with
-            while len(past) > 1 and shown.t_ns - past[1].t_ns >= 2 * self._period_ns:
+        for past, newest_ns in ((self._recent, newest.t_ns), (self._carried, shown.t_ns)):
+            while len(past) > 1 and newest_ns - past[1].t_ns >= 2 * self._period_ns:  # no later step begins there
                 past.popleft()
 
     def _carry_on(self, newest: Sighting, until_ns: int) -> Sighting | None:
@@ -94,7 +94,8 @@ class Observer:
         if not 0 < overdue_ns <= self._bridge_ns:
             return None
         if self._reckoning is None:
-            before = self._step_before(newest)
+            # Of what was seen alone: an estimate that the next begins with would feed its error back, ever larger.
+            before = self._step_before(newest, self._recent)
             if before is None:
                 return None
             self._reckoning = DeadReckoning(before, newest, self._readings(), self._strength.value)
@@ -103,14 +104,10 @@ class Observer:
     def _readings(self) -> Readings:
         return Readings(self.alignment.axis, self._pressures, self.alignment.lag_ns or 0)
 
-    def _step_before(self, shown: Sighting) -> Sighting | None:
+    def _step_before(self, shown: Sighting, past: Iterable[Sighting]) -> Sighting | None:
         """Most nearly a control step before."""
         return min(
-            (
-                one
-                for one in (*self._recent, *self._carried)
-                if one.t_ns < shown.t_ns and shown.t_ns - one.t_ns <= self._stale_ns
-            ),
+            (one for one in past if one.t_ns < shown.t_ns and shown.t_ns - one.t_ns <= self._stale_ns),
             key=lambda one: abs(shown.t_ns - one.t_ns - self._period_ns),
             default=None,
         )

@@ -9,7 +9,7 @@ import pytest
 
 from softarm.daemon.control.records import EStop, Inputs, Mode, Problems, Request, RequestResult
 from softarm.daemon.shell.offline import Lockstep
-from softarm.daemon.tick import HALF_SWING_S, SETTLING_S, Controller
+from softarm.daemon.tick import HALF_SWING_S, Controller
 from softarm.drivers.regulator.driver import reading_of
 from softarm.drivers.regulator.teensy import Fault, RegulatorState
 from softarm.policies.base import PolicySpec
@@ -552,6 +552,28 @@ def test_a_soft_stop_holds_the_cart_until_the_arm_no_longer_swings():
     assert 60 + 10 < tick <= 61 + math.ceil(30 * HALF_SWING_S)
 
 
+def test_an_arm_that_turns_round_is_not_still():
+    """0.31 m/s at most, and for 0.44 s at each turn below 0.3."""
+    rig = Rig().armed()
+    for tick in range(90):
+        rig.tip = (0.055 * math.sin(2 * math.pi * rig.now * 1e-9 / 1.1), 0.52)
+        rig.tick(*["disarm"] * (tick == 10))
+    assert rig.outputs.mode is Mode.STOPPING
+
+
+@pytest.mark.parametrize(("every", "held"), [(3, 24), (4, 301)])
+def test_an_arm_that_is_seen_too_seldom_is_not_still(every, held):
+    """Its newest frame is up to 75 ms old, then up to 108; 100 are stale."""
+    rig = Rig().armed()
+    rig.tip = (0.02, 0.52)  # 0.6 m/s, and still from there
+    rig.tick("disarm")
+    ticks = 1
+    while rig.outputs.mode is Mode.STOPPING:
+        rig.tick(**({} if ticks % every == 1 else {"mocap": ()}))
+        ticks += 1
+    assert ticks == held
+
+
 def test_an_arm_that_nobody_sees_is_held_for_ten_seconds():
     rig = Rig().swinging()
     ticks = 0
@@ -561,7 +583,7 @@ def test_an_arm_that_nobody_sees_is_held_for_ten_seconds():
         assert rig.outputs.sent == Command(True, 0.0, 0.0)
         rig.tick(mocap=())
         ticks += 1
-    assert ticks == 30 * SETTLING_S + 1
+    assert ticks == 301  # the tick that begins it, and ten seconds
     assert rig.outputs.sent == SAFE
 
 

@@ -95,7 +95,145 @@ def test_a_device_is_asked_only_where_it_was_read():
     assert past.at(0) is None
     for t_ms, position_m in ((100, 0.0), (140, 0.04), (140, 9.0), (120, 9.0)):  # the last two are no newer
         past.add(t_ms * MS, position_m, 1.0)
-    assert past.at(99 * MS) is None
+    assert past.at(100 * MS - 1) is None
+    assert past.at(100 * MS) == (0.0, 1.0)
     assert past.at(110 * MS) == pytest.approx((0.01, 1.0))
     assert past.at(190 * MS) == pytest.approx((0.09, 1.0))  # carried on
-    assert past.at(191 * MS) is None
+    assert past.at(190 * MS + 1) is None
+
+
+def test_between_two_readings_value_and_rate_lie_on_a_line():
+    past = Past()
+    for t_ms, position_m, velocity_m_s in ((0, 0.0, 0.0), (40, 0.04, 2.0), (80, 0.2, 6.0)):
+        past.add(t_ms * MS, position_m, velocity_m_s)
+    assert past.at(10 * MS) == pytest.approx((0.01, 0.5))
+    assert past.at(70 * MS) == pytest.approx((0.16, 5.0))
+
+
+def test_what_is_read_without_a_rate_has_none():
+    past = Past()
+    past.add(0, 5.0)
+    assert past.at(40 * MS) == (5.0, 0.0)
+
+
+@pytest.mark.parametrize(("after_ns", "kept"), [(400 * MS, True), (400 * MS + 1, False)])
+def test_readings_are_kept_for_as_long_as_a_late_frame_may_ask_for_them(after_ns, kept):
+    past = Past()
+    past.add(0, 0.1)
+    past.add(after_ns, 0.2)
+    assert (past.at(0) is not None) is kept
+
+
+# A single step: the axis stood when a frame was seen; at the next it has gone a path (10 ms apart, newest first).
+
+
+def one_step(path_m, shown_m, step_ns=200 * MS):
+    """What a step of motion capture's cart tells, and how far from the axis it ends."""
+    alignment, now_ns = Alignment(), 200 * MS + step_ns
+    for t_ms in range(0, 201, 10):
+        alignment.axis.add(t_ms * MS, 0.0)
+    alignment.see(200 * MS, 0.0)
+    for lag in reversed(range(16)):
+        alignment.axis.add(now_ns - lag * 10 * MS, (*path_m, *[0.0] * 16)[lag])
+    return alignment, alignment.see(now_ns, shown_m)
+
+
+def told_ms(path_m, shown_m):
+    lag_ns = one_step(path_m, shown_m)[0].lag_ns
+    return None if lag_ns is None else lag_ns / MS
+
+
+def passing(place, before_m, at_m, after_m):
+    """A path of which three places are given."""
+    return [*[0.0] * place, before_m, at_m, after_m, *[0.0] * 15][1:17]
+
+
+@pytest.mark.parametrize("place", range(16))
+def test_the_delay_is_where_the_axis_was_as_the_camera_shows_the_cart(place):
+    """A parabola through what is left there and either side, 5, 10 and 20 mm; at either end there is but one side."""
+    beside_ms = 10 * 0.5 * (10**2 - 20**2) / (10**2 - 2 * 5**2 + 20**2)
+    expected_ms = 10 * place + (beside_ms if 0 < place < 15 else 0.0)
+    assert told_ms(passing(place, 0.09, 0.095, 0.08), 0.1) == pytest.approx(expected_ms, abs=1e-6)
+
+
+@pytest.mark.parametrize(("apart_m", "told"), [(0.009, False), (0.011, True)])
+def test_a_delay_that_another_explains_as_well_is_not_told(apart_m, told):
+    """Thirty milliseconds less; of 60 more there is no question."""
+    speeding_up = [*[0.1 + apart_m] * 3, 0.1, 0.05]
+    assert (told_ms(speeding_up, 0.1) is not None) is told
+
+
+@pytest.mark.parametrize(("other_m", "told"), [(0.0387, False), (0.0436, True)])
+def test_a_delay_that_explains_little_is_not_told(other_m, told):
+    """It leaves 20 mm: too much for a quarter of what another leaves, in squares, less (10 mm)^2."""
+    slowing_down = [*[0.12 - other_m] * 3, 0.1, 0.05]
+    assert (told_ms(slowing_down, 0.12) is not None) is told
+
+
+def test_the_distance_is_from_where_the_axis_was_ten_milliseconds_either_side_of_the_delay():
+    for place in range(15):
+        assert one_step(passing(place, 0.09, 0.095, 0.12), 0.1)[1] == 0.0
+    alignment, apart_m = one_step([0.0, 0.2, 0.09, 0.095, 0.08, 0.2], 0.1)
+    assert alignment.lag_ns == pytest.approx(30 * MS, abs=5 * MS)
+    assert apart_m == pytest.approx(0.005)
+
+
+def test_before_the_delay_is_known_the_distance_is_from_where_the_axis_was_within_any():
+    assert one_step([], 0.05)[1] == 0.05
+    assert one_step([0.0, 0.0, 0.04, 0.03], 0.05)[1] == pytest.approx(0.01)
+
+
+def test_what_the_axis_did_in_silence_tells_no_delay():
+    alignment = Alignment()
+    for t_ms in range(0, 200, 10):
+        alignment.axis.add(t_ms * MS, 0.0)
+    alignment.see(190 * MS, 0.0)
+    assert alignment.see(300 * MS, 0.06) is None
+    alignment.axis.add(320 * MS, 0.06)
+    assert alignment.see(320 * MS, 0.06) == 0.0
+    assert alignment.lag_ns is None
+
+
+@pytest.mark.parametrize(("shown_m", "mirrored"), [(-0.0221, False), (-0.0226, True)])
+def test_a_mirrored_frame_is_told_from_22_mm_in_a_step(shown_m, mirrored):
+    assert one_step([-shown_m], shown_m)[0].mirrored is mirrored
+
+
+@pytest.mark.parametrize(
+    ("path_m", "shown_m", "mirrored"),
+    [
+        ([0.02], -0.039, True),  # against it 0.019 are left, with it 0.039
+        ([0.02], -0.042, False),
+        ([0.02] * 16, -0.058, True),  # 0.038 and, now that it went so at every lag, 0.078
+        ([0.02] * 16, -0.064, False),
+    ],
+)
+def test_a_mirrored_frame_leaves_less_than_a_quarter_of_the_squares(path_m, shown_m, mirrored):
+    assert one_step(path_m, shown_m)[0].mirrored is mirrored
+
+
+@pytest.mark.parametrize(("step_ns", "mirrored"), [(400 * MS, True), (400 * MS + 1, False)])
+def test_a_step_as_long_as_the_axis_is_remembered_tells_something(step_ns, mirrored):
+    assert one_step([0.05] * 16, -0.05, step_ns)[0].mirrored is mirrored
+
+
+def crept(step_m, shown_m, axis_m):
+    """After a mirrored step the two go on by so much in each tick."""
+    alignment, _ = one_step([step_m] * 16, -step_m)
+    for tick in range(1, 100):
+        now_ns = 400 * MS + tick * TICK_NS
+        alignment.axis.add(now_ns, step_m + tick * axis_m, axis_m / TICK_NS * 1e9)
+        alignment.see(now_ns, -step_m + tick * shown_m)
+    return alignment
+
+
+@pytest.mark.parametrize(("axis_m", "remembered"), [(0.0, True), (0.0028, True), (0.0035, False)])
+def test_what_a_step_told_is_forgotten_while_the_cart_moves_alone(axis_m, remembered):
+    """3 mm in a tick is moving."""
+    assert crept(0.05, 0.0, axis_m).mirrored is remembered
+
+
+@pytest.mark.parametrize(("creeping_m", "mirrored"), [(0.0035, False), (0.0045, True)])
+def test_what_steps_told_is_of_about_a_second(creeping_m, mirrored):
+    """Those of a mirrored frame add up until as much is forgotten as comes in: to (20 mm)^2 or (26 mm)^2."""
+    assert crept(0.0, -creeping_m, creeping_m).mirrored is mirrored

@@ -7,12 +7,9 @@ import pytest
 from softarm.daemon.control.alignment import Past
 from softarm.daemon.control.dead_reckoning import DeadReckoning, Readings, Sighting, Strength, TipModel
 from softarm.daemon.control.observer import Observer
+from softarm.daemon.control.plausibility import REACH_MAX_M, REACH_MIN_M
 from softarm.daemon.control.records import Inputs
-from softarm.daemon.shell.offline import Lockstep
-from softarm.drivers.bodies.in_process import InProcessMocap
-from softarm.policies import registry
 from softarm.schemas.config import Config
-from softarm.schemas.goals import Goal
 from softarm.schemas.messages import MocapFrame, Pose, PressureReading, RailReading
 
 MS = 1_000_000
@@ -99,73 +96,173 @@ def test_the_deviation_grows_with_the_dark():
     assert deviations[-1] < 0.05
 
 
-class Eyes(InProcessMocap):
-    """Cameras at 120 Hz that can be shut."""
-
-    shut = False
-
-    def read(self, now_ns):
-        since_ns = self._robot.now_ns
-        frames = [
-            f for part in (1, 2, 3, 4) for f in super(Eyes, self).read(since_ns + part * (now_ns - since_ns) // 4)
-        ]
-        return () if self.shut else tuple(frames)
-
-
-@pytest.fixture
-def swinging():
-    daemon = Lockstep(Config(), registry.load("reach"))
-    daemon.robot.mocap = eyes = Eyes(daemon.robot)
-    daemon.arm()
-    daemon.tick(daemon.request("goal", Goal("reach", -0.4, 0.8)))
-    for _ in range(12):
-        daemon.tick()
-    return daemon, eyes
+def test_the_numbers_are_those_that_were_fitted():
+    model = TipModel()
+    assert model.own_rad_s2(0.0, 0.0, 0.0) == pytest.approx(-0.9854)  # by itself towards -y
+    assert model.own_rad_s2(0.1, 0.0, 0.0) == pytest.approx(-0.9854 - 5.333)  # and back, with a period of 0.86 s
+    assert model.own_rad_s2(0.0, 1.0, 0.0) == pytest.approx(-0.9854 - 0.6769)
+    assert model.own_rad_s2(0.0, 0.0, 10.0) == pytest.approx(-0.9854 - 5.02)
+    assert model.pulled_rad_s2(0.0, 2.0) == pytest.approx(-5.046)  # left behind by the cart
+    assert model.pulled_rad_s2(math.pi / 3, 2.0) == pytest.approx(-2.523)
+    assert model.bent_m(0.5, 0.0) == pytest.approx(-0.0031725)
+    assert model.bent_m(0.5, 10.0) == pytest.approx(-0.0031725 + 0.002494)
 
 
-def test_the_simulated_swing_is_known_to_two_centimetres_after_150_ms_of_dark(swinging):
-    daemon, eyes = swinging
-    eyes.shut = True
-    moved_m = 0.0
-    at_m = daemon.robot.body.tip_m
-    for _ in range(4):
-        daemon.tick()
-        values, (y_m, z_m) = daemon.outputs.observed.values, daemon.robot.body.tip_m
-        assert math.hypot(values.tip_y_m - y_m, values.tip_z_m - z_m) < 0.02
-        assert values.cart_position_m == pytest.approx(daemon.robot.body.cart_position_m, abs=0.002)
-        assert values.cart_velocity_m_s == pytest.approx(daemon.robot.body.cart_velocity_m_s, abs=0.15)
-        moved_m = max(moved_m, math.hypot(y_m - at_m[0], z_m - at_m[1]))
-    assert moved_m > 0.15  # what holding on to the last frame would be off
-    assert daemon.outputs.observed.dark_ns == pytest.approx(4 * TICK_NS, abs=10)
+def test_the_deviation_is_of_the_cameras_at_first_and_seven_millimetres_after_100_ms():
+    assert TipModel().deviation_m(0.0) == 0.0015
+    assert TipModel().deviation_m(0.1) == pytest.approx(0.0075)
 
 
-def test_what_follows_the_dark_is_seen_and_its_velocities_are_no_jump(swinging):
-    daemon, eyes = swinging
-    eyes.shut = True
-    for _ in range(3):
-        daemon.tick()
-    eyes.shut = False
-    before_m = daemon.robot.body.tip_m
-    daemon.tick()
-    values, (y_m, z_m) = daemon.outputs.observed.values, daemon.robot.body.tip_m
-    assert daemon.outputs.observed.dark_ns == 0
-    assert (values.tip_y_m, values.tip_z_m) == pytest.approx((y_m, z_m), abs=1e-9)
-    assert values.tip_vy_m_s == pytest.approx((y_m - before_m[0]) * 30, abs=0.4)
-    assert values.tip_vz_m_s == pytest.approx((z_m - before_m[1]) * 30, abs=0.4)
+# One step of 25 ms after one that was seen: three of those that the numbers were fitted with.
+
+STEP_NS, DT_S = 25 * MS, 1 / 120
+IDLE = TipModel(*[0.0] * 8)  # an arm that nothing turns and nothing bends
 
 
-def test_a_target_that_only_the_estimate_reaches_is_not_reached(swinging):
-    daemon, eyes = swinging
-    y_m, z_m = daemon.robot.body.tip_m
-    eyes.shut = True
-    daemon.tick()
-    values = daemon.outputs.observed.values
-    ahead = Goal("reach", 2 * values.tip_y_m - y_m, 2 * values.tip_z_m - z_m)  # where the tip goes
-    daemon.tick(daemon.request("goal", ahead))
-    values = daemon.outputs.observed.values
-    assert math.hypot(values.tip_y_m - ahead.y_m, values.tip_z_m - ahead.z_m) < 0.04
-    daemon.tick()
-    assert daemon.outputs.goal.state == "running"
+def at_angle(t_ns, angle, length_m=0.44, cart_y_m=0.0):
+    return Sighting(t_ns, cart_y_m, cart_y_m + length_m * math.sin(angle), HINGE_M - length_m * math.cos(angle))
+
+
+def reckoned(model, before, seen, axis_m_s2=0.0, kpa=(0.0, 0.0), step_ns=STEP_NS, strength=1.0):
+    """Angle and length to which an arm is carried on that was seen at two angles; kPa then and after the step."""
+    axis, pressure = Past(), Past()
+    for t_ns in (0, STEP_NS, STEP_NS + step_ns):
+        axis.add(t_ns, 0.0, axis_m_s2 * t_ns * 1e-9)
+        pressure.add(t_ns, kpa[t_ns > STEP_NS])
+    readings = Readings(axis, pressure, 0)
+    reckoning = DeadReckoning(at_angle(0, before), at_angle(STEP_NS, seen), readings, strength, model)
+    found = reckoning.at(STEP_NS + step_ns)
+    y_m, down_m = found.tip_y_m - found.cart_y_m, HINGE_M - found.tip_z_m
+    return math.atan2(y_m, down_m), math.hypot(y_m, down_m)
+
+
+def test_an_arm_that_nothing_turns_goes_on():
+    assert reckoned(IDLE, 0.1, 0.15) == pytest.approx((0.2, 0.44))
+
+
+@pytest.mark.parametrize(("steps", "turned"), [(1, 1), (2, 3), (3, 6)])
+def test_what_turns_it_turned_it_since_the_middle_of_the_step_that_was_seen(steps, turned):
+    """It stood when it was seen last: in the step before, it came to that. Torque and cart by 30 and 10 rad/s^2."""
+    model = IDLE._replace(offset_rad_s2=30.0, cart_1_m=2.0)
+    before = 0.5 * 40.0 * 0.025**2
+    step_ns = round(steps * DT_S * 1e9)
+    angle, _ = reckoned(model, before, 0.0, axis_m_s2=-5.0, step_ns=step_ns)
+    assert angle == pytest.approx(turned * 40.0 * DT_S**2, abs=1e-5)
+
+
+def test_the_pressure_that_acts_is_of_each_steps_middle():
+    angle, _ = reckoned(IDLE._replace(muscle_rad_s2_kpa=1.0), 0.0, 0.0, kpa=(0.0, 6.0))
+    assert angle == pytest.approx(-(1.0 + (1.0 + 3.0) + (1.0 + 3.0 + 5.0)) * DT_S**2)
+
+
+def test_the_line_grows_by_what_pressure_and_angle_add():
+    """By 0.001 m for each radian and kilopascal; it may have had some when it was seen."""
+    angle, length_m = reckoned(IDLE._replace(bend_m_kpa=1e-3), 0.4, 0.5, kpa=(5.0, 20.0))
+    assert (angle, length_m) == pytest.approx((0.6, 0.44 - 1e-3 * 5.0 * 0.5 + 1e-3 * 20.0 * 0.6))
+
+
+@pytest.mark.parametrize(("bend_m", "length_m"), [(10.0, REACH_MIN_M), (-10.0, REACH_MAX_M)])
+def test_no_line_is_shorter_or_longer_than_an_arm(bend_m, length_m):
+    assert reckoned(IDLE._replace(bend_m=bend_m), 0.4, 0.5)[1] == pytest.approx(length_m)
+
+
+def test_carried_on_for_no_time_it_is_where_it_was_seen():
+    seen, readings = swing()
+    found = DeadReckoning(seen[16], seen[20], readings).at(seen[20].t_ns)
+    assert found == pytest.approx(seen[20])
+
+
+def read(*t_ms, value=0.0):
+    past = Past()
+    for each in t_ms:
+        past.add(each * MS, value * each)
+    return past
+
+
+def test_axis_and_pressure_are_read_where_the_frame_shows_them():
+    readings = Readings(read(0, 50, 100, value=1.0), read(0, 50, 100, value=2.0), lag_ns=40 * MS)
+    assert readings.at(110 * MS) == pytest.approx((70.0, 0.0, 140.0))
+    assert Readings(read(0, 100), read(0), 0).at(100 * MS) is None
+    assert Readings(read(0), read(0, 100), 0).at(100 * MS) is None
+
+
+def test_where_the_axis_was_silent_at_either_frame_nothing_is_carried_on():
+    first, second = at_angle(40 * MS, 0.0), at_angle(85 * MS, 0.1)
+    for heard in ((0, 85), (70, 85), (0,)):  # at both, only at the second, only at the first
+        axis, pressure = read(*heard), read(0, 85, 110)
+        reckoning = DeadReckoning(first, second, Readings(axis, pressure, 0))
+        axis.add(110 * MS, 0.0)
+        assert (reckoning.at(110 * MS) is not None) is (heard == (0, 85))
+
+
+def test_what_is_lost_is_not_found_again():
+    axis, pressure = read(0, 33), read(0, 33, 100)
+    reckoning = DeadReckoning(at_angle(0, 0.0), at_angle(33 * MS, 0.1), Readings(axis, pressure, 0))
+    assert reckoning.at(100 * MS) is None
+    axis.add(110 * MS, 0.0)
+    assert reckoning.at(110 * MS) is None
+
+
+# How strong the arm is
+
+
+def told(strength_at, steps_ms, until_ms=1000, angle=0.8):
+    """By an arm that swings under a cart that stands, looked at in steps that come again and again."""
+    model, axis, pressure, rate = TipModel(), Past(), Past(), 0.0
+    strength, next_ms, looks = Strength(), 0, 0
+    for t_ms in range(until_ms):
+        if t_ms == next_ms:
+            axis.add(t_ms * MS, 0.0)
+            pressure.add(t_ms * MS, 5.0)
+            strength.see(at_angle(t_ms * MS, angle), Readings(axis, pressure, 0))
+            next_ms += steps_ms[looks % len(steps_ms)]
+            looks += 1
+        rate += strength_at(t_ms) * model.own_rad_s2(angle, rate, 5.0) * 1e-3
+        angle += rate * 1e-3
+    return strength.value
+
+
+@pytest.mark.parametrize("steps_ms", [(33,), (66,), (33, 66)])
+def test_the_arms_strength_is_told_over_steps_of_up_to_80_ms(steps_ms):
+    assert told(lambda _: 0.6, steps_ms) == pytest.approx(0.6, abs=0.04)
+
+
+@pytest.mark.parametrize("steps_ms", [(100,), (33, 100)])
+def test_no_strength_is_told_over_longer_steps(steps_ms):
+    assert told(lambda _: 0.6, steps_ms) == 1.0
+
+
+def test_the_strength_is_of_the_last_second():
+    """A payload that is dropped is forgotten."""
+    assert told(lambda t_ms: 0.6 if t_ms < 1000 else 1.2, (33,), until_ms=2100) == pytest.approx(1.2, abs=0.06)
+
+
+def test_no_arm_is_taken_for_half_as_strong_again_or_for_less_than_half():
+    assert told(lambda _: 0.2, (33,)) == 0.5
+    assert told(lambda _: 2.5, (33,)) == 1.5
+
+
+def of_three(angles, silent=False):
+    """What three sightings tell, 25 ms apart and without pressure; the axis may be silent at one more in between."""
+    strength, axis = Strength(), read(0, 25, 50, 75)
+    readings, blind = Readings(axis, axis, 0), Readings(Past(), axis, 0)
+    for tick, angle in enumerate(angles):
+        if silent and tick == 2:
+            strength.see(at_angle(2 * STEP_NS, angle), blind)
+        strength.see(at_angle((tick + (silent and tick == 2)) * STEP_NS, angle), readings)
+    return strength.value
+
+
+def test_the_models_own_strength_counts_as_much_as_what_200_would_tell():
+    """An arm that is held at an angle, where it would swing by 10 rad/s^2: as if it had no strength. Squares count."""
+    held = (10.0 - 0.9854) / 53.33
+    assert of_three([held] * 3) == pytest.approx(200 / (200 + 10.0**2))
+    assert of_three([held] * 3, silent=True) == 1.0
+
+
+def test_of_a_turning_arm_the_damping_counts():
+    """5 rad/s, neither faster nor slower."""
+    assert of_three([-0.125, 0.0, 0.125]) == pytest.approx(200 / (200 + (0.9854 + 5.0 * 0.6769) ** 2))
 
 
 def test_an_arm_that_hangs_still_is_carried_on_where_it_hangs():

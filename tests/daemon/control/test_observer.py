@@ -1,8 +1,10 @@
 import math
 
+import numpy as np
 import pytest
 
-from softarm.daemon.control.observer import Observer
+from softarm.daemon.control.dead_reckoning import TipModel
+from softarm.daemon.control.observer import Observer, as_array
 from softarm.daemon.control.records import Inputs
 from softarm.schemas.config import Config
 from softarm.schemas.messages import MocapFrame, Pose, PressureReading, RailReading
@@ -11,9 +13,9 @@ from softarm.schemas.policy import OBSERVATION
 MS = 1_000_000
 
 
-def frame(t_ms, cart=0.0, tip=(0.0, 0.52), sequence=None, tracked=True):
+def frame(t_ms, cart=0.0, tip=(0.0, 0.52), sequence=None, tracked=True, way_ms=0):
     bodies = [Pose(cart, 0.965, 0.0), *[Pose(0.0, 0.6, 0.0)] * 4, Pose(*tip, 0.0, tracked)]
-    return MocapFrame(t_ms if sequence is None else sequence, t_ms * MS, t_ms * MS, tuple(bodies))
+    return MocapFrame(t_ms if sequence is None else sequence, t_ms * MS, (t_ms + way_ms) * MS, tuple(bodies))
 
 
 def feed(observer, t_ms, *frames, pressure=5.0, rail=(0.0, 0.0)):
@@ -98,7 +100,8 @@ def test_nothing_is_differenced_across_a_gap_nor_before_there_are_two_frames():
     observer = Observer(Config())
     assert velocities(feed(observer, 0, frame(0))) == (0.0, 0.0, 0.0)
     assert velocities(feed(observer, 33, frame(33, cart=0.01, tip=(0.01, 0.53)))) != (0.0, 0.0, 0.0)
-    assert velocities(feed(observer, 500, frame(500, cart=0.2, tip=(0.2, 0.55)))) == (0.0, 0.0, 0.0)
+    assert velocities(feed(observer, 133, frame(133, cart=0.05, tip=(0.05, 0.53)))) != (0.0, 0.0, 0.0)
+    assert velocities(feed(observer, 234, frame(234, cart=0.1, tip=(0.1, 0.53)))) == (0.0, 0.0, 0.0)
 
 
 def test_two_frames_of_one_tick_are_differenced():
@@ -121,6 +124,45 @@ def test_a_frame_that_was_taken_before_the_newest_is_not_used():
     observed = feed(observer, 66, frame(24, tip=(-0.11, 0.52), sequence=34))
     assert observed.values.tip_y_m == -0.1
     assert observer.seen == ()
+
+
+def test_of_two_frames_of_one_stamp_the_first_is_used():
+    observer = Observer(Config())
+    observed = feed(observer, 33, frame(33, tip=(-0.1, 0.52)), frame(33, tip=(-0.11, 0.52), sequence=34))
+    assert observed.values.tip_y_m == -0.1
+    assert len(observer.seen) == 1
+
+
+def test_a_frame_that_cannot_be_true_is_not_used():
+    observer = Observer(Config())
+    feed(observer, 33, frame(33, tip=(-0.1, 0.52)))
+    observed = feed(observer, 66, frame(66, tip=(-0.1, 0.3)))  # farther from the cart than the arm is long
+    assert (observed.values.tip_z_m, observed.mocap_age_ns) == (0.52, 33 * MS)
+    assert observer.frames_in_a_row == 1
+
+
+def test_the_age_of_motion_capture_is_of_its_newest_good_frame():
+    observer = Observer(Config())
+    assert observer.mocap_age_ns(0) is None
+    feed(observer, 40, frame(16), frame(24), frame(31), frame(39, tracked=False))
+    assert observer.mocap_age_ns(50 * MS) == 19 * MS
+
+
+def test_poses_are_as_late_as_their_stamps_say_on_average():
+    observer = Observer(Config())
+    assert observer.mocap_late_ns() == 0
+    feed(observer, 33, frame(20, way_ms=4), frame(24, way_ms=8))
+    assert observer.mocap_late_ns() == 6 * MS
+
+
+def test_a_policy_takes_eight_numbers_or_with_its_sight_ten():
+    observer = Observer(Config())
+    for t_ms in (0, 33, 66, 99):
+        observed = feed(observer, t_ms, *([frame(t_ms)] if t_ms < 60 else []))
+    blind, sighted = as_array(observed, wants_sight=False), as_array(observed, wants_sight=True)
+    assert (blind.dtype, sighted.dtype) == (np.float32, np.float32)
+    assert blind == pytest.approx(observed.values)
+    assert sighted == pytest.approx((*observed.values, 0.066, observed.tip_deviation_m))
 
 
 def test_every_sensor_has_an_age_of_its_own():
@@ -203,6 +245,139 @@ def test_a_silent_axis_and_a_silent_camera_disagree_with_nobody():
             reading = RailReading(33 * at * MS, 0.02 * min(at, 20), 0.6 if at < 20 else 0.0, True)
             observer.update(Inputs(t_ns=33 * tick * MS, mocap=frames, rail=reading))
             assert observer.disagreeing_ticks == 0
+
+
+# Through the dark
+
+
+def place_m(t_ms):
+    """A cart that is read every 33 ms, and is faster from the 165th on."""
+    return 3e-4 * t_ms + 3e-4 * max(0, t_ms - 165)
+
+
+def fly(observer, t_ms, *, seen=True, age_ms=8):
+    """A tick of that cart."""
+    taken = t_ms - age_ms
+    frames = [frame(taken, cart=place_m(taken), tip=(place_m(taken), 0.53))] if seen else []
+    return feed(observer, t_ms, *frames, rail=(place_m(t_ms), 0.0))
+
+
+def test_in_the_dark_cart_and_velocities_go_on_as_the_axis_does():
+    """To when the cameras' newest would be from: a step is a step, seen or not."""
+    observer = Observer(Config())
+    for t_ms in range(0, 166, 33):
+        observed = fly(observer, t_ms)
+    assert (observed.dark_ns, observed.tip_deviation_m) == (0, 0.0)
+    observed = fly(observer, 198, seen=False)
+    assert observed.dark_ns == 33 * MS
+    assert observed.mocap_age_ns == 41 * MS
+    assert observed.tip_deviation_m == TipModel().deviation_m(0.033)
+    assert observed.values.cart_position_m == pytest.approx(place_m(190))
+    assert observed.values.cart_velocity_m_s == pytest.approx((place_m(190) - place_m(157)) / 0.033)
+    observed = fly(observer, 231, seen=False)
+    assert observed.dark_ns == 66 * MS
+    assert observed.values.cart_position_m == pytest.approx(place_m(223))
+    assert observed.values.cart_velocity_m_s == pytest.approx(0.6)
+    observed = fly(observer, 264)
+    assert (observed.dark_ns, observed.tip_deviation_m) == (0, 0.0)
+    assert observed.values.cart_velocity_m_s == pytest.approx(0.6)
+
+
+def test_nothing_was_carried_on_before_there_is_anything():
+    observer = Observer(Config())
+    assert (observer.dark_ns, observer.tip_deviation_m) == (0, 0.0)
+
+
+def test_it_is_carried_on_to_how_old_a_frame_is_at_best():
+    observer = Observer(Config())
+    for t_ms, age_ms in ((0, 20), (33, 8), (66, 14)):
+        fly(observer, t_ms, age_ms=age_ms)
+    assert fly(observer, 99, seen=False).dark_ns == (99 - 8 - 52) * MS
+
+
+def test_a_frame_that_came_after_the_ticks_start_is_carried_on_to_the_tick_alone():
+    observer = Observer(Config())
+    for t_ms in (0, 33):
+        fly(observer, t_ms, age_ms=-2)
+    assert fly(observer, 66, seen=False).dark_ns == 31 * MS
+
+
+@pytest.mark.parametrize(
+    ("age_ns", "dark"),
+    [(16_666_666, False), (16_666_667, True), (16_666_666 + 150 * MS, True), (16_666_667 + 150 * MS, False)],
+)
+def test_a_frame_is_carried_on_from_when_it_is_half_a_step_overdue_and_for_as_long_as_is_allowed(age_ns, dark):
+    observer = Observer(Config(failsafe={"mocap_bridge_s": 0.15}))
+    for t_ms in (0, 33):
+        feed(observer, t_ms, frame(t_ms))
+    now_ns = 33 * MS + age_ns
+    pressure, rail = PressureReading(now_ns, 5.0, True), RailReading(now_ns, 0.0, 0.0, True)
+    observer.update(Inputs(t_ns=now_ns, pressure=pressure, rail=rail))
+    assert observer.dark_ns == (age_ns if dark else 0)
+
+
+def test_each_dark_begins_where_the_light_ended():
+    observer = Observer(Config())
+    for t_ms, cart in ((0, 0.0), (33, 0.0), (66, None), (99, 0.01), (132, None)):
+        observed = feed(observer, t_ms, *([] if cart is None else [frame(t_ms, cart=cart)]))
+    assert observed.dark_ns == 33 * MS
+    assert observed.values.cart_position_m == pytest.approx(0.01)
+
+
+@pytest.mark.parametrize("every", [2, 3, 4])
+def test_no_dark_begins_with_what_the_one_before_made_up(every):
+    """An arm that hangs still is seen in every so manieth tick alone: it hangs still, for as long as that lasts."""
+    observer = Observer(Config())
+    for tick in range(60):
+        now, tremor_m = 33 * tick, 3e-4 * (tick // every % 2)
+        seen = [frame(now - ago, tip=(-0.009 + tremor_m, 0.525)) for ago in (24, 16, 8)]
+        observed = feed(observer, now, *(seen if tick < 8 or tick % every == 0 else []), pressure=0.0)
+        assert math.hypot(*velocities(observed)) < 0.1
+        assert math.dist(observed.values[2:4], (-0.009, 0.525)) < 0.005
+
+
+def test_a_late_tick_that_flew_by_what_was_carried_on_costs_the_next_no_step():
+    """It flew by a later instant than the next, whose frame is old but not overdue."""
+    observer = Observer(Config())
+    feed(observer, 0, frame(0))
+    feed(observer, 33, frame(8), frame(16, cart=0.01), frame(25), frame(33))
+    feed(observer, 60)
+    assert observer.dark_ns == 27 * MS
+    observed = feed(observer, 66, frame(50, cart=0.03, tip=(0.01, 0.52)))
+    assert observed.dark_ns == 0
+    assert observed.values.cart_velocity_m_s == pytest.approx(0.02 / 0.034)
+
+
+@pytest.mark.parametrize("strength", [0.6, 1.0, 1.4])
+def test_an_arm_is_carried_on_as_strong_as_it_showed_itself(strength):
+    """A payload swings slower. The cart stands, the pressure is 5 kPa."""
+    model, observer, angle, rate = TipModel(), Observer(Config()), 0.8, 0.0
+    for t_ms in range(1090):
+        rate += strength * model.own_rad_s2(angle, rate, 5.0) * 1e-3
+        angle += rate * 1e-3
+        if t_ms % 33 == 0:
+            length_m = 0.44 + model.bent_m(angle, 5.0)
+            tip = (length_m * math.sin(angle), 0.965 - length_m * math.cos(angle))
+            observed = feed(observer, t_ms, *([frame(t_ms, tip=tip)] if t_ms < 1000 else []))
+    assert observed.dark_ns == 99 * MS
+    assert math.dist(observed.values[2:4], tip) < 0.006
+
+
+def test_cameras_that_are_late_unsaid_are_late_and_carried_on_so():
+    """40 ms that no stamp tells of show beside the axis; 8 ms on the way are told."""
+
+    def swung_m(t_ms):
+        return 0.15 * math.sin(4.5e-3 * t_ms) + 0.04 * math.sin(11e-3 * t_ms)
+
+    observer = Observer(Config())
+    for t_ms in range(0, 1981, 33):
+        taken, cart = t_ms - 8, swung_m(t_ms - 48)
+        frames = [frame(taken, cart=cart, tip=(cart, 0.53), way_ms=8)] if t_ms < 1900 else []
+        speed_m_s = (swung_m(t_ms + 1) - swung_m(t_ms)) * 1e3
+        observed = feed(observer, t_ms, *frames, rail=(swung_m(t_ms), speed_m_s))
+    assert observer.mocap_late_ns() == pytest.approx(48 * MS, abs=3 * MS)
+    assert observed.dark_ns == 99 * MS
+    assert observed.values.cart_position_m == pytest.approx(swung_m(1980 - 48), abs=0.003)
 
 
 def test_a_frame_of_another_number_of_bodies_cannot_be_made():
