@@ -148,8 +148,9 @@ def compared(measured: Measured, config: Config) -> tuple[LimitRow, ...]:
     braking = _row(config, "braking_m_s2", measured.braking, measured.braking, measured.brakings)
     surge = _row(config, "surge_m_s2", measured.surge, measured.surge, measured.runs)
     drag = _row(config, "drag_m_s", measured.drag, measured.drag, measured.moving)
-    if drag.milder and _stops_anyway(config, measured, braking.advised or braking.configured):
-        why = f"{drag.why}; with braking_m_s2 {braking.advised:g} the cart stops in time all the same"
+    slows_by = braking.configured if braking.advised is None else braking.advised
+    if drag.milder and _stops_anyway(config, measured, slows_by):
+        why = f"{drag.why}; with braking_m_s2 {slows_by:g} the cart stops in time all the same"
         drag = replace(drag, advised=drag.configured, why=why)
     if measured.latency is None:
         braking, surge, drag = (replace(row, why=_UNTIMED) for row in (braking, surge, drag))
@@ -167,7 +168,7 @@ def _stops_anyway(config: Config, measured: Measured, counted_on_m_s2: float) ->
 
     Or half of the margin behind: from any speed.
     """
-    if measured.braking is None or measured.drag is None:
+    if measured.drag is None or measured.braking is None or measured.braking.value <= 0.0:
         return False
     limits, drag_m_s = config.limits.rail, measured.drag.value
     return all(

@@ -40,6 +40,11 @@ def found(config: Config, seen: Measured) -> RailFindings:
         (measured(0.01, 6.0, 8.0, 0.08), {}),  # of a robot that brakes twice as hard as is counted on
         (measured(0.01, 2.0, 8.0, 0.08), {"braking_m_s2": 2.0, "drag_m_s": 0.08}),
         (measured(0.01, 6.0, 8.0, 0.25), {"drag_m_s": 0.25}),
+        (
+            measured(0.01, -0.1, 8.0, 0.25),
+            {"braking_m_s2": None, "drag_m_s": 0.25},
+        ),  # nothing that is allowed covers the braking
+        (measured(0.01, 0.0, 8.0, 0.25), {"braking_m_s2": None, "drag_m_s": 0.25}),
         (measured(None, None, None), {}),
     ],
 )
