@@ -47,6 +47,8 @@ COST_WORLDS = {
     "ramp 2 m/s^2": {"ramp_m_s2": 2.0},
     "ramp 4 m/s^2": {"ramp_m_s2": 4.0},
     "ramp 8 m/s^2": {"ramp_m_s2": 8.0},
+    "payload 50 g": {"payload_kg": 0.05},
+    "payload 100 g": {"payload_kg": 0.1},
     "latency 67 ms": {"latency_s": 0.067},
     "latency 100 ms": {"latency_s": 0.1},
     "readings 30 ms old": {"age_s": 0.03},

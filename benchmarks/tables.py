@@ -487,7 +487,6 @@ TABLES: dict[str, Callable[[Read], str]] = {
     "adversary": adversary,
     "adversary-cost": adversary_cost,
     "limits": rail_limits,
-    "mutants": mutants,
     "simulator": simulator,
     "blind": blind,
     "blind-methods": blind_methods,
