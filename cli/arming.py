@@ -7,12 +7,17 @@ import click
 from softarm.cli.errors import fail
 from softarm.cli.remote import Remote, remote
 
+_PATIENCE_S = 1.0
 _POLL_S = 0.05
 
 
-def wait_while(daemon: Remote, mode: str) -> dict[str, object]:
-    """Poll until the daemon has left a mode; the daemon's own time limits end the wait."""
+def wait_while(daemon: Remote, mode: str, why: str) -> dict[str, object]:
+    """Poll until the daemon has left a mode; its own time limits end the wait. Says why, if that takes a while."""
+    said, since_s = False, time.monotonic()
     while (status := daemon.get("/api/status"))["mode"] == mode:
+        if not said and time.monotonic() - since_s > _PATIENCE_S:
+            click.echo(why, err=True)
+            said = True
         time.sleep(_POLL_S)
     return dict(status)
 
@@ -29,7 +34,7 @@ def arm(daemon: Remote) -> None:
       softarm arm
     """
     daemon.post("/api/arm")
-    status = wait_while(daemon, "arming")
+    status = wait_while(daemon, "arming", "waiting for drive and regulator")
     if status["mode"] != "armed":
         fail(f"not armed but {status['mode']}: {status.get('last_stop') or 'see `softarm status`'}")
     click.echo("armed")
@@ -38,14 +43,14 @@ def arm(daemon: Remote) -> None:
 @click.command()
 @remote
 def disarm(daemon: Remote) -> None:
-    """Brake the cart, vent the muscle, switch the drive off.
+    """Brake the cart, vent the muscle, hold until the arm is still (10 s at most), switch the drive off.
 
     \b
     Example:
       softarm disarm
     """
     daemon.post("/api/disarm")
-    click.echo(wait_while(daemon, "stopping")["mode"])
+    click.echo(wait_while(daemon, "stopping", "holding the cart until the arm hangs still")["mode"])
 
 
 @click.command()

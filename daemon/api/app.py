@@ -155,7 +155,7 @@ class _Api:
         return await self._ask("arm")
 
     async def disarm(self) -> Response:
-        """Brake, vent, switch off. Always taken."""
+        """Brake, vent, hold the cart until the arm is still, switch off. Always taken."""
         return await self._ask("disarm")
 
     async def stop(self) -> Response:

@@ -14,9 +14,7 @@ class Response(IntEnum):
     """What an event does to an armed robot, mildest first."""
 
     WARN = 0  # shown and logged
-    SOFT_STOP = (
-        1  # brake, vent, hold the cart until the arm is still, then disarmed; arming again is a person's decision
-    )
+    SOFT_STOP = 1  # brake, vent, hold the cart until the arm is still, then disarmed; a person arms again
     STOP = 2  # the same at once, drive off, latched until acknowledged
 
 

@@ -15,7 +15,7 @@ class Mode(StrEnum):
     DISARMED = "disarmed"  # drive off, muscle vented; the default
     ARMING = "arming"  # waiting for drive and regulator to take the arm command
     ARMED = "armed"  # the policy of the running goal, or a hold, has the arm
-    STOPPING = "stopping"  # braking and venting; ends disarmed
+    STOPPING = "stopping"  # braking and venting, the cart held until the arm is still; ends disarmed
     STOPPED = "stopped"  # emergency stop, latched until acknowledged
 
 

@@ -61,6 +61,16 @@ def test_disarm_stop_and_acknowledge(softarm, daemon, make_status, verb, path, p
     assert daemon.requests[0] == ("POST", path, None)
 
 
+def test_a_disarming_that_takes_a_while_says_once_what_it_waits_for(softarm, daemon, make_status, monkeypatch):
+    monkeypatch.setattr("softarm.cli.arming._PATIENCE_S", -1.0)
+    daemon.on("POST", "/api/disarm", make_status(mode=Mode.STOPPING))
+    stopping = [make_status(mode=Mode.STOPPING)] * 2
+    daemon.on("GET", "/api/status", *stopping, make_status(mode=Mode.DISARMED))
+    result = softarm("disarm")
+    assert (result.exit_code, result.stdout) == (0, "disarmed\n")
+    assert result.stderr == "holding the cart until the arm hangs still\n"
+
+
 @pytest.fixture
 def stop_way():
     """The inbox of a daemon that is stopped already, behind the stop's own way, and its port."""
