@@ -11,6 +11,7 @@ import subprocess
 import sys
 import time
 from collections.abc import AsyncIterator
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -93,18 +94,35 @@ async def served(drive: Drive) -> AsyncIterator[DryveRail]:
 @contextlib.asynccontextmanager
 async def flying(config: DryveRail, drive: Drive, until: Any) -> AsyncIterator[tuple[int, int]]:
     """A daemon that moves the cart: its process and the rail's."""
-    daemon = await asyncio.create_subprocess_exec(
-        sys.executable, "-c", DAEMON, config.model_dump_json(), stdout=subprocess.PIPE, start_new_session=True
-    )
-    assert daemon.stdout is not None
-    rail = int(await daemon.stdout.readline())
+    daemon, rail = await launched(config)
     try:
-        await until(lambda: drive.moving, drive.step)
+        while not await moves(drive):  # on a busy machine it may be late, and the drive off again before it moves
+            daemon.kill()
+            await daemon.wait()
+            await until(partial(gone, rail), drive.step)
+            daemon, rail = await launched(config)
         yield daemon.pid, rail
     finally:
         with contextlib.suppress(ProcessLookupError):
             daemon.kill()
         await daemon.wait()
+
+
+async def launched(config: DryveRail) -> tuple[asyncio.subprocess.Process, int]:
+    daemon = await asyncio.create_subprocess_exec(
+        sys.executable, "-c", DAEMON, config.model_dump_json(), stdout=subprocess.PIPE, start_new_session=True
+    )
+    assert daemon.stdout is not None
+    return daemon, int(await daemon.stdout.readline())
+
+
+async def moves(drive: Drive) -> bool:
+    with contextlib.suppress(TimeoutError):
+        async with asyncio.timeout(5.0):
+            while not drive.moving:
+                drive.step()
+                await asyncio.sleep(0.002)
+    return drive.moving
 
 
 def gone(process: int) -> bool:
