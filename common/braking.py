@@ -63,7 +63,7 @@ class BrakingLaw(NamedTuple):
     braking_m_s2: float
     latency_s: float  # from a command to its effect on the cart, at most
     hold_s: float  # a set-point that is not renewed for so long is followed by the link's own brake
-    drag_m_s: float = 0.0  # by which the arm may come to drag the cart beyond its set-point, unseen as yet
+    drag_m_s: float  # by which the arm may come to drag the cart beyond its set-point, unseen as yet
 
     def in_float32(self) -> Self:
         """For float32 batches: a 64-bit constant among them would widen what it is chosen beside."""

@@ -7,7 +7,7 @@ from softarm.common.braking import BrakingLaw
 from softarm.daemon.control.following import TICKS, TOLERANCE_M_S, Following
 from softarm.schemas.messages import RailReading
 
-LAW = BrakingLaw(-0.24, 0.24, surge_m_s2=9.0, braking_m_s2=2.0, latency_s=0.05, hold_s=0.045)
+LAW = BrakingLaw(-0.24, 0.24, surge_m_s2=9.0, braking_m_s2=2.0, latency_s=0.05, hold_s=0.045, drag_m_s=0.0)
 TICK_NS = 33_000_000
 AGE_NS = 20_000_000  # of each reading
 
