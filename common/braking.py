@@ -4,8 +4,9 @@ A velocity command passes when the cart can still stop after it, whatever of thi
 as late as `latency_s`; the reading is as old as it says; the next set-point comes in time or never, and then the
 rail's link brakes by itself once this one is `hold_s` old. So for the upper end the cart is taken to follow, at every
 moment, the highest of the set-points that may act then, to speed up by `surge_m_s2` and to slow down by no more than
-`braking_m_s2`: the drive's ramp, helped or hindered by the swinging arm. No cart that does better gets farther, for
-of two carts at one place the faster stays ahead. Where less is known, less speed passes.
+`braking_m_s2`: the drive's ramp, helped or hindered by the swinging arm. A set-point counts with what the arm drags
+the cart beyond it: what is seen of that, and `drag_m_s` at least. No cart that does better gets farther, for of two
+carts at one place the faster stays ahead. Where less is known, less speed passes.
 
 Pure arithmetic on plain numbers, +y towards the rail's upper end. A number is a float or an array [R]; the same lines
 serve both, so what a policy trains with is what it will fly with.
