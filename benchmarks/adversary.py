@@ -19,7 +19,7 @@ import click
 import numpy as np
 
 from softarm.benchmarks import results
-from softarm.benchmarks.adversary_batch import GENERATIONS, KINDS, Genes, Policies, World, attack, measured
+from softarm.benchmarks.adversary_batch import GENERATIONS, KINDS, PATCHED, Genes, Policies, World, attack, measured
 from softarm.common.processes import bar
 from softarm.daemon.control.records import Mode
 from softarm.daemon.shell.offline import Lockstep
@@ -136,9 +136,7 @@ def attack_by_ticks(world: World, seed: int) -> dict[str, Any]:
         farthest[name] = body.farthest_m
     return {
         "world": world.__dict__,
-        "limits": {
-            key: round(getattr(limits, key), 3) for key in ("braking_m_s2", "surge_m_s2", "latency_s", "drag_m_s")
-        },
+        "limits": {key: round(getattr(limits, key), 3) for key in PATCHED},
         "seed": seed,
         "robot_ticks": ticks,
         "farthest_m": farthest,

@@ -27,6 +27,7 @@ KINDS = ("random", "bang-bang", "periodic", "with the swing", "against the swing
 STOP_FROM_M_S = 0.15  # a stop from less says little of the brake
 MEASURED_TICKS, GENERATIONS, FLOWN_TICKS = 150, 4, 200
 PARENTS = 0.1  # of a generation
+PATCHED = ("braking_m_s2", "surge_m_s2", "latency_s", "drag_m_s")  # of limits.rail, to fit a robot
 CAUTION = 0.8  # of the worst stop that was seen: the worst of more is a little worse
 
 
@@ -302,9 +303,7 @@ def attack(world: World, robots: int, seed: int) -> dict[str, Any]:
     everything = np.concatenate(beyond)
     return {
         "world": asdict(world),
-        "limits": {
-            key: round(getattr(limits, key), 3) for key in ("braking_m_s2", "surge_m_s2", "latency_s", "drag_m_s")
-        },
+        "limits": {key: round(getattr(limits, key), 3) for key in PATCHED},
         "seed": seed,
         "robot_ticks": (1 + GENERATIONS) * FLOWN_TICKS * robots,
         "farthest_m": {**farthest, "search": float(max(each.max() for each in beyond[1:]))},
