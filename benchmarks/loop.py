@@ -132,8 +132,8 @@ def _figures(log: Iterable[Tick], window: tuple[int, int], bare: BareLoop) -> di
 
 
 def _spread(values_ns: list[int]) -> dict[str, float]:
-    p50, p99, top = np.percentile(np.array(values_ns) / 1e6, [50, 99, 100])
-    return {"p50": float(p50), "p99": float(p99), "max": float(top)}
+    p50, p99, p999, top = np.percentile(np.array(values_ns) / 1e6, [50, 99, 99.9, 100])
+    return {"p50": float(p50), "p99": float(p99), "p99.9": float(p999), "max": float(top)}
 
 
 def _hammer(url: str, seconds: float) -> None:

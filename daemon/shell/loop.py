@@ -25,6 +25,7 @@ from softarm.schemas.robot import CONTROL_RATE_HZ
 
 log = logging.getLogger(__name__)
 
+AWAKE_NS = 300_000  # waited out awake before a tick: a core just out of its sleep takes twice as long for one
 COLLECT_SLACK_NS = 15_000_000  # garbage is collected only when so much of the period is left
 COLLECT_ALL_EVERY = (
     300  # collections; the others leave alone what has survived two, such as a connection of some seconds
@@ -149,7 +150,7 @@ class ControlLoop:
 
     async def _sleep_until(self, deadline_ns: int) -> None:
         while (left := deadline_ns - self._clock()) > 0:
-            await asyncio.sleep(left * 1e-9)
+            await asyncio.sleep(max(0, left - AWAKE_NS) * 1e-9)
 
     def _tick(self, deadline_ns: int) -> int:
         """Read, decide, write; returns the next deadline."""
