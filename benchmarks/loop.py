@@ -133,7 +133,7 @@ def _figures(log: Iterable[Tick], window: tuple[int, int], bare: BareLoop) -> di
 
 def _spread(values_ns: list[int]) -> dict[str, float]:
     p50, p99, p999, top = np.percentile(np.array(values_ns) / 1e6, [50, 99, 99.9, 100])
-    return {"p50": float(p50), "p99": float(p99), "p99.9": float(p999), "max": float(top)}
+    return {"p50": float(p50), "p99": float(p99), "p999": float(p999), "max": float(top)}
 
 
 def _hammer(url: str, seconds: float) -> None:
@@ -182,9 +182,11 @@ def main(seconds: float, json_file: Path | None, model_file: Path | None) -> Non
         raise click.ClickException(str(error)) from None
     if json_file is not None:
         results.write(json_file, result)
-    table = Table("p50 / p99 / max", *result)
+    table = Table("p50 / p99 / p99.9 / max", *result)
     for name, label in SHOWN.items():
-        table.add_row(label, *("{p50:.2f} / {p99:.2f} / {max:.2f}".format(**part[name]) for part in result.values()))
+        table.add_row(
+            label, *("{p50:.2f} / {p99:.2f} / {p999:.2f} / {max:.2f}".format(**part[name]) for part in result.values())
+        )
     for name, label in COUNTED.items():
         table.add_row(label, *(str(part[name]) for part in result.values()))
     Console().print(table)

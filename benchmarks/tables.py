@@ -236,8 +236,8 @@ def ablation(read: Read) -> str:
 # Loop, simulator, diagnosis ------------------------------------------------------------------------------------------
 
 _LOOP = {
-    "compute_ms": ("compute", "2"),
-    "lateness_ms": ("lateness", "3"),
+    "compute_ms": ("compute", "1"),
+    "lateness_ms": ("lateness", "1"),
     "bare_loop_lateness_ms": ("lateness of the bare loop", ""),
     "sensor_to_command_ms": ("sensor to command", ""),
 }
@@ -248,11 +248,15 @@ def loop(read: Read) -> str:
     found = read("loop")
     conditions = [found["idle"], found["hammered"]]
     rows = [
-        [title, *(" / ".join(f"{at[key][part]:.2f}" for part in ("p50", "p99", "max")) for at in conditions), aim]
+        [
+            title,
+            *(" / ".join(f"{at[key][part]:.2f}" for part in ("p50", "p99", "p999", "max")) for at in conditions),
+            aim,
+        ]
         for key, (title, aim) in _LOOP.items()
     ]
     rows.append(["missed ticks", *(f"{at['missed_ticks']} of {at['ticks']}" for at in conditions), "0"])
-    return markdown(("p50 / p99 / max (ms)", "idle", "hammered", "aim (p99)"), rows)
+    return markdown(("p50 / p99 / p99.9 / max (ms)", "idle", "hammered", "aim (p99.9)"), rows)
 
 
 def stop(read: Read) -> str:
