@@ -29,12 +29,12 @@ from softarm.benchmarks import mujoco_sysid, results
 from softarm.common.processes import bar, cores
 from softarm.diagnosis.blind import cases, make
 from softarm.diagnosis.blind.imperfections import draw_nuisances
+from softarm.diagnosis.data.read import read_all
+from softarm.diagnosis.data.trials import Trial, TrialError
 from softarm.diagnosis.diagnose import diagnose
-from softarm.diagnosis.gap.robot_views import robot_views
-from softarm.diagnosis.gap.trial_grid import TrialGrid, on_grid
-from softarm.diagnosis.read import read_all
-from softarm.diagnosis.shrink import point_between
-from softarm.diagnosis.trials import Trial, TrialError
+from softarm.diagnosis.robot.shrink import point_between
+from softarm.diagnosis.robot.trial_grid import TrialGrid, on_grid
+from softarm.diagnosis.robot.views import robot_views
 from softarm.reality.parameters import RobotParameters
 from softarm.schemas.excitation import EXCITATIONS
 from softarm.schemas.model import Model

@@ -18,8 +18,8 @@ from mujoco import sysid
 from numpy.typing import NDArray
 from scipy.interpolate import CubicHermiteSpline
 
-from softarm.diagnosis.gap.robot_views import directions
-from softarm.diagnosis.gap.trial_grid import RATE_HZ, SKIPPED_S, TrialGrid
+from softarm.diagnosis.robot.trial_grid import RATE_HZ, SKIPPED_S, TrialGrid
+from softarm.diagnosis.robot.views import directions
 from softarm.schemas.model import Model
 from softarm.simulator.mjcf import export
 

@@ -100,7 +100,7 @@ def open_(data: Path, labels_file: Path, answer_files: tuple[Path, ...], fresh: 
     """
     from softarm.diagnosis.blind import opening
     from softarm.diagnosis.blind.seal import SealError
-    from softarm.diagnosis.trials import TrialError
+    from softarm.diagnosis.data.trials import TrialError
 
     try:
         with bar("opening", total=None) as shown:

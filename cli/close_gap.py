@@ -55,9 +55,9 @@ def close_gap(
     from softarm.daemon.config.configuration import ConfigurationError, load
     from softarm.daemon.limits.findings import findings
     from softarm.diagnosis import report
+    from softarm.diagnosis.data.read import rail_motions
+    from softarm.diagnosis.data.trials import TrialError
     from softarm.diagnosis.from_files import diagnose_files
-    from softarm.diagnosis.read import rail_motions
-    from softarm.diagnosis.trials import TrialError
     from softarm.flights.closing import steps
     from softarm.policies.base import PolicyError
     from softarm.schemas.config import Config

@@ -13,7 +13,7 @@ from softarm.cli.rail_limits import limits_option, write_limits
 from softarm.common.processes import bar
 
 if TYPE_CHECKING:
-    from softarm.diagnosis.gap.result import Diagnosis
+    from softarm.diagnosis.engine.result import Diagnosis
 
 INPUT = click.Path(path_type=Path)
 
@@ -53,8 +53,8 @@ def diagnose(
     """
     from softarm.common import files
     from softarm.diagnosis import report
+    from softarm.diagnosis.data.trials import TrialError
     from softarm.diagnosis.from_files import TABLES, diagnose_files
-    from softarm.diagnosis.trials import TrialError
     from softarm.simulator import model_file as models
 
     if data is not None and not any(path.suffix in TABLES for path in inputs):

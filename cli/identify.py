@@ -11,7 +11,7 @@ from softarm.cli.rail_limits import limits_option, write_limits
 from softarm.common.processes import bar
 
 if TYPE_CHECKING:
-    from softarm.diagnosis.identify import Identification, IdentifiedParameter
+    from softarm.diagnosis.identify.identify import Identification, IdentifiedParameter
 
 INPUT = click.Path(path_type=Path)
 
@@ -48,9 +48,9 @@ def identify(
     import json
 
     from softarm.common import files
-    from softarm.diagnosis.identify import identify as fit
-    from softarm.diagnosis.read import read_all
-    from softarm.diagnosis.trials import TrialError
+    from softarm.diagnosis.data.read import read_all
+    from softarm.diagnosis.data.trials import TrialError
+    from softarm.diagnosis.identify.identify import identify as fit
     from softarm.schemas.model import Model
     from softarm.simulator import model_file as models
 
@@ -82,7 +82,7 @@ def identify(
 def _pictures(result: "Identification", folder: Path | None) -> list[Path]:
     if folder is None:
         return []
-    from softarm.diagnosis import plots
+    from softarm.diagnosis.identify import plots
 
     return plots.save(result, folder)
 
@@ -92,7 +92,7 @@ def _show(result: "Identification") -> None:
     from rich.console import Console
     from rich.table import Table
 
-    from softarm.diagnosis.identify import gain_nm_psi
+    from softarm.diagnosis.identify.identify import gain_nm_psi
 
     console = Console()
     table = Table("joint", "K (N m/rad)", "D (N m s/rad)", "b (N m/kPa)", "b (N m/psi)", "offset (N m)")

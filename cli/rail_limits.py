@@ -23,7 +23,7 @@ def write_limits(inputs: Sequence[Path], file: Path) -> "RailFindings":
     """Write limits-patch.yaml and say what becomes stricter. Raises TrialError, OSError."""
     from softarm.common import files
     from softarm.daemon.limits.findings import findings
-    from softarm.diagnosis.read import rail_motions
+    from softarm.diagnosis.data.read import rail_motions
 
     found = findings(rail_motions(inputs))
     files.write_text(file, found.patch())

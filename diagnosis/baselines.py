@@ -7,13 +7,13 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from softarm.diagnosis.gap.candidates import candidates, nuisances
-from softarm.diagnosis.gap.fits import Fit
-from softarm.diagnosis.gap.problem import Setup
-from softarm.diagnosis.gap.robot_views import robot_views
-from softarm.diagnosis.gap.search import EFFECTS_MAX, Search
-from softarm.diagnosis.gap.trial_grid import on_grid
-from softarm.diagnosis.trials import Trial
+from softarm.diagnosis.data.trials import Trial
+from softarm.diagnosis.engine.fits import Fit
+from softarm.diagnosis.engine.problem import Setup
+from softarm.diagnosis.engine.search import EFFECTS_MAX, Search
+from softarm.diagnosis.robot.candidates import candidates, nuisances
+from softarm.diagnosis.robot.trial_grid import on_grid
+from softarm.diagnosis.robot.views import robot_views
 from softarm.schemas.model import Model
 from softarm.schemas.verdict import Estimate, Gap, Interval, NamedEffect, Shrink, Verdict, Where
 from softarm.simulator.effects import REGISTRY

@@ -2,10 +2,10 @@
 
 from collections.abc import Sequence
 
-from softarm.diagnosis.gap.result import Diagnosis
-from softarm.diagnosis.gap.search import Progress
-from softarm.diagnosis.robot import Robot
-from softarm.diagnosis.trials import Trial, TrialError
+from softarm.diagnosis.data.trials import Trial, TrialError
+from softarm.diagnosis.engine.result import Diagnosis
+from softarm.diagnosis.engine.search import Progress
+from softarm.diagnosis.robot.diagnose import Robot
 from softarm.schemas.model import Model
 
 

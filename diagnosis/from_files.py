@@ -3,13 +3,13 @@
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from softarm.diagnosis import tables
+from softarm.diagnosis.data import tables
+from softarm.diagnosis.data.folder import is_trial
+from softarm.diagnosis.data.read import read_all
+from softarm.diagnosis.data.trials import Trial, TrialError, unique_names
 from softarm.diagnosis.diagnose import diagnose
-from softarm.diagnosis.folder import is_trial
-from softarm.diagnosis.gap.result import Diagnosis
-from softarm.diagnosis.gap.search import Progress
-from softarm.diagnosis.read import read_all
-from softarm.diagnosis.trials import Trial, TrialError, unique_names
+from softarm.diagnosis.engine.result import Diagnosis
+from softarm.diagnosis.engine.search import Progress
 from softarm.schemas.model import Model
 from softarm.simulator import model_file
 

@@ -3,7 +3,7 @@
 from collections.abc import Callable, Sequence
 from typing import Protocol
 
-from softarm.diagnosis.trials import Trial
+from softarm.diagnosis.data.trials import Trial
 from softarm.schemas.model import Model
 from softarm.schemas.verdict import Verdict
 

@@ -6,10 +6,10 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from softarm.diagnosis import read
 from softarm.diagnosis.blind import pages, run, seal
 from softarm.diagnosis.blind.score import Scored, score
-from softarm.diagnosis.trials import Trial
+from softarm.diagnosis.data import read
+from softarm.diagnosis.data.trials import Trial
 from softarm.schemas.model import Model
 from softarm.schemas.verdict import Verdict
 from softarm.simulator import model_file
@@ -21,8 +21,8 @@ OnCase = Callable[[str, int, int], None]
 
 
 def measure_shrink(trials: Sequence[Trial], nominal: Model, patched: Model) -> Mapping[str, float]:
-    """That of `softarm.diagnosis.shrink`, imported when it is needed."""
-    from softarm.diagnosis import shrink
+    """That of `softarm.diagnosis.robot.shrink`, imported when it is needed."""
+    from softarm.diagnosis.robot import shrink
 
     return shrink.measure_shrink(trials, nominal, patched)
 

@@ -11,9 +11,9 @@ from typing import Any
 
 from softarm import common, diagnosis, schemas, simulator
 from softarm.common.processes import as_they_come
-from softarm.diagnosis import read
 from softarm.diagnosis.blind import methods, seal
-from softarm.diagnosis.trials import Trial
+from softarm.diagnosis.data import read
+from softarm.diagnosis.data.trials import Trial
 from softarm.schemas.model import Model
 from softarm.schemas.verdict import Verdict
 from softarm.simulator import model_file

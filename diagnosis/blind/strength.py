@@ -19,7 +19,6 @@ from numpy.typing import NDArray
 
 from softarm.common import files
 from softarm.common.processes import as_they_come, cores
-from softarm.diagnosis import folder
 from softarm.diagnosis.blind import pages
 from softarm.diagnosis.blind.imperfections import (
     KNOWN,
@@ -31,7 +30,8 @@ from softarm.diagnosis.blind.imperfections import (
     stage_of,
     variants_of,
 )
-from softarm.diagnosis.trials import Trial
+from softarm.diagnosis.data import folder
+from softarm.diagnosis.data.trials import Trial
 from softarm.reality.parameters import RobotParameters
 from softarm.reality.record import SETTLE_S, record
 from softarm.schemas.excitation import EXCITATIONS

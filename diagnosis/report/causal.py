@@ -2,7 +2,7 @@
 
 from typing import NamedTuple
 
-from softarm.diagnosis.gap.result import Diagnosis
+from softarm.diagnosis.engine.result import Diagnosis
 from softarm.diagnosis.report.words import change
 from softarm.pages.drawing import line, svg, write
 from softarm.pages.markup import Html, el, join

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterable
 
-from softarm.diagnosis.gap.result import Diagnosis, Regime, Rival, Spectrum
+from softarm.diagnosis.engine.result import Diagnosis, Regime, Rival, Spectrum
 from softarm.diagnosis.report import overlays
 from softarm.diagnosis.report.words import interval, percents, unit_of
 from softarm.pages import charts, plot

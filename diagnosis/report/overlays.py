@@ -6,7 +6,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from softarm.diagnosis.gap.result import Diagnosis, Overlay
+from softarm.diagnosis.engine.result import Diagnosis, Overlay
 from softarm.pages import plot
 
 Array = NDArray[np.float64]

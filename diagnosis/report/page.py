@@ -4,7 +4,7 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from softarm.common import files
-from softarm.diagnosis.gap.result import Diagnosis
+from softarm.diagnosis.engine.result import Diagnosis
 from softarm.diagnosis.report import evidence, overlays, sections
 from softarm.diagnosis.report.words import headline
 from softarm.pages.document import Section, document

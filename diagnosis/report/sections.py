@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from softarm.diagnosis.gap.result import Diagnosis
+from softarm.diagnosis.engine.result import Diagnosis
 from softarm.diagnosis.report import causal, evidence
 from softarm.diagnosis.report.words import (
     answer,

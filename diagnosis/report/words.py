@@ -3,7 +3,7 @@
 import math
 from collections.abc import Mapping, Sequence
 
-from softarm.diagnosis.gap.result import Diagnosis
+from softarm.diagnosis.engine.result import Diagnosis
 from softarm.pages.numbers import listed, number, percent, quantity, scaled
 from softarm.schemas.verdict import Interval, NamedEffect, Quantity
 from softarm.simulator import effects

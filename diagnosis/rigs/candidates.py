@@ -1,9 +1,9 @@
-"""What may be fitted to a stage of a rig, and what is no news beside it: `diagnosis/gap/candidates.py` for tables."""
+"""What may be fitted to a stage of a rig, and what is no news beside it: as `robot/candidates.py`, for tables."""
 
 import math
 from collections.abc import Iterator, Sequence
 
-from softarm.diagnosis.gap.candidates import Candidate, FittedParameter, Nuisance
+from softarm.diagnosis.engine.candidates import Candidate, FittedParameter, Nuisance
 from softarm.diagnosis.rigs.views import RigView
 from softarm.simulator.effects import Effect, Parameter
 

@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from softarm.diagnosis.gap.view import Array
+from softarm.diagnosis.engine.view import Array
 
 FEATURES = 150
 RIDGE = 0.1  # a sample's share of the normal equations' trace

@@ -10,12 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softarm.common import resample
-from softarm.diagnosis.gap.fits import Fit, FitProblem
-from softarm.diagnosis.gap.problem import Setup
-from softarm.diagnosis.gap.result import Diagnosis, Leftover, Overlay, Regime, Rival
-from softarm.diagnosis.gap.search import Gain, Progress, SelectedEffect
-from softarm.diagnosis.gap.view import Array
-from softarm.diagnosis.gap.whitened import BLOCK_S, blocks_of
+from softarm.diagnosis.data.trials import Trial, TrialError
+from softarm.diagnosis.engine.fits import Fit, FitProblem
+from softarm.diagnosis.engine.problem import Setup
+from softarm.diagnosis.engine.result import Diagnosis, Leftover, Overlay, Regime, Rival
+from softarm.diagnosis.engine.search import Gain, Progress, SelectedEffect
+from softarm.diagnosis.engine.view import Array
+from softarm.diagnosis.engine.whitened import BLOCK_S, blocks_of
 from softarm.diagnosis.rigs.candidates import candidates, nuisances
 from softarm.diagnosis.rigs.ceiling import ceiling
 from softarm.diagnosis.rigs.grid import windows
@@ -23,7 +24,6 @@ from softarm.diagnosis.rigs.pendulum import WINDOW_S, PendulumView
 from softarm.diagnosis.rigs.selection import Backward, Refitted
 from softarm.diagnosis.rigs.tracking import TrackingView, velocity_warnings
 from softarm.diagnosis.rigs.views import RigView
-from softarm.diagnosis.trials import Trial, TrialError
 from softarm.schemas.verdict import Estimate, Gap, Interval, NamedEffect, Quantity, Shrink, Verdict, Where
 
 NULL_FLOORS = 2.0  # a gap below this many floors is none

@@ -7,7 +7,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from softarm.diagnosis.trials import Array, Series, Trial, TrialError
+from softarm.diagnosis.data.trials import Array, Series, Trial, TrialError
 
 RATE_MAX_HZ = 200.0
 LEVELS_LEAST = 10  # fewer say nothing of the steps between

@@ -7,12 +7,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import savgol_filter
 
-from softarm.diagnosis.gap.view import Array, Point
+from softarm.diagnosis.data.trials import TableStage, Trial, TrialError
+from softarm.diagnosis.engine.view import Array, Point
 from softarm.diagnosis.rigs import kernels
 from softarm.diagnosis.rigs.grid import Grid, grid, smallest_step
 from softarm.diagnosis.rigs.views import RigView
 from softarm.diagnosis.rigs.vocabulary import effects
-from softarm.diagnosis.trials import TableStage, Trial, TrialError
 
 RATE_HZ = 100.0  # ten times the fastest swing of a laboratory's pendulum
 SUBSTEP_S = 0.0105

@@ -10,13 +10,13 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from softarm.diagnosis.gap import box
-from softarm.diagnosis.gap.candidates import Candidate
-from softarm.diagnosis.gap.fits import Fit, FitProblem, Set, U, point_of, split
-from softarm.diagnosis.gap.problem import PER_SECOND
-from softarm.diagnosis.gap.search import GAIN_MIN, RIVAL_SHARE, TIE, Gain, Search, bootstrap
-from softarm.diagnosis.gap.view import Array
-from softarm.diagnosis.gap.whitened import BLOCK_S, Moments, Rows
+from softarm.diagnosis.engine import box
+from softarm.diagnosis.engine.candidates import Candidate
+from softarm.diagnosis.engine.fits import Fit, FitProblem, Set, U, point_of, split
+from softarm.diagnosis.engine.problem import PER_SECOND
+from softarm.diagnosis.engine.search import GAIN_MIN, RIVAL_SHARE, TIE, Gain, Search, bootstrap
+from softarm.diagnosis.engine.view import Array
+from softarm.diagnosis.engine.whitened import BLOCK_S, Moments, Rows
 
 SHARE_MIN, FLOORS_MIN = 0.10, 0.30  # of the energy that is left without an effect, and in units of the floor's
 MISFIT_SHARE = 0.25  # of the loss that the best leaves: what a rival may lack and still be the cause

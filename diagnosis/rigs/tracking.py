@@ -5,12 +5,12 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from softarm.diagnosis.gap.view import Array, Point
+from softarm.diagnosis.data.trials import Series, Trial, TrialError
+from softarm.diagnosis.engine.view import Array, Point
 from softarm.diagnosis.rigs import kernels
 from softarm.diagnosis.rigs.grid import Grid, grid, smallest_step
 from softarm.diagnosis.rigs.views import RigView
 from softarm.diagnosis.rigs.vocabulary import effects
-from softarm.diagnosis.trials import Series, Trial, TrialError
 
 # What is measured -> its unit; the first that a table has is what follows the command.
 MEASURED = {"position": "rad", "pressure": "kPa", "velocity": "m/s"}

@@ -5,14 +5,14 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from softarm.diagnosis.gap.view import Array, Point
+from softarm.diagnosis.engine.view import Array, Point
 from softarm.diagnosis.rigs.vocabulary import Effect
 
 FLOOR_SHARE = 1e-3  # of the signal: no simulator is blamed for a thousandth
 
 
 class RigView:
-    """One stage of a rig; satisfies `softarm.diagnosis.gap.view.View`."""
+    """One stage of a rig; satisfies `softarm.diagnosis.engine.view.View`."""
 
     def __init__(
         self,
@@ -49,6 +49,19 @@ class RigView:
         """A parameter at each point, [P]."""
         name = f"{self.stage}.{path}"
         return np.array([point.get(name, self.nominal(path)) for point in points], dtype=float)
+
+    @property
+    def own_nuisances(self) -> Mapping[str, float]:
+        """See View."""
+        return {}
+
+    def own_directions(self) -> NDArray[np.float32]:
+        """See View."""
+        return np.empty((0, *self.measured.shape), np.float32)
+
+    def start_directions(self) -> NDArray[np.float32] | None:
+        """See View."""
+        return None
 
     def gap(self, points: Sequence[Point]) -> NDArray[np.float32]:
         """See View."""

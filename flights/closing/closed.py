@@ -7,7 +7,7 @@ from typing import Self
 import numpy as np
 
 from softarm.daemon.limits.findings import RailFindings
-from softarm.diagnosis.gap.result import Diagnosis
+from softarm.diagnosis.engine.result import Diagnosis
 from softarm.flights.many import Flown
 from softarm.flights.runner import Robot
 from softarm.schemas.goals import Goal

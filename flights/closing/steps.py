@@ -12,7 +12,7 @@ from softarm.common import files
 from softarm.common.processes import bar
 from softarm.daemon.limits.findings import RailFindings
 from softarm.diagnosis import report
-from softarm.diagnosis.gap.result import Diagnosis
+from softarm.diagnosis.engine.result import Diagnosis
 from softarm.flights.closing import story, summary
 from softarm.flights.closing.closed import HELD_BACK, NEW, NOMINAL, OLD, PATCHED, Closed, Place
 from softarm.flights.many import fly_all

@@ -34,7 +34,7 @@ def slope(time: Sequence[float], values: Sequence[float], allowed: float, of: St
 
     of: what stands for a window of time; the least, for what is taken and given back: a leak raises that too.
     Windows depend on their neighbours: blocks of them are left out one at a time, the same jackknife as
-    `softarm.diagnosis.jackknife`, for one line. Infinitely wide for too few samples.
+    `softarm.diagnosis.engine.jackknife`, for one line. Infinitely wide for too few samples.
     """
     t, y = np.asarray(time, float), np.asarray(values, float)
     warm = t - t[0] >= warm_up(float(t[-1] - t[0])) if len(t) else np.zeros(0, bool)

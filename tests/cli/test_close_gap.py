@@ -8,7 +8,7 @@ import pytest
 from click.testing import CliRunner
 
 from softarm.cli.main import main
-from softarm.diagnosis.gap.result import Diagnosis
+from softarm.diagnosis.engine.result import Diagnosis
 from softarm.flights.closing import steps
 from softarm.schemas.flights import TEST_TARGETS
 from softarm.schemas.model import Model

@@ -9,7 +9,7 @@ from click.testing import CliRunner
 
 from softarm.cli.main import main
 from softarm.daemon.config import configuration
-from softarm.diagnosis.gap.result import Diagnosis, Overlay
+from softarm.diagnosis.engine.result import Diagnosis, Overlay
 from softarm.schemas.config import Config
 from softarm.schemas.model import Model
 from softarm.schemas.verdict import (

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from softarm.diagnosis.trials import Series, Trial
+from softarm.diagnosis.data.trials import Series, Trial
 from softarm.schemas.excitation import EXCITATIONS
 from softarm.schemas.model import Arm, Model, seed_effects
 from softarm.simulator.simulator import Simulator

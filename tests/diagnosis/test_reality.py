@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import pytest
 
-from softarm.diagnosis import folder
+from softarm.diagnosis.data import folder
 from softarm.diagnosis.diagnose import diagnose
 from softarm.reality.parameters import RobotParameters
 from softarm.reality.record import record

@@ -9,7 +9,7 @@ import pytest
 from softarm.daemon.config.configuration import load
 from softarm.daemon.limits.findings import RailFindings, compared
 from softarm.daemon.limits.measured import Bound, Measured
-from softarm.diagnosis.gap.result import Diagnosis
+from softarm.diagnosis.engine.result import Diagnosis
 from softarm.flights.closing import steps
 from softarm.flights.closing.closed import HELD_BACK, NEW, OLD, Closed, Place
 from softarm.flights.robots import with_faults

@@ -101,8 +101,8 @@ def _model() -> Parser:
 
 def _stage() -> Parser:
     """A rig's stage.yaml with its table beside it; either may be wrong."""
-    from softarm.diagnosis import tables
-    from softarm.diagnosis.trials import TrialError
+    from softarm.diagnosis.data import tables
+    from softarm.diagnosis.data.trials import TrialError
 
     about = (
         "name: servo\nkind: tracking\nchannels:\n"
@@ -136,8 +136,8 @@ def _binary_table(suffix: str) -> Parser:
     """Tables of other programs."""
     import numpy as np
 
-    from softarm.diagnosis import tables
-    from softarm.diagnosis.trials import TrialError
+    from softarm.diagnosis.data import tables
+    from softarm.diagnosis.data.trials import TrialError
 
     columns = {"t": np.arange(50) * 0.01, "u": np.arange(50) % 3 * 1.0, "y": np.arange(50) % 5 * 0.1}
     path = folder() / f"good{suffix}"
@@ -167,8 +167,8 @@ def _binary_table(suffix: str) -> Parser:
 
 def _trial() -> Parser:
     """A folder of CSV files as another stack recorded them."""
-    from softarm.diagnosis import folder as folders
-    from softarm.diagnosis.trials import LINKS, ROBOT_CHANNELS, TrialError, mocap_columns
+    from softarm.diagnosis.data import folder as folders
+    from softarm.diagnosis.data.trials import LINKS, ROBOT_CHANNELS, TrialError, mocap_columns
 
     tables = {}
     for name, units in ROBOT_CHANNELS.items():

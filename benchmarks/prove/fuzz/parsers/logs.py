@@ -94,8 +94,8 @@ def _replayed() -> Parser:
 
 
 def _diagnosed() -> Parser:
-    from softarm.diagnosis import mcap
-    from softarm.diagnosis.trials import TrialError
+    from softarm.diagnosis.data import mcap
+    from softarm.diagnosis.data.trials import TrialError
 
     return Parser(_draw, lambda data: mcap.read(written("trial.mcap", data)), (TrialError,))
 
@@ -103,8 +103,8 @@ def _diagnosed() -> Parser:
 def _limits() -> Parser:
     """`softarm check --logs`: what recordings show of the rail's limits."""
     from softarm.daemon.limits.findings import findings
-    from softarm.diagnosis.read import rail_motions
-    from softarm.diagnosis.trials import TrialError
+    from softarm.diagnosis.data.read import rail_motions
+    from softarm.diagnosis.data.trials import TrialError
 
     def take(data: bytes) -> object:
         return findings(rail_motions([written("motion.mcap", data)])).patch()

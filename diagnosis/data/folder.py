@@ -1,0 +1,111 @@
+"""A trial folder: CSV files that another stack recorded, beside a trial.yaml."""
+
+import csv
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from softarm.diagnosis.data import checks, yaml_file
+from softarm.diagnosis.data.trials import LINKS, ROBOT_CHANNELS, Array, Series, Trial, TrialError, mocap_columns
+from softarm.schemas.trial import TrialFile
+
+EXAMPLE = "`kind: chirp` and `rail: held`"
+LINKS_MAX = 12
+
+
+def is_trial(folder: Path) -> bool:
+    """Does the folder hold a trial?"""
+    return (folder / "trial.yaml").is_file()
+
+
+def read(folder: Path) -> Trial:
+    """Read a trial folder. A file that is not there makes its stages not observable, in words.
+
+    Raises TrialError for a file, column or row that cannot be read, and for a folder without any data.
+    """
+    about = yaml_file.load(folder / "trial.yaml", TrialFile, EXAMPLE)
+    channels: dict[str, Series] = {}
+    missing: dict[str, str] = {}
+    warnings: list[str] = []
+    for name in ROBOT_CHANNELS:
+        path = folder / f"{name}.csv"
+        if not path.is_file():
+            missing[name] = f"there is no {path.name} in {folder}"
+            continue
+        channels[name], found = checks.tidy_stamps(_channel(path, name), str(path))
+        warnings += found
+    if not channels:
+        names = ", ".join(f"{name}.csv" for name in ROBOT_CHANNELS)
+        raise TrialError(f"{folder}: holds none of {names}; put the recording there (docs/trials.md)")
+    warnings += checks.unit_warnings(channels, str(folder))
+    return Trial(folder.name, about.kind, folder, channels, about.rail, None, tuple(warnings), missing)
+
+
+def _channel(path: Path, name: str) -> Series:
+    header, rows = read_table(path)
+    units = ROBOT_CHANNELS[name]
+    if name == "mocap":
+        links = sum(f"link{i}_y" in header for i in range(1, LINKS_MAX + 1))
+        units = mocap_columns(links or LINKS)
+    time = "t_capture" if name == "mocap" else "t"
+    wanted = (time, *units)
+    if lacking := [column for column in wanted if column not in header]:
+        raise TrialError(
+            f"{path}: no column {', '.join(lacking)}; it has {', '.join(header) or 'none'}, "
+            f"and needs {', '.join(wanted)} (docs/trials.md)"
+        )
+    # A marker may be out of sight; every other reading is there or its row is not.
+    columns = {
+        column: numbers(
+            path, column, [row[header.index(column)] for row in rows], blank=column.endswith(("_y", "_z", "_angle"))
+        )
+        for column in wanted
+    }
+    return Series(columns.pop(time), columns)
+
+
+def read_table(path: Path) -> tuple[list[str], list[list[str]]]:
+    """Header and rows of a CSV file, as text. Raises TrialError for a row of another length or no rows."""
+    try:
+        with path.open(newline="", encoding="utf-8-sig") as file:
+            lines = list(csv.reader(file))
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        raise TrialError(f"{path}: cannot be read as CSV ({error}); export it as UTF-8 text with commas") from None
+    header = [name.strip() for name in lines[0]] if lines else []
+    rows = [line for line in lines[1:] if line]
+    if not rows:
+        raise TrialError(f"{path}: has no rows; record some, or take the file away")
+    if duplicate := {name for name in header if header.count(name) > 1}:
+        raise TrialError(f"{path}: two columns are called {', '.join(sorted(duplicate))}; rename one")
+    for number, line in enumerate(lines[1:], 2):
+        if line and len(line) != len(header):
+            raise TrialError(f"{path}: row {number} has {len(line)} cells, the header {len(header)}; repair that row")
+    return header, rows
+
+
+def numbers(path: Path, column: str, cells: Sequence[str], *, blank: bool = False) -> Array:
+    """Cells as numbers [N]; with `blank`, an empty cell or nan is NaN.
+
+    Raises TrialError that names file, column and row (the header is row 1).
+    """
+    try:
+        values = np.array(cells, dtype=float)
+    except ValueError:
+        values = np.array([_number(cell) if cell.strip() or not blank else np.nan for cell in cells])
+        values = values.astype(float) if None not in values.tolist() else values
+    bad = [v is None or not (np.isfinite(v) or (blank and np.isnan(v))) for v in values.tolist()]
+    if any(bad):
+        at = bad.index(True)
+        raise TrialError(
+            f"{path}: column {column}, row {at + 2}: {cells[at]!r} is not a finite number; "
+            + ("write nothing where a marker was not seen" if blank else "leave the row out if nothing was measured")
+        )
+    return values
+
+
+def _number(cell: str) -> float | None:
+    try:
+        return float(cell)
+    except ValueError:
+        return None

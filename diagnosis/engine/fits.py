@@ -1,0 +1,302 @@
+"""Fits of nested sets of effects, many at once: Gauss-Newton in a box, every Jacobian a batch of simulated robots.
+
+Beside a set's own parameters every fit has the nuisances, linear within their boxes. Held-out losses come from the
+fit's last linearisation, solved anew without each fold.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from softarm.diagnosis.engine import box
+from softarm.diagnosis.engine.candidates import Candidate
+from softarm.diagnosis.engine.jackknife import half_width
+from softarm.diagnosis.engine.view import Array, Point
+from softarm.diagnosis.engine.whitened import Moments, Rows, WhitenedResidual
+
+ROUNDS = 4
+CONVERGED = 1e-3  # of the loss: a round that gains less is the last
+NUDGE = 0.04  # of a parameter's size, for a column of the Jacobian
+SHORTER = 0.3  # of a step that did not help
+REACH = 2.0  # of a parameter's size: how far a round may go
+
+Set = tuple[Candidate, ...]
+U = tuple[tuple[float, ...], ...]  # coordinates, a tuple for each candidate
+
+
+@dataclass(frozen=True, slots=True)
+class Fit:
+    """A set of effects, fitted."""
+
+    effects: Set
+    u: U
+    nuisance: Array  # [q] in units of the boxes' edges
+    loss: float  # weighted squares of the whitened residual
+    held_out: Array  # [B] the same, by block, each from a fit without the block's fold
+    folds: Array  # [F, p] coordinates from a fit without each fold
+    halves: Array  # [2, p] coordinates from every trial's first half alone, and from the second
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Of the effects."""
+        return tuple(each.name for each in self.effects)
+
+    @property
+    def point(self) -> Point:
+        """The registry's parameters."""
+        return point_of(self.effects, self.u)
+
+    @property
+    def fold_points(self) -> list[Point]:
+        """As `point`, from a fit without each fold."""
+        return [point_of(self.effects, split(self.effects, x)) for x in self.folds]
+
+    def scatter(self, i: int) -> float:
+        """How far an effect's strength differs from one kind of excitation to another: jackknife error over the change.
+
+        Of an effect that is there it is small; a law that only resembles the true one needs another strength each time.
+        """
+        at, change = self._strongest(i)
+        values = self.folds[:, at]
+        return float(np.sqrt((len(values) - 1) / len(values) * np.sum((values - values.mean()) ** 2)) / change)
+
+    def drift(self, i: int) -> float:
+        """How far an effect's strength differs between the trials' halves, over the change: one that grows or fades."""
+        at, change = self._strongest(i)
+        early, late = self.halves[:, at]
+        return float(abs(late - early) / change)
+
+    def _strongest(self, i: int) -> tuple[int, float]:
+        """Of an effect's parameters the one furthest off for its size: its place among all, and how far off it is."""
+        parameters, us = self.effects[i].parameters, self.u[i]
+        j = max(range(len(parameters)), key=lambda k: abs(us[k] - parameters[k].nominal) / parameters[k].size)
+        at = sum(len(each.parameters) for each in self.effects[:i]) + j
+        return at, max(abs(us[j] - parameters[j].nominal), 1e-9 * parameters[j].size)
+
+    @property
+    def is_news(self) -> bool:
+        """Whether every effect is."""
+        return all(each.is_news(us) for each, us in zip(self.effects, self.u, strict=True))
+
+    @property
+    def at_bound(self) -> bool:
+        """Whether any effect is."""
+        return any(each.at_bound(us) for each, us in zip(self.effects, self.u, strict=True))
+
+
+def point_of(effects: Set, u: U) -> dict[str, float]:
+    """The registry's parameters of a set at coordinates u."""
+    return {path: x for each, us in zip(effects, u, strict=True) for path, x in each.point(us).items()}
+
+
+class _Descent:
+    """One set's way down: where it is best, where it looks next."""
+
+    def __init__(self, effects: Set, start: Array) -> None:
+        self.effects, self.best, self.tried = effects, start, start
+        self.loss, self.moving = np.inf, True
+        self.jacobians: list[Rows] = []
+        self.bases: list[Moments] = []
+        self._step = np.zeros_like(start)
+
+    def advance(self, problem: "FitProblem", jacobians: list[Rows], bases: list[Moments]) -> None:
+        """Take what was found at `tried`: go on from there, or look closer to the best so far."""
+        loss, step = problem.solve(self.effects, self.tried, jacobians, bases)
+        if loss < self.loss or not self.bases:
+            self.moving = bool(len(step)) and not loss > self.loss * (1 - CONVERGED)
+            self.best, self.loss, self._step = self.tried, loss, step
+            self.jacobians, self.bases = jacobians, bases
+        else:
+            self._step = SHORTER * self._step
+        self.tried = self.best + self._step
+
+
+@dataclass(frozen=True, slots=True)
+class FitProblem:
+    """Whitened residuals of all views, the nuisances' boxes, and which fold each block is in."""
+
+    whitened: tuple[WhitenedResidual, ...]
+    nuisance_paths: tuple[str, ...]  # [q] of the registry, or a single joint's, which no effect replaces
+    nuisance_low: Array  # [q] in units of the edges
+    nuisance_high: Array
+    blocks: tuple[tuple[int, int], ...]  # [B] trial, number
+    fold: NDArray[np.int64]  # [B]
+
+    def fit(self, sets: Sequence[tuple[Set, U]], rounds: int = ROUNDS) -> list[Fit]:
+        """Fit every set from its start; all of them advance together, each round one batch of simulations."""
+        searches = [_Descent(effects, np.array([x for us in u for x in us])) for effects, u in sets]
+        for _ in range(rounds):
+            moving = [each for each in searches if each.moving]
+            if not moving:
+                break
+            linear = self._linear([d.effects for d in moving], [d.tried for d in moving])
+            for descent, (jacobians, bases) in zip(moving, linear, strict=True):
+                descent.advance(self, jacobians, bases)
+        return [self._fit(d.effects, d.best, d.loss, d.jacobians, d.bases) for d in searches]
+
+    def losses(self, sets: Sequence[tuple[Set, U]]) -> list[float]:
+        """Of sets at given coordinates, the nuisances fitted."""
+        return self._losses([effects for effects, _ in sets], [np.array([x for us in u for x in us]) for _, u in sets])
+
+    def nuisance_box(self, effects: Set) -> tuple[Array, Array]:
+        """Box of the nuisances beside a set: what the set fits itself is no nuisance."""
+        own = {d.path for each in effects for d in each.parameters}
+        free = np.array([path not in own for path in self.nuisance_paths])
+        return self.nuisance_low * free, self.nuisance_high * free
+
+    def _moments(self, points: Sequence[Point]) -> list[list[Moments]]:
+        """[view][point]."""
+        return [residual.moments(points) for residual in self.whitened]
+
+    def _losses(self, effects: Sequence[Set], state: Sequence[Array]) -> list[float]:
+        points = [point_of(e, split(e, x)) for e, x in zip(effects, state, strict=True)]
+        moments = self._moments(points)
+        gg = sum(residual.gg for residual in self.whitened)
+        result = []
+        for i, each in enumerate(effects):
+            rr, gr = sum(m[i].rr for m in moments), sum(m[i].gr for m in moments)
+            w = box.solve(gg, -gr, *self.nuisance_box(each))
+            loss = rr + 2 * w @ gr + w @ gg @ w
+            result.append(float(loss) if np.isfinite(loss) else np.inf)
+        return result
+
+    def _linear(self, effects: Sequence[Set], state: Sequence[Array]) -> list[tuple[list[Rows], list[Moments]]]:
+        """For every set: Jacobian by view ([p, N] or empty) and moments by view."""
+        points, nudges = [], []
+        for each, x in zip(effects, state, strict=True):
+            parameters = [d for c in each for d in c.parameters]
+            away = [1 if v + NUDGE * d.size <= d.high else -1 for d, v in zip(parameters, x, strict=True)]
+            nudge = np.array([NUDGE * d.size * sign for d, sign in zip(parameters, away, strict=True)])
+            nudges.append(nudge)
+            points.append([point_of(each, split(each, x + change)) for change in (0 * x, *np.diag(nudge))])
+        flat = [p for ps in points for p in ps]
+        moments, at, found = self._moments(flat), 0, []
+        for ps, nudge in zip(points, nudges, strict=True):
+            jacobians: list[Rows] = []
+            bases: list[Moments] = []
+            for residual_moments in moments:
+                base = residual_moments[at]
+                rows = [m.rows for m in residual_moments[at + 1 : at + len(ps)]]
+                moved = any(row is not base.rows for row in rows)
+                jacobians.append(
+                    np.stack([(row - base.rows) / np.float32(n) for row, n in zip(rows, nudge, strict=True)])
+                    if moved
+                    else np.empty((0, 0), np.float32)
+                )
+                bases.append(base)
+            found.append((jacobians, bases))
+            at += len(ps)
+        return found
+
+    def solve(self, effects: Set, x: Array, jacobians: list[Rows], bases: list[Moments]) -> tuple[float, Array]:
+        """Loss at x with the nuisances fitted, and a Gauss-Newton step from there, the nuisances moving along."""
+        p = len(x)
+        normal, slope = self._normal(p, jacobians, bases)
+        low, high = self._box(effects, x)
+        w = box.solve(np.ascontiguousarray(normal[p:, p:]), -slope[p:], low[p:], high[p:])
+        loss = sum(base.rr for base in bases) + 2 * w @ slope[p:] + w @ normal[p:, p:] @ w
+        return float(loss) if np.isfinite(loss) else np.inf, box.solve(normal, -slope, low, high)[:p]
+
+    def _normal(self, p: int, jacobians: list[Rows], bases: list[Moments]) -> tuple[Array, Array]:
+        q = len(self.nuisance_low)
+        normal, slope = np.zeros((p + q, p + q)), np.zeros(p + q)
+        for residual, jacobian, base in zip(self.whitened, jacobians, bases, strict=True):
+            normal[p:, p:] += residual.gg
+            slope[p:] += base.gr
+            if len(jacobian):
+                normal[:p, :p] += jacobian @ jacobian.T
+                across = jacobian @ residual.columns.T
+                normal[:p, p:] += across
+                normal[p:, :p] += across.T
+                slope[:p] += jacobian @ base.rows
+        return normal, slope
+
+    def _box(self, effects: Set, x: Array) -> tuple[Array, Array]:
+        parameters = [d for c in effects for d in c.parameters]
+        low = np.array([max(d.low - v, -REACH * d.size) for d, v in zip(parameters, x, strict=True)])
+        high = np.array([min(d.high - v, REACH * d.size) for d, v in zip(parameters, x, strict=True)])
+        nuisance_low, nuisance_high = self.nuisance_box(effects)
+        return np.concatenate((low, nuisance_low)), np.concatenate((high, nuisance_high))
+
+    def _fit(self, effects: Set, x: Array, loss: float, jacobians: list[Rows], bases: list[Moments]) -> Fit:
+        """Solve the last linearisation with all data, without each fold, and on each half of the trials."""
+        normal, slope, squares = self._by_block(len(x), jacobians, bases)
+        low, high = self._box(effects, x)
+        total_normal, total_slope = normal.sum(axis=0), slope.sum(axis=0)
+        best = box.solve(total_normal, -total_slope, low, high)
+        held_out, folds = np.empty(len(squares)), []
+        for fold in np.unique(self.fold):
+            out = self.fold == fold
+            others = total_normal - normal[out].sum(axis=0), total_slope - slope[out].sum(axis=0)
+            y = box.solve(others[0], -others[1], low, high)
+            folds.append(x + y[: len(x)])
+            held_out[out] = squares[out] + 2 * slope[out] @ y + np.einsum("i,bij,j->b", y, normal[out], y)
+        late = self._late()
+        halves = []
+        for part in (~late, late):
+            y = box.solve(normal[part].sum(axis=0), -slope[part].sum(axis=0), low, high)
+            halves.append(x + y[: len(x)])
+        nuisance = best[len(x) :]
+        return Fit(
+            effects,
+            split(effects, x),
+            nuisance,
+            loss,
+            held_out,
+            np.array(folds),
+            np.array(halves),
+        )
+
+    def interval(self, fit: Fit) -> tuple[Array, Array]:
+        """95 % interval of a fit's parameters, low and high [p]: what other blocks of the same kind would have said."""
+        x = np.array([v for us in fit.u for v in us])
+        p = len(x)
+        if not p:
+            return x, x
+        ((jacobians, bases),) = self._linear([fit.effects], [x])
+        normal, slope, _ = self._by_block(p, jacobians, bases)
+        low, high = self._box(fit.effects, x)
+        best = box.solve(normal.sum(axis=0), -slope.sum(axis=0), low, high)
+        free = (best > low + 1e-9) & (best < high - 1e-9)  # a nuisance at its box's edge stays there
+        free[:p] = True
+        slope = slope + normal[:, :, ~free] @ best[~free]
+        half = half_width(normal[:, free][:, :, free], slope[:, free], best[free])[:p]
+        return x + best[:p] - half, x + best[:p] + half
+
+    def _late(self) -> NDArray[np.bool_]:
+        """Which blocks are in the second half of their trial, [B]."""
+        last: dict[int, int] = {}
+        for trial, number in self.blocks:
+            last[trial] = max(last.get(trial, 0), number)
+        return np.array([2 * number > last[trial] for trial, number in self.blocks])
+
+    def _by_block(self, p: int, jacobians: list[Rows], bases: list[Moments]) -> tuple[Array, Array, Array]:
+        """Normal matrices [B, p + q, p + q], slopes [B, p + q] and squares [B] of the blocks."""
+        size, q = len(self.blocks), len(self.nuisance_low)
+        normal, slope, squares = np.zeros((size, p + q, p + q)), np.zeros((size, p + q)), np.zeros(size)
+        place = {name: i for i, name in enumerate(self.blocks)}
+        for residual, jacobian, base in zip(self.whitened, jacobians, bases, strict=True):
+            for (name, part), gg in zip(residual.blocks, residual.block_gg, strict=True):
+                b, c, r = place[name], residual.columns[:, part], base.rows[part]
+                normal[b, p:, p:] += gg
+                slope[b, p:] += c @ r
+                squares[b] += r @ r
+                if len(jacobian):
+                    j = jacobian[:, part]
+                    across = j @ c.T
+                    normal[b, :p, :p] += j @ j.T
+                    normal[b, :p, p:] += across
+                    normal[b, p:, :p] += across.T
+                    slope[b, :p] += j @ r
+        return normal, slope, squares
+
+
+def split(effects: Set, x: Array) -> U:
+    """Coordinates in a row, [p], to a tuple for each effect."""
+    parts, at = [], 0
+    for each in effects:
+        parts.append(tuple(float(v) for v in x[at : at + len(each.parameters)]))
+        at += len(each.parameters)
+    return tuple(parts)

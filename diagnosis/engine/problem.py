@@ -1,0 +1,110 @@
+"""From views to a problem that can be searched: folds, blocks, nuisance columns, weights."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from softarm.diagnosis.engine.candidates import Nuisance
+from softarm.diagnosis.engine.fits import Fit, FitProblem
+from softarm.diagnosis.engine.noise import Whitener, scaled, whitener
+from softarm.diagnosis.engine.view import View
+from softarm.diagnosis.engine.whitened import BLOCK_S, Gaps, WhitenedResidual, blocks_of
+
+# What a second of a view's data is worth, in weighted squares: neighbouring samples and channels say the same twice.
+PER_SECOND = 4.0
+
+
+@dataclass(frozen=True, slots=True)
+class Directions:
+    """How a view's gap changes with nuisances (to their boxes' edges) and with its trials' starts."""
+
+    nuisances: NDArray[np.float32]  # [q, M, S]
+    starts: NDArray[np.float32] | None
+
+
+class Setup:
+    """Everything about a set of views that does not depend on the weighing."""
+
+    def __init__(self, views: Sequence[View], nuisances: Sequence[Nuisance], kinds: Sequence[str]) -> None:
+        """kinds: of every trial, the excitation; folds leave one kind out."""
+        self.views, self.nuisances = tuple(views), tuple(nuisances)
+        self.gaps = tuple(Gaps(view) for view in views)
+        self._own = {name: share for view in views for name, share in view.own_nuisances.items()}
+        self.directions = tuple(self._directions(g) for g in self.gaps)
+        self.blocks = tuple(dict.fromkeys(name for view in views for name, *_ in blocks_of(view, BLOCK_S)))
+        self.fold = _folds(self.blocks, kinds)
+        edges = [(n.low - n.nominal, n.high - n.nominal, n.edge - n.nominal) for n in self.nuisances]
+        boxes = [sorted((low / edge, high / edge)) if edge else [0.0, 0.0] for low, high, edge in edges]
+        self._low = np.array([b[0] for b in boxes] + [-1.0] * len(self._own))
+        self._high = np.array([b[1] for b in boxes] + [1.0] * len(self._own))
+        self._paths = (*(n.path for n in self.nuisances), *self._own)
+
+    def weighed(self, residuals: Sequence[NDArray[np.floating]] | None = None) -> FitProblem:
+        """The problem under weights from these residuals (by view, [M, S]); without, from the nominal gap's size."""
+        filters = []
+        for i, view in enumerate(self.views):
+            if residuals is None:
+                filters.append(scaled(view, self.gaps[i].fetch([{}])[()].astype(np.float64)))
+            else:
+                filters.append(whitener(view, residuals[i].astype(np.float64)))
+        return self._problem(filters, PER_SECOND)
+
+    def plain(self) -> FitProblem:
+        """The problem weighed by the floors alone, every sample counting one."""
+        filters = [
+            Whitener((1 / v.floor)[:, None].astype(np.float32), np.isfinite(v.measured).astype(np.float32))
+            for v in self.views
+        ]
+        return self._problem(filters, None)
+
+    def residuals(self, plain: FitProblem, fit: Fit) -> list[NDArray[np.float32]]:
+        """What a fit leaves of every view, [M, S], NaN where nothing was measured."""
+        found = []
+        for view, residual in zip(self.views, plain.whitened, strict=True):
+            rows = residual.moments([fit.point])[0].rows + fit.nuisance.astype(np.float32) @ residual.columns
+            left = rows.reshape(view.measured.shape) * view.floor.astype(np.float32)
+            found.append(np.where(np.isfinite(view.measured), left, np.float32(np.nan)))
+        return found
+
+    def fitted_nuisances(self, fit: Fit) -> dict[str, float]:
+        """Nuisances beside a set, in the registry's unit, joints' as shares; without what the set itself fits."""
+        edges = [(n.path, n.nominal, n.edge - n.nominal) for n in self.nuisances]
+        edges += [(name, 0.0, share) for name, share in self._own.items()]
+        own = {p.path for each in fit.effects for p in each.parameters}
+        found = zip(edges, fit.nuisance, strict=True)
+        return {path: nominal + float(x) * edge for (path, nominal, edge), x in found if path not in own}
+
+    def _problem(self, filters: Sequence[Whitener], per_second: float | None) -> FitProblem:
+        whitened = []
+        for gaps, whiten, directions in zip(self.gaps, filters, self.directions, strict=True):
+            kept = float(whiten.keep.sum())
+            seconds = kept / whiten.keep.shape[1] * float(np.median(np.diff(gaps.view.t_s)))
+            weight = 1.0 if per_second is None else per_second * seconds / max(kept, 1.0)
+            whitened.append(WhitenedResidual(gaps, whiten, directions.nuisances, directions.starts, weight))
+        return FitProblem(tuple(whitened), self._paths, self._low, self._high, self.blocks, self.fold)
+
+    def _directions(self, gaps: Gaps) -> Directions:
+        view = gaps.view
+        points = [{}, *(n.point for n in self.nuisances)]
+        found = gaps.fetch(points)
+        base = found[()]
+        columns = [found[gaps.key(p)] - base for p in points[1:]]
+        columns += [np.zeros_like(base)] * len(self._own)
+        starts = view.start_directions()
+        if view.own_nuisances:
+            first = len(self.nuisances) + list(self._own).index(next(iter(view.own_nuisances)))
+            columns[first : first + len(view.own_nuisances)] = list(view.own_directions())
+        return Directions(np.nan_to_num(np.stack(columns)), None if starts is None else np.nan_to_num(starts))
+
+
+def _folds(blocks: Sequence[tuple[int, int]], kinds: Sequence[str]) -> NDArray[np.int64]:
+    """One kind of excitation a fold; of a single kind one trial a fold; of a single trial five stretches of it."""
+    if len(set(kinds)) > 1:
+        place = {kind: i for i, kind in enumerate(sorted(set(kinds)))}
+        return np.array([place[kinds[trial]] for trial, _ in blocks])
+    trials = sorted({trial for trial, _ in blocks})
+    if len(trials) > 1:
+        return np.array([trials.index(trial) for trial, _ in blocks])
+    return np.array([i * 5 // len(blocks) for i in range(len(blocks))])

@@ -1,1 +1,0 @@
-"""The gap between a recording and a simulator: where it is, which effect causes it, how far it shrinks."""

@@ -1,0 +1,111 @@
+"""The robot's effects as candidates, and what a well-kept robot may be off by.
+
+Everything about an effect is read from the registry; here stand only where a search starts and what is no news.
+"""
+
+import math
+from collections.abc import Iterator
+
+from softarm.diagnosis.engine.candidates import Candidate, FittedParameter, Nuisance, starts
+from softarm.diagnosis.robot.views import ABOUT_RAIL, ON_MOTOR
+from softarm.schemas.model import Model
+from softarm.simulator.effects import REGISTRY, Parameter, value
+
+# Half widths of the boxes: absolute in the registry's unit, or relative to the nominal value.
+_ABSOLUTE = {
+    "pressure.dead_time.delay": 0.006,
+    "pressure.gain.scale": 0.02,
+    "pressure.gain.offset": 0.15,
+    "rail.delay.delay": 0.004,
+    "rail.lag.time": 0.006,
+    "rail.gain.scale": 0.01,
+    "rail.coulomb_friction.viscous": 1.0,
+    "arm.tilt.angle": 0.003,
+    "mocap.latency.delay": 0.002,
+    "mocap.rotation.angle": 0.002,
+    "mocap.scale.scale": 0.002,
+    "mocap.offset.y": 0.002,
+    "mocap.offset.z": 0.002,
+}
+_RELATIVE = {
+    "pressure.lag.inflate": 0.10,
+    "pressure.lag.deflate": 0.10,
+    "rail.acceleration_limit.acceleration": 0.08,
+}
+# Smallest change that is news, where it is not twice the box: what well-kept robots of one kind differ by.
+_NEWS = {
+    "pressure.deadband.width": 0.4,
+    "pressure.gain.offset": 0.3,
+    "pressure.sensor_bias.bias": 0.3,
+    "rail.lag.time": 0.012,
+    "rail.coulomb_friction.force": 0.5,
+    "rail.backlash.gap": 0.001,
+    "arm.stiffness.scale": 0.08,
+    "arm.damping.scale": 0.30,
+    "arm.muscle_gain.scale": 0.07,
+    "arm.torque_offset.scale": 0.4,
+    "arm.coulomb_friction.torque": 0.003,
+    "arm.stiffening.cubic": 0.4,
+    "arm.hysteresis.strength": 0.12,
+    "arm.payload.mass": 0.007,
+    "arm.tilt.angle": 0.008,
+    "arm.drag.coefficient": 0.003,
+    "arm.creep.strength": 0.08,
+}
+_NEWS_SHARE = 0.1  # of a usual change, where neither a box nor a line above says more
+_STAGES = ("pressure", "rail", "arm", "mocap")
+_COUNTED = ("mocap.dropout", "mocap.noise")  # read off stamps and noise, not fitted (robot/counts.py)
+_FORMS: dict[str, tuple[dict[str, float], ...]] = {
+    "rail.gain": ({}, {ON_MOTOR: 1.0}),
+    "rail.backlash": ({}, {ON_MOTOR: 1.0}),
+    "mocap.rotation": ({}, {ABOUT_RAIL: 0.0}),
+}
+
+
+def candidates(model: Model) -> tuple[Candidate, ...]:
+    """Every effect of the robot that a fit can find, for a nominal model; in causal order."""
+    names = [n for n, e in REGISTRY.items() if e.stage in _STAGES and e.parameters and n not in _COUNTED]
+    return tuple(each for name in names for each in _forms(name, model))
+
+
+def nuisances(model: Model) -> tuple[Nuisance, ...]:
+    """What is fitted within its box beside every candidate."""
+    return tuple(_nuisances(model))
+
+
+def _nuisances(model: Model) -> Iterator[Nuisance]:
+    for path, half in (_ABSOLUTE | _RELATIVE).items():
+        effect, _, name = path.rpartition(".")
+        parameter = next(p for p in REGISTRY[effect].parameters if p.name == name)
+        nominal = value(model, effect, name)
+        if not math.isfinite(nominal) or (path in _RELATIVE and nominal == parameter.neutral):
+            continue
+        width = half * abs(nominal) if path in _RELATIVE else half
+        yield Nuisance(path, nominal, max(parameter.low, nominal - width), min(parameter.high, nominal + width))
+
+
+def _forms(name: str, model: Model) -> Iterator[Candidate]:
+    effect = REGISTRY[name]
+    parameters = tuple(_parameter(name, p, model) for p in effect.parameters)
+    for form in _FORMS.get(name, ({},)):
+        yield Candidate(name, effect.stage, parameters, tuple(starts(parameters, effect.parameters)), form)
+
+
+def _parameter(name: str, p: Parameter, model: Model) -> FittedParameter:
+    path, nominal = f"{name}.{p.name}", value(model, name, p.name)
+    if math.isinf(p.neutral):
+        u = 0.0 if math.isinf(nominal) else 1 / nominal
+        size = abs(1 / p.exemplar - u) or 1 / p.exemplar
+        return FittedParameter(
+            path, p.unit, u, 0.0, (1 - 1e-9) / p.low, size, 0.0, True, _news(path, u, size), (1 + 1e-9) / p.high
+        )
+    size = p.exemplar if p.default is not None else abs(p.exemplar - p.neutral)
+    return FittedParameter(path, p.unit, nominal, p.low, p.high, size, p.neutral, news=_news(path, nominal, size))
+
+
+def _news(path: str, nominal: float, size: float) -> float:
+    if path in _NEWS:
+        return _NEWS[path]
+    if path in _RELATIVE and nominal:
+        return 2 * _RELATIVE[path] * abs(nominal)
+    return 2 * _ABSOLUTE[path] if path in _ABSOLUTE else _NEWS_SHARE * size

@@ -1,0 +1,71 @@
+"""The whole chain, from commands alone to the tip: how far off nominal and patched simulators are where it counts."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from softarm.diagnosis.engine.view import Array, Point
+from softarm.diagnosis.robot.trial_grid import STEP_S, TrialGrid
+from softarm.diagnosis.robot.views import ABOUT_RAIL, ARM_HZ, delayed, directions, parameters
+from softarm.schemas.model import Model
+from softarm.simulator.effects import REGISTRY, value
+from softarm.simulator.simulator import Simulator
+
+FLOOR_M = 0.004  # what two honest simulators of one robot differ by at the tip, from commands alone
+_PHYSICS = parameters(*(n for n, e in REGISTRY.items() if e.stage in ("pressure", "rail", "arm")))
+
+
+def tip_gap(grid: TrialGrid, model: Model, points: Sequence[Point]) -> NDArray[np.float32]:
+    """Measured minus simulated tip (y, z) at each point, [P, M, 2], m; NaN where mocap saw nothing.
+
+    A trial begins where the robot was seen to hang; everything after follows from the commands.
+    """
+    k = len(grid.trials)
+    names = sorted({path for point in points for path in point if path in _PHYSICS})
+
+    def each(path: str) -> Array:
+        effect, _, parameter = path.rpartition(".")
+        return np.array([p.get(path, value(model, effect, parameter)) for p in points])
+
+    simulator = Simulator(model, len(points) * k, ARM_HZ, overrides={n: np.repeat(each(n), k) for n in names})
+    joints = np.tile(np.diff(directions(grid), axis=1, prepend=0.0), (len(points), 1))
+    first = np.nan_to_num(grid.pressure_kpa[0])
+    simulator.reset(
+        cart_position_m=np.tile(grid.hinge_m[0], len(points)),
+        joint_angles_rad=joints,
+        pressure_kpa=np.tile(first, len(points)),
+    )
+    velocity, pressure, late = (
+        np.tile(x, (1, len(points))) for x in (grid.cart_velocity_m_s, grid.pressure_command_kpa, grid.late_s)
+    )
+    held = np.tile(grid.held, len(points))
+    flown = np.empty((len(grid.t_s), len(points) * k, 2), np.float32)
+    start = np.tile(grid.hinge_m[0], len(points))
+    for t in range(len(grid.t_s)):
+        tip = simulator.tip_m()
+        tip[:, 0] += np.where(held, start - simulator.cart_position_m, 0.0)
+        flown[t] = tip
+        simulator.step(np.where(held, 0.0, velocity[t]), pressure[t], STEP_S, late_s=late[t])
+    seen = flown.reshape(len(flown), len(points), k, 2)
+    for i, point in enumerate(points):
+        seen[:, i] = _as_seen(seen[:, i], point, model)
+    step, trial = grid.sample
+    flat = seen[step, :, trial].transpose(1, 0, 2)
+    n = grid.links
+    measured = np.stack((grid.links_m[:, :, n - 1] + grid.cart_y_m, grid.links_m[:, :, -1] + grid.cart_z_m), axis=2)
+    return np.asarray(grid.flat(measured)[None].astype(np.float32) - flat)
+
+
+def _as_seen(tip: NDArray[np.float32], point: Point, model: Model) -> NDArray[np.float32]:
+    """What mocap makes of a true tip [T, K, 2]: late, turned, scaled, moved."""
+
+    def of(effect: str, parameter: str) -> float:
+        return point.get(f"mocap.{effect}.{parameter}", value(model, f"mocap.{effect}", parameter))
+
+    turn = of("rotation", "angle")
+    pivot = np.array((0.0, model.arm.base_height_m if point.get(ABOUT_RAIL, 1.0) > 0 else 0.0))
+    away = delayed(tip, of("latency", "delay")) - pivot
+    rotation = np.array(((np.cos(turn), np.sin(turn)), (-np.sin(turn), np.cos(turn))))
+    moved = np.array((of("offset", "y"), of("offset", "z")))
+    return np.asarray((1 + of("scale", "scale")) * (away @ rotation) + pivot + moved, dtype=np.float32)

@@ -1,0 +1,205 @@
+"""Effects that no simulation is needed for: read off stamps, off noise, off how velocities were made.
+
+Each is estimated trial by trial; how well one trial's estimate serves the others is its held-out gap.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
+from scipy.special import stdtrit
+
+from softarm.diagnosis.data.trials import Series, Trial
+from softarm.diagnosis.engine.view import Array
+from softarm.schemas.model import Model
+from softarm.simulator.effects import REGISTRY, value
+
+# What a well-kept rig shows anyway: below, an effect is not named.
+TOLERANCE = {"clock.jitter": 0.0012, "clock.missed_ticks": 0.015, "mocap.dropout": 0.02, "mocap.noise": 0.0005}
+FEW = 5  # events, at least, for a share
+HALF_NORMAL_STD = 0.6028  # of its sigma
+SKEWED = 0.5
+MEDIAN_WIDER = 1.2533  # the error of a median over that of a mean
+VELOCITY_RATIO_MAX = 0.75  # one way of making velocities must leave no more than this share of the other's error
+VELOCITY_FLOOR_M_S = 0.03
+
+
+@dataclass(frozen=True, slots=True)
+class Count:
+    """One such effect on all trials."""
+
+    name: str
+    parameter: str  # '' for an effect that is on or off
+    unit: str
+    nominal: float
+    value: float  # pooled
+    low: float  # 95 % interval over trials, Student's t
+    high: float
+    before: float  # RMS over trials of what the nominal model is off by
+    after: float  # the same of the other trials' estimate
+    floor: float
+    named: bool
+    present: bool = True  # False: the model has it and the robot does not
+
+    @property
+    def stage(self) -> str:
+        """Of the effect."""
+        return REGISTRY[self.name].stage
+
+    @property
+    def shrink(self) -> float:
+        """Share of the gap that goes."""
+        return 1 - self.after / self.before if self.before > 0 else 0.0
+
+
+def counts(trials: Sequence[Trial], model: Model) -> tuple[Count, ...]:
+    """All that the trials show; an effect without its channel is left out."""
+    found = []
+    for name, parameter, estimate in (
+        ("clock.jitter", "sigma", _jitter),
+        ("clock.missed_ticks", "share", _missed),
+        ("mocap.dropout", "share", _dropped),
+        ("mocap.noise", "sigma", mocap_noise),
+    ):
+        pairs = [each for trial in trials if (each := estimate(trial)) is not None]
+        if pairs:
+            values, events = (np.array(column) for column in zip(*pairs, strict=True))
+            found.append(_pooled(name, parameter, model, values, float(events.sum())))
+    if (velocities := _velocities(trials, model)) is not None:
+        found.append(velocities)
+    return tuple(found)
+
+
+def _pooled(name: str, parameter: str, model: Model, values: Array, events: float) -> Count:
+    nominal, floor = value(model, name, parameter), TOLERANCE[name]
+    robust, trials = name in ("clock.jitter", "mocap.noise"), len(values)
+    pooled = float(np.median(values) if robust else values.mean())
+    error = (MEDIAN_WIDER if robust else 1.0) * float(np.std(values, ddof=1)) / np.sqrt(trials) if trials > 1 else 0.0
+    half = float(stdtrit(trials - 1, 0.975)) * error if trials > 1 else pooled
+    others = [np.delete(values, i).mean() for i in range(len(values))] if len(values) > 1 else [pooled]
+    before = float(np.sqrt(np.mean((values - nominal) ** 2)))
+    after = float(np.sqrt(np.mean((values - others) ** 2)))
+    named = abs(pooled - nominal) > floor and events >= FEW and after < 0.7 * before
+    if name == "mocap.noise":
+        named = named and pooled > 1.8 * nominal
+        nominal_unit = REGISTRY[name].parameters[0].unit
+        return Count(
+            name, parameter, nominal_unit, nominal, pooled, pooled - half, pooled + half, before, after, floor, named
+        )
+    unit = next(p.unit for p in REGISTRY[name].parameters if p.name == parameter)
+    low = max(0.0, pooled - half)
+    return Count(name, parameter, unit, nominal, pooled, low, pooled + half, before, after, floor, named)
+
+
+def _grid(t: Array) -> tuple[Array, NDArray[np.int64]]:
+    """Residuals of stamps about a regular series, and each stamp's number in it."""
+    period = float(np.median(np.diff(t)))
+    number = np.concatenate(([0], np.cumsum(np.maximum(np.rint(np.diff(t) / period), 1)))).astype(np.int64)
+    slope, offset = np.polyfit(number, t, 1)
+    return t - slope * number - offset, number
+
+
+def _jitter(trial: Trial) -> tuple[float, float] | None:
+    """Standard deviation of a tick's lateness, s; of a lateness that cannot be early the half normal's."""
+    t = trial.channels["command"].t_s if "command" in trial.channels else np.zeros(0)
+    if len(t) < 30:
+        return None
+    left, _ = _grid(t)
+    spread = float(np.std(left))
+    skew = float(np.mean(left**3)) / spread**3 if spread > 1e-6 else 0.0
+    return spread / (HALF_NORMAL_STD if skew > SKEWED else 1.0), float(len(t))
+
+
+def _missed(trial: Trial) -> tuple[float, float] | None:
+    if "command" not in trial.channels or len(trial.channels["command"]) < 30:
+        return None
+    _, number = _grid(trial.channels["command"].t_s)
+    missing = number[-1] + 1 - len(number)
+    return float(missing / (number[-1] + 1)), float(missing)
+
+
+def _dropped(trial: Trial) -> tuple[float, float] | None:
+    """Share of frames that never came, or that repeat the one before."""
+    mocap = trial.channels.get("mocap")
+    if mocap is None or len(mocap) < 60:
+        return None
+    _, number = _grid(mocap.t_s)
+    poses = np.stack([mocap[c] for c in mocap.columns if c != "t_receive"], axis=1)
+    repeated = int((np.diff(poses, axis=0) == 0).all(axis=1).sum())
+    missing = number[-1] + 1 - len(number) + repeated
+    return float(missing / (number[-1] + 1)), float(missing)
+
+
+def mocap_noise(trial: Trial) -> tuple[float, float] | None:
+    """From frame to frame, m: what a third difference leaves of a smooth motion, of the pose that moves least."""
+    mocap = trial.channels.get("mocap")
+    if mocap is None or len(mocap) < 60:
+        return None
+    usual = float(np.median(np.diff(mocap.t_s)))
+    regular = np.abs(np.diff(mocap.t_s) - usual) < 0.3 * usual
+    run = regular[:-2] & regular[1:-1] & regular[2:]
+    third = [np.abs(np.diff(mocap[f"{body}_{part}"], n=3))[run] for body in ("cart", "link1") for part in ("y", "z")]
+    spreads = [1.4826 * float(np.nanmedian(each)) / np.sqrt(20.0) for each in third if np.isfinite(each).any()]
+    return (min(spreads), float(len(mocap))) if spreads and run.any() else None
+
+
+def _velocities(trials: Sequence[Trial], model: Model) -> Count | None:
+    """Whether the observation's velocities are differences over a tick, or true."""
+    errors = np.array([each for trial in trials if (each := _velocity_errors(trial)) is not None])
+    if not len(errors):
+        return None
+    name = "observation.finite_difference"
+    modelled = name in model.effects
+    differenced, true = np.sqrt((errors**2).mean(axis=0))
+    before, after = (differenced, true) if modelled else (true, differenced)
+    named = after < VELOCITY_RATIO_MAX * before and before > VELOCITY_FLOOR_M_S
+    return Count(
+        name,
+        "",
+        "m/s",
+        0.0,
+        0.0,
+        0.0,
+        0.0,
+        float(before),
+        float(min(after, before)),
+        VELOCITY_FLOOR_M_S,
+        bool(named),
+        present=not modelled,
+    )
+
+
+def _velocity_errors(trial: Trial) -> tuple[float, float] | None:
+    """RMS error of the observed tip velocities against differences over a tick, and against the motion's slope."""
+    mocap, seen = trial.channels.get("mocap"), trial.channels.get("observation")
+    columns = mocap.columns if mocap is not None else ()
+    last = sum(name.startswith("link") and name.endswith("_y") for name in columns)
+    if mocap is None or seen is None or not last or len(seen) < 30:
+        return None
+    newest = np.searchsorted(mocap["t_receive"], seen.t_s + 1e-9, side="right") - 1
+    ok = newest >= 0
+    errors_d, errors_t = [], []
+    for part in ("y", "z"):
+        place, stamps = mocap[f"link{last}_{part}"], mocap.t_s
+        finite = np.isfinite(place)
+        slope = _slope(Series(stamps[finite], {"x": place[finite]}))
+        now, before = newest[1:], newest[:-1]
+        good = ok[1:] & ok[:-1] & (now > before) & np.isfinite(place[now]) & np.isfinite(place[before])
+        step = stamps[now] - stamps[before]
+        difference = (place[now] - place[before]) / np.where(step > 0, step, np.inf)
+        observed = seen[f"tip_v{part}"][1:]
+        errors_d.append((observed - difference)[good])
+        errors_t.append((observed - slope(stamps[now]))[good])
+    if not sum(map(len, errors_d)):
+        return None
+    return tuple(float(np.sqrt(np.mean(np.concatenate(e) ** 2))) for e in (errors_d, errors_t))  # type: ignore[return-value]
+
+
+def _slope(series: Series) -> CubicSpline:
+    """Derivative of a motion, its noise averaged over five frames."""
+    kernel = np.ones(5) / 5
+    smooth = np.convolve(series["x"], kernel, mode="same")
+    smooth[:2], smooth[-2:] = series["x"][:2], series["x"][-2:]
+    return CubicSpline(series.t_s, smooth).derivative()

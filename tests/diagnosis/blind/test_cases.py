@@ -1,0 +1,208 @@
+"""The blind benchmark's cases: what is drawn, in which shares, how strongly, and what the files do not tell."""
+
+from collections import Counter
+from dataclasses import fields, replace
+
+import numpy as np
+import pytest
+
+from softarm.diagnosis.blind import make
+from softarm.diagnosis.blind.cases import FRESH, PROGRAMME, SHARES, SINGLES, counts, draw, separable
+from softarm.diagnosis.blind.imperfections import (
+    KNOWN,
+    REMOVABLE,
+    UNKNOWN,
+    UNKNOWNS,
+    draw_cause,
+    draw_nuisances,
+    given,
+    stage_of,
+    variants_of,
+)
+from softarm.diagnosis.data.folder import read as read_trial
+from softarm.diagnosis.data.read import read_all
+from softarm.reality.parameters import RobotParameters
+from softarm.schemas.excitation import EXCITATIONS
+from softarm.schemas.model import Model
+from softarm.simulator import model_file
+from softarm.simulator.effects import REGISTRY
+
+CAUSES = (*KNOWN, *(UNKNOWN + name for name in UNKNOWNS))
+# Fields of reality that are neutral in a robot without a cause; the rest are what nuisances turn.
+TURNED = {
+    "inflate_s",
+    "deflate_s",
+    "tube_s",
+    "acceleration_m_s2",
+    "delay_s",
+    "velocity_gain_n_s_m",
+    "bias_kpa",
+    "offset_y_m",
+    "offset_z_m",
+    "rotation_rad",
+    "noise_m",
+    "angle_noise_rad",
+    "noise_kpa",
+    "camera_drift",
+    "tick_jitter_s",
+    "transport_s",
+    "transport_jitter_s",
+    "dropout",
+}
+GROUPS = ("regulator", "rail", "arm", "mocap", "pressure_sensor", "rail_sensor", "clock")
+
+
+@pytest.fixture(scope="module")
+def cases():
+    return draw(200, seed=5)
+
+
+def test_a_hundred_cases_have_the_promised_shares():
+    assert counts(100) == {"single": 40, "two": 16, "none": 16, "unknown": 28}
+    assert Counter(case.kind for case in draw(100, seed=1)) == counts(100)
+
+
+@pytest.mark.parametrize("count", [1, 7, 33, 120])
+def test_shares_of_any_count_add_up_to_it(count):
+    found = counts(count)
+    assert sum(found.values()) == count
+    assert all(abs(found[kind] - share * count) < 1 for kind, share in SHARES.items())
+
+
+def test_the_same_seed_draws_the_same_cases_and_another_draws_others():
+    assert draw(30, seed=3) == draw(30, seed=3)
+    labels = [{case.name: case.label for case in draw(30, seed)} for seed in (3, 4)]
+    assert not set(labels[0]) & set(labels[1])
+
+
+def test_every_effect_that_reality_can_produce_is_drawn_equally_often(cases):
+    singles = Counter((case.causes[0].name, case.causes[0].removed) for case in cases if case.kind == "single")
+    assert set(singles) == set(SINGLES)
+    assert max(singles.values()) - min(singles.values()) <= 1
+    robot = {name for name in REGISTRY if not name.startswith("contact.")}
+    assert {name for name, _ in singles} == robot
+    unknowns = Counter(case.causes[0].name for case in cases if case.kind == "unknown")
+    assert len(unknowns) >= 5
+    assert max(unknowns.values()) - min(unknowns.values()) <= 1
+
+
+def test_no_unknown_cause_has_a_name_in_the_registry():
+    assert not {UNKNOWN + name for name in UNKNOWNS} & set(REGISTRY)
+    assert set(KNOWN) < set(REGISTRY)
+
+
+def test_two_causes_are_never_look_alikes(cases):
+    pairs = [[cause.name for cause in case.causes] for case in cases if case.kind == "two"]
+    assert len(pairs) == 32
+    assert all(separable(one, other) and separable(other, one) for one, other in pairs)
+    assert not separable("pressure.gain", "pressure.sensor_bias")
+    assert not separable("arm.tilt", "arm.tilt")
+
+
+@pytest.mark.parametrize("name", CAUSES)
+def test_reality_allows_every_cause_at_both_ends_and_it_changes_the_robot(name):
+    nominal = RobotParameters()
+    for variant in variants_of(name):
+        for end in ("low", "high"):
+            values = [getattr(knob, end) for knob in variant]
+            robot, settings = given(nominal, variant, values)
+            assert robot != nominal
+            assert set(settings) == {path for knob in variant for path in knob.paths}
+            mirrored = [
+                (1 / v if knob.how == "times" else -v) if knob.either_way else v
+                for knob, v in zip(variant, values, strict=True)
+            ]
+            assert given(nominal, variant, mirrored)[0] != nominal
+    assert stage_of(name) in {"pressure", "rail", "arm", "mocap", "clock"}
+
+
+@pytest.mark.parametrize("name", CAUSES)
+def test_magnitudes_fill_their_range_evenly_on_a_logarithmic_scale(name):
+    random = np.random.default_rng(0)
+    for variant in variants_of(name):
+        for knob in variant:
+            drawn = np.abs(np.log([abs(knob.draw(random)) for _ in range(400)]))
+            low, high = sorted(np.abs(np.log([knob.low, knob.high])))
+            if knob.how != "times" and knob.low < 1 < knob.high:
+                continue  # the logarithm changes its sign inside
+            assert (drawn >= low - 1e-12).all()
+            assert (drawn <= high + 1e-12).all()
+            assert np.mean(drawn) == pytest.approx((low + high) / 2, abs=0.1 * (high - low) + 1e-12)
+
+
+def test_a_removed_effect_leaves_the_robot_alone_and_is_out_of_the_model_file(cases):
+    removed = [case for case in cases if any(cause.removed for cause in case.causes)]
+    assert {cause.name for case in removed for cause in case.causes if cause.removed} == set(REMOVABLE)
+    for case in removed:
+        gone = {cause.name for cause in case.causes if cause.removed}
+        assert set(case.model.effects) == set(Model().effects) - gone
+    for case in cases:
+        if case not in removed:
+            assert case.model == Model()
+    robot = draw_nuisances(RobotParameters(), np.random.default_rng(1))
+    assert draw_cause(robot, "rail.delay", True, np.random.default_rng(2))[0] == robot
+
+
+def test_nuisances_turn_everything_that_is_never_quite_right_and_nothing_else():
+    nominal = RobotParameters()
+    robots = [draw_nuisances(nominal, np.random.default_rng(seed)) for seed in range(100)]
+    for group in GROUPS:
+        for field in fields(getattr(nominal, group)):
+            values = {getattr(getattr(robot, group), field.name) for robot in robots}
+            if field.name in TURNED:
+                assert len(values) == len(robots), field.name
+            else:
+                assert values == {getattr(getattr(nominal, group), field.name)}, field.name
+    for name, sigma in (("stiffness_nm_rad", 0.015), ("damping_nm_s_rad", 0.05)):
+        scales = np.array([getattr(robot.body, name) for robot in robots]) / getattr(nominal.body, name) - 1
+        assert np.std(scales) == pytest.approx(sigma * np.sqrt(2), rel=0.2)  # once for all joints, once for each
+        assert np.std(scales.mean(axis=1)) == pytest.approx(sigma * np.sqrt(1.2), rel=0.25)
+
+
+def test_every_case_has_eight_trials_of_both_rails_and_fresh_ones_unlike_them(cases):
+    repeats = 0
+    for case in cases:
+        names = [trial.excitation for trial in case.planned]
+        assert len(names) == 8
+        assert set(names) <= set(PROGRAMME)
+        assert "seed" in names
+        repeats += len(set(names)) < 8
+        assert {trial.held for trial in case.planned} == {True, False}
+        assert not any(trial.held and EXCITATIONS[trial.excitation].moves_rail for trial in case.planned)
+        assert 100 < sum(EXCITATIONS[name].duration_s for name in names) < 180
+        seeds = [trial.seed for trial in (*case.planned, *case.fresh)]
+        assert len(set(seeds)) == len(seeds)
+        assert {trial.excitation for trial in case.fresh} == set(FRESH)
+    assert 60 < repeats < 140
+
+
+def test_names_say_nothing(cases):
+    assert len({case.name for case in cases}) == len(cases)
+    by_name = [case.kind for case in sorted(cases, key=lambda case: case.name)]
+    assert by_name != sorted(by_name)
+    assert {trial.folder for case in cases for trial in case.planned} == {f"trial-{i}" for i in range(1, 9)}
+
+
+@pytest.mark.parametrize(("count", "seed"), [(0, 1), (5, -1)])
+def test_what_cannot_be_drawn_is_refused_in_words(count, seed):
+    with pytest.raises(ValueError, match="give a count from 1 and a seed from 0"):
+        draw(count, seed)
+
+
+def test_a_written_case_is_a_campaign_and_a_half_written_one_is_flown_again(tmp_path):
+    case = next(case for case in draw(20, seed=2) if case.kind == "single")
+    short = next(trial for trial in case.fresh if trial.excitation == "rail-multisine")
+    case = replace(case, planned=(replace(short, folder="trial-1"),), fresh=(replace(short, seed=99),))
+    data, fresh = tmp_path / "data", tmp_path / "fresh"
+    (data / case.name / "trial-1").mkdir(parents=True)
+    (data / case.name / "trial-1" / "left.csv").write_text("half")
+    assert not make.is_written(case, data, fresh)
+    make.write_case(case, data, fresh)
+    assert make.is_written(case, data, fresh)
+    (trial,) = read_all([data / case.name])
+    assert (trial.name, trial.kind, trial.rail) == ("trial-1", "rail-multisine", "free")
+    assert not trial.not_observable
+    assert model_file.load(data / case.name / "model.yaml") == case.model
+    assert not (data / case.name / "trial-1" / "left.csv").exists()
+    other = read_trial(fresh / case.name / "trial-3")
+    assert not np.array_equal(other.channels["mocap"]["link5_y"][:100], trial.channels["mocap"]["link5_y"][:100])

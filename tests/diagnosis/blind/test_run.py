@@ -1,0 +1,246 @@
+"""Answering blind: nothing but the data decides, nothing is lost when stopped, and what is frozen stays."""
+
+import inspect
+import json
+import shutil
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from softarm.cli.blind import blind
+from softarm.diagnosis.blind import methods, opening, run, seal
+from softarm.diagnosis.data.trials import TrialError
+from softarm.reality.record import record
+from softarm.schemas.model import Model
+from softarm.schemas.verdict import Gap, Interval, NamedEffect, Shrink, Verdict, Where
+from softarm.simulator import model_file
+
+CASES = ("case-a", "case-b", "case-c")
+LABELS = seal.Labels(
+    "5a" * 32,
+    3,
+    {
+        "case-a": {
+            "kind": "single",
+            "causes": [{"name": "pressure.gain", "stage": "pressure", "removed": False, "settings": {}}],
+        },
+        "case-b": {"kind": "none", "causes": []},
+        "case-c": {
+            "kind": "unknown",
+            "causes": [{"name": "unknown.cable", "stage": "rail", "removed": False, "settings": {}}],
+        },
+    },
+)
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory):
+    """Three cases of one short trial each."""
+    data = tmp_path_factory.mktemp("blind") / "data"
+    for seed, case in enumerate(CASES):
+        record(lambda t: (0.2, 9.0), data / case / "trial-1", 0.5, seed=seed, kind="step")
+        model_file.save(Model(), data / case / "model.yaml")
+    return data
+
+
+@pytest.fixture
+def data(recorded, tmp_path):
+    shutil.copytree(recorded, tmp_path / "data")
+    seal.write_labels(LABELS, tmp_path / "sealed" / "labels.json", tmp_path / "data")
+    return tmp_path / "data"
+
+
+def names_gain(trials, model):
+    """A stand-in that answers from what it is handed: everything that it can see goes into the answer."""
+    seen = [f"{trial.name} {trial.kind} {trial.source} {trial.warnings} {trial.missing}" for trial in trials]
+    rms = float(np.std(trials[0].channels["mocap"]["link5_y"]))
+    effect = NamedEffect(
+        name="pressure.gain",
+        parameters={},
+        confidence=0.8,
+        shrink=Shrink(stage=Interval(value=0.5, low=0.4, high=0.6)),
+    )
+    where = Where(stage="pressure", share={"pressure": 1.0}, regime=f"{seen} {rms!r} {sorted(model.effects)}")
+    return Verdict(verdict="named", where=where, effects=(effect,), gap=Gap(before={}, after={}, floor={}, ceiling={}))
+
+
+@pytest.fixture(autouse=True)
+def stand_in(monkeypatch):
+    monkeypatch.setitem(methods.METHODS, "diagnose", names_gain)
+
+
+def answers_of(file):
+    return {answer["case"]: answer for answer in json.loads(file.read_text())["answers"]}
+
+
+def test_labels_are_no_argument_and_never_touched(data, tmp_path):
+    assert not any("label" in name for name in inspect.signature(run.run).parameters)
+    assert not any("label" in str(parameter.opts) for parameter in blind.commands["run"].params)
+    texts = []
+    for name, labels in (("one", LABELS), ("other", seal.Labels("00" * 32, 4, {}))):
+        (data / seal.COMMITMENT).write_text(json.dumps(seal.commitment(labels)))
+        file = tmp_path / f"{name}.json"
+        run.run(data, file, processes=1)
+        texts.append(file.read_bytes())
+    shutil.rmtree(tmp_path / "sealed")
+    (data / seal.COMMITMENT).unlink()
+    run.run(data, tmp_path / "none.json", processes=1)
+    texts.append((tmp_path / "none.json").read_bytes())
+    assert len(set(texts)) == 1
+    assert set(answers_of(tmp_path / "none.json")) == set(CASES)
+
+
+def test_name_and_place_of_a_case_do_not_matter(data, tmp_path):
+    run.run(data, tmp_path / "a.json", processes=1)
+    other = tmp_path / "elsewhere" / "z"
+    for case, renamed in zip(CASES, ("zz", "aa", "mm"), strict=True):
+        shutil.copytree(data / case, other / renamed)
+    run.run(other, tmp_path / "b.json", processes=1)
+    one, two = answers_of(tmp_path / "a.json"), answers_of(tmp_path / "b.json")
+    for case, renamed in zip(CASES, ("zz", "aa", "mm"), strict=True):
+        assert one[case]["verdict"] == two[renamed]["verdict"]
+        assert one[case]["data"] == two[renamed]["data"]
+    assert len({str(answer["verdict"]) for answer in one.values()}) == 3  # they do depend on the data
+
+
+def test_a_stopped_run_goes_on_and_a_finished_one_answers_nothing_twice(data, tmp_path, monkeypatch):
+    asked = []
+
+    def stops(trials, model):
+        if len(asked) == 2:
+            raise KeyboardInterrupt
+        asked.append(trials)
+        return names_gain(trials, model)
+
+    file = tmp_path / "answers.json"
+    run.run(data, tmp_path / "whole.json", processes=1)
+    monkeypatch.setitem(methods.METHODS, "diagnose", stops)
+    with pytest.raises(KeyboardInterrupt):
+        run.run(data, file, processes=1)
+    assert not file.exists()
+    with (tmp_path / "answers.json.partial").open("a") as out:
+        out.write('{"case": "case-c", "cut o')
+    seen = []
+    monkeypatch.setitem(methods.METHODS, "diagnose", lambda t, m: seen.append(t) or names_gain(t, m))
+    run.run(data, file, processes=1)
+    assert len(seen) == 1
+    assert file.read_bytes() == (tmp_path / "whole.json").read_bytes()
+    run.run(data, file, processes=1)
+    assert len(seen) == 1
+    assert set(run.read_seconds(file)) == set(CASES)
+
+
+def test_other_data_or_another_tool_are_answered_anew(data, tmp_path, monkeypatch):
+    file, seen = tmp_path / "answers.json", []
+    monkeypatch.setitem(methods.METHODS, "diagnose", lambda t, m: seen.append(t) or names_gain(t, m))
+    run.run(data, file, processes=1)
+    csv = data / "case-b" / "trial-1" / "pressure.csv"
+    csv.write_text("".join(csv.read_text().splitlines(keepends=True)[:-1]))
+    run.run(data, file, processes=1)
+    assert len(seen) == 4
+    monkeypatch.setattr(run, "tool_version", lambda: "another")
+    run.run(data, file, processes=1)
+    assert len(seen) == 7
+
+
+def test_a_tool_that_falls_over_has_answered_and_the_others_go_on(data, tmp_path, monkeypatch):
+    def falls(trials, model):
+        raise TrialError("too short")
+
+    monkeypatch.setitem(methods.METHODS, "diagnose", falls)
+    run.run(data, tmp_path / "answers.json", processes=1)
+    answers = answers_of(tmp_path / "answers.json")
+    assert [answer["failure"] for answer in answers.values()] == ["TrialError: too short"] * 3
+    assert all(answer["verdict"] is None for answer in answers.values())
+
+
+def test_what_cannot_be_run_is_refused_in_words(data, tmp_path):
+    with pytest.raises(seal.SealError, match="method 'oracle' is unknown; there are diagnose"):
+        run.run(data, tmp_path / "a.json", "oracle")
+    with pytest.raises(seal.SealError, match="holds no case"):
+        run.run(tmp_path / "nothing", tmp_path / "a.json")
+    with pytest.raises(seal.SealError, match="outside"):
+        run.run(data, data / "answers.json")
+
+
+def test_a_method_may_bring_its_model_or_have_it_made_of_its_verdict(data, monkeypatch):
+    own = Model().model_copy(update={"effects": {"rail.gain": {"scale": 0.05}}})
+
+    class Diagnosis:
+        verdict, patched = names_gain(opening.read.read_all([data / "case-a"]), Model()), own
+
+    assert Model.model_validate(run.answer_case(data / "case-a", "diagnose")["patched_model"]).effects == {
+        **Model().effects,
+        "pressure.gain": {},
+    }
+    monkeypatch.setitem(methods.METHODS, "diagnose", lambda trials, model: Diagnosis)
+    assert run.answer_case(data / "case-a", "diagnose")["patched_model"]["effects"] == own.effects
+
+
+def test_opening_scores_measures_on_fresh_trials_and_writes_everything(data, tmp_path):
+    file, fresh = tmp_path / "answers.json", tmp_path / "fresh"
+    shutil.copytree(data, fresh)
+    run.run(data, file, processes=1)
+    asked = []
+
+    def measure(trials, nominal, patched):
+        asked.append((trials[0].source, sorted(set(patched.effects) - set(nominal.effects))))
+        return {"pressure": 0.55, "chain": 0.1}
+
+    labels = tmp_path / "sealed" / "labels.json"
+    result = opening.open_labels(data, labels, [file], tmp_path / "out", fresh, measure)
+    assert [added for _, added in asked] == [["pressure.gain"]] * 3
+    assert all(fresh in source.parents for source, _ in asked)
+    measures = result["methods"]["diagnose"]["measures"]
+    assert (measures["single, exact"]["hits"], measures["single, exact"]["of"]) == (1, 1)
+    assert measures["none, given a name"]["share"] == measures["unknown, given a name"]["share"] == 1.0
+    assert result["methods"]["diagnose"]["coverage"]["stage"]["of"] == 3
+    assert {wrong["case"] for wrong in result["methods"]["diagnose"]["wrong"]} == {"case-b", "case-c"}
+    assert json.loads((tmp_path / "out" / "score.json").read_text()) == result
+    assert "case-c | unknown.cable | named | pressure.gain (0.80)" in (tmp_path / "out" / "score.md").read_text()
+    assert (tmp_path / "out" / "reliability-diagnose.png").read_bytes().startswith(b"\x89PNG")
+
+
+@pytest.mark.parametrize("broken", ["answers", "labels", "data", "incomplete", "twice"])
+def test_opening_refuses_whatever_changed_after_it_was_sealed(data, tmp_path, broken):
+    file, labels = tmp_path / "answers.json", tmp_path / "sealed" / "labels.json"
+    run.run(data, file, processes=1)
+    files, told = [file], ""
+    if broken == "answers":
+        file.write_text(file.read_text().replace("pressure.gain", "rail.gain"))
+        told = "has changed since it was frozen"
+    elif broken == "labels":
+        labels.write_text(labels.read_text().replace("unknown.cable", "pressure.gain"))
+        told = "case-c"
+    elif broken == "data":
+        (data / "case-a" / "trial-1" / "rail.csv").unlink()
+        told = "differs from what was answered"
+    elif broken == "incomplete":
+        content = json.loads(file.read_text())
+        content["answers"].pop()
+        file.write_text(json.dumps(content))
+        seal.freeze(file)
+        told = "case-c"
+    else:
+        files, told = [file, file], "one file a method"
+        shutil.copy(file, tmp_path / "copy.json")
+        shutil.copy(tmp_path / "answers.json.sha256", tmp_path / "copy.json.sha256")
+        files = [file, tmp_path / "copy.json"]
+    with pytest.raises(seal.SealError, match=told):
+        opening.open_labels(data, labels, files, tmp_path / "out", None)
+    assert not (tmp_path / "out").exists()
+
+
+def test_the_verbs_run_and_open(data, tmp_path):
+    command = ["run", data, "--answers", tmp_path / "a.json", "--processes", "1"]
+    outcome = CliRunner().invoke(blind, [str(word) for word in command])
+    assert outcome.exit_code == 0, outcome.output
+    assert "frozen as" in outcome.output
+    command = ["open", data, "--answers", tmp_path / "a.json", "--out", tmp_path / "out", "--labels"]
+    outcome = CliRunner().invoke(blind, [str(word) for word in (*command, tmp_path / "sealed" / "labels.json")])
+    assert outcome.exit_code == 0, outcome.output
+    assert "single, exact | 100%" in outcome.output
+    outcome = CliRunner().invoke(blind, [str(word) for word in (*command, tmp_path / "none.json")])
+    assert outcome.exit_code == 1
+    assert "softarm blind make" in outcome.output

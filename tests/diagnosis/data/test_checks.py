@@ -1,0 +1,81 @@
+"""Gaps, duplicates, jumps of time and wrong units are said before anything is fitted."""
+
+import numpy as np
+import pytest
+
+from softarm.diagnosis.data import checks
+from softarm.diagnosis.data.trials import Series
+
+T = np.arange(100) / 100
+
+
+def series(t):
+    return Series(np.asarray(t, dtype=float), {"value": np.arange(len(t), dtype=float)})
+
+
+def test_good_stamps_pass_untouched():
+    good = series(T)
+    assert checks.tidy_stamps(good, "x") == (good, ())
+
+
+def test_duplicates_are_left_out_and_counted():
+    tidy, warnings = checks.tidy_stamps(series(np.concatenate((T[:50], T[49:]))), "x.csv")
+    np.testing.assert_array_equal(tidy.t_s, T)
+    assert tidy["value"][49] == 49  # the first of the two
+    assert warnings[0].startswith("x.csv: 1 rows repeat a stamp and were left out")
+
+
+def test_time_that_runs_backwards_is_sorted_and_said():
+    tidy, warnings = checks.tidy_stamps(series(np.concatenate((T[50:], T[:50]))), "x.csv")
+    np.testing.assert_array_equal(tidy.t_s, T)
+    assert "time runs backwards at 1 rows, first at row 51" in warnings[0]
+    assert "cut the recording in two" in warnings[0]
+
+
+def test_a_gap_is_measured():
+    _, warnings = checks.tidy_stamps(series(np.concatenate((T[:30], T[50:]))), "x.csv")
+    assert warnings == (
+        "x.csv: 1 gaps, 0.21 s in all, the longest 0.210 s at 0.290 s (usual step 10.0 ms); what lies in a gap is "
+        "not compared: record again if it is much",
+    )
+
+
+def test_a_jump_of_the_clock_and_milliseconds():
+    _, warnings = checks.tidy_stamps(series(np.concatenate((T, T + 3600))), "x.csv")
+    assert "the clock jumps by 3599 s" in warnings[0]
+    _, warnings = checks.tidy_stamps(series(T * 1e6), "x.csv")
+    assert "stamps are seconds: divide ms by 1e3" in warnings[0]
+
+
+@pytest.fixture(scope="module")
+def channels(record):
+    return record("both").channels
+
+
+def test_right_units_give_no_warning(channels):
+    assert checks.unit_warnings(channels, "trial") == ()
+
+
+def test_a_muscle_at_rest_is_not_taken_for_bar(record):
+    assert checks.unit_warnings(record("rail-multisine").channels, "trial") == ()
+
+
+@pytest.mark.parametrize(
+    ("channel", "columns", "factor", "says"),
+    [
+        ("pressure", ["pressure"], 0.01, "is it in bar?"),
+        ("pressure", ["pressure"], 1 / 6.894757, "is it in psi?"),
+        ("command", ["pressure"], 10.0, "is it in mbar or hPa?"),
+        ("mocap", None, 1000.0, "positions look like millimetres"),
+        ("mocap", ["link3_angle"], 57.29578, "link3_angle does not agree with the positions; it looks like degrees"),
+        ("mocap", ["link2_angle"], -1.0, "radians of the opposite sign"),
+        ("rail", ["position"], 1000.0, "is it in millimetres?"),
+        ("rail", ["velocity"], 1000.0, "velocity is 1e+03 times the slope of position"),
+    ],
+)
+def test_a_wrong_unit_is_named(channels, channel, columns, factor, says):
+    old = channels[channel]
+    columns = columns or [c for c in old.columns if c.endswith(("_y", "_z"))]
+    changed = Series(old.t_s, {c: v * factor if c in columns else v for c, v in old.columns.items()})
+    warnings = checks.unit_warnings({**channels, channel: changed}, "trial")
+    assert any(says in warning for warning in warnings), warnings

@@ -1,0 +1,137 @@
+"""Single-stage tables: CSV, Parquet and .mat give the same trial; real sets load where they are."""
+
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pytest
+from pyarrow import parquet
+from scipy.io import savemat
+
+from softarm.diagnosis.data import tables
+from softarm.diagnosis.data.trials import TrialError
+
+STAGES = Path(tables.__file__).parents[1] / "rigs" / "stages"
+T = np.arange(50) * 0.02
+COMMAND, MEASURED = np.sin(T), np.degrees(np.sin(T - 0.1))
+
+STAGE = """
+name: servo
+kind: tracking
+channels:
+  command: {time: {source: t, unit: ms}, columns: {command: {source: u, unit: rad}}}
+  measured: {time: {source: t, unit: ms}, columns: {position: {source: y, unit: deg, add: 1.0}}}
+model: {lag_s: 0.05}
+trials:
+  - {name: one, kind: sine, files: {command: FILE, measured: FILE}}
+"""
+
+
+def put(folder, suffix):
+    path = folder / f"data{suffix}"
+    columns = {"t": T * 1e3, "u": COMMAND, "y": MEASURED}
+    if suffix == ".csv":
+        rows = zip(*(c.tolist() for c in columns.values()), strict=True)
+        path.write_text("t,u,y\n" + "\n".join(",".join(map(repr, row)) for row in rows) + "\n")
+    elif suffix == ".parquet":
+        parquet.write_table(pa.table(columns), path)
+    else:
+        savemat(path, columns)
+    stage = folder / "stage.yaml"
+    stage.write_text(STAGE.replace("FILE", path.name))
+    return stage
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".parquet", ".mat"])
+def test_the_same_numbers_from_every_format(tmp_path, suffix):
+    (trial,) = tables.read(put(tmp_path, suffix))
+    assert (trial.name, trial.kind, trial.stage.name, trial.stage.kind) == ("one", "sine", "servo", "tracking")
+    assert trial.stage.model == {"lag_s": 0.05}
+    np.testing.assert_allclose(trial.channels["measured"].t_s, T, rtol=1e-12, atol=1e-15)
+    np.testing.assert_allclose(trial.channels["command"]["command"], COMMAND, rtol=1e-12)
+    np.testing.assert_allclose(trial.channels["measured"]["position"], np.sin(T - 0.1) + 1.0, rtol=1e-12)
+
+
+@pytest.mark.parametrize("byte", [130, 144])
+def test_a_damaged_table_of_matlab_is_refused_even_where_its_reader_dies_of_it(tmp_path, byte):
+    stage = put(tmp_path, ".mat")
+    data = bytearray((tmp_path / "data.mat").read_bytes())
+    data[byte] ^= 0xDB
+    (tmp_path / "data.mat").write_bytes(data)
+    with pytest.raises(TrialError, match=r"data\.mat: "):
+        tables.read(stage)
+
+
+def test_degrees_that_are_called_radians_are_noticed(tmp_path):
+    stage = put(tmp_path, ".csv")
+    stage.write_text(stage.read_text().replace("unit: deg", "unit: rad"))
+    (trial,) = tables.read(stage)
+    assert "position goes up to 44.16 rad (from y, said to be in rad); is it in degrees?" in trial.warnings[0]
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "says"),
+    [
+        ("source: y", "source: z", "no column z; it has t, u, y"),
+        (
+            "kind: tracking",
+            "kind: tracker",
+            "kind: is 'tracker'; allowed 'tracking' or 'driven_mass' or 'pendulum'",
+        ),
+        ("position: {", "angle: {", "a tracking stage needs a column position or velocity or pressure there"),
+        ("unit: deg", "unit: turns", "unit: no unit 'turns'; allowed .*, s, ms, us, ns, m"),
+        ("measured: data.csv", "measured: other.csv", r"other\.csv: is not there"),
+    ],
+)
+def test_a_wrong_stage_file_says_what_is_allowed(tmp_path, old, new, says):
+    stage = put(tmp_path, ".csv")
+    stage.write_text(stage.read_text().replace(old, new))
+    with pytest.raises(TrialError, match=says):
+        tables.read(stage)
+
+
+def test_a_bad_cell_is_named_by_file_column_and_row(tmp_path):
+    stage = put(tmp_path, ".csv")
+    path = tmp_path / "data.csv"
+    lines = path.read_text().splitlines()
+    lines[4] = lines[4].rpartition(",")[0] + ",oops"
+    path.write_text("\n".join(lines) + "\n")
+    with pytest.raises(TrialError, match=r"data\.csv: column y, row 5: 'oops' is not a finite number"):
+        tables.read(stage)
+
+
+def test_cells_with_lists_make_a_stage_for_each_element(tmp_path):
+    rows = "\n".join(f'{1e3 * t!r},"[{u!r}, {2 * u!r}]"' for t, u in zip(T.tolist(), COMMAND.tolist(), strict=True))
+    (tmp_path / "data.csv").write_text("t,u\n" + rows + "\n")
+    stage = tmp_path / "stage.yaml"
+    text = STAGE.replace("FILE", "data.csv").replace("source: y, unit: deg, add: 1.0", "source: u, unit: rad")
+    stage.write_text(text.replace("kind: tracking", "kind: tracking\nelements: {a: 0, b: 1}"))
+    a, b = tables.read(stage)
+    assert (a.name, b.name, b.stage.name) == ("one/a", "one/b", "b")
+    np.testing.assert_array_equal(b.channels["measured"]["position"], 2 * COMMAND)
+    stage.write_text(text.replace("kind: tracking", "kind: tracking\nelements: {a: 2}"))
+    with pytest.raises(TrialError, match=r"column u, row 2: \[.*\] has no number at place 2"):
+        tables.read(stage)
+
+
+def test_the_real_sets_load_without_a_warning(data):
+    trials = [t for stage in sorted(STAGES.glob("*.yaml")) for t in tables.read(stage, data)]
+    kinds = {kind: [t for t in trials if t.stage.kind == kind] for kind in ("pendulum", "tracking")}
+    assert [len(found) for found in kinds.values()] == [1 + 6 + 26, 30]
+    assert [w for t in trials for w in t.warnings] == []
+    free = next(t for t in trials if t.name == "free-swing-1").channels["measured"]
+    assert len(free) == 231_757
+    assert np.abs(free["angle1"]).max() < 0.07  # hangs at zero, swings about 4 degrees
+    assert np.ptp(free.t_s) == pytest.approx(23.1756)
+    servo = next(t for t in trials if t.name == "step-response/servo3")
+    lag = np.corrcoef(servo.channels["command"]["command"], servo.channels["measured"]["position"])[0, 1]
+    assert 0.9 < lag < 1.0
+
+
+def test_rates_are_the_slopes_of_the_angles_in_the_real_pendulums(data):
+    """Signs and units of the stage files: a slope of one."""
+    for stage, links in (("pendulum-single.yaml", 1), ("pendulum-triple.yaml", 3)):
+        measured = tables.read(STAGES / stage, data)[1].channels["measured"]
+        for i in range(1, links + 1):
+            slope = np.polyfit(np.gradient(measured[f"angle{i}"], measured.t_s), measured[f"rate{i}"], 1)[0]
+            assert slope == pytest.approx(1.0, abs=0.05)

@@ -1,0 +1,101 @@
+"""What any model could explain: right where it can be calculated, never from what a trial could not know."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+import pytest
+
+from softarm.diagnosis.engine.ceiling import LAGS, explainable, regimes
+
+pytestmark = pytest.mark.slow
+TRIALS, LENGTH = 4, 900
+SAMPLES = TRIALS * LENGTH
+
+
+@dataclass
+class _View:
+    """Trials of equal length whose features are white noise."""
+
+    length: int = LENGTH
+    floor: np.ndarray = field(default_factory=lambda: np.ones(1))
+
+    def __post_init__(self):
+        random = np.random.default_rng(0)
+        self.trial = np.arange(SAMPLES) // self.length
+        self.features = {name: random.normal(size=SAMPLES) for name in ("input", "other")}
+        self.regimes = {"early": np.arange(SAMPLES) < SAMPLES // 2, "rare": np.arange(SAMPLES) < 60}
+
+
+def _noise(seed=1):
+    return np.random.default_rng(seed).normal(size=SAMPLES)
+
+
+def _before(view, lag):
+    """The input `lag` samples ago; what was before its trial nobody knows, so it is zero."""
+    moved = np.roll(view.features["input"], lag)
+    moved[np.arange(SAMPLES) % view.length < lag] = 0.0
+    return moved
+
+
+def _share(view, residual):
+    return explainable(view, residual[:, None], view.trial)
+
+
+def test_noise_is_explained_by_nothing():
+    share, _ = _share(_View(), _noise())
+    assert share < 0.02
+
+
+@pytest.mark.parametrize("lag", [0, LAGS[-1]])
+def test_a_law_of_the_present_or_of_the_past_is_found_and_its_feature_named(lag):
+    view = _View()
+    share, used = _share(view, _before(view, lag))
+    assert share > 0.9
+    assert next(iter(used)) == "input"
+    assert used["input"] > 0.8
+
+
+def test_a_law_without_a_slope_is_found_too():
+    view = _View()
+    share, _ = _share(view, np.abs(view.features["input"]) - np.sqrt(2 / np.pi))
+    assert share > 0.9
+
+
+@pytest.mark.parametrize("part", [0.3, 0.7])
+def test_of_a_law_under_noise_the_law_s_share_of_the_energy_is_found(part):
+    view = _View()
+    share, _ = _share(view, np.sqrt(part) * view.features["input"] + np.sqrt(1 - part) * _noise())
+    assert part - 0.1 < share < part + 0.02  # trees spend a little on noise
+
+
+def test_a_law_that_each_fold_has_for_itself_explains_nothing_held_out():
+    view = _View()
+    share, _ = _share(view, np.where(view.trial % 2 == 0, 1.0, -1.0) * view.features["input"])
+    assert share == 0.0
+
+
+def test_the_end_of_another_trial_tells_nothing_of_a_trial_s_start():
+    """Many short trials whose residual is the input of the trial before: none of them could have known it."""
+    view = _View(length=LAGS[-1])
+    residual = np.roll(view.features["input"], LAGS[-1])
+    share, _ = explainable(view, residual[:, None], np.arange(SAMPLES) * 4 // SAMPLES)
+    assert share < 0.02
+
+
+def test_what_was_not_measured_is_left_out():
+    view = _View()
+    residual = view.features["input"].copy()
+    residual[::7] = np.nan
+    share, _ = _share(view, residual)
+    assert share > 0.9
+
+
+def test_of_one_fold_nothing_is_known():
+    view = _View()
+    assert explainable(view, view.features["input"][:, None], np.zeros(SAMPLES, dtype=np.int64)) == (0.0, {})
+
+
+def test_regimes_are_root_mean_squares_and_a_rare_one_is_left_out():
+    view = _View()
+    found = regimes(view, np.where(view.regimes["early"], 3.0, 1.0)[:, None])
+    assert found == {"early": pytest.approx(3.0)}

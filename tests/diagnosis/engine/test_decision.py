@@ -1,0 +1,131 @@
+"""The decision: from energies and gains, made by hand, to each of the four verdicts."""
+
+import numpy as np
+import pytest
+
+from softarm.diagnosis.engine.decision import RANDOM_SHARE, decide, stage_of, stage_shares
+from softarm.diagnosis.engine.fits import Fit
+from softarm.diagnosis.engine.search import Choice, Gain, SelectedEffect
+from softarm.diagnosis.robot.candidates import candidates
+from softarm.diagnosis.robot.confidence import confidence
+from softarm.schemas.model import Model
+from softarm.simulator.effects import STAGES
+
+KNOWN = {each.name: each for each in candidates(Model())}
+
+
+def _fit(*names, folds=(1.0, 1.0, 1.0), halves=(1.0, 1.0)):
+    """Effects at a start of theirs; `folds`: their change without each fold, in units of the change with all."""
+    empty = np.zeros(0)
+    effects = tuple(KNOWN[name] for name in names)
+    u = tuple(each.starts[0] for each in effects)
+    nominal = np.array([d.nominal for each in effects for d in each.parameters])
+    change = np.array([x for us in u for x in us]) - nominal
+    without, parts = nominal + np.outer(folds, change), nominal + np.outer(halves, change)
+    return Fit(effects, u, empty, 0.0, empty, without, parts)
+
+
+def _gain(value=100.0, **energies):
+    return Gain(value, 0.5 * value, 1.5 * value, dict.fromkeys(energies, 0.9), energies)
+
+
+def _named_effect(name, equivalents=(), **energies):
+    return SelectedEffect(
+        candidate=KNOWN[name], without=_fit(), gain=_gain(**energies), rivals=(), equivalents=equivalents
+    )
+
+
+def _choice(before, after, *selected, folds=(1.0, 1.0, 1.0), halves=(1.0, 1.0)):
+    chosen = _fit(*(m.candidate.name for m in selected), folds=folds, halves=halves)
+    return Choice(_fit(), (), chosen, selected, None, (before, after))
+
+
+def _names(decision):
+    return [m.candidate.name for m in decision.selected]
+
+
+def test_no_gap_is_none():
+    decision = decide(_choice({"pressure": 0.8, "arm": 1.1}, {"pressure": 0.8, "arm": 1.1}), {"arm": 0.9})
+    assert (decision.kind, decision.selected) == ("none", ())
+
+
+def test_a_gap_that_goes_is_named():
+    lag = _named_effect("pressure.lag", pressure=49.0)
+    decision = decide(_choice({"pressure": 50.0, "arm": 1.0}, {"pressure": 1.0, "arm": 1.0}, lag), {})
+    assert (decision.kind, _names(decision)) == ("named", ["pressure.lag"])
+    assert decision.explained == pytest.approx(1.0)
+
+
+def test_a_gap_that_nothing_explains_is_unknown():
+    decision = decide(_choice({"arm": 40.0}, {"arm": 40.0}), {"arm": 0.8})
+    assert (decision.kind, decision.selected, decision.explained) == ("unknown", (), 0.0)
+    assert decision.left["arm"] == pytest.approx(0.8 * 39.0)
+
+
+def test_one_cause_found_and_another_not_is_incomplete():
+    """The regulator's lag explains all there; what the arm shows nobody explains."""
+    lag = _named_effect("pressure.lag", pressure=49.0)
+    decision = decide(_choice({"pressure": 50.0, "arm": 50.0}, {"pressure": 1.0, "arm": 50.0}, lag), {"arm": 1.0})
+    assert (decision.kind, _names(decision)) == ("incomplete", ["pressure.lag"])
+    assert decision.explained == pytest.approx(0.5)
+
+
+def test_an_effect_that_takes_a_part_of_its_own_gap_is_not_named():
+    """It only resembles the true one: an unknown cause is not given a name."""
+    decision = decide(_choice({"arm": 41.0}, {"arm": 31.0}, _named_effect("arm.damping", arm=10.0)), {"arm": 1.0})
+    assert (decision.kind, decision.selected, decision.explained) == ("unknown", (), 0.0)
+
+
+def test_an_effect_of_another_strength_in_every_excitation_is_not_named():
+    """However much it explains, where it leaves anything: what is there has one strength."""
+    parts = {"arm": 50.0}, {"arm": 1.5}, _named_effect("arm.damping", arm=48.5)
+    assert decide(_choice(*parts), {}).kind == "named"
+    unsteady = decide(_choice(*parts, folds=(0.2, 1.0, 1.8)), {})
+    assert (unsteady.kind, unsteady.selected) == ("unknown", ())
+    whole = {"arm": 50.0}, {"arm": 1.0}, _named_effect("arm.damping", arm=49.0)
+    assert decide(_choice(*whole, folds=(0.2, 1.0, 1.8)), {}).kind == "named"
+
+
+def test_an_effect_that_grows_within_a_trial_is_not_named():
+    parts = {"arm": 50.0}, {"arm": 1.5}, _named_effect("arm.damping", arm=48.5)
+    fading = decide(_choice(*parts, halves=(0.7, 1.3)), {})
+    assert (fading.kind, fading.selected) == ("unknown", ())
+
+
+def test_a_rest_that_no_model_explains_counts_in_part():
+    """What changes at random from tick to tick is not the floor's noise either."""
+    choice = _choice({"arm": 41.0}, {"arm": 11.0}, _named_effect("arm.damping", arm=30.0))
+    assert decide(choice, {"arm": 0.0}).left["arm"] >= RANDOM_SHARE * 10.0
+    assert decide(choice, {"arm": 0.0}).left["arm"] < decide(choice, {"arm": 1.0}).left["arm"]
+
+
+def test_what_an_effect_would_have_explained_is_left_when_it_falls():
+    lag, damping = _named_effect("pressure.lag", pressure=49.0), _named_effect("arm.damping", arm=3.0)
+    decision = decide(
+        _choice({"pressure": 50.0, "arm": 12.0}, {"pressure": 1.0, "arm": 9.0}, lag, damping), {"arm": 1.0}
+    )
+    assert (decision.kind, _names(decision)) == ("incomplete", ["pressure.lag"])
+    assert decision.left["arm"] == pytest.approx(8.0 + 3.0)
+
+
+def test_shares_go_to_the_cause_not_to_where_it_is_seen():
+    """A payload shows on the rail too: its whole share is the arm's."""
+    payload = _named_effect("arm.payload", rail=20.0, arm=60.0)
+    choice = _choice({"rail": 21.0, "arm": 61.0}, {"rail": 1.0, "arm": 1.0}, payload)
+    shares = stage_shares(decide(choice, {}), {"clock": 20.0})
+    assert shares == pytest.approx({"arm": 0.8, "clock": 0.2, "rail": 0.0})
+    assert stage_of(shares, STAGES) == "arm"
+
+
+def test_what_is_left_is_the_stage_s_in_which_it_is_seen():
+    choice = _choice({"rail": 50.0, "arm": 5.0}, {"rail": 1.0, "arm": 5.0}, _named_effect("rail.lag", rail=49.0))
+    shares = stage_shares(decide(choice, {"arm": 1.0}), {})
+    assert shares == pytest.approx({"rail": 49 / 53, "arm": 4 / 53})
+
+
+def test_confidence_falls_with_every_equivalent():
+    """One name is surer than a set, and no set is given less than an equal share of being right."""
+    sure = [confidence(_named_effect("pressure.lag", ("pressure.dead_time",) * k)) for k in range(5)]
+    assert sure == sorted(sure, reverse=True)
+    assert sure[0] > sure[1]
+    assert all(1 / (k + 1) <= x <= 1 for k, x in enumerate(sure) if k)

@@ -1,0 +1,200 @@
+"""Fits: known parameters come back with honest intervals, within bounds, and what is held out is really held out."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+import pytest
+from scipy.stats import binom
+
+from softarm.diagnosis.engine.candidates import Candidate, FittedParameter, Nuisance
+from softarm.diagnosis.engine.problem import Setup
+
+RATE_HZ, LENGTH_S, NOISE = 60.0, 6.0, 0.05
+KINDS = ("steps", "chirp", "decay")
+SCALE, TIME, BIAS = "stage.gain.scale", "stage.lag.time", "stage.zero.bias"
+TRUE = {SCALE: 0.3, TIME: 0.15, BIAS: 0.2}
+
+
+def _parameter(path, low, high, size, nominal=0.0):
+    return FittedParameter(path, "-", nominal, low, high, size, nominal)
+
+
+GAIN = Candidate("stage.gain", "stage", (_parameter(SCALE, -0.5, 0.5, 0.1),), ((0.1,), (-0.1,)))
+LAG = Candidate("stage.lag", "stage", (_parameter(TIME, 0.0, 1.0, 0.1),), ((0.05,), (0.4,)))
+ZERO = Nuisance(BIAS, 0.0, -0.3, 0.3)
+UNSEEN = Nuisance("elsewhere.zero.bias", 0.0, -0.3, 0.3)  # of another stage: no column of it is anything but zero
+
+
+@dataclass
+class _View:
+    """A lagging gauge with three trials: (1 + scale) x lag(input) + bias, and noise."""
+
+    seed: int = 0
+    truth: dict[str, float] = field(default_factory=lambda: dict(TRUE))
+    stage, unit, channels = "stage", "-", ("reading",)
+    acts = frozenset({SCALE, TIME, BIAS})
+    regimes, features, own_nuisances = {}, {}, {}
+
+    def start_directions(self):
+        return None
+
+    def __post_init__(self):
+        steps = round(RATE_HZ * LENGTH_S)
+        t = np.arange(steps) / RATE_HZ
+        waves = (np.sign(np.sin(2.1 * t)), np.sin(2 * np.pi * t * (0.2 + 0.15 * t)), np.exp(-t) * np.cos(5 * t))
+        self.inputs = np.stack([1 + wave for wave in waves])
+        self.t_s, self.trial = np.tile(t, 3), np.repeat(np.arange(3), steps)
+        self.floor = np.array([NOISE])
+        noise = NOISE * np.random.default_rng(self.seed).normal(size=len(self.t_s))
+        self.measured = (self._predict(self.truth) + noise)[:, None]
+
+    def _predict(self, point):
+        time_s, seen = point.get(TIME, 0.0), []
+        keep = np.exp(-1 / (RATE_HZ * time_s)) if time_s > 1e-6 else 0.0
+        level = self.inputs[:, 0].copy()
+        for now in self.inputs.T:
+            level = keep * level + (1 - keep) * now
+            seen.append(level)
+        return (1 + point.get(SCALE, 0.0)) * np.stack(seen, axis=1).ravel() + point.get(BIAS, 0.0)
+
+    def gap(self, points):
+        return np.stack([self.measured - self._predict(p)[:, None] for p in points]).astype(np.float32)
+
+
+def _problem(view, nuisances=(ZERO,)):
+    return Setup([view], nuisances, KINDS).plain()
+
+
+def _fit(problem, *effects, start=0, rounds=8):
+    return problem.fit([(effects, tuple(each.starts[start] for each in effects))], rounds=rounds)[0]
+
+
+@pytest.fixture(scope="module")
+def both():
+    """Gain and lag fitted together, the zero a nuisance."""
+    return _fit(_problem(_View()), GAIN, LAG)
+
+
+def test_known_parameters_come_back(both):
+    assert both.point[SCALE] == pytest.approx(TRUE[SCALE], abs=0.01)
+    assert both.point[TIME] == pytest.approx(TRUE[TIME], abs=0.01)
+    assert both.nuisance[0] * ZERO.edge == pytest.approx(TRUE[BIAS], abs=0.01)
+
+
+def test_the_loss_is_that_of_the_noise(both):
+    """Floors are the noise's size here: every sample counts one."""
+    samples = len(KINDS) * RATE_HZ * LENGTH_S
+    assert both.loss == pytest.approx(samples, rel=0.1)
+    assert both.held_out.sum() == pytest.approx(samples, rel=0.15)
+    assert both.held_out.sum() > both.loss
+
+
+def test_another_start_ends_at_the_same_place(both):
+    again = _fit(_problem(_View()), GAIN, LAG, start=1)
+    assert again.point[SCALE] == pytest.approx(both.point[SCALE], abs=1e-3)
+    assert again.point[TIME] == pytest.approx(both.point[TIME], abs=1e-3)
+
+
+def test_many_fits_at_once_are_each_alone(both):
+    problem = _problem(_View())
+    sets = [((), ()), ((GAIN,), ((0.1,),)), ((GAIN, LAG), (GAIN.starts[0], LAG.starts[0]))]
+    together = problem.fit(sets, rounds=8)
+    assert [f.names for f in together] == [(), ("stage.gain",), ("stage.gain", "stage.lag")]
+    assert together[2].point == pytest.approx(both.point, rel=1e-4)
+    assert together[0].loss > together[1].loss > together[2].loss
+
+
+@pytest.mark.slow
+def test_95_percent_intervals_hold_the_truth_95_times_in_100():
+    """Of 200 recordings as many as chance allows an interval that is right (0.1 % beyond either end)."""
+    inside, runs = np.zeros(2), 200
+    for seed in range(runs):
+        problem = _problem(_View(seed=seed))
+        low, high = problem.interval(_fit(problem, GAIN, LAG, rounds=3))
+        truth = np.array([TRUE[SCALE], TRUE[TIME]])
+        assert (low < high).all()
+        inside += (low <= truth) & (truth <= high)
+    assert (high - low < 0.02).all()
+    fewest, most = binom.ppf((0.001, 0.999), runs, 0.95)
+    assert ((fewest <= inside) & (inside <= most)).all(), inside / runs
+
+
+def test_an_interval_of_no_parameters_is_empty():
+    problem = _problem(_View())
+    low, high = problem.interval(_fit(problem))
+    assert len(low) == len(high) == 0
+
+
+@pytest.mark.parametrize(("scale", "end"), [(0.8, 0.5), (-0.8, -0.5)])
+def test_bounds_hold_and_an_effect_at_its_bound_says_so(scale, end):
+    fit = _fit(_problem(_View(truth={SCALE: scale})), GAIN)
+    assert fit.point[SCALE] == pytest.approx(end)
+    assert fit.at_bound
+
+
+def test_within_its_bounds_no_effect_is_at_one(both):
+    assert not both.at_bound
+    absent = _fit(_problem(_View(truth={})), LAG)
+    assert absent.point[TIME] == pytest.approx(0.0, abs=0.005)
+    assert not absent.at_bound  # an effect that is absent stands at no bound, though zero is one
+
+
+def test_a_nuisance_stays_in_its_box():
+    fit = _fit(_problem(_View(truth={BIAS: 0.9})))
+    assert fit.nuisance[0] * ZERO.edge == pytest.approx(ZERO.high)
+
+
+def test_what_an_effect_fits_itself_is_no_nuisance_beside_it():
+    own = Candidate("stage.zero", "stage", (_parameter(BIAS, -2.0, 2.0, 0.2),), ((0.2,),))
+    fit = _fit(_problem(_View(truth={BIAS: 0.9})), own)
+    assert fit.nuisance[0] == 0.0
+    assert fit.point[BIAS] == pytest.approx(0.9, abs=0.02)
+
+
+@pytest.mark.parametrize("fold", range(3))
+def test_what_is_held_out_has_no_say(fold):
+    """Spoil one kind of excitation: the parameters that judge it stay, those that judge the others go astray."""
+    kinds = sorted(KINDS)
+    spoilt = _View()
+    spoilt.measured[spoilt.trial == KINDS.index(kinds[fold])] *= 1.2
+    before, after = (_fit(_problem(view), GAIN) for view in (_View(), spoilt))
+    assert after.folds[fold] == pytest.approx(before.folds[fold], abs=1e-4)
+    others = [i for i in range(3) if i != fold]
+    assert (np.abs(after.folds[others] - before.folds[others]) > 0.01).all()
+
+
+def test_the_held_out_loss_is_that_of_the_held_out_parameters():
+    """Recomputed from the simulation itself, block after block of a fold."""
+    view = _View(truth={SCALE: 0.3})
+    problem = _problem(view, (UNSEEN,))
+    fit = _fit(problem, GAIN)
+    folds = np.array([sorted(KINDS).index(KINDS[trial]) for trial, _ in problem.blocks])
+    for fold in range(3):
+        gap = view.gap([{SCALE: float(fit.folds[fold, 0])}])[0, :, 0] / NOISE
+        mine = view.trial == KINDS.index(sorted(KINDS)[fold])
+        assert fit.held_out[folds == fold].sum() == pytest.approx(float((gap[mine] ** 2).sum()), rel=1e-3)
+
+
+def test_a_strength_that_changes_from_kind_to_kind_scatters():
+    """What is there has one strength; what only resembles it another one each time."""
+    view = _View(truth={SCALE: 0.3})
+    steady = _fit(_problem(view), GAIN).scatter(0)
+    for trial, share in enumerate((0.1, 0.3, 0.45)):
+        view.measured[view.trial == trial] *= (1 + share) / 1.3
+    assert steady < 0.05
+    assert _fit(_problem(view), GAIN).scatter(0) > 5 * steady
+
+
+def test_of_one_kind_trials_are_the_folds_and_of_one_trial_its_stretches():
+    blocks = _problem(_View()).blocks
+    one_kind = Setup([_View()], (ZERO,), ("steps",) * 3).plain()
+    assert [int(f) for f in one_kind.fold] == [trial for trial, _ in blocks]
+    single = _View()
+    mine = single.trial == 0
+    single.t_s, single.trial, single.measured, single.inputs = (
+        single.t_s[mine],
+        single.trial[mine],
+        single.measured[mine],
+        single.inputs[:1],
+    )
+    assert len(set(Setup([single], (ZERO,), ("steps",)).plain().fold)) > 1

@@ -1,0 +1,40 @@
+"""Intervals by leaving blocks out: right where the answer can be calculated, and as sure as they say."""
+
+import numpy as np
+import pytest
+from scipy.stats import binom, t
+
+from softarm.diagnosis.engine.jackknife import half_width
+
+
+def _interval(design, y):
+    """Estimate and half width of y = design x, design [B, n, k], y [B, n]."""
+    normal = np.einsum("bni,bnj->bij", design, design)
+    slope = -np.einsum("bni,bn->bi", design, y)
+    solution = np.linalg.solve(normal.sum(axis=0), -slope.sum(axis=0))
+    return solution, half_width(normal, slope, solution)
+
+
+def test_of_a_mean_it_is_the_textbook_s():
+    values = np.random.default_rng(0).normal(size=9)
+    _, half = _interval(np.ones((9, 1, 1)), values[:, None])
+    assert half[0] == pytest.approx(t.ppf(0.975, 8) * values.std(ddof=1) / 3, rel=1e-6)
+
+
+def test_what_no_block_shows_has_no_error_and_one_block_tells_nothing():
+    design = np.random.default_rng(1).normal(size=(6, 20, 2)) * (1.0, 0.0)
+    normal = np.einsum("bni,bnj->bij", design, design)
+    assert half_width(normal, np.zeros((6, 2)), np.zeros(2))[1] == 0.0
+    assert np.isinf(half_width(normal[:1], np.zeros((1, 2)), np.zeros(2))).all()
+
+
+def test_they_hold_the_truth_95_times_in_100_where_neighbours_depend_on_each_other():
+    """Twelve blocks of unequal weight, noise that is one number all through a block beside what is fresh."""
+    random, truth, runs, inside = np.random.default_rng(2), np.array([1.0, -2.0]), 1000, np.zeros(2)
+    for _ in range(runs):
+        design = random.normal(size=(12, 30, 2)) * random.uniform(0.5, 1.5, size=(12, 1, 1)) + random.normal(size=2)
+        noise = random.normal(size=(12, 1)) + random.normal(size=(12, 30))
+        solution, half = _interval(design, design @ truth + noise)
+        inside += np.abs(solution - truth) <= half
+    fewest, most = binom.ppf((0.001, 0.999), runs, 0.95)
+    assert ((fewest <= inside) & (inside <= most)).all(), inside / runs

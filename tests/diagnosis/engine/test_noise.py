@@ -1,0 +1,93 @@
+"""Whitening: coloured noise comes out white and of size one, and nothing that touches a gap is counted."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+
+from softarm.diagnosis.engine.noise import ORDER, scaled, whitener
+
+LENGTH = 3000  # samples a trial
+
+
+@dataclass
+class _View:
+    """As much of a view as whitening asks for."""
+
+    measured: np.ndarray
+    trial: np.ndarray
+    floor: np.ndarray
+
+
+@pytest.fixture(scope="module")
+def coloured():
+    """Noise of two trials and two channels: an autoregression, sizes a thousand times apart."""
+    draw = np.random.default_rng(1)
+    noise = lfilter([1.0], [1.0, -1.5, 0.7], draw.normal(size=(2, LENGTH, 2)), axis=1).reshape(-1, 2)
+    return noise * (1.0, 1e-3)
+
+
+def _view(gap, floor=(1e-3, 1e-6)):
+    return _View(gap.copy(), np.repeat([0, 1], len(gap) // 2), np.array(floor))
+
+
+def _correlation(values, lag):
+    return float(np.corrcoef(values[lag:], values[:-lag])[0, 1])
+
+
+def test_coloured_noise_comes_out_white_and_of_size_one(coloured):
+    white = whitener(_view(coloured), coloured)(coloured)
+    for s in range(2):
+        assert _correlation(coloured[:, s], 1) > 0.8
+        assert max(abs(_correlation(white[:, s], lag)) for lag in range(1, 8)) < 0.05
+        assert np.std(white[:, s]) == pytest.approx(1.0, abs=0.05)
+
+
+def test_starts_and_gaps_are_left_out_and_nothing_else(coloured):
+    """A filter that saw a gap, or the trial before, says nothing."""
+    gap = coloured.copy()
+    gap[1000, 0] = np.nan
+    keep = whitener(_view(gap), gap).keep
+    expected = np.ones_like(keep)
+    for start in (0, LENGTH):
+        expected[start : start + ORDER] = 0
+    expected[1000 : 1000 + ORDER + 1, 0] = 0
+    np.testing.assert_array_equal(keep, expected)
+
+
+def test_what_is_left_out_is_zero_and_finite(coloured):
+    gap = coloured.copy()
+    gap[1000, 0] = np.nan
+    whiten = whitener(_view(gap), gap)
+    white = whiten(gap)
+    assert np.isfinite(white).all()
+    assert not white[whiten.keep == 0].any()
+    assert white[whiten.keep == 1].all()
+
+
+def test_the_filter_is_frozen(coloured):
+    """It is made once: another residual, ten times as large, comes out ten times as large."""
+    whiten = whitener(_view(coloured), coloured)
+    np.testing.assert_allclose(whiten(10 * coloured), 10 * whiten(coloured), rtol=1e-4, atol=1e-4)
+
+
+def test_a_batch_is_whitened_as_each_alone(coloured):
+    whiten = whitener(_view(coloured), coloured)
+    both = whiten(np.stack((coloured, -2 * coloured)))
+    np.testing.assert_array_equal(both[1], whiten(-2 * coloured))
+
+
+def test_a_residual_far_below_the_floor_is_not_blown_up(coloured):
+    """Else a model would be judged by what no simulator is blamed for."""
+    tiny = 1e-6 * coloured
+    white = whitener(_view(tiny, (1.0, 1.0)), tiny)(tiny)
+    assert np.abs(white).max() < 1e-3
+
+
+def test_before_anything_is_known_only_sizes_count(coloured):
+    """The floor, or a fifth of the nominal gap where that is more."""
+    view = _view(coloured, (1e-9, 1.0))
+    gap = scaled(view, coloured)(coloured)
+    assert np.sqrt(np.mean(gap[:, 0] ** 2)) == pytest.approx(5.0, rel=1e-4)
+    np.testing.assert_allclose(gap[:, 1], coloured[:, 1], rtol=1e-4, atol=1e-9)

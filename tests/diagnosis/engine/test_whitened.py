@@ -1,0 +1,128 @@
+"""A whitened residual: a trial's unknown start is not held against a model, and nothing is simulated twice."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+import pytest
+
+from softarm.diagnosis.engine.noise import Whitener
+from softarm.diagnosis.engine.whitened import BLOCK_S, START_PRIOR, Gaps, WhitenedResidual
+
+RATE_HZ, SAMPLES, CHANNELS = 60.0, (300, 240), 2
+
+
+@dataclass
+class _View:
+    """Two trials whose gap is a sine of the size `view.effect.size`; it counts how often it is asked."""
+
+    acts: frozenset[str] = frozenset({"view.effect.size"})
+    asked: list[int] = field(default_factory=list)
+
+    @property
+    def t_s(self):
+        return np.concatenate([7.0 + np.arange(n) / RATE_HZ for n in SAMPLES])
+
+    @property
+    def trial(self):
+        return np.repeat(np.arange(len(SAMPLES)), SAMPLES)
+
+    def gap(self, points):
+        self.asked.append(len(points))
+        wave = np.stack((np.sin(5 * self.t_s), np.cos(3 * self.t_s)), axis=1)
+        return np.stack([p.get("view.effect.size", 0.0) * wave for p in points]).astype(np.float32)
+
+
+def _residual(view, starts=None, weight=1.0):
+    m = sum(SAMPLES)
+    whiten = Whitener(np.ones((CHANNELS, 1), np.float32), np.ones((m, CHANNELS), np.float32))
+    nuisances = np.stack([np.ones((m, CHANNELS)), np.repeat([[0.0, 2.0]], m, axis=0)]).astype(np.float32)
+    return WhitenedResidual(Gaps(view), whiten, nuisances, starts, weight)
+
+
+@pytest.fixture
+def view():
+    return _View()
+
+
+@pytest.fixture(scope="module")
+def starts():
+    """What a start leaves: an offset that dies away, in each channel; large against a residual of one."""
+    t = np.concatenate([np.arange(n) / RATE_HZ for n in SAMPLES])
+    decay = 20 * np.exp(-t / 0.8)
+    return np.stack([np.stack((decay, 0 * t), axis=1), np.stack((0 * t, decay), axis=1)]).astype(np.float32)
+
+
+def test_a_point_is_simulated_once_for_all_that_a_view_cannot_see(view):
+    residual = _residual(view)
+    seen = residual.moments([{"view.effect.size": 1.0}, {"view.effect.size": 1.0, "other.effect.size": 9.0}])
+    again = residual.moments([{"other.effect.size": 2.0, "view.effect.size": 1.0}])
+    assert view.asked == [1]
+    assert seen[0] is seen[1] is again[0]
+
+
+def test_what_is_missing_is_simulated_in_one_batch(view):
+    residual = _residual(view)
+    residual.moments([{"view.effect.size": 1.0}])
+    residual.moments([{"view.effect.size": float(i)} for i in range(5)])
+    assert view.asked == [1, 4]
+
+
+def test_two_lenses_share_what_was_simulated(view):
+    gaps = Gaps(view)
+    for weight in (1.0, 2.0):
+        whiten = Whitener(np.ones((CHANNELS, 1), np.float32), np.ones((sum(SAMPLES), CHANNELS), np.float32))
+        WhitenedResidual(gaps, whiten, np.zeros((1, sum(SAMPLES), CHANNELS), np.float32), None, weight).moments([{}])
+    assert view.asked == [1]
+
+
+def test_moments_are_those_of_the_rows(view):
+    residual = _residual(view, weight=0.25)
+    moments = residual.moments([{"view.effect.size": 2.0}])[0]
+    expected = 0.5 * view.gap([{"view.effect.size": 2.0}])[0].ravel()
+    np.testing.assert_allclose(moments.rows, expected, rtol=1e-5, atol=1e-6)
+    assert moments.rr == pytest.approx(float(expected @ expected), rel=1e-4)
+    np.testing.assert_allclose(moments.gr, residual.columns @ moments.rows, rtol=1e-3, atol=1e-3)
+    np.testing.assert_allclose(residual.gg, residual.columns @ residual.columns.T, rtol=1e-4)
+
+
+def test_another_start_costs_no_more_than_its_prior(view, starts):
+    """Twice the usual change of a start: thousands of squares without, a few with its directions projected out."""
+    moved = 2.0 * starts[0]
+    bare, projected = _residual(view)._rows(moved[None])[0], _residual(view, starts)._rows(moved[None])[0]
+    assert float(bare @ bare) > 1000
+    assert float(projected @ projected) <= START_PRIOR * 2.0**2 * len(SAMPLES)
+
+
+def test_trials_start_each_on_their_own(view, starts):
+    """One trial started elsewhere: the other's rows are what they were."""
+    moved = starts[0].copy()
+    moved[SAMPLES[0] :] = 0.0
+    rows = _residual(view, starts)._rows(moved[None])[0]
+    assert not rows[SAMPLES[0] * CHANNELS :].any()
+    assert rows[: SAMPLES[0] * CHANNELS].any()
+
+
+def test_what_is_no_start_survives(view, starts):
+    point = [{"view.effect.size": 1.0}]
+    bare, projected = _residual(view).moments(point)[0].rr, _residual(view, starts).moments(point)[0].rr
+    assert 0.9 * bare < projected <= bare
+
+
+def test_blocks_hold_every_row_once_and_none_holds_two_trials(view):
+    residual = _residual(view)
+    trial = np.repeat(view.trial, CHANNELS)
+    rows = [np.arange(len(trial))[part] for _, part in residual.blocks]
+    np.testing.assert_array_equal(np.concatenate(rows), np.arange(len(trial)))
+    for (number, _), part in residual.blocks:
+        assert set(trial[part]) == {number}
+        assert part.stop - part.start <= BLOCK_S * RATE_HZ * CHANNELS + CHANNELS
+
+
+def test_the_nuisances_gram_matrices_are_formed_once_block_by_block(view):
+    residual = _residual(view, weight=3.0)
+    assert residual.block_gg is residual.block_gg
+    np.testing.assert_allclose(residual.block_gg.sum(axis=0), residual.gg, rtol=1e-5)
+    for (_, part), gg in zip(residual.blocks, residual.block_gg, strict=True):
+        samples = (part.stop - part.start) / CHANNELS
+        # One nuisance moves both channels by one, the other the second channel by two.
+        np.testing.assert_allclose(gg, 3.0 * samples * np.array([[2.0, 2.0], [2.0, 4.0]]), rtol=1e-5)

@@ -1,0 +1,315 @@
+"""The report: whatever was found, one page that says it in words, draws it and fetches nothing."""
+
+import json
+import re
+from dataclasses import replace
+from html.parser import HTMLParser
+
+import numpy as np
+import pytest
+
+from softarm.diagnosis import report
+from softarm.diagnosis.engine.result import Diagnosis, Leftover, Overlay, Regime, Rival, Spectrum
+from softarm.diagnosis.report import words
+from softarm.pages import plot
+from softarm.schemas.model import Model
+from softarm.schemas.verdict import (
+    Estimate,
+    Gap,
+    Interval,
+    NamedEffect,
+    NextExperiment,
+    Quantity,
+    Shrink,
+    Task,
+    Verdict,
+    Where,
+)
+
+NASTY = "</script><script>alert(1)</script> \"quoted\" & 'so'"
+VOID = {"meta", "br", "input"}
+
+
+def interval(value, low, high):
+    return Interval(value=value, low=low, high=high)
+
+
+def rms(unit, **values):
+    return {stage: Quantity(value=value, unit=unit) for stage, value in values.items()}
+
+
+DEAD_TIME = NamedEffect(
+    name="pressure.dead_time",
+    parameters={"delay": Estimate(value=0.0612, low=0.0551, high=0.0683, unit="s")},
+    confidence=0.94,
+    shrink=Shrink(stage=interval(0.74, 0.70, 0.78), chain=interval(0.5, 0.4, 0.6)),
+)
+OTHER_DELAY = NamedEffect(
+    name="rail.delay",
+    parameters={"delay": Estimate(value=0.05, low=0.045, high=0.055, unit="s")},
+    confidence=0.8,
+    shrink=Shrink(stage=interval(0.3, 0.2, 0.4)),
+)
+GONE = NamedEffect(
+    name="observation.finite_difference", parameters={}, confidence=0.9, shrink=Shrink(stage=interval(0.3, 0.2, 0.4))
+)
+VERDICT = Verdict(
+    verdict="named",
+    where=Where(stage="pressure", share={"pressure": 0.81, "arm": 0.19}, regime="deflating, above 2 Hz"),
+    effects=(DEAD_TIME,),
+    gap=Gap(
+        before=rms("kPa", pressure=1.2) | rms("m", arm=0.004, chain=0.02),
+        after=rms("kPa", pressure=0.31) | rms("m", arm=0.004, chain=0.01),
+        floor=rms("kPa", pressure=0.2) | rms("m", arm=0.003, chain=0.005),
+        ceiling=rms("kPa", pressure=0.3),
+    ),
+    task=Task(success_real=0.6, success_nominal=0.9),
+    next_experiment=NextExperiment(
+        excitation="free-decay", separates=("arm.damping", "arm.drag"), expect={"arm.drag": "faster at first"}
+    ),
+    warnings=(f"odd {NASTY}",),
+)
+
+
+def diagnosis(**changes):
+    """A diagnosis with one of everything."""
+    draw = np.random.default_rng(1)
+    t = np.arange(400) / 100
+    measured = np.sin(t) + 0.01 * draw.normal(size=400)
+    measured[50:60] = np.nan
+    frequency = np.linspace(0.1, 50, 700)
+    nominal = Model()
+    values = {
+        "verdict": VERDICT,
+        "nominal": nominal,
+        "patched": nominal.model_copy(update={"effects": {**nominal.effects, "pressure.dead_time": {"delay": 0.0612}}}),
+        "trials": ((NASTY, "seed", 4.0),),
+        "overlays": (
+            Overlay("arm", NASTY, "seed", "tip y", "m", t + 1e-4 * draw.uniform(size=400), measured, np.sin(t), None),
+            Overlay("pressure", NASTY, "seed", "pressure", "kPa", t, measured, np.sin(t - 0.06), np.sin(t)),
+        ),
+        "spectra": (Spectrum("pressure", "kPa", frequency, 1 / frequency, 0.1 / frequency, 0.01),),
+        "regimes": (Regime("pressure", "inflating", 1200, 1.1, 0.3, "kPa"),),
+        "rivals": (
+            Rival((DEAD_TIME.name,), 0.74, interval(0.7, 0.6, 0.8), {"pressure.dead_time.delay": 0.0612}, "named"),
+            Rival(("pressure.lag",), 0.5, interval(0.01, -0.02, 0.03), {"pressure.lag.inflate": 0.2}, NASTY),
+            Rival(("pressure.dead_time", "pressure.lag"), 0.76, None, {}),
+        ),
+        "leftovers": (Leftover("arm", 0.4, (("sign of the rate", 0.3), (NASTY, 0.1))),),
+        "nuisances": {"arm.stiffness.scale": 0.01},
+        "seconds": 12.0,
+    }
+    return Diagnosis(**values | changes)
+
+
+def verdict(**changes):
+    return VERDICT.model_copy(update=changes)
+
+
+NOTHING = Verdict(
+    verdict="none",
+    where=Where(stage=None, share={}, regime=""),
+    gap=Gap(before=rms("kPa", pressure=0.1), after={}, floor=rms("kPa", pressure=0.2), ceiling={}),
+)
+OWN_RIG = Verdict(
+    verdict="named",
+    where=Where(stage="axis", share={"axis": 1.0}, regime=""),
+    effects=(DEAD_TIME.model_copy(update={"name": "axis.deadband"}),),
+    gap=Gap(before=rms("rad", axis=0.1), after=rms("rad", axis=0.05), floor={}, ceiling={}),
+)
+CASES = {
+    "named": diagnosis(),
+    "set": diagnosis(verdict=verdict(effects=(DEAD_TIME.model_copy(update={"equivalents": ("pressure.lag",)}),))),
+    "incomplete": diagnosis(verdict=verdict(verdict="incomplete", effects=(DEAD_TIME, OTHER_DELAY, GONE))),
+    "unknown": diagnosis(verdict=verdict(verdict="unknown", effects=()), patched=None),
+    "none": Diagnosis(NOTHING, Model(), None, ()),
+    "own rig": Diagnosis(OWN_RIG, None, None, (("a", "free", 1.0),)),
+}
+
+
+class Page(HTMLParser):
+    """A page as a reader sees it; fails where tags do not close in order."""
+
+    def __init__(self, text):
+        super().__init__()
+        self.open, self.text, self.tags, self.links, self.data, self.ids = [], [], [], [], "", []
+        self.policy = None
+        self.feed(text)
+        self.close()
+        assert self.open == []
+
+    def handle_starttag(self, tag, attrs):
+        attributes = dict(attrs)
+        self.tags.append(tag)
+        self.ids += [attributes["id"]] if "id" in attributes else []
+        self.links += [v for k, v in attrs if k in ("src", "href", "action", "srcset", "data", "poster")]
+        if tag not in VOID:
+            self.open.append((tag, attributes.get("id")))
+
+    def handle_startendtag(self, tag, attrs):
+        self.tags.append(tag)
+        if ("http-equiv", "Content-Security-Policy") in attrs:
+            self.policy = dict(attrs)["content"]
+
+    def handle_endtag(self, tag):
+        assert self.open.pop()[0] == tag
+
+    def handle_data(self, data):
+        if self.open and self.open[-1] == ("script", "data"):
+            self.data += data
+        elif self.open and self.open[-1][0] not in ("script", "style"):
+            self.text.append(data)
+
+    @property
+    def words(self):
+        return " ".join(" ".join(self.text).split())
+
+
+@pytest.mark.parametrize("case", CASES.values(), ids=CASES.keys())
+def test_a_page_is_whole_and_fetches_nothing(case):
+    text = report.render(case)
+    page = Page(text)
+    assert page.tags.count("h1") == 1
+    assert page.tags.count("script") == 2  # the data and the plotter; no name of a trial has become one
+    assert page.links
+    assert all(link.startswith("#") and link[1:] in page.ids for link in page.links)
+    assert "default-src 'none'" in page.policy
+    assert not re.search(r"https?:|@import|url\(", text)
+    assert text == report.render(case)
+
+
+@pytest.mark.parametrize("case", CASES.values(), ids=CASES.keys())
+def test_the_answer_is_three_sentences_and_stands_on_the_page(case):
+    answer = report.answer(case)
+    assert len(answer) == 3
+    page = Page(report.render(case)).words.replace("\N{NO-BREAK SPACE}", " ")
+    for sentence in answer:
+        assert sentence.endswith(".")
+        assert re.sub(r"\s", "", sentence) in re.sub(r"\s", "", page)
+
+
+def test_the_named_effect_is_told_with_its_value_certainty_and_gain():
+    what, sure, shrinks = report.answer(CASES["named"])
+    assert what == "The simulator lacks pressure.dead_time: the regulator starts to react late; delay 61 ms (55 to 68)."
+    assert "94 %" in sure
+    assert "81 % of the gap arises in the pressure stage (deflating, above 2 Hz)" in sure
+    assert "the pressure stage's gap shrinks from 1.2 to 0.31 kPa RMS (74 % less, 70 to 78 %)" in shrinks
+    assert "the tip's over the whole chain shrinks from 20 to 10 mm RMS (50 % less)" in shrinks
+
+
+def test_an_effect_that_the_robot_lacks_and_one_with_another_value_are_told_so():
+    nominal = Model()
+    effects = {n: dict(p) for n, p in nominal.effects.items() if n != GONE.name}
+    effects |= {"pressure.dead_time": {"delay": 0.0612}, "rail.delay": {"delay": 0.05}}
+    case = replace(CASES["incomplete"], patched=nominal.model_copy(update={"effects": effects}))
+    what, sure, _ = report.answer(case)
+    assert "The simulator lacks pressure.dead_time (delay 61 ms)" in what
+    assert "the simulator has rail.delay (delay 50 ms) with other values than the robot" in what
+    assert "the simulator has observation.finite_difference, and the robot does not" in what
+    assert "more of the gap could be explained" in what
+    assert "80 % to 94 %" in sure
+
+
+def test_a_set_is_told_as_a_set_and_no_single_member_of_it_as_the_cause():
+    what, _, _ = report.answer(CASES["set"])
+    assert what == "The simulator lacks one of pressure.dead_time or pressure.lag (this data cannot tell which)."
+
+
+def test_a_headline_names_few_and_counts_the_rest():
+    many = tuple(DEAD_TIME.model_copy(update={"name": f"joint.effect{i}"}) for i in range(26))
+    assert words.headline(diagnosis(verdict=verdict(effects=many))) == (
+        "joint.effect0, joint.effect1, joint.effect2 and 23 others"
+    )
+    assert words.headline(diagnosis(verdict=verdict(effects=many[:4]))).endswith("joint.effect2 and joint.effect3")
+    alike = DEAD_TIME.model_copy(update={"equivalents": tuple(e.name for e in many)})
+    assert words.headline(diagnosis(verdict=verdict(effects=(alike,)))) == (
+        "pressure.dead_time, joint.effect0, joint.effect1 or 24 others"
+    )
+
+
+def test_the_shrink_at_the_top_has_its_interval_where_one_effect_has_it():
+    told = "pressure gap, 74 % less"
+    assert f"{told}, 70 to 78 %" in Page(report.render(CASES["named"])).words
+    several = Page(report.render(CASES["incomplete"])).words
+    assert told in several
+    assert f"{told}, 70" not in several
+
+
+def test_an_unknown_cause_names_no_effect_as_the_cause():
+    what, sure, then = report.answer(CASES["unknown"])
+    assert "none of the known effects explains it" in what
+    assert "some model could take away 75 % of it" in sure
+    assert "comes closest, pressure.dead_time with pressure.lag, takes away 76 %" in sure
+    assert "nothing is changed" in then
+
+
+def test_each_overlay_is_on_the_page_and_one_of_the_blamed_stage_comes_first():
+    case = CASES["named"]
+    data = json.loads(Page(report.render(case)).data)
+    assert data["choices"] == ["stage", "trial", "channel"]
+    assert data["first"] == 1
+    for item, overlay in zip(data["items"], case.overlays, strict=True):
+        assert item["chosen"] == [overlay.stage, NASTY, overlay.channel]
+        assert list(item["curves"]) == ["measured", "nominal", "patched"][: 2 if overlay.patched is None else 3]
+    assert [item["band"] for item in data["items"]] == [0.003, 0.2]
+
+
+def test_a_large_recording_is_thinned_and_the_page_says_so(monkeypatch):
+    monkeypatch.setattr(plot, "BUDGET", 700)
+    page = Page(report.render(CASES["named"]))
+    assert json.loads(page.data)["items"][0]["t"]["n"] == 134
+    assert "one of 3 samples is drawn" in page.words
+
+
+def test_a_stage_without_a_residual_has_no_spectrum():
+    silent = Spectrum("arm", "m", np.linspace(0.1, 50, 5000), np.zeros(5000), None, 0.0)
+    assert "No spectra were computed" in Page(report.render(diagnosis(spectra=(silent,), regimes=()))).words
+
+
+def test_every_part_of_the_evidence_is_on_the_page():
+    page = Page(report.render(CASES["named"])).words
+    for piece in (
+        "softarm excite --plan verdict.json",
+        "faster at first",
+        "the arm bent, let go",
+        "inflating",
+        "1 200",
+        "pressure.lag",
+        "inflate 0.2 s",
+        "2 % (",
+        "sign of the rate",
+        "arm.stiffness.scale",
+        "absent 0.0612 s",
+        "on the robot 60 %",
+        "in the nominal simulator 90 %",
+        "took 12 s",
+    ):
+        assert piece.replace("2 % (", "1 % (-2 to 3)") in page
+    assert "in the patched simulator" not in page  # its success is not known
+
+
+def test_what_could_not_be_computed_is_said_to_be_not_known():
+    nan = float("nan")
+    case = diagnosis(
+        rivals=(Rival(("arm.drag",), nan, None, {"arm.drag.coefficient": nan}),),
+        regimes=(Regime("arm", "at rest", 0, nan, None, "m"),),
+        leftovers=(Leftover("arm", nan, (("rate", nan),)),),
+        spectra=(Spectrum("arm", "m", np.array([0.0, 1.0]), np.array([nan, nan]), None, nan),),
+    )
+    text = report.render(case)
+    assert "nan" not in re.sub(r"(?s)<script.*", "", text).lower()
+    assert Page(text).words.count("not known") == 5
+
+
+def test_a_story_is_told_with_its_title_escaped_and_its_markup_kept(tmp_path):
+    path = tmp_path / "report.html"
+    report.write(CASES["named"], path, story=[("Policy <now>", "<p>it <em>swings</em></p>")])
+    text = path.read_text(encoding="utf-8")
+    assert "<h2>Policy &lt;now&gt;</h2><p>it <em>swings</em></p>" in text
+    Page(text)
+
+
+def test_an_interval_has_the_digits_that_it_deserves():
+    assert words.interval(interval(0.0612, 0.0551, 0.0683), "s") == "61 ms (55 to 68)"
+    assert words.interval(interval(2.0, 1.96, 2.04), "N") == "2.00 N (1.96 to 2.04)"
+    assert words.interval(interval(2.0, 2.0, 2.0), "N") == "2 N (2 to 2)"

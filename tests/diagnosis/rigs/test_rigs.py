@@ -1,0 +1,384 @@
+"""Views of rigs: their laws against closed forms, their vocabulary against the registry, search on made-up tables."""
+
+import math
+from dataclasses import fields
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from softarm.diagnosis.data import tables
+from softarm.diagnosis.data.trials import Series, TableStage, Trial, TrialError
+from softarm.diagnosis.engine.fits import FitProblem
+from softarm.diagnosis.engine.problem import Setup
+from softarm.diagnosis.engine.whitened import BLOCK_S, blocks_of
+from softarm.diagnosis.rigs.candidates import candidates, nuisances
+from softarm.diagnosis.rigs.diagnose import diagnose_table, view_of
+from softarm.diagnosis.rigs.grid import grid, smallest_step, windows
+from softarm.diagnosis.rigs.pendulum import PendulumView
+from softarm.diagnosis.rigs.selection import Refitted
+from softarm.diagnosis.rigs.tracking import TrackingView, velocity_warnings
+from softarm.diagnosis.rigs.vocabulary import effects
+from softarm.simulator.effects import REGISTRY
+
+MODEL = {
+    "mass_kg": 0.15,
+    "centre_m": 0.15,
+    "inertia_kg_m2": 1e-4,
+    "damping_nm_s_rad": 2e-4,
+    "gravity_m_s2": 9.81,
+}
+
+
+def servo(command, position, t, kind="multisine", name="one", **more):
+    channels = {
+        "command": Series(t.copy(), {"command": command.copy()}),
+        "measured": Series(t.copy(), {"position": position.copy(), **more}),
+    }
+    return Trial(name, kind, Path(name), channels, stage=TableStage("servo", "tracking", {}))
+
+
+def pendulum(angle, t, name="swing", model=MODEL):
+    columns = {f"angle{i + 1}": np.ascontiguousarray(a) for i, a in enumerate(np.atleast_2d(angle))}
+    return Trial(
+        name,
+        "free swing",
+        Path(name),
+        {"measured": Series(t.copy(), columns)},
+        stage=TableStage("joint", "pendulum", model),
+    )
+
+
+def tone(t, seed=0):
+    draw = np.random.default_rng(seed)
+    return sum(
+        0.05 * np.sin(2 * np.pi * f * t + p) for f, p in zip((0.2, 0.5, 1.1, 2.3), draw.uniform(0, 6, 4), strict=True)
+    )
+
+
+T = np.arange(0, 16, 0.02)
+
+
+def follow(point, command=None, t=T, start=0.0):
+    """What the view itself predicts: measured minus gap."""
+    command = tone(t) if command is None else command
+    view = TrackingView([servo(command, np.full_like(t, start), t)])
+    return view.measured[:, 0] - view.gap([{f"servo.{k}": v for k, v in point.items()}])[0, :, 0]
+
+
+@pytest.mark.parametrize("kind", ["tracking", "pendulum"])
+def test_every_effect_of_a_rig_is_the_registrys(kind):
+    for effect in effects(kind, "thing", "rad", moment_nm=0.2):
+        assert effect.name.startswith("thing.")
+        assert effect.meaning
+        assert any(effect.source == registered.source for registered in REGISTRY.values())
+        for p in effect.parameters:
+            assert p.low < p.high
+            assert p.admits(p.neutral)
+            assert p.admits(p.exemplar)
+        assert set(effect.confused_with) <= {e.name for e in effects(kind, "thing", "rad")}
+
+
+def test_units_follow_what_is_measured():
+    units = {f"{e.name}.{p.name}": p.unit for e in effects("tracking", "s", "rad") for p in e.parameters}
+    assert units["s.deadband.width"] == units["s.gain.offset"] == units["s.backlash.gap"] == "rad"
+    assert (units["s.rate_limit.rate"], units["s.acceleration_limit.acceleration"]) == ("rad/s", "rad/s^2")
+    assert (units["s.lag.time"], units["s.gain.scale"]) == ("s", "-")
+
+
+def test_the_nominal_follower_follows_at_once():
+    command = np.where(T > 5, 0.3, 0.0)
+    away = (T > 1) & (np.abs(T - 5) > 0.05)
+    np.testing.assert_allclose(follow({}, command)[away], command[away], atol=1e-9)
+
+
+def test_a_follower_answers_a_step_as_its_laws_say():
+    command = np.where(T >= 5, 0.3, 0.0)
+    late = T - 5.0
+    lag = follow({"lag.time": 0.2}, command)
+    np.testing.assert_allclose(lag[late > 0.1], 0.3 * (1 - np.exp(-late[late > 0.1] / 0.2)), atol=3e-3)
+    moved = follow({"dead_time.delay": 0.153}, command)
+    assert np.interp(0.15, moved[240:280], late[240:280]) == pytest.approx(0.153, abs=0.021)
+    assert follow({"deadband.width": 0.05}, command)[-1] == pytest.approx(0.25, abs=1e-6)
+    assert follow({"gain.scale": -0.1, "gain.offset": 0.02}, command)[-1] == pytest.approx(0.29, abs=1e-6)
+    slope = np.diff(follow({"rate_limit.rate": 0.5}, command)) / 0.02
+    assert np.nanmax(slope) == pytest.approx(0.5, rel=1e-3)
+    assert follow({"backlash.gap": 0.1}, command)[-1] == pytest.approx(0.25, abs=1e-6)
+
+
+def test_a_delay_acts_by_any_part_of_a_sample():
+    one, other = follow({"dead_time.delay": 0.1}), follow({"dead_time.delay": 0.101})
+    assert 1e-5 < np.nanmax(np.abs(one - other)) < 2e-3
+
+
+def test_a_wrong_velocity_is_told_and_a_right_one_is_not():
+    y = np.sin(T)
+    slope = np.gradient(y, T)
+    assert velocity_warnings([servo(y, y, T, velocity=slope)]) == []
+    (text,) = velocity_warnings([servo(y, y, T, velocity=2.2 * slope)])
+    assert "servo: the measured velocity is 2.2 times the slope of its position" in text
+
+
+def swing(point, amplitude=0.3, seconds=12.0, model=MODEL, rate_hz=100.0):
+    """A window's worth of the law itself, from rest at an amplitude."""
+    from softarm.diagnosis.rigs import kernels
+    from softarm.diagnosis.rigs.pendulum import links
+
+    link = links(TableStage("joint", "pendulum", model))
+    n = link.shape[1]
+    law = np.array([9.81, 0.0, point.get("damping", 1.0), point.get("torque", 0.0), 3e-4, point.get("drag", 0.0)])
+    out = np.empty((round(seconds * rate_hz), n))
+    state = np.concatenate((np.full(n, amplitude), np.zeros(n)))
+    shear = np.zeros(n)
+    kernels.swing(state, shear, np.zeros(len(out)), link, law, 1 / rate_hz, 4, out)
+    return np.arange(len(out)) / rate_hz, out
+
+
+def peaks(angle):
+    inside = (angle[1:-1] > angle[:-2]) & (angle[1:-1] >= angle[2:]) & (angle[1:-1] > 0)
+    return angle[1:-1][inside]
+
+
+def test_viscous_friction_decays_on_an_exponential_and_dry_friction_on_a_line():
+    inertia, moment = 1e-4 + 0.15 * 0.15**2, 0.15 * 0.15 * 9.81
+    _, viscous = swing({}, 0.05)
+    ratio = peaks(viscous[:, 0])[1:] / peaks(viscous[:, 0])[:-1]
+    period = 2 * math.pi / math.sqrt(moment / inertia)
+    np.testing.assert_allclose(ratio, math.exp(-2e-4 / (2 * inertia) * period), rtol=2e-3)
+    _, dry = swing({"damping": 0.0, "torque": 2e-4}, 0.05)
+    drops = -np.diff(peaks(dry[:, 0]))
+    np.testing.assert_allclose(drops[:5], 4 * 2e-4 / moment, rtol=0.1)
+
+
+def test_a_chain_without_friction_keeps_its_energy():
+    chain = {
+        "mass_kg": (0.25, 0.28, 0.12),
+        "centre_m": (0.16, 0.2, 0.18),
+        "length_m": (0.17, 0.23),
+        "inertia_kg_m2": (1e-4, 3e-4, 2e-4),
+        "damping_nm_s_rad": (0.0, 0.0, 0.0),
+    }
+    _, angles = swing({}, 0.6, 4.0, chain, 1000.0)
+    rates = np.gradient(angles, 1e-3, axis=0)
+    mass, centre, inertia = (np.array(chain[k]) for k in ("mass_kg", "centre_m", "inertia_kg_m2"))
+    length = np.array((*chain["length_m"], 0.0))
+    energy = np.zeros(len(angles))
+    for i in range(3):
+        y = z = height = 0.0
+        for j in range(i + 1):
+            arm = centre[i] if i == j else length[j]
+            y, z = y + arm * np.cos(angles[:, j]) * rates[:, j], z + arm * np.sin(angles[:, j]) * rates[:, j]
+            height = height - arm * np.cos(angles[:, j])
+        energy += 0.5 * mass[i] * (y**2 + z**2) + 0.5 * inertia[i] * rates[:, i] ** 2 + mass[i] * 9.81 * height
+    assert np.ptp(energy[5:-5]) < 1e-3 * np.ptp(mass[0] * 9.81 * 0.16 * np.cos(angles[:, 0]))
+
+
+def test_drag_of_a_single_link_is_that_of_its_centre():
+    _, one = swing({"drag": 0.01}, 1.5)
+    _, none = swing({}, 1.5)
+    assert peaks(one[:, 0])[-1] < 0.95 * peaks(none[:, 0])[-1]
+
+
+def test_a_pendulums_start_is_fitted_at_every_point():
+    t, angle = swing({}, 0.3, 3.0)
+    view = PendulumView([pendulum(angle[:, 0], t)])
+    gaps = view.gap([{}, {"joint.damping.scale": 1.0}, {"joint.sensor_bias.bias": 0.01}])
+    rms = np.sqrt(np.nanmean(gaps.astype(float) ** 2, axis=(1, 2)))
+    assert rms[0] < 2e-4
+    assert rms[1] > 10 * rms[0]
+    assert rms[2] > 10 * rms[0]
+
+
+def test_fast_sources_are_averaged_and_gaps_stay_empty():
+    t = np.delete(np.arange(0, 4, 1e-3), slice(1000, 1500))
+    found = grid(Series(t, {"x": 2.0 * t}), 100.0)
+    assert found.step_s == pytest.approx(0.01)
+    inside = (found.t_s > 1.01) & (found.t_s < 1.49)
+    assert np.isnan(found.columns["x"][inside]).all()
+    outside = (found.t_s < 0.98) | (found.t_s > 1.52)
+    np.testing.assert_allclose(found.columns["x"][outside], 2 * found.t_s[outside], atol=1e-9)
+    assert smallest_step([np.round(np.sin(np.arange(5000.0)), 2), np.round(np.arange(5000.0) / 5000)]) == pytest.approx(
+        0.01
+    )
+    assert smallest_step([np.sin(np.arange(5000.0))]) == 0.0
+
+
+def test_windows_share_nothing_and_lose_nothing():
+    t, angle = swing({}, 0.3, 12.0)
+    trial = pendulum(angle[:, 0], t)
+    parts = windows(trial, 3.0)
+    assert len(parts) == 4
+    np.testing.assert_array_equal(np.concatenate([p.channels["measured"].t_s for p in parts]), t)
+    assert len({p.name for p in parts}) == 4
+
+
+def test_what_has_no_view_says_so():
+    t = T
+    trial = Trial("push", "steps", Path("push"), {}, stage=TableStage("cart", "driven_mass", {}))
+    with pytest.raises(TrialError, match="a driven_mass stage cannot be diagnosed yet"):
+        view_of([trial])
+    with pytest.raises(TrialError, match="are of no single-stage table"):
+        diagnose_table([Trial("x", "x", Path("x"), {})])
+    with pytest.raises(TrialError, match="model lacks mass_kg"):
+        PendulumView([pendulum(np.sin(t), t, model={"centre_m": 0.1, "inertia_kg_m2": 1.0})])
+
+
+@pytest.mark.slow
+def test_a_dry_joint_is_named_and_not_its_look_alikes():
+    """Small swings of a joint that has dry friction besides the model's viscous one."""
+    draw = np.random.default_rng(1)
+    trials = []
+    for i, amplitude in enumerate((0.12, 0.09, 0.07, 0.05)):
+        t, angle = swing({"torque": 4e-4}, amplitude, 3.0)
+        trials.append(pendulum(angle[:, 0] + 1e-4 * draw.normal(size=len(t)), t, f"swing {i}"))
+    verdict = diagnose_table(trials).verdict
+    assert verdict.verdict == "named"
+    assert [e.name for e in verdict.effects] == ["joint.coulomb_friction"]
+    estimate = verdict.effects[0].parameters["torque"]
+    assert estimate.value == pytest.approx(4e-4, rel=0.1)
+
+
+def test_a_perfect_model_is_blamed_for_nothing():
+    draw = np.random.default_rng(2)
+    trials = []
+    for i in range(4):
+        t, angle = swing({}, 0.1 + 0.05 * i, 3.0)
+        trials.append(
+            pendulum(np.round((angle[:, 0] + 1e-4 * draw.normal(size=len(t))) / 4e-4) * 4e-4, t, f"swing {i}")
+        )
+    verdict = diagnose_table(trials).verdict
+    assert (verdict.verdict, verdict.effects) == ("none", ())
+
+
+def test_a_servos_dead_zone_and_droop_are_named():
+    draw = np.random.default_rng(3)
+    truth = {"deadband.width": 0.03, "gain.offset": 0.04}
+    trials = []
+    for i, kind in enumerate(("multisine", "steps", "slow")):
+        steps, slow = 0.15 * np.sign(np.sin(0.8 * T)), 0.2 * np.sin(0.3 * T)
+        command = {"multisine": tone(T, i), "steps": steps, "slow": slow}[kind]
+        seen = np.nan_to_num(follow(truth, command), nan=0.0)
+        trials.append(servo(command, np.round((seen + 2e-4 * draw.normal(size=len(T))) / 1e-3) * 1e-3, T, kind, kind))
+    found = {e.name: e for e in diagnose_table(trials).verdict.effects}
+    named = {name: {name, *e.equivalents} for name, e in found.items()}
+    assert any("servo.deadband" in each for each in named.values())
+    assert any("servo.gain" in each for each in named.values())
+    assert len(found) == 2
+
+
+def swept(t, seed):
+    """Sines that grow faster up to 3 Hz: what a motor's torque cannot follow."""
+    return 0.12 * np.sin(2 * np.pi * (0.2 * t + 1.4 * t**2 / t[-1]) + seed)
+
+
+def late_servo():
+    """A servo with a dead time, a lag and an end of its torque, under three kinds of command."""
+    draw = np.random.default_rng(4)
+    truth = {"dead_time.delay": 0.033, "lag.time": 0.05, "acceleration_limit.acceleration": 12.0}
+    trials = []
+    for i, kind in enumerate(("sweep", "multisine", "steps")):
+        command = {"sweep": swept(T, i), "multisine": tone(T, i), "steps": 0.1 * np.sign(np.sin(0.8 * T))}[kind]
+        seen = np.nan_to_num(follow(truth, command), nan=0.0)
+        trials.append(servo(command, np.round((seen + 2e-4 * draw.normal(size=len(T))) / 1e-3) * 1e-3, T, kind, kind))
+    return trials
+
+
+@pytest.mark.slow
+def test_lateness_is_split_into_dead_time_lag_and_an_end_of_the_torque():
+    verdict = diagnose_table(late_servo()).verdict
+    found = {e.name.partition(".")[2]: e for e in verdict.effects}
+    assert set(found) == {"dead_time", "lag", "acceleration_limit"}
+    assert all(e.equivalents == () for e in found.values())
+    assert found["dead_time"].parameters["delay"].value == pytest.approx(0.033, abs=0.004)
+    assert found["lag"].parameters["time"].value == pytest.approx(0.05, rel=0.3)  # trades with the limit
+    assert found["acceleration_limit"].parameters["acceleration"].value == pytest.approx(12.0, rel=0.1)
+
+
+@pytest.mark.slow
+def test_large_swings_of_a_dry_joint_in_air_reject_dry_friction_alone():
+    """The model's viscous friction stands in for dry friction and drag: both are named, and it shrinks."""
+    draw = np.random.default_rng(5)
+    trials = []
+    for i, amplitude in enumerate((1.4, 1.0, 0.7, 0.4)):
+        t, angle = swing({"damping": 0.0, "torque": 5e-4, "drag": 0.01}, amplitude, 3.0)
+        trials.append(pendulum(angle[:, 0] + 2e-4 * draw.normal(size=len(t)), t, f"swing {i}"))
+    found = diagnose_table(trials)
+    effects_found = {e.name: e.parameters for e in found.verdict.effects}
+    assert set(effects_found) == {"joint.coulomb_friction", "joint.drag"}
+    assert 2e-4 < effects_found["joint.coulomb_friction"]["torque"].value < 6e-4  # some of it stays with the viscous
+    assert 0.006 < effects_found["joint.drag"]["coefficient"].value < 0.012
+    assert found.nuisances["joint.damping.scale"] < -0.3
+
+
+def test_every_fold_leaves_out_a_part_of_every_trial():
+    trials = late_servo()
+    view, _, fold = view_of(trials)
+    for k in range(len(trials)):
+        assert len(set(fold[view.trial == k])) >= 3
+    for _, a, b in blocks_of(view, BLOCK_S):
+        assert len(set(fold[a:b])) == 1  # blocks are not cut
+
+
+def test_blocks_are_summed_as_one_by_one_and_held_out_losses_are_no_smaller():
+    view, ordered, _ = view_of(late_servo())
+    problem = Setup([view], nuisances(view), [t.kind for t in ordered]).weighed()
+    refitted = Refitted(*(getattr(problem, f.name) for f in fields(FitProblem)))
+    (residual,) = refitted.whitened
+    moments = residual.moments([{}])[0]
+    edges, order, gg = refitted._blocks()
+    rr, gr = refitted._sums(moments, edges, order)
+    for i, (_, part) in zip(order, residual.blocks, strict=True):
+        rows, columns = moments.rows[part], residual.columns[:, part]
+        assert rr[i] == pytest.approx(float(rows @ rows), rel=1e-4)
+        np.testing.assert_allclose(gr[i], columns @ rows, rtol=1e-3, atol=1e-3 * np.abs(gr).max())
+        np.testing.assert_allclose(gg[i], columns @ columns.T, rtol=1e-3, atol=1e-3 * np.abs(gg).max())
+    assert rr.sum() > 0
+    lag = next(c for c in candidates(view) if c.name == "servo.lag")
+    (fit,) = refitted.fit([((lag,), (lag.starts[0],))])
+    assert fit.held_out.sum() >= 0.98 * fit.loss  # unseen blocks are not fitted better than seen ones
+
+
+def named(stage, data, element=None):
+    trials = tables.read(Path(tables.__file__).parents[1] / "rigs" / "stages" / stage, data)
+    diagnosis = diagnose_table([t for t in trials if element in (None, t.stage.name)])
+    assert diagnosis.verdict.verdict == "named"
+    return diagnosis, {e.name.partition(".")[2]: e.parameters for e in diagnosis.verdict.effects}
+
+
+@pytest.mark.slow
+def test_a_real_pendulums_small_swings_are_dry_friction_and_not_viscous(data):
+    diagnosis, found = named("pendulum-free.yaml", data)
+    assert all(e.equivalents == () for e in diagnosis.verdict.effects)
+    assert set(found) == {"coulomb_friction"}
+    assert 4e-4 < found["coulomb_friction"]["torque"].value < 6e-4
+    viscous = next(r for r in diagnosis.rivals if r.names == ("joint.damping",))
+    assert viscous.alone < 0.5
+    assert viscous.conditional.value < 0.1
+
+
+@pytest.mark.slow
+def test_a_real_pendulums_large_swings_reject_dry_friction_alone(data):
+    diagnosis, found = named("pendulum-single.yaml", data)
+    assert set(found) == {"coulomb_friction", "drag"}
+    assert 4e-4 < found["coulomb_friction"]["torque"].value < 6.5e-4  # the torque of the small swings
+    drag = next(r for r in diagnosis.rivals if r.names == ("joint.drag",))
+    assert drag.conditional.low > 0.2
+    assert any("nothing is left of the model's viscous friction" in text for text in diagnosis.verdict.warnings)
+
+
+@pytest.mark.slow
+def test_a_real_servos_dead_zone_droop_and_delay_are_named(data):
+    diagnosis, found = named("so101.yaml", data, "servo3")
+    zones = [e for e in diagnosis.verdict.effects if "servo3.deadband" in {e.name, *e.equivalents}]
+    assert len(zones) == 1  # play of 2 w at the output and a dead zone of w differ little
+    assert {"gain", "dead_time"} <= set(found)
+    width = found["deadband"]["width"].value if "deadband" in found else found["backlash"]["gap"].value / 2
+    assert 0.025 < width < 0.045
+    assert 0.015 < found["dead_time"]["delay"].value < 0.035  # far from its bounds
+    assert len(found) > 3  # and neither a delay nor a lag alone
+
+
+def test_a_real_servos_wrong_velocity_is_told_and_not_used(data):
+    trials = tables.read(Path(tables.__file__).parents[1] / "rigs" / "stages" / "so101.yaml", data)
+    (text,) = velocity_warnings(trials)
+    assert text.startswith("servo6: the measured velocity is 2.")

@@ -1,0 +1,181 @@
+"""What stamps and noise alone tell: lateness, missed ticks, lost frames, noise, and how velocities were made."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.stats import binom
+
+from softarm.diagnosis.data.trials import Series, Trial
+from softarm.diagnosis.robot.counts import TOLERANCE, VELOCITY_FLOOR_M_S, counts
+from softarm.schemas.model import Model
+
+TICK_S, FRAME_S, LENGTH_S = 1 / 30, 1 / 120, 20.0
+DIFFERENCED, TRUE = Model(), Model(effects={})
+
+
+def _place(t):
+    """A smooth motion of every marker, m."""
+    return 0.08 * np.sin(2 * np.pi * 0.7 * t) + 0.03 * np.sin(2 * np.pi * 1.9 * t)
+
+
+def _slope(t):
+    return 2 * np.pi * (0.7 * 0.08 * np.cos(2 * np.pi * 0.7 * t) + 1.9 * 0.03 * np.cos(2 * np.pi * 1.9 * t))
+
+
+def _trial(name, stamps=None, frames=None, noise_m=1e-4, seed=0, repeat=()):
+    """Commands at stamps and mocap at frames; `repeat`: frames that show the pose before once more."""
+    draw = np.random.default_rng(seed)
+    stamps = np.arange(0, LENGTH_S, TICK_S) if stamps is None else stamps
+    frames = np.arange(0, LENGTH_S, FRAME_S) if frames is None else frames
+    poses = {}
+    for body in ("cart", "link1", "link2"):
+        poses |= {f"{body}_{part}": _place(frames) + noise_m * draw.normal(size=len(frames)) for part in ("y", "z")}
+        poses[f"{body}_angle"] = draw.normal(size=len(frames))
+    for values in poses.values():
+        for i in repeat:
+            values[i] = values[i - 1]
+    channels = {
+        "command": Series(stamps, {"cart_velocity": 0 * stamps, "pressure": 0 * stamps}),
+        "mocap": Series(frames, {"t_receive": frames + 0.004, **poses}),
+    }
+    return Trial(name, name, Path(name), channels)
+
+
+def _count(trials, name, model=DIFFERENCED):
+    return next(each for each in counts(trials, model) if each.name == name)
+
+
+def _late(seed, sigma_s):
+    k = np.arange(round(LENGTH_S / TICK_S))
+    return 10.0 + k * TICK_S + sigma_s * np.abs(np.random.default_rng(seed).normal(size=len(k)))
+
+
+def test_lateness_of_ticks_is_told():
+    found = _count([_trial(f"t{i}", stamps=_late(i, 0.004)) for i in range(4)], "clock.jitter")
+    assert found.named
+    assert found.value == pytest.approx(0.004, rel=0.1)
+    assert found.low < 0.004 < found.high
+    assert found.shrink > 0.8
+
+
+def test_ticks_that_are_early_as_often_as_late_are_told_as_well():
+    draw = np.random.default_rng(5)
+    k = np.arange(600)
+    trials = [_trial(f"t{i}", stamps=k * TICK_S + 0.003 * draw.normal(size=600)) for i in range(3)]
+    assert _count(trials, "clock.jitter").value == pytest.approx(0.003, rel=0.1)
+
+
+def test_missed_ticks_are_told_and_are_no_jitter():
+    trials = []
+    for i in range(4):
+        here = np.random.default_rng(i).random(600) >= 0.06
+        here[[0, -1]] = True
+        trials.append(_trial(f"t{i}", stamps=np.arange(600)[here] * TICK_S))
+    found = _count(trials, "clock.missed_ticks")
+    assert found.named
+    assert found.value == pytest.approx(0.06, abs=0.015)
+    assert not _count(trials, "clock.jitter").named
+
+
+@pytest.mark.parametrize("way", ["lost", "repeated"])
+def test_dropped_frames_are_told_whether_lost_or_repeated(way):
+    trials = []
+    for i in range(4):
+        gone = np.flatnonzero(np.random.default_rng(i).random(2400) < 0.08)
+        gone = gone[(gone > 0) & (gone < 2399)]
+        frames = np.arange(2400) * FRAME_S
+        lost = {"frames": np.delete(frames, gone)} if way == "lost" else {"repeat": gone}
+        trials.append(_trial(f"t{i}", seed=i, **lost))
+    found = _count(trials, "mocap.dropout")
+    assert found.named
+    assert found.value == pytest.approx(0.08, abs=0.015)
+    assert not _count(trials, "mocap.noise").named
+
+
+def test_noise_is_told_from_motion():
+    trials = [_trial(f"t{i}", noise_m=0.002, seed=i) for i in range(3)]
+    found = _count(trials, "mocap.noise")
+    assert found.named
+    assert found.value == pytest.approx(0.002, rel=0.1)
+
+
+def test_a_well_kept_rig_shows_nothing():
+    """What the tolerance allows of everything at once: nothing is named."""
+    trials = []
+    for i in range(4):
+        stamps = np.delete(_late(i, 0.5 * TOLERANCE["clock.jitter"]), [100, 300, 500])
+        frames = np.delete(np.arange(2400) * FRAME_S, np.arange(50, 2350, 150))
+        trials.append(_trial(f"t{i}", stamps, frames, 0.5 * TOLERANCE["mocap.noise"], i))
+    found = counts(trials, DIFFERENCED)
+    assert {c.name for c in found} == {"clock.jitter", "clock.missed_ticks", "mocap.dropout", "mocap.noise"}
+    assert [c.name for c in found if c.named] == []
+    assert all(c.value > 0 for c in found)
+
+
+def test_what_the_model_has_already_is_not_named():
+    model = Model(effects={"clock.jitter": {"sigma": 0.004}})
+    found = _count([_trial(f"t{i}", stamps=_late(i, 0.004)) for i in range(4)], "clock.jitter", model)
+    assert not found.named
+    assert found.value == pytest.approx(0.004, rel=0.1)
+
+
+def test_what_a_model_has_and_the_robot_lacks_is_named():
+    model = Model(effects={"clock.jitter": {"sigma": 0.006}})
+    found = _count([_trial(f"t{i}", stamps=_late(i, 0.0003)) for i in range(4)], "clock.jitter", model)
+    assert found.named
+    assert found.value < 0.001
+
+
+def test_an_effect_without_its_channel_is_left_out():
+    trial = _trial("t")
+    only = Trial("t", "t", Path("t"), {"command": trial.channels["command"]})
+    assert {c.name for c in counts([only], DIFFERENCED)} == {"clock.jitter", "clock.missed_ticks"}
+
+
+def _seen(name, differenced, seed=0):
+    """A trial whose observation's velocities are differences over a tick, or true."""
+    trial = _trial(name, seed=seed)
+    mocap = trial.channels["mocap"]
+    ticks = np.arange(0.5, LENGTH_S - 0.5, TICK_S) + 1e-3
+    newest = np.searchsorted(mocap["t_receive"], ticks, side="right") - 1
+    columns = {}
+    for part in ("y", "z"):
+        place = mocap[f"link2_{part}"][newest]
+        rate = np.diff(place, prepend=place[0]) / np.diff(mocap.t_s[newest], prepend=mocap.t_s[newest][0] - TICK_S)
+        columns[f"tip_v{part}"] = rate if differenced else _slope(mocap.t_s[newest])
+    return Trial(name, name, Path(name), {**trial.channels, "observation": Series(ticks, columns)})
+
+
+@pytest.mark.parametrize(("robot", "model"), [(True, TRUE), (False, DIFFERENCED)], ids=["has it", "lacks it"])
+def test_finite_differences_and_true_velocities_are_told_apart(robot, model):
+    found = _count([_seen(f"t{i}", robot, i) for i in range(3)], "observation.finite_difference", model)
+    assert found.named
+    assert found.present == robot
+    assert found.before > VELOCITY_FLOOR_M_S
+    assert found.shrink > 0.5
+
+
+@pytest.mark.parametrize(("robot", "model"), [(True, DIFFERENCED), (False, TRUE)], ids=["both have", "neither has"])
+def test_velocities_that_are_as_modelled_are_no_news(robot, model):
+    assert not _count([_seen(f"t{i}", robot, i) for i in range(3)], "observation.finite_difference", model).named
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["clock.missed_ticks", "clock.jitter"])
+def test_95_percent_intervals_hold_the_truth_95_times_in_100(name):
+    """Of 300 campaigns of five trials as many as chance allows an interval that is right (0.1 % beyond either end)."""
+    k, share, sigma_s, runs, inside = np.arange(400), 0.05, 0.004, 300, 0
+    truth = share if name == "clock.missed_ticks" else sigma_s
+    for seed in range(runs):
+        draw, trials = np.random.default_rng(seed), []
+        for i in range(5):
+            kept = draw.random(len(k)) >= (share if truth is share else 0.0)
+            kept[[0, -1]] = True
+            late = sigma_s * np.abs(draw.normal(size=len(k))) if truth is sigma_s else 0.0
+            stamps = (10.0 + k * TICK_S + late)[kept]
+            trials.append(Trial(f"t{i}", "", Path(f"t{i}"), {"command": Series(stamps, {})}))
+        found = _count(trials, name)
+        inside += int(found.low <= truth <= found.high)
+    fewest, most = binom.ppf((0.001, 0.999), runs, 0.95)
+    assert fewest <= inside <= most, inside / runs
