@@ -4,7 +4,7 @@ import math
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
-from typing import Literal
+from typing import Literal, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,12 +19,25 @@ from softarm.diagnosis.engine.view import Array
 from softarm.diagnosis.engine.whitened import BLOCK_S, blocks_of
 from softarm.diagnosis.rigs.candidates import candidates, nuisances
 from softarm.diagnosis.rigs.ceiling import ceiling
-from softarm.diagnosis.rigs.grid import windows
-from softarm.diagnosis.rigs.pendulum import WINDOW_S, PendulumView
+from softarm.diagnosis.rigs.pendulum import PendulumView
 from softarm.diagnosis.rigs.selection import Backward, Refitted
 from softarm.diagnosis.rigs.tracking import TrackingView, velocity_warnings
 from softarm.diagnosis.rigs.views import RigView
 from softarm.schemas.verdict import Estimate, Gap, Interval, NamedEffect, Quantity, Shrink, Verdict, Where
+
+
+class ViewClass(Protocol):
+    """What a kind of stage brings: `RigView`s made of trials, and how a trial is cut before that."""
+
+    def __call__(self, trials: Sequence[Trial], /) -> RigView:
+        """The view; raises TrialError for what it cannot be made of."""
+
+    def shots(self, trial: Trial, /) -> tuple[Trial, ...]:
+        """See RigView."""
+
+
+# A new kind of stage is a line here.
+VIEWS: Mapping[str, ViewClass] = {"tracking": TrackingView, "pendulum": PendulumView}
 
 NULL_FLOORS = 2.0  # a gap below this many floors is none
 NAMED_SHARE, INCOMPLETE_SHARE = 0.8, 0.3  # of what any model could explain
@@ -82,6 +95,7 @@ def diagnose_table(trials: Sequence[Trial], tell: Progress = lambda text, share:
         stages.append(_stage([t for t in trials if t.stage is not None and t.stage.name == name]))
     tracking = [t for t in trials if t.stage is not None and t.stage.kind == "tracking"]
     warnings = [*dict.fromkeys(w for t in trials for w in t.warnings), *velocity_warnings(tracking)]
+    warnings += [text for stage in stages for text in stage.view.warnings]
     warnings += [text for stage in stages for text in _notes(stage)]
     return Diagnosis(
         verdict=_verdict(stages, warnings),
@@ -100,18 +114,15 @@ def diagnose_table(trials: Sequence[Trial], tell: Progress = lambda text, share:
 def view_of(trials: Sequence[Trial]) -> tuple[RigView, tuple[Trial, ...], NDArray[np.int64]]:
     """A stage's view, its trials in the view's order, and the fold [M] that every sample is left out with."""
     kind = trials[0].stage.kind if trials[0].stage is not None else ""
-    if kind == "tracking":
-        view: RigView = TrackingView(trials)
-        return view, tuple(trials), stretches(view)
-    if kind == "pendulum":
-        cut = [(k, w) for k, t in enumerate(trials) for w in windows(t, WINDOW_S)]
-        shots = tuple(w for _, w in cut)
-        view = PendulumView(shots)
-        if len(trials) < FOLDS_LEAST:
-            return view, shots, stretches(view)
-        group = np.array([k * min(FOLDS_MOST, len(trials)) // len(trials) for k, _ in cut])  # neighbours: swings alike
-        return view, shots, group[view.trial]
-    raise TrialError(f"{trials[0].source}: a {kind} stage cannot be diagnosed yet; tracking and pendulum can")
+    if kind not in VIEWS:
+        raise TrialError(f"{trials[0].source}: a {kind} stage cannot be diagnosed yet; {' and '.join(VIEWS)} can")
+    cut = [(k, shot) for k, trial in enumerate(trials) for shot in VIEWS[kind].shots(trial)]
+    shots = tuple(shot for _, shot in cut)
+    view = VIEWS[kind](shots)
+    if not view.fits_starts or len(trials) < FOLDS_LEAST:
+        return view, shots, stretches(view)
+    group = np.array([k * min(FOLDS_MOST, len(trials)) // len(trials) for k, _ in cut])  # neighbours: alike
+    return view, shots, group[view.trial]
 
 
 def stretches(view: RigView) -> NDArray[np.int64]:

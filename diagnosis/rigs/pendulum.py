@@ -10,7 +10,7 @@ from scipy.signal import savgol_filter
 from softarm.diagnosis.data.trials import TableStage, Trial, TrialError
 from softarm.diagnosis.engine.view import Array, Point
 from softarm.diagnosis.rigs import kernels
-from softarm.diagnosis.rigs.grid import Grid, grid, smallest_step
+from softarm.diagnosis.rigs.grid import Grid, grid, smallest_step, windows
 from softarm.diagnosis.rigs.views import RigView
 from softarm.diagnosis.rigs.vocabulary import effects
 
@@ -32,6 +32,8 @@ _LAW = (
 class PendulumView(RigView):
     """Angles of all links, absolute, zero hanging down. A trial is one shot: cut long ones with `grid.windows`."""
 
+    fits_starts = True
+
     def __init__(self, trials: Sequence[Trial]) -> None:
         """Raises TrialError for trials of no pendulum, or of a model that lacks what a pendulum needs."""
         stage = _stage(trials)
@@ -49,6 +51,11 @@ class PendulumView(RigView):
         self._grids, self._seen, self._pushes = grids, [np.nan_to_num(s) for s in shown], pushes
         self._known = {f"{e.name.rpartition('.')[2]}.{m.name}": m.neutral for e in found for m in e.parameters}
         self._known["damping.scale"] = 0.0  # the model's own
+
+    @classmethod
+    def shots(cls, trial: Trial) -> tuple[Trial, ...]:
+        """See RigView."""
+        return windows(trial, WINDOW_S)
 
     @property
     def regimes(self) -> Mapping[str, NDArray[np.bool_]]:

@@ -5,6 +5,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from softarm.diagnosis.data.trials import Trial
 from softarm.diagnosis.engine.view import Array, Point
 from softarm.diagnosis.rigs.vocabulary import Effect
 
@@ -13,6 +14,8 @@ FLOOR_SHARE = 1e-3  # of the signal: no simulator is blamed for a thousandth
 
 class RigView:
     """One stage of a rig; satisfies `softarm.diagnosis.engine.view.View`."""
+
+    fits_starts = False  # at every point anew: then a part of a trial is no stranger to the rest of it
 
     def __init__(
         self,
@@ -35,6 +38,16 @@ class RigView:
         self.noise: Array = np.zeros(len(channels))
         self.acts = frozenset(f"{e.name}.{n.name}" for e in self.effects for n in e.parameters)
         self.features: Mapping[str, Array] = {name: np.concatenate([s[name] for s in signals]) for name in signals[0]}
+
+    @classmethod
+    def shots(cls, trial: Trial) -> tuple[Trial, ...]:
+        """What a trial is cut into before the view is made of it: a start is fitted to each part."""
+        return (trial,)
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What the view has seen in the data that a reader of the verdict has to know."""
+        return ()
 
     @property
     def regimes(self) -> Mapping[str, NDArray[np.bool_]]:

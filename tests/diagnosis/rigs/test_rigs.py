@@ -223,6 +223,16 @@ def test_what_has_no_view_says_so():
         PendulumView([pendulum(np.sin(t), t, model={"centre_m": 0.1, "inertia_kg_m2": 1.0})])
 
 
+def test_a_kinds_view_is_made_of_the_shots_that_it_cuts_trials_into():
+    t, angle = swing({}, 0.3, 12.0)
+    trials = [pendulum(angle[:, 0], t, f"swing {i}") for i in range(4)]
+    view, shots, fold = view_of(trials)
+    assert len(shots) == 4 * len(PendulumView.shots(trials[0])) == 16
+    for k, trial in enumerate(trials):  # a trial is left out whole: its shots share what is odd about it
+        mine = [i for i, shot in enumerate(shots) if shot.name.startswith(trial.name)]
+        assert set(fold[np.isin(view.trial, mine)]) == {k}
+
+
 @pytest.mark.slow
 def test_a_dry_joint_is_named_and_not_its_look_alikes():
     """Small swings of a joint that has dry friction besides the model's viscous one."""
