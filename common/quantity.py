@@ -1,11 +1,14 @@
 """A number with its unit and bounds, and the sentence that helps who wrote another."""
 
+import contextlib
 import math
 import re
 from dataclasses import dataclass
 from numbers import Integral, Real
 from pathlib import Path
 from typing import TypeGuard
+
+from softarm.common.words import did_you_mean
 
 PURE = "-"  # the unit of a pure number
 KPA_PER_PSI = 6.894757
@@ -15,30 +18,44 @@ DEGREE_RAD = math.pi / 180
 UNITS: dict[str, dict[str, float]] = {
     PURE: {"1": 1.0, "%": 1e-2, "percent": 1e-2},
     "s": {"ms": 1e-3, "us": 1e-6, "ns": 1e-9},
-    "m": {"mm": 1e-3, "cm": 1e-2, "millimetres": 1e-3, "centimetres": 1e-2, "inches": 0.0254},
+    "m": {"mm": 1e-3, "cm": 1e-2, "millimetres": 1e-3, "centimetres": 1e-2, "inches": 0.0254, "um": 1e-6, "in": 0.0254},
     "m/s": {"mm/s": 1e-3, "cm/s": 1e-2},
     "m/s^2": {"mm/s^2": 1e-3, "cm/s^2": 1e-2},
-    "rad": {"degrees": DEGREE_RAD, "deg": DEGREE_RAD, "mrad": 1e-3},
-    "rad/s": {"deg/s": DEGREE_RAD},
+    "rad": {"degrees": DEGREE_RAD, "deg": DEGREE_RAD, "mrad": 1e-3, "rev": 2 * math.pi},
+    "rad/s": {"deg/s": DEGREE_RAD, "rpm": math.pi / 30},
     "1/rad^2": {"1/degree^2": DEGREE_RAD**-2},
-    "kPa": {"psi": KPA_PER_PSI, "Pa": 1e-3, "mbar": 0.1, "bar": 100.0},
+    "kPa": {"psi": KPA_PER_PSI, "Pa": 1e-3, "mbar": 0.1, "bar": 100.0, "hPa": 0.1, "MPa": 1e3},
     "kPa/s": {"psi/s": KPA_PER_PSI, "Pa/s": 1e-3, "mbar/s": 0.1, "bar/s": 100.0},
     "kg": {"g": 1e-3},
     "kg m^2": {"kg cm^2": 1e-4, "kg mm^2": 1e-6, "g cm^2": 1e-7, "g mm^2": 1e-9},
-    "N": {"mN": 1e-3},
-    "N m": {"mN m": 1e-3, "N mm": 1e-3},
+    "N": {"mN": 1e-3, "kN": 1e3},
+    "N m": {"mN m": 1e-3, "N mm": 1e-3, "N cm": 1e-2, "kN m": 1e3},
     "N/m": {"N/mm": 1e3, "kN/m": 1e3},
     "N s/m": {},
     "N s^2/m^2": {},
     "N m/rad": {"N mm/rad": 1e-3, "N m/degree": 1 / DEGREE_RAD},
     "N m s/rad": {"N mm s/rad": 1e-3, "N m s/degree": 1 / DEGREE_RAD},
     "N m/kPa": {"N m/psi": 1 / KPA_PER_PSI, "N m/bar": 1e-2, "N mm/kPa": 1e-3},
+    "V": {"mV": 1e-3},
+    "A": {"mA": 1e-3},
+    "counts": {},  # of an encoder or a converter, where nobody says what one is worth
     "Hz": {},
     "1/m": {},
     "kg/m^3": {},
     "MB": {"GB": 1e3},
     "days": {"h": 1 / 24},
 }
+# As people also write them.
+_SIGNS = str.maketrans(
+    {
+        "\N{DEGREE SIGN}": "deg",
+        "\N{MICRO SIGN}": "u",
+        "\N{GREEK SMALL LETTER MU}": "u",
+        "\N{SUPERSCRIPT TWO}": "^2",
+        "\N{MIDDLE DOT}": " ",
+    }
+)
+_PRODUCTS = {"Nm": "N m", "N*m": "N m", "mNm": "mN m", "mN*m": "mN m", "Ncm": "N cm", "Nmm": "N mm", "kNm": "kN m"}
 _HUGE = 1e15  # beyond, a number is a slip of the hand, not of the unit
 _NUMBER = re.compile(r"\s*([-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?)\s*(.*?)\s*")
 
@@ -122,14 +139,30 @@ def is_number(value: object) -> TypeGuard[float]:
 
 
 def factor(unit: str) -> tuple[float, str]:
-    """What one of a unit is worth in the house's unit, and which that is. Raises ValueError with the known ones."""
+    """What one of a unit is worth in the house's unit, and which that is. Any of them also per s or s^2.
+
+    Raises ValueError with the known ones.
+    """
+    plain = _plain(unit)
     for own, others in UNITS.items():
-        if unit == own:
+        if plain == own:
             return 1.0, own
-        if unit in others:
-            return others[unit], own
-    known = ", ".join(name for own, others in UNITS.items() for name in (own, *others))
-    raise ValueError(f"no unit '{unit}'; allowed {known}")
+        if plain in others:
+            return others[plain], own
+    if rate := re.fullmatch(r"(.*[^ ]) ?(/ ?s(?:\^2)?)", plain):
+        with contextlib.suppress(ValueError):
+            worth, own = factor(rate[1])
+            return worth, own + rate[2].replace(" ", "")
+    names = [name for own, others in UNITS.items() for name in (own, *others)]
+    same = [name for name in names if name.lower() == plain.lower()]
+    near = f"did you mean {' or '.join(same)}? " if same else did_you_mean(plain, names)
+    raise ValueError(f"no unit '{unit}'; {near}allowed {', '.join(names)}, and these per second (V/s, deg/s^2)")
+
+
+def _plain(unit: str) -> str:
+    """A unit as it is written here: signs that keyboards lack as words, a blank between the factors of a product."""
+    text = " ".join(unit.split()).translate(_SIGNS)
+    return _PRODUCTS.get(text, text)
 
 
 def shown(value: object) -> str:

@@ -6,6 +6,9 @@ from pydantic import AfterValidator, Field
 
 from softarm.common.quantity import factor
 from softarm.schemas.base import Strict
+from softarm.schemas.stage_model import LINKS_MAX, ModelValue, StageKind
+
+__all__ = ["Column", "StageFile", "StageKind", "TableChannel", "TableTrial", "TrialFile"]
 
 
 def _known(unit: str) -> str:
@@ -15,7 +18,6 @@ def _known(unit: str) -> str:
 
 # Of a column's numbers; what they are multiplied by is `softarm.common.quantity.factor`'s to say.
 Unit = Annotated[str, AfterValidator(_known)]
-StageKind = Literal["tracking", "driven_mass", "pendulum"]
 
 
 class TrialFile(Strict):
@@ -53,16 +55,16 @@ class TableTrial(Strict):
 class StageFile(Strict):
     """stage.yaml: one mechanism, its columns and units, its nominal model and its trials.
 
-    A tracking stage has channels command (`command`) and measured (`position`, or `pressure`, or `velocity`);
-    a driven mass has force (`force`) and measured (`position`, `velocity`); a pendulum has measured
-    (`angle1` .. `angleN`, `rate1` .. `rateN`) and perhaps base (`position`).
+    Channels, columns and the model's keys by kind: `softarm.schemas.stage_model`, docs/trials.md.
     """
 
     name: Annotated[str, Field(min_length=1)]
     kind: StageKind
-    links: Annotated[int, Field(ge=1, le=12)] = 1  # of a pendulum
+    links: Annotated[int, Field(ge=1, le=LINKS_MAX)] = 1  # of a pendulum or a chain
+    # Of a chain: from the vertical, or each from the link before it. In memory they are absolute.
+    angles: Literal["absolute", "relative"] = "absolute"
     # Where cells hold lists, one stage for each element: its name -> the place in the list.
     elements: dict[str, Annotated[int, Field(ge=0)]] = Field(default_factory=dict)
     channels: Annotated[dict[str, TableChannel], Field(min_length=1)]
-    model: dict[str, float | tuple[float, ...]] = Field(default_factory=dict)  # nominal parameters, units in names
+    model: dict[str, ModelValue] = Field(default_factory=dict)  # nominal parameters
     trials: Annotated[tuple[TableTrial, ...], Field(min_length=1)]

@@ -5,24 +5,20 @@ import re
 import signal
 import subprocess
 import sys
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from softarm.common.quantity import factor
-from softarm.diagnosis.data import checks, yaml_file
+from softarm.diagnosis.data import checks, stage_rules, yaml_file
 from softarm.diagnosis.data.folder import numbers, read_table
-from softarm.diagnosis.data.trials import Array, Series, TableStage, Trial, TrialError
+from softarm.diagnosis.data.trials import Array, OwnUnit, Series, TableStage, Trial, TrialError
+from softarm.schemas.stage_model import ModelValue
 from softarm.schemas.trial import Column, StageFile, TableChannel, TableTrial
 
 EXAMPLE = "one of diagnosis/rigs/stages/*.yaml"
-# Kind -> channel -> unit groups of which one column is needed.
-_NEEDS: dict[str, dict[str, tuple[str, ...]]] = {
-    "tracking": {"command": ("command",), "measured": ("position", "velocity", "pressure")},
-    "driven_mass": {"force": ("force",), "measured": ("position", "velocity")},
-    "pendulum": {"measured": ("angle1",)},
-}
 
 
 def read(path: Path, data: Path | None = None) -> tuple[Trial, ...]:
@@ -31,8 +27,7 @@ def read(path: Path, data: Path | None = None) -> tuple[Trial, ...]:
     With `elements`, one trial for each element, its name `TRIAL/ELEMENT`. Raises TrialError for what cannot
     be read or does not hold what the stage's kind needs; names file, column and row.
     """
-    about = yaml_file.load(path, StageFile, EXAMPLE)
-    _check_kind(path, about)
+    about = yaml_file.load(path, StageFile, EXAMPLE, stage_rules.findings)
     base = path.parent if data is None else data
     loaded: dict[Path, Any] = {}  # a file that serves many trials is read once
     return tuple(
@@ -40,20 +35,6 @@ def read(path: Path, data: Path | None = None) -> tuple[Trial, ...]:
         for trial in about.trials
         for element in (about.elements or {"": -1})
     )
-
-
-def _check_kind(path: Path, about: StageFile) -> None:
-    for channel, any_of in _NEEDS[about.kind].items():
-        if channel not in about.channels or not set(any_of) & about.channels[channel].columns.keys():
-            raise TrialError(
-                f"{path}: channels.{channel}: a {about.kind} stage needs a column {' or '.join(any_of)} there; add it"
-            )
-    if about.kind == "pendulum":
-        lacking = [
-            f"angle{i}" for i in range(1, about.links + 1) if f"angle{i}" not in about.channels["measured"].columns
-        ]
-        if lacking:
-            raise TrialError(f"{path}: links is {about.links}, but there is no column {', '.join(lacking)}; add it")
 
 
 def _trial(base: Path, about: StageFile, trial: TableTrial, element: str, loaded: dict[Path, Any]) -> Trial:
@@ -72,11 +53,49 @@ def _trial(base: Path, about: StageFile, trial: TableTrial, element: str, loaded
         warnings += (*found, *_range_warnings(channels[name], channel, f"{path}: {name}"))
     if not channels:
         raise TrialError(f"trial {trial.name}: names no file of {', '.join(about.channels)}; add one under files")
-    stage = TableStage(element or about.name, about.kind, about.model)
+    if about.angles == "relative":
+        channels["measured"] = _absolute(channels["measured"], about.links)
+    units = {
+        name: {column: OwnUnit(each.unit, *factor(each.unit)) for column, each in channel.columns.items()}
+        for name, channel in about.channels.items()
+    }
+    stage = TableStage(element or about.name, about.kind, _in_house_units(about, units), units)
     name = f"{trial.name}/{element}" if element else trial.name
     return Trial(
         name, trial.kind, base / next(iter(trial.files.values())), channels, "free", stage, tuple(warnings), missing
     )
+
+
+def _in_house_units(about: StageFile, units: Mapping[str, Mapping[str, OwnUnit]]) -> Mapping[str, ModelValue]:
+    """The model as views read it: what a tracking stage has in its columns' own units is converted."""
+    if about.kind != "tracking":
+        return about.model
+    to, from_ = (
+        units["measured"][stage_rules.followed(units["measured"]) or ""].worth,
+        units["command"]["command"].worth,
+    )
+    worth = {"gain": to / from_, "offset": to, "rate_limit": to, "acceleration_limit": to}
+    return {key: _times(value, worth.get(key, 1.0), from_, to) for key, value in about.model.items()}
+
+
+def _times(value: ModelValue, worth: float, from_: float, to: float) -> ModelValue:
+    if isinstance(value, tuple):  # a map
+        return tuple((command * from_, reached * to) for command, reached in value)  # type: ignore[misc]
+    return value * worth
+
+
+def _absolute(series: Series, links: int) -> Series:
+    """Angles and rates, each from the vertical instead of from the link before; a rate without all before it goes."""
+    columns = dict(series.columns)
+    for name in ("angle", "rate"):
+        own = [columns.pop(f"{name}{i}", None) for i in range(1, links + 1)]
+        total = np.zeros(len(series))
+        for i, each in enumerate(own, 1):
+            if each is None:
+                break
+            total = total + each
+            columns[f"{name}{i}"] = total
+    return Series(series.t_s, columns)
 
 
 def _load(path: Path) -> Any:

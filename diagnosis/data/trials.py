@@ -4,13 +4,13 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from softarm.schemas.policy import OBSERVATION
-from softarm.schemas.trial import StageKind
+from softarm.schemas.stage_model import ModelValue, StageKind
 
 Array = NDArray[np.float64]
 
@@ -65,13 +65,27 @@ class Series:
         return len(self.t_s)
 
 
+class OwnUnit(NamedTuple):
+    """The unit that a recording's owner has a column in."""
+
+    name: str  # as it stands in the stage.yaml
+    worth: float  # of one of it, in the house's unit
+    house: str  # the unit that the Series has it in
+
+
 @dataclass(frozen=True, slots=True)
 class TableStage:
     """What a single-stage table says of its mechanism."""
 
     name: str
     kind: StageKind
-    model: Mapping[str, float | tuple[float, ...]]  # nominal parameters, units in names
+    model: Mapping[str, ModelValue]  # nominal parameters in the house's units: `softarm.schemas.stage_model`
+    units: Mapping[str, Mapping[str, OwnUnit]] = field(default_factory=dict)  # channel -> column -> its owner's unit
+
+    def unit(self, channel: str, column: str) -> str:
+        """The house's unit of a column, which its Series is in; empty where the table does not say it."""
+        own = self.units.get(channel, {}).get(column)
+        return own.house if own else ""
 
 
 @dataclass(frozen=True, slots=True)

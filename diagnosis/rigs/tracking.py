@@ -11,9 +11,10 @@ from softarm.diagnosis.rigs import kernels
 from softarm.diagnosis.rigs.grid import Grid, grid, smallest_step
 from softarm.diagnosis.rigs.views import RigView
 from softarm.diagnosis.rigs.vocabulary import effects
+from softarm.schemas.stage_model import ModelValue
 
 # What is measured -> its unit; the first that a table has is what follows the command.
-MEASURED = {"position": "rad", "pressure": "kPa", "velocity": "m/s"}
+MEASURED = {"position": "rad", "pressure": "kPa", "velocity": "m/s", "value": "-"}
 SUBSTEP_S = 0.0105
 SKIPPED_S = 0.5  # at the start, where what went before still shows
 SLOPE_TOLERANCE = 0.3  # a velocity further from its position's slope than this share is in another unit
@@ -38,7 +39,8 @@ class TrackingView(RigView):
         column = next((c for c in MEASURED if all(c in t.channel("measured").columns for t in trials)), None)
         if column is None:
             raise TrialError(f"{stage}: no column {' or '.join(MEASURED)} in every trial's measured channel; add it")
-        unit = unit or MEASURED[column]
+        told = trials[0].stage.unit("measured", column) if trials[0].stage is not None else ""
+        unit = unit or told or MEASURED[column]
         grids = [grid(t.channel("measured")) for t in trials]
         commands = [_mean_command(t.channel("command")) for t in trials]
         shown = [np.where(g.t_s - g.t_s[0] < SKIPPED_S, np.nan, g.columns[column])[:, None] for g in grids]
@@ -126,7 +128,7 @@ def _stage(trials: Sequence[Trial]) -> str:
     return names.pop()
 
 
-def _given(trials: Sequence[Trial]) -> Mapping[str, float | tuple[float, ...]]:
+def _given(trials: Sequence[Trial]) -> Mapping[str, ModelValue]:
     return trials[0].stage.model if trials[0].stage is not None else {}
 
 

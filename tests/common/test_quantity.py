@@ -69,7 +69,25 @@ def test_a_unit_stands_in_the_table_once():
 
 
 @pytest.mark.parametrize(
-    ("unit", "worth"), [("s", (1.0, "s")), ("deg", (math.pi / 180, "rad")), ("bar", (100, "kPa")), ("1", (1.0, PURE))]
+    ("unit", "worth"),
+    [
+        ("s", (1.0, "s")),
+        ("deg", (math.pi / 180, "rad")),
+        ("bar", (100, "kPa")),
+        ("1", (1.0, PURE)),
+        ("hPa", (0.1, "kPa")),
+        ("rpm", (math.pi / 30, "rad/s")),
+        ("mN m", (1e-3, "N m")),
+        ("Nm", (1.0, "N m")),
+        ("mA", (1e-3, "A")),
+        ("%", (1e-2, PURE)),
+        ("counts", (1.0, "counts")),
+        ("\N{MICRO SIGN}m", (1e-6, "m")),
+        ("\N{DEGREE SIGN}/s", (math.pi / 180, "rad/s")),
+        ("mV/s", (1e-3, "V/s")),
+        ("deg/s^2", (math.pi / 180, "rad/s^2")),
+        ("rev/s", (2 * math.pi, "rad/s")),
+    ],
 )
 def test_a_column_is_multiplied_by_what_its_unit_is_worth(unit, worth):
     assert factor(unit) == worth
@@ -78,6 +96,12 @@ def test_a_column_is_multiplied_by_what_its_unit_is_worth(unit, worth):
 def test_an_unknown_unit_is_refused_with_the_known_ones():
     with pytest.raises(ValueError, match=r"no unit 'turns'; allowed .*, s, ms, us, ns, m, mm"):
         factor("turns")
+
+
+@pytest.mark.parametrize(("written", "meant"), [("Kpa", "kPa"), ("pa", "Pa"), ("degree", "degrees")])
+def test_a_unit_that_is_nearly_known_is_recognised(written, meant):
+    with pytest.raises(ValueError, match=f"no unit '{written}'; did you mean .*{meant}.*\\? allowed"):
+        factor(written)
 
 
 def test_a_value_is_shown_as_a_file_would_have_it_and_no_longer_than_a_line():

@@ -76,9 +76,13 @@ def test_degrees_that_are_called_radians_are_noticed(tmp_path):
         (
             "kind: tracking",
             "kind: tracker",
-            "kind: is 'tracker'; allowed 'tracking' or 'driven_mass' or 'pendulum'",
+            "kind: is 'tracker'; allowed 'tracking' or 'driven_mass' or 'pendulum' or 'chain'",
         ),
-        ("position: {", "angle: {", "a tracking stage needs a column position or velocity or pressure there"),
+        (
+            "position: {",
+            "angle: {",
+            "unknown column; did you mean value. measured of a tracking stage has position, pressure",
+        ),
         ("unit: deg", "unit: turns", "unit: no unit 'turns'; allowed .*, s, ms, us, ns, m"),
         ("measured: data.csv", "measured: other.csv", r"other\.csv: is not there"),
     ],
@@ -135,3 +139,86 @@ def test_rates_are_the_slopes_of_the_angles_in_the_real_pendulums(data):
         for i in range(1, links + 1):
             slope = np.polyfit(np.gradient(measured[f"angle{i}"], measured.t_s), measured[f"rate{i}"], 1)[0]
             assert slope == pytest.approx(1.0, abs=0.05)
+
+
+TWO_UNITS = """
+name: chamber
+kind: tracking
+channels:
+  command: {time: {source: t, unit: ms}, columns: {command: {source: u, unit: mV}}}
+  measured: {time: {source: t, unit: ms}, columns: {pressure: {source: y, unit: bar}}}
+model: {MODEL}
+trials:
+  - {name: one, kind: sine, files: {command: data.csv, measured: data.csv}}
+"""
+
+
+@pytest.mark.parametrize(
+    ("model", "inside"),
+    [
+        ("gain: 0.002, offset: 0.1, lag_s: 0.05", {"gain": 200.0, "offset": 10.0, "lag_s": 0.05}),
+        ("map: [[0, 0], [1000, 2.5]], rate_limit: 3", {"map": ((0.0, 0.0), (1.0, 250.0)), "rate_limit": 300.0}),
+    ],
+)
+def test_a_gain_in_the_owners_units_is_in_the_houses_inside(tmp_path, model, inside):
+    stage = put(tmp_path, ".csv")
+    stage.write_text(TWO_UNITS.replace("MODEL", model))
+    (trial,) = tables.read(stage)
+    assert trial.stage.model.keys() == inside.keys()
+    for key, value in inside.items():
+        assert np.asarray(trial.stage.model[key]) == pytest.approx(np.asarray(value))
+    assert trial.stage.units["measured"]["pressure"] == ("bar", 100.0, "kPa")
+    assert (trial.stage.unit("command", "command"), trial.stage.unit("measured", "velocity")) == ("V", "")
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "says"),
+    [
+        ("model: {", "model: {time_constant_s: 1, ", r":\d: model.time_constant_s: unknown key; did you mean lag_s\?"),
+        ("model: {", "model: {lag_s: -1, ", r":\d: model.lag_s: is -1; allowed 0 to 1000 s"),
+        ("gain: 0.002", "offset: 0", r"model: the command is in mV, the measured pressure in bar: write `gain` \(bar"),
+        ("unit: bar", "unit: mm", "pressure.unit: is mm, no unit of a pressure; allowed what converts to kPa"),
+        ("source: t, unit: ms", "source: t, unit: mm", "time.unit: is a unit of m, not of time; write s, ms"),
+        ("pressure:", "presure:", r"unknown column; did you mean pressure\? measured of a tracking stage has"),
+        (
+            "  measured:",
+            "  mesured:",
+            r"unknown channel; did you mean measured\? a tracking stage has command, measured",
+        ),
+        ("kind: tracking", "kind: tracking\nlinks: 2", "links: is for a chain or a pendulum"),
+        ("kind: tracking", "kind: tracking\nangles: relative", "angles: is for a chain"),
+        ("kind: tracking", "kindd: tracking", r"kindd: unknown key; did you mean kind\?"),
+    ],
+)
+def test_what_a_stage_cannot_be_is_told_by_line_and_key(tmp_path, old, new, says):
+    stage = put(tmp_path, ".csv")
+    stage.write_text(TWO_UNITS.replace("MODEL", "gain: 0.002").replace(old, new, 1))
+    with pytest.raises(TrialError, match=says):
+        tables.read(stage)
+
+
+def test_relative_angles_of_a_chain_are_absolute_in_memory(tmp_path):
+    columns = {"t": T, "a": np.sin(T), "b": np.cos(T), "w": T, "m": 0.3 * T}
+    rows = zip(*(c.tolist() for c in columns.values()), strict=True)
+    (tmp_path / "data.csv").write_text("t,a,b,w,m\n" + "\n".join(",".join(map(repr, row)) for row in rows) + "\n")
+    (tmp_path / "stage.yaml").write_text(
+        """
+name: arm
+kind: chain
+links: 2
+angles: relative
+channels:
+  measured:
+    time: {source: t, unit: s}
+    columns: {angle1: {source: a, unit: rad}, angle2: {source: b, unit: deg}, rate1: {source: w, unit: rad/s}}
+  torque: {time: {source: t, unit: s}, columns: {torque2: {source: m, unit: mN m}}}
+model: {mass_kg: [1, 1], centre_m: [0.1, 0.1], inertia_kg_m2: [0, 0], length_m: [0.2]}
+trials: [{name: one, kind: sine, files: {measured: data.csv, torque: data.csv}}]
+"""
+    )
+    (trial,) = tables.read(tmp_path / "stage.yaml")
+    measured = trial.channels["measured"]
+    np.testing.assert_allclose(measured["angle2"], np.sin(T) + np.radians(np.cos(T)), rtol=1e-12)
+    np.testing.assert_allclose(measured["angle1"], np.sin(T), rtol=1e-12)
+    np.testing.assert_allclose(measured["rate1"], T, rtol=1e-12)  # of one joint alone: cannot be summed
+    np.testing.assert_allclose(trial.channels["torque"]["torque2"], 0.3e-3 * T, rtol=1e-12)
