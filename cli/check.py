@@ -1,10 +1,14 @@
-"""`softarm check`: is the configuration sound, what does it hold the arm to, and was the robot worse than it says."""
+"""`softarm check`: is the configuration sound, what does it hold the arm to, and was the robot worse than it says.
+
+Or a rig's stage.yaml: would `softarm diagnose` take it.
+"""
 
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
+from softarm.cli.check_stage import check_stage
 from softarm.cli.errors import fail
 from softarm.cli.options import FOLDER
 from softarm.cli.printing import print_table
@@ -16,8 +20,12 @@ if TYPE_CHECKING:
 @click.command()
 @click.argument("file", type=click.Path(path_type=Path))
 @click.option("--logs", "folder", type=FOLDER, help="Logs of the robot: is FILE milder than it was?")
-def check(file: Path, folder: Path | None) -> None:
+@click.option("--data", type=FOLDER, help="Where the files of a stage.yaml lie (default: beside it).")
+def check(file: Path, folder: Path | None, data: Path | None) -> None:
     """Check a configuration FILE; print the limits in force and where each comes from.
+
+    FILE may be the stage.yaml of another rig: every trial and column is read as `softarm diagnose` would, before any
+    fit.
 
     Exit code 1, with every mistake and its line, when the daemon would refuse the file; with --logs also when the robot
     was later, slower to brake or quicker to speed up than the rail's limits say. What too few logs show is said, and
@@ -27,11 +35,18 @@ def check(file: Path, folder: Path | None) -> None:
     Examples:
       softarm check softarm.yaml
       softarm check softarm.yaml --logs logs
+      softarm check stage.yaml --data recordings
     """
     from softarm.daemon.api.auth import AuthError, load_tokens
     from softarm.daemon.config.configuration import ConfigurationError, effective_limits, read
     from softarm.daemon.config.policies import policy_problems
+    from softarm.diagnosis.data.stage_file import is_stage
 
+    if is_stage(file):
+        check_stage(file, data)
+        return
+    if data is not None:
+        raise click.UsageError("--data is where the files of a stage.yaml lie: name one as FILE, or leave --data out")
     try:
         loaded = read(file)
     except ConfigurationError as error:

@@ -151,3 +151,61 @@ def test_a_folder_without_logs_is_refused_and_one_with_too_few_is_no_mistake(tmp
     result = CliRunner().invoke(main, ["check", str(path), "--logs", str(flown)])
     assert result.exit_code == 0
     assert "it takes 59" in result.stdout
+
+
+STAGE = """
+name: chamber
+kind: tracking
+channels:
+  command: {time: {source: t, unit: s}, columns: {command: {source: u, unit: V}}}
+  measured: {time: {source: t, unit: s}, columns: {pressure: {source: p, unit: mbar}}}
+model: {gain: 500}
+trials:
+  - {name: one, kind: steps, files: one.csv}
+  - {name: two, kind: steps, files: two.csv}
+"""
+
+
+@pytest.fixture
+def rig(tmp_path):
+    rows = "".join(f"{0.01 * i:.2f},{i // 50 % 3},{500 * (i // 50 % 3) + i % 7}\n" for i in range(400))
+    for name in ("one", "two"):
+        (tmp_path / f"{name}.csv").write_text("t,u,p\n" + rows)
+    path = tmp_path / "stage.yaml"
+    path.write_text(STAGE)
+    return path
+
+
+def test_a_rigs_stage_file_is_read_whole_in_its_owners_units(rig):
+    result = CliRunner().invoke(main, ["check", str(rig)])
+    assert result.exit_code == 0, result.output
+    row = next(line for line in result.stdout.splitlines() if "two" in line and "pressure" in line)
+    assert [cell for cell in row.split() if cell[0].isalnum()][-3:] == ["0", "1006", "mbar"]
+    assert result.stdout.endswith(f"{rig}: sound; 2 trials of chamber (tracking)\n")
+
+
+def test_every_trial_of_a_rig_that_diagnose_would_refuse_is_told(rig, tmp_path):
+    (tmp_path / "one.csv").write_text("t,u,p\n0,0,0\n")
+    (tmp_path / "two.csv").write_text("t,u\n0,0\n")
+    result = CliRunner().invoke(main, ["check", str(rig)])
+    assert result.exit_code == 1
+    one, *more = result.stderr.splitlines()
+    assert one.startswith(f"{tmp_path}/one.csv: column t: 1 rows over 0 s; the command channel needs 2 rows")
+    assert more[-1] == f"{tmp_path}/two.csv: no column p; it has t, u; correct the stage.yaml"
+    result = CliRunner().invoke(main, ["diagnose", str(rig)])
+    assert result.exit_code == 1
+    assert one in result.stderr
+
+
+def test_a_rigs_stage_file_with_a_mistake_in_it_is_still_one(rig):
+    rig.write_text(rig.read_text().replace("gain", "gian"))
+    result = CliRunner().invoke(main, ["check", str(rig)])
+    assert result.exit_code == 1
+    assert f"{rig}:7: model.gian: unknown key; did you mean gain?" in result.stderr
+
+
+def test_the_folder_of_a_rigs_data_is_for_a_rig(check, tmp_path):
+    path, _ = check("")
+    result = CliRunner().invoke(main, ["check", str(path), "--data", str(tmp_path)])
+    assert result.exit_code == 2
+    assert "--data is where the files of a stage.yaml lie" in result.stderr

@@ -27,7 +27,7 @@ def test_every_key_whose_name_ends_in_a_unit_says_so():
 @pytest.mark.parametrize(
     ("schema", "path", "allowed"),
     [
-        (StageFile, ("trials", 2, "name"), "a text"),
+        (StageFile, ("trials", 2, "name"), "a text or null"),
         (StageFile, ("channels", "measured", "columns", "angle1", "row"), "0 or more, a whole number"),
         (StageFile, ("elements", "servo1"), "0 or more, a whole number"),
         (StageFile, ("model", "lag_s"), "a number or a list in s"),

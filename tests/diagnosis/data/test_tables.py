@@ -65,6 +65,9 @@ def test_a_damaged_table_of_matlab_is_refused_even_where_its_reader_dies_of_it(t
 def test_degrees_that_are_called_radians_are_noticed(tmp_path):
     stage = put(tmp_path, ".csv")
     stage.write_text(stage.read_text().replace("unit: deg", "unit: rad"))
+    with pytest.raises(TrialError, match=r"data\.csv: column y: position moves 60.1 times .* position looks like deg"):
+        tables.read(stage)
+    stage.write_text(stage.read_text().replace("lag_s: 0.05", "gain: 57"))
     (trial,) = tables.read(stage)
     assert "position goes up to 44.16 rad (from y, said to be in rad); is it in degrees?" in trial.warnings[0]
 
@@ -156,8 +159,8 @@ trials:
 @pytest.mark.parametrize(
     ("model", "inside"),
     [
-        ("gain: 0.002, offset: 0.1, lag_s: 0.05", {"gain": 200.0, "offset": 10.0, "lag_s": 0.05}),
-        ("map: [[0, 0], [1000, 2.5]], rate_limit: 3", {"map": ((0.0, 0.0), (1.0, 250.0)), "rate_limit": 300.0}),
+        ("gain: 50, offset: 0.1, lag_s: 0.05", {"gain": 5e6, "offset": 10.0, "lag_s": 0.05}),
+        ("map: [[-1, -60], [1, 60]], rate_limit: 3", {"map": ((-0.001, -6e3), (0.001, 6e3)), "rate_limit": 300.0}),
     ],
 )
 def test_a_gain_in_the_owners_units_is_in_the_houses_inside(tmp_path, model, inside):

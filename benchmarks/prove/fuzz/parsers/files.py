@@ -110,7 +110,7 @@ def _stage() -> Parser:
         "  measured: {time: {source: t, unit: s}, columns: {position: {source: y, unit: deg, add: 0.1}}}\n"
         "trials:\n  - {name: a, kind: steps, files: {command: table.csv, measured: table.csv}}\n"
     )
-    table = "t,u,y\n" + "".join(f"{0.01 * i:.2f},{i % 3},{i % 5 * 0.1:.3f}\n" for i in range(40))
+    table = "t,u,y\n" + "".join(f"{0.05 * i:.2f},{i % 3},{i % 5 * 20}\n" for i in range(40))
 
     def draw(random: Random) -> tuple[bytes, bytes]:
         if random.random() < 0.5:
@@ -139,7 +139,7 @@ def _binary_table(suffix: str) -> Parser:
     from softarm.diagnosis.data import tables
     from softarm.diagnosis.data.trials import TrialError
 
-    columns = {"t": np.arange(50) * 0.01, "u": np.arange(50) % 3 * 1.0, "y": np.arange(50) % 5 * 0.1}
+    columns = {"t": np.arange(50) * 0.02, "u": np.arange(50) % 3 * 1.0, "y": np.arange(50) % 5 * 0.5}
     path = folder() / f"good{suffix}"
     if suffix == ".mat":
         from scipy.io import savemat

@@ -1,0 +1,338 @@
+"""Can a rig's table be what its stage.yaml says? Clocks, units, dead columns: told by file and column, before a fit.
+
+What cannot be judged is a mistake and refused; what is odd is a warning. Either is one sentence with the next step.
+"""
+
+from collections.abc import Callable, Iterator, Mapping
+from itertools import combinations
+
+import numpy as np
+
+from softarm.common.quantity import PURE, UNITS, factor
+from softarm.diagnosis.data import checks
+from softarm.diagnosis.data.stage_file import Recording
+from softarm.diagnosis.data.stage_rules import followed
+from softarm.diagnosis.data.trials import Array, Series, Trial, TrialError
+from softarm.schemas.trial import Column, Mechanism, TableChannel
+
+ROWS_LEAST, SECONDS_LEAST = 20, 0.8  # of what is measured
+STEP_MIN_S, STEP_SLOW_S, STEP_MAX_S = 4e-5, 0.5, 2.0  # between rows: beyond, the stamps have another unit
+STEP_LIKELY_S = (2e-4, 0.2)
+BACK_STEPS = 5.0  # of the usual step: further back, a clock was set, and not a row delayed
+SETS_MOST = 3  # of such; more are rows in disorder, which can be sorted
+SPANS = (1e3, 1e6, 1e9)  # how far apart two clocks of one recording are when their units differ
+LATE_S, LATE_SHARE = 1.0, 0.05
+ALIKE = 0.08  # a ratio this close to one of two units is theirs
+SWING_RATIO = 4.0  # no gap of a simulator's makes a follower move so much more, or less
+SWING_SURE = 50.0  # nor does any lag take so much
+SLOPE_S, SLOPE_TOLERANCE = 0.08, 0.3
+WRAP_RAD = 0.3  # a step this close to a whole turn is one
+UPRIGHT_RAD = 0.5
+
+Place = Callable[[int], int]  # a row's index -> where people find it
+
+
+def clock(time_s: Array, about: Column, where: str, place: Place) -> list[str]:
+    """What is odd about stamps; `where` is file and column. Raises TrialError for what is no clock."""
+    steps = np.diff(time_s)
+    if not steps.size:
+        return []
+    if not steps.any():
+        raise TrialError(f"{where}: every row has the stamp {time_s[0]:g} s; name the column that holds the time")
+    usual = float(np.median(np.abs(steps)))
+    worth = factor(about.unit)[0] * about.scale
+    back = np.flatnonzero(steps < -max(BACK_STEPS * usual, 1e-9))
+    if 0 < back.size <= SETS_MOST:
+        k = int(back[0])
+        raise TrialError(
+            f"{where}: the clock is set back by {-steps[k]:.4g} s at row {place(k + 1)} ({time_s[k]:.6g} s, then "
+            f"{time_s[k + 1]:.6g} s); cut the recording in two there, a trial each"
+        )
+    if usual and not STEP_MIN_S <= usual <= STEP_MAX_S:
+        likely = _time_unit(usual / worth)
+        raise TrialError(
+            f"{where}: rows are {usual:.4g} s apart"
+            + (f"; its stamps look like {likely}: write `unit: {likely}`" if likely else "; correct its `unit`")
+        )
+    ahead = np.flatnonzero(steps > checks.SPLIT_S)
+    if ahead.size and usual < 1.0:
+        k = int(ahead[0])
+        raise TrialError(
+            f"{where}: the clock jumps ahead by {steps[k]:.4g} s at row {place(k + 1)}; cut the recording in two "
+            "there, a trial each"
+        )
+    if usual < STEP_SLOW_S:
+        return []
+    return [
+        f"{where}: rows are {usual:.4g} s apart; if its stamps are in ms, write `unit: ms`; if they count rows, write "
+        "`scale` with the seconds of one"
+    ]
+
+
+def _time_unit(step: float) -> str | None:
+    """The unit in which a bare step is one that rigs are recorded with."""
+    units = {"s": 1.0, **UNITS["s"]}
+    low, high = STEP_LIKELY_S
+    return next((unit for unit, worth in units.items() if low <= step * worth <= high), None)
+
+
+def ranges(series: Series, channel: TableChannel, where: str) -> Iterator[str]:
+    """Ranges that no mechanism of a laboratory has in the unit that the stage.yaml names."""
+    limits = {"rad": (13.0, "degrees"), "m": (20.0, "millimetres"), "kPa": (2000.0, "Pa"), "m/s": (50.0, "mm/s")}
+    for name, column in channel.columns.items():
+        _, unit = factor(column.unit)
+        top = float(np.max(np.abs(series[name] - column.add), initial=0.0))
+        if unit in limits and top > limits[unit][0]:
+            yield (
+                f"{where}: {name} goes up to {top:.4g} {unit} (from {column.source}, said to be in {column.unit}); "
+                f"is it in {limits[unit][1]}? correct `unit` in the stage.yaml"
+            )
+
+
+def mistakes(trial: Trial, about: Mechanism, recording: Recording) -> Iterator[str]:
+    """Why a trial cannot be judged."""
+    at = _Columns(about, recording)
+    yield from _too_short(trial, at)
+    yield from _apart(trial, at)
+    yield from _dead(trial, at)
+    yield from _wrapped(trial, at)
+    for sure, text in (*_slips(trial, about, at), *_slopes(trial, at)):
+        if sure:
+            yield text
+
+
+def oddities(trial: Trial, about: Mechanism, recording: Recording) -> Iterator[str]:
+    """What is odd about a trial that can be judged."""
+    at = _Columns(about, recording)
+    for sure, text in (*_slips(trial, about, at), *_slopes(trial, at)):
+        if not sure:
+            yield text
+    yield from _idle(trial, at)
+    yield from _late(trial, at)
+    yield from _upright(trial, at)
+
+
+class _Columns:
+    """Where a trial's columns come from, in words."""
+
+    def __init__(self, about: Mechanism, recording: Recording) -> None:
+        self.about, self.files = about, recording.files
+
+    def __call__(self, channel: str, column: str | None = None) -> str:
+        named = self.of(channel, column)
+        return f"{self.files[channel]}: column {named.source}"
+
+    def of(self, channel: str, column: str | None) -> Column:
+        """As the stage.yaml has it; None: the stamps."""
+        known = self.about.channels[channel]
+        return known.time if column is None else known.columns[column]
+
+
+def _too_short(trial: Trial, at: _Columns) -> Iterator[str]:
+    for name, series in trial.channels.items():
+        t = series.t_s
+        length = float(t[-1] - t[0]) if len(t) else 0.0
+        needed = (ROWS_LEAST, SECONDS_LEAST) if name == "measured" else (2, 0.0)
+        if len(t) < needed[0] or length < needed[1]:
+            yield (
+                f"{at(name)}: {len(t)} rows over {length:.3g} s; the {name} channel needs {needed[0]} rows over "
+                f"{needed[1]:g} s at least: record longer, leave this trial out, or correct the time's `unit`"
+            )
+
+
+def _apart(trial: Trial, at: _Columns) -> Iterator[str]:
+    """Channels whose clocks have other units, or nothing in common."""
+    spans = {name: (float(s.t_s[0]), float(s.t_s[-1])) for name, s in trial.channels.items() if len(s) > 1}
+    for one, other in combinations(spans, 2):
+        (a, b), (c, d) = spans[one], spans[other]
+        ratio = (b - a) / (d - c)
+        if any(abs(max(ratio, 1 / ratio) / span - 1) < 0.2 for span in SPANS):
+            yield (
+                f"{at(one)}: the {one} channel lasts {b - a:.4g} s, {other} {d - c:.4g} s; "
+                "the stamps of one are in another unit: correct its `unit`"
+            )
+        elif min(b, d) <= max(a, c):
+            yield (
+                f"{at(one)}: the {one} channel runs from {a:.6g} to {b:.6g} s, {other} from {c:.6g} to {d:.6g} s: no "
+                "moment is in both; stamp both by one clock"
+            )
+
+
+def _late(trial: Trial, at: _Columns) -> Iterator[str]:
+    """What goes on after the last command, or begins before the first."""
+    drive = next((name for name in ("command", "force", "torque") if name in trial.channels), None)
+    if drive is None or "measured" not in trial.channels:
+        return
+    sent, seen = trial.channels[drive].t_s, trial.channels["measured"].t_s
+    allowed = max(LATE_S, LATE_SHARE * float(seen[-1] - seen[0]))
+    if seen[-1] - sent[-1] > allowed:
+        yield (
+            f"{at('measured')}: goes on for {seen[-1] - sent[-1]:.3g} s after the last {drive}, which counts as held; "
+            "cut those rows, or log it to the end"
+        )
+    if sent[0] - seen[0] > allowed:
+        yield (
+            f"{at('measured')}: begins {sent[0] - seen[0]:.3g} s before the first {drive}, which counts as held; cut "
+            "those rows, or log it from the start"
+        )
+
+
+def _judged(trial: Trial) -> tuple[str, ...]:
+    """Measured columns that a stage is judged by."""
+    columns = trial.channels["measured"].columns if "measured" in trial.channels else {}
+    kind = trial.stage.kind if trial.stage is not None else ""
+    if kind == "tracking":
+        return tuple(filter(None, [followed(columns)]))
+    return tuple(name for name in columns if not name.startswith(("rate", "effort")))
+
+
+def _still(values: Array) -> bool:
+    return not len(values) or float(np.ptp(values)) <= 1e-12 * float(np.max(np.abs(values)))
+
+
+def _dead(trial: Trial, at: _Columns) -> Iterator[str]:
+    """Columns that never change."""
+    still = [name for name in _judged(trial) if _still(trial.channels["measured"][name])]
+    drive = next((name for name in ("command", "force") if name in trial.channels), None)
+    idle = drive is not None and all(map(_still, trial.channels[drive].columns.values()))
+    for name in still:
+        value = trial.channels["measured"][name][0]
+        if idle and drive is not None:
+            yield (
+                f"{at('measured', name)}: nothing moves in this trial, neither {name} nor {drive}; leave the trial out"
+            )
+        else:
+            yield (
+                f"{at('measured', name)}: {name} is {value:.4g} in every row; a dead sensor or the wrong column: name "
+                "another, or leave this trial out"
+            )
+
+
+def _idle(trial: Trial, at: _Columns) -> Iterator[str]:
+    """Inputs that never change while something moves, and columns beside the judged ones that never do."""
+    if trial.stage is not None and trial.stage.kind == "tracking" and "command" in trial.channels:
+        command = trial.channels["command"]["command"]
+        if _still(command):
+            yield (
+                f"{at('command', 'command')}: the command is {command[0]:.4g} in every row while what is measured "
+                "moves; is it the right column? a trial without a command says little: leave it out"
+            )
+    if "measured" in trial.channels:
+        for name, values in trial.channels["measured"].columns.items():
+            if name not in _judged(trial) and _still(values):
+                yield f"{at('measured', name)}: {name} is {values[0]:.4g} in every row; leave the column out"
+
+
+def _wrapped(trial: Trial, at: _Columns) -> Iterator[str]:
+    """Angles that start again after a whole turn."""
+    if "measured" not in trial.channels or trial.stage is None:
+        return
+    for name, values in trial.channels["measured"].columns.items():
+        if trial.stage.unit("measured", name) != "rad" or len(values) < ROWS_LEAST:
+            continue
+        steps = np.abs(np.diff(values))
+        turns = np.flatnonzero(np.abs(steps - 2 * np.pi) < WRAP_RAD)
+        if turns.size and float(np.quantile(steps, 0.9)) < WRAP_RAD:
+            yield (
+                f"{at('measured', name)}: {name} starts again after a whole turn at "
+                f"{trial.channels['measured'].t_s[turns[0]]:.4g} s; write it without wrapping (numpy.unwrap)"
+            )
+
+
+def _static(trial: Trial, command: Array) -> Array:
+    """What the nominal model reaches at standing commands."""
+    model: Mapping[str, object] = trial.stage.model if trial.stage is not None else {}
+    if "map" in model:
+        pairs = np.asarray(model["map"], dtype=float)
+        return np.asarray(np.interp(command, pairs[:, 0], pairs[:, 1]))
+    gain, offset = (
+        float(np.ravel(np.asarray(model.get(k, d), dtype=float))[0]) for k, d in (("gain", 1), ("offset", 0))
+    )
+    return gain * command + offset
+
+
+def _slips(trial: Trial, about: Mechanism, at: _Columns) -> Iterator[tuple[bool, str]]:
+    """A follower that moves by other orders than its command: (whether that is sure to be a unit, sentence)."""
+    if trial.stage is None or about.kind != "tracking" or not {"command", "measured"} <= trial.channels.keys():
+        return
+    (name,) = _judged(trial)
+    seen, wanted = trial.channels["measured"][name], _static(trial, trial.channels["command"]["command"])
+    spread = [float(np.quantile(x, 0.95) - np.quantile(x, 0.05)) for x in (seen, wanted)]
+    if min(spread) <= 0:
+        return
+    ratio = spread[0] / spread[1]
+    if 1 / SWING_RATIO < ratio < SWING_RATIO:
+        return
+    said = (
+        f"{at('measured', name)}: {name} moves {ratio:.3g} times as far as the model says for its command "
+        f"({at('command', 'command')})"
+    )
+    units = trial.stage.units
+    likely = _meant(units["measured"][name].worth / ratio, units["measured"][name].house, name)
+    likely = likely or _meant(units["command"]["command"].worth * ratio, units["command"]["command"].house, "command")
+    levels = [float(np.mean(x)) for x in (seen, wanted)]
+    same_level = levels[1] and abs(levels[1]) > 0.3 * spread[1]
+    slipped = abs(levels[0] / levels[1] / ratio - 1) < 2 * ALIKE if same_level else ratio < 1 / SWING_SURE
+    if likely:
+        yield (ratio > 1 or slipped), f"{said}; {likely}: correct `unit`, or write `gain` in the model"
+    else:
+        yield ratio > SWING_SURE or ratio < 1 / SWING_SURE, f"{said}; correct a `unit`, or write `gain` in the model"
+
+
+def _meant(worth: float, house: str, name: str) -> str:
+    """The known unit of such a worth, in words; empty when there is none."""
+    known = {house: 1.0, **UNITS.get(house, {})} if house != PURE else {"%": 0.01, "1": 1.0}
+    found = sorted((unit for unit, each in known.items() if abs(worth / each - 1) < ALIKE), key=len)
+    return f"{name} looks like {found[0]}" if found else ""
+
+
+def _slopes(trial: Trial, at: _Columns) -> Iterator[tuple[bool, str]]:
+    """Rates that are not the slopes of their positions; of a tracking stage its view tells."""
+    if "measured" not in trial.channels or trial.stage is None or trial.stage.kind == "tracking":
+        return
+    measured = trial.channels["measured"]
+    if len(measured) < ROWS_LEAST:
+        return
+    pairs = [("position", "velocity"), *((f"angle{i}", f"rate{i}") for i in range(1, 13))]
+    for place, rate in pairs:
+        if not {place, rate} <= measured.columns.keys():
+            continue
+        ratio = _slope_ratio(measured.t_s, measured[place], measured[rate])
+        if ratio is None or abs(ratio - 1) <= SLOPE_TOLERANCE:
+            continue
+        units = trial.stage.units["measured"]
+        likely = (
+            "one of the two has its sign turned"
+            if abs(ratio + 1) <= SLOPE_TOLERANCE
+            else _meant(units[place].worth * ratio, units[place].house, place)
+            or _meant(units[rate].worth / ratio, units[rate].house, rate)
+        )
+        yield (
+            bool(likely),
+            f"{at('measured', rate)}: {rate} is {ratio:.3g} times the slope of {place} ({at('measured', place)}); "
+            + (f"{likely}: " if likely else "")
+            + "correct `unit` or `scale` of one",
+        )
+
+
+def _slope_ratio(t: Array, x: Array, v: Array) -> float | None:
+    """What a rate is of its position's slope, over stretches that a sensor's steps do not matter in."""
+    wide = max(1, round(SLOPE_S / max(float(np.median(np.diff(t))), 1e-9)))
+    if len(t) <= 2 * wide:
+        return None
+    summed = np.concatenate(([0.0], np.cumsum(0.5 * (v[1:] + v[:-1]) * np.diff(t))))
+    moved, told = x[wide:] - x[:-wide], summed[wide:] - summed[:-wide]
+    return float(moved @ told / (moved @ moved)) if moved @ moved > 0 else None
+
+
+def _upright(trial: Trial, at: _Columns) -> Iterator[str]:
+    """A pendulum whose angle is not zero where it hangs."""
+    if trial.stage is None or trial.stage.kind != "pendulum" or "measured" not in trial.channels:
+        return
+    for name in _judged(trial):
+        middle = float(np.median(trial.channels["measured"][name]))
+        if abs(abs(middle) - np.pi) < UPRIGHT_RAD:
+            yield (
+                f"{at('measured', name)}: {name} is about {middle:.3g} rad in the middle, where a pendulum hangs at 0; "
+                f"write `add: {-np.copysign(np.pi, middle):.6f}`"
+            )

@@ -1,0 +1,208 @@
+"""Tables as rigs write them: any delimiter, decimal commas, no header, marks; several mechanisms, patterns of files."""
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from softarm.diagnosis.data import tables
+from softarm.diagnosis.data.stage_file import kind_of
+from softarm.diagnosis.data.trials import TrialError
+
+T = np.arange(200) * 0.02
+COMMAND, MEASURED = 0.5 * np.sin(3 * T), 0.5 * np.sin(3 * (T - 0.1))
+
+STAGE = """
+name: servo
+kind: tracking
+channels:
+  command: {time: {source: t, unit: s}, columns: {command: {source: u, unit: rad}}}
+  measured: {time: {source: t, unit: s}, columns: {position: {source: y, unit: rad}}}
+trials:
+  - {name: one, kind: sine, files: data.csv}
+"""
+
+
+def rows(*columns, parted=",", decimal="."):
+    text = [parted.join(f"{x:.9f}".replace(".", decimal) for x in row) for row in zip(*columns, strict=True)]
+    return "\n".join(text) + "\n"
+
+
+def read(folder, table, stage=STAGE, name="data.csv", coding="utf-8"):
+    (folder / name).parent.mkdir(parents=True, exist_ok=True)
+    (folder / name).write_text(table, encoding=coding)
+    (folder / "stage.yaml").write_text(stage)
+    return tables.read(folder / "stage.yaml")
+
+
+def sound(trial):
+    np.testing.assert_allclose(trial.channels["measured"].t_s, T, atol=1e-8)
+    np.testing.assert_allclose(trial.channels["command"]["command"], COMMAND, atol=1e-8)
+    np.testing.assert_allclose(trial.channels["measured"]["position"], MEASURED, atol=1e-8)
+    assert trial.warnings == ()
+
+
+@pytest.mark.parametrize(
+    ("parted", "decimal", "head", "coding"),
+    [
+        (",", ".", "t,u,y\n", "utf-8"),
+        (";", ",", "t;u;y\n", "utf-8"),
+        (";", ".", "t;u;y\n", "utf-8"),
+        ("\t", ".", "t\tu\ty\n", "utf-8"),
+        ("\t", ",", "t\tu\ty\n", "utf-16"),  # a spreadsheet's Unicode text
+        (" ", ".", "t u y\n", "utf-8"),
+        (";", ",", "sep=;\nt;u;y\n", "utf-8-sig"),
+        (",", ".", "# logged on a Tuesday\n\nt, u, y\n", "utf-8"),
+    ],
+)
+def test_a_text_table_is_read_however_it_is_parted(tmp_path, parted, decimal, head, coding):
+    (trial,) = read(tmp_path, head + rows(T, COMMAND, MEASURED, parted=parted, decimal=decimal), coding=coding)
+    sound(trial)
+
+
+def test_a_form_can_be_said(tmp_path):
+    table = "made by a logger;;\nt;u;y\n" + rows(T, COMMAND, MEASURED, parted=";", decimal=",")
+    (trial,) = read(tmp_path, table, STAGE + 'table: {skip: 1, delimiter: ";", decimal: ",", header: true}\n')
+    sound(trial)
+    with pytest.raises(TrialError, match=r"column t, row 3: '0,000000000' is not a finite number; .*decimal: ','"):
+        read(tmp_path, table, STAGE + 'table: {skip: 1, delimiter: ";", decimal: "."}\n')
+
+
+def test_a_table_without_a_header_has_its_columns_by_number(tmp_path):
+    stage = STAGE.replace("source: t", "source: 1").replace("source: u", "source: 2").replace("source: y", "source: 3")
+    (trial,) = read(tmp_path, rows(T, COMMAND, MEASURED), stage)
+    sound(trial)
+    (trial,) = read(tmp_path, "t,u,y\n" + rows(T, COMMAND, MEASURED), stage)  # with one they may be, too
+    sound(trial)
+
+
+def test_rows_of_a_missing_reading_are_left_out_of_their_channel(tmp_path):
+    gone = MEASURED.copy()
+    gone[50:60] = -9999
+    lines = ("t,u,y\n" + rows(T, COMMAND, gone)).splitlines()
+    lines[101] = lines[101].rpartition(",")[0] + ",n/a"
+    (trial,) = read(tmp_path, "\n".join(lines), STAGE + "table: {missing: [-9999, n/a]}\n")
+    keep = np.delete(np.arange(200), [*range(50, 60), 100])
+    np.testing.assert_allclose(trial.channels["measured"].t_s, T[keep], atol=1e-8)
+    np.testing.assert_allclose(trial.channels["measured"]["position"], MEASURED[keep], atol=1e-8)
+    assert len(trial.channels["command"]) == 200
+
+
+def test_a_column_is_scaled_and_another_taken_from_it(tmp_path):
+    stage = STAGE.replace("{source: y, unit: rad}", "{source: a, minus: b, scale: 0.087890625, unit: deg, add: 0.1}")
+    counts = np.round(np.degrees(MEASURED - 0.1) / 0.087890625)
+    (trial,) = read(tmp_path, "t,u,a,b\n" + rows(T, COMMAND, counts + 2048, np.full(200, 2048.0)), stage)
+    np.testing.assert_allclose(trial.channels["measured"]["position"], MEASURED, atol=1e-3)
+    own = trial.stage.units["measured"]["position"]
+    assert (own.name, own.house) == ("deg", "rad")
+
+
+def test_a_pattern_is_a_trial_for_each_file_that_fits(tmp_path):
+    table = "t,u,y\n" + rows(T, COMMAND, MEASURED)
+    stage = STAGE.replace("{name: one, kind: sine, files: data.csv}", "{files: 'runs/*.csv'}")
+    for name in ("steps-01", "steps-02", "chirp_7", "slow"):
+        trials = read(tmp_path, table, stage, f"runs/{name}.csv")
+    assert {t.name: t.kind for t in trials} == {
+        "steps-01": "steps",
+        "steps-02": "steps",
+        "chirp_7": "chirp",
+        "slow": "slow",
+    }
+    assert trials[0].source.name == "chirp_7.csv"
+    for trial in trials:
+        sound(trial)
+    stage = stage.replace("{files", "{name: week, kind: mixed, files")
+    assert [t.name for t in read(tmp_path, table, stage)] == [
+        "week-chirp_7",
+        "week-slow",
+        "week-steps-01",
+        "week-steps-02",
+    ]
+    stage = stage.replace("'runs/*.csv'", "{command: 'runs/*.csv', measured: 'runs/ste*.csv'}")
+    with pytest.raises(TrialError, match=r"there is no .*stechirp_7.csv beside the other channels of chirp_7; add it"):
+        read(tmp_path, table, stage)
+
+
+def test_files_of_two_channels_are_paired_by_what_stands_for_the_star(tmp_path):
+    stage = STAGE.replace("files: data.csv", "files: {command: '*/sent.csv', measured: '*/seen.csv'}")
+    stage = stage.replace("name: one, ", "")
+    for run in ("a", "b"):
+        (tmp_path / run).mkdir()
+        (tmp_path / run / "sent.csv").write_text("t,u\n" + rows(T, COMMAND))
+        (tmp_path / run / "seen.csv").write_text("t,y\n" + rows(T, MEASURED))
+    trials = read(tmp_path, "", stage)
+    assert [t.name for t in trials] == ["a", "b"]
+    sound(trials[1])
+
+
+SEVERAL = """
+mechanisms:
+  pan:
+    kind: tracking
+    channels:
+      command: {time: {source: t, unit: s}, columns: {command: {source: u, unit: rad}}}
+      measured: {time: {source: t, unit: s}, columns: {position: {source: y, unit: rad}}}
+    model: {lag_s: 0.02}
+  tilt:
+    kind: tracking
+    channels:
+      command: {time: {source: t, unit: s}, columns: {command: {source: u, unit: rad}}}
+      measured: {time: {source: t, unit: s}, columns: {position: {source: y, unit: rad}}}
+trials:
+  - {name: one, kind: sine, files: data.csv}
+"""
+
+
+def test_several_mechanisms_in_one_file(tmp_path):
+    pan, tilt = read(tmp_path, "t,u,y\n" + rows(T, COMMAND, MEASURED), SEVERAL)
+    assert (pan.name, pan.stage.name, tilt.name, tilt.stage.name) == ("one/pan", "pan", "one/tilt", "tilt")
+    assert (pan.stage.model, tilt.stage.model) == ({"lag_s": 0.02}, {})
+    sound(tilt)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "says"),
+    [
+        ("lag_s", "lags", r"stage.yaml:8: mechanisms.pan.model.lags: unknown key; did you mean lag_s\?"),
+        ("trials:\n  - {name: one, kind: sine, files: data.csv}", "", r"trials: pan, tilt has none; add `trials`"),
+        (
+            "    kind: tracking\n    channels:",
+            "    channels:",
+            r"mechanisms.pan: kind is missing; allowed 'tracking' or",
+        ),
+        ("mechanisms:", "mechanism:", r"stage.yaml:2: mechanism: unknown key; did you mean mechanisms\?"),
+    ],
+)
+def test_a_mistake_in_one_of_several_is_told_by_its_line(tmp_path, old, new, says):
+    with pytest.raises(TrialError, match=says):
+        read(tmp_path, "t,u,y\n" + rows(T, COMMAND, MEASURED), SEVERAL.replace(old, new, 1))
+
+
+@pytest.mark.parametrize(("name", "kind"), [("steps-01", "steps"), ("chirp7", "chirp"), ("run.3", "run"), ("12", "12")])
+def test_the_kind_is_the_name_less_its_number(name, kind):
+    assert kind_of(name) == kind
+
+
+def test_the_example_of_the_page_reads(tmp_path):
+    page = (Path(__file__).parents[3] / "docs" / "trials.md").read_text(encoding="utf-8")
+    example = page.partition("### An example")[2]
+    head = re.search(r"```\n(.*?\n)", example)[1]
+    stage = re.search(r"```yaml\n(.*?)```", example, re.DOTALL)[1]
+    volts, degrees = np.where(np.sin(2 * T) < 0, 1.0, 9.0), 30 * np.sin(3 * T)
+    chamber = np.interp(volts, (0, 5, 10), (0, 400, 1000)) + 1013
+    columns = (1e3 * T, volts, chamber, np.full(200, 1013), degrees, 2048 + np.round(degrees / 0.087890625))
+    table = head + rows(*columns, parted=";", decimal=",")
+    for name in ("runs/steps-01.csv", "runs/chirp-01.csv"):
+        trials = read(tmp_path, table, stage, name)
+    assert [(t.name, t.kind) for t in trials] == [
+        ("chirp-01/chamber", "chirp"),
+        ("steps-01/chamber", "steps"),
+        ("chirp-01/arm", "chirp"),
+        ("steps-01/arm", "steps"),
+    ]
+    assert [t.warnings for t in trials] == [()] * 4
+    chamber, arm = trials[0], trials[2]
+    assert chamber.stage.model["map"] == ((0, 0), (5, 40), (10, 100))
+    assert np.unique(chamber.channels["measured"]["pressure"]) == pytest.approx([8, 88])
+    np.testing.assert_allclose(np.degrees(arm.channels["measured"]["position"]), degrees, atol=0.05)
