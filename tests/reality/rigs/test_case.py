@@ -1,0 +1,127 @@
+"""Which rigs are drawn, how they are recorded, and that nothing of the truth lies beside the data."""
+
+import json
+from collections import Counter
+
+import numpy as np
+import pytest
+import yaml
+
+from softarm.reality.rigs import excitation
+from softarm.reality.rigs.case import case_of, draw
+from softarm.reality.rigs.faults import FAULTS
+from softarm.reality.rigs.presets import RIGS
+from softarm.reality.rigs.record import record, write
+from softarm.schemas.trial import StageFile
+
+
+def test_shares_hold_kinds_come_in_turn_and_the_seed_says_all():
+    cases = draw(100, 3)
+    kinds, categories = Counter(c.kind for c in cases), Counter(c.category for c in cases)
+    assert set(kinds.values()) == {25}
+    assert categories["unknown"] == 22
+    assert categories["single"] == 24
+    assert sum(categories.values()) == 100
+    assert [c.truth for c in draw(100, 3)] == [c.truth for c in cases]
+    assert [c.truth for c in draw(100, 4)] != [c.truth for c in cases]
+    assert len({c.name for c in cases}) == 100
+    assert {c.kind for c in draw(6, 0, ("tracking", "pendulum"))} == {"tracking", "pendulum"}
+    with pytest.raises(ValueError, match="allowed are tracking"):
+        draw(3, 0, ("flying",))
+    with pytest.raises(ValueError, match="count is 0"):
+        draw(0, 0)
+
+
+def test_a_category_is_what_it_says():
+    for case in draw(300, 5):
+        known = [c for c in case.causes if c.names]
+        match case.category:
+            case "single" | "half":
+                assert len(known) == len(case.causes) == 1
+                assert case.strength == (0.5 if case.category == "half" else 1.0)
+            case "two":
+                assert len(known) == 2
+                assert not known[0].names & known[1].names
+            case "set":
+                assert len(case.causes[0].must) >= 2
+            case "none":
+                assert not case.causes
+            case "unknown":
+                assert not known
+                assert len(case.causes) == 1
+
+
+@pytest.mark.parametrize("rig", RIGS.values(), ids=RIGS)
+def test_half_the_strength_is_less_of_every_fault(rig):
+    for name, fault in FAULTS[rig.plant].items():
+        for seed in range(5):
+            whole, half = (fault.draw(rig, size, np.random.default_rng(seed)) for size in (1.0, 0.5))
+            assert whole.keys() == half.keys(), name
+            assert whole != half, name
+    assert any(not f.names for f in FAULTS[rig.plant].values())
+
+
+@pytest.mark.parametrize("kind", excitation.SHAPES)
+@pytest.mark.parametrize("pace_s", [0.008, 0.1, 1.5])
+def test_what_is_told_stays_within_reach_and_moves(kind, pace_s):
+    t = np.arange(0, 12, 0.01)
+    told = excitation.told(kind, t, pace_s, np.random.default_rng(1))
+    assert told.shape == t.shape
+    assert np.max(np.abs(told)) <= 1.0
+    assert np.ptp(told) > (0.01 if kind == "plateau" else 0.3)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("rig", ["servo", "grip", "cart", "pendulum", "arm", "pole"])
+def test_a_folder_holds_what_an_owner_has_and_the_truth_is_elsewhere(tmp_path, rig):
+    name = "coulomb_friction" if "coulomb_friction" in FAULTS[RIGS[rig].plant] else "dead_time"
+    case = case_of(rig, [name], seed=734211)
+    truth = write(case, tmp_path / "data", tmp_path / "truths")
+    folder = tmp_path / "data" / case.name
+    stage = yaml.safe_load((folder / "stage.yaml").read_text())
+    assert StageFile.model_validate(stage).kind == RIGS[rig].kind
+    assert json.loads((tmp_path / "truths" / f"{case.name}.json").read_text()) == truth
+    assert truth["causes"][0]["names"]
+    files = {f for t in stage["trials"] for f in t["files"].values()}
+    assert {p.name for p in folder.iterdir()} == {"stage.yaml", *files}
+    text = " ".join(p.read_text() for p in folder.iterdir())
+    for word in ("truth", "cause", "fault", "strength", "categor", name, str(case.seed)):
+        assert word not in text
+    rows = np.genfromtxt(folder / sorted(files)[-1], delimiter=",", names=True)
+    assert np.all(np.diff(rows["time"]) > 0)
+    assert abs(np.median(np.diff(rows["time"])) * RIGS[rig].rate_hz - 1) < 0.05
+
+
+def test_the_truth_is_not_written_among_the_data(tmp_path):
+    with pytest.raises(ValueError, match="handed to the tool"):
+        write(case_of("servo", []), tmp_path / "data", tmp_path / "data" / "truths")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("rig", ["servo", "cart", "pendulum"])
+def test_a_recording_is_the_same_twice(rig):
+    case = case_of(rig, [next(iter(FAULTS[RIGS[rig].plant]))], seed=3)
+    one, other = record(case), record(case)
+    assert one[1] == other[1]
+    for a, b in zip(one[0], other[0], strict=True):
+        assert np.array_equal(a.measured, b.measured)
+        assert np.array_equal(a.stamps_s, b.stamps_s)
+
+
+@pytest.mark.slow
+def test_a_sound_rig_is_near_what_its_owner_believes_and_a_fault_shows(tmp_path):
+    sound = write(case_of("servo", [], seed=1), tmp_path / "d", tmp_path / "t")
+    assert sound["off_nominal"] < 3 * sound["floor"]
+    assert sound["shows"] == {}
+    whole = write(case_of("servo", ["dead_time"], seed=1), tmp_path / "d", tmp_path / "t")
+    half = write(case_of("servo", ["dead_time"], 0.5, seed=1), tmp_path / "d", tmp_path / "t")
+    assert whole["clarity"] > 1.5 * half["clarity"] > 10
+    late = {t: record(case_of("servo", ["dead_time"], seed=1, told=[t] * 2))[0][0] for t in ("chirp",)}["chirp"]
+    assert np.abs(late.clean[0] - late.clean[3]).max() > 10 * np.abs(late.clean[2] - late.clean[1]).max()
+
+
+@pytest.mark.slow
+def test_two_faults_are_told_apart_in_what_each_shows(tmp_path):
+    truth = write(case_of("finger", ["gain", "uneven lag"], seed=2), tmp_path / "d", tmp_path / "t")
+    assert set(truth["shows"]) == {"gain", "uneven lag"}
+    assert truth["clarity"] == min(truth["shows"].values()) > 3

@@ -1,0 +1,207 @@
+"""Each machine against a closed form."""
+
+import math
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from softarm.reality.rigs.cart import Held, cart
+from softarm.reality.rigs.follower import ATMOSPHERE_KPA, axis, chamber
+from softarm.reality.rigs.laws import Bristles, Loops, Play, arrivals, coloured, heard, orifice
+from softarm.reality.rigs.links import Links, swing
+
+ONE = np.zeros(1)
+
+
+@pytest.mark.slow
+def test_bristles_slip_at_their_level_each_way_and_hold_what_is_weaker():
+    rub = Bristles(np.array([2.0]), np.array([3.0]), 1.0, 1e-4, 1e-4)
+    for _ in range(20000):
+        up = rub.force(np.array([0.1]))
+    for _ in range(20000):
+        down = rub.force(np.array([-0.1]))
+    assert up[0] == pytest.approx(2.0, rel=1e-6)
+    assert down[0] == pytest.approx(-3.0, rel=1e-6)
+    x, v = 0.0, 0.0
+    rub = Bristles(np.array([2.0]), np.array([2.0]), 1.0, 1e-4, 1e-4)
+    for i in range(50000):  # pushed with 1.9 at last against 2
+        v += 1e-4 * (1.9 * min(i / 45000, 1) - rub.force(np.array([v]))[0])
+        x += 1e-4 * v
+    assert x == pytest.approx(1e-4 * math.log(20), rel=0.1)  # how far bristles creep that bear 95 % of their level
+    assert abs(v) < 1e-6
+
+
+def test_play_and_loops_do_not_care_how_fast():
+    slow, quick = (np.sin(np.linspace(0, 6 * math.pi, n)) for n in (6001, 601))
+    for law in (lambda: Play(np.array([0.3]), ONE), lambda: Loops(np.array([0.4]), ONE)):
+        one, other = law(), law()
+        a = np.array([one.step(np.array([u]))[0] for u in slow])
+        b = np.array([other.step(np.array([u]))[0] for u in quick])
+        assert np.max(np.abs(a[::10] - b)) < 1e-3
+        assert np.ptp(a[2000:] - slow[2000:]) > 0.1  # a loop at all
+
+
+def test_an_orifice_chokes():
+    assert orifice(np.array([500.0]), np.array([100.0]))[0] == pytest.approx(500 * 0.6847, rel=1e-3)
+    assert orifice(np.array([500.0]), np.array([50.0]))[0] == orifice(np.array([500.0]), np.array([200.0]))[0]
+    assert orifice(np.array([500.0]), np.array([500.0]))[0] == 0.0
+    assert 0 < orifice(np.array([500.0]), np.array([450.0]))[0] < 300
+
+
+def test_a_queue_delivers_in_order_and_late():
+    random = np.random.default_rng(1)
+    sent = np.arange(100) * 0.01
+    at = arrivals(sent, 0.05, 0.02, random)
+    assert np.all(np.diff(at) >= 0)
+    assert np.all(at - sent >= 0.05)
+    t = np.linspace(0.0003, 1.0003, 2001)  # never at an arrival itself
+    late = heard(t, arrivals(sent, 0.05, 0.0, random), sent)
+    assert np.allclose(late, np.clip(np.floor((t - 0.05) / 0.01), 0, 99) * 0.01)
+
+
+def test_noise_has_its_sigma_and_its_colour():
+    noise = coloured(200_000, 0.01, 0.3, 2.0, np.random.default_rng(2))
+    assert np.std(noise) == pytest.approx(0.3, rel=0.05)
+    assert np.mean(noise[1:] * noise[:-1]) / 0.09 == pytest.approx(math.exp(-2 * math.pi * 0.02), rel=0.05)
+
+
+@pytest.mark.parametrize("velocity", [True, False])
+def test_an_axis_answers_a_step_as_two_lags(velocity):
+    tau, dt = 0.1, 1e-4
+    steps = 5000
+    told = np.ones((steps, 1))
+    told[0] = 0.0
+    out = axis(told, [{"lag_s": tau}], ONE, dt, velocity)[:, 0]
+    t = dt * np.arange(1, steps + 1)
+    inner = tau / 25
+    root = np.roots([tau * inner, tau, 1.0])  # of the closed loop, both modes alike
+    want = 1 + (root[1] * np.exp(root[0] * t) - root[0] * np.exp(root[1] * t)) / (root[0] - root[1])
+    assert np.max(np.abs(out - want)) < 4e-3
+
+
+@pytest.mark.slow
+def test_an_axis_with_weak_torque_speeds_up_on_a_ramp_and_friction_leaves_an_error():
+    dt, steps = 1e-4, 20000
+    told = np.full((steps, 2), 1.0)
+    told[0] = 0.0
+    out = axis(told, [{"lag_s": 0.02, "acceleration": 2.0}, {"lag_s": 0.02}], np.zeros(2), dt, True)
+    assert np.diff(out[500:2000, 0]).mean() / dt == pytest.approx(2.0, rel=0.02)
+    hold = 0.05  # what friction holds of a position error, as a level: error / (outer inner)
+    out = axis(
+        told, [{"lag_s": 0.1, "friction_up": hold / (0.1 * 0.004), "friction_down": 1.0}, {}], np.zeros(2), dt, False
+    )
+    assert 1 - out[-1, 0] == pytest.approx(hold, rel=0.03)
+    assert out[-1, 1] == pytest.approx(1.0, abs=1e-4)
+
+
+@pytest.mark.slow
+def test_a_chamber_fills_and_vents_with_its_lags_and_no_faster_than_its_orifice():
+    dt, steps = 2e-4, 15000
+    told = np.full((steps, 2), 30.0)
+    told[0] = 10.0
+    lanes = [
+        {"lag_s": 0.3, "lag_down_s": 0.6, "supply_kpa": 80.0},
+        {"lag_s": 0.02, "orifice_1_s": 0.2, "supply_kpa": 300.0},
+    ]
+    out = chamber(told, lanes, np.zeros(2), dt)
+    at = round(0.3 / dt)
+    assert (out[at, 0] - 10) / 20 == pytest.approx(1 - math.exp(-1), abs=0.03)  # less the spool's
+    choked = 0.2 * orifice(np.array([300 + ATMOSPHERE_KPA]), np.array([ATMOSPHERE_KPA]))[0]
+    assert np.diff(out[100:800, 1]).mean() / dt == pytest.approx(choked / 1.0, rel=0.01) or out[800, 1] > 29
+    down = np.full((steps, 2), 10.0)
+    down[0] = 30.0
+    back = chamber(down, lanes, np.zeros(2), dt)
+    assert (back[round(0.6 / dt), 0] - 10) / 20 == pytest.approx(math.exp(-1), abs=0.03)
+
+
+def test_a_cart_reaches_its_terminal_speed():
+    held = Held(1.0, 1e-6, 1e9, 1e-9)
+    dt, steps = 1e-3, 12000
+    lanes = [
+        {"mass_kg": 2.0, "slope_rad": 0.1, "viscous_n_s_m": 4.0},
+        {"mass_kg": 2.0, "slope_rad": 0.1, "drag_n_s2_m2": 4.0},
+        {"mass_kg": 2.0, "slope_rad": 0.1, "viscous_n_s_m": 4.0, "friction_up_n": 1.0, "friction_down_n": 1.0},
+    ]
+    out, _ = cart(np.zeros((steps, 3)), lanes, np.zeros(3), dt, 10, held)
+    weight = 2 * 9.81 * math.sin(0.1)
+    speed = (out[-1] - out[-1001]) / 1.0
+    assert speed == pytest.approx([weight / 4, math.sqrt(weight / 4), (weight - 1) / 4], rel=1e-3)
+
+
+def test_a_cart_is_held_near_its_path_and_its_copies_are_put_back():
+    held = Held(2.0, 20.0, 1e3, 1e-6)
+    dt, steps = 1e-3, 4000
+    path = -0.1 * np.cos(2 * np.pi * 0.5 * dt * np.arange(steps))[:, None]
+    out, asked = cart(path, [{"mass_kg": 2.0}, {"mass_kg": 1.0}], np.zeros(2), dt, 2, held, window_s=1.0)
+    assert np.max(np.abs(out[1000:, 0] - path[1000:, 0])) < 3e-3
+    assert np.max(np.abs(asked[500:-1])) == pytest.approx(2.0 * 0.1 * (2 * np.pi * 0.5) ** 2, rel=0.15)
+    apart = np.abs(out[:, 1] - out[:, 0])
+    assert apart[1001] < 0.05 * apart[999] < apart[999]
+
+
+def test_a_load_on_a_spring_swings_at_its_frequency():
+    held = Held(1.0, 1e-6, 1e9, 1e-9)
+    lanes = [{"mass_kg": 1.0, "spring_rad_s": 30.0, "spring_zeta": 0.0, "bumper_n_m": 0.0, "force_n": 1.0}]
+    out, _ = cart(np.zeros((20000, 1)), lanes, ONE, 1e-4, 10, held)
+    t = 1e-4 * np.arange(1, 20001)
+    w = 30.0 / math.sqrt(1 - 0.35)  # free two bodies: by the reduced mass
+    want = t * t / 2 + 0.35 / 0.65 / w**2 * (1 - np.cos(w * t))
+    assert np.max(np.abs(out[:, 0] - want)) < 2e-4
+
+
+@pytest.mark.slow
+def test_a_small_pendulum_decays_as_the_closed_forms_say():
+    link = {"mass_kg": 1.0, "centre_m": 0.5, "inertia_kg_m2": 0.05}
+    inertia, moment = 0.05 + 0.25, 9.81 * 0.5
+    w = math.sqrt(moment / inertia)
+    dt, steps = 1e-3, 10000
+    lanes = [link | {"viscous_nm_s": 0.06}, link | {"friction_nm": 0.01}, link]
+    out = swing(np.full((3, 1), 0.05), lanes, np.zeros(3), dt, steps, 3)[:, :, 0]
+    t = dt * np.arange(steps)
+    rate = 0.06 / (2 * inertia)
+    turn = math.sqrt(w * w - rate * rate)
+    want = 0.05 * np.exp(-rate * t) * (np.cos(turn * t) + rate / turn * np.sin(turn * t))
+    assert np.max(np.abs(out[:, 0] - want)) < 3e-4
+    peaks = [out[round(k * 2 * math.pi / w / dt), 1] for k in range(4)]
+    assert np.diff(peaks) == pytest.approx([-4 * 0.01 / moment] * 3, rel=0.05)
+    assert np.max(out[-2000:, 2]) == pytest.approx(0.05, rel=1e-3)
+
+
+def test_three_links_keep_their_energy_and_agree_with_an_integrator_of_high_order():
+    lane = {"mass_kg": (1.0, 0.7, 0.4), "centre_m": (0.2, 0.15, 0.1), "inertia_kg_m2": (0.01, 0.006, 0.002)}
+    lane |= {"length_m": (0.4, 0.3, 0.2), "payload_kg": 0.1, "payload_m": 0.2}
+    chain = Links([lane], ONE, 1e-3, 3)
+    chain.state[0] = (0.9, 0.3, -0.4)
+    before = chain.energy()[0]
+
+    def flow(t, y):
+        return np.concatenate((y[3:], chain.accelerations(y[None, :3], y[None, 3:], np.zeros((1, 3)), ONE)[0]))
+
+    exact = solve_ivp(flow, (0, 2), (0.9, 0.3, -0.4, 0, 0, 0), rtol=1e-10, atol=1e-12).y[:3, -1]
+    for i in range(2000):
+        chain.step(i * 1e-3, np.zeros((1, 3)), (ONE, ONE, ONE))
+    assert chain.energy()[0] == pytest.approx(before, rel=1e-6)
+    assert chain.state[0, 0] == pytest.approx(exact, abs=1e-5)
+
+
+@pytest.mark.slow
+def test_a_base_that_speeds_up_tilts_a_pendulum_and_a_hanging_arm_stays_where_its_torque_says():
+    lanes = [{"viscous_nm_s": 2.0}]
+    base = np.full((2 * 6000 + 1, 1), 1.0)
+    out = swing(np.zeros((1, 1)), lanes, ONE, 1e-3, 6000, 1, base=base)
+    assert out[-1, 0, 0] == pytest.approx(-math.atan2(1.0, 9.81), abs=1e-3)
+    held = swing(
+        np.zeros((1, 1)), [{"viscous_nm_s": 2.0}], ONE, 1e-3, 6000, 1, torques=lambda i, q, v: np.full((1, 1), 1.0)
+    )
+    assert held[-1, 0, 0] == pytest.approx(math.asin(1.0 / (9.81 * 0.5)), abs=1e-3)
+
+
+def test_a_number_that_no_machine_has_is_refused():
+    for make in (
+        lambda: axis(np.zeros((2, 1)), [{"laag_s": 1.0}], ONE, 1e-3, False),
+        lambda: cart(np.zeros((2, 1)), [{"mas_kg": 1.0}], ONE, 1e-3, 1, Held(1, 1, 1, 1)),
+        lambda: Links([{"mass": 1.0}], ONE, 1e-3, 1),
+    ):
+        with pytest.raises(KeyError, match="no such number"):
+            make()
