@@ -25,6 +25,7 @@ def diagnose(trials: Sequence[Trial], model: Model | None = None, tell: Progress
     if tables:
         # Another rig's laws are compiled when they are needed.
         from softarm.diagnosis.rigs.diagnose import diagnose_table
+        from softarm.diagnosis.rigs.owner_units import in_owners_units
 
-        return diagnose_table(ordered, say)
+        return in_owners_units(diagnose_table(ordered, say), ordered)
     return Robot(ordered, model or Model(), say).diagnosis()

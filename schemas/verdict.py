@@ -20,7 +20,7 @@ class Interval(Strict):
 
 
 class Estimate(Interval):
-    """A parameter of an effect, in the registry's unit."""
+    """A parameter of an effect, in the registry's unit; of another rig in the unit of its owner's columns."""
 
     unit: str
 

@@ -85,4 +85,5 @@ class Diagnosis:
     rivals: tuple[Rival, ...] = ()
     leftovers: tuple[Leftover, ...] = ()
     nuisances: Mapping[str, float] = field(default_factory=dict)  # what was fitted beside every rival, within tolerance
+    units: Mapping[str, str] = field(default_factory=dict)  # of another rig's parameters, 'stage.effect.parameter'
     seconds: float = 0.0

@@ -1,6 +1,6 @@
 """Sections that show the evidence: overlays, spectra and regimes, rivals, what is left. Result in, HTML out."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 
 from softarm.diagnosis.engine.result import Diagnosis, Regime, Rival, Spectrum
 from softarm.diagnosis.report import overlays
@@ -78,7 +78,7 @@ def contenders(diagnosis: Diagnosis) -> Html:
         return el("p", "No effect was tried.", class_="none")
     forest = charts.Forest([r.conditional for r in diagnosis.rivals if r.conditional is not None])
     head = ("effect", "alone", join(["beside the named ones, percent", forest.axis()]), "fitted", "note")
-    rows = [_rival(rival, forest) for rival in diagnosis.rivals]
+    rows = [_rival(rival, forest, diagnosis.units) for rival in diagnosis.rivals]
     caption = "Effects that were tried as the cause; shares of the stage's gap on unseen data"
     told = (
         "Alone, a wrong effect can pass for the right one. What counts is the second figure: what an effect adds "
@@ -87,10 +87,10 @@ def contenders(diagnosis: Diagnosis) -> Html:
     return join([el("p", prose(told)), el("div", table(head, rows, caption), class_="rivals")])
 
 
-def _rival(rival: Rival, forest: charts.Forest) -> tuple[Html, ...]:
+def _rival(rival: Rival, forest: charts.Forest, units: Mapping[str, str]) -> tuple[Html, ...]:
     name = join([el("code", name) for name in rival.names], " + ")
     fitted = [
-        el("span", f"{path.rpartition('.')[2]} {quantity(value, unit_of(path), 3)}", title=path, class_="fit")
+        el("span", f"{path.rpartition('.')[2]} {quantity(value, unit_of(path, units), 3)}", title=path, class_="fit")
         for path, value in rival.parameters.items()
     ]
     note = el("span", prose(rival.note), class_="tag named" if rival.note == "named" else None)

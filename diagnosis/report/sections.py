@@ -128,7 +128,10 @@ def details(diagnosis: Diagnosis) -> Html:
     """Named effects, the patch, nuisances, warnings, trials."""
     parts = [_named(diagnosis), evidence.parameters(diagnosis), _patch(diagnosis)]
     if diagnosis.nuisances:
-        rows = [(el("code", path), quantity(value, unit_of(path), 3)) for path, value in diagnosis.nuisances.items()]
+        rows = [
+            (el("code", path), quantity(value, unit_of(path, diagnosis.units), 3))
+            for path, value in diagnosis.nuisances.items()
+        ]
         caption = "Nuisances: fitted beside every rival, within their tolerance; not blamed"
         parts += [el("h3", "Nuisances"), table(("parameter", "value"), rows, caption)]
     warnings = [el("li", prose(text)) for text in diagnosis.verdict.warnings]

@@ -41,8 +41,10 @@ def meaning(name: str) -> str:
     return effects.REGISTRY[name].meaning if name in effects.REGISTRY else ""
 
 
-def unit_of(path: str) -> str:
-    """Unit of `stage.effect.parameter`; empty for one of another rig."""
+def unit_of(path: str, rigs: Mapping[str, str]) -> str:
+    """Unit of `stage.effect.parameter`, of another rig by its own; empty for what neither knows."""
+    if path in rigs:
+        return rigs[path]
     try:
         return effects.find(path)[1].unit
     except effects.EffectError:

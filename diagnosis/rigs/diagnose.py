@@ -107,6 +107,7 @@ def diagnose_table(trials: Sequence[Trial], tell: Progress = lambda text, share:
         rivals=tuple(rival for stage in stages for rival in _rivals(stage)),
         leftovers=tuple(Leftover(s.view.stage, _explained(s), s.leans) for s in stages),
         nuisances={path: value for s in stages for path, value in s.nuisances.items()},
+        units={f"{e.name}.{p.name}": p.unit for s in stages for e in s.view.effects for p in e.parameters},
         seconds=time.monotonic() - started,
     )
 
