@@ -25,23 +25,26 @@ if TYPE_CHECKING:
 @click.option(
     "--reality", is_flag=True, help="Be the independent robot in MuJoCo, not the simulator (docs/reality.md)."
 )
-def twin(config_file: Path, model_file: Path | None, reality: bool) -> None:
+@click.option("--fault", "faults", multiple=True, metavar="GROUP.QUANTITY=VALUE", help="Of --reality; again for more.")
+def twin(config_file: Path, model_file: Path | None, reality: bool, faults: tuple[str, ...]) -> None:
     """Be the robot until Ctrl-C: serial line, rail axis over TCP, motion capture over Zenoh, in real time.
 
     \b
     Examples:
       softarm twin --config twin.yaml          then, beside it: softarm run --config twin.yaml
-      softarm twin --config twin.yaml --reality
+      softarm twin --config twin.yaml --reality --fault rail.delay_s=0.09
     """
     from softarm.daemon.config.configuration import ConfigurationError, load
     from softarm.daemon.shell import realtime
     from softarm.drivers.base import DeviceError
     from softarm.drivers.twin.main import run_twin
 
+    if faults and not reality:
+        raise click.UsageError("--fault is for the independent robot: add --reality")
     try:
         config = load(config_file)
         model = flown_model(model_file)
-        body = _independent_body(model) if reality else None
+        body = _independent_body(model, faults) if reality else None
         # Devices do not wait for other programs either.
         realtime.outrank_other_programs(config.control.realtime_priority)
         run_twin(config, model, lambda text: click.echo(f"softarm twin: {text}"), body)
@@ -49,13 +52,16 @@ def twin(config_file: Path, model_file: Path | None, reality: bool) -> None:
         fail(str(error))
 
 
-def _independent_body(model: "Model | None") -> "Body":
-    """The robot of `reality/`; a sentence when its extra is missing or the model is none that it can be."""
+def _independent_body(model: "Model | None", faults: tuple[str, ...]) -> "Body":
+    """The robot of `reality/`; a sentence when its extra is missing, or it cannot be of that model or have a fault."""
 
     try:
         from softarm.drivers.bodies.independent import IndependentBody
+        from softarm.flights.robots import with_faults
+        from softarm.reality.parameters import of_model
+        from softarm.schemas.model import Model as Seed
 
-        return IndependentBody.of_model(model)
+        return IndependentBody(with_faults(of_model(model or Seed()), faults))
     except ModuleNotFoundError as error:
         if error.name != "mujoco":
             raise

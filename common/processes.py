@@ -2,11 +2,14 @@
 
 import os
 import signal
+import sys
 import threading
+import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
+from functools import partial
 from multiprocessing import active_children, get_context, parent_process
 from typing import TYPE_CHECKING, TypeVar
 
@@ -15,6 +18,7 @@ if TYPE_CHECKING:
 
 J = TypeVar("J")
 R = TypeVar("R")
+LINE_S = 10.0  # between two lines of a bar that is no terminal's
 _THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS")
 
 
@@ -89,19 +93,47 @@ def _threads(count: int) -> Iterator[None]:
                 os.environ[name] = value
 
 
+class _Lines:
+    """What a bar shows, as lines: the first at once, then one in LINE_S at most, with how long it will still take."""
+
+    def __init__(self, say: Callable[[str], None], clock: Callable[[], float]) -> None:
+        self._say, self._clock = say, clock
+        self._begun_s = self._said_s = clock()
+        self._first = True
+
+    def say(self, text: str, share: float | None) -> None:
+        """share: of the whole work; None: not known."""
+        now_s = self._clock()
+        if not self._first and now_s - self._said_s < LINE_S:
+            return
+        self._first, self._said_s = False, now_s
+        if not share:
+            self._say(f"{text} ...")
+            return
+        left_s = (now_s - self._begun_s) * (1.0 / min(share, 1.0) - 1.0)
+        self._say(f"{text} ({100 * share:.0f} %, about {left_s:.0f} s left)")
+
+
 class Bar:
     """How far a piece of work is."""
 
-    def __init__(self, progress: "Progress", task: "TaskID") -> None:
-        self._progress, self._task = progress, task
+    def __init__(self, progress: "Progress", task: "TaskID", lines: "_Lines | None" = None) -> None:
+        self._progress, self._task, self._lines = progress, task, lines
 
     def advance(self, by: float = 1, text: str | None = None) -> None:
         """So much more is done; text: what is being done."""
         self._progress.update(self._task, advance=by, description=text)
+        self._say()
 
     def show(self, done: float | None = None, total: float | None = None, text: str | None = None) -> None:
         """What is given is shown from now on."""
         self._progress.update(self._task, completed=done, total=total, description=text)
+        self._say()
+
+    def _say(self) -> None:
+        if self._lines is not None:
+            task = self._progress.tasks[0]
+            self._lines.say(task.description, task.completed / task.total if task.total else None)
 
     def tell(self, text: str, share: float) -> None:
         """What is being done, and how much of it all is: a bar of total 1.0 as long work calls it back."""
@@ -113,11 +145,13 @@ class Bar:
 
 
 @contextmanager
-def bar(text: str, total: float | None = 1.0, *, done: float = 0, stay: bool = False) -> Iterator[Bar]:
+def bar(
+    text: str, total: float | None = 1.0, *, done: float = 0, stay: bool = False, piped: bool = False
+) -> Iterator[Bar]:
     """A bar on standard error while this lasts, if that is a terminal.
 
     total: a whole number is counted (3/12), any other shown in percent; None: not known yet, to be counted. stay: leave
-    the bar on the terminal at the end.
+    the bar on the terminal at the end. piped: where it is no terminal, a line now and then.
     """
     from rich.console import Console
     from rich.progress import (
@@ -134,6 +168,7 @@ def bar(text: str, total: float | None = 1.0, *, done: float = 0, stay: bool = F
     figure = TaskProgressColumn() if isinstance(total, float) else MofNCompleteColumn()
     columns = (TextColumn("{task.description}"), BarColumn(), figure, TimeElapsedColumn(), TimeRemainingColumn())
     with Progress(*columns, console=console, transient=not stay, disable=not console.is_terminal) as progress:
-        shown = Bar(progress, progress.add_task(text, total=total))
+        lines = _Lines(partial(print, file=sys.stderr, flush=True), time.monotonic)
+        shown = Bar(progress, progress.add_task(text, total=total), lines if progress.disable and piped else None)
         shown.advance(done)
         yield shown

@@ -44,7 +44,7 @@ class SoftwareInTheLoop:
         model: Path | None = None,
         twin_drivers: dict[str, Any] | None = None,
     ) -> None:
-        """`overrides`: further keys of the configuration file; `model`: the twin's model file.
+        """`overrides`: further keys of the configuration file, or other values; `model`: the twin's model file.
 
         `twin_drivers`: where the twin answers, when that is not where the daemon asks: something stands between them.
         """
@@ -61,8 +61,8 @@ class SoftwareInTheLoop:
             },
             "api": {"port": api, "stop_port": stop},
             "recorder": {"directory": str(logs)},
-            **(overrides or {}),
         }
+        self.settings = _merged(self.settings, overrides or {})
         self.config_file, self._twin_file = self.folder / "softarm.yaml", self.folder / "twin.yaml"
         self.config_file.write_text(yaml.safe_dump(self.settings))
         apart = {} if twin_drivers is None else {"drivers": twin_drivers}
@@ -151,7 +151,7 @@ class SoftwareInTheLoop:
 
         Raises SoftwareInTheLoopError when it is refused.
         """
-        self._settle()
+        self.settle()
         self.reach(goal)
         while (result := self.client.get("/api/goal").json())["state"] == "running":
             observed = self.observed()
@@ -172,7 +172,7 @@ class SoftwareInTheLoop:
         path = self.folder / f"{verb}.out"
         return path.read_text(errors="replace") if path.exists() else ""
 
-    def _settle(self) -> None:
+    def settle(self) -> None:
         """Wait until the arm hangs nearly still, or for long enough."""
         started = time.monotonic()
         while (passed := time.monotonic() - started) < SETTLE_MAX_S:
@@ -207,6 +207,14 @@ class SoftwareInTheLoop:
             with contextlib.suppress(httpx.HTTPError, KeyError):
                 lines += [f"arming refused: {reason}" for reason in self.status()["arming_refusals"]]
         return "\n".join(lines)
+
+
+def _merged(below: dict[str, Any], above: dict[str, Any]) -> dict[str, Any]:
+    """Sections key by key; what stands above counts."""
+    return below | {
+        key: _merged(below[key], value) if isinstance(value, dict) and isinstance(below.get(key), dict) else value
+        for key, value in above.items()
+    }
 
 
 def _end(process: subprocess.Popen[bytes]) -> None:

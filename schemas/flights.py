@@ -109,6 +109,7 @@ class Flight:
     max_cart_m: float  # farthest from the middle of the rail, truly
     ticks: int
     refusal: str | None = None  # the policy's words when it had no answer; such a flight is not reached
+    stop: str | None = None  # why the arm stopped meanwhile, which nobody had asked for; not reached either
 
     @property
     def reached(self) -> bool:

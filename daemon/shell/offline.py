@@ -117,7 +117,8 @@ class Lockstep:
             if outputs.observed is not None:
                 top = max(top, outputs.observed.values.tip_z_m)
             if outputs.goal.state != "running":
-                return Flight(outputs.goal, top, farthest, ticks)
+                stop = None if outputs.mode is Mode.ARMED else outputs.last_stop
+                return Flight(outputs.goal, top, farthest, ticks, stop=stop)
             outputs = self.tick()
             ticks += 1
 

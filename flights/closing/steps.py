@@ -3,7 +3,7 @@
 import importlib.util
 import json
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -14,13 +14,15 @@ from softarm.daemon.limits.findings import RailFindings
 from softarm.diagnosis import report
 from softarm.diagnosis.engine.result import Diagnosis
 from softarm.flights.closing import story, summary
-from softarm.flights.closing.closed import HELD_BACK, NEW, NOMINAL, OLD, PATCHED, Closed, Place
-from softarm.flights.many import fly_all
+from softarm.flights.closing.closed import Closed, Place
+from softarm.flights.closing.fly import Flown, Replanning, fly_all
+from softarm.flights.closing.outcomes import HELD_BACK, NEW, NOMINAL, OLD, PATCHED, REPLANNED
+from softarm.flights.closing.wires import Wires
 from softarm.flights.robots import with_faults
 from softarm.policies.base import MODELS
 from softarm.reality.parameters import RobotParameters
 from softarm.schemas.config import RailLimits
-from softarm.schemas.flights import CART_STARTS_M, TEST_TARGETS
+from softarm.schemas.flights import TEST_TARGETS
 from softarm.schemas.goals import Goal
 from softarm.schemas.messages import BODY_NAMES
 from softarm.schemas.model import Model
@@ -28,8 +30,8 @@ from softarm.simulator import model_file
 from softarm.training.run.retrain import Retrained, RetrainingConfig, retrain
 from softarm.training.run.warm_start import load_weights
 
-LIMITS = "limits-patch.yaml"
-FILES = ("verdict.json", "report.html", "summary.json", LIMITS, "patched-model.yaml", "retrained.onnx", "retrained.pt")
+LIMITS, PATCH = "limits-patch.yaml", "patched-model.yaml"
+FILES = ("verdict.json", "report.html", "summary.json", LIMITS, PATCH, "retrained.onnx", "retrained.pt")
 Spent = dict[str, dict[str, float]]  # step -> wall_s, cpu_s
 
 
@@ -44,32 +46,41 @@ def close(
     spent: Spent,
     targets: Sequence[Goal] = TEST_TARGETS,
     processes: int | None = None,
+    replanned: bool = True,
+    through: Callable[[Closed], Wires | None] = lambda closed: None,
 ) -> Closed:
     """Patch the nominal simulator, train the policy on in it, fly old and new; all that is known ends up in `out`.
 
     Trained and flown with the limits that the campaign shows of the rail, where those are stricter than configured.
     is_the_robot: the held-back robot was declared to be the campaign's, so its flights are the verdict's success_real.
-    What the steps take is added to `spent`. Raises ValueError for a robot that no policy flies, CheckpointError for a
-    policy that training did not write, PolicyError, OSError.
+    replanned: `mppi` on the patched model flies too. through: flies through wires what has been flown already, if it
+    does. What the steps take is added to `spent`. Raises ValueError for a robot that no policy flies, CheckpointError
+    for a policy that training did not write, PolicyError, OSError, and what `through` raises.
     """
     if found.nominal is None:
         raise ValueError("the campaign is of another rig, for which there is no policy; `softarm diagnose` is its verb")
     held_back = of_the_nominal_body(held_back, found.nominal)
     places = [Place(NOMINAL, "the nominal simulator", found.nominal)]
+    files.write_text(out / LIMITS, rail.patch())  # beside the model that it belongs to, from the first
+    policies: dict[str, Flown] = {OLD: policy}
     retrained: Retrained | None = None
     if found.patched is not None:
-        model_file.save(found.patched, out / "patched-model.yaml")
+        model_file.save(found.patched, out / PATCH)
         places.append(Place(PATCHED, "the patched simulator", found.patched))
         with timed(spent, "retrain"):
             retrained = _retrain(policy, found.patched, out, config, rail.patched.limits.rail)
+        policies[NEW] = retrained.policy
+        if replanned:
+            policies[REPLANNED] = Replanning(out / PATCH)
     places.append(held_back)
-    policies = {OLD: policy} if retrained is None else {OLD: policy, NEW: retrained.policy}
-    robots, flights = {place.key: place.robot for place in places}, len(targets) * len(CART_STARTS_M)
-    doing = "flying old and new" if retrained else "flying"
-    with timed(spent, "fly"), bar(doing, len(places) * len(policies) * flights) as shown:
-        flown = fly_all(policies, robots, targets, shown.advance, processes, rail.patched)
-    closed = Closed(found, policy, tuple(places), flown, retrained, tuple(targets), rail).with_task(is_the_robot)
-    files.write_text(out / LIMITS, rail.patch())
+    robots = {place.key: place.robot for place in places}
+    pairs = [(name, key) for key in robots for name in policies if (name, key) != (REPLANNED, NOMINAL)]
+    with timed(spent, "fly"), bar("flying", piped=True) as shown:
+        flown = fly_all(policies, robots, pairs, targets, rail.patched, shown.tell, processes)
+    closed = Closed(found, policy, tuple(places), flown, retrained, tuple(targets), rail, is_the_robot)
+    if retrained is not None:
+        closed = replace(closed, wires=through(closed))
+    closed = closed.with_task()
     report.write(closed.diagnosis, out / "report.html", story=story.sections(closed))
     files.write_text(out / "verdict.json", closed.diagnosis.verdict.model_dump_json(indent=1) + "\n")
     files.write_text(out / "summary.json", json.dumps(summary.summary(closed, spent), indent=1) + "\n")
@@ -78,7 +89,7 @@ def close(
 
 def _retrain(policy: Path, model: Model, out: Path, config: RetrainingConfig, limits: RailLimits) -> Retrained:
     """Behind a bar."""
-    with bar("retraining") as shown:
+    with bar("retraining", piped=True) as shown:
         name = f"{out.name}/patched-model"
         return retrain(policy, model, name, out, config, shown.tell, limits)
 
@@ -90,7 +101,7 @@ def independent(faults: Sequence[str]) -> Place:
             "the independent robot needs the package 'mujoco': pip install 'softarm[mujoco]', or give --robot MODEL"
         )
     title = f"the independent robot ({', '.join(faults) or 'without a fault'})"
-    return Place(HELD_BACK, title, with_faults(RobotParameters(), faults))
+    return Place(HELD_BACK, title, with_faults(RobotParameters(), faults), tuple(faults))
 
 
 def simulated(name: str, model: Model) -> Place:

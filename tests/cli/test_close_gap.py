@@ -52,7 +52,7 @@ def test_it_tells_how_often_the_policy_reaches_and_where_everything_lies(asked, 
     monkeypatch.setattr(steps, "close", partial(steps.close, targets=(EASY, NEVER), processes=1))
     arguments = ["close-gap", str(campaign), "--out", str(tmp_path / "out"), "--policy", "reach", "--robot", "no-delay"]
     outcome = CliRunner().invoke(main, arguments)
-    assert outcome.exit_code == 0, outcome.output
+    assert outcome.exit_code == 3, outcome.output  # keep the old one: there is no other
     for words in ("flown on", "the nominal simulator", "the held-back robot", "50 %", "Nothing was named"):
         assert words in outcome.output
     assert f"wrote verdict.json, report.html, summary.json, limits-patch.yaml to {tmp_path / 'out'}" in outcome.output
@@ -83,6 +83,8 @@ def test_results_are_never_written_over(asked, campaign, tmp_path):
         (("--fault", "arm.payload_kg=7"), "allowed 0 to 0.5", 1),
         (("--robot", "no-delay", "--fault", "arm.payload_kg=0.1"), "--fault is for the independent robot", 2),
         (("--robot", "no-dely"), "did you mean no-delay?", 1),
+        (("--twin",), "--twin and --yes are about the wires of a configuration: name it with --config", 2),
+        (("--yes",), "name it with --config", 2),
     ],
 )
 def test_what_cannot_be_done_is_said_before_minutes_of_work(campaign, tmp_path, arguments, says, code):

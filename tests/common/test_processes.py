@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from softarm.common import processes
-from softarm.common.processes import WorkerDied, as_they_come
+from softarm.common.processes import WorkerDied, _Lines, as_they_come, bar
 
 ROOT = Path(__file__).parents[2]
 # A program with a worker that hangs and one that waits for work; each leaves its number.
@@ -152,3 +152,18 @@ def test_a_bar_says_nothing_where_there_is_no_terminal(capsys):
         bar.advance()
         bar.show(2, text="still working")
     assert capsys.readouterr() == ("", "")
+
+
+def test_a_bar_that_is_no_terminals_says_lines_with_an_honest_rest():
+    said, clock = [], iter([0.0, 0.0, 4.0, 10.0, 12.0, 30.0])
+    lines = _Lines(said.append, lambda: next(clock))
+    for text, share in (("flying", 0.0), ("flying", 0.1), ("flying", 0.25), ("flying", 0.3), ("flying", 0.75)):
+        lines.say(text, share)
+    assert said == ["flying ...", "flying (25 %, about 30 s left)", "flying (75 %, about 10 s left)"]
+
+
+def test_only_who_asks_for_lines_gets_them(capsys):
+    for piped in (False, True):
+        with bar("flying", piped=piped) as shown:
+            shown.tell("flying, 1 of 2 flights", 0.5)
+    assert capsys.readouterr().err == "flying ...\n"

@@ -1,7 +1,6 @@
 """Closing a gap: what its steps leave behind, with a diagnosis made up and a few frames of training."""
 
 import json
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,7 +10,8 @@ from softarm.daemon.limits.findings import RailFindings, compared
 from softarm.daemon.limits.measured import Bound, Measured
 from softarm.diagnosis.engine.result import Diagnosis
 from softarm.flights.closing import steps
-from softarm.flights.closing.closed import HELD_BACK, NEW, OLD, Closed, Place
+from softarm.flights.closing.closed import Place
+from softarm.flights.closing.outcomes import HELD_BACK
 from softarm.flights.robots import with_faults
 from softarm.policies.base import MODELS
 from softarm.reality.parameters import RobotParameters
@@ -96,14 +96,28 @@ def test_a_named_effect_is_patched_trained_on_and_flown(tmp_path):
     assert 0 <= verdict.task.success_patched <= 0.5
     assert verdict.task.success_real == summary["success"]["held-back"]["old"]["all"]
     assert set(summary["success"]) == {"nominal", "patched", "held-back"}
-    for row in summary["success"].values():
-        assert {"old", "new", "gained", "lost"} <= set(row)
+    for key, row in summary["success"].items():
+        assert {"old", "new", "rest", "chained", "difference"} <= set(row)
+        assert ("mppi" in row) == (key != "nominal")
+        for manner in ("rest", "chained"):
+            assert {"gained", "lost", "difference"} == set(row[manner])
+            assert row["old"][manner]["flights"] == row["new"][manner]["flights"] == 6
+    assert summary["fly"] == "old"  # what a few frames of training come to
+    assert summary["against_retrained"]
+    assert summary["wires"] is None
+    assert set(summary["mppi_beyond_advised"]) == {"patched", "held-back"}
     assert summary["flights"] == 6
     assert summary["retrained"]["frames"] == TINY.frames
     assert set(summary["spent"]) == {"retrain", "fly"}
     page = (out / "report.html").read_text(encoding="utf-8")
     assert page.count("<html") == 1
-    for text in ("The policy before and after", "Retraining", "The rail&#x27;s limits", "retrained policy, the robot"):
+    for text in (
+        "The policy before and after",
+        "Retraining",
+        "The rail&#x27;s limits",
+        "retrained from rest, the robot",
+        "Keep the old one",
+    ):
         assert text in page
 
 
@@ -131,13 +145,3 @@ def test_the_independent_robot_gets_the_nominal_arm_and_cart_and_keeps_its_actua
     assert place.robot.body == heavier.arm
     assert place.robot.regulator.dead_time_s == 0.06
     assert steps.of_the_nominal_body(Place(HELD_BACK, "late", LATE), heavier).robot == LATE
-
-
-def test_changes_count_flights():
-    old, new = np.array([[True, True], [False, False]]), np.array([[False, True], [True, True]])
-    place, diagnosis = Place(HELD_BACK, "late", LATE), Diagnosis(NONE, Model(), None, ())
-    closed = Closed(
-        diagnosis, REACH, (place,), {(OLD, HELD_BACK): old, (NEW, HELD_BACK): new}, None, (EASY, NEVER), RAIL
-    )
-    assert closed.changed(HELD_BACK) == {"gained": 2, "lost": 1}
-    assert replace(closed, flown={(OLD, HELD_BACK): old}).changed(HELD_BACK) == {}
