@@ -19,7 +19,6 @@ from softarm.schemas.goals import Goal
 
 Reached = NDArray[np.bool_]  # [targets, starts]
 PolicyName = Path | str  # an ONNX file, or a name that the registry knows
-Flown = Mapping[tuple[str, str], Reached]  # (policy, robot), as they were named -> what it reached there
 _PART = 9  # targets that a process takes at once
 
 

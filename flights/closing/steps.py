@@ -77,14 +77,19 @@ def close(
     pairs = [(name, key) for key in robots for name in policies if (name, key) != (REPLANNED, NOMINAL)]
     with timed(spent, "fly"), bar("flying", piped=True) as shown:
         flown = fly_all(policies, robots, pairs, targets, rail.patched, shown.tell, processes)
-    closed = Closed(found, policy, tuple(places), flown, retrained, tuple(targets), rail, is_the_robot)
-    if retrained is not None:
-        closed = replace(closed, wires=through(closed))
-    closed = closed.with_task()
+    closed = Closed(found, policy, tuple(places), flown, retrained, tuple(targets), rail, is_the_robot).with_task()
+    _write(closed, out, spent)  # whatever becomes of a robot that moves
+    if (wires := through(closed)) is not None:
+        closed = replace(closed, wires=wires)
+        _write(closed, out, spent)
+    return closed
+
+
+def _write(closed: Closed, out: Path, spent: Spent) -> None:
+    """The report, the verdict and the summary."""
     report.write(closed.diagnosis, out / "report.html", story=story.sections(closed))
     files.write_text(out / "verdict.json", closed.diagnosis.verdict.model_dump_json(indent=1) + "\n")
     files.write_text(out / "summary.json", json.dumps(summary.summary(closed, spent), indent=1) + "\n")
-    return closed
 
 
 def _retrain(policy: Path, model: Model, out: Path, config: RetrainingConfig, limits: RailLimits) -> Retrained:

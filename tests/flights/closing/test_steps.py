@@ -12,6 +12,7 @@ from softarm.diagnosis.engine.result import Diagnosis
 from softarm.flights.closing import steps
 from softarm.flights.closing.closed import Place
 from softarm.flights.closing.outcomes import HELD_BACK
+from softarm.flights.closing.wires import Wires
 from softarm.flights.robots import with_faults
 from softarm.policies.base import MODELS
 from softarm.reality.parameters import RobotParameters
@@ -62,13 +63,14 @@ NONE = NAMED.model_copy(
 )
 
 
-def close(out, held_back, declared=True, **found):
+def close(out, held_back, declared=True, through=lambda closed: None, **found):
     out.mkdir()
     usual = {"verdict": NAMED, "nominal": Model(), "patched": LATE, "trials": (("a", "seed", 1.0),)}
     diagnosis = Diagnosis(**usual | found)
     spent = {}
     targets = (EASY, NEVER)
-    steps.close(diagnosis, RAIL, REACH, out, held_back, declared, TINY, spent, targets=targets, processes=1)
+    how = {"targets": targets, "processes": 1, "through": through}
+    steps.close(diagnosis, RAIL, REACH, out, held_back, declared, TINY, spent, **how)
     summary = json.loads((out / "summary.json").read_text())
     assert summary["spent"].keys() == spent.keys()
     return Verdict.model_validate_json((out / "verdict.json").read_text()), summary
@@ -145,3 +147,19 @@ def test_the_independent_robot_gets_the_nominal_arm_and_cart_and_keeps_its_actua
     assert place.robot.body == heavier.arm
     assert place.robot.regulator.dead_time_s == 0.06
     assert steps.of_the_nominal_body(Place(HELD_BACK, "late", LATE), heavier).robot == LATE
+
+
+def test_what_was_found_is_on_the_disk_before_a_robot_moves_and_holds_what_came_of_it(tmp_path):
+    """A person may pull the plug while it flies."""
+    there = []
+
+    def through(closed):
+        there.append(json.loads((tmp_path / "out" / "summary.json").read_text()))
+        return Wires.unflown("the robot of softarm.yaml", "not wanted")
+
+    place = Place(HELD_BACK, "late", LATE)
+    found = {"verdict": NONE, "patched": None}
+    _, summary = close(tmp_path / "out", place, through=through, **found)
+    assert there[0]["wires"] is None
+    assert there[0]["success"] == summary["success"]
+    assert summary["wires"]["ended"] == "not wanted"
