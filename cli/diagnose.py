@@ -6,9 +6,9 @@ from typing import TYPE_CHECKING
 
 import click
 
+from softarm.cli.diagnosed import show
 from softarm.cli.errors import fail
 from softarm.cli.options import FILE, FOLDER, check_places
-from softarm.cli.printing import print_table, print_text
 from softarm.cli.rail_limits import limits_option, write_limits
 from softarm.common.processes import bar
 
@@ -83,7 +83,7 @@ def diagnose(
         fail(str(error))
     except OSError as error:
         fail(f"{error.filename}: cannot be written ({error.strerror}); name another place")
-    _show(result, json_file)
+    show(result, json_file)
     if patch_file is not None and result.patched is None:
         click.echo(f"{patch_file}: not written, {_no_patch(result)}", err=True)
     if written:
@@ -94,27 +94,3 @@ def _no_patch(result: "Diagnosis") -> str:
     if result.nominal is None:
         return "another rig has no model file; the parameters stand in the verdict"
     return f"nothing was named (verdict: {result.verdict.verdict})"
-
-
-def _show(result: "Diagnosis", json_file: Path | None) -> None:
-    """The answer in three sentences, a row a stage, every doubt."""
-    from softarm.diagnosis import report
-    from softarm.pages.numbers import percent, quantity
-
-    verdict, gap = result.verdict, result.verdict.gap
-    print_text("\n".join(report.answer(result)))
-    rows = []
-    for stage, before in gap.before.items():
-        share = verdict.where.share.get(stage)
-        after = gap.after.get(stage) if verdict.effects else None
-        others = (before, after, gap.ceiling.get(stage), gap.floor.get(stage))
-        cells = [quantity(q.value, q.unit) if q else "-" for q in others]
-        rows.append((stage, "-" if share is None else percent(share), *cells))
-    print_table(("stage", "share", "before", "after", "ceiling", "floor"), rows)
-    if verdict.next_experiment is not None:
-        plan = verdict.next_experiment
-        file = json_file or "VERDICT.json (of --json)"
-        split = f" tells {', '.join(plan.separates)} apart" if plan.separates else ""
-        click.echo(f"next: the excitation {plan.excitation}{split}: softarm excite --plan {file}")
-    for warning in verdict.warnings:
-        click.echo(f"warning: {warning}", err=True)

@@ -14,6 +14,9 @@ _FILE = r"[\w.]*\.(?:csv|html|json|mat|mcap|parquet|py|yaml)\b"
 _NAME = re.compile(rf"(?<![\w./-])(?!{_FILE})[a-z][a-z0-9_]{{2,}}(?:\.[a-z][a-z0-9_]+){{1,2}}\b")
 
 
+_BROAD = 4  # columns: from here on a table is broader than a phone
+
+
 class Html(str):
     """Markup that is safe to put into a page as it is."""
 
@@ -55,8 +58,8 @@ def prose(text: str) -> Html:
 
 
 def table(head: Iterable[Child], rows: Iterable[Iterable[Child]], caption: str, numbers: Iterable[int] = ()) -> Html:
-    """A table that scrolls sideways on a narrow screen. numbers: indices of the columns that align right."""
-    right = frozenset(numbers)
+    """A table that scrolls sideways on a narrow screen, and says so. numbers: columns that align right, by index."""
+    head, right = tuple(head), frozenset(numbers)
 
     def cell(i: int, child: Child, tag: str) -> Html:
         if tag == "td" and i == 0:
@@ -66,7 +69,8 @@ def table(head: Iterable[Child], rows: Iterable[Iterable[Child]], caption: str, 
     header = el("tr", *(cell(i, child, "th") for i, child in enumerate(head)))
     body = [el("tr", *(cell(i, child, "td") for i, child in enumerate(row))) for row in rows]
     whole = el("table", el("caption", caption), el("thead", header), el("tbody", *body))
-    return el("div", whole, class_="wide", tabindex="0", role="region", aria_label=caption)
+    kind = "wide broad" if len(head) >= _BROAD else "wide"
+    return el("div", whole, class_=kind, tabindex="0", role="region", aria_label=caption)
 
 
 def shaded(share: float, content: Child) -> Html:

@@ -8,7 +8,7 @@
   if (!canvas || !data.items.length) return;
   const readout = document.getElementById("readout");
   const picks = data.choices.map((name) => document.getElementById(`pick-${name}`));
-  const LEFT = 62, RIGHT = 8, TOP = 8, BOTTOM = 26, BETWEEN = 14, STRIP = 0.3;
+  const LEFT = 72, RIGHT = 8, TOP = 8, BOTTOM = 26, BETWEEN = 14, STRIP = 0.3;
   const NAN = 65535, STEPS = 65534, MIN_SAMPLES = 8;
 
   let item = null;      // what is shown: decoded curves
@@ -329,4 +329,5 @@
   addEventListener("beforeprint", () => { document.documentElement.dataset.print = ""; draw(); });
   addEventListener("afterprint", () => { delete document.documentElement.dataset.print; draw(); });
   choose(data.items[data.first].chosen);
+  if (data.view) look(...data.view);
 })();

@@ -34,10 +34,13 @@ def every(items: Sequence[Traces]) -> int:
     return max(1, math.ceil(sum(len(item.t_s) * len(item.curves) for item in items) / BUDGET))
 
 
-def packed(choices: Sequence[str], items: Sequence[Traces], first: int = 0) -> dict[str, object]:
-    """What plot.js reads. first: index of the item that is shown first."""
+def packed(
+    choices: Sequence[str], items: Sequence[Traces], first: int = 0, view: tuple[float, float] | None = None
+) -> dict[str, object]:
+    """What plot.js reads. first: index of the item that is shown first; view: from when to when (s), else whole."""
     step = every(items)
-    return {"choices": list(choices), "first": first, "items": [_item(item, step) for item in items]}
+    shown = {} if view is None else {"view": list(view)}
+    return {"choices": list(choices), "first": first, **shown, "items": [_item(item, step) for item in items]}
 
 
 def canvas(choices: Sequence[str], kinds: Sequence[str], text: str) -> Html:

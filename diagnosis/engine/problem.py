@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from softarm.diagnosis.engine.candidates import Nuisance
 from softarm.diagnosis.engine.fits import Fit, FitProblem
 from softarm.diagnosis.engine.noise import Whitener, scaled, whitener
+from softarm.diagnosis.engine.result import HeldOut
 from softarm.diagnosis.engine.view import View
 from softarm.diagnosis.engine.whitened import BLOCK_S, Gaps, WhitenedResidual, blocks_of
 
@@ -108,3 +109,19 @@ def _folds(blocks: Sequence[tuple[int, int]], kinds: Sequence[str]) -> NDArray[n
     if len(trials) > 1:
         return np.array([trials.index(trial) for trial, _ in blocks])
     return np.array([i * 5 // len(blocks) for i in range(len(blocks))])
+
+
+def held_out_by(blocks: Sequence[tuple[int, int]], fold: NDArray[np.int64], kinds: Sequence[str]) -> HeldOut:
+    """What the folds leave out: read off them, so that a report says what was done.
+
+    blocks: (trial, number) of every block; fold: [B]; kinds: of every trial, the excitation.
+    """
+
+    def whole(names: Sequence[object]) -> bool:
+        """Whether everything of one name lies in one fold."""
+        return len(set(zip(names, fold.tolist(), strict=True))) == len(set(names))
+
+    trials = [trial for trial, _ in blocks]
+    if not whole(trials) or len(set(fold.tolist())) < 2:
+        return "block"
+    return "kind" if whole([kinds[trial] for trial in trials]) else "trial"

@@ -2,14 +2,17 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from softarm.schemas.model import Model
 from softarm.schemas.verdict import Interval, Verdict
+from softarm.simulator.effects import Effect
 
 Array = NDArray[np.float64]
+HeldOut = Literal["kind", "trial", "block"]  # what no fit has seen when it is judged
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,3 +90,6 @@ class Diagnosis:
     nuisances: Mapping[str, float] = field(default_factory=dict)  # what was fitted beside every rival, within tolerance
     units: Mapping[str, str] = field(default_factory=dict)  # of another rig's parameters, 'stage.effect.parameter'
     seconds: float = 0.0
+    together: Mapping[str, Interval] = field(default_factory=dict)  # stage -> share of its RMS that goes with them all
+    held_out: HeldOut | None = None  # None: nobody says
+    vocabulary: Mapping[str, Effect] = field(default_factory=dict)  # another rig's effects; the robot's: the registry

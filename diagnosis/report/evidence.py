@@ -1,14 +1,18 @@
 """Sections that show the evidence: overlays, spectra and regimes, rivals, what is left. Result in, HTML out."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Sequence
+from typing import TypeVar
 
 from softarm.diagnosis.engine.result import Diagnosis, Regime, Rival, Spectrum
 from softarm.diagnosis.report import overlays
-from softarm.diagnosis.report.words import interval, percents, unit_of
+from softarm.diagnosis.report.words import percents, unit_of
 from softarm.pages import charts, plot
 from softarm.pages.markup import Html, bar, el, join, legend, prose, table
 from softarm.pages.numbers import number, percent, quantity
 from softarm.schemas.verdict import Interval
+
+Row = TypeVar("Row")
+_AT_ONCE = 20  # rows of a table
 
 
 def traces(diagnosis: Diagnosis) -> Html:
@@ -40,7 +44,9 @@ def frequencies(diagnosis: Diagnosis) -> Html:
             el("div", *figures, class_="multiples"),
         ]
     if diagnosis.regimes:
-        parts += [el("h3", "By regime"), _regimes(diagnosis.regimes)]
+        stage = diagnosis.verdict.where.stage
+        shown, rest = _split(diagnosis.regimes, lambda regime: regime.stage == stage)
+        parts += [el("h3", "By regime"), _regimes(shown), *_folded("other stages", rest, _regimes)]
     return join(parts) if parts else el("p", "No spectra were computed.", class_="none")
 
 
@@ -50,9 +56,21 @@ def _spectrum(of: Spectrum) -> Html | None:
     return charts.spectrum(of.frequency_hz, curves, of.floor, text)
 
 
-def _regimes(regimes: Iterable[Regime]) -> Html:
+def _split(rows: Sequence[Row], first: Callable[[Row], bool]) -> tuple[list[Row], list[Row]]:
+    """The rows to show and those to fold away: of a few all are shown, of many those of the blamed stage."""
+    shown = [row for row in rows if first(row)]
+    if len(rows) <= _AT_ONCE or not shown:
+        return list(rows), []
+    return shown, [row for row in rows if not first(row)]
+
+
+def _folded(what: str, rows: Sequence[Row], draw: Callable[[Sequence[Row]], Html]) -> list[Html]:
+    """What opens when it is asked for; nothing where there are no rows."""
+    return [el("details", el("summary", f"{what}: {len(rows)} rows more"), draw(rows))] if rows else []
+
+
+def _regimes(regimes: Sequence[Regime]) -> Html:
     """A regime a row; bars are relative to the largest of their stage."""
-    regimes = tuple(regimes)
     patched = any(regime.patched_rms is not None for regime in regimes)
     most: dict[str, float] = {}
     for regime in regimes:
@@ -78,19 +96,33 @@ def contenders(diagnosis: Diagnosis) -> Html:
         return el("p", "No effect was tried.", class_="none")
     forest = charts.Forest([r.conditional for r in diagnosis.rivals if r.conditional is not None])
     head = ("effect", "alone", join(["beside the named ones, percent", forest.axis()]), "fitted", "note")
-    rows = [_rival(rival, forest, diagnosis.units) for rival in diagnosis.rivals]
-    caption = "Effects that were tried as the cause; shares of the stage's gap on unseen data"
+    robot = diagnosis.nominal is not None
+    beside = "of what the named effect adds" if robot else "of what is left without it"
+    caption = (
+        f"Effects that were tried as the cause; alone: share of the stage's gap; beside the others: share {beside}"
+    )
+
+    def drawn(rivals: Sequence[Rival]) -> Html:
+        return el("div", table(head, [_rival(diagnosis, rival, forest) for rival in rivals], caption), class_="rivals")
+
+    stage = diagnosis.verdict.where.stage
+    shown, rest = _split(diagnosis.rivals, lambda rival: any(name.startswith(f"{stage}.") for name in rival.names))
     told = (
         "Alone, a wrong effect can pass for the right one. What counts is the second figure: what an effect adds "
         "beside the others, with its 95 % interval. An effect whose interval is clear of zero adds something."
     )
-    return join([el("p", prose(told)), el("div", table(head, rows, caption), class_="rivals")])
+    return join([el("p", prose(told)), drawn(shown), *_folded("other stages", rest, drawn)])
 
 
-def _rival(rival: Rival, forest: charts.Forest, units: Mapping[str, str]) -> tuple[Html, ...]:
+def _rival(diagnosis: Diagnosis, rival: Rival, forest: charts.Forest) -> tuple[Html, ...]:
     name = join([el("code", name) for name in rival.names], " + ")
     fitted = [
-        el("span", f"{path.rpartition('.')[2]} {quantity(value, unit_of(path, units), 3)}", title=path, class_="fit")
+        el(
+            "span",
+            f"{path.rpartition('.')[2]} {quantity(value, unit_of(diagnosis, path), 3)}",
+            title=path,
+            class_="fit",
+        )
         for path, value in rival.parameters.items()
     ]
     note = el("span", prose(rival.note), class_="tag named" if rival.note == "named" else None)
@@ -113,9 +145,11 @@ def left(diagnosis: Diagnosis) -> Html:
         drawn = charts.ladder(before.value, *(q.value if q else None for q in (shown, floor, ceiling)))
         texts = [quantity(q.value, q.unit) if q else "–" for q in (before, shown, ceiling, floor)]
         rows.append((_place(stage), *texts, drawn))
+    robot = diagnosis.nominal is not None
+    counts = "repeats, noise and what two honest simulators of one robot differ by" if robot else "what counts as none"
     told = (
         "The ceiling is what a flexible model with no physics in it leaves: nothing known or unknown could do much "
-        "better. The floor is repeats, noise and what two honest simulators of one robot differ by."
+        f"better. The floor is {counts}."
     )
     head = ("stage", "before", "after", "ceiling", "floor", "on one scale")
     caption = "Root mean square of the gap, before and after"
@@ -142,13 +176,3 @@ def _depends(explained: float, on: tuple[tuple[str, float], ...], named: bool) -
     most = max(value for _, value in on) or 1.0
     rows = ((name, bar(value / most, "plain", number(value, 2))) for name, value in on)
     return join([text, table(("what is left depends on", "importance"), rows, "Features of the residual that is left")])
-
-
-def parameters(diagnosis: Diagnosis) -> Html:
-    """Parameters of the named effects with their intervals."""
-    rows = [
-        (el("code", f"{effect.name}.{name}"), interval(of, of.unit))
-        for effect in diagnosis.verdict.effects
-        for name, of in effect.parameters.items()
-    ]
-    return table(("parameter", "value (95 %)"), rows, "Parameters of the named effects") if rows else Html("")

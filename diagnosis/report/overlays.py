@@ -1,7 +1,6 @@
 """The overlays of a diagnosis as what the plot of recordings draws."""
 
 import math
-from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +11,7 @@ from softarm.pages import plot
 Array = NDArray[np.float64]
 
 CHOICES = ("stage", "trial", "channel")
+_AT_ONCE, _WINDOW = 2000, 600  # samples: of a trial that is seen whole, and of the part of a longer one
 
 
 def traces(diagnosis: Diagnosis) -> list[plot.Traces]:
@@ -20,34 +20,55 @@ def traces(diagnosis: Diagnosis) -> list[plot.Traces]:
 
 
 def packed(diagnosis: Diagnosis) -> dict[str, object]:
-    """The same as the page's data."""
-    shown_first = first(diagnosis.overlays, diagnosis.verdict.where.stage)
-    return plot.packed(CHOICES, traces(diagnosis), shown_first)
+    """The same as the page's data, the one that shows the gap first and where in it the gap is largest."""
+    at = first(diagnosis)
+    view = window(diagnosis.overlays[at]) if diagnosis.overlays else None
+    return plot.packed(CHOICES, traces(diagnosis), at, view)
 
 
-def first(overlays: Sequence[Overlay], stage: str | None) -> int:
-    """Index of the overlay to show first: of the blamed stage, the largest gap against the channel's own spread."""
+def first(diagnosis: Diagnosis) -> int:
+    """Index of the overlay to show first: of the blamed stage the largest gap against the floor.
+
+    Where no stage is blamed a gap is noise; then the signal that moves most against its floor shows how the two agree.
+    Where there is no floor, the channel's own spread stands in for it.
+    """
+    stage, overlays = diagnosis.verdict.where.stage, diagnosis.overlays
     spread: dict[tuple[str, str], float] = {}
     for overlay in overlays:
         key = overlay.stage, overlay.channel
         spread[key] = max(spread.get(key, 0.0), _rms(overlay.measured - _mean(overlay.measured)))
 
-    def gap(index: int) -> tuple[bool, float]:
+    def rank(index: int) -> tuple[bool, float]:
         overlay = overlays[index]
-        widest = spread[overlay.stage, overlay.channel]
-        return overlay.stage == stage, _rms(overlay.measured - overlay.nominal) / widest if widest > 0 else 0.0
+        shown = overlay.measured - (_mean(overlay.measured) if stage is None else overlay.nominal)
+        count = _floor(diagnosis, overlay) or spread[overlay.stage, overlay.channel]
+        return overlay.stage == stage, _rms(shown) / count if count > 0 else 0.0
 
-    return max(range(len(overlays)), key=gap, default=0)
+    return max(range(len(overlays)), key=rank, default=0)
+
+
+def window(overlay: Overlay) -> tuple[float, float] | None:
+    """Seconds of a long trial in which the gap is largest; None: all of it can be seen at once."""
+    n, gap = len(overlay.t_s), np.nan_to_num(overlay.measured - overlay.nominal) ** 2
+    if n <= _AT_ONCE:
+        return None
+    summed = np.concatenate(([0.0], np.cumsum(gap)))
+    start = int(np.argmax(summed[_WINDOW:] - summed[:-_WINDOW]))
+    return float(overlay.t_s[start]), float(overlay.t_s[start + _WINDOW - 1])
+
+
+def _floor(diagnosis: Diagnosis, overlay: Overlay) -> float:
+    """The stage's floor in the overlay's unit; 0 where there is none."""
+    floor = diagnosis.verdict.gap.floor.get(overlay.stage)
+    return floor.value if floor is not None and floor.unit == overlay.unit else 0.0
 
 
 def _traces(overlay: Overlay, diagnosis: Diagnosis) -> plot.Traces:
     curves = {"measured": overlay.measured, "nominal": overlay.nominal}
     if overlay.patched is not None:
         curves["patched"] = overlay.patched
-    floor = diagnosis.verdict.gap.floor.get(overlay.stage)
-    band = floor.value if floor is not None and floor.unit == overlay.unit else 0.0
     chosen = (overlay.stage, overlay.trial, overlay.channel)
-    return plot.Traces(chosen, overlay.kind, overlay.unit, overlay.t_s, curves, band)
+    return plot.Traces(chosen, overlay.kind, overlay.unit, overlay.t_s, curves, _floor(diagnosis, overlay))
 
 
 def _mean(values: Array) -> float:

@@ -5,8 +5,8 @@ from pathlib import Path
 
 from softarm.common import files
 from softarm.diagnosis.engine.result import Diagnosis
-from softarm.diagnosis.report import evidence, overlays, sections
-from softarm.diagnosis.report.words import headline
+from softarm.diagnosis.report import evidence, overlays, sections, stages
+from softarm.diagnosis.report.answer import headline
 from softarm.pages.document import Section, document
 from softarm.pages.markup import Html
 
@@ -20,10 +20,12 @@ def write(diagnosis: Diagnosis, path: Path, *, story: Story = ()) -> None:
 
 def render(diagnosis: Diagnosis, *, story: Story = ()) -> str:
     """The report as text; equal diagnoses give equal pages."""
+    where = "Where in the chain" if diagnosis.nominal is not None else "Where the gap is"
     told = [
-        Section("Where in the chain", "chain", sections.chain(diagnosis)),
-        *(Section(title, f"story-{i}", Html(body)) for i, (title, body) in enumerate(story, 1)),
+        Section("Stage by stage", "stages", stages.section(diagnosis)),
         Section("Measured, nominal, patched", "overlays", evidence.traces(diagnosis)),
+        Section(where, "chain", sections.chain(diagnosis)),
+        *(Section(title, f"story-{i}", Html(body)) for i, (title, body) in enumerate(story, 1)),
         Section("Frequencies and regimes", "frequencies", evidence.frequencies(diagnosis)),
         Section("Rivals", "rivals", evidence.contenders(diagnosis)),
         Section("What is left", "left", evidence.left(diagnosis)),

@@ -1,30 +1,34 @@
 """Sections that say what follows: the answer, the chain, the next experiment, the small print. Result in, HTML out."""
 
+from collections.abc import Iterator
+
 import numpy as np
 
-from softarm.diagnosis.engine.result import Diagnosis
-from softarm.diagnosis.report import causal, evidence
-from softarm.diagnosis.report.words import (
-    answer,
-    change,
-    headline,
-    meaning,
-    percents,
-    reduction,
-    shrink_bounds,
-    unit_of,
-)
+from softarm.diagnosis.engine.result import Diagnosis, HeldOut
+from softarm.diagnosis.report import causal, following
+from softarm.diagnosis.report.answer import answer, headline, measured_confidence
+from softarm.diagnosis.report.words import change, less, unit_of
 from softarm.pages import charts
 from softarm.pages.markup import Html, bar, el, join, prose, table, tiles
 from softarm.pages.numbers import listed, number, percent, quantity
-from softarm.schemas.excitation import EXCITATIONS, Excitation
+from softarm.schemas.excitation import Excitation
+from softarm.schemas.verdict import NextExperiment
 from softarm.simulator.model_rows import differences
 
 _KINDS = {
-    "named": "named: the named effects explain at least four fifths of what any model could",
+    "named": "named: the named effects explain most of what any model could",
     "incomplete": "incomplete: the named effects are part of it, and more could be explained",
     "unknown": "unknown: something could be explained, and no known effect explains it",
-    "none": "none: no gap beyond repeatability and noise",
+    "none": "none: no cause of a gap was found",
+}
+
+
+_JUDGED: dict[HeldOut | None, str] = {
+    "kind": "on the kinds of excitation that the fit has not seen, one kind left out at a time",
+    "trial": "on trials that the fit has not seen; there is no kind of excitation that it has not seen",
+    "block": "on stretches of the trials that the fit has not seen; it has seen other stretches of the same motions, "
+    "so how it does on new motions is not measured",
+    None: "on data that the fit has not seen",
 }
 
 
@@ -32,28 +36,31 @@ def result(diagnosis: Diagnosis) -> Html:
     """The answer: headline, three sentences, the figures behind them."""
     kind = diagnosis.verdict.verdict
     lead = [el("p", prose(sentence)) for sentence in answer(diagnosis)]
-    chip = el("p", el("span", kind, class_=f"verdict {kind}", title=_KINDS[kind]), class_="chip")
+    shown = kind.replace("_", " ") + (", not separable" if _sets(diagnosis) and kind in ("named", "incomplete") else "")
+    chip = el("p", el("span", shown, class_=f"verdict {kind}", title=_KINDS.get(kind, shown)), class_="chip")
     title = el("h1", prose(headline(diagnosis)))
     return join([chip, title, el("div", *lead, class_="lead"), tiles(_figures(diagnosis)), _task(diagnosis)])
+
+
+def _sets(diagnosis: Diagnosis) -> bool:
+    """Whether every answer is a set."""
+    return bool(diagnosis.verdict.effects) and all(effect.equivalents for effect in diagnosis.verdict.effects)
 
 
 def _figures(diagnosis: Diagnosis) -> list[tuple[str, Html | str]]:
     verdict, gap = diagnosis.verdict, diagnosis.verdict.gap
     figures: list[tuple[str, Html | str]] = []
-    if verdict.effects:
+    sure = [effect.confidence for effect in verdict.effects if effect.confidence is not None]
+    if sure:
         name = "confidence" if len(verdict.effects) == 1 else "confidence, the least sure"
-        figures.append((name, percent(min(effect.confidence for effect in verdict.effects))))
+        figures.append((name, percent(min(sure))))
     stage = verdict.where.stage
     for place, label in ((stage, f"{stage} gap"), ("chain", "tip, whole chain")):
         if place is None or place not in gap.before:
             continue
         before, after = gap.before[place], gap.after.get(place)
-        if after is not None and verdict.effects:
-            share = reduction(before, after)
-            if share is not None:
-                bounds = shrink_bounds(diagnosis) if place == stage else ""
-                label += f", {percent(abs(share))} {'less' if share >= 0 else 'more'}{bounds}"
-            figures.append((label, change(before, after)))
+        if after is not None and (told := less(diagnosis, place)):
+            figures.append((f"{label}, {told}", change(before, after)))
         else:
             figures.append((label, quantity(before.value, before.unit)))
     if stage in verdict.where.share:
@@ -80,7 +87,7 @@ def chain(diagnosis: Diagnosis) -> Html:
     if where.stage is None:
         told = "No stage stands out."
     else:
-        told = f"The largest part of the gap arises in {where.stage}" + (f": {where.regime}." if where.regime else ".")
+        told = f"The largest part of the gap arises in {where.stage}{f' ({where.regime})' if where.regime else ''}."
     drawn = el("div", causal.chain(diagnosis), class_="drawing", tabindex="0", role="region", aria_label="causal chain")
     note = "Each box: share of the gap; root mean square before → after the correction; the floor that counts as none."
     total = diagnosis.verdict.gap.before.get("chain")
@@ -93,26 +100,40 @@ def chain(diagnosis: Diagnosis) -> Html:
 
 
 def next_step(diagnosis: Diagnosis) -> Html:
-    """The experiment that tells apart what this data cannot."""
-    plan = diagnosis.verdict.next_experiment
-    if plan is None:
+    """What would tell apart what this data cannot: the experiment that was asked for, and a line for every set."""
+    flown, told = _flight(diagnosis), following.steps(diagnosis)
+    parts = [*flown, *([el("ul", *(el("li", prose(text)) for text in told))] if told else [])]
+    if not parts:
         return el("p", "This diagnosis asks for no further experiment.", class_="none")
-    known = EXCITATIONS.get(plan.excitation)
-    rows = [(el("code", effect), prose(text)) for effect, text in plan.expect.items()]
-    what = f" ({known.description})" if known else ""
+    if told:
+        parts.append(el("p", "Then diagnose again, with the new recording beside the old ones."))
+    plan = diagnosis.verdict.next_experiment
+    if plan is not None and plan.expect and not flown:
+        parts.append(_expected(plan))
+    return join(parts)
+
+
+def _flight(diagnosis: Diagnosis) -> list[Html]:
+    """The excitation to play, by which command, and what one would see."""
+    plan, known = diagnosis.verdict.next_experiment, following.flight(diagnosis)
+    if plan is None or known is None:
+        return []
     apart = [", which tells apart ", prose(listed(plan.separates))] if plan.separates else []
     simulated = el("code", "softarm excite --plan verdict.json --simulated")
     then = ". Then diagnose again, with the new recording beside the old ones."
     parts = [
-        el("p", "Play ", el("b", plan.excitation), what, *apart, ":"),
+        el("p", "Play ", el("b", plan.excitation), f" ({known.description})", *apart, ":"),
         el("pre", "softarm excite --plan verdict.json --config softarm.yaml"),
         el("p", "On a simulated robot: ", simulated, then),
     ]
-    if rows:
-        parts.append(table(("if the cause is", "one would see"), rows, "What the experiment would show"))
-    if known is not None:
-        parts.append(el("figure", el("figcaption", f"Commands of {known.name}"), _commands(known)))
-    return join(parts)
+    if plan.expect:
+        parts.append(_expected(plan))
+    return [*parts, el("figure", el("figcaption", f"Commands of {known.name}"), _commands(known))]
+
+
+def _expected(plan: NextExperiment) -> Html:
+    rows = [(el("code", effect), prose(text)) for effect, text in plan.expect.items()]
+    return table(("if the cause is", "one would see"), rows, "What the experiment would show")
 
 
 def _commands(of: Excitation, samples: int = 600) -> Html:
@@ -125,11 +146,11 @@ def _commands(of: Excitation, samples: int = 600) -> Html:
 
 
 def details(diagnosis: Diagnosis) -> Html:
-    """Named effects, the patch, nuisances, warnings, trials."""
-    parts = [_named(diagnosis), evidence.parameters(diagnosis), _patch(diagnosis)]
+    """The patch, nuisances, warnings, trials."""
+    parts = [_patch(diagnosis)]
     if diagnosis.nuisances:
         rows = [
-            (el("code", path), quantity(value, unit_of(path, diagnosis.units), 3))
+            (el("code", path), quantity(value, unit_of(diagnosis, path), 3))
             for path, value in diagnosis.nuisances.items()
         ]
         caption = "Nuisances: fitted beside every rival, within their tolerance; not blamed"
@@ -139,23 +160,6 @@ def details(diagnosis: Diagnosis) -> Html:
     trials = [(name, kind, f"{seconds:.1f} s") for name, kind, seconds in diagnosis.trials]
     parts += [el("h3", "Trials"), table(("trial", "excitation", "length"), trials, "What was read", numbers=(2,))]
     return join(parts)
-
-
-def _named(diagnosis: Diagnosis) -> Html:
-    rows = [
-        (
-            el("code", e.name),
-            prose(meaning(e.name)),
-            percent(e.confidence),
-            join([el("code", other) for other in e.equivalents], " ") if e.equivalents else "–",
-            percents(e.shrink.stage),
-            percents(e.shrink.chain) if e.shrink.chain else "–",
-        )
-        for e in diagnosis.verdict.effects
-    ]
-    head = ("effect", "what it is", "confidence", "cannot be told from", "shrinks its stage by", "shrinks the chain by")
-    caption = "Named effects, in order of what each adds beside the others; held out, 95 %"
-    return join([el("h3", "Named effects"), table(head, rows, caption)]) if rows else Html("")
 
 
 def _patch(diagnosis: Diagnosis) -> Html:
@@ -170,16 +174,38 @@ def _patch(diagnosis: Diagnosis) -> Html:
 
 
 def method(diagnosis: Diagnosis) -> Html:
-    """How the answer was found, in a few sentences."""
-    kinds = len({kind for _, kind, _ in diagnosis.trials})
-    spent = f" This diagnosis took {number(diagnosis.seconds, 2)} s." if diagnosis.seconds > 0 else ""
-    return el(
-        "p",
-        "Every stage is simulated alone, driven by the signals measured before it. Each effect of the registry is "
-        "fitted within physical bounds, with small errors of every known parameter allowed beside it, and judged on "
-        "excitations that the fit has not seen; an effect is named for what it adds beside its rivals, never for what "
-        "it does alone. Intervals are 95 %, by resampling blocks of consecutive samples. A flexible model of the "
-        "residual says how much could be explained at all; where the named effects fall short of that, the verdict "
-        "says so. Confidence is how often such answers were right in cases of known cause."
-        f" {len(diagnosis.trials)} trials of {kinds} kinds were read.{spent}",
+    """How the answer was found: what was done in this run, and nothing else."""
+    return el("p", " ".join(_method(diagnosis)))
+
+
+def _method(diagnosis: Diagnosis) -> Iterator[str]:
+    verdict, robot = diagnosis.verdict, diagnosis.nominal is not None
+    yield "Every stage is simulated alone, driven by the signals measured before it."
+    list_ = (
+        "Each effect of the registry" if robot else f"Each of {len(diagnosis.vocabulary) or 'the'} effects of the list"
     )
+    beside = ", with small errors of what is known allowed beside it," if diagnosis.nuisances or robot else ""
+    yield f"{list_} is fitted within bounds{beside} and judged {_JUDGED[diagnosis.held_out]}."
+    yield "An effect is named for what it adds beside its rivals, never for what it does alone."
+    if any(effect.parameters for effect in verdict.effects):
+        yield "The 95 % interval of a fitted size is a jackknife over blocks of consecutive samples."
+    if verdict.effects:
+        anew = "trials" if robot else "such blocks"
+        yield f"The 95 % interval of a shrink is by {anew} drawn anew."
+    if verdict.gap.ceiling:
+        yield "A flexible model of the residual says how much could be explained at all."
+        yield "Where known effects fall short of that, the verdict is incomplete or unknown."
+    if any(effect.confidence is not None for effect in verdict.effects):
+        yield (
+            "Confidence is how often such answers were right in cases of known cause."
+            if measured_confidence(diagnosis)
+            else "Confidence is how often these data, drawn anew, give the answer; no case of known cause is behind it."
+        )
+    kinds = {kind for _, kind, _ in diagnosis.trials}
+    count, many = len(diagnosis.trials), len(kinds)
+    read = (
+        f"{count} trial{'s' * (count != 1)} of {many} kind{'s' * (many != 1)} {'was' if count == 1 else 'were'} read."
+    )
+    yield read
+    if diagnosis.seconds > 0:
+        yield f"This diagnosis took {number(diagnosis.seconds, 2)} s."

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from softarm.common import resample
 from softarm.diagnosis.data.trials import Trial, TrialError
 from softarm.diagnosis.engine.fits import Fit, FitProblem
-from softarm.diagnosis.engine.problem import Setup
-from softarm.diagnosis.engine.result import Diagnosis, Leftover, Overlay, Regime, Rival
+from softarm.diagnosis.engine.problem import Setup, held_out_by
+from softarm.diagnosis.engine.result import Diagnosis, HeldOut, Leftover, Overlay, Regime, Rival
 from softarm.diagnosis.engine.search import Gain, Progress, SelectedEffect
 from softarm.diagnosis.engine.view import Array
 from softarm.diagnosis.engine.whitened import BLOCK_S, blocks_of
@@ -66,6 +66,7 @@ class StageFinding:
     leans: tuple[tuple[str, float], ...]
     nuisances: Mapping[str, float]  # fitted beside the chosen
     bounds: tuple[Array, Array]  # 95 % interval of the chosen's parameters, low and high
+    held_out: HeldOut
 
     @property
     def before(self) -> float:
@@ -109,6 +110,9 @@ def diagnose_table(trials: Sequence[Trial], tell: Progress = lambda text, share:
         nuisances={path: value for s in stages for path, value in s.nuisances.items()},
         units={f"{e.name}.{p.name}": p.unit for s in stages for e in s.view.effects for p in e.parameters},
         seconds=time.monotonic() - started,
+        together={s.view.stage: _together(s) for s in stages if s.selected},
+        held_out=min((s.held_out for s in stages), key=("block", "trial", "kind").index),
+        vocabulary={effect.name: effect for s in stages for effect in s.view.effects},
     )
 
 
@@ -175,6 +179,7 @@ def _stage(trials: Sequence[Trial]) -> StageFinding:
         leans,
         setup.fitted_nuisances(chosen),
         search.problem.interval(chosen),
+        held_out_by(problem.blocks, problem.fold, [t.kind for t in ordered]),
     )
 
 
@@ -250,6 +255,14 @@ def _shrink(less: Array, more: Array) -> Interval:
     low, high = resample.interval(1 - np.sqrt(np.maximum(drawn @ more, 0.0) / np.maximum(drawn @ less, 1e-12)))
     value = 1 - math.sqrt(max(float(more.sum()), 0.0) / max(float(less.sum()), 1e-12))
     return Interval(value=value, low=min(float(low), value), high=max(float(high), value))
+
+
+def _together(stage: StageFinding) -> Interval:
+    """Share of the RMS in `before` that is gone in `after`, with its 95 % interval over blocks drawn anew."""
+    blocks = [slice(a, b) for _, a, b in blocks_of(stage.view, BLOCK_S)]
+    before, left = (np.array([np.nansum(gap[b] ** 2) for b in blocks]) for gap in (stage.nominal, stage.left))
+    after = left * (stage.after / max(_rms(stage.left), 1e-12)) ** 2
+    return _shrink(before, after)
 
 
 def _explained(stage: StageFinding) -> float:

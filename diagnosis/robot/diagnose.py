@@ -10,7 +10,7 @@ from softarm.diagnosis.data.trials import Trial, TrialError
 from softarm.diagnosis.engine.ceiling import explainable
 from softarm.diagnosis.engine.decision import Decision, decide, stage_of, stage_shares
 from softarm.diagnosis.engine.fits import point_of
-from softarm.diagnosis.engine.problem import Setup
+from softarm.diagnosis.engine.problem import Setup, held_out_by
 from softarm.diagnosis.engine.result import Diagnosis
 from softarm.diagnosis.engine.search import Choice, Progress, Search, SelectedEffect
 from softarm.diagnosis.engine.view import Array, Point
@@ -86,6 +86,8 @@ class Robot:
             leftovers=evidence.leftovers(flexible, explained),
             nuisances=self.setup.fitted_nuisances(choice.chosen),
             seconds=time.monotonic() - self.started,
+            together=self._together(choice, point) if point else {},
+            held_out=held_out_by(self.plain.blocks, self.plain.fold, [t.kind for t in self.trials]),
         )
 
     def _search(self) -> tuple[Search, Choice]:
@@ -194,8 +196,7 @@ class Robot:
         points = _points(choice, point)
         without = [{k: v for k, v in each.items() if k not in own} for each in points]
         tips = [self._held_out(found) for found in np.split(self._tips([*without, *points]), 2)]
-        trial = self.grid.sample[1]
-        squares = [np.array([np.nansum(t[trial == k] ** 2) for k in range(len(self.trials))]) for t in tips]
+        squares = [_by_trial(t, self.grid.sample[1], len(self.trials)) for t in tips]
         chain = interval(*squares) if np.isfinite(tips).any() else None
         return Shrink(stage=_interval(value, low, high), chain=None if chain is None else _interval(*chain))
 
@@ -257,6 +258,21 @@ class Robot:
             floor["chain"] = Quantity(value=FLOOR_M, unit="m")
         return Gap(before=before, after=after, floor=floor, ceiling=ceiling)
 
+    def _together(self, choice: Choice, point: Point) -> dict[str, Interval]:
+        """Stage -> share of the RMS in `_gap` that goes with all named effects; trials drawn anew."""
+        points = _points(choice, point)
+        pairs = {}
+        for view, gaps in zip(self.views, self.setup.gaps, strict=True):
+            found = gaps.fetch([{}, *points])
+            pairs[view.stage] = view.trial, found[()], self._held_out(np.stack([found[gaps.key(p)] for p in points]))
+        tips = self._tips([{}, *points])
+        if np.isfinite(tips).any():
+            pairs["chain"] = self.grid.sample[1], tips[0], self._held_out(tips[1:])
+        return {
+            stage: _interval(*interval(*(_by_trial(gap, trial, len(self.trials)) for gap in both)))
+            for stage, (trial, *both) in pairs.items()
+        }
+
     def _next(self, choice: Choice, decision: Decision) -> NextExperiment | None:
         for effect in decision.selected:
             close = [(f, g) for f, g in effect.rivals if f.effects[-1].name in effect.equivalents]
@@ -309,6 +325,11 @@ def _shows(effect: SelectedEffect) -> str:
 def _points(choice: Choice, point: Point) -> list[Point]:
     """The named effects' parameters, fitted without each fold."""
     return [{path: each[path] for path in point} for each in choice.chosen.fold_points]
+
+
+def _by_trial(gap: NDArray[np.float32], trial: NDArray[np.int64], trials: int) -> Array:
+    """Squares of each trial, [K]."""
+    return np.array([np.nansum(gap[trial == k].astype(float) ** 2) for k in range(trials)])
 
 
 def _rms(gap: NDArray[np.float32]) -> float:

@@ -1,6 +1,7 @@
 """`softarm diagnose` and `softarm excite --plan`: what goes in and out; the diagnosis itself is a stand-in."""
 
 import json
+import shlex
 from types import SimpleNamespace
 
 import numpy as np
@@ -96,6 +97,34 @@ def test_it_writes_verdict_report_and_patch_and_says_the_answer(asked, tmp_path)
     assert "warning: one frame is missing" in told
     assert f"softarm excite --plan {places[0]}" in told
     assert [trial.name for trial in asked.trials] == ["a"]
+
+
+@pytest.mark.parametrize("written", [True, False], ids=["with a verdict", "without"])
+@pytest.mark.parametrize("configured", [True, False], ids=["with softarm.yaml", "without"])
+def test_the_next_command_runs_as_it_is_printed(asked, tmp_path, monkeypatch, written, configured):
+    monkeypatch.chdir(tmp_path)
+    write_trial(tmp_path / "campaign" / "a", Model(effects={}))
+    if configured:
+        (tmp_path / "softarm.yaml").write_text("recorder: {directory: logs}\n")
+    outcome = run("diagnose", "campaign", *(("--json", "a verdict.json") if written else ()))
+    (line,) = [line for line in outcome.output.splitlines() if line.startswith("next: the excitation")]
+    _, name, *command = shlex.split(line[line.index("softarm excite") :])
+    assert name == "excite"
+    assert ("--plan" in command) == written
+    assert ("--config" in command) == configured
+    # On a robot it would move one: played in this process instead, with everything else as printed.
+    played = run("excite", *command, *(("--simulated",) if configured else ()))
+    assert played.exit_code == 0, played.output
+    assert "played pressure-multisine" in played.output
+
+
+def test_another_rig_is_told_what_to_record_and_no_command(asked, tmp_path):
+    (set_,) = (NAMED.effects[0].model_copy(update={"equivalents": ("pressure.lag",)}),)
+    asked.verdict = NAMED.model_copy(update={"effects": (set_,), "next_experiment": None})
+    outcome = run("diagnose", write_trial(tmp_path / "c" / "a"))
+    told = " ".join(outcome.output.split())
+    assert "next: To tell apart pressure.dead_time and pressure.lag: a step: flat foot or slope at once" in told
+    assert "softarm excite" not in told
 
 
 def test_it_writes_what_the_recordings_show_of_the_rail(asked, tmp_path):

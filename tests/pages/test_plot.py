@@ -61,3 +61,9 @@ def test_beyond_the_budget_every_curve_is_thinned_alike(monkeypatch):
 def test_a_number_without_a_unit_shows_none():
     items = [Traces(("one",), "", unit, np.zeros(1), {"a": np.zeros(1)}) for unit in ("-", "1", "kPa")]
     assert [packed["unit"] for packed in plot.packed(("trial",), items)["items"]] == ["", "", "kPa"]
+
+
+def test_a_page_may_open_on_a_part_of_its_first_recording():
+    items = [Traces(("one",), "", "-", np.arange(5.0), {"a": np.zeros(5)})]
+    assert plot.packed(("trial",), items, view=(1.0, 2.0))["view"] == [1.0, 2.0]
+    assert "view" not in plot.packed(("trial",), items)

@@ -10,7 +10,9 @@ import pytest
 
 from softarm.diagnosis import report
 from softarm.diagnosis.engine.result import Diagnosis, Leftover, Overlay, Regime, Rival, Spectrum
-from softarm.diagnosis.report import words
+from softarm.diagnosis.report import following, overlays, words
+from softarm.diagnosis.report.answer import headline
+from softarm.diagnosis.rigs.vocabulary import effects
 from softarm.pages import plot
 from softarm.schemas.model import Model
 from softarm.schemas.verdict import (
@@ -98,6 +100,7 @@ def diagnosis(**changes):
         "leftovers": (Leftover("arm", 0.4, (("sign of the rate", 0.3), (NASTY, 0.1))),),
         "nuisances": {"arm.stiffness.scale": 0.01},
         "seconds": 12.0,
+        "held_out": "kind",
     }
     return Diagnosis(**values | changes)
 
@@ -117,13 +120,14 @@ OWN_RIG = Verdict(
     effects=(DEAD_TIME.model_copy(update={"name": "axis.deadband"}),),
     gap=Gap(before=rms("rad", axis=0.1), after=rms("rad", axis=0.05), floor={}, ceiling={}),
 )
+AXIS = {effect.name: effect for effect in effects("tracking", "axis", "rad")}
 CASES = {
     "named": diagnosis(),
     "set": diagnosis(verdict=verdict(effects=(DEAD_TIME.model_copy(update={"equivalents": ("pressure.lag",)}),))),
     "incomplete": diagnosis(verdict=verdict(verdict="incomplete", effects=(DEAD_TIME, OTHER_DELAY, GONE))),
     "unknown": diagnosis(verdict=verdict(verdict="unknown", effects=()), patched=None),
     "none": Diagnosis(NOTHING, Model(), None, ()),
-    "own rig": Diagnosis(OWN_RIG, None, None, (("a", "free", 1.0),)),
+    "own rig": Diagnosis(OWN_RIG, None, None, (("a", "free", 1.0),), held_out="block", vocabulary=AXIS),
 }
 
 
@@ -193,8 +197,9 @@ def test_the_named_effect_is_told_with_its_value_certainty_and_gain():
     assert what == "The simulator lacks pressure.dead_time: the regulator starts to react late; delay 61 ms (55 to 68)."
     assert "94 %" in sure
     assert "81 % of the gap arises in the pressure stage (deflating, above 2 Hz)" in sure
-    assert "the pressure stage's gap shrinks from 1.2 to 0.31 kPa RMS (74 % less, 70 to 78 %)" in shrinks
-    assert "the tip's over the whole chain shrinks from 20 to 10 mm RMS (50 % less)" in shrinks
+    assert "the pressure stage's gap shrinks from 1.2 to 0.31 kPa RMS (74 % less, 95 % interval 70 to 78)" in shrinks
+    assert "the tip's over the whole chain shrinks from 20 to 10 mm RMS (50 % less, 95 % interval 40 to 60)" in shrinks
+    assert "on kinds of excitation that no fit had seen" in shrinks
 
 
 def test_an_effect_that_the_robot_lacks_and_one_with_another_value_are_told_so():
@@ -212,27 +217,177 @@ def test_an_effect_that_the_robot_lacks_and_one_with_another_value_are_told_so()
 
 def test_a_set_is_told_as_a_set_and_no_single_member_of_it_as_the_cause():
     what, _, _ = report.answer(CASES["set"])
-    assert what == "The simulator lacks one of pressure.dead_time or pressure.lag (this data cannot tell which)."
+    assert what == "The simulator lacks one of pressure.dead_time or pressure.lag (this recording cannot tell which)."
 
 
-def test_a_headline_names_few_and_counts_the_rest():
-    many = tuple(DEAD_TIME.model_copy(update={"name": f"joint.effect{i}"}) for i in range(26))
-    assert words.headline(diagnosis(verdict=verdict(effects=many))) == (
-        "joint.effect0, joint.effect1, joint.effect2 and 23 others"
-    )
-    assert words.headline(diagnosis(verdict=verdict(effects=many[:4]))).endswith("joint.effect2 and joint.effect3")
+def test_a_headline_names_four_and_counts_more():
+    many = tuple(DEAD_TIME.model_copy(update={"name": f"joint{i % 6}.effect{i}"}) for i in range(26))
+    assert headline(diagnosis(verdict=verdict(effects=many))) == "26 effects in 6 stages"
+    assert headline(diagnosis(verdict=verdict(effects=many[:4]))).endswith("joint2.effect2 and joint3.effect3")
+    assert headline(diagnosis(verdict=verdict(effects=many[::6]))) == "5 effects in joint0"
     alike = DEAD_TIME.model_copy(update={"equivalents": tuple(e.name for e in many)})
-    assert words.headline(diagnosis(verdict=verdict(effects=(alike,)))) == (
-        "pressure.dead_time, joint.effect0, joint.effect1 or 24 others"
+    assert headline(diagnosis(verdict=verdict(effects=(alike,)))) == "One of 27 effects in pressure"
+    pair = DEAD_TIME.model_copy(update={"equivalents": ("pressure.lag",)})
+    assert headline(diagnosis(verdict=verdict(effects=(pair, OTHER_DELAY)))) == (
+        "one of pressure.dead_time or pressure.lag and rail.delay"
     )
 
 
-def test_the_shrink_at_the_top_has_its_interval_where_one_effect_has_it():
-    told = "pressure gap, 74 % less"
-    assert f"{told}, 70 to 78 %" in Page(report.render(CASES["named"])).words
-    several = Page(report.render(CASES["incomplete"])).words
-    assert told in several
-    assert f"{told}, 70" not in several
+def test_many_effects_are_told_by_law_with_the_stages_that_have_them():
+    many = [DEAD_TIME.model_copy(update={"name": f"servo{i}.lag"}) for i in (1, 2, 3)]
+    many += [
+        DEAD_TIME.model_copy(update={"name": f"servo{i}.{one}", "equivalents": (f"servo{i}.{other}",)})
+        for i, one, other in ((1, "deadband", "backlash"), (2, "backlash", "deadband"))
+    ]
+    what, _, _ = report.answer(diagnosis(verdict=verdict(effects=tuple(many)), nominal=None, patched=None))
+    assert what == (
+        "The model lacks 5 effects in 3 stages: "
+        "lag (servo1, servo2 and servo3), backlash or deadband (servo1 and servo2)."
+    )
+
+
+def test_every_shrink_stands_with_its_interval_or_says_that_there_is_none():
+    told = "pressure gap, 74 % less, 95 % interval"
+    assert f"{told} 70 to 78" in Page(report.render(CASES["named"])).words
+    several = CASES["incomplete"]
+    assert "pressure gap, 74 % less, interval not known" in Page(report.render(several)).words
+    joint = replace(several, together={"pressure": interval(0.74, 0.61, 0.8), "chain": interval(0.5, 0.45, 0.55)})
+    page = Page(report.render(joint)).words
+    assert f"{told} 61 to 80" in page
+    assert "tip, whole chain, 50 % less, 95 % interval 45 to 55" in page
+    assert "interval not known" not in page
+
+
+def test_a_gap_that_grows_has_its_interval_the_right_way_round():
+    gap = VERDICT.gap.model_copy(update={"after": rms("kPa", pressure=1.32)})
+    grown = diagnosis(verdict=verdict(gap=gap), together={"pressure": interval(-0.1, -0.2, 0.05)})
+    assert words.less(grown, "pressure") == "10 % more, 95 % interval -5 to 20"
+
+
+def test_each_stage_has_a_paragraph_with_effects_sizes_shrink_and_what_is_left():
+    told = report.paragraphs(CASES["named"])
+    assert list(told) == ["pressure", "arm", "chain"]
+    assert told["pressure"] == (
+        "its simulator lacks pressure.dead_time (the regulator starts to react late), delay 61 ms (55 to 68). "
+        "With it, its gap shrinks from 1.2 to 0.31 kPa RMS (74 % less, 95 % interval 70 to 78), on kinds of excitation "
+        "that no fit had seen; what is left is 1.5 times the 0.2 kPa that count as none."
+    )
+    assert told["arm"] == "4 mm RMS, 1.3 times the 3 mm that count as none; no effect is named for it."
+    assert "from 20 to 10 mm RMS (50 % less, 95 % interval 40 to 60)" in told["chain"]
+
+
+def test_a_stage_within_its_floor_has_no_gap():
+    assert report.paragraphs(CASES["none"]) == {"pressure": "no gap: 0.1 kPa RMS, where 0.2 kPa count as none."}
+
+
+def test_a_rigs_effects_are_explained_and_sized_in_a_table_and_a_set_names_each_of_its_members():
+    of_a_set = DEAD_TIME.model_copy(
+        update={
+            "name": "axis.deadband",
+            "equivalents": ("axis.backlash",),
+            "parameters": {"width": Estimate(value=0.02, low=0.01, high=0.03, unit="rad")},
+        }
+    )
+    case = replace(CASES["own rig"], verdict=OWN_RIG.model_copy(update={"effects": (of_a_set,)}))
+    page = Page(report.render(case)).words
+    for name in ("axis.deadband", "axis.backlash"):
+        assert AXIS[name].meaning in page
+    assert "width 0.020 rad (0.010 to 0.030)" in page
+    told = report.paragraphs(case)["axis"]
+    assert "this recording cannot tell which; if it is axis.deadband, width 0.020 rad" in told
+    assert "named, not separable" in page
+
+
+def test_a_size_with_an_open_end_says_so():
+    assert words.interval(interval(23.0, 20.0, 1e12), "rad/s^2") == "23 rad/s^2 (20 or more)"
+    assert words.interval(interval(1e12, 20.0, 1e12), "rad/s^2") == "20 rad/s^2 or more"
+
+
+def test_every_set_has_what_tells_its_members_apart_or_that_nothing_does():
+    def steps(*equivalents):
+        effect = DEAD_TIME.model_copy(update={"equivalents": equivalents})
+        return report.steps(diagnosis(verdict=verdict(effects=(effect,))))
+
+    assert steps("pressure.lag") == [
+        "To tell apart pressure.dead_time and pressure.lag: "
+        "a step: flat foot or slope at once; a multisine over a decade."
+    ]
+    assert "nothing in the list of effects says what would" in steps("mocap.scale")[0]
+    assert (
+        "pressure.dead_time and pressure.deadband: ramps of several slopes"
+        in (steps("pressure.lag", "pressure.deadband")[0])
+    )
+
+
+def test_what_separates_two_effects_is_the_same_from_either_side():
+    for one, other in (("pressure.lag", "pressure.dead_time"), ("arm.stiffness", "arm.muscle_gain")):
+        assert (
+            following.separation(CASES["named"], one, other) == following.separation(CASES["named"], other, one) != ""
+        )
+    assert following.separation(CASES["own rig"], "axis.deadband", "axis.backlash").startswith("reversals under load")
+
+
+def test_a_flight_is_for_the_robot_and_another_rig_is_told_what_to_record():
+    assert report.flight(CASES["named"]).name == "free-decay"
+    plan = NextExperiment(
+        excitation="slow ramps", separates=("axis.deadband", "axis.lag"), expect={"axis.lag": "a slope"}
+    )
+    case = replace(CASES["own rig"], verdict=OWN_RIG.model_copy(update={"next_experiment": plan}))
+    assert report.flight(case) is None
+    assert report.steps(case) == ["Record this, which tells apart axis.deadband and axis.lag: slow ramps."]
+    page = Page(report.render(case)).words
+    assert "softarm excite" not in page
+    assert "a slope" in page
+
+
+def test_an_unknown_cause_of_a_rig_asks_for_the_worst_recording_again():
+    lone = verdict(verdict="unknown", effects=(), next_experiment=None)
+    (step,) = report.steps(diagnosis(verdict=lone, nominal=None, patched=None))
+    assert step.startswith("Record ")
+    assert "nothing shows the gap of pressure better" in step
+
+
+def test_none_beside_a_gap_above_its_floor_does_not_claim_that_all_is_well():
+    gap = Gap(before=rms("s", clock=0.0067), after={}, floor=rms("s", clock=0.0012), ceiling={})
+    what, sure, then = report.answer(replace(CASES["none"], verdict=NOTHING.model_copy(update={"gap": gap})))
+    assert what == "No cause of a gap between robot and simulator was found on this data."
+    assert "6.7 ms RMS, where 1.2 ms count as none" in sure
+    assert "not proof that nothing is there" in sure
+    assert "agree" not in what + sure + then
+    assert headline(replace(CASES["none"], verdict=NOTHING.model_copy(update={"gap": gap}))) == "No cause found"
+
+
+def test_without_a_measured_confidence_no_figure_stands_in_for_it():
+    bare = DEAD_TIME.model_copy(update={"confidence": None})
+    case = diagnosis(verdict=verdict(effects=(bare,)))
+    _, sure, _ = report.answer(case)
+    assert sure.startswith("How often such an answer is right has not been measured")
+    page = Page(report.render(case)).words
+    assert "Confidence is how often" not in page
+    assert "94 %" not in page
+
+
+@pytest.mark.parametrize(
+    ("held_out", "says", "does_not"),
+    [
+        ("kind", "on the kinds of excitation that the fit has not seen", "stretches of"),
+        ("trial", "there is no kind of excitation that it has not seen", "stretches of"),
+        ("block", "how it does on new motions is not measured", "kinds of excitation that"),
+        (None, "on data that the fit has not seen", "excitation"),
+    ],
+)
+def test_the_method_says_what_was_held_out_in_this_run(held_out, says, does_not):
+    page = Page(report.render(diagnosis(held_out=held_out))).words
+    told = page[page.rindex("Method") :]
+    assert says in told
+    assert does_not not in told
+
+
+def test_the_method_says_nothing_of_what_was_not_done():
+    told = Page(report.render(CASES["none"])).words
+    told = told[told.rindex("Method") :]
+    for absent in ("jackknife", "Confidence", "flexible model", "drawn anew"):
+        assert absent not in told
 
 
 def test_an_unknown_cause_names_no_effect_as_the_cause():
@@ -252,6 +407,43 @@ def test_each_overlay_is_on_the_page_and_one_of_the_blamed_stage_comes_first():
         assert item["chosen"] == [overlay.stage, NASTY, overlay.channel]
         assert list(item["curves"]) == ["measured", "nominal", "patched"][: 2 if overlay.patched is None else 3]
     assert [item["band"] for item in data["items"]] == [0.003, 0.2]
+
+
+def drawn(stage, trial, swing, gap, samples=400):
+    t = np.arange(samples) / 100
+    measured = swing * np.sin(t)
+    return Overlay(
+        stage, trial, "seed", stage, {"arm": "m", "pressure": "kPa"}[stage], t, measured, measured - gap, None
+    )
+
+
+def test_the_picture_that_shows_first_is_the_largest_gap_against_its_floor():
+    shown = (
+        drawn("arm", "a", 0.1, 0.02),  # seven floors, and not the blamed stage
+        drawn("pressure", "quiet", 0.1, 0.3),  # thrice its own swing
+        drawn("pressure", "worst", 10.0, 0.9),
+        drawn("pressure", "calm", 20.0, 0.1),
+    )
+    assert overlays.first(diagnosis(overlays=shown)) == 2
+
+
+def test_where_nothing_is_wrong_the_liveliest_signal_shows_first_and_no_noise():
+    gap = Gap(before={}, after={}, floor=rms("kPa", pressure=0.2) | rms("m", arm=0.003), ceiling={})
+    shown = (
+        drawn("pressure", "noise", 0.01, 0.1),
+        drawn("arm", "calm", 0.01, 0.001),
+        drawn("arm", "swing", 0.3, 0.001),
+    )
+    case = replace(CASES["none"], verdict=NOTHING.model_copy(update={"gap": gap}), overlays=shown)
+    assert overlays.first(case) == 2
+
+
+def test_a_long_trial_opens_where_its_gap_is_and_a_short_one_whole():
+    gap = np.where(np.abs(np.arange(6000) - 4500) < 100, 1.0, 0.001)
+    start, end = overlays.window(drawn("pressure", "long", 1.0, gap, 6000))
+    assert start <= 44.01
+    assert 45.99 <= end <= start + 6.0
+    assert overlays.window(drawn("pressure", "short", 1.0, 0.1)) is None
 
 
 def test_a_large_recording_is_thinned_and_the_page_says_so(monkeypatch):

@@ -269,7 +269,12 @@ def test_a_servos_dead_zone_and_droop_are_named():
         command = {"multisine": tone(T, i), "steps": steps, "slow": slow}[kind]
         seen = np.nan_to_num(follow(truth, command), nan=0.0)
         trials.append(servo(command, np.round((seen + 2e-4 * draw.normal(size=len(T))) / 1e-3) * 1e-3, T, kind, kind))
-    found = {e.name: e for e in diagnose_table(trials).verdict.effects}
+    diagnosis = diagnose_table(trials)
+    found = {e.name: e for e in diagnosis.verdict.effects}
+    together, gap = diagnosis.together["servo"], diagnosis.verdict.gap
+    assert together.value == pytest.approx(1 - gap.after["servo"].value / gap.before["servo"].value, abs=1e-6)
+    assert together.low < together.value < together.high
+    assert all(diagnosis.vocabulary[name].meaning for e in found.values() for name in (e.name, *e.equivalents))
     named = {name: {name, *e.equivalents} for name, e in found.items()}
     assert any("servo.deadband" in each for each in named.values())
     assert any("servo.gain" in each for each in named.values())

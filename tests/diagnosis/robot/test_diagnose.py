@@ -83,6 +83,16 @@ def test_the_gap_of_its_stage_shrinks_and_the_shrink_is_held_out(out, diagnosed)
     assert verdict.where.share[stage] > 0.8
 
 
+def test_what_goes_with_all_named_effects_together_has_an_interval_around_the_gaps_own_share(diagnosed):
+    diagnosis = diagnosed(("pressure.lag", "rail.delay"))
+    gap = diagnosis.verdict.gap
+    assert {"pressure", "rail", "chain"} <= diagnosis.together.keys()
+    for stage, of in diagnosis.together.items():
+        assert of.value == pytest.approx(1 - gap.after[stage].value / gap.before[stage].value, abs=2e-3), stage
+        assert of.low < of.value < of.high or of.value == of.high == 1, stage
+    assert diagnosis.held_out == "kind"
+
+
 def test_the_shrink_holds_on_excitations_that_no_fit_has_seen(diagnosed, campaign):
     out = ("pressure.lag", "rail.delay")
     diagnosis = diagnosed(out)

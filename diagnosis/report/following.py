@@ -1,0 +1,60 @@
+"""What to do next, in words: the recording that was asked for, and for every set what tells its members apart."""
+
+from itertools import combinations
+
+from softarm.diagnosis.engine.result import Diagnosis
+from softarm.diagnosis.report import overlays
+from softarm.diagnosis.report.words import known
+from softarm.pages.numbers import listed
+from softarm.schemas.excitation import EXCITATIONS, Excitation
+
+
+def flight(diagnosis: Diagnosis) -> Excitation | None:
+    """The excitation that `softarm excite --plan` would play; None for another rig, which it cannot move."""
+    plan = diagnosis.verdict.next_experiment
+    return EXCITATIONS.get(plan.excitation) if plan is not None and diagnosis.nominal is not None else None
+
+
+def steps(diagnosis: Diagnosis) -> list[str]:
+    """What to record besides such a flight, a sentence each; empty where nothing is asked for."""
+    plan = diagnosis.verdict.next_experiment
+    found = []
+    if plan is not None and flight(diagnosis) is None:
+        apart = f", which tells apart {listed(plan.separates)}" if plan.separates else ""
+        found.append(f"Record this{apart}: {plan.excitation}.")
+    asked = frozenset(plan.separates) if plan is not None else frozenset()
+    for effect in diagnosis.verdict.effects:
+        members = (effect.name, *effect.equivalents)
+        if effect.equivalents and not asked.issuperset(members):
+            found.append(f"To tell apart {listed(members)}: {_apart(diagnosis, members)}.")
+    if diagnosis.verdict.verdict == "unknown" and plan is None and diagnosis.overlays:
+        worst = diagnosis.overlays[overlays.first(diagnosis)]
+        found.append(
+            f"Record {worst.trial} again, some five times, as nothing shows the gap of {worst.stage} better: "
+            "what comes again each time is an effect that nobody has named, what does not is chance."
+        )
+    return found
+
+
+def _apart(diagnosis: Diagnosis, members: tuple[str, ...]) -> str:
+    """What the vocabulary says of a set's pairs."""
+    said = {(a, b): text for a, b in combinations(members, 2) if (text := separation(diagnosis, a, b))}
+    if not said:
+        return "nothing in the list of effects says what would; leave it a set, or record other motions"
+    if len(members) == 2:
+        return next(iter(said.values()))
+    return "; ".join(f"{a} and {b}: {text}" for (a, b), text in said.items())
+
+
+def separation(diagnosis: Diagnosis, one: str, other: str) -> str:
+    """What tells two effects apart, as the vocabulary has it; empty where it says nothing."""
+    effect = known(diagnosis, one)
+    if effect is None or other not in effect.confused_with:
+        return ""
+    text = f"; {effect.separated_by}"
+    start = text.find(f"; {other}: ")
+    if start < 0:
+        return ""
+    start += len(f"; {other}: ")
+    ends = (text.find(f"; {name}: ", start) for name in effect.confused_with)
+    return text[start : min((end for end in ends if end >= 0), default=len(text))]
