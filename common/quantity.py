@@ -55,6 +55,7 @@ _SIGNS = str.maketrans(
         "\N{MIDDLE DOT}": " ",
     }
 )
+_COLUMNS = (PURE, "s", "m", "rad", "rad/s", "kPa", "N", "N m", "V", "A", "counts", "kg", "Hz")  # what sensors show
 _PRODUCTS = {"Nm": "N m", "N*m": "N m", "mNm": "mN m", "mN*m": "mN m", "Ncm": "N cm", "Nmm": "N mm", "kNm": "kN m"}
 _HUGE = 1e15  # beyond, a number is a slip of the hand, not of the unit
 _NUMBER = re.compile(r"\s*([-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?)\s*(.*?)\s*")
@@ -153,7 +154,8 @@ def factor(unit: str) -> tuple[float, str]:
         with contextlib.suppress(ValueError):
             worth, own = factor(rate[1])
             return worth, own + rate[2].replace(" ", "")
-    names = [name for own, others in UNITS.items() for name in (own, *others)]
+    known = {own: others for own, others in UNITS.items() if own in _COLUMNS}
+    names = [name for own, others in known.items() for name in (own, *others)]
     same = [name for name in names if name.lower() == plain.lower()]
     near = f"did you mean {' or '.join(same)}? " if same else did_you_mean(plain, names)
     raise ValueError(f"no unit '{unit}'; {near}allowed {', '.join(names)}, and these per second (V/s, deg/s^2)")

@@ -2,7 +2,7 @@
 
 from typing import Annotated, Literal
 
-from pydantic import AfterValidator, Field
+from pydantic import AfterValidator, BeforeValidator, Field
 
 from softarm.common.quantity import factor
 from softarm.schemas.base import Strict
@@ -11,13 +11,17 @@ from softarm.schemas.stage_model import LINKS_MAX, ModelValue, StageKind
 __all__ = ["Column", "Mechanism", "SeveralFile", "StageFile", "StageKind", "TableForm", "TableTrial", "TrialFile"]
 
 
+def _pure(unit: object) -> object:
+    return "1" if unit == 1 else unit  # as YAML reads it without quotes
+
+
 def _known(unit: str) -> str:
     factor(unit)
     return unit
 
 
 # Of a column's numbers; what they are multiplied by is `softarm.common.quantity.factor`'s to say.
-Unit = Annotated[str, AfterValidator(_known)]
+Unit = Annotated[str, BeforeValidator(_pure), AfterValidator(_known)]
 
 
 class TrialFile(Strict):

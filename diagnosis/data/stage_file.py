@@ -141,23 +141,29 @@ def _has_segment(about: Mechanism) -> bool:
 
 def _fitting(base: Path, pattern: str) -> dict[tuple[str, ...], Path]:
     """Files that fit a pattern, by what stands for its stars."""
-    if Path(pattern).is_absolute():
-        base, pattern = Path(Path(pattern).anchor), str(Path(pattern).relative_to(Path(pattern).anchor))
+    plain, parts = Path(), list(Path(pattern).parts)
+    while not _STAR.search(parts[0]):  # the folders before the first star may lead anywhere
+        plain /= parts.pop(0)
+    base, pattern = base / plain, "/".join(parts)
     exact = re.compile(_as_expression(pattern))
     found = {}
     for file in sorted(base.glob(pattern)):
         if file.is_file() and (fits := exact.fullmatch(file.relative_to(base).as_posix())):
-            found[tuple(part.strip("/").replace("/", "-") for part in fits.groups())] = file
+            found[tuple(part.replace("/", "-") for part in fits.groups() if part)] = file
     return found
 
 
 def _as_expression(pattern: str) -> str:
-    parts, at = [], 0
+    found, at = [], 0
     for star in _STAR.finditer(pattern):
-        parts.append(re.escape(pattern[at : star.start()]))
-        parts.append({"*": "([^/]*)", "?": "([^/])"}.get(star[0], "(.*)" if star[0] == "**" else f"({star[0]})"))
+        found.append(re.escape(pattern[at : star.start()]))
         at = star.end()
-    return "".join(parts) + re.escape(pattern[at:])
+        if star[0].startswith("**"):  # no folder, or any number of them
+            found.append("(.*?)/?" if pattern[at : at + 1] == "/" else "(.*)")
+            at += pattern[at : at + 1] == "/"
+        else:
+            found.append({"*": "([^/]*)", "?": "([^/])"}.get(star[0], f"({star[0]})"))
+    return "".join(found) + re.escape(pattern[at:])
 
 
 def _filled(pattern: str, starred: tuple[str, ...]) -> str:

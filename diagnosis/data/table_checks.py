@@ -13,6 +13,7 @@ from softarm.diagnosis.data import checks
 from softarm.diagnosis.data.stage_file import Recording
 from softarm.diagnosis.data.stage_rules import followed
 from softarm.diagnosis.data.trials import Array, Series, Trial, TrialError
+from softarm.schemas.stage_model import StageKind
 from softarm.schemas.trial import Column, Mechanism, TableChannel
 
 ROWS_LEAST, SECONDS_LEAST = 20, 0.8  # of what is measured
@@ -28,6 +29,7 @@ SWING_SURE = 50.0  # nor does any lag take so much
 SLOPE_S, SLOPE_TOLERANCE = 0.08, 0.3
 WRAP_RAD = 0.3  # a step this close to a whole turn is one
 UPRIGHT_RAD = 0.5
+PUSH_S, WEIGHT_M_S2 = 0.1, 10.0  # a mass's speed is looked at so often; what a slope may add to its force
 
 Place = Callable[[int], int]  # a row's index -> where people find it
 
@@ -76,13 +78,15 @@ def _time_unit(step: float) -> str | None:
     return next((unit for unit, worth in units.items() if low <= step * worth <= high), None)
 
 
-def ranges(series: Series, channel: TableChannel, where: str) -> Iterator[str]:
+def ranges(series: Series, kind: StageKind, channel: TableChannel, where: str) -> Iterator[str]:
     """Ranges that no mechanism of a laboratory has in the unit that the stage.yaml names."""
-    limits = {"rad": (13.0, "degrees"), "m": (20.0, "millimetres"), "kPa": (2000.0, "Pa"), "m/s": (50.0, "mm/s")}
+    limits = {"m": (20.0, "millimetres"), "kPa": (2000.0, "Pa"), "m/s": (50.0, "mm/s")}
+    if kind != "driven_mass":  # a wheel turns for long
+        limits["rad"] = (13.0, "degrees")
     for name, column in channel.columns.items():
-        _, unit = factor(column.unit)
+        worth, unit = factor(column.unit)
         top = float(np.max(np.abs(series[name] - column.add), initial=0.0))
-        if unit in limits and top > limits[unit][0]:
+        if unit in limits and top > limits[unit][0] and worth <= 1.0:  # bar and rev are written by who means them
             yield (
                 f"{where}: {name} goes up to {top:.4g} {unit} (from {column.source}, said to be in {column.unit}); "
                 f"is it in {limits[unit][1]}? correct `unit` in the stage.yaml"
@@ -96,9 +100,8 @@ def mistakes(trial: Trial, about: Mechanism, recording: Recording) -> Iterator[s
     yield from _apart(trial, at)
     yield from _dead(trial, at)
     yield from _wrapped(trial, at)
-    for sure, text in (*_slips(trial, about, at), *_slopes(trial, at)):
-        if sure:
-            yield text
+    slips = [text for sure, text in (*_slips(trial, about, at), *_slopes(trial, at)) if sure]
+    yield from slips or _pushed(trial, at)
 
 
 def oddities(trial: Trial, about: Mechanism, recording: Recording) -> Iterator[str]:
@@ -245,10 +248,7 @@ def _static(trial: Trial, command: Array) -> Array:
     if "map" in model:
         pairs = np.asarray(model["map"], dtype=float)
         return np.asarray(np.interp(command, pairs[:, 0], pairs[:, 1]))
-    gain, offset = (
-        float(np.ravel(np.asarray(model.get(k, d), dtype=float))[0]) for k, d in (("gain", 1), ("offset", 0))
-    )
-    return gain * command + offset
+    return _single(model, "gain", 1.0) * command + _single(model, "offset", 0.0)
 
 
 def _slips(trial: Trial, about: Mechanism, at: _Columns) -> Iterator[tuple[bool, str]]:
@@ -268,8 +268,10 @@ def _slips(trial: Trial, about: Mechanism, at: _Columns) -> Iterator[tuple[bool,
         f"({at('command', 'command')})"
     )
     units = trial.stage.units
-    likely = _meant(units["measured"][name].worth / ratio, units["measured"][name].house, name)
-    likely = likely or _meant(units["command"]["command"].worth * ratio, units["command"]["command"].house, "command")
+    measured, command = units["measured"][name], units["command"]["command"]
+    likely = _either(
+        _meant(measured.worth / ratio, measured.house, name), _meant(command.worth * ratio, command.house, "command")
+    )
     levels = [float(np.mean(x)) for x in (seen, wanted)]
     same_level = levels[1] and abs(levels[1]) > 0.3 * spread[1]
     slipped = abs(levels[0] / levels[1] / ratio - 1) < 2 * ALIKE if same_level else ratio < 1 / SWING_SURE
@@ -279,11 +281,41 @@ def _slips(trial: Trial, about: Mechanism, at: _Columns) -> Iterator[tuple[bool,
         yield ratio > SWING_SURE or ratio < 1 / SWING_SURE, f"{said}; correct a `unit`, or write `gain` in the model"
 
 
+def _pushed(trial: Trial, at: _Columns) -> Iterator[str]:
+    """A mass that changes its speed by far more than its force could, its weight besides."""
+    if trial.stage is None or trial.stage.kind != "driven_mass" or not {"force", "measured"} <= trial.channels.keys():
+        return
+    driver, place = next(iter(trial.channels["force"].columns)), next(iter(trial.channels["measured"].columns))
+    force, measured, model = trial.channels["force"], trial.channels["measured"], trial.stage.model
+    if min(len(force), len(measured)) < ROWS_LEAST:
+        return
+    gain, offset = _single(model, "gain", 1.0), _single(model, "offset", 0.0)
+    mass = _single(model, "inertia_kg_m2", _single(model, "mass_kg", 1.0))
+    t = np.arange(measured.t_s[0], measured.t_s[-1], PUSH_S)
+    x = np.interp(t, measured.t_s, measured[place])
+    jumps = np.diff(x, 1 if place == "velocity" else 2) / (1.0 if place == "velocity" else PUSH_S)
+    most = (abs(gain) * float(np.max(np.abs(force[driver]))) + abs(offset)) / mass + WEIGHT_M_S2
+    seen = float(np.quantile(np.abs(jumps), 0.9)) / PUSH_S if len(jumps) else 0.0
+    if seen > SWING_SURE * most:
+        yield (
+            f"{at('measured', place)}: {place} speeds up with {seen:.3g} (in m/s^2 or rad/s^2), where {driver} "
+            f"({at('force', driver)}) and the model's mass allow {most:.3g}; correct a `unit`, `gain` or the mass"
+        )
+
+
+def _single(model: Mapping[str, object], key: str, default: float) -> float:
+    return float(np.ravel(np.asarray(model.get(key, default), dtype=float))[0])
+
+
 def _meant(worth: float, house: str, name: str) -> str:
     """The known unit of such a worth, in words; empty when there is none."""
     known = {house: 1.0, **UNITS.get(house, {})} if house != PURE else {"%": 0.01, "1": 1.0}
     found = sorted((unit for unit, each in known.items() if abs(worth / each - 1) < ALIKE), key=len)
     return f"{name} looks like {found[0]}" if found else ""
+
+
+def _either(*likely: str) -> str:
+    return " or ".join(filter(None, likely))
 
 
 def _slopes(trial: Trial, at: _Columns) -> Iterator[tuple[bool, str]]:
@@ -304,8 +336,10 @@ def _slopes(trial: Trial, at: _Columns) -> Iterator[tuple[bool, str]]:
         likely = (
             "one of the two has its sign turned"
             if abs(ratio + 1) <= SLOPE_TOLERANCE
-            else _meant(units[place].worth * ratio, units[place].house, place)
-            or _meant(units[rate].worth / ratio, units[rate].house, rate)
+            else _either(
+                _meant(units[place].worth * ratio, units[place].house, place),
+                _meant(units[rate].worth / ratio, units[rate].house, rate),
+            )
         )
         yield (
             bool(likely),

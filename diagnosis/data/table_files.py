@@ -203,7 +203,7 @@ def _numbers(
     raw = _find(table, name)
     missing = _missing(form)
     if isinstance(raw, list):
-        return _texts(table, name, raw, missing)
+        return _texts(table, name, raw, missing, bool(form.missing))
     values = np.asarray(raw)
     if values.dtype == object and element is not None:  # lists in a column
         values = np.array([_element(table, name, i, cell, element) for i, cell in enumerate(values)])
@@ -247,11 +247,11 @@ def _missing(form: TableForm) -> Callable[[str | float], bool]:
     return missing
 
 
-def _texts(table: Table, name: str, cells: Sequence[str], missing: Callable[[str | float], bool]) -> Array:
-    """Texts as numbers, [N]."""
+def _texts(table: Table, name: str, cells: Sequence[str], missing: Callable[[str | float], bool], marks: bool) -> Array:
+    """Texts as numbers, [N]; marks: there are any."""
     try:
         values = np.array(cells, dtype=float)
-        if np.isfinite(values).all() and not any(map(missing, values.tolist())):
+        if np.isfinite(values).all() and not (marks and any(map(missing, values.tolist()))):
             return values
     except ValueError:
         pass

@@ -64,7 +64,7 @@ def _trial(stage: Stage, recording: Recording, element: str, loaded: dict[Path, 
         place = about.elements.get(element)
         series, found = _series(loaded[path], channel, stage.form, recording.segment, place)
         channels[name], odd = checks.tidy_stamps(series, f"{path}: {name}")
-        warnings += (*found, *odd, *table_checks.ranges(channels[name], channel, f"{path}: {name}"))
+        warnings += (*found, *odd, *table_checks.ranges(channels[name], about.kind, channel, f"{path}: {name}"))
     if about.angles == "relative":
         channels["measured"] = _absolute(channels["measured"], about.links)
     units = {
@@ -79,7 +79,7 @@ def _trial(stage: Stage, recording: Recording, element: str, loaded: dict[Path, 
         next(iter(recording.files.values())),
         channels,
         "free",
-        TableStage(own, about.kind, _in_house_units(about, units), units),
+        TableStage(own, about.kind, _in_house_units(about, units), units, about.angles == "relative"),
         tuple(warnings),
         missing,
     )

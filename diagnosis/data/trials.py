@@ -81,6 +81,7 @@ class TableStage:
     kind: StageKind
     model: Mapping[str, ModelValue]  # nominal parameters in the house's units: `softarm.schemas.stage_model`
     units: Mapping[str, Mapping[str, OwnUnit]] = field(default_factory=dict)  # channel -> column -> its owner's unit
+    relative: bool = False  # a chain's angles were measured from link to link; here they are absolute
 
     def unit(self, channel: str, column: str) -> str:
         """The house's unit of a column, which its Series is in; empty where the table does not say it."""

@@ -136,6 +136,18 @@ def test_files_of_two_channels_are_paired_by_what_stands_for_the_star(tmp_path):
     sound(trials[1])
 
 
+@pytest.mark.parametrize(
+    "pattern", ["**/data-*.csv", "deep/d*/data-*.csv", "../*/deep/down/data-?.csv", "deep/**/data-[ab].csv"]
+)
+def test_a_pattern_may_lead_anywhere(tmp_path, pattern):
+    table = "t,u,y\n" + rows(T, COMMAND, MEASURED)
+    stage = STAGE.replace("{name: one, kind: sine, files: data.csv}", f"{{files: '{pattern}'}}")
+    read(tmp_path / "here", table, stage, "deep/down/data-a.csv")
+    trials = read(tmp_path / "here", table, stage, "deep/down/data-b.csv")
+    assert len({t.name for t in trials}) == 2
+    assert all(t.name.endswith(("a", "b")) for t in trials)
+
+
 SEVERAL = """
 mechanisms:
   pan:

@@ -221,7 +221,7 @@ WRONG = {
     ),
     "pascals called kilopascals": (
         lambda rig: rig.seen["p"].__imul__(1e3),
-        r"seen.csv: column p: pressure moves 1.*e\+03 times .*sent.csv: column u\); pressure looks like Pa: correct",
+        r"seen.csv: column p: pressure moves 1.*e\+03 times .*sent.csv: column u\); pressure looks like Pa or comm",
     ),
     "psi called kilopascals": (
         lambda rig: rig.seen["p"].__itruediv__(6.895),
@@ -311,6 +311,84 @@ def test_what_is_wrong_is_one_sentence_with_place_and_next_step(rig, case):
     text = refusal(stage)
     assert re.search(says, text), text
     assert len(text.splitlines()) <= 2  # the same of each of two channels at most
+
+
+CART = """
+name: cart
+kind: driven_mass
+channels:
+  force: {time: {source: t, unit: s}, columns: {current: {source: i, unit: mA}}}
+  measured: {time: {source: t, unit: s}, columns: {position: {source: x, unit: mm}, velocity: {source: v, unit: mm/s}}}
+model: {mass_kg: 2, gain: 8}
+trials: [{files: cart.csv}]
+"""
+
+
+def cart(folder, **spoilt):
+    """A cart of 2 kg under 0.5 A of a motor that gives 8 N/A."""
+    moved = {"t": T, "i": 500 * np.sin(3 * T), "x": -1e3 * 2 / 9 * np.sin(3 * T), "v": -1e3 * 2 / 3 * np.cos(3 * T)}
+    moved |= spoilt
+    rows = zip(*(c.tolist() for c in moved.values()), strict=True)
+    (folder / "cart.csv").write_text("\n".join([",".join(moved), *(",".join(map(str, r)) for r in rows)]))
+    (folder / "stage.yaml").write_text(CART)
+    return folder / "stage.yaml"
+
+
+def test_a_cart_is_sound(tmp_path):
+    (trial,) = tables.read(cart(tmp_path))
+    assert trial.warnings == ()
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "says"),
+    [
+        (
+            "unit: mm/s",
+            "unit: m/s",
+            r"cart.csv: column v: velocity is 1e\+03 times .* position looks like m or velocity looks like mm/s",
+        ),
+        (
+            "unit: mm}",
+            "unit: m}",
+            r"cart.csv: column v: velocity is 0.001 times .* position looks like mm or velocity looks",
+        ),
+        (", velocity: {source: v, unit: mm/s}", "", "nothing"),
+        ("gain: 8", "gain: 0", r"stage.yaml:7: model.gain: is 0: nothing would move"),
+        (
+            ", gain: 8",
+            "",
+            r"stage.yaml:7: model: the input is a current or a voltage: write `gain`, N or N m for one A",
+        ),
+        ("mass_kg", "inertia_kg_m2", r"model: what is measured has angles or metres \(here m or m/s\): write mass_kg"),
+        ("unit: mA", "unit: mV", r"current.unit: is mV, no unit of a current; allowed what converts to A; correct it"),
+    ],
+)
+def test_a_slip_at_a_cart_is_told(tmp_path, old, new, says):
+    stage = cart(tmp_path)
+    assert old in CART
+    stage.write_text(CART.replace(old, new))
+    assert re.search(says, refusal(stage)), refusal(stage)
+
+
+def test_metres_called_kilometres_cannot_be_pushed(tmp_path):
+    stage = cart(tmp_path)
+    stage.write_text(CART.replace(", velocity: {source: v, unit: mm/s}", "").replace("unit: mm}", "unit: m}"))
+    assert re.search(r"column x: position speeds up with 1\.\d+e\+03 .* allow 12", refusal(stage)), refusal(stage)
+
+
+def test_an_angle_that_starts_again_and_a_pendulum_that_stands_at_pi(tmp_path):
+    rows = "".join(f"{t:.2f},{(a + 180) % 360 - 180}\n" for t, a in zip(T, 170 + 60 * np.sin(3 * T), strict=True))
+    (tmp_path / "swing.csv").write_text("t,a\n" + rows)
+    (tmp_path / "stage.yaml").write_text(
+        "name: joint\nkind: pendulum\nchannels:\n  measured: {time: {source: t, unit: s}, columns: {angle1: {source: a"
+        ", unit: deg}}}\nmodel: {mass_kg: 1, centre_m: 0.1, inertia_kg_m2: 0}\ntrials: [{files: swing.csv}]\n"
+    )
+    assert re.search(
+        r"swing.csv: column a: angle1 starts again after a whole turn at .*unwrap", refusal(tmp_path / "stage.yaml")
+    )
+    (tmp_path / "swing.csv").write_text("t,a\n" + "".join(f"{t:.2f},{180 + 20 * np.sin(3 * t)}\n" for t in T))
+    (trial,) = tables.read(tmp_path / "stage.yaml")
+    assert re.search(r"column a: angle1 is about 3.1\d rad .* hangs at 0; write `add: -3.141593`", trial.warnings[0])
 
 
 ODD = {
