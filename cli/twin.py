@@ -59,9 +59,9 @@ def _independent_body(model: "Model | None", faults: tuple[str, ...]) -> "Body":
         from softarm.drivers.bodies.independent import IndependentBody
         from softarm.flights.robots import with_faults
         from softarm.reality.parameters import of_model
-        from softarm.schemas.model import Model as Seed
+        from softarm.schemas.model import Model
 
-        return IndependentBody(with_faults(of_model(model or Seed()), faults))
+        return IndependentBody(with_faults(of_model(model or Model()), faults))
     except ModuleNotFoundError as error:
         if error.name != "mujoco":
             raise

@@ -164,8 +164,11 @@ class SoftwareInTheLoop:
         return dict(self.client.get("/api/status").raise_for_status().json())
 
     def observed(self) -> Observation:
-        """The newest observation."""
-        return Observation(*self.status()["observed"]["values"])
+        """The newest observation. Raises SoftwareInTheLoopError while there is none."""
+        status = self.status()
+        if status["observed"] is None:
+            raise SoftwareInTheLoopError(f"nothing is observed: {status['mode']}, last stop: {status['last_stop']}")
+        return Observation(*status["observed"]["values"])
 
     def printed(self, verb: str) -> str:
         """What a process has printed."""

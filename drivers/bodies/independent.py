@@ -1,12 +1,9 @@
 """The independent robot of `reality/` as a body, with sensors of its own. Needs the extra `mujoco`."""
 
-from typing import Self
-
 from softarm.drivers.bodies.base import PlacementError
-from softarm.reality.parameters import RobotParameters, of_model
+from softarm.reality.parameters import RobotParameters
 from softarm.reality.robot import Robot
 from softarm.schemas.messages import MocapFrame, PressureReading, RailReading
-from softarm.schemas.model import Model
 
 
 class IndependentBody:
@@ -30,11 +27,6 @@ class IndependentBody:
         self._pressure = PressureReading(0, self._truth.pressure_kpa, True)
         self._rail = RailReading(0, self._truth.cart_position_m, 0.0, True)
         self.now_ns = 0
-
-    @classmethod
-    def of_model(cls, model: Model | None, seed: int = 0) -> Self:
-        """The nominal robot of a model (None: the seed's). Raises ValueError for a model that it cannot be."""
-        return cls(of_model(model or Model()), seed)
 
     @property
     def travel_m(self) -> float:

@@ -56,7 +56,7 @@ def sentences(closed: Closed) -> list[str]:
         )
     told += _stops(closed)
     if closed.wires is not None:
-        told += _wires(closed.wires)
+        told += sentences_of(closed.wires)
     return told + _replanning(closed)
 
 
@@ -104,7 +104,7 @@ def _replanning(closed: Closed) -> list[str]:
     ]
 
 
-def _wires(wires: Wires) -> list[str]:
+def sentences_of(wires: Wires) -> list[str]:
     """What moved, and what came of it."""
     if wires.log is None and not wires.flights:
         return [f"Nothing moved through the wires of {wires.title}: {wires.ended}."]
@@ -134,7 +134,7 @@ def _through(wires: Wires) -> Html:
         "The daemon as a service would run it, in real time, by the configuration's drivers and with the limits below; "
         f"old and retrained in turns. In mid-swing: the goals follow each other without a rest.{log}"
     )
-    said = [el("p", prose(text)) for text in _wires(wires)]
+    said = [el("p", prose(text)) for text in sentences_of(wires)]
     return join([*said, table(head, flown, "Reached through the wires", (1, 2, 3, 4, 5)), el("p", note, class_="hint")])
 
 

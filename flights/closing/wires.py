@@ -4,6 +4,7 @@ The devices are the configuration's own, or our twin's in their place. On the de
 arms again, this does not.
 """
 
+import contextlib
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -177,6 +178,13 @@ class Bench(SoftwareInTheLoop):
         stop = None if status["mode"] == "armed" else str(status["last_stop"])
         return _Flight(stop is None and counts(status["goal"]["state"] == "reached", farthest_m), stop)
 
+    def lay_down(self) -> None:
+        """Disarm, and wait until the arm hangs still. Raises SoftwareInTheLoopError, httpx.HTTPError."""
+        if self.status()["mode"] == "armed":
+            self.post("disarm")
+        while self.status()["mode"] == "stopping":
+            time.sleep(POLL_S)
+
     def recover(self, why: str, policy: str) -> None:
         """After a stop: the twin's daemon is armed anew. Raises Ended where that is a person's to do."""
         if self._of_twin is None:
@@ -242,10 +250,10 @@ def fly(
                     found[key].append(list(_fly(bench, leg, key)))
         except Ended as why:
             ended = why
-        if bench.status()["mode"] == "armed":
-            bench.post("disarm")
-            while bench.status()["mode"] == "stopping":
-                time.sleep(POLL_S)
+        except (SoftwareInTheLoopError, httpx.HTTPError) as error:  # what was flown before counts all the same
+            ended = Ended(str(error) or type(error).__name__, None)
+        with contextlib.suppress(SoftwareInTheLoopError, httpx.HTTPError):
+            bench.lay_down()
     whole = min(map(len, found.values()))
     flown = {(key, manner): _flights(legs, found[key][:whole], manner) for key in policies for manner in MANNERS}
     is_the_robot = twin is None or twin.is_the_robot

@@ -28,3 +28,18 @@ def test_a_model_of_other_links_is_refused(tmp_path: Path) -> None:
     answer = CliRunner().invoke(main, ["twin", "--config", CONFIG, "--model", str(model), "--reality"])
     assert answer.exit_code == 1
     assert "has 2 links; the daemon flies an arm of 5" in answer.output
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says", "code"),
+    [
+        (("--fault", "rail.delay_s=0.09"), "--fault is for the independent robot: add --reality", 2),
+        (("--reality", "--fault", "rail.delay=0.09"), "allowed here: acceleration_m_s2", 1),
+    ],
+)
+def test_a_fault_is_the_independent_robots_and_one_that_there_is(
+    arguments: tuple[str, ...], says: str, code: int
+) -> None:
+    answer = CliRunner().invoke(main, ["twin", "--config", CONFIG, *arguments])
+    assert answer.exit_code == code
+    assert says in " ".join(answer.output.split())

@@ -9,7 +9,7 @@ from softarm.drivers.bodies.in_process import InProcessRobot
 from softarm.drivers.bodies.independent import IndependentBody
 from softarm.policies import registry
 from softarm.policies.hold import Hold
-from softarm.reality.parameters import Mocap, PressureSensor, Rail, RailSensor, RobotParameters
+from softarm.reality.parameters import Mocap, PressureSensor, Rail, RailSensor, RobotParameters, of_model
 from softarm.schemas.config import Config
 from softarm.schemas.goals import Goal
 from softarm.schemas.messages import BODY_NAMES
@@ -107,4 +107,4 @@ def test_the_cart_leans_on_the_end_of_its_travel():
 def test_a_model_that_it_cannot_be_is_refused():
     short = Arm(**{name: value[:3] for name, value in Arm() if isinstance(value, tuple)})
     with pytest.raises(ValueError, match="body has 3 links"):
-        IndependentBody.of_model(Model(arm=short))
+        IndependentBody(of_model(Model(arm=short)))

@@ -10,7 +10,7 @@ from softarm.daemon.config.configuration import load
 from softarm.daemon.limits.findings import RailFindings, compared
 from softarm.daemon.limits.measured import Bound, Measured, measure
 from softarm.daemon.logbook import logs
-from softarm.flights.closing import wires
+from softarm.flights.closing import story, wires
 from softarm.flights.closing.outcomes import CHAINED, NEW, OLD, REST
 from softarm.flights.software_in_the_loop import SoftwareInTheLoop, SoftwareInTheLoopError
 from softarm.policies.base import MODELS
@@ -103,3 +103,24 @@ def test_somebody_who_stops_the_robot_ends_it_and_the_latch_is_left_to_a_person(
     assert (found.flights, found.won, found.against) == (0, None, ())
     with pytest.raises(SoftwareInTheLoopError, match="an emergency stop is latched"):
         wires.fly(robot, BOTH, 2, "the robot", tmp_path, None, lambda text, share: None)
+
+
+@live
+def test_what_was_flown_before_the_daemon_died_counts(robot, tmp_path, monkeypatch):
+    begun = []
+    began = wires.Bench.use
+
+    def use(bench, policy):
+        begun.append(policy)
+        if len(begun) == 3:  # old and new have flown the first goal
+            bench.daemon.kill()
+        began(bench, policy)
+
+    monkeypatch.setattr(wires.Bench, "use", use)
+    found = wires.fly(robot, BOTH, 2, "the robot", tmp_path, None, lambda text, share: None)
+    assert found.flights == 1
+    assert found.ended is not None
+    assert found.ended_by is None
+    told = story.sentences_of(found)
+    assert told[0].startswith("Through the wires, on the robot: the old policy reaches ")
+    assert "ended before all was flown" in told[1]
