@@ -96,7 +96,7 @@ def close_gap(
         if clock := [name for name in (found.patched.effects if found.patched else ()) if name.startswith("clock.")]:
             warn(f"{', '.join(clock)}: trained with, not flown; the control loop that flies is the real one")
         own = bool(faults) or robot != REALITY
-        through = through_wires(Bench(config_file, rail, twin, robot, own, yes, goals, out, spent))
+        through = through_wires(Bench(config_file, twin, robot, own, yes, goals, out, spent))
         closed = steps.close(found, rail, file, out, held_back, own, recipe, spent, replanned=mppi, through=through)
     except (*wrong, ValueError, RuntimeError) as error:
         fail(str(error))

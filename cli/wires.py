@@ -11,7 +11,6 @@ import click
 from softarm.common.processes import bar
 
 if TYPE_CHECKING:
-    from softarm.daemon.limits.findings import RailFindings
     from softarm.flights.closing.closed import Closed
     from softarm.flights.closing.steps import Spent
     from softarm.flights.closing.wires import Twin, Wires
@@ -24,7 +23,6 @@ class Bench:
     """What is to be flown on, and by whose leave."""
 
     config_file: Path | None  # None: nothing
-    rail: "RailFindings"
     twin: bool
     robot: str  # the held-back one's: --robot
     declared: bool
@@ -64,15 +62,15 @@ def _kept_still(bench: Bench, closed: "Closed") -> str | None:
     from softarm.flights.closing import story, wires
 
     assert bench.config_file is not None
-    if refused := wires.refusals(bench.rail.config, bench.rail):
+    if refused := wires.refusals(closed.rail.config, closed.rail):
         return "; ".join(refused)
     if bench.yes:
-        click.echo(wires.what_moves(bench.rail.patched, bench.config_file.name, bench.goals), err=True)
+        click.echo(wires.what_moves(closed.rail.patched, bench.config_file.name, bench.goals), err=True)
         return None
     if not sys.stdin.isatty():
         return "nobody could be asked; give --yes"
     click.echo("\n".join(story.sentences(closed)), err=True)
-    click.echo(wires.what_moves(bench.rail.patched, bench.config_file.name, bench.goals), err=True)
+    click.echo(wires.what_moves(closed.rail.patched, bench.config_file.name, bench.goals), err=True)
     free = click.confirm("Is its surrounding free, and somebody at the emergency stop?", default=False, err=True)
     return None if free else "not wanted"
 
@@ -85,7 +83,7 @@ def _flown(bench: Bench, closed: "Closed", title: str) -> "Wires":
     from softarm.flights.software_in_the_loop import SoftwareInTheLoopError
 
     assert closed.retrained is not None
-    config, twin = bench.rail.patched, _twin(bench, closed) if bench.twin else None
+    config, twin = closed.rail.patched, _twin(bench, closed) if bench.twin else None
     policies = {OLD: closed.policy, NEW: closed.retrained.policy}
     logs = config.recorder.directory if twin is None else bench.out / "wires"
     try:

@@ -19,15 +19,18 @@ class Advice:
 
 
 def advise(closed: "Closed") -> Advice:
-    """Better on the patched simulator by an interval above nought; no more stops; not worse on the robot itself.
+    """Surely better on the patched simulator, or no worse there and surely better on the robot itself; worse nowhere.
 
-    The robot itself: the held-back one if it was declared to be the campaign's, and the one behind the wires. A
-    held-back robot that nobody declared may lack what was named, and is not asked.
+    Surely: by an interval above nought. The robot itself: the held-back one if it was declared to be the campaign's,
+    and the one behind the wires. A held-back robot that nobody declared may lack what was named, and is not asked.
     """
     if closed.retrained is None:
         return Advice("old", ("nothing was named, so nothing was patched or retrained",))
     against, won = [], closed.won(PATCHED)
-    if not won.above:
+    proven = [closed.won(HELD_BACK)] if closed.declared else []
+    if closed.wires is not None and closed.wires.is_the_robot and closed.wires.won is not None:
+        proven.append(closed.wires.won)
+    if won.value <= 0.0 or not (won.above or any(each.above for each in proven)):
         how = "worse" if won.below else "not surely better" if won.value > 0.0 else "no better"
         against.append(f"on its own patched simulator the retrained one is {how}: {won.text} of flights")
     for place in (PATCHED, HELD_BACK) if closed.declared else (PATCHED,):

@@ -15,6 +15,7 @@ from softarm.diagnosis import report
 from softarm.diagnosis.engine.result import Diagnosis
 from softarm.flights.closing import story, summary
 from softarm.flights.closing.closed import Closed, Place
+from softarm.flights.closing.diagnosed import with_diagnosed
 from softarm.flights.closing.fly import Flown, Replanning, fly_all
 from softarm.flights.closing.outcomes import HELD_BACK, NEW, NOMINAL, OLD, PATCHED, REPLANNED
 from softarm.flights.closing.wires import Wires
@@ -51,7 +52,7 @@ def close(
 ) -> Closed:
     """Patch the nominal simulator, train the policy on in it, fly old and new; all that is known ends up in `out`.
 
-    Trained and flown with the limits that the campaign shows of the rail, where those are stricter than configured.
+    Trained and flown with the limits that campaign or diagnosis show of the rail, where those are stricter.
     is_the_robot: the held-back robot was declared to be the campaign's, so its flights are the verdict's success_real.
     replanned: `mppi` on the patched model flies too. through: flies through wires what has been flown already, if it
     does. What the steps take is added to `spent`. Raises ValueError for a robot that no policy flies, CheckpointError
@@ -59,7 +60,7 @@ def close(
     """
     if found.nominal is None:
         raise ValueError("the campaign is of another rig, for which there is no policy; `softarm diagnose` is its verb")
-    held_back = of_the_nominal_body(held_back, found.nominal)
+    held_back, rail = of_the_nominal_body(held_back, found.nominal), with_diagnosed(rail, found.verdict)
     places = [Place(NOMINAL, "the nominal simulator", found.nominal)]
     files.write_text(out / LIMITS, rail.patch())  # beside the model that it belongs to, from the first
     policies: dict[str, Flown] = {OLD: policy}

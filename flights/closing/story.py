@@ -96,11 +96,11 @@ def _replanning(closed: Closed) -> list[str]:
     best = OLD if closed.advice.fly == "old" else NEW
     home, away = (closed.both(REPLANNED, key).share for key in (PATCHED, HELD_BACK))
     won = closed.won(HELD_BACK, REPLANNED, best)
-    how = "clearly more often" if won.above else "clearly less often" if won.below else "as often, as far as this tells"
+    how = "clearly more often than" if won.above else "clearly less often than" if won.below else "about as often as"
     return [
         f"Without any training: mppi, planning on patched-model.yaml, reaches {percent(home)} on the patched "
         f"simulator, which is the model it plans on, and {percent(away)} on {closed.place(HELD_BACK).title}, "
-        f"where it reaches {how} as the {TITLES[best].removesuffix(' policy')} one ({won.text})."
+        f"where it reaches {how} the {TITLES[best].removesuffix(' policy')} one ({won.text})."
     ]
 
 

@@ -204,7 +204,7 @@ def refusals(config: Config, rail: RailFindings) -> list[str]:
     for row in rail.rows:
         if row.advised is None:
             found.append(f"limits.rail.{row.key}: {row.why}; {row.advice}")
-        elif row.bound is None and row.key not in said:
+        elif row.bound is None and not row.milder and row.key not in said:
             found.append(f"limits.rail.{row.key} is neither configured nor seen: {row.why}, or configure it")
     return found
 

@@ -14,14 +14,19 @@ from softarm.schemas.config import Config, Limits, RailLimits
 
 SAID = ("latency_s", "braking_m_s2", "surge_m_s2", "drag_m_s")
 KNOWN = Config(limits=Limits(rail=RailLimits(**{key: getattr(RailLimits(), key) for key in SAID})))
-CLOSED = SimpleNamespace(retrained=object())
 
 
-def bench(config=KNOWN, file=Path("softarm.yaml"), **changed):
+def closed(config=KNOWN):
     measured = measure((), 6.0)
-    rail = RailFindings(config, measured, compared(measured, config))
+    return SimpleNamespace(retrained=object(), rail=RailFindings(config, measured, compared(measured, config)))
+
+
+CLOSED = closed()
+
+
+def bench(file=Path("softarm.yaml"), **changed):
     usual = {"twin": False, "robot": "reality", "declared": True, "yes": False, "goals": 1, "out": Path("out")}
-    return wires.Bench(file, rail, **usual | changed, spent={})
+    return wires.Bench(file, **usual | changed, spent={})
 
 
 @pytest.fixture
@@ -63,12 +68,12 @@ def test_leave_given_before_is_not_asked_for_and_what_moves_is_said(terminal, ca
 
 
 def test_nobody_is_asked_about_a_twin(terminal):
-    assert wires.through_wires(bench(Config(), twin=True))(CLOSED) == "flown"
+    assert wires.through_wires(bench(twin=True))(closed(Config())) == "flown"
     assert terminal.asked == []
 
 
 def test_no_leave_stands_for_limits_that_nobody_knows(terminal):
-    still = wires.through_wires(bench(Config(), yes=True))(CLOSED)
+    still = wires.through_wires(bench(yes=True))(closed(Config()))
     assert still.ended.startswith("limits.rail.latency_s is neither configured nor seen")
     assert terminal.flown == []
 

@@ -64,7 +64,7 @@ def test_what_is_better_everywhere_is_flown():
     [
         ({PATCHED: (147, 145)}, "on its own patched simulator the retrained one is no better: -1.2 % ("),
         ({PATCHED: (147, 130)}, "on its own patched simulator the retrained one is worse: -10.5 % ("),
-        ({PATCHED: (145, 146)}, "not surely better: +0.6 % (0 to +"),
+        ({PATCHED: (145, 146), HELD_BACK: (140, 140)}, "not surely better: +0.6 % (0 to +"),
         ({HELD_BACK: (140, 130)}, "on the held-back one it is worse: -6.2 % ("),
         ({PATCHED: (120, reached(150, stops=12))}, "the patched one its arm stops unasked more often: 24 times, not 0"),
         ({HELD_BACK: (120, reached(150, stops=12))}, "the held-back one its arm stops unasked more often: 24"),
@@ -80,6 +80,15 @@ def test_one_doubt_keeps_the_old_one(changed, says):
     told = summary.summary(found, {})
     assert told["fly"] == "old"
     assert told["against_retrained"] == list(found.advice.against)
+
+
+def test_what_is_surely_better_on_the_robot_itself_need_only_be_no_worse_on_the_patched_model():
+    found = closed(WON | {PATCHED: (145, 146)})
+    assert found.advice.fly == "retrained"
+    assert replace(found, declared=False).advice.fly == "old"
+    wires = through(reached(100), reached(120))
+    assert replace(found, declared=False, wires=wires).advice.fly == "retrained"
+    assert replace(found, declared=False, wires=replace(wires, is_the_robot=False)).advice.fly == "old"
 
 
 def test_a_robot_that_nobody_declared_may_lack_what_was_named():
@@ -118,10 +127,10 @@ def test_what_did_not_move_is_said_and_says_nothing():
 def test_mppi_is_offered_beside_what_is_advised():
     told = story.sentences(closed(WON, replanned=150))[-1]
     assert told.startswith("Without any training: mppi, planning on patched-model.yaml, reaches 93 % on the patched")
-    assert "clearly more often" in told
+    assert "clearly more often than the retrained one" in told
     assert "+6.2 %" in told  # than the retrained one: 150 to 140 of 162
     kept = closed(WON | {PATCHED: (147, 145)}, replanned=120)
-    assert "as often" in story.sentences(kept)[-1]  # 120 to the old one's 120
+    assert "about as often as the old one" in story.sentences(kept)[-1]  # 120 to the old one's 120
     assert summary.summary(kept, {})["mppi_beyond_advised"][HELD_BACK]["value"] == 0.0
 
 
