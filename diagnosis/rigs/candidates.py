@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 
 from softarm.diagnosis.engine.candidates import Candidate, FittedParameter, Nuisance
 from softarm.diagnosis.rigs.views import RigView
@@ -22,9 +23,25 @@ _BEYOND = 1.001  # of a box: what lies within it is no news
 _SHARES = (0.3, 1.0, 2.5)  # of the usual change: starts
 
 
+# Seen from command to reading these are one thing: one box holds for both.
+_TWINS = {"sensor_bias.bias": "gain.offset", "latency.delay": "dead_time.delay"}
+
+
+@dataclass(frozen=True, slots=True)
+class Falling(FittedParameter):
+    """A parameter whose neutral value is its highest: u is how far it has fallen, so that every effect grows with u."""
+
+    top: float = 0.0
+
+    def value(self, u: float) -> float:
+        """See FittedParameter; the neutral itself at 0."""
+        return self.top - min(max(u, self.low), self.high)
+
+
 def candidates(view: RigView) -> tuple[Candidate, ...]:
-    """Every effect that the stage can have."""
-    return tuple(_candidate(view, effect) for effect in view.effects)
+    """Every effect that the stage can have; of those that are one in every recording the first."""
+    again = {twin for others in view.twins.values() for twin in others}
+    return tuple(_candidate(view, effect) for effect in view.effects if effect.name not in again)
 
 
 def nuisances(view: RigView) -> tuple[Nuisance, ...]:
@@ -39,13 +56,17 @@ def _candidate(view: RigView, effect: Effect) -> Candidate:
 
 def _parameter(view: RigView, effect: Effect, p: Parameter) -> FittedParameter:
     path = f"{effect.name}.{p.name}"
-    nominal, news = view.nominal(path.partition(".")[2]), _BEYOND * _ABSOLUTE.get(path.partition(".")[2], 0.0)
+    local = path.partition(".")[2]
+    nominal, news = view.nominal(local), _BEYOND * _widths(view).get(local, 0.0)
     if math.isinf(p.neutral):
         u = 0.0 if math.isinf(nominal) else 1 / nominal
         return FittedParameter(
             path, p.unit, u, 0.0, 1 / p.low, abs(1 / p.exemplar - u) or 1 / p.exemplar, 0.0, True, news
         )
-    size = p.exemplar if p.default is not None else abs(p.exemplar - nominal) or p.exemplar
+    size = p.exemplar if p.default is not None else abs(p.exemplar - nominal) or abs(p.exemplar)
+    if p.default is None and p.neutral == p.high > p.low:
+        fallen = p.neutral - nominal
+        return Falling(path, p.unit, fallen, 0.0, p.neutral - p.low, size, 0.0, news=news, top=p.neutral)
     return FittedParameter(path, p.unit, nominal, p.low, p.high, size, p.neutral, news=news)
 
 
@@ -62,12 +83,20 @@ def _starts(parameters: Sequence[FittedParameter], declared: Sequence[Parameter]
             yield u
 
 
+def _widths(view: RigView) -> dict[str, float]:
+    """'effect.parameter' -> half width of its box."""
+    return (
+        _ABSOLUTE | {local: share * float(view.floor.max()) for local, share in _FLOORS.items()} | dict(view.tolerances)
+    )
+
+
 def _nuisances(view: RigView) -> Iterator[Nuisance]:
-    widths = _ABSOLUTE | {local: share * float(view.floor.max()) for local, share in _FLOORS.items()}
+    widths = _widths(view)
+    known = {f"{e.name}.{p.name}".partition(".")[2] for e in view.effects for p in e.parameters}
     for effect in view.effects:
         for p in effect.parameters:
             path = f"{effect.name}.{p.name}"
             local = path.partition(".")[2]
-            if local in widths:
+            if local in widths and _TWINS.get(local) not in known:
                 nominal = view.nominal(local)
                 yield Nuisance(path, nominal, max(p.low, nominal - widths[local]), min(p.high, nominal + widths[local]))

@@ -232,13 +232,14 @@ def _named(stage: StageFinding, effect: SelectedEffect) -> NamedEffect:
         name = parameter.path.rpartition(".")[2]
         estimates[name] = Estimate(value=finite[1], low=min(finite), high=max(finite), unit=parameter.unit)
     rivals = [g for f, g in effect.rivals if f.effects[-1].name not in effect.equivalents and not f.at_bound]
-    sure = _odds(effect.gain) * min((_odds(g) for g in rivals), default=1.0) / (1 + len(effect.equivalents))
+    same = (*effect.equivalents, *stage.view.twins.get(effect.candidate.name, ()))
+    sure = _odds(effect.gain) * min((_odds(g) for g in rivals), default=1.0) / (1 + len(same))
     less = stage.without[effect.candidate.name]
     return NamedEffect(
         name=effect.candidate.name,
         parameters=estimates,
         confidence=min(sure, 0.99),
-        equivalents=effect.equivalents,
+        equivalents=same,
         shrink=Shrink(stage=_shrink(less.held_out, stage.chosen.held_out)),
     )
 

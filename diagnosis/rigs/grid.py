@@ -11,7 +11,7 @@ from softarm.diagnosis.data.trials import Array, Series, Trial, TrialError
 
 RATE_MAX_HZ = 200.0
 LEVELS_LEAST = 10  # fewer say nothing of the steps between
-GAP_S = 0.1  # nothing is compared within a longer gap
+GAP_S, GAP_SAMPLES, GAP_STEPS = 0.1, 50, 5  # nothing is compared within a longer gap, for its source and for the grid
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,13 +44,14 @@ def grid(series: Series, rate_max_hz: float = RATE_MAX_HZ, columns: Sequence[str
         at = t[0] + step * (np.arange(len(count)) + 0.5) - 0.5 * usual
         with np.errstate(invalid="ignore"):
             found = {name: np.bincount(place, weights=series[name]) / count for name in names}
-    return Grid(at, step, {name: _without_gaps(at, t, values) for name, values in found.items()})
+    longest = max(GAP_STEPS * step, min(GAP_S, GAP_SAMPLES * usual))
+    return Grid(at, step, {name: _without_gaps(at, t, values, longest) for name, values in found.items()})
 
 
-def _without_gaps(at: Array, t: Array, values: Array) -> Array:
+def _without_gaps(at: Array, t: Array, values: Array, longest_s: float) -> Array:
     """NaN where the source was silent for long."""
     values = values.copy()
-    for k in np.flatnonzero(np.diff(t) > GAP_S):
+    for k in np.flatnonzero(np.diff(t) > longest_s):
         values[(at > t[k]) & (at < t[k + 1])] = np.nan
     return values
 

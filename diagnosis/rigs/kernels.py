@@ -1,4 +1,4 @@
-"""The laws of the rigs, compiled: a loop that follows a command, a chain of pendulums."""
+"""The law of a chain of pendulums, compiled."""
 
 # mypy: allow-untyped-defs, allow-untyped-calls
 import math
@@ -9,32 +9,6 @@ import numpy as np
 from softarm.simulator.compiled import compiler
 
 compiled = compiler(Path(__file__))
-
-# Columns of a follower's parameters.
-SCALE, OFFSET, WIDTH, LAG, RATE, ACCELERATION, GAP = range(7)
-
-
-@compiled
-def follow(command, start, law, step_s, each, out):
-    """Follow a command: an error beyond the dead zone closes with the lag's time, within rate and acceleration.
-
-    command: [n each] mean over each substep, already late; law: columns above; out: [n], what is seen before
-    each sample's substeps. A proportional loop against dry friction: the error that friction holds stays.
-    """
-    y, v, seen, half = start, 0.0, start, 0.5 * law[GAP]
-    closing = 1.0 - math.exp(-step_s / law[LAG]) if law[LAG] > 1e-6 else 1.0
-    for i in range(len(out)):
-        seen = min(max(seen, y - half), y + half)
-        out[i] = seen
-        for s in range(each):
-            error = command[i * each + s] * (1.0 + law[SCALE]) + law[OFFSET] - y
-            beyond = error - min(max(error, -law[WIDTH]), law[WIDTH])
-            wanted = beyond * closing / step_s
-            wanted = min(max(wanted, -law[RATE]), law[RATE])
-            change = law[ACCELERATION] * step_s
-            v += min(max(wanted - v, -change), change)
-            y += v * step_s
-
 
 # Columns of a pendulum's parameters; all links alike.
 GRAVITY, CUBIC, DAMPING, TORQUE, GIVE, DRAG = range(6)

@@ -64,6 +64,16 @@ class RigView:
         return np.array([point.get(name, self.nominal(path)) for point in points], dtype=float)
 
     @property
+    def twins(self) -> Mapping[str, tuple[str, ...]]:
+        """Effect -> effects that no recording of such a stage can tell from it: one is fitted, all are named."""
+        return {}
+
+    @property
+    def tolerances(self) -> Mapping[str, float]:
+        """'effect.parameter' -> what a well-kept model may be off by here, where the usual half-widths do not fit."""
+        return {}
+
+    @property
     def own_nuisances(self) -> Mapping[str, float]:
         """See View."""
         return {}

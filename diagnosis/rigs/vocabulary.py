@@ -7,8 +7,9 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
+from softarm.diagnosis.rigs.scales import Span
 from softarm.schemas.trial import StageKind
-from softarm.simulator.effect_table import shape
+from softarm.simulator.effect_table import shape, strength
 from softarm.simulator.effects import REGISTRY, Effect, Parameter
 from softarm.simulator.kernel.joints import REACH_RAD
 
@@ -19,7 +20,7 @@ __all__ = ["Effect", "Parameter", "effects"]
 class _Use:
     """A registry effect on a rig: how its parameters are called there, and which of them a rig does not have."""
 
-    origin: str
+    origin: str  # empty: beyond the registry, see _SECOND_ORDER
     names: Mapping[str, str]  # registry parameter -> here
     neutral: Mapping[str, float] = field(default_factory=dict)  # where the rig's differs
     meaning: str = ""  # where the rig's law differs
@@ -27,25 +28,40 @@ class _Use:
 
 # What a follower of commands can do wrong, in the order in which a command meets it.
 _TRACKING: dict[str, _Use] = {
-    "dead_time": _Use("pressure.dead_time", {"delay": "delay"}),
+    "dead_time": _Use("pressure.dead_time", {"delay": "delay"}, meaning="it starts to react late"),
     "gain": _Use(
         "pressure.gain",
         {"scale": "scale", "offset": "offset"},
-        meaning="it ends at command x (1 + scale) + offset: a proportional loop droops under a load",
+        meaning="it ends at the nominal end x (1 + scale) + offset: a proportional loop droops under a load",
+    ),
+    "ceiling": _Use(
+        "pressure.ceiling", {"limit": "limit"}, meaning="it ends at no more than this: what drives it saturates"
     ),
     "deadband": _Use(
         "pressure.deadband",
         {"width": "width"},
         meaning="an error up to the width, either way, moves nothing: dry friction against a proportional loop",
     ),
-    "lag": _Use("rail.lag", {"time": "time"}, meaning="it follows the command as a first-order lag"),
+    "lag": _Use(
+        "pressure.lag",
+        {"inflate": "rise", "deflate": "fall"},
+        meaning="it nears the command exponentially, with an own time constant upwards and downwards",
+    ),
     "rate_limit": _Use("pressure.rate_limit", {"rate": "rate"}, meaning="it moves no faster than this"),
     "acceleration_limit": _Use(
         "rail.acceleration_limit",
         {"acceleration": "acceleration"},
         meaning="its velocity changes no faster than this: a motor's torque has an end",
     ),
+    "second_order": _Use("", {"frequency": "frequency", "damping": "damping"}),
     "backlash": _Use("rail.backlash", {"gap": "gap"}),
+    "hysteresis": _Use(
+        "arm.hysteresis",
+        {"strength": "strength", "width": "width"},
+        meaning="a loop between command and end, as wide at any speed (Bouc-Wen): soft material, no free travel",
+    ),
+    "sensor_bias": _Use("pressure.sensor_bias", {"bias": "bias"}, meaning="the sensor reads high"),
+    "latency": _Use("mocap.latency", {"delay": "delay"}, meaning="readings are older than their stamps say"),
 }
 _PENDULUM: dict[str, _Use] = {
     "stiffness": _Use("arm.stiffness", {"scale": "scale"}, meaning="mis-fit moment of the weight: m g a x (1 + scale)"),
@@ -62,27 +78,22 @@ _PENDULUM: dict[str, _Use] = {
 }
 _KINDS: dict[str, dict[str, _Use]] = {"tracking": _TRACKING, "pendulum": _PENDULUM}
 
-# Bounds and usual changes (low, high, usual) of parameters whose unit the registry's rig does not share, by the unit of
-# what is measured: a servo turns by a radian where a regulator has 20 kPa and an axis a quarter of a metre.
-_SPANS: dict[tuple[str, str], tuple[float, float, float]] = {
-    ("rad", "offset"): (-0.5, 0.5, 0.03),
-    ("rad", "width"): (0.0, 0.3, 0.02),
-    ("rad", "rate"): (0.05, 100.0, 1.5),
-    ("rad", "acceleration"): (0.5, 1000.0, 20.0),
-    ("rad", "gap"): (0.0, 0.3, 0.02),
-    ("rad", "bias"): (-0.2, 0.2, 0.005),
-    ("m", "offset"): (-0.1, 0.1, 0.005),
-    ("m", "width"): (0.0, 0.05, 0.002),
-    ("m", "rate"): (0.01, 20.0, 0.5),
-    ("m/s", "offset"): (-0.2, 0.2, 0.02),
-    ("m/s", "width"): (0.0, 0.2, 0.01),
-    ("m/s", "rate"): (0.1, 100.0, 4.0),
-    ("m/s", "acceleration"): (1.0, 10000.0, 100.0),
-    ("kPa", "acceleration"): (10.0, 100000.0, 1000.0),
-    ("kPa", "gap"): (0.0, 5.0, 0.5),
-}
+# Beyond the registry: the robot's regulator and rail are first-order, other people's loops ring.
+_SECOND_ORDER = Effect(
+    "second_order",
+    (
+        strength("frequency", "Hz", math.inf, 0.01, 1000.0, 5.0, "undamped natural frequency"),
+        shape("damping", "-", 0.5, 0.02, 2.0, 0.5, "damping ratio; below 0.7 a step rings"),
+    ),
+    "it follows as a second-order system: a mass on a spring, a loop with an integrator",
+    "standard second-order system, w^2 / (s^2 + 2 z w s + w^2); Franklin, Powell and Emami-Naeini, Feedback Control",
+)
 # Beyond the registry: how far a joint turns before its dry friction is whole. The simulator's kernel has it fixed.
 _GIVE = shape("give", "rad", REACH_RAD, REACH_RAD, 0.05, 5e-3, "turn after which the friction has its full value")
+# An angle's zero, for which no range of a recording is a scale.
+_PENDULUM_SPANS = {"sensor_bias.bias": Span(-0.2, 0.2, 0.005)}
+# Registry's unit -> how often what is measured is divided by seconds.
+_TIMES = {"kPa": 0, "m": 0, "kPa/s": 1, "m/s^2": 2}
 # Of a pendulum's weight's moment: what dry friction must take to be noticed.
 _NOTICED_SHARE = 0.003
 
@@ -95,25 +106,60 @@ _RIVALS: tuple[tuple[str, str, str], ...] = (
         "acceleration_limit",
         "fast sines of two sizes: a rate limit makes triangles, the other turns over late",
     ),
+    ("hysteresis", "backlash", "small reversals: play hides them whole, a loop lets a part through"),
+    ("hysteresis", "deadband", "small reversals: a dead zone hides them whole, a loop lets a part through"),
+    ("hysteresis", "lag", "the same loop at three rates: its area stays for hysteresis"),
+    (
+        "second_order",
+        "lag",
+        "a step: a second-order system starts flat and may overshoot, a lag starts with its steepest slope",
+    ),
+    (
+        "second_order",
+        "dead_time",
+        "a multisine over a decade: a resonance changes the size of what it passes, a dead time does not",
+    ),
+    ("second_order", "acceleration_limit", "steps of several sizes: only a limit takes longer for larger ones"),
+    (
+        "dead_time",
+        "latency",
+        "only the sum shows from command to reading; another sensor's stamps of the same motion split it",
+    ),
+    ("gain", "sensor_bias", "another sensor, or a hand on the zero: a wrong reading stays when what is read is right"),
+    ("ceiling", "deadband", "an amplitude sweep: a ceiling leaves low commands alone"),
     ("rate_limit", "lag", "steps of several sizes: the time grows with the step only for a limit"),
     ("acceleration_limit", "lag", "sines of two sizes: only a limit answers the larger one less"),
     ("coulomb_friction", "drag", "an amplitude sweep: dry friction rules small swings, drag large ones"),
 )
 
 
-def effects(kind: StageKind, stage: str, unit: str, moment_nm: float = 0.0) -> tuple[Effect, ...]:
+def effects(
+    kind: StageKind, stage: str, unit: str, moment_nm: float = 0.0, spans: Mapping[str, Span] | None = None
+) -> tuple[Effect, ...]:
     """Every effect that a stage of this kind can have.
 
-    unit: of what is measured; moment_nm: of a pendulum's weight, which says what friction would be noticed.
+    unit: of what is measured; moment_nm: of a pendulum's weight, which says what friction would be noticed; spans:
+    'effect.parameter' -> bounds on this rig. A follower's come from its recording (`scales.tracking_spans`), and an
+    effect that has no span there cannot be told from it.
     """
     uses = _KINDS[kind]
-    return tuple(_effect(stage, name, uses, unit, moment_nm) for name in uses)
+    if kind == "pendulum":
+        spans = _PENDULUM_SPANS | dict(spans or {})
+    elif kind == "tracking" and spans is not None:
+        uses = {name: use for name, use in uses.items() if any(key.startswith(f"{name}.") for key in spans)}
+    return tuple(_effect(stage, name, uses, unit, moment_nm, spans or {}) for name in uses)
 
 
-def _effect(stage: str, name: str, uses: Mapping[str, _Use], unit: str, moment_nm: float) -> Effect:
-    use, registered = uses[name], REGISTRY[uses[name].origin]
+def _effect(
+    stage: str, name: str, uses: Mapping[str, _Use], unit: str, moment_nm: float, spans: Mapping[str, Span]
+) -> Effect:
+    use = uses[name]
+    registered = REGISTRY[use.origin] if use.origin else _SECOND_ORDER
     known = {p.name: p for p in registered.parameters}
-    parameters = [_parameter(known[there], here, use, unit, moment_nm) for there, here in use.names.items()]
+    parameters = [
+        _parameter(known[there], here, use, unit, moment_nm, spans.get(f"{name}.{here}"))
+        for there, here in use.names.items()
+    ]
     if "torque" in use.names:
         parameters.append(_GIVE)
     differences = dict(text.split(": ", 1) for text in registered.separated_by.split("; ") if ": " in text)
@@ -131,21 +177,26 @@ def _effect(stage: str, name: str, uses: Mapping[str, _Use], unit: str, moment_n
     )
 
 
-def _parameter(p: Parameter, name: str, use: _Use, unit: str, moment_nm: float) -> Parameter:
-    """The registry's parameter on this rig: its name, and for another unit its bounds."""
+def _parameter(p: Parameter, name: str, use: _Use, unit: str, moment_nm: float, span: Span | None) -> Parameter:
+    """The registry's parameter on this rig: its name, its unit, its bounds."""
     neutral = use.neutral.get(p.name, p.neutral)
     found = replace(p, name=name, neutral=neutral, low=min(p.low, neutral) if math.isfinite(neutral) else p.low)
     if name == "torque" and moment_nm > 0:
         return replace(found, exemplar=_NOTICED_SHARE * moment_nm)
-    if (unit, name) in _SPANS:
-        low, high, usual = _SPANS[unit, name]
-        return replace(found, unit=_unit(p.unit, unit), low=low, high=high, exemplar=usual)
-    return found
+    found = replace(found, unit=_unit(p.unit, unit))
+    if span is None:
+        return found
+    own = p.default if p.default is None else span.usual
+    neutral = found.neutral if span.neutral is None else span.neutral
+    neutral = span.usual if own is not None else neutral
+    return replace(found, low=span.low, high=span.high, exemplar=span.usual, neutral=neutral, default=own)
 
 
 def _unit(registered: str, unit: str) -> str:
     """The registry's unit with the length or pressure in it replaced by what is measured here."""
-    if unit == "m/s":  # a follower of velocities: its rate is an acceleration
-        return {"kPa": "m/s", "kPa/s": "m/s^2", "m/s^2": "m/s^3"}.get(registered, registered)
-    base, slash, time = registered.partition("/")
-    return f"{unit}{slash}{time}" if base in ("kPa", "m") else registered
+    times = _TIMES.get(registered)
+    if times is None:
+        return registered
+    base, _, below = unit.partition("/s")
+    times += 0 if not below and "/s" not in unit else int(below.lstrip("^") or 1)
+    return base + ("" if times == 0 else "/s" if times == 1 else f"/s^{times}")

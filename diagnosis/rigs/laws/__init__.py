@@ -1,0 +1,1 @@
+"""The laws of the rigs, compiled: how a stage would have moved for given parameters."""

@@ -1,0 +1,84 @@
+"""The law of what follows a command, compiled: a loop with a lag and limits, a resonance, what lies behind it."""
+
+# mypy: allow-untyped-defs, allow-untyped-calls
+import math
+from pathlib import Path
+
+from softarm.simulator.compiled import compiler
+
+compiled = compiler(Path(__file__))
+
+# Columns of a follower's parameters.
+SCALE, OFFSET, CEILING, WIDTH, RISE, FALL, RATE, ACCELERATION, PERIOD, DAMPING, GAP, STRENGTH, LOOP, BIAS = range(14)
+FAST = 0.02  # of a substep: a shorter period is none
+
+
+@compiled
+def follow(command, start, law, step_s, each, out):
+    """Follow a command: an error beyond the dead zone closes with the lag's time, within rate and acceleration.
+
+    command: [n each] mean over each substep, already late and in the measured unit; start: the first reading; law:
+    columns above, PERIOD the inverse of the natural frequency, s/rad; out: [n], what is seen before each sample's
+    substeps. A proportional loop against dry friction: the error that friction holds stays. Behind the loop come a
+    resonance, play, a rate-independent loop and the sensor's zero. A neutral value leaves every bit as it was.
+    """
+    y = x = start - law[BIAS]
+    v = swing = 0.0
+    seen, half = y, 0.5 * law[GAP]
+    up, down = _closing(law[RISE], step_s), _closing(law[FALL], step_s)
+    bent_up, bent_down = _straight(up, law[RISE], step_s), _straight(down, law[FALL], step_s)
+    change = law[ACCELERATION] * step_s
+    rings, late = law[PERIOD] > FAST * step_s, 2.0 * law[DAMPING] * law[PERIOD]
+    keep, gain, fall, hold = _ring(law[PERIOD], law[DAMPING], step_s) if rings else (0.0, 0.0, 0.0, 0.0)
+    turned, height = 0.0, law[STRENGTH] * law[LOOP]
+    for i in range(len(out)):
+        before = seen
+        seen = min(max(seen, y - half), y + half)
+        if height > 0.0 and seen != before:
+            towards = 1.0 if seen > before else -1.0
+            turned += (towards - turned) * (1.0 - math.exp(-abs(seen - before) / law[LOOP]))
+        out[i] = seen - height * turned + law[BIAS]
+        for s in range(each):
+            error = min(command[i * each + s] * (1.0 + law[SCALE]) + law[OFFSET], law[CEILING]) - x
+            beyond = error - min(max(error, -law[WIDTH]), law[WIDTH])
+            closing, straight = (up, bent_up) if beyond > 0.0 else (down, bent_down)
+            wanted = min(max(beyond * closing, -law[RATE]), law[RATE])
+            held = abs(wanted - v) > change
+            v = v + (change if wanted > v else -change) if held else wanted
+            x += v * step_s
+            if rings:  # led along a straight line after a jump, and late
+                lead = v if held or abs(wanted) == law[RATE] else straight * v
+                away, faster = y - (x - lead * (step_s + late)), swing - lead
+                y = x - lead * late + keep * away + gain * faster
+                swing = lead + fall * away + hold * faster
+            else:
+                y = x
+
+
+@compiled
+def _closing(lag_s, step_s):
+    """Share of an error that closes in a substep, a second."""
+    return (1.0 - math.exp(-step_s / lag_s)) / step_s if lag_s > FAST * step_s else 1.0 / step_s
+
+
+@compiled
+def _straight(closing, lag_s, step_s):
+    """Of a substep's way the share that is a straight line, the rest a jump at its start, to the right mean."""
+    return 2.0 * (1.0 - 1.0 / (closing * step_s) + lag_s / step_s) if lag_s > FAST * step_s else 0.0
+
+
+@compiled
+def _ring(period, damping, step_s):
+    """The matrix by which distance and speed of a damped oscillator change in a step, exactly."""
+    w = 1.0 / period
+    decay = math.exp(-damping * w * step_s)
+    if damping < 1.0 - 1e-6:
+        root = math.sqrt(1.0 - damping * damping) * w
+        c, s = math.cos(root * step_s), math.sin(root * step_s) / root
+    elif damping > 1.0 + 1e-6:
+        root = math.sqrt(damping * damping - 1.0) * w
+        c, s = math.cosh(root * step_s), math.sinh(root * step_s) / root
+    else:
+        c, s = 1.0, step_s
+    slow = damping * w * s
+    return decay * (c + slow), decay * s, -decay * w * w * s, decay * (c - slow)

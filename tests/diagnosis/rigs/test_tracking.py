@@ -1,0 +1,265 @@
+"""Followers of a command: every law against one integrated otherwise, bounds and floors from the data, any unit."""
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from softarm.diagnosis.data import tables
+from softarm.diagnosis.data.trials import Series, TableStage, Trial
+from softarm.diagnosis.engine.problem import Setup
+from softarm.diagnosis.rigs.candidates import candidates, nuisances
+from softarm.diagnosis.rigs.scales import fastest, lateness, repeatability, white_noise
+from softarm.diagnosis.rigs.tracking import TrackingView, resolving_hz
+
+STEP_S, FINE = 0.02, 40
+T = STEP_S * np.arange(800)
+# What looks alike from command to reading: zeros, delays; play and a dead zone where nothing lags.
+TWINS = {"sensor_bias": "gain", "latency": "dead_time", "deadband": "backlash", "backlash": "deadband"}
+
+
+def commands(t=T):
+    """Kinds of excitation, at most about 1."""
+    late = t / t[-1]
+    return {
+        "steps": np.select([np.sin(12 * late * (1 + i)) > 0.3 * i for i in range(3)], (0.8, -0.5, 0.2), -0.9),
+        "multisine": sum(0.3 * np.sin(2 * np.pi * f * 16 * late + f) for f in (0.2, 0.5, 1.1, 2.3)),
+        "sweep": (0.4 + 0.5 * late) * np.sin(2 * np.pi * 16 * late * (0.2 + 1.2 * late)),
+        "ramps": 0.9 * np.abs((8 * late) % 2 - 1) - 0.4,
+    }
+
+
+def rig(command, truth, step_s=STEP_S):
+    """What is read at every sample, of a follower in steps of a fortieth: Heun, a queue, hysteresis as many plays."""
+    h = step_s / FINE
+    fine = np.repeat(command, FINE)
+    late = round((truth.get("delay", 0.0) + truth.get("latency", 0.0)) / h)
+    fine = np.concatenate((np.full(late, fine[0]), fine))[: len(fine)]
+    fine = np.minimum(fine * (1 + truth.get("scale", 0.0)) + truth.get("offset", 0.0), truth.get("limit", math.inf))
+    y = v = x = 0.0
+    seen = hung = 0.0
+    out = np.empty(len(command))
+    for i, target in enumerate(fine):
+        if i % FINE == 0:
+            seen = min(max(seen, x - truth.get("gap", 0.0) / 2), x + truth.get("gap", 0.0) / 2)
+            out[i // FINE] = seen + truth.get("bias", 0.0) - truth.get("height", 0.0) * hung
+
+        def slope(at, target=target):
+            error = target - at
+            beyond = math.copysign(max(abs(error) - truth.get("width", 0.0), 0.0), error)
+            lag = truth.get("rise", truth.get("lag", h)) if beyond > 0 else truth.get("fall", truth.get("lag", h))
+            wanted = beyond / max(lag, h)
+            return min(max(wanted, -truth.get("rate", math.inf)), truth.get("rate", math.inf))
+
+        wanted = slope(y)
+        if "lag" in truth or "rise" in truth:
+            wanted = 0.5 * (wanted + slope(y + h * wanted))
+        most = truth.get("acceleration", math.inf) * h
+        v += min(max(wanted - v, -most), most)
+        y += h * v
+        if "w" in truth:  # semi-implicit: a spring, a damper, a mass
+            speed = truth.setdefault("_speed", 0.0)
+            speed += h * (truth["w"] ** 2 * (y - x) - 2 * truth["zeta"] * truth["w"] * speed)
+            truth["_speed"], before, x = speed, x, x + h * speed
+        else:
+            before, x = x, y
+        if "height" in truth:
+            way = x - before
+            parts = 1 + int(abs(way) / (0.01 * truth["loop"]))
+            for _ in range(parts):
+                hung += (way - abs(way) * hung) / truth["loop"] / parts
+    truth.pop("_speed", None)
+    return out
+
+
+def trial(command, seen, t=T, kind="steps", model=None, column="position"):
+    channels = {"command": Series(t.copy(), {"command": command}), "measured": Series(t.copy(), {column: seen})}
+    return Trial(kind, kind, Path(kind), channels, stage=TableStage("axis", "tracking", model or {}))
+
+
+def flown(truth, noise=1e-3, quick=1.0, large=1.0, seed=0):
+    """Trials of one rig under every kind; quick: how many times faster it all goes; large: unit."""
+    draw = np.random.default_rng(seed)
+    found = []
+    for kind, command in commands().items():
+        seen = rig(command, truth) + noise * draw.normal(size=len(T))
+        found.append(trial(large * command, large * seen, T / quick, kind))
+    return found
+
+
+def alone(trials):
+    """Every effect alone at its best, the best first: name -> (loss, point)."""
+    view = TrackingView(trials)
+    problem = Setup([view], nuisances(view), [t.kind for t in trials]).weighed()
+    fits = problem.fit([((c,), (start,)) for c in candidates(view) for start in c.starts], 10)
+    best = {}
+    for fit in sorted(fits, key=lambda f: f.loss):
+        best.setdefault(fit.effects[0].name.partition(".")[2], (fit.loss, dict(fit.point)))
+    return best
+
+
+CASES = [
+    ("gain", {"scale": -0.12, "offset": 0.06}, {"gain.scale": -0.12, "gain.offset": 0.06}),
+    ("ceiling", {"limit": 0.55}, {"ceiling.limit": 0.55}),
+    ("deadband", {"width": 0.06}, {"deadband.width": 0.06}),
+    ("lag", {"rise": 0.25, "fall": 0.08}, {"lag.rise": 0.25, "lag.fall": 0.08}),
+    ("lag", {"lag": 0.15}, {"lag.rise": 0.15, "lag.fall": 0.15}),
+    ("dead_time", {"delay": 0.13}, {"dead_time.delay": 0.13}),
+    ("latency", {"latency": 0.07}, {"latency.delay": 0.07}),
+    ("rate_limit", {"rate": 2.0}, {"rate_limit.rate": 2.0}),
+    ("acceleration_limit", {"acceleration": 80.0, "lag": 0.1}, {"acceleration_limit.acceleration": 80.0}),
+    ("second_order", {"w": 12.0, "zeta": 0.3}, {"second_order.frequency": 1.91, "second_order.damping": 0.3}),
+    ("backlash", {"gap": 0.1}, {"backlash.gap": 0.1}),
+    ("hysteresis", {"height": 0.06, "loop": 0.3}, {"hysteresis.strength": 0.2, "hysteresis.width": 0.3}),
+    ("sensor_bias", {"bias": 0.05}, {"sensor_bias.bias": 0.05}),
+]  # fmt: skip
+
+
+def predicted(trials, point):
+    view = TrackingView(trials)
+    (gap,) = view.gap([{f"axis.{k}": x for k, x in point.items()}])
+    return float(np.sqrt(np.nanmean(gap.astype(float) ** 2)))
+
+
+@pytest.mark.parametrize(("name", "truth", "point"), CASES)
+def test_a_law_says_what_another_integrator_does(name, truth, point):
+    """The acceleration limit stands before a lag: alone it would ring for ever."""
+    trials = flown(dict(truth), noise=0.0)
+    lag = {"lag.rise": truth["lag"], "lag.fall": truth["lag"]} if name == "acceleration_limit" else {}
+    nominal, own = predicted(trials, lag), predicted(trials, lag | point)
+    assert own < 0.15 * nominal
+    assert own < 0.012
+
+
+@pytest.mark.parametrize(("name", "truth", "point"), [case for case in CASES if case[0] != "acceleration_limit"])
+def test_an_effect_alone_fits_best_and_at_its_size(name, truth, point):
+    found = alone(flown(dict(truth)))
+    assert next(iter(found)) in {name, TWINS.get(name)}
+    if name == "latency":  # a late sensor is a late rig
+        name, point = "dead_time", {"dead_time.delay": truth["latency"]}
+    for path, value in point.items():
+        assert found[name][1][f"axis.{path}"] == pytest.approx(value, rel=0.12, abs=0.006)
+
+
+def test_a_dead_zone_without_a_lag_is_play_of_twice_its_width():
+    """No test can tell what is the same: they have to come out as a set."""
+    found = alone(flown({"width": 0.06}))
+    assert found["backlash"][0] == pytest.approx(found["deadband"][0], rel=0.05)
+    assert found["backlash"][1]["axis.backlash.gap"] == pytest.approx(0.12, rel=0.05)
+
+
+def test_every_bit_stays_where_no_effect_is_on():
+    trials = flown({"lag": 0.1})
+    view = TrackingView(trials)
+    neutral = {f"{e.name}.{p.name}": p.neutral for e in view.effects for p in e.parameters}
+    np.testing.assert_array_equal(*view.gap([{}, neutral]))
+    shaped = {"axis.hysteresis.width": 0.7, "axis.second_order.damping": 1.3}
+    np.testing.assert_array_equal(*view.gap([{}, shaped]))
+
+
+@pytest.mark.parametrize(("quick", "large"), [(0.01, 300.0), (40.0, 2e-3), (1.0, 57.3)])
+def test_the_same_rig_in_other_units_of_length_and_time_is_the_same_problem(quick, large):
+    """A valve of seconds in kPa, an axis of milliseconds in m: bounds, sizes and boxes scale alike."""
+    truth = {"rise": 0.3, "fall": 0.1, "width": 0.05}
+    powers = {"s": (1, 0), "Hz": (-1, 0), "-": (0, 0), "rad": (0, 1), "rad/s": (-1, 1), "rad/s^2": (-2, 1)}
+    one, other = (
+        candidates(TrackingView(flown(dict(truth), quick=q, large=x))) for q, x in ((1.0, 1.0), (quick, large))
+    )
+    for a, b in zip(one, other, strict=True):
+        for p, r in zip(a.parameters, b.parameters, strict=True):
+            time, length = powers[p.unit]
+            worth = quick**-time * large**length
+            worth = 1 / worth if p.inverse else worth
+            for x, y in ((p.low, r.low), (p.high, r.high), (p.size, r.size), (p.news, r.news), (p.nominal, r.nominal)):
+                assert y == pytest.approx(x * worth, rel=1e-6, abs=1e-12)
+
+
+def test_a_rate_that_the_recording_surpasses_is_no_candidate():
+    seen = flown({"rate": 2.0}, noise=0.01)
+    view = TrackingView(seen)
+    rate = next(p for e in view.effects for p in e.parameters if p.name == "rate")
+    assert 1.5 < rate.low < 2.0  # the true one stays in reach, below it nothing does
+    free = TrackingView(flown({"lag": 0.03}, noise=0.01))
+    rate = next(p for e in free.effects for p in e.parameters if p.name == "rate")
+    assert rate.low > 8.0
+    ceiling = next(p for e in TrackingView(flown({"limit": 0.5})).effects for p in e.parameters if p.name == "limit")
+    assert 0.45 < ceiling.low < 0.5 < ceiling.high
+    steps = commands()["steps"]
+    reached = TrackingView([trial(steps, rig(steps, {"lag": 0.05}))])
+    assert not [e for e in reached.effects if e.name == "axis.ceiling"]  # all that was asked for was reached
+
+
+def test_noise_alone_is_never_taken_for_speed():
+    still = [np.random.default_rng(i).normal(size=4000) for i in range(3)]
+    assert fastest(still, 0.01, 1, 1.0) < 0.02 * fastest([np.diff(s) / 0.01 for s in still], 0.01, 1, 0.0)
+    ramp = 3.0 * 0.01 * np.arange(4000) + 0.05 * still[0]
+    assert fastest([ramp], 0.01, 1, white_noise([ramp])) == pytest.approx(3.0, rel=0.05)
+    throw = 0.5 * 9.81 * (0.01 * np.arange(400)) ** 2 + 0.001 * still[0][:400]
+    assert fastest([throw], 0.01, 2, white_noise([throw])) == pytest.approx(9.81, rel=0.2)
+    assert fastest([throw], 0.01, 2, white_noise([throw])) < 9.81
+
+
+def test_floors_come_from_noise_repeats_and_steps_of_the_sensor():
+    draw = np.random.default_rng(1)
+    smooth = np.sin(2 * np.pi * T / 4)
+    assert white_noise([smooth + 0.02 * draw.normal(size=len(T))]) == pytest.approx(0.02, rel=0.15)
+    assert white_noise([smooth]) < 1e-4
+    assert lateness(STEP_S, [smooth], [np.roll(smooth, 15)], 2.0) == pytest.approx(0.3, abs=0.05)
+    command = commands()["steps"]
+    once = trial(command, rig(command, {"lag": 0.2}))
+    assert TrackingView([once]).floor[0] < 2e-3
+    drift = [trial(command, once.channel("measured")["position"] + 0.02 * np.sin(T + k)) for k in range(3)]
+    assert repeatability([command] * 3, [d.channel("measured")["position"] for d in drift]) == pytest.approx(
+        0.011, rel=0.3
+    )
+    assert TrackingView(drift).floor[0] > 0.008
+    assert repeatability([command, 0.9 * command], [smooth, -smooth]) == 0.0
+    coarse = trial(command, 0.05 * np.round(rig(command, {"lag": 0.2}) / 0.05))
+    assert TrackingView([coarse]).floor[0] > 0.0499
+
+
+def test_the_nominal_has_a_static_gain_or_a_map_and_its_own_lags_and_limits():
+    volts = 5 + 2.5 * commands()["multisine"]
+    seen = rig(40 * volts - 80, {"lag": 0.15, "delay": 0.04})
+    line = {"gain": 40.0, "offset": -80.0, "lag_s": 0.15, "delay_s": 0.04}
+    assert predicted([trial(volts, seen, model=line, column="pressure")], {}) < 0.01 * np.std(seen)
+    bent = {"map": ((0.0, 0.0), (4.0, 100.0), (10.0, 200.0))}
+    reached = np.interp(np.append(volts[0], volts[:-1]), *zip(*bent["map"], strict=True))
+    assert predicted([trial(volts, reached, model=bent, column="value")], {}) < 1e-3 * np.std(reached)
+    (found,) = {e.name for e in TrackingView([trial(volts, seen, model=line)]).effects if "rate" in e.name}
+    assert found == "axis.rate_limit"
+    limited = rig(volts, {"rate": 6.0})
+    assert predicted([trial(volts, limited, model={"rate_limit": 6.0})], {}) < 0.01
+
+
+def test_a_fast_source_is_averaged_as_far_as_nothing_is_lost():
+    t = np.arange(0, 20, 2e-4)
+    slow = Series(t, {"position": np.sin(t) + 1e-3 * np.random.default_rng(2).normal(size=len(t))})
+    assert 20 < resolving_hz(slow, "position") < 320
+    fast = Series(t, {"position": np.sign(np.sin(40 * t))})
+    assert resolving_hz(fast, "position") > 2000
+    rare = Series(t[::100], {"position": np.sin(t[::100])})
+    assert resolving_hz(rare, "position") == pytest.approx(50, rel=0.01)
+
+
+def test_units_are_the_measured_ones():
+    trials = flown({"lag": 0.1})
+    for unit, rate, acceleration in (
+        ("m/s", "m/s^2", "m/s^3"),
+        ("kPa", "kPa/s", "kPa/s^2"),
+        ("counts", "counts/s", "counts/s^2"),
+    ):
+        units = {p.name: p.unit for e in TrackingView(trials, unit).effects for p in e.parameters}
+        assert (units["offset"], units["gap"], units["rate"], units["acceleration"]) == (unit, unit, rate, acceleration)
+        assert (units["rise"], units["strength"], units["frequency"]) == ("s", "-", "Hz")
+
+
+def test_real_servos_move_faster_than_the_limits_that_were_named(data):
+    """Half of the recording was above the limits that a diagnosis once named with 99 %."""
+    trials = tables.read(Path(tables.__file__).parents[1] / "rigs" / "stages" / "so101.yaml", data)
+    for k in range(1, 7):
+        view = TrackingView([each for each in trials if each.stage.name == f"servo{k}"])
+        rate = next(p for e in view.effects for p in e.parameters if p.name == "rate")
+        slope = max(np.quantile(np.abs(np.gradient(g.columns["position"], g.step_s)), 0.98) for g in view._grids)
+        assert rate.low > 0.85 * slope
