@@ -18,11 +18,11 @@ _DEGREES = 1 / UNITS["rad"]["degrees"]
 _ANGLE_RATIOS = ((_DEGREES, "degrees"), (-1.0, "radians of the opposite sign"), (-_DEGREES, "degrees, sign turned"))
 
 
-def tidy_stamps(series: Series, where: str) -> tuple[Series, tuple[str, ...]]:
+def tidy_stamps(series: Series, where: str, *, gaps: bool = True) -> tuple[Series, tuple[str, ...]]:
     """Make stamps strictly increasing: rows are sorted, of rows with one stamp the first stays.
 
     Returns the series and a warning for everything that was changed or is odd: rows out of order, duplicates,
-    gaps, jumps of the clock.
+    gaps, jumps of the clock; not of gaps without `gaps`, where rows are written on change.
     """
     t, warnings = series.t_s, []
     steps = np.diff(t)
@@ -42,7 +42,7 @@ def tidy_stamps(series: Series, where: str) -> tuple[Series, tuple[str, ...]]:
         )
     if len(keep) < len(t) or backwards.size:
         series = Series(t[keep], {name: values[keep] for name, values in series.columns.items()})
-    return series, (*warnings, *_gaps(series.t_s, where))
+    return series, (*warnings, *(_gaps(series.t_s, where) if gaps else ()))
 
 
 def _gaps(t: Array, where: str) -> Iterator[str]:

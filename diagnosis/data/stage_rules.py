@@ -133,10 +133,12 @@ def _fitting(kind: StageKind, channels: Mapping[str, Any], model: Any) -> Iterat
         command = _group(_columns(channels, "command"), "command")
         from_, to = house_unit(command), units.get(column) if column else None
         if column and from_ and to and from_ != to and not {"gain", "map"} & model.keys():
+            same = next((name for name, unit in units.items() if unit == from_), None)
             yield (
                 ("model",),
                 f"the command is in {command['unit']}, the measured {column} in {measured[column]['unit']}: write "
-                f"`gain` ({measured[column]['unit']} for one {command['unit']}) or `map`, or correct the unit",
+                f"`gain` ({measured[column]['unit']} for one {command['unit']}) or `map`, or correct the unit"
+                + (f", or leave {column} out and {same} is judged" if same else ""),
             )
     if kind == "driven_mass":
         turns = {unit.startswith("rad") for unit in units.values() if unit}

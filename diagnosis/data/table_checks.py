@@ -5,13 +5,13 @@ What cannot be judged is a mistake and refused; what is odd is a warning. Either
 
 from collections.abc import Callable, Iterator, Mapping
 from itertools import combinations
+from pathlib import Path
 
 import numpy as np
 
 from softarm.common.quantity import PURE, UNITS, factor
 from softarm.diagnosis.data import checks
-from softarm.diagnosis.data.stage_file import Recording
-from softarm.diagnosis.data.stage_rules import followed
+from softarm.diagnosis.data.still_checks import judged
 from softarm.diagnosis.data.trials import Array, Series, Trial, TrialError
 from softarm.schemas.stage_model import StageKind
 from softarm.schemas.trial import Column, Mechanism, TableChannel
@@ -34,8 +34,11 @@ PUSH_S, WEIGHT_M_S2 = 0.1, 10.0  # a mass's speed is looked at so often; what a 
 Place = Callable[[int], int]  # a row's index -> where people find it
 
 
-def clock(time_s: Array, about: Column, where: str, place: Place) -> list[str]:
-    """What is odd about stamps; `where` is file and column. Raises TrialError for what is no clock."""
+def clock(time_s: Array, about: Column, where: str, place: Place, on_change: bool) -> list[str]:
+    """What is odd about stamps; `where` is file and column. Raises TrialError for what is no clock.
+
+    on_change: commands may be logged when they change alone, however late that is.
+    """
     steps = np.diff(time_s)
     if not steps.size:
         return []
@@ -50,20 +53,20 @@ def clock(time_s: Array, about: Column, where: str, place: Place) -> list[str]:
             f"{where}: the clock is set back by {-steps[k]:.4g} s at row {place(k + 1)} ({time_s[k]:.6g} s, then "
             f"{time_s[k + 1]:.6g} s); cut the recording in two there, a trial each"
         )
-    if usual and not STEP_MIN_S <= usual <= STEP_MAX_S:
+    if usual and not STEP_MIN_S <= usual <= (np.inf if on_change else STEP_MAX_S):
         likely = _time_unit(usual / worth)
         raise TrialError(
             f"{where}: rows are {usual:.4g} s apart"
             + (f"; its stamps look like {likely}: write `unit: {likely}`" if likely else "; correct its `unit`")
         )
     ahead = np.flatnonzero(steps > checks.SPLIT_S)
-    if ahead.size and usual < 1.0:
+    if ahead.size and usual < 1.0 and not on_change:
         k = int(ahead[0])
         raise TrialError(
             f"{where}: the clock jumps ahead by {steps[k]:.4g} s at row {place(k + 1)}; cut the recording in two "
             "there, a trial each"
         )
-    if usual < STEP_SLOW_S:
+    if usual < STEP_SLOW_S or on_change:
         return []
     return [
         f"{where}: rows are {usual:.4g} s apart; if its stamps are in ms, write `unit: ms`; if they count rows, write "
@@ -93,35 +96,32 @@ def ranges(series: Series, kind: StageKind, channel: TableChannel, where: str) -
             )
 
 
-def mistakes(trial: Trial, about: Mechanism, recording: Recording) -> Iterator[str]:
+def mistakes(trial: Trial, about: Mechanism, at: "Columns") -> Iterator[str]:
     """Why a trial cannot be judged."""
-    at = _Columns(about, recording)
     yield from _too_short(trial, at)
     yield from _apart(trial, at)
-    yield from _dead(trial, at)
     yield from _wrapped(trial, at)
     slips = [text for sure, text in (*_slips(trial, about, at), *_slopes(trial, at)) if sure]
     yield from slips or _pushed(trial, at)
 
 
-def oddities(trial: Trial, about: Mechanism, recording: Recording) -> Iterator[str]:
+def oddities(trial: Trial, about: Mechanism, at: "Columns") -> Iterator[str]:
     """What is odd about a trial that can be judged."""
-    at = _Columns(about, recording)
     for sure, text in (*_slips(trial, about, at), *_slopes(trial, at)):
         if not sure:
             yield text
-    yield from _idle(trial, at)
     yield from _late(trial, at)
     yield from _upright(trial, at)
 
 
-class _Columns:
+class Columns:
     """Where a trial's columns come from, in words."""
 
-    def __init__(self, about: Mechanism, recording: Recording) -> None:
-        self.about, self.files = about, recording.files
+    def __init__(self, about: Mechanism, files: Mapping[str, Path]) -> None:
+        self.about, self.files = about, files
 
     def __call__(self, channel: str, column: str | None = None) -> str:
+        """File and column; None: of the stamps."""
         named = self.of(channel, column)
         return f"{self.files[channel]}: column {named.source}"
 
@@ -131,7 +131,7 @@ class _Columns:
         return known.time if column is None else known.columns[column]
 
 
-def _too_short(trial: Trial, at: _Columns) -> Iterator[str]:
+def _too_short(trial: Trial, at: Columns) -> Iterator[str]:
     for name, series in trial.channels.items():
         t = series.t_s
         length = float(t[-1] - t[0]) if len(t) else 0.0
@@ -143,13 +143,14 @@ def _too_short(trial: Trial, at: _Columns) -> Iterator[str]:
             )
 
 
-def _apart(trial: Trial, at: _Columns) -> Iterator[str]:
+def _apart(trial: Trial, at: Columns) -> Iterator[str]:
     """Channels whose clocks have other units, or nothing in common."""
     spans = {name: (float(s.t_s[0]), float(s.t_s[-1])) for name, s in trial.channels.items() if len(s) > 1}
     for one, other in combinations(spans, 2):
         (a, b), (c, d) = spans[one], spans[other]
         ratio = (b - a) / (d - c)
-        if any(abs(max(ratio, 1 / ratio) / span - 1) < 0.2 for span in SPANS):
+        many = min(len(trial.channels[one]), len(trial.channels[other])) >= ROWS_LEAST
+        if many and any(abs(max(ratio, 1 / ratio) / span - 1) < 0.2 for span in SPANS):
             yield (
                 f"{at(one)}: the {one} channel lasts {b - a:.4g} s, {other} {d - c:.4g} s; "
                 "the stamps of one are in another unit: correct its `unit`"
@@ -161,7 +162,7 @@ def _apart(trial: Trial, at: _Columns) -> Iterator[str]:
             )
 
 
-def _late(trial: Trial, at: _Columns) -> Iterator[str]:
+def _late(trial: Trial, at: Columns) -> Iterator[str]:
     """What goes on after the last command, or begins before the first."""
     drive = next((name for name in ("command", "force", "torque") if name in trial.channels), None)
     if drive is None or "measured" not in trial.channels:
@@ -180,53 +181,7 @@ def _late(trial: Trial, at: _Columns) -> Iterator[str]:
         )
 
 
-def _judged(trial: Trial) -> tuple[str, ...]:
-    """Measured columns that a stage is judged by."""
-    columns = trial.channels["measured"].columns if "measured" in trial.channels else {}
-    kind = trial.stage.kind if trial.stage is not None else ""
-    if kind == "tracking":
-        return tuple(filter(None, [followed(columns)]))
-    return tuple(name for name in columns if not name.startswith(("rate", "effort")))
-
-
-def _still(values: Array) -> bool:
-    return not len(values) or float(np.ptp(values)) <= 1e-12 * float(np.max(np.abs(values)))
-
-
-def _dead(trial: Trial, at: _Columns) -> Iterator[str]:
-    """Columns that never change."""
-    still = [name for name in _judged(trial) if _still(trial.channels["measured"][name])]
-    drive = next((name for name in ("command", "force") if name in trial.channels), None)
-    idle = drive is not None and all(map(_still, trial.channels[drive].columns.values()))
-    for name in still:
-        value = trial.channels["measured"][name][0]
-        if idle and drive is not None:
-            yield (
-                f"{at('measured', name)}: nothing moves in this trial, neither {name} nor {drive}; leave the trial out"
-            )
-        else:
-            yield (
-                f"{at('measured', name)}: {name} is {value:.4g} in every row; a dead sensor or the wrong column: name "
-                "another, or leave this trial out"
-            )
-
-
-def _idle(trial: Trial, at: _Columns) -> Iterator[str]:
-    """Inputs that never change while something moves, and columns beside the judged ones that never do."""
-    if trial.stage is not None and trial.stage.kind == "tracking" and "command" in trial.channels:
-        command = trial.channels["command"]["command"]
-        if _still(command):
-            yield (
-                f"{at('command', 'command')}: the command is {command[0]:.4g} in every row while what is measured "
-                "moves; is it the right column? a trial without a command says little: leave it out"
-            )
-    if "measured" in trial.channels:
-        for name, values in trial.channels["measured"].columns.items():
-            if name not in _judged(trial) and _still(values):
-                yield f"{at('measured', name)}: {name} is {values[0]:.4g} in every row; leave the column out"
-
-
-def _wrapped(trial: Trial, at: _Columns) -> Iterator[str]:
+def _wrapped(trial: Trial, at: Columns) -> Iterator[str]:
     """Angles that start again after a whole turn."""
     if "measured" not in trial.channels or trial.stage is None:
         return
@@ -251,11 +206,11 @@ def _static(trial: Trial, command: Array) -> Array:
     return _single(model, "gain", 1.0) * command + _single(model, "offset", 0.0)
 
 
-def _slips(trial: Trial, about: Mechanism, at: _Columns) -> Iterator[tuple[bool, str]]:
+def _slips(trial: Trial, about: Mechanism, at: Columns) -> Iterator[tuple[bool, str]]:
     """A follower that moves by other orders than its command: (whether that is sure to be a unit, sentence)."""
     if trial.stage is None or about.kind != "tracking" or not {"command", "measured"} <= trial.channels.keys():
         return
-    (name,) = _judged(trial)
+    (name,) = judged(trial)
     seen, wanted = trial.channels["measured"][name], _static(trial, trial.channels["command"]["command"])
     spread = [float(np.quantile(x, 0.95) - np.quantile(x, 0.05)) for x in (seen, wanted)]
     if min(spread) <= 0:
@@ -281,7 +236,7 @@ def _slips(trial: Trial, about: Mechanism, at: _Columns) -> Iterator[tuple[bool,
         yield ratio > SWING_SURE or ratio < 1 / SWING_SURE, f"{said}; correct a `unit`, or write `gain` in the model"
 
 
-def _pushed(trial: Trial, at: _Columns) -> Iterator[str]:
+def _pushed(trial: Trial, at: Columns) -> Iterator[str]:
     """A mass that changes its speed by far more than its force could, its weight besides."""
     if trial.stage is None or trial.stage.kind != "driven_mass" or not {"force", "measured"} <= trial.channels.keys():
         return
@@ -318,7 +273,7 @@ def _either(*likely: str) -> str:
     return " or ".join(filter(None, likely))
 
 
-def _slopes(trial: Trial, at: _Columns) -> Iterator[tuple[bool, str]]:
+def _slopes(trial: Trial, at: Columns) -> Iterator[tuple[bool, str]]:
     """Rates that are not the slopes of their positions; of a tracking stage its view tells."""
     if "measured" not in trial.channels or trial.stage is None or trial.stage.kind == "tracking":
         return
@@ -359,11 +314,11 @@ def _slope_ratio(t: Array, x: Array, v: Array) -> float | None:
     return float(moved @ told / (moved @ moved)) if moved @ moved > 0 else None
 
 
-def _upright(trial: Trial, at: _Columns) -> Iterator[str]:
+def _upright(trial: Trial, at: Columns) -> Iterator[str]:
     """A pendulum whose angle is not zero where it hangs."""
     if trial.stage is None or trial.stage.kind != "pendulum" or "measured" not in trial.channels:
         return
-    for name in _judged(trial):
+    for name in judged(trial):
         middle = float(np.median(trial.channels["measured"][name]))
         if abs(abs(middle) - np.pi) < UPRIGHT_RAD:
             yield (

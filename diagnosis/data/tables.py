@@ -1,14 +1,15 @@
 """Single-stage tables of other rigs: the stage.yaml that explains them, and the columns that it names, as trials."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from softarm.common.quantity import factor
-from softarm.diagnosis.data import checks, stage_rules, table_checks, table_files
+from softarm.diagnosis.data import checks, stage_rules, still_checks, table_checks, table_files
 from softarm.diagnosis.data.stage_file import Recording, Stage, load, recordings
+from softarm.diagnosis.data.table_checks import Columns
 from softarm.diagnosis.data.table_files import Table
 from softarm.diagnosis.data.trials import OwnUnit, Series, TableStage, Trial, TrialError
 from softarm.schemas.stage_model import ModelValue
@@ -27,7 +28,7 @@ def read(path: Path, data: Path | None = None) -> tuple[Trial, ...]:
     """
     base = path.parent if data is None else data
     loaded: dict[Path, Table] = {}  # a file that serves many trials is read once
-    trials: list[Trial] = []
+    read_: list[tuple[Trial, Columns]] = []
     wrong: dict[str, None] = {}
     for stage in load(path):
         for recording in recordings(path, base, stage):
@@ -37,16 +38,40 @@ def read(path: Path, data: Path | None = None) -> tuple[Trial, ...]:
             for element in tuple(stage.about.elements) or ("",):
                 try:
                     trial = _trial(stage, recording, element, loaded)
-                    wrong |= dict.fromkeys(table_checks.mistakes(trial, stage.about, recording))
-                    odd = table_checks.oddities(trial, stage.about, recording)
-                    trials.append(replace(trial, warnings=(*trial.warnings, *odd)))
                 except TrialError as error:
                     wrong[str(error)] = None
+                    continue
+                at = Columns(stage.about, recording.files)
+                if mistakes := dict.fromkeys(table_checks.mistakes(trial, stage.about, at)):
+                    wrong |= mistakes
+                    continue
+                odd = table_checks.oddities(trial, stage.about, at)
+                read_.append((replace(trial, warnings=(*trial.warnings, *odd)), at))
+    trials, dead = _without_still(read_)
+    wrong |= dict.fromkeys(dead)
     if wrong:
         told = [*wrong][:MOST_TOLD]
         rest = [f"{path}: and {len(wrong) - MOST_TOLD} more; mend these first"] if len(wrong) > MOST_TOLD else []
         raise TrialError("\n".join([*told, *rest]))
-    return tuple(trials)
+    return trials
+
+
+def _without_still(read_: Sequence[tuple[Trial, Columns]]) -> tuple[tuple[Trial, ...], list[str]]:
+    """The trials in which something moves, what is odd about them in words; and what cannot be."""
+    kept: list[Trial] = []
+    wrong: list[str] = []
+    for name in dict.fromkeys(trial.stage.name for trial, _ in read_ if trial.stage is not None):
+        mine = [(trial, at) for trial, at in read_ if trial.stage is not None and trial.stage.name == name]
+        trials = [trial for trial, _ in mine]
+        found = list(still_checks.stillness(trials, [at for _, at in mine]))
+        wrong += [each.text for each in found if each.so == "wrong"]
+        gone = {each.trial: each.text for each in found if each.so == "left out"}
+        odd = {k: tuple(each.text for each in found if each.so == "odd" and each.trial == k) for k in range(len(mine))}
+        left = [replace(t, warnings=(*t.warnings, *odd[k])) for k, t in enumerate(trials) if k not in gone]
+        if left and gone:
+            left[0] = replace(left[0], warnings=(*left[0].warnings, *gone.values()))
+        kept += left
+    return tuple(kept), wrong
 
 
 def _trial(stage: Stage, recording: Recording, element: str, loaded: dict[Path, Table]) -> Trial:
@@ -62,8 +87,9 @@ def _trial(stage: Stage, recording: Recording, element: str, loaded: dict[Path, 
         if path not in loaded:
             loaded[path] = table_files.load(path, stage.form)
         place = about.elements.get(element)
-        series, found = _series(loaded[path], channel, stage.form, recording.segment, place)
-        channels[name], odd = checks.tidy_stamps(series, f"{path}: {name}")
+        drive = name in still_checks.DRIVES
+        series, found = _series(loaded[path], channel, stage.form, recording.segment, place, drive)
+        channels[name], odd = checks.tidy_stamps(series, f"{path}: {name}", gaps=not drive)
         warnings += (*found, *odd, *table_checks.ranges(channels[name], about.kind, channel, f"{path}: {name}"))
     if about.angles == "relative":
         channels["measured"] = _absolute(channels["measured"], about.links)
@@ -86,7 +112,7 @@ def _trial(stage: Stage, recording: Recording, element: str, loaded: dict[Path, 
 
 
 def _series(
-    table: Table, channel: TableChannel, form: TableForm, segment: str | None, element: int | None
+    table: Table, channel: TableChannel, form: TableForm, segment: str | None, element: int | None, drive: bool
 ) -> tuple[Series, list[str]]:
     """A channel's rows that hold a reading of every column, and what is odd about the others."""
     if element is not None and not any(table_files.holds_lists(table, c, segment) for c in channel.columns.values()):
@@ -120,7 +146,7 @@ def _series(
         raise TrialError(f"{table.path}: no row holds a reading of every column; leave columns out of the stage.yaml")
     rows = np.flatnonzero(keep)
     where = f"{table.path}: column {channel.time.source}"
-    warnings += table_checks.clock(time[rows], channel.time, where, lambda i: table.place(int(rows[i])))
+    warnings += table_checks.clock(time[rows], channel.time, where, lambda i: table.place(int(rows[i])), drive)
     return Series(time[rows], {name: values[rows] for name, values in columns.items()}), warnings
 
 

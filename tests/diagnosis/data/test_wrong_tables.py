@@ -233,7 +233,7 @@ WRONG = {
     ),
     "milliseconds called seconds": (
         lambda rig: (rig.seen["t"].__imul__(1e3), rig.sent["t"].__imul__(1e3)),
-        r"sent.csv: column t: rows are 10 s apart; its stamps look like ms: write `unit: ms`",
+        r"seen.csv: column t: rows are 10 s apart; its stamps look like ms: write `unit: ms`",
     ),
     "microseconds called seconds": (
         lambda rig: rig.seen["t"].__imul__(1e6),
@@ -432,3 +432,47 @@ def test_what_is_odd_is_told_and_read(rig, case):
         (trial,) = tables.read(stage)
     assert len(trial.warnings) <= 2, trial.warnings  # the same of each of two channels at most
     assert re.search(says, trial.warnings[-1]), trial.warnings
+
+
+def test_commands_may_be_logged_when_they_change_alone(rig):
+    changed = np.concatenate(([True], np.diff(COMMAND) != 0))
+    assert changed.sum() < 10
+    rig.sent = {name: values[changed] for name, values in rig.sent.items()}
+    rig.says("trials:", "trials:\n  - {name: hold, kind: hold, files: {command: set.csv, measured: long.csv}}")
+    t = np.arange(0, 200, 0.05)
+    (rig.folder / "set.csv").write_text("t,u\n0,20\n5,80\n12,20\n112,80\n")
+    held = np.interp(t, [0, 5, 5.2, 12, 12.2, 112, 112.2], [20, 20, 80, 80, 20, 20, 80])
+    (rig.folder / "long.csv").write_text("t,p\n" + "".join(f"{a:.2f},{b}\n" for a, b in zip(t, held, strict=True)))
+    hold, one = tables.read(rig.write())
+    assert (hold.name, one.warnings) == ("hold", ())
+    (late,) = hold.warnings
+    assert "long.csv: column t: goes on for 87.9 s after the last command" in late
+
+
+def two_trials(rig, sent, seen):
+    """A second trial beside the sound one."""
+    rig.says("trials:", "trials:\n  - {name: two, kind: hold, files: {command: sent2.csv, measured: seen2.csv}}")
+    (rig.folder / "sent2.csv").write_text("\n".join(rig.lines({"t": T, "u": sent})))
+    (rig.folder / "seen2.csv").write_text("\n".join(rig.lines({"t": T, "p": seen})))
+    return rig.write()
+
+
+def test_a_trial_in_which_nothing_moves_is_left_out_beside_others(rig):
+    (trial,) = tables.read(two_trials(rig, np.full(400, 20.0), np.full(400, 20.5)))
+    assert trial.name == "one"
+    assert re.search(r"seen2.csv: column p: nothing moves in this trial, .*; it is left out", trial.warnings[0])
+
+
+def test_what_a_small_command_does_not_move_may_be_friction_and_what_a_large_one_does_not_is_dead(rig):
+    two, one = tables.read(two_trials(rig, 50 + 5 * np.sin(T), np.full(400, 50.2)))
+    assert (two.name, one.warnings) == ("two", ())
+    assert re.search(r"seen2.csv: column p: pressure is 50.2 in every row, under a small command", two.warnings[0])
+    (rig.folder / "sent2.csv").write_text("\n".join(rig.lines({"t": T, "u": 50 + 25 * np.sin(T)})))
+    assert re.search(
+        r"seen2.csv: column p: pressure is 50.2 in every row; a dead sensor", refusal(rig.folder / "stage.yaml")
+    )
+
+
+def test_a_held_trial_of_one_that_moves_elsewhere_is_no_wrong_column(rig):
+    two, _ = tables.read(two_trials(rig, np.full(400, 50.0), 50 + 0.05 * np.sin(97 * T)))
+    assert two.warnings == ()
