@@ -18,6 +18,7 @@ from softarm.diagnosis.report.words import (
 from softarm.pages.numbers import listed, number, percent, quantity
 from softarm.schemas.verdict import NamedEffect
 
+_AS_GOOD = 0.9  # of what some model could take away: then a known effect does not fail for want of size
 _NAMED_EACH = 4  # effects: more are counted, and told stage by stage
 
 
@@ -164,36 +165,34 @@ def _unknown(diagnosis: Diagnosis) -> tuple[str, str, str]:
     mine = [r for r in diagnosis.rivals if stage and any(name.startswith(f"{stage}.") for name in r.names)]
     best = max(mine or diagnosis.rivals, key=lambda r: r.alone, default=None)
     any_model = "some model could shrink it" if could is None else f"some model could take away {percent(could)} of it"
-    unseen = UNSEEN[diagnosis.held_out]
-    unseen = unseen[0].upper() + unseen[1:]
-    if best is None:
-        sure = f"{unseen}, {any_model}."
-    else:
-        sure = (
-            f"{unseen}, {any_model}, while the known effect that comes closest, "
-            f"{' with '.join(best.names)}, takes away {percent(max(0.0, best.alone))}."
-        )
+    seen = UNSEEN[diagnosis.held_out]
+    sure = f"{seen[0].upper()}{seen[1:]}, {any_model}."
+    if best is not None:
+        closest, alone = " with ".join(best.names), max(0.0, best.alone)
+        sure = f"{sure[:-1]}, while the known effect that comes closest, {closest}, takes away {percent(alone)}."
+        if could is not None and alone > _AS_GOOD * could:
+            sure = f"{sure[:-1]}: as much, and still it did not stand as the answer; warnings and rivals say more."
     feature = next((name for left in diagnosis.leftovers if left.stage == stage for name, _ in left.depends_on), None)
     hint = f"; what is left depends most on {feature}" if feature else ""
     return what, sure, f"So nothing is changed in the {lacking(diagnosis)}, and the gap stays as it is{hint}."
 
 
-def _above(diagnosis: Diagnosis) -> list[str]:
-    """Stages whose gap is above its floor, the worst first."""
+def _above(diagnosis: Diagnosis) -> bool:
+    """Whether a stage stands above its floor."""
+    return any(ratio > 1 for ratio in _in_floors(diagnosis).values())
+
+
+def _in_floors(diagnosis: Diagnosis) -> dict[str, float]:
+    """Stage -> its gap in floors, where there is one."""
     gap = diagnosis.verdict.gap
-    found = {stage: times(gap.before[stage], gap.floor.get(stage)) or 0.0 for stage in stages_of_gap(diagnosis)}
-    return sorted((stage for stage in found if found[stage] > 1), key=lambda stage: -found[stage])
-
-
-def stages_of_gap(diagnosis: Diagnosis) -> list[str]:
-    """Stages of which a gap was measured."""
-    return [stage for stage in stages_of(diagnosis) if stage in diagnosis.verdict.gap.before]
+    found = {
+        stage: times(gap.before[stage], gap.floor.get(stage)) for stage in stages_of(diagnosis) if stage in gap.before
+    }
+    return {stage: ratio for stage, ratio in found.items() if ratio is not None}
 
 
 def _none(diagnosis: Diagnosis) -> tuple[str, str, str]:
-    gap = diagnosis.verdict.gap
-    near = {stage: times(gap.before[stage], gap.floor.get(stage)) for stage in stages_of_gap(diagnosis)}
-    known = {stage: ratio for stage, ratio in near.items() if ratio is not None}
+    gap, known = diagnosis.verdict.gap, _in_floors(diagnosis)
     it = lacking(diagnosis)
     robot = "robot" if diagnosis.nominal is not None else "rig"
     if not known:

@@ -7,6 +7,7 @@ from softarm.diagnosis.report import overlays
 from softarm.diagnosis.report.words import known
 from softarm.pages.numbers import listed
 from softarm.schemas.excitation import EXCITATIONS, Excitation
+from softarm.schemas.verdict import NextExperiment
 
 
 def flight(diagnosis: Diagnosis) -> Excitation | None:
@@ -20,8 +21,7 @@ def steps(diagnosis: Diagnosis) -> list[str]:
     plan = diagnosis.verdict.next_experiment
     found = []
     if plan is not None and flight(diagnosis) is None:
-        apart = f", which tells apart {listed(plan.separates)}" if plan.separates else ""
-        found.append(f"Record this{apart}: {plan.excitation}.")
+        found.append(_recording(plan))
     asked = frozenset(plan.separates) if plan is not None else frozenset()
     for effect in diagnosis.verdict.effects:
         members = (effect.name, *effect.equivalents)
@@ -34,6 +34,15 @@ def steps(diagnosis: Diagnosis) -> list[str]:
             "what comes again each time is an effect that nobody has named, what does not is chance."
         )
     return found
+
+
+def _recording(plan: NextExperiment) -> str:
+    """What to record of another rig; a plan without expectations says why there is nothing to record."""
+    whom, signs = listed(plan.separates), dict.fromkeys(plan.expect.values())
+    if not signs:
+        return f"{whom}: {plan.excitation}." if plan.separates else f"Record this: {plan.excitation}."
+    told = f" ({next(iter(signs))})" if len(signs) == 1 else ""
+    return f"To tell apart {whom}, record this: {plan.excitation}{told}."
 
 
 def _apart(diagnosis: Diagnosis, members: tuple[str, ...]) -> str:

@@ -108,7 +108,7 @@ def next_step(diagnosis: Diagnosis) -> Html:
     if told:
         parts.append(el("p", "Then diagnose again, with the new recording beside the old ones."))
     plan = diagnosis.verdict.next_experiment
-    if plan is not None and plan.expect and not flown:
+    if plan is not None and len(set(plan.expect.values())) > 1 and not flown:
         parts.append(_expected(plan))
     return join(parts)
 

@@ -116,12 +116,12 @@ def reduction(before: Quantity | None, after: Quantity | None) -> float | None:
 
 def less(diagnosis: Diagnosis, place: str) -> str:
     """How much of a stage's gap goes with all that is named: `74 % less, 95 % interval 70 to 78`; empty: not known."""
-    gap = diagnosis.verdict.gap
+    gap, of = diagnosis.verdict.gap, shrink(diagnosis, place)
     share = reduction(gap.before.get(place), gap.after.get(place))
     if share is None or not diagnosis.verdict.effects:
         return ""
+    share = share if of is None else of.value
     text = f"{percent(abs(share))} {'less' if share >= 0 else 'more'}"
-    of = shrink(diagnosis, place)
     if of is None:
         return f"{text}, interval not known"
     low, high = (of.low, of.high) if share >= 0 else (-of.high, -of.low)

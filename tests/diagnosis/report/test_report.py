@@ -328,16 +328,24 @@ def test_what_separates_two_effects_is_the_same_from_either_side():
 
 
 def test_a_flight_is_for_the_robot_and_another_rig_is_told_what_to_record():
+    pair = ("axis.deadband", "axis.lag")
+
+    def asked(excitation, **expect):
+        plan = NextExperiment(excitation=excitation, separates=pair, expect={f"axis.{k}": v for k, v in expect.items()})
+        return replace(CASES["own rig"], verdict=OWN_RIG.model_copy(update={"next_experiment": plan}))
+
+    case = asked("slow ramps", lag="a slope", deadband="a step")
     assert report.flight(CASES["named"]).name == "free-decay"
-    plan = NextExperiment(
-        excitation="slow ramps", separates=("axis.deadband", "axis.lag"), expect={"axis.lag": "a slope"}
-    )
-    case = replace(CASES["own rig"], verdict=OWN_RIG.model_copy(update={"next_experiment": plan}))
     assert report.flight(case) is None
-    assert report.steps(case) == ["Record this, which tells apart axis.deadband and axis.lag: slow ramps."]
+    assert report.steps(case) == ["To tell apart axis.deadband and axis.lag, record this: slow ramps."]
     page = Page(report.render(case)).words
     assert "softarm excite" not in page
     assert "a slope" in page
+    (alike,) = report.steps(asked("slow ramps", lag="a slope or none", deadband="a slope or none"))
+    assert alike == "To tell apart axis.deadband and axis.lag, record this: slow ramps (a slope or none)."
+    assert report.steps(asked("nothing in the list separates these")) == [
+        "axis.deadband and axis.lag: nothing in the list separates these."
+    ]
 
 
 def test_an_unknown_cause_of_a_rig_asks_for_the_worst_recording_again():
@@ -394,8 +402,17 @@ def test_an_unknown_cause_names_no_effect_as_the_cause():
     what, sure, then = report.answer(CASES["unknown"])
     assert "none of the known effects explains it" in what
     assert "some model could take away 75 % of it" in sure
-    assert "comes closest, pressure.dead_time with pressure.lag, takes away 76 %" in sure
+    assert (
+        "comes closest, pressure.dead_time with pressure.lag, takes away 76 %: as much, and still it did not stand"
+        in sure
+    )
     assert "nothing is changed" in then
+
+
+def test_an_unknown_cause_beside_which_the_known_ones_do_little_says_how_little():
+    weak = (Rival(("pressure.lag",), 0.1, None, {}),)
+    _, sure, _ = report.answer(diagnosis(verdict=verdict(verdict="unknown", effects=()), rivals=weak))
+    assert sure.endswith("comes closest, pressure.lag, takes away 10 %.")
 
 
 def test_each_overlay_is_on_the_page_and_one_of_the_blamed_stage_comes_first():
