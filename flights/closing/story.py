@@ -17,7 +17,7 @@ from softarm.flights.closing.outcomes import (
 from softarm.flights.closing.wires import Wires
 from softarm.flights.many import Reached
 from softarm.pages import charts
-from softarm.pages.markup import Html, bar, el, join, prose, table
+from softarm.pages.markup import Html, el, join, prose, shaded, table
 from softarm.pages.numbers import number, percent
 from softarm.schemas.flights import CART_STARTS_M
 from softarm.schemas.goals import Goal
@@ -40,7 +40,13 @@ def sections(closed: Closed) -> list[tuple[str, str]]:
 
 
 def sentences(closed: Closed) -> list[str]:
-    """What came of it, for the terminal and the top of the section: what to fly, why, and what needs no training."""
+    """What came of it, for the terminal: what to fly, why, what moved, and what needs no training."""
+    moved = [] if closed.wires is None else sentences_of(closed.wires)
+    return [*_judged(closed), *moved, *_replanning(closed)]
+
+
+def _judged(closed: Closed) -> list[str]:
+    """What to fly, and what old and retrained have reached."""
     if closed.retrained is None:
         return ["Nothing was named, so nothing was patched and the policy was not retrained."]
     advice, told = closed.advice, []
@@ -54,10 +60,7 @@ def sentences(closed: Closed) -> list[str]:
             f"On {place.title} the old policy reaches {percent(old.share)} of {old.reached.size} goals, from rest and "
             f"in mid-swing, and the retrained one {percent(new.share)}: {closed.won(key).text}, 95 % sure."
         )
-    told += _stops(closed)
-    if closed.wires is not None:
-        told += sentences_of(closed.wires)
-    return told + _replanning(closed)
+    return told + _stops(closed)
 
 
 def lines(closed: Closed) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
@@ -122,6 +125,8 @@ def sentences_of(wires: Wires) -> list[str]:
 
 
 def _through(wires: Wires) -> Html:
+    if not wires.flights:
+        return join(el("p", prose(text)) for text in sentences_of(wires))
     flown = []
     for manner, title in MANNERS.items():
         old, new = wires.flown[OLD, manner], wires.flown[NEW, manner]
@@ -139,7 +144,7 @@ def _through(wires: Wires) -> Html:
 
 
 def _before_and_after(closed: Closed) -> Html:
-    parts = [el("p", prose(text)) for text in sentences(closed)] + [_shares(closed)]
+    parts = [el("p", prose(text)) for text in (*_judged(closed), *_replanning(closed))] + [_shares(closed)]
     for key in (HELD_BACK, PATCHED):
         pictures = [
             _map(_by_target(closed, name, key), closed.targets, f"{TITLES[name]} from rest, {closed.place(key).title}")
@@ -172,14 +177,13 @@ def _limits(closed: Closed) -> Html:
 
 
 def _shares(closed: Closed) -> Html:
-    kinds = {OLD: "nominal", NEW: "patched", REPLANNED: "plain"}
     found = []
     for place in closed.places:
         for manner, title in MANNERS.items():
             row: list[Html | str] = [place.title, title]
             for name in closed.policies:
                 flown = closed.flown.get((name, place.key, manner))
-                row.append("–" if flown is None else bar(flown.share, kinds[name], percent(flown.share)))
+                row.append("–" if flown is None else shaded(flown.share, percent(flown.share)))
             if NEW in closed.policies:
                 both = closed.changed(place.key, manner)
                 row += [f"+{both['gained']} −{both['lost']}", _won(closed, place.key, manner)]
@@ -190,9 +194,7 @@ def _shares(closed: Closed) -> Html:
     if NEW in closed.policies:
         head += ["gained, lost", "retrained − old, 95 %"]
     head.append("stops unasked")
-    return table(
-        head, found, "How often the policy reaches its target", numbers=range(len(closed.policies) + 2, len(head))
-    )
+    return table(head, found, "How often the policy reaches its target", numbers=range(2, len(head)))
 
 
 def _won(closed: Closed, place: str, manner: str) -> str:

@@ -122,6 +122,10 @@ def test_what_did_not_move_is_said_and_says_nothing():
     assert found.advice.fly == "retrained"
     assert "Nothing moved through the wires of the robot of softarm.yaml: not wanted." in story.sentences(found)
     assert summary.summary(found, {})["wires"]["ended"] == "not wanted"
+    titles = dict(story.sections(found))
+    assert "Nothing moved" in titles["Through the wires"]
+    assert "Nothing moved" not in titles["The policy before and after"]  # once is enough
+    assert "<table" not in titles["Through the wires"]
 
 
 def test_mppi_is_offered_beside_what_is_advised():
