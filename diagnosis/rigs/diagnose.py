@@ -19,6 +19,7 @@ from softarm.diagnosis.engine.view import Array
 from softarm.diagnosis.engine.whitened import BLOCK_S, blocks_of
 from softarm.diagnosis.rigs.candidates import candidates, nuisances
 from softarm.diagnosis.rigs.ceiling import ceiling
+from softarm.diagnosis.rigs.driven_mass import DrivenMassView
 from softarm.diagnosis.rigs.pendulum import PendulumView
 from softarm.diagnosis.rigs.selection import Backward, Refitted
 from softarm.diagnosis.rigs.tracking import TrackingView, velocity_warnings
@@ -37,7 +38,7 @@ class ViewClass(Protocol):
 
 
 # A new kind of stage is a line here.
-VIEWS: Mapping[str, ViewClass] = {"tracking": TrackingView, "pendulum": PendulumView}
+VIEWS: Mapping[str, ViewClass] = {"tracking": TrackingView, "driven_mass": DrivenMassView, "pendulum": PendulumView}
 
 NULL_FLOORS = 2.0  # a gap below this many floors is none
 NAMED_SHARE, INCOMPLETE_SHARE = 0.8, 0.3  # of what any model could explain

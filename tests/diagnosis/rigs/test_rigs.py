@@ -216,8 +216,8 @@ def test_windows_share_nothing_and_lose_nothing():
 
 def test_what_has_no_view_says_so():
     t = T
-    trial = Trial("push", "steps", Path("push"), {}, stage=TableStage("cart", "driven_mass", {}))
-    with pytest.raises(TrialError, match="a driven_mass stage cannot be diagnosed yet"):
+    trial = Trial("push", "steps", Path("push"), {}, stage=TableStage("cart", "crane", {}))
+    with pytest.raises(TrialError, match="a crane stage cannot be diagnosed yet"):
         view_of([trial])
     with pytest.raises(TrialError, match="are of no single-stage table"):
         diagnose_table([Trial("x", "x", Path("x"), {})])

@@ -1,0 +1,395 @@
+"""A mass that a force, a torque or a motor's current moves: a cart on a rail, a motor's axis, a linear stage.
+
+No acceleration is ever taken: the model is let go in windows, whose starts are fitted at every point, and its way is
+held against the measured one. So an encoder suffices, and an inexact model does not run away.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.signal import savgol_filter
+
+from softarm.diagnosis.data.trials import Series, TableStage, Trial, TrialError
+from softarm.diagnosis.engine.view import Array, Point
+from softarm.diagnosis.engine.whitened import BLOCK_S, slices
+from softarm.diagnosis.rigs.driven_mass_effects import Scales, effects
+from softarm.diagnosis.rigs.grid import Grid, grid
+from softarm.diagnosis.rigs.laws import driven_mass as laws
+from softarm.diagnosis.rigs.views import FLOOR_SHARE, RigView
+
+DRIVEN_BY = {"force": "N", "current": "A", "voltage": "V"}  # columns, in the order in which they are looked for
+RATE_HZ, RATE_QUICK_HZ, QUICK_S = 100.0, 200.0, 0.5  # the second for motions of a shorter period than this
+# A window lasts this share of a usual motion, in whole blocks: long enough for a small force to show, and no longer.
+WINDOW_PERIODS, WINDOW_MOST = 0.4, 20
+STEPS_A_PERIOD, SUBSTEPS_MOST = 200, 8
+ROUNDS = 3  # of the fit of where a window starts
+SMOOTHED = (5, 9, 17, 33, 65)  # samples: speeds are slopes over the longest that noise alone explains
+NOISE_MORE = 1.3
+HELD_LATE = 0.5  # of the input's stamps: whether it is held or was sampled is half of a step
+# What a well-kept model may be off by: shares of its own values, and of the largest force.
+OF_GAIN, OF_OWN, OF_FORCE = 0.01, 0.02, 0.002
+LEVELS_LEAST = 10  # fewer say nothing of the steps between
+GIVE_TIMES = 3.0  # nobody knows how far friction bends
+SLOW, STILL, STRONG = 0.15, 0.01, 0.6  # shares of the largest speed and force
+_MODEL = {
+    "viscous": "damping.viscous",
+    "coulomb": "coulomb_friction.force",
+    "offset": "force_offset.force",
+    "delay_s": "dead_time.delay",
+}
+_INPUT = ("dead_time.delay", "latency.delay", "deadband.width", "ceiling.limit", "lag.time", "gain.scale")
+
+
+@dataclass(frozen=True, slots=True)
+class _Motion:
+    """One trial as it was measured."""
+
+    grid: Grid
+    seen: Array  # [T]; NaN in gaps
+    position: Array  # [T] smoothed; of a speed the sum of it
+    speed: Array  # [T]
+    noise: float
+    spread: Array  # [2] how well position and speed are known where a window starts
+
+
+class DrivenMassView(RigView):
+    """Input to position, or where no trial has one, to velocity; all trials of one stage."""
+
+    def __init__(self, trials: Sequence[Trial]) -> None:
+        """Raises TrialError for trials of no driven mass, and of a model without a mass."""
+        stage = _stage(trials)
+        self._mass, rotary = _mass(stage)
+        self._gain = _number(stage, "gain", 1.0)
+        self._speed_alone = not all("position" in t.channel("measured").columns for t in trials)
+        column, driver = _columns(trials, self._speed_alone)
+        step = resolution([t.channel("measured")[column] for t in trials])
+        inputs = [_summed(t.channel("force"), driver) for t in trials]
+        limit = abs(self._gain) * _largest([t.channel("force")[driver] for t in trials]) / self._mass
+        self._motions = _motions(trials, column, step, limit)
+        length = stage.unit("measured", column).removesuffix("/s") or ("rad" if rotary else "m")
+        scales = _scales(trials, self._motions, driver, abs(self._gain), step, length, "N m" if rotary else "N")
+        self._inputs, self._scales = inputs, scales
+        units = scales.units
+        own = effects(stage.name, scales, self._speed_alone)
+        self._known = {f"{e.name.rpartition('.')[2]}.{p.name}": p.neutral for e in own for p in e.parameters}
+        self._known |= {path: _number(stage, key, 0.0) for key, path in _MODEL.items()}
+        self._window_s = BLOCK_S * min(max(round(WINDOW_PERIODS * scales.period_s / BLOCK_S), 1), WINDOW_MOST)
+        self._edges = [_edges(m.grid, self._window_s) for m in self._motions]
+        self._each = int(min(max(np.ceil(scales.step_s * STEPS_A_PERIOD / scales.period_s), 1), SUBSTEPS_MOST))
+        self._late: dict[tuple[int, float], Array] = {}
+        self._forces: dict[tuple[float, ...], list[Array]] = {}
+        signals = [self._signals(k) for k in range(len(trials))]
+        super().__init__(
+            stage.name,
+            units["speed" if self._speed_alone else "way"],
+            (column,),
+            own,
+            [m.grid.t_s for m in self._motions],
+            [m.seen[:, None] for m in self._motions],
+            step,
+            signals,
+        )
+        parts = [m.seen[a:b] for m, e in zip(self._motions, self._edges, strict=True) for a, b in pairwise(e)]
+        swing = np.sqrt(np.nanmean(np.concatenate([p - np.nanmean(p) for p in parts if np.isfinite(p).any()]) ** 2))
+        self.floor = np.array([max(FLOOR_SHARE * swing, step, *(m.noise for m in self._motions), 1e-12)])
+        self._starts = [self._where(m, e) for m, e in zip(self._motions, self._edges, strict=True)]
+
+    @property
+    def twins(self) -> Mapping[str, tuple[str, ...]]:
+        """See RigView."""
+        return {f"{self.stage}.dead_time": (f"{self.stage}.latency",)}
+
+    @property
+    def tolerances(self) -> Mapping[str, float]:
+        """See RigView."""
+        s = self._scales
+        between = [float(np.median(np.diff(t))) for t, _ in self._inputs]
+        own = {path: max(OF_OWN * abs(self.nominal(path)), OF_FORCE * s.force) for path in _MODEL.values()}
+        return own | {
+            "coulomb_friction.give": GIVE_TIMES * self.nominal("coulomb_friction.give"),
+            "gain.scale": OF_GAIN,
+            "dead_time.delay": HELD_LATE * max(between),
+            "damping.viscous": max(OF_OWN * self.nominal("damping.viscous"), OF_FORCE * s.force / s.speed),
+        }
+
+    @property
+    def regimes(self) -> Mapping[str, NDArray[np.bool_]]:
+        """See View."""
+        f, s = self.features, self._scales
+        speed, force = f["speed"], np.abs(f["force"])
+        still = np.abs(speed) < STILL * s.speed
+        return {
+            "at rest": still,
+            "moving slowly": ~still & (np.abs(speed) < SLOW * s.speed),
+            "moving fast": np.abs(speed) > 0.5 * s.speed,
+            "moving forwards": speed > STILL * s.speed,
+            "moving backwards": speed < -STILL * s.speed,
+            "after a reversal": (f["time since reversal"] < 0.1 * s.period_s) & ~still,
+            "under a large force": force > STRONG * s.force,
+            "coasting": ~still & (force < 0.05 * s.force),
+        }
+
+    def nominal(self, path: str) -> float:
+        """See RigView."""
+        return self._known[path]
+
+    def _gap(self, points: Sequence[Point], i: int) -> Array:
+        point = {path: float(self.values(points[i : i + 1], path)[0]) for path in self._known}
+        law, parts = self._law(point), []
+        forces = self._driven(tuple(point[path] for path in _INPUT), law)
+        for k, (m, edges, (starts, sides, moving)) in enumerate(
+            zip(self._motions, self._edges, self._starts, strict=True)
+        ):
+            out = np.empty(len(m.seen))
+            laws.shots(
+                m.seen,
+                edges,
+                starts,
+                m.spread,
+                sides,
+                moving,
+                forces[k],
+                law,
+                float(self.floor[0]),
+                m.grid.step_s,
+                self._each,
+                ROUNDS,
+                self._speed_alone,
+                out,
+            )
+            parts.append(out)
+        return np.concatenate(parts)[:, None]
+
+    def _law(self, point: Point) -> Array:
+        law = np.zeros(laws.COLUMNS)
+        dry, more = point["coulomb_friction.force"], point["friction_asymmetry.force"]
+        law[laws.FORWARD], law[laws.BACKWARD] = max(dry + more, 0.0), max(dry - more, 0.0)
+        law[laws.GAIN] = self._gain * (1 + point["gain.scale"])
+        law[laws.MASS] = self._mass * (1 + point["mass.scale"])
+        for path, column in (
+            ("deadband.width", laws.WIDTH),
+            ("ceiling.limit", laws.LIMIT),
+            ("lag.time", laws.LAG),
+            ("coulomb_friction.give", laws.GIVE),
+            ("stiction.force", laws.STICTION),
+            ("stiction.speed", laws.SPEED),
+            ("damping.viscous", laws.VISCOUS),
+            ("drag.coefficient", laws.DRAG),
+            ("force_offset.force", laws.OFFSET),
+        ):
+            law[column] = point[path]
+        if self._speed_alone:
+            law[laws.BIAS] = point["sensor_bias.bias"]
+        else:
+            law[laws.GAP], frequency = point["backlash.gap"], point["compliance.frequency"]
+            law[laws.OMEGA], law[laws.RATIO] = (
+                2 * np.pi * frequency if np.isfinite(frequency) else 0.0,
+                point["compliance.ratio"],
+            )
+        return law
+
+    def _driven(self, key: tuple[float, ...], law: Array) -> list[Array]:
+        """Forces of all trials, [T each], as the input's own laws make them; kept, for most points share them."""
+        if key not in self._forces:
+            if len(self._forces) > 16:
+                self._forces.clear()
+            found = []
+            for k, m in enumerate(self._motions):
+                held = self._held(k, key[0] + key[1])
+                out = np.empty_like(held)
+                laws.drive(held, law, m.grid.step_s / self._each, out)
+                found.append(out)
+            self._forces[key] = found
+        return self._forces[key]
+
+    def _held(self, k: int, delay_s: float) -> Array:
+        """Mean of the held input over every step, delayed: a delay acts by any part of a sample."""
+        if (k, delay_s) not in self._late:
+            if len(self._late) > 64 * len(self._motions):
+                self._late.clear()
+            g, (t, summed) = self._motions[k].grid, self._inputs[k]
+            h = g.step_s / self._each
+            at = np.interp(g.t_s[0] - delay_s + h * np.arange(len(g.t_s) * self._each + 1), t, summed)
+            self._late[k, delay_s] = np.diff(at) / h
+        return self._late[k, delay_s]
+
+    def _where(self, m: _Motion, edges: NDArray[np.int64]) -> tuple[Array, Array, Array]:
+        """Of every window: position and speed at its start [W, 2], which way the mass went last, and goes there [W]."""
+        first = edges[:-1]
+        way = np.where(np.abs(m.speed) > 0.05 * self._scales.speed, np.sign(m.speed), 0.0)
+        last = np.maximum.accumulate(np.where(way != 0.0, np.arange(len(way)), 0))
+        seen = m.speed if self._speed_alone else m.position
+        starts = np.stack((np.zeros(len(first)) if self._speed_alone else seen[first], m.speed[first]), axis=1)
+        return np.ascontiguousarray(starts), np.ascontiguousarray(way[last[first]]), way[first]
+
+    def _signals(self, k: int) -> dict[str, Array]:
+        """What a flexible model may look at; sums over a window, for what pushes at one time is seen for long after."""
+        m, edges = self._motions[k], self._edges[k]
+        t, v = m.grid.t_s, m.speed
+        force = self._gain * self._held(k, self.nominal("dead_time.delay")).reshape(len(t), -1).mean(axis=1)
+        way = np.sign(np.where(np.abs(v) > STILL * self._scales.speed, v, 0.0))
+        turned = np.concatenate(([0], np.flatnonzero(np.diff(np.sign(v))) + 1))
+        since = t - t[turned[np.searchsorted(turned, np.arange(len(t)), side="right") - 1]]
+        signals = {"force": force, "speed": v, "direction": way, "time since reversal": since, "position": m.position}
+        begun = np.repeat(edges[:-1], np.diff(edges))
+        signals["time in the window"] = t - t[begun]
+        sums = {
+            "force": force,
+            "direction": way,
+            "speed": v,
+            "drag": v * np.abs(v),
+            "position": m.position - m.position.mean(),
+        }
+        for name, values in sums.items():
+            signals[f"{name}, summed"] = _summed_twice(values, edges, m.grid.step_s, self._speed_alone)
+        return signals
+
+
+def resolution(signals: Sequence[Array]) -> float:
+    """An encoder's step: what all differences are whole multiples of; 0 for signals that have none."""
+    levels = np.unique(np.concatenate(signals))
+    span = float(levels[-1] - levels[0])
+    apart = np.diff(levels)
+    apart = np.sort(apart[apart > 1e-9 * span])
+    if len(apart) < LEVELS_LEAST:
+        return 0.0
+    near = apart[: max(LEVELS_LEAST, len(apart) // 4)]
+    step = float(np.median(near[near < 1.5 * near[0]]))
+    whole = np.abs(near / step - np.round(near / step)) < 0.1
+    return step if np.mean(whole) > 0.9 else 0.0
+
+
+def _summed_twice(values: Array, edges: NDArray[np.int64], step_s: float, once: bool) -> Array:
+    """What a push like this would have moved by since a window's start, but for the mass."""
+    out = np.empty_like(values)
+    for a, b in pairwise(edges):
+        speed = np.cumsum(values[a:b]) * step_s
+        out[a:b] = speed if once else np.cumsum(speed) * step_s
+    return out
+
+
+def _stage(trials: Sequence[Trial]) -> TableStage:
+    stages = {t.stage.name: t.stage for t in trials if t.stage is not None and t.stage.kind == "driven_mass"}
+    if len(stages) != 1 or any(t.stage is None for t in trials):
+        raise TrialError(f"one driven mass at a time: these trials have {', '.join(sorted(stages)) or 'none'}")
+    return stages.popitem()[1]
+
+
+def _mass(stage: TableStage) -> tuple[float, bool]:
+    """Mass or inertia, and whether it turns. Raises TrialError for a model with neither, and for one of nought."""
+    for key, rotary in (("mass_kg", False), ("inertia_kg_m2", True)):
+        if key in stage.model:
+            value = _number(stage, key, 0.0)
+            if not value > 0:
+                raise TrialError(f"{stage.name}: model.{key} is {value:g}; a mass is above 0, correct it")
+            return value, rotary
+    raise TrialError(
+        f"{stage.name}: model lacks mass_kg (or inertia_kg_m2, if it turns); motion tells force over it alone"
+    )
+
+
+def _number(stage: TableStage, key: str, otherwise: float) -> float:
+    return float(np.ravel(stage.model.get(key, otherwise))[0])
+
+
+def _columns(trials: Sequence[Trial], speed_alone: bool) -> tuple[str, str]:
+    """What is measured, and what drives it. Raises TrialError where a trial lacks it."""
+    column = "velocity" if speed_alone else "position"
+    if not all(column in t.channel("measured").columns for t in trials):
+        raise TrialError(
+            f"{trials[0].source}: no column position or velocity in every trial's measured channel; add it"
+        )
+    for driver in DRIVEN_BY:
+        if all(driver in t.channel("force").columns for t in trials):
+            return column, driver
+    raise TrialError(f"{trials[0].source}: no column {' or '.join(DRIVEN_BY)} in every trial's force channel; add it")
+
+
+def _largest(signals: Sequence[Array]) -> float:
+    """But for a few samples. Raises TrialError for signals that are nought throughout."""
+    largest = float(np.quantile(np.abs(np.concatenate(signals)), 0.995))
+    if not largest > 0:
+        raise TrialError("nothing drives it: the force is nought in every trial; check `source` in the stage.yaml")
+    return largest
+
+
+def _summed(series: Series, driver: str) -> tuple[Array, Array]:
+    """Stamps and the integral of the input held between them, with room before and after."""
+    t, u = series.t_s, series[driver]
+    t = np.concatenate(([t[0] - 10.0], t, [t[-1] + 10.0]))
+    held = np.concatenate(([u[0]], u))
+    return t, np.concatenate(([0.0], np.cumsum(held * np.diff(t))))
+
+
+def _motions(trials: Sequence[Trial], column: str, step: float, limit: float) -> list[_Motion]:
+    """Trials on their grids, finer where the motion is quick. limit: largest acceleration that the input can make."""
+    found = [_motion(grid(t.channel("measured"), RATE_HZ, (column,)), column, step, limit) for t in trials]
+    if _period(found, column) > QUICK_S:
+        return found
+    return [_motion(grid(t.channel("measured"), RATE_QUICK_HZ, (column,)), column, step, limit) for t in trials]
+
+
+def _motion(g: Grid, column: str, step: float, limit: float) -> _Motion:
+    seen = g.columns[column]
+    known = np.isfinite(seen)
+    whole = np.interp(g.t_s, g.t_s[known], seen[known])
+    noise = max(float(np.std(np.diff(whole, 3))) / np.sqrt(20.0), step / np.sqrt(12.0), 1e-12)
+    width = SMOOTHED[0]
+    for wider in SMOOTHED[1:]:
+        if wider >= len(whole) or np.std(whole - savgol_filter(whole, wider, 2)) > NOISE_MORE * noise:
+            break
+        width = wider
+    smooth = savgol_filter(whole, width, 2)
+    span = width * g.step_s
+    if column == "velocity":
+        position, speed = np.cumsum(smooth) * g.step_s, smooth
+        spread = np.array([1.0, 3 * noise + 0.1 * limit * span])
+    else:
+        position, speed = smooth, savgol_filter(whole, width, 2, deriv=1, delta=g.step_s)
+        slope = noise * np.sqrt(12.0 / (width * (width**2 - 1))) / g.step_s
+        spread = np.array([5 * noise + 0.1 * limit * span**2, 3 * slope + 0.1 * limit * span])
+    return _Motion(g, seen, position, speed, noise, spread)
+
+
+def _period(motions: Sequence[_Motion], column: str) -> float:
+    """Of the usual motion: of a sine with the same way and speed, or the same speed and acceleration."""
+    found = []
+    for m in motions:
+        x = m.speed if column == "velocity" else m.position
+        v = np.gradient(m.speed, m.grid.step_s) if column == "velocity" else m.speed
+        longest = float(m.grid.t_s[-1] - m.grid.t_s[0])
+        found.append(min(2 * np.pi * float(np.std(x)) / max(float(np.sqrt(np.mean(v**2))), 1e-12), longest))
+    return max(float(np.median(found)), 20 * motions[0].grid.step_s)
+
+
+def _scales(
+    trials: Sequence[Trial], motions: Sequence[_Motion], driver: str, gain: float, step: float, length: str, push: str
+) -> Scales:
+    column = "position" if "position" in motions[0].grid.columns else "velocity"
+    largest = _largest([t.channel("force")[driver] for t in trials])
+    speed = float(np.quantile(np.abs(np.concatenate([m.speed for m in motions])), 0.99))
+    way = float(max(np.ptp(m.position) for m in motions))
+    return Scales(
+        length,
+        push,
+        push if driver == "force" else DRIVEN_BY[driver],
+        largest,
+        gain * largest,
+        max(speed, 1e-9),
+        max(way, 1e-9),
+        max(step, *(m.noise for m in motions)),
+        float(np.median([m.grid.step_s for m in motions])),
+        _period(motions, column),
+    )
+
+
+def _edges(g: Grid, window_s: float) -> NDArray[np.int64]:
+    """Where windows begin and end, [W + 1]: as blocks do, a rest of less than half a block goes to the last one."""
+    number = ((g.t_s - g.t_s[0]) / window_s + 1e-9).astype(int)
+    edges = [*(part.start for part in slices(number)), len(number)]
+    if len(edges) > 2 and (edges[-1] - edges[-2]) * g.step_s < 0.5 * window_s:
+        del edges[-2]
+    return np.array(edges)

@@ -1,0 +1,455 @@
+"""A mass under a force: its law against closed forms and scipy, and what a view of it finds in carts of another law.
+
+The carts are of our own making, and share no line with the law: LuGre bristles at 50 kHz, a controller, an encoder.
+"""
+
+import math
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numba
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from softarm.diagnosis.data.trials import Series, TableStage, Trial, TrialError
+from softarm.diagnosis.engine.problem import Setup
+from softarm.diagnosis.engine.search import Search
+from softarm.diagnosis.rigs.candidates import candidates, nuisances
+from softarm.diagnosis.rigs.diagnose import diagnose_table
+from softarm.diagnosis.rigs.driven_mass import DrivenMassView, resolution
+from softarm.diagnosis.rigs.laws import driven_mass as laws
+
+FINE_S = 2e-5
+KINDS = ("steps", "multisine", "slow", "sweep")
+
+
+@dataclass(frozen=True)
+class Cart:
+    """What a machine is; forces in N (or N m), ways in m (or rad)."""
+
+    mass: float = 2.0
+    gain: float = 1.0
+    viscous: float = 1.5
+    coulomb: float = 0.0
+    asymmetry: float = 0.0
+    stiction: float = 0.0  # beyond coulomb
+    stribeck: float = 0.01
+    drag: float = 0.0
+    offset: float = 0.0
+    delay: float = 0.0
+    lag: float = 0.0
+    deadband: float = 0.0
+    ceiling: float = 1e9
+    gap: float = 0.0
+    frequency: float = 0.0
+    ratio: float = 0.05
+
+
+@numba.njit
+def run(c, reference, kp, kd, step, fine, bristle, noise):
+    """Commands [T], positions [T] and speeds [T] at samples of `step`; c: a Cart's numbers in their order."""
+    (mass, gain, viscous, dry, more, stick, stribeck, drag, offset, delay, lag, width, limit, gap, hz, ratio) = c
+    n, sub = len(reference), round(step / fine)
+    u, xs, vs = np.zeros(n), np.zeros(n), np.zeros(n)
+    x = v = z = force = seen = bent = bending = 0.0
+    x = seen = bent = reference[0]
+    last = seen
+    for i in range(n):
+        xs[i], vs[i] = seen, v
+        now = seen + noise[i]
+        u[i] = kp * (reference[i] - now) - kd * (now - last) / step
+        last = now
+        for j in range(sub):
+            k = int(np.floor((i * sub + j) * fine / step - delay / step + 1e-9))
+            acts = u[k] if k >= 0 else 0.0
+            acts -= min(max(acts, -width), width)
+            acts = gain * min(max(acts, -limit), limit)
+            force = acts if lag == 0.0 else force + (acts - force) * fine / lag
+            level = dry + stick * np.exp(-((v / stribeck) ** 2)) + (more if v > 0 else -more)
+            hold = 0.0
+            if level > 0:
+                stiff = level / bristle
+                rest = np.sign(v) * bristle
+                kept = np.exp(-abs(v) / bristle * fine)
+                bend = rest + (z - rest) * kept
+                hold = stiff * bend + 0.5 * np.sqrt(stiff * mass) * (bend - z) / fine
+                z = bend
+            v += fine * (force + offset - hold - viscous * v - drag * v * abs(v)) / mass
+            x += fine * v
+            if hz > 0:
+                w = 2 * np.pi * hz
+                bending += fine * (w * w * (x - bent) + 2 * ratio * w * (v - bending))
+                bent += fine * bending
+            else:
+                bent = x
+            seen = min(max(seen, bent - gap / 2), bent + gap / 2)
+    return u, xs, vs
+
+
+def reference(kind, seconds, step, way, seed):
+    """[T] where the controller shall go."""
+    t = np.arange(round(seconds / step)) * step
+    draw = np.random.default_rng(seed)
+    if kind == "steps":
+        levels = np.cumsum(draw.choice((-1.0, 1.0), 40) * draw.uniform(0.4, 1.0, 40))
+        return way * np.clip(levels, -1, 1)[(t / 1.1).astype(int)]
+    if kind == "multisine":
+        return way * sum(0.4 / k**0.5 * np.sin(2 * np.pi * 0.23 * k * t + draw.uniform(0, 6)) for k in (1, 2, 3, 5, 8))
+    if kind == "slow":
+        return way * np.sin(2 * np.pi * 0.12 * t + draw.uniform(0, 6))
+    return way * 0.6 * np.sin(2 * np.pi * (0.2 * t + 0.08 * t**2))
+
+
+def campaign(
+    cart, nominal, seconds=12.0, step=0.01, way=0.3, encoder=5e-5, noise=2e-5, kinds=KINDS, seed=0, velocity=False
+):
+    """Trials of a cart under a lax controller, to be held against a nominal model (a stage.yaml's `model`)."""
+    trials = []
+    turns = "inertia_kg_m2" in nominal
+    stiff = 30.0 * cart.mass / cart.gain
+    numbers = tuple(float(getattr(cart, name)) for name in Cart.__dataclass_fields__)
+    for i, kind in enumerate(kinds):
+        draw = np.random.default_rng(seed + 10 * i)
+        wanted = reference(kind, seconds, step, way, seed + i)
+        hum = noise * draw.normal(size=len(wanted))
+        u, x, v = run(numbers, wanted, stiff, 0.15 * stiff, step, FINE_S, 2e-5 * way / 0.3, hum)
+        t = step * np.arange(len(u))
+        seen = (
+            {"velocity": v + noise * draw.normal(size=len(v))}
+            if velocity
+            else {"position": encoder * np.round((x + hum) / encoder)}
+        )
+        channels = {
+            "force": Series(t.copy(), {"current" if "gain" in nominal else "force": u}),
+            "measured": Series(t.copy(), seen),
+        }
+        name = "axis" if turns else "cart"
+        trials.append(Trial(f"{kind} {i}", kind, Path(kind), channels, stage=TableStage(name, "driven_mass", nominal)))
+    return trials
+
+
+KNOWN = {"mass_kg": 2.0, "viscous": 1.5, "coulomb": 1.0}
+RUBS = Cart(coulomb=1.0)
+QUICK = {"seconds": 9.0, "kinds": ("steps", "multisine", "slow")}
+
+
+def law(**numbers):
+    found = np.zeros(laws.COLUMNS)
+    found[[laws.GAIN, laws.LIMIT, laws.MASS, laws.SPEED]] = 1.0, math.inf, 2.0, 0.01
+    for name, value in numbers.items():
+        found[getattr(laws, name)] = value
+    return found
+
+
+def go(force, numbers, v=0.0, step=0.01, each=1, state=(0.0, 0.0, 0.0, 0.0)):
+    out = np.empty(len(force))
+    laws.travel(np.array([0.0, v]), np.array(state), np.repeat(force, each), numbers, step, each, False, out)
+    return out
+
+
+@pytest.mark.parametrize("step", [0.001, 0.1, 3.0])
+def test_a_cart_coasts_to_a_stop_where_mechanics_says(step):
+    """Dry and viscous friction together: m v' = -F - b v from v0; then it stays."""
+    m, b, f, v0 = 2.0, 0.5, 1.0, 1.2
+    stop = m / b * math.log1p(b * v0 / f)
+    t = np.arange(0, 12, step)
+    x = np.where(
+        t < stop,
+        -f / b * t + (v0 + f / b) * m / b * (1 - np.exp(-b * t / m)),
+        (m * v0 - f * stop) / b,
+    )
+    found = go(np.zeros(len(t)), law(FORWARD=f, BACKWARD=f, VISCOUS=b), v0, step)
+    np.testing.assert_allclose(found, x, atol=1e-12)
+
+
+def test_a_cart_reaches_the_speed_at_which_friction_is_as_large_as_the_force():
+    force = np.full(6000, 5.0)
+    for numbers, speed in (
+        ({"VISCOUS": 2.0}, 2.5),
+        ({"DRAG": 0.2}, 5.0),
+        ({"VISCOUS": 2.0, "FORWARD": 1.0, "BACKWARD": 9.0}, 2.0),
+        ({"VISCOUS": 2.0, "OFFSET": -1.0}, 2.0),
+    ):
+        assert np.diff(go(force, law(**numbers)))[-1] / 0.01 == pytest.approx(speed, rel=1e-6)
+
+
+def test_a_cart_breaks_away_at_its_friction_and_not_before():
+    force = 0.01 * np.arange(400)  # to 4 N
+    for numbers, least in (({"FORWARD": 2.0}, 2.0), ({"FORWARD": 2.0, "STICTION": 1.0}, 3.0), ({"FORWARD": 1.5}, 1.5)):
+        found = go(force, law(**numbers))
+        assert force[np.flatnonzero(found > 0)[0]] == pytest.approx(least, abs=0.03)
+    assert np.all(go(-force, law(FORWARD=0.1, BACKWARD=5.0)) == 0.0)
+    held = go(np.full(100, 1.0), law(FORWARD=2.0, BACKWARD=2.0, GIVE=1e-4))
+    assert 0.5e-4 < held[-1] < 2e-4  # bent, and no more
+    assert np.ptp(held[50:]) < 1e-6
+
+
+def test_no_step_is_too_long_for_dry_friction():
+    force = np.random.default_rng(0).normal(0, 3, 1500)
+    for give, share in ((0.0, 1e-9), (3e-5, 0.02)):
+        numbers = law(FORWARD=1.0, BACKWARD=1.5, VISCOUS=0.5, GIVE=give)
+        fine, coarse = go(force, numbers, each=16), go(force, numbers)
+        assert np.abs(fine - coarse).max() < share * np.ptp(fine)
+
+
+def test_bent_friction_goes_as_that_of_bristles():
+    """LuGre without its own damping, by an implicit solver of scipy's, through reversals and rests."""
+    m, dry, bristle, b = 2.0, 1.0, 5e-5, 0.5
+
+    def push(t):
+        return 2.5 * math.sin(4 * t) + 1.5 * math.sin(9 * t + 1)
+
+    def slope(t, y):
+        bend = y[1] - dry_rate(y)
+        hold = dry * y[2] / bristle
+        return [y[1], (push(t) - hold - b * y[1]) / m, bend]
+
+    def dry_rate(y):
+        return abs(y[1]) * y[2] / bristle
+
+    t = np.arange(0, 3, 0.002)
+    exact = solve_ivp(slope, (0, 3), [0.0, 0.0, 0.0], "Radau", t, rtol=1e-8, atol=1e-10).y[0]
+    force = np.array([push(at + 0.001) for at in t])
+    found = go(force, law(FORWARD=dry, BACKWARD=dry, GIVE=bristle, VISCOUS=b), step=0.002)
+    rigid = go(force, law(FORWARD=dry, BACKWARD=dry, VISCOUS=b), step=0.002)
+    assert np.abs(found - exact).max() < 0.02 * np.ptp(exact)
+    assert np.abs(found - exact).max() < 0.5 * np.abs(rigid - exact).max()
+
+
+def test_what_hangs_on_a_spring_swings_as_scipy_says():
+    w, ratio = 2 * math.pi * 5.0, 0.1
+    t = np.arange(0, 2, 0.01)
+    force = np.where((t > 0.195) & (t < 0.395), 4.0, 0.0)
+
+    def slope(at, y):
+        push = 4.0 if 0.2 < at < 0.4 else 0.0
+        return [y[1], push / 2.0, y[3], w * w * (y[0] - y[2]) + 2 * ratio * w * (y[1] - y[3])]
+
+    exact = solve_ivp(slope, (0, 2), np.zeros(4), t_eval=t, max_step=1e-3, rtol=1e-8, atol=1e-10).y[2]
+    found = go(force, law(OMEGA=w, RATIO=ratio))
+    assert np.abs(found - exact).max() < 0.02 * np.ptp(exact)
+
+
+def test_play_is_crossed_at_reversals():
+    force = np.concatenate((np.full(100, 1.0), np.full(250, -1.0)))
+    free, loose = go(force, law()), go(force, law(GAP=0.02), state=(1.0, 0.0, 0.0, 0.0))  # the forward flank is shut
+    back = int(np.argmax(free))
+    np.testing.assert_allclose(loose[: back + 1], free[: back + 1], atol=1e-12)
+    np.testing.assert_allclose(loose[back:], np.minimum(free.max(), free[back:] + 0.02), atol=1e-12)
+
+
+def test_an_amplifier_has_a_dead_zone_an_end_and_a_lag():
+    held, out = np.linspace(-4, 4, 81), np.empty(81)
+    laws.drive(held, law(WIDTH=1.0, LIMIT=2.0, GAIN=3.0), 0.01, out)
+    np.testing.assert_allclose(out, 3 * np.clip(np.sign(held) * np.maximum(np.abs(held) - 1, 0), -2, 2), atol=1e-12)
+    step = np.concatenate(([0.0], np.ones(99)))
+    late = np.empty(100)
+    laws.drive(step, law(LAG=0.1), 0.01, late)
+    means = 1 - 0.1 / 0.01 * (np.exp(-np.arange(99) * 0.1) - np.exp(-np.arange(1, 100) * 0.1))
+    np.testing.assert_allclose(late[1:], means, atol=1e-12)
+
+
+def floors(view, point=None):
+    return float(np.sqrt(np.nanmean(view.gap([point or {}])[0] ** 2)) / view.floor[0])
+
+
+def alone(view):
+    """Every effect alone, fitted, the best first."""
+    setup = Setup([view], nuisances(view), [str(k) for k in np.unique(view.trial)])
+    problem = setup.weighed()
+    search = Search(problem, setup.plain(), [view.stage], candidates(view))
+    null_model = problem.fit([((), ())])[0]
+    fits = problem.fit(search._started(null_model, search.candidates), 8)
+    return {f.names[0].partition(".")[2]: f for f in sorted(fits, key=lambda f: f.loss)}, null_model, problem
+
+
+def test_a_healthy_cart_shows_no_gap():
+    for more in ({}, {"encoder": 5e-4, "noise": 3e-4}, {"step": 0.004, "seconds": 6.0}):
+        assert floors(DrivenMassView(campaign(RUBS, KNOWN, **(QUICK | more)))) < 2.0
+
+
+SINGLES = {
+    "mass": (replace(RUBS, mass=2.3), "scale", 0.15, ()),
+    "gain": (replace(RUBS, gain=0.85), "scale", -0.15, ()),
+    "coulomb_friction": (replace(RUBS, coulomb=1.6), "force", 1.6, ()),
+    "friction_asymmetry": (replace(RUBS, asymmetry=0.4), "force", 0.4, ("force_offset",)),
+    "force_offset": (replace(RUBS, offset=0.5), "force", 0.5, ("friction_asymmetry",)),
+    "stiction": (replace(RUBS, stiction=0.8, stribeck=0.02), "force", 0.8, ()),
+    "damping": (replace(RUBS, viscous=3.0), "viscous", 3.0, ()),
+    "drag": (replace(RUBS, drag=3.0), "coefficient", 3.0, ()),
+    "dead_time": (replace(RUBS, delay=0.03), "delay", 0.03, ()),
+    "lag": (replace(RUBS, lag=0.04), "time", 0.04, ()),
+    "ceiling": (replace(RUBS, ceiling=6.0), "limit", 6.0, ()),
+    "deadband": (replace(RUBS, deadband=0.6), "width", 0.6, ()),
+    "backlash": (replace(RUBS, gap=0.004), "gap", 0.004, ()),
+    "compliance": (replace(RUBS, frequency=6.0), "frequency", 6.0, ()),
+}
+
+
+@pytest.mark.parametrize("name", SINGLES)
+def test_an_effect_fits_best_where_it_is_the_cause_and_has_its_size(name):
+    cart, parameter, size, twins = SINGLES[name]
+    view = DrivenMassView(campaign(cart, KNOWN, **QUICK))
+    fits, null_model, _ = alone(view)
+    assert floors(view) > 5
+    assert fits[name].loss < 0.02 * null_model.loss
+    assert fits[name].point[f"cart.{name}.{parameter}"] == pytest.approx(size, rel=0.1)
+    assert not fits[name].at_bound
+    rivals = {other for other, f in fits.items() if f.loss < 3 * fits[name].loss + 20}
+    assert rivals - {name} == set(twins)
+
+
+PAIRS = (
+    ({"coulomb": 1.6, "viscous": 3.0}, {"coulomb_friction.force": 1.6, "damping.viscous": 3.0}),
+    ({"coulomb": 1.6, "offset": 0.5}, {"coulomb_friction.force": 1.6, "force_offset.force": 0.5}),
+    ({"coulomb": 1.6, "mass": 2.4}, {"coulomb_friction.force": 1.6, "mass.scale": 0.2}),
+)
+
+
+@pytest.mark.parametrize(("made", "found"), PAIRS)
+def test_two_effects_have_their_sizes_beside_each_other(made, found):
+    view = DrivenMassView(campaign(replace(RUBS, **made), KNOWN, **QUICK))
+    fits, _, problem = alone(view)
+    both = tuple(fits[path.partition(".")[0]].effects[0] for path in found)
+    fit = problem.fit([(both, tuple(c.starts[0] for c in both))], 12)[0]
+    for path, size in found.items():
+        assert fit.point[f"cart.{path}"] == pytest.approx(size, rel=0.1)
+    assert fit.loss < 0.02 * min(f.loss for f in fits.values())
+
+
+def test_a_tilt_is_friction_that_is_larger_one_way_as_long_as_friction_holds_it():
+    view = DrivenMassView(campaign(replace(RUBS, offset=0.5), KNOWN, **QUICK))
+    assert floors(view) > 100
+    assert floors(view, {"cart.force_offset.force": 0.5}) < 2
+    assert floors(view, {"cart.friction_asymmetry.force": -0.5}) < 0.02 * floors(view)  # how friction bends is left
+    assert "turn the rig round" in next(e for e in view.effects if e.name == "cart.force_offset").separated_by.lower()
+
+
+def test_a_late_force_and_a_late_reading_are_one():
+    view = DrivenMassView(campaign(RUBS, KNOWN, **QUICK))
+    gaps = view.gap([{"cart.dead_time.delay": 0.03}, {"cart.latency.delay": 0.03}])
+    np.testing.assert_array_equal(gaps[0], gaps[1])
+    assert view.twins == {"cart.dead_time": ("cart.latency",)}
+
+
+def test_mass_and_gain_are_one_where_nothing_else_pushes():
+    view = DrivenMassView(campaign(Cart(viscous=0.0), {"mass_kg": 2.0}, **QUICK))
+    gaps = view.gap([{"cart.mass.scale": 0.25}, {"cart.gain.scale": -0.2}])
+    assert np.nanmax(np.abs(gaps[0] - gaps[1])) < 0.01 * view.floor[0]
+    rubs = DrivenMassView(campaign(RUBS, KNOWN, **QUICK))
+    gaps = rubs.gap([{"cart.mass.scale": 0.25}, {"cart.gain.scale": -0.2}])
+    assert np.nanmax(np.abs(gaps[0] - gaps[1])) > 10 * rubs.floor[0]
+
+
+def test_a_speed_alone_suffices_and_its_zero_can_be_off():
+    view = DrivenMassView(campaign(replace(RUBS, coulomb=1.6), KNOWN, velocity=True, noise=1e-3, **QUICK))
+    assert (view.unit, view.channels) == ("m/s", ("velocity",))
+    assert {"cart.backlash", "cart.compliance"}.isdisjoint(e.name for e in view.effects)
+    fits, _, _ = alone(view)
+    assert next(iter(fits)) == "coulomb_friction"
+    assert fits["coulomb_friction"].point["cart.coulomb_friction.force"] == pytest.approx(1.6, rel=0.1)
+    biased = view.gap([{"cart.sensor_bias.bias": 0.05}])[0] - view.gap([{}])[0]
+    assert np.nanmax(np.abs(biased)) > 0.01
+
+
+def test_an_axis_has_its_own_units_and_sizes():
+    """A small motor: grams and amperes; friction of a ten-thousandth of the cart's."""
+    small = Cart(mass=2e-5, gain=0.02, viscous=2e-5, coulomb=6e-4)
+    nominal = {"inertia_kg_m2": 2e-5, "gain": 0.02, "viscous": 2e-5, "coulomb": 2e-4}
+    view = DrivenMassView(campaign(small, nominal, way=3.0, encoder=1.5e-3, **QUICK))
+    units = {f"{e.name}.{p.name}": p.unit for e in view.effects for p in e.parameters}
+    assert units["axis.coulomb_friction.force"] == "N m"
+    assert units["axis.damping.viscous"] == "N m s/rad"
+    assert units["axis.ceiling.limit"] == "A"
+    assert units["axis.backlash.gap"] == view.unit == "rad"
+    fits, _, _ = alone(view)
+    assert next(iter(fits)) == "coulomb_friction"
+    assert fits["coulomb_friction"].point["axis.coulomb_friction.force"] == pytest.approx(6e-4, rel=0.1)
+
+
+def test_bounds_hold_the_nominal_and_every_usual_change():
+    for nominal in (KNOWN, {"mass_kg": 2.0}):
+        view = DrivenMassView(campaign(RUBS, nominal, **QUICK))
+        for effect in view.effects:
+            assert effect.meaning
+            assert effect.source
+            for p in effect.parameters:
+                assert p.low < p.high
+                assert p.admits(p.neutral)
+                assert p.admits(p.exemplar)
+                assert p.admits(view.nominal(f"{effect.name}.{p.name}".partition(".")[2]))
+
+
+def test_the_model_is_held_against_a_noise_that_it_does_not_chase():
+    """Windows are fitted by where they start alone: white noise stays what it is."""
+    noise = 2e-4
+    view = DrivenMassView(campaign(RUBS, KNOWN, noise=noise, encoder=1e-6, **QUICK))
+    left = view.gap([{}])[0][:, 0]
+    assert 0.9 * noise < float(np.std(left)) < 1.3 * noise
+
+
+def test_an_encoders_step_is_what_all_differences_are_multiples_of():
+    draw = np.random.default_rng(0)
+    x = np.cumsum(draw.normal(size=1000))
+    assert resolution([np.round(x / 0.01) * 0.01]) == pytest.approx(0.01)
+    assert resolution([np.round(100 * x / 0.01) * 0.01]) == pytest.approx(0.01)  # sparse: few levels twice
+    assert resolution([x]) == 0.0
+
+
+def broken(model, force=None, columns=("position",)):
+    t = np.arange(0, 5, 0.01)
+    pushed = {"force": np.sin(t) if force is None else force}
+    channels = {
+        "force": Series(t, pushed),
+        "measured": Series(t.copy(), {name: np.cos(t) for name in columns}),
+    }
+    return [Trial("one", "sine", Path("one.csv"), channels, stage=TableStage("cart", "driven_mass", model))]
+
+
+def test_what_cannot_be_a_driven_mass_is_told_with_the_next_step():
+    with pytest.raises(TrialError, match=r"cart: model lacks mass_kg \(or inertia_kg_m2"):
+        DrivenMassView(broken({"gain": 2.0}))
+    with pytest.raises(TrialError, match=r"model\.mass_kg is 0"):
+        DrivenMassView(broken({"mass_kg": 0.0}))
+    with pytest.raises(TrialError, match="the force is nought in every trial"):
+        DrivenMassView(broken({"mass_kg": 1.0}, force=np.zeros(500)))
+    with pytest.raises(TrialError, match="no column position or velocity"):
+        DrivenMassView(broken({"mass_kg": 1.0}, columns=("height",)))
+    with pytest.raises(TrialError, match="one driven mass at a time"):
+        DrivenMassView([replace(broken({})[0], stage=None)])
+
+
+def test_nothing_is_named_on_a_healthy_cart():
+    verdict = diagnose_table(campaign(RUBS, KNOWN, **QUICK)).verdict
+    assert (verdict.verdict, verdict.effects) == ("none", ())
+
+
+@pytest.mark.slow
+def test_a_carts_dry_friction_is_named_by_its_encoder_alone():
+    verdict = diagnose_table(campaign(replace(RUBS, coulomb=1.6), KNOWN, **QUICK)).verdict
+    assert verdict.verdict == "named"
+    assert [e.name for e in verdict.effects] == ["cart.coulomb_friction"]
+    assert verdict.effects[0].parameters["force"].value == pytest.approx(1.6, rel=0.1)
+
+
+def test_the_generator_is_scipys_lugre():
+    """Bristles at 50 kHz against an implicit solver: one second, one reversal, no controller's noise."""
+    cart = Cart(coulomb=1.0, stiction=0.5, stribeck=0.05)
+    numbers = tuple(float(getattr(cart, name)) for name in Cart.__dataclass_fields__)
+    step, bristle = 0.01, 2e-5
+    wanted = 0.1 * np.sin(2 * np.pi * np.arange(100) * step)
+    u, x, _ = run(numbers, wanted, 60.0, 9.0, step, FINE_S, bristle, np.zeros(100))
+
+    def slope(t, y):
+        level = 1.0 + 0.5 * math.exp(-((y[1] / 0.05) ** 2))
+        rate = y[1] - abs(y[1]) * y[2] / bristle
+        stiff = level / bristle
+        hold = stiff * y[2] + 0.5 * math.sqrt(stiff * 2.0) * rate
+        return [y[1], (u[min(int(t / step + 1e-9), 99)] - hold - 1.5 * y[1]) / 2.0, rate]
+
+    at, y = np.zeros(100), np.zeros(3)
+    for i in range(99):
+        y = solve_ivp(slope, (i * step, (i + 1) * step - 1e-9), y, "LSODA", rtol=1e-7, atol=1e-10).y[:, -1]
+        at[i + 1] = y[0]
+    assert np.abs(at - x).max() < 0.02 * np.ptp(x)
