@@ -44,11 +44,16 @@ def test_a_chain_goes_on_where_the_goal_before_left_the_arm():
 
 
 @pytest.mark.slow
-def test_after_a_stop_another_arm_is_swung_and_the_next_goal_flies():
+def test_after_a_stop_another_arm_is_swung_and_the_next_goal_flies(monkeypatch):
     """A camera that the failsafe refuses: it stops the arm in every flight that moves for long enough."""
     config = Config(failsafe=Failsafe(mocap_late_max_s=0.03))
     runner = Runner(load(REACH), with_effect("mocap.latency", delay=0.09), config)
-    flown = fly_chain(runner, chains(TEST_TARGETS)[0][:3])
+    begun, begin = [], runner.begin
+    monkeypatch.setattr(runner, "begin", lambda scenario: begun.append(scenario) or begin(scenario))
+    chain = chains(TEST_TARGETS)[0][:3]
+    flown = fly_chain(runner, chain)
+    stopped = [flight.stop is not None for flight in flown]
+    assert begun == [chain[0], *(later for later, before in zip(chain[1:], stopped, strict=False) if before)]
     assert any(flight.stop is not None and "motion capture" in flight.stop for flight in flown)
     assert not any(flight.reached for flight in flown if flight.stop is not None)
     assert len(flown) == 3
