@@ -22,11 +22,7 @@ def steps(diagnosis: Diagnosis) -> list[str]:
     found = []
     if plan is not None and flight(diagnosis) is None:
         found.append(_recording(plan))
-    asked = frozenset(plan.separates) if plan is not None else frozenset()
-    for effect in diagnosis.verdict.effects:
-        members = (effect.name, *effect.equivalents)
-        if effect.equivalents and not asked.issuperset(members):
-            found.append(f"To tell apart {listed(members)}: {_apart(diagnosis, members)}.")
+    found += _sets(diagnosis)
     if diagnosis.verdict.verdict == "unknown" and plan is None and diagnosis.overlays:
         worst = diagnosis.overlays[overlays.first(diagnosis)]
         found.append(
@@ -34,6 +30,26 @@ def steps(diagnosis: Diagnosis) -> list[str]:
             "what comes again each time is an effect that nobody has named, what does not is chance."
         )
     return found
+
+
+def _sets(diagnosis: Diagnosis) -> list[str]:
+    """A sentence for every set that the plan does not cover; sets of the same laws are told together."""
+    plan = diagnosis.verdict.next_experiment
+    asked = frozenset(plan.separates) if plan is not None else frozenset()
+    alike: dict[tuple[str, str], list[str]] = {}
+    for effect in diagnosis.verdict.effects:
+        members = tuple(sorted((effect.name, *effect.equivalents)))
+        if effect.equivalents and not asked.issuperset(members):
+            stages = {name.rpartition(".")[0] for name in members}
+            own = len(stages) == 1
+            laws = tuple(name.rpartition(".")[2] for name in members) if own else members
+            how = _apart(diagnosis, members)
+            said = how.replace(f"{min(stages)}.", "") if own else how
+            alike.setdefault((listed(laws), said), []).append(min(stages) if own else "")
+    return [
+        f"To tell apart {laws}{f' ({listed(sorted(stages))})' if all(stages) else ''}: {how}."
+        for (laws, how), stages in alike.items()
+    ]
 
 
 def _recording(plan: NextExperiment) -> str:

@@ -181,17 +181,14 @@ def method(diagnosis: Diagnosis) -> Html:
 def _method(diagnosis: Diagnosis) -> Iterator[str]:
     verdict, robot = diagnosis.verdict, diagnosis.nominal is not None
     yield "Every stage is simulated alone, driven by the signals measured before it."
-    list_ = (
-        "Each effect of the registry" if robot else f"Each of {len(diagnosis.vocabulary) or 'the'} effects of the list"
-    )
+    list_ = "Each effect of the registry" if robot else "Each effect that such a stage can have"
     beside = ", with small errors of what is known allowed beside it," if diagnosis.nuisances or robot else ""
     yield f"{list_} is fitted within bounds{beside} and judged {_JUDGED[diagnosis.held_out]}."
     yield "An effect is named for what it adds beside its rivals, never for what it does alone."
     if any(effect.parameters for effect in verdict.effects):
         yield "The 95 % interval of a fitted size is a jackknife over blocks of consecutive samples."
     if verdict.effects:
-        anew = "trials" if robot else "such blocks"
-        yield f"The 95 % interval of a shrink is by {anew} drawn anew."
+        yield "The 95 % interval of a shrink is a bootstrap: trials, or blocks of them, drawn anew."
     if verdict.gap.ceiling:
         yield "A flexible model of the residual says how much could be explained at all."
         yield "Where known effects fall short of that, the verdict is incomplete or unknown."

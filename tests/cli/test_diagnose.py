@@ -123,7 +123,7 @@ def test_another_rig_is_told_what_to_record_and_no_command(asked, tmp_path):
     asked.verdict = NAMED.model_copy(update={"effects": (set_,), "next_experiment": None})
     outcome = run("diagnose", write_trial(tmp_path / "c" / "a"))
     told = " ".join(outcome.output.split())
-    assert "next: To tell apart pressure.dead_time and pressure.lag: a step: flat foot or slope at once" in told
+    assert "next: To tell apart dead_time and lag (pressure): a step: flat foot or slope at once" in told
     assert "softarm excite" not in told
 
 
