@@ -63,7 +63,6 @@ CHANNELS: dict[StageKind, dict[str, Channel]] = {
     "driven_mass": {
         "force": Channel(("force", "current", "voltage")),
         "measured": Channel(("position", "velocity")),
-        "base": Channel(("position",), optional=True),
     },
     "pendulum": {
         "measured": Channel(("angleN",), ("rateN",)),

@@ -1,0 +1,66 @@
+"""Every key that a stage.yaml's model may have says something to the view of its kind: none is accepted and ignored."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from softarm.diagnosis.data.trials import Series, TableStage, Trial
+from softarm.diagnosis.rigs.diagnose import VIEWS, view_of
+from softarm.schemas.stage_model import CHANNELS, MODEL_KEYS, complaints
+
+T = np.arange(0, 6, 0.01)
+WAVE = np.sin(3 * T) + 0.5 * np.sin(7.3 * T)
+SERIES = {
+    "tracking": {"command": {"command": WAVE}, "measured": {"position": 0.9 * np.sin(3 * T - 0.2)}},
+    "driven_mass": {"force": {"force": WAVE}, "measured": {"position": -0.1 * np.sin(3 * T)}},
+    "pendulum": {"measured": {"angle1": 0.3 * np.sin(7 * T), "angle2": 0.2 * np.sin(7 * T + 0.1)}},
+    "chain": {
+        "measured": {"angle1": 0.3 * np.sin(7 * T), "angle2": 0.2 * np.sin(7 * T + 0.1)},
+        "torque": {"torque1": 0.2 * WAVE, "torque2": 0.1 * WAVE},
+    },
+}
+LINKS = {"mass_kg": (1.0, 0.5), "centre_m": (0.1, 0.1), "inertia_kg_m2": (1e-3, 1e-3), "length_m": (0.2, 0.2)}
+MODEL = {"tracking": {}, "driven_mass": {"mass_kg": 1.0}, "pendulum": LINKS, "chain": LINKS}
+OTHER = {"lag_s": 0.2, "delay_s": 0.1, "gain": 2.0, "offset": 0.3, "map": ((-2.0, -1.0), (0.0, 0.5), (2.0, 0.6)),
+         "rate_limit": 0.5, "acceleration_limit": 2.0, "mass_kg": 3.0, "inertia_kg_m2": 3.0, "viscous": 2.0,
+         "coulomb": 0.4, "gravity_m_s2": 5.0, "damping_nm_s_rad": 0.05, "coulomb_nm": 0.05,
+         "armature_kg_m2": 0.02}  # fmt: skip
+SECOND = {"length_m": (0.4, 0.2)}  # the last link's matters to nothing
+
+
+def residuals(kind, model):
+    channels = {name: Series(T.copy(), {c: v.copy() for c, v in cs.items()}) for name, cs in SERIES[kind].items()}
+    view, _, _ = view_of([Trial("one", "waves", Path("one"), channels, stage=TableStage("thing", kind, model))])
+    return np.nan_to_num(view.gap([{}]))
+
+
+@pytest.mark.parametrize(
+    ("kind", "key"), [(kind, key.name) for kind, keys in MODEL_KEYS.items() if kind in VIEWS for key in keys]
+)
+def test_a_key_of_the_model_changes_what_its_view_expects(kind, key):
+    links = 2 if "link" in {each.each for each in MODEL_KEYS[kind]} else 1
+    usual = MODEL[kind]
+    if key in usual and isinstance(usual[key], tuple):
+        other = SECOND.get(key, tuple(2 * value for value in usual[key]))
+    else:
+        other = OTHER[key]
+    changed = {
+        name: value
+        for name, value in usual.items()
+        if not (key.startswith("inertia") and name == "mass_kg" and links == 1)
+    }
+    changed = {
+        name: value for name, value in changed.items() if not (key == "inertia_joint_kg_m2" and name == "inertia_kg_m2")
+    }
+    changed |= {key: other}
+    assert list(complaints(kind, changed, links)) == []
+    assert not np.allclose(residuals(kind, changed), residuals(kind, usual), rtol=1e-4, atol=1e-7)
+
+
+def test_the_page_shows_every_channel_and_column():
+    page = (Path(__file__).parents[3] / "docs" / "trials.md").read_text(encoding="utf-8")
+    for channels in CHANNELS.values():
+        for name, channel in channels.items():
+            for word in (name, *channel.any_of, *channel.others):
+                assert f"`{word}`" in page, word
