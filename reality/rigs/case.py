@@ -77,7 +77,7 @@ class Cause:
     """One thing that is wrong, and what is right to say of it."""
 
     fault: str
-    settings: Mapping[str, float]  # numbers of the plant
+    settings: Mapping[str, float | tuple[float, ...]]  # numbers of the plant
     names: frozenset[str]  # any of them; empty: no known effect
     tied: frozenset[str]  # may stand beside
     must: frozenset[str]  # have to, all
@@ -106,7 +106,10 @@ class RigCase:
     def truth(self) -> dict[str, Any]:
         """What was drawn: JSON types only."""
         causes = [
-            {"fault": c.fault, "settings": dict(c.settings)}
+            {
+                "fault": c.fault,
+                "settings": {n: np.ravel(x).tolist() if isinstance(x, tuple) else x for n, x in c.settings.items()},
+            }
             | {name: sorted(getattr(c, name)) for name in ("names", "tied", "must", "near", "also")}
             for c in self.causes
         ]

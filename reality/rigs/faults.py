@@ -12,9 +12,9 @@ from typing import Final
 import numpy as np
 
 from softarm.reality.rigs.follower import INNER_SHARE
-from softarm.reality.rigs.presets import Plant, Rig, damping_of, mass_of, moment_of
+from softarm.reality.rigs.presets import Plant, Rig, damping_of, mass_of, moments_of
 
-Patch = dict[str, float]
+Patch = Mapping[str, float | tuple[float, ...]]
 Draw = Callable[[Rig, float, np.random.Generator], Patch]
 Size = Callable[[Rig, float, np.random.Generator], float]
 
@@ -70,6 +70,11 @@ def _mode(rig: Rig, size: float, random: np.random.Generator) -> Patch:
 
 def _steady(rig: Rig, size: float, random: np.random.Generator) -> float:
     return _either(random) * size * _share(random, 0.05, 0.1) * rig.reach
+
+
+def _each(joints: tuple[float, ...], share: float) -> tuple[float, ...]:
+    """So much of each joint's."""
+    return tuple(share * joint for joint in joints)
 
 
 def _of_reach(low: float, high: float) -> Size:
@@ -158,7 +163,7 @@ def force_of(rig: Rig) -> float:
     """What moves a cart or turns a chain's first joint, about: N or N m."""
     if rig.plant == "cart":
         return 0.6 * mass_of(rig) * rig.reach / rig.pace_s**2
-    return moment_of(rig)
+    return moments_of(rig)[0]
 
 
 def _speed_of(rig: Rig) -> float:
@@ -201,14 +206,14 @@ def _cart() -> dict[str, Fault]:
             lambda r, s, g: {"bumper_n_m": 6 * rubs(r, s, g) / r.reach, "bumper_m": g.uniform(0.0, 0.3) * r.reach}
         ),
         "tiring motor": Fault(lambda r, s, g: {"drift": s * _share(g, 0.25, 0.4)}, near=scaled),
-        "wear": Fault(lambda r, s, g: both(r, s, g) | {"wear": 0.05}, near=one({"coulomb_friction", "stiction"})),
+        "wear": Fault(lambda r, s, g: {**both(r, s, g), "wear": 0.05}, near=one({"coulomb_friction", "stiction"})),
     }  # fmt: skip
 
 
 def _chain() -> dict[str, Fault]:
     one = frozenset
     lean, heavy = one({"sensor_bias", "tilt"}), one({"stiffness", "payload"})
-    rubs: Size = lambda r, s, g: s * _share(g, 0.004, 0.008) * moment_of(r)  # noqa: E731
+    rubs: Size = lambda r, s, g: s * _share(g, 0.004, 0.008)  # noqa: E731
 
     def inertia(rig: Rig) -> float:
         mass, centre, own = (float(np.ravel(rig.numbers[k])[0]) for k in ("mass_kg", "centre_m", "inertia_kg_m2"))
@@ -223,10 +228,11 @@ def _chain() -> dict[str, Fault]:
 
     return {
         "coulomb_friction": Fault(
-            lambda r, s, g: {"friction_nm": rubs(r, s, g)}, one({"coulomb_friction"}), one({"stiction"})
+            lambda r, s, g: {"friction_nm": _each(moments_of(r), rubs(r, s, g))},
+            one({"coulomb_friction"}), one({"stiction"}),
         ),
         "damping": Fault(
-            lambda r, s, g: {"viscous_nm_s": damping_of(r) * (1 + s * _share(g, 2.5, 4.0))},
+            lambda r, s, g: {"viscous_nm_s": _each(damping_of(r), 1 + s * _share(g, 2.5, 4.0))},
             one({"damping"}),
         ),
         "drag": Fault(drag, one({"drag"})),
@@ -238,14 +244,16 @@ def _chain() -> dict[str, Fault]:
             one({"payload"}), heavy,
         ),
         "kink": Fault(
-            lambda r, s, g: {"kink_nm_rad": s * _share(g, 0.2, 0.4) * moment_of(r), "kink_rad": g.uniform(0.03, 0.12)},
+            lambda r, s, g: {"kink_nm_rad": s * _share(g, 0.2, 0.4) * moments_of(r)[0],
+                             "kink_rad": g.uniform(0.03, 0.12)},
             near=heavy | {"stiffening"},
         ),
-        "hum": Fault(lambda r, s, g: {"hum_nm": s * _share(g, 0.02, 0.04) * moment_of(r)}),
+        "hum": Fault(lambda r, s, g: {"hum_nm": s * _share(g, 0.02, 0.04) * moments_of(r)[0]}),
         "cogging": Fault(
-            lambda r, s, g: {"ripple_nm": s * _share(g, 0.02, 0.04) * moment_of(r), "ripple_per_turn": g.uniform(9, 16)}
+            lambda r, s, g: {"ripple_nm": s * _share(g, 0.02, 0.04) * moments_of(r)[0],
+                             "ripple_per_turn": g.uniform(9, 16)},
         ),
-        "wear": Fault(lambda r, s, g: {"friction_nm": 1.5 * rubs(r, s, g), "wear": 0.05},
+        "wear": Fault(lambda r, s, g: {"friction_nm": _each(moments_of(r), 1.5 * rubs(r, s, g)), "wear": 0.05},
                       near=one({"coulomb_friction", "damping", "drag"})),
     }  # fmt: skip
 
@@ -254,19 +262,20 @@ def _arm() -> dict[str, Fault]:
     """A chain's with motors: all is larger beside their torques."""
     passive = _chain()
     keep = ("damping", "drag", "lean", "bias", "payload", "hum", "kink", "cogging")
-    rubs: Size = lambda r, s, g: s * _share(g, 0.05, 0.1) * moment_of(r)  # noqa: E731
+    rubs: Size = lambda r, s, g: s * _share(g, 0.05, 0.1)  # noqa: E731
     return {name: passive[name] for name in keep} | {
         "coulomb_friction": Fault(
-            lambda r, s, g: {"friction_nm": rubs(r, s, g)}, frozenset({"coulomb_friction"}), frozenset({"stiction"})
+            lambda r, s, g: {"friction_nm": _each(moments_of(r), rubs(r, s, g))},
+            frozenset({"coulomb_friction"}), frozenset({"stiction"}),
         ),
         "weak motor": Fault(lambda r, s, g: {"strength": -s * _share(g, 0.1, 0.2)}, frozenset({"gain"})),
-        "offset": Fault(lambda r, s, g: {"offset_nm": _either(g) * rubs(r, s, g)},
+        "offset": Fault(lambda r, s, g: {"offset_nm": _either(g) * rubs(r, s, g) * moments_of(r)[0]},
                         frozenset({"force_offset", "torque_offset", "gain"})),
         "dead_time": Fault(
             lambda r, s, g: {"delay_s": s * _share(g, 0.06, 0.1) * r.pace_s + s / r.rate_hz}, frozenset({"dead_time"}),
             frozenset({"latency"}),
         ),
-        "wear": Fault(lambda r, s, g: {"friction_nm": 1.5 * rubs(r, s, g), "wear": 0.05},
+        "wear": Fault(lambda r, s, g: {"friction_nm": _each(moments_of(r), 1.5 * rubs(r, s, g)), "wear": 0.05},
                       near=frozenset({"coulomb_friction", "damping"})),
     }  # fmt: skip
 

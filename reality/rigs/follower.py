@@ -11,7 +11,7 @@ import numpy as np
 from softarm.reality.rigs.laws import Array, Bristles, Loops, Play, orifice, sheared, stacked
 
 INF = float("inf")
-INNER_SHARE = 1 / 25  # of the outer loop's time: what the inner loop takes
+INNER_SHARE = 1 / 40  # of the outer loop's time: what the inner loop takes
 ATMOSPHERE_KPA = 101.3
 
 DEFAULTS: Mapping[str, float] = {
@@ -96,7 +96,7 @@ def worn(p: Mapping[str, Array], clock_s: Array) -> Array:
 def axis(commands: Array, lanes: Sequence[Mapping[str, float]], clock_s: Array, dt_s: float, velocity: bool) -> Array:
     """[N, L] where (or, in velocity mode, how fast) each lane is, from [N, L] commands as they arrive.
 
-    Position mode: a proportional loop around a velocity loop that is 25 times as quick; velocity mode: a proportional
+    Position mode: a proportional loop around a velocity loop that is 40 times as quick; velocity mode: a proportional
     loop around a current loop. clock_s: [L] when each lane's trial began in the campaign.
     """
     p = lanes_of(lanes)
@@ -142,7 +142,7 @@ def chamber(commands: Array, lanes: Sequence[Mapping[str, float]], clock_s: Arra
 
     A regulator opens its valve as far as the pressure's error asks, by a map of the valve that is right for the flow
     through it; wide open it passes what the orifice does, from a supply or to the room. The spool takes a
-    twenty-fifth of the lag.
+    fortieth of the lag.
     """
     p = lanes_of(lanes)
     fill = p["lag_s"]

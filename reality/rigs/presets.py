@@ -114,18 +114,17 @@ def _arms() -> tuple[Rig, ...]:
     )
 
 
-def moment_of(rig: Rig) -> float:
-    """A chain's weight's moment at the first joint, N m."""
+def moments_of(rig: Rig) -> tuple[float, ...]:
+    """The weight's moment that a chain's joints feel, N m."""
     mass, centre, length = (np.ravel(rig.numbers[k]) for k in ("mass_kg", "centre_m", "length_m"))
     beyond = np.concatenate((np.cumsum(mass[::-1])[::-1][1:], [0.0]))
-    return GRAVITY_M_S2 * float(mass[0] * centre[0] + length[0] * beyond[0])
+    return tuple(float(m) for m in GRAVITY_M_S2 * (mass * centre + length * beyond))
 
 
-def damping_of(rig: Rig) -> float:
+def damping_of(rig: Rig) -> tuple[float, ...]:
     """Viscous friction of a chain's joints, N m s: what a bearing has, and more where motors are."""
     ratio = {"pendulum": 0.004, "cart-pendulum": 0.02, "arm": 0.03}[rig.plant]
-    share = 1.0 if np.size(rig.numbers["mass_kg"]) == 1 else 0.1  # of several links: light ones
-    return 2 * ratio * share * moment_of(rig) * rig.pace_s
+    return tuple(2 * ratio * moment * rig.pace_s for moment in moments_of(rig))
 
 
 def mass_of(rig: Rig) -> float:

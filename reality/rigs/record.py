@@ -21,13 +21,14 @@ from softarm.reality.rigs.case import RigCase
 from softarm.reality.rigs.follower import INNER_SHARE, NAMES, axis, chamber
 from softarm.reality.rigs.laws import Array, arrivals, coloured, heard
 from softarm.reality.rigs.links import swing
-from softarm.reality.rigs.presets import Rig, damping_of, mass_of, moment_of
+from softarm.reality.rigs.presets import Plant, Rig, damping_of, mass_of, moments_of
 
 Lane = dict[str, float | tuple[float, ...]]
 PAUSE_S = 30.0  # between the starts of two trials
 LEAD_PACES = 8.0  # of a rig's time, before a recording of one slow motion begins
-FREE_PACES = 4.0  # of a rig's time: over which what swings or rolls freely is compared
-BUS_SHARE = 0.4  # of a sample: what a command takes on its bus
+# Of a rig's time: over which what swings or rolls freely is compared; shorter where motors push it about.
+FREE_PACES: Mapping[Plant, float] = {"cart": 4.0, "arm": 4.0, "cart-pendulum": 8.0, "pendulum": 20.0}
+BUS_SHARE, JITTER_SHARE = 0.4, 0.03  # of a sample: what a command takes on its bus, and on the mean beyond that
 _SENSING = ("delay_s", "late_s", "bias")  # numbers that no plant has
 
 
@@ -87,12 +88,11 @@ def _one(lane: Lane, name: str, otherwise: float = 0.0) -> float:
     return float(np.ravel(lane.get(name, otherwise))[0])
 
 
-def _with(base: Lane, patches: Sequence[Mapping[str, float]]) -> Lane:
+def _with(base: Lane, patches: Sequence[Mapping[str, float | tuple[float, ...]]]) -> Lane:
     out = dict(base)
     for name, value in ((n, v) for patch in patches for n, v in patch.items()):
-        before = out.get(name, 0.0)
         # What a rig has and is off by adds up; sizes of their own (a lag, a limit) replace.
-        out[name] = before + value if name in _ADDED and isinstance(before, float) else value
+        out[name] = _one(out, name) + float(np.ravel(value)[0]) if name in _ADDED else value
     return out
 
 
@@ -125,8 +125,9 @@ def _off_nominal(rig: Rig, believed: Lane, random: np.random.Generator) -> Lane:
         for name, sigma in (("mass_kg", 0.003), ("inertia_kg_m2", 0.01), ("centre_m", 0.001)):
             values = np.ravel(believed[name])
             out[name] = tuple(float(v) for v in values * (1 + random.normal(0, sigma, len(values))))
-        out["viscous_nm_s"] = damping_of(rig) * (1 + random.normal(0, 0.1))
-        out["friction_nm"] = 1e-4 * moment_of(rig)
+        kept = 1 + random.normal(0, 0.1)
+        out["viscous_nm_s"] = tuple(kept * joint for joint in damping_of(rig))
+        out["friction_nm"] = tuple(1e-5 * joint for joint in moments_of(rig))
         out["tilt_rad"], out["bias_rad"] = random.normal(0, 1e-3), random.normal(0, 1e-3)
     return out
 
@@ -155,7 +156,7 @@ def _clean(
 def _follow(case: RigCase, lanes: Sequence[Lane], durations: Sequence[float], random: np.random.Generator) -> list[Run]:
     rig, k = case.rig, len(case.told)
     quickest = min(_one(lane, "lag_s") for lane in lanes)
-    dt = min(quickest * INNER_SHARE / (4 if rig.plant == "position axis" else 3), 1e-3)
+    dt = min(quickest * INNER_SHARE / 2.5, 1e-3)
     lead = LEAD_PACES * rig.pace_s if len(set(case.told)) == 1 else 0.0
     steps = round((max(durations) + lead) / dt)
     fine_t = dt * np.arange(steps) - lead
@@ -172,7 +173,7 @@ def _follow(case: RigCase, lanes: Sequence[Lane], durations: Sequence[float], ra
             arrived = arrivals(
                 whole,
                 _one(lane, "delay_s"),
-                0.1 / rig.rate_hz,
+                JITTER_SHARE / rig.rate_hz,
                 np.random.default_rng(queue),
             )
             heard_by[:, v * k + trial] = heard(fine_t, arrived, values)
@@ -212,7 +213,7 @@ def _drive(case: RigCase, lanes: Sequence[Lane], durations: Sequence[float], ran
     held = Held(mass, 2.5 / rig.pace_s, 6 * mass * rig.reach / rig.pace_s**2, rig.quantum)
     clock = np.tile(PAUSE_S * np.arange(k), len(lanes))
     plant = [{n: _one(lane, n) for n in lane} for lane in lanes for _ in range(k)]
-    fine, asked = cart(path, plant, clock, dt, each, held, FREE_PACES * rig.pace_s)
+    fine, asked = cart(path, plant, clock, dt, each, held, FREE_PACES[rig.plant] * rig.pace_s)
     runs = []
     for trial, duration in enumerate(durations):
         count = round(duration * rig.rate_hz)
@@ -249,7 +250,7 @@ def _swing(case: RigCase, lanes: Sequence[Lane], durations: Sequence[float], ran
         start = motors.path[0]
     plant = [dict(lane) for lane in lanes for _ in range(k)]
     clock = np.tile(PAUSE_S * np.arange(k), len(lanes))
-    fine = swing(start, plant, clock, dt, steps, k, base, motors, FREE_PACES * rig.pace_s)
+    fine = swing(start, plant, clock, dt, steps, k, base, motors, FREE_PACES[rig.plant] * rig.pace_s)
     runs = []
     for trial, duration in enumerate(durations):
         sent, stamps = _stamps(rig, duration, random)
@@ -285,9 +286,9 @@ class _Motors:
         )
         self.path: Array = rig.centre + rig.reach * _smooth(shape, t_s[1] - t_s[0], 0.3 * rig.pace_s, 3)
         self._each = each
-        self._stiff = moment_of(rig) * np.array([2.5, 0.8])[:n]
+        self._stiff = moments_of(rig)[0] * np.array([2.5, 0.8])[:n]
         self._damp = self._stiff * np.array([0.12, 0.1])[:n]
-        self._weight = moment_of(rig) * np.array([1.0, 0.25])[:n]
+        self._weight = np.array(moments_of(rig))
         self.asked: list[Array] = []
 
     def __call__(self, step: int, q: Array, v: Array) -> Array:
@@ -315,8 +316,8 @@ class _Noise:
     def draw(cls, rig: Rig, random: np.random.Generator) -> "_Noise":
         # Encoders are good; gauges and rates are not.
         share = {"tracking": 1.0, "driven_mass": 0.1, "pendulum": 0.4, "chain": 0.4}[rig.kind] * rig.reach
-        white = float(random.uniform(6e-4, 2e-3)) * share
-        return cls(white, float(random.uniform(2e-4, 8e-4)) * share, float(random.uniform(0.5, 4.0)), rig.quantum)
+        white = float(random.uniform(1e-3, 4e-3)) * share
+        return cls(white, float(random.uniform(3e-4, 1.2e-3)) * share, float(random.uniform(0.5, 4.0)), rig.quantum)
 
     @property
     def rms(self) -> float:
@@ -404,15 +405,16 @@ def _stage(rig: Rig, tables: list[dict[str, Any]]) -> dict[str, Any]:
     out: dict[str, Any] = {"name": rig.name, "kind": rig.kind}
     if rig.kind in ("pendulum", "chain"):
         out["links"] = len(seen)
-    return out | {"channels": channels, "model": _model(rig), "trials": tables}
+    return out | {"channels": channels, "model": stage_model(rig), "trials": tables}
 
 
-def _model(rig: Rig) -> dict[str, Any]:
+def stage_model(rig: Rig) -> dict[str, Any]:
     """The owner's numbers, by the keys of a stage.yaml."""
     if rig.kind == "tracking":
-        # The inner loop's time, the bus, and half of a reading's mean jitter on the bus are known as one delay.
-        inner = INNER_SHARE * rig.pace_s
-        model: dict[str, Any] = {"lag_s": rig.pace_s, "delay_s": round((BUS_SHARE + 0.1) / rig.rate_hz + inner, 6)}
+        # Two loops are two lags: the longer is called the lag, the shorter one a delay, with the bus and its jitter.
+        longer = rig.pace_s * (1 + math.sqrt(1 - 4 * INNER_SHARE)) / 2
+        late = rig.pace_s - longer + (BUS_SHARE + JITTER_SHARE) / rig.rate_hz
+        model: dict[str, Any] = {"lag_s": round(longer, 6), "delay_s": round(late, 6)}
         if rig.command_unit != rig.measured_unit:
             model["gain"] = rig.command_worth / rig.measured_worth
         return model
@@ -424,4 +426,4 @@ def _model(rig: Rig) -> dict[str, Any]:
         name: list(np.ravel(rig.numbers[name]).tolist())
         for name in ("mass_kg", "centre_m", "inertia_kg_m2", "length_m")
     }
-    return model | {"damping_nm_s_rad": [float(f"{damping_of(rig):.6g}")] * np.size(rig.numbers["mass_kg"])}
+    return model | {"damping_nm_s_rad": [float(f"{joint:.6g}") for joint in damping_of(rig)]}

@@ -11,7 +11,7 @@ from softarm.reality.rigs import excitation
 from softarm.reality.rigs.case import case_of, draw
 from softarm.reality.rigs.faults import FAULTS
 from softarm.reality.rigs.presets import RIGS
-from softarm.reality.rigs.record import record, write
+from softarm.reality.rigs.record import record, stage_model, write
 from softarm.schemas.trial import StageFile
 
 
@@ -125,3 +125,33 @@ def test_two_faults_are_told_apart_in_what_each_shows(tmp_path):
     truth = write(case_of("finger", ["gain", "uneven lag"], seed=2), tmp_path / "d", tmp_path / "t")
     assert set(truth["shows"]) == {"gain", "uneven lag"}
     assert truth["clarity"] == min(truth["shows"].values()) > 3
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("rig", ["servo", "belt", "bellows", "tank"])
+def test_a_follower_that_is_believed_is_the_lag_and_delay_of_its_stage_yaml(rig):
+    """What the owner wrote down is what a fit of one lag to the machine would give: any other leaves more."""
+    case = case_of(rig, [], seed=3, told=["chirp", "steps"])
+    runs, floor = record(case)
+    model = stage_model(case.rig)
+
+    def left(lag_s, delay_s):
+        return np.hypot(*(_left(run, lag_s, delay_s) for run in runs))
+
+    lag, delay = model["lag_s"], model["delay_s"]
+    assert left(lag, delay) < 3 * floor
+    for other in ((1.04 * lag, delay), (0.96 * lag, delay), (lag, delay + 0.03 * lag), (lag, delay - 0.03 * lag)):
+        assert left(lag, delay) < left(*other)
+
+
+def _left(run, lag_s, delay_s):
+    """RMS between the believed machine and one lag with a delay."""
+    dt = min(1e-3, lag_s / 50)
+    t = np.arange(0, run.sent_s[-1], dt)
+    held = run.sent["command"][np.maximum(np.searchsorted(run.sent_s + delay_s, t, side="right") - 1, 0)]
+    closes, at, reached = -np.expm1(-dt / lag_s), run.clean[1][0, 0], np.empty(len(t))
+    for i in range(len(t)):
+        reached[i] = at
+        at += closes * (held[i] - at)
+    apart = run.clean[1][:, 0] - np.interp(run.stamps_s, t, reached)
+    return np.sqrt(np.mean(apart[len(apart) // 10 :] ** 2))

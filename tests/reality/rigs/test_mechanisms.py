@@ -7,7 +7,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from softarm.reality.rigs.cart import Held, cart
-from softarm.reality.rigs.follower import ATMOSPHERE_KPA, axis, chamber
+from softarm.reality.rigs.follower import ATMOSPHERE_KPA, INNER_SHARE, axis, chamber
 from softarm.reality.rigs.laws import Bristles, Loops, Play, arrivals, coloured, heard, orifice
 from softarm.reality.rigs.links import Links, swing
 
@@ -74,7 +74,7 @@ def test_an_axis_answers_a_step_as_two_lags(velocity):
     told[0] = 0.0
     out = axis(told, [{"lag_s": tau}], ONE, dt, velocity)[:, 0]
     t = dt * np.arange(1, steps + 1)
-    inner = tau / 25
+    inner = tau * INNER_SHARE
     root = np.roots([tau * inner, tau, 1.0])  # of the closed loop, both modes alike
     want = 1 + (root[1] * np.exp(root[0] * t) - root[0] * np.exp(root[1] * t)) / (root[0] - root[1])
     assert np.max(np.abs(out - want)) < 4e-3
@@ -89,7 +89,11 @@ def test_an_axis_with_weak_torque_speeds_up_on_a_ramp_and_friction_leaves_an_err
     assert np.diff(out[500:2000, 0]).mean() / dt == pytest.approx(2.0, rel=0.02)
     hold = 0.05  # what friction holds of a position error, as a level: error / (outer inner)
     out = axis(
-        told, [{"lag_s": 0.1, "friction_up": hold / (0.1 * 0.004), "friction_down": 1.0}, {}], np.zeros(2), dt, False
+        told,
+        [{"lag_s": 0.1, "friction_up": hold / (0.01 * INNER_SHARE), "friction_down": 1.0}, {}],
+        np.zeros(2),
+        dt,
+        False,
     )
     assert 1 - out[-1, 0] == pytest.approx(hold, rel=0.03)
     assert out[-1, 1] == pytest.approx(1.0, abs=1e-4)
