@@ -53,7 +53,8 @@ def _counted(effects: Sequence[NamedEffect]) -> str:
     where = stages[0] if len(stages) == 1 else f"{len(stages)} stages"
     if len(effects) == 1:
         return f"One of {1 + len(effects[0].equivalents)} effects in {where}"
-    return f"{len(effects)} effects in {where}"
+    sets = ", each of them one of a set" if all(effect.equivalents for effect in effects) else ""
+    return f"{len(effects)} effects in {where}{sets}"
 
 
 def _relation(diagnosis: Diagnosis, effect: NamedEffect) -> str:

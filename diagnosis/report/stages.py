@@ -22,6 +22,7 @@ from softarm.pages.markup import Html, el, join, prose, table
 from softarm.pages.numbers import listed, number, percent, quantity
 from softarm.schemas.verdict import Interval, NamedEffect, Quantity
 
+_NOTHING_LEFT = 1.05  # floors
 _EXPLAINED = 2  # effects whose meaning fits a paragraph; more have it in the table
 
 
@@ -108,7 +109,7 @@ def _rest(after: Quantity | None, floor: Quantity | None) -> str:
     """What is left, in floors."""
     if after is None or floor is None or (ratio := times(after, floor)) is None:
         return ""
-    if ratio <= 1:
+    if ratio < _NOTHING_LEFT:
         return f"; {quantity(floor.value, floor.unit)} count as none, so nothing is left"
     return f"; what is left is {number(ratio, 2)} times the {quantity(floor.value, floor.unit)} that count as none"
 

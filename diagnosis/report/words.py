@@ -125,7 +125,8 @@ def less(diagnosis: Diagnosis, place: str) -> str:
     if of is None:
         return f"{text}, interval not known"
     low, high = (of.low, of.high) if share >= 0 else (-of.high, -of.low)
-    return f"{text}, 95 % interval {round(100 * low)} to {round(100 * high)}"
+    digits = 0 if round(100 * low) < round(100 * high) else 1
+    return f"{text}, 95 % interval {100 * low:.{digits}f} to {100 * high:.{digits}f}"
 
 
 def shrink(diagnosis: Diagnosis, place: str) -> Interval | None:

@@ -227,6 +227,10 @@ def test_a_headline_names_four_and_counts_more():
     assert headline(diagnosis(verdict=verdict(effects=many[::6]))) == "5 effects in joint0"
     alike = DEAD_TIME.model_copy(update={"equivalents": tuple(e.name for e in many)})
     assert headline(diagnosis(verdict=verdict(effects=(alike,)))) == "One of 27 effects in pressure"
+    wide = DEAD_TIME.model_copy(update={"equivalents": ("pressure.lag", "pressure.deadband")})
+    assert headline(diagnosis(verdict=verdict(effects=(wide, wide)))) == (
+        "2 effects in pressure, each of them one of a set"
+    )
     pair = DEAD_TIME.model_copy(update={"equivalents": ("pressure.lag",)})
     assert headline(diagnosis(verdict=verdict(effects=(pair, OTHER_DELAY)))) == (
         "one of pressure.dead_time or pressure.lag and rail.delay"
@@ -258,6 +262,11 @@ def test_every_shrink_stands_with_its_interval_or_says_that_there_is_none():
     assert "interval not known" not in page
 
 
+def test_a_narrow_interval_keeps_a_digit_that_tells_its_ends_apart():
+    narrow = diagnosis(together={"pressure": interval(0.99, 0.9889, 0.9914)})
+    assert words.less(narrow, "pressure") == "99 % less, 95 % interval 98.9 to 99.1"
+
+
 def test_a_gap_that_grows_has_its_interval_the_right_way_round():
     gap = VERDICT.gap.model_copy(update={"after": rms("kPa", pressure=1.32)})
     grown = diagnosis(verdict=verdict(gap=gap), together={"pressure": interval(-0.1, -0.2, 0.05)})
@@ -274,6 +283,14 @@ def test_each_stage_has_a_paragraph_with_effects_sizes_shrink_and_what_is_left()
     )
     assert told["arm"] == "4 mm RMS, 1.3 times the 3 mm that count as none; no effect is named for it."
     assert "from 20 to 10 mm RMS (50 % less, 95 % interval 40 to 60)" in told["chain"]
+
+
+def test_what_is_left_at_the_floor_is_nothing():
+    gap = VERDICT.gap.model_copy(update={"after": rms("kPa", pressure=0.204)})
+    assert (
+        "0.2 kPa count as none, so nothing is left."
+        in report.paragraphs(diagnosis(verdict=verdict(gap=gap)))["pressure"]
+    )
 
 
 def test_a_stage_within_its_floor_has_no_gap():
