@@ -10,7 +10,8 @@ import numpy as np
 from softarm.diagnosis.data.trials import Trial
 from softarm.diagnosis.engine.fits import Fit
 from softarm.diagnosis.engine.problem import Setup
-from softarm.diagnosis.engine.search import EFFECTS_MAX, Search
+from softarm.diagnosis.engine.search import Search
+from softarm.diagnosis.engine.thresholds import ROBOT
 from softarm.diagnosis.robot.candidates import candidates, nuisances
 from softarm.diagnosis.robot.trial_grid import on_grid
 from softarm.diagnosis.robot.views import robot_views
@@ -39,7 +40,7 @@ def bic(trials: Sequence[Trial], model: Model) -> Verdict:
     def criterion(fit: Fit) -> float:
         return float(samples * np.log(fit.loss) + np.log(samples) * sum(len(c.parameters) for c in fit.effects))
 
-    while len(chosen.effects) < EFFECTS_MAX:
+    while len(chosen.effects) < ROBOT.effects_max:
         best = min(search.extended(chosen), key=criterion)
         if criterion(best) >= criterion(chosen):
             break
@@ -89,7 +90,7 @@ def _named(found: Sequence[tuple[object, tuple[float, ...], float]]) -> Verdict:
         }
         all_of_it = Interval(value=0.0, low=0.0, high=0.0)  # a baseline says nothing of the shrink
         effects.append(
-            NamedEffect(name=candidate.name, parameters=parameters, confidence=1.0, shrink=Shrink(stage=all_of_it))  # type: ignore[attr-defined]
+            NamedEffect(name=candidate.name, parameters=parameters, shrink=Shrink(stage=all_of_it))  # type: ignore[attr-defined]
         )
     stage = REGISTRY[effects[0].name].stage if effects else None
     where = Where(stage=stage, share={stage: 1.0} if stage else {}, regime="not asked")

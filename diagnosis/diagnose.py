@@ -9,10 +9,13 @@ from softarm.diagnosis.robot.diagnose import Robot
 from softarm.schemas.model import Model
 
 
-def diagnose(trials: Sequence[Trial], model: Model | None = None, tell: Progress | None = None) -> Diagnosis:
+def diagnose(
+    trials: Sequence[Trial], model: Model | None = None, tell: Progress | None = None, processes: int = 1
+) -> Diagnosis:
     """Where robot and simulator differ, which effect causes it, how far the gap shrinks. Deterministic.
 
     model: the nominal simulator, by default the seed's; tables of another rig bring their own. tell(what, share done).
+    processes: stages of tables at a time.
     Raises TrialError when there are no trials, or trials of robot and rigs together, or nothing can be compared.
     """
     if not trials:
@@ -27,5 +30,5 @@ def diagnose(trials: Sequence[Trial], model: Model | None = None, tell: Progress
         from softarm.diagnosis.rigs.diagnose import diagnose_table
         from softarm.diagnosis.rigs.owner_units import in_owners_units
 
-        return in_owners_units(diagnose_table(ordered, say), ordered)
+        return in_owners_units(diagnose_table(ordered, say, processes), ordered)
     return Robot(ordered, model or Model(), say).diagnosis()

@@ -3,6 +3,7 @@
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
+from softarm.common.processes import cores
 from softarm.diagnosis.data import tables
 from softarm.diagnosis.data.folder import is_trial
 from softarm.diagnosis.data.read import read_all
@@ -41,7 +42,7 @@ def diagnose_files(
         if nominal is None:
             warn("no --model and no model.yaml beside the trials: the seed's simulator is taken as nominal")
             nominal = Model()
-    return diagnose(trials, nominal, lambda what, share: tell(what, _READING + share * (1 - _READING)))
+    return diagnose(trials, nominal, lambda what, share: tell(what, _READING + share * (1 - _READING)), cores())
 
 
 def _read(inputs: Sequence[Path], data: Path | None, on_trial: Callable[[Path], None]) -> tuple[Trial, ...]:

@@ -44,9 +44,8 @@ class NamedEffect(Strict):
 
     name: str  # stage.effect
     parameters: dict[str, Estimate]  # empty for an effect that is on or off
-    # Of the robot: how often such an answer was right, on cases of known cause. Of another rig, which has no such
-    # cases: how sure its own blocks are that the gain is above nought (a normal tail); a warning says so.
-    confidence: Share
+    # How often such an answer was right, on cases of known cause; None where no such cases stand behind it.
+    confidence: Share | None = None
     equivalents: tuple[str, ...] = ()  # cannot be told apart on this data
     shrink: Shrink
 

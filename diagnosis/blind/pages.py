@@ -51,7 +51,9 @@ def _all_wrong(methods: Mapping[str, Mapping[str, Any]]) -> Iterator[str]:
         yield "|---|---|---|---|"
         for wrong in method["wrong"]:
             named = ", ".join(
-                "/".join((e["name"], *e["equivalents"])) + f" ({e['confidence']:.2f})" for e in wrong["named"]
+                "/".join((e["name"], *e["equivalents"]))
+                + ("" if e["confidence"] is None else f" ({e['confidence']:.2f})")
+                for e in wrong["named"]
             )
             truth = " and ".join(wrong["causes"]) or "none"
             verdict = wrong["verdict"].replace("|", "/").replace("\n", " ")

@@ -133,12 +133,15 @@ def by_cause(cases: Sequence[Scored]) -> dict[str, dict[str, float | int | None]
 
 
 def calibration(cases: Sequence[Scored]) -> dict[str, Any]:
-    """Confidence against how often it was right, every named effect of every case in ten bins of equal width.
+    """Confidence against how often it was right, every named effect that has one in ten bins of equal width.
 
     Right: the effect, or one of its equivalents, is a cause. ECE: mean distance of the two, bins weighted by size.
     """
     pairs = [
-        (effect.confidence, not answer_set(effect).isdisjoint(case.causes)) for case in cases for effect in case.effects
+        (effect.confidence, not answer_set(effect).isdisjoint(case.causes))
+        for case in cases
+        for effect in case.effects
+        if effect.confidence is not None
     ]
     bins, off = [], []
     for i in range(BINS):

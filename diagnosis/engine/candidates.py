@@ -4,6 +4,9 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 
+import numpy as np
+from numpy.typing import NDArray
+
 from softarm.diagnosis.engine.view import Point
 from softarm.simulator.effects import Parameter
 
@@ -59,6 +62,24 @@ class Candidate:
     def point(self, u: tuple[float, ...]) -> dict[str, float]:
         """The registry's parameters at coordinates u."""
         return {d.path: d.value(x) for d, x in zip(self.parameters, u, strict=True)} | dict(self.form)
+
+
+Set = tuple[Candidate, ...]
+U = tuple[tuple[float, ...], ...]  # coordinates, a tuple for each candidate
+
+
+def point_of(effects: Set, u: U) -> dict[str, float]:
+    """The registry's parameters of a set at coordinates u."""
+    return {path: x for each, us in zip(effects, u, strict=True) for path, x in each.point(us).items()}
+
+
+def split(effects: Set, x: NDArray[np.float64]) -> U:
+    """Coordinates in a row, [p], to a tuple for each effect."""
+    parts, at = [], 0
+    for each in effects:
+        parts.append(tuple(float(v) for v in x[at : at + len(each.parameters)]))
+        at += len(each.parameters)
+    return tuple(parts)
 
 
 @dataclass(frozen=True, slots=True)

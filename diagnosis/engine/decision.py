@@ -1,24 +1,15 @@
-"""From energies and gains to a verdict: pure numbers in, words out. Every threshold stands here.
+"""From energies and gains to a verdict: pure numbers in, words out. The thresholds stand in `engine/thresholds.py`.
 
 Energies are mean squares of a stage's residual over the floor's: 1 is what no simulator is blamed for.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal
 
 from softarm.diagnosis.engine.search import Choice, SelectedEffect
-from softarm.simulator.effects import REGISTRY
-
-STANDS = 0.85  # share of what is explainable where an effect shows that it has to explain to be named
-UNKNOWN_MIN = 0.5  # energy beyond the floor that asks for an explanation
-# Of what is left beyond the floor at least this much counts as explainable: what changes at random from tick to tick
-# no model finds, and it is not the floor's noise either.
-RANDOM_SHARE = 0.5
-# Where something is left, a strength that differs more than this from excitation to excitation is another law's: a
-# part for any effect, and one for chance over the root of the energy that the effect explains.
-# The same between the trials' halves: a strength that grows or fades is no constant effect's.
-SCATTER, DRIFT, CHANCE = 0.06, 0.12, 0.10
+from softarm.diagnosis.engine.structure import Structure
+from softarm.diagnosis.engine.thresholds import ROBOT, Thresholds
 
 Kind = Literal["named", "incomplete", "unknown", "none"]
 
@@ -31,34 +22,62 @@ class Decision:
     selected: tuple[SelectedEffect, ...]  # the named ones
     left: Mapping[str, float]  # stage -> energy that could be explained and is not
     explained: float  # share of the explainable energy that these explain
+    odd: Mapping[str, str] = field(default_factory=dict)  # stage -> the structure in what is left that asks for a cause
 
 
-def decide(choice: Choice, flexible: Mapping[str, float]) -> Decision:
-    """Rule on the fitted effects. flexible: stage -> share of the rest that a flexible model finds."""
-    _, after = choice.energies
-    left = {s: max(e - 1.0, 0.0) * max(flexible.get(s, 0.0), RANDOM_SHARE) for s, e in after.items()}
-    selected = tuple(m for m in choice.selected if _stands(m, choice, left))
-    asks = max(left.values(), default=0.0) > UNKNOWN_MIN
+def decide(
+    choice: Choice,
+    flexible: Mapping[str, float],
+    structures: Mapping[str, Structure] | None = None,
+    tolerated: Mapping[str, float] | None = None,
+    thresholds: Thresholds = ROBOT,
+) -> Decision:
+    """Rule on the fitted effects.
+
+    By stage: flexible, the share of the rest that a flexible model finds; structures, what the rest has that noise has
+    not; tolerated, the energy that nuisances take away within their boxes.
+    """
+    t, (_, after) = thresholds, choice.energies
+    left = {s: max(e - 1.0, 0.0) * max(flexible.get(s, 0.0), t.random_share) for s, e in after.items()}
+    taken = {s: max((tolerated or {}).get(s, 0.0), 0.0) for s in after}
+    gone = {s: taken[s] + max(choice.energies[0][s] - e, 0.0) for s, e in after.items()}
+    selected = tuple(m for m in choice.selected if _stands(m, choice, left, gone, t))
+    for effect in selected:
+        for stage, energy in effect.gain.energies.items():
+            taken[stage] = taken.get(stage, 0.0) + max(energy, 0.0)
+    odd = {
+        s: each.where
+        for s, each in (structures or {}).items()
+        if each.energy > max(t.structure_min, t.structure_share * taken.get(s, 0.0))
+    }
+    asks = bool(odd) or any(e > max(t.unknown_min, t.tolerated * taken[s]) for s, e in left.items() if s in taken)
     for fallen in (m for m in choice.selected if m not in selected):  # what it would have explained is not explained
         for stage, energy in fallen.gain.energies.items():
             left[stage] = left.get(stage, 0.0) + max(energy, 0.0)
     explained = sum(max(e, 0.0) for m in selected for e in m.gain.energies.values())
     share = explained / (explained + sum(left.values())) if selected else 0.0
     if not selected:
-        return Decision("unknown" if asks or choice.selected else "none", (), left, share)
-    whole = len(selected) == len(choice.selected) and share >= STANDS
-    return Decision("named" if whole else "incomplete", selected, left, share)
+        return Decision("unknown" if asks or choice.selected else "none", (), left, share, odd)
+    whole = len(selected) == len(choice.selected) and share >= t.stands and not odd
+    return Decision("named" if whole else "incomplete", selected, left, share, odd)
 
 
-def _stands(effect: SelectedEffect, choice: Choice, left: Mapping[str, float]) -> bool:
-    """Whether an effect explains what there is to explain where it shows, with one strength if it leaves anything."""
+def _stands(
+    effect: SelectedEffect, choice: Choice, left: Mapping[str, float], gone: Mapping[str, float], t: Thresholds
+) -> bool:
+    """Whether an effect explains what there is to explain where it shows, with one strength if it leaves anything.
+
+    gone: stage -> energy that all chosen effects and the nuisances take away together.
+    """
     stage, energy = max(effect.gain.energies.items(), key=lambda each: each[1])
     i = choice.chosen.names.index(effect.candidate.name)
     scatter, drift = choice.chosen.scatter(i), choice.chosen.drift(i)
-    chance = CHANCE / max(energy, 1e-6) ** 0.5
-    steady = scatter <= SCATTER + chance and drift <= DRIFT + chance
-    whole = choice.energies[1][stage] <= 1.0
-    return (whole or steady) and energy > STANDS * (energy + left.get(stage, 0.0))
+    chance = t.chance / max(energy, 1e-6) ** 0.5
+    steady = scatter <= t.scatter + chance and drift <= t.drift + chance
+    whole = choice.energies[1][stage] <= 1.0 + t.whole_share * gone[stage]
+    pinned = effect.candidate.at_bound(choice.chosen.u[i])
+    takes = gone[stage] if t.together else energy
+    return not pinned and (whole or steady) and takes > t.stands * (takes + left.get(stage, 0.0))
 
 
 def stage_shares(decision: Decision, counted: Mapping[str, float]) -> dict[str, float]:
@@ -68,7 +87,7 @@ def stage_shares(decision: Decision, counted: Mapping[str, float]) -> dict[str, 
     """
     energies: dict[str, float] = dict(counted)
     for effect in decision.selected:
-        stage = REGISTRY[effect.candidate.name].stage
+        stage = effect.candidate.stage
         energies[stage] = energies.get(stage, 0.0) + sum(max(e, 0.0) for e in effect.gain.energies.values())
     for stage, energy in decision.left.items():
         energies[stage] = energies.get(stage, 0.0) + energy

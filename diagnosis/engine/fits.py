@@ -1,7 +1,7 @@
 """Fits of nested sets of effects, many at once: Gauss-Newton in a box, every Jacobian a batch of simulated robots.
 
 Beside a set's own parameters every fit has the nuisances, linear within their boxes. Held-out losses come from the
-fit's last linearisation, solved anew without each fold.
+fit's last linearisation, solved anew without each fold, or are simulated there.
 """
 
 from collections.abc import Sequence
@@ -10,8 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from softarm.diagnosis.engine import box
-from softarm.diagnosis.engine.candidates import Candidate
+from softarm.diagnosis.engine import box, held_out
+from softarm.diagnosis.engine.candidates import Set, U, point_of, split
 from softarm.diagnosis.engine.jackknife import half_width
 from softarm.diagnosis.engine.view import Array, Point
 from softarm.diagnosis.engine.whitened import Moments, Rows, WhitenedResidual
@@ -20,10 +20,8 @@ ROUNDS = 4
 CONVERGED = 1e-3  # of the loss: a round that gains less is the last
 NUDGE = 0.04  # of a parameter's size, for a column of the Jacobian
 SHORTER = 0.3  # of a step that did not help
+LEAST_WIDTH = 1e-6  # of a parameter's size: no interval ends at its own estimate
 REACH = 2.0  # of a parameter's size: how far a round may go
-
-Set = tuple[Candidate, ...]
-U = tuple[tuple[float, ...], ...]  # coordinates, a tuple for each candidate
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,11 +84,6 @@ class Fit:
         return any(each.at_bound(us) for each, us in zip(self.effects, self.u, strict=True))
 
 
-def point_of(effects: Set, u: U) -> dict[str, float]:
-    """The registry's parameters of a set at coordinates u."""
-    return {path: x for each, us in zip(effects, u, strict=True) for path, x in each.point(us).items()}
-
-
 class _Descent:
     """One set's way down: where it is best, where it looks next."""
 
@@ -123,6 +116,7 @@ class FitProblem:
     nuisance_high: Array
     blocks: tuple[tuple[int, int], ...]  # [B] trial, number
     fold: NDArray[np.int64]  # [B]
+    simulated: bool = False  # whether held-out losses are simulated; else from the last linearisation
 
     def fit(self, sets: Sequence[tuple[Set, U]], rounds: int = ROUNDS) -> list[Fit]:
         """Fit every set from its start; all of them advance together, each round one batch of simulations."""
@@ -226,13 +220,15 @@ class FitProblem:
         low, high = self._box(effects, x)
         total_normal, total_slope = normal.sum(axis=0), slope.sum(axis=0)
         best = box.solve(total_normal, -total_slope, low, high)
-        held_out, folds = np.empty(len(squares)), []
+        lost, folds = np.empty(len(squares)), []
         for fold in np.unique(self.fold):
             out = self.fold == fold
             others = total_normal - normal[out].sum(axis=0), total_slope - slope[out].sum(axis=0)
             y = box.solve(others[0], -others[1], low, high)
             folds.append(x + y[: len(x)])
-            held_out[out] = squares[out] + 2 * slope[out] @ y + np.einsum("i,bij,j->b", y, normal[out], y)
+            lost[out] = squares[out] + 2 * slope[out] @ y + np.einsum("i,bij,j->b", y, normal[out], y)
+        if self.simulated:
+            lost = held_out.held_out(self, effects, x, np.array(folds))
         late = self._late()
         halves = []
         for part in (~late, late):
@@ -244,7 +240,7 @@ class FitProblem:
             split(effects, x),
             nuisance,
             loss,
-            held_out,
+            lost,
             np.array(folds),
             np.array(halves),
         )
@@ -258,12 +254,14 @@ class FitProblem:
         ((jacobians, bases),) = self._linear([fit.effects], [x])
         normal, slope, _ = self._by_block(p, jacobians, bases)
         low, high = self._box(fit.effects, x)
+        sizes = np.array([d.size for each in fit.effects for d in each.parameters])
         best = box.solve(normal.sum(axis=0), -slope.sum(axis=0), low, high)
         free = (best > low + 1e-9) & (best < high - 1e-9)  # a nuisance at its box's edge stays there
         free[:p] = True
         slope = slope + normal[:, :, ~free] @ best[~free]
         half = half_width(normal[:, free][:, :, free], slope[:, free], best[free])[:p]
-        return x + best[:p] - half, x + best[:p] + half
+        least = LEAST_WIDTH * sizes
+        return np.minimum(x + best[:p] - half, x - least), np.maximum(x + best[:p] + half, x + least)
 
     def _late(self) -> NDArray[np.bool_]:
         """Which blocks are in the second half of their trial, [B]."""
@@ -291,12 +289,3 @@ class FitProblem:
                     normal[b, p:, :p] += across.T
                     slope[b, :p] += j @ r
         return normal, slope, squares
-
-
-def split(effects: Set, x: Array) -> U:
-    """Coordinates in a row, [p], to a tuple for each effect."""
-    parts, at = [], 0
-    for each in effects:
-        parts.append(tuple(float(v) for v in x[at : at + len(each.parameters)]))
-        at += len(each.parameters)
-    return tuple(parts)

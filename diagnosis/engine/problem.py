@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 
 from softarm.diagnosis.engine.candidates import Nuisance
 from softarm.diagnosis.engine.fits import Fit, FitProblem
+from softarm.diagnosis.engine.folds import folds, unseen
 from softarm.diagnosis.engine.noise import Whitener, scaled, whitener
-from softarm.diagnosis.engine.result import HeldOut
 from softarm.diagnosis.engine.view import View
 from softarm.diagnosis.engine.whitened import BLOCK_S, Gaps, WhitenedResidual, blocks_of
 
@@ -28,14 +28,21 @@ class Directions:
 class Setup:
     """Everything about a set of views that does not depend on the weighing."""
 
-    def __init__(self, views: Sequence[View], nuisances: Sequence[Nuisance], kinds: Sequence[str]) -> None:
-        """kinds: of every trial, the excitation; folds leave one kind out."""
+    def __init__(
+        self,
+        views: Sequence[View],
+        nuisances: Sequence[Nuisance],
+        kinds: Sequence[str],
+        origins: Sequence[int] | None = None,
+    ) -> None:
+        """By trial of the views: kinds, its excitation; origins, the recording that it was cut from."""
         self.views, self.nuisances = tuple(views), tuple(nuisances)
         self.gaps = tuple(Gaps(view) for view in views)
         self._own = {name: share for view in views for name, share in view.own_nuisances.items()}
         self.directions = tuple(self._directions(g) for g in self.gaps)
         self.blocks = tuple(dict.fromkeys(name for view in views for name, *_ in blocks_of(view, BLOCK_S)))
-        self.fold = _folds(self.blocks, kinds)
+        origins = range(len(kinds)) if origins is None else origins
+        self.fold, self.unseen = folds(self.blocks, kinds, origins), unseen(kinds, origins)
         edges = [(n.low - n.nominal, n.high - n.nominal, n.edge - n.nominal) for n in self.nuisances]
         boxes = [sorted((low / edge, high / edge)) if edge else [0.0, 0.0] for low, high, edge in edges]
         self._low = np.array([b[0] for b in boxes] + [-1.0] * len(self._own))
@@ -98,30 +105,3 @@ class Setup:
             first = len(self.nuisances) + list(self._own).index(next(iter(view.own_nuisances)))
             columns[first : first + len(view.own_nuisances)] = list(view.own_directions())
         return Directions(np.nan_to_num(np.stack(columns)), None if starts is None else np.nan_to_num(starts))
-
-
-def _folds(blocks: Sequence[tuple[int, int]], kinds: Sequence[str]) -> NDArray[np.int64]:
-    """One kind of excitation a fold; of a single kind one trial a fold; of a single trial five stretches of it."""
-    if len(set(kinds)) > 1:
-        place = {kind: i for i, kind in enumerate(sorted(set(kinds)))}
-        return np.array([place[kinds[trial]] for trial, _ in blocks])
-    trials = sorted({trial for trial, _ in blocks})
-    if len(trials) > 1:
-        return np.array([trials.index(trial) for trial, _ in blocks])
-    return np.array([i * 5 // len(blocks) for i in range(len(blocks))])
-
-
-def held_out_by(blocks: Sequence[tuple[int, int]], fold: NDArray[np.int64], kinds: Sequence[str]) -> HeldOut:
-    """What the folds leave out: read off them, so that a report says what was done.
-
-    blocks: (trial, number) of every block; fold: [B]; kinds: of every trial, the excitation.
-    """
-
-    def whole(names: Sequence[object]) -> bool:
-        """Whether everything of one name lies in one fold."""
-        return len(set(zip(names, fold.tolist(), strict=True))) == len(set(names))
-
-    trials = [trial for trial, _ in blocks]
-    if not whole(trials) or len(set(fold.tolist())) < 2:
-        return "block"
-    return "kind" if whole([kinds[trial] for trial in trials]) else "trial"

@@ -1,30 +1,25 @@
-"""Which effects: forward by what each adds beside the others, back by what each can be spared, swapped for rivals.
+"""Which effects: one more at a time by what each adds beside the others, or all at once and then who can be spared.
 
 Every comparison is between nested fits that share their nuisances, on blocks that the fit in question has not seen.
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from softarm.common import resample
-from softarm.diagnosis.engine.candidates import Candidate
-from softarm.diagnosis.engine.fits import Fit, FitProblem, Set, U
+from softarm.diagnosis.engine.candidates import Candidate, Set, U
+from softarm.diagnosis.engine.fits import Fit, FitProblem
+from softarm.diagnosis.engine.problem import PER_SECOND
+from softarm.diagnosis.engine.thresholds import ROBOT, Thresholds
 from softarm.diagnosis.engine.view import Array
+from softarm.diagnosis.engine.whitened import BLOCK_S
 
-EFFECTS_MAX = 3
-STARTS_KEPT = 1
-PROMISING = 10  # candidates that are fitted to the end
-GAIN_MIN = 8.0  # what an effect must add, held out: weighted squares, about four per second and view
-# And in one view that it acts on: share of the residual's energy, energy in units of the floor's, and the lower end of
-# the gain. What moves a residual within the floor is news only if it is a part of it and beyond all doubt.
-SHOWN = ((0.10, 0.30, 0.0), (0.20, 0.10, 0.0), (0.10, 0.05, 10.0))
-# And beside another effect: of the energy that the whole gap had there, or most of what the other leaves. A
-# correction to another effect's law is no effect.
-FURTHER_MIN, FURTHER_SHARE = 0.06, 0.4
-TIE = 10.0  # what a rival lacks, held out: no more than this is no difference
-RIVAL_SHARE = 0.12  # a rival that lacks no more than this share of the gain may be the cause as well
+BLOCK_LOSS = PER_SECOND * BLOCK_S  # of a block whose residual is as large as what it is weighed by
+SIZES = (0.3, 1.0, 2.0)  # of usual changes: where all effects at once begin
+POLISH, SETTLED = 4, 0.005  # further descents of all effects at once, and what ends them: less gain, of the loss
+
 Progress = Callable[[str, float], None]
 
 
@@ -48,6 +43,7 @@ class SelectedEffect:
     gain: Gain
     rivals: tuple[tuple[Fit, Gain], ...]  # the whole set with a rival in its place, and what the chosen has over it
     equivalents: tuple[str, ...]
+    bounded: tuple[str, ...] = ()  # who would be an equivalent, and stands at the end of its range
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,33 +62,81 @@ class Search:
     """Candidates on a problem. `plain`: the same problem, its residuals weighed by the floors alone."""
 
     def __init__(
-        self, problem: FitProblem, plain: FitProblem, stages: Sequence[str], candidates: Sequence[Candidate]
+        self,
+        problem: FitProblem,
+        plain: FitProblem,
+        stages: Sequence[str],
+        candidates: Sequence[Candidate],
+        thresholds: Thresholds = ROBOT,
     ) -> None:
         self.problem, self.plain, self.stages = problem, plain, tuple(stages)
-        self.candidates = tuple(candidates)
+        self.candidates, self.thresholds = tuple(candidates), thresholds
+        self._rough = replace(problem, simulated=False)  # who has no promise is not simulated fold by fold
         self._first: Mapping[str, float] = {}  # the whole gap's energies
         self._extended: dict[frozenset[str], list[Fit]] = {}  # by the names of the base
+        self._reduced: dict[tuple[tuple[str, ...], U], list[Fit]] = {}
+        self._settled: dict[str, tuple[float, ...]] = {}  # the chosen effects' coordinates
 
-    def run(self, tell: Progress, effects_max: int = EFFECTS_MAX) -> Choice:
+    def run(self, tell: Progress) -> Choice:
         """Search. Deterministic."""
-        null_model = self.problem.fit([((), ())])[0]
-        chosen, seen = null_model, {frozenset[str]()}
-        self._first = self.energies(null_model)
+        null_model = self.null_model()
+        chosen = self.backward(null_model, tell) if self.thresholds.backward else self.forward(null_model, tell)
+        if self.thresholds.backward:
+            self._settled = dict(zip(chosen.names, chosen.u, strict=True))
+        further = next((g for f, g in self.ranked(chosen) if not f.at_bound), None)
+        energies = self.energies(null_model), self.energies(chosen)
+        return Choice(
+            null_model, tuple(self.ranked(null_model)), chosen, self.selected(chosen, null_model), further, energies
+        )
+
+    def null_model(self) -> Fit:
+        """Nuisances alone."""
+        fit = self.problem.fit([((), ())])[0]
+        self._first = self.energies(fit)
+        return fit
+
+    def forward(self, null_model: Fit, tell: Progress) -> Fit:
+        """One effect more at a time, swapped for rivals and pruned in between."""
+        chosen, seen, most = null_model, {frozenset[str]()}, self.thresholds.effects_max
         while True:
             tell(f"which effect: {len(chosen.effects) + 1}", min(0.9, 0.3 * len(chosen.effects)))
             ranked = self.ranked(chosen)
             good = [(f, g) for f, g in ranked if self.worth(g) and f.is_news and not f.at_bound]
-            if not good or len(chosen.effects) == effects_max:
-                break
+            if not good or len(chosen.effects) == most:
+                return chosen
             further = self.pruned(self.swapped(good[0][0]))
             if frozenset(further.names) in seen or not self.gain(chosen, further).value > 0:
-                break
+                return chosen
             seen.add(frozenset(further.names))
             chosen = further
-        following = next((g for f, g in ranked if not f.at_bound), None)
-        energies = self.energies(null_model), self.energies(chosen)
-        selected = self.selected(chosen, null_model)
-        return Choice(null_model, tuple(self.ranked(null_model)), chosen, selected, following, energies)
+
+    def backward(self, null_model: Fit, tell: Progress) -> Fit:
+        """All effects at once; what is left when nothing more can be spared, stands at a bound or is no news."""
+        tell("all effects at once", 0.0)
+        fit = self.pruned(self.full(null_model))
+        while fit.effects:
+            tell(f"which of {len(fit.effects)} can be spared", 0.5)
+            pinned = [i for i, each in enumerate(fit.effects) if each.at_bound(fit.u[i]) or not each.is_news(fit.u[i])]
+            lone = len(fit.effects) == 1 and not self.worth(self.gain(null_model, fit))
+            if not pinned and not lone:
+                return fit
+            if len(fit.effects) == 1:
+                return null_model
+            fit = self.pruned(self.reduced(fit)[pinned[0]])
+        return fit
+
+    def full(self, null_model: Fit) -> Fit:
+        """All effects at once, from starts of several sizes; of the wells the deepest. No folds here."""
+        rounds = self.thresholds.rounds
+        started = [(self.candidates, tuple(_moved(c, size) for c in self.candidates)) for size in SIZES]
+        fit = min(self._rough.fit(started, rounds), key=lambda f: f.loss)
+        for _ in range(POLISH):
+            best = self._rough.fit([(fit.effects, fit.u)], rounds)[0]
+            settled = not best.loss < fit.loss * (1 - SETTLED)
+            fit = min((fit, best), key=lambda f: f.loss)
+            if settled:
+                break
+        return self.problem.fit([(fit.effects, fit.u)], rounds=1)[0] if fit.loss < null_model.loss else null_model
 
     def ranked(self, base: Fit) -> list[tuple[Fit, Gain]]:
         """A set with every further candidate and what that adds, the best first."""
@@ -101,20 +145,27 @@ class Search:
 
     def worth(self, gain: Gain) -> bool:
         """Whether a gain is one: beyond chance, and large enough to matter."""
-        return gain.low > 0 and gain.value > GAIN_MIN and any(self._shows(gain, stage) for stage in gain.shares)
+        enough = gain.low > 0 and gain.value > self.thresholds.gain_min
+        return enough and any(self._shows(gain, stage) for stage in gain.shares)
 
     def _shows(self, gain: Gain, stage: str) -> bool:
-        share, energy = gain.shares[stage], gain.energies[stage]
-        clearly = any(share > s and energy > e and gain.low > low for s, e, low in SHOWN)
-        return clearly and (share > FURTHER_SHARE or energy > FURTHER_MIN * self._first.get(stage, 0.0))
+        t, share, energy = self.thresholds, gain.shares[stage], gain.energies[stage]
+        clearly = any(share > s and energy > e and gain.low > low for s, e, low in t.shown)
+        return clearly and (share > t.further_share or energy > t.further_min * self._first.get(stage, 0.0))
 
     def extended(self, base: Fit, without: tuple[str, ...] = ()) -> list[Fit]:
         """A set with every further candidate, each from the best of its starts; those without promise only roughly."""
-        memory = frozenset(base.names)
+        memory, t = frozenset(base.names), self.thresholds
         if memory not in self._extended:
             options = [c for c in self.candidates if c.name not in base.names]
-            rough = sorted(self.problem.fit(self._started(base, options), rounds=2), key=lambda f: f.loss)
-            fine = self.problem.fit([(f.effects, f.u) for f in rough[:PROMISING]]) + rough[PROMISING:]
+            started = self._started(base, options)
+            # Without one of the chosen the others stand askew; a rival fits better beside what they were with it.
+            u = tuple(self._settled.get(c.name, own) for c, own in zip(base.effects, base.u, strict=True))
+            started += self._started(replace(base, u=u), options) if u != base.u else []
+            rough = _best_of_each(self._rough.fit(started, t.rounds_rough))
+            least = base.loss - (1 - t.hopeless) * (base.loss - rough[0].loss) if rough else 0.0
+            good = [f for f in rough[: t.promising] if t.hopeless >= 1 or f.loss <= least]
+            fine = self.problem.fit([(f.effects, f.u) for f in good], t.rounds) + rough[len(good) :]
             forms: dict[str, Fit] = {}
             for fit in sorted(fine, key=lambda f: f.loss):  # of the forms of one effect the better one
                 forms.setdefault(fit.effects[-1].name, fit)
@@ -122,19 +173,27 @@ class Search:
         return [fit for fit in self._extended[memory] if fit.effects[-1].name not in without]
 
     def _started(self, base: Fit, options: Sequence[Candidate]) -> list[tuple[Set, U]]:
-        """Every option at its best start beside the base."""
+        """Every option at its best starts beside the base."""
         sets: list[tuple[Set, U]] = [((*base.effects, c), (*base.u, start)) for c in options for start in c.starts]
         losses, at, started = self.problem.losses(sets), 0, []
         for c in options:
-            mine = sorted(range(at, at + len(c.starts)), key=lambda i: losses[i])[:STARTS_KEPT]
+            mine = sorted(range(at, at + len(c.starts)), key=lambda i: losses[i])[: self.thresholds.starts_kept]
             started += [sets[i] for i in mine]
             at += len(c.starts)
         return started
 
+    @property
+    def tried(self) -> list[Fit]:
+        """Every set that was fitted to the end."""
+        return [f for fits in (*self._extended.values(), *self._reduced.values()) for f in fits]
+
     def reduced(self, fit: Fit) -> list[Fit]:
         """A set without each of its effects."""
-        sets = [_without(fit, i) for i in range(len(fit.effects))]
-        return self.problem.fit(sets) if sets else []
+        memory = (fit.names, fit.u)
+        if memory not in self._reduced:
+            sets = [_without(fit, i) for i in range(len(fit.effects))]
+            self._reduced[memory] = self.problem.fit(sets, self.thresholds.rounds) if sets else []
+        return self._reduced[memory]
 
     def pruned(self, fit: Fit) -> Fit:
         """Leave out what the others can do without."""
@@ -148,7 +207,7 @@ class Search:
 
     def swapped(self, fit: Fit) -> Fit:
         """Change single effects for rivals as long as the whole gains by it."""
-        for _ in range(EFFECTS_MAX):
+        for _ in range(self.thresholds.effects_max):
             if len(fit.effects) < 2:
                 return fit
             options = [
@@ -163,33 +222,46 @@ class Search:
             fit = best
         return fit
 
+    def spared(self, chosen: Fit, null_model: Fit) -> list[Fit]:
+        """The chosen without each of its effects; without the only one it is the null model."""
+        return self.reduced(chosen) if len(chosen.effects) > 1 else [null_model] * len(chosen.effects)
+
     def selected(self, chosen: Fit, null_model: Fit) -> tuple[SelectedEffect, ...]:
         """What each effect adds beside the others, and its rivals there."""
         found = []
-        for i, less in enumerate(
-            self.reduced(chosen) if len(chosen.effects) > 1 else [null_model] * len(chosen.effects)
-        ):
-            name, gain = chosen.effects[i].name, self.gain(less, chosen)
-            rivals = [(f, self.gain(f, chosen)) for f in self.extended(less, (name,))]
+        for effect, less in zip(chosen.effects, self.spared(chosen, null_model), strict=True):
+            gain = self.gain(less, chosen)
+            rivals = [(f, self.gain(f, chosen)) for f in self.extended(less, (effect.name,))]
             rivals.sort(key=lambda each: (each[1].value, each[0].names))
-            same = tuple(f.effects[-1].name for f, g in rivals if self.alike(less, f, g, gain))
-            found.append(SelectedEffect(chosen.effects[i], less, gain, tuple(rivals), same))
+            alike = [f for f, g in rivals if self.alike(less, f, g, gain)]
+            same = tuple(f.effects[-1].name for f in alike if not f.at_bound)
+            bounded = tuple(f.effects[-1].name for f in alike if f.at_bound)
+            found.append(SelectedEffect(effect, less, gain, tuple(rivals), same, bounded))
         return tuple(sorted(found, key=lambda m: (-m.gain.value, m.candidate.name)))
 
     def alike(self, less: Fit, rival: Fit, lack: Gain, gain: Gain) -> bool:
-        """Whether a rival may be the cause as well: it explains the same part, and as well but for chance."""
-        own = self.gain(less, rival)
+        """Whether a rival may be the cause as well: it explains the same part, and as well but for chance.
+
+        No law is exact. Where that shows far above the noise, a small lack tells of the laws' forms, not of the cause,
+        however sure it is.
+        """
+        own, t = self.gain(less, rival), self.thresholds
         shared = any(own.energies[s] > 0.5 * e > 0.05 for s, e in gain.energies.items())
-        close = lack.value < RIVAL_SHARE * gain.value and (lack.low <= 0 or lack.value < TIE)
-        return rival.is_news and not rival.at_bound and self.worth(own) and shared and close
+        rest = float(self._counted(rival).sum()) - lack.value
+        close = lack.low <= 0 or lack.value < max(t.tie, t.misfit_share * rest)
+        return rival.is_news and self.worth(own) and shared and close and lack.value < t.rival_share * gain.value
 
     def gain(self, less: Fit, more: Fit) -> Gain:
         """What `more` has over `less`."""
-        difference = less.held_out - more.held_out
+        difference = self._counted(less) - self._counted(more)
         before, after = self.energies(less), self.energies(more)
         shares = {s: 1 - after[s] / before[s] for s in self.stages if before[s] > 1e-9}
         gone = {s: before[s] - after[s] for s in shares}
         return Gain(float(difference.sum()), *bootstrap(difference), shares, gone)
+
+    def _counted(self, fit: Fit) -> Array:
+        """Held-out losses by block as they count."""
+        return tempered(fit) if self.thresholds.tempered else fit.held_out
 
     def energies(self, fit: Fit) -> dict[str, float]:
         """Stage -> mean square of the residual in units of the floor."""
@@ -207,5 +279,23 @@ def bootstrap(difference: Array) -> tuple[float, float]:
     return float(low), float(high)
 
 
+def tempered(fit: Fit) -> Array:
+    """Held-out losses by block, those beyond a block's worth by their logarithm."""
+    return np.asarray(BLOCK_LOSS * np.log1p(np.maximum(fit.held_out, 0.0) / BLOCK_LOSS))
+
+
 def _without(fit: Fit, i: int) -> tuple[Set, U]:
     return fit.effects[:i] + fit.effects[i + 1 :], fit.u[:i] + fit.u[i + 1 :]
+
+
+def _best_of_each(fits: Sequence[Fit]) -> list[Fit]:
+    """Of the fits with the same last candidate the best; all of them sorted, the best first."""
+    best: dict[int, Fit] = {}
+    for fit in sorted(fits, key=lambda f: f.loss):
+        best.setdefault(id(fit.effects[-1]), fit)
+    return list(best.values())
+
+
+def _moved(candidate: Candidate, size: float) -> tuple[float, ...]:
+    """Every parameter away from its nominal by a share of its usual change, as far as the bounds allow."""
+    return tuple(min(max(d.nominal + size * d.size, d.low), d.high) for d in candidate.parameters)

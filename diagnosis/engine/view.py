@@ -63,6 +63,10 @@ class View(Protocol):
         """Name in words -> [M]: inputs and measured states that a flexible model of the residual may look at."""
 
     @property
+    def echoes(self) -> frozenset[str]:
+        """Features that hold what the view itself measured: their noise is the residual's."""
+
+    @property
     def own_nuisances(self) -> Mapping[str, float]:
         """What of the view alone is fitted beside every rival, by name -> share of its own value at the box's edge."""
 

@@ -9,6 +9,8 @@ from softarm.diagnosis.data.trials import Trial
 from softarm.diagnosis.engine.view import Array, Point
 from softarm.diagnosis.rigs.vocabulary import Effect
 
+# How features are called that hold nothing of what the view itself measured.
+INPUTS = ("command", "base", "force", "torque", "current", "time since reversal")
 FLOOR_SHARE = 1e-3  # of the signal: no simulator is blamed for a thousandth
 
 
@@ -72,6 +74,11 @@ class RigView:
     def tolerances(self) -> Mapping[str, float]:
         """'effect.parameter' -> what a well-kept model may be off by here, where the usual half-widths do not fit."""
         return {}
+
+    @property
+    def echoes(self) -> frozenset[str]:
+        """See View."""
+        return frozenset(name for name in self.features if not name.startswith(INPUTS))
 
     @property
     def own_nuisances(self) -> Mapping[str, float]:

@@ -7,20 +7,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softarm.diagnosis.data.trials import Trial, TrialError
-from softarm.diagnosis.engine.ceiling import explainable
-from softarm.diagnosis.engine.decision import Decision, decide, stage_of, stage_shares
-from softarm.diagnosis.engine.fits import point_of
-from softarm.diagnosis.engine.problem import Setup, held_out_by
+from softarm.diagnosis.engine.candidates import point_of
+from softarm.diagnosis.engine.confidence import confidence
+from softarm.diagnosis.engine.decision import Decision, stage_of, stage_shares
+from softarm.diagnosis.engine.examination import Examination
+from softarm.diagnosis.engine.problem import Setup
 from softarm.diagnosis.engine.result import Diagnosis
 from softarm.diagnosis.engine.search import Choice, Progress, Search, SelectedEffect
+from softarm.diagnosis.engine.shrink import interval, widened
+from softarm.diagnosis.engine.thresholds import ROBOT
 from softarm.diagnosis.engine.view import Array, Point
 from softarm.diagnosis.engine.whitened import BLOCK_S, Key, WhitenedResidual, blocks_of
 from softarm.diagnosis.robot import evidence, experiments
 from softarm.diagnosis.robot.candidates import candidates, nuisances
 from softarm.diagnosis.robot.chain import FLOOR_M, tip_gap
-from softarm.diagnosis.robot.confidence import confidence
 from softarm.diagnosis.robot.counts import Count, counts
-from softarm.diagnosis.robot.shrink import interval, widened
 from softarm.diagnosis.robot.trial_grid import TrialGrid, on_grid
 from softarm.diagnosis.robot.views import robot_views
 from softarm.schemas.model import Model
@@ -37,9 +38,7 @@ from softarm.schemas.verdict import (
 )
 from softarm.simulator.effects import REGISTRY, STAGES, find
 
-COUNT_CONFIDENCE = 0.95  # of what is read off stamps
 OWN_STAGE_MIN = 0.1  # energy
-LOOKED_AT = 0.6  # energy of a residual from which on a flexible model looks at it
 
 
 class Robot:
@@ -56,16 +55,16 @@ class Robot:
         self.stages = tuple(view.stage for view in self.views)
         tell("simulating each stage alone", 0.08)
         self.setup = Setup(self.views, nuisances(model), [trial.kind for trial in trials])
-        self.plain = self.setup.plain()
         self._flown: dict[Key, NDArray[np.float32]] = {}
 
     def diagnosis(self) -> Diagnosis:
         """Everything."""
-        search, choice = self._search()
+        known, kinds = candidates(self.model), [trial.kind for trial in self.trials]
+        found = Examination(self.setup, known, kinds, ROBOT, lambda what, share: self.tell(what, 0.12 + 0.63 * share))
+        search, choice, self.plain = found.search, found.choice, found.plain
         self.tell("what any model could explain", 0.75)
-        flexible = self._flexible(choice)
+        flexible, decision = found.flexible, found.decision
         counted = counts(self.trials, self.model)
-        decision = decide(choice, {stage: share for stage, (share, _) in flexible.items()})
         named = [c for c in counted if c.named]
         patched = _patched(self.model, decision, choice, named) if decision.selected or named else None
         self.tell("how far the gap shrinks", 0.85)
@@ -87,30 +86,8 @@ class Robot:
             nuisances=self.setup.fitted_nuisances(choice.chosen),
             seconds=time.monotonic() - self.started,
             together=self._together(choice, point) if point else {},
-            held_out=held_out_by(self.plain.blocks, self.plain.fold, [t.kind for t in self.trials]),
+            held_out=self.setup.unseen,
         )
-
-    def _search(self) -> tuple[Search, Choice]:
-        """Twice: the first time to learn what the rest looks like, the second with that rest as the noise."""
-        known = candidates(self.model)
-
-        def part(low: float, high: float) -> Progress:
-            return lambda what, share: self.tell(what, low + share * (high - low))
-
-        rough = Search(self.setup.weighed(), self.plain, self.stages, known).run(part(0.12, 0.4))
-        residuals = self.setup.residuals(self.plain, rough.chosen)
-        search = Search(self.setup.weighed(residuals), self.plain, self.stages, known)
-        return search, search.run(part(0.4, 0.75))
-
-    def _flexible(self, choice: Choice) -> dict[str, tuple[float, Mapping[str, float]]]:
-        """Stage -> share of the rest that a flexible model finds, and what it looks at."""
-        kinds = sorted({trial.kind for trial in self.trials})
-        fold = np.array([kinds.index(t.kind) if len(kinds) > 1 else i for i, t in enumerate(self.trials)])
-        found: dict[str, tuple[float, Mapping[str, float]]] = {}
-        for view, left in zip(self.views, self.setup.residuals(self.plain, choice.chosen), strict=True):
-            if choice.energies[1][view.stage] > LOOKED_AT:
-                found[view.stage] = explainable(view, left, fold[view.trial])
-        return found
 
     def _verdict(
         self,
@@ -174,7 +151,7 @@ class Robot:
         return NamedEffect(
             name=effect.candidate.name,
             parameters=parameters,
-            confidence=confidence(effect),
+            confidence=confidence("robot", effect),
             equivalents=effect.equivalents,
             shrink=self._shrink(choice, effect, point),
         )
@@ -373,4 +350,4 @@ def _count_effect(count: Count) -> NamedEffect:
     parameters = {count.parameter: estimate} if count.parameter else {}
     spread = (count.high - count.low) / max(2 * abs(count.value - count.nominal), 1e-12) if count.parameter else 0.1
     stage = _interval(count.shrink, *widened(count.shrink, count.shrink - spread, count.shrink + spread))
-    return NamedEffect(name=count.name, parameters=parameters, confidence=COUNT_CONFIDENCE, shrink=Shrink(stage=stage))
+    return NamedEffect(name=count.name, parameters=parameters, shrink=Shrink(stage=stage))

@@ -4,18 +4,13 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from softarm.common import resample
 from softarm.diagnosis.data.trials import Trial
-from softarm.diagnosis.engine.view import Array, Point
+from softarm.diagnosis.engine.view import Point
 from softarm.diagnosis.robot.counts import counts
 from softarm.diagnosis.robot.trial_grid import TrialGrid, on_grid
 from softarm.diagnosis.robot.views import ON_MOTOR, robot_views
 from softarm.schemas.model import Model
 from softarm.simulator.effects import REGISTRY, value
-
-# Trials drawn anew know nothing of excitations that were not flown. On opened cases of the blind benchmark the bare
-# intervals held three quarters of the shrinks that fresh excitations showed; this much wider, 95 in 100.
-WIDER, WIDER_BY = 1.5, 0.01
 
 
 def measure_shrink(trials: Sequence[Trial], nominal: Model, patched: Model) -> dict[str, float]:
@@ -54,16 +49,3 @@ def point_between(nominal: Model, patched: Model) -> Point:
         for p in effect.parameters
         if value(patched, name, p.name) != value(nominal, name, p.name)
     }
-
-
-def interval(before: Array, after: Array) -> tuple[float, float, float]:
-    """1 - sqrt(sum after / sum before) with its 95 % interval: trials drawn anew; squares by trial, [K] each."""
-    value_ = 1 - float(np.sqrt(after.sum() / before.sum())) if before.sum() > 0 else 0.0
-    drawn = resample.draws(len(before))
-    low, high = resample.interval(1 - np.sqrt((drawn @ after) / np.maximum(drawn @ before, 1e-30)))
-    return value_, *widened(value_, float(low), float(high))
-
-
-def widened(shrink: float, low: float, high: float) -> tuple[float, float]:
-    """An interval that holds on excitations that were not flown, too."""
-    return shrink - WIDER * (shrink - low) - WIDER_BY, min(1.0, shrink + WIDER * (high - shrink) + WIDER_BY)

@@ -50,6 +50,7 @@ class RobotView:
     acts: frozenset[str] = frozenset()
     _channels: tuple[str, ...] = ()
     _floor = 0.0
+    _echoed: frozenset[str] = frozenset()
 
     def __init__(self, grid: TrialGrid, model: Model) -> None:
         self.grid, self.model = grid, model
@@ -96,6 +97,11 @@ class RobotView:
         since = self.grid.t_s - self.grid.t_s[0]
         signals = {**self._signals(), "time since the start": since}
         return {name: np.asarray(self.grid.flat(values)) for name, values in signals.items()}
+
+    @property
+    def echoes(self) -> frozenset[str]:
+        """See View."""
+        return frozenset(name for name in self.features if name in self._echoed or name.startswith(("link ", "tip ")))
 
     @property
     def own_nuisances(self) -> Mapping[str, float]:
@@ -163,6 +169,7 @@ class PressureView(RobotView):
     """Command to the regulator's own reading."""
 
     stage, unit, _channels, _floor = "pressure", "kPa", ("pressure",), FLOOR_KPA
+    _echoed = frozenset({"pressure", "pressure rate"})
     acts = parameters(*_stage("pressure"))
 
     def _seen(self) -> Array:
@@ -186,6 +193,7 @@ class RailView(RobotView):
     """Command to what the axis reads back, pushed by the arm as it was seen to move."""
 
     stage, unit, _channels, _floor = "rail", "m/s", ("velocity",), FLOOR_M_S
+    _echoed = frozenset({"cart position", "cart velocity", "cart acceleration"})
     acts = parameters(*_stage("rail"), "arm.payload", "arm.tilt", "arm.drag") | {ON_MOTOR}
 
     def _seen(self) -> Array:

@@ -72,7 +72,7 @@ def asked(monkeypatch):
     """Stand in for the diagnosis; what it was asked, and what it is to answer."""
     asked = SimpleNamespace(verdict=NAMED, patched=Model(effects={}), trials=None, model=None)
 
-    def diagnose(trials, model, tell=None):
+    def diagnose(trials, model, tell=None, processes=1):
         asked.trials, asked.model = trials, model
         tell("fitting", 0.5)
         t = np.arange(30) / 30

@@ -5,9 +5,11 @@ from dataclasses import dataclass, field
 import numpy as np
 import pytest
 
-from softarm.diagnosis.engine.ceiling import LAGS, explainable, regimes
+from softarm.diagnosis.engine.ceiling import LAGS_S, explainable, regimes, turned
 
 pytestmark = pytest.mark.slow
+STEP_S = 1 / 60
+LONGEST = round(LAGS_S[-1] / STEP_S)
 TRIALS, LENGTH = 4, 900
 SAMPLES = TRIALS * LENGTH
 
@@ -18,10 +20,14 @@ class _View:
 
     length: int = LENGTH
     floor: np.ndarray = field(default_factory=lambda: np.ones(1))
+    channels = ("state",)
+    echoes = frozenset({"state"})
 
     def __post_init__(self):
         random = np.random.default_rng(0)
         self.trial = np.arange(SAMPLES) // self.length
+        self.t_s = STEP_S * (np.arange(SAMPLES) % self.length)
+        self.measured = np.zeros((SAMPLES, 1))
         self.features = {name: random.normal(size=SAMPLES) for name in ("input", "other")}
         self.regimes = {"early": np.arange(SAMPLES) < SAMPLES // 2, "rare": np.arange(SAMPLES) < 60}
 
@@ -37,7 +43,8 @@ def _before(view, lag):
     return moved
 
 
-def _share(view, residual):
+def _share(view, residual, simulated=0.0):
+    view.measured = (simulated + residual)[:, None]
     return explainable(view, residual[:, None], view.trial)
 
 
@@ -46,13 +53,64 @@ def test_noise_is_explained_by_nothing():
     assert share < 0.02
 
 
-@pytest.mark.parametrize("lag", [0, LAGS[-1]])
+@pytest.mark.parametrize("lag", [0, LONGEST])
 def test_a_law_of_the_present_or_of_the_past_is_found_and_its_feature_named(lag):
     view = _View()
     share, used = _share(view, _before(view, lag))
     assert share > 0.9
     assert next(iter(used)) == "input"
     assert used["input"] > 0.8
+
+
+def test_a_law_of_what_lies_beyond_its_memory_is_not_found():
+    view = _View()
+    share, _ = _share(view, _before(view, 2 * LONGEST))
+    assert share < 0.02
+
+
+def _play(command, half):
+    """What follows a command with play: a state that remembers where the command last turned."""
+    seen, found = command[0], np.empty(len(command))
+    for i, value in enumerate(command):
+        seen = min(max(seen, value - half), value + half)
+        found[i] = seen
+    return found
+
+
+def test_a_law_with_a_memory_without_end_is_found_by_where_its_input_turned():
+    """Slow swings about wandering levels: the play's state is older than any lag, and known from the last turn."""
+    view, t = _View(), np.arange(SAMPLES)
+    command = np.sin(t / 60) + 0.8 * np.sin(t / 163 + 1) + 0.5 * np.sin(t / 39)
+    view.features = {"input": command}
+    play = np.concatenate([_play(command[k : k + LENGTH], 0.4) for k in range(0, SAMPLES, LENGTH)])
+    share, _ = _share(view, play - command)
+    assert share > 0.6
+
+
+def test_a_law_of_the_simulated_state_is_found():
+    view = _View()
+    state = np.cumsum(_noise(7)) / 20
+    residual = 0.3 * np.sin(state)
+    share, used = _share(view, residual, state)
+    assert share > 0.8
+    assert next(iter(used)) == "state, simulated"
+
+
+def test_measured_and_simulated_together_do_not_give_the_noise_away():
+    """Their difference is the residual itself: what is noise there stays noise."""
+    view, noise = _View(), _noise()
+    state = 30 * np.sin(np.arange(SAMPLES) / 40)
+    view.features["state"] = state + noise
+    share, _ = _share(view, noise, state)
+    assert share < 0.02
+
+
+def test_where_a_signal_turned():
+    signal = np.concatenate((np.linspace(0, 1, 11), np.linspace(1, -1, 21)[1:], np.linspace(-1, 0, 11)[1:]))
+    found = turned(signal)
+    assert found[5] == 0.0
+    assert found[20] == pytest.approx(1.0)
+    assert found[-1] == pytest.approx(-1.0)
 
 
 def test_a_law_without_a_slope_is_found_too():
@@ -76,8 +134,9 @@ def test_a_law_that_each_fold_has_for_itself_explains_nothing_held_out():
 
 def test_the_end_of_another_trial_tells_nothing_of_a_trial_s_start():
     """Many short trials whose residual is the input of the trial before: none of them could have known it."""
-    view = _View(length=LAGS[-1])
-    residual = np.roll(view.features["input"], LAGS[-1])
+    view = _View(length=LONGEST)
+    residual = np.roll(view.features["input"], LONGEST)
+    view.measured = residual[:, None]
     share, _ = explainable(view, residual[:, None], np.arange(SAMPLES) * 4 // SAMPLES)
     assert share < 0.02
 
@@ -92,6 +151,7 @@ def test_what_was_not_measured_is_left_out():
 
 def test_of_one_fold_nothing_is_known():
     view = _View()
+    view.measured = view.features["input"][:, None].copy()
     assert explainable(view, view.features["input"][:, None], np.zeros(SAMPLES, dtype=np.int64)) == (0.0, {})
 
 

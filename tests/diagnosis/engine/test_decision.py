@@ -1,13 +1,17 @@
 """The decision: from energies and gains, made by hand, to each of the four verdicts."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 
-from softarm.diagnosis.engine.decision import RANDOM_SHARE, decide, stage_of, stage_shares
+from softarm.diagnosis.engine.confidence import confidence, frequency
+from softarm.diagnosis.engine.decision import decide, stage_of, stage_shares
 from softarm.diagnosis.engine.fits import Fit
 from softarm.diagnosis.engine.search import Choice, Gain, SelectedEffect
+from softarm.diagnosis.engine.structure import Structure
+from softarm.diagnosis.engine.thresholds import RIG, ROBOT
 from softarm.diagnosis.robot.candidates import candidates
-from softarm.diagnosis.robot.confidence import confidence
 from softarm.schemas.model import Model
 from softarm.simulator.effects import STAGES
 
@@ -95,7 +99,7 @@ def test_an_effect_that_grows_within_a_trial_is_not_named():
 def test_a_rest_that_no_model_explains_counts_in_part():
     """What changes at random from tick to tick is not the floor's noise either."""
     choice = _choice({"arm": 41.0}, {"arm": 11.0}, _named_effect("arm.damping", arm=30.0))
-    assert decide(choice, {"arm": 0.0}).left["arm"] >= RANDOM_SHARE * 10.0
+    assert decide(choice, {"arm": 0.0}).left["arm"] >= ROBOT.random_share * 10.0
     assert decide(choice, {"arm": 0.0}).left["arm"] < decide(choice, {"arm": 1.0}).left["arm"]
 
 
@@ -123,9 +127,52 @@ def test_what_is_left_is_the_stage_s_in_which_it_is_seen():
     assert shares == pytest.approx({"rail": 49 / 53, "arm": 4 / 53})
 
 
-def test_confidence_falls_with_every_equivalent():
-    """One name is surer than a set, and no set is given less than an equal share of being right."""
-    sure = [confidence(_named_effect("pressure.lag", ("pressure.dead_time",) * k)) for k in range(5)]
-    assert sure == sorted(sure, reverse=True)
-    assert sure[0] > sure[1]
-    assert all(1 / (k + 1) <= x <= 1 for k, x in enumerate(sure) if k)
+def _odd(energy, stage="arm"):
+    return {stage: Structure(energy, "at reversals, it carries on", 3, 40)}
+
+
+def test_structure_in_what_is_left_refuses_none():
+    """Within the floor on the whole, and a drift in it that no noise has."""
+    quiet = _choice({"arm": 0.9}, {"arm": 0.9})
+    assert decide(quiet, {}, _odd(0.4)).kind == "none"
+    decision = decide(quiet, {}, _odd(1.5))
+    assert (decision.kind, decision.odd) == ("unknown", {"arm": "at reversals, it carries on"})
+
+
+def test_structure_in_what_is_left_refuses_named_if_it_is_a_part_of_what_was_explained():
+    parts = {"arm": 50.0}, {"arm": 1.5}, _named_effect("arm.damping", arm=48.5)
+    assert decide(_choice(*parts), {}, _odd(5.0)).kind == "named"
+    strong = decide(_choice(*parts), {}, _odd(10.0))
+    assert (strong.kind, _names(strong)) == ("incomplete", ["arm.damping"])
+
+
+def test_what_nuisances_take_away_within_their_boxes_asks_for_no_cause():
+    """Of a rig, whose floor is its encoder's step: nine tenths of the gap are a gain of one per cent."""
+    choice = _choice({"arm": 11.0}, {"arm": 11.0})
+    assert decide(choice, {}, tolerated={"arm": 100.0}, thresholds=RIG).kind == "none"
+    assert decide(choice, {}, tolerated={"arm": 10.0}, thresholds=RIG).kind == "unknown"
+    assert decide(choice, {}, tolerated={"arm": 100.0}, thresholds=ROBOT).kind == "unknown"
+
+
+def test_an_effect_at_its_bound_is_not_named():
+    pinned = _named_effect("pressure.lag", pressure=49.0)
+    choice = _choice({"pressure": 50.0}, {"pressure": 1.0}, pinned)
+    edge = tuple(d.high for d in pinned.candidate.parameters)
+    at_bound = dataclasses.replace(choice, chosen=dataclasses.replace(choice.chosen, u=(edge,)))
+    assert decide(choice, {}).kind == "named"
+    assert (decide(at_bound, {}).kind, _names(decide(at_bound, {}))) == ("unknown", [])
+
+
+def test_confidence_is_a_frequency_of_enough_cases_or_none():
+    curves = {"alone": [{"margin": 0.0, "right": 12, "of": 20}, {"margin": 0.5, "right": 19, "of": 20}], "set": []}
+    assert frequency(curves, "alone", 0.1) == pytest.approx(0.6)
+    assert frequency(curves, "alone", 0.7) == pytest.approx(0.95)
+    assert frequency(curves, "set", 1.0) is None
+    assert frequency({"alone": [{"margin": 0.0, "right": 2, "of": 2}], "set": []}, "alone", 1.0) is None
+
+
+def test_an_answer_whose_rival_stands_at_a_bound_has_no_confidence():
+    alone = _named_effect("pressure.lag", pressure=49.0)
+    assert confidence("robot", alone) > 0.9
+    assert confidence("robot", dataclasses.replace(alone, bounded=("pressure.dead_time",))) is None
+    assert confidence("rig", alone) is None  # no cases of known cause yet

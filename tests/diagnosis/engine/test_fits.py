@@ -1,5 +1,6 @@
 """Fits: known parameters come back with honest intervals, within bounds, and what is held out is really held out."""
 
+import dataclasses
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -7,6 +8,7 @@ import pytest
 from scipy.stats import binom
 
 from softarm.diagnosis.engine.candidates import Candidate, FittedParameter, Nuisance
+from softarm.diagnosis.engine.held_out import block_sums, gram
 from softarm.diagnosis.engine.problem import Setup
 
 RATE_HZ, LENGTH_S, NOISE = 60.0, 6.0, 0.05
@@ -198,3 +200,32 @@ def test_of_one_kind_trials_are_the_folds_and_of_one_trial_its_stretches():
         single.inputs[:1],
     )
     assert len(set(Setup([single], (ZERO,), ("steps",)).plain().fold)) > 1
+
+
+def test_a_simulated_held_out_loss_is_the_linear_one_s_where_the_law_is_linear():
+    problem = _problem(_View(truth={SCALE: 0.3}))
+    linear, simulated = _fit(problem, GAIN), _fit(dataclasses.replace(problem, simulated=True), GAIN)
+    assert simulated.held_out.sum() == pytest.approx(linear.held_out.sum(), rel=0.02)
+    assert simulated.held_out.sum() >= 0.98 * simulated.loss  # unseen blocks are not fitted better than seen ones
+
+
+def test_sums_by_block_are_as_one_by_one():
+    problem = _problem(_View(truth={SCALE: 0.3}))
+    (residual,) = problem.whitened
+    rr, gr = block_sums(problem, [{}])
+    gg = gram(problem)
+    rows = residual.moments([{}])[0].rows
+    for i, (name, part) in enumerate(residual.blocks):
+        assert problem.blocks[i] == name
+        assert rr[0, i] == pytest.approx(float(rows[part] @ rows[part]), rel=1e-4)
+        np.testing.assert_allclose(gr[0, i], residual.columns[:, part] @ rows[part], rtol=1e-3, atol=1e-4)
+        np.testing.assert_allclose(gg[i], residual.columns[:, part] @ residual.columns[:, part].T, rtol=1e-3, atol=1e-4)
+
+
+def test_no_interval_ends_at_its_own_estimate():
+    """Even of a law that fits to the last digit."""
+    problem = _problem(_View(truth={SCALE: 0.3}))
+    fit = _fit(problem, GAIN)
+    low, high = problem.interval(fit)
+    assert (low < fit.u[0]).all()
+    assert (high > fit.u[0]).all()

@@ -1,7 +1,6 @@
 """Views of rigs: their laws against closed forms, their vocabulary against the registry, search on made-up tables."""
 
 import math
-from dataclasses import fields
 from pathlib import Path
 
 import numpy as np
@@ -9,14 +8,12 @@ import pytest
 
 from softarm.diagnosis.data import tables
 from softarm.diagnosis.data.trials import Series, TableStage, Trial, TrialError
-from softarm.diagnosis.engine.fits import FitProblem
+from softarm.diagnosis.engine.folds import interleaved
 from softarm.diagnosis.engine.problem import Setup
-from softarm.diagnosis.engine.whitened import BLOCK_S, blocks_of
-from softarm.diagnosis.rigs.candidates import candidates, nuisances
+from softarm.diagnosis.rigs.candidates import nuisances
 from softarm.diagnosis.rigs.diagnose import diagnose_table, view_of
 from softarm.diagnosis.rigs.grid import grid, smallest_step, windows
 from softarm.diagnosis.rigs.pendulum import PendulumView
-from softarm.diagnosis.rigs.selection import Refitted
 from softarm.diagnosis.rigs.tracking import TrackingView, velocity_warnings
 from softarm.diagnosis.rigs.vocabulary import effects
 from softarm.simulator.effects import REGISTRY
@@ -228,11 +225,12 @@ def test_what_has_no_view_says_so():
 def test_a_kinds_view_is_made_of_the_shots_that_it_cuts_trials_into():
     t, angle = swing({}, 0.3, 12.0)
     trials = [pendulum(angle[:, 0], t, f"swing {i}") for i in range(4)]
-    view, shots, fold = view_of(trials)
+    view, shots, origins = view_of(trials)
     assert len(shots) == 4 * len(PendulumView.shots(trials[0])) == 16
-    for k, trial in enumerate(trials):  # a trial is left out whole: its shots share what is odd about it
-        mine = [i for i, shot in enumerate(shots) if shot.name.startswith(trial.name)]
-        assert set(fold[np.isin(view.trial, mine)]) == {k}
+    assert [trials[k].name for k in origins] == [shot.name.split(" from")[0] for shot in shots]
+    setup = Setup([view], nuisances(view), [t.kind for t in shots], origins)
+    assert setup.unseen == "trial"  # left out whole: its shots share what is odd about it
+    assert [int(f) for f in setup.fold] == [origins[trial] for trial, _ in setup.blocks]
 
 
 @pytest.mark.slow
@@ -327,32 +325,15 @@ def test_large_swings_of_a_dry_joint_in_air_reject_dry_friction_alone():
     assert found.nuisances["joint.damping.scale"] < -0.3
 
 
-def test_every_fold_leaves_out_a_part_of_every_trial():
+def test_the_search_leaves_out_a_part_of_every_trial_and_the_verdict_whole_kinds():
     trials = late_servo()
-    view, _, fold = view_of(trials)
+    view, ordered, origins = view_of(trials)
+    setup = Setup([view], nuisances(view), [t.kind for t in ordered], origins)
+    searched = dict(zip(setup.blocks, interleaved(setup.blocks), strict=True))
     for k in range(len(trials)):
-        assert len(set(fold[view.trial == k])) >= 3
-    for _, a, b in blocks_of(view, BLOCK_S):
-        assert len(set(fold[a:b])) == 1  # blocks are not cut
-
-
-def test_blocks_are_summed_as_one_by_one_and_held_out_losses_are_no_smaller():
-    view, ordered, _ = view_of(late_servo())
-    problem = Setup([view], nuisances(view), [t.kind for t in ordered]).weighed()
-    refitted = Refitted(*(getattr(problem, f.name) for f in fields(FitProblem)))
-    (residual,) = refitted.whitened
-    moments = residual.moments([{}])[0]
-    edges, order, gg = refitted._blocks()
-    rr, gr = refitted._sums(moments, edges, order)
-    for i, (_, part) in zip(order, residual.blocks, strict=True):
-        rows, columns = moments.rows[part], residual.columns[:, part]
-        assert rr[i] == pytest.approx(float(rows @ rows), rel=1e-4)
-        np.testing.assert_allclose(gr[i], columns @ rows, rtol=1e-3, atol=1e-3 * np.abs(gr).max())
-        np.testing.assert_allclose(gg[i], columns @ columns.T, rtol=1e-3, atol=1e-3 * np.abs(gg).max())
-    assert rr.sum() > 0
-    lag = next(c for c in candidates(view) if c.name == "servo.lag")
-    (fit,) = refitted.fit([((lag,), (lag.starts[0],))])
-    assert fit.held_out.sum() >= 0.98 * fit.loss  # unseen blocks are not fitted better than seen ones
+        assert len({fold for (trial, _), fold in searched.items() if trial == k}) >= 3
+        assert len({fold for (trial, _), fold in zip(setup.blocks, setup.fold, strict=True) if trial == k}) == 1
+    assert setup.unseen == "kind"
 
 
 def named(stage, data, element=None):

@@ -1,0 +1,70 @@
+"""Is what is left noise? Rarely found in noise, found wherever something is missing."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+import pytest
+
+from softarm.diagnosis.engine.structure import structure
+
+TRIALS, LENGTH, STEP_S = 4, 900, 1 / 60
+SAMPLES = TRIALS * LENGTH
+T = STEP_S * (np.arange(SAMPLES) % LENGTH)
+
+
+@dataclass
+class _View:
+    floor: np.ndarray = field(default_factory=lambda: np.ones(1))
+    channels = ("state",)
+
+    def __post_init__(self):
+        self.t_s, self.trial = T, np.arange(SAMPLES) // LENGTH
+        self.regimes = {"moving": np.sin(T) > 0.8, "rare": np.arange(SAMPLES) < 30}
+
+
+KINDS = ("steps", "steps", "chirp", "chirp")
+
+
+def _look(residual):
+    return structure(_View(), residual[:, None], KINDS)
+
+
+def _noise(seed):
+    return np.random.default_rng(seed).normal(size=SAMPLES)
+
+
+def test_noise_has_none_whatever_is_looked_at():
+    found = [_look(_noise(seed)) for seed in range(60)]
+    assert found[0].looks > 20
+    assert sum(each.signs > 0 for each in found) <= 4  # 0.6 are expected
+
+
+@pytest.mark.parametrize(
+    ("law", "where"),
+    [
+        (0.8 * np.sin(2 * np.pi * 1.7 * T), ""),
+        (np.where(np.sin(T) > 0.8, 1.0, 0.0), "moving"),
+        (0.16 * T - 1.2, ""),
+        (np.where(np.arange(SAMPLES) >= SAMPLES // 2, np.sin(4 * T), 0.0), "steps"),
+    ],
+    ids=["a hum", "an offset in one regime", "a drift", "one kind alone"],
+)
+def test_what_is_missing_is_found(law, where):
+    found = _look(law + _noise(3))
+    assert found.signs > 0
+    assert found.energy > 0.2
+    if where == "steps":
+        assert "chirp" in found.where
+    elif where:
+        assert where in found.where
+
+
+def test_its_energy_is_the_law_s():
+    found = _look(2.0 * np.sin(2 * np.pi * 0.4 * T) + _noise(4))
+    assert 1.5 < found.energy < 5.0  # 2 throughout; more where it is strongest
+
+
+def test_what_was_not_measured_says_nothing():
+    residual = _noise(5)
+    residual[::3] = np.nan
+    assert _look(residual).signs == 0
