@@ -11,7 +11,6 @@ from softarm.diagnosis.engine.candidates import Candidate
 from softarm.diagnosis.engine.ceiling import explainable
 from softarm.diagnosis.engine.decision import Decision, decide
 from softarm.diagnosis.engine.fits import Fit, FitProblem
-from softarm.diagnosis.engine.folds import interleaved
 from softarm.diagnosis.engine.problem import Setup
 from softarm.diagnosis.engine.search import Choice, Progress, Search
 from softarm.diagnosis.engine.structure import Structure, structure
@@ -32,8 +31,7 @@ class Examination:
         known = tuple(candidates)
 
         def search(problem: FitProblem) -> Search:
-            folds = interleaved(problem.blocks) if t.interleaved else problem.fold
-            problem = replace(problem, simulated=t.simulated, fold=folds)
+            problem = replace(problem, simulated=t.simulated, fold=setup.searched(t.searched))
             return Search(problem, self.plain, self.stages, known, t)
 
         def part(low: float, high: float) -> Progress:
@@ -43,18 +41,16 @@ class Examination:
         if t.whitened:  # twice: the first time to learn what the rest looks like, the second with it as the noise
             rough = self.search.run(part(0.0, 0.5))
             self.search = search(setup.weighed(setup.residuals(self.plain, rough.chosen)))
-        self.choice: Choice = self._judged(self.search.run(part(0.5, 1.0) if t.whitened else tell))
+        choice = self.search.run(part(0.5, 1.0) if t.whitened else tell)
+        self.searched: Fit = choice.chosen  # held out as its rivals are
+        self.choice: Choice = replace(choice, chosen=self.judged([choice.chosen])[0])
 
     def judged(self, fits: Sequence[Fit]) -> list[Fit]:
-        """Fits held out by what no fit saw (kinds, trials), wherever the search was held out by blocks."""
-        if not self.thresholds.interleaved:
+        """Fits held out by what no fit saw (kinds, else trials), wherever the search was held out by less."""
+        if self.thresholds.searched == "unseen":
             return list(fits)
         problem = replace(self.search.problem, fold=self.setup.fold)
         return problem.fit([(f.effects, f.u) for f in fits], rounds=1)
-
-    def _judged(self, choice: Choice) -> Choice:
-        """With the strengths that each kind of excitation left out has."""
-        return replace(choice, chosen=self.judged([choice.chosen])[0])
 
     @cached_property
     def left(self) -> dict[str, NDArray[np.float32]]:

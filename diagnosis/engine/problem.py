@@ -2,13 +2,14 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from softarm.diagnosis.engine.candidates import Nuisance
 from softarm.diagnosis.engine.fits import Fit, FitProblem
-from softarm.diagnosis.engine.folds import folds, unseen
+from softarm.diagnosis.engine.folds import folds, interleaved, unseen
 from softarm.diagnosis.engine.noise import Whitener, scaled, whitener
 from softarm.diagnosis.engine.view import View
 from softarm.diagnosis.engine.whitened import BLOCK_S, Gaps, WhitenedResidual, blocks_of
@@ -41,13 +42,19 @@ class Setup:
         self._own = {name: share for view in views for name, share in view.own_nuisances.items()}
         self.directions = tuple(self._directions(g) for g in self.gaps)
         self.blocks = tuple(dict.fromkeys(name for view in views for name, *_ in blocks_of(view, BLOCK_S)))
-        origins = range(len(kinds)) if origins is None else origins
-        self.fold, self.unseen = folds(self.blocks, kinds, origins), unseen(kinds, origins)
+        self._origins = tuple(range(len(kinds)) if origins is None else origins)
+        self.fold, self.unseen = folds(self.blocks, kinds, self._origins), unseen(kinds, self._origins)
         edges = [(n.low - n.nominal, n.high - n.nominal, n.edge - n.nominal) for n in self.nuisances]
         boxes = [sorted((low / edge, high / edge)) if edge else [0.0, 0.0] for low, high, edge in edges]
         self._low = np.array([b[0] for b in boxes] + [-1.0] * len(self._own))
         self._high = np.array([b[1] for b in boxes] + [1.0] * len(self._own))
         self._paths = (*(n.path for n in self.nuisances), *self._own)
+
+    def searched(self, by: Literal["unseen", "trial", "block"]) -> NDArray[np.int64]:
+        """Folds [B] of a search: the verdict's own, whole recordings, or every fifth block."""
+        if by == "block":
+            return interleaved(self.blocks)
+        return self.fold if by == "unseen" else folds(self.blocks, ("any",) * len(self._origins), self._origins)
 
     def weighed(self, residuals: Sequence[NDArray[np.floating]] | None = None) -> FitProblem:
         """The problem under weights from these residuals (by view, [M, S]); without, from the nominal gap's size."""

@@ -5,7 +5,7 @@ weighted squares, about four per second and view.
 """
 
 from dataclasses import dataclass, replace
-from typing import Final
+from typing import Final, Literal
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,8 +25,9 @@ class Thresholds:
 
     # Weighed by the noise that a first, generous search leaves; else by the size of the nominal gap.
     whitened: bool = True
-    # Held out while searching: every fifth block of each trial; else what the verdict is held out by.
-    interleaved: bool = False
+    # Held out while searching: what the verdict is held out by (kinds, else trials), whole trials, or every fifth block
+    # of each trial.
+    searched: Literal["unseen", "trial", "block"] = "unseen"
 
     # What a gain is.
     gain_min: float = 8.0  # what an effect must add, held out
@@ -77,7 +78,8 @@ ROBOT: Final = Thresholds()
 # at the fast end of a sweep a hair's breadth in a limit makes or breaks all of a block. No share of the whole gap is
 # asked of a further effect: a dead time of one sample is real beside an end of the torque that makes a gap twenty times
 # as large. No law of a rig is exact, and its floor is its encoder's step: what a rival may lack and what may be left
-# are taken from what the best leaves.
+# are taken from what the best leaves. The search is held out by blocks: the end of a servo's torque shows in the fast
+# end of one sweep alone, and without that sweep a fold's loss is an extrapolation that swamps the rest.
 RIG: Final = replace(
     ROBOT,
     backward=True,
@@ -87,7 +89,7 @@ RIG: Final = replace(
     hopeless=0.5,
     simulated=True,
     whitened=False,
-    interleaved=True,
+    searched="block",
     tempered=True,
     shown=((0.10, 0.30, 0.0),),
     further_min=0.0,
@@ -96,3 +98,6 @@ RIG: Final = replace(
     whole_share=0.07,
     tolerated=0.15,
 )
+
+# Where a trial's start is fitted at every point anew, a part of a trial is no stranger to the rest of it.
+SHOTS: Final = replace(RIG, searched="trial")

@@ -17,7 +17,7 @@ from softarm.diagnosis.engine.held_out import block_sums
 from softarm.diagnosis.engine.problem import Setup
 from softarm.diagnosis.engine.result import Diagnosis, HeldOut, Leftover, Overlay, Regime, Rival
 from softarm.diagnosis.engine.search import Progress, SelectedEffect
-from softarm.diagnosis.engine.thresholds import RIG
+from softarm.diagnosis.engine.thresholds import RIG, SHOTS
 from softarm.diagnosis.engine.view import Array
 from softarm.diagnosis.rigs import evidence, experiments
 from softarm.diagnosis.rigs.candidates import candidates, nuisances
@@ -52,6 +52,7 @@ class ViewClass(Protocol):
 # A new kind of stage is a line here.
 VIEWS: Mapping[str, ViewClass] = {"tracking": TrackingView, "driven_mass": DrivenMassView, "pendulum": PendulumView}
 
+TRIALS_LEAST = 4  # recordings from which on whole ones are left out while searching
 _WEAK = {
     "kind": "",
     "trial": "what is said of unseen data is of other trials of the same kind of motion: record several kinds",
@@ -139,8 +140,9 @@ def examine(trials: Sequence[Trial]) -> Finding:
     view, ordered, origins = view_of(trials)
     kinds = [t.kind for t in ordered]
     setup = Setup([view], nuisances(view), kinds, origins)
+    thresholds = SHOTS if view.fits_starts and len(trials) >= TRIALS_LEAST else RIG
     return _Stage(
-        view, ordered, origins, Examination(setup, candidates(view), kinds, RIG, lambda text, share: None)
+        view, ordered, origins, Examination(setup, candidates(view), kinds, thresholds, lambda text, share: None)
     ).finding()
 
 
@@ -183,7 +185,7 @@ class _Stage:
             overlays=tuple(evidence.overlays(view, self.trials, self.nominal, patched)),
             regimes=tuple(regimes),
             rivals=tuple(
-                evidence.rivals(self.found.search, self.choice.chosen, self.choice.null_model, decision.selected)
+                evidence.rivals(self.found.search, self.found.searched, self.choice.null_model, decision.selected)
             ),
             leans=tuple(share[1].items()),
             following=experiments.splitting(view, decision.selected),
