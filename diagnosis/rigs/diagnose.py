@@ -188,7 +188,7 @@ class _Stage:
                 evidence.rivals(self.found.search, self.found.searched, self.choice.null_model, decision.selected)
             ),
             leans=tuple(share[1].items()),
-            following=experiments.splitting(view, decision.selected),
+            following=experiments.splitting(view, [self._same(m) for m in decision.selected]),
             units={f"{e.name}.{p.name}": p.unit for e in view.effects for p in e.parameters},
             together=self._together() if decision.selected else None,
             held_out=self.found.setup.unseen,
@@ -211,9 +211,14 @@ class _Stage:
             name=effect.candidate.name,
             parameters=self._estimates(effect),
             confidence=confidence("rig", effect),
-            equivalents=effect.equivalents,
+            equivalents=self._same(effect)[1:],
             shrink=Shrink(stage=evidence.shrunk(less, more)),
         )
+
+    def _same(self, effect: SelectedEffect) -> tuple[str, ...]:
+        """An effect and all that these data, or any of such a stage, cannot tell from it."""
+        told = (effect.candidate.name, *effect.equivalents)
+        return tuple(dict.fromkeys((*told, *(twin for name in told for twin in self.view.twins.get(name, ())))))
 
     def _estimates(self, effect: SelectedEffect) -> dict[str, Estimate]:
         chosen = self.choice.chosen

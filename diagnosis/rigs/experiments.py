@@ -2,19 +2,15 @@
 
 from collections.abc import Mapping, Sequence
 
-from softarm.diagnosis.engine.search import SelectedEffect
 from softarm.diagnosis.rigs.views import RigView
 from softarm.schemas.verdict import NextExperiment
 
 NOTHING = "nothing in the list separates these"
 
 
-def splitting(view: RigView, selected: Sequence[SelectedEffect]) -> NextExperiment | None:
-    """For the first set among the named; None where there is none."""
-    for effect in selected:
-        if effect.equivalents:
-            return between(view, (effect.candidate.name, *effect.equivalents))
-    return None
+def splitting(view: RigView, answers: Sequence[Sequence[str]]) -> NextExperiment | None:
+    """For the first set among the answers, each the names that it may be; None where there is none."""
+    return next((between(view, names) for names in answers if len(names) > 1), None)
 
 
 def between(view: RigView, names: Sequence[str]) -> NextExperiment:
