@@ -18,6 +18,7 @@ from softarm.diagnosis.engine.whitened import BLOCK_S
 
 BLOCK_LOSS = PER_SECOND * BLOCK_S  # of a block whose residual is as large as what it is weighed by
 SIZES = (0.3, 1.0, 2.0)  # of usual changes: where all effects at once begin
+RESTARTS = 3  # of that, each without one more that ended at its bound
 POLISH, SETTLED = 4, 0.005  # further descents of all effects at once, and what ends them: less gain, of the loss
 
 Progress = Callable[[str, float], None]
@@ -113,7 +114,14 @@ class Search:
     def backward(self, null_model: Fit, tell: Progress) -> Fit:
         """All effects at once; what is left when nothing more can be spared, stands at a bound or is no news."""
         tell("all effects at once", 0.0)
-        fit = self.pruned(self.full(null_model))
+        pool = self.candidates
+        fit = self.pruned(self.full(null_model, pool))
+        for _ in range(RESTARTS):  # what ends at its bound took the place of others: again, without it
+            bound = [c for c, u in zip(fit.effects, fit.u, strict=True) if c.at_bound(u)]
+            if not bound or len(pool) == 1:
+                break
+            pool = tuple(c for c in pool if c is not bound[0])
+            fit = self.pruned(self.full(null_model, pool))
         while fit.effects:
             tell(f"which of {len(fit.effects)} can be spared", 0.5)
             pinned = [i for i, each in enumerate(fit.effects) if each.at_bound(fit.u[i]) or not each.is_news(fit.u[i])]
@@ -125,10 +133,11 @@ class Search:
             fit = self.pruned(self.reduced(fit)[pinned[0]])
         return fit
 
-    def full(self, null_model: Fit) -> Fit:
+    def full(self, null_model: Fit, candidates: Sequence[Candidate]) -> Fit:
         """All effects at once, from starts of several sizes; of the wells the deepest. No folds here."""
         rounds = self.thresholds.rounds
-        started = [(self.candidates, tuple(_moved(c, size) for c in self.candidates)) for size in SIZES]
+        every = tuple(candidates)
+        started = [(every, tuple(_moved(c, size) for c in every)) for size in SIZES]
         fit = min(self._rough.fit(started, rounds), key=lambda f: f.loss)
         for _ in range(POLISH):
             best = self._rough.fit([(fit.effects, fit.u)], rounds)[0]
