@@ -19,6 +19,7 @@ from softarm.diagnosis.engine.whitened import BLOCK_S
 BLOCK_LOSS = PER_SECOND * BLOCK_S  # of a block whose residual is as large as what it is weighed by
 SIZES = (0.3, 1.0, 2.0)  # of usual changes: where all effects at once begin
 RESTARTS = 3  # of that, each without one more that ended at its bound
+EQUAL = 0.5  # of the loss held out: no difference at all
 POLISH, SETTLED = 4, 0.005  # further descents of all effects at once, and what ends them: less gain, of the loss
 
 Progress = Callable[[str, float], None]
@@ -84,6 +85,7 @@ class Search:
         chosen = self.backward(null_model, tell) if self.thresholds.backward else self.forward(null_model, tell)
         if self.thresholds.backward:
             self._settled = dict(zip(chosen.names, chosen.u, strict=True))
+            chosen = self.first_of_equals(chosen, null_model)
         further = next((g for f, g in self.ranked(chosen) if not f.at_bound), None)
         energies = self.energies(null_model), self.energies(chosen)
         return Choice(
@@ -247,6 +249,17 @@ class Search:
             bounded = tuple(f.effects[-1].name for f in alike if f.at_bound)
             found.append(SelectedEffect(effect, less, gain, tuple(rivals), same, bounded))
         return tuple(sorted(found, key=lambda m: (-m.gain.value, m.candidate.name)))
+
+    def first_of_equals(self, chosen: Fit, null_model: Fit) -> Fit:
+        """Of two that the data cannot tell apart at all the list's first leads: whoever came first in the search."""
+        order = [c.name for c in self.candidates]
+        for effect, less in zip(chosen.effects, self.spared(chosen, null_model), strict=True):
+            for rival in sorted(self.extended(less, chosen.names), key=lambda f: order.index(f.effects[-1].name)):
+                earlier = order.index(rival.effects[-1].name) < order.index(effect.name)
+                same = abs(self.gain(rival, chosen).value) < EQUAL
+                if earlier and same and rival.is_news and not rival.at_bound:
+                    return rival
+        return chosen
 
     def alike(self, less: Fit, rival: Fit, lack: Gain, gain: Gain) -> bool:
         """Whether a rival may be the cause as well: it explains the same part, and as well but for chance.
