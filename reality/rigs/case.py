@@ -60,7 +60,7 @@ _TIES: Final[Mapping[Kind, tuple[Tie, ...]]] = {
     "pendulum": (
         Tie(("moment", "payload"), frozenset({"stiffness", "payload"}), frozenset(), rigs=("pendulum", "boom")),
     ),
-    "chain": (Tie(("lean", "bias"), frozenset({"sensor_bias", "tilt"}), frozenset({"force_offset"}), rigs=("pole",)),),
+    "chain": (),  # a moving base or a motor tells them all apart
 }  # fmt: skip
 # What no recording of the rig tells from something else is no single cause there.
 _TIED_ALWAYS: Final[Mapping[str, frozenset[str]]] = {
@@ -200,8 +200,8 @@ def _case(
     causes: tuple[Cause, ...] = ()
     if category == "set":
         causes, told = _tied(rig, random, told)
-        category = "set" if causes else "none"
-    elif category != "none":
+        category = "set" if causes else "single"
+    if category not in ("set", "none"):
         turn = faults.setdefault((rig.name, category == "unknown"), _in_turn(_faults(rig, category), random))
         chosen = [next(turn)]
         if category == "two":

@@ -270,7 +270,7 @@ def _arm() -> dict[str, Fault]:
         ),
         "weak motor": Fault(lambda r, s, g: {"strength": -s * _share(g, 0.1, 0.2)}, frozenset({"gain"})),
         "offset": Fault(lambda r, s, g: {"offset_nm": _either(g) * rubs(r, s, g) * moments_of(r)[0]},
-                        frozenset({"force_offset", "torque_offset", "gain"})),
+                        frozenset({"force_offset", "torque_offset"})),
         "dead_time": Fault(
             lambda r, s, g: {"delay_s": s * _share(g, 0.06, 0.1) * r.pace_s + s / r.rate_hz}, frozenset({"dead_time"}),
             frozenset({"latency"}),
