@@ -42,8 +42,9 @@ class Scales:
     reach: float  # range of command and measured together
     top: float  # certainly reached for a while
     commanded: float  # highest command
-    slope: float  # certainly exceeded for a while; likewise
-    acceleration: float
+    rise: float  # a slope certainly exceeded for a while; likewise
+    fall: float
+    acceleration: float  # either way
     noise: float  # white, RMS of the measured
 
     @property
@@ -69,7 +70,8 @@ def scales(t_s: Sequence[Array], commands: Sequence[Array], measured: Sequence[A
         top,
         max(float(c.max()) for c in commands),
         fastest(measured, step, 1, sigma),
-        fastest(measured, step, 2, sigma),
+        fastest([-m for m in measured], step, 1, sigma),
+        max(fastest(measured, step, 2, sigma), fastest([-m for m in measured], step, 2, sigma)),
         sigma,
     )
 
@@ -84,7 +86,7 @@ def white_noise(measured: Iterable[Array]) -> float:
 
 
 def fastest(measured: Sequence[Array], step_s: float, order: int, noise: float) -> float:
-    """A slope (order 1) or curvature (order 2) that the signals certainly exceed for SHARE of a trial.
+    """An upward slope (order 1) or curvature (order 2) that the signals certainly exceed for SHARE of a trial.
 
     Polynomials over stretches of many lengths, less what noise makes of them: each is a mean of the true derivative
     with positive weights, so the true one is at least as large somewhere.
@@ -94,7 +96,7 @@ def fastest(measured: Sequence[Array], step_s: float, order: int, noise: float) 
         half = order
         while 2 * half + 1 <= max(SMOOTHEST * len(values), 2 * order + 1) and 2 * half + 1 <= len(values):
             width = 2 * half + 1
-            found = np.abs(savgol_filter(values, width, order, deriv=order, delta=step_s, mode="constant", cval=np.nan))
+            found = savgol_filter(values, width, order, deriv=order, delta=step_s, mode="constant", cval=np.nan)
             found = found[np.isfinite(found)]
             if len(found) > 1 / SHARE:
                 best = max(best, float(np.quantile(found, 1 - SHARE)) - SIGMAS * noise * _gain(width, order, step_s))
@@ -160,7 +162,8 @@ def tracking_spans(s: Scales) -> dict[str, Span]:
         "deadband.width": width,
         "backlash.gap": width,
         "hysteresis.width": Span(0.01 * s.reach, s.reach, 0.15 * s.reach),
-        "rate_limit.rate": _limit(s.slope, s.reach / s.step_s),
+        "rate_limit.rate": _limit(s.rise, s.reach / s.step_s),
+        "rate_limit.fall": _limit(s.fall, s.reach / s.step_s),
         "acceleration_limit.acceleration": _limit(s.acceleration, s.reach / s.step_s**2),
         # From a sine that a trial holds thrice to one that is sampled four times.
         "second_order.frequency": Span(3 / s.longest_s, max(0.25 / s.step_s, 4 / s.longest_s), _frequency(s)),

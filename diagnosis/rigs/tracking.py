@@ -26,6 +26,7 @@ SLOPE_TOLERANCE = 0.3  # a velocity further from its position's slope than this 
 RESOLVED = 3e-3  # of the signal's RMS: what may be lost where a fast source is averaged
 LEAST, BINS_MOST = 500, 1024  # samples of a trial that stay, and of a source that become one
 DELAY_TOLERANCE = 0.2  # of a sample: stamps are no better
+LAG_TOLERANCE, ZERO_TOLERANCE = 0.06, 0.001  # of the nominal lag, of the range
 _FIRST = np.array((5, 2, -1)) / 6  # of three readings: their straight line at the first
 _LAW = (
     ("gain.scale", law.SCALE),
@@ -34,8 +35,10 @@ _LAW = (
     ("lag.rise", law.RISE),
     ("lag.fall", law.FALL),
     ("rate_limit.rate", law.RATE),
+    ("rate_limit.fall", law.DOWN),
     ("acceleration_limit.acceleration", law.ACCELERATION),
     ("second_order.damping", law.DAMPING),
+    ("second_order.coupling", law.COUPLING),
     ("backlash.gap", law.GAP),
     ("hysteresis.strength", law.STRENGTH),
     ("hysteresis.width", law.LOOP),
@@ -44,7 +47,7 @@ _LAW = (
 _MODEL = {  # of a stage.yaml's model
     "lag_s": ("lag.rise", "lag.fall"),
     "delay_s": ("dead_time.delay",),
-    "rate_limit": ("rate_limit.rate",),
+    "rate_limit": ("rate_limit.rate", "rate_limit.fall"),
     "acceleration_limit": ("acceleration_limit.acceleration",),
 }
 
@@ -107,7 +110,11 @@ class TrackingView(RigView):
     def tolerances(self) -> Mapping[str, float]:
         """See RigView; a delay in samples of this recording."""
         delay = DELAY_TOLERANCE * self.scales.step_s
-        return {"dead_time.delay": delay, "latency.delay": delay, "sensor_bias.bias": float(self.floor.max())}
+        zero = max(float(self.floor.max()), ZERO_TOLERANCE * self.scales.reach)
+        lags = {path: LAG_TOLERANCE * self.nominal(path) for path in _MODEL["lag_s"] if self.nominal(path) > 0}
+        return lags | {
+            "dead_time.delay": delay, "latency.delay": delay, "gain.offset": zero, "sensor_bias.bias": zero
+        }  # fmt: skip
 
     def nominal(self, path: str) -> float:
         """See RigView."""
@@ -119,7 +126,7 @@ class TrackingView(RigView):
 
     def _gap(self, points: Sequence[Point], i: int) -> Array:
         point = points[i : i + 1]
-        numbers = np.zeros(law.BIAS + 1)
+        numbers = np.zeros(law.COLUMNS)
         for path, at in _LAW:
             numbers[at] = self._value(point, path)
         numbers[law.PERIOD] = 1 / (2 * np.pi * self._value(point, "second_order.frequency"))

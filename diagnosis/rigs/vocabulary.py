@@ -24,6 +24,7 @@ class _Use:
     names: Mapping[str, str]  # registry parameter -> here
     neutral: Mapping[str, float] = field(default_factory=dict)  # where the rig's differs
     meaning: str = ""  # where the rig's law differs
+    downwards: Mapping[str, str] = field(default_factory=dict)  # registry parameter -> a second one, for the other way
 
 
 # What a follower of commands can do wrong, in the order in which a command meets it.
@@ -47,13 +48,18 @@ _TRACKING: dict[str, _Use] = {
         {"inflate": "rise", "deflate": "fall"},
         meaning="it nears the command exponentially, with an own time constant upwards and downwards",
     ),
-    "rate_limit": _Use("pressure.rate_limit", {"rate": "rate"}, meaning="it moves no faster than this"),
+    "rate_limit": _Use(
+        "pressure.rate_limit",
+        {"rate": "rate"},
+        meaning="it moves no faster than this, upwards and downwards",
+        downwards={"rate": "fall"},
+    ),
     "acceleration_limit": _Use(
         "rail.acceleration_limit",
         {"acceleration": "acceleration"},
         meaning="its velocity changes no faster than this: a motor's torque has an end",
     ),
-    "second_order": _Use("", {"frequency": "frequency", "damping": "damping"}),
+    "second_order": _Use("", {"frequency": "frequency", "damping": "damping", "coupling": "coupling"}),
     "backlash": _Use("rail.backlash", {"gap": "gap"}),
     "hysteresis": _Use(
         "arm.hysteresis",
@@ -83,7 +89,9 @@ _SECOND_ORDER = Effect(
     "second_order",
     (
         strength("frequency", "Hz", math.inf, 0.01, 1000.0, 5.0, "undamped natural frequency"),
-        shape("damping", "-", 0.5, 0.02, 2.0, 0.5, "damping ratio; below 0.7 a step rings"),
+        shape("damping", "-", 0.5, 0.02, 0.9, 0.5, "damping ratio; from 1 on it would be lags"),
+        # Beyond 0 .. 1, so that either end is none of the range.
+        shape("coupling", "-", 0.0, -0.25, 1.25, 0.5, "share of the damping between what is driven and what is seen"),
     ),
     "it follows as a second-order system: a mass on a spring, a loop with an integrator",
     "standard second-order system, w^2 / (s^2 + 2 z w s + w^2); Franklin, Powell and Emami-Naeini, Feedback Control",
@@ -158,7 +166,7 @@ def _effect(
     known = {p.name: p for p in registered.parameters}
     parameters = [
         _parameter(known[there], here, use, unit, moment_nm, spans.get(f"{name}.{here}"))
-        for there, here in use.names.items()
+        for there, here in (*use.names.items(), *use.downwards.items())
     ]
     if "torque" in use.names:
         parameters.append(_GIVE)

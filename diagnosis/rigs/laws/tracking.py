@@ -9,7 +9,9 @@ from softarm.simulator.compiled import compiler
 compiled = compiler(Path(__file__))
 
 # Columns of a follower's parameters.
-SCALE, OFFSET, CEILING, WIDTH, RISE, FALL, RATE, ACCELERATION, PERIOD, DAMPING, GAP, STRENGTH, LOOP, BIAS = range(14)
+SCALE, OFFSET, CEILING, WIDTH, RISE, FALL, RATE, DOWN, ACCELERATION = range(9)
+PERIOD, DAMPING, COUPLING, GAP, STRENGTH, LOOP, BIAS = range(9, 16)
+COLUMNS = 16
 FAST = 0.02  # of a substep: a shorter period is none
 
 
@@ -18,9 +20,10 @@ def follow(command, start, law, step_s, each, out):
     """Follow a command: an error beyond the dead zone closes with the lag's time, within rate and acceleration.
 
     command: [n each] mean over each substep, already late and in the measured unit; start: the first reading; law:
-    columns above, PERIOD the inverse of the natural frequency, s/rad; out: [n], what is seen before each sample's
-    substeps. A proportional loop against dry friction: the error that friction holds stays. Behind the loop come a
-    resonance, play, a rate-independent loop and the sensor's zero. A neutral value leaves every bit as it was.
+    columns above, DOWN the rate downwards, PERIOD the inverse of the natural frequency, s/rad, COUPLING the share of
+    the damping that is between what is driven and what is seen; out: [n], what is seen before each sample's substeps.
+    A proportional loop against dry friction: the error that friction holds stays. Behind the loop come a resonance,
+    play, a rate-independent loop and the sensor's zero. A neutral value leaves every bit as it was.
     """
     y = x = start - law[BIAS]
     v = swing = 0.0
@@ -28,8 +31,9 @@ def follow(command, start, law, step_s, each, out):
     up, down = _closing(law[RISE], step_s), _closing(law[FALL], step_s)
     bent_up, bent_down = _straight(up, law[RISE], step_s), _straight(down, law[FALL], step_s)
     change = law[ACCELERATION] * step_s
-    rings, late = law[PERIOD] > FAST * step_s, 2.0 * law[DAMPING] * law[PERIOD]
+    rings, late = law[PERIOD] > FAST * step_s, 2.0 * law[DAMPING] * law[PERIOD] * (1.0 - law[COUPLING])
     keep, gain, fall, hold = _ring(law[PERIOD], law[DAMPING], step_s) if rings else (0.0, 0.0, 0.0, 0.0)
+    kick = 2.0 * law[DAMPING] * law[COUPLING] / law[PERIOD] * step_s if rings else 0.0
     turned, height = 0.0, law[STRENGTH] * law[LOOP]
     for i in range(len(out)):
         before = seen
@@ -42,13 +46,13 @@ def follow(command, start, law, step_s, each, out):
             error = min(command[i * each + s] * (1.0 + law[SCALE]) + law[OFFSET], law[CEILING]) - x
             beyond = error - min(max(error, -law[WIDTH]), law[WIDTH])
             closing, straight = (up, bent_up) if beyond > 0.0 else (down, bent_down)
-            wanted = min(max(beyond * closing, -law[RATE]), law[RATE])
+            wanted = min(max(beyond * closing, -law[DOWN]), law[RATE])
             held = abs(wanted - v) > change
             v = v + (change if wanted > v else -change) if held else wanted
             x += v * step_s
             if rings:  # led along a straight line after a jump, and late
-                lead = v if held or abs(wanted) == law[RATE] else straight * v
-                away, faster = y - (x - lead * (step_s + late)), swing - lead
+                lead = v if held or wanted == law[RATE] or wanted == -law[DOWN] else straight * v
+                away, faster = y - (x - lead * (step_s + late)), swing - lead + kick * (v - lead)
                 y = x - lead * late + keep * away + gain * faster
                 swing = lead + fall * away + hold * faster
             else:
