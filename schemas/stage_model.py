@@ -82,6 +82,7 @@ class ModelKey(Quantity):
 
     each: Literal["one", "link", "pairs"] = "one"
     needed: bool = False
+    instead: str = ""  # of which other key it can take the place
     called: tuple[str, ...] = ()  # what people write instead
 
 
@@ -143,6 +144,8 @@ MODEL_KEYS: dict[StageKind, tuple[ModelKey, ...]] = {
     "pendulum": _LINKS,
     "chain": (
         *_LINKS,
+        ModelKey(name="inertia_joint_kg_m2", unit="kg m^2", low=0, above=True, each="link", instead="inertia_kg_m2",
+                 meaning="of each link alone about its joint, instead of inertia_kg_m2"),
         ModelKey(name="coulomb_nm", unit="N m", low=0, each="link", default=0.0,
                  called=("coulomb", "dry", "friction", "frictionloss"),
                  meaning="dry friction of each joint; one number stands for all"),
@@ -166,7 +169,13 @@ def complaints(kind: StageKind, model: Mapping[object, object], links: int) -> I
     if kind == "driven_mass":
         if len({"mass_kg", "inertia_kg_m2"} & model.keys()) != 1:
             yield "", "a driven_mass stage needs either mass_kg (it moves along a line) or inertia_kg_m2; write one"
-    elif lacking := [key for key in known.values() if key.needed and key.name not in model]:
+    elif twice := [key for key in known.values() if {key.name, key.instead} <= model.keys()]:
+        yield twice[0].name, f"stands beside {twice[0].instead}; keep one of the two"
+    elif lacking := [
+        key
+        for key in known.values()
+        if key.needed and not model.keys() & {key.name, *(k.name for k in known.values() if k.instead == key.name)}
+    ]:
         named = ", ".join(f"{key.name} ({key.meaning})" for key in lacking)
         yield "", f"the model of a {kind} stage lacks {named}; add it"
     if "map" in model and (both := sorted({"gain", "offset"} & model.keys())):

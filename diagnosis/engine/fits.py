@@ -22,6 +22,9 @@ NUDGE = 0.04  # of a parameter's size, for a column of the Jacobian
 SHORTER = 0.3  # of a step that did not help
 LEAST_WIDTH = 1e-6  # of a parameter's size: no interval ends at its own estimate
 REACH = 2.0  # of a parameter's size: how far a round may go
+# What a usual change costs, in losses: next to nothing. Where data leave a direction open (torques, weight and inertia
+# all larger by the same share move alike) the smallest changes are taken, so that each can be spared for itself.
+PRIOR = 0.01
 
 
 @dataclass(frozen=True, slots=True)
@@ -190,7 +193,10 @@ class FitProblem:
         normal, slope = self._normal(p, jacobians, bases)
         low, high = self._box(effects, x)
         w = box.solve(np.ascontiguousarray(normal[p:, p:]), -slope[p:], low[p:], high[p:])
-        loss = sum(base.rr for base in bases) + 2 * w @ slope[p:] + w @ normal[p:, p:] @ w
+        held, pull = _prior(effects, x)
+        loss = sum(base.rr for base in bases) + 2 * w @ slope[p:] + w @ normal[p:, p:] @ w + pull @ (pull / held)
+        normal[range(p), range(p)] += held
+        slope[:p] += pull
         return float(loss) if np.isfinite(loss) else np.inf, box.solve(normal, -slope, low, high)[:p]
 
     def _normal(self, p: int, jacobians: list[Rows], bases: list[Moments]) -> tuple[Array, Array]:
@@ -219,6 +225,9 @@ class FitProblem:
         normal, slope, squares = self._by_block(len(x), jacobians, bases)
         low, high = self._box(effects, x)
         total_normal, total_slope = normal.sum(axis=0), slope.sum(axis=0)
+        held, pull = _prior(effects, x)
+        total_normal[range(len(x)), range(len(x))] += held
+        total_slope[: len(x)] += pull
         best = box.solve(total_normal, -total_slope, low, high)
         lost, folds = np.empty(len(squares)), []
         for fold in np.unique(self.fold):
@@ -239,7 +248,7 @@ class FitProblem:
             effects,
             split(effects, x),
             nuisance,
-            loss,
+            loss - float(pull @ (pull / held)),  # the data's alone
             lost,
             np.array(folds),
             np.array(halves),
@@ -289,3 +298,10 @@ class FitProblem:
                     normal[b, p:, :p] += across.T
                     slope[b, :p] += j @ r
         return normal, slope, squares
+
+
+def _prior(effects: Set, x: Array) -> tuple[Array, Array]:
+    """Normal matrix's diagonal [p] and slope [p] of the costs of changes."""
+    parameters = [d for each in effects for d in each.parameters]
+    held = np.array([PRIOR / d.size**2 for d in parameters])
+    return held, held * (x - np.array([d.nominal for d in parameters]))

@@ -21,8 +21,8 @@ from softarm.diagnosis.engine.thresholds import RIG, SHOTS
 from softarm.diagnosis.engine.view import Array
 from softarm.diagnosis.rigs import evidence, experiments
 from softarm.diagnosis.rigs.candidates import candidates, nuisances
+from softarm.diagnosis.rigs.chain.view import ChainView
 from softarm.diagnosis.rigs.driven_mass import DrivenMassView
-from softarm.diagnosis.rigs.pendulum import PendulumView
 from softarm.diagnosis.rigs.tracking import TrackingView, velocity_warnings
 from softarm.diagnosis.rigs.views import RigView
 from softarm.diagnosis.rigs.vocabulary import Effect
@@ -50,7 +50,12 @@ class ViewClass(Protocol):
 
 
 # A new kind of stage is a line here.
-VIEWS: Mapping[str, ViewClass] = {"tracking": TrackingView, "driven_mass": DrivenMassView, "pendulum": PendulumView}
+VIEWS: Mapping[str, ViewClass] = {
+    "tracking": TrackingView,
+    "driven_mass": DrivenMassView,
+    "pendulum": ChainView,
+    "chain": ChainView,
+}
 
 TRIALS_LEAST = 4  # recordings from which on whole ones are left out while searching
 _WEAK = {

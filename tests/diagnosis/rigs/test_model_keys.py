@@ -25,7 +25,7 @@ MODEL = {"tracking": {}, "driven_mass": {"mass_kg": 1.0}, "pendulum": LINKS, "ch
 OTHER = {"lag_s": 0.2, "delay_s": 0.1, "gain": 2.0, "offset": 0.3, "map": ((-2.0, -1.0), (0.0, 0.5), (2.0, 0.6)),
          "rate_limit": 0.5, "acceleration_limit": 2.0, "mass_kg": 3.0, "inertia_kg_m2": 3.0, "viscous": 2.0,
          "coulomb": 0.4, "gravity_m_s2": 5.0, "damping_nm_s_rad": 0.05, "coulomb_nm": 0.05,
-         "armature_kg_m2": 0.02}  # fmt: skip
+         "armature_kg_m2": 0.02, "inertia_joint_kg_m2": (0.0112, 0.0063)}  # fmt: skip
 SECOND = {"length_m": (0.4, 0.2)}  # the last link's matters to nothing
 
 

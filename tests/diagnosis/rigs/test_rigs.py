@@ -11,9 +11,12 @@ from softarm.diagnosis.data.trials import Series, TableStage, Trial, TrialError
 from softarm.diagnosis.engine.folds import interleaved
 from softarm.diagnosis.engine.problem import Setup
 from softarm.diagnosis.rigs.candidates import nuisances
+from softarm.diagnosis.rigs.chain.model import chain_of
+from softarm.diagnosis.rigs.chain.shooting import swing as swung
+from softarm.diagnosis.rigs.chain.view import ChainView
 from softarm.diagnosis.rigs.diagnose import diagnose_table, view_of
 from softarm.diagnosis.rigs.grid import grid, smallest_step, windows
-from softarm.diagnosis.rigs.pendulum import PendulumView
+from softarm.diagnosis.rigs.laws import chain as law
 from softarm.diagnosis.rigs.tracking import TrackingView, velocity_warnings
 from softarm.diagnosis.rigs.vocabulary import effects
 from softarm.simulator.effects import REGISTRY
@@ -120,16 +123,16 @@ def test_a_wrong_velocity_is_told_and_a_right_one_is_not():
 
 def swing(point, amplitude=0.3, seconds=12.0, model=MODEL, rate_hz=100.0):
     """A window's worth of the law itself, from rest at an amplitude."""
-    from softarm.diagnosis.rigs import kernels
-    from softarm.diagnosis.rigs.pendulum import links
-
-    link = links(TableStage("joint", "pendulum", model))
-    n = link.shape[1]
-    law = np.array([9.81, 0.0, point.get("damping", 1.0), point.get("torque", 0.0), 3e-4, point.get("drag", 0.0)])
-    out = np.empty((round(seconds * rate_hz), n))
-    state = np.concatenate((np.full(n, amplitude), np.zeros(n)))
-    shear = np.zeros(n)
-    kernels.swing(state, shear, np.zeros(len(out)), link, law, 1 / rate_hz, 4, out)
+    chain = chain_of(TableStage("joint", "pendulum", model))
+    rows, n = chain.rows(), chain.n
+    table = rows[: law.EACH * n].reshape(law.EACH, n)
+    table[law.VISCOUS] *= point.get("damping", 1.0)
+    table[law.DRY], table[law.GIVE] = point.get("torque", 0.0), 3e-4
+    rows[law.EACH * n + law.DRAG] = point.get("drag", 0.0)
+    steps = round(seconds * rate_hz)
+    state = np.concatenate((np.full(n, amplitude), np.zeros(2 * n)))[None, None]
+    still = np.zeros((1, 4 * steps, n)), np.zeros((1, 4 * steps))
+    out = swung(rows[None], state, *still, 0.25 / rate_hz, 4)[0, 0]
     return np.arange(len(out)) / rate_hz, out
 
 
@@ -180,7 +183,7 @@ def test_drag_of_a_single_link_is_that_of_its_centre():
 
 def test_a_pendulums_start_is_fitted_at_every_point():
     t, angle = swing({}, 0.3, 3.0)
-    view = PendulumView([pendulum(angle[:, 0], t)])
+    view = ChainView([pendulum(angle[:, 0], t)])
     gaps = view.gap([{}, {"joint.damping.scale": 1.0}, {"joint.sensor_bias.bias": 0.01}])
     rms = np.sqrt(np.nanmean(gaps.astype(float) ** 2, axis=(1, 2)))
     assert rms[0] < 2e-4
@@ -219,14 +222,14 @@ def test_what_has_no_view_says_so():
     with pytest.raises(TrialError, match="are of no single-stage table"):
         diagnose_table([Trial("x", "x", Path("x"), {})])
     with pytest.raises(TrialError, match="model lacks mass_kg"):
-        PendulumView([pendulum(np.sin(t), t, model={"centre_m": 0.1, "inertia_kg_m2": 1.0})])
+        ChainView([pendulum(np.sin(t), t, model={"centre_m": 0.1, "inertia_kg_m2": 1.0})])
 
 
 def test_a_kinds_view_is_made_of_the_shots_that_it_cuts_trials_into():
     t, angle = swing({}, 0.3, 12.0)
     trials = [pendulum(angle[:, 0], t, f"swing {i}") for i in range(4)]
     view, shots, origins = view_of(trials)
-    assert len(shots) == 4 * len(PendulumView.shots(trials[0])) == 16
+    assert len(shots) == 4 * len(ChainView.shots(trials[0])) == 16
     assert [trials[k].name for k in origins] == [shot.name.split(" from")[0] for shot in shots]
     setup = Setup([view], nuisances(view), [t.kind for t in shots], origins)
     assert setup.unseen == "trial"  # left out whole: its shots share what is odd about it

@@ -1,0 +1,301 @@
+"""A chain of links, free or driven, on a base that stands still or moves: what it measures for given effects."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.signal import savgol_filter
+
+from softarm.diagnosis.data.trials import Series, TableStage, Trial, TrialError
+from softarm.diagnosis.engine.view import Array, Point
+from softarm.diagnosis.rigs.chain.effects import Scales, effects, of_joints, tolerances
+from softarm.diagnosis.rigs.chain.model import Chain, absolute, chain_of, joints, measured, periods_seen
+from softarm.diagnosis.rigs.chain.shooting import Law, Shooting
+from softarm.diagnosis.rigs.grid import Grid, grid, smallest_step, windows
+from softarm.diagnosis.rigs.laws import chain as law
+from softarm.diagnosis.rigs.views import RigView
+
+SAMPLES_PER_PERIOD, STEPS_PER_PERIOD = 75, 60  # of the fastest swing
+RATE_LEAST_HZ, RATE_MOST_HZ = 10.0, 200.0
+# Windows are cut to this many of the slowest swings: over longer ones an inexact model dephases, a chain of several
+# links or one that goes over the top forgets where it began, and what is lost tells nothing.
+WINDOW_PERIODS_FREE, WINDOW_PERIODS = 4.0, 1.0  # of one link that nothing drives; of any other chain
+MARGIN_PERIODS = 0.5  # of torque and base beyond a window
+GUESS_PERIODS = 0.2  # what a start is first guessed from
+STILL_SHARE = 0.04  # of a joint's usual rate
+ANGLE_SHARE, RATE_SHARE = 0.1, 0.15  # of the usual: how well a start is known before it is fitted
+RESOLVED = 1.0  # a held joint's spring turns by this much in a step at the most, rad
+
+
+class ChainView(RigView):
+    """Angles of all links as they are measured. A trial is one window, from `shots`."""
+
+    fits_starts = True
+
+    def __init__(self, trials: Sequence[Trial]) -> None:
+        """Raises TrialError for trials of no chain, or of a model that lacks what a chain needs."""
+        stage = _stage(trials)
+        self._chain = chain = chain_of(stage)
+        names = tuple(f"angle{i}" for i in range(1, chain.n + 1))
+        fastest, _ = _periods(chain, trials)
+        rate_hz = min(max(SAMPLES_PER_PERIOD / fastest, RATE_LEAST_HZ), RATE_MOST_HZ)
+        grids = [grid(t.channel("measured"), rate_hz) for t in trials]
+        shown = [measured(chain, np.stack([g.columns[name] for name in names], axis=1)) for g in grids]
+        raw = [measured(chain, np.stack([t.channel("measured")[n] for n in names], axis=1)) for t in trials]
+        step = smallest_step([np.round(values, 9) for each in raw for values in each.T])
+        self._step_s = float(np.median([g.step_s for g in grids]))
+        self._each = max(1, int(np.ceil(self._step_s / (fastest / STEPS_PER_PERIOD))))
+        self._trials, self._grids = trials, grids
+        self._pushes = [_push(t, g, self._each) for t, g in zip(trials, grids, strict=True)]
+        self.scales = self._measure(shown)
+        found = effects(stage.name, chain, self.scales)
+        torques = [self._torque(k, 0.0)[:: self._each] for k in range(len(trials))]
+        every = zip(shown, grids, self._pushes, torques, strict=True)
+        signals = [_signals(chain, seen, g, push[:: self._each], torque) for seen, g, push, torque in every]
+        super().__init__(stage.name, "rad", names, found, [g.t_s for g in grids], shown, step, signals)
+        self.floor = np.maximum(self.floor, _noise(shown))
+        self._known = {f"{e.name.rpartition('.')[2]}.{p.name}": p.neutral for e in found for p in e.parameters}
+        self._known |= {f"damping.{name}": 0.0 for name in of_joints("scale", chain.n)}  # the model's own
+        for i, name in enumerate(of_joints("torque", chain.n)):
+            self._known[f"coulomb_friction.{name}"] = float(chain.dry[i])
+        for i, name in enumerate(of_joints("viscous", chain.n)):
+            self._known[f"damping.{name}"] = float(chain.viscous[i])
+        self._late: dict[float, Array] = {}
+        self._shooting = self._begin(shown)
+
+    @classmethod
+    def shots(cls, trial: Trial) -> tuple[Trial, ...]:
+        """See RigView."""
+        chain = chain_of(_stage([trial]))
+        _, slowest = _periods(chain, [trial])
+        free = chain.n == 1 and "torque" not in trial.channels
+        parts = windows(trial, (WINDOW_PERIODS_FREE if free else WINDOW_PERIODS) * slowest)
+        margin = MARGIN_PERIODS * slowest
+        return tuple(_with_margin(part, trial, margin) for part in parts)
+
+    @property
+    def tolerances(self) -> Mapping[str, float]:
+        """See RigView."""
+        return {
+            f"{name}{place}": float(width)
+            for name, widths in tolerances(self._chain, self.scales).items()
+            for place, width in zip(of_joints("", len(widths)), widths, strict=True)
+        }
+
+    @property
+    def regimes(self) -> Mapping[str, NDArray[np.bool_]]:
+        """See View."""
+        size = self.features["swing of the trial"]
+        return {
+            "swings above 1 rad": size > 1.0,
+            "swings of 0.3 to 1 rad": (size > 0.3) & (size <= 1.0),
+            "swings below 0.3 rad": size <= 0.3,
+            "near a reversal": np.abs(self.features["rate 1"]) < 0.2 * np.max(np.abs(self.features["rate 1"])),
+            "at the bottom": np.abs(self.features["angle 1"]) < 0.2 * size,
+        }
+
+    def nominal(self, path: str) -> float:
+        """See RigView."""
+        return self._known[path]
+
+    def gap(self, points: Sequence[Point]) -> NDArray[np.float32]:
+        """See View."""
+        found = np.empty((len(points), *self.measured.shape), np.float32)
+        delays = np.array([self._value(point, "dead_time.delay") for point in points])
+        for delay in np.unique(delays):
+            mine = np.flatnonzero(delays == delay)
+            left = self._shooting.residuals([self._law(points[int(i)]) for i in mine], self._torques(float(delay)))
+            found[mine] = left[:, self._shooting.kept]
+        found[:, ~np.isfinite(self.measured)] = np.nan
+        return found
+
+    def _value(self, point: Point, path: str) -> float:
+        """A parameter at a point; 0 for one that this chain does not have."""
+        return point.get(f"{self.stage}.{path}", self._known.get(path, 0.0))
+
+    def _values(self, point: Point, path: str) -> Array:
+        """[n] of a parameter that each joint has."""
+        return np.array([self._value(point, name) for name in of_joints(path, self._chain.n)])
+
+    def _law(self, point: Point) -> Law:
+        base, n = self._chain, self._chain.n
+        chain = base.loaded(self._value(point, "payload.mass"))
+        rows = chain.rows()
+        table, rest = rows[: law.EACH * n].reshape(law.EACH, n), rows[law.EACH * n :]
+        table[law.INERTIA] += self._value(point, "inertia.scale") * base.own
+        table[law.DRY] = self._values(point, "coulomb_friction.torque")
+        share, viscous = self._values(point, "damping.scale"), self._values(point, "damping.viscous")
+        table[law.VISCOUS] = (1 + share) * viscous
+        # No stiffer than a step resolves.
+        least = table[law.DRY] * (self._step_s / self._each / RESOLVED) ** 2 / base.joint_inertia
+        table[law.GIVE] = np.maximum(self._value(point, "coulomb_friction.give") or 1.0, least)
+        gravity, tilt = chain.gravity * (1 + self._value(point, "stiffness.scale")), self._value(point, "tilt.angle")
+        rest[law.DOWN], rest[law.ALONG] = gravity * np.cos(tilt), -gravity * np.sin(tilt)
+        rest[law.CUBIC] = self._value(point, "stiffening.cubic")
+        rest[law.DRAG] = self._value(point, "drag.coefficient")
+        table[law.GAIN] = 1 + self._values(point, "gain.scale")
+        table[law.OFFSET] = self._values(point, "torque_offset.torque")
+        return Law(rows, self._values(point, "sensor_bias.bias"))
+
+    def _torques(self, delay_s: float) -> Array:
+        """[W, K, n] of all windows at every step, as late as this."""
+        if delay_s not in self._late:
+            if len(self._late) > 64:
+                self._late.clear()
+            found = [self._torque(k, delay_s) for k in range(len(self._grids))]
+            self._late[delay_s] = np.stack([_filled(each, self._steps) for each in found])
+        return self._late[delay_s]
+
+    @property
+    def _steps(self) -> int:
+        return max(len(g.t_s) for g in self._grids) * self._each
+
+    def _torque(self, k: int, delay_s: float) -> Array:
+        """[T each, n] means of a window's torques over every step."""
+        g, n = self._grids[k], self._chain.n
+        edges = g.t_s[0] - delay_s + self._step_s / self._each * np.arange(len(g.t_s) * self._each + 1)
+        if "torque" not in self._trials[k].channels:
+            return np.zeros((len(edges) - 1, n))
+        series = self._trials[k].channels["torque"]
+        names = [f"torque{i}" for i in range(1, n + 1)]
+        found = [_means(series, c, edges) if c in series.columns else np.zeros(len(edges) - 1) for c in names]
+        return np.stack(found, axis=1)
+
+    def _measure(self, shown: Sequence[Array]) -> Scales:
+        chain, driven = self._chain, any("torque" in t.channels for t in self._trials)
+        torque = np.concatenate([self._torque(k, 0.0) for k in range(len(self._trials))])
+        turned = np.concatenate([joints(absolute(chain, s)) for s in shown])
+        rates = np.concatenate([_rates(chain, s, g) for s, g in zip(shown, self._grids, strict=True)])
+        sample = [float(np.median(np.diff(t.channels["torque"].t_s))) for t in self._trials if "torque" in t.channels]
+        return Scales(
+            torque_nm=np.sqrt(np.mean(torque**2, axis=0)),
+            top_nm=np.max(np.abs(torque), axis=0),
+            reach_rad=max(float(np.nanmax(np.abs(absolute(chain, s)))) for s in shown),
+            swing_rad=np.nanstd(turned, axis=0),
+            rate_rad_s=np.sqrt(np.nanmean(joints(rates) ** 2, axis=0)),
+            period_s=_periods(chain, self._trials)[1],
+            sample_s=min(sample, default=0.0),
+            driven=driven,
+            carried=any("base" in t.channels for t in self._trials),
+        )
+
+    def _begin(self, shown: Sequence[Array]) -> Shooting:
+        chain, floor = self._chain, float(self.floor.mean())
+        push = np.stack([_filled(each, self._steps) for each in self._pushes])
+        guess = np.stack([self._guess(k, seen) for k, seen in enumerate(shown)])
+        rates = joints(guess[:, chain.n :])
+        moving = np.where(np.abs(rates) > STILL_SHARE * self.scales.rate_rad_s, np.sign(rates), 0.0)
+        angle = np.cumsum(ANGLE_SHARE * self.scales.swing_rad + 3 * floor)
+        rate = np.cumsum(RATE_SHARE * self.scales.rate_rad_s + 3 * floor / (GUESS_PERIODS * self.scales.period_s))
+        sigma = np.concatenate((angle, rate))
+        step_s, each = self._step_s, self._each
+        return Shooting(chain, shown, push, guess, sigma, moving, step_s=step_s, each=each, weight=floor**2)
+
+    def _guess(self, k: int, seen: Array) -> Array:
+        """[2 n] absolute angles and rates at a window's start, from its first samples; measured rates count too."""
+        g, chain = self._grids[k], self._chain
+        first = min(len(seen), max(8, round(GUESS_PERIODS * _periods(chain, self._trials)[0] / self._step_s)))
+        late = (g.t_s[:first] - g.t_s[0]) / self._step_s / first
+        powers = late[:, None] ** np.arange(4)
+        slopes = np.arange(4) * late[:, None] ** np.maximum(np.arange(4) - 1, 0)
+        scale = self._step_s * first
+        names = [f"rate{i + 1}" for i in range(chain.n)]
+        rates = None
+        if all(name in g.columns for name in names):
+            rates = measured(chain, np.stack([g.columns[name] for name in names], axis=1))
+        parts = []
+        for i in range(chain.n):
+            rows, goals = [powers], [seen[:first, i]]
+            if rates is not None:
+                rows.append(slopes)
+                goals.append(rates[:first, i] * scale)
+            basis, goal = np.concatenate(rows), np.concatenate(goals)
+            good = np.isfinite(goal)
+            if good.sum() < 4:
+                parts.append(np.zeros(2))
+                continue
+            fit, *_ = np.linalg.lstsq(basis[good], goal[good], rcond=None)
+            parts.append(np.array((fit[0], fit[1] / scale)))
+        return absolute(chain, np.stack(parts, axis=1)).ravel()
+
+
+def _stage(trials: Sequence[Trial]) -> TableStage:
+    stages = {t.stage.name: t.stage for t in trials if t.stage is not None and t.stage.kind in ("pendulum", "chain")}
+    if len(stages) != 1:
+        raise TrialError(f"one chain at a time: these trials have {', '.join(sorted(stages)) or 'none'}")
+    return stages.popitem()[1]
+
+
+def _periods(chain: Chain, trials: Sequence[Trial]) -> tuple[float, float]:
+    """The fastest and the slowest swing, s: the model's own; of what has no weight, those in the data."""
+    if len(own := chain.periods_s):
+        return float(own[-1]), float(own[0])
+    found = []
+    for trial in trials:
+        g = grid(trial.channel("measured"), RATE_MOST_HZ)
+        seen = np.stack([g.columns[f"angle{i}"] for i in range(1, chain.n + 1)], axis=1)
+        found.append(periods_seen(seen, np.gradient(np.nan_to_num(seen), g.step_s, axis=0)))
+    usual = float(np.median(found))
+    return usual, usual
+
+
+def _with_margin(part: Trial, whole: Trial, margin_s: float) -> Trial:
+    """A window with torque and base from a little before to a little after it."""
+    t = part.channels["measured"].t_s
+    channels = {"measured": part.channels["measured"]}
+    for name, series in whole.channels.items():
+        if name != "measured":
+            keep = (series.t_s >= t[0] - margin_s) & (series.t_s <= t[-1] + margin_s)
+            channels[name] = Series(series.t_s[keep], {c: values[keep] for c, values in series.columns.items()})
+    return replace(part, channels=channels)
+
+
+def _filled(values: Array, size: int) -> Array:
+    """Rows up to `size`, the last one repeated."""
+    return np.concatenate((values, np.repeat(values[-1:], size - len(values), axis=0)))
+
+
+def _means(series: Series, column: str, edges: Array) -> Array:
+    """A column's means between edges; beyond its ends it stays as it was."""
+    t, x = series.t_s, series[column]
+    summed = np.concatenate(([0.0], np.cumsum(0.5 * (x[1:] + x[:-1]) * np.diff(t))))
+    far = max(edges[-1] - t[-1], t[0] - edges[0], 0.0) + 1.0
+    t = np.concatenate(([t[0] - far], t, [t[-1] + far]))
+    summed = np.concatenate(([-far * x[0]], summed, [summed[-1] + far * x[-1]]))
+    return np.asarray(np.diff(np.interp(edges, t, summed)) / np.diff(edges))
+
+
+def _noise(shown: Sequence[Array]) -> Array:
+    """[S] RMS of white noise in the angles: of their fourth differences, which are next to nothing in a swing."""
+    fourth = np.concatenate([np.diff(s, 4, axis=0) for s in shown])
+    return np.asarray(1.4826 * np.nanmedian(np.abs(fourth), axis=0) / np.sqrt(70))
+
+
+def _push(trial: Trial, g: Grid, each: int) -> Array:
+    """Acceleration of the base, m/s^2 at every step; zero for one that stands still."""
+    steps = len(g.t_s) * each
+    if "base" not in trial.channels:
+        return np.zeros(steps)
+    h, pad = g.step_s / each, 8
+    edges = g.t_s[0] + h * (np.arange(-pad, steps + pad + 1) - 0.0)
+    way = _means(trial.channels["base"], "position", edges)
+    found = savgol_filter(way, 7, 4, deriv=2, delta=h)
+    return np.asarray(found[pad : pad + steps])
+
+
+def _rates(chain: Chain, seen: Array, g: Grid) -> Array:
+    """[T, n] absolute rates, by differences."""
+    return absolute(chain, np.gradient(np.nan_to_num(seen), g.step_s, axis=0))
+
+
+def _signals(chain: Chain, seen: Array, g: Grid, push: Array, torque: Array) -> dict[str, Array]:
+    """What a flexible model may look at."""
+    signals = {"base acceleration": push}
+    clean, rates = np.nan_to_num(seen), joints(_rates(chain, seen, g))
+    for i in range(seen.shape[1]):
+        signals[f"angle {i + 1}"] = clean[:, i]
+        signals[f"rate {i + 1}"] = rates[:, i]
+        signals[f"torque {i + 1}"] = torque[:, i]
+    signals["swing of the trial"] = np.full(len(seen), float(np.max(np.abs(clean[:, -1]))))
+    return signals

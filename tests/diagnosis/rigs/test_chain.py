@@ -1,0 +1,323 @@
+"""Chains, free and driven: their law against another formulation and closed forms, and what is named of known ones."""
+
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from softarm.diagnosis.data import tables
+from softarm.diagnosis.data.trials import Series, TableStage, Trial, TrialError
+from softarm.diagnosis.rigs.chain.model import chain_of
+from softarm.diagnosis.rigs.chain.view import ChainView
+from softarm.diagnosis.rigs.diagnose import diagnose_table, view_of
+
+GRAVITY = 9.81
+STEEP = 200.0  # s/rad: tanh(steep x rate) stands for the rate's sign
+
+ONE = {"mass_kg": 0.6, "centre_m": 0.12, "length_m": 0.2, "inertia_kg_m2": 2e-3, "damping_nm_s_rad": 0.01}
+TWO = {
+    "mass_kg": (0.6, 0.4),
+    "centre_m": (0.12, 0.14),
+    "length_m": (0.2, 0.25),
+    "inertia_kg_m2": (2e-3, 1.5e-3),
+    "armature_kg_m2": (2e-3, 1e-3),
+    "damping_nm_s_rad": (0.02, 0.01),
+}
+
+
+class Made:
+    """A chain as it is: a model's numbers, and what it has beyond them.
+
+    Beyond: dry, viscous, offset, late (of the torque, s), gain, payload, weight and inertia (shares), drag, cubic,
+    tilt. Joint angles, d'Alembert, scipy: positions of the centres of mass as functions of the joint angles; what their
+    accelerations and the loads ask of each joint is projected by their Jacobians. Dry friction is a steep function of
+    the rate here, not a sheared bristle.
+    """
+
+    def __init__(self, model, **beyond):
+        def get(name, default=0.0):
+            return np.ravel(np.broadcast_to(model.get(name, default), n)).astype(float)
+
+        n = self.n = len(np.ravel(model["mass_kg"]))
+        self.mass, self.centre, self.inertia = get("mass_kg"), get("centre_m"), get("inertia_kg_m2")
+        length = np.ravel(model.get("length_m", 0.0))
+        self.length = np.concatenate((length, np.zeros(n - len(length))))
+        self.armature = get("armature_kg_m2")
+        self.viscous = get("damping_nm_s_rad") + np.broadcast_to(beyond.get("viscous", 0.0), n)
+        self.dry = get("coulomb_nm") + np.broadcast_to(beyond.get("dry", 0.0), n)
+        self.beyond = beyond
+
+    def rates(self, t, state, torque, push):
+        """Of angles from joint to joint, and of their rates."""
+        n, b = self.n, self.beyond
+        turn, speed = state[:n], state[n:]
+        phi, omega = np.cumsum(turn), np.cumsum(speed)
+        matrix, load = np.diag(self.armature).astype(float), np.zeros(n)
+        down = GRAVITY * (1 + b.get("weight", 0.0))
+        tilt = b.get("tilt", 0.0)
+        pull = down * np.array((np.sin(tilt), -np.cos(tilt)))
+        below = np.tril(np.ones((n, n)))  # d phi_j / d theta_k
+        bodies = [(i, self.mass[i], self.centre[i], True) for i in range(n)]
+        if b.get("payload"):
+            bodies.append((n - 1, b["payload"], self.length[-1], False))
+        for i, mass, arm, link in bodies:
+            reach = np.where(np.arange(n) < i, self.length, np.where(np.arange(n) == i, arm, 0.0))
+            jacobian = np.stack((reach * np.cos(phi), reach * np.sin(phi))) @ below  # of y to the side, z upwards
+            swirl = np.array((-(reach * np.sin(phi) * omega**2).sum(), (reach * np.cos(phi) * omega**2).sum()))
+            matrix += mass * jacobian.T @ jacobian
+            force = mass * (pull * (1 + b.get("cubic", 0.0) * phi[i] ** 2) - swirl - np.array((push(t), 0.0)))
+            if link:
+                own = self.inertia[i] + b.get("inertia", 0.0) * (self.inertia[i] + mass * self.centre[i] ** 2)
+                matrix += own * np.outer(below[i], below[i])
+                velocity = jacobian @ speed
+                force = force - b.get("drag", 0.0) * np.linalg.norm(velocity) * velocity
+            load += jacobian.T @ force
+        load += torque(t) * (1 + np.asarray(b.get("gain", 0.0))) + b.get("offset", 0.0)
+        load -= self.viscous * speed + self.dry * np.tanh(STEEP * speed)
+        return np.concatenate((speed, np.linalg.solve(matrix, load)))
+
+    def swing(self, start, t, torque=None, push=lambda t: 0.0):
+        """[T, n] angles and rates, absolute, from joint angles at rest; torque: t -> [n], as it was asked for."""
+        late = self.beyond.get("late", 0.0)
+        given = (lambda t: np.zeros(self.n)) if torque is None else (lambda t: torque(t - late))
+        state = np.concatenate((np.broadcast_to(start, self.n), np.zeros(self.n)))
+        found = solve_ivp(
+            self.rates, (t[0], t[-1]), state, "LSODA", t, args=(given, push), rtol=1e-7, atol=1e-9, max_step=0.05
+        )
+        assert found.success
+        return np.cumsum(found.y[: self.n], axis=0).T, np.cumsum(found.y[self.n :], axis=0).T
+
+
+def tones(seed, n, size, fastest=2.0):
+    """A torque: a few sines for each joint."""
+    draw = np.random.default_rng(seed)
+    hertz = draw.uniform(0.2, fastest, (n, 4))
+    phase, part = draw.uniform(0, 2 * np.pi, (n, 4)), draw.uniform(0.5, 1.0, (n, 4))
+    return lambda t: np.ravel(size) * np.sum(part * np.sin(2 * np.pi * hertz * t + phase), axis=1) / 2
+
+
+def trial(name, t, angles, model, torques=None, base=None, *, noise=0.0, step=0.0, seed=0, kind="tones", stage="arm"):
+    """A recording: angles with an encoder's noise and step; torques [T, n] as they were asked for; base [T] m."""
+    seen = angles + noise * np.random.default_rng(seed).normal(size=angles.shape)
+    seen = np.round(seen / step) * step if step else seen
+    channels = {"measured": Series(t.copy(), {f"angle{i + 1}": seen[:, i].copy() for i in range(seen.shape[1])})}
+    if torques is not None:
+        channels["torque"] = Series(t.copy(), {f"torque{i + 1}": x.copy() for i, x in enumerate(torques.T)})
+    if base is not None:
+        channels["base"] = Series(t.copy(), {"position": base.copy()})
+    return Trial(name, kind, Path(name), channels, stage=TableStage(stage, "chain", model))
+
+
+def campaign(
+    model, beyond=None, *, trials=4, seconds=6.0, rate_hz=200.0, size=0.15, noise=2e-4, bias=0.0, nominal=None
+):
+    """Driven recordings of one chain, sines of another kind in each; bias: of the encoders, rad."""
+    made, found = Made(model, **(beyond or {})), []
+    for k in range(trials):
+        t = np.arange(0, seconds, 1 / rate_hz)
+        torque = tones(k, made.n, size * (0.6 + 0.3 * k))
+        angles, _ = made.swing(0.1 * k, t, torque)
+        asked = np.stack([torque(x) for x in t])
+        found.append(trial(f"run {k}", t, angles + bias, nominal or model, asked, noise=noise, step=2e-4, seed=k))
+    return found
+
+
+BIG = np.array((0.5, 0.2))  # N m, of two motors
+
+
+def view(trials):
+    return ChainView([shot for t in trials for shot in ChainView.shots(t)])
+
+
+def rms(of, points):
+    """Of the whole gap at each point, rad."""
+    found = of.gap([{f"arm.{k}": v for k, v in point.items()} for point in points]).astype(float)
+    return np.sqrt(np.nanmean(found**2, axis=(1, 2)))
+
+
+# What a chain has beyond its model, and the view's words for it.
+LAWS = {
+    "dry": ({"dry": 0.03}, {"coulomb_friction.torque": 0.03, "coulomb_friction.give": 1e-3}),
+    "viscous": ({"viscous": 0.01}, {"damping.scale": 1.0}),
+    "drag": ({"drag": 0.05}, {"drag.coefficient": 0.05}),
+    "payload": ({"payload": 0.06}, {"payload.mass": 0.06}),
+    "weight": ({"weight": 0.1}, {"stiffness.scale": 0.1}),
+    "inertia": ({"inertia": 0.2}, {"inertia.scale": 0.2}),
+    "gain": ({"gain": 0.15}, {"gain.scale": 0.15}),
+    "late": ({"late": 0.02}, {"dead_time.delay": 0.02}),
+    "offset": ({"offset": 0.05}, {"torque_offset.torque": 0.05}),
+    "cubic": ({"cubic": 0.1}, {"stiffening.cubic": 0.1}),
+    "tilt": ({"tilt": 0.05}, {"tilt.angle": 0.05}),
+}
+
+
+@pytest.mark.parametrize("beyond", LAWS)
+def test_every_law_of_one_link_is_that_of_another_formulation(beyond):
+    made, point = LAWS[beyond]
+    before, after = rms(view(campaign(ONE, made, trials=1, size=0.3)), [{}, point])
+    assert after < max(0.12 * before, 3e-4)  # of dry friction: a bristle here, a steep function there
+    assert before > 1e-3
+
+
+# What stiffens there is each link for itself, with all that hangs from it.
+@pytest.mark.parametrize("beyond", [law for law in LAWS if law != "cubic"])
+def test_every_law_of_two_links_is_that_of_another_formulation(beyond):
+    made, point = LAWS[beyond]
+    if beyond == "drag":  # of slow links it is little
+        made, point = {"drag": 0.2}, {"drag.coefficient": 0.2}
+    by_joint = {"coulomb_friction.torque", "gain.scale", "torque_offset.torque"}
+    both = {f"{k}{i}": v * (1.0 if i == 1 else 0.5) for k, v in point.items() if k in by_joint for i in (1, 2)}
+    if beyond == "viscous":
+        both = {"damping.scale1": 0.5, "damping.scale2": 0.5}
+    if both:
+        (key,) = made
+        made = {key: np.array((1.0, 0.5)) * made[key]}
+    point = {k: v for k, v in point.items() if k not in by_joint and k != "damping.scale"} | both
+    before, after = rms(view(campaign(TWO, made, trials=1, size=BIG)), [{}, point])
+    assert after < max(0.12 * before, 5e-4)
+    assert before > 1e-3
+
+
+def test_a_torque_holds_a_link_where_its_weight_says():
+    held = 0.2
+    lean = math.asin(held / (0.6 * 0.12 * GRAVITY))
+    t = np.arange(0, 4, 0.01)
+    still = trial("held", t, np.full((len(t), 1), lean), ONE, np.full((len(t), 1), held))
+    assert rms(view([still]), [{}])[0] < 1e-6
+    assert rms(view([still]), [{"gain.scale": 0.1}])[0] > 1e-3
+
+
+def test_a_motors_inertia_slows_the_swing():
+    heavy = {**ONE, "armature_kg_m2": 0.01, "damping_nm_s_rad": 0.0}
+    chain = chain_of(TableStage("arm", "chain", heavy))
+    inertia, moment = 2e-3 + 0.6 * 0.12**2 + 0.01, 0.6 * 0.12 * GRAVITY
+    assert chain.periods_s[0] == pytest.approx(2 * math.pi * math.sqrt(inertia / moment))
+    t = np.arange(0, 6, 0.01)
+    seen = 0.01 * np.cos(2 * np.pi * t / chain.periods_s[0])[:, None]
+    assert rms(view([trial("swing", t, seen, heavy)]), [{}])[0] < 1e-5
+
+
+def test_an_inertia_about_the_joint_is_the_same_chain():
+    own = 2e-3 + 0.6 * 0.12**2
+    about = {k: v for k, v in ONE.items() if k != "inertia_kg_m2"} | {"inertia_joint_kg_m2": own}
+    one, other = (chain_of(TableStage("arm", "chain", m)) for m in (ONE, about))
+    np.testing.assert_allclose(one.rows(), other.rows())
+    with pytest.raises(TrialError, match="model lacks inertia_kg_m2 or inertia_joint_kg_m2"):
+        chain_of(TableStage("arm", "chain", {"mass_kg": 1.0, "centre_m": 0.1}))
+
+
+def test_a_chain_on_a_moving_base_swings_as_it_is_carried():
+    t = np.arange(0, 6, 0.005)
+    way, wave = 0.05, 2 * np.pi * 0.9
+
+    def push(t):
+        return -way * wave**2 * np.sin(wave * t)
+
+    angles, _ = Made(TWO).swing(0.1, t, push=push)
+    carried = view([trial("carried", t, angles, TWO, base=way * np.sin(wave * t))])
+    stands = view([trial("stands", t, angles, TWO, base=0 * t)])
+    assert rms(carried, [{}])[0] < 1e-3
+    assert rms(stands, [{}])[0] > 0.03
+
+
+def test_relative_encoders_are_compared_as_they_measure():
+    t = np.arange(0, 4, 0.005)
+    angles, _ = Made(TWO).swing(0.3, t)
+    off = angles + 0.02 * np.array((1.0, 1.0))  # the first encoder's zero moves both absolute angles
+    seen = trial("swing", t, off, TWO)
+    relative = TableStage("arm", "chain", TWO, {}, True)
+    found = view([replace(seen, stage=relative)])
+    before, after = rms(found, [{}, {"sensor_bias.bias1": 0.02}])
+    assert 100 * after < before
+
+
+def test_windows_follow_the_chains_own_time_and_keep_the_torque_around_them():
+    t = np.arange(0, 12, 0.005)
+    angles, _ = Made(ONE).swing(0.3, t)
+    free, driven = trial("free", t, angles, ONE), trial("driven", t, angles, ONE, np.zeros((len(t), 1)))
+    period = chain_of(TableStage("arm", "chain", ONE)).periods_s[0]
+    assert len(ChainView.shots(free)) == round(12 / (4 * period))
+    shots = ChainView.shots(driven)
+    assert len(shots) == round(12 / period)
+    inside, around = shots[3].channels["measured"].t_s, shots[3].channels["torque"].t_s
+    assert around[0] == pytest.approx(inside[0] - 0.5 * period, abs=0.01)
+    assert around[-1] == pytest.approx(inside[-1] + 0.5 * period, abs=0.01)
+    slow = {**ONE, "gravity_m_s2": 0.0}  # without weight the data say what a swing takes
+    drift = trial("drift", t, 0.3 * np.sin(t)[:, None], slow)
+    assert len(ChainView.shots(drift)) == 1
+
+
+def test_bounds_come_from_the_chain_and_its_data():
+    heavier = {k: 1000 * np.array(TWO[k]) for k in ("mass_kg", "inertia_kg_m2", "armature_kg_m2")}
+    small, large = TWO, {**TWO, **heavier}
+    t = np.arange(0, 4, 0.005)
+    angles, _ = Made(TWO).swing(0.3, t)
+    tops = []
+    for model in (small, large):
+        found = {e.name: e for e in view([trial("swing", t, angles, model)]).effects}
+        tops.append([p.high for p in found["arm.coulomb_friction"].parameters[:2]])
+        assert found["arm.payload"].parameters[0].high == pytest.approx(sum(np.ravel(model["mass_kg"])))
+        assert {"arm.gain", "arm.dead_time", "arm.torque_offset"}.isdisjoint(found)  # nothing drives it
+    np.testing.assert_allclose(np.array(tops[1]) / tops[0], 1000, rtol=1e-6)
+
+
+def named(trials):
+    verdict = diagnose_table(trials).verdict
+    return verdict, {e.name.partition(".")[2]: {k: p.value for k, p in e.parameters.items()} for e in verdict.effects}
+
+
+def test_nothing_is_named_of_a_healthy_noisy_arm():
+    verdict, found = named(campaign(TWO, size=BIG, noise=5e-4, seconds=4.0))
+    assert (verdict.verdict, found) == ("none", {})
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("beyond", "name", "parameter", "size"),
+    [
+        ({"dry": 0.03}, "coulomb_friction", "torque", 0.03),
+        ({"weight": 0.1}, "stiffness", "scale", 0.1),
+        ({"gain": 0.15}, "gain", "scale", 0.15),
+        ({"late": 0.02}, "dead_time", "delay", 0.02),
+    ],
+)
+def test_of_a_driven_link_the_cause_is_named_and_nothing_else(beyond, name, parameter, size):
+    verdict, found = named(campaign(ONE, beyond, seconds=4.0))
+    assert verdict.verdict == "named"
+    assert set(found) == {name}
+    assert found[name][parameter] == pytest.approx(size, rel=0.1)
+
+
+@pytest.mark.slow
+def test_dry_friction_in_both_joints_of_a_driven_chain_is_named_by_joint():
+    verdict, found = named(campaign(TWO, {"dry": np.array((0.06, 0.02))}, size=BIG, seconds=4.0))
+    assert verdict.verdict == "named"
+    assert set(found) == {"coulomb_friction"}
+    assert found["coulomb_friction"]["torque1"] == pytest.approx(0.06, rel=0.1)
+    assert found["coulomb_friction"]["torque2"] == pytest.approx(0.02, rel=0.1)
+
+
+@pytest.mark.slow
+def test_a_real_double_pendulum_has_dry_friction_in_both_joints(data):
+    """Its authors': 0.093 and 0.078 N m times arctan(100 rate), which ends at 0.146 and 0.123; hardly any viscous."""
+    trials = tables.read(Path(tables.__file__).parents[1] / "rigs" / "stages" / "double-pendulum.yaml", data)
+    verdict, found = named(trials)
+    assert "coulomb_friction" in found
+    assert "damping" not in found
+    assert verdict.effects[0].name == "arm.coulomb_friction"
+    assert verdict.effects[0].equivalents == ()
+    assert found["coulomb_friction"]["torque1"] == pytest.approx(0.146, rel=0.2)
+    assert found["coulomb_friction"]["torque2"] == pytest.approx(0.123, rel=0.2)
+
+
+def test_a_campaign_is_read_as_one_stage():
+    found, shots, origins = view_of(campaign(ONE, trials=4, seconds=4.0))
+    assert len(shots) == len(set(found.trial)) > 4
+    assert set(origins) == {0, 1, 2, 3}
+
+
+def test_tones_are_seeded():
+    np.testing.assert_array_equal(tones(1, 2, BIG)(0.3), tones(1, 2, BIG)(0.3))
