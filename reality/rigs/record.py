@@ -112,24 +112,29 @@ def _off_nominal(rig: Rig, believed: Lane, random: np.random.Generator) -> Lane:
     """The rig as it is when nothing is wrong: what a well-kept model is off by."""
     out = dict(believed)
     if rig.kind == "tracking":
-        out["lag_s"] = rig.pace_s * (1 + random.normal(0, 0.01))
-        out["gain"] = random.normal(0, 0.002)
-        out["offset"] = random.normal(0, 0.001) * rig.reach
+        out["lag_s"] = rig.pace_s * (1 + _nearly(0.01, random))
+        out["gain"] = _nearly(0.002, random)
+        out["offset"] = _nearly(0.001, random) * rig.reach
         if rig.plant == "chamber":
-            out["lag_down_s"] = rig.pace_s * (1 + random.normal(0, 0.015))
+            out["lag_down_s"] = rig.pace_s * (1 + _nearly(0.015, random))
     elif rig.kind == "driven_mass":
-        out["mass_kg"] = mass_of(rig) * (1 + random.normal(0, 0.004))
-        out["gain"] = random.normal(0, 0.003)
-        out["slope_rad"] = random.normal(0, 2e-4)
+        out["mass_kg"] = mass_of(rig) * (1 + _nearly(0.004, random))
+        out["gain"] = _nearly(0.003, random)
+        out["slope_rad"] = _nearly(2e-4, random)
     else:
         for name, sigma in (("mass_kg", 0.003), ("inertia_kg_m2", 0.01), ("centre_m", 0.001)):
             values = np.ravel(believed[name])
-            out[name] = tuple(float(v) for v in values * (1 + random.normal(0, sigma, len(values))))
-        kept = 1 + random.normal(0, 0.1)
+            out[name] = tuple(float(v) for v in values * (1 + np.array([_nearly(sigma, random) for _ in values])))
+        kept = 1 + _nearly(0.1, random)
         out["viscous_nm_s"] = tuple(kept * joint for joint in damping_of(rig))
         out["friction_nm"] = tuple(1e-5 * joint for joint in moments_of(rig))
-        out["tilt_rad"], out["bias_rad"] = random.normal(0, 1e-3), random.normal(0, 1e-3)
+        out["tilt_rad"], out["bias_rad"] = _nearly(1e-3, random), _nearly(1e-3, random)
     return out
+
+
+def _nearly(sigma: float, random: np.random.Generator) -> float:
+    """About nought: nobody keeps a model well that is off by more than half as much again."""
+    return float(np.clip(random.normal(0, sigma), -1.5 * sigma, 1.5 * sigma))
 
 
 def _stamps(rig: Rig, duration_s: float, random: np.random.Generator) -> tuple[Array, Array]:
