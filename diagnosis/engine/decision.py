@@ -76,8 +76,9 @@ def _stands(
     steady = scatter <= t.scatter + chance and drift <= t.drift + chance
     whole = choice.energies[1][stage] <= 1.0 + t.whole_share * gone[stage]
     pinned = effect.candidate.at_bound(choice.chosen.u[i])
+    adds = effect.gain.low > 0  # beside the others; what stands in for an equal may add nothing
     takes = gone[stage] if t.together else energy
-    return not pinned and (whole or steady) and takes > t.stands * (takes + left.get(stage, 0.0))
+    return adds and not pinned and (whole or steady) and takes > t.stands * (takes + left.get(stage, 0.0))
 
 
 def stage_shares(decision: Decision, counted: Mapping[str, float]) -> dict[str, float]:

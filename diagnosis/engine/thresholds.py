@@ -97,6 +97,9 @@ RIG: Final = replace(
     together=True,
     whole_share=0.07,
     tolerated=0.15,
+    unknown_min=1.5,  # twice the floor, root mean square: the encoder's step is not all that two recordings differ by
+    structure_min=4.0,
+    structure_share=0.25,
 )
 
 # Where a trial's start is fitted at every point anew, a part of a trial is no stranger to the rest of it.

@@ -163,6 +163,14 @@ def test_an_effect_at_its_bound_is_not_named():
     assert (decide(at_bound, {}).kind, _names(decide(at_bound, {}))) == ("unknown", [])
 
 
+def test_an_effect_that_adds_nothing_beside_the_others_is_not_named():
+    """However large the gap that they take away together."""
+    real, idle = _named_effect("arm.stiffness", arm=900.0), _named_effect("arm.damping", arm=0.0)
+    idle = dataclasses.replace(idle, gain=_gain(-0.1, arm=0.0))
+    choice = _choice({"arm": 1000.0}, {"arm": 3.0}, real, idle)
+    assert _names(decide(choice, {}, thresholds=RIG)) == ["arm.stiffness"]
+
+
 def test_confidence_is_a_frequency_of_enough_cases_or_none():
     curves = {"alone": [{"margin": 0.0, "right": 12, "of": 20}, {"margin": 0.5, "right": 19, "of": 20}], "set": []}
     assert frequency(curves, "alone", 0.1) == pytest.approx(0.6)
