@@ -5,7 +5,7 @@ held against the measured one. So an encoder suffices, and an inexact model does
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -19,18 +19,21 @@ from softarm.diagnosis.rigs.driven_mass_effects import Scales, effects
 from softarm.diagnosis.rigs.grid import Grid, grid
 from softarm.diagnosis.rigs.laws import driven_mass as laws
 from softarm.diagnosis.rigs.views import FLOOR_SHARE, RigView
+from softarm.simulator.effects import Effect
 
 DRIVEN_BY = {"force": "N", "current": "A", "voltage": "V"}  # columns, in the order in which they are looked for
-RATE_HZ, RATE_QUICK_HZ, QUICK_S = 100.0, 200.0, 0.5  # the second for motions of a shorter period than this
-# A window lasts this share of a usual motion, in whole blocks: long enough for a small force to show, and no longer.
-WINDOW_PERIODS, WINDOW_MOST = 0.4, 20
-STEPS_A_PERIOD, SUBSTEPS_MOST = 200, 8
+RATE_HZ, A_PERIOD = 100.0, 100  # samples are averaged down to this rate; to so many a period where that is more
+# A window lasts about this share of a usual motion, and whole blocks make whole windows: long enough for a small force
+# to show, and no longer, for the way that an inexact model goes wrong grows with the square of the time.
+WINDOW_PERIODS, WINDOW_MOST, SAMPLES_LEAST = 0.8, 20, 16
+STEPS_A_PERIOD, SUBSTEPS_MOST = 60, 8
+TRIED, NUDGED = 20, 0.05  # frequencies of a spring, at so large a share
 ROUNDS = 3  # of the fit of where a window starts
 SMOOTHED = (5, 9, 17, 33, 65)  # samples: speeds are slopes over the longest that noise alone explains
 NOISE_MORE = 1.3
 HELD_LATE = 0.5  # of the input's stamps: whether it is held or was sampled is half of a step
-# What a well-kept model may be off by: shares of its own values, and of the largest force.
-OF_GAIN, OF_OWN, OF_FORCE = 0.01, 0.02, 0.002
+# What a well-kept model may be off by: shares of its own values, and of the usual force.
+OF_GAIN, OF_OWN, OF_FORCE = 0.01, 0.02, 0.004
 LEVELS_LEAST = 10  # fewer say nothing of the steps between
 GIVE_TIMES = 3.0  # nobody knows how far friction bends
 SLOW, STILL, STRONG = 0.15, 0.01, 0.6  # shares of the largest speed and force
@@ -70,13 +73,13 @@ class DrivenMassView(RigView):
         limit = abs(self._gain) * _largest([t.channel("force")[driver] for t in trials]) / self._mass
         self._motions = _motions(trials, column, step, limit)
         length = stage.unit("measured", column).removesuffix("/s") or ("rad" if rotary else "m")
-        scales = _scales(trials, self._motions, driver, abs(self._gain), step, length, "N m" if rotary else "N")
+        scales = _scales(trials, self._motions, driver, abs(self._gain), limit, step, length, "N m" if rotary else "N")
         self._inputs, self._scales = inputs, scales
         units = scales.units
         own = effects(stage.name, scales, self._speed_alone)
         self._known = {f"{e.name.rpartition('.')[2]}.{p.name}": p.neutral for e in own for p in e.parameters}
         self._known |= {path: _number(stage, key, 0.0) for key, path in _MODEL.items()}
-        self._window_s = BLOCK_S * min(max(round(WINDOW_PERIODS * scales.period_s / BLOCK_S), 1), WINDOW_MOST)
+        self._window_s = _window_s(scales)
         self._edges = [_edges(m.grid, self._window_s) for m in self._motions]
         self._each = int(min(max(np.ceil(scales.step_s * STEPS_A_PERIOD / scales.period_s), 1), SUBSTEPS_MOST))
         self._late: dict[tuple[int, float], Array] = {}
@@ -96,6 +99,20 @@ class DrivenMassView(RigView):
         swing = np.sqrt(np.nanmean(np.concatenate([p - np.nanmean(p) for p in parts if np.isfinite(p).any()]) ** 2))
         self.floor = np.array([max(FLOOR_SHARE * swing, step, *(m.noise for m in self._motions), 1e-12)])
         self._starts = [self._where(m, e) for m, e in zip(self._motions, self._edges, strict=True)]
+        self.effects = tuple(self._tuned(e) if e.name.endswith(".compliance") else e for e in self.effects)
+
+    def _tuned(self, effect: Effect) -> Effect:
+        """A spring's frequency begins where it explains most: a search finds a resonance only from nearby."""
+        share, frequency, ratio = effect.parameters
+        tried, gain = np.geomspace(frequency.low, frequency.high, TRIED), []
+        base = np.nan_to_num(self._gap([{}], 0)[:, 0])
+        for hz in tried:
+            point = {f"{effect.name}.share": NUDGED, f"{effect.name}.frequency": hz}
+            change = np.nan_to_num(self._gap([point], 0)[:, 0]) - base
+            gain.append(float(change @ base) ** 2 / max(float(change @ change), 1e-300))
+        best = float(tried[int(np.argmax(gain))])
+        self._known["compliance.frequency"] = best
+        return replace(effect, parameters=(share, replace(frequency, neutral=best, default=best, exemplar=best), ratio))
 
     @property
     def twins(self) -> Mapping[str, tuple[str, ...]]:
@@ -107,12 +124,12 @@ class DrivenMassView(RigView):
         """See RigView."""
         s = self._scales
         between = [float(np.median(np.diff(t))) for t, _ in self._inputs]
-        own = {path: max(OF_OWN * abs(self.nominal(path)), OF_FORCE * s.force) for path in _MODEL.values()}
+        own = {path: max(OF_OWN * abs(self.nominal(path)), OF_FORCE * s.usual) for path in _MODEL.values()}
         return own | {
             "coulomb_friction.give": GIVE_TIMES * self.nominal("coulomb_friction.give"),
             "gain.scale": OF_GAIN,
             "dead_time.delay": HELD_LATE * max(between),
-            "damping.viscous": max(OF_OWN * self.nominal("damping.viscous"), OF_FORCE * s.force / s.speed),
+            "damping.viscous": max(OF_OWN * self.nominal("damping.viscous"), OF_FORCE * s.usual / s.speed),
         }
 
     @property
@@ -184,11 +201,9 @@ class DrivenMassView(RigView):
         if self._speed_alone:
             law[laws.BIAS] = point["sensor_bias.bias"]
         else:
-            law[laws.GAP], frequency = point["backlash.gap"], point["compliance.frequency"]
-            law[laws.OMEGA], law[laws.RATIO] = (
-                2 * np.pi * frequency if np.isfinite(frequency) else 0.0,
-                point["compliance.ratio"],
-            )
+            law[laws.GAP], share = point["backlash.gap"], point["compliance.share"]
+            law[laws.SHARE], law[laws.RATIO] = share, point["compliance.ratio"]
+            law[laws.OMEGA] = 2 * np.pi * point["compliance.frequency"] if share != 0.0 else 0.0
         return law
 
     def _driven(self, key: tuple[float, ...], law: Array) -> list[Array]:
@@ -326,10 +341,14 @@ def _summed(series: Series, driver: str) -> tuple[Array, Array]:
 
 def _motions(trials: Sequence[Trial], column: str, step: float, limit: float) -> list[_Motion]:
     """Trials on their grids, finer where the motion is quick. limit: largest acceleration that the input can make."""
-    found = [_motion(grid(t.channel("measured"), RATE_HZ, (column,)), column, step, limit) for t in trials]
-    if _period(found, column) > QUICK_S:
-        return found
-    return [_motion(grid(t.channel("measured"), RATE_QUICK_HZ, (column,)), column, step, limit) for t in trials]
+    rate = RATE_HZ
+    for _ in range(2):
+        found = [_motion(grid(t.channel("measured"), rate, (column,)), column, step, limit) for t in trials]
+        finer = A_PERIOD / _period(found, column, limit)
+        if finer <= rate:
+            break
+        rate = finer
+    return found
 
 
 def _motion(g: Grid, column: str, step: float, limit: float) -> _Motion:
@@ -354,19 +373,39 @@ def _motion(g: Grid, column: str, step: float, limit: float) -> _Motion:
     return _Motion(g, seen, position, speed, noise, spread)
 
 
-def _period(motions: Sequence[_Motion], column: str) -> float:
-    """Of the usual motion: of a sine with the same way and speed, or the same speed and acceleration."""
+def _period(motions: Sequence[_Motion], column: str, limit: float) -> float:
+    """Of the usual motion: of a sine with the same way and speed, or with the same way under the largest force.
+
+    The second is less where friction takes most of the force. limit: largest acceleration. A speed's is found alike.
+    """
     found = []
     for m in motions:
         x = m.speed if column == "velocity" else m.position
         v = np.gradient(m.speed, m.grid.step_s) if column == "velocity" else m.speed
-        longest = float(m.grid.t_s[-1] - m.grid.t_s[0])
-        found.append(min(2 * np.pi * float(np.std(x)) / max(float(np.sqrt(np.mean(v**2))), 1e-12), longest))
+        swing = float(np.std(x))
+        pushed = swing / limit if column == "velocity" else (np.sqrt(2) * swing / limit) ** 0.5
+        moved = swing / max(float(np.sqrt(np.mean(v**2))), 1e-12)
+        found.append(min(2 * np.pi * min(pushed, moved), float(m.grid.t_s[-1] - m.grid.t_s[0])))
     return max(float(np.median(found)), 20 * motions[0].grid.step_s)
 
 
+def _window_s(s: Scales) -> float:
+    """See WINDOW_PERIODS."""
+    wanted = max(WINDOW_PERIODS * s.period_s, SAMPLES_LEAST * s.step_s)
+    if wanted > BLOCK_S:
+        return BLOCK_S * min(round(wanted / BLOCK_S), WINDOW_MOST)
+    return BLOCK_S / max(int(BLOCK_S / wanted), 1)
+
+
 def _scales(
-    trials: Sequence[Trial], motions: Sequence[_Motion], driver: str, gain: float, step: float, length: str, push: str
+    trials: Sequence[Trial],
+    motions: Sequence[_Motion],
+    driver: str,
+    gain: float,
+    limit: float,
+    step: float,
+    length: str,
+    push: str,
 ) -> Scales:
     column = "position" if "position" in motions[0].grid.columns else "velocity"
     largest = _largest([t.channel("force")[driver] for t in trials])
@@ -378,11 +417,12 @@ def _scales(
         push if driver == "force" else DRIVEN_BY[driver],
         largest,
         gain * largest,
+        gain * float(np.mean([np.mean(np.abs(t.channel("force")[driver])) for t in trials])),
         max(speed, 1e-9),
         max(way, 1e-9),
         max(step, *(m.noise for m in motions)),
         float(np.median([m.grid.step_s for m in motions])),
-        _period(motions, column),
+        _period(motions, column, limit),
     )
 
 

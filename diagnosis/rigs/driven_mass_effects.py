@@ -12,9 +12,10 @@ from softarm.simulator.effect_table import Effect, Parameter, shape, strength
 from softarm.simulator.effects import REGISTRY
 
 _KARNOPP = "Olsson et al. 1998, Friction models and friction compensation"
-_SPRING = "standard mechanics (two masses and a spring, the second one light)"
+_SPRING = "standard mechanics (two masses and a spring)"
 _STRIBECK = "Armstrong-Helouvry et al. 1994, A survey of models for the control of machines with friction"
 
+USUAL = 0.15  # of the usual force: a friction that one notices
 GIVE_SHARE = 5e-5  # of the way: a bearing's friction bends by some hundredths of a millimetre
 
 # Pairs that are easily taken for each other, and what tells them apart.
@@ -59,6 +60,7 @@ class Scales:
     input_unit: str  # of what drives it: N, N m, A
     input: float  # largest
     force: float  # largest, after the nominal gain
+    usual: float  # its mean size
     speed: float  # largest
     way: float  # peak to peak
     resolution: float  # of the position: step or noise
@@ -155,12 +157,12 @@ def _effects(s: Scales) -> Iterator[tuple[str, tuple[tuple[Parameter, ...], str,
 
 
 def _forces(s: Scales) -> Iterator[tuple[str, tuple[tuple[Parameter, ...], str, str]]]:
-    unit, f, v, give = s.units, s.force, s.speed, GIVE_SHARE * s.way
+    unit, f, v, give, u = s.units, s.force, s.speed, GIVE_SHARE * s.way, USUAL * s.usual
     yield (
         "coulomb_friction",
         (
             (
-                strength("force", unit["force"], 0.0, 0.0, 1.5 * f, 0.05 * f, "either way; up to it the mass stays"),
+                strength("force", unit["force"], 0.0, 0.0, 1.5 * f, u, "either way; up to it the mass stays"),
                 shape("give", unit["way"], give, 0.0, 100 * give, 2 * give, "way on which it bends before it slips"),
             ),
             "dry friction",
@@ -170,7 +172,7 @@ def _forces(s: Scales) -> Iterator[tuple[str, tuple[tuple[Parameter, ...], str, 
     yield (
         "friction_asymmetry",
         (
-            (strength("force", unit["force"], 0.0, -0.5 * f, 0.5 * f, 0.05 * f, "more forwards, less backwards"),),
+            (strength("force", unit["force"], 0.0, -0.5 * f, 0.5 * f, 0.5 * u, "more forwards, less backwards"),),
             "dry friction is larger one way than the other",
             _KARNOPP,
         ),
@@ -179,7 +181,7 @@ def _forces(s: Scales) -> Iterator[tuple[str, tuple[tuple[Parameter, ...], str, 
         "stiction",
         (
             (
-                strength("force", unit["force"], 0.0, 0.0, f, 0.05 * f, "beyond the friction of sliding"),
+                strength("force", unit["force"], 0.0, 0.0, f, 0.5 * u, "beyond the friction of sliding"),
                 shape("speed", unit["speed"], 0.02 * v, 1e-3 * v, 0.5 * v, 0.05 * v, "at which it has faded to 37 %"),
             ),
             "dry friction is larger at rest and at creeping speed (Stribeck)",
@@ -189,7 +191,7 @@ def _forces(s: Scales) -> Iterator[tuple[str, tuple[tuple[Parameter, ...], str, 
     yield (
         "damping",
         (
-            (strength("viscous", unit["viscous"], 0.0, 0.0, 3 * f / v, 0.05 * f / v, "friction a velocity"),),
+            (strength("viscous", unit["viscous"], 0.0, 0.0, 3 * f / v, u / v, "friction a velocity"),),
             "viscous friction; a motor's back-EMF acts alike",
             REGISTRY["rail.coulomb_friction"].source,
         ),
@@ -197,7 +199,7 @@ def _forces(s: Scales) -> Iterator[tuple[str, tuple[tuple[Parameter, ...], str, 
     yield (
         "drag",
         (
-            (strength("coefficient", unit["drag"], 0.0, 0.0, 3 * f / v**2, 0.1 * f / v**2, "of the speed's square"),),
+            (strength("coefficient", unit["drag"], 0.0, 0.0, 3 * f / v**2, u / v**2, "of the speed's square"),),
             "quadratic drag",
             REGISTRY["arm.drag"].source,
         ),
@@ -205,7 +207,7 @@ def _forces(s: Scales) -> Iterator[tuple[str, tuple[tuple[Parameter, ...], str, 
     yield (
         "force_offset",
         (
-            (strength("force", unit["force"], 0.0, -f, f, 0.05 * f, "forwards"),),
+            (strength("force", unit["force"], 0.0, -f, f, 0.5 * u, "forwards"),),
             "a constant force: the rail is tilted, a weight or a spring pulls, the input's zero is off",
             REGISTRY["arm.tilt"].source,
         ),
@@ -222,10 +224,13 @@ def _seen(
         "compliance",
         (
             (
-                strength("frequency", "Hz", math.inf, min(slow, 0.1 * fast), fast, 0.3 * fast, "of the free spring"),
+                strength(
+                    "share", "-", 0.0, -1.5, 4.0, 0.3, "-1 for a light end, or load over motor at the motor's end"
+                ),
+                shape("frequency", "Hz", 0.3 * fast, min(slow, 0.1 * fast), fast, 0.3 * fast, "of the free spring"),
                 shape("ratio", "-", 0.05, 0.005, 0.7, 0.1, "damping ratio"),
             ),
-            "what is measured hangs on the driven mass by a spring",
+            "a spring between what is driven and its load: the sensor sits on the load, or feels it swing",
             _SPRING,
         ),
     )

@@ -19,9 +19,10 @@ GAIN, WIDTH, LIMIT, LAG = range(4)
 # Of the mass: friction either way while it slides, what sticking holds beyond that, up to which speed that fades, and
 # the way on which friction bends before it slips (its force closes on its full value by 1 - 1/e on each).
 MASS, FORWARD, BACKWARD, STICTION, SPEED, GIVE, VISCOUS, DRAG, OFFSET = range(4, 13)
-# Of what is seen: play, a spring between mass and sensor (its angular frequency, 0 for none, and damping ratio), bias.
-GAP, OMEGA, RATIO, BIAS = range(13, 17)
-COLUMNS = 17
+# Of what is seen: play, a spring (its angular frequency, 0 for none, damping ratio, and what it adds at the sensor: -1
+# for a light end that hangs on the mass, the load over the rest where the sensor sits on what is driven), bias.
+GAP, OMEGA, RATIO, SHARE, BIAS = range(13, 18)
+COLUMNS = 18
 CLOSE = 0.02  # of the floor: a start that would change what is seen by less is found
 FINE, MOST = 4.0, 64  # steps of a bent friction in 1 / its frequency; stretches of a step at the most
 GRIP = 0.3  # damping ratio of a mass on its bent friction
@@ -157,7 +158,7 @@ def travel(start, state, force, law, step_s, each, speed, out):
             before = v
             x, v, z = move(x, v, z, force[i * each + j], law, h)
             if omega > 0.0:
-                rest = -(v - before) / h / (omega * omega)
+                rest = law[SHARE] * (v - before) / h / (omega * omega)
                 off = bent - rest
                 bent = rest + fade * (off * (c + grip * s) + bending * s)
                 bending = fade * (bending * (c - grip * s) - off * omega * omega * s)
@@ -177,7 +178,7 @@ def _first(side, moving, force, law, state):
     held = min(max(push / level, -1.0), 1.0) if level > 0.0 else 0.0
     state[0], state[2], state[3] = side, 0.0, moving if moving != 0.0 else held
     slides = push - moving * level if moving != 0.0 else push - held * level
-    state[1] = -slides / law[MASS] / law[OMEGA] ** 2 if law[OMEGA] > 0.0 else 0.0
+    state[1] = law[SHARE] * slides / law[MASS] / law[OMEGA] ** 2 if law[OMEGA] > 0.0 else 0.0
 
 
 @compiled
