@@ -82,6 +82,8 @@ class Search:
     def run(self, tell: Progress) -> Choice:
         """Search. Deterministic."""
         null_model = self.null_model()
+        if max(self._first.values(), default=0.0) <= self.thresholds.quiet:
+            return Choice(null_model, (), null_model, (), None, (self._first, self._first))
         chosen = self.backward(null_model, tell) if self.thresholds.backward else self.forward(null_model, tell)
         if self.thresholds.backward:
             self._settled = dict(zip(chosen.names, chosen.u, strict=True))

@@ -73,7 +73,7 @@ class Finding:
     unit: str
     before: float  # RMS, nominal
     after: float  # RMS with the named effects, held out
-    floor: float  # RMS that nobody is blamed for: the view's, and what well-kept numbers may be off by
+    floor: float  # RMS that nobody is blamed for
     ceiling: float  # RMS with any model at all
     energy: float  # of the nominal gap, in floors
     regime: str
@@ -171,8 +171,6 @@ class _Stage:
         after = min(inside * math.sqrt(max(spoiled, 1.0)), before) if decision.selected else before
         share = self.found.flexible.get(view.stage, (0.0, {}))
         floor = float(np.sqrt(np.mean(view.floor**2)))
-        if decision.kind == "none":  # what numbers within their tolerance take away is nobody's gap
-            floor = max(floor, before)
         regimes = evidence.regime_rows(view, self.nominal, patched)
         worst = max(regimes, key=lambda r: r.nominal_rms, default=None)
         return Finding(
