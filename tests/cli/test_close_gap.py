@@ -29,7 +29,7 @@ def asked(monkeypatch):
     """Stand in for the diagnosis: what it is to answer."""
     asked = SimpleNamespace(nominal=Model())
 
-    def diagnose(trials, model, tell=None):
+    def diagnose(trials, model, tell=None, processes=1):
         return Diagnosis(NONE, asked.nominal, None, (("a", "seed", 1.0),))
 
     monkeypatch.setattr("softarm.diagnosis.from_files.diagnose", diagnose)
