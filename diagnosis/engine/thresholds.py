@@ -80,9 +80,9 @@ ROBOT: Final = Thresholds()
 # asked of a further effect: a dead time of one sample is real beside an end of the torque that makes a gap twenty times
 # as large. No law of a rig is exact, and its floor is its encoder's step: what a rival may lack and what may be left
 # are taken from what the best leaves. The search is held out by blocks: the end of a servo's torque shows in the fast
-# end of one sweep alone, and without that sweep a fold's loss is an extrapolation that swamps the rest. And of two effects that nearly
-# cancel, such as a slope and a friction that differs by direction, a search from the rich end finds both in any rest:
-# within the floor nothing is sought.
+# end of one sweep alone, and without that sweep a fold's loss is an extrapolation that swamps the rest. Of two effects
+# that nearly cancel, such as a slope and a friction that differs by direction, a search from the rich end finds both in
+# any rest: within the floor nothing is sought.
 RIG: Final = replace(
     ROBOT,
     quiet=1.0,
