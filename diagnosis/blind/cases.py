@@ -13,9 +13,18 @@ from softarm.schemas.model import Model
 from softarm.simulator.effects import REGISTRY
 
 T = TypeVar("T")
-Kind = Literal["single", "two", "none", "unknown"]
-# Of a hundred cases.
-SHARES: dict[Kind, float] = {"single": 0.40, "two": 0.16, "none": 0.16, "unknown": 0.28}
+# half: one at half strength; uneven: two, one of them at half strength.
+Kind = Literal["single", "half", "two", "uneven", "three", "none", "unknown"]
+SHARES: dict[Kind, float] = {
+    "single": 0.20,
+    "half": 0.15,
+    "two": 0.08,
+    "uneven": 0.06,
+    "three": 0.06,
+    "none": 0.15,
+    "unknown": 0.30,
+}
+_TOGETHER: dict[Kind, int] = {"two": 2, "uneven": 2, "three": 3}
 
 PROGRAMME = (
     "seed",
@@ -62,7 +71,14 @@ class Case:
     def label(self) -> dict[str, Any]:
         """What is sealed: JSON types only."""
         causes = [
-            {"name": c.name, "stage": c.stage, "removed": c.removed, "settings": dict(c.settings)} for c in self.causes
+            {
+                "name": c.name,
+                "stage": c.stage,
+                "removed": c.removed,
+                "half": c.half,
+                "settings": dict(c.settings),
+            }
+            for c in self.causes
         ]
         return {"kind": self.kind, "causes": causes}
 
@@ -98,20 +114,37 @@ Wanted = tuple[Kind, tuple[tuple[str, bool], ...]]
 
 
 def _plan(count: int, random: np.random.Generator) -> Iterator[Wanted]:
-    """Kind and causes (name, removed) of every case; single causes come about equally often."""
+    """Kind and causes (name, removed) of every case; those that come alone come about equally often."""
     wanted = counts(count)
-    singles, unknowns = _in_turn(SINGLES, random), _in_turn([UNKNOWN + name for name in UNKNOWNS], random)
+    unknowns = _in_turn([UNKNOWN + name for name in UNKNOWNS], random)
+    singles = _in_turn(SINGLES, random)
+    # What is out of the model file has no half strength.
+    halves = _in_turn([each for each in SINGLES if not each[1]], random)
     for _ in range(wanted["single"]):
         yield "single", (next(singles),)
-    pairs = _in_turn(SINGLES, random)
-    for _ in range(wanted["two"]):
-        one = next(pairs)
-        other = next(candidate for candidate in pairs if separable(one[0], candidate[0]))
-        yield "two", (one, other)
+    for _ in range(wanted["half"]):
+        yield "half", (next(halves),)
+    several = _in_turn(SINGLES, random)
+    for kind, together in _TOGETHER.items():
+        for _ in range(wanted[kind]):
+            yield kind, _apart(several, together, known_last=kind == "uneven")
     for _ in range(wanted["none"]):
         yield "none", ()
     for _ in range(wanted["unknown"]):
         yield "unknown", ((next(unknowns), False),)
+
+
+def _apart(causes: Iterator[tuple[str, bool]], together: int, known_last: bool) -> tuple[tuple[str, bool], ...]:
+    """The next few that nobody takes for one another; `known_last`: the last is not out of the model file."""
+    chosen = [next(causes)]
+    while len(chosen) < together:
+        last = known_last and len(chosen) == together - 1
+        chosen.append(
+            next(
+                each for each in causes if all(separable(one[0], each[0]) for one in chosen) and not (last and each[1])
+            )
+        )
+    return tuple(chosen)
 
 
 def separable(one: str, other: str) -> bool:
@@ -129,8 +162,9 @@ def _in_turn(items: Sequence[T], random: np.random.Generator) -> Iterator[T]:
 def _case(name: str, kind: Kind, wanted: Sequence[tuple[str, bool]], random: np.random.Generator) -> Case:
     robot = draw_nuisances(RobotParameters(), random)
     causes = []
-    for effect, removed in wanted:
-        robot, cause = draw_cause(robot, effect, removed, random)
+    for place, (effect, removed) in enumerate(wanted, 1):
+        half = kind == "half" or (kind == "uneven" and place == len(wanted))
+        robot, cause = draw_cause(robot, effect, removed, random, half)
         causes.append(cause)
     effects = {n: p for n, p in Model().effects.items() if not any(c.removed and c.name == n for c in causes)}
     model = Model().model_copy(update={"effects": effects})

@@ -5,6 +5,7 @@ magnitude is drawn log-uniformly between clearly more than the nuisances do (`st
 strong. Where a cause shows in several ways (a lag in filling, in venting or in both), each is a variant.
 """
 
+import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal
@@ -26,6 +27,9 @@ class Knob:
     low: float
     high: float
     either_way: bool = False  # the other sign, or for `times` the inverse, as often
+    limit: bool = False  # its inverse is what is strong or weak
+    rest: float = 0.0  # where it changes nothing; of `set` alone
+    shape: bool = False  # says how, not how much
 
     def draw(self, random: np.random.Generator) -> float:
         """Log-uniform between low and high, in the parameter's unit."""
@@ -34,12 +38,28 @@ class Knob:
             return 1 / value if self.how == "times" else -value
         return value
 
+    def halved(self, value: float) -> float:
+        """Half as strong: halfway to where it changes nothing, of a limit by its inverse."""
+        if self.shape:
+            return value
+        if self.limit:
+            return 2 / (1 / value + 1 / self.rest)
+        return float(np.sqrt(value)) if self.how == "times" else (value + self.rest) / 2
+
 
 Variant = tuple[Knob, ...]
 
 
-def _set(path: str, low: float, high: float) -> Knob:
-    return Knob((path,), "set", low, high)
+def _set(path: str, low: float, high: float, rest: float = 0.0) -> Knob:
+    return Knob((path,), "set", low, high, rest=rest)
+
+
+def _limit(path: str, low: float, high: float, rest: float = math.inf) -> Knob:
+    return Knob((path,), "set", low, high, limit=True, rest=rest)
+
+
+def _shape(path: str, low: float, high: float) -> Knob:
+    return Knob((path,), "set", low, high, shape=True)
 
 
 def _add(path: str, low: float, high: float) -> Knob:
@@ -50,6 +70,8 @@ def _either(path: str, low: float, high: float) -> Knob:
     return Knob((path,), "add", low, high, either_way=True)
 
 
+_NOMINAL = RobotParameters()
+_PRESSED_KPA = 20.0  # the largest pressure that is commanded
 _FILL, _VENT = "regulator.inflate_s", "regulator.deflate_s"
 _LAGS: tuple[Variant, ...] = tuple(
     (Knob(paths, "times", 1.35, 2.2, either_way=True),) for paths in ((_FILL,), (_VENT,), (_FILL, _VENT))
@@ -59,12 +81,12 @@ _LAGS: tuple[Variant, ...] = tuple(
 KNOWN: dict[str, tuple[Variant, ...]] = {
     "pressure.lag": _LAGS,
     "pressure.dead_time": ((_set("regulator.dead_time_s", 0.025, 0.080),),),
-    "pressure.rate_limit": ((_set("regulator.flow_limit_kpa_s", 20.0, 45.0),),),
+    "pressure.rate_limit": ((_limit("regulator.flow_limit_kpa_s", 20.0, 45.0),),),
     "pressure.deadband": ((_set("regulator.deadband_kpa", 1.0, 2.5),),),
     "pressure.gain": ((_either("regulator.gain", 0.06, 0.15),), (_either("regulator.offset_kpa", 0.5, 1.2),)),
-    "pressure.ceiling": ((_set("regulator.ceiling_kpa", 10.0, 16.0),),),
+    "pressure.ceiling": ((_limit("regulator.ceiling_kpa", 10.0, 16.0, _PRESSED_KPA),),),
     "pressure.sensor_bias": ((_either("pressure_sensor.bias_kpa", 0.5, 1.5),),),
-    "rail.acceleration_limit": ((_set("rail.acceleration_m_s2", 2.0, 4.0),),),
+    "rail.acceleration_limit": ((_limit("rail.acceleration_m_s2", 2.0, 4.0, _NOMINAL.rail.acceleration_m_s2),),),
     "rail.delay": ((_add("rail.delay_s", 0.020, 0.060),),),
     "rail.lag": ((_set("rail.lag_s", 0.025, 0.080),),),
     "rail.gain": ((_either("rail.feed_error", 0.03, 0.08),),),
@@ -76,18 +98,18 @@ KNOWN: dict[str, tuple[Variant, ...]] = {
     "arm.torque_offset": ((_either("arm.torque_offset", 0.8, 2.0),),),
     "arm.coulomb_friction": ((_set("arm.friction_nm", 0.006, 0.030),),),
     "arm.stiffening": ((_set("arm.stiffening_1_rad2", 2.5, 4.5),),),
-    "arm.hysteresis": ((_set("arm.hysteresis", 0.3, 0.5), _set("arm.hysteresis_kpa", 6.0, 12.0)),),
-    "arm.muscle_saturation": ((_set("arm.saturation_kpa", 12.0, 25.0),),),
+    "arm.hysteresis": ((_set("arm.hysteresis", 0.3, 0.5), _shape("arm.hysteresis_kpa", 6.0, 12.0)),),
+    "arm.muscle_saturation": ((_limit("arm.saturation_kpa", 12.0, 25.0),),),
     "arm.payload": ((_set("arm.payload_kg", 0.010, 0.060),),),
     "arm.tilt": ((_either("arm.tilt_rad", 0.020, 0.060),),),
     "arm.drag": ((_set("arm.air_kg_m3", 5.0, 15.0),),),
-    "arm.creep": ((_set("arm.creep", 0.15, 0.5), _set("arm.creep_s", 1.0, 5.0)),),
+    "arm.creep": ((_set("arm.creep", 0.15, 0.5), _shape("arm.creep_s", 1.0, 5.0)),),
     "mocap.latency": ((_set("mocap.latency_s", 0.010, 0.050),),),
     "mocap.dropout": ((_set("mocap.dropout", 0.05, 0.30),),),
     "mocap.rotation": ((_either("mocap.rotation_rad", 0.010, 0.050),),),
     "mocap.scale": ((_either("mocap.scale", 0.01, 0.04),),),
     "mocap.offset": ((_either("mocap.offset_y_m", 0.005, 0.020),), (_either("mocap.offset_z_m", 0.005, 0.020),)),
-    "mocap.noise": ((_set("mocap.noise_m", 0.001, 0.004),),),
+    "mocap.noise": ((_set("mocap.noise_m", 0.001, 0.004, _NOMINAL.mocap.noise_m),),),
     "clock.jitter": ((_set("clock.tick_jitter_s", 0.002, 0.008),),),
     "clock.missed_ticks": ((_set("clock.missed_ticks", 0.03, 0.15),),),
 }
@@ -138,6 +160,7 @@ class Cause:
     name: str  # of the registry, or UNKNOWN + a name of UNKNOWNS
     removed: bool  # out of the model file; the robot is as it should be
     settings: Mapping[str, float]  # parameter of reality -> its value
+    half: bool = False  # half as strong as it was drawn
 
     @property
     def stage(self) -> str:
@@ -153,15 +176,18 @@ def stage_of(name: str) -> str:
 
 
 def draw_cause(
-    robot: RobotParameters, name: str, removed: bool, random: np.random.Generator
+    robot: RobotParameters, name: str, removed: bool, random: np.random.Generator, half: bool = False
 ) -> tuple[RobotParameters, Cause]:
-    """Give a robot one cause, drawn; `removed` leaves it as it is."""
+    """Give a robot one cause, drawn, and perhaps halved; `removed` leaves the robot as it is."""
     if removed:
         return robot, Cause(name, True, {})
     variants = variants_of(name)
     variant = variants[random.integers(len(variants))]
-    robot, settings = given(robot, variant, [knob.draw(random) for knob in variant])
-    return robot, Cause(name, False, settings)
+    values = [knob.draw(random) for knob in variant]
+    if half:
+        values = [knob.halved(value) for knob, value in zip(variant, values, strict=True)]
+    robot, settings = given(robot, variant, values)
+    return robot, Cause(name, False, settings, half)
 
 
 def variants_of(name: str) -> tuple[Variant, ...]:

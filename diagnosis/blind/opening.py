@@ -56,6 +56,7 @@ def open_labels(
             "tool": content["tool"],
             "answers_sha256": digest,
             "seconds_median": statistics.median(seconds.values()) if seconds else None,
+            "seconds_worst": max(seconds.values(), default=None),
             **score(cases),
         }
     result = {"labels": seal.commitment(labels)["all"], "methods": methods}

@@ -35,8 +35,8 @@ def run(
     """Answer every case of `data` into `file` (JSON), freeze it and return its SHA-256.
 
     An answer that the same version of the tool has given to the same data is kept, also when the run was stopped.
-    trials: only so many of each case are shown, the first by name. How long each took is in `file` + `.timing.json`,
-    which is not frozen. Raises SealError for a folder without cases or for an unknown method.
+    trials: only so many of each case are shown, the first by name. Each one's processor time is in `file` +
+    `.timing.json`, which is not frozen. Raises SealError for a folder without cases or for an unknown method.
     """
     if method not in methods.METHODS:
         raise seal.SealError(f"method {method!r} is unknown; there are {', '.join(methods.METHODS)}")
@@ -69,7 +69,9 @@ def folders(data: Path) -> list[Path]:
     return cases
 
 
-def answer_case(folder: Path, method: str, shown: int | None = None, clock: Clock = time.monotonic) -> dict[str, Any]:
+def answer_case(
+    folder: Path, method: str, shown: int | None = None, clock: Clock = time.process_time
+) -> dict[str, Any]:
     """One case's answer. The method sees trials and model, neither the case's name nor its place.
 
     What a method raises is its answer: none.
@@ -122,7 +124,7 @@ def read_answers(file: Path) -> dict[str, Any]:
 
 
 def read_seconds(file: Path) -> dict[str, float]:
-    """How long each case took; empty where it is not known."""
+    """Processor time of each case; empty where it is not known."""
     timing = _beside(file, ".timing.json")
     return dict(json.loads(timing.read_text(encoding="utf-8"))) if timing.is_file() else {}
 

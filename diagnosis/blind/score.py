@@ -18,7 +18,7 @@ class Scored:
     """One case: what was true and what was said."""
 
     case: str
-    kind: str  # single, two, none, unknown
+    kind: str  # of `cases.Kind`
     causes: tuple[str, ...]
     stages: tuple[str, ...]  # of the causes
     removed: tuple[bool, ...]  # of the causes: out of the model file
@@ -86,16 +86,30 @@ def share(hits: Iterable[bool]) -> dict[str, float | int | None]:
     return {"share": p, "low": low, "high": high, "hits": k, "of": n}
 
 
+ALONE, SEVERAL = ("single", "half"), ("two", "uneven", "three")
+_SAID: dict[str, Callable[[Scored], bool]] = {
+    "exact": lambda s: s.exact,
+    "exact or in sets of two": lambda s: s.exact_or_set,
+}
+_TITLES = {
+    "single": "single",
+    "half": "single at half strength",
+    "two": "two",
+    "uneven": "two, the second at half strength",
+    "three": "three",
+}
 # Measure -> the kinds of case that it is about, and when a case counts.
 MEASURES: dict[str, tuple[tuple[str, ...], Callable[[Scored], bool]]] = {
-    "right stage": (("single", "two", "unknown"), lambda s: s.right_stage),
+    "right in all": ((*ALONE, *SEVERAL, "none", "unknown"), lambda s: s.right),
+    "right stage": ((*ALONE, *SEVERAL, "unknown"), lambda s: s.right_stage),
     "right stage, single": (("single",), lambda s: s.right_stage),
-    "single, exact": (("single",), lambda s: s.exact),
-    "single, exact or in a set of two": (("single",), lambda s: s.exact_or_set),
+    **{f"{title}, {said}": ((kind,), hit) for kind, title in _TITLES.items() for said, hit in _SAID.items()},
     "single, named first": (("single",), lambda s: s.first_right),
-    "two, both exact": (("two",), lambda s: s.exact),
-    "two, both exact or in sets of two": (("two",), lambda s: s.exact_or_set),
-    "two, at least one": (("two",), lambda s: any(name in s.causes for name in s.names)),
+    "two or three, at least one": (SEVERAL, lambda s: any(name in s.causes for name in s.names)),
+    "known, a wrong name beside": (
+        (*ALONE, *SEVERAL),
+        lambda s: any(answer_set(effect).isdisjoint(s.causes) for effect in s.effects),
+    ),
     "unknown, given a name": (("unknown",), lambda s: bool(s.names)),
     "unknown, given a name as the whole answer": (
         ("unknown",),
@@ -104,7 +118,7 @@ MEASURES: dict[str, tuple[tuple[str, ...], Callable[[Scored], bool]]] = {
     "unknown, said so": (("unknown",), lambda s: s.verdict is not None and s.verdict.verdict == "unknown"),
     "none, given a name": (("none",), lambda s: bool(s.names)),
     "none, said so": (("none",), lambda s: s.verdict is not None and s.verdict.verdict == "none"),
-    "failed": (("single", "two", "unknown", "none"), lambda s: s.verdict is None),
+    "failed": ((*ALONE, *SEVERAL, "unknown", "none"), lambda s: s.verdict is None),
 }
 
 
@@ -123,11 +137,11 @@ def score(cases: Sequence[Scored]) -> dict[str, Any]:
 
 
 def by_cause(cases: Sequence[Scored]) -> dict[str, dict[str, float | int | None]]:
-    """Single and unknown causes: cause (` (removed)` when out of the model file) -> how often the answer was right."""
+    """Lone causes -> how often the answer was right; ` (removed)`: out of the model file, ` (half)`: weak."""
     hits: dict[str, list[bool]] = {}
     for case in cases:
-        if case.kind in ("single", "unknown"):
-            name = case.causes[0] + (" (removed)" if case.removed[0] else "")
+        if case.kind in (*ALONE, "unknown"):
+            name = case.causes[0] + (" (removed)" if case.removed[0] else " (half)" if case.kind == "half" else "")
             hits.setdefault(name, []).append(case.right)
     return {name: share(hits[name]) for name in sorted(hits)}
 
