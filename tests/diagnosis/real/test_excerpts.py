@@ -1,0 +1,58 @@
+"""A real machine's recording, whole diagnosis, nothing of ours in it: an excerpt that every checkout has."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from scipy.io import loadmat
+
+from softarm.cli.main import main
+from softarm.schemas.verdict import Verdict
+
+HERE = Path(__file__).parent / "pendulum-free"
+PUBLISHED_NM = (5.0e-4, 5.4e-4)  # the interval that all of the recording gives: docs/diagnosis.md
+
+
+def seen():
+    """Stamps and angles of the excerpt, [N, 2]."""
+    return np.loadtxt(HERE / "free-swing-1.csv", delimiter=",", skiprows=1)
+
+
+@pytest.mark.slow
+def test_a_real_pendulums_dry_friction_is_named_with_its_size(tmp_path):
+    answer, report = tmp_path / "verdict.json", tmp_path / "report.html"
+    told = CliRunner().invoke(main, ["diagnose", f"{HERE}/stage.yaml", "--json", str(answer), "--report", str(report)])
+    assert told.exit_code == 0, told.output
+    verdict = Verdict.model_validate_json(answer.read_text(encoding="utf-8"))
+    assert verdict.verdict == "named"
+    (found,) = verdict.effects
+    assert (found.name, found.equivalents) == ("joint.coulomb_friction", ())
+    torque = found.parameters["torque"]
+    assert torque.unit == "N m"
+    assert PUBLISHED_NM[0] <= torque.value <= PUBLISHED_NM[1]
+    assert torque.low < sum(PUBLISHED_NM) / 2 < torque.high
+    assert torque.high - torque.low < 2 * (PUBLISHED_NM[1] - PUBLISHED_NM[0])
+    assert verdict.gap.after["joint"].value < 0.2 * verdict.gap.before["joint"].value
+    assert "dry friction" in report.read_text(encoding="utf-8")
+
+
+def test_the_peaks_of_the_excerpt_fall_along_a_line_as_of_dry_friction():
+    """The same answer without any of our fits: a straight line holds the peaks better than an exponential."""
+    t, angle = seen().T
+    swing = np.abs(angle - np.pi)
+    top = np.flatnonzero((swing[1:-1] > swing[:-2]) & (swing[1:-1] >= swing[2:]) & (swing[1:-1] > 0.01)) + 1
+    left = [
+        np.std(swing[top] - law(np.polyval(np.polyfit(t[top], height, 1), t[top])))
+        for height, law in ((swing[top], lambda x: x), (np.log(swing[top]), np.exp))
+    ]
+    assert left[0] < 0.5 * left[1]
+
+
+def test_the_excerpt_is_the_recordings(data):
+    with (data / "multiarm-pendulum" / "SingleDataFreeSwing_1_Dt_0_0001.mat").open("rb") as file:
+        theta = loadmat(file, squeeze_me=True, struct_as_record=False)["Theta1"]
+    excerpt = seen()
+    readings = slice(0, 100 * len(excerpt), 100)
+    np.testing.assert_allclose(excerpt[:, 0], theta.time[readings], atol=5.1e-4)
+    np.testing.assert_allclose(excerpt[:, 1], theta.signals.values.ravel()[readings], atol=5.1e-7)
