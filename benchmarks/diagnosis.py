@@ -232,6 +232,9 @@ def show(result: Mapping[str, Any], console: Console) -> None:
         table.add_row("ratio", f"{ratios['wall']:.2f}", f"{ratios['cpu']:.2f}", *errors)
     console.print(table)
     said = result["diagnosis"]["found"]
+    sides = [name for name in ("diagnosis", "mujoco_sysid") if result[name]]
+    refits = {name.replace("_", "."): sum(fold["cpu_s"] for fold in result[name]["folds"]) for name in sides}
+    console.print("refits for what is held out: " + ", ".join(f"{n} {s:.0f} s of CPU" for n, s in refits.items()))
     console.print(f"{result['seconds']:.0f} s of recordings, held out in turn: {', '.join(result['held_out'])}")
     console.print(f"diagnosis: {said['verdict']}: " + ("; ".join(_words(e) for e in said["effects"]) or "no effect"))
     if result["mujoco_sysid"] is None:
@@ -239,7 +242,8 @@ def show(result: Mapping[str, Any], console: Console) -> None:
         return
     for stage, fitted in result["mujoco_sysid"]["found"].items():
         values = ", ".join(f"{name} {value:.4g}" for name, value in fitted["values"].items())
-        console.print(f"mujoco.sysid, {stage}, {fitted['iterations']} iterations: {values}")
+        work = f"{fitted['iterations']} iterations, {fitted['simulations']} simulations of every trial"
+        console.print(f"mujoco.sysid, {stage}, {work}: {values}")
 
 
 def _pair(side: Mapping[str, Any], stage: str) -> str:

@@ -1,8 +1,9 @@
 """The peer of `softarm.benchmarks.diagnosis`: mujoco.sysid fits the arm and the regulator to recordings of the robot.
 
 Both are fitted as its own documentation does it: an MjSpec (the robot as `softarm model export` writes it), parameters
-within bounds, per-sensor delays, whole trajectories, its default optimiser. Inputs are those that the diagnosis's own
-stages are driven with: measured pressure and cart for the arm, commands for the regulator. Needs mujoco[sysid].
+within bounds, per-sensor delays, whole trajectories, its default optimiser, ended where nothing is won any more. Inputs
+are those that the diagnosis's own stages are driven with: measured pressure and cart for the arm, commands for the
+regulator. Needs mujoco[sysid].
 """
 
 import contextlib
@@ -31,6 +32,10 @@ Bounds = tuple[float, float, float]  # start, low, high
 STEP_HZ = 480.0  # of MuJoCo in every fit; `step_error_m` says what it costs
 CART_KG, CART_RAD_S = 1000.0, 120.0  # a cart that follows its measured way whatever the arm does
 DELAY_MAX_S = 0.15
+# A fit ends with the first iteration that wins less than this of the objective (the diagnosis's own descents: ten
+# times as much), or where so many candidates in a row were refused, six decades of regularisation. The optimiser's own
+# criteria (1e-8 of step and gradient) lie below the noise of its finite differences: it would seek on for 80 more.
+SETTLED, REFUSED_MAX = 1e-4, 60
 ARM_BOUNDS: Mapping[str, Bounds] = {
     "stiffness": (1.0, 0.3, 3.0),  # of the model's, all joints alike; so are the next three
     "damping": (1.0, 0.2, 5.0),
@@ -66,6 +71,41 @@ class Fitted:
 
     values: Mapping[str, float]
     iterations: int
+    simulations: int  # of all trials
+
+
+class _SettledError(Exception):
+    """Nothing is won any more."""
+
+
+class _Watch:
+    """The residual function of a fit: keeps the best that was seen, and ends the fit by SETTLED and REFUSED_MAX."""
+
+    def __init__(self, residual: Callable[..., Any]) -> None:
+        self._residual, self._least, self._refused = residual, math.inf, 0
+        self.best: Array | None = None
+        self.iterations = self.simulations = 0
+
+    def __call__(self, x: Array, parameters: Any) -> Any:
+        """Residuals at one x or at several, a column each. Raises _SettledError."""
+        found = self._residual(x, parameters)
+        columns = x.reshape(len(x), -1)
+        self.simulations += columns.shape[1]
+        if columns.shape[1] > 1:  # a Jacobian's
+            return found
+        objective = sum(float(np.sum(np.square(each))) for each in found[0])
+        self._refused += 1
+        if objective < self._least:
+            self._least, self.best, self._refused = objective, columns[:, 0].copy(), 0
+        if self._refused == REFUSED_MAX:
+            raise _SettledError
+        return found
+
+    def ended(self, trace: Sequence[Any]) -> None:
+        """After each iteration. Raises _SettledError."""
+        self.iterations = len(trace)
+        if float(trace[-1].reduction) < SETTLED * float(trace[-1].objective):
+            raise _SettledError
 
 
 class SysidStage:
@@ -103,10 +143,13 @@ class SysidStage:
         residual = sysid.build_residual_fn(
             models_sequences=[sequences], build_model=self._build, modify_residual=transform.apply
         )
-        with contextlib.redirect_stdout(io.StringIO()):  # its iterations cannot be silenced otherwise
-            found, result = sysid.optimize(parameters, residual, verbose=False)
-        values = {name: float(found[name].value[0]) for name in self.bounds}
-        return Fitted(values, len(result.extras.get("objective", ())))
+        watch = _Watch(residual)
+        # Its iterations cannot be silenced otherwise.
+        with contextlib.redirect_stdout(io.StringIO()), contextlib.suppress(_SettledError):
+            sysid.optimize(parameters, watch, verbose=False, iter_callback=watch.ended)
+        parameters.update_from_vector(watch.best)
+        values = {name: float(parameters[name].value[0]) for name in self.bounds}
+        return Fitted(values, watch.iterations, watch.simulations)
 
     def nominal(self) -> dict[str, float]:
         """The parameters before any fit."""
