@@ -6,6 +6,7 @@ import numpy as np
 
 from softarm.diagnosis.data.trials import Trial
 from softarm.diagnosis.engine.view import Point
+from softarm.diagnosis.robot.chain import tip_gap
 from softarm.diagnosis.robot.counts import counts
 from softarm.diagnosis.robot.trial_grid import TrialGrid, on_grid
 from softarm.diagnosis.robot.views import ON_MOTOR, robot_views
@@ -14,9 +15,9 @@ from softarm.simulator.effects import REGISTRY, value
 
 
 def measure_shrink(trials: Sequence[Trial], nominal: Model, patched: Model) -> dict[str, float]:
-    """Stage -> 1 - RMS gap of `patched` over that of `nominal`, on trials that no fit has seen.
+    """Stage, and `chain`, the tip from commands alone -> 1 - RMS gap of `patched` over that of `nominal`.
 
-    Stages that the trials do not show are left out. Nothing is fitted.
+    For trials that no fit has seen: nothing is fitted. Stages that the trials do not show are left out.
     """
     shown = on_grid(trials, nominal)
     difference = point_between(nominal, patched)
@@ -29,6 +30,10 @@ def measure_shrink(trials: Sequence[Trial], nominal: Model, patched: Model) -> d
     for one, other in zip(counts(trials, nominal), counts(trials, patched), strict=True):
         if one.before > one.floor and other.nominal != one.nominal:
             found[one.stage] = 1 - other.before / one.before
+    tips = tip_gap(shown, nominal, [{}, difference])
+    if np.isfinite(tips).any():
+        before, after = (float(np.sqrt(np.nanmean(gap**2))) for gap in tips)
+        found["chain"] = 1 - after / before if before > 0 else 0.0
     return found
 
 

@@ -102,6 +102,7 @@ def test_the_shrink_holds_on_excitations_that_no_fit_has_seen(diagnosed, campaig
         assert fresh[stage] > 0.8
         assert effect.shrink.stage.value == pytest.approx(fresh[stage], abs=0.15)
     assert abs(fresh["mocap"]) < 0.05
+    assert fresh["chain"] == pytest.approx(diagnosis.together["chain"].value, abs=0.15)
 
 
 @pytest.mark.parametrize("out", [ONE_AT_A_TIME[0], ONE_AT_A_TIME[3], PAIRS[1]], ids="+".join)
