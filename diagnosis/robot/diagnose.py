@@ -14,7 +14,7 @@ from softarm.diagnosis.engine.examination import Examination
 from softarm.diagnosis.engine.problem import Setup
 from softarm.diagnosis.engine.result import Diagnosis
 from softarm.diagnosis.engine.search import Choice, Progress, Search, SelectedEffect
-from softarm.diagnosis.engine.shrink import interval, widened
+from softarm.diagnosis.engine.shrink import chain_interval, interval, widened
 from softarm.diagnosis.engine.thresholds import ROBOT
 from softarm.diagnosis.engine.view import Array, Point
 from softarm.diagnosis.engine.whitened import BLOCK_S, Key, WhitenedResidual, blocks_of
@@ -174,7 +174,7 @@ class Robot:
         without = [{k: v for k, v in each.items() if k not in own} for each in points]
         tips = [self._held_out(found) for found in np.split(self._tips([*without, *points]), 2)]
         squares = [_by_trial(t, self.grid.sample[1], len(self.trials)) for t in tips]
-        chain = interval(*squares) if np.isfinite(tips).any() else None
+        chain = chain_interval(*squares) if np.isfinite(tips).any() else None
         return Shrink(stage=_interval(value, low, high), chain=None if chain is None else _interval(*chain))
 
     def _squares(self, residual: WhitenedResidual, fold_points: Sequence[Point]) -> Array:
@@ -246,8 +246,9 @@ class Robot:
         if np.isfinite(tips).any():
             pairs["chain"] = self.grid.sample[1], tips[0], self._held_out(tips[1:])
         return {
-            stage: _interval(*interval(*(_by_trial(gap, trial, len(self.trials)) for gap in both)))
+            stage: _interval(*law(*(_by_trial(gap, trial, len(self.trials)) for gap in both)))
             for stage, (trial, *both) in pairs.items()
+            for law in (chain_interval if stage == "chain" else interval,)
         }
 
     def _next(self, choice: Choice, decision: Decision) -> NextExperiment | None:
