@@ -1,6 +1,6 @@
 """Who answers: the diagnosis itself, and simpler rules under the same protocol. No method sees more than another."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Protocol
 
 from softarm.diagnosis.data.trials import Trial
@@ -18,6 +18,10 @@ class Diagnosed(Protocol):
     @property
     def patched(self) -> Model | None:
         """The nominal model with what was named; None where nothing was."""
+
+    @property
+    def margins(self) -> Mapping[str, float]:
+        """Of what was named, how far the best rival is behind."""
 
 
 Method = Callable[[Sequence[Trial], Model], Verdict | Diagnosed]

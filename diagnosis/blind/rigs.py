@@ -59,11 +59,13 @@ def answer(case: Path) -> dict[str, Any]:
     from softarm.diagnosis.from_files import diagnose_files
 
     began, verdict, failure = time.process_time(), None, ""
+    margins: dict[str, float] = {}
     try:
-        verdict = diagnose_files([case / "stage.yaml"]).verdict.model_dump(mode="json")
+        found = diagnose_files([case / "stage.yaml"])
+        verdict, margins = found.verdict.model_dump(mode="json"), dict(found.margins)
     except Exception as error:  # a tool that falls over is scored, not excused, and the other cases go on
         failure = f"{type(error).__name__}: {error}"
-    return {"verdict": verdict, "failure": failure, "seconds": time.process_time() - began}
+    return {"verdict": verdict, "margins": margins, "failure": failure, "seconds": time.process_time() - began}
 
 
 def score(folder: Path) -> tuple[list[rigs_score.Scored], list[str]]:

@@ -110,6 +110,17 @@ def _of_a_cause(cause: Mapping[str, Any], group: Names) -> Outcome:
     return "right" if group <= names | tied else "wide"
 
 
+def right_names(truth: Mapping[str, Any], answer: Mapping[str, Any]) -> dict[str, bool]:
+    """Named effect -> whether it, with its equivalents, is the answer to one of the causes; the rest may be missing."""
+    found = {}
+    for effect in answer["verdict"]["effects"] if answer["verdict"] else ():
+        group = frozenset(map(local, (effect["name"], *effect["equivalents"])))
+        met = [c for c in truth["causes"] if group & {*c["names"], *c["tied"]}]
+        aside = any(group <= {*c["also"], *c["near"]} for c in truth["causes"])
+        found[effect["name"]] = aside or any(_of_a_cause(c, group) in ("right", "wide") for c in met)
+    return found
+
+
 def shares(scored: Sequence[Scored]) -> dict[str, Any]:
     """Counts of outcomes for all, and by category and kind; JSON types only."""
     rows = {"all": list(scored)}

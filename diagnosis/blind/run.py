@@ -82,9 +82,11 @@ def answer_case(
     verdict: Verdict | None = None
     patched: Model | None = None
     failure = ""
+    margins: dict[str, float] = {}
     try:
         found = methods.METHODS[method](trials, model)
         verdict, own = (found, None) if isinstance(found, Verdict) else (found.verdict, found.patched)
+        margins = {} if isinstance(found, Verdict) else dict(found.margins)
         patched = own or methods.patched(model, verdict)
     except Exception as error:  # a tool that falls over is scored, not excused, and the other cases go on
         failure = f"{type(error).__name__}: {error}"
@@ -93,6 +95,7 @@ def answer_case(
         "data": digest(folder),
         "verdict": None if verdict is None else verdict.model_dump(mode="json"),
         "patched_model": None if patched is None else patched.model_dump(),
+        "margins": margins,
         "failure": failure,
         "seconds": clock() - begin,
     }

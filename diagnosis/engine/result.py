@@ -92,4 +92,5 @@ class Diagnosis:
     seconds: float = 0.0
     together: Mapping[str, Interval] = field(default_factory=dict)  # stage -> share of its RMS that goes with them all
     held_out: HeldOut | None = None  # None: nobody says
+    margins: Mapping[str, float] = field(default_factory=dict)  # of named effects that may have a confidence
     vocabulary: Mapping[str, Effect] = field(default_factory=dict)  # another rig's effects; the robot's: the registry

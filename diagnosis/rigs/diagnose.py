@@ -10,7 +10,7 @@ import numpy as np
 
 from softarm.common.processes import as_they_come
 from softarm.diagnosis.data.trials import Trial, TrialError
-from softarm.diagnosis.engine.confidence import confidence
+from softarm.diagnosis.engine.confidence import confidence, margins
 from softarm.diagnosis.engine.decision import Decision, Kind
 from softarm.diagnosis.engine.examination import Examination
 from softarm.diagnosis.engine.held_out import block_sums
@@ -126,6 +126,7 @@ def diagnose_table(trials: Sequence[Trial], tell: Progress = lambda text, share:
         seconds=time.monotonic() - started,
         together={s.stage: s.together for s in stages if s.together is not None},
         held_out=min((s.held_out for s in stages), key=("block", "trial", "kind").index),
+        margins={name: margin for s in stages for name, margin in margins(s.decision.selected).items()},
         vocabulary={effect.name: effect for s in stages for effect in s.vocabulary},
     )
 

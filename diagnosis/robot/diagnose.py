@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from softarm.diagnosis.data.trials import Trial, TrialError
 from softarm.diagnosis.engine.candidates import point_of
-from softarm.diagnosis.engine.confidence import confidence
+from softarm.diagnosis.engine.confidence import confidence, margins
 from softarm.diagnosis.engine.decision import Decision, stage_of, stage_shares
 from softarm.diagnosis.engine.examination import Examination
 from softarm.diagnosis.engine.problem import Setup
@@ -87,6 +87,7 @@ class Robot:
             seconds=time.monotonic() - self.started,
             together=self._together(choice, point) if point else {},
             held_out=self.setup.unseen,
+            margins=margins(decision.selected),
         )
 
     def _verdict(

@@ -169,6 +169,7 @@ def test_a_method_may_bring_its_model_or_have_it_made_of_its_verdict(data, monke
 
     class Diagnosis:
         verdict, patched = names_gain(opening.read.read_all([data / "case-a"]), Model()), own
+        margins = {"pressure.gain": 0.4}  # noqa: RUF012
 
     assert Model.model_validate(run.answer_case(data / "case-a", "diagnose")["patched_model"]).effects == {
         **Model().effects,
@@ -176,6 +177,7 @@ def test_a_method_may_bring_its_model_or_have_it_made_of_its_verdict(data, monke
     }
     monkeypatch.setitem(methods.METHODS, "diagnose", lambda trials, model: Diagnosis)
     assert run.answer_case(data / "case-a", "diagnose")["patched_model"]["effects"] == own.effects
+    assert run.answer_case(data / "case-a", "diagnose")["margins"] == {"pressure.gain": 0.4}
 
 
 def test_opening_scores_measures_on_fresh_trials_and_writes_everything(data, tmp_path):

@@ -1,0 +1,81 @@
+"""Confidence as a measured frequency: bins of margins, none too small, never falling."""
+
+import json
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from softarm.diagnosis.blind import curve, seal
+from softarm.diagnosis.blind.curve import BIN_LEAST, MARGINS, curves, of_rigs, of_robot
+
+ANSWERS = st.lists(st.tuples(st.sampled_from(["alone", "set"]), st.floats(0, 1), st.booleans()), max_size=300)
+EMPTY = {
+    "where": {"stage": None, "share": {}, "regime": "nowhere"},
+    "gap": {key: {} for key in ("before", "after", "floor", "ceiling")},
+}
+
+
+def effect(name, equivalents=()):
+    whole = {"value": 0.5, "low": 0.4, "high": 0.6}
+    return {
+        "name": name,
+        "parameters": {},
+        "confidence": None,
+        "equivalents": list(equivalents),
+        "shrink": {"stage": whole, "chain": None},
+    }
+
+
+def verdict(*effects):
+    said = {
+        "verdict": "named" if effects else "none",
+        "effects": list(effects),
+        "next_experiment": None,
+        "warnings": [],
+    }
+    return EMPTY | said
+
+
+@given(ANSWERS)
+def test_every_answer_counts_once_and_shares_never_fall(answers):
+    for kind, bins in curves(answers).items():
+        own = [right for k, _, right in answers if k == kind]
+        assert sum(each["of"] for each in bins) == len(own)
+        assert sum(each["right"] for each in bins) == sum(own)
+        assert [each["margin"] for each in bins] == sorted({each["margin"] for each in bins} & set(MARGINS))
+        shares = [each["right"] / each["of"] for each in bins]
+        assert shares == sorted(shares)
+        assert len(bins) < 2 or all(each["of"] >= BIN_LEAST for each in bins)
+
+
+def test_a_wider_margin_that_was_more_often_right_has_a_bin_of_its_own():
+    near = [("alone", 0.05, i < 15) for i in range(30)]
+    far = [("alone", 0.9, True)] * 30
+    assert curves(near + far)["alone"] == [
+        {"margin": 0.0, "right": 15, "of": 30},
+        {"margin": 0.75, "right": 30, "of": 30},
+    ]
+
+
+def test_of_the_robot_a_set_is_right_that_holds_a_cause_and_what_has_no_margin_does_not_count():
+    labels = seal.Labels("5a" * 32, 1, {"a": {"kind": "two", "causes": [{"name": "rail.lag"}, {"name": "arm.drag"}]}})
+    said = verdict(effect("rail.delay", ["rail.lag"]), effect("arm.tilt"), effect("arm.drag"))
+    answers = {"answers": [{"case": "a", "verdict": said, "margins": {"rail.delay": 0.3, "arm.tilt": 0.1}}]}
+    assert list(of_robot(labels, answers)) == [("set", 0.3, True), ("alone", 0.1, False)]
+
+
+@pytest.mark.parametrize(("must", "right"), [([], True), (["lag", "dead_time"], False)])
+def test_of_rigs_one_of_several_that_nobody_could_tell_apart_is_wrong_alone(tmp_path, must, right):
+    cause = {"names": ["lag"], "tied": ["dead_time"], "also": [], "near": [], "must": must}
+    said = {"verdict": verdict(effect("servo.lag")), "margins": {"servo.lag": 0.4}}
+    for folder, content in (("truths", {"causes": [cause]}), ("answers", said)):
+        (tmp_path / folder).mkdir()
+        (tmp_path / folder / "a.json").write_text(json.dumps(content))
+    (tmp_path / "truths" / "unanswered.json").write_text("{}")
+    assert list(of_rigs(tmp_path)) == [("alone", 0.4, right)]
+
+
+def test_it_says_what_it_wants():
+    with pytest.raises(SystemExit):
+        curve.main(["nobody"])
