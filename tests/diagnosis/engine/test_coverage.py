@@ -1,0 +1,118 @@
+"""Intervals and levels hold as often as they say: neither too rarely nor too often, by made-up data of known truth."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+import pytest
+from scipy.stats import binom
+
+from softarm.diagnosis.engine import structure
+from softarm.diagnosis.engine.candidates import Candidate, FittedParameter, Nuisance
+from softarm.diagnosis.engine.problem import Setup
+from softarm.diagnosis.engine.shrink import interval
+from softarm.diagnosis.engine.view import View
+
+TRIALS, RATE_HZ, LENGTH_S = 4, 30.0, 12.0
+STEPS = round(RATE_HZ * LENGTH_S)
+SAMPLES = TRIALS * STEPS
+T = (np.arange(SAMPLES) % STEPS) / RATE_HZ
+SCALE, BIAS = "stage.gain.scale", "stage.zero.bias"
+GAIN = Candidate("stage.gain", "stage", (FittedParameter(SCALE, "-", 0.0, -0.5, 0.5, 0.1, 0.0),), ((0.1,),))
+ZERO = Nuisance(BIAS, 0.0, -0.3, 0.3)
+TRUE = {SCALE: 0.2, BIAS: 0.1}
+
+
+def bounds(runs, share, most=None):
+    """Fewest and most of so many runs that chance allows where each holds by such a share; 1 in 1000 beyond either."""
+    return binom.ppf(0.001, runs, share), binom.ppf(0.999, runs, most or share)
+
+
+@dataclass
+class _Gauge:
+    """(1 + scale) x input + bias under noise that forgets itself within `memory_s`."""
+
+    seed: int
+    memory_s: float = 0.0
+    stage, unit, channels, floor = "stage", "-", ("reading",), np.ones(1)
+    acts = frozenset({SCALE, BIAS})
+    regimes: dict[str, np.ndarray] = field(default_factory=dict)
+    features, own_nuisances = {}, {}
+    t_s, trial = T, np.arange(SAMPLES) // STEPS
+
+    def __post_init__(self):
+        draw = np.random.default_rng(self.seed)
+        self.input = np.sin(2 * np.pi * 0.4 * T + 6 * draw.random(TRIALS)[self.trial])
+        noise, keep = draw.normal(size=(STEPS, TRIALS)), np.exp(-1 / (RATE_HZ * self.memory_s)) if self.memory_s else 0
+        for k in range(1, STEPS):
+            noise[k] = keep * noise[k - 1] + np.sqrt(1 - keep**2) * noise[k]
+        self.noise = noise.T.reshape(-1, 1)
+        self.measured = self._predict(TRUE) + self.noise
+
+    def _predict(self, point):
+        return ((1 + point.get(SCALE, 0.0)) * self.input + point.get(BIAS, 0.0))[:, None]
+
+    def start_directions(self):
+        return None
+
+    def gap(self, points):
+        return np.stack([self.measured - self._predict(p) for p in points]).astype(np.float32)
+
+
+@pytest.mark.parametrize("memory_s", [0.0, 0.3], ids=["white", "a third of a second"])
+def test_a_parameters_interval_holds_it_95_times_in_100(memory_s):
+    """Beside a nuisance, whether the noise is white or carries on through ten samples."""
+    runs, inside = 250, 0
+    for seed in range(runs):
+        problem = Setup([_Gauge(seed, memory_s)], (ZERO,), ("hum",) * TRIALS).plain()
+        low, high = problem.interval(problem.fit([((GAIN,), GAIN.starts)], rounds=2)[0])
+        inside += bool(low[0] <= TRUE[SCALE] <= high[0])
+    fewest, most = bounds(runs, 0.95)
+    assert fewest <= inside <= most, inside / runs
+
+
+def _shrinks(runs, unlike, trials=8):
+    """Intervals of campaigns [runs, 3], and the shrink that another campaign of the same kind shows [runs].
+
+    unlike: how much trials differ in what they excite of the gap; half as much in what is left of it.
+    """
+    draw = np.random.default_rng(1)
+    before = np.exp(unlike * draw.normal(size=(2, runs, trials)))
+    after = 0.2 * before * np.exp(unlike / 2 * draw.normal(size=before.shape))
+    found = np.array([interval(b, a) for b, a in zip(before[0], after[0], strict=True)])
+    return found, 1 - np.sqrt(after[1].sum(axis=1) / before[1].sum(axis=1))
+
+
+@pytest.mark.parametrize("unlike", [0.4, 0.7])
+def test_a_shrinks_interval_holds_what_a_fresh_campaign_shows(unlike):
+    """18 to 19 times in 20, by how much excitations differ; trials drawn anew alone would hold it 7 times in 10."""
+    found, fresh = _shrinks(2000, unlike)
+    value, low, high = found.T
+    assert ((low < value) & (value < high)).all()
+    inside = np.mean((low <= fresh) & (fresh <= high))
+    assert 0.88 < inside < 0.97
+
+
+def test_one_look_at_noise_finds_something_as_often_as_its_level_says():
+    runs = 300
+    p = [next(_looks(_Gauge(seed))) for seed in range(runs)]
+    fewest, most = bounds(runs, 0.05)
+    found = sum(each < 0.05 for each in p)
+    assert fewest <= found <= most, found / runs
+
+
+def _looks(gauge: _Gauge):
+    """The p-value of every look at a gauge's noise."""
+    view: View = gauge
+    for _, mask in structure._places(view, ("hum",) * TRIALS):
+        yield from (p for _, _, p in structure._looks(view, gauge.noise, mask))
+
+
+def test_all_looks_together_find_something_in_noise_no_more_often_than_the_level_and_not_much_less(monkeypatch):
+    """They share data and are counted as if they did not, which costs no more than two thirds of the level."""
+    monkeypatch.setattr(structure, "LEVEL", 0.2)
+    runs = 300
+    found = [structure.structure(g := _Gauge(seed), g.noise) for seed in range(runs)]
+    fewest, most = bounds(runs, 0.2 / 3, 0.2)
+    alarms = sum(each.signs > 0 for each in found)
+    assert fewest <= alarms <= most, alarms / runs
+    assert all((each.energy > 0) == (each.signs > 0) for each in found)
