@@ -118,6 +118,12 @@ EFFECTS = (
         "[P] section 3.3 (linear actuator dynamics): 6 m/s^2",
     ),
     Effect(
+        "rail.force_limit",
+        (_P("force", "N", _INF, 0.5, 200.0, 2.5, "most that the motor gives, either way"),),
+        "the drive's motor gives no more force than this: the cart ramps slower and gives way to the arm",
+        "a motor's peak torque over its pulley; drives cap it (CiA 402, object 6072h: max torque)",
+    ),
+    Effect(
         "rail.delay",
         (_P("delay", "s", 0.0, 0.0, 0.1, 0.05, "from the command to its first effect on the cart"),),
         "a velocity command takes effect late",
@@ -315,6 +321,12 @@ RIVALS = (
     ("pressure.gain", "arm.muscle_saturation", "the pressure is measured: saturation does not show in it"),
     ("pressure.ceiling", "arm.muscle_saturation", "the pressure is measured: saturation does not show in it"),
     ("rail.acceleration_limit", "rail.lag", "steps of several sizes: the time grows with the step only for a limit"),
+    (
+        "rail.acceleration_limit",
+        "rail.force_limit",
+        "ramps while the arm swings, or with a payload: a limited slope stays, a limited motor is pushed and slower",
+    ),
+    ("rail.force_limit", "rail.coulomb_friction", "coasting: friction brakes a cart that no motor drives, a limit not"),
     ("rail.delay", "mocap.latency", "only the sum shows from command to mocap; the axis's own read-back splits it"),
     ("rail.gain", "mocap.scale", "the axis's read-back against mocap: the read-back has the true travel or not"),
     ("rail.gain", "rail.coulomb_friction", "a speed sweep: a gain's error grows, dry friction's not"),

@@ -21,6 +21,7 @@ _EXPRESSED = {
     "rail.lag",
     "rail.gain",
     "rail.coulomb_friction",
+    "rail.force_limit",
     "arm.stiffness",
     "arm.damping",
     "arm.muscle_gain",
@@ -113,6 +114,8 @@ def _actuators(model: Model) -> list[str]:
     coefficients = "".join(
         f'<joint joint="joint{i + 1}" coef="{-gain * b!r}"/>' for i, b in enumerate(arm.muscle_gain_nm_kpa)
     )
+    most = effects.value(model, "rail.force_limit", "force")
+    limit = f' forcelimited="true" forcerange="{-most!r} {most!r}"' if math.isfinite(most) else ""
     kv, feed = cart.velocity_gain_n_s_m, 1.0 + effects.value(model, "rail.gain", "scale")
     reached, zero = (
         1.0 + effects.value(model, "pressure.gain", "scale"),
@@ -125,7 +128,7 @@ def _actuators(model: Model) -> list[str]:
         "<actuator>",
         f'  <general name="cart_velocity" joint="cart" {_filter(effects.value(model, "rail.lag", "time"))}'
         f' gainprm="{kv * feed!r}" biastype="affine" biasprm="0 0 {-kv!r}"'
-        f' ctrllimited="true" ctrlrange="{-CART_VELOCITY_MAX_M_S} {CART_VELOCITY_MAX_M_S}"/>',
+        f' ctrllimited="true" ctrlrange="{-CART_VELOCITY_MAX_M_S} {CART_VELOCITY_MAX_M_S}"{limit}/>',
         f'  <general name="pressure" tendon="muscle" {_filter(_mean_lag(model))}'
         f' gainprm="{reached!r}" biastype="affine" biasprm="{zero!r} 0 0"'
         f' ctrllimited="true" ctrlrange="{lowest!r} {highest!r}"/>',

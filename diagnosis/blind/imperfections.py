@@ -72,6 +72,8 @@ def _either(path: str, low: float, high: float) -> Knob:
 
 _NOMINAL = RobotParameters()
 _PRESSED_KPA = 20.0  # the largest pressure that is commanded
+# What the nominal ramp takes.
+_PUSHED_N = _NOMINAL.rail.acceleration_m_s2 * (_NOMINAL.cart.mass_kg + sum(_NOMINAL.body.link_mass_kg))
 _FILL, _VENT = "regulator.inflate_s", "regulator.deflate_s"
 _LAGS: tuple[Variant, ...] = tuple(
     (Knob(paths, "times", 1.35, 2.2, either_way=True),) for paths in ((_FILL,), (_VENT,), (_FILL, _VENT))
@@ -87,6 +89,7 @@ KNOWN: dict[str, tuple[Variant, ...]] = {
     "pressure.ceiling": ((_limit("regulator.ceiling_kpa", 10.0, 16.0, _PRESSED_KPA),),),
     "pressure.sensor_bias": ((_either("pressure_sensor.bias_kpa", 0.5, 1.5),),),
     "rail.acceleration_limit": ((_limit("rail.acceleration_m_s2", 2.0, 4.0, _NOMINAL.rail.acceleration_m_s2),),),
+    "rail.force_limit": ((_limit("rail.force_limit_n", 1.2, 2.2, _PUSHED_N),),),
     "rail.delay": ((_add("rail.delay_s", 0.020, 0.060),),),
     "rail.lag": ((_set("rail.lag_s", 0.025, 0.080),),),
     "rail.gain": ((_either("rail.feed_error", 0.03, 0.08),),),
@@ -132,7 +135,6 @@ UNKNOWNS: dict[str, tuple[Variant, ...]] = {
     "stribeck_stiction": ((_set("rail.stiction_n", 4.0, 9.0), _set("rail.stribeck_m_s", 0.08, 0.25)),),
     "cable": ((_set("rail.cable_n_m", 40.0, 150.0), _either("rail.cable_taut_m", 0.001, 0.03)),),
     "gear_ripple": ((_set("rail.ripple_n", 2.5, 8.0), _set("rail.ripple_period_m", 0.02, 0.06)),),
-    "motor_force_limit": ((_set("rail.force_limit_n", 1.2, 2.2),),),
     "loose_marker": tuple((_loose(link), *_WOBBLE) for link in (2, 3, 4, 5)),
     "warming_up": ((_either("arm.softening", 0.2, 0.5), _set("arm.softening_s", 3.0, 12.0)),),
     "camera_clock": ((_either("clock.camera_drift", 0.001, 0.004),),),
@@ -145,7 +147,6 @@ _STAGE_OF_UNKNOWN = {
     "stribeck_stiction": "rail",
     "cable": "rail",
     "gear_ripple": "rail",
-    "motor_force_limit": "rail",
     "loose_marker": "mocap",
     "warming_up": "arm",
     "camera_clock": "mocap",

@@ -18,8 +18,8 @@ from softarm.simulator.kernel.compiled import compiled
 from softarm.simulator.kernel.layout import CART_GIVEN, rows
 from softarm.simulator.kernel.numerics import sine_cosine
 from softarm.simulator.kernel.pressure import pull, regulate
-from softarm.simulator.kernel.rail import drive
-from softarm.simulator.simd import fill, load, store
+from softarm.simulator.kernel.rail import drive, gives_way, lacking
+from softarm.simulator.simd import fill, load, some, store
 
 # A cart that no arm can move, kg: its motion is given.
 IMMOVABLE_KG = 1e12
@@ -104,6 +104,31 @@ def solve(w, links, lanes):
         for j in range(i + 1, order):
             right = right - load(w, matrix + j * order + i, lanes) * load(w, at.rhs + j, lanes)
         store(w, at.rhs + i, lanes, right)
+
+
+@compiled
+def limit_drive(m, w, links, lanes):
+    """Take from the solution in `rhs` what the drive's force is beyond its limit.
+
+    One more force on the cart's row, by the factors that `solve` left: exact, since everything is linear in it.
+    """
+    order, at = len(links) + 1, rows(links)
+    matrix = at.matrix
+    lack = lacking(m, lanes, at, load(w, at.rhs, lanes))
+    if some(lack != 0.0):
+        for i in range(order):
+            right = fill(lack, 1.0 if i == 0 else 0.0)
+            for j in range(i):
+                right = right - load(w, matrix + i * order + j, lanes) * load(w, at.give + j, lanes)
+            store(w, at.give + i, lanes, right)
+        for i in range(order - 1, -1, -1):
+            right = load(w, at.give + i, lanes) * load(w, at.pivot + i, lanes)
+            for j in range(i + 1, order):
+                right = right - load(w, matrix + j * order + i, lanes) * load(w, at.give + j, lanes)
+            store(w, at.give + i, lanes, right)
+        change = gives_way(m, lanes, at, lack, load(w, at.give, lanes))
+        for i in range(order):
+            store(w, at.rhs + i, lanes, load(w, at.rhs + i, lanes) + change * load(w, at.give + i, lanes))
 
 
 @compiled

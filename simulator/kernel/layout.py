@@ -14,7 +14,7 @@ OLD = 1.0
 
 # Parts of the kernel that a batch may need, one bit each.
 PRESSURE = 1  # any effect on the pressure but its lag
-RAIL = 2  # lag, gain, friction or backlash of the rail
+RAIL = 2  # lag, gain, friction, backlash or force limit of the rail
 JOINTS = 4  # stiffening, dry friction or creep
 MUSCLE = 8  # hysteresis or saturation
 AIR = 16  # drag
@@ -60,6 +60,7 @@ _PARAMETERS: dict[str, int | str] = {
     "cart_friction": 1,  # N
     "cart_viscous": 1,  # N s/m
     "backlash": 1,  # m
+    "force_limit": 1,  # N
     "muscle_loop": 1,  # half height of the hysteresis loop, kPa
     "muscle_width": 1,  # 1 / its width, 1/kPa
     "saturation": 1,  # 1 / the pressure at which the torque levels off, 1/kPa
@@ -122,6 +123,10 @@ _DERIVED: dict[str, int | str] = {
     "mean_creep": 1,
     "implicit": "n",  # h D + h^2 K of each joint
     "diagonal": "n",  # C_ii and what the joints add to it
+    # Of this substep, set by `drive`.
+    "drive_given": 1,  # its force, N,
+    "drive_given_mass": 1,  # less this times the cart's acceleration, kg
+    "drive_most": 1,  # and no more than this, N
     # Where things are, set by `locate`.
     "end_y": "n",  # m
     "end_z": "n",
@@ -140,6 +145,7 @@ _SCRATCH: dict[str, int | str] = {
     "shear": "q",  # tangent
     "rhs": "q",  # forces, then the accelerations that they cause
     "pivot": "q",  # 1 / d of L D L^T
+    "give": "q",  # accelerations that a newton on the cart causes
     "matrix": "q*q",  # lower triangle
 }
 

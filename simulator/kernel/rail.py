@@ -73,6 +73,9 @@ def drive(m, lanes, at, active, end, dt):
     if active & RAIL:
         touching = _engage(m, lanes, at, command - v, force, dt)
         force, mass = touching * force, touching * mass
+        store(m, at.drive_given, lanes, force)
+        store(m, at.drive_given_mass, lanes, mass)
+        store(m, at.drive_most, lanes, touching * load(m, at.force_limit, lanes))
         friction, last = load(m, at.cart_friction, lanes), load(m, at.a, lanes)
         held, holding = grip(m, lanes, at.cart_bristle, friction, REACH_M, v, last, dt)
         viscous = load(m, at.cart_viscous, lanes)
@@ -88,6 +91,24 @@ def drive(m, lanes, at, active, end, dt):
         force = force - stiffness * beyond - damping * v
         mass = mass + dt * (damping + h * stiffness)
     return force, mass
+
+
+@compiled
+def lacking(m, lanes, at, acceleration):
+    """Return what the force limit takes from the drive at an acceleration of the cart, N: 0 within the limit."""
+    force = load(m, at.drive_given, lanes) - load(m, at.drive_given_mass, lanes) * acceleration
+    most = load(m, at.drive_most, lanes)
+    return clip(force, 0.0 - most, most) - force
+
+
+@compiled
+def gives_way(m, lanes, at, lack, response):
+    """Return the change of force on the cart's row that leaves the drive at its limit, N.
+
+    response: the cart's acceleration for a newton there, 1/kg. The drive's implicit mass answers the change as well,
+    so that its whole force, and not the explicit part of it, is what the limit says.
+    """
+    return lack / (1.0 - load(m, at.drive_given_mass, lanes) * response)
 
 
 @compiled

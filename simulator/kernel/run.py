@@ -5,7 +5,7 @@ import math
 
 from numba import get_thread_id, prange
 
-from softarm.simulator.kernel.arm import assemble, locate_block, solve
+from softarm.simulator.kernel.arm import assemble, limit_drive, locate_block, solve
 from softarm.simulator.kernel.compiled import compiled
 from softarm.simulator.kernel.contact import add_shelf
 from softarm.simulator.kernel.joints import add_drag, add_joints, add_payload, add_tilt, settle_joints
@@ -23,7 +23,7 @@ from softarm.simulator.kernel.layout import (
 )
 from softarm.simulator.kernel.numerics import clip
 from softarm.simulator.kernel.pressure import age, issue, regulate
-from softarm.simulator.kernel.rail import drive, settle_cart
+from softarm.simulator.kernel.rail import drive, gives_way, lacking, settle_cart
 from softarm.simulator.simd import load, store
 
 # A fuse, far beyond what the robot does (its links turn at up to 30 rad/s): what numbers within the registry's bounds
@@ -68,6 +68,8 @@ def _advance_block(m, w, links, lanes, parts, active, substeps, dt):
         if active & SHELF:
             add_shelf(m, w, links, lanes, dt)
         solve(w, links, lanes)
+        if active & RAIL and not active & CART_GIVEN:
+            limit_drive(m, w, links, lanes)
         if active & JOINTS:
             settle_joints(m, w, links, lanes, dt)
         if active & RAIL:
@@ -146,7 +148,11 @@ def advance_cart(memory, scratch, links, lanes, parts, active, substeps, dt):
         _issue(m, lanes, at, active | PRESSURE_GIVEN)
         for substep in range(substeps):
             force, mass = drive(m, lanes, at, active, (substep + 1) * dt, dt)
-            a = (force + load(m, at.cart_push, lanes)) / (load(m, at.cart_mass, lanes) + mass)
+            inertia = load(m, at.cart_mass, lanes) + mass
+            a = (force + load(m, at.cart_push, lanes)) / inertia
+            if active & RAIL:
+                response = 1.0 / inertia
+                a = a + response * gives_way(m, lanes, at, lacking(m, lanes, at, a), response)
             v = load(m, at.v, lanes)
             way = dt * (v + h * a)
             if active & RAIL:

@@ -92,10 +92,12 @@ def test_resting_shape_balances_the_joints(chosen: dict[str, dict[str, float]]) 
     assert np.abs(joints).max() > 0.05
 
 
-def test_flies_as_the_simulator_does() -> None:
+@pytest.mark.parametrize("motor", [{}, {"rail.force_limit": {"force": 1.2}}], ids=["any force", "1.2 N"])
+def test_flies_as_the_simulator_does(motor: dict[str, dict[str, float]]) -> None:
     """Two seconds of what both have in full: tip within 2 mm, on a swing of more than 15 cm."""
     chosen = {"pressure.lag": {"inflate": 0.2, "deflate": 0.2}, "arm.tilt": {"angle": 0.02}, "rail.lag": {"time": 0.04}}
-    model = Model(effects=chosen | {name: STRONG[name] for name in ("arm.payload", "rail.gain", "pressure.gain")})
+    chosen |= motor | {name: STRONG[name] for name in ("arm.payload", "rail.gain", "pressure.gain")}
+    model = Model(effects=chosen)
     assert not export(model).left_out
     physics, data = loaded(model)
     simulator = Simulator(model, physics_rate_hz=1200.0)
