@@ -9,8 +9,12 @@ NOTHING = "nothing in the list separates these"
 
 
 def splitting(view: RigView, answers: Sequence[Sequence[str]]) -> NextExperiment | None:
-    """For the first set among the answers, each the names that it may be; None where there is none."""
-    return next((between(view, names) for names in answers if len(names) > 1), None)
+    """For the first set among the answers, each the names that it may be, that anything separates.
+
+    Where nothing does, that; None where there is no set.
+    """
+    asked = [between(view, names) for names in answers if len(names) > 1]
+    return next((each for each in asked if each.expect), asked[0] if asked else None)
 
 
 def between(view: RigView, names: Sequence[str]) -> NextExperiment:

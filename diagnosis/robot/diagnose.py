@@ -253,16 +253,23 @@ class Robot:
         }
 
     def _next(self, choice: Choice, decision: Decision) -> NextExperiment | None:
+        """A flight that splits a set; else that nothing does; else, where something is left, the worst one again."""
+        asked = None
         for effect in decision.selected:
             close = [(f, g) for f, g in effect.rivals if f.effects[-1].name in effect.equivalents]
-            if not close and decision.kind == "incomplete":
-                close = [(f, g) for f, g in effect.rivals if not f.at_bound][:1]
             if close:
                 explanations = {effect.candidate.name: choice.chosen.point} | {
                     f.effects[-1].name: f.point for f, _ in close[:3]
                 }
-                return experiments.splitting(self.model, explanations)
-        if decision.kind == "unknown":
+                found = experiments.splitting(
+                    self.model, explanations, self.plain, [trial.kind for trial in self.trials]
+                )
+                if found is not None and found.expect:
+                    return found
+                asked = asked or found
+        if asked is not None:
+            return asked
+        if decision.kind in ("unknown", "incomplete"):
             view, residual = max(
                 zip(self.views, self.plain.whitened, strict=True), key=lambda p: choice.energies[1][p[0].stage]
             )

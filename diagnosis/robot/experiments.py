@@ -1,52 +1,74 @@
-"""What to fly next: the excitation on which the explanations that fit the data alike would come apart."""
+"""What to fly next: the excitation on which the explanations that fit the data alike would come apart.
 
-from collections.abc import Mapping
+Each excitation of the list is flown in the simulator by a robot that has hung still before, and seen through the
+diagnosis's own views: with its measured upstream, its nuisances and its floors. So what counts as apart is what a
+diagnosis of that flight would have to go by, and the recorded trials are measured by the same yardstick.
+"""
+
+from collections.abc import Mapping, Sequence
 from itertools import combinations
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from softarm.diagnosis.data.trials import Series, Trial
+from softarm.diagnosis.engine import box
+from softarm.diagnosis.engine.fits import FitProblem
+from softarm.diagnosis.engine.problem import Setup
 from softarm.diagnosis.engine.view import Point
-from softarm.diagnosis.robot.views import FLOOR_KPA, FLOOR_M_S
+from softarm.diagnosis.engine.whitened import Rows, slices
+from softarm.diagnosis.robot.candidates import nuisances
+from softarm.diagnosis.robot.trial_grid import STEP_S, on_grid
+from softarm.diagnosis.robot.views import ARM_HZ, parameters, robot_views
 from softarm.schemas.excitation import EXCITATIONS, Excitation
 from softarm.schemas.model import Model
 from softarm.schemas.robot import CONTROL_PERIOD_S
 from softarm.schemas.verdict import NextExperiment
-from softarm.simulator.effects import value
+from softarm.simulator.effects import REGISTRY
 from softarm.simulator.simulator import Simulator
 
-# Channel -> unit and what counts as a difference.
-CHANNELS = {
-    "pressure": ("kPa", FLOOR_KPA),
-    "cart velocity": ("m/s", FLOOR_M_S),
-    "tip y": ("m", 0.004),
-    "tip z": ("m", 0.003),
-}
-NOTHING = 0.5  # floors: explanations that no excitation separates by more are not worth a flight
+Array = NDArray[np.float64]
+
+LEAST = 0.5  # floors: explanations that no excitation separates by more are not worth a flight
+# Times what the best recorded trial shows of them: that has not told them apart, and as much again would not either.
+FURTHER = 1.5
+HANG_S = 20.0  # how long the robot hangs before a flight: no difference is how it came to rest
+A_TICK = round(CONTROL_PERIOD_S / STEP_S)  # steps of the grid
+LONGEST_S = 30.0  # of a flight that is compared: `rail-dashes` goes on as it began
+NOTHING = "nothing in the list separates these"
+_PHYSICS = parameters(*(name for name, e in REGISTRY.items() if e.stage in ("pressure", "rail", "arm")))
 
 
-def splitting(model: Model, explanations: Mapping[str, Point]) -> NextExperiment | None:
-    """The excitation that separates the closest pair of explanations best, simulated from commands alone.
+def splitting(
+    model: Model, explanations: Mapping[str, Point], recorded: FitProblem | None = None, kinds: Sequence[str] = ()
+) -> NextExperiment | None:
+    """The excitation that separates the closest pair of explanations best; None for fewer than two of them.
 
-    Every explanation stands with the parameters that it was fitted with on all the data at hand.
+    Every explanation stands with the parameters that it was fitted with on all the data at hand; recorded: these data,
+    weighed by the floors; kinds: of their trials. What a trial of some kind has shown its repeat would show again: of
+    an excitation that was flown only the stages count that no trial of it showed.
     """
-    names = tuple(explanations)
+    names, points = tuple(explanations), tuple(explanations.values())
     if len(names) < 2:
         return None
-    best: tuple[float, str, NDArray[np.float64]] | None = None
-    for name, excitation in EXCITATIONS.items():
-        seen = _fly(model, excitation, [{}, *explanations.values()])  # [T, P, channels]
-        floors = np.array([floor for _, floor in CHANNELS.values()])
-        apart = min(
-            float(np.sqrt((((seen[:, i] - seen[:, j]) / floors) ** 2).mean(axis=0)).max())
-            for i, j in combinations(range(1, len(names) + 1), 2)
-        )
-        if best is None or apart > best[0]:
-            best = apart, name, seen
-    assert best is not None
-    if best[0] < NOTHING:
-        return None
-    return NextExperiment(excitation=best[1], separates=names, expect=_expected(names, best[2]))
+    grid = on_grid(flights(model, points[0]), model)
+    problem = Setup(robot_views(grid, model), nuisances(model), list(EXCITATIONS)).plain()
+    known = np.zeros((len(EXCITATIONS), len(problem.whitened)), dtype=bool)
+    before = 0.0
+    if recorded is not None:
+        known = _known(problem, recorded, kinds)
+        before = float(closest(recorded, points).max())
+    far = np.where(known, 0.0, closest(problem, points)).max(axis=1)
+    enough = far >= max(LEAST, FURTHER * before)
+    short = enough & np.array([plan.duration_s <= LONGEST_S for plan in EXCITATIONS.values()])
+    best = int(np.argmax(np.where(short, far, 0.0) if short.any() else far))
+    if not enough[best]:
+        told = f"{NOTHING}: {list(EXCITATIONS)[best]}, the best of it, would show {far[best]:.1g} of the floor"
+        told += f", and {before:.1g} did not do in what was recorded" if before else ""
+        return NextExperiment(excitation=told, separates=names, expect={})
+    expect = _expected(problem, best, known[best], explanations)
+    return NextExperiment(excitation=list(EXCITATIONS)[best], separates=names, expect=expect)
 
 
 def repeated(kind: str) -> NextExperiment:
@@ -62,32 +84,114 @@ def repeated(kind: str) -> NextExperiment:
     )
 
 
-def _expected(names: tuple[str, ...], seen: NDArray[np.float64]) -> dict[str, str]:
-    """What each explanation shows where they are furthest apart."""
-    floors = np.array([floor for _, floor in CHANNELS.values()])
-    spread = np.ptp(seen[:, 1:], axis=1) / floors
-    t, c = np.unravel_index(int(np.argmax(spread)), spread.shape)
-    channel, (unit, _) = list(CHANNELS.items())[c]
-    when = f"at {t * CONTROL_PERIOD_S:.1f} s"
-    return {
-        name: f"{channel} {seen[t, 1 + i, c] - seen[t, 0, c]:+.3g} {unit} against nominal {when}"
-        for i, name in enumerate(names)
+def flights(model: Model, point: Point) -> list[Trial]:
+    """Every excitation of the list, flown by a robot of these effects that hangs still at first; exact sensors.
+
+    What mocap makes of it is left to the views.
+    """
+    plans = list(EXCITATIONS.values())
+    physics = {path: x for path, x in point.items() if path in _PHYSICS}
+    robots = Simulator(model, len(plans), ARM_HZ, overrides=physics)
+    velocity, pressure = np.transpose([plan.at(0.0) for plan in plans])
+    robots.step(velocity, pressure, HANG_S)
+    base = np.array([0.0, model.arm.base_height_m])
+    seen, sent = [], []
+    for step in range(1 + round(min(LONGEST_S, max(plan.duration_s for plan in plans)) / STEP_S)):
+        t = step * STEP_S
+        if step % A_TICK == 0:
+            sent.append(np.array([(t, *plan.at(t)) for plan in plans]))
+        poses = np.zeros((len(plans), 1 + robots.links, 2))
+        poses[:, 0] = base
+        poses[:, 0, 0] = robots.cart_position_m
+        poses[:, 1:] = robots.link_ends_m()
+        axis = robots.pressure_reading_kpa, robots.cart_position_m, robots.cart_velocity_m_s
+        seen.append(np.column_stack((np.full(len(plans), t), *axis, poses.reshape(len(plans), -1))))
+        robots.step(sent[-1][:, 1], sent[-1][:, 2], STEP_S)
+    return [_trial(plan, *(np.array(each)[:, i] for each in (sent, seen))) for i, plan in enumerate(plans)]
+
+
+def _trial(plan: Excitation, sent: Array, seen: Array) -> Trial:
+    """Rows of stamp, cart velocity and pressure; of stamp, pressure, cart, its velocity and every pose's y and z."""
+    lasts = min(plan.duration_s, LONGEST_S) + 1e-9
+    sent, seen = sent[sent[:, 0] <= lasts], seen[seen[:, 0] <= lasts]
+    bodies = ("cart", *(f"link{i}" for i in range(1, (seen.shape[1] - 4) // 2)))
+    names = [f"{body}_{part}" for body in bodies for part in ("y", "z")]
+    readings = {
+        "command": _series(sent, ("cart_velocity", "pressure")),
+        "pressure": _series(seen[:, :2], ("pressure",)),
+        "rail": _series(seen[:, [0, 2, 3]], ("position", "velocity")),
+        "mocap": _series(np.delete(seen, (1, 2, 3), axis=1), names),
     }
+    return Trial(plan.name, plan.name, Path(plan.name), readings)
 
 
-def _fly(model: Model, excitation: Excitation, points: list[Point]) -> NDArray[np.float64]:
-    paths = sorted({path for point in points for path in point if not path.startswith(("mocap.", "rail.encoder"))})
-    overrides = {}
-    for path in paths:
-        effect, _, parameter = path.rpartition(".")
-        nominal = value(model, effect, parameter)
-        overrides[path] = np.array([point.get(path, nominal) for point in points])
-    simulator = Simulator(model, len(points), overrides=overrides)
-    seen = []
-    for tick in range(round(excitation.duration_s / CONTROL_PERIOD_S)):
-        tip = simulator.tip_m()
-        seen.append(
-            np.stack((simulator.pressure_reading_kpa, simulator.cart_velocity_m_s, tip[:, 0], tip[:, 1]), axis=1)
-        )
-        simulator.step(*excitation.at(tick * CONTROL_PERIOD_S), CONTROL_PERIOD_S)
-    return np.asarray(seen, dtype=np.float64)
+def _series(rows: Array, names: Sequence[str]) -> Series:
+    return Series(rows[:, 0].copy(), {name: rows[:, i].copy() for i, name in enumerate(names, 1)})
+
+
+def closest(problem: FitProblem, points: Sequence[Point]) -> Array:
+    """By trial and view how far the closest two explanations are apart, [K, V].
+
+    The pair that is closest where it is furthest apart is each trial's; RMS in floors, less what nuisances take on
+    either side. Zero where a trial shows nothing of a view.
+    """
+    pairs = [_apart(problem, *each) for one, other in combinations(points, 2) for each in ((one, other), (other, one))]
+    least = np.argmin(np.max(pairs, axis=2), axis=0)
+    return np.asarray(np.array(pairs)[least, np.arange(len(least))])
+
+
+def _apart(problem: FitProblem, true: Point, other: Point) -> Array:
+    """What the other explanation leaves of a true one, [K, V]. What both fit themselves is no nuisance."""
+    free = np.array([not (path in true and path in other) for path in problem.nuisance_paths])
+    low, high = problem.nuisance_low * free, problem.nuisance_high * free
+    parts: dict[int, list[tuple[int, Rows, Rows, int]]] = {}  # trial -> view, rows, nuisances' columns, samples
+    for v, residual in enumerate(problem.whitened):
+        view, (a, b) = residual.gaps.view, residual.moments([true, other])
+        width = view.measured.shape[1]
+        for part in slices(view.trial):
+            if kept := int(np.isfinite(view.measured[part]).sum()):
+                at = slice(part.start * width, part.stop * width)
+                each = v, (b.rows - a.rows)[at], residual.columns[:, at], kept
+                parts.setdefault(int(view.trial[part.start]), []).append(each)
+    found = np.zeros((1 + max(parts), len(problem.whitened)))
+    for k, seen in parts.items():
+        normal = sum((columns @ columns.T).astype(np.float64) for _, _, columns, _ in seen)
+        slope = sum((columns @ rows).astype(np.float64) for _, rows, columns, _ in seen)
+        taken = box.solve(np.ascontiguousarray(normal), -np.asarray(slope), low, high).astype(np.float32)
+        for v, rows, columns, kept in seen:
+            found[k, v] = np.sqrt(np.sum((rows + taken @ columns) ** 2) / kept)
+    return found
+
+
+def _known(problem: FitProblem, recorded: FitProblem, kinds: Sequence[str]) -> NDArray[np.bool_]:
+    """Which excitations the recorded trials show in which views, [excitations, V]."""
+    shown = set()
+    for residual in recorded.whitened:
+        view = residual.gaps.view
+        seen = view.trial[np.isfinite(view.measured).any(axis=1)]
+        shown |= {(kinds[k], view.stage) for k in np.unique(seen)}
+    stages = [residual.gaps.view.stage for residual in problem.whitened]
+    return np.array([[(name, stage) in shown for stage in stages] for name in EXCITATIONS])
+
+
+def _expected(
+    problem: FitProblem, flight: int, known: NDArray[np.bool_], explanations: Mapping[str, Point]
+) -> dict[str, str]:
+    """What each explanation shows against the nominal simulator where they are furthest apart, in a stage not seen."""
+    best: tuple[float, dict[str, str]] = (-1.0, {})
+    for residual, seen in zip(problem.whitened, known, strict=True):
+        view = residual.gaps.view
+        mine = np.flatnonzero((view.trial == flight) & np.isfinite(view.measured).all(axis=1))
+        if seen or not len(mine):
+            continue
+        gaps = residual.gaps.fetch([{}, *explanations.values()])
+        change = np.stack([gaps[()] - gaps[residual.gaps.key(p)] for p in explanations.values()])[:, mine]
+        spread = np.ptp(change, axis=0) / view.floor
+        t, c = np.unravel_index(int(np.argmax(spread)), spread.shape)
+        when = view.t_s[mine[t]]
+        told = {
+            name: f"{view.stage}, {view.channels[c]}: {x:+.3g} {view.unit} against nominal at {when:.1f} s"
+            for name, x in zip(explanations, change[:, t, c], strict=True)
+        }
+        best = max(best, (float(spread[t, c]), told), key=lambda each: each[0])
+    return best[1]
