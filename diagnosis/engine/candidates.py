@@ -46,6 +46,8 @@ class Candidate:
     parameters: tuple[FittedParameter, ...]
     starts: tuple[tuple[float, ...], ...]  # where a search begins, u of each parameter
     form: Mapping[str, float] = field(default_factory=dict)
+    # A parameter that the model has already: no law is missing, so its strength is the same everywhere.
+    constant: bool = False
 
     def is_news(self, u: Sequence[float]) -> bool:
         """Whether a parameter is off its nominal value by more than well-kept robots are."""

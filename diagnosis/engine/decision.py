@@ -31,11 +31,13 @@ def decide(
     structures: Mapping[str, Structure] | None = None,
     tolerated: Mapping[str, float] | None = None,
     thresholds: Thresholds = ROBOT,
+    signs: Mapping[str, Structure] | None = None,
 ) -> Decision:
     """Rule on the fitted effects.
 
     By stage: flexible, the share of the rest that a flexible model finds; structures, what the rest has that noise has
-    not; tolerated, the energy that nuisances take away within their boxes.
+    not; tolerated, the energy that nuisances take away within their boxes; signs, what a test of its own found, by
+    its own floor, that no effect of the list can explain.
     """
     t, (_, after) = thresholds, choice.energies
     left = {s: max(e - 1.0, 0.0) * max(flexible.get(s, 0.0), t.random_share) for s, e in after.items()}
@@ -50,12 +52,15 @@ def decide(
         for s, each in (structures or {}).items()
         if each.energy > max(t.structure_min, t.structure_share * taken.get(s, 0.0))
     }
+    odd |= {s: each.where for s, each in (signs or {}).items()}
     asks = bool(odd) or any(e > max(t.unknown_min, t.tolerated * taken[s]) for s, e in left.items() if s in taken)
     for fallen in (m for m in choice.selected if m not in selected):  # what it would have explained is not explained
         for stage, energy in fallen.gain.energies.items():
             left[stage] = left.get(stage, 0.0) + max(energy, 0.0)
     explained = sum(max(e, 0.0) for m in selected for e in m.gain.energies.values())
     share = explained / (explained + sum(left.values())) if selected else 0.0
+    for stage, each in (signs or {}).items():  # where it is seen, there the rest of the gap is
+        left[stage] = max(left.get(stage, 0.0), each.energy)
     if not selected:
         return Decision("unknown" if asks or choice.selected else "none", (), left, share, odd)
     whole = len(selected) == len(choice.selected) and share >= t.stands and not odd
@@ -77,8 +82,9 @@ def _stands(
     whole = choice.energies[1][stage] <= 1.0 + t.whole_share * gone[stage]
     pinned = effect.candidate.at_bound(choice.chosen.u[i])
     adds = effect.gain.low > 0  # beside the others; what stands in for an equal may add nothing
+    constant = not effect.candidate.constant or (scatter**2 + drift**2) ** 0.5 <= t.constant + chance
     takes = gone[stage] if t.together else energy
-    return adds and not pinned and (whole or steady) and takes > t.stands * (takes + left.get(stage, 0.0))
+    return adds and not pinned and constant and (whole or steady) and takes > t.stands * (takes + left.get(stage, 0.0))
 
 
 def stage_shares(decision: Decision, counted: Mapping[str, float]) -> dict[str, float]:

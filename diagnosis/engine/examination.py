@@ -92,5 +92,14 @@ class Examination:
     @cached_property
     def decision(self) -> Decision:
         """What it amounts to."""
+        return self.decided({})
+
+    def decided(self, signs: Mapping[str, Structure]) -> Decision:
+        """What it amounts to, given signs of tests that its customer has of its own (see `decide`)."""
         shares = {stage: share for stage, (share, _) in self.flexible.items()}
-        return decide(self.choice, shares, self.structures, self.tolerated, self.thresholds)
+        return decide(self.choice, shares, self.structures, self.tolerated, self.thresholds, signs)
+
+    @cached_property
+    def null_left(self) -> dict[str, NDArray[np.float32]]:
+        """Stage -> what nuisances alone leave, [M, S]."""
+        return dict(zip(self.stages, self.setup.residuals(self.plain, self.choice.null_model), strict=True))

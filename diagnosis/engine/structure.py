@@ -61,15 +61,15 @@ def _looks(view: View, scaled: Array, mask: NDArray[np.bool_]) -> Iterator[tuple
     blocks = [slice(a, b) for _, a, b in blocks_of(view, BLOCK_S)]
     for s, channel in enumerate(view.channels):
         r = np.where(mask, scaled[:, s], np.nan)
-        mean, p = _over_blocks([r[b] for b in blocks])
+        mean, p = over_blocks([r[b] for b in blocks])
         yield f"{channel} is off on the whole", mean**2, p
         for lag in lags:
             products = [r[b][lag:] * r[b][:-lag] if b.stop - b.start > lag else np.zeros(0) for b in blocks]
-            energy, p = _over_blocks(products)
+            energy, p = over_blocks(products)
             yield f"{channel} carries on", abs(energy), p
 
 
-def _over_blocks(parts: Sequence[Array]) -> tuple[float, float]:
+def over_blocks(parts: Sequence[Array]) -> tuple[float, float]:
     """Mean of all and its two-sided p-value against none, the blocks' means taken as independent."""
     weights = np.array([np.isfinite(part).sum() for part in parts], dtype=float)
     kept = weights > 0.2 * max(weights.max(initial=0.0), 1.0)

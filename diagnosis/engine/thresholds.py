@@ -61,6 +61,10 @@ class Thresholds:
     scatter: float = 0.06
     drift: float = 0.12
     chance: float = 0.10
+    # A parameter that the model has already is wrong alike everywhere, however little it leaves: of scatter and drift
+    # together at most this, and a part for chance. Stiffness, damping and such of the robot, where they are wrong, have
+    # 0.001 to 0.004; an arm that softens as it warms up, called stiffness, 0.11.
+    constant: float = 0.04
     looked_at: float = 0.6  # energy of a residual from which on a flexible model looks at it
     # Structure in what is left that refuses `none` and `named`: energy of its strongest sure sign, at least, and as a
     # share of what the effects and the nuisances take away.

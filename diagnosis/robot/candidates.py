@@ -55,6 +55,8 @@ _NEWS = {
 _NEWS_SHARE = 0.1  # of a usual change, where neither a box nor a line above says more
 _STAGES = ("pressure", "rail", "arm", "mocap")
 _COUNTED = ("mocap.dropout", "mocap.noise")  # read off stamps and noise, not fitted (robot/counts.py)
+# The model's own parameters, each a share of what it says: such a one is wrong alike at any time, in any excitation.
+_CONSTANT = ("arm.stiffness", "arm.damping", "arm.muscle_gain", "arm.torque_offset")
 _FORMS: dict[str, tuple[dict[str, float], ...]] = {
     "rail.gain": ({}, {ON_MOTOR: 1.0}),
     "rail.backlash": ({}, {ON_MOTOR: 1.0}),
@@ -88,7 +90,8 @@ def _forms(name: str, model: Model) -> Iterator[Candidate]:
     effect = REGISTRY[name]
     parameters = tuple(_parameter(name, p, model) for p in effect.parameters)
     for form in _FORMS.get(name, ({},)):
-        yield Candidate(name, effect.stage, parameters, tuple(starts(parameters, effect.parameters)), form)
+        begun = tuple(starts(parameters, effect.parameters))
+        yield Candidate(name, effect.stage, parameters, begun, form, name in _CONSTANT)
 
 
 def _parameter(name: str, p: Parameter, model: Model) -> FittedParameter:

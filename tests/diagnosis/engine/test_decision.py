@@ -86,7 +86,7 @@ def test_an_effect_of_another_strength_in_every_excitation_is_not_named():
     assert decide(_choice(*parts), {}).kind == "named"
     unsteady = decide(_choice(*parts, folds=(0.2, 1.0, 1.8)), {})
     assert (unsteady.kind, unsteady.selected) == ("unknown", ())
-    whole = {"arm": 50.0}, {"arm": 1.0}, _named_effect("arm.damping", arm=49.0)
+    whole = {"arm": 50.0}, {"arm": 1.0}, _named_effect("arm.hysteresis", arm=49.0)
     assert decide(_choice(*whole, folds=(0.2, 1.0, 1.8)), {}).kind == "named"
 
 
@@ -94,6 +94,18 @@ def test_an_effect_that_grows_within_a_trial_is_not_named():
     parts = {"arm": 50.0}, {"arm": 1.5}, _named_effect("arm.damping", arm=48.5)
     fading = decide(_choice(*parts, halves=(0.7, 1.3)), {})
     assert (fading.kind, fading.selected) == ("unknown", ())
+
+
+def test_an_effect_that_leaves_nothing_and_grows_within_a_trial_is_not_named_either():
+    """An arm that softens as it warms up: one stiffness takes nearly all away, and it is no one stiffness."""
+    whole = {"arm": 50.0}, {"arm": 0.4}, _named_effect("arm.stiffness", arm=49.6)
+    assert decide(_choice(*whole, halves=(0.99, 1.01)), {}).kind == "named"
+    assert decide(_choice(*whole, halves=(0.95, 1.05)), {}).kind == "unknown"
+    weak = {"arm": 2.5}, {"arm": 0.4}, _named_effect("arm.stiffness", arm=2.1)
+    assert decide(_choice(*weak, halves=(0.95, 1.05)), {}).kind == "named"  # by chance
+    assert decide(_choice(*whole, folds=(0.92, 1.0, 1.08)), {}).kind == "unknown"  # from excitation to excitation
+    law = {"arm": 50.0}, {"arm": 0.4}, _named_effect("arm.hysteresis", arm=49.6)
+    assert decide(_choice(*law, halves=(0.95, 1.05)), {}).kind == "named"  # its law is nobody's in every digit
 
 
 def test_a_rest_that_no_model_explains_counts_in_part():
@@ -144,6 +156,16 @@ def test_structure_in_what_is_left_refuses_named_if_it_is_a_part_of_what_was_exp
     assert decide(_choice(*parts), {}, _odd(5.0)).kind == "named"
     strong = decide(_choice(*parts), {}, _odd(10.0))
     assert (strong.kind, _names(strong)) == ("incomplete", ["arm.damping"])
+
+
+def test_a_sign_of_another_test_refuses_none_and_named_and_says_where():
+    quiet = _choice({"mocap": 0.3, "arm": 0.9}, {"mocap": 0.3, "arm": 0.9})
+    decision = decide(quiet, {}, signs=_odd(4.0, "mocap"))
+    assert (decision.kind, decision.odd) == ("unknown", {"mocap": "at reversals, it carries on"})
+    assert stage_of(stage_shares(decision, {}), STAGES) == "mocap"
+    parts = {"arm": 50.0, "mocap": 0.3}, {"arm": 1.0, "mocap": 0.3}, _named_effect("arm.damping", arm=49.0)
+    assert decide(_choice(*parts), {}).kind == "named"
+    assert decide(_choice(*parts), {}, signs=_odd(4.0, "mocap")).kind == "incomplete"
 
 
 def test_what_nuisances_take_away_within_their_boxes_asks_for_no_cause():
