@@ -63,7 +63,8 @@ class Gap(Strict):
 
     before: dict[str, Quantity]
     after: dict[str, Quantity]  # with the named effects added; held out
-    floor: dict[str, Quantity]  # what no simulator is blamed for: repeats, noise, tolerance
+    # What no simulator is blamed for: repeats, noise, and what deviations within tolerance make on these recordings.
+    floor: dict[str, Quantity]
     ceiling: dict[str, Quantity]  # with any model at all: what a flexible one leaves
 
 

@@ -15,13 +15,16 @@ from softarm.diagnosis.engine.problem import Setup
 from softarm.diagnosis.engine.result import Diagnosis
 from softarm.diagnosis.engine.search import Choice, Progress, Search, SelectedEffect
 from softarm.diagnosis.engine.shrink import chain_interval, interval, widened
+from softarm.diagnosis.engine.structure import Structure
 from softarm.diagnosis.engine.thresholds import ROBOT
 from softarm.diagnosis.engine.view import Array, Point
 from softarm.diagnosis.engine.whitened import BLOCK_S, Key, WhitenedResidual, blocks_of
 from softarm.diagnosis.robot import evidence, experiments
 from softarm.diagnosis.robot.candidates import candidates, nuisances
-from softarm.diagnosis.robot.chain import FLOOR_M, tip_gap
+from softarm.diagnosis.robot.chain import astray, tip_gap
 from softarm.diagnosis.robot.counts import Count, counts
+from softarm.diagnosis.robot.floors import chain_floor, drift, rms, stage_floors
+from softarm.diagnosis.robot.markers import loose_marker
 from softarm.diagnosis.robot.trial_grid import TrialGrid, on_grid
 from softarm.diagnosis.robot.views import robot_views
 from softarm.schemas.model import Model
@@ -63,7 +66,7 @@ class Robot:
         found = Examination(self.setup, known, kinds, ROBOT, lambda what, share: self.tell(what, 0.12 + 0.63 * share))
         search, choice, self.plain = found.search, found.choice, found.plain
         self.tell("what any model could explain", 0.75)
-        flexible, decision = found.flexible, found.decision
+        flexible, decision = found.flexible, self._decided(found)
         counted = counts(self.trials, self.model)
         named = [c for c in counted if c.named]
         patched = _patched(self.model, decision, choice, named) if decision.selected or named else None
@@ -89,6 +92,37 @@ class Robot:
             held_out=self.setup.unseen,
             margins=margins(decision.selected),
         )
+
+    def _decided(self, found: Examination) -> Decision:
+        """What it amounts to; `none` only where every stage and the chain are within what counts as none."""
+        signs: dict[str, Structure] = {}
+        if "rail" in self.stages:
+            view = self.views[self.stages.index("rail")]
+            drifts = drift(view, found.null_left["rail"], found.left["rail"], ROBOT.structure_share)
+            signs |= {"rail": drifts} if drifts else {}
+        if (loose := loose_marker(self.trials, self.grid.links)) is not None:
+            where = f"the markers of link {loose.link} move {1e3 * loose.rms_m:.1f} mm against it"
+            signs["mocap"] = Structure(loose.energy, where, 1, 1)
+        decision = found.decided(signs)
+        # Beside what fell, or was never found, only nuisances are taken away.
+        self.beside = found.choice.chosen if decision.selected else found.choice.null_model
+        self.floors = stage_floors(self.setup, self.plain, self.beside)
+        return decision if decision.kind != "none" else found.decided(signs | self._above())
+
+    def _above(self) -> dict[str, Structure]:
+        """Stages, and the chain by the stage in which it arises, that stand above what counts as none."""
+        found: dict[str, Structure] = {}
+        for view, gaps in zip(self.views, self.setup.gaps, strict=True):
+            ratio = rms(gaps.fetch([{}])[()]) / self.floors[view.stage]
+            if ratio > 1:
+                found[view.stage] = Structure(ratio**2, f"{ratio:.2g} times its floor", 1, 1)
+        tip = self._tips([{}])[0]
+        if not found and np.isfinite(tip).any():
+            ratio = np.sqrt(2) * rms(tip) / chain_floor(self.grid, self.model, self.setup, self.beside, tip)
+            if ratio > 1:
+                stage = astray(self.grid, self.model)
+                found[stage] = Structure(ratio**2, f"at the tip {ratio:.2g} times the chain's floor", 1, 1)
+        return found
 
     def _verdict(
         self,
@@ -220,7 +254,7 @@ class Robot:
             share = flexible.get(view.stage, (0.0, {}))[0]
             before[view.stage] = Quantity(value=_rms(found[()]), unit=view.unit)
             after[view.stage] = Quantity(value=_rms(patched), unit=view.unit)
-            floor[view.stage] = Quantity(value=float(np.sqrt(np.mean(view.floor**2))), unit=view.unit)
+            floor[view.stage] = Quantity(value=self.floors[view.stage], unit=view.unit)
             ceiling[view.stage] = Quantity(value=_rms(patched) * float(np.sqrt(1 - share)), unit=view.unit)
         for c in counted:
             if c.stage not in before and (c.named or c.stage in ("clock", "observation")):
@@ -233,7 +267,8 @@ class Robot:
         if np.isfinite(tips).any():
             both = np.sqrt(2) * _rms(tips[0]), np.sqrt(2) * _rms(self._held_out(tips[1:]))
             before["chain"], after["chain"] = (Quantity(value=x, unit="m") for x in both)
-            floor["chain"] = Quantity(value=FLOOR_M, unit="m")
+            of = chain_floor(self.grid, self.model, self.setup, self.beside, self._tips([self.beside.point])[0])
+            floor["chain"] = Quantity(value=of, unit="m")
         return Gap(before=before, after=after, floor=floor, ceiling=ceiling)
 
     def _together(self, choice: Choice, point: Point) -> dict[str, Interval]:

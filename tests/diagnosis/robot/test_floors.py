@@ -1,0 +1,85 @@
+"""What counts as none on these very recordings: floors, what tolerated deviations make of them, and no drift."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+import pytest
+
+from softarm.diagnosis.diagnose import diagnose
+from softarm.diagnosis.robot.chain import astray, tip_gap
+from softarm.diagnosis.robot.floors import DRIFT_FLOOR_M_S, drift, slow, with_joints
+from softarm.diagnosis.robot.trial_grid import on_grid
+from softarm.schemas.model import Model
+
+LENGTH, STEP_S = 900, 1 / 60
+
+
+@dataclass
+class _Rail:
+    """A view as far as drift looks at it: four trials of 15 s."""
+
+    trial: np.ndarray = field(default_factory=lambda: np.repeat(np.arange(4), LENGTH))
+
+    @property
+    def t_s(self):
+        return STEP_S * (np.arange(len(self.trial)) % LENGTH)
+
+
+VIEW = _Rail()
+NOISE = 0.02 * np.random.default_rng(1).normal(size=(len(VIEW.trial), 1))
+PULLED = np.where((VIEW.t_s > 5)[:, None], -0.010, 0.0)  # half its floor: 10 cm in the ten seconds that are left
+
+
+def test_noise_as_large_as_the_velocity_s_floor_does_not_drift():
+    assert slow(VIEW, NOISE) < DRIFT_FLOOR_M_S
+    assert drift(VIEW, NOISE, NOISE, 0.15) is None
+
+
+def test_a_pull_far_below_the_velocity_s_floor_drifts():
+    found = drift(VIEW, NOISE + PULLED, NOISE + PULLED, 0.15)
+    assert found is not None
+    assert found.energy == pytest.approx(0.010**2 * 2 / 3 / DRIFT_FLOOR_M_S**2, rel=0.2)
+    assert found.where.endswith("it drifts")
+
+
+def test_what_an_effect_leaves_of_a_large_drift_is_no_other_cause():
+    assert drift(VIEW, 10 * PULLED, PULLED, 0.15) is None
+    assert drift(VIEW, 2 * PULLED, PULLED, 0.15) is not None
+
+
+def test_what_was_not_measured_does_not_drift():
+    gone = np.where((VIEW.trial < 3)[:, None], np.nan, NOISE + PULLED)
+    assert slow(VIEW, gone) == pytest.approx(0.0082, rel=0.15)
+    assert slow(VIEW, np.full_like(NOISE, np.nan)) == 0.0
+
+
+def test_joints_are_off_by_shares_of_their_own_and_torques_by_shares_of_the_largest():
+    model = Model()
+    moved = with_joints(model, {"arm.stiffness_nm_rad[2]": 0.04, "arm.torque_offset_nm[1]": 0.1, "rail.lag.time": 1.0})
+    before, after = model.arm, moved.arm
+    assert after.stiffness_nm_rad[1] == pytest.approx(1.04 * before.stiffness_nm_rad[1])
+    assert after.torque_offset_nm[0] == pytest.approx(before.torque_offset_nm[0] + 0.1 * max(before.torque_offset_nm))
+    assert after.damping_nm_s_rad == before.damping_nm_s_rad
+    assert with_joints(model, {}) == model
+
+
+def test_a_cart_that_is_astray_is_the_rail_s_and_an_arm_the_arm_s(campaign):
+    """A command that the model takes for another moves the cart, a heavier tip what hangs from it."""
+    slower = Model(effects=Model().effects | {"rail.gain": {"scale": 0.1}})
+    assert astray(on_grid(campaign(), slower), slower) == "rail"
+    loaded = Model(effects=Model().effects | {"arm.payload": {"mass": 0.06}})
+    assert astray(on_grid(campaign(), loaded), loaded) == "arm"
+    assert np.isfinite(tip_gap(on_grid(campaign(), loaded), loaded, [{}])).any()
+
+
+@pytest.mark.slow
+def test_none_is_said_only_where_every_gap_is_within_what_is_called_a_floor(campaign):
+    """Single joints within tolerance add up at the tip: the floor that is shown holds them, and `none` agrees."""
+    arm = Model().arm
+    off = [s * (1 + x) for s, x in zip(arm.stiffness_nm_rad, (0.04, -0.03, 0.04, -0.04, 0.03), strict=True)]
+    verdict = diagnose(campaign(arm=arm.model_copy(update={"stiffness_nm_rad": tuple(off)})), Model()).verdict
+    plain = diagnose(campaign(), Model()).verdict
+    assert verdict.verdict == plain.verdict == "none"
+    for gap in (verdict.gap, plain.gap):
+        assert all(gap.before[stage].value <= gap.floor[stage].value for stage in gap.before), gap
+    assert verdict.gap.floor["arm"].value > plain.gap.floor["arm"].value
