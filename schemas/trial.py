@@ -94,7 +94,7 @@ class Mechanism(Strict):
 class StageFile(Mechanism):
     """stage.yaml of one mechanism."""
 
-    name: Annotated[str, Field(min_length=1)]
+    name: Annotated[str, Field(min_length=1)] | None = None  # default: the file's, of a `stage.yaml` its folder's
     table: TableForm = TableForm()
     trials: Annotated[tuple[TableTrial, ...], Field(min_length=1)]
 

@@ -65,9 +65,16 @@ def load(path: Path) -> tuple[Stage, ...]:
                 for name, each in whole.mechanisms.items()
             )
         one = fit(document, StageFile, more)
-        return (Stage(one.name, one, one.table, one.trials, False),)
+        return (Stage(one.name or _called(path), one, one.table, one.trials, False),)
     except FileError as error:
         raise TrialError(str(error)) from None
+
+
+def _called(path: Path) -> str:
+    """What a mechanism is called that has no name: as its file, or as the folder of a `stage.yaml`."""
+    own = path.resolve()
+    text = own.parent.name if own.stem == "stage" else own.stem
+    return re.sub(r"\W+", "_", text).strip("_") or "stage"
 
 
 def _is_of_several(data: Any) -> bool:

@@ -191,6 +191,18 @@ def test_a_mistake_in_one_of_several_is_told_by_its_line(tmp_path, old, new, say
         read(tmp_path, "t,u,y\n" + rows(T, COMMAND, MEASURED), SEVERAL.replace(old, new, 1))
 
 
+@pytest.mark.parametrize(
+    ("file", "called"), [("bench 2/stage.yaml", "bench_2"), ("gripper.yaml", "gripper"), ("-/stage.yaml", "stage")]
+)
+def test_a_mechanism_without_a_name_is_called_as_its_file_or_the_file_s_folder(tmp_path, file, called):
+    place = tmp_path / file
+    place.parent.mkdir(exist_ok=True)
+    place.write_text(STAGE.replace("name: servo\n", ""))
+    (place.parent / "data.csv").write_text("t,u,y\n" + rows(T, COMMAND, MEASURED))
+    (trial,) = tables.read(place)
+    assert trial.stage.name == called
+
+
 @pytest.mark.parametrize(("name", "kind"), [("steps-01", "steps"), ("chirp7", "chirp"), ("run.3", "run"), ("12", "12")])
 def test_the_kind_is_the_name_less_its_number(name, kind):
     assert kind_of(name) == kind
