@@ -11,7 +11,6 @@ from softarm.diagnosis.rigs.scales import Span
 from softarm.schemas.trial import StageKind
 from softarm.simulator.effect_table import shape, strength
 from softarm.simulator.effects import REGISTRY, Effect, Parameter
-from softarm.simulator.kernel.joints import REACH_RAD
 
 __all__ = ["Effect", "Parameter", "effects"]
 
@@ -22,7 +21,6 @@ class _Use:
 
     origin: str  # empty: beyond the registry, see _SECOND_ORDER
     names: Mapping[str, str]  # registry parameter -> here
-    neutral: Mapping[str, float] = field(default_factory=dict)  # where the rig's differs
     meaning: str = ""  # where the rig's law differs
     downwards: Mapping[str, str] = field(default_factory=dict)  # registry parameter -> a second one, for the other way
 
@@ -69,20 +67,7 @@ _TRACKING: dict[str, _Use] = {
     "sensor_bias": _Use("pressure.sensor_bias", {"bias": "bias"}, meaning="the sensor reads high"),
     "latency": _Use("mocap.latency", {"delay": "delay"}, meaning="readings are older than their stamps say"),
 }
-_PENDULUM: dict[str, _Use] = {
-    "stiffness": _Use("arm.stiffness", {"scale": "scale"}, meaning="mis-fit moment of the weight: m g a x (1 + scale)"),
-    # The model has viscous friction; a joint may have none. So the neutral value is none, and nominal is 0.
-    "damping": _Use("arm.damping", {"scale": "scale"}, {"scale": -1.0}),
-    "coulomb_friction": _Use("arm.coulomb_friction", {"torque": "torque"}),
-    "stiffening": _Use(
-        "arm.stiffening", {"cubic": "cubic"}, meaning="the moment grows with the angle: x (1 + cubic angle^2)"
-    ),
-    "drag": _Use("arm.drag", {"coefficient": "coefficient"}),
-    "sensor_bias": _Use(
-        "pressure.sensor_bias", {"bias": "bias"}, meaning="the encoder's zero is off, or the base leans"
-    ),
-}
-_KINDS: dict[str, dict[str, _Use]] = {"tracking": _TRACKING, "pendulum": _PENDULUM}
+_KINDS: dict[str, dict[str, _Use]] = {"tracking": _TRACKING}
 
 # Beyond the registry: the robot's regulator and rail are first-order, other people's loops ring.
 _SECOND_ORDER = Effect(
@@ -96,14 +81,8 @@ _SECOND_ORDER = Effect(
     "it follows as a second-order system: a mass on a spring, a loop with an integrator",
     "standard second-order system, w^2 / (s^2 + 2 z w s + w^2); Franklin, Powell and Emami-Naeini, Feedback Control",
 )
-# Beyond the registry: how far a joint turns before its dry friction is whole. The simulator's kernel has it fixed.
-_GIVE = shape("give", "rad", REACH_RAD, REACH_RAD, 0.05, 5e-3, "turn after which the friction has its full value")
-# An angle's zero, for which no range of a recording is a scale.
-_PENDULUM_SPANS = {"sensor_bias.bias": Span(-0.2, 0.2, 0.005)}
 # Registry's unit -> how often what is measured is divided by seconds.
 _TIMES = {"kPa": 0, "m": 0, "kPa/s": 1, "m/s^2": 2}
-# Of a pendulum's weight's moment: what dry friction must take to be noticed.
-_NOTICED_SHARE = 0.003
 
 # Pairs easily taken for each other on a rig, and what tells them apart; beside what the registry says.
 _RIVALS: tuple[tuple[str, str, str], ...] = (
@@ -137,39 +116,29 @@ _RIVALS: tuple[tuple[str, str, str], ...] = (
     ("ceiling", "deadband", "an amplitude sweep: a ceiling leaves low commands alone"),
     ("rate_limit", "lag", "steps of several sizes: the time grows with the step only for a limit"),
     ("acceleration_limit", "lag", "sines of two sizes: only a limit answers the larger one less"),
-    ("coulomb_friction", "drag", "an amplitude sweep: dry friction rules small swings, drag large ones"),
 )
 
 
-def effects(
-    kind: StageKind, stage: str, unit: str, moment_nm: float = 0.0, spans: Mapping[str, Span] | None = None
-) -> tuple[Effect, ...]:
+def effects(kind: StageKind, stage: str, unit: str, spans: Mapping[str, Span] | None = None) -> tuple[Effect, ...]:
     """Every effect that a stage of this kind can have.
 
-    unit: of what is measured; moment_nm: of a pendulum's weight, which says what friction would be noticed; spans:
-    'effect.parameter' -> bounds on this rig. A follower's come from its recording (`scales.tracking_spans`), and an
-    effect that has no span there cannot be told from it.
+    unit: of what is measured; spans: 'effect.parameter' -> bounds on this rig, from its recording
+    (`scales.tracking_spans`): an effect that has no span there cannot be told from it.
     """
     uses = _KINDS[kind]
-    if kind == "pendulum":
-        spans = _PENDULUM_SPANS | dict(spans or {})
-    elif kind == "tracking" and spans is not None:
+    if spans is not None:
         uses = {name: use for name, use in uses.items() if any(key.startswith(f"{name}.") for key in spans)}
-    return tuple(_effect(stage, name, uses, unit, moment_nm, spans or {}) for name in uses)
+    return tuple(_effect(stage, name, uses, unit, spans or {}) for name in uses)
 
 
-def _effect(
-    stage: str, name: str, uses: Mapping[str, _Use], unit: str, moment_nm: float, spans: Mapping[str, Span]
-) -> Effect:
+def _effect(stage: str, name: str, uses: Mapping[str, _Use], unit: str, spans: Mapping[str, Span]) -> Effect:
     use = uses[name]
     registered = REGISTRY[use.origin] if use.origin else _SECOND_ORDER
     known = {p.name: p for p in registered.parameters}
     parameters = [
-        _parameter(known[there], here, use, unit, moment_nm, spans.get(f"{name}.{here}"))
+        _parameter(known[there], here, unit, spans.get(f"{name}.{here}"))
         for there, here in (*use.names.items(), *use.downwards.items())
     ]
-    if "torque" in use.names:
-        parameters.append(_GIVE)
     differences = dict(text.split(": ", 1) for text in registered.separated_by.split("; ") if ": " in text)
     apart = {other: differences[u.origin] for other, u in uses.items() if u.origin in differences and other != name}
     for one, other, how in _RIVALS:
@@ -185,13 +154,9 @@ def _effect(
     )
 
 
-def _parameter(p: Parameter, name: str, use: _Use, unit: str, moment_nm: float, span: Span | None) -> Parameter:
+def _parameter(p: Parameter, name: str, unit: str, span: Span | None) -> Parameter:
     """The registry's parameter on this rig: its name, its unit, its bounds."""
-    neutral = use.neutral.get(p.name, p.neutral)
-    found = replace(p, name=name, neutral=neutral, low=min(p.low, neutral) if math.isfinite(neutral) else p.low)
-    if name == "torque" and moment_nm > 0:
-        return replace(found, exemplar=_NOTICED_SHARE * moment_nm)
-    found = replace(found, unit=_unit(p.unit, unit))
+    found = replace(p, name=name, unit=_unit(p.unit, unit))
     if span is None:
         return found
     own = p.default if p.default is None else span.usual
