@@ -206,6 +206,15 @@ def test_fast_sources_are_averaged_and_gaps_stay_empty():
     assert smallest_step([np.sin(np.arange(5000.0))]) == 0.0
 
 
+def test_stamps_that_jitter_about_the_edge_of_a_bin_do_not_shake_its_mean():
+    draw = np.random.default_rng(3)
+    t = 0.005 * (np.arange(2000) + 0.02 * draw.normal(size=2000))
+    t = t[draw.random(2000) > 0.01]  # and some are lost
+    found = grid(Series(t, {"angle1": np.sin(7 * t)}), 100.0)
+    assert found.step_s == pytest.approx(0.01, rel=1e-2)
+    np.testing.assert_allclose(found.columns["angle1"][1:-1], np.sin(7 * found.t_s[1:-1]), atol=1e-3)
+
+
 def test_windows_share_nothing_and_lose_nothing():
     t, angle = swing({}, 0.3, 12.0)
     trial = pendulum(angle[:, 0], t)
