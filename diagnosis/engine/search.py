@@ -84,7 +84,9 @@ class Search:
         null_model = self.null_model()
         if max(self._first.values(), default=0.0) <= self.thresholds.quiet:
             return Choice(null_model, (), null_model, (), None, (self._first, self._first))
-        chosen = self.backward(null_model, tell) if self.thresholds.backward else self.forward(null_model, tell)
+        chosen = self.backward(null_model, tell) if self.thresholds.backward else null_model
+        if not chosen.effects:  # all at once may end in a well of their own, where one alone does not
+            chosen = self.forward(null_model, tell)
         if self.thresholds.backward:
             self._settled = dict(zip(chosen.names, chosen.u, strict=True))
             chosen = self.first_of_equals(chosen, null_model)
