@@ -71,6 +71,20 @@ class Chain:
         moment, inertia = self.moment + mass_kg * self.length, self.inertia + mass_kg * self.length**2
         return replace(self, moment=moment, inertia=inertia)
 
+    def reweighed(self, masses: Array, inertias: Array) -> "Chain":
+        """With links that are heavier, and turn more heavily about their centres of mass, by these shares [n]."""
+        more = masses * self.mass
+        beyond = np.concatenate((np.cumsum(more[::-1])[::-1][1:], [0.0]))
+        arms = self.mass * self.centre**2
+        own = self.own + masses * arms + inertias * (self.own - arms)
+        return replace(
+            self,
+            moment=self.moment + more * self.centre + self.length * beyond,
+            inertia=self.inertia + own - self.own + self.length**2 * beyond,
+            own=own,
+            mass=self.mass + more,
+        )
+
     def rows(self) -> Array:
         """[10 n + 4] of `laws.chain`, without what no model has: a give is 1."""
         rows = np.zeros((law.EACH, self.n))

@@ -48,7 +48,7 @@ class Shooting:
     ) -> None:
         """seen: by window [T, n] as measured, NaN where nothing was; push: [W, K] of the base, m/s^2 at every step.
 
-        start: [W, 2 n] a guess of absolute angles and rates; sigma: [2 n] how well it is known; moving: [W, n] signs
+        start: [W, 2 n] a guess of absolute angles and rates; sigma: [W, 2 n] how well it is known; moving: [W, n] signs
         of the joints' rates; each: steps a sample; weight: of the prior, against residuals of weight one: floor^2.
         """
         self._chain, self._push, self._h, self._each = chain, push, step_s / each, each
@@ -72,13 +72,14 @@ class Shooting:
     def _residuals(self, laws: Sequence[Law], torque: Array) -> Array:
         points, (windows, size) = len(laws), self._start.shape
         left, slopes = self._differences(laws, torque)
-        normal = slopes @ slopes.swapaxes(-1, -2) + np.diag(self._prior)
+        prior, sigma = self._prior[:, None], self._sigma[:, None]
+        normal = slopes @ slopes.swapaxes(-1, -2) + prior[..., None] * np.eye(size)
         inverse = np.linalg.inv(normal)
         moved = np.zeros((windows, points, size))
         for k in range(ROUNDS):
-            change = (inverse @ ((slopes @ left[..., None])[..., 0] - self._prior * moved)[..., None])[..., 0]
+            change = (inverse @ ((slopes @ left[..., None])[..., 0] - prior * moved)[..., None])[..., 0]
             if k < ROUNDS - 1:
-                moved = moved + np.clip(change, -FURTHEST * self._sigma, FURTHEST * self._sigma)
+                moved = moved + np.clip(change, -FURTHEST * sigma, FURTHEST * sigma)
                 left = self._left(laws, torque, self._start[:, None] + moved)
         found = left - (change[..., None, :] @ slopes)[..., 0, :]
         return found.swapaxes(0, 1).reshape(points, *self._seen.shape)
@@ -86,11 +87,12 @@ class Shooting:
     def _differences(self, laws: Sequence[Law], torque: Array) -> tuple[Array, Array]:
         """What is left from the guessed starts [W, P, T n], and how the swings change with each [W, P, 2 n, T n]."""
         points, (windows, size) = len(laws), self._start.shape
-        nudges = np.concatenate((np.zeros((1, size)), NUDGE * np.diag(self._sigma)))
+        away = NUDGE * self._sigma[:, :, None] * np.eye(size)
+        nudges = np.concatenate((np.zeros((windows, 1, size)), away), axis=1)
         starts = np.tile(self._start[:, None] + nudges, (1, points, 1))
-        found = self._left([each for each in laws for _ in nudges], torque, starts)
+        found = self._left([each for each in laws for _ in range(1 + size)], torque, starts)
         found = found.reshape(windows, points, 1 + size, -1)
-        return found[:, :, 0], (found[:, :, :1] - found[:, :, 1:]) / (NUDGE * self._sigma[:, None])
+        return found[:, :, 0], (found[:, :, :1] - found[:, :, 1:]) / (NUDGE * self._sigma[:, None, :, None])
 
     def _left(self, laws: Sequence[Law], torque: Array, start: Array) -> Array:
         """[W, L, T n] measured minus swung from these starts [W, L, 2 n]; zero where nothing was measured."""

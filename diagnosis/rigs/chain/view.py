@@ -9,7 +9,7 @@ from scipy.signal import savgol_filter
 
 from softarm.diagnosis.data.trials import Series, TableStage, Trial, TrialError
 from softarm.diagnosis.engine.view import Array, Point
-from softarm.diagnosis.rigs.chain.effects import Scales, effects, of_joints, tolerances
+from softarm.diagnosis.rigs.chain.effects import INERTIA_SHARE, MASS_SHARE, Scales, effects, of_joints, tolerances
 from softarm.diagnosis.rigs.chain.model import Chain, absolute, chain_of, joints, measured, periods_seen
 from softarm.diagnosis.rigs.chain.shooting import Law, Shooting
 from softarm.diagnosis.rigs.grid import Grid, grid, smallest_step, windows
@@ -23,6 +23,7 @@ RATE_LEAST_HZ, RATE_MOST_HZ = 10.0, 200.0
 WINDOW_PERIODS_FREE, WINDOW_PERIODS = 4.0, 1.0  # of one link that nothing drives; of any other chain
 MARGIN_PERIODS = 0.5  # of torque and base beyond a window
 GUESS_PERIODS = 0.2  # what a start is first guessed from
+GUESS_SAMPLES, GUESS_FLOORS = 5, 2.0  # no fewer, and what a cubic may leave of them
 STILL_SHARE = 0.04  # of a joint's usual rate
 ANGLE_SHARE, RATE_SHARE = 0.1, 0.15  # of the usual: how well a start is known before it is fitted
 RESOLVED = 1.0  # a held joint's spring turns by this much in a step at the most, rad
@@ -39,6 +40,7 @@ class ChainView(RigView):
         self._chain = chain = chain_of(stage)
         names = tuple(f"angle{i}" for i in range(1, chain.n + 1))
         fastest, _ = _periods(chain, trials)
+        self._fastest_s = fastest
         rate_hz = min(max(SAMPLES_PER_PERIOD / fastest, RATE_LEAST_HZ), RATE_MOST_HZ)
         grids = [grid(t.channel("measured"), rate_hz) for t in trials]
         shown = [measured(chain, np.stack([g.columns[name] for name in names], axis=1)) for g in grids]
@@ -99,6 +101,26 @@ class ChainView(RigView):
         """See RigView."""
         return self._known[path]
 
+    @property
+    def own_nuisances(self) -> Mapping[str, float]:
+        """See View: of several links each is weighed for itself."""
+        if self._chain.n == 1:
+            return {}
+        shares = {"mass": MASS_SHARE, "inertia": INERTIA_SHARE}
+        return {f"{self.stage}.{of}{i + 1}": share for of, share in shares.items() for i in range(self._chain.n)}
+
+    def own_directions(self) -> NDArray[np.float32]:
+        """See View."""
+        if self._chain.n == 1:
+            return super().own_directions()
+        each = np.eye(self._chain.n)
+        chains = [self._chain, *(self._chain.reweighed(MASS_SHARE * one, 0 * one) for one in each)]
+        chains += [self._chain.reweighed(0 * one, INERTIA_SHARE * one) for one in each]
+        left = self._shooting.residuals([self._law({}, chain) for chain in chains], self._torques(0.0))
+        found = left[:, self._shooting.kept].astype(np.float32)
+        found[:, ~np.isfinite(self.measured)] = np.nan
+        return np.asarray(found[1:] - found[0])
+
     def gap(self, points: Sequence[Point]) -> NDArray[np.float32]:
         """See View."""
         found = np.empty((len(points), *self.measured.shape), np.float32)
@@ -118,8 +140,8 @@ class ChainView(RigView):
         """[n] of a parameter that each joint has."""
         return np.array([self._value(point, name) for name in of_joints(path, self._chain.n)])
 
-    def _law(self, point: Point) -> Law:
-        base, n = self._chain, self._chain.n
+    def _law(self, point: Point, base: Chain | None = None) -> Law:
+        base, n = base or self._chain, self._chain.n
         chain = base.loaded(self._value(point, "payload.mass"))
         rows = chain.rows()
         table, rest = rows[: law.EACH * n].reshape(law.EACH, n), rows[law.EACH * n :]
@@ -183,41 +205,55 @@ class ChainView(RigView):
     def _begin(self, shown: Sequence[Array]) -> Shooting:
         chain, floor = self._chain, float(self.floor.mean())
         push = np.stack([_filled(each, self._steps) for each in self._pushes])
-        guess = np.stack([self._guess(k, seen) for k, seen in enumerate(shown)])
+        guess, misfit = (np.stack(each) for each in zip(*map(self._guess, range(len(shown)), shown), strict=True))
         rates = joints(guess[:, chain.n :])
         moving = np.where(np.abs(rates) > STILL_SHARE * self.scales.rate_rad_s, np.sign(rates), 0.0)
-        angle = np.cumsum(ANGLE_SHARE * self.scales.swing_rad + 3 * floor)
-        rate = np.cumsum(RATE_SHARE * self.scales.rate_rad_s + 3 * floor / (GUESS_PERIODS * self.scales.period_s))
-        sigma = np.concatenate((angle, rate))
+        off = 3 * (floor + misfit)
+        angle = np.cumsum(ANGLE_SHARE * self.scales.swing_rad + off, axis=1)
+        rate = np.cumsum(RATE_SHARE * self.scales.rate_rad_s + off / (GUESS_PERIODS * self.scales.period_s), axis=1)
+        sigma = np.concatenate((angle, rate), axis=1)
         step_s, each = self._step_s, self._each
         return Shooting(chain, shown, push, guess, sigma, moving, step_s=step_s, each=each, weight=floor**2)
 
-    def _guess(self, k: int, seen: Array) -> Array:
-        """[2 n] absolute angles and rates at a window's start, from its first samples; measured rates count too."""
+    def _guess(self, k: int, seen: Array) -> tuple[Array, Array]:
+        """[2 n] absolute angles and rates at a window's start, from its first samples; measured rates count too.
+
+        A motor may shake a link faster than its weight swings it: fewer samples, as long as a cubic leaves much of
+        them. And [n] what it leaves, RMS.
+        """
         g, chain = self._grids[k], self._chain
-        first = min(len(seen), max(8, round(GUESS_PERIODS * _periods(chain, self._trials)[0] / self._step_s)))
-        late = (g.t_s[:first] - g.t_s[0]) / self._step_s / first
-        powers = late[:, None] ** np.arange(4)
-        slopes = np.arange(4) * late[:, None] ** np.maximum(np.arange(4) - 1, 0)
-        scale = self._step_s * first
         names = [f"rate{i + 1}" for i in range(chain.n)]
         rates = None
         if all(name in g.columns for name in names):
             rates = measured(chain, np.stack([g.columns[name] for name in names], axis=1))
+        first = min(len(seen), max(8, round(GUESS_PERIODS * self._fastest_s / self._step_s)))
         parts = []
         for i in range(chain.n):
-            rows, goals = [powers], [seen[:first, i]]
-            if rates is not None:
-                rows.append(slopes)
-                goals.append(rates[:first, i] * scale)
-            basis, goal = np.concatenate(rows), np.concatenate(goals)
-            good = np.isfinite(goal)
-            if good.sum() < 4:
-                parts.append(np.zeros(2))
-                continue
-            fit, *_ = np.linalg.lstsq(basis[good], goal[good], rcond=None)
-            parts.append(np.array((fit[0], fit[1] / scale)))
-        return absolute(chain, np.stack(parts, axis=1)).ravel()
+            size, speeds = first, None if rates is None else rates[:, i]
+            part = _cubic(seen[:, i], speeds, size, self._step_s)
+            while part[2] > GUESS_FLOORS * self.floor[i] and size > GUESS_SAMPLES:
+                size = max(GUESS_SAMPLES, size // 2)
+                part = _cubic(seen[:, i], speeds, size, self._step_s)
+            parts.append(part)
+        found = np.array(parts)
+        return absolute(chain, found[:, :2].T).ravel(), found[:, 2]
+
+
+def _cubic(seen: Array, rates: Array | None, size: int, step_s: float) -> tuple[float, float, float]:
+    """Value and rate at the start of a cubic through the first samples, and the RMS of what it leaves of them."""
+    late = np.arange(size) / size
+    powers = late[:, None] ** np.arange(4)
+    rows, goals = [powers], [seen[:size]]
+    if rates is not None:
+        rows.append(np.arange(4) * late[:, None] ** np.maximum(np.arange(4) - 1, 0))
+        goals.append(rates[:size] * step_s * size)
+    basis, goal = np.concatenate(rows), np.concatenate(goals)
+    good = np.isfinite(goal)
+    if good.sum() < 4:
+        return 0.0, 0.0, 0.0
+    fit, *_ = np.linalg.lstsq(basis[good], goal[good], rcond=None)
+    left = np.nan_to_num(seen[:size] - powers @ fit)
+    return float(fit[0]), float(fit[1]) / (step_s * size), float(np.sqrt(np.mean(left**2)))
 
 
 def _stage(trials: Sequence[Trial]) -> TableStage:
