@@ -5,8 +5,27 @@ import os
 import resource
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager
+from pathlib import Path
 
 import pytest
+
+REAL_DATA = Path(os.environ.get("SOFTARM_DATA") or Path(__file__).parents[2] / "shared" / "data")
+
+
+def pytest_report_header() -> str:
+    """Whether real recordings are diagnosed in this run stands at its head, not only among what was skipped."""
+    found = "diagnosed from" if REAL_DATA.is_dir() else "NOT DIAGNOSED, there is no"
+    return f"real recordings: {found} {REAL_DATA}"
+
+
+@pytest.fixture(scope="session")
+def data() -> Path:
+    """The folder of real data: what SOFTARM_DATA names, else ../shared/data beside the checkout."""
+    if REAL_DATA.is_dir():
+        return REAL_DATA
+    if "SOFTARM_DATA" in os.environ:  # asked for: no reason to go on without
+        pytest.fail(f"SOFTARM_DATA names {REAL_DATA}, which is no folder; correct it, or leave it out")
+    pytest.skip(f"{REAL_DATA} holds no real data (SOFTARM_DATA may name another folder): none is loaded or diagnosed")
 
 
 @contextlib.contextmanager

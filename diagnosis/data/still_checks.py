@@ -1,7 +1,7 @@
 """Columns of a rig that never change: a dead sensor, a trial in which nothing happens, or one too small to move it."""
 
-from collections.abc import Callable, Iterator, Sequence
-from typing import Literal, NamedTuple
+from collections.abc import Iterator, Sequence
+from typing import Literal, NamedTuple, Protocol
 
 import numpy as np
 
@@ -12,7 +12,15 @@ DRIVES = ("command", "force")  # what makes a rig move, where something does
 SMALL = 0.5  # of the largest drive that moved it: what stands still at less may be held by friction
 JITTER = 0.05  # of the largest motion: less is a sensor's noise
 
-Where = Callable[[str, str], str]  # channel, column -> file and column
+
+class Where(Protocol):
+    """Where a trial's columns come from."""
+
+    def __call__(self, channel: str, column: str) -> str:
+        """File and column."""
+
+    def reading(self, channel: str, column: str, value: float) -> str:
+        """A number of the trial's, as it stands in the owner's column."""
 
 
 class Stillness(NamedTuple):
@@ -36,7 +44,7 @@ def stillness(trials: Sequence[Trial], places: Sequence[Where]) -> Iterator[Stil
         for name in (name for name, spread in moved[k].items() if not spread):
             pushes = [d[1] for each, d in zip(moved, driven, strict=True) if d is not None and each.get(name)]
             small = drive is not None and pushes and drive[1] < SMALL * max(pushes)
-            value = f"{name} is {trial.channels['measured'][name][0]:.4g} in every row"
+            value = f"{name} is {at.reading('measured', name, trial.channels['measured'][name][0])} in every row"
             if small and drive is not None:
                 yield Stillness(k, "odd", f"{at('measured', name)}: {value}, under a small {drive[0]}; correct it if "
                                           "the sensor was off")  # fmt: skip
@@ -45,15 +53,17 @@ def stillness(trials: Sequence[Trial], places: Sequence[Where]) -> Iterator[Stil
                                             "another, or leave this trial out")  # fmt: skip
         if drive is not None and not drive[1] and any(s > JITTER * largest[n] for n, s in moved[k].items()):
             column = next(iter(trial.channels[drive[0]].columns))
+            value = at.reading(drive[0], column, trial.channels[drive[0]][column][0])
             yield Stillness(
                 k,
                 "odd",
-                f"{at(drive[0], column)}: the {drive[0]} is {trial.channels[drive[0]][column][0]:.4g} in every row "
+                f"{at(drive[0], column)}: the {drive[0]} is {value} in every row "
                 "while what is measured moves; is it the right column? leave the trial out, if it is not",
             )
         for name, values in trial.channels["measured"].columns.items():
             if name not in moved[k] and not _spread(values):
-                text = f"{at('measured', name)}: {name} is {values[0]:.4g} in every row; leave the column out"
+                value = at.reading("measured", name, values[0])
+                text = f"{at('measured', name)}: {name} is {value} in every row; leave the column out"
                 yield Stillness(k, "odd", text)
 
 

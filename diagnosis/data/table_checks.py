@@ -90,9 +90,10 @@ def ranges(series: Series, kind: StageKind, channel: TableChannel, where: str) -
         worth, unit = factor(column.unit)
         top = float(np.max(np.abs(series[name] - column.add), initial=0.0))
         if unit in limits and top > limits[unit][0] and worth <= 1.0:  # bar and rev are written by who means them
+            house = f", {top:.4g} {unit}" if column.unit != unit else ""
             yield (
-                f"{where}: {name} goes up to {top:.4g} {unit} (from {column.source}, said to be in {column.unit}); "
-                f"is it in {limits[unit][1]}? correct `unit` in the stage.yaml"
+                f"{where}: {name} goes up to {top / worth:.4g} {column.unit}{house} (from {column.source}); is it in "
+                f"{limits[unit][1]}? correct `unit` in the stage.yaml"
             )
 
 
@@ -124,6 +125,12 @@ class Columns:
         """File and column; None: of the stamps."""
         named = self.of(channel, column)
         return f"{self.files[channel]}: column {named.source}"
+
+    def reading(self, channel: str, column: str, value: float) -> str:
+        """A number of the trial's in the owner's unit, as it stood there before anything was added."""
+        about = self.of(channel, column)
+        said = f"{(value - about.add) / factor(about.unit)[0]:.4g}"
+        return said if about.unit in ("1", PURE) else f"{said} {about.unit}"
 
     def of(self, channel: str, column: str | None) -> Column:
         """As the stage.yaml has it; None: the stamps."""

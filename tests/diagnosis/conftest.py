@@ -1,7 +1,6 @@
 """A simulated test bench: the robot under an excitation, as noisy sensors see it."""
 
 import csv
-import os
 from collections.abc import Callable
 from functools import cache
 from pathlib import Path
@@ -149,12 +148,3 @@ def record() -> Callable[..., Trial]:
 def write() -> Callable[[Trial, Path], Path]:
     """Write a trial as a trial folder."""
     return _write
-
-
-@pytest.fixture(scope="session")
-def data() -> Path:
-    """The folder of real data: what SOFTARM_DATA names, else ../shared/data beside the checkout."""
-    folder = Path(os.environ.get("SOFTARM_DATA") or Path(__file__).parents[3] / "shared" / "data")
-    if not folder.is_dir():
-        pytest.skip(f"{folder} holds no real data (SOFTARM_DATA may name another folder): none is loaded or diagnosed")
-    return folder

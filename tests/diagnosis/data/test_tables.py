@@ -69,7 +69,7 @@ def test_degrees_that_are_called_radians_are_noticed(tmp_path):
         tables.read(stage)
     stage.write_text(stage.read_text().replace("lag_s: 0.05", "gain: 57"))
     (trial,) = tables.read(stage)
-    assert "position goes up to 44.16 rad (from y, said to be in rad); is it in degrees?" in trial.warnings[0]
+    assert "position goes up to 44.16 rad (from y); is it in degrees?" in trial.warnings[0]
 
 
 @pytest.mark.parametrize(

@@ -213,7 +213,7 @@ WRONG = {
     ),
     "a dead sensor": (
         lambda rig: rig.seen["p"].fill(101.3),
-        r"seen.csv: column p: pressure is 101.3 in every row; a dead sensor or the wrong column: name another",
+        r"seen.csv: column p: pressure is 101.3 kPa in every row; a dead sensor or the wrong column: name another",
     ),
     "a trial that moves nothing": (
         lambda rig: (rig.seen["p"].fill(1.0), rig.sent["u"].fill(0.0)),
@@ -399,14 +399,14 @@ ODD = {
     ),
     "a command that never changes": (
         lambda rig: rig.sent["u"].fill(50.0),
-        r"sent.csv: column u: the command is 50 in every row while what is measured moves; is it the right column\?",
+        r"sent.csv: column u: the command is 50 kPa in every row while what is measured moves; is it the right",
     ),
     "a velocity that is not there": (
         lambda rig: (
             rig.seen.update(v=np.zeros(400)),
             rig.says("kPa}}}\nmodel", "kPa}, effort: {source: v, unit: A}}}\nmodel"),
         ),
-        r"seen.csv: column v: effort is 0 in every row; leave the column out",
+        r"seen.csv: column v: effort is 0 A in every row; leave the column out",
     ),
     "rows that are counted, or milliseconds": (
         lambda rig: (rig.seen["t"].__imul__(100), rig.sent["t"].__imul__(100)),
@@ -466,13 +466,19 @@ def test_a_trial_in_which_nothing_moves_is_left_out_beside_others(rig):
 def test_what_a_small_command_does_not_move_may_be_friction_and_what_a_large_one_does_not_is_dead(rig):
     two, one = tables.read(two_trials(rig, 50 + 5 * np.sin(T), np.full(400, 50.2)))
     assert (two.name, one.warnings) == ("two", ())
-    assert re.search(r"seen2.csv: column p: pressure is 50.2 in every row, under a small command", two.warnings[0])
+    assert re.search(r"seen2.csv: column p: pressure is 50.2 kPa in every row, under a small command", two.warnings[0])
     (rig.folder / "sent2.csv").write_text("\n".join(rig.lines({"t": T, "u": 50 + 25 * np.sin(T)})))
     assert re.search(
-        r"seen2.csv: column p: pressure is 50.2 in every row; a dead sensor", refusal(rig.folder / "stage.yaml")
+        r"seen2.csv: column p: pressure is 50.2 kPa in every row; a dead sensor", refusal(rig.folder / "stage.yaml")
     )
 
 
 def test_a_held_trial_of_one_that_moves_elsewhere_is_no_wrong_column(rig):
     two, _ = tables.read(two_trials(rig, np.full(400, 50.0), 50 + 0.05 * np.sin(97 * T)))
     assert two.warnings == ()
+
+
+def test_a_dead_column_is_told_in_its_owners_unit_and_before_what_is_added(rig):
+    rig.says("source: p, unit: kPa}", "source: p, unit: mbar, add: -101.3}")
+    rig.seen["p"] = np.full_like(T, 1013.0)
+    assert "pressure is 1013 mbar in every row" in refusal(rig.write())
