@@ -77,7 +77,7 @@ def diagnose(
             models.save(result.patched, patch_file)
             written.append(patch_file)
         if limits_file is not None:
-            write_limits(inputs, limits_file)
+            write_limits(inputs, limits_file, result.verdict)
             written.append(limits_file)
     except TrialError as error:
         fail(str(error))

@@ -1,5 +1,6 @@
 """`softarm excite`: play an excitation through the daemon, on the robot or a simulated one, and record."""
 
+import shlex
 from pathlib import Path
 
 import click
@@ -79,9 +80,11 @@ def excite(
         fail(f"{name} was not played to its end: {status.state}, {status.reason}; what there is lies in {log}")
     click.echo(f"played {name}, {status.time_s:.1f} s; recorded {log}" if log else f"played {name}; nothing recorded")
     if log is not None and plan is not None:
-        click.echo(f"next: softarm diagnose RECORDING... {log} --json {plan}")
+        anew = plan.with_name(f"{plan.stem}-next.json")  # the old verdict stays until its recordings are told anew
+        click.echo(f"next: softarm diagnose {shlex.quote(str(log))} --json {shlex.quote(str(anew))}")
+        click.echo(f"(named before {log}, the recordings that {plan} came from count as well: together they decide)")
     elif log is not None:
-        click.echo(f"next: softarm identify {log} --out model.yaml")
+        click.echo(f"next: softarm identify {shlex.quote(str(log))} --out model.yaml")
 
 
 def _planned(plan: Path) -> str:

@@ -1,7 +1,7 @@
-"""A trial folder: CSV files that another stack recorded, beside a trial.yaml."""
+"""A trial folder: CSV or Parquet files that another stack recorded, beside a trial.yaml."""
 
 import csv
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +11,12 @@ from softarm.diagnosis.data.trials import LINKS, ROBOT_CHANNELS, Array, Series, 
 from softarm.schemas.trial import TrialFile
 
 EXAMPLE = "`kind: chirp` and `rail: held`"
+FORMS = (".csv", ".parquet")
 LINKS_MAX = 12
+_NOT_FINITE = {  # whether a reading may be missing
+    True: "is not a finite number; write nothing where a marker was not seen",
+    False: "is not a finite number; leave the row out if nothing was measured",
+}
 
 
 def is_trial(folder: Path) -> bool:
@@ -29,10 +34,15 @@ def read(folder: Path) -> Trial:
     missing: dict[str, str] = {}
     warnings: list[str] = []
     for name in ROBOT_CHANNELS:
-        path = folder / f"{name}.csv"
-        if not path.is_file():
-            missing[name] = f"there is no {path.name} in {folder}"
+        files = [path for form in FORMS if (path := folder / f"{name}{form}").is_file()]
+        if not files:
+            missing[name] = f"there is no {name}.csv in {folder}"
             continue
+        if len(files) > 1:
+            raise TrialError(
+                f"{folder}: holds {' and '.join(f.name for f in files)}; take the one away that is not meant"
+            )
+        (path,) = files
         channels[name], found = checks.tidy_stamps(_channel(path, name), str(path))
         warnings += found
     if not channels:
@@ -43,7 +53,7 @@ def read(folder: Path) -> Trial:
 
 
 def _channel(path: Path, name: str) -> Series:
-    header, rows = read_table(path)
+    header, columns_of = (_parquet if path.suffix == ".parquet" else _csv)(path)
     units = ROBOT_CHANNELS[name]
     if name == "mocap":
         links = sum(f"link{i}_y" in header for i in range(1, LINKS_MAX + 1))
@@ -56,13 +66,46 @@ def _channel(path: Path, name: str) -> Series:
             f"and needs {', '.join(wanted)} (docs/trials.md)"
         )
     # A marker may be out of sight; every other reading is there or its row is not.
-    columns = {
-        column: numbers(
-            path, column, [row[header.index(column)] for row in rows], blank=column.endswith(("_y", "_z", "_angle"))
-        )
-        for column in wanted
-    }
+    columns = {column: columns_of(column, column.endswith(("_y", "_z", "_angle"))) for column in wanted}
     return Series(columns.pop(time), columns)
+
+
+# A table's header, and its columns as numbers by name; True: a reading may be missing.
+_Columns = tuple[list[str], Callable[[str, bool], Array]]
+
+
+def _csv(path: Path) -> _Columns:
+    header, rows = read_table(path)
+    return header, lambda name, blank: numbers(path, name, [row[header.index(name)] for row in rows], blank=blank)
+
+
+def _parquet(path: Path) -> _Columns:
+    """Raises TrialError for what is no Parquet file or has no rows."""
+    import pyarrow
+    from pyarrow import parquet
+
+    try:
+        table = parquet.read_table(path)
+    except (OSError, pyarrow.ArrowException) as error:
+        said = " ".join(str(error).split())
+        raise TrialError(f"{path}: cannot be read as Parquet ({said}); export it again, or as CSV") from None
+    if duplicate := {name for name in table.column_names if table.column_names.count(name) > 1}:
+        raise TrialError(f"{path}: two columns are called {', '.join(sorted(duplicate))}; rename one")
+    if not table.num_rows:
+        raise TrialError(f"{path}: has no rows; record some, or take the file away")
+
+    def column(name: str, blank: bool) -> Array:
+        try:
+            if pyarrow.types.is_temporal(table[name].type):
+                raise TypeError
+            values = table[name].to_numpy().astype(float)  # a null is NaN
+        except (TypeError, ValueError):
+            raise TrialError(f"{path}: column {name} holds {table[name].type}; write it as numbers") from None
+        if len(bad := np.flatnonzero(~(np.isfinite(values) | (blank & np.isnan(values))))):
+            raise TrialError(f"{path}: column {name}, row {bad[0] + 1}: {values[bad[0]]} {_NOT_FINITE[blank]}")
+        return np.array(values)
+
+    return table.column_names, column
 
 
 def read_table(path: Path) -> tuple[list[str], list[list[str]]]:
@@ -97,10 +140,7 @@ def numbers(path: Path, column: str, cells: Sequence[str], *, blank: bool = Fals
     bad = [v is None or not (np.isfinite(v) or (blank and np.isnan(v))) for v in values.tolist()]
     if any(bad):
         at = bad.index(True)
-        raise TrialError(
-            f"{path}: column {column}, row {at + 2}: {cells[at]!r} is not a finite number; "
-            + ("write nothing where a marker was not seen" if blank else "leave the row out if nothing was measured")
-        )
+        raise TrialError(f"{path}: column {column}, row {at + 2}: {cells[at]!r} {_NOT_FINITE[blank]}")
     return values
 
 

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from softarm.common.words import did_you_mean
+from softarm.diagnosis.data import instants
 from softarm.diagnosis.data.trials import Array, TrialError
 from softarm.schemas.trial import Column, TableForm
 
@@ -83,6 +84,28 @@ def column(table: Table, about: Column, form: TableForm, segment: str | None, el
     return np.asarray(values * (about.scale * worth) + about.add)
 
 
+def stamps(table: Table, about: Column, form: TableForm, segment: str | None) -> tuple[Array, bool | None]:
+    """A time column in seconds, [N], as `column` reads it or by its dates; and whether those have time zones.
+
+    None: its cells are numbers, or dates of a Parquet file. Raises TrialError.
+    """
+    raw = _find(table, _name(table, about.source, segment))
+    texts = isinstance(raw, list) and any(instants.instant(cell) for cell in raw)
+    dates = isinstance(raw, np.ndarray) and raw.dtype.kind == "M"
+    if not texts and not dates:
+        return column(table, about, form, segment, None), None
+    where = f"{table.path}: column {about.source}"
+    if about.unit != "s" or about.scale != 1.0 or about.minus is not None:
+        raise TrialError(f"{where}: holds dates with a time of day; write `unit: s` alone")
+    if texts:
+        found, zoned = instants.seconds(raw, _missing(form), table.place, where)
+        return found + about.add, zoned
+    found = (raw - np.datetime64(0, "s")) / np.timedelta64(1, "s")
+    if np.isnan(found).any():
+        raise TrialError(f"{where}, row {table.place(int(np.argmax(np.isnan(found))))}: no date; leave that row out")
+    return found + about.add, None
+
+
 def holds_lists(table: Table, about: Column, segment: str | None) -> bool:
     """Whether a column's cells hold lists."""
     found = _find(table, _name(table, about.source, segment))
@@ -100,7 +123,7 @@ def _text(path: Path, form: TableForm) -> Table:
         raise TrialError(f"{path}: cannot be read as CSV ({error}); export it as UTF-8 text with commas") from None
     if delimiter == " ":
         cells = [(row, [cell for cell in line if cell]) for row, line in cells]
-    header = form.header if form.header is not None else not all(_is_number(cell, delimiter) for cell in cells[0][1])
+    header = form.header if form.header is not None else not all(_is_value(cell, delimiter) for cell in cells[0][1])
     names = [name.strip() for name in cells[0][1]] if header else [str(i + 1) for i in range(len(cells[0][1]))]
     body = cells[1:] if header else cells
     if not body:
@@ -142,8 +165,8 @@ def _delimiter(line: str) -> str:
     return "," if counts[","] or len(bare.split()) < 2 else " "
 
 
-def _is_number(cell: str, delimiter: str) -> bool:
-    return _number(cell, delimiter != ",") is not None or not cell.strip()
+def _is_value(cell: str, delimiter: str) -> bool:
+    return _number(cell, delimiter != ",") is not None or instants.instant(cell) is not None or not cell.strip()
 
 
 def _number(cell: str, comma: bool) -> float | None:

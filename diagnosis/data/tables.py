@@ -79,6 +79,7 @@ def _trial(stage: Stage, recording: Recording, element: str, loaded: dict[Path, 
     channels: dict[str, Series] = {}
     missing: dict[str, str] = {}
     warnings: list[str] = []
+    zoned: dict[bool | None, str] = {}
     for name, channel in about.channels.items():
         if name not in recording.files:
             missing[name] = f"trial {recording.name} names no file for it"
@@ -88,9 +89,12 @@ def _trial(stage: Stage, recording: Recording, element: str, loaded: dict[Path, 
             loaded[path] = table_files.load(path, stage.form)
         place = about.elements.get(element)
         drive = name in still_checks.DRIVES
-        series, found = _series(loaded[path], channel, stage.form, recording.segment, place, drive)
+        series, found, zone = _series(loaded[path], channel, stage.form, recording.segment, place, drive)
+        zoned.setdefault(zone, f"{path}: column {channel.time.source}")
         channels[name], odd = checks.tidy_stamps(series, f"{path}: {name}", gaps=not drive)
         warnings += (*found, *odd, *table_checks.ranges(channels[name], about.kind, channel, f"{path}: {name}"))
+    if True in zoned and False in zoned:
+        raise TrialError(f"{zoned[True]} has time zones, {zoned[False]} has none; write both with one, or without")
     if about.angles == "relative":
         channels["measured"] = _absolute(channels["measured"], about.links)
     units = {
@@ -113,14 +117,14 @@ def _trial(stage: Stage, recording: Recording, element: str, loaded: dict[Path, 
 
 def _series(
     table: Table, channel: TableChannel, form: TableForm, segment: str | None, element: int | None, drive: bool
-) -> tuple[Series, list[str]]:
-    """A channel's rows that hold a reading of every column, and what is odd about the others."""
+) -> tuple[Series, list[str], bool | None]:
+    """A channel's rows that hold a reading of every column, what is odd about the others, zones of its `stamps`."""
     if element is not None and not any(table_files.holds_lists(table, c, segment) for c in channel.columns.values()):
         source = next(iter(channel.columns.values())).source
         raise TrialError(
             f"{table.path}: column {source} holds plain numbers, no lists; leave `elements` out, or name another column"
         )
-    time = table_files.column(table, channel.time, form, segment, None)
+    time, zoned = table_files.stamps(table, channel.time, form, segment)
     columns = {n: table_files.column(table, column, form, segment, element) for n, column in channel.columns.items()}
     warnings = []
     keep = np.isfinite(time)
@@ -147,7 +151,7 @@ def _series(
     rows = np.flatnonzero(keep)
     where = f"{table.path}: column {channel.time.source}"
     warnings += table_checks.clock(time[rows], channel.time, where, lambda i: table.place(int(rows[i])), drive)
-    return Series(time[rows], {name: values[rows] for name, values in columns.items()}), warnings
+    return Series(time[rows], {name: values[rows] for name, values in columns.items()}), warnings, zoned
 
 
 def _in_house_units(about: Mechanism, units: Mapping[str, Mapping[str, OwnUnit]]) -> Mapping[str, ModelValue]:

@@ -145,6 +145,19 @@ def test_it_writes_what_the_recordings_show_of_the_rail(asked, tmp_path):
     assert f"wrote {patch}" in outcome.output
 
 
+def test_a_rail_that_the_diagnosis_calls_late_is_late_in_the_limits_too(asked, tmp_path):
+    """As `close-gap` has it, where too few set-points stepped to measure it."""
+    late = NAMED.effects[0].model_copy(update={"name": "rail.delay"})
+    asked.verdict = NAMED.model_copy(update={"effects": (late,)})
+    patch = tmp_path / "limits-patch.yaml"
+    outcome = run("diagnose", write_trial(tmp_path / "campaign" / "a"), "--limits", patch)
+    assert outcome.exit_code == 0, outcome.output
+    assert configuration.load(patch).limits.rail.latency_s == 0.07
+    told = " ".join(outcome.output.split())
+    assert told.count("the diagnosis names rail.delay, 60 ms, 70 at most") == 1
+    assert "raise it to 0.07" in told
+
+
 def test_the_nominal_simulator_is_the_named_one_else_the_campaigns_else_the_seeds(asked, tmp_path):
     campaign = write_trial(tmp_path / "campaign" / "a", Model(effects={})).parent
     bare = write_trial(tmp_path / "bare" / "b")
@@ -220,8 +233,8 @@ def test_a_wrong_command_says_what_to_do(arguments, says, code, asked, tmp_path,
     assert asked.trials is None
 
 
-def test_the_next_experiment_is_played_from_the_verdict(tmp_path):
-    plan, config = tmp_path / "verdict.json", tmp_path / "softarm.yaml"
+def test_the_next_experiment_is_played_from_the_verdict_and_the_next_command_runs_as_printed(asked, tmp_path):
+    plan, config = tmp_path / "a verdict.json", tmp_path / "softarm.yaml"
     plan.write_text(NAMED.model_dump_json())
     config.write_text(f"recorder: {{directory: {tmp_path / 'logs'}}}\n")
     outcome = run("excite", "--plan", plan, "--simulated", "--config", config)
@@ -229,7 +242,13 @@ def test_the_next_experiment_is_played_from_the_verdict(tmp_path):
     assert "if pressure.lag: a slope at once" in outcome.output
     assert "played pressure-multisine" in outcome.output
     (log,) = (tmp_path / "logs").glob("*.mcap")
-    assert f"next: softarm diagnose RECORDING... {log} --json {plan}" in outcome.output
+    (line,) = [line for line in outcome.output.splitlines() if line.startswith("next: ")]
+    assert f"the recordings that {plan} came from count as well" in outcome.output
+    again = run(*shlex.split(line.removeprefix("next: softarm")))
+    assert again.exit_code == 0, again.output
+    assert [trial.source for trial in asked.trials] == [log]
+    assert Verdict.model_validate_json(plan.read_text()) == NAMED  # still there to be played again
+    assert (tmp_path / "a verdict-next.json").is_file()
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,115 @@
+"""Stamps as dates: read as seconds of one clock, however they are written; what cannot be one clock is told."""
+
+from datetime import UTC, datetime, timedelta, timezone
+
+import numpy as np
+import pyarrow as pa
+import pytest
+from pyarrow import parquet
+
+from softarm.diagnosis.data import tables
+from softarm.diagnosis.data.trials import TrialError
+
+T = np.arange(200) * 0.02
+COMMAND, MEASURED = 0.5 * np.sin(3 * T), 0.5 * np.sin(3 * (T - 0.1))
+NOON = datetime(2026, 11, 22, 12, 0, 0, tzinfo=UTC)
+STAGE = """
+name: servo
+kind: tracking
+channels:
+  command: {time: {source: t, unit: s}, columns: {command: {source: u, unit: rad}}}
+  measured: {time: {source: t, unit: s}, columns: {position: {source: y, unit: rad}}}
+trials:
+  - {name: one, kind: sine, files: {command: sent.csv, measured: seen.csv}}
+"""
+
+
+def stamps(form, zone=UTC):
+    """Of every row."""
+    return [form((NOON + timedelta(seconds=float(t))).astimezone(zone)) for t in T]
+
+
+def plain(moment):
+    return moment.replace(tzinfo=None).isoformat()
+
+
+def zulu(moment):
+    return moment.strftime("%Y-%m-%dT%H:%M:%S.%fZ")
+
+
+def read(folder, sent, seen, stage=STAGE, parted=",", head=True):
+    """A trial with its stamps as they stand."""
+    for name, times, column, values in (("sent", sent, "u", COMMAND), ("seen", seen, "y", MEASURED)):
+        rows = [f"{t}{parted}{x:.9f}" for t, x in zip(times, values, strict=True)]
+        (folder / f"{name}.csv").write_text("\n".join([f"t{parted}{column}"] * head + rows) + "\n")
+    (folder / "stage.yaml").write_text(stage)
+    (trial,) = tables.read(folder / "stage.yaml")
+    return trial
+
+
+@pytest.mark.parametrize(
+    ("form", "zone"),
+    [
+        (zulu, UTC),
+        (datetime.isoformat, timezone(timedelta(hours=5, minutes=30))),
+        (lambda moment: moment.isoformat(" "), UTC),
+        (plain, UTC),
+        (lambda moment: plain(moment).replace("T", " "), UTC),
+    ],
+    ids=["Z", "+05:30", "a blank", "no zone", "no zone, a blank"],
+)
+def test_dates_are_seconds_of_one_clock(tmp_path, form, zone):
+    trial = read(tmp_path, stamps(form, zone), stamps(form, zone))
+    for name in ("command", "measured"):
+        np.testing.assert_allclose(trial.channels[name].t_s - NOON.timestamp(), T, atol=2e-6)
+    assert trial.warnings == ()
+
+
+def test_another_zone_is_another_way_to_write_the_same_moment(tmp_path):
+    trial = read(tmp_path, stamps(zulu), stamps(datetime.isoformat, timezone(timedelta(hours=-8))))
+    np.testing.assert_array_equal(trial.channels["command"].t_s, trial.channels["measured"].t_s)
+
+
+def test_decimal_commas_and_no_header(tmp_path):
+    stage = (
+        STAGE.replace("source: t,", "source: 1,").replace("source: u,", "source: 2,").replace("source: y", "source: 2")
+    )
+    trial = read(tmp_path, *[[t.replace(".", ",") for t in stamps(plain)]] * 2, stage=stage, parted=";", head=False)
+    np.testing.assert_allclose(trial.channels["measured"].t_s - NOON.timestamp(), T, atol=2e-6)
+
+
+def test_a_parquet_tables_dates_are_seconds(tmp_path):
+    moments = pa.array([NOON + timedelta(seconds=float(t)) for t in T], pa.timestamp("us", tz="Europe/Berlin"))
+    table = pa.table({"t": moments, "u": COMMAND, "y": MEASURED})
+    parquet.write_table(table, tmp_path / "data.parquet")
+    (tmp_path / "stage.yaml").write_text(STAGE.replace("{command: sent.csv, measured: seen.csv}", "data.parquet"))
+    (trial,) = tables.read(tmp_path / "stage.yaml")
+    np.testing.assert_allclose(trial.channels["measured"].t_s - NOON.timestamp(), T, atol=2e-6)
+
+
+def mixed():
+    return [*stamps(zulu)[:100], *stamps(plain)[100:]]
+
+
+@pytest.mark.parametrize(
+    ("sent", "seen", "says"),
+    [
+        (stamps(zulu), mixed(), r"seen\.csv: column t: row 2 has a time zone \(2026.*Z\), row 102 has none \("),
+        (
+            stamps(zulu),
+            stamps(plain),
+            r"sent\.csv: column t has time zones, .*seen\.csv: column t has none; write both",
+        ),
+        ([*stamps(zulu)[:9], "later", *stamps(zulu)[10:]], stamps(zulu), r"sent\.csv: column t, row 11: 'later' is no"),
+        (stamps(zulu), [f"{t:.3f}" for t in T], r"no moment is in both"),
+    ],
+    ids=["in a file", "between files", "no date", "dates and seconds"],
+)
+def test_what_cannot_be_one_clock_is_told_by_file_and_column(tmp_path, sent, seen, says):
+    with pytest.raises(TrialError, match=says):
+        read(tmp_path, sent, seen)
+
+
+def test_dates_are_in_no_unit_but_seconds(tmp_path):
+    with pytest.raises(TrialError, match=r"column t: holds dates with a time of day; write `unit: s` alone"):
+        read(tmp_path, stamps(zulu), stamps(zulu), STAGE.replace("unit: s}", "unit: ms}"))
