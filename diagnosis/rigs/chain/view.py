@@ -9,6 +9,7 @@ from scipy.signal import savgol_filter
 
 from softarm.diagnosis.data.trials import Series, TableStage, Trial, TrialError
 from softarm.diagnosis.engine.view import Array, Point
+from softarm.diagnosis.engine.whitened import slices
 from softarm.diagnosis.rigs.chain.effects import INERTIA_SHARE, MASS_SHARE, Scales, effects, of_joints, tolerances
 from softarm.diagnosis.rigs.chain.model import Chain, absolute, chain_of, joints, measured, periods_seen
 from softarm.diagnosis.rigs.chain.shooting import Law, Shooting
@@ -24,8 +25,11 @@ WINDOW_PERIODS_FREE, WINDOW_PERIODS = 4.0, 1.0  # of one link that nothing drive
 MARGIN_PERIODS = 0.5  # of torque and base beyond a window
 GUESS_PERIODS = 0.2  # what a start is first guessed from
 GUESS_SAMPLES, GUESS_FLOORS = 5, 2.0  # no fewer, and what a cubic may leave of them
+# A window tells nothing where the edge of a tolerance moves it by so much of its swing, and by so many floors.
+WILD_SHARE, WILD_FLOORS = 0.3, 20.0
 STILL_SHARE = 0.04  # of a joint's usual rate
 ANGLE_SHARE, RATE_SHARE = 0.1, 0.15  # of the usual: how well a start is known before it is fitted
+_TRIED = ("stiffness", "inertia", "gain")  # what is constant moves a link that stands still by as much
 RESOLVED = 1.0  # a held joint's spring turns by this much in a step at the most, rad
 
 
@@ -65,6 +69,7 @@ class ChainView(RigView):
             self._known[f"damping.{name}"] = float(chain.viscous[i])
         self._late: dict[float, Array] = {}
         self._shooting = self._begin(shown)
+        self._wild = self._without_wild()
 
     @classmethod
     def shots(cls, trial: Trial) -> tuple[Trial, ...]:
@@ -75,6 +80,40 @@ class ChainView(RigView):
         parts = windows(trial, (WINDOW_PERIODS_FREE if free else WINDOW_PERIODS) * slowest)
         margin = MARGIN_PERIODS * slowest
         return tuple(_with_margin(part, trial, margin) for part in parts)
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """See RigView."""
+        if not self._wild:
+            return ()
+        first = self._trials[self._wild[0]].name
+        return (
+            f"{self.stage}: {len(self._wild)} of {len(self._trials)} stretches are left out (the first: {first}): "
+            "what a well-kept model may be off by changes the swing there by a part of its size; drive it less wildly",
+        )
+
+    def _without_wild(self) -> tuple[int, ...]:
+        """Take windows out in which even a well-kept model is off by a part of the usual swing; which ones.
+
+        A link that goes over the top, or a loop that shakes it, makes much of little: one such window would outweigh
+        all others.
+        """
+        widths = {path: x for path, x in self.tolerances.items() if path.startswith(_TRIED)}
+        points = [{}, *({f"{self.stage}.{path}": self._known[path] + x} for path, x in widths.items())]
+        found = self.gap(points)
+        off = np.concatenate((found[1:] - found[0], self.own_directions()))
+        parts, swung = slices(self.trial), (self.measured - np.nanmedian(self.measured, axis=0)) ** 2
+        swing = np.sqrt(np.nanmedian([np.nanmean(swung[mine]) for mine in parts]))  # of the usual window
+        wild = []
+        for k, mine in enumerate(parts):
+            moved = np.sqrt(np.nanmean(off[:, mine] ** 2, axis=(1, 2)))
+            if moved.max() > max(WILD_SHARE * swing, WILD_FLOORS * float(self.floor.mean())):
+                wild.append(k)
+        if len(wild) > len(self._trials) // 2:  # then it is the rig that is wild
+            return ()
+        for k in wild:
+            self.measured[self.trial == k] = np.nan
+        return tuple(wild)
 
     @property
     def tolerances(self) -> Mapping[str, float]:

@@ -250,6 +250,34 @@ def test_windows_follow_the_chains_own_time_and_keep_the_torque_around_them():
     assert len(ChainView.shots(drift)) == 1
 
 
+def test_windows_in_which_a_link_goes_over_the_top_are_left_out_and_said():
+    t, made = np.arange(0, 6, 0.005), Made(TWO)
+    calm, wild = tones(3, 2, (0.3, 0.1)), tones(4, 2, (3.0, 0.6))
+    shots = []
+    for name, torque in (("calm", calm), ("more", calm), ("wild", wild)):
+        angles, _ = made.swing(0.2, t, torque)
+        assert (np.abs(angles).max() > np.pi) == (name == "wild")
+        shots += ChainView.shots(trial(name, t, angles, TWO, np.array([torque(s) for s in t]), noise=2e-4))
+    found = ChainView(shots)
+    out = [s.name for k, s in enumerate(shots) if not np.isfinite(found.measured[found.trial == k]).any()]
+    assert out
+    assert all(name.startswith("wild") for name in out)
+    assert any(f"{len(out)} of {len(shots)} stretches are left out" in text for text in found.warnings)
+
+
+def test_links_that_weigh_otherwise_each_for_itself_are_no_gap():
+    t = np.arange(0, 5, 0.005)
+    torque = tones(5, 2, (0.5, 0.15))
+    other = {**TWO, "mass_kg": (0.603, 0.398), "inertia_kg_m2": (2.04e-3, 1.47e-3)}
+    angles, _ = Made(other).swing(0.2, t, torque)
+    found = view([trial("tones", t, angles, TWO, np.array([torque(s) for s in t]))])
+    gap, ways = found.gap([{}])[0].ravel(), found.own_directions().reshape(4, -1)
+    assert list(found.own_nuisances) == ["arm.mass1", "arm.mass2", "arm.inertia1", "arm.inertia2"]
+    u, *_ = np.linalg.lstsq(ways.T.astype(float), -gap, rcond=None)
+    assert rms(found, [{}])[0] > 10 * np.sqrt(np.mean((gap + u @ ways) ** 2))
+    np.testing.assert_allclose(u * (0.01, 0.01, 0.05, 0.05), (0.005, -0.005, 0.02, -0.02), atol=2e-3)
+
+
 def test_bounds_come_from_the_chain_and_its_data():
     heavier = {k: 1000 * np.array(TWO[k]) for k in ("mass_kg", "inertia_kg_m2", "armature_kg_m2")}
     small, large = TWO, {**TWO, **heavier}
