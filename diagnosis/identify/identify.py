@@ -11,14 +11,13 @@ from softarm.common.quantity import KPA_PER_PSI
 from softarm.diagnosis.data.trials import Trial, TrialError
 from softarm.diagnosis.identify import bench, motion, refinement, regression
 from softarm.diagnosis.identify.motion import Derivatives, Motion
-from softarm.diagnosis.identify.refinement import Refinement
+from softarm.diagnosis.identify.refinement import PRESSURE_SPAN_KPA, Refinement
 from softarm.diagnosis.identify.regression import Regression
 from softarm.schemas.model import Model
 
 Array = NDArray[np.float64]
 Progress = Callable[[str], None]
 
-PRESSURE_SPAN_KPA = 1.0  # below this nothing is learnt of the muscle
 WIDE = 0.10  # a half interval over this share of K, D or b is said
 MISPRINTED_SHELL_KG = 0.05  # [P] SM-B; its own total of 0.12 kg needs 0.005
 TORQUE_RMSE_NM = 0.02  # what [P] reports

@@ -1,28 +1,33 @@
-"""Simulation-error fitting: Gauss-Newton on the batch simulator, and intervals by leaving blocks out.
+"""Simulation-error fitting: the diagnosis's own descent and intervals, on the joints' parameters of the arm alone.
 
-A Jacobian is one batch whose robots differ in one parameter each; a line search is another.
+The engine sees one view, whose residual is in units of the noise; the motions' starts are fitted beside the parameters.
 """
 
-from collections.abc import Callable, Sequence
+import math
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from softarm.diagnosis.engine.jackknife import half_width
-from softarm.diagnosis.identify.bench import Bench, to_columns
+from softarm.diagnosis.engine.candidates import Candidate, FittedParameter
+from softarm.diagnosis.engine.fits import FitProblem
+from softarm.diagnosis.engine.noise import Whitener
+from softarm.diagnosis.engine.view import Point
+from softarm.diagnosis.engine.whitened import BLOCK_S, Gaps, WhitenedResidual, blocks_of
+from softarm.diagnosis.identify.bench import Bench, names, to_columns
 from softarm.diagnosis.identify.motion import Motion
 from softarm.schemas.model import Arm
 
 Array = NDArray[np.float64]
 
-ROUNDS_MAX = 12
-NUDGE = 0.01  # of a parameter's scale, for a column of the Jacobian
-STRIDES = (1.0, 0.5, 0.25, 0.1, 0.02)
-CONVERGED = 2e-4  # a step smaller than this share of every scale ends the fit
-BLOCK_S = 1.0  # residuals of one block are left out together: they are not independent
+PRESSURE_SPAN_KPA = 1.0  # below this nothing is learnt of the muscle
+PASSES = 4  # each with the starts where the last one left them
+ROUNDS = 8  # of Gauss-Newton in a pass
+CONVERGED, FINE = 0.02, 1e-4  # of a half interval or of a usual size: a pass that moves none further is the last
 START_NUDGES = (0.01, 0.1)  # rad, rad/s
 START_SHARE = 0.02  # a direction of the start that moves the signals less than this share of the best is left alone
+UNITS = ("N m/rad", "N m s/rad", "N m/kPa", "N m")
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,16 +43,45 @@ class Refinement:
     converged: bool
 
 
-@dataclass(frozen=True, slots=True)
-class _Local:
-    """One motion, linearised about parameters and start; the start is projected out of residual and Jacobian."""
+class MotionsView:
+    """Motions of the arm, one after the other, where they are compared; satisfies `engine.view.View`.
 
-    rmse_m: float  # link ends
-    residual: Array  # [F 3 n] in units of the noise, frame by frame
-    projected: Array  # [F 3 n] what no change of the start explains
-    jacobian: Array  # [F 3 n, 4 n] per scale, projected
-    raw: Array  # [F 3 n, 4 n] not projected
-    solve_start: Array  # [2 n, F 3 n]: change of the start per residual
+    A point's paths are `bench.names`; starts: [2 n] of each motion.
+    """
+
+    stage, unit = "arm", "noise"
+    own_nuisances: Mapping[str, float] = {}
+
+    def __init__(self, arm: Arm, motions: Sequence[Motion], column: Array, starts: Sequence[Array]) -> None:
+        self._arm, self._motions, self._column, self._starts = arm, tuple(motions), column, tuple(starts)
+        self._names = names(arm.links)
+        self.acts = frozenset(self._names)
+        self.t_s: Array = np.concatenate([m.t_s[m.compared] for m in motions])
+        self.trial = np.repeat(np.arange(len(motions)), [int(m.compared.sum()) for m in motions])
+        self.measured: Array = np.concatenate([m.signals[m.compared] / m.noise for m in motions])
+        self.channels = tuple(f"link {i} {part}" for part in ("y", "z", "angle") for i in range(1, arm.links + 1))
+        self.floor = np.ones(len(self.channels))
+        self.noise = np.zeros(len(self.channels))
+        self.regimes: Mapping[str, NDArray[np.bool_]] = {}
+        self.features: Mapping[str, Array] = {}
+        self.echoes: frozenset[str] = frozenset()
+
+    def gap(self, points: Sequence[Point]) -> NDArray[np.float32]:
+        """See View."""
+        columns = np.tile(self._column, (len(points), 1))
+        for row, point in zip(columns, points, strict=True):
+            row[:] = [point.get(name, x) for name, x in zip(self._names, row, strict=True)]
+        pairs = zip(self._motions, self._starts, strict=True)
+        return np.concatenate([_gap(self._arm, motion, columns, start) for motion, start in pairs], axis=1)
+
+    def own_directions(self) -> NDArray[np.float32]:
+        """See View: none, and the engine wants one."""
+        return np.zeros((1, *self.measured.shape), np.float32)
+
+    def start_directions(self) -> NDArray[np.float32]:
+        """See View: of every motion's angles and rates."""
+        pairs = zip(self._motions, self._starts, strict=True)
+        return np.concatenate([_directions(self._arm, m, self._column, start)[1] for m, start in pairs], axis=1)
 
 
 def fit(
@@ -56,119 +90,97 @@ def fit(
     """Least squares over link ends and angles of every motion, in units of their noise, from a start column [4 n].
 
     Each motion's start (angles and rates) is a nuisance, eliminated by projection. `on_round(number, rmse_m)` is
-    called after each Jacobian. Deterministic.
+    called before each pass. Deterministic.
     """
-    scale, low = _scales(arm, start)
-    column = np.maximum(start, low)
+    parameters = _parameters(arm, start, max(float(np.ptp(m.pressure_kpa)) for m in motions) < PRESSURE_SPAN_KPA)
+    least, most, sizes = (np.array([getattr(p, what) for p in parameters]) for what in ("low", "high", "size"))
+    column = np.clip(start, least, most)
     starts = [motion.start for motion in motions]
-    rmse_first = 0.0
-    converged = False
-    for number in range(1, ROUNDS_MAX + 1):
-        locals_ = [_linearise(arm, m, column, s, scale) for m, s in zip(motions, starts, strict=True)]
-        rmse = _mean_rmse(motions, locals_)
+    rmse_first, number, converged = 0.0, 0, False
+    half = np.zeros(len(column))
+    while number < PASSES and not converged:
+        number += 1
+        starts = [_start(arm, m, column, s) for m, s in zip(motions, starts, strict=True)]
+        rmse = _rmse_m(arm, motions, column, starts)
         rmse_first = rmse_first or rmse
         if on_round is not None:
             on_round(number, rmse)
-        jacobian = np.concatenate([item.jacobian for item in locals_])
-        relative = np.linalg.lstsq(jacobian, np.concatenate([item.projected for item in locals_]), rcond=1e-8)[0]
-        relative = np.clip(relative, -0.5, 0.5)
-        moves = [item.solve_start @ (item.residual - item.raw @ relative) for item in locals_]
-        columns = np.maximum(column + np.outer(STRIDES, relative * scale), low)
-        costs = sum(
-            _costs(arm, motion, columns, old + np.outer(STRIDES, move))
-            for motion, old, move in zip(motions, starts, moves, strict=True)
-        )
-        best = int(np.argmin(costs))
-        if not np.asarray(costs)[best] < sum(float(item.residual @ item.residual) for item in locals_):
-            converged = True  # no stride helps: this is the bottom, to the simulator's rounding
-            break
-        column = columns[best]
-        starts = [old + STRIDES[best] * move for old, move in zip(starts, moves, strict=True)]
-        if np.all(np.abs(STRIDES[best] * relative) < CONVERGED):
-            converged = True
-            break
-    locals_ = [_linearise(arm, m, column, s, scale) for m, s in zip(motions, starts, strict=True)]
-    lows, highs = _interval(motions, locals_, column, scale)
-    return Refinement(column, lows, highs, rmse_first, _mean_rmse(motions, locals_), number, converged)
+        problem = _problem(MotionsView(arm, motions, column, starts))
+        found = problem.fit([((Candidate("arm", "arm", parameters, ()),), (tuple(column),))], ROUNDS)[0]
+        low, high = problem.interval(found)
+        half, at = (high - low) / 2, np.array(found.u[0])
+        # A last step lies within the interval; what the data do not show has none, and stays.
+        stepped = np.clip(np.where(np.abs(low + half - at) <= half, low + half, at), least, most)
+        converged = bool(np.all(np.abs(stepped - column) <= np.maximum(CONVERGED * half, FINE * sizes)))
+        column = stepped
+    starts = [_start(arm, m, column, s) for m, s in zip(motions, starts, strict=True)]
+    return Refinement(
+        column, column - half, column + half, rmse_first, _rmse_m(arm, motions, column, starts), number, converged
+    )
 
 
 def follow(arm: Arm, motion: Motion) -> NDArray[np.float32]:
     """What a given arm would have shown under a motion's inputs, [N, 3 n]; only the start is fitted."""
-    column = to_columns(arm)
-    scale, _ = _scales(arm, column)
-    start = motion.start
+    column, start = to_columns(arm), motion.start
     for _ in range(2):
-        local = _linearise(arm, motion, column, start, scale)
-        start = start + local.solve_start @ local.residual
+        start = _start(arm, motion, column, start)
     return np.asarray(Bench(arm, column[None]).replay(motion, start)[0])
 
 
-def _scales(arm: Arm, start: Array) -> tuple[Array, Array]:
-    """A usual size of each parameter, and its physical lower bound."""
+def _parameters(arm: Arm, start: Array, muscle_rests: bool) -> tuple[FittedParameter, ...]:
+    """The joints' parameters, each with its usual size; what is physically positive stays so.
+
+    No motion depends on the gain of a muscle that rests: it stays where it is.
+    """
     parts = np.split(start, 4)
     sizes = [np.full(arm.links, max(float(np.mean(np.abs(part))), 1e-4)) for part in parts]
     scale = np.concatenate([np.maximum(np.abs(part), 0.1 * size) for part, size in zip(parts, sizes, strict=True)])
-    low = np.full(len(start), -np.inf)
+    low, high = np.full(len(start), -math.inf), np.full(len(start), math.inf)
     low[: 2 * arm.links] = 0.02 * scale[: 2 * arm.links]
-    return scale, low
-
-
-def _residuals(motion: Motion, signals: Array) -> Array:
-    """Measured less simulated where it is compared, over the noise, [R, F 3 n]."""
-    gap = (motion.signals[motion.compared] - signals[:, motion.compared]) / motion.noise
-    return np.asarray(gap.reshape(len(signals), -1))
-
-
-def _linearise(arm: Arm, motion: Motion, column: Array, start: Array, scale: Array) -> _Local:
-    """Simulate a motion once for each parameter and each part of its start, all in one batch."""
-    n, parameters = arm.links, len(column)
-    columns = np.tile(column, (1 + parameters + 2 * n, 1))
-    columns[1 : 1 + parameters] += np.diag(NUDGE * scale)
-    nudges = np.repeat(START_NUDGES, n)
-    starts = np.tile(start, (len(columns), 1))
-    starts[1 + parameters :] += np.diag(nudges)
-    residuals = _residuals(motion, Bench(arm, columns).replay(motion, starts))
-    residual = residuals[0]
-    changes = (residual - residuals[1:]).T
-    raw, by_start = changes[:, :parameters] / NUDGE, changes[:, parameters:] / nudges
-    left, strength, right = np.linalg.svd(by_start, full_matrices=False)
-    felt = strength > START_SHARE * strength[0]
-    left = left[:, felt]
-    solve_start = (right[felt].T / strength[felt]) @ left.T
-    ends = residual.reshape(-1, 3 * n)[:, : 2 * n] * motion.noise[: 2 * n]
-    return _Local(
-        float(np.sqrt(np.mean(ends**2))),
-        residual,
-        residual - left @ (left.T @ residual),
-        raw - left @ (left.T @ raw),
-        raw,
-        solve_start,
+    if muscle_rests:
+        gain = slice(2 * arm.links, 3 * arm.links)
+        low[gain] = high[gain] = start[gain]
+    units = np.repeat(UNITS, arm.links)
+    return tuple(
+        FittedParameter(name, str(unit), max(x, least), least, most, size, math.nan)
+        for name, unit, x, least, most, size in zip(names(arm.links), units, start, low, high, scale, strict=True)
     )
 
 
-def _costs(arm: Arm, motion: Motion, columns: Array, starts: Array) -> Array:
-    """Sum of squared residuals of each row of parameters and start; infinite where the simulation fails."""
-    residuals = _residuals(motion, Bench(arm, columns).replay(motion, starts))
-    costs = np.einsum("ij,ij->i", residuals, residuals)
-    return np.where(np.isfinite(costs), costs, np.inf)
+def _problem(view: MotionsView) -> FitProblem:
+    taps = np.ones((len(view.channels), 1), np.float32)
+    whiten = Whitener(taps, np.ones(view.measured.shape, np.float32))
+    residual = WhitenedResidual(Gaps(view), whiten, view.own_directions(), view.start_directions(), 1.0)
+    blocks = tuple(name for name, *_ in blocks_of(view, BLOCK_S))
+    none = np.zeros(1)
+    return FitProblem((residual,), ("none",), none, none, blocks, np.zeros(len(blocks), dtype=np.int64))
 
 
-def _mean_rmse(motions: Sequence[Motion], locals_: Sequence[_Local]) -> float:
-    frames = np.array([motion.compared.sum() for motion in motions])
-    return float(np.sqrt(np.average([item.rmse_m**2 for item in locals_], weights=frames)))
+def _gap(arm: Arm, motion: Motion, columns: Array, starts: Array) -> NDArray[np.float32]:
+    """Measured less simulated where it is compared, over the noise, [R, F, 3 n]; starts [R, 2 n] or [2 n]."""
+    seen = Bench(arm, columns).replay(motion, starts)
+    return np.asarray((motion.signals[motion.compared] - seen[:, motion.compared]) / motion.noise, dtype=np.float32)
 
 
-def _interval(motions: Sequence[Motion], locals_: Sequence[_Local], column: Array, scale: Array) -> tuple[Array, Array]:
-    """95 % interval of the linearised fit, whole seconds left out one at a time."""
-    normals, slopes = [], []
-    for motion, item in zip(motions, locals_, strict=True):
-        t = motion.t_s[motion.compared]
-        block = np.repeat(((t - t[0]) // BLOCK_S).astype(int), 3 * motion.links)
-        for index in np.unique(block):
-            part = item.jacobian[block == index]
-            normals.append(part.T @ part)
-            slopes.append(part.T @ item.projected[block == index])
-    normal, slope = np.array(normals), np.array(slopes)
-    step = np.linalg.lstsq(normal.sum(axis=0), slope.sum(axis=0), rcond=1e-10)[0]
-    half = half_width(normal, -slope, step) * scale
-    return column - half, column + half
+def _directions(arm: Arm, motion: Motion, column: Array, start: Array) -> tuple[NDArray[np.float32], ...]:
+    """A motion's gap [F, 3 n], and how it changes with each part of the start by its nudge, [2 n, F, 3 n]."""
+    nudges = np.repeat(START_NUDGES, arm.links)
+    starts = np.vstack((start, start + np.diag(nudges)))
+    gaps = _gap(arm, motion, np.tile(column, (len(starts), 1)), starts)
+    return gaps[0], gaps[1:] - gaps[0]
+
+
+def _start(arm: Arm, motion: Motion, column: Array, start: Array) -> Array:
+    """A better start, by one step; what the signals hardly show of it stays."""
+    gap, directions = _directions(arm, motion, column, start)
+    rows = directions.reshape(len(directions), -1).T.astype(np.float64)
+    step = np.linalg.lstsq(rows, -gap.ravel().astype(np.float64), rcond=START_SHARE)[0]
+    return np.asarray(start + step * np.repeat(START_NUDGES, arm.links))
+
+
+def _rmse_m(arm: Arm, motions: Sequence[Motion], column: Array, starts: Sequence[Array]) -> float:
+    """Of the link ends, all motions' frames alike."""
+    ends = slice(0, 2 * arm.links)
+    pairs = zip(motions, starts, strict=True)
+    squares = [(_gap(arm, m, column[None], s)[0, :, ends] * m.noise[ends]) ** 2 for m, s in pairs]
+    return float(np.sqrt(np.concatenate(squares).mean()))

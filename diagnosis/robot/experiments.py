@@ -64,8 +64,8 @@ def splitting(
     short = enough & np.array([plan.duration_s <= LONGEST_S for plan in EXCITATIONS.values()])
     best = int(np.argmax(np.where(short, far, 0.0) if short.any() else far))
     if not enough[best]:
-        told = f"{NOTHING}: {list(EXCITATIONS)[best]}, the best of it, would show {far[best]:.1g} of the floor"
-        told += f", and {before:.1g} did not do in what was recorded" if before else ""
+        told = f"{NOTHING}: {list(EXCITATIONS)[best]}, the best of it, would show {far[best]:.2g} of the floor"
+        told += f", and {before:.2g} did not do in what was recorded" if before else ""
         return NextExperiment(excitation=told, separates=names, expect={})
     expect = _expected(problem, best, known[best], explanations)
     return NextExperiment(excitation=list(EXCITATIONS)[best], separates=names, expect=expect)

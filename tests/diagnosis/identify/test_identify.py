@@ -6,9 +6,14 @@ import numpy as np
 import pytest
 from scipy.stats import binom
 
+from softarm.diagnosis.data import folder
 from softarm.diagnosis.data.trials import Series, TrialError
 from softarm.diagnosis.identify import bench, motion, refinement, regression
 from softarm.diagnosis.identify.identify import TIP_Y_M, TIP_Z_M, TORQUE_RMSE_NM, identify
+from softarm.reality.parameters import Arm as IndependentArm
+from softarm.reality.parameters import RobotParameters
+from softarm.reality.record import record as fly
+from softarm.schemas.excitation import EXCITATIONS
 from softarm.schemas.model import Model
 
 pytestmark = pytest.mark.slow
@@ -118,6 +123,19 @@ def test_a_payload_that_the_model_lacks_is_noticed_on_the_check(record):
     heavy = Model().model_copy(update={"arm": arm.model_copy(update={"link_mass_kg": (0.005,) * 4 + (0.25,)})})
     doubtful = identify(Model(), (record("pressure-multisine"),), (record("rail-chirp", heavy),))
     assert any("rail-chirp: the tip is off by" in warning for warning in doubtful.warnings), doubtful.warnings
+
+
+def test_a_flown_robot_of_another_make_is_found(tmp_path):
+    """The independent robot, a fifth stiffer than the model and of twice as many links: its motions are followed."""
+    robot = RobotParameters(arm=IndependentArm(stiffness=0.2))
+    trials = []
+    for seed, kind in enumerate(("seed", "rail-chirp", "both")):
+        fly(EXCITATIONS[kind].at, tmp_path / kind, 10.0, robot, seed, kind=kind)
+        trials.append(folder.read(tmp_path / kind))
+    found = identify(Model(), trials)
+    stiffer = np.array(found.model.arm.stiffness_nm_rad) / np.array(Model().arm.stiffness_nm_rad)
+    assert stiffer.mean() == pytest.approx(1.2, rel=0.05)  # the joints share it out: theirs are two each
+    assert found.refinement.rmse_m < found.refinement.rmse_before_m
 
 
 def test_a_muscle_at_rest_keeps_the_models_gain(record):
