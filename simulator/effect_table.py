@@ -295,6 +295,12 @@ EFFECTS = (
         "a late loop skips whole periods; `python -m softarm.benchmarks.loop` counts them",
     ),
     Effect(
+        "clock.drift",
+        (_P("rate", "-", 0.0, -0.01, 0.01, 0.002, "seconds that the cameras' stamps gain in a second"),),
+        "the cameras' clock runs fast or slow against the loop's: by its stamp a pose looks ever newer or older",
+        "quartz keeps 20 to 50 ppm; a wrong frame rate or a clock that nothing disciplines is off by a thousandth",
+    ),
+    Effect(
         "contact.friction",
         (_P("coefficient", "-", 0.0, 0.0, 2.0, 0.4, "Coulomb's"),),
         "friction between arm and shelf",
@@ -347,6 +353,7 @@ RIVALS = (
     ("mocap.rotation", "mocap.offset", "points far from each other: an offset shifts all alike"),
     ("mocap.latency", "observation.finite_difference", "difference the recorded poses by their stamps, offline"),
     ("mocap.dropout", "mocap.noise", "repeated poses: noise never repeats one"),
+    ("mocap.latency", "clock.drift", "the stamps of reception: a late pose stays as late, a drift grows with the time"),
     ("mocap.dropout", "clock.missed_ticks", "the stamps: a missed tick has none"),
     ("mocap.dropout", "clock.jitter", "the stamps' distances: spread or doubled"),
 )

@@ -23,6 +23,7 @@ class MocapReadings:
     angles_rad: NDArray[np.float64]  # [R, n + 1]: 0 for the cart, then the links' absolute angles
     velocities_m_s: NDArray[np.float64]  # [R, n + 1, 2]
     fresh: NDArray[np.bool_]  # [R], False where the frame was dropped and the last one is repeated
+    stamps_s: NDArray[np.float64]  # [R], of capture, by the cameras' clock; it agreed with the loop's at time 0
 
 
 class Sensors:
@@ -30,8 +31,8 @@ class Sensors:
 
     In their order: latency (between the control steps' poses a straight line), rotation about the origin, scale,
     offset, noise, dropout. With observation.finite_difference velocities are differences of what was shown over the
-    control step; without, the true ones of the instant shown, as the mocap's frame has them. The pressure's bias is
-    `Simulator.pressure_reading_kpa`.
+    control step by the cameras' stamps, which clock.drift stretches; without, the true ones of the instant shown, as
+    the mocap's frame has them. The pressure's bias is `Simulator.pressure_reading_kpa`.
     """
 
     def __init__(self, simulator: Simulator, rng: np.random.Generator) -> None:
@@ -105,21 +106,24 @@ class Sensors:
         fresh: NDArray[np.bool_],
     ) -> MocapReadings:
         """Repeat the last frame where one was dropped, and difference positions where they are differenced."""
-        now, before, since = self._simulator.time_s, self._shown, 0.0
+        now, before = self._simulator.time_s, self._shown
+        drift = np.broadcast_to(self._simulator.effects.value("clock.drift", "rate"), (self._simulator.robots,))
+        stamps = now * (1.0 + drift)
+        since = np.zeros_like(stamps)
         fresh = fresh | self._restarted
         if before is not None:
             held = ~fresh[:, None]
             positions = np.where(held[..., None], before.positions_m, positions)
             angles = np.where(held, before.angles_rad, angles)
             velocities = np.where(held[..., None], before.velocities_m_s, velocities)
-            since = now - self._shown_at
+            since = (now - self._shown_at) * (1.0 + drift)
         if self._differenced.any():
             rates = np.zeros_like(velocities)
-            if before is not None and since > 0:
-                rates = (positions - before.positions_m) / since
+            if before is not None and (since > 0).all():
+                rates = (positions - before.positions_m) / since[:, None, None]
                 rates[self._restarted] = 0.0
             velocities = np.where(self._differenced[:, None, None], rates, velocities)
-        self._shown, self._shown_at = MocapReadings(positions, angles, velocities, fresh), now
+        self._shown, self._shown_at = MocapReadings(positions, angles, velocities, fresh, stamps), now
         self._restarted = np.zeros_like(self._restarted)
         return self._shown
 

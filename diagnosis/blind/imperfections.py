@@ -115,6 +115,7 @@ KNOWN: dict[str, tuple[Variant, ...]] = {
     "mocap.noise": ((_set("mocap.noise_m", 0.001, 0.004, _NOMINAL.mocap.noise_m),),),
     "clock.jitter": ((_set("clock.tick_jitter_s", 0.002, 0.008),),),
     "clock.missed_ticks": ((_set("clock.missed_ticks", 0.03, 0.15),),),
+    "clock.drift": ((_either("clock.camera_drift", 0.001, 0.004),),),
 }
 
 # Effects that the robot has and that can be taken out of the model file: the seed's own four.
@@ -137,7 +138,6 @@ UNKNOWNS: dict[str, tuple[Variant, ...]] = {
     "gear_ripple": ((_set("rail.ripple_n", 2.5, 8.0), _set("rail.ripple_period_m", 0.02, 0.06)),),
     "loose_marker": tuple((_loose(link), *_WOBBLE) for link in (2, 3, 4, 5)),
     "warming_up": ((_either("arm.softening", 0.2, 0.5), _set("arm.softening_s", 3.0, 12.0)),),
-    "camera_clock": ((_either("clock.camera_drift", 0.001, 0.004),),),
     "coarse_gauge": ((_set("pressure_sensor.quantum_kpa", 0.8, 2.0),),),
 }
 _STAGE_OF_UNKNOWN = {
@@ -149,7 +149,6 @@ _STAGE_OF_UNKNOWN = {
     "gear_ripple": "rail",
     "loose_marker": "mocap",
     "warming_up": "arm",
-    "camera_clock": "mocap",
     "coarse_gauge": "pressure",
 }
 

@@ -90,6 +90,7 @@ def signals(trial: Trial, duration_s: float) -> dict[str, Signals]:
         "clock": {
             "spread of ticks (s)": np.array([np.median(np.abs(steps - np.median(steps)))]),
             "ticks lost (-)": np.array([np.mean(steps > 0.05)]),
+            "stamps gained (-)": -np.polyfit(mocap.t_s, mocap["t_receive"] - mocap.t_s, 1)[:1],
         },
     }
 

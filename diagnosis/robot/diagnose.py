@@ -256,7 +256,7 @@ class Robot:
             after[view.stage] = Quantity(value=_rms(patched), unit=view.unit)
             floor[view.stage] = Quantity(value=self.floors[view.stage], unit=view.unit)
             ceiling[view.stage] = Quantity(value=_rms(patched) * float(np.sqrt(1 - share)), unit=view.unit)
-        for c in counted:
+        for c in sorted(counted, key=lambda c: not c.named):
             if c.stage not in before and (c.named or c.stage in ("clock", "observation")):
                 rest = c.after if c.named else c.before
                 before[c.stage], floor[c.stage] = (

@@ -12,7 +12,7 @@ from scipy.interpolate import CubicSpline
 from scipy.signal import butter, sosfiltfilt
 
 from softarm.diagnosis.data.trials import Series, Trial, TrialError
-from softarm.diagnosis.robot.counts import mocap_noise
+from softarm.diagnosis.robot.counts import cameras_clock, mocap_noise
 from softarm.schemas.model import Model
 
 Array = NDArray[np.float64]
@@ -177,16 +177,8 @@ def _poses(trial: Trial, t: Array, model: Model, held: bool, axis: Array) -> dic
 
 def _one_clock(mocap: Series | None) -> Series | None:
     """Take the cameras' drift out of the stamps: reception, on the controller's clock, tells it."""
-    if mocap is None or "t_receive" not in mocap.columns or len(mocap) < 100:
-        return mocap
-    behind = mocap["t_receive"] - mocap.t_s
-    span = mocap.t_s[-1] - mocap.t_s[0]
-    parts = np.array_split(np.arange(len(behind)), 20)
-    quickest = np.array([behind[p].min() for p in parts])
-    at = np.array([mocap.t_s[p[np.argmin(behind[p])]] for p in parts]) - mocap.t_s[0]
-    slope, offset = np.polyfit(at, quickest, 1)
-    spread = np.std(quickest - slope * at - offset)
-    if abs(slope) * span < max(3 * spread, 2e-5):
+    slope = cameras_clock(mocap)
+    if mocap is None or not slope:
         return mocap
     return Series(mocap.t_s + slope * (mocap.t_s - mocap.t_s[0]), mocap.columns)
 

@@ -85,7 +85,11 @@ def clock_stage(model: Model, robots: int, values: Values) -> np.ndarray:
     simulator = Simulator(model, robots, overrides=values)
     clock = Clock(simulator, np.random.default_rng(2))
     ticks = [clock.tick() for _ in range(400)]
-    return np.concatenate([np.stack(each) for each in zip(*ticks, strict=True)])
+    sensors, stamps = Sensors(simulator, np.random.default_rng(2)), []
+    for _ in range(40):
+        simulator.step(0.0, 0.0)
+        stamps.append(sensors.look().stamps_s)
+    return np.concatenate([*(np.stack(each) for each in zip(*ticks, strict=True)), np.stack(stamps)])
 
 
 STAGE = {
@@ -173,6 +177,21 @@ def test_chances_are_as_large_as_they_say() -> None:
     late, ticked = (np.array(each) for each in zip(*ticks, strict=True))
     assert np.sqrt((late**2).mean()) == pytest.approx(0.003, rel=0.03)
     assert 1.0 - ticked.mean() == pytest.approx(0.05, rel=0.1)
+
+
+@pytest.mark.parametrize("rate", [-0.01, 0.004])
+def test_a_drifting_clock_stretches_stamps_and_what_is_differenced_by_them(rate: float) -> None:
+    """A second of the loop is 1 + rate of the cameras'; poses are where they are, and rates are per their second."""
+    simulator = Simulator(Model(), 2, overrides={"clock.drift.rate": np.array([rate, 0.0])})
+    sensors = Sensors(simulator, np.random.default_rng(1))
+    for v, p in zip(VELOCITY[:30], PRESSURE[:30], strict=True):
+        simulator.step(v, p)
+        seen = sensors.look()
+        np.testing.assert_allclose(seen.stamps_s, simulator.time_s * np.array([1 + rate, 1.0]), rtol=1e-12)
+        np.testing.assert_array_equal(*seen.positions_m)
+    drifting, steady = seen.velocities_m_s
+    assert np.abs(steady).max() > 0.1
+    np.testing.assert_allclose(drifting * (1 + rate), steady, rtol=1e-9)
 
 
 def test_all_effects_at_once_fly_and_stay_finite() -> None:

@@ -1,8 +1,9 @@
 """Many robots at one task, side by side: observations in, rewards out, episodes restarted as they end.
 
-With effects of the sensors (mocap.*, pressure.sensor_bias) robots are observed through `simulator.sensors.Sensors`;
-with those of the clock (clock.*) their loops tick late or not at all. Rewards, success and the episodes' ends
-follow what a robot does, not how it is seen, and so does the guard, which has the axis's own read-back.
+With effects of the sensors (mocap.*, pressure.sensor_bias, clock.drift) robots are observed through
+`simulator.sensors.Sensors`; with those of the clock (clock.*) their loops tick late or not at all. Rewards, success and
+the episodes' ends follow what a robot does, not how it is seen, and so does the guard, which has the axis's own
+read-back.
 """
 
 import json
@@ -31,6 +32,7 @@ _LOW = np.array([signal.low for signal in ACTION], dtype=np.float32)
 _HIGH = np.array([signal.high for signal in ACTION], dtype=np.float32)
 _SEEN = places("cart_position_m", "tip_y_m", "tip_z_m", "cart_velocity_m_s", "tip_vy_m_s", "tip_vz_m_s")
 _SENT, _PRESSURE = places("previous_cart_velocity_command_m_s", "pressure_kpa")
+_SEEN_THROUGH = ("pressure.sensor_bias", "clock.drift")  # beside mocap's, what robots are observed through
 _ARRAYS_OF_EFFECTS = ("_seen", "_sent_kpa")
 # Robots that differ are drawn apart from what happens to them.
 _DIFFERENCES = 7919
@@ -78,7 +80,7 @@ class Environment:
         # An effect at its neutral value is none.
         effects = self.simulator.model.effects.keys() - idle_effects(self.simulator.model)
         effects |= {path.rpartition(".")[0] for path in self._drawn}
-        distorted = any(name.startswith("mocap.") or name == "pressure.sensor_bias" for name in effects)
+        distorted = any(name.startswith("mocap.") or name in _SEEN_THROUGH for name in effects)
         self.sensors = Sensors(self.simulator, self._rng) if distorted else None
         self.clock = Clock(self.simulator, self._rng) if any(name.startswith("clock.") for name in effects) else None
         self._differenced = "observation.finite_difference" in self.simulator.model.effects

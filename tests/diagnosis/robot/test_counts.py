@@ -1,5 +1,6 @@
 """What stamps and noise alone tell: lateness, missed ticks, lost frames, noise, and how velocities were made."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -93,6 +94,46 @@ def test_dropped_frames_are_told_whether_lost_or_repeated(way):
     assert not _count(trials, "mocap.noise").named
 
 
+def _drifting(i, rate, jitter_s=0.0008, length_s=LENGTH_S):
+    """Cameras whose stamps gain `rate`, behind a network whose frames come late at random."""
+    true = 3.0 + np.arange(round(length_s / FRAME_S)) * FRAME_S
+    late = 0.004 + np.random.default_rng(i).exponential(jitter_s, len(true))
+    trial = _trial(f"t{i}", frames=true * (1 + rate))
+    columns = {**trial.channels["mocap"].columns, "t_receive": np.maximum.accumulate(true + late)}
+    return replace(trial, channels={**trial.channels, "mocap": Series(trial.channels["mocap"].t_s, columns)})
+
+
+@pytest.mark.parametrize("rate", [-0.004, -0.0005, 0.0005, 0.004])
+def test_cameras_whose_stamps_gain_or_lose_are_told_with_their_sign(rate):
+    found = _count([_drifting(i, rate) for i in range(4)], "clock.drift")
+    assert found.named
+    assert found.value == pytest.approx(rate, abs=1e-5)
+    assert found.low <= rate + 1e-5
+    assert found.high >= rate - 1e-5
+    assert -0.01 < found.low < found.high
+    assert found.shrink > 0.9
+
+
+@pytest.mark.parametrize(("rate", "jitter_s"), [(50e-6, 0.0008), (-50e-6, 0.005), (0.0, 0.02)])
+def test_a_clock_as_clocks_are_is_not_named_however_frames_come(rate, jitter_s):
+    for length_s in (3.0, LENGTH_S):
+        found = _count([_drifting(i, rate, jitter_s, length_s) for i in range(6)], "clock.drift")
+        assert not found.named
+        assert abs(found.value) < TOLERANCE["clock.drift"]
+
+
+def test_one_long_trial_tells_a_drift_as_several_do():
+    found = _count([_drifting(0, 0.002)], "clock.drift")
+    assert found.value == pytest.approx(0.002, abs=1e-5)
+
+
+def test_a_drift_that_the_model_has_is_no_gap_and_one_that_it_has_for_nothing_is():
+    model = Model(effects={"clock.drift": {"rate": 0.002}})
+    assert not _count([_drifting(i, 0.002) for i in range(3)], "clock.drift", model).named
+    found = _count([_drifting(i, 0.0) for i in range(3)], "clock.drift", model)
+    assert found.before == pytest.approx(0.002, abs=1e-5)
+
+
 def test_noise_is_told_from_motion():
     trials = [_trial(f"t{i}", noise_m=0.002, seed=i) for i in range(3)]
     found = _count(trials, "mocap.noise")
@@ -108,9 +149,15 @@ def test_a_well_kept_rig_shows_nothing():
         frames = np.delete(np.arange(2400) * FRAME_S, np.arange(50, 2350, 150))
         trials.append(_trial(f"t{i}", stamps, frames, 0.5 * TOLERANCE["mocap.noise"], i))
     found = counts(trials, DIFFERENCED)
-    assert {c.name for c in found} == {"clock.jitter", "clock.missed_ticks", "mocap.dropout", "mocap.noise"}
+    assert {c.name for c in found} == {
+        "clock.jitter",
+        "clock.missed_ticks",
+        "clock.drift",
+        "mocap.dropout",
+        "mocap.noise",
+    }
     assert [c.name for c in found if c.named] == []
-    assert all(c.value > 0 for c in found)
+    assert all(c.value > 0 for c in found if c.name != "clock.drift")
 
 
 def test_what_the_model_has_already_is_not_named():
