@@ -1,0 +1,125 @@
+"""A fixed campaign of the independent robot: two trials, one effect or none, always the same bytes; in every form."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+from pyarrow import csv, parquet
+
+from softarm.daemon.control.records import EStop, Inputs, Mode, Observed, Outputs, TickTiming
+from softarm.daemon.logbook import ticks
+from softarm.diagnosis.data.folder import read_table
+from softarm.diagnosis.data.read import read_all
+from softarm.diagnosis.diagnose import diagnose
+from softarm.diagnosis.engine.result import Diagnosis
+from softarm.reality.parameters import RobotParameters
+from softarm.reality.record import record
+from softarm.recordings.channels import MOCAP, PRESSURE, RAIL
+from softarm.recordings.live import LiveFile, LogMessage
+from softarm.schemas.excitation import EXCITATIONS
+from softarm.schemas.goals import GoalStatus
+from softarm.schemas.messages import Command, MocapFrame, Pose, PressureReading, RailReading
+from softarm.schemas.model import Model
+from softarm.schemas.policy import Observation
+from softarm.simulator import model_file
+
+LATER_NS = 7_000_000_000_000  # another clock's
+KINDS = ("pressure-multisine", "both")
+LENGTH_S, DEAD_TIME_S = 8.0, 0.06
+
+
+def robot(dead_time_s: float) -> RobotParameters:
+    """The independent robot; 0: nothing is wrong with it.
+
+    A late one has no tube before its muscle: it would be late by that too, and by how much no law of ours says.
+    """
+    sound = RobotParameters()
+    late = replace(sound.regulator, dead_time_s=dead_time_s, tube_s=0.0)
+    return replace(sound, regulator=late) if dead_time_s else sound
+
+
+@pytest.fixture(scope="session")
+def flown(tmp_path_factory: pytest.TempPathFactory) -> Callable[[float], Path]:
+    """The campaign's folder, by the regulator's dead time; flown once."""
+
+    @cache
+    def fly(dead_time_s: float) -> Path:
+        campaign = tmp_path_factory.mktemp("reality") / "campaign"
+        for seed, kind in enumerate(KINDS):
+            record(EXCITATIONS[kind].at, campaign / kind, LENGTH_S, robot(dead_time_s), seed, kind=kind)
+        model_file.save(Model(), campaign / "model.yaml")
+        return campaign
+
+    return fly
+
+
+@pytest.fixture(scope="session")
+def diagnosed(flown: Callable[[float], Path]) -> Callable[[float], Diagnosis]:
+    """What is said of it, in the order of the folder."""
+    return cache(lambda dead_time_s: diagnose(read_all([flown(dead_time_s)]), Model()))
+
+
+@pytest.fixture(scope="session")
+def as_parquet(flown: Callable[[float], Path], tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The late campaign as another stack might have written it."""
+    campaign = tmp_path_factory.mktemp("parquet") / "campaign"
+    for kind in KINDS:
+        (campaign / kind).mkdir(parents=True)
+        (campaign / kind / "trial.yaml").write_bytes((flown(DEAD_TIME_S) / kind / "trial.yaml").read_bytes())
+        for file in (flown(DEAD_TIME_S) / kind).glob("*.csv"):
+            parquet.write_table(csv.read_csv(file), campaign / kind / f"{file.stem}.parquet")
+    return campaign
+
+
+@pytest.fixture(scope="session")
+def as_logs(flown: Callable[[float], Path], tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The late campaign as a daemon's logs: by the daemon's own messages, its clock at another hour."""
+    folder = tmp_path_factory.mktemp("logs")
+    for kind in KINDS:
+        with (folder / f"{kind}.mcap").open("wb") as file:
+            log = LiveFile(file, ticks.CHANNELS)
+            for message in sorted(messages(flown(DEAD_TIME_S) / kind), key=lambda each: each.log_time):
+                log.add(message)
+            log.flush()
+    return folder
+
+
+def messages(trial: Path) -> list[LogMessage]:
+    """Every reading, frame and tick of a trial folder."""
+
+    def rows(name: str) -> list[list[float]]:
+        return [[float(cell) for cell in row] for row in read_table(trial / f"{name}.csv")[1]]
+
+    def ns(t_s: float) -> int:
+        return LATER_NS + round(t_s * 1e9)
+
+    found = []
+    for number, (captured, received, *numbers) in enumerate(rows("mocap")):
+        poses = tuple(Pose(*pose) for pose in np.reshape(numbers, (-1, 3)).tolist())
+        frame = MocapFrame(number, ns(captured), ns(received), poses)
+        found.append(LogMessage(MOCAP.topic, ns(received), ns(captured), MOCAP.encode(frame)))
+    for t, kpa in rows("pressure"):
+        found.append(LogMessage(PRESSURE.topic, ns(t), ns(t), PRESSURE.encode(PressureReading(ns(t), kpa, True))))
+    for t, y, v in rows("rail"):
+        found.append(LogMessage(RAIL.topic, ns(t), ns(t), RAIL.encode(RailReading(ns(t), y, v, True))))
+    seen = {t: Observation(*values) for t, *values in rows("observation")}
+    for number, (t, velocity, pressure) in enumerate(rows("command")):
+        outputs = Outputs(
+            ns(t),
+            number,
+            0,
+            0,
+            0,
+            Mode.ARMED,
+            EStop.CLEAR,
+            sent=Command(True, velocity, pressure),
+            policy=trial.name,
+            observed=Observed(seen[t], 0, 0, 0, 0) if t in seen else None,
+            goal=GoalStatus(state="running"),
+        )
+        tick = ticks.TickRecord(ticks._tick_inputs(Inputs(ns(t))), outputs, TickTiming(0, 0, 0, None))
+        found.append(LogMessage(ticks.TICK.topic, ns(t), ns(t), ticks.TICK.encode(tick)))
+    return found

@@ -1,0 +1,35 @@
+"""Two trials of a body that shares no line with the simulator: its one fault is named with its size, and no other."""
+
+import pytest
+
+from softarm.reality.record import record
+from softarm.schemas.excitation import EXCITATIONS
+
+DEAD_TIME_S = 0.06
+pytestmark = pytest.mark.slow
+
+
+def test_its_one_fault_is_named_and_its_size_lies_in_its_interval(diagnosed):
+    found = diagnosed(DEAD_TIME_S)
+    verdict = found.verdict
+    assert (verdict.verdict, verdict.where.stage) == ("named", "pressure")
+    (effect,) = verdict.effects
+    assert (effect.name, effect.equivalents) == ("pressure.dead_time", ())
+    delay = effect.parameters["delay"]
+    assert delay.low <= DEAD_TIME_S <= delay.high
+    assert delay.high - delay.low < 0.1 * DEAD_TIME_S
+    assert effect.shrink.stage.low > 0.5
+    assert verdict.gap.after["pressure"].value < 0.3 * verdict.gap.before["pressure"].value
+    assert found.patched.effects["pressure.dead_time"]["delay"] == delay.value
+
+
+def test_where_nothing_is_wrong_nothing_is_named(diagnosed):
+    found = diagnosed(0.0)
+    assert (found.verdict.verdict, found.verdict.effects, found.patched) == ("none", (), None)
+
+
+def test_it_is_always_the_same_campaign(flown, tmp_path):
+    campaign = flown(0.0)
+    again = record(EXCITATIONS["both"].at, tmp_path / "both", 8.0, seed=1, kind="both")
+    for file in sorted(again.iterdir()):
+        assert file.read_bytes() == (campaign / "both" / file.name).read_bytes(), file.name
