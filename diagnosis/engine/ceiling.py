@@ -20,12 +20,14 @@ TREES = 60
 TURN_SHARE = 0.02  # of a signal's range: a smaller turn is none
 
 
-def explainable(view: View, residual: NDArray[np.floating], folds: NDArray[np.int64]) -> tuple[float, dict[str, float]]:
+def explainable(
+    view: View, residual: NDArray[np.floating], folds: NDArray[np.int64], pace: float = 1.0
+) -> tuple[float, dict[str, float]]:
     """Share of a residual's energy [M, S] that a flexible model finds on folds [M] it has not seen, and what it uses.
 
     Boosted trees on inputs, measured states, what the law with the named effects says (measured less residual), their
     past, and where each last turned, which is what play and hysteresis remember. 0 when it finds nothing.
-    Deterministic.
+    Deterministic. pace: the view's time over the robot's, for how far back it looks.
     """
     from sklearn.ensemble import HistGradientBoostingRegressor
     from threadpoolctl import threadpool_limits
@@ -34,8 +36,8 @@ def explainable(view: View, residual: NDArray[np.floating], folds: NDArray[np.in
     seen = np.flatnonzero(np.isfinite(residual).all(axis=1))
     if not len(seen):
         return 0.0, {}
-    rows = seen[:: max(samples(view, THIN_S), len(seen) // ROWS_MOST, 1)]
-    names, columns = _features(view, residual, rows)
+    rows = seen[:: max(samples(view, pace * THIN_S), len(seen) // ROWS_MOST, 1)]
+    names, columns = _features(view, residual, rows, pace)
     targets = _components(scaled[rows])
     groups = np.unique(folds[rows], return_inverse=True)[1] % FOLDS_MAX
     total, left, used = 0.0, 0.0, np.zeros(len(names))
@@ -62,13 +64,15 @@ def samples(view: View, seconds: float) -> int:
     return max(1, round(seconds / float(np.median(np.diff(view.t_s[slices(view.trial)[0]])))))
 
 
-def _features(view: View, residual: NDArray[np.floating], rows: NDArray[np.int64]) -> tuple[list[str], Array]:
+def _features(
+    view: View, residual: NDArray[np.floating], rows: NDArray[np.int64], pace: float
+) -> tuple[list[str], Array]:
     """Every feature now, before and where it last turned, [N, F], and the name of each column's feature."""
     names, columns = [], []
     parts = slices(view.trial)
     first = np.concatenate([np.full(part.stop - part.start, part.start) for part in parts])
     signals = dict(view.features)
-    late = tuple(samples(view, lag_s) for lag_s in LAGS_S)
+    late = tuple(samples(view, pace * lag_s) for lag_s in LAGS_S)
     predicted = np.asarray(view.measured - residual, dtype=float)
     for s, channel in enumerate(view.channels):
         signals[f"{channel}, simulated"] = _filled(predicted[:, s])

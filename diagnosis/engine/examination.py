@@ -65,9 +65,9 @@ class Examination:
         for view in self.setup.views:
             if self.choice.energies[1][view.stage] > self.thresholds.looked_at:
                 own = np.empty(len(view.trial), dtype=np.int64)
-                for name, a, b in blocks_of(view, BLOCK_S):
+                for name, a, b in blocks_of(view, self.setup.block_s):
                     own[a:b] = fold[name]
-                share, uses = explainable(view, self.left[view.stage], own)
+                share, uses = explainable(view, self.left[view.stage], own, self.setup.block_s / BLOCK_S)
                 found[view.stage] = max(share, self._by_law(view.stage)), uses
         return found
 
@@ -81,7 +81,10 @@ class Examination:
     @cached_property
     def structures(self) -> dict[str, Structure]:
         """Stage -> what the rest has that noise has not."""
-        return {view.stage: structure(view, self.left[view.stage], self._kinds) for view in self.setup.views}
+        return {
+            view.stage: structure(view, self.left[view.stage], self._kinds, self.setup.block_s)
+            for view in self.setup.views
+        }
 
     @cached_property
     def tolerated(self) -> dict[str, float]:

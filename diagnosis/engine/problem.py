@@ -14,8 +14,8 @@ from softarm.diagnosis.engine.noise import Whitener, scaled, whitener
 from softarm.diagnosis.engine.view import View
 from softarm.diagnosis.engine.whitened import BLOCK_S, Gaps, WhitenedResidual, blocks_of
 
-# What a second of a view's data is worth, in weighted squares: neighbouring samples and channels say the same twice.
-PER_SECOND = 4.0
+# What a block of a view's data is worth, in weighted squares: neighbouring samples and channels say the same twice.
+BLOCK_LOSS = 6.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,13 +35,18 @@ class Setup:
         nuisances: Sequence[Nuisance],
         kinds: Sequence[str],
         origins: Sequence[int] | None = None,
+        block_s: float = BLOCK_S,
     ) -> None:
-        """By trial of the views: kinds, its excitation; origins, the recording that it was cut from."""
+        """By trial of the views: kinds, its excitation; origins, the recording that it was cut from.
+
+        block_s: a stretch that says something new, by the views' own time.
+        """
+        self.block_s = block_s
         self.views, self.nuisances = tuple(views), tuple(nuisances)
         self.gaps = tuple(Gaps(view) for view in views)
         self._own = {name: share for view in views for name, share in view.own_nuisances.items()}
         self.directions = tuple(self._directions(g) for g in self.gaps)
-        self.blocks = tuple(dict.fromkeys(name for view in views for name, *_ in blocks_of(view, BLOCK_S)))
+        self.blocks = tuple(dict.fromkeys(name for view in views for name, *_ in blocks_of(view, block_s)))
         self._origins = tuple(range(len(kinds)) if origins is None else origins)
         self.fold, self.unseen = folds(self.blocks, kinds, self._origins), unseen(kinds, self._origins)
         edges = [(n.low - n.nominal, n.high - n.nominal, n.edge - n.nominal) for n in self.nuisances]
@@ -64,7 +69,7 @@ class Setup:
                 filters.append(scaled(view, self.gaps[i].fetch([{}])[()].astype(np.float64)))
             else:
                 filters.append(whitener(view, residuals[i].astype(np.float64)))
-        return self._problem(filters, PER_SECOND)
+        return self._problem(filters, BLOCK_LOSS / self.block_s)
 
     def plain(self) -> FitProblem:
         """The problem weighed by the floors alone, every sample counting one."""
@@ -97,7 +102,9 @@ class Setup:
             kept = float(whiten.keep.sum())
             seconds = kept / whiten.keep.shape[1] * float(np.median(np.diff(gaps.view.t_s)))
             weight = 1.0 if per_second is None else per_second * seconds / max(kept, 1.0)
-            whitened.append(WhitenedResidual(gaps, whiten, directions.nuisances, directions.starts, weight))
+            whitened.append(
+                WhitenedResidual(gaps, whiten, directions.nuisances, directions.starts, weight, self.block_s)
+            )
         return FitProblem(tuple(whitened), self._paths, self._low, self._high, self.blocks, self.fold)
 
     def _directions(self, gaps: Gaps) -> Directions:

@@ -11,12 +11,10 @@ import numpy as np
 from softarm.common import resample
 from softarm.diagnosis.engine.candidates import Candidate, Set, U
 from softarm.diagnosis.engine.fits import Fit, FitProblem
-from softarm.diagnosis.engine.problem import PER_SECOND
+from softarm.diagnosis.engine.problem import BLOCK_LOSS
 from softarm.diagnosis.engine.thresholds import ROBOT, Thresholds
 from softarm.diagnosis.engine.view import Array
-from softarm.diagnosis.engine.whitened import BLOCK_S
 
-BLOCK_LOSS = PER_SECOND * BLOCK_S  # of a block whose residual is as large as what it is weighed by
 SIZES = (0.3, 1.0, 2.0)  # of usual changes: where all effects at once begin
 RESTARTS = 3  # of that, each without one more that ended at its bound
 EQUAL = 0.5  # of the loss held out: no difference at all

@@ -16,7 +16,7 @@ from softarm.diagnosis.engine.view import Array, View
 from softarm.diagnosis.engine.whitened import BLOCK_S, blocks_of, slices
 
 LEVEL = 0.01  # of all looks together: how often noise alone is said to have structure
-LAGS_S = (0.05, 0.1, 0.2, 0.4)  # over which a residual carries on, or comes back with the other sign
+LAGS_S = (0.05, 0.1, 0.2, 0.4)  # over which a residual carries on, or comes back with the other sign; of BLOCK_S
 BLOCKS_LEAST = 5  # fewer say nothing of their own scatter
 
 
@@ -30,11 +30,13 @@ class Structure:
     looks: int
 
 
-def structure(view: View, residual: NDArray[np.floating], kinds: Sequence[str] = ()) -> Structure:
+def structure(
+    view: View, residual: NDArray[np.floating], kinds: Sequence[str] = (), block_s: float = BLOCK_S
+) -> Structure:
     """Look at a residual [M, S] of a view everywhere. kinds: of every trial of the view, its excitation."""
     scaled = np.asarray(residual, dtype=float) / view.floor
     places = dict(_places(view, kinds))
-    found = [(name, *sign) for name, mask in places.items() for sign in _looks(view, scaled, mask)]
+    found = [(name, *sign) for name, mask in places.items() for sign in _looks(view, scaled, mask, block_s)]
     sure = [(energy, words, name) for name, words, energy, p in found if p < LEVEL / len(found)]
     energy, words, name = max(sure, default=(0.0, "", ""))
     return Structure(energy, f"{name}, {words}" if words else "", len(sure), len(found))
@@ -54,11 +56,13 @@ def _places(view: View, kinds: Sequence[str]) -> Iterator[tuple[str, NDArray[np.
     yield from view.regimes.items()
 
 
-def _looks(view: View, scaled: Array, mask: NDArray[np.bool_]) -> Iterator[tuple[str, float, float]]:
+def _looks(
+    view: View, scaled: Array, mask: NDArray[np.bool_], block_s: float = BLOCK_S
+) -> Iterator[tuple[str, float, float]]:
     """In words, energy and p-value of every look at a part of the data: a mean, and what carries on."""
     step = float(np.median(np.diff(view.t_s[slices(view.trial)[0]])))
-    lags = sorted({max(1, round(lag / step)) for lag in LAGS_S})
-    blocks = [slice(a, b) for _, a, b in blocks_of(view, BLOCK_S)]
+    lags = sorted({max(1, round(lag * (block_s / BLOCK_S) / step)) for lag in LAGS_S})
+    blocks = [slice(a, b) for _, a, b in blocks_of(view, block_s)]
     for s, channel in enumerate(view.channels):
         r = np.where(mask, scaled[:, s], np.nan)
         mean, p = over_blocks([r[b] for b in blocks])

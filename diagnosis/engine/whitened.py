@@ -18,7 +18,7 @@ from softarm.diagnosis.engine.view import Array, Point, View
 Rows = NDArray[np.float32]
 Key = tuple[tuple[str, float], ...]
 CACHED = 1500
-BLOCK_S = 1.5
+BLOCK_S = 1.5  # of the robot; a rig's setup says its own
 START_PRIOR = 1.0  # a trial's start is known to about the change that its directions were taken for
 
 
@@ -60,7 +60,15 @@ class Moments:
 class WhitenedResidual:
     """Rows of one view under one weighing. q nuisance columns, the same for all views of a problem."""
 
-    def __init__(self, gaps: Gaps, whiten: Whitener, nuisances: Rows, starts: Rows | None, weight: float) -> None:
+    def __init__(
+        self,
+        gaps: Gaps,
+        whiten: Whitener,
+        nuisances: Rows,
+        starts: Rows | None,
+        weight: float,
+        block_s: float = BLOCK_S,
+    ) -> None:
         """nuisances: [q, M, S] changes of the gap at the box's edge; starts: [d, M, S] of every trial's start."""
         self.gaps, self._whiten, self._weight = gaps, whiten, np.float32(np.sqrt(weight))
         view = gaps.view
@@ -71,7 +79,7 @@ class WhitenedResidual:
         self.kept = float(whiten.keep.sum())
         self._moments: OrderedDict[Key, Moments] = OrderedDict()
         width = nuisances.shape[2]
-        self.blocks = [(name, slice(a * width, b * width)) for name, a, b in blocks_of(view, BLOCK_S)]
+        self.blocks = [(name, slice(a * width, b * width)) for name, a, b in blocks_of(view, block_s)]
 
     @cached_property
     def block_gg(self) -> Array:

@@ -145,7 +145,7 @@ def examine(trials: Sequence[Trial]) -> Finding:
     """One stage."""
     view, ordered, origins = view_of(trials)
     kinds = [t.kind for t in ordered]
-    setup = Setup([view], nuisances(view), kinds, origins)
+    setup = Setup([view], nuisances(view), kinds, origins, view.block_s)
     thresholds = SHOTS if view.fits_starts and len(trials) >= TRIALS_LEAST else RIG
     return _Stage(
         view, ordered, origins, Examination(setup, candidates(view), kinds, thresholds, lambda text, share: None)

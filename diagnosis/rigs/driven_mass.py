@@ -16,16 +16,17 @@ from softarm.diagnosis.data.trials import Series, TableStage, Trial, TrialError
 from softarm.diagnosis.engine.view import Array, Point
 from softarm.diagnosis.engine.whitened import BLOCK_S, slices
 from softarm.diagnosis.rigs.driven_mass_effects import Scales, effects
-from softarm.diagnosis.rigs.grid import Grid, grid
+from softarm.diagnosis.rigs.grid import Grid, grid, resolution
 from softarm.diagnosis.rigs.laws import driven_mass as laws
+from softarm.diagnosis.rigs.scales import STRETCHES_LEAST, STRETCHES_MOST
 from softarm.diagnosis.rigs.views import FLOOR_SHARE, RigView
 from softarm.simulator.effects import Effect
 
 DRIVEN_BY = {"force": "N", "current": "A", "voltage": "V"}  # columns, in the order in which they are looked for
 RATE_HZ, A_PERIOD = 100.0, 100  # samples are averaged down to this rate; to so many a period where that is more
-# A window lasts about this share of a usual motion, and whole blocks make whole windows: long enough for a small force
-# to show, and no longer, for the way that an inexact model goes wrong grows with the square of the time.
-WINDOW_PERIODS, WINDOW_MOST, SAMPLES_LEAST = 0.8, 20, 16
+# A window lasts about this share of a usual motion: long enough for a small force to show, and no longer, for the way
+# that an inexact model goes wrong grows with the square of the time. Two windows are a stretch that says something new.
+WINDOW_PERIODS, SAMPLES_LEAST, BLOCK_WINDOWS = 0.8, 16, 2
 STEPS_A_PERIOD, SUBSTEPS_MOST = 60, 8
 TRIED, NUDGED = 20, 0.05  # frequencies of a spring, at so large a share
 ROUNDS = 3  # of the fit of where a window starts
@@ -34,7 +35,6 @@ NOISE_MORE = 1.3
 HELD_LATE = 0.5  # of the input's stamps: whether it is held or was sampled is half of a step
 # What a well-kept model may be off by: shares of its own values, and of the usual force.
 OF_GAIN, OF_OWN, OF_FORCE = 0.01, 0.02, 0.004
-LEVELS_LEAST = 10  # fewer say nothing of the steps between
 GIVE_TIMES = 3.0  # nobody knows how far friction bends
 SLOW, STILL, STRONG = 0.15, 0.01, 0.6  # shares of the largest speed and force
 _MODEL = {
@@ -79,8 +79,8 @@ class DrivenMassView(RigView):
         own = effects(stage.name, scales, self._speed_alone)
         self._known = {f"{e.name.rpartition('.')[2]}.{p.name}": p.neutral for e in own for p in e.parameters}
         self._known |= {path: _number(stage, key, 0.0) for key, path in _MODEL.items()}
-        self._window_s = _window_s(scales)
-        self._edges = [_edges(m.grid, self._window_s) for m in self._motions]
+        window_s, self.block_s = _windows(scales, self._motions)
+        self._edges = [_edges(m.grid, window_s) for m in self._motions]
         self._each = int(min(max(np.ceil(scales.step_s * STEPS_A_PERIOD / scales.period_s), 1), SUBSTEPS_MOST))
         self._late: dict[tuple[int, float], Array] = {}
         self._forces: dict[tuple[float, ...], list[Array]] = {}
@@ -263,20 +263,6 @@ class DrivenMassView(RigView):
         return signals
 
 
-def resolution(signals: Sequence[Array]) -> float:
-    """An encoder's step: what all differences are whole multiples of; 0 for signals that have none."""
-    levels = np.unique(np.concatenate(signals))
-    span = float(levels[-1] - levels[0])
-    apart = np.diff(levels)
-    apart = np.sort(apart[apart > 1e-9 * span])
-    if len(apart) < LEVELS_LEAST:
-        return 0.0
-    near = apart[: max(LEVELS_LEAST, len(apart) // 4)]
-    step = float(np.median(near[near < 1.5 * near[0]]))
-    whole = np.abs(near / step - np.round(near / step)) < 0.1
-    return step if np.mean(whole) > 0.9 else 0.0
-
-
 def _summed_twice(values: Array, edges: NDArray[np.int64], step_s: float, once: bool) -> Array:
     """What a push like this would have moved by since a window's start, but for the mass."""
     out = np.empty_like(values)
@@ -389,12 +375,14 @@ def _period(motions: Sequence[_Motion], column: str, limit: float) -> float:
     return max(float(np.median(found)), 20 * motions[0].grid.step_s)
 
 
-def _window_s(s: Scales) -> float:
-    """See WINDOW_PERIODS."""
-    wanted = max(WINDOW_PERIODS * s.period_s, SAMPLES_LEAST * s.step_s)
-    if wanted > BLOCK_S:
-        return BLOCK_S * min(round(wanted / BLOCK_S), WINDOW_MOST)
-    return BLOCK_S / max(int(BLOCK_S / wanted), 1)
+def _windows(s: Scales, motions: Sequence[_Motion]) -> tuple[float, float]:
+    """Seconds of a window, and of a stretch that says something new, which is whole windows; see WINDOW_PERIODS."""
+    trial_s = float(np.median([m.grid.t_s[-1] - m.grid.t_s[0] for m in motions]))
+    least = min(max(WINDOW_PERIODS * s.period_s, SAMPLES_LEAST * s.step_s), trial_s / 2)
+    # Whole windows to the robot's stretch or the other way round: where windows begin moves what a fit runs into.
+    window = BLOCK_S * round(least / BLOCK_S) if least > BLOCK_S else BLOCK_S / max(int(BLOCK_S / least), 1)
+    wanted = min(max(BLOCK_WINDOWS * window, trial_s / STRETCHES_MOST), trial_s / STRETCHES_LEAST)
+    return window, window * max(round(wanted / window), 1)
 
 
 def _scales(

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from softarm.diagnosis.data.trials import Array, Series, Trial, TrialError
 
 RATE_MAX_HZ = 200.0
-LEVELS_LEAST = 10  # fewer say nothing of the steps between
+LEVELS_LEAST, ROUNDED = 10, 0.2  # fewer say nothing of the steps between; of a step
 GAP_S, GAP_SAMPLES, GAP_STEPS = 0.1, 50, 5  # nothing is compared within a longer gap, for its source and for the grid
 
 
@@ -56,14 +56,22 @@ def _without_gaps(at: Array, t: Array, values: Array, longest_s: float) -> Array
     return values
 
 
-def smallest_step(signals: Sequence[Array]) -> float:
-    """The distance between neighbouring values that occur: an encoder's step; 0 for continuous signals."""
-    steps = []
-    for values in signals:
-        levels = np.unique(values)
-        if LEVELS_LEAST <= len(levels) <= len(values) // 2:
-            steps.append(float(np.median(np.diff(levels))))
-    return min(steps, default=0.0)
+def resolution(signals: Sequence[Array]) -> float:
+    """An encoder's step: what all differences are whole multiples of, but for what a printed number is rounded by; 0
+    for signals that have none.
+    """
+    values = np.concatenate(signals)
+    levels = np.unique(values[np.isfinite(values)])
+    if len(levels) < LEVELS_LEAST:
+        return 0.0
+    apart = np.diff(levels)
+    apart = np.sort(apart[apart > 1e-9 * (levels[-1] - levels[0])])
+    if len(apart) < LEVELS_LEAST:
+        return 0.0
+    near = apart[: max(LEVELS_LEAST, len(apart) // 4)]
+    step = float(np.median(near[near < 1.5 * near[0]]))
+    whole = np.abs(near / step - np.round(near / step)) < ROUNDED
+    return step if np.mean(whole) > 0.9 else 0.0
 
 
 def windows(trial: Trial, seconds: float) -> tuple[Trial, ...]:

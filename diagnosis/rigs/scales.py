@@ -20,6 +20,8 @@ ORDERS = (3, 4, 5, 6)  # of differences that noise is read from: a smooth signal
 LATEST = 0.25  # of the longest trial: whatever is later cannot be told from not following at all
 SMOOTHEST = 0.05  # of a trial: the longest stretch over which a slope is taken
 SHIFTS = 40
+FORGETS, LATES = 6.0, 3.0  # a sine goes round in six of the times in which it half forgets itself; of the lateness
+STRETCHES_LEAST, STRETCHES_MOST = 5, 40  # of a trial
 REPEATED = 1e-6  # of the command's range: two that differ by less are one command
 
 
@@ -127,6 +129,24 @@ def _correlation(commands: Sequence[Array], measured: Sequence[Array]) -> float:
     return float(c @ m / math.sqrt(max(float(c @ c) * float(m @ m), 1e-300)))
 
 
+def stretch(t_s: Sequence[Array], measured: Sequence[Array], late_s: float) -> float:
+    """Seconds after which a recording says something new: about a turn of its motion, or of what follows it late."""
+    found = max(
+        FORGETS * float(np.median([_half_forgotten(t, m) for t, m in zip(t_s, measured, strict=True)])), LATES * late_s
+    )
+    usual = float(np.median([t[-1] - t[0] for t in t_s]))
+    return min(max(found, usual / STRETCHES_MOST), usual / STRETCHES_LEAST)
+
+
+def _half_forgotten(t_s: Array, measured: Array) -> float:
+    """The shift after which a signal is like itself by half."""
+    x = np.nan_to_num(measured - np.nanmean(measured))
+    power = np.abs(np.fft.rfft(x, 2 * len(x))) ** 2
+    alike = np.fft.irfft(power)[: len(x)]
+    below = np.flatnonzero(alike < 0.5 * alike[0])
+    return float(t_s[below[0] if len(below) else -1] - t_s[0])
+
+
 def repeatability(commands: Sequence[Array], measured: Sequence[Array]) -> float:
     """RMS by which one flight of a command differs from its mean over flights, without the noise's share taken out; 0
     where no command was flown twice. Trials of one command count from their first samples on.
@@ -145,8 +165,8 @@ def repeatability(commands: Sequence[Array], measured: Sequence[Array]) -> float
     return math.sqrt(energy / count) if count else 0.0
 
 
-def tracking_spans(s: Scales) -> dict[str, Span]:
-    """Effect and parameter -> what it may be on a follower with these scales."""
+def tracking_spans(s: Scales, speed: bool = False) -> dict[str, Span]:
+    """Effect and parameter -> what it may be on a follower with these scales. speed: that is what follows."""
     latest, share = LATEST * s.longest_s, s.share
     time = Span(0.0, latest, min(s.late_s, 0.5 * latest))
     width = Span(0.0, 0.5 * s.reach, share)
@@ -168,6 +188,8 @@ def tracking_spans(s: Scales) -> dict[str, Span]:
         # From a sine that a trial holds thrice to one that is sampled four times.
         "second_order.frequency": Span(3 / s.longest_s, max(0.25 / s.step_s, 4 / s.longest_s), _frequency(s)),
     }
+    if speed:  # of a position it is a dead zone
+        spans["coulomb_friction.loss"] = width
     room = s.commanded - s.top
     if room > max(share, 0.0):  # some of the commands were out of reach, or nobody knows of a ceiling
         slack = 0.1 * s.reach

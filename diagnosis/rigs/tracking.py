@@ -8,9 +8,9 @@ from numpy.typing import NDArray
 from softarm.common.quantity import PURE
 from softarm.diagnosis.data.trials import Series, Trial, TrialError
 from softarm.diagnosis.engine.view import Array, Point
-from softarm.diagnosis.rigs.grid import Grid, grid, smallest_step
+from softarm.diagnosis.rigs.grid import Grid, grid, resolution
 from softarm.diagnosis.rigs.laws import tracking as law
-from softarm.diagnosis.rigs.scales import Scales, repeatability, scales, tracking_spans, white_noise
+from softarm.diagnosis.rigs.scales import Scales, repeatability, scales, stretch, tracking_spans, white_noise
 from softarm.diagnosis.rigs.views import RigView
 from softarm.diagnosis.rigs.vocabulary import effects
 from softarm.schemas.stage_model import ModelValue
@@ -43,6 +43,7 @@ _LAW = (
     ("hysteresis.strength", law.STRENGTH),
     ("hysteresis.width", law.LOOP),
     ("sensor_bias.bias", law.BIAS),
+    ("coulomb_friction.loss", law.DRY),
 )
 _MODEL = {  # of a stage.yaml's model
     "lag_s": ("lag.rise", "lag.fall"),
@@ -72,11 +73,12 @@ class TrackingView(RigView):
             np.where(g.t_s - g.t_s[0] < _skipped(g, self.scales.late_s), np.nan, s)[:, None]
             for g, s in zip(grids, seen, strict=True)
         ]
-        step = smallest_step([t.channel("measured")[column] for t in trials])
+        step = resolution([t.channel("measured")[column] for t in trials])
         signals = [_signals(g, m, s, self.scales) for g, m, s in zip(grids, means, seen, strict=True)]
-        found = effects("tracking", stage, unit, spans=tracking_spans(self.scales))
+        found = effects("tracking", stage, unit, spans=tracking_spans(self.scales, column == "velocity"))
         super().__init__(stage, unit, (column,), found, [g.t_s for g in grids], shown, step, signals)
         self.floor = np.maximum(self.floor, max(self.scales.noise, repeatability(means, seen)))
+        self.block_s = stretch([g.t_s for g in grids], seen, self.scales.late_s)
         self._known = {f"{e.name.rpartition('.')[2]}.{n.name}": n.neutral for e in found for n in e.parameters}
         self._known |= {path: float(np.ravel(given[key])[0]) for key in given for path in _MODEL.get(key, ())}
         self._grids, self._commands = grids, commands

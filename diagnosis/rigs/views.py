@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from softarm.diagnosis.data.trials import Trial
 from softarm.diagnosis.engine.view import Array, Point
+from softarm.diagnosis.engine.whitened import BLOCK_S
 from softarm.diagnosis.rigs.vocabulary import Effect
 
 # How features are called that hold nothing of what the view itself measured.
@@ -17,6 +18,7 @@ FLOOR_SHARE = 1e-3  # of the signal: no simulator is blamed for a thousandth
 class RigView:
     """One stage of a rig; satisfies `softarm.diagnosis.engine.view.View`."""
 
+    block_s = BLOCK_S  # a stretch that says something new
     fits_starts = False  # at every point anew: then a part of a trial is no stranger to the rest of it
 
     def __init__(

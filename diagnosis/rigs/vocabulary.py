@@ -64,6 +64,11 @@ _TRACKING: dict[str, _Use] = {
         {"strength": "strength", "width": "width"},
         meaning="a loop between command and end, as wide at any speed (Bouc-Wen): soft material, no free travel",
     ),
+    "coulomb_friction": _Use(
+        "rail.coulomb_friction",
+        {"force": "loss"},
+        meaning="dry friction against a loop of speed: it stays behind by this, either way, and stands still below",
+    ),
     "sensor_bias": _Use("pressure.sensor_bias", {"bias": "bias"}, meaning="the sensor reads high"),
     "latency": _Use("mocap.latency", {"delay": "delay"}, meaning="readings are older than their stamps say"),
 }
@@ -82,7 +87,7 @@ _SECOND_ORDER = Effect(
     "standard second-order system, w^2 / (s^2 + 2 z w s + w^2); Franklin, Powell and Emami-Naeini, Feedback Control",
 )
 # Registry's unit -> how often what is measured is divided by seconds.
-_TIMES = {"kPa": 0, "m": 0, "kPa/s": 1, "m/s^2": 2}
+_TIMES = {"kPa": 0, "m": 0, "N": 0, "kPa/s": 1, "m/s^2": 2}
 
 # Pairs easily taken for each other on a rig, and what tells them apart; beside what the registry says.
 _RIVALS: tuple[tuple[str, str, str], ...] = (
@@ -116,6 +121,8 @@ _RIVALS: tuple[tuple[str, str, str], ...] = (
     ("ceiling", "deadband", "an amplitude sweep: a ceiling leaves low commands alone"),
     ("rate_limit", "lag", "steps of several sizes: the time grows with the step only for a limit"),
     ("acceleration_limit", "lag", "sines of two sizes: only a limit answers the larger one less"),
+    ("coulomb_friction", "gain", "a sweep of commands: a gain's error grows, dry friction's not"),
+    ("coulomb_friction", "deadband", "slowing down without a stop: friction helps, a dead zone stays above"),
 )
 
 

@@ -13,7 +13,7 @@ from softarm.diagnosis.engine.whitened import slices
 from softarm.diagnosis.rigs.chain.effects import INERTIA_SHARE, MASS_SHARE, Scales, effects, of_joints, tolerances
 from softarm.diagnosis.rigs.chain.model import Chain, absolute, chain_of, joints, measured, periods_seen
 from softarm.diagnosis.rigs.chain.shooting import Law, Shooting
-from softarm.diagnosis.rigs.grid import Grid, grid, smallest_step, windows
+from softarm.diagnosis.rigs.grid import Grid, grid, resolution, windows
 from softarm.diagnosis.rigs.laws import chain as law
 from softarm.diagnosis.rigs.views import RigView
 
@@ -49,7 +49,8 @@ class ChainView(RigView):
         grids = [grid(t.channel("measured"), rate_hz) for t in trials]
         shown = [measured(chain, np.stack([g.columns[name] for name in names], axis=1)) for g in grids]
         raw = [measured(chain, np.stack([t.channel("measured")[n] for n in names], axis=1)) for t in trials]
-        step = smallest_step([np.round(values, 9) for each in raw for values in each.T])
+        joints_own = [resolution([np.round(each[:, i], 9) for each in raw]) for i in range(chain.n)]
+        step = min((each for each in joints_own if each > 0), default=0.0)
         self._step_s = float(np.median([g.step_s for g in grids]))
         self._each = max(1, int(np.ceil(self._step_s / (fastest / STEPS_PER_PERIOD))))
         self._trials, self._grids = trials, grids

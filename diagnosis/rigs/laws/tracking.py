@@ -10,8 +10,8 @@ compiled = compiler(Path(__file__))
 
 # Columns of a follower's parameters.
 SCALE, OFFSET, CEILING, WIDTH, RISE, FALL, RATE, DOWN, ACCELERATION = range(9)
-PERIOD, DAMPING, COUPLING, GAP, STRENGTH, LOOP, BIAS = range(9, 16)
-COLUMNS = 16
+PERIOD, DAMPING, COUPLING, GAP, STRENGTH, LOOP, BIAS, DRY = range(9, 17)
+COLUMNS = 17
 FAST = 0.02  # of a substep: a shorter period is none
 
 
@@ -22,8 +22,9 @@ def follow(command, start, law, step_s, each, out):
     command: [n each] mean over each substep, already late and in the measured unit; start: the first reading; law:
     columns above, DOWN the rate downwards, PERIOD the inverse of the natural frequency, s/rad, COUPLING the share of
     the damping that is between what is driven and what is seen; out: [n], what is seen before each sample's substeps.
-    A proportional loop against dry friction: the error that friction holds stays. Behind the loop come a resonance,
-    play, a rate-independent loop and the sensor's zero. A neutral value leaves every bit as it was.
+    A proportional loop against dry friction: the error that friction holds stays, and where the loop is one of speed
+    it stays behind by DRY and stands still under small commands. Behind the loop come a resonance, play, a
+    rate-independent loop and the sensor's zero. A neutral value leaves every bit as it was.
     """
     y = x = start - law[BIAS]
     v = swing = 0.0
@@ -34,7 +35,7 @@ def follow(command, start, law, step_s, each, out):
     rings, late = law[PERIOD] > FAST * step_s, 2.0 * law[DAMPING] * law[PERIOD] * (1.0 - law[COUPLING])
     keep, gain, fall, hold = _ring(law[PERIOD], law[DAMPING], step_s) if rings else (0.0, 0.0, 0.0, 0.0)
     kick = 2.0 * law[DAMPING] * law[COUPLING] / law[PERIOD] * step_s if rings else 0.0
-    turned, height = 0.0, law[STRENGTH] * law[LOOP]
+    turned, height, dry = 0.0, law[STRENGTH] * law[LOOP], law[DRY]
     for i in range(len(out)):
         before = seen
         seen = min(max(seen, y - half), y + half)
@@ -43,13 +44,18 @@ def follow(command, start, law, step_s, each, out):
             turned += (towards - turned) * (1.0 - math.exp(-abs(seen - before) / law[LOOP]))
         out[i] = seen - height * turned + law[BIAS]
         for s in range(each):
-            error = min(command[i * each + s] * (1.0 + law[SCALE]) + law[OFFSET], law[CEILING]) - x
-            beyond = error - min(max(error, -law[WIDTH]), law[WIDTH])
+            end, was = min(command[i * each + s] * (1.0 + law[SCALE]) + law[OFFSET], law[CEILING]), x
+            beyond = _beyond((end if dry == 0.0 else _rubbed(end, x, dry)) - x, law[WIDTH])
             closing, straight = (up, bent_up) if beyond > 0.0 else (down, bent_down)
             wanted = min(max(beyond * closing, -law[DOWN]), law[RATE])
             held = abs(wanted - v) > change
             v = v + (change if wanted > v else -change) if held else wanted
             x += v * step_s
+            if dry > 0.0 and x * was < 0.0:  # through standstill: there friction turns round, or holds
+                beyond = _beyond((end + dry if was > 0.0 else end - dry) - was, law[WIDTH])
+                away = min(max(beyond * closing, -law[DOWN]), law[RATE]) * step_s
+                x = min(max(x, was + away), 0.0) if was > 0.0 else max(min(x, was + away), 0.0)
+                v = (x - was) / step_s
             if rings:  # led along a straight line after a jump, and late
                 lead = v if held or wanted == law[RATE] or wanted == -law[DOWN] else straight * v
                 away, faster = y - (x - lead * (step_s + late)), swing - lead + kick * (v - lead)
@@ -57,6 +63,20 @@ def follow(command, start, law, step_s, each, out):
                 swing = lead + fall * away + hold * faster
             else:
                 y = x
+
+
+@compiled
+def _beyond(error, width):
+    """What of an error a dead zone lets through."""
+    return error - min(max(error, -width), width)
+
+
+@compiled
+def _rubbed(end, speed, dry):
+    """Where a speed ends against dry friction, which is against the motion, or holds what stands."""
+    if speed > 0.0:
+        return end - dry
+    return end + dry if speed < 0.0 else _beyond(end, dry)
 
 
 @compiled

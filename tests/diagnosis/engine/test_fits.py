@@ -10,6 +10,7 @@ from scipy.stats import binom
 from softarm.diagnosis.engine.candidates import Candidate, FittedParameter, Nuisance
 from softarm.diagnosis.engine.held_out import block_sums, gram
 from softarm.diagnosis.engine.problem import Setup
+from softarm.diagnosis.engine.whitened import BLOCK_S
 
 RATE_HZ, LENGTH_S, NOISE = 60.0, 6.0, 0.05
 KINDS = ("steps", "chirp", "decay")
@@ -89,6 +90,14 @@ def test_the_loss_is_that_of_the_noise(both):
     assert both.loss == pytest.approx(samples, rel=0.1)
     assert both.held_out.sum() == pytest.approx(samples, rel=0.15)
     assert both.held_out.sum() > both.loss
+
+
+def test_a_stretch_is_worth_the_same_whatever_the_views_own_time():
+    usual, quick = Setup([_View()], (ZERO,), KINDS), Setup([_View()], (ZERO,), KINDS, block_s=BLOCK_S / 3)
+    assert len(quick.blocks) == pytest.approx(3 * len(usual.blocks), rel=0.1)
+    one, three = usual.weighed().fit([((), ())])[0], quick.weighed().fit([((), ())])[0]
+    assert three.loss == pytest.approx(3 * one.loss, rel=1e-4)
+    assert three.held_out.sum() == pytest.approx(3 * one.held_out.sum(), rel=0.05)
 
 
 def test_another_start_ends_at_the_same_place(both):

@@ -17,7 +17,8 @@ from softarm.diagnosis.engine.problem import Setup
 from softarm.diagnosis.engine.search import Search
 from softarm.diagnosis.rigs.candidates import candidates, nuisances
 from softarm.diagnosis.rigs.diagnose import diagnose_table
-from softarm.diagnosis.rigs.driven_mass import DrivenMassView, resolution
+from softarm.diagnosis.rigs.driven_mass import DrivenMassView
+from softarm.diagnosis.rigs.grid import resolution
 from softarm.diagnosis.rigs.laws import driven_mass as laws
 
 FINE_S = 2e-5
@@ -396,6 +397,28 @@ def test_an_encoders_step_is_what_all_differences_are_multiples_of():
     assert resolution([np.round(x / 0.01) * 0.01]) == pytest.approx(0.01)
     assert resolution([np.round(100 * x / 0.01) * 0.01]) == pytest.approx(0.01)  # sparse: few levels twice
     assert resolution([x]) == 0.0
+    assert resolution([np.sin(np.arange(5000.0))]) == 0.0
+    printed = np.round(np.round(x / 0.088) * 0.088, 2)  # two places of it: steps of 0.08 and 0.09
+    assert resolution([np.append(printed, np.nan)]) == pytest.approx(0.088, rel=0.12)
+
+
+def test_windows_and_what_they_make_follow_the_motions_own_time():
+    quick, slow = (DrivenMassView([_in(t, way) for t in campaign(RUBS, KNOWN, **QUICK)]) for way in (1.0, 50.0))
+    assert slow.block_s == pytest.approx(50 * quick.block_s, rel=0.2)
+    trial_s = float(quick.t_s[quick.trial == 0][-1])
+    assert trial_s / 41 < quick.block_s < trial_s / 3
+    for k, edges in enumerate(quick._edges):  # every stretch begins where a window does
+        t = quick.t_s[quick.trial == k]
+        begun = np.flatnonzero(np.diff(((t - t[0]) / quick.block_s).astype(int))) + 1
+        assert all(np.min(np.abs(edges - b)) <= 1 for b in begun)
+
+
+def _in(trial, times):
+    """The same way in so many times the time, by a mass that is so much the heavier squared."""
+    channels = {name: Series(s.t_s * times, dict(s.columns)) for name, s in trial.channels.items()}
+    model = dict(trial.stage.model)
+    model["mass_kg"] = model["mass_kg"] * times**2
+    return replace(trial, channels=channels, stage=replace(trial.stage, model=model))
 
 
 def broken(model, force=None, columns=("position",)):

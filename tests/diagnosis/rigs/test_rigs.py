@@ -15,7 +15,7 @@ from softarm.diagnosis.rigs.chain.model import chain_of
 from softarm.diagnosis.rigs.chain.shooting import swing as swung
 from softarm.diagnosis.rigs.chain.view import ChainView
 from softarm.diagnosis.rigs.diagnose import diagnose_table, view_of
-from softarm.diagnosis.rigs.grid import grid, smallest_step, windows
+from softarm.diagnosis.rigs.grid import grid, windows
 from softarm.diagnosis.rigs.laws import chain as law
 from softarm.diagnosis.rigs.tracking import TrackingView, velocity_warnings
 from softarm.diagnosis.rigs.vocabulary import effects
@@ -200,10 +200,6 @@ def test_fast_sources_are_averaged_and_gaps_stay_empty():
     assert np.isnan(found.columns["x"][inside]).all()
     outside = (found.t_s < 0.98) | (found.t_s > 1.52)
     np.testing.assert_allclose(found.columns["x"][outside], 2 * found.t_s[outside], atol=1e-9)
-    assert smallest_step([np.round(np.sin(np.arange(5000.0)), 2), np.round(np.arange(5000.0) / 5000)]) == pytest.approx(
-        0.01
-    )
-    assert smallest_step([np.sin(np.arange(5000.0))]) == 0.0
 
 
 def test_stamps_that_jitter_about_the_edge_of_a_bin_do_not_shake_its_mean():

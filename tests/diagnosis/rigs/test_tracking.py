@@ -148,6 +148,33 @@ def test_an_effect_alone_fits_best_and_at_its_size(name, truth, point):
         assert found[name][1][f"axis.{path}"] == pytest.approx(value, rel=0.12, abs=near)
 
 
+def rubbed(command, lag, loss, fine=200):
+    """A loop of speed against dry friction: lag dv/dt = command - v - loss, against the motion or the wish to move."""
+    h, v, out = STEP_S / fine, 0.0, np.empty(len(command))
+    for i, wanted in enumerate(command):
+        out[i] = v
+        for _ in range(fine):
+            free = v + h * (wanted - v) / lag
+            v = 0.0 if abs(free) <= h * loss / lag else free - math.copysign(h * loss / lag, free)
+    return out
+
+
+@pytest.mark.parametrize("lag", [0.1, 0.004])
+def test_dry_friction_against_a_loop_of_speed_is_no_dead_zone(lag):
+    draw, told = np.random.default_rng(0), {"axis.lag.rise": lag, "axis.lag.fall": lag}
+    trials = []
+    for kind, command in commands().items():
+        seen = rubbed(command, lag, 0.08) + 1e-3 * draw.normal(size=len(T))
+        trials.append(trial(command, seen, kind=kind, model={"lag_s": lag}, column="velocity"))
+    view = TrackingView(trials)
+    unseen, seen = view.gap([told, told | {"axis.coulomb_friction.loss": 0.08}]).astype(float)
+    assert np.sqrt(np.nanmean(seen**2)) < 0.05 * np.sqrt(np.nanmean(unseen**2))
+    found = alone(trials)
+    assert next(iter(found)) == "coulomb_friction"
+    assert found["coulomb_friction"][1]["axis.coulomb_friction.loss"] == pytest.approx(0.08, rel=0.03)
+    assert "axis.coulomb_friction" not in {e.name for e in TrackingView(flown({"lag": 0.1})).effects}
+
+
 def test_a_dead_zone_without_a_lag_is_play_of_twice_its_width():
     """No test can tell what is the same: they have to come out as a set."""
     found = alone(flown({"width": 0.06}))
@@ -169,9 +196,9 @@ def test_the_same_rig_in_other_units_of_length_and_time_is_the_same_problem(quic
     """A valve of seconds in kPa, an axis of milliseconds in m: bounds, sizes and boxes scale alike."""
     truth = {"rise": 0.3, "fall": 0.1, "width": 0.05}
     powers = {"s": (1, 0), "Hz": (-1, 0), "-": (0, 0), "rad": (0, 1), "rad/s": (-1, 1), "rad/s^2": (-2, 1)}
-    one, other = (
-        candidates(TrackingView(flown(dict(truth), quick=q, large=x))) for q, x in ((1.0, 1.0), (quick, large))
-    )
+    views = [TrackingView(flown(dict(truth), quick=q, large=x)) for q, x in ((1.0, 1.0), (quick, large))]
+    assert views[1].block_s * quick == pytest.approx(views[0].block_s)
+    one, other = (candidates(view) for view in views)
     for a, b in zip(one, other, strict=True):
         for p, r in zip(a.parameters, b.parameters, strict=True):
             time, length = powers[p.unit]
