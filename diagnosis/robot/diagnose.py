@@ -324,6 +324,7 @@ class Robot:
             found.append(
                 "fewer than three kinds of excitation: a plain lag fits a chirp, not steps; fly more (softarm excite)"
             )
+        found += [f"{stage}: {where}; no effect of the list explains that" for stage, where in decision.odd.items()]
         for effect in choice.selected:
             if effect not in decision.selected:
                 found.append(

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from functools import cached_property
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -19,6 +20,7 @@ FLOOR_KPA, FLOOR_M_S, FLOOR_MOCAP_M = 0.10, 0.02, 0.0007
 FLOOR_LINK_Y_M, FLOOR_LINK_Z_M = 0.0007, 0.0005  # of the first link; y grows with the links, z with half of that
 RAIL_HZ, ARM_HZ = 480.0, 240.0
 ROBOTS_MAX = 4096
+LEVELS_KPA = (2, 5, 10, 15)
 # Where the axis's encoder sits decides what it shows: on the motor it believes in a wrong feed and never sees play.
 ON_MOTOR = "rail.encoder.on_motor"
 # A mocap frame may be turned about its origin, or about the middle of the rail.
@@ -175,6 +177,13 @@ class PressureView(RobotView):
     def _seen(self) -> Array:
         return self.grid.pressure_kpa[:, :, None]
 
+    @property
+    def regimes(self) -> Mapping[str, NDArray[np.bool_]]:
+        """See View: and by level, where a valve that sticks or a map that is bent shows."""
+        pressure = np.asarray(self.grid.flat(np.nan_to_num(self.grid.pressure_kpa)))
+        levels = {f"from {a} to {b} kPa": (pressure >= a) & (pressure < b) for a, b in pairwise(LEVELS_KPA)}
+        return {**super().regimes, **levels}
+
     def _predict(self, points: Sequence[Point]) -> NDArray[np.float32]:
         f, robots = self.grid, len(points) * len(self.grid.trials)
         simulator = Simulator(self.model, robots, ARM_HZ, overrides=self._overrides(points, self.acts))
@@ -200,6 +209,22 @@ class RailView(RobotView):
         seen = self.grid.axis_m_s.copy()
         seen[:, self.grid.held] = np.nan
         return seen[:, :, None]
+
+    @property
+    def regimes(self) -> Mapping[str, NDArray[np.bool_]]:
+        """See View: and by place, by direction, and soon or late after the start."""
+        f = self.grid
+        place, speed = (np.asarray(f.flat(x)) for x in (f.hinge_m, f.hinge_m_s))
+        since = np.asarray(f.flat(f.t_s - f.t_s[0]))
+        further = {
+            "cart beyond 0.1 m at the +y end": place > 0.1,
+            "cart beyond 0.1 m at the -y end": place < -0.1,
+            "cart going to +y": speed > 0.02,
+            "cart going to -y": speed < -0.02,
+            "in the first 4 s": since < 4.0,
+            "after 12 s": since > 12.0,
+        }
+        return {**super().regimes, **further}
 
     def _predict(self, points: Sequence[Point]) -> NDArray[np.float32]:
         f, robots = self.grid, len(points) * len(self.grid.trials)

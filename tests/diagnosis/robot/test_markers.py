@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 
 from softarm.diagnosis.data.trials import Series
+from softarm.diagnosis.diagnose import diagnose
 from softarm.diagnosis.robot.markers import loose_marker
+from softarm.schemas.model import Model
 
 LINKS = 5
 KINDS = ("pressure-multisine", "both")
@@ -73,3 +75,11 @@ def test_without_angles_nobody_can_tell(campaign):
         columns = {name: x for name, x in mocap.columns.items() if not name.endswith("_angle")}
         bare.append(replace(t, channels=t.channels | {"mocap": Series(mocap.t_s, columns)}))
     assert loose_marker(bare, LINKS) is None
+
+
+@pytest.mark.slow
+def test_a_loose_marker_is_unknown_in_mocap_and_no_effect_of_the_arm(campaign):
+    """Half a millimetre is within the floor of every stage, and the answer was none."""
+    verdict = diagnose(_wobbling(campaign(), 3, 0.0007), Model()).verdict
+    assert (verdict.verdict, verdict.effects, verdict.where.stage) == ("unknown", (), "mocap")
+    assert any(text.startswith("mocap: the markers of link 3") for text in verdict.warnings)

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from softarm.diagnosis.engine.structure import structure
 from softarm.diagnosis.robot.candidates import candidates
 from softarm.diagnosis.robot.counts import TOLERANCE
 from softarm.diagnosis.robot.trial_grid import on_grid
@@ -140,3 +141,24 @@ def test_what_is_counted_is_not_simulated(views):
     counted = {f"{name}.{p.name}" for name in TOLERANCE for p in REGISTRY[name].parameters}
     assert counted
     assert not declared & counted
+
+
+def test_the_rail_is_looked_at_by_end_and_by_direction(views):
+    regimes, grid = views["rail"].regimes, views["rail"].grid
+    ends = [regimes[f"cart beyond 0.1 m at the {end} end"] for end in ("+y", "-y")]
+    ways = [regimes[f"cart going to {way}"] for way in ("+y", "-y")]
+    for parts, whole, signal in ((ends, "cart beyond 0.1 m", grid.hinge_m), (ways, "cart moving", grid.hinge_m_s)):
+        np.testing.assert_array_equal(parts[0] | parts[1], regimes[whole])
+        assert (grid.flat(signal)[parts[0]] > 0).all()
+        assert (grid.flat(signal)[parts[1]] < 0).all()
+
+
+@pytest.mark.parametrize(("stage", "where"), [("rail", "in the first 4 s"), ("pressure", "from 5 to 10 kPa")])
+def test_what_shows_in_one_place_alone_is_found_there(stage, where, views):
+    """On the whole it is within the floor, and it is the same each time."""
+    view = views[stage]
+    noise = 0.3 * np.random.default_rng(2).normal(size=view.measured.shape)
+    assert structure(view, view.floor * noise).signs == 0
+    found = structure(view, view.floor * (noise + np.where(view.regimes[where][:, None], 1.5, 0.0)))
+    assert found.energy > 1.0
+    assert found.where.startswith(where), found.where
