@@ -229,9 +229,14 @@ class _Stage:
         at = chosen.names.index(effect.candidate.name)
         first = sum(len(each.parameters) for each in chosen.effects[:at])
         bounds = self.found.search.problem.interval(chosen)
+        known = self.view.known_to(chosen.point)
         found = {}
         for i, (parameter, u) in enumerate(zip(effect.candidate.parameters, chosen.u[at], strict=True)):
-            ends = [min(max(float(x[first + i]), parameter.low), parameter.high) for x in bounds]
+            least = known.get(parameter.path.partition(".")[2], 0.0)
+            ends = [min(float(bounds[0][first + i]), u - least), max(float(bounds[1][first + i]), u + least)]
+            if least > 0:  # where nothing tells, a fit's line is flat and says nothing either: the next sample does
+                ends = [max(ends[0], u - 2 * least), min(ends[1], u + 2 * least)]
+            ends = [min(max(x, parameter.low), parameter.high) for x in ends]
             values = [parameter.value(x) for x in (u, *ends)]
             value, low, high = (x if math.isfinite(x) else 1e12 for x in (values[0], min(values), max(values)))
             found[parameter.path.rpartition(".")[2]] = Estimate(value=value, low=low, high=high, unit=parameter.unit)

@@ -83,6 +83,10 @@ class TrackingView(RigView):
         self._known |= {path: float(np.ravel(given[key])[0]) for key in given for path in _MODEL.get(key, ())}
         self._grids, self._commands = grids, commands
         self._starts = [float(_FIRST @ s[np.isfinite(s)][:3]) for s in seen]
+        sent = [t.channel("command") for t in trials]
+        self._changes_s = float(
+            np.median(np.concatenate([*(_between_changes(s) for s in sent), [self.scales.longest_s]]))
+        )
         self._each = SUBSTEPS if len(self.t_s) <= FEW else 1
         self._late: dict[tuple[int, float], Array] = {}
 
@@ -117,6 +121,13 @@ class TrackingView(RigView):
         return lags | {
             "dead_time.delay": delay, "latency.delay": delay, "gain.offset": zero, "sensor_bias.bias": zero
         }  # fmt: skip
+
+    def known_to(self, point: Point) -> Mapping[str, float]:
+        """See RigView: of what follows a held command at once a sample says only that it has changed since the last."""
+        inert = ("lag.rise", "lag.fall") if np.isinf(self._value([point], "second_order.frequency")) else ()
+        if not inert or max(self._value([point], path) for path in inert) > self.scales.step_s:
+            return {}
+        return dict.fromkeys(("dead_time.delay", "latency.delay"), 0.5 * min(self.scales.step_s, self._changes_s))
 
     def nominal(self, path: str) -> float:
         """See RigView."""
@@ -229,6 +240,11 @@ def resolving_hz(series: Series, column: str) -> float:
             break
         bins = wide
     return 1 / (usual * bins)
+
+
+def _between_changes(command: Series) -> Array:
+    """Seconds for which a command stood each time."""
+    return np.asarray(np.diff(command.t_s[np.flatnonzero(np.diff(command["command"], prepend=np.nan))]))
 
 
 def _skipped(g: Grid, late_s: float) -> float:

@@ -77,6 +77,10 @@ class RigView:
         """'effect.parameter' -> what a well-kept model may be off by here, where the usual half-widths do not fit."""
         return {}
 
+    def known_to(self, point: Point) -> Mapping[str, float]:
+        """'effect.parameter' -> by how much, either way, it could differ at a point without any sample telling."""
+        return {}
+
     @property
     def echoes(self) -> frozenset[str]:
         """See View."""

@@ -10,6 +10,7 @@ from softarm.diagnosis.data import tables
 from softarm.diagnosis.data.trials import Series, TableStage, Trial
 from softarm.diagnosis.engine.problem import Setup
 from softarm.diagnosis.rigs.candidates import candidates, nuisances
+from softarm.diagnosis.rigs.diagnose import diagnose_table
 from softarm.diagnosis.rigs.scales import fastest, lateness, repeatability, white_noise
 from softarm.diagnosis.rigs.tracking import TrackingView, resolving_hz
 
@@ -274,6 +275,22 @@ def test_a_fast_source_is_averaged_as_far_as_nothing_is_lost():
     assert resolving_hz(fast, "position") > 2000
     rare = Series(t[::100], {"position": np.sin(t[::100])})
     assert resolving_hz(rare, "position") == pytest.approx(50, rel=0.01)
+
+
+def test_a_delay_of_what_follows_a_held_command_at_once_is_known_to_half_a_sample():
+    """The same readings, whatever the delay within a sample; a lag's slope tells it."""
+    command = commands()["multisine"]
+    seen = [rig(command, {"delay": delay}) for delay in (0.1208, 0.1302, 0.1392)]
+    np.testing.assert_allclose(seen[0], seen[1], atol=1e-9)
+    np.testing.assert_allclose(seen[0], seen[2], atol=1e-9)
+    effects = diagnose_table(flown({"delay": 0.13})).verdict.effects
+    delay = next(e for e in effects if e.name == "axis.dead_time").parameters["delay"]
+    assert delay.low < 0.13 < delay.high
+    assert 0.99 * STEP_S < delay.high - delay.low < 2.2 * STEP_S
+    view = TrackingView(flown({"lag": 0.1}))
+    assert not view.known_to({"axis.lag.rise": 0.1, "axis.lag.fall": 0.1})
+    half = pytest.approx(STEP_S / 2)
+    assert view.known_to({}) == {"dead_time.delay": half, "latency.delay": half}
 
 
 def test_units_are_the_measured_ones():
