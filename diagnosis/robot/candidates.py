@@ -24,8 +24,8 @@ _ABSOLUTE = {
     "mocap.latency.delay": 0.002,
     "mocap.rotation.angle": 0.002,
     "mocap.scale.scale": 0.002,
-    "mocap.offset.y": 0.002,
-    "mocap.offset.z": 0.002,
+    "mocap.offset.y": 0.001,
+    "mocap.offset.z": 0.001,
 }
 _RELATIVE = {
     "pressure.lag.inflate": 0.10,

@@ -49,6 +49,7 @@ class TrialGrid:
     hinge_m_s: Array
     axis_true: Mask  # [K] whether the way is the axis's own read-back, else it is mocap's
     push_n: Array  # [T, K] the arm's force on the cart, from its measured motion and the model's masses
+    push_links_n: Array  # [T, K] of that what the links' motion against the cart makes, as late as mocap is
     tip_m_s2: Array  # [T, K] the tip's acceleration along the rail
     air_m2_s2: Array  # [T, K] the links' speed times velocity along the rail, summed: what quadratic drag works against
     noise_m: float  # of mocap, from frame to frame, beyond what such cameras ordinarily have
@@ -161,7 +162,7 @@ def _poses(trial: Trial, t: Array, model: Model, held: bool, axis: Array) -> dic
     ends = [_sampled(mocap, f"link{i}_{part}", t) for part in ("y", "z") for i in range(1, n + 1)]
     links = np.stack(ends, axis=1) - np.repeat(np.stack((cart_y, cart_z), axis=1), n, axis=1)
     way, axis_true = _way(cart_y, axis, held)
-    push, tip, air = _push(links, way, model)
+    push, own, tip, air = _push(links, way, model)
     return {
         "cart_y_m": cart_y,
         "cart_z_m": cart_z,
@@ -170,6 +171,7 @@ def _poses(trial: Trial, t: Array, model: Model, held: bool, axis: Array) -> dic
         "hinge_m_s": np.gradient(way, STEP_S, edge_order=2),
         "axis_true": np.full(len(t), float(axis_true)),
         "push_n": push,
+        "push_links_n": own,
         "tip_m_s2": tip,
         "air_m2_s2": air,
     }
@@ -207,23 +209,25 @@ def _way(cart_y: Array, axis: Array, held: bool) -> tuple[Array, bool]:
     return np.interp(steps + late / STEP_S, steps, seen), False
 
 
-def _push(links: Array, way: Array, model: Model) -> tuple[Array, Array, Array]:
-    """From the arm's motion: its force on the cart along the rail (N), the tip's acceleration, `TrialGrid.air_m2_s2`.
+def _push(links: Array, way: Array, model: Model) -> tuple[Array, Array, Array, Array]:
+    """From the arm's motion: `TrialGrid.push_n`, `push_links_n`, the tip's acceleration, `TrialGrid.air_m2_s2`.
 
     Zero where mocap saw nothing.
     """
     n, still = model.arm.links, np.zeros(len(way))
     if not np.isfinite(links[:, :n]).any():
-        return still, still, still
+        return still, still, still, still
+    masses = np.asarray(model.arm.link_mass_kg)
     smooth = np.stack([_smooth(column, ARM_CUTOFF_HZ) for column in links.T], axis=1)
     cart = _smooth(way, ARM_CUTOFF_HZ)[:, None]
     centres = []
     for ends, hinge in ((smooth[:, :n] + cart, cart), (smooth[:, n:], 0 * cart)):
         centres.append((np.concatenate((hinge, ends[:, :-1]), axis=1) + ends) / 2)
     rates = [np.gradient(each, STEP_S, axis=0) for each in centres]
-    push = -np.gradient(rates[0], STEP_S, axis=0) @ np.asarray(model.arm.link_mass_kg)
+    push = -np.gradient(rates[0], STEP_S, axis=0) @ masses
+    carried = -masses.sum() * np.gradient(np.gradient(cart[:, 0], STEP_S), STEP_S)
     tip = np.gradient(np.gradient(smooth[:, n - 1] + cart[:, 0], STEP_S), STEP_S)
-    return push, tip, (np.hypot(*rates) * rates[0]).sum(axis=1)
+    return push, push - carried, tip, (np.hypot(*rates) * rates[0]).sum(axis=1)
 
 
 def _smooth(values: Array, cutoff_hz: float) -> Array:

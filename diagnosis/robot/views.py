@@ -203,7 +203,7 @@ class RailView(RobotView):
 
     stage, unit, _channels, _floor = "rail", "m/s", ("velocity",), FLOOR_M_S
     _echoed = frozenset({"cart position", "cart velocity", "cart acceleration"})
-    acts = parameters(*_stage("rail"), "arm.payload", "arm.tilt", "arm.drag") | {ON_MOTOR}
+    acts = parameters(*_stage("rail"), "arm.payload", "arm.tilt", "arm.drag", "mocap.latency") | {ON_MOTOR}
 
     def _seen(self) -> Array:
         seen = self.grid.axis_m_s.copy()
@@ -250,7 +250,14 @@ class RailView(RobotView):
         payload, tilt, drag = (self._robots(self._value(points, name)) for name in names)
         weight = (self.model.cart.mass_kg + sum(arm.link_mass_kg) + payload) * arm.gravity_m_s2
         moved = payload * self._tiled(f.tip_m_s2, points) + drag * self._tiled(f.air_m2_s2, points)
-        return self._tiled(f.push_n, points) - moved - weight * np.sin(tilt)
+        return self._seen_push(points) - moved - weight * np.sin(tilt)
+
+    def _seen_push(self, points: Sequence[Point]) -> Array:
+        """The arm's push, [T, P K]: what mocap saw of it late came earlier."""
+        f = self.grid
+        latency = self._value(points, "mocap.latency.delay")
+        ahead = [delayed(f.push_links_n[::-1], float(late))[::-1] - f.push_links_n for late in latency]
+        return np.asarray(self._tiled(f.push_n, points) + np.concatenate(ahead, axis=1))
 
 
 class ArmView(RobotView):

@@ -5,8 +5,10 @@ import math
 import numpy as np
 import pytest
 
+from softarm.diagnosis.blind.imperfections import KNOWN, draw_nuisances, read
 from softarm.diagnosis.robot.candidates import candidates, nuisances
 from softarm.diagnosis.robot.counts import TOLERANCE
+from softarm.reality.parameters import RobotParameters
 from softarm.schemas.model import Model
 from softarm.simulator.effects import REGISTRY, find, value
 
@@ -119,3 +121,19 @@ def test_between_the_last_finite_value_and_none_there_is_nothing():
         value = ceiling.value(float(u))
         assert math.isinf(value) or 1.0 <= value <= 100.0
     assert math.isinf(ceiling.value(0.0))
+
+
+@pytest.mark.parametrize("direction", ["y", "z"])
+def test_a_frame_as_far_off_as_well_kept_ones_are_is_no_news_and_half_the_weakest_cause_is(direction):
+    candidate, fitted = next((c, d) for c in ALL for d in c.parameters if d.path == f"mocap.offset.{direction}")
+    at = candidate.parameters.index(fitted)
+
+    def news(off_m):
+        return candidate.is_news(tuple(off_m if i == at else 0.0 for i in range(len(candidate.parameters))))
+
+    random, path = np.random.default_rng(6), f"mocap.offset_{direction}_m"
+    drawn = [read(draw_nuisances(RobotParameters(), random), path) for _ in range(200)]
+    assert not any(news(off_m) for off_m in drawn)
+    (knob,) = (k for variant in KNOWN["mocap.offset"] for k in variant if path in k.paths)
+    assert news(knob.halved(knob.low))
+    assert news(-knob.halved(knob.low))

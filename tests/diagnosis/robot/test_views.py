@@ -1,8 +1,11 @@
 """The robot's stages alone: driven by what was measured each is as measured, and an effect shows where it should."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
+from softarm.diagnosis.data.trials import Series, Trial
 from softarm.diagnosis.engine.structure import structure
 from softarm.diagnosis.robot.candidates import candidates
 from softarm.diagnosis.robot.counts import TOLERANCE
@@ -127,6 +130,37 @@ def test_an_encoder_on_the_motor_never_sees_play(views):
     np.testing.assert_array_equal(mocap[1], mocap[0])
     moved = np.abs(mocap[2] - mocap[0])[:, 0]
     assert 0.001 < np.nanmax(moved) < 0.0021  # half the play, either way
+
+
+def _swing(late_s):
+    """Ten seconds of an arm that swings at 1.1 Hz under a cart that nobody drives, its poses late."""
+    t, n = np.arange(600) / 60, MODEL.arm.links
+    angle = 0.3 * np.sin(2 * np.pi * 1.1 * (t - late_s))
+    cart = np.zeros(len(t))
+    poses = {"cart_y": cart, "cart_z": cart + MODEL.arm.base_height_m, "cart_angle": cart}
+    for i, reach in enumerate(np.cumsum(MODEL.arm.link_length_m), 1):
+        y, z = reach * np.sin(angle), MODEL.arm.base_height_m - reach * np.cos(angle)
+        poses |= {f"link{i}_y": y, f"link{i}_z": z, f"link{i}_angle": angle}
+    assert len(poses) == 3 * (n + 1)
+    channels = {
+        "command": Series(t, {"cart_velocity": cart, "pressure": cart}),
+        "rail": Series(t, {"position": cart, "velocity": cart}),
+        "mocap": Series(t, poses),
+    }
+    return Trial("swing", "swing", Path("swing"), channels, "free")
+
+
+def test_late_poses_push_the_cart_late_and_the_rail_is_not_blamed():
+    """The arm's push is taken from mocap: with the latency known the axis is pushed as it was seen without one."""
+    late_s = 0.04
+    prompt, late = (
+        next(v for v in robot_views(on_grid([_swing(x)], MODEL), MODEL) if v.stage == "rail") for x in (0.0, late_s)
+    )
+    inner = slice(60, -60)
+    right = prompt.gap([{}])[0, inner]
+    blamed, known = late.gap([{}, {"mocap.latency.delay": late_s}])[:, inner]
+    assert np.abs(blamed - right).max() > 0.1 * np.abs(right).max()
+    assert np.abs(known - right).max() < 0.02 * np.abs(right).max()
 
 
 def test_a_start_that_was_seen_wrong_shows_in_its_own_trial(views):
