@@ -53,7 +53,8 @@ def decide(
         if each.energy > max(t.structure_min, t.structure_share * taken.get(s, 0.0))
     }
     odd |= {s: each.where for s, each in (signs or {}).items()}
-    asks = bool(odd) or any(e > max(t.unknown_min, t.tolerated * taken[s]) for s, e in left.items() if s in taken)
+    granted = {s: max(t.unknown_min, min(t.tolerated * e, t.tolerated_most)) for s, e in taken.items()}
+    asks = bool(odd) or any(e > granted[s] for s, e in left.items() if s in granted)
     for fallen in (m for m in choice.selected if m not in selected):  # what it would have explained is not explained
         for stage, energy in fallen.gain.energies.items():
             left[stage] = left.get(stage, 0.0) + max(energy, 0.0)

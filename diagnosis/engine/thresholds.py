@@ -71,8 +71,10 @@ class Thresholds:
     structure_min: float = 1.0
     structure_share: float = 0.15
     # What nuisances take away within their tolerance is nobody's gap; of that and what the effects explain this share
-    # may be left without asking for another cause.
+    # may be left without asking for another cause, and no more energy beyond the floor than `tolerated_most`: a
+    # nuisance that takes a large gap's half away leaves the other half, which is somebody's.
     tolerated: float = 0.0
+    tolerated_most: float = 0.0
 
 
 ROBOT: Final = Thresholds()
@@ -105,6 +107,7 @@ RIG: Final = replace(
     together=True,
     whole_share=0.07,
     tolerated=0.15,
+    tolerated_most=15.0,  # four times the floor, root mean square
     unknown_min=1.5,  # twice the floor, root mean square: the encoder's step is not all that two recordings differ by
     structure_min=4.0,
     structure_share=0.25,

@@ -176,6 +176,14 @@ def test_what_nuisances_take_away_within_their_boxes_asks_for_no_cause():
     assert decide(choice, {}, tolerated={"arm": 100.0}, thresholds=ROBOT).kind == "unknown"
 
 
+def test_however_much_nuisances_take_away_a_gap_of_many_floors_is_not_none():
+    """A torque 24 ms late: the boxes take two fifths of it, and fifty floors are left."""
+    for left, tolerated in ((3000.0, 2100.0), (3000.0, 45000.0), (40.0, 1000.0)):
+        choice = _choice({"arm": left}, {"arm": left})
+        assert decide(choice, {}, tolerated={"arm": tolerated}, thresholds=RIG).kind == "unknown"
+    assert decide(_choice({"arm": 8.0}, {"arm": 8.0}), {}, tolerated={"arm": 300.0}, thresholds=RIG).kind == "none"
+
+
 def test_an_effect_at_its_bound_is_not_named():
     pinned = _named_effect("pressure.lag", pressure=49.0)
     choice = _choice({"pressure": 50.0}, {"pressure": 1.0}, pinned)
