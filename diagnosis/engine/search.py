@@ -18,6 +18,7 @@ from softarm.diagnosis.engine.view import Array
 SIZES = (0.3, 1.0, 2.0)  # of usual changes: where all effects at once begin
 RESTARTS = 3  # of that, each without one more that ended at its bound
 EQUAL = 0.5  # of the loss held out: no difference at all
+ANEW = 2  # effects of a set, at the most, that is fitted from its own starts as well
 POLISH, SETTLED = 4, 0.005  # further descents of all effects at once, and what ends them: less gain, of the loss
 
 Progress = Callable[[str, float], None]
@@ -205,8 +206,27 @@ class Search:
         memory = (fit.names, fit.u)
         if memory not in self._reduced:
             sets = [_without(fit, i) for i in range(len(fit.effects))]
-            self._reduced[memory] = self.problem.fit(sets, self.thresholds.rounds) if sets else []
+            fits = self.problem.fit(sets, self.thresholds.rounds) if sets else []
+            few = self.thresholds.backward and 1 < len(sets) <= ANEW + 1
+            self._reduced[memory] = self._anew(fits) if few else fits
         return self._reduced[memory]
+
+    def _anew(self, fits: Sequence[Fit]) -> list[Fit]:
+        """Each set, or what it comes to from the best of its effects' own starts if that is better.
+
+        Who had many others beside it on the way down may have ended in a well that is not its own.
+        """
+        begun = []
+        for fit in fits:
+            sets = [
+                (fit.effects, (*fit.u[:i], start, *fit.u[i + 1 :]))
+                for i, effect in enumerate(fit.effects)
+                for start in effect.starts
+            ]
+            losses = self.problem.losses(sets)
+            begun.append(sets[int(np.argmin(losses))])
+        again = self.problem.fit(begun, self.thresholds.rounds)
+        return [min(pair, key=lambda f: f.loss) for pair in zip(fits, again, strict=True)]
 
     def pruned(self, fit: Fit) -> Fit:
         """Leave out what the others can do without."""

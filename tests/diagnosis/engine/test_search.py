@@ -1,0 +1,84 @@
+"""The search among nested sets: what a set comes to does not hang on what stood beside it before."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+
+from softarm.diagnosis.engine.candidates import Candidate, FittedParameter, Nuisance
+from softarm.diagnosis.engine.problem import Setup
+from softarm.diagnosis.engine.search import Search
+from softarm.diagnosis.engine.thresholds import RIG, ROBOT
+
+RATE_HZ, LENGTH_S, NOISE = 50.0, 6.0, 0.02
+PACE, LEVEL = "stage.pace.rate", "stage.level.height"
+TRUE_PACE, OTHER_WELL = 0.6, 2.3  # rad/s
+
+
+def _candidate(path, low, high, size, *starts):
+    parameter = FittedParameter(path, "-", 0.0, low, high, size, 0.0)
+    return Candidate(path.rpartition(".")[0], "stage", (parameter,), tuple((start,) for start in starts))
+
+
+RATE = _candidate(PACE, -4.0, 4.0, 0.3, 0.4, -0.4)
+HEIGHT = _candidate(LEVEL, -1.0, 1.0, 0.1, 0.1, -0.1)
+
+
+@dataclass
+class _View:
+    """A wheel that turns faster than it should: a sine of its angle. A wrong pace has wells of its own."""
+
+    stage, unit, channels = "stage", "-", ("reading",)
+    acts = frozenset({PACE, LEVEL})
+    regimes, features, own_nuisances = {}, {}, {}
+
+    def start_directions(self):
+        return None
+
+    def __post_init__(self):
+        t = np.arange(round(RATE_HZ * LENGTH_S)) / RATE_HZ
+        self.t_s, self.trial = np.tile(t, 2), np.repeat(np.arange(2), len(t))
+        self.floor = self.noise = np.array([NOISE])
+        noise = NOISE * np.random.default_rng(0).normal(size=len(self.t_s))
+        self.measured = (self._predict({PACE: TRUE_PACE}) + noise)[:, None]
+
+    def _predict(self, point):
+        return np.sin((3.0 + point.get(PACE, 0.0)) * self.t_s) + point.get(LEVEL, 0.0)
+
+    def gap(self, points):
+        return np.stack([self.measured - self._predict(p)[:, None] for p in points]).astype(np.float32)
+
+
+@pytest.fixture
+def searched():
+    elsewhere = Nuisance("elsewhere.zero.bias", 0.0, -0.3, 0.3)
+    setup = Setup([_View()], (elsewhere,), ("turns", "turns"))
+
+    def with_(thresholds):
+        return Search(setup.weighed(), setup.plain(), ("stage",), (RATE, HEIGHT), thresholds)
+
+    return with_
+
+
+def test_what_went_into_another_well_beside_others_is_fitted_from_its_own_start_as_well(searched):
+    search = searched(RIG)
+    both = search.problem.fit([((RATE, HEIGHT), ((OTHER_WELL,), (0.1,)))])[0]
+    assert both.point[PACE] == pytest.approx(OTHER_WELL, abs=0.3)  # another well than the true one
+    alone = next(fit for fit in search.reduced(both) if fit.names == ("stage.pace",))
+    assert alone.point[PACE] == pytest.approx(TRUE_PACE, abs=0.01)
+    assert alone.loss < 0.1 * both.loss
+
+
+def test_what_is_in_its_own_well_already_stays_there(searched):
+    search = searched(RIG)
+    both = search.problem.fit([((RATE, HEIGHT), ((TRUE_PACE,), (0.0,)))])[0]
+    alone = next(fit for fit in search.reduced(both) if fit.names == ("stage.pace",))
+    assert alone.point[PACE] == pytest.approx(both.point[PACE], abs=0.01)
+
+
+def test_the_robots_search_goes_on_from_where_it_was(searched):
+    """It adds one at a time, each from starts of its own."""
+    search = searched(ROBOT)
+    both = search.problem.fit([((RATE, HEIGHT), ((OTHER_WELL,), (0.1,)))])[0]
+    alone = next(fit for fit in search.reduced(both) if fit.names == ("stage.pace",))
+    assert alone.point[PACE] == pytest.approx(OTHER_WELL, abs=0.3)
