@@ -28,6 +28,7 @@ class FittedParameter:
     inverse: bool = False
     news: float = 0.0  # a smaller change, u, is none that anybody would call a gap
     least: float = 0.0  # of an inverse parameter: below lies nothing but the neutral value
+    open_end: bool = False  # `high` is where the law's form ends, not what is physical: what is strong may stand there
 
     def value(self, u: float) -> float:
         """In the registry's unit, within the bounds."""
@@ -56,7 +57,7 @@ class Candidate:
     def at_bound(self, u: Sequence[float]) -> bool:
         """Whether a parameter stands at a physical bound that is neither its nominal nor its neutral value."""
         return any(
-            min(x - d.low, d.high - x) < BOUND_SHARE * d.size
+            min(x - d.low, math.inf if d.open_end else d.high - x) < BOUND_SHARE * d.size
             and min(abs(x - d.nominal), abs(x - d.neutral)) > BOUND_SHARE * d.size
             for d, x in zip(self.parameters, u, strict=True)
         )

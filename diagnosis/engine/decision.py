@@ -64,6 +64,8 @@ def decide(
         left[stage] = max(left.get(stage, 0.0), each.energy)
     if not selected:
         return Decision("unknown" if asks or choice.selected else "none", (), left, share, odd)
+    if share < t.least_share:  # beside a gap that nobody explains a small name would be taken for its cause
+        return Decision("unknown", (), left, 0.0, odd)
     whole = len(selected) == len(choice.selected) and share >= t.stands and not odd
     return Decision("named" if whole else "incomplete", selected, left, share, odd)
 

@@ -47,6 +47,7 @@ class Thresholds:
 
     # What an answer is.
     stands: float = 0.85  # share of what is explainable where an effect shows that it has to explain to be named
+    least_share: float = 0.1  # of all that is explainable, that the named effects explain: less is no answer to the gap
     together: bool = (
         False  # all effects of a stage and its nuisances explain that share; else each one beside the others
     )

@@ -14,49 +14,59 @@ from softarm.simulator.effects import REGISTRY, Parameter, value
 # Half widths of the boxes: absolute in the registry's unit, or relative to the nominal value.
 _ABSOLUTE = {
     "pressure.dead_time.delay": 0.006,
-    "pressure.gain.scale": 0.02,
-    "pressure.gain.offset": 0.15,
+    "pressure.gain.scale": 0.01,
+    "pressure.gain.offset": 0.1,
     "rail.delay.delay": 0.004,
     "rail.lag.time": 0.006,
-    "rail.gain.scale": 0.01,
+    "rail.gain.scale": 0.005,
     "rail.coulomb_friction.viscous": 1.0,
     "arm.tilt.angle": 0.003,
     "mocap.latency.delay": 0.002,
-    "mocap.rotation.angle": 0.002,
-    "mocap.scale.scale": 0.002,
+    "mocap.rotation.angle": 0.001,
+    "mocap.scale.scale": 0.001,
     "mocap.offset.y": 0.001,
     "mocap.offset.z": 0.001,
 }
 _RELATIVE = {
-    "pressure.lag.inflate": 0.10,
-    "pressure.lag.deflate": 0.10,
+    "pressure.lag.inflate": 0.06,
+    "pressure.lag.deflate": 0.06,
     "rail.acceleration_limit.acceleration": 0.08,
 }
 # Smallest change that is news, where it is not twice the box: what well-kept robots of one kind differ by.
 _NEWS = {
     "pressure.deadband.width": 0.4,
-    "pressure.gain.offset": 0.3,
-    "pressure.sensor_bias.bias": 0.3,
-    "rail.lag.time": 0.012,
-    "rail.coulomb_friction.force": 0.5,
-    "rail.backlash.gap": 0.001,
-    "arm.stiffness.scale": 0.08,
-    "arm.damping.scale": 0.30,
-    "arm.muscle_gain.scale": 0.07,
-    "arm.torque_offset.scale": 0.4,
-    "arm.coulomb_friction.torque": 0.003,
+    "pressure.gain.offset": 0.2,
+    "pressure.sensor_bias.bias": 0.12,  # a wrong zero is fitted beside it
+    "rail.lag.time": 0.010,
+    "rail.coulomb_friction.force": 0.4,
+    "rail.backlash.gap": 0.0008,
+    "arm.stiffness.scale": 0.065,
+    "arm.damping.scale": 0.22,
+    "arm.muscle_gain.scale": 0.048,
+    "arm.torque_offset.scale": 0.25,
+    "arm.coulomb_friction.torque": 0.002,
     "arm.stiffening.cubic": 0.4,
-    "arm.hysteresis.strength": 0.12,
-    "arm.payload.mass": 0.007,
+    "arm.hysteresis.strength": 0.06,
+    "arm.payload.mass": 0.0065,
     "arm.tilt.angle": 0.008,
     "arm.drag.coefficient": 0.003,
-    "arm.creep.strength": 0.08,
+    "arm.creep.strength": 0.05,
 }
+# A muscle whose torque follows the pressure through plays turns back less than our loop does at its strongest.
+_OPEN_ENDS = ("arm.hysteresis.strength",)
 _NEWS_SHARE = 0.1  # of a usual change, where neither a box nor a line above says more
 _STAGES = ("pressure", "rail", "arm", "mocap")
 _COUNTED = ("mocap.dropout", "mocap.noise")  # read off stamps and noise, not fitted (robot/counts.py)
-# The model's own parameters, each a share of what it says: such a one is wrong alike at any time, in any excitation.
-_CONSTANT = ("arm.stiffness", "arm.damping", "arm.muscle_gain", "arm.torque_offset")
+# What a model has in any case, a share of what it says or a delay: such a one is wrong alike at any time, in any
+# excitation.
+_CONSTANT = (
+    "rail.delay",
+    "rail.gain",
+    "arm.stiffness",
+    "arm.damping",
+    "arm.muscle_gain",
+    "arm.torque_offset",
+)
 _FORMS: dict[str, tuple[dict[str, float], ...]] = {
     "rail.gain": ({}, {ON_MOTOR: 1.0}),
     "rail.backlash": ({}, {ON_MOTOR: 1.0}),
@@ -103,7 +113,8 @@ def _parameter(name: str, p: Parameter, model: Model) -> FittedParameter:
             path, p.unit, u, 0.0, (1 - 1e-9) / p.low, size, 0.0, True, _news(path, u, size), (1 + 1e-9) / p.high
         )
     size = p.exemplar if p.default is not None else abs(p.exemplar - p.neutral)
-    return FittedParameter(path, p.unit, nominal, p.low, p.high, size, p.neutral, news=_news(path, nominal, size))
+    news, open_end = _news(path, nominal, size), path in _OPEN_ENDS
+    return FittedParameter(path, p.unit, nominal, p.low, p.high, size, p.neutral, news=news, open_end=open_end)
 
 
 def _news(path: str, nominal: float, size: float) -> float:

@@ -28,9 +28,9 @@ ABOUT_RAIL = "mocap.rotation.about_rail"
 _DRAW = ("rail.gain.scale", "rail.backlash.gap")
 # Of single joints, fitted beside every rival: shares of the joint's own value, the offset's of the largest joint's.
 JOINT_SHARES = {
-    "stiffness_nm_rad": 0.05,
+    "stiffness_nm_rad": 0.03,
     "damping_nm_s_rad": 0.15,
-    "muscle_gain_nm_kpa": 0.05,
+    "muscle_gain_nm_kpa": 0.03,
     "torque_offset_nm": 0.10,
 }
 

@@ -53,6 +53,15 @@ def test_no_gap_is_none():
     assert (decision.kind, decision.selected) == ("none", ())
 
 
+@pytest.mark.parametrize(("explained", "kind"), [(0.5, "unknown"), (5.0, "incomplete")])
+def test_beside_a_gap_that_nobody_explains_a_small_name_is_none(explained, kind):
+    payload = _named_effect("arm.payload", arm=explained)
+    before, after = {"pressure": 27.0, "arm": 1.0 + explained}, {"pressure": 27.0, "arm": 1.0}
+    decision = decide(_choice(before, after, payload), {"pressure": 0.8})
+    assert decision.kind == kind
+    assert bool(decision.selected) == (kind == "incomplete")
+
+
 def test_a_gap_that_goes_is_named():
     lag = _named_effect("pressure.lag", pressure=49.0)
     decision = decide(_choice({"pressure": 50.0, "arm": 1.0}, {"pressure": 1.0, "arm": 1.0}, lag), {})
