@@ -207,7 +207,7 @@ class Search:
         if memory not in self._reduced:
             sets = [_without(fit, i) for i in range(len(fit.effects))]
             fits = self.problem.fit(sets, self.thresholds.rounds) if sets else []
-            few = self.thresholds.backward and 1 < len(sets) <= ANEW + 1
+            few = self.thresholds.anew and 1 < len(sets) <= ANEW + 1
             self._reduced[memory] = self._anew(fits) if few else fits
         return self._reduced[memory]
 

@@ -21,6 +21,7 @@ class Thresholds:
     rounds_rough: int = 2  # and to see who has promise
     promising: int = 10  # candidates that are fitted to the end
     hopeless: float = 1.0  # of what the best takes away: who takes less than the rest of it is not fitted to the end
+    anew: bool = False  # backward only: few effects are fitted from their own starts too, not only on from many
     simulated: bool = False  # held-out losses are simulated anew; else taken from the fit's last linearisation
     tempered: bool = False  # blocks that hold more than their share count by its logarithm
 
