@@ -33,8 +33,9 @@ def measures(methods: Mapping[str, Mapping[str, Any]]) -> Iterator[str]:
         yield f"| 95 % interval of the shrink holds, {name} | " + " | ".join(cells) + " |"
     cells = (_number(method["calibration"]["ece"], ".3f") for method in methods.values())
     yield "| calibration error (ECE) | " + " | ".join(cells) + " |"
-    cells = (_number(method["seconds_median"], ".0f") for method in methods.values())
-    yield "| seconds a case (median) | " + " | ".join(cells) + " |"
+    for name in ("median", "worst"):
+        cells = (_number(method[f"seconds_{name}"], ".0f") for method in methods.values())
+        yield f"| processor seconds a case, {name} | " + " | ".join(cells) + " |"
 
 
 def _causes(methods: Mapping[str, Mapping[str, Any]]) -> Iterator[str]:

@@ -131,7 +131,7 @@ def test_coverage_counts_effects_that_are_alone_in_their_stage():
 
 def test_the_page_has_a_column_for_each_method_and_no_share_of_nothing():
     scored = score([case("none", [], verdict="none")])
-    method = {"seconds_median": None, **scored}
+    method = {"seconds_median": None, "seconds_worst": None, **scored}
     text = pages.markdown({"methods": {"one": method, "two": method}})
     assert "| 1 cases | one | two |" in text
     assert "| single, exact | - | - |" in text
