@@ -360,34 +360,27 @@ def simulator(read: Read) -> str:
 def blind(read: Read) -> str:
     """How often the diagnosis is right, beside what was aimed at."""
     found = read("blind")["methods"]["diagnose"]
-    measures, coverage = found["measures"], found["coverage"]
-
-    def share(name: str) -> str:
-        cell = measures[name]
-        return f"{100 * cell['share']:.0f} % ({cell['hits']} of {cell['of']})"
-
-    def holds(name: str) -> str:
-        return f"{100 * coverage[name]['share']:.0f} % ({coverage[name]['hits']} of {coverage[name]['of']})"
-
+    cells = {**found["measures"], **found["coverage"]}
+    aims = {
+        "right stage": ("right stage", "97 %"),
+        "a single effect named exactly": ("single, exact", "95 %"),
+        "the same at half strength": ("single at half strength, exact", "88 %"),
+        "both of two effects": ("two, exact", "85 %"),
+        "both of two, the second at half strength": ("two, the second at half strength, exact", "85 %"),
+        "all of three effects": ("three, exact", "60 %"),
+        "an unknown effect given a name": ("unknown, given a name", "3 %"),
+        "an unknown effect said to be one": ("unknown, said so", "85 %"),
+        "a name when nothing is wrong": ("none, given a name", "1 %"),
+        "95 % intervals of the shrink hold fresh data, stage": ("stage", "92 to 98 %"),
+        "the same, chain": ("chain", "92 to 98 %"),
+    }
     rows = [
-        ["right stage", share("right stage"), "97 %"],
-        ["a single effect named exactly", share("single, exact"), "95 %"],
-        ["the same at half strength", share("single at half strength, exact"), "88 %"],
-        ["both of two effects", share("two, exact"), "85 %"],
-        ["both of two, the second at half strength", share("two, the second at half strength, exact"), "85 %"],
-        ["all of three effects", share("three, exact"), "60 %"],
-        ["an unknown effect given a name", share("unknown, given a name"), "3 %"],
-        ["an unknown effect said to be one", share("unknown, said so"), "85 %"],
-        ["a name when nothing is wrong", share("none, given a name"), "1 %"],
-        ["95 % intervals of the shrink hold fresh data, stage", holds("stage"), "92 to 98 %"],
-        ["the same, chain", holds("chain"), "92 to 98 %"],
-        ["calibration error", f"{found['calibration']['ece']:.3f}", "0.05"],
-        [
-            "processor time of eight trials, median and worst",
-            f"{found['seconds_median']:.0f} s, {found['seconds_worst']:.0f} s",
-            "20 s, 60 s",
-        ],
+        [title, f"{100 * cells[key]['share']:.0f} % ({cells[key]['hits']} of {cells[key]['of']})", aim]
+        for title, (key, aim) in aims.items()
     ]
+    seconds = f"{found['seconds_median']:.0f} s, {found['seconds_worst']:.0f} s"
+    rows.append(["calibration error", f"{found['calibration']['ece']:.3f}", "0.05"])
+    rows.append(["processor time of eight trials, median and worst", seconds, "20 s, 60 s"])
     return markdown(("", "reached", "aim"), rows)
 
 
