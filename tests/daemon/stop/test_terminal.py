@@ -14,7 +14,10 @@ def terminal():
     """The far end, at which a person types, and the daemon's own."""
     typist, ours = os.openpty()
     yield typist, ours
-    os.close(typist)
+    os.close(typist)  # hung up: whoever still waits for a key there ends, and reads none of the next test's
+    for thread in threading.enumerate():
+        if thread.name == "stop key":
+            thread.join(10)
     os.close(ours)
 
 
