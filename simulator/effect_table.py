@@ -112,6 +112,14 @@ EFFECTS = (
         "pressure sensors state a zero offset; [P] SM-E: the regulator's built-in sensor",
     ),
     Effect(
+        "rail.servo",
+        (),
+        "the drive ramps a reference at rail.acceleration_limit, lags that by rail.lag and closes a velocity loop on "
+        "it, its acceleration fed forward; where friction or a force limit hold the cart back, the ramp runs on. "
+        "Absent: it tracks the acceleration until the velocity is near, and rail.lag comes before that",
+        "the usual cascade of servo drives (CiA 402, profile velocity mode: 6083h, 60FFh); absent: [P] section 3.3",
+    ),
+    Effect(
         "rail.acceleration_limit",
         (_P("acceleration", "m/s^2", _INF, 0.5, 50.0, 4.0, "slope of the velocity"),),
         "the drive ramps its velocity at a fixed slope",

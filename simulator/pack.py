@@ -16,8 +16,8 @@ Array = NDArray[np.float64]
 # damped so that it does not come back.
 STOP_STIFFNESS_N_M = 2e5
 STOP_DAMPING_N_S_M = 600.0
-# Without rail.acceleration_limit the velocity tracker acts at any error.
-NEVER_M_S = 1e30
+# Without rail.acceleration_limit the velocity tracker acts at any error, m/s, and a servo's ramp has any slope, m/s^2.
+NEVER = 1e30
 
 # What each part of the kernel is for: a batch needs it when any robot's row differs from this value.
 _NEEDED_BY = {
@@ -30,6 +30,7 @@ _NEEDED_BY = {
         "pressure_rate": np.inf,
     },
     layout.RAIL: {
+        "servo": 0.0,
         "rail_gain": 1.0,
         "rail_lag": 0.0,
         "cart_friction": 0.0,
@@ -61,6 +62,10 @@ class Effects:
         if path in self._overrides:
             return self._overrides[path]
         return np.array([value(model, effect, parameter) for model in self._models])
+
+    def present(self, effect: str) -> Array:
+        """1 where a model has the effect, else 0: of one without parameters, which is on or absent; [R] or [1]."""
+        return np.array([float(effect in model.effects) for model in self._models])
 
 
 def _checked(path: str, values: ArrayLike, robots: int) -> Array:
@@ -158,7 +163,10 @@ def _actuators(carts: Sequence[Cart], effects: Effects) -> dict[str, Array]:
     return {
         "drive_force": pushed * np.where(limited, acceleration, 0.0),
         "drive_inertia": np.where(limited, gain, 0.0),
-        "switch": np.where(limited, _each(carts, "tracking_switch_m_s"), NEVER_M_S),
+        "switch": np.where(limited, _each(carts, "tracking_switch_m_s"), NEVER),
+        "servo": effects.present("rail.servo"),
+        "ramp": np.minimum(acceleration, NEVER),
+        "feedforward": _each(carts, "feedforward_mass_kg"),
         "velocity_gain": _each(carts, "velocity_gain_n_s_m"),
         "travel": _each(carts, "travel_m"),
         "stop_stiffness": np.array([STOP_STIFFNESS_N_M]),

@@ -78,6 +78,16 @@ def assemble(m, w, links, lanes, active, end, dt):
 
 
 @compiled
+def _substitute_back(w, at, order, lanes, row):
+    """From the solution of L x = b at `row` to that of L D L^T x = b, in place."""
+    for i in range(order - 1, -1, -1):
+        right = load(w, row + i, lanes) * load(w, at.pivot + i, lanes)
+        for j in range(i + 1, order):
+            right = right - load(w, at.matrix + j * order + i, lanes) * load(w, row + j, lanes)
+        store(w, row + i, lanes, right)
+
+
+@compiled
 def solve(w, links, lanes):
     """Solve matrix a = rhs by L D L^T in place; leaves the solution in `rhs`."""
     order, at = len(links) + 1, rows(links)
@@ -99,11 +109,7 @@ def solve(w, links, lanes):
             store(w, matrix + i * order + j, lanes, entry)
         store(w, at.pivot + i, lanes, 1.0 / pivot)
         store(w, at.rhs + i, lanes, right)
-    for i in range(order - 1, -1, -1):
-        right = load(w, at.rhs + i, lanes) * load(w, at.pivot + i, lanes)
-        for j in range(i + 1, order):
-            right = right - load(w, matrix + j * order + i, lanes) * load(w, at.rhs + j, lanes)
-        store(w, at.rhs + i, lanes, right)
+    _substitute_back(w, at, order, lanes, at.rhs)
 
 
 @compiled
@@ -121,11 +127,7 @@ def limit_drive(m, w, links, lanes):
             for j in range(i):
                 right = right - load(w, matrix + i * order + j, lanes) * load(w, at.give + j, lanes)
             store(w, at.give + i, lanes, right)
-        for i in range(order - 1, -1, -1):
-            right = load(w, at.give + i, lanes) * load(w, at.pivot + i, lanes)
-            for j in range(i + 1, order):
-                right = right - load(w, matrix + j * order + i, lanes) * load(w, at.give + j, lanes)
-            store(w, at.give + i, lanes, right)
+        _substitute_back(w, at, order, lanes, at.give)
         change = gives_way(m, lanes, at, lack, load(w, at.give, lanes))
         for i in range(order):
             store(w, at.rhs + i, lanes, load(w, at.rhs + i, lanes) + change * load(w, at.give + i, lanes))

@@ -14,7 +14,7 @@ OLD = 1.0
 
 # Parts of the kernel that a batch may need, one bit each.
 PRESSURE = 1  # any effect on the pressure but its lag
-RAIL = 2  # lag, gain, friction, backlash or force limit of the rail
+RAIL = 2  # servo, lag, gain, friction, backlash or force limit of the rail
 JOINTS = 4  # stiffening, dry friction or creep
 MUSCLE = 8  # hysteresis or saturation
 AIR = 16  # drag
@@ -33,6 +33,9 @@ _PARAMETERS: dict[str, int | str] = {
     "drive_inertia": 1,  # its feedback on the cart's acceleration, kg
     "velocity_gain": 1,  # N s/m
     "switch": 1,  # velocity error above which the acceleration tracker acts, m/s
+    "servo": 1,  # 1: the servo's law, which needs the next two; 0: the tracker's, above
+    "ramp": 1,  # slope of its reference, m/s^2
+    "feedforward": 1,  # force for its reference's acceleration, kg
     "travel": 1,  # m
     "stop_stiffness": 1,  # N/m
     "stop_damping": 1,  # N s/m
@@ -95,7 +98,9 @@ _STATE: dict[str, int | str] = {
     "pressure_acting": 1,
     "drive_before": 1,  # the drive's force over the last substep, N
     "drive_mass_before": 1,  # and its implicit mass, kg
-    "lagged": 1,  # m/s behind rail.lag
+    "lagged": 1,  # the tracker's command behind rail.lag, m/s
+    "ramped": 1,  # the servo's behind its ramp, m/s
+    "reference": 1,  # and that behind rail.lag, m/s
     "play": 1,  # where the cart is in the drive's backlash, m
     "cart_bristle": 1,  # deflection of dry friction, m
     "loop": 1,  # hysteresis, -1 .. 1

@@ -39,6 +39,29 @@ def _follow(m, lanes, at, command, before, share):
 
 
 @compiled
+def _serve(m, lanes, at, command, before, share, v, dt):
+    """Return the servo's mean reference (m/s), its force (N) and implicit mass (kg): a ramp, a lag, a velocity loop.
+
+    The loop's force is what the reference's acceleration needs, fed forward, and a gain on the velocity's error.
+    Nothing of the cart comes back to the ramp: where the motor cannot follow it runs on.
+    """
+    gain, most = load(m, at.rail_gain, lanes), dt * load(m, at.ramp, lanes)
+    first = load(m, at.ramped, lanes)
+    earlier, later = (1.0 - share) * most, share * most
+    last = first + clip(before * gain - first, 0.0 - earlier, earlier)
+    last = last + clip(command * gain - last, 0.0 - later, later)
+    store(m, at.ramped, lanes, last)
+    # Exact behind a ramp without a corner in the substep.
+    old = load(m, at.reference, lanes)
+    behind = load(m, at.mean_rail, lanes) * (last - first)
+    new = last - behind + load(m, at.keep_rail, lanes) * (old - first)
+    store(m, at.reference, lanes, new)
+    mean, loop = 0.5 * (old + new), load(m, at.velocity_gain, lanes)
+    force = loop * (mean - v) + load(m, at.feedforward, lanes) * ((new - old) * (1.0 / dt))
+    return mean, force, 0.5 * dt * loop
+
+
+@compiled
 def _engage(m, lanes, at, error, force, dt):
     """Return the share of the substep in which the drive touches the cart, and move within the backlash.
 
@@ -59,9 +82,10 @@ def _engage(m, lanes, at, error, force, dt):
 def drive(m, lanes, at, active, end, dt):
     """Return what drive, friction and end stops put into the cart's row: force (N) and implicit mass (kg)."""
     h, v = 0.5 * dt, load(m, at.v, lanes)
-    command, before, share = due(m, lanes, at.rail_history, load(m, at.rail_delay, lanes), end, dt)
+    issued, before, share = due(m, lanes, at.rail_history, load(m, at.rail_delay, lanes), end, dt)
+    command = issued
     if active & RAIL:
-        command = _follow(m, lanes, at, command, before, share)
+        command = _follow(m, lanes, at, issued, before, share)
     force, mass = _law(m, lanes, at, command, v, dt)
     # Where the command changes within the substep, the earlier one gets its share, as it was one substep ago.
     earlier, mass_earlier = load(m, at.drive_before, lanes), load(m, at.drive_mass_before, lanes)
@@ -71,11 +95,17 @@ def drive(m, lanes, at, active, end, dt):
     force = select(shared, earlier + share * (force - earlier), force)
     mass = select(shared, mass_earlier + share * (mass - mass_earlier), mass)
     if active & RAIL:
+        served = load(m, at.servo, lanes) > 0.0
+        if some(served):
+            mean, driving, inertia = _serve(m, lanes, at, issued, before, share, v, dt)
+            command, force = select(served, mean, command), select(served, driving, force)
+            mass = select(served, inertia, mass)
         touching = _engage(m, lanes, at, command - v, force, dt)
         force, mass = touching * force, touching * mass
         store(m, at.drive_given, lanes, force)
         store(m, at.drive_given_mass, lanes, mass)
-        store(m, at.drive_most, lanes, touching * load(m, at.force_limit, lanes))
+        limit = load(m, at.force_limit, lanes)
+        store(m, at.drive_most, lanes, select(touching > 0.0, touching * limit, 0.0))  # not 0 times infinity
         friction, last = load(m, at.cart_friction, lanes), load(m, at.a, lanes)
         held, holding = grip(m, lanes, at.cart_bristle, friction, REACH_M, v, last, dt)
         viscous = load(m, at.cart_viscous, lanes)

@@ -137,6 +137,17 @@ def test_beside_limited_robots_one_without_a_limit_is_as_alone_bit_for_bit() -> 
     assert abs(beside.cart_position_m[0] - beside.cart_position_m[1]) > 0.01
 
 
+def test_within_the_play_of_a_drive_without_a_limit_its_most_is_a_number() -> None:
+    """It gives nothing there: nothing of infinity."""
+    simulator = Simulator(Model(effects=seed_effects() | {"rail.backlash": {"gap": 0.02}}), 1)
+    most = []
+    for command in (0.2, 0.2, -0.2, -0.2):
+        simulator.step(command, 0.0)
+        most.append(float(simulator._rows[0, simulator._at.drive_most, 0]))
+    assert 0.0 in most
+    assert not np.isnan(most).any()
+
+
 def test_a_cart_that_is_held_or_given_has_no_drive_to_limit() -> None:
     free, bound = (Simulator(Model(effects=limited(force)), 1, fixed_base=True) for force in (200.0, 0.5))
     for simulator in (free, bound):
