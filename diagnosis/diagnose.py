@@ -2,6 +2,8 @@
 
 from collections.abc import Sequence
 
+from threadpoolctl import threadpool_limits
+
 from softarm.diagnosis.data.trials import Trial, TrialError
 from softarm.diagnosis.engine.result import Diagnosis
 from softarm.diagnosis.engine.search import Progress
@@ -31,4 +33,6 @@ def diagnose(
         from softarm.diagnosis.rigs.owner_units import in_owners_units
 
         return in_owners_units(diagnose_table(ordered, say, processes), ordered)
-    return Robot(ordered, model or Model(), say).diagnosis()
+    # Its matrices are small: threads that spin for one another take twenty times the work on a machine that does more.
+    with threadpool_limits(1, "blas"):
+        return Robot(ordered, model or Model(), say).diagnosis()

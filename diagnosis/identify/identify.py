@@ -6,6 +6,7 @@ from typing import TypedDict
 
 import numpy as np
 from numpy.typing import NDArray
+from threadpoolctl import threadpool_limits
 
 from softarm.common.quantity import KPA_PER_PSI
 from softarm.diagnosis.data.trials import Trial, TrialError
@@ -125,9 +126,10 @@ def identify(
             f"the pressure moves by less than {PRESSURE_SPAN_KPA:g} kPa: the muscle gain is the model's, not fitted, "
             "and its interval means nothing; add `seed` or another excitation of the muscle"
         )
-    refined = refinement.fit(
-        arm, motions, start, lambda n, rmse: on_progress(f"refinement {n}: link ends within {rmse * 1e3:.3f} mm")
-    )
+    with threadpool_limits(1, "blas"):  # small matrices, as in a diagnosis
+        refined = refinement.fit(
+            arm, motions, start, lambda n, rmse: on_progress(f"refinement {n}: link ends within {rmse * 1e3:.3f} mm")
+        )
     fitted = model.model_copy(update={"arm": bench.from_column(arm, refined.column)})
     checks = []
     for m in checked:

@@ -127,13 +127,15 @@ def _missed(trial: Trial) -> tuple[float, float] | None:
     return float(missing / (number[-1] + 1)), float(missing)
 
 
-def cameras_clock(mocap: Series | None) -> float:
+def cameras_clock(mocap: Series | None) -> float | None:
     """Seconds that reception, on the controller's clock, gains in a second of capture's; 0 within what jitter leaves.
+
+    None where too few stamps say.
 
     Of a twentieth of the frames the quickest tells: a frame comes late at random, never early.
     """
     if mocap is None or "t_receive" not in mocap.columns or len(mocap) < 100:
-        return 0.0
+        return None
     behind = mocap["t_receive"] - mocap.t_s
     span = mocap.t_s[-1] - mocap.t_s[0]
     parts = np.array_split(np.arange(len(behind)), 20)
@@ -145,10 +147,9 @@ def cameras_clock(mocap: Series | None) -> float:
 
 
 def _drift(trial: Trial) -> tuple[float, float] | None:
-    mocap = trial.channels.get("mocap")
-    if mocap is None or "t_receive" not in mocap.columns or len(mocap) < 100:
+    gained = cameras_clock(trial.channels.get("mocap"))
+    if gained is None:
         return None
-    gained = cameras_clock(mocap)
     return -gained / (1 + gained), float(FEW if gained else 0)
 
 

@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Mapping, Sequence
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -118,11 +119,17 @@ class Robot:
                 found[view.stage] = Structure(ratio**2, f"{ratio:.2g} times its floor", 1, 1)
         tip = self._tips([{}])[0]
         if not found and np.isfinite(tip).any():
-            ratio = np.sqrt(2) * rms(tip) / chain_floor(self.grid, self.model, self.setup, self.beside, tip)
+            ratio = np.sqrt(2) * rms(tip) / self._chain_floor
             if ratio > 1:
                 stage = astray(self.grid, self.model)
                 found[stage] = Structure(ratio**2, f"at the tip {ratio:.2g} times the chain's floor", 1, 1)
         return found
+
+    @cached_property
+    def _chain_floor(self) -> float:
+        """What counts as none at the tip beside the decided effects, m."""
+        tip = self._tips([self.beside.point])[0]
+        return chain_floor(self.grid, self.model, self.setup, self.beside, tip)
 
     def _verdict(
         self,
@@ -252,10 +259,10 @@ class Robot:
             found = gaps.fetch([{}, *points])
             patched = self._held_out(np.stack([found[gaps.key(p)] for p in points]))
             share = flexible.get(view.stage, (0.0, {}))[0]
-            before[view.stage] = Quantity(value=_rms(found[()]), unit=view.unit)
-            after[view.stage] = Quantity(value=_rms(patched), unit=view.unit)
+            before[view.stage] = Quantity(value=rms(found[()]), unit=view.unit)
+            after[view.stage] = Quantity(value=rms(patched), unit=view.unit)
             floor[view.stage] = Quantity(value=self.floors[view.stage], unit=view.unit)
-            ceiling[view.stage] = Quantity(value=_rms(patched) * float(np.sqrt(1 - share)), unit=view.unit)
+            ceiling[view.stage] = Quantity(value=rms(patched) * float(np.sqrt(1 - share)), unit=view.unit)
         for c in sorted(counted, key=lambda c: not c.named):
             if c.stage not in before and (c.named or c.stage in ("clock", "observation")):
                 rest = c.after if c.named else c.before
@@ -265,10 +272,9 @@ class Robot:
                 after[c.stage] = ceiling[c.stage] = Quantity(value=round(rest, 9), unit=c.unit)
         tips = self._tips([{}, *points])
         if np.isfinite(tips).any():
-            both = np.sqrt(2) * _rms(tips[0]), np.sqrt(2) * _rms(self._held_out(tips[1:]))
+            both = np.sqrt(2) * rms(tips[0]), np.sqrt(2) * rms(self._held_out(tips[1:]))
             before["chain"], after["chain"] = (Quantity(value=x, unit="m") for x in both)
-            of = chain_floor(self.grid, self.model, self.setup, self.beside, self._tips([self.beside.point])[0])
-            floor["chain"] = Quantity(value=of, unit="m")
+            floor["chain"] = Quantity(value=self._chain_floor, unit="m")
         return Gap(before=before, after=after, floor=floor, ceiling=ceiling)
 
     def _together(self, choice: Choice, point: Point) -> dict[str, Interval]:
@@ -352,10 +358,6 @@ def _points(choice: Choice, point: Point) -> list[Point]:
 def _by_trial(gap: NDArray[np.float32], trial: NDArray[np.int64], trials: int) -> Array:
     """Squares of each trial, [K]."""
     return np.array([np.nansum(gap[trial == k].astype(float) ** 2) for k in range(trials)])
-
-
-def _rms(gap: NDArray[np.float32]) -> float:
-    return float(np.sqrt(np.nanmean(gap**2)))
 
 
 def _interval(value: float, low: float, high: float) -> Interval:

@@ -8,6 +8,7 @@ from softarm.diagnosis.data.trials import Trial
 from softarm.diagnosis.engine.view import Point
 from softarm.diagnosis.robot.chain import tip_gap
 from softarm.diagnosis.robot.counts import counts
+from softarm.diagnosis.robot.floors import rms
 from softarm.diagnosis.robot.trial_grid import TrialGrid, on_grid
 from softarm.diagnosis.robot.views import ON_MOTOR, robot_views
 from softarm.schemas.model import Model
@@ -32,7 +33,7 @@ def measure_shrink(trials: Sequence[Trial], nominal: Model, patched: Model) -> d
             found[one.stage] = 1 - other.before / one.before
     tips = tip_gap(shown, nominal, [{}, difference])
     if np.isfinite(tips).any():
-        before, after = (float(np.sqrt(np.nanmean(gap**2))) for gap in tips)
+        before, after = map(rms, tips)
         found["chain"] = 1 - after / before if before > 0 else 0.0
     return found
 
@@ -41,8 +42,8 @@ def _shrinks(shown: TrialGrid, nominal: Model, point: Point) -> dict[str, float]
     found = {}
     for view in robot_views(shown, nominal):
         before, after = view.gap([{}, point])
-        rms = [float(np.sqrt(np.nanmean((gap / view.floor) ** 2))) for gap in (before, after)]
-        found[view.stage] = 1 - rms[1] / rms[0] if rms[0] > 0 else 0.0
+        first, last = rms(before / view.floor), rms(after / view.floor)
+        found[view.stage] = 1 - last / first if first > 0 else 0.0
     return found
 
 
