@@ -88,6 +88,13 @@ def test_starts_lie_on_both_sides_where_the_bounds_allow():
                 assert signs == {-1.0, 1.0}, fitted.path
 
 
+def test_a_dead_zone_of_any_width_has_a_start_close_by():
+    """How often a valve acts jumps with its dead zone: from a third of the true width no descent arrives."""
+    starts = np.array([u for (u,) in next(c for c in ALL if c.name == "pressure.deadband").starts])
+    for width_kpa in np.geomspace(0.3, 2.5, 50):
+        assert np.abs(starts / width_kpa - 1).min() < 0.1
+
+
 def test_an_effect_of_the_model_can_be_taken_out():
     """Some start or bound of the seed's own effects reaches the value at which the effect is absent."""
     for name in ("pressure.lag", "rail.delay", "rail.acceleration_limit"):
