@@ -24,6 +24,7 @@ from softarm.diagnosis.robot import evidence, experiments
 from softarm.diagnosis.robot.candidates import candidates, nuisances
 from softarm.diagnosis.robot.chain import astray, tip_gap
 from softarm.diagnosis.robot.counts import Count, counts
+from softarm.diagnosis.robot.drive import SERVO, driven
 from softarm.diagnosis.robot.floors import chain_floor, drift, rms, stage_floors
 from softarm.diagnosis.robot.markers import loose_marker
 from softarm.diagnosis.robot.trial_grid import TrialGrid, on_grid
@@ -50,9 +51,10 @@ class Robot:
 
     def __init__(self, trials: Sequence[Trial], model: Model, tell: Progress) -> None:
         self.started = time.monotonic()
-        self.trials, self.model, self.tell = tuple(trials), model, tell
+        self.trials, self.nominal, self.tell = tuple(trials), model, tell
         tell("bringing trials to one grid", 0.02)
         self.grid: TrialGrid = on_grid(trials, model)
+        self.model = model = driven(self.grid, model, [trial.kind for trial in trials])
         self.views = robot_views(self.grid, model)
         if not self.views:
             raise TrialError(f"{trials[0].source}: no stage can be compared; record pressure, rail or mocap as well")
@@ -79,7 +81,7 @@ class Robot:
         explained = dict.fromkeys(self.stages, decision.explained)
         return Diagnosis(
             verdict=verdict,
-            nominal=self.model,
+            nominal=self.nominal,
             patched=patched,
             trials=tuple((t.name, t.kind, t.duration_s) for t in self.trials),
             overlays=evidence.overlays(self.views, pairs, self.trials),
@@ -324,6 +326,10 @@ class Robot:
 
     def _warnings(self, choice: Choice, decision: Decision) -> tuple[str, ...]:
         found = [w for trial in self.trials for w in trial.warnings]
+        if self.model is not self.nominal:
+            found.append(
+                f"the axis is driven by a servo, which the model does not say: compared and patched with {SERVO}"
+            )
         for trial in self.trials:
             found += [f"{trial.name}: {text}" for text in trial.not_observable.values()]
         if len({t.kind for t in self.trials}) < 3:

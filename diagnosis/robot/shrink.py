@@ -8,6 +8,7 @@ from softarm.diagnosis.data.trials import Trial
 from softarm.diagnosis.engine.view import Point
 from softarm.diagnosis.robot.chain import tip_gap
 from softarm.diagnosis.robot.counts import counts
+from softarm.diagnosis.robot.drive import SERVO, with_servo
 from softarm.diagnosis.robot.floors import rms
 from softarm.diagnosis.robot.trial_grid import TrialGrid, on_grid
 from softarm.diagnosis.robot.views import ON_MOTOR, robot_views
@@ -18,8 +19,10 @@ from softarm.simulator.effects import REGISTRY, value
 def measure_shrink(trials: Sequence[Trial], nominal: Model, patched: Model) -> dict[str, float]:
     """Stage, and `chain`, the tip from commands alone -> 1 - RMS gap of `patched` over that of `nominal`.
 
-    For trials that no fit has seen: nothing is fitted. Stages that the trials do not show are left out.
+    For trials that no fit has seen: nothing is fitted. Stages that the trials do not show are left out. Where a servo
+    drives the patched model's cart it drives the nominal's too, as in the verdict: no effect is credited with that.
     """
+    nominal = with_servo(nominal) if SERVO in patched.effects else nominal
     shown = on_grid(trials, nominal)
     difference = point_between(nominal, patched)
     # A model file does not say where the axis's encoder sits: the reading that fits better counts.

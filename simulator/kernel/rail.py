@@ -48,13 +48,16 @@ def _serve(m, lanes, at, command, before, share, v, dt):
     gain, most = load(m, at.rail_gain, lanes), dt * load(m, at.ramp, lanes)
     first = load(m, at.ramped, lanes)
     earlier, later = (1.0 - share) * most, share * most
-    last = first + clip(before * gain - first, 0.0 - earlier, earlier)
-    last = last + clip(command * gain - last, 0.0 - later, later)
+    way = clip(before * gain - first, 0.0 - earlier, earlier)
+    turn = first + way
+    further = clip(command * gain - turn, 0.0 - later, later)
+    last = turn + further
     store(m, at.ramped, lanes, last)
-    # Exact behind a ramp without a corner in the substep.
-    old = load(m, at.reference, lanes)
-    behind = load(m, at.mean_rail, lanes) * (last - first)
-    new = last - behind + load(m, at.keep_rail, lanes) * (old - first)
+    # A straight ramp behind the lag is exact; what one with corners is ahead of it in the mean counts as well.
+    rising = 0.5 * (way * magnitude(way) + further * magnitude(further)) / most
+    ahead = turn + share * further - rising - 0.5 * (first + last)
+    old, keep, left = load(m, at.reference, lanes), load(m, at.keep_rail, lanes), load(m, at.mean_rail, lanes)
+    new = last - left * (last - first) + keep * (old - first) + (1.0 - keep) * left * ahead
     store(m, at.reference, lanes, new)
     mean, loop = 0.5 * (old + new), load(m, at.velocity_gain, lanes)
     force = loop * (mean - v) + load(m, at.feedforward, lanes) * ((new - old) * (1.0 / dt))

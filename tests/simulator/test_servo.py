@@ -70,7 +70,7 @@ def test_the_reference_ramps_and_then_lags(acceleration: float, lag_s: float) ->
     v = ride(Model(cart=IDEAL, effects=effects(acceleration, lag={"time": lag_s})), t)
     corner_s, corner_m_s = corners(acceleration)
     expected = lagged(t, corner_s, corner_m_s, lag_s) if lag_s else np.interp(t, corner_s, corner_m_s)
-    np.testing.assert_allclose(v, expected, atol=1e-3)
+    np.testing.assert_allclose(v, expected, atol=3e-4)
 
 
 def test_the_order_counts_a_lag_before_the_ramp_would_be_elsewhere() -> None:
@@ -117,8 +117,7 @@ def test_without_a_ramp_a_command_is_followed_at_once_and_a_lag_alone_is_first_o
         ride(Model(cart=IDEAL, effects={"rail.servo": {}, "rail.lag": {"time": lag_s}}), t) for lag_s in (0.0, 0.05)
     )
     np.testing.assert_allclose(prompt[1:], 0.8, atol=1e-3)
-    half_a_substep_s = 0.5 / 1200
-    np.testing.assert_allclose(late, -0.8 * np.expm1(-t / 0.05), atol=1.1 * half_a_substep_s * 0.8 / 0.05)
+    np.testing.assert_allclose(late, -0.8 * np.expm1(-t / 0.05), atol=5e-4)
 
 
 def test_small_lags_and_wide_limits_change_little_so_that_a_descent_sees_no_step() -> None:

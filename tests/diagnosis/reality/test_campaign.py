@@ -21,6 +21,7 @@ def test_its_one_fault_is_named_and_its_size_lies_in_its_interval(diagnosed):
     assert effect.shrink.stage.low > 0.5
     assert verdict.gap.after["pressure"].value < 0.3 * verdict.gap.before["pressure"].value
     assert found.patched.effects["pressure.dead_time"]["delay"] == delay.value
+    assert "rail.servo" in found.patched.effects  # that is what its drive is
 
 
 def test_where_nothing_is_wrong_nothing_is_named(diagnosed):
