@@ -88,7 +88,7 @@ class TrackingView(RigView):
             np.median(np.concatenate([*(_between_changes(s) for s in sent), [self.scales.longest_s]]))
         )
         self._each = SUBSTEPS if len(self.t_s) <= FEW else 1
-        self._late: dict[tuple[int, float], Array] = {}
+        self._late: dict[tuple[int, float], tuple[Array, Array]] = {}
 
     @property
     def regimes(self) -> Mapping[str, NDArray[np.bool_]]:
@@ -150,12 +150,14 @@ class TrackingView(RigView):
         parts = []
         for k, g in enumerate(self._grids):
             out = np.empty(len(g.t_s))
-            law.follow(self._command(k, delay), self._starts[k], numbers, g.step_s / self._each, self._each, out)
+            law.follow(*self._command(k, delay), self._starts[k], numbers, g.step_s / self._each, self._each, out)
             parts.append(out)
         return np.asarray(self.measured - np.concatenate(parts)[:, None])
 
-    def _command(self, k: int, delay_s: float) -> Array:
-        """Mean of the held command over every substep, delayed: a delay acts by any part of a sample."""
+    def _command(self, k: int, delay_s: float) -> tuple[Array, Array]:
+        """Mean of the held command over every substep, delayed: a delay acts by any part of a sample; and just before
+        the substeps' ends.
+        """
         key = (k, delay_s)
         if key not in self._late:
             if len(self._late) > 64 * len(self._grids):
@@ -163,7 +165,9 @@ class TrackingView(RigView):
             g, (t, summed) = self._grids[k], self._commands[k]
             h = g.step_s / self._each
             edges = g.t_s[0] - delay_s + h * np.arange(len(g.t_s) * self._each + 1)
-            self._late[key] = np.diff(np.interp(edges, t, summed)) / h
+            held = np.diff(summed) / np.diff(t)
+            last = np.clip(np.searchsorted(t, edges) - 1, 0, len(held) - 1)
+            self._late[key] = np.diff(np.interp(edges, t, summed)) / h, held[last]
         return self._late[key]
 
 

@@ -13,15 +13,17 @@ SCALE, OFFSET, CEILING, WIDTH, RISE, FALL, RATE, DOWN, ACCELERATION = range(9)
 PERIOD, DAMPING, COUPLING, GAP, STRENGTH, LOOP, BIAS, DRY = range(9, 17)
 COLUMNS = 17
 FAST = 0.02  # of a substep: a shorter period is none
+SAME = 1.0 - 1e-9  # of a limit: that is it, but for rounding
 
 
 @compiled
-def follow(command, start, law, step_s, each, out):
+def follow(command, edges, start, law, step_s, each, out):
     """Follow a command: an error beyond the dead zone closes with the lag's time, within rate and acceleration.
 
-    command: [n each] mean over each substep, already late and in the measured unit; start: the first reading; law:
-    columns above, DOWN the rate downwards, PERIOD the inverse of the natural frequency, s/rad, COUPLING the share of
-    the damping that is between what is driven and what is seen; out: [n], what is seen before each sample's substeps.
+    command: [n each] mean over each substep, already late and in the measured unit; edges: [n each + 1], the command as
+    it stood just before each end of a substep; start: the first reading; law: columns above, DOWN the rate downwards,
+    PERIOD the inverse of the natural frequency, s/rad, COUPLING the share of the damping that is between what is driven
+    and what is seen; out: [n], what is seen before each sample's substeps.
     A proportional loop against dry friction: the error that friction holds stays, and where the loop is one of speed
     it stays behind by DRY and stands still under small commands. Behind the loop come a resonance, play, a
     rate-independent loop and the sensor's zero. A neutral value leaves every bit as it was.
@@ -35,6 +37,7 @@ def follow(command, start, law, step_s, each, out):
     rings, late = law[PERIOD] > FAST * step_s, 2.0 * law[DAMPING] * law[PERIOD] * (1.0 - law[COUPLING])
     keep, gain, fall, hold = _ring(law[PERIOD], law[DAMPING], step_s) if rings else (0.0, 0.0, 0.0, 0.0)
     kick = 2.0 * law[DAMPING] * law[COUPLING] / law[PERIOD] * step_s if rings else 0.0
+    near = min(_slower(law[RATE], law[RISE]), _slower(law[DOWN], law[FALL]))
     turned, height, dry = 0.0, law[STRENGTH] * law[LOOP], law[DRY]
     for i in range(len(out)):
         before = seen
@@ -44,10 +47,12 @@ def follow(command, start, law, step_s, each, out):
             turned += (towards - turned) * (1.0 - math.exp(-abs(seen - before) / law[LOOP]))
         out[i] = seen - height * turned + law[BIAS]
         for s in range(each):
-            end, was = min(command[i * each + s] * (1.0 + law[SCALE]) + law[OFFSET], law[CEILING]), x
+            end, was = _end(command[i * each + s], law), x
             beyond = _beyond((end if dry == 0.0 else _rubbed(end, x, dry)) - x, law[WIDTH])
             closing, straight = (up, bent_up) if beyond > 0.0 else (down, bent_down)
-            wanted = min(max(beyond * closing, -law[DOWN]), law[RATE])
+            wanted, k = beyond * closing, i * each + s
+            if near < math.inf and (abs(_end(edges[k], law) - x) > near or abs(_end(edges[k + 1], law) - x) > near):
+                wanted = _limited(command, edges, k, x, law, step_s)
             held = abs(wanted - v) > change
             v = v + (change if wanted > v else -change) if held else wanted
             x += v * step_s
@@ -57,12 +62,24 @@ def follow(command, start, law, step_s, each, out):
                 x = min(max(x, was + away), 0.0) if was > 0.0 else max(min(x, was + away), 0.0)
                 v = (x - was) / step_s
             if rings:  # led along a straight line after a jump, and late
-                lead = v if held or wanted == law[RATE] or wanted == -law[DOWN] else straight * v
+                lead = v if held or wanted >= SAME * law[RATE] or wanted <= -SAME * law[DOWN] else straight * v
                 away, faster = y - (x - lead * (step_s + late)), swing - lead + kick * (v - lead)
                 y = x - lead * late + keep * away + gain * faster
                 swing = lead + fall * away + hold * faster
             else:
                 y = x
+
+
+@compiled
+def _end(command, law):
+    """Where a command ends."""
+    return min(command * (1.0 + law[SCALE]) + law[OFFSET], law[CEILING])
+
+
+@compiled
+def _slower(rate, lag_s):
+    """The error up to which a lag is slower than a limit of the rate."""
+    return rate * lag_s if rate < math.inf else math.inf
 
 
 @compiled
@@ -83,6 +100,40 @@ def _rubbed(end, speed, dry):
 def _closing(lag_s, step_s):
     """Share of an error that closes in a substep, a second."""
     return (1.0 - math.exp(-step_s / lag_s)) / step_s if lag_s > FAST * step_s else 1.0 / step_s
+
+
+@compiled
+def _limited(command, edges, k, x, law, step_s):
+    """Mean speed in a substep where the rate has an end, before and after the command's change in it.
+
+    Half of an error is closed as fast as the whole there: by the mean of the command it would set off at the substep's
+    beginning, not at the command's change, and every limit would come out too low.
+    """
+    before, after = edges[k], edges[k + 1]
+    if before == after or law[DRY] > 0.0:
+        before = after = command[k]
+    first = min(max((after - command[k]) / (after - before), 0.0), 1.0) * step_s if before != after else 0.0
+    at = x
+    for end, time in ((before, first), (after, step_s - first)):
+        if time > 0.0:
+            end = _end(end, law)
+            at += _way((end if law[DRY] == 0.0 else _rubbed(end, at, law[DRY])) - at, law, time)
+    return (at - x) / step_s
+
+
+@compiled
+def _way(error, law, time_s):
+    """How far an error is closed in a time: at the limit of the rate until the lag alone is slower, and on as a lag."""
+    beyond = _beyond(error, law[WIDTH])
+    lag_s, rate = (law[RISE], law[RATE]) if beyond > 0.0 else (law[FALL], law[DOWN])
+    size = abs(beyond)
+    if lag_s <= FAST * time_s:
+        way = min(size, rate * time_s)
+    else:
+        full_s = max(size / rate - lag_s, 0.0)
+        gone = min(full_s, time_s) * rate if full_s > 0.0 else 0.0
+        way = gone + (size - gone) * (1.0 - math.exp(min(full_s - time_s, 0.0) / lag_s))
+    return way if beyond > 0.0 else -way
 
 
 @compiled
