@@ -20,7 +20,7 @@ ROUNDS = 4
 CONVERGED = 1e-3  # of the loss: a round that gains less is the last
 NUDGE = 0.04  # of a parameter's size, for a column of the Jacobian
 SHORTER = 0.3  # of a step that did not help
-LEAST_WIDTH = 1e-6  # of a parameter's size: no interval ends at its own estimate
+LEAST_WIDTH = 1e-3  # of a parameter's size: stamps, steps and laws are no better, however still the recording is
 REACH = 2.0  # of a parameter's size: how far a round may go
 # What a usual change costs, in losses: next to nothing. Where data leave a direction open (torques, weight and inertia
 # all larger by the same share move alike) the smallest changes are taken, so that each can be spared for itself.
@@ -136,6 +136,29 @@ class FitProblem:
     def losses(self, sets: Sequence[tuple[Set, U]]) -> list[float]:
         """Of sets at given coordinates, the nuisances fitted."""
         return self._losses([effects for effects, _ in sets], [np.array([x for us in u for x in us]) for _, u in sets])
+
+    def left_out(self, fit: Fit) -> list[tuple[Set, U]]:
+        """A set without each of its effects, the others where a line says that they take over what it explained."""
+        x = np.array([v for us in fit.u for v in us])
+        p, found, first = len(x), [], 0
+        ((jacobians, bases),) = self._linear([fit.effects], [x])
+        normal, slope = self._normal(p, jacobians, bases)
+        held, pull = _prior(fit.effects, x)
+        normal[range(p), range(p)] += held
+        slope[:p] += pull
+        parameters = [d for each in fit.effects for d in each.parameters]
+        low, high = self._box(fit.effects, x)  # as far as the bounds go: nothing here is small
+        low[:p], high[:p] = (np.array([getattr(d, end) for d in parameters]) - x for end in ("low", "high"))
+        for i, each in enumerate(fit.effects):
+            gone = np.arange(first, first + len(each.parameters))
+            back = np.array([d.nominal for d in each.parameters]) - x[gone]
+            rest = np.delete(np.arange(len(slope)), gone)
+            wanted = -(slope[rest] + normal[np.ix_(rest, gone)] @ back)
+            change = box.solve(np.ascontiguousarray(normal[np.ix_(rest, rest)]), wanted, low[rest], high[rest])
+            others = fit.effects[:i] + fit.effects[i + 1 :]
+            found.append((others, split(others, np.delete(x, gone) + change[: p - len(gone)])))
+            first += len(gone)
+        return found
 
     def nuisance_box(self, effects: Set) -> tuple[Array, Array]:
         """Box of the nuisances beside a set: what the set fits itself is no nuisance."""

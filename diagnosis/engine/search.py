@@ -206,6 +206,10 @@ class Search:
         memory = (fit.names, fit.u)
         if memory not in self._reduced:
             sets = [_without(fit, i) for i in range(len(fit.effects))]
+            if self.thresholds.backward and sets:  # of two that do the same, half of one is far from the whole
+                moved = self.problem.left_out(fit)
+                better = np.less(self.problem.losses(moved), self.problem.losses(sets))
+                sets = [m if gains else s for m, s, gains in zip(moved, sets, better, strict=True)]
             fits = self.problem.fit(sets, self.thresholds.rounds) if sets else []
             few = self.thresholds.anew and 1 < len(sets) <= ANEW + 1
             self._reduced[memory] = self._anew(fits) if few else fits

@@ -238,3 +238,18 @@ def test_no_interval_ends_at_its_own_estimate():
     low, high = problem.interval(fit)
     assert (low < fit.u[0]).all()
     assert (high > fit.u[0]).all()
+
+
+def test_who_is_left_out_is_taken_over_by_who_does_the_same():
+    droop = Candidate("stage.droop", "stage", (_parameter("stage.droop.scale", -0.5, 0.5, 0.1),), ((0.1,),))
+    view = _View(truth=TRUE)
+    once = view.gap
+    view.gap = lambda points: once([{**p, SCALE: p.get(SCALE, 0.0) + p.get("stage.droop.scale", 0.0)} for p in points])
+    view.acts = view.acts | {"stage.droop.scale"}
+    problem = _problem(view)
+    halves = problem.fit([((GAIN, LAG, droop), ((0.15,), (0.15,), (0.15,)))])[0]
+    (gain_less, at), (_, with_gain), (_, with_lag) = (problem.left_out(halves)[i] for i in (0, 2, 1))
+    assert [c.name for c in gain_less] == ["stage.lag", "stage.droop"]
+    assert at[1][0] == pytest.approx(TRUE[SCALE], abs=0.03)
+    assert with_gain[0][0] == pytest.approx(TRUE[SCALE], abs=0.03)
+    assert len(with_lag) == 2

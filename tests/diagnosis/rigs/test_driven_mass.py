@@ -328,6 +328,18 @@ def test_a_tilt_is_friction_that_is_larger_one_way_as_long_as_friction_holds_it(
     assert "turn the rig round" in next(e for e in view.effects if e.name == "cart.force_offset").separated_by.lower()
 
 
+def test_a_pull_that_is_fitted_half_as_friction_is_found_whole_without_it():
+    """Larger than what rubs: the halves are one in motion, and no descent goes from one half to the whole."""
+    view = DrivenMassView(campaign(replace(RUBS, offset=-2.0), KNOWN, **QUICK))
+    setup = Setup([view], nuisances(view), [str(k) for k in np.unique(view.trial)])
+    problem, known = setup.weighed(), {c.name: c for c in candidates(view)}
+    halves = known["cart.force_offset"], known["cart.friction_asymmetry"]
+    both = problem.fit([(halves, ((-1.08,), (0.92,)))], 1)[0]
+    _, (kept, u) = problem.left_out(both)
+    assert kept == halves[:1]
+    assert problem.fit([(kept, u)], 12)[0].u[0][0] == pytest.approx(-2.0, abs=0.05)
+
+
 def test_a_late_force_and_a_late_reading_are_one():
     view = DrivenMassView(campaign(RUBS, KNOWN, **QUICK))
     gaps = view.gap([{"cart.dead_time.delay": 0.03}, {"cart.latency.delay": 0.03}])
