@@ -19,6 +19,7 @@ VERBS: dict[str, dict[str, Verb]] = {
         "acknowledge": Verb("arming:acknowledge", "Release a latched emergency stop."),
         "goal": Verb("goal:goal", "Reach for a target, hold, or cancel."),
         "policy": Verb("policy:policy", "List the policies, choose one."),
+        "events": Verb("events:events", "What happened, and who asked for it."),
         "logs": Verb("logs:logs", "List the recordings."),
         "replay": Verb("replay:replay", "Run a recording through the tick again and compare."),
     },

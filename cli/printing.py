@@ -2,8 +2,16 @@
 
 import sys
 from collections.abc import Iterable, Sequence
+from datetime import datetime
 
 WIDTH = 80  # where there is no terminal
+
+
+def clock(time: str) -> str:
+    """When something happened, by this machine's wall: the time of day, before today with its date."""
+    at = datetime.fromisoformat(time).astimezone()
+    day = "" if at.date() == datetime.now(at.tzinfo).date() else f"{at:%Y-%m-%d} "
+    return f"{day}{at:%H:%M:%S}.{at.microsecond // 1000:03d}"
 
 
 def print_table(columns: Sequence[str], rows: Iterable[Sequence[str]], title: str = "", width: int = WIDTH) -> None:

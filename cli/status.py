@@ -10,6 +10,7 @@ from rich.console import Console
 from rich.live import Live
 from rich.text import Text
 
+from softarm.cli.printing import clock
 from softarm.cli.remote import Remote, remote
 from softarm.schemas.policy import OBSERVATION
 
@@ -73,7 +74,8 @@ def lines(now: Json) -> Iterator[str]:
     for reason in refusals:
         yield f"cannot arm: {reason}"
     if now["last_stop"]:
-        yield f"last stop: {now['last_stop']}"
+        at = now.get("last_stop_at")  # daemons up to 0.2 do not say
+        yield f"last stop: {now['last_stop']}" + (f" ({clock(at)})" if at else "")
     if now["recorder"]["log"]:
         yield f"log       {now['recorder']['log']}"
 

@@ -47,6 +47,7 @@ class Controller:
         self._tick = 0
         self._missed_total = 0
         self._sent = SAFE
+        self._last_stop_ns: int | None = None
         self._swung_ns: int | None = None  # when the arm was last seen to swing, or not seen
 
     def tick(self, inputs: Inputs, runners: Mapping[int, PolicyRunner] | None = None) -> Outputs:
@@ -58,6 +59,7 @@ class Controller:
         self._observer.update(inputs)
         self._following.update(inputs.rail, self._safety.sent)
         observed = self._observer.observe(inputs.t_ns, self._sent.cart_velocity_m_s)
+        stops = self._machine.stops
         events = tuple(self._events(inputs))
         for request in inputs.requests:
             self._answer(request, events, runners or {})
@@ -66,6 +68,8 @@ class Controller:
             events = (Event("policy_fault", outcome.fault), *events)
         still = self._still(inputs.t_ns, observed)
         self._machine.update(events, devices_armed=self._devices_armed(), at_rest=self._at_rest(), still=still)
+        if self._machine.stops != stops:
+            self._last_stop_ns = inputs.t_ns
         if self._machine.mode in (Mode.DISARMED, Mode.STOPPED):
             self._observer.alignment.restart()  # or a camera that was too late could never show that it is mended
         if self._machine.mode is not Mode.ARMED:
@@ -96,6 +100,7 @@ class Controller:
             events=tuple(event.active() for event in events),
             arming_refusals=self._machine.refusals(events),
             last_stop=self._machine.last_stop,
+            last_stop_ns=self._last_stop_ns,
             results=tuple(self._results),
             reset_devices=any(request.kind == "acknowledge" for request in inputs.requests),
         )
@@ -103,6 +108,7 @@ class Controller:
     def resume(self, recorded: Outputs) -> None:
         """Stand where a recorded tick left off: for the replay of a log with gaps. Not what the policy remembers."""
         self._tick, self._missed_total, self._sent = recorded.tick, recorded.missed_total, recorded.sent
+        self._last_stop_ns = recorded.last_stop_ns
         self._safety.resume(recorded.sent)
         self._machine.resume(recorded.mode, recorded.estop, recorded.last_stop)
         self._goals.status = recorded.goal

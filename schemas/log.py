@@ -4,7 +4,7 @@ from pydantic import AwareDatetime
 
 from softarm.schemas.base import Strict
 
-MOCAP, PRESSURE, RAIL, REQUEST, TICK = "/mocap", "/pressure", "/rail", "/request", "/tick"
+MOCAP, PRESSURE, RAIL, REQUEST, EVENT, TICK = "/mocap", "/pressure", "/rail", "/request", "/event", "/tick"
 
 FORMAT = 1  # of channels and metadata; a log says its own as FORMAT_KEY of `software`, none: 1
 FORMAT_KEY = "log_format"

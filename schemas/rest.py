@@ -5,6 +5,7 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from softarm.schemas.base import Strict
+from softarm.schemas.events import Entry
 from softarm.schemas.goals import GoalKind, GoalState
 from softarm.schemas.log import LogEntry
 from softarm.schemas.policy import TrainingRange
@@ -94,3 +95,12 @@ class LogsAnswer(Strict):
 
     directory: str
     logs: tuple[LogEntry, ...]
+
+
+class EventsAnswer(Strict):
+    """What happened, oldest first."""
+
+    run: str = Field(description="of the daemon; another one counts its events from 1 again")
+    events: tuple[Entry, ...]
+    oldest: int | None = Field(description="number of the oldest event that is still kept")
+    newest: int | None

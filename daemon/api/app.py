@@ -16,21 +16,23 @@ from starlette.exceptions import HTTPException
 from softarm import __version__
 from softarm.daemon.api.aside import Aside
 from softarm.daemon.api.auth import Door
-from softarm.daemon.api.bounds import STREAMS_MAX, Guard
+from softarm.daemon.api.bounds import STREAMS_MAX, WHO, Guard
 from softarm.daemon.api.policies import Installed, Policies, policy_answer, tried_out
-from softarm.daemon.api.refusals import Refused, json_response, on_http_error, on_refused, refusal
+from softarm.daemon.api.refusals import Refused, json_response, on_http_error, on_refused, refusal, whole
 from softarm.daemon.api.sentences import sentences
 from softarm.daemon.api.status import RecorderState, RequestAnswer, Status, StatusView
 from softarm.daemon.api.stream import POLL_S, stream
 from softarm.daemon.control import workspace
 from softarm.daemon.control.inbox import ANSWER_S, STOP_WAITS, Inbox, InboxFull
 from softarm.daemon.control.records import Outputs, Problems, RequestKind, RequestResult
+from softarm.daemon.logbook.history import KEPT, History
 from softarm.policies.base import Policy
 from softarm.policies.runner import PolicyRunner, ThreadRunner
 from softarm.recordings.listing import listing
 from softarm.schemas.config import Config
 from softarm.schemas.goals import Goal
 from softarm.schemas.rest import (
+    EventsAnswer,
     GoalAnswer,
     GoalBody,
     Health,
@@ -72,6 +74,7 @@ class ApiContext:
     snapshot: Callable[[], Outputs | None]  # the newest one
     problems: Callable[[], Problems] = _no_problems  # of the devices, as they are now
     recorder: RecorderState | None = None
+    history: History = field(default_factory=lambda: History("", time.monotonic_ns, time.time_ns))
     policies: Policies | None = None  # None: `Installed`
     stop_port: Callable[[], int | None] = lambda: None  # of the stop's own way
     clock: Callable[[], int] = field(default=time.monotonic_ns)
@@ -108,6 +111,7 @@ def create_app(context: ApiContext) -> FastAPI:
         ("GET", "/api/policies", api.get_policies, PoliciesAnswer, (503, 504)),
         ("PUT", "/api/policy", api.put_policy, RequestAnswer, (400, 404, 409, 422, 503, 504)),
         ("GET", "/api/logs", api.get_logs, LogsAnswer, (503, 504)),
+        ("GET", "/api/events", api.get_events, EventsAnswer, (422,)),
     ):
         responses: dict[int | str, dict[str, Any]] = {200: {"model": answer}}
         may_come = sorted({*ANYWHERE, *statuses})
@@ -150,24 +154,25 @@ class _Api:
         reasons = tuple(self._view.why_unhealthy())
         return json_response(Health(healthy=not reasons, reasons=reasons).model_dump_json(), 503 if reasons else 200)
 
-    async def arm(self) -> Response:
+    async def arm(self, request: Request) -> Response:
         """Switch the drive on and let the regulator follow. Refused with every reason why not."""
-        return await self._ask("arm")
+        return await self._ask(request, "arm")
 
-    async def disarm(self) -> Response:
+    async def disarm(self, request: Request) -> Response:
         """Brake, vent, hold the cart until the arm is still, switch off. Always taken."""
-        return await self._ask("disarm")
+        return await self._ask(request, "disarm")
 
-    async def stop(self) -> Response:
+    async def stop(self, request: Request) -> Response:
         """Emergency stop: latched until acknowledged. It does not replace the button on the wall."""
-        return await self._ask("stop")
+        return await self._ask(request, "stop")
 
-    async def acknowledge(self) -> Response:
+    async def acknowledge(self, request: Request) -> Response:
         """Free the latch of an emergency stop whose cause is gone; the robot is disarmed then."""
-        return await self._ask("acknowledge")
+        return await self._ask(request, "acknowledge")
 
     async def post_goal(
         self,
+        request: Request,
         body: Annotated[
             GoalBody,
             Body(
@@ -187,11 +192,11 @@ class _Api:
         entry = self._view.policies.get(snapshot.policy) if snapshot else None
         trained = entry.spec.trained if entry and entry.spec else None
         warnings = workspace.warnings(goal, entry.name if entry else "", trained)
-        return await self._ask("goal", goal=goal, warnings=warnings)
+        return await self._ask(request, "goal", goal=goal, warnings=warnings)
 
-    async def delete_goal(self) -> Response:
+    async def delete_goal(self, request: Request) -> Response:
         """Take the goal back: the robot holds."""
-        return await self._ask("cancel_goal")
+        return await self._ask(request, "cancel_goal")
 
     async def get_goal(self) -> Response:
         """The newest goal and how it went; state `none` when there was none."""
@@ -221,13 +226,15 @@ class _Api:
         return json_response(answer.model_dump_json())
 
     async def put_policy(
-        self, body: Annotated[PolicyBody, Body(openapi_examples={"reach": {"value": {"name": "reach"}}})]
+        self,
+        request: Request,
+        body: Annotated[PolicyBody, Body(openapi_examples={"reach": {"value": {"name": "reach"}}})],
     ) -> Response:
         """Use another policy: loaded and tried out beside the control loop, swapped between two ticks."""
         policy = await self._loading.run(f"loading the policy '{body.name[:40]}'", lambda: self._load(body.name))
         runner = ThreadRunner(policy, self._context.config.failsafe.policy_budget_s)
         try:
-            return await self._ask("policy", policy=body.name, runner=runner)
+            return await self._ask(request, "policy", policy=body.name, runner=runner)
         except Refused as refused:
             if refused.status == 409:  # at 503 the request, and so the runner, may still be taken
                 runner.close()
@@ -241,6 +248,16 @@ class _Api:
         own = None if current is None else current.name
         entries = tuple(entry.model_copy(update={"recording": entry.name == own}) for entry in found)
         return json_response(LogsAnswer(directory=str(directory), logs=entries).model_dump_json())
+
+    async def get_events(self, since: str | None = None, limit: str = "100") -> Response:
+        """What happened: the newest, or with `since=` (a number) the oldest after that one; `limit` of them."""
+        history = self._context.history
+        after = None if since is None else whole("since", since, 0, None)
+        found = history.after(after, whole("limit", limit, 1, KEPT))
+        kept = history.entries
+        ends = (kept[0].number, kept[-1].number) if kept else (None, None)
+        answer = EventsAnswer(run=history.run, events=found, oldest=ends[0], newest=ends[1])
+        return json_response(answer.model_dump_json())
 
     async def stream(self, socket: WebSocket, hz: str = str(CONTROL_RATE_HZ)) -> None:
         """Every status that is new, at most `hz` times a second; a slow client gets fewer of them."""
@@ -279,6 +296,7 @@ class _Api:
 
     async def _ask(
         self,
+        request: Request,
         kind: RequestKind,
         *,
         goal: Goal | None = None,
@@ -288,7 +306,7 @@ class _Api:
     ) -> Response:
         """Leave a request and wait for the tick that answers it."""
         try:
-            number = self._context.inbox.post(kind, goal=goal, policy=policy, runner=runner)
+            number = self._context.inbox.post(kind, goal=goal, policy=policy, runner=runner, who=request.scope[WHO])
         except InboxFull as error:
             raise Refused(503, str(error)) from error
         asked_ns = self._context.clock()

@@ -117,7 +117,7 @@ class Door:
         given = headers.get(b"authorization")
         if given is None:
             return 401, "this API needs a token: send `Authorization: Bearer <the text in api.token_file>`"
-        holds = max((mine for bearer, mine in self._roles.items() if hmac.compare_digest(given, bearer)), default=None)
+        holds = self._holds(given)
         if holds is None:
             return (
                 401,
@@ -127,6 +127,16 @@ class Door:
             may = "look and stop" if holds is Role.VIEW else "stop"
             return 403, f"this token may {may}, nothing else: use that of api.{TOKEN_FILES[role]}"
         return None
+
+    def _holds(self, given: bytes) -> Role | None:
+        """Of the token in an Authorization header."""
+        return max((mine for bearer, mine in self._roles.items() if hmac.compare_digest(given, bearer)), default=None)
+
+    def who(self, way: str, headers: Mapping[bytes, bytes], address: str | None) -> str:
+        """Who asks, as the history of events tells it: by which way, with whose token, from which other machine."""
+        holds = self._holds(headers.get(b"authorization", b""))
+        token = f" with the {holds.name.lower()} token" if holds is not None else ""
+        return f"{way}{token}" + (f" from {address}" if address and not is_loopback(address) else "")
 
     def own_page(self, headers: Mapping[bytes, bytes], port: int) -> str | None:
         """The Origin, if it is a page that the REST API on `port` of this same host has served; None for any other."""

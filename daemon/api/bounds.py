@@ -19,6 +19,7 @@ STREAMS_MAX = 32
 MESSAGE_MAX = 1024  # bytes of what a WebSocket client says, which nobody listens to
 STOP = "/api/stop"  # is carried out whatever comes along with it
 VERSION = (API_HEADER.encode(), b"%d" % API_VERSION)
+WHO = "softarm.who"  # in the scope: who asks
 CLOSE = {"Connection": "close"}  # what is left of such a body is not read
 
 
@@ -34,6 +35,7 @@ class Guard:
             await self._app(scope, receive, send)
             return
         headers = dict(scope["headers"])
+        scope[WHO] = self._door.who("the API", headers, (scope.get("client") or (None,))[0])
         send = _versioned(send)
         refused = self._door.refusal(headers, _role(scope))
         if refused is None and scope["type"] == "http" and scope["path"] != STOP:

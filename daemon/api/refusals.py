@@ -29,6 +29,20 @@ def json_response(data: bytes | str, status: int = 200) -> Response:
     return Response(data, status, media_type="application/json")
 
 
+def whole(name: str, said: str, least: int, most: int | None) -> int:
+    """A whole number out of a query. Raises Refused, 422, for another; most: None for no end."""
+    if (
+        said.isascii()
+        and said.isdigit()
+        and len(said) < 20
+        and least <= int(said)
+        and (most is None or int(said) <= most)
+    ):
+        return int(said)
+    allowed = f"a whole number from {least} on" if most is None else f"a whole number from {least} to {most}"
+    raise Refused(422, f"{name}: is {said[:20]!r}; allowed {allowed}")
+
+
 def refusal(status: int, reasons: tuple[str, ...], headers: Mapping[str, str] | None = None) -> Response:
     """Sentences, one by one and in one line."""
     body = Refusal(detail="; ".join(reasons), reasons=reasons).model_dump_json()

@@ -1,13 +1,16 @@
 """What the API says of the robot: the newest snapshot, and what stands around it."""
 
+import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields
+from datetime import datetime
 from pathlib import Path
 from typing import Any, Protocol
 
 from pydantic import TypeAdapter
 
 from softarm.daemon.control.records import EStop, Outputs, Problems
+from softarm.daemon.logbook.history import utc
 from softarm.policies.registry import PolicyEntry
 from softarm.schemas.policy import TrainingRange
 
@@ -65,6 +68,7 @@ class Status(Outputs):
     recorder: RecorderInfo
     uptime_s: float
     version: str
+    last_stop_at: datetime | None = None  # null: no stop yet, or one before this daemon began
     stop_port: int | None = None  # of this host, where POST /api/stop waits for nobody
 
 
@@ -90,9 +94,10 @@ class StatusView:
         clock: Callable[[], int],
         version: str,
         stop_port: Callable[[], int | None] = lambda: None,
+        wall_ns: Callable[[], int] = time.time_ns,
     ) -> None:
         self._snapshot, self._problems, self._recorder = snapshot, problems, recorder
-        self._clock = clock
+        self._clock, self._wall_ns = clock, wall_ns
         self._version = version
         self._stop_port = stop_port
         self._started_ns = clock()
@@ -145,8 +150,12 @@ class StatusView:
             else RecorderInfo(str(box.path) if box.path else None, box.dropped, box.problem),
             "uptime_s": (outputs.t_ns - self._started_ns) * 1e-9,
             "version": self._version,
+            "last_stop_at": self._time_of(outputs.last_stop_ns),
             "stop_port": self._stop_port(),
         }
+
+    def _time_of(self, t_ns: int | None) -> datetime | None:
+        return None if t_ns is None else utc(self._wall_ns() + t_ns - self._clock())
 
     def why_unhealthy(self) -> list[str]:
         """Every reason for which the robot cannot be used now; empty when it can."""

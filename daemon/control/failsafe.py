@@ -326,10 +326,15 @@ class ModeMachine:
         self.mode = Mode.DISARMED
         self.estop = EStop.CLEAR
         self.last_stop: str | None = None
+        self.stops = 0  # so far, soft ones included; each has set `last_stop`
 
     def _go(self, mode: Mode) -> None:
         self.mode = mode
         self._ticks, self._rested = 0, False
+
+    def _leave(self, mode: Mode, why: str) -> None:
+        self.last_stop, self.stops = why, self.stops + 1
+        self._go(mode)
 
     def _causes(self, events: Iterable[Event]) -> tuple[Event, ...]:
         """What of a tick's events stops the arm, or keeps it stopped; of one that is off, a person's stop alone."""
@@ -345,8 +350,7 @@ class ModeMachine:
         causes = self._causes(events)
         if causes:
             if self.mode is not Mode.STOPPED:
-                self.last_stop = causes[0].text
-                self._go(Mode.STOPPED)
+                self._leave(Mode.STOPPED, causes[0].text)
             self.estop = EStop.ENGAGED
         elif self.mode is Mode.STOPPED:
             self.estop = EStop.LATCHED
@@ -358,8 +362,7 @@ class ModeMachine:
         if self.mode is Mode.ARMING and not softs and not devices_armed and self._ticks > self._arming_ticks:
             softs = [Event("arming_timeout", f"{self._ticks} ticks")]
         if softs and self.mode in (Mode.ARMING, Mode.ARMED):
-            self.last_stop = softs[0].text
-            self._go(Mode.STOPPING)
+            self._leave(Mode.STOPPING, softs[0].text)
         elif self.mode is Mode.ARMING and devices_armed:
             self._go(Mode.ARMED)
         elif self.mode is Mode.STOPPING and (over or self._ticks > self._stopping_ticks):
@@ -382,8 +385,7 @@ class ModeMachine:
     def disarm(self, why: str) -> None:
         """Brake, vent and switch off; always taken."""
         if self.mode in (Mode.ARMED, Mode.ARMING):
-            self.last_stop = why
-            self._go(Mode.STOPPING)
+            self._leave(Mode.STOPPING, why)
 
     def acknowledge(self, events: Sequence[Event]) -> tuple[str, ...]:
         """Free the latch if none of this tick's events is a cause of it; returns why not.

@@ -39,16 +39,18 @@ class Inbox:
         goal: Goal | None = None,
         policy: str | None = None,
         runner: PolicyRunner | None = None,
+        who: str = "",
     ) -> int:
         """Leave a request; returns its number, under which `Outputs.results` will answer it.
 
-        A stop that still waits there is every later one's, too: a thousand of them are one.
+        who: asks, as the history of events tells it. A stop that still waits there is every later one's, too: a
+        thousand of them are one, the first one's.
         Raises InboxFull when the loop has not emptied the slot for `capacity` requests (never for a stop).
         """
         with self._lock:
             if kind == "stop" and self._slot and self._slot[0].request.kind == "stop":
                 return self._slot[0].request.number
-            post = Post(Request(next(self._numbers), kind, goal, policy), runner)
+            post = Post(Request(next(self._numbers), kind, goal, policy, who), runner)
             if kind == "stop":
                 self._slot = (post, *self._slot)
             elif len(self._slot) >= self._capacity:

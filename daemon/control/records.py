@@ -38,6 +38,7 @@ class Request:
     kind: RequestKind
     goal: Goal | None = None
     policy: str | None = None  # its runner travels beside it, in the inbox
+    who: str = ""  # asked: by which way, in which role, from where; logs up to November 2026 do not say
 
 
 @dataclass(frozen=True, slots=True)
@@ -124,6 +125,7 @@ class Outputs:
     events: tuple[ActiveEvent, ...] = ()
     arming_refusals: tuple[str, ...] = ()  # why arming would be refused now; empty: it would not
     last_stop: str | None = None  # why the arm last left `armed`
+    last_stop_ns: int | None = None  # the tick in which it did; None also where the daemon before this one was stopped
     results: tuple[RequestResult, ...] = ()  # of this tick and a few before
     reset_devices: bool = False  # an acknowledgement also sends a fault reset to the devices
 

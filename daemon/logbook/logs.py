@@ -1,16 +1,20 @@
 """Logs read back as ticks, also those of a daemon that was killed."""
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 
 from softarm.daemon.control.records import Inputs, Outputs, TickTiming
 from softarm.daemon.logbook import ticks
+from softarm.daemon.logbook.changes import Changes
+from softarm.daemon.logbook.history import utc
 from softarm.recordings import mcap_file
 from softarm.recordings.channels import MOCAP
 from softarm.recordings.log_file import LogFile
 from softarm.recordings.mcap_file import LogError
 from softarm.schemas import log
+from softarm.schemas.events import Entry
 from softarm.schemas.messages import MocapFrame
 
 
@@ -51,6 +55,19 @@ class TickLog(LogFile):
     def timings(self) -> Iterator[TickTiming]:
         """How long every tick took."""
         return (timing for _, _, timing in self)
+
+    def entries(self) -> Iterator[Entry]:
+        """What happened; of a log from before there were entries, as its ticks show it."""
+        told = False
+        for topic, data in mcap_file.messages(self.path):
+            if topic == log.EVENT:
+                told = True
+                yield ticks.EVENT.decode(data)
+        if not told:
+            offset = int(self.metadata.get(log.CLOCK, {}).get("wall_minus_monotonic_ns", 0))
+            changes = Changes(lambda t_ns: utc(t_ns + offset))
+            for inputs, outputs in self.ticks():
+                yield from (replace(entry, number=0) for entry in changes.take(inputs, outputs))
 
     def frames(self) -> Iterator[MocapFrame]:
         """Every motion capture frame, also those that came after the last whole tick."""

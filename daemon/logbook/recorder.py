@@ -1,4 +1,4 @@
-"""The black box: frames and ticks into MCAP files, never holding up the loop.
+"""The black box: frames, ticks and what happened into MCAP files, never holding up the loop.
 
 The loop only appends to a bounded queue. One thread encodes and writes, and begins a new file when one is full, also in
 flight (the queue waits for it), or when a disk that failed is there again. It hands its bytes to the system every flush
@@ -18,12 +18,14 @@ from typing import BinaryIO
 from softarm.common import revision
 from softarm.daemon.control.records import Inputs, Outputs, TickTiming
 from softarm.daemon.logbook import folder, ticks
+from softarm.daemon.logbook.history import History
 from softarm.daemon.logbook.thinning import Thinning, Tick
 from softarm.policies.base import PolicySpec
 from softarm.recordings import finishing
-from softarm.recordings.live import LiveFile
+from softarm.recordings.live import LiveFile, LogMessage
 from softarm.schemas import log as names
 from softarm.schemas.config import Config
+from softarm.schemas.events import Entry
 
 log = logging.getLogger(__name__)
 
@@ -46,6 +48,13 @@ class _PolicyChange:
     spec: PolicySpec
 
 
+@dataclass(frozen=True, slots=True)
+class _Unkept:
+    """A tick that is counted already, or asked for by nobody: of it only what happened is told."""
+
+    tick: Tick
+
+
 class _Enough(Exception):
     """Tidying up is over: the recorder stops, or it takes too long."""
 
@@ -64,13 +73,14 @@ class Recorder:
         self._config = config
         self._settings = config.recorder
         self._monotonic_ns, self._wall_ns = monotonic_ns, wall_ns
-        self._queue: deque[Tick | _PolicyChange] = deque()
+        self._queue: deque[Tick | _Unkept | _PolicyChange] = deque()
         self._stopping = threading.Event()
         self._writer: threading.Thread | None = None
         self._tidier: threading.Thread | None = None
         self._policy = policy
         self._thinning = Thinning(self._settings.idle_interval_s, self._settings.around_s)
         self._run, self._parts = secrets.token_hex(8), 0  # one run may leave several files
+        self.history = History(self._run, monotonic_ns, wall_ns)
         self._refused = 0  # ticks that the loop could not leave here
         self._lost = 0  # ticks that the writer took and could not write
         self._in_goal = False  # a policy flies one
@@ -84,11 +94,13 @@ class Recorder:
         return self._refused + self._lost
 
     def start(self) -> None:
-        """Open the log and begin; nothing when `recorder.enabled` is false.
+        """Open the log and begin; where `recorder.enabled` is false, only to tell what happens.
 
         Raises RecorderError when the directory cannot be written or its disk is full.
         """
         if not self._settings.enabled:
+            self._writer = threading.Thread(target=self._watch, name="recorder", daemon=True)
+            self._writer.start()
             return
         try:
             self.path, file = folder.new_log(self._settings.directory, self._wall_ns())
@@ -107,12 +119,11 @@ class Recorder:
 
     def tick(self, inputs: Inputs, outputs: Outputs, timing: TickTiming) -> None:
         """Keep a tick. Never blocks, never raises; one that finds the queue full is counted in `dropped`."""
-        if not self._settings.enabled:
-            return
-        if self.problem is not None or len(self._queue) >= self._settings.queue_max:
-            self._refused += 1
-        else:
-            self._queue.append((inputs, outputs, timing))
+        is_full, tick = len(self._queue) >= self._settings.queue_max, (inputs, outputs, timing)
+        is_kept = self._settings.enabled and self.problem is None and not is_full
+        self._refused += self._settings.enabled and not is_kept
+        if not is_full:
+            self._queue.append(tick if is_kept else _Unkept(tick))
 
     def policy(self, spec: PolicySpec) -> None:
         """Note that the ticks from here on are another policy's. Never blocks."""
@@ -134,6 +145,7 @@ class Recorder:
             except Exception as error:
                 what = f"{type(error).__name__} in the recorder ({error})"
                 self._fail(f"the log ends here: {what}; report it and restart the service")
+                self._watch()
                 return
 
     def _fill(self, path: Path, file: BinaryIO) -> tuple[Path, BinaryIO] | None:
@@ -183,7 +195,12 @@ class Recorder:
                 self._policy = item.spec
                 live.policy(item.spec)
                 continue
-            goal = item[1].goal
+            inputs, outputs, _ = item.tick if isinstance(item, _Unkept) else item
+            for entry in self.history.take(inputs, outputs):
+                live.entry(entry)
+            if isinstance(item, _Unkept):
+                continue
+            goal = outputs.goal
             self._in_goal = goal.state == "running" and goal.goal is not None and goal.goal.kind != "hold"
             for tick in self._thinning.take(item):
                 self._put(live, tick)
@@ -229,13 +246,25 @@ class Recorder:
             item = self._queue.popleft()
             if isinstance(item, _PolicyChange):
                 self._policy = item.spec
-            else:
-                self._lost += 1
+                continue
+            self._lost += not isinstance(item, _Unkept)
+            inputs, outputs, _ = item.tick if isinstance(item, _Unkept) else item
+            self.history.take(inputs, outputs)
+
+    def _watch(self) -> None:
+        """Nothing is written any more, or at all: what happens is told."""
+        while not self._stopping.wait(self._settings.flush_interval_s):
+            self._drop()
+        self._drop()
 
     def _when_it_can(self) -> tuple[Path, BinaryIO] | None:
         """Wait until a log can be written again; None when the recorder stops before."""
-        while not self._stopping.wait(RETRY_S):
+        self._next_try_s = time.monotonic() + RETRY_S
+        while not self._stopping.wait(self._settings.flush_interval_s):
             self._drop()
+            if time.monotonic() < self._next_try_s:
+                continue
+            self._next_try_s = time.monotonic() + RETRY_S
             try:
                 following = folder.new_log(self._settings.directory, self._wall_ns())
             except OSError:
@@ -308,6 +337,10 @@ class TickFile(LiveFile):
         """One tick, whole or not at all. Raises EncodingError."""
         for message in self._splitter.split(*tick):
             self.add(message)
+
+    def entry(self, entry: Entry) -> None:
+        """Something that happened."""
+        self.add(LogMessage(ticks.EVENT.topic, entry.t_ns, entry.t_ns, ticks.EVENT.encode(entry)))
 
     def policy(self, spec: PolicySpec) -> None:
         """The policy of the ticks from here on."""

@@ -12,6 +12,7 @@ from softarm.daemon.control.records import Inputs, Outputs, Problems, Request, T
 from softarm.recordings.channels import MOCAP, PRESSURE, RAIL, LogChannel
 from softarm.recordings.live import LogMessage
 from softarm.schemas import log
+from softarm.schemas.events import Entry
 from softarm.schemas.messages import MocapFrame, PressureReading, RailReading
 
 
@@ -60,9 +61,10 @@ def _tick_inputs(inputs: Inputs) -> TickInputs:
 
 
 REQUEST = LogChannel(log.REQUEST, Request)
+EVENT = LogChannel(log.EVENT, Entry)
 TICK = LogChannel(log.TICK, TickRecord)
 
-CHANNELS: tuple[LogChannel[Any], ...] = (MOCAP, PRESSURE, RAIL, REQUEST, TICK)
+CHANNELS: tuple[LogChannel[Any], ...] = (MOCAP, PRESSURE, RAIL, REQUEST, EVENT, TICK)
 
 
 class EncodingError(Exception):

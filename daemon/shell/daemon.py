@@ -89,6 +89,7 @@ class Daemon:
             lambda: self.loop.snapshot,
             lambda: self.loop.problems,
             self.recorder,
+            self.recorder.history,
             stop_port=lambda: self.stop_port,
         )
         self.api = ApiServer(config.api, create_app(context))
@@ -138,7 +139,7 @@ class Daemon:
 
     def stop_by_key(self) -> None:
         """Somebody pressed a key."""
-        self.inbox.post("stop")
+        self.inbox.post("stop", who="the terminal")
         log.warning("emergency stop by a key: `softarm acknowledge` frees the latch")
 
 

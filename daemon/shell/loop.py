@@ -110,6 +110,7 @@ class ControlLoop:
         self._stop = threading.Event()
         self._collections = 0
         self._failed: str | None = None  # the controller's own exception; nothing moves after it
+        self._failed_ns = 0
         self.snapshot: Outputs | None = None
         self.timing: TickTiming | None = None
         self.problems = Problems()  # of the devices, as of the newest tick
@@ -210,7 +211,7 @@ class ControlLoop:
                 return self._controller.tick(inputs, runners)
             except Exception as error:
                 log.exception("the tick failed: the arm is braked and vented, restart the service")
-                self._failed = f"{type(error).__name__}: {error}"
+                self._failed, self._failed_ns = f"{type(error).__name__}: {error}", inputs.t_ns
         event = Event("internal_error", self._failed)
         return Outputs(
             t_ns=inputs.t_ns,
@@ -223,6 +224,7 @@ class ControlLoop:
             events=(event.active(),),
             arming_refusals=(event.text,),
             last_stop=event.text,
+            last_stop_ns=self._failed_ns,
         )
 
     def _write(self, outputs: Outputs) -> None:

@@ -48,7 +48,7 @@ def play(
     daemon.start()
     try:
         _arm(daemon)
-        number = daemon.inbox.post("goal", goal=Goal("run"))
+        number = daemon.inbox.post("goal", goal=Goal("run"), who="softarm excite")
         deadline_s = time.monotonic() + length_s(config, excitation) + _ARMING_S
         while (status := _goal(daemon, number)) is None or status.state == "running":
             on_time(0.0 if status is None else status.time_s)
@@ -103,7 +103,7 @@ def _arm(daemon: Daemon) -> None:
                 return
             reasons = snapshot.arming_refusals or reasons
             if not snapshot.arming_refusals and not asked:
-                daemon.inbox.post("arm")
+                daemon.inbox.post("arm", who="softarm excite")
                 asked = True
         time.sleep(_POLL_S)
     raise RuntimeError(f"did not arm within {_ARMING_S:.0f} s: {'; '.join(reasons)}; then try again")

@@ -45,6 +45,8 @@ class _Client:
     asked: tuple[int, int] | None = None  # the stop's number, and when it lay in the inbox; None before and after
     answered: bool = False
     page: str | None = None  # of the REST API, that asks from a browser
+    address: str | None = None
+    who: str = ""
 
 
 class StopListener:
@@ -114,7 +116,7 @@ class StopListener:
 
     def _accept(self, listener: socket.socket) -> None:
         try:
-            connection, _ = listener.accept()
+            connection, address = listener.accept()
         except OSError:  # it left again; or no descriptor is free, and then the oldest client's is taken
             if self._clients:
                 self._close(self._clients[0])
@@ -123,7 +125,7 @@ class StopListener:
         if len(self._clients) >= CLIENTS_MAX:
             self._close(next((client for client in self._clients if client.asked is None), self._clients[0]))
         connection.setblocking(False)
-        client = _Client(connection, time.monotonic() + PATIENCE_S)
+        client = _Client(connection, time.monotonic() + PATIENCE_S, address=str(address[0]))
         self._clients.append(client)
         self._selector.register(connection, selectors.EVENT_READ, lambda: self._hear(client))
         self._hear(client)  # the request often came along
@@ -163,6 +165,7 @@ class StopListener:
         first, *lines = bytes(client.heard).partition(b"\r\n\r\n")[0].split(b"\r\n")
         headers = {name.strip().lower(): value.strip() for name, _, value in (line.partition(b":") for line in lines)}
         asked = first.split(b" ")[:2]
+        client.who = self._door.who("the stop's own way", headers, client.address)
         client.page = self._door.own_page(headers, self._pages_at())
         if client.page is not None and asked == [b"OPTIONS", b"/api/stop"]:
             self._answer(client, 204, None, *PREFLIGHT)  # a browser's question, before it sends a token to another port
@@ -173,7 +176,7 @@ class StopListener:
         elif asked != [b"POST", b"/api/stop"]:
             self._refuse(client, 404, f"here is POST /api/stop alone; all else is at port {self._config.port}")
         else:
-            client.asked = self._inbox.post("stop"), time.monotonic_ns()
+            client.asked = self._inbox.post("stop", who=client.who), time.monotonic_ns()
             client.until_s = time.monotonic() + ANSWER_S
 
     def _look_after_all(self) -> None:

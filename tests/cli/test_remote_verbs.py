@@ -1,11 +1,13 @@
 """The verbs that talk to a running daemon: what they ask, what they print, how they fail."""
 
 import socket
+from datetime import UTC, datetime
 
 import pytest
 from click.testing import CliRunner
 
 from softarm.cli.main import main
+from softarm.cli.printing import clock
 from softarm.daemon.control.inbox import Inbox
 from softarm.daemon.control.records import ActiveEvent, EStop, Mode, Outputs, Problems
 from softarm.daemon.stop.listener import StopListener
@@ -234,6 +236,7 @@ def test_status_tells_all_that_is_wrong(softarm, daemon, make_status):
             problems=Problems(rail="10.0.0.1:502: connect: refused; switch it on"),
             arming_refusals=("acknowledge the stop first",),
             last_stop="mocap_stale",
+            last_stop_at=datetime(2026, 11, 22, 12, 0, 0, 250_000, tzinfo=UTC),
             goal=GoalStatus(Goal("hold"), "cancelled", reason="stopped"),
         ),
     )
@@ -246,7 +249,7 @@ def test_status_tells_all_that_is_wrong(softarm, daemon, make_status):
         "rail      10.0.0.1:502: connect: refused; switch it on",
         "event     mocap_stale (stop): no frame for 0.3 s [see the bridge]",
         "cannot arm: acknowledge the stop first",
-        "last stop: mocap_stale",
+        f"last stop: mocap_stale ({clock('2026-11-22T12:00:00.250Z')})",
     ):
         assert line + "\n" in out
     assert "tip" not in out

@@ -865,3 +865,24 @@ def test_a_policy_request_without_a_loaded_policy_and_a_goal_request_without_a_g
     assert rig.reasons() == "the policy was not loaded"
     rig.tick("goal")
     assert rig.reasons() == "a goal request without a goal"
+
+
+def test_a_stop_has_the_time_of_its_tick_and_keeps_it():
+    rig = Rig().armed()
+    assert rig.outputs.last_stop_ns is None
+    stopped = rig.tick("stop").t_ns
+    assert [rig.tick().last_stop_ns for _ in range(5)] == [stopped] * 5
+    rig.tick("acknowledge")
+    rig.tick("arm")
+    rig.tick()
+    assert (rig.outputs.mode, rig.outputs.last_stop_ns) == (Mode.ARMED, stopped)
+    soft = rig.tick("disarm").t_ns
+    assert [rig.tick().last_stop_ns for _ in range(5)] == [soft] * 5
+    replayed = Rig()
+    replayed.tick()
+    replayed.controller.resume(rig.outputs)
+    assert replayed.tick().last_stop_ns == soft
+
+
+def test_a_stop_from_before_the_daemon_has_no_time():
+    assert Rig().tick(latched="a hand").last_stop_ns is None

@@ -392,6 +392,7 @@ def test_the_documentation_names_every_endpoint_with_an_example(client):
         ("GET", "/api/policies"),
         ("PUT", "/api/policy"),
         ("GET", "/api/logs"),
+        ("GET", "/api/events"),
     }
     goal = api["paths"]["/api/goal"]["post"]["requestBody"]["content"]["application/json"]
     assert goal["examples"]["reach"]["value"] == {"kind": "reach", "y_m": -0.2, "z_m": 0.65}

@@ -2,7 +2,8 @@
 
 import math
 import struct
-from dataclasses import fields, is_dataclass
+from dataclasses import fields, is_dataclass, replace
+from datetime import UTC, datetime
 from pathlib import Path
 
 import pytest
@@ -24,11 +25,12 @@ from softarm.daemon.control.records import (
 )
 from softarm.daemon.logbook import logs
 from softarm.daemon.logbook.recorder import Recorder, TickFile
-from softarm.daemon.logbook.ticks import CHANNELS, Joiner, Splitter
+from softarm.daemon.logbook.ticks import CHANNELS, EVENT, Joiner, Splitter
 from softarm.policies.base import PolicySpec
 from softarm.recordings import finishing
 from softarm.recordings.mcap_file import LogError
 from softarm.schemas.config import Config
+from softarm.schemas.events import Entry
 from softarm.schemas.goals import Goal, GoalStatus
 from softarm.schemas.messages import Command, MocapFrame, Pose, PressureReading, RailReading
 from softarm.schemas.policy import Observation
@@ -45,7 +47,7 @@ rail = st.none() | st.builds(RailReading, ns, number, number, st.booleans(), st.
 pose = st.builds(Pose, number, number, number, st.booleans())
 frame = st.builds(MocapFrame, count, ns, ns, st.tuples(*[pose] * 6))
 request = st.builds(
-    Request, count, st.sampled_from(["arm", "stop", "goal", "policy"]), st.none() | goal, st.none() | text
+    Request, count, st.sampled_from(["arm", "stop", "goal", "policy"]), st.none() | goal, st.none() | text, text
 )
 inputs_of_a_tick = st.builds(
     Inputs,
@@ -90,6 +92,7 @@ outputs_of_a_tick = st.builds(
     events=st.lists(st.builds(ActiveEvent, text, text, text), max_size=2).map(tuple),
     arming_refusals=texts,
     last_stop=st.none() | text,
+    last_stop_ns=st.none() | ns,
     results=st.lists(st.builds(RequestResult, count, st.booleans(), texts), max_size=2).map(tuple),
 )
 timing_of_a_tick = st.builds(TickTiming, count, count, count, st.none() | count)
@@ -200,8 +203,9 @@ def test_messages_carry_real_stamps(tmp_path):
 @pytest.mark.parametrize("channel", CHANNELS, ids=lambda c: c.topic)
 def test_every_channel_describes_its_messages_as_objects(channel):
     assert b'"type": "object"' in channel.json_schema()
-    entries = Splitter().split(*make_tick(30))
-    data = next(entry.data for entry in entries if entry.topic == channel.topic)
+    data = {message.topic: message.data for message in Splitter().split(*make_tick(30))}
+    data["/event"] = EVENT.encode(Entry(1, 2, datetime.now(UTC), 3, "stop", "stopped", "emergency stop"))
+    data = data[channel.topic]
     assert data.startswith(b'{"')
     if channel.topic == "/mocap":
         assert b'"angle_rad":' in data
@@ -255,3 +259,45 @@ def test_a_log_of_a_newer_format_is_refused_with_both(tmp_path, version):
         live.flush()
     with pytest.raises(LogError, match=rf"format {version}, written by softarm 0\.9\.0; this software reads format 1"):
         logs.read(path)
+
+
+def disarmed(number: int, *requests: Request) -> tuple[Inputs, Outputs, TickTiming]:
+    """A tick of the run whose events the next tests read."""
+    inputs, outputs, timing = make_tick(number)
+    mode = Mode.ARMED if number >= 4 else Mode.DISARMED
+    results = tuple(RequestResult(request.number, True) for request in requests)
+    return replace(inputs, requests=requests), replace(outputs, mode=mode, results=results), timing
+
+
+def run_of_six() -> list[tuple[Inputs, Outputs, TickTiming]]:
+    return [disarmed(n, *((Request(1, "arm", who="the terminal"),) if n == 3 else ())) for n in range(1, 7)]
+
+
+TOLD = [("request", 3, "arm, asked for by the terminal"), ("mode", 4, "armed, was disarmed")]
+
+
+def test_a_log_tells_what_happened_at_the_walls_time(tmp_path):
+    path = tmp_path / "a.mcap"
+    box = Recorder(
+        Config(recorder={"directory": tmp_path}),
+        PolicySpec("reach", "test"),
+        monotonic_ns=lambda: 0,
+        wall_ns=lambda: 1_800_000_000_000_000_000,
+    )
+    box.start()
+    for one in run_of_six():
+        box.tick(*one)
+    box.stop()
+    path = box.path
+    entries = list(logs.read(path).entries())
+    assert [(e.kind, e.tick, e.text) for e in entries] == TOLD
+    assert [e.number for e in entries] == [1, 2]
+    assert entries == list(box.history.entries)
+    assert entries[1].time.isoformat() == "2027-01-15T08:00:01.133333+00:00"
+    assert len(list(logs.read(path))) == 6
+
+
+def test_of_a_log_from_before_there_were_events_they_are_read_off_its_ticks(tmp_path):
+    log = logs.read(unfinished(tmp_path, run_of_six()))
+    assert [(e.kind, e.tick, e.text) for e in log.entries()] == TOLD
+    assert {e.number for e in log.entries()} == {0}

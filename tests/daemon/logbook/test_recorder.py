@@ -179,9 +179,12 @@ def test_a_disk_that_fills_up_ends_the_log_and_nothing_else(tmp_path, disk):
     assert "delete old logs" in recorder.problem
     assert "recording goes on by itself" in recorder.problem
     dropped = recorder.dropped
-    recorder.tick(*make_tick(1))
+    recorder.tick(*flown(1))
     assert recorder.dropped == dropped + 1
+    wait_for(lambda: recorder.history.entries, "what happens is told all the same")
+    assert recorder.history.entries[0].text == "armed, was disarmed"
     recorder.stop()
+    assert recorder.dropped == dropped + 1
     assert [o.tick for o in logs.read(recorder.path).outputs()] == [0]
 
 
@@ -314,9 +317,11 @@ def test_switched_off_it_writes_nothing(tmp_path):
     recorder = Recorder(config(tmp_path / "logs", enabled=False), SPEC)
     recorder.start()
     recorder.tick(*make_tick(0))
+    recorder.tick(*flown(1))
     recorder.stop()
     assert recorder.path is None
     assert recorder.dropped == 0
+    assert [entry.text for entry in recorder.history.entries] == ["armed, was disarmed"]
     assert not (tmp_path / "logs").exists()
 
 

@@ -1,0 +1,68 @@
+"""`softarm events`: what happened, from the running daemon or from a log."""
+
+import json
+import time
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+from typing import Any
+
+import click
+
+from softarm.cli.errors import fail
+from softarm.cli.options import FILE
+from softarm.cli.printing import clock
+from softarm.cli.remote import Remote, remote
+
+Json = dict[str, Any]
+POLL_S = 0.5
+PAGE = 1000  # the daemon gives no more at once
+
+
+@click.command()
+@click.argument("log", type=FILE, required=False)
+@click.option("--limit", type=click.IntRange(1, PAGE), default=50, show_default=True, help="So many of the newest.")
+@click.option("--follow", is_flag=True, help="Keep showing new ones until Ctrl-C.")
+@click.option("--json", "as_json", is_flag=True, help="Print each as one line of JSON.")
+@remote
+def events(daemon: Remote, log: Path | None, limit: int, follow: bool, as_json: bool) -> None:
+    """Show what happened: requests and whose, changes of mode, stops, goals, devices lost and found, what was wrong.
+
+    The daemon keeps the newest 1000; a LOG holds all of its own (--limit does not count there).
+
+    \b
+    Examples:
+      softarm events
+      softarm events --follow
+      softarm events --json logs/softarm-20260101T120000Z.mcap
+    """
+    if log is not None and follow:
+        raise click.UsageError("a log does not grow here: leave LOG out to follow the running daemon")
+    found = _recorded(log) if log is not None else _live(daemon, limit, follow)
+    for event in found:
+        click.echo(json.dumps(event) if as_json else f"{clock(event['time'])}  {event['text']}")
+
+
+def _live(daemon: Remote, limit: int, follow: bool) -> Iterator[Json]:
+    answer = daemon.get(f"/api/events?limit={limit}")
+    yield from answer["events"]
+    while follow:
+        time.sleep(POLL_S)
+        since, run = answer["newest"] or 0, answer["run"]
+        answer = daemon.get(f"/api/events?since={since}&limit={PAGE}")
+        if answer["run"] != run:  # started anew: it counts from 1
+            answer = daemon.get(f"/api/events?since=0&limit={PAGE}")
+        yield from answer["events"]
+
+
+def _recorded(log: Path) -> Iterable[Json]:
+    from pydantic import TypeAdapter
+
+    from softarm.daemon.logbook import logs
+    from softarm.recordings.mcap_file import LogError
+    from softarm.schemas.events import Entry
+
+    try:
+        for entry in logs.read(log).entries():
+            yield TypeAdapter(Entry).dump_python(entry, mode="json")
+    except LogError as error:
+        fail(str(error))
