@@ -1,6 +1,7 @@
 """From trials and a nominal model to a verdict: of the robot, or of another rig's single stages."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 
 from threadpoolctl import threadpool_limits
 
@@ -27,12 +28,23 @@ def diagnose(
         raise TrialError(f"{tables[0].source}: another rig's table beside recordings of the robot; diagnose them apart")
     ordered = sorted(trials, key=lambda trial: (trial.name, str(trial.source)))
     say = tell or (lambda what, share: None)
-    if tables:
-        # Another rig's laws are compiled when they are needed.
-        from softarm.diagnosis.rigs.diagnose import diagnose_table
-        from softarm.diagnosis.rigs.owner_units import in_owners_units
+    with _one_thread():
+        if tables:
+            # Another rig's laws are compiled when they are needed.
+            from softarm.diagnosis.rigs.diagnose import diagnose_table
+            from softarm.diagnosis.rigs.owner_units import in_owners_units
 
-        return in_owners_units(diagnose_table(ordered, say, processes), ordered)
-    # Its matrices are small: threads that spin for one another take twenty times the work on a machine that does more.
-    with threadpool_limits(1, "blas"):
+            return in_owners_units(diagnose_table(ordered, say, processes), ordered)
         return Robot(ordered, model or Model(), say).diagnosis()
+
+
+@contextmanager
+def _one_thread() -> Iterator[None]:
+    """For BLAS and the boosted trees. Matrices are small: threads that spin for one another take twenty times the work.
+
+    Workers of a pool have one each anyway (`common.processes`).
+    """
+    import sklearn  # noqa: F401  # what is loaded later is not limited
+
+    with threadpool_limits(1):
+        yield

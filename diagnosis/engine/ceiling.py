@@ -30,7 +30,6 @@ def explainable(
     Deterministic. pace: the view's time over the robot's, for how far back it looks.
     """
     from sklearn.ensemble import HistGradientBoostingRegressor
-    from threadpoolctl import threadpool_limits
 
     scaled = np.nan_to_num(residual / view.floor)
     seen = np.flatnonzero(np.isfinite(residual).all(axis=1))
@@ -50,9 +49,8 @@ def explainable(
             model = HistGradientBoostingRegressor(
                 max_iter=TREES, max_leaf_nodes=12, min_samples_leaf=40, l2_regularization=1.0, random_state=0
             )
-            with threadpool_limits(1):  # threads that spin for one another take minutes on a machine with other work
-                model.fit(columns[~out], target[~out])
-                error = target[out] - model.predict(columns[out])
+            model.fit(columns[~out], target[~out])
+            error = target[out] - model.predict(columns[out])
             left += float(error @ error)
         used += np.abs(_correlations(columns, target)) * float(target @ target)
     share = max(0.0, 1 - left / total) if total > 0 else 0.0

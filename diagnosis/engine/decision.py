@@ -3,7 +3,7 @@
 Energies are mean squares of a stage's residual over the floor's: 1 is what no simulator is blamed for.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping, Sequence, Set
 from dataclasses import dataclass, field
 from typing import Literal
 
@@ -32,25 +32,29 @@ def decide(
     tolerated: Mapping[str, float] | None = None,
     thresholds: Thresholds = ROBOT,
     signs: Mapping[str, Structure] | None = None,
+    bent: Mapping[str, float] | None = None,
 ) -> Decision:
     """Rule on the fitted effects.
 
     By stage: flexible, the share of the rest that a flexible model finds; structures, what the rest has that noise has
     not; tolerated, the energy that nuisances take away within their boxes; signs, what a test of its own found, by
-    its own floor, that no effect of the list can explain.
+    its own floor, that no effect of the list can explain; bent, the energy by which nuisances in their boxes may be off
+    the straight lines that take them away.
     """
     t, (_, after) = thresholds, choice.energies
+    most = {s: t.beside_most + (bent or {}).get(s, 0.0) for s in after}
     left = {s: max(e - 1.0, 0.0) * max(flexible.get(s, 0.0), t.random_share) for s, e in after.items()}
     taken = {s: max((tolerated or {}).get(s, 0.0), 0.0) for s in after}
     gone = {s: taken[s] + max(choice.energies[0][s] - e, 0.0) for s, e in after.items()}
-    selected = tuple(m for m in choice.selected if _stands(m, choice, left, gone, t))
+    over = {s for s, e in left.items() if e > most[s]}  # more than any name may leave beside it
+    selected = tuple(m for m in choice.selected if _stands(m, choice, left, gone, over, t))
     for effect in selected:
         for stage, energy in effect.gain.energies.items():
             taken[stage] = taken.get(stage, 0.0) + max(energy, 0.0)
     odd = {
         s: each.where
         for s, each in (structures or {}).items()
-        if each.energy > max(t.structure_min, t.structure_share * taken.get(s, 0.0))
+        if each.energy > max(t.structure_min, min(t.structure_share * taken.get(s, 0.0), most.get(s, t.beside_most)))
     }
     odd |= {s: each.where for s, each in (signs or {}).items()}
     granted = {s: max(t.unknown_min, min(t.tolerated * e, t.tolerated_most)) for s, e in taken.items()}
@@ -66,16 +70,22 @@ def decide(
         return Decision("unknown" if asks or choice.selected else "none", (), left, share, odd)
     if share < t.least_share:  # beside a gap that nobody explains a small name would be taken for its cause
         return Decision("unknown", (), left, 0.0, odd)
-    whole = len(selected) == len(choice.selected) and share >= t.stands and not odd
+    whole = len(selected) == len(choice.selected) and share >= t.stands and not odd and not over
     return Decision("named" if whole else "incomplete", selected, left, share, odd)
 
 
 def _stands(
-    effect: SelectedEffect, choice: Choice, left: Mapping[str, float], gone: Mapping[str, float], t: Thresholds
+    effect: SelectedEffect,
+    choice: Choice,
+    left: Mapping[str, float],
+    gone: Mapping[str, float],
+    over: Set[str],
+    t: Thresholds,
 ) -> bool:
     """Whether an effect explains what there is to explain where it shows, with one strength if it leaves anything.
 
-    gone: stage -> energy that all chosen effects and the nuisances take away together.
+    gone: stage -> energy that all chosen effects and the nuisances take away together; over: stages
+    that keep more than any name may leave: there an effect has to stand by itself.
     """
     stage, energy = max(effect.gain.energies.items(), key=lambda each: each[1])
     i = choice.chosen.names.index(effect.candidate.name)
@@ -87,7 +97,10 @@ def _stands(
     adds = effect.gain.low > 0  # beside the others; what stands in for an equal may add nothing
     constant = not effect.candidate.constant or (scatter**2 + drift**2) ** 0.5 <= t.constant + chance
     takes = gone[stage] if t.together else energy
-    return adds and not pinned and constant and (whole or steady) and takes > t.stands * (takes + left.get(stage, 0.0))
+    least = t.stands_over if stage in over else t.stands
+    own = stage not in over or energy > left.get(stage, 0.0)
+    clear = own and takes > least * (takes + left.get(stage, 0.0))
+    return adds and not pinned and constant and (whole or steady) and clear
 
 
 def stage_shares(decision: Decision, counted: Mapping[str, float]) -> dict[str, float]:

@@ -93,6 +93,13 @@ class Examination:
         return {s: max(raw[s] - e, 0.0) for s, e in self.choice.energies[0].items()}
 
     @cached_property
+    def bent(self) -> dict[str, float]:
+        """Stage -> energy by which tolerated nuisances are off straight lines, where that matters (`beside_most`)."""
+        most, (_, after), fit = self.thresholds.beside_most, self.choice.energies, self.choice.chosen
+        rest = {view.stage: max(after[view.stage] - 1, self.structures[view.stage].energy) for view in self.setup.views}
+        return {stage: self.setup.bent(stage, fit) for stage, energy in rest.items() if energy > most}
+
+    @cached_property
     def decision(self) -> Decision:
         """What it amounts to."""
         return self.decided({})
@@ -100,7 +107,7 @@ class Examination:
     def decided(self, signs: Mapping[str, Structure]) -> Decision:
         """What it amounts to, given signs of tests that its customer has of its own (see `decide`)."""
         shares = {stage: share for stage, (share, _) in self.flexible.items()}
-        return decide(self.choice, shares, self.structures, self.tolerated, self.thresholds, signs)
+        return decide(self.choice, shares, self.structures, self.tolerated, self.thresholds, signs, self.bent)
 
     @cached_property
     def null_left(self) -> dict[str, NDArray[np.float32]]:

@@ -88,6 +88,21 @@ class Setup:
             found.append(np.where(np.isfinite(view.measured), left, np.float32(np.nan)))
         return found
 
+    def bent(self, stage: str, fit: Fit) -> float:
+        """Energy by which a view at a fit's nuisances is off the straight lines that stand for them.
+
+        A swing that depends keenly on what a well-kept model may be off by keeps so much of it.
+        """
+        i = next(i for i, view in enumerate(self.views) if view.stage == stage)
+        gaps, count = self.gaps[i], len(self.nuisances)
+        shares = np.where([n.path in fit.point for n in self.nuisances], 0.0, fit.nuisance[:count])
+        edges = zip(self.nuisances, shares, strict=True)
+        moved = {**fit.point, **{n.path: n.nominal + x * (n.edge - n.nominal) for n, x in edges if x}}
+        found = gaps.fetch([fit.point, moved])
+        line = np.tensordot(shares, self.directions[i].nuisances[:count], 1)
+        off = found[gaps.key(moved)] - found[gaps.key(fit.point)] - line
+        return float(np.nanmean((off / gaps.view.floor) ** 2))
+
     def fitted_nuisances(self, fit: Fit) -> dict[str, float]:
         """Nuisances beside a set, in the registry's unit, joints' as shares; without what the set itself fits."""
         edges = [(n.path, n.nominal, n.edge - n.nominal) for n in self.nuisances]

@@ -5,6 +5,7 @@ weighted squares, about four per second and view.
 """
 
 from dataclasses import dataclass, replace
+from math import inf
 from typing import Final, Literal
 
 
@@ -53,6 +54,11 @@ class Thresholds:
         False  # all effects of a stage and its nuisances explain that share; else each one beside the others
     )
     whole_share: float = 0.0  # of what they take away together: with no more left than this beyond the floor, all is
+    # Energy beyond the floor, and of structure, that may stay beside a name; more only where tolerances bend
+    # (`Setup.bent`). Where more stays no name is the whole: each has to explain more than what stays, and what is taken
+    # away has to be this share of what there is.
+    beside_most: float = inf
+    stands_over: float = 0.96
     unknown_min: float = 0.5  # energy beyond the floor that asks for an explanation
     # Of what is left beyond the floor at least this much counts as explainable: what changes at random from tick to
     # tick no model finds, and it is not the floor's noise either.
@@ -111,6 +117,7 @@ RIG: Final = replace(
     tolerated=0.15,
     tolerated_most=15.0,  # four times the floor, root mean square
     unknown_min=1.5,  # twice the floor, root mean square: the encoder's step is not all that two recordings differ by
+    beside_most=15.0,  # likewise: a spring that is on no list leaves 14 floors and more beside a name
     structure_min=4.0,
     structure_share=0.25,
 )

@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
-from threadpoolctl import threadpool_limits
 
 from softarm.common.processes import as_they_come
 from softarm.diagnosis.data.trials import Trial, TrialError
@@ -148,12 +147,9 @@ def examine(trials: Sequence[Trial]) -> Finding:
     kinds = [t.kind for t in ordered]
     setup = Setup([view], nuisances(view), kinds, origins, view.block_s)
     thresholds = SHOTS if view.fits_starts and len(trials) >= TRIALS_LEAST else RIG
-    # Links have wells of their own; elsewhere more starts were seen to give what is healthy a name.
-    thresholds = replace(thresholds, anew=isinstance(view, ChainView))
-    with threadpool_limits(1):  # threads that wait for one another take minutes on a machine with other work
-        return _Stage(
-            view, ordered, origins, Examination(setup, candidates(view), kinds, thresholds, lambda text, share: None)
-        ).finding()
+    thresholds = replace(thresholds, anew=view.own_wells)
+    found = Examination(setup, candidates(view), kinds, thresholds, lambda text, share: None)
+    return _Stage(view, ordered, origins, found).finding()
 
 
 class _Stage:

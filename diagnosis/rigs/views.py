@@ -20,6 +20,9 @@ class RigView:
 
     block_s = BLOCK_S  # a stretch that says something new
     fits_starts = False  # at every point anew: then a part of a trial is no stranger to the rest of it
+    # Few effects are fitted from their own starts too (`Thresholds.anew`). Of an arm a payload that came down from all
+    # effects at once was seen to stay in a poor well; whether other kinds would win by it nobody has measured.
+    own_wells = False
 
     def __init__(
         self,

@@ -37,6 +37,7 @@ class ChainView(RigView):
     """Angles of all links as they are measured. A trial is one window, from `shots`."""
 
     fits_starts = True
+    own_wells = True
 
     def __init__(self, trials: Sequence[Trial]) -> None:
         """Raises TrialError for trials of no chain, or of a model that lacks what a chain needs."""

@@ -223,3 +223,29 @@ def test_an_answer_whose_rival_stands_at_a_bound_has_no_confidence():
     assert confidence("robot", alone) > 0.9
     assert confidence("robot", dataclasses.replace(alone, bounded=("pressure.dead_time",))) is None
     assert confidence("rig", alone) is None  # no cases of known cause yet
+
+
+def test_no_name_is_the_whole_beside_more_than_it_may_leave():
+    parts = {"arm": 3000.0}, {"arm": 40.0}, _named_effect("arm.payload", arm=2960.0)
+    assert decide(_choice(*parts), {}, thresholds=RIG).kind == "incomplete"
+    assert decide(_choice(*parts), {}, thresholds=RIG, bent={"arm": 10.0}).kind == "named"  # a keen swing keeps as much
+    assert decide(_choice(*parts), {}, thresholds=dataclasses.replace(RIG, beside_most=20.0)).kind == "named"
+
+
+def test_beside_more_than_a_name_may_leave_it_explains_nearly_all_and_more_than_what_stays():
+    parts = {"arm": 1000.0}, {"arm": 100.0}, _named_effect("arm.payload", arm=900.0)
+    flexible = decide(_choice(*parts), {"arm": 0.9}, thresholds=RIG)  # any model finds the rest: another law
+    assert (flexible.kind, flexible.selected) == ("unknown", ())
+    tempered = decide(_choice(*parts), {"arm": 0.9}, thresholds=dataclasses.replace(RIG, stands_over=0.85))
+    assert (tempered.kind, _names(tempered)) == ("incomplete", ["arm.payload"])
+    two = {"arm": 5000.0}, {"arm": 101.0}, _named_effect("arm.payload", arm=4800.0)
+    small = _named_effect("arm.tilt", arm=40.0)
+    assert _names(decide(_choice(*two, small), {}, thresholds=RIG)) == ["arm.payload"]
+
+
+def test_structure_of_many_floors_is_not_granted_by_a_large_gap():
+    parts = {"arm": 3000.0}, {"arm": 2.0}, _named_effect("arm.payload", arm=2998.0)
+    found = {"arm": Structure(40.0, "near a reversal", 3, 40)}
+    assert decide(_choice(*parts), {}, found, thresholds=RIG).kind == "incomplete"
+    assert decide(_choice(*parts), {}, found, thresholds=RIG, bent={"arm": 30.0}).kind == "named"
+    assert decide(_choice(*parts), {}, found).kind == "named"  # of the robot's, by its share

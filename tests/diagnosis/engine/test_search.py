@@ -82,3 +82,16 @@ def test_any_other_search_goes_on_from_where_it_was(searched, thresholds):
     both = search.problem.fit([((RATE, HEIGHT), ((OTHER_WELL,), (0.1,)))])[0]
     alone = next(fit for fit in search.reduced(both) if fit.names == ("stage.pace",))
     assert alone.point[PACE] > TRUE_PACE + 1.0  # another well still
+
+
+def test_what_a_straight_line_gets_wrong_of_a_nuisance_is_counted():
+    view = _View()
+    setup = Setup([view], (Nuisance(PACE, 0.0, -0.3, 0.3), Nuisance(LEVEL, 0.0, -0.1, 0.1)), ("turns", "turns"))
+    fit = replace(setup.plain().fit([((), ())])[0], nuisance=np.array([0.5, 1.0]))
+    line = np.sin(3.0 * view.t_s) + 0.5 * (np.sin(3.3 * view.t_s) - np.sin(3.0 * view.t_s))
+    off = np.mean((np.sin(3.15 * view.t_s) - line) ** 2) / NOISE**2
+    assert off > 1
+    assert setup.bent("stage", fit) == pytest.approx(off, rel=1e-4)
+    assert setup.bent("stage", replace(fit, nuisance=np.array([0.0, 1.0]))) == pytest.approx(0.0, abs=1e-4)
+    own = replace(fit, effects=(RATE,), u=((0.0,),))  # what a set itself fits is no nuisance beside it
+    assert setup.bent("stage", own) == pytest.approx(0.0, abs=1e-4)
