@@ -66,6 +66,8 @@ def tolerances(chain: Chain, scales: Scales) -> dict[str, Array]:
     if not scales.driven:
         # Fitted as the only one, a published viscous friction took the others' share: it is fitted anew.
         found["damping.scale"] = np.ones(chain.n)
+        if scales.carried or chain.n > 1:  # masses and arms that are weighed so well leave it so well known at best
+            found["inertia.scale"] = np.array([MASS_SHARE])
     else:
         found["inertia.scale"] = np.array([INERTIA_SHARE])
         found["gain.scale"] = np.full(chain.n, DRIVE_SHARE)

@@ -278,6 +278,15 @@ def test_links_that_weigh_otherwise_each_for_itself_are_no_gap():
     np.testing.assert_allclose(u * (0.01, 0.01, 0.05, 0.05), (0.005, -0.005, 0.02, -0.02), atol=2e-3)
 
 
+def test_an_inertia_is_no_better_known_than_the_masses_are_weighed():
+    """Of a real triple pendulum an inertia 0.4 % too small was named beside drag and dry friction."""
+    t = np.arange(0, 4, 0.005)
+    angles, _ = Made(TWO).swing(0.3, t)
+    still, carried = trial("free", t, angles, TWO), trial("free", t, angles[:, :1], ONE, base=0.01 * np.sin(t))
+    assert view([still]).tolerances["inertia.scale"] == view([carried]).tolerances["inertia.scale"] == 0.01
+    assert "inertia.scale" not in view([trial("free", t, angles[:, :1], ONE)]).tolerances  # one alone does not tell it
+
+
 def test_bounds_come_from_the_chain_and_its_data():
     heavier = {k: 1000 * np.array(TWO[k]) for k in ("mass_kg", "inertia_kg_m2", "armature_kg_m2")}
     small, large = TWO, {**TWO, **heavier}
