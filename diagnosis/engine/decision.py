@@ -42,10 +42,10 @@ def decide(
     the straight lines that take them away.
     """
     t, (_, after) = thresholds, choice.energies
-    most = {s: t.beside_most + (bent or {}).get(s, 0.0) for s in after}
     left = {s: max(e - 1.0, 0.0) * max(flexible.get(s, 0.0), t.random_share) for s, e in after.items()}
     taken = {s: max((tolerated or {}).get(s, 0.0), 0.0) for s in after}
     gone = {s: taken[s] + max(choice.energies[0][s] - e, 0.0) for s, e in after.items()}
+    most = {s: t.beside_most + min((bent or {}).get(s, 0.0), t.bent_share * gone[s]) for s in after}
     over = {s for s, e in left.items() if e > most[s]}  # more than any name may leave beside it
     selected = tuple(m for m in choice.selected if _stands(m, choice, left, gone, over, t))
     for effect in selected:

@@ -58,6 +58,7 @@ class Thresholds:
     # (`Setup.bent`). Where more stays no name is the whole: each has to explain more than what stays, and what is taken
     # away has to be this share of what there is.
     beside_most: float = inf
+    bent_share: float = 0.01  # of what is taken away, at the most: one window that is thrown off would grant anything
     stands_over: float = 0.96
     unknown_min: float = 0.5  # energy beyond the floor that asks for an explanation
     # Of what is left beyond the floor at least this much counts as explainable: what changes at random from tick to

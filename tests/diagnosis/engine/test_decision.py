@@ -229,6 +229,8 @@ def test_no_name_is_the_whole_beside_more_than_it_may_leave():
     parts = {"arm": 3000.0}, {"arm": 40.0}, _named_effect("arm.payload", arm=2960.0)
     assert decide(_choice(*parts), {}, thresholds=RIG).kind == "incomplete"
     assert decide(_choice(*parts), {}, thresholds=RIG, bent={"arm": 10.0}).kind == "named"  # a keen swing keeps as much
+    thrown = {"arm": 3000.0}, {"arm": 100.0}, _named_effect("arm.payload", arm=2900.0)
+    assert decide(_choice(*thrown), {}, thresholds=RIG, bent={"arm": 1e9}).kind == "incomplete"
     assert decide(_choice(*parts), {}, thresholds=dataclasses.replace(RIG, beside_most=20.0)).kind == "named"
 
 
