@@ -92,7 +92,7 @@ def _stands(
     scatter, drift = choice.chosen.scatter(i), choice.chosen.drift(i)
     chance = t.chance / max(energy, 1e-6) ** 0.5
     steady = scatter <= t.scatter + chance and drift <= t.drift + chance
-    whole = choice.energies[1][stage] <= 1.0 + t.whole_share * gone[stage]
+    whole = choice.energies[1][stage] <= 1.0 + min(t.whole_share * gone[stage], t.whole_most)
     pinned = effect.candidate.at_bound(choice.chosen.u[i])
     adds = effect.gain.low > 0  # beside the others; what stands in for an equal may add nothing
     constant = not effect.candidate.constant or (scatter**2 + drift**2) ** 0.5 <= t.constant + chance

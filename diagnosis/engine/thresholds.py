@@ -54,6 +54,7 @@ class Thresholds:
         False  # all effects of a stage and its nuisances explain that share; else each one beside the others
     )
     whole_share: float = 0.0  # of what they take away together: with no more left than this beyond the floor, all is
+    whole_most: float = inf  # and of that energy no more
     # Energy beyond the floor, and of structure, that may stay beside a name; more only where tolerances bend
     # (`Setup.bent`). Where more stays no name is the whole: each has to explain more than what stays, and what is taken
     # away has to be this share of what there is.
@@ -115,6 +116,7 @@ RIG: Final = replace(
     misfit_share=0.25,
     together=True,
     whole_share=0.07,
+    whole_most=225.0,  # fifteen times the floor: a motor that tires, called a weak one, leaves 27 and scatters
     tolerated=0.15,
     tolerated_most=15.0,  # four times the floor, root mean square
     unknown_min=1.5,  # twice the floor, root mean square: the encoder's step is not all that two recordings differ by

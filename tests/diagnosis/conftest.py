@@ -8,6 +8,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+import sklearn  # noqa: F401  # what is loaded later is not limited
+from threadpoolctl import threadpool_limits
 
 from softarm.diagnosis.data.trials import Series, Trial
 from softarm.schemas.excitation import EXCITATIONS
@@ -16,6 +18,13 @@ from softarm.simulator.simulator import Simulator
 
 MOCAP_HZ = 120
 MOCAP_NOISE_M, ANGLE_NOISE_RAD, PRESSURE_NOISE_KPA = 0.2e-3, 2e-3, 0.05
+
+
+@pytest.fixture(scope="session", autouse=True)
+def one_thread():
+    """As `softarm.diagnosis.diagnose` has it, for tests that go in by another way: others beside it take minutes."""
+    with threadpool_limits(1):
+        yield
 
 
 def _record(excitation: str, model: Model | None = None, seed: int = 0, noise: float = 1.0) -> Trial:

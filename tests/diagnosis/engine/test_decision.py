@@ -245,6 +245,14 @@ def test_beside_more_than_a_name_may_leave_it_explains_nearly_all_and_more_than_
     assert _names(decide(_choice(*two, small), {}, thresholds=RIG)) == ["arm.payload"]
 
 
+def test_what_leaves_many_floors_has_one_strength_however_large_the_gap_was():
+    parts = {"arm": 12000.0}, {"arm": 400.0}, _named_effect("arm.payload", arm=11600.0)
+    assert decide(_choice(*parts), {}, thresholds=RIG).kind == "incomplete"
+    assert decide(_choice(*parts, halves=(0.8, 1.2)), {}, thresholds=RIG).kind == "unknown"
+    less = {"arm": 12000.0}, {"arm": 150.0}, _named_effect("arm.payload", arm=11850.0)
+    assert decide(_choice(*less, halves=(0.8, 1.2)), {}, thresholds=RIG).kind == "incomplete"
+
+
 def test_structure_of_many_floors_is_not_granted_by_a_large_gap():
     parts = {"arm": 3000.0}, {"arm": 2.0}, _named_effect("arm.payload", arm=2998.0)
     found = {"arm": Structure(40.0, "near a reversal", 3, 40)}
