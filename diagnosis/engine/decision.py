@@ -54,7 +54,7 @@ def decide(
     odd = {
         s: each.where
         for s, each in (structures or {}).items()
-        if each.energy > max(t.structure_min, min(t.structure_share * taken.get(s, 0.0), most.get(s, t.beside_most)))
+        if each.energy > max(t.structure_min, min(t.structure_share * taken[s], most[s] / t.random_share))
     }
     odd |= {s: each.where for s, each in (signs or {}).items()}
     granted = {s: max(t.unknown_min, min(t.tolerated * e, t.tolerated_most)) for s, e in taken.items()}

@@ -55,9 +55,9 @@ class Thresholds:
     )
     whole_share: float = 0.0  # of what they take away together: with no more left than this beyond the floor, all is
     whole_most: float = inf  # and of that energy no more
-    # Energy beyond the floor, and of structure, that may stay beside a name; more only where tolerances bend
-    # (`Setup.bent`). Where more stays no name is the whole: each has to explain more than what stays, and what is taken
-    # away has to be this share of what there is.
+    # Explainable energy that may stay beside a name (structure is no share of the rest: over `random_share`); more
+    # only where tolerances bend (`Setup.bent`). Where more stays no name is the whole: each has to explain more than
+    # what stays, and what is taken away has to be this share of what there is.
     beside_most: float = inf
     bent_share: float = 0.01  # of what is taken away, at the most: one window that is thrown off would grant anything
     stands_over: float = 0.96
