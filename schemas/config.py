@@ -225,6 +225,9 @@ class Recorder(Strict):
     # The oldest logs are deleted beyond this; without a number none ever is.
     keep_mb: Annotated[int, Field(ge=2, le=100_000_000)] | None = None
     keep_days: Annotated[float, Field(gt=0, le=36_500)] | None = None
+    # Of the incident files of emergency stops the oldest are deleted beyond so many, or so large.
+    incidents_max: Annotated[int, Field(ge=1, le=1000)] = 50
+    incidents_max_mb: Annotated[int, Field(ge=20, le=100_000)] = 200
     # Otherwise arming is refused while nothing can be written. (`enabled: false` asks for no log: it refuses nothing.)
     arm_without_log: bool = False
 

@@ -2,7 +2,7 @@
 
 from typing import Annotated, Literal
 
-from pydantic import Field
+from pydantic import AwareDatetime, Field
 
 from softarm.schemas.base import Strict
 from softarm.schemas.events import Entry
@@ -104,3 +104,19 @@ class EventsAnswer(Strict):
     events: tuple[Entry, ...]
     oldest: int | None = Field(description="number of the oldest event that is still kept")
     newest: int | None
+
+
+class IncidentEntry(Strict):
+    """The file of an emergency stop."""
+
+    name: str
+    bytes: int
+    time: AwareDatetime
+    text: str = Field(description="what stopped the robot")
+
+
+class IncidentsAnswer(Strict):
+    """The incident files on this machine, newest first."""
+
+    directory: str
+    incidents: tuple[IncidentEntry, ...]

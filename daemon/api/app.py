@@ -25,6 +25,7 @@ from softarm.daemon.api.stream import POLL_S, stream
 from softarm.daemon.control import workspace
 from softarm.daemon.control.inbox import ANSWER_S, STOP_WAITS, Inbox, InboxFull
 from softarm.daemon.control.records import Outputs, Problems, RequestKind, RequestResult
+from softarm.daemon.logbook import incidents
 from softarm.daemon.logbook.history import KEPT, History
 from softarm.policies.base import Policy
 from softarm.policies.runner import PolicyRunner, ThreadRunner
@@ -36,6 +37,7 @@ from softarm.schemas.rest import (
     GoalAnswer,
     GoalBody,
     Health,
+    IncidentsAnswer,
     LogsAnswer,
     PoliciesAnswer,
     PolicyBody,
@@ -50,7 +52,7 @@ REFUSALS = {
     400: "a body that cannot be read as JSON at all",
     401: "the token is missing or wrong",
     403: "asked under a foreign host name, or by a page of another site",
-    404: "no such policy; lists those there are",
+    404: "no such policy, or no such file; says where those there are are listed",
     408: "the body did not come in time",
     409: "refused by the control loop, with its reasons",
     413: "a body of more than 4096 bytes",
@@ -58,6 +60,7 @@ REFUSALS = {
     503: "the control loop does not answer",
     504: "it was not done in time and was given up",
 }
+ZIP = {"content": {"application/zip": {"schema": {"type": "string", "format": "binary"}}}}
 ANYWHERE = (401, 403, 408, 413)  # before a request is looked at
 
 
@@ -111,9 +114,11 @@ def create_app(context: ApiContext) -> FastAPI:
         ("GET", "/api/policies", api.get_policies, PoliciesAnswer, (503, 504)),
         ("PUT", "/api/policy", api.put_policy, RequestAnswer, (400, 404, 409, 422, 503, 504)),
         ("GET", "/api/logs", api.get_logs, LogsAnswer, (503, 504)),
+        ("GET", "/api/incidents", api.get_incidents, IncidentsAnswer, (503, 504)),
+        ("GET", "/api/incidents/{name}", api.get_incident, None, (404, 503, 504)),
         ("GET", "/api/events", api.get_events, EventsAnswer, (422,)),
     ):
-        responses: dict[int | str, dict[str, Any]] = {200: {"model": answer}}
+        responses: dict[int | str, dict[str, Any]] = {200: {"model": answer} if answer else ZIP}
         may_come = sorted({*ANYWHERE, *statuses})
         responses |= {code: {"model": Refusal, "description": REFUSALS[code]} for code in may_come}
         if answer is Health:
@@ -248,6 +253,22 @@ class _Api:
         own = None if current is None else current.name
         entries = tuple(entry.model_copy(update={"recording": entry.name == own}) for entry in found)
         return json_response(LogsAnswer(directory=str(directory), logs=entries).model_dump_json())
+
+    async def get_incidents(self) -> Response:
+        """The files of emergency stops; GET /api/incidents/NAME gives one."""
+        directory = self._context.config.recorder.directory.absolute()
+        found = await self._listing.run("listing the incident files", lambda: incidents.listing(directory))
+        answer = IncidentsAnswer(directory=str(directory / incidents.FOLDER), incidents=found)
+        return json_response(answer.model_dump_json())
+
+    async def get_incident(self, name: str) -> Response:
+        """The file of an emergency stop, a zip to be sent."""
+        directory = self._context.config.recorder.directory.absolute()
+        content = await self._listing.run("reading an incident file", lambda: incidents.content(directory, name))
+        if content is None:
+            raise Refused(404, f"no incident file '{name[:60]}'; GET /api/incidents lists them")
+        saved = {"Content-Disposition": f'attachment; filename="{name}"'}
+        return Response(content, media_type="application/zip", headers=saved)
 
     async def get_events(self, since: str | None = None, limit: str = "100") -> Response:
         """What happened: the newest, or with `since=` (a number) the oldest after that one; `limit` of them."""

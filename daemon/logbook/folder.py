@@ -24,8 +24,7 @@ OWN_NAME = re.compile(r"softarm-\d{8}T\d{6}Z(-\d+)?\.mcap")  # only what the rec
 def new_log(directory: Path, wall_ns: int) -> tuple[Path, BinaryIO]:
     """Make an empty log, marked as being written. Raises OSError, also when the disk is nearly full."""
     directory.mkdir(parents=True, exist_ok=True)
-    if shutil.disk_usage(directory).free < FREE_MIN_BYTES:
-        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+    need_room(directory)
     stem = datetime.fromtimestamp(wall_ns * 1e-9, UTC).strftime("softarm-%Y%m%dT%H%M%SZ")
     for suffix in ("", *(f"-{n}" for n in range(2, 1000))):
         path = directory / f"{stem}{suffix}.mcap"
@@ -36,6 +35,12 @@ def new_log(directory: Path, wall_ns: int) -> tuple[Path, BinaryIO]:
         finishing.hold(file.fileno())
         return path.absolute(), file
     raise FileExistsError(errno.EEXIST, f"a thousand logs called {stem}")
+
+
+def need_room(directory: Path) -> None:
+    """Raises OSError when the disk is nearly full."""
+    if shutil.disk_usage(directory).free < FREE_MIN_BYTES:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
 
 def advice(directory: Path, error: OSError) -> str:

@@ -10,27 +10,24 @@ import secrets
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO
 
-from softarm.common import revision
 from softarm.daemon.control.records import Inputs, Outputs, TickTiming
 from softarm.daemon.logbook import folder, ticks
 from softarm.daemon.logbook.history import History
+from softarm.daemon.logbook.incidents import Incidents
 from softarm.daemon.logbook.thinning import Thinning, Tick
+from softarm.daemon.logbook.tick_file import TickFile
 from softarm.policies.base import PolicySpec
 from softarm.recordings import finishing
-from softarm.recordings.live import LiveFile, LogMessage
-from softarm.schemas import log as names
 from softarm.schemas.config import Config
 from softarm.schemas.events import Entry
 
 log = logging.getLogger(__name__)
 
-# What the daemon stands on, besides Python.
-PACKAGES = ("numpy", "onnxruntime", "pyserial", "eclipse-zenoh", "pydantic", "mcap", "fastapi", "uvicorn")
 FINISH_S = 5.0  # a log that takes longer to finish at stop is finished at the next start
 RETRY_S = 2.0  # a disk that failed is looked at so often
 OVERFULL = 1.1  # of file_max_mb: no longer does a full file wait for the end of a goal, whose policy remembers the past
@@ -81,6 +78,7 @@ class Recorder:
         self._thinning = Thinning(self._settings.idle_interval_s, self._settings.around_s)
         self._run, self._parts = secrets.token_hex(8), 0  # one run may leave several files
         self.history = History(self._run, monotonic_ns, wall_ns)
+        self._incidents = Incidents(config, monotonic_ns, wall_ns) if self._settings.enabled else None
         self._refused = 0  # ticks that the loop could not leave here
         self._lost = 0  # ticks that the writer took and could not write
         self._in_goal = False  # a policy flies one
@@ -116,6 +114,8 @@ class Recorder:
             self._writer.join(timeout=FINISH_S + 2.0)
         if self._tidier is not None:  # begun by the writer
             self._tidier.join(timeout=FINISH_S)
+        if self._incidents is not None:
+            self._incidents.end()
 
     def tick(self, inputs: Inputs, outputs: Outputs, timing: TickTiming) -> None:
         """Keep a tick. Never blocks, never raises; one that finds the queue full is counted in `dropped`."""
@@ -187,7 +187,7 @@ class Recorder:
             log.warning("no next log: %s; %s goes on", folder.advice(self._settings.directory, error), self.path)
             return None
 
-    def _drain(self, live: "TickFile", ends: Callable[[], bool] = lambda: False) -> bool:
+    def _drain(self, live: TickFile, ends: Callable[[], bool] = lambda: False) -> bool:
         """Write what is queued, or up to where the file ends: then it is True."""
         while self._queue:
             item = self._queue.popleft()
@@ -195,12 +195,11 @@ class Recorder:
                 self._policy = item.spec
                 live.policy(item.spec)
                 continue
-            inputs, outputs, _ = item.tick if isinstance(item, _Unkept) else item
-            for entry in self.history.take(inputs, outputs):
+            for entry in self._tell(item.tick if isinstance(item, _Unkept) else item):
                 live.entry(entry)
             if isinstance(item, _Unkept):
                 continue
-            goal = outputs.goal
+            goal = item[1].goal
             self._in_goal = goal.state == "running" and goal.goal is not None and goal.goal.kind != "hold"
             for tick in self._thinning.take(item):
                 self._put(live, tick)
@@ -209,7 +208,7 @@ class Recorder:
         live.flush()
         return ends()
 
-    def _put(self, live: "TickFile", tick: Tick) -> None:
+    def _put(self, live: TickFile, tick: Tick) -> None:
         """Write a tick; one that cannot be encoded costs itself alone."""
         try:
             live.write(tick)
@@ -248,8 +247,14 @@ class Recorder:
                 self._policy = item.spec
                 continue
             self._lost += not isinstance(item, _Unkept)
-            inputs, outputs, _ = item.tick if isinstance(item, _Unkept) else item
-            self.history.take(inputs, outputs)
+            self._tell(item.tick if isinstance(item, _Unkept) else item)
+
+    def _tell(self, tick: Tick) -> list[Entry]:
+        """What happened in a tick: told, and an emergency stop pinned."""
+        entries = self.history.take(*tick[:2])
+        if self._incidents is not None:
+            self._incidents.take(tick, self._policy, entries)
+        return entries
 
     def _watch(self) -> None:
         """Nothing is written any more, or at all: what happens is told."""
@@ -298,50 +303,3 @@ class Recorder:
             return
         except Exception as error:
             log.warning("%s: cannot be tidied: %s", own.parent, error)
-
-
-class TickFile(LiveFile):
-    """A live file of ticks, with the head that a reader needs."""
-
-    def __init__(self, file: BinaryIO) -> None:
-        super().__init__(file, ticks.CHANNELS)
-        self._splitter = ticks.Splitter()
-
-    def head(
-        self,
-        config: Config,
-        policy: PolicySpec | None,
-        monotonic_ns: int,
-        wall_ns: int,
-        run: Mapping[str, str] | None = None,
-    ) -> None:
-        """What a reader of the log has to know besides the ticks."""
-        self.note(names.CONFIGURATION, {"json": config.model_dump_json()})
-        self.note(names.SOFTWARE, {**revision.software(PACKAGES), names.FORMAT_KEY: str(names.FORMAT)})
-        self.note(names.MACHINE, revision.machine())
-        self.note(
-            names.CLOCK,
-            {
-                "monotonic_ns": str(monotonic_ns),
-                "wall_ns": str(wall_ns),
-                "wall_minus_monotonic_ns": str(wall_ns - monotonic_ns),
-            },
-        )
-        if run is not None:
-            self.note(names.RUN, run)
-        if policy is not None:
-            self.policy(policy)
-        self.flush()
-
-    def write(self, tick: Tick) -> None:
-        """One tick, whole or not at all. Raises EncodingError."""
-        for message in self._splitter.split(*tick):
-            self.add(message)
-
-    def entry(self, entry: Entry) -> None:
-        """Something that happened."""
-        self.add(LogMessage(ticks.EVENT.topic, entry.t_ns, entry.t_ns, ticks.EVENT.encode(entry)))
-
-    def policy(self, spec: PolicySpec) -> None:
-        """The policy of the ticks from here on."""
-        self.note(names.POLICY, {"name": spec.name, "description": spec.description, "sha256": spec.sha256 or ""})

@@ -7,7 +7,8 @@ from click.testing import CliRunner
 
 from softarm.cli.main import main
 from softarm.daemon.logbook import logs
-from softarm.daemon.logbook.recorder import Recorder, TickFile
+from softarm.daemon.logbook.recorder import Recorder
+from softarm.daemon.logbook.tick_file import TickFile
 from softarm.daemon.shell.offline import Lockstep
 from softarm.policies import registry
 from softarm.schemas.config import Config

@@ -393,6 +393,8 @@ def test_the_documentation_names_every_endpoint_with_an_example(client):
         ("PUT", "/api/policy"),
         ("GET", "/api/logs"),
         ("GET", "/api/events"),
+        ("GET", "/api/incidents"),
+        ("GET", "/api/incidents/{name}"),
     }
     goal = api["paths"]["/api/goal"]["post"]["requestBody"]["content"]["application/json"]
     assert goal["examples"]["reach"]["value"] == {"kind": "reach", "y_m": -0.2, "z_m": 0.65}

@@ -24,7 +24,8 @@ from softarm.daemon.control.records import (
     TickTiming,
 )
 from softarm.daemon.logbook import logs
-from softarm.daemon.logbook.recorder import Recorder, TickFile
+from softarm.daemon.logbook.recorder import Recorder
+from softarm.daemon.logbook.tick_file import TickFile
 from softarm.daemon.logbook.ticks import CHANNELS, EVENT, Joiner, Splitter
 from softarm.policies.base import PolicySpec
 from softarm.recordings import finishing

@@ -15,7 +15,8 @@ from mcap.reader import make_reader
 
 from softarm.daemon.control.records import EStop, Inputs, Mode, Outputs, Problems, TickTiming
 from softarm.daemon.logbook import folder, logs
-from softarm.daemon.logbook.recorder import Recorder, RecorderError, TickFile
+from softarm.daemon.logbook.recorder import Recorder, RecorderError
+from softarm.daemon.logbook.tick_file import TickFile
 from softarm.policies.base import PolicySpec
 from softarm.recordings import finishing
 from softarm.recordings.mcap_file import is_finished

@@ -58,7 +58,7 @@ def test_a_log_that_breaks_off_is_read_up_to_there(recording, tmp_path):
     whole = mcap.read(recording)
     live = tmp_path / "killed.mcap"
     # Unfinished logs have no chunks: write one as the recorder does while it runs, and cut it.
-    from softarm.daemon.logbook.recorder import TickFile
+    from softarm.daemon.logbook.tick_file import TickFile
 
     with live.open("wb") as file:
         writer = TickFile(file)

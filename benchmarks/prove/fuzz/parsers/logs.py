@@ -13,7 +13,7 @@ from softarm.benchmarks.prove.fuzz.parsers.base import Parser, folder, written
 def example() -> bytes:
     """A short flight as the recorder leaves it when it is killed: no chunks, no end."""
     from softarm.daemon.control.records import Inputs, Outputs, TickTiming
-    from softarm.daemon.logbook.recorder import TickFile
+    from softarm.daemon.logbook.tick_file import TickFile
     from softarm.daemon.shell.offline import Lockstep
     from softarm.policies.base import PolicySpec
     from softarm.policies.hold import Hold

@@ -1,0 +1,200 @@
+"""Every emergency stop leaves one file that a person can send: it replays, holds no secret, and outlives the logs."""
+
+import json
+import os
+import zipfile
+from pathlib import Path
+
+import pytest
+
+from softarm.daemon.api.auth import TOKEN_FILES
+from softarm.daemon.control.records import Mode
+from softarm.daemon.logbook import folder, incidents, logs
+from softarm.daemon.logbook.recorder import Recorder
+from softarm.daemon.shell.offline import Lockstep
+from softarm.daemon.shell.replay import replay
+from softarm.policies.hold import Hold
+from softarm.schemas.config import Config
+
+WALL_NS = 1_800_000_000_000_000_000
+
+
+class Flight:
+    """The real tick on a simulated robot, recorded."""
+
+    def __init__(self, config: Config) -> None:
+        self.recorder = Recorder(config, Hold().spec, monotonic_ns=lambda: 0, wall_ns=lambda: WALL_NS)
+        self.recorder.start()
+        self.daemon = Lockstep(config, Hold(), recorder=self.recorder)
+
+    def ticks(self, seconds: float, *kinds) -> None:
+        """So long; the requests come with the first tick."""
+        for number in range(round(seconds * 30)):
+            self.daemon.tick(*(self.daemon.request(kind) for kind in kinds if number == 0))
+
+
+def config_of(directory: Path, **recorder) -> Config:
+    return Config(recorder={"directory": directory, **recorder})
+
+
+def files(directory: Path) -> list[Path]:
+    return sorted((directory / incidents.FOLDER).iterdir()) if (directory / incidents.FOLDER).exists() else []
+
+
+@pytest.fixture(scope="module")
+def stopped(tmp_path_factory):
+    """The directory of a daemon that was stopped at 31 s, and flew on; its configuration names files of tokens."""
+    directory = tmp_path_factory.mktemp("logs")
+    config = config_of(directory).model_copy(update={"api": Config().api.model_copy(update=SECRETS)})
+    flight = Flight(config)
+    flight.ticks(30)
+    flight.daemon.arm()
+    flight.ticks(0.5, "stop")
+    flight.ticks(6, "acknowledge")
+    flight.recorder.stop()
+    return directory
+
+
+SECRETS = {key: Path(f"/etc/secret/{key}") for key in TOKEN_FILES.values()}
+
+
+@pytest.fixture(scope="module")
+def parts(stopped, tmp_path_factory):
+    """What is in its one incident file, unpacked."""
+    (path,) = files(stopped)
+    unpacked = tmp_path_factory.mktemp("sent")
+    with zipfile.ZipFile(path) as archive:
+        assert archive.testzip() is None
+        archive.extractall(unpacked)
+    return unpacked
+
+
+@pytest.mark.slow
+def test_it_is_a_log_of_the_ticks_around_the_stop_which_replays_by_itself(parts):
+    log = logs.read(parts / "log.mcap")
+    assert log.finished
+    outputs = list(log.outputs())
+    stop = next(o.t_ns for o in outputs if o.mode is Mode.STOPPED)
+    before_s, after_s = (stop - outputs[0].t_ns) * 1e-9, (outputs[-1].t_ns - stop) * 1e-9
+    assert (before_s, after_s) == (pytest.approx(20, abs=0.05), pytest.approx(5, abs=0.05))
+    assert [o.tick for o in outputs] == list(range(outputs[0].tick, outputs[-1].tick + 1))  # of a still arm, too
+    assert log.metadata["policy"]["name"] == "hold"
+    replayed = replay(log.ticks(), log.config, lambda name: Hold())
+    assert replayed.differences == []
+    assert replayed.compared > 600
+
+
+@pytest.mark.slow
+def test_it_says_what_happened_and_of_which_software(parts):
+    kinds = [entry.kind for entry in logs.read(parts / "log.mcap").entries()]
+    assert kinds.count("stop") == 1
+    text = (parts / "events.txt").read_text()
+    assert "emergency stop: somebody asked for an emergency stop" in text
+    assert text.startswith("08:00:")
+    assert "emergency stop: somebody asked" in (parts / "README.txt").read_text()
+    versions = json.loads((parts / "versions.json").read_text())
+    assert {"softarm", "git_revision", "python", "numpy", "name"} <= set(versions)
+    assert sorted(path.name for path in parts.iterdir()) == [
+        "README.txt",
+        "configuration.json",
+        "events.txt",
+        "log.mcap",
+        "versions.json",
+    ]
+
+
+@pytest.mark.slow
+def test_it_holds_the_configuration_without_what_leads_to_secrets(parts):
+    told = Config.model_validate_json((parts / "configuration.json").read_text())
+    assert told == logs.read(parts / "log.mcap").config
+    assert told.limits == Config().limits
+    assert all(b"/etc/secret" not in path.read_bytes() for path in parts.iterdir())
+    assert [getattr(told.api, key) for key in TOKEN_FILES.values()] == [None] * 3
+
+
+@pytest.mark.slow
+def test_it_is_listed_with_its_time_and_reason_and_outlives_the_logs(stopped):
+    (entry,) = incidents.listing(stopped)
+    assert incidents.NAME.fullmatch(entry.name)
+    assert entry.text.startswith("emergency stop: somebody asked for an emergency stop")
+    assert entry.time.isoformat().startswith("2027-01-15T08:00:3")
+    (path,) = files(stopped)
+    assert entry.bytes == path.stat().st_size < 3_000_000
+    folder.delete_oldest(stopped, stopped / "own.mcap", config_of(stopped, keep_days=1e-9, keep_mb=2_000).recorder)
+    assert list(stopped.glob("*.mcap")) == []
+    assert files(stopped) == [path]
+
+
+@pytest.mark.slow
+def test_a_daemon_that_ends_after_the_stop_leaves_it_at_once(tmp_path):
+    flight = Flight(config_of(tmp_path))
+    flight.daemon.arm()
+    flight.ticks(0.1, "stop")
+    assert files(tmp_path) == []
+    flight.recorder.stop()
+    assert len(incidents.listing(tmp_path)) == 1
+
+
+@pytest.mark.slow
+def test_stops_within_seconds_share_a_file_and_later_ones_have_their_own(tmp_path):
+    flight = Flight(config_of(tmp_path))
+    flight.daemon.arm()
+    for wait_s in (1.0, 8.0, 1.0):
+        flight.ticks(0.2, "stop")
+        flight.ticks(wait_s, "acknowledge")
+    flight.recorder.stop()
+    assert len(incidents.listing(tmp_path)) == 2
+
+
+def test_without_a_stop_or_where_no_log_is_asked_for_there_is_none(tmp_path):
+    flight = Flight(config_of(tmp_path / "flown"))
+    flight.daemon.arm()
+    flight.ticks(1, "disarm")
+    flight.recorder.stop()
+    off = Flight(config_of(tmp_path / "off", enabled=False))
+    off.ticks(0.2, "stop")
+    off.recorder.stop()
+    assert files(tmp_path / "flown") == []
+    assert list(tmp_path.iterdir()) == [tmp_path / "flown"]
+
+
+def test_a_full_disk_costs_the_file_and_says_so(tmp_path, monkeypatch, caplog):
+    flight = Flight(config_of(tmp_path))
+    flight.ticks(0.2, "stop")
+    monkeypatch.setattr(folder, "FREE_MIN_BYTES", 1 << 62)
+    flight.recorder.stop()
+    assert "no incident file of the stop" in caplog.text
+    assert "the disk is full" in caplog.text
+    assert files(tmp_path) == []
+
+
+def kept(tmp_path: Path, number_max: int, mb_max: int) -> list[int]:
+    """Of five files of 1 MB those that are left; and what is no incident file always is."""
+    for number in range(1, 6):
+        path = tmp_path / f"incident-2026010{number}T000000Z.zip"
+        path.write_bytes(b"0" * 1_000_000)
+        os.utime(path, (number, number))
+    (tmp_path / "mine.zip").write_bytes(b"0" * 9_000_000)
+    incidents.delete_oldest(tmp_path, number_max, mb_max)
+    assert (tmp_path / "mine.zip").exists()
+    return [int(path.name[16]) for path in sorted(tmp_path.glob("incident*"))]
+
+
+@pytest.mark.parametrize(
+    ("number_max", "mb_max", "left"),
+    [(50, 200, [1, 2, 3, 4, 5]), (5, 5, [1, 2, 3, 4, 5]), (3, 200, [3, 4, 5]), (50, 2, [4, 5]), (1, 0, [5])],
+)
+def test_the_oldest_go_beyond_a_number_and_a_size_and_the_newest_never(tmp_path, number_max, mb_max, left):
+    assert kept(tmp_path, number_max, mb_max) == left
+
+
+def test_what_is_none_of_ours_is_neither_listed_nor_handed_out(tmp_path):
+    inside = tmp_path / incidents.FOLDER
+    inside.mkdir()
+    (inside / "incident-20260101T000000Z.zip").write_bytes(b"no zip")
+    (inside / "secret.txt").write_text("secret")
+    assert incidents.listing(tmp_path) == ()
+    assert incidents.listing(tmp_path / "nowhere") == ()
+    assert incidents.content(tmp_path, "incident-20260101T000000Z.zip") == b"no zip"
+    for name in ("secret.txt", "../incidents/incident-20260101T000000Z.zip", "incident-20260102T000000Z.zip", ""):
+        assert incidents.content(tmp_path, name) is None
