@@ -14,6 +14,7 @@ from fastapi_offline import FastAPIOffline
 from starlette.exceptions import HTTPException
 
 from softarm import __version__
+from softarm.daemon.api import metrics
 from softarm.daemon.api.aside import Aside
 from softarm.daemon.api.auth import Door
 from softarm.daemon.api.bounds import STREAMS_MAX, WHO, Guard
@@ -25,7 +26,7 @@ from softarm.daemon.api.stream import POLL_S, stream
 from softarm.daemon.control import workspace
 from softarm.daemon.control.inbox import ANSWER_S, STOP_WAITS, Inbox, InboxFull
 from softarm.daemon.control.records import Outputs, Problems, RequestKind, RequestResult
-from softarm.daemon.logbook import incidents
+from softarm.daemon.logbook import folder, incidents
 from softarm.daemon.logbook.history import KEPT, History
 from softarm.policies.base import Policy
 from softarm.policies.runner import PolicyRunner, ThreadRunner
@@ -61,6 +62,7 @@ REFUSALS = {
     504: "it was not done in time and was given up",
 }
 ZIP = {"content": {"application/zip": {"schema": {"type": "string", "format": "binary"}}}}
+TEXT = {"content": {"text/plain": {"schema": {"type": "string"}}}}
 ANYWHERE = (401, 403, 408, 413)  # before a request is looked at
 
 
@@ -115,10 +117,11 @@ def create_app(context: ApiContext) -> FastAPI:
         ("PUT", "/api/policy", api.put_policy, RequestAnswer, (400, 404, 409, 422, 503, 504)),
         ("GET", "/api/logs", api.get_logs, LogsAnswer, (503, 504)),
         ("GET", "/api/incidents", api.get_incidents, IncidentsAnswer, (503, 504)),
-        ("GET", "/api/incidents/{name}", api.get_incident, None, (404, 503, 504)),
+        ("GET", "/api/incidents/{name}", api.get_incident, ZIP, (404, 503, 504)),
+        ("GET", "/metrics", api.get_metrics, TEXT, (503, 504)),
         ("GET", "/api/events", api.get_events, EventsAnswer, (422,)),
     ):
-        responses: dict[int | str, dict[str, Any]] = {200: {"model": answer} if answer else ZIP}
+        responses: dict[int | str, dict[str, Any]] = {200: answer if isinstance(answer, dict) else {"model": answer}}
         may_come = sorted({*ANYWHERE, *statuses})
         responses |= {code: {"model": Refusal, "description": REFUSALS[code]} for code in may_come}
         if answer is Health:
@@ -269,6 +272,13 @@ class _Api:
             raise Refused(404, f"no incident file '{name[:60]}'; GET /api/incidents lists them")
         saved = {"Content-Disposition": f'attachment; filename="{name}"'}
         return Response(content, media_type="application/zip", headers=saved)
+
+    async def get_metrics(self) -> Response:
+        """Figures for a Prometheus server, in its text format."""
+        recorder, settings = self._context.recorder, self._context.config.recorder
+        free = await self._listing.run("looking at the disk", lambda: folder.free_bytes(settings.directory))
+        text = metrics.exposition(self._view, self._context.history, recorder.dropped if recorder else 0, free)
+        return Response(text, media_type=metrics.TYPE)
 
     async def get_events(self, since: str | None = None, limit: str = "100") -> Response:
         """What happened: the newest, or with `since=` (a number) the oldest after that one; `limit` of them."""

@@ -43,6 +43,14 @@ def need_room(directory: Path) -> None:
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
 
+def free_bytes(directory: Path) -> int | None:
+    """Of its disk; None where there is no such directory."""
+    try:
+        return shutil.disk_usage(directory).free
+    except OSError:
+        return None
+
+
 def advice(directory: Path, error: OSError) -> str:
     """Why nothing can be written there, and the next step."""
     directory = directory.absolute()

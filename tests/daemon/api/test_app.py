@@ -393,6 +393,7 @@ def test_the_documentation_names_every_endpoint_with_an_example(client):
         ("PUT", "/api/policy"),
         ("GET", "/api/logs"),
         ("GET", "/api/events"),
+        ("GET", "/metrics"),
         ("GET", "/api/incidents"),
         ("GET", "/api/incidents/{name}"),
     }
