@@ -1,5 +1,6 @@
 """The daemon's configuration: one YAML file, units in every name, unknown keys refused."""
 
+import re
 from pathlib import Path
 from typing import Annotated, Literal, Self
 
@@ -176,6 +177,9 @@ class Drivers(Strict):
     rail: DryveRail = DryveRail()
 
 
+ORIGIN = re.compile(r"https://[a-z0-9.-]+(:[1-9][0-9]{0,4})?")
+
+
 class Api(Strict):
     """The REST endpoint; any address but loopback requires a token. Each file holds one, of another role."""
 
@@ -185,6 +189,7 @@ class Api(Strict):
     token_file: Path | None = None  # whose holder may do everything
     view_token_file: Path | None = None  # may look, and stop
     stop_token_file: Path | None = None  # may stop
+    public_origin: str | None = None  # of a proxy with TLS before this API, as browsers see it
 
     @model_validator(mode="after")
     def _commanding_takes_a_token_if_looking_does(self) -> Self:
@@ -193,6 +198,21 @@ class Api(Strict):
                 raise ValueError(
                     f"{key} without token_file: whoever has no token may command; name a token_file too, or remove it"
                 )
+        return self
+
+    @model_validator(mode="after")
+    def _what_everybody_reaches_takes_a_token(self) -> Self:
+        if self.public_origin is None:
+            return self
+        if not ORIGIN.fullmatch(self.public_origin) or self.public_origin.endswith(":443"):
+            raise ValueError(
+                f"public_origin is {self.public_origin!r}; allowed https://HOST or https://HOST:PORT as a browser "
+                "shows it: small letters, no path, no :443"
+            )
+        if self.token_file is None:
+            raise ValueError(
+                "public_origin without token_file: whoever reaches the proxy may command; name a token_file too"
+            )
         return self
 
     @model_validator(mode="after")

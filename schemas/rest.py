@@ -43,6 +43,29 @@ class PolicyBody(Strict):
     name: str
 
 
+RoleName = Literal["stop", "view", "command"]  # each may do what those before it may
+
+
+class LoginBody(Strict):
+    """Who logs in from a browser."""
+
+    token: str
+
+
+class LoginAnswer(Strict):
+    """Who asks, and whether that matters."""
+
+    needed: bool = Field(description="false: this API asks for no token, everybody who reaches it may do everything")
+    role: RoleName | None = Field(description="of who asks; null: not logged in")
+
+
+class TicketAnswer(Strict):
+    """Opens one stream."""
+
+    ticket: str
+    seconds: float = Field(description="that it is good for")
+
+
 class Refusal(Strict):
     """Why something was not done, and what is allowed."""
 

@@ -18,6 +18,8 @@ from softarm.daemon.api import metrics
 from softarm.daemon.api.aside import Aside
 from softarm.daemon.api.auth import Door
 from softarm.daemon.api.bounds import STREAMS_MAX, WHO, Guard
+from softarm.daemon.api.entrance import Entrance
+from softarm.daemon.api.login import Sessions
 from softarm.daemon.api.policies import Installed, Policies, policy_answer, tried_out
 from softarm.daemon.api.refusals import Refused, json_response, on_http_error, on_refused, refusal, whole
 from softarm.daemon.api.sentences import sentences
@@ -39,11 +41,13 @@ from softarm.schemas.rest import (
     GoalBody,
     Health,
     IncidentsAnswer,
+    LoginAnswer,
     LogsAnswer,
     PoliciesAnswer,
     PolicyBody,
     ReachBody,
     Refusal,
+    TicketAnswer,
 )
 from softarm.schemas.robot import CONTROL_RATE_HZ
 
@@ -92,14 +96,15 @@ def create_app(context: ApiContext) -> FastAPI:
     file does not.
     """
     door = Door(context.config.api)
-    api = _Api(context)
+    sessions = Sessions(context.config.api.port)
+    api, entrance = _Api(context), Entrance(door, sessions)
     app = FastAPIOffline(  # a bench may have no internet; FastAPI's own page loads its scripts from there
         title="softarm",
         version=__version__,
         summary="Goals in, status out: the control daemon of a soft arm on a rail.",
         redoc_url=None,
     )
-    app.add_middleware(Guard, door=door)
+    app.add_middleware(Guard, door=door, sessions=sessions)
     app.add_exception_handler(Refused, on_refused)
     app.add_exception_handler(HTTPException, on_http_error)
     app.add_exception_handler(RequestValidationError, api.on_invalid)
@@ -119,6 +124,10 @@ def create_app(context: ApiContext) -> FastAPI:
         ("GET", "/api/incidents", api.get_incidents, IncidentsAnswer, (503, 504)),
         ("GET", "/api/incidents/{name}", api.get_incident, ZIP, (404, 503, 504)),
         ("GET", "/metrics", api.get_metrics, TEXT, (503, 504)),
+        ("GET", "/api/login", entrance.who, LoginAnswer, ()),
+        ("POST", "/api/login", entrance.login, LoginAnswer, (400, 409, 422)),
+        ("POST", "/api/logout", entrance.logout, LoginAnswer, ()),
+        ("POST", "/api/ticket", entrance.ticket, TicketAnswer, ()),
         ("GET", "/api/events", api.get_events, EventsAnswer, (422,)),
     ):
         responses: dict[int | str, dict[str, Any]] = {200: answer if isinstance(answer, dict) else {"model": answer}}

@@ -98,26 +98,39 @@ class Door:
         """Raises AuthError as `load_tokens` does."""
         self._roles = {f"Bearer {token}".encode("ascii"): role for role, token in load_tokens(config).items()}
         self._loopback = is_loopback(config.host)
+        self._public = config.public_origin  # of a proxy with TLS before this API
 
-    def refusal(self, headers: Mapping[bytes, bytes], role: Role, page: str | None = None) -> tuple[int, str] | None:
+    @property
+    def needs_token(self) -> bool:
+        """Does anybody have to show one?"""
+        return bool(self._roles)
+
+    def refusal(
+        self,
+        headers: Mapping[bytes, bytes],
+        role: Role | None,
+        page: str | None = None,
+        session: Role | None = None,
+    ) -> tuple[int, str] | None:
         """HTTP status and why not; None for one that may.
 
-        headers: by their names in small letters. role: that it takes. page: an origin that may ask as well, see
-        `own_page`.
+        headers: by their names in small letters. role: that it takes; None: none, only to come from the right place.
+        page: an origin that may ask as well, see `own_page`. session: whose token somebody has shown before, who shows
+        none now.
         """
         if self._loopback:
             host = headers.get(b"host", b"").decode("latin-1")
-            if not is_loopback(_parts(f"//{host}").hostname or ""):
+            if not is_loopback(_parts(f"//{host}").hostname or "") and f"https://{host}" != self._public:
                 return 403, f"the Host header is {host!r}; ask for this machine as 127.0.0.1 or localhost"
             origin = headers.get(b"origin", b"").decode("latin-1")
-            if origin and origin != page and _parts(origin).netloc != host:
+            if origin and origin not in (page, self._public) and _parts(origin).netloc != host:
                 return 403, f"a page of {origin!r} may not command this robot; use the daemon's own pages"
-        if not self._roles:
+        if not self._roles or role is None:
             return None
         given = headers.get(b"authorization")
-        if given is None:
+        if given is None and session is None:
             return 401, "this API needs a token: send `Authorization: Bearer <the text in api.token_file>`"
-        holds = self._holds(given)
+        holds = session if given is None else self._holds(given)
         if holds is None:
             return (
                 401,
@@ -132,9 +145,21 @@ class Door:
         """Of the token in an Authorization header."""
         return max((mine for bearer, mine in self._roles.items() if hmac.compare_digest(given, bearer)), default=None)
 
-    def who(self, way: str, headers: Mapping[bytes, bytes], address: str | None) -> str:
+    def role_of(self, token: str) -> Role | None:
+        """Of the holder of a token; None for one that is wrong."""
+        return self._holds(b"Bearer " + token.encode(errors="replace"))
+
+    def from_proxy(self, headers: Mapping[bytes, bytes]) -> bool:
+        """Does a page ask that came through the proxy with TLS?"""
+        return self._public is not None and headers.get(b"origin") == self._public.encode()
+
+    def from_own_page(self, headers: Mapping[bytes, bytes]) -> bool:
+        """Does a page of this very API ask? Browsers name the page of whatever changes something."""
+        return headers.get(b"origin") == b"http://" + headers.get(b"host", b"") or self.from_proxy(headers)
+
+    def who(self, way: str, headers: Mapping[bytes, bytes], address: str | None, session: Role | None = None) -> str:
         """Who asks, as the history of events tells it: by which way, with whose token, from which other machine."""
-        holds = self._holds(headers.get(b"authorization", b""))
+        holds = session or self._holds(headers.get(b"authorization", b""))
         token = f" with the {holds.name.lower()} token" if holds is not None else ""
         return f"{way}{token}" + (f" from {address}" if address and not is_loopback(address) else "")
 

@@ -1,12 +1,15 @@
 """What a guest may take up before it is heard: who may ask, how large a body, how long, how many at once."""
 
 import asyncio
+from collections.abc import Mapping
 from typing import Any
+from urllib.parse import parse_qs
 
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from softarm.daemon.api.auth import Door, Role
+from softarm.daemon.api.login import Sessions
 from softarm.daemon.api.refusals import refusal
 from softarm.schemas.rest import API_HEADER, API_VERSION
 
@@ -19,15 +22,17 @@ STREAMS_MAX = 32
 MESSAGE_MAX = 1024  # bytes of what a WebSocket client says, which nobody listens to
 STOP = "/api/stop"  # is carried out whatever comes along with it
 VERSION = (API_HEADER.encode(), b"%d" % API_VERSION)
-WHO = "softarm.who"  # in the scope: who asks
+WHO, SESSION = "softarm.who", "softarm.session"  # in the scope: who asks, and the role of one who has logged in
+LOGIN = "/api/login"
+SMALL = {("POST", "/api/logout"): Role.STOP, ("POST", "/api/ticket"): Role.VIEW}  # what changes nothing of the robot
 CLOSE = {"Connection": "close"}  # what is left of such a body is not read
 
 
 class Guard:
     """ASGI middleware in front of everything, WebSockets included: who may ask, then how much they may send."""
 
-    def __init__(self, app: ASGIApp, door: Door) -> None:
-        self._app, self._door = app, door
+    def __init__(self, app: ASGIApp, door: Door, sessions: Sessions) -> None:
+        self._app, self._door, self._sessions = app, door, sessions
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Pass on with the whole body, or answer with a sentence."""
@@ -35,9 +40,12 @@ class Guard:
             await self._app(scope, receive, send)
             return
         headers = dict(scope["headers"])
-        scope[WHO] = self._door.who("the API", headers, (scope.get("client") or (None,))[0])
+        session = None if b"authorization" in headers else self._session(scope, headers)
+        scope[SESSION] = session
+        way = "the API" if session is None else "a browser"
+        scope[WHO] = self._door.who(way, headers, (scope.get("client") or (None,))[0], session)
         send = _versioned(send)
-        refused = self._door.refusal(headers, _role(scope))
+        refused = self._door.refusal(headers, _role(scope), session=session) or self._forged(scope, headers, session)
         if refused is None and scope["type"] == "http" and scope["path"] != STOP:
             refused = _too_new(headers.get(VERSION[0])) or _too_long(headers.get(b"content-length", b""))
             if refused is None:
@@ -57,6 +65,30 @@ class Guard:
         status, sentence = refused
         headers_out = CLOSE | ({"WWW-Authenticate": "Bearer"} if status == 401 else {})
         await refusal(status, (sentence,), headers_out)(scope, receive, send)
+
+    def _session(self, scope: Scope, headers: Mapping[bytes, bytes]) -> Role | None:
+        """Of somebody who has logged in: by the cookie; a stream, which any page could open with it, by a ticket."""
+        if scope["type"] == "websocket":
+            return self._sessions.tickets.back(_ticket(scope))
+        return self._sessions.logins.role(self._sessions.of(headers))
+
+    def _forged(self, scope: Scope, headers: Mapping[bytes, bytes], session: Role | None) -> tuple[int, str] | None:
+        """Might a page of another site have made a browser ask this, or log in as somebody else?"""
+        if scope["type"] == "websocket" or scope["method"] in ("GET", "HEAD"):
+            return None
+        asks = session is not None or (scope["path"] == LOGIN and b"origin" in headers)
+        if not asks or self._door.from_own_page(headers):
+            return None
+        page = headers.get(b"origin", b"").decode("latin-1")
+        return 403, (
+            f"the request came with a cookie from the page {page[:60]!r}; allowed are pages of this API itself: open "
+            "it at the address that it answers at, or name the proxy's in api.public_origin"
+        )
+
+
+def _ticket(scope: Scope) -> str:
+    query: bytes = scope["query_string"]
+    return parse_qs(query.decode("latin-1")).get("ticket", [""])[0]
 
 
 def _versioned(send: Send) -> Send:
@@ -78,8 +110,12 @@ def _too_new(version: bytes | None) -> tuple[int, str] | None:
     return 400, f"this daemon speaks version {API_VERSION} of the API, the request version {said}: update the daemon"
 
 
-def _role(scope: Scope) -> Role:
-    """That a request takes."""
+def _role(scope: Scope) -> Role | None:
+    """That a request takes; None: to log in takes none."""
+    if scope["path"] == LOGIN and scope["type"] == "http" and scope["method"] in ("GET", "POST"):
+        return None
+    if scope["type"] == "http" and (scope["method"], scope["path"]) in SMALL:
+        return SMALL[scope["method"], scope["path"]]
     if scope["type"] == "websocket" or scope["method"] in ("GET", "HEAD"):
         return Role.VIEW
     return Role.STOP if (scope["method"], scope["path"]) == ("POST", STOP) else Role.COMMAND

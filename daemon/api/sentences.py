@@ -9,6 +9,7 @@ from softarm.schemas.config import Config
 EXAMPLES = {
     "/api/goal": '{"kind": "reach", "y_m": -0.2, "z_m": 0.65} or {"kind": "hold"}',
     "/api/policy": '{"name": "reach"}',
+    "/api/login": '{"token": "the text in api.token_file"}',
 }
 
 
@@ -44,5 +45,7 @@ def _allowed(name: str, config: Config) -> str:
             return f"a number; allowed {allowed_y(config)}"
         case "z_m":
             return f"a number; allowed {allowed_z(config)}"
+        case "token":
+            return "text; that in the file of api.token_file, or of another role's"
         case _:
             return "text; GET /api/policies lists the names"

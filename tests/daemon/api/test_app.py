@@ -97,7 +97,11 @@ def test_the_schema_names_every_refusal_that_may_come(client):
     paths = client.get("/openapi.json").json()["paths"]
     told = {(method, path): set(each["responses"]) for path, at in paths.items() for method, each in at.items()}
     assert all(codes >= {"200", "401", "403", "408", "413"} for way, codes in told.items() if way[1] != "/api/stop")
-    assert {way for way, codes in told.items() if "400" in codes} == {("post", "/api/goal"), ("put", "/api/policy")}
+    assert {way for way, codes in told.items() if "400" in codes} == {
+        ("post", "/api/goal"),
+        ("post", "/api/login"),
+        ("put", "/api/policy"),
+    }
 
 
 def test_a_warning_is_not_ill_health(client, loop):
@@ -394,6 +398,10 @@ def test_the_documentation_names_every_endpoint_with_an_example(client):
         ("GET", "/api/logs"),
         ("GET", "/api/events"),
         ("GET", "/metrics"),
+        ("GET", "/api/login"),
+        ("POST", "/api/login"),
+        ("POST", "/api/logout"),
+        ("POST", "/api/ticket"),
         ("GET", "/api/incidents"),
         ("GET", "/api/incidents/{name}"),
     }

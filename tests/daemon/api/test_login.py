@@ -1,0 +1,249 @@
+"""Log-in from a browser: the token once, then a cookie no script reads, and nothing that another site could use."""
+
+import json
+import re
+
+import pytest
+from websockets.exceptions import InvalidStatus
+from websockets.sync.client import connect
+
+from softarm.daemon.api.auth import Role
+from softarm.daemon.api.login import LOGIN_S, LOGINS_MAX, TICKET_S, Handed, Sessions
+from softarm.schemas.config import Api, Config
+
+TOKENS = {"token_file": "c" * 32, "view_token_file": "v" * 32, "stop_token_file": "s" * 32}
+HOST = "robot.example"
+PAGE = {"Origin": f"http://{HOST}"}
+
+
+@pytest.fixture
+def files(tmp_path):
+    for key, token in TOKENS.items():
+        (tmp_path / key).write_text(token)
+        (tmp_path / key).chmod(0o600)
+    return {key: tmp_path / key for key in TOKENS}
+
+
+@pytest.fixture
+def client(loop, app, client_of, files):
+    return client_of(app(loop, Config(api={"host": "0.0.0.0"} | files)), f"http://{HOST}")
+
+
+def logged_in(client, key="token_file", **headers):
+    """Headers of a page of this API in a browser that has logged in."""
+    answer = client.post("/api/login", json={"token": TOKENS[key]}, headers=PAGE | headers)
+    assert answer.status_code == 200, answer.text
+    return PAGE | {"Cookie": answer.headers["set-cookie"].partition(";")[0]}
+
+
+def test_the_cookie_is_kept_from_scripts_other_sites_and_the_token(client):
+    answer = client.post("/api/login", json={"token": TOKENS["view_token_file"]}, headers=PAGE)
+    assert answer.json() == {"needed": True, "role": "view"}
+    pair, *attributes = answer.headers["set-cookie"].split("; ")
+    assert re.fullmatch(r"softarm-8080=[\w-]{43}", pair)
+    assert attributes == ["Path=/", "Max-Age=43200", "HttpOnly", "SameSite=Strict"]
+    assert TOKENS["view_token_file"] not in answer.headers["set-cookie"]
+
+
+def test_who_has_logged_in_needs_no_token_any_more(client, loop):
+    page = logged_in(client)
+    assert client.get("/api/status", headers=page).status_code == 200
+    assert client.get("/api/status", headers={"Cookie": "a=b; " + page["Cookie"] + " ;c"}).status_code == 200
+    assert client.get("/api/login", headers=page).json() == {"needed": True, "role": "command"}
+    assert client.post("/api/arm", headers=page).status_code == 200
+    assert loop.taken[-1].request.who == "a browser with the command token"
+
+
+def test_before_it_says_so(client):
+    assert client.get("/api/login").json() == {"needed": True, "role": None}
+    assert client.get("/api/status", headers={"Cookie": "softarm-8080=guess"}).status_code == 401
+    token = {"Authorization": f"Bearer {TOKENS['stop_token_file']}"}
+    assert client.get("/api/login", headers=token).json()["role"] == "stop"
+
+
+@pytest.mark.parametrize(
+    ("key", "may"),
+    [
+        ("token_file", {"/api/arm": 200, "/api/stop": 200, "/api/ticket": 200, "/api/logout": 200}),
+        ("view_token_file", {"/api/arm": 403, "/api/stop": 200, "/api/ticket": 200, "/api/logout": 200}),
+        ("stop_token_file", {"/api/arm": 403, "/api/stop": 200, "/api/ticket": 403, "/api/logout": 200}),
+    ],
+)
+def test_a_login_may_what_its_token_may(client, key, may):
+    page = logged_in(client, key)
+    assert {path: client.post(path, headers=page).status_code for path in may} == may
+
+
+@pytest.mark.parametrize(
+    "origin",
+    [None, "null", "http://evil.example", f"https://{HOST}", f"http://{HOST}:81", f"http://{HOST}.evil.example"],
+)
+@pytest.mark.parametrize(
+    "asked",
+    [
+        ("POST", "/api/arm"),
+        ("POST", "/api/stop"),
+        ("DELETE", "/api/goal"),
+        ("PUT", "/api/policy"),
+        ("POST", "/api/ticket"),
+        ("POST", "/api/logout"),
+    ],
+)
+def test_what_changes_something_by_cookie_has_to_come_from_a_page_of_this_api(client, loop, asked, origin):
+    page = logged_in(client) | {"Origin": origin}
+    answer = client.request(*asked, headers={name: value for name, value in page.items() if value is not None})
+    assert answer.status_code == 403
+    assert "allowed are pages of this API itself" in answer.json()["detail"]
+    assert loop.taken == []
+    assert client.get("/api/login", headers=page | PAGE).json()["role"] == "command"
+
+
+def test_a_token_in_the_header_needs_no_page(client):
+    token = {"Authorization": f"Bearer {TOKENS['token_file']}"}
+    assert client.post("/api/arm", headers=token).status_code == 200
+    assert client.post("/api/arm", headers=logged_in(client) | {"Authorization": "Bearer wrong"}).status_code == 401
+
+
+def test_another_site_cannot_log_a_browser_in(client):
+    body = {"token": TOKENS["token_file"]}
+    answer = client.post("/api/login", json=body, headers={"Origin": "http://evil.example"})
+    assert (answer.status_code, "set-cookie" in answer.headers) == (403, False)
+    assert client.post("/api/login", json=body).status_code == 200  # curl, which is no browser
+
+
+@pytest.mark.parametrize(
+    ("body", "status", "sentence"),
+    [
+        ({"token": "wrong" * 8}, 401, "the token is wrong: send the text in the file of api.token_file"),
+        ({"token": "\ud800" * 20}, 401, "the token is wrong"),
+        ({"token": ""}, 401, "the token is wrong"),
+        ({}, 422, "token: is missing, it must be text; that in the file of api.token_file"),
+        ({"token": 5}, 422, "token: must be text"),
+        ([], 422, "the body must be a JSON object"),
+    ],
+)
+def test_what_is_no_token_is_refused_with_what_is(client, body, status, sentence):
+    answer = client.post("/api/login", content=json.dumps(body), headers=PAGE | {"Content-Type": "application/json"})
+    assert (answer.status_code, answer.json()["detail"][: len(sentence)]) == (status, sentence)
+    assert "set-cookie" not in answer.headers
+
+
+def test_a_refusal_never_repeats_a_token(client):
+    answer = client.post("/api/login", json={"tokens": TOKENS["token_file"]}, headers=PAGE)
+    assert TOKENS["token_file"] not in answer.text
+
+
+def test_logging_out_ends_it_for_the_browser_and_for_the_daemon(client):
+    page = logged_in(client)
+    answer = client.post("/api/logout", headers=page)
+    assert answer.json() == {"needed": True, "role": None}
+    assert answer.headers["set-cookie"].startswith("softarm-8080=; Path=/; Max-Age=0;")
+    assert client.get("/api/status", headers=page).status_code == 401
+
+
+def test_logging_in_again_ends_what_was(client):
+    page = logged_in(client, "view_token_file")
+    again = logged_in(client, **page)
+    assert client.get("/api/status", headers=page).status_code == 401
+    assert client.get("/api/login", headers=again).json()["role"] == "command"
+
+
+def test_without_tokens_nobody_has_to(loop, app, client_of):
+    client = client_of(app(loop))
+    assert client.get("/api/login").json() == {"needed": False, "role": "command"}
+    answer = client.post("/api/login", json={"token": "c" * 32})
+    assert (answer.status_code, answer.json()["detail"]) == (
+        409,
+        "this API asks for no token: nobody has to log in",
+    )
+
+
+def test_a_ticket_opens_one_stream_and_the_cookie_none(loop, app, client_of, serving, files):
+    config = Config(api={"port": 0} | files)
+    made = app(loop, config)
+    client = client_of(made, "http://127.0.0.1")
+    answer = client.post("/api/login", json={"token": TOKENS["view_token_file"]})
+    page = {"Origin": "http://127.0.0.1", "Cookie": answer.headers["set-cookie"].partition(";")[0]}
+    with serving(made, config.api) as port:
+        address = f"ws://127.0.0.1:{port}/api/stream"
+        ticket = client.post("/api/ticket", headers=page).json()
+        assert ticket["seconds"] == TICKET_S
+        with connect(f"{address}?hz=5&ticket={ticket['ticket']}") as socket:
+            assert json.loads(socket.recv(timeout=5))["mode"] == "armed"
+        for query, headers in ((f"?ticket={ticket['ticket']}", {}), ("?ticket=", {}), ("", {"Cookie": page["Cookie"]})):
+            with pytest.raises(InvalidStatus) as refusal:
+                connect(address + query, additional_headers=headers)
+            assert refusal.value.response.status_code == 401
+    assert client.get("/api/status", headers={"Cookie": f"softarm-0={ticket['ticket']}"}).status_code == 401
+
+
+PUBLIC = "https://arm.example"
+
+
+def test_behind_a_proxy_with_tls_the_cookie_is_secure_and_its_pages_are_ours(loop, app, client_of, files):
+    config = Config(api={"public_origin": PUBLIC} | files)
+    for host in ("127.0.0.1:8080", "arm.example"):  # as proxies may name it
+        client = client_of(app(loop, config), f"http://{host}")
+        answer = client.post("/api/login", json={"token": TOKENS["token_file"]}, headers={"Origin": PUBLIC})
+        assert answer.headers["set-cookie"].endswith("; SameSite=Strict; Secure")
+        cookie = {"Cookie": answer.headers["set-cookie"].partition(";")[0]}
+        assert client.post("/api/arm", headers=cookie | {"Origin": PUBLIC}).status_code == 200
+        for other in ("http://arm.example:81", "https://arm.example:444", "https://evil.example"):
+            assert client.post("/api/arm", headers=cookie | {"Origin": other}).status_code == 403
+    stranger = client_of(app(loop, config), "http://evil.example")
+    assert stranger.get("/api/status", headers=cookie).status_code == 403
+
+
+@pytest.mark.parametrize(
+    "origin",
+    [
+        "arm.example",
+        "http://arm.example",
+        "https://arm.example/",
+        "https://Arm.example",
+        "https://arm.example:443",
+        "https://",
+    ],
+)
+def test_a_public_origin_is_one_as_browsers_write_it(files, origin):
+    with pytest.raises(ValueError, match=r"allowed https://HOST or https://HOST:PORT as a browser shows it"):
+        Api(public_origin=origin, **files)
+
+
+def test_a_public_origin_needs_a_token():
+    with pytest.raises(ValueError, match="public_origin without token_file: whoever reaches the proxy may command"):
+        Api(public_origin=PUBLIC)
+
+
+class Clock:
+    now = 0.0
+
+    def __call__(self):
+        return self.now
+
+
+def test_what_was_handed_out_is_good_for_so_long_and_so_many():
+    clock = Clock()
+    handed = Handed(10.0, 3, clock)
+    first = handed.out(Role.VIEW)
+    clock.now = 9.9
+    assert handed.role(first) is Role.VIEW
+    clock.now = 10.0
+    assert handed.role(first) is None
+    many = [handed.out(Role.STOP) for _ in range(4)]
+    assert len(set(many)) == 4
+    assert [handed.role(each) for each in many] == [None, *[Role.STOP] * 3]
+    assert (handed.back(many[1]), handed.back(many[1])) == (Role.STOP, None)
+
+
+def test_a_login_lasts_half_a_day_and_a_ticket_seconds():
+    clock = Clock()
+    sessions = Sessions(8080, clock)
+    login, ticket = sessions.logins.out(Role.VIEW), sessions.tickets.out(Role.VIEW)
+    clock.now = TICKET_S
+    assert (sessions.logins.role(login), sessions.tickets.role(ticket)) == (Role.VIEW, None)
+    clock.now = LOGIN_S
+    assert sessions.logins.role(login) is Role.STOP  # a stop button on a page left open works on
+    others = [sessions.logins.out(Role.VIEW) for _ in range(LOGINS_MAX)]
+    assert {sessions.logins.role(each) for each in others} == {Role.VIEW}
+    assert sessions.logins.role(login) is None

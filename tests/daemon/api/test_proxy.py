@@ -1,0 +1,111 @@
+"""The proxy of docs/service.md, as it stands there: log in, command and stream through TLS."""
+
+import re
+import shutil
+import socket
+import ssl
+import subprocess
+import time
+from pathlib import Path
+
+import httpx
+import pytest
+from websockets.exceptions import InvalidStatus
+from websockets.sync.client import connect
+
+from softarm.schemas.config import Config
+
+PAGE = Path(__file__).parents[3] / "docs/service.md"
+NAME = "arm.example.org"
+TOKEN = "c" * 32
+
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(not (shutil.which("nginx") and shutil.which("openssl")), reason="nginx or openssl is missing"),
+]
+
+
+def free_port() -> int:
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        return int(server.getsockname()[1])
+
+
+def answers(port: int) -> bool:
+    try:
+        socket.create_connection(("127.0.0.1", port)).close()
+    except ConnectionRefusedError:
+        return False
+    return True
+
+
+def nginx_conf(folder: Path, api_port: int, port: int) -> Path:
+    """The page's server, with this test's ports and certificate."""
+    server = re.search(r"```nginx\n(.*?)```", PAGE.read_text(encoding="utf-8"), re.S)[1]
+    for was, now in (
+        ("listen 443 ssl", f"listen 127.0.0.1:{port} ssl"),
+        ("http://127.0.0.1:8080", f"http://127.0.0.1:{api_port}"),
+        (f"/etc/ssl/{NAME}.pem", str(folder / "cert.pem")),
+        (f"/etc/ssl/{NAME}.key", str(folder / "key.pem")),
+    ):
+        assert was in server
+        server = server.replace(was, now)
+    kinds = ("client_body", "proxy", "fastcgi", "uwsgi", "scgi")
+    paths = "".join(f"{kind}_temp_path {folder}/{kind};" for kind in kinds)
+    conf = folder / "nginx.conf"
+    conf.write_text(
+        f"daemon off; pid {folder}/pid; error_log {folder}/error.log;\n"
+        f"events {{}}\nhttp {{ access_log off; {paths}\n{server}\n}}\n"
+    )
+    return conf
+
+
+@pytest.fixture
+def proxied(loop, app, serving, tmp_path):
+    """The proxy's port, and what trusts its certificate."""
+    (tmp_path / "token").write_text(TOKEN)
+    (tmp_path / "token").chmod(0o600)
+    made = f"req -x509 -newkey rsa:2048 -nodes -days 2 -subj /CN={NAME} -addext subjectAltName=DNS:{NAME}".split()
+    written = ["-keyout", tmp_path / "key.pem", "-out", tmp_path / "cert.pem"]
+    subprocess.run(["openssl", *made, *written], check=True, capture_output=True)
+    port = free_port()
+    config = Config(api={"port": 0, "token_file": tmp_path / "token", "public_origin": f"https://{NAME}:{port}"})
+    with serving(app(loop, config), config.api) as api_port:
+        command = ["nginx", "-p", tmp_path, "-c", nginx_conf(tmp_path, api_port, port), "-e", tmp_path / "early.log"]
+        nginx = subprocess.Popen(command)
+        try:
+            deadline = time.monotonic() + 20
+            while not answers(port):
+                assert nginx.poll() is None, "nginx ended; see its message above"
+                assert time.monotonic() < deadline
+                time.sleep(0.02)
+            yield port, ssl.create_default_context(cafile=tmp_path / "cert.pem")
+        finally:
+            nginx.terminate()
+            nginx.wait(timeout=10)
+
+
+def test_a_browser_logs_in_commands_and_streams_through_tls(proxied, loop):
+    port, trust = proxied
+    page = {"Origin": f"https://{NAME}:{port}", "Host": f"{NAME}:{port}"}
+    with httpx.Client(base_url=f"https://127.0.0.1:{port}", verify=trust, headers=page, trust_env=False) as browser:
+        named = {"extensions": {"sni_hostname": NAME}}
+        assert browser.get("/api/status", **named).status_code == 401
+        answer = browser.post("/api/login", json={"token": TOKEN}, **named)
+        assert answer.status_code == 200
+        assert answer.headers["set-cookie"].endswith("SameSite=Strict; Secure")
+        cookie = {"Cookie": answer.headers["set-cookie"].partition(";")[0]}
+        assert browser.post("/api/arm", headers=cookie, **named).status_code == 200
+        assert loop.taken[-1].request.who == "a browser with the command token"
+        forged = {"Origin": "https://evil.example"}
+        assert browser.post("/api/disarm", headers=cookie | forged, **named).status_code == 403
+        ticket = browser.post("/api/ticket", headers=cookie, **named).json()["ticket"]
+    address = f"wss://{NAME}:{port}/api/stream"
+
+    def stream(query: str):
+        way = socket.create_connection(("127.0.0.1", port))
+        return connect(address + query, sock=way, ssl=trust, server_hostname=NAME, origin=page["Origin"])
+
+    with stream(f"?ticket={ticket}") as told:
+        assert '"mode":"armed"' in told.recv(timeout=5)
+    with pytest.raises(InvalidStatus):
+        stream(f"?ticket={ticket}")
