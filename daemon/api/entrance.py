@@ -24,6 +24,7 @@ class Entrance:
 
     def __init__(self, door: Door, sessions: Sessions) -> None:
         self._door, self._sessions = door, sessions
+        self._wrong = 0  # tokens shown
 
     async def who(self, request: Request) -> Response:
         """Whether this API asks for a token, and whose yours is."""
@@ -40,7 +41,9 @@ class Entrance:
             raise Refused(409, "this API asks for no token: nobody has to log in")
         role = self._door.role_of(body.token)
         if role is None:
-            log.warning("a log-in with a wrong token by %s", request.scope[WHO])
+            self._wrong += 1
+            if self._wrong & (self._wrong - 1) == 0:  # the 1st, 2nd, 4th, ...: nobody fills the journal with them
+                log.warning("a log-in with a wrong token, the %d. since the start: %s", self._wrong, request.scope[WHO])
             raise Refused(401, "the token is wrong: send the text in the file of api.token_file, or of another role's")
         self._sessions.logins.back(self._sessions.of(dict(request.headers.raw)))
         log.info("logged in with the %s token: %s", role.name.lower(), request.scope[WHO])

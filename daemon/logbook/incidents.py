@@ -1,10 +1,9 @@
 """An incident file for each emergency stop: all that a person sends who asks what happened.
 
-A zip of every tick around it (as a log that replays by itself), the events up to there, the configuration without the
-files of tokens, and versions. It lies beside the logs and is none: what deletes those leaves it alone.
+A zip of the log around it (which replays by itself), the events up to there, the configuration without the files of
+tokens, and versions. It lies beside the logs and is none: what deletes those leaves it alone.
 """
 
-import contextlib
 import json
 import logging
 import re
@@ -13,24 +12,26 @@ import time
 import zipfile
 from collections import deque
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import Any, NamedTuple
 
 from softarm.common import files, revision
 from softarm.daemon.api.auth import TOKEN_FILES
+from softarm.daemon.control.records import Outputs
 from softarm.daemon.logbook import folder
-from softarm.daemon.logbook.thinning import Tick
 from softarm.daemon.logbook.tick_file import PACKAGES, TickFile
-from softarm.daemon.logbook.ticks import EncodingError
 from softarm.policies.base import PolicySpec
 from softarm.recordings import finishing
+from softarm.recordings.live import LogMessage
+from softarm.schemas import log as names
 from softarm.schemas.config import Config
 from softarm.schemas.events import Entry
 from softarm.schemas.rest import IncidentEntry
 
 log = logging.getLogger(__name__)
 
+READINGS = (names.PRESSURE, names.RAIL)  # channels of which a tick may use what an earlier one brought
 FOLDER = "incidents"  # in the recorder's directory
 NAME = re.compile(r"incident-\d{8}T\d{6}Z(-\d+)?\.zip")  # only what was named here is ever deleted, or handed out
 BEFORE_NS, AFTER_NS = 20_000_000_000, 5_000_000_000  # of the stop; one that follows so soon is in the same file
@@ -43,47 +44,62 @@ READ_ME = """\
 {text}
 {time:%Y-%m-%d %H:%M:%S} UTC, softarm {version} on {machine}
 
-log.mcap            every tick from 20 s before to 5 s after: softarm replay log.mcap
+log.mcap            the log from 20 s before to 5 s after: softarm replay log.mcap
 events.txt          what happened up to there, UTC
 configuration.json  as it was in force, without the files of tokens
 versions.json       software and machine
 """
 
 
-@dataclass(frozen=True, slots=True)
-class Incident:
+class Written(NamedTuple):
+    """A tick as the log has it."""
+
+    t_ns: int
+    policy: PolicySpec | None  # in use
+    messages: tuple[tuple[Any, ...], ...]  # bare tuples of numbers and bytes: no garbage collection looks into those
+
+
+class Incident(NamedTuple):
     """What the file of one is made of."""
 
     stop: Entry
-    ticks: Sequence[tuple[Tick, PolicySpec | None]]  # each with the policy in use; not empty
+    ticks: Sequence[Written]
+    readings: Sequence[tuple[Any, ...]]  # of the devices, the newest before the first tick: it may use them
     entries: Sequence[Entry]
     monotonic_ns: int
     wall_ns: int
 
 
 class Incidents:
-    """Keeps the last seconds in memory and has a file written of them after a stop. For the recorder's thread."""
+    """Keeps the log's last seconds in memory, has a file written of them after a stop. For the recorder's thread."""
 
     def __init__(self, config: Config, monotonic_ns: Callable[[], int], wall_ns: Callable[[], int]) -> None:
         self._config = config
         self._monotonic_ns, self._wall_ns = monotonic_ns, wall_ns
-        self._ticks: deque[tuple[Tick, PolicySpec | None]] = deque()
+        self._ticks: deque[Written] = deque()
+        self._readings: dict[str, tuple[Any, ...]] = {}  # by topic, the newest before those
         self._entries: deque[Entry] = deque(maxlen=EVENTS)
         self._stop: Entry | None = None  # of which no file is begun yet
         self._writer: threading.Thread | None = None
 
-    def take(self, tick: Tick, policy: PolicySpec | None, entries: Iterable[Entry]) -> None:
-        """One tick more, the policy in use, and what happened."""
-        inputs, outputs, _ = tick
-        self._ticks.append((tick, policy))
+    def happened(self, outputs: Outputs, entries: Iterable[Entry]) -> None:
+        """One tick more, and what happened in it."""
         for entry in entries:
             self._entries.append(entry)
             if entry.kind == "stop" and outputs.last_stop_ns is not None and self._stop is None:
                 self._stop = entry
-        if self._stop is not None and inputs.t_ns - self._stop.t_ns >= AFTER_NS and not self._is_writing():
+        if self._stop is not None and outputs.t_ns - self._stop.t_ns > AFTER_NS and not self._is_writing():
             self._begin(self._stop)
-        while inputs.t_ns - self._ticks[0][0][0].t_ns > BEFORE_NS + AFTER_NS:
-            self._ticks.popleft()
+
+    def wrote(self, t_ns: int, policy: PolicySpec | None, messages: Iterable[LogMessage]) -> None:
+        """The messages of one tick more are in the log."""
+        self._ticks.append(Written(t_ns, policy, tuple(map(tuple, messages))))
+        self._forget(t_ns - BEFORE_NS - AFTER_NS)
+
+    def _forget(self, before_ns: int) -> None:
+        while self._ticks and self._ticks[0].t_ns < before_ns:
+            messages = self._ticks.popleft().messages
+            self._readings |= {message[0]: message for message in messages if message[0] in READINGS}
 
     def end(self) -> None:
         """The daemon ends: what has happened is written. Takes some seconds at most."""
@@ -98,8 +114,9 @@ class Incidents:
 
     def _begin(self, stop: Entry) -> None:
         """In a thread of its own: it takes a second, and the log goes on."""
-        ticks = [each for each in self._ticks if each[0][0].t_ns >= stop.t_ns - BEFORE_NS]
-        incident = Incident(stop, ticks, tuple(self._entries), self._monotonic_ns(), self._wall_ns())
+        self._forget(stop.t_ns - BEFORE_NS)
+        ticks, readings, entries = tuple(self._ticks), tuple(self._readings.values()), tuple(self._entries)
+        incident = Incident(stop, ticks, readings, entries, self._monotonic_ns(), self._wall_ns())
         self._stop = None
         self._writer = threading.Thread(target=self._write, args=(incident,), name="recorder incident", daemon=True)
         self._writer.start()
@@ -142,18 +159,20 @@ def write(directory: Path, config: Config, incident: Incident) -> Path:
 
 
 def _fill(live: TickFile, config: Config, incident: Incident) -> None:
-    """The ticks as a log, with the events that happened in them."""
-    breathe, policy = _Breath(), incident.ticks[0][1]
-    entries = {tick: [e for e in incident.entries if e.tick == tick] for tick in {e.tick for e in incident.entries}}
+    """The ticks as a log, each after what happened in it."""
+    breathe, policy = _Breath(), incident.ticks[0].policy if incident.ticks else None
     live.head(config, policy, incident.monotonic_ns, incident.wall_ns)
-    for tick, now in incident.ticks:
+    for reading in incident.readings:
+        live.add(LogMessage(*reading))
+    for t_ns, now, messages in incident.ticks:
         if now is not policy and now is not None:
             policy = now
             live.policy(policy)
-        for entry in entries.get(tick[1].tick, ()):
-            live.entry(entry)
-        with contextlib.suppress(EncodingError):  # the log lacks it as well
-            live.write(tick)
+        for entry in incident.entries:
+            if entry.t_ns == t_ns:
+                live.entry(entry)
+        for message in messages:
+            live.add(LogMessage(*message))
         breathe()
     live.flush()
 

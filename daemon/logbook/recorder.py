@@ -211,11 +211,14 @@ class Recorder:
     def _put(self, live: TickFile, tick: Tick) -> None:
         """Write a tick; one that cannot be encoded costs itself alone."""
         try:
-            live.write(tick)
+            messages = live.write(tick)
         except ticks.EncodingError as error:
             self._lost += 1
             if self._lost & (self._lost - 1) == 0:  # the 1st, 2nd, 4th, ...: a fault in every tick floods nothing
                 log.error("%s: left out of the log, like %d before it", error, self._lost - 1)
+        else:
+            if self._incidents is not None:
+                self._incidents.wrote(tick[0].t_ns, self._policy, messages)
 
     def _finish(self, path: Path) -> None:
         """Compress and index; a log that takes too long stays as it is, whole, until the next start."""
@@ -253,7 +256,7 @@ class Recorder:
         """What happened in a tick: told, and an emergency stop pinned."""
         entries = self.history.take(*tick[:2])
         if self._incidents is not None:
-            self._incidents.take(tick, self._policy, entries)
+            self._incidents.happened(tick[1], entries)
         return entries
 
     def _watch(self) -> None:

@@ -49,10 +49,12 @@ class TickFile(LiveFile):
             self.policy(policy)
         self.flush()
 
-    def write(self, tick: Tick) -> None:
-        """One tick, whole or not at all. Raises EncodingError."""
-        for message in self._splitter.split(*tick):
+    def write(self, tick: Tick) -> tuple[LogMessage, ...]:
+        """One tick, whole or not at all; returns its messages. Raises EncodingError."""
+        messages = self._splitter.split(*tick)
+        for message in messages:
             self.add(message)
+        return messages
 
     def entry(self, entry: Entry) -> None:
         """Something that happened."""

@@ -7,7 +7,7 @@ import pytest
 from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect as connect_sync
 
-from softarm.daemon.api.auth import AuthError, Role, is_loopback, load_tokens
+from softarm.daemon.api.auth import AuthError, Door, Role, is_loopback, load_tokens
 from softarm.schemas.config import Api, Config
 
 LOCAL = "http://127.0.0.1"
@@ -163,3 +163,12 @@ def test_the_roles_need_one_that_commands_and_tokens_of_their_own(tmp_path, role
     with pytest.raises(AuthError, match=r"holds the token of api\.token_file, which may do more") as refusal:
         load_tokens(Api(token_file=roles["token_file"], stop_token_file=token_file(tmp_path, TOKEN)))
     assert refusal.value.key == "stop_token_file"
+
+
+def test_who_asks_from_another_machine_is_named_by_its_address(roles):
+    door = Door(Api(host="0.0.0.0", **roles))
+    headers = {b"authorization": b"Bearer " + b"v" * 32}
+    assert door.who("the API", headers, "10.0.0.7") == "the API with the view token from 10.0.0.7"
+    assert door.who("the API", {b"authorization": b"Bearer wrong"}, "10.0.0.7") == "the API from 10.0.0.7"
+    for own in ("127.0.0.1", "::1", None):
+        assert door.who("the API", {}, own) == "the API"

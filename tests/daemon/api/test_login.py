@@ -128,6 +128,13 @@ def test_what_is_no_token_is_refused_with_what_is(client, body, status, sentence
     assert "set-cookie" not in answer.headers
 
 
+def test_wrong_tokens_leave_a_trace_in_the_journal_and_cannot_fill_it(client, caplog):
+    for _ in range(9):
+        client.post("/api/login", json={"token": "wrong" * 8}, headers=PAGE)
+    assert [record.args[0] for record in caplog.records if "wrong token" in record.msg] == [1, 2, 4, 8]
+    assert "wrongwrong" not in caplog.text
+
+
 def test_a_refusal_never_repeats_a_token(client):
     answer = client.post("/api/login", json={"tokens": TOKENS["token_file"]}, headers=PAGE)
     assert TOKENS["token_file"] not in answer.text

@@ -8,13 +8,14 @@ from pathlib import Path
 import pytest
 
 from softarm.daemon.api.auth import TOKEN_FILES
-from softarm.daemon.control.records import Mode
+from softarm.daemon.control.records import EStop, Inputs, Mode, Outputs, TickTiming
 from softarm.daemon.logbook import folder, incidents, logs
 from softarm.daemon.logbook.recorder import Recorder
 from softarm.daemon.shell.offline import Lockstep
 from softarm.daemon.shell.replay import replay
 from softarm.policies.hold import Hold
 from softarm.schemas.config import Config
+from softarm.schemas.messages import PressureReading
 
 WALL_NS = 1_800_000_000_000_000_000
 
@@ -47,8 +48,9 @@ def stopped(tmp_path_factory):
     directory = tmp_path_factory.mktemp("logs")
     config = config_of(directory).model_copy(update={"api": Config().api.model_copy(update=SECRETS)})
     flight = Flight(config)
-    flight.ticks(30)
+    flight.ticks(5)
     flight.daemon.arm()
+    flight.ticks(25)
     flight.ticks(0.5, "stop")
     flight.ticks(6, "acknowledge")
     flight.recorder.stop()
@@ -70,14 +72,15 @@ def parts(stopped, tmp_path_factory):
 
 
 @pytest.mark.slow
-def test_it_is_a_log_of_the_ticks_around_the_stop_which_replays_by_itself(parts):
+def test_it_is_the_log_around_the_stop_which_replays_by_itself(parts, stopped):
     log = logs.read(parts / "log.mcap")
     assert log.finished
     outputs = list(log.outputs())
     stop = next(o.t_ns for o in outputs if o.mode is Mode.STOPPED)
     before_s, after_s = (stop - outputs[0].t_ns) * 1e-9, (outputs[-1].t_ns - stop) * 1e-9
     assert (before_s, after_s) == (pytest.approx(20, abs=0.05), pytest.approx(5, abs=0.05))
-    assert [o.tick for o in outputs] == list(range(outputs[0].tick, outputs[-1].tick + 1))  # of a still arm, too
+    whole = [o.tick for o in logs.read(next(stopped.glob("*.mcap"))).outputs()]
+    assert [o.tick for o in outputs] == [n for n in whole if outputs[0].tick <= n <= outputs[-1].tick]
     assert log.metadata["policy"]["name"] == "hold"
     replayed = replay(log.ticks(), log.config, lambda name: Hold())
     assert replayed.differences == []
@@ -123,6 +126,23 @@ def test_it_is_listed_with_its_time_and_reason_and_outlives_the_logs(stopped):
     folder.delete_oldest(stopped, stopped / "own.mcap", config_of(stopped, keep_days=1e-9, keep_mb=2_000).recorder)
     assert list(stopped.glob("*.mcap")) == []
     assert files(stopped) == [path]
+
+
+def test_a_reading_from_before_that_its_ticks_used_is_in_it(tmp_path):
+    recorder = Recorder(config_of(tmp_path), Hold().spec)
+    recorder.start()
+    pressure = PressureReading(1, 2.5, True)  # the device says nothing new for 40 s
+    for number in range(1, 1201):
+        mode = Mode.STOPPED if number == 1200 else Mode.ARMED
+        outputs = Outputs(number * 33_333_333, number, 0, 0, 0, mode, EStop.CLEAR, last_stop="a hand", last_stop_ns=1)
+        recorder.tick(Inputs(outputs.t_ns, pressure=pressure), outputs, TickTiming(0, 0, 0, None))
+    recorder.stop()
+    (path,) = files(tmp_path)
+    with zipfile.ZipFile(path) as archive:
+        archive.extract("log.mcap", tmp_path)
+    ticks = list(logs.read(tmp_path / "log.mcap").inputs())
+    assert len(ticks) == pytest.approx(600, abs=2)
+    assert {inputs.pressure.pressure_kpa for inputs in ticks} == {2.5}
 
 
 @pytest.mark.slow

@@ -117,7 +117,7 @@ def test_a_full_queue_drops_and_counts_and_never_blocks(tmp_path, monkeypatch):
     def slow_disk(self, item):
         entered.set()
         gate.wait(20)
-        write(self, item)
+        return write(self, item)
 
     monkeypatch.setattr(TickFile, "write", slow_disk)
     recorder = Recorder(config(tmp_path, queue_max=100))

@@ -27,11 +27,12 @@ class StoppingLoop:
 
     def __init__(self, outputs):
         self.inbox, self.outputs, self.ticks = Inbox(), outputs, True
-        self.taken = []
+        self.taken, self.who = [], []
 
     def snapshot(self):
         if self.ticks and (posts := self.inbox.take()):
             self.taken += [post.request.kind for post in posts]
+            self.who += [post.request.who for post in posts]
             latched = {"mode": Mode.STOPPED, "estop": EStop.LATCHED}
             self.outputs = replace(self.outputs, t_ns=time.monotonic_ns() + 10**9, **latched)
         return self.outputs
@@ -67,6 +68,7 @@ def test_a_stop_is_taken_and_answered_once_a_tick_holds_it(stopping):
         status, said = ask(port)
     assert (status, said["stopped"], said["mode"], said["estop"]) == (200, True, "stopped", "latched")
     assert stopping.taken == ["stop"]
+    assert stopping.who == ["the stop's own way"]
 
 
 def test_a_loop_that_stands_still_is_told_and_the_stop_waits_for_it(stopping):
@@ -191,6 +193,8 @@ def test_every_role_may_stop(stopping, tmp_path, key):
         file.chmod(0o600)
     with way(stopping, Api(port=0, **files)) as port:
         assert ask(port, Authorization=f"Bearer {files[key].read_text()}")[0] == 200
+    role = {"token_file": "command"}.get(key, key.partition("_")[0])
+    assert stopping.who == [f"the stop's own way with the {role} token"]
 
 
 @pytest.mark.parametrize(
