@@ -1,9 +1,15 @@
 """GET /api/events, and who is behind a request, over real sockets and the real recorder."""
 
+import logging
+import time
+
+import httpx
 import pytest
 
 from softarm.daemon.control.records import EStop, Inputs, Mode, Outputs
+from softarm.daemon.logbook import incidents, logs
 from softarm.daemon.logbook.history import History
+from softarm.daemon.shell.daemon import Daemon, simulated_devices
 from softarm.schemas.config import Config
 
 TOKEN, VIEW = "0123456789abcdef0123456789abcdef", "v" * 32
@@ -76,3 +82,39 @@ def test_a_request_carries_whose_it_is(loop, app, client_of, tmp_path):
 def test_without_a_token_it_is_the_apis(client, loop):
     client.post("/api/disarm")
     assert loop.taken[-1].request.who == "the API"
+
+
+@pytest.mark.slow
+@pytest.mark.realtime
+def test_a_whole_daemon_tells_who_stopped_it_alike_over_rest_in_its_log_and_in_the_journal(
+    tmp_path, caplog, monkeypatch
+):
+    monkeypatch.setattr("softarm.daemon.shell.realtime._set", lambda priority: None)  # this process is the tests'
+    config = Config(api={"port": 0}, recorder={"directory": tmp_path}, control={"policy": "hold"})
+    daemon = Daemon(config, simulated_devices())
+    with caplog.at_level(logging.INFO, "softarm.events"):
+        daemon.start()
+        try:
+            wait_for(lambda: daemon.loop.snapshot is not None)
+            assert httpx.post(daemon.stop_url, trust_env=False).status_code == 200
+            daemon.stop_by_key()
+            assert httpx.post(f"{daemon.url}/api/acknowledge", trust_env=False).status_code in (200, 409)
+            wait_for(lambda: any(entry.what == "acknowledge" for entry in daemon.recorder.history.entries))
+            told = httpx.get(f"{daemon.url}/api/events", trust_env=False).json()["events"]
+        finally:
+            daemon.stop()
+    asked = [(event["what"], event["who"]) for event in told if event["kind"] == "request"]
+    assert asked == [("stop", "the stop's own way"), ("stop", "the terminal"), ("acknowledge", "the API")]
+    (stop,) = (event for event in told if event["kind"] == "stop")
+    assert (stop["who"], stop["text"][:15]) == ("the stop's own way", "emergency stop:")
+    texts = [entry.text for entry in logs.read(daemon.recorder.path).entries()]
+    assert texts[: len(told)] == [event["text"] for event in told]
+    assert [record.message for record in caplog.records if record.name == "softarm.events"] == texts
+    assert len(incidents.listing(tmp_path)) == 1
+
+
+def wait_for(condition) -> None:
+    deadline = time.monotonic() + 20
+    while not condition():
+        assert time.monotonic() < deadline
+        time.sleep(0.005)

@@ -66,6 +66,21 @@ def test_a_stop_ends_every_active_mode_and_latches(mode, name):
     assert made.mode is Mode.STOPPED
 
 
+def test_stops_are_counted_soft_ones_too_and_one_that_lasts_once():
+    made = ModeMachine(3, 5, 9)
+    assert made.stops == 0
+    made.latch("a stop of the daemon before this one")
+    assert made.stops == 0
+    made.resume(Mode.ARMED, EStop.CLEAR, None)
+    for event in ("mocap_stale", "rail_fault", "rail_fault"):
+        step(made, event)
+    assert made.stops == 2
+    made.resume(Mode.ARMED, EStop.CLEAR, None)
+    made.disarm("by hand")
+    made.disarm("by hand")
+    assert made.stops == 3
+
+
 def test_the_stop_is_remembered_by_what_stopped_it_not_by_what_came_after():
     made = machine(Mode.ARMED)
     step(made, "rail_fault")
