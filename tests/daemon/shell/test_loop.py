@@ -168,6 +168,7 @@ def test_a_bug_in_the_tick_brakes_vents_and_is_told_but_the_loop_goes_on(caplog)
     assert controller.calls == 1  # its state is not to be trusted any more
     assert (outputs.mode, outputs.estop, outputs.sent) == (Mode.STOPPED, EStop.ENGAGED, SAFE)
     assert "ZeroDivisionError: a bug" in outputs.arming_refusals[0]
+    assert outputs.last_stop_ns == loop.ticks[0][0].t_ns < outputs.t_ns
     assert set(loop.devices.rail.written) == {(False, 0.0)}
     assert loop.good_ticks == 0  # so that the service is restarted
     assert "the tick failed" in caplog.text
