@@ -97,16 +97,21 @@ class _Descent:
         self.bases: list[Moments] = []
         self._step = np.zeros_like(start)
 
-    def advance(self, problem: "FitProblem", jacobians: list[Rows], bases: list[Moments]) -> None:
-        """Take what was found at `tried`: go on from there, or look closer to the best so far."""
-        loss, step = problem.solve(self.effects, self.tried, jacobians, bases)
+    def gains(self, loss: float) -> bool:
+        """Whether the loss where it looks is the best so far; else it looks closer to the best."""
         if loss < self.loss or not self.bases:
-            self.moving = bool(len(step)) and not loss > self.loss * (1 - CONVERGED)
-            self.best, self.loss, self._step = self.tried, loss, step
-            self.jacobians, self.bases = jacobians, bases
-        else:
-            self._step = SHORTER * self._step
+            self.moving = not loss > self.loss * (1 - CONVERGED)
+            self.best, self.loss = self.tried, loss
+            return True
+        self._step = SHORTER * self._step
         self.tried = self.best + self._step
+        return False
+
+    def go_on(self, jacobians: list[Rows], bases: list[Moments], step: Array) -> None:
+        """Look a step further, from the best, where these were found."""
+        self.jacobians, self.bases, self._step = jacobians, bases, step
+        self.moving = self.moving and bool(len(step))
+        self.tried = self.best + step
 
 
 @dataclass(frozen=True, slots=True)
@@ -122,15 +127,21 @@ class FitProblem:
     simulated: bool = False  # whether held-out losses are simulated; else from the last linearisation
 
     def fit(self, sets: Sequence[tuple[Set, U]], rounds: int = ROUNDS) -> list[Fit]:
-        """Fit every set from its start; all of them advance together, each round one batch of simulations."""
+        """Fit every set from its start; all of them advance together, each round two batches of simulations.
+
+        The first says who gained; only for those a Jacobian is simulated.
+        """
         searches = [_Descent(effects, np.array([x for us in u for x in us])) for effects, u in sets]
         for _ in range(rounds):
             moving = [each for each in searches if each.moving]
             if not moving:
                 break
-            linear = self._linear([d.effects for d in moving], [d.tried for d in moving])
-            for descent, (jacobians, bases) in zip(moving, linear, strict=True):
-                descent.advance(self, jacobians, bases)
+            losses = self._losses([d.effects for d in moving], [d.tried for d in moving])
+            costs = [_cost(d.effects, d.tried) for d in moving]
+            gained = [d for d, loss, cost in zip(moving, losses, costs, strict=True) if d.gains(loss + cost)]
+            linear = self._linear([d.effects for d in gained], [d.best for d in gained])
+            for descent, (jacobians, bases) in zip(gained, linear, strict=True):
+                descent.go_on(jacobians, bases, self.step(descent.effects, descent.best, jacobians, bases))
         return [self._fit(d.effects, d.best, d.loss, d.jacobians, d.bases) for d in searches]
 
     def losses(self, sets: Sequence[tuple[Set, U]]) -> list[float]:
@@ -210,17 +221,14 @@ class FitProblem:
             at += len(ps)
         return found
 
-    def solve(self, effects: Set, x: Array, jacobians: list[Rows], bases: list[Moments]) -> tuple[float, Array]:
-        """Loss at x with the nuisances fitted, and a Gauss-Newton step from there, the nuisances moving along."""
+    def step(self, effects: Set, x: Array, jacobians: list[Rows], bases: list[Moments]) -> Array:
+        """A Gauss-Newton step from x, the nuisances moving along."""
         p = len(x)
         normal, slope = self._normal(p, jacobians, bases)
-        low, high = self._box(effects, x)
-        w = box.solve(np.ascontiguousarray(normal[p:, p:]), -slope[p:], low[p:], high[p:])
         held, pull = _prior(effects, x)
-        loss = sum(base.rr for base in bases) + 2 * w @ slope[p:] + w @ normal[p:, p:] @ w + pull @ (pull / held)
         normal[range(p), range(p)] += held
         slope[:p] += pull
-        return float(loss) if np.isfinite(loss) else np.inf, box.solve(normal, -slope, low, high)[:p]
+        return np.asarray(box.solve(normal, -slope, *self._box(effects, x))[:p])
 
     def _normal(self, p: int, jacobians: list[Rows], bases: list[Moments]) -> tuple[Array, Array]:
         q = len(self.nuisance_low)
@@ -328,3 +336,9 @@ def _prior(effects: Set, x: Array) -> tuple[Array, Array]:
     parameters = [d for each in effects for d in each.parameters]
     held = np.array([PRIOR / d.size**2 for d in parameters])
     return held, held * (x - np.array([d.nominal for d in parameters]))
+
+
+def _cost(effects: Set, x: Array) -> float:
+    """Of the changes alone; see PRIOR."""
+    held, pull = _prior(effects, x)
+    return float(pull @ (pull / held))
