@@ -60,6 +60,7 @@ def decide(
     granted = {s: max(t.unknown_min, min(t.tolerated * e, t.tolerated_most)) for s, e in taken.items()}
     asks = bool(odd) or any(e > granted[s] for s, e in left.items() if s in granted)
     for fallen in (m for m in choice.selected if m not in selected):  # what it would have explained is not explained
+        asks = asks or max(fallen.gain.energies.values()) > t.fallen_min
         for stage, energy in fallen.gain.energies.items():
             left[stage] = left.get(stage, 0.0) + max(energy, 0.0)
     explained = sum(max(e, 0.0) for m in selected for e in m.gain.energies.values())
@@ -67,7 +68,7 @@ def decide(
     for stage, each in (signs or {}).items():  # where it is seen, there the rest of the gap is
         left[stage] = max(left.get(stage, 0.0), each.energy)
     if not selected:
-        return Decision("unknown" if asks or choice.selected else "none", (), left, share, odd)
+        return Decision("unknown" if asks else "none", (), left, share, odd)
     if share < t.least_share:  # beside a gap that nobody explains a small name would be taken for its cause
         return Decision("unknown", (), left, 0.0, odd)
     whole = len(selected) == len(choice.selected) and share >= t.stands and not odd and not over

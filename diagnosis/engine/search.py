@@ -18,7 +18,7 @@ from softarm.diagnosis.engine.view import Array
 SIZES = (0.3, 1.0, 2.0)  # of usual changes: where all effects at once begin
 RESTARTS = 3  # of that, each without one more that ended at its bound
 EQUAL = 0.5  # of the loss held out: no difference at all
-ANEW = 2  # effects of a set, at the most, that is fitted from its own starts as well
+ANEW = 2  # effects of a set, at the most, that is fitted anew: among many a line goes astray
 POLISH, SETTLED = 4, 0.005  # further descents of all effects at once, and what ends them: less gain, of the loss
 
 Progress = Callable[[str, float], None]
@@ -206,13 +206,13 @@ class Search:
         memory = (fit.names, fit.u)
         if memory not in self._reduced:
             sets = [_without(fit, i) for i in range(len(fit.effects))]
-            if self.thresholds.backward and sets:  # of two that do the same, half of one is far from the whole
+            few = 1 < len(sets) <= ANEW + 1
+            if self.thresholds.backward and few:  # of two that do the same, half of one is far from the whole
                 moved = self.problem.left_out(fit)
                 better = np.less(self.problem.losses(moved), self.problem.losses(sets))
                 sets = [m if gains else s for m, s, gains in zip(moved, sets, better, strict=True)]
             fits = self.problem.fit(sets, self.thresholds.rounds) if sets else []
-            few = self.thresholds.anew and 1 < len(sets) <= ANEW + 1
-            self._reduced[memory] = self._anew(fits) if few else fits
+            self._reduced[memory] = self._anew(fits) if self.thresholds.anew and few else fits
         return self._reduced[memory]
 
     def _anew(self, fits: Sequence[Fit]) -> list[Fit]:

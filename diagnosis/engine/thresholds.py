@@ -62,6 +62,7 @@ class Thresholds:
     bent_share: float = 0.01  # of what is taken away, at the most: one window that is thrown off would grant anything
     stands_over: float = 0.96
     unknown_min: float = 0.5  # energy beyond the floor that asks for an explanation
+    fallen_min: float = 0.0  # and energy of an effect that was found and does not stand: that asks for another
     # Of what is left beyond the floor at least this much counts as explainable: what changes at random from tick to
     # tick no model finds, and it is not the floor's noise either.
     random_share: float = 0.5
@@ -98,10 +99,10 @@ ROBOT: Final = Thresholds()
 # are taken from what the best leaves. The search is held out by blocks: the end of a servo's torque shows in the fast
 # end of one sweep alone, and without that sweep a fold's loss is an extrapolation that swamps the rest. Of two effects
 # that nearly cancel, such as a slope and a friction that differs by direction, a search from the rich end finds both in
-# any rest: within the floor nothing is sought.
+# any rest: within twice the floor nothing is sought.
 RIG: Final = replace(
     ROBOT,
-    quiet=1.0,
+    quiet=4.0,  # twice the floor, root mean square: two thousandths of the signal are no rig's gap
     backward=True,
     rounds=12,
     rounds_rough=3,
@@ -119,9 +120,12 @@ RIG: Final = replace(
     whole_most=225.0,  # fifteen times the floor: a motor that tires, called a weak one, leaves 27 and scatters
     tolerated=0.15,
     tolerated_most=15.0,  # four times the floor, root mean square
-    unknown_min=1.5,  # twice the floor, root mean square: the encoder's step is not all that two recordings differ by
+    # Three times the floor, root mean square: the encoder's step is not all that two recordings differ by. Healthy rigs
+    # stand at 1.4 to 3.4 floors (a driven mass at 6, a chain at 9), those with an unknown cause at ten and more.
+    unknown_min=4.0,
+    fallen_min=4.0,
     beside_most=15.0,  # likewise: a spring that is on no list leaves 14 floors and more beside a name
-    structure_min=4.0,
+    structure_min=9.0,
     structure_share=0.25,
 )
 
