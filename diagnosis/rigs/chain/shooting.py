@@ -99,12 +99,13 @@ class Shooting:
         rows, bias = np.stack([each.rows for each in laws]), np.stack([each.bias for each in laws])
         state = np.concatenate((start, self._start_shear(rows, torque[:, None, 0], start)), axis=2)
         left = swing(rows, state, torque, self._push, self._h, self._each)
-        if self._chain.relative:
-            left[..., 1:] -= left[..., :-1].copy()
-        np.subtract(self._seen[:, None], left, out=left)
-        if bias.any():
-            left -= bias[:, None, :]
-        left *= self._counts[:, None]
+        with np.errstate(invalid="ignore"):  # a law that nobody would believe swings away, and is far off
+            if self._chain.relative:
+                left[..., 1:] -= left[..., :-1].copy()
+            np.subtract(self._seen[:, None], left, out=left)
+            if bias.any():
+                left -= bias[:, None, :]
+            left *= self._counts[:, None]
         left[~(np.abs(left) < FAR)] = FAR
         return left.reshape(*left.shape[:2], -1)
 
