@@ -61,8 +61,9 @@ def _recorded(log: Path) -> Iterable[Json]:
     from softarm.recordings.mcap_file import LogError
     from softarm.schemas.events import Entry
 
+    adapter = TypeAdapter(Entry)
     try:
         for entry in logs.read(log).entries():
-            yield TypeAdapter(Entry).dump_python(entry, mode="json")
+            yield adapter.dump_python(entry, mode="json")
     except LogError as error:
         fail(str(error))

@@ -153,10 +153,7 @@ class FitProblem:
         x = np.array([v for us in fit.u for v in us])
         p, found, first = len(x), [], 0
         ((jacobians, bases),) = self._linear([fit.effects], [x])
-        normal, slope = self._normal(p, jacobians, bases)
-        held, pull = _prior(fit.effects, x)
-        normal[range(p), range(p)] += held
-        slope[:p] += pull
+        normal, slope = self._held_normal(fit.effects, x, jacobians, bases)
         parameters = [d for each in fit.effects for d in each.parameters]
         low, high = self._box(fit.effects, x)  # as far as the bounds go: nothing here is small
         low[:p], high[:p] = (np.array([getattr(d, end) for d in parameters]) - x for end in ("low", "high"))
@@ -223,12 +220,17 @@ class FitProblem:
 
     def step(self, effects: Set, x: Array, jacobians: list[Rows], bases: list[Moments]) -> Array:
         """A Gauss-Newton step from x, the nuisances moving along."""
+        normal, slope = self._held_normal(effects, x, jacobians, bases)
+        return np.asarray(box.solve(normal, -slope, *self._box(effects, x))[: len(x)])
+
+    def _held_normal(self, effects: Set, x: Array, jacobians: list[Rows], bases: list[Moments]) -> tuple[Array, Array]:
+        """Normal matrix and slope of the effects and the nuisances, with what changes cost."""
         p = len(x)
         normal, slope = self._normal(p, jacobians, bases)
         held, pull = _prior(effects, x)
         normal[range(p), range(p)] += held
         slope[:p] += pull
-        return np.asarray(box.solve(normal, -slope, *self._box(effects, x))[:p])
+        return normal, slope
 
     def _normal(self, p: int, jacobians: list[Rows], bases: list[Moments]) -> tuple[Array, Array]:
         q = len(self.nuisance_low)

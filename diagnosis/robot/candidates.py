@@ -58,15 +58,9 @@ _OPEN_ENDS = ("arm.hysteresis.strength",)
 _NEWS_SHARE = 0.1  # of a usual change, where neither a box nor a line above says more
 _STAGES = ("pressure", "rail", "arm", "mocap")
 _COUNTED = ("mocap.dropout", "mocap.noise")  # read off stamps and noise, not fitted (robot/counts.py)
-# What a model has in any case, a share of what it says or a delay: such a one is wrong alike at any time, in any
-# excitation.
-_CONSTANT = (
-    "rail.gain",
-    "arm.stiffness",
-    "arm.damping",
-    "arm.muscle_gain",
-    "arm.torque_offset",
-)
+# What a model has in any case, a share of what it says: such a one is wrong alike at any time, in any excitation. A
+# delay is none: its strength scatters as the drive's law does.
+_CONSTANT = ("rail.gain", "arm.stiffness", "arm.damping", "arm.muscle_gain", "arm.torque_offset")
 # How often a valve with a dead zone acts jumps with its width: a descent does not carry far, so it begins at many.
 _MANY_STARTS: dict[str, tuple[tuple[float, ...], ...]] = {
     "pressure.deadband": tuple((0.25 * 1.2**i,) for i in range(14)),  # 0.25 to 2.7 kPa
