@@ -6,7 +6,7 @@
 Results lie in benchmarks/results/, a file a measurement. Under `about` stand the software's revision, the machine, the
 date and the command; `transcribed` marks figures that were copied from a page and are no stored run: their revision is
 the commit at which the page's table was last changed. A page holds `<!-- results: NAME -->` and `<!-- /results -->`
-around each table of benchmarks/tables.py.
+around each table of benchmarks/tables.py and benchmarks/diagnosis_tables.py.
 """
 
 import json

@@ -2,30 +2,16 @@
 the paper's own figures, what is set in bold.
 """
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from typing import Any
 
-from softarm.diagnosis.blind import pages
+from softarm.benchmarks import diagnosis_tables
+from softarm.benchmarks.markdown import Read, markdown
 from softarm.flights.table import CEILING, HARDWARE
 from softarm.schemas.robot import CONTROL_PERIOD_S
 
-Read = Callable[[str], Mapping[str, Any]]  # the name of a stored result -> what it holds
 BRIDGED = ("bridging", "bridging-payload")
 Figure = Mapping[str, Any] | None  # mean, spread, refused: softarm.flights.table.Figure
-
-
-def markdown(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    """A table; raises ValueError for a row that does not fit its head."""
-    lines = [_line(head), "|" + "---|" * len(head)]
-    for row in rows:
-        if len(row) != len(head):
-            raise ValueError(f"a row of {len(row)} cells in a table of {len(head)} columns: {row}")
-        lines.append(_line(row))
-    return "\n".join(lines) + "\n"
-
-
-def _line(cells: Sequence[str]) -> str:
-    return "|" + "|".join(f" {cell} " if cell else " " for cell in cells) + "|"
 
 
 def _percent(share: float, digits: int = 1) -> str:
@@ -357,43 +343,6 @@ def simulator(read: Read) -> str:
     )
 
 
-def blind(read: Read) -> str:
-    """How often the diagnosis is right, beside what was aimed at."""
-    found = read("blind")["methods"]["diagnose"]
-    cells = {**found["measures"], **found["coverage"]}
-    aims = {
-        "right stage": ("right stage", "97 %"),
-        "a single effect named exactly": ("single, exact", "95 %"),
-        "the same at half strength": ("single at half strength, exact", "88 %"),
-        "both of two effects": ("two, exact", "85 %"),
-        "both of two, the second at half strength": ("two, the second at half strength, exact", "85 %"),
-        "all of three effects": ("three, exact", "60 %"),
-        "an unknown effect given a name": ("unknown, given a name", "3 %"),
-        "an unknown effect said to be one": ("unknown, said so", "85 %"),
-        "a name when nothing is wrong": ("none, given a name", "1 %"),
-        "95 % intervals of the shrink hold fresh data, stage": ("stage", "92 to 98 %"),
-        "the same, chain": ("chain", "92 to 98 %"),
-    }
-    rows = [
-        [title, f"{100 * cells[key]['share']:.0f} % ({cells[key]['hits']} of {cells[key]['of']})", aim]
-        for title, (key, aim) in aims.items()
-    ]
-    seconds = f"{found['seconds_median']:.0f} s, {found['seconds_worst']:.0f} s"
-    rows.append(["calibration error", f"{found['calibration']['ece']:.3f}", "0.05"])
-    rows.append(["processor time of eight trials, median and worst", seconds, "20 s, 60 s"])
-    return markdown(("", "reached", "aim"), rows)
-
-
-def blind_methods(read: Read) -> str:
-    """The diagnosis beside simpler rules, every measure with its 95 % interval."""
-    return "\n".join(pages.measures(read("blind")["methods"])) + "\n"
-
-
-def strength(read: Read) -> str:
-    """How clearly the weakest of every imperfection shows."""
-    return pages.strength(read("strength")["causes"])
-
-
 # What goes wrong ----------------------------------------------------------------------------------------------------
 
 
@@ -487,7 +436,5 @@ TABLES: dict[str, Callable[[Read], str]] = {
     "adversary-cost": adversary_cost,
     "limits": rail_limits,
     "simulator": simulator,
-    "blind": blind,
-    "blind-methods": blind_methods,
-    "strength": strength,
+    **diagnosis_tables.TABLES,
 }
