@@ -9,6 +9,7 @@ VERBS: dict[str, dict[str, Verb]] = {
         "demo": Verb("demo:demo", "Twin, daemon and ten targets over REST, in one go.", "sim"),
         "run": Verb("run:run", "Run the control daemon, on the robot or simulated.", "sim"),
         "twin": Verb("twin:twin", "Be the robot as the wires see it.", "sim"),
+        "config": Verb("config:config", "Write a new configuration; look up its keys."),
         "check": Verb("check:check", "Check a configuration and print the limits in force."),
     },
     "Ask the running daemon": {

@@ -39,7 +39,9 @@ def run(config_file: Path | None, simulated: bool, model_file: Path | None) -> N
     from softarm.schemas.config import Config
 
     if config_file is None and not simulated:
-        raise click.UsageError("which robot? --config FILE for real devices, or --simulated")
+        raise click.UsageError(
+            "which robot? --config FILE for real devices (`softarm config new` writes one), or --simulated"
+        )
     logging.basicConfig(level=logging.INFO, format="%(levelname)s %(name)s: %(message)s")
     logging.getLogger("uvicorn").setLevel(logging.WARNING)
     try:

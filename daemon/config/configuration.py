@@ -42,7 +42,7 @@ def load(path: Path | str) -> Config:
 def read(path: Path | str) -> Loaded:
     """Read the configuration and where in the file it stands. Raises ConfigurationError as `load` does."""
     try:
-        document = yaml_lines.read(path, "name an existing one, or start from a copy of the example softarm.yaml")
+        document = yaml_lines.read(path, "name an existing one, or write one with `softarm config new`")
         return Loaded(document.path, fit(document, Config, rules=contradictions), document.lines)
     except FileError as error:
         raise ConfigurationError(error.problems) from None

@@ -63,7 +63,7 @@ def test_a_simulated_run_arms_swings_and_ends_cleanly(tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "code", "says"),
     [
-        ([], 2, "which robot? --config FILE for real devices, or --simulated"),
+        ([], 2, "which robot? --config FILE for real devices (`softarm config new` writes one), or --simulated"),
         (["--simulated", "--config", "{}/none.yaml"], 1, "none.yaml"),
         (["--simulated", "--config", "{}/policy.yaml"], 1, "no policy 'raech'; did you mean 'reach'?"),
         (["--simulated", "--config", "{}/open.yaml"], 1, "token"),

@@ -6,6 +6,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).parents[2]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
+COMES_ALONG = {"softarm.yaml", "twin.yaml", "systemd", "docs"}  # no code, and installed with it
 
 
 def rooms() -> set[str]:
@@ -14,15 +15,17 @@ def rooms() -> set[str]:
     return {path.name for path in found if path.name != "softarm"}
 
 
-def test_softarm_links_to_every_room_and_to_nothing_else():
+def test_softarm_links_to_every_room_to_what_comes_along_and_to_nothing_else():
     links = {path.name: path.readlink() for path in (ROOT / "softarm").iterdir() if path.is_symlink()}
-    assert links == {room: Path("..") / room for room in rooms()}
+    assert links == {name: Path("..") / name for name in rooms() | COMES_ALONG}
 
 
 def test_git_holds_the_links_as_links():
     listed = subprocess.run(["git", "ls-files", "-s", "softarm"], cwd=ROOT, capture_output=True, text=True, check=True)
     modes = {line.split("\t")[1]: line.split()[0] for line in listed.stdout.splitlines()}
-    assert {path for path, mode in modes.items() if mode == "120000"} == {f"softarm/{room}" for room in rooms()}
+    assert {path for path, mode in modes.items() if mode == "120000"} == {
+        f"softarm/{name}" for name in rooms() | COMES_ALONG
+    }
 
 
 def test_a_bare_import_of_a_room_is_forbidden_for_each():

@@ -192,7 +192,7 @@ def test_each_mistake_has_its_sentence(write, text, said):
 
 def test_a_file_that_cannot_be_read_is_named_with_the_way_out(tmp_path):
     assert problems(tmp_path / "no.yaml") == [
-        "no.yaml: no such file; name an existing one, or start from a copy of the example softarm.yaml"
+        "no.yaml: no such file; name an existing one, or write one with `softarm config new`"
     ]
     (tmp_path / "latin.yaml").write_bytes("höhe: 1".encode("latin-1"))
     assert "latin.yaml: not UTF-8 text" in problems(tmp_path / "latin.yaml")[0]
