@@ -18,7 +18,7 @@ from softarm.daemon.control.safety import SafetyFilter
 from softarm.policies.runner import PolicyOutcome, PolicyRunner
 from softarm.schemas.config import Config
 from softarm.schemas.goals import Goal
-from softarm.schemas.messages import SAFE, Command
+from softarm.schemas.messages import SAFE, Command, MocapFrame
 
 RESULTS_KEPT = 32
 REST_SPEED_M_S = 0.02  # of a cart that counts as braked
@@ -49,6 +49,11 @@ class Controller:
         self._sent = SAFE
         self._last_stop_ns: int | None = None
         self._swung_ns: int | None = None  # when the arm was last seen to swing, or not seen
+
+    @property
+    def frame(self) -> MocapFrame | None:
+        """The newest good frame of motion capture, to be shown; None before the first."""
+        return self._observer.good
 
     def tick(self, inputs: Inputs, runners: Mapping[int, PolicyRunner] | None = None) -> Outputs:
         """Decide. `runners` holds, by request number, the loaded policies of this tick's policy requests."""

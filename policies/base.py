@@ -34,6 +34,7 @@ class PolicySpec:
     episode_steps: int | None = None  # ticks after which it was never trained to go on
     trained: TrainingRange | None = None
     sha256: str | None = None  # of the model file
+    shelf_depth_m: float | None = None  # that targets lie behind a shelf's front edge; None: it flies without a shelf
     wants_sight: bool = False  # True: the observation has `softarm.schemas.policy.SIGHT` behind it
 
 

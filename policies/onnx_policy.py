@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -42,7 +43,7 @@ class OnnxPolicy:
     def __init__(self, model: str, target_depth_m: float = DEPTH_M) -> None:
         file = _open(_path(model))
         self.metadata = file.metadata
-        self.spec = file.spec
+        self.spec = _with_shelf(file, target_depth_m)
         self._run = file.session.run
         self.target_depth_m = target_depth_m
         self._input = np.zeros((1, len(OBSERVATION) + len(self.metadata.goal)), dtype=np.float32)
@@ -60,7 +61,7 @@ class OnnxPolicy:
     @classmethod
     def describe(cls, model: str, target_depth_m: float = DEPTH_M) -> PolicySpec:
         """Return the spec of a model without running it. Raises PolicyError as the constructor does."""
-        return _open(_path(model), to_run=False).spec
+        return _with_shelf(_open(_path(model), to_run=False), target_depth_m)
 
     def reset(self) -> None:
         """Zero the recurrent state."""
@@ -107,6 +108,10 @@ class _File(NamedTuple):
     session: Any  # onnxruntime.InferenceSession; it carries no types
     metadata: PolicyMetadata
     spec: PolicySpec
+
+
+def _with_shelf(file: _File, target_depth_m: float) -> PolicySpec:
+    return replace(file.spec, shelf_depth_m=target_depth_m) if file.metadata.task == "shelf" else file.spec
 
 
 def _path(model: str) -> Path:

@@ -5,6 +5,7 @@ from typing import Annotated, Literal
 from pydantic import AwareDatetime, Field
 
 from softarm.schemas.base import Strict
+from softarm.schemas.config import Workspace
 from softarm.schemas.events import Entry
 from softarm.schemas.goals import GoalKind, GoalState
 from softarm.schemas.log import LogEntry
@@ -66,6 +67,54 @@ class TicketAnswer(Strict):
     seconds: float = Field(description="that it is good for")
 
 
+class RobotAnswer(Strict):
+    """What does not change while the daemon runs. y is along the rail, z up; ends are [least, most]."""
+
+    version: str
+    run: str = Field(description="of the daemon; another one: it was started anew")
+    simulated: bool = Field(description="a robot in the daemon's own process; the twin looks like a real one")
+    stop_port: int | None = Field(description="of this host, where POST /api/stop waits for nobody")
+    rate_hz: float = Field(description="of the control ticks")
+    bodies: tuple[str, ...] = Field(description="names of the status' `bodies`, in their order")
+    hinge_z_m: float = Field(description="height of the arm's upper end, which rides on the cart")
+    link_length_m: tuple[float, ...] = Field(description="from the hinge down")
+    reach_m: float = Field(description="from the hinge: the arm's length and the success radius")
+    rail_travel_m: tuple[float, float] = Field(description="between the mechanical stops")
+    rail_limit_m: tuple[float, float] = Field(description="the soft limits, which the safety filter holds the cart to")
+    rail_margin_m: float = Field(description="so far before the soft limits the filter aims to stop")
+    cart_velocity_max_m_s: float
+    pressure_limit_kpa: tuple[float, float]
+    workspace: Workspace = Field(description="where a reach goal may lie")
+    success_radius_m: float
+    time_limit_s: float = Field(description="of a reach goal")
+    shelf_board_below_m: float = Field(
+        description="where a policy's `shelf_depth_m` is a number, the shelf's front edge is so far on the +y side of "
+        "the target, and its lower board so far below it as is said here"
+    )
+
+
+class RecentAnswer(Strict):
+    """The newest ticks as columns of one length, oldest first; null: not finite, or not known then."""
+
+    tick: tuple[int, ...] = Field(description="-1: the tick failed")
+    time: tuple[float, ...] = Field(description="seconds of Unix' time")
+    tip_y_m: tuple[float | None, ...]
+    tip_z_m: tuple[float | None, ...]
+    cart_m: tuple[float | None, ...] = Field(description="by the axis itself, the status' `rail_position_m`")
+    cart_velocity_m_s: tuple[float | None, ...] = Field(description="the status' `rail_velocity_m_s`")
+    action_velocity_m_s: tuple[float | None, ...] = Field(description="what the policy wanted")
+    sent_velocity_m_s: tuple[float | None, ...]
+    pressure_kpa: tuple[float | None, ...]
+    action_pressure_kpa: tuple[float | None, ...]
+    sent_pressure_kpa: tuple[float | None, ...]
+    late_ms: tuple[float | None, ...]
+    policy_ms: tuple[float | None, ...]
+    mocap_age_ms: tuple[float | None, ...]
+    pressure_age_ms: tuple[float | None, ...]
+    rail_age_ms: tuple[float | None, ...]
+    mode: tuple[str, ...]
+
+
 class Refusal(Strict):
     """Why something was not done, and what is allowed."""
 
@@ -104,6 +153,9 @@ class PolicyAnswer(Strict):
     episode_steps: int | None = None
     trained: TrainingRange | None = Field(default=None, description="targets outside are tried, with a warning")
     sha256: str | None = Field(default=None, description="of the model file")
+    shelf_depth_m: float | None = Field(
+        default=None, description="that targets lie behind a shelf's front edge; null: it flies without a shelf"
+    )
 
 
 class PoliciesAnswer(Strict):

@@ -14,13 +14,15 @@ from fastapi_offline import FastAPIOffline
 from starlette.exceptions import HTTPException
 
 from softarm import __version__
-from softarm.daemon.api import metrics
 from softarm.daemon.api.aside import Aside
 from softarm.daemon.api.auth import Door
 from softarm.daemon.api.bounds import STREAMS_MAX, WHO, Guard
-from softarm.daemon.api.entrance import Entrance
+from softarm.daemon.api.endpoints import metrics
+from softarm.daemon.api.endpoints.entrance import Entrance
+from softarm.daemon.api.endpoints.pages import Pages
+from softarm.daemon.api.endpoints.policies import Installed, Policies, policy_answer, tried_out
+from softarm.daemon.api.endpoints.robot import robot_answer
 from softarm.daemon.api.login import Sessions
-from softarm.daemon.api.policies import Installed, Policies, policy_answer, tried_out
 from softarm.daemon.api.refusals import Refused, json_response, on_http_error, on_refused, refusal, whole
 from softarm.daemon.api.sentences import sentences
 from softarm.daemon.api.status import RecorderState, RequestAnswer, Status, StatusView
@@ -30,11 +32,13 @@ from softarm.daemon.control.inbox import ANSWER_S, STOP_WAITS, Inbox, InboxFull
 from softarm.daemon.control.records import Outputs, Problems, RequestKind, RequestResult
 from softarm.daemon.logbook import folder, incidents
 from softarm.daemon.logbook.history import KEPT, History
+from softarm.daemon.logbook.recent import KEPT_S, Recent
 from softarm.policies.base import Policy
 from softarm.policies.runner import PolicyRunner, ThreadRunner
 from softarm.recordings.listing import listing
 from softarm.schemas.config import Config
 from softarm.schemas.goals import Goal
+from softarm.schemas.messages import MocapFrame
 from softarm.schemas.rest import (
     EventsAnswer,
     GoalAnswer,
@@ -46,13 +50,16 @@ from softarm.schemas.rest import (
     PoliciesAnswer,
     PolicyBody,
     ReachBody,
+    RecentAnswer,
     Refusal,
+    RobotAnswer,
     TicketAnswer,
 )
 from softarm.schemas.robot import CONTROL_RATE_HZ
 
 LOADS_MAX, LOADING_S = 2, 120.0  # policies at once, time for each
 LISTINGS_MAX, LISTING_S = 8, 30.0
+RECENT_S = 10.0  # to make the last minutes text
 REFUSALS = {
     400: "a body that cannot be read as JSON at all",
     401: "the token is missing or wrong",
@@ -67,6 +74,8 @@ REFUSALS = {
 }
 ZIP = {"content": {"application/zip": {"schema": {"type": "string", "format": "binary"}}}}
 TEXT = {"content": {"text/plain": {"schema": {"type": "string"}}}}
+PAGE = {"content": {"text/html": {"schema": {"type": "string"}}}}
+FILE = {"content": {"*/*": {"schema": {"type": "string", "format": "binary"}}}}
 ANYWHERE = (401, 403, 408, 413)  # before a request is looked at
 
 
@@ -84,7 +93,10 @@ class ApiContext:
     problems: Callable[[], Problems] = _no_problems  # of the devices, as they are now
     recorder: RecorderState | None = None
     history: History = field(default_factory=lambda: History("", time.monotonic_ns, time.time_ns))
+    recent: Recent = field(default_factory=lambda: Recent(time.monotonic_ns, time.time_ns))
     policies: Policies | None = None  # None: `Installed`
+    frame: Callable[[], MocapFrame | None] = lambda: None  # the newest good one
+    simulated: bool = False  # the robot, in this process
     stop_port: Callable[[], int | None] = lambda: None  # of the stop's own way
     clock: Callable[[], int] = field(default=time.monotonic_ns)
 
@@ -97,7 +109,7 @@ def create_app(context: ApiContext) -> FastAPI:
     """
     door = Door(context.config.api)
     sessions = Sessions(context.config.api.port)
-    api, entrance = _Api(context), Entrance(door, sessions)
+    api, entrance, pages = _Api(context), Entrance(door, sessions), Pages(context.stop_port)
     app = FastAPIOffline(  # a bench may have no internet; FastAPI's own page loads its scripts from there
         title="softarm",
         version=__version__,
@@ -109,7 +121,11 @@ def create_app(context: ApiContext) -> FastAPI:
     app.add_exception_handler(HTTPException, on_http_error)
     app.add_exception_handler(RequestValidationError, api.on_invalid)
     for method, path, endpoint, answer, statuses in (
+        ("GET", "/", pages.index, PAGE, (404,)),
+        ("GET", "/dashboard/{path:path}", pages.file, FILE, (404,)),
+        ("GET", "/api/robot", api.robot, RobotAnswer, ()),
         ("GET", "/api/status", api.status, Status, (503,)),
+        ("GET", "/api/recent", api.get_recent, RecentAnswer, (422, 503, 504)),
         ("GET", "/api/health", api.health, Health, ()),
         ("POST", "/api/arm", api.arm, RequestAnswer, (409, 503)),
         ("POST", "/api/disarm", api.disarm, RequestAnswer, (409, 503)),
@@ -151,6 +167,7 @@ class _Api:
         self._policies = context.policies or Installed(context.config)
         self._loading = Aside(LOADS_MAX, LOADING_S)
         self._listing = Aside(LISTINGS_MAX, LISTING_S)
+        self._charting, self._charts = Aside(1, RECENT_S), asyncio.Lock()
         self._streams = 0
         self._view = StatusView(
             context.snapshot,
@@ -160,7 +177,23 @@ class _Api:
             context.clock,
             __version__,
             context.stop_port,
+            frame=context.frame,
         )
+
+    async def robot(self) -> Response:
+        """What does not change while the daemon runs: sizes, limits, where a stop is taken."""
+        context = self._context
+        answer = robot_answer(
+            context.config, run=context.history.run, simulated=context.simulated, stop_port=context.stop_port()
+        )
+        return json_response(answer.model_dump_json())
+
+    async def get_recent(self, seconds: str = "60") -> Response:
+        """The last `seconds` (1 to 600) as columns, a whole second at a time, for charts that survive a reload."""
+        wanted = whole("seconds", seconds, 1, KEPT_S)
+        async with self._charts:  # one after the other: whoever asks often waits for nobody but others like him
+            text = await self._charting.run("the last minutes", lambda: self._context.recent.json(wanted))
+        return json_response(text)
 
     async def status(self) -> Response:
         """Everything about the robot, as of the newest control tick."""

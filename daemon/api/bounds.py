@@ -23,7 +23,7 @@ MESSAGE_MAX = 1024  # bytes of what a WebSocket client says, which nobody listen
 STOP = "/api/stop"  # is carried out whatever comes along with it
 VERSION = (API_HEADER.encode(), b"%d" % API_VERSION)
 WHO, SESSION = "softarm.who", "softarm.session"  # in the scope: who asks, and the role of one who has logged in
-LOGIN = "/api/login"
+LOGIN, PAGES = "/api/login", "/dashboard/"
 SMALL = {("POST", "/api/logout"): Role.STOP, ("POST", "/api/ticket"): Role.VIEW}  # what changes nothing of the robot
 CLOSE = {"Connection": "close"}  # what is left of such a body is not read
 
@@ -111,14 +111,20 @@ def _too_new(version: bytes | None) -> tuple[int, str] | None:
 
 
 def _role(scope: Scope) -> Role | None:
-    """That a request takes; None: to log in takes none."""
+    """That a request takes; None: to log in takes none, nor does the dashboard, which holds nothing."""
     if scope["path"] == LOGIN and scope["type"] == "http" and scope["method"] in ("GET", "POST"):
+        return None
+    if scope["type"] == "http" and scope["method"] == "GET" and _is_page(scope["path"]):
         return None
     if scope["type"] == "http" and (scope["method"], scope["path"]) in SMALL:
         return SMALL[scope["method"], scope["path"]]
     if scope["type"] == "websocket" or scope["method"] in ("GET", "HEAD"):
         return Role.VIEW
     return Role.STOP if (scope["method"], scope["path"]) == ("POST", STOP) else Role.COMMAND
+
+
+def _is_page(path: str) -> bool:
+    return path == "/" or path.startswith(PAGES)
 
 
 def _too_long(length: bytes) -> tuple[int, str] | None:

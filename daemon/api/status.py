@@ -1,5 +1,6 @@
 """What the API says of the robot: the newest snapshot, and what stands around it."""
 
+import math
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields
@@ -11,7 +12,9 @@ from pydantic import TypeAdapter
 
 from softarm.daemon.control.records import EStop, Outputs, Problems
 from softarm.daemon.logbook.history import utc
+from softarm.policies.base import PolicySpec
 from softarm.policies.registry import PolicyEntry
+from softarm.schemas.messages import MocapFrame
 from softarm.schemas.policy import TrainingRange
 
 STALLED_NS = 200_000_000  # a snapshot older than this: the control loop does not tick
@@ -37,6 +40,7 @@ class PolicyInfo:
     description: str
     trained: TrainingRange | None
     sha256: str | None
+    shelf_depth_m: float | None = None  # that targets lie behind a shelf's front edge; null: it flies without a shelf
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,7 +65,11 @@ class RecorderInfo:
 class Status(Outputs):
     """The newest snapshot with what a person at the bench wants beside it; NaN is null."""
 
+    time: float  # of the tick, seconds of Unix' time
     stalled: bool  # the control loop no longer ticks: everything here is old
+    # y, z of each rigid body as motion capture sees it, in the order of `BODY_NAMES`: of the newest good frame, as old
+    # as `ages_ms.mocap` says. A body that is not seen is null; so is all of it before the first frame.
+    bodies: tuple[tuple[float, float] | None, ...] | None
     ages_ms: Ages
     problems: Problems
     policy_info: PolicyInfo | None
@@ -95,11 +103,13 @@ class StatusView:
         version: str,
         stop_port: Callable[[], int | None] = lambda: None,
         wall_ns: Callable[[], int] = time.time_ns,
+        frame: Callable[[], MocapFrame | None] = lambda: None,
     ) -> None:
+        """frame: the newest good one."""
         self._snapshot, self._problems, self._recorder = snapshot, problems, recorder
         self._clock, self._wall_ns = clock, wall_ns
         self._version = version
-        self._stop_port = stop_port
+        self._stop_port, self._frame = stop_port, frame
         self._started_ns = clock()
         self._cached: tuple[Outputs | None, bool, bytes] = (None, False, b"")
         self.policies = policies  # as they were last looked up
@@ -137,14 +147,14 @@ class StatusView:
     def _parts(self, outputs: Outputs, stalled: bool) -> dict[str, Any]:
         entry = self.policies.get(outputs.policy)
         spec = entry.spec if entry else None
-        box, seen = self._recorder, outputs.observed
+        box, frame = self._recorder, self._frame()
         return {name: getattr(outputs, name) for name in _OUTPUTS} | {
+            "time": self._wall_of(outputs.t_ns) * 1e-9,
             "stalled": stalled,
-            "ages_ms": Ages()
-            if seen is None
-            else Ages(seen.mocap_age_ns * 1e-6, seen.pressure_age_ns * 1e-6, seen.rail_age_ns * 1e-6),
+            "bodies": _bodies(frame),
+            "ages_ms": _ages(outputs, frame),
             "problems": self._problems(),
-            "policy_info": PolicyInfo(spec.name, spec.description, spec.trained, spec.sha256) if spec else None,
+            "policy_info": _policy_info(spec) if spec else None,
             "recorder": RecorderInfo(None, 0, None)
             if box is None
             else RecorderInfo(str(box.path) if box.path else None, box.dropped, box.problem),
@@ -155,7 +165,10 @@ class StatusView:
         }
 
     def _time_of(self, t_ns: int | None) -> datetime | None:
-        return None if t_ns is None else utc(self._wall_ns() + t_ns - self._clock())
+        return None if t_ns is None else utc(self._wall_of(t_ns))
+
+    def _wall_of(self, t_ns: int) -> int:
+        return self._wall_ns() + t_ns - self._clock()
 
     def why_unhealthy(self) -> list[str]:
         """Every reason for which the robot cannot be used now; empty when it can."""
@@ -180,3 +193,22 @@ class StatusView:
         if self._recorder is not None and self._recorder.problem is not None:
             reasons.append(f"recorder: {self._recorder.problem}")
         return reasons
+
+
+def _policy_info(spec: PolicySpec) -> PolicyInfo:
+    return PolicyInfo(spec.name, spec.description, spec.trained, spec.sha256, spec.shelf_depth_m)
+
+
+def _ages(outputs: Outputs, frame: MocapFrame | None) -> Ages:
+    """Of what the tick was fed; where it is fed nothing yet, of the cameras all the same."""
+    seen = outputs.observed
+    if seen is not None:
+        return Ages(seen.mocap_age_ns * 1e-6, seen.pressure_age_ns * 1e-6, seen.rail_age_ns * 1e-6)
+    return Ages() if frame is None else Ages(max(0, outputs.t_ns - frame.t_capture_ns) * 1e-6)
+
+
+def _bodies(frame: MocapFrame | None) -> tuple[tuple[float, float] | None, ...] | None:
+    if frame is None:
+        return None
+    is_seen = (body.tracked and math.isfinite(body.y_m) and math.isfinite(body.z_m) for body in frame.bodies)
+    return tuple((body.y_m, body.z_m) if seen else None for body, seen in zip(frame.bodies, is_seen, strict=True))

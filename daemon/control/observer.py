@@ -41,6 +41,7 @@ class Observer:
         self.plausibility = Plausibility()
         self._on_the_way_ns: deque[int] = deque(maxlen=WINDOW)
         self.newest: MocapFrame | None = None  # good or not
+        self.good: MocapFrame | None = None  # the newest that is
         self.seen: tuple[Sighting, ...] = ()  # this tick's, oldest first
         self.pressure: PressureReading | None = None
         self.rail: RailReading | None = None
@@ -128,7 +129,7 @@ class Observer:
             self.newest = frame
             newer = newest_ns is None or frame.t_capture_ns > newest_ns
             if newer and is_usable(frame) and self.plausibility.accepts(frame, axis_m):
-                newest_ns, self._sequence = frame.t_capture_ns, frame.sequence
+                newest_ns, self._sequence, self.good = frame.t_capture_ns, frame.sequence, frame
                 self.frames_in_a_row += 1
                 self._on_the_way_ns.append(frame.t_receive_ns - frame.t_capture_ns)
                 yield _sighting(frame)

@@ -19,6 +19,7 @@ from softarm.daemon.control.records import Inputs, Outputs, TickTiming
 from softarm.daemon.logbook import folder, ticks
 from softarm.daemon.logbook.history import History
 from softarm.daemon.logbook.incidents import Incidents
+from softarm.daemon.logbook.recent import Recent
 from softarm.daemon.logbook.thinning import Thinning, Tick
 from softarm.daemon.logbook.tick_file import TickFile
 from softarm.policies.base import PolicySpec
@@ -78,6 +79,7 @@ class Recorder:
         self._thinning = Thinning(self._settings.idle_interval_s, self._settings.around_s)
         self._run, self._parts = secrets.token_hex(8), 0  # one run may leave several files
         self.history = History(self._run, monotonic_ns, wall_ns)
+        self.recent = Recent(monotonic_ns, wall_ns)
         self._incidents = Incidents(config, monotonic_ns, wall_ns) if self._settings.enabled else None
         self._refused = 0  # ticks that the loop could not leave here
         self._lost = 0  # ticks that the writer took and could not write
@@ -253,8 +255,9 @@ class Recorder:
             self._tell(item.tick if isinstance(item, _Unkept) else item)
 
     def _tell(self, tick: Tick) -> list[Entry]:
-        """What happened in a tick: told, and an emergency stop pinned."""
+        """What happened in a tick: told, kept for charts, and an emergency stop pinned."""
         entries = self.history.take(*tick[:2])
+        self.recent.take(tick[1])
         if self._incidents is not None:
             self._incidents.happened(tick[1], entries)
         return entries

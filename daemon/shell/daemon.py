@@ -50,7 +50,7 @@ def simulated_devices(model: Model | None = None) -> Devices:
     from softarm.drivers.bodies.simulated import SimulatedBody
 
     robot = InProcessRobot(SimulatedBody(model), time.monotonic_ns())
-    return Devices(robot.mocap, robot.regulator, robot.rail)
+    return Devices(robot.mocap, robot.regulator, robot.rail, simulated=True)
 
 
 def latch_of(config: Config) -> LatchKeeper:
@@ -73,8 +73,9 @@ class Daemon:
         self.latch = latch
         self.notifier = Notifier()
         self.watchdog = Watchdog(self.notifier)
+        controller = Controller(config, ThreadRunner(policy, config.failsafe.policy_budget_s))
         self.loop = ControlLoop(
-            Controller(config, ThreadRunner(policy, config.failsafe.policy_budget_s)),
+            controller,
             devices,
             self.inbox,
             self.recorder,
@@ -90,7 +91,10 @@ class Daemon:
             lambda: self.loop.problems,
             self.recorder,
             self.recorder.history,
+            self.recorder.recent,
+            frame=lambda: controller.frame,
             stop_port=lambda: self.stop_port,
+            simulated=devices.simulated,
         )
         self.api = ApiServer(config.api, create_app(context))
         self.stop_way = StopListener(

@@ -39,6 +39,7 @@ class Devices:
     mocap: MocapSource
     regulator: PressureRegulator
     rail: RailAxis
+    simulated: bool = False  # in this process
 
     def all(self) -> tuple[Device, ...]:
         """In the order in which they are started."""

@@ -384,6 +384,10 @@ def test_the_documentation_names_every_endpoint_with_an_example(client):
     assert all(client.get(script).status_code == 200 for script in scripts)  # nothing from the internet
     api = client.get("/openapi.json").json()
     assert {(method.upper(), path) for path, methods in api["paths"].items() for method in methods} == {
+        ("GET", "/"),
+        ("GET", "/dashboard/{path}"),
+        ("GET", "/api/robot"),
+        ("GET", "/api/recent"),
         ("GET", "/api/status"),
         ("GET", "/api/health"),
         ("POST", "/api/arm"),

@@ -59,4 +59,5 @@ def policy_answer(entry: PolicyEntry) -> PolicyAnswer:
         episode_steps=spec.episode_steps,
         trained=spec.trained,
         sha256=spec.sha256,
+        shelf_depth_m=spec.shelf_depth_m,
     )

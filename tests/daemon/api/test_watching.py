@@ -1,0 +1,124 @@
+"""What a page shows of the robot: what stays as it is, the last minutes, where the bodies are, and when."""
+
+import asyncio
+import json
+import math
+import time
+from dataclasses import replace
+
+import httpx
+import pytest
+
+from softarm import __version__
+from softarm.daemon.api.status import StatusView
+from softarm.daemon.control.records import Outputs, Problems
+from softarm.daemon.logbook.recent import NAMES, Recent
+from softarm.daemon.shell.daemon import simulated_devices
+from softarm.policies import registry
+from softarm.schemas.config import Config
+from softarm.schemas.messages import BODY_NAMES, MocapFrame, Pose
+from softarm.schemas.rest import RobotAnswer
+
+BODIES = tuple(Pose(0.01 * n, 0.9 - 0.1 * n, 0.0) for n in range(6))
+
+
+def test_what_stays_as_it_is(loop, app, client_of):
+    config = Config(limits={"rail": {"position_max_m": 0.2}}, goals={"success_radius_m": 0.03})
+    answer = client_of(app(loop, config, stop_port=lambda: 8081)).get("/api/robot").json()
+    assert RobotAnswer.model_validate(answer).version == __version__
+    assert answer["bodies"] == list(BODY_NAMES)
+    assert answer["hinge_z_m"] == 0.965
+    assert answer["reach_m"] == pytest.approx(0.4425 + 0.03)
+    assert sum(answer["link_length_m"]) == pytest.approx(0.4425)
+    assert answer["rail_travel_m"] == [-0.3, 0.3]
+    assert answer["rail_limit_m"] == [-0.25, 0.2]
+    assert answer["pressure_limit_kpa"] == [-0.7, 20.0]
+    assert answer["workspace"]["z_max_m"] == 0.85
+    assert (answer["stop_port"], answer["simulated"], answer["rate_hz"]) == (8081, False, 30)
+    assert client_of(app(loop, simulated=True)).get("/api/robot").json()["simulated"] is True
+    assert simulated_devices().simulated
+
+
+def test_it_is_there_before_the_loop_ticks(silent):
+    client, loop = silent
+    loop.outputs = None
+    assert client.get("/api/robot").status_code == 200
+    assert client.get("/").status_code == 200
+    assert client.get("/api/recent").json() == {name: [] for name in NAMES}
+
+
+def test_the_last_minutes(loop, app, client_of):
+    recent = Recent(time.monotonic_ns, time.time_ns)
+    recent.take(loop.outputs)
+    client = client_of(app(loop, recent=recent))
+    answer = client.get("/api/recent?seconds=5")
+    assert answer.headers["content-type"] == "application/json"
+    said = answer.json()
+    assert said["tick"] == [0]
+    assert said["time"] == [pytest.approx(time.time(), abs=5)]
+
+
+@pytest.mark.parametrize("seconds", ["0", "-1", "601", "1.5", "nan", "", "٣"])
+def test_seconds_that_are_not_kept_are_refused(client, seconds):
+    answer = client.get("/api/recent", params={"seconds": seconds})
+    assert answer.status_code == 422
+    assert "allowed a whole number from 1 to 600" in answer.json()["detail"]
+
+
+def test_many_who_reload_at_once_are_all_answered(loop, app):
+    recent = Recent(time.monotonic_ns, time.time_ns)
+    for tick in range(3000):
+        recent.take(replace(loop.outputs, tick=tick, t_ns=tick * 33_333_333))
+    made = app(loop, recent=recent)
+
+    async def reload() -> list[int]:
+        async with httpx.AsyncClient(transport=httpx.ASGITransport(made), base_url="http://127.0.0.1") as client:
+            answers = await asyncio.gather(*(client.get(f"/api/recent?seconds={n % 60 + 1}") for n in range(100)))
+        return [answer.status_code for answer in answers]
+
+    assert asyncio.run(reload()) == [200] * 100
+
+
+def view_of(outputs: Outputs, frame: MocapFrame | None, wall_ns: int = 0, now_ns: int = 0) -> dict:
+    view = StatusView(
+        lambda: outputs, Problems, None, {}, lambda: now_ns, "1", wall_ns=lambda: wall_ns, frame=lambda: frame
+    )
+    return json.loads(view.json())
+
+
+def test_the_status_has_the_time_of_its_tick(silent):
+    outputs = replace(silent[1].outputs, t_ns=3_000_000_000)
+    status = view_of(outputs, None, wall_ns=1_700_000_000_000_000_000, now_ns=5_000_000_000)
+    assert status["time"] == pytest.approx(1_699_999_998.0, abs=1e-5)
+
+
+def test_the_bodies_are_those_of_the_newest_good_frame(silent):
+    outputs = silent[1].outputs
+    assert view_of(outputs, None)["bodies"] is None
+    lost = (*BODIES[:4], replace_pose(BODIES[4], tracked=False), replace_pose(BODIES[5], z_m=math.inf))
+    assert view_of(outputs, MocapFrame(7, 0, 0, lost))["bodies"] == [
+        *([body.y_m, body.z_m] for body in BODIES[:4]),
+        None,
+        None,
+    ]
+
+
+def replace_pose(pose: Pose, **changes) -> Pose:
+    return pose._replace(**changes)
+
+
+def test_bodies_without_an_observation_have_their_age_all_the_same(silent):
+    outputs = replace(silent[1].outputs, observed=None, t_ns=50_000_000)
+    assert view_of(outputs, MocapFrame(7, 10_000_000, 0, BODIES))["ages_ms"] == {
+        "mocap": 40.0,
+        "pressure": None,
+        "rail": None,
+    }
+    assert view_of(outputs, None)["ages_ms"]["mocap"] is None
+
+
+def test_a_policy_for_the_shelf_says_how_deep_its_targets_lie():
+    policies = registry.available({})
+    assert policies["reach"].spec.shelf_depth_m is None
+    shelves = [entry.spec.shelf_depth_m for name, entry in policies.items() if "shelf" in name]
+    assert shelves == [0.075] * len(shelves) != []
