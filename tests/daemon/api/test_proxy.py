@@ -1,4 +1,4 @@
-"""The proxy of docs/service.md, as it stands there: log in, command and stream through TLS."""
+"""The proxies of docs/service.md, as they stand there: log in, command and stream through TLS."""
 
 import re
 import shutil
@@ -21,7 +21,7 @@ TOKEN = "c" * 32
 
 pytestmark = [
     pytest.mark.slow,
-    pytest.mark.skipif(not (shutil.which("nginx") and shutil.which("openssl")), reason="nginx or openssl is missing"),
+    pytest.mark.skipif(shutil.which("openssl") is None, reason="openssl is missing"),
 ]
 
 
@@ -38,17 +38,24 @@ def answers(port: int) -> bool:
     return True
 
 
-def nginx_conf(folder: Path, api_port: int, port: int) -> Path:
-    """The page's server, with this test's ports and certificate."""
-    server = re.search(r"```nginx\n(.*?)```", PAGE.read_text(encoding="utf-8"), re.S)[1]
-    for was, now in (
+def example(language: str, *changes: tuple[str, str]) -> str:
+    """What the page says for a proxy, with this test's ports and certificate."""
+    text = re.search(rf"```{language}\n(.*?)```", PAGE.read_text(encoding="utf-8"), re.S)[1]
+    for was, now in changes:
+        assert was in text
+        text = text.replace(was, now)
+    return text
+
+
+def nginx(folder: Path, api_port: int, port: int) -> list[str | Path]:
+    """The command that runs it."""
+    server = example(
+        "nginx",
         ("listen 443 ssl", f"listen 127.0.0.1:{port} ssl"),
         ("http://127.0.0.1:8080", f"http://127.0.0.1:{api_port}"),
         (f"/etc/ssl/{NAME}.pem", str(folder / "cert.pem")),
         (f"/etc/ssl/{NAME}.key", str(folder / "key.pem")),
-    ):
-        assert was in server
-        server = server.replace(was, now)
+    )
     kinds = ("client_body", "proxy", "fastcgi", "uwsgi", "scgi")
     paths = "".join(f"{kind}_temp_path {folder}/{kind};" for kind in kinds)
     conf = folder / "nginx.conf"
@@ -56,12 +63,27 @@ def nginx_conf(folder: Path, api_port: int, port: int) -> Path:
         f"daemon off; pid {folder}/pid; error_log {folder}/error.log;\n"
         f"events {{}}\nhttp {{ access_log off; {paths}\n{server}\n}}\n"
     )
-    return conf
+    return ["nginx", "-p", folder, "-c", conf, "-e", folder / "early.log"]
 
 
-@pytest.fixture
-def proxied(loop, app, serving, tmp_path):
+def caddy(folder: Path, api_port: int, port: int) -> list[str | Path]:
+    """The command that runs it; with a certificate of its own it fetches none."""
+    own = f"    bind 127.0.0.1\n    tls {folder / 'cert.pem'} {folder / 'key.pem'}\n"
+    site = example(
+        "Caddyfile", (f"{NAME} {{\n", f"{NAME}:{port} {{\n{own}"), ("127.0.0.1:8080", f"127.0.0.1:{api_port}")
+    )
+    conf = folder / "Caddyfile"
+    conf.write_text(f"{{\n    admin off\n    auto_https disable_redirects\n}}\n{site}")
+    return ["caddy", "run", "--config", conf, "--adapter", "caddyfile"]
+
+
+@pytest.fixture(params=[nginx, caddy], ids=lambda proxy: proxy.__name__)
+def proxied(request, loop, app, serving, tmp_path, monkeypatch):
     """The proxy's port, and what trusts its certificate."""
+    if shutil.which(request.param.__name__) is None:
+        pytest.skip(f"{request.param.__name__} is missing")
+    for folder in ("XDG_DATA_HOME", "XDG_CONFIG_HOME"):  # caddy's own
+        monkeypatch.setenv(folder, str(tmp_path))
     (tmp_path / "token").write_text(TOKEN)
     (tmp_path / "token").chmod(0o600)
     made = f"req -x509 -newkey rsa:2048 -nodes -days 2 -subj /CN={NAME} -addext subjectAltName=DNS:{NAME}".split()
@@ -70,18 +92,17 @@ def proxied(loop, app, serving, tmp_path):
     port = free_port()
     config = Config(api={"port": 0, "token_file": tmp_path / "token", "public_origin": f"https://{NAME}:{port}"})
     with serving(app(loop, config), config.api) as api_port:
-        command = ["nginx", "-p", tmp_path, "-c", nginx_conf(tmp_path, api_port, port), "-e", tmp_path / "early.log"]
-        nginx = subprocess.Popen(command)
+        proxy = subprocess.Popen(request.param(tmp_path, api_port, port))
         try:
             deadline = time.monotonic() + 20
             while not answers(port):
-                assert nginx.poll() is None, "nginx ended; see its message above"
+                assert proxy.poll() is None, "the proxy ended; see its message above"
                 assert time.monotonic() < deadline
                 time.sleep(0.02)
             yield port, ssl.create_default_context(cafile=tmp_path / "cert.pem")
         finally:
-            nginx.terminate()
-            nginx.wait(timeout=10)
+            proxy.terminate()
+            proxy.wait(timeout=10)
 
 
 def test_a_browser_logs_in_commands_and_streams_through_tls(proxied, loop):
