@@ -4,7 +4,7 @@ PYTHON ?= python3
 BIN := .venv/bin
 SHELL := /bin/sh
 
-.PHONY: install demo test quick lint types imports unit unit-quick coverage prove clean
+.PHONY: install demo test quick lint types imports unit unit-quick coverage docs prove clean
 
 install: .venv/.installed
 
@@ -54,6 +54,10 @@ coverage: .venv/.installed-dev
 	@for room in $$(cd softarm && ls -d */ | grep -v benchmarks); do \
 	    echo "$$room $$($(BIN)/coverage report --format=total --include="softarm/$$room*") %"; \
 	done; echo "the house $$($(BIN)/coverage report --format=total) %"
+
+# The pages as a site in site/: open site/index.html.
+docs: .venv/.installed-dev
+	$(BIN)/mkdocs build --quiet
 
 # What is shown by trying for long, part by part: docs/proof.md. A small part of each is among the tests.
 FUZZ_MINUTES ?= 60
