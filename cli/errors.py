@@ -4,13 +4,19 @@ from typing import IO, Any, NoReturn
 
 import click
 
+from softarm.cli.words import in_commands
+
 
 class Failure(click.ClickException):
     """What went wrong, and the next step."""
 
     def show(self, file: IO[Any] | None = None) -> None:
         """Print the sentence as it is: a problem of a file begins with FILE:LINE, which editors follow."""
-        click.echo(self.format_message(), file=file, err=file is None)
+        click.echo(in_commands(self.format_message()), file=file, err=file is None)
+
+
+class Unreachable(Failure):
+    """No daemon answers; a verb that can do without one catches this."""
 
 
 def fail(text: str) -> NoReturn:

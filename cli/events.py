@@ -12,6 +12,7 @@ from softarm.cli.errors import fail
 from softarm.cli.options import FILE
 from softarm.cli.printing import clock
 from softarm.cli.remote import Remote, remote
+from softarm.cli.words import all_in_commands
 
 Json = dict[str, Any]
 POLL_S = 0.5
@@ -38,7 +39,7 @@ def events(daemon: Remote, log: Path | None, limit: int, follow: bool, as_json: 
     if log is not None and follow:
         raise click.UsageError("a log does not grow here: leave LOG out to follow the running daemon")
     found = _recorded(log) if log is not None else _live(daemon, limit, follow)
-    for event in found:
+    for event in map(all_in_commands, found):
         click.echo(json.dumps(event) if as_json else f"{clock(event['time'])}  {event['text']}")
 
 

@@ -1,24 +1,25 @@
 """`softarm goal`: what the arm is to do."""
 
-import time
 from typing import Any
 
 import click
-from rich.console import Console
 
-from softarm.cli.errors import fail
+from softarm.cli.following import follow
+from softarm.cli.printing import print_option
 from softarm.cli.remote import Remote, remote
+from softarm.cli.verbs import Verbs
 
-_POLL_S = 0.1
+wait_option = click.option("--wait", is_flag=True, help="Wait for the end; exit code 1 when it is not reached.")
 
 
-@click.group()
+@click.group(cls=Verbs)
 def goal() -> None:
-    """Reach for a target, hold, or cancel. The arm must be armed.
+    """Reach for a target, run, hold, or cancel. The arm must be armed.
 
     \b
     Examples:
       softarm goal reach -0.2 0.6 --wait
+      softarm goal run
       softarm goal hold
       softarm goal cancel
     """
@@ -28,27 +29,42 @@ def goal() -> None:
 @goal.command(context_settings={"ignore_unknown_options": True})
 @click.argument("y", type=float)
 @click.argument("z", type=float)
-@click.option("--wait", is_flag=True, help="Wait for the end; exit code 1 when the target is not reached.")
+@wait_option
+@print_option
 @remote
-def reach(daemon: Remote, y: float, z: float, wait: bool) -> None:
+def reach(daemon: Remote, y: float, z: float, wait: bool, as_json: bool) -> None:
     """Swing the tip to Y (along the rail) and Z (up), in metres.
 
     \b
     Examples:
       softarm goal reach -0.2 0.6
       softarm goal reach -0.35 0.65 --wait
+      softarm goal reach -0.2 0.6 --wait --json
     """
-    answer = daemon.post("/api/goal", {"kind": "reach", "y_m": y, "z_m": z})
-    for warning in answer["warnings"]:
-        click.echo(f"warning: {warning}", err=True)
-    if not wait:
-        click.echo(f"reaching for y {y:g}, z {z:g} m")
-        return
-    with Console(stderr=True).status(f"reaching for y {y:g}, z {z:g} m"):
-        ended = _wait_for_end(daemon, answer["goal"]["number"])
-    if ended["state"] != "reached":
-        fail(f"{ended['state']}: {ended['reason']}")
-    click.echo(f"reached in {ended['time_s']:.2f} s, closest {ended['closest_m']:.3f} m")
+    answer = _give(daemon, {"kind": "reach", "y_m": y, "z_m": z})
+    follow(daemon, answer, f"reaching for y {y:g}, z {z:g} m", wait, as_json)
+
+
+@goal.command()
+@click.option("--seconds", type=click.FloatRange(0, min_open=True), help="Cancel it after so long.")
+@wait_option
+@print_option
+@remote
+def run(daemon: Remote, seconds: float | None, wait: bool, as_json: bool) -> None:
+    """Let the policy in use play what it plays: for policies that need no target.
+
+    It ends where the policy's own episode does; one without an end is played until another goal, `softarm goal cancel`
+    or --seconds.
+
+    \b
+    Examples:
+      softarm goal run
+      softarm goal run --wait
+      softarm goal run --seconds 10
+    """
+    answer = _give(daemon, {"kind": "run"})
+    lasting = "" if seconds is None else f" for {seconds:g} s"
+    follow(daemon, answer, f"running {answer['policy']}{lasting}", wait, as_json, seconds)
 
 
 @goal.command()
@@ -60,7 +76,7 @@ def hold(daemon: Remote) -> None:
     Example:
       softarm goal hold
     """
-    daemon.post("/api/goal", {"kind": "hold"})
+    _give(daemon, {"kind": "hold"})
     click.echo("holding")
 
 
@@ -77,10 +93,9 @@ def cancel(daemon: Remote) -> None:
     click.echo("cancelled")
 
 
-def _wait_for_end(daemon: Remote, number: int) -> dict[str, Any]:
-    """Poll the goal until it has ended; the daemon's own time limit sees to that."""
-    while (now := daemon.get("/api/goal"))["state"] == "running" and now["number"] == number:
-        time.sleep(_POLL_S)
-    if now["number"] != number:
-        fail("another goal has taken its place: see `softarm status`")
-    return dict(now)
+def _give(daemon: Remote, body: dict[str, object]) -> dict[str, Any]:
+    """Give the goal; warnings go to stderr."""
+    answer = daemon.post("/api/goal", body)
+    for warning in answer["warnings"]:
+        click.echo(f"warning: {warning}", err=True)
+    return dict(answer)

@@ -1,13 +1,18 @@
 """A click group of verbs in sections: a verb's module is imported when the verb is used; help imports none."""
 
+import traceback
 from collections.abc import Mapping
 from importlib import import_module
+from pathlib import Path
 from typing import Any, NamedTuple, NoReturn
 
 import click
 
 from softarm.cli.errors import fail
-from softarm.common.words import nearest
+from softarm.cli.interrupt import INTERRUPTED, interrupted
+from softarm.cli.verbs import Verbs
+
+DEFECT = 70  # exit code: ours, not the user's (EX_SOFTWARE of sysexits.h)
 
 
 class Verb(NamedTuple):
@@ -18,7 +23,7 @@ class Verb(NamedTuple):
     extra: str = ""  # the extra of the package that brings what it imports
 
 
-class LazyGroup(click.Group):
+class LazyGroup(Verbs):
     """Commands by a table: section -> name -> verb."""
 
     def __init__(self, *args: Any, sections: Mapping[str, Mapping[str, Verb]], **options: Any) -> None:
@@ -45,22 +50,28 @@ class LazyGroup(click.Group):
     def resolve_command(
         self, ctx: click.Context, args: list[str]
     ) -> tuple[str | None, click.Command | None, list[str]]:
-        """Find the verb; a missing package and a misspelt name are told with what to do."""
+        """Find the verb; a missing package is told with what to do, a misspelt name as Verbs does."""
         try:
             return super().resolve_command(ctx, args)
         except ModuleNotFoundError as error:
             self._explain_missing(args[0], error)
-        except click.UsageError:
-            near = nearest(args[0], self._verbs)
-            hint = f"did you mean '{near}'?" if near else "`softarm --help` lists the verbs."
-            raise click.UsageError(f"no verb '{args[0]}'; {hint}", ctx) from None
 
     def invoke(self, ctx: click.Context) -> Any:
-        """Run the verb."""
+        """Run the verb. Ctrl-C says what it leaves; a defect is one line, or with --debug a traceback."""
         try:
             return super().invoke(ctx)
         except ModuleNotFoundError as error:
             self._explain_missing(ctx.invoked_subcommand or "", error)
+        except (KeyboardInterrupt, click.Abort):
+            click.echo(f"\n{interrupted(ctx)}", err=True)
+            ctx.exit(INTERRUPTED)
+        except (click.ClickException, click.exceptions.Exit, BrokenPipeError):
+            raise
+        except Exception as error:
+            if ctx.params["debug"]:
+                raise
+            click.echo(defect(ctx.invoked_subcommand or "", error), err=True)
+            ctx.exit(DEFECT)
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """List the verbs from the table, so that help imports nothing."""
@@ -78,3 +89,11 @@ class LazyGroup(click.Group):
             f"softarm {name} needs the package '{package}': "
             + (f"pip install 'softarm[{verb.extra}]'" if verb and verb.extra else "install softarm again")
         )
+
+
+def defect(name: str, error: Exception) -> str:
+    """An error that no verb expects, in one line: where it came from, and the next step."""
+    at = traceback.extract_tb(error.__traceback__)[-1]
+    what = " ".join(f"{type(error).__name__}: {error}".split())
+    where = f"{Path(at.filename).name}:{at.lineno}"
+    return f"softarm {name}: a defect of ours ({where}): {what}; report what `softarm --debug {name} ...` shows"

@@ -18,9 +18,10 @@ VERBS: dict[str, dict[str, Verb]] = {
         "disarm": Verb("arming:disarm", "Brake, vent and switch the drive off."),
         "stop": Verb("arming:stop", "Emergency stop; latched until acknowledged."),
         "acknowledge": Verb("arming:acknowledge", "Release a latched emergency stop."),
-        "goal": Verb("goal:goal", "Reach for a target, hold, or cancel."),
+        "goal": Verb("goal:goal", "Reach for a target, run, hold, or cancel."),
         "policy": Verb("policy:policy", "List the policies, choose one."),
         "events": Verb("events:events", "What happened, and who asked for it."),
+        "incidents": Verb("incidents:incidents", "The files of emergency stops; fetch one."),
         "logs": Verb("logs:logs", "List the recordings."),
         "replay": Verb("replay:replay", "Run a recording through the tick again and compare."),
     },
@@ -46,7 +47,10 @@ VERBS: dict[str, dict[str, Verb]] = {
 
 @click.group(cls=LazyGroup, sections=VERBS, context_settings={"help_option_names": ["-h", "--help"]})
 @click.version_option(package_name="softarm")
-def main() -> None:
+@click.option(
+    "--debug", is_flag=True, envvar="SOFTARM_DEBUG", help="Show the traceback of a defect ($SOFTARM_DEBUG=1)."
+)
+def main(debug: bool) -> None:
     """Control, simulation and training for a dynamic soft robot arm on a rail.
 
     \b

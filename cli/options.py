@@ -74,8 +74,13 @@ def write_json(file: Path | None, data: object) -> None:
 
 def write(file: Path, text: str) -> None:
     """Write a file, and say so. Ends the command with a sentence when it cannot be written."""
+    write_bytes(file, text.encode())
+
+
+def write_bytes(file: Path, content: bytes) -> None:
+    """Write a file, and say so, as `write` does."""
     try:
-        files.write_text(file, text)
+        files.write_bytes(file, content)
     except OSError as error:
         fail(f"{error.filename}: cannot be written ({error.strerror}); name another place")
     click.echo(f"wrote {file}")

@@ -1,10 +1,23 @@
 """What verbs print that is more than a line: wrapped to the terminal, without colours or markup of rich's own."""
 
+import json
 import sys
-from collections.abc import Iterable, Sequence
+import threading
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from datetime import datetime
 
+import click
+
 WIDTH = 80  # where there is no terminal
+PATIENCE_S = 2.0  # nobody waits longer without a word
+
+print_option = click.option("--json", "as_json", is_flag=True, help="Print JSON, for a script.")
+
+
+def print_json(answer: object) -> None:
+    """Print what --json asks for."""
+    click.echo(json.dumps(answer, indent=1))
 
 
 def clock(time: str) -> str:
@@ -31,3 +44,22 @@ def print_text(text: str) -> None:
     from rich.console import Console
 
     Console().print(text, markup=False, highlight=False)
+
+
+@contextmanager
+def waiting(text: str) -> Iterator[None]:
+    """Say on standard error what is waited for: at once on a terminal, else once it has taken two seconds."""
+    from rich.console import Console
+
+    console = Console(stderr=True)
+    if console.is_terminal:
+        with console.status(text):
+            yield
+        return
+    later = threading.Timer(PATIENCE_S, click.echo, (f"{text} ...",), {"err": True})
+    later.daemon = True
+    later.start()
+    try:
+        yield
+    finally:
+        later.cancel()

@@ -7,6 +7,7 @@ import click
 
 from softarm.cli.errors import fail
 from softarm.cli.options import config_option, flown_model, model_option
+from softarm.cli.words import Formatter
 
 if TYPE_CHECKING:
     from softarm.daemon.shell.daemon import Daemon
@@ -42,7 +43,9 @@ def run(config_file: Path | None, simulated: bool, model_file: Path | None) -> N
         raise click.UsageError(
             "which robot? --config FILE for real devices (`softarm config new` writes one), or --simulated"
         )
-    logging.basicConfig(level=logging.INFO, format="%(levelname)s %(name)s: %(message)s")
+    output = logging.StreamHandler()
+    output.setFormatter(Formatter("%(levelname)s %(name)s: %(message)s"))
+    logging.basicConfig(level=logging.INFO, handlers=[output])
     logging.getLogger("uvicorn").setLevel(logging.WARNING)
     try:
         config = configuration.load(config_file) if config_file else Config()

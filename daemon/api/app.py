@@ -14,6 +14,7 @@ from fastapi_offline import FastAPIOffline
 from starlette.exceptions import HTTPException
 
 from softarm import __version__
+from softarm.common.words import did_you_mean
 from softarm.daemon.api.aside import Aside
 from softarm.daemon.api.auth import Door
 from softarm.daemon.api.bounds import STREAMS_MAX, WHO, Guard
@@ -406,7 +407,8 @@ class _Api:
         """Aside: a policy, tried out."""
         entries = self._policies.available()
         if name not in entries:
-            raise Refused(404, f"no policy '{name}'; there are: {', '.join(entries) or 'none'}")
+            hint = did_you_mean(name, entries)
+            raise Refused(404, f"no policy '{name}'; {hint}there are: {', '.join(entries) or 'none'}")
         self._view.policies = entries
         return tried_out(self._policies, name)
 

@@ -22,6 +22,8 @@ def status(**changes):
     """A status as GET /api/status gives it."""
     values = {
         "t_ns": 0,
+        "time": 1.7e9,
+        "bodies": None,
         "tick": 1234,
         "late_ns": 200_000,
         "missed": 0,

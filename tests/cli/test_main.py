@@ -97,10 +97,47 @@ def test_the_module_of_a_verb_imports_nothing_heavy():
 
 
 def test_a_file_of_the_room_is_a_verb_or_what_verbs_share_and_fits_three_screens():
-    ours = "__init__ main lazy_group errors options rail_limits check_stage diagnosed remote printing wires"
-    shared = set(ours.split())
+    ours = "__init__ main lazy_group verbs errors interrupt options rail_limits check_stage diagnosed client remote"
+    shared = set(ours.split()) | {"following", "printing", "wires", "words"}
     verbs = {verb.target.partition(":")[0] for section in VERBS.values() for verb in section.values()}
     files = list((Path(__file__).parents[2] / "cli").rglob("*.py"))
     assert {file.stem for file in files} == shared | verbs
     lines = {file.stem: len(file.read_text(encoding="utf-8").splitlines()) for file in files}
     assert not {stem: count for stem, count in lines.items() if count > LINES_MAX}
+
+
+@pytest.fixture
+def broken(monkeypatch, tmp_path):
+    """A verb that raises what the test says."""
+
+    def verb(error):
+        line = f"raise {error}('of the test')"
+        (tmp_path / "broken_verb.py").write_text(
+            "import click\nfrom softarm.cli.interrupt import leaves\n\n@click.command()\ndef verb():\n"
+            f"    '''Nothing.'''\n    leaves('all as it was')\n    {line}\n"
+        )
+        monkeypatch.setattr("softarm.cli.__path__", [*cli.__path__, str(tmp_path)])
+        monkeypatch.setitem(VERBS["Run"], "broken", Verb("broken_verb:verb", "Breaks."))
+        monkeypatch.delitem(sys.modules, "softarm.cli.broken_verb", raising=False)
+
+    return verb
+
+
+def test_a_defect_is_one_line_and_with_debug_a_traceback(broken):
+    broken("ZeroDivisionError")
+    result = run("broken")
+    assert result.exit_code == 70
+    where = "(broken_verb.py:8): ZeroDivisionError: of the test; report what `softarm --debug broken ...` shows\n"
+    assert result.stderr == f"softarm broken: a defect of ours {where}"
+    assert isinstance(run("--debug", "broken").exception, ZeroDivisionError)
+
+
+def test_ctrl_c_says_what_it_leaves_and_ends_with_130(broken):
+    broken("KeyboardInterrupt")
+    result = run("broken")
+    assert (result.exit_code, result.stderr) == (130, "\ninterrupted: all as it was\n")
+
+
+def test_a_misspelt_verb_of_a_verb_gets_the_nearest_one():
+    assert "no verb 'reahc'; did you mean 'reach'?" in run("goal", "reahc").output
+    assert "`softarm goal --help` lists the verbs." in run("goal", "xyzzy").output

@@ -1,5 +1,6 @@
 """The verbs that talk to a running daemon: what they ask, what they print, how they fail."""
 
+import json
 import socket
 from datetime import UTC, datetime
 
@@ -166,6 +167,26 @@ def test_policies_are_listed_with_the_one_in_use_marked(softarm, daemon):
     )
     daemon.on("GET", "/api/policies", PoliciesAnswer(active="reach-wide", policies=policies).model_dump())
     assert softarm("policy", "list").stdout == "  hold        stands still\n* reach-wide  learned\n"
+    assert json.loads(softarm("policy", "list", "--json").stdout)["active"] == "reach-wide"
+
+
+def test_without_a_daemon_the_policies_of_this_machine_are_listed(softarm, daemon):
+    daemon.close()
+    result = softarm("policy", "list")
+    assert (result.exit_code, result.stderr.startswith(f"no daemon answers at {daemon.url}: ")) == (0, True)
+    assert "  hold          cart at rest" in result.stdout
+    assert "\n  reach-wide    learned" in result.stdout
+
+
+def test_a_configurations_policies_are_listed_and_no_daemon_is_asked(softarm, daemon, tmp_path):
+    config = tmp_path / "arm.yaml"
+    config.write_text("control: {policy: mine}\npolicies: {mine: {plugin: pid}, broken: {plugin: pdi}}\n")
+    lines = softarm("policy", "list", "--config", config).stdout.splitlines()
+    assert any(line.startswith("* mine          PID") for line in lines)
+    assert any("cannot be used: no plugin 'pdi'; did you mean 'pid'?" in line for line in lines)
+    assert daemon.requests == []
+    config.write_text("polices: {}\n")
+    assert "did you mean policies?" in softarm("policy", "list", "--config", config).stderr
 
 
 def test_a_policy_is_chosen_by_name(softarm, daemon, make_status):
@@ -288,7 +309,7 @@ def test_a_refusal_is_the_daemons_own_sentence(softarm, daemon, code):
 
 def test_an_error_without_a_sentence_has_its_number(softarm, daemon):
     daemon.on("POST", "/api/arm", {"detail": [{"loc": []}]}, code=500)
-    assert softarm("arm").stderr == "POST /api/arm: HTTP 500\n"
+    assert softarm("arm").stderr == "`softarm arm`: HTTP 500\n"
 
 
 def test_no_daemon_is_said_with_what_to_start():
@@ -301,7 +322,7 @@ def test_no_daemon_is_said_with_what_to_start():
 
 
 def test_a_daemon_that_does_not_answer_is_given_up(monkeypatch):
-    monkeypatch.setattr("softarm.cli.remote.TIMEOUT_S", 0.05)
+    monkeypatch.setattr("softarm.cli.client.TIMEOUT_S", 0.05)
     with socket.create_server(("127.0.0.1", 0)) as silent:
         result = CliRunner().invoke(main, ["stop", "--url", f"http://127.0.0.1:{silent.getsockname()[1]}"])
     assert result.exit_code == 1

@@ -1,0 +1,78 @@
+"""`softarm incidents`: the files that emergency stops leave, to be sent to who asks what happened."""
+
+from pathlib import Path
+from typing import Any
+
+import click
+
+from softarm.cli.errors import fail
+from softarm.cli.options import FILE, FOLDER, write_bytes
+from softarm.cli.printing import clock, print_json, print_option
+from softarm.cli.remote import Remote, remote
+
+Json = dict[str, Any]
+LATEST = "latest"
+
+
+@click.command()
+@click.argument("name", required=False)
+@click.option("--out", type=FILE, help="Where the file goes.  [default: NAME, here]")
+@click.option("--folder", type=FOLDER, help="Ask no daemon: the logs' folder (recorder.directory) on this machine.")
+@print_option
+@remote
+def incidents(daemon: Remote, name: str | None, out: Path | None, folder: Path | None, as_json: bool) -> None:
+    """List the incident files, newest first: one for each emergency stop. With NAME, fetch one; `latest` is the newest.
+
+    Each is a zip to be sent: the log from 20 s before to 5 s after the stop (it replays), the events, configuration
+    and versions. What is secret is left out.
+
+    \b
+    Examples:
+      softarm incidents
+      softarm incidents latest --out stop.zip
+      softarm incidents --folder logs
+    """
+    if name is None and out is not None:
+        raise click.UsageError("--out is for one file: give its NAME, or `latest`")
+    found = _listed(folder) if folder is not None else daemon.get("/api/incidents")
+    if name is not None:
+        _fetch(daemon, folder, found, name, out)
+    elif as_json:
+        print_json(found)
+    else:
+        _show(found)
+
+
+def _show(found: Json) -> None:
+    if not found["incidents"]:
+        click.echo(f"no incident files in {found['directory']}: no emergency stop has left one", err=True)
+    for one in found["incidents"]:
+        click.echo(f"{clock(one['time'])}  {one['bytes'] / 1e6:6.1f} MB  {one['name']}  {one['text']}")
+
+
+def _listed(folder: Path) -> Json:
+    """As the daemon of those logs would list them."""
+    from softarm.cli.words import all_in_commands
+    from softarm.daemon.logbook import incidents as files
+
+    if not folder.is_dir():
+        fail(f"--folder {folder}: is no folder; name the one of recorder.directory")
+    listed = [entry.model_dump(mode="json") for entry in files.listing(folder)]
+    return {"directory": str(folder / files.FOLDER), "incidents": all_in_commands(listed)}
+
+
+def _fetch(daemon: Remote, folder: Path | None, found: Json, name: str, out: Path | None) -> None:
+    from softarm.common.words import nearest
+    from softarm.daemon.logbook import incidents as files
+
+    names = [one["name"] for one in found["incidents"]]
+    if name == LATEST and names:
+        name = names[0]
+    if name not in names:
+        near = nearest(name, names)
+        hint = f"did you mean {near}? " if near else ""
+        fail(f"no incident file '{name}' in {found['directory']}; {hint}`softarm incidents` lists them")
+    content = files.content(folder, name) if folder is not None else daemon.download(f"/api/incidents/{name}")
+    if content is None:
+        fail(f"{name}: is gone; `softarm incidents` lists those there are")
+    write_bytes(out or Path(name), content)

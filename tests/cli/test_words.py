@@ -1,0 +1,83 @@
+"""A person at the command line is told verbs, not HTTP."""
+
+import ast
+import logging
+import re
+from pathlib import Path
+
+import pytest
+
+from softarm.cli.words import COMMANDS, REQUEST, Formatter, in_commands
+from softarm.daemon.control.failsafe import TABLE, Event
+from softarm.daemon.control.records import EStop, Mode
+
+ROOT = Path(__file__).parents[2]
+HTTP = re.compile(r"(GET|POST|PUT|DELETE) /")
+
+
+def texts_of(path):
+    """The texts of a program, docstrings left out."""
+    tree = ast.parse(path.read_text(encoding="utf-8"))
+    documented = (ast.Module, ast.ClassDef, ast.FunctionDef, ast.AsyncFunctionDef)
+    docs = {id(node.body[0].value) for node in ast.walk(tree) if isinstance(node, documented) and is_doc(node)}
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Constant) and isinstance(node.value, str) and id(node) not in docs:
+            yield node.value
+
+
+def is_doc(node):
+    return bool(node.body) and isinstance(node.body[0], ast.Expr) and isinstance(node.body[0].value, ast.Constant)
+
+
+def test_every_request_that_the_daemon_speaks_of_has_a_verb():
+    named = {
+        f"{found[1]} {found[2]}"
+        for path in (ROOT / "daemon").rglob("*.py")
+        for text in texts_of(path)
+        for found in REQUEST.finditer(text)
+    }
+    assert len(named) >= 7
+    assert named <= COMMANDS.keys()
+
+
+def test_the_verbs_are_there():
+    from softarm.cli.main import VERBS
+
+    verbs = {name for section in VERBS.values() for name in section}
+    assert {command.split()[1] for command in COMMANDS.values()} <= verbs
+
+
+@pytest.mark.parametrize(
+    ("said", "told"),
+    [
+        ("the emergency stop is latched: POST /api/acknowledge first", "is latched: `softarm acknowledge` first"),
+        ("latched until `POST /api/acknowledge`", "latched until `softarm acknowledge`"),
+        ("choose another with PUT /api/policy, or mend it", "with `softarm policy use NAME`, or mend it"),
+        ("GET /api/incidents/NAME gives one", "`softarm incidents` gives one"),
+        ("send it to POST /api/unheard-of", "send it to the API's /api/unheard-of (POST)"),
+    ],
+)
+def test_a_request_is_said_as_it_is_typed(said, told):
+    assert in_commands(said).endswith(told)
+
+
+@pytest.mark.parametrize("arguments", [["status"], ["status", "--json"]])
+def test_whatever_is_wrong_status_speaks_of_verbs(softarm, daemon, make_status, arguments):
+    events = tuple(Event(name, "0.3").active() for name in TABLE)
+    refusals = ("the emergency stop is latched: POST /api/acknowledge first", *(event.text for event in events))
+    said = {"events": events, "arming_refusals": refusals, "last_stop": events[0].text, "policy_fault": events[1].text}
+    daemon.on("GET", "/api/status", make_status(mode=Mode.STOPPED, estop=EStop.LATCHED, **said))
+    told = softarm(*arguments).output
+    assert "then `softarm acknowledge`" in told
+    assert not HTTP.search(told)
+
+
+def test_a_refusal_speaks_of_verbs(softarm, daemon):
+    daemon.on("POST", "/api/goal", {"detail": "the arm is disarmed: POST /api/arm first"}, code=409)
+    result = softarm("goal", "hold")
+    assert (result.exit_code, result.stderr) == (1, "the arm is disarmed: `softarm arm` first\n")
+
+
+def test_what_a_daemon_logs_to_the_terminal_speaks_of_verbs():
+    record = logging.LogRecord("softarm", logging.WARNING, "", 0, "stopped: then %s", ("POST /api/acknowledge",), None)
+    assert Formatter("%(levelname)s %(message)s").format(record) == "WARNING stopped: then `softarm acknowledge`"
