@@ -2,10 +2,11 @@
 
 Importing this registers them; `gymnasium.make("softarm.training.gym_envs:SoftArmReach-v0")` imports it.
 
-Actions, float32 [2] in -1..1: cart velocity and pressure over their command ranges. Observations, float32, in the order
-of `schemas.policy.OBSERVATION` and the task's goal, each in its unit. Rewards and episodes are the task's; `info`
-has `success`. The vectorised ones step all robots in one call of the kernel and reset in the same step
-(AutoresetMode.SAME_STEP): where an episode ended, `info["final_obs"]` has its last observation and
+Actions, float32 [2] in -1..1: cart velocity and pressure over their command ranges; what lies outside is cut.
+Observations, float32, in the order of `schemas.policy.OBSERVATION` and the task's goal, each in its unit. Rewards and
+episodes are the task's: `terminated` where the target is reached or the cart is off the rail, `truncated` where the
+time is over; `info` has `success`. The vectorised ones step all robots in one call of the kernel and reset in the same
+step (AutoresetMode.SAME_STEP): where an episode ended, `info["final_obs"]` has its last observation and
 `info["final_info"]` its success. Where the goal lies may be given to `reset`, as options.
 """
 
@@ -14,6 +15,7 @@ from typing import Any
 
 import gymnasium
 import numpy as np
+from gymnasium.error import ResetNeeded
 from gymnasium.spaces import Box
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
@@ -21,8 +23,9 @@ from numpy.typing import NDArray
 
 from softarm.schemas.model import Model
 from softarm.schemas.policy import ACTION, OBSERVATION
-from softarm.schemas.robot import TRAINING_PHYSICS_RATE_HZ
+from softarm.schemas.robot import CONTROL_RATE_HZ, TRAINING_PHYSICS_RATE_HZ
 from softarm.simulator import model_file
+from softarm.training.gym_picture import Picture, Pixels, View, Window
 from softarm.training.task.environment import Step
 from softarm.training.task.reach import ReachTask
 from softarm.training.task.shelf import ShelfEnvironment, ShelfTask, environment_of
@@ -40,10 +43,13 @@ class _Batch:
 
     def __init__(self, task: ReachTask, robots: int, model: Model | Path | str | None, physics_rate_hz: float) -> None:
         """Raises ModelFileError for a bad model file."""
-        loaded = model_file.load(model) if isinstance(model, str | Path) else model or Model()
-        self.environment = environment_of(task, robots, 0, loaded, physics_rate_hz)
-        cart = loaded.cart.travel_m + 0.1
-        arm, height = sum(loaded.arm.link_length_m) + 0.1, loaded.arm.base_height_m
+        self.model = model_file.load(model) if isinstance(model, str | Path) else model or Model()
+        self.environment = environment_of(task, robots, 0, self.model, physics_rate_hz)
+        self.success = np.zeros(robots, dtype=np.bool_)
+        self.is_begun = False
+        self._pictures: dict[int, Picture] = {}
+        cart = self.model.cart.travel_m + 0.1
+        arm, height = sum(self.model.arm.link_length_m) + 0.1, self.model.arm.base_height_m
         speed, y, z = (-_SPEED_M_S, _SPEED_M_S), (-cart - arm, cart + arm), (height - arm, height + arm)
         aside = 0.0 if self.environment.sensors is None else _ASIDE_M
         seen = [(low - aside, high + aside) for low, high in ((-cart, cart), y, z)]
@@ -73,48 +79,153 @@ class _Batch:
             if not ((low <= given[key]) & (given[key] <= high)).all():
                 raise ValueError(f"{name} is {value}; give something within {low} .. {high}")
         self.environment.rng = rng
+        self.is_begun, self.success[:] = True, False
         return self.seen(self.environment.reset(**given))
 
     def step(self, actions: Array) -> Step:
-        """Hold actions [R, 2] for a control step."""
-        return self.environment.step(np.asarray(actions, dtype=np.float32))
+        """Hold actions [R, 2] for a control step. Raises ResetNeeded before the first `begin`."""
+        if not self.is_begun:
+            raise ResetNeeded("step before reset: call reset() first, and after each episode's end")
+        step = self.environment.step(actions)
+        self.success = step.success
+        return step
 
     def seen(self, observation: Array) -> Array:
         """Observations [R, N] as the space promises them."""
         return np.clip(observation, self._low, self._high)
 
+    def view(self, robot: int) -> View:
+        """What there is to be seen of a robot. Raises ResetNeeded before the first `begin`."""
+        if not self.is_begun:
+            raise ResetNeeded("render before reset: there is nothing to be seen yet; call reset() first")
+        environment, simulator = self.environment, self.environment.simulator
+        shelf = environment.shelf_m[robot] if isinstance(environment, ShelfEnvironment) else None
+        time_s, cart_y_m = float(environment.elapsed_s[robot]), float(simulator.cart_position_m[robot])
+        target, success = environment.target_m[robot], bool(self.success[robot])
+        return View(time_s, cart_y_m, simulator.link_ends_m()[robot], target, success, shelf)
+
+    def window(self) -> Window:
+        """Where one robot is shown. Raises RuntimeError where there is no display."""
+        task = self.environment.task
+        return Window(self.model, task.rail_limit_m, task.success_radius_m, task.rate_hz)
+
+    def pixels(self, robot: int) -> Pixels:
+        """A robot from the side, uint8 [360, 640, 3]."""
+        if robot not in self._pictures:
+            task = self.environment.task
+            self._pictures[robot] = Picture(self.model, task.rail_limit_m, task.success_radius_m)
+        picture = self._pictures[robot]
+        picture.draw(self.view(robot))
+        return picture.pixels()
+
+
+def _checked(action: object, shape: tuple[int, ...]) -> Array:
+    """An action as the simulator takes it. Raises TypeError or ValueError that says what it is and what is allowed."""
+    if not isinstance(action, np.ndarray):
+        kind = f"{type(action).__module__}.{type(action).__name__}".removeprefix("builtins.")
+        raise TypeError(
+            f"the action is a {kind}; allowed is a float32 array of shape {shape}: numpy.asarray(action, numpy.float32)"
+        )
+    if action.dtype.kind != "f":
+        raise TypeError(f"the action's numbers are {action.dtype}; allowed is float32: action.astype(numpy.float32)")
+    if action.shape != shape:
+        raise ValueError(
+            f"the action has the shape {action.shape}; allowed is {shape}: cart velocity and pressure in -1..1"
+            + (", a row for each robot" if len(shape) > 1 else "")
+        )
+    if not np.isfinite(action).all():
+        rows = np.flatnonzero(~np.isfinite(action).reshape(-1, shape[-1]).all(axis=1))
+        which = f" of robot {rows[0]}" if len(shape) > 1 else ""
+        values = action.reshape(-1, shape[-1])[rows[0]].tolist()
+        raise ValueError(
+            f"the action{which} is {values}; allowed are numbers in -1..1: a policy that gives NaN has diverged, lower "
+            "its learning rate or look at what it was fed"
+        )
+    with np.errstate(over="ignore"):  # beyond float32 is beyond 1, where it is cut
+        return action.astype(np.float32, copy=False)
+
+
+def _known_mode(mode: str | None, modes: list[str]) -> str | None:
+    """A render mode that there is. Raises ValueError."""
+    if mode is not None and mode not in modes:
+        raise ValueError(f"render_mode is {mode!r}; allowed: {', '.join(modes)}, or None to draw nothing")
+    return mode
+
 
 class _SingleEnv(gymnasium.Env[Array, Array]):
     """One robot."""
 
-    metadata = {"render_modes": []}  # noqa: RUF012
+    metadata = {"render_modes": ["human", "rgb_array"], "render_fps": CONTROL_RATE_HZ}  # noqa: RUF012
     action_space = ACTIONS
 
-    def __init__(self, task: ReachTask, model: Model | Path | str | None, physics_rate_hz: float) -> None:
+    def __init__(
+        self, task: ReachTask, model: Model | Path | str | None, physics_rate_hz: float, render_mode: str | None
+    ) -> None:
+        self.render_mode = _known_mode(render_mode, self.metadata["render_modes"])
         self._batch = _Batch(task, 1, model, physics_rate_hz)
+        self._batch.environment.restarts = False  # what a person sees last is how the episode ended
+        self._window = self._batch.window() if render_mode == "human" else None
+        self._is_over = False
         self.observation_space = self._batch.space
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Array, dict[str, Any]]:
         """Begin an episode; options: `_Batch.begin`. Raises ValueError for an unknown option."""
         super().reset(seed=seed)
-        return self._batch.begin(self.np_random, options)[0], {"success": False}
+        observation = self._batch.begin(self.np_random, options)[0]
+        self._is_over = False
+        self._show()
+        return observation, {"success": False}
 
     def step(self, action: Array) -> tuple[Array, float, bool, bool, dict[str, Any]]:
-        """Hold an action for a control step; after the end of an episode comes a `reset`."""
-        step = self._batch.step(action[None])
+        """Hold an action for a control step.
+
+        Raises TypeError or ValueError for what is no action, ResetNeeded after the end of an episode.
+        """
+        checked = _checked(action, ACTIONS.shape)
+        if self._is_over:
+            raise ResetNeeded("step after the episode's end (terminated or truncated): call reset() first")
+        step = self._batch.step(checked[None])
         info = {"success": bool(step.success[0])}
-        seen = self._batch.seen(step.final_observation)[0]
-        return seen, float(step.reward[0]), bool(step.terminated[0]), bool(step.truncated[0]), info
+        seen, terminated = self._batch.seen(step.final_observation)[0], bool(step.terminated[0])
+        truncated = bool(step.truncated[0])
+        self._is_over = terminated or truncated
+        self._show()
+        return seen, float(step.reward[0]), terminated, truncated, info
+
+    def render(self) -> Pixels | None:
+        """The robot from the side, uint8 [360, 640, 3], with rgb_array; a window shows it by itself."""
+        if self.render_mode is None:
+            gymnasium.logger.warn("render without a render_mode: make the environment with render_mode='rgb_array'")
+        return self._batch.pixels(0) if self.render_mode == "rgb_array" else None
+
+    def close(self) -> None:
+        """Close the window."""
+        if self._window is not None:
+            self._window.close()
+
+    def _show(self) -> None:
+        if self._window is not None:
+            self._window.show(self._batch.view(0))
 
 
 class _ManyEnv(VectorEnv[Array, Array, NDArray[Any]]):
     """Many robots in one call."""
 
-    metadata = {"autoreset_mode": AutoresetMode.SAME_STEP, "render_modes": []}  # noqa: RUF012
+    metadata = {  # noqa: RUF012
+        "autoreset_mode": AutoresetMode.SAME_STEP,
+        "render_modes": ["rgb_array"],
+        "render_fps": CONTROL_RATE_HZ,
+    }
 
     def __init__(
-        self, task: ReachTask, num_envs: int, model: Model | Path | str | None, physics_rate_hz: float
+        self,
+        task: ReachTask,
+        num_envs: int,
+        model: Model | Path | str | None,
+        physics_rate_hz: float,
+        render_mode: str | None,
     ) -> None:
+        self.render_mode = _known_mode(render_mode, self.metadata["render_modes"])
         self.num_envs = num_envs
         self._batch = _Batch(task, num_envs, model, physics_rate_hz)
         self.single_observation_space, self.single_action_space = self._batch.space, ACTIONS
@@ -122,16 +233,32 @@ class _ManyEnv(VectorEnv[Array, Array, NDArray[Any]]):
         self.action_space = batch_space(ACTIONS, num_envs)
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Array, dict[str, Any]]:
-        """Begin an episode everywhere; options: `_Batch.begin`. Raises ValueError for an unknown option."""
+        """Begin an episode everywhere; options: `_Batch.begin`.
+
+        Raises ValueError for an unknown option, TypeError for a seed that is no integer.
+        """
+        if seed is not None and not isinstance(seed, int):
+            raise TypeError(
+                f"the seed is a {type(seed).__name__}; allowed is one integer: all robots are drawn from one generator"
+            )
         super().reset(seed=seed)
         return self._batch.begin(self.np_random, options), {}
 
     def step(self, actions: Array) -> tuple[Array, NDArray[Any], NDArray[Any], NDArray[Any], dict[str, Any]]:
-        """Hold actions [R, 2] for a control step; robots whose episode ends begin a new one."""
-        step = self._batch.step(actions)
+        """Hold actions [R, 2] for a control step; robots whose episode ends begin a new one.
+
+        Raises TypeError or ValueError for what are no actions, ResetNeeded before the first `reset`.
+        """
+        step = self._batch.step(_checked(actions, (self.num_envs, *ACTIONS.shape)))
         info = {"success": step.success, "_success": np.ones(self.num_envs, dtype=np.bool_)}
         info |= self._final(step)
         return self._batch.seen(step.observation), step.reward, step.terminated, step.truncated, info
+
+    def render(self) -> tuple[Pixels, ...] | None:
+        """Each robot from the side, uint8 [360, 640, 3], with rgb_array; of robots that began anew, their beginning."""
+        if self.render_mode is None:
+            return None
+        return tuple(self._batch.pixels(robot) for robot in range(self.num_envs))
 
     def _final(self, step: Step) -> dict[str, Any]:
         """What Gymnasium wants to know of the episodes that ended in a step."""
@@ -154,9 +281,10 @@ class ReachEnv(_SingleEnv):
         task: ReachTask | None = None,
         model: Model | Path | str | None = None,
         physics_rate_hz: float = TRAINING_PHYSICS_RATE_HZ,
+        render_mode: str | None = None,
     ) -> None:
         """Default task: the seed's; model: a `Model`, a file or a shipped name. Raises ModelFileError."""
-        super().__init__(task or ReachTask(), model, physics_rate_hz)
+        super().__init__(task or ReachTask(), model, physics_rate_hz, render_mode)
 
 
 class ReachVectorEnv(_ManyEnv):
@@ -168,9 +296,10 @@ class ReachVectorEnv(_ManyEnv):
         task: ReachTask | None = None,
         model: Model | Path | str | None = None,
         physics_rate_hz: float = TRAINING_PHYSICS_RATE_HZ,
+        render_mode: str | None = None,
     ) -> None:
         """As `ReachEnv`."""
-        super().__init__(task or ReachTask(), num_envs, model, physics_rate_hz)
+        super().__init__(task or ReachTask(), num_envs, model, physics_rate_hz, render_mode)
 
 
 class ShelfEnv(_SingleEnv):
@@ -181,9 +310,10 @@ class ShelfEnv(_SingleEnv):
         task: ShelfTask | None = None,
         model: Model | Path | str | None = None,
         physics_rate_hz: float = TRAINING_PHYSICS_RATE_HZ,
+        render_mode: str | None = None,
     ) -> None:
         """As `ReachEnv`."""
-        super().__init__(task or ShelfTask(), model, physics_rate_hz)
+        super().__init__(task or ShelfTask(), model, physics_rate_hz, render_mode)
 
 
 class ShelfVectorEnv(_ManyEnv):
@@ -195,9 +325,10 @@ class ShelfVectorEnv(_ManyEnv):
         task: ShelfTask | None = None,
         model: Model | Path | str | None = None,
         physics_rate_hz: float = TRAINING_PHYSICS_RATE_HZ,
+        render_mode: str | None = None,
     ) -> None:
         """As `ReachEnv`."""
-        super().__init__(task or ShelfTask(), num_envs, model, physics_rate_hz)
+        super().__init__(task or ShelfTask(), num_envs, model, physics_rate_hz, render_mode)
 
 
 for _task in ("Reach", "Shelf"):

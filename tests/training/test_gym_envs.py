@@ -8,10 +8,12 @@ import pytest
 gymnasium = pytest.importorskip("gymnasium")
 pytest.importorskip("torch")
 
+from gymnasium.error import ResetNeeded  # noqa: E402
 from gymnasium.utils.env_checker import check_env  # noqa: E402
 from gymnasium.vector import AutoresetMode  # noqa: E402
 
 from softarm.simulator.model_file import ModelFileError  # noqa: E402
+from softarm.training import gym_envs  # noqa: E402
 
 TASKS = ("Reach", "Shelf")
 REACH_POLICY = Path(__file__).parents[2] / "policies" / "models" / "reach.onnx"
@@ -31,8 +33,9 @@ def many(task: str, robots: int, **options):
 
 
 @pytest.mark.parametrize("task", TASKS)
-def test_gymnasium_s_own_checker_has_nothing_to_say(task: str) -> None:
-    """Its warnings are errors here."""
+def test_gymnasium_s_own_checker_has_nothing_to_say(task: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its warnings are errors here. It renders in every mode, the window into memory."""
+    monkeypatch.setenv("MPLBACKEND", "agg")
     check_env(one(task))
 
 
@@ -91,6 +94,86 @@ def test_a_seed_draws_the_same_and_no_seed_another(task: str) -> None:
     first, again = env.reset(seed=3)[0], env.reset(seed=3)[0]
     np.testing.assert_array_equal(first, again)
     assert (env.reset()[0][8:] != first[8:]).all()
+
+
+BAD_ACTIONS = {
+    "a list": ([0.0, 0.0], TypeError, "the action is a list; allowed is a float32 array of shape"),
+    "None": (None, TypeError, "the action is a NoneType; allowed"),
+    "integers": (np.zeros(2, np.int64), TypeError, "the action's numbers are int64; allowed is float32"),
+    "texts": (np.array(["a", "b"]), TypeError, "the action's numbers are <U1; allowed is float32"),
+    "one number": (np.zeros(1, np.float32), ValueError, r"the action has the shape \(1,\); allowed is \(2,\)"),
+    "a batch of one": (
+        np.zeros((1, 2), np.float32),
+        ValueError,
+        r"the action has the shape \(1, 2\); allowed is \(2,\)",
+    ),
+    "NaN": (
+        np.array([np.nan, 0.0], np.float32),
+        ValueError,
+        r"the action is \[nan, 0.0\]; allowed are numbers in -1..1",
+    ),
+    "infinity": (np.array([0.0, -np.inf]), ValueError, r"the action is \[0.0, -inf\]; allowed are numbers in -1..1"),
+}
+
+
+@pytest.mark.parametrize("case", BAD_ACTIONS)
+def test_what_is_no_action_is_refused_in_a_sentence_and_changes_nothing(case: str) -> None:
+    action, kind, text = BAD_ACTIONS[case]
+    env, untouched = one("Reach"), one("Reach")
+    env.reset(seed=5), untouched.reset(seed=5)
+    with pytest.raises(kind, match=text):
+        env.step(action)
+    good = np.array([0.3, -0.3], np.float32)
+    np.testing.assert_array_equal(env.step(good)[0], untouched.step(good)[0])
+
+
+def test_of_many_actions_the_bad_one_is_named() -> None:
+    env = many("Reach", 3)
+    env.reset(seed=5)
+    actions = np.zeros((3, 2), np.float32)
+    actions[1, 0] = np.nan
+    with pytest.raises(ValueError, match=r"the action of robot 1 is \[nan, 0.0\]; allowed are numbers in -1..1"):
+        env.step(actions)
+    with pytest.raises(
+        ValueError, match=r"the action has the shape \(2,\); allowed is \(3, 2\): .* a row for each robot"
+    ):
+        env.step(np.zeros(2, np.float32))
+
+
+def test_actions_of_double_precision_are_taken_and_what_lies_outside_is_cut() -> None:
+    first, second = one("Reach"), one("Reach")
+    first.reset(seed=5), second.reset(seed=5)
+    seen = [env.step(action)[0] for env, action in ((first, np.array([1e300, -7.0])), (second, np.array([9.0, -9.0])))]
+    np.testing.assert_array_equal(*seen)
+
+
+def test_steps_before_a_reset_or_after_the_end_are_refused() -> None:
+    still = np.zeros(2, np.float32)
+    with pytest.raises(ResetNeeded, match="step before reset"):
+        one("Reach").step(still)
+    with pytest.raises(ResetNeeded, match="step before reset"):
+        many("Reach", 2).step(np.zeros((2, 2), np.float32))
+    env = one("Reach")
+    env.reset(seed=0, options={"target_m": (0.6, 0.8)})  # never reached
+    for step in range(100):
+        _, _, terminated, truncated, _ = env.step(still)
+        assert (terminated, truncated) == (False, step == 99)
+    with pytest.raises(ResetNeeded, match=r"after the episode's end .* call reset\(\) first"):
+        env.step(still)
+    env.reset()
+    env.step(still)
+
+
+def test_of_many_one_seed_draws_all() -> None:
+    env = many("Reach", 3)
+    np.testing.assert_array_equal(env.reset(seed=4)[0], many("Reach", 3).reset(seed=4)[0])
+    with pytest.raises(TypeError, match="the seed is a list; allowed is one integer"):
+        env.reset(seed=[1, 2, 3])
+
+
+def test_gymnasium_makes_the_fast_one_of_itself() -> None:
+    env = gymnasium.make_vec("softarm.training.gym_envs:SoftArmReach-v0", num_envs=4)
+    assert isinstance(env.unwrapped, gym_envs.ReachVectorEnv)
 
 
 def test_goal_may_be_given() -> None:

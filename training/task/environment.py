@@ -59,6 +59,7 @@ class Environment:
     """A batch of robots at one task. Arrays are copies; everything random comes from one seeded generator."""
 
     inputs = INPUTS  # width of an observation
+    restarts = True  # False: robots whose episode has ended stay as they are until `reset`
     _arrays: tuple[str, ...] = ("_target", "_elapsed", "_sent", "_pose", "_rates")  # what a snapshot holds of its own
 
     def __init__(
@@ -110,6 +111,16 @@ class Environment:
             if each is not None:
                 each.rng = rng
 
+    @property
+    def target_m(self) -> Array:
+        """Targets y, z of the episodes under way, [R, 2]."""
+        return self._target.copy()
+
+    @property
+    def elapsed_s(self) -> NDArray[np.float64]:
+        """For how long they have been under way, [R]."""
+        return self._elapsed / self.task.rate_hz
+
     def reset(self, starts: Starts | None = None, targets_m: Array | None = None) -> Array:
         """Begin an episode everywhere; returns the observation [R, 10]. What is not given is drawn from the task."""
         everyone = np.ones(self.robots, dtype=np.bool_)
@@ -153,7 +164,8 @@ class Environment:
         speed = np.nan_to_num(np.linalg.norm(self._rates[:, 1:], axis=1))
         reward = self.task.reward(success, off_rail, speed)
         final, final_tip = np.nan_to_num(self._observe()), np.nan_to_num(tip)
-        self._restart(terminated | truncated)
+        if self.restarts:
+            self._restart(terminated | truncated)
         return Step(self._observe(), reward, terminated, truncated, success, final, final_tip)
 
     def snapshot(self) -> dict[str, Any]:

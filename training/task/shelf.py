@@ -55,6 +55,11 @@ class ShelfEnvironment(Environment):
         super()._allocate()
         self._depth = np.zeros(self.robots, dtype=np.float32)
 
+    @property
+    def shelf_m(self) -> Array:
+        """y of the shelves' front edges and z of their lower boards' tops, [R, 2]."""
+        return np.column_stack((self._target[:, 0] + self._depth, self._target[:, 1] - self.task.board_below_m))
+
     def reset(
         self, starts: Starts | None = None, targets_m: Array | None = None, depths_m: Array | None = None
     ) -> Array:
@@ -71,8 +76,8 @@ class ShelfEnvironment(Environment):
     def _place(self, which: NDArray[np.bool_], depths_m: Array) -> None:
         """Stand the shelves of some robots such that their targets lie so deep."""
         self._depth[which] = depths_m[which]
-        edge = self._target[:, 0] + self._depth
-        self.simulator.place_shelf(edge, self._target[:, 1] - self.task.board_below_m, robots=which)
+        edge, board = self.shelf_m.T
+        self.simulator.place_shelf(edge, board, robots=which)
 
     def _observe(self) -> Array:
         return np.concatenate((super()._observe(), self._depth[:, None]), axis=1)

@@ -234,10 +234,11 @@ def test_the_command_takes_a_model_by_file_or_name(tmp_path, monkeypatch):
     assert "did you mean no-delay?" in result.output
 
 
-def test_gymnasium_shows_the_same_and_draws_from_its_seed():
+def test_gymnasium_shows_the_same_and_draws_from_its_seed(monkeypatch):
     gymnasium = pytest.importorskip("gymnasium")
     from gymnasium.utils.env_checker import check_env
 
+    monkeypatch.setenv("MPLBACKEND", "agg")  # the checker renders in every mode
     make = "softarm.training.gym_envs:SoftArmReach-v0"
     check_env(gymnasium.make(make, model=strong()).unwrapped)
     env = gymnasium.make_vec(make, num_envs=ROBOTS, vectorization_mode="vector_entry_point", model=strong()).unwrapped

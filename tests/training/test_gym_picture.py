@@ -1,0 +1,132 @@
+"""What the Gymnasium environments render: the robot that is there, in pixels and in a window."""
+
+import numpy as np
+import pytest
+
+gymnasium = pytest.importorskip("gymnasium")
+pytest.importorskip("torch")
+
+from softarm.training.gym_picture import SIZE  # noqa: E402
+
+STILL = np.zeros(2, np.float32)
+
+
+def made(task: str = "Reach", **options):
+    return gymnasium.make(
+        f"softarm.training.gym_envs:SoftArm{task}-v0", **{"render_mode": "rgb_array"} | options
+    ).unwrapped
+
+
+def pixel_of(y_m: float, z_m: float, travel_m: float = 0.3, base_m: float = 0.965, arm_m: float = 0.4445):
+    """Row and column of a place, from the robot's own measures."""
+    half = travel_m + arm_m + 0.06
+    scale = SIZE[0] / (2 * half)
+    return round(SIZE[1] - 1 - (z_m - (base_m - arm_m - 0.12)) * scale), round((y_m + half) * scale)
+
+
+def around(frame: np.ndarray, place: tuple[int, int], pixels: int = 3) -> np.ndarray:
+    row, column = place
+    return frame[row - pixels : row + pixels + 1, column - pixels : column + pixels + 1].astype(int)
+
+
+@pytest.mark.parametrize("task", ["Reach", "Shelf"])
+def test_frames_are_pixels_of_the_size_that_is_promised_and_no_view_of_the_last(task: str) -> None:
+    env = made(task)
+    env.reset(seed=1)
+    first = env.render()
+    kept = first.copy()
+    for _ in range(10):
+        env.step(np.array([1.0, 1.0], np.float32))
+    second = env.render()
+    assert first.shape == second.shape == (SIZE[1], SIZE[0], 3)
+    assert first.dtype == np.uint8
+    np.testing.assert_array_equal(first, kept)
+    assert (first != second).any(axis=2).mean() > 0.01
+    assert env.metadata["render_fps"] == 30
+
+
+def test_tip_cart_and_target_are_where_the_observation_says() -> None:
+    env = made()
+    observation, _ = env.reset(seed=1, options={"target_m": (-0.3, 0.6)})
+    paper = env.render()[2, SIZE[0] // 2].astype(int)
+    for target in ((-0.3, 0.6), (0.1, 0.7)):
+        observation, _ = env.reset(seed=1, options={"target_m": target})
+        frame = env.render()
+        cart, tip = (observation[0], 0.965), observation[2:4]
+        assert around(frame, pixel_of(*cart)).mean() < 60  # dark
+        assert abs(around(frame, pixel_of(*tip)) - paper).max() > 100  # the axis ends there
+        red, _, blue = around(frame, pixel_of(*target)).reshape(-1, 3).T
+        assert (red - blue).max() > 100  # orange
+        other = (0.1, 0.7) if target[0] < 0 else (-0.3, 0.6)
+        red, _, blue = around(frame, pixel_of(*other)).reshape(-1, 3).T
+        assert (red - blue).max() < 30
+
+
+def test_the_last_frame_shows_how_the_episode_ended() -> None:
+    env = made()
+    observation, _ = env.reset(seed=1)
+    env.reset(seed=1, options={"target_m": observation[2:4]})  # under the tip
+    observation, _, terminated, _, info = env.step(STILL)
+    assert terminated
+    assert info["success"]
+    red, _, blue = around(env.render(), pixel_of(*observation[8:10])).reshape(-1, 3).T
+    assert (blue - red).max() > 60  # the target, in the colour of what was reached
+    assert abs(env.unwrapped._batch.view(0).ends_m[-1] - observation[2:4]).max() < 1e-6
+
+
+def test_the_shelf_is_drawn_where_it_stands() -> None:
+    env = made("Shelf")
+    env.reset(seed=1, options={"target_m": (-0.42, 0.6), "depth_m": 0.1})
+    frame = env.render()
+    within, before = pixel_of(-0.34, 0.59), pixel_of(-0.28, 0.59)  # the edge is at -0.32 m, the top at 0.595
+    assert around(frame, within, 1).mean() < around(frame, before, 1).mean() - 30
+
+
+def test_each_of_many_robots_has_a_picture_of_its_own() -> None:
+    env = gymnasium.make_vec("softarm.training.gym_envs:SoftArmReach-v0", num_envs=3, render_mode="rgb_array")
+    env.reset(seed=1)
+    frames = env.render()
+    assert len(frames) == 3
+    assert (frames[0] != frames[1]).any()
+    single = made()
+    single.reset(seed=1)
+    for _ in range(5):
+        env.step(np.zeros((3, 2), np.float32))
+        again = env.render()
+    np.testing.assert_array_equal(again[2], env.render()[2])
+
+
+def test_a_window_without_a_display_is_refused_with_what_to_do(monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in ("DISPLAY", "WAYLAND_DISPLAY", "MPLBACKEND"):
+        monkeypatch.delenv(name, raising=False)
+    with pytest.raises(RuntimeError, match=r"needs a display, and neither DISPLAY .* use render_mode='rgb_array'"):
+        made(render_mode="human")
+
+
+def test_a_window_shows_by_itself_what_the_pixels_show(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("MPLBACKEND", "agg")
+    shown, env = made(render_mode="human"), made()
+    shown.reset(seed=1), env.reset(seed=1)
+    env.render()
+    for _ in range(5):
+        shown.step(np.array([1.0, 0.0], np.float32))
+        env.step(np.array([1.0, 0.0], np.float32))
+        frame = env.render()
+    window = np.array(shown._window.picture.figure.canvas.buffer_rgba())[:, :, :3]
+    np.testing.assert_array_equal(window, frame)
+    assert shown.render() is None
+    shown.close(), shown.close()
+
+
+def test_modes_that_there_are_not_are_refused() -> None:
+    from softarm.training.gym_envs import ReachEnv, ReachVectorEnv
+
+    with pytest.raises(ValueError, match="render_mode is 'ansi'; allowed: human, rgb_array, or None"):
+        ReachEnv(render_mode="ansi")
+    with pytest.raises(ValueError, match="render_mode is 'human'; allowed: rgb_array, or None"):
+        ReachVectorEnv(2, render_mode="human")
+
+
+def test_nothing_is_seen_before_a_reset() -> None:
+    with pytest.raises(gymnasium.error.ResetNeeded, match="render before reset"):
+        made().render()
