@@ -7,6 +7,7 @@ from pathlib import Path
 import click
 
 from softarm.cli.errors import fail
+from softarm.cli.logs_export import export
 from softarm.cli.remote import Remote, remote
 
 
@@ -20,6 +21,7 @@ def logs(context: click.Context, daemon: Remote) -> None:
     Examples:
       softarm logs
       softarm logs recover logs            mend those that a kill or a full disk has cut off
+      softarm logs export --to csv LOG     tables for other programs
     """
     if context.invoked_subcommand is not None:
         return
@@ -34,6 +36,9 @@ def logs(context: click.Context, daemon: Remote) -> None:
             f"{written:%Y-%m-%d %H:%M:%S}  {log['bytes'] / 1e6:8.1f} MB  {length:>9}  "
             f"{answer['directory']}/{log['name']}{remark}"
         )
+
+
+logs.add_command(export)
 
 
 @logs.command()

@@ -161,6 +161,11 @@ def factor(unit: str) -> tuple[float, str]:
     raise ValueError(f"no unit '{unit}'; {near}allowed {', '.join(names)}, and these per second (V/s, deg/s^2)")
 
 
+def with_unit(name: str, unit: str) -> str:
+    """A name as columns and keys have it: `pressure_kpa`, `rate_m_s`; of a pure number the bare name."""
+    return name if unit in (PURE, "1") else "_".join((name, *re.findall(r"[a-z0-9]+", unit.lower())))
+
+
 def _plain(unit: str) -> str:
     """A unit as it is written here: signs that keyboards lack as words, a blank between the factors of a product."""
     text = " ".join(unit.split()).translate(_SIGNS)

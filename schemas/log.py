@@ -1,5 +1,7 @@
 """What a log file (MCAP) holds, by name. The devices' messages: `softarm.recordings.channels`; docs/logs.md has all."""
 
+from collections.abc import Mapping
+
 from pydantic import AwareDatetime
 
 from softarm.schemas.base import Strict
@@ -11,6 +13,7 @@ FORMAT_KEY = "log_format"
 
 # Metadata records. A later record of the same name replaces the earlier one from there on.
 CONFIGURATION, SOFTWARE, MACHINE, CLOCK, POLICY = "configuration", "software", "machine", "clock", "policy"
+Metadata = Mapping[str, Mapping[str, str]]  # by name
 RUN = "run"  # of the daemon, and which part of it the file is: "id", "part" from "1"
 
 

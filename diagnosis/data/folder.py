@@ -1,13 +1,17 @@
 """A trial folder: CSV or Parquet files that another stack recorded, beside a trial.yaml."""
 
 import csv
+import json
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
 
+from softarm.common import files
+from softarm.common.quantity import with_unit
 from softarm.diagnosis.data import checks, yaml_file
 from softarm.diagnosis.data.trials import LINKS, ROBOT_CHANNELS, Array, Series, Trial, TrialError, mocap_columns
+from softarm.recordings import tables
 from softarm.schemas.trial import TrialFile
 
 EXAMPLE = "`kind: chirp` and `rail: held`"
@@ -53,12 +57,17 @@ def read(folder: Path) -> Trial:
 
 
 def _channel(path: Path, name: str) -> Series:
-    header, columns_of = (_parquet if path.suffix == ".parquet" else _csv)(path)
-    units = ROBOT_CHANNELS[name]
+    found, columns_of = (_parquet if path.suffix == ".parquet" else _csv)(path)
+    units = mocap_columns(LINKS_MAX) if name == "mocap" else ROBOT_CHANNELS[name]
+    time = _time(name)
+    bare = {with_unit(column, unit): column for column, unit in {time: "s", **units}.items()}
+    header = {bare.get(column, column): column for column in found}  # `pressure_kpa` is `pressure`
+    if len(header) < len(found):
+        twice = next(column for column, spelt in header.items() if column in found and spelt != column)
+        raise TrialError(f"{path}: {twice} and {header[twice]} are one column; take one away")
     if name == "mocap":
         links = sum(f"link{i}_y" in header for i in range(1, LINKS_MAX + 1))
         units = mocap_columns(links or LINKS)
-    time = "t_capture" if name == "mocap" else "t"
     wanted = (time, *units)
     if lacking := [column for column in wanted if column not in header]:
         raise TrialError(
@@ -66,8 +75,27 @@ def _channel(path: Path, name: str) -> Series:
             f"and needs {', '.join(wanted)} (docs/trials.md)"
         )
     # A marker may be out of sight; every other reading is there or its row is not.
-    columns = {column: columns_of(column, column.endswith(("_y", "_z", "_angle"))) for column in wanted}
+    columns = {column: columns_of(header[column], column.endswith(("_y", "_z", "_angle"))) for column in wanted}
     return Series(columns.pop(time), columns)
+
+
+def write(trial: Trial, folder: Path, form: tables.Form) -> None:
+    """Write a recording of the robot as a trial folder, a unit in every column's name; `read` gives the same back.
+
+    A reading that is no number has no row. Raises OSError; ModuleNotFoundError as `tables.write` does.
+    """
+    for name, series in trial.channels.items():
+        units = {_time(name): "s", **ROBOT_CHANNELS[name]}
+        columns = np.stack([series.t_s, *(series[column] for column in ROBOT_CHANNELS[name])])
+        if name != "mocap":
+            columns = columns[:, np.isfinite(columns).all(axis=0)]
+        names = (with_unit(column, unit) for column, unit in units.items())
+        tables.write(folder / f"{name}.{form}", dict(zip(names, columns, strict=True)))
+    files.write_text(folder / "trial.yaml", f"kind: {json.dumps(trial.kind)}\nrail: {trial.rail}\n")
+
+
+def _time(channel: str) -> str:
+    return "t_capture" if channel == "mocap" else "t"
 
 
 # A table's header, and its columns as numbers by name; True: a reading may be missing.

@@ -1,11 +1,13 @@
 """A trial folder gives back what was recorded; what is wrong with it is said by file, column and row."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from softarm.diagnosis.data import folder
 from softarm.diagnosis.data.read import read_all, sources
-from softarm.diagnosis.data.trials import TrialError
+from softarm.diagnosis.data.trials import Series, TrialError
 
 
 @pytest.fixture(scope="module")
@@ -95,3 +97,33 @@ def edit(path, row, column, cell):
     rows = [line.split(",") for line in path.read_text().splitlines()]
     rows[row - 1][rows[0].index(column)] = cell
     path.write_text("\n".join(",".join(cells) for cells in rows) + "\n")
+
+
+def test_columns_may_carry_their_units_and_a_written_folder_has_them(short, tmp_path):
+    (tmp_path / "one").mkdir()
+    folder.write(short, tmp_path / "one", "csv")
+    header = (tmp_path / "one" / "command.csv").read_text().partition("\n")[0]
+    assert header == "t_s,cart_velocity_m_s,pressure_kpa"
+    trial = folder.read(tmp_path / "one")
+    assert (trial.kind, trial.rail) == (short.kind, short.rail)
+    for name, series in short.channels.items():
+        np.testing.assert_array_equal(trial.channels[name].t_s, series.t_s)
+        for column, values in series.columns.items():
+            np.testing.assert_array_equal(trial.channels[name][column], values, err_msg=f"{name}.{column}")
+
+
+def test_a_reading_that_is_no_number_has_no_row_in_what_is_written(short, tmp_path):
+    rail = short.channels["rail"]
+    odd = Series(rail.t_s, {**rail.columns, "position": np.where(np.arange(len(rail)) == 3, np.nan, rail["position"])})
+    folder.write(replace(short, channels={**short.channels, "rail": odd}), tmp_path, "csv")
+    read = folder.read(tmp_path).channels["rail"]
+    np.testing.assert_array_equal(read.t_s, np.delete(rail.t_s, 3))
+
+
+def test_a_column_with_and_without_its_unit_is_one_too_many(written):
+    file = written / "pressure.csv"
+    file.write_text(
+        "\n".join(f"{line},{'pressure_kpa' if i == 0 else 1}" for i, line in enumerate(file.read_text().splitlines()))
+    )
+    with pytest.raises(TrialError, match=r"pressure\.csv: pressure and pressure_kpa are one column; take one away"):
+        folder.read(written)

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import replace
+from datetime import UTC, datetime
 from functools import cache
 from pathlib import Path
 
@@ -19,8 +20,10 @@ from softarm.reality.parameters import RobotParameters
 from softarm.reality.record import record
 from softarm.recordings.channels import MOCAP, PRESSURE, RAIL
 from softarm.recordings.live import LiveFile, LogMessage
+from softarm.schemas.events import Entry
 from softarm.schemas.excitation import EXCITATIONS
 from softarm.schemas.goals import GoalStatus
+from softarm.schemas.log import CLOCK
 from softarm.schemas.messages import Command, MocapFrame, Pose, PressureReading, RailReading
 from softarm.schemas.model import Model
 from softarm.schemas.policy import Observation
@@ -81,6 +84,7 @@ def as_logs(flown: Callable[[float], Path], tmp_path_factory: pytest.TempPathFac
     for kind in KINDS:
         with (folder / f"{kind}.mcap").open("wb") as file:
             log = LiveFile(file, ticks.CHANNELS)
+            log.note(CLOCK, {"wall_minus_monotonic_ns": "0"})
             for message in sorted(messages(flown(DEAD_TIME_S) / kind), key=lambda each: each.log_time):
                 log.add(message)
             log.flush()
@@ -122,4 +126,5 @@ def messages(trial: Path) -> list[LogMessage]:
         )
         tick = ticks.TickRecord(ticks._tick_inputs(Inputs(ns(t))), outputs, TickTiming(0, 0, 0, None))
         found.append(LogMessage(ticks.TICK.topic, ns(t), ns(t), ticks.TICK.encode(tick)))
-    return found
+    entry = Entry(1, ns(0.0), datetime.fromtimestamp(0, UTC), 0, "mode", "armed", "armed, was arming")
+    return [*found, LogMessage(ticks.EVENT.topic, ns(0.0), ns(0.0), ticks.EVENT.encode(entry))]

@@ -2,7 +2,9 @@
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
 
+from softarm.cli.main import main
 from softarm.diagnosis.data.read import read_all
 from softarm.diagnosis.diagnose import diagnose
 from softarm.schemas.model import Model
@@ -33,9 +35,14 @@ def test_a_shuffled_campaign_from_parquet_gets_the_same_verdict(diagnosed, as_pa
     assert verdict == diagnosed(DEAD_TIME_S).verdict
 
 
-def test_the_daemons_logs_get_the_same_verdict(diagnosed, as_logs):
+@pytest.fixture(scope="module")
+def verdict_of_logs(as_logs):
+    return diagnose(read_all([as_logs]), Model()).verdict
+
+
+def test_the_daemons_logs_get_the_same_verdict(diagnosed, verdict_of_logs):
     """Their clock begins elsewhere: what depends on where a grid begins differs by rounding, nothing else."""
-    verdict, expected = diagnose(read_all([as_logs]), Model()).verdict, diagnosed(DEAD_TIME_S).verdict
+    verdict, expected = verdict_of_logs, diagnosed(DEAD_TIME_S).verdict
     assert (verdict.verdict, verdict.where.stage) == (expected.verdict, expected.where.stage)
     assert [(e.name, e.equivalents) for e in verdict.effects] == [(e.name, e.equivalents) for e in expected.effects]
     for one, other in zip(verdict.effects, expected.effects, strict=True):
@@ -46,3 +53,32 @@ def test_the_daemons_logs_get_the_same_verdict(diagnosed, as_logs):
             assert [estimate.value, estimate.low, estimate.high] == pytest.approx(ends, abs=chance)
     for stage, before in verdict.gap.before.items():
         assert before.value == pytest.approx(expected.gap.before[stage].value, rel=0.02)
+
+
+@pytest.fixture(scope="module", params=["csv", "parquet"])
+def exported(request, as_logs, tmp_path_factory):
+    """The logs as `softarm logs export` gives them to other programs."""
+    campaign = tmp_path_factory.mktemp(request.param)
+    logs = sorted(map(str, as_logs.glob("*.mcap")))
+    result = CliRunner().invoke(main, ["logs", "export", "--to", request.param, "--out", str(campaign), *logs])
+    assert result.exit_code == 0, result.output
+    return campaign
+
+
+def test_what_is_exported_is_the_log_to_the_bit(exported, as_logs):
+    """So its verdict is the log's: the diagnosis has no other input, and no dice."""
+    of_logs, of_export = (read_all([each]) for each in (as_logs, exported))
+    assert len(of_logs) == 2
+    for log, export in zip(of_logs, of_export, strict=True):
+        assert (log.name, log.kind, log.rail, log.warnings) == (export.name, export.kind, export.rail, export.warnings)
+        assert log.channels.keys() == export.channels.keys()
+        for channel, series in log.channels.items():
+            assert series.columns.keys() == export.channels[channel].columns.keys()
+            for column, values in {"t": series.t_s, **series.columns}.items():
+                other = {"t": export.channels[channel].t_s, **export.channels[channel].columns}[column]
+                np.testing.assert_array_equal(values, other)
+
+
+@pytest.mark.parametrize("exported", ["parquet"], indirect=True)
+def test_what_is_exported_gets_the_logs_verdict(exported, verdict_of_logs):
+    assert diagnose(read_all([exported]), Model()).verdict == verdict_of_logs

@@ -1,0 +1,89 @@
+"""`softarm logs export`: recordings for other programs."""
+
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from softarm.cli.errors import fail
+from softarm.cli.options import FILE
+
+if TYPE_CHECKING:
+    from softarm.daemon.logbook.logs import TickLog
+    from softarm.recordings.tables import Form
+
+FORMS = ("csv", "parquet")
+
+
+@click.command()
+@click.argument("files", metavar="LOG...", type=FILE, nargs=-1, required=True)
+@click.option("--to", type=click.Choice(FORMS), required=True, help="For which programs.")
+@click.option(
+    "--out",
+    type=click.Path(file_okay=False, path_type=Path),
+    default="exported",
+    show_default=True,
+    help="The folder to write into; what was exported there before is replaced.",
+)
+def export(files: tuple[Path, ...], to: str, out: Path) -> None:
+    """Write logs in the form of other programs.
+
+    csv and parquet: a folder for each log, with a row a tick (ticks), every frame of the cameras on its own clock
+    (mocap), every device's readings on theirs, and what happened (events); each column's unit is in its name. It is a
+    trial, which `softarm diagnose` reads like the log itself.
+
+    \b
+    Examples:
+      softarm logs export --to csv logs/softarm-20260101T120000Z.mcap
+      softarm logs export --to parquet --out flights logs/*.mcap
+    """
+    from softarm.daemon.logbook import logs
+    from softarm.diagnosis.data.trials import TrialError
+    from softarm.recordings.mcap_file import LogError
+
+    for file in files:
+        try:
+            click.echo(_tables(logs.read(file), out / file.stem, "csv" if to == "csv" else "parquet"))
+        except (LogError, TrialError) as error:
+            fail(str(error))
+        except OSError as error:
+            fail(f"{error.filename}: cannot be written ({error.strerror}); name another --out")
+        except ModuleNotFoundError as error:
+            fail(f"--to {to} needs {error.name}, which is not installed: pip install 'softarm[diagnosis]'")
+
+
+def _tables(log: "TickLog", folder: Path, form: "Form") -> str:
+    """One log as tables; returns what was done in a sentence."""
+    from softarm.common import files
+    from softarm.diagnosis.data import folder as trial_folder
+    from softarm.diagnosis.data import mcap
+    from softarm.recordings import tables
+
+    folder.mkdir(parents=True, exist_ok=True)
+    with progress(log) as advance:
+        ticks = tables.ticks(log, advance)
+    tables.write(folder / f"ticks.{form}", ticks)
+    tables.write(folder / f"events.{form}", tables.events(log, tuple(log.entries())))
+    trial_folder.write(mcap.read(log.path), folder, form)
+    files.write_text(folder / "about.json", tables.about(log))
+    return f"wrote {folder}: {len(ticks['t_s'])} ticks over {log.duration_s:.1f} s"
+
+
+@contextmanager
+def progress(log: "TickLog") -> Iterator[Callable[[], None]]:
+    """A bar on the error stream for a log that takes seconds to read; call what comes out for every message."""
+    every = 1000
+    read = 0
+    with click.progressbar(length=log.records, label=f"reading {log.path.name}", file=sys.stderr) as bar:
+
+        def advance() -> None:
+            nonlocal read
+            read += 1
+            if read % every == 0:
+                bar.update(every)
+
+        yield advance
+        bar.update(log.records - read // every * every)

@@ -1,0 +1,99 @@
+"""A log as tables: a row for each tick, every digit, a unit in every name."""
+
+import csv
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from pyarrow import parquet
+
+from softarm.daemon.logbook import logs
+from softarm.recordings import tables
+from softarm.recordings.mcap_file import LogError
+
+FLIGHT = Path(__file__).parents[1] / "data" / "flight.mcap"
+
+
+@pytest.fixture(scope="module")
+def log():
+    return logs.read(FLIGHT)
+
+
+@pytest.fixture(scope="module")
+def ticks(log):
+    return tables.ticks(log)
+
+
+def test_a_row_is_a_tick_as_the_loop_saw_and_decided_it(log, ticks):
+    recorded = list(log)
+    assert {len(column) for column in ticks.values()} == {len(recorded)}
+    begin_ns = recorded[0][0].mocap[0].t_capture_ns
+    for row, (inputs, outputs, timing) in enumerate(recorded):
+        cell = {name: column[row] for name, column in ticks.items()}
+        assert cell["t_s"] == (inputs.t_ns - begin_ns) * 1e-9
+        assert (cell["tick"], cell["mode"], cell["policy"]) == (outputs.tick, outputs.mode, outputs.policy)
+        assert (cell["sent_enable"], cell["sent_cart_velocity_m_s"], cell["sent_pressure_kpa"]) == outputs.sent
+        assert (cell["measured_pressure_kpa"], cell["rail_position_m"]) == (
+            inputs.pressure.pressure_kpa,
+            inputs.rail.position_m,
+        )
+        assert (cell["observed_tip_y_m"], cell["observed_tip_vz_m_s"]) == (
+            outputs.observed.values.tip_y_m,
+            outputs.observed.values.tip_vz_m_s,
+        )
+        assert cell["clamps"].split() == list(outputs.clamps)
+        assert cell["events"].split() == [event.name for event in outputs.events]
+        assert cell["compute_ms"] == timing.compute_ns * 1e-6
+        if outputs.action is None:
+            assert math.isnan(cell["action_pressure_kpa"])
+        else:
+            assert cell["action_pressure_kpa"] == outputs.action[1]
+    assert {"reach", "pid"} == set(ticks["policy"])
+    assert {"armed", "disarmed", "stopped"} <= set(ticks["mode"])
+
+
+def test_its_instants_are_the_walls(log, ticks):
+    offset_ns = int(log.metadata["clock"]["wall_minus_monotonic_ns"])
+    first = next(iter(log.inputs())).t_ns + offset_ns
+    assert ticks["time_utc"][0] == np.datetime64(first, "ns")
+    assert str(ticks["time_utc"][0])[:10] == "2026-11-22"
+
+
+def test_csv_and_parquet_give_every_digit_back(ticks, tmp_path):
+    for form in ("csv", "parquet"):
+        tables.write(tmp_path / f"ticks.{form}", ticks)
+    with (tmp_path / "ticks.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    table = parquet.read_table(tmp_path / "ticks.parquet")
+    assert table.column_names == list(rows[0]) == list(ticks)
+    for name, column in ticks.items():
+        if name == "time_utc":
+            assert [np.datetime64(row[name].removesuffix("Z")) for row in rows] == list(column)
+            assert table[name].cast("int64").to_pylist() == column.astype(int).tolist()
+        elif isinstance(column[0], float):
+            np.testing.assert_array_equal([float(row[name] or "nan") for row in rows], column)
+            np.testing.assert_array_equal(table[name].to_numpy().astype(float), column)
+        else:
+            assert [row[name] for row in rows] == [str(cell) for cell in column]
+            assert table[name].to_pylist() == list(column)
+
+
+def test_what_happened_is_a_table_too(log):
+    entries = tuple(log.entries())
+    events = tables.events(log, entries)
+    assert list(events["text"]) == [entry.text for entry in entries]
+    assert list(events["kind"]).count("goal") >= 2
+    assert set(events["t_s"]) <= set(tables.ticks(log)["t_s"])
+
+
+def test_the_head_of_the_log_comes_along(log):
+    about = json.loads(tables.about(log))
+    assert about["configuration"]["control"]["rate_hz"] == 30
+    assert [policy["name"] for policy in about["policies"]] == ["reach", "pid"]
+
+
+def test_a_log_that_does_not_know_the_time_is_told(killed):
+    with pytest.raises(LogError, match="does not say what time it was"):
+        tables.ticks(logs.read(killed))
