@@ -2,34 +2,49 @@
 
 import shlex
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
 from softarm.cli.errors import fail
-from softarm.cli.options import FILE, config_option, flown_model, model_option
+from softarm.cli.options import FILE, config_option, flown_model, independent_body, model_option
 from softarm.common.processes import bar
+
+if TYPE_CHECKING:
+    from softarm.schemas.goals import GoalStatus
 
 
 @click.command()
-@click.argument("name", required=False)
+@click.argument("names", nargs=-1, metavar="[NAME]...")
 @config_option
 @click.option("--simulated", is_flag=True, help="A robot simulated in this process, as fast as it will go.")
+@click.option("--reality", is_flag=True, help="The independent robot in MuJoCo instead (docs/reality.md).")
+@click.option("--fault", "faults", multiple=True, metavar="GROUP.QUANTITY=VALUE", help="Of --reality; again for more.")
 @model_option
 @click.option("--plan", type=FILE, help="Play what a diagnosis asks for next: its verdict.json.")
 @click.option("--list", "show", is_flag=True, help="Show the excitations there are.")
 def excite(
-    name: str | None, config_file: Path | None, simulated: bool, model_file: Path | None, plan: Path | None, show: bool
+    names: tuple[str, ...],
+    config_file: Path | None,
+    simulated: bool,
+    reality: bool,
+    faults: tuple[str, ...],
+    model_file: Path | None,
+    plan: Path | None,
+    show: bool,
 ) -> None:
-    """Play the excitation NAME and record it: the arm is armed, moves, and is disarmed again.
+    """Play the excitations NAME and record each: the arm is armed, moves, and is disarmed again.
 
-    It is a policy like any other: safety filter, failsafe and recorder are the daemon's own, and while it plays
+    Each is a policy like any other: safety filter, failsafe and recorder are the daemon's own, and while it plays
     the API answers, so `softarm stop` works. The cart is brought to the middle of the rail first.
 
     \b
     Examples:
       softarm excite --list
       softarm excite seed --config softarm.yaml        on the robot, about half a minute
+      softarm excite seed rail-steps both --config softarm.yaml     a campaign
       softarm excite rail-chirp --simulated            on a simulated one
+      softarm excite seed --reality --fault arm.payload_kg=0.03     on one that shares no line with the simulator
       softarm excite --plan verdict.json --config softarm.yaml    the next experiment of `softarm diagnose`
     """
     from softarm.daemon.api.auth import AuthError
@@ -48,24 +63,31 @@ def excite(
             click.echo(f"{excitation.name:20s} {excitation.duration_s:5.1f} s  {excitation.description}")
         return
     if plan is not None:
-        if name is not None:
+        if names:
             raise click.UsageError("NAME or --plan, not both")
-        name = _planned(plan)
-    if name is None:
+        names = (_planned(plan),)
+    if not names:
         raise click.UsageError("which excitation? `softarm excite --list` shows them")
-    if config_file is None and not simulated:
-        raise click.UsageError("which robot? --config FILE for real devices, or --simulated")
-    if model_file is not None and not simulated:
+    if config_file is None and not (simulated or reality):
+        raise click.UsageError("which robot? --config FILE for real devices, --simulated, or --reality")
+    if model_file is not None and not (simulated or reality):
         raise click.UsageError("--model is of the simulated robot: add --simulated")
+    if faults and not reality:
+        raise click.UsageError("--fault is for the independent robot: add --reality")
     try:
         config = configuration.load(config_file) if config_file else Config()
-        total_s = length_s(config, name)
+        lengths_s = [length_s(config, name) for name in names]  # every name is looked up before the first is played
         model = flown_model(model_file)
-        with bar(f"playing {name}", total_s) as shown:
-            if simulated:
-                status, log = play_simulated(config, name, model, shown.show)
-            else:
-                status, log = play(config, name, real_devices(config), shown.show, latch_of(config))
+        logs = []
+        for name, total_s in zip(names, lengths_s, strict=True):
+            body = independent_body(model, faults) if reality else None
+            with bar(f"playing {name}", total_s) as shown:
+                if simulated or reality:
+                    status, log = play_simulated(config, name, model, shown.show, body)
+                else:
+                    status, log = play(config, name, real_devices(config), shown.show, latch_of(config))
+            _tell(name, status, log)
+            logs.append(log)
     except (
         configuration.ConfigurationError,
         PolicyError,
@@ -76,15 +98,31 @@ def excite(
         RuntimeError,
     ) as error:
         fail(str(error))
+    _tell_next([log for log in logs if log is not None], plan)
+
+
+def _tell(name: str, status: "GoalStatus", log: Path | None) -> None:
+    """How one went. Ends the command with a sentence when it was not played to its end."""
     if status.state != "reached":
         fail(f"{name} was not played to its end: {status.state}, {status.reason}; what there is lies in {log}")
     click.echo(f"played {name}, {status.time_s:.1f} s; recorded {log}" if log else f"played {name}; nothing recorded")
-    if log is not None and plan is not None:
+
+
+def _tell_next(logs: list[Path], plan: Path | None) -> None:
+    """The commands that make something of the recordings."""
+    if not logs:
+        return
+    recorded = shlex.join(map(str, logs))
+    if plan is not None:
         anew = plan.with_name(f"{plan.stem}-next.json")  # the old verdict stays until its recordings are told anew
-        click.echo(f"next: softarm diagnose {shlex.quote(str(log))} --json {shlex.quote(str(anew))}")
-        click.echo(f"(named before {log}, the recordings that {plan} came from count as well: together they decide)")
-    elif log is not None:
-        click.echo(f"next: softarm identify {shlex.quote(str(log))} --out model.yaml")
+        click.echo(f"next: softarm diagnose {recorded} --json {shlex.quote(str(anew))}")
+        click.echo(
+            f"(named before {recorded}, the recordings that {plan} came from count as well: together they decide)"
+        )
+        return
+    click.echo(f"next: softarm identify {recorded} --out model.yaml")
+    if len(logs) > 1:
+        click.echo(f"or:   softarm diagnose {recorded} --report report.html")
 
 
 def _planned(plan: Path) -> str:

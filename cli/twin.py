@@ -1,16 +1,11 @@
 """`softarm twin`: the robot behind its wires, simulated, in a process of its own."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import click
 
 from softarm.cli.errors import fail
-from softarm.cli.options import FILE, flown_model, model_option
-
-if TYPE_CHECKING:
-    from softarm.drivers.bodies.base import Body
-    from softarm.schemas.model import Model
+from softarm.cli.options import FILE, flown_model, independent_body, model_option
 
 
 @click.command()
@@ -44,27 +39,9 @@ def twin(config_file: Path, model_file: Path | None, reality: bool, faults: tupl
     try:
         config = load(config_file)
         model = flown_model(model_file)
-        body = _independent_body(model, faults) if reality else None
+        body = independent_body(model, faults) if reality else None
         # Devices do not wait for other programs either.
         realtime.outrank_other_programs(config.control.realtime_priority)
         run_twin(config, model, lambda text: click.echo(f"softarm twin: {text}"), body)
     except (ConfigurationError, DeviceError) as error:
         fail(str(error))
-
-
-def _independent_body(model: "Model | None", faults: tuple[str, ...]) -> "Body":
-    """The robot of `reality/`; a sentence when its extra is missing, or it cannot be of that model or have a fault."""
-
-    try:
-        from softarm.drivers.bodies.independent import IndependentBody
-        from softarm.flights.robots import with_faults
-        from softarm.reality.parameters import of_model
-        from softarm.schemas.model import Model
-
-        return IndependentBody(with_faults(of_model(model or Model()), faults))
-    except ModuleNotFoundError as error:
-        if error.name != "mujoco":
-            raise
-        fail("softarm twin --reality needs the package 'mujoco': pip install 'softarm[mujoco]'")
-    except ValueError as error:
-        fail(f"softarm twin --reality: {error}")

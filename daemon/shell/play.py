@@ -11,6 +11,7 @@ from softarm.daemon.shell.daemon import Daemon
 from softarm.daemon.shell.loop import Devices
 from softarm.daemon.shell.offline import Lockstep
 from softarm.daemon.stop.latch import LatchKeeper
+from softarm.drivers.bodies.base import Body
 from softarm.policies.excite import Excite
 from softarm.schemas.config import Config, Policy
 from softarm.schemas.goals import Goal, GoalStatus
@@ -60,9 +61,16 @@ def play(
         daemon.stop()  # brakes, vents and switches off
 
 
-def play_simulated(config: Config, excitation: str, model: Model | None, on_time: Callable[[float], None]) -> Played:
-    """In lockstep with the simulated robot: no sleeping, the same recording every time; on_time(seconds played).
+def play_simulated(
+    config: Config,
+    excitation: str,
+    model: Model | None,
+    on_time: Callable[[float], None],
+    body: Body | None = None,
+) -> Played:
+    """In lockstep with a robot in this process: no sleeping, the same recording every time; on_time(seconds played).
 
+    body: instead of the simulated one, which is made of `model`.
     Raises RuntimeError with the daemon's own reasons when it does not arm, RecorderError, and PolicyError for an
     excitation that there is none of.
     """
@@ -72,7 +80,7 @@ def play_simulated(config: Config, excitation: str, model: Model | None, on_time
     recorder = Recorder(config, policy.spec)
     recorder.start()
     try:
-        lockstep = Lockstep(config, policy, model, recorder)
+        lockstep = Lockstep(config, policy, model, recorder, body)
         lockstep.arm()
         outputs = lockstep.tick(lockstep.request("goal", Goal("run")))
         while outputs.goal.state == "running":

@@ -1,6 +1,8 @@
 """`softarm excite` records what `softarm identify` reads."""
 
 import json
+import re
+from pathlib import Path
 
 import pytest
 from click.testing import CliRunner
@@ -58,6 +60,21 @@ def test_identify_writes_a_model_numbers_and_pictures(recorded, tmp_path):
     assert all((tmp_path / "pictures" / p).read_bytes().startswith(b"\x89PNG") for p in pictures)
 
 
+@pytest.mark.slow
+def test_a_campaign_on_the_independent_robot_shows_its_fault(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    outcome = run("excite", "free-decay", "pressure-multisine", "--reality", "--fault", "regulator.gain=0.2")
+    assert outcome.exit_code == 0, outcome.output
+    logs = re.findall(r"recorded (\S+)", outcome.output)
+    assert len(logs) == 2
+    assert f"or:   softarm diagnose {' '.join(logs)} --report report.html" in outcome.output
+    outcome = run("diagnose", *logs, "--json", "verdict.json")
+    assert outcome.exit_code == 0, outcome.output
+    (effect,) = json.loads(Path("verdict.json").read_text())["effects"]
+    assert effect["name"] == "pressure.gain"
+    assert effect["parameters"]["scale"]["value"] == pytest.approx(0.2, abs=0.02)
+
+
 def test_the_same_log_cannot_be_fitted_and_checked(recorded, tmp_path):
     outcome = run("identify", recorded, "--check", recorded, "--out", tmp_path / "m.yaml")
     assert outcome.exit_code == 1
@@ -69,7 +86,10 @@ def test_the_same_log_cannot_be_fitted_and_checked(recorded, tmp_path):
     ("arguments", "says", "code"),
     [
         (("excite",), "which excitation? `softarm excite --list` shows them", 2),
-        (("excite", "seed"), "which robot? --config FILE for real devices, or --simulated", 2),
+        (("excite", "seed"), "which robot? --config FILE for real devices, --simulated, or --reality", 2),
+        (("excite", "seed", "--simulated", "--fault", "arm.payload_kg=0.03"), "add --reality", 2),
+        (("excite", "seed", "--reality", "--fault", "arm.paylod_kg=0.03"), "write group.quantity=value", 1),
+        (("excite", "free-decay", "sed", "--simulated"), "no excitation 'sed'; did you mean seed?", 1),
         (("excite", "sed", "--simulated"), "no excitation 'sed'; did you mean seed?", 1),
         (("identify", "nowhere", "--out", "m.yaml"), "nowhere: is not there; name an MCAP log, a trial folder", 1),
     ],
