@@ -1,20 +1,13 @@
 """`softarm replay`: a recorded log through the same tick; it must give the same commands."""
 
 import sys
-from collections.abc import Iterator
 from itertools import chain
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import click
 
 from softarm.cli.errors import fail
 from softarm.cli.options import FILE
-
-if TYPE_CHECKING:
-    from softarm.daemon.shell.replay import Replayed
-
-SHOWN = 10
 
 
 @click.command()
@@ -33,6 +26,7 @@ def replay(files: tuple[Path, ...]) -> None:
     """
     from softarm.daemon.logbook import logs
     from softarm.daemon.shell.replay import replay as replay_log
+    from softarm.daemon.shell.replay import told
     from softarm.policies import registry
     from softarm.policies.base import PolicyError
     from softarm.recordings.mcap_file import LogError
@@ -46,34 +40,8 @@ def replay(files: tuple[Path, ...]) -> None:
         fail(str(error))
     for part in parts:
         click.echo(part.ending)
-    differences = replayed.differences
-    for difference in differences[:SHOWN]:
-        click.echo(f"tick {difference.tick} {difference.field}: was {difference.recorded}, is {difference.replayed}")
-    for sentence in _gaps(replayed):
+    *sentences, outcome = told(replayed)
+    for sentence in sentences:
         click.echo(sentence)
-    if differences:
-        click.echo(f"{len(differences)} differences in {replayed.compared} ticks", err=True)
-        sys.exit(1)
-    click.echo(f"{replayed.compared} ticks, every command the same")
-
-
-def _gaps(replayed: "Replayed") -> Iterator[str]:
-    """What the log does not hold, and what could not be compared for it."""
-    armed = [gap for gap in replayed.gaps if gap.armed]
-    off = [gap for gap in replayed.gaps if not gap.armed]
-    for gaps in (armed, off):
-        if gaps and gaps[0].after is None:
-            yield f"the log begins at tick {gaps.pop(0).tick} of its run: an earlier file holds what was before"
-    if off:
-        missing, seconds = sum(gap.missing for gap in off), sum(gap.seconds for gap in off)
-        yield f"not in this log: {missing} ticks ({seconds:.0f} s) of an arm that was switched off and still"
-    for gap in armed[:SHOWN]:
-        yield (
-            f"tick {gap.tick}: the {gap.missing} before it are not in this log, and the drive was on: "
-            "what follows may differ for that alone"
-        )
-    if unsure := replayed.ticks - replayed.compared:
-        yield (
-            f"run but not compared: {unsure} ticks after some that are missing: the first few, and of a goal that was "
-            "flown there all"
-        )
+    click.echo(outcome, err=bool(replayed.differences))
+    sys.exit(bool(replayed.differences))

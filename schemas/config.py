@@ -190,6 +190,7 @@ class Api(Strict):
     view_token_file: Path | None = None  # may look, and stop
     stop_token_file: Path | None = None  # may stop
     public_origin: str | None = None  # of a proxy with TLS before this API, as browsers see it
+    reports: Path = Path("reports")  # directory of the diagnosis' reports, to be shown
 
     @model_validator(mode="after")
     def _commanding_takes_a_token_if_looking_does(self) -> Self:

@@ -172,6 +172,38 @@ class LogsAnswer(Strict):
     logs: tuple[LogEntry, ...]
 
 
+class LogDeleted(Strict):
+    """A log that is gone."""
+
+    name: str
+
+
+class ReplayAnswer(Strict):
+    """How a log's replay went."""
+
+    name: str
+    same: bool = Field(description="every tick that was compared gave the same commands, bit for bit")
+    ticks: int = Field(description="that the log holds")
+    compared: int = Field(description="the others follow too closely on ticks that the log lacks")
+    differences: int
+    sentences: tuple[str, ...] = Field(description="as `softarm replay` prints them, the last one says what came of it")
+
+
+class ReportEntry(Strict):
+    """A page in the directory of reports."""
+
+    name: str
+    bytes: int
+    modified: AwareDatetime
+
+
+class ReportsAnswer(Strict):
+    """The reports on this machine, newest first."""
+
+    directory: str
+    reports: tuple[ReportEntry, ...]
+
+
 class EventsAnswer(Strict):
     """What happened, oldest first."""
 

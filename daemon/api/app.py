@@ -20,6 +20,7 @@ from softarm.daemon.api.auth import Door
 from softarm.daemon.api.bounds import STREAMS_MAX, WHO, Guard
 from softarm.daemon.api.endpoints import metrics
 from softarm.daemon.api.endpoints.entrance import Entrance
+from softarm.daemon.api.endpoints.files import Files
 from softarm.daemon.api.endpoints.pages import Pages
 from softarm.daemon.api.endpoints.policies import Installed, Policies, policy_answer, tried_out
 from softarm.daemon.api.endpoints.robot import robot_answer
@@ -31,12 +32,11 @@ from softarm.daemon.api.stream import POLL_S, stream
 from softarm.daemon.control import workspace
 from softarm.daemon.control.inbox import ANSWER_S, STOP_WAITS, Inbox, InboxFull
 from softarm.daemon.control.records import Outputs, Problems, RequestKind, RequestResult
-from softarm.daemon.logbook import folder, incidents
+from softarm.daemon.logbook import folder
 from softarm.daemon.logbook.history import KEPT, History
 from softarm.daemon.logbook.recent import KEPT_S, Recent
 from softarm.policies.base import Policy
 from softarm.policies.runner import PolicyRunner, ThreadRunner
-from softarm.recordings.listing import listing
 from softarm.schemas.config import Config
 from softarm.schemas.goals import Goal
 from softarm.schemas.messages import MocapFrame
@@ -46,6 +46,7 @@ from softarm.schemas.rest import (
     GoalBody,
     Health,
     IncidentsAnswer,
+    LogDeleted,
     LoginAnswer,
     LogsAnswer,
     PoliciesAnswer,
@@ -53,6 +54,8 @@ from softarm.schemas.rest import (
     ReachBody,
     RecentAnswer,
     Refusal,
+    ReplayAnswer,
+    ReportsAnswer,
     RobotAnswer,
     TicketAnswer,
 )
@@ -67,13 +70,14 @@ REFUSALS = {
     403: "asked under a foreign host name, or by a page of another site",
     404: "no such policy, or no such file; says where those there are are listed",
     408: "the body did not come in time",
-    409: "refused by the control loop, with its reasons",
+    409: "refused by the control loop, with its reasons; or a file that cannot be read or deleted now",
     413: "a body of more than 4096 bytes",
-    422: "a wrong body or a target out of reach; says what is allowed",
+    422: "a wrong body or a target out of reach, says what is allowed; or a log that cannot be replayed, says why",
     503: "the control loop does not answer",
     504: "it was not done in time and was given up",
 }
 ZIP = {"content": {"application/zip": {"schema": {"type": "string", "format": "binary"}}}}
+MCAP = {"content": {"application/octet-stream": {"schema": {"type": "string", "format": "binary"}}}}
 TEXT = {"content": {"text/plain": {"schema": {"type": "string"}}}}
 PAGE = {"content": {"text/html": {"schema": {"type": "string"}}}}
 FILE = {"content": {"*/*": {"schema": {"type": "string", "format": "binary"}}}}
@@ -111,6 +115,7 @@ def create_app(context: ApiContext) -> FastAPI:
     door = Door(context.config.api)
     sessions = Sessions(context.config.api.port)
     api, entrance, pages = _Api(context), Entrance(door, sessions), Pages(context.stop_port)
+    files = Files(context.config, context.recorder)
     app = FastAPIOffline(  # a bench may have no internet; FastAPI's own page loads its scripts from there
         title="softarm",
         version=__version__,
@@ -137,9 +142,14 @@ def create_app(context: ApiContext) -> FastAPI:
         ("GET", "/api/goal", api.get_goal, GoalAnswer, (503,)),
         ("GET", "/api/policies", api.get_policies, PoliciesAnswer, (503, 504)),
         ("PUT", "/api/policy", api.put_policy, RequestAnswer, (400, 404, 409, 422, 503, 504)),
-        ("GET", "/api/logs", api.get_logs, LogsAnswer, (503, 504)),
-        ("GET", "/api/incidents", api.get_incidents, IncidentsAnswer, (503, 504)),
-        ("GET", "/api/incidents/{name}", api.get_incident, ZIP, (404, 503, 504)),
+        ("GET", "/api/logs", files.logs, LogsAnswer, (503, 504)),
+        ("GET", "/api/logs/{name}", files.log, MCAP, (404, 409, 503, 504)),
+        ("DELETE", "/api/logs/{name}", files.delete_log, LogDeleted, (404, 409, 503, 504)),
+        ("POST", "/api/logs/{name}/replay", files.replay_log, ReplayAnswer, (404, 409, 422, 503, 504)),
+        ("GET", "/api/incidents", files.incidents, IncidentsAnswer, (503, 504)),
+        ("GET", "/api/incidents/{name}", files.incident, ZIP, (404, 503, 504)),
+        ("GET", "/api/reports", files.reports, ReportsAnswer, (503, 504)),
+        ("GET", "/api/reports/{name}", files.report, PAGE, (404, 409, 503, 504)),
         ("GET", "/metrics", api.get_metrics, TEXT, (503, 504)),
         ("GET", "/api/login", entrance.who, LoginAnswer, ()),
         ("POST", "/api/login", entrance.login, LoginAnswer, (400, 409, 422)),
@@ -290,31 +300,6 @@ class _Api:
             if refused.status == 409:  # at 503 the request, and so the runner, may still be taken
                 runner.close()
             raise
-
-    async def get_logs(self) -> Response:
-        """The logs in the recorder's directory."""
-        directory = self._context.config.recorder.directory.absolute()
-        current = self._context.recorder.path if self._context.recorder else None
-        found = await self._listing.run("listing the logs", lambda: listing(directory))
-        own = None if current is None else current.name
-        entries = tuple(entry.model_copy(update={"recording": entry.name == own}) for entry in found)
-        return json_response(LogsAnswer(directory=str(directory), logs=entries).model_dump_json())
-
-    async def get_incidents(self) -> Response:
-        """The files of emergency stops; GET /api/incidents/NAME gives one."""
-        directory = self._context.config.recorder.directory.absolute()
-        found = await self._listing.run("listing the incident files", lambda: incidents.listing(directory))
-        answer = IncidentsAnswer(directory=str(directory / incidents.FOLDER), incidents=found)
-        return json_response(answer.model_dump_json())
-
-    async def get_incident(self, name: str) -> Response:
-        """The file of an emergency stop, a zip to be sent."""
-        directory = self._context.config.recorder.directory.absolute()
-        content = await self._listing.run("reading an incident file", lambda: incidents.content(directory, name))
-        if content is None:
-            raise Refused(404, f"no incident file '{name[:60]}'; GET /api/incidents lists them")
-        saved = {"Content-Disposition": f'attachment; filename="{name}"'}
-        return Response(content, media_type="application/zip", headers=saved)
 
     async def get_metrics(self) -> Response:
         """Figures for a Prometheus server, in its text format."""

@@ -16,6 +16,7 @@ from softarm.schemas.rest import API_HEADER, API_VERSION
 BODY_MAX = 4096  # bytes; the longest that means anything, a goal, has a hundred
 BODY_S = 5.0  # for all of it
 HEADER_MAX = 16_384  # bytes
+DEAF_S = 30.0  # that a client may leave what it is sent lie
 QUIET_S = 5.0  # without a whole request, since the connection was made or answered last
 CONNECTIONS_MAX = 128
 STREAMS_MAX = 32
@@ -157,6 +158,8 @@ def _again(body: bytes, receive: Receive) -> Receive:
 class BoundedHttp(H11Protocol):
     """uvicorn's HTTP, where a connection that does nothing is closed, or gives its place to one that comes."""
 
+    _deaf: asyncio.TimerHandle | None = None
+
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
         """Make room, then wait for a request, not for ever."""
         if len(self.connections) >= CONNECTIONS_MAX:
@@ -170,7 +173,23 @@ class BoundedHttp(H11Protocol):
     def connection_lost(self, exc: Exception | None) -> None:
         """Nothing more to wait for."""
         self._patience.cancel()
+        self._heard()
         super().connection_lost(exc)
+
+    def pause_writing(self) -> None:
+        """The client takes no more for now."""
+        self._deaf = self.loop.call_later(DEAF_S, self.transport.abort)
+        super().pause_writing()
+
+    def resume_writing(self) -> None:
+        """It has taken what there was."""
+        self._heard()
+        super().resume_writing()
+
+    def _heard(self) -> None:
+        if self._deaf is not None:
+            self._deaf.cancel()
+        self._deaf = None
 
     def handle_websocket_upgrade(self, event: Any) -> None:
         """From here on it is a stream."""

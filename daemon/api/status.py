@@ -31,6 +31,9 @@ class RecorderState(Protocol):
     def dropped(self) -> int:
         """Ticks that could not be kept."""
 
+    def done(self, what: str, text: str, who: str) -> None:
+        """Note that somebody had something done beside the control loop. Never blocks."""
+
 
 @dataclass(frozen=True, slots=True)
 class PolicyInfo:

@@ -37,17 +37,32 @@ class Changes:
 
     def take(self, inputs: Inputs, outputs: Outputs) -> list[Entry]:
         """One tick more. In order: who asked, what the arm does for it, what was lost, what is wrong."""
-
-        def entry(kind: EventKind, what: str, text: str, who: str | None = None, accepted: bool | None = None) -> Entry:
-            self._number += 1
-            time = self._time_of(outputs.t_ns)
-            text = text.encode(errors="replace").decode()  # a device's complaint may be no text
-            return Entry(self._number, outputs.t_ns, time, outputs.tick, kind, what, text, who, accepted)
-
         parts = (self._requests(inputs, outputs), self._mode(inputs, outputs), self._devices(outputs))
-        found = [entry(*one) for part in (*parts, self._events(outputs)) for one in part]
+        at = outputs.t_ns, outputs.tick
+        found = [self._entry(*at, *one) for part in (*parts, self._events(outputs)) for one in part]
         self._before = outputs
         return found
+
+    def done(self, t_ns: int, what: str, text: str, who: str) -> Entry:
+        """What somebody had done beside the control loop, which no tick shows."""
+        by = f", asked for by {who}" if who else ""
+        return self._entry(
+            t_ns, self._before.tick if self._before else 0, "request", what, text + by, who or None, True
+        )
+
+    def _entry(
+        self,
+        t_ns: int,
+        tick: int,
+        kind: EventKind,
+        what: str,
+        text: str,
+        who: str | None = None,
+        accepted: bool | None = None,
+    ) -> Entry:
+        self._number += 1
+        text = text.encode(errors="replace").decode()  # a device's complaint may be no text
+        return Entry(self._number, t_ns, self._time_of(t_ns), tick, kind, what, text, who, accepted)
 
     def _requests(self, inputs: Inputs, outputs: Outputs) -> Iterator[tuple[EventKind, str, str, str | None, bool]]:
         if outputs.t_ns - self._second_ns >= 1_000_000_000:

@@ -35,7 +35,13 @@ class History:
         """One tick more: what happened in it, told and kept."""
         self.lateness[bisect_left(LATE_NS, outputs.late_ns)] += 1
         self.late_ns += outputs.late_ns
-        new = self._changes.take(inputs, outputs)
+        return self._tell(self._changes.take(inputs, outputs))
+
+    def done(self, t_ns: int, what: str, text: str, who: str) -> list[Entry]:
+        """What somebody had done beside the control loop: told and kept like the rest."""
+        return self._tell([self._changes.done(t_ns, what, text, who)])
+
+    def _tell(self, new: list[Entry]) -> list[Entry]:
         if new:
             self.entries = (*self.entries, *new)[-KEPT:]
         for entry in new:

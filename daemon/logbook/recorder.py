@@ -53,6 +53,16 @@ class _Unkept:
     tick: Tick
 
 
+@dataclass(frozen=True, slots=True)
+class _Deed:
+    """What somebody had done beside the control loop."""
+
+    t_ns: int
+    what: str
+    text: str
+    who: str
+
+
 class _Enough(Exception):
     """Tidying up is over: the recorder stops, or it takes too long."""
 
@@ -71,7 +81,7 @@ class Recorder:
         self._config = config
         self._settings = config.recorder
         self._monotonic_ns, self._wall_ns = monotonic_ns, wall_ns
-        self._queue: deque[Tick | _Unkept | _PolicyChange] = deque()
+        self._queue: deque[Tick | _Unkept | _PolicyChange | _Deed] = deque()
         self._stopping = threading.Event()
         self._writer: threading.Thread | None = None
         self._tidier: threading.Thread | None = None
@@ -131,6 +141,10 @@ class Recorder:
         """Note that the ticks from here on are another policy's. Never blocks."""
         if self._settings.enabled:
             self._queue.append(_PolicyChange(spec))
+
+    def done(self, what: str, text: str, who: str) -> None:
+        """Note that somebody had something done beside the control loop, such as a log deleted. Never blocks."""
+        self._queue.append(_Deed(self._monotonic_ns(), what, text, who))
 
     def _write(self, path: Path, file: BinaryIO) -> None:
         """The writer's thread: one file after the other."""
@@ -197,9 +211,9 @@ class Recorder:
                 self._policy = item.spec
                 live.policy(item.spec)
                 continue
-            for entry in self._tell(item.tick if isinstance(item, _Unkept) else item):
+            for entry in self._tell(item):
                 live.entry(entry)
-            if isinstance(item, _Unkept):
+            if isinstance(item, _Unkept | _Deed):
                 continue
             goal = item[1].goal
             self._in_goal = goal.state == "running" and goal.goal is not None and goal.goal.kind != "hold"
@@ -251,11 +265,14 @@ class Recorder:
             if isinstance(item, _PolicyChange):
                 self._policy = item.spec
                 continue
-            self._lost += not isinstance(item, _Unkept)
-            self._tell(item.tick if isinstance(item, _Unkept) else item)
+            self._lost += not isinstance(item, _Unkept | _Deed)
+            self._tell(item)
 
-    def _tell(self, tick: Tick) -> list[Entry]:
-        """What happened in a tick: told, kept for charts, and an emergency stop pinned."""
+    def _tell(self, item: Tick | _Unkept | _Deed) -> list[Entry]:
+        """What happened in a tick: told, kept for charts, and an emergency stop pinned; a deed is told."""
+        if isinstance(item, _Deed):
+            return self.history.done(item.t_ns, item.what, item.text, item.who)
+        tick = item.tick if isinstance(item, _Unkept) else item
         entries = self.history.take(*tick[:2])
         self.recent.take(tick[1])
         if self._incidents is not None:

@@ -6,7 +6,7 @@ and is compared again; where a goal was flown, once that is over, for its policy
 """
 
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 
 from softarm.daemon.control.checks import DISAGREEING_TICKS
@@ -75,6 +75,43 @@ class Replayed:
     compared: int  # the others follow a gap too closely
     differences: list[Difference]
     gaps: list[Gap]
+
+
+TOLD = 10  # of what is alike
+
+
+def told(replayed: Replayed) -> Iterator[str]:
+    """How a replay went, in sentences: the differences, what the log does not hold, and last what came of it."""
+    differences = replayed.differences
+    for one in differences[:TOLD]:
+        yield f"tick {one.tick} {one.field}: was {one.recorded}, is {one.replayed}"
+    yield from _gaps_told(replayed)
+    if differences:
+        yield f"{len(differences)} differences in {replayed.compared} ticks"
+    else:
+        yield f"{replayed.compared} ticks, every command the same"
+
+
+def _gaps_told(replayed: Replayed) -> Iterator[str]:
+    """What the log does not hold, and what could not be compared for it."""
+    armed = [gap for gap in replayed.gaps if gap.armed]
+    off = [gap for gap in replayed.gaps if not gap.armed]
+    for gaps in (armed, off):
+        if gaps and gaps[0].after is None:
+            yield f"the log begins at tick {gaps.pop(0).tick} of its run: an earlier file holds what was before"
+    if off:
+        missing, seconds = sum(gap.missing for gap in off), sum(gap.seconds for gap in off)
+        yield f"not in this log: {missing} ticks ({seconds:.0f} s) of an arm that was switched off and still"
+    for gap in armed[:TOLD]:
+        yield (
+            f"tick {gap.tick}: the {gap.missing} before it are not in this log, and the drive was on: "
+            "what follows may differ for that alone"
+        )
+    if unsure := replayed.ticks - replayed.compared:
+        yield (
+            f"run but not compared: {unsure} ticks after some that are missing: the first few, and of a goal that was "
+            "flown there all"
+        )
 
 
 def replay(ticks: Iterable[tuple[Inputs, Outputs]], config: Config, load: Callable[[str], Policy]) -> Replayed:

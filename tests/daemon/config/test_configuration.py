@@ -118,7 +118,7 @@ def test_all_mistakes_are_told_at_once_in_the_files_order(write):
         "arm.yaml:19: api.port: stands twice (first in line 18); keep one",
         "arm.yaml:20: apis: unknown key; did you mean api? "
         "(allowed a group with the keys host, port, stop_port, token_file, view_token_file, stop_token_file, "
-        "public_origin)",
+        "public_origin, reports)",
     ]
 
 

@@ -1,0 +1,278 @@
+"""Logs kept, deleted and replayed over the API, reports shown: those files and no others, whoever asks for what."""
+
+import os
+import shutil
+import socket
+import subprocess
+import sys
+import time
+from contextlib import suppress
+from pathlib import Path
+from urllib.parse import quote
+
+import httpx
+import pytest
+
+from softarm.daemon.api.endpoints import files
+from softarm.daemon.api.endpoints.files import CHUNK, SANDBOX
+from softarm.daemon.logbook import logs
+from softarm.daemon.logbook.recorder import Recorder
+from softarm.daemon.shell import replay_aside
+from softarm.recordings import finishing
+from softarm.schemas.config import Config
+
+FLIGHT = Path(__file__).parents[2] / "data" / "flight.mcap"
+NO_NAMES = [
+    "..",
+    "../softarm.yaml",
+    "../../etc/passwd",
+    "%2e%2e%2fsecret.mcap",
+    "..%2fsecret.mcap",
+    "/etc/passwd",
+    ".hidden.mcap",
+    "none.mcap",
+    "folder.mcap",
+    "link.mcap",
+    "pipe.mcap",
+    "notes.txt",
+    "a%00.mcap",
+    "a%0d%0aX: y.mcap",
+    "x" * 4000 + ".mcap",
+    "%ff.mcap",
+    "*.mcap",
+]
+
+
+@pytest.fixture
+def config(tmp_path):
+    return Config(recorder={"directory": tmp_path / "logs"}, api={"reports": tmp_path / "reports"})
+
+
+@pytest.fixture
+def folder(config, tmp_path):
+    """With a log and everything that is none."""
+    made = config.recorder.directory
+    made.mkdir()
+    (tmp_path / "secret.mcap").write_bytes(b"secret")
+    (made / "flight.mcap").write_bytes(os.urandom(3 * CHUNK + 5))
+    (made / ".hidden.mcap").write_bytes(b"secret")
+    (made / "notes.txt").write_bytes(b"secret")
+    (made / "folder.mcap").mkdir()
+    (made / "link.mcap").symlink_to(tmp_path / "secret.mcap")
+    os.mkfifo(made / "pipe.mcap")
+    return made
+
+
+@pytest.fixture
+def client(loop, app, client_of, config):
+    return client_of(app(loop, config))
+
+
+def test_a_log_is_handed_out_as_it_is(client, folder):
+    answer = client.get("/api/logs/flight.mcap")
+    assert answer.content == (folder / "flight.mcap").read_bytes()
+    assert answer.headers["content-length"] == str(3 * CHUNK + 5)
+    assert answer.headers["content-disposition"] == "attachment; filename*=UTF-8''flight.mcap"
+    assert answer.headers["x-content-type-options"] == "nosniff"
+    assert answer.headers["content-type"] == "application/octet-stream"
+
+
+def test_a_name_may_be_any_that_lies_there(client, folder):
+    name = 'a "log" of Zoë;.mcap'
+    (folder / name).write_bytes(b"x")
+    answer = client.get(f"/api/logs/{quote(name)}")
+    assert answer.content == b"x"
+    assert answer.headers["content-disposition"] == f"attachment; filename*=UTF-8''{quote(name)}"
+
+
+def test_a_log_that_grows_is_handed_out_as_long_as_it_was(config, folder, monkeypatch, loop, app, client_of):
+    path, before = folder / "flight.mcap", (folder / "flight.mcap").read_bytes()
+    opened = files._opened
+
+    def and_more(asked):
+        found = opened(asked)
+        with path.open("ab") as file:
+            file.write(b"more")
+        return found
+
+    monkeypatch.setattr(files, "_opened", and_more)
+    answer = client_of(app(loop, config)).get("/api/logs/flight.mcap")
+    assert answer.content == before
+
+
+@pytest.mark.parametrize("method", ["GET", "DELETE", "POST"])
+@pytest.mark.parametrize("name", NO_NAMES)
+def test_nothing_else_of_the_disk_is_handed_out_deleted_or_replayed(client, folder, tmp_path, name, method):
+    before = sorted(tmp_path.rglob("*"))
+    path = f"/api/logs/{name}" + ("/replay" if method == "POST" else "")
+    answer = client.request(method, path)
+    assert answer.status_code in (404, 405, 409)
+    assert "secret" not in answer.text.replace(name, "").replace("secret.mcap", "")
+    assert answer.json()["reasons"]
+    assert sorted(tmp_path.rglob("*")) == before
+
+
+def test_only_so_many_are_sent_at_once_and_one_that_ends_makes_room(loop, app, serving, config, folder, monkeypatch):
+    monkeypatch.setattr(files, "DOWNLOADS_MAX", 1)
+    with (folder / "flight.mcap").open("wb") as file:
+        file.truncate(64_000_000)
+    with serving(app(loop, config), config.api.model_copy(update={"port": 0})) as port:
+        url = f"http://127.0.0.1:{port}/api/logs/flight.mcap"
+        with httpx.stream("GET", url, timeout=10) as slow:
+            assert slow.status_code == 200
+            refused = httpx.get(url, timeout=10)
+            assert refused.status_code == 503
+            assert "1 files are being sent already" in refused.text
+        deadline = time.monotonic() + 20
+        while (answer := httpx.get(url, timeout=10)).status_code == 503:
+            assert time.monotonic() < deadline
+        assert len(answer.content) == 64_000_000
+    assert not is_open("flight.mcap")
+
+
+def is_open(name: str) -> bool:
+    """By this process."""
+    for link in Path("/proc/self/fd").iterdir():
+        with suppress(OSError):
+            if name in os.readlink(link):
+                return True
+    return False
+
+
+def until(condition) -> None:
+    deadline = time.monotonic() + 20
+    while not condition():
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
+
+
+def test_who_takes_nothing_of_what_he_asked_for_is_hung_up_on(loop, app, serving, config, folder, monkeypatch):
+    monkeypatch.setattr("softarm.daemon.api.bounds.DEAF_S", 0.3)
+    with (folder / "flight.mcap").open("wb") as file:
+        file.truncate(64_000_000)
+    with serving(app(loop, config), config.api.model_copy(update={"port": 0})) as port:
+        deaf = socket.create_connection(("127.0.0.1", port), timeout=20)
+        deaf.sendall(b"GET /api/logs/flight.mcap HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n")
+        until(lambda: is_open("flight.mcap"))
+        until(lambda: not is_open("flight.mcap"))
+        taken = 0
+        with suppress(ConnectionResetError):
+            while part := deaf.recv(1_000_000):
+                taken += len(part)
+        deaf.close()
+        assert taken < 64_000_000
+
+
+def test_a_log_is_deleted_and_it_is_told_whose_wish_that_was(loop, app, client_of, config, folder):
+    recorder = Recorder(config)
+    recorder.start()
+    client = client_of(app(loop, config, recorder=recorder, history=recorder.history))
+    try:
+        refused = client.request("DELETE", f"/api/logs/{recorder.path.name}")
+        assert (refused.status_code, "is being recorded" in refused.json()["detail"]) == (409, True)
+        answer = client.request("DELETE", "/api/logs/flight.mcap")
+        assert (answer.status_code, answer.json()) == (200, {"name": "flight.mcap"})
+        assert not (folder / "flight.mcap").exists()
+        assert client.request("DELETE", "/api/logs/flight.mcap").status_code == 404
+    finally:
+        recorder.stop()
+    (event,) = client.get("/api/events").json()["events"]
+    assert (event["kind"], event["what"], event["accepted"], event["who"]) == ("request", "delete_log", True, "the API")
+    assert event["text"] == "delete log flight.mcap, asked for by the API"
+    assert [entry.text for entry in logs.read(recorder.path).entries()] == [event["text"]]
+
+
+def test_a_log_that_another_daemon_writes_is_not_deleted(client, folder):
+    with (folder / "flight.mcap").open("rb") as file:
+        finishing.hold(file.fileno())
+        assert client.request("DELETE", "/api/logs/flight.mcap").status_code == 409
+    assert client.request("DELETE", "/api/logs/flight.mcap").status_code == 200
+
+
+def test_to_delete_and_to_replay_takes_the_token_that_commands(loop, app, client_of, config, folder, tmp_path):
+    tokens = {"token_file": "c" * 32, "view_token_file": "v" * 32}
+    for key, token in tokens.items():
+        (tmp_path / key).write_text(token)
+        (tmp_path / key).chmod(0o600)
+    api = config.api.model_copy(update={key: tmp_path / key for key in tokens})
+    client = client_of(app(loop, config.model_copy(update={"api": api})))
+    view = {"Authorization": "Bearer " + "v" * 32}
+    assert client.get("/api/logs/flight.mcap").status_code == 401
+    assert client.get("/api/logs/flight.mcap", headers=view).status_code == 200
+    assert client.request("DELETE", "/api/logs/flight.mcap", headers=view).status_code == 403
+    assert client.post("/api/logs/flight.mcap/replay", headers=view).status_code == 403
+    assert (folder / "flight.mcap").exists()
+
+
+@pytest.mark.slow
+def test_a_replay_says_what_the_verb_says(client, folder):
+    shutil.copy(FLIGHT, folder / "real.mcap")
+    answer = client.post("/api/logs/real.mcap/replay")
+    assert answer.status_code == 200
+    said = answer.json()
+    command = [sys.executable, "-m", "softarm.cli.main", "replay", str(folder / "real.mcap")]
+    verb = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert said["same"] is (verb.returncode == 0)
+    assert "\n".join(said["sentences"]) == (verb.stdout + verb.stderr).strip()
+    assert 0 < said["compared"] <= said["ticks"]
+
+
+@pytest.mark.slow
+def test_what_cannot_be_replayed_says_why(client, folder):
+    answer = client.post("/api/logs/flight.mcap/replay")  # of random bytes
+    assert answer.status_code == 422
+    assert "flight.mcap" in answer.json()["detail"]
+
+
+@pytest.mark.slow
+def test_a_replay_that_takes_too_long_is_ended_and_the_next_has_its_place(client, folder, monkeypatch):
+    shutil.copy(FLIGHT, folder / "real.mcap")
+    monkeypatch.setattr(files, "REPLAY_S", 0.05)
+    for _ in range(2):
+        answer = client.post("/api/logs/real.mcap/replay")
+        assert answer.status_code == 504
+        assert "not replayed within 0.05 s" in answer.json()["detail"]
+
+
+@pytest.mark.slow
+def test_a_replay_that_nobody_waits_for_any_more_is_ended(loop, app, serving, config, folder):
+    shutil.copy(FLIGHT, folder / "real.mcap")
+    with serving(app(loop, config), config.api.model_copy(update={"port": 0})) as port:
+        url = f"http://127.0.0.1:{port}/api/logs/real.mcap/replay"
+        with pytest.raises(httpx.ReadTimeout):
+            httpx.post(url, timeout=0.2)
+        assert httpx.post(url, timeout=20).status_code in (200, 503)
+        deadline = time.monotonic() + 20
+        while httpx.post(url, timeout=30).status_code == 503:
+            assert time.monotonic() < deadline
+
+
+def test_the_process_of_a_replay_outranks_nobody():
+    program = replay_aside._PROGRAM.partition("from softarm")[0] + (
+        "print(os.nice(0), os.sched_getscheduler(0), open('/proc/self/oom_score_adj').read())"
+    )
+    done = subprocess.run([sys.executable, "-c", program, "x", "5"], capture_output=True, text=True, check=True)
+    assert done.stdout.split() == ["19", str(os.SCHED_OTHER), "1000"]
+
+
+def test_reports_are_shown_in_a_sandbox(client, config):
+    assert client.get("/api/reports").json()["reports"] == []
+    config.api.reports.mkdir()
+    page = "<!doctype html><script>1</script>"
+    (config.api.reports / "gap of 1 May.html").write_text(page)
+    (config.api.reports / "verdict.json").write_text("{}")
+    (entry,) = client.get("/api/reports").json()["reports"]
+    assert (entry["name"], entry["bytes"]) == ("gap of 1 May.html", len(page))
+    answer = client.get("/api/reports/gap of 1 May.html")
+    assert (answer.text, answer.headers["content-type"]) == (page, "text/html; charset=utf-8")
+    assert answer.headers["content-security-policy"] == SANDBOX
+    assert SANDBOX.startswith("sandbox allow-scripts;")
+    assert "allow-same-origin" not in SANDBOX
+    for name in ("verdict.json", "../softarm.yaml", "none.html"):
+        assert client.get(f"/api/reports/{name}").status_code == 404
+
+
+def test_a_report_that_asks_for_something_is_a_page_of_nobody(client):
+    """What a sandboxed page sends along: `Origin: null`."""
+    assert client.post("/api/arm", headers={"Origin": "null"}).status_code == 403
+    assert client.get("/api/status", headers={"Origin": "null"}).status_code == 403
