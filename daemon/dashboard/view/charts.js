@@ -1,0 +1,130 @@
+// A minute of charts (uPlot), on one clock; what stands beside a name is its value now, or under the pointer.
+
+/* global uPlot */
+import { el, number, say } from "./dom.js";
+import { SPAN_S } from "../link/history.js";
+
+const HEIGHT_PX = 132;
+const EVERY_MS = 100;
+
+// Line kinds: measured is thick ink, sent a blue line, the policy's wish a dashed orange one; told apart without colour.
+const LINES = { ink: { width: 1.75 }, blue: { width: 1.5 }, orange: { width: 1.5, dash: [5, 3] }, green: { width: 1.25, dash: [2, 2] } };
+const CHARTS = [
+  { title: "Tip", unit: "m", digits: 3, span: [-0.5, 0.9], lines: [["tip_y_m", "y", "blue"], ["tip_z_m", "z", "orange"]] },
+  { title: "Cart", unit: "m", digits: 3, span: [-0.3, 0.3], lines: [["cart_m", "position", "ink"]] },
+  { title: "Cart velocity", unit: "m/s", digits: 2, span: [-1, 1], lines: [["action_velocity_m_s", "policy", "orange"], ["sent_velocity_m_s", "sent", "blue"], ["cart_velocity_m_s", "measured", "ink"]] },
+  { title: "Pressure", unit: "kPa", digits: 1, span: [0, 10], lines: [["action_pressure_kpa", "policy", "orange"], ["sent_pressure_kpa", "sent", "blue"], ["pressure_kpa", "measured", "ink"]] },
+  { title: "Control tick", unit: "ms", digits: 2, span: [0, 5], lines: [["late_ms", "late by", "ink"], ["policy_ms", "policy takes", "orange"]] },
+  { title: "Age of readings", unit: "ms", digits: 1, span: [0, 40], lines: [["mocap_age_ms", "motion capture", "blue"], ["pressure_age_ms", "pressure", "orange"], ["rail_age_ms", "rail", "green"]] },
+];
+
+const colour = (name) => getComputedStyle(document.documentElement).getPropertyValue(`--${name}`).trim();
+
+class Chart {
+  constructor(spec, place, onCursor) {
+    this.spec = spec;
+    this.values = spec.lines.map(() => el("output", {}, "–"));
+    const names = spec.lines.map(([, name, kind], k) => el("span", { class: "line" }, el("i", { class: `swatch ${kind}` }), `${name} `, this.values[k]));
+    this.canvas = el("div", { class: "canvas" });
+    this.figure = el("figure", { class: "plot" }, el("figcaption", {}, el("b", {}, spec.title), el("span", { class: "unit" }, spec.unit), ...names), this.canvas);
+    place.append(this.figure);
+    this.onCursor = onCursor;
+    this.visible = true;
+    new IntersectionObserver(([entry]) => (this.visible = entry.isIntersecting)).observe(this.figure);
+  }
+
+  // Made anew for another width or other colours.
+  build() {
+    this.plot?.destroy();
+    const [soft, line] = [colour("soft"), colour("line")];
+    const axis = { stroke: soft, font: "11px system-ui, sans-serif", grid: { stroke: line, width: 1 }, ticks: { stroke: line, size: 4, width: 1 } };
+    const [low, high] = this.spec.span;
+    this.plot = new uPlot({
+      width: Math.max(200, this.canvas.clientWidth),
+      height: HEIGHT_PX,
+      legend: { show: false },
+      cursor: { sync: { key: "minute" }, drag: { x: false, y: false }, points: { size: 5 } },
+      scales: {
+        x: { time: false, range: [-SPAN_S, 0] },
+        y: { range: (_, from, to) => this.spread(Math.min(from ?? low, low), Math.max(to ?? high, high)) },
+      },
+      axes: [
+        { ...axis, size: 24, gap: 3, incrs: [10, 20, 30], space: 40, values: (_, at) => at.map((t) => (t === 0 ? "now" : `${number(t, 0)} s`)) },
+        { ...axis, size: 42, gap: 3, space: 26, values: (_, at) => at.map((value) => String(Number(value.toFixed(6))).replace("-", "−")) },
+      ],
+      series: [{}, ...this.spec.lines.map(([, name, kind]) => ({ label: name, stroke: colour(kind), ...LINES[kind], points: { show: false } }))],
+      hooks: { setCursor: [(plot) => this.onCursor(plot.cursor.left >= 0 ? plot.cursor.idx : null)] },
+    }, this.data ?? [[], ...this.spec.lines.map(() => [])], this.canvas);
+  }
+
+  spread(low, high) {
+    const room = 0.06 * (high - low);
+    return [low - room, high + room];
+  }
+
+  draw(ages, columns) {
+    this.data = [ages, ...this.spec.lines.map(([name]) => columns[name])];
+    if (this.visible) this.plot.setData(this.data);
+  }
+
+  // Values of a row; null: of the newest.
+  read(row) {
+    this.spec.lines.forEach((_, k) => {
+      const column = this.data?.[k + 1] ?? [];
+      say(this.values[k], number(column[row ?? column.length - 1], this.spec.digits));
+    });
+  }
+}
+
+export class Charts {
+  constructor(place, note, history) {
+    this.place = place;
+    this.note = note;
+    this.history = history;
+    this.row = null; // under the pointer
+    this.paused = false;
+    this.drawn = 0;
+    this.charts = CHARTS.map((spec) => new Chart(spec, place, (row) => this.point(row)));
+    this.build();
+    new ResizeObserver(() => this.place.clientWidth !== this.width && this.build()).observe(place);
+    matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => this.build());
+  }
+
+  build() {
+    this.width = this.place.clientWidth;
+    this.charts.forEach((chart) => chart.build());
+  }
+
+  point(row) {
+    this.row = row;
+    this.read();
+  }
+
+  pause(paused) {
+    this.paused = paused;
+    this.draw(true);
+  }
+
+  // With what has come; at most ten times a second, and not while paused.
+  draw(now = false) {
+    if (document.hidden || this.paused || (!now && performance.now() - this.drawn < EVERY_MS)) return void this.read();
+    this.drawn = performance.now();
+    const { time } = this.history.columns;
+    const newest = this.history.newest;
+    const first = Math.max(0, time.findIndex((at) => at >= newest - SPAN_S));
+    const ages = time.slice(first).map((at) => at - newest);
+    const columns = Object.fromEntries(Object.entries(this.history.columns).map(([name, column]) => [name, column.slice(first)]));
+    this.place.dataset.seconds = ages.length ? (-ages[0]).toFixed(1) : "0";
+    this.ages = ages;
+    this.newest = newest;
+    this.charts.forEach((chart) => chart.draw(ages, columns));
+    this.read();
+  }
+
+  read() {
+    this.charts.forEach((chart) => chart.read(this.row));
+    const at = this.row === null ? undefined : this.ages?.[this.row];
+    const when = at === undefined ? "" : `${number(-at, 1, "s")} before ${this.paused ? "the pause" : "now"}`;
+    say(this.note, [this.paused ? "Paused; recording goes on." : "", when].filter(Boolean).join(" "));
+  }
+}

@@ -1,0 +1,99 @@
+// What the robot is doing and what is against it: in words, with a shape and a colour.
+
+import { $, el, svg, say, show, number, clock, worded, sentence } from "./dom.js";
+
+const ROUND = "M8 1.5a6.5 6.5 0 1 1 0 13a6.5 6.5 0 1 1 0-13z";
+const MODES = {
+  disarmed: ["Disarmed", "The drive is off, the muscle is vented.", `${ROUND}M8 4a4 4 0 1 0 0 8a4 4 0 1 0 0-8z`],
+  arming: ["Arming", "Waiting for drive and regulator.", "M8 1.5a6.5 6.5 0 0 1 0 13zM8 1.5a6.5 6.5 0 0 0 0 13v-1.6a4.9 4.9 0 0 1 0-9.8z"],
+  armed: ["Armed", "It moves as soon as it has a target. Keep clear of the arm.", "M3.5 1.8L14 8L3.5 14.2z"],
+  stopping: ["Stopping", "It brakes, vents and holds the cart until the arm is still; then it is disarmed.", "M2 3h12L8 14z"],
+  stopped: ["Emergency stop", "", "M5 1h6l4 4v6l-4 4H5l-4-4V5z"],
+  unknown: ["No data", "Waiting for the daemon.", "M7 2h2v8H7zM7 12h2v2H7z"],
+};
+const ESTOP = {
+  engaged: "The drive is off. What stopped it is still there: remove that first.",
+  latched: "The drive is off. The cause is gone. Make sure that the arm is free, then press Acknowledge.",
+};
+const SIGNS = {
+  stop: ["Stop", "M5 1h6l4 4v6l-4 4H5l-4-4V5z"],
+  soft_stop: ["Soft stop", "M2 3h12L8 14z"],
+  warn: ["Warning", "M8 1.5L15 14H1z"],
+  against: ["Cannot arm", "M3 2l5 5l5-5l1 1l-5 5l5 5l-1 1l-5-5l-5 5l-1-1l5-5l-5-5z"],
+  device: ["Device", "M2 3h12v8H2zM5 12.5h6V14H5z"],
+};
+
+const sign = (path) => svg("svg", { viewBox: "0 0 16 16", "aria-hidden": "true" }, svg("path", { d: path, "fill-rule": "evenodd" }));
+
+// Every reason once: what holds now, what keeps it from being armed, what the devices say.
+export function reasonsOf(status) {
+  const all = status.events.map((event) => ({ kind: event.response, text: event.text }));
+  const known = (text) => all.some((one) => one.text === text || one.text.includes(text));
+  if (status.mode === "disarmed" || status.mode === "stopped")
+    for (const text of status.arming_refusals) if (!known(text)) all.push({ kind: "against", text });
+  for (const [device, text] of Object.entries(status.problems)) if (text && !known(text)) all.push({ kind: "device", text: `${device}: ${text}` });
+  if (status.recorder.problem && !known(status.recorder.problem)) all.push({ kind: "device", text: `recorder: ${status.recorder.problem}` });
+  return all;
+}
+
+function titled(status) {
+  if (status.mode === "armed" && status.arming_refusals.length === 0) return "What to know";
+  return status.arming_refusals.length ? "Why it cannot be armed" : "What to know";
+}
+
+export class ModeView {
+  constructor() {
+    this.spoken = null;
+  }
+
+  draw(status) {
+    const [name, means, path] = MODES[status.mode] ?? MODES.unknown;
+    const pill = $("mode");
+    pill.dataset.mode = status.mode;
+    show(pill, [status.mode], () => [sign(path), el("span", {}, name)]);
+    say($("mode-title"), name);
+    say($("mode-means"), status.mode === "stopped" ? ESTOP[status.estop] ?? "" : means);
+    this.reasons(status);
+    if (this.spoken !== null && this.spoken !== name) say($("spoken"), `${name}. ${status.mode === "stopped" ? ESTOP[status.estop] ?? "" : means}`);
+    this.spoken = name;
+  }
+
+  reasons(status) {
+    const all = reasonsOf(status);
+    const last = status.last_stop && status.mode !== "armed" ? `Last stop${status.last_stop_at ? ` at ${clock(status.last_stop_at)}` : ""}: ${worded(status.last_stop)}` : null;
+    show($("reasons"), [all, last, titled(status), status.mode], () => [
+      all.length ? el("h3", {}, titled(status)) : null,
+      all.length ? el("ul", { class: "reasons" }, all.map(({ kind, text }) => this.reason(kind, text))) : null,
+      status.mode === "disarmed" && !all.length ? el("p", { class: "ready" }, sign("M6 12.6L1.6 8.2l1.5-1.5L6 9.6l6.9-6.9l1.5 1.5z"), "Nothing is against arming.") : null,
+      last ? el("p", { class: "hint" }, last) : null,
+    ]);
+  }
+
+  // What is wrong, and the next step on a line of its own: the daemon parts them by the last colon.
+  reason(kind, text) {
+    const [word, path] = SIGNS[kind] ?? SIGNS.warn;
+    const cut = text.lastIndexOf(": ");
+    const [wrong, next] = cut > 12 ? [text.slice(0, cut), text.slice(cut + 2)] : [text, ""];
+    return el("li", { class: `reason ${kind}` }, sign(path), el("div", {}, el("b", { class: "word" }, word), ` ${sentence(worded(wrong))}`, next ? el("span", { class: "next" }, `Next: ${worded(next)}`) : null));
+  }
+}
+
+// The newest goal: where, how it goes, whose it is.
+export function drawGoal(status, asker) {
+  const { goal, state, reason, closest_m, time_s } = status.goal;
+  const values = status.observed?.values ?? [];
+  const what = !goal ? "none yet" : goal.kind === "reach" ? `y ${number(goal.y_m, 3)}, z ${number(goal.z_m, 3)} m` : goal.kind;
+  const words = { none: "–", running: "on its way", reached: "reached ✓", failed: "missed ✕", cancelled: "cancelled" };
+  const rows = [
+    ["Goal", what], ["State", `${words[state] ?? state}${goal ? `, ${number(time_s, 1, "s")}` : ""}`],
+    ["Closest", finiteCm(closest_m)], ["Asked by", (goal && asker) || "–"],
+    ["Tip", `y ${number(values[2], 3)}, z ${number(values[3], 3)} m`], ["Cart", number(values[0] ?? status.rail_position_m, 3, "m")],
+    ["Pressure", number(values[7], 1, "kPa")], ["Policy", status.policy || "–"],
+  ];
+  show($("goal"), [rows, reason], () => [
+    ...rows.map(([name, value]) => el("div", {}, el("dt", {}, name), el("dd", {}, value))),
+    reason ? el("div", { class: "whole" }, el("dt", {}, "Why"), el("dd", {}, sentence(worded(reason)))) : null,
+  ]);
+}
+
+const finiteCm = (metres) => (metres === null || metres === undefined ? "–" : number(metres * 100, 1, "cm"));

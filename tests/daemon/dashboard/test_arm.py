@@ -1,0 +1,137 @@
+"""The arm is drawn as it is, and goes where a person clicks."""
+
+import json
+import re
+
+import pytest
+
+pytestmark = [pytest.mark.slow, pytest.mark.realtime]
+
+REFUSED = (0.55, 0.52)  # in the drawing, and beyond the arm's reach
+
+
+def said(page) -> str:
+    return page.locator("#said").inner_text()
+
+
+def test_five_links_hang_from_the_cart_and_move_with_the_robot(page, robot, press):
+    robot.arm()
+    points = page.locator("#drawing .links").get_attribute("points")
+    assert len(points.split()) == 6
+    press(page, -0.25, 0.62)
+    page.wait_for_function("(was) => document.querySelector('.links').getAttribute('points') !== was", arg=points)
+    page.locator("#goal >> text=reached").wait_for()
+    trail = page.locator("#drawing .trail.t5").get_attribute("d")
+    assert trail.count("L") >= 5  # the tip's last places, that it has been at
+
+
+def test_the_drawing_shows_the_bodies_where_the_status_has_them(page):
+    told = {}
+
+    def keep(frame: str) -> None:
+        status = json.loads(frame)
+        told[str(status["tick"])] = status["bodies"]
+
+    page.on("websocket", lambda socket: socket.on("framereceived", keep))
+    page.reload()
+    page.locator("#drawing svg[data-tick]").wait_for()
+    tick, drawn = page.evaluate(
+        """() => {
+          const [left, right] = [...document.querySelectorAll("#drawing .hard-limit")].map((end) => end.getBBox());
+          const scale = (right.x - left.x - left.width) / 0.6, middle = (right.x + left.x + left.width) / 2;
+          const rail = left.y + left.height / 2;
+          const points = document.querySelector(".links").getAttribute("points").split(" ").map((point) => {
+            const [x, y] = point.split(",").map(Number);
+            return [(x - middle) / scale, 0.965 - (y - rail) / scale];
+          });
+          return [document.querySelector("#drawing svg").dataset.tick, points];
+        }"""
+    )
+    for (y, z), body in zip(drawn, told[tick], strict=True):
+        assert (y, z) == pytest.approx(body, abs=0.001)
+
+
+def test_a_click_sends_the_tip_there_and_says_so(page, robot, press):
+    robot.arm()
+    press(page, -0.2, 0.65)
+    page.locator("#said .notice.done").wait_for()
+    goal = robot.status["goal"]["goal"]
+    assert (goal["y_m"], goal["z_m"]) == pytest.approx((-0.2, 0.65), abs=0.003)
+    assert re.search(r"Target y −0\.\d+, z 0\.6\d+ m: taken", said(page))
+    page.locator("#drawing .goal[data-state=reached]").wait_for()
+
+
+def test_a_target_out_of_reach_is_refused_in_the_daemons_words(page, robot, press):
+    robot.arm()
+    press(page, *REFUSED)
+    page.locator("#said .notice.refused").wait_for()
+    y_m, z_m = (float(page.locator(f"#target-{name}").input_value()) for name in "yz")
+    answer = robot.ask("/api/goal", {"kind": "reach", "y_m": y_m, "z_m": z_m})
+    assert answer.status_code == 422
+    shown = page.locator("#said li").all_inner_texts()
+    assert [one.lower() for one in shown] == [one.lower() for one in answer.json()["reasons"]]
+
+
+def test_a_disarmed_robot_says_that_it_has_to_be_armed(page, press):
+    press(page, -0.2, 0.65)
+    page.locator("#said .notice.refused").wait_for()
+    assert "arm" in said(page)
+
+
+def test_a_doubtful_target_is_taken_with_the_daemons_warning(page, robot, press):
+    robot.arm()
+    press(page, 0.3, 0.6)
+    page.locator("#said .notice.warned").wait_for()
+    assert "lies outside what the policy 'reach' was trained on" in said(page)
+
+
+def test_what_lies_under_the_pointer_is_told_before_it_is_clicked(page):
+    page.locator("#drawing svg").hover(position={"x": 300, "y": 200})
+    aim = page.locator("#drawing .preview")
+    assert aim.get_attribute("visibility") == "visible"
+    assert re.fullmatch(r"y −?0\.\d{3}  z 0\.\d{3} m", aim.locator("text").text_content())
+    page.locator("#drawing svg").hover(position={"x": 20, "y": 280})
+    assert aim.get_attribute("data-state") == "out"
+    page.mouse.move(1200, 700)
+    assert aim.get_attribute("visibility") == "hidden"
+
+
+def test_a_finger_taps_a_target(robot, opened, press):
+    robot.arm()
+    page = opened(has_touch=True, viewport={"width": 390, "height": 780})
+    press(page, -0.2, 0.65, tap=True)
+    page.locator("#said .notice.done").wait_for()
+    goal = robot.status["goal"]["goal"]
+    assert (goal["y_m"], goal["z_m"]) == pytest.approx((-0.2, 0.65), abs=0.005)
+
+
+def test_two_numbers_are_a_target_too(page, robot):
+    robot.arm()
+    page.locator("#target-y").fill("-0.31")
+    page.locator("#target-z").fill("0.6")
+    assert page.locator("#drawing .preview text").text_content() == "y −0.310  z 0.600 m"
+    page.locator("#do-reach").click()
+    page.locator("#said .notice.done").wait_for()
+    assert robot.status["goal"]["goal"] == {"kind": "reach", "y_m": -0.31, "z_m": 0.6}
+    page.locator("#target-y").fill("")
+    page.locator("#do-reach").click()
+    page.locator("#said .notice.refused").wait_for()
+    assert "have to be numbers" in said(page)
+
+
+def test_where_the_policy_was_trained_is_shaded_and_what_is_in_reach(page):
+    assert page.locator("#drawing .trained").count() == 1
+    assert page.locator("#drawing .within-reach").count() == 1
+    assert page.locator("#drawing .soft-limit").count() == page.locator("#drawing .hard-limit").count() == 2
+
+
+def test_two_people_see_each_others_targets_and_who_asked(page, robot, opened, press):
+    robot.arm()
+    other = opened()
+    press(other, -0.3, 0.6)
+    page.locator("#drawing .goal[visibility=visible]").wait_for()
+    page.locator("#goal >> text=the API").wait_for()
+    page.locator("#panel-goals-tab").click()
+    goal = robot.status["goal"]["goal"]
+    told = f"Reach y {goal['y_m']:g}, z {goal['z_m']:g} m; the API"
+    page.locator("#panel-goals li:first-child", has_text=told).wait_for()

@@ -1,0 +1,118 @@
+"""What is shown is live, or says that it is not; the charts have the last minute, before and after a reload."""
+
+import re
+import time
+from dataclasses import replace
+
+import pytest
+
+pytestmark = [pytest.mark.slow, pytest.mark.realtime]
+
+
+def greyed(page) -> bool:
+    return all(
+        float(page.locator(place).evaluate("(node) => getComputedStyle(node).opacity")) < 0.5
+        for place in ("#arm", "#plots", "#goal")
+    )
+
+
+def test_a_lost_daemon_is_said_at_once_and_found_again_by_itself(tmp_path, browser, opened, started, asking):
+    with started(tmp_path) as first:
+        port = first.port
+        page = opened(url=f"{first.url}/")
+        page.locator("#mode[data-mode=disarmed]").wait_for()
+        assert not greyed(page)
+    page.locator("#link[data-link=lost]").wait_for()
+    page.wait_for_function("() => getComputedStyle(document.querySelector('#arm')).opacity < 0.5")
+    assert greyed(page)
+    assert "Connection lost" in page.locator("#lost").inner_text()
+    assert page.locator("#do-arm").get_attribute("aria-disabled") == "true"
+    before = age(page)
+    page.wait_for_function(
+        "(was) => parseFloat(document.querySelector('#lost-age').textContent.match(/[0-9.]+/)[0]) > was + 0.3",
+        arg=before,
+    )
+    with started(tmp_path, port) as second:
+        page.locator("#link[data-link=live]").wait_for(timeout=10_000)
+        assert page.locator("#lost").is_hidden()
+        asking(second.url).until(lambda status: not status["arming_refusals"])
+        page.locator("#reasons .ready").wait_for()
+
+
+def age(page) -> float:
+    return float(re.search(r"is ([0-9.]+) s old", page.locator("#lost-age").inner_text())[1])
+
+
+def test_silence_is_lost_within_a_second_or_two_though_the_connection_stands(page, monkeypatch):
+    """A cable that is pulled closes nothing: the browser's end stays open, and nothing comes."""
+    page.context.set_offline(True)
+    page.route("**/api/**", lambda route: None)
+    monkeypatch.setattr("softarm.daemon.api.status.StatusView.json", lambda view: None)
+    cut = time.monotonic()
+    page.locator("#link[data-link=lost]").wait_for()
+    assert time.monotonic() - cut < 2
+    assert 0.9 < age(page) < 2
+    monkeypatch.undo()
+    page.context.set_offline(False)
+    page.unroute_all()
+    page.locator("#link[data-link=live]").wait_for(timeout=10_000)
+
+
+def test_a_control_loop_that_stands_still_is_not_shown_as_live(page, robot, daemon, monkeypatch):
+    old = replace(daemon.loop.snapshot)
+    monkeypatch.setattr(type(daemon.loop), "snapshot", property(lambda _: old, lambda _, value: None), raising=False)
+    page.locator("#link[data-link=stalled]").wait_for()
+    assert "does not tick" in page.locator("#lost").inner_text()
+    page.wait_for_function("() => getComputedStyle(document.querySelector('#arm')).opacity < 0.5")
+    assert greyed(page)
+    page.wait_for_timeout(1200)  # longer than a silence may be
+    assert page.locator("#link").get_attribute("data-link") == "stalled"
+    monkeypatch.undo()
+    page.locator("#link[data-link=live]").wait_for()
+
+
+def test_the_charts_survive_a_reload(page, robot):
+    robot.arm()
+    robot.until(lambda status: status["uptime_s"] > 4)
+    page.reload()
+    page.wait_for_function("() => Number(document.querySelector('#plots').dataset.seconds) > 3.5", timeout=2000)
+    assert page.locator("#plots canvas").count() == 6
+
+
+def test_a_chart_tells_its_newest_value_and_that_under_the_pointer(page, robot, press):
+    robot.arm()
+    press(page, -0.25, 0.62)
+    page.locator("#goal >> text=reached").wait_for()
+    pressure = page.locator(".plot", has_text="Pressure").locator("output")
+    page.wait_for_function("() => document.querySelectorAll('.plot output').length === 14")
+    page.locator("#pause").click()
+    newest = pressure.all_inner_texts()
+    over = page.locator(".plot", has_text="Cart velocity").locator(".u-over")
+    over.hover(position={"x": over.bounding_box()["width"] - 6, "y": 40})
+    assert re.search(r"\d+\.\d s before the pause", page.locator("#charts-note").inner_text())
+    box = over.bounding_box()
+    seen = set()
+    for back in range(2, 12):  # somewhere in the last seconds the pressure was another
+        page.mouse.move(box["x"] + box["width"] - back, box["y"] + 40)
+        seen.add(tuple(pressure.all_inner_texts()))
+    assert len(seen | {tuple(newest)}) > 2
+
+
+def test_pause_holds_the_charts_and_not_the_robot(page, robot):
+    page.locator("#pause").click()
+    assert page.locator("#pause").get_attribute("aria-pressed") == "true"
+    held = page.locator("#plots").get_attribute("data-seconds")
+    tick = page.locator("#drawing svg").get_attribute("data-tick")
+    page.wait_for_function(
+        "(was) => Number(document.querySelector('#drawing svg').dataset.tick) > Number(was) + 20", arg=tick
+    )
+    assert page.locator("#plots").get_attribute("data-seconds") == held
+    page.locator("#pause").click()
+    page.wait_for_function("(was) => document.querySelector('#plots').dataset.seconds !== was", arg=held)
+
+
+def test_the_browser_hears_of_each_mode_in_words(page, robot):
+    robot.arm()
+    page.wait_for_function("() => document.querySelector('#spoken').textContent.startsWith('Armed.')")
+    robot.ask("/api/stop")
+    page.wait_for_function("() => document.querySelector('#spoken').textContent.startsWith('Emergency stop.')")

@@ -1,0 +1,159 @@
+"""The stop: always in sight, by its own way when the rest is dead, and honest about what came of it."""
+
+import contextlib
+import re
+import threading
+import time
+from urllib.parse import urlsplit
+
+import httpx
+import pytest
+from websockets.sync.client import connect
+
+pytestmark = [pytest.mark.slow, pytest.mark.realtime]
+
+
+@pytest.fixture
+def armed(page, robot):
+    robot.arm()
+    page.locator("#mode[data-mode=armed]").wait_for()
+    return page
+
+
+def banner(page) -> str:
+    return page.locator("#stopped").inner_text()
+
+
+def requests(robot, until: str) -> list[str]:
+    """What was asked for, as soon as the events tell of this; a recorder's thread keeps them."""
+    deadline = time.monotonic() + 5
+    while time.monotonic() < deadline:
+        events = robot.client.get("/api/events").json()["events"]
+        kinds = [one["what"] for one in events if one["kind"] == "request"]
+        if kinds[-1] == until:
+            return kinds
+    raise AssertionError(kinds)
+
+
+def cut(page, daemon, stop_too: bool = False, hang: bool = False) -> None:
+    """From here on the API fails, or never answers; with stop_too the stop's own way fails as well."""
+    page.route(
+        lambda url: urlsplit(url).port == daemon.port or (stop_too and urlsplit(url).port == daemon.stop_port),
+        lambda route: None if hang else route.abort(),
+    )
+
+
+def test_the_button_stops_and_says_which_way_it_took(armed, robot):
+    armed.locator("#stop").click()
+    armed.locator("#stopped[data-state=stopped]").wait_for()
+    assert re.match(
+        r"Stopped: (confirmed by the (stop's own way|API) after \d+ ms|the robot's status shows it)", banner(armed)
+    )
+    assert robot.status["mode"] == "stopped"
+    armed.locator("#mode[data-mode=stopped]").wait_for()
+
+
+@pytest.mark.parametrize("focus", ["body", "#do-disarm", "#drawing", "#target-y", "#panel-events-tab", "#pause"])
+def test_space_stops_wherever_the_focus_is_and_presses_nothing(armed, robot, focus):
+    if focus != "body":
+        armed.locator(focus).focus()
+    armed.keyboard.press("Space")
+    armed.locator("#stopped[data-state=stopped]").wait_for()
+    assert robot.status["mode"] == "stopped"
+    assert armed.locator("#pause").get_attribute("aria-pressed") == "false"
+    assert armed.locator("#panel-events-tab").get_attribute("aria-selected") == "false"
+    assert requests(robot, until="stop")[-1] == "stop"  # and no disarm after it
+
+
+def test_a_space_in_a_text_is_a_space(armed, robot):
+    armed.evaluate("document.body.append(Object.assign(document.createElement('textarea'), {id: 'note'}))")
+    armed.locator("#note").focus()
+    armed.keyboard.type("a b")
+    assert armed.locator("#note").input_value() == "a b"
+    assert robot.status["mode"] == "armed"
+
+
+def test_it_works_when_the_api_hangs(armed, robot, daemon):
+    cut(armed, daemon, hang=True)
+    armed.keyboard.press("Space")
+    armed.locator("#stopped[data-state=stopped]").wait_for()
+    assert robot.status["mode"] == "stopped"
+
+
+def test_it_goes_by_the_stops_own_way_when_api_and_stream_are_dead(robot, opened, daemon):
+    robot.arm()
+    page = opened()
+    cut(page, daemon)
+    page.locator("#stop").click()
+    page.locator("#stopped[data-state=stopped]").wait_for()
+    assert robot.status["mode"] == "stopped"
+
+
+def test_it_falls_back_on_the_api_when_its_own_way_is_dead(armed, robot, daemon):
+    armed.route(lambda url: urlsplit(url).port == daemon.stop_port, lambda route: route.abort())
+    armed.locator("#stop").click()
+    armed.locator("#stopped[data-state=stopped]").wait_for()
+    assert robot.status["mode"] == "stopped"
+    armed.locator("#stop").click()
+    armed.locator("#stopped >> text=confirmed by the API").wait_for()
+
+
+def test_with_everything_dead_it_says_not_confirmed_and_goes_on_trying(armed, robot, daemon):
+    cut(armed, daemon, stop_too=True)
+    armed.keyboard.press("Space")
+    armed.locator("#stopped[data-state=unconfirmed]").wait_for()
+    assert "NOT confirmed: use the button on the wall" in banner(armed)
+    assert robot.status["mode"] == "armed"
+    assert armed.locator("#stop-text").inner_text() == "Not confirmed"
+    armed.unroute_all()
+    armed.locator("#stopped[data-state=stopped]").wait_for()
+    assert robot.status["mode"] == "stopped"
+
+
+def test_with_the_network_cut_it_says_not_confirmed(armed, robot):
+    armed.context.set_offline(True)
+    armed.locator("#stop").click()
+    armed.locator("#stopped[data-state=unconfirmed]").wait_for()
+    assert robot.status["mode"] == "armed"
+    armed.context.set_offline(False)
+    armed.locator("#stopped[data-state=stopped]").wait_for()
+
+
+def test_it_stops_within_a_second_under_load(armed, robot, daemon, threads):
+    def flood(over: threading.Event) -> None:
+        with httpx.Client(base_url=daemon.url, timeout=5) as client:
+            while not over.is_set():
+                with contextlib.suppress(httpx.HTTPError):
+                    client.get("/api/events")
+
+    def watch(over: threading.Event) -> None:
+        with connect(f"ws://127.0.0.1:{daemon.port}/api/stream") as stream:
+            while not over.is_set():
+                stream.recv(timeout=5)
+
+    threads(flood, 4)
+    threads(watch, 12)
+    armed.wait_for_timeout(300)  # of load
+    pressed = time.monotonic()
+    armed.keyboard.press("Space")
+    armed.locator("#stopped[data-state=stopped]").wait_for()
+    assert time.monotonic() - pressed < 1
+    assert robot.status["mode"] == "stopped"
+
+
+def test_it_is_on_every_screen_and_nothing_covers_it(opened, robot):
+    for size in ((360, 640), (390, 844), (768, 1024), (1280, 720)):
+        page = opened(viewport=dict(zip(("width", "height"), size, strict=True)))
+        page.evaluate("scrollTo(0, document.body.scrollHeight)")
+        button = page.locator("#stop")
+        box = button.bounding_box()
+        assert box["x"] >= 0
+        assert box["x"] + box["width"] <= size[0]
+        assert box["y"] >= 0
+        assert box["y"] + box["height"] <= size[1]
+        top = page.evaluate(
+            "([x, y]) => document.elementFromPoint(x, y).closest('button')?.id",
+            [box["x"] + box["width"] / 2, box["y"] + box["height"] / 2],
+        )
+        assert top == "stop"
+        page.context.close()
