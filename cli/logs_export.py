@@ -15,7 +15,8 @@ if TYPE_CHECKING:
     from softarm.daemon.logbook.logs import TickLog
     from softarm.recordings.tables import Form
 
-FORMS = ("csv", "parquet")
+FORMS = ("csv", "parquet", "foxglove")
+LAYOUT = "softarm-layout.json"
 
 
 @click.command()
@@ -35,9 +36,13 @@ def export(files: tuple[Path, ...], to: str, out: Path) -> None:
     (mocap), every device's readings on theirs, and what happened (events); each column's unit is in its name. It is a
     trial, which `softarm diagnose` reads like the log itself.
 
+    foxglove: a file for each log, all of it at the wall's time, with a 3D scene, a journal and numbers to plot; and a
+    layout, which Foxglove imports (LAYOUT, import from file) and then shows them by.
+
     \b
     Examples:
       softarm logs export --to csv logs/softarm-20260101T120000Z.mcap
+      softarm logs export --to foxglove logs/softarm-20260101T120000Z.mcap
       softarm logs export --to parquet --out flights logs/*.mcap
     """
     from softarm.daemon.logbook import logs
@@ -46,7 +51,12 @@ def export(files: tuple[Path, ...], to: str, out: Path) -> None:
 
     for file in files:
         try:
-            click.echo(_tables(logs.read(file), out / file.stem, "csv" if to == "csv" else "parquet"))
+            log = logs.read(file)
+            out.mkdir(parents=True, exist_ok=True)
+            if to == "foxglove":
+                click.echo(_foxglove(log, out))
+            else:
+                click.echo(_tables(log, out / file.stem, "csv" if to == "csv" else "parquet"))
         except (LogError, TrialError) as error:
             fail(str(error))
         except OSError as error:
@@ -70,6 +80,19 @@ def _tables(log: "TickLog", folder: Path, form: "Form") -> str:
     trial_folder.write(mcap.read(log.path), folder, form)
     files.write_text(folder / "about.json", tables.about(log))
     return f"wrote {folder}: {len(ticks['t_s'])} ticks over {log.duration_s:.1f} s"
+
+
+def _foxglove(log: "TickLog", folder: Path) -> str:
+    """One log for Foxglove, with the layout beside it; returns what was done in a sentence."""
+    from softarm.common import files
+    from softarm.recordings.foxglove import export as foxglove
+
+    target = folder / f"{log.path.stem}-foxglove.mcap"
+    with progress(log) as advance:
+        foxglove.export(log, target, log.entries(), advance)
+    files.write_text(folder / LAYOUT, foxglove.layout())
+    size = f"{target.stat().st_size / 1e6:.1f} MB, the log has {log.path.stat().st_size / 1e6:.1f}"
+    return f"wrote {target} ({size}) and {folder / LAYOUT}"
 
 
 @contextmanager

@@ -33,6 +33,13 @@ def test_a_log_becomes_a_folder_of_tables_which_is_a_trial(form, tmp_path):
     }
 
 
+def test_a_log_for_foxglove_has_its_layout_beside_it(tmp_path):
+    result = export("--to", "foxglove", "--out", tmp_path / "out", FLIGHT)
+    assert result.exit_code == 0
+    assert result.stdout.startswith(f"wrote {tmp_path}/out/flight-foxglove.mcap (0.4 MB, the log has 0.2) and ")
+    assert {file.name for file in (tmp_path / "out").iterdir()} == {"flight-foxglove.mcap", "softarm-layout.json"}
+
+
 def test_what_is_no_log_and_a_place_that_is_none_are_told(tmp_path):
     rubbish = tmp_path / "a.mcap"
     rubbish.write_text("nothing")

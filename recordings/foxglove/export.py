@@ -1,0 +1,75 @@
+"""A log as a file that Foxglove opens: the same messages at the wall's time, with a scene, plots and a journal."""
+
+from collections.abc import Callable, Iterable
+from importlib.resources import files
+from pathlib import Path
+
+from mcap.records import Channel, Message, Metadata, Schema
+from mcap.writer import Writer
+from pydantic import ValidationError
+
+from softarm.common import files as atomic
+from softarm.recordings import flight, mcap_file
+from softarm.recordings.foxglove import converter
+from softarm.recordings.foxglove.converter import Converter
+from softarm.recordings.live import LIBRARY
+from softarm.recordings.log_file import LogFile
+from softarm.schemas.events import Entry
+
+Advance = Callable[[], None]
+
+
+def layout() -> str:
+    """The layout for Foxglove: 3D, plots, states, journal."""
+    return (files("softarm.recordings.foxglove") / "layout.json").read_text(encoding="utf-8")
+
+
+def export(log: LogFile, target: Path, entries: Iterable[Entry], advance: Advance = lambda: None) -> int:
+    """Write a log for Foxglove; returns the number of messages. The black box itself stays as it is.
+
+    entries: what happened, for a log from before it was written down. advance: called for every message that was read.
+    Raises LogError, OSError.
+    """
+    offset_ns = flight.wall_minus_monotonic_ns(log.path, log.metadata)
+    changing = Converter(log.config, offset_ns)
+    with atomic.replacing(target) as file:
+        writer = Writer(file)
+        writer.start(profile="", library=LIBRARY)
+        ids = {channel.topic: _register(writer, channel) for channel in converter.channels()}
+        topics: dict[int, str] = {}
+        schemas: dict[int, Schema] = {}
+        count = 0
+
+        def put(message: converter.Message) -> None:
+            nonlocal count
+            count += 1
+            writer.add_message(ids[message.topic], message.log_time, message.data, message.publish_time, count)
+
+        for record in mcap_file.records(log.path):
+            match record:
+                case Schema():
+                    schemas[record.id] = record
+                case Channel():
+                    topics[record.id] = record.topic
+                    own = schemas[record.schema_id]
+                    ids[record.topic] = _register(writer, converter.Channel(record.topic, own.name, own.data))
+                case Metadata():
+                    writer.add_metadata(record.name, record.metadata)
+                case Message():
+                    advance()
+                    topic = topics[record.channel_id]
+                    try:
+                        for message in changing.take(topic, record.log_time, record.publish_time, record.data):
+                            put(message)
+                    except ValidationError as error:
+                        raise flight.unreadable(log.path, topic, error) from None
+        if not changing.has_told_events:
+            for entry in entries:
+                put(changing.told(entry))
+        writer.finish()
+    return count
+
+
+def _register(writer: Writer, channel: converter.Channel) -> int:
+    schema = writer.register_schema(channel.schema_name, "jsonschema", channel.json_schema)
+    return int(writer.register_channel(channel.topic, "json", schema))
