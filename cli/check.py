@@ -10,8 +10,9 @@ import click
 
 from softarm.cli.check_stage import check_stage
 from softarm.cli.errors import fail
+from softarm.cli.interrupt import leaves
 from softarm.cli.options import FOLDER
-from softarm.cli.printing import print_table
+from softarm.cli.printing import print_json, print_option, print_table, waiting
 
 if TYPE_CHECKING:
     from softarm.daemon.config.configuration import Loaded
@@ -21,25 +22,28 @@ if TYPE_CHECKING:
 @click.argument("file", type=click.Path(path_type=Path))
 @click.option("--logs", "folder", type=FOLDER, help="Logs of the robot: is FILE milder than it was?")
 @click.option("--data", type=FOLDER, help="Where the files of a stage.yaml lie (default: beside it).")
-def check(file: Path, folder: Path | None, data: Path | None) -> None:
+@click.option("--simulated", is_flag=True, help="For `softarm run --simulated`: no robot whose stop has to be kept.")
+@print_option
+def check(file: Path, folder: Path | None, data: Path | None, simulated: bool, as_json: bool) -> None:
     """Check a configuration FILE; print the limits in force and where each comes from.
 
     FILE may be the stage.yaml of another rig: every trial and column is read as `softarm diagnose` would, before any
     fit.
 
-    Exit code 1, with every mistake and its line, when the daemon would refuse the file; with --logs also when the robot
-    was later, slower to brake or quicker to speed up than the rail's limits say. What too few logs show is said, and
-    is no mistake.
+    Exit code 1, with every mistake and its line, when `softarm run` would not start with it here and now: a wrong key,
+    a policy that cannot do its first step, a port that is taken, a token or a folder that is not to be had. With --logs
+    also when the robot was later, slower to brake or quicker to speed up than the rail's limits say. What too few logs
+    show is said, and is no mistake.
 
     \b
     Examples:
       softarm check softarm.yaml
       softarm check softarm.yaml --logs logs
+      softarm check softarm.yaml --json
       softarm check stage.yaml --data recordings
     """
-    from softarm.daemon.api.auth import AuthError, load_tokens
-    from softarm.daemon.config.configuration import ConfigurationError, effective_limits, read
-    from softarm.daemon.config.policies import policy_problems
+    from softarm.daemon.config.configuration import effective_limits
+    from softarm.daemon.shell import preflight, realtime
     from softarm.diagnosis.data.stage_file import is_stage
 
     if is_stage(file):
@@ -47,22 +51,25 @@ def check(file: Path, folder: Path | None, data: Path | None) -> None:
         return
     if data is not None:
         raise click.UsageError("--data is where the files of a stage.yaml lie: name one as FILE, or leave --data out")
-    try:
-        loaded = read(file)
-    except ConfigurationError as error:
-        fail(str(error))
-    columns = ("limit", "value", "unit", "allowed, or how it follows", "from")
-    print_table(columns, effective_limits(loaded), f"{file}: limits in force", width=140)
-    problems = list(policy_problems(loaded))
-    try:
-        load_tokens(loaded.config.api)
-    except AuthError as error:
-        problems.append(f"{loaded.place(('api', error.key))}: {error}")
-    if folder is not None:
+    leaves("nothing was changed")
+    with waiting("trying out what the file asks for"):
+        found = preflight.look(file, wires=not simulated, thorough=True)
+    problems, loaded = list(found.problems), found.loaded
+    limits = [] if loaded is None else effective_limits(loaded)
+    if loaded is not None and not (problems or as_json):
+        columns = ("limit", "value", "unit", "allowed, or how it follows", "from")
+        print_table(columns, limits, f"{file}: limits in force", width=140)
+    if loaded is not None and folder is not None:
         problems += _milder(loaded, folder)
+    if as_json:
+        rows = [row._asdict() for row in limits]
+        print_json({"file": str(file), "sound": not problems, "problems": problems, "limits": rows})
     if problems:
         fail("\n".join(problems))
-    click.echo(f"{file}: sound; starts with policy '{loaded.config.control.policy}'")
+    if (slow := realtime.refused(found.config.control.realtime_priority)) is not None:
+        click.echo(f"warning: control.realtime_priority {found.config.control.realtime_priority}: {slow}", err=True)
+    if not as_json:
+        click.echo(f"{file}: sound; starts with policy '{found.config.control.policy}'")
 
 
 def _milder(loaded: "Loaded", folder: Path) -> list[str]:

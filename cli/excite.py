@@ -1,6 +1,5 @@
 """`softarm excite`: play an excitation through the daemon, on the robot or a simulated one, and record."""
 
-import shlex
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -8,6 +7,8 @@ import click
 
 from softarm.cli.errors import fail
 from softarm.cli.options import FILE, config_option, flown_model, independent_body, model_option
+from softarm.cli.played import planned, tell_next
+from softarm.cli.prepared import prepared
 from softarm.common.processes import bar
 
 if TYPE_CHECKING:
@@ -65,7 +66,7 @@ def excite(
     if plan is not None:
         if names:
             raise click.UsageError("NAME or --plan, not both")
-        names = (_planned(plan),)
+        names = (planned(plan),)
     if not names:
         raise click.UsageError("which excitation? `softarm excite --list` shows them")
     if config_file is None and not (simulated or reality):
@@ -75,7 +76,10 @@ def excite(
     if faults and not reality:
         raise click.UsageError("--fault is for the independent robot: add --reality")
     try:
-        config = configuration.load(config_file) if config_file else Config()
+        if simulated or reality:
+            config = configuration.load(config_file) if config_file else Config()
+        else:
+            config = prepared(config_file, wires=True)
         lengths_s = [length_s(config, name) for name in names]  # every name is looked up before the first is played
         model = flown_model(model_file)
         logs = []
@@ -98,7 +102,7 @@ def excite(
         RuntimeError,
     ) as error:
         fail(str(error))
-    _tell_next([log for log in logs if log is not None], plan)
+    tell_next([log for log in logs if log is not None], plan)
 
 
 def _tell(name: str, status: "GoalStatus", log: Path | None) -> None:
@@ -106,41 +110,3 @@ def _tell(name: str, status: "GoalStatus", log: Path | None) -> None:
     if status.state != "reached":
         fail(f"{name} was not played to its end: {status.state}, {status.reason}; what there is lies in {log}")
     click.echo(f"played {name}, {status.time_s:.1f} s; recorded {log}" if log else f"played {name}; nothing recorded")
-
-
-def _tell_next(logs: list[Path], plan: Path | None) -> None:
-    """The commands that make something of the recordings."""
-    if not logs:
-        return
-    recorded = shlex.join(map(str, logs))
-    if plan is not None:
-        anew = plan.with_name(f"{plan.stem}-next.json")  # the old verdict stays until its recordings are told anew
-        click.echo(f"next: softarm diagnose {recorded} --json {shlex.quote(str(anew))}")
-        click.echo(
-            f"(named before {recorded}, the recordings that {plan} came from count as well: together they decide)"
-        )
-        return
-    click.echo(f"next: softarm identify {recorded} --out model.yaml")
-    if len(logs) > 1:
-        click.echo(f"or:   softarm diagnose {recorded} --report report.html")
-
-
-def _planned(plan: Path) -> str:
-    """The excitation that a verdict asks for next. Ends the command with a sentence where there is none."""
-    from pydantic import ValidationError
-
-    from softarm.schemas.verdict import Verdict
-
-    try:
-        verdict = Verdict.model_validate_json(plan.read_bytes())
-    except OSError as error:
-        fail(f"{plan}: cannot be read ({error.strerror}); name a file that `softarm diagnose --json` wrote")
-    except ValidationError as error:
-        first = error.errors(include_url=False)[0]
-        where = ".".join(map(str, first["loc"]))
-        fail(f"{plan}: {f'{where}: ' if where else ''}{first['msg']}; name a file that `softarm diagnose --json` wrote")
-    if verdict.next_experiment is None:
-        fail(f"{plan}: asks for no next experiment; name an excitation, `softarm excite --list` shows them")
-    for effect, expected in verdict.next_experiment.expect.items():
-        click.echo(f"if {effect}: {expected}")
-    return verdict.next_experiment.excitation

@@ -7,6 +7,7 @@ import click
 
 from softarm.cli.errors import fail
 from softarm.cli.options import config_option, flown_model, model_option
+from softarm.cli.prepared import prepared
 from softarm.cli.words import Formatter
 
 if TYPE_CHECKING:
@@ -32,12 +33,10 @@ def run(config_file: Path | None, simulated: bool, model_file: Path | None) -> N
 
     from softarm.daemon.api.auth import AuthError
     from softarm.daemon.api.sockets import ApiError
-    from softarm.daemon.config import configuration
     from softarm.daemon.logbook.recorder import RecorderError
     from softarm.daemon.shell import daemon
     from softarm.daemon.stop.latch import LatchError
     from softarm.policies.base import PolicyError
-    from softarm.schemas.config import Config
 
     if config_file is None and not simulated:
         raise click.UsageError(
@@ -48,12 +47,12 @@ def run(config_file: Path | None, simulated: bool, model_file: Path | None) -> N
     logging.basicConfig(level=logging.INFO, handlers=[output])
     logging.getLogger("uvicorn").setLevel(logging.WARNING)
     try:
-        config = configuration.load(config_file) if config_file else Config()
+        config = prepared(config_file, wires=not simulated)
         if simulated:
             daemon.run(config, daemon.simulated_devices(flown_model(model_file)), announce)
         else:
             daemon.run(config, daemon.real_devices(config), announce, daemon.latch_of(config))
-    except (configuration.ConfigurationError, PolicyError, LatchError, RecorderError, ApiError, AuthError) as error:
+    except (PolicyError, LatchError, RecorderError, ApiError, AuthError) as error:
         fail(str(error))
 
 

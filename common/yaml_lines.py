@@ -32,10 +32,14 @@ _PLAIN_TAGS = (None, "!", "tag:yaml.org,2002:map", "tag:yaml.org,2002:seq")
 
 
 class FileError(Exception):
-    """All that is wrong with a file; `problems` holds one `FILE:LINE: key: what; allowed; next step` each."""
+    """All that is wrong with a file; `problems` holds one `FILE:LINE: key: what; allowed; next step` each.
 
-    def __init__(self, problems: Iterable[str]) -> None:
+    rest: the object that the file makes without its mistakes, where one is left, and `left_out` the places of those.
+    """
+
+    def __init__(self, problems: Iterable[str], rest: object = None, left_out: Iterable[Place] = ()) -> None:
         self.problems = tuple(problems)
+        self.rest, self.left_out = rest, tuple(left_out)
         super().__init__("\n".join(self.problems))
 
 
@@ -101,17 +105,18 @@ def parse(text: str, path: Path) -> Document:
         raise FileError([f"{path}: not valid YAML: {what}; save it as plain text"]) from None
 
 
-def refuse(document: Document, findings: Iterable[Finding]) -> FileError:
+def refuse(document: Document, findings: Iterable[Finding], rest: object = None) -> FileError:
     """Make the error that tells what is wrong with a file, in its order: the first MAX_TOLD, and how many more."""
     first: dict[tuple[int, Place], Callable[[], str]] = {}  # of several at one place
-    for place, line, say in sorted(findings, key=lambda each: each.line):
+    found = sorted(findings, key=lambda each: each.line)
+    for place, line, say in found:
         first.setdefault((line, place), say)
     told = []
     for (line, place), say in islice(first.items(), MAX_TOLD):
         name = ".".join(map(str, place)) or "the file"
         told.append(" ".join(f"{document.path}:{line}: {name}: {say()}".split()))  # keys may be of several lines
-    rest = [f"{document.path}: and {len(first) - MAX_TOLD} more; mend these first"] if len(first) > MAX_TOLD else []
-    return FileError([*told, *rest])
+    more = [f"{document.path}: and {len(first) - MAX_TOLD} more; mend these first"] if len(first) > MAX_TOLD else []
+    return FileError([*told, *more], rest, [place for place, _, _ in found])
 
 
 class _Scalars(SafeConstructor, Resolver):

@@ -14,6 +14,7 @@ from softarm.common.words import nearest
 from softarm.common.yaml_lines import Document, FileError, Finding, Place, refuse
 
 M = TypeVar("M", bound=BaseModel)
+REST_TRIES = 3
 
 
 def fit(
@@ -25,7 +26,8 @@ def fit(
     """Make the schema's object of a document. `more` is wrong at places besides, and goes before what the schema says.
 
     rules: sentences on what is wrong with an object that fits the schema, each naming its keys by their full paths.
-    A group whose keys are all commented out has its defaults. Raises FileError with all that is wrong.
+    Where a value does not fit, they are asked of the rest: what names no such value still holds. A group whose keys
+    are all commented out has its defaults. Raises FileError with all that is wrong, and the rest.
     """
     if not isinstance(document.data, dict):
         names = ", ".join(key.name for key in children(schema))
@@ -33,15 +35,44 @@ def fit(
     found = [Finding(place, document.line(place), say) for place, say in (more or {}).items()]
     try:
         # By way of JSON, where strict means that a number is a number (not "0.1", not yes), a path a text.
-        fitted = schema.model_validate_json(json.dumps(_filled(document.data, schema, ())), strict=True)
+        rest: M | None = _validated(data := _filled(document.data, schema, ()), schema)
     except ValidationError as error:
         items = error.errors(include_url=False)
         found += [each for item in items if (each := _finding(document, schema, item)).place not in (more or {})]
-    else:
-        found += [_said(document, text, ()) for text in rules(fitted)]
+        rest = _rest(document, data, schema)
+    if rest is not None:
+        wrong = {".".join(map(str, each.place)) for each in (*document.findings, *found)}
+        found += [_said(document, text, ()) for text in rules(rest) if not any(name in text for name in wrong)]
     if document.findings or found:
-        raise refuse(document, [*document.findings, *found])
-    return fitted
+        raise refuse(document, [*document.findings, *found], rest)
+    assert rest is not None  # without a finding it fits
+    return rest
+
+
+def _validated(data: Any, schema: type[M]) -> M:
+    """Raises ValidationError."""
+    return schema.model_validate_json(json.dumps(data), strict=True)
+
+
+def _rest(document: Document, data: Any, schema: type[M]) -> M | None:
+    """What the schema makes of data without the values that do not fit; None where nothing holds then."""
+    for _ in range(REST_TRIES):  # a group may be wrong only once a value of it has its default
+        try:
+            return _validated(data, schema)
+        except ValidationError as error:
+            for item in error.errors(include_url=False):
+                data = _without(data, document.known(item["loc"]))
+    return None
+
+
+def _without(data: Any, place: Place) -> Any:
+    """A copy of data without what stands at a place; a place in a list takes the list with it."""
+    if not place or not isinstance(data, dict) or place[0] not in data:
+        return data
+    name, *inner = place
+    if inner and isinstance(data[name], dict):
+        return data | {name: _without(data[name], tuple(inner))}
+    return {key: value for key, value in data.items() if key != name}
 
 
 def _filled(data: Any, schema: type[BaseModel], place: Place) -> Any:

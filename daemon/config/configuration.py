@@ -17,10 +17,6 @@ from softarm.daemon.stop.latch import latch_path
 from softarm.schemas.config import Config
 
 
-class ConfigurationError(FileError):
-    """All that is wrong with a configuration."""
-
-
 @dataclass(frozen=True, slots=True)
 class Loaded:
     """A file's content and where each of its keys stands."""
@@ -34,6 +30,12 @@ class Loaded:
         return f"{self.path}:{self.lines[path]}" if path in self.lines else str(self.path)
 
 
+class ConfigurationError(FileError):
+    """All that is wrong with a configuration. `remains`: what it says without that, as far as something is left."""
+
+    remains: Loaded | None = None
+
+
 def load(path: Path | str) -> Config:
     """Read the daemon's configuration. Raises ConfigurationError with every problem of the file."""
     return read(path).config
@@ -41,11 +43,15 @@ def load(path: Path | str) -> Config:
 
 def read(path: Path | str) -> Loaded:
     """Read the configuration and where in the file it stands. Raises ConfigurationError as `load` does."""
+    document: yaml_lines.Document | None = None
     try:
         document = yaml_lines.read(path, "name an existing one, or write one with `softarm config new`")
         return Loaded(document.path, fit(document, Config, rules=contradictions), document.lines)
     except FileError as error:
-        raise ConfigurationError(error.problems) from None
+        refused = ConfigurationError(error.problems, error.rest, error.left_out)
+        if document is not None and isinstance(error.rest, Config):
+            refused.remains = Loaded(document.path, error.rest, document.lines)
+        raise refused from None
 
 
 class LimitRow(NamedTuple):

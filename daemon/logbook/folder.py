@@ -10,6 +10,7 @@ import time
 from collections.abc import Callable
 from datetime import UTC, datetime
 from pathlib import Path
+from tempfile import TemporaryFile
 from typing import BinaryIO
 
 from softarm.recordings import finishing, mcap_file
@@ -35,6 +36,13 @@ def new_log(directory: Path, wall_ns: int) -> tuple[Path, BinaryIO]:
         finishing.hold(file.fileno())
         return path.absolute(), file
     raise FileExistsError(errno.EEXIST, f"a thousand logs called {stem}")
+
+
+def try_out(directory: Path) -> None:
+    """Could a log be made there? Leaves nothing behind. Raises OSError."""
+    there = next(path for path in (directory.absolute(), *directory.absolute().parents) if path.exists())
+    TemporaryFile(dir=there).close()
+    need_room(there)
 
 
 def need_room(directory: Path) -> None:

@@ -25,6 +25,23 @@ def outrank_guests(priority: int) -> None:
         _set(priority)
 
 
+def refused(priority: int) -> str | None:
+    """Why the system would not grant the control loop that priority; None where it would. Changes nothing."""
+    answers: list[OSError] = []
+
+    def ask() -> None:
+        try:
+            os.sched_setscheduler(threading.get_native_id(), os.SCHED_FIFO, os.sched_param(priority))
+        except OSError as error:
+            answers.append(error)
+
+    if priority:
+        asking = threading.Thread(target=ask, name="real-time priority")
+        asking.start()
+        asking.join()
+    return f"not granted here ({answers[0].strerror}); LimitRTPRIO= or `ulimit -r` grant it" if answers else None
+
+
 def _set(priority: int) -> None:
     try:
         os.sched_setscheduler(threading.get_native_id(), os.SCHED_FIFO, os.sched_param(priority))

@@ -16,6 +16,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 
 from softarm.common import files
+from softarm.daemon.logbook import folder
 from softarm.daemon.shell import realtime
 from softarm.schemas.config import Config
 
@@ -85,10 +86,7 @@ class LatchKeeper:
         try:
             self._file, content = _opened(self.path)
         except OSError as error:
-            raise LatchError(
-                f"{self.path}: cannot be kept there ({error.strerror}), and an emergency stop would not outlive this "
-                f"daemon; make file and folder writable for uid {os.geteuid()}, or name another recorder.directory"
-            ) from error
+            raise LatchError(_no_place(self.path, error)) from error
         try:
             self.left = decoded(content)
         except (ValueError, RecursionError) as error:
@@ -148,6 +146,25 @@ class LatchKeeper:
             log.error("the emergency stop's latch is not kept: %s", self._failed)
         else:
             self._kept, self._failed = reason, None
+
+
+def try_out(path: Path) -> None:
+    """Could a latch be kept there? Leaves nothing behind. Raises LatchError, as `LatchKeeper.start` would."""
+    path = path.absolute()
+    try:
+        if path.exists():
+            os.close(_opened(path)[0])  # which frees it again
+        else:
+            folder.try_out(path.parent)
+    except OSError as error:
+        raise LatchError(_no_place(path, error)) from error
+
+
+def _no_place(path: Path, error: OSError) -> str:
+    return (
+        f"{path}: cannot be kept there ({error.strerror}), and an emergency stop would not outlive this "
+        f"daemon; make file and folder writable for uid {os.geteuid()}, or name another recorder.directory"
+    )
 
 
 def _opened(path: Path) -> tuple[int, bytes]:

@@ -122,3 +122,9 @@ def make_status():
 def _ordinary_scheduling(monkeypatch: pytest.MonkeyPatch) -> None:
     """A test that runs the daemon in its own process must not outrank the machine ever after."""
     monkeypatch.setattr("softarm.daemon.shell.realtime._set", lambda priority: None)
+
+
+@pytest.fixture(autouse=True)
+def _patience(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What takes long on a loaded machine says so: no news to a test."""
+    monkeypatch.setattr("softarm.cli.printing.PATIENCE_S", 600.0)

@@ -1,5 +1,6 @@
 """`softarm check` tells what a file holds the arm to, or all that is wrong with it."""
 
+import json
 from pathlib import Path
 
 import pytest
@@ -209,3 +210,14 @@ def test_the_folder_of_a_rigs_data_is_for_a_rig(check, tmp_path):
     result = CliRunner().invoke(main, ["check", str(path), "--data", str(tmp_path)])
     assert result.exit_code == 2
     assert "--data is where the files of a stage.yaml lie" in result.stderr
+
+
+def test_a_script_reads_limits_and_mistakes(check, tmp_path):
+    path, _ = check("")
+    told = json.loads(CliRunner().invoke(main, ["check", str(path), "--json"]).stdout)
+    assert (told["sound"], told["problems"]) == (True, [])
+    assert any(row["key"] == "limits.rail.velocity_max_m_s" for row in told["limits"])
+    path.write_text("control: {rate_hz: 60, policy: raech}\n")
+    result = CliRunner().invoke(main, ["check", str(path), "--json"])
+    told = json.loads(result.stdout)
+    assert (result.exit_code, told["sound"], len(told["problems"])) == (1, False, 2)

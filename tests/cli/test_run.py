@@ -3,6 +3,7 @@
 import os
 import re
 import signal
+import socket
 import subprocess
 import sys
 
@@ -84,3 +85,16 @@ def test_what_cannot_run_says_why(tmp_path, arguments, code, says):
     write(tmp_path / "typo.yaml", "limits: {rail: {positoin_max_m: 0.2}}\n")
     result = CliRunner().invoke(main, ["run", *[argument.format(tmp_path) for argument in arguments]])
     assert (result.exit_code, says in result.output) == (code, True), result.output
+
+
+@pytest.mark.parametrize("verb", [["run", "--config"], ["check"], ["excite", "seed", "--config"]])
+def test_a_port_that_is_taken_leaves_no_log(tmp_path, verb):
+    with socket.socket() as other:
+        other.bind(("127.0.0.1", 0))
+        other.listen(1)
+        port = other.getsockname()[1]
+        config = write(tmp_path / "c.yaml", f"api: {{port: {port}}}\nrecorder: {{directory: {tmp_path}/logs}}\n")
+        result = CliRunner().invoke(main, [*verb, str(config)])
+    assert result.exit_code == 1
+    assert f"api.port {port}: cannot listen there, process {os.getpid()} (" in result.stderr
+    assert os.listdir(tmp_path) == ["c.yaml"]
