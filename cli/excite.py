@@ -6,9 +6,10 @@ from typing import TYPE_CHECKING
 import click
 
 from softarm.cli.errors import fail
-from softarm.cli.options import FILE, config_option, flown_model, independent_body, model_option
+from softarm.cli.options import FILE, config_option, flown_model, model_option
 from softarm.cli.played import planned, tell_next
 from softarm.cli.prepared import prepared
+from softarm.cli.robots import independent_body
 from softarm.common.processes import bar
 
 if TYPE_CHECKING:

@@ -12,7 +12,6 @@ from softarm.cli.errors import fail
 from softarm.common import files
 
 if TYPE_CHECKING:
-    from softarm.drivers.bodies.base import Body
     from softarm.schemas.model import Model
 
 FILE = click.Path(path_type=Path, dir_okay=False)
@@ -65,23 +64,6 @@ def flown_model(file: Path | None) -> "Model | None":
     if clock:
         click.echo(f"{', '.join(clock)}: not simulated here, the control loop that flies is the real one", err=True)
     return model
-
-
-def independent_body(model: "Model | None", faults: tuple[str, ...]) -> "Body":
-    """The robot of `reality/`; a sentence when its extra is missing, or it cannot be of that model or have a fault."""
-    try:
-        from softarm.drivers.bodies.independent import IndependentBody
-        from softarm.flights.robots import with_faults
-        from softarm.reality.parameters import of_model
-        from softarm.schemas.model import Model
-
-        return IndependentBody(with_faults(of_model(model or Model()), faults))
-    except ModuleNotFoundError as error:
-        if error.name != "mujoco":
-            raise
-        fail("--reality needs the package 'mujoco': pip install 'softarm[mujoco]'")
-    except ValueError as error:
-        fail(f"--reality: {error}")
 
 
 def write_json(file: Path | None, data: object) -> None:

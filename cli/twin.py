@@ -5,7 +5,8 @@ from pathlib import Path
 import click
 
 from softarm.cli.errors import fail
-from softarm.cli.options import FILE, flown_model, independent_body, model_option
+from softarm.cli.options import FILE, flown_model, model_option
+from softarm.cli.robots import independent_body
 
 
 @click.command()
