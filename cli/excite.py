@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 import click
 
 from softarm.cli.errors import fail
-from softarm.cli.options import FILE, config_option, flown_model, model_option
+from softarm.cli.options import FILE, FOLDER, config_option, flown_model, model_option
 from softarm.cli.played import planned, tell_next
 from softarm.cli.prepared import prepared
 from softarm.cli.robots import independent_body
@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 @click.option("--fault", "faults", multiple=True, metavar="GROUP.QUANTITY=VALUE", help="Of --reality; again for more.")
 @model_option
 @click.option("--plan", type=FILE, help="Play what a diagnosis asks for next: its verdict.json.")
+@click.option("--logs", type=FOLDER, help="Where recordings go (default: the configuration's recorder.directory).")
 @click.option("--list", "show", is_flag=True, help="Show the excitations there are.")
 def excite(
     names: tuple[str, ...],
@@ -33,6 +34,7 @@ def excite(
     faults: tuple[str, ...],
     model_file: Path | None,
     plan: Path | None,
+    logs: Path | None,
     show: bool,
 ) -> None:
     """Play the excitations NAME and record each: the arm is armed, moves, and is disarmed again.
@@ -44,7 +46,7 @@ def excite(
     Examples:
       softarm excite --list
       softarm excite seed --config softarm.yaml        on the robot, about half a minute
-      softarm excite seed rail-steps both --config softarm.yaml     a campaign
+      softarm excite seed rail-steps both --config softarm.yaml --logs campaign
       softarm excite rail-chirp --simulated            on a simulated one
       softarm excite seed --reality --fault arm.payload_kg=0.03     on one that shares no line with the simulator
       softarm excite --plan verdict.json --config softarm.yaml    the next experiment of `softarm diagnose`
@@ -81,9 +83,12 @@ def excite(
             config = configuration.load(config_file) if config_file else Config()
         else:
             config = prepared(config_file, wires=True)
+        if logs is not None:
+            recorder = config.recorder.model_copy(update={"directory": logs})
+            config = config.model_copy(update={"recorder": recorder})
         lengths_s = [length_s(config, name) for name in names]  # every name is looked up before the first is played
         model = flown_model(model_file)
-        logs = []
+        recorded = []
         for name, total_s in zip(names, lengths_s, strict=True):
             body = independent_body(model, faults) if reality else None
             with bar(f"playing {name}", total_s) as shown:
@@ -92,7 +97,7 @@ def excite(
                 else:
                     status, log = play(config, name, real_devices(config), shown.show, latch_of(config))
             _tell(name, status, log)
-            logs.append(log)
+            recorded.append(log)
     except (
         configuration.ConfigurationError,
         PolicyError,
@@ -103,7 +108,7 @@ def excite(
         RuntimeError,
     ) as error:
         fail(str(error))
-    tell_next([log for log in logs if log is not None], plan)
+    tell_next([log for log in recorded if log is not None], plan)
 
 
 def _tell(name: str, status: "GoalStatus", log: Path | None) -> None:

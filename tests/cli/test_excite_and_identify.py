@@ -63,9 +63,12 @@ def test_identify_writes_a_model_numbers_and_pictures(recorded, tmp_path):
 @pytest.mark.slow
 def test_a_campaign_on_the_independent_robot_shows_its_fault(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    outcome = run("excite", "free-decay", "pressure-multisine", "--reality", "--fault", "regulator.gain=0.2")
+    outcome = run(
+        "excite", "free-decay", "pressure-multisine", "--reality", "--fault", "regulator.gain=0.2", "--logs", "mine"
+    )
     assert outcome.exit_code == 0, outcome.output
     logs = re.findall(r"recorded (\S+)", outcome.output)
+    assert sorted(logs) == sorted(str(log.resolve()) for log in Path("mine").glob("*.mcap"))
     assert len(logs) == 2
     assert f"or:   softarm diagnose {' '.join(logs)} --report report.html" in outcome.output
     outcome = run("diagnose", *logs, "--json", "verdict.json")
