@@ -31,12 +31,12 @@ def run(config_file: Path | None, simulated: bool, model_file: Path | None) -> N
     """
     import logging
 
+    from softarm.common.plugins import PluginError
     from softarm.daemon.api.auth import AuthError
     from softarm.daemon.api.sockets import ApiError
     from softarm.daemon.logbook.recorder import RecorderError
     from softarm.daemon.shell import daemon
     from softarm.daemon.stop.latch import LatchError
-    from softarm.policies.base import PolicyError
 
     if config_file is None and not simulated:
         raise click.UsageError(
@@ -52,7 +52,7 @@ def run(config_file: Path | None, simulated: bool, model_file: Path | None) -> N
             daemon.run(config, daemon.simulated_devices(flown_model(model_file)), announce)
         else:
             daemon.run(config, daemon.real_devices(config), announce, daemon.latch_of(config))
-    except (PolicyError, LatchError, RecorderError, ApiError, AuthError) as error:
+    except (PluginError, LatchError, RecorderError, ApiError, AuthError) as error:
         fail(str(error))
 
 

@@ -74,11 +74,14 @@ def train(
     from softarm.training.record import tensorboard
     from softarm.training.run.checkpoint import CheckpointError
     from softarm.training.run.ending import ending
-    from softarm.training.run.recipe import RECIPES, begin
+    from softarm.training.run.recipe import begin, named
 
-    if (name := "reach-wide" if wide else name) not in RECIPES:
-        raise click.UsageError(f"no task '{name}'; there is {', '.join(RECIPES)}")
-    recipe = RECIPES[name].changed(model_file, {"run.robots": robots, "run.device": device})
+    name = "reach-wide" if wide else name
+    try:
+        recipe = named(name)
+    except ValueError as error:
+        raise click.UsageError(str(error)) from None
+    recipe = recipe.changed(model_file, {"run.robots": robots, "run.device": device})
     folder = out or Path("runs") / "-".join((name, *([model_file.stem] if model_file else []), str(seed)))
     if not resume and (folder / "latest.pt").exists():
         fail(f"{folder} holds a run already: add --resume to go on with it, or give another --out")

@@ -1,6 +1,7 @@
 """What a policy is. Publish one under the entry-point group `softarm.policies` and the daemon finds it.
 
 class Mine:
+    interface = 1
     spec = PolicySpec(name="mine", description="one line")
     def __init__(self, **options): ...
     def reset(self): ...
@@ -14,13 +15,16 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
+from softarm.common.plugins import PluginError
 from softarm.schemas.policy import TrainingRange
 
 Array = NDArray[np.float32]
+GROUP = "softarm.policies"
+INTERFACE = 1  # what a policy, as its class says it, may be written for; docs/policies.md has the promise
 MODELS = Path(__file__).parent / "models"  # the shipped ones, chosen by their stem
 
 
-class PolicyError(Exception):
+class PolicyError(PluginError):
     """A policy that cannot be used; the text names it, what is wrong and the next step."""
 
 

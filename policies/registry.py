@@ -1,18 +1,15 @@
 """Which policies there are, and how one is made from its name."""
 
-import inspect
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
-from importlib.metadata import entry_points
 
+from softarm.common import plugins as installed_plugins
+from softarm.common.plugins import Option, Plugin
 from softarm.common.words import nearest
-from softarm.policies.base import MODELS, Policy, PolicyError, PolicySpec
+from softarm.policies.base import GROUP, INTERFACE, MODELS, Policy, PolicyError, PolicySpec
 from softarm.schemas.config import Policy as ConfiguredPolicy
 
-GROUP = "softarm.policies"
-
-Option = str | float | int | bool
-Plugin = Callable[..., object]
+_KIND = "plugin"
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,13 +62,13 @@ def load(name: str, configured: Mapping[str, ConfiguredPolicy] | None = None) ->
             raise PolicyError("it lacks spec, reset or step; see docs/policies.md")
         policy.spec = replace(policy.spec, name=name)
     except (Exception, SystemExit) as error:
-        raise PolicyError(f"policy '{name}': {_sentence(error)}; available: {usable}") from error
+        raise PolicyError(f"policy '{name}': {installed_plugins.said(error)}; available: {usable}") from error
     return policy
 
 
 def _plugins() -> dict[str, Callable[[], Plugin]]:
-    """Find the installed plugins, not yet imported. An editable install may list one twice."""
-    return {point.name: point.load for point in entry_points(group=GROUP)}
+    """Find the installed plugins, not yet imported."""
+    return installed_plugins.installed(GROUP)
 
 
 def _entry(
@@ -80,42 +77,17 @@ def _entry(
     try:
         spec = replace(_describe(plugin, options, plugins), name=name)
     except (Exception, SystemExit) as error:  # a module may even call sys.exit() while it is imported
-        return PolicyEntry(name, plugin, options, error=_sentence(error))
+        return PolicyEntry(name, plugin, options, error=installed_plugins.said(error))
     return PolicyEntry(name, plugin, options, spec=spec)
 
 
 def _describe(plugin: str, options: Mapping[str, Option], plugins: Mapping[str, Callable[[], Plugin]]) -> PolicySpec:
     """Ask the plugin's class for its spec: from `describe(**options)` where it has one, else from `spec`."""
-    if plugin not in plugins:
-        near = nearest(plugin, plugins)
-        hint = f"; did you mean '{near}'?" if near else ""
-        raise PolicyError(f"no plugin '{plugin}'{hint} (installed: {', '.join(sorted(plugins)) or 'none'})")
-    make = plugins[plugin]()
-    _check_options(plugin, make, options)
+    make = installed_plugins.find(_KIND, plugin, plugins)
+    installed_plugins.check_interface(_KIND, plugin, make, INTERFACE)
+    installed_plugins.check_options(_KIND, plugin, make, options)
     describe = getattr(make, "describe", None)
     spec = describe(**options) if describe else getattr(make, "spec", None)
     if not isinstance(spec, PolicySpec):
         raise PolicyError(f"plugin '{plugin}' lacks a class attribute `spec` (policies.base.PolicySpec)")
     return spec
-
-
-def _check_options(plugin: str, make: Plugin, options: Mapping[str, Option]) -> None:
-    parameters = inspect.signature(make).parameters.values()
-    known = [p.name for p in parameters if p.kind in (p.POSITIONAL_OR_KEYWORD, p.KEYWORD_ONLY)]
-    takes_any = any(p.kind is p.VAR_KEYWORD for p in parameters)
-    for name in options:
-        if name not in known and not takes_any:
-            near = nearest(name, known)
-            hint = f"; did you mean '{near}'?" if near else ""
-            raise PolicyError(f"plugin '{plugin}' has no option '{name}'{hint} (known: {', '.join(known) or 'none'})")
-    required = {p.name for p in parameters if p.name in known and p.default is p.empty}
-    if missing := sorted(required - options.keys()):
-        raise PolicyError(
-            f"plugin '{plugin}' needs the option {', '.join(missing)}: give it under `policies` in the configuration"
-        )
-
-
-def _sentence(error: BaseException) -> str:
-    """What an error says, in one line; a PolicyError speaks for itself."""
-    text = " ".join(str(error).split())
-    return text if isinstance(error, PolicyError) else f"{type(error).__name__}: {text}"

@@ -134,12 +134,19 @@ class Policy(Strict):
     options: dict[str, str | float | int | bool] = Field(default_factory=dict)
 
 
-class ZenohMocap(Strict):
-    """Motion capture over Zenoh; the daemon listens, bridges connect."""
+class Mocap(Strict):
+    """Motion capture over Zenoh (the daemon listens, bridges connect), or from an installed plugin with options."""
 
-    driver: Literal["zenoh"] = "zenoh"
+    driver: str = "zenoh"  # or a plugin of the group softarm.mocap_sources
     endpoint: str = "tcp/127.0.0.1:7447"
     key: str = "softarm/mocap"
+    options: dict[str, str | float | int | bool] = Field(default_factory=dict)  # the plugin's
+
+    @model_validator(mode="after")
+    def _options_are_a_plugins(self) -> Self:
+        if self.driver == "zenoh" and self.options:
+            raise ValueError(f"options {', '.join(self.options)} are a plugin's: name it as driver, or remove them")
+        return self
 
 
 class SerialRegulator(Strict):
@@ -172,7 +179,7 @@ class DryveRail(Strict):
 class Drivers(Strict):
     """The three devices."""
 
-    mocap: ZenohMocap = ZenohMocap()
+    mocap: Mocap = Mocap()
     regulator: SerialRegulator = SerialRegulator()
     rail: DryveRail = DryveRail()
 

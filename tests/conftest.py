@@ -3,6 +3,8 @@
 import contextlib
 import os
 import resource
+import sys
+import textwrap
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager
 from pathlib import Path
@@ -47,3 +49,20 @@ def _many_descriptors() -> Iterator[None]:
 def many_descriptors() -> Callable[[], AbstractContextManager[None]]:
     """A context with as many open files as make every new one's number too large for select."""
     return _many_descriptors
+
+
+@pytest.fixture
+def install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:
+    """Install a distribution with plugins, as pip would: a module and an entry point on the path."""
+
+    def write(module: str, source: str, group: str = "softarm.policies", **points: str) -> None:
+        (tmp_path / f"{module}.py").write_text(textwrap.dedent(source))
+        info = tmp_path / f"{module}-1.0.dist-info"
+        info.mkdir()
+        (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {module}\nVersion: 1.0\n")
+        lines = [f"{name} = {module}:{attribute}" for name, attribute in points.items()]
+        (info / "entry_points.txt").write_text("\n".join([f"[{group}]", *lines, ""]))
+        monkeypatch.delitem(sys.modules, module, raising=False)
+        monkeypatch.syspath_prepend(str(tmp_path))
+
+    return write

@@ -26,6 +26,7 @@ from softarm.schemas.policy import ACTION, OBSERVATION
 from softarm.schemas.robot import CONTROL_RATE_HZ, TRAINING_PHYSICS_RATE_HZ
 from softarm.simulator import model_file
 from softarm.training.gym_picture import Picture, Pixels, View, Window
+from softarm.training.run.recipe import preset
 from softarm.training.task.environment import Step
 from softarm.training.task.reach import ReachTask
 from softarm.training.task.shelf import ShelfEnvironment, ShelfTask, environment_of
@@ -150,6 +151,14 @@ def _known_mode(mode: str | None, modes: list[str]) -> str | None:
     if mode is not None and mode not in modes:
         raise ValueError(f"render_mode is {mode!r}; allowed: {', '.join(modes)}, or None to draw nothing")
     return mode
+
+
+def _task_of(task: ReachTask | str, kind: type[ReachTask]) -> ReachTask:
+    """A task, or one by its name. Raises ValueError for none, or one of another kind."""
+    found = preset(task) if isinstance(task, str) else task
+    if not isinstance(found, kind):
+        raise ValueError(f"task '{found.name}' is not for this environment; allowed is a {kind.__name__}")
+    return found
 
 
 class _SingleEnv(gymnasium.Env[Array, Array]):
@@ -278,13 +287,15 @@ class ReachEnv(_SingleEnv):
 
     def __init__(
         self,
-        task: ReachTask | None = None,
+        task: ReachTask | str | None = None,
         model: Model | Path | str | None = None,
         physics_rate_hz: float = TRAINING_PHYSICS_RATE_HZ,
         render_mode: str | None = None,
     ) -> None:
-        """Default task: the seed's; model: a `Model`, a file or a shipped name. Raises ModelFileError."""
-        super().__init__(task or ReachTask(), model, physics_rate_hz, render_mode)
+        """task: one, or its name, an installed plugin's among them (default: the seed's); model: a `Model`, a file or
+        a shipped name. Raises ModelFileError, and ValueError for a task that there is not.
+        """
+        super().__init__(_task_of(task or ReachTask(), ReachTask), model, physics_rate_hz, render_mode)
 
 
 class ReachVectorEnv(_ManyEnv):
@@ -293,13 +304,13 @@ class ReachVectorEnv(_ManyEnv):
     def __init__(
         self,
         num_envs: int = 1,
-        task: ReachTask | None = None,
+        task: ReachTask | str | None = None,
         model: Model | Path | str | None = None,
         physics_rate_hz: float = TRAINING_PHYSICS_RATE_HZ,
         render_mode: str | None = None,
     ) -> None:
         """As `ReachEnv`."""
-        super().__init__(task or ReachTask(), num_envs, model, physics_rate_hz, render_mode)
+        super().__init__(_task_of(task or ReachTask(), ReachTask), num_envs, model, physics_rate_hz, render_mode)
 
 
 class ShelfEnv(_SingleEnv):
@@ -307,13 +318,13 @@ class ShelfEnv(_SingleEnv):
 
     def __init__(
         self,
-        task: ShelfTask | None = None,
+        task: ShelfTask | str | None = None,
         model: Model | Path | str | None = None,
         physics_rate_hz: float = TRAINING_PHYSICS_RATE_HZ,
         render_mode: str | None = None,
     ) -> None:
         """As `ReachEnv`."""
-        super().__init__(task or ShelfTask(), model, physics_rate_hz, render_mode)
+        super().__init__(_task_of(task or ShelfTask(), ShelfTask), model, physics_rate_hz, render_mode)
 
 
 class ShelfVectorEnv(_ManyEnv):
@@ -322,13 +333,13 @@ class ShelfVectorEnv(_ManyEnv):
     def __init__(
         self,
         num_envs: int = 1,
-        task: ShelfTask | None = None,
+        task: ShelfTask | str | None = None,
         model: Model | Path | str | None = None,
         physics_rate_hz: float = TRAINING_PHYSICS_RATE_HZ,
         render_mode: str | None = None,
     ) -> None:
         """As `ReachEnv`."""
-        super().__init__(task or ShelfTask(), num_envs, model, physics_rate_hz, render_mode)
+        super().__init__(_task_of(task or ShelfTask(), ShelfTask), num_envs, model, physics_rate_hz, render_mode)
 
 
 for _task in ("Reach", "Shelf"):

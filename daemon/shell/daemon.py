@@ -20,10 +20,11 @@ from softarm.daemon.stop.latch import LatchKeeper, latch_path
 from softarm.daemon.stop.listener import StopListener
 from softarm.daemon.stop.terminal import StopKey
 from softarm.daemon.tick import Controller
+from softarm.drivers.base import MocapSource
 from softarm.policies import registry
 from softarm.policies.base import Policy
 from softarm.policies.runner import ThreadRunner
-from softarm.schemas.config import Config
+from softarm.schemas.config import Config, Mocap
 from softarm.schemas.model import Model
 
 log = logging.getLogger(__name__)
@@ -32,16 +33,29 @@ SWITCH_INTERVAL_S = 0.0002  # the API's thread gives way to the control loop's w
 
 
 def real_devices(config: Config) -> Devices:
-    """The robot on its wires (or the twin: the drivers cannot tell)."""
-    from softarm.drivers.mocap.driver import ZenohMocapSource
+    """The robot on its wires (or the twin: the drivers cannot tell).
+
+    Raises PluginError for a source of motion capture that cannot be used.
+    """
     from softarm.drivers.rail.driver import DryveRailAxis
     from softarm.drivers.regulator.driver import TeensyRegulator
 
     return Devices(
-        ZenohMocapSource(config.drivers.mocap),
+        motion_capture(config.drivers.mocap),
         TeensyRegulator(config.drivers.regulator),
         DryveRailAxis(config.drivers.rail, config.control.realtime_priority),
     )
+
+
+def motion_capture(config: Mocap) -> MocapSource:
+    """What the configuration names: Zenoh, or another package's source. Raises PluginError when that cannot be used."""
+    from softarm.drivers.mocap import plugged
+
+    if config.driver != plugged.BUILT_IN:
+        return plugged.load(config.driver, config.options)
+    from softarm.drivers.mocap.driver import ZenohMocapSource
+
+    return ZenohMocapSource(config)
 
 
 def simulated_devices(model: Model | None = None) -> Devices:

@@ -4,6 +4,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
 
+from softarm.common.plugins import PluginError
 from softarm.common.yaml_lines import Place
 from softarm.daemon.api import sockets
 from softarm.daemon.api.auth import AuthError, load_tokens
@@ -11,6 +12,7 @@ from softarm.daemon.config import configuration
 from softarm.daemon.config.configuration import ConfigurationError, Loaded
 from softarm.daemon.logbook import folder
 from softarm.daemon.stop import latch
+from softarm.drivers.mocap import plugged
 from softarm.policies import registry, trial
 from softarm.policies.base import PolicyError
 from softarm.schemas.config import Config
@@ -76,6 +78,12 @@ def _problems(config: Config, wires: bool, thorough: bool) -> Iterator[Problem]:
         except sockets.ApiError as error:
             yield Problem(("api", key), str(error))
     yield from _places(config, wires)
+    mocap = config.drivers.mocap
+    if wires and mocap.driver != plugged.BUILT_IN:
+        try:
+            plugged.load(mocap.driver, mocap.options)
+        except PluginError as error:
+            yield Problem(("drivers", "mocap", "driver"), str(error))
 
 
 def _places(config: Config, wires: bool) -> Iterator[Problem]:

@@ -6,7 +6,7 @@ the same devices serve the offline flights, where time jumps by a tick, and `sof
 
 from dataclasses import replace
 
-from softarm.drivers.base import WithoutWire
+from softarm.drivers.base import MocapSource, WithoutWire
 from softarm.drivers.bodies.base import Body
 from softarm.schemas.config import DryveRail
 from softarm.schemas.messages import MocapFrame, PressureReading, RailReading
@@ -23,7 +23,7 @@ class InProcessRobot:
         self.body = body
         self.now_ns = now_ns
         self._hold_ns = round(hold_s * 1e9)
-        self.mocap = InProcessMocap(self)
+        self.mocap: MocapSource = InProcessMocap(self)  # or one that is put before it
         self.regulator = InProcessRegulator(self)
         self.rail = InProcessRail(self)
 

@@ -37,6 +37,11 @@ def decode(payload: bytes, t_receive_ns: int) -> MocapFrame:
         message = json.loads(payload)
     except (ValueError, RecursionError) as error:
         raise ValueError(f"not JSON: {error}") from None
+    return frame_of(message, t_receive_ns)
+
+
+def frame_of(message: object, t_receive_ns: int) -> MocapFrame:
+    """The frame that a parsed payload is. Raises ValueError with the field and what is allowed there."""
     if not isinstance(message, dict) or set(message) != {"sequence", "t_capture_ns", "bodies"}:
         raise ValueError("a frame has exactly the fields sequence, t_capture_ns and bodies")
     bodies = message["bodies"]

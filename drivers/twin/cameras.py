@@ -11,7 +11,7 @@ import zenoh
 from softarm.drivers.mocap import payload as mocap_payload
 from softarm.drivers.mocap.zenoh_session import client
 from softarm.drivers.twin.faults import Faults
-from softarm.schemas.config import ZenohMocap
+from softarm.schemas.config import Mocap
 from softarm.schemas.messages import BODY_NAMES, Pose
 
 RETRY_S = 0.1  # until the daemon listens for the first time; afterwards the session finds it again by itself
@@ -41,7 +41,7 @@ class TwinState:
 class Cameras:
     """Publishes while somebody listens; nobody listening is no error. A bad fault message is printed."""
 
-    def __init__(self, config: ZenohMocap, faults: Faults) -> None:
+    def __init__(self, config: Mocap, faults: Faults) -> None:
         self._config, self._faults = config, faults
         self._stopping = threading.Event()
         self._thread = threading.Thread(target=self._connect, name="cameras", daemon=True)

@@ -55,6 +55,15 @@ def test_a_policy_that_could_not_fly_is_found(check):
     assert lines[1].startswith(f"{path}:2: control.policy: no policy 'hodl'; did you mean 'hold'?")
 
 
+def test_a_source_of_motion_capture_that_is_not_there_is_found(check):
+    path, result = check("control: {policy: hold}\ndrivers:\n  mocap:\n    driver: zenho\n")
+    assert result.exit_code == 1
+    (line,) = result.stderr.splitlines()
+    assert line.startswith(
+        f"{path}:4: drivers.mocap.driver 'zenho': no motion capture source 'zenho'; did you mean 'zenoh'?"
+    )
+
+
 def test_the_policy_of_a_file_that_names_none_is_tried_too(check, monkeypatch, tmp_path):
     monkeypatch.setattr("softarm.policies.registry.MODELS", tmp_path / "empty")
     path, result = check("")

@@ -1,32 +1,11 @@
 """Policies are found by name; one that is broken says so and hides no other."""
 
-import sys
-import textwrap
-
 import pytest
 
 from softarm.policies.base import Policy, PolicyError, PolicySpec
 from softarm.policies.onnx_policy import OnnxPolicy
 from softarm.policies.registry import available, load
 from softarm.schemas.config import Policy as Configured
-
-
-@pytest.fixture
-def install(tmp_path, monkeypatch):
-    """Install a distribution with plugins, as pip would: a module and an entry point on the path."""
-
-    def write(module: str, source: str, **points: str) -> None:
-        (tmp_path / f"{module}.py").write_text(textwrap.dedent(source))
-        info = tmp_path / f"{module}-1.0.dist-info"
-        info.mkdir()
-        (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {module}\nVersion: 1.0\n")
-        lines = [f"{name} = {module}:{attribute}" for name, attribute in points.items()]
-        (info / "entry_points.txt").write_text("\n".join(["[softarm.policies]", *lines, ""]))
-        monkeypatch.delitem(sys.modules, module, raising=False)
-        monkeypatch.syspath_prepend(str(tmp_path))
-
-    return write
-
 
 GOOD = """
     import numpy as np

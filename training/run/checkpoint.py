@@ -7,11 +7,12 @@ from typing import TYPE_CHECKING, Any
 import torch
 
 from softarm.common import files
+from softarm.common.plugins import PluginError
 from softarm.training.learn.network import NetworkShape, PolicyNetwork
 from softarm.training.record.curve import Iteration
 from softarm.training.run.settings import usual
 from softarm.training.task.reach import ReachTask
-from softarm.training.task.shelf import ShelfTask
+from softarm.training.task.registry import plugin_of, rebuilt
 
 if TYPE_CHECKING:
     from softarm.training.run.session import Session
@@ -51,7 +52,7 @@ def policy_of(session: "Session") -> dict[str, Any]:
         "average": session.average.state_dict(),
         "network": asdict(session.network.shape),
         "kind": session.task.kind,
-        "task": asdict(session.task),
+        "task": asdict(session.task) | ({} if (plugin := plugin_of(session.task)) is None else {"plugin": plugin}),
         "seed": session.config.seed,
         "frames": session.frames,
         "seconds": session.seconds,
@@ -97,6 +98,8 @@ def load_policy(source: Path) -> tuple[PolicyNetwork, dict[str, Any]]:
 
 
 def task_of(saved: dict[str, Any]) -> ReachTask:
-    """The task of a checkpoint."""
-    kind = ShelfTask if saved.get("kind") == "shelf" else ReachTask
-    return kind(**saved["task"])
+    """The task of a checkpoint. Raises CheckpointError when it is another package's, which is not installed."""
+    try:
+        return rebuilt(saved.get("kind", "reach"), saved["task"])
+    except PluginError as error:
+        raise CheckpointError(f"{error}: install the package that it was trained with") from error

@@ -10,6 +10,8 @@ from typing import Any, NamedTuple, TypeVar, get_type_hints
 
 from pydantic import Field, field_validator
 
+from softarm.common.plugins import PluginError
+from softarm.common.words import did_you_mean
 from softarm.schemas.base import Strict
 from softarm.simulator import model_file
 from softarm.training.learn.inference import Workers
@@ -17,6 +19,7 @@ from softarm.training.learn.network import NetworkShape
 from softarm.training.learn.ppo import PpoConfig
 from softarm.training.run.session import Session
 from softarm.training.run.settings import TrainingConfig
+from softarm.training.task import registry
 from softarm.training.task.randomisation import Randomisation
 from softarm.training.task.reach import TASKS, ReachTask
 from softarm.training.task.shelf import ShelfTask
@@ -52,7 +55,7 @@ ROBUST = {
 class Recipe(Strict):
     """One run but for its seed."""
 
-    task: str = "reach"  # a preset's name
+    task: str = "reach"  # a preset's name, or that of another package's
     model: str = "seed"  # a shipped name or a file
     frames: int = Field(5_000_000, ge=1)  # control steps of single robots
     # 'part.field' of task, run, ppo or network -> its value, e.g. network.order: mlp
@@ -64,8 +67,9 @@ class Recipe(Strict):
     @field_validator("task")
     @classmethod
     def _known(cls, name: str) -> str:
-        if name not in PRESETS:
-            raise ValueError(f"no task {name!r}; there is {', '.join(PRESETS)}")
+        known = (*PRESETS, *registry.names())
+        if name not in known:
+            raise ValueError(f"no task {name!r}; there is {', '.join(known)}")
         return name
 
     def changed(self, model: Path | None, settings: Mapping[str, Setting | None]) -> "Recipe":
@@ -86,10 +90,31 @@ class Ingredients(NamedTuple):
     randomisation: Randomisation
 
 
+def preset(name: str) -> ReachTask:
+    """A task by its name; the house's own come first. Raises ValueError."""
+    if name in PRESETS:
+        return PRESETS[name]
+    try:
+        return registry.load(name)
+    except PluginError as error:
+        raise ValueError(str(error)) from error
+
+
+def named(name: str) -> Recipe:
+    """The recipe that goes by a name: a shipped policy's, or another package's task as usual. Raises ValueError."""
+    if name in RECIPES:
+        return RECIPES[name]
+    plugins = registry.names()
+    if name not in plugins:
+        known = (*RECIPES, *plugins)
+        raise ValueError(f"no task '{name}'; {did_you_mean(name, known)}there is {', '.join(known)}")
+    return Recipe.model_validate({"task": name})
+
+
 def prepare(recipe: Recipe, seed: int) -> Ingredients:
     """Turn names into objects. Raises ValueError for a setting or an effect that there is not."""
     parts: dict[str, Any] = {
-        "task": PRESETS[recipe.task],
+        "task": preset(recipe.task),
         "run": TrainingConfig(seed=seed),
         "ppo": PpoConfig(),
         "network": NetworkShape(),

@@ -13,6 +13,7 @@ from softarm.training.learn.ppo import PpoConfig
 from softarm.training.task.environment import ACTIONS
 from softarm.training.task.randomisation import Randomisation
 from softarm.training.task.reach import ReachTask
+from softarm.training.task.registry import plugin_of
 
 Settings = dict[str, str | float | int | bool | list[float] | None]
 DTYPES = {"float32": torch.float32, "bfloat16": torch.bfloat16}
@@ -53,6 +54,8 @@ def recorded(
 ) -> Settings:
     """All of it, `part.field` -> value."""
     settings = flat(task=task, run=config, ppo=ppo, randomise=randomisation, network=shape)
+    if (plugin := plugin_of(task)) is not None:
+        settings["task.plugin"] = plugin
     return settings | {"model.name": model_name, "model.sha256": model_file.fingerprint(model)}
 
 

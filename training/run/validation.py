@@ -18,6 +18,7 @@ from softarm.training.learn.network import PolicyNetwork
 from softarm.training.task.environment import Environment
 from softarm.training.task.randomisation import Randomisation
 from softarm.training.task.reach import Array, ReachTask, Starts
+from softarm.training.task.registry import plugin_of
 from softarm.training.task.shelf import ShelfEnvironment, ShelfTask, environment_of
 
 VALIDATION_SEED = 20230
@@ -29,6 +30,7 @@ SHELF_VALIDATION_SET = (
     "random targets, depths and cart starts of the training range, arm straight at rest; seed 20230; "
     "none of the test trials"
 )
+OWN_VALIDATION_SET = "random targets and cart starts of the task's own ranges, arm straight at rest; seed 20230"
 RANDOM_SHELF_SEED = 54
 
 
@@ -94,12 +96,15 @@ def at_rest(cart_position_m: Array, links: int) -> Starts:
 def validation_scenarios(task: ReachTask, links: int, count: int = 1536) -> Scenarios:
     """What checkpoints are chosen by: two thirds random targets of the task's training range, one third of the band
     above the seed's (z 0.70 to 0.80 m, where many are out of reach), from random cart positions of the training
-    range, arm straight at rest. Random points: the seed's 54 test targets are a grid, and none of them. For the shelf
-    all are of the training range.
+    range, arm straight at rest. Random points: the seed's 54 test targets are a grid, and none of them. For the shelf,
+    and for a task of another package, all are of the training range.
     """
     rng = np.random.default_rng(VALIDATION_SEED)
     if isinstance(task, ShelfTask):
         return _random_shelf_scenarios(task, links, count, rng)
+    if plugin_of(task) is not None:
+        cart = rng.uniform(*task.cart_start_m, count).clip(-0.24, 0.24)
+        return Scenarios(at_rest(cart, links), task.sample_targets(rng, count))
     inside = task.sample_targets(rng, count - count // 3)
     band = replace(task, target_z_m=(TRAINED_Z_MAX_M, 0.80)).sample_targets(rng, count // 3)
     cart = rng.uniform(*task.cart_start_m, count).clip(-0.24, 0.24)
@@ -189,6 +194,8 @@ class Validation:
 
 def chosen_by(task: ReachTask) -> str:
     """What a task's validation set is, for people."""
+    if plugin_of(task) is not None:
+        return OWN_VALIDATION_SET
     return SHELF_VALIDATION_SET if isinstance(task, ShelfTask) else VALIDATION_SET
 
 

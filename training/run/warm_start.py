@@ -21,7 +21,7 @@ from softarm.training.learn.normaliser import VARIANCE_FLOOR
 from softarm.training.run.checkpoint import CheckpointError
 from softarm.training.run.session import Session
 from softarm.training.task.reach import ReachTask
-from softarm.training.task.shelf import ShelfTask
+from softarm.training.task.registry import rebuilt
 
 CRITIC_ITERATIONS = 8
 CRITIC_RATE = 3e-3  # of the value head alone, a linear fit
@@ -92,8 +92,7 @@ def _frames(metadata: PolicyMetadata) -> float:
 def _task(metadata: PolicyMetadata) -> ReachTask:
     """The task as it was trained."""
     given = {key.partition(".")[2]: value for key, value in metadata.training.items() if key.startswith("task.")}
-    kind = ShelfTask if metadata.task == "shelf" else ReachTask
-    return kind(**{key: tuple(v) if isinstance(v, list) else v for key, v in given.items()})  # type: ignore[arg-type]
+    return rebuilt(metadata.task, {key: tuple(v) if isinstance(v, list) else v for key, v in given.items()})
 
 
 def _network(values: dict[str, Tensor], metadata: PolicyMetadata) -> PolicyNetwork:

@@ -21,7 +21,7 @@ from softarm.simulator.sensors import Clock, Sensors
 from softarm.simulator.simulator import Simulator
 from softarm.training.task.rail_guard import RailGuard
 from softarm.training.task.randomisation import Draw, Randomisation
-from softarm.training.task.reach import ReachTask, Starts
+from softarm.training.task.reach import Moment, ReachTask, Starts
 
 Array = NDArray[np.float32]
 Mask = NDArray[np.bool_]
@@ -162,8 +162,9 @@ class Environment:
         terminated = success | off_rail
         truncated = ~terminated & (self._elapsed >= self.task.episode_steps)
         speed = np.nan_to_num(np.linalg.norm(self._rates[:, 1:], axis=1))
-        reward = self.task.reward(success, off_rail, speed)
         final, final_tip = np.nan_to_num(self._observe()), np.nan_to_num(tip)
+        cart = np.nan_to_num(self._pose[:, 0])
+        reward = self._reward(Moment(final_tip, speed, self.target_m, cart, success, off_rail))
         if self.restarts:
             self._restart(terminated | truncated)
         return Step(self._observe(), reward, terminated, truncated, success, final, final_tip)
@@ -205,6 +206,17 @@ class Environment:
         seen = {} if self.sensors is None else self.sensors.snapshot()
         arrays |= {"time_s": np.array(self.simulator.time_s)} | seen
         return {name: torch.from_numpy(each) for name, each in arrays.items()}
+
+    def _reward(self, now: Moment) -> Array:
+        """The task's, which another package may have written. Raises ValueError for what is none."""
+        reward = self.task.reward(now)
+        if not isinstance(reward, np.ndarray) or reward.shape != (self.robots,) or reward.dtype.kind != "f":
+            got = f"{reward.dtype} {reward.shape}" if isinstance(reward, np.ndarray) else type(reward).__name__
+            raise ValueError(f"task '{self.task.name}': reward gave {got}; allowed is float32 ({self.robots},)")
+        if not np.isfinite(reward).all():
+            robot = int(np.flatnonzero(~np.isfinite(reward))[0])
+            raise ValueError(f"task '{self.task.name}': reward gave {reward[robot]} for robot {robot}: mend it")
+        return reward
 
     def _kept(self, ticks: Mask, velocity: Array, pressure: Array) -> tuple[Array, Array]:
         """The commands (m/s, kPa, [R]) in force where some loops leave out their tick: there the last ones."""

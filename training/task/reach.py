@@ -23,6 +23,17 @@ class Starts(NamedTuple):
     pressure_kpa: Array  # [R]
 
 
+class Moment(NamedTuple):
+    """What a step came to, as a reward sees it; one entry a robot, true values, not what sensors show."""
+
+    tip_m: Array  # y, z, [R, 2]
+    tip_speed_m_s: Array  # [R]
+    target_m: Array  # y, z, [R, 2]
+    cart_position_m: Array  # [R]
+    success: NDArray[np.bool_]  # the tip lies within the radius, and the cart is on the rail
+    off_rail: NDArray[np.bool_]
+
+
 COUNTED_ON = ("latency_s", "braking_m_s2", "surge_m_s2", "drag_m_s")  # of limits.rail, by the braking law
 
 
@@ -94,10 +105,10 @@ class ReachTask:
         near: NDArray[np.bool_] = np.hypot(offset[:, 0], offset[:, 1]) < self.success_radius_m
         return near
 
-    def reward(self, success: NDArray[np.bool_], off_rail: NDArray[np.bool_], tip_speed_m_s: Array) -> Array:
+    def reward(self, now: Moment) -> Array:
         """Scaled reward of a step, float32 [R] ([P] section 4)."""
-        total = self.success_reward * success + self.rail_penalty * off_rail + self.speed_reward * tip_speed_m_s
-        scaled: Array = (self.reward_scale * total).astype(np.float32)
+        total = self.success_reward * now.success + self.rail_penalty * now.off_rail
+        scaled: Array = (self.reward_scale * (total + self.speed_reward * now.tip_speed_m_s)).astype(np.float32)
         return scaled
 
 

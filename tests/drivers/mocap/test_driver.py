@@ -10,9 +10,10 @@ import pytest
 import zenoh
 
 from softarm.drivers.mocap import payload as mocap_payload
-from softarm.drivers.mocap.driver import RING, ZenohMocapSource
+from softarm.drivers.mocap.driver import ZenohMocapSource
+from softarm.drivers.mocap.reception import RING
 from softarm.drivers.mocap.zenoh_session import client, listener
-from softarm.schemas.config import ZenohMocap
+from softarm.schemas.config import Mocap
 from softarm.schemas.messages import BODY_NAMES, Pose
 
 POSES = tuple(Pose(0.1 * i, 0.9 - 0.1 * i, 0.01 * i) for i in range(len(BODY_NAMES)))
@@ -33,12 +34,12 @@ class Bridge:
 
 
 @pytest.fixture
-def config(free_port: int) -> ZenohMocap:
-    return ZenohMocap(endpoint=f"tcp/127.0.0.1:{free_port}")
+def config(free_port: int) -> Mocap:
+    return Mocap(endpoint=f"tcp/127.0.0.1:{free_port}")
 
 
 @pytest.fixture
-def with_bridge(config: ZenohMocap, clock: Any, run: Any, until: Any, running: Any) -> Any:
+def with_bridge(config: Mocap, clock: Any, run: Any, until: Any, running: Any) -> Any:
     """Run `script(source, bridge, gather)`; `gather(n)` reads until n frames have come."""
 
     async def play(script: Any) -> None:
@@ -189,7 +190,7 @@ def test_a_flood_keeps_the_newest_and_blocks_nobody(with_bridge: Any) -> None:
 
 
 def test_a_taken_endpoint_is_told_and_taken_over_when_it_is_free(
-    config: ZenohMocap, run: Any, until: Any, running: Any, monkeypatch: pytest.MonkeyPatch
+    config: Mocap, run: Any, until: Any, running: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("softarm.drivers.mocap.driver.RETRY_S", 0.01)
 
@@ -207,7 +208,7 @@ def test_a_taken_endpoint_is_told_and_taken_over_when_it_is_free(
     run(play())
 
 
-def test_a_source_that_was_stopped_is_silent_and_frees_the_endpoint(config: ZenohMocap, run: Any, until: Any) -> None:
+def test_a_source_that_was_stopped_is_silent_and_frees_the_endpoint(config: Mocap, run: Any, until: Any) -> None:
     async def play() -> None:
         source = ZenohMocapSource(config)
         source.start()

@@ -13,7 +13,7 @@ from softarm.drivers.mocap.driver import ZenohMocapSource
 from softarm.drivers.rail.driver import DryveRailAxis
 from softarm.drivers.regulator.driver import TeensyRegulator
 from softarm.drivers.twin.main import Twin
-from softarm.schemas.config import Config, Drivers, DryveRail, SerialRegulator, ZenohMocap
+from softarm.schemas.config import Config, Drivers, DryveRail, Mocap, SerialRegulator
 
 
 @pytest.fixture
@@ -24,7 +24,7 @@ def config(tmp_path: Path) -> Config:
         mocap_port, rail_port = one.getsockname()[1], two.getsockname()[1]
     return Config(
         drivers=Drivers(
-            mocap=ZenohMocap(endpoint=f"tcp/127.0.0.1:{mocap_port}"),
+            mocap=Mocap(endpoint=f"tcp/127.0.0.1:{mocap_port}"),
             regulator=SerialRegulator(port=str(tmp_path / "teensy"), time_to_live_s=0.25),
             rail=DryveRail(host="127.0.0.1", port=rail_port, timeout_s=1.0),
         )

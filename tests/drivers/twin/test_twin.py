@@ -21,7 +21,7 @@ from softarm.drivers.rail.driver import DryveRailAxis
 from softarm.drivers.regulator.driver import TeensyRegulator
 from softarm.drivers.twin.cameras import FAULT_KEY, STATE_KEY
 from softarm.drivers.twin.main import DeviceClock, EndStops, Twin
-from softarm.schemas.config import Config, Drivers, DryveRail, SerialRegulator, ZenohMocap
+from softarm.schemas.config import Config, Drivers, DryveRail, Mocap, SerialRegulator
 
 
 def free_ports() -> tuple[int, int]:
@@ -36,7 +36,7 @@ def config(tmp_path: Path) -> Config:
     mocap_port, rail_port = free_ports()
     return Config(
         drivers=Drivers(
-            mocap=ZenohMocap(endpoint=f"tcp/127.0.0.1:{mocap_port}"),
+            mocap=Mocap(endpoint=f"tcp/127.0.0.1:{mocap_port}"),
             # The longest time to live that the device takes, for tests that share a busy machine.
             regulator=SerialRegulator(port=str(tmp_path / "wires" / "teensy"), time_to_live_s=0.25),
             rail=DryveRail(host="127.0.0.1", port=rail_port, timeout_s=1.0),

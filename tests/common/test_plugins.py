@@ -1,0 +1,49 @@
+"""What other packages bring along is asked what it is before it is used."""
+
+import pytest
+
+from softarm.common import plugins
+from softarm.common.plugins import PluginError
+
+
+class Takes:
+    def __init__(self, port: int, rate_hz: float = 100.0):
+        pass
+
+
+def test_a_name_that_there_is_not_is_told_with_the_nearest_and_all():
+    with pytest.raises(PluginError, match=r"no source 'udb'; did you mean 'udp'\? \(installed: udp, zenoh\)"):
+        plugins.find("source", "udb", {"udp": lambda: Takes}, ("zenoh",))
+    with pytest.raises(PluginError, match=r"no source 'udp' \(installed: none\)"):
+        plugins.find("source", "udp", {})
+    assert plugins.find("source", "udp", {"udp": lambda: Takes}) is Takes
+
+
+def test_options_are_checked_before_anything_is_made():
+    plugins.check_options("source", "udp", Takes, {"port": 1})
+    with pytest.raises(PluginError, match=r"no option 'rate'; did you mean 'rate_hz'\? \(known: port, rate_hz\)"):
+        plugins.check_options("source", "udp", Takes, {"port": 1, "rate": 2.0})
+    with pytest.raises(PluginError, match="source 'udp' needs the option port"):
+        plugins.check_options("source", "udp", Takes, {})
+    plugins.check_options("source", "any", lambda **options: options, {"whatever": 1})
+
+
+@pytest.mark.parametrize(("interface", "fits"), [(None, True), (1, True), (2, True), (3, False)])
+def test_a_plugin_for_a_newer_interface_is_refused_and_an_older_one_is_not(interface, fits):
+    plugin = type("Plugin", (), {} if interface is None else {"interface": interface})
+    if fits:
+        plugins.check_interface("policy", "mine", plugin, 2)
+    else:
+        with pytest.raises(PluginError, match="'mine' was written for interface 3, this software speaks 2: update"):
+            plugins.check_interface("policy", "mine", plugin, 2)
+
+
+@pytest.mark.parametrize("interface", ["1", 0, 1.0, True])
+def test_an_interface_that_is_no_number_is_told(interface):
+    with pytest.raises(PluginError, match="allowed is an integer from 1 to 2"):
+        plugins.check_interface("policy", "mine", type("Plugin", (), {"interface": interface}), 2)
+
+
+def test_what_an_error_says_is_one_line():
+    assert plugins.said(ValueError("one\n  two")) == "ValueError: one two"
+    assert plugins.said(PluginError("it lacks a wheel")) == "it lacks a wheel"

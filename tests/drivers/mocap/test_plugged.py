@@ -1,0 +1,214 @@
+"""Motion capture from another package: whatever it does, the loop gets good frames or a sentence."""
+
+import math
+import re
+import threading
+from typing import Any
+
+import numpy as np
+import pytest
+
+from softarm.common.plugins import PluginError
+from softarm.daemon.shell.daemon import motion_capture
+from softarm.drivers.mocap import plugged
+from softarm.drivers.mocap.plugged import PluggedMocapSource
+from softarm.drivers.mocap.source import Frames, Source
+from softarm.schemas.config import Mocap
+from softarm.schemas.messages import BODY_NAMES
+
+POSES = {name: (0.1 * i, 0.9 - 0.1 * i, 0.01 * i) for i, name in enumerate(BODY_NAMES)}
+
+
+class Scripted:
+    """Does in its thread what the test says."""
+
+    description = "a script"
+
+    def __init__(self, *runs: Any) -> None:
+        self.runs, self.started = list(runs), 0
+
+    def run(self, frames: Frames) -> None:
+        self.started += 1
+        script = self.runs.pop(0) if self.runs else _wait
+        script(frames)
+
+
+def _wait(frames: Frames) -> None:
+    while frames.are_wanted:
+        frames.wait(10.0)
+
+
+def _fail(frames: Frames) -> None:
+    raise OSError("port 9000\nis in use")
+
+
+@pytest.fixture
+def play(clock: Any, run: Any, running: Any) -> Any:
+    """Run `script(device)` while a source of these runs is running."""
+
+    def begin(source: Scripted, script: Any) -> None:
+        async def whole() -> None:
+            device = PluggedMocapSource("scripted", source, clock)
+            async with running(device):
+                await script(device)
+
+        run(whole())
+
+    return begin
+
+
+def test_frames_come_in_order_with_the_stamps_of_capture_and_arrival(play: Any, clock: Any, until: Any) -> None:
+    def source(frames: Frames) -> None:
+        for sequence in (0, 1, 3):
+            frames.put(sequence, 10 + sequence, POSES | {"link2": None})
+        _wait(frames)
+
+    async def script(device: PluggedMocapSource) -> None:
+        await until(lambda: device.frames == 3)
+        frames = device.read(clock())
+        assert [(frame.sequence, frame.t_capture_ns) for frame in frames] == [(0, 10), (1, 11), (3, 13)]
+        assert {frame.t_receive_ns for frame in frames} == {clock()}
+        assert [pose.tracked for pose in frames[0].bodies] == [True, True, False, True, True, True]
+        assert frames[0].bodies[5][:3] == POSES["link5"]
+        assert device.problem() is None
+        assert device.read(clock()) == ()
+        clock.advance(0.2)
+        assert "motion capture source 'scripted': read: no frame for 0.2 s" in (device.problem() or "")
+
+    play(Scripted(source), script)
+
+
+BAD: dict[str, tuple[tuple[Any, Any, Any], str]] = {
+    "a body of another name": ((1, 20, {"tip": (0, 0, 0)}), "bodies may be called cart"),
+    "two numbers": ((1, 20, {"cart": (0.0, 0.9)}), r"cart must be \[y, z, angle\] or null"),
+    "NaN": ((1, 20, {"cart": (0.0, math.nan, 0.0)}), "cart holds a number that is not finite"),
+    "text": ((1, 20, {"cart": "abc"}), "could not convert"),
+    "no bodies": ((1, 20, None), "malformed"),
+    "a fraction of a frame": ((1.5, 20, POSES), "sequence must be an integer"),
+    "a stamp of another clock": ((1, 10**12, POSES), "ahead of CLOCK_MONOTONIC"),
+    "an old stamp": ((1, 10, POSES), "no newer than the last"),
+}
+
+
+@pytest.mark.parametrize("case", BAD)
+def test_what_is_no_frame_is_counted_and_told_and_ends_nothing(case: str, play: Any, clock: Any, until: Any) -> None:
+    bad, text = BAD[case]
+
+    def source(frames: Frames) -> None:
+        frames.put(0, 10, POSES)
+        frames.put(*bad)
+        frames.put(2, np.int64(30).item(), {name: np.array(pose) for name, pose in POSES.items()})
+        _wait(frames)
+
+    async def script(device: PluggedMocapSource) -> None:
+        await until(lambda: device.frames == 2)
+        assert device.malformed + device.misplaced == 1
+        assert [frame.sequence for frame in device.read(clock())] == [0, 2]
+        assert re.search(text, device.problem() or "")
+        clock.advance(1.1)
+        assert "no frame for 1.1 s" in (device.problem() or "")
+
+    play(Scripted(source), script)
+
+
+def test_a_source_that_raises_or_returns_is_told_and_run_again(
+    play: Any, clock: Any, until: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(plugged, "RETRY_S", 0.01)
+    again = threading.Event()
+
+    def leave(frames: Frames) -> None:
+        raise SystemExit(3)
+
+    def work(frames: Frames) -> None:
+        assert again.wait(20)
+        frames.put(0, 10, POSES)
+        _wait(frames)
+
+    source = Scripted(_fail, leave, lambda frames: None, work)
+
+    async def script(device: PluggedMocapSource) -> None:
+        await until(lambda: source.started == 4)
+        assert "run: run returned while frames are wanted; it is run again every second" in (device.problem() or "")
+        again.set()
+        await until(lambda: device.frames == 1)
+        await until(lambda: device.problem() is None)
+
+    play(source, script)
+
+
+def test_what_it_raised_is_in_the_sentence(play: Any, until: Any) -> None:
+    async def script(device: PluggedMocapSource) -> None:
+        await until(lambda: "run raised OSError: port 9000 is in use" in (device.problem() or ""))
+
+    play(Scripted(_fail), script)
+
+
+def test_it_is_asked_to_end_and_ends(play: Any, until: Any) -> None:
+    ended = threading.Event()
+
+    def source(frames: Frames) -> None:
+        _wait(frames)
+        ended.set()
+
+    async def script(device: PluggedMocapSource) -> None:
+        await until(lambda: "no frame yet" in (device.problem() or ""))
+
+    play(Scripted(source), script)
+    assert ended.is_set()
+
+
+MINE = """
+    class Mine:
+        description = "mine"
+        def __init__(self, port: int = 1):
+            self.port = port
+        def run(self, frames):
+            pass
+
+    class Newer(Mine):
+        interface = 2
+
+    class Mute:
+        description = "it runs nowhere"
+
+    class Broken(Mine):
+        def __init__(self):
+            raise OSError("no such camera")
+"""
+
+
+def configured(driver: str, **options: Any) -> Mocap:
+    return Mocap(driver=driver, options=options)
+
+
+def test_the_daemon_takes_the_source_that_its_configuration_names(install: Any) -> None:
+    install("theirs", MINE, "softarm.mocap_sources", mine="Mine")
+    assert plugged.names() == ("zenoh", "mine")
+    device = motion_capture(configured("mine", port=7))
+    assert isinstance(device, PluggedMocapSource)
+    assert isinstance(device._source, Source)
+    assert device._source.port == 7
+
+
+@pytest.mark.parametrize(
+    ("driver", "options", "text"),
+    [
+        ("mihne", {}, r"no motion capture source 'mihne'; did you mean 'mine'\? \(installed: .*mine.*zenoh\)"),
+        ("mine", {"prt": 7}, r"has no option 'prt'; did you mean 'port'\?"),
+        ("newer", {}, "was written for interface 2, this software speaks 1"),
+        ("mute", {}, "lacks description or run"),
+        ("broken", {}, "OSError: no such camera"),
+    ],
+)
+def test_one_that_cannot_be_used_is_told_before_anything_moves(
+    driver: str, options: dict[str, Any], text: str, install: Any
+) -> None:
+    install("theirs", MINE, "softarm.mocap_sources", mine="Mine", newer="Newer", mute="Mute", broken="Broken")
+    with pytest.raises(PluginError, match=rf"drivers.mocap.driver '{driver}': .*{text}"):
+        motion_capture(configured(driver, **options))
+
+
+def test_options_without_a_plugin_are_refused() -> None:
+    with pytest.raises(ValueError, match="options port are a plugin's: name it as driver, or remove them"):
+        configured("zenoh", port=1)

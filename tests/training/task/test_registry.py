@@ -1,0 +1,120 @@
+"""Tasks of other packages: found by name, trained, recorded, and refused with a reason."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+pytest.importorskip("torch")
+
+
+from softarm.common.plugins import PluginError
+from softarm.policies.onnx_policy import OnnxPolicy
+from softarm.training.learn.inference import workers
+from softarm.training.run import recipe, warm_start
+from softarm.training.run.checkpoint import CheckpointError, load, task_of
+from softarm.training.task import registry
+from softarm.training.task.environment import Environment
+from softarm.training.task.reach import ReachTask
+
+NEAR = """
+    from dataclasses import dataclass, field
+    import numpy as np
+    from softarm.training.task.reach import ReachTask
+
+    @dataclass(frozen=True)
+    class Near(ReachTask):
+        name: str = "whatever"
+        target_z_m: tuple[float, float] = (0.60, 0.62)
+        weight: float = 2.0
+
+        def reward(self, now):
+            apart = np.linalg.norm(now.tip_m - now.target_m, axis=1)
+            return (-self.weight * apart).astype(np.float32)
+
+    high = ReachTask(name="whatever", target_z_m=(0.7, 0.75))
+
+    class Newer(Near):
+        interface = 2
+
+    @dataclass(frozen=True)
+    class Unrecordable(ReachTask):
+        extra: dict = field(default_factory=dict)
+
+    class Stranger:
+        pass
+"""
+
+
+@pytest.fixture
+def near(install):
+    names = {"near": "Near", "high": "high", "newer": "Newer", "unrecordable": "Unrecordable", "stranger": "Stranger"}
+    install("tasks_of_theirs", NEAR, "softarm.tasks", **names)
+
+
+def test_a_task_goes_by_the_name_it_is_published_under(near):
+    task = registry.load("near")
+    assert (task.name, task.weight, registry.plugin_of(task)) == ("near", 2.0, "near")
+    assert recipe.preset("near") == task
+    plain = registry.load("high")
+    assert (plain.name, plain.target_z_m, registry.plugin_of(plain)) == ("high", (0.7, 0.75), None)
+    assert recipe.named("near").task == "near"
+    assert recipe.prepare(recipe.named("near"), 1).task == task
+    assert recipe.preset("reach") == ReachTask()  # the house's own come first
+
+
+@pytest.mark.parametrize(
+    ("name", "text"),
+    [
+        ("nere", r"no task 'nere'; did you mean 'near'\?"),
+        ("newer", "written for interface 2, this software speaks 1"),
+        ("unrecordable", r"its field extra is \{\}; allowed are numbers, texts"),
+        ("stranger", "it is a Stranger, not derived from ReachTask"),
+    ],
+)
+def test_one_that_cannot_be_used_says_why(name, text, near):
+    with pytest.raises(PluginError, match=f"task '{name}': .*{text}"):
+        registry.load(name)
+
+
+def test_its_reward_is_the_environments(near):
+    task = replace(registry.load("near"), action_noise=0.0)
+    environment = Environment(task, 8, 0)
+    environment.reset()
+    step = environment.step(np.zeros((8, 2), np.float32))
+    apart = np.linalg.norm(step.final_tip_m - step.final_observation[:, 8:10], axis=1)
+    np.testing.assert_allclose(step.reward, -2.0 * apart, rtol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("reward", "text"),
+    [
+        (lambda self, now: 1.0, r"reward gave float; allowed is float32 \(4,\)"),
+        (lambda self, now: now.success, r"reward gave bool \(4,\); allowed is float32 \(4,\)"),
+        (lambda self, now: now.tip_m, r"reward gave float32 \(4, 2\); allowed"),
+        (lambda self, now: now.tip_speed_m_s * np.nan, "reward gave nan for robot 0"),
+    ],
+)
+def test_what_is_no_reward_is_told(reward, text):
+    environment = Environment(type("Odd", (ReachTask,), {"reward": reward})(name="odd"), 4, 0)
+    environment.reset()
+    with pytest.raises(ValueError, match=f"task 'odd': {text}"):
+        environment.step(np.zeros((4, 2), np.float32))
+
+
+@pytest.mark.slow
+def test_it_is_trained_and_its_files_know_it(near, tmp_path):
+    out, settings = tmp_path / "run", {"run.robots": 8, "run.validation_trials": 12}
+    with workers(1) as pool:
+        recipe.begin(recipe.named("near").changed(None, settings), 1, out, pool, resume=False).run(128, None)
+    saved = load(out / "best.pt")
+    assert saved["settings"]["task.plugin"] == "near"
+    assert task_of(saved) == registry.load("near")
+    policy = OnnxPolicy(str(out / "near.onnx"))
+    assert policy.metadata.name == "near"
+    assert policy.metadata.training["task.weight"] == 2.0
+    assert "task's own ranges" in policy.metadata.training["run.validation_set"]
+    assert warm_start.load_weights(out / "near.onnx").task == registry.load("near")
+    saved["task"]["plugin"] = "gone"
+    with pytest.raises(CheckpointError, match=r"no task 'gone'.*: install the package that it was trained with"):
+        task_of(saved)
