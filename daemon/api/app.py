@@ -5,6 +5,7 @@ import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from datetime import datetime
 from typing import Annotated, Any
 
 from fastapi import Body, FastAPI, Request, WebSocket
@@ -102,7 +103,9 @@ class ApiContext:
     policies: Policies | None = None  # None: `Installed`
     frame: Callable[[], MocapFrame | None] = lambda: None  # the newest good one
     simulated: bool = False  # the robot, in this process
+    sessions: Sessions | None = None  # who is logged in, where the stop's own way shall know it too
     stop_port: Callable[[], int | None] = lambda: None  # of the stop's own way
+    left_at: Callable[[], datetime | None] = lambda: None  # when the stop was that the daemon before this one left
     clock: Callable[[], int] = field(default=time.monotonic_ns)
 
 
@@ -113,7 +116,7 @@ def create_app(context: ApiContext) -> FastAPI:
     file does not.
     """
     door = Door(context.config.api)
-    sessions = Sessions(context.config.api.port)
+    sessions = context.sessions or Sessions(context.config.api.port)
     api, entrance, pages = _Api(context), Entrance(door, sessions), Pages(context.stop_port)
     files = Files(context.config, context.recorder)
     app = FastAPIOffline(  # a bench may have no internet; FastAPI's own page loads its scripts from there
@@ -189,6 +192,7 @@ class _Api:
             __version__,
             context.stop_port,
             frame=context.frame,
+            left_at=context.left_at,
         )
 
     async def robot(self) -> Response:

@@ -159,9 +159,21 @@ class Door:
 
     def who(self, way: str, headers: Mapping[bytes, bytes], address: str | None, session: Role | None = None) -> str:
         """Who asks, as the history of events tells it: by which way, with whose token, from which other machine."""
+        address = self._behind_proxy(headers, address)
         holds = session or self._holds(headers.get(b"authorization", b""))
         token = f" with the {holds.name.lower()} token" if holds is not None else ""
         return f"{way}{token}" + (f" from {address}" if address and not is_loopback(address) else "")
+
+    def _behind_proxy(self, headers: Mapping[bytes, bytes], address: str | None) -> str | None:
+        """Of whom our own proxy asks for, as it says itself; whatever stands before that anybody can say."""
+        named = {b"https://" + headers.get(b"host", b""), headers.get(b"origin", b"")}
+        if self._public is None or self._public.encode() not in named or not is_loopback(address or ""):
+            return address
+        last = headers.get(b"x-forwarded-for", b"").rpartition(b",")[2].decode("latin-1").strip()
+        try:
+            return str(ipaddress.ip_address(last))
+        except ValueError:
+            return address
 
     def own_page(self, headers: Mapping[bytes, bytes], port: int) -> str | None:
         """The Origin, if it is a page that the REST API on `port` of this same host has served; None for any other."""

@@ -1,6 +1,7 @@
 """Log-in from a browser: the token once, then a cookie that no script can read; a ticket opens one stream.
 
-In memory alone: a daemon that is started anew has everybody log in again. For the API's thread.
+In memory alone: a daemon that is started anew has everybody log in again. The API's thread writes; the thread of the
+stop's own way looks roles up.
 """
 
 import secrets
@@ -34,9 +35,10 @@ class Handed:
 
     def role(self, secret: str) -> Role | None:
         """That it stands for; None for one that was never good, or is no longer."""
-        if secret not in self._held:
+        held = self._held.get(secret)  # once: another thread may be asking while it is taken back
+        if held is None:
             return None
-        role, until_s = self._held[secret]
+        role, until_s = held
         return role if self._clock() < until_s else self._afterwards
 
     def back(self, secret: str) -> Role | None:

@@ -79,7 +79,7 @@ class Status(Outputs):
     recorder: RecorderInfo
     uptime_s: float
     version: str
-    last_stop_at: datetime | None = None  # null: no stop yet, or one before this daemon began
+    last_stop_at: datetime | None = None  # null: no stop yet, or one that an older version left without its time
     stop_port: int | None = None  # of this host, where POST /api/stop waits for nobody
 
 
@@ -107,12 +107,13 @@ class StatusView:
         stop_port: Callable[[], int | None] = lambda: None,
         wall_ns: Callable[[], int] = time.time_ns,
         frame: Callable[[], MocapFrame | None] = lambda: None,
+        left_at: Callable[[], datetime | None] = lambda: None,
     ) -> None:
-        """frame: the newest good one."""
+        """frame: the newest good one. left_at: when the stop was that the daemon before this one left."""
         self._snapshot, self._problems, self._recorder = snapshot, problems, recorder
         self._clock, self._wall_ns = clock, wall_ns
         self._version = version
-        self._stop_port, self._frame = stop_port, frame
+        self._stop_port, self._frame, self._left_at = stop_port, frame, left_at
         self._started_ns = clock()
         self._cached: tuple[Outputs | None, bool, bytes] = (None, False, b"")
         self.policies = policies  # as they were last looked up
@@ -163,12 +164,14 @@ class StatusView:
             else RecorderInfo(str(box.path) if box.path else None, box.dropped, box.problem),
             "uptime_s": (outputs.t_ns - self._started_ns) * 1e-9,
             "version": self._version,
-            "last_stop_at": self._time_of(outputs.last_stop_ns),
+            "last_stop_at": self._last_stop_at(outputs),
             "stop_port": self._stop_port(),
         }
 
-    def _time_of(self, t_ns: int | None) -> datetime | None:
-        return None if t_ns is None else utc(self._wall_of(t_ns))
+    def _last_stop_at(self, outputs: Outputs) -> datetime | None:
+        if outputs.last_stop is None:
+            return None
+        return self._left_at() if outputs.last_stop_ns is None else utc(self._wall_of(outputs.last_stop_ns))
 
     def _wall_of(self, t_ns: int) -> int:
         return self._wall_ns() + t_ns - self._clock()

@@ -9,6 +9,7 @@ from collections.abc import Callable
 from types import FrameType
 
 from softarm.daemon.api.app import ApiContext, create_app
+from softarm.daemon.api.login import Sessions
 from softarm.daemon.api.server import ApiServer
 from softarm.daemon.control.inbox import Inbox
 from softarm.daemon.logbook.recorder import Recorder
@@ -98,6 +99,7 @@ class Daemon:
             rate_hz=config.control.rate_hz,
             realtime_priority=config.control.realtime_priority,
         )
+        sessions = Sessions(config.api.port)
         context = ApiContext(
             config,
             self.inbox,
@@ -107,12 +109,19 @@ class Daemon:
             self.recorder.history,
             self.recorder.recent,
             frame=lambda: controller.frame,
+            sessions=sessions,
             stop_port=lambda: self.stop_port,
+            left_at=lambda: None if latch is None else latch.left_at,
             simulated=devices.simulated,
         )
         self.api = ApiServer(config.api, create_app(context))
         self.stop_way = StopListener(
-            config.api, self.inbox, lambda: self.loop.snapshot, config.control.realtime_priority, lambda: self.port
+            config.api,
+            self.inbox,
+            lambda: self.loop.snapshot,
+            config.control.realtime_priority,
+            lambda: self.port,
+            sessions,
         )
         self.port = self.stop_port = 0
 

@@ -13,7 +13,9 @@ import re
 import threading
 import time
 from collections.abc import Callable, Mapping
+from datetime import UTC, datetime
 from pathlib import Path
+from typing import NamedTuple
 
 from softarm.common import files
 from softarm.daemon.logbook import folder
@@ -25,9 +27,17 @@ log = logging.getLogger(__name__)
 VERSION = 1
 SIZE = 4096  # bytes, one page: the system takes it in one piece
 REASON_MAX = 300  # characters of it that are kept: as JSON they fit, whatever they are
+TIME_MAX_S = 253_402_300_800.0  # the year 10000, which no calendar here knows
 RETRY_S = 1.0  # a write that failed is tried again
 OVERDUE_S = 1.0  # a write that takes longer is a problem
 PRIORITY = 2  # of SCHED_FIFO, like the stop's own way
+
+
+class Stop(NamedTuple):
+    """What stopped the robot, and when; of none, nothing."""
+
+    reason: str | None = None
+    time_s: float | None = None  # of Unix' time; files up to November 2026 do not say
 
 
 class LatchError(Exception):
@@ -45,38 +55,51 @@ def latch_path(config: Config, environment: Mapping[str, str] = os.environ) -> P
     return (Path(folder) if folder else config.recorder.directory) / f"{name}.json"
 
 
-def encoded(reason: str | None) -> bytes:
-    """The file's content, padded to its size. reason: what stopped the robot; None: nothing does."""
-    record = {"version": VERSION, "stopped": reason if reason is None else reason[:REASON_MAX]}
+def encoded(stop: Stop) -> bytes:
+    """The file's content, padded to its size."""
+    record: dict[str, object] = {"version": VERSION, "stopped": None}
+    if stop.reason is not None:
+        record["stopped"] = stop.reason[:REASON_MAX]
+        record |= {} if stop.time_s is None else {"time": stop.time_s}
     return json.dumps(record).encode().ljust(SIZE - 1) + b"\n"
 
 
-def decoded(content: bytes) -> str | None:
+def decoded(content: bytes) -> Stop:
     """What `encoded` was given. Raises ValueError on everything else, a newer version included."""
     record = json.loads(content) if len(content) == SIZE else None
     if not isinstance(record, dict) or "version" not in record:
         raise ValueError(f"{len(content)} bytes that are no record of a stop")
     if record["version"] != VERSION:
         raise ValueError(f"version {record['version']!r}, this software reads {VERSION}")
-    if set(record) != {"version", "stopped"} or not isinstance(record["stopped"], str | None):
+    reason = record.get("stopped")
+    known = {"version", "stopped"} if reason is None else {"version", "stopped", "time"}
+    if not {"version", "stopped"} <= set(record) <= known or not isinstance(reason, str | None):
         raise ValueError("a record of a stop that says something else")
-    return record["stopped"]
+    time_s = record.get("time")
+    return Stop(reason, time_s if isinstance(time_s, float) and 0 < time_s < TIME_MAX_S else None)
 
 
 class LatchKeeper:
     """Keeps the latch from start to stop, in a thread of its own."""
 
-    def __init__(self, path: Path, realtime_priority: int = 0, clock: Callable[[], float] = time.monotonic) -> None:
-        """realtime_priority: the control loop's. clock: seconds."""
-        self.path, self._clock = path.absolute(), clock
+    def __init__(
+        self,
+        path: Path,
+        realtime_priority: int = 0,
+        clock: Callable[[], float] = time.monotonic,
+        wall: Callable[[], float] = time.time,
+    ) -> None:
+        """realtime_priority: the control loop's. clock, wall: seconds, the latter of Unix' time."""
+        self.path, self._clock, self._wall = path.absolute(), clock, wall
         self._priority = min(PRIORITY, realtime_priority)
-        self._wanted: str | None = None  # as noted last
-        self._kept: str | None = None  # as the file has it
+        self._wanted = Stop()  # as noted last
+        self._kept = Stop()  # as the file has it
         self._since_s = 0.0  # the note that the file lacks
         self._failed: str | None = None
         self._bell, self._stopping = threading.Event(), threading.Event()
         self._thread: threading.Thread | None = None
         self.left: str | None = None  # why the robot was stopped when the daemon before this one ended
+        self.left_at: datetime | None = None  # since when
 
     def start(self) -> None:
         """Read what was left, and begin.
@@ -88,18 +111,20 @@ class LatchKeeper:
         except OSError as error:
             raise LatchError(_no_place(self.path, error)) from error
         try:
-            self.left = decoded(content)
+            found = decoded(content)
         except (ValueError, RecursionError) as error:
-            self.left = f"whether the robot was stopped is not known ({self.path}: {error})"
-        self._wanted = self._kept = self.left
+            found = Stop(f"whether the robot was stopped is not known ({self.path}: {error})")
+        self.left = found.reason
+        self.left_at = None if found.time_s is None else datetime.fromtimestamp(found.time_s, UTC)
+        self._wanted = self._kept = found
         self._thread = threading.Thread(target=self._run, name="latch", daemon=True)
         self._thread.start()
 
     def note(self, reason: str | None) -> None:
         """Keep this from now on. For the control loop's thread, every tick; never blocks."""
-        if reason == self._wanted:
+        if reason == self._wanted.reason:
             return
-        self._wanted, self._since_s = reason, self._clock()
+        self._wanted, self._since_s = Stop(reason, None if reason is None else self._wall()), self._clock()
         self._bell.set()
 
     @property
@@ -119,7 +144,7 @@ class LatchKeeper:
         self._bell.set()
         self._thread.join(timeout=OVERDUE_S)
         if not self._thread.is_alive():
-            if self._kept is None and self._wanted is None:
+            if self._kept.reason is None and self._wanted.reason is None:
                 with contextlib.suppress(OSError):
                     self.path.unlink()
             os.close(self._file)
@@ -134,18 +159,18 @@ class LatchKeeper:
             last = self._stopping.is_set()  # looked at first: a note that came before is written
             self._keep(self._wanted)
 
-    def _keep(self, reason: str | None) -> None:
-        if reason == self._kept and self._failed is None:
+    def _keep(self, stop: Stop) -> None:
+        if stop == self._kept and self._failed is None:
             return
         try:
-            os.pwrite(self._file, encoded(reason), 0)
+            os.pwrite(self._file, encoded(stop), 0)
             os.ftruncate(self._file, SIZE)  # something else may have lain there
             os.fdatasync(self._file)
         except OSError as error:
             self._failed = f"{self.path}: cannot be written ({error.strerror})"
             log.error("the emergency stop's latch is not kept: %s", self._failed)
         else:
-            self._kept, self._failed = reason, None
+            self._kept, self._failed = stop, None
 
 
 def try_out(path: Path) -> None:
@@ -174,7 +199,7 @@ def _opened(path: Path) -> tuple[int, bytes]:
     """
     if not path.exists():
         path.parent.mkdir(parents=True, exist_ok=True)
-        files.write_bytes(path, encoded(None))
+        files.write_bytes(path, encoded(Stop()))
     descriptor = os.open(path, os.O_RDWR)
     try:
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)

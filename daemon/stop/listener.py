@@ -1,7 +1,7 @@
 """The stop's own way: HTTP on a port of its own, served by a thread of its own that does nothing else.
 
 It answers `POST /api/stop` to whoever may ask the REST API, with the standard library alone: what clients do to the API
-cannot hold it up. Of the daemon it shares the inbox and the snapshots.
+cannot hold it up. Of the daemon it shares the inbox and the snapshots, of the API it looks up who has logged in.
 """
 
 import contextlib
@@ -11,11 +11,12 @@ import selectors
 import socket
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from http import HTTPStatus
 
 from softarm.daemon.api.auth import Door, Role
+from softarm.daemon.api.login import Sessions
 from softarm.daemon.api.sockets import listen
 from softarm.daemon.control.inbox import ANSWER_S, STOP_WAITS, Inbox
 from softarm.daemon.control.records import Outputs
@@ -34,6 +35,7 @@ PREFLIGHT = (
     "Access-Control-Allow-Headers: Authorization, Content-Type",
     "Access-Control-Max-Age: 600",
 )
+CREDENTIALS = ("Access-Control-Allow-Credentials: true", "Vary: Origin")  # its cookie, too
 PRIORITY = 2  # of SCHED_FIFO: above the daemon's other guests, below the control loop
 
 
@@ -59,15 +61,16 @@ class StopListener:
         snapshot: Callable[[], Outputs | None],
         realtime_priority: int = 0,
         pages_at: Callable[[], int] | None = None,
+        sessions: Sessions | None = None,
     ) -> None:
         """Raises AuthError like the REST API: the same may ask.
 
         realtime_priority: the control loop's. pages_at: the REST API's port, whose pages may ask, too; default
-        `api.port`.
+        `api.port`. sessions: who has logged in there; from those pages a cookie is enough.
         """
         self._config, self._inbox, self._snapshot = config, inbox, snapshot
         self._pages_at = pages_at or (lambda: config.port)
-        self._door = Door(config)
+        self._door, self._sessions = Door(config), sessions
         self._priority = min(PRIORITY, realtime_priority)
         self._clients: list[_Client] = []  # oldest first
         self._thread: threading.Thread | None = None
@@ -165,12 +168,13 @@ class StopListener:
         first, *lines = bytes(client.heard).partition(b"\r\n\r\n")[0].split(b"\r\n")
         headers = {name.strip().lower(): value.strip() for name, _, value in (line.partition(b":") for line in lines)}
         asked = first.split(b" ")[:2]
-        client.who = self._door.who("the stop's own way", headers, client.address)
         client.page = self._door.own_page(headers, self._pages_at())
+        session = self._session(headers) if client.page is not None else None
+        client.who = self._door.who("the stop's own way", headers, client.address, session)
         if client.page is not None and asked == [b"OPTIONS", b"/api/stop"]:
             self._answer(client, 204, None, *PREFLIGHT)  # a browser's question, before it sends a token to another port
             return
-        refused = self._door.refusal(headers, Role.STOP, client.page)
+        refused = self._door.refusal(headers, Role.STOP, client.page, session)
         if refused is not None:
             self._refuse(client, *refused)
         elif asked != [b"POST", b"/api/stop"]:
@@ -178,6 +182,12 @@ class StopListener:
         else:
             client.asked = self._inbox.post("stop", who=client.who), time.monotonic_ns()
             client.until_s = time.monotonic() + ANSWER_S
+
+    def _session(self, headers: Mapping[bytes, bytes]) -> Role | None:
+        """Of somebody who has logged in at the API. A browser sends the cookie along for whatever page: see `page`."""
+        if self._sessions is None or b"authorization" in headers:
+            return None
+        return self._sessions.logins.role(self._sessions.of(headers))
 
     def _look_after_all(self) -> None:
         """Answer those whose stop was carried out, end what has lasted too long."""
@@ -202,7 +212,7 @@ class StopListener:
         if data:
             headers = ("Content-Type: application/json", f"Content-Length: {len(data)}", *headers)
         if client.page is not None:
-            headers = (f"Access-Control-Allow-Origin: {client.page}", "Vary: Origin", *headers)
+            headers = (f"Access-Control-Allow-Origin: {client.page}", *CREDENTIALS, *headers)
         first = (f"HTTP/1.1 {status} {HTTPStatus(status).phrase}", f"{API_HEADER}: {API_VERSION}")
         head = (*first, *headers, "Connection: close")
         with contextlib.suppress(OSError):

@@ -172,3 +172,31 @@ def test_who_asks_from_another_machine_is_named_by_its_address(roles):
     assert door.who("the API", {b"authorization": b"Bearer wrong"}, "10.0.0.7") == "the API from 10.0.0.7"
     for own in ("127.0.0.1", "::1", None):
         assert door.who("the API", {}, own) == "the API"
+
+
+PROXIED = {b"host": b"arm.example", b"x-forwarded-for": b"203.0.113.9, 192.0.2.7"}
+
+
+@pytest.mark.parametrize(
+    ("headers", "address", "told"),
+    [
+        ({}, "127.0.0.1", " from 192.0.2.7"),  # the last: the proxy's own word
+        ({b"host": b"127.0.0.1:8080", b"origin": b"https://arm.example"}, "::1", " from 192.0.2.7"),
+        ({b"x-forwarded-for": b"2001:db8::1"}, "127.0.0.1", " from 2001:db8::1"),
+        ({b"x-forwarded-for": b"127.0.0.1"}, "127.0.0.1", ""),
+        ({b"x-forwarded-for": b"192.0.2.7, the moon"}, "127.0.0.1", ""),
+        ({b"x-forwarded-for": b"192.0.2.7,"}, "127.0.0.1", ""),
+        ({b"x-forwarded-for": b""}, "127.0.0.1", ""),
+        ({b"host": b"127.0.0.1:8080"}, "127.0.0.1", ""),  # a program here, not the proxy
+        ({b"host": b"127.0.0.1:8080", b"origin": b"http://arm.example"}, "127.0.0.1", ""),
+        ({}, "198.51.100.4", " from 198.51.100.4"),  # another machine that says so
+        ({}, None, ""),
+    ],
+)
+def test_behind_the_proxy_it_says_from_where_and_nobody_else_may(tmp_path, headers, address, told):
+    door = Door(Api(token_file=token_file(tmp_path), public_origin="https://arm.example"))
+    assert door.who("the API", PROXIED | headers, address, Role.VIEW) == f"the API with the view token{told}"
+
+
+def test_without_a_proxy_nobody_is_believed(tmp_path):
+    assert Door(Api()).who("the API", PROXIED, "127.0.0.1") == "the API"

@@ -8,15 +8,16 @@ import sys
 import threading
 import time
 from contextlib import contextmanager
+from datetime import UTC, datetime, timedelta
 
 import httpx
 import pytest
 import yaml
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from softarm.daemon.stop import latch
-from softarm.daemon.stop.latch import SIZE, LatchError, LatchKeeper, decoded, encoded, latch_path
+from softarm.daemon.stop.latch import SIZE, LatchError, LatchKeeper, Stop, decoded, encoded, latch_path
 from softarm.schemas.config import Config
 
 WHY = "the drive reports a fault (E12): clear the cause at the drive, then POST /api/acknowledge"
@@ -46,7 +47,7 @@ def until(condition):
 
 def killed(path):
     """What a daemon finds that is started after one that was killed: the file as it is, and no lock on it."""
-    return decoded(path.read_bytes())
+    return decoded(path.read_bytes()).reason
 
 
 def test_a_robot_that_never_was_stopped_begins_free_and_leaves_no_file(path):
@@ -84,14 +85,14 @@ def test_it_is_overwritten_where_it_lies_so_that_a_full_disk_cannot_refuse_it(pa
     assert (before.st_ino, before.st_blocks) == (after.st_ino, after.st_blocks)
 
 
-@pytest.mark.parametrize("content", [b"", b"\0" * SIZE, encoded(None)[:-1], encoded(None) + b" ", b"[" * SIZE])
+@pytest.mark.parametrize("content", [b"", b"\0" * SIZE, encoded(Stop())[:-1], encoded(Stop()) + b" ", b"[" * SIZE])
 def test_a_file_that_cannot_be_read_counts_as_a_stop(path, content):
     path.parent.mkdir()
     path.write_bytes(content)
     with keeping(path) as keeper:
         assert f"whether the robot was stopped is not known ({path}" in keeper.left
         keeper.note(None)
-        until(lambda: path.read_bytes() == encoded(None))
+        until(lambda: path.read_bytes() == encoded(Stop()))
 
 
 def test_a_file_of_a_newer_version_counts_as_a_stop_and_names_both(path):
@@ -101,28 +102,69 @@ def test_a_file_of_a_newer_version_counts_as_a_stop_and_names_both(path):
         assert "version 2, this software reads 1" in keeper.left
 
 
-reasons = st.none() | st.text(max_size=latch.REASON_MAX)
+stops = st.just(Stop()) | st.builds(Stop, st.text(max_size=latch.REASON_MAX), st.none() | st.floats(1, 1e11))
 
 
 @settings(max_examples=300, deadline=None)
-@given(reasons, reasons, st.integers(0, SIZE))
+@given(stops, stops, st.integers(0, SIZE))
+@example(Stop("abcd", 1.0), Stop(), len('{"version": 1, "stopped": null'))
+@example(Stop("ab", 1.0), Stop(), len('{"version": 1, "stopped": null'))
 def test_a_write_cut_short_leaves_the_old_the_new_or_a_stop(old, new, whole):
     torn = encoded(new)[:whole] + encoded(old)[whole:]
     assert len(torn) == SIZE
     try:
-        found = decoded(torn)
+        found = decoded(torn).reason
     except ValueError:
         return  # a stop
-    assert found is not None or None in (old, new)
-    if found is None and new is not None:
-        assert torn == encoded(None)  # nothing of the new one is on the disk yet
-    if found is None and old is not None:
-        assert torn == encoded(None)  # nothing of the old one is left
+    assert found is not None or Stop() in (old, new)
+    if found is None and new != Stop():
+        assert torn == encoded(Stop())  # nothing of the new one is on the disk yet
+    if found is None and old != Stop():
+        assert torn == encoded(Stop())  # nothing of the old one is left
 
 
 @given(st.text())
 def test_a_reason_of_any_length_and_alphabet_fits(reason):
-    assert decoded(encoded(reason)) == reason[: latch.REASON_MAX]
+    assert decoded(encoded(Stop(reason, 1.8e9))) == Stop(reason[: latch.REASON_MAX], 1.8e9)
+
+
+@pytest.mark.parametrize("time", ["1", "-1.0", "1e999", "NaN", "253402300800.0", '"now"', "null", "[1.0]"])
+def test_a_time_that_is_none_takes_nothing_from_the_stop(time):
+    content = f'{{"version": 1, "stopped": "why", "time": {time}}}'.encode().ljust(SIZE)
+    assert decoded(content) == Stop("why", None)
+
+
+def test_a_stop_that_was_left_has_its_time_until_another_one_comes(path):
+    wall_s = [1_800_000_000.25]
+
+    def keeper():
+        made = LatchKeeper(path, wall=lambda: wall_s[0])
+        made.start()
+        return made
+
+    first = keeper()
+    assert first.left_at is None
+    first.note(WHY)
+    first.stop()
+    wall_s[0] += 1000
+    second = keeper()
+    second.note(WHY)  # as every tick says that follows
+    second.stop()
+    third = keeper()
+    assert third.left_at == datetime(2027, 1, 15, 8, 0, 0, 250_000, UTC)
+    third.note(None)
+    third.note(WHY)
+    third.stop()
+    last = keeper()
+    assert last.left_at == datetime(2027, 1, 15, 8, 16, 40, 250_000, UTC)
+    last.stop()
+
+
+def test_a_file_of_an_older_version_has_a_stop_without_a_time(path):
+    path.parent.mkdir()
+    path.write_bytes(f'{{"version": 1, "stopped": "{WHY}"}}'.encode().ljust(SIZE - 1) + b"\n")
+    with keeping(path) as keeper:
+        assert (keeper.left, keeper.left_at) == (WHY, None)
 
 
 def test_a_disk_that_fails_is_a_problem_until_it_takes_the_note(path, monkeypatch, caplog):
@@ -234,12 +276,14 @@ def test_a_daemon_that_is_killed_begins_stopped_until_that_is_acknowledged(tmp_p
     with robot.running() as (client, stop_url, said):
         assert client.get("/api/status").json()["estop"] == "clear"
         assert httpx.post(stop_url).json()["stopped"] is True
+        stopped_at = datetime.fromisoformat(client.get("/api/status").json()["last_stop_at"])
         until(lambda: killed(file) is not None)
     for _ in range(2):
         with robot.running() as (client, _, said):
             status = client.get("/api/status").json()
             assert (status["mode"], status["estop"]) == ("stopped", "latched")
             assert status["last_stop"].startswith("somebody asked for an emergency stop")
+            assert abs(datetime.fromisoformat(status["last_stop_at"]) - stopped_at) < timedelta(seconds=1)
             assert "stopped, as it was left (somebody asked" in said
     with robot.running() as (client, _, _):
         assert client.post("/api/acknowledge").status_code == 200

@@ -10,7 +10,8 @@ from dataclasses import replace
 
 import pytest
 
-from softarm.daemon.api.auth import AuthError
+from softarm.daemon.api.auth import AuthError, Role
+from softarm.daemon.api.login import LOGIN_S, LOGINS_MAX, Sessions
 from softarm.daemon.api.sockets import ApiError
 from softarm.daemon.control.inbox import Inbox
 from softarm.daemon.control.records import EStop, Mode, RequestResult
@@ -44,8 +45,8 @@ def stopping(silent):
 
 
 @contextmanager
-def way(loop, config: Api | None = None):
-    made = StopListener(config or Api(port=0), loop.inbox, loop.snapshot)
+def way(loop, config: Api | None = None, sessions: Sessions | None = None):
+    made = StopListener(config or Api(port=0), loop.inbox, loop.snapshot, sessions=sessions)
     port = made.start()
     try:
         yield port
@@ -133,6 +134,10 @@ def fetch(port: int, method: str, **headers: str) -> tuple[int, dict[str, str]]:
     return answer.status, {name: value for name, value in answer.getheaders() if name.startswith("Access-Control")}
 
 
+def allowed_to(origin: str) -> dict[str, str]:
+    return {"Access-Control-Allow-Origin": origin, "Access-Control-Allow-Credentials": "true"}
+
+
 @pytest.mark.parametrize("origin", ["http://127.0.0.1:8080", "http://localhost:8080", "http://[::1]:8080"])
 def test_a_page_of_the_api_may_stop_by_this_port_too(stopping, origin):
     with way(stopping, PAGES) as port:
@@ -142,7 +147,7 @@ def test_a_page_of_the_api_may_stop_by_this_port_too(stopping, origin):
         assert allowed["Access-Control-Allow-Methods"] == "POST"
         assert "Authorization" in allowed["Access-Control-Allow-Headers"]
         assert stopping.taken == []
-        assert fetch(port, "POST", Origin=origin) == (200, {"Access-Control-Allow-Origin": origin})
+        assert fetch(port, "POST", Origin=origin) == (200, allowed_to(origin))
     assert stopping.taken == ["stop"]
 
 
@@ -179,7 +184,7 @@ def test_beyond_loopback_a_page_is_the_apis_by_its_host_and_still_needs_a_token(
     page = {"Origin": "http://robot.example:8080", "Host": "robot.example:8081"}
     with way(stopping, config) as port:
         assert fetch(port, "OPTIONS", **page)[0] == 204
-        assert fetch(port, "POST", **page) == (401, {"Access-Control-Allow-Origin": page["Origin"]})
+        assert fetch(port, "POST", **page) == (401, allowed_to(page["Origin"]))
         assert fetch(port, "POST", **page, Authorization=f"Bearer {TOKEN}")[0] == 200
         assert fetch(port, "OPTIONS", **page | {"Origin": "http://other.example:8080"})[0] == 401
     assert stopping.taken == ["stop"]
@@ -195,6 +200,101 @@ def test_every_role_may_stop(stopping, tmp_path, key):
         assert ask(port, Authorization=f"Bearer {files[key].read_text()}")[0] == 200
     role = {"token_file": "command"}.get(key, key.partition("_")[0])
     assert stopping.who == [f"the stop's own way with the {role} token"]
+
+
+NAMED = "http://robot.example:8080"
+
+
+@pytest.fixture
+def far(tmp_path):
+    """An API that other machines reach."""
+    (tmp_path / "token").write_text(TOKEN)
+    (tmp_path / "token").chmod(0o600)
+    return Api(host="0.0.0.0", port=8080, stop_port=0, token_file=tmp_path / "token")
+
+
+@pytest.fixture
+def sessions():
+    now_s = [0.0]
+    made = Sessions(8080, lambda: now_s[0])
+    made.now_s = now_s
+    return made
+
+
+def cookie(sessions, role=Role.STOP) -> str:
+    return sessions.cookie(sessions.logins.out(role), secure=False).partition(";")[0]
+
+
+@pytest.mark.parametrize("role", list(Role))
+def test_a_page_that_has_logged_in_stops_without_a_token(stopping, far, sessions, role):
+    page = {"Origin": NAMED, "Host": "robot.example:8081", "Cookie": f"other=1; {cookie(sessions, role)}"}
+    with way(stopping, far, sessions) as port:
+        assert fetch(port, "POST", **page) == (200, allowed_to(NAMED))
+    assert stopping.who == [f"the stop's own way with the {role.name.lower()} token"]
+
+
+def test_a_page_left_open_over_night_keeps_its_button_and_one_that_logged_out_does_not(stopping, far, sessions):
+    kept, given_back = cookie(sessions), cookie(sessions)
+    sessions.logins.back(given_back.partition("=")[2])
+    sessions.now_s[0] = LOGIN_S + 1
+    page = {"Origin": NAMED, "Host": "robot.example:8081"}
+    with way(stopping, far, sessions) as port:
+        assert fetch(port, "POST", Cookie=given_back, **page)[0] == 401
+        assert stopping.taken == []
+        assert fetch(port, "POST", Cookie=kept, **page)[0] == 200
+
+
+@pytest.mark.parametrize(
+    "page",
+    [
+        {},  # no browser, or one that does not say whose page it is
+        {"Origin": "null"},  # a sandbox
+        {"Origin": "http://evil.example"},
+        {"Origin": "http://evil.example:8080"},
+        {"Origin": "http://robot.example"},
+        {"Origin": "http://robot.example:8081"},  # whatever else that host serves
+        {"Origin": "https://robot.example:8080"},
+        {"Origin": "http://sub.robot.example:8080"},
+        {"Origin": "http://robot.example:8080.evil.example"},
+        {"Origin": NAMED, "Host": "evil.example:8081"},
+    ],
+)
+def test_the_cookie_counts_from_no_other_page(stopping, far, sessions, page):
+    with way(stopping, far, sessions) as port:
+        status, allowed = fetch(port, "POST", **{"Host": "robot.example:8081", "Cookie": cookie(sessions)} | page)
+        assert (status, allowed) == (401, {})
+    assert stopping.taken == []
+
+
+def test_a_cookie_of_another_robot_or_made_up_is_none(stopping, far, sessions):
+    page = {"Origin": NAMED, "Host": "robot.example:8081"}
+    secret = sessions.logins.out(Role.COMMAND)
+    ticket = sessions.tickets.out(Role.COMMAND)
+    with way(stopping, far, sessions) as port:
+        for value in (f"softarm-8090={secret}", "softarm-8080=guess", "softarm-8080=", f"softarm-8080={ticket}", ""):
+            assert fetch(port, "POST", Cookie=value, **page)[0] == 401
+        both = {"Cookie": f"softarm-8080={secret}", "Authorization": "Bearer wrong"}
+        assert fetch(port, "POST", **both, **page)[0] == 401  # a token that is shown is the one that counts
+    assert stopping.taken == []
+
+
+def test_logins_that_come_and_go_meanwhile_disturb_no_stop(stopping, far, sessions):
+    page, over = {"Origin": NAMED, "Host": "robot.example:8081"}, threading.Event()
+
+    def log_in_and_out():
+        while not over.is_set():
+            handed = [sessions.logins.out(Role.VIEW) for _ in range(LOGINS_MAX // 2)]
+            for secret in handed:
+                sessions.logins.back(secret)
+
+    crowd = threading.Thread(target=log_in_and_out)
+    crowd.start()
+    try:
+        with way(stopping, far, sessions) as port:
+            assert {fetch(port, "POST", Cookie="softarm-8080=guess", **page)[0] for _ in range(100)} == {401}
+    finally:
+        over.set()
+        crowd.join()
 
 
 @pytest.mark.parametrize(

@@ -226,10 +226,11 @@ def _latch() -> Parser:
     """What a daemon before this one left of an emergency stop: nothing but its own words say that there was none."""
     from softarm.daemon.stop import latch
 
-    kept = [latch.encoded(None), latch.encoded("somebody asked for an emergency stop"), latch.encoded("\0" * 400)]
+    stops = (latch.Stop(), latch.Stop("somebody asked for an emergency stop", 1.8e9), latch.Stop("\0" * 400))
+    kept = [latch.encoded(stop) for stop in stops]
 
     def take(content: bytes) -> None:
-        if latch.decoded(content) is None:
+        if latch.decoded(content).reason is None:
             assert b'"stopped": null' in content
 
     return Parser(lambda random: mutate.of_bytes(random, kept), take, (ValueError, RecursionError))
