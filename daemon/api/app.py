@@ -382,7 +382,9 @@ class _Api:
 
     async def _result(self, kind: RequestKind, number: int, asked_ns: int) -> RequestResult | None:
         deadline = time.monotonic() + ANSWER_S
-        while time.monotonic() < deadline:
+        late = False
+        while not late:
+            late = time.monotonic() >= deadline  # then once more: it may be the API itself that was held up
             snapshot = self._view.snapshot()
             if kind == "stop" and snapshot is not None and snapshot.has_stopped(number, asked_ns):
                 return RequestResult(number, True)

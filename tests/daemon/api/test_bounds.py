@@ -10,7 +10,8 @@ from dataclasses import replace
 import httpx
 import pytest
 
-from softarm.daemon.control.records import EStop, Mode
+from softarm.daemon.control.inbox import Inbox
+from softarm.daemon.control.records import EStop, Mode, Problems, RequestResult
 
 LOCAL = "http://127.0.0.1"
 JSON = {"Content-Type": "application/json"}
@@ -73,6 +74,28 @@ def test_a_stop_in_a_flood_is_answered_as_done(loop, app):
 
     answers = asyncio.run(flood())  # more of them in a tick than results are kept
     assert {answer.status_code for answer in answers} == {200}
+
+
+class LateLook:
+    """A loop that answers at once; whoever looks for that is held up before the answer is there to be seen."""
+
+    def __init__(self, outputs):
+        self.inbox, self.problems, self._outputs = Inbox(), Problems(), outputs
+
+    @property
+    def outputs(self):
+        seen, posts = self._outputs, self.inbox.take()
+        if posts:
+            results = tuple(RequestResult(post.request.number, True) for post in posts)
+            self._outputs = replace(seen, results=results)
+            time.sleep(0.05)
+        return seen
+
+
+@pytest.mark.parametrize("path", ["/api/stop", "/api/arm"])
+def test_what_was_done_while_the_api_was_held_up_is_told_as_done(silent, app, client_of, monkeypatch, path):
+    monkeypatch.setattr("softarm.daemon.api.app.ANSWER_S", 0.02)
+    assert client_of(app(LateLook(silent[1].outputs))).post(path).status_code == 200
 
 
 def test_a_stop_is_done_when_a_later_tick_holds_it_whatever_became_of_its_result(silent):
