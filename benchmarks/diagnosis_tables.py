@@ -9,7 +9,16 @@ from softarm.diagnosis.blind import pages
 
 def blind(read: Read) -> str:
     """How often the diagnosis is right, beside what was aimed at."""
-    found = read("blind")["methods"]["diagnose"]
+    return _beside_aims(read("blind"))
+
+
+def blind_again(read: Read) -> str:
+    """The same on the robots that were drawn after the chain's interval was set anew."""
+    return _beside_aims(read("blind-again"))
+
+
+def _beside_aims(scored: Mapping[str, Any]) -> str:
+    found = scored["methods"]["diagnose"]
     cells = {**found["measures"], **found["coverage"]}
     aims = {
         "right stage": ("right stage", "97 %"),
@@ -74,6 +83,7 @@ def _named(effects: Iterable[Mapping[str, Any]]) -> Iterable[str]:
 
 TABLES: dict[str, Callable[[Read], str]] = {
     "blind": blind,
+    "blind-again": blind_again,
     "blind-methods": blind_methods,
     "strength": strength,
     "beside-sysid": beside_sysid,
