@@ -22,7 +22,8 @@ VERBS: dict[str, dict[str, Verb]] = {
         "policy": Verb("policy:policy", "List the policies, choose one."),
         "events": Verb("events:events", "What happened, and who asked for it."),
         "incidents": Verb("incidents:incidents", "The files of emergency stops; fetch one."),
-        "logs": Verb("logs:logs", "List the recordings."),
+        "logs": Verb("logs:logs", "List the recordings; export and mend them."),
+        "view": Verb("view:view", "Play a recording in the browser."),
         "replay": Verb("replay:replay", "Run a recording through the tick again and compare."),
     },
     "Identify": {

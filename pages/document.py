@@ -21,16 +21,21 @@ class Section(NamedTuple):
     body: Html
 
 
-def document(title: str, maker: str, lead: Html, sections: Sequence[Section], plot: object = None) -> str:
+def document(
+    title: str, maker: str, lead: Html, sections: Sequence[Section], plot: object = None, player: object = None
+) -> str:
     """The page as text; equal contents give equal pages.
 
     maker: what made it, e.g. `softarm diagnosis`. lead: the h1 and what stands beneath it. plot: what plot.js draws,
-    made by softarm.pages.plot.packed; without it the page holds no script.
+    made by softarm.pages.plot.packed; player: what player.js plays; without either the page holds no script.
     """
     script: tuple[Html, ...] = ()
-    if plot is not None:
-        data = el("script", _embedded(plot), type="application/json", id="data")
-        script = data, el("script", _part("plot.js"))
+    style = _part("style.css")
+    if plot is not None or player is not None:
+        data = el("script", _embedded(plot if player is None else player), type="application/json", id="data")
+        script = data, el("script", _part("plot.js" if player is None else "player.js"))
+    if player is not None:
+        style = join([style, _part("player.css")])
     links = (el("a", section.title, href=f"#{section.anchor}") for section in sections)
     body = el(
         "body",
@@ -46,7 +51,7 @@ def document(title: str, maker: str, lead: Html, sections: Sequence[Section], pl
         el("meta", name="color-scheme", content="light dark"),
         el("meta", http_equiv="Content-Security-Policy", content=_SCRIPTED if script else _POLICY),
         el("title", f"{title} · {maker}"),
-        el("style", _part("style.css")),
+        el("style", style),
     )
     return "<!doctype html>\n" + join([el("html", head, body, lang="en")]) + "\n"
 

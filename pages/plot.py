@@ -72,7 +72,7 @@ def _item(item: Traces, step: int) -> dict[str, object]:
         "unit": "" if item.unit in ("-", "1") else item.unit,
         "band": item.band,
         "t": _stamps(item.t_s[::step]),
-        "curves": {name: _levels(values[::step]) for name, values in item.curves.items()},
+        "curves": {name: packed_levels(values[::step]) for name, values in item.curves.items()},
     }
 
 
@@ -86,7 +86,7 @@ def _stamps(t_s: Array) -> dict[str, object]:
     return about | {"us": _text(np.round((t_s - start) * 1e6).astype("<u4"))}
 
 
-def _levels(values: Array) -> dict[str, object]:
+def packed_levels(values: Array) -> dict[str, object]:
     """Values as 16-bit levels between their own extremes; what is not finite is the last level."""
     seen = np.isfinite(values)
     low, high = (float(values[seen].min()), float(values[seen].max())) if seen.any() else (0.0, 0.0)
@@ -94,6 +94,11 @@ def _levels(values: Array) -> dict[str, object]:
     levels = np.full(len(values), _STEPS + 1, dtype="<u2")
     levels[seen] = np.round((values[seen] - low) * scale).astype("<u2")
     return {"low": low, "high": high, "levels": _text(levels)}
+
+
+def packed_integers(values: NDArray[np.integer]) -> str:
+    """Whole numbers from 0 to 2^32 - 1, four bytes each."""
+    return _text(values.astype("<u4"))
 
 
 def _text(values: NDArray[np.unsignedinteger]) -> str:

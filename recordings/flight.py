@@ -11,7 +11,9 @@ from pydantic import BaseModel, ValidationError
 
 from softarm.recordings import channels, mcap_file
 from softarm.schemas import log
+from softarm.schemas.config import Config
 from softarm.schemas.events import Entry
+from softarm.schemas.flights import SHELF_MIDDLE_M
 from softarm.schemas.goals import GoalStatus
 from softarm.schemas.messages import Command, MocapFrame, PressureReading, RailReading
 from softarm.schemas.policy import Observation
@@ -138,7 +140,15 @@ def first_stamp_ns(path: Path) -> int:
                 return one.t_receive_ns
             case Tick():
                 return one.outputs.t_ns
-    raise mcap_file.LogError(f"{path}: holds no tick and no reading; name another log")
+    raise nothing_in(path)
+
+
+def shelf_depth_m(policy: str, config: Config) -> float | None:
+    """How far behind a shelf's front edge a policy's targets lie; None: it flies to no shelf."""
+    made = config.policies.get(policy)
+    options = made.options if made else {"model": policy}
+    depth_m = options.get("target_depth_m", SHELF_MIDDLE_M if options.get("model") == "shelf" else None)
+    return None if depth_m is None else float(depth_m)
 
 
 def wall_minus_monotonic_ns(path: Path, metadata: log.Metadata) -> int:
@@ -147,6 +157,11 @@ def wall_minus_monotonic_ns(path: Path, metadata: log.Metadata) -> int:
         return int(metadata[log.CLOCK]["wall_minus_monotonic_ns"])
     except (KeyError, ValueError):
         raise mcap_file.LogError(f"{path}: does not say what time it was; name a log of the daemon's") from None
+
+
+def nothing_in(path: Path) -> mcap_file.LogError:
+    """What to say of a log without a tick."""
+    return mcap_file.LogError(f"{path}: holds nothing to show; was the daemon stopped before its first tick?")
 
 
 def unreadable(path: Path, topic: str, error: ValidationError) -> mcap_file.LogError:

@@ -7,8 +7,9 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
+from softarm.recordings import flight
 from softarm.schemas.config import Config
-from softarm.schemas.flights import BOARD_BELOW_M, SHELF_MIDDLE_M
+from softarm.schemas.flights import BOARD_BELOW_M
 from softarm.schemas.goals import GoalStatus
 from softarm.schemas.messages import BODY_NAMES, MocapFrame
 from softarm.schemas.model import Arm
@@ -84,20 +85,12 @@ def shelf(status: GoalStatus, policy: str, config: Config, ns: int) -> Json:
 
     A goal does not say that it lies on a shelf; the policy that flies it does.
     """
-    goal, depth_m = status.goal, shelf_depth_m(policy, config)
+    goal, depth_m = status.goal, flight.shelf_depth_m(policy, config)
     if goal is None or depth_m is None or not math.isfinite(goal.y_m):
         return _update(ns)
     edge_m, thick_m = goal.y_m + depth_m, BOARD_M[2]
     middle = (0.0, edge_m - BOARD_M[1] / 2, goal.z_m - BOARD_BELOW_M - thick_m / 2)
     return _update(ns, _entity(ns, WORLD, "shelf", cubes=[_box(middle, BOARD_M, WOOD)]))
-
-
-def shelf_depth_m(policy: str, config: Config) -> float | None:
-    """How far behind a shelf's front edge a policy's targets lie; None: it flies to no shelf."""
-    made = config.policies.get(policy)
-    options = made.options if made else {"model": policy}
-    depth_m = options.get("target_depth_m", SHELF_MIDDLE_M if options.get("model") == "shelf" else None)
-    return None if depth_m is None else float(depth_m)
 
 
 def _transform(stamp: Json, parent: str, child: str, y_m: float, z_m: float, angle_rad: float) -> Json:
