@@ -6,8 +6,10 @@ All but the nominal one differ from what every policy but a robust one was train
 from collections.abc import Sequence
 from dataclasses import replace
 
+from softarm.common.words import did_you_mean
 from softarm.reality.parameters import GROUPS, Arm, Rail, Regulator, RobotParameters
-from softarm.simulator.effects import exemplars
+from softarm.schemas.model import Model
+from softarm.simulator.effects import REGISTRY, exemplars, validate
 
 # As strong as the registry's examples: 50 g at the tip, a regulator that takes half as long again, a drive that hears
 # half a tick later.
@@ -40,8 +42,10 @@ def with_faults(robot: RobotParameters, faults: Sequence[str]) -> RobotParameter
         if not equals or part is None or name not in known:
             groups = [g for g in robot.__dataclass_fields__ if type(getattr(robot, g)) in GROUPS]
             here = ", ".join(known) if part is not None else f"a group of {', '.join(groups)}"
+            hint = did_you_mean(name, known) if name else ""
             raise ValueError(
-                f"--fault {text}: write group.quantity=value, such as regulator.dead_time_s=0.06; allowed here: {here}"
+                f"--fault {text}: {hint}write group.quantity=value, such as regulator.dead_time_s=0.06; allowed here: "
+                f"{here}"
             )
         try:
             value = int(number) if known[name].type in (int, "int") else float(number)
@@ -49,3 +53,39 @@ def with_faults(robot: RobotParameters, faults: Sequence[str]) -> RobotParameter
             raise ValueError(f"--fault {text}: '{number}' is no number; give one") from None
         robot = replace(robot, **{group: replace(part, **{name: value})})
     return robot
+
+
+def with_effects(model: Model, faults: Sequence[str]) -> Model:
+    """Give the simulated robot faults, by the names of effects (docs/effects.md).
+
+    `arm.payload` is as strong as the registry's example, `arm.payload=0.05` sets an effect's one parameter,
+    `pressure.lag.inflate=0.3` one of several. Raises ValueError for what there is none of, or out of bounds.
+    """
+    given = {name: dict(values) for name, values in model.effects.items()}
+    for text in faults:
+        key, equals, number = text.partition("=")
+        effect, parameter = _named(key.strip(), text)
+        if not equals:
+            given[effect] = dict(_STRONG[effect])
+            continue
+        parameters = [p.name for p in REGISTRY[effect].parameters]
+        if parameter is None and len(parameters) != 1:
+            one = " or ".join(f"{effect}.{name}=VALUE" for name in parameters) or f"{effect} alone"
+            raise ValueError(f"--fault {text}: which parameter? write {one}")
+        try:
+            given.setdefault(effect, {})[parameter or parameters[0]] = float(number)
+        except ValueError:
+            raise ValueError(f"--fault {text}: '{number}' is no number; give one") from None
+    validate(given)
+    return model.model_copy(update={"effects": given})
+
+
+def _named(key: str, text: str) -> tuple[str, str | None]:
+    """An effect, and the parameter of it that a name goes on with."""
+    if key in REGISTRY:
+        return key, None
+    effect, _, parameter = key.rpartition(".")
+    if effect in REGISTRY:
+        return effect, parameter
+    hint = did_you_mean(key, REGISTRY, cutoff=0.5)
+    raise ValueError(f"--fault {text}: no such fault; {hint}`softarm twin --fault list` shows them all")

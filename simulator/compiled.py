@@ -24,6 +24,7 @@ import numpy as np
 from numba.core.caching import CompileResultCacheImpl, FunctionCache
 
 VERSIONS = (sys.version, numba.__version__, llvmlite.__version__, np.__version__)
+COMPILING = "compiling the simulator for this machine: once, for about half a minute ..."
 _log = logging.getLogger(__name__)
 _say = functools.cache(_log.warning)  # once a process
 
@@ -42,6 +43,11 @@ def compiler(*sources: Path) -> Any:
 
     class Cache(FunctionCache):
         _impl_class = Files
+
+        def load_overload(self, sig, target_context):
+            if (found := super().load_overload(sig, target_context)) is None:
+                _say(COMPILING)
+            return found
 
         def save_overload(self, sig, data):
             # A process that outlives an edit keeps to itself what it makes of the text before.

@@ -36,6 +36,7 @@ class TwinState:
     halted_after_s: float | None  # from the last set-point that moved the cart to what stopped it; null while it moves
     cart_max_abs_m: float
     crashes: int
+    faults: tuple[str, ...] = ()  # the lasting ones that are on
 
 
 class Cameras:
@@ -81,7 +82,7 @@ class Cameras:
         subscriber = self._subscriber
         while subscriber is not None and (sample := subscriber.try_recv()) is not None:
             try:
-                self._faults.apply(sample.payload.to_bytes())
+                print(f"{FAULT_KEY}: {self._faults.apply(sample.payload.to_bytes())}", flush=True)
             except ValueError as error:
                 print(f"{FAULT_KEY}: {error}", flush=True)
 

@@ -1,9 +1,12 @@
 """What can be made to go wrong with the twin while it runs."""
 
+import inspect
 import json
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from typing import NamedTuple
 
+from softarm.common.words import did_you_mean
 from softarm.schemas.messages import BODY_NAMES
 
 FOREVER_S = 1e9
@@ -88,10 +91,15 @@ class Faults:
         """The drive's enable input DI7 goes low: the hardware e-stop."""
         self._last("remote_low", seconds)
 
-    def apply(self, message: bytes) -> None:
+    @property
+    def lasting(self) -> tuple[str, ...]:
+        """Those that are on now."""
+        return tuple(name for name in self._until_ns if self.active(name))
+
+    def apply(self, message: bytes) -> str:
         """Start what a JSON object asks for: {"fault": "mocap_drop_body", "body": "link3", "seconds": 0.5}.
 
-        Raises ValueError with what is allowed.
+        Returns its name. Raises ValueError with what is allowed.
         """
         try:
             arguments = json.loads(message)
@@ -99,11 +107,13 @@ class Faults:
         except (ValueError, AttributeError, KeyError, TypeError, RecursionError):
             raise ValueError('a fault is a JSON object like {"fault": "mocap_freeze", "seconds": 1}') from None
         if not isinstance(name, str) or name not in _NAMES:
-            raise ValueError(f"there is no fault {name!r}; choose one of {', '.join(sorted(_NAMES))}")
+            hint = did_you_mean(str(name), _NAMES)
+            raise ValueError(f"there is no fault {name!r}; {hint}choose one of {', '.join(sorted(_NAMES))}")
         try:
             getattr(self, name)(**arguments)
         except TypeError as error:
             raise ValueError(f"{name}: {error}") from None
+        return name
 
     def _last(self, name: str, seconds: float) -> None:
         if isinstance(seconds, bool) or not isinstance(seconds, int | float) or not seconds > 0:
@@ -111,4 +121,55 @@ class Faults:
         self._until_ns[name] = self._clock() + min(seconds, FOREVER_S) * 1e9
 
 
-_NAMES = {name for name in vars(Faults) if name[0] != "_"} - {"active", "take", "apply"}
+_NAMES = {name for name, part in vars(Faults).items() if name[0] != "_" and callable(part)} - {
+    "active",
+    "take",
+    "apply",
+}
+
+
+class Described(NamedTuple):
+    """A fault as people name it: NAME or NAME=VALUE."""
+
+    name: str
+    value: str  # what VALUE may be; empty: it takes none
+    meaning: str
+
+
+def described() -> list[Described]:
+    """All of them, by name."""
+    return [Described(name, _value(name), (getattr(Faults, name).__doc__ or "").strip()) for name in sorted(_NAMES)]
+
+
+def _value(name: str) -> str:
+    takes = inspect.signature(getattr(Faults, name)).parameters
+    if "body" in takes:
+        return f"BODY or BODY,SECONDS; a body is {', '.join(BODY_NAMES)}"
+    return "SECONDS above 0; without, until cleared" if "seconds" in takes else ""
+
+
+def message(text: str) -> bytes:
+    """What `Faults.apply` takes, of what a person typed: `mocap_freeze`, `rail_silence=1.5`, `mocap_drop_body=link3,2`.
+
+    Raises ValueError with what is allowed.
+    """
+    name, equals, value = text.strip().partition("=")
+    name = name.replace("-", "_")
+    asked: dict[str, object] = {"fault": name}
+    takes = inspect.signature(getattr(Faults, name)).parameters if name in _NAMES else {}
+    body, comma, seconds = value.partition(",") if "body" in takes else ("", equals, value)
+    if "body" in takes:
+        asked["body"] = body
+    if comma and takes:
+        asked["seconds"] = _seconds(name, seconds, takes)
+    Faults(lambda: 0).apply(said := json.dumps(asked).encode())  # says what is wrong here and now
+    return said
+
+
+def _seconds(name: str, text: str, takes: Mapping[str, object]) -> float:
+    if "seconds" not in takes:
+        raise ValueError(f"{name}: happens once and takes no value; write {name} alone")
+    try:
+        return float(text)
+    except ValueError:
+        raise ValueError(f"{name}: '{text}' is no number; give seconds above 0, such as {name}=1.5") from None

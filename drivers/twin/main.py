@@ -4,7 +4,7 @@ import asyncio
 import contextlib
 import signal
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Self
 
@@ -191,6 +191,7 @@ class Twin:
             else (drive.halted_ns - drive.moved_ns) * 1e-9,
             cart_max_abs_m=self._ends.cart_max_abs_m,
             crashes=self._ends.crashes,
+            faults=self.faults.lasting,
         )
 
 
@@ -204,19 +205,34 @@ def run_twin(
     model: Model | None,
     on_ready: Callable[[str], None] | None = None,
     body: Body | None = None,
-) -> None:
-    """Be the robot until SIGINT or SIGTERM. `on_ready` hears where the wires are, once they are there.
+    faults: Sequence[bytes] = (),
+) -> int:
+    """Be the robot until SIGINT or SIGTERM; returns which. `on_ready` hears where the wires are, once they are there.
 
-    Another `body` than the simulated robot takes the place of `model`. Raises DeviceError when a port cannot be had.
+    Another `body` than the simulated robot takes the place of `model`. faults: on from the start, as `Faults.apply`
+    takes them. Raises DeviceError when a port cannot be had.
     """
-    asyncio.run(_run(config, model, on_ready, body))
+    return asyncio.run(_run(config, model, on_ready, body, faults))
 
 
-async def _run(config: Config, model: Model | None, on_ready: Callable[[str], None] | None, body: Body | None) -> None:
-    stop = asyncio.Event()
+async def _run(
+    config: Config,
+    model: Model | None,
+    on_ready: Callable[[str], None] | None,
+    body: Body | None,
+    faults: Sequence[bytes],
+) -> int:
+    stop, signals = asyncio.Event(), []
+
+    def end(number: int) -> None:
+        signals.append(number)
+        stop.set()
+
     for number in (signal.SIGINT, signal.SIGTERM):
-        asyncio.get_running_loop().add_signal_handler(number, stop.set)
+        asyncio.get_running_loop().add_signal_handler(number, end, number)
     async with Twin(config, model, body=body) as twin:
+        for fault in faults:
+            twin.faults.apply(fault)
         if on_ready is not None:
             drivers = config.drivers
             on_ready(
@@ -229,3 +245,4 @@ async def _run(config: Config, model: Model | None, on_ready: Callable[[str], No
             task.cancel()
         for task in done:
             task.result()
+    return signals[0] if signals else 0

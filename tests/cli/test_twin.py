@@ -1,12 +1,24 @@
-"""`softarm twin --reality`: what it says when it cannot be."""
+"""`softarm twin`: what it says when it cannot be, and its faults."""
 
+import contextlib
+import json
+import os
+import signal
+import socket
+import subprocess
 import sys
 from pathlib import Path
 
 import pytest
+import zenoh
 from click.testing import CliRunner
 
 from softarm.cli.main import main
+from softarm.drivers.mocap.zenoh_session import listener
+from softarm.drivers.twin.faults import described
+from softarm.flights.robots import with_effects
+from softarm.schemas.model import Model
+from softarm.simulator.effects import REGISTRY, exemplars
 
 CONFIG = str(Path(__file__).parents[2] / "twin.yaml")
 
@@ -33,13 +45,95 @@ def test_a_model_of_other_links_is_refused(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("arguments", "says", "code"),
     [
-        (("--fault", "rail.delay_s=0.09"), "--fault is for the independent robot: add --reality", 2),
-        (("--reality", "--fault", "rail.delay=0.09"), "allowed here: acceleration_m_s2", 1),
+        (("--reality", "--fault", "rail.delay=0.09"), "did you mean delay_s? write group.quantity=value", 1),
+        (("--reality", "--fault", "rail.delay_s=3"), "Rail.delay_s is 3; allowed 0 to 0.3 s", 1),
+        (
+            ("--fault", "rail.delya=0.09"),
+            "no such fault; did you mean rail.delay? `softarm twin --fault list` shows",
+            1,
+        ),
+        (("--fault", "rail.delay=9"), "rail.delay.delay: is 9; allowed 0 to 0.1 s", 1),
+        (("--fault", "pressure.lag=0.3"), "write pressure.lag.inflate=VALUE or pressure.lag.deflate=VALUE", 1),
+        (("--fault", "arm.payload=heavy"), "'heavy' is no number", 1),
+        (("--fault", "mocap_freez"), "did you mean mocap_freeze? choose one of", 1),
+        (("--fault", "rail_fault=3"), "happens once and takes no value", 1),
+        (("--fault", "mocap_drop_body=link9"), "choose one of cart, link1", 1),
+        (("--fault", "rail_silence=-1"), "seconds is -1.0; give a positive number", 1),
     ],
 )
-def test_a_fault_is_the_independent_robots_and_one_that_there_is(
-    arguments: tuple[str, ...], says: str, code: int
-) -> None:
+def test_a_fault_is_one_that_there_is(arguments: tuple[str, ...], says: str, code: int) -> None:
     answer = CliRunner().invoke(main, ["twin", "--config", CONFIG, *arguments])
     assert answer.exit_code == code
     assert says in " ".join(answer.output.split())
+
+
+def test_the_list_has_a_range_for_each_and_needs_no_configuration() -> None:
+    told = CliRunner().invoke(main, ["twin", "--fault", "list"]).output
+    for fault in described():
+        assert f" {fault.name} " in told
+    assert all(f" {name} " in told for name in REGISTRY)
+    assert "0 to 0.1 s; 0.05 without" in told
+    assert " rail.delay_s " in CliRunner().invoke(main, ["twin", "--reality", "--fault", "list"]).output
+
+
+def test_the_robot_has_the_effects_that_were_asked_for() -> None:
+    model = with_effects(Model(), ["rail.delay=0.09", "arm.payload", "pressure.lag.inflate=0.3"])
+    seed = Model().effects
+    assert model.effects["rail.delay"] == {"delay": 0.09}
+    assert model.effects["arm.payload"] == exemplars()["arm.payload"]
+    assert model.effects["pressure.lag"] == {**seed["pressure.lag"], "inflate": 0.3}
+    assert Model().effects == seed
+
+
+@pytest.mark.parametrize("says", ["which ports? --config FILE", "no such file"])
+def test_a_twin_without_its_file_is_refused(says: str) -> None:
+    answer = CliRunner().invoke(main, ["twin"] if "which" in says else ["twin", "--config", "nowhere.yaml"])
+    assert (answer.exit_code, says in answer.output) == (2 if "which" in says else 1, True)
+
+
+def test_nobody_hears_of_a_fault_without_a_daemon(tmp_path: Path) -> None:
+    config = tmp_path / "twin.yaml"
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        config.write_text(f"drivers: {{mocap: {{endpoint: tcp/127.0.0.1:{free.getsockname()[1]}}}}}\n")
+    answer = CliRunner().invoke(main, ["twin", "fault", "mocap_freeze", "--config", str(config)])
+    assert answer.exit_code == 1
+    assert "nobody listens there; a twin hears over the daemon's Zenoh: start `softarm run`" in answer.output
+
+
+@pytest.mark.realtime
+@pytest.mark.timeout(120)
+def test_faults_are_switched_while_it_runs_and_ctrl_c_says_what_it_leaves(tmp_path: Path) -> None:
+    with contextlib.ExitStack() as stack:
+        sockets = [stack.enter_context(socket.socket()) for _ in range(2)]
+        for one in sockets:
+            one.bind(("127.0.0.1", 0))
+        mocap, rail = (one.getsockname()[1] for one in sockets)
+    endpoint = f"tcp/127.0.0.1:{mocap}"
+    config = tmp_path / "twin.yaml"
+    config.write_text(
+        f"drivers: {{mocap: {{endpoint: {endpoint}}}, regulator: {{port: {tmp_path}/teensy}}, "
+        f"rail: {{host: 127.0.0.1, port: {rail}}}}}\n"
+    )
+    command = [sys.executable, "-m", "softarm.cli.main", "twin"]
+    begun = [*command, "--config", str(config), "--fault", "serial_silence", "--fault", "arm.payload=0.05"]
+
+    def fault(*arguments: str) -> "subprocess.CompletedProcess[str]":
+        asked = [*command, "fault", *arguments, "--config", str(config)]
+        return subprocess.run(asked, check=False, capture_output=True, text=True)
+
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.STDOUT, "text": True}
+    plain = {**os.environ, "PYTHONUNBUFFERED": "1"}
+    with zenoh.open(listener(endpoint)), subprocess.Popen(begun, env=plain, **pipes) as twin:
+        try:
+            assert "regulator at" in next(line for line in twin.stdout if "softarm twin:" in line)
+            assert fault("mocap_drop_body=link3").stdout == "now wrong: serial_silence, mocap_drop_body\n"
+            assert json.loads(fault("clear", "--json").stdout)["faults"] == []
+            twin.send_signal(signal.SIGINT)
+            said = twin.communicate(timeout=10)[0]
+        finally:
+            twin.kill()
+    assert twin.returncode == 130
+    assert said.endswith("interrupted: the robot is gone; a daemon that was connected stops and says so\n")
+    with zenoh.open(listener(endpoint)):
+        assert "no twin has told its state for 2 s" in fault("rail_fault").stderr
