@@ -8,6 +8,7 @@ from typing import Any, NamedTuple, NoReturn
 
 import click
 
+from softarm.cli.compiling import told_of_compiling
 from softarm.cli.errors import fail
 from softarm.cli.interrupt import INTERRUPTED, interrupted
 from softarm.cli.verbs import Verbs
@@ -59,7 +60,8 @@ class LazyGroup(Verbs):
     def invoke(self, ctx: click.Context) -> Any:
         """Run the verb. Ctrl-C says what it leaves; a defect is one line, or with --debug a traceback."""
         try:
-            return super().invoke(ctx)
+            with told_of_compiling():
+                return super().invoke(ctx)
         except ModuleNotFoundError as error:
             self._explain_missing(ctx.invoked_subcommand or "", error)
         except (KeyboardInterrupt, click.Abort):

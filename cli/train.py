@@ -5,7 +5,9 @@ from pathlib import Path
 import click
 
 from softarm.cli.errors import fail
-from softarm.cli.options import FILE, FOLDER, model_option, typed
+from softarm.cli.interrupt import leaves
+from softarm.cli.options import FILE, FOLDER, model_option
+from softarm.cli.sweeps import train_sweep
 from softarm.common.processes import bar, cores
 
 
@@ -61,7 +63,7 @@ def train(
       softarm train --sweep benchmarks/ablation.yaml --out runs/ablation
     """
     if sweep is not None:
-        _sweep(sweep, out or Path("runs") / sweep.stem, workers or cores(), ray_address)
+        train_sweep(sweep, out or Path("runs") / sweep.stem, workers or cores(), ray_address)
         return
     name = task or task_option
     if name is None:
@@ -85,6 +87,7 @@ def train(
     folder = out or Path("runs") / "-".join((name, *([model_file.stem] if model_file else []), str(seed)))
     if not resume and (folder / "latest.pt").exists():
         fail(f"{folder} holds a run already: add --resume to go on with it, or give another --out")
+    leaves(lambda: _left(folder))
     with inference.workers() as pool:
         try:
             session = begin(recipe, seed, folder, pool, resume)
@@ -101,23 +104,7 @@ def train(
             click.echo(line)
 
 
-def _sweep(file: Path, out: Path, processes: int, ray_address: str | None) -> None:
-    """Train what is not finished; leave OUT/results.json and OUT/results.md."""
-    from softarm.training.record import tensorboard
-    from softarm.training.run import sweep
-
-    if missing := tensorboard.missing():
-        click.secho(missing, fg="yellow")
-    try:
-        sweep.refuse_beside(typed())
-        wanted = sweep.load(file)
-        todo, results = sweep.plan(wanted, out, max(1, cores() // processes))
-        with bar("training", len(todo) + len(results), done=len(results), stay=True) as shown:
-            for result in sweep.on_ray(todo, ray_address) if ray_address else sweep.locally(todo, processes):
-                results.append(result)
-                shares = ", ".join(f"{name} {share:.1%}" for name, share in result.test.items())
-                click.echo(f"{result.name}, seed {result.seed}: validation {result.validation:.1%}; {shares}")
-                shown.advance()
-    except sweep.SweepError as error:
-        fail(str(error))
-    click.echo(f"{sweep.save(wanted, results, out)}wrote {out / 'results.json'} and {out / 'results.md'}")
+def _left(folder: Path) -> str:
+    if not (folder / "latest.pt").exists():
+        return f"no checkpoint yet, so nothing to go on with; {folder} may be deleted"
+    return f"the newest checkpoint is in {folder}; the same command with --resume goes on from there"

@@ -26,7 +26,7 @@ from numba.core.caching import CompileResultCacheImpl, FunctionCache
 VERSIONS = (sys.version, numba.__version__, llvmlite.__version__, np.__version__)
 COMPILING = "compiling the simulator for this machine: once, for about half a minute ..."
 _log = logging.getLogger(__name__)
-_say = functools.cache(_log.warning)  # once a process
+_say, _tell = functools.cache(_log.warning), functools.cache(_log.info)  # once a process
 
 
 def compiler(*sources: Path) -> Any:
@@ -46,7 +46,7 @@ def compiler(*sources: Path) -> Any:
 
         def load_overload(self, sig, target_context):
             if (found := super().load_overload(sig, target_context)) is None:
-                _say(COMPILING)
+                _tell(COMPILING)
             return found
 
         def save_overload(self, sig, data):

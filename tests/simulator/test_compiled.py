@@ -213,3 +213,14 @@ def test_with_no_place_to_write_at_all_it_compiles_at_each_start_and_says_so_onc
     assert entry()(1.0) == 3.0
     (said,) = (record.getMessage() for record in caplog.records)
     assert "Set NUMBA_CACHE_DIR" in said
+
+
+def test_who_listens_is_told_before_the_first_compile_and_not_again(package, caplog):
+    compiled._tell.cache_clear()
+    with caplog.at_level("INFO", compiled.__name__):
+        assert entry()(1.0) == 2.0
+        assert [record.getMessage() for record in caplog.records] == [compiled.COMPILING]
+        forget()
+        compiled._tell.cache_clear()
+        assert entry()(1.0) == 2.0
+    assert [record.getMessage() for record in caplog.records] == [compiled.COMPILING]

@@ -41,7 +41,7 @@ def test_the_daemons_drivers_move_it(config: Config, run: Any, until: Any, runni
         def each() -> None:
             regulator.write(bool(command[0]), command[2])
             rail.write(bool(command[0]), command[1])
-            frames.extend(mocap.read(mocap._clock()))
+            frames.extend(mocap.read(mocap.clock()))
 
         async with Twin(config, body=IndependentBody()) as twin, running(mocap, regulator, rail):
             await until(lambda: not any((mocap.problem(), regulator.problem(), rail.problem())), each)

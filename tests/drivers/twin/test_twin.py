@@ -61,7 +61,7 @@ class Hands:
         def each() -> None:
             self.regulator.write(armed, command[1])
             self.rail.write(armed, command[0])
-            self.frames += self.mocap.read(self.mocap._clock())
+            self.frames += self.mocap.read(self.mocap.clock())
 
         await self._until(condition, each)
 
