@@ -39,3 +39,11 @@ def test_files_that_pages_link_to_lie_beside_them(site):
     linked = re.findall(r'href="(files/[^"#]+)', (site / "configuration.html").read_text(encoding="utf-8"))
     assert linked
     assert all((site / name).is_file() for name in linked)
+
+
+def test_references_are_made_from_the_code(site):
+    keys = (site / "configuration-keys.html").read_text(encoding="utf-8")
+    assert "limits.rail.position_min_m" in keys
+    requests = (site / "rest-schemas.html").read_text(encoding="utf-8")
+    assert "POST /api/goal" in requests
+    assert 'href="#reachbody"' in requests
