@@ -10,6 +10,7 @@ VERBS: dict[str, dict[str, Verb]] = {
         "run": Verb("run:run", "Run the control daemon, on the robot or simulated.", "sim"),
         "twin": Verb("twin:twin", "Be the robot as the wires see it.", "sim"),
         "config": Verb("config:config", "Write a new configuration; look up its keys."),
+        "doctor": Verb("doctor:doctor", "What stands between this computer and a flying arm."),
         "check": Verb("check:check", "Check a configuration and print the limits in force."),
     },
     "Ask the running daemon": {

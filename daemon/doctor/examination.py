@@ -1,0 +1,101 @@
+"""All checks in their order, each part of them gathered when it is its turn."""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from softarm.daemon.doctor import (
+    clocks,
+    disk,
+    from_logs,
+    models,
+    ports,
+    running,
+    scheduling,
+    settings,
+    software,
+)
+from softarm.daemon.doctor.finding import Finding
+from softarm.daemon.doctor.running import Running
+from softarm.daemon.doctor.settings import Settings
+from softarm.recordings.listing import listing
+from softarm.schemas.config import Config
+
+
+@dataclass(frozen=True, slots=True)
+class Patient:
+    """What is examined."""
+
+    settings: Settings
+    daemon: Running | None  # the one that answers
+    simulated: bool = False  # a robot simulated in the daemon's process has no wires
+    logs: Path | None = None  # another folder than the recorder's
+
+    @property
+    def config(self) -> Config:
+        """In force."""
+        return self.settings.config
+
+    @property
+    def idle(self) -> bool:
+        """Whether something heavy may be done on this computer: no arm is in use."""
+        return self.daemon is None or not self.daemon.in_use
+
+
+Part = Callable[[Patient], Iterator[Finding]]
+
+
+def _software(patient: Patient) -> Iterator[Finding]:
+    return software.judge(software.look())
+
+
+def _settings(patient: Patient) -> Iterator[Finding]:
+    return settings.judge(patient.settings)
+
+
+def _wires(patient: Patient) -> Iterator[Finding]:
+    """Of a daemon that answers what it says; else whether one could begin."""
+    config = patient.config
+    if patient.daemon is not None:
+        yield from running.judge(patient.daemon, config)
+        return
+    if not patient.simulated:
+        yield from ports.judge_serial(ports.look_serial(config.drivers.regulator.port))
+        yield from ports.judge_axis(ports.look_axis(config.drivers.rail.host, config.drivers.rail.port))
+    places = ports.look_listening(config)
+    wanted = (each for each in places if each.key.startswith("api.") or not patient.simulated)
+    yield from ports.judge_listening(tuple(wanted))
+
+
+def _models(patient: Patient) -> Iterator[Finding]:
+    return models.judge(models.look(patient.config, patient.idle), patient.config.failsafe.policy_budget_s)
+
+
+def _scheduling(patient: Patient) -> Iterator[Finding]:
+    return scheduling.judge(scheduling.look(patient.config.control.realtime_priority))
+
+
+def _clocks(patient: Patient) -> Iterator[Finding]:
+    return clocks.judge(clocks.look())
+
+
+def _disk(patient: Patient) -> Iterator[Finding]:
+    recorder = patient.config.recorder
+    return disk.judge(disk.look(recorder, listing(recorder.directory), patient.idle))
+
+
+def _from_logs(patient: Patient) -> Iterator[Finding]:
+    folder = patient.logs or patient.config.recorder.directory
+    return from_logs.judge(from_logs.look(folder, listing(folder), patient.config))
+
+
+PARTS: dict[str, Part] = {
+    "software": _software,
+    "configuration": _settings,
+    "robot and daemon": _wires,
+    "policies": _models,
+    "scheduling": _scheduling,
+    "clocks": _clocks,
+    "disk": _disk,
+    "limits": _from_logs,
+}

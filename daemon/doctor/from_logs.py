@@ -1,0 +1,51 @@
+"""The rail's limits against what the newest logs show of the robot."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from softarm.daemon.doctor.finding import Finding, ok, problem, warning
+from softarm.daemon.limits.findings import EXCITATION, LimitRow, findings
+from softarm.recordings import rail_motion
+from softarm.recordings.mcap_file import LogError
+from softarm.schemas.config import Config
+from softarm.schemas.log import LogEntry
+
+BYTES_MAX = 60_000_000  # of the newest logs: some seconds of reading
+FLY = f"fly `softarm excite {EXCITATION} --config FILE` twice (docs/limits.md)"
+
+
+@dataclass(frozen=True, slots=True)
+class Shown:
+    """What logs show."""
+
+    folder: Path
+    rows: tuple[LimitRow, ...] = ()  # none: no log tells
+
+
+def look(folder: Path, logs: Sequence[LogEntry], config: Config) -> Shown:
+    """Measure the rail by the newest finished logs, about BYTES_MAX of them; one that cannot be read is left out."""
+    motions, total = [], 0
+    for entry in logs:
+        if not entry.finished or total > BYTES_MAX:
+            continue
+        total += entry.bytes
+        try:
+            motions.append(rail_motion.read(folder / entry.name))
+        except LogError:
+            continue
+    return Shown(folder, findings(motions, config).rows if motions else ())
+
+
+def judge(facts: Shown) -> Iterator[Finding]:
+    """A finding a limit."""
+    if not facts.rows:
+        yield warning("limits.rail", f"no finished log in {facts.folder} shows the rail", f"to measure it, {FLY}")
+    for row in facts.rows:
+        name = f"limits.rail.{row.key}"
+        if row.milder:
+            yield problem(name, f"{row.configured:g}, milder than the robot was: {row.why}", row.advice)
+        elif row.bound is None:
+            yield warning(name, f"{row.configured:g}, which nobody has measured: {row.why}", FLY)
+        else:
+            yield ok(name, f"{row.configured:g}: {row.why}")

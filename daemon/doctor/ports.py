@@ -1,0 +1,194 @@
+"""Where the daemon would find the devices and be found: there, permitted, free? Nothing is opened but a TCP connection.
+
+The axis is connected to only where no daemon answers and nobody of this computer is connected to it, and is sent
+nothing. The serial device is never opened: that would take it from whoever holds it.
+"""
+
+import errno
+import grp
+import os
+import re
+import socket
+import stat
+import struct
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from softarm.daemon.doctor.finding import Finding, ok, problem, warning
+from softarm.schemas.config import Config
+
+CONNECT_S = 1.0
+SLOW_MS = 8.0  # an exchange that takes longer is slower than the loop: docs/wires.md
+SERIAL = ("serial/by-id/*", "ttyACM*", "softarm-regulator")  # under /dev: where a Teensy shows
+ESTABLISHED = "01"
+
+
+@dataclass(frozen=True, slots=True)
+class Serial:
+    """The regulator's device."""
+
+    path: str
+    there: bool
+    is_device: bool = False
+    permitted: bool = False
+    group: str = ""
+    user: str = ""
+    holder: str | None = None  # a process of this computer
+    others: tuple[str, ...] = ()  # devices that may be meant
+
+
+@dataclass(frozen=True, slots=True)
+class Axis:
+    """The drive's address."""
+
+    address: str
+    held: bool = False  # somebody of this computer is connected: not tried
+    connect_ms: float | None = None
+    error: str | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Listening:
+    """A place of this computer at which the daemon wants to listen."""
+
+    key: str
+    address: str
+    error: int | None = None  # why it could not
+
+
+def look_serial(path: str, devices: Path = Path("/dev")) -> Serial:
+    """Of a device's path; `devices` is where others may be."""
+    user = _user()
+    try:
+        state = os.stat(path)
+    except OSError:
+        others = (str(each) for pattern in SERIAL for each in sorted(devices.glob(pattern)))
+        return Serial(path, False, user=user, others=tuple(others))
+    try:
+        group = grp.getgrgid(state.st_gid).gr_name
+    except KeyError:
+        group = str(state.st_gid)
+    permitted = os.access(path, os.R_OK | os.W_OK)
+    return Serial(path, True, stat.S_ISCHR(state.st_mode), permitted, group, user, _holder(path))
+
+
+def look_axis(host: str, port: int) -> Axis:
+    """Connect, and hang up."""
+    address = f"{host}:{port}"
+    try:
+        families = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)
+    except OSError as error:
+        return Axis(address, error=error.strerror or str(error))
+    if any(_is_connected(str(where[0]), port) for *_, where in families):
+        return Axis(address, held=True)
+    begun_s = time.monotonic()
+    try:
+        socket.create_connection((host, port), timeout=CONNECT_S).close()
+    except TimeoutError:
+        return Axis(address, error=f"no answer in {CONNECT_S:g} s")
+    except OSError as error:
+        return Axis(address, error=error.strerror or str(error))
+    return Axis(address, connect_ms=(time.monotonic() - begun_s) * 1e3)
+
+
+def look_listening(config: Config) -> tuple[Listening, ...]:
+    """Where API, stop and motion capture would listen; port 0 and what is no TCP is left out."""
+    wanted = [("api.port", config.api.host, config.api.port), ("api.stop_port", config.api.host, config.api.stops_at)]
+    if zenoh := re.fullmatch(r"tcp/\[?(.+?)\]?:(\d+)", config.drivers.mocap.endpoint):
+        wanted.append(("drivers.mocap.endpoint", zenoh[1], int(zenoh[2])))
+    return tuple(Listening(key, f"{host}:{port}", _bind_error(host, port)) for key, host, port in wanted if port)
+
+
+def _bind_error(host: str, port: int) -> int | None:
+    try:
+        family, kind, protocol, _, where = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
+        with socket.socket(family, kind, protocol) as probe:
+            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            probe.bind(where)
+            probe.listen(1)
+    except socket.gaierror:
+        return errno.EADDRNOTAVAIL
+    except OSError as error:
+        return error.errno
+    return None
+
+
+def _is_connected(host: str, port: int) -> bool:
+    """Whether this computer holds a connection to an IPv4 address, by /proc/net/tcp."""
+    try:
+        wanted = f"{struct.unpack('=I', socket.inet_aton(host))[0]:08X}:{port:04X}"
+        lines = Path("/proc/net/tcp").read_text().splitlines()[1:]
+    except OSError:
+        return False
+    return any(line.split()[2:4] == [wanted, ESTABLISHED] for line in lines)
+
+
+def _holder(path: str) -> str | None:
+    """The process that has a device open, as far as this user may see."""
+    real = os.path.realpath(path)
+    for link in Path("/proc").glob("[0-9]*/fd/*"):
+        try:
+            if os.readlink(link) == real:
+                return f"{(link.parents[1] / 'comm').read_text().strip()}, process {link.parents[1].name}"
+        except OSError:  # it has ended, or is another user's
+            continue
+    return None
+
+
+def _user() -> str:
+    return os.environ.get("USER") or f"uid {os.geteuid()}"
+
+
+def judge_serial(facts: Serial) -> Iterator[Finding]:
+    """A finding on the regulator's device where no daemon answers."""
+    if not facts.there:
+        seen = ", ".join(facts.others)
+        others = f"or name one of {seen} as drivers.regulator.port" if seen else "see `dmesg` for whether it shows"
+        yield problem("regulator", f"{facts.path} is not there", f"plug the Teensy in, {others}")
+    elif not facts.is_device:
+        yield problem("regulator", f"{facts.path} is no serial device", "name one as drivers.regulator.port")
+    elif not facts.permitted:
+        join = f"`sudo usermod -aG {facts.group} {facts.user}` and log in again"
+        if facts.group == "root":
+            join = "install the udev rule (`softarm service install`), which gives it to dialout"
+        yield problem("regulator", f"{facts.path} belongs to {facts.group}, not {facts.user}", join)
+    elif facts.holder is not None:
+        yield problem(
+            "regulator", f"{facts.path} is held by {facts.holder}", "end it: one program at a time talks to it"
+        )
+    else:
+        yield ok("regulator", f"{facts.path}, may be read and written")
+
+
+def judge_axis(facts: Axis) -> Iterator[Finding]:
+    """A finding on the drive's address where no daemon answers."""
+    if facts.held:
+        advice = "a program of this computer leads it: end that, or ask its daemon with --url"
+        yield problem("rail", f"{facts.address} is held by another connection of this computer", advice)
+    elif facts.error is not None:
+        advice = "is the drive on, its cable in, this computer on its network? Else correct drivers.rail.host and port"
+        yield problem("rail", f"{facts.address}: {facts.error}", advice)
+    elif facts.connect_ms is not None and facts.connect_ms > SLOW_MS:
+        advice = f"an exchange with the drive may take {SLOW_MS:g} ms: connect it by cable, without a router between"
+        yield warning("rail", f"{facts.address} took a connection in {facts.connect_ms:.1f} ms", advice)
+    else:
+        yield ok("rail", f"{facts.address} takes a connection in {facts.connect_ms:.1f} ms")
+
+
+def judge_listening(places: tuple[Listening, ...]) -> Iterator[Finding]:
+    """A finding a place where no daemon answers."""
+    for each in places:
+        match each.error:
+            case None:
+                yield ok(each.key, f"{each.address} is free")
+            case errno.EADDRINUSE:
+                advice = f"end the other program (`ss -ltnp`), or choose another {each.key}"
+                yield problem(each.key, f"{each.address} is taken, and no softarm daemon answers", advice)
+            case errno.EADDRNOTAVAIL:
+                advice = f"name one of its own in {each.key}, e.g. 127.0.0.1"
+                yield problem(each.key, f"{each.address} is no address of this computer", advice)
+            case error:
+                advice = f"choose another {each.key}, above 1023"
+                yield problem(each.key, f"{each.address}: {os.strerror(error)}", advice)

@@ -1,0 +1,117 @@
+"""Scheduling, clocks and disk: facts in, findings out; and what is read of this computer."""
+
+from dataclasses import replace
+from datetime import UTC, datetime
+from pathlib import Path
+
+import pytest
+
+from softarm.daemon.doctor import clocks, disk, scheduling
+from softarm.daemon.doctor.clocks import Clocks
+from softarm.daemon.doctor.disk import Disk
+from softarm.daemon.doctor.finding import State
+from softarm.daemon.doctor.scheduling import Scheduling
+from softarm.schemas.config import Recorder
+from softarm.schemas.log import LogEntry
+
+QUICK = Scheduling(20, True, float("inf"), 4, 0.5, frozenset({"performance"}), (0.1,) * 100)
+SET = Clocks(1e-5, 0.5, True, 0.01, "tsc")
+ROOMY = Disk(Path("/logs"), True, True, 50_000_000_000, 200e6, 5.0, 100e3)
+
+
+def states(findings):
+    return {each.name: each.state for each in findings}
+
+
+def test_a_computer_that_is_quick_and_granted_everything_has_nothing_wrong_with_it():
+    assert set(states(scheduling.judge(QUICK)).values()) == {State.OK}
+    assert set(states(clocks.judge(SET)).values()) == {State.OK}
+    assert set(states(disk.judge(ROOMY)).values()) == {State.OK}
+
+
+@pytest.mark.parametrize(
+    ("change", "name", "state"),
+    [
+        ({"granted": False}, "real-time priority", State.WARNING),
+        ({"priority": 0}, "real-time priority", State.WARNING),
+        ({"memlock_bytes": 8e6}, "memory lock", State.WARNING),
+        ({"cores": 1}, "cores", State.WARNING),
+        ({"load": 4.5}, "cores", State.WARNING),
+        ({"governors": frozenset({"powersave", "performance"})}, "governor", State.WARNING),
+        ({"late_ms": (0.1,) * 90 + (5.0,) * 10}, "timers", State.WARNING),
+        ({"late_ms": (0.1,) * 90 + (15.0,) * 10}, "timers", State.PROBLEM),
+        ({"late_ms": ()}, "timers", State.PROBLEM),
+    ],
+)
+def test_what_is_said_of_scheduling(change, name, state):
+    told = states(scheduling.judge(replace(QUICK, **change)))
+    assert told.pop(name) is state
+    assert set(told.values()) == {State.OK}
+
+
+@pytest.mark.parametrize(
+    ("change", "name"),
+    [
+        ({"moved_s": -0.3}, "clock"),
+        ({"synchronised": False}, "time of day"),
+        ({"source": "hpet"}, "clock source"),
+    ],
+)
+def test_what_is_said_of_clocks(change, name):
+    told = states(clocks.judge(replace(SET, **change)))
+    assert told.pop(name) is State.WARNING
+    assert set(told.values()) == {State.OK}
+
+
+@pytest.mark.parametrize(
+    ("change", "name", "state"),
+    [
+        ({"writable": False}, "logs", State.PROBLEM),
+        ({"free_bytes": 50_000_000}, "logs", State.PROBLEM),
+        ({"free_bytes": 5_000_000_000}, "logs", State.WARNING),
+        ({"free_bytes": 5_000_000_000, "bounded": True}, "logs", State.OK),
+        ({"bytes_s": 500e3}, "disk's speed", State.WARNING),
+        ({"bytes_s": 50e3}, "disk's speed", State.PROBLEM),
+        ({"flush_ms": 300.0}, "disk's speed", State.WARNING),
+        ({"flush_ms": 3000.0}, "disk's speed", State.PROBLEM),
+        ({"bytes_s": None, "flush_ms": None}, "disk's speed", State.OK),
+    ],
+)
+def test_what_is_said_of_the_disk(change, name, state):
+    assert states(disk.judge(replace(ROOMY, **change)))[name] is state
+
+
+def test_days_left_are_told_at_the_rate_of_the_logs_that_lie_there():
+    figure = next(each.figure for each in disk.judge(ROOMY) if each.name == "logs")
+    assert "17 days of 8 h at 100 kB/s, as its logs took" in figure  # 50 GB / (100 kB/s x 28,800 s)
+
+
+def test_no_log_is_asked_for_and_none_is_missed():
+    assert states(disk.judge(replace(ROOMY, enabled=False, writable=False))) == {"logs": State.OK}
+
+
+def test_this_computers_facts_are_read():
+    slept = scheduling.look(0, seconds=0.1)
+    assert 10 <= len(slept.late_ms) <= 49
+    assert min(slept.late_ms) >= 0.0
+    assert slept.cores >= 1
+    assert not slept.granted
+    watched = clocks.look(0.01)
+    assert watched.moved_s == pytest.approx(0.0, abs=0.5)
+    assert watched.synchronised in (True, False, None)
+
+
+def test_a_folder_that_is_not_there_yet_is_judged_by_the_one_around_it_and_left_as_it_is(tmp_path):
+    entry = LogEntry(name="a", bytes=3_000_000, modified=datetime.now(UTC), duration_s=30.0, finished=True)
+    unfinished = entry.model_copy(update={"duration_s": None, "bytes": 10**9})
+    facts = disk.look(Recorder(directory=tmp_path / "deep" / "logs"), (entry, unfinished))
+    assert (facts.writable, facts.log_bytes_s) == (True, 100e3)
+    assert facts.bytes_s is not None
+    assert facts.bytes_s > 0.0
+    assert list(tmp_path.iterdir()) == []
+    assert disk.look(Recorder(directory=tmp_path), measured=False).bytes_s is None
+
+
+def test_a_folder_that_is_a_file_cannot_be_written(tmp_path):
+    (tmp_path / "logs").write_text("")
+    assert not disk.look(Recorder(directory=tmp_path / "logs")).writable

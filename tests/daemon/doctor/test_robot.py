@@ -1,0 +1,148 @@
+"""A running daemon's word, the models, the limits, the configuration: facts in, findings out."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from softarm.daemon.doctor import from_logs, models, running, settings
+from softarm.daemon.doctor.finding import State
+from softarm.daemon.doctor.from_logs import Shown
+from softarm.daemon.doctor.models import Golden, Models
+from softarm.daemon.doctor.running import Running
+from softarm.daemon.limits.findings import LimitRow
+from softarm.daemon.limits.measured import Bound
+from softarm.recordings.listing import listing
+from softarm.schemas.config import Config, Control, Policy
+
+DATA = Path(__file__).parents[2] / "data"
+
+
+def status(tick=0, **changes):
+    """What of GET /api/status is looked at, of a daemon at which all is well."""
+    return {
+        "t_ns": round(tick * 1e9 / 30),
+        "tick": tick,
+        "late_ns": 100_000,
+        "missed_total": 0,
+        "mode": "disarmed",
+        "stalled": False,
+        "observed": {"mocap_sequence": 4 * tick},
+        "ages_ms": {"mocap": 8.0, "pressure": 12.0, "rail": 9.0},
+        "problems": {"mocap": None, "regulator": None, "rail": None},
+        "rail_cycle_max_ms": 12.0,
+        "policy_ns": 500_000,
+        "recorder": {"problem": None},
+        "arming_refusals": [],
+        "version": "1.0",
+        "uptime_s": 3.0,
+    } | changes
+
+
+def judged(first=None, last=None):
+    facts = Running("http://robot", None, (status(**(first or {})), status(60, **(last or {}))))
+    return {each.name: each for each in running.judge(facts, Config())}
+
+
+def test_a_daemon_at_which_all_is_well():
+    told = judged()
+    assert {each.state for each in told.values()} == {State.OK}
+    assert told["loop"].figure.startswith("30.0 Hz")
+    assert told["motion capture's rate"].figure == "120 frames a second"
+
+
+@pytest.mark.parametrize(
+    ("last", "name", "state", "says"),
+    [
+        ({"stalled": True}, "loop", State.PROBLEM, "no longer ticks"),
+        ({"missed_total": 2}, "loop", State.PROBLEM, "2 missed now"),
+        ({"t_ns": 3_000_000_000}, "loop", State.PROBLEM, "20.0 Hz"),
+        ({"observed": {"mocap_sequence": 40}}, "motion capture's rate", State.WARNING, "20 frames"),
+        ({"ages_ms": {"mocap": 70.0, "pressure": 0, "rail": 0}}, "motion capture", State.WARNING, "70 ms"),
+        ({"ages_ms": {"mocap": 0, "pressure": 200.0, "rail": 0}}, "regulator", State.PROBLEM, "pressure_stale_s"),
+        ({"problems": {"mocap": None, "regulator": None, "rail": "no axis"}}, "rail", State.PROBLEM, "no axis"),
+        ({"rail_cycle_max_ms": 28.0}, "rail's exchanges", State.WARNING, "28.0 ms"),
+        ({"rail_cycle_max_ms": 40.0}, "rail's exchanges", State.PROBLEM, "latency_s is 33 ms"),
+        ({"policy_ns": 25_000_000}, "policy's time", State.WARNING, "25.0 ms"),
+        ({"arming_refusals": ["the drive is off"]}, "arming", State.PROBLEM, "the drive is off"),
+        ({"recorder": {"problem": "the disk is full"}}, "recorder", State.PROBLEM, "the disk is full"),
+    ],
+)
+def test_what_a_daemon_says_is_judged_by_the_configuration(last, name, state, says):
+    told = judged(last=last)
+    assert told.pop(name)[1] is state
+    assert says in " ".join(judged(last=last)[name])
+    assert {each.state for each in told.values()} <= {State.OK}
+
+
+def test_before_the_first_reading_a_device_is_a_problem():
+    nothing = {"ages_ms": {"mocap": None, "pressure": None, "rail": None}, "observed": None}
+    told = judged(nothing, nothing)
+    assert [told[name].state for name in ("motion capture", "regulator", "rail")] == [State.PROBLEM] * 3
+
+
+def test_a_daemon_that_refuses_to_tell_is_a_problem_and_may_be_in_use():
+    facts = Running("http://robot", "a token is needed")
+    (told,) = running.judge(facts, Config())
+    assert told.state is State.PROBLEM
+    assert "--token-file" in told.advice
+    assert facts.in_use
+    assert not Running("u", None, (status(),)).in_use
+    assert Running("u", None, (status(mode="armed"),)).in_use
+
+
+def test_every_shipped_model_gives_here_what_its_file_says():
+    facts = models.look(Config())
+    assert {each.name for each in facts.goldens} == {"reach", "reach-wide", "reach-robust", "shelf"}
+    assert all(each.error is None and 0.0 <= each.off <= each.allowed for each in facts.goldens)
+    assert len(facts.steps_ms) == models.STEPS
+    assert models.look(Config(), measured=False).steps_ms == ()
+
+
+def test_a_policy_that_is_not_there_and_one_that_cannot_be_made_are_told():
+    config = Config(control=Control(policy="raech"), policies={"mine": Policy(plugin="onx")})
+    told = [each for each in models.judge(models.look(config), 0.02) if each.state is State.PROBLEM]
+    assert [each.name for each in told] == ["policies", "policy"]
+    assert "policies.mine: no plugin 'onx'" in told[0].figure
+    assert "did you mean 'reach'" in told[1].figure
+
+
+@pytest.mark.parametrize(("step_ms", "state"), [(1.0, State.OK), (15.0, State.WARNING), (25.0, State.PROBLEM)])
+def test_a_policys_time_is_held_against_its_budget(step_ms, state):
+    facts = Models("1.0", (Golden("reach", 1e-7, 1e-4),), "reach", steps_ms=(step_ms,) * 10)
+    assert {each.name: each.state for each in models.judge(facts, 0.02)} == {"golden runs": State.OK, "policy": state}
+
+
+def test_a_golden_run_that_comes_out_otherwise_is_a_problem():
+    facts = Models("1.0", (Golden("reach", error="off by 0.1"), Golden("shelf", 0, 1e-4)), "reach", steps_ms=(1.0,))
+    told = {each.name: each.state for each in models.judge(facts, 0.02)}
+    assert told == {"golden run": State.PROBLEM, "policy": State.OK}
+
+
+def test_limits_that_logs_show_to_be_mild_are_problems():
+    row = LimitRow("latency_s", 0.033, Bound(0.06, 0.99, 0.05, 300, 60.0), 0.033, "act within 0.03 s")
+    unknown = replace(row, bound=None, why="only 3 were seen")
+    states = [each.state for each in from_logs.judge(Shown(DATA, (row, replace(row, advised=0.06), unknown)))]
+    assert states == [State.OK, State.PROBLEM, State.WARNING]
+    (nothing,) = from_logs.judge(Shown(DATA))
+    assert nothing.state is State.WARNING
+    assert "softarm excite rail-dashes" in nothing.advice
+
+
+def test_a_log_is_read_for_the_limits(tmp_path):
+    facts = from_logs.look(DATA, listing(DATA), Config())
+    assert [row.key for row in facts.rows] == ["latency_s", "braking_m_s2", "surge_m_s2", "drag_m_s"]
+    assert from_logs.look(tmp_path, listing(tmp_path), Config()).rows == ()
+
+
+def test_a_configuration_is_judged_as_check_would(tmp_path):
+    (tmp_path / "wrong.yaml").write_text("limits: {rail: {margin: 1}}\n")
+    facts = settings.look(tmp_path / "wrong.yaml")
+    told = list(settings.judge(facts))
+    assert [each.state for each in told] == [State.PROBLEM]
+    assert "did you mean margin_m" in told[0].figure
+    (tmp_path / "open.yaml").write_text("api: {host: 0.0.0.0}\n")
+    assert "token" in next(settings.judge(settings.look(tmp_path / "open.yaml"))).figure
+    (tmp_path / "sound.yaml").write_text("")
+    assert [each.state for each in settings.judge(settings.look(tmp_path / "sound.yaml"))] == [State.OK]
+    assert [each.state for each in settings.judge(settings.look(None))] == [State.WARNING]
