@@ -8,11 +8,12 @@ import click
 from softarm.cli.errors import fail
 from softarm.cli.options import FILE, write
 from softarm.cli.printing import print_table
+from softarm.cli.verbs import Verbs
 
 WIDTH = 160  # of the table where there is no terminal
 
 
-@click.group()
+@click.group(cls=Verbs)
 def config() -> None:
     """Write a new configuration; look up what its keys take, and in which unit.
 

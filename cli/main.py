@@ -11,6 +11,7 @@ VERBS: dict[str, dict[str, Verb]] = {
         "twin": Verb("twin:twin", "Be the robot as the wires see it.", "sim"),
         "config": Verb("config:config", "Write a new configuration; look up its keys."),
         "doctor": Verb("doctor:doctor", "What stands between this computer and a flying arm."),
+        "service": Verb("service:service", "The daemon as a service of this computer."),
         "check": Verb("check:check", "Check a configuration and print the limits in force."),
     },
     "Ask the running daemon": {

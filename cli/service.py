@@ -1,0 +1,112 @@
+"""`softarm service`: the daemon as a service of this computer."""
+
+import os
+import re
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from softarm.cli.errors import fail
+from softarm.cli.options import FILE
+from softarm.cli.verbs import Verbs
+
+if TYPE_CHECKING:
+    from softarm.daemon.install.plan import System
+    from softarm.daemon.install.steps import Step
+
+
+@click.group(cls=Verbs)
+def service() -> None:
+    """Have systemd run the daemon, from this computer's start on.
+
+    \b
+    Examples:
+      softarm service install --dry-run
+      sudo /opt/softarm/.venv/bin/softarm service install
+    """
+
+
+@service.command()
+@click.option("--config", "config_file", type=FILE, help="Becomes /etc/softarm/softarm.yaml, if none is there yet.")
+@click.option("--user", default="softarm", show_default=True, help="Who the daemon runs as; made where there is none.")
+@click.option("--root", default=Path("/"), type=click.Path(path_type=Path), help="Only put files under this folder.")
+@click.option("--dry-run", is_flag=True, help="Show every file and command, do nothing.")
+@click.option("--uninstall", is_flag=True, help="Take unit and udev rule away; configuration and logs stay.")
+def install(config_file: Path | None, user: str, root: Path, dry_run: bool, uninstall: bool) -> None:
+    """Install the unit, the udev rule, the system user, the configuration and the folder of logs; or update them.
+
+    The unit runs the environment that this command is of. A configuration that is there stays, with what sets it apart
+    told; so do logs. The service is enabled and not started or restarted: an arm may be flying.
+
+    \b
+    Examples:
+      softarm service install --dry-run
+      sudo /opt/softarm/.venv/bin/softarm service install --config softarm.yaml
+      sudo /opt/softarm/.venv/bin/softarm service install --uninstall
+    """
+    from softarm.daemon.install import here, plan
+    from softarm.daemon.install.steps import Keep, StepError
+
+    if not re.fullmatch(r"[a-z_][a-z0-9_-]{0,31}", user):
+        raise click.BadParameter(
+            f"{user!r} is no name of a user; allowed small letters, digits, - and _", param_hint="--user"
+        )
+    if os.geteuid() != 0 and root == Path("/") and not dry_run:
+        fail(
+            "it takes root: `sudo` before this command's full path, --dry-run to see what it would do, or --root FOLDER"
+        )
+    try:
+        system = here.look(root)
+        steps = list(plan.uninstall(system, user) if uninstall else _installing(system, config_file, user, dry_run))
+        for step in steps:
+            click.echo(f"{'would ' if dry_run and not isinstance(step, Keep) else ''}{step.told}")
+            if dry_run:
+                click.echo("".join(f"    {line}\n" for line in step.shown), nl=False)
+            else:
+                step.carry_out()
+    except StepError as error:
+        fail(str(error))
+    _say_next(system, steps, dry_run, uninstall)
+
+
+def _installing(system: "System", config_file: Path | None, user: str, dry_run: bool) -> "list[Step]":
+    """What is to be done, once unit and configuration are known to be sound."""
+    from softarm.daemon.config import keys
+    from softarm.daemon.config.configuration import ConfigurationError, load
+    from softarm.daemon.install import here, plan, rendered
+
+    if (unseen := rendered.hidden()) and system.is_this:
+        text = (
+            f"{unseen[0]}: the service could not see it (ProtectHome=, PrivateTmp=); make an environment elsewhere: "
+            "`python3 -m venv /opt/softarm/.venv`, `pip install` softarm into that, and install with its `softarm`"
+        )
+        click.echo(text, err=True) if dry_run else fail(text)
+    path = system.place(rendered.CONFIGURATION)
+    file = config_file or keys.EXAMPLE
+    try:
+        config = load(file)
+        installed = load(path) if path.exists() else None
+    except ConfigurationError as error:
+        fail(str(error))
+    command = rendered.program()
+    if wrong := here.verify(rendered.unit(command, user, installed or config)):
+        fail(f"systemd refuses the unit: {wrong}")
+    wanted = plan.Wanted(file.read_text(encoding="utf-8"), config, config_file is not None, installed)
+    return list(plan.install(system, command, user, wanted))
+
+
+def _say_next(system: "System", steps: "list[Step]", dry_run: bool, uninstall: bool) -> None:
+    """What is left to a person."""
+    from softarm.daemon.install.steps import Write
+
+    if dry_run:
+        click.echo("nothing was done: --dry-run")
+    elif uninstall or not system.is_this:
+        click.echo("done")
+    elif not system.booted:
+        click.echo("done; systemd does not run here: after the next start, `systemctl enable --now softarmd`")
+    elif any(isinstance(step, Write) for step in steps):
+        click.echo("next: `systemctl restart softarmd` once the arm is disarmed; then `softarm doctor`")
+    else:
+        click.echo("nothing had to be done")

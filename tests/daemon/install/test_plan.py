@@ -1,0 +1,186 @@
+"""What an installation does: from what is there to steps, and no step where nothing is to be done."""
+
+import re
+import shutil
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from softarm.daemon.config import keys
+from softarm.daemon.install import here, plan, rendered
+from softarm.daemon.install.plan import System, Wanted
+from softarm.daemon.install.steps import Folder, Keep, Remove, Run, StepError, Write
+from softarm.schemas.config import Config, Recorder
+
+COMMAND = ("/opt/softarm/.venv/bin/softarm",)
+PACKAGED = Wanted(keys.for_a_robot(), Config(), asked_for=False)
+OTHER = Config(recorder=Recorder(queue_max=500))
+
+
+def system(files=None, **changes):
+    """A computer with systemd on which these files are."""
+    files = files or {}
+    bare = System(
+        Path("/"),
+        files.get,
+        lambda folder: any(path.is_relative_to(folder) for path in files),
+        frozenset(),
+        frozenset(),
+        frozenset({"dialout"}),
+        True,
+    )
+    return replace(bare, **changes)
+
+
+def installed(user="softarm", text=PACKAGED.text):
+    """The files of a finished installation."""
+    return {
+        rendered.CONFIGURATION: text,
+        plan.UNIT_PATH: rendered.unit(COMMAND, user, Config()),
+        plan.RULE_PATH: rendered.RULE.read_text(),
+        rendered.STATE / "logs" / "softarm-20260101T000000Z.mcap": "a log",
+    }
+
+
+def steps(computer, wanted=PACKAGED, user="softarm"):
+    return list(plan.install(computer, COMMAND, user, wanted))
+
+
+def commands(done):
+    return [" ".join(step.command) for step in done if isinstance(step, Run)]
+
+
+def test_on_a_bare_computer_user_folders_files_and_commands_are_made():
+    done = steps(system(groups=frozenset()))
+    assert [step.path for step in done if isinstance(step, Write)] == [
+        rendered.CONFIGURATION,
+        plan.UNIT_PATH,
+        plan.RULE_PATH,
+    ]
+    assert [step.path for step in done if isinstance(step, Folder)] == [rendered.STATE, rendered.STATE / "logs"]
+    assert {step.owner for step in done if isinstance(step, Folder)} == {"softarm"}
+    assert [line.split()[0] for line in commands(done)] == [
+        "groupadd", "useradd", "udevadm", "udevadm", "systemctl", "systemctl",
+    ]  # fmt: skip
+    assert commands(done)[-1] == "systemctl enable softarmd"
+    assert not any("start" in line for line in commands(done))  # an arm may be flying
+
+
+def test_a_second_time_nothing_is_written():
+    there = system(installed(), users=frozenset({"softarm"}), members=frozenset({"softarm"}))
+    done = steps(there, replace(PACKAGED, installed=Config()))
+    assert {type(step) for step in done} == {Keep, Run}
+    assert commands(done) == ["systemctl enable softarmd"]
+
+
+def test_a_user_that_is_there_joins_the_group():
+    assert commands(steps(system(users=frozenset({"softarm"}))))[0] == "usermod --append --groups dialout softarm"
+
+
+def test_an_upgrade_changes_the_unit_and_keeps_configuration_and_logs():
+    files = installed() | {plan.UNIT_PATH: rendered.unit(("/opt/old/bin/softarm",), "softarm", Config())}
+    done = steps(system(files), replace(PACKAGED, installed=OTHER))
+    (unit,) = [step for step in done if isinstance(step, Write)]
+    assert unit.path == plan.UNIT_PATH
+    assert "-ExecStart=/opt/old/bin/softarm run --config /etc/softarm/softarm.yaml" in unit.shown
+    kept = {step.path: step.why for step in done if isinstance(step, Keep)}
+    assert kept[rendered.CONFIGURATION] == "it was changed, and stays: recorder.queue_max: 500, not 10000"
+    assert rendered.STATE / "logs" in kept
+
+
+def test_a_configuration_that_is_asked_for_is_put_beside_one_that_is_there():
+    asked = Wanted("recorder: {queue_max: 600}\n", Config(recorder=Recorder(queue_max=600)), True, OTHER)
+    done = steps(system(installed()), asked)
+    (new,) = [step for step in done if isinstance(step, Write)]
+    assert (new.path, new.text) == (Path("/etc/softarm/softarm.yaml.new"), asked.text)
+    (told,) = [step.why for step in done if isinstance(step, Keep) and step.path == rendered.CONFIGURATION]
+    assert "recorder.queue_max: 500, not 600" in told
+    same = steps(system(installed()), replace(asked, installed=asked.config))
+    assert not [step for step in same if isinstance(step, Write)]
+
+
+def test_under_another_folder_files_are_put_and_nothing_of_this_computer_is_touched(tmp_path):
+    done = steps(system(root=tmp_path))
+    assert commands(done) == []
+    assert all(step.path.is_relative_to(tmp_path) for step in done)
+    assert {step.owner for step in done if isinstance(step, Folder)} == {None}
+
+
+def test_without_systemd_its_commands_are_left_out():
+    assert not [line for line in commands(steps(system(booted=False))) if "systemctl" in line]
+
+
+def test_uninstalling_takes_unit_and_rule_and_nothing_that_is_a_persons():
+    done = list(plan.uninstall(system(installed(), users=frozenset({"softarm"})), "softarm"))
+    assert [step.path for step in done if isinstance(step, Remove)] == [plan.UNIT_PATH, plan.RULE_PATH]
+    assert commands(done) == ["systemctl disable --now softarmd", "systemctl daemon-reload", "udevadm control --reload"]
+    assert {step.path for step in done if isinstance(step, Keep)} == {Path("/etc/softarm"), rendered.STATE}
+    nothing = list(plan.uninstall(system(), "softarm"))
+    assert {type(step) for step in nothing} == {Keep}
+
+
+def test_the_unit_runs_the_environment_it_is_installed_from_as_the_user():
+    text = rendered.unit(("/opt/my arm/bin/softarm",), "ann", Config())
+    assert 'ExecStart="/opt/my arm/bin/softarm" run --config /etc/softarm/softarm.yaml' in text.splitlines()
+    assert {"User=ann", "Group=ann"} <= set(text.splitlines())
+    assert "ReadWritePaths" not in text
+    page = re.search(r"Documentation=file://(\S+)", text)
+    assert page is not None
+    assert Path(page[1]).is_file()
+    assert "%%n" in rendered.unit(("/opt/%n/softarm",), "ann", Config())
+
+
+def test_a_folder_of_logs_elsewhere_is_opened_to_the_service():
+    config = Config(recorder=Recorder(directory=Path("/data/logs")))
+    assert "ReadWritePaths=/data/logs" in rendered.unit(COMMAND, "softarm", config).splitlines()
+    done = steps(system(), replace(PACKAGED, config=config))
+    assert Path("/data/logs") in [step.path for step in done if isinstance(step, Folder)]
+
+
+def test_the_program_is_the_script_beside_the_interpreter_or_else_the_module(tmp_path):
+    assert rendered.program(tmp_path / "python") == (str(tmp_path / "python"), "-m", "softarm.cli.main")
+    (tmp_path / "softarm").write_text("")
+    assert rendered.program(tmp_path / "python") == (str(tmp_path / "softarm"),)
+
+
+def test_what_the_service_could_not_see_is_found():
+    assert rendered.hidden(("/opt/softarm/.venv", "/usr/bin/python3")) == []
+    assert rendered.hidden(("/opt/x", "/root/.pyenv/bin/python3", "/home/ann/.venv")) == [
+        "/root/.pyenv/bin/python3",
+        "/home/ann/.venv",
+    ]
+    assert rendered.hidden(("/homes/ann",)) == []
+
+
+@pytest.mark.skipif(shutil.which("systemd-analyze") is None, reason="systemd-analyze is not on this machine")
+def test_systemd_takes_the_unit_as_it_is_rendered_and_tells_what_is_wrong_with_another():
+    config = Config(recorder=Recorder(directory=Path("/var/log/soft arm")))
+    unit = rendered.unit(("/bin/true",), "root", config)
+    assert here.verify(unit) is None
+    said = here.verify(unit.replace("NoNewPrivileges", "NoNewPrivilege"))
+    assert said is not None
+    assert said.startswith("softarmd.service")
+
+
+def test_a_step_that_fails_says_why_and_what_to_do(tmp_path):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(StepError, match="cannot be written"):
+        Write(tmp_path / "file" / "below", "text").carry_out()
+    with pytest.raises(StepError, match="cannot be made"):
+        Folder(tmp_path / "file" / "below", None).carry_out()
+    with pytest.raises(StepError, match="false: exit code 1; mend it"):
+        Run(("false",)).carry_out()
+    with pytest.raises(StepError, match="mend it"):
+        Run(("no-such-program-of-softarm",)).carry_out()
+
+
+def test_this_computer_is_looked_at(tmp_path):
+    found = here.look(tmp_path)
+    assert "root" in found.users
+    assert not found.is_this
+    (tmp_path / "unit").write_text("text")
+    assert (here.read(tmp_path / "unit"), here.read(tmp_path / "none")) == ("text", None)
+    (tmp_path / "unit").write_bytes(b"\xff")
+    with pytest.raises(StepError, match="cannot be read"):
+        here.read(tmp_path / "unit")
