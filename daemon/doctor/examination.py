@@ -15,9 +15,10 @@ from softarm.daemon.doctor import (
     settings,
     software,
 )
-from softarm.daemon.doctor.finding import Finding
+from softarm.daemon.doctor.finding import Finding, ok, problem
 from softarm.daemon.doctor.running import Running
 from softarm.daemon.doctor.settings import Settings
+from softarm.daemon.stop import latch
 from softarm.recordings.listing import listing
 from softarm.schemas.config import Config
 
@@ -62,9 +63,20 @@ def _wires(patient: Patient) -> Iterator[Finding]:
     if not patient.simulated:
         yield from ports.judge_serial(ports.look_serial(config.drivers.regulator.port))
         yield from ports.judge_axis(ports.look_axis(config.drivers.rail.host, config.drivers.rail.port))
+        yield from _latch(config)
     places = ports.look_listening(config)
     wanted = (each for each in places if each.key.startswith("api.") or not patient.simulated)
     yield from ports.judge_listening(tuple(wanted))
+
+
+def _latch(config: Config) -> Iterator[Finding]:
+    """Whether an emergency stop would outlive the daemon."""
+    try:
+        latch.try_out(latch.latch_path(config))
+    except latch.LatchError as error:
+        yield problem("emergency stop", str(error), "it could not be kept: mend that first")
+    else:
+        yield ok("emergency stop", f"can be kept in {latch.latch_path(config)}")
 
 
 def _models(patient: Patient) -> Iterator[Finding]:

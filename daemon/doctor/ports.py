@@ -17,6 +17,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from softarm.daemon.doctor.finding import Finding, ok, problem, warning
+from softarm.drivers.mocap import plugged
 from softarm.schemas.config import Config
 
 CONNECT_S = 1.0
@@ -96,7 +97,9 @@ def look_axis(host: str, port: int) -> Axis:
 def look_listening(config: Config) -> tuple[Listening, ...]:
     """Where API, stop and motion capture would listen; port 0 and what is no TCP is left out."""
     wanted = [("api.port", config.api.host, config.api.port), ("api.stop_port", config.api.host, config.api.stops_at)]
-    if zenoh := re.fullmatch(r"tcp/\[?(.+?)\]?:(\d+)", config.drivers.mocap.endpoint):
+    mocap = config.drivers.mocap
+    zenoh = re.fullmatch(r"tcp/\[?(.+?)\]?:(\d+)", mocap.endpoint)
+    if mocap.driver == plugged.BUILT_IN and zenoh is not None:
         wanted.append(("drivers.mocap.endpoint", zenoh[1], int(zenoh[2])))
     return tuple(Listening(key, f"{host}:{port}", _bind_error(host, port)) for key, host, port in wanted if port)
 

@@ -4,9 +4,11 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
+from softarm.common.plugins import PluginError
 from softarm.daemon.api.auth import AuthError, load_tokens
 from softarm.daemon.config.configuration import ConfigurationError, read
 from softarm.daemon.doctor.finding import Finding, ok, problem, warning
+from softarm.drivers.mocap import plugged
 from softarm.schemas.config import Config
 
 MEND = "correct it; `softarm config units` tells what each key takes"
@@ -33,6 +35,12 @@ def look(path: Path | None) -> Settings:
         load_tokens(config.api)
     except AuthError as error:
         problems.append(f"api.{error.key}: {error}")
+    mocap = config.drivers.mocap
+    if mocap.driver != plugged.BUILT_IN:
+        try:
+            plugged.load(mocap.driver, mocap.options)
+        except PluginError as error:
+            problems.append(f"drivers.mocap.driver: {error}")
     return Settings(path, config, tuple(problems))
 
 

@@ -11,7 +11,7 @@ import pytest
 from softarm.daemon.doctor import ports
 from softarm.daemon.doctor.finding import State
 from softarm.daemon.doctor.ports import Axis, Listening, Serial
-from softarm.schemas.config import Api, Config, Drivers, ZenohMocap
+from softarm.schemas.config import Api, Config, Drivers, Mocap
 
 THERE = Serial("/dev/ttyACM0", True, True, True, "dialout", "ann")
 
@@ -99,9 +99,7 @@ def test_what_is_said_of_the_axis():
 
 def test_a_place_that_is_taken_and_one_that_is_not_ours_are_told(drive):
     taken = drive.getsockname()[1]
-    config = Config(
-        api=Api(port=taken, stop_port=0), drivers=Drivers(mocap=ZenohMocap(endpoint=f"tcp/203.0.113.7:{taken}"))
-    )
+    config = Config(api=Api(port=taken, stop_port=0), drivers=Drivers(mocap=Mocap(endpoint=f"tcp/203.0.113.7:{taken}")))
     places = {each.key: each.error for each in ports.look_listening(config)}
     assert places == {"api.port": errno.EADDRINUSE, "drivers.mocap.endpoint": errno.EADDRNOTAVAIL}
     told = [*ports.judge_listening(ports.look_listening(config))]
@@ -112,5 +110,5 @@ def test_a_place_that_is_taken_and_one_that_is_not_ours_are_told(drive):
 
 
 def test_an_endpoint_that_is_no_tcp_is_not_looked_at():
-    config = Config(api=Api(port=0), drivers=Drivers(mocap=ZenohMocap(endpoint="unixpipe/none")))
+    config = Config(api=Api(port=0), drivers=Drivers(mocap=Mocap(endpoint="unixpipe/none")))
     assert ports.look_listening(config) == ()

@@ -143,6 +143,8 @@ def test_a_configuration_is_judged_as_check_would(tmp_path):
     assert "did you mean margin_m" in told[0].figure
     (tmp_path / "open.yaml").write_text("api: {host: 0.0.0.0}\n")
     assert "token" in next(settings.judge(settings.look(tmp_path / "open.yaml"))).figure
+    (tmp_path / "plugged.yaml").write_text("drivers: {mocap: {driver: vicorn}}\n")
+    assert "vicorn" in next(settings.judge(settings.look(tmp_path / "plugged.yaml"))).figure
     (tmp_path / "sound.yaml").write_text("")
     assert [each.state for each in settings.judge(settings.look(tmp_path / "sound.yaml"))] == [State.OK]
     assert [each.state for each in settings.judge(settings.look(None))] == [State.WARNING]
