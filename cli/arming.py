@@ -5,6 +5,7 @@ import time
 import click
 
 from softarm.cli.errors import fail
+from softarm.cli.interrupt import leaves
 from softarm.cli.remote import Remote, remote
 
 _PATIENCE_S = 1.0
@@ -33,6 +34,7 @@ def arm(daemon: Remote) -> None:
     Example:
       softarm arm
     """
+    leaves("the daemon goes on arming; `softarm disarm` takes that back")
     daemon.post("/api/arm")
     status = wait_while(daemon, "arming", "waiting for drive and regulator")
     if status["mode"] != "armed":
@@ -49,6 +51,7 @@ def disarm(daemon: Remote) -> None:
     Example:
       softarm disarm
     """
+    leaves("the daemon goes on: it disarms once the arm hangs still")
     daemon.post("/api/disarm")
     click.echo(wait_while(daemon, "stopping", "holding the cart until the arm hangs still")["mode"])
 

@@ -5,6 +5,7 @@ from pathlib import Path
 import click
 
 from softarm.cli.errors import fail
+from softarm.cli.interrupt import leaves
 from softarm.cli.options import FILE, FOLDER
 from softarm.common.processes import bar
 
@@ -45,6 +46,7 @@ def make(data: Path, labels_file: Path, fresh: Path | None, count: int, seed: in
     from softarm.diagnosis.blind import make as making
     from softarm.diagnosis.blind.seal import SealError
 
+    leaves(f"the cases that were flown are kept in {data}; the same command goes on")
     try:
         cases = making.prepare(data, labels_file, fresh, count, seed)
     except SealError as error:
@@ -74,6 +76,7 @@ def run(data: Path, answers_file: Path, method: str, trials: int | None, process
     from softarm.diagnosis.blind import run as running
     from softarm.diagnosis.blind.seal import SealError
 
+    leaves(f"answers are kept, not frozen; the same command goes on with {answers_file}")
     try:
         with bar(method, total=None) as shown:
             digest = running.run(data, answers_file, method, processes, shown.count, trials)
@@ -102,6 +105,7 @@ def open_(data: Path, labels_file: Path, answer_files: tuple[Path, ...], fresh: 
     from softarm.diagnosis.blind.seal import SealError
     from softarm.diagnosis.data.trials import TrialError
 
+    leaves("no score was written; the same command begins anew")
     try:
         with bar("opening", total=None) as shown:
             opening.open_labels(data, labels_file, answer_files, out, fresh, on_case=shown.count)

@@ -1,14 +1,14 @@
 """`softarm close-gap`: from recordings of a robot to a policy that was trained on what they showed."""
 
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
 from softarm.cli.errors import fail
+from softarm.cli.interrupt import leaves
 from softarm.cli.options import FILE, FOLDER, flown_model
-from softarm.cli.printing import print_table, print_text
+from softarm.cli.printing import print_table, print_text, warn
 from softarm.cli.rail_limits import tell_stricter
 from softarm.cli.wires import GOALS, Bench, check_wires, through_wires
 from softarm.common.processes import WorkerDied, bar
@@ -82,14 +82,15 @@ def close_gap(
     check_wires(config_file, twin, yes)
     wrong = (ConfigurationError, TrialError, ModelFileError, CheckpointError, PolicyError, WorkerDied)
     recipe = RetrainingConfig() if seconds is None else RetrainingConfig(seconds=seconds)
-    warn, spent = partial(click.echo, err=True), steps.Spent()
+    spent = steps.Spent()
     try:
         config = load(config_file) if config_file else Config()
         model = None if robot == REALITY else flown_model(Path(robot))
         held_back = steps.independent(faults) if model is None else steps.simulated(robot, model)
         file = steps.policy_file(policy)
         steps.make_folder(out)
-        with steps.timed(spent, "diagnose"), bar("reading", piped=True) as shown:
+        leaves(f"what was done so far lies in {out}; nothing goes on from there, start again with another --out")
+        with steps.timed(spent, "diagnose"), bar("reading") as shown:
             found = diagnose_files([campaign], model_file, tell=shown.tell, warn=warn)
         print_text("\n".join(report.answer(found)))
         rail = findings(rail_motions([campaign]), config)
@@ -116,5 +117,4 @@ def _show(closed: "Closed", spent: "Spent", out: Path) -> None:
     tell_stricter(closed.rail)
     print_text(", ".join(f"{step} {t['wall_s']:.0f} s ({t['cpu_s']:.0f} s of CPU)" for step, t in spent.items()))
     click.echo(f"wrote {', '.join(name for name in steps.FILES if (out / name).exists())} to {out}")
-    for warning in closed.diagnosis.verdict.warnings:
-        click.echo(f"warning: {warning}", err=True)
+    warn(*(f"warning: {text}" for text in closed.diagnosis.verdict.warnings))

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from softarm.cli.interrupt import leaves
 from softarm.cli.options import model_option
 from softarm.schemas.flights import TEST_TARGETS
 from softarm.schemas.goals import Goal
@@ -44,6 +45,7 @@ def demo(targets: int, seed: int, policy: str, model_file: Path | None, logs: Pa
     from softarm.daemon.logbook.logs import read
     from softarm.flights.software_in_the_loop import SoftwareInTheLoop, SoftwareInTheLoopError
 
+    leaves(f"twin and daemon have ended; the recording lies in {logs}")
     console = Console()
     goals = random.Random(seed).sample(TEST_TARGETS, targets)
     try:

@@ -8,6 +8,7 @@ import click
 
 from softarm.cli.diagnosed import show
 from softarm.cli.errors import fail
+from softarm.cli.interrupt import NOTHING, leaves
 from softarm.cli.options import FILE, FOLDER, check_places
 from softarm.cli.rail_limits import limits_option, write_limits
 from softarm.common.processes import bar
@@ -60,6 +61,7 @@ def diagnose(
     if data is not None and not any(path.suffix in TABLES for path in inputs):
         raise click.UsageError("--data is where the files of a stage.yaml lie: name one as INPUT, or leave --data out")
     check_places(json_file, report_file, patch_file, limits_file)
+    leaves(NOTHING)
     try:
         with bar("reading") as shown:
             result = diagnose_files(inputs, model_file, data, shown.tell, partial(click.echo, err=True))

@@ -7,6 +7,7 @@ from pathlib import Path
 import click
 
 from softarm.cli.errors import fail
+from softarm.cli.interrupt import NOTHING, leaves
 from softarm.cli.options import FILE, config_option, flown_model, json_option, model_option, write, write_json
 from softarm.cli.printing import print_table
 from softarm.common.processes import WorkerDied, bar, cores
@@ -56,6 +57,7 @@ def evaluate(
       softarm evaluate --all --json all.json --report all.html
       softarm evaluate --all --runs runs/compare --only reach --test grid --test held_back
     """
+    leaves(NOTHING)
     if compare_all or matrix:
         _compare(json_file, report, runs, only, tests, matrix, workers)
         return

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 import click
 
 from softarm.cli.errors import fail
+from softarm.cli.interrupt import leaves
 from softarm.cli.options import FILE, FOLDER, config_option, flown_model, model_option
 from softarm.cli.played import planned, tell_next
 from softarm.cli.prepared import prepared
@@ -62,6 +63,7 @@ def excite(
     from softarm.schemas.config import Config
     from softarm.schemas.excitation import EXCITATIONS
 
+    wrong = (configuration.ConfigurationError, PolicyError, LatchError, RecorderError, ApiError, AuthError)
     if show:
         for excitation in EXCITATIONS.values():
             click.echo(f"{excitation.name:20s} {excitation.duration_s:5.1f} s  {excitation.description}")
@@ -78,6 +80,8 @@ def excite(
         raise click.UsageError("--model is of the simulated robot: add --simulated")
     if faults and not reality:
         raise click.UsageError("--fault is for the independent robot: add --reality")
+    drive = "" if simulated or reality else "the cart was braked, the muscle vented, the drive is off; "
+    leaves(f"{drive}what was recorded stays, the excitation in hand is not whole")
     try:
         if simulated or reality:
             config = configuration.load(config_file) if config_file else Config()
@@ -98,15 +102,7 @@ def excite(
                     status, log = play(config, name, real_devices(config), shown.show, latch_of(config))
             _tell(name, status, log)
             recorded.append(log)
-    except (
-        configuration.ConfigurationError,
-        PolicyError,
-        LatchError,
-        RecorderError,
-        ApiError,
-        AuthError,
-        RuntimeError,
-    ) as error:
+    except (*wrong, RuntimeError) as error:
         fail(str(error))
     tell_next([log for log in recorded if log is not None], plan)
 

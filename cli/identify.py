@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 import click
 
 from softarm.cli.errors import fail
+from softarm.cli.interrupt import NOTHING, leaves
 from softarm.cli.options import FILE, FOLDER, json_option, model_option
 from softarm.cli.rail_limits import limits_option, write_limits
 from softarm.common.processes import bar
@@ -54,6 +55,7 @@ def identify(
     from softarm.schemas.model import Model
     from softarm.simulator import model_file as models
 
+    leaves(NOTHING)
     try:
         model = models.load(model_file) if model_file else Model()
         with bar("reading", total=None) as shown:

@@ -5,6 +5,7 @@ from collections.abc import Callable
 import click
 
 INTERRUPTED = 130  # exit code: 128 and the number of SIGINT, as shells count
+NOTHING = "nothing was written"
 _KEY = "softarm.leaves"
 
 
@@ -13,8 +14,12 @@ def leaves(what: str | Callable[[], str]) -> None:
     click.get_current_context().meta[_KEY] = what
 
 
-def interrupted(context: click.Context) -> str:
+def left_now() -> str:
+    """What is left, where the verb that runs has said so."""
+    what = click.get_current_context().meta.get(_KEY, "")
+    return str(what() if callable(what) else what)
+
+
+def interrupted() -> str:
     """What to tell somebody who has pressed Ctrl-C."""
-    what = context.meta.get(_KEY, "")
-    left = what() if callable(what) else what
-    return f"interrupted: {left}" if left else "interrupted"
+    return f"interrupted: {left}" if (left := left_now()) else "interrupted"

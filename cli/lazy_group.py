@@ -65,7 +65,7 @@ class LazyGroup(Verbs):
         except ModuleNotFoundError as error:
             self._explain_missing(ctx.invoked_subcommand or "", error)
         except (KeyboardInterrupt, click.Abort):
-            click.echo(f"\n{interrupted(ctx)}", err=True)
+            click.echo(f"\n{interrupted()}", err=True)
             ctx.exit(INTERRUPTED)
         except (click.ClickException, click.exceptions.Exit, BrokenPipeError):
             raise

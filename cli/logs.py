@@ -7,14 +7,17 @@ from pathlib import Path
 import click
 
 from softarm.cli.errors import fail
+from softarm.cli.interrupt import leaves
 from softarm.cli.logs_export import export
+from softarm.cli.printing import print_json, print_option
 from softarm.cli.remote import Remote, remote
 
 
 @click.group(invoke_without_command=True)
+@print_option
 @remote
 @click.pass_context
-def logs(context: click.Context, daemon: Remote) -> None:
+def logs(context: click.Context, daemon: Remote, as_json: bool) -> None:
     """List the recordings, newest first: when last written, size, length, and where each lies.
 
     \b
@@ -26,6 +29,9 @@ def logs(context: click.Context, daemon: Remote) -> None:
     if context.invoked_subcommand is not None:
         return
     answer = daemon.get("/api/logs")
+    if as_json:
+        print_json(answer)
+        return
     if not answer["logs"]:
         click.echo(f"no recordings yet in {answer['directory']}", err=True)
     for log in answer["logs"]:
@@ -57,6 +63,7 @@ def recover(paths: tuple[Path, ...]) -> None:
     files = [file for path in paths for file in (sorted(path.glob("*.mcap")) if path.is_dir() else [path])]
     if not files:
         fail(f"{', '.join(map(str, paths))}: no logs there; name the recorder's directory or a log")
+    leaves("logs that were mended stay so; the others are as they were")
     problems = []
     for file in files:
         for sentence, mended in _recovered(file):

@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from softarm.cli.interrupt import NOTHING, leaves
 from softarm.cli.options import FILE, json_option, load_model, model_option, write_json
 from softarm.cli.printing import print_table, print_text
 from softarm.schemas.flights import CART_STARTS_M
@@ -62,6 +63,7 @@ def plan(
     from softarm.training.trajectory import planner, rows
     from softarm.training.trajectory.ceiling import ROUNDS
 
+    leaves(NOTHING)
     model = load_model(model_file) if model_file else None
     wanted = np.array(targets or [(goal.y_m, goal.z_m) for goal in TEST_TARGETS], dtype=np.float32)
     wall, cpu = time.perf_counter(), time.process_time()

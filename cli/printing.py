@@ -15,6 +15,12 @@ PATIENCE_S = 2.0  # nobody waits longer without a word
 print_option = click.option("--json", "as_json", is_flag=True, help="Print JSON, for a script.")
 
 
+def warn(*texts: str) -> None:
+    """Print each to standard error."""
+    for text in texts:
+        click.echo(text, err=True)
+
+
 def print_json(answer: object) -> None:
     """Print what --json asks for."""
     click.echo(json.dumps(answer, indent=1))

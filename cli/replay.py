@@ -7,6 +7,7 @@ from pathlib import Path
 import click
 
 from softarm.cli.errors import fail
+from softarm.cli.interrupt import leaves
 from softarm.cli.options import FILE
 
 
@@ -31,6 +32,7 @@ def replay(files: tuple[Path, ...]) -> None:
     from softarm.policies.base import PolicyError
     from softarm.recordings.mcap_file import LogError
 
+    leaves("nothing was changed")
     try:
         parts = logs.parts(files)
         config = parts[0].config

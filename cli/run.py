@@ -1,11 +1,13 @@
 """`softarm run`: the daemon, on the robot's wires or on a robot simulated in this process."""
 
+import signal
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
 from softarm.cli.errors import fail
+from softarm.cli.interrupt import leaves, left_now
 from softarm.cli.options import config_option, flown_model, model_option
 from softarm.cli.prepared import prepared
 from softarm.cli.words import Formatter
@@ -46,20 +48,34 @@ def run(config_file: Path | None, simulated: bool, model_file: Path | None) -> N
     output.setFormatter(Formatter("%(levelname)s %(name)s: %(message)s"))
     logging.basicConfig(level=logging.INFO, handlers=[output])
     logging.getLogger("uvicorn").setLevel(logging.WARNING)
+    leaves("nothing had begun")
     try:
         config = prepared(config_file, wires=not simulated)
         if simulated:
-            daemon.run(config, daemon.simulated_devices(flown_model(model_file)), announce)
+            ended = daemon.run(config, daemon.simulated_devices(flown_model(model_file)), announce)
         else:
-            daemon.run(config, daemon.real_devices(config), announce, daemon.latch_of(config))
+            ended = daemon.run(config, daemon.real_devices(config), announce, daemon.latch_of(config))
     except (PluginError, LatchError, RecorderError, ApiError, AuthError) as error:
         fail(str(error))
+    if ended == signal.SIGINT:
+        raise KeyboardInterrupt
+    click.echo(f"ended: {left_now()}", err=True)
+
+
+def _left(running: "Daemon") -> str:
+    """Of a daemon that has ended."""
+    last = running.loop.snapshot
+    latched = last is not None and last.estop != "clear" and running.latch is not None
+    stop = "; the emergency stop stays latched until `softarm acknowledge` after the next start" if latched else ""
+    log = running.recorder.path
+    return f"the drive is off, the muscle vented{stop}" + (f"; {log} is closed" if log else "")
 
 
 def announce(running: "Daemon") -> None:
     """Say where it is and what comes next."""
     from softarm.daemon.stop.terminal import is_offered
 
+    leaves(lambda: _left(running))
     log = running.recorder.path
     left = None if running.latch is None else running.latch.left
     state = "disarmed" if left is None else f"stopped, as it was left ({left}): `softarm acknowledge`"

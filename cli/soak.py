@@ -8,6 +8,7 @@ from pathlib import Path
 import click
 
 from softarm.cli.errors import fail
+from softarm.cli.interrupt import leaves
 from softarm.cli.options import FILE, check_places, json_option, write, write_json
 
 
@@ -54,6 +55,8 @@ def soak(
     if not hours and not lockstep_days:
         raise click.UsageError("nothing to do: give --hours, --lockstep-days, or both")
     check_places(json_file, report)
+    kept_there = "" if logs is None else f"; the recordings lie in {logs}"
+    leaves(f"twin and daemon have ended, nothing is told{kept_there}")
     with tempfile.TemporaryDirectory(prefix="softarm-soak-") as folder:
         kept = Path(folder) if logs is None else logs
         kept.mkdir(parents=True, exist_ok=True)

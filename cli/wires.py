@@ -87,7 +87,7 @@ def _flown(bench: Bench, closed: "Closed", title: str) -> "Wires":
     policies = {OLD: closed.policy, NEW: closed.retrained.policy}
     logs = config.recorder.directory if twin is None else bench.out / "wires"
     try:
-        with timed(bench.spent, "wires"), bar("on the wires", piped=True) as shown:
+        with timed(bench.spent, "wires"), bar("on the wires") as shown:
             return wires.fly(config, policies, bench.goals, title, logs, twin, shown.tell)
     except (SoftwareInTheLoopError, ValueError, OSError) as error:
         return wires.Wires.unflown(title if twin is None else twin.title, str(error))

@@ -8,7 +8,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from functools import partial
 from multiprocessing import active_children, get_context, parent_process
 from typing import TYPE_CHECKING, TypeVar
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 J = TypeVar("J")
 R = TypeVar("R")
-LINE_S = 10.0  # between two lines of a bar that is no terminal's
+PATIENCE_S, LINE_S = 2.0, 10.0  # before the first, and between two lines of a bar that is no terminal's
 _THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS")
 
 
@@ -94,19 +94,34 @@ def _threads(count: int) -> Iterator[None]:
 
 
 class _Lines:
-    """What a bar shows, as lines: the first at once, then one in LINE_S at most, with how long it will still take."""
+    """What a bar shows, as lines: one after PATIENCE_S, then one in LINE_S at most, with the time that is left."""
 
     def __init__(self, say: Callable[[str], None], clock: Callable[[], float]) -> None:
         self._say, self._clock = say, clock
-        self._begun_s = self._said_s = clock()
-        self._first = True
+        self._begun_s = clock()
+        self._due_s = self._begun_s + PATIENCE_S
+        self._newest: tuple[str, float | None] = ("", None)
+        self._lock = threading.Lock()
+
+    @contextmanager
+    def patience(self) -> Iterator[None]:
+        """Say the first line in time also where the work does not call back meanwhile."""
+        first = threading.Timer(PATIENCE_S, lambda: self.say(*self._newest))
+        first.daemon = True
+        first.start()
+        try:
+            yield
+        finally:
+            first.cancel()
 
     def say(self, text: str, share: float | None) -> None:
         """share: of the whole work; None: not known."""
-        now_s = self._clock()
-        if not self._first and now_s - self._said_s < LINE_S:
-            return
-        self._first, self._said_s = False, now_s
+        with self._lock:
+            self._newest = text, share
+            now_s = self._clock()
+            if now_s < self._due_s:
+                return
+            self._due_s = now_s + LINE_S
         if not share:
             self._say(f"{text} ...")
             return
@@ -145,13 +160,11 @@ class Bar:
 
 
 @contextmanager
-def bar(
-    text: str, total: float | None = 1.0, *, done: float = 0, stay: bool = False, piped: bool = False
-) -> Iterator[Bar]:
-    """A bar on standard error while this lasts, if that is a terminal.
+def bar(text: str, total: float | None = 1.0, *, done: float = 0, stay: bool = False) -> Iterator[Bar]:
+    """A bar on standard error while this lasts; where that is no terminal a line after PATIENCE_S, and now and then.
 
     total: a whole number is counted (3/12), any other shown in percent; None: not known yet, to be counted. stay: leave
-    the bar on the terminal at the end. piped: where it is no terminal, a line now and then.
+    the bar on the terminal at the end.
     """
     from rich.console import Console
     from rich.progress import (
@@ -169,6 +182,7 @@ def bar(
     columns = (TextColumn("{task.description}"), BarColumn(), figure, TimeElapsedColumn(), TimeRemainingColumn())
     with Progress(*columns, console=console, transient=not stay, disable=not console.is_terminal) as progress:
         lines = _Lines(partial(print, file=sys.stderr, flush=True), time.monotonic)
-        shown = Bar(progress, progress.add_task(text, total=total), lines if progress.disable and piped else None)
+        shown = Bar(progress, progress.add_task(text, total=total), lines if progress.disable else None)
         shown.advance(done)
-        yield shown
+        with lines.patience() if progress.disable else nullcontext():
+            yield shown

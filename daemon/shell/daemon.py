@@ -170,11 +170,15 @@ class Daemon:
         log.warning("emergency stop by a key: `softarm acknowledge` frees the latch")
 
 
-def run(config: Config, devices: Devices, on_ready: Callable[[Daemon], None], latch: LatchKeeper | None = None) -> None:
-    """Run until SIGINT or SIGTERM; tells systemd, if it is there. Raises what `first_policy` and Daemon raise."""
-    stop = threading.Event()
+def run(config: Config, devices: Devices, on_ready: Callable[[Daemon], None], latch: LatchKeeper | None = None) -> int:
+    """Run until SIGINT or SIGTERM, and return which; tells systemd, if it is there.
 
-    def end(_signal: int, _frame: FrameType | None) -> None:
+    Raises what `first_policy` and Daemon raise.
+    """
+    stop, signals = threading.Event(), [signal.SIGTERM]
+
+    def end(number: int, _frame: FrameType | None) -> None:
+        signals.append(signal.Signals(number))
         stop.set()
 
     for number in (signal.SIGINT, signal.SIGTERM):
@@ -183,7 +187,7 @@ def run(config: Config, devices: Devices, on_ready: Callable[[Daemon], None], la
     realtime.outrank_other_programs(config.control.realtime_priority)  # the policy's own threads as well
     policy = first_policy(config, stop)
     if policy is None:
-        return
+        return signals[-1]
     daemon = Daemon(config, devices, latch, policy)
     daemon.start()
     try:
@@ -194,3 +198,4 @@ def run(config: Config, devices: Devices, on_ready: Callable[[Daemon], None], la
         daemon.notifier.stopping()
     finally:
         daemon.stop()
+    return signals[-1]

@@ -76,7 +76,7 @@ def close(
     places.append(held_back)
     robots = {place.key: place.robot for place in places}
     pairs = [(name, key) for key in robots for name in policies if (name, key) != (REPLANNED, NOMINAL)]
-    with timed(spent, "fly"), bar("flying", piped=True) as shown:
+    with timed(spent, "fly"), bar("flying") as shown:
         flown = fly_all(policies, robots, pairs, targets, rail.patched, shown.tell, processes)
     closed = Closed(found, policy, tuple(places), flown, retrained, tuple(targets), rail, is_the_robot).with_task()
     _write(closed, out, spent)  # whatever becomes of a robot that moves
@@ -95,7 +95,7 @@ def _write(closed: Closed, out: Path, spent: Spent) -> None:
 
 def _retrain(policy: Path, model: Model, out: Path, config: RetrainingConfig, limits: RailLimits) -> Retrained:
     """Behind a bar."""
-    with bar("retraining", piped=True) as shown:
+    with bar("retraining") as shown:
         name = f"{out.name}/patched-model"
         return retrain(policy, model, name, out, config, shown.tell, limits)
 

@@ -128,3 +128,4 @@ def _ordinary_scheduling(monkeypatch: pytest.MonkeyPatch) -> None:
 def _patience(monkeypatch: pytest.MonkeyPatch) -> None:
     """What takes long on a loaded machine says so: no news to a test."""
     monkeypatch.setattr("softarm.cli.printing.PATIENCE_S", 600.0)
+    monkeypatch.setattr("softarm.common.processes.PATIENCE_S", 600.0)

@@ -155,15 +155,18 @@ def test_a_bar_says_nothing_where_there_is_no_terminal(capsys):
 
 
 def test_a_bar_that_is_no_terminals_says_lines_with_an_honest_rest():
-    said, clock = [], iter([0.0, 0.0, 4.0, 10.0, 12.0, 30.0])
+    said, clock = [], iter([0.0, 0.5, 2.0, 4.0, 12.0, 14.0, 30.0])
     lines = _Lines(said.append, lambda: next(clock))
-    for text, share in (("flying", 0.0), ("flying", 0.1), ("flying", 0.25), ("flying", 0.3), ("flying", 0.75)):
-        lines.say(text, share)
-    assert said == ["flying ...", "flying (25 %, about 30 s left)", "flying (75 %, about 10 s left)"]
+    for share in (0.0, 0.0, 0.1, 0.25, 0.3, 0.75):
+        lines.say("flying", share)
+    assert said == ["flying ...", "flying (25 %, about 36 s left)", "flying (75 %, about 10 s left)"]
 
 
-def test_only_who_asks_for_lines_gets_them(capsys):
-    for piped in (False, True):
-        with bar("flying", piped=piped) as shown:
-            shown.tell("flying, 1 of 2 flights", 0.5)
-    assert capsys.readouterr().err == "flying ...\n"
+def test_work_that_lasts_and_does_not_call_back_is_told_once_where_there_is_no_terminal(capsys, monkeypatch):
+    monkeypatch.setattr(processes, "PATIENCE_S", 0.05)
+    with bar("flying") as shown:
+        shown.tell("flying, 1 of 2 flights", 0.0)
+        said = []
+        wait_for(lambda: said.append(capsys.readouterr().err) or any(said))
+    assert "".join(said) == "flying, 1 of 2 flights ...\n"
+    assert capsys.readouterr().err == ""
