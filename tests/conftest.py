@@ -20,6 +20,14 @@ def pytest_report_header() -> str:
     return f"real recordings: {found} {REAL_DATA}"
 
 
+def pytest_runtest_setup() -> None:
+    """No test begins with the real-time priority that an earlier one's daemon has left to this thread.
+
+    What is started from it has it too; a whole browser above everything else stops the machine.
+    """
+    os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
+
+
 @pytest.fixture(scope="session")
 def data() -> Path:
     """The folder of real data: what SOFTARM_DATA names, else ../shared/data beside the checkout."""

@@ -1,5 +1,6 @@
 """Every command that a page shows exists: the verb, its options, as many words as it takes."""
 
+import contextlib
 import re
 import shlex
 from pathlib import Path
@@ -45,4 +46,5 @@ def test_a_shown_command_is_one(page, shown):
         assert found is not None
         command, context = found, click.Context(found, context, name, **found.context_settings)
     if words:
-        command.make_parser(context).parse_args(list(words))  # raises for an option that there is none of
+        with contextlib.suppress(click.BadOptionUsage):  # `softarm check --logs` names an option, without its value
+            command.make_parser(context).parse_args(list(words))  # raises for an option that there is none of
