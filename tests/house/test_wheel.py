@@ -163,6 +163,19 @@ def test_every_file_of_the_package_that_no_code_imports_is_found_by_it(installed
     assert said.split() == ["8080", "15020", "True", "True"]
 
 
+def test_a_configuration_and_a_service_are_made_from_the_wheel_alone(installed: Path, tmp_path: Path) -> None:
+    softarm = installed.with_name("softarm")
+    run(softarm, "config", "new", "--twin", cwd=tmp_path)
+    run(softarm, "config", "new", cwd=tmp_path)
+    assert "softarm.yaml: sound" in run(softarm, "check", "softarm.yaml", cwd=tmp_path)
+    run(softarm, "service", "install", "--root", tmp_path / "root", "--config", "twin.yaml", cwd=tmp_path)
+    unit = (tmp_path / "root/etc/systemd/system/softarmd.service").read_text()
+    assert f"ExecStart={softarm} run --config /etc/softarm/softarm.yaml" in unit.splitlines()
+    page = unit.partition("Documentation=file://")[2].splitlines()[0]
+    assert Path(page).is_relative_to(installed.parents[1])
+    assert Path(page).is_file()
+
+
 @pytest.mark.timeout(400)  # the kernel is compiled anew
 def test_the_demo_runs_from_an_empty_folder(installed: Path, tmp_path: Path) -> None:
     said = run(installed.with_name("softarm"), "demo", "--targets", "3", cwd=tmp_path, seconds=390)
