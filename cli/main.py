@@ -44,6 +44,7 @@ VERBS: dict[str, dict[str, Verb]] = {
         "soak": Verb("soak:soak", "Fly for hours; tell what grows and what happens.", "sim"),
         "evaluate": Verb("evaluate:evaluate", "Fly the test targets, by the daemon's own tick.", "sim"),
         "model": Verb("model:model", "Show, compare, check and export models of the robot."),
+        "new": Verb("new:new", "Begin a plugin: a policy, a task, a mocap source.", "train"),
     },
 }
 

@@ -15,6 +15,7 @@ from softarm.schemas.messages import MocapFrame
 
 PATIENCE_S = 5.0  # for a frame on its way; a machine that is busy needs some
 _LOOK_S = 0.0002
+_AGAIN_S = 0.2  # a source that is not listening yet, or a datagram that was lost; one that comes twice is refused
 
 
 class SourceError(Exception):
@@ -30,8 +31,8 @@ def fly(
 ) -> Flight:
     """Fly a goal with the daemon's own tick, whose motion capture is the source; needs the extra `sim`.
 
-    show: be the cameras: bring this frame to where the source looks for it. Time is made up: `Frames.now_ns` tells
-    it. Raises SourceError for a frame that does not come out, with the source's own complaint.
+    show: be the cameras: bring this frame to where the source looks for it; asked again if it does not come out. Time
+    is made up: `Frames.now_ns` tells it. Raises SourceError for a frame that never comes out, with the source's words.
     """
     config = Config()
     flown = Lockstep(config, registry.load(policy))
@@ -54,11 +55,13 @@ class _Through(WithoutWire):
     def read(self, now_ns: int) -> tuple[MocapFrame, ...]:
         """Show every new frame, and take what the source makes of it."""
         for frame in self._cameras.read(now_ns):
-            before = self._source.frames
-            self._show(frame)
-            give_up_s = time.monotonic() + PATIENCE_S
+            before, began_s, shown = self._source.frames, time.monotonic(), 0
             while self._source.frames == before:
-                if time.monotonic() > give_up_s:
+                passed_s = time.monotonic() - began_s
+                if passed_s >= shown * _AGAIN_S:
+                    self._show(frame)
+                    shown += 1
+                if passed_s > PATIENCE_S:
                     said = self._source.problem() or "it says nothing"
                     raise SourceError(f"frame {frame.sequence} did not come out of the source: {said}")
                 time.sleep(_LOOK_S)

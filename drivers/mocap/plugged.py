@@ -86,11 +86,15 @@ class PluggedMocapSource(Reception):
             poses = {name: None if pose is None else [float(each) for each in pose] for name, pose in bodies.items()}
             frame = payload.frame_of({"sequence": sequence, "t_capture_ns": t_capture_ns, "bodies": poses}, now_ns)
         except Exception as error:  # whatever a stranger's numbers make float raise
-            self.malformed += 1
-            self.complain(now_ns, f"a malformed frame: {error}")
+            self.refuse(str(error))
             return
         self.accept(frame)
         self._failure = None
+
+    def refuse(self, problem: str) -> None:
+        """See `softarm.drivers.mocap.source.Frames`."""
+        self.malformed += 1
+        self.complain(self.clock(), f"a malformed frame: {problem}")
 
     def _keep_running(self) -> None:
         while self.are_wanted:

@@ -41,6 +41,9 @@ class Frames(Protocol):
         where the cameras have lost it; what is left out counts as lost. What is meant: docs/wires.md.
         """
 
+    def refuse(self, problem: str) -> None:
+        """Say what is wrong with something that came in and is no frame; counted and told likewise."""
+
 
 @runtime_checkable
 class Source(Protocol):

@@ -1,5 +1,8 @@
 """What other packages bring along is asked what it is before it is used."""
 
+import re
+from pathlib import Path
+
 import pytest
 
 from softarm.common import plugins
@@ -47,3 +50,15 @@ def test_an_interface_that_is_no_number_is_told(interface):
 def test_what_an_error_says_is_one_line():
     assert plugins.said(ValueError("one\n  two")) == "ValueError: one two"
     assert plugins.said(PluginError("it lacks a wheel")) == "it lacks a wheel"
+
+
+def test_the_page_that_promises_says_which_interfaces_are_spoken():
+    pytest.importorskip("torch")
+    from softarm.drivers.mocap import source
+    from softarm.policies import base
+    from softarm.training.task import registry
+
+    page = (Path(__file__).parents[2] / "docs" / "plugins.md").read_text(encoding="utf-8")
+    (spoken,) = re.findall(r"three interfaces has a number, now (\d+)", page)
+    assert {base.INTERFACE, registry.INTERFACE, source.INTERFACE} == {int(spoken)}
+    assert all(f"`{each.GROUP}`" in page for each in (base, registry, source))

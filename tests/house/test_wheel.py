@@ -1,6 +1,7 @@
 """What is built and installed is one name in its user's environment, and works there."""
 
 import os
+import shutil
 import subprocess
 import sys
 import sysconfig
@@ -17,6 +18,8 @@ pytestmark = pytest.mark.slow
 
 ROOT = Path(__file__).parents[2]
 DEPENDENCIES = sysconfig.get_path("purelib")
+
+EXAMPLES = sorted(path.parent for path in (ROOT / "examples").glob("*/pyproject.toml"))
 
 # A user's own project: names that were once ours too, and a policy that is published the way docs/policies.md says.
 PROJECT = {
@@ -104,7 +107,9 @@ def installed(built: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     site = Path(run(python, "-c", "import sysconfig; print(sysconfig.get_path('purelib'))", cwd=home).strip())
     (site / "dependencies.pth").write_text(DEPENDENCIES + "\n")
     pip = (sys.executable, "-m", "pip", "--quiet", "--python", python, "install", "--no-deps", "--no-build-isolation")
-    run(*pip, next(built.glob("*.whl")), home / "their-arm", cwd=home)
+    for example in EXAMPLES:
+        shutil.copytree(example, home / "examples" / example.name)
+    run(*pip, next(built.glob("*.whl")), home / "their-arm", *(home / "examples").iterdir(), cwd=home)
     return python
 
 
@@ -191,9 +196,14 @@ def test_help_and_the_list_of_policies_from_the_users_project(installed: Path) -
 
 
 @pytest.mark.timeout(400)  # the kernel is compiled anew
-def test_the_users_plugin_is_flown_and_so_is_a_shipped_policy(installed: Path) -> None:
+def test_the_users_plugin_is_flown_and_so_are_a_shipped_policy_and_the_examples(installed: Path) -> None:
     home = installed.parents[2] / "their-arm"
     softarm = installed.with_name("softarm")
     assert "left: 54 targets" in run(softarm, "evaluate", "--policy", "left", cwd=home, seconds=390)
     flown = run(softarm, "evaluate", "--policy", "reach", cwd=home)
     assert float(flown.partition("│ all         │")[2].partition("%")[0]) > 85.0
+    examples = home.parent / "examples"
+    tests = [examples / example.name / "tests" for example in EXAMPLES]
+    assert len(tests) == 3
+    plain = ("-q", "-p", "no:cacheprovider", "--import-mode=importlib", "--rootdir", examples)
+    assert " passed" in run(installed, "-m", "pytest", *plain, *tests, cwd=home)

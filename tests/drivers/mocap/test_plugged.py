@@ -111,6 +111,18 @@ def test_what_is_no_frame_is_counted_and_told_and_ends_nothing(case: str, play: 
     play(Scripted(source), script)
 
 
+def test_what_a_source_itself_refuses_is_counted_and_told(play: Any, until: Any) -> None:
+    def source(frames: Frames) -> None:
+        frames.refuse("7 words; allowed are 10")
+        _wait(frames)
+
+    async def script(device: PluggedMocapSource) -> None:
+        await until(lambda: device.malformed == 1)
+        assert "a malformed frame: 7 words; allowed are 10 (0 oversized, 1 malformed" in (device.problem() or "")
+
+    play(Scripted(source), script)
+
+
 def test_a_source_that_raises_or_returns_is_told_and_run_again(
     play: Any, clock: Any, until: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
