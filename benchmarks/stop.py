@@ -52,6 +52,7 @@ class Ports(NamedTuple):
 
     api: int
     stop: int
+    pid: int = 0
 
 
 Attack = Callable[[Ports], Coroutine[Any, Any, None]]
@@ -107,7 +108,7 @@ def _ports(process: subprocess.Popen[bytes], said: Path) -> Ports:
     deadline = time.monotonic() + START_S
     while time.monotonic() < deadline and process.poll() is None:
         found = re.search(r"serving \S+:(\d+) .*POST \S+:(\d+)/api/stop", said.read_text(), re.DOTALL)
-        if found and _stop(ports := Ports(int(found[1]), int(found[2])), "stop") is not None:
+        if found and _stop(ports := Ports(int(found[1]), int(found[2]), process.pid), "stop") is not None:
             return ports
         time.sleep(0.1)
     raise DaemonError(f"the daemon did not come up within {START_S:g} s:\n{said.read_text()}")

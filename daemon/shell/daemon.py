@@ -79,9 +79,12 @@ class Daemon:
     def __init__(
         self, config: Config, devices: Devices, latch: LatchKeeper | None = None, policy: Policy | None = None
     ) -> None:
-        """policy: `control.policy`; loaded here without one. Raises PolicyError when it cannot be."""
+        """policy: `control.policy`; loaded here without one. Raises PolicyError when it cannot be.
+
+        Leaves the caller's priority alone. A program that is nothing but the daemon outranks others before, see
+        `realtime.outrank_other_programs`: the threads that begin here inherit that.
+        """
         self.config = config
-        realtime.outrank_other_programs(config.control.realtime_priority)
         policy = policy or registry.load(config.control.policy, config.policies)
         self.recorder = Recorder(config, policy.spec)
         self.inbox = Inbox()

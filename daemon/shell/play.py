@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from softarm.daemon.logbook.recorder import Recorder
+from softarm.daemon.shell import realtime
 from softarm.daemon.shell.daemon import Daemon
 from softarm.daemon.shell.loop import Devices
 from softarm.daemon.shell.offline import Lockstep
@@ -45,6 +46,7 @@ def play(
     Raises RuntimeError with the daemon's own reasons when it does not arm or does not start, and what Daemon does.
     """
     config = _with_excitation(config, excitation)
+    realtime.outrank_other_programs(config.control.realtime_priority)
     daemon = Daemon(config, devices, latch)
     daemon.start()
     try:

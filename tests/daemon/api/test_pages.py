@@ -10,6 +10,9 @@ from softarm.daemon.api.refusals import Refused
 from softarm.schemas.config import Config
 
 FILES = resources.files("softarm.daemon.dashboard")
+PAGE = FILES.joinpath("index.html").read_text(encoding="utf-8")
+ASKED = re.findall(r'(?:src|href)="(/dashboard/[^"]+)"', PAGE)
+SCRIPT = next(path for path in ASKED if path.endswith("js"))
 
 
 @pytest.fixture
@@ -24,15 +27,12 @@ def test_the_page_is_there_for_who_has_no_token_and_the_robot_is_not(strict):
     answer = strict.get("/")
     assert answer.status_code == 200
     assert answer.headers["content-type"] == "text/html; charset=utf-8"
-    assert answer.text == FILES.joinpath("index.html").read_text(encoding="utf-8")
+    assert answer.text == PAGE
     assert strict.get("/api/status").status_code == 401
 
 
 def test_all_that_the_page_asks_for_is_there(client):
-    page = client.get("/").text
-    asked = re.findall(r'(?:src|href)="(/dashboard/[^"]+)"', page)
-    assert asked
-    for path in asked:
+    for path in ASKED:
         answer = client.get(path)
         assert answer.status_code == 200
         assert answer.headers["content-type"] == TYPES[path.rpartition(".")[2]]
@@ -40,7 +40,7 @@ def test_all_that_the_page_asks_for_is_there(client):
 
 def test_pages_of_other_sites_get_nothing(client):
     assert client.get("/", headers={"Host": "evil.example"}).status_code == 403
-    assert client.get("/dashboard/app.js", headers={"Origin": "http://evil.example"}).status_code == 403
+    assert client.get(SCRIPT, headers={"Origin": "http://evil.example"}).status_code == 403
 
 
 @pytest.mark.parametrize(
@@ -71,7 +71,7 @@ def test_a_path_to_the_api_through_the_dashboard_ends_in_the_dashboard(strict):
 
 def test_a_page_may_do_no_more_than_it_has_to(loop, app, client_of):
     client = client_of(app(loop, stop_port=lambda: 8081), "http://127.0.0.1:8080")
-    for path in ("/", "/dashboard/app.js"):
+    for path in ("/", SCRIPT):
         headers = client.get(path).headers
         assert headers["content-security-policy"] == (
             "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data: blob:; font-src 'self'; "
@@ -100,10 +100,10 @@ def test_the_stops_own_way_is_named_where_it_can_be(host, port, source):
 
 
 def test_what_the_browser_has_is_not_sent_again(client):
-    etag = client.get("/dashboard/app.js").headers["etag"]
-    again = client.get("/dashboard/app.js", headers={"If-None-Match": f'"other", {etag}'})
+    etag = client.get(SCRIPT).headers["etag"]
+    again = client.get(SCRIPT, headers={"If-None-Match": f'"other", {etag}'})
     assert (again.status_code, again.content, again.headers["etag"]) == (304, b"", etag)
-    assert client.get("/dashboard/app.js", headers={"If-None-Match": '"other"'}).status_code == 200
+    assert client.get(SCRIPT, headers={"If-None-Match": '"other"'}).status_code == 200
 
 
 def test_files_of_any_depth_are_served_and_no_other_kind(tmp_path):

@@ -1,0 +1,151 @@
+"""Pages are loaded again and again, by many, of a daemon that may stand still: nothing grows, a stop gets through."""
+
+import asyncio
+import gc
+import json
+import os
+import threading
+import time
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+
+import httpx
+import pytest
+from websockets.sync.client import connect
+
+from softarm.daemon.logbook.recent import Recent
+from softarm.daemon.shell.daemon import Daemon, simulated_devices
+from softarm.schemas.config import Config
+from softarm.schemas.messages import BODY_NAMES
+
+LOADED = ("/", "/api/robot", "/api/recent", "/api/status")
+
+
+@pytest.fixture
+def recent(silent):
+    """A minute of it."""
+    made = Recent(time.monotonic_ns, time.time_ns)
+    for tick in range(1800):
+        made.take(replace(silent[1].outputs, tick=tick, t_ns=tick * 33_333_333))
+    return made
+
+
+async def loaded(app, path: str) -> int:
+    """Ask an application without all that a client costs."""
+    told, sent = [], [{"type": "http.request", "body": b"", "more_body": False}]
+
+    async def receive():
+        return sent.pop() if sent else await asyncio.sleep(3600)
+
+    async def send(message):
+        told.append(message)
+
+    scope = {
+        "type": "http",
+        "asgi": {"version": "3.0", "spec_version": "2.3"},
+        "http_version": "1.1",
+        "method": "GET",
+        "scheme": "http",
+        "path": path,
+        "raw_path": path.encode(),
+        "query_string": b"",
+        "root_path": "",
+        "headers": [(b"host", b"127.0.0.1")],
+        "client": ("127.0.0.1", 5),
+        "server": ("127.0.0.1", 8080),
+    }
+    await app(scope, receive, send)
+    return told[0]["status"]
+
+
+@pytest.mark.slow
+def test_ten_thousand_reloads_leave_nothing_behind(silent, app, recent):
+    made = app(silent[1], recent=recent)
+
+    async def reload(times: int) -> set[int]:
+        """Of what is asked for beside the page, which costs more, so much is asked for that one left behind shows."""
+        paths = (path for number in range(times) for path in (LOADED if number % 8 == 0 else LOADED[:1]))
+        return {await loaded(made, path) for path in paths}
+
+    async def grown(times: int) -> tuple[int, int, int]:
+        assert await reload(times) == {200}
+        gc.collect()
+        return len(gc.get_objects()), len(os.listdir("/proc/self/fd")), threading.active_count()
+
+    async def both():
+        return await grown(500), await grown(9500)
+
+    (objects, descriptors, threads), (objects_later, descriptors_later, threads_later) = asyncio.run(both())
+    assert objects_later - objects < 1000  # one of what is asked for least would be 1187
+    assert (descriptors_later, threads_later) == (descriptors, threads)
+
+
+@pytest.mark.slow
+def test_in_a_flood_of_reloads_a_stop_gets_through_and_nobody_is_turned_away(loop, app, serving, recent):
+    over = threading.Event()
+    seen: list[int] = []
+
+    def reload(url: str) -> None:
+        while not over.is_set():
+            with httpx.Client(base_url=url, timeout=20, trust_env=False, verify=False) as client:
+                seen.extend(client.get(path).status_code for path in LOADED)
+
+    with serving(app(loop, recent=recent)) as port, ThreadPoolExecutor(12) as crowd:
+        url = f"http://127.0.0.1:{port}"
+        working = [crowd.submit(reload, url) for _ in range(12)]
+        try:
+            while len(seen) < 100:
+                time.sleep(0.01)
+            assert httpx.post(f"{url}/api/stop", timeout=20, trust_env=False).status_code == 200
+        finally:
+            over.set()
+        for work in working:
+            work.result()
+    assert set(seen) == {200}
+
+
+def test_of_a_daemon_whose_loop_stands_still_the_page_still_comes_and_says_so(silent, app, client_of, recent):
+    _, loop = silent
+    client = client_of(app(loop, recent=recent))
+    loop.outputs = replace(loop.outputs, t_ns=time.monotonic_ns() - 10**9)
+    assert {client.get(path).status_code for path in LOADED} == {200}
+    assert client.get("/api/status").json()["stalled"] is True
+    assert len(client.get("/api/recent?seconds=600").json()["tick"]) == 1800
+    stop = client.post("/api/stop")
+    assert (stop.status_code, "use the emergency-stop button" in stop.json()["detail"]) == (503, True)
+
+
+@pytest.mark.slow
+@pytest.mark.realtime
+def test_a_whole_daemon_shows_the_arm_and_keeps_its_last_minutes(tmp_path, monkeypatch):
+    asked: list[int] = []
+    monkeypatch.setattr("softarm.daemon.shell.realtime._set", asked.append)
+    config = Config(api={"port": 0}, recorder={"directory": tmp_path}, control={"policy": "hold"})
+    daemon = Daemon(config, simulated_devices())
+    assert asked == []  # whoever makes one keeps the priority that it had, and so does all that it starts
+    daemon.start()
+    try:
+        with httpx.Client(base_url=daemon.url, trust_env=False) as client:
+            robot = client.get("/api/robot").json()
+            assert (robot["simulated"], robot["stop_port"]) == (True, daemon.stop_port)
+            assert robot["run"] == client.get("/api/events").json()["run"]
+            assert f"http://127.0.0.1:{daemon.stop_port}" in client.get("/").headers["content-security-policy"]
+            with connect(daemon.url.replace("http", "ws", 1) + "/api/stream") as stream:
+                shown = [status(stream) for _ in range(60)]
+            columns = client.get("/api/recent").json()
+    finally:
+        daemon.stop()
+    bodies = shown[-1]["bodies"]
+    assert len(bodies) == len(BODY_NAMES)
+    heights = [z_m for _, z_m in bodies]
+    assert heights == sorted(heights, reverse=True)  # it hangs
+    assert robot["hinge_z_m"] - heights[-1] == pytest.approx(sum(robot["link_length_m"]), abs=0.03)
+    assert shown[-1]["time"] == pytest.approx(time.time(), abs=5)
+    times = dict(zip(columns["tick"], columns["time"], strict=True))
+    both = [one for one in shown if one["tick"] in times]
+    assert len(both) > 40
+    assert [times[one["tick"]] for one in both] == pytest.approx([one["time"] for one in both], abs=0.005)
+
+
+def status(stream) -> dict:
+    return json.loads(stream.recv(timeout=5))
