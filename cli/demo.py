@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from softarm.cli.completion import policies
 from softarm.cli.interrupt import leaves
 from softarm.cli.options import model_option
 from softarm.schemas.flights import TEST_TARGETS
@@ -23,7 +24,7 @@ NEEDED = 0.8  # share of the targets
 @click.command()
 @click.option("--targets", default=10, show_default=True, type=click.IntRange(1, 54), help="How many of the 54.")
 @click.option("--seed", default=0, show_default=True, help="Which ones: a random draw.")
-@click.option("--policy", default="reach-wide", show_default=True, help="Who flies.")
+@click.option("--policy", default="reach-wide", show_default=True, shell_complete=policies, help="Who flies.")
 @model_option
 @click.option("--logs", default="logs", show_default=True, type=click.Path(path_type=Path), help="For the MCAP log.")
 def demo(targets: int, seed: int, policy: str, model_file: Path | None, logs: Path) -> None:

@@ -6,6 +6,15 @@ import click
 
 from softarm.cli.words import in_commands
 
+EXITS = {  # what a script can tell by
+    0: "done",
+    1: "refused, failed or not reached: a sentence on standard error says why and what to do",
+    2: "typed wrongly: a verb, an option or a value that there is none of",
+    3: "`close-gap` alone: all was done, and the retrained policy is not the one to fly",
+    70: "a defect of ours: `softarm --debug VERB ...` shows all of it",
+    130: "Ctrl-C: standard error says what it leaves, and in which state",
+}
+
 
 class Failure(click.ClickException):
     """What went wrong, and the next step."""

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import click
 
+from softarm.cli.completion import policies
 from softarm.cli.errors import fail
 from softarm.cli.interrupt import NOTHING, leaves
 from softarm.cli.options import FILE, config_option, flown_model, json_option, model_option, write, write_json
@@ -14,7 +15,7 @@ from softarm.common.processes import WorkerDied, bar, cores
 
 
 @click.command()
-@click.option("--policy", default="reach", show_default=True, help="Name, as `softarm policy list` shows it.")
+@click.option("--policy", default="reach", show_default=True, shell_complete=policies, help="Of `softarm policy list`.")
 @json_option
 @config_option
 @model_option
@@ -25,9 +26,7 @@ from softarm.common.processes import WorkerDied, bar, cores
     type=click.Path(path_type=Path, file_okay=False, exists=True),
     help="With --all: a sweep's folder; its policies stand for the shipped ones, with the spread over seeds.",
 )
-@click.option(
-    "--only", multiple=True, metavar="NAME", help="With --all: this policy (or `ceiling`) alone; again for more."
-)
+@click.option("--only", multiple=True, metavar="NAME", help="With --all: this policy or `ceiling` alone; or more.")
 @click.option("--test", "tests", multiple=True, help="With --all: this test alone, TEST or TEST@MODEL; again for more.")
 @click.option("--matrix", is_flag=True, help="With --runs: the sweep alone, on every shipped model and beyond.")
 @click.option("--workers", type=click.IntRange(min=1), help="With --all: processes.  [default: one a core]")
@@ -110,8 +109,8 @@ def _evaluate(policy: str, json_file: Path | None, config_file: Path | None, mod
             result = evaluation.evaluate(policy, config, model, shown.advance)
     except (configuration.ConfigurationError, PolicyError) as error:
         fail(str(error))
-    parts = {"z <= 0.70 m": "in_range", "z > 0.70 m": "above", "all": "all"}
-    rows = [(label, f"{100 * result['success'][part]:.1f} %") for label, part in parts.items()]
+    parts = (("z <= 0.70 m", "in_range"), ("z > 0.70 m", "above"), ("all", "all"))
+    rows = [(label, f"{100 * result['success'][part]:.1f} %") for label, part in parts]
     print_table(("targets", "reached"), rows, f"{policy}: 54 targets x 3 cart starts")
     click.echo(
         f"highest tip {result['max_tip_z_m']:.3f} m, farthest cart {result['max_cart_m']:.3f} m, "

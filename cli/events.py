@@ -8,6 +8,7 @@ from typing import Any
 
 import click
 
+from softarm.cli.completion import logs
 from softarm.cli.errors import fail
 from softarm.cli.options import FILE
 from softarm.cli.printing import clock
@@ -20,7 +21,7 @@ PAGE = 1000  # the daemon gives no more at once
 
 
 @click.command()
-@click.argument("log", type=FILE, required=False)
+@click.argument("log", type=FILE, required=False, shell_complete=logs)
 @click.option("--limit", type=click.IntRange(1, PAGE), default=50, show_default=True, help="So many of the newest.")
 @click.option("--follow", is_flag=True, help="Keep showing new ones until Ctrl-C.")
 @click.option("--json", "as_json", is_flag=True, help="Print each as one line of JSON.")

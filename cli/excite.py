@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from softarm.cli.completion import excitations
 from softarm.cli.errors import fail
 from softarm.cli.interrupt import leaves
 from softarm.cli.options import FILE, FOLDER, config_option, flown_model, model_option
@@ -18,7 +19,7 @@ if TYPE_CHECKING:
 
 
 @click.command()
-@click.argument("names", nargs=-1, metavar="[NAME]...")
+@click.argument("names", nargs=-1, metavar="[NAME]...", shell_complete=excitations)
 @config_option
 @click.option("--simulated", is_flag=True, help="A robot simulated in this process, as fast as it will go.")
 @click.option("--reality", is_flag=True, help="The independent robot in MuJoCo instead (docs/reality.md).")

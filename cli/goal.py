@@ -4,6 +4,7 @@ from typing import Any
 
 import click
 
+from softarm.cli.completion import targets
 from softarm.cli.following import follow
 from softarm.cli.printing import print_option
 from softarm.cli.remote import Remote, remote
@@ -27,8 +28,8 @@ def goal() -> None:
 
 # A negative coordinate is not an option.
 @goal.command(context_settings={"ignore_unknown_options": True})
-@click.argument("y", type=float)
-@click.argument("z", type=float)
+@click.argument("y", type=float, shell_complete=targets)
+@click.argument("z", type=float, shell_complete=targets)
 @wait_option
 @print_option
 @remote

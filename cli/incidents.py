@@ -5,6 +5,7 @@ from typing import Any
 
 import click
 
+from softarm.cli.completion import incident_files
 from softarm.cli.errors import fail
 from softarm.cli.options import FILE, FOLDER, write_bytes
 from softarm.cli.printing import clock, print_json, print_option
@@ -15,7 +16,7 @@ LATEST = "latest"
 
 
 @click.command()
-@click.argument("name", required=False)
+@click.argument("name", required=False, shell_complete=incident_files)
 @click.option("--out", type=FILE, help="Where the file goes.  [default: NAME, here]")
 @click.option("--folder", type=FOLDER, help="Ask no daemon: the logs' folder (recorder.directory) on this machine.")
 @print_option

@@ -2,6 +2,7 @@
 
 import click
 
+from softarm.cli.errors import EXITS
 from softarm.cli.lazy_group import LazyGroup, Verb
 
 VERBS: dict[str, dict[str, Verb]] = {
@@ -49,7 +50,10 @@ VERBS: dict[str, dict[str, Verb]] = {
 }
 
 
-@click.group(cls=LazyGroup, sections=VERBS, context_settings={"help_option_names": ["-h", "--help"]})
+EPILOGUE = "\b\nExit codes:\n" + "\n".join(f"  {code:<4} {meaning}" for code, meaning in EXITS.items())
+
+
+@click.group(cls=LazyGroup, sections=VERBS, context_settings={"help_option_names": ["-h", "--help"]}, epilog=EPILOGUE)
 @click.version_option(package_name="softarm")
 @click.option(
     "--debug", is_flag=True, envvar="SOFTARM_DEBUG", help="Show the traceback of a defect ($SOFTARM_DEBUG=1)."

@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from softarm.cli.completion import models
 from softarm.cli.errors import fail
 from softarm.cli.options import FILE, load_model
 from softarm.cli.printing import print_table
@@ -30,7 +31,7 @@ def model() -> None:
 
 
 @model.command()
-@click.argument("name", metavar="MODEL", type=MODEL)
+@click.argument("name", metavar="MODEL", type=MODEL, shell_complete=models)
 def show(name: Path) -> None:
     """Print every parameter in force, with unit, bounds and source.
 
@@ -50,8 +51,8 @@ def show(name: Path) -> None:
 
 
 @model.command()
-@click.argument("one", metavar="MODEL", type=MODEL)
-@click.argument("other", metavar="MODEL", type=MODEL)
+@click.argument("one", metavar="MODEL", type=MODEL, shell_complete=models)
+@click.argument("other", metavar="MODEL", type=MODEL, shell_complete=models)
 def diff(one: Path, other: Path) -> None:
     """Print what two models have different.
 
@@ -69,7 +70,7 @@ def diff(one: Path, other: Path) -> None:
 
 
 @model.command()
-@click.argument("file", metavar="MODEL", type=MODEL)
+@click.argument("file", metavar="MODEL", type=MODEL, shell_complete=models)
 def check(file: Path) -> None:
     """Say whether a model is sound; exit code 1, with every mistake and its line, when it is not.
 
@@ -83,7 +84,7 @@ def check(file: Path) -> None:
 
 
 @model.command()
-@click.argument("name", metavar="MODEL", type=MODEL)
+@click.argument("name", metavar="MODEL", type=MODEL, shell_complete=models)
 @click.option("--mjcf", "out", required=True, type=FILE, help="The file to write.")
 def export(name: Path, out: Path) -> None:
     """Write the robot as MJCF for MuJoCo; what that cannot express is listed on stderr and in the file.

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import click
 from click.core import ParameterSource
 
+from softarm.cli.completion import models
 from softarm.cli.errors import fail
 from softarm.common import files
 
@@ -23,6 +24,7 @@ model_option = click.option(
     "--model",
     "model_file",
     type=FILE,
+    shell_complete=models,
     help="Model of the robot: a file, or a shipped name such as no-delay (default: seed).",
 )
 

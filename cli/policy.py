@@ -5,6 +5,7 @@ from typing import Any
 
 import click
 
+from softarm.cli.completion import policies
 from softarm.cli.errors import Unreachable, fail
 from softarm.cli.options import FILE
 from softarm.cli.printing import print_json, print_option, waiting
@@ -74,7 +75,7 @@ def _here(config_file: Path | None) -> Json:
 
 
 @policy.command()
-@click.argument("name")
+@click.argument("name", shell_complete=policies)
 @remote
 def use(daemon: Remote, name: str) -> None:
     """Have another policy move the arm from the next goal on. It is tried out first, which may take a minute.

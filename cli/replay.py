@@ -6,13 +6,14 @@ from pathlib import Path
 
 import click
 
+from softarm.cli.completion import logs
 from softarm.cli.errors import fail
 from softarm.cli.interrupt import leaves
 from softarm.cli.options import FILE
 
 
 @click.command()
-@click.argument("files", metavar="LOG...", type=FILE, nargs=-1, required=True)
+@click.argument("files", metavar="LOG...", type=FILE, nargs=-1, required=True, shell_complete=logs)
 def replay(files: tuple[Path, ...]) -> None:
     """Run a log's inputs through the tick again and compare every command, bit for bit.
 
@@ -25,7 +26,7 @@ def replay(files: tuple[Path, ...]) -> None:
       softarm replay logs/softarm-20260101T120000Z.mcap
       softarm replay logs/softarm-20260101T*.mcap          a run that left several
     """
-    from softarm.daemon.logbook import logs
+    from softarm.daemon.logbook import logs as recordings
     from softarm.daemon.shell.replay import replay as replay_log
     from softarm.daemon.shell.replay import told
     from softarm.policies import registry
@@ -34,7 +35,7 @@ def replay(files: tuple[Path, ...]) -> None:
 
     leaves("nothing was changed")
     try:
-        parts = logs.parts(files)
+        parts = recordings.parts(files)
         config = parts[0].config
         ticks = chain.from_iterable(part.ticks() for part in parts)
         replayed = replay_log(ticks, config, lambda name: registry.load(name, config.policies))

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import click
 
+from softarm.cli.completion import policies
 from softarm.cli.errors import fail
 from softarm.cli.interrupt import leaves
 from softarm.cli.options import FILE, check_places, json_option, write, write_json
@@ -22,7 +23,7 @@ from softarm.cli.options import FILE, check_places, json_option, write, write_js
     help="Of simulated time, meanwhile, in a process of their own.",
 )
 @click.option("--seed", default=0, show_default=True, help="Of goals, faults and bad clients.")
-@click.option("--policy", default="reach", show_default=True, help="Who flies in lockstep.")
+@click.option("--policy", default="reach", show_default=True, shell_complete=policies, help="Who flies in lockstep.")
 @json_option
 @click.option("--report", type=FILE, help="Write the curves as one HTML file.")
 @click.option("--logs", type=click.Path(path_type=Path, file_okay=False), help="Keep the recordings in this folder.")

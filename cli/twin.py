@@ -4,6 +4,7 @@ from pathlib import Path
 
 import click
 
+from softarm.cli import completion
 from softarm.cli.errors import fail
 from softarm.cli.interrupt import INTERRUPTED, leaves
 from softarm.cli.options import FILE, flown_model, model_option
@@ -26,6 +27,7 @@ LIST = "list"
     "faults",
     multiple=True,
     metavar="NAME[=VALUE]",
+    shell_complete=completion.faults,
     help="What is wrong from the start; `list` shows them, with --reality its own; again for more.",
 )
 @click.pass_context
@@ -77,7 +79,7 @@ def _be(config_file: Path, model_file: Path | None, reality: bool, faults: tuple
 
 
 @twin.command()
-@click.argument("name", metavar="NAME[=VALUE]")
+@click.argument("name", metavar="NAME[=VALUE]", shell_complete=completion.faults)
 @click.option("--config", "config_file", type=FILE, required=True, help="The daemon's own file, which the twin has.")
 @print_option
 def fault(name: str, config_file: Path, as_json: bool) -> None:

@@ -1,0 +1,132 @@
+"""docs/cli.md says what the verbs say, and what it shows can be typed."""
+
+import re
+import shlex
+import shutil
+from pathlib import Path
+
+import click
+import pytest
+from click.testing import CliRunner
+
+from softarm.cli import close_gap
+from softarm.cli.errors import EXITS
+from softarm.cli.interrupt import INTERRUPTED
+from softarm.cli.lazy_group import DEFECT
+from softarm.cli.main import VERBS, main
+from softarm.cli.page import commands_of, examples, page
+
+ROOT = Path(__file__).parents[2]
+NAMES = [name for section in VERBS.values() for name in section]
+# What needs no robot, no daemon and no minutes.
+RUN = ("check softarm.yaml", "policy list --config", "excite --list", "twin --fault list", "model ", "config units")
+
+
+def typed(command):
+    """The commands of a verb's examples: what is said beside them left out, what goes on in the next line joined."""
+    text = re.sub(r"\\\n\s*", "", "\n".join(examples(command)))
+    for line in text.splitlines():
+        for part in re.split(r"\s{2,}|&&| [#>] ", line.strip()):
+            if part.strip().startswith("softarm "):
+                yield part.strip()
+
+
+EXAMPLES = sorted({line for name in NAMES for _, command in commands_of(name) for line in typed(command)})
+
+
+def test_the_page_is_what_the_verbs_say_now():
+    assert (ROOT / "docs" / "cli.md").read_text(encoding="utf-8") == page(), (
+        "run: python -m softarm.cli.page > docs/cli.md"
+    )
+
+
+def test_the_page_shows_examples_of_every_verb():
+    assert len(EXAMPLES) > 60
+    assert {line.split()[1] for line in EXAMPLES} >= set(NAMES)
+
+
+@pytest.fixture
+def bench(tmp_path, monkeypatch):
+    """A folder with the files that examples name and verbs want to be there."""
+    for name in ("softarm.yaml", "twin.yaml"):
+        shutil.copy(ROOT / name, tmp_path)
+    shutil.copy(ROOT / "simulator" / "models" / "seed.yaml", tmp_path / "mine.yaml")
+    for name in ("logs", "campaign", "recordings", "runs/compare"):
+        (tmp_path / name).mkdir(parents=True)
+    for word in shlex.split(" ".join(EXAMPLES)):
+        if word.startswith("logs/") and "*" not in word:
+            (tmp_path / word).touch()
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+@pytest.mark.parametrize("line", EXAMPLES)
+def test_an_example_can_be_typed(bench, line):
+    """Its verbs, options and values are those that there are; nothing is begun."""
+    context, words = click.Context(main, info_name="softarm"), shlex.split(line)[1:]
+    command: click.Command = main
+    while isinstance(command, click.Group) and words and not words[0].startswith("-"):
+        name, command, words = command.resolve_command(context, words)
+        if isinstance(command, click.Group) and words and words[0] in command.commands:
+            continue
+        context = command.make_context(name, list(words), parent=context)
+        words = []
+    assert words == [] or words == ["--version"]
+
+
+@pytest.mark.parametrize("line", [line for line in EXAMPLES if line.removeprefix("softarm ").startswith(RUN)])
+def test_an_example_that_needs_no_robot_does_what_it_says(bench, line):
+    if "--logs" in line:
+        pytest.skip("needs recordings of a robot")
+    result = CliRunner().invoke(main, shlex.split(line)[1:])
+    assert result.exit_code == 0, result.output
+
+
+def test_the_exit_codes_are_all_of_them_and_help_tells_them():
+    used = {0, 1, 2, close_gap.KEEP_THE_OLD, DEFECT, INTERRUPTED}
+    assert set(EXITS) == used
+    told = CliRunner().invoke(main, ["--help"]).output
+    assert all(re.search(rf"\n +{code} +{re.escape(meaning[:20])}", told) for code, meaning in EXITS.items())
+    ends = [
+        found
+        for file in (ROOT / "cli").glob("*.py")
+        for found in re.findall(r"(?:SystemExit|sys\.exit|ctx\.exit)\((.*?)\)+$", file.read_text(), re.MULTILINE)
+    ]
+    assert set(ends) <= {"1", "KEEP_THE_OLD", "INTERRUPTED", "DEFECT", "bool(replayed.differences"}
+
+
+def completed(words, number):
+    environment = {"_SOFTARM_COMPLETE": "bash_complete", "COMP_WORDS": words, "COMP_CWORD": str(number)}
+    return CliRunner().invoke(main, [], prog_name="softarm", env=environment).output.split()
+
+
+@pytest.mark.parametrize(
+    ("words", "number", "names"),
+    [
+        ("softarm incid", 1, ["plain,incidents"]),
+        ("softarm goal r", 2, ["plain,reach", "plain,run"]),
+        ("softarm policy use reach-", 3, ["plain,reach-robust", "plain,reach-wide"]),
+        ("softarm evaluate --config arm.yaml --policy mi", 5, ["plain,mine"]),
+        ("softarm model show no-d", 3, ["plain,no-delay", "file,no-d"]),
+        ("softarm run --model no-d", 3, ["plain,no-delay", "file,no-d"]),
+        ("softarm replay logs/s", 2, ["plain,logs/soft-2.mcap", "plain,logs/soft-1.mcap", "file,logs/s"]),
+        ("softarm incidents l", 2, ["plain,latest"]),
+        ("softarm incidents i", 2, ["plain,incident-1.zip"]),
+        ("softarm excite rail-ch", 2, ["plain,rail-chirp"]),
+        ("softarm twin --fault mocap_f", 3, ["plain,mocap_freeze"]),
+        ("softarm goal reach -0.2 0.5", 4, ["plain,0.55"]),
+    ],
+)
+def test_names_are_completed(tmp_path, monkeypatch, words, number, names):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "arm.yaml").write_text("policies: {mine: {plugin: pid}}\n")
+    (tmp_path / "logs" / "incidents").mkdir(parents=True)
+    for name in ("soft-1.mcap", "soft-2.mcap", "incidents/incident-1.zip"):
+        (tmp_path / "logs" / name).touch()
+    assert completed(words, number) == names
+
+
+def test_completion_brings_the_shells_own_script():
+    script = CliRunner().invoke(main, [], prog_name="softarm", env={"_SOFTARM_COMPLETE": "zsh_source"}).output
+    assert "#compdef softarm" in script
+    assert "_SOFTARM_COMPLETE=zsh_complete softarm" in script
