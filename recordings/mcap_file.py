@@ -3,6 +3,7 @@
 import os
 from collections.abc import Iterator
 from pathlib import Path
+from typing import IO
 
 from mcap.records import Channel, McapRecord, Message, Schema
 from mcap.stream_reader import StreamReader
@@ -29,23 +30,28 @@ def records(path: Path) -> Iterator[McapRecord]:
         if not MCAP0_MAGIC.startswith(magic):
             raise LogError(f"{path}: not a log; a log is an MCAP file, as the recorder writes it")
         file.seek(0)
-        stream = StreamReader(file, record_size_limit=os.fstat(file.fileno()).st_size).records
-        schemas, channels = {0}, set[int]()  # 0: a channel without one
-        while True:
-            try:
-                record = next(stream)
-            except Exception:  # the library raises whatever its parser met at the break
-                return
-            match record:
-                case Schema():
-                    schemas.add(record.id)
-                case Channel() if record.schema_id in schemas:
-                    channels.add(record.id)
-                case Channel():
-                    continue
-                case Message() if record.channel_id not in channels:
-                    continue
-            yield record
+        yield from stream(file, os.fstat(file.fileno()).st_size)
+
+
+def stream(file: IO[bytes], record_max: int) -> Iterator[McapRecord]:
+    """Every whole record of what is being read, a pipe too, as `records` does; none may be larger than record_max."""
+    found = StreamReader(file, record_size_limit=record_max).records
+    schemas, channels = {0}, set[int]()  # 0: a channel without one
+    while True:
+        try:
+            record = next(found)
+        except Exception:  # the library raises whatever its parser met at the break
+            return
+        match record:
+            case Schema():
+                schemas.add(record.id)
+            case Channel() if record.schema_id in schemas:
+                channels.add(record.id)
+            case Channel():
+                continue
+            case Message() if record.channel_id not in channels:
+                continue
+        yield record
 
 
 def messages(path: Path) -> Iterator[tuple[str, bytes]]:

@@ -95,6 +95,7 @@ class Recorder:
         self._lost = 0  # ticks that the writer took and could not write
         self._in_goal = False  # a policy flies one
         self._next_try_s = 0.0  # to begin the next file
+        self.beside: Callable[[Tick, list[Entry]], None] | None = None  # who else takes ticks here; may not block
         self.path: Path | None = None  # of the log being written
         self.problem: str | None = None  # why nothing is written now
 
@@ -277,6 +278,8 @@ class Recorder:
         self.recent.take(tick[1])
         if self._incidents is not None:
             self._incidents.happened(tick[1], entries)
+        if self.beside is not None:
+            self.beside(tick, entries)
         return entries
 
     def _watch(self) -> None:

@@ -12,6 +12,7 @@ from softarm.daemon.api.app import ApiContext, create_app
 from softarm.daemon.api.login import Sessions
 from softarm.daemon.api.server import ApiServer
 from softarm.daemon.control.inbox import Inbox
+from softarm.daemon.foxglove.guest import FoxgloveGuest
 from softarm.daemon.logbook.recorder import Recorder
 from softarm.daemon.shell import realtime
 from softarm.daemon.shell.first_policy import first_policy
@@ -77,7 +78,12 @@ class Daemon:
     """Started, it runs until stopped; the caller decides which devices it moves."""
 
     def __init__(
-        self, config: Config, devices: Devices, latch: LatchKeeper | None = None, policy: Policy | None = None
+        self,
+        config: Config,
+        devices: Devices,
+        latch: LatchKeeper | None = None,
+        policy: Policy | None = None,
+        foxglove: FoxgloveGuest | None = None,
     ) -> None:
         """policy: `control.policy`; loaded here without one. Raises PolicyError when it cannot be.
 
@@ -87,6 +93,9 @@ class Daemon:
         self.config = config
         policy = policy or registry.load(config.control.policy, config.policies)
         self.recorder = Recorder(config, policy.spec)
+        self.foxglove = foxglove
+        if foxglove is not None:
+            self.recorder.beside = foxglove.take
         self.inbox = Inbox()
         self.latch = latch
         self.notifier = Notifier()
@@ -131,18 +140,22 @@ class Daemon:
     def start(self) -> None:
         """Latch, recorder, stop, API, loop: people can ask before the hardware is up.
 
-        Raises LatchError, RecorderError or ApiError; nothing is left running then.
+        Raises LatchError, RecorderError, FoxgloveError or ApiError; nothing is left running then.
         """
         sys.setswitchinterval(SWITCH_INTERVAL_S)
         try:
             if self.latch is not None:
                 self.latch.start()
             self.recorder.start()
+            if self.foxglove is not None:
+                self.foxglove.start()
             self.stop_port = self.stop_way.start()
             self.port = self.api.start()
         except Exception:
             self.stop_way.stop()
             self.recorder.stop()
+            if self.foxglove is not None:
+                self.foxglove.stop()
             if self.latch is not None:
                 self.latch.stop()
             raise
@@ -150,7 +163,7 @@ class Daemon:
 
     def stop(self) -> None:
         """The loop first: it leaves the devices safe. Each part is stopped whatever the others do."""
-        for part in (self.loop, self.latch, self.stop_way, self.api, self.recorder):
+        for part in (self.loop, self.latch, self.stop_way, self.api, self.recorder, self.foxglove):
             try:
                 if part is not None:
                     part.stop()
@@ -173,7 +186,13 @@ class Daemon:
         log.warning("emergency stop by a key: `softarm acknowledge` frees the latch")
 
 
-def run(config: Config, devices: Devices, on_ready: Callable[[Daemon], None], latch: LatchKeeper | None = None) -> int:
+def run(
+    config: Config,
+    devices: Devices,
+    on_ready: Callable[[Daemon], None],
+    latch: LatchKeeper | None = None,
+    foxglove: FoxgloveGuest | None = None,
+) -> int:
     """Run until SIGINT or SIGTERM, and return which; tells systemd, if it is there.
 
     Raises what `first_policy` and Daemon raise.
@@ -191,7 +210,7 @@ def run(config: Config, devices: Devices, on_ready: Callable[[Daemon], None], la
     policy = first_policy(config, stop)
     if policy is None:
         return signals[-1]
-    daemon = Daemon(config, devices, latch, policy)
+    daemon = Daemon(config, devices, latch, policy, foxglove)
     daemon.start()
     try:
         on_ready(daemon)

@@ -143,7 +143,7 @@ class Converter:
         anew = (at_ns - self._told_ns) * 1e-9 >= self._repeat_s
         due = [topic for topic, of in made.items() if anew or self._told.get(topic) != repr(of)]
         self._told = {topic: repr(of) for topic, of in made.items()}  # their texts: NaN of a goal equals nothing
-        self._told_ns = at_ns if due else self._told_ns
+        self._told_ns = at_ns if anew else self._told_ns
         for topic in due:
             match topic:
                 case "/tf_static":

@@ -98,3 +98,12 @@ def test_a_port_that_is_taken_leaves_no_log(tmp_path, verb):
     assert result.exit_code == 1
     assert f"api.port {port}: cannot listen there, process {os.getpid()} (" in result.stderr
     assert os.listdir(tmp_path) == ["c.yaml"]
+
+
+@pytest.mark.parametrize("address", ["x", "70000", "0.0.0.0:", "host:-1"])
+def test_an_address_for_foxglove_that_is_none_is_told(address):
+    result = CliRunner().invoke(main, ["run", "--simulated", "--foxglove", address])
+    assert result.exit_code == 2
+    assert f"--foxglove {address}: allowed PORT or HOST:PORT, PORT 0 to 65535 (0: any)" in " ".join(
+        result.output.split()
+    )

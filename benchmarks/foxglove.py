@@ -1,0 +1,157 @@
+"""Does the control loop notice that it is served live to Foxglove? Lateness with and without, in turns.
+
+Each turn is a daemon of its own with a simulated robot that swings all the while, as `softarm run --simulated` starts
+it; in every second turn it runs with `--foxglove` and a client in another process has everything sent to it. The
+figures come from the daemons' logs; what a bare loop beside them, which only sleeps, is late is the machine's doing.
+
+    python -m softarm.benchmarks.foxglove --seconds 60 --json FILE
+"""
+
+import json
+import multiprocessing
+import random
+import re
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+from typing import Any
+
+import click
+import httpx
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from softarm.benchmarks import results
+from softarm.benchmarks.loop import GOAL_EVERY_S, BareLoop
+from softarm.daemon.logbook import logs
+from softarm.schemas.flights import TEST_TARGETS
+
+SETTLE_S = 3.0  # what a daemon's start still does
+
+
+def run(seconds: float, rounds: int) -> dict[str, Any]:
+    """Measure either for `seconds`, in so many rounds by turns."""
+    found: dict[str, dict[str, list[int]]] = {}
+    for number in range(2 * rounds):
+        name = "with" if number % 2 else "without"
+        part = found.setdefault(name, {"late": [], "missed": [], "compute": [], "bare": [], "messages": []})
+        for key, values in _turn(seconds / rounds, number % 2 == 1).items():
+            part[key] += values
+    return {name: _figures(part) for name, part in found.items()}
+
+
+def _turn(seconds: float, is_served: bool) -> dict[str, list[int]]:
+    with tempfile.TemporaryDirectory() as folder, BareLoop(Path(folder)) as bare:
+        config = Path(folder) / "softarm.yaml"
+        config.write_text(f"api: {{port: 0, stop_port: 0}}\nrecorder: {{directory: {folder}/logs}}\n")
+        command = [sys.executable, "-m", "softarm.cli.main", "run", "--simulated", "--config", str(config)]
+        command += ["--foxglove", "0"] if is_served else []
+        messages: Any = multiprocessing.get_context("spawn").Value("q", 0)
+        with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+            assert process.stdout is not None
+            said = ""
+            while "next:" not in said:
+                line = process.stdout.readline()
+                if not line:
+                    raise click.ClickException(f"the daemon did not come up: {said or 'it said nothing'}")
+                said += line
+            client = _client(said, messages) if is_served else None
+            time.sleep(SETTLE_S)
+            window = _swing(re.search(r"serving (http://\S+)", said)[1], seconds)  # type: ignore[index]
+            if client is not None:
+                client.kill()
+                client.join()
+            process.send_signal(signal.SIGTERM)
+        (log,) = (Path(folder) / "logs").glob("*.mcap")
+        ticks = [tick for tick in logs.read(log) if window[0] <= tick[0].t_ns < window[1]]
+        return {
+            "late": [inputs.late_ns for inputs, _, _ in ticks],
+            "missed": [inputs.missed for inputs, _, _ in ticks],
+            "compute": [t.read_ns + t.compute_ns + t.write_ns for _, _, t in ticks],
+            "bare": bare.lateness_ns(window),
+            "messages": [messages.value],
+        }
+
+
+def _swing(url: str, seconds: float) -> tuple[int, int]:
+    """Give goals for a while; returns the window, monotonic nanoseconds."""
+    targets, began = random.Random(0), time.monotonic()
+    with httpx.Client(base_url=url) as api:
+        api.post("/api/arm").raise_for_status()
+        while (passed := time.monotonic() - began) < seconds:
+            goal = targets.choice(TEST_TARGETS)
+            api.post("/api/goal", json={"kind": "reach", "y_m": goal.y_m, "z_m": goal.z_m})
+            time.sleep(min(GOAL_EVERY_S, seconds - passed))
+    return round(began * 1e9), time.monotonic_ns()
+
+
+def _client(said: str, messages: Any) -> Any:
+    url = re.search(r"(ws://\S+)", said)[1]  # type: ignore[index]
+    client = multiprocessing.get_context("spawn").Process(target=_listen, args=(url, messages), daemon=True)
+    client.start()
+    return client
+
+
+def _listen(url: str, messages: Any) -> None:
+    """Have everything sent that there is, and read it."""
+    from websockets.sync.client import connect
+
+    with connect(url, subprotocols=["foxglove.sdk.v1"], max_size=None) as socket:  # type: ignore[list-item]
+        for data in socket:
+            if isinstance(data, bytes):
+                messages.value += 1
+                continue
+            said = json.loads(data)
+            if said["op"] == "advertise":
+                wanted = [{"id": one["id"], "channelId": one["id"]} for one in said["channels"]]
+                socket.send(json.dumps({"op": "subscribe", "subscriptions": wanted}))
+
+
+def _figures(part: dict[str, list[int]]) -> dict[str, Any]:
+    def spread(values_ns: list[int]) -> dict[str, float]:
+        names = ("p50", "p99", "p999", "max")
+        return dict(zip(names, np.percentile(np.array(values_ns) / 1e6, [50, 99, 99.9, 100]).tolist(), strict=True))
+
+    return {
+        "lateness_ms": spread(part["late"]),
+        "compute_ms": spread(part["compute"]),
+        "bare_loop_lateness_ms": spread(part["bare"]),
+        "ticks": len(part["late"]),
+        "missed_ticks": sum(part["missed"]),
+        "messages": sum(part["messages"]),
+    }
+
+
+@click.command()
+@click.option("--seconds", default=60.0, show_default=True, type=click.FloatRange(5, 3600), help="For each part.")
+@click.option("--rounds", default=2, show_default=True, type=click.IntRange(1, 100), help="Turns of either.")
+@results.json_option
+def main(seconds: float, rounds: int, json_file: Path | None) -> None:
+    """Lateness of the loop with and without a viewer in Foxglove.
+
+    \b
+    Example:
+      python -m softarm.benchmarks.foxglove --seconds 60 --json foxglove.json
+    """
+    result = run(seconds, rounds)
+    if json_file is not None:
+        results.write(json_file, result)
+    table = Table("p50 / p99 / p99.9 / max", *(f"{name} Foxglove" for name in result))
+    for key, label in (
+        ("lateness_ms", "lateness (ms)"),
+        ("compute_ms", "compute (ms)"),
+        ("bare_loop_lateness_ms", "lateness of a bare loop beside it (ms)"),
+    ):
+        shown = ("{p50:.2f} / {p99:.2f} / {p999:.2f} / {max:.2f}".format(**part[key]) for part in result.values())
+        table.add_row(label, *shown)
+    for key in ("ticks", "missed_ticks", "messages"):
+        table.add_row(key.replace("_", " "), *(str(part[key]) for part in result.values()))
+    Console().print(table)
+
+
+if __name__ == "__main__":
+    main()

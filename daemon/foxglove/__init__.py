@@ -1,0 +1,1 @@
+"""Live to Foxglove: a guest that nobody waits for."""

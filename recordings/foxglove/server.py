@@ -1,0 +1,103 @@
+"""Serves what a log would hold to Foxglove while it happens: a log comes in, its messages go out by WebSocket.
+
+A process of its own, `python -m softarm.recordings.foxglove.server HOST PORT`: the log comes on the standard input, and
+the end of that is its end. On the standard output it says one line: the port, or why there is none. Clients can look
+and nothing else: the server takes no message, parameter or call.
+"""
+
+import os
+import signal
+import sys
+from collections.abc import Iterator
+from typing import Any, BinaryIO
+
+from mcap.records import Channel, McapRecord, Message, Metadata, Schema
+
+from softarm.recordings import mcap_file
+from softarm.recordings.foxglove import converter
+from softarm.recordings.foxglove.converter import Converter
+from softarm.schemas import log
+from softarm.schemas.config import Config
+
+NAME = "softarm"
+REPEAT_S = 1.0  # what stands still is told so often, for whoever comes later
+RECORD_MAX = 16_000_000
+
+
+class Relay:
+    """Takes the records of a log as they come and puts them, and what they show, on Foxglove's channels."""
+
+    def __init__(self, foxglove: Any, context: Any) -> None:
+        """foxglove: the SDK's module, which is an extra."""
+        self._foxglove, self._context = foxglove, context
+        self._schemas: dict[int, Schema] = {}
+        self._topics: dict[int, str] = {}
+        self._metadata: dict[str, dict[str, str]] = {}
+        self._converter: Converter | None = None
+        self._channels = {one.topic: self._channel(one) for one in converter.channels()}
+
+    def take(self, record: McapRecord) -> None:
+        """One record."""
+        match record:
+            case Schema():
+                self._schemas[record.id] = record
+            case Channel():
+                self._topics[record.id] = record.topic
+                schema = self._schemas[record.schema_id]
+                own = converter.Channel(record.topic, schema.name, schema.data)
+                self._channels[record.topic] = self._channel(own)
+            case Metadata():
+                self._metadata[record.name] = record.metadata
+            case Message():
+                for message in self._shown(record):
+                    self._channels[message.topic].log(message.data, log_time=message.log_time)
+
+    def _shown(self, record: Message) -> Iterator[converter.Message]:
+        if self._converter is None:  # the head of a log comes before its messages
+            config = Config.model_validate_json(self._metadata[log.CONFIGURATION]["json"])
+            offset_ns = int(self._metadata[log.CLOCK]["wall_minus_monotonic_ns"])
+            self._converter = Converter(config, offset_ns, REPEAT_S)
+        return self._converter.take(self._topics[record.channel_id], record.log_time, record.publish_time, record.data)
+
+    def _channel(self, one: converter.Channel) -> Any:
+        schema = self._foxglove.Schema(name=one.schema_name, encoding="jsonschema", data=one.json_schema)
+        return self._foxglove.Channel(one.topic, schema=schema, message_encoding="json", context=self._context)
+
+
+def serve(host: str, port: int, source: BinaryIO) -> None:
+    """Serve until the source ends; says the port, or what is wrong."""
+    try:
+        import foxglove
+    except ModuleNotFoundError:
+        _say("is not installed: pip install 'softarm[foxglove]'")
+        return
+    context = foxglove.Context()
+    try:
+        server = foxglove.start_server(name=NAME, host=host, port=port, capabilities=[], context=context)
+    except Exception as error:  # the SDK raises what its system says
+        _say(f"cannot be served at {host}:{port} ({error}); choose another port")
+        return
+    _say(str(server.port))
+    relay = Relay(foxglove, context)
+    try:
+        for record in mcap_file.stream(source, RECORD_MAX):
+            relay.take(record)
+    finally:
+        server.stop()
+
+
+def _say(text: str) -> None:
+    print(text, flush=True)
+
+
+def _step_back() -> None:
+    """Behind the daemon, whose priority a child inherits; signals are the daemon's, whose end is the source's."""
+    os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
+    os.nice(5)
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, signal.SIG_IGN)
+
+
+if __name__ == "__main__":
+    _step_back()
+    serve(sys.argv[1], int(sys.argv[2]), sys.stdin.buffer)

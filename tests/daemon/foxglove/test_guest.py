@@ -1,0 +1,192 @@
+"""Live to Foxglove: by its own protocol what happens arrives, nothing goes the other way, and nobody waits for it."""
+
+import json
+import socket
+import struct
+import time
+from contextlib import contextmanager
+
+import httpx
+import pytest
+from websockets.exceptions import ConnectionClosed
+from websockets.sync.client import connect
+
+from softarm.daemon.foxglove.guest import QUEUE_MAX, FoxgloveError, FoxgloveGuest
+from softarm.daemon.shell import daemon as shell
+from softarm.schemas.config import Config
+
+pytest.importorskip("foxglove")
+pytestmark = [pytest.mark.slow, pytest.mark.timeout(120)]
+SCENES = {"/tf_static", "/scene/robot", "/scene/target", "/scene/shelf"}
+
+
+class Viewer:
+    """A client of the protocol (foxglove.sdk.v1): channels by topic, messages as they come."""
+
+    def __init__(self, socket):
+        self.socket = socket
+        self.server = json.loads(self.socket.recv(10))
+        self.channels = {}
+        while not {"/tick", "/tf", "/state"} <= self.channels.keys():
+            said = json.loads(self.socket.recv(10))
+            assert said["op"] == "advertise"
+            self.channels |= {channel["topic"]: channel for channel in said["channels"]}
+
+    def subscribe(self, *topics):
+        self.topics = dict(enumerate(topics))
+        wanted = [{"id": number, "channelId": self.channels[topic]["id"]} for number, topic in self.topics.items()]
+        self.socket.send(json.dumps({"op": "subscribe", "subscriptions": wanted}))
+
+    def messages(self):
+        """(topic, wall time in ns, what it says), without an end."""
+        while True:
+            data = self.socket.recv(10)
+            if isinstance(data, bytes) and data[0] == 1:
+                number, at_ns = struct.unpack_from("<IQ", data, 1)
+                yield self.topics[number], at_ns, json.loads(data[13:])
+
+    def until(self, *topics):
+        """The first message of each topic."""
+        found, messages = {}, self.messages()
+        while not set(topics) <= found.keys():
+            topic, *rest = next(messages)
+            found.setdefault(topic, rest)
+        return found
+
+
+@contextmanager
+def viewing(guest):
+    with connect(guest.url, subprotocols=["foxglove.sdk.v1"], max_size=None, close_timeout=0.2) as socket:
+        yield Viewer(socket)
+
+
+def config_of(folder):
+    """Without real-time priority, which whatever a test starts from its own thread would inherit."""
+    return Config.model_validate(
+        {
+            "api": {"port": 0, "stop_port": 0},
+            "recorder": {"directory": folder},
+            "control": {"realtime_priority": 0},
+        }
+    )
+
+
+@pytest.fixture(scope="module")
+def running(tmp_path_factory):
+    config = config_of(tmp_path_factory.mktemp("logs"))
+    daemon = shell.Daemon(config, shell.simulated_devices(), foxglove=FoxgloveGuest(config, port=0))
+    daemon.start()
+    yield daemon
+    daemon.stop()
+
+
+@pytest.fixture(scope="module")
+def robot(running):
+    with httpx.Client(base_url=running.url) as client:
+        yield client
+
+
+def test_ticks_frames_and_scenes_arrive_at_the_walls_time_even_for_who_comes_late(running):
+    with viewing(running.foxglove) as viewer:
+        assert viewer.channels["/tf"]["schemaName"] == "foxglove.FrameTransforms"
+        assert viewer.channels["/scene/robot"]["schemaName"] == "foxglove.SceneUpdate"
+        viewer.subscribe("/tick", "/tf", "/state", *SCENES)
+        found = viewer.until("/tick", "/tf", "/state", *SCENES)
+    for at_ns, _ in found.values():
+        assert abs(at_ns - time.time_ns()) < 5e9
+    frames = [each["child_frame_id"] for each in found["/tf"][1]["transforms"]]
+    assert frames == ["cart", "link1", "link2", "link3", "link4", "link5"]
+    assert found["/state"][1]["mode"] == "disarmed"
+    assert {entity["id"] for entity in found["/scene/robot"][1]["entities"]} >= {"rail", "cart", "link5", "tip"}
+
+
+def test_every_tick_arrives_once_and_in_order(running):
+    with viewing(running.foxglove) as viewer:
+        viewer.subscribe("/state")
+        ticks = [said["tick"] for (_, _, said), _ in zip(viewer.messages(), range(60), strict=False)]
+    assert ticks == list(range(ticks[0], ticks[0] + 60))
+
+
+def test_what_happens_is_in_its_journal(running, robot):
+    with viewing(running.foxglove) as viewer:
+        viewer.subscribe("/state", "/log")
+        viewer.until("/state")
+        robot.put("/api/policy", json={"name": "pid"}).raise_for_status()
+        _, said = viewer.until("/log")["/log"]
+    assert (said["message"].partition(",")[0], said["name"], said["level"]) == ("policy pid", "request", 2)
+
+
+def test_who_looks_can_do_nothing_else(running, robot):
+    """No capability is offered; messages, parameters and calls that come all the same move nothing."""
+    before = robot.get("/api/events").json()["newest"]
+    with viewing(running.foxglove) as viewer:
+        assert viewer.server["capabilities"] == []
+        channel = {"id": 1, "topic": "/request", "encoding": "json", "schemaName": "", "schema": ""}
+        for said in (
+            {"op": "advertise", "channels": [channel]},
+            {"op": "setParameters", "parameters": [{"name": "mode", "value": "armed"}]},
+            {"op": "subscribeConnectionGraph"},
+        ):
+            viewer.socket.send(json.dumps(said))
+        viewer.socket.send(struct.pack("<BI", 1, 1) + json.dumps({"number": 1, "kind": "arm"}).encode())
+        viewer.socket.send(struct.pack("<BII4s", 2, 1, 1, b"json") + b"{}")
+        viewer.subscribe("/state")
+        assert viewer.until("/state")["/state"][1]["mode"] == "disarmed"
+    assert robot.get("/api/events").json()["newest"] == before
+
+
+def test_a_client_that_does_not_read_holds_up_nobody(running):
+    """Sent more than its connection holds, it loses messages; who reads beside it sees the newest tick."""
+    seen, guest = [], running.foxglove
+    running.recorder.beside = lambda tick, entries: (seen.append(tick), guest.take(tick, entries))
+    with viewing(guest) as stuck, viewing(guest) as viewer:
+        stuck.subscribe(*stuck.channels)
+        viewer.subscribe("/state")
+        viewer.until("/state")
+        for _ in range(2000):  # some 20 MB, a minute's worth
+            guest.take(seen[-1], [])
+            time.sleep(0.0005)
+        newest = seen[-1][1].tick
+        assert next(said["tick"] for _, _, said in viewer.messages() if said["tick"] > newest)
+    assert running.recorder.dropped == 0
+
+
+def test_it_is_bound_to_this_computer_alone(running):
+    with socket.create_connection(("127.0.0.1", running.foxglove.port)):
+        pass
+    with pytest.raises(OSError, match="refused"):
+        socket.create_connection(("127.0.0.2", running.foxglove.port))
+
+
+def test_a_server_that_dies_takes_nothing_with_it(running, robot, caplog):
+    running.foxglove._server.kill()
+    running.foxglove._thread.join(10)
+    assert "Foxglove's server has ended" in caplog.text
+    tick = robot.get("/api/status").json()["tick"]
+    for _ in range(2 * QUEUE_MAX):  # more than the queue takes
+        running.foxglove.take(None, [])
+    while robot.get("/api/status").json()["tick"] < tick + 10:
+        pass
+
+
+def test_a_port_that_is_taken_is_told_and_ends_the_start(tmp_path):
+    config = config_of(tmp_path)
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = taken.getsockname()[1]
+        daemon = shell.Daemon(config, shell.simulated_devices(), foxglove=FoxgloveGuest(config, port=port))
+        with pytest.raises(FoxgloveError, match=rf"Foxglove cannot be served at 127.0.0.1:{port} .*another port"):
+            daemon.start()
+    assert daemon.foxglove._server.poll() is not None
+
+
+def test_it_ends_with_its_daemon(tmp_path):
+    config = config_of(tmp_path)
+    guest = FoxgloveGuest(config, port=0)
+    guest.start()
+    with viewing(guest) as viewer:
+        began = time.monotonic()
+        guest.stop()
+        assert time.monotonic() - began < 4
+        with pytest.raises(ConnectionClosed):
+            next(message for message in viewer.messages() if message is None)
+    assert guest._server.returncode == 0

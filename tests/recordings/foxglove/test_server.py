@@ -1,0 +1,69 @@
+"""The process that serves: what it says of itself, and what it makes of a log that comes in."""
+
+import io
+import socket
+import sys
+
+import pytest
+
+from softarm.recordings import mcap_file
+from softarm.recordings.foxglove import converter, server
+
+
+def test_without_the_extra_it_says_how_to_get_it(monkeypatch, capsys):
+    monkeypatch.setitem(sys.modules, "foxglove", None)
+    server.serve("127.0.0.1", 0, io.BytesIO())
+    assert capsys.readouterr().out == "is not installed: pip install 'softarm[foxglove]'\n"
+
+
+def test_a_port_that_is_taken_is_said(capsys):
+    pytest.importorskip("foxglove")
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = taken.getsockname()[1]
+        server.serve("127.0.0.1", port, io.BytesIO())
+    said = capsys.readouterr().out
+    assert said.startswith(f"cannot be served at 127.0.0.1:{port} (")
+    assert said.endswith("choose another port\n")
+
+
+class Sdk:
+    """Foxglove's module as far as a relay uses it: notes what goes out on which topic."""
+
+    def __init__(self):
+        self.sent = []
+
+    def Schema(self, **said):
+        return said
+
+    def Channel(self, topic, *, schema, message_encoding, context):
+        assert (schema["encoding"], message_encoding) == ("jsonschema", "json")
+        sdk = self
+
+        class Channel:
+            def log(self, data, log_time):
+                sdk.sent.append((topic, log_time, data))
+
+        return Channel()
+
+
+def test_what_goes_out_is_what_an_export_holds_with_what_stands_still_told_each_second(log, converted):
+    """The flight down the pipe: the same messages, but the scenes again and again, for whoever comes later."""
+    sdk = Sdk()
+    relay = server.Relay(sdk, None)
+    with log.path.open("rb") as file:
+        for record in mcap_file.stream(file, server.RECORD_MAX):
+            relay.take(record)
+    for topic in ("/tf", "/state", "/tick"):
+        assert [(at, data) for name, at, data in sdk.sent if name == topic] == [
+            (at, data) for at, data in raw(converted, topic)
+        ]
+    again = [at for name, at, _ in sdk.sent if name == "/scene/robot"]
+    assert len(again) == pytest.approx(log.duration_s, abs=1.5)
+    assert {name for name, _, _ in sdk.sent} <= {one.topic for one in converter.channels()} | set(converted.channels)
+
+
+def raw(converted, topic):
+    from mcap.reader import make_reader
+
+    with converted.path.open("rb") as file:
+        yield from ((m.log_time, m.data) for _, _, m in make_reader(file).iter_messages(topics=[topic]))
