@@ -50,7 +50,11 @@ def doctor(
     loaded = settings.look(config_file)
     api = loaded.config.api
     url = url or f"http://{'127.0.0.1' if api.host in ('0.0.0.0', '::') else api.host}:{api.port or 8080}"
-    patient = examination.Patient(loaded, running.look(url, token_of(token_file)), simulated, folder)
+    try:
+        daemon = running.look(url, token_of(token_file))
+    except ValueError as error:
+        raise click.BadParameter(f"{error}; e.g. http://127.0.0.1:8080", param_hint="--url") from None
+    patient = examination.Patient(loaded, url, daemon, simulated, folder)
     found = _examined(patient, quiet=as_json)
     problems = sum(each.state == "problem" for several in found.values() for each in several)
     if as_json:

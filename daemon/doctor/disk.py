@@ -42,8 +42,8 @@ def look(settings: Recorder, logs: Sequence[LogEntry] = (), measured: bool = Tru
     bounded = settings.keep_mb is not None or settings.keep_days is not None
     told = [(each.bytes, each.duration_s) for each in logs if each.duration_s is not None]
     seconds = sum(lasted_s for _, lasted_s in told)
-    speed = _speed(there) if measured and writable and settings.enabled else None
-    bytes_s, flush_ms = speed or (None, None)
+    measured_speed = speed(there) if measured and writable and settings.enabled else None
+    bytes_s, flush_ms = measured_speed or (None, None)
     return Disk(
         folder,
         settings.enabled,
@@ -56,7 +56,7 @@ def look(settings: Recorder, logs: Sequence[LogEntry] = (), measured: bool = Tru
     )
 
 
-def _speed(folder: Path) -> tuple[float, float] | None:
+def speed(folder: Path) -> tuple[float, float] | None:
     """Bytes a second, and how many ms a page takes; None where the disk refuses."""
     try:
         with tempfile.TemporaryFile(dir=folder) as file:

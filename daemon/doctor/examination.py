@@ -28,7 +28,8 @@ class Patient:
     """What is examined."""
 
     settings: Settings
-    daemon: Running | None  # the one that answers
+    url: str  # where a daemon would answer
+    daemon: Running | None  # the one that does
     simulated: bool = False  # a robot simulated in the daemon's process has no wires
     logs: Path | None = None  # another folder than the recorder's
 
@@ -60,6 +61,7 @@ def _wires(patient: Patient) -> Iterator[Finding]:
     if patient.daemon is not None:
         yield from running.judge(patient.daemon, config)
         return
+    yield ok("daemon", f"none answers at {patient.url}: what follows is whether one could begin")
     if not patient.simulated:
         yield from ports.judge_serial(ports.look_serial(config.drivers.regulator.port))
         yield from ports.judge_axis(ports.look_axis(config.drivers.rail.host, config.drivers.rail.port))

@@ -36,7 +36,7 @@ class Serial:
     permitted: bool = False
     group: str = ""
     user: str = ""
-    holder: str | None = None  # a process of this computer
+    holder: str | None = None  # a process of this computer; the twin's end of a pty is none
     others: tuple[str, ...] = ()  # devices that may be meant
 
 
@@ -72,7 +72,7 @@ def look_serial(path: str, devices: Path = Path("/dev")) -> Serial:
     except KeyError:
         group = str(state.st_gid)
     permitted = os.access(path, os.R_OK | os.W_OK)
-    return Serial(path, True, stat.S_ISCHR(state.st_mode), permitted, group, user, _holder(path))
+    return Serial(path, True, stat.S_ISCHR(state.st_mode), permitted, group, user, holder(path))
 
 
 def look_axis(host: str, port: int) -> Axis:
@@ -128,9 +128,11 @@ def _is_connected(host: str, port: int) -> bool:
     return any(line.split()[2:4] == [wanted, ESTABLISHED] for line in lines)
 
 
-def _holder(path: str) -> str | None:
+def holder(path: str) -> str | None:
     """The process that has a device open, as far as this user may see."""
     real = os.path.realpath(path)
+    if real.startswith("/dev/pts/"):  # the twin, which is behind it, has it open as well
+        return None
     for link in Path("/proc").glob("[0-9]*/fd/*"):
         try:
             if os.readlink(link) == real:

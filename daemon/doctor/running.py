@@ -33,7 +33,13 @@ class Running:
 
 
 def look(url: str, token: str | None, samples: int = SAMPLES, apart_s: float = APART_S) -> Running | None:
-    """Ask for so many statuses; None where no softarm daemon answers."""
+    """Ask for so many statuses; None where no softarm daemon answers. Raises ValueError for what is no URL."""
+    try:
+        scheme = httpx.URL(url).scheme
+    except httpx.InvalidURL as error:
+        raise ValueError(f"{url!r} is no URL ({error})") from None
+    if scheme not in ("http", "https"):
+        raise ValueError(f"{url!r} lacks http:// or https://")
     headers = {"Authorization": f"Bearer {token}"} if token else {}
     statuses: list[dict[str, Any]] = []
     with httpx.Client(base_url=url, headers=headers, timeout=ASK_S, trust_env=False) as client:

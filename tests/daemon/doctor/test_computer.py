@@ -91,8 +91,8 @@ def test_no_log_is_asked_for_and_none_is_missed():
 
 
 def test_this_computers_facts_are_read():
-    slept = scheduling.look(0, seconds=0.1)
-    assert 10 <= len(slept.late_ms) <= 49
+    slept = scheduling.look(0, seconds=0.3)
+    assert 1 <= len(slept.late_ms) <= 149
     assert min(slept.late_ms) >= 0.0
     assert slept.cores >= 1
     assert not slept.granted

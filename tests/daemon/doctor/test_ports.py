@@ -39,7 +39,7 @@ def test_what_is_wrong_with_the_serial_device(change, says):
     assert only(ports.judge_serial(THERE)).state is State.OK
 
 
-def test_a_device_and_who_holds_it_are_found_without_opening_it(tmp_path):
+def test_a_device_is_looked_at_and_the_twin_behind_one_is_nobody_who_holds_it(tmp_path):
     master, slave = pty.openpty()
     link = tmp_path / "regulator"
     link.symlink_to(os.ttyname(slave))
@@ -48,8 +48,15 @@ def test_a_device_and_who_holds_it_are_found_without_opening_it(tmp_path):
     finally:
         os.close(slave)
         os.close(master)
-    assert (facts.there, facts.is_device, facts.permitted) == (True, True, True)
-    assert str(os.getpid()) in facts.holder
+    assert (facts.there, facts.is_device, facts.permitted, facts.holder) == (True, True, True, None)
+
+
+def test_who_has_a_file_open_is_found(tmp_path):
+    (tmp_path / "device").write_text("")
+    (tmp_path / "link").symlink_to(tmp_path / "device")
+    assert ports.holder(str(tmp_path / "link")) is None
+    with (tmp_path / "device").open():
+        assert str(ports.holder(str(tmp_path / "link"))).endswith(f"process {os.getpid()}")
 
 
 def test_other_devices_are_named_where_the_one_is_not_there(tmp_path):
