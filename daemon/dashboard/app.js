@@ -43,6 +43,14 @@ class Page {
     this.session = new Session((role) => this.entered(role));
     $("pause").addEventListener("click", () => this.pause());
     this.session.look();
+    this.findStop();
+  }
+
+  // The page may speak to the stop's own way alone, and so its own header tells the port, logged in or not.
+  async findStop() {
+    const page = await get("/", { raw: true }).catch(() => null);
+    const port = /connect-src[^;]*:(\d+)/.exec(page?.headers.get("content-security-policy") ?? "")?.[1];
+    if (port && !this.status) this.stopPort = Number(port);
   }
 
   // Somebody may look now, or no longer.

@@ -5,7 +5,7 @@ import { ROLE_SAYS } from "../view/controls.js";
 import { bytes, clock, el, seconds, sentence, worded } from "../view/dom.js";
 import { Panel } from "./panel.js";
 
-const REPLAY_S = 125;
+const REPLAY_S = 310; // the daemon gives up after 300
 const path = (kind, name) => `api/${kind}/${encodeURIComponent(name)}`;
 const words = (error) => (error.reasons ?? [String(error)]).map((one) => sentence(worded(one))).join(". ");
 
@@ -42,10 +42,10 @@ export class Logs extends Panel {
   }
 
   async replay(log, said) {
-    said.textContent = "Replaying …";
+    said.textContent = "Replaying in a process of its own, up to five minutes …";
     try {
       const answer = await post(`${path("logs", log.name)}/replay`, undefined, { seconds: REPLAY_S });
-      said.textContent = sentence(answer.text ?? answer.detail ?? Object.entries(answer).map(([name, value]) => `${name.replaceAll("_", " ")} ${value}`).join(", "));
+      said.textContent = `${answer.same ? "✓ Same commands" : "✕ Other commands"}. ${answer.sentences.map(sentence).join(". ")}`;
     } catch (error) {
       said.textContent = words(error);
     }
@@ -102,8 +102,8 @@ export class Reports extends Panel {
     return get("api/reports", { seconds: 35 });
   }
 
-  fill({ reports }) {
-    const rows = reports.map((one) => entry(one.title ?? one.name, `${clock(one.modified ?? one.time, true)} · ${bytes(one.bytes)}`, link(path("reports", one.name), "Open", { target: "_blank", rel: "noopener", "aria-label": `Open ${one.name}` })).row);
-    this.place.replaceChildren(this.list(rows, "No diagnosis reports yet: `softarm diagnose` writes them."));
+  fill({ directory, reports }) {
+    const rows = reports.map((one) => entry(one.name, `${clock(one.modified, true)} · ${bytes(one.bytes)}`, link(path("reports", one.name), "Open", { target: "_blank", rel: "noopener", "aria-label": `Open ${one.name}` })).row);
+    this.place.replaceChildren(this.list(rows, `No reports in ${directory} yet: softarm diagnose --report ${directory}/NAME.html leaves one there.`));
   }
 }

@@ -16,7 +16,7 @@ from softarm.daemon.shell import daemon as shell
 from softarm.schemas.config import Config
 
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
-PATIENCE_MS = 5000
+PATIENCE_MS = 20_000  # a busy machine is slow, not wrong
 # A browser says so of every answer of 400 and more, and of every connection that fails.
 SAID_OF_ANSWERS = re.compile(r"Failed to load resource|WebSocket connection to|net::ERR_|blocked by CORS policy")
 
@@ -24,7 +24,8 @@ SAID_OF_ANSWERS = re.compile(r"Failed to load resource|WebSocket connection to|n
 @contextlib.contextmanager
 def running(tmp_path, port: int = 0, **api) -> Iterator[shell.Daemon]:
     """A daemon with a robot simulated in this process."""
-    settings = {"api": {"port": port, "stop_port": 0, **api}, "recorder": {"directory": tmp_path}}
+    there = {"port": port, "stop_port": 0, "reports": tmp_path / "reports"}
+    settings = {"api": there | api, "recorder": {"directory": tmp_path}}
     made = shell.Daemon(Config.model_validate(settings), shell.simulated_devices())
     made.start()
     try:
@@ -94,19 +95,28 @@ def robot(daemon):
     made.client.close()
 
 
+SIZE = {"width": 1280, "height": 860}
+
+
+@pytest.fixture(scope="module")
+def desk(browser):
+    """A context of a browser for all pages of a file that need none of their own: it has the scripts already."""
+    return browser.new_context(viewport=SIZE)
+
+
 class Watched:
     """Opens pages and keeps what is wrong with them: errors, requests to elsewhere, files that are missing."""
 
-    def __init__(self, browser, url: str) -> None:
-        self._browser, self._url = browser, url
-        self._contexts, self.wrong = [], []
+    def __init__(self, browser, desk, url: str) -> None:
+        self._browser, self._desk, self._url = browser, desk, url
+        self._contexts, self._pages, self.wrong = [], [], []
 
-    def __call__(self, look: bool = True, url: str | None = None, **options):
-        """A page in a context of its own, as soon as it is live. look: wait for that. url: of another daemon."""
-        context = self._browser.new_context(**{"viewport": {"width": 1280, "height": 860}} | options)
+    def __call__(self, look: bool = True, url: str | None = None, apart: bool = False, **options):
+        """A page as soon as it is live. look: wait for that. url: of another daemon. apart: in a context of its own."""
+        context = self._context(options) if options or apart else self._desk
         context.set_default_timeout(PATIENCE_MS)
-        self._contexts.append(context)
         page = context.new_page()
+        self._pages.append(page)
         page.on("console", self._console)
         page.on("pageerror", lambda error: self.wrong.append(f"error: {error}"))
         page.on("request", self._request)
@@ -116,6 +126,11 @@ class Watched:
             page.locator("#link[data-link=live]").wait_for()
             page.locator("#drawing svg").wait_for()
         return page
+
+    def _context(self, options):
+        context = self._browser.new_context(**{"viewport": SIZE} | options)
+        self._contexts.append(context)
+        return context
 
     def _console(self, message) -> None:
         if message.type in ("error", "warning") and not SAID_OF_ANSWERS.search(message.text):
@@ -132,14 +147,15 @@ class Watched:
             self.wrong.append(f"{response.status}: {response.url}")
 
     def close(self) -> None:
-        for context in self._contexts:
-            context.close()
+        self._desk.set_offline(False)
+        for one in (*self._pages, *self._contexts):
+            one.close()
 
 
 @pytest.fixture
-def opened(browser, daemon):
+def opened(browser, desk, daemon):
     """opened(**options of a browser context): the dashboard; nothing may have been wrong with it in the end."""
-    watched = Watched(browser, f"{daemon.url}/")
+    watched = Watched(browser, desk, f"{daemon.url}/")
     yield watched
     watched.close()
     assert watched.wrong == []
@@ -178,7 +194,7 @@ def _press(page, y_m: float, z_m: float, tap: bool) -> None:
         drawing.click(position=at)
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def started():
     """With started(tmp_path, port, **api) as daemon."""
     return running

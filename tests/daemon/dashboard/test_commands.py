@@ -1,0 +1,97 @@
+"""Every button does what it says, cannot be pressed when it could not, and says why."""
+
+import re
+
+import pytest
+
+pytestmark = [pytest.mark.slow, pytest.mark.realtime]
+
+
+def can(page, button: str) -> bool:
+    return page.locator(f"#do-{button}").get_attribute("aria-disabled") == "false"
+
+
+def why(page, button: str) -> str:
+    """Press it all the same."""
+    page.locator(f"#do-{button}").click(force=True)
+    return page.locator("#why-not").inner_text()
+
+
+def in_mode(page, mode: str) -> None:
+    page.locator(f"#mode[data-mode={mode}]").wait_for()
+
+
+def test_arm_and_disarm(page, robot):
+    assert page.locator("#reasons .ready").inner_text() == "Nothing is against arming."
+    page.locator("#do-arm").click()
+    in_mode(page, "armed")
+    assert robot.status["mode"] == "armed"
+    assert page.locator("#mode-title").inner_text() == "Armed"
+    page.locator("#do-disarm").click()
+    page.locator("#mode:is([data-mode=stopping], [data-mode=disarmed])").wait_for()
+    assert robot.status["mode"] in ("stopping", "disarmed")
+
+
+def test_acknowledge(page, robot):
+    robot.ask("/api/stop")
+    page.locator("#reasons .reason.against").wait_for()
+    assert "The emergency stop is latched" in page.locator("#reasons").inner_text()
+    assert "POST" not in page.locator("main").inner_text()
+    page.locator("#do-acknowledge").click()
+    in_mode(page, "disarmed")
+    assert robot.status["estop"] == "clear"
+
+
+def test_hold_and_cancel(page, robot):
+    robot.arm()
+    in_mode(page, "armed")
+    page.locator("#do-hold").click()
+    page.wait_for_function("() => document.querySelector('#goal').textContent.includes('hold')")
+    assert robot.status["goal"]["goal"]["kind"] == "hold"
+    robot.ask("/api/goal", {"kind": "reach", "y_m": 0.3, "z_m": 0.55})  # far: it takes its time
+    page.locator("#do-cancel[aria-disabled=false]").click()
+    page.locator("#goal dd", has_text="cancelled,").wait_for()
+    assert robot.status["goal"]["state"] == "cancelled"
+
+
+def test_run_is_offered_with_a_policy_that_needs_no_target(page, robot):
+    assert page.locator("#do-run").is_hidden()
+    page.get_by_role("button", name="Use hold").click()
+    page.locator("#said >> text=Policy hold in use").wait_for()
+    page.locator("#do-run").wait_for()
+    robot.arm()
+    page.locator("#do-run[aria-disabled=false]").click()
+    page.wait_for_function("() => document.querySelector('#goal').textContent.includes('run')")
+    assert robot.status["goal"]["goal"]["kind"] == "run"
+    robot.calm()
+    page.get_by_role("button", name="Use reach", exact=True).click()
+    page.locator("#said >> text=Policy reach in use").wait_for()
+
+
+def test_what_cannot_be_pressed_says_why(page, robot):
+    assert {name for name in ("arm", "disarm", "acknowledge", "hold", "cancel") if can(page, name)} == {"arm"}
+    assert why(page, "disarm") == "Disarm: It is not armed."
+    assert why(page, "acknowledge") == "Acknowledge: There is no emergency stop to acknowledge."
+    assert why(page, "hold") == "Hold: Arm it first."
+    assert robot.status["mode"] == "disarmed"
+    robot.arm()
+    in_mode(page, "armed")
+    assert why(page, "arm") == "Arm: It is armed already."
+    assert why(page, "cancel") == "Cancel goal: No goal is running."
+
+
+def test_why_it_cannot_be_armed_stands_there_in_words_with_the_next_step(page, robot, daemon, monkeypatch):
+    monkeypatch.setattr(daemon.loop._devices.mocap, "read", lambda now_ns: ())  # nobody sees the arm
+    page.locator("#reasons .reason").first.wait_for()
+    page.wait_for_function("() => document.querySelector('#reasons').textContent.includes('Why it cannot be armed')")
+    refused = robot.ask("/api/arm")
+    assert refused.status_code == 409
+    shown = page.locator("#reasons").inner_text().lower()
+    for reason in refused.json()["reasons"]:
+        wrong = re.split(r"[(:]", reason)[0].strip().lower()
+        assert wrong in shown
+    assert "next: " in shown
+    page.locator("#do-arm").click()
+    page.locator("#said .notice.refused li").first.wait_for()
+    assert robot.status["mode"] == "disarmed"
+    assert page.locator("#drawing .links").get_attribute("points")  # as it was seen last; how old that is, the ages say

@@ -1,0 +1,108 @@
+"""Log-in by token, in three roles, from the page; nobody loses the stop."""
+
+import pytest
+
+pytestmark = [pytest.mark.slow, pytest.mark.realtime]
+
+TOKENS = {"command": "c" * 32, "view": "v" * 32, "stop": "s" * 32}
+
+
+@pytest.fixture(scope="module")
+def daemon(tmp_path_factory, started):
+    """One that asks for a token."""
+    folder = tmp_path_factory.mktemp("tokens")
+    keys = {"command": "token_file", "view": "view_token_file", "stop": "stop_token_file"}
+    for role, token in TOKENS.items():
+        (folder / role).touch(0o600)
+        (folder / role).write_text(token)
+    with started(folder, **{key: folder / role for role, key in keys.items()}) as made:
+        yield made
+
+
+@pytest.fixture
+def robot(daemon, asking):
+    made = asking(daemon.url)
+    made.client.headers["Authorization"] = f"Bearer {TOKENS['command']}"
+    made.calm()
+    return made
+
+
+def log_in(page, token: str) -> None:
+    page.locator("#token").fill(token)
+    page.get_by_role("button", name="Log in").click()
+
+
+def test_who_shows_the_token_commands_and_the_page_keeps_none(robot, opened):
+    page = opened(look=False, apart=True)
+    page.locator("#login").wait_for()
+    assert page.locator("#arm").is_hidden()
+    log_in(page, TOKENS["command"])
+    page.locator("#link[data-link=live]").wait_for()
+    assert page.locator("#who").inner_text().split() == ["command", "Log", "out"]
+    page.locator("#do-arm[aria-disabled=false]").click()
+    page.locator("#mode[data-mode=armed]").wait_for()
+    assert page.locator("#token").input_value() == ""
+    kept = page.evaluate(
+        "() => [document.cookie, ...Object.values(localStorage), ...Object.values(sessionStorage)].join()"
+    )
+    assert kept == ""
+    page.reload()
+    page.locator("#link[data-link=live]").wait_for()
+    page.keyboard.press("Space")
+    page.locator("#stopped[data-state=stopped]").wait_for()
+    assert robot.status["mode"] == "stopped"
+    page.get_by_role("button", name="Log out").click()
+    page.locator("#login").wait_for()
+
+
+def test_a_wrong_token_is_refused_in_the_daemons_words(opened):
+    page = opened(look=False, apart=True)
+    log_in(page, "w" * 32)
+    page.locator("#login-said >> text=The token is wrong").wait_for()
+
+
+def test_a_space_in_the_token_is_typed_and_stops_nothing(robot, opened):
+    robot.arm()
+    page = opened(look=False, apart=True)
+    page.locator("#token").press_sequentially("a b")
+    assert page.locator("#token").input_value() == "a b"
+    assert robot.status["mode"] == "armed"
+
+
+def test_who_may_look_sees_why_nothing_can_be_pressed_but_the_stop(robot, opened, press):
+    robot.arm()
+    page = opened(look=False, apart=True)
+    log_in(page, TOKENS["view"])
+    page.locator("#link[data-link=live]").wait_for()
+    page.locator("#why-not >> text=may look and stop, nothing else").wait_for()
+    for button in ("arm", "disarm", "acknowledge", "hold", "reach"):
+        assert page.locator(f"#do-{button}").get_attribute("aria-disabled") == "true"
+    page.locator("#drawing svg").wait_for()
+    press(page, -0.2, 0.65)
+    page.locator("#said .notice.refused >> text=may look and stop").wait_for()
+    assert robot.status["goal"]["number"] == 0
+    page.keyboard.press("Space")
+    page.locator("#stopped[data-state=stopped]").wait_for()
+    assert robot.status["mode"] == "stopped"
+
+
+def test_who_may_stop_sees_the_stop_and_nothing_else(robot, opened):
+    robot.arm()
+    page = opened(look=False, apart=True)
+    log_in(page, TOKENS["stop"])
+    page.locator("#login-why >> text=Your login may stop, nothing else").wait_for()
+    assert page.locator("#arm").is_hidden()
+    page.locator("#stop").click()
+    page.locator("#stopped[data-state=stopped]").wait_for()
+    assert robot.status["mode"] == "stopped"
+
+
+def test_a_stop_of_somebody_unknown_says_that_it_was_none(robot, opened):
+    robot.arm()
+    page = opened(look=False, apart=True)
+    page.locator("#login").wait_for()
+    page.locator("#stop").click()
+    page.locator("#stopped[data-state=unconfirmed]").wait_for()
+    assert "NOT confirmed: use the button on the wall" in page.locator("#stopped").inner_text()
+    assert "token" in page.locator("#stopped").inner_text()
+    assert robot.status["mode"] == "armed"

@@ -1,0 +1,128 @@
+"""The tabs: policies, goals, events, logs, incidents, reports."""
+
+import json
+import shutil
+import zipfile
+from pathlib import Path
+
+import pytest
+
+pytestmark = [pytest.mark.slow, pytest.mark.realtime]
+
+FLIGHT = next((Path(__file__).parents[2] / "data").glob("*.mcap"))
+
+
+def tab(page, name: str):
+    page.locator(f"#panel-{name}-tab").click()
+    return page.locator(f"#panel-{name}")
+
+
+def test_policies_are_listed_with_what_they_are_and_what_is_wrong_with_them(page, robot):
+    panel = tab(page, "policies")
+    panel.locator("li").first.wait_for()
+    told = robot.client.get("/api/policies").json()["policies"]
+    assert panel.locator("li b").all_inner_texts() == [one["name"] for one in told]
+    assert panel.locator("li", has_text="in use").locator("b").inner_text() == "reach"
+    broken = next(one for one in told if one["error"])
+    assert "cannot be used" in panel.locator("li.broken", has_text=broken["name"]).inner_text().lower()
+
+
+def test_another_policy_is_chosen_and_its_range_is_shaded(page, robot):
+    shaded = page.locator("#drawing .trained").get_attribute("width")
+    page.get_by_role("button", name="Use reach-wide").click()
+    page.locator("#said >> text=Policy reach-wide in use").wait_for()
+    page.wait_for_function(
+        "(was) => document.querySelector('#drawing .trained').getAttribute('width') !== was", arg=shaded
+    )
+    assert robot.status["policy"] == "reach-wide"
+    robot.client.put("/api/policy", json={"name": "reach"})
+
+
+def test_events_come_by_themselves(page, robot):
+    panel = tab(page, "events")
+    robot.ask("/api/arm")
+    panel.locator("li", has_text="Arm, asked for by the API").first.wait_for()
+    newest = robot.client.get("/api/events").json()["events"][-1]["text"]
+    panel.locator("li", has_text=newest[1:]).first.wait_for()
+
+
+def test_goals_have_their_outcomes(page, robot, press):
+    robot.arm()
+    press(page, -0.22, 0.63)
+    panel = tab(page, "goals")
+    panel.locator("li.reached").first.wait_for()
+    assert "reached after" in panel.locator("li").first.inner_text()
+    assert "of" in panel.locator(".hint").inner_text()
+
+
+@pytest.fixture
+def flight(daemon):
+    """A log that is finished."""
+    place = daemon.config.recorder.directory / "flight.mcap"
+    shutil.copy(FLIGHT, place)
+    yield place
+    place.unlink(missing_ok=True)
+
+
+def test_a_log_is_downloaded_replayed_and_deleted(page, daemon, flight, tmp_path):
+    panel = tab(page, "logs")
+    row = panel.locator("li", has_text="flight.mcap")
+    with page.expect_download() as download:
+        row.get_by_role("link", name="Download").click()
+    download.value.save_as(tmp_path / "mine.mcap")
+    assert (tmp_path / "mine.mcap").read_bytes() == flight.read_bytes()
+    row.get_by_role("button", name="Replay").click()
+    row.locator("text=✓ Same commands").wait_for(timeout=60_000)
+    row.get_by_role("button", name="Delete").click()
+    assert flight.exists()
+    page.locator("#panel-logs-tab").focus()  # second thoughts
+    assert row.get_by_role("button", name="Delete").inner_text() == "Delete"
+    row.get_by_role("button", name="Delete").click()
+    row.locator("text=Delete for good?").click()
+    row.wait_for(state="detached")
+    assert not flight.exists()
+
+
+def test_the_log_that_is_being_recorded_stays(page, daemon):
+    panel = tab(page, "logs")
+    row = panel.locator("li", has_text=daemon.recorder.path.name)
+    button = row.get_by_role("button", name="Delete")
+    assert button.get_attribute("aria-disabled") == "true"
+    button.click(force=True)
+    row.locator("text=It is being recorded.").wait_for()
+    assert daemon.recorder.path.exists()
+
+
+def test_the_file_of_an_emergency_stop_is_downloaded(page, robot, tmp_path):
+    robot.arm()
+    robot.ask("/api/stop")
+    robot.until(lambda _: robot.client.get("/api/incidents").json()["incidents"], seconds=30)
+    panel = tab(page, "incidents")
+    with page.expect_download() as download:
+        panel.get_by_role("link", name="Download").first.click()
+    download.value.save_as(tmp_path / "incident.zip")
+    assert zipfile.ZipFile(tmp_path / "incident.zip").testzip() is None
+
+
+def test_a_report_opens_in_a_page_of_its_own(page, robot, daemon):
+    panel = tab(page, "reports")
+    panel.locator("text=No reports").wait_for()
+    folder = daemon.config.api.reports
+    folder.mkdir(exist_ok=True)
+    (folder / "gap.html").write_text("<!doctype html><title>gap</title><h1>The rail lags</h1>")
+    tab(page, "policies")
+    tab(page, "reports")
+    with page.context.expect_page() as other:
+        panel.get_by_role("link", name="Open gap.html").click()
+    assert other.value.locator("h1").inner_text() == "The rail lags"
+
+
+def test_tabs_are_chosen_by_arrow_keys(page):
+    page.locator("#panel-policies-tab").focus()
+    names = []
+    for _ in range(6):
+        page.keyboard.press("ArrowRight")
+        names.append(json.loads(page.evaluate("JSON.stringify(document.activeElement.textContent)")))
+        assert page.locator("[role=tab][aria-selected=true]").inner_text() == names[-1]
+        assert page.locator("[role=tabpanel]:visible").count() == 1
+    assert names == ["Goals", "Events", "Logs", "Incidents", "Reports", "Policies"]
