@@ -84,7 +84,10 @@ class Page {
     const before = this.status;
     this.status = status;
     this.stopPort = status.stop_port ?? this.stopPort;
-    if (!status.stalled) this.history.add(status);
+    if (!status.stalled) {
+      this.history.add(status);
+      this.arm?.take(status);
+    }
     if (before === null || this.link.state === "lost") this.history.load();
     if (status.estop !== "clear" && !status.stalled) this.stop.seen();
     if (before?.mode === "stopped" && status.mode !== "stopped" && !this.stop.open) this.stopped(null);

@@ -80,7 +80,7 @@ export class Stop {
 
   confirmed(how) {
     this.open = false;
-    this.told({ state: "stopped", text: `Stopped: ${how}.` });
+    this.told({ state: "stopped", text: `Stopped at ${new Date().toLocaleTimeString("en-GB")}: ${how}.` });
   }
 }
 

@@ -76,13 +76,24 @@ export class Arm {
     this.move(this.preview, aim.y_m, aim.z_m, text, within ? "within" : "out");
   }
 
+  // Where the tip is, of every status, though not each is drawn.
+  take(status) {
+    this.trail.push(this.tipOf(status));
+    if (this.trail.length > TRAIL) this.trail.shift();
+  }
+
+  tipOf({ bodies, observed }) {
+    const [y, z] = bodies?.[5] ?? observed?.values.slice(2, 4) ?? [];
+    return finite(y) && finite(z) ? [y, z] : null;
+  }
+
   draw(status) {
     this.status = status;
     this.drawn.dataset.tick = status.tick;
     const values = status.observed?.values ?? [];
     const bodies = (status.bodies ?? []).map((body) => (body && finite(body[0]) && finite(body[1]) ? body : null));
     const cart = bodies[0]?.[0] ?? values[0] ?? status.rail_position_m;
-    const tip = bodies[5] ?? (finite(values[2]) && finite(values[3]) ? [values[2], values[3]] : null);
+    const tip = this.tipOf(status);
     const seen = bodies.filter(Boolean);
     this.cart.setAttribute("visibility", finite(cart) ? "visible" : "hidden");
     if (finite(cart)) this.cart.setAttribute("transform", `translate(${this.plane.h(cart).toFixed(1)} ${this.plane.v(this.robot.hinge_z_m).toFixed(1)})`);
@@ -90,7 +101,7 @@ export class Arm {
     this.joints.forEach((joint, k) => this.dot(joint, k < 4 ? bodies[k + 1] : null));
     this.dot(this.tip, tip);
     this["unseen-arm"].textContent = seen.length < 2 ? "the arm is not seen: no motion capture" : "";
-    this.follow(tip);
+    this.follow();
     this.aimedAt(status.goal);
     this.board(status.goal?.goal, status.policy_info?.shelf_depth_m);
   }
@@ -106,9 +117,7 @@ export class Arm {
     circle.setAttribute("cy", this.plane.v(at[1]).toFixed(1));
   }
 
-  follow(tip) {
-    this.trail.push(tip);
-    if (this.trail.length > TRAIL) this.trail.shift();
+  follow() {
     const each = TRAIL / SHADES;
     const from = TRAIL - this.trail.length;
     this.paths.forEach((path, k) => {

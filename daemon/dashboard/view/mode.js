@@ -19,20 +19,19 @@ const SIGNS = {
   stop: ["Stop", "M5 1h6l4 4v6l-4 4H5l-4-4V5z"],
   soft_stop: ["Soft stop", "M2 3h12L8 14z"],
   warn: ["Warning", "M8 1.5L15 14H1z"],
-  against: ["Cannot arm", "M3 2l5 5l5-5l1 1l-5 5l5 5l-1 1l-5-5l-5 5l-1-1l5-5l-5-5z"],
+  against: ["", "M3 2l5 5l5-5l1 1l-5 5l5 5l-1 1l-5-5l-5 5l-1-1l5-5l-5-5z"],
   device: ["Device", "M2 3h12v8H2zM5 12.5h6V14H5z"],
 };
 
 const sign = (path) => svg("svg", { viewBox: "0 0 16 16", "aria-hidden": "true" }, svg("path", { d: path, "fill-rule": "evenodd" }));
 
-// Every reason once: what holds now, what keeps it from being armed, what the devices say.
+// Every reason once: what keeps it from being armed, what else holds now, what the devices say.
 export function reasonsOf(status) {
-  const all = status.events.map((event) => ({ kind: event.response, text: event.text }));
-  const known = (text) => all.some((one) => one.text === text || one.text.includes(text));
-  if (status.mode === "disarmed" || status.mode === "stopped")
-    for (const text of status.arming_refusals) if (!known(text)) all.push({ kind: "against", text });
-  for (const [device, text] of Object.entries(status.problems)) if (text && !known(text)) all.push({ kind: "device", text: `${device}: ${text}` });
-  if (status.recorder.problem && !known(status.recorder.problem)) all.push({ kind: "device", text: `recorder: ${status.recorder.problem}` });
+  const refused = status.mode === "disarmed" || status.mode === "stopped" ? status.arming_refusals : [];
+  const all = refused.map((text) => ({ kind: "against", text }));
+  const add = (kind, text) => all.some((one) => one.text.includes(text)) || all.push({ kind, text });
+  for (const { response, text } of status.events) add(response, text);
+  for (const [device, text] of Object.entries({ ...status.problems, recorder: status.recorder.problem })) if (text) add("device", text.startsWith(device) ? text : `${device}: ${text}`);
   return all;
 }
 
@@ -74,7 +73,7 @@ export class ModeView {
     const [word, path] = SIGNS[kind] ?? SIGNS.warn;
     const cut = text.lastIndexOf(": ");
     const [wrong, next] = cut > 12 ? [text.slice(0, cut), text.slice(cut + 2)] : [text, ""];
-    return el("li", { class: `reason ${kind}` }, sign(path), el("div", {}, el("b", { class: "word" }, word), ` ${sentence(worded(wrong))}`, next ? el("span", { class: "next" }, `Next: ${worded(next)}`) : null));
+    return el("li", { class: `reason ${kind}` }, sign(path), el("div", {}, word ? el("b", { class: "word" }, word) : null, ` ${sentence(worded(wrong))}`, next ? el("span", { class: "next" }, `Next: ${worded(next)}`) : null));
   }
 }
 

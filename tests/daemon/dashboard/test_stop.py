@@ -47,7 +47,8 @@ def test_the_button_stops_and_says_which_way_it_took(armed, robot):
     armed.locator("#stop").click()
     armed.locator("#stopped[data-state=stopped]").wait_for()
     assert re.match(
-        r"Stopped: (confirmed by the (stop's own way|API) after \d+ ms|the robot's status shows it)", banner(armed)
+        r"Stopped at [0-9:]{8}: (confirmed by the (stop's own way|API) after \d+ ms|the robot's status shows it)",
+        banner(armed),
     )
     assert robot.status["mode"] == "stopped"
     armed.locator("#mode[data-mode=stopped]").wait_for()

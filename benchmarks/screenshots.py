@@ -1,0 +1,139 @@
+"""The dashboard's pictures in docs/dashboard.md: a browser before a daemon that flies a robot simulated in it.
+
+python -m softarm.benchmarks.screenshots --out docs/pictures
+"""
+
+import io
+import os
+import shutil
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager
+from pathlib import Path
+from typing import Any
+from unittest import mock
+
+import click
+import httpx
+from PIL import Image
+from playwright.sync_api import Browser, Page, sync_playwright
+
+from softarm.daemon.shell import daemon as shell
+from softarm.daemon.shell.loop import Devices
+from softarm.drivers.base import MocapSource
+from softarm.schemas.config import Config
+
+TARGETS = ((-0.3, 0.6), (-0.12, 0.68), (-0.34, 0.65), (-0.05, 0.58), (-0.26, 0.64))
+BETWEEN_S = 2.2
+DESK, PHONE = {"width": 1280, "height": 900}, {"width": 390, "height": 844}
+BYTES_MAX, COLOURS = 150_000, 256
+
+
+@contextmanager
+def _daemon() -> Iterator[tuple[shell.Daemon, Devices]]:
+    devices = shell.simulated_devices()
+    with tempfile.TemporaryDirectory() as folder:
+        settings = {"api": {"port": 0, "stop_port": 0}, "recorder": {"directory": f"{folder}/logs"}}
+        made = shell.Daemon(Config.model_validate(settings), devices)
+        made.start()
+        try:
+            yield made, devices
+        finally:
+            made.stop()
+
+
+def _until(met: Callable[[], bool], what: str, seconds: float = 20.0) -> None:
+    deadline = time.monotonic() + seconds
+    while not met():
+        if time.monotonic() > deadline:
+            raise click.ClickException(f"{what}: not within {seconds:g} s; is this computer busy? Try again")
+        time.sleep(0.02)
+
+
+def _fly(robot: httpx.Client) -> None:
+    """Arm, and some swings, the last of them still on its way."""
+
+    def mode() -> str:
+        return str(robot.get("/api/status").json()["mode"])
+
+    _until(lambda: robot.post("/api/arm").is_success or mode() == "armed", "arming")
+    _until(lambda: mode() == "armed", "arming")
+    for y_m, z_m in TARGETS:
+        time.sleep(BETWEEN_S)
+        robot.post("/api/goal", json={"kind": "reach", "y_m": y_m, "z_m": z_m}).raise_for_status()
+
+
+def _open(browser: Browser, url: str, **options: Any) -> Page:
+    page = browser.new_context(**{"viewport": DESK} | options).new_page()
+    page.goto(url)
+    page.locator("#link[data-link=live]").wait_for()
+    return page
+
+
+def _keep(page: Page, out: Path, name: str) -> None:
+    path = out / f"dashboard-{name}.png"
+    picture = Image.open(io.BytesIO(page.screenshot())).convert("RGB")
+    picture.quantize(COLOURS, kmeans=1, dither=Image.Dither.NONE).save(path, optimize=True)
+    size = path.stat().st_size
+    click.echo(f"{path}: {size / 1000:.0f} kB")
+    if size > BYTES_MAX:
+        raise click.ClickException(f"{path} has {size} bytes; allowed {BYTES_MAX}: show less on it")
+
+
+def _flying(browser: Browser, out: Path) -> None:
+    with _daemon() as (daemon, _), httpx.Client(base_url=daemon.url) as robot:
+        light = _open(browser, daemon.url)
+        dark = _open(browser, daemon.url, color_scheme="dark")
+        phone = _open(browser, daemon.url, viewport=PHONE, has_touch=True)
+        dark.locator("#panel-goals-tab").click()
+        for page, name in ((light, "light"), (dark, "dark"), (phone, "phone")):
+            _fly(robot)
+            page.wait_for_timeout(350)  # into the swing
+            _keep(page, out, name)
+        light.keyboard.press("Space")
+        light.locator("#stopped[data-state=stopped]").wait_for()
+        light.locator("#panel-events-tab").click()
+        light.locator("#panel-events li.stop").first.wait_for()
+        _keep(light, out, "stopped")
+    light.locator("#link[data-link=lost]").wait_for()
+    light.wait_for_timeout(3000)
+    _keep(light, out, "lost")
+
+
+def _covered(cameras: MocapSource) -> AbstractContextManager[object]:
+    """They see nothing."""
+    real = cameras.read
+    return mock.patch.object(cameras, "read", side_effect=lambda now_ns: real(now_ns)[:0])
+
+
+def _refused(browser: Browser, out: Path) -> None:
+    with _daemon() as (daemon, devices), _covered(devices.mocap):
+        page = _open(browser, daemon.url)
+        page.locator("#reasons .reason").first.wait_for()
+        page.locator("#do-arm").click()
+        page.locator("#said .notice.refused").wait_for()
+        page.mouse.move(0, 0)
+        _keep(page, out, "refused")
+
+
+@click.command()
+@click.option(
+    "--out", type=click.Path(file_okay=False, path_type=Path), default=Path("docs/pictures"), show_default=True
+)
+def main(out: Path) -> None:
+    """Make the dashboard's pictures anew; takes about a minute."""
+    chromium = shutil.which("chromium") or shutil.which("google-chrome")
+    if chromium is None:
+        raise click.ClickException("there is no chromium here: apt-get install chromium")
+    out.mkdir(parents=True, exist_ok=True)
+    with sync_playwright() as playwright:
+        rights = ["--no-sandbox"] if os.geteuid() == 0 else []
+        browser = playwright.chromium.launch(executable_path=chromium, args=rights)
+        _flying(browser, out)
+        _refused(browser, out)
+        browser.close()
+
+
+if __name__ == "__main__":
+    main()
