@@ -35,6 +35,7 @@ def _daemon() -> Iterator[tuple[shell.Daemon, Devices]]:
     devices = shell.simulated_devices()
     with tempfile.TemporaryDirectory() as folder:
         settings = {"api": {"port": 0, "stop_port": 0}, "recorder": {"directory": f"{folder}/logs"}}
+        settings["control"] = {"realtime_priority": 0}  # or the browser, started from here, would have it too
         made = shell.Daemon(Config.model_validate(settings), devices)
         made.start()
         try:

@@ -9,12 +9,12 @@ import { Aim } from "./view/aim.js";
 import { Arm } from "./view/arm.js";
 import { Charts } from "./view/charts.js";
 import { Controls } from "./view/controls.js";
-import { $, say, seconds } from "./view/dom.js";
+import { $, say, seconds, sentence } from "./view/dom.js";
 import { drawGoal, ModeView } from "./view/mode.js";
 import { Panels } from "./panels/panels.js";
 
 const LINKS = {
-  connecting: "Connecting", live: "Live", lost: "Connection lost", stalled: "Control loop stands still", closed: "Not connected",
+  connecting: "Connecting", live: "Live", lost: "Connection lost", refused: "Refused", stalled: "Control loop stands still", closed: "Not connected",
 };
 const NEXT = {
   lost: "Trying again. Stop works as long as the daemon can be reached; else use the button on the wall.",
@@ -64,18 +64,20 @@ class Page {
 
   // The robot's facts; asked for again until they come.
   async learn() {
+    const before = this.robot;
     try {
       this.robot = await get("api/robot");
     } catch {
       setTimeout(() => this.learn(), 2000);
       return;
     }
+    if (before && before.run !== this.robot.run) this.history.clear(); // another daemon counts its ticks anew
     this.stopPort = this.robot.stop_port ?? this.stopPort;
     const kind = $("kind");
     kind.hidden = !this.robot.simulated;
     say(kind, "simulated");
     say($("version"), `softarm ${this.robot.version ?? ""}`);
-    if (this.arm) return;
+    if (this.arm) return void this.arm.know(this.robot);
     this.arm = new Arm($("drawing"), this.robot);
     this.aim = new Aim($("drawing"), this.arm, (target) => this.controls.reach(target));
   }
@@ -88,7 +90,9 @@ class Page {
       this.history.add(status);
       this.arm?.take(status);
     }
-    if (before === null || this.link.state === "lost") this.history.load();
+    if (before === null) this.history.load();
+    else if (this.link.state === "lost") this.learn().then(() => this.history.load());
+    if (before && before.policy !== status.policy) this.panels.policyChanged();
     if (status.estop !== "clear" && !status.stalled) this.stop.seen();
     if (before?.mode === "stopped" && status.mode !== "stopped" && !this.stop.open) this.stopped(null);
     if (!this.waits) this.waits = requestAnimationFrame(() => this.draw());
@@ -99,7 +103,7 @@ class Page {
     const status = this.status;
     this.mode.draw(status);
     this.controls.draw(status, this.link.state === "live", this.session.role);
-    drawGoal(status, this.panels.asker);
+    drawGoal(status, this.panels.asker(status.goal.goal));
     const trained = status.policy_info?.trained ?? null;
     $("k-trained").hidden = !trained;
     $("k-shelf").hidden = !Number.isFinite(status.policy_info?.shelf_depth_m);
@@ -114,13 +118,13 @@ class Page {
     const { state, age_ms } = link;
     $("link").dataset.link = state;
     say($("link").querySelector("span"), LINKS[state]);
-    const old = state === "lost" || state === "stalled";
+    const old = state === "lost" || state === "stalled" || state === "refused";
     document.body.classList.toggle("old", old || (this.status === null && state !== "live"));
     $("lost").hidden = !old;
     if (old) {
       say($("lost-what"), `${LINKS[state]}.`);
       say($("lost-age"), age_ms === null ? "" : `What you see is ${seconds(age_ms / 1000)} old.`);
-      say($("lost-next"), NEXT[state]);
+      say($("lost-next"), NEXT[state] ?? link.reasons.map(sentence).join(". "));
     }
     if (before === state) return;
     if (old || (state === "live" && before !== "connecting")) say($("spoken"), LINKS[state]);

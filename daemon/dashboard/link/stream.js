@@ -5,11 +5,12 @@ import { get, post } from "./api.js";
 const SILENT_MS = 1000; // without a status: lost
 const GIVE_UP_MS = 3000; // then another connection is tried
 const BEHIND_MS = 1000; // later than they could come: what is shown is old, though it keeps coming
+const ASKED_MS = 400; // between statuses that are asked for one by one while the stream is silent
 const WAITS_MS = [250, 500, 1000, 2000, 4000];
 const CREEP = 2e-4; // two clocks run apart by less
 
 export class Stream {
-  // onStatus(status), onLink(link) with link {state, age_ms, reasons}: state is connecting, live, lost, stalled, behind, closed
+  // onStatus(status), onLink(link) with link {state, age_ms, reasons}: state is connecting, live, lost, stalled, refused, closed
   constructor(onStatus, onLink) {
     this.onStatus = onStatus;
     this.onLink = onLink;
@@ -17,6 +18,7 @@ export class Stream {
     this.hz = 30;
     this.last = null; // when the newest status came that was live
     this.heard = this.polled = -Infinity;
+    this.streamed = null; // when the stream brought the newest
     this.stalledAt = null; // when it was last heard that the control loop stands still
     this.running = false;
     setInterval(() => this.look(), 100);
@@ -51,8 +53,9 @@ export class Stream {
       socket.onmessage = (event) => socket === this.socket && this.take(JSON.parse(event.data));
       socket.onclose = () => socket === this.socket && this.again();
     } catch (error) {
-      this.reasons = error.reasons ?? [String(error)];
-      if (mine === this.attempt && this.running && error.status !== 401 && error.status !== 403) this.again();
+      if (mine !== this.attempt || !this.running) return;
+      this.refused = error.status === 403 ? error.reasons : null;
+      if (error.status !== 401) this.again(); // 401: somebody has to log in first
     }
   }
 
@@ -71,13 +74,15 @@ export class Stream {
     this.timer = setTimeout(() => this.connect(), wait);
   }
 
-  take(status) {
+  // asked: it came by itself, as an answer, and says nothing of the stream.
+  take(status, asked = false) {
     const now = performance.now();
     const lag = now - status.t_ns * 1e-6; // two clocks of unknown distance: the least that was seen is no lag
     this.least = this.least === null ? lag : Math.min(lag, this.least + CREEP * (now - this.heard));
     this.heard = now;
-    this.tries = 0;
-    this.reasons = undefined;
+    if (!asked) this.streamed = now;
+    this.refused = null;
+    if (!asked) this.tries = 0;
     if (status.stalled) this.stalledAt = now;
     else if (this.isBehind(lag - this.least, now)) return;
     else {
@@ -107,23 +112,27 @@ export class Stream {
     if (!this.running) return;
     const now = performance.now();
     const age = this.last === null ? null : now - this.last;
-    if (this.stalledAt !== null && now - this.stalledAt < GIVE_UP_MS) this.tell("stalled", age);
+    if (this.refused) this.tell("refused", age);
+    else if (this.stalledAt !== null && now - this.stalledAt < GIVE_UP_MS) this.tell("stalled", age);
     else if (age === null) this.tell("connecting", age);
     else this.tell(age < SILENT_MS ? "live" : "lost", age);
-    if (this.socket && now - Math.max(this.heard, this.began) > GIVE_UP_MS) this.again();
-    else if (age === null || age > SILENT_MS) this.poll(now);
+    const silent = now - Math.max(this.streamed ?? 0, this.began) > GIVE_UP_MS;
+    if (this.socket && silent && !(this.stalledAt > now - GIVE_UP_MS)) this.again();
+    if (this.streamed === null || now - this.streamed > SILENT_MS) this.poll(now);
   }
 
-  // While the stream is silent: does the API say that the control loop stands still?
+  // While the stream is silent, or a proxy lets none through: statuses one by one. They also tell of a loop that stands still.
   async poll(now) {
-    if (now - this.polled < SILENT_MS) return;
+    if (this.asking || now - this.polled < ASKED_MS) return;
+    this.asking = true;
     this.polled = now;
     const told = await get("api/status", { seconds: 0.9 }).catch(() => null);
-    if (told?.stalled) this.heard = this.stalledAt = performance.now();
+    this.asking = false;
+    if (told && this.running) this.take(told, true);
   }
 
   tell(state, age_ms = this.last === null ? null : performance.now() - this.last) {
     this.state = state;
-    this.onLink({ state, age_ms, reasons: this.reasons });
+    this.onLink({ state, age_ms, reasons: this.refused });
   }
 }

@@ -48,9 +48,13 @@ export class Follower {
     }
   }
 
-  // Of the goal that was taken last.
-  get asker() {
-    return this.events.findLast((event) => event.kind === "request" && event.what === "goal" && event.accepted)?.who ?? null;
+  // Who asked for a goal; null where the events, which come a little later, do not tell of this one.
+  asker(goal) {
+    const asked = this.events.findLast((event) => event.kind === "request" && event.what === "goal" && event.accepted);
+    const [kind, ...place] = /^goal (\w+)(?: y (\S+), z (\S+) m)?/.exec(asked?.text ?? "")?.slice(1) ?? [];
+    if (!goal || kind !== goal.kind) return null;
+    const same = kind !== "reach" || [goal.y_m, goal.z_m].every((value, k) => Math.abs(value - Number(place[k])) < 1e-4);
+    return same ? asked.who : null;
   }
 
   // Each goal that was taken, with what came of it; newest first.

@@ -13,9 +13,14 @@ export class Panels {
     this.choose(this.all[0]);
   }
 
-  // Whose goal it is that was taken last.
-  get asker() {
-    return this.follower.asker;
+  // Whose goal it is.
+  asker(goal) {
+    return this.follower.asker(goal);
+  }
+
+  // By whomever.
+  policyChanged() {
+    if (this.looks) this.all[0].open();
   }
 
   lay(panel, k) {

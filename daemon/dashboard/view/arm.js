@@ -60,6 +60,12 @@ export class Arm {
     label.setAttribute("x", Math.min(Math.max(0, half - x + 4), this.plane.width - half - x - 4).toFixed(1));
   }
 
+  // Another daemon may have other limits.
+  know(robot) {
+    this.robot = robot;
+    this.lay();
+  }
+
   // Shades where a policy was trained.
   train(trained) {
     if (JSON.stringify(trained) === JSON.stringify(this.trained)) return;

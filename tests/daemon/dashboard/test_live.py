@@ -117,3 +117,30 @@ def test_the_browser_hears_of_each_mode_in_words(page, robot):
     page.wait_for_function("() => document.querySelector('#spoken').textContent.startsWith('Armed.')")
     robot.ask("/api/stop")
     page.wait_for_function("() => document.querySelector('#spoken').textContent.startsWith('Emergency stop.')")
+
+
+def test_where_no_stream_comes_through_the_page_asks_for_statuses(robot, opened):
+    """Some proxies let no WebSocket through."""
+    page = opened(look=False, closed_streams=True)
+    page.locator("#link[data-link=live]").wait_for()
+    robot.arm()
+    page.locator("#mode[data-mode=armed]").wait_for()
+    page.wait_for_function(
+        "(was) => document.querySelector('#drawing svg').dataset.tick > was", arg=robot.status["tick"]
+    )
+    assert page.locator("#link").get_attribute("data-link") == "live"
+
+
+def test_a_page_that_may_not_ask_says_why(opened):
+    page = opened()
+    refused = {"status": 403, "json": {"detail": "no", "reasons": ["a page of 'x' may not command this robot"]}}
+    page.route(re.compile("/api/(ticket|status)"), lambda route: route.fulfill(**refused))
+    page.reload()
+    page.locator("#lost", has_text="A page of 'x' may not command this robot").wait_for()
+
+
+def test_a_policy_that_somebody_else_chose_is_shown(page, robot):
+    assert page.locator("#panel-policies li", has_text="in use").locator("b").inner_text() == "reach"
+    assert robot.client.put("/api/policy", json={"name": "hold"}, timeout=60).status_code == 200
+    page.locator("#panel-policies li", has_text="in use").locator("b", has_text="hold").wait_for()
+    assert robot.client.put("/api/policy", json={"name": "reach"}, timeout=60).status_code == 200

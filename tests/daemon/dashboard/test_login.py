@@ -1,5 +1,7 @@
 """Log-in by token, in three roles, from the page; nobody loses the stop."""
 
+from urllib.parse import urlsplit
+
 import pytest
 
 pytestmark = [pytest.mark.slow, pytest.mark.realtime]
@@ -8,7 +10,7 @@ TOKENS = {"command": "c" * 32, "view": "v" * 32, "stop": "s" * 32}
 
 
 @pytest.fixture(scope="module")
-def daemon(tmp_path_factory, started):
+def daemon(tmp_path_factory, browser, started):
     """One that asks for a token."""
     folder = tmp_path_factory.mktemp("tokens")
     keys = {"command": "token_file", "view": "view_token_file", "stop": "stop_token_file"}
@@ -32,7 +34,7 @@ def log_in(page, token: str) -> None:
     page.get_by_role("button", name="Log in").click()
 
 
-def test_who_shows_the_token_commands_and_the_page_keeps_none(robot, opened):
+def test_who_shows_the_token_commands_and_the_page_keeps_none(robot, opened, daemon):
     page = opened(look=False, apart=True)
     page.locator("#login").wait_for()
     assert page.locator("#arm").is_hidden()
@@ -48,9 +50,12 @@ def test_who_shows_the_token_commands_and_the_page_keeps_none(robot, opened):
     assert kept == ""
     page.reload()
     page.locator("#link[data-link=live]").wait_for()
+    page.route(lambda url: urlsplit(url).port == daemon.port, lambda route: route.abort())  # the stop's own way is left
     page.keyboard.press("Space")
     page.locator("#stopped[data-state=stopped]").wait_for()
+    assert "confirmed by the stop's own way" in page.locator("#stopped").inner_text()
     assert robot.status["mode"] == "stopped"
+    page.unroute_all()
     page.get_by_role("button", name="Log out").click()
     page.locator("#login").wait_for()
 
