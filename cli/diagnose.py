@@ -8,15 +8,14 @@ import click
 
 from softarm.cli.diagnosed import show
 from softarm.cli.errors import fail
+from softarm.cli.inputs import refuse_misplaced
 from softarm.cli.interrupt import NOTHING, leaves
-from softarm.cli.options import FILE, FOLDER, check_places
+from softarm.cli.options import FILE, FOLDER, INPUT, check_places
 from softarm.cli.rail_limits import limits_option, write_limits
 from softarm.common.processes import bar
 
 if TYPE_CHECKING:
     from softarm.diagnosis.engine.result import Diagnosis
-
-INPUT = click.Path(path_type=Path)
 
 
 @click.command()
@@ -60,6 +59,7 @@ def diagnose(
 
     if data is not None and not any(path.suffix in TABLES for path in inputs):
         raise click.UsageError("--data is where the files of a stage.yaml lie: name one as INPUT, or leave --data out")
+    refuse_misplaced(inputs)
     check_places(json_file, report_file, patch_file, limits_file)
     leaves(NOTHING)
     try:

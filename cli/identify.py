@@ -6,15 +6,14 @@ from typing import TYPE_CHECKING
 import click
 
 from softarm.cli.errors import fail
+from softarm.cli.inputs import refuse_misplaced
 from softarm.cli.interrupt import NOTHING, leaves
-from softarm.cli.options import FILE, FOLDER, json_option, model_option
+from softarm.cli.options import FILE, FOLDER, INPUT, json_option, model_option
 from softarm.cli.rail_limits import limits_option, write_limits
 from softarm.common.processes import bar
 
 if TYPE_CHECKING:
     from softarm.diagnosis.identify.identify import Identification, IdentifiedParameter
-
-INPUT = click.Path(path_type=Path)
 
 
 @click.command()
@@ -55,6 +54,7 @@ def identify(
     from softarm.schemas.model import Model
     from softarm.simulator import model_file as models
 
+    refuse_misplaced((*inputs, *checks))
     leaves(NOTHING)
     try:
         model = models.load(model_file) if model_file else Model()

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from softarm.schemas.model import Model
 
 FILE = click.Path(path_type=Path, dir_okay=False)
+INPUT = click.Path(path_type=Path)
 FOLDER = click.Path(path_type=Path, file_okay=False)
 
 json_option = click.option("--json", "json_file", type=FILE, help="Write the results to this file.")

@@ -11,6 +11,7 @@ from typing import NamedTuple, TypedDict
 import numpy as np
 
 from softarm.common.processes import as_they_come
+from softarm.common.words import did_you_mean
 from softarm.flights.many import load
 from softarm.flights.runner import Robot, fly
 from softarm.flights.tests import COLUMNS, TESTS, label, robot, scenarios
@@ -104,7 +105,8 @@ def entries(runs: Path | None, names: tuple[str, ...] = (), only_runs: bool = Fa
         shipped[name] = [Entry(name, seed, trained=known.spec.trained)]
     everyone = trained if only_runs else shipped | {CEILING: [Entry(CEILING)]} | trained
     if unknown := set(names) - everyone.keys():
-        raise PolicyError(f"no policy {', '.join(sorted(unknown))}; there is {', '.join(everyone)}")
+        hint = did_you_mean(min(unknown), everyone)
+        raise PolicyError(f"no policy {', '.join(sorted(unknown))}; {hint}there is {', '.join(everyone)}")
     return [entry for name, group in everyone.items() if not names or name in names for entry in group]
 
 

@@ -4,6 +4,7 @@ import importlib.util
 from collections.abc import Callable
 from typing import NamedTuple
 
+from softarm.common.words import did_you_mean
 from softarm.flights.robots import ROBOTS
 from softarm.flights.runner import Robot
 from softarm.reality.parameters import RobotParameters
@@ -76,8 +77,9 @@ def check(test: str) -> None:
     """Raises ValueError for a test that there is not or that cannot be flown here, ModelFileError for its model."""
     name, _, model = test.partition("@")
     if name not in TESTS:
+        hint = did_you_mean(name, TESTS)
         raise ValueError(
-            f"no test '{name}'; there is {', '.join(TESTS)}, each also as TEST@MODEL but the held-back ones"
+            f"no test '{name}'; {hint}there is {', '.join(TESTS)}, each also as TEST@MODEL but the held-back ones"
         )
     held_back = TESTS[name].robot is not None
     if model and held_back:

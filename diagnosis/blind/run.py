@@ -11,6 +11,7 @@ from typing import Any
 
 from softarm import common, diagnosis, schemas, simulator
 from softarm.common.processes import as_they_come
+from softarm.common.words import did_you_mean
 from softarm.diagnosis.blind import methods, seal
 from softarm.diagnosis.data import read
 from softarm.diagnosis.data.trials import Trial
@@ -39,7 +40,8 @@ def run(
     `.timing.json`, which is not frozen. Raises SealError for a folder without cases or for an unknown method.
     """
     if method not in methods.METHODS:
-        raise seal.SealError(f"method {method!r} is unknown; there are {', '.join(methods.METHODS)}")
+        hint = did_you_mean(method, methods.METHODS)
+        raise seal.SealError(f"method {method!r} is unknown; {hint}there are {', '.join(methods.METHODS)}")
     cases = folders(data)
     seal.keep_apart(file, data)
     file.parent.mkdir(parents=True, exist_ok=True)

@@ -10,6 +10,7 @@ from pathlib import Path
 
 from softarm.common import files
 from softarm.common.processes import bar
+from softarm.common.words import did_you_mean
 from softarm.daemon.limits.findings import RailFindings
 from softarm.diagnosis import report
 from softarm.diagnosis.engine.result import Diagnosis
@@ -136,8 +137,9 @@ def policy_file(name: str) -> Path:
     """
     file = Path(name) if name.endswith(".onnx") else MODELS / f"{name}.onnx"
     if not file.is_file():
-        shipped = ", ".join(sorted(path.stem for path in MODELS.glob("*.onnx")))
-        raise ValueError(f"--policy {name}: is not there; name an .onnx file of `softarm train`, or one of {shipped}")
+        shipped = sorted(path.stem for path in MODELS.glob("*.onnx"))
+        instead = f"{did_you_mean(name, shipped)}name an .onnx file of `softarm train`, or one of {', '.join(shipped)}"
+        raise ValueError(f"--policy {name}: is not there; {instead}")
     load_weights(file)  # to know it before minutes of work
     return file
 
