@@ -89,6 +89,8 @@ def _installing(system: "System", config_file: Path | None, user: str, dry_run: 
         installed = load(path) if path.exists() else None
     except ConfigurationError as error:
         fail(str(error))
+    if lost := rendered.hidden(rendered.named_files(installed or config)):
+        fail(f"{path if installed else file}: names {lost[0]}, which the service cannot see; move it into /etc/softarm")
     command = rendered.program()
     if wrong := here.verify(rendered.unit(command, user, installed or config)):
         fail(f"systemd refuses the unit: {wrong}")

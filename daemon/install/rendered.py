@@ -24,8 +24,16 @@ def program(interpreter: Path | None = None) -> tuple[str, ...]:
 
 def hidden(places: tuple[str, ...] | None = None) -> list[str]:
     """Of the places that the daemon is loaded from (default: this interpreter's), those that the unit cannot see."""
-    places = places or (sys.executable, os.path.realpath(sys.executable), sys.prefix, sys.base_prefix, str(ROOT))
+    if places is None:
+        places = (sys.executable, os.path.realpath(sys.executable), sys.prefix, sys.base_prefix, str(ROOT))
     return [each for each in dict.fromkeys(places) if any(Path(each).is_relative_to(top) for top in HIDDEN)]
+
+
+def named_files(config: Config) -> tuple[str, ...]:
+    """Files that a configuration has the daemon read: tokens, and what stands in the options of policies."""
+    tokens = (config.api.token_file, config.api.view_token_file, config.api.stop_token_file)
+    options = (str(value) for policy in config.policies.values() for value in policy.options.values())
+    return (*(str(each) for each in tokens if each), *(each for each in options if each.startswith("/")))
 
 
 def unit(command: tuple[str, ...], user: str, config: Config) -> str:
@@ -35,6 +43,8 @@ def unit(command: tuple[str, ...], user: str, config: Config) -> str:
     text = _with(text, "ExecStart", started)
     text = _with(text, "Documentation", f"file://{ROOT / 'docs' / 'service.md'}")
     text = _with(_with(text, "User", user), "Group", user)
+    if "/ttyUSB" in os.path.realpath(config.drivers.regulator.port):  # of an adapter, no Teensy's own
+        text = text.replace("DeviceAllow=char-ttyACM rw\n", "DeviceAllow=char-ttyACM rw\nDeviceAllow=char-ttyUSB rw\n")
     for folder in log_folders(config):
         if not folder.is_relative_to(STATE):
             text = text.replace(

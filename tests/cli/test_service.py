@@ -67,6 +67,13 @@ def test_a_configuration_of_ones_own_is_installed_and_a_wrong_one_refused(tmp_pa
     assert "did you mean margin_m" in unsound.output
 
 
+def test_a_file_that_the_service_could_not_see_is_told(tmp_path):
+    (tmp_path / "mine.yaml").write_text("api: {token_file: /home/ann/token}\n")
+    done = install(tmp_path / "a", "--config", tmp_path / "mine.yaml")
+    assert done.exit_code == 1
+    assert "names /home/ann/token, which the service cannot see; move it into /etc/softarm" in done.output
+
+
 def test_a_dry_run_shows_every_file_and_command_and_does_nothing(tmp_path):
     done = install(tmp_path, "--dry-run", "--user", "ann")
     assert done.exit_code == 0, done.output

@@ -11,7 +11,7 @@ from softarm.daemon.config import keys
 from softarm.daemon.install import here, plan, rendered
 from softarm.daemon.install.plan import System, Wanted
 from softarm.daemon.install.steps import Folder, Keep, Remove, Run, StepError, Write
-from softarm.schemas.config import Config, Recorder
+from softarm.schemas.config import Api, Config, Drivers, Policy, Recorder, SerialRegulator
 
 COMMAND = ("/opt/softarm/.venv/bin/softarm",)
 PACKAGED = Wanted(keys.for_a_robot(), Config(), asked_for=False)
@@ -151,6 +151,21 @@ def test_what_the_service_could_not_see_is_found():
         "/home/ann/.venv",
     ]
     assert rendered.hidden(("/homes/ann",)) == []
+    assert rendered.hidden(()) == []
+
+
+def test_files_that_a_configuration_names_are_found():
+    tokens = Api(token_file=Path("/home/ann/token"), view_token_file=Path("/etc/softarm/view"))
+    mine = Policy(plugin="onnx", options={"model": "/home/ann/mine.onnx", "gain": 2.0, "name": "reach"})
+    named = rendered.named_files(Config(api=tokens, policies={"mine": mine}))
+    assert named == ("/home/ann/token", "/etc/softarm/view", "/home/ann/mine.onnx")
+    assert rendered.named_files(Config()) == ()
+
+
+@pytest.mark.parametrize(("port", "opened"), [("/dev/ttyUSB0", True), ("/dev/ttyACM0", False)])
+def test_the_unit_opens_an_adapters_port_where_one_is_configured(port, opened):
+    config = Config(drivers=Drivers(regulator=SerialRegulator(port=port)))
+    assert ("DeviceAllow=char-ttyUSB rw" in rendered.unit(COMMAND, "softarm", config).splitlines()) is opened
 
 
 @pytest.mark.skipif(shutil.which("systemd-analyze") is None, reason="systemd-analyze is not on this machine")
