@@ -90,7 +90,7 @@ class Changes:
             stopped = outputs.mode in (Mode.STOPPED, Mode.STOPPING) or outputs.last_stop_ns == outputs.t_ns
             why = f": {outputs.last_stop}" if stopped else ""
             if outputs.mode is Mode.STOPPED:
-                left = "" if outputs.last_stop_ns is not None else " before this daemon began"
+                left = " before this daemon began" if before is None and outputs.last_stop_ns is None else ""
                 yield "stop", outputs.mode, f"emergency stop{left}{why}", asked
             else:
                 yield "mode", outputs.mode, f"{outputs.mode}, was {was}{why}", None

@@ -175,3 +175,9 @@ def test_every_event_of_the_table_is_told_when_it_begins_and_again_after_it_was_
 def test_a_complaint_that_is_no_text_is_told_all_the_same(run):
     (entry,) = run.tick(Request(1, "policy", policy="\ud800"))
     assert entry.text == "policy ?"
+
+
+def test_a_stop_in_mid_flight_is_of_this_run_even_where_an_old_log_does_not_say_when_it_was(run):
+    run.tick(mode=Mode.ARMED)
+    (stop,) = run.tick(mode=Mode.STOPPED, estop=EStop.ENGAGED, last_stop="the drive reports a fault")
+    assert stop.text == "emergency stop: the drive reports a fault"

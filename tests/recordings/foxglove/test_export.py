@@ -112,6 +112,7 @@ def test_the_layout_shows_what_there_is():
     kinds = set()
     for name, panel in layout["configById"].items():
         kinds.add(name.partition("!")[0])
+        assert panel["foxglovePanelTitle"]
         for path in panel.get("paths", ()):
             topic, _, field = path["value"].partition(".")
             assert topic in topics
