@@ -1,4 +1,4 @@
-"""The tasks as Gymnasium environments: `SoftArmReach-v0`, `SoftArmShelf-v0`, single and vectorised.
+"""The tasks as Gymnasium environments: `SoftArmReach-v0`, `SoftArmShelf-v0`, single and vectorised (docs/gymnasium.md).
 
 Importing this registers them; `gymnasium.make("softarm.training.gym_envs:SoftArmReach-v0")` imports it.
 

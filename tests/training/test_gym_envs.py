@@ -12,6 +12,7 @@ from gymnasium.error import ResetNeeded  # noqa: E402
 from gymnasium.utils.env_checker import check_env  # noqa: E402
 from gymnasium.vector import AutoresetMode  # noqa: E402
 
+from softarm.schemas.policy import ACTION, OBSERVATION, SHELF_GOAL  # noqa: E402
 from softarm.simulator.model_file import ModelFileError  # noqa: E402
 from softarm.training import gym_envs  # noqa: E402
 
@@ -227,3 +228,15 @@ def test_shipped_policy_flies_the_reach_task() -> None:
         over = (terminated | truncated) & (first < 0)
         first[over] = info["success"][over]
     assert (first == 1).mean() > 0.85
+
+
+def test_the_page_names_every_signal_of_the_spaces_in_its_order_and_unit() -> None:
+    page = (Path(__file__).parents[2] / "docs" / "gymnasium.md").read_text(encoding="utf-8")
+    observed = page.partition("| | observation | unit |")[2].partition("\n\n")[0].splitlines()[2:]
+    for k, signal in enumerate((*OBSERVATION, *SHELF_GOAL)):
+        number, name, unit = (cell.strip() for cell in observed[k].strip("|").split("|"))
+        assert (number, name.partition(",")[0], unit) == (str(k), signal.name, signal.unit)
+    assert len(observed) == one("Shelf").observation_space.shape[0]
+    acted = page.partition("| | action | -1 | +1 |")[2].partition("\n\n")[0].splitlines()[2:]
+    for k, signal in enumerate(ACTION):
+        assert acted[k] == f"| {k} | {signal.name} | {signal.low:g} {signal.unit} | {signal.high:g} {signal.unit} |"

@@ -6,12 +6,14 @@ state explicit. Inputs `observation` [batch, 10] (11 for the shelf), `h_in`, `c_
 metadata key `softarm`.
 """
 
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import onnx
 import torch
+from numpy.typing import NDArray
 from onnx import TensorProto, helper, numpy_helper
 
 from softarm.common import files, revision
@@ -27,11 +29,13 @@ from softarm.training.run.settings import Settings
 from softarm.training.task.reach import ReachTask
 from softarm.training.task.shelf import environment_of
 
+Array = NDArray[np.float32]
+
 OPSET = 17
 IR_VERSION = 8  # the one that came with operator set 17: old runtimes read it
 
 
-class _Graph:
+class Graph:
     """Nodes and weights as they are added; the methods return the name of what they give."""
 
     def __init__(self) -> None:
@@ -39,31 +43,42 @@ class _Graph:
         self.weights: list[onnx.TensorProto] = []
 
     def weight(self, name: str, values: torch.Tensor | np.ndarray) -> str:
+        """A constant."""
         array = values.detach().numpy() if isinstance(values, torch.Tensor) else values
         self.weights.append(numpy_helper.from_array(np.ascontiguousarray(array), name))
         return name
 
     def node(self, kind: str, inputs: list[str], outputs: list[str], **attributes: object) -> str:
+        """An operator; its first output."""
         self.nodes.append(helper.make_node(kind, inputs, outputs, **attributes))
         return outputs[0]
 
     def linear(self, name: str, module: torch.nn.Linear, x: str) -> str:
+        """A layer of weights and biases."""
         inputs = [x, self.weight(f"{name}_weight", module.weight), self.weight(f"{name}_bias", module.bias)]
         return self.node("Gemm", inputs, [name], transB=1)
 
     def clip(self, x: str, bound: float, output: str, of: str) -> str:
+        """Cut at +-bound; of: what the bounds are called after."""
         ends = (("low", -bound), ("high", bound))
         limits = [self.weight(f"{of}_{name}", np.array(end, dtype=np.float32)) for name, end in ends]
         return self.node("Clip", [x, *limits], [output])
 
     def normalised(self, network: PolicyNetwork) -> str:
+        """The observation by the network's own statistics."""
         normaliser = network.observation_normaliser
         mean = self.weight("observation_mean", normaliser.mean.float())
         centred = self.node("Sub", ["observation", mean], ["centred"])
         scale = self.weight("observation_scale", normaliser.scale())
         return self.clip(self.node("Div", [centred, scale], ["scaled"]), CLIP, "normalised", "observation")
 
+    def hand_state_through(self) -> None:
+        """For a network without one: a state there must be."""
+        for name in ("h", "c"):
+            self.node("Identity", [f"{name}_in"], [f"{name}_out"])
+
     def mlp(self, network: PolicyNetwork, x: str) -> str:
+        """Its dense layers."""
         modules = (module for module in network.mlp if isinstance(module, torch.nn.Linear))
         for k, module in enumerate(modules):
             x = self.node("Elu", [self.linear(f"mlp_{k}", module, x)], [f"mlp_{k}_elu"])
@@ -96,7 +111,7 @@ class _Graph:
 
 def onnx_model(network: PolicyNetwork) -> onnx.ModelProto:
     """Build the graph. Raises onnx.checker.ValidationError if it were malformed."""
-    shape, graph = network.shape, _Graph()
+    shape, graph = network.shape, Graph()
     x = graph.normalised(network)
     if shape.order == "mlp-lstm":
         both = graph.node("Concat", [graph.mlp(network, x), x], ["features"], axis=1)
@@ -105,19 +120,23 @@ def onnx_model(network: PolicyNetwork) -> onnx.ModelProto:
         features = graph.mlp(network, graph.lstm(network, x))
     else:
         features = graph.mlp(network, x)
-        for name in ("h", "c"):  # a state there must be; this one is handed through
-            graph.node("Identity", [f"{name}_in"], [f"{name}_out"])
+        graph.hand_state_through()
     graph.clip(graph.linear("head", network.mean_head, features), 1.0, "action", "action")
+    return finished(graph, shape.inputs, shape.state)
+
+
+def finished(graph: Graph, inputs: int, state_size: int) -> onnx.ModelProto:
+    """Close a graph: its inputs and outputs as the daemon knows them, checked."""
 
     def signal(name: str, *dimensions: int | str) -> onnx.ValueInfoProto:
         return helper.make_tensor_value_info(name, TensorProto.FLOAT, dimensions)
 
-    state = (1, "batch", shape.state)
+    state = (1, "batch", state_size)
     whole = helper.make_graph(
         graph.nodes,
         "softarm_policy",
-        [signal("observation", "batch", shape.inputs), signal("h_in", *state), signal("c_in", *state)],
-        [signal("action", "batch", shape.actions), signal("h_out", *state), signal("c_out", *state)],
+        [signal("observation", "batch", inputs), signal("h_in", *state), signal("c_in", *state)],
+        [signal("action", "batch", len(ACTION)), signal("h_out", *state), signal("c_out", *state)],
         graph.weights,
     )
     model = helper.make_model(whole, opset_imports=[helper.make_opsetid("", OPSET)], ir_version=IR_VERSION)
@@ -148,20 +167,31 @@ def _vent(network: PolicyNetwork) -> None:
 
 def golden_run(network: PolicyNetwork, task: ReachTask, steps: int = 100) -> Golden:
     """Record a closed-loop run of one robot at a typical target: what the exported file has to reproduce."""
+    state = network.initial_state(1)
+    with workers(1) as pool:
+
+        def act(observation: Array) -> Array:
+            nonlocal state
+            mean, _, state = infer(network, torch.from_numpy(observation), torch.ones(1), state, pool)
+            action: Array = mean.clamp(-1.0, 1.0).numpy()
+            return action
+
+        return recorded_run(act, task, steps)
+
+
+def recorded_run(act: Callable[[Array], Array], task: ReachTask, steps: int = 100) -> Golden:
+    """The same of whatever turns observations [1, N] into actions [1, 2]."""
     # No radius: passing the target does not end the run.
     recorded = replace(task, action_noise=0.0, success_radius_m=0.0, episode_steps=steps + 1)
     environment = environment_of(recorded, 1, seed=0, physics_rate_hz=PHYSICS_RATE_HZ)
     target = np.array([[np.mean(task.target_y_m), np.mean(task.target_z_m)]], dtype=np.float32)
     observation = environment.reset(validation.at_rest(np.array([0.1]), environment.simulator.links), target)
-    state = network.initial_state(1)
     inputs, outputs = [], []
-    with workers(1) as pool:
-        for _ in range(steps):
-            inputs.append(tuple(observation[0].tolist()))
-            mean, _, state = infer(network, torch.from_numpy(observation), torch.ones(1), state, pool)
-            action = mean.clamp(-1.0, 1.0).numpy()
-            outputs.append(tuple(action[0].tolist()))
-            observation = environment.step(action).observation
+    for _ in range(steps):
+        inputs.append(tuple(observation[0].tolist()))
+        action = act(observation)
+        outputs.append(tuple(action[0].tolist()))
+        observation = environment.step(action).observation
     return Golden(inputs=tuple(inputs), outputs=tuple(outputs))
 
 
@@ -169,6 +199,13 @@ def metadata(
     network: PolicyNetwork, task: ReachTask, settings: Settings, seed: int, validation_success: float
 ) -> PolicyMetadata:
     """Say what the policy is and how it came to be."""
+    return described(task, network.shape.state, settings, seed, validation_success, golden_run(network, task))
+
+
+def described(
+    task: ReachTask, state_size: int, settings: Settings, seed: int, validation_success: float, golden: Golden
+) -> PolicyMetadata:
+    """The same of a network that is told by its golden run."""
     return PolicyMetadata(
         name=task.name,
         task=task.kind,
@@ -176,7 +213,7 @@ def metadata(
         observation=OBSERVATION,
         goal=task.goal,
         action=ACTION,
-        state_size=network.shape.state,
+        state_size=state_size,
         rail_limit_m=task.rail_limit_m,
         episode_steps=task.episode_steps,
         trained=TrainingRange(target_y_m=task.target_y_m, target_z_m=task.target_z_m, cart_start_m=task.cart_start_m),
@@ -184,13 +221,17 @@ def metadata(
         seed=seed,
         git_revision=revision.revision(),
         validation_success=validation_success,
-        golden=golden_run(network, task),
+        golden=golden,
     )
 
 
 def write(network: PolicyNetwork, description: PolicyMetadata, path: Path) -> None:
     """Write the file in one piece: a reader sees the old file or the new one."""
-    model = onnx_model(network)
+    write_model(onnx_model(network), description, path)
+
+
+def write_model(model: onnx.ModelProto, description: PolicyMetadata, path: Path) -> None:
+    """The same of a graph."""
     helper.set_model_props(model, {METADATA_KEY: description.model_dump_json()})
     path.parent.mkdir(parents=True, exist_ok=True)
     files.write_bytes(path, model.SerializeToString())

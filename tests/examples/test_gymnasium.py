@@ -1,0 +1,65 @@
+"""The scripts of examples/gymnasium: other learners learn on our robots, and what they learned flies."""
+
+import sys
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("gymnasium")
+pytest.importorskip("torch")
+
+from softarm.daemon.shell.offline import Lockstep
+from softarm.policies.onnx_policy import OnnxPolicy
+from softarm.schemas.config import Config
+from softarm.schemas.goals import Goal
+from softarm.training.record import foreign
+
+STEPS = 32 * 4096
+TARGETS = [Goal("reach", y, z) for y, z in ((-0.35, 0.6), (-0.25, 0.62), (-0.15, 0.58), (-0.2, 0.65))]
+
+pytestmark = pytest.mark.slow
+
+
+@pytest.fixture(autouse=True)
+def _scripts(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.syspath_prepend(str(Path(__file__).parents[2] / "examples" / "gymnasium"))
+    for name in ("scoring", "speed", "train_ppo", "train_sb3"):
+        monkeypatch.delitem(sys.modules, name, raising=False)
+    monkeypatch.setattr(foreign, "VALIDATION_TRIALS", 60)
+
+
+def reached(file: Path) -> int:
+    """Of the targets, by the daemon's own tick."""
+    flown = Lockstep(Config(), OnnxPolicy(str(file)))
+    return sum(flown.fly(target, cart_start_m=0.1).reached for target in TARGETS)
+
+
+def test_ppo_in_one_file_learns_to_reach_and_its_network_flies(tmp_path: Path) -> None:
+    import train_ppo
+
+    agent, before, after = train_ppo.train(STEPS)
+    assert before.reached < 0.1
+    assert after.reached > 0.5
+    assert after.mean_return > before.mean_return + 4.0
+    share = foreign.export(agent.actor, tmp_path / "mine.onnx", mean=agent.mean, scale=agent.scale, cut=train_ppo.CUT)
+    assert share > 0.3
+    assert reached(tmp_path / "mine.onnx") >= 1
+
+
+def test_stable_baselines3_learns_to_reach_and_its_network_flies(tmp_path: Path) -> None:
+    pytest.importorskip("stable_baselines3")
+    import train_sb3
+
+    model, envs, before, after = train_sb3.train(STEPS)
+    assert before.reached < 0.1
+    assert after.reached > 0.5
+    assert after.mean_return > before.mean_return + 4.0
+    assert train_sb3.export(model, envs, tmp_path / "mine.onnx") > 0.3
+    assert reached(tmp_path / "mine.onnx") >= 1
+
+
+def test_what_measures_speed_counts_steps() -> None:
+    import speed
+
+    assert speed.steps_per_s("vector_entry_point", 4, 0.05) > 0
+    assert speed.steps_per_s("sync", 4, 0.05) > 0

@@ -1,0 +1,65 @@
+"""Networks of other learners become files that the daemon flies, number for number."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from torch import nn
+
+from softarm.policies.onnx_policy import OnnxPolicy
+from softarm.schemas.policy import ACTION
+from softarm.training.record import foreign
+from softarm.training.record.foreign import ForeignNetworkError
+from softarm.training.task.shelf import ShelfTask
+
+MEAN = np.array([0.1, 0, -0.2, 0.6, 0, 0, 0, 5.0, -0.2, 0.6], np.float32)
+SCALE = np.array([0.1, 0.3, 0.2, 0.1, 1, 1, 0.3, 8.0, 0.1, 0.05], np.float32)
+
+
+@pytest.fixture(autouse=True)
+def _few_trials(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(foreign, "VALIDATION_TRIALS", 12)
+
+
+def network(*between: nn.Module, inputs: int = 10) -> nn.Sequential:
+    torch.manual_seed(1)
+    return nn.Sequential(nn.Linear(inputs, 16), *between, nn.Linear(16, 2))
+
+
+@pytest.mark.parametrize("layer", [nn.Tanh(), nn.ReLU(), nn.ELU(0.5), nn.Sigmoid(), nn.Identity()])
+def test_the_file_does_what_the_network_does(layer: nn.Module, tmp_path: Path) -> None:
+    layers = network(layer)
+    share = foreign.export(
+        layers, tmp_path / "mine.onnx", mean=MEAN, scale=SCALE, cut=2.0, training={"learner": "mine"}
+    )
+    policy = OnnxPolicy(str(tmp_path / "mine.onnx"))  # which replays its golden run
+    assert policy.metadata.validation_success == share
+    assert policy.metadata.training["learner"] == "mine"
+    assert policy.metadata.training["task.name"] == "reach"
+    low, high = (np.array([getattr(signal, end) for signal in ACTION]) for end in ("low", "high"))
+    rng = np.random.default_rng(0)
+    for _ in range(5):
+        seen = (MEAN + 3 * SCALE * rng.standard_normal(10)).astype(np.float32)
+        inside = torch.from_numpy(((seen - MEAN) / SCALE).clip(-2.0, 2.0))
+        wanted = layers(inside).detach().numpy().clip(-1.0, 1.0)
+        np.testing.assert_allclose(policy.step(seen[:8], seen[8:]), low + (wanted + 1) / 2 * (high - low), rtol=1e-4)
+
+
+def test_a_task_with_more_to_see_is_flown_too(tmp_path: Path) -> None:
+    foreign.export(network(nn.Tanh(), inputs=11), tmp_path / "shelf.onnx", ShelfTask())
+    assert OnnxPolicy(str(tmp_path / "shelf.onnx")).metadata.task == "shelf"
+
+
+@pytest.mark.parametrize(
+    ("layers", "text"),
+    [
+        (network(nn.GELU()), "layer 1 is a GELU; allowed are Linear, ELU, Tanh, ReLU"),
+        (network(nn.Tanh(), inputs=11), r"layer 0, Linear\(in_features=11.*: allowed is a Linear with 10 inputs"),
+        (nn.Sequential(nn.Linear(10, 3)), "the network gives 3 numbers; an action has 2"),
+    ],
+)
+def test_what_cannot_be_written_is_told(layers: nn.Sequential, text: str, tmp_path: Path) -> None:
+    with pytest.raises(ForeignNetworkError, match=text):
+        foreign.export(layers, tmp_path / "mine.onnx")
+    assert not (tmp_path / "mine.onnx").exists()
