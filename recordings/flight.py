@@ -167,7 +167,7 @@ def nothing_in(path: Path) -> mcap_file.LogError:
 def unreadable(path: Path, topic: str, error: ValidationError) -> mcap_file.LogError:
     """What to say of a message that is not as ours are."""
     problem = error.errors(include_url=False)[0]
-    where = ".".join(map(str, problem["loc"]))
+    where = f"{'.'.join(map(str, problem['loc']))}: " if problem["loc"] else ""
     return mcap_file.LogError(
-        f"{path}: a message on {topic}: {where}: {problem['msg']}; was it edited, or recorded by another version?"
+        f"{path}: a message on {topic}: {where}{problem['msg']}; was it edited, or recorded by another version?"
     )

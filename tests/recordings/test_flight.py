@@ -1,0 +1,51 @@
+"""What is read of a log to be shown: the newest of everything beside each tick, and what is wrong in words."""
+
+from pathlib import Path
+
+import pytest
+
+from softarm.daemon.logbook import logs
+from softarm.recordings import flight
+from softarm.recordings.channels import RAIL
+from softarm.recordings.live import LiveFile, LogMessage
+from softarm.recordings.mcap_file import LogError
+
+FLIGHT = Path(__file__).parents[1] / "data" / "flight.mcap"
+
+
+def test_each_tick_comes_with_what_it_had_seen():
+    sights = [sight for sight in flight.sights(FLIGHT) if sight is not None]
+    for sight, (inputs, outputs, timing) in zip(sights, logs.read(FLIGHT), strict=True):
+        assert (sight.frame, sight.pressure, sight.rail) == (inputs.mocap[-1], inputs.pressure, inputs.rail)
+        assert (sight.tick.outputs.tick, sight.tick.outputs.sent) == (outputs.tick, outputs.sent)
+        assert sight.tick.timing.compute_ns == timing.compute_ns
+
+
+def test_there_is_something_for_every_message_so_that_progress_can_be_shown():
+    assert sum(1 for _ in flight.sights(FLIGHT)) == logs.read(FLIGHT).records
+
+
+def test_seconds_count_from_the_first_measurement_and_of_nothing_there_are_none(tmp_path, killed, readings):
+    assert flight.first_stamp_ns(killed) == readings[0].t_receive_ns
+    empty = tmp_path / "empty.mcap"
+    with empty.open("wb") as file:
+        LiveFile(file, [RAIL]).flush()
+    with pytest.raises(LogError, match=r"empty\.mcap: holds nothing to show; was the daemon stopped before its first"):
+        flight.first_stamp_ns(empty)
+
+
+@pytest.mark.parametrize(
+    ("data", "what"),
+    [(b'{"position_m": 0}', "t_receive_ns: Field required"), (b"{", "Invalid JSON")],
+    ids=["field", "json"],
+)
+def test_a_message_of_another_kind_is_told_with_its_place(tmp_path, data, what):
+    odd = tmp_path / "odd.mcap"
+    with odd.open("wb") as file:
+        live = LiveFile(file, [RAIL])
+        live.add(LogMessage(RAIL.topic, 1, 1, data))
+        live.flush()
+    with pytest.raises(
+        LogError, match=rf"odd\.mcap: a message on /rail: {what}.*; was it edited, or recorded by another"
+    ):
+        list(flight.records(odd))
