@@ -1,5 +1,6 @@
 """`softarm demo`: a robot that is not there, swung by the real daemon over real wires."""
 
+import contextlib
 import random
 import sys
 from pathlib import Path
@@ -8,8 +9,10 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from softarm.cli.completion import policies
+from softarm.cli.errors import fail
 from softarm.cli.interrupt import leaves
 from softarm.cli.options import model_option
+from softarm.cli.printing import waiting
 from softarm.schemas.flights import TEST_TARGETS
 from softarm.schemas.goals import Goal
 
@@ -50,8 +53,11 @@ def demo(targets: int, seed: int, policy: str, model_file: Path | None, logs: Pa
     console = Console()
     goals = random.Random(seed).sample(TEST_TARGETS, targets)
     try:
-        console.print("starting the twin (the robot behind its wires) and the daemon ...")
-        with SoftwareInTheLoop(logs, {"control": {"policy": policy}}, model_file) as sil:
+        with contextlib.ExitStack() as both:
+            with waiting(
+                "starting the twin (the robot behind its wires) and the daemon; the first start of all compiles"
+            ):
+                sil = both.enter_context(SoftwareInTheLoop(logs, {"control": {"policy": policy}}, model_file))
             path = sil.status()["recorder"]["log"]
             console.print(f"daemon at {sil.url} (API: {sil.url}/docs), policy {policy}")
             sil.arm()
@@ -61,8 +67,7 @@ def demo(targets: int, seed: int, policy: str, model_file: Path | None, logs: Pa
         log = read(path)
         problems = exceeded(log.ticks(), log.config.limits)
     except SoftwareInTheLoopError as error:
-        console.print(f"[red]{error}[/red]")
-        sys.exit(1)
+        fail(str(error))
     _show(console, results)
     console.print(f"log: {path}")
     reached = sum(result["state"] == "reached" for result in results)

@@ -9,6 +9,8 @@ from datetime import datetime
 
 import click
 
+from softarm.cli.words import in_commands
+
 WIDTH = 80  # where there is no terminal
 PATIENCE_S = 2.0  # nobody waits longer without a word
 
@@ -49,7 +51,7 @@ def print_text(text: str) -> None:
     """Print sentences, wrapped between words."""
     from rich.console import Console
 
-    Console().print(text, markup=False, highlight=False)
+    Console().print(in_commands(text), markup=False, highlight=False)
 
 
 @contextmanager

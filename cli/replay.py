@@ -10,6 +10,7 @@ from softarm.cli.completion import logs
 from softarm.cli.errors import fail
 from softarm.cli.interrupt import leaves
 from softarm.cli.options import FILE
+from softarm.cli.words import in_commands
 
 
 @click.command()
@@ -45,6 +46,6 @@ def replay(files: tuple[Path, ...]) -> None:
         click.echo(part.ending)
     *sentences, outcome = told(replayed)
     for sentence in sentences:
-        click.echo(sentence)
+        click.echo(in_commands(sentence))
     click.echo(outcome, err=bool(replayed.differences))
     sys.exit(bool(replayed.differences))

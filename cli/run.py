@@ -10,7 +10,7 @@ from softarm.cli.errors import fail
 from softarm.cli.interrupt import leaves, left_now
 from softarm.cli.options import config_option, flown_model, model_option
 from softarm.cli.prepared import prepared
-from softarm.cli.words import Formatter
+from softarm.cli.words import Formatter, in_commands
 
 if TYPE_CHECKING:
     from softarm.daemon.foxglove.guest import FoxgloveGuest
@@ -100,7 +100,7 @@ def announce(running: "Daemon") -> None:
     leaves(lambda: _left(running))
     log = running.recorder.path
     left = None if running.latch is None else running.latch.left
-    state = "disarmed" if left is None else f"stopped, as it was left ({left}): `softarm acknowledge`"
+    state = "disarmed" if left is None else f"stopped, as it was left ({in_commands(left)}): `softarm acknowledge`"
     click.echo(f"softarm: serving {running.url} (API: {running.url}/docs), {state}")
     click.echo(f"softarm: recording {log}" if log else "softarm: not recording (recorder.enabled is false)")
     if running.foxglove is not None:

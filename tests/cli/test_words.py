@@ -5,11 +5,16 @@ import logging
 import re
 from pathlib import Path
 
+import click
 import pytest
 
+from softarm.cli.main import main
+from softarm.cli.run import announce
 from softarm.cli.words import COMMANDS, REQUEST, Formatter, in_commands
 from softarm.daemon.control.failsafe import TABLE, Event
 from softarm.daemon.control.records import EStop, Mode
+from softarm.daemon.shell.daemon import Daemon, latch_of, real_devices
+from softarm.schemas.config import Config
 
 ROOT = Path(__file__).parents[2]
 HTTP = re.compile(r"(GET|POST|PUT|DELETE) /")
@@ -81,3 +86,15 @@ def test_a_refusal_speaks_of_verbs(softarm, daemon):
 def test_what_a_daemon_logs_to_the_terminal_speaks_of_verbs():
     record = logging.LogRecord("softarm", logging.WARNING, "", 0, "stopped: then %s", ("POST /api/acknowledge",), None)
     assert Formatter("%(levelname)s %(message)s").format(record) == "WARNING stopped: then `softarm acknowledge`"
+
+
+def test_what_a_daemon_was_stopped_by_is_told_in_verbs_when_it_starts(tmp_path, capsys):
+    config = Config(api={"port": 0}, control={"policy": "hold"}, recorder={"directory": tmp_path})
+    keeper = latch_of(config)
+    keeper.left = Event("remote_off").text
+    daemon = Daemon(config, real_devices(config), keeper)
+    with click.Context(main):
+        announce(daemon)
+    told = capsys.readouterr().out
+    assert "release the emergency-stop button, then `softarm acknowledge`" in told
+    assert not HTTP.search(told.replace("POST http", ""))
