@@ -1,6 +1,8 @@
-"""The dashboard's pictures in docs/dashboard.md: a browser before a daemon that flies a robot simulated in it.
+"""The pictures of docs/dashboard.md and docs/tutorial.md, from a browser before the real things.
 
 python -m softarm.benchmarks.screenshots --out docs/pictures
+
+The things are a daemon that flies a robot simulated in it, and the report of a diagnosis.
 """
 
 import io
@@ -19,10 +21,15 @@ import httpx
 from PIL import Image
 from playwright.sync_api import Browser, Page, sync_playwright
 
+from softarm.benchmarks import diagnosis as campaign
 from softarm.daemon.shell import daemon as shell
 from softarm.daemon.shell.loop import Devices
+from softarm.diagnosis.data.read import read_all
+from softarm.diagnosis.diagnose import diagnose
+from softarm.diagnosis.report import page as page_of_report
 from softarm.drivers.base import MocapSource
 from softarm.schemas.config import Config
+from softarm.schemas.model import Model
 
 TARGETS = ((-0.3, 0.6), (-0.12, 0.68), (-0.34, 0.65), (-0.05, 0.58), (-0.26, 0.64))
 BETWEEN_S = 2.2
@@ -73,7 +80,7 @@ def _open(browser: Browser, url: str, **options: Any) -> Page:
 
 
 def _keep(page: Page, out: Path, name: str) -> None:
-    path = out / f"dashboard-{name}.png"
+    path = out / f"{name}.png"
     picture = Image.open(io.BytesIO(page.screenshot())).convert("RGB")
     picture.quantize(COLOURS, kmeans=1, dither=Image.Dither.NONE).save(path, optimize=True)
     size = path.stat().st_size
@@ -91,15 +98,15 @@ def _flying(browser: Browser, out: Path) -> None:
         for page, name in ((light, "light"), (dark, "dark"), (phone, "phone")):
             _fly(robot)
             page.wait_for_timeout(350)  # into the swing
-            _keep(page, out, name)
+            _keep(page, out, f"dashboard-{name}")
         light.keyboard.press("Space")
         light.locator("#stopped[data-state=stopped]").wait_for()
         light.locator("#panel-events-tab").click()
         light.locator("#panel-events li.stop").first.wait_for()
-        _keep(light, out, "stopped")
+        _keep(light, out, "dashboard-stopped")
     light.locator("#link[data-link=lost]").wait_for()
     light.wait_for_timeout(3000)
-    _keep(light, out, "lost")
+    _keep(light, out, "dashboard-lost")
 
 
 def _covered(cameras: MocapSource) -> AbstractContextManager[object]:
@@ -115,7 +122,17 @@ def _refused(browser: Browser, out: Path) -> None:
         page.locator("#do-arm").click()
         page.locator("#said .notice.refused").wait_for()
         page.mouse.move(0, 0)
-        _keep(page, out, "refused")
+        _keep(page, out, "dashboard-refused")
+
+
+def _report(browser: Browser, out: Path) -> None:
+    """What `softarm diagnose --report` writes for a robot with two faults: its first screen, and the curves."""
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / "report.html"
+        page_of_report.write(diagnose(read_all([campaign.make_campaign(Path(folder))]), Model()), file)
+        page = browser.new_context(viewport={"width": 1100, "height": 760}).new_page()
+        page.goto(file.as_uri())
+        _keep(page, out, "report")
 
 
 @click.command()
@@ -123,7 +140,12 @@ def _refused(browser: Browser, out: Path) -> None:
     "--out", type=click.Path(file_okay=False, path_type=Path), default=Path("docs/pictures"), show_default=True
 )
 def main(out: Path) -> None:
-    """Make the dashboard's pictures anew; takes about a minute."""
+    """Make the pages' pictures anew; takes a minute and a half.
+
+    \b
+    Example:
+      python -m softarm.benchmarks.screenshots --out docs/pictures
+    """
     chromium = shutil.which("chromium") or shutil.which("google-chrome")
     if chromium is None:
         raise click.ClickException("there is no chromium here: apt-get install chromium")
@@ -133,6 +155,7 @@ def main(out: Path) -> None:
         browser = playwright.chromium.launch(executable_path=chromium, args=rights)
         _flying(browser, out)
         _refused(browser, out)
+        _report(browser, out)
         browser.close()
 
 
