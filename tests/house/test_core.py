@@ -53,8 +53,8 @@ def test_the_versions_of_python_that_are_promised_are_those_that_doctor_knows():
     ("python", "machine", "extras"),
     [
         ("3.11", "aarch64", ("sim",)),  # Raspberry Pi OS of 2023
-        ("3.13", "aarch64", ("sim",)),  # and of 2025
-        ("3.13", "x86_64", ("sim", "train", "diagnosis", "mujoco")),
+        ("3.13", "aarch64", ("sim", "foxglove")),  # and of 2025
+        ("3.13", "x86_64", ("sim", "train", "diagnosis", "mujoco", "foxglove")),
     ],
 )
 def test_every_package_is_there_as_a_wheel(python, machine, extras):
