@@ -24,6 +24,7 @@ CONNECT_S = 1.0
 SLOW_MS = 8.0  # an exchange that takes longer is slower than the loop: docs/wires.md
 SERIAL = ("serial/by-id/*", "ttyACM*", "softarm-regulator")  # under /dev: where a Teensy shows
 ESTABLISHED = "01"
+TWIN = "start the robot that is behind it: `softarm twin --config FILE`"
 
 
 @dataclass(frozen=True, slots=True)
@@ -148,7 +149,9 @@ def _user() -> str:
 
 def judge_serial(facts: Serial) -> Iterator[Finding]:
     """A finding on the regulator's device where no daemon answers."""
-    if not facts.there:
+    if not facts.there and not facts.path.startswith("/dev/"):
+        yield problem("regulator", f"{facts.path} is not there", TWIN)
+    elif not facts.there:
         seen = ", ".join(facts.others)
         others = f"or name one of {seen} as drivers.regulator.port" if seen else "see `dmesg` for whether it shows"
         yield problem("regulator", f"{facts.path} is not there", f"plug the Teensy in, {others}")
@@ -174,6 +177,7 @@ def judge_axis(facts: Axis) -> Iterator[Finding]:
         yield problem("rail", f"{facts.address} is held by another connection of this computer", advice)
     elif facts.error is not None:
         advice = "is the drive on, its cable in, this computer on its network? Else correct drivers.rail.host and port"
+        advice = TWIN if facts.address.startswith(("127.", "localhost:")) else advice
         yield problem("rail", f"{facts.address}: {facts.error}", advice)
     elif facts.connect_ms is not None and facts.connect_ms > SLOW_MS:
         advice = f"an exchange with the drive may take {SLOW_MS:g} ms: connect it by cable, without a router between"

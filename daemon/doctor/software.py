@@ -25,6 +25,7 @@ EXTRAS = {
 class Package:
     """One that is asked for."""
 
+    name: str
     wanted: str  # as in pyproject.toml
     installed: str | None
     fits: bool
@@ -71,9 +72,10 @@ def _asked_for(wanted: list[Requirement], extra: str) -> Iterator[Package]:
         try:
             found = importlib.metadata.version(each.name)
         except importlib.metadata.PackageNotFoundError:
-            yield Package(f"{each.name}{each.specifier}", None, False)
+            yield Package(each.name, f"{each.name}{each.specifier}", None, False)
         else:
-            yield Package(f"{each.name}{each.specifier}", found, each.specifier.contains(found, prereleases=True))
+            fits = each.specifier.contains(found, prereleases=True)
+            yield Package(each.name, f"{each.name}{each.specifier}", found, fits)
 
 
 def judge(facts: Software) -> Iterator[Finding]:
@@ -96,8 +98,10 @@ def judge(facts: Software) -> Iterator[Finding]:
     else:
         yield ok("packages", f"all {len(facts.core)} that the daemon needs")
     for extra, packages in facts.extras.items():
-        if wrong := _wrong(packages):
-            yield ok(f"extra {extra}", wrong, f"pip install 'softarm[{extra}]', for {EXTRAS[extra]}")
+        if lacking := [each.name for each in packages if not each.fits]:
+            yield ok(
+                f"extra {extra}", f"lacks {', '.join(lacking)}", f"pip install 'softarm[{extra}]', for {EXTRAS[extra]}"
+            )
         else:
             yield ok(f"extra {extra}", "complete")
 

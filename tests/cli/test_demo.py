@@ -4,6 +4,7 @@ import pytest
 from click.testing import CliRunner, Result
 
 from softarm.cli.main import main
+from softarm.flights.software_in_the_loop import SoftwareInTheLoop, SoftwareInTheLoopError
 
 pytestmark = [pytest.mark.timeout(120), pytest.mark.realtime]
 
@@ -25,3 +26,14 @@ def test_what_the_daemon_refuses_is_said_and_a_failure(tmp_path):
     result = demo(tmp_path, "--policy", "hold")
     assert result.exit_code == 1
     assert "the policy 'hold' does not move to targets" in result.output
+
+
+def test_what_a_process_said_is_told_word_for_word(monkeypatch, tmp_path):
+    def without_an_extra(self):
+        self.__exit__(None, None, None)
+        raise SoftwareInTheLoopError("softarm twin needs the package 'numba': pip install 'softarm[sim]'")
+
+    monkeypatch.setattr(SoftwareInTheLoop, "__enter__", without_an_extra)
+    done = CliRunner().invoke(main, ["demo", "--logs", str(tmp_path)])
+    assert done.exit_code == 1
+    assert "pip install 'softarm[sim]'" in done.output

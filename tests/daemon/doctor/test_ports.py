@@ -26,6 +26,7 @@ def only(findings):
     [
         ({"there": False}, "plug the Teensy in"),
         ({"there": False, "others": ("/dev/ttyACM1",)}, "/dev/ttyACM1"),
+        ({"there": False, "path": "/tmp/regulator"}, "softarm twin"),
         ({"is_device": False}, "is no serial device"),
         ({"permitted": False}, "usermod -aG dialout ann"),
         ({"permitted": False, "group": "root"}, "udev rule"),
@@ -98,6 +99,7 @@ def test_what_is_said_of_the_axis():
     refused = only(ports.judge_axis(Axis("a:502", error="Connection refused")))
     assert refused.state is State.PROBLEM
     assert "is the drive on" in refused.advice
+    assert "softarm twin" in only(ports.judge_axis(Axis("127.0.0.1:502", error="Connection refused"))).advice
     port = socket.create_server(("127.0.0.1", 0))
     number = port.getsockname()[1]
     port.close()
