@@ -7,7 +7,8 @@ Observations, float32, in the order of `schemas.policy.OBSERVATION` and the task
 episodes are the task's: `terminated` where the target is reached or the cart is off the rail, `truncated` where the
 time is over; `info` has `success`. The vectorised ones step all robots in one call of the kernel and reset in the same
 step (AutoresetMode.SAME_STEP): where an episode ended, `info["final_obs"]` has its last observation and
-`info["final_info"]` its success. Where the goal lies may be given to `reset`, as options.
+`info["final_info"]` its success. Gymnasium's wrappers that transform observations want `autoreset_mode="NextStep"`.
+Where the goal lies may be given to `reset`, as options.
 """
 
 from pathlib import Path
@@ -161,6 +162,14 @@ def _task_of(task: ReachTask | str, kind: type[ReachTask]) -> ReachTask:
     return found
 
 
+def _known_autoreset(mode: AutoresetMode | str) -> AutoresetMode:
+    """When robots begin again. Raises ValueError for a way that there is not."""
+    known = {each.value: each for each in (AutoresetMode.SAME_STEP, AutoresetMode.NEXT_STEP)}
+    if (name := mode.value if isinstance(mode, AutoresetMode) else mode) not in known:
+        raise ValueError(f"autoreset_mode is {name!r}; allowed: {', '.join(known)}")
+    return known[name]
+
+
 class _SingleEnv(gymnasium.Env[Array, Array]):
     """One robot."""
 
@@ -233,10 +242,15 @@ class _ManyEnv(VectorEnv[Array, Array, NDArray[Any]]):
         model: Model | Path | str | None,
         physics_rate_hz: float,
         render_mode: str | None,
+        autoreset_mode: AutoresetMode | str,
     ) -> None:
         self.render_mode = _known_mode(render_mode, self.metadata["render_modes"])
+        mode = _known_autoreset(autoreset_mode)
+        self.metadata = {**self.metadata, "autoreset_mode": mode}
         self.num_envs = num_envs
         self._batch = _Batch(task, num_envs, model, physics_rate_hz)
+        self._batch.environment.restarts = mode is AutoresetMode.SAME_STEP
+        self._over = np.zeros(num_envs, dtype=np.bool_)  # whose next step begins an episode, where they do not at once
         self.single_observation_space, self.single_action_space = self._batch.space, ACTIONS
         self.observation_space = batch_space(self._batch.space, num_envs)
         self.action_space = batch_space(ACTIONS, num_envs)
@@ -251,6 +265,7 @@ class _ManyEnv(VectorEnv[Array, Array, NDArray[Any]]):
                 f"the seed is a {type(seed).__name__}; allowed is one integer: all robots are drawn from one generator"
             )
         super().reset(seed=seed)
+        self._over[:] = False
         return self._batch.begin(self.np_random, options), {}
 
     def step(self, actions: Array) -> tuple[Array, NDArray[Any], NDArray[Any], NDArray[Any], dict[str, Any]]:
@@ -259,6 +274,10 @@ class _ManyEnv(VectorEnv[Array, Array, NDArray[Any]]):
         Raises TypeError or ValueError for what are no actions, ResetNeeded before the first `reset`.
         """
         step = self._batch.step(_checked(actions, (self.num_envs, *ACTIONS.shape)))
+        if self.metadata["autoreset_mode"] is AutoresetMode.NEXT_STEP:
+            step = self._begun_anew(step)
+            info = {"success": step.success, "_success": np.ones(self.num_envs, dtype=np.bool_)}
+            return self._batch.seen(step.observation), step.reward, step.terminated, step.truncated, info
         info = {"success": step.success, "_success": np.ones(self.num_envs, dtype=np.bool_)}
         info |= self._final(step)
         return self._batch.seen(step.observation), step.reward, step.terminated, step.truncated, info
@@ -268,6 +287,22 @@ class _ManyEnv(VectorEnv[Array, Array, NDArray[Any]]):
         if self.render_mode is None:
             return None
         return tuple(self._batch.pixels(robot) for robot in range(self.num_envs))
+
+    def _begun_anew(self, step: Step) -> Step:
+        """A step in which robots whose episode had ended began another one instead: what they did meanwhile is none."""
+        anew, goes_on = self._over, ~self._over
+        observation = self._batch.environment.restart(anew) if anew.any() else step.observation
+        terminated, truncated, success = (each & goes_on for each in (step.terminated, step.truncated, step.success))
+        self._over = terminated | truncated
+        observation = np.where(self._over[:, None], step.final_observation, observation)
+        self._batch.success = success
+        return step._replace(
+            observation=observation,
+            reward=np.where(goes_on, step.reward, np.float32(0.0)),
+            terminated=terminated,
+            truncated=truncated,
+            success=success,
+        )
 
     def _final(self, step: Step) -> dict[str, Any]:
         """What Gymnasium wants to know of the episodes that ended in a step."""
@@ -308,9 +343,12 @@ class ReachVectorEnv(_ManyEnv):
         model: Model | Path | str | None = None,
         physics_rate_hz: float = TRAINING_PHYSICS_RATE_HZ,
         render_mode: str | None = None,
+        autoreset_mode: AutoresetMode | str = AutoresetMode.SAME_STEP,
     ) -> None:
-        """As `ReachEnv`."""
-        super().__init__(_task_of(task or ReachTask(), ReachTask), num_envs, model, physics_rate_hz, render_mode)
+        """As `ReachEnv`; autoreset_mode: SAME_STEP or NEXT_STEP, as Gymnasium means them."""
+        super().__init__(
+            _task_of(task or ReachTask(), ReachTask), num_envs, model, physics_rate_hz, render_mode, autoreset_mode
+        )
 
 
 class ShelfEnv(_SingleEnv):
@@ -337,9 +375,12 @@ class ShelfVectorEnv(_ManyEnv):
         model: Model | Path | str | None = None,
         physics_rate_hz: float = TRAINING_PHYSICS_RATE_HZ,
         render_mode: str | None = None,
+        autoreset_mode: AutoresetMode | str = AutoresetMode.SAME_STEP,
     ) -> None:
-        """As `ReachEnv`."""
-        super().__init__(_task_of(task or ShelfTask(), ShelfTask), num_envs, model, physics_rate_hz, render_mode)
+        """As `ReachEnv`; autoreset_mode: SAME_STEP or NEXT_STEP, as Gymnasium means them."""
+        super().__init__(
+            _task_of(task or ShelfTask(), ShelfTask), num_envs, model, physics_rate_hz, render_mode, autoreset_mode
+        )
 
 
 for _task in ("Reach", "Shelf"):

@@ -165,6 +165,44 @@ def test_steps_before_a_reset_or_after_the_end_are_refused() -> None:
     env.step(still)
 
 
+def test_next_step_autoreset_begins_an_episode_in_a_step_of_its_own() -> None:
+    """As SyncVectorEnv does it: the last observation is returned, the step after it begins anew for nothing."""
+    env = many("Reach", 6, autoreset_mode="NextStep")
+    assert env.metadata["autoreset_mode"] is AutoresetMode.NEXT_STEP
+    observation, _ = env.reset(seed=2)
+    over, ended = np.zeros(6, np.bool_), 0
+    for _ in range(230):
+        actions = np.clip(env.np_random.normal(0.0, 0.5, (6, 2)), -1.0, 1.0).astype(np.float32)
+        before = observation
+        observation, reward, terminated, truncated, info = env.step(actions)
+        assert env.observation_space.contains(observation)
+        assert "final_obs" not in info
+        same_goal = (observation[:, 8:] == before[:, 8:]).all(axis=1)
+        np.testing.assert_array_equal(same_goal, ~over)
+        assert not reward[over].any()
+        assert not (terminated | truncated)[over].any()
+        assert not observation[over][:, [1, 4, 5]].any()  # at rest
+        over = terminated | truncated
+        np.testing.assert_array_equal(info["success"] & over, info["success"])
+        ended += over.sum()
+    assert ended >= 12
+
+
+def test_gymnasium_s_own_wrappers_take_it() -> None:
+    made = "softarm.training.gym_envs:SoftArmReach-v0"
+    wrapped = gymnasium.wrappers.vector
+    env = wrapped.RecordEpisodeStatistics(gymnasium.make_vec(made, num_envs=4, autoreset_mode="NextStep"))
+    env = wrapped.ClipAction(wrapped.NormalizeObservation(env))
+    env.reset(seed=1)
+    episodes = 0
+    for _ in range(110):
+        *_, info = env.step(np.zeros((4, 2), np.float32))
+        episodes += info["_episode"].sum() if "episode" in info else 0
+    assert episodes >= 4
+    with pytest.raises(ValueError, match="autoreset_mode is 'Disabled'; allowed: SameStep, NextStep"):
+        many("Reach", 2, autoreset_mode=AutoresetMode.DISABLED)
+
+
 def test_of_many_one_seed_draws_all() -> None:
     env = many("Reach", 3)
     np.testing.assert_array_equal(env.reset(seed=4)[0], many("Reach", 3).reset(seed=4)[0])

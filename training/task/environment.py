@@ -132,6 +132,11 @@ class Environment:
         )
         return self._observe()
 
+    def restart(self, which: Mask) -> Array:
+        """Begin an episode at some robots, [R]; returns the observation of all, [R, 10]."""
+        self._restart(which)
+        return self._observe()
+
     def stagger(self) -> None:
         """Spread the episodes' ages evenly, so that a batch does not run out of time all at once."""
         self._elapsed[:] = self.rng.integers(0, self.task.episode_steps, self.robots)
