@@ -15,6 +15,9 @@ import click
 from softarm.benchmarks.stop import DaemonError, daemon
 
 _EXPECTED = """
+request-timeout = 310.0  # a log's replay may take that long
+[checks]
+max_response_time = 310.0
 [checks.not_a_server_error]
 expected-statuses = ["2xx", "3xx", "4xx", 503, 504]
 [checks.positive_data_acceptance]
