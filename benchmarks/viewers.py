@@ -151,7 +151,8 @@ async def _watching(url: str, viewers: int, way: Connection) -> None:
 
     async def look_back(number: int) -> None:
         await asyncio.sleep(RECENT_EVERY_S * number / viewers)
-        async with httpx.AsyncClient(base_url=url, timeout=30.0) as client:
+        anew = httpx.Limits(max_keepalive_connections=0)  # the daemon closes a connection that is quiet for as long
+        async with httpx.AsyncClient(base_url=url, timeout=30.0, limits=anew) as client:
             while True:
                 begun = time.monotonic()
                 answer = await client.get("/api/recent?seconds=60")
