@@ -181,6 +181,7 @@ def test_a_configuration_and_a_service_are_made_from_the_wheel_alone(installed: 
     assert Path(page).is_file()
 
 
+@pytest.mark.realtime
 @pytest.mark.timeout(400)  # the kernel is compiled anew
 def test_the_demo_runs_from_an_empty_folder(installed: Path, tmp_path: Path) -> None:
     said = run(installed.with_name("softarm"), "demo", "--targets", "3", cwd=tmp_path, seconds=390)
