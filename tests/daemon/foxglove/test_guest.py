@@ -55,8 +55,8 @@ class Viewer:
 
 
 @contextmanager
-def viewing(guest):
-    with connect(guest.url, subprotocols=["foxglove.sdk.v1"], max_size=None, close_timeout=0.2) as socket:
+def viewing(guest, **options):
+    with connect(guest.url, subprotocols=["foxglove.sdk.v1"], max_size=None, close_timeout=0.2, **options) as socket:
         yield Viewer(socket)
 
 
@@ -139,11 +139,14 @@ def test_a_client_that_does_not_read_holds_up_nobody(running):
     """Sent more than its connection holds, it loses messages; who reads beside it sees the newest tick."""
     seen, guest = [], running.foxglove
     running.recorder.beside = lambda tick, entries: (seen.append(tick), guest.take(tick, entries))
-    with viewing(guest) as stuck, viewing(guest) as viewer:
+    narrow = socket.socket()
+    narrow.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 8192)
+    narrow.connect(("127.0.0.1", guest.port))
+    with viewing(guest, sock=narrow) as stuck, viewing(guest) as viewer:
         stuck.subscribe(*stuck.channels)
         viewer.subscribe("/state")
         viewer.until("/state")
-        for _ in range(2000):  # some 20 MB, a minute's worth
+        for _ in range(500):  # some 5 MB
             guest.take(seen[-1], [])
             time.sleep(0.0005)
         newest = seen[-1][1].tick
