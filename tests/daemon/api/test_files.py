@@ -112,6 +112,7 @@ def test_nothing_else_of_the_disk_is_handed_out_deleted_or_replayed(client, fold
     assert sorted(tmp_path.rglob("*")) == before
 
 
+@pytest.mark.slow
 def test_only_so_many_are_sent_at_once_and_one_that_ends_makes_room(loop, app, serving, config, folder, monkeypatch):
     monkeypatch.setattr(files, "DOWNLOADS_MAX", 1)
     with (folder / "flight.mcap").open("wb") as file:
@@ -146,6 +147,7 @@ def until(condition) -> None:
         time.sleep(0.01)
 
 
+@pytest.mark.slow
 def test_who_takes_nothing_of_what_he_asked_for_is_hung_up_on(loop, app, serving, config, folder, monkeypatch):
     monkeypatch.setattr("softarm.daemon.api.bounds.DEAF_S", 0.3)
     with (folder / "flight.mcap").open("wb") as file:
@@ -163,6 +165,7 @@ def test_who_takes_nothing_of_what_he_asked_for_is_hung_up_on(loop, app, serving
         assert taken < 64_000_000
 
 
+@pytest.mark.slow
 def test_a_log_is_deleted_and_it_is_told_whose_wish_that_was(loop, app, client_of, config, folder):
     recorder = Recorder(config)
     recorder.start()
