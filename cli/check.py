@@ -60,7 +60,7 @@ def check(file: Path, folder: Path | None, data: Path | None, simulated: bool, a
         columns = ("limit", "value", "unit", "allowed, or how it follows", "from")
         print_table(columns, limits, f"{file}: limits in force", width=140)
     if loaded is not None and folder is not None:
-        problems += _milder(loaded, folder)
+        problems += _milder(loaded, folder, told=not as_json)
     if as_json:
         rows = [row._asdict() for row in limits]
         print_json({"file": str(file), "sound": not problems, "problems": problems, "limits": rows})
@@ -72,21 +72,24 @@ def check(file: Path, folder: Path | None, data: Path | None, simulated: bool, a
         click.echo(f"{file}: sound; starts with policy '{found.config.control.policy}'")
 
 
-def _milder(loaded: "Loaded", folder: Path) -> list[str]:
-    """Prints what the logs of a folder show of the rail; a sentence for each limit that is milder."""
+def _milder(loaded: "Loaded", folder: Path, told: bool) -> list[str]:
+    """A sentence for each limit that is milder than the logs of a folder show the rail; told: prints what they show."""
     from softarm.daemon.limits.findings import findings
     from softarm.recordings import rail_motion
     from softarm.recordings.mcap_file import LogError
 
     try:
-        motions = [rail_motion.read(path) for path in sorted(folder.glob("*.mcap"))]
+        with waiting(f"reading the logs in {folder}"):
+            motions = [rail_motion.read(path) for path in sorted(folder.glob("*.mcap"))]
     except LogError as error:
         fail(str(error))
     if not motions:
         fail(f"{folder}: holds no log; name the folder of recorder.directory, or any with .mcap files of the robot")
     found = findings(motions, loaded.config)
     rows = [(row.key, f"{row.configured:g}", row.measured, row.why) for row in found.rows]
-    print_table(("limits.rail", "configured", "measured", "what the logs show"), rows, f"{folder}: the rail", width=140)
+    if told:
+        columns = ("limits.rail", "configured", "measured", "what the logs show")
+        print_table(columns, rows, f"{folder}: the rail", width=140)
     for reason in found.measured.left_out:
         click.echo(f"left out: {reason}", err=True)
     return [

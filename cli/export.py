@@ -5,7 +5,9 @@ from pathlib import Path
 import click
 
 from softarm.cli.errors import fail
+from softarm.cli.interrupt import NOTHING, leaves
 from softarm.cli.options import FILE
+from softarm.cli.printing import waiting
 
 
 @click.command()
@@ -18,11 +20,13 @@ def export(checkpoint: Path, out: Path) -> None:
     Example:
       softarm export runs/reach-1/best.pt --out my-reach.onnx
     """
-    from softarm.training.record.export import export_checkpoint
-    from softarm.training.run.checkpoint import CheckpointError
+    leaves(NOTHING)
+    with waiting(f"reading {checkpoint}"):
+        from softarm.training.record.export import export_checkpoint
+        from softarm.training.run.checkpoint import CheckpointError
 
-    try:
-        export_checkpoint(checkpoint, out)
-    except CheckpointError as error:
-        fail(str(error))
+        try:
+            export_checkpoint(checkpoint, out)
+        except CheckpointError as error:
+            fail(str(error))
     click.echo(f"wrote {out}")

@@ -10,6 +10,7 @@ from softarm.cli.completion import logs
 from softarm.cli.errors import fail
 from softarm.cli.interrupt import leaves
 from softarm.cli.options import FILE
+from softarm.cli.printing import waiting
 from softarm.cli.words import in_commands
 
 
@@ -39,7 +40,8 @@ def replay(files: tuple[Path, ...]) -> None:
         parts = recordings.parts(files)
         config = parts[0].config
         ticks = chain.from_iterable(part.ticks() for part in parts)
-        replayed = replay_log(ticks, config, lambda name: registry.load(name, config.policies))
+        with waiting("running the log through the tick again"):
+            replayed = replay_log(ticks, config, lambda name: registry.load(name, config.policies))
     except (LogError, PolicyError) as error:
         fail(str(error))
     for part in parts:

@@ -7,6 +7,7 @@ import click
 from softarm.cli.errors import fail
 from softarm.cli.interrupt import leaves
 from softarm.cli.options import FILE, FOLDER, model_option
+from softarm.cli.printing import waiting
 from softarm.cli.sweeps import train_sweep
 from softarm.common.processes import bar, cores
 
@@ -90,7 +91,8 @@ def train(
     leaves(lambda: _left(folder))
     with inference.workers() as pool:
         try:
-            session = begin(recipe, seed, folder, pool, resume)
+            with waiting("making robots and network"):
+                session = begin(recipe, seed, folder, pool, resume)
         except (CheckpointError, ModelFileError, ValueError) as error:
             fail(str(error))
         if missing := tensorboard.missing():

@@ -230,3 +230,6 @@ def test_a_script_reads_limits_and_mistakes(check, tmp_path):
     result = CliRunner().invoke(main, ["check", str(path), "--json"])
     told = json.loads(result.stdout)
     assert (result.exit_code, told["sound"], len(told["problems"])) == (1, False, 2)
+    path.write_text("")
+    result = CliRunner().invoke(main, ["check", str(path), "--json", "--logs", str(ROOT / "tests" / "data")])
+    assert json.loads(result.stdout)["sound"] is True
