@@ -31,6 +31,7 @@ from softarm.schemas.model import Model
 
 log = logging.getLogger(__name__)
 
+POLL_S = 0.1
 SWITCH_INTERVAL_S = 0.0002  # the API's thread gives way to the control loop's within this, not in 5 ms
 
 
@@ -186,6 +187,15 @@ class Daemon:
         log.warning("emergency stop by a key: `softarm acknowledge` frees the latch")
 
 
+def wait_for(stop: threading.Event, poll_s: float = POLL_S) -> None:
+    """Until a signal's handler has set it. For the main thread, where handlers run.
+
+    `Event.wait` there may hold the very lock that the handler's `set` asks for, and both wait for ever.
+    """
+    while not stop.is_set():
+        time.sleep(poll_s)
+
+
 def run(
     config: Config,
     devices: Devices,
@@ -216,7 +226,7 @@ def run(
         on_ready(daemon)
         daemon.notifier.ready(f"serving {daemon.url}")
         with StopKey(daemon.stop_by_key):
-            stop.wait()
+            wait_for(stop)
         daemon.notifier.stopping()
     finally:
         daemon.stop()
