@@ -12,6 +12,7 @@ import tempfile
 import time
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
+from functools import partial
 from pathlib import Path
 from typing import Any
 from unittest import mock
@@ -34,6 +35,10 @@ from softarm.schemas.model import Model
 TARGETS = ((-0.3, 0.6), (-0.12, 0.68), (-0.34, 0.65), (-0.05, 0.58), (-0.26, 0.64))
 BETWEEN_S = 2.2
 DESK, PHONE = {"width": 1280, "height": 900}, {"width": 390, "height": 844}
+# A browser beside it makes a small machine skip ticks: no reason to stop an arm that is not there.
+PATIENT = {"missed_ticks_max": 30, "policy_budget_s": 0.03} | dict.fromkeys(
+    ("mocap_stale_s", "pressure_stale_s", "rail_stale_s"), 1.0
+)
 BYTES_MAX, COLOURS = 150_000, 256
 
 
@@ -43,6 +48,7 @@ def _daemon() -> Iterator[tuple[shell.Daemon, Devices]]:
     with tempfile.TemporaryDirectory() as folder:
         settings = {"api": {"port": 0, "stop_port": 0}, "recorder": {"directory": f"{folder}/logs"}}
         settings["control"] = {"realtime_priority": 0}  # or the browser, started from here, would have it too
+        settings["failsafe"] = PATIENT
         made = shell.Daemon(Config.model_validate(settings), devices)
         made.start()
         try:
@@ -69,7 +75,15 @@ def _fly(robot: httpx.Client) -> None:
     _until(lambda: mode() == "armed", "arming")
     for y_m, z_m in TARGETS:
         time.sleep(BETWEEN_S)
-        robot.post("/api/goal", json={"kind": "reach", "y_m": y_m, "z_m": z_m}).raise_for_status()
+        _until(partial(_sent, robot, y_m, z_m), "sending a target")
+
+
+def _sent(robot: httpx.Client, y_m: float, z_m: float) -> bool:
+    """Send a target; an arm that a busy machine has disarmed is armed again first."""
+    if robot.post("/api/goal", json={"kind": "reach", "y_m": y_m, "z_m": z_m}).is_success:
+        return True
+    robot.post("/api/arm")
+    return False
 
 
 def _open(browser: Browser, url: str, **options: Any) -> Page:
@@ -102,7 +116,7 @@ def _flying(browser: Browser, out: Path) -> None:
         light.keyboard.press("Space")
         light.locator("#stopped[data-state=stopped]").wait_for()
         light.locator("#panel-events-tab").click()
-        light.locator("#panel-events li.stop").first.wait_for()
+        light.locator("#panel-events li.of-stop").first.wait_for()
         _keep(light, out, "dashboard-stopped")
     light.locator("#link[data-link=lost]").wait_for()
     light.wait_for_timeout(3000)

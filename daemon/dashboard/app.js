@@ -127,6 +127,7 @@ class Page {
       say($("lost-next"), NEXT[state] ?? link.reasons.map(sentence).join(". "));
     }
     if (before === state) return;
+    if (old) document.title = `${LINKS[state]} · softarm`;
     if (old || (state === "live" && before !== "connecting")) say($("spoken"), LINKS[state]);
     this.panels.live(state === "live");
     this.controls.draw(this.status, state === "live", this.session.role);

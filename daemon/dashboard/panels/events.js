@@ -79,7 +79,7 @@ export class EventsPanel extends Panel {
 
   open() {
     const entries = this.follower.events.slice(-SHOWN).reverse().map((event) =>
-      el("li", { class: `event ${event.kind}${event.accepted === false ? " not" : ""}` }, el("time", { datetime: event.time }, clock(event.time)), el("b", {}, event.kind), el("span", {}, sentence(worded(event.text)))));
+      el("li", { class: `event of-${event.kind}${event.accepted === false ? " not" : ""}` }, el("time", { datetime: event.time }, clock(event.time)), el("b", {}, event.kind), el("span", {}, sentence(worded(event.text)))));
     this.place.replaceChildren(this.list(entries, "Nothing has happened yet."));
   }
 }

@@ -14,8 +14,8 @@ const CHARTS = [
   { title: "Cart", unit: "m", digits: 3, span: [-0.3, 0.3], lines: [["cart_m", "position", "ink"]] },
   { title: "Cart velocity", unit: "m/s", digits: 2, span: [-1, 1], lines: [["action_velocity_m_s", "policy", "orange"], ["sent_velocity_m_s", "sent", "blue"], ["cart_velocity_m_s", "measured", "ink"]] },
   { title: "Pressure", unit: "kPa", digits: 1, span: [0, 10], lines: [["action_pressure_kpa", "policy", "orange"], ["sent_pressure_kpa", "sent", "blue"], ["pressure_kpa", "measured", "ink"]] },
-  { title: "Control tick", unit: "ms", digits: 2, span: [0, 5], lines: [["late_ms", "late by", "ink"], ["policy_ms", "policy takes", "orange"]] },
-  { title: "Age of readings", unit: "ms", digits: 1, span: [0, 40], lines: [["mocap_age_ms", "motion capture", "blue"], ["pressure_age_ms", "pressure", "orange"], ["rail_age_ms", "rail", "green"]] },
+  { title: "Control tick", unit: "ms", digits: 2, span: [0, 5], lines: [["late_ms", "late", "ink"], ["policy_ms", "policy", "orange"]] },
+  { title: "Age of readings", unit: "ms", digits: 1, span: [0, 40], lines: [["mocap_age_ms", "cameras", "blue"], ["pressure_age_ms", "pressure", "orange"], ["rail_age_ms", "rail", "green"]] },
 ];
 
 const colour = (name) => getComputedStyle(document.documentElement).getPropertyValue(`--${name}`).trim();
@@ -30,7 +30,13 @@ class Chart {
     place.append(this.figure);
     this.onCursor = onCursor;
     this.visible = true;
-    new IntersectionObserver(([entry]) => (this.visible = entry.isIntersecting)).observe(this.figure);
+    new IntersectionObserver(([entry]) => this.seen(entry.isIntersecting)).observe(this.figure);
+  }
+
+  // Only what is on the screen is drawn; what comes onto it has the newest, or what the pause holds.
+  seen(visible) {
+    this.visible = visible;
+    if (visible && this.data) this.plot?.setData(this.data);
   }
 
   // Made anew for another width or other colours.

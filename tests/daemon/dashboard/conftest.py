@@ -18,7 +18,9 @@ from softarm.schemas.config import Config
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
 PATIENCE_MS = 20_000  # a busy machine is slow, not wrong
 # A busy machine skips ticks, and reads late: no reason to stop an arm that is not there.
-PATIENT = {"missed_ticks_max": 30, "mocap_stale_s": 1.0, "pressure_stale_s": 1.0, "rail_stale_s": 1.0}
+PATIENT = {"missed_ticks_max": 30, "policy_budget_s": 0.03} | dict.fromkeys(
+    ("mocap_stale_s", "pressure_stale_s", "rail_stale_s"), 1.0
+)
 # A browser says so of every answer of 400 and more, and of every connection that fails.
 SAID_OF_ANSWERS = re.compile(r"Failed to load resource|WebSocket connection to|net::ERR_|blocked by CORS policy")
 
