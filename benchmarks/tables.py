@@ -245,6 +245,23 @@ def loop(read: Read) -> str:
     return markdown(("p50 / p99 / p99.9 / max (ms)", "idle", "hammered", "aim (p99.9)"), rows)
 
 
+def viewers(read: Read) -> str:
+    """What ten people who watch cost."""
+    found = read("viewers")
+    sides = [found["alone"], found["viewed"]]
+    rows = [
+        [title, *(" / ".join(f"{side[key][part]:.2f}" for part in ("p50", "p99", "max")) for side in sides)]
+        for key, title in (
+            ("lateness_ms", "lateness"),
+            ("bare_loop_lateness_ms", "lateness of the bare loop"),
+            ("compute_ms", "compute"),
+        )
+    ]
+    rows.append(["missed ticks", *(f"{side['missed_ticks']} of {side['ticks']}" for side in sides)])
+    rows.append(["daemon, of a core", *(f"{100 * side['daemon_cpu']:.1f} %" for side in sides)])
+    return markdown(("p50 / p99 / max (ms)", "nobody watches", f"{found['viewers']} watch"), rows)
+
+
 def stop(read: Read) -> str:
     """How soon a stop is answered under attack."""
     rows = []
@@ -426,6 +443,7 @@ TABLES: dict[str, Callable[[Read], str]] = {
     "differ": differ,
     "ablation": ablation,
     "loop": loop,
+    "viewers": viewers,
     "stop": stop,
     "bridging": bridging,
     "estimates": estimates,

@@ -270,6 +270,7 @@ def test_the_policies_are_listed_with_those_that_cannot_be_used(client):
     assert by_name["lost"]["error"] == "its file is gone; train it again"
 
 
+@pytest.mark.realtime
 def test_a_policy_is_loaded_and_warmed_up_beside_the_loop(loop, app, client_of, shelf):
     client = client_of(app(loop, policies=shelf))
     answer = client.put("/api/policy", json={"name": "pid"})

@@ -1,5 +1,6 @@
 """What a process has is what the system says of it."""
 
+import gc
 import os
 import socket
 import subprocess
@@ -12,6 +13,7 @@ from softarm.flights.soak import usage
 
 
 def test_descriptors_threads_and_memory_are_counted():
+    gc.collect()  # what earlier tests left may go meanwhile
     before = usage.of([os.getpid()])
     release, sockets = threading.Event(), socket.socketpair()
     thread = threading.Thread(target=release.wait)
