@@ -245,6 +245,15 @@ def loop(read: Read) -> str:
     return markdown(("p50 / p99 / p99.9 / max (ms)", "idle", "hammered", "aim (p99.9)"), rows)
 
 
+def first_use(read: Read) -> str:
+    """A new user's first minutes."""
+    rows = [
+        [each["step"], f"{each['after_s']:.0f} s", f"{each['aim_s']:.0f} s" if each["aim_s"] else ""]
+        for each in read("first-use")["steps"]
+    ]
+    return markdown(("", "after", "aim"), rows)
+
+
 def viewers(read: Read) -> str:
     """What ten people who watch cost."""
     found = read("viewers")
@@ -444,6 +453,7 @@ TABLES: dict[str, Callable[[Read], str]] = {
     "ablation": ablation,
     "loop": loop,
     "viewers": viewers,
+    "first-use": first_use,
     "stop": stop,
     "bridging": bridging,
     "estimates": estimates,
