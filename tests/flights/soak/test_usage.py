@@ -1,33 +1,39 @@
 """What a process has is what the system says of it."""
 
-import gc
 import os
-import socket
 import subprocess
 import sys
-import threading
 
 import pytest
 
 from softarm.flights.soak import usage
 
+# A process of its own: in one that has run other tests the system takes back and gives again what it likes.
+GROWS = """
+import socket, threading
+print("small", flush=True)
+input()
+sockets, block = socket.socketpair(), b"x" * 50_000_000
+threading.Thread(target=input).start()
+print("grown", flush=True)
+"""
+
 
 def test_descriptors_threads_and_memory_are_counted():
-    gc.collect()  # what earlier tests left may go meanwhile
-    before = usage.of([os.getpid()])
-    release, sockets = threading.Event(), socket.socketpair()
-    thread = threading.Thread(target=release.wait)
-    thread.start()
-    block = b"x" * 50_000_000
-    during = usage.of([os.getpid()])
-    release.set()
-    thread.join()
-    for one in sockets:
-        one.close()
-    assert during.descriptors == before.descriptors + 2
-    assert during.threads == before.threads + 1
-    assert during.memory_mb - before.memory_mb == pytest.approx(len(block) / 1024**2, rel=0.2)
-    assert during.cpu_s >= before.cpu_s > 0
+    child = subprocess.Popen([sys.executable, "-c", GROWS], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+    try:
+        assert child.stdout.readline() == "small\n"
+        before = usage.of([child.pid])
+        child.stdin.write("\n")
+        child.stdin.flush()
+        assert child.stdout.readline() == "grown\n"
+        after = usage.of([child.pid])
+    finally:
+        child.communicate("\n")
+    assert after.descriptors == before.descriptors + 2
+    assert after.threads == before.threads + 1
+    assert after.memory_mb - before.memory_mb == pytest.approx(50_000_000 / 1024**2, rel=0.2)
+    assert after.cpu_s >= before.cpu_s > 0
 
 
 def test_a_child_is_found_counted_with_its_parent_and_missed_when_it_has_ended():
