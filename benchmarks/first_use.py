@@ -23,8 +23,8 @@ from rich.console import Console
 from rich.table import Table
 
 from softarm.benchmarks import results
+from softarm.common.revision import ROOT
 
-ROOT = Path(__file__).resolve().parents[1]
 CHROMIUM = "/usr/bin/chromium"
 _SERVING = re.compile(r"serving (http://\S+)")
 AIMS_S = {"a target clicked, and reached": 300.0, "an own policy flown": 600.0}

@@ -21,12 +21,11 @@ from typing import Any
 
 import click
 import httpx
-import numpy as np
 from rich.console import Console
 from rich.table import Table
 
 from softarm.benchmarks import results
-from softarm.benchmarks.loop import GOAL_EVERY_S, BareLoop
+from softarm.benchmarks.loop import GOAL_EVERY_S, BareLoop, spread
 from softarm.daemon.logbook import logs
 from softarm.schemas.flights import TEST_TARGETS
 
@@ -112,10 +111,6 @@ def _listen(url: str, messages: Any) -> None:
 
 
 def _figures(part: dict[str, list[int]]) -> dict[str, Any]:
-    def spread(values_ns: list[int]) -> dict[str, float]:
-        names = ("p50", "p99", "p999", "max")
-        return dict(zip(names, np.percentile(np.array(values_ns) / 1e6, [50, 99, 99.9, 100]).tolist(), strict=True))
-
     return {
         "lateness_ms": spread(part["late"]),
         "compute_ms": spread(part["compute"]),

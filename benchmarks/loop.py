@@ -15,7 +15,7 @@ import select
 import struct
 import tempfile
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any, Self
 
@@ -121,17 +121,18 @@ def _figures(log: Iterable[Tick], window: tuple[int, int], bare: BareLoop) -> di
     timings = [timing for _, _, timing in ticks]
     ages = [t.sensor_to_command_ns for t in timings if t.sensor_to_command_ns is not None]
     return {
-        "compute_ms": _spread([t.read_ns + t.compute_ns + t.write_ns for t in timings]),
-        "lateness_ms": _spread([inputs.late_ns for inputs, _, _ in ticks]),
-        "sensor_to_command_ms": _spread(ages),
-        "bare_loop_lateness_ms": _spread(bare.lateness_ns(window)),
+        "compute_ms": spread([t.read_ns + t.compute_ns + t.write_ns for t in timings]),
+        "lateness_ms": spread([inputs.late_ns for inputs, _, _ in ticks]),
+        "sensor_to_command_ms": spread(ages),
+        "bare_loop_lateness_ms": spread(bare.lateness_ns(window)),
         "ticks": len(ticks),
         "missed_ticks": sum(inputs.missed for inputs, _, _ in ticks),
         "policy_ticks": sum(outputs.action is not None for _, outputs, _ in ticks),
     }
 
 
-def _spread(values_ns: list[int]) -> dict[str, float]:
+def spread(values_ns: Sequence[float]) -> dict[str, float]:
+    """Of nanoseconds, in ms."""
     p50, p99, p999, top = np.percentile(np.array(values_ns) / 1e6, [50, 99, 99.9, 100])
     return {"p50": float(p50), "p99": float(p99), "p999": float(p999), "max": float(top)}
 

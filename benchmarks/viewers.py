@@ -11,7 +11,6 @@ turns are of one run, so their ratios say what the viewers cost.
 import asyncio
 import json
 import multiprocessing
-import os
 import random
 import tempfile
 import time
@@ -27,15 +26,15 @@ from rich.console import Console
 from rich.table import Table
 
 from softarm.benchmarks import results
-from softarm.benchmarks.loop import BareLoop, Tick
+from softarm.benchmarks.loop import GOAL_EVERY_S, BareLoop, Tick, spread
 from softarm.benchmarks.stop import DaemonError, Ports, daemon
 from softarm.common.processes import bar
 from softarm.daemon.logbook import logs
+from softarm.flights.soak import usage
 from softarm.schemas.flights import TEST_TARGETS
 
 ARM_S = 20.0
 READY_S = 60.0
-GOAL_EVERY_S = 4.0
 RECENT_EVERY_S = 5.0
 PARTS = ("alone", "viewed")
 
@@ -85,7 +84,7 @@ def _turn(client: httpx.Client, ports: Ports, seconds: float, targets: random.Ra
     """Give goals for a while. Raises DaemonError for one that is refused."""
     if crowd is not None:
         crowd.begin()
-    cpu_s, begin = _cpu_s(ports.pid), time.monotonic()
+    cpu_s, begin = usage.of([ports.pid]).cpu_s, time.monotonic()
     while (passed := time.monotonic() - begin) < seconds:
         goal = targets.choice(TEST_TARGETS)
         answer = client.post("/api/goal", json={"kind": "reach", "y_m": goal.y_m, "z_m": goal.z_m})
@@ -93,13 +92,7 @@ def _turn(client: httpx.Client, ports: Ports, seconds: float, targets: random.Ra
             raise DaemonError(f"no goal is flown: {answer.json()['detail']}")
         time.sleep(min(GOAL_EVERY_S, max(0.0, seconds - passed)))
     end_ns = time.monotonic_ns()
-    return Turn(round(begin * 1e9), end_ns, _cpu_s(ports.pid) - cpu_s, {} if crowd is None else crowd.end())
-
-
-def _cpu_s(pid: int) -> float:
-    """That a process has taken so far (proc_pid_stat(5))."""
-    fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
-    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+    return Turn(round(begin * 1e9), end_ns, usage.of([ports.pid]).cpu_s - cpu_s, {} if crowd is None else crowd.end())
 
 
 class _Crowd:
@@ -184,23 +177,18 @@ def _figures(log: Iterable[Tick], turns: Sequence[Turn], bare: BareLoop) -> dict
         raise DaemonError(f"a viewer gave up: {failed[0]}")
     seen = [turn.seen for turn in turns if turn.seen]
     return {
-        "lateness_ms": _spread([inputs.late_ns for inputs, _, _ in ticks]),
-        "compute_ms": _spread([each.read_ns + each.compute_ns + each.write_ns for _, _, each in ticks]),
-        "bare_loop_lateness_ms": _spread([late for window in windows for late in bare.lateness_ns(window)]),
+        "lateness_ms": spread([inputs.late_ns for inputs, _, _ in ticks]),
+        "compute_ms": spread([each.read_ns + each.compute_ns + each.write_ns for _, _, each in ticks]),
+        "bare_loop_lateness_ms": spread([late for window in windows for late in bare.lateness_ns(window)]),
         "ticks": len(ticks),
         "missed_ticks": sum(inputs.missed for inputs, _, _ in ticks),
         "policy_ticks": sum(outputs.action is not None for _, outputs, _ in ticks),
         "daemon_cpu": sum(turn.cpu_s for turn in turns) / wall_s,
         "viewers_cpu": sum(one["cpu_s"] for one in seen) / wall_s,
         "stream_hz": float(np.mean([one["hz"] for one in seen])) if seen else None,
-        "recent_ms": _spread([1e9 * took for one in seen for took in one["recent_s"]]) if seen else None,
+        "recent_ms": spread([1e9 * took for one in seen for took in one["recent_s"]]) if seen else None,
         "recent_bytes": max((size for one in seen for size in one["bytes"]), default=None),
     }
-
-
-def _spread(values_ns: Sequence[float]) -> dict[str, float]:
-    p50, p99, top = np.percentile(np.array(values_ns) / 1e6, [50, 99, 100])
-    return {"p50": float(p50), "p99": float(p99), "max": float(top)}
 
 
 def _ratios(figures: dict[str, Any]) -> dict[str, float]:

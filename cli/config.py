@@ -1,13 +1,12 @@
 """`softarm config`: write a new configuration; look up its keys."""
 
-import json
 from pathlib import Path
 
 import click
 
 from softarm.cli.errors import fail
 from softarm.cli.options import FILE, write
-from softarm.cli.printing import print_table
+from softarm.cli.printing import print_json, print_option, print_table
 from softarm.cli.verbs import Verbs
 
 WIDTH = 160  # of the table where there is no terminal
@@ -59,7 +58,7 @@ def new(file: Path | None, kind: str | None) -> None:
 
 @config.command()
 @click.argument("part", default="")
-@click.option("--json", "as_json", is_flag=True, help="Print them as JSON.")
+@print_option
 def units(part: str, as_json: bool) -> None:
     """Print every key with unit, allowed range, default and meaning; PART: only those whose name holds it.
 
@@ -75,6 +74,6 @@ def units(part: str, as_json: bool) -> None:
     if not found:
         fail(f"no key has '{part}' in its name; `softarm config units` lists all")
     if as_json:
-        click.echo(json.dumps([row._asdict() for row in found], indent=1))
+        print_json([row._asdict() for row in found])
     else:
         print_table(("key", "unit", "allowed", "default", "meaning"), found, width=WIDTH)

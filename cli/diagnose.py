@@ -1,6 +1,5 @@
 """`softarm diagnose`: where robot and simulator differ, which effect is behind it, how far the gap shrinks."""
 
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -11,6 +10,7 @@ from softarm.cli.errors import fail
 from softarm.cli.inputs import refuse_misplaced
 from softarm.cli.interrupt import NOTHING, leaves
 from softarm.cli.options import FILE, FOLDER, INPUT, check_places
+from softarm.cli.printing import warn
 from softarm.cli.rail_limits import limits_option, write_limits
 from softarm.common.processes import bar
 
@@ -64,7 +64,7 @@ def diagnose(
     leaves(NOTHING)
     try:
         with bar("reading") as shown:
-            result = diagnose_files(inputs, model_file, data, shown.tell, partial(click.echo, err=True))
+            result = diagnose_files(inputs, model_file, data, shown.tell, warn)
     except (TrialError, models.ModelFileError) as error:
         fail(str(error))
     written = []

@@ -1,12 +1,12 @@
 """`softarm doctor`: what stands between this computer and a flying arm, and what to do about it."""
 
-import json
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
 from softarm.cli.options import FILE, FOLDER, config_option, token_of
+from softarm.cli.printing import print_json, print_option
 from softarm.common.processes import bar
 
 if TYPE_CHECKING:
@@ -22,7 +22,7 @@ COLOURS = {"ok": "green", "warning": "yellow", "problem": "red"}
 @click.option("--url", envvar="SOFTARM_URL", show_envvar=True, help="A running daemon's (default: as the file says).")
 @click.option("--token-file", type=FILE, help="File with the API's token; else $SOFTARM_TOKEN. Not needed on loopback.")
 @click.option("--logs", "folder", type=FOLDER, help="Logs of the robot (default: the recorder's folder).")
-@click.option("--json", "as_json", is_flag=True, help="Print the findings as JSON.")
+@print_option
 def doctor(
     config_file: Path | None,
     simulated: bool,
@@ -59,7 +59,7 @@ def doctor(
     problems = sum(each.state == "problem" for several in found.values() for each in several)
     if as_json:
         told = [{"part": part} | each._asdict() for part, several in found.items() for each in several]
-        click.echo(json.dumps({"sound": problems == 0, "findings": told}, indent=1))
+        print_json({"sound": problems == 0, "findings": told})
     else:
         _say_the_end(found, problems)
     if problems:

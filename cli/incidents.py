@@ -63,15 +63,14 @@ def _listed(folder: Path) -> Json:
 
 
 def _fetch(daemon: Remote, folder: Path | None, found: Json, name: str, out: Path | None) -> None:
-    from softarm.common.words import nearest
+    from softarm.common.words import did_you_mean
     from softarm.daemon.logbook import incidents as files
 
     names = [one["name"] for one in found["incidents"]]
     if name == LATEST and names:
         name = names[0]
     if name not in names:
-        near = nearest(name, names)
-        hint = f"did you mean {near}? " if near else ""
+        hint = did_you_mean(name, names)
         fail(f"no incident file '{name}' in {found['directory']}; {hint}`softarm incidents` lists them")
     content = files.content(folder, name) if folder is not None else daemon.download(f"/api/incidents/{name}")
     if content is None:

@@ -1,6 +1,5 @@
 """`softarm logs export`: recordings for other programs."""
 
-import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -10,6 +9,7 @@ import click
 
 from softarm.cli.errors import fail
 from softarm.cli.options import FILE
+from softarm.common.processes import bar
 
 if TYPE_CHECKING:
     from softarm.daemon.logbook.logs import TickLog
@@ -98,15 +98,13 @@ def _foxglove(log: "TickLog", folder: Path) -> str:
 @contextmanager
 def progress(log: "TickLog") -> Iterator[Callable[[], None]]:
     """A bar on the error stream for a log that takes seconds to read; call what comes out for every message."""
-    every = 1000
-    read = 0
-    with click.progressbar(length=log.records, label=f"reading {log.path.name}", file=sys.stderr) as bar:
+    every, read = 1000, 0
+    with bar(f"reading {log.path.name}", log.records) as shown:
 
         def advance() -> None:
             nonlocal read
             read += 1
             if read % every == 0:
-                bar.update(every)
+                shown.advance(every)
 
         yield advance
-        bar.update(log.records - read // every * every)

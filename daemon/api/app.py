@@ -21,7 +21,7 @@ from softarm.daemon.api.auth import Door
 from softarm.daemon.api.bounds import STREAMS_MAX, WHO, Guard
 from softarm.daemon.api.endpoints import metrics
 from softarm.daemon.api.endpoints.entrance import Entrance
-from softarm.daemon.api.endpoints.files import Files
+from softarm.daemon.api.endpoints.files import LISTING_S, LISTINGS_MAX, Files
 from softarm.daemon.api.endpoints.pages import Pages
 from softarm.daemon.api.endpoints.policies import Installed, Policies, policy_answer, tried_out
 from softarm.daemon.api.endpoints.robot import robot_answer
@@ -63,7 +63,6 @@ from softarm.schemas.rest import (
 from softarm.schemas.robot import CONTROL_RATE_HZ
 
 LOADS_MAX, LOADING_S = 2, 120.0  # policies at once, time for each
-LISTINGS_MAX, LISTING_S = 8, 30.0
 RECENT_S = 10.0  # to make the last minutes text
 REFUSALS = {
     400: "a body that cannot be read as JSON at all",

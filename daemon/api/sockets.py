@@ -2,11 +2,12 @@
 
 import contextlib
 import errno
-import os
 import shlex
 import socket
 from collections.abc import Callable
 from pathlib import Path
+
+from softarm.common.holders import holders
 
 LISTENS = "0A"  # a state in /proc/net/tcp
 
@@ -28,13 +29,23 @@ def try_out(host: str, port: int, key: str) -> None:
     _opened(host, port, key, lambda _: None).close()
 
 
+def bound(host: str, port: int) -> socket.socket:
+    """A socket at an address, which does not listen yet. Raises OSError."""
+    family, kind, protocol, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
+    made = socket.socket(family, kind, protocol)
+    try:
+        made.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        made.bind(address)
+    except OSError:
+        made.close()
+        raise
+    return made
+
+
 def _opened(host: str, port: int, key: str, begin: Callable[[socket.socket], None]) -> socket.socket:
     try:
-        family, kind, protocol, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
-        opened = socket.socket(family, kind, protocol)
+        opened = bound(host, port)
         try:
-            opened.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-            opened.bind(address)
             begin(opened)
         except OSError:
             opened.close()
@@ -53,12 +64,10 @@ def _opened(host: str, port: int, key: str, begin: Callable[[socket.socket], Non
 def holder(port: int) -> str | None:
     """Which process listens at a TCP port of this machine, in words; None where nobody does, or it may not be seen."""
     inodes = {f"socket:[{inode}]" for table in ("tcp", "tcp6") for inode in _listening(Path("/proc/net", table), port)}
-    for entry in Path("/proc").glob("[0-9]*/fd/*") if inodes else ():
-        with contextlib.suppress(OSError):  # another user's, or gone meanwhile
-            if os.readlink(entry) in inodes:
-                process = entry.parents[1]
-                command = (process / "cmdline").read_bytes().decode(errors="replace").split("\0")
-                return f"process {process.name} ({shlex.join(command[:-1])[:80]})"
+    for process in holders(inodes):
+        with contextlib.suppress(OSError):  # it has ended meanwhile
+            command = (process / "cmdline").read_bytes().decode(errors="replace").split("\0")
+            return f"process {process.name} ({shlex.join(command[:-1])[:80]})"
     return None
 
 

@@ -4,6 +4,7 @@ The axis is connected to only where no daemon answers and nobody of this compute
 nothing. The serial device is never opened: that would take it from whoever holds it.
 """
 
+import contextlib
 import errno
 import grp
 import os
@@ -16,6 +17,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
+from softarm.common.holders import holders
+from softarm.daemon.api import sockets
 from softarm.daemon.doctor.finding import Finding, ok, problem, warning
 from softarm.drivers.mocap import plugged
 from softarm.schemas.config import Config
@@ -107,10 +110,7 @@ def look_listening(config: Config) -> tuple[Listening, ...]:
 
 def _bind_error(host: str, port: int) -> int | None:
     try:
-        family, kind, protocol, _, where = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
-        with socket.socket(family, kind, protocol) as probe:
-            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-            probe.bind(where)
+        with sockets.bound(host, port) as probe:
             probe.listen(1)
     except socket.gaierror:
         return errno.EADDRNOTAVAIL
@@ -134,12 +134,9 @@ def holder(path: str) -> str | None:
     real = os.path.realpath(path)
     if real.startswith("/dev/pts/"):  # the twin, which is behind it, has it open as well
         return None
-    for link in Path("/proc").glob("[0-9]*/fd/*"):
-        try:
-            if os.readlink(link) == real:
-                return f"{(link.parents[1] / 'comm').read_text().strip()}, process {link.parents[1].name}"
-        except OSError:  # it has ended, or is another user's
-            continue
+    for process in holders({real}):
+        with contextlib.suppress(OSError):  # it has ended meanwhile
+            return f"{(process / 'comm').read_text().strip()}, process {process.name}"
     return None
 
 

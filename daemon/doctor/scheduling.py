@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from softarm.daemon.doctor.finding import Finding, State, by, ok, problem, warning
+from softarm.daemon.shell import realtime
 
 MEASURED_S = 1.5
 INTERVAL_NS = 2_000_000
@@ -55,21 +56,13 @@ def look(priority: int, seconds: float = MEASURED_S) -> Scheduling:
 
 def _lateness(priority: int, seconds: float) -> tuple[bool, tuple[float, ...]]:
     """Whether the priority was granted to this thread, and by how many ms it woke too late."""
-    granted = priority > 0 and _outrank(priority)
+    granted = priority > 0 and realtime.ask(priority) is None
     late_ms, begun_ns = [], time.monotonic_ns()
     for due_ns in range(begun_ns + INTERVAL_NS, begun_ns + round(seconds * 1e9), INTERVAL_NS):
         if (left_ns := due_ns - time.monotonic_ns()) > 0:
             time.sleep(left_ns * 1e-9)
             late_ms.append((time.monotonic_ns() - due_ns) * 1e-6)
     return granted, tuple(late_ms)
-
-
-def _outrank(priority: int) -> bool:
-    try:
-        os.sched_setscheduler(threading.get_native_id(), os.SCHED_FIFO, os.sched_param(priority))
-    except OSError:
-        return False
-    return True
 
 
 def judge(facts: Scheduling) -> Iterator[Finding]:

@@ -4,6 +4,7 @@ import difflib
 import os
 import shutil
 import subprocess
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -16,8 +17,28 @@ class StepError(Exception):
     """A step that failed; says why and what to do."""
 
 
+class Step(ABC):
+    """One of them."""
+
+    __slots__ = ()
+
+    @property
+    @abstractmethod
+    def told(self) -> str:
+        """In a line."""
+
+    @property
+    def shown(self) -> list[str]:
+        """All of it, where there is more to it than the line."""
+        return []
+
+    @abstractmethod
+    def carry_out(self) -> None:
+        """Do it. Raises StepError."""
+
+
 @dataclass(frozen=True, slots=True)
-class Write:
+class Write(Step):
     """A file is given this text."""
 
     path: Path
@@ -50,7 +71,7 @@ class Write:
 
 
 @dataclass(frozen=True, slots=True)
-class Folder:
+class Folder(Step):
     """A folder is there, and a user's."""
 
     path: Path
@@ -61,11 +82,6 @@ class Folder:
     def told(self) -> str:
         """In a line."""
         return f"make the folder {self.path}" + (f" for {self.owner}" if self.owner else "")
-
-    @property
-    def shown(self) -> list[str]:
-        """There is no more to it."""
-        return []
 
     def carry_out(self) -> None:
         """What is in it stays. Raises StepError."""
@@ -79,7 +95,7 @@ class Folder:
 
 
 @dataclass(frozen=True, slots=True)
-class Remove:
+class Remove(Step):
     """A file is taken away."""
 
     path: Path
@@ -88,11 +104,6 @@ class Remove:
     def told(self) -> str:
         """In a line."""
         return f"remove {self.path}"
-
-    @property
-    def shown(self) -> list[str]:
-        """There is no more to it."""
-        return []
 
     def carry_out(self) -> None:
         """Raises StepError."""
@@ -103,7 +114,7 @@ class Remove:
 
 
 @dataclass(frozen=True, slots=True)
-class Run:
+class Run(Step):
     """A program of the system."""
 
     command: tuple[str, ...]
@@ -112,11 +123,6 @@ class Run:
     def told(self) -> str:
         """In a line."""
         return f"run {' '.join(self.command)}"
-
-    @property
-    def shown(self) -> list[str]:
-        """There is no more to it."""
-        return []
 
     def carry_out(self) -> None:
         """Raises StepError with what it printed."""
@@ -138,7 +144,7 @@ class Run:
 
 
 @dataclass(frozen=True, slots=True)
-class Keep:
+class Keep(Step):
     """Nothing is done to a thing, and why."""
 
     path: Path
@@ -149,14 +155,8 @@ class Keep:
         """In a line."""
         return f"keep {self.path}: {self.why}"
 
-    @property
-    def shown(self) -> list[str]:
-        """There is no more to it."""
-        return []
-
     def carry_out(self) -> None:
         """Leave it."""
 
 
-Step = Write | Folder | Remove | Run | Keep
 _ROOT = "it takes root, or --root FOLDER"

@@ -27,23 +27,27 @@ def outrank_guests(priority: int) -> None:
 
 def refused(priority: int) -> str | None:
     """Why the system would not grant the control loop that priority; None where it would. Changes nothing."""
-    answers: list[OSError] = []
-
-    def ask() -> None:
-        try:
-            os.sched_setscheduler(threading.get_native_id(), os.SCHED_FIFO, os.sched_param(priority))
-        except OSError as error:
-            answers.append(error)
-
+    answers: list[OSError | None] = [None]
     if priority:
-        asking = threading.Thread(target=ask, name="real-time priority")
+        asking = threading.Thread(target=lambda: answers.append(ask(priority)), name="real-time priority")
         asking.start()
         asking.join()
-    return f"not granted here ({answers[0].strerror}); LimitRTPRIO= or `ulimit -r` grant it" if answers else None
+    error = answers[-1]
+    return None if error is None else f"not granted here ({error.strerror}); LimitRTPRIO= or `ulimit -r` grant it"
+
+
+def ask(priority: int) -> OSError | None:
+    """Put the calling thread there; what the system has against it, None where it is done."""
+    try:
+        os.sched_setscheduler(threading.get_native_id(), os.SCHED_FIFO, os.sched_param(priority))
+    except OSError as error:
+        return error
+    return None
 
 
 def _set(priority: int) -> None:
-    try:
-        os.sched_setscheduler(threading.get_native_id(), os.SCHED_FIFO, os.sched_param(priority))
-    except PermissionError:
+    error = ask(priority)
+    if isinstance(error, PermissionError):
         log.info("no real-time priority (control.realtime_priority): grant it with LimitRTPRIO= or `ulimit -r`")
+    elif error is not None:
+        raise error
