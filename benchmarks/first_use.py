@@ -22,10 +22,9 @@ import click
 from rich.console import Console
 from rich.table import Table
 
-from softarm.benchmarks import results
+from softarm.benchmarks import chromium, results
 from softarm.common.revision import ROOT
 
-CHROMIUM = "/usr/bin/chromium"
 _SERVING = re.compile(r"serving (http://\S+)")
 AIMS_S = {"a target clicked, and reached": 300.0, "an own policy flown": 600.0}
 
@@ -72,23 +71,19 @@ def click_a_target(url: str, seen: str) -> None:
 
     seen: what the page then says of the goal, a regular expression.
     """
-    from playwright.sync_api import expect, sync_playwright
+    from playwright.sync_api import expect
 
-    with sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
-        try:
-            page = browser.new_page(viewport={"width": 1280, "height": 900})
-            page.goto(url)
-            expect(page.locator("#do-arm")).to_be_enabled(timeout=30_000)
-            expect(page.locator("#reasons .reason")).to_have_count(0, timeout=30_000)  # why it cannot be armed yet
-            page.locator("#do-arm").click()
-            expect(page.locator("#mode")).to_have_attribute("data-mode", "armed", timeout=15_000)
-            box = page.locator("#drawing").bounding_box()
-            assert box is not None
-            page.mouse.click(box["x"] + 0.36 * box["width"], box["y"] + 0.55 * box["height"])
-            expect(page.locator("#goal")).to_contain_text(re.compile(seen), timeout=20_000)
-        finally:
-            browser.close()
+    with chromium.opened() as browser:
+        page = browser.new_page(viewport={"width": 1280, "height": 900})
+        page.goto(url)
+        expect(page.locator("#do-arm")).to_be_enabled(timeout=30_000)
+        expect(page.locator("#reasons .reason")).to_have_count(0, timeout=30_000)  # why it cannot be armed yet
+        page.locator("#do-arm").click()
+        expect(page.locator("#mode")).to_have_attribute("data-mode", "armed", timeout=15_000)
+        box = page.locator("#drawing").bounding_box()
+        assert box is not None
+        page.mouse.click(box["x"] + 0.36 * box["width"], box["y"] + 0.55 * box["height"])
+        expect(page.locator("#goal")).to_contain_text(re.compile(seen), timeout=20_000)
 
 
 def environment_of(clone: Path) -> dict[str, str]:

@@ -6,8 +6,6 @@ The things are a daemon that flies a robot simulated in it, and the report of a 
 """
 
 import io
-import os
-import shutil
 import tempfile
 import time
 from collections.abc import Callable, Iterator
@@ -20,8 +18,9 @@ from unittest import mock
 import click
 import httpx
 from PIL import Image
-from playwright.sync_api import Browser, Page, sync_playwright
+from playwright.sync_api import Browser, Page
 
+from softarm.benchmarks import chromium
 from softarm.benchmarks import diagnosis as campaign
 from softarm.daemon.shell import daemon as shell
 from softarm.daemon.shell.loop import Devices
@@ -160,17 +159,11 @@ def main(out: Path) -> None:
     Example:
       python -m softarm.benchmarks.screenshots --out docs/pictures
     """
-    chromium = shutil.which("chromium") or shutil.which("google-chrome")
-    if chromium is None:
-        raise click.ClickException("there is no chromium here: apt-get install chromium")
-    out.mkdir(parents=True, exist_ok=True)
-    with sync_playwright() as playwright:
-        rights = ["--no-sandbox"] if os.geteuid() == 0 else []
-        browser = playwright.chromium.launch(executable_path=chromium, args=rights)
+    with chromium.opened() as browser:
+        out.mkdir(parents=True, exist_ok=True)
         _flying(browser, out)
         _refused(browser, out)
         _report(browser, out)
-        browser.close()
 
 
 if __name__ == "__main__":

@@ -8,8 +8,14 @@ import textwrap
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import pytest
+
+from softarm.benchmarks import chromium
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Browser
 
 REAL_DATA = Path(os.environ.get("SOFTARM_DATA") or Path(__file__).parents[2] / "shared" / "data")
 
@@ -36,6 +42,16 @@ def data() -> Path:
     if "SOFTARM_DATA" in os.environ:  # asked for: no reason to go on without
         pytest.fail(f"SOFTARM_DATA names {REAL_DATA}, which is no folder; correct it, or leave it out")
     pytest.skip(f"{REAL_DATA} holds no real data (SOFTARM_DATA may name another folder): none is loaded or diagnosed")
+
+
+@pytest.fixture(scope="module")
+def browser() -> "Iterator[Browser]":
+    """A real browser, one for all tests of a file; without Playwright or Chromium its tests are skipped, and say so."""
+    pytest.importorskip("playwright.sync_api")
+    if chromium.found() is None:
+        pytest.skip("there is no chromium: no page is tried (apt-get install chromium)")
+    with chromium.opened() as opened:
+        yield opened
 
 
 @contextlib.contextmanager

@@ -1,8 +1,6 @@
 """The page that plays a log, in a real browser: it shows what was flown, and every control does what it says."""
 
-import os
 import re
-import shutil
 import time
 from io import BytesIO
 from pathlib import Path
@@ -16,20 +14,7 @@ from softarm.recordings import player
 from softarm.schemas.robot import RAIL_TRAVEL_M
 
 FLIGHT = Path(__file__).parents[1] / "data" / "flight.mcap"
-CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
 pytestmark = pytest.mark.slow
-
-
-@pytest.fixture(scope="module")
-def browser():
-    sync_api = pytest.importorskip("playwright.sync_api")
-    if CHROMIUM is None:
-        pytest.skip("there is no chromium: the page is not tried (apt-get install chromium)")
-    with sync_api.sync_playwright() as playwright:
-        rights = ["--no-sandbox"] if os.geteuid() == 0 else []
-        made = playwright.chromium.launch(executable_path=CHROMIUM, args=rights)
-        yield made
-        made.close()
 
 
 @pytest.fixture(scope="module")

@@ -1,9 +1,7 @@
 """A simulated daemon and a real browser before it: Debian's Chromium, or none, and then the tests say so."""
 
 import contextlib
-import os
 import re
-import shutil
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -15,7 +13,6 @@ import pytest
 from softarm.daemon.shell import daemon as shell
 from softarm.schemas.config import Config
 
-CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
 PATIENCE_MS = 20_000  # a busy machine is slow, not wrong
 # A busy machine skips ticks, and reads late: no reason to stop an arm that is not there.
 PATIENT = {"missed_ticks_max": 30, "policy_budget_s": 0.03} | dict.fromkeys(
@@ -48,21 +45,6 @@ def daemon(tmp_path_factory, browser):
     """One for all tests of a file. The browser is there first: without one none is started."""
     with running(tmp_path_factory.mktemp("logs")) as made:
         yield made
-
-
-@pytest.fixture(scope="module")
-def browser():
-    """One for all tests of a file."""
-    sync_api = pytest.importorskip("playwright.sync_api")
-    if CHROMIUM is None:
-        pytest.skip("there is no chromium: the dashboard is not tried (apt-get install chromium)")
-    # An earlier test's daemon may have left this thread real-time priority, which a browser would have, too.
-    os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
-    with sync_api.sync_playwright() as playwright:
-        rights = ["--no-sandbox"] if os.geteuid() == 0 else []
-        made = playwright.chromium.launch(executable_path=CHROMIUM, args=rights)
-        yield made
-        made.close()
 
 
 class Robot:
