@@ -184,7 +184,7 @@ def test_a_configuration_and_a_service_are_made_from_the_wheel_alone(installed: 
 @pytest.mark.realtime
 @pytest.mark.timeout(400)  # the kernel is compiled anew
 def test_the_demo_runs_from_an_empty_folder(installed: Path, tmp_path: Path) -> None:
-    said = run(installed.with_name("softarm"), "demo", "--targets", "3", cwd=tmp_path, seconds=390)
+    said = run(installed.with_name("softarm"), "demo", "--targets", "1", cwd=tmp_path, seconds=390)
     assert "no limit exceeded" in said
     assert list((tmp_path / "logs").glob("*.mcap"))
 
