@@ -67,8 +67,10 @@ export class Aim {
       this.write(next);
       this.arm.point(next);
       this.place.setAttribute("aria-valuetext", `y ${number(next.y_m, 2)}, z ${number(next.z_m, 2)} m`);
-    } else if (event.key === "Enter") this.reach(at);
-    else if (event.key === "Escape") this.arm.point(null);
+    } else if (event.key === "Enter") {
+      this.arm.point(null); // the target takes its place
+      this.reach(at);
+    } else if (event.key === "Escape") this.arm.point(null);
     else return;
     event.preventDefault();
   }

@@ -70,7 +70,7 @@ class Chart {
 
   draw(ages, columns) {
     this.data = [ages, ...this.spec.lines.map(([name]) => columns[name])];
-    if (this.visible) this.plot.setData(this.data);
+    if (this.visible) this.plot?.setData(this.data);
   }
 
   // Values of a row; null: of the newest.
@@ -96,7 +96,9 @@ export class Charts {
     matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => this.build());
   }
 
+  // Without its library the rest of the page works as ever.
   build() {
+    if (typeof uPlot === "undefined") return;
     this.width = this.place.clientWidth;
     this.charts.forEach((chart) => chart.build());
   }
@@ -131,6 +133,7 @@ export class Charts {
     this.charts.forEach((chart) => chart.read(this.row));
     const at = this.row === null ? undefined : this.ages?.[this.row];
     const when = at === undefined ? "" : `${number(-at, 1, "s")} before ${this.paused ? "the pause" : "now"}`;
+    if (typeof uPlot === "undefined") return void say(this.note, "No charts: their part of this page did not load. Reload the page.");
     say(this.note, [this.paused ? "Paused; recording goes on." : "", when].filter(Boolean).join(" "));
   }
 }

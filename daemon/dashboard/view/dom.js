@@ -54,7 +54,10 @@ export function clock(time, withDay = false) {
   if (Number.isNaN(date.valueOf())) return "–";
   const hours = date.toLocaleTimeString("en-GB");
   const today = date.toDateString() === new Date().toDateString();
-  return withDay || !today ? `${date.toLocaleDateString("en-CA")} ${hours}` : hours;
+  if (today && !withDay) return hours;
+  // Spelt out: browsers do not agree on how a locale writes a day.
+  const day = [date.getFullYear(), date.getMonth() + 1, date.getDate()].map((part) => String(part).padStart(2, "0")).join("-");
+  return `${day} ${hours}`;
 }
 
 // What the daemon says to programs, said to a person at this page.

@@ -87,6 +87,26 @@ def test_the_charts_follow_the_dark(page):
     assert set(page.evaluate(colours)).isdisjoint(light)
 
 
+def test_a_browser_without_a_locale_draws_the_charts_too(opened, robot):
+    """As WebKit on a machine whose LANG is C: the chart library asks for a formatter of that language."""
+    page = opened()
+    page.add_init_script("Object.defineProperty(Navigator.prototype, 'language', {get: () => 'C'})")
+    page.reload()
+    page.wait_for_function("() => document.querySelectorAll('#plots canvas').length === 6")
+    page.locator("#link[data-link=live]").wait_for()
+
+
+def test_without_the_chart_library_the_rest_of_the_page_lives(opened, robot):
+    page = opened()
+    page.route("**/uPlot.iife.min.js", lambda route: route.abort())
+    page.reload()
+    page.locator("#link[data-link=live]").wait_for()
+    page.locator("#drawing svg").wait_for()
+    page.locator("#charts-note", has_text="Reload the page").wait_for()
+    page.locator("#do-arm").click()
+    robot.until(lambda status: status["mode"] == "armed")
+
+
 def test_less_motion_where_that_is_wished(opened, robot):
     page = opened(reduced_motion="reduce")
     assert page.evaluate("getComputedStyle(document.querySelector('#arm')).transitionProperty") == "none"
@@ -138,6 +158,7 @@ def test_by_keyboard_alone_the_arm_is_flown(page, robot):
     assert page.locator("#drawing .preview text").text_content() == "y −0.270  z 0.640 m"
     page.keyboard.press("Enter")
     page.locator("#said .notice", has_text="Target y −0.270, z 0.640 m: taken").wait_for()
+    assert not page.locator("#drawing .preview").is_visible()  # or its words would stand upon the target's
     assert robot.status["goal"]["goal"] == pytest.approx({"kind": "reach", "y_m": -0.27, "z_m": 0.64})
 
 
