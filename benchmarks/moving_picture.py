@@ -37,6 +37,7 @@ from softarm.schemas.robot import CONTROL_RATE_HZ, RAIL_LIMIT_M
 
 TARGETS = ((-0.05, 0.62), (-0.30, 0.72), (-0.15, 0.78), (-0.40, 0.66), (-0.20, 0.80))
 SIZE, FINER = (720, 400), 2  # pixels; drawn so much finer, then reduced
+PX_PER_M = 530  # of the plane in which the arm swings
 PERIOD_MS, TICKS = 70, 2  # of a frame, and how many control ticks one shows: real time but for 5 %
 REST_TICKS, HELD_MS = 14, 2600
 SHOWN_S = 9.0  # of a recording
@@ -148,11 +149,12 @@ def font(size: int, bold: bool) -> ImageFont.FreeTypeFont:
 
 def place(y_m: float, z_m: float) -> Point:
     """Where a point of the plane lies in a frame; the hinge's height is near the top."""
-    return SIZE[0] / 2 + 60 + 560 * y_m, 120 + 500 * (workspace.HINGE_Z_M - z_m)
+    return SIZE[0] / 2 + 60 + PX_PER_M * y_m, 120 + PX_PER_M * (workspace.HINGE_Z_M - z_m)
 
 
 def swings(seen: Sequence[Seen]) -> Iterator[Image.Image]:
     """The arm, its tip's trail, its target."""
+    radius = PX_PER_M * Config().goals.success_radius_m
     for i in range(0, len(seen), TICKS):
         now = seen[i]
         canvas = Canvas(
@@ -163,10 +165,10 @@ def swings(seen: Sequence[Seen]) -> Iterator[Image.Image]:
         done = i > 0 and now.reached > seen[max(0, i - TICKS)].reached
         hit = now.reached > TARGETS.index(now.target)
         target = place(*now.target)
-        canvas.disc(target, 0.04 * 530, "good" if hit else "nominal", ring=3)
+        canvas.disc(target, radius, "good" if hit else "nominal", ring=3)
         canvas.disc(target, 4, "good" if hit else "nominal")
         if done:
-            canvas.disc(target, 0.04 * 530 + 6, "good", ring=2)
+            canvas.disc(target, radius + 6, "good", ring=2)
         trail = [place(*each.bodies[-1]) for each in seen[max(0, i - 45) : i + 1]]
         if len(trail) > 1:
             canvas.line(trail, "patched", 2)

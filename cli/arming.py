@@ -10,6 +10,7 @@ from softarm.cli.remote import Remote, remote
 
 _PATIENCE_S = 1.0
 _POLL_S = 0.05
+_SETTLING, _SETTLES_S = "mocap_settling", 3.0  # the one refusal that ends by itself, and how long is waited for it
 
 
 def wait_while(daemon: Remote, mode: str, why: str) -> dict[str, object]:
@@ -23,17 +24,31 @@ def wait_while(daemon: Remote, mode: str, why: str) -> dict[str, object]:
     return dict(status)
 
 
+def settle(daemon: Remote) -> None:
+    """Wait while nothing is against arming but that motion capture has just come up, as in a daemon's first second."""
+    until_s = time.monotonic() + _SETTLES_S
+    while time.monotonic() < until_s:
+        status = daemon.get("/api/status")
+        passing = {event["text"] for event in status["events"] if event["name"] == _SETTLING}
+        if not passing or not passing.issuperset(status["arming_refusals"]):
+            return
+        time.sleep(_POLL_S)
+
+
 @click.command()
 @remote
 def arm(daemon: Remote) -> None:
     """Give the daemon the actuators, and wait until it has them.
 
-    Refused, with the reasons, while anything is missing or wrong.
+    Refused, with the reasons, while anything is missing or wrong; only motion capture that has just come up is waited
+    for, 3 s at most.
 
     \b
     Example:
       softarm arm
     """
+    leaves("the daemon was not asked to arm")
+    settle(daemon)
     leaves("the daemon goes on arming; `softarm disarm` takes that back")
     daemon.post("/api/arm")
     status = wait_while(daemon, "arming", "waiting for drive and regulator")

@@ -62,7 +62,7 @@ def compiler(*sources: Path) -> Any:
         try:
             cache = Cache(function)
         except RuntimeError:  # numba finds no folder that it may write
-            _say(f"{__name__}: no folder to keep compiled functions in; each start compiles anew. Set NUMBA_CACHE_DIR")
+            _say("no folder to keep compiled functions in; each start compiles anew: set NUMBA_CACHE_DIR")
             return dispatcher
         dispatcher._cache = cache  # as njit(cache=True) does, with its own class
         file = Path(function.__code__.co_filename)
@@ -102,4 +102,4 @@ def _make_room(folder: Path, file: Path, stamp: str) -> None:
     for path in set(mine).difference(kept):
         path.unlink(missing_ok=True)
     if not kept and not numba.config.CACHE_DIR and folder != file.parent / "__pycache__":
-        _say(f"{__name__}: {file.parent} cannot be written; its compiled functions are kept in {folder}")
+        _say(f"{file.parent} cannot be written; its compiled functions are kept in {folder}")

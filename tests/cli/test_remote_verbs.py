@@ -34,10 +34,39 @@ def accepts_goal(daemon, make_status):
 def test_arm_waits_until_the_daemon_has_the_actuators(softarm, daemon, make_status):
     daemon.on("POST", "/api/arm", make_status(mode=Mode.ARMING))
     arming = make_status(mode=Mode.ARMING)
-    daemon.on("GET", "/api/status", arming, arming, make_status(mode=Mode.ARMED))
+    daemon.on("GET", "/api/status", make_status(mode=Mode.DISARMED), arming, arming, make_status(mode=Mode.ARMED))
     result = softarm("arm")
     assert (result.exit_code, result.stdout) == (0, "armed\n")
-    assert [path for _, path, _ in daemon.requests] == ["/api/arm"] + ["/api/status"] * 3
+    assert [path for _, path, _ in daemon.requests] == ["/api/status", "/api/arm"] + ["/api/status"] * 3
+
+
+def settling(make_status, *more):
+    text = "motion capture has only just come up (9 of 30 frames): wait for it"
+    events = [{"name": "mocap_settling", "response": "warn", "text": text}]
+    return make_status(mode=Mode.DISARMED) | {"events": events, "arming_refusals": [text, *more]}
+
+
+def test_arm_waits_for_cameras_that_have_just_come_up(softarm, daemon, make_status):
+    ready, armed = make_status(mode=Mode.DISARMED), make_status(mode=Mode.ARMED)
+    daemon.on("POST", "/api/arm", armed)
+    daemon.on("GET", "/api/status", settling(make_status), settling(make_status), ready, armed)
+    assert softarm("arm").exit_code == 0
+    assert [path for _, path, _ in daemon.requests] == ["/api/status"] * 3 + ["/api/arm", "/api/status"]
+
+
+def test_arm_waits_for_nothing_that_does_not_end_by_itself(softarm, daemon, make_status):
+    daemon.on("GET", "/api/status", settling(make_status, "no reading from the rail yet: check it"))
+    daemon.on("POST", "/api/arm", make_status(mode=Mode.DISARMED))
+    softarm("arm")
+    assert [path for _, path, _ in daemon.requests][:2] == ["/api/status", "/api/arm"]
+
+
+def test_arm_waits_for_no_more_than_three_seconds(softarm, daemon, make_status, monkeypatch):
+    monkeypatch.setattr("softarm.cli.arming._SETTLES_S", 0.02)
+    daemon.on("GET", "/api/status", settling(make_status))
+    daemon.on("POST", "/api/arm", make_status(mode=Mode.DISARMED))
+    softarm("arm")
+    assert ("POST", "/api/arm", None) in daemon.requests
 
 
 def test_arm_that_does_not_succeed_says_why(softarm, daemon, make_status):
@@ -302,14 +331,14 @@ def test_watch_shows_each_status_until_the_daemon_is_gone(softarm, daemon, make_
 @pytest.mark.parametrize("code", [401, 404, 409, 422, 503])
 def test_a_refusal_is_the_daemons_own_sentence(softarm, daemon, code):
     sentence = "mocap: no frame for 0.3 s; see the bridge"
-    daemon.on("POST", "/api/arm", {"detail": sentence, "reasons": [sentence]}, code=code)
-    result = softarm("arm")
+    daemon.on("POST", "/api/acknowledge", {"detail": sentence, "reasons": [sentence]}, code=code)
+    result = softarm("acknowledge")
     assert (result.exit_code, result.stdout, result.stderr) == (1, "", sentence + "\n")
 
 
 def test_an_error_without_a_sentence_has_its_number(softarm, daemon):
-    daemon.on("POST", "/api/arm", {"detail": [{"loc": []}]}, code=500)
-    assert softarm("arm").stderr == "`softarm arm`: HTTP 500\n"
+    daemon.on("POST", "/api/acknowledge", {"detail": [{"loc": []}]}, code=500)
+    assert softarm("acknowledge").stderr == "`softarm acknowledge`: HTTP 500\n"
 
 
 def test_no_daemon_is_said_with_what_to_start():
@@ -374,8 +403,8 @@ def test_a_proxy_of_the_environment_is_not_asked(softarm, daemon, monkeypatch, m
 
 def test_a_daemon_of_a_newer_api_is_refused_with_both_versions_but_a_stop_is_done(softarm, daemon, make_status):
     daemon.says = {"softarm-api": "2"}
-    daemon.on("POST", "/api/arm", make_status())
-    result = softarm("arm")
+    daemon.on("POST", "/api/acknowledge", make_status())
+    result = softarm("acknowledge")
     assert result.exit_code == 1
     assert "speaks version 2 of the API, this command version 1: update softarm here" in result.stderr
     assert daemon.headers["softarm-api"] == "1"

@@ -212,7 +212,7 @@ def test_with_no_place_to_write_at_all_it_compiles_at_each_start_and_says_so_onc
     edit(package)
     assert entry()(1.0) == 3.0
     (said,) = (record.getMessage() for record in caplog.records)
-    assert "Set NUMBA_CACHE_DIR" in said
+    assert "set NUMBA_CACHE_DIR" in said
 
 
 def test_who_listens_is_told_before_the_first_compile_and_not_again(package, caplog):
