@@ -167,6 +167,8 @@ class DryveRail(Strict):
     units_per_m: Annotated[float, Field(gt=0)] = 100_000  # 60A8h: 0.01 mm by default
     # Where on the axis (as homed) the middle of the rail is.
     centre_m: Annotated[float, Field(ge=-2.0, le=2.0)] = 0.30
+    reversed: bool = False  # true: the axis counts down towards +y
+    asks_homed: bool = True  # whether it is homed; a drive that says no is not armed
     acceleration_m_s2: Annotated[float, Field(gt=0, le=20)] = 6.0
     quick_stop_m_s2: Annotated[float, Field(gt=0, le=20)] = 6.0
     timeout_s: Annotated[float, Field(gt=0, le=1)] = 0.1

@@ -62,6 +62,7 @@ class RailReading:
     linked: bool = True  # False: whoever spoke with the drive is gone, and the rest is what it said last
     cycle_p50_ns: int = 0  # from a set-point's turn on the wire to the end of what follows it, over the last second
     cycle_max_ns: int = 0
+    homed: bool | None = None  # as the drive says of its zero; None: it does not, and logs up to November 2026
 
 
 @json_object

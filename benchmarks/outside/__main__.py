@@ -42,6 +42,7 @@ def main() -> None:
     add("--ramp", type=float, help="m/s^2 really driven, whatever 6083h to 6085h say")
     add("--age-ms", type=float, default=0.0, help="age of what 6064h and 606Ch say")
     add("--keep", action="store_true", help="the drive keeps its last set-point when its master is gone or silent")
+    add("--unreferenced", action="store_true", help="the drive was just switched on: its zero is where the cart stands")
     add("--payload-g", type=float, default=0.0)
     add("--friction-n", type=float, default=3.0, help="of axis and motor; all that holds a cart without power")
     add("--start", type=float, default=0.0, help="cart, m")
@@ -53,7 +54,9 @@ def main() -> None:
     with contextlib.suppress(PermissionError):  # before any thread is started, Zenoh's too: they take it over
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(PRIORITY))
     body = Body(options.payload_g / 1000, options.friction_n, options.start)
-    drive = Drive(options.ramp, options.latency_ms / 1000, options.age_ms / 1000, options.keep, options.friction_n)
+    stands_m = options.start if options.unreferenced else None
+    times_s = (options.latency_ms / 1000, options.age_ms / 1000)
+    drive = Drive(options.ramp, *times_s, options.keep, options.friction_n, stands_m)
     robot = Robot(body, drive, options.bound_m)
     port = Port(drive, options.rail_host, options.rail_port)
     board = Board(robot.firmware, options.serial, lambda: robot.body.pressure_kpa)

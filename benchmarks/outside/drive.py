@@ -20,28 +20,78 @@ _FOLLOWING = 0x8611
 _FREE_NS_M = 4.0  # a motor without power
 _REST_M_S = 0.01
 
-# index: (bytes, signed, writable)
-_OBJECTS = {
+_SWITCH_M = 0.29  # closed beyond; its edge is what homing looks for
+_POSITIVE_SWITCH = 18  # the homing method
+_START, _HALT = 0x10, 0x100
+
+# index, or index and sub-index: (bytes, signed, writable)
+_OBJECTS: dict[int | tuple[int, int], tuple[int, bool, bool]] = {
     0x6040: (2, False, True), 0x6041: (2, False, False), 0x603F: (2, False, False),
     0x6060: (1, True, True), 0x6061: (1, True, False),
     0x6083: (4, False, True), 0x6084: (4, False, True), 0x6085: (4, False, True),
     0x60FF: (4, True, True), 0x6064: (4, True, False), 0x606C: (4, True, False),
+    0x2014: (2, False, False), 0x6098: (1, True, False), 0x609A: (4, False, True),
+    (0x6099, 1): (4, False, True), (0x6099, 2): (4, False, True),
 }  # fmt: skip
 
 
+class Zero:
+    """Where the axis counts from, and the way there: out to the switch, slowly back to its edge."""
+
+    def __init__(self, homed: bool, stands_m: float) -> None:
+        self.homed = homed
+        self.off_m = 0.0 if homed else -stands_m - _CENTRE_M  # a counter that begins at nought
+        self.found = self.failed = False
+        self._way = 0  # +1 out, -1 back, 0 none
+
+    def command(self, before: int, word: int) -> None:
+        """A controlword in operation in homing mode."""
+        if word & _HALT or not word & _START:
+            self._way = 0
+        elif not before & _START:
+            self.found = self.failed = False
+            self._way = 1
+
+    def leave(self) -> None:
+        """The drive is no longer in operation, or in another mode."""
+        self._way = 0
+
+    def target(self, y: float, out_m_s: float, back_m_s: float) -> float:
+        """The velocity to go at."""
+        if self._way > 0 and y > _SWITCH_M:
+            self._way = -1
+        elif self._way < 0 and y <= _SWITCH_M:
+            self._way, self.found, self.homed, self.off_m = 0, True, True, 0.0
+        if self._way and not (out_m_s and back_m_s):
+            self._way, self.failed = 0, True
+        return (0.0, out_m_s, -back_m_s)[self._way]
+
+    def bits(self) -> int:
+        """13, 12 and 10 of 6041h."""
+        return self.failed << 13 | self.found << 12 | (not self._way) << 10
+
+
 class Drive:
-    """One drive, homed and with its enable input high.
+    """One drive, homed as a rule, and with its enable input high.
 
     ramp_m_s2: what it really drives (None: 6083h to 6085h); latency_s: from a written 60FFh to the ramp's start;
     age_s: of what 6064h and 606Ch say; keep: it goes on at its last set-point when its master is gone or silent;
-    friction_n: of axis and motor, as it was commissioned for.
+    friction_n: of axis and motor, as it was commissioned for; unreferenced_at_m: it was just switched on, there.
     """
 
     def __init__(
-        self, ramp_m_s2: float | None, latency_s: float, age_s: float, keep: bool, friction_n: float = 0.0
+        self,
+        ramp_m_s2: float | None,
+        latency_s: float,
+        age_s: float,
+        keep: bool,
+        friction_n: float = 0.0,
+        unreferenced_at_m: float | None = None,
     ) -> None:
         self._fixed_ramp, self._latency_s, self._age_s, self._keep = ramp_m_s2, latency_s, age_s, keep
-        self._values = {0x6040: 0, 0x603F: 0, 0x6060: 0, 0x6083: _UNITS, 0x6084: _UNITS, 0x6085: _UNITS, 0x60FF: 0}
+        self._values: dict[int | tuple[int, int], int] = dict.fromkeys(_OBJECTS, 0)
+        self._values |= {0x6083: _UNITS, 0x6084: _UNITS, 0x6085: _UNITS, 0x6098: _POSITIVE_SWITCH}
+        self._zero = Zero(unreferenced_at_m is None, unreferenced_at_m or 0.0)
         self._friction_n = friction_n
         self.state = OFF
         self._coming: collections.deque[tuple[float, float]] = collections.deque()  # set-points under way
@@ -65,20 +115,30 @@ class Drive:
         if self.state == RUN and not self._keep and now - self._heard > _SILENCE_S:
             self.state = _QUICK
         if not self.powered:
+            self._zero.leave()
             self._ref, self._sum_n = v, 0.0
             return 0.0, _FREE_NS_M
         before = self._ref
-        self._ramp(h)
+        self._ramp(h, y)
         if self.state in _AFTER and self._ref == 0.0 and abs(v) < _REST_M_S:
             self.state = _AFTER[self.state]
         return self._servo(h, (self._ref - before) / h, self._ref - v)
 
-    def _ramp(self, h: float) -> None:
+    def _wanted(self, y: float) -> float:
+        """The velocity that the servo's reference is to reach."""
+        if self._values[0x6060] == 6 and self.state == RUN:
+            return self._zero.target(y, self._values[0x6099, 1] / _UNITS, self._values[0x6099, 2] / _UNITS)
+        self._zero.leave()
+        stands = self.state in _AFTER or self._values[0x6040] & _HALT or self._values[0x6060] != 3
+        return 0.0 if stands else self._target
+
+    def _ramp(self, h: float, y: float) -> None:
         """Move the servo's reference towards the target."""
-        quick, halted = self.state in _AFTER, self._values[0x6040] & 0x100 or self._values[0x6060] != 3
-        target = 0.0 if quick or halted else self._target
+        quick, target = self.state in _AFTER, self._wanted(y)
         faster = target * self._ref >= 0 and abs(target) > abs(self._ref)
-        written = self._values[0x6085 if quick else 0x6083 if faster else 0x6084] / _UNITS
+        searching = target and self._values[0x6060] == 6
+        ramp = 0x6085 if quick else 0x609A if searching else 0x6083 if faster else 0x6084
+        written = self._values[ramp] / _UNITS
         most = (self._fixed_ramp or written) * h
         self._ref += max(-most, min(most, target - self._ref))
 
@@ -106,6 +166,8 @@ class Drive:
 
     def _control(self, word: int) -> None:
         before, self._values[0x6040] = self._values[0x6040], word
+        if self.state == RUN and self._values[0x6060] == 6:
+            self._zero.command(before, word)
         if self.state == _REACTION:
             pass
         elif self.state == _FAULT:
@@ -125,22 +187,24 @@ class Drive:
         elif word & 0x0F == 0x0F and self.state in (_READY, _ON):
             self.state = RUN
 
-    def _read(self, index: int) -> int:
+    def _read(self, index: int | tuple[int, int]) -> int:
         if index == 0x6041:
-            return self.state | _REMOTE
+            return self.state | _REMOTE | (self._zero.bits() if self._values[0x6060] == 6 else 0)
+        if index == 0x2014:
+            return self._zero.homed
         if index == 0x6061:
             return self._values[0x6060]
         if index == 0x6064:
-            return round((self._seen[0][1] + _CENTRE_M) * _UNITS)
+            return round((self._seen[0][1] + _CENTRE_M + self._zero.off_m) * _UNITS)
         if index == 0x606C:
             return round(self._seen[0][2] * _UNITS)
         return self._values[index]
 
-    def _write(self, index: int, value: int, now: float) -> int:
+    def _write(self, index: int | tuple[int, int], value: int, now: float) -> int:
         if index == 0x6040:
             self._control(value)
             return 0
-        if index == 0x6060 and value != 3:
+        if index == 0x6060 and value not in (3, 6):
             return 0x06090030
         if index == 0x60FF:
             self._coming.append((now + self._latency_s, value / _UNITS))
@@ -162,8 +226,9 @@ class Drive:
             return wrap(bytes([pdu[0] | 0x80, 1]))
         if len(pdu) < 12 or pdu[1] != 0x0D or pdu[2] > 1:
             return wrap(b"\xab\x03")
-        index, sub, count, data = int.from_bytes(pdu[5:7], "big"), pdu[7], pdu[11], pdu[12:]
-        if index not in _OBJECTS or sub:
+        number, sub, count, data = int.from_bytes(pdu[5:7], "big"), pdu[7], pdu[11], pdu[12:]
+        index = (number, sub) if sub else number
+        if index not in _OBJECTS:
             return abort(0x06020000)
         width, signed, writable = _OBJECTS[index]
         if count != width:

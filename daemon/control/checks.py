@@ -20,10 +20,12 @@ def device_events(inputs: Inputs, observer: Observer, config: Config, engaged: b
     yield from _mocap(inputs, observer, config)
     yield from _pressure(inputs, config, engaged)
     yield from _rail(inputs, config, engaged)
-    yield from _rail_beside_mocap(observer, config)
+    yield from _rail_beside_mocap(observer, config, engaged)
 
 
-def _rail_beside_mocap(observer: Observer, config: Config) -> Iterator[Event]:
+def _rail_beside_mocap(observer: Observer, config: Config, engaged: bool) -> Iterator[Event]:
+    """Before anything moves one tick is enough to say that they disagree: the axis's zero may be wrong."""
+    apart_m, most_m = observer.apart_m or 0.0, config.failsafe.rail_mocap_disagreement_m
     late_s = observer.mocap_late_ns() * 1e-9
     if late_s > config.failsafe.mocap_late_max_s:
         yield Event("mocap_too_late", f"{late_s * 1e3:.0f} ms, at most {config.failsafe.mocap_late_max_s * 1e3:.0f} ms")
@@ -31,8 +33,8 @@ def _rail_beside_mocap(observer: Observer, config: Config) -> Iterator[Event]:
         yield Event("mocap_late", f"{late_s * 1e3:.0f} ms")
     if observer.alignment.mirrored:
         yield Event("mocap_mirrored", "the cart moves against the axis")
-    elif observer.disagreeing_ticks >= DISAGREEING_TICKS:
-        yield Event("rail_disagrees", f"{(observer.apart_m or 0.0) * 1e3:.0f} mm apart")
+    elif observer.disagreeing_ticks >= DISAGREEING_TICKS or (not engaged and apart_m > most_m):
+        yield Event("rail_disagrees", f"{apart_m * 1e3:.0f} mm apart")
 
 
 def _said(problem: str | None) -> str:
@@ -114,6 +116,8 @@ def _rail(inputs: Inputs, config: Config, engaged: bool) -> Iterator[Event]:
         yield Event("remote_off")
     if reading.faults:
         yield Event("rail_fault", ", ".join(reading.faults))
+    if reading.homed is False:
+        yield Event("rail_not_homed")
     if engaged and not reading.enabled:
         yield Event("rail_disabled", f"operation is not enabled{said}")
     yield from _rail_cycle(reading, config)

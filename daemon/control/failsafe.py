@@ -78,7 +78,8 @@ TABLE: dict[str, Rule] = {
         Response.STOP,
         True,
         "the axis and motion capture disagree on where the cart is",
-        "home the axis or re-calibrate the motion capture frame, then POST /api/acknowledge",
+        "end the daemon and home the axis (`softarm rail home`), or re-calibrate the motion capture frame, then "
+        "POST /api/acknowledge",
     ),
     "pressure_outside": Rule(
         Response.STOP,
@@ -144,7 +145,7 @@ TABLE: dict[str, Rule] = {
         Response.SOFT_STOP,
         False,
         "motion capture shows the cart moving the other way",
-        "turn the frame's y axis round: it has the same sense as the rail's position",
+        "turn the frame's y axis round, or set drivers.rail.reversed: y is the rail's, towards its +y end",
     ),
     "mocap_too_late": Rule(
         Response.SOFT_STOP,
@@ -211,6 +212,12 @@ TABLE: dict[str, Rule] = {
         True,
         "the axis reading is too old",
         "check the network to the drive",
+    ),
+    "rail_not_homed": Rule(
+        Response.SOFT_STOP,
+        True,
+        "the drive says that it is not homed: where it says the cart is means nothing",
+        "end the daemon, then `softarm rail home`",
     ),
     "rail_link_lost": Rule(
         Response.SOFT_STOP,

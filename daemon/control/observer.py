@@ -6,7 +6,7 @@ from collections.abc import Iterable, Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from softarm.daemon.control.alignment import Alignment, Past
+from softarm.daemon.control.alignment import LAGS_NS, Alignment, Past
 from softarm.daemon.control.dead_reckoning import DeadReckoning, Readings, Sighting, Strength, TipModel
 from softarm.daemon.control.plausibility import CART, TIP, WINDOW, Plausibility, is_usable
 from softarm.daemon.control.records import Inputs, Observed
@@ -66,7 +66,7 @@ class Observer:
             self._reckoning = None
             self._strength.see(self.seen[-1], self._readings())
         self._show(inputs.t_ns)
-        self._compare()
+        self._compare(inputs.t_ns)
 
     def _show(self, now_ns: int) -> None:
         """Fly by the newest that was seen; when that is older than it should be, by what it is carried on to."""
@@ -113,12 +113,28 @@ class Observer:
             default=None,
         )
 
-    def _compare(self) -> None:
+    def _compare(self, now_ns: int) -> None:
         """Axis and motion capture, where both are fresh; a silent one tells nothing of the other."""
         apart_m = self.alignment.see(self.seen[-1].t_ns, self.seen[-1].cart_y_m) if self.seen else None
+        at_first_m = self._apart_at_first_m(now_ns) if apart_m is None else None
+        if at_first_m is not None:
+            self.apart_m = at_first_m
         if apart_m is not None:
             self.apart_m = apart_m
             self.disagreeing_ticks = self.disagreeing_ticks + 1 if apart_m > self._disagreement_m else 0
+
+    def _apart_at_first_m(self, now_ns: int) -> float | None:
+        """The same before the axis has a past, at its first reading: its drive may have forgotten its zero. m.
+
+        None once it has one. What a camera that is late by any possible delay explains is not counted.
+        """
+        rail, fresh_ns = self.rail, now_ns - self._stale_ns
+        if rail is None or rail.t_receive_ns < fresh_ns or not self._recent or self._recent[-1].t_ns < fresh_ns:
+            return None
+        if self.alignment.axis.at(self._recent[-1].t_ns - LAGS_NS[-1]) is not None:
+            return None
+        explained_m = abs(rail.velocity_m_s) * (LAGS_NS[-1] + self._stale_ns) * 1e-9
+        return max(0.0, abs(rail.position_m - self._recent[-1].cart_y_m) - explained_m)
 
     def _good(self, frames: tuple[MocapFrame, ...]) -> Iterator[Sighting]:
         newest_ns = self._recent[-1].t_ns if self._recent else None

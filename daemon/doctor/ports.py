@@ -86,7 +86,7 @@ def look_axis(host: str, port: int) -> Axis:
         families = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)
     except OSError as error:
         return Axis(address, error=error.strerror or str(error))
-    if any(_is_connected(str(where[0]), port) for *_, where in families):
+    if any(is_connected(str(where[0]), port) for *_, where in families):
         return Axis(address, held=True)
     begun_s = time.monotonic()
     try:
@@ -119,7 +119,7 @@ def _bind_error(host: str, port: int) -> int | None:
     return None
 
 
-def _is_connected(host: str, port: int) -> bool:
+def is_connected(host: str, port: int) -> bool:
     """Whether this computer holds a connection to an IPv4 address, by /proc/net/tcp."""
     try:
         wanted = f"{struct.unpack('=I', socket.inet_aton(host))[0]:08X}:{port:04X}"

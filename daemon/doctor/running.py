@@ -1,5 +1,6 @@
 """What a running daemon says of itself over REST: rates, ages, latency, and why it cannot be armed."""
 
+import statistics
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -15,6 +16,8 @@ ASK_S = 2.0
 SAMPLES, APART_S = 20, 0.1
 RATE_OFF_MAX = 0.05  # by which a rate may differ, as a share, over two seconds
 IN_USE = ("arming", "armed", "stopping")
+STILL_M_S = 0.05  # a faster cart is elsewhere by the time that the cameras have shown it
+ZERO_FINE_MM = 10.0  # axis from motion capture; the failsafe's own bound leaves a cart past its limit by as much
 EXCHANGES_FINE_MS = 25.0  # of a tick's questions and answers, within 33 ms
 
 
@@ -78,6 +81,7 @@ def judge(facts: Running, config: Config) -> Iterator[Finding]:
         yield from _rates(facts.statuses, config)
     yield from _ages(facts.statuses, config)
     yield from _times(facts.statuses, config)
+    yield from _zero(facts.statuses, config)
     if now["recorder"]["problem"]:
         yield problem("recorder", now["recorder"]["problem"], "see `softarm status`")
     if now["mode"] == "disarmed":
@@ -154,3 +158,28 @@ def _times(statuses: Sequence[dict[str, Any]], config: Config) -> Iterator[Findi
     if policy_ms > budget_ms:
         advice = f"failsafe.policy_budget_s is {budget_ms:g} ms: choose a smaller policy, or take load off"
         yield warning("policy's time", f"{policy_ms:.1f} ms", advice)
+
+
+def _zero(statuses: Sequence[dict[str, Any]], config: Config) -> Iterator[Finding]:
+    """How far the cart by the axis is from the cart by motion capture, in the middle of what was seen at rest."""
+    name, homing = "rail's zero", "end the daemon, then `softarm rail home` (docs/homing.md)"
+    if any(event["name"] == "rail_not_homed" for event in statuses[-1]["events"]):
+        yield problem(name, "the drive says that it is not homed", homing)
+        return
+    apart_mm = [
+        1e3 * (each["rail_position_m"] - seen["cart_position_m"])
+        for each in statuses
+        if (seen := (each["observed"] or {}).get("values")) is not None
+        and each["rail_position_m"] is not None
+        and abs(each["rail_velocity_m_s"]) < STILL_M_S
+    ]
+    if not apart_mm:
+        return
+    off_mm, most_mm = statistics.median(apart_mm), 1e3 * config.failsafe.rail_mocap_disagreement_m
+    figure = f"the axis is {off_mm:+.1f} mm from motion capture here"
+    if abs(off_mm) <= min(ZERO_FINE_MM, most_mm):
+        yield ok(name, figure)
+    elif abs(off_mm) <= most_mm:
+        yield warning(name, figure, f"the cart may pass its limits by as much: {homing}")
+    else:
+        yield problem(name, figure, f"at most {most_mm:.0f} mm (failsafe.rail_mocap_disagreement_m): {homing}")

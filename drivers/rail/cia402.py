@@ -12,6 +12,8 @@ class StatusWord(IntFlag):
     REMOTE = 1 << 9  # the D1's enable input DI7; while it is low nothing works, not even a fault reset
     TARGET_REACHED = 1 << 10
     AT_REST = 1 << 12  # in profile velocity mode
+    HOMING_ATTAINED = 1 << 12  # in homing mode
+    HOMING_ERROR = 1 << 13  # in homing mode
 
 
 class ControlWord:
@@ -21,6 +23,7 @@ class ControlWord:
     SWITCH_ON = 0x0007
     ENABLE_OPERATION = 0x000F
     ENABLE_AND_HALT = 0x010F  # brakes in any mode
+    START_HOMING = 0x001F  # bit 4 rises: the one word that moves in homing mode; as it falls the search is broken off
     RESET_AND_HALT = 0x0100  # everything off: igus' samples begin so, and the D1 wants it after a fault
     FAULT_RESET = 0x0080  # acts on the rising edge of bit 7
 

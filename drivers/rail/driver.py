@@ -22,8 +22,8 @@ from typing import NamedTuple, Protocol
 import softarm
 from softarm.drivers.base import DeviceError
 from softarm.drivers.rail import pair, process
-from softarm.drivers.rail.master import Settings
 from softarm.drivers.rail.pair import Report, SetPoint
+from softarm.drivers.rail.settings import Settings
 from softarm.schemas.config import DryveRail
 from softarm.schemas.messages import RailReading
 
@@ -213,6 +213,7 @@ class DryveRailAxis:
                 faults=found.faults,
                 cycle_p50_ns=found.cycle_p50_ns,
                 cycle_max_ns=found.cycle_max_ns,
+                homed=found.homed,
             )
 
     def _replace(self) -> None:

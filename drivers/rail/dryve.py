@@ -90,7 +90,12 @@ ACCELERATION = Entry("profile acceleration", 0x6083, 0, 4)
 DECELERATION = Entry("profile deceleration", 0x6084, 0, 4)
 QUICK_STOP = Entry("quick-stop deceleration", 0x6085, 0, 4)
 TARGET_VELOCITY = Entry("target velocity", 0x60FF, 0, 4, signed=True)
-PROFILE_VELOCITY = 3  # of MODE
+HOMING_METHOD = Entry("homing method", 0x6098, 0, 1, signed=True)  # the D1's is set on its web page
+HOMING_SPEED = Entry("homing speed, towards the switch", 0x6099, 1, 4)
+HOMING_CREEP = Entry("homing speed, towards the zero", 0x6099, 2, 4)
+HOMING_ACCELERATION = Entry("homing acceleration", 0x609A, 0, 4)
+HOMING_STATUS = Entry("homing status", 0x2014, 0, 2)  # the vendor's, optional; bit 0: homed
+PROFILE_VELOCITY, HOMING = 3, 6  # of MODE
 
 
 class DryveRefusal(Exception):

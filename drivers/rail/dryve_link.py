@@ -1,6 +1,7 @@
 """One TCP connection to a dryve D1: a request, its answer, then the next request."""
 
 import contextlib
+import errno
 import os
 import select
 import socket
@@ -9,14 +10,31 @@ from collections.abc import Callable
 from typing import Self
 
 from softarm.drivers.rail import dryve
+from softarm.drivers.rail.cia402 import ControlWord
 from softarm.drivers.rail.dryve import Entry
 
 STRAYS_MAX = 8  # answers to other requests that one exchange skips; more are a flood
 ECHO_S = 0.02  # an answer that has come before: the right one is behind it, or the wire says the same again and again
+CONNECT_S = 1.0
 LINGER_S = 0.02  # waited for the other side to close, so that our last bytes are not cut off
 
 # An exchange that failed on a connection that may still be good: refused, garbled or late.
 EXCHANGE_ERRORS = (dryve.DryveRefusal, dryve.DryveMismatch, ValueError, TimeoutError)
+
+# After one of these, these included, a connection is to be closed.
+LINK_ERRORS = (
+    OSError,
+    EOFError,
+    ValueError,
+    OverflowError,  # units_per_m makes a number beyond 32 bits
+    dryve.DryveMismatch,
+    dryve.DryveRefusal,
+)
+_REMEDY = {
+    errno.ECONNREFUSED: "switch on 'Modbus TCP Gateway' on the drive's web page (a restart may lose it)",
+    errno.EHOSTUNREACH: "check the drive's supply, the cable, and drivers.rail.host",
+    errno.ENETUNREACH: "give this host an address in the drive's network, or correct drivers.rail.host",
+}
 
 # Is the socket ready for one of these events (of `select.poll`) within so many seconds? Whoever waits for the drive may
 # see to other things meanwhile.
@@ -73,6 +91,10 @@ class DryveLink:
     def stop(self) -> None:
         """Say stop, whatever is outstanding, and wait for nothing. Raises OSError."""
         self._send(dryve.TARGET_VELOCITY, 0)
+
+    def halt(self) -> None:
+        """The same for a drive that was last seen in operation, in any mode. Raises OSError."""
+        self._send(dryve.CONTROLWORD, ControlWord.ENABLE_AND_HALT)
 
     def close(self) -> None:
         """Say stop and hang up, in any state of the connection. Takes `LINGER_S` at most."""
@@ -145,3 +167,16 @@ def _readable(line: socket.socket, seconds: float) -> bool:
     poll = select.poll()
     poll.register(line, select.POLLIN)
     return bool(poll.poll(seconds * 1e3))
+
+
+def explained(error: Exception, connected: bool, then: str = "") -> tuple[str, str, str]:
+    """One of LINK_ERRORS for people: what was being done, what went wrong, the next step; `then`: and what we do."""
+    command = "converse" if connected else "connect"
+    if isinstance(error, dryve.DryveRefusal):
+        return "request", str(error), f"see the drive's manual{then}"
+    if isinstance(error, EOFError):
+        return command, "the drive closed the connection", "see that no other master is connected"
+    number = error.errno if isinstance(error, OSError) else None
+    if isinstance(error, TimeoutError) and not connected:
+        number = errno.EHOSTUNREACH
+    return command, str(error), _REMEDY.get(number or 0, f"check the cable{then}")

@@ -1,9 +1,12 @@
 """What one poll of the drive finds, and what it means."""
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 from softarm.drivers.rail import dryve
-from softarm.drivers.rail.cia402 import DriveState, StatusWord
+from softarm.drivers.rail.cia402 import DriveState, StatusWord, decode_state
+from softarm.drivers.rail.dryve_link import DryveLink
+from softarm.drivers.rail.settings import Settings
 
 AT_REST_M_S = 0.02  # a swinging arm keeps pulling at a cart that stands
 FAULTY = (DriveState.FAULT, DriveState.FAULT_REACTION)
@@ -42,3 +45,28 @@ class Feedback(NamedTuple):
         if self.state in FAULTY:
             return (f"{dryve.ERROR_CODES.get(self.error_code, 'unknown error')} (0x{self.error_code:04X})",)
         return ()
+
+
+def poll(drive: DryveLink, settings: Settings, clock: Callable[[], int]) -> Feedback:
+    """Ask for all of it. `clock`: nanoseconds. Raises as `DryveLink.read`."""
+    statusword = drive.read(dryve.STATUSWORD)
+    t_ns = clock()
+    position = drive.read(dryve.POSITION)
+    velocity = drive.read(dryve.VELOCITY)
+    state = decode_state(statusword)
+    return Feedback(
+        t_ns=t_ns,
+        state=state,
+        statusword=statusword,
+        position_m=settings.position_m(position),
+        velocity_m_s=settings.velocity_m_s(velocity),
+        error_code=drive.read(dryve.ERROR_CODE) if state in FAULTY else 0,
+    )
+
+
+def homed(drive: DryveLink) -> bool | None:
+    """What the drive says of its zero; None of one that does not say. Raises as `DryveLink.read` but for refusals."""
+    try:
+        return bool(drive.read(dryve.HOMING_STATUS) & 1)
+    except (dryve.DryveRefusal, dryve.DryveMismatch):  # the object is the vendor's, and optional
+        return None

@@ -8,60 +8,29 @@ next to nothing.
 """
 
 import contextlib
-import errno
 import select
 import socket
 import time
 from collections.abc import Callable
-from typing import NamedTuple
 
 from softarm.drivers.rail import dryve, pair
-from softarm.drivers.rail.cia402 import ControlWord, DriveState, decode_state, next_controlword
-from softarm.drivers.rail.dryve_link import EXCHANGE_ERRORS, DryveLink
-from softarm.drivers.rail.feedback import AT_REST_M_S, FAULTY, Feedback
+from softarm.drivers.rail.cia402 import ControlWord, DriveState, next_controlword
+from softarm.drivers.rail.dryve_link import CONNECT_S, EXCHANGE_ERRORS, LINK_ERRORS, DryveLink, explained
+from softarm.drivers.rail.feedback import AT_REST_M_S, Feedback, homed, poll
 from softarm.drivers.rail.orders import Orders
 from softarm.drivers.rail.pair import Reading, Report
+from softarm.drivers.rail.rest import BRAKE_MAX_S, come_to_rest
+from softarm.drivers.rail.settings import Settings
 
 POLL_S = 0.04  # status is read this often when no set-point comes
 BEAT_S = 0.05  # the daemon hears at least this often that we live
-BRAKE_MAX_S = 1.0  # from 1 m/s at 6 m/s^2 it takes 0.17 s
 WALK_MAX_S = 2.0  # from switch-on disabled to operation enabled
 MODE_MAX_S = 0.5  # 6061h lags 6060h by up to a quarter of a second
-CONNECT_S = 1.0
 RETRY_S = (0.02, 1.0)  # first and longest pause between attempts to connect
 COMPLAINT_S = 2.0  # how long a walk that failed is remembered
 PART_S = 2.0  # how long a drive that may move is tried for once the daemon has hung up
 AGAIN_S = 0.005  # after an exchange that failed in operation; the second in a row ends the link
-HALT_TRIES, HALT_AGAIN_S = 20, 0.01  # a drive that refuses to say how it is
 CYCLES_NS = 1_000_000_000  # the cycle's time is told over so long
-
-_REMEDY = {
-    errno.ECONNREFUSED: "switch on 'Modbus TCP Gateway' on the drive's web page (a restart may lose it)",
-    errno.EHOSTUNREACH: "check the drive's supply, the cable, and drivers.rail.host",
-    errno.ENETUNREACH: "give this host an address in the drive's network, or correct drivers.rail.host",
-}
-_LINK_ERRORS = (
-    OSError,
-    EOFError,
-    ValueError,
-    OverflowError,  # units_per_m makes a number beyond 32 bits
-    dryve.DryveMismatch,
-    dryve.DryveRefusal,
-)
-
-
-class Settings(NamedTuple):
-    """Of `softarm.schemas.config.DryveRail`, by its names."""
-
-    host: str
-    port: int
-    units_per_m: float
-    centre_m: float
-    acceleration_m_s2: float
-    quick_stop_m_s2: float
-    timeout_s: float
-    hold_s: float
-    time_to_live_s: float
 
 
 class HungUp(Exception):
@@ -98,6 +67,7 @@ class Master:
         self._last_step: tuple[DriveState, int] | None = None  # the state shown and the controlword it was given
         self._brake_since_ns: int | None = None
         self._feedback: Feedback | None = None
+        self._homed: bool | None = None  # as the drive said last; None: it does not say
         self._reading: Reading | None = None
         self._cycles: list[tuple[int, int]] = []  # when each of the last second ended, and how long it took; ns
         self._link_problem: str | None = self._say("connect", "not connected yet", "wait a second")
@@ -121,7 +91,7 @@ class Master:
                 self._set_up()
                 pause_s = RETRY_S[0]
                 self._converse()
-            except _LINK_ERRORS as error:
+            except LINK_ERRORS as error:
                 self._link_problem = self._explain(error)
                 if self._orders.permitted_since_ns is not None:
                     self._complain("converse", f"the connection was lost ({error})", "disarm, then arm")
@@ -141,7 +111,7 @@ class Master:
                 self._say_stop()
                 self._come_to_rest()
                 self._at_ease = True
-            except _LINK_ERRORS as error:
+            except LINK_ERRORS as error:
                 self._link_problem = self._explain(error)
                 self._close()
                 self._attend(RETRY_S[0])
@@ -250,8 +220,8 @@ class Master:
         drive = self._drive
         drive.write(dryve.MODE, dryve.PROFILE_VELOCITY)
         unfit = self._mode_not_taken()
-        ramp = self._units(self._settings.acceleration_m_s2)
-        quick_stop = self._units(self._settings.quick_stop_m_s2)
+        ramp = self._settings.units(self._settings.acceleration_m_s2)
+        quick_stop = self._settings.units(self._settings.quick_stop_m_s2)
         for entry, value in (
             (dryve.ACCELERATION, ramp),
             (dryve.DECELERATION, ramp),
@@ -265,28 +235,7 @@ class Master:
         self._unfit = None if unfit is None else self._say("set up", unfit, remedy)
 
     def _come_to_rest(self) -> None:
-        operating = self._halt()
-        until_s = time.monotonic() + BRAKE_MAX_S
-        while abs(self._drive.read(dryve.VELOCITY)) > self._units(AT_REST_M_S) and time.monotonic() < until_s:
-            self._attend(0.01)
-        self._drive.write(dryve.CONTROLWORD, ControlWord.SHUTDOWN if operating else ControlWord.RESET_AND_HALT)
-
-    def _halt(self) -> bool:
-        """Whether the drive was in operation; if so it brakes now. While it refuses to say, it is told to stop."""
-        for left in reversed(range(HALT_TRIES)):
-            try:
-                operating = decode_state(self._drive.read(dryve.STATUSWORD)) is DriveState.OPERATION_ENABLED
-                if operating:
-                    self._drive.write(dryve.TARGET_VELOCITY, 0)
-                    self._drive.write(dryve.CONTROLWORD, ControlWord.ENABLE_AND_HALT)
-                return operating
-            except dryve.DryveRefusal:
-                if not left:
-                    raise
-                self._attend(HALT_AGAIN_S)
-                with contextlib.suppress(dryve.DryveRefusal):
-                    self._drive.write(dryve.TARGET_VELOCITY, 0)
-        raise AssertionError("the last try returns or raises")
+        come_to_rest(self._drive, self._settings.units(AT_REST_M_S), self._attend)
 
     def _mode_not_taken(self) -> str | None:
         until_s = time.monotonic() + MODE_MAX_S
@@ -324,32 +273,26 @@ class Master:
             self._target = self._velocity() if self._operating_now() else 0
             if self._operating_now():
                 self._drive.write(dryve.TARGET_VELOCITY, self._target)
-        feedback = self._poll()
+        feedback = poll(self._drive, self._settings, self._clock)
+        self._ask_whether_homed(feedback)
         self._judge(feedback)
         self._publish(feedback)
         self._lead(feedback)
+
+    def _ask_whether_homed(self, feedback: Feedback) -> None:
+        """What makes a drive forget its zero shows: a new connection, or a fall to 40h. And when it says no, again."""
+        if not self._settings.asks_homed or not feedback.at_ease:
+            return
+        fell = feedback.state is DriveState.SWITCH_ON_DISABLED
+        if self._feedback is None or self._homed is False or (fell and self._feedback.state is not feedback.state):
+            self._homed = homed(self._drive)
 
     def _operating_now(self) -> bool:
         return self._feedback is not None and self._feedback.state is DriveState.OPERATION_ENABLED
 
     def _velocity(self) -> int:
         """The set-point that may go out now, in the drive's units."""
-        return self._units(self._orders.velocity_m_s(self._clock()))
-
-    def _poll(self) -> Feedback:
-        statusword = self._drive.read(dryve.STATUSWORD)
-        t_ns = self._clock()
-        position = self._drive.read(dryve.POSITION)
-        velocity = self._drive.read(dryve.VELOCITY)
-        state = decode_state(statusword)
-        return Feedback(
-            t_ns=t_ns,
-            state=state,
-            statusword=statusword,
-            position_m=position / self._settings.units_per_m - self._settings.centre_m,
-            velocity_m_s=velocity / self._settings.units_per_m,
-            error_code=self._drive.read(dryve.ERROR_CODE) if state in FAULTY else 0,
-        )
+        return self._settings.velocity_units(self._orders.velocity_m_s(self._clock()))
 
     def _publish(self, feedback: Feedback) -> None:
         times_ns = sorted(took_ns for _, took_ns in self._cycles) or [0]
@@ -363,6 +306,7 @@ class Master:
             cycle_p50_ns=times_ns[len(times_ns) // 2],
             cycle_max_ns=times_ns[-1],
             faults=feedback.faults() + (() if self._unfit is None else (self._unfit,)),
+            homed=self._homed,
         )
         self._at_ease = feedback.at_ease
         self._report()
@@ -379,7 +323,7 @@ class Master:
         if since_ns is None:
             return
         where = f"'{feedback.state.value}' (statusword 0x{feedback.statusword:04X})"
-        if not feedback.remote or feedback.faults() or self._unfit is not None:
+        if not feedback.remote or feedback.faults() or self._unfit is not None or self._homed is False:
             self._forbid()
         elif feedback.state is DriveState.OPERATION_ENABLED:
             self._operating = True
@@ -446,21 +390,9 @@ class Master:
     def _complain(self, command: str, problem: str, remedy: str) -> None:
         self._complaint = (self._clock(), self._say(command, problem, remedy))
 
-    def _units(self, metres: float) -> int:
-        """Drive units: 60A8h, the same for position, velocity and acceleration."""
-        return round(metres * self._settings.units_per_m)
-
     def _say(self, command: str, problem: str, remedy: str) -> str:
         """As `softarm.drivers.base.DeviceError` puts it."""
         return f"{self._settings.host}:{self._settings.port}: {command}: {problem}; {remedy}"
 
     def _explain(self, error: Exception) -> str:
-        command = "connect" if self._link is None else "converse"
-        if isinstance(error, dryve.DryveRefusal):
-            return self._say("request", str(error), "see the drive's manual; connecting again")
-        if isinstance(error, EOFError):
-            return self._say(command, "the drive closed the connection", "see that no other master is connected")
-        number = error.errno if isinstance(error, OSError) else None
-        if isinstance(error, TimeoutError) and self._link is None:
-            number = errno.EHOSTUNREACH
-        return self._say(command, str(error), _REMEDY.get(number or 0, "check the cable; connecting again"))
+        return self._say(*explained(error, connected=self._link is not None, then="; connecting again"))

@@ -13,7 +13,8 @@ _BEGIN = struct.Struct("<BB")
 _SET_POINT = struct.Struct("<BBIIqd")
 _REPORT = struct.Struct("<BBIqqqdd")
 _ENABLE = 1
-_AT_EASE, _READING, _ENABLED, _REMOTE, _PROBLEM = (1 << bit for bit in range(5))
+_AT_EASE, _READING, _ENABLED, _REMOTE, _PROBLEM, _HOMED, _NOT_HOMED = (1 << bit for bit in range(7))
+_SAID = {True: _HOMED, False: _NOT_HOMED, None: 0}
 
 
 class SetPoint(NamedTuple):
@@ -37,6 +38,7 @@ class Reading(NamedTuple):
     cycle_p50_ns: int  # of the exchanges that make a cycle, over the last second
     cycle_max_ns: int
     faults: tuple[str, ...]
+    homed: bool | None = None  # as the drive says; None: it does not
 
 
 class Report(NamedTuple):
@@ -81,8 +83,8 @@ def encode_report(message: Report) -> bytes:
         head = _REPORT.pack(VERSION, flags, message.taken, 0, 0, 0, 0.0, 0.0)
         faults: tuple[str, ...] = ()
     else:
-        t_ns, position_m, velocity_m_s, enabled, remote, p50_ns, max_ns, faults = message.reading
-        flags |= _READING | (_ENABLED if enabled else 0) | (_REMOTE if remote else 0)
+        t_ns, position_m, velocity_m_s, enabled, remote, p50_ns, max_ns, faults, homed = message.reading
+        flags |= _READING | _SAID[homed] | (_ENABLED if enabled else 0) | (_REMOTE if remote else 0)
         head = _REPORT.pack(VERSION, flags, message.taken, t_ns, p50_ns, max_ns, position_m, velocity_m_s)
     return (head + "\0".join((message.problem or "", *faults)).encode())[:PACKET_MAX]
 
@@ -94,7 +96,8 @@ def decode_report(packet: bytes) -> Report:
     _, flags, taken, t_ns, p50_ns, max_ns, position_m, velocity_m_s = _REPORT.unpack_from(packet)
     problem, *faults = packet[_REPORT.size :].decode(errors="replace").split("\0")
     enabled, remote = bool(flags & _ENABLED), bool(flags & _REMOTE)
-    reading = Reading(t_ns, position_m, velocity_m_s, enabled, remote, p50_ns, max_ns, tuple(faults))
+    homed = next(said for said, flag in _SAID.items() if flags & flag == flag)
+    reading = Reading(t_ns, position_m, velocity_m_s, enabled, remote, p50_ns, max_ns, tuple(faults), homed)
     return Report(
         taken,
         bool(flags & _AT_EASE),

@@ -12,7 +12,8 @@ import socket
 import sys
 
 from softarm.drivers.rail import pair
-from softarm.drivers.rail.master import Master, Settings
+from softarm.drivers.rail.master import Master
+from softarm.drivers.rail.settings import Settings
 
 MCL_CURRENT = 1
 
@@ -30,7 +31,8 @@ def main(words: list[str]) -> None:
     priority, host, port, *numbers = words
     _outrank(int(priority))
     _stay_in_memory()
-    settings = Settings(host, int(port), *map(float, numbers))
+    *sizes, flips, asks = map(float, numbers)
+    settings = Settings._make((host, int(port), *sizes, bool(flips), bool(asks)))
     with socket.socket(fileno=os.dup(sys.stdin.fileno())) as daemon:
         sys.stdin.close()
         packet = daemon.recv(pair.PACKET_MAX)

@@ -13,12 +13,14 @@ from softarm.drivers.rail import dryve
 from softarm.drivers.rail.cia402 import DriveState, StatusWord
 from softarm.drivers.rail.dryve import Entry, ModbusRequest
 from softarm.drivers.twin.faults import Faults
+from softarm.drivers.twin.reference import METHOD, Reference
 from softarm.schemas.config import DryveRail
 
 SILENCE_MAX_S = 0.1
 AT_REST_M_S = 0.02
 REACHED_M_S = 0.01
 LIMIT_SWITCH, FOLLOWING_ERROR = 0xFF00, 0x8611
+START, HALT = 0x0010, 0x0100  # bits of the controlword
 MODES = (1, 3, 6, 8)  # PP, PV, homing, CSP; the D1 has no other
 
 _STATE_BITS = {
@@ -30,7 +32,15 @@ _STATE_BITS = {
     DriveState.QUICK_STOP: 0x07,
     DriveState.FAULT: 0x08,
 }
-_READ_ONLY = (dryve.STATUSWORD, dryve.MODE_DISPLAY, dryve.POSITION, dryve.VELOCITY, dryve.ERROR_CODE)
+_READ_ONLY = (
+    dryve.STATUSWORD,
+    dryve.MODE_DISPLAY,
+    dryve.POSITION,
+    dryve.VELOCITY,
+    dryve.ERROR_CODE,
+    dryve.HOMING_METHOD,
+    dryve.HOMING_STATUS,
+)
 _STORED = (
     dryve.CONTROLWORD,
     dryve.MODE,
@@ -42,9 +52,9 @@ _STORED = (
     Entry("profile velocity", 0x6081, 0, 4),
     Entry("feed", 0x6092, 1, 4),
     Entry("shaft revolutions", 0x6092, 2, 4),
-    Entry("homing speed, switch", 0x6099, 1, 4),
-    Entry("homing speed, zero", 0x6099, 2, 4),
-    Entry("homing acceleration", 0x609A, 0, 4),
+    dryve.HOMING_SPEED,
+    dryve.HOMING_CREEP,
+    dryve.HOMING_ACCELERATION,
     Entry("SI unit position", 0x60A8, 0, 4),
     Entry("digital inputs", 0x60FD, 0, 4),
 )
@@ -59,16 +69,27 @@ class DryveDevice:
     """
 
     def __init__(self, config: DryveRail) -> None:
-        self.state = DriveState.SWITCH_ON_DISABLED
         self.remote = True
         self.keeps_going = False  # as a drive does that has no watchdog of its own
         self.moved_ns: int | None = None  # when the newest set-point came that moves the cart
         self.halted_ns: int | None = None  # and since when it has not been told to move any more
         self._units_per_m, self._centre_m = config.units_per_m, config.centre_m
+        self.reference = Reference()
+        self._heard_ns = 0
+        self._position_m = self._velocity_m_s = 0.0
+        self._switch_on()
+
+    def _switch_on(self) -> None:
+        self.state = DriveState.SWITCH_ON_DISABLED
         self._values = dict.fromkeys(_ENTRIES.values(), 0)
         self._values |= {_ENTRIES[0x60A8, 0]: 0x00FB0100, _ENTRIES[0x60FD, 0]: 0x00420008}
-        self._heard_ns = 0
-        self._velocity_m_s = 0.0
+        self._values[dryve.HOMING_METHOD] = METHOD
+
+    def power_cycle(self) -> None:
+        """All that was set is lost, and so is the zero: the axis is taken to stand at 0."""
+        self._switch_on()
+        self.reference.forget(self._position_m + self._centre_m)
+        self.sense(self._position_m, self._velocity_m_s)
 
     @property
     def in_operation(self) -> bool:
@@ -77,11 +98,16 @@ class DryveDevice:
 
     @property
     def target_velocity_m_s(self) -> float:
-        """What the motor is told: zero unless in operation, in profile velocity mode and not halted."""
-        halted = self._values[dryve.CONTROLWORD] & 0x0100
-        if not self.in_operation or halted or self._values[dryve.MODE] != dryve.PROFILE_VELOCITY:
+        """What the motor is told: zero unless in operation, not halted, and led by a set-point or a search."""
+        if not self.in_operation or self._values[dryve.CONTROLWORD] & HALT:
             return 0.0
-        return self._values[dryve.TARGET_VELOCITY] / self._units_per_m
+        match self._values[dryve.MODE]:
+            case dryve.PROFILE_VELOCITY:
+                return self._values[dryve.TARGET_VELOCITY] / self._units_per_m
+            case dryve.HOMING:
+                speeds = (self._values[dryve.HOMING_SPEED], self._values[dryve.HOMING_CREEP])
+                return self.reference.velocity(*speeds) / self._units_per_m
+        return 0.0
 
     def answer(self, telegram: bytes, now_ns: int) -> bytes:
         """What the drive sends back for one telegram."""
@@ -104,8 +130,12 @@ class DryveDevice:
 
     def sense(self, position_m: float, velocity_m_s: float) -> None:
         """Take over the encoder's reading."""
-        self._velocity_m_s = velocity_m_s
-        self._values[dryve.POSITION] = round((position_m + self._centre_m) * self._units_per_m)
+        self._position_m, self._velocity_m_s = position_m, velocity_m_s
+        if not self.in_operation:
+            self.reference.break_off()
+        self.reference.see(position_m)
+        axis_m = position_m + self._centre_m + self.reference.offset_m
+        self._values[dryve.POSITION] = round(axis_m * self._units_per_m)
         self._values[dryve.VELOCITY] = round(velocity_m_s * self._units_per_m)
 
     def watch(self, now_ns: int) -> None:
@@ -145,11 +175,17 @@ class DryveDevice:
     def _read(self, entry: Entry) -> int:
         if entry == dryve.STATUSWORD:
             return self._statusword()
+        if entry == dryve.HOMING_STATUS:
+            return int(self.reference.homed)
         return self._values[dryve.MODE if entry == dryve.MODE_DISPLAY else entry]
 
     def _statusword(self) -> int:
         word = _STATE_BITS[self.state]
         word |= StatusWord.REMOTE if self.remote else 0
+        if self._values[dryve.MODE] == dryve.HOMING:
+            word |= 0 if self.reference.searching else StatusWord.TARGET_REACHED
+            word |= StatusWord.HOMING_ATTAINED if self.reference.attained else 0
+            return word | (StatusWord.HOMING_ERROR if self.reference.failed else 0)
         reached = abs(self._velocity_m_s - self.target_velocity_m_s) < REACHED_M_S
         word |= StatusWord.TARGET_REACHED if reached else 0
         word |= StatusWord.AT_REST if self.in_operation and abs(self._velocity_m_s) < AT_REST_M_S else 0
@@ -172,9 +208,14 @@ class DryveDevice:
 
     def _control(self, word: int) -> None:
         """The transitions of CiA 402, figure "state machine", that a controlword can cause."""
-        reset = word & 0x80 and not self._values[dryve.CONTROLWORD] & 0x80
+        before = self._values[dryve.CONTROLWORD]
+        reset = word & 0x80 and not before & 0x80
         if not self.remote:
             return
+        if word & HALT or not word & START:
+            self.reference.break_off()
+        elif self.in_operation and not before & START and self._values[dryve.MODE] == dryve.HOMING:
+            self.reference.begin(self._values[dryve.HOMING_SPEED])
         if self.state is DriveState.FAULT:
             if reset:
                 self.state = DriveState.SWITCH_ON_DISABLED
@@ -229,6 +270,9 @@ class DryveServer:
         self.device.keeps_going = self._faults.active("rail_keeps_going")
         if self._faults.take("rail_drop_connection"):
             self._hang_up()
+        if self._faults.take("rail_unreferenced"):
+            self._hang_up()
+            self.device.power_cycle()
         if self._faults.take("rail_fault"):
             self.device.trip(FOLLOWING_ERROR)
         self.device.watch(self._clock())

@@ -87,6 +87,10 @@ class Faults:
         """The drive reports E11, following error."""
         self._pending.add("rail_fault")
 
+    def rail_unreferenced(self) -> None:
+        """The drive is switched off and on: its zero is where the cart stands, until it is homed."""
+        self._pending.add("rail_unreferenced")
+
     def remote_low(self, seconds: float = math.inf) -> None:
         """The drive's enable input DI7 goes low: the hardware e-stop."""
         self._last("remote_low", seconds)

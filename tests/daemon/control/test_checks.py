@@ -281,3 +281,55 @@ def test_poses_that_arrive_late_are_told_and_beyond_what_is_allowed_not_flown():
     late = raised(arriving(allowed_ms + 1))
     assert late["mocap_too_late"] == f"{allowed_ms + 1} ms, at most {allowed_ms} ms"
     assert "mocap_late" not in late
+
+
+# The axis's zero
+
+
+@pytest.mark.parametrize(("homed", "told"), [(None, {}), (True, {}), (False, {"rail_not_homed": ""})])
+def test_an_axis_that_says_it_is_not_homed_is_told(homed, told):
+    assert of_rail(homed=homed) == told
+
+
+def ticks(begin: int, count: int, place_m: float = 0.0, axis_m: float | None = 0.0) -> list[Inputs]:
+    """So many, with a frame each; without a new reading of the axis where it is None."""
+    made = []
+    for tick in range(begin, begin + count):
+        now = NOW + tick * 33 * MS
+        bodies = tuple(pose._replace(y_m=place_m + 1e-5 * tick) for pose in HANGING)
+        frame = MocapFrame(tick + 1, now - 8 * MS, now, bodies)
+        rail = RAIL if axis_m is None else replace(RAIL, t_receive_ns=now, position_m=axis_m)
+        pressure = replace(PRESSURE, t_receive_ns=now)
+        made.append(Inputs(t_ns=now, mocap=(frame,), pressure=pressure, rail=rail))
+    return made
+
+
+def before_arming(*inputs: Inputs) -> dict[str, str]:
+    return raised(*inputs, engaged=False)
+
+
+def test_a_zero_that_is_wrong_is_told_from_the_first_reading_on():
+    for count in range(1, 14):
+        assert before_arming(*ticks(0, count, axis_m=-0.2)) == {"rail_disagrees": "200 mm apart"}
+        assert before_arming(*ticks(0, count, place_m=0.02)) == {}
+
+
+def test_an_axis_that_was_gone_and_comes_back_with_another_zero_is_told_at_once():
+    before, gone = ticks(0, 12), ticks(12, 40, axis_m=None)
+    assert "rail_disagrees" not in before_arming(*before, *gone)
+    for count in range(1, 14):
+        back = before_arming(*before, *gone, *ticks(52, count, axis_m=-0.2))
+        assert {name for name in back if name.startswith("rail")} == {"rail_disagrees"}
+
+
+def test_an_axis_that_comes_back_while_the_cart_moves_may_be_ahead_of_late_cameras():
+    [first] = ticks(0, 1, axis_m=0.1)
+    moving = replace(first, rail=replace(first.rail, velocity_m_s=0.5))
+    assert before_arming(first) == {"rail_disagrees": "100 mm apart"}
+    assert before_arming(moving) == {}
+
+
+def test_of_an_arm_that_is_armed_one_tick_is_no_reason_to_stop():
+    agreed = ticks(0, 12)
+    assert raised(*agreed, *ticks(12, 1, axis_m=0.1)) == {}
+    assert "rail_disagrees" in raised(*agreed, *ticks(12, 13, axis_m=0.1))

@@ -27,7 +27,10 @@ def status(tick=0, **changes):
         "missed_total": 0,
         "mode": "disarmed",
         "stalled": False,
-        "observed": {"mocap_sequence": 4 * tick},
+        "observed": {"mocap_sequence": 4 * tick, "values": {"cart_position_m": 0.1}},
+        "rail_position_m": 0.102,
+        "rail_velocity_m_s": 0.0,
+        "events": [],
         "ages_ms": {"mocap": 8.0, "pressure": 12.0, "rail": 9.0},
         "problems": {"mocap": None, "regulator": None, "rail": None},
         "rail_cycle_max_ms": 12.0,
@@ -63,6 +66,7 @@ def test_a_daemon_at_which_all_is_well():
         ({"problems": {"mocap": None, "regulator": None, "rail": "no axis"}}, "rail", State.PROBLEM, "no axis"),
         ({"rail_cycle_max_ms": 28.0}, "rail's exchanges", State.WARNING, "28.0 ms"),
         ({"rail_cycle_max_ms": 40.0}, "rail's exchanges", State.PROBLEM, "latency_s is 33 ms"),
+        ({"events": [{"name": "rail_not_homed"}]}, "rail's zero", State.PROBLEM, "softarm rail home"),
         ({"policy_ns": 25_000_000}, "policy's time", State.WARNING, "25.0 ms"),
         ({"arming_refusals": ["the drive is off"]}, "arming", State.PROBLEM, "the drive is off"),
         ({"recorder": {"problem": "the disk is full"}}, "recorder", State.PROBLEM, "the disk is full"),
@@ -73,6 +77,24 @@ def test_what_a_daemon_says_is_judged_by_the_configuration(last, name, state, sa
     assert told.pop(name)[1] is state
     assert says in " ".join(judged(last=last)[name])
     assert {each.state for each in told.values()} <= {State.OK}
+
+
+@pytest.mark.parametrize(
+    ("axis_m", "velocity_m_s", "state"),
+    [
+        (0.108, 0.0, State.OK),
+        (0.091, 0.0, State.OK),
+        (0.112, 0.0, State.WARNING),
+        (0.085, 0.0, State.WARNING),
+        (-0.2, 0.0, State.PROBLEM),
+        (-0.2, 0.5, None),
+        (None, None, None),
+    ],
+)
+def test_the_axis_is_held_against_motion_capture_where_the_cart_stands(axis_m, velocity_m_s, state):
+    here = {"rail_position_m": axis_m, "rail_velocity_m_s": velocity_m_s}
+    told = judged(here, here)
+    assert (told["rail's zero"].state if "rail's zero" in told else None) is state
 
 
 def test_before_the_first_reading_a_device_is_a_problem():

@@ -14,7 +14,8 @@ from softarm.drivers.rail import dryve, pair
 from softarm.drivers.rail.cia402 import DriveState
 from softarm.drivers.rail.driver import DryveRailAxis
 from softarm.drivers.rail.dryve import ModbusRequest
-from softarm.drivers.rail.master import Master, Settings
+from softarm.drivers.rail.master import Master
+from softarm.drivers.rail.settings import Settings
 from softarm.drivers.twin.dryve import DryveDevice, DryveServer
 from softarm.drivers.twin.faults import Faults
 from softarm.schemas.config import DryveRail

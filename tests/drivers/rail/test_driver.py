@@ -370,3 +370,87 @@ def test_a_port_that_is_taken_is_told_by_the_twin(clock: Any, run: Any) -> None:
         await first.close()
 
     run(play())
+
+
+def test_a_drive_that_says_it_is_not_homed_is_told_and_never_enabled(bench: Any) -> None:
+    async def script(b: Any) -> None:
+        b.drive.reference.homed = False
+        await b.write_until(lambda: b.axis.read() is not None)
+        assert b.axis.read().homed is False
+        await b.pass_time(0.3, True, 0.3)
+        assert 0x000F not in b.drive.writes(dryve.CONTROLWORD)
+        b.drive.reference.homed = True  # as by its own web page: it is asked again and again
+        await b.write_until(lambda: b.axis.read().homed is True)
+        await b.enable()
+
+    bench(script)
+
+
+def test_a_drive_that_forgot_its_zero_with_its_supply_is_found_out(bench: Any) -> None:
+    async def script(b: Any) -> None:
+        await b.enable()
+        assert b.axis.read().homed is True
+        b.drive.position_m, b.drive.velocity_m_s = 0.1, 0.0
+        b.drive.move()
+        b.faults.rail_unreferenced()
+        await b.write_until(lambda: b.axis.read().homed is False, True, 0.3)
+        assert b.axis.read().position_m == pytest.approx(-0.3)
+        await b.pass_time(0.3, False, 0.0)
+        await b.pass_time(0.3, True, 0.3)
+        assert not b.drive.in_operation
+
+    bench(script)
+
+
+def test_a_drive_that_forgot_its_zero_in_a_fault_is_asked_after_it(bench: Any) -> None:
+    async def script(b: Any) -> None:
+        await b.enable()
+        b.drive.trip(0x7305)
+        b.drive.reference.homed = False
+        await b.write_until(lambda: b.axis.read().faults)
+        assert b.axis.read().homed is True  # not asked yet: the fault keeps it out
+        b.axis.reset_fault()
+        await b.write_until(lambda: b.axis.read().homed is False)
+
+    bench(script)
+
+
+@pytest.mark.parametrize(
+    "answer", [lambda t: dryve.encode_abort(t, 0x06020000), lambda t: dryve.encode_exception(t, 2)]
+)
+def test_a_drive_without_that_word_flies_as_ever(bench: Any, answer: Callable[[int], bytes]) -> None:
+    def without(telegram: bytes, asked: Callable[[], bytes]) -> bytes:
+        return answer(int.from_bytes(telegram[:2], "big")) if telegram[12:14] == b"\x20\x14" else asked()
+
+    async def script(b: Any) -> None:
+        b.drive.script = without
+        await b.enable()
+        assert b.axis.read().homed is None
+        assert len(b.drive.links) == 1
+
+    bench(script)
+
+
+def test_whoever_wants_it_does_not_ask_the_drive(bench: Any) -> None:
+    async def script(b: Any) -> None:
+        b.drive.reference.homed = False
+        await b.enable()
+        assert b.axis.read().homed is None
+        assert not any(request.index == 0x2014 for request, _ in b.drive.heard)
+
+    bench(script, asks_homed=False)
+
+
+def test_an_axis_that_counts_down_towards_y_is_read_and_led_the_other_way(bench: Any) -> None:
+    async def script(b: Any) -> None:
+        b.drive.position_m = 0.1
+        await b.write_until(lambda: b.axis.problem() is None and b.axis.read() is not None)
+        assert b.axis.read().position_m == pytest.approx(-0.1)
+        await b.write_until(lambda: b.drive.velocity_m_s == -0.3, True, 0.3)
+        await b.write_until(lambda: b.axis.read().velocity_m_s == 0.3, True, 0.3)
+        ramps = [
+            w for entry in (dryve.ACCELERATION, dryve.DECELERATION, dryve.QUICK_STOP) for w in b.drive.writes(entry)
+        ]
+        assert ramps == [600_000] * 3
+
+    bench(script, reversed=True)

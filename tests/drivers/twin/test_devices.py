@@ -328,3 +328,65 @@ def test_a_fault_may_last_for_more_seconds_than_there_are_nanoseconds(clock: Any
 def test_faults_that_do_not_exist_are_refused_in_words(clock: Any, message: bytes, words: str) -> None:
     with pytest.raises(ValueError, match=words):
         Faults(clock).apply(message)
+
+
+def homing(master: Master, speed: int = 5000) -> None:
+    """A drive in operation in homing mode, which has not begun."""
+    for entry, value in ((dryve.HOMING_SPEED, speed), (dryve.HOMING_CREEP, 1000)):
+        master.write(entry, value)
+    master.enable()
+    master.write(dryve.MODE, dryve.HOMING)
+
+
+def test_it_is_homed_when_it_is_switched_on_and_is_not_after_a_power_cycle() -> None:
+    master = Master()
+    master.drive.sense(0.1, 0.0)
+    assert (master.read(dryve.HOMING_STATUS), master.read(dryve.POSITION)) == (1, 40_000)
+    master.drive.power_cycle()
+    assert (master.read(dryve.HOMING_STATUS), master.read(dryve.POSITION)) == (0, 0)
+    master.drive.sense(0.05, 0.0)
+    assert master.read(dryve.POSITION) == -5000
+
+
+def test_a_search_goes_to_the_switch_and_back_to_its_edge() -> None:
+    master = Master()
+    master.drive.sense(0.1, 0.0)
+    master.drive.power_cycle()
+    homing(master)
+    assert master.drive.target_velocity_m_s == 0.0
+    assert master.read(dryve.STATUSWORD) & 0x3400 == 0x0400  # not begun
+    master.write(dryve.CONTROLWORD, 0x001F)
+    assert master.drive.target_velocity_m_s == -0.05
+    assert master.read(dryve.STATUSWORD) & 0x3400 == 0
+    master.drive.sense(-0.286, -0.05)
+    assert master.drive.target_velocity_m_s == 0.01
+    master.drive.sense(-0.284, 0.01)
+    assert master.drive.target_velocity_m_s == 0.0
+    assert master.read(dryve.STATUSWORD) & 0x3400 == 0x1400
+    assert (master.read(dryve.HOMING_STATUS), master.read(dryve.POSITION)) == (1, 1600)
+
+
+@pytest.mark.parametrize("word", [0x000F, 0x010F, 0x011F, 0x0006])
+def test_a_search_that_is_broken_off_does_not_go_on_by_itself(word: int) -> None:
+    master = Master()
+    homing(master)
+    master.write(dryve.CONTROLWORD, 0x001F)
+    master.write(dryve.CONTROLWORD, word)
+    master.drive.sense(0.0, 0.0)
+    assert master.drive.target_velocity_m_s == 0.0
+    for again in (0x0006, 0x0007, 0x000F):
+        master.write(dryve.CONTROLWORD, again)
+    assert master.drive.target_velocity_m_s == 0.0
+
+
+def test_a_search_without_a_speed_fails_and_a_lost_master_ends_one() -> None:
+    master = Master()
+    homing(master, speed=0)
+    master.write(dryve.CONTROLWORD, 0x001F)
+    assert master.read(dryve.STATUSWORD) & 0x3400 == 0x2400
+    master = Master()
+    homing(master)
+    master.write(dryve.CONTROLWORD, 0x001F)
+    master.drive.sense(0.0, -0.05)
+    master.drive.watch(master.now_ns + 101 * MS)
+    assert (master.drive.state, master.drive.target_velocity_m_s) == (DriveState.QUICK_STOP, 0.0)

@@ -1,0 +1,161 @@
+"""Two drives on real TCP ports, in worlds whose time passes when the visitor lets it."""
+
+import asyncio
+import contextlib
+import threading
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import pytest
+
+from softarm.benchmarks.outside.body import Body
+from softarm.benchmarks.outside.drive import Drive, Port
+from softarm.benchmarks.outside.robot import STEP_S, Robot
+from softarm.drivers.rail.cia402 import DriveState
+from softarm.drivers.rail.commissioning.visit import Visit
+from softarm.drivers.rail.settings import Settings
+from softarm.drivers.twin.dryve import LIMIT_SWITCH, DryveDevice, DryveServer
+from softarm.drivers.twin.faults import Faults
+from softarm.schemas.config import DryveRail
+from softarm.schemas.robot import RAIL_TRAVEL_M
+
+FINE_S = 0.001
+
+
+class World:
+    """Time in nanoseconds and a cart; `pause` is what a visitor calls to wait."""
+
+    def __init__(self) -> None:
+        self.now_ns = 1_000_000_000
+        self.port = 0
+        self.words: list[int] = []  # controlwords that the drive was told, in their order
+        self.at: list[Callable[[], bool]] = []  # asked as time passes, until they say True
+        self.speeds_m_s: list[float] = []
+
+    def clock(self) -> int:
+        return self.now_ns
+
+    def pause(self, seconds: float) -> None:
+        for _ in range(max(1, round(seconds / FINE_S))):
+            self.now_ns += round(FINE_S * 1e9)
+            self.move(FINE_S)
+            self.at = [each for each in self.at if not each()]
+
+    def move(self, seconds: float) -> None:
+        raise NotImplementedError
+
+    @property
+    def position_m(self) -> float:
+        raise NotImplementedError
+
+    def settings(self, **changes: Any) -> Settings:
+        config = DryveRail(host="127.0.0.1", port=self.port, timeout_s=1.0).model_dump() | changes
+        return Settings(**{name: value for name, value in config.items() if name in Settings._fields})
+
+    def visit(self, **changes: Any) -> Visit:
+        return Visit(self.settings(**changes), self.clock, self.pause)
+
+
+class TwinsWorld(World):
+    """The twin's drive, and a cart that goes as it is told."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.drive = DryveDevice(DryveRail())
+        self.faults = Faults(self.clock)
+        self.server = DryveServer("127.0.0.1", 0, self.drive, self.faults, self.clock)
+        self.script: Callable[[bytes, Callable[[], bytes]], bytes] | None = None
+        self.held = False
+        self._position_m = 0.0
+        self._answer = self.drive.answer
+        self.drive.answer = self.answer  # type: ignore[method-assign]
+
+    def answer(self, telegram: bytes, now_ns: int) -> bytes:
+        if telegram[12:14] == b"\x60\x40" and telegram[9]:
+            self.words.append(int.from_bytes(telegram[19:], "little"))
+        if self.script is None:
+            return self._answer(telegram, now_ns)
+        return self.script(telegram, lambda: self._answer(telegram, now_ns))
+
+    @property
+    def position_m(self) -> float:
+        return self._position_m
+
+    def put(self, position_m: float) -> None:
+        self._position_m = position_m
+        self.drive.sense(position_m, 0.0)
+
+    def move(self, seconds: float) -> None:
+        speed_m_s = 0.0 if self.held else self.drive.target_velocity_m_s
+        self.speeds_m_s.append(speed_m_s)
+        self._position_m += speed_m_s * seconds
+        if abs(self._position_m) > RAIL_TRAVEL_M and self.drive.state is not DriveState.FAULT:
+            self.drive.trip(LIMIT_SWITCH)
+        self.drive.sense(self._position_m, speed_m_s)
+
+
+class OutsidesWorld(World):
+    """The robot that is built from docs/wires.md alone, its own inertia included."""
+
+    def __init__(self, start_m: float) -> None:
+        super().__init__()
+        self.drive = Drive(6.0, 0.02, 0.0, keep=True, friction_n=3.0, unreferenced_at_m=start_m)
+        self.robot = Robot(Body(cart_m=start_m), self.drive, bound_m=0.3)
+        self._answer = self.drive.answer
+        self.drive.answer = self.answer  # type: ignore[method-assign]
+
+    def answer(self, telegram: bytes, now: float) -> bytes:
+        if telegram[12:14] == b"\x60\x40" and telegram[9]:
+            self.words.append(int.from_bytes(telegram[19:], "little"))
+        return self._answer(telegram, self.now_ns * 1e-9)
+
+    @property
+    def position_m(self) -> float:
+        return self.robot.body.cart_m
+
+    def move(self, seconds: float) -> None:
+        assert seconds == STEP_S
+        self.robot.step(self.now_ns * 1e-9)
+        self.speeds_m_s.append(self.robot.body.cart_m_s)
+
+
+@pytest.fixture
+def twin() -> Iterator[TwinsWorld]:
+    world, ready, ended = TwinsWorld(), threading.Event(), asyncio.Event()
+    loop = asyncio.new_event_loop()
+
+    async def serve() -> None:
+        await world.server.open()
+        world.port = world.server.port
+        ready.set()
+        await ended.wait()
+        await world.server.close()
+
+    thread = threading.Thread(target=lambda: loop.run_until_complete(serve()), daemon=True)
+    thread.start()
+    assert ready.wait(20)
+    yield world
+    loop.call_soon_threadsafe(ended.set)
+    thread.join(20)
+    loop.close()
+
+
+@pytest.fixture
+def outside(free_port: int) -> Iterator[OutsidesWorld]:
+    world, ended = OutsidesWorld(0.1), threading.Event()
+    world.port = free_port
+    world.pause(0.01)  # a counter counts from the first step on
+    port = Port(world.drive, "127.0.0.1", free_port)
+
+    def serve() -> None:
+        while not ended.is_set():
+            port.serve(world.now_ns * 1e-9)
+            ended.wait(0.0002)
+
+    thread = threading.Thread(target=serve, daemon=True)
+    thread.start()
+    with contextlib.ExitStack() as undo:
+        undo.callback(port.close)
+        undo.callback(thread.join, 20)
+        undo.callback(ended.set)
+        yield world
