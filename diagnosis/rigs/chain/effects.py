@@ -128,8 +128,12 @@ def _loads(chain: Chain, scales: Scales) -> Array:
 
 
 def _viscous(chain: Chain, scales: Scales) -> tuple[Parameter, ...]:
-    """A share of the model's, where it has any; else a coefficient. At the top nothing would swing."""
+    """A share of the model's, where it has any; else a coefficient.
+
+    At the top nothing would swing; or at the usual rate it would take all that a motor has.
+    """
     tops = chain.joint_inertia * 4 * np.pi / scales.period_s
+    tops = np.maximum(tops, scales.top_nm / np.maximum(scales.rate_rad_s, 1e-9))
     if (chain.viscous > 0).all():
         # The model has viscous friction; a joint may have none. So the neutral value is none, and nominal is 0.
         shares = zip(of_joints("scale", chain.n), tops / chain.viscous, strict=True)

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,7 +30,9 @@ GUESS_SAMPLES, GUESS_FLOORS = 5, 2.0  # no fewer, and what a cubic may leave of 
 WILD_SHARE, WILD_FLOORS = 0.3, 20.0
 STILL_SHARE = 0.04  # of a joint's usual rate
 ANGLE_SHARE, RATE_SHARE = 0.1, 0.15  # of the usual: how well a start is known before it is fitted
+LOST_STEPS = 1.5  # so many usual steps between two torques, and a row is lost
 _TRIED = ("stiffness", "inertia", "gain")  # what is constant moves a link that stands still by as much
+_Side = Literal["before", "after"]
 RESOLVED = 1.0  # a held joint's spring turns by this much in a step at the most, rad
 
 
@@ -71,6 +74,7 @@ class ChainView(RigView):
             self._known[f"damping.{name}"] = float(chain.viscous[i])
         self._late: dict[float, Array] = {}
         self._shooting = self._begin(shown)
+        self._lost = self._without_lost()
         self._wild = self._without_wild()
 
     @classmethod
@@ -86,13 +90,45 @@ class ChainView(RigView):
     @property
     def warnings(self) -> tuple[str, ...]:
         """See RigView."""
-        if not self._wild:
-            return ()
-        first = self._trials[self._wild[0]].name
-        return (
-            f"{self.stage}: {len(self._wild)} of {len(self._trials)} stretches are left out (the first: {first}): "
-            "what a well-kept model may be off by changes the swing there by a part of its size; drive it less wildly",
+        whys = {
+            "rows are lost where the torque changes, and what it was there moves the swing; log every row": self._lost,
+            "what a well-kept model may be off by changes the swing there by a part of its size; "
+            "drive it less wildly": self._wild,
+        }
+        return tuple(
+            f"{self.stage}: {len(out)} of {len(self._trials)} stretches are left out (the first: "
+            f"{self._trials[out[0]].name}): {why}"
+            for why, out in whys.items()
+            if out
         )
+
+    def _without_lost(self) -> tuple[int, ...]:
+        """Take windows out in which nobody knows what a lost row's torque was, and it matters; which ones.
+
+        As it was before it all along, or already as after it: at a jump that moves a swing by hundreds of floors, else
+        by a few.
+        """
+        either = [
+            np.stack([_filled(self._torque(k, 0.0, side), self._steps) for k in range(len(self._trials))])
+            for side in ("before", "after")
+        ]
+        if np.array_equal(either[0], either[1]):
+            return ()
+        held, given = (self._shooting.residuals([self._law({})], torque)[0] for torque in either)
+        kept = self._shooting.kept
+        moved = [
+            float(np.sqrt(np.mean(((g - h)[keep] / self.floor) ** 2)))
+            for g, h, keep in zip(given, held, kept, strict=True)
+        ]
+        return self._left_out([k for k, floors in enumerate(moved) if floors > WILD_FLOORS])
+
+    def _left_out(self, windows: Sequence[int]) -> tuple[int, ...]:
+        """Take windows out, and which; if they are most of all it is the rig that is so, and all stay."""
+        if len(windows) > len(self._trials) // 2:
+            return ()
+        for k in windows:
+            self.measured[self.trial == k] = np.nan
+        return tuple(windows)
 
     def _without_wild(self) -> tuple[int, ...]:
         """Take windows out in which even a well-kept model is off by a part of the usual swing; which ones.
@@ -104,18 +140,15 @@ class ChainView(RigView):
         points = [{}, *({f"{self.stage}.{path}": self._known[path] + x} for path, x in widths.items())]
         found = self.gap(points)
         off = np.concatenate((found[1:] - found[0], self.own_directions()))
-        parts, swung = slices(self.trial), (self.measured - np.nanmedian(self.measured, axis=0)) ** 2
-        swing = np.sqrt(np.nanmedian([np.nanmean(swung[mine]) for mine in parts]))  # of the usual window
+        swung = (self.measured - np.nanmedian(self.measured, axis=0)) ** 2
+        parts = {k: mine for k, mine in enumerate(slices(self.trial)) if k not in self._lost}
+        swing = np.sqrt(np.nanmedian([np.nanmean(swung[mine]) for mine in parts.values()]))  # of the usual window
         wild = []
-        for k, mine in enumerate(parts):
+        for k, mine in parts.items():
             moved = np.sqrt(np.nanmean(off[:, mine] ** 2, axis=(1, 2)))
             if moved.max() > max(WILD_SHARE * swing, WILD_FLOORS * float(self.floor.mean())):
                 wild.append(k)
-        if len(wild) > len(self._trials) // 2:  # then it is the rig that is wild
-            return ()
-        for k in wild:
-            self.measured[self.trial == k] = np.nan
-        return tuple(wild)
+        return self._left_out(wild)
 
     @property
     def tolerances(self) -> Mapping[str, float]:
@@ -214,13 +247,15 @@ class ChainView(RigView):
     def _steps(self) -> int:
         return max(len(g.t_s) for g in self._grids) * self._each
 
-    def _torque(self, k: int, delay_s: float) -> Array:
-        """[T each, n] means of a window's torques over every step."""
+    def _torque(self, k: int, delay_s: float, lost: _Side | None = None) -> Array:
+        """[T each, n] means of a window's torques over every step; lost: straight lines there, or one side's."""
         g, n = self._grids[k], self._chain.n
         edges = g.t_s[0] - delay_s + self._step_s / self._each * np.arange(len(g.t_s) * self._each + 1)
         if "torque" not in self._trials[k].channels:
             return np.zeros((len(edges) - 1, n))
         series = self._trials[k].channels["torque"]
+        if lost is not None:
+            series = _one_sided(series, lost)
         names = [f"torque{i}" for i in range(1, n + 1)]
         found = [_means(series, c, edges) if c in series.columns else np.zeros(len(edges) - 1) for c in names]
         return np.stack(found, axis=1)
@@ -331,6 +366,15 @@ def _with_margin(part: Trial, whole: Trial, margin_s: float) -> Trial:
 def _filled(values: Array, size: int) -> Array:
     """Rows up to `size`, the last one repeated."""
     return np.concatenate((values, np.repeat(values[-1:], size - len(values), axis=0)))
+
+
+def _one_sided(series: Series, side: _Side) -> Series:
+    """A channel that is all along a gap as it was before, or is already as after it."""
+    t, apart = series.t_s, np.diff(series.t_s)
+    lost = np.flatnonzero(apart > LOST_STEPS * np.median(apart))
+    near = 1e-6 * float(np.median(apart))
+    at, row = (t[lost + 1] - near, lost) if side == "before" else (t[lost] + near, lost + 1)
+    return Series(np.insert(t, lost + 1, at), {c: np.insert(x, lost + 1, x[row]) for c, x in series.columns.items()})
 
 
 def _means(series: Series, column: str, edges: Array) -> Array:

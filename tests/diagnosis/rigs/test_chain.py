@@ -265,6 +265,28 @@ def test_windows_in_which_a_link_goes_over_the_top_are_left_out_and_said():
     assert any(f"{len(out)} of {len(shots)} stretches are left out" in text for text in found.warnings)
 
 
+@pytest.mark.parametrize("late_rows", [0, 40], ids=["where the torque jumps", "where it stays"])
+def test_a_row_that_is_lost_where_the_torque_jumps_tells_nothing_of_the_window(late_rows):
+    """What was given between its neighbours nobody knows; a straight line puts half a jump where none was."""
+    t, jump = np.arange(0, 6, 0.005), 600
+    torque = np.where(np.arange(len(t)) < jump, 0.0, 0.5)[:, None] * (1.0, 0.2)
+    angles, _ = Made(TWO).swing(0.1, t, lambda now: torque[min(int((now + 1e-9) / 0.005), len(t) - 1)])
+    whole = trial("jump", t, angles, TWO, torque, noise=2e-4)
+    keep = np.delete(np.arange(len(t)), jump + late_rows - 1)
+    channels = {
+        name: Series(s.t_s[keep], {c: x[keep] for c, x in s.columns.items()}) for name, s in whole.channels.items()
+    }
+    shots = ChainView.shots(replace(whole, channels=channels))
+    found = ChainView(shots)
+    out = [k for k in range(len(shots)) if not np.isfinite(found.measured[found.trial == k]).any()]
+    inside = [
+        k for k, s in enumerate(shots) if s.channels["measured"].t_s[0] <= t[jump] <= s.channels["measured"].t_s[-1]
+    ]
+    assert out == ([] if late_rows else inside)
+    said = [w for w in found.warnings if f"1 of {len(shots)} stretches are left out" in w and "rows are lost" in w]
+    assert bool(said) != bool(late_rows)
+
+
 def test_links_that_weigh_otherwise_each_for_itself_are_no_gap():
     t = np.arange(0, 5, 0.005)
     torque = tones(5, 2, (0.5, 0.15))
@@ -299,6 +321,19 @@ def test_bounds_come_from_the_chain_and_its_data():
         assert found["arm.payload"].parameters[0].high == pytest.approx(sum(np.ravel(model["mass_kg"])))
         assert {"arm.gain", "arm.dead_time", "arm.torque_offset"}.isdisjoint(found)  # nothing drives it
     np.testing.assert_allclose(np.array(tops[1]) / tops[0], 1000, rtol=1e-6)
+
+
+def test_a_motor_can_drive_a_joint_through_more_viscous_friction_than_its_weight_could():
+    """A light forearm with a strong motor: five times the model's friction was its bound, and the truth beyond it."""
+    light = {**TWO, "inertia_kg_m2": (2e-3, 1e-4), "centre_m": (0.12, 0.02), "armature_kg_m2": (0.0, 0.0)}
+    t = np.arange(0, 4, 0.005)
+    angles, torque = 0.5 * np.sin(np.stack((3 * t, 4 * t), axis=1)), 0.3 * np.sin(np.stack((3 * t, 4 * t), axis=1))
+    rate = np.sqrt(np.mean(np.gradient(angles[:, 1] - angles[:, 0], 0.005) ** 2))
+    found = {e.name: e for e in view([trial("tones", t, angles, light, torque)]).effects}
+    free = {e.name: e for e in view([trial("tones", t, angles, light)]).effects}
+    high = [each["arm.damping"].parameters[1].high for each in (found, free)]
+    assert high[0] == pytest.approx(0.3 / rate / 0.01 - 1, rel=0.02)
+    assert high[1] == 4.0
 
 
 def named(trials):
