@@ -1,0 +1,98 @@
+"""A look at what a camera system streams, without publishing any of it."""
+
+import time
+from collections.abc import Callable
+from typing import NamedTuple
+
+from softarm.drivers.bridge.bridging import Bridging, Inlet, Status
+from softarm.drivers.bridge.natnet import Body, Vector
+from softarm.schemas.bridge import Bridge
+from softarm.schemas.messages import BODY_NAMES, Pose
+
+LOOK_NS = 1_000_000_000
+NEEDED = ("cart", "link5")  # without them a frame counts for nothing
+
+
+class Row(NamedTuple):
+    """One rigid body; `body` is empty where it is none of the arm's, the rest where it was never seen."""
+
+    body: str
+    rigid_body: str
+    id: int | None
+    seen: float  # share of the frames
+    room_m: Vector | None
+    pose: tuple[float, float, float] | None
+
+
+class Found(NamedTuple):
+    """What there is."""
+
+    rows: list[Row]
+    status: Status
+    problem: str | None  # why the daemon could not fly by it
+
+
+class Nowhere:
+    """Where frames go that nobody is to hear."""
+
+    sent = unheard = 0
+    is_heard = False
+
+    def put(self, frame: bytes) -> None:
+        """Drop it."""
+
+
+def look_at(config: Bridge, inlet: Inlet, patience_s: float, clock: Callable[[], int] = time.monotonic_ns) -> Found:
+    """Look for a second, once frames come; for `patience_s` at most."""
+    bridging = Bridging(config, inlet, Nowhere(), lambda text: None, clock)
+    begin_ns = clock()
+    until_ns = begin_ns + round(patience_s * 1e9)
+    counted: dict[int, int] = {}
+    newest: dict[int, Body] = {}
+    poses: dict[str, Pose] = {}
+    frames = 0
+    while clock() < until_ns:
+        for taken, seen in bridging.step():
+            if frames == 0:
+                until_ns = clock() + LOOK_NS
+            frames += 1
+            for body in taken.frame.bodies:
+                counted[body.id] = counted.get(body.id, 0) + body.tracked
+                newest |= {body.id: body} if body.tracked or body.id not in newest else {}
+            poses |= {name: pose for name, pose in zip(BODY_NAMES, seen.poses, strict=True) if pose.tracked}
+    rows = list(_rows(config, inlet, newest, {number: n / frames for number, n in counted.items()}, poses))
+    return Found(rows, bridging.status(), _problem(bridging.status(), frames, poses))
+
+
+def _rows(
+    config: Bridge, inlet: Inlet, newest: dict[int, Body], seen: dict[int, float], poses: dict[str, Pose]
+) -> list[Row]:
+    ids = inlet.conversation.ids
+    names = {number: name for name, number in ids.items()}
+    rows, used = [], set()
+    for name in BODY_NAMES:
+        mark = getattr(config.bodies, name)
+        if mark is None:
+            continue
+        wanted = name if mark.rigid_body is None else mark.rigid_body
+        number = wanted if isinstance(wanted, int) else ids.get(wanted)
+        used.add(number)
+        share = seen.get(number, 0.0) if number is not None else 0.0
+        body = newest[number] if number is not None and share else None
+        pose = poses[name][:3] if name in poses else None
+        told = names.get(wanted, "") if isinstance(wanted, int) else wanted
+        rows.append(Row(name, told, number, share, body.position_m if body else None, pose))
+    for number in sorted(newest.keys() - used):
+        place = newest[number].position_m if seen[number] else None
+        rows.append(Row("", names.get(number, ""), number, seen[number], place, None))
+    return rows
+
+
+def _problem(status: Status, frames: int, poses: dict[str, Pose]) -> str | None:
+    if not frames:
+        return status.problem or "no frames came"
+    unseen = [name for name in NEEDED if name not in poses]
+    if unseen:
+        remedy = "name them in Motive, or in bodies of bridge.yaml, and bring them into view"
+        return status.problem or f"{' and '.join(unseen)} not seen: the daemon does not fly without; {remedy}"
+    return None

@@ -1,0 +1,154 @@
+"""`softarm bridge`: what it shows of a server, what it refuses, how it ends."""
+
+import json
+import os
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+from click.testing import CliRunner
+
+from softarm.cli.main import main
+from softarm.drivers.bridge.frame import Plane
+from softarm.drivers.twin import motive
+from softarm.drivers.twin.motive import Motive, bodies_of
+from softarm.schemas.bridge import Room
+from softarm.schemas.messages import BODY_NAMES, Pose
+
+POSES = {name: Pose(0.1, 0.965 - 0.0885 * i, 0.0, tracked=True) for i, name in enumerate(BODY_NAMES)}
+
+
+def ask(*arguments: object) -> Any:
+    return CliRunner().invoke(main, ["bridge", *map(str, arguments)], prog_name="softarm")
+
+
+@pytest.fixture
+def poses() -> dict[str, Pose]:
+    """What the server shows."""
+    return dict(POSES)
+
+
+@pytest.fixture
+def server(poses: dict[str, Pose]) -> Iterator[Motive]:
+    """A server that streams, 100 frames a second."""
+    ended = threading.Event()
+
+    def stream() -> None:
+        number = 0
+        while not ended.wait(0.01):
+            number += 1
+            now = served.ticks()
+            served.stream(
+                motive.frame(served.version, number, bodies_of(Plane(Room()), poses), (now - 50_000, now, now))
+            )
+
+    with Motive() as served:
+        thread = threading.Thread(target=stream, daemon=True)
+        thread.start()
+        try:
+            yield served
+        finally:
+            ended.set()
+            thread.join()
+
+
+@pytest.fixture
+def file(server: Motive, tmp_path: Path, free_port: int) -> Path:
+    """bridge.yaml for that server, and a daemon that is not there."""
+    path = tmp_path / "bridge.yaml"
+    settings = {
+        "server": "127.0.0.1",
+        "command_port": server.port,
+        "daemon": {"endpoint": f"tcp/127.0.0.1:{free_port}"},
+    }
+    path.write_text(yaml.safe_dump(settings))
+    return path
+
+
+@pytest.fixture
+def free_port() -> int:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
+
+
+@pytest.mark.slow
+def test_a_look_shows_every_body_and_says_whether_the_daemon_could_fly_by_it(
+    file: Path, poses: dict[str, Pose]
+) -> None:
+    answer = ask("natnet", "--config", file, "--once", "--json")
+    assert answer.exit_code == 0, answer.output
+    told = json.loads(answer.stdout)
+    assert [body["body"] for body in told["bodies"]] == list(BODY_NAMES)
+    assert told["bodies"][5]["pose"] == pytest.approx([0.1, 0.5225, 0.0], abs=1e-6)
+    assert told["problem"] is None
+    assert "Motive 3.1.0.0 speaks NatNet 4.1, unicast" in answer.stderr
+    poses["link5"] = poses["link5"]._replace(tracked=False)
+    answer = ask("natnet", "--config", file, "--once")
+    assert answer.exit_code == 1
+    assert "link5 not seen: the daemon does not fly without" in answer.stderr
+    assert "+0.100 0.965 m +0.000 rad" in answer.stdout
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("sever: 1.2.3.4", "bridge.yaml:1: sever: unknown key; did you mean server?"),
+        ("command_port: 99999", "command_port: is 99999; allowed 1 to 65535"),
+        ("room: {up: x}", "room.up: is 'x'; allowed 'y' or 'z'"),
+        ("room: {yaw_rad: 90}", "room.yaw_rad: is 90; allowed -3.14159 to 3.14159 rad"),
+        ("bodies: {tip: {}}", "bodies.tip: unknown key"),
+        ("bodies: {cart: {hanging: [0, 0, 0, 0.5]}}", "hanging must be a unit quaternion"),
+        ("bodies: {cart: {rigid_body: link1}}", "bodies.link1.rigid_body is 'link1', which is cart already"),
+    ],
+)
+def test_what_is_wrong_with_a_file_is_told_with_its_line(text: str, says: str, tmp_path: Path) -> None:
+    path = tmp_path / "bridge.yaml"
+    path.write_text(f"{text}\n")
+    answer = ask("natnet", "--config", path, "--server", "127.0.0.1")
+    assert answer.exit_code == 1
+    assert says in answer.stderr
+
+
+def test_without_a_server_it_asks_for_one() -> None:
+    answer = ask("natnet")
+    assert answer.exit_code == 2
+    assert "--server ADDRESS of the computer that runs Motive" in answer.stderr
+
+
+def test_a_server_that_has_no_address_is_told(tmp_path: Path) -> None:
+    answer = ask("natnet", "--server", "no.such.host.invalid", "--once")
+    assert answer.exit_code == 1
+    assert "no.such.host.invalid:1510: find: " in answer.stderr
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("number", "code", "says"), [(signal.SIGINT, 130, "an arm that flew by it stops softly"), (signal.SIGTERM, 0, "")]
+)
+def test_it_ends_when_it_is_told_to_and_says_what_it_leaves(file: Path, number: int, code: int, says: str) -> None:
+    command = [sys.executable, "-m", "softarm.cli.main", "bridge", "natnet", "--config", str(file), "--json"]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, env=dict(os.environ), text=True)
+    try:
+        assert process.stdout is not None
+        status: dict[str, Any] = {"rate_hz": 0}
+        deadline = time.monotonic() + 30
+        while status["rate_hz"] < 10 and time.monotonic() < deadline:
+            status = json.loads(process.stdout.readline())
+        assert status["counts"]["unheard"] > 0
+        assert not status["is_heard"]
+        process.send_signal(number)
+        _, told = process.communicate(timeout=20)
+    finally:
+        process.kill()
+        process.wait()
+    assert process.returncode == code
+    assert says in told

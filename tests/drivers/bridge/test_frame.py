@@ -1,0 +1,118 @@
+"""From the room to the robot's plane: both up axes, any yaw and tilt, markers that sit beside the arm."""
+
+import math
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from softarm.drivers.bridge.frame import Plane, View, dot, names_of
+from softarm.drivers.bridge.natnet import Body
+from softarm.drivers.twin.motive import IDS, bodies_of, orientation
+from softarm.schemas.bridge import Marked, Marks, Room
+from softarm.schemas.messages import BODY_NAMES, Pose
+
+NAMES = {number: name for name, number in IDS.items()}
+number = st.floats(-3.0, 3.0)
+rooms = st.builds(
+    Room,
+    up=st.sampled_from(["y", "z"]),
+    yaw_rad=st.floats(-math.pi, math.pi),
+    tilt_rad=st.floats(-0.05, 0.05),
+    origin_m=st.tuples(number, number, number),
+)
+poses = st.builds(Pose, number, number, st.floats(-3.1, 3.1), st.just(True))
+
+
+def times(a, b):
+    """The turn b, then the turn a."""
+    return (
+        a[3] * b[0] + a[0] * b[3] + a[1] * b[2] - a[2] * b[1],
+        a[3] * b[1] - a[0] * b[2] + a[1] * b[3] + a[2] * b[0],
+        a[3] * b[2] + a[0] * b[1] - a[1] * b[0] + a[2] * b[3],
+        a[3] * b[3] - a[0] * b[0] - a[1] * b[1] - a[2] * b[2],
+    )
+
+
+@given(rooms, st.lists(poses, min_size=6, max_size=6))
+def test_what_a_room_shows_comes_back(room, there):
+    shown = bodies_of(Plane(room), dict(zip(BODY_NAMES, there, strict=True)))
+    seen = View(room, Marks()).of(shown, NAMES)
+    for back, pose in zip(seen.poses, there, strict=True):
+        assert back[:3] == pytest.approx(pose[:3], abs=1e-9)
+        assert back.tracked
+    assert seen.lost == ()
+
+
+def test_y_up_is_turned_as_motive_turns_it():
+    """x, y, z of a room with y up are x, -z, y of one with z up."""
+    for yaw in (0.0, 0.7, -2.0):
+        lying, standing = Plane(Room(up="y", yaw_rad=yaw)), Plane(Room(up="z", yaw_rad=yaw))
+        assert lying.place((1.0, 2.0, -3.0)) == pytest.approx(standing.place((1.0, 3.0, 2.0)))
+    assert Plane(Room(up="z", yaw_rad=math.pi / 2)).place((1.0, 2.0, 3.0)) == pytest.approx((2.0, 3.0))
+
+
+def test_the_other_sense_of_the_rail_is_half_a_turn():
+    one, other = Plane(Room(yaw_rad=0.3)), Plane(Room(yaw_rad=0.3 - math.pi))
+    y_m, z_m = one.place((0.4, 0.9, 0.1))
+    assert other.place((0.4, 0.9, 0.1)) == pytest.approx((-y_m, z_m))
+    turned = orientation(one, 0.5)
+    assert other.angle(turned, (0.0, 0.0, 0.0, 1.0)) == pytest.approx(-0.5)
+
+
+@given(rooms, st.floats(-3.0, 3.0), st.floats(-0.2, 0.2), st.floats(-0.2, 0.2), st.floats(0, 6.2), number, number)
+def test_markers_beside_the_arm_that_were_defined_however_come_back(room, angle, across, along, twist, a, b):
+    """The streamed point is off the arm's axis, and the body's own axes stand however they stood when it was made."""
+    plane = Plane(room)
+    made = (
+        math.sin(twist / 2) * math.cos(a),
+        math.sin(twist / 2) * math.sin(a) * math.cos(b),
+        0.0,
+        math.cos(twist / 2),
+    )
+    length = math.sqrt(sum(part**2 for part in made))
+    made = tuple(part / length for part in made)
+    cos, sin = math.cos(angle), math.sin(angle)
+    point = plane.point(0.1 - cos * across + sin * along, 0.5 - sin * across - cos * along)
+    body = Body(6, point, times(orientation(plane, angle), made), 0.0, True)
+    pose = View(room, Marks()).pose(body, Marked(hanging=made, across_m=across, along_m=along))
+    assert pose[:3] == pytest.approx((0.1, 0.5, angle), abs=1e-9)
+
+
+def test_a_twist_about_the_arm_is_no_angle():
+    plane = Plane(Room(yaw_rad=1.0))
+    twist = (0.0, math.sin(0.2), 0.0, math.cos(0.2))  # about up
+    assert plane.angle(times(orientation(plane, 0.6), twist), (0.0, 0.0, 0.0, 1.0)) == pytest.approx(0.6)
+
+
+def test_what_is_not_tracked_not_named_or_not_finite_is_lost():
+    body = Body(1, (0.0, 1.0, 0.0), (0.0, 0.0, 0.0, 1.0), 0.0, True)
+    bodies = [
+        body,
+        body._replace(id=2, tracked=False),
+        body._replace(id=3, position_m=(math.nan, 0.0, 0.0)),
+        body._replace(id=4, orientation=(0.0, 0.0, 0.0, 0.0)),
+        body._replace(id=99),
+    ]
+    seen = View(Room(), Marks(link5=Marked(rigid_body=77), link4=None)).of(bodies, NAMES)
+    assert seen.lost == ("link1", "link2", "link3", "link4", "link5")
+    assert seen.doubtful == ("link2", "link3")
+    assert View(Room(), Marks(link2=None)).of(bodies, NAMES).doubtful == ("link3",)
+
+
+def test_bodies_are_found_by_name_or_by_id():
+    marks = Marks(cart=Marked(rigid_body="Wagen"), link2=Marked(rigid_body=40), link3=None)
+    names, missing = names_of(marks, {"Wagen": 7, "link1": 8, "link2": 9, "link5": 10})
+    assert names == {7: "cart", 8: "link1", 40: "link2", 10: "link5"}
+    assert missing == ("link4",)
+
+
+def test_a_rigid_body_is_one_body_alone():
+    with pytest.raises(ValueError, match=r"bodies.link2.rigid_body is 'link1', which is link1 already"):
+        Marks(link2=Marked(rigid_body="link1"))
+
+
+def test_the_planes_axes_stand_upright_on_each_other():
+    plane = Plane(Room(yaw_rad=0.4, tilt_rad=0.03))
+    assert dot(plane.along, plane.up) == pytest.approx(0.0, abs=1e-15)
+    assert dot(plane.along, plane.along) == pytest.approx(1.0)
