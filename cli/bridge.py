@@ -1,7 +1,7 @@
 """`softarm bridge`: what other people's motion capture streams, as the daemon's frames."""
 
 import signal
-import sys
+import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -68,7 +68,8 @@ def natnet(server: str | None, config_file: Path | None, once: bool, as_json: bo
         look(config, address, as_json)
         return
     leaves("nothing is published any more; an arm that flew by it stops softly")
-    signal.signal(signal.SIGTERM, lambda *_: sys.exit())
+    ended = threading.Event()
+    signal.signal(signal.SIGTERM, lambda *_: ended.set())
     realtime.outrank_other_programs(PRIORITY)
     if config_file is None:
         click.echo("no --config: the cameras' room is taken as it stands (docs/bridge.md)", err=True)
@@ -77,7 +78,7 @@ def natnet(server: str | None, config_file: Path | None, once: bool, as_json: bo
     try:
         with Client(config, address, tell) as client:
             publisher.open()
-            _carry(Bridging(config, client, publisher, tell), show, PRINTED_S if as_json else SHOWN_S)
+            _carry(Bridging(config, client, publisher, tell), show, PRINTED_S if as_json else SHOWN_S, ended)
     except DeviceError as error:
         fail(str(error))
     finally:
@@ -99,10 +100,10 @@ def settings(server: str | None, config_file: Path | None) -> "tuple[Bridge, str
     return config, address
 
 
-def _carry(bridging: "Bridging", show: "Callable[[Status], None]", period_s: float) -> None:
-    """Until a signal comes."""
+def _carry(bridging: "Bridging", show: "Callable[[Status], None]", period_s: float, ended: threading.Event) -> None:
+    """Until it is told to end."""
     due_s = 0.0
-    while True:
+    while not ended.is_set():
         bridging.step()
         if (now_s := time.monotonic()) >= due_s:
             due_s = now_s + period_s
