@@ -70,6 +70,7 @@ def natnet(server: str | None, config_file: Path | None, once: bool, as_json: bo
     leaves("nothing is published any more; an arm that flew by it stops softly")
     ended = threading.Event()
     signal.signal(signal.SIGTERM, lambda *_: ended.set())
+    signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background commands are deaf to it
     realtime.outrank_other_programs(PRIORITY)
     if config_file is None:
         click.echo("no --config: the cameras' room is taken as it stands (docs/bridge.md)", err=True)
