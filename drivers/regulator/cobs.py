@@ -60,15 +60,18 @@ class Deframer:
     def __init__(self) -> None:
         self.dropped = 0
         self._pending = bytearray()
+        self._lost = False  # too much has come without a zero: what comes up to the next one is no frame either
 
     def feed(self, data: bytes) -> list[bytes]:
         """The bodies that `data` completes, oldest first. Never raises."""
         self._pending += data
         *blocks, rest = self._pending.split(DELIMITER)
-        if len(rest) > FRAME_MAX_BYTES:
+        if self._lost and blocks:
+            self._lost, blocks = False, blocks[1:]
+        if not self._lost and len(rest) > FRAME_MAX_BYTES:
+            self._lost = True
             self.dropped += 1
-            rest = bytearray()
-        self._pending = bytearray(rest)
+        self._pending = bytearray() if self._lost else bytearray(rest)
         return [body for block in blocks if block and (body := self._open(bytes(block))) is not None]
 
     def _open(self, block: bytes) -> bytes | None:

@@ -76,9 +76,22 @@ def test_noise_without_a_zero_does_not_pile_up() -> None:
     deframer = Deframer()
     for _ in range(100):
         assert deframer.feed(b"\x55" * FRAME_MAX_BYTES) == []
-    assert deframer.dropped == 50  # every second time what has piled up is longer than any frame
+        assert len(deframer._pending) <= FRAME_MAX_BYTES
+    assert deframer.dropped == 1
     assert deframer.feed(b"\0" + frame(b"hello")) == [b"hello"]
-    assert deframer.dropped == 50
+    assert deframer.dropped == 1
+
+
+@pytest.mark.parametrize("cut", [0, 1, FRAME_MAX_BYTES, FRAME_MAX_BYTES + 1, 2 * FRAME_MAX_BYTES, -12, -1])
+def test_after_too_much_noise_it_begins_anew_at_a_zero_however_the_line_is_cut(cut: int) -> None:
+    line = b"\x55" * 2 * FRAME_MAX_BYTES + frame(b"unheard") + frame(b"hello")
+    deframer = Deframer()
+    assert [*deframer.feed(line[:cut]), *deframer.feed(line[cut:])] == [b"hello"]
+    assert deframer.dropped == 1
+    for _ in range(2):  # and a second time
+        assert deframer.feed(b"\x07" * 300) == []
+    assert deframer.feed(frame(b"unheard") + frame(b"hello")) == [b"hello"]
+    assert deframer.dropped == 2
 
 
 def test_the_longest_frame_passes_whole_or_in_pieces_and_one_byte_more_does_not() -> None:
