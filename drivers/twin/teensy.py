@@ -54,7 +54,7 @@ class TeensyDevice:
 
     def watch(self, now_ns: int) -> None:
         """Vent when the last command's time to live has run out."""
-        if self.armed and now_ns > self._expires_ns:
+        if self.armed and now_ns >= self._expires_ns:
             self.armed = self._may_arm = False
             self.faults |= Fault.TIME_TO_LIVE
 
