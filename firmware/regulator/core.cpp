@@ -1,0 +1,215 @@
+#include "core.h"
+
+#include <string.h>
+
+namespace softarm {
+
+namespace {
+
+constexpr uint8_t kVersion = 1U;
+constexpr uint8_t kHello = 0x01U;
+constexpr uint8_t kWelcome = 0x81U;
+constexpr uint8_t kCommand = 0x02U;
+constexpr uint8_t kState = 0x82U;
+
+constexpr size_t kHeadBytes = 10U;  // version, type, sequence, time
+constexpr size_t kCommandBytes = kHeadBytes + 11U;
+constexpr uint8_t kArmed = 1U << 0U;
+constexpr uint16_t kRefusals = kFaultToken | kFaultRange | kFaultSequence;
+
+static_assert(sizeof(float) == 4U, "set-points and readings are IEEE 754 single");
+static_assert(kCommandBytes == kBodyMax, "a command is the longest body");
+
+uint16_t read16(const uint8_t* at) { return static_cast<uint16_t>(at[0] | (at[1] << 8U)); }
+
+uint32_t read32(const uint8_t* at) {
+  return static_cast<uint32_t>(read16(at)) | (static_cast<uint32_t>(read16(at + 2)) << 16U);
+}
+
+float read_float(const uint8_t* at) {
+  const uint32_t bits = read32(at);
+  float value = 0.0F;
+  (void)memcpy(&value, &bits, sizeof value);
+  return value;
+}
+
+// Packs a body, low bytes first.
+class Writer {
+ public:
+  Writer(uint8_t type, uint32_t sequence, uint32_t clock_us) {
+    u8(kVersion);
+    u8(type);
+    u32(sequence);
+    u32(clock_us);
+  }
+
+  void u8(uint8_t value) {
+    body_[length_] = value;
+    ++length_;
+  }
+
+  void u16(uint16_t value) {
+    u8(static_cast<uint8_t>(value & 0xFFU));
+    u8(static_cast<uint8_t>(value >> 8U));
+  }
+
+  void u32(uint32_t value) {
+    u16(static_cast<uint16_t>(value & 0xFFFFU));
+    u16(static_cast<uint16_t>(value >> 16U));
+  }
+
+  void f32(float value) {
+    uint32_t bits = 0U;
+    (void)memcpy(&bits, &value, sizeof bits);
+    u32(bits);
+  }
+
+  size_t frame_into(uint8_t* out) const { return frame(body_, length_, out); }
+
+ private:
+  uint8_t body_[kBodyMax] = {};
+  size_t length_ = 0U;
+};
+
+// Ahead by 1 to 2^31 - 1, modulo 2^32.
+bool is_newer(uint32_t sequence, uint32_t than) {
+  const uint32_t ahead = sequence - than;
+  return (ahead > 0U) && (ahead < 0x80000000U);
+}
+
+// NaN is outside of everything.
+bool within(float value, float low, float high) { return (value >= low) && (value <= high); }
+
+}  // namespace
+
+void Core::watch(uint32_t now_us) {
+  pass(now_us);
+  lead_relay();
+}
+
+size_t Core::take(uint8_t byte, uint32_t now_us, const Reading& sensor, uint8_t* answer) {
+  pass(now_us);
+  const size_t length = deframer_.take(byte);
+  const uint8_t* body = deframer_.body();
+  size_t told = 0U;
+  if ((length >= kHeadBytes) && (body[0] == kVersion)) {
+    const uint32_t sequence = read32(body + 2);
+    if ((body[1] == kHello) && (length == kHeadBytes)) {
+      told = greet(sequence, answer);
+    } else if ((body[1] == kCommand) && (length == kCommandBytes)) {
+      const uint8_t* said = body + kHeadBytes;
+      obey({read32(said), read16(said + 4), (said[6] & kArmed) != 0U, read_float(said + 7)}, sequence);
+      told = tell(sensor, answer);
+    } else {
+      // Of another type or length, or a device's: nothing is said to it (rule 2).
+    }
+  }
+  lead_relay();
+  return told;
+}
+
+// Rule 5. The 32 bits of the clock are counted on into 64, so that nothing else has to think of their wrap.
+void Core::pass(uint32_t now_us) {
+  now_us_ += started_ ? static_cast<uint32_t>(now_us - clock_us_) : 0U;
+  clock_us_ = now_us;
+  started_ = true;
+  if (armed_ && !fresh()) {
+    disarm();
+    may_arm_ = false;
+    faults_ |= kFaultTimeToLive;
+  }
+}
+
+// Rule 1.
+size_t Core::greet(uint32_t sequence, uint8_t* answer) {
+  disarm();
+  may_arm_ = false;
+  accepted_ = 0U;
+  newest_ = sequence;
+  live_us_ = 0U;
+  token_ = draw_token_();
+  greeted_ = true;
+  ++said_;
+  Writer welcome(kWelcome, said_, clock_us_);
+  welcome.u32(token_);
+  return welcome.frame_into(answer);
+}
+
+// Rule 3: why a command is not accepted, as a fault bit, or 0.
+uint16_t Core::refusal(const Command& command, uint32_t sequence) const {
+  if (!greeted_ || (command.token != token_)) {
+    return kFaultToken;
+  }
+  if (!is_newer(sequence, newest_)) {
+    return kFaultSequence;
+  }
+  const bool in_range = within(command.kpa, kSetPointMinKpa, kSetPointMaxKpa) && (command.time_to_live_ms >= 1U) &&
+                        (command.time_to_live_ms <= kTimeToLiveMaxMs);
+  return in_range ? 0U : kFaultRange;
+}
+
+// Rules 3 and 4.
+void Core::obey(const Command& command, uint32_t sequence) {
+  const uint16_t refused = refusal(command, sequence);
+  faults_ = static_cast<uint16_t>((faults_ & ~static_cast<uint32_t>(kRefusals)) | refused);
+  if (refused != 0U) {
+    return;
+  }
+  newest_ = sequence;
+  accepted_ = sequence;
+  heard_us_ = now_us_;
+  live_us_ = static_cast<uint32_t>(command.time_to_live_ms) * 1000U;
+  set_point_kpa_ = command.kpa;
+  if (!command.armed) {
+    disarm();
+    may_arm_ = true;
+    faults_ = static_cast<uint16_t>(faults_ & ~static_cast<uint32_t>(kFaultTimeToLive));
+  } else if (may_arm_) {
+    armed_ = true;
+  } else {
+    // Rule 4: a disarmed command has to come first.
+  }
+}
+
+// Rules 2, 6 and 7.
+size_t Core::tell(const Reading& sensor, uint8_t* answer) {
+  const bool finite = within(sensor.kpa, -3.4e38F, 3.4e38F);
+  const bool sound = finite && sensor.in_span;
+  ++said_;
+  Writer state(kState, said_, clock_us_);
+  state.u32(accepted_);
+  state.u8(armed_ ? kArmed : 0U);
+  state.u16(static_cast<uint16_t>(faults_ | (sound ? 0U : kFaultSensor)));
+  state.f32(finite ? sensor.kpa : 0.0F);
+  return state.frame_into(answer);
+}
+
+void Core::disarm() {
+  if (armed_) {
+    open_relay();
+  }
+  armed_ = false;
+}
+
+// Whether the last accepted command's time to live still runs.
+bool Core::fresh() const { return (now_us_ - heard_us_) < live_us_; }
+
+// Rule 9: closed while a host speaks that the device listens to, and nothing is latched.
+void Core::lead_relay() {
+  if (!fresh() || ((faults_ & kFaultTimeToLive) != 0U)) {
+    open_relay();
+  } else if (!relay_closed_ && ((now_us_ - opened_us_) >= kRelayOpenUs)) {
+    relay_closed_ = true;
+  } else {
+    // It stays as it is.
+  }
+}
+
+void Core::open_relay() {
+  if (relay_closed_) {
+    relay_closed_ = false;
+    opened_us_ = now_us_;
+  }
+}
+
+}  // namespace softarm

@@ -1,0 +1,193 @@
+"""The relay in the drive's enable input: does the daemon arm over it, and what stops the cart when the rest cannot?
+
+In lockstep: the daemon's own tick, the driver's own words, the firmware's core, the twin's drive.
+"""
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+
+from softarm.daemon.control.records import EStop, Inputs, Mode, Request
+from softarm.daemon.tick import Controller
+from softarm.drivers.rail import dryve
+from softarm.drivers.rail.cia402 import DriveState, next_controlword
+from softarm.drivers.regulator.driver import Conversation, reading_of
+from softarm.drivers.twin.dryve import DryveDevice
+from softarm.policies.hold import Hold
+from softarm.policies.runner import InlineRunner
+from softarm.schemas.config import Config, DryveRail, SerialRegulator
+from softarm.schemas.messages import MocapFrame, Pose, RailReading
+
+PERIOD_NS = 33_333_333
+LOOK_NS = 1_000_000
+
+
+class Bench:
+    """Board and drive, joined by a wire from the relay to DI7; a daemon, and the cable to the drive."""
+
+    def __init__(self, board: Any, closed: Callable[[Any], bool]) -> None:
+        self.board, self._closed = board, closed
+        self.drive = DryveDevice(DryveRail())
+        self.drive.keeps_going = True  # whatever happens to its master
+        self.talk = Conversation(SerialRegulator().time_to_live_s)
+        self.controller = Controller(Config(), InlineRunner(Hold()))
+        self.now_ns, self.frames, self.requests, self.ticks = 0, 0, 0, 0
+        self.linked, self.button = True, False
+        self.pressure: Any = None
+        self.rail: RailReading | None = None
+        self.outputs: Any = None
+        self.drive.sense(0.0, 0.0)
+        self._drive_to(dryve.MODE, dryve.PROFILE_VELOCITY)
+
+    def _drive_to(self, entry: dryve.Entry, value: int) -> None:
+        self.drive.answer(dryve.encode_request(1, entry, value), self.now_ns)
+
+    def _frames(self) -> tuple[MocapFrame, ...]:
+        made = []
+        for back in (24, 16, 8, 0):
+            self.frames += 1
+            tip = Pose(1e-5 * (self.frames % 2), 0.52, 0.0)  # cameras have noise
+            bodies = (Pose(0.0, 0.965, 0.0), *[Pose(0.0, 0.7, 0.0)] * 4, tip)
+            made.append(MocapFrame(self.frames, self.now_ns - back * 1_000_000, self.now_ns, bodies))
+        return tuple(made)
+
+    def pass_time(self, nanoseconds: int) -> None:
+        """Board and drive go on, whoever leads them."""
+        until_ns = self.now_ns + nanoseconds
+        while self.now_ns < until_ns:
+            self.now_ns = min(self.now_ns + LOOK_NS, until_ns)
+            self.board.watch(self.now_ns)
+            self.drive.remote = self._closed(self.board) and not self.button
+            self.drive.watch(self.now_ns)
+
+    def tick(self, *kinds: str) -> Any:
+        self.pass_time(PERIOD_NS)
+        self.ticks += 1
+        requests = []
+        for kind in kinds:
+            self.requests += 1
+            requests.append(Request(self.requests, kind))  # type: ignore[arg-type]
+        if self.linked:
+            self.rail = RailReading(self.now_ns, 0.0, 0.0, self.drive.in_operation, self.drive.remote)
+        self.outputs = self.controller.tick(
+            Inputs(self.now_ns, mocap=self._frames(), pressure=self.pressure, rail=self.rail, requests=tuple(requests))
+        )
+        sent = self.outputs.sent
+        line = self.talk.greeting(self.now_ns) or self.talk.command(sent.enable, sent.pressure_kpa, self.now_ns)
+        state = self.talk.receive(self.board.receive(line, self.now_ns, 0.0))
+        if state is not None:
+            self.pressure = reading_of(state, self.now_ns)
+        if self.linked:
+            self._lead(sent.enable)
+        return self.outputs
+
+    def _lead(self, enable: bool) -> None:
+        """As the rail's master does it: nothing to a drive whose DI7 is low."""
+        word = next_controlword(self.drive.state, enable, at_rest=True) if self.drive.remote else None
+        if word is not None:
+            self._drive_to(dryve.CONTROLWORD, word)
+
+    def ticks_for(self, seconds: float) -> None:
+        for _ in range(math.ceil(seconds * 30)):
+            self.tick()
+
+    def reasons(self) -> str:
+        return " ".join(self.outputs.results[-1].reasons)
+
+    def armed(self) -> "Bench":
+        self.ticks_for(1.5)
+        self.tick("arm")
+        assert self.outputs.results[-1].accepted, self.reasons()
+        self.ticks_for(0.3)
+        assert self.outputs.mode is Mode.ARMED
+        assert self.drive.in_operation
+        self._drive_to(dryve.TARGET_VELOCITY, 50_000)
+        self.drive.sense(0.0, 0.5)
+        return self
+
+    def seconds_to_stop(self, at_most_s: float) -> float:
+        """Until the drive is told by its enable input to brake, from now."""
+        began_ns = self.now_ns
+        while self.drive.in_operation and self.now_ns - began_ns < at_most_s * 1e9:
+            self.pass_time(LOOK_NS)
+        assert not self.drive.in_operation
+        return (self.now_ns - began_ns) * 1e-9
+
+
+@pytest.fixture
+def bench(make_board: Any) -> Bench:
+    return Bench(make_board(), lambda board: board.relay_closed)
+
+
+def test_the_daemon_arms_over_the_relay_as_it_is(bench: Bench) -> None:
+    bench.armed()
+
+
+def test_a_relay_that_closes_for_an_armed_board_alone_could_never_be_armed(make_board: Any) -> None:
+    """Why it is closed for a host that speaks at all: the daemon asks for DI7 before it arms anything."""
+    bench = Bench(make_board(), lambda board: board.armed)
+    bench.ticks_for(1.5)
+    bench.tick("arm")
+    assert "enable input (DI7) is low" in bench.reasons()
+
+
+def test_a_dead_host_leaves_a_drive_that_is_told_to_stop(bench: Bench) -> None:
+    bench.armed()
+    assert bench.seconds_to_stop(1.0) <= 0.1 + 1e-9
+    bench.drive.sense(0.0, 0.0)
+    bench.pass_time(60 * 1_000_000_000)
+    assert bench.drive.state is DriveState.SWITCH_ON_DISABLED
+
+
+def test_an_emergency_stop_reaches_the_drive_without_its_cable(bench: Bench) -> None:
+    bench.armed()
+    bench.linked = False
+    bench.tick("stop")
+    assert bench.seconds_to_stop(1.0) <= 2e-3
+    bench.drive.sense(0.0, 0.0)
+    bench.linked = True
+    bench.ticks_for(0.5)
+    bench.tick("acknowledge")
+    assert "enable input (DI7) is low" in bench.reasons()  # within the second
+    bench.ticks_for(0.7)
+    bench.tick("acknowledge")
+    assert bench.outputs.estop is EStop.CLEAR
+    bench.armed()
+
+
+def test_a_pulled_cable_to_the_drive_is_answered_when_the_soft_stop_ends(bench: Bench) -> None:
+    """Late: the daemon lives, and keeps the board armed while it waits for a cart that it does not see."""
+    bench.armed()
+    bench.linked = False
+    began_ns = bench.now_ns
+    while bench.drive.in_operation:
+        bench.tick()
+        assert bench.now_ns - began_ns < 12e9
+    assert "the axis reading is too old" in bench.outputs.last_stop
+    bench.drive.sense(0.0, 0.0)
+    bench.linked = True
+    bench.ticks_for(1.2)
+    bench.armed()
+
+
+def test_who_arms_within_the_second_is_told_why_not(bench: Bench) -> None:
+    bench.armed()
+    bench._drive_to(dryve.TARGET_VELOCITY, 0)
+    bench.drive.sense(0.0, 0.0)
+    bench.tick("disarm")
+    while bench.outputs.mode is not Mode.DISARMED:
+        bench.tick()
+    bench.tick("arm")
+    assert "enable input (DI7) is low" in bench.reasons()
+    assert bench.outputs.estop is EStop.CLEAR  # nothing is latched by it
+    bench.armed()
+
+
+def test_the_button_on_the_wall_is_in_the_same_line(bench: Bench) -> None:
+    bench.armed()
+    bench.button = True
+    assert bench.seconds_to_stop(1.0) <= 1e-3
+    bench.tick()
+    assert bench.outputs.mode is Mode.STOPPED

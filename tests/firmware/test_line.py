@@ -1,0 +1,174 @@
+"""The daemon's own driver on a real pseudo-terminal, and the firmware's core at the other end."""
+
+import contextlib
+import os
+import re
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from softarm.drivers.regulator.driver import TeensyRegulator
+from softarm.drivers.twin.faults import Faults
+from softarm.drivers.twin.teensy import TeensyPort
+from softarm.schemas.config import SerialRegulator
+
+MEASURED_KPA = 3.25
+NATIVE = Path(__file__).parents[2] / "firmware" / "native" / "main.cpp"
+
+
+class Bench:
+    """Driver and board, on a clock that moves as it is told."""
+
+    def __init__(self, path: Path, board: Any, clock: Any, until: Any) -> None:
+        self.clock, self._until = clock, until
+        self.board, self.faults = board, Faults(clock)
+        self.port = TeensyPort(path, board, self.faults, clock, lambda: MEASURED_KPA)
+        self.regulator = TeensyRegulator(SerialRegulator(port=str(path)), clock)
+
+    async def write_until(
+        self, condition: Any, armed: bool = False, pressure_kpa: float = 0.0, pass_s: float = 0.0
+    ) -> None:
+        """Write as a control loop does; a tick of `pass_s` goes by only once the last command was answered."""
+        answered = self.regulator.read()
+
+        def each() -> None:
+            nonlocal answered
+            if self.regulator.read() is not answered:
+                answered = self.regulator.read()
+                self.clock.advance(pass_s)
+            self.regulator.write(armed, pressure_kpa)
+            self.port.step()
+
+        await self._until(condition, each)
+
+    async def arm(self) -> None:
+        await self.write_until(lambda: self.board.relay_closed and not self.board.armed, pass_s=0.033)
+        await self.write_until(lambda: self.board.armed and self.regulator.read().armed, True, 10.0)
+
+
+@pytest.fixture
+def bench(tmp_path: Path, make_board: Any, clock: Any, until: Any, run: Any, running: Any, monkeypatch: Any) -> Any:
+    monkeypatch.setattr("softarm.drivers.regulator.driver.RETRY_S", (0.005, 0.01))
+    monkeypatch.setattr("softarm.drivers.regulator.driver.HELLO_S", 0.005)
+
+    async def play(script: Any) -> None:
+        bench = Bench(tmp_path / "teensy", make_board(lambda: int.from_bytes(os.urandom(4), "little")), clock, until)
+        bench.port.open()
+        try:
+            async with running(bench.regulator):
+                await script(bench)
+        finally:
+            bench.port.close()
+
+    return lambda script: run(play(script))
+
+
+def test_it_is_armed_and_vents_by_itself_when_the_driver_falls_silent(bench: Any) -> None:
+    async def script(b: Bench) -> None:
+        await b.arm()
+        assert b.board.set_point_kpa == 10.0
+        assert b.regulator.read().pressure_kpa == MEASURED_KPA
+        assert b.regulator.problem() is None
+        b.clock.advance(0.101)
+        b.port.step()
+        assert (b.board.armed, b.board.set_point_kpa, b.board.relay_closed) == (False, 0.0, False)
+        await b.write_until(lambda: "commands stopped" in (b.regulator.problem() or ""), True, 10.0)
+        assert not b.board.armed
+        await b.arm()
+
+    bench(script)
+
+
+def test_a_replugged_cable_brings_nothing_back(bench: Any) -> None:
+    async def script(b: Bench) -> None:
+        await b.arm()
+        b.faults.serial_unplug()
+        await b.write_until(lambda: "plug the Teensy in" in (b.regulator.problem() or ""), True, 10.0)
+        b.faults.clear()
+        await b.write_until(lambda: b.regulator.problem() is None, True, 10.0)
+        assert not b.board.armed
+        await b.arm()
+
+    bench(script)
+
+
+def test_a_board_that_was_reset_is_greeted_again(bench: Any, make_board: Any) -> None:
+    async def script(b: Bench) -> None:
+        await b.arm()
+        b.port.device = b.board = make_board(lambda: 5)  # as its watchdog leaves it
+        await b.write_until(lambda: b.board.accepted_sequence and b.regulator.problem() is None, True, 10.0)
+        assert (b.board.armed, b.board.relay_closed) == (False, False)
+        await b.arm()
+
+    bench(script)
+
+
+def test_the_drivers_farewell_vents_and_opens_the_relay(bench: Any) -> None:
+    async def script(b: Bench) -> None:
+        await b.arm()
+        await b.regulator.stop()
+        assert (b.board.armed, b.board.relay_closed) == (False, False)
+
+    bench(script)
+
+
+class Program:
+    """firmware/native: a board as a process of this computer, with a clock of its own."""
+
+    def __init__(self, path: Path) -> None:
+        self._process = subprocess.Popen([path], stdout=subprocess.PIPE, text=True)
+        assert self._process.stdout is not None
+        self._said = self._process.stdout
+        self.port = self._said.readline().removeprefix("drivers.regulator.port: ").strip()
+
+    def end(self) -> list[str]:
+        """What its valve did until now, each change once; its relay has a second of its own, and is left out."""
+        self._process.terminate()
+        told = [", ".join(line.split(", ")[:2]) for line in self._said.read().splitlines()]
+        self._process.wait()
+        self._said.close()
+        return [state for state, before in zip(told, ["", *told], strict=False) if state != before]
+
+
+@pytest.fixture
+def program(build: Any) -> Iterator[Program]:
+    program = Program(build("native", NATIVE))
+    yield program
+    with contextlib.suppress(ValueError):  # its output was read to the end already
+        program.end()
+
+
+def test_the_program_of_this_computer_is_a_board_too(program: Program, run: Any, until: Any, running: Any) -> None:
+    regulator = TeensyRegulator(SerialRegulator(port=program.port, time_to_live_s=0.25))
+
+    async def script() -> None:
+        async with running(regulator):
+            await until(lambda: regulator.read() is not None, lambda: regulator.write(False, 0.0))
+            await until(lambda: regulator.read().armed, lambda: regulator.write(True, 7.5))  # type: ignore[union-attr]
+
+    run(script())
+    assert program.end() == ["disarmed, 0.00 kPa", "armed, 7.50 kPa", "disarmed, 0.00 kPa"]
+
+
+@pytest.mark.realtime
+def test_the_steps_of_the_page_go_through_the_valves_map(program: Program) -> None:
+    """docs/firmware.md, before the daemon may arm; with deadlines, for a time to live is one."""
+    page = (NATIVE.parents[2] / "docs" / "firmware.md").read_text(encoding="utf-8")
+    [steps] = re.findall(r"```python\n(.*?)```", page, re.DOTALL)
+    steps, shorter = re.subn(
+        r"(?m)^SECONDS = .*", "SECONDS = 0.3", re.sub(r'(?m)^PORT = ".*"', f'PORT = "{program.port}"', steps)
+    )
+    assert shorter == 1
+    done = subprocess.run([sys.executable, "-c", steps], capture_output=True, text=True, timeout=60)
+    assert done.stderr == ""
+    assert re.findall(r"asked for\s+(\S+) kPa:\s+(\S+) kPa, armed: (\w+)", done.stdout) == [
+        ("0.0", "0.00", "False"),
+        *((kpa, f"{float(kpa):.2f}", "True") for kpa in ("0.0", "5.0", "10.0", "15.0", "20.0", "-0.7")),
+    ]
+    vented = "disarmed, 0.00 kPa"
+    armed = [f"armed, {kpa:.2f} kPa" for kpa in (0, 5, 10, 15, 20, -0.7)]
+    assert program.end() == [vented, *armed, vented]

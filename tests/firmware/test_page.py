@@ -1,0 +1,64 @@
+"""docs/wires.md against the firmware: every vector of its section Regulator, and the conversation, byte by byte."""
+
+import ctypes
+import re
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+PAGE = (Path(__file__).parents[2] / "docs" / "wires.md").read_text(encoding="utf-8")
+
+
+def table(*columns: str) -> list[list[str]]:
+    """The cells of the page's one table with these columns."""
+    [rows] = re.findall(rf"^\| {re.escape(' | '.join(columns))} \|\n\|[-|]+\n((?:\|.*\n)+)", PAGE, re.MULTILINE)
+    return [[cell.strip(" `") for cell in line.strip("|").split("|")] for line in rows.splitlines()]
+
+
+def bodies(library: ctypes.CDLL, line: bytes) -> list[bytes]:
+    """What the firmware's deframer finds on a line."""
+    deframer = library.deframer_new()
+    found = [
+        bytes(library.deframer_body(deframer)[:length])
+        for byte in line
+        if (length := library.deframer_take(deframer, byte))
+    ]
+    library.deframer_delete(deframer)
+    return found
+
+
+@pytest.mark.parametrize(("data", "stuffed"), table("data", "stuffed"))
+def test_stuffing(library: ctypes.CDLL, data: str, stuffed: str) -> None:
+    plain, out = bytes.fromhex(data), ctypes.create_string_buffer(64)
+    length = library.frames_stuff(plain, len(plain), out)
+    assert out.raw[:length].hex() == stuffed
+    assert library.frames_unstuff(out, length) == len(plain)
+    assert out.raw[: len(plain)] == plain
+
+
+@pytest.mark.parametrize(("body", "crc", "line"), table("body", "CRC-16", "on the line"))
+def test_framing(library: ctypes.CDLL, body: str, crc: str, line: str) -> None:
+    plain = bytes.fromhex(body)
+    assert f"{library.frames_crc16(plain, len(plain)):04X}h" == crc
+    assert bodies(library, bytes.fromhex(line)) == [plain]
+
+
+@pytest.mark.parametrize(("line", "why"), table("on the line", "dropped because"))
+def test_lines_that_are_dropped(library: ctypes.CDLL, line: str, why: str) -> None:
+    good = bytes.fromhex(table("body", "CRC-16", "on the line")[0][2])
+    assert bodies(library, bytes.fromhex(line)) == [], why
+    assert len(bodies(library, bytes.fromhex(line) + good)) == 1  # it begins anew at the zero
+
+
+@pytest.mark.parametrize("at_once", [1, 7, 64])
+def test_the_conversation(make_board: Any, at_once: int) -> None:
+    """However many bytes come at once."""
+    board, rows = make_board(), table("from", "message", "time, us", "body", "on the line")
+    assert len(rows) == 24
+    for (_, asked, time_us, _, line), (_, answered, _, _, expected) in zip(rows[::2], rows[1::2], strict=True):
+        kpa = re.search(r"(\S+) kPa", answered)
+        data, said = bytes.fromhex(line), b""
+        for i in range(0, len(data), at_once):
+            said += board.receive(data[i : i + at_once], int(time_us) * 1000, float(kpa[1]) if kpa else 0.0)
+        assert said.hex() == expected, asked
