@@ -1,16 +1,19 @@
 """A real browser for what looks at our pages: Debian's Chromium, without a window."""
 
 import contextlib
+import io
 import os
 import shutil
 from collections.abc import Iterator
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
 if TYPE_CHECKING:
-    from playwright.sync_api import Browser
+    from playwright.sync_api import Browser, Page
 
+BYTES_MAX, COLOURS = 150_000, 256  # of a picture for the pages
 NAMES = ("chromium", "chromium-browser", "google-chrome")
 
 
@@ -20,8 +23,8 @@ def found() -> str | None:
 
 
 @contextlib.contextmanager
-def opened() -> "Iterator[Browser]":
-    """A running one. Raises `click.ClickException` where there is none."""
+def opened(*options: str) -> "Iterator[Browser]":
+    """A running one, with further options of its command line. Raises `click.ClickException` where there is none."""
     from playwright.sync_api import sync_playwright
 
     if (path := found()) is None:
@@ -29,8 +32,20 @@ def opened() -> "Iterator[Browser]":
     with sync_playwright() as playwright:
         # Chromium refuses to build its sandbox as root.
         rights = ["--no-sandbox"] if os.geteuid() == 0 else []
-        browser = playwright.chromium.launch(executable_path=path, args=rights)
+        browser = playwright.chromium.launch(executable_path=path, args=[*rights, *options])
         try:
             yield browser
         finally:
             browser.close()
+
+
+def keep(page: "Page", path: Path) -> None:
+    """Write what is to be seen as PNG, and say how large it is. Raises `click.ClickException` beyond `BYTES_MAX`."""
+    from PIL import Image
+
+    picture = Image.open(io.BytesIO(page.screenshot())).convert("RGB")
+    picture.quantize(COLOURS, kmeans=1, dither=Image.Dither.NONE).save(path, optimize=True)
+    size = path.stat().st_size
+    click.echo(f"{path}: {size / 1000:.0f} kB")
+    if size > BYTES_MAX:
+        raise click.ClickException(f"{path} has {size} bytes; allowed {BYTES_MAX}: show less on it")

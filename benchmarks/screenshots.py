@@ -5,7 +5,6 @@ python -m softarm.benchmarks.screenshots --out docs/pictures
 The things are a daemon that flies a robot simulated in it, and the report of a diagnosis.
 """
 
-import io
 import tempfile
 import time
 from collections.abc import Callable, Iterator
@@ -17,7 +16,6 @@ from unittest import mock
 
 import click
 import httpx
-from PIL import Image
 from playwright.sync_api import Browser, Page
 
 from softarm.benchmarks import chromium
@@ -38,7 +36,6 @@ DESK, PHONE = {"width": 1280, "height": 900}, {"width": 390, "height": 844}
 PATIENT = {"missed_ticks_max": 30, "policy_budget_s": 0.03} | dict.fromkeys(
     ("mocap_stale_s", "pressure_stale_s", "rail_stale_s"), 1.0
 )
-BYTES_MAX, COLOURS = 150_000, 256
 
 
 @contextmanager
@@ -92,16 +89,6 @@ def _open(browser: Browser, url: str, **options: Any) -> Page:
     return page
 
 
-def _keep(page: Page, out: Path, name: str) -> None:
-    path = out / f"{name}.png"
-    picture = Image.open(io.BytesIO(page.screenshot())).convert("RGB")
-    picture.quantize(COLOURS, kmeans=1, dither=Image.Dither.NONE).save(path, optimize=True)
-    size = path.stat().st_size
-    click.echo(f"{path}: {size / 1000:.0f} kB")
-    if size > BYTES_MAX:
-        raise click.ClickException(f"{path} has {size} bytes; allowed {BYTES_MAX}: show less on it")
-
-
 def _flying(browser: Browser, out: Path) -> None:
     with _daemon() as (daemon, _), httpx.Client(base_url=daemon.url) as robot:
         light = _open(browser, daemon.url)
@@ -111,15 +98,15 @@ def _flying(browser: Browser, out: Path) -> None:
         for page, name in ((light, "light"), (dark, "dark"), (phone, "phone")):
             _fly(robot)
             page.wait_for_timeout(350)  # into the swing
-            _keep(page, out, f"dashboard-{name}")
+            chromium.keep(page, out / f"dashboard-{name}.png")
         light.keyboard.press("Space")
         light.locator("#stopped[data-state=stopped]").wait_for()
         light.locator("#panel-events-tab").click()
         light.locator("#panel-events li.of-stop").first.wait_for()
-        _keep(light, out, "dashboard-stopped")
+        chromium.keep(light, out / "dashboard-stopped.png")
     light.locator("#link[data-link=lost]").wait_for()
     light.wait_for_timeout(3000)
-    _keep(light, out, "dashboard-lost")
+    chromium.keep(light, out / "dashboard-lost.png")
 
 
 def _covered(cameras: MocapSource) -> AbstractContextManager[object]:
@@ -135,7 +122,7 @@ def _refused(browser: Browser, out: Path) -> None:
         page.locator("#do-arm").click()
         page.locator("#said .notice.refused").wait_for()
         page.mouse.move(0, 0)
-        _keep(page, out, "dashboard-refused")
+        chromium.keep(page, out / "dashboard-refused.png")
 
 
 def _report(browser: Browser, out: Path) -> None:
@@ -145,7 +132,7 @@ def _report(browser: Browser, out: Path) -> None:
         page_of_report.write(diagnose(read_all([campaign.make_campaign(Path(folder))]), Model()), file)
         page = browser.new_context(viewport={"width": 1100, "height": 760}).new_page()
         page.goto(file.as_uri())
-        _keep(page, out, "report")
+        chromium.keep(page, out / "report.png")
 
 
 @click.command()

@@ -4,6 +4,8 @@ import json
 from typing import Generic, TypeVar
 
 from pydantic import ConfigDict, RootModel, TypeAdapter
+from pydantic.json_schema import GenerateJsonSchema, JsonSchemaValue
+from pydantic_core import core_schema
 
 from softarm.schemas import log
 from softarm.schemas.messages import MocapFrame, PressureReading, RailReading
@@ -17,6 +19,13 @@ class _Message(RootModel[T], Generic[T]):
     model_config = ConfigDict(ser_json_inf_nan="strings", allow_inf_nan=True)
 
 
+class _WithoutDefaults(GenerateJsonSchema):
+    """A default may be NaN, which is no JSON; and every message has all its fields."""
+
+    def default_schema(self, schema: core_schema.WithDefaultSchema) -> JsonSchemaValue:
+        return self.generate_inner(schema["schema"])
+
+
 class LogChannel(Generic[T]):
     """A topic and the one type of record on it, as JSON with every digit: it is read as it was written."""
 
@@ -28,7 +37,8 @@ class LogChannel(Generic[T]):
 
     def json_schema(self) -> bytes:
         """Its JSON schema, for viewers."""
-        return json.dumps(TypeAdapter(self._record).json_schema(mode="serialization")).encode()
+        schema = TypeAdapter(self._record).json_schema(mode="serialization", schema_generator=_WithoutDefaults)
+        return json.dumps(schema, allow_nan=False).encode()
 
     def encode(self, record: T) -> bytes:
         """The record as JSON."""

@@ -2,21 +2,25 @@
 
 import json
 import math
+from collections import deque
 from collections.abc import Iterator
 from importlib.resources import files
 from typing import Any, NamedTuple
 
+from mcap import records
 from pydantic import ConfigDict, TypeAdapter
 from pydantic.dataclasses import dataclass
 
 from softarm.recordings import flight
 from softarm.recordings.flight import Tick
 from softarm.recordings.foxglove import scene
+from softarm.recordings.foxglove.plain import plain
 from softarm.schemas.config import Config
 from softarm.schemas.events import Entry
 from softarm.schemas.messages import MocapFrame, PressureReading, RailReading
 
 FIXED, FRAMES, ROBOT, TARGET, SHELF = "/tf_static", "/tf", "/scene/robot", "/scene/target", "/scene/shelf"
+TRAIL, TRAIL_NS, TRAIL_STEP_NS = "/scene/trail", 1_500_000_000, 50_000_000  # of the tip: how far back, in which steps
 STATE, TOLD = "/state", "/log"
 INFO, WARNING, ERROR = 2, 3, 4  # foxglove.LogLevel
 
@@ -40,7 +44,7 @@ class Channel(NamedTuple):
 
 @dataclass(frozen=True, slots=True, config=ConfigDict(allow_inf_nan=False))
 class State:
-    """A tick as flat numbers, for plots; None: there is none."""
+    """A tick as flat numbers, for plots; what there is none of is left out."""
 
     tick: int
     mode: str
@@ -80,11 +84,16 @@ def channels() -> tuple[Channel, ...]:
     """What a converter gives out beside the log's own channels."""
     kinds = {
         **dict.fromkeys((FIXED, FRAMES), "FrameTransforms"),
-        **dict.fromkeys((ROBOT, TARGET, SHELF), "SceneUpdate"),
+        **dict.fromkeys((ROBOT, TARGET, SHELF, TRAIL), "SceneUpdate"),
         TOLD: "Log",
     }
-    state = Channel(STATE, "softarm.State", json.dumps(_STATE.json_schema(mode="serialization")).encode())
+    state = Channel(STATE, "softarm.State", plain(json.dumps(_STATE.json_schema(mode="serialization")).encode()))
     return (*(Channel(topic, f"foxglove.{kind}", _schema(kind)) for topic, kind in kinds.items()), state)
+
+
+def own(channel: records.Channel, schema: records.Schema) -> Channel:
+    """One of the log's own channels, its schema in Foxglove's words."""
+    return Channel(channel.topic, schema.name, plain(schema.data))
 
 
 def _schema(kind: str) -> bytes:
@@ -100,6 +109,7 @@ class Converter:
         self._repeat_s = repeat_s
         self._told: dict[str, str] = {}  # topic -> of what its scene was made
         self._told_ns = 0
+        self._tip: deque[tuple[int, float, float]] = deque()  # where it was, and when
         self._pressure: PressureReading | None = None
         self._rail: RailReading | None = None
         self.has_told_events = False
@@ -116,6 +126,8 @@ class Converter:
             case MocapFrame():
                 seen_ns = one.t_capture_ns + self._offset_ns
                 yield Message(FRAMES, at_ns, seen_ns, _json(scene.frames(one, seen_ns)))
+                if self._goes_on(one, seen_ns):
+                    yield Message(TRAIL, at_ns, seen_ns, _json(scene.trail([at[1:] for at in self._tip], seen_ns)))
             case PressureReading():
                 self._pressure = one
             case RailReading():
@@ -125,7 +137,7 @@ class Converter:
                 yield self.told(one)
             case Tick():
                 yield from self._scenes(one, at_ns)
-                yield Message(STATE, at_ns, at_ns, _STATE.dump_json(self._state(one)))
+                yield Message(STATE, at_ns, at_ns, _STATE.dump_json(self._state(one), exclude_none=True))
 
     def told(self, entry: Entry) -> Message:
         """Something that happened, as foxglove.Log."""
@@ -134,6 +146,17 @@ class Converter:
         level = ERROR if entry.kind == "stop" else WARNING if refused or entry.kind in ("lost", "event") else INFO
         text = {"timestamp": scene.time_of(at_ns), "level": level, "message": entry.text, "name": entry.kind}
         return Message(TOLD, at_ns, at_ns, _json(text | {"file": "", "line": 0}))
+
+    def _goes_on(self, frame: MocapFrame, seen_ns: int) -> bool:
+        """Is there a new place on the tip's trail?"""
+        tip = frame.bodies[-1]
+        since_ns = seen_ns - self._tip[-1][0] if self._tip else TRAIL_STEP_NS
+        if not (tip.tracked and math.isfinite(tip.y_m + tip.z_m)) or since_ns < TRAIL_STEP_NS:
+            return False
+        self._tip.append((seen_ns, tip.y_m, tip.z_m))
+        while seen_ns - self._tip[0][0] > TRAIL_NS:
+            self._tip.popleft()
+        return True
 
     def _scenes(self, tick: Tick, at_ns: int) -> Iterator[Message]:
         """What stands about, when it is another than before."""

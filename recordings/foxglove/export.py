@@ -51,8 +51,8 @@ def export(log: LogFile, target: Path, entries: Iterable[Entry], advance: Advanc
                     schemas[record.id] = record
                 case Channel():
                     topics[record.id] = record.topic
-                    own = schemas[record.schema_id]
-                    ids[record.topic] = _register(writer, converter.Channel(record.topic, own.name, own.data))
+                    if record.topic not in ids:  # a finished log says it again at its end
+                        ids[record.topic] = _register(writer, converter.own(record, schemas[record.schema_id]))
                 case Metadata():
                     writer.add_metadata(record.name, record.metadata)
                 case Message():

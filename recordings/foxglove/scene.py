@@ -80,6 +80,16 @@ def target(status: GoalStatus, radius_m: float, ns: int) -> Json:
     return _update(ns, _entity(ns, WORLD, "target", spheres=balls))
 
 
+def trail(places: Sequence[tuple[float, float]], ns: int) -> Json:
+    """foxglove.SceneUpdate of a line through the tip's last places: (y, z) in metres, two or more, else it is empty."""
+    if len(places) < 2:
+        return _update(ns)
+    points = [_xyz((0.0, round(y, 4), round(z, 4))) for y, z in places]
+    line = {"type": 0, "pose": _pose((0.0, 0.0, 0.0)), "points": points, "color": _rgba(BLUE), "colors": []}
+    line |= {"thickness": 2.0, "scale_invariant": True, "indices": []}
+    return _update(ns, _entity(ns, WORLD, "trail", lines=[line]))
+
+
 def shelf(status: GoalStatus, policy: str, config: Config, ns: int) -> Json:
     """foxglove.SceneUpdate of the shelf's board, which a target on the shelf implies; empty where nothing implies it.
 
@@ -144,8 +154,8 @@ def _ball(middle: Sequence[float], radius_m: float, colour: Colour) -> Json:
 
 
 def _text(at: Sequence[float], text: str) -> Json:
-    told = {"pose": _pose(at), "text": text, "color": _rgba(GREY)}
-    return told | {"billboard": True, "font_size": 0.02, "scale_invariant": False}
+    told = {"pose": _pose(at), "text": text, "color": _rgba(DARK)}
+    return told | {"billboard": True, "font_size": 0.028, "scale_invariant": False}
 
 
 def _pose(at: Sequence[float]) -> Json:

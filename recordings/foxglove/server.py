@@ -43,9 +43,7 @@ class Relay:
                 self._schemas[record.id] = record
             case Channel():
                 self._topics[record.id] = record.topic
-                schema = self._schemas[record.schema_id]
-                own = converter.Channel(record.topic, schema.name, schema.data)
-                self._channels[record.topic] = self._channel(own)
+                self._channels[record.topic] = self._channel(converter.own(record, self._schemas[record.schema_id]))
             case Metadata():
                 self._metadata[record.name] = record.metadata
             case Message():

@@ -105,3 +105,24 @@ def test_scenes_are_told_when_they_change_and_the_flights_targets_are_all_there(
         (-0.2, 0.6),
     ]
     assert len(shown) < 20
+
+
+def test_the_trail_is_where_the_tip_was_in_the_last_second_and_a_half(converted, log):
+    seen = [(frame.t_capture_ns, frame.bodies[-1]) for frame in log.frames()]
+    offset_ns = int(log.metadata["clock"]["wall_minus_monotonic_ns"])
+    told = converted.messages["/scene/trail"]
+    assert np.diff([at for _, at, _ in told]).min() >= 50_000_000
+    for _, at_ns, said in told[2 :: len(told) // 7]:
+        (line,) = said["entities"][0]["lines"]
+        places = {
+            (round(pose.y_m, 4), round(pose.z_m, 4)) for t, pose in seen if at_ns - 1.5e9 <= t + offset_ns <= at_ns
+        }
+        points = [(point["y"], point["z"]) for point in line["points"]]
+        assert places.issuperset(points)
+        newest = next(pose for t, pose in seen if t + offset_ns == at_ns)
+        assert points[-1] == (round(newest.y_m, 4), round(newest.z_m, 4))
+    assert len(points) > 15
+
+
+def test_a_trail_of_one_place_is_none():
+    assert scene.trail([(0.0, 0.5)], 5)["entities"] == []
