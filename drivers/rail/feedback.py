@@ -65,8 +65,8 @@ def poll(drive: DryveLink, settings: Settings, clock: Callable[[], int]) -> Feed
 
 
 def homed(drive: DryveLink) -> bool | None:
-    """What the drive says of its zero; None of one that does not say. Raises as `DryveLink.read` but for refusals."""
+    """What the drive says of its zero; None of one that refuses the question or is silent. Else raises as `read`."""
     try:
         return bool(drive.read(dryve.HOMING_STATUS) & 1)
-    except (dryve.DryveRefusal, dryve.DryveMismatch):  # the object is the vendor's, and optional
+    except (dryve.DryveRefusal, dryve.DryveMismatch, TimeoutError):  # the object is the vendor's, and optional
         return None

@@ -416,7 +416,9 @@ def test_a_drive_that_forgot_its_zero_in_a_fault_is_asked_after_it(bench: Any) -
 
 
 @pytest.mark.parametrize(
-    "answer", [lambda t: dryve.encode_abort(t, 0x06020000), lambda t: dryve.encode_exception(t, 2)]
+    "answer",
+    [lambda t: dryve.encode_abort(t, 0x06020000), lambda t: dryve.encode_exception(t, 2), lambda _: b""],
+    ids=["abort", "exception", "silence"],
 )
 def test_a_drive_without_that_word_flies_as_ever(bench: Any, answer: Callable[[int], bytes]) -> None:
     def without(telegram: bytes, asked: Callable[[], bytes]) -> bytes:
