@@ -298,6 +298,9 @@ TABLE: dict[str, Rule] = {
 }
 
 
+UNHEARD = ("rail_missing", "rail_stale", "rail_link_lost")
+
+
 @dataclass(frozen=True, slots=True)
 class Event:
     """Something of the table that holds in this tick, with its numbers."""
@@ -350,7 +353,10 @@ class ModeMachine:
         return stops if asked_for or self.mode is not Mode.DISARMED else ()
 
     def update(self, events: Iterable[Event], *, devices_armed: bool, at_rest: bool, still: bool) -> None:
-        """Answer this tick's events; the severest wins. `at_rest` is the cart, `still` the arm."""
+        """Answer this tick's events; the severest wins. `at_rest` is the cart, `still` the arm.
+
+        A cart whose axis is not heard is held by nobody: a soft stop does not wait for it.
+        """
         self._ticks += 1
         self._rested |= at_rest
         events = tuple(events)
@@ -362,7 +368,7 @@ class ModeMachine:
         elif self.mode is Mode.STOPPED:
             self.estop = EStop.LATCHED
         else:
-            self._soft(events, devices_armed, at_rest and still)
+            self._soft(events, devices_armed, (at_rest and still) or any(e.name in UNHEARD for e in events))
 
     def _soft(self, events: tuple[Event, ...], devices_armed: bool, over: bool) -> None:
         softs = [e for e in events if e.rule.response is Response.SOFT_STOP]

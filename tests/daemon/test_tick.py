@@ -385,6 +385,18 @@ def test_the_loss_of_the_rails_process_is_a_soft_stop_that_names_it():
     assert rig.tick(rail=lost).arming_refusals
 
 
+@pytest.mark.parametrize("event", ["rail_stale", "rail_link_lost"])
+def test_a_soft_stop_holds_no_cart_whose_axis_is_not_heard(event):
+    """It is the disarmed command that has the regulator's board open DI7: the only way left to such a drive."""
+    rig = Rig().swinging()
+    gone = RailReading(rig.now, 0.0, 0.5, True, linked=event == "rail_stale")  # at half a metre a second
+    while rig.tick(rail=gone).mode is Mode.ARMED:
+        pass
+    assert (rig.outputs.mode, [event.name for event in rig.outputs.events]) == (Mode.STOPPING, [event])
+    rig.tick(rail=gone)
+    assert (rig.outputs.mode, rig.outputs.sent) == (Mode.DISARMED, SAFE)
+
+
 @pytest.mark.parametrize(
     ("p50_ms", "max_ms", "latency_s", "named"),
     [
