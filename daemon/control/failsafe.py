@@ -298,7 +298,7 @@ TABLE: dict[str, Rule] = {
 }
 
 
-UNHEARD = ("rail_missing", "rail_stale", "rail_link_lost")
+UNHEARD = ("rail_stale", "rail_link_lost")  # of an axis that was heard once, or nothing would be armed
 
 
 @dataclass(frozen=True, slots=True)

@@ -166,7 +166,7 @@ def test_a_pulled_cable_to_the_drive_is_answered_as_soon_as_the_daemon_knows(ben
     while bench.drive.in_operation:
         bench.tick()
         assert bench.now_ns - began_ns < 1e9
-    # Known when the reading is 0.15 s old, one tick for the soft stop, one for its end, one for the relay to be looked at.
+    # Known when the reading is 0.15 s old; then a tick for the soft stop, one for its end, and one is under way.
     assert bench.now_ns - began_ns <= 150e6 + 3 * PERIOD_NS
     assert "the axis reading is too old" in bench.outputs.last_stop
     bench.drive.sense(0.0, 0.0)

@@ -4,6 +4,7 @@ import itertools
 import math
 from typing import Any
 
+import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
@@ -71,6 +72,38 @@ def host(make_board: Any) -> Host:
     return Host(make_board(itertools.count(7).__next__))
 
 
+# What it accepts
+
+
+@pytest.mark.parametrize(
+    ("kpa", "live_ms", "accepted"),
+    [
+        (-0.7, 1, True),
+        (20.0, 250, True),
+        (0.0, 0, False),
+        (0.0, 251, False),
+        (float(np.nextafter(np.float32(-0.7), np.float32(-1))), 100, False),
+        (float(np.nextafter(np.float32(20), np.float32(21))), 100, False),
+        (math.nan, 100, False),
+        (math.inf, 100, False),
+    ],
+)
+@pytest.mark.parametrize("armed", [False, True])
+def test_the_ends_of_its_ranges(host: Host, kpa: float, live_ms: int, accepted: bool, armed: bool) -> None:
+    host.greet().command(False)
+    answer = host.command(armed, kpa, live_ms)
+    assert answer.faults == (Fault(0) if accepted else Fault.RANGE)
+    assert answer.accepted_sequence == (host.sequence if accepted else host.sequence - 1)
+
+
+@pytest.mark.parametrize("more", [b"\1", b"\7" * 7, b"\7" * 300])
+def test_a_command_with_something_behind_it_is_none(host: Host, more: bytes) -> None:
+    host.greet()
+    said = frame(encode(RegulatorCommand(host.token, 0.1, False, 1.0), 2, 0))
+    assert host.board.receive(said[:-1] + more + b"\0", host.now_ns, 1.0) == b""
+    assert host.board.receive(said, host.now_ns, 1.0) != b""
+
+
 # The relay
 
 
@@ -79,8 +112,11 @@ def test_the_relay_closes_for_a_host_that_speaks_before_anything_is_armed(host: 
     host.greet()
     assert not host.board.relay_closed
     host.talk(OPEN_MS - 33)
+    host.command(False)
+    host.now_ns = OPEN_MS * MS - 1000
+    host.board.watch(host.now_ns)
     assert not host.board.relay_closed  # not in the first second
-    host.talk(66)
+    host.wait(0.001)
     assert host.board.relay_closed
     assert not host.board.armed
 
