@@ -1,14 +1,16 @@
-"""`softarm rail`: the axis's zero, found by a person with the drive and no daemon."""
+"""`softarm rail`: the axis's zero and its middle, found by a person with the drive and no daemon."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
+from softarm.cli import rail_sources
 from softarm.cli.errors import fail
 from softarm.cli.interrupt import leaves
-from softarm.cli.options import FILE
+from softarm.cli.options import FILE, token_of
 from softarm.cli.rail_alone import only_one
+from softarm.cli.rail_centring import pushed, tell_centre
 from softarm.cli.rail_homing import allowed, ready, say_what_moves, searched, tell
 from softarm.cli.verbs import Verbs
 
@@ -22,11 +24,12 @@ config_option = click.option(
 
 @click.group(cls=Verbs)
 def rail() -> None:
-    """Find the axis's zero (docs/homing.md).
+    """Find the axis's zero, and the middle of the rail (docs/homing.md).
 
     \b
-    Example:
+    Examples:
       softarm rail home --config softarm.yaml        after every power cycle of a drive that forgets its zero
+      softarm rail centre --config softarm.yaml      once, and when something on the rail was changed
     """
 
 
@@ -73,6 +76,37 @@ def home(config_file: Path, speed_m_s: float, reset_fault: bool, yes: bool) -> N
         except DeviceError as error:
             fail(str(error))
     tell(found, config, config_file)
+
+
+@rail.command()
+@config_option
+@click.option("--seconds", type=click.FloatRange(1, 600), help="Watch for so long (default: until Enter is pressed).")
+@click.option("--write", is_flag=True, help="Write what was found into the configuration; comments stay.")
+@click.option("--url", envvar="SOFTARM_URL", show_envvar=True, help="A running daemon's (default: as the file says).")
+@click.option("--token-file", type=FILE, help="File with the API's token; else $SOFTARM_TOKEN. Not needed on loopback.")
+def centre(config_file: Path, seconds: float | None, write: bool, url: str | None, token_file: Path | None) -> None:
+    """Find the middle of the rail while you push the cart from end to end by hand. Nothing moves by itself.
+
+    With a disarmed daemon of this configuration running, motion capture is held against the axis as well: a wrong
+    units_per_m and an axis that counts the other way show. Without one the drive itself is asked, which is off.
+
+    \b
+    Examples:
+      softarm rail centre --config softarm.yaml              says what it finds
+      softarm rail centre --config softarm.yaml --write      and writes drivers.rail.centre_m
+      softarm rail centre --config softarm.yaml --seconds 30
+    """
+    from softarm.drivers.rail.commissioning.centre import centre as judge
+
+    leaves("nothing was written, and nothing had moved by itself")
+    config = _config(config_file)
+    with rail_sources.source(config, config_file, url, token_of(token_file)) as source:
+        end = "Enter ends it" if seconds is None else f"you have {seconds:g} s"
+        click.echo(
+            f"Push the cart by hand, slowly, until it stops at one end, then at the other; {end}. ({source.name})"
+        )
+        samples = pushed(source, seconds)
+    tell_centre(judge(samples, config.drivers.rail), config, config_file, write)
 
 
 def _config(file: Path) -> "Config":

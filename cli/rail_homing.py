@@ -93,4 +93,4 @@ def tell(found: "Homed", config: "Config", file: Path) -> None:
     )
     if not limits.position_min_m <= found.position_m <= limits.position_max_m:
         click.echo("that is outside limits.rail: push the cart to the middle by hand before you arm")
-    click.echo(f"next: `softarm run --config {file}`; does motion capture see the cart where the axis does?")
+    click.echo(f"next: `softarm rail centre --config {file}` the first time, then `softarm run --config {file}`")

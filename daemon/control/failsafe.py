@@ -78,8 +78,8 @@ TABLE: dict[str, Rule] = {
         Response.STOP,
         True,
         "the axis and motion capture disagree on where the cart is",
-        "end the daemon and home the axis (`softarm rail home`), or re-calibrate the motion capture frame, then "
-        "POST /api/acknowledge",
+        "end the daemon and home the axis (`softarm rail home`), find its middle (`softarm rail centre`), or "
+        "re-calibrate the motion capture frame, then POST /api/acknowledge",
     ),
     "pressure_outside": Rule(
         Response.STOP,
@@ -145,7 +145,7 @@ TABLE: dict[str, Rule] = {
         Response.SOFT_STOP,
         False,
         "motion capture shows the cart moving the other way",
-        "turn the frame's y axis round, or set drivers.rail.reversed: y is the rail's, towards its +y end",
+        "turn the frame's y axis round, or the axis's (drivers.rail.reversed): `softarm rail centre` tells more",
     ),
     "mocap_too_late": Rule(
         Response.SOFT_STOP,

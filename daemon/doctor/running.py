@@ -10,6 +10,7 @@ import httpx
 
 from softarm.daemon.doctor.finding import Finding, State, by, ok, problem, warning
 from softarm.schemas.config import Config
+from softarm.schemas.policy import Observation
 from softarm.schemas.rest import API_HEADER
 
 ASK_S = 2.0
@@ -162,12 +163,12 @@ def _times(statuses: Sequence[dict[str, Any]], config: Config) -> Iterator[Findi
 
 def _zero(statuses: Sequence[dict[str, Any]], config: Config) -> Iterator[Finding]:
     """How far the cart by the axis is from the cart by motion capture, in the middle of what was seen at rest."""
-    name, homing = "rail's zero", "end the daemon, then `softarm rail home` (docs/homing.md)"
+    name, homing = "rail's zero", "end the daemon, then `softarm rail home`; else `softarm rail centre`"
     if any(event["name"] == "rail_not_homed" for event in statuses[-1]["events"]):
         yield problem(name, "the drive says that it is not homed", homing)
         return
     apart_mm = [
-        1e3 * (each["rail_position_m"] - seen["cart_position_m"])
+        1e3 * (each["rail_position_m"] - Observation(*seen).cart_position_m)
         for each in statuses
         if (seen := (each["observed"] or {}).get("values")) is not None
         and each["rail_position_m"] is not None

@@ -3,23 +3,36 @@
 import asyncio
 import fcntl
 import functools
+import math
 import os
 import signal
 import socket
 import threading
+import time
+from collections import deque
 from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
 from click.testing import CliRunner, Result
 
 from softarm.cli.main import main
+from softarm.daemon.api.status import Ages
+from softarm.daemon.control.records import ActiveEvent, Mode, Observed
 from softarm.drivers.rail.cia402 import DriveState
 from softarm.drivers.rail.commissioning import visit
 from softarm.drivers.twin.dryve import DryveDevice, DryveServer
 from softarm.drivers.twin.faults import Faults
 from softarm.schemas.config import DryveRail
+from softarm.schemas.policy import Observation
+
+
+def free_port() -> int:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
 
 
 class Bench:
@@ -30,24 +43,34 @@ class Bench:
         self.drive = DryveDevice(DryveRail())
         self.server = DryveServer("127.0.0.1", 0, self.drive, Faults(self.clock), self.clock)
         self.position_m = 0.0
+        self.api_port = free_port()
         self.file = folder / "arm.yaml"
         self.folder = folder
         self.on_the_way: Any = lambda: None
+        self.hand: Any = None  # where the cart is pushed to, by the time
         self.drive.power_cycle()
 
     def clock(self) -> int:
         return self.now_ns
 
+    def push(self, reach_m: float = 0.3, scale: float = 1.0) -> None:
+        """From end to end, again and again, of a homed axis whose counts are off by a factor."""
+        self.drive.reference.homed, self.drive.reference.offset_m = True, -0.013
+        self.drive.sense(0.0, 0.0)
+        self.hand = lambda now_s: scale * reach_m * max(-1.0, min(1.0, 1.2 * math.sin(now_s)))
+
     def configure(self) -> None:
         self.file.write_text(
             f"# my arm\ndrivers:\n  rail:\n    host: 127.0.0.1\n    port: {self.server.port}\n    timeout_s: 0.14\n"
-            f"recorder:\n  directory: {self.folder}\n"
+            f"recorder:\n  directory: {self.folder}\napi:\n  port: {self.api_port}\n"
         )
 
     def pause(self, seconds: float) -> None:
         self.now_ns += round(seconds * 1e9)
         speed_m_s = self.drive.target_velocity_m_s
         self.position_m += speed_m_s * seconds
+        if self.hand is not None:
+            self.position_m = self.hand(self.now_ns * 1e-9)
         self.drive.sense(self.position_m, speed_m_s)
         if self.drive.reference.searching:
             self.on_the_way()
@@ -89,7 +112,7 @@ def test_it_says_what_moves_then_homes_and_leaves_the_drive_off(bench: Bench) ->
     assert "says that it is not homed" in answer.output
     assert "homed (the drive says so), and the drive is off: the axis reads 0.015" in answer.output
     assert "push the cart to the middle by hand" in answer.output
-    assert f"next: `softarm run --config {bench.file}`" in answer.output
+    assert f"next: `softarm rail centre --config {bench.file}`" in answer.output
     assert bench.drive.state is DriveState.READY
     assert not list(bench.folder.glob("stop-*"))
 
@@ -181,3 +204,142 @@ def test_nobody_at_the_address(bench: Bench) -> None:
     answer = bench.softarm("home", "--yes")
     assert answer.exit_code == 1
     assert "127.0.0.1:1: connect" in answer.output
+
+
+# The middle
+
+
+def test_the_middle_is_found_by_hand_and_written_only_when_asked(bench: Bench) -> None:
+    bench.push()
+    before = bench.file.read_text()
+    answer = bench.softarm("centre", "--seconds", "20")
+    assert answer.exit_code == 0, answer.output
+    assert "Push the cart by hand, slowly" in answer.output
+    assert "travel 0.600 m, from -0.0130 to 0.5870 m on the axis" in answer.output
+    assert "drivers.rail.centre_m: 0.287  (is 0.3)" in answer.output
+    assert "nothing was written" in answer.output
+    assert bench.file.read_text() == before
+    assert bench.drive.state is DriveState.SWITCH_ON_DISABLED
+    answer = bench.softarm("centre", "--seconds", "20", "--write")
+    assert answer.exit_code == 0, answer.output
+    assert bench.file.read_text() == before.replace("  rail:\n", "  rail:\n    centre_m: 0.287\n")
+    answer = bench.softarm("centre", "--seconds", "20", "--write")
+    assert "drivers.rail is right as it is" in answer.output
+
+
+@pytest.mark.parametrize(
+    ("how", "says"),
+    [
+        ({"reach_m": 0.2}, "push the cart until it stops, at both ends"),
+        ({"scale": 1.5}, "units_per_m is 150000, not 100000"),
+        ({"reach_m": 0.0}, "push it slowly from end to end"),
+    ],
+)
+def test_a_push_that_does_not_fit_writes_nothing(bench: Bench, how: dict[str, float], says: str) -> None:
+    bench.push(**how)
+    before = bench.file.read_text()
+    answer = bench.softarm("centre", "--seconds", "20", "--write")
+    assert answer.exit_code == 1
+    assert says in answer.output
+    assert "nothing was written" in answer.output
+    assert bench.file.read_text() == before
+
+
+def test_an_axis_that_is_not_homed_has_no_middle(bench: Bench) -> None:
+    answer = bench.softarm("centre", "--seconds", "5")
+    assert answer.exit_code == 1
+    assert "`softarm rail home` first" in answer.output
+
+
+def test_without_a_terminal_it_has_to_be_told_how_long(bench: Bench) -> None:
+    bench.push()
+    answer = bench.softarm("centre")
+    assert answer.exit_code == 1
+    assert "with --seconds" in answer.output
+
+
+@pytest.mark.parametrize(
+    ("url", "code"), [("robot", 2), ("ftp://robot", 2), ("http://[", 1), ("http://127.0.0.1:1", 1)]
+)
+def test_a_daemon_that_was_named_has_to_be_there(bench: Bench, url: str, code: int) -> None:
+    bench.push()
+    answer = bench.softarm("centre", "--seconds", "5", "--url", url)
+    assert answer.exit_code == code
+    assert bench.server._master is None
+
+
+class Seen:
+    """A daemon's statuses while a person pushes: a true rail, an axis that counts in its own way, motion capture."""
+
+    def __init__(self, sense: int = 1, scale: float = 1.0, zero_m: float = 0.287, **changes: Any) -> None:
+        self.calls = 0
+        self.sense, self.scale, self.zero_m, self.changes = sense, scale, zero_m, changes
+
+    def __call__(self, status: Any) -> Any:
+        self.calls += 1
+        y_m = -0.3 * math.cos(0.2 * self.calls)
+        axis_m = (self.sense * y_m + self.zero_m) * self.scale
+        values = Observation(y_m, 0.0, y_m, 0.52, 0.0, 0.0, 0.0, 0.0)
+        moment = {
+            "mode": Mode.DISARMED,
+            "uptime_s": -10.0,
+            "rail_position_m": axis_m - 0.3,
+            "rail_velocity_m_s": 0.0,
+            "observed": Observed(values, self.calls, 0, 0, 0),
+            "ages_ms": Ages(8.0, 8.0, 8.0),
+        }
+        return status(**moment | self.changes)
+
+
+@pytest.fixture
+def asked(bench: Bench, daemon: Any, make_status: Any, monkeypatch: pytest.MonkeyPatch) -> Any:
+    """Have a daemon answer beside this bench's configuration, in its time."""
+    own = SimpleNamespace(sleep=bench.pause, monotonic_ns=bench.clock, time=time.time)
+    monkeypatch.setattr("softarm.cli.rail_sources.time", own)
+
+    def ask(seen: Seen, *words: str, simulated: bool = False) -> Result:
+        daemon.answers["GET", "/api/robot"] = deque([(200, {"simulated": simulated})])
+        daemon.answers["GET", "/api/status"] = deque((200, seen(make_status)) for _ in range(200))
+        return bench.softarm("centre", "--seconds", "4", "--url", daemon.url, *words)
+
+    return ask
+
+
+@pytest.mark.parametrize(
+    ("seen", "says", "written"),
+    [
+        (Seen(), "1.0000 m seen for a metre counted", "centre_m: 0.287\n"),
+        (Seen(sense=-1), "counts AGAINST motion capture", "reversed: true\n    centre_m: 0.287\n"),
+        (Seen(scale=1.25), "0.8000 m seen for a metre counted", "units_per_m: 125000\n    centre_m: 0.287\n"),
+    ],
+)
+def test_beside_a_daemon_motion_capture_is_asked_too(
+    bench: Bench, asked: Any, seen: Seen, says: str, written: str
+) -> None:
+    before = bench.file.read_text()
+    answer = asked(seen, "--write")
+    assert answer.exit_code == 0, answer.output
+    assert says in answer.output
+    assert bench.file.read_text() == before.replace("  rail:\n", f"  rail:\n    {written}")
+    assert bench.server._master is None  # the drive is its daemon's
+
+
+@pytest.mark.parametrize(
+    ("seen", "says"),
+    [
+        (Seen(mode=Mode.ARMED), "the arm is armed: `softarm disarm` first"),
+        (Seen(events=(ActiveEvent("rail_not_homed", "soft_stop", "no"),)), "`softarm rail home`"),
+        (Seen(uptime_s=1e6), "was changed after the daemon had started"),
+        (Seen(ages_ms=Ages(500.0, 8.0, 8.0), rail_position_m=0.1), "push it slowly from end to end"),
+    ],
+)
+def test_beside_a_daemon_it_may_have_to_wait(asked: Any, seen: Seen, says: str) -> None:
+    answer = asked(seen, "--write")
+    assert answer.exit_code == 1
+    assert says in answer.output
+
+
+def test_a_daemon_whose_robot_is_simulated_is_not_the_drives(bench: Bench, asked: Any) -> None:
+    bench.push()
+    answer = asked(Seen(), simulated=True)
+    assert f"drive at 127.0.0.1:{bench.server.port}" in answer.output

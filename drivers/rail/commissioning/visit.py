@@ -71,7 +71,7 @@ class Visit:
         clock: Callable[[], int] = time.monotonic_ns,
         pause: Callable[[float], object] = time.sleep,
     ) -> None:
-        self.settings, self._clock, self._pause = settings, clock, pause
+        self.settings, self.clock, self.pause = settings, clock, pause
         self._link: DryveLink | None = None
         self.found_in_operation = False  # when it was visited
 
@@ -90,7 +90,7 @@ class Visit:
 
     def look(self) -> Feedback:
         """How the drive is."""
-        return self._asked(lambda drive: feedback.poll(drive, self.settings, self._clock))
+        return self._asked(lambda drive: feedback.poll(drive, self.settings, self.clock))
 
     def homed(self) -> bool | None:
         """What the drive says of its zero; None: it does not say."""
@@ -130,7 +130,7 @@ class Visit:
         """
         method = self.method()
         self._asked(lambda drive: self._set_up(drive, speed_m_s, creep_m_s))
-        search = Search(speed_m_s, creep_m_s, method, self._clock())
+        search = Search(speed_m_s, creep_m_s, method, self.clock())
         try:
             self._search(search, stop, tell)
         except LINK_ERRORS as error:
@@ -149,7 +149,7 @@ class Visit:
         missed = False
         while not search.over:
             try:
-                seen = feedback.poll(self._drive, self.settings, self._clock)
+                seen = feedback.poll(self._drive, self.settings, self.clock)
             except EXCHANGE_ERRORS:
                 if missed:
                     raise
@@ -160,7 +160,7 @@ class Visit:
             word = search.next(seen, stop())
             if word is not None:
                 self._drive.write(dryve.CONTROLWORD, word)
-            self._pause(POLL_S)
+            self.pause(POLL_S)
 
     def _set_up(self, drive: DryveLink, speed_m_s: float, creep_m_s: float) -> None:
         """Homing mode, ramps and speeds, each read back. Nothing moves."""
@@ -182,7 +182,7 @@ class Visit:
             if time.monotonic() > until_s:
                 problem = f"{dryve.MODE_DISPLAY} stays at {mode} after {dryve.HOMING} was written"
                 raise self._error("set up", problem, "look at the drive's web page; nothing moved")
-            self._pause(POLL_S)
+            self.pause(POLL_S)
 
     def _lost(self, error: Exception, search: Search) -> DeviceError:
         """The connection failed: brake on it while it lasts, then on new ones; say what came of it."""
@@ -200,7 +200,7 @@ class Visit:
                 if time.monotonic() > until_s:
                     state = "the drive cannot be reached, and MAY STILL MOVE: press the hardware e-stop"
                     break
-                self._pause(POLL_S)
+                self.pause(POLL_S)
         command, problem, remedy = explained(error, connected=True)
         return self._error(command, f"the connection failed while it homed ({problem}); {state}", remedy)
 
@@ -209,7 +209,7 @@ class Visit:
     def _begin(self) -> bool:
         """Connect and bring the drive to rest. Whether it was in operation."""
         self._link = DryveLink.open((self.settings.host, self.settings.port), wait, CONNECT_S, self.settings.timeout_s)
-        return come_to_rest(self._link, self.settings.units(AT_REST_M_S), self._pause)
+        return come_to_rest(self._link, self.settings.units(AT_REST_M_S), self.pause)
 
     @property
     def _drive(self) -> DryveLink:

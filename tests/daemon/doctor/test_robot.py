@@ -27,7 +27,7 @@ def status(tick=0, **changes):
         "missed_total": 0,
         "mode": "disarmed",
         "stalled": False,
-        "observed": {"mocap_sequence": 4 * tick, "values": {"cart_position_m": 0.1}},
+        "observed": {"mocap_sequence": 4 * tick, "values": [0.1, *[0.0] * 7]},
         "rail_position_m": 0.102,
         "rail_velocity_m_s": 0.0,
         "events": [],

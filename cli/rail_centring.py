@@ -1,0 +1,79 @@
+"""What `softarm rail centre` watches, and what it says and writes of it."""
+
+import select
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from softarm.cli.errors import fail
+from softarm.cli.rail_sources import Source
+from softarm.common.processes import bar
+
+if TYPE_CHECKING:
+    from softarm.drivers.rail.commissioning.centre import Centre, Sample
+    from softarm.schemas.config import Config
+
+POLL_S = 0.05
+
+
+def pushed(source: Source, seconds: float | None) -> "list[Sample]":
+    """While a person pushes the cart from end to end: until Enter, or for so long."""
+    if seconds is None and not sys.stdin.isatty():
+        fail("nobody can press Enter here: say how long you push with --seconds")
+    until_ns = None if seconds is None else source.clock() + round(seconds * 1e9)
+    samples: list[Sample] = []
+    with bar("push the cart", None) as progress:
+        while source.clock() < until_ns if until_ns is not None else not _enter():
+            if (sample := source.sample()) is not None:
+                samples.append(sample)
+                axis = [each.axis_m for each in samples]
+                mocap = "not seen" if sample.mocap_m is None else f"{sample.mocap_m:+.3f} m"
+                progress.show(
+                    text=f"axis {sample.axis_m:.4f} m, motion capture {mocap}; so far {max(axis) - min(axis):.3f} m"
+                )
+            source.pause(POLL_S)
+    return samples
+
+
+def _enter() -> bool:
+    ready, _, _ = select.select([sys.stdin], [], [], 0.0)
+    return bool(ready and sys.stdin.readline())
+
+
+def tell_centre(told: "Centre", config: "Config", file: Path, write: bool) -> None:
+    """What was found; what to set, or what is wrong; written where that is wanted."""
+    for sentence in told.found:
+        click.echo(sentence)
+    if not told.proposes:
+        fail("\n".join((*told.wrong, "nothing was written")))
+    if not told.values:
+        click.echo(f"{file}: drivers.rail is right as it is")
+        return
+    for key, value in told.values.items():
+        click.echo(
+            f"drivers.rail.{key}: {str(value).lower() if isinstance(value, bool) else f'{value:.10g}'}"
+            f"  (is {str(getattr(config.drivers.rail, key)).lower()})"
+        )
+    if "reversed" in told.values:
+        click.echo(
+            "or motion capture's y axis is the wrong way round: with pressure the arm bends towards -y. Look first."
+        )
+    if write:
+        _write(told, file)
+    else:
+        click.echo(f"nothing was written; the same with --write puts it into {file}")
+
+
+def _write(told: "Centre", file: Path) -> None:
+    from softarm.cli.options import write
+    from softarm.common.yaml_lines import FileError
+    from softarm.daemon.config.edit import with_values
+
+    try:
+        text = with_values(file.read_text(encoding="utf-8"), file, ("drivers", "rail"), told.values)
+    except FileError as error:
+        fail(str(error))
+    write(file, text)
+    click.echo(f"next: start the daemon anew; `softarm doctor --config {file}` says how far axis and cameras are apart")

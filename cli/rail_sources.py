@@ -1,0 +1,93 @@
+"""Where `softarm rail centre` gets its samples from: the daemon that runs, or the drive itself."""
+
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
+
+import click
+
+from softarm.cli.client import Remote
+from softarm.cli.errors import fail
+from softarm.cli.rail_alone import only_one
+
+if TYPE_CHECKING:
+    from softarm.drivers.rail.commissioning.centre import Sample
+    from softarm.schemas.config import Config, DryveRail
+
+SEEN_MS = 100.0  # a frame that is older shows where the cart was
+AT_REST = ("disarmed", "stopped")
+
+
+class Source(NamedTuple):
+    """Where samples of a cart that is pushed by hand come from."""
+
+    sample: "Callable[[], Sample | None]"
+    pause: Callable[[float], object]
+    clock: Callable[[], int]  # ns
+    name: str
+
+
+@contextmanager
+def source(config: "Config", file: Path, named: str | None, token: str | None) -> Iterator[Source]:
+    """The daemon that runs by this file, which has motion capture too; else the drive itself. named: a daemon's URL."""
+    from softarm.daemon.doctor import running
+
+    api = config.api
+    url = named or f"http://{'127.0.0.1' if api.host in ('0.0.0.0', '::') else api.host}:{api.port or 8080}"
+    with Remote(url, token) as daemon:
+        try:
+            found = running.look(url, token, samples=1)
+        except ValueError as error:
+            raise click.BadParameter(f"{error}; e.g. http://127.0.0.1:8080", param_hint="--url") from None
+        if found is None and named is not None:
+            fail(f"no daemon at {url}: correct --url, or leave it out to ask the drive itself")
+        if found is not None and found.refused is not None:
+            fail(f"{url}: {found.refused}; give its token with --token-file")
+        if found is not None and not daemon.get("/api/robot")["simulated"]:
+            _check_age(file, found.statuses[-1]["uptime_s"])
+            yield Source(
+                lambda: _of_daemon(daemon, config.drivers.rail), time.sleep, time.monotonic_ns, f"daemon at {url}"
+            )
+            return
+    from softarm.drivers.base import DeviceError
+    from softarm.drivers.rail.commissioning.centre import Sample
+    from softarm.drivers.rail.commissioning.visit import Visit, settings_of
+
+    settings = settings_of(config.drivers.rail)
+    with only_one(config):
+        try:
+            with Visit(settings) as drive:
+                if drive.homed() is False:
+                    fail("the drive says that it is not homed, so its middle means nothing: `softarm rail home` first")
+                name = f"drive at {settings.host}:{settings.port}; motion capture is not looked at without a daemon"
+                yield Source(lambda: Sample(settings.axis_m(drive.look().position_m)), drive.pause, drive.clock, name)
+        except DeviceError as error:
+            fail(str(error))
+
+
+def _check_age(file: Path, uptime_s: float) -> None:
+    if file.stat().st_mtime > time.time() - uptime_s:
+        fail(
+            f"{file} was changed after the daemon had started, which counts by the old one: start the daemon anew first"
+        )
+
+
+def _of_daemon(daemon: Remote, rail: "DryveRail") -> "Sample | None":
+    from softarm.drivers.rail.commissioning.centre import Sample
+    from softarm.drivers.rail.commissioning.visit import settings_of
+    from softarm.schemas.policy import Observation
+
+    status = daemon.get("/api/status")
+    if status["mode"] not in AT_REST:
+        fail(f"the arm is {status['mode']}: `softarm disarm` first; the cart is pushed by hand, with the drive off")
+    if any(event["name"] == "rail_not_homed" for event in status["events"]):
+        fail(
+            "the drive says that it is not homed, so its middle means nothing: end the daemon, then `softarm rail home`"
+        )
+    if (position_m := status["rail_position_m"]) is None:
+        return None
+    seen, age_ms = status["observed"], status["ages_ms"]["mocap"]
+    fresh = seen is not None and age_ms is not None and age_ms < SEEN_MS
+    return Sample(settings_of(rail).axis_m(position_m), Observation(*seen["values"]).cart_position_m if fresh else None)

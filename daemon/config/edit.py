@@ -1,0 +1,83 @@
+"""A few values written into a configuration file; its comments, its order and all else stay as they are."""
+
+import copy
+import re
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from softarm.common import yaml_lines
+from softarm.common.yaml_lines import Document, FileError
+from softarm.common.yaml_schema import fit
+from softarm.daemon.config.contradictions import contradictions
+from softarm.schemas.config import Config
+
+Value = float | bool
+
+
+def with_values(text: str, path: Path, group: tuple[str, ...], values: Mapping[str, Value]) -> str:
+    """The text of a file at `path` with these keys of a group set.
+
+    Raises FileError: with what would be wrong with the new file, or with what to write by hand where the file's way of
+    writing cannot be kept.
+    """
+    document, changed = yaml_lines.parse(text, path), text
+    for key, value in values.items():
+        changed = _with_value(changed, path, (*group, key), value)
+    wanted = copy.deepcopy(document.data) or {}
+    place: Any = wanted
+    for name in group:
+        place[name] = place.get(name) or {}
+        place = place[name]
+    place.update(values)
+    edited = yaml_lines.parse(changed, path)
+    if edited.data != wanted:  # an anchor, say, that stood for another value too
+        raise _by_hand(path, group, values)
+    fit(edited, Config, rules=contradictions)
+    return changed
+
+
+def _with_value(text: str, path: Path, place: tuple[str, ...], value: Value) -> str:
+    document, lines = yaml_lines.parse(text, path), text.splitlines(keepends=True)
+    if place in document.lines:
+        number = document.lines[place] - 1
+        found = re.match(
+            r"(\s*[\"']?" + re.escape(place[-1]) + r"[\"']?\s*:\s*)([^\s#&*{\[|>]+)(.*)", lines[number], re.S
+        )
+        if found is None:
+            raise _by_hand(path, place[:-1], {place[-1]: value})
+        lines[number] = f"{found[1]}{_written(value).ljust(len(found[2]))}{found[3]}"
+        return "".join(lines)
+    return _inserted(document, lines, place, value)
+
+
+def _inserted(document: Document, lines: list[str], place: tuple[str, ...], value: Value) -> str:
+    """Under the innermost group that is there, before what it holds already; at the file's end where there is none."""
+    depth = max(n for n in range(len(place)) if place[:n] in document.lines and (n == 0 or place[:n]))
+    inside = [at for at in document.lines if at[:depth] == place[:depth] and len(at) == depth + 1]
+    if inside:
+        begin = min(document.lines[at] for at in inside) - 1
+        indent = re.match(r" *", lines[begin])
+        first = indent[0] if indent else ""
+    else:
+        begin = document.lines[place[:depth]] if depth else len(lines)
+        above = re.match(r" *", lines[begin - 1]) if depth else None
+        first = (above[0] if above else "") + ("  " if depth else "")
+    if depth == 0:
+        begin = len(lines)
+        if lines and not lines[-1].endswith("\n"):
+            lines[-1] += "\n"
+    new = [f"{first}{'  ' * n}{name}:\n" for n, name in enumerate(place[depth:-1])]
+    new.append(f"{first}{'  ' * len(new)}{place[-1]}: {_written(value)}\n")
+    return "".join(lines[:begin] + new + lines[begin:])
+
+
+def _written(value: Value) -> str:
+    return str(value).lower() if isinstance(value, bool) else f"{value:.10g}"
+
+
+def _by_hand(path: Path, group: tuple[str, ...], values: Mapping[str, Value]) -> FileError:
+    keys = "; ".join(f"{'.'.join((*group, key))}: {_written(value)}" for key, value in values.items())
+    return FileError(
+        [f"{path}: is written in a way that cannot be kept here, and stays as it is; write by hand {keys}"]
+    )
