@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from softarm.diagnosis.engine import box, held_out
 from softarm.diagnosis.engine.candidates import Set, U, point_of, split
-from softarm.diagnosis.engine.jackknife import half_width
+from softarm.diagnosis.engine.jackknife import RIDGE, half_width
 from softarm.diagnosis.engine.view import Array, Point
 from softarm.diagnosis.engine.whitened import Moments, Rows, WhitenedResidual
 
@@ -20,6 +20,7 @@ ROUNDS = 4
 CONVERGED = 1e-3  # of the loss: a round that gains less is the last
 NUDGE = 0.04  # of a parameter's size, for a column of the Jacobian
 SHORTER = 0.3  # of a step that did not help
+NOISE_SIGMAS = 2.0  # of what neighbours in white noise have in common by chance
 LEAST_WIDTH = 1e-3  # of a parameter's size: stamps, steps and laws are no better, however still the recording is
 REACH = 2.0  # of a parameter's size: how far a round may go
 # What a usual change costs, in losses: next to nothing. Where data leave a direction open (torques, weight and inertia
@@ -287,8 +288,11 @@ class FitProblem:
             np.array(halves),
         )
 
-    def interval(self, fit: Fit) -> tuple[Array, Array]:
-        """95 % interval of a fit's parameters, low and high [p]: what other blocks of the same kind would have said."""
+    def interval(self, fit: Fit, inexact: bool = False) -> tuple[Array, Array]:
+        """95 % interval of a fit's parameters, low and high [p]: what other blocks of the same kind would have said.
+
+        inexact: the laws resemble the truth at best, so that the interval reaches as far as `_hidden` says besides.
+        """
         x = np.array([v for us in fit.u for v in us])
         p = len(x)
         if not p:
@@ -302,8 +306,31 @@ class FitProblem:
         free[:p] = True
         slope = slope + normal[:, :, ~free] @ best[~free]
         half = half_width(normal[:, free][:, :, free], slope[:, free], best[free])[:p]
+        if inexact:
+            half = np.hypot(half, self._hidden(fit.effects, best, normal.sum(axis=0), jacobians, bases))
         least = LEAST_WIDTH * sizes
         return np.minimum(x + best[:p] - half, x - least), np.maximum(x + best[:p] + half, x + least)
+
+    def _hidden(self, effects: Set, best: Array, normal: Array, jacobians: list[Rows], bases: list[Moments]) -> Array:
+        """How far each parameter [p] is off if what is left hides as much again of a law that resembles its effect.
+
+        best: [p + q] where the last linearisation ends; normal: its matrix. Only what carries on from sample to sample
+        counts, noise does not: of white noise products of neighbours sum to nought, give or take a root of the sum of
+        their squares. Nuisances give way as far as their boxes reach.
+        """
+        p, carried, chance = len(best) - len(self.nuisance_low), 0.0, 0.0
+        for residual, jacobian, base in zip(self.whitened, jacobians, bases, strict=True):
+            rows = base.rows + best[p:] @ residual.columns + (best[:p] @ jacobian if len(jacobian) else 0.0)
+            width = residual.gaps.view.measured.shape[1]
+            for _, part in residual.blocks:
+                products = rows[part][width:] * rows[part][:-width]
+                carried, chance = carried + float(products.sum()), chance + float(products @ products)
+        left = max(carried - NOISE_SIGMAS * chance**0.5, 0.0)
+        reach = np.max(np.abs(self.nuisance_box(effects)), axis=0)
+        kept = np.concatenate((np.ones(p, dtype=bool), reach > 0))
+        held = normal[kept][:, kept] + np.diag(np.concatenate((np.zeros(p), left / reach[reach > 0] ** 2)))
+        held += RIDGE * held.diagonal().max() * np.eye(len(held))
+        return np.asarray(np.sqrt(left * np.linalg.inv(held).diagonal()[:p]))
 
     def _late(self) -> NDArray[np.bool_]:
         """Which blocks are in the second half of their trial, [B]."""

@@ -32,6 +32,9 @@ class Thresholds:
     # of each trial.
     searched: Literal["unseen", "trial", "block"] = "unseen"
 
+    # What an interval is: whether what is left counts as a law that is missing and may hide as much again.
+    inexact: bool = False
+
     # What a gain is.
     gain_min: float = 8.0  # what an effect must add, held out
     # And in one view that it acts on: share of the residual's energy, energy, and the lower end of the gain. What moves
@@ -112,6 +115,7 @@ RIG: Final = replace(
     whitened=False,
     searched="block",
     tempered=True,
+    inexact=True,
     shown=((0.10, 0.30, 0.0),),
     further_min=0.0,
     misfit_share=0.25,

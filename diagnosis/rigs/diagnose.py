@@ -228,7 +228,7 @@ class _Stage:
         chosen = self.choice.chosen
         at = chosen.names.index(effect.candidate.name)
         first = sum(len(each.parameters) for each in chosen.effects[:at])
-        bounds = self.found.search.problem.interval(chosen)
+        bounds = self.found.search.problem.interval(chosen, self.found.thresholds.inexact)
         known = self.view.known_to(chosen.point)
         found = {}
         for i, (parameter, u) in enumerate(zip(effect.candidate.parameters, chosen.u[at], strict=True)):

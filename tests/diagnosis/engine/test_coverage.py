@@ -70,6 +70,27 @@ def test_a_parameters_interval_holds_it_95_times_in_100(memory_s):
     assert fewest <= inside <= most, inside / runs
 
 
+def _half(gauge, inexact):
+    problem = Setup([gauge], (ZERO,), ("hum",) * TRIALS).plain()
+    low, high = problem.interval(problem.fit([((GAIN,), GAIN.starts)], rounds=2)[0], inexact)
+    return (high[0] - low[0]) / 2
+
+
+def test_beside_a_law_that_is_missing_an_interval_reaches_as_far_as_what_is_left_would_move_it():
+    """A sine of 0.3 that no law has, left beside an input of 1: as much again may lie along the input, so +-0.3."""
+    gauge = _Gauge(0)
+    gauge.measured = gauge._predict({SCALE: 0.2}) + 0.3 * np.sin(2 * np.pi * 0.9 * T)[:, None]
+    assert _half(gauge, inexact=True) == pytest.approx(0.3, rel=0.08)  # less what chance is granted
+    assert _half(gauge, inexact=False) < 0.05  # other blocks of the same would say the same
+
+
+def test_white_noise_hides_no_law():
+    """Its neighbours have nothing in common but by chance, and that is granted: 39 times in 40."""
+    wider = sum(_half(_Gauge(seed), True) > 1.001 * _half(_Gauge(seed), False) for seed in range(100))
+    assert wider <= bounds(100, 0.025)[1]
+    assert _half(_Gauge(0, 1.0), True) > 1.2 * _half(_Gauge(0, 1.0), False)  # what lasts a second may be a law
+
+
 def _shrinks(runs, unlike, trials=8):
     """Intervals of campaigns [runs, 3], and the shrink that another campaign of the same kind shows [runs].
 
