@@ -129,7 +129,7 @@ RIG: Final = replace(
     unknown_min=4.0,
     fallen_min=4.0,
     beside_most=15.0,  # likewise: a spring that is on no list leaves 14 floors and more beside a name
-    structure_min=9.0,
+    structure_min=16.0,  # four floors: of many parts one is always further off than the whole, which may be by three
     structure_share=0.25,
 )
 

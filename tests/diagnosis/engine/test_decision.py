@@ -160,6 +160,14 @@ def test_structure_in_what_is_left_refuses_none():
     assert (decision.kind, decision.odd) == ("unknown", {"arm": "at reversals, it carries on"})
 
 
+@pytest.mark.parametrize(("floors", "kind"), [(3.9, "none"), (4.1, "unknown")])
+def test_of_a_rig_a_part_may_be_further_off_than_the_whole(floors, kind):
+    """Healthy coils stood at 0.6 floors, and at 3.8 and 4.0 under their largest forces: they were unknown."""
+    structures = {"arm": Structure(floors**2, "under a large force, position carries on", 8, 80)}
+    decision = decide(_choice({"arm": 0.4}, {"arm": 0.4}), {}, structures, thresholds=RIG)
+    assert decision.kind == kind
+
+
 def test_structure_in_what_is_left_refuses_named_if_it_is_a_part_of_what_was_explained():
     parts = {"arm": 50.0}, {"arm": 1.5}, _named_effect("arm.damping", arm=48.5)
     assert decide(_choice(*parts), {}, _odd(5.0)).kind == "named"
