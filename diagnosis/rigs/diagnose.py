@@ -126,7 +126,7 @@ def diagnose_table(trials: Sequence[Trial], tell: Progress = lambda text, share:
         seconds=time.monotonic() - started,
         together={s.stage: s.together for s in stages if s.together is not None},
         held_out=min((s.held_out for s in stages), key=("block", "trial", "kind").index),
-        margins={name: margin for s in stages for name, margin in margins(s.decision.selected).items()},
+        margins={n: m for s in stages if s.decision.kind == "named" for n, m in margins(s.decision.selected).items()},
         vocabulary={effect.name: effect for s in stages for effect in s.vocabulary},
     )
 
@@ -214,7 +214,8 @@ class _Stage:
         return NamedEffect(
             name=effect.candidate.name,
             parameters=self._estimates(effect),
-            confidence=confidence("rig", effect),
+            # Beside what stays without a name each may stand in for it; how often is not measured.
+            confidence=confidence("rig", effect) if self.decision.kind == "named" else None,
             equivalents=self._same(effect)[1:],
             shrink=Shrink(stage=evidence.shrunk(less, more)),
         )

@@ -76,6 +76,7 @@ def test_beside_a_gap_that_stays_nothing_is_the_whole(made):
     assert floors_left(verdict) > 8
     assert verdict.verdict in ("incomplete", "unknown")
     assert {e.name for e in verdict.effects} <= {"pole.stiffness"}  # the weight's moment, which grows likewise
+    assert all(e.confidence is None for e in verdict.effects)
 
 
 @pytest.mark.parametrize(("made", "dry"), [(driven, 0.03), (free, 0.01)])
