@@ -9,7 +9,9 @@ from typing import TYPE_CHECKING
 
 import click
 
+from softarm.cli.bridge_calibrate import calibrate
 from softarm.cli.bridge_screen import look, screen
+from softarm.cli.bridge_settings import server_option, settings
 from softarm.cli.errors import fail
 from softarm.cli.interrupt import NOTHING, leaves
 from softarm.cli.options import FILE
@@ -18,23 +20,19 @@ from softarm.cli.verbs import Verbs
 
 if TYPE_CHECKING:
     from softarm.drivers.bridge.bridging import Bridging, Status
-    from softarm.schemas.bridge import Bridge
 
 SHOWN_S, PRINTED_S = 0.2, 1.0  # between two status lines: of a terminal, of --json
 PRIORITY = 20  # as the control loop's own: cameras do not wait for other programs
 
-server_option = click.option(
-    "--server", metavar="ADDRESS", help="The computer that runs Motive; goes before the file's `server`."
-)
-
 
 @click.group(cls=Verbs)
 def bridge() -> None:
-    """Bring what motion capture sees to the daemon.
+    """Bring what motion capture sees to the daemon; find how the cameras' room lies to the robot.
 
     \b
     Examples:
       softarm bridge natnet --server 192.168.1.10 --once        who streams, and what
+      softarm bridge calibrate --server 192.168.1.10            writes bridge.yaml
       softarm bridge natnet --config bridge.yaml                beside `softarm run`
     """
 
@@ -73,7 +71,9 @@ def natnet(server: str | None, config_file: Path | None, once: bool, as_json: bo
     signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background commands are deaf to it
     realtime.outrank_other_programs(PRIORITY)
     if config_file is None:
-        click.echo("no --config: the cameras' room is taken as it stands (docs/bridge.md)", err=True)
+        click.echo(
+            "not calibrated: the room is taken as it stands; `softarm bridge calibrate` finds how it lies", err=True
+        )
     show, tell = screen(as_json)
     publisher = Publisher(config.daemon, tell)
     try:
@@ -86,21 +86,6 @@ def natnet(server: str | None, config_file: Path | None, once: bool, as_json: bo
         publisher.close()
 
 
-def settings(server: str | None, config_file: Path | None) -> "tuple[Bridge, str]":
-    """The bridge's configuration, and the server's address. Ends the command with a sentence where one is wrong."""
-    from softarm.common.yaml_lines import FileError
-    from softarm.drivers.bridge.bridging import read
-    from softarm.schemas.bridge import Bridge
-
-    try:
-        config = Bridge() if config_file is None else read(config_file)
-    except FileError as error:
-        fail(str(error))
-    if (address := server or config.server) is None:
-        raise click.UsageError("which cameras? --server ADDRESS of the computer that runs Motive, or --config FILE")
-    return config, address
-
-
 def _carry(bridging: "Bridging", show: "Callable[[Status], None]", period_s: float, ended: threading.Event) -> None:
     """Until it is told to end."""
     due_s = 0.0
@@ -109,3 +94,6 @@ def _carry(bridging: "Bridging", show: "Callable[[Status], None]", period_s: flo
         if (now_s := time.monotonic()) >= due_s:
             due_s = now_s + period_s
             show(bridging.status())
+
+
+bridge.add_command(calibrate)

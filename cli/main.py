@@ -11,7 +11,7 @@ VERBS: dict[str, dict[str, Verb]] = {
         "run": Verb("run:run", "Run the control daemon, on the robot or simulated.", "sim"),
         "twin": Verb("twin:twin", "Be the robot as the wires see it.", "sim"),
         "rail": Verb("rail:rail", "Find the axis's zero, and the middle of the rail."),
-        "bridge": Verb("bridge:bridge", "Motion capture's frames to the daemon."),
+        "bridge": Verb("bridge:bridge", "Motion capture's frames to the daemon; calibrate it."),
         "config": Verb("config:config", "Write a new configuration; look up its keys."),
         "doctor": Verb("doctor:doctor", "What stands between this computer and a flying arm."),
         "service": Verb("service:service", "The daemon as a service of this computer."),

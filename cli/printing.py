@@ -3,7 +3,8 @@
 import json
 import sys
 import threading
-from collections.abc import Iterable, Iterator, Sequence
+import time
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from datetime import datetime
 
@@ -71,3 +72,24 @@ def waiting(text: str) -> Iterator[None]:
         yield
     finally:
         later.cancel()
+
+
+@contextmanager
+def told_how_it_goes() -> Iterator[Callable[[str], None]]:
+    """A line on standard error that says how it goes: in place on a terminal, else anew every two seconds."""
+    from rich.console import Console
+
+    console = Console(stderr=True)
+    if console.is_terminal:
+        with console.status("") as status:
+            yield lambda text: status.update(text)
+        return
+    due = time.monotonic() + PATIENCE_S
+
+    def show(text: str) -> None:
+        nonlocal due
+        if (now := time.monotonic()) >= due:
+            due = now + PATIENCE_S
+            click.echo(text, err=True)
+
+    yield show

@@ -38,9 +38,7 @@ class Marked(Strict):
     @model_validator(mode="after")
     def _turned(self) -> Self:
         if not 0.99 < math.sqrt(sum(part**2 for part in self.hanging)) < 1.01:
-            raise ValueError(
-                "hanging must be a unit quaternion x, y, z, w: [0, 0, 0, 1] where it was made while the arm hung"
-            )
+            raise ValueError("hanging must be a unit quaternion x, y, z, w: [0, 0, 0, 1], or what calibrate finds")
         return self
 
 

@@ -35,7 +35,7 @@ WORDS = {
 
 def read(path: Path | str) -> Bridge:
     """Read bridge.yaml. Raises `softarm.common.yaml_lines.FileError` with all that is wrong with it."""
-    return fit(yaml_lines.read(path, "docs/bridge.md shows what stands in one"), Bridge)
+    return fit(yaml_lines.read(path, "`softarm bridge calibrate` writes one"), Bridge)
 
 
 class Outlet(Protocol):

@@ -49,6 +49,17 @@ class Plane:
         now = rotated(turned, rotated((-hanging[0], -hanging[1], -hanging[2], hanging[3]), down))
         return math.atan2(dot(now, self.along), -dot(now, self.up))
 
+    def turn(self, angle_rad: float) -> Quaternion:
+        """The turn by an angle towards +y: the lower end goes from -up to along, about the cross product of these."""
+        along, up, half = self.along, self.up, angle_rad / 2
+        sin = math.sin(half)
+        return (
+            sin * (along[1] * up[2] - along[2] * up[1]),
+            sin * (along[2] * up[0] - along[0] * up[2]),
+            sin * (along[0] * up[1] - along[1] * up[0]),
+            math.cos(half),
+        )
+
 
 class Seen(NamedTuple):
     """The arm in one frame of the cameras."""
@@ -114,6 +125,16 @@ def names_of(marks: Marks, ids: Mapping[str, int]) -> tuple[dict[int, str], tupl
 def dot(a: Vector, b: Vector) -> float:
     """The scalar product."""
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+def product(a: Quaternion, b: Quaternion) -> Quaternion:
+    """The turn b, then the turn a."""
+    return (
+        a[3] * b[0] + a[0] * b[3] + a[1] * b[2] - a[2] * b[1],
+        a[3] * b[1] - a[0] * b[2] + a[1] * b[3] + a[2] * b[0],
+        a[3] * b[2] + a[0] * b[1] - a[1] * b[0] + a[2] * b[3],
+        a[3] * b[3] - a[0] * b[0] - a[1] * b[1] - a[2] * b[2],
+    )
 
 
 def rotated(q: Quaternion, v: Vector) -> Vector:

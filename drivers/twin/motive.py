@@ -8,7 +8,6 @@ a daemon.
 """
 
 import argparse
-import math
 import signal
 import socket
 import struct
@@ -117,23 +116,10 @@ def message(number: int, content: bytes) -> bytes:
     return struct.pack("<HH", number, len(content)) + content
 
 
-def orientation(plane: Plane, angle_rad: float) -> natnet.Quaternion:
-    """Of a body that hung as the room stands (0, 0, 0, 1) and has turned towards +y by an angle."""
-    along, up = plane.along, plane.up
-    # Towards +y the lower end turns from -up to along: about the cross product of these.
-    axis = (
-        along[1] * up[2] - along[2] * up[1],
-        along[2] * up[0] - along[0] * up[2],
-        along[0] * up[1] - along[1] * up[0],
-    )
-    half = angle_rad / 2
-    return (math.sin(half) * axis[0], math.sin(half) * axis[1], math.sin(half) * axis[2], math.cos(half))
-
-
 def bodies_of(plane: Plane, poses: Mapping[str, Pose]) -> tuple[Body, ...]:
     """Poses of the robot's plane as a room sees them; what is lost stands where Motive leaves it, untracked."""
     return tuple(
-        Body(IDS[name], plane.point(pose.y_m, pose.z_m), orientation(plane, pose.angle_rad), 2e-4, True)
+        Body(IDS[name], plane.point(pose.y_m, pose.z_m), plane.turn(pose.angle_rad), 2e-4, True)
         if pose.tracked
         else Body(IDS[name], (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0), 0.0, False)
         for name, pose in poses.items()
@@ -261,7 +247,8 @@ def main() -> None:
     options = parser.parse_args()
     host, _, port = options.serve.partition(":")
     major, _, minor = options.natnet.partition(".")
-    plane = Plane(Room(up=options.up, yaw_rad=options.yaw, origin_m=(1.2, 0.1, -0.7)))
+    room = Room(up=options.up, yaw_rad=options.yaw, origin_m=(1.2, 0.1, -0.7))
+    plane = Plane(room)
     ended = threading.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: ended.set())
@@ -277,6 +264,7 @@ def main() -> None:
     with motive, zenoh.open(listener(options.hear)) as session:
         session.declare_subscriber(options.key, show)
         print(f"NatNet {options.natnet} at {options.serve}, of what is published to {options.hear}", flush=True)
+        print(f"bridge.yaml for it: room: {room.model_dump_json()}", flush=True)
         ended.wait()
 
 

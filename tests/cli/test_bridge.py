@@ -17,6 +17,8 @@ import yaml
 from click.testing import CliRunner
 
 from softarm.cli.main import main
+from softarm.drivers.bridge.bridging import read
+from softarm.drivers.bridge.calibration import rest_shape
 from softarm.drivers.bridge.frame import Plane
 from softarm.drivers.twin import motive
 from softarm.drivers.twin.motive import Motive, bodies_of
@@ -128,6 +130,76 @@ def test_a_server_that_has_no_address_is_told(tmp_path: Path) -> None:
     answer = ask("natnet", "--server", "no.such.host.invalid", "--once")
     assert answer.exit_code == 1
     assert "no.such.host.invalid:1510: find: " in answer.stderr
+
+
+@pytest.fixture
+def quick(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Rest and stand need no seconds."""
+    monkeypatch.setattr("softarm.drivers.bridge.gathering.REST_NS", 300_000_000)
+    monkeypatch.setattr("softarm.drivers.bridge.gathering.STAND_NS", 300_000_000)
+
+
+def arm(cart_m: float) -> dict[str, Pose]:
+    """As it hangs at rest below a cart."""
+    return {name: Pose(cart_m + at.y_m, 0.965 + at.z_m, at.angle_rad) for name, at in rest_shape().items()}
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("quick")
+def test_an_arm_at_rest_and_a_pushed_cart_make_a_file_by_which_the_arm_is_seen(
+    file: Path, poses: dict[str, Pose], tmp_path: Path
+) -> None:
+    ended = threading.Event()
+
+    def push() -> None:
+        """Rest near one end for a second, to that end, then to the other."""
+        ways = [-0.2] * 100 + [-0.2 - 0.005 * k for k in range(20)] + [-0.3] * 10 + [-0.3 + 0.01 * k for k in range(61)]
+        for y in ways:
+            poses.update(arm(y))
+            if ended.wait(0.01):
+                return
+
+    poses.update(arm(-0.2))
+    pushing = threading.Thread(target=push, daemon=True)
+    pushing.start()
+    out = tmp_path / "found.yaml"
+    answer = ask("calibrate", "--config", file, "--end", "+y", "--out", out)
+    ended.set()
+    pushing.join()
+    assert answer.exit_code == 0, answer.output
+    assert "it hangs still; now push the cart slowly along the rail to one stop, then to the other" in answer.stderr
+    assert f"next: `softarm bridge natnet --config {out} --once`" in answer.stdout
+    found = read(out)
+    assert found.command_port == read(file).command_port
+    assert found.daemon == read(file).daemon
+    assert found.room.yaw_rad == pytest.approx(0.0, abs=1e-4)
+    assert found.room.origin_m == pytest.approx((0.0, 0.0, 0.0), abs=0.002)
+    look = json.loads(ask("natnet", "--config", out, "--once", "--json").stdout)
+    assert look["bodies"][5]["pose"] == pytest.approx(arm(0.3)["link5"][:3], abs=0.002)
+    again = ask("calibrate", "--config", file, "--end", "+y", "--out", out)
+    assert again.exit_code == 1
+    assert f"{out}: is there already, and stays as it is; name another --out, or give --replace" in again.stderr
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("quick")
+def test_what_keeps_a_room_from_being_found_is_told_and_nothing_is_written(
+    file: Path, poses: dict[str, Pose], tmp_path: Path
+) -> None:
+    hanging = arm(0.0)
+    poses.update(hanging | {"link2": hanging["link3"], "link3": hanging["link2"]})
+    out = tmp_path / "found.yaml"
+    answer = ask("calibrate", "--config", file, "--end", "-y", "--out", out, "--seconds", "1")
+    assert answer.exit_code == 1
+    assert "link2 and link3 seem swapped: link3 hangs where link2 should; swap their names in Motive" in answer.stderr
+    assert "now push" not in answer.stderr
+    assert not out.exists()
+
+
+def test_without_a_terminal_the_sense_has_to_be_named(file: Path, tmp_path: Path) -> None:
+    answer = ask("calibrate", "--config", file, "--out", tmp_path / "found.yaml")
+    assert answer.exit_code == 2
+    assert "nobody can be asked at which end the cart stands at last; --end +y, or --end -y" in answer.stderr
 
 
 @pytest.mark.slow

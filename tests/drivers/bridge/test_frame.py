@@ -6,9 +6,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from softarm.drivers.bridge.frame import Plane, View, dot, names_of
+from softarm.drivers.bridge.frame import Plane, View, dot, names_of, product
 from softarm.drivers.bridge.natnet import Body
-from softarm.drivers.twin.motive import IDS, bodies_of, orientation
+from softarm.drivers.twin.motive import IDS, bodies_of
 from softarm.schemas.bridge import Marked, Marks, Room
 from softarm.schemas.messages import BODY_NAMES, Pose
 
@@ -22,16 +22,6 @@ rooms = st.builds(
     origin_m=st.tuples(number, number, number),
 )
 poses = st.builds(Pose, number, number, st.floats(-3.1, 3.1), st.just(True))
-
-
-def times(a, b):
-    """The turn b, then the turn a."""
-    return (
-        a[3] * b[0] + a[0] * b[3] + a[1] * b[2] - a[2] * b[1],
-        a[3] * b[1] - a[0] * b[2] + a[1] * b[3] + a[2] * b[0],
-        a[3] * b[2] + a[0] * b[1] - a[1] * b[0] + a[2] * b[3],
-        a[3] * b[3] - a[0] * b[0] - a[1] * b[1] - a[2] * b[2],
-    )
 
 
 @given(rooms, st.lists(poses, min_size=6, max_size=6))
@@ -56,7 +46,7 @@ def test_the_other_sense_of_the_rail_is_half_a_turn():
     one, other = Plane(Room(yaw_rad=0.3)), Plane(Room(yaw_rad=0.3 - math.pi))
     y_m, z_m = one.place((0.4, 0.9, 0.1))
     assert other.place((0.4, 0.9, 0.1)) == pytest.approx((-y_m, z_m))
-    turned = orientation(one, 0.5)
+    turned = one.turn(0.5)
     assert other.angle(turned, (0.0, 0.0, 0.0, 1.0)) == pytest.approx(-0.5)
 
 
@@ -74,7 +64,7 @@ def test_markers_beside_the_arm_that_were_defined_however_come_back(room, angle,
     made = tuple(part / length for part in made)
     cos, sin = math.cos(angle), math.sin(angle)
     point = plane.point(0.1 - cos * across + sin * along, 0.5 - sin * across - cos * along)
-    body = Body(6, point, times(orientation(plane, angle), made), 0.0, True)
+    body = Body(6, point, product(plane.turn(angle), made), 0.0, True)
     pose = View(room, Marks()).pose(body, Marked(hanging=made, across_m=across, along_m=along))
     assert pose[:3] == pytest.approx((0.1, 0.5, angle), abs=1e-9)
 
@@ -82,7 +72,7 @@ def test_markers_beside_the_arm_that_were_defined_however_come_back(room, angle,
 def test_a_twist_about_the_arm_is_no_angle():
     plane = Plane(Room(yaw_rad=1.0))
     twist = (0.0, math.sin(0.2), 0.0, math.cos(0.2))  # about up
-    assert plane.angle(times(orientation(plane, 0.6), twist), (0.0, 0.0, 0.0, 1.0)) == pytest.approx(0.6)
+    assert plane.angle(product(plane.turn(0.6), twist), (0.0, 0.0, 0.0, 1.0)) == pytest.approx(0.6)
 
 
 def test_what_is_not_tracked_not_named_or_not_finite_is_lost():

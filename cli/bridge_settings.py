@@ -1,0 +1,30 @@
+"""Which cameras: what the verbs of `softarm bridge` have in common."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from softarm.cli.errors import fail
+
+if TYPE_CHECKING:
+    from softarm.schemas.bridge import Bridge
+
+server_option = click.option(
+    "--server", metavar="ADDRESS", help="The computer that runs Motive; goes before the file's `server`."
+)
+
+
+def settings(server: str | None, config_file: Path | None) -> "tuple[Bridge, str]":
+    """The bridge's configuration, and the server's address. Ends the command with a sentence where one is wrong."""
+    from softarm.common.yaml_lines import FileError
+    from softarm.drivers.bridge.bridging import read
+    from softarm.schemas.bridge import Bridge
+
+    try:
+        config = Bridge() if config_file is None else read(config_file)
+    except FileError as error:
+        fail(str(error))
+    if (address := server or config.server) is None:
+        raise click.UsageError("which cameras? --server ADDRESS of the computer that runs Motive, or --config FILE")
+    return config, address

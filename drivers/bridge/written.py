@@ -1,0 +1,73 @@
+"""bridge.yaml as a calibration writes it: what was found, and in comments how well."""
+
+import json
+import math
+from collections.abc import Iterator, Mapping
+from datetime import date
+
+from softarm.drivers.bridge.calibration import HINGE_Z_M, Found
+from softarm.schemas.bridge import Bridge, Marked
+from softarm.schemas.messages import BODY_NAMES
+
+_LINE = 116  # characters of a comment
+
+
+def configuration(config: Bridge, server: str, found: Found) -> Bridge:
+    """The configuration with what was found, to the digits that are written."""
+    room = found.room.model_copy(
+        update={
+            "yaw_rad": round(found.room.yaw_rad, 5),
+            "tilt_rad": round(found.room.tilt_rad, 5),
+            "origin_m": tuple(round(part, 4) for part in found.room.origin_m),
+        }
+    )
+    marks = {name: _rounded(getattr(found.marks, name)) for name in BODY_NAMES}
+    return config.model_copy(update={"server": server, "room": room, "bodies": found.marks.model_copy(update=marks)})
+
+
+def text(config: Bridge, found: Found, when: date) -> str:
+    """The file."""
+    return "\n".join(_lines(config, found, when)) + "\n"
+
+
+def _rounded(mark: Marked | None) -> Marked | None:
+    if mark is None:
+        return None
+    hanging = tuple(round(part, 6) for part in mark.hanging)
+    return mark.model_copy(
+        update={"hanging": hanging, "across_m": round(mark.across_m, 4), "along_m": round(mark.along_m, 4)}
+    )
+
+
+def _lines(config: Bridge, found: Found, when: date) -> Iterator[str]:
+    yield f"# Found by `softarm bridge calibrate` on {when}. Keys: docs/bridge.md."
+    yield f"# The cart went {found.travel_m:.3f} m, at most {1e3 * found.crooked_m:.1f} mm beside a straight line."
+    yield f"# At rest the bodies stayed within {1e3 * found.noise_m:.2f} mm."
+    for note in found.notes:
+        yield f"# Odd: {note}."
+    whole = json.loads(config.model_dump_json())
+    plain = json.loads(Bridge().model_dump_json())
+    for key in ("server", "command_port", "local", "received_after_s"):
+        if whole[key] != plain[key]:
+            yield f"{key}: {json.dumps(whole[key])}"
+    room = config.room
+    yield "room:"
+    yield f"  up: {json.dumps(room.up)}"
+    yield f"  yaw_rad: {json.dumps(room.yaw_rad)} # {math.degrees(room.yaw_rad):.2f} degrees"
+    yield f"  tilt_rad: {json.dumps(room.tilt_rad)} # {math.degrees(room.tilt_rad):+.2f} degrees"
+    place = f"puts the first hinge at {HINGE_Z_M} m; the cameras' ground plane is {found.floor_m:+.3f} m from the floor"
+    yield f"  origin_m: {json.dumps(room.origin_m)} # {place}"
+    yield "bodies:"
+    for name in BODY_NAMES:
+        yield _body(name, whole["bodies"][name], found)
+    if whole["daemon"] != plain["daemon"]:
+        yield f"daemon: {json.dumps(whole['daemon'])}"
+
+
+def _body(name: str, mark: Mapping[str, object] | None, found: Found) -> str:
+    if mark is None:
+        return f"  {name}: null"
+    kept = {key: value for key, value in mark.items() if value is not None}
+    parts = ", ".join(f"{key}: {json.dumps(value)}" for key, value in kept.items())
+    beside = f" # {1e3 * found.beside_m[name]:+.1f} mm beside where it should hang" if name in found.beside_m else ""
+    return f"  {name}: {{{parts}}}{beside}"
