@@ -237,6 +237,8 @@ class _Stage:
             ends = [min(float(bounds[0][first + i]), u - least), max(float(bounds[1][first + i]), u + least)]
             if least > 0:  # where nothing tells, a fit's line is flat and says nothing either: the next sample does
                 ends = [max(ends[0], u - 2 * least), min(ends[1], u + 2 * least)]
+            form = self.view.forms.get(parameter.path.partition(".")[2], 0.0)
+            ends = [u - math.hypot(u - ends[0], form), u + math.hypot(ends[1] - u, form)]
             ends = [min(max(x, parameter.low), parameter.high) for x in ends]
             values = [parameter.value(x) for x in (u, *ends)]
             value, low, high = (x if math.isfinite(x) else 1e12 for x in (values[0], min(values), max(values)))

@@ -129,6 +129,15 @@ class TrackingView(RigView):
             return {}
         return dict.fromkeys(("dead_time.delay", "latency.delay"), 0.5 * min(self.scales.step_s, self._changes_s))
 
+    @property
+    def forms(self) -> Mapping[str, float]:
+        """See RigView: of a loop within a loop a lag and a delay share what is late as the laws' form will have it.
+
+        What a nominal lag may be off by is nobody's gap; a delay beside it is known no better.
+        """
+        late = max((LAG_TOLERANCE * self.nominal(path) for path in _MODEL["lag_s"] if path in self._known), default=0.0)
+        return dict.fromkeys(("dead_time.delay", "latency.delay"), late)
+
     def nominal(self, path: str) -> float:
         """See RigView."""
         return self._known[path]

@@ -85,6 +85,11 @@ class RigView:
         return {}
 
     @property
+    def forms(self) -> Mapping[str, float]:
+        """'effect.parameter' -> by how much, either way, another law of the same kind would have it, besides."""
+        return {}
+
+    @property
     def echoes(self) -> frozenset[str]:
         """See View."""
         return frozenset(name for name in self.features if not name.startswith(INPUTS))

@@ -1,6 +1,7 @@
 """Followers of a command: every law against one integrated otherwise, bounds and floors from the data, any unit."""
 
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -308,6 +309,22 @@ def test_a_delay_of_what_follows_a_held_command_at_once_is_known_to_half_a_sampl
     assert not view.known_to({"axis.lag.rise": 0.1, "axis.lag.fall": 0.1})
     half = pytest.approx(STEP_S / 2)
     assert view.known_to({}) == {"dead_time.delay": half, "latency.delay": half}
+
+
+def test_a_delay_beside_a_nominal_lag_is_known_no_better_than_that():
+    """A second pole of a twentieth of the lag is nobody's gap, and moves the delay that fits by as much."""
+    model = {"lag_s": 0.2}
+    trials = [replace(t, stage=replace(t.stage, model=model)) for t in flown({"lag": 0.2, "delay": 0.1})]
+    assert TrackingView(trials).forms == {
+        "dead_time.delay": pytest.approx(0.012),
+        "latency.delay": pytest.approx(0.012),
+    }
+    (found,) = diagnose_table(trials).verdict.effects
+    delay = found.parameters["delay"]
+    assert found.name == "axis.dead_time"
+    assert 0.012 <= delay.value - delay.low < 0.02
+    assert 0.012 <= delay.high - delay.value < 0.02
+    assert TrackingView(flown({"delay": 0.1})).forms["dead_time.delay"] == 0.0
 
 
 def test_units_are_the_measured_ones():
