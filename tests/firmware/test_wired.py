@@ -1,0 +1,98 @@
+"""The relay between both wires: the drivers as they are, the drive's master in its process, board and drive."""
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from softarm.drivers.rail.driver import DryveRailAxis
+from softarm.drivers.regulator.driver import TeensyRegulator
+from softarm.drivers.twin.dryve import DryveDevice, DryveServer
+from softarm.drivers.twin.faults import Faults
+from softarm.drivers.twin.teensy import TeensyPort
+from softarm.schemas.config import DryveRail, SerialRegulator
+
+TICK_S = 0.033
+
+
+class Bench:
+    """The board's clock moves by a tick with each command that was answered, so that its second is soon over."""
+
+    def __init__(self, path: Path, board: Any, clock: Any, until: Any) -> None:
+        self.board, self.clock, self._until = board, clock, until
+        faults = Faults(clock)
+        self.port = TeensyPort(path, board, faults, clock, lambda: 0.0)
+        self.drive = DryveDevice(DryveRail())
+        self.drive.sense(0.0, 0.0)
+        self.server = DryveServer("127.0.0.1", 0, self.drive, faults, clock)
+        self.regulator = TeensyRegulator(SerialRegulator(port=str(path)), clock)
+        self.rail: Any = None
+
+    async def write_until(self, condition: Any, armed: bool, speak: bool = True) -> None:
+        """A control loop's writes; `speak`: to the board too."""
+        answered = self.regulator.read()
+
+        def each() -> None:
+            nonlocal answered
+            if not speak or self.regulator.read() is not answered:
+                answered = self.regulator.read()
+                self.clock.advance(TICK_S)
+            if speak:
+                self.regulator.write(armed, 0.0)
+            self.rail.write(armed, 0.0)
+            self.port.step()
+            self.server.step()
+            self.drive.remote = self.board.relay_closed
+            self.drive.watch(self.clock())
+
+        await self._until(condition, each)
+
+    async def armed(self) -> None:
+        """As the daemon has it: both well and disarmed first, DI7 high among that, then both armed."""
+        await self.write_until(lambda: (reading := self.rail.read()) and reading.remote and not self.board.armed, False)
+        await self.write_until(lambda: self.board.armed and self.rail.read().enabled, True)
+
+
+@pytest.fixture
+def bench(tmp_path: Path, make_board: Any, clock: Any, until: Any, run: Any, running: Any, monkeypatch: Any) -> Any:
+    monkeypatch.setattr("softarm.drivers.regulator.driver.HELLO_S", 0.005)
+    monkeypatch.setattr("softarm.drivers.twin.dryve.SILENCE_MAX_S", float("inf"))  # its clock is the board's
+
+    async def play(script: Any) -> None:
+        bench = Bench(tmp_path / "teensy", make_board(), clock, until)
+        await bench.server.open()
+        bench.port.open()
+        bench.rail = DryveRailAxis(DryveRail(host="127.0.0.1", port=bench.server.port, timeout_s=1.0), 20)
+        try:
+            async with running(bench.regulator, bench.rail):
+                await script(bench)
+        finally:
+            bench.port.close()
+            await bench.server.close()
+
+    return lambda script: run(play(script))
+
+
+@pytest.mark.slow
+def test_the_drive_is_armed_over_the_relay_and_disarmed_and_armed_again(bench: Any) -> None:
+    async def script(b: Bench) -> None:
+        await b.armed()
+        await b.write_until(lambda: not b.rail.read().remote, False)
+        assert not b.drive.in_operation
+        assert "enable input DI7 is low" in b.rail.problem()
+        await b.armed()
+
+    bench(script)
+
+
+@pytest.mark.slow
+def test_a_board_that_hears_nothing_stops_a_drive_whose_master_goes_on(bench: Any) -> None:
+    async def script(b: Bench) -> None:
+        await b.armed()
+        await b.write_until(lambda: not b.rail.read().enabled, True, speak=False)
+        assert not b.drive.in_operation
+        await b.write_until(lambda: b.board.faults, True)
+        assert not b.rail.read().enabled  # armed commands to either bring nothing back
+        await b.armed()
+
+    bench(script)
