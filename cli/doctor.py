@@ -7,6 +7,7 @@ import click
 
 from softarm.cli.options import FILE, FOLDER, config_option, token_of
 from softarm.cli.printing import print_json, print_option
+from softarm.cli.words import in_commands
 from softarm.common.processes import bar
 
 if TYPE_CHECKING:
@@ -85,9 +86,9 @@ def _say(part: str, findings: "list[Finding]") -> None:
     click.echo(f"\n{part}")
     for each in findings:
         state = click.style(f"{each.state:<8}", fg=COLOURS[each.state], bold=each.state != "ok")
-        click.echo(f"  {state} {each.name}: {each.figure}")
+        click.echo(f"  {state} {each.name}: {in_commands(each.figure)}")
         if each.advice:
-            click.echo(f"           {'-> ' if each.state != 'ok' else ''}{each.advice}")
+            click.echo(f"           {'-> ' if each.state != 'ok' else ''}{in_commands(each.advice)}")
 
 
 def _say_the_end(found: "dict[str, list[Finding]]", problems: int) -> None:

@@ -64,7 +64,7 @@ def allowed() -> bool:
 def searched(drive: "Visit", speed_m_s: float) -> "Homed":
     """Ctrl-C and SIGTERM are no exception here: they are asked after at every poll."""
     asked: list[int] = []
-    leaves("the cart was braked, the drive is off and NOT homed: home it before the arm is armed")
+    leaves("the cart was braked and the drive is off; its search was NOT finished: home it before the arm is armed")
     ends = (signal.SIGINT, signal.SIGTERM)
     before = {number: signal.signal(number, lambda got, _: asked.append(got)) for number in ends}
     try:

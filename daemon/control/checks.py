@@ -33,6 +33,8 @@ def _rail_beside_mocap(observer: Observer, config: Config, engaged: bool) -> Ite
         yield Event("mocap_late", f"{late_s * 1e3:.0f} ms")
     if observer.alignment.mirrored:
         yield Event("mocap_mirrored", "the cart moves against the axis")
+    elif observer.rail is not None and _means_nothing(observer.rail, engaged):
+        pass
     elif observer.disagreeing_ticks >= DISAGREEING_TICKS or (not engaged and apart_m > most_m):
         yield Event("rail_disagrees", f"{apart_m * 1e3:.0f} mm apart")
 
@@ -105,8 +107,12 @@ def _rail(inputs: Inputs, config: Config, engaged: bool) -> Iterator[Event]:
         yield Event("rail_stale", _old(age_s, config.failsafe.rail_stale_s, said))
         return
     limits, position = config.limits.rail, reading.position_m
+    if reading.homed is False:
+        yield Event("rail_not_homed")
     if not (math.isfinite(position) and math.isfinite(reading.velocity_m_s)):
         yield Event("not_finite", "rail position or velocity")
+    elif _means_nothing(reading, engaged):
+        pass
     elif not limits.position_min_m - OUTSIDE_M <= position <= limits.position_max_m + OUTSIDE_M:
         allowed = f"{limits.position_min_m:.3f} to {limits.position_max_m:.3f} m"
         yield Event("rail_outside", f"at {position:.3f} m, allowed {allowed}")
@@ -116,11 +122,14 @@ def _rail(inputs: Inputs, config: Config, engaged: bool) -> Iterator[Event]:
         yield Event("remote_off")
     if reading.faults:
         yield Event("rail_fault", ", ".join(reading.faults))
-    if reading.homed is False:
-        yield Event("rail_not_homed")
     if engaged and not reading.enabled:
         yield Event("rail_disabled", f"operation is not enabled{said}")
     yield from _rail_cycle(reading, config)
+
+
+def _means_nothing(reading: RailReading, engaged: bool) -> bool:
+    """A place that counts from nowhere, of an axis that is off: nobody is told to push the cart back from there."""
+    return reading.homed is False and not engaged
 
 
 def _rail_cycle(reading: RailReading, config: Config) -> Iterator[Event]:

@@ -179,7 +179,7 @@ def test_ctrl_c_says_what_it_leaves(bench: Bench) -> None:
     bench.on_the_way = interrupt
     answer = bench.softarm("home", "--yes")
     assert answer.exit_code == 130
-    assert "the cart was braked, the drive is off and NOT homed" in answer.output
+    assert "the cart was braked and the drive is off; its search was NOT finished" in answer.output
     assert bench.drive.state is DriveState.READY
     assert bench.position_m > -0.02
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler

@@ -291,6 +291,12 @@ def test_an_axis_that_says_it_is_not_homed_is_told(homed, told):
     assert of_rail(homed=homed) == told
 
 
+def test_where_an_axis_is_that_is_not_homed_is_told_only_of_one_that_could_move():
+    lost = [replace(each, rail=replace(each.rail, homed=False)) for each in ticks(0, 12, axis_m=-0.3)]
+    assert raised(*lost, engaged=False) == {"rail_not_homed": ""}
+    assert set(raised(*lost)) == {"rail_not_homed", "rail_outside", "rail_disagrees"}
+
+
 def ticks(begin: int, count: int, place_m: float = 0.0, axis_m: float | None = 0.0) -> list[Inputs]:
     """So many, with a frame each; without a new reading of the axis where it is None."""
     made = []
