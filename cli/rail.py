@@ -1,7 +1,6 @@
 """`softarm rail`: the axis's zero and its middle, found by a person with the drive and no daemon."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import click
 
@@ -9,13 +8,10 @@ from softarm.cli import rail_sources
 from softarm.cli.errors import fail
 from softarm.cli.interrupt import leaves
 from softarm.cli.options import FILE, token_of
-from softarm.cli.rail_alone import only_one
+from softarm.cli.rail_alone import configuration, only_one, relay_held
 from softarm.cli.rail_centring import pushed, tell_centre
-from softarm.cli.rail_homing import allowed, ready, say_what_moves, searched, tell
+from softarm.cli.rail_homing import allowed, enabled, ready, say_what_moves, searched, tell
 from softarm.cli.verbs import Verbs
-
-if TYPE_CHECKING:
-    from softarm.schemas.config import Config
 
 config_option = click.option(
     "--config", "config_file", type=FILE, required=True, help="The daemon's own file: it names the drive."
@@ -45,12 +41,14 @@ def rail() -> None:
     help="Towards the switch, 0.005 to 0.1 m/s; towards the zero a fifth of it.",
 )
 @click.option("--reset-fault", is_flag=True, help="Reset a fault of the drive first, whose cause you have seen to.")
+@click.option("--relay", is_flag=True, help="Hold a board's relay in DI7 closed (docs/homing.md).")
 @click.option("--yes", is_flag=True, help="Do not ask: the rail is free, and somebody at the emergency stop.")
-def home(config_file: Path, speed_m_s: float, reset_fault: bool, yes: bool) -> None:
+def home(config_file: Path, speed_m_s: float, reset_fault: bool, relay: bool, yes: bool) -> None:
     """Have the drive find its zero by its own method, slowly, and leave it off. THE CART MOVES.
 
-    No daemon may run with this configuration: a drive has one master. The regulator is not touched. What moves, where
-    and how fast is said first. Ctrl-C brakes and switches off; so does everything that goes wrong.
+    No daemon may run with this configuration: a drive has one master. The regulator is not touched; with
+    --relay it is vented. What moves, where and how fast is said first. Ctrl-C brakes and switches off, and so does
+    everything that goes wrong.
 
     \b
     Examples:
@@ -63,15 +61,16 @@ def home(config_file: Path, speed_m_s: float, reset_fault: bool, yes: bool) -> N
 
     if speed_m_s != speed_m_s:
         raise click.BadParameter("nan is no speed; allowed 0.005 to 0.1 m/s", param_hint="--speed")
-    config = _config(config_file)
+    config = configuration(config_file)
     leaves("nothing had moved; the drive is off")
-    with only_one(config):
+    with only_one(config), relay_held(config, relay) as hold:
         try:
-            with Visit(settings_of(config.drivers.rail)) as drive:
-                ready(drive, reset_fault)
-                say_what_moves(drive, config_file, speed_m_s)
+            with Visit(settings_of(config.drivers.rail), beside=hold) as drive:
+                ready(drive, reset_fault, relay)
+                say_what_moves(drive, config_file, speed_m_s, relay)
                 if not (yes or allowed()):
                     fail("nothing moved: not wanted")
+                enabled(drive, relay)
                 found = searched(drive, speed_m_s)
         except DeviceError as error:
             fail(str(error))
@@ -99,7 +98,7 @@ def centre(config_file: Path, seconds: float | None, write: bool, url: str | Non
     from softarm.drivers.rail.commissioning.centre import centre as judge
 
     leaves("nothing was written, and nothing had moved by itself")
-    config = _config(config_file)
+    config = configuration(config_file)
     with rail_sources.source(config, config_file, url, token_of(token_file)) as source:
         end = "Enter ends it" if seconds is None else f"you have {seconds:g} s"
         click.echo(
@@ -107,12 +106,3 @@ def centre(config_file: Path, seconds: float | None, write: bool, url: str | Non
         )
         samples = pushed(source, seconds)
     tell_centre(judge(samples, config.drivers.rail), config, config_file, write)
-
-
-def _config(file: Path) -> "Config":
-    from softarm.daemon.config.configuration import ConfigurationError, load
-
-    try:
-        return load(file)
-    except ConfigurationError as error:
-        fail(str(error))

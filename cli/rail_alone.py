@@ -1,7 +1,8 @@
 """A drive has one master: for as long as a tool of `softarm rail` has it, no daemon does."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
@@ -10,6 +11,28 @@ from softarm.cli.errors import fail
 
 if TYPE_CHECKING:
     from softarm.schemas.config import Config
+
+
+def configuration(file: Path) -> "Config":
+    """The file's. Ends the command with all that is wrong with it."""
+    from softarm.daemon.config.configuration import ConfigurationError, load
+
+    try:
+        return load(file)
+    except ConfigurationError as error:
+        fail(str(error))
+
+
+@contextmanager
+def relay_held(config: "Config", wanted: bool) -> Iterator[Callable[[], object]]:
+    """What holds the board's relay closed for as long as it is called; nothing, where that is not wanted."""
+    if not wanted:
+        yield lambda: None
+        return
+    from softarm.drivers.rail.commissioning.relay import Relay
+
+    with Relay(config.drivers.regulator) as relay:
+        yield relay.hold
 
 
 @contextmanager

@@ -16,27 +16,39 @@ if TYPE_CHECKING:
     from softarm.drivers.rail.feedback import Feedback
     from softarm.schemas.config import Config
 
+RELAY_S, WAIT_S = 4.0, 0.02  # the board closes it a second after it hears the first command
 CREEP = 0.2  # of the speed: towards the zero, once the switch was found
 
 
-def ready(drive: "Visit", reset_fault: bool) -> None:
+def enabled(drive: "Visit", relay: bool) -> None:
+    """The enable input is high; a relay has a while to close. Ends the command otherwise."""
+    until_ns = drive.clock() + round(RELAY_S * 1e9 if relay else 0.0)
+    while not drive.look().remote:
+        if drive.clock() >= until_ns:
+            what = (
+                "or see that the board hears (docs/firmware.md)" if relay else "or give --relay if a board's is there"
+            )
+            fail(f"{drive.settings.host}:{drive.settings.port}: DI7 is low; release the hardware e-stop, {what}")
+        drive.pause(WAIT_S)
+
+
+def ready(drive: "Visit", reset_fault: bool, relay: bool) -> None:
     """Nothing stands against a search. Ends the command otherwise."""
     where = f"{drive.settings.host}:{drive.settings.port}"
     if drive.found_in_operation:
         fail(f"{where}: was in operation, and was switched off: end whatever leads it, on this computer or another")
+    enabled(drive, relay)
     if reset_fault:
         drive.reset_fault()
     seen = drive.look()
     if seen.faults():
         remedy = "see to its cause, then give --reset-fault; an invalid boot state needs a power cycle"
         fail(f"{where}: the drive reports {', '.join(seen.faults())}; {remedy}")
-    if not seen.remote:
-        fail(f"{where}: the enable input DI7 is low; release the hardware e-stop")
     if drive.method() == 0:
         fail(f"{where}: no homing method is set (6098h is 0); choose one on the drive's web page (docs/homing.md)")
 
 
-def say_what_moves(drive: "Visit", file: Path, speed_m_s: float) -> None:
+def say_what_moves(drive: "Visit", file: Path, speed_m_s: float, relay: bool) -> None:
     """The robot of which file, what of it, by whom, where and how fast."""
     from softarm.drivers.rail.commissioning.visit import METHODS
     from softarm.schemas.robot import RAIL_TRAVEL_M
@@ -49,7 +61,8 @@ def say_what_moves(drive: "Visit", file: Path, speed_m_s: float) -> None:
         f"The robot of {file} will move: the cart, by the drive at {drive.settings.host}:{drive.settings.port}, "
         f"anywhere between the ends of its {2 * RAIL_TRAVEL_M:g} m of travel, at {speed_m_s:g} m/s and back at "
         f"{CREEP * speed_m_s:g} m/s, by the drive's homing method {way}. The drive {said[drive.homed()]}; its axis "
-        f"reads {axis_m:.4f} m. The muscle is not touched. Ctrl-C brakes and switches off; the e-stop is surer.",
+        f"reads {axis_m:.4f} m. The muscle is {'vented' if relay else 'not touched'}. Ctrl-C brakes and switches off; "
+        "the e-stop is surer.",
         err=True,
     )
 

@@ -94,7 +94,9 @@ def bench(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Bench]:
     thread.start()
     assert ready.wait(20)
     bench.configure()
-    monkeypatch.setattr(visit, "Visit", functools.partial(visit.Visit, clock=bench.clock, pause=bench.pause))
+    monkeypatch.setattr(
+        visit, "Visit", functools.partial(visit.Visit, clock=bench.clock, pause=lambda seconds: bench.pause(seconds))
+    )
     yield bench
     loop.call_soon_threadsafe(ended.set)
     thread.join(20)
@@ -152,7 +154,7 @@ def test_any_other_program_that_is_connected_keeps_it_out(bench: Bench) -> None:
     ("before", "says"),
     [
         (lambda b: b.drive.trip(0x8611), "the drive reports E11 following error (0x8611); see to its cause, then give"),
-        (lambda b: setattr(b.drive, "remote", False), "DI7 is low; release the hardware e-stop"),
+        (lambda b: setattr(b.drive, "remote", False), "DI7 is low; release the hardware e-stop, or give --relay"),
         (lambda b: setattr(b.drive, "state", DriveState.OPERATION_ENABLED), "was in operation, and was switched off"),
         (lambda b: b.drive._values.update({visit.dryve.HOMING_METHOD: 0}), "no homing method is set (6098h is 0)"),
     ],
@@ -190,6 +192,24 @@ def test_a_fault_on_the_way_is_a_sentence(bench: Bench) -> None:
     answer = bench.softarm("home", "--yes")
     assert answer.exit_code == 1
     assert "home: the drive reports E11 following error (0x8611)" in answer.output
+
+
+def test_with_a_relay_in_its_line_di7_is_waited_for(bench: Bench) -> None:
+    bench.drive.remote = False
+    begun_ns = bench.now_ns
+    hand = bench.pause
+
+    def closes(seconds: float) -> None:
+        hand(seconds)
+        bench.drive.remote = bench.now_ns - begun_ns > 1.2e9
+
+    bench.pause = closes  # type: ignore[method-assign]
+    answer = bench.softarm("home", "--yes", "--relay")
+    assert answer.exit_code == 0, answer.output
+    bench.pause, bench.drive.remote = hand, False  # type: ignore[method-assign]
+    answer = bench.softarm("home", "--yes", "--relay")
+    assert answer.exit_code == 1
+    assert "or see that the board hears (docs/firmware.md)" in answer.output
 
 
 @pytest.mark.parametrize("speed", ["0.5", "0", "nan"])

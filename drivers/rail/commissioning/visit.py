@@ -52,13 +52,6 @@ def settings_of(config: DryveRail) -> Settings:
     return Settings(**{name: value for name, value in config.model_dump().items() if name in Settings._fields})
 
 
-def wait(line: socket.socket, events: int, seconds: float) -> bool:
-    """As `dryve_link.Wait`, with nothing else to see to."""
-    poll = select.poll()
-    poll.register(line, events)
-    return bool(poll.poll(1e3 * max(0.0, seconds)))
-
-
 class Visit:
     """Use as `with Visit(settings) as drive`. On entry the drive is brought to rest and left off, whoever led it.
 
@@ -70,8 +63,11 @@ class Visit:
         settings: Settings,
         clock: Callable[[], int] = time.monotonic_ns,
         pause: Callable[[float], object] = time.sleep,
+        beside: Callable[[], object] = lambda: None,
     ) -> None:
+        """`beside` is called at each exchange, some hundred times a second while the drive searches."""
         self.settings, self.clock, self.pause = settings, clock, pause
+        self._beside = beside
         self._link: DryveLink | None = None
         self.found_in_operation = False  # when it was visited
 
@@ -208,8 +204,17 @@ class Visit:
 
     def _begin(self) -> bool:
         """Connect and bring the drive to rest. Whether it was in operation."""
-        self._link = DryveLink.open((self.settings.host, self.settings.port), wait, CONNECT_S, self.settings.timeout_s)
+        self._link = DryveLink.open(
+            (self.settings.host, self.settings.port), self._wait, CONNECT_S, self.settings.timeout_s
+        )
         return come_to_rest(self._link, self.settings.units(AT_REST_M_S), self.pause)
+
+    def _wait(self, line: socket.socket, events: int, seconds: float) -> bool:
+        """As `dryve_link.Wait`."""
+        self._beside()
+        poll = select.poll()
+        poll.register(line, events)
+        return bool(poll.poll(1e3 * max(0.0, seconds)))
 
     @property
     def _drive(self) -> DryveLink:

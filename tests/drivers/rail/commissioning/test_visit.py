@@ -1,4 +1,4 @@
-"""Homing over real TCP: the twin's drive, and one that was written from docs/wires.md by somebody else."""
+"""Homing over real TCP: the twin's drive, and one that was written from docs/wires.md alone."""
 
 import re
 from collections.abc import Callable
@@ -36,7 +36,7 @@ def test_the_twins_drive_finds_its_zero_slowly_and_is_left_off(twin: Any) -> Non
     assert twin.drive._values[dryve.MODE] == dryve.PROFILE_VELOCITY
 
 
-def test_a_drive_by_another_author_finds_its_zero_by_its_own_method(outside: Any) -> None:
+def test_a_drive_that_was_written_from_the_page_alone_finds_its_zero_by_its_own_method(outside: Any) -> None:
     with outside.visit() as visit:
         assert (visit.homed(), visit.method()) == (False, 18)
         assert visit.look().position_m == pytest.approx(-0.3, abs=1e-4)
