@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 BUCKET_NS = 1_000_000_000  # of the echoes in a second the quickest is kept
 BUCKETS = 60
-FUZZ_NS, FUZZ = 5_000, 0.05  # an echo that took so much longer than the quickest counts a quarter
+FUZZ_NS, FUZZ = 20_000, 0.05  # an echo that took so much longer than the quickest counts a quarter
 LINE_NS, LINE_ECHOES = 2e9, 4  # how wide apart, and how many, echoes have to be for a line
 DRIFT_TYPICAL, DRIFT_DOUBT, DRIFT_MAX = 100e-6, 5e-6, 500e-6  # of quartz; once it was seen; beyond it is no clock
 STEP_NS = 500_000  # what an echo may be off by; a clock that was set, or another server, is off by more

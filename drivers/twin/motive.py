@@ -8,6 +8,8 @@ a daemon.
 """
 
 import argparse
+import contextlib
+import os
 import signal
 import socket
 import struct
@@ -247,6 +249,8 @@ def main() -> None:
     options = parser.parse_args()
     host, _, port = options.serve.partition(":")
     major, _, minor = options.natnet.partition(".")
+    with contextlib.suppress(OSError):  # before any thread is started; a camera system does not wait for programs here
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(1))
     room = Room(up=options.up, yaw_rad=options.yaw, origin_m=(1.2, 0.1, -0.7))
     plane = Plane(room)
     ended = threading.Event()

@@ -52,7 +52,7 @@ def test_stamps_are_right_whatever_drifts_and_queues(ppm, out_us, back_us):
     queue_ns = 1e3 * max(out_us, back_us)
     assert max(errors) < 1_000 + 1.5 * queue_ns
     assert statistics.median(errors) < 1_000 + 0.25 * queue_ns
-    assert clock.drift_ppm == pytest.approx(-ppm, abs=0.01 if queue_ns == 0 else 1.0)
+    assert clock.drift_ppm == pytest.approx(-ppm, abs=0.01 if queue_ns == 0 else 2.0)
     assert clock.restarts == 0
 
 
