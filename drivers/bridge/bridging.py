@@ -81,7 +81,7 @@ class Status(NamedTuple):
         parts = [f"{self.rate_hz:.1f} frames/s"]
         if self.age_ms is not None:
             parts.append(f"{self.age_ms:.1f} ms old")
-        parts.append(f"lost: {', '.join(self.lost)}" if self.lost else "all bodies seen")
+            parts.append(f"lost: {', '.join(self.lost)}" if self.lost else "all bodies seen")
         if self.clock_offset_s is not None:
             apart = f"{self.clock_offset_s:+.3f} s +- {self.clock_uncertainty_ms:.2f} ms"
             parts.append(f"clock {apart}, {self.clock_drift_ppm:+.1f} ppm")

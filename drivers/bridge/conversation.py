@@ -63,6 +63,7 @@ class Conversation:
         self._due = {"connect": 0, "keep": 0, "names": 0, "echo": 0}
         self._asked: deque[int] = deque(maxlen=ECHOES_OUT)
         self._echoes = self._restarts = self._sequence = 0
+        self._asks_layout = False
         self._last_capture_ns = -1
         self._last_number: int | None = None
 
@@ -84,6 +85,9 @@ class Conversation:
             return said
         if self.server.group is None and self._is_due("keep", now_ns, AGAIN_NS):
             said.append(natnet.keep_alive())
+        if self._asks_layout:
+            self._asks_layout = False
+            said.append(natnet.request_layout(LAYOUT))
         if self.wants_names and self._is_due("names", now_ns, AGAIN_NS if not self.ids else NAMES_NS):
             said.append(natnet.request_models())
         if self._is_due("echo", now_ns, ECHO_FIRST_NS if self._echoes < FIRST_ECHOES else ECHO_NS):
@@ -123,7 +127,9 @@ class Conversation:
         way = f"multicast to {server.group}:{server.data_port}" if server.group else "unicast"
         self._tell(f"{server.name} {app} speaks NatNet {version}, {way}, clock of {server.clock_hz} Hz")
         if server.version > NEWEST:
-            self._tell(f"NatNet {version} is newer than what was tried ({NEWEST[0]}.{NEWEST[1]})")
+            self._asks_layout = server.group is None
+            asked = f", it is asked for {LAYOUT[0]}.{LAYOUT[1]}" if self._asks_layout else ""
+            self._tell(f"NatNet {version} is newer than what was tried ({NEWEST[0]}.{NEWEST[1]}){asked}")
         if self.server is None or server.clock_hz != self.server.clock_hz:
             self.clock, self._echoes, self._restarts = EchoClock(server.clock_hz), 0, 0
         self.server, self.wants_names = server, True

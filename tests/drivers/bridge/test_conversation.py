@@ -206,8 +206,9 @@ def test_what_is_malformed_is_counted_and_complained_of(server):
     assert server.frame() is not None
 
 
-def test_a_newer_server_is_told():
+def test_a_newer_server_is_told_and_asked_for_frames_that_are_known():
     server = Server(version=(4, 9))
     server.run(1.0)
-    assert server.lines[1] == "NatNet 4.9 is newer than what was tried (4.4)"
+    assert server.lines[1] == "NatNet 4.9 is newer than what was tried (4.4), it is asked for 4.1"
+    assert server.kinds.count(natnet.REQUEST) == 1
     assert server.frame() is not None
