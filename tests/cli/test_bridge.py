@@ -12,6 +12,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import click
 import pytest
 import yaml
 from click.testing import CliRunner
@@ -147,13 +148,21 @@ def arm(cart_m: float) -> dict[str, Pose]:
 @pytest.mark.slow
 @pytest.mark.usefixtures("quick")
 def test_an_arm_at_rest_and_a_pushed_cart_make_a_file_by_which_the_arm_is_seen(
-    file: Path, poses: dict[str, Pose], tmp_path: Path
+    file: Path, poses: dict[str, Pose], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    ended = threading.Event()
+    ended, told = threading.Event(), threading.Event()
+
+    def hear(text: str) -> None:
+        click.echo(text, err=True)
+        if "now push" in text:
+            told.set()
+
+    monkeypatch.setattr("softarm.cli.bridge_calibrate.warn", hear)
 
     def push() -> None:
-        """Rest near one end for a second, to that end, then to the other."""
-        ways = [-0.2] * 100 + [-0.2 - 0.005 * k for k in range(20)] + [-0.3] * 10 + [-0.3 + 0.01 * k for k in range(61)]
+        """When told to: to one end, then to the other."""
+        told.wait(60)
+        ways = [-0.2 - 0.005 * k for k in range(20)] + [-0.3] * 10 + [-0.3 + 0.01 * k for k in range(61)]
         for y in ways:
             poses.update(arm(y))
             if ended.wait(0.01):
