@@ -6,6 +6,7 @@ import time
 from typing import Any
 
 import pytest
+from natnet import NatNetClient
 
 from softarm.drivers.bridge.bridging import Bridging, Status
 from softarm.drivers.bridge.client import Client
@@ -109,6 +110,25 @@ def test_the_daemon_hears_what_the_server_shows(
     finally:
         publisher.close()
     assert f"the daemon at {daemon.endpoint} hears" in lines
+
+
+def test_an_independent_client_hears_our_server_as_well() -> None:
+    """The package natnet in unicast: its CONNECT has five bytes, and it says a keep-alive whenever it looks."""
+    frames: list[Any] = []
+    models: list[Any] = []
+    with Motive((3, 1)) as server, Streaming(server, True):
+        theirs = NatNetClient("127.0.0.1", "127.0.0.1", command_port=server.port, use_multicast=False)
+        theirs.on_data_frame_received_event.handlers.append(frames.append)
+        theirs.on_data_description_received_event.handlers.append(models.append)
+        with theirs:
+            theirs.request_modeldef()
+            deadline = time.monotonic() + 10
+            while not (len(frames) > 5 and models) and time.monotonic() < deadline:
+                theirs.update_sync()
+    assert {body.name: body.id_num for body in models[0].rigid_bodies} == IDS
+    shown = {body.id_num: body for body in frames[-1].rigid_bodies}
+    assert shown[IDS["link5"]].pos == pytest.approx(Plane(ROOM).point(*POSES["link5"][:2]))
+    assert shown[IDS["link5"]].tracking_valid
 
 
 def test_datagrams_from_elsewhere_are_counted_and_not_read() -> None:

@@ -50,6 +50,20 @@ def test_vectors_are_read(vector, version):
     assert body.tracked
 
 
+def test_a_recorded_frames_contents_have_its_length():
+    """Motive 2 of 2017, whose contents and 336 bytes are told by python_natnet's tests and SampleClient."""
+    place, turn = (0.1744466, 1.4471314, -0.7343040), (-0.05459423, 0.5099482, 0.04370357, -0.8573577)
+    stamps = (1416497730518, 1416497745808, 1416497748722)
+    said = motive.frame(
+        (3, 0), 162734, [Body(2, place, turn, 5.15e-4, True)], stamps, 0, Extras(unlabeled=5, labeled=6)
+    )
+    assert len(said) == 336
+    read = decode(said, (3, 0))
+    assert (read.number, read.exposed, read.received, read.sent) == (162734, *stamps)
+    assert read.bodies[0].position_m == pytest.approx(place)
+    assert (read.received - read.exposed) / 3_312_787 == pytest.approx(4.6e-3, abs=5e-5)  # as received_after_s
+
+
 @pytest.mark.parametrize("precise", [False, True])
 def test_a_frame_of_4_0_may_have_the_precise_stamp_or_not(precise):
     said = motive.frame((4, 0), 3, BODIES, (10, 20, 30), natnet.EDIT_MODE, FULL, precise)
