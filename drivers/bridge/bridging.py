@@ -1,5 +1,6 @@
 """What a bridge does with each frame: into the robot's plane, to the daemon; and what it says of it."""
 
+import re
 import time
 from collections import deque
 from collections.abc import Callable
@@ -36,6 +37,9 @@ WORDS = {
 def read(path: Path | str) -> Bridge:
     """Read bridge.yaml. Raises `softarm.common.yaml_lines.FileError` with all that is wrong with it."""
     return fit(yaml_lines.read(path, "`softarm bridge calibrate` writes one"), Bridge)
+
+
+_FIGURES = re.compile(r"[-+0-9.]+")
 
 
 class Outlet(Protocol):
@@ -143,20 +147,18 @@ class Bridging:
 
     def _know_names(self) -> None:
         talk = self._inlet.conversation
-        if talk.ids == self._ids:
-            return
-        self._ids = dict(talk.ids)
-        self._names, self._unnamed = names_of(self._config.bodies, self._ids)
-        if self._unnamed:
-            talk.wants_names = True  # it may still be made
-        for name in self._unnamed if self._ids else ():
-            self._tell(f"no rigid body of the server is called as {name} should be; it streams {_named(self._ids)}")
+        if talk.ids != self._ids:
+            self._ids = dict(talk.ids)
+            self._names, self._unnamed = names_of(self._config.bodies, self._ids)
+        talk.wants_names |= bool(self._unnamed)  # it may still be made
 
     def _nameless(self) -> str | None:
         if not self._unnamed:
             return None
-        unnamed = ", ".join(self._unnamed)
-        return f"{unnamed}: no such rigid body is streamed; name it in Motive, or in bodies of bridge.yaml"
+        missing, named = ", ".join(self._unnamed), _named(self._ids or {})
+        return (
+            f"{missing}: no such rigid body, the server names {named}; name it in Motive, or in bodies of bridge.yaml"
+        )
 
     def _note(self, taken: Taken, seen: Seen) -> None:
         now_ns = taken.t_arrival_ns
@@ -177,7 +179,7 @@ class Bridging:
         return figures | {"strangers": inlet.strangers, "sent": outlet.sent, "unheard": outlet.unheard}
 
     def _journal(self) -> None:
-        if (said := self._problem.see(self._inlet.problem(), self._clock())) is not None:
+        if (said := self._problem.see(self._inlet.problem() or self._nameless(), self._clock())) is not None:
             self._tell(said)
         now_ns, (then_ns, before) = self._clock(), self._minute
         if now_ns - then_ns < MINUTE_NS:
@@ -194,7 +196,7 @@ class Bridging:
 
 
 class _Problem:
-    """What is wrong, by its first words: figures in it may change with every frame."""
+    """What is wrong; figures in it may change with every frame."""
 
     def __init__(self) -> None:
         self._told: str | None = ""
@@ -202,7 +204,7 @@ class _Problem:
 
     def see(self, problem: str | None, now_ns: int) -> str | None:
         """Take notice; returns what is to be said."""
-        about = None if problem is None else problem.split(": ")[2][:20]
+        about = None if problem is None else _FIGURES.sub("", problem)
         if about != self._now[0]:
             self._now = (about, now_ns)
         if about == self._told or (about is not None and now_ns - self._now[1] < PROBLEM_NS):

@@ -113,13 +113,14 @@ def gather(
     """
     ids: dict[str, int] | None = None
     names: dict[int, str] = {}
+    missing: tuple[str, ...] = ()
     was, over_s = gathering.phase, time.monotonic() + patience_s
     while gathering.phase is not Phase.DONE:
         talk = client.conversation
         for taken in client.poll():
             if talk.ids != ids:
                 ids, (names, missing) = dict(talk.ids), names_of(config.bodies, talk.ids)
-                talk.wants_names = bool(missing)
+            talk.wants_names |= bool(missing)
             seen = {names[body.id]: body for body in taken.frame.bodies if body.tracked and body.id in names}
             gathering.see(taken.t_capture_ns, seen)
         if gathering.phase is not was:

@@ -161,7 +161,7 @@ def test_a_look_tells_what_is_streamed_and_what_is_missing() -> None:
     assert rows["link1", "link1"].seen == 1.0
     assert rows["link1", "link1"].pose == pytest.approx(POSES["link1"][:3], abs=2e-6)
     assert rows["", "link2"].room_m is not None
-    assert "cart: no such rigid body is streamed; name it in Motive" in (found.problem or "")
+    assert "cart: no such rigid body, the server names cart (1), link1 (2)" in (found.problem or "")
     assert found.status.rate_hz > 20  # of 200, beside other programs
 
 
@@ -246,10 +246,14 @@ def test_a_name_that_the_server_lacks_is_told_and_asked_for_again(scripted: Any)
     inlet, bridging, run = scripted
     inlet.conversation.ids = {name: number for name, number in IDS.items() if name != "link5"} | {"tip": 6}
     inlet.conversation.wants_names = False
-    [line] = [line for line in run(2.0) if "link5 " in line and "called" in line]
-    assert "tip (6)" in line
+    lost, line = run(2.0)
+    assert lost == "link5 is lost"
+    assert line.startswith("link5: no such rigid body, the server names cart (1), link1 (2)")
+    assert "tip (6); name it in Motive" in line
     assert inlet.conversation.wants_names
-    assert "link5: no such rigid body" in bridging.status().problem
+    assert bridging.status().problem == line
+    inlet.conversation.ids = dict(IDS)
+    assert run(2.0) == ["link5 is seen again, after 2.0 s", "frames come"]
 
 
 def test_a_line_for_a_terminal_says_rate_age_clock_and_who_hears() -> None:
