@@ -16,9 +16,9 @@ def configuration(config: Bridge, server: str, found: Found) -> Bridge:
     """The configuration with what was found, to the digits that are written."""
     room = found.room.model_copy(
         update={
-            "yaw_rad": round(found.room.yaw_rad, 5),
-            "tilt_rad": round(found.room.tilt_rad, 5),
-            "origin_m": tuple(round(part, 4) for part in found.room.origin_m),
+            "yaw_rad": _round(found.room.yaw_rad, 5),
+            "tilt_rad": _round(found.room.tilt_rad, 5),
+            "origin_m": tuple(_round(part, 4) for part in found.room.origin_m),
         }
     )
     marks = {name: _rounded(getattr(found.marks, name)) for name in BODY_NAMES}
@@ -33,10 +33,14 @@ def text(config: Bridge, found: Found, when: date) -> str:
 def _rounded(mark: Marked | None) -> Marked | None:
     if mark is None:
         return None
-    hanging = tuple(round(part, 6) for part in mark.hanging)
+    hanging = tuple(_round(part, 6) for part in mark.hanging)
     return mark.model_copy(
-        update={"hanging": hanging, "across_m": round(mark.across_m, 4), "along_m": round(mark.along_m, 4)}
+        update={"hanging": hanging, "across_m": _round(mark.across_m, 4), "along_m": _round(mark.along_m, 4)}
     )
+
+
+def _round(value: float, digits: int) -> float:
+    return round(value, digits) + 0.0  # of minus zero, zero
 
 
 def _lines(config: Bridge, found: Found, when: date) -> Iterator[str]:

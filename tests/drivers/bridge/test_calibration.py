@@ -262,6 +262,8 @@ def test_what_is_written_is_read_again(config):
     text = written.text(whole, found, date(2026, 11, 23))
     assert fit(parse(text, "bridge.yaml"), Bridge) == whole
     assert whole.server == "192.168.1.10"
+    assert "-0.0," not in text
+    assert "-0.0}" not in text
     assert "# Odd: the cameras' ground plane lies 0.07" in text
     assert max(map(len, text.splitlines())) < 220
     assert lab.farthest(dataclasses.replace(found, room=whole.room, marks=whole.bodies))[0] < 0.001
