@@ -216,6 +216,42 @@ def test_the_axis_is_compared_with_mocap_at_one_instant():
     assert observer.apart_m == pytest.approx(0.0, abs=1e-3)
 
 
+def apart_at_first_m(axis_ms, seen_ms, now_ms, speed_m_s=0.0, axis_m=0.25):
+    """Of a cart that is seen at 0.05 m and read elsewhere, once each."""
+    observer = Observer(Config())
+    reading = RailReading(axis_ms * MS, axis_m, speed_m_s, True)
+    observer.update(Inputs(t_ns=now_ms * MS, mocap=(frame(seen_ms, cart=0.05, tip=(0.05, 0.52)),), rail=reading))
+    return observer.apart_m
+
+
+@pytest.mark.parametrize(
+    ("when", "apart_m"),
+    [
+        ({"axis_ms": 490, "seen_ms": 490, "now_ms": 500}, 0.2),
+        ({"axis_ms": 401, "seen_ms": 401, "now_ms": 500}, 0.2),
+        ({"axis_ms": 400, "seen_ms": 400, "now_ms": 500}, 0.2),
+        ({"axis_ms": 399, "seen_ms": 490, "now_ms": 500}, None),  # older than what is flown by
+        ({"axis_ms": 490, "seen_ms": 399, "now_ms": 500}, None),
+        ({"axis_ms": 490, "seen_ms": 490, "now_ms": 500, "axis_m": -0.15}, 0.2),
+        ({"axis_ms": 490, "seen_ms": 490, "now_ms": 500, "speed_m_s": 0.4}, 0.1),  # for 0.15 s of a camera and 0.1 s
+        ({"axis_ms": 490, "seen_ms": 490, "now_ms": 500, "speed_m_s": -0.4}, 0.1),
+        ({"axis_ms": 490, "seen_ms": 490, "now_ms": 500, "speed_m_s": 2.0}, 0.0),
+    ],
+)
+def test_an_axis_is_compared_from_its_first_reading_on(when, apart_m):
+    assert apart_at_first_m(**when) == (None if apart_m is None else pytest.approx(apart_m))
+
+
+def test_a_first_comparison_counts_no_tick_and_ends_with_the_axis_having_a_past():
+    observer = Observer(Config())
+    for tick in range(8):
+        feed(observer, 40 * tick, frame(40 * tick), rail=(0.2, 0.0))
+        assert observer.apart_m == pytest.approx(0.2)
+        assert observer.disagreeing_ticks == max(0, tick - 3)
+    feed(observer, 320, rail=(0.5, 0.0))  # no frame: nothing to be compared, and it has a past
+    assert observer.apart_m == pytest.approx(0.2)
+
+
 def test_no_observation_before_every_sensor_has_been_heard():
     whole = {"mocap": (frame(0),), "pressure": PressureReading(0, 5.0, True), "rail": RailReading(0, 0.0, 0.0, True)}
     for unheard in (*whole, None):
