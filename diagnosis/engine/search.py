@@ -18,6 +18,7 @@ from softarm.diagnosis.engine.view import Array
 SIZES = (0.3, 1.0, 2.0)  # of usual changes: where all effects at once begin
 RESTARTS = 3  # of that, each without one more that ended at its bound
 EQUAL = 0.5  # of the loss held out: no difference at all
+CORRECTION = 0.02  # of the gap's energy: beside what leaves no more than is quiet a smaller gain is no effect's
 ANEW = 2  # effects of a set, at the most, that is fitted anew: among many a line goes astray
 POLISH, SETTLED = 4, 0.005  # further descents of all effects at once, and what ends them: less gain, of the loss
 
@@ -157,6 +158,12 @@ class Search:
         gains = [(fit, self.gain(base, fit)) for fit in self.extended(base)]
         return sorted(gains, key=lambda each: (-each[1].value, each[0].names))
 
+    def is_correction(self, less: Fit, gain: Gain) -> bool:
+        """Whether a gain takes away what nobody is blamed for, and next to nothing of the gap: of another's law."""
+        left = max(self.energies(less).values(), default=0.0)
+        little = all(e <= CORRECTION * self._first.get(s, 0.0) for s, e in gain.energies.items())
+        return self.thresholds.quiet > 0 and left <= self.thresholds.quiet and little
+
     def worth(self, gain: Gain) -> bool:
         """Whether a gain is one: beyond chance, and large enough to matter."""
         enough = gain.low > 0 and gain.value > self.thresholds.gain_min
@@ -236,7 +243,7 @@ class Search:
         """Leave out what the others can do without."""
         while len(fit.effects) > 1:
             spared = [(self.gain(less, fit), less) for less in self.reduced(fit)]
-            weak = [(g.value, less) for g, less in spared if not self.worth(g)]
+            weak = [(g.value, less) for g, less in spared if not self.worth(g) or self.is_correction(less, g)]
             if not weak:
                 return fit
             fit = min(weak, key=lambda each: each[0])[1]

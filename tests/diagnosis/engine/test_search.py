@@ -28,6 +28,7 @@ HEIGHT = _candidate(LEVEL, -1.0, 1.0, 0.1, 0.1, -0.1)
 class _View:
     """A wheel that turns faster than it should: a sine of its angle. A wrong pace has wells of its own."""
 
+    height: float = 0.0
     stage, unit, channels = "stage", "-", ("reading",)
     acts = frozenset({PACE, LEVEL})
     regimes, features, own_nuisances = {}, {}, {}
@@ -40,7 +41,7 @@ class _View:
         self.t_s, self.trial = np.tile(t, 2), np.repeat(np.arange(2), len(t))
         self.floor = self.noise = np.array([NOISE])
         noise = NOISE * np.random.default_rng(0).normal(size=len(self.t_s))
-        self.measured = (self._predict({PACE: TRUE_PACE}) + noise)[:, None]
+        self.measured = (self._predict({PACE: TRUE_PACE, LEVEL: self.height}) + noise)[:, None]
 
     def _predict(self, point):
         return np.sin((3.0 + point.get(PACE, 0.0)) * self.t_s) + point.get(LEVEL, 0.0)
@@ -52,9 +53,9 @@ class _View:
 @pytest.fixture
 def searched():
     elsewhere = Nuisance("elsewhere.zero.bias", 0.0, -0.3, 0.3)
-    setup = Setup([_View()], (elsewhere,), ("turns", "turns"))
 
-    def with_(thresholds):
+    def with_(thresholds, height=0.0):
+        setup = Setup([_View(height)], (elsewhere,), ("turns", "turns"))
         return Search(setup.weighed(), setup.plain(), ("stage",), (RATE, HEIGHT), thresholds)
 
     return with_
@@ -74,6 +75,18 @@ def test_what_is_in_its_own_well_already_stays_there(searched):
     both = search.problem.fit([((RATE, HEIGHT), ((TRUE_PACE,), (0.0,)))])[0]
     alone = next(fit for fit in search.reduced(both) if fit.names == ("stage.pace",))
     assert alone.point[PACE] == pytest.approx(both.point[PACE], abs=0.01)
+
+
+@pytest.mark.parametrize(("thresholds", "height", "kept"), [(RIG, 0.03, 1), (RIG, 0.08, 2), (ROBOT, 0.03, 2)])
+def test_beside_what_explains_all_but_two_floors_nothing_more_is_named_of_a_rig(
+    searched, thresholds, height, kept, monkeypatch
+):
+    """A zero of 1.5 floors is nobody's gap alone, so it is none beside another effect, however sure; one of four is."""
+    search = searched(thresholds, height)
+    search.null_model()
+    monkeypatch.setattr(search, "worth", lambda gain: True)
+    both = search.problem.fit([((RATE, HEIGHT), ((TRUE_PACE,), (height,)))])[0]
+    assert search.pruned(both).names == ("stage.pace", "stage.level")[:kept]
 
 
 @pytest.mark.parametrize("thresholds", [ROBOT, RIG])
