@@ -419,3 +419,16 @@ def test_cameras_that_are_late_unsaid_are_late_and_carried_on_so():
 def test_a_frame_of_another_number_of_bodies_cannot_be_made():
     with pytest.raises(ValueError, match=r"6 bodies \(cart, link1, .*\), not 2"):
         MocapFrame(1, 0, 0, (Pose(0.0, 0.965, 0.0), Pose(0.0, 0.5, 0.0)))
+
+
+def test_an_axis_with_a_past_is_compared_with_all_of_that():
+    """A late camera shows the cart where the axis was; an axis that stays where it went disagrees in the end."""
+    observer = Observer(Config())
+
+    def see(t_ms, axis_m):  # its numbers tremble, or it would be taken for one that is stuck
+        feed(observer, t_ms, frame(t_ms, cart=1e-4 * (t_ms % 7), tip=(1e-4 * (t_ms % 5), 0.52)), rail=(axis_m, 0.0))
+        return observer.apart_m
+
+    assert max(see(t_ms, 0.0) for t_ms in range(0, 330, 33)) < 0.001
+    assert see(330, 0.2) < 0.001
+    assert [see(t_ms, 0.2) for t_ms in range(363, 660, 33)][-1] == pytest.approx(0.2, abs=0.001)

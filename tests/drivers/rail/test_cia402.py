@@ -62,16 +62,18 @@ def test_bits_of_the_statusword_stand_where_the_manual_has_them() -> None:
         {10},
         {12},
     ]
+    assert [bits(flag) for flag in (StatusWord.HOMING_ATTAINED, StatusWord.HOMING_ERROR)] == [{12}, {13}]
     assert 0x0640 & StatusWord.REMOTE
     assert not 0x0440 & StatusWord.REMOTE
 
 
 def test_control_words_say_what_the_standards_bits_say() -> None:
-    switch_on, voltage, no_quick_stop, operate, reset, halt = 0, 1, 2, 3, 7, 8
+    switch_on, voltage, no_quick_stop, operate, start, reset, halt = 0, 1, 2, 3, 4, 7, 8
     assert bits(ControlWord.SHUTDOWN) == {voltage, no_quick_stop}
     assert bits(ControlWord.SWITCH_ON) == {voltage, no_quick_stop, switch_on}
     assert bits(ControlWord.ENABLE_OPERATION) == {voltage, no_quick_stop, switch_on, operate}
     assert bits(ControlWord.ENABLE_AND_HALT) == {voltage, no_quick_stop, switch_on, operate, halt}
+    assert bits(ControlWord.START_HOMING) == {voltage, no_quick_stop, switch_on, operate, start}
     assert bits(ControlWord.RESET_AND_HALT) == {halt}
     assert bits(ControlWord.FAULT_RESET) == {reset}
 
