@@ -178,13 +178,13 @@ def test_ctrl_c_says_what_it_leaves(bench: Bench) -> None:
         if bench.position_m < -0.01:
             os.kill(os.getpid(), signal.SIGINT)
 
-    bench.on_the_way = interrupt
+    bench.on_the_way, before = interrupt, signal.getsignal(signal.SIGINT)
     answer = bench.softarm("home", "--yes")
     assert answer.exit_code == 130
     assert "the cart was braked and the drive is off; its search was NOT finished" in answer.output
     assert bench.drive.state is DriveState.READY
     assert bench.position_m > -0.02
-    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    assert signal.getsignal(signal.SIGINT) is before
 
 
 def test_a_fault_on_the_way_is_a_sentence(bench: Bench) -> None:
