@@ -3,7 +3,7 @@
 import http.client
 import json
 from types import TracebackType
-from typing import Any, Self
+from typing import TYPE_CHECKING, Any, Self
 
 import click
 import httpx
@@ -12,9 +12,17 @@ from softarm.cli.errors import Unreachable, fail
 from softarm.cli.words import all_in_commands
 from softarm.schemas.rest import API_HEADER, API_VERSION
 
+if TYPE_CHECKING:
+    from softarm.schemas.config import Api
+
 DEFAULT_URL = "http://127.0.0.1:8080"
 TIMEOUT_S = 5.0
 STOP_TIMEOUT_S = 1.0  # by the stop's own way: the daemon has 0.5 s
+
+
+def url_of(api: "Api") -> str:
+    """Where a daemon of this configuration answers on this computer."""
+    return f"http://{'127.0.0.1' if api.host in ('0.0.0.0', '::') else api.host}:{api.port or 8080}"
 
 
 class Remote:

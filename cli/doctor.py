@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from softarm.cli.client import url_of
 from softarm.cli.options import FILE, FOLDER, config_option, token_of
 from softarm.cli.printing import print_json, print_option
 from softarm.cli.words import in_commands
@@ -49,8 +50,7 @@ def doctor(
     from softarm.daemon.doctor import examination, running, settings
 
     loaded = settings.look(config_file)
-    api = loaded.config.api
-    url = url or f"http://{'127.0.0.1' if api.host in ('0.0.0.0', '::') else api.host}:{api.port or 8080}"
+    url = url or url_of(loaded.config.api)
     try:
         daemon = running.look(url, token_of(token_file))
     except ValueError as error:

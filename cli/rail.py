@@ -57,7 +57,8 @@ def home(config_file: Path, speed_m_s: float, reset_fault: bool, relay: bool, ye
       softarm rail home --config softarm.yaml --reset-fault      after a limit switch, or another fault
     """
     from softarm.drivers.base import DeviceError
-    from softarm.drivers.rail.commissioning.visit import Visit, settings_of
+    from softarm.drivers.rail.commissioning.visit import Visit
+    from softarm.drivers.rail.settings import settings_of
 
     if speed_m_s != speed_m_s:
         raise click.BadParameter("nan is no speed; allowed 0.005 to 0.1 m/s", param_hint="--speed")

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import click
 
-from softarm.cli.client import Remote
+from softarm.cli.client import Remote, url_of
 from softarm.cli.errors import fail
 from softarm.cli.rail_alone import only_one
 
@@ -34,8 +34,7 @@ def source(config: "Config", file: Path, named: str | None, token: str | None) -
     """The daemon that runs by this file, which has motion capture too; else the drive itself. named: a daemon's URL."""
     from softarm.daemon.doctor import running
 
-    api = config.api
-    url = named or f"http://{'127.0.0.1' if api.host in ('0.0.0.0', '::') else api.host}:{api.port or 8080}"
+    url = named or url_of(config.api)
     with Remote(url, token) as daemon:
         try:
             found = running.look(url, token, samples=1)
@@ -53,7 +52,8 @@ def source(config: "Config", file: Path, named: str | None, token: str | None) -
             return
     from softarm.drivers.base import DeviceError
     from softarm.drivers.rail.commissioning.centre import Sample
-    from softarm.drivers.rail.commissioning.visit import Visit, settings_of
+    from softarm.drivers.rail.commissioning.visit import Visit
+    from softarm.drivers.rail.settings import settings_of
 
     settings = settings_of(config.drivers.rail)
     with only_one(config):
@@ -76,7 +76,7 @@ def _check_age(file: Path, uptime_s: float) -> None:
 
 def _of_daemon(daemon: Remote, rail: "DryveRail") -> "Sample | None":
     from softarm.drivers.rail.commissioning.centre import Sample
-    from softarm.drivers.rail.commissioning.visit import settings_of
+    from softarm.drivers.rail.settings import settings_of
     from softarm.schemas.policy import Observation
 
     status = daemon.get("/api/status")

@@ -1,14 +1,16 @@
 """What tests of any room may need."""
 
+import asyncio
 import contextlib
 import os
 import resource
 import sys
 import textwrap
+import threading
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import pytest
 
@@ -73,6 +75,31 @@ def _many_descriptors() -> Iterator[None]:
 def many_descriptors() -> Callable[[], AbstractContextManager[None]]:
     """A context with as many open files as make every new one's number too large for select."""
     return _many_descriptors
+
+
+@contextlib.contextmanager
+def _served(server: Any) -> Iterator[None]:
+    ready, ended, loop = threading.Event(), asyncio.Event(), asyncio.new_event_loop()
+
+    async def serve() -> None:
+        await server.open()
+        ready.set()
+        await ended.wait()
+        await server.close()
+
+    thread = threading.Thread(target=lambda: loop.run_until_complete(serve()), daemon=True)
+    thread.start()
+    assert ready.wait(20)
+    yield
+    loop.call_soon_threadsafe(ended.set)
+    thread.join(20)
+    loop.close()
+
+
+@pytest.fixture
+def served() -> Callable[[Any], AbstractContextManager[None]]:
+    """A context in which a server (`open` and `close` are coroutines) serves from a thread of its own."""
+    return _served
 
 
 @pytest.fixture

@@ -11,7 +11,7 @@ from typing import NamedTuple, Protocol
 from softarm.common import yaml_lines
 from softarm.common.yaml_schema import fit
 from softarm.drivers.bridge.conversation import Conversation, Taken
-from softarm.drivers.bridge.frame import Seen, View, names_of
+from softarm.drivers.bridge.frame import Seen, View
 from softarm.drivers.mocap import payload
 from softarm.schemas.bridge import Bridge
 from softarm.schemas.messages import BODY_NAMES
@@ -106,8 +106,6 @@ class Bridging:
     ) -> None:
         self._config, self._inlet, self._outlet, self._tell, self._clock = config, inlet, outlet, tell, clock
         self._view = View(config.room, config.bodies)
-        self._ids: dict[str, int] | None = None
-        self._names: dict[int, str] = {}
         self._unnamed: tuple[str, ...] = ()
         self._recent: deque[tuple[int, int]] = deque()  # arrival, age
         self._lost = {name: _Lost() for name in BODY_NAMES if getattr(config.bodies, name) is not None}
@@ -118,8 +116,8 @@ class Bridging:
         """Wait so long for frames, and hand on those that come; they are also returned."""
         done = []
         for taken in self._inlet.poll(seconds):
-            self._know_names()
-            seen = self._view.of(taken.frame.bodies, self._names)
+            names, self._unnamed = self._inlet.conversation.names_of(self._config.bodies)
+            seen = self._view.of(taken.frame.bodies, names)
             self._outlet.put(payload.encode(taken.sequence, taken.t_capture_ns, seen.poses))
             self._note(taken, seen)
             done.append((taken, seen))
@@ -145,17 +143,10 @@ class Bridging:
             counts=self._figures(),
         )
 
-    def _know_names(self) -> None:
-        talk = self._inlet.conversation
-        if talk.ids != self._ids:
-            self._ids = dict(talk.ids)
-            self._names, self._unnamed = names_of(self._config.bodies, self._ids)
-        talk.wants_names |= bool(self._unnamed)  # it may still be made
-
     def _nameless(self) -> str | None:
         if not self._unnamed:
             return None
-        missing, named = ", ".join(self._unnamed), _named(self._ids or {})
+        missing, named = ", ".join(self._unnamed), _named(self._inlet.conversation.ids)
         return (
             f"{missing}: no such rigid body, the server names {named}; name it in Motive, or in bodies of bridge.yaml"
         )

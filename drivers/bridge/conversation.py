@@ -10,7 +10,9 @@ from typing import NamedTuple
 
 from softarm.drivers.bridge import natnet
 from softarm.drivers.bridge.clock import EchoClock
+from softarm.drivers.bridge.frame import names_of
 from softarm.drivers.bridge.natnet import Frame, Server
+from softarm.schemas.bridge import Marks
 
 AGAIN_NS = 1_000_000_000  # between two tries to connect, to keep alive, to hear names
 SILENT_NS = 2_000_000_000  # without a frame for so long: connect again
@@ -75,6 +77,12 @@ class Conversation:
     def is_silent(self, now_ns: int) -> bool:
         """Whether no frame has come for long."""
         return self.frame_ns is None or now_ns - self.frame_ns > SILENT_NS
+
+    def names_of(self, marks: Marks) -> tuple[dict[int, str], tuple[str, ...]]:
+        """As `frame.names_of`, by the server's names; they are asked for as long as a body has none: it may be made."""
+        names, missing = names_of(marks, self.ids)
+        self.wants_names |= bool(missing)
+        return names, missing
 
     def due(self, now_ns: int) -> list[bytes]:
         """What is to be said now; to be asked every 10 ms or so."""

@@ -113,13 +113,18 @@ def names_of(marks: Marks, ids: Mapping[str, int]) -> tuple[dict[int, str], tupl
         mark: Marked | None = getattr(marks, name)
         if mark is None:
             continue
-        wanted = name if mark.rigid_body is None else mark.rigid_body
-        number = wanted if isinstance(wanted, int) else ids.get(wanted)
+        number = number_of(name, mark, ids)
         if number is None:
             missing.append(name)
         else:
             names[number] = name
     return names, tuple(missing)
+
+
+def number_of(name: str, mark: Marked, ids: Mapping[str, int]) -> int | None:
+    """The streaming id of one of the arm's bodies; None: the server names none so."""
+    wanted = name if mark.rigid_body is None else mark.rigid_body
+    return wanted if isinstance(wanted, int) else ids.get(wanted)
 
 
 def dot(a: Vector, b: Vector) -> float:

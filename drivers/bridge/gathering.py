@@ -9,7 +9,6 @@ from collections.abc import Callable, Mapping, Sequence
 from softarm.drivers.base import DeviceError
 from softarm.drivers.bridge.calibration import PUSH_MIN_M, STILL_M, Sample
 from softarm.drivers.bridge.client import Client
-from softarm.drivers.bridge.frame import names_of
 from softarm.drivers.bridge.natnet import Body, Vector
 from softarm.schemas.bridge import Bridge
 
@@ -111,16 +110,10 @@ def gather(
 
     show: hears often how it goes. Raises DeviceError where no frames come.
     """
-    ids: dict[str, int] | None = None
-    names: dict[int, str] = {}
-    missing: tuple[str, ...] = ()
     was, over_s = gathering.phase, time.monotonic() + patience_s
     while gathering.phase is not Phase.DONE:
-        talk = client.conversation
         for taken in client.poll():
-            if talk.ids != ids:
-                ids, (names, missing) = dict(talk.ids), names_of(config.bodies, talk.ids)
-            talk.wants_names |= bool(missing)
+            names, _ = client.conversation.names_of(config.bodies)
             seen = {names[body.id]: body for body in taken.frame.bodies if body.tracked and body.id in names}
             gathering.see(taken.t_capture_ns, seen)
         if gathering.phase is not was:

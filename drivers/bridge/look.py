@@ -5,6 +5,7 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 from softarm.drivers.bridge.bridging import Bridging, Inlet, Status
+from softarm.drivers.bridge.frame import number_of
 from softarm.drivers.bridge.natnet import Body, Vector
 from softarm.schemas.bridge import Bridge
 from softarm.schemas.messages import BODY_NAMES, Pose
@@ -74,13 +75,12 @@ def _rows(
         mark = getattr(config.bodies, name)
         if mark is None:
             continue
-        wanted = name if mark.rigid_body is None else mark.rigid_body
-        number = wanted if isinstance(wanted, int) else ids.get(wanted)
+        number = number_of(name, mark, ids)
         used.add(number)
         share = seen.get(number, 0.0) if number is not None else 0.0
         body = newest[number] if number is not None and share else None
         pose = poses[name][:3] if name in poses else None
-        told = names.get(wanted, "") if isinstance(wanted, int) else wanted
+        told = names.get(mark.rigid_body, "") if isinstance(mark.rigid_body, int) else mark.rigid_body or name
         rows.append(Row(name, told, number, share, body.position_m if body else None, pose))
     for number in sorted(newest.keys() - used):
         place = newest[number].position_m if seen[number] else None

@@ -4,8 +4,12 @@ Peers do not relay between peers in Zenoh 1.9 and later, clients of one peer do 
 """
 
 import json
+import threading
+from collections.abc import Callable
 
 import zenoh
+
+RETRY_S = 0.1  # until the daemon listens for the first time; afterwards the session finds it again by itself
 
 _COMMON = {
     "scouting/multicast/enabled": False,
@@ -33,6 +37,40 @@ def client(endpoint: str) -> zenoh.Config:
             "connect/retry": {"period_init_ms": 50, "period_max_ms": 100, "period_increase_factor": 1.5},
         }
     )
+
+
+class ClientThread:
+    """A client's session on a thread of its own: nobody waits for the daemon, which may come later."""
+
+    def __init__(self, endpoint: str, name: str, use: Callable[[zenoh.Session, threading.Event], None]) -> None:
+        """use: has the session once it is open, until the event is set."""
+        self._endpoint, self._use = endpoint, use
+        self._stopping = threading.Event()
+        self._thread = threading.Thread(target=self._run, name=name, daemon=True)
+
+    def open(self) -> None:
+        """Connect in the thread."""
+        self._thread.start()
+
+    def close(self) -> None:
+        """Close the session; a process that forgets to may never end."""
+        self._stopping.set()
+        if self._thread.is_alive():
+            self._thread.join()
+
+    def _run(self) -> None:
+        session: zenoh.Session | None = None
+        while session is None and not self._stopping.is_set():
+            try:
+                session = zenoh.open(client(self._endpoint))
+            except zenoh.ZError:
+                self._stopping.wait(RETRY_S)
+        if session is None:
+            return
+        try:
+            self._use(session, self._stopping)
+        finally:
+            session.close()  # type: ignore[no-untyped-call]
 
 
 def _config(entries: dict[str, object]) -> zenoh.Config:

@@ -23,7 +23,7 @@ import softarm
 from softarm.drivers.base import DeviceError
 from softarm.drivers.rail import pair, process
 from softarm.drivers.rail.pair import Report, SetPoint
-from softarm.drivers.rail.settings import Settings
+from softarm.drivers.rail.settings import Settings, settings_of
 from softarm.schemas.config import DryveRail
 from softarm.schemas.messages import RailReading
 
@@ -166,11 +166,10 @@ class DryveRailAxis:
     # The process
 
     def _start(self) -> Process:
-        config = {name: value for name, value in self._config.model_dump().items() if name in Settings._fields}
         ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         ours.setblocking(False)
         with theirs:
-            return Process(self._launch(Settings(**config), theirs, self._priority), ours)
+            return Process(self._launch(settings_of(self._config), theirs, self._priority), ours)
 
     def _begin(self) -> None:
         """Have a process lead the drive: the one in reserve, if there is one."""

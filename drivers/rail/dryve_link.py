@@ -14,6 +14,7 @@ from softarm.drivers.rail.cia402 import ControlWord
 from softarm.drivers.rail.dryve import Entry
 
 STRAYS_MAX = 8  # answers to other requests that one exchange skips; more are a flood
+MODE_MAX_S, MODE_AGAIN_S = 0.5, 0.02  # 6061h lags 6060h by up to a quarter of a second
 ECHO_S = 0.02  # an answer that has come before: the right one is behind it, or the wire says the same again and again
 CONNECT_S = 1.0
 LINGER_S = 0.02  # waited for the other side to close, so that our last bytes are not cut off
@@ -87,6 +88,22 @@ class DryveLink:
     def write(self, entry: Entry, value: int) -> None:
         """Set the entry. Raises as `_request` does."""
         self._request(entry, value)
+
+    def configure(self, entry: Entry, value: int) -> str | None:
+        """Set the entry and read it back; what is wrong, where the drive did not take it. Raises as `_request` does."""
+        self.write(entry, value)
+        actual = self.read(entry)
+        return None if actual == value else f"{entry} reads {actual} after {value} was written"
+
+    def configure_mode(self, mode: int, pause: Callable[[float], object]) -> str | None:
+        """The same of the mode of operation, which the drive shows later. pause: lets so many seconds pass."""
+        self.write(dryve.MODE, mode)
+        until_s = time.monotonic() + MODE_MAX_S
+        while (shown := self.read(dryve.MODE_DISPLAY)) != mode:
+            if time.monotonic() > until_s:
+                return f"{dryve.MODE_DISPLAY} stays at {shown} after {mode} was written"
+            pause(MODE_AGAIN_S)
+        return None
 
     def stop(self) -> None:
         """Say stop, whatever is outstanding, and wait for nothing. Raises OSError."""

@@ -25,7 +25,6 @@ from softarm.drivers.rail.settings import Settings
 POLL_S = 0.04  # status is read this often when no set-point comes
 BEAT_S = 0.05  # the daemon hears at least this often that we live
 WALK_MAX_S = 2.0  # from switch-on disabled to operation enabled
-MODE_MAX_S = 0.5  # 6061h lags 6060h by up to a quarter of a second
 RETRY_S = (0.02, 1.0)  # first and longest pause between attempts to connect
 COMPLAINT_S = 2.0  # how long a walk that failed is remembered
 PART_S = 2.0  # how long a drive that may move is tried for once the daemon has hung up
@@ -218,8 +217,7 @@ class Master:
         """Bring the drive to rest, whatever went before, then set mode and ramps and read them back."""
         self._come_to_rest()
         drive = self._drive
-        drive.write(dryve.MODE, dryve.PROFILE_VELOCITY)
-        unfit = self._mode_not_taken()
+        unfit = drive.configure_mode(dryve.PROFILE_VELOCITY, self._attend)
         ramp = self._settings.units(self._settings.acceleration_m_s2)
         quick_stop = self._settings.units(self._settings.quick_stop_m_s2)
         for entry, value in (
@@ -227,23 +225,13 @@ class Master:
             (dryve.DECELERATION, ramp),
             (dryve.QUICK_STOP, quick_stop),
         ):
-            drive.write(entry, value)
-            actual = drive.read(entry)
-            if actual != value:
-                unfit = unfit or f"{entry} reads {actual} after {value} was written"
+            untaken = drive.configure(entry, value)
+            unfit = unfit or untaken
         remedy = "set it on the drive's web page, or correct drivers.rail, and start again; it is not enabled"
         self._unfit = None if unfit is None else self._say("set up", unfit, remedy)
 
     def _come_to_rest(self) -> None:
         come_to_rest(self._drive, self._settings.units(AT_REST_M_S), self._attend)
-
-    def _mode_not_taken(self) -> str | None:
-        until_s = time.monotonic() + MODE_MAX_S
-        while (mode := self._drive.read(dryve.MODE_DISPLAY)) != dryve.PROFILE_VELOCITY:
-            if time.monotonic() > until_s:
-                return f"{dryve.MODE_DISPLAY} stays at {mode} after {dryve.PROFILE_VELOCITY} was written"
-            self._attend(0.02)
-        return None
 
     # The conversation
 

@@ -1,6 +1,9 @@
 """What the rail's masters are told of the axis, and how its counts become metres from the middle of the rail."""
 
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
+
+if TYPE_CHECKING:  # the rail's process imports next to nothing
+    from softarm.schemas.config import DryveRail
 
 
 class Settings(NamedTuple):
@@ -42,3 +45,8 @@ class Settings(NamedTuple):
     def axis_m(self, position_m: float) -> float:
         """From the drive's own zero, the way that it counts, of a place from the middle of the rail."""
         return self.sense * position_m + self.centre_m
+
+
+def settings_of(config: "DryveRail") -> Settings:
+    """The configuration's."""
+    return Settings(**{name: value for name, value in config.model_dump().items() if name in Settings._fields})

@@ -9,12 +9,11 @@ from typing import Any
 import zenoh
 
 from softarm.drivers.mocap import payload as mocap_payload
-from softarm.drivers.mocap.zenoh_session import client
+from softarm.drivers.mocap.zenoh_session import ClientThread
 from softarm.drivers.twin.faults import Faults
 from softarm.schemas.config import Mocap
 from softarm.schemas.messages import BODY_NAMES, Pose
 
-RETRY_S = 0.1  # until the daemon listens for the first time; afterwards the session finds it again by itself
 FAULT_KEY, STATE_KEY = "softarm/twin/fault", "softarm/twin/state"
 
 
@@ -44,21 +43,18 @@ class Cameras:
 
     def __init__(self, config: Mocap, faults: Faults) -> None:
         self._config, self._faults = config, faults
-        self._stopping = threading.Event()
-        self._thread = threading.Thread(target=self._connect, name="cameras", daemon=True)
+        self._client = ClientThread(config.endpoint, "cameras", self._use)
         self._session: zenoh.Session | None = None
         self._subscriber: zenoh.Subscriber[Any] | None = None
         self._stuck: tuple[Pose, ...] | None = None
 
     def open(self) -> None:
         """Connect in a thread: whoever listens may come later."""
-        self._thread.start()
+        self._client.open()
 
     def close(self) -> None:
-        """Close the session; a process that forgets to may never end."""
-        self._stopping.set()
-        if self._thread.is_alive():
-            self._thread.join()
+        """See `ClientThread.close`."""
+        self._client.close()
 
     def publish_frame(self, sequence: int, t_capture_ns: int, poses: tuple[Pose, ...]) -> None:
         """One frame, as the faults leave it."""
@@ -97,17 +93,8 @@ class Cameras:
                 congestion_control=zenoh.CongestionControl.DROP,
             )
 
-    def _connect(self) -> None:
-        session: zenoh.Session | None = None
-        while session is None and not self._stopping.is_set():
-            try:
-                session = zenoh.open(client(self._config.endpoint))
-            except zenoh.ZError:
-                self._stopping.wait(RETRY_S)
-        if session is None:
-            return
+    def _use(self, session: zenoh.Session, stopping: threading.Event) -> None:
         self._subscriber = session.declare_subscriber(FAULT_KEY, zenoh.handlers.RingChannel(16))
         self._session = session
-        self._stopping.wait()
+        stopping.wait()
         self._session = self._subscriber = None
-        session.close()  # type: ignore[no-untyped-call]

@@ -1,13 +1,11 @@
 """`softarm rail`: what it refuses, what it says before anything moves, and what is left."""
 
-import asyncio
 import fcntl
 import functools
 import math
 import os
 import signal
 import socket
-import threading
 import time
 from collections import deque
 from collections.abc import Iterator
@@ -80,27 +78,13 @@ class Bench:
 
 
 @pytest.fixture
-def bench(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Bench]:
-    bench, ready, ended = Bench(tmp_path), threading.Event(), asyncio.Event()
-    loop = asyncio.new_event_loop()
-
-    async def serve() -> None:
-        await bench.server.open()
-        ready.set()
-        await ended.wait()
-        await bench.server.close()
-
-    thread = threading.Thread(target=lambda: loop.run_until_complete(serve()), daemon=True)
-    thread.start()
-    assert ready.wait(20)
-    bench.configure()
-    monkeypatch.setattr(
-        visit, "Visit", functools.partial(visit.Visit, clock=bench.clock, pause=lambda seconds: bench.pause(seconds))
-    )
-    yield bench
-    loop.call_soon_threadsafe(ended.set)
-    thread.join(20)
-    loop.close()
+def bench(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, served: Any) -> Iterator[Bench]:
+    bench = Bench(tmp_path)
+    with served(bench.server):
+        bench.configure()
+        timed = functools.partial(visit.Visit, clock=bench.clock, pause=lambda seconds: bench.pause(seconds))
+        monkeypatch.setattr(visit, "Visit", timed)
+        yield bench
 
 
 def test_it_says_what_moves_then_homes_and_leaves_the_drive_off(bench: Bench) -> None:

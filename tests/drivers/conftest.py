@@ -76,3 +76,21 @@ async def running(*devices: Any) -> AsyncIterator[None]:
 @pytest.fixture(name="running")
 def _running() -> Any:
     return running
+
+
+@pytest.fixture
+def regulator_bench(run: Any, monkeypatch: pytest.MonkeyPatch) -> Callable[..., Any]:
+    """regulator_bench(make): plays scripts, each with a bench of its own: a `regulator`, to be run, and a `port`."""
+    monkeypatch.setattr("softarm.drivers.regulator.driver.RETRY_S", (0.005, 0.01))
+    monkeypatch.setattr("softarm.drivers.regulator.driver.HELLO_S", 0.005)
+
+    async def play(make: Callable[[], Any], script: Callable[[Any], Coroutine[Any, Any, None]]) -> None:
+        bench = make()
+        bench.port.open()
+        try:
+            async with running(bench.regulator):
+                await script(bench)
+        finally:
+            bench.port.close()
+
+    return lambda make: lambda script: run(play(make, script))

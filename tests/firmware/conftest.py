@@ -22,6 +22,7 @@ assert _spec.loader is not None
 _benches = importlib.util.module_from_spec(_spec)
 _spec.loader.exec_module(_benches)
 clock, run, until, running = _benches.clock, _benches.run, _benches.until, _benches._running
+regulator_bench = _benches.regulator_bench
 
 STRICT = ("-std=c++14", "-Wall", "-Wextra", "-Wconversion", "-Wshadow", "-Wpedantic", "-Werror")
 UNDEFINED = ("-fsanitize=undefined", "-fno-sanitize-recover=all")

@@ -51,20 +51,11 @@ class Bench:
 
 
 @pytest.fixture
-def bench(tmp_path: Path, make_board: Any, clock: Any, until: Any, run: Any, running: Any, monkeypatch: Any) -> Any:
-    monkeypatch.setattr("softarm.drivers.regulator.driver.RETRY_S", (0.005, 0.01))
-    monkeypatch.setattr("softarm.drivers.regulator.driver.HELLO_S", 0.005)
+def bench(tmp_path: Path, make_board: Any, clock: Any, until: Any, regulator_bench: Any) -> Any:
+    def make() -> Bench:
+        return Bench(tmp_path / "teensy", make_board(lambda: int.from_bytes(os.urandom(4), "little")), clock, until)
 
-    async def play(script: Any) -> None:
-        bench = Bench(tmp_path / "teensy", make_board(lambda: int.from_bytes(os.urandom(4), "little")), clock, until)
-        bench.port.open()
-        try:
-            async with running(bench.regulator):
-                await script(bench)
-        finally:
-            bench.port.close()
-
-    return lambda script: run(play(script))
+    return regulator_bench(make)
 
 
 def test_it_is_armed_and_vents_by_itself_when_the_driver_falls_silent(bench: Any) -> None:

@@ -19,12 +19,10 @@ from softarm.drivers.rail.dryve_link import CONNECT_S, EXCHANGE_ERRORS, LINK_ERR
 from softarm.drivers.rail.feedback import AT_REST_M_S, Feedback
 from softarm.drivers.rail.rest import come_to_rest
 from softarm.drivers.rail.settings import Settings
-from softarm.schemas.config import DryveRail
 
 T = TypeVar("T")
 
 POLL_S = 0.02
-MODE_MAX_S = 0.5  # 6061h lags 6060h by up to a quarter of a second
 AGAIN_S = 2.0  # how long a drive that may move is tried for when its connection is gone
 ACCELERATION_M_S2 = 0.5  # of a search
 
@@ -45,11 +43,6 @@ class Homed(NamedTuple):
     position_m: float  # of the cart from the middle of the rail, by `drivers.rail.centre_m`
     axis_m: float  # from the drive's zero
     confirmed: bool | None  # the drive says that it is homed (2014h); None: it does not say
-
-
-def settings_of(config: DryveRail) -> Settings:
-    """As the daemon's master gets them."""
-    return Settings(**{name: value for name, value in config.model_dump().items() if name in Settings._fields})
 
 
 class Visit:
@@ -168,17 +161,11 @@ class Visit:
             (dryve.HOMING_CREEP, units(creep_m_s)),
             (dryve.HOMING_ACCELERATION, units(ACCELERATION_M_S2)),
         ):
-            drive.write(entry, value)
-            if (actual := drive.read(entry)) != value:
+            if (untaken := drive.configure(entry, value)) is not None:
                 remedy = "set it on the drive's web page, or choose another --speed; nothing moved"
-                raise self._error("set up", f"{entry} reads {actual} after {value} was written", remedy)
-        drive.write(dryve.MODE, dryve.HOMING)
-        until_s = time.monotonic() + MODE_MAX_S
-        while (mode := drive.read(dryve.MODE_DISPLAY)) != dryve.HOMING:
-            if time.monotonic() > until_s:
-                problem = f"{dryve.MODE_DISPLAY} stays at {mode} after {dryve.HOMING} was written"
-                raise self._error("set up", problem, "look at the drive's web page; nothing moved")
-            self.pause(POLL_S)
+                raise self._error("set up", untaken, remedy)
+        if (untaken := drive.configure_mode(dryve.HOMING, self.pause)) is not None:
+            raise self._error("set up", untaken, "look at the drive's web page; nothing moved")
 
     def _lost(self, error: Exception, search: Search) -> DeviceError:
         """The connection failed: brake on it while it lasts, then on new ones; say what came of it."""

@@ -58,20 +58,8 @@ class Bench:
 
 
 @pytest.fixture
-def bench(tmp_path: Path, clock: Any, until: Any, run: Any, running: Any, monkeypatch: Any) -> Any:
-    monkeypatch.setattr("softarm.drivers.regulator.driver.RETRY_S", (0.005, 0.01))
-    monkeypatch.setattr("softarm.drivers.regulator.driver.HELLO_S", 0.005)
-
-    async def play(script: Any) -> None:
-        bench = Bench(tmp_path / "teensy", clock, until)
-        bench.port.open()
-        try:
-            async with running(bench.regulator):
-                await script(bench)
-        finally:
-            bench.port.close()
-
-    return lambda script: run(play(script))
+def bench(tmp_path: Path, clock: Any, until: Any, regulator_bench: Any) -> Any:
+    return regulator_bench(lambda: Bench(tmp_path / "teensy", clock, until))
 
 
 def test_set_points_arrive_and_the_sensor_comes_back(bench: Any) -> None:

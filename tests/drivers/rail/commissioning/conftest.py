@@ -1,6 +1,5 @@
 """Two drives on real TCP ports, in worlds whose time passes when the visitor lets it."""
 
-import asyncio
 import contextlib
 import threading
 from collections.abc import Callable, Iterator
@@ -13,7 +12,7 @@ from softarm.benchmarks.outside.drive import Drive, Port
 from softarm.benchmarks.outside.robot import STEP_S, Robot
 from softarm.drivers.rail.cia402 import DriveState
 from softarm.drivers.rail.commissioning.visit import Visit
-from softarm.drivers.rail.settings import Settings
+from softarm.drivers.rail.settings import Settings, settings_of
 from softarm.drivers.twin.dryve import LIMIT_SWITCH, DryveDevice, DryveServer
 from softarm.drivers.twin.faults import Faults
 from softarm.schemas.config import DryveRail
@@ -49,8 +48,7 @@ class World:
         raise NotImplementedError
 
     def settings(self, **changes: Any) -> Settings:
-        config = DryveRail(host="127.0.0.1", port=self.port, timeout_s=1.0).model_dump() | changes
-        return Settings(**{name: value for name, value in config.items() if name in Settings._fields})
+        return settings_of(DryveRail(host="127.0.0.1", port=self.port, timeout_s=1.0))._replace(**changes)
 
     def visit(self, **changes: Any) -> Visit:
         return Visit(self.settings(**changes), self.clock, self.pause)
@@ -120,24 +118,11 @@ class OutsidesWorld(World):
 
 
 @pytest.fixture
-def twin() -> Iterator[TwinsWorld]:
-    world, ready, ended = TwinsWorld(), threading.Event(), asyncio.Event()
-    loop = asyncio.new_event_loop()
-
-    async def serve() -> None:
-        await world.server.open()
+def twin(served: Any) -> Iterator[TwinsWorld]:
+    world = TwinsWorld()
+    with served(world.server):
         world.port = world.server.port
-        ready.set()
-        await ended.wait()
-        await world.server.close()
-
-    thread = threading.Thread(target=lambda: loop.run_until_complete(serve()), daemon=True)
-    thread.start()
-    assert ready.wait(20)
-    yield world
-    loop.call_soon_threadsafe(ended.set)
-    thread.join(20)
-    loop.close()
+        yield world
 
 
 @pytest.fixture
