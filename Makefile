@@ -1,10 +1,10 @@
-# `make demo` swings the arm, `make test` proves the house, `make quick` is for between two thoughts. Each sets itself up
-# in .venv.
+# `make demo` swings the arm, `make test` runs what a landing must pass, `make quick` a part of it in two minutes,
+# `make prove` the long evidence. Each sets itself up in .venv.
 PYTHON ?= python3
 BIN := .venv/bin
 SHELL := /bin/sh
 
-.PHONY: install demo test quick lint types imports unit unit-quick coverage docs prove clean
+.PHONY: install demo test quick lint types imports unit unit-quick coverage docs prove release clean
 
 install: .venv/.installed
 
@@ -22,11 +22,11 @@ install: .venv/.installed
 demo: install
 	$(BIN)/softarm demo
 
-# All that a landing has to pass.
+# Everything that a landing must pass.
 test: .venv/.installed-dev
 	$(MAKE) --no-print-directory lint types imports unit
 
-# The same without the tests that take long or want the machine for themselves: under a minute.
+# The same without slow tests and tests that need the machine alone.
 quick: .venv/.installed-dev
 	$(MAKE) --no-print-directory lint types imports unit-quick
 
@@ -40,37 +40,46 @@ types:
 imports:
 	$(BIN)/lint-imports
 
-# Those with deadlines run last and alone: two cores that are busy with other tests keep none.
+# Tests that assert deadlines run last and alone, since two busy cores keep none. A module's fixtures are made once.
 unit:
-	$(BIN)/pytest -n 2 -m 'not realtime' $(COVER)
-	$(BIN)/pytest -m realtime $(if $(COVER),$(COVER) --cov-append)
+	$(BIN)/pytest -n 2 --dist loadscope -m 'not realtime and not prove' $(COVER)
+	$(BIN)/pytest -m 'realtime and not prove' $(if $(COVER),$(COVER) --cov-append)
 
 unit-quick:
-	$(BIN)/pytest -n 2 -m 'not realtime and not slow'
+	$(BIN)/pytest -n 2 --dist loadscope -m 'not realtime and not slow and not prove'
 
-# Which share of the lines the tests run, room by room; half as long again as the tests alone.
+# Share of the lines that the tests run, package by package.
 coverage: .venv/.installed-dev
 	$(MAKE) --no-print-directory unit COVER='--cov --cov-report='
-	@for room in $$(cd softarm && ls -d */ | grep -v benchmarks); do \
-	    echo "$$room $$($(BIN)/coverage report --format=total --include="softarm/$$room*") %"; \
-	done; echo "the house $$($(BIN)/coverage report --format=total) %"
+	@for package in $$(cd softarm && ls -d */); do \
+	    echo "$$package $$($(BIN)/coverage report --format=total --include="softarm/$$package*") %"; \
+	done; echo "total $$($(BIN)/coverage report --format=total) %"
 
 # The pages as a site in site/: open site/index.html.
 docs: .venv/.installed-dev
 	$(BIN)/mkdocs build --quiet
 
-# What is shown by trying for long, part by part: docs/proof.md. A small part of each is among the tests.
-FUZZ_MINUTES ?= 60
-SOAK_HOURS ?= 1
+# The long evidence: an hour and more. Stores its results with the revision; `python -m tools.render` fills the pages.
+FUZZ_MINUTES ?= 30
+SOAK_HOURS ?= 0.5
 ADVERSARY_TICKS ?= 10000000
+RESULTS := benchmarks/results
 prove: .venv/.installed-dev
-	$(BIN)/python -m softarm.benchmarks.adversary --ticks $(ADVERSARY_TICKS)
-	$(BIN)/python -m softarm.benchmarks.adversary --ticks $$(( $(ADVERSARY_TICKS) / 20 )) --through tick
-	$(BIN)/python -m softarm.benchmarks.matrix
-	$(BIN)/python -m softarm.benchmarks.prove.mutants
-	$(BIN)/python -m softarm.benchmarks.prove.fuzz --minutes $(FUZZ_MINUTES)
-	$(BIN)/python -m softarm.benchmarks.prove.api
+	$(BIN)/pytest -m 'prove and not realtime' -n 2 --dist loadscope
+	$(BIN)/pytest -m 'prove and realtime'
+	$(BIN)/python -m validation.adversary --ticks $(ADVERSARY_TICKS) --json $(RESULTS)/adversary.json
+	$(BIN)/python -m validation.adversary --ticks $$(( $(ADVERSARY_TICKS) / 20 )) --through tick --json $(RESULTS)/adversary-tick.json
+	$(BIN)/python -m validation.matrix --json $(RESULTS)/matrix.json
+	$(BIN)/python -m validation.mutants --json $(RESULTS)/mutants.json
+	$(BIN)/python -m validation.fuzz --minutes $(FUZZ_MINUTES)
+	$(BIN)/python -m validation.api
 	$(BIN)/softarm soak --hours $(SOAK_HOURS) --lockstep-days 1
+
+# Build and tag the version. Refuses while a stored result is older than its code.
+release: .venv/.installed-dev
+	$(BIN)/python -m benchmarks.results --check
+	$(BIN)/python -m build --outdir dist
+	git tag "v$$($(BIN)/python -c 'import softarm; print(softarm.__version__)')"
 
 clean:
 	rm -rf .venv build *.egg-info .coverage

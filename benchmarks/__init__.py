@@ -1,4 +1,4 @@
-"""Side-by-side measurements against peers, from a checkout: `python -m softarm.benchmarks.NAME --help` says what it is.
+"""Speed and accuracy, also next to other programs: `python -m benchmarks.NAME --help` describes each benchmark.
 
-Never part of the tests, and not installed. With --json a measurement keeps its figures and where they come from.
+Not installed and not run by the tests. With --json a benchmark stores its figures and how they were measured.
 """

@@ -1,12 +1,11 @@
-"""What bridging the cameras' drop-outs wins: policies over the 54 targets while the cameras go dark at random.
+"""Measure the benefit of bridging dropouts of motion capture: policies at the 54 targets with random dropouts.
 
-    python -m softarm.benchmarks.bridging --json bridging.json   flights with and without; what the estimate is off
-    python -m softarm.benchmarks.bridging --fit                  the numbers of dead_reckoning.py, fitted anew
+    python -m benchmarks.bridging --json bridging.json   flights with and without bridging; errors of the estimate
+    python -m benchmarks.bridging --fit                  fit the constants of dead_reckoning.py again
 
-Every flight is the daemon's own tick in lockstep, with 120 frames a second, on the simulator (noise added) and on the
-independent robot. A drop-out follows another after a third of a second to one second of sight. Three ways through the
-dark: the failsafe acts at once when a frame is stale; what was seen last is held; it is carried on. Needs the extra
-`mujoco`.
+Every flight runs the daemon's tick in lockstep with 120 frames a second, on the simulator (noise added) and on the
+independent robot. Dropouts are a third of a second to one second apart. Three reactions are compared: the failsafe acts
+as soon as a frame is stale, the last pose is held, or the pose is extrapolated. Needs the extra `mujoco`.
 """
 
 from collections.abc import Iterator, Sequence
@@ -20,17 +19,17 @@ from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
 
-from softarm.benchmarks import results
+from benchmarks import results
 from softarm.common.processes import as_they_come, bar
-from softarm.daemon.control.alignment import Past
-from softarm.daemon.control.dead_reckoning import DeadReckoning, Readings, Sighting, Strength, TipModel
+from softarm.daemon.control.alignment import ReadingHistory
+from softarm.daemon.control.dead_reckoning import DeadReckoning, Readings, Strength, TipModel, TrackedPose
 from softarm.daemon.control.plausibility import CART, TIP
 from softarm.daemon.control.records import Inputs, Mode, Outputs, TickTiming
-from softarm.daemon.shell.offline import Lockstep
+from softarm.daemon.runtime.offline import Lockstep
 from softarm.drivers.bodies.in_process import InProcessMocap, InProcessRobot
 from softarm.drivers.bodies.simulated import SimulatedBody
-from softarm.flights.robots import ROBOTS
-from softarm.flights.runner import NOWHERE, Swung
+from softarm.evaluation.robots import ROBOTS
+from softarm.evaluation.runner import NOWHERE, Swung
 from softarm.policies import registry
 from softarm.policies.base import Policy, PolicySpec
 from softarm.schemas.config import Config, Failsafe
@@ -40,10 +39,10 @@ from softarm.schemas.robot import CONTROL_PERIOD_S
 
 SIMULATOR = "simulator"
 BODIES = (SIMULATOR, "nominal", "payload", "later")
-DARK_MS = (0, 33, 67, 100, 150, 200, 250)
-SIGHT_S = (1 / 3, 1.0)  # between two drop-outs
-FRAMES = 4  # in a tick
-NOISE_M = 0.0003  # of the simulator's cameras; the independent robot's have their own
+DROPOUT_MS = (0, 33, 67, 100, 150, 200, 250)
+TRACKED_S = (1 / 3, 1.0)  # between two dropouts
+FRAMES = 4  # per tick
+NOISE_M = 0.0003  # of the simulator's cameras; the independent robot has noise of its own
 HORIZONS = 5  # ticks without a frame
 WAYS = {
     "stopped": Failsafe(mocap_bridge_s=0.0),
@@ -52,39 +51,39 @@ WAYS = {
     "default": Failsafe(),
 }
 METHODS = ("hold", "constant velocity", "model as fitted", "model")
-FITTED = 7  # of the numbers of TipModel
+FITTED = 7  # number of fitted constants of TipModel
 
 
 class Blinking(InProcessMocap):
-    """Cameras at 120 Hz that see nothing now and then, for `dark_s` each time."""
+    """Cameras at 120 Hz with dropouts of `dropout_s` each."""
 
-    def __init__(self, robot: InProcessRobot, seed: int, dark_s: float, noise_m: float) -> None:
+    def __init__(self, robot: InProcessRobot, seed: int, dropout_s: float, noise_m: float) -> None:
         super().__init__(robot)
-        self._rng, self._dark_s, self._noise_m = np.random.default_rng(seed), dark_s, noise_m
-        self._dark_from_ns: int | None = None  # None: not yet
+        self._rng, self._dropout_s, self._noise_m = np.random.default_rng(seed), dropout_s, noise_m
+        self._next_dropout_ns: int | None = None  # None before the first dropout
 
     def begin(self) -> None:
-        """The drop-outs begin."""
-        if self._dark_s:
-            self._dark_from_ns = self._robot.now_ns + round(1e9 * self._rng.uniform(0.0, SIGHT_S[1]))
+        """Start the dropouts from now on."""
+        if self._dropout_s:
+            self._next_dropout_ns = self._robot.now_ns + round(1e9 * self._rng.uniform(0.0, TRACKED_S[1]))
 
     def read(self, now_ns: int) -> tuple[MocapFrame, ...]:
-        """Those of the frames since the last call that fall into no drop-out."""
+        """Return the frames since the last call that fall into no dropout."""
         since_ns = self._robot.now_ns
-        frames = FRAMES if now_ns > since_ns else 1  # a robot that was put somewhere is looked at where it is
+        frames = FRAMES if now_ns > since_ns else 1  # a robot that was placed needs only its current pose
         instants_ns = [since_ns + round(part * (now_ns - since_ns) / frames) for part in range(1, frames + 1)]
         return tuple(
             self._blurred(f) for t_ns in instants_ns for f in super(Blinking, self).read(t_ns) if self._sees(f)
         )
 
     def _sees(self, frame: MocapFrame) -> bool:
-        begins_ns, t_ns = self._dark_from_ns, frame.t_capture_ns
+        begins_ns, t_ns = self._next_dropout_ns, frame.t_capture_ns
         if begins_ns is None or t_ns < begins_ns:
             return True
-        ends_ns = begins_ns + round(1e9 * self._dark_s)
+        ends_ns = begins_ns + round(1e9 * self._dropout_s)
         if t_ns < ends_ns:
             return False
-        self._dark_from_ns = ends_ns + round(1e9 * self._rng.uniform(*SIGHT_S))
+        self._next_dropout_ns = ends_ns + round(1e9 * self._rng.uniform(*TRACKED_S))
         return True
 
     def _blurred(self, frame: MocapFrame) -> MocapFrame:
@@ -96,7 +95,7 @@ class Blinking(InProcessMocap):
 
 
 class Kept:
-    """A recorder that keeps what a tick was given while the arm was armed."""
+    """Recorder that keeps the tick's inputs while the arm is armed."""
 
     def __init__(self) -> None:
         self.dropped = 0
@@ -104,12 +103,12 @@ class Kept:
         self.ticks: list[Inputs] = []
 
     def tick(self, inputs: Inputs, outputs: Outputs, timing: TickTiming) -> None:
-        """Keep it."""
+        """Store the inputs of one tick."""
         if outputs.mode is Mode.ARMED:
             self.ticks.append(inputs)
 
     def policy(self, spec: PolicySpec) -> None:
-        """Nobody asks."""
+        """Do nothing, since the policy is known."""
 
 
 class Job(NamedTuple):
@@ -117,22 +116,22 @@ class Job(NamedTuple):
 
     policy: str
     body: str
-    dark_ms: int
+    dropout_ms: int
     way: str
 
 
 class Flown(NamedTuple):
-    """What came of them."""
+    """Result of the flights of a job."""
 
     flights: int
     reached: int
-    stopped: int  # by the failsafe
+    stopped: int  # stopped by the failsafe
 
 
 def begun(
-    policy: Policy, body: str, cart_start_m: float, seed: int, dark_s: float = 0.0, way: str = "default"
+    policy: Policy, body: str, cart_start_m: float, seed: int, dropout_s: float = 0.0, way: str = "default"
 ) -> tuple[Lockstep, Kept]:
-    """An armed daemon whose cameras have begun to blink."""
+    """Return an armed daemon whose cameras have dropouts, and its recorder."""
     kept = Kept()
     config = Config(failsafe=WAYS[way])
     if body == SIMULATOR:
@@ -142,39 +141,39 @@ def begun(
 
         robot = IndependentBody(ROBOTS[body], seed, cart_position_m=cart_start_m)
         daemon = Lockstep(config, policy, recorder=kept, body=robot)
-    eyes = daemon.robot.mocap = Blinking(daemon.robot, seed, dark_s, NOISE_M if body == SIMULATOR else 0.0)
+    cameras = daemon.robot.mocap = Blinking(daemon.robot, seed, dropout_s, NOISE_M if body == SIMULATOR else 0.0)
     daemon.arm()
     if body == SIMULATOR:
         daemon.place(cart_start_m)
-    eyes.begin()
+    cameras.begin()
     return daemon, kept
 
 
 def fly(job: Job) -> Flown:
-    """All targets, each from one of the three starts."""
+    """Fly all targets, each from one of the three starts."""
     reached = stopped = 0
     policy = registry.load(job.policy)
     for number, goal in enumerate(TEST_TARGETS):
         start_m = CART_STARTS_M[number % len(CART_STARTS_M)]
-        daemon, _ = begun(policy, job.body, start_m, number, job.dark_ms * 1e-3, job.way)
+        daemon, _ = begun(policy, job.body, start_m, number, job.dropout_ms * 1e-3, job.way)
         reached += daemon.pursue(goal).reached
         stopped += daemon.outputs is not None and daemon.outputs.mode is not Mode.ARMED
     return Flown(len(TEST_TARGETS), reached, stopped)
 
 
 class Window(NamedTuple):
-    """A last sight, what is read from then on, and where cart and tip were at the ticks that follow."""
+    """Last tracked pose, the readings from then on, and the true cart and tip at the following ticks."""
 
-    before: Sighting
-    seen: Sighting
-    axis: Past
-    pressure: Past
-    strength: float  # as the second before told it
-    then: tuple[Sighting, ...]
+    before: TrackedPose
+    seen: TrackedPose
+    axis: ReadingHistory
+    pressure: ReadingHistory
+    strength: float  # estimated from the second before
+    then: tuple[TrackedPose, ...]
 
 
 def swings(body: str, seed: int = 0) -> Iterator[list[Inputs]]:
-    """Ticks of flights without drop-outs: learned swings, and sinusoids."""
+    """Yield the ticks of flights without dropouts: learned swings and sinusoids."""
     for policy in ("reach", "reach-wide"):
         for number in range(seed, len(TEST_TARGETS), 6):
             daemon, kept = begun(registry.load(policy), body, CART_STARTS_M[number % 3], number)
@@ -189,42 +188,42 @@ def swings(body: str, seed: int = 0) -> Iterator[list[Inputs]]:
 
 
 def windows(flights: Iterator[list[Inputs]], every: int = 2) -> list[Window]:
-    """Cut flights into windows, one from every so many ticks."""
+    """Cut flights into windows, one every `every` ticks."""
     return [window for ticks in flights for window in _windows(ticks, every)]
 
 
 def _windows(ticks: Sequence[Inputs], every: int) -> Iterator[Window]:
-    axis, pressure = Past(), Past()
+    axis, pressure = ReadingHistory(), ReadingHistory()
     strength = Strength()
     for number, tick in enumerate(ticks[: -HORIZONS or None]):
         _read(tick, axis, pressure)
         frames = [frame for each in ticks[max(number - 3, 0) : number + 1] for frame in each.mocap]
-        *earlier, seen = map(_sighting, frames)
-        strength.see(seen, Readings(axis, pressure, 0))
+        *earlier, seen = map(_tracked_pose, frames)
+        strength.update(seen, Readings(axis, pressure, 0))
         then = ticks[number + 1 : number + HORIZONS + 1]
         if number < 3 or number % every or not all(each.mocap for each in then):
             continue
         before = min(earlier, key=lambda one: abs(seen.t_ns - one.t_ns - 1e9 * CONTROL_PERIOD_S))
-        read = Past(), Past()
+        read = ReadingHistory(), ReadingHistory()
         for each in ticks[number - 3 : number + HORIZONS + 1]:
             _read(each, *read)
-        yield Window(before, seen, *read, strength.value, tuple(_sighting(each.mocap[-1]) for each in then))
+        yield Window(before, seen, *read, strength.value, tuple(_tracked_pose(each.mocap[-1]) for each in then))
 
 
-def _read(tick: Inputs, axis: Past, pressure: Past) -> None:
+def _read(tick: Inputs, axis: ReadingHistory, pressure: ReadingHistory) -> None:
     assert tick.rail is not None
     assert tick.pressure is not None
     axis.add(tick.rail.t_receive_ns, tick.rail.position_m, tick.rail.velocity_m_s)
     pressure.add(tick.pressure.t_receive_ns, tick.pressure.pressure_kpa)
 
 
-def _sighting(frame: MocapFrame) -> Sighting:
+def _tracked_pose(frame: MocapFrame) -> TrackedPose:
     cart, tip = frame.bodies[CART], frame.bodies[TIP]
-    return Sighting(frame.t_capture_ns, cart.y_m, tip.y_m, tip.z_m)
+    return TrackedPose(frame.t_capture_ns, cart.y_m, tip.y_m, tip.z_m)
 
 
 def off_m(window: Window, method: str, model: TipModel | None = None) -> list[tuple[float, float]]:
-    """By how much the tip is off (y, z) at the ticks that follow."""
+    """Return the error of the tip (y, z) in m at the following ticks."""
     seen, before = window.seen, window.before
     strength = window.strength if method == "model" else 1.0
     reckoning = DeadReckoning(before, seen, Readings(window.axis, window.pressure, 0), strength, model)
@@ -241,7 +240,7 @@ def off_m(window: Window, method: str, model: TipModel | None = None) -> list[tu
 
 
 def errors(body: str) -> dict[str, list[float]]:
-    """Method -> root mean square of the tip's error after one tick without a frame, two, ... (m)."""
+    """Return method -> RMS error of the tip in m after one tick without a frame, two, and so on."""
     cut = windows(swings(body, seed=3))
     return {
         method: np.sqrt(np.square([off_m(each, method) for each in cut]).sum(axis=2).mean(axis=0)).tolist()
@@ -250,7 +249,7 @@ def errors(body: str) -> dict[str, list[float]]:
 
 
 def fit() -> TipModel:
-    """The model's numbers from swings of the simulator, each error counted up to its tick; robust against outliers."""
+    """Fit the model's constants to swings of the simulator, with errors up to each tick, robust against outliers."""
     from scipy.optimize import least_squares
 
     cut = windows(swings(SIMULATOR), every=3)
@@ -268,42 +267,42 @@ def fit() -> TipModel:
 @click.option("--policy", "policies", multiple=True, default=("reach",), show_default=True, help="Again for more.")
 @click.option("--body", "bodies", multiple=True, default=BODIES, show_default=True, help="Again for more.")
 @click.option(
-    "--dark",
-    "darks_ms",
+    "--dropout",
+    "dropouts_ms",
     type=int,
     multiple=True,
-    default=DARK_MS,
+    default=DROPOUT_MS,
     show_default=True,
-    help="Of a drop-out, ms; again for more.",
+    help="Duration of a dropout, ms; may be repeated.",
 )
-@click.option("--processes", type=click.IntRange(1), default=1, show_default=True, help="How many to fly with.")
+@click.option("--processes", type=click.IntRange(1), default=1, show_default=True, help="Number of processes.")
 @results.json_option
 def main(
     fitting: bool,
     policies: Sequence[str],
     bodies: Sequence[str],
-    darks_ms: Sequence[int],
+    dropouts_ms: Sequence[int],
     processes: int,
     json_file: Path | None,
 ) -> None:
-    """Print what comes of flights with drop-outs, however they are gone through, and what estimates of the tip are off.
+    """Print the results of flights with dropouts for each reaction, and the errors of the estimated tip.
 
     \b
     Example:
-      python -m softarm.benchmarks.bridging --policy reach --body simulator --json bridging.json
+      python -m benchmarks.bridging --policy reach --body simulator --json bridging.json
     """
     console = Console()
     if fitting:
         for name, number in fit()._asdict().items():
             console.print(f"{name}: {number:.4g}")
         return
-    jobs = [Job(p, b, ms, way) for p in policies for b in bodies for ms in darks_ms for way in WAYS]
+    jobs = [Job(p, b, ms, way) for p in policies for b in bodies for ms in dropouts_ms for way in WAYS]
     flown: dict[Job, Flown] = {}
     with bar("flying", len(jobs)) as shown:
         for job, came in as_they_come(fly, jobs, processes):
             flown[job] = came
             shown.advance(1)
-    table = Table("policy", "body", "dark, ms", *(f"{way}: reached, stopped" for way in WAYS))
+    table = Table("policy", "body", "dropout, ms", *(f"{way}: reached, stopped" for way in WAYS))
     for policy, body, ms in dict.fromkeys(job[:3] for job in jobs):
         came_of = [flown[Job(policy, body, ms, way)] for way in WAYS]
         table.add_row(policy, body, str(ms), *(f"{came.reached}, {came.stopped}" for came in came_of))

@@ -1,9 +1,9 @@
-"""What the bridge from OptiTrack adds to a frame: time on the way, and how wrong its stamp is.
+"""Measure what the OptiTrack bridge adds to a frame: latency, and the error of its stamp.
 
-A server of our own streams an arm 120 times a second, its clock 30 ppm fast; `softarm bridge natnet` is a process of
-its own; this one listens as the daemon does. All on one computer: a network's own time comes on top.
+A test server streams an arm at 120 Hz with a clock that is 30 ppm fast; `softarm bridge natnet` runs in another
+process; this process listens as the daemon does. All run on one computer, so a network's latency is not included.
 
-    python -m softarm.benchmarks.cameras --seconds 60 --json FILE
+    python -m benchmarks.cameras --seconds 60 --json FILE
 """
 
 import contextlib
@@ -22,36 +22,39 @@ import numpy as np
 import yaml
 import zenoh
 
-from softarm.benchmarks import results
+from benchmarks import results
 from softarm.drivers.bridge.frame import Plane
 from softarm.drivers.mocap import payload
 from softarm.drivers.mocap.zenoh_session import listener
 from softarm.drivers.twin import motive
 from softarm.drivers.twin.motive import Motive, bodies_of
-from softarm.flights.software_in_the_loop import free_ports
+from softarm.evaluation.software_in_the_loop import free_ports
 from softarm.schemas.bridge import Room
 from softarm.schemas.messages import BODY_NAMES, Pose
 
 RATE_HZ, PPM = 120, 30.0
-AGE_NS = 8_000_000  # of a frame when it is streamed
-SETTLING_S = 10.0  # until the clocks' drift is known
+AGE_NS = 8_000_000  # age of a frame when it is streamed
+SETTLING_S = 10.0  # until the drift of the clocks is estimated
 ROOM = Room(yaw_rad=0.4, origin_m=(1.2, 0.1, -0.7))
 SHOWN = {"added_ms": "from the server to the daemon (ms)", "stamp_error_ms": "a stamp's error (ms)"}
 
 
 def run(seconds: float) -> dict[str, Any]:
-    """Stream for so long after settling; percentiles of both."""
-    heard: dict[int, tuple[int, int]] = {}  # frame -> arrival, stamp
-    streamed: dict[int, int] = {}  # frame -> when
+    """Stream for `seconds` after settling and return percentiles of latency and stamp error."""
+    received: dict[int, tuple[int, int]] = {}  # frame -> arrival, stamp
+    streamed: dict[int, int] = {}  # frame -> time of sending
     [port] = free_ports(1)
     endpoint, key = f"tcp/127.0.0.1:{port}", "softarm/mocap"
 
     def hear(sample: zenoh.Sample) -> None:
         now_ns = time.monotonic_ns()
         seen = payload.decode(sample.payload.to_bytes(), now_ns)
-        heard[round(seen.bodies[0].y_m * 1e6)] = (now_ns, seen.t_capture_ns)  # the cart's place is the frame's number
+        received[round(seen.bodies[0].y_m * 1e6)] = (
+            now_ns,
+            seen.t_capture_ns,
+        )  # the cart position encodes the number of the frame
 
-    with contextlib.suppress(OSError):  # before any thread is started, as daemon and bridge do
+    with contextlib.suppress(OSError):  # before any thread starts, as daemon and bridge do
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(1))
     server = Motive(rate=1 + PPM * 1e-6, began_ns=time.monotonic_ns() - 10**12)
     with server, zenoh.open(listener(endpoint)) as session, _bridge(server, endpoint):
@@ -67,9 +70,9 @@ def run(seconds: float) -> dict[str, Any]:
             server.stream(motive.frame(server.version, number, bodies, (taken, taken, server.ticks(now_ns))))
         time.sleep(0.2)
     late = [number for number in streamed if number > SETTLING_S * RATE_HZ]
-    common = [number for number in late if number in heard]
-    added = [(heard[number][0] - streamed[number]) / 1e6 for number in common]
-    wrong = [abs(heard[number][1] - (streamed[number] - AGE_NS)) / 1e6 for number in common]
+    common = [number for number in late if number in received]
+    added = [(received[number][0] - streamed[number]) / 1e6 for number in common]
+    wrong = [abs(received[number][1] - (streamed[number] - AGE_NS)) / 1e6 for number in common]
     return {
         "added_ms": _spread(added),
         "stamp_error_ms": _spread(wrong),
@@ -85,7 +88,7 @@ def _spread(values: Sequence[float]) -> dict[str, float]:
 
 @contextlib.contextmanager
 def _bridge(server: Motive, endpoint: str) -> Iterator[None]:
-    """The bridge, as a person starts it."""
+    """Run the bridge as a user starts it."""
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "bridge.yaml"
         settings = {"server": "127.0.0.1", "command_port": server.port, "received_after_s": 0.0}
@@ -104,11 +107,11 @@ def _bridge(server: Motive, endpoint: str) -> Iterator[None]:
 @click.option("--seconds", default=60.0, show_default=True, type=click.FloatRange(1, 3600), help="Of streaming.")
 @results.json_option
 def main(seconds: float, json_file: Path | None) -> None:
-    """What the bridge from OptiTrack adds to a frame.
+    """Measure what the OptiTrack bridge adds to a frame.
 
     \b
     Example:
-      python -m softarm.benchmarks.cameras --seconds 60 --json cameras.json
+      python -m benchmarks.cameras --seconds 60 --json cameras.json
     """
     result = run(seconds)
     if json_file is not None:

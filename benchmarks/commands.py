@@ -1,4 +1,4 @@
-"""Random commands for 3 s at 30 Hz, the same in every comparison."""
+"""Random commands for 3 s at 30 Hz, equal in every comparison."""
 
 import numpy as np
 
@@ -8,7 +8,7 @@ STEPS = 90
 
 
 def smooth(robots: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
-    """Sums of three sinusoids in the command range: cart velocity (m/s), pressure (kPa), each [STEPS, R]."""
+    """Return sums of three sinusoids in the command range: cart velocity (m/s), pressure (kPa), each [STEPS, R]."""
     rng = np.random.default_rng(seed)
     t = np.arange(STEPS)[:, None] * CONTROL_PERIOD_S
 
@@ -24,7 +24,7 @@ def smooth(robots: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def bang_bang(robots: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
-    """Full-range switching, a fresh draw every 0.1 s; shapes as `smooth`."""
+    """Return full-range switching with a new draw every 0.1 s; shapes as `smooth`."""
     rng = np.random.default_rng(seed)
     draws = rng.integers(0, 2, (2, STEPS // 3, robots)).repeat(3, axis=1)
     return 2.0 * draws[0] - 1.0, np.where(draws[1] == 1, PRESSURE_MAX_KPA, PRESSURE_MIN_KPA)

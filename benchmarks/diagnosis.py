@@ -1,13 +1,13 @@
-"""The diagnosis beside mujoco.sysid, on one campaign: how long each takes, how far each is off where it has not looked.
+"""Compare the diagnosis with mujoco.sysid on one campaign: processor time, and held-out error.
 
-Both get the same recordings, the same inputs (measured pressure and cart for the arm, commands for the regulator) and
-the same split: one kind of excitation is left out, everything is found anew from the others, and what was left out is
-then simulated, pressure stage and arm each by itself. mujoco.sysid fits the parameters that it is told to
-(benchmarks/mujoco_sysid.py); the diagnosis is told nothing, and only what it names goes into its simulator.
+Both use the same recordings, the same inputs (measured pressure and cart for the arm, commands for the regulator) and
+the same split: one kind of excitation is held out, everything is fitted on the others, and the held-out trials are then
+simulated, pressure stage and arm separately. mujoco.sysid fits a given list of parameters (benchmarks/mujoco_sysid.py);
+the diagnosis has no list, and only the effects that it names enter its simulator.
 
-    python -m softarm.benchmarks.diagnosis --json FILE
+    python -m benchmarks.diagnosis --json FILE
 
-Needs the extras diagnosis and mujoco, and for the peer mujoco[sysid]; without it the rest is measured.
+Needs the extras diagnosis and mujoco, and mujoco[sysid] for the baseline; without it the rest is measured.
 """
 
 import os
@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
 
-from softarm.benchmarks import mujoco_sysid, results
+from benchmarks import mujoco_sysid, results
 from softarm.common.processes import bar, cores
 from softarm.diagnosis.blind import cases, make
 from softarm.diagnosis.blind.imperfections import draw_nuisances
@@ -43,16 +43,16 @@ from softarm.simulator import model_file
 
 T = TypeVar("T")
 SEED = 20
-DEAD_TIME_S, PAYLOAD_KG = 0.06, 0.03  # what is wrong with the campaign that is made here
-HELD_OUT = ("seed", "rail-chirp", "both")  # the muscle alone, the cart alone, both
+DEAD_TIME_S, PAYLOAD_KG = 0.06, 0.03  # faults of the generated campaign
+HELD_OUT = ("seed", "rail-chirp", "both")  # muscle only, cart only, both
 COMPARED = ("pressure", "arm")
 SHOWN = {"pressure": (1.0, "kPa"), "arm": (1e3, "mm")}
-Squares = dict[str, list[NDArray[np.float64]]]  # stage -> squares of residuals, in the stage's unit
+Squares = dict[str, list[NDArray[np.float64]]]  # stage -> squared residuals in the unit of the stage
 
 
 @dataclass(frozen=True, slots=True)
 class Effort:
-    """What a call took, all threads of this process."""
+    """Wall and processor time of a call, over all threads."""
 
     wall_s: float
     cpu_s: float
@@ -60,24 +60,24 @@ class Effort:
 
 @dataclass(frozen=True, slots=True)
 class Side:
-    """One of the two, measured."""
+    """Figures of one of the two programs."""
 
-    whole: Effort  # on every trial
-    folds: Sequence[Effort]  # without one kind each
-    nominal: Mapping[str, float]  # stage -> RMS on what was left out, before
-    held_out: Mapping[str, float]  # and after
-    found: Mapping[str, Any]  # on every trial
+    whole: Effort  # on all trials
+    folds: Sequence[Effort]  # with one kind held out each
+    nominal: Mapping[str, float]  # stage -> held-out RMS of the nominal model
+    held_out: Mapping[str, float]  # stage -> held-out RMS after the fit
+    found: Mapping[str, Any]  # on all trials
 
 
 def measured(work: Callable[[], T]) -> tuple[T, Effort]:
-    """A call's result and what it took."""
+    """Return the result of a call and its effort."""
     wall, cpu = time.perf_counter(), time.process_time()
     result = work()
     return result, Effort(time.perf_counter() - wall, time.process_time() - cpu)
 
 
 def make_campaign(folder: Path) -> Path:
-    """Eight trials of an independent robot, as robots are, with a late regulator and a weight at its tip."""
+    """Record eight trials of an independent robot with a late regulator and a payload."""
     random = np.random.default_rng(SEED)
     robot = draw_nuisances(RobotParameters(), random)
     robot = replace(
@@ -94,12 +94,12 @@ def make_campaign(folder: Path) -> Path:
 
 
 def split(trials: Sequence[Trial], kind: str) -> tuple[list[Trial], list[Trial]]:
-    """Trials of other kinds, and those of this one."""
+    """Return the trials of other kinds and those of this kind."""
     return [t for t in trials if t.kind != kind], [t for t in trials if t.kind == kind]
 
 
 def ours(trials: Sequence[Trial], kinds: Sequence[str], model: Model, advance: Callable[[str], None]) -> Side:
-    """The diagnosis, on all trials and without each kind."""
+    """Run the diagnosis on all trials and with each kind held out."""
     before, after = _empty(), _empty()
     folds = []
     for kind in kinds:
@@ -117,8 +117,8 @@ def ours(trials: Sequence[Trial], kinds: Sequence[str], model: Model, advance: C
     return Side(whole, folds, _rms(before), _rms(after), _said(diagnosed.verdict))
 
 
-def peers(trials: Sequence[Trial], kinds: Sequence[str], model: Model, advance: Callable[[str], None]) -> Side:
-    """mujoco.sysid, on all trials and without each kind."""
+def baseline(trials: Sequence[Trial], kinds: Sequence[str], model: Model, advance: Callable[[str], None]) -> Side:
+    """Run mujoco.sysid on all trials and with each kind held out."""
     before, after = _empty(), _empty()
     folds = []
     stages = [stage(model) for stage in mujoco_sysid.FITTED]
@@ -167,7 +167,11 @@ def _rms(squares: Squares) -> dict[str, float]:
 
 
 def compare(folder: Path, kinds: Sequence[str]) -> dict[str, Any]:
-    """Both sides on one campaign; everything that is printed and written. Raises TrialError where nothing can be."""
+    """Compare both programs on one campaign and return all figures.
+
+    Raises:
+        TrialError: The campaign cannot be used.
+    """
     trials = read_all([folder])
     model = model_file.load(folder / "model.yaml") if (folder / "model.yaml").is_file() else Model()
     _check(folder, {trial.kind for trial in trials}, kinds)
@@ -178,7 +182,7 @@ def compare(folder: Path, kinds: Sequence[str]) -> dict[str, Any]:
             shown.advance(text=what)
 
         our_side = ours(trials, kinds, model, advance)
-        their_side = peers(trials, kinds, model, advance) if installed else None
+        their_side = baseline(trials, kinds, model, advance) if installed else None
     result: dict[str, Any] = {
         "trials": [{"name": t.name, "kind": t.kind, "seconds": t.duration_s} for t in trials],
         "seconds": sum(t.duration_s for t in trials),
@@ -204,7 +208,7 @@ def _check(folder: Path, known: set[str], kinds: Sequence[str]) -> None:
 
 
 def _given(trials: Sequence[Trial], model: Model) -> dict[str, Any]:
-    """What mujoco.sysid was told to fit, and what its step costs."""
+    """Return the parameters given to mujoco.sysid, and the error of its step."""
     stages = [stage(model) for stage in mujoco_sysid.FITTED]
     recorded = [each for _, each in mujoco_sysid.every_recorded(mujoco_sysid.SysidArm(model), on_grid(trials, model))]
     return {
@@ -215,13 +219,13 @@ def _given(trials: Sequence[Trial], model: Model) -> dict[str, Any]:
 
 
 def _ratios(one: Side, other: Side) -> dict[str, float]:
-    """mujoco.sysid over the diagnosis: above 1 the diagnosis is quicker, or nearer."""
+    """Return mujoco.sysid over the diagnosis; above 1 the diagnosis is faster or more accurate."""
     errors = {f"held_out_{s}": other.held_out[s] / one.held_out[s] for s in one.held_out if s in other.held_out}
     return {"wall": other.whole.wall_s / one.whole.wall_s, "cpu": other.whole.cpu_s / one.whole.cpu_s} | errors
 
 
 def show(result: Mapping[str, Any], console: Console) -> None:
-    """The table, and what each side said."""
+    """Print the table and the findings of both programs."""
     table = Table("", "wall s", "CPU s", *(f"{stage} {SHOWN[stage][1]}, before / held out" for stage in COMPARED))
     for name in ("diagnosis", "mujoco_sysid"):
         if side := result[name]:
@@ -263,12 +267,12 @@ def _words(effect: Mapping[str, Any]) -> str:
 @click.option("--hold-out", "kinds", multiple=True, help=f"Kinds of excitation; by default {', '.join(HELD_OUT)}.")
 @results.json_option
 def main(campaign: Path | None, kinds: tuple[str, ...], json_file: Path | None) -> None:
-    """Measure the diagnosis beside mujoco.sysid.
+    """Compare the diagnosis with mujoco.sysid.
 
     \b
     Examples:
-      python -m softarm.benchmarks.diagnosis --json diagnosis.json
-      python -m softarm.benchmarks.diagnosis --campaign campaign --hold-out seed
+      python -m benchmarks.diagnosis --json diagnosis.json
+      python -m benchmarks.diagnosis --campaign campaign --hold-out seed
     """
     console = Console(soft_wrap=True)
     with tempfile.TemporaryDirectory() as scratch:

@@ -1,8 +1,8 @@
-"""Run a command and keep its figures in benchmarks/results/, with where they come from.
+"""Run a command and store its figures in benchmarks/results/.
 
-    python -m softarm.benchmarks.keep grid-reach -- softarm evaluate --policy reach
+    python -m benchmarks.keep grid-reach -- softarm evaluate --policy reach
 
-What is kept is what the command writes to `--json FILE`.
+Stored is the file that the command writes with `--json FILE`.
 """
 
 import json
@@ -14,9 +14,9 @@ from tempfile import TemporaryDirectory
 
 import click
 
-from softarm.benchmarks import results
+from benchmarks import results
 
-# A checkout that is not installed has no `softarm` on its path.
+# A checkout without installation has no `softarm` on its path.
 STARTED = {"python": [sys.executable], "softarm": [sys.executable, "-m", "softarm.cli.main"]}
 
 
@@ -25,11 +25,11 @@ STARTED = {"python": [sys.executable], "softarm": [sys.executable, "-m", "softar
 @click.argument("name")
 @click.argument("command", nargs=-1, required=True, type=click.UNPROCESSED)
 def main(without: tuple[str, ...], name: str, command: tuple[str, ...]) -> None:
-    """Run COMMAND, which takes `--json FILE`, and keep what it writes as NAME.
+    """Run COMMAND, which takes `--json FILE`, and store its figures as NAME.
 
     \b
     Example:
-      python -m softarm.benchmarks.keep --without targets grid-reach -- softarm evaluate --policy reach
+      python -m benchmarks.keep --without targets grid-reach -- softarm evaluate --policy reach
     """
     with TemporaryDirectory() as folder:
         written = Path(folder) / "figures.json"
@@ -40,7 +40,7 @@ def main(without: tuple[str, ...], name: str, command: tuple[str, ...]) -> None:
         figures = json.loads(written.read_text(encoding="utf-8"))
     kept = {key: value for key, value in figures.items() if key not in (*without, "about")}
     results.write(results.FOLDER / f"{name}.json", kept, shlex.join(command))
-    click.echo(f"kept {name}; `python -m softarm.benchmarks.results` puts it into the pages")
+    click.echo(f"kept {name}; `python -m tools.render` puts it into the pages")
 
 
 if __name__ == "__main__":

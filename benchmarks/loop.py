@@ -1,10 +1,10 @@
-"""How punctual is the control loop on the twin, alone and with its API hammered?
+"""Measure how punctual the control loop is on the twin, alone and with its API hammered.
 
-The figures come from the daemon's own log: every tick carries its lateness and the times of its parts. Twin, daemon
-and the hammering clients are separate processes on the same cores. A bare loop, which does nothing but sleep to its
-deadlines with the same priority, runs beside them: what is late there is the machine's doing.
+The figures come from the daemon's log: every tick carries its lateness and the times of its parts. Twin, daemon and the
+clients are separate processes on the same cores. A bare loop, which only sleeps to its deadlines with the same
+priority, runs next to them; its lateness is the machine's share.
 
-    python -m softarm.benchmarks.loop --seconds 60 --json FILE
+    python -m benchmarks.loop --seconds 60 --json FILE
 """
 
 import asyncio
@@ -24,12 +24,12 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from softarm.benchmarks import results
+from benchmarks import results
+from softarm.common import realtime
 from softarm.common.processes import bar
 from softarm.daemon.control.records import Inputs, Outputs, TickTiming
 from softarm.daemon.logbook import logs
-from softarm.daemon.shell import realtime
-from softarm.flights.software_in_the_loop import SoftwareInTheLoop, SoftwareInTheLoopError
+from softarm.evaluation.software_in_the_loop import SoftwareInTheLoop, SoftwareInTheLoopError
 from softarm.schemas.config import Config
 from softarm.schemas.flights import TEST_TARGETS
 
@@ -47,9 +47,15 @@ COUNTED = {"ticks": "ticks", "missed_ticks": "missed ticks", "policy_ticks": "ti
 
 
 def run(seconds: float, report: Callable[[float], None], model: Path | None = None) -> dict[str, Any]:
-    """Measure both for `seconds` each, the arm swinging all the while; report(share done).
+    """Measure both cases for `seconds` each with a swinging arm.
 
-    Raises SoftwareInTheLoopError when twin or daemon do not come up.
+    Args:
+        seconds: Duration of each case.
+        report: Receives the finished share, 0 to 1.
+        model: Model file of the twin.
+
+    Raises:
+        SoftwareInTheLoopError: Twin or daemon do not start.
     """
     with tempfile.TemporaryDirectory() as folder:
         with BareLoop(Path(folder)) as bare, SoftwareInTheLoop(Path(folder), model=model) as sil:
@@ -58,7 +64,7 @@ def run(seconds: float, report: Callable[[float], None], model: Path | None = No
             idle = _swing(sil, seconds, lambda share: report(share / 2))
             hammer = multiprocessing.get_context("spawn").Process(target=_hammer, args=(sil.url, seconds + 5.0))
             hammer.start()
-            time.sleep(2.0)  # its interpreter starts outside the measurement
+            time.sleep(2.0)  # the interpreter of the clients starts before the measurement
             hammered = _swing(sil, seconds, lambda share: report(0.5 + share / 2))
             hammer.terminate()
             hammer.join()
@@ -67,7 +73,7 @@ def run(seconds: float, report: Callable[[float], None], model: Path | None = No
 
 
 def _swing(sil: SoftwareInTheLoop, seconds: float, report: Callable[[float], None]) -> tuple[int, int]:
-    """Give goals for a while; returns the window, monotonic nanoseconds."""
+    """Send goals for a while and return the time window in monotonic nanoseconds."""
     targets = random.Random(0)
     start = time.monotonic()
     while (passed := time.monotonic() - start) < seconds:
@@ -78,7 +84,7 @@ def _swing(sil: SoftwareInTheLoop, seconds: float, report: Callable[[float], Non
 
 
 class BareLoop:
-    """A process that only wakes 30 times a second and notes how late it was."""
+    """Process that only wakes 30 times a second and records its lateness."""
 
     def __init__(self, folder: Path) -> None:
         self._notes = folder / "bare"
@@ -86,24 +92,24 @@ class BareLoop:
         self._process = context.Process(target=_wake, args=(str(self._notes),), daemon=True)
 
     def __enter__(self) -> Self:
-        """Start it."""
+        """Start the process."""
         self._process.start()
         return self
 
     def __exit__(self, *_: object) -> None:
-        """End it."""
+        """End the process."""
         self._process.kill()
         self._process.join()
 
     def lateness_ns(self, window: tuple[int, int]) -> list[int]:
-        """Of the wakings within a window of monotonic nanoseconds."""
+        """Return the lateness of the wake-ups within a window of monotonic nanoseconds."""
         notes = np.fromfile(self._notes, dtype=np.int64).reshape(-1, 2)
         within = (window[0] <= notes[:, 0]) & (notes[:, 0] < window[1])
         return list(map(int, notes[within, 1]))
 
 
 def _wake(notes: str) -> None:
-    realtime.outrank_guests(Config().control.realtime_priority)
+    realtime.outrank_own_threads(Config().control.realtime_priority)
     gc.disable()
     period_ns = round(1e9 / Config().control.rate_hz)
     deadline = time.monotonic_ns()
@@ -132,7 +138,7 @@ def _figures(log: Iterable[Tick], window: tuple[int, int], bare: BareLoop) -> di
 
 
 def spread(values_ns: Sequence[float]) -> dict[str, float]:
-    """Of nanoseconds, in ms."""
+    """Return percentiles of nanoseconds, in ms."""
     p50, p99, p999, top = np.percentile(np.array(values_ns) / 1e6, [50, 99, 99.9, 100])
     return {"p50": float(p50), "p99": float(p99), "p999": float(p999), "max": float(top)}
 
@@ -142,7 +148,7 @@ def _hammer(url: str, seconds: float) -> None:
 
 
 async def _hammering(url: str, seconds: float) -> None:
-    """200 requests a second over a few connections and two WebSocket clients that read all they are sent."""
+    """Send 200 requests a second over a few connections, with two WebSocket clients that read everything."""
     import httpx
     import websockets
 
@@ -170,11 +176,11 @@ async def _hammering(url: str, seconds: float) -> None:
 @results.json_option
 @click.option("--model", "model_file", type=results.FILE, help="The twin's: a file or a shipped name (default: seed).")
 def main(seconds: float, json_file: Path | None, model_file: Path | None) -> None:
-    """Punctuality of the loop on the twin, alone and with the API hammered.
+    """Measure the punctuality of the loop on the twin, alone and with the API hammered.
 
     \b
     Example:
-      python -m softarm.benchmarks.loop --seconds 60 --json loop.json
+      python -m benchmarks.loop --seconds 60 --json loop.json
     """
     try:
         with bar("ticking") as shown:

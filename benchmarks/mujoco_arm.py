@@ -1,4 +1,4 @@
-"""The same robot in MuJoCo, an independent oracle: built from the same `Model`, given the same commands."""
+"""The robot in MuJoCo as an independent oracle, built from the same `Model`, with the same commands."""
 
 import math
 
@@ -10,11 +10,12 @@ from softarm.simulator.effects import value
 
 
 def mjcf(model: Model, rate_hz: float, integrator: str = "implicitfast", actuators: bool = False) -> str:
-    """The arm as MJCF: x is the model's y; joint angles are positive towards +y.
+    """Return the arm as MJCF: x is the model's y; joint angles are positive towards +y.
 
     With `actuators`, the cart's velocity tracker and the muscle are MuJoCo's own, controlled by cart velocity
-    (m/s) and pressure (kPa); the torque offset moves the springs' rest. Without, the caller applies all forces.
-    Of the model's effects it has those that MJCF has: payload, tilt and dry friction.
+    (m/s) and pressure (kPa), and the torque offset shifts the rest of the springs. Without, the caller applies
+    all forces.
+    Of the model's effects it includes payload, tilt and dry friction, which MJCF can express.
     """
     arm, cart = model.arm, model.cart
     friction, payload, tilt = (
@@ -28,7 +29,7 @@ def mjcf(model: Model, rate_hz: float, integrator: str = "implicitfast", actuato
         opening += (
             f'<body pos="0 0 {height!r}"><joint name="joint{i}" type="hinge" axis="0 -1 0" '
             f'stiffness="{arm.stiffness_nm_rad[i]!r}" damping="{arm.damping_nm_s_rad[i]!r}" '
-            # Stiffer than its default, which lets a joint that holds still creep.
+            # Stiffer than the default, which lets a resting joint creep.
             f'frictionloss="{friction!r}" solreffriction="0.0005 1" solimpfriction="0.99 0.999 0.001" '
             f'springref="{-arm.torque_offset_nm[i] / arm.stiffness_nm_rad[i] if actuators else 0.0!r}"/>'
             f'<inertial pos="0 0 {-half!r}" mass="{arm.link_mass_kg[i]!r}" '
@@ -60,10 +61,17 @@ def fly(
     period_s: float,
     steps_per_command: int,
 ) -> np.ndarray:
-    """Fly one robot from rest, commands [T] held for period_s each. Returns the tip (y, z) after each, [T, 2].
+    """Simulate one robot from rest and return the tip (y, z) after each command, [T, 2].
 
-    The actuators are written out once more, in the plainest way: the drive decides at the start of a step, the
-    lag is the textbook exponential. Small steps make that as good as exact.
+    The actuators are written out in the simplest form: the drive decides at the start of a step, the lag is an
+    exponential. Small steps make that nearly exact.
+
+    Args:
+        model: Model of the robot.
+        cart_velocity_m_s: Commands, [T].
+        pressure_kpa: Commands, [T].
+        period_s: Duration of each command.
+        steps_per_command: Simulation steps per command.
     """
     arm, cart = model.arm, model.cart
     physics = mujoco.MjModel.from_xml_string(mjcf(model, steps_per_command / period_s))
@@ -85,7 +93,7 @@ def fly(
         mean = (before + pressure) / 2 if time else wanted
         error = rail - data.qvel[0]
         if math.isfinite(acceleration) and abs(error) > cart.tracking_switch_m_s:
-            # Feedback on the cart's own acceleration is as if the cart were heavier by the gain.
+            # Feedback of the cart's acceleration acts like additional cart mass.
             physics.dof_armature[0], physics.dof_damping[0] = cart.acceleration_gain_kg, 0.0
             pushed = cart.feedforward_mass_kg + cart.acceleration_gain_kg
             data.qfrc_applied[0] = pushed * math.copysign(acceleration, error)
@@ -93,7 +101,7 @@ def fly(
             physics.dof_armature[0], physics.dof_damping[0] = 0.0, cart.velocity_gain_n_s_m
             data.qfrc_applied[0] = cart.velocity_gain_n_s_m * rail
         data.qfrc_applied[1:] = -(gain * mean + offset + stiffness * cubic * data.qpos[1:] ** 3)
-        for body in range(2, 2 + arm.links if drag else 2):  # the links, after world and cart
+        for body in range(2, 2 + arm.links if drag else 2):  # the links follow world and cart
             mujoco.mj_objectVelocity(physics, data, mujoco.mjtObj.mjOBJ_BODY, body, moved, 0)
             data.xfrc_applied[body, :3] = -drag * np.linalg.norm(moved[3:]) * moved[3:]
         mujoco.mj_step(physics, data)

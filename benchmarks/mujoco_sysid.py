@@ -1,8 +1,8 @@
-"""The peer of `softarm.benchmarks.diagnosis`: mujoco.sysid fits the arm and the regulator to recordings of the robot.
+"""Baseline of `benchmarks.diagnosis`: mujoco.sysid fits the arm and the regulator to recordings of the robot.
 
-Both are fitted as its own documentation does it: an MjSpec (the robot as `softarm model export` writes it), parameters
-within bounds, per-sensor delays, whole trajectories, its default optimiser, ended where nothing is won any more. Inputs
-are those that the diagnosis's own stages are driven with: measured pressure and cart for the arm, commands for the
+Both are fitted as its documentation shows: an MjSpec (the robot as `softarm model export` writes it), parameters
+within bounds, per-sensor delays, whole trajectories, its default optimiser, stopped when the objective no longer
+improves. The inputs are those of the diagnosis's stages: measured pressure and cart for the arm, commands for the
 regulator. Needs mujoco[sysid].
 """
 
@@ -29,15 +29,14 @@ Build = Callable[[Any, Any], Any]  # (ParameterDict, MjSpec) -> MjModel
 
 Bounds = tuple[float, float, float]  # start, low, high
 
-STEP_HZ = 480.0  # of MuJoCo in every fit; `step_error_m` says what it costs
-CART_KG, CART_RAD_S = 1000.0, 120.0  # a cart that follows its measured way whatever the arm does
+STEP_HZ = 480.0  # of MuJoCo in every fit; `step_error_m` returns its error
+CART_KG, CART_RAD_S = 1000.0, 120.0  # a cart that follows its measured path regardless of the arm
 DELAY_MAX_S = 0.15
-# A fit ends with the first iteration that wins less than this of the objective (the diagnosis's own descents: ten
-# times as much), or where so many candidates in a row were refused, six decades of regularisation. The optimiser's own
-# criteria (1e-8 of step and gradient) lie below the noise of its finite differences: it would seek on for 80 more.
+# A fit ends when an iteration improves the objective by less than SETTLED, or after REFUSED_MAX refused candidates.
+# The optimiser's own criteria lie below the noise of its finite differences.
 SETTLED, REFUSED_MAX = 1e-4, 60
 ARM_BOUNDS: Mapping[str, Bounds] = {
-    "stiffness": (1.0, 0.3, 3.0),  # of the model's, all joints alike; so are the next three
+    "stiffness": (1.0, 0.3, 3.0),  # relative to the model, equal for all joints, as the next three
     "damping": (1.0, 0.2, 5.0),
     "muscle_gain": (1.0, 0.3, 3.0),
     "torque_offset": (1.0, -1.0, 5.0),
@@ -49,13 +48,13 @@ ARM_BOUNDS: Mapping[str, Bounds] = {
 
 
 def is_installed() -> bool:
-    """Whether the package came with the extra; without it `mujoco.sysid` can be imported and is empty."""
+    """Return whether the extra is installed; without it `mujoco.sysid` imports as an empty package."""
     return hasattr(sysid, "optimize")
 
 
 @dataclass(frozen=True, slots=True)
 class Recorded:
-    """One trial as the toolbox wants it: seconds from its start, inputs, what was measured."""
+    """One trial in the toolbox's format: seconds from its start, inputs, measurements."""
 
     control_t_s: Array  # [C]
     control: Array  # [C, U]
@@ -67,7 +66,7 @@ class Recorded:
 
 @dataclass(frozen=True, slots=True)
 class Fitted:
-    """Parameters found, and how much work it was."""
+    """Fitted parameters and the work of the fit."""
 
     values: Mapping[str, float]
     iterations: int
@@ -75,11 +74,11 @@ class Fitted:
 
 
 class _SettledError(Exception):
-    """Nothing is won any more."""
+    """Signal that the objective no longer improves."""
 
 
 class _Watch:
-    """The residual function of a fit: keeps the best that was seen, and ends the fit by SETTLED and REFUSED_MAX."""
+    """Residual function of a fit that keeps the best result and ends the fit by SETTLED and REFUSED_MAX."""
 
     def __init__(self, residual: Callable[..., Any]) -> None:
         self._residual, self._least, self._refused = residual, math.inf, 0
@@ -87,7 +86,7 @@ class _Watch:
         self.iterations = self.simulations = 0
 
     def __call__(self, x: Array, parameters: Any) -> Any:
-        """Residuals at one x or at several, a column each. Raises _SettledError."""
+        """Return the residuals at one x or at several, one column each, or raise _SettledError."""
         found = self._residual(x, parameters)
         columns = x.reshape(len(x), -1)
         self.simulations += columns.shape[1]
@@ -102,14 +101,14 @@ class _Watch:
         return found
 
     def ended(self, trace: Sequence[Any]) -> None:
-        """After each iteration. Raises _SettledError."""
+        """Check the progress after an iteration and raise _SettledError when it is settled."""
         self.iterations = len(trace)
         if float(trace[-1].reduction) < SETTLED * float(trace[-1].objective):
             raise _SettledError
 
 
 class SysidStage:
-    """A part of the robot that is fitted by itself."""
+    """Part of the robot that is fitted separately."""
 
     name, unit = "", ""
     bounds: Mapping[str, Bounds]
@@ -119,18 +118,18 @@ class SysidStage:
         self.spec = self._spec(STEP_HZ)
 
     def recorded(self, grid: TrialGrid, trial: int) -> Recorded | None:
-        """A trial of a flight; None where it measured nothing of this stage."""
+        """Return a trial of a flight, or None if it measured no signal of this stage."""
         raise NotImplementedError
 
     def fit(self, trials: Sequence[Recorded]) -> Fitted:
-        """Least squares over whole trajectories, in the stage's own unit, from the nominal model."""
+        """Fit whole trajectories by least squares in the unit of the stage, from the nominal model."""
         parameters = sysid.ParameterDict(
             {name: sysid.Parameter(name, *bounds) for name, bounds in self.bounds.items()}
-        ).move_off_bounds(fraction=0.01)  # its own advice for friction and payload, which start at their bounds
-        transform = sysid.SignalTransform(normalize=False)  # the residual is then what is compared afterwards
+        ).move_off_bounds(fraction=0.01)  # the toolbox's advice for parameters that start at their bounds
+        transform = sysid.SignalTransform(normalize=False)  # so that the residual is the compared quantity
         transform.delay("*", parameters["delay"])
         compiled = self.spec.compile()
-        # All of them; naming them keeps it from comparing sensors of three numbers, on which 4.0.0 stumbles.
+        # All sensors are named, since version 4.0.0 fails on sensors with three values otherwise.
         transform.enable_sensors([compiled.sensor(i).name for i in range(compiled.nsensor)])
         sequences = sysid.ModelSequences(
             self.name,
@@ -144,7 +143,7 @@ class SysidStage:
             models_sequences=[sequences], build_model=self._build, modify_residual=transform.apply
         )
         watch = _Watch(residual)
-        # Its iterations cannot be silenced otherwise.
+        # The only way to silence its iterations.
         with contextlib.redirect_stdout(io.StringIO()), contextlib.suppress(_SettledError):
             sysid.optimize(parameters, watch, verbose=False, iter_callback=watch.ended)
         parameters.update_from_vector(watch.best)
@@ -152,11 +151,11 @@ class SysidStage:
         return Fitted(values, watch.iterations, watch.simulations)
 
     def nominal(self) -> dict[str, float]:
-        """The parameters before any fit."""
+        """Return the parameters before any fit."""
         return {name: start for name, (start, _, _) in self.bounds.items()}
 
     def predict(self, values: Mapping[str, float], trial: Recorded, step_hz: float = STEP_HZ) -> Array:
-        """What a trial's sensors would have shown, [N, S]."""
+        """Return the simulated sensors of a trial, [N, S]."""
         spec = self.spec if step_hz == STEP_HZ else self._spec(step_hz)
         parameters = sysid.ParameterDict({n: sysid.Parameter(n, x, x - 1, x + 1) for n, x in values.items()})
         model = self._build(parameters, spec)
@@ -169,7 +168,7 @@ class SysidStage:
         raise NotImplementedError
 
     def _build(self, parameters: Any, spec: Any) -> Any:
-        """Write the parameters into the spec, always from the nominal model's values, and compile it."""
+        """Write the parameters into the spec, starting from the nominal model, and compile it."""
         raise NotImplementedError
 
     def _start(self, model: Any, trial: Recorded) -> Array:
@@ -183,7 +182,7 @@ class SysidStage:
 
 
 class SysidArm(SysidStage):
-    """Measured pressure and cart to the link ends against the cart."""
+    """Stage from measured pressure and cart to the link ends relative to the cart."""
 
     name, unit = "arm", "m"
 
@@ -192,7 +191,7 @@ class SysidArm(SysidStage):
         self.bounds = ARM_BOUNDS
 
     def recorded(self, grid: TrialGrid, trial: int) -> Recorded | None:
-        """See SysidStage."""
+        """Return the arm's inputs and measurements of a trial."""
         t, rows = _grid(grid, trial)
         pressure, links = grid.pressure_kpa[rows, trial], grid.links_m[rows, trial]
         seen = np.isfinite(links).all(axis=1) & np.isfinite(pressure) & (t >= SKIPPED_S)
@@ -227,7 +226,7 @@ class SysidArm(SysidStage):
         if not any(body.name == "payload" for body in spec.bodies):
             load = link.add_body(name="payload", pos=(0.0, 0.0, -length))
             load.explicitinertial, load.mass, load.inertia = True, 1e-9, (1e-9, 1e-9, 1e-9)
-            load.ipos = (0.0, 0.0, 0.0)  # otherwise the body's own place, a second time
+            load.ipos = (0.0, 0.0, 0.0)  # otherwise the offset of the body counts twice
         return spec
 
     def _build(self, parameters: Any, spec: Any) -> Any:
@@ -260,7 +259,7 @@ class SysidArm(SysidStage):
 
 
 class SysidPressure(SysidStage):
-    """Command to the regulator's own reading: a lag, as MJCF has it, with gain, offset and the sensor's delay."""
+    """Stage from the command to the regulator's reading: a lag as MJCF has it, gain, offset and sensor delay."""
 
     name, unit = "pressure", "kPa"
 
@@ -268,14 +267,14 @@ class SysidPressure(SysidStage):
         super().__init__(model)
         lag = float(self.spec.actuator("pressure").dynprm[0])
         self.bounds = {
-            "lag": (lag, 0.002, 2.0),  # s, one for both ways
+            "lag": (lag, 0.002, 2.0),  # s, equal for rise and fall
             "gain": (1.0, 0.5, 1.5),
             "offset": (0.0, -5.0, 5.0),  # kPa
             "delay": (0.0, -0.02, 0.3),  # s
         }
 
     def recorded(self, grid: TrialGrid, trial: int) -> Recorded | None:
-        """See SysidStage."""
+        """Return the regulator's commands and readings of a trial."""
         t, rows = _grid(grid, trial)
         pressure = grid.pressure_kpa[rows, trial]
         seen = np.isfinite(pressure) & (t >= SKIPPED_S)
@@ -287,7 +286,7 @@ class SysidPressure(SysidStage):
         return Recorded(fine, held[:, None], np.zeros(0), float(pressure[seen][0]), t[seen], pressure[seen][:, None])
 
     def _spec(self, step_hz: float) -> Any:
-        """The exported actuator on a slider of its own: the arm does not act back on the regulator."""
+        """Return the exported actuator on a separate slider, since the arm does not affect the regulator."""
         given = mujoco.MjSpec.from_string(export(self.model).xml).actuator("pressure")
         spec = mujoco.MjSpec.from_string(
             '<mujoco><worldbody><body><joint name="slider" type="slide" damping="1"/>'
@@ -315,27 +314,27 @@ FITTED: tuple[type[SysidStage], ...] = (SysidPressure, SysidArm)
 
 
 def step_error_m(model: Model, trials: Sequence[Recorded]) -> float:
-    """RMS of the link ends that MuJoCo's step costs, against one of an eighth."""
+    """Return the RMS error of the link ends from MuJoCo's step, relative to an eighth of it."""
     stage = SysidArm(model)
     pairs = [(stage.predict(stage.nominal(), t), stage.predict(stage.nominal(), t, 8 * STEP_HZ)) for t in trials]
     return float(np.sqrt(np.concatenate([(a - b).ravel() ** 2 for a, b in pairs]).mean()))
 
 
 def every_recorded(stage: SysidStage, grid: TrialGrid) -> Iterator[tuple[int, Recorded]]:
-    """Trials of a flight that show a stage, with their numbers."""
+    """Yield the trials of a flight that show a stage, with their numbers."""
     for trial in range(len(grid.trials)):
         if (found := stage.recorded(grid, trial)) is not None:
             yield trial, found
 
 
 def _lead_cart(spec: Any) -> None:
-    """A servo on position and speed leads the cart along its measured way; controls: velocity, pressure, position."""
+    """Move the cart along its measured path by a servo; controls: velocity, pressure, position."""
     cart, joint, speed = spec.body("cart"), spec.joint("cart"), spec.actuator("cart_velocity")
     cart.mass, joint.limited = CART_KG, False
     joint.damping[0], joint.frictionloss = 0.0, 0.0
     stiff, damped = CART_KG * CART_RAD_S**2, 2 * CART_KG * CART_RAD_S
     speed.dyntype, speed.dynprm[0], speed.ctrllimited = mujoco.mjtDyn.mjDYN_NONE, 1.0, False
-    # One actuator has one control; the exported one takes the velocity, a new one the place.
+    # The exported actuator takes the velocity, an additional one the position.
     speed.gainprm[0], speed.biasprm[2] = damped, -damped
     place = spec.add_actuator(name="cart_position", target="cart", trntype=mujoco.mjtTrn.mjTRN_JOINT)
     place.biastype = mujoco.mjtBias.mjBIAS_AFFINE

@@ -1,9 +1,9 @@
-"""How well and how fast a policy plans: the 54 targets, then new goals in mid-swing at the robot's own pace.
+"""Measure how well and how fast a policy plans: the 54 targets, then new goals in mid-swing in real time.
 
-    python -m softarm.benchmarks.replanning --json FILE
+    python -m benchmarks.replanning --json FILE
 
-Both parts are the daemon's own tick in lockstep with the simulated robot. The second waits for each tick's time, so
-that caches and clock rates are those of a process that wakes 30 times a second.
+Both parts run the daemon's tick in lockstep with the simulated robot. The second part waits for the time of each tick,
+so that caches and clock rates are those of a process that wakes 30 times a second.
 """
 
 import random
@@ -18,12 +18,12 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from softarm.benchmarks import results
+from benchmarks import results
 from softarm.common.processes import bar
 from softarm.daemon.control.records import Mode
-from softarm.daemon.shell.offline import Lockstep
-from softarm.flights.evaluation import FLIGHTS
-from softarm.flights.runner import Runner
+from softarm.daemon.runtime.offline import Lockstep
+from softarm.evaluation.evaluation import FLIGHTS
+from softarm.evaluation.runner import Runner
 from softarm.policies import registry
 from softarm.policies.base import Array, Policy, PolicyError
 from softarm.schemas import flights
@@ -31,30 +31,30 @@ from softarm.schemas.config import Config
 from softarm.schemas.flights import TEST_TARGETS
 from softarm.schemas.robot import CONTROL_PERIOD_S
 
-PATIENCE_TICKS = (6, 20)  # after which a goal is replaced in mid-swing
-EASY_Z_MAX_M = 0.65  # of goals that the rail is long enough for
+PATIENCE_TICKS = (6, 20)  # a goal is replaced in mid-swing after this many ticks
+EASY_Z_MAX_M = 0.65  # highest goal within reach of the rail
 
 
 @dataclass
 class Timed:
-    """A policy, and what each of its steps took: by the wall's clock and of its thread's processor time, ms."""
+    """Policy with the time of each step: wall time and processor time of its thread, ms."""
 
     policy: Policy
     wall_ms: list[float] = field(default_factory=list)
     processor_ms: list[float] = field(default_factory=list)
-    cut_short: int = 0  # steps that flew fewer rounds than the one with most
+    cut_short: int = 0  # steps with fewer rounds than the longest one
 
     def __post_init__(self) -> None:
-        """A policy's spec is its own."""
+        """Take over the policy's spec."""
         self.spec = self.policy.spec
         self._most_rounds = 0
 
     def reset(self) -> None:
-        """See Policy."""
+        """Reset the policy for a new goal."""
         self.policy.reset()
 
     def step(self, observation: Array, goal: Array) -> Array:
-        """See Policy."""
+        """Run one timed step of the policy."""
         wall, processor = time.perf_counter(), time.thread_time()
         action = self.policy.step(observation, goal)
         self.wall_ms.append(1e3 * (time.perf_counter() - wall))
@@ -65,7 +65,7 @@ class Timed:
         return action
 
     def figures(self) -> dict[str, Any]:
-        """Percentiles of both, and how many steps there were."""
+        """Return percentiles of both times and the number of steps."""
         return {
             "wall_ms": _spread(self.wall_ms),
             "processor_ms": _spread(self.processor_ms),
@@ -80,7 +80,7 @@ def _spread(values: list[float]) -> dict[str, float]:
 
 
 def fly_targets(policy: Policy, advance: Callable[[], None]) -> dict[str, Any]:
-    """Fly every test target from rest at every cart start, as fast as it goes."""
+    """Fly every test target from rest at every cart start, as fast as possible."""
     timed = Timed(policy)
     runner, scenarios, flown = Runner(timed), flights.grid(), []
     for scenario in scenarios:
@@ -96,16 +96,17 @@ def fly_targets(policy: Policy, advance: Callable[[], None]) -> dict[str, Any]:
 
 
 def fly_paced(policy: Policy, seconds: float, advance: Callable[[], None]) -> dict[str, Any]:
-    """A tick every thirtieth of a second; every other goal is replaced in mid-swing, the next flown to its end.
+    """Fly in real time; every other goal is replaced in mid-swing and the next one is completed and counted.
 
-    Counts the latter. Raises RuntimeError when the daemon has stopped the arm.
+    Raises:
+        RuntimeError: The daemon has stopped the arm.
     """
     timed, draws = Timed(policy), random.Random(0)
     daemon = Lockstep(Config(), timed)
     outputs = daemon.arm()
     goals = [goal for goal in TEST_TARGETS if goal.z_m <= EASY_Z_MAX_M]
     reached: list[bool] = []
-    patience: int | None = None  # ticks until the goal under way is replaced; None: it is flown to its end
+    patience: int | None = None  # ticks until the goal is replaced; None: it is completed
     deadline = time.perf_counter()
     for _ in range(round(seconds / CONTROL_PERIOD_S)):
         deadline += CONTROL_PERIOD_S
@@ -129,11 +130,11 @@ def fly_paced(policy: Policy, seconds: float, advance: Callable[[], None]) -> di
 @click.option("--seconds", default=60.0, show_default=True, type=click.FloatRange(5.0), help="Of the paced part.")
 @results.json_option
 def main(name: str, seconds: float, json_file: Path | None) -> None:
-    """Print success and planning times.
+    """Print success rates and planning times.
 
     \b
     Example:
-      python -m softarm.benchmarks.replanning --policy mppi --seconds 60 --json replanning.json
+      python -m benchmarks.replanning --policy mppi --seconds 60 --json replanning.json
     """
     console = Console()
     try:

@@ -1,16 +1,14 @@
-"""What measurements leave: figures as JSON with where they come from, and the tables of the pages, made from them.
+"""Stored results: figures as JSON, with how, where and on which code they were measured.
 
-    python -m softarm.benchmarks.results            write every table anew
-    python -m softarm.benchmarks.results --check    fail where a page does not say what the results say
+    python -m benchmarks.results            list the results, with the commits that have changed their code since
+    python -m benchmarks.results --check    exit with 1 if a result is older than its code
 
-Results lie in benchmarks/results/, a file a measurement. Under `about` stand the software's revision, the machine, the
-date and the command; `transcribed` marks figures that were copied from a page and are no stored run: their revision is
-the commit at which the page's table was last changed. A page holds `<!-- results: NAME -->` and `<!-- /results -->`
-around each table of benchmarks/tables.py and benchmarks/diagnosis_tables.py.
+Each measurement has one file in benchmarks/results/. Its entry `about` holds the revision, the machine, the date, the
+command and the paths that the figures depend on; `transcribed` marks figures copied from a page, whose revision is the
+commit that last changed the page's table. `python -m tools.render` fills the tables of docs/ from these files.
 """
 
 import json
-import re
 import shlex
 import subprocess
 import sys
@@ -20,82 +18,153 @@ from pathlib import Path
 from typing import Any
 
 import click
+from rich.console import Console
+from rich.table import Table
 
 from softarm.common import files
 from softarm.common.processes import cores
-from softarm.common.revision import ROOT, machine, revision
+from softarm.common.revision import CHECKOUT, machine, revision
 
 FOLDER = Path(__file__).parent / "results"
-DOCS = Path(__file__).resolve().parents[1] / "docs"
-_TABLE = re.compile(r"(<!-- results: ([\w-]+) -->\n).*?(<!-- /results -->)", re.DOTALL)
 
 FILE = click.Path(path_type=Path, dir_okay=False)
 json_option = click.option("--json", "json_file", type=FILE, help="Write the figures to this file.")
 
+_CONTROL = ("softarm/common/braking.py", "softarm/daemon/control", "softarm/daemon/tick.py", "softarm/schemas")
+_WIRES = (
+    *_CONTROL,
+    "softarm/common/realtime.py",
+    "softarm/daemon/assembly.py",
+    "softarm/daemon/runtime",
+    "softarm/daemon/stop",
+    "softarm/drivers",
+)
+_API = ("softarm/daemon/access", "softarm/daemon/api")
+_SIMULATOR = ("softarm/simulator", "softarm/schemas/model.py", "softarm/schemas/robot.py")
+_FLIGHTS = (*_CONTROL, *_SIMULATOR, "softarm/drivers/bodies", "softarm/evaluation", "softarm/policies")
+_TRAINING = (*_SIMULATOR, "softarm/training")
+_DIAGNOSIS = (*_SIMULATOR, "softarm/diagnosis")
+
+# Result name, or the part of it before the first hyphen -> the paths whose change may change the figures.
+DEPENDS: Mapping[str, tuple[str, ...]] = {
+    "ablation": (*_FLIGHTS, *_TRAINING),
+    "adversary": ("softarm/common/braking.py", "softarm/daemon/control/safety.py", "validation/adversary.py"),
+    "adversary-tick": (*_CONTROL, "validation/adversary.py"),
+    "all": (*_FLIGHTS, "softarm/reality"),
+    "blind": (*_DIAGNOSIS, "softarm/reality"),
+    "bridging": (*_FLIGHTS, "softarm/reality", "benchmarks/bridging.py"),
+    "chained": (*_FLIGHTS, "softarm/reality", "validation/chained.py", "validation/outside"),
+    "dead": (*_WIRES, "validation/dead_daemon.py"),
+    "diagnosis": (*_DIAGNOSIS, "benchmarks/diagnosis.py"),
+    "differ": (*_FLIGHTS, "softarm/reality"),
+    "faults": (*_FLIGHTS, "softarm/reality", "validation/faults.py"),
+    "first": ("softarm/cli", "softarm/evaluation", "pyproject.toml", "tools/first_use.py"),
+    "grid": _FLIGHTS,
+    "limits": ("softarm/daemon/limits", "softarm/simulator", "softarm/reality", "validation/limits.py"),
+    "loop": (*_WIRES, *_API, "softarm/daemon/logbook", "benchmarks/loop.py"),
+    "matrix": (*_WIRES, "softarm/policies", "validation/matrix"),
+    "rl": _TRAINING,
+    "simulator": (*_SIMULATOR, "benchmarks/simulator.py"),
+    "stop": (*_WIRES, *_API, "validation/stop.py"),
+    "strength": (*_DIAGNOSIS, "softarm/reality"),
+    "sweep": _TRAINING,
+    "training": (*_TRAINING, "benchmarks/training.py"),
+    "viewers": (
+        *_WIRES,
+        "softarm/daemon/access",
+        "softarm/daemon/api",
+        "softarm/daemon/logbook",
+        "validation/viewers.py",
+    ),
+}
+
+
+def depends_on(name: str) -> tuple[str, ...]:
+    """Return the paths that a result depends on.
+
+    Raises:
+        KeyError: DEPENDS has no entry for the result; add one.
+    """
+    return DEPENDS[name] if name in DEPENDS else DEPENDS[name.partition("-")[0]]
+
 
 def write(file: Path, figures: Mapping[str, Any], command: str | None = None) -> None:
-    """Write figures, by name, and where they come from. command: what gave them (default: this program)."""
-    about = {
+    """Write figures and how they were measured.
+
+    Args:
+        file: Target; in FOLDER its stem names the result and thus the paths it depends on.
+        figures: Figures by name.
+        command: Command that measured them; this program by default.
+    """
+    about: dict[str, Any] = {
         "revision": measured(),
         "machine": {**machine(), "cpu": _cpu(), "cores": cores()},
         "date": datetime.now(UTC).isoformat(timespec="seconds"),
         "command": command or _command(),
     }
+    if file.parent.resolve() == FOLDER:
+        about["depends"] = depends_on(file.stem)
     files.write_text(file, json.dumps({"about": about, **figures}, indent=1) + "\n")
 
 
-def measured(root: Path = ROOT) -> str:
-    """The revision that a measurement ran at: results and pages changed since change no figure."""
-    aside = [f":(exclude){DOCS.name}", f":(exclude){FOLDER.parent.name}/{FOLDER.name}"]
+def measured(root: Path = CHECKOUT) -> str:
+    """Return the revision of the code under test; changed results and pages do not count as changes."""
+    aside = [":(exclude)docs", f":(exclude){FOLDER.parent.name}/{FOLDER.name}"]
     same = subprocess.run(["git", "diff", "--quiet", "HEAD", "--", ".", *aside], cwd=root, check=False).returncode == 0
     return revision(root).removesuffix("+changes") if same else revision(root)
 
 
-def _cpu() -> str:
-    """The processor's own name; empty where the system does not say."""
-    lines = Path("/proc/cpuinfo").read_text(encoding="utf-8", errors="replace").splitlines()
-    return next((line.partition(":")[2].strip() for line in lines if line.startswith("model name")), "")
-
-
 def read(name: str, folder: Path = FOLDER) -> dict[str, Any]:
-    """A stored result."""
+    """Return a stored result by its name."""
     found: dict[str, Any] = json.loads((folder / f"{name}.json").read_text(encoding="utf-8"))
     return found
 
 
-def rendered(page: str) -> str:
-    """A page with every table as the results have it. Raises KeyError for a table that there is none of."""
-    from softarm.benchmarks.tables import TABLES
+def age(about: Mapping[str, Any], root: Path = CHECKOUT) -> int:
+    """Return how many commits have changed the code that a result depends on since it was measured.
 
-    return _TABLE.sub(lambda found: f"{found[1]}{TABLES[found[2]](read)}{found[3]}", page)
+    Raises:
+        subprocess.CalledProcessError: The checkout does not have the result's revision (a shallow clone).
+    """
+    span = f"{about['revision']}..HEAD"
+    # softarm/ was at the top level of older revisions.
+    paths = [each for path in about["depends"] for each in (path, path.removeprefix("softarm/"))]
+    command = ["git", "rev-list", "--count", span, "--", *paths]
+    return int(subprocess.run(command, cwd=root, capture_output=True, text=True, check=True).stdout)
+
+
+def _cpu() -> str:
+    """Return the processor's name, or an empty text where the system does not report one."""
+    lines = Path("/proc/cpuinfo").read_text(encoding="utf-8", errors="replace").splitlines()
+    return next((line.partition(":")[2].strip() for line in lines if line.startswith("model name")), "")
 
 
 def _command() -> str:
-    """How this program was started: a module of the package by its name, anything else by its file."""
+    """Return the command that started this program: a module by its name, a script by its file."""
     spec = sys.modules["__main__"].__spec__
     started = ["python", sys.argv[0]] if spec is None else ["python", "-m", spec.name.removesuffix(".__main__")]
     return shlex.join([*started, *sys.argv[1:]])
 
 
 @click.command()
-@click.option("--check", is_flag=True, help="Write nothing; exit code 1 when a page is stale.")
+@click.option("--check", is_flag=True, help="Exit with 1 if a result is older than its code.")
 def main(check: bool) -> None:
-    """Put the stored results into the tables of docs/.
+    """List the stored results and how many commits their code has changed since.
 
     \b
     Example:
-      python -m softarm.benchmarks.results --check
+      python -m benchmarks.results --check
     """
-    stale = [(page, new) for page in sorted(DOCS.glob("*.md")) if (new := rendered(text := _text(page))) != text]
-    for page, new in stale:
-        if not check:
-            files.write_text(page, new)
-        click.echo(f"{page.name}: {'stale; run python -m softarm.benchmarks.results' if check else 'written'}")
-    raise SystemExit(check and bool(stale))
-
-
-def _text(page: Path) -> str:
-    return page.read_text(encoding="utf-8")
+    table = Table("result", "measured", "revision", "commits behind", "command")
+    stale = 0
+    for file in sorted(FOLDER.glob("*.json")):
+        about = read(file.stem)["about"]
+        behind = age(about)
+        stale += behind > 0
+        table.add_row(file.stem, about["date"][:10], about["revision"][:8], str(behind or "-"), about["command"])
+    Console(width=None if sys.stdout.isatty() else 200).print(table)
+    click.echo(f"{stale} results are older than their code" if stale else "every result is as new as its code")
+    raise SystemExit(check and stale > 0)
 
 
 if __name__ == "__main__":

@@ -1,8 +1,8 @@
-"""How should a policy be trained on when the simulator changes? Recipes side by side, on the validation set.
+"""Compare recipes for continuing the training of a policy when the simulator changes, on the validation set.
 
-    python -m softarm.benchmarks.retraining patched-model.yaml --std 0.3 --std 0.5 --std 0.85 --frames 1000000
+    python -m benchmarks.retraining patched-model.yaml --std 0.3 --std 0.5 --std 0.85 --frames 1000000
 
-The 54 test targets are not flown: a recipe chosen by them would be no proof.
+The 54 test targets are not flown, since a recipe must not be chosen on them.
 """
 
 import tempfile
@@ -18,7 +18,7 @@ from rich.table import Table
 from softarm.common.processes import bar
 from softarm.policies.base import MODELS
 from softarm.simulator import model_file
-from softarm.training.run.checkpoint import CheckpointError
+from softarm.training.record.checkpoint import CheckpointError
 from softarm.training.run.retrain import Retrained, RetrainingConfig, retrain
 
 _DEFAULT = RetrainingConfig()
@@ -27,17 +27,22 @@ _DEFAULT = RetrainingConfig()
 def compare(
     policy: Path, model: Path, recipes: list[RetrainingConfig]
 ) -> list[tuple[RetrainingConfig, Retrained, float]]:
-    """Every recipe, what it came to and its CPU seconds. Raises CheckpointError and ModelFileError."""
+    """Return every recipe with its result and its processor seconds.
+
+    Raises:
+        CheckpointError: The policy cannot be trained further.
+        ModelFileError: The model file is invalid.
+    """
     robot, found = model_file.load(model), []
     with bar("", float(len(recipes))) as shown:
         for number, recipe in enumerate(recipes):
 
-            def tell(text: str, share: float, before: int = number) -> None:
+            def show_progress(text: str, share: float, before: int = number) -> None:
                 shown.show(before + share, text=text)
 
             with tempfile.TemporaryDirectory() as folder:
                 began = time.process_time()
-                result = retrain(policy, robot, model.stem, Path(folder), recipe, tell)
+                result = retrain(policy, robot, model.stem, Path(folder), recipe, show_progress)
                 found.append((recipe, result, time.process_time() - began))
     return found
 
@@ -59,11 +64,11 @@ def main(
     spread: float,
     frames: int,
 ) -> None:
-    """Train POLICY on, on MODEL, by every combination of the options; validation before and after.
+    """Continue the training of POLICY on MODEL with every combination of the options; validate before and after.
 
     \b
     Example:
-      python -m softarm.benchmarks.retraining patched-model.yaml --std 0.3 --std 0.85 --frames 1000000
+      python -m benchmarks.retraining patched-model.yaml --std 0.3 --std 0.85 --frames 1000000
     """
     recipes = [
         replace(_DEFAULT, std=s, learning_rate=r, robots=n, spread=spread, frames=frames, seconds=float("inf"))

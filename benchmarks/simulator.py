@@ -1,15 +1,15 @@
-"""Control steps per second against MuJoCo's own multithreaded `rollout`, at equal accuracy, on all cores.
+"""Compare control steps per second with MuJoCo's multithreaded `rollout`, at equal accuracy, on all cores.
 
-Both fly the seed's arm under the same 30 Hz commands. MuJoCo cannot switch control laws inside a rollout, so both
-use the cart's velocity tracker alone; and MuJoCo is handed the lagged pressure and the delayed rail command ready
-made, for nothing. Its integrator is the one that was cheapest for a given error here: `implicitfast` (`RK4` is not
-stable below about 9 kHz on this arm, `Euler` has three times the error at the same step). Its step is the coarsest
-whose tip error after 3 s is about equal to ours; the reference for both errors is MuJoCo's RK4 at 12 kHz.
+Both simulate the paper's arm under the same 30 Hz commands. MuJoCo cannot switch control laws inside a rollout, so both
+use the cart's velocity tracker only; MuJoCo receives the lagged pressure and the delayed rail command precomputed, at
+no cost. Its integrator is the cheapest one for a given error: `implicitfast` (`RK4` is unstable below about 9 kHz on
+this arm, `Euler` has three times the error at the same step). Its step is the coarsest whose tip error after 3 s is
+about equal; the reference for both errors is MuJoCo's RK4 at 12 kHz.
 
-Beside it stand the cost of the effects, the scaling with cores and batch, and the distance from the machine's
-arithmetic peak (simulator_profile.py).
+Also measured: the cost of the effects, the scaling with cores and batch, and the distance from the machine's arithmetic
+peak (simulator_profile.py).
 
-    python -m softarm.benchmarks.simulator --json FILE
+    python -m benchmarks.simulator --json FILE
 """
 
 import os
@@ -24,8 +24,8 @@ import numpy as np
 from mujoco import rollout
 from rich.console import Console
 
-from softarm.benchmarks import commands, results, simulator_profile
-from softarm.benchmarks.mujoco_arm import mjcf
+from benchmarks import commands, results, simulator_profile
+from benchmarks.mujoco_arm import mjcf
 from softarm.common.processes import bar, cores
 from softarm.schemas.model import Cart, Model, seed_effects
 from softarm.schemas.robot import CONTROL_PERIOD_S, TRAINING_PHYSICS_RATE_HZ
@@ -34,9 +34,9 @@ from softarm.simulator.simulator import Simulator
 ROBOTS = 4096
 REFERENCE_SUBSTEPS = 400
 CANDIDATES = (20, 30, 40, 50, 60, 70, 80, 90, 100, 120, 140, 160, 200, 240, 320)
-# MuJoCo's error may be this much above ours and still count as equal.
+# Errors within this ratio count as equal.
 EQUAL = 1.1
-# Endless, since MuJoCo's arm has no end stops.
+# Unlimited travel, since MuJoCo's arm has no end stops.
 MODEL = Model(
     cart=Cart(travel_m=100.0),
     effects={name: given for name, given in seed_effects().items() if name != "rail.acceleration_limit"},
@@ -44,9 +44,10 @@ MODEL = Model(
 
 
 def run(quick: bool = False) -> dict[str, Any]:
-    """Measure both, and where the simulator's time goes.
+    """Measure both simulators and the profile.
 
-    quick: fewer command sets and rounds, for a look; the figures then scatter.
+    Args:
+        quick: Use fewer command sets and rounds; the figures then scatter.
     """
     threads = cores()
     load_before = os.getloadavg()[0]
@@ -111,7 +112,7 @@ def _mujoco_tips(
     workers = [mujoco.MjData(model) for _ in range(threads)]
     with rollout.Rollout(nthread=threads) as pool:
         states, _ = pool.rollout(model, workers, _state_at_rest(model), control)
-    position = states[:, -1, 1 : 1 + model.nq]  # the state begins with the time
+    position = states[:, -1, 1 : 1 + model.nq]  # the state starts with the time
     angles, length = np.cumsum(position[:, 1:], axis=1), np.array(MODEL.arm.link_length_m)
     y = position[:, 0] + np.sin(angles) @ length
     z = MODEL.arm.base_height_m - np.cos(angles) @ length
@@ -119,7 +120,7 @@ def _mujoco_tips(
 
 
 def _mujoco_controls(velocity: np.ndarray, pressure: np.ndarray, substeps: int) -> np.ndarray:
-    """Return what the actuators see: delayed velocity and mean lagged pressure, [robots, steps, 2]."""
+    """Return the actuators' inputs: delayed velocity and mean lagged pressure, [robots, steps, 2]."""
     lag, delay_s = MODEL.effects["pressure.lag"], MODEL.effects["rail.delay"]["delay"]
     dt = CONTROL_PERIOD_S / substeps
     late = round(delay_s / dt)
@@ -145,7 +146,7 @@ def _error_mm(tips: np.ndarray, reference: np.ndarray) -> dict[str, float]:
 
 
 class _Race:
-    """The two sides, warm and ready: each call flies ROBOTS robots and returns control steps per second."""
+    """Both simulators, warmed up; each call simulates ROBOTS robots and returns control steps per second."""
 
     STEPS, MUJOCO_STEPS = 60, 1
 
@@ -193,11 +194,11 @@ def _show(result: dict[str, Any]) -> None:
 @results.json_option
 @click.option("--quick", is_flag=True, help="A few seconds, to see that it runs; the figures are rough.")
 def main(json_file: Path | None, quick: bool) -> None:
-    """Control steps a second against MuJoCo's rollout at equal accuracy, in one run on this machine.
+    """Compare control steps per second with MuJoCo's rollout at equal accuracy, in one run.
 
     \b
     Example:
-      python -m softarm.benchmarks.simulator --json simulator.json
+      python -m benchmarks.simulator --json simulator.json
     """
     result = run(quick)
     _show(result)

@@ -1,8 +1,8 @@
-"""Where the simulator's time goes: the price of effects, scaling, and the distance from the machine's peak.
+"""Profile of the simulator: the cost of effects, scaling, and the distance from the machine's peak.
 
-Floating-point operations are counted by running the kernel's own source, with numbers that count, on a real
-robot's state. The peak is measured too: as many independent multiplications and additions as the cores take, not
-fused, since the kernel's are not (a robot's numbers are to be the same in any batch on any machine).
+Floating-point operations are counted by running the kernel's source with counting numbers on a real robot's state. The
+peak is measured with independent, unfused multiplications and additions, since the kernel's are not fused (a robot's
+results are equal in any batch on any machine).
 """
 
 import importlib
@@ -19,7 +19,7 @@ import numba
 import numpy as np
 from rich.console import Console
 
-from softarm.benchmarks import commands
+from benchmarks import commands
 from softarm.common.processes import cores
 from softarm.schemas.model import Model
 from softarm.schemas.robot import TRAINING_PHYSICS_RATE_HZ
@@ -32,12 +32,12 @@ BATCHES = (1, 8, 128, 1024, 4096, 16384)
 
 
 def all_effects() -> Model:
-    """The seed's robot with every effect at its exemplar."""
+    """Return the paper's robot with every effect at its exemplar."""
     return Model(effects={e.name: {p.name: p.exemplar for p in e.parameters} for e in REGISTRY.values()})
 
 
 def measure(rounds: int) -> dict[str, Any]:
-    """Return what goes into the benchmark's JSON."""
+    """Return the figures for the benchmark's JSON."""
     seed, full = _Flight(None, ROBOTS), _Flight(all_effects(), ROBOTS)
     pairs = [(seed.speed(), full.speed()) for _ in range(rounds)]
     seed_speed, full_speed = (statistics.median(side) for side in zip(*pairs, strict=True))
@@ -86,7 +86,7 @@ def show(console: Console, result: Mapping[str, Any]) -> None:
 
 
 class _Flight:
-    """A batch of robots under way, to be timed."""
+    """Batch of robots in motion, for timing."""
 
     def __init__(self, model: Model | None, robots: int) -> None:
         self._commands = commands.smooth(robots, seed=3)
@@ -95,14 +95,14 @@ class _Flight:
         self.speed()
 
     def speed(self) -> float:
-        """Control steps per second over one flight."""
+        """Return the control steps per second over one flight."""
         start = time.perf_counter()
         for v, p in zip(*(each[:STEPS] for each in self._commands), strict=True):
             self._simulator.step(v, p)
         return self._robots * STEPS / (time.perf_counter() - start)
 
     def best(self, rounds: int) -> float:
-        """The fastest of some flights."""
+        """Return the fastest of several flights."""
         return max(self.speed() for _ in range(rounds))
 
 
@@ -116,7 +116,7 @@ def _on(threads: int, speed: Any, rounds: int) -> float:
 
 
 class _Number:
-    """A float that counts what is done with it; a comparison gives a bool."""
+    """Float that counts its operations; comparisons return bool."""
 
     counts: ClassVar[Counter[str]] = Counter()
 
@@ -148,7 +148,7 @@ for _name in ("lt", "gt", "ge", "ne"):
 
 
 def count(model: Model) -> dict[str, int]:
-    """Count the operations of a substep of one robot under way, by running the kernel's source."""
+    """Count the operations of a substep of one moving robot by running the kernel's source."""
     simulator = Simulator(model)
     for v, p in zip(*(each[:20, 0] for each in commands.smooth(1, seed=3)), strict=True):
         simulator.step(v, p)
@@ -166,7 +166,7 @@ def count(model: Model) -> dict[str, int]:
 
 @contextmanager
 def _interpreted() -> Iterator[None]:
-    """Let the kernel's functions be plain Python, on numbers that count."""
+    """Run the kernel's functions as plain Python while the context lasts."""
 
     def memory(value: Any) -> Any:
         _Number.counts["memory"] += 1
@@ -216,7 +216,7 @@ def _interpreted() -> Iterator[None]:
 
 @numba.njit(parallel=True)
 def _multiply_and_add(memory, lanes, repeats):  # type: ignore[no-untyped-def]
-    """Twelve independent chains a thread, each in one register: 24 operations a lane and repeat."""
+    """Run twelve independent chains per thread, each in one register: 24 operations per lane and repeat."""
     for thread in numba.prange(memory.shape[0]):
         m = memory[thread]
         x, y = load(m, 12, lanes), load(m, 13, lanes)
@@ -231,7 +231,7 @@ def _multiply_and_add(memory, lanes, repeats):  # type: ignore[no-untyped-def]
 
 
 def _peak_gflops(threads: int, repeats: int = 4_000_000) -> float:
-    """The most unfused multiplications and additions a second, 1e9, on all cores; lanes of 16, a 512 bit register."""
+    """Return the highest rate of unfused multiplications and additions on all cores, 1e9/s, with lanes of 16."""
     lanes = (0,) * 16
     memory = np.zeros((threads, 14 * len(lanes)), np.float32)
     memory[:, 12 * len(lanes) : 13 * len(lanes)] = 0.5

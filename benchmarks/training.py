@@ -1,10 +1,10 @@
-"""How long until a policy is as good as the paper's robot was, and how fast the learner is beside rl_games.
+"""Measure the time until a policy is as good as the paper's robot was.
 
-The clock runs from the making of a run to the validation at which its averaged policy reaches the paper's level on the
-54 targets and holds it over the next three; only the flying of those targets is left out of it. It counts whatever
-else the machine does, so measure on a quiet one.
+The clock runs from the start of a run to the validation at which its averaged policy reaches the paper's level at the
+54 targets and holds it over the next three; only the flights to these targets are excluded. Other work on the machine
+counts, so measure on a quiet one.
 
-    python -m softarm.benchmarks.training --json FILE
+    python -m benchmarks.training --json FILE
 """
 
 import time
@@ -15,21 +15,21 @@ from typing import NamedTuple, TypedDict
 
 import click
 
-from softarm.benchmarks import results
+from benchmarks import results
 from softarm.schemas.flights import Shares
+from softarm.training.learn import validation
 from softarm.training.learn.inference import Workers, workers
-from softarm.training.run import validation
 from softarm.training.run.recipe import RECIPES, begin
 from softarm.training.run.session import Session
 
-LEVEL = Shares(in_range=0.94, above=0.50, all=0.80)  # [P] section 4.1, on its hardware
-HELD = 3  # evaluations after the first, as high
+LEVEL = Shares(in_range=0.94, above=0.50, all=0.80)  # [P] section 4.1, on hardware
+HELD = 3  # further validations at the level
 FRAMES_MOST = 8_000_000
 SEEDS = (1, 2, 3, 4, 5)
 
 
 class Point(NamedTuple):
-    """A run at one of its validations."""
+    """State of a run at one of its validations."""
 
     seconds: float
     frames: int
@@ -37,17 +37,16 @@ class Point(NamedTuple):
 
 
 class TimesToLevel(TypedDict):
-    """What `--json` writes; a list has one entry a seed."""
+    """Content of the file of `--json`; lists have one entry per seed."""
 
-    seconds_to_seed_level: list[float | None]  # None: never, within FRAMES_MOST
+    seconds_to_seed_level: list[float | None]  # None: not within FRAMES_MOST
     frames_to_seed_level: list[int | None]
     steps_per_s: float  # control steps of single robots, over all runs
-    rl_games_steps_per_s: float | None  # None: rl_games is not installed
     curves: list[list[tuple[float, int, float, float, float]]]  # seconds, frames, in range, above, all
 
 
 def first_held(reached: list[bool], held: int = HELD) -> int | None:
-    """Index of the first of `held` + 1 successive truths; None when there is none."""
+    """Return the index of the first of `held` + 1 successive true values, or None."""
     for k in range(len(reached) - held):
         if all(reached[k : k + held + 1]):
             return k
@@ -55,12 +54,12 @@ def first_held(reached: list[bool], held: int = HELD) -> int | None:
 
 
 def is_at_level(report: Shares) -> bool:
-    """As good as the paper's robot, in each of its three figures."""
+    """Return whether a policy reaches the paper's level in each of its three figures."""
     return all(ours >= theirs for ours, theirs in zip(report, LEVEL, strict=True))
 
 
 def follow(make: Callable[[], Session], pool: Workers, frames_most: int = FRAMES_MOST) -> list[Point]:
-    """Train until the level is held, or for so many frames; a point a validation."""
+    """Train until the level is held or `frames_most` is reached; return one point per validation."""
     points: list[Point] = []
     start, aside = time.monotonic(), 0.0
     session = make()
@@ -69,14 +68,15 @@ def follow(make: Callable[[], Session], pool: Workers, frames_most: int = FRAMES
         if len(session.curve) % session.config.validate_every:
             continue
         now = time.monotonic()
-        report = validation.grid_shares(session.average, session.task, pool)
+        report = validation.grid_test(session.average, session.task, pool).report
+        assert isinstance(report, Shares)
         points.append(Point(now - start - aside, standing.frames, report))
         aside += time.monotonic() - now
     return points
 
 
-def run(seeds: tuple[int, ...], frames_most: int, tell: Callable[[str], None]) -> TimesToLevel:
-    """Measure all seeds, then rl_games if it is there."""
+def run(seeds: tuple[int, ...], frames_most: int, report: Callable[[str], None]) -> TimesToLevel:
+    """Measure all seeds and return the figures."""
     times: list[float | None] = []
     frames_there: list[int | None] = []
     curves = []
@@ -95,43 +95,30 @@ def run(seeds: tuple[int, ...], frames_most: int, tell: Callable[[str], None]) -
                 if place is None
                 else f"{points[place].seconds:.0f} s, {points[place].frames / 1e6:.1f} M frames"
             )
-            tell(f"seed {seed}: {after}")
-        theirs = _rl_games(tell)
+            report(f"seed {seed}: {after}")
     return TimesToLevel(
         seconds_to_seed_level=times,
         frames_to_seed_level=frames_there,
         steps_per_s=frames / seconds,
-        rl_games_steps_per_s=theirs,
         curves=curves,
     )
 
 
-def _rl_games(tell: Callable[[str], None]) -> float | None:
-    try:
-        from softarm.benchmarks.rl_games_peer import steps_per_s
-    except ModuleNotFoundError as error:
-        tell(f"rl_games is left out: the package '{error.name}' is not installed (pip install rl_games)")
-        return None
-    return steps_per_s()
-
-
 @click.command()
 @results.json_option
-@click.option("--seed", "seeds", type=click.IntRange(min=0), multiple=True, help="Again for more.  [default: 1 to 5]")
-@click.option("--frames", type=click.IntRange(min=1), help="Give a seed up after so many control steps of its robots.")
+@click.option("--seed", "seeds", type=click.IntRange(min=0), multiple=True, help="May be repeated.  [default: 1 to 5]")
+@click.option("--frames", type=click.IntRange(min=1), help="End a seed after this many control steps.")
 def main(json_file: Path | None, seeds: tuple[int, ...], frames: int | None) -> None:
-    """Wall time from a run's start to the paper's 94/50/80 %, held over three more evaluations; beside rl_games.
+    """Measure the time to the paper's 94/50/80 %, held over three more validations.
 
     \b
     Example:
-      python -m softarm.benchmarks.training --json training.json
+      python -m benchmarks.training --json training.json
     """
     result = run(seeds or SEEDS, frames or FRAMES_MOST, click.echo)
     if json_file is not None:
         results.write(json_file, result)
-    theirs = result["rl_games_steps_per_s"]
-    beside = "" if theirs is None else f"; rl_games, the seed's settings: {theirs:,.0f}"
-    click.echo(f"control steps of single robots a second: {result['steps_per_s']:,.0f}{beside}")
+    click.echo(f"control steps of single robots per second: {result['steps_per_s']:,.0f}")
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""What tests of any room may need."""
+"""Fixtures that tests of several packages use."""
 
 import asyncio
 import contextlib
@@ -13,17 +13,24 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pytest
+from hypothesis import settings
 
-from softarm.benchmarks import chromium
+import softarm  # noqa: F401  selects the BLAS kernels before a test imports numpy
+from tools import chromium
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser
+
+# The same examples in every run and no time limit, since a machine may be slow. Mutation testing sets its own profile.
+settings.register_profile("tests", deadline=None, derandomize=True)
+if settings.get_current_profile_name() == "default":
+    settings.load_profile("tests")
 
 REAL_DATA = Path(os.environ.get("SOFTARM_DATA") or Path(__file__).parents[2] / "shared" / "data")
 
 
 def pytest_report_header() -> str:
-    """Whether real recordings are diagnosed in this run stands at its head, not only among what was skipped."""
+    """Report whether the real recordings are available in this run."""
     found = "diagnosed from" if REAL_DATA.is_dir() else "NOT DIAGNOSED, there is no"
     return f"real recordings: {found} {REAL_DATA}"
 

@@ -1,4 +1,4 @@
-"""How good a policy is: the mean return and the share of reached targets over the same episodes each time."""
+"""Score of a policy: mean return and share of reached targets over fixed episodes."""
 
 from collections.abc import Callable
 from typing import NamedTuple
@@ -12,17 +12,17 @@ Array = NDArray[np.float32]
 
 
 class Score(NamedTuple):
-    """Over a number of episodes."""
+    """Score over a number of episodes; `reached` is a share."""
 
     mean_return: float
-    reached: float  # share
+    reached: float
 
     def __str__(self) -> str:
         return f"return {self.mean_return:.2f}, {self.reached:.0%} reached"
 
 
 def score(act: Callable[[Array], Array], episodes: int = 256, seed: int = 54) -> Score:
-    """Fly one episode on each of so many robots side by side; act: observations [R, 10] -> actions [R, 2]."""
+    """Fly one episode on each of many robots in parallel; `act` maps observations [R, 10] to actions [R, 2]."""
     envs = gymnasium.make_vec(ENVIRONMENT, num_envs=episodes)
     observation, _ = envs.reset(seed=seed)
     alive, reached = np.ones(episodes, np.bool_), np.zeros(episodes, np.bool_)

@@ -1,4 +1,4 @@
-"""Steps a second of many robots: in one call of the kernel, and as Gymnasium's SyncVectorEnv of single environments.
+"""Steps per second of many robots: in one call of the kernel, and in Gymnasium's SyncVectorEnv.
 
 python speed.py            # both in one process, one after the other, on this machine
 """
@@ -12,12 +12,13 @@ from scoring import ENVIRONMENT
 
 
 def steps_per_s(mode: str, robots: int, seconds: float) -> float:
-    """Control steps of single robots a second, random actions, resets included."""
+    """Return the control steps of single robots per second, with random actions and resets."""
     envs = gymnasium.make_vec(ENVIRONMENT, num_envs=robots, vectorization_mode=mode)
     envs.reset(seed=0)
     rng, steps = np.random.default_rng(0), 0
     actions = rng.uniform(-1.0, 1.0, (16, robots, 2)).astype(np.float32)
-    envs.step(actions[0])  # what is compiled or loaded once
+    # The first step compiles and loads.
+    envs.step(actions[0])
     start = time.perf_counter()
     while time.perf_counter() - start < seconds:
         envs.step(actions[steps % 16])

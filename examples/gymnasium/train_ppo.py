@@ -1,4 +1,4 @@
-"""PPO in one file, on the vector environment: what there is to change is all here.
+"""PPO in one file on the vector environment, as a starting point for changes.
 
     python train_ppo.py --steps 400000 --out mine.onnx
     softarm evaluate --policy mine --config mine.yaml
@@ -23,11 +23,12 @@ from softarm.training.record import foreign
 ROBOTS, HORIZON = 256, 16
 EPOCHS, BATCHES = 4, 4
 RATE, GAMMA, LAMBDA, CLIP, ENTROPY = 1e-3, 0.99, 0.95, 0.2, 0.0
-CUT = 5.0  # of normalised observations
+# Limit of normalised observations.
+CUT = 5.0
 
 
 class Agent(nn.Module):
-    """Actor, critic, and the statistics that normalise what they see."""
+    """Actor, critic, and the statistics that normalise their observations."""
 
     def __init__(self, inputs: int, actions: int) -> None:
         super().__init__()
@@ -37,7 +38,7 @@ class Agent(nn.Module):
         self.mean, self.variance, self.count = torch.zeros(inputs), torch.ones(inputs), 1e-4
 
     def look(self, observation: Tensor) -> None:
-        """Take a batch of observations into the statistics."""
+        """Update the statistics with a batch of observations."""
         mean, variance, count = observation.mean(0), observation.var(0, correction=0), len(observation)
         total, apart = self.count + count, mean - self.mean
         spread = self.variance * self.count + variance * count + apart**2 * self.count * count / total
@@ -51,7 +52,7 @@ class Agent(nn.Module):
         return (self.variance + 1e-8).sqrt()
 
     def act(self, observation: Array) -> Array:
-        """The mean action, without noise."""
+        """Return the mean action, without noise."""
         with torch.no_grad():
             action: Array = self.actor(self.normal(torch.from_numpy(observation))).numpy()
         return action
@@ -69,7 +70,7 @@ def _network(inputs: int, outputs: int, gain: float) -> nn.Sequential:
 
 
 def train(steps: int, seed: int = 1, show: bool = False) -> tuple[Agent, Score, Score]:
-    """Learn for so many steps of single robots; returns the agent, its score untrained and trained."""
+    """Train for a number of steps of single robots and return the agent and its scores before and after."""
     torch.manual_seed(seed)
     torch.set_num_threads(1)
     envs = gymnasium.make_vec(ENVIRONMENT, num_envs=ROBOTS)
@@ -87,7 +88,7 @@ def train(steps: int, seed: int = 1, show: bool = False) -> tuple[Agent, Score, 
 
 
 def _roll_out(agent: Agent, envs: gymnasium.vector.VectorEnv, observation: Tensor):
-    """Fly `HORIZON` steps; returns what was seen, done, how likely it was, its returns and advantages."""
+    """Fly `HORIZON` steps and return observations, actions, log-probabilities, returns and advantages."""
     seen, done, chance, value, reward, over, last = [], [], [], [], [], [], []
     for _ in range(HORIZON):
         with torch.no_grad():
@@ -99,7 +100,8 @@ def _roll_out(agent: Agent, envs: gymnasium.vector.VectorEnv, observation: Tenso
         new, gained, terminated, truncated, info = envs.step(done[-1].clamp(-1.0, 1.0).numpy())
         agent.look(observation := torch.from_numpy(new))
         gain = torch.from_numpy(gained).clone()
-        if truncated.any():  # out of time is not the end: what would have come counts
+        # An episode that ends by time keeps the value of its last state.
+        if truncated.any():
             final = torch.from_numpy(np.stack(info["final_obs"][truncated]))
             with torch.no_grad():
                 gain[truncated] += GAMMA * agent.critic(agent.normal(final))[:, 0]

@@ -1,4 +1,4 @@
-"""Stable-Baselines3's PPO on the vector environment, at its full speed.
+"""PPO of Stable-Baselines3 on the vector environment, at its full speed.
 
     pip install stable-baselines3
     python train_sb3.py --steps 400000 --out mine.onnx
@@ -22,11 +22,12 @@ from stable_baselines3.common.vec_env.base_vec_env import VecEnv
 from softarm.training.record import foreign
 
 ROBOTS, HORIZON = 256, 16
-CUT = 5.0  # of normalised observations
+# Limit of normalised observations.
+CUT = 5.0
 
 
 class ManyArms(VecEnv):
-    """Gymnasium's vector environment as Stable-Baselines3 calls one: both reset in the step that ends an episode."""
+    """Adapter of Gymnasium's vector environment for Stable-Baselines3; both reset in the step that ends an episode."""
 
     def __init__(self, robots: int) -> None:
         self.envs = gymnasium.make_vec(ENVIRONMENT, num_envs=robots)
@@ -42,13 +43,13 @@ class ManyArms(VecEnv):
 
     def step_wait(self) -> tuple[Array, Array, np.ndarray, list[dict[str, Any]]]:
         observation, reward, terminated, truncated, info = self.envs.step(self.actions)
-        told: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
+        infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
         for robot in np.flatnonzero(terminated | truncated):
-            told[robot] = {
+            infos[robot] = {
                 "terminal_observation": info["final_obs"][robot],
                 "TimeLimit.truncated": bool(truncated[robot]),
             }
-        return observation, reward, terminated | truncated, told
+        return observation, reward, terminated | truncated, infos
 
     def close(self) -> None:
         self.envs.close()
@@ -67,7 +68,7 @@ class ManyArms(VecEnv):
 
 
 def train(steps: int, seed: int = 1, show: bool = False) -> tuple[PPO, VecNormalize, Score, Score]:
-    """Learn for so many steps of single robots; returns model, normaliser, the score untrained and trained."""
+    """Train for a number of steps of single robots and return model, normaliser and the scores before and after."""
     torch.set_num_threads(1)
     envs = VecNormalize(ManyArms(ROBOTS), norm_reward=False, clip_obs=CUT)
     model = PPO(
@@ -93,7 +94,7 @@ def train(steps: int, seed: int = 1, show: bool = False) -> tuple[PPO, VecNormal
 
 
 def export(model: PPO, envs: VecNormalize, out: Path) -> float:
-    """Write the policy's file; returns the share of the validation set that it reaches."""
+    """Write the policy's file and return the share of the validation set that it reaches."""
     actor = torch.nn.Sequential(*model.policy.mlp_extractor.policy_net, model.policy.action_net)
     mean, scale = envs.obs_rms.mean, np.sqrt(envs.obs_rms.var + envs.epsilon)
     return foreign.export(actor, out, mean=mean, scale=scale, cut=CUT, training={"learner": "stable-baselines3 PPO"})

@@ -1,4 +1,4 @@
-"""The task `gentle`: reach a low target, and be slow there."""
+"""The task `gentle`: reach a low target slowly."""
 
 from dataclasses import dataclass
 
@@ -8,19 +8,23 @@ from softarm.training.task.reach import Array, Moment, Range, ReachTask
 
 @dataclass(frozen=True)
 class Gentle(ReachTask):
-    """Success is worth less the faster the tip is, and speed costs more the nearer the target is."""
+    """Task whose reward falls with the speed of the tip, the more the nearer the target is.
+
+    At `slow_m_s` success has a third of its reward. `speed_penalty` is per m/s at the target, before the scale of all
+    rewards; at `near_m` a third of it is left.
+    """
 
     interface = 1
 
     name: str = "gentle"
     target_y_m: Range = (-0.3, 0.05)
     target_z_m: Range = (0.54, 0.62)
-    slow_m_s: float = 0.5  # a tip so fast is worth a third of one that stands
-    speed_penalty: float = 1.0  # per m/s of a tip on its target; before the scale of all rewards
-    near_m: float = 0.1  # where a third of it is left
+    slow_m_s: float = 0.5
+    speed_penalty: float = 1.0
+    near_m: float = 0.1
 
     def reward(self, now: Moment) -> Array:
-        """Scaled reward of a step, float32 [R]."""
+        """Return the scaled reward of a step, float32 [R]."""
         apart_m = np.linalg.norm(now.tip_m - now.target_m, axis=1)
         worth = self.success_reward * now.success * np.exp(-now.tip_speed_m_s / self.slow_m_s)
         haste = self.speed_penalty * now.tip_speed_m_s * np.exp(-apart_m / self.near_m)

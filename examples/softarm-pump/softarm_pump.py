@@ -1,4 +1,4 @@
-"""The policy `pump`: swings the arm up as a child on a swing does, and stands so that the swing's end is the target."""
+"""The policy `pump`: swing the arm up as a child on a swing does, with the end of the swing at the target."""
 
 import math
 
@@ -14,26 +14,28 @@ _SPEED_M_S, _PRESSURE_KPA = ((signal.low, signal.high) for signal in ACTION)
 
 
 class Pump:
-    """Feeds the swing until it is as high as the target, from where on the cart only keeps its place.
+    """Policy that amplifies the swing until it is as high as the target, then keeps the cart in place.
 
-    pump_per_s: cart velocity against each metre of the tip's deflection, which is what feeds a swing. place_per_s: cart
-    velocity for each metre to the place from which the target is a swing's end. lead_s: how much later a command acts.
-    Raises PolicyError for a number below zero.
+    Args:
+        pump_per_s: Cart velocity against each metre of the tip's deflection, which amplifies the swing.
+        place_per_s: Cart velocity for each metre to the place from which the target is the end of the swing.
+        lead_s: Delay of a command.
+
+    Raises:
+        PolicyError: A number is negative, NaN or infinity.
     """
 
     interface = 1
-    spec = PolicySpec(
-        name="pump", description="feeds the arm's own swing until its end is the target; nothing is learned"
-    )
+    spec = PolicySpec(name="pump", description="amplifies the swing until its end is the target; without learning")
 
     def __init__(self, pump_per_s: float = 6.0, place_per_s: float = 1.5, lead_s: float = 0.1) -> None:
         for name, value in (("pump_per_s", pump_per_s), ("place_per_s", place_per_s), ("lead_s", lead_s)):
             if not (math.isfinite(value) and value >= 0):
-                raise PolicyError(f"option {name} is {value}; allowed 0 or more")
+                raise PolicyError(f"option {name} is {value}; allowed: 0 or more")
         self.pump_per_s, self.place_per_s, self.lead_s = pump_per_s, place_per_s, lead_s
 
     def reset(self) -> None:
-        """Nothing is remembered."""
+        """Do nothing: the policy has no state."""
 
     def step(self, observation: Array, goal: Array) -> Array:
         """Return [cart velocity (m/s), pressure (kPa)]."""
@@ -45,13 +47,13 @@ class Pump:
         lacking = max(reach_m - abs(away_m), 0.0) / max(reach_m, 0.05)
         place_m = np.clip(y_m - side * reach_m, -RAIL_LIMIT_M + 0.03, RAIL_LIMIT_M - 0.03)
         velocity = -self.pump_per_s * lacking * soon_m + self.place_per_s * (place_m - seen.cart_position_m)
-        # Pressure bends the arm towards -y: it helps on the way there.
+        # Pressure bends the arm towards -y and helps on the way there.
         helps = side < 0 and seen.tip_vy_m_s < seen.cart_velocity_m_s
         pressure = _PRESSURE_KPA[1] if helps else 0.0
         return np.array([np.clip(velocity, *_SPEED_M_S), pressure], dtype=np.float32)
 
     def _reach(self, y_m: float, z_m: float) -> tuple[float, float]:
-        """To which side of the cart the target is to lie, and how far (m), when the arm swings up to its height."""
+        """Return the side of the cart and the distance, m, of a target at the height of the swing."""
         drop_m = min(max(_HEIGHT_M - z_m, 0.0), _LENGTH_M)
         reach_m = math.sqrt(_LENGTH_M**2 - drop_m**2)
         return (-1.0 if y_m < 0.05 else 1.0), reach_m

@@ -1,5 +1,5 @@
-// The core as a program of this computer: a board without pins behind a pseudo-terminal, which the daemon's driver may
-// open. It says on its standard output where that is, then every change of its outputs, until it is interrupted.
+// The firmware's core as a program of this computer, behind a pseudo-terminal for the daemon's driver. It prints the
+// path of the terminal and every change of its outputs, until it is interrupted.
 #include <fcntl.h>
 #include <poll.h>
 #include <stdio.h>
@@ -29,7 +29,7 @@ uint32_t now_us() {
   return static_cast<uint32_t>(now.tv_sec * 1000000 + now.tv_nsec / 1000);
 }
 
-// A pseudo-terminal's end for us; the other is kept open, or a host that goes away would end ours. -1: there is none.
+// Opens a pseudo-terminal and returns its own end, or -1. The other end stays open, because its close would end this one.
 int open_line() {
   const int line = posix_openpt(O_RDWR | O_NOCTTY | O_NONBLOCK);
   if (line < 0 || grantpt(line) != 0 || unlockpt(line) != 0) {
@@ -44,14 +44,14 @@ int open_line() {
   return tcsetattr(other, TCSANOW, &raw) == 0 ? line : -1;
 }
 
-void tell(const softarm::Core& core) {
-  static int told = -1;
-  static float told_kpa = 0.0F;
+void print_changes(const softarm::Core& core) {
+  static int printed = -1;
+  static float printed_kpa = 0.0F;
   const int now = (core.armed() ? 1 : 0) | (core.relay_closed() ? 2 : 0);
-  if (now != told || core.set_point_kpa() < told_kpa || core.set_point_kpa() > told_kpa) {
-    told = now;
-    told_kpa = core.set_point_kpa();
-    printf("%s, %.2f kPa, relay %s, faults %04X\n", core.armed() ? "armed" : "disarmed", static_cast<double>(told_kpa),
+  if (now != printed || core.set_point_kpa() < printed_kpa || core.set_point_kpa() > printed_kpa) {
+    printed = now;
+    printed_kpa = core.set_point_kpa();
+    printf("%s, %.2f kPa, relay %s, faults %04X\n", core.armed() ? "armed" : "disarmed", static_cast<double>(printed_kpa),
            core.relay_closed() ? "closed" : "open", core.faults());
     (void)fflush(stdout);
   }
@@ -62,23 +62,23 @@ void tell(const softarm::Core& core) {
 int main() {
   const int line = open_line();
   if (line < 0) {
-    perror("there is no pseudo-terminal to be had; see /dev/pts");
+    perror("no pseudo-terminal available; check /dev/pts");
     return 1;
   }
   printf("drivers.regulator.port: %s\n", ptsname(line));
   softarm::Core core(draw_token);
   for (;;) {
     core.watch(now_us());
-    tell(core);
+    print_changes(core);
     pollfd ready = {line, POLLIN, 0};
     (void)poll(&ready, 1U, kStepMs);
-    uint8_t heard[64];
-    const ssize_t count = read(line, heard, sizeof heard);
+    uint8_t received[64];
+    const ssize_t count = read(line, received, sizeof received);
     for (ssize_t i = 0; i < count; ++i) {
       uint8_t answer[softarm::kFrameMax];
-      // The sensor of a board without a muscle reads what was commanded.
+      // Without a muscle the sensor reads the set-point.
       const softarm::Reading sensor = {core.set_point_kpa(), true};
-      const size_t length = core.take(heard[i], now_us(), sensor, answer);
+      const size_t length = core.take(received[i], now_us(), sensor, answer);
       if (length > 0U && write(line, answer, length) < 0) {
         // A host that does not read loses answers.
       }

@@ -12,7 +12,8 @@ constexpr uint8_t kWelcome = 0x81U;
 constexpr uint8_t kCommand = 0x02U;
 constexpr uint8_t kState = 0x82U;
 
-constexpr size_t kHeadBytes = 10U;  // version, type, sequence, time
+// Version, type, sequence and time.
+constexpr size_t kHeadBytes = 10U;
 constexpr size_t kCommandBytes = kHeadBytes + 11U;
 constexpr uint8_t kArmed = 1U << 0U;
 constexpr uint16_t kRefusals = kFaultToken | kFaultRange | kFaultSequence;
@@ -33,7 +34,7 @@ float read_float(const uint8_t* at) {
   return value;
 }
 
-// Packs a body, low bytes first.
+// Writer of a body, low bytes first.
 class Writer {
  public:
   Writer(uint8_t type, uint32_t sequence, uint32_t clock_us) {
@@ -71,44 +72,44 @@ class Writer {
   size_t length_ = 0U;
 };
 
-// Ahead by 1 to 2^31 - 1, modulo 2^32.
+// Returns whether a sequence is ahead by 1 to 2^31 - 1, modulo 2^32.
 bool is_newer(uint32_t sequence, uint32_t than) {
   const uint32_t ahead = sequence - than;
   return (ahead > 0U) && (ahead < 0x80000000U);
 }
 
-// NaN is outside of everything.
+// Returns whether a value is in a range; NaN is in none.
 bool within(float value, float low, float high) { return (value >= low) && (value <= high); }
 
 }  // namespace
 
 void Core::watch(uint32_t now_us) {
   pass(now_us);
-  lead_relay();
+  update_relay();
 }
 
 size_t Core::take(uint8_t byte, uint32_t now_us, const Reading& sensor, uint8_t* answer) {
   pass(now_us);
   const size_t length = deframer_.take(byte);
   const uint8_t* body = deframer_.body();
-  size_t told = 0U;
+  size_t answered = 0U;
   if ((length >= kHeadBytes) && (body[0] == kVersion)) {
     const uint32_t sequence = read32(body + 2);
     if ((body[1] == kHello) && (length == kHeadBytes)) {
-      told = greet(sequence, answer);
+      answered = welcome(sequence, answer);
     } else if ((body[1] == kCommand) && (length == kCommandBytes)) {
-      const uint8_t* said = body + kHeadBytes;
-      obey({read32(said), read16(said + 4), (said[6] & kArmed) != 0U, read_float(said + 7)}, sequence);
-      told = tell(sensor, answer);
+      const uint8_t* fields = body + kHeadBytes;
+      execute({read32(fields), read16(fields + 4), (fields[6] & kArmed) != 0U, read_float(fields + 7)}, sequence);
+      answered = report(sensor, answer);
     } else {
-      // Of another type or length, or a device's: nothing is said to it (rule 2).
+      // Rule 2: other types, other lengths and messages of a device are not answered.
     }
   }
-  lead_relay();
-  return told;
+  update_relay();
+  return answered;
 }
 
-// Rule 5. The 32 bits of the clock are counted on into 64, so that nothing else has to think of their wrap.
+// Rule 5. Extends the 32-bit clock to 64 bits, so that only this function handles its wrap.
 void Core::pass(uint32_t now_us) {
   now_us_ += started_ ? static_cast<uint32_t>(now_us - clock_us_) : 0U;
   clock_us_ = now_us;
@@ -121,7 +122,7 @@ void Core::pass(uint32_t now_us) {
 }
 
 // Rule 1.
-size_t Core::greet(uint32_t sequence, uint8_t* answer) {
+size_t Core::welcome(uint32_t sequence, uint8_t* answer) {
   disarm();
   may_arm_ = false;
   accepted_ = 0U;
@@ -129,13 +130,13 @@ size_t Core::greet(uint32_t sequence, uint8_t* answer) {
   live_us_ = 0U;
   token_ = draw_token_();
   greeted_ = true;
-  ++said_;
-  Writer welcome(kWelcome, said_, clock_us_);
-  welcome.u32(token_);
-  return welcome.frame_into(answer);
+  ++sent_;
+  Writer message(kWelcome, sent_, clock_us_);
+  message.u32(token_);
+  return message.frame_into(answer);
 }
 
-// Rule 3: why a command is not accepted, as a fault bit, or 0.
+// Rule 3: returns the fault bit of a rejected command, or 0.
 uint16_t Core::refusal(const Command& command, uint32_t sequence) const {
   if (!greeted_ || (command.token != token_)) {
     return kFaultToken;
@@ -149,15 +150,15 @@ uint16_t Core::refusal(const Command& command, uint32_t sequence) const {
 }
 
 // Rules 3 and 4.
-void Core::obey(const Command& command, uint32_t sequence) {
-  const uint16_t refused = refusal(command, sequence);
-  faults_ = static_cast<uint16_t>((faults_ & ~static_cast<uint32_t>(kRefusals)) | refused);
-  if (refused != 0U) {
+void Core::execute(const Command& command, uint32_t sequence) {
+  const uint16_t rejected = refusal(command, sequence);
+  faults_ = static_cast<uint16_t>((faults_ & ~static_cast<uint32_t>(kRefusals)) | rejected);
+  if (rejected != 0U) {
     return;
   }
   newest_ = sequence;
   accepted_ = sequence;
-  heard_us_ = now_us_;
+  accepted_us_ = now_us_;
   live_us_ = static_cast<uint32_t>(command.time_to_live_ms) * 1000U;
   set_point_kpa_ = command.kpa;
   if (!command.armed) {
@@ -167,19 +168,19 @@ void Core::obey(const Command& command, uint32_t sequence) {
   } else if (may_arm_) {
     armed_ = true;
   } else {
-    // Rule 4: a disarmed command has to come first.
+    // Rule 4: a disarmed command must come first.
   }
 }
 
 // Rules 2, 6 and 7.
-size_t Core::tell(const Reading& sensor, uint8_t* answer) {
+size_t Core::report(const Reading& sensor, uint8_t* answer) {
   const bool finite = within(sensor.kpa, -3.4e38F, 3.4e38F);
-  const bool sound = finite && sensor.in_span;
-  ++said_;
-  Writer state(kState, said_, clock_us_);
+  const bool valid = finite && sensor.in_span;
+  ++sent_;
+  Writer state(kState, sent_, clock_us_);
   state.u32(accepted_);
   state.u8(armed_ ? kArmed : 0U);
-  state.u16(static_cast<uint16_t>(faults_ | (sound ? 0U : kFaultSensor)));
+  state.u16(static_cast<uint16_t>(faults_ | (valid ? 0U : kFaultSensor)));
   state.f32(finite ? sensor.kpa : 0.0F);
   return state.frame_into(answer);
 }
@@ -191,17 +192,17 @@ void Core::disarm() {
   armed_ = false;
 }
 
-// Whether the last accepted command's time to live still runs.
-bool Core::fresh() const { return (now_us_ - heard_us_) < live_us_; }
+// Returns whether the last accepted command's time to live has not expired.
+bool Core::fresh() const { return (now_us_ - accepted_us_) < live_us_; }
 
-// Rule 9: closed while a host speaks that the device listens to, and nothing is latched.
-void Core::lead_relay() {
+// Rule 9: the relay is closed while accepted commands arrive and no fault is latched.
+void Core::update_relay() {
   if (!fresh() || ((faults_ & kFaultTimeToLive) != 0U)) {
     open_relay();
   } else if (!relay_closed_ && ((now_us_ - opened_us_) >= kRelayOpenUs)) {
     relay_closed_ = true;
   } else {
-    // It stays as it is.
+    // The state does not change.
   }
 }
 

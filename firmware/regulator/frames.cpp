@@ -23,7 +23,8 @@ uint16_t crc16(const uint8_t* data, size_t length) {
 }
 
 size_t stuff(const uint8_t* data, size_t length, uint8_t* out) {
-  size_t code = 0U;  // where the length of the present run belongs
+  // Position of the present run's length.
+  size_t code = 0U;
   size_t to = 1U;
   for (size_t i = 0U; i < length; ++i) {
     if (data[i] == 0U) {

@@ -6,7 +6,7 @@ namespace softarm {
 
 namespace {
 
-// The random number generator (RNGA, K66 reference manual chapter 38) is in no header of Teensyduino.
+// Teensyduino has no header for the random number generator (RNGA, K66 reference manual chapter 38).
 constexpr uint32_t kRngClock = 1UL << 9U;  // of SIM_SCGC6
 constexpr uint32_t kRngGo = 1U << 0U;
 constexpr uint32_t kRngHighAssurance = 1U << 1U;
@@ -23,23 +23,25 @@ void start_watchdog(uint32_t milliseconds) {
   noInterrupts();
   WDOG_UNLOCK = WDOG_UNLOCK_SEQ1;
   WDOG_UNLOCK = WDOG_UNLOCK_SEQ2;
-  delayMicroseconds(1);  // a bus cycle has to pass
+  // Wait for a bus cycle.
+  delayMicroseconds(1);
   WDOG_TOVALH = static_cast<uint16_t>(milliseconds >> 16U);
   WDOG_TOVALL = static_cast<uint16_t>(milliseconds & 0xFFFFU);
   WDOG_PRESC = 0;
-  // Clocked by the 1 kHz oscillator of its own; without ALLOWUPDATE nothing switches it off again.
+  // Clocked by its own 1 kHz oscillator; without ALLOWUPDATE it cannot be disabled again.
   WDOG_STCTRLH = static_cast<uint16_t>(WDOG_STCTRLH_WDOGEN | WDOG_STCTRLH_WAITEN | WDOG_STCTRLH_STOPEN);
   interrupts();
 }
 
 void feed_watchdog() {
-  noInterrupts();  // the two have to follow each other
+  // The two writes must follow each other directly.
+  noInterrupts();
   WDOG_REFRESH = 0xA602;
   WDOG_REFRESH = 0xB480;
   interrupts();
 }
 
-// The generator's manual does not vouch for it alone, so the microsecond at which a hello came is stirred in.
+// The manual does not guarantee the generator's quality alone, so the arrival time of the hello in us is mixed in.
 uint32_t draw_token() {
   static uint32_t pool = 0U;
   SIM_SCGC6 |= kRngClock;
@@ -49,7 +51,8 @@ uint32_t draw_token() {
     pool ^= micros() ^ (ready ? rng_register(0xCU) : 0U);
     pool *= 0x9E3779B1U;
     pool ^= pool >> 15U;
-    delayMicroseconds(3);  // a word takes 256 cycles of the bus clock to fill
+    // A word needs 256 cycles of the bus clock.
+    delayMicroseconds(3);
   }
   return pool;
 }

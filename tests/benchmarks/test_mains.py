@@ -1,4 +1,4 @@
-"""Every benchmark is started alike: `python -m softarm.benchmarks.NAME`, the same options by the same names."""
+"""Benchmarks start alike: `python -m benchmarks.NAME` with common option names."""
 
 import importlib
 import json
@@ -10,19 +10,21 @@ import click
 import pytest
 from click.testing import CliRunner
 
-from softarm import benchmarks
-from softarm.benchmarks import results
+from benchmarks import results
 
-FOLDER = Path(benchmarks.__file__).parent
-STARTED = sorted(file.stem for file in FOLDER.glob("*.py") if "def main(" in file.read_text(encoding="utf-8"))
+ROOT = Path(__file__).parents[2]
+STARTED = sorted(
+    f"{folder}.{file.stem}"
+    for folder in ("benchmarks", "tools", "validation")
+    for file in (ROOT / folder).glob("*.py")
+    if "def main(" in file.read_text(encoding="utf-8")
+)
 UNITS = {"json_file": "--json", "seconds": "--seconds", "seed": "--seed", "seeds": "--seed"}
 
 
 @pytest.fixture(params=STARTED)
 def main(request) -> click.Command:
-    if request.param == "rl_games_peer":
-        pytest.importorskip("rl_games")
-    return importlib.import_module(f"softarm.benchmarks.{request.param}").main
+    return importlib.import_module(request.param).main
 
 
 def test_help_shows_an_example_of_itself(main):
@@ -32,16 +34,16 @@ def test_help_shows_an_example_of_itself(main):
     assert f"python -m {name}" in out.output.partition("Example")[2], name
 
 
-def test_what_two_benchmarks_are_told_has_one_name(main):
+def test_options_of_several_benchmarks_have_one_name(main):
     options = {option.name: option.opts for option in main.params}
     for name in options.keys() & UNITS.keys():
         assert options[name] == [UNITS[name]]
     assert not {name for name in options if "json" in name} - {"json_file"}
 
 
-def test_figures_are_kept_with_where_they_come_from(tmp_path):
+def test_figures_are_stored_with_their_origin(tmp_path):
     file = tmp_path / "figures.json"
-    program = f"from softarm.benchmarks import results; results.write(results.Path({str(file)!r}), {{'speed': 2.5}})"
+    program = f"from benchmarks import results; results.write(results.Path({str(file)!r}), {{'speed': 2.5}})"
     subprocess.run([sys.executable, "-c", program, "--seconds", "3"], check=True)
     found = json.loads(file.read_text())
     assert found["speed"] == 2.5
@@ -52,9 +54,9 @@ def test_figures_are_kept_with_where_they_come_from(tmp_path):
 
 
 def test_a_benchmarks_figures_name_the_command_that_gave_them(tmp_path, monkeypatch):
-    spec = importlib.util.find_spec("softarm.benchmarks.endurance")
+    spec = importlib.util.find_spec("validation.endurance")
     monkeypatch.setattr(sys.modules["__main__"], "__spec__", spec)
     monkeypatch.setattr(sys, "argv", [spec.origin, "--episodes", "5"])
     results.write(tmp_path / "figures.json", {})
     about = json.loads((tmp_path / "figures.json").read_text())["about"]
-    assert about["command"] == "python -m softarm.benchmarks.endurance --episodes 5"
+    assert about["command"] == "python -m validation.endurance --episodes 5"

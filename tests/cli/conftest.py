@@ -1,4 +1,4 @@
-"""A daemon that says what the test wants, over a real socket, in the shapes of the real API."""
+"""A fake daemon on a real socket, with answers in the format of the real API."""
 
 import json
 import threading
@@ -6,20 +6,19 @@ from collections import deque
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 
 import pytest
-from click.testing import CliRunner
 from pydantic import TypeAdapter
 
-from softarm.cli.main import main
 from softarm.daemon.api.status import Ages, RecorderInfo, Status
 from softarm.daemon.control.records import EStop, Mode, Observed, Problems
 from softarm.schemas.messages import Command
 from softarm.schemas.policy import Observation
+from tests.cli.invoke import invoke
 
 STATUS = TypeAdapter(Status)
 
 
 def status(**changes):
-    """A status as GET /api/status gives it."""
+    """Return a status in the format of GET /api/status."""
     values = {
         "t_ns": 0,
         "time": 1.7e9,
@@ -45,11 +44,11 @@ def status(**changes):
 
 
 class FakeDaemon:
-    """Answers each request with the next of the answers that the test gave it; the last one stays."""
+    """HTTP server that answers each request with the next of its given answers; the last one repeats."""
 
     def __init__(self):
         self.answers = {}
-        self.says = {}  # further headers of every answer
+        self.extra_headers = {}
         self.requests = []
         daemon = self
 
@@ -67,7 +66,7 @@ class FakeDaemon:
                 data = answer if isinstance(answer, bytes) else json.dumps(answer).encode()
                 self.send_response(code)
                 self.send_header("Content-Length", str(len(data)))
-                for name, value in daemon.says.items():
+                for name, value in daemon.extra_headers.items():
                     self.send_header(name, value)
                 self.end_headers()
                 self.wfile.write(data)
@@ -104,13 +103,10 @@ def daemon():
 def softarm(daemon, monkeypatch):
     """Run the command line against the fake daemon."""
     monkeypatch.setenv("SOFTARM_URL", daemon.url)
-    monkeypatch.setenv("SOFTARM_STOP_PORT", "1")  # nobody's; the one after the URL's may be another test's
+    monkeypatch.setenv("SOFTARM_STOP_PORT", "1")  # unused; the default port may belong to another test
     monkeypatch.delenv("SOFTARM_TOKEN", raising=False)
 
-    def run(*arguments):
-        return CliRunner().invoke(main, list(map(str, arguments)), prog_name="softarm")
-
-    return run
+    return invoke
 
 
 @pytest.fixture
@@ -120,12 +116,12 @@ def make_status():
 
 @pytest.fixture(autouse=True)
 def _ordinary_scheduling(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A test that runs the daemon in its own process must not outrank the machine ever after."""
-    monkeypatch.setattr("softarm.daemon.shell.realtime._set", lambda priority: None)
+    """Keep the priority of the test process, in which some tests run the daemon."""
+    monkeypatch.setattr("softarm.common.realtime._set", lambda priority: None)
 
 
 @pytest.fixture(autouse=True)
-def _patience(monkeypatch: pytest.MonkeyPatch) -> None:
-    """What takes long on a loaded machine says so: no news to a test."""
-    monkeypatch.setattr("softarm.cli.printing.PATIENCE_S", 600.0)
-    monkeypatch.setattr("softarm.common.processes.PATIENCE_S", 600.0)
+def _no_announcements(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Suppress announcements of long waits, which depend on the load."""
+    monkeypatch.setattr("softarm.cli.shared.printing.PATIENCE_S", 600.0)
+    monkeypatch.setattr("softarm.common.processes.FIRST_LINE_S", 600.0)

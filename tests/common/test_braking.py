@@ -1,4 +1,4 @@
-"""The law of braking: what it lets pass leaves room to stop, whatever is not known of the cart."""
+"""The braking law: an allowed command leaves room to stop for every cart within the assumptions."""
 
 from dataclasses import dataclass, field
 
@@ -77,7 +77,7 @@ class Cart:
         self.velocity += change
 
     def ask(self, wanted: float, age: int) -> float:
-        """What the law lets pass, told what was read `age` steps ago."""
+        """Return the allowed command for the reading of `age` steps ago."""
         age = min(age, self.now)
         position, velocity = self.track[self.now - age] if age else (self.position, self.velocity)
         sent = [((self.now - at) * STEP_S, each) for at, each in self.sent]
@@ -86,14 +86,14 @@ class Cart:
 
 @dataclass(frozen=True)
 class Flight:
-    """What is wanted, how old each reading is, and how many steps pass until the next tick."""
+    """Requested commands, ages of the readings, and steps until the next tick."""
 
     wanted: list[float]
     ages: list[int]
     pauses: list[int]
 
     def fly(self, cart: Cart) -> float:
-        """How far the cart gets beyond an end, m; negative: never."""
+        """Return the largest distance beyond an end, m; negative if the cart never passes one."""
         beyond, read_at = -FAR_M, 0
         for tick in range(len(self.wanted) + 10):
             read_at = max(read_at, cart.now - self.ages[tick % len(self.ages)])
@@ -113,15 +113,15 @@ seeds = st.integers(0, 2**32)
 
 @settings(deadline=None, max_examples=150)
 @given(laws, st.floats(-0.2, 0.2), flights, seeds)
-def test_no_cart_that_the_law_allows_for_ever_passes_an_end(rule, start, flight, seed):
-    """Whatever is wanted, however old the readings, whichever ticks are skipped, however late each command acts."""
+def test_no_cart_within_the_assumptions_ever_passes_an_end(rule, start, flight, seed):
+    """Commands, ages of readings, skipped ticks and delays are arbitrary."""
     cart = Cart(rule, start, np.random.default_rng(seed))
     assert flight.fly(cart) <= ROUNDING_M
 
 
 @pytest.mark.parametrize("seed", range(12))
-def test_nor_does_one_that_a_mean_policy_drives_at_its_worst(seed):
-    """To and fro between the ends with the poorest knowledge: what random histories seldom hit."""
+def test_no_cart_passes_an_end_under_an_adverse_policy(seed):
+    """Drive to and fro between the ends with the least information, which random histories rarely do."""
     draw = np.random.default_rng(seed)
     rule = law(latency=int(draw.choice([0, 5, TICK, 90])), braking_m_s2=float(draw.choice([1.5, 3.0])))
     hold = int(draw.integers(2, 20))
@@ -131,7 +131,7 @@ def test_nor_does_one_that_a_mean_policy_drives_at_its_worst(seed):
 
 
 def worst_after(rule: BrakingLaw, position, velocity, age, sent, candidate) -> float:
-    """Farthest point from now on of the fastest cart that the law allows for, step by step; ages in steps."""
+    """Return the farthest position of the fastest cart within the assumptions, step by step; ages in steps."""
     latency, hold = round(rule.latency_s / STEP_S), round(rule.hold_s / STEP_S)
     acts = [(-1000, (-sent[0][0] if sent else 0) + latency, 0.0)]
     for (before, each), until in zip(sent, [*(-at for at, _ in sent[1:]), 0], strict=False):
@@ -156,7 +156,7 @@ histories = st.lists(st.tuples(st.sampled_from([31, TICK, TICK, 80]), speeds), m
 
 @settings(deadline=None)
 @given(laws, positions, speeds, st.integers(0, 150), histories, speeds)
-def test_a_cart_stops_in_time_after_what_passes_and_might_not_after_much_more(
+def test_a_cart_stops_in_time_after_an_allowed_command_but_not_after_a_higher_one(
     rule, position, velocity, age, history, wanted
 ):
     sent, at = [], 0
@@ -164,9 +164,9 @@ def test_a_cart_stops_in_time_after_what_passes_and_might_not_after_much_more(
         at += pause
         sent.insert(0, (at, each))
     rule = rule._replace(position_min_m=-FAR_M)
-    told = [(at * STEP_S, each) for at, each in sent]
+    set_points = [(at * STEP_S, each) for at, each in sent]
     assume(not any(0 < velocity - each < CREEP_MAX_M_S for each in (0.0, *(each for _, each in sent))))  # creep: below
-    passed, at_max, at_min = rule.bound(wanted, position, velocity, age * STEP_S, told)
+    passed, at_max, at_min = rule.bound(wanted, position, velocity, age * STEP_S, set_points)
     aim, back = rule.position_max_m - CREEP_MAX_M_S * age * STEP_S, min(wanted, -RETURN_SPEED_M_S)
     assert not at_min
     assert at_max is (passed < wanted)
@@ -178,12 +178,12 @@ def test_a_cart_stops_in_time_after_what_passes_and_might_not_after_much_more(
 
 
 @given(st.integers(0, 150), st.integers(0, 120), st.integers(0, 120))
-def test_the_less_is_known_the_less_speed_passes(age, latency, more):
-    """Of a cart at rest in the middle, and of one under way."""
+def test_less_information_allows_less_speed(age, latency, more):
+    """Compare a cart at rest in the middle and a moving one."""
 
     def passed(age, latency, velocity):
-        told = [(k * TICK * STEP_S, velocity) for k in range(16, 0, -1)]
-        return law(latency=latency).bound(1.0, 0.0, velocity, age * STEP_S, told).velocity_m_s
+        set_points = [(k * TICK * STEP_S, velocity) for k in range(16, 0, -1)]
+        return law(latency=latency).bound(1.0, 0.0, velocity, age * STEP_S, set_points).velocity_m_s
 
     step = 1.2 / 2**BISECTIONS
     for velocity in (0.0, 0.3):
@@ -192,13 +192,13 @@ def test_the_less_is_known_the_less_speed_passes(age, latency, more):
 
 
 @given(speeds, st.tuples(speeds, speeds), st.tuples(positions, positions), speeds)
-def test_more_is_let_pass_when_more_is_wanted_and_less_nearer_to_the_end(sent, wanted, position, velocity):
+def test_the_allowed_speed_rises_with_the_request_and_falls_near_the_end(sent, wanted, position, velocity):
     rule, step = law(ends=(-FAR_M, 0.24)), 1.3 / 2**BISECTIONS
     less, more = sorted(wanted)
     near, far = sorted(position, reverse=True)
 
-    def passed(wish: float, where: float) -> float:
-        return rule.bound(wish, where, velocity, 0.02, [(0.033, sent)]).velocity_m_s
+    def passed(requested: float, where: float) -> float:
+        return rule.bound(requested, where, velocity, 0.02, [(0.033, sent)]).velocity_m_s
 
     assert passed(less, near) <= passed(more, near) + step
     assert passed(more, near) <= passed(more, far) + step
@@ -223,17 +223,17 @@ few = st.lists(speeds, max_size=4).map(lambda all: [((len(all) - k) / 30, each) 
 
 
 @given(batches, few, st.integers(0, 100), st.integers(0, 100))
-def test_every_cart_of_a_batch_gets_what_it_would_get_alone(batch, sent, age, latency):
+def test_every_cart_of_a_batch_gets_the_same_command_as_alone(batch, sent, age, latency):
     rule, age_s = law(latency=latency), age * STEP_S
     wanted, position, velocity = map(np.array, batch)
-    told = [(at, np.full(len(wanted), each)) for at, each in sent]
-    together = rule.bound(wanted, position, velocity, age_s, told)
+    set_points = [(at, np.full(len(wanted), each)) for at, each in sent]
+    together = rule.bound(wanted, position, velocity, age_s, set_points)
     alone = [rule.bound(*cart, age_s, sent) for cart in zip(*batch, strict=True)]
     assert [tuple(cart) for cart in zip(*together, strict=True)] == [tuple(cart) for cart in alone]
 
 
 @given(speeds, positions, speeds, speeds)
-def test_numbers_of_numpys_own_are_numbers(wanted, position, velocity, sent):
+def test_numpy_scalars_are_accepted(wanted, position, velocity, sent):
     own = law().bound(*map(np.float64, (wanted, position, velocity)), 0.0, [(0.033, np.float64(sent))])
     assert own == law().bound(wanted, position, velocity, 0.0, [(0.033, sent)])
     assert isinstance(own.velocity_m_s, float)
@@ -254,30 +254,30 @@ def test_a_batch_in_float32_differs_by_its_rounding(batch, sent):
         assert nearer.velocity_m_s - step <= got <= farther.velocity_m_s + step
 
 
-def test_a_cart_outside_is_brought_back_gently():
+def test_a_cart_outside_returns_slowly():
     assert RETURN_SPEED_M_S == 0.1
     assert law().bound(0.0, 0.28, 0.0) == (-RETURN_SPEED_M_S, True, False)
     assert law().bound(0.0, -0.28, 0.0) == (RETURN_SPEED_M_S, False, True)
 
 
-def test_a_reading_of_which_no_age_is_told_is_of_now():
+def test_a_reading_without_age_counts_as_new():
     assert law().bound(1.0, 0.1, 0.5) == law().bound(1.0, 0.1, 0.5, 0.0)
     assert law().bound(1.0, 0.1, 0.5) != law().bound(1.0, 0.1, 0.5, 0.1)
 
 
-def test_where_both_ends_are_too_near_for_what_is_known_the_cart_stands_still():
+def test_contradicting_ends_stop_the_cart():
     to_and_fro = [(k * TICK * STEP_S, (-1.0) ** k) for k in range(16, 0, -1)]
     assert law(latency=100).bound(1.0, 0.0, 0.0, 0.4, to_and_fro) == (0.0, True, True)
 
 
-def test_the_farther_end_never_sends_the_cart_towards_the_nearer():
-    # A slow drive, told to come back from 24 mm before its end: it may not stop in time before the other end either.
+def test_the_far_end_never_drives_the_cart_towards_the_near_one():
+    # A slow drive returns from 24 mm before its end and may not stop in time before the other end.
     slow = law(0.622, 6.41, latency=62)
     sent = [(0.167, 0.069), (0.133, 0.061), (0.1, 0.056), (0.067, -0.819), (0.033, -0.645)]
     assert slow.bound(-0.819, 0.2158, -0.004, 0.1, sent) == (0.0, True, True)
 
 
-def test_a_cart_outside_comes_back_as_fast_as_the_farther_end_allows():
+def test_a_fast_cart_outside_returns_as_fast_as_the_far_end_allows():
     slow = law(0.622, 6.41, latency=62)
     passed, at_max, at_min = slow.bound(-1.0, 0.25, -0.5)
     assert (at_max, at_min) == (False, True)
@@ -289,9 +289,7 @@ slow_laws = st.builds(law, st.floats(0.3, 0.8), st.floats(4.0, 8.0), st.integers
 
 
 @given(slow_laws, few, speeds, st.floats(-0.26, 0.26), st.floats(-0.1, 0.1), st.integers(50, 150))
-def test_what_passes_before_both_ends_passes_before_each_or_is_a_way_back_from_it(
-    rule, sent, wanted, position, velocity, age
-):
+def test_a_command_allowed_by_both_ends_is_allowed_by_each(rule, sent, wanted, position, velocity, age):
     passed = rule.bound(wanted, position, velocity, age * STEP_S, sent).velocity_m_s
     upper, lower = rule._replace(position_min_m=-FAR_M), rule._replace(position_max_m=FAR_M)
     for one, back in ((upper, passed <= -RETURN_SPEED_M_S), (lower, passed >= RETURN_SPEED_M_S)):
@@ -300,26 +298,28 @@ def test_what_passes_before_both_ends_passes_before_each_or_is_a_way_back_from_i
 
 @pytest.mark.parametrize("age_s", [0.0, 0.02, 0.1])
 @pytest.mark.parametrize("lead", [0.01, 0.05, 0.09])
-def test_a_cart_that_is_dragged_along_is_braked_earlier(lead, age_s):
-    """A small lead over the set-point is the arm pulling: it will last, and has since the reading."""
-    told = [(k * TICK * STEP_S, 0.05) for k in range(8, 0, -1)]
+def test_a_dragged_cart_is_braked_earlier(lead, age_s):
+    """A small lead over the set-point is the arm's drag, which lasts since the reading."""
+    set_points = [(k * TICK * STEP_S, 0.05) for k in range(8, 0, -1)]
     position = 0.2325 - 0.05 * age_s
-    held, dragged = (law().bound(0.1, position, velocity, age_s, told).velocity_m_s for velocity in (0.05, 0.05 + lead))
+    held, dragged = (
+        law().bound(0.1, position, velocity, age_s, set_points).velocity_m_s for velocity in (0.05, 0.05 + lead)
+    )
     assert dragged < held - 0.6 * lead or dragged == -RETURN_SPEED_M_S
 
 
 @pytest.mark.parametrize("side", [-1, 1])
 @pytest.mark.parametrize("age", [0, 20, 100])
 @pytest.mark.parametrize("lead", [0.01, 0.09])
-def test_a_cart_that_is_dragged_along_stops_in_time_and_might_not_after_much_more(lead, age, side):
-    """As one whose every set-point were higher by the lead: to either end."""
+def test_a_dragged_cart_stops_in_time_but_not_after_a_higher_command(lead, age, side):
+    """Its bound equals that of set-points that are higher by the lead, at both ends."""
     rule = law(ends=(-FAR_M, 0.24) if side > 0 else (-0.24, FAR_M))
-    told = [(k * TICK, 0.05) for k in range(8, 0, -1)]
+    set_points = [(k * TICK, 0.05) for k in range(8, 0, -1)]
     position, velocity = 0.2 - 0.05 * age * STEP_S, 0.05 + lead
-    sent = [(at * STEP_S, side * each) for at, each in told]
+    sent = [(at * STEP_S, side * each) for at, each in set_points]
     passed = side * rule.bound(side * 1.0, side * position, side * velocity, age * STEP_S, sent).velocity_m_s
     assert -RETURN_SPEED_M_S < passed < 1.0
-    dragged = [(at, each + lead) for at, each in told]
+    dragged = [(at, each + lead) for at, each in set_points]
     up = law(ends=(-FAR_M, 0.24))
     more = passed + 1.001 * 1.1 / 2**BISECTIONS
     aim = 0.24 - CREEP_MAX_M_S * age * STEP_S  # it may have begun to drag since
@@ -329,28 +329,28 @@ def test_a_cart_that_is_dragged_along_stops_in_time_and_might_not_after_much_mor
 
 @pytest.mark.parametrize("lead", [0.0, 0.05, 0.2])
 @pytest.mark.parametrize("drag", [0.05, 0.3])
-def test_a_cart_that_may_come_to_be_dragged_along_is_braked_as_one_that_is(drag, lead):
-    """From the reading on: what is seen of it, if less, changes nothing but the velocity that the cart begins with."""
-    told = [(k * TICK, 0.05) for k in range(8, 0, -1)]
-    sent = [(at * STEP_S, each) for at, each in told]
+def test_a_possible_drag_counts_as_an_observed_one(drag, lead):
+    """A smaller observed drag changes only the velocity at the reading."""
+    set_points = [(k * TICK, 0.05) for k in range(8, 0, -1)]
+    sent = [(at * STEP_S, each) for at, each in set_points]
     passed = law(ends=(-FAR_M, 0.24), drag_m_s=drag).bound(1.0, 0.13, 0.05 + lead, 0.02, sent).velocity_m_s
     assert -RETURN_SPEED_M_S < passed < 1.0
     counted = max(drag, lead if lead < CREEP_MAX_M_S else 0.0)
-    dragged, up = [(at, each + counted) for at, each in told], law(ends=(-FAR_M, 0.24))
+    dragged, up = [(at, each + counted) for at, each in set_points], law(ends=(-FAR_M, 0.24))
     more = passed + 1.001 * 1.1 / 2**BISECTIONS
     aim = 0.24 - CREEP_MAX_M_S * 0.02
     assert worst_after(up, 0.13, 0.05 + lead, 20, dragged, passed + counted) <= aim + ROUNDING_M
     assert worst_after(up, 0.13, 0.05 + lead, 20, dragged, more + counted) >= aim - ROUNDING_M
 
 
-def test_a_larger_lead_is_a_ramp_under_way_and_does_not_last():
-    told = [(k * TICK * STEP_S, 0.05) for k in range(8, 0, -1)]
-    dragged, ramping = (law().bound(1.0, 0.2, 0.05 + lead, 0.0, told).velocity_m_s for lead in (0.099, 0.101))
+def test_a_large_lead_counts_as_a_ramp():
+    set_points = [(k * TICK * STEP_S, 0.05) for k in range(8, 0, -1)]
+    dragged, ramping = (law().bound(1.0, 0.2, 0.05 + lead, 0.0, set_points).velocity_m_s for lead in (0.099, 0.101))
     assert ramping > dragged + 0.05
 
 
 @pytest.mark.parametrize("number", [np.nan, np.inf])
-def test_a_cart_of_a_batch_whose_numbers_are_none_stands_still(number):
+def test_a_cart_with_nan_or_infinity_in_a_batch_stands_still(number):
     wanted, velocity = np.ones(2, dtype=np.float32), np.zeros(2, dtype=np.float32)
     with np.errstate(invalid="ignore"):
         passed = law().in_float32().bound(wanted, np.array([number, 0.0], dtype=np.float32), velocity)
@@ -363,12 +363,12 @@ def test_no_number_is_too_large(number):
     assert abs(law().bound(1.0, 0.0, number, 0.01, [(0.033, number)]).velocity_m_s) <= 1.0
 
 
-def test_what_may_act_when():
-    """A set-point from when it was sent until it was replaced and the latency has passed; the brake after the hold."""
-    told = [(0.2, 0.7), (0.1, -0.4), (0.03, 0.9)]  # the first is 100 ms old when the second comes
+def test_set_points_act_within_their_intervals():
+    """A set-point acts from its sending until the latency after its replacement; after the hold, the link brakes."""
+    set_points = [(0.2, 0.7), (0.1, -0.4), (0.03, 0.9)]  # the first is 100 ms old when the second comes
     rule = law(latency=20, hold=45)
-    assert [tuple(round(each, 6) for each in part) for part in stretches(rule, told, -0.2, 0.02)] == [
-        (0.02, 0.7, 0.0),  # before it the cart was told to stand
+    assert [tuple(round(each, 6) for each in part) for part in stretches(rule, set_points, -0.2, 0.02)] == [
+        (0.02, 0.7, 0.0),  # the set-point before it is zero
         (0.025, 0.7, 0.7),
         (0.02, 0.7, 0.0),  # it is 45 ms old: the link brakes
         (0.035, 0.0, 0.0),

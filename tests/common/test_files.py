@@ -1,4 +1,4 @@
-"""A file is replaced in one piece, whatever happens while it is written."""
+"""Atomic writing of files, also after errors and kills."""
 
 import os
 import stat
@@ -15,7 +15,7 @@ from softarm.common import files
 
 @settings(deadline=None, max_examples=25, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(st.text(), st.binary())
-def test_what_was_written_is_what_is_read_and_nothing_else_is_there(tmp_path, text, content):
+def test_a_written_file_is_read_back_without_leftovers(tmp_path, text, content):
     files.write_text(tmp_path / "a.txt", text)
     files.write_bytes(tmp_path / "a.bin", content)
     assert (tmp_path / "a.txt").read_bytes() == text.encode()  # line ends stay what they are
@@ -24,7 +24,7 @@ def test_what_was_written_is_what_is_read_and_nothing_else_is_there(tmp_path, te
 
 
 @pytest.mark.parametrize("error", [ValueError, KeyboardInterrupt])
-def test_what_fails_half_way_leaves_the_old_file_and_no_draft(tmp_path, error):
+def test_a_failed_write_keeps_the_old_file_without_a_draft(tmp_path, error):
     path = tmp_path / "a.txt"
     path.write_text("old")
     with pytest.raises(error), files.replacing(path) as file:  # noqa: PT012 - it must fail inside
@@ -59,7 +59,7 @@ with files.replacing({str(path)!r}) as file:
     assert path.read_text() == "old"
 
 
-def test_a_folder_that_is_not_there_is_an_error_that_names_it(tmp_path):
+def test_an_error_names_the_missing_folder(tmp_path):
     with pytest.raises(FileNotFoundError, match="nowhere"):
         files.write_text(tmp_path / "nowhere" / "a.txt", "x")
 
@@ -71,7 +71,7 @@ def test_a_new_file_has_the_permissions_of_any_new_file(tmp_path):
 
 
 @pytest.mark.parametrize("mode", [0o600, 0o640, 0o755])
-def test_an_old_file_hands_down_its_permissions(tmp_path, mode):
+def test_a_replaced_file_keeps_its_permissions(tmp_path, mode):
     path = tmp_path / "a.txt"
     path.write_text("old")
     path.chmod(mode)
@@ -90,16 +90,16 @@ def test_a_link_stays_a_link_to_the_new_content(tmp_path):
 
 def test_a_pipe_is_written_into_and_stays_a_pipe(tmp_path):
     os.mkfifo(tmp_path / "pipe")
-    heard = []
-    listener = threading.Thread(target=lambda: heard.append((tmp_path / "pipe").read_bytes()), daemon=True)
+    received = []
+    listener = threading.Thread(target=lambda: received.append((tmp_path / "pipe").read_bytes()), daemon=True)
     listener.start()
     files.write_text(tmp_path / "pipe", "new")
     listener.join(timeout=10)
-    assert heard == [b"new"]
+    assert received == [b"new"]
     assert (tmp_path / "pipe").is_fifo()
 
 
-def test_an_error_speaks_of_the_file_and_not_of_its_draft(tmp_path):
+def test_an_error_names_the_file_and_not_its_draft(tmp_path):
     with pytest.raises(FileNotFoundError) as raised:
         files.write_text(tmp_path / "no" / "a.txt", "new")
     assert raised.value.filename == str(tmp_path / "no" / "a.txt")

@@ -1,4 +1,4 @@
-"""What a schema says of each key of its file."""
+"""Keys of a schema: names, allowed values, units and defaults."""
 
 import pytest
 
@@ -41,6 +41,6 @@ def test_a_key_within_lists_and_named_groups_is_found(schema, path, allowed):
     assert find(schema, path).allowed == allowed
 
 
-def test_what_no_schema_has_is_not_found():
+def test_a_path_without_a_key_is_not_found():
     assert find(StageFile, ("trials", 0, "nme")) is None
     assert find(TrialFile, ("kind", "deeper")) is None

@@ -1,4 +1,4 @@
-"""What other packages bring along is asked what it is before it is used."""
+"""Plug-ins of other packages are checked before their use."""
 
 import re
 from pathlib import Path
@@ -14,7 +14,7 @@ class Takes:
         pass
 
 
-def test_a_name_that_there_is_not_is_told_with_the_nearest_and_all():
+def test_an_unknown_name_is_reported_with_the_nearest_and_all_names():
     with pytest.raises(PluginError, match=r"no source 'udb'; did you mean 'udp'\? \(installed: udp, zenoh\)"):
         plugins.find("source", "udb", {"udp": lambda: Takes}, ("zenoh",))
     with pytest.raises(PluginError, match=r"no source 'udp' \(installed: none\)"):
@@ -42,23 +42,23 @@ def test_a_plugin_for_a_newer_interface_is_refused_and_an_older_one_is_not(inter
 
 
 @pytest.mark.parametrize("interface", ["1", 0, 1.0, True])
-def test_an_interface_that_is_no_number_is_told(interface):
+def test_an_invalid_interface_version_is_reported(interface):
     with pytest.raises(PluginError, match="allowed is an integer from 1 to 2"):
         plugins.check_interface("policy", "mine", type("Plugin", (), {"interface": interface}), 2)
 
 
-def test_what_an_error_says_is_one_line():
+def test_an_error_is_formatted_as_one_line():
     assert plugins.said(ValueError("one\n  two")) == "ValueError: one two"
     assert plugins.said(PluginError("it lacks a wheel")) == "it lacks a wheel"
 
 
-def test_the_page_that_promises_says_which_interfaces_are_spoken():
+def test_the_page_lists_the_supported_interfaces():
     pytest.importorskip("torch")
     from softarm.drivers.mocap import source
     from softarm.policies import base
     from softarm.training.task import registry
 
-    page = (Path(__file__).parents[2] / "docs" / "plugins.md").read_text(encoding="utf-8")
+    page = (Path(__file__).parents[2] / "docs" / "policies" / "plugins.md").read_text(encoding="utf-8")
     (spoken,) = re.findall(r"three interfaces has a number, now (\d+)", page)
     assert {base.INTERFACE, registry.INTERFACE, source.INTERFACE} == {int(spoken)}
     assert all(f"`{each.GROUP}`" in page for each in (base, registry, source))

@@ -1,4 +1,4 @@
-"""The pool: all results, from any number of processes; errors, kills and Ctrl-C end it, and nothing stays behind."""
+"""The process pool: results, errors, killed workers and Ctrl-C; no process remains."""
 
 import os
 import signal
@@ -14,7 +14,7 @@ from softarm.common import processes
 from softarm.common.processes import WorkerDied, _Lines, as_they_come, bar
 
 ROOT = Path(__file__).parents[2]
-# A program with a worker that hangs and one that waits for work; each leaves its number.
+# A program with a busy and a waiting worker; each writes its process number.
 HANGING = """
 import os, signal, sys, time
 from softarm.common.processes import as_they_come
@@ -88,17 +88,17 @@ def test_ctrl_c_ends_a_worker_without_a_word():
 
 
 @pytest.mark.parametrize("count", [1, 2])
-def test_what_the_work_raises_is_raised(count):
+def test_errors_of_the_work_are_passed_on(count):
     with pytest.raises(ValueError, match="no such thing as 1"):
         list(as_they_come(failing, [0, 1, 2], count))
 
 
-def test_a_worker_that_was_killed_is_told():
+def test_a_killed_worker_is_reported():
     with pytest.raises(WorkerDied, match="start again with fewer processes"):
         list(as_they_come(killed, [0, 1, 2, 3], 2))
 
 
-def test_whoever_stops_listening_leaves_no_job_behind(tmp_path):
+def test_closing_the_iterator_cancels_the_remaining_jobs(tmp_path):
     for _ in as_they_come(partial(noted, tmp_path), list(range(400)), 2):
         break
     there = len(list(tmp_path.iterdir()))
@@ -147,25 +147,25 @@ def wait_for(condition, seconds=60.0):
         time.sleep(0.02)
 
 
-def test_a_bar_says_nothing_where_there_is_no_terminal(capsys):
+def test_a_short_bar_without_a_terminal_prints_nothing(capsys):
     with processes.bar("working", 3) as bar:
         bar.advance()
         bar.show(2, text="still working")
     assert capsys.readouterr() == ("", "")
 
 
-def test_a_bar_that_is_no_terminals_says_lines_with_an_honest_rest():
+def test_a_bar_without_a_terminal_prints_lines_with_the_remaining_time():
     said, clock = [], iter([0.0, 0.5, 2.0, 4.0, 12.0, 14.0, 30.0])
     lines = _Lines(said.append, lambda: next(clock))
     for share in (0.0, 0.0, 0.1, 0.25, 0.3, 0.75):
-        lines.say("flying", share)
+        lines.update("flying", share)
     assert said == ["flying ...", "flying (25 %, about 36 s left)", "flying (75 %, about 10 s left)"]
 
 
-def test_work_that_lasts_and_does_not_call_back_is_told_once_where_there_is_no_terminal(capsys, monkeypatch):
-    monkeypatch.setattr(processes, "PATIENCE_S", 0.05)
+def test_long_work_without_reports_prints_one_line_without_a_terminal(capsys, monkeypatch):
+    monkeypatch.setattr(processes, "FIRST_LINE_S", 0.05)
     with bar("flying") as shown:
-        shown.tell("flying, 1 of 2 flights", 0.0)
+        shown.report("flying, 1 of 2 flights", 0.0)
         said = []
         wait_for(lambda: said.append(capsys.readouterr().err) or any(said))
     assert "".join(said) == "flying, 1 of 2 flights ...\n"

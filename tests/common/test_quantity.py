@@ -1,4 +1,4 @@
-"""A number out of its bounds gets one sentence, whoever asks for it; what the sentence says to write is allowed."""
+"""Quantities: bounds, messages about other values, and units; every suggested value is allowed."""
 
 import math
 
@@ -34,7 +34,7 @@ ONE_TO_TWO = {unit: Quantity(unit=unit, low=1.0, high=2.0) for unit in UNITS}
         (Quantity(low=0, high=1), 10**400, "is beyond 1e15; allowed 0 to 1"),
     ],
 )
-def test_the_sentence(allowed, value, said):
+def test_a_rejected_value_has_its_sentence(allowed, value, said):
     assert not allowed.takes(value)
     assert allowed.complaint(value) == said
 
@@ -42,13 +42,13 @@ def test_the_sentence(allowed, value, said):
 @given(st.sampled_from(CONVERSIONS), st.floats(1.0, 2.0))
 def test_a_number_of_another_unit_is_converted_as_text(conversion, wanted):
     unit, other, worth = conversion
-    told = ONE_TO_TWO[unit].complaint(f"{wanted / worth!r} {other}")
+    message = ONE_TO_TWO[unit].complaint(f"{wanted / worth!r} {other}")
     if ONE_TO_TWO[unit].admits(float(f"{wanted:.6g}")):
-        assert float(told.rpartition(": ")[2]) == pytest.approx(wanted, rel=1e-5)
+        assert float(message.rpartition(": ")[2]) == pytest.approx(wanted, rel=1e-5)
 
 
 @given(st.sampled_from(list(UNITS)), st.floats(-1e9, 1e9))
-def test_what_is_said_to_be_written_would_be_taken(unit, number):
+def test_every_suggested_value_is_allowed(unit, number):
     allowed = ONE_TO_TWO[unit]
     assume(not allowed.admits(number))
     _, said, meant = allowed.complaint(number).rpartition("write ")
@@ -56,14 +56,14 @@ def test_what_is_said_to_be_written_would_be_taken(unit, number):
 
 
 @given(st.floats(allow_nan=False), st.floats(allow_nan=False), st.booleans(), st.booleans(), st.floats())
-def test_what_is_admitted_lies_within(low, high, above, below, number):
+def test_allowed_values_are_within_the_bounds(low, high, above, below, number):
     allowed = Quantity(low=low, high=high, above=above, below=below)
     within = low < number < high or (number == low <= high and not above) or (number == high >= low and not below)
     if low < high:
         assert allowed.admits(number) == within
 
 
-def test_a_unit_stands_in_the_table_once():
+def test_a_unit_is_in_the_table_once():
     names = [name for unit, others in UNITS.items() for name in (unit, *others)]
     assert len(names) == len(set(names))
 
@@ -89,7 +89,7 @@ def test_a_unit_stands_in_the_table_once():
         ("rev/s", (2 * math.pi, "rad/s")),
     ],
 )
-def test_a_column_is_multiplied_by_what_its_unit_is_worth(unit, worth):
+def test_a_column_is_multiplied_by_the_factor_of_its_unit(unit, worth):
     assert factor(unit) == worth
 
 

@@ -37,7 +37,7 @@ def test_a_checkout_is_named_by_its_commit_and_says_when_it_was_edited(checkout)
     assert revision.revision(checkout) == f"{commit}+changes"
 
 
-def test_what_is_installed_in_a_users_checkout_does_not_take_its_commit(checkout, monkeypatch):
+def test_a_users_checkout_does_not_give_its_commit_to_softarm(checkout, monkeypatch):
     assert revision.revision(checkout / "softarm") == UNKNOWN
     monkeypatch.setenv("GIT_DIR", str(checkout / ".git"))  # as in a hook of the user's
     assert revision.revision(checkout / "softarm") == UNKNOWN
@@ -54,7 +54,7 @@ def test_without_git_the_version_is_what_is_known(checkout, monkeypatch):
     assert revision.revision(checkout) == UNKNOWN
 
 
-def test_software_names_ours_python_and_what_was_asked_for():
+def test_software_lists_softarm_python_and_the_requested_packages():
     described = revision.software(("numpy", "no-such-package"))
     assert described["softarm"] == softarm.__version__
     assert described["python"] == sys.version.split()[0]

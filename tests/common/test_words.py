@@ -1,4 +1,4 @@
-"""Who mistypes a word is shown the one that was meant."""
+"""Suggestions for misspelled words."""
 
 from hypothesis import given
 from hypothesis import strategies as st

@@ -1,4 +1,4 @@
-"""One reader of YAML: the data that PyYAML gives, the line of each key, and an error in words for everything else."""
+"""The YAML reader: the same data as PyYAML, the line of each key, and errors as sentences."""
 
 import math
 from pathlib import Path
@@ -49,7 +49,7 @@ def refusal(text: str) -> str:
 @pytest.mark.parametrize("parser", ["CSafeLoader", "SafeLoader"])
 @settings(deadline=None, max_examples=60)
 @given(data=values)
-def test_what_was_written_is_read(parser, data):
+def test_a_written_file_is_read_back(parser, data):
     """Whichever parser is there: the fast one is not on every machine."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(yaml_lines, "_FAST", getattr(yaml, parser))
@@ -104,12 +104,12 @@ def test_anchors_aliases_and_merges_are_pyyamls_and_their_keys_have_lines(text):
     assert set(places(document.data, ())) <= document.lines.keys()
 
 
-def test_what_is_merged_keeps_the_line_where_it_was_written():
+def test_merged_values_keep_their_line():
     document = parse("a: &x\n  b: 1\nd:\n  <<: *x\n  c: 2\n", FILE)
     assert (document.lines["d", "b"], document.lines["d", "c"]) == (2, 5)
 
 
-def test_an_alias_stands_where_it_was_written_and_what_it_names_where_that_was():
+def test_an_alias_and_its_values_keep_their_lines():
     document = parse("a: &x\n  b: 1\nd: *x\n", FILE)
     assert (document.lines["d",], document.lines["d", "b"]) == (3, 2)
 
@@ -120,7 +120,7 @@ def test_an_alias_stands_where_it_was_written_and_what_it_names_where_that_was()
         ("a: [", "file.yaml:1: not valid YAML: while parsing a flow node expected the node content"),
         ("a: 1\n---\nb: 2", "file.yaml:2: not valid YAML: expected a single document"),
         ("a: 1\nb: *c", "file.yaml:2: not valid YAML: found undefined alias 'c'; check"),
-        ('a: "\\ud800"', "file.yaml:1: not valid YAML: it holds half a character; write"),
+        ('a: "\\ud800"', "file.yaml:1: not valid YAML: it contains half a character; write"),
         ("\x00", "file.yaml: not valid YAML: unacceptable character"),
         ("a: " + "[" * 100_000, f"file.yaml:1: not valid YAML: it is nested too deeply (more than {MAX_DEPTH} levels)"),
         ("a: " + "{b: " * 100_000, "file.yaml:1: not valid YAML: it is nested too deeply"),
@@ -129,7 +129,7 @@ def test_an_alias_stands_where_it_was_written_and_what_it_names_where_that_was()
         ("\n".join(" " * i + "a:" for i in range(500)), f"file.yaml:{MAX_DEPTH + 1}: not valid YAML: it is nested too"),
     ],
 )
-def test_what_is_no_yaml_is_refused_at_its_line(text, said):
+def test_invalid_yaml_is_rejected_at_its_line(text, said):
     assert refusal(text).startswith(said)
 
 
@@ -165,16 +165,16 @@ def test_an_alias_bomb_is_an_error_after_so_many_values(text, monkeypatch):
 @pytest.mark.parametrize(
     ("text", "found"),
     [
-        ("a: 1\na: 2", [(("a",), 2, "stands twice (first in line 1); keep one")]),
-        ("a: {b: 1,\n b: [2, {c: 3}], d: 4}", [(("a", "b"), 2, "stands twice (first in line 1); keep one")]),
+        ("a: 1\na: 2", [(("a",), 2, "is given twice (first in line 1); keep one")]),
+        ("a: {b: 1,\n b: [2, {c: 3}], d: 4}", [(("a", "b"), 2, "is given twice (first in line 1); keep one")]),
         ("? [a, {b: 1}]\n: 2\nc: 3", [((), 1, "a key must be a plain name")]),
         ("a: &x\n  b: *x", [(("a", "b"), 2, "refers to itself; write the values out")]),
         ("a: !!set {b}", [(("a",), 1, "has the tag tag:yaml.org,2002:set; remove it")]),
         ("a: 2024-13-45", [(("a",), 1, "cannot be read (month must be in 1..12); write a plain value")]),
-        ("a:\n  <<: 3", [(("a", "<<"), 2, "merges what is no group; name an anchor of one")]),
+        ("a:\n  <<: 3", [(("a", "<<"), 2, "merges a value that is no group; name an anchor of a group")]),
     ],
 )
-def test_what_is_wrong_by_itself_is_found_with_the_rest(text, found):
+def test_an_error_of_yaml_is_reported_with_the_others(text, found):
     document = parse(text, FILE)
     assert [(each.place, each.line, each.say()) for each in document.findings] == found
 
@@ -199,12 +199,12 @@ def test_any_text_is_a_document_or_an_error_in_words(text):
     try:
         document = parse(text, FILE)
     except FileError as error:
-        told = error.problems
+        reported = error.problems
     else:
         str(document.data).encode()
         return
-    assert told
-    assert all(problem.startswith("file.yaml:") for problem in told)
+    assert reported
+    assert all(problem.startswith("file.yaml:") for problem in reported)
 
 
 def test_a_file_that_cannot_be_read_is_named_with_the_way_out(tmp_path):

@@ -1,4 +1,4 @@
-"""A file against its schema: all that is wrong, at its line, in one pass, and in little time however much it is."""
+"""Validation against a schema: all errors with their lines in one pass, in bounded time."""
 
 import difflib
 import time
@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 import pytest
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from softarm.common.yaml_lines import MAX_TOLD, FileError, parse
+from softarm.common.yaml_lines import ERRORS_MAX, FileError, parse
 from softarm.common.yaml_schema import fit
 from softarm.schemas.config import Config
 from softarm.schemas.model import Model
@@ -87,11 +87,11 @@ def test_a_file_becomes_its_schema():
         ("row: 7\nmain:\n  name: m\n  length_m: 2", "4: main.length_m: must be 1 where row is 7"),
     ],
 )
-def test_each_mistake_has_its_sentence(text, said):
+def test_each_error_has_its_sentence(text, said):
     assert said in problems(text)
 
 
-def test_a_key_that_cannot_be_read_is_told_once():
+def test_an_unreadable_key_is_reported_once():
     assert problems("delay_s: 2024-13-45") == [
         "1: delay_s: cannot be read (month must be in 1..12); write a plain value"
     ]
@@ -107,14 +107,14 @@ FLOODS = {
 
 
 @pytest.mark.parametrize(("schema", "text"), FLOODS.values(), ids=FLOODS)
-def test_of_thousands_of_mistakes_the_first_are_told_and_the_rest_counted(schema, text, monkeypatch):
-    """The words of a mistake may cost a search among the known keys: there are as many searches as are told."""
+def test_of_thousands_of_errors_the_first_are_reported_and_the_rest_counted(schema, text, monkeypatch):
+    """The words of a mistake may cost a search among the known keys: there are as many searches as are reported."""
     searches = []
     real = difflib.get_close_matches
     monkeypatch.setattr(difflib, "get_close_matches", lambda *a, **k: searches.append(a) or real(*a, **k))
     started_s = time.process_time()
-    told = problems(text, schema)
+    reported = problems(text, schema)
     assert time.process_time() - started_s < 2.0  # 0.07 s on a quiet machine
-    assert len(told) == MAX_TOLD + 1
-    assert told[-1] == f" and {5000 - MAX_TOLD} more; mend these first"
-    assert len(searches) <= MAX_TOLD
+    assert len(reported) == ERRORS_MAX + 1
+    assert reported[-1] == f" and {5000 - ERRORS_MAX} more; correct these first"
+    assert len(searches) <= ERRORS_MAX

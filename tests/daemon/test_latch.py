@@ -1,4 +1,4 @@
-"""The emergency stop's latch, whatever is asked for and whatever fails in a tick, in any order.
+"""Latch of the emergency stop under random requests and faults.
 
 The law: it is freed by an acknowledgement in a tick in which no cause of a stop holds, and by nothing else.
 """
@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from softarm.daemon.control.failsafe import TABLE, Response
+from softarm.daemon.control.failsafe import ACKNOWLEDGE, TABLE, Response
 from softarm.daemon.control.records import EStop, Inputs, Mode, Outputs, Request
 from softarm.daemon.tick import Controller
 from softarm.policies.base import PolicySpec
@@ -43,19 +43,19 @@ STARTS = {
 
 
 class Still:
-    """A policy that asks for nothing."""
+    """Policy without any command."""
 
     spec = PolicySpec("still", "for tests")
 
     def reset(self) -> None:
-        """Nothing to forget."""
+        """Do nothing: the policy has no state."""
 
     def step(self, observation: object, goal: object) -> np.ndarray:
         return np.zeros(2, dtype=np.float32)
 
 
 class Rig:
-    """A controller, and devices that take every command at once."""
+    """Controller with devices that accept every command at once."""
 
     def __init__(self, mode: Mode = Mode.DISARMED, **first: str) -> None:
         self.controller = Controller(Config(failsafe=Failsafe(arming_frames=1)), InlineRunner(Still()))
@@ -97,12 +97,12 @@ class Rig:
         return self.outputs
 
     def bodies(self) -> tuple[Pose, ...]:
-        """An arm that hangs, as cameras with a little noise see it."""
+        """Return frames of a hanging arm with camera noise."""
         tip = Pose(1e-5 * (self.ticks % 2), 0.52, 0.0)
         return (Pose(0.0, 0.965, 0.0), *[Pose(0.0, 0.7, 0.0)] * 4, tip)
 
     def obeys(self, kinds: Sequence[str]) -> None:
-        """The law, over the tick that was just made."""
+        """Assert the latch's rules over the last tick."""
         was = self.before is not None and self.before.estop is not EStop.CLEAR
         made = self.outputs
         causes = [event.name for event in made.events if event.response == "stop"]
@@ -126,7 +126,7 @@ class Rig:
 
 @pytest.mark.parametrize("cause", CAUSES)
 @pytest.mark.parametrize("mode", STARTS)
-def test_within_a_tick_no_order_of_requests_frees_a_latch_that_has_a_cause(mode: Mode, cause: str) -> None:
+def test_no_order_of_requests_in_a_tick_clears_a_latch_with_a_cause(mode: Mode, cause: str) -> None:
     for order in ORDERS:
         rig = Rig(mode)
         rig.tick(*order, cause=cause)
@@ -139,7 +139,7 @@ ticks = st.lists(st.tuples(st.sampled_from(ORDERS), st.sampled_from(list(CAUSES)
 @pytest.mark.slow
 @settings(max_examples=400, deadline=None)
 @given(ticks)
-def test_over_ticks_a_latch_is_freed_by_an_acknowledgement_without_a_cause_and_by_nothing_else(story) -> None:
+def test_only_an_acknowledgement_without_a_cause_clears_a_latch(story) -> None:
     rig = Rig()
     for kinds, cause in story:
         rig.tick(*kinds, cause=cause)
@@ -147,47 +147,48 @@ def test_over_ticks_a_latch_is_freed_by_an_acknowledgement_without_a_cause_and_b
 
 
 @pytest.mark.parametrize("cause", [c for c in CAUSES if c in TABLE and TABLE[c].response is Response.STOP])
-def test_a_cause_that_comes_back_in_the_tick_of_the_acknowledgement_keeps_the_latch(cause: str) -> None:
+def test_a_cause_that_returns_in_the_tick_of_the_acknowledgement_keeps_the_latch(cause: str) -> None:
     rig = Rig(Mode.STOPPED)
     rig.tick()
     assert rig.outputs.estop is EStop.LATCHED
     rig.tick("acknowledge", cause=cause)
     assert rig.outputs.estop is EStop.ENGAGED
-    assert "the cause is still there" in rig.outputs.results[-1].reasons[0]
+    assert "the cause is still active" in rig.outputs.results[-1].reasons[0]
 
 
 @pytest.mark.parametrize("order", [("stop", "acknowledge"), ("acknowledge", "stop")])
-def test_an_acknowledgement_beside_a_stop_is_refused_and_says_so(order: tuple[str, str]) -> None:
+def test_an_acknowledgement_in_the_tick_of_a_stop_is_refused(order: tuple[str, str]) -> None:
     rig = Rig(Mode.STOPPED)
     rig.tick()
     rig.tick(*order)
     answers = dict(zip(order, rig.outputs.results[-2:], strict=True))
     assert answers["stop"].accepted
-    assert "somebody asked for an emergency stop" in answers["acknowledge"].reasons[0]
+    assert "an emergency stop was requested" in answers["acknowledge"].reasons[0]
 
 
 @pytest.mark.parametrize("order", [("stop", "arm"), ("arm", "stop")])
-def test_arming_beside_a_stop_is_refused_and_says_so(order: tuple[str, str]) -> None:
+def test_arming_in_the_tick_of_a_stop_is_refused(order: tuple[str, str]) -> None:
     rig = Rig()
     rig.tick(*order)
     answers = dict(zip(order, rig.outputs.results[-2:], strict=True))
     assert not answers["arm"].accepted
 
 
-def test_a_latch_that_was_left_holds_from_the_first_tick_with_the_old_reason() -> None:
+def test_a_latch_of_an_earlier_run_holds_from_the_first_tick_with_its_reason() -> None:
     rig = Rig(latched="the drive reports a fault (E12)")
     assert (rig.outputs.mode, rig.outputs.estop, rig.outputs.sent) == (Mode.STOPPED, EStop.LATCHED, SAFE)
     assert rig.outputs.last_stop == "the drive reports a fault (E12)"
     rig.tick("arm")
-    assert rig.outputs.results[-1].reasons == ("the emergency stop is latched: POST /api/acknowledge first",)
+    reason = f"the emergency stop is latched: make sure that the arm is free, {ACKNOWLEDGE}"
+    assert rig.outputs.results[-1].reasons == (reason,)
     rig.tick("acknowledge", cause="rail_fault")
     assert rig.outputs.estop is EStop.ENGAGED
     rig.tick("acknowledge", "arm")
     assert (rig.outputs.mode, rig.outputs.estop) == (Mode.ARMING, EStop.CLEAR)
 
 
-def test_while_a_stop_would_not_be_kept_arming_is_refused() -> None:
+def test_arming_is_refused_while_stops_cannot_be_saved() -> None:
     rig = Rig()
     rig.tick("arm", latch_problem="stop.json: cannot be written (Input/output error)")
     assert rig.outputs.mode is Mode.DISARMED
-    assert "would not outlive a restart of the daemon (stop.json: cannot" in rig.outputs.results[-1].reasons[0]
+    assert "would be lost if the daemon restarted (stop.json: cannot" in rig.outputs.results[-1].reasons[0]

@@ -1,4 +1,4 @@
-"""The tick as a whole: from disarmed to a goal, and every fault on the way."""
+"""Complete control tick: goals, requests and every fault."""
 
 import dataclasses
 import math
@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from softarm.daemon.control.records import EStop, Inputs, Mode, Problems, Request, RequestResult
-from softarm.daemon.shell.offline import Lockstep
+from softarm.daemon.runtime.offline import Lockstep
 from softarm.daemon.tick import HALF_SWING_S, Controller
 from softarm.drivers.regulator.driver import reading_of
 from softarm.drivers.regulator.teensy import Fault, RegulatorState
@@ -23,7 +23,7 @@ PERIOD_NS = 33_333_333
 
 
 class Steady:
-    """Always the same action; notes what it saw."""
+    """Policy with a constant action that records its observations."""
 
     spec = PolicySpec("steady", "for tests")
 
@@ -40,7 +40,7 @@ class Steady:
 
 
 class Rig:
-    """Feeds a controller with readings of a robot that stands still, and lets a test spoil any of them."""
+    """Controller with readings of a robot at rest, any of which a test can change."""
 
     def __init__(self, policy=None, config=None):
         self.policy = policy or Steady()
@@ -99,7 +99,7 @@ class Rig:
         return " ".join(self.outputs.results[-1].reasons)
 
 
-def test_starts_disarmed_and_sends_nothing_but_safe():
+def test_the_controller_starts_disarmed_and_sends_safe_commands():
     rig = Rig()
     for _ in range(40):
         assert rig.tick().sent == SAFE
@@ -123,7 +123,7 @@ def test_arming_is_refused_with_all_reasons():
     assert "4 of 30 frames" in rig.reasons()
 
 
-def test_the_policy_flies_the_goal_and_sees_what_was_really_sent():
+def test_the_policy_flies_the_goal_and_receives_the_sent_command():
     rig = Rig(Steady((1.7, 25.0))).swinging()
     assert rig.policy.resets == 1
     assert rig.outputs.action == pytest.approx((1.7, 25.0))
@@ -141,7 +141,7 @@ def test_ticks_are_counted_from_one_and_a_policy_that_is_not_asked_takes_no_time
     assert (rig.outputs.policy_ns, rig.outputs.policy_fault, rig.outputs.action) == (0, None, None)
 
 
-def test_velocities_are_of_a_control_step_and_not_of_a_gap():
+def test_velocities_span_a_control_step_and_no_gap():
     rig = Rig(config=Config.model_validate({"failsafe": {"mocap_bridge_s": 0.0}}))
     for cart in (0.0, 0.001, 0.003, 0.006):  # ever faster
         rig.cart = cart
@@ -157,14 +157,14 @@ def test_velocities_are_of_a_control_step_and_not_of_a_gap():
         assert rig.outputs.observed.values.cart_velocity_m_s == pytest.approx(velocity_m_s)
 
 
-def test_what_the_rails_wire_takes_is_told_in_milliseconds_once_it_is_known():
+def test_the_rails_cycle_time_is_reported_in_milliseconds():
     rig = Rig()
     assert (rig.tick().rail_cycle_p50_ms, rig.outputs.rail_cycle_max_ms) == (None, None)
     rig.tick(**spoil(rig, of="rail", cycle_p50_ns=3_000_000, cycle_max_ns=7_500_000))
     assert (rig.outputs.rail_cycle_p50_ms, rig.outputs.rail_cycle_max_ms) == (3.0, 7.5)
 
 
-def test_the_muscles_slew_is_of_the_loops_own_period():
+def test_the_pressure_slew_uses_the_loops_period():
     limits = {"pressure": {"slew_max_kpa_s": 60.0}}
     rig = Rig(Steady((0.0, 20.0)), Config.model_validate({"limits": limits})).swinging()
     assert rig.outputs.sent.pressure_kpa == pytest.approx(60.0 / 30)
@@ -190,7 +190,7 @@ def test_a_goal_out_of_time_fails_and_holds():
     assert rig.outputs.sent == Command(True, 0.0, 0.0)
 
 
-def test_a_new_goal_in_mid_swing_takes_over_and_resets_the_policy():
+def test_a_new_goal_in_mid_swing_resets_the_policy():
     rig = Rig().swinging()
     rig.tick("goal", goal=Goal("reach", -0.3, 0.7))
     assert rig.outputs.goal.number == 2
@@ -199,12 +199,12 @@ def test_a_new_goal_in_mid_swing_takes_over_and_resets_the_policy():
 
 
 class Episode(Steady):
-    """Needs no target, and is over after ten steps."""
+    """Policy without a target that ends after ten steps."""
 
     spec = PolicySpec("episode", "for tests", needs_target=False, episode_steps=10)
 
 
-def test_a_run_lasts_for_the_policys_episode_and_a_run_that_has_none_goes_on():
+def test_a_run_lasts_for_the_policys_episode():
     rig = Rig(Episode()).armed()
     states = [rig.tick("goal", goal=Goal("run")).goal.state] + [rig.tick().goal.state for _ in range(10)]
     assert states == ["running"] * 10 + ["reached"]
@@ -216,11 +216,12 @@ def test_a_run_lasts_for_the_policys_episode_and_a_run_that_has_none_goes_on():
     assert {rig.tick().goal.state for _ in range(300)} == {"running"}
 
 
-def test_what_a_policy_is_for_decides_which_goals_it_takes_and_every_policy_holds():
+def test_a_policy_accepts_only_its_kind_of_goal_and_hold():
     rig = Rig().armed()
     rig.tick("goal", goal=Goal("run"))
     assert rig.reasons() == (
-        "the policy 'steady' needs a target: give a reach goal, or choose one with PUT /api/policy"
+        "the policy 'steady' needs a target: request a reach goal, or choose another policy "
+        "(`softarm policy use NAME`, or Policies on the dashboard)"
     )
     assert rig.outputs.goal.state == "none"
     for policy in (Steady(), Episode()):
@@ -230,7 +231,7 @@ def test_what_a_policy_is_for_decides_which_goals_it_takes_and_every_policy_hold
         assert (rig.outputs.goal.state, rig.policy.seen) == ("running", [])
 
 
-def test_a_goal_that_a_stop_ends_says_which():
+def test_a_goal_ended_by_a_stop_names_it():
     rig = Rig().swinging()
     rig.tick(**spoil(rig, of="rail", faults=("E12 limit switch",)))
     assert rig.outputs.goal.state == "failed"
@@ -239,7 +240,7 @@ def test_a_goal_that_a_stop_ends_says_which():
 
 
 @pytest.mark.parametrize("kind", ["goal", "cancel_goal"])
-def test_hold_and_cancel_stand_still_armed(kind):
+def test_hold_and_cancel_keep_the_arm_armed_at_rest(kind):
     rig = Rig().swinging()
     rig.tick(kind, goal=Goal("hold"))
     assert rig.outputs.sent == Command(True, 0.0, 0.0)
@@ -249,7 +250,7 @@ def test_hold_and_cancel_stand_still_armed(kind):
 def test_a_goal_without_arming_is_refused():
     rig = Rig()
     rig.tick("goal", goal=Goal("reach", -0.2, 0.6))
-    assert rig.reasons() == "the arm is disarmed: POST /api/arm first"
+    assert rig.reasons() == "the arm is disarmed: arm it first (`softarm arm`, or Arm on the dashboard)"
     assert rig.outputs.goal.state == "none"
 
 
@@ -272,7 +273,7 @@ def test_the_policy_is_not_changed_under_a_running_goal():
     assert rig.outputs.sent.pressure_kpa == 1.0
 
 
-def test_a_hold_is_no_reason_to_keep_a_policy_and_the_old_one_is_closed():
+def test_a_policy_may_be_changed_during_a_hold_and_the_old_one_is_closed():
     rig = Rig().armed()
     rig.tick("goal", goal=Goal("hold"))
     closed = []
@@ -282,21 +283,21 @@ def test_a_hold_is_no_reason_to_keep_a_policy_and_the_old_one_is_closed():
     assert closed == ["old"]
 
 
-def test_the_newest_results_are_kept_for_whoever_asks_late():
+def test_the_newest_results_are_kept_for_late_readers():
     rig = Rig()
     rig.tick(*["disarm"] * 40)
     assert [result.number for result in rig.outputs.results] == list(range(9, 41))
     assert rig.outputs.results[0] == RequestResult(9, True)
 
 
-def test_an_acknowledgement_resets_the_devices_whatever_else_is_asked_for():
+def test_an_acknowledgement_resets_the_devices_with_any_other_request():
     rig = Rig()
     assert rig.tick("disarm", "acknowledge", "arm").reset_devices
     assert not rig.tick("disarm").reset_devices
 
 
 def spoil(rig, **fields):
-    """Inputs whose pressure or rail reading has other fields; the clock goes on."""
+    """Return the next inputs with changed fields of a reading."""
     rig.now -= PERIOD_NS
     fresh = rig.inputs()
     rig.now -= PERIOD_NS
@@ -332,8 +333,8 @@ def test_a_device_that_fails_stops_the_arm_and_latches(name):
 @pytest.mark.parametrize(
     ("position_m", "said"), [(0.2549, None), (-0.2549, None), (0.2561, "6 mm"), (-0.2692, "19 mm"), (0.2701, None)]
 )
-def test_between_the_soft_limit_and_the_hard_one_there_are_millimetres(position_m, said):
-    """Said from the margin on that the filter promises; farther out it is a stop."""
+def test_an_overrun_of_the_soft_limit_of_millimetres_only_warns(position_m, said):
+    """An overrun beyond the filter's margin warns; farther out it stops the arm."""
     rig = Rig().swinging()
     rig.tick(**spoil(rig, of="rail", position_m=position_m))
     texts = [event.text for event in rig.outputs.events if event.name == "rail_overrun"]
@@ -343,7 +344,7 @@ def test_between_the_soft_limit_and_the_hard_one_there_are_millimetres(position_
 
 
 def test_a_drive_that_does_not_follow_stops_the_arm():
-    """It runs at full speed, the other way than the set-points want it."""
+    """The cart runs at full speed against its set-points."""
     rig = Rig().swinging()
     for ticks in range(1, 30):
         rig.tick(rail=RailReading(rig.now + PERIOD_NS, 0.0, -1.0, True))
@@ -351,13 +352,13 @@ def test_a_drive_that_does_not_follow_stops_the_arm():
             break
     assert ticks < 15
     assert (rig.outputs.mode, rig.outputs.estop) == (Mode.STOPPED, EStop.ENGAGED)
-    assert "does not do what the drive was told" in rig.outputs.last_stop
+    assert "does not follow the drive's set-points" in rig.outputs.last_stop
 
 
 @pytest.mark.parametrize(
     ("device", "event"), [("pressure", "pressure_stale"), ("rail", "rail_stale"), ("mocap", "mocap_stale")]
 )
-def test_a_sensor_that_goes_quiet_ends_in_a_soft_stop_in_time(device, event):
+def test_a_silent_sensor_causes_a_soft_stop_in_time(device, event):
     rig = Rig().swinging()
     frozen = () if device == "mocap" else getattr(rig.inputs(), device)
     for ticks in range(1, 10):
@@ -386,8 +387,8 @@ def test_the_loss_of_the_rails_process_is_a_soft_stop_that_names_it():
 
 
 @pytest.mark.parametrize("event", ["rail_stale", "rail_link_lost"])
-def test_a_soft_stop_holds_no_cart_whose_axis_is_not_heard(event):
-    """It is the disarmed command that has the regulator's board open DI7: the only way left to such a drive."""
+def test_a_soft_stop_ends_at_once_if_the_axis_is_silent(event):
+    """Only the disarmed command makes the regulator's board open DI7, which stops such a drive."""
     rig = Rig().swinging()
     gone = RailReading(rig.now, 0.0, 0.5, True, linked=event == "rail_stale")  # at half a metre a second
     while rig.tick(rail=gone).mode is Mode.ARMED:
@@ -408,9 +409,7 @@ def test_a_soft_stop_holds_no_cart_whose_axis_is_not_heard(event):
         (34, 40, 0.01, ["rail_too_slow"]),
     ],
 )
-def test_a_drive_that_is_slower_than_the_law_counts_on_stops_the_arm_and_one_slow_cycle_is_told(
-    p50_ms, max_ms, latency_s, named
-):
+def test_a_slow_drive_stops_the_arm_and_one_slow_cycle_warns(p50_ms, max_ms, latency_s, named):
     config = Config.model_validate({"limits": {"rail": {"latency_s": latency_s}}})
     rig = Rig(config=config).swinging()
     cycles = {"cycle_p50_ns": p50_ms * 1_000_000, "cycle_max_ns": max_ms * 1_000_000}
@@ -419,10 +418,10 @@ def test_a_drive_that_is_slower_than_the_law_counts_on_stops_the_arm_and_one_slo
     assert rig.outputs.mode is (Mode.STOPPING if named == ["rail_too_slow"] else Mode.ARMED)
     assert (rig.outputs.rail_cycle_p50_ms, rig.outputs.rail_cycle_max_ms) == (p50_ms, max_ms)
     for event in rig.outputs.events:
-        assert f"{p50_ms} ms, at most {max_ms} ms in the last second" in event.text
+        assert f"median {p50_ms} ms, longest {max_ms} ms in the last second" in event.text
 
 
-def test_a_regulator_that_vented_by_itself_is_a_soft_stop_and_nothing_else():
+def test_a_regulator_that_vented_by_itself_is_a_soft_stop_only():
     rig = Rig().swinging()
     state = RegulatorState(41, False, Fault.TIME_TO_LIVE, 0.5)
     rig.tick(pressure=reading_of(state, rig.now + PERIOD_NS))
@@ -434,7 +433,7 @@ def test_a_regulator_that_vented_by_itself_is_a_soft_stop_and_nothing_else():
 
 
 @pytest.mark.parametrize("fault", [fault for fault in Fault if fault is not Fault.TIME_TO_LIVE])
-def test_every_other_fault_of_the_regulator_stops_and_latches_also_beside_a_vent(fault):
+def test_every_other_fault_of_the_regulator_stops_and_latches(fault):
     rig = Rig().swinging()
     state = RegulatorState(41, False, fault | Fault.TIME_TO_LIVE, 0.5)
     rig.tick(pressure=reading_of(state, rig.now + PERIOD_NS))
@@ -442,7 +441,7 @@ def test_every_other_fault_of_the_regulator_stops_and_latches_also_beside_a_vent
     assert (rig.outputs.mode, rig.outputs.estop) == (Mode.STOPPED, EStop.ENGAGED)
 
 
-def test_mocap_stamped_in_the_future_is_not_flown_on():
+def test_mocap_stamped_in_the_future_is_not_used():
     rig = Rig().swinging()
     frames = rig.inputs().mocap
     rig.now -= PERIOD_NS
@@ -450,11 +449,11 @@ def test_mocap_stamped_in_the_future_is_not_flown_on():
         mocap=tuple(dataclasses.replace(f, t_capture_ns=f.t_receive_ns + 50_000_000 + i) for i, f in enumerate(frames))
     )
     assert rig.outputs.mode is Mode.STOPPING
-    assert "50 ms ahead" in rig.outputs.last_stop
+    assert "0.050 s ahead of CLOCK_MONOTONIC" in rig.outputs.last_stop
 
 
-def test_a_loop_that_comes_late_does_not_blame_the_cameras_clock():
-    """It reads later than it stamps its tick: frames are taken, and come, in between."""
+def test_a_late_loop_raises_no_clock_event():
+    """The loop reads after it stamps its tick, so frames may arrive between."""
     rig = Rig().swinging()
     inputs, late_ns = rig.inputs(), 20_000_000
     frames = [
@@ -465,7 +464,7 @@ def test_a_loop_that_comes_late_does_not_blame_the_cameras_clock():
     assert rig.outputs.mode is Mode.ARMED
     assert rig.outputs.events == ()
     rig.tick()
-    assert rig.outputs.observed.dark_ns == 0  # nor does it expect the cameras to be ahead of it from now on
+    assert rig.outputs.observed.bridged_ns == 0  # nor does it expect the cameras to be ahead of it from now on
 
 
 def test_an_axis_that_disagrees_with_mocap_for_long_stops():
@@ -479,7 +478,7 @@ def test_an_axis_that_disagrees_with_mocap_for_long_stops():
 
 
 def test_a_late_camera_warns_with_its_milliseconds_and_flies():
-    """Its stamps do not say so; the axis does, once the cart moves."""
+    """The stamps hide the delay; the moving axis shows it."""
     late = swung_under_late_cameras(0.06)
     assert late.outputs.mode is Mode.ARMED
     (event,) = [event for event in late.outputs.events if event.name.startswith(("mocap", "rail"))]
@@ -487,13 +486,13 @@ def test_a_late_camera_warns_with_its_milliseconds_and_flies():
     assert 55 <= float(event.text.partition("(")[2].partition(" ms")[0]) <= 65
 
 
-def test_a_camera_that_is_too_late_ends_in_a_soft_stop_that_does_not_blame_the_axis_and_may_be_tried_again():
+def test_a_late_camera_stops_softly_and_arming_may_be_repeated():
     late = swung_under_late_cameras(0.12)
     assert late.outputs.mode is Mode.STOPPING
     while late.outputs.mode is Mode.STOPPING:
         late.tick()
     assert late.outputs.mode is Mode.DISARMED
-    assert "too long ago (120 ms, at most 100 ms)" in late.outputs.last_stop
+    assert "latency is too high (120 ms, allowed 100 ms)" in late.outputs.last_stop
     assert late.arm().mode is Mode.ARMED
 
 
@@ -510,12 +509,12 @@ def test_a_mirrored_frame_is_named_and_is_no_fault_of_the_axis():
     daemon.tick(daemon.request("goal", Goal("reach", 0.0, 0.9)))
     for _ in range(15):
         daemon.tick()
-    assert "moving the other way" in daemon.outputs.last_stop
+    assert "report opposite directions" in daemon.outputs.last_stop
     assert daemon.outputs.estop is EStop.CLEAR
 
 
 def swung_under_late_cameras(delay_s):
-    """A second of the cart going to and fro on a robot whose cameras are late and do not say so."""
+    """Move the cart to and fro for a second with an unreported camera delay."""
     model = Model()
     model.effects["mocap.latency"] = {"delay": delay_s}
     policy = Steady((0.4, 0.0))
@@ -536,7 +535,7 @@ def test_the_policy_is_not_asked_in_the_tick_in_which_something_stops(spoilt):
     assert (len(rig.policy.seen), rig.outputs.action) == (steps, None)
 
 
-def test_nor_in_the_tick_of_a_stop_that_somebody_asked_for():
+def test_the_policy_is_not_asked_in_the_tick_of_a_requested_stop():
     rig = Rig().swinging()
     steps = len(rig.policy.seen)
     rig.tick("stop")
@@ -564,8 +563,8 @@ def test_a_soft_stop_holds_the_cart_until_the_arm_no_longer_swings():
     assert 60 + 10 < tick <= 61 + math.ceil(30 * HALF_SWING_S)
 
 
-def test_an_arm_that_turns_round_is_not_still():
-    """0.31 m/s at most, and for 0.44 s at each turn below 0.3."""
+def test_an_arm_at_a_turning_point_is_not_at_rest():
+    """The arm's speed is 0.31 m/s at most and below 0.3 for 0.44 s at each turn."""
     rig = Rig().armed()
     for tick in range(90):
         rig.tip = (0.055 * math.sin(2 * math.pi * rig.now * 1e-9 / 1.1), 0.52)
@@ -574,8 +573,8 @@ def test_an_arm_that_turns_round_is_not_still():
 
 
 @pytest.mark.parametrize(("every", "held"), [(3, 24), (4, 301)])
-def test_an_arm_that_is_seen_too_seldom_is_not_still(every, held):
-    """Its newest frame is up to 75 ms old, then up to 108; 100 are stale."""
+def test_an_arm_tracked_too_rarely_is_not_at_rest(every, held):
+    """The newest frame is up to 75 ms old, then up to 108; above 100 ms it is stale."""
     rig = Rig().armed()
     rig.tip = (0.02, 0.52)  # 0.6 m/s, and still from there
     rig.tick("disarm")
@@ -586,7 +585,7 @@ def test_an_arm_that_is_seen_too_seldom_is_not_still(every, held):
     assert ticks == held
 
 
-def test_an_arm_that_nobody_sees_is_held_for_ten_seconds():
+def test_an_untracked_arm_is_held_for_ten_seconds():
     rig = Rig().swinging()
     ticks = 0
     while rig.outputs.mode is not Mode.STOPPING:
@@ -599,7 +598,7 @@ def test_an_arm_that_nobody_sees_is_held_for_ten_seconds():
     assert rig.outputs.sent == SAFE
 
 
-def test_a_cart_that_does_not_come_to_rest_is_waited_for_for_a_second():
+def test_a_soft_stop_waits_one_second_for_the_cart():
     rig = Rig().armed()
     rig.tick("disarm", **spoil(rig, of="rail", velocity_m_s=0.1))
     ticks = 1
@@ -619,7 +618,7 @@ def test_a_cart_that_rolls_either_way_is_not_braked_yet(velocity_m_s):
     assert rig.outputs.mode is Mode.DISARMED
 
 
-def test_asking_what_holds_changes_nothing():
+def test_reading_the_active_events_changes_nothing():
     rig = Rig().swinging()
     for _ in range(3):
         rig.tick(rail=RailReading(rig.now, 0.05, 0.0, True))
@@ -711,13 +710,13 @@ def test_without_a_log_arming_is_refused_with_the_next_step():
     assert rig.outputs.mode is Mode.DISARMED
     assert rig.outputs.arming_refusals == (
         "no log is being written (the log ends here: the disk is full): "
-        "mend that and recording goes on by itself, or set recorder.arm_without_log: true",
+        "remove the cause (recording resumes by itself), or set recorder.arm_without_log: true",
     )
     rig.tick("arm")
     assert rig.outputs.mode is Mode.ARMING
 
 
-def test_a_log_that_ends_in_flight_warns_and_the_swing_goes_on():
+def test_a_log_that_ends_in_flight_only_warns():
     rig = Rig().swinging()
     rig.tick(**NO_LOG)
     assert rig.outputs.mode is Mode.ARMED
@@ -725,7 +724,7 @@ def test_a_log_that_ends_in_flight_warns_and_the_swing_goes_on():
     assert [event.response for event in rig.outputs.events] == ["warn"]
 
 
-def test_who_says_so_arms_without_a_log():
+def test_arming_without_a_log_can_be_configured():
     rig = Rig(config=Config(recorder={"arm_without_log": True}))
     for _ in range(30):
         rig.tick(**NO_LOG)
@@ -733,7 +732,7 @@ def test_who_says_so_arms_without_a_log():
     assert rig.outputs.mode is Mode.ARMING
 
 
-def test_only_when_drive_and_regulator_both_took_the_command_is_the_arm_armed():
+def test_the_arm_is_armed_once_drive_and_regulator_accept_the_command():
     for pressure, rail in ((True, False), (False, True), (None, True), (True, None)):
         rig = Rig()
         for _ in range(30):
@@ -749,8 +748,8 @@ def test_only_when_drive_and_regulator_both_took_the_command_is_the_arm_armed():
         assert rig.outputs.sent == Command(True, 0.0, 0.0)
 
 
-def test_a_replay_resumes_where_the_record_left_off():
-    """A log has a gap: from the tick before it on, the same ticks decide the same."""
+def test_a_replay_resumes_after_a_gap():
+    """From the tick before a gap on, equal inputs give equal outputs."""
     slewed = Config.model_validate({"limits": {"pressure": {"slew_max_kpa_s": 15.0}}})
     flown = Rig(config=slewed).swinging()
     for _ in range(5):
@@ -781,7 +780,7 @@ def test_a_replay_resumes_where_the_record_left_off():
 @pytest.mark.parametrize(
     ("seen", "then_none", "settled"), [(30, 0, True), (3, 0, False), (0, 3, False), (30, 9, False)]
 )
-def test_a_replay_that_resumes_has_seen_as_many_frames_as_the_record_says(seen, then_none, settled):
+def test_a_resumed_replay_counts_the_recorded_frames(seen, then_none, settled):
     flown, replayed = Rig(), Rig()
     for _ in range(seen):
         flown.tick()
@@ -792,8 +791,8 @@ def test_a_replay_that_resumes_has_seen_as_many_frames_as_the_record_says(seen, 
     assert (replayed.tick().arming_refusals == ()) is settled
 
 
-def test_the_tick_is_a_function_of_its_inputs_alone(monkeypatch):
-    """Same inputs, same outputs, with no look at any clock but the policy's stopwatch."""
+def test_the_tick_depends_on_its_inputs_only(monkeypatch):
+    """Equal inputs give equal outputs; only the policy's time is measured."""
 
     def run():
         rig, outputs = Rig().swinging(), []
@@ -807,20 +806,20 @@ def test_the_tick_is_a_function_of_its_inputs_alone(monkeypatch):
 
 
 def respoil_bodies(rig, place, pose):
-    """The newest frames with one body otherwise."""
+    """Return the newest frames with one body changed."""
     frames = rig.inputs().mocap
     rig.now -= PERIOD_NS
     return tuple(dataclasses.replace(f, bodies=(*f.bodies[:place], pose, *f.bodies[place + 1 :])) for f in frames)
 
 
-def test_a_pose_that_is_not_a_number_stops_the_arm():
+def test_a_nan_pose_stops_the_arm():
     rig = Rig().swinging()
     rig.tick(mocap=respoil_bodies(rig, 5, Pose(math.nan, 0.5, 0.0)))
     assert rig.outputs.mode is Mode.STOPPED
-    assert "not a number" in rig.outputs.last_stop
+    assert "NaN or infinity" in rig.outputs.last_stop
 
 
-def test_a_lost_marker_set_in_the_middle_of_the_arm_warns_by_name_and_the_swing_goes_on():
+def test_a_lost_marker_set_of_a_middle_link_only_warns():
     rig = Rig().swinging()
     rig.tick(mocap=respoil_bodies(rig, 2, Pose(0.0, 0.7, 0.0, tracked=False)))
     assert rig.outputs.mode is Mode.ARMED
@@ -829,7 +828,7 @@ def test_a_lost_marker_set_in_the_middle_of_the_arm_warns_by_name_and_the_swing_
 
 
 @pytest.mark.parametrize(("bridge_s", "flown"), [(0.15, 5), (0.06, 2), (0.0, 2)])
-def test_a_lost_tip_is_carried_on_only_for_so_long(bridge_s, flown):
+def test_a_lost_tip_is_extrapolated_for_a_limited_time(bridge_s, flown):
     rig = Rig(config=Config(failsafe={"mocap_bridge_s": bridge_s})).swinging()
     for ticks in range(1, 10):
         rig.tick(mocap=respoil_bodies(rig, 5, Pose(0.0, 0.5, 0.0, tracked=False)))
@@ -839,26 +838,26 @@ def test_a_lost_tip_is_carried_on_only_for_so_long(bridge_s, flown):
         assert ("mocap_bridged" in names) == (bridge_s > 0 and ticks * PERIOD_NS * 1e-9 <= bridge_s + 0.0167)
     assert ticks == flown + 1
     assert "mocap_stale" in names
-    assert rig.outputs.observed.dark_ns == 0
+    assert rig.outputs.observed.bridged_ns == 0
 
 
-class Told(Steady):
-    spec = PolicySpec("told", "asks whether it sees", wants_sight=True)
+class Tracking(Steady):
+    spec = PolicySpec("tracking", "asks whether it sees", wants_tracking=True)
 
 
-def test_a_policy_that_asks_is_told_whether_it_sees_and_no_other_is():
-    for policy in (Steady(), Told()):
+def test_only_a_policy_that_asks_gets_the_tracking_state():
+    for policy in (Steady(), Tracking()):
         rig = Rig(policy).swinging()
         for _ in range(3):
             rig.tick(mocap=())
-        assert [len(observation) for observation, _ in policy.seen] == [10 if isinstance(policy, Told) else 8] * 4
-    told = [observation[8:].tolist() for observation, _ in policy.seen]
-    assert told[0] == [0.0, 0.0]
-    dark_s, deviations_m = zip(*told[1:], strict=True)
-    assert dark_s == pytest.approx((0.0333, 0.0667, 0.1), abs=1e-3)
+        assert [len(observation) for observation, _ in policy.seen] == [10 if isinstance(policy, Tracking) else 8] * 4
+    tracking = [observation[8:].tolist() for observation, _ in policy.seen]
+    assert tracking[0] == [0.0, 0.0]
+    bridged_s, deviations_m = zip(*tracking[1:], strict=True)
+    assert bridged_s == pytest.approx((0.0333, 0.0667, 0.1), abs=1e-3)
     assert 0 < deviations_m[0] < deviations_m[1] < deviations_m[2] < 0.03
     observed = rig.outputs.observed
-    assert (observed.dark_ns * 1e-9, observed.tip_deviation_m) == pytest.approx((dark_s[-1], deviations_m[-1]))
+    assert (observed.bridged_ns * 1e-9, observed.tip_deviation_m) == pytest.approx((bridged_s[-1], deviations_m[-1]))
 
 
 def test_arming_waits_until_the_last_stop_is_over():
@@ -876,7 +875,7 @@ def test_a_policy_request_without_a_loaded_policy_and_a_goal_request_without_a_g
     rig.tick("policy")
     assert rig.reasons() == "the policy was not loaded"
     rig.tick("goal")
-    assert rig.reasons() == "a goal request without a goal"
+    assert rig.reasons() == "the goal request has no goal"
 
 
 def test_a_stop_has_the_time_of_its_tick_and_keeps_it():

@@ -1,6 +1,6 @@
-"""Records `flight.mcap`, the flight that `tests/daemon/shell/test_golden_log.py` replays.
+"""Records `flight.mcap`, the flight that `tests/daemon/runtime/test_golden_log.py` replays.
 
-It stays as it is: that it still loads is half of what it shows. Only when the tick's behaviour is changed on purpose is
+Only when the tick's behaviour is changed on purpose is
 a new one made, in the commit that changes it:
 
     python tests/data/record_flight.py
@@ -12,7 +12,7 @@ from pathlib import Path
 
 from softarm.common import revision
 from softarm.daemon.logbook.recorder import Recorder
-from softarm.daemon.shell.offline import Lockstep
+from softarm.daemon.runtime.offline import Lockstep
 from softarm.policies import registry
 from softarm.policies.runner import InlineRunner
 from softarm.schemas.config import Config

@@ -22,7 +22,7 @@ MOCAP_NOISE_M, ANGLE_NOISE_RAD, PRESSURE_NOISE_KPA = 0.2e-3, 2e-3, 0.05
 
 @pytest.fixture(scope="session", autouse=True)
 def one_thread():
-    """As `softarm.diagnosis.diagnose` has it, for tests that go in by another way: others beside it take minutes."""
+    """Limit BLAS to one thread, as `softarm.diagnosis.diagnose` does; more threads take minutes."""
     with threadpool_limits(1):
         yield
 
@@ -132,7 +132,7 @@ def _flown(name: str, frames: np.ndarray, slow: np.ndarray) -> Trial:
 
 
 def _observation(mocap: Series, ticks: np.ndarray) -> Series:
-    """What a policy is shown at its ticks: the newest pose, velocities as differences from tick to tick."""
+    """Return the observation of a policy at its ticks, with velocities as differences between ticks."""
     newest = np.searchsorted(mocap["t_receive"], ticks + 1e-9, side="right") - 1
     rates = {}
     for part in ("y", "z"):

@@ -38,7 +38,6 @@ def test_bic_goes_on_to_the_second_effect(campaign):
 
 
 def test_all_at_once_names_one_effect_of_the_registry_and_its_patch_is_a_model(campaign):
-    """What it names is no better than chance: docs/diagnosis.md."""
     verdict = METHODS["all-at-once"](campaign(LATE), Model())
     assert len(verdict.effects) <= 1
     validate(patched(Model(), verdict).effects)

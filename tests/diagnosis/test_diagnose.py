@@ -1,4 +1,4 @@
-"""What holds for every diagnosis, of a robot or of a rig."""
+"""Tests of every diagnosis, of the robot or of a rig."""
 
 from pathlib import Path
 
@@ -16,6 +16,6 @@ def test_small_matrices_take_one_thread_whatever_the_machine_has() -> None:
         threads.extend(each["num_threads"] for each in threadpool_info() if each["user_api"] == "blas")
 
     with pytest.raises(TrialError):
-        diagnose([Trial("one", "steps", Path("one"), {})], tell=look)
+        diagnose([Trial("one", "steps", Path("one"), {})], progress=look)
     assert threads
     assert set(threads) == {1}

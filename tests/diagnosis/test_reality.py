@@ -36,7 +36,7 @@ def test_the_one_effect_is_named_and_nothing_else(found):
     assert found.verdict.where.stage == "pressure"
 
 
-def test_its_size_and_what_it_takes_away(found):
+def test_the_effect_has_its_size_and_shrink(found):
     (effect,) = found.verdict.effects
     whole_s = DEAD_TIME_S + RobotParameters().regulator.tube_s  # the simulator has no tube
     assert effect.parameters["delay"].value == pytest.approx(whole_s, abs=0.005)

@@ -1,4 +1,4 @@
-"""Every command that a page shows exists: the verb, its options, as many words as it takes."""
+"""Commands shown on the pages exist: the verb, its options and its number of arguments."""
 
 import contextlib
 import re
@@ -11,7 +11,7 @@ import pytest
 from softarm.cli.main import main
 
 ROOT = Path(__file__).parents[2]
-PAGES = sorted([ROOT / "README.md", ROOT / "CONTRIBUTING.md", *(ROOT / "docs").glob("*.md")])
+PAGES = sorted([ROOT / "README.md", ROOT / "CONTRIBUTING.md", *(ROOT / "docs").rglob("*.md")])
 _BLOCK = re.compile(r"^```(?:sh|console|bash|)\n(.*?)^```", re.MULTILINE | re.DOTALL)
 _INDENTED = re.compile(r"(?:^    .*\n)+", re.MULTILINE)
 _INLINE = re.compile(r"`(softarm [^`]+)`")
@@ -19,7 +19,7 @@ _PLACEHOLDER = re.compile(r"\.\.\.|…|\[|\||<")  # a form, not a command
 
 
 def commands(page: Path) -> list[str]:
-    """What a reader would type after the prompt, comments taken off."""
+    """Return the commands of a page as a reader would type them, without comments."""
     text = page.read_text(encoding="utf-8")
     blocks = [*_BLOCK.findall(text), *_INDENTED.findall(_BLOCK.sub("", text))]
     lines = (line.strip().removeprefix("$ ") for block in blocks for line in block.replace("\\\n", " ").splitlines())
@@ -37,7 +37,7 @@ def test_the_pages_show_commands():
 
 
 @pytest.mark.parametrize(("page", "shown"), SHOWN)
-def test_a_shown_command_is_one(page, shown):
+def test_a_shown_command_exists(page, shown):
     _, *words = shlex.split(shown, comments=True)
     context = click.Context(main)
     command: click.Command = main
@@ -46,5 +46,6 @@ def test_a_shown_command_is_one(page, shown):
         assert found is not None
         command, context = found, click.Context(found, context, name, **found.context_settings)
     if words:
-        with contextlib.suppress(click.BadOptionUsage):  # `softarm check --logs` names an option, without its value
-            command.make_parser(context).parse_args(list(words))  # raises for an option that there is none of
+        # `softarm check --logs` names an option without its value; an unknown option raises another error.
+        with contextlib.suppress(click.BadOptionUsage):
+            command.make_parser(context).parse_args(list(words))

@@ -1,4 +1,4 @@
-"""The pages as a site: built strictly, every page in it, nothing fetched from anywhere."""
+"""The documentation site builds strictly, holds every page, and needs no internet and no server."""
 
 import os
 import re
@@ -16,7 +16,7 @@ pytestmark = pytest.mark.slow
 
 @pytest.fixture(scope="module")
 def site(tmp_path_factory):
-    """The folder that `make docs` makes, elsewhere."""
+    """Return the folder of the built site."""
     folder = tmp_path_factory.mktemp("site")
     command = [sys.executable, "-m", "mkdocs", "build", "--quiet", "--site-dir", folder]
     done = subprocess.run(command, cwd=ROOT, env={**os.environ, "NO_MKDOCS_2_WARNING": "1"}, capture_output=True)
@@ -24,26 +24,39 @@ def site(tmp_path_factory):
     return folder
 
 
-def test_every_page_is_in_it(site):
-    pages = {page.stem for page in (ROOT / "docs").glob("*.md")}
-    assert pages <= {page.stem for page in site.glob("*.html")}
-    assert 'id="softarm.policies.base.Policy.step"' in (site / "code.html").read_text(encoding="utf-8")  # from the code
+def test_every_page_is_in_the_site(site):
+    pages = {page.relative_to(ROOT / "docs").with_suffix("") for page in (ROOT / "docs").rglob("*.md")}
+    assert pages <= {page.relative_to(site).with_suffix("") for page in site.rglob("*.html")}
+    assert 'id="softarm.policies.base.Policy.step"' in (site / "reference/code.html").read_text(encoding="utf-8")
 
 
-def test_it_shows_without_the_internet(site):
-    fetched = {url for page in site.glob("*.html") for url in _FETCHED.findall(page.read_text(encoding="utf-8"))}
+def test_the_site_loads_nothing_from_the_internet(site):
+    fetched = {url for page in site.rglob("*.html") for url in _FETCHED.findall(page.read_text(encoding="utf-8"))}
     assert not fetched
 
 
-def test_files_that_pages_link_to_lie_beside_them(site):
-    linked = re.findall(r'href="(files/[^"#]+)', (site / "configuration.html").read_text(encoding="utf-8"))
+def test_the_search_works_without_a_server(site):
+    assert (site / "search/search_index.js").is_file()
+    assert 'src="assets/iframe-worker.js"' in (site / "index.html").read_text(encoding="utf-8")
+
+
+def test_linked_files_of_the_repository_are_in_the_site(site):
+    linked = re.findall(
+        r'href="\.\./(files/[^"#]+)', (site / "reference/configuration.html").read_text(encoding="utf-8")
+    )
     assert linked
     assert all((site / name).is_file() for name in linked)
 
 
-def test_references_are_made_from_the_code(site):
-    keys = (site / "configuration-keys.html").read_text(encoding="utf-8")
+def test_references_are_generated_from_the_code(site):
+    keys = (site / "reference/configuration-keys.html").read_text(encoding="utf-8")
     assert "limits.rail.position_min_m" in keys
-    requests = (site / "rest-schemas.html").read_text(encoding="utf-8")
+    requests = (site / "reference/rest-schemas.html").read_text(encoding="utf-8")
     assert "POST /api/goal" in requests
     assert 'href="#reachbody"' in requests
+
+
+def test_the_readme_has_at_most_100_lines_and_ten_links():
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    assert len(text.splitlines()) <= 100
+    assert len(re.findall(r"(?<!!)\[(?:[^\[\]]|!\[[^\]]*\]\([^)]*\))*\]\([^)]+\)", text)) <= 10

@@ -1,4 +1,4 @@
-"""Benches for the wires: clocks that stand still until they are told, and peers that can be made to misbehave."""
+"""Benches of the drivers: manual clocks, and devices that can misbehave."""
 
 import asyncio
 import contextlib
@@ -8,11 +8,12 @@ from typing import Any
 
 import pytest
 
-PATIENCE_S = 20.0  # never waited for when the code is right; a busy machine needs some
+# Reached only on failure, or on a very busy machine.
+PATIENCE_S = 20.0
 
 
 class Clock:
-    """CLOCK_MONOTONIC as the test tells it, in nanoseconds."""
+    """Manual CLOCK_MONOTONIC, in nanoseconds."""
 
     def __init__(self) -> None:
         self.now_ns = 1_000_000_000
@@ -38,7 +39,7 @@ def free_port() -> int:
 
 @pytest.fixture
 def run() -> Callable[[Coroutine[Any, Any, Any]], Any]:
-    """Run a coroutine to its end, or fail when it hangs."""
+    """Run a coroutine to its end, or fail if it hangs."""
 
     async def bounded(work: Coroutine[Any, Any, Any]) -> Any:
         return await asyncio.wait_for(work, 2 * PATIENCE_S)
@@ -48,7 +49,7 @@ def run() -> Callable[[Coroutine[Any, Any, Any]], Any]:
 
 @pytest.fixture
 def until() -> Callable[..., Coroutine[Any, Any, None]]:
-    """Wait for a condition; `each` is called before every look (a control loop's writes, a device's steps)."""
+    """Wait for a condition; `each` is called before every check (a control loop's writes, a device's steps)."""
 
     async def wait(condition: Callable[[], Any], each: Callable[[], Any] = lambda: None) -> None:
         with contextlib.suppress(TimeoutError):
@@ -56,14 +57,14 @@ def until() -> Callable[..., Coroutine[Any, Any, None]]:
                 while each() or not condition():
                     await asyncio.sleep(0.002)
                 return
-        pytest.fail(f"waited {PATIENCE_S} s in vain")
+        pytest.fail(f"the condition was false for {PATIENCE_S} s")
 
     return wait
 
 
 @contextlib.asynccontextmanager
 async def running(*devices: Any) -> AsyncIterator[None]:
-    """Start drivers, and stop them whatever happens."""
+    """Start drivers, and stop them even on failure."""
     for device in devices:
         device.start()
     try:
@@ -80,7 +81,7 @@ def _running() -> Any:
 
 @pytest.fixture
 def regulator_bench(run: Any, monkeypatch: pytest.MonkeyPatch) -> Callable[..., Any]:
-    """regulator_bench(make): plays scripts, each with a bench of its own: a `regulator`, to be run, and a `port`."""
+    """Return a function that runs scripts, each with a new bench: a `regulator` to be run, and a `port`."""
     monkeypatch.setattr("softarm.drivers.regulator.driver.RETRY_S", (0.005, 0.01))
     monkeypatch.setattr("softarm.drivers.regulator.driver.HELLO_S", 0.005)
 

@@ -1,5 +1,6 @@
-"""docs/wires.md against the code: every vector of the page through the encoder and decoder of both ends."""
+"""Test vectors of docs/reference/wires.md, through the encoder and decoder of both ends."""
 
+import csv
 import itertools
 import json
 import math
@@ -25,17 +26,24 @@ from softarm.drivers.twin.teensy import TeensyDevice
 from softarm.schemas.config import DryveRail
 from softarm.schemas.messages import BODY_NAMES, Pose
 
-PAGE = (Path(__file__).parents[2] / "docs" / "wires.md").read_text()
+REFERENCE = Path(__file__).parents[2] / "docs" / "reference"
+PAGE = (REFERENCE / "wires.md").read_text()
 
 
 def table(*columns: str) -> list[list[str]]:
-    """The cells of the page's one table with these columns."""
+    """Return the cells of the only table of the page with these columns."""
     [rows] = re.findall(rf"^\| {re.escape(' | '.join(columns))} \|\n\|[-|]+\n((?:\|.*\n)+)", PAGE, re.MULTILINE)
     return [[cell.strip(" `") for cell in line.strip("|").split("|")] for line in rows.splitlines()]
 
 
+def vectors(name: str) -> list[list[str]]:
+    """Return the rows of a file with test vectors."""
+    with (REFERENCE / "vectors" / name).open(newline="") as lines:
+        return list(csv.reader(lines))[1:]
+
+
 def number(text: str) -> int:
-    """As the page writes it: 7, -25000 or 0640h."""
+    """Parse a number as the page writes it: 7, -25000 or 0640h."""
     return int(text[:-1], 16) if text.endswith("h") else int(text)
 
 
@@ -43,28 +51,28 @@ def number(text: str) -> int:
 
 
 @pytest.mark.parametrize(("data", "stuffed"), table("data", "stuffed"))
-def test_stuffing(data: str, stuffed: str) -> None:
+def test_stuffing_matches_the_page(data: str, stuffed: str) -> None:
     assert cobs.stuff(bytes.fromhex(data)) == bytes.fromhex(stuffed)
     assert cobs.unstuff(bytes.fromhex(stuffed)) == bytes.fromhex(data)
 
 
 @pytest.mark.parametrize(("body", "crc", "line"), table("body", "CRC-16", "on the line"))
-def test_framing(body: str, crc: str, line: str) -> None:
+def test_framing_matches_the_page(body: str, crc: str, line: str) -> None:
     assert cobs.crc16(bytes.fromhex(body)) == number(crc)
     assert cobs.frame(bytes.fromhex(body)) == bytes.fromhex(line)
     assert cobs.Deframer().feed(bytes.fromhex(line)) == [bytes.fromhex(body)]
 
 
 @pytest.mark.parametrize(("line", "why"), table("on the line", "dropped because"))
-def test_lines_that_are_dropped(line: str, why: str) -> None:
+def test_invalid_lines_are_dropped(line: str, why: str) -> None:
     deframer = cobs.Deframer()
     assert deframer.feed(bytes.fromhex(line)) == []
     assert deframer.dropped == 1, why
 
 
 @dataclass(frozen=True)
-class Said:
-    """A row of the conversation."""
+class Row:
+    """Row of the conversation on the page."""
 
     device: bool
     message: teensy.Message
@@ -74,9 +82,9 @@ class Said:
     line: bytes
 
 
-def said() -> Iterator[Said]:
-    """The conversation on the page, in its order."""
-    for who, text, time_us, body, line in table("from", "message", "time, us", "body", "on the line"):
+def conversation() -> Iterator[Row]:
+    """Yield the rows of the conversation in their order."""
+    for who, text, time_us, body, line in vectors("regulator.csv"):
         kind, sequence, fields = re.fullmatch(r"(\w+) (\d+)(?:: (.*))?", text).groups()  # type: ignore[union-attr]
         field = fields.split(", ") if fields else []
         message: teensy.Message
@@ -94,7 +102,7 @@ def said() -> Iterator[Said]:
             accepted, armed, faults, kpa = field
             bits = Fault(number(faults.removeprefix("faults ")))
             message = RegulatorState(int(accepted.removeprefix("accepted ")), armed == "armed", bits, kilopascal(kpa))
-        yield Said(
+        yield Row(
             who == "device", message, int(sequence), int(time_us) * 1000, bytes.fromhex(body), bytes.fromhex(line)
         )
 
@@ -104,12 +112,12 @@ def kilopascal(text: str) -> float:
 
 
 def same(one: teensy.Message, other: teensy.Message) -> bool:
-    """Equal, and NaN equals NaN."""
+    """Compare two messages; NaN equals NaN."""
     return repr(one) == repr(other)
 
 
-@pytest.mark.parametrize("row", list(said()))
-def test_each_message_is_packed_and_unpacked(row: Said) -> None:
+@pytest.mark.parametrize("row", list(conversation()))
+def test_each_message_survives_encoding(row: Row) -> None:
     assert teensy.encode(row.message, row.sequence, row.t_ns // 1000) == row.body
     assert cobs.frame(row.body) == row.line
     message, sequence = teensy.decode(row.body)
@@ -117,23 +125,23 @@ def test_each_message_is_packed_and_unpacked(row: Said) -> None:
     assert sequence == row.sequence
 
 
-def test_the_twins_device_says_what_the_page_says() -> None:
+def test_the_simulated_device_answers_as_on_the_page() -> None:
     device = TeensyDevice(lambda: 0xA1B2C3D4)
-    rows = list(said())
+    rows = list(conversation())
     for asked, answered in zip(rows[::2], rows[1::2], strict=True):
         assert (asked.device, answered.device) == (False, True)
         pressure_kpa = answered.message.pressure_kpa if isinstance(answered.message, RegulatorState) else 0.0
         assert device.receive(asked.line, asked.t_ns, pressure_kpa).hex() == answered.line.hex(), asked
 
 
-def test_the_driver_says_what_the_page_says_and_believes_its_answers() -> None:
+def test_the_driver_sends_the_pages_messages_and_accepts_its_answers() -> None:
     talk, spoken = Conversation(0.1), []
-    for row in said():
+    for row in conversation():
         if row.device:
             state = talk.receive(row.line)
             assert state is None if isinstance(row.message, Welcome) else same(state, row.message)  # type: ignore[arg-type]
             if talk.known is False:
-                break  # from here on the page shows what no driver says
+                break
         elif isinstance(row.message, Hello):
             spoken.append((talk.greeting(row.t_ns), row.line))
         elif isinstance(row.message, RegulatorCommand):
@@ -142,26 +150,26 @@ def test_the_driver_says_what_the_page_says_and_believes_its_answers() -> None:
     assert all(line == shown for line, shown in spoken[:4])
 
 
-def test_a_hello_leaves_the_fault_bits_and_a_refusal_takes_the_place_of_the_last() -> None:
+def test_a_hello_keeps_the_fault_bits_and_a_rejection_replaces_the_last() -> None:
     device, count = TeensyDevice(lambda: 5), itertools.count(1)
 
-    def say(message: teensy.Message) -> None:
+    def send(message: teensy.Message) -> None:
         device.receive(cobs.frame(teensy.encode(message, next(count), 0)), 0, 0.0)
 
-    say(RegulatorCommand(4, 0.1, True, 1.0))
+    send(RegulatorCommand(4, 0.1, True, 1.0))
     assert device.faults == Fault.TOKEN
-    say(Hello())
+    send(Hello())
     assert device.faults == Fault.TOKEN
-    say(RegulatorCommand(5, 0.1, True, 21.0))
+    send(RegulatorCommand(5, 0.1, True, 21.0))
     assert device.faults == Fault.RANGE
 
 
 @pytest.mark.parametrize(("bit", "name"), [row[:2] for row in table("fault bit", "name", "meaning", "ends with")])
-def test_fault_bits_have_the_pages_numbers(bit: str, name: str) -> None:
+def test_fault_bits_have_the_numbers_of_the_page(bit: str, name: str) -> None:
     assert Fault[name.upper().replace(" ", "_")] == 1 << int(bit)
 
 
-def test_bounds_of_the_line_and_of_the_device_are_the_pages() -> None:
+def test_the_bounds_are_those_of_the_page() -> None:
     assert f"more than {cobs.FRAME_MAX_BYTES} bytes without a zero" in PAGE
     assert f"outside 1 to {round(teensy.TIME_TO_LIVE_MAX_S * 1000)} ms" in PAGE
     assert f"set-point {teensy.VENT_KPA:.0f} kPa gauge" in PAGE
@@ -175,7 +183,7 @@ RAIL = DryveRail(host="127.0.0.1")
 
 @dataclass(frozen=True)
 class Exchange:
-    """A row of the rail's session: a request and its answer, or, without telegrams, what happens to the drive."""
+    """Row of the rail's session: a request and its answer, or, without telegrams, an event at the drive."""
 
     says: str
     request: bytes
@@ -199,7 +207,7 @@ class Exchange:
 
 SESSION = [
     Exchange(says, bytes.fromhex(request), answers, bytes.fromhex(answer))
-    for says, request, answers, answer in table("master", "telegram", "drive", "its telegram")
+    for says, request, answers, answer in vectors("rail.csv")
 ]
 EXCHANGES = [row for row in SESSION if row.request]
 REFUSED = [
@@ -209,7 +217,7 @@ REFUSED = [
 
 
 @pytest.mark.parametrize("row", EXCHANGES)
-def test_telegrams_of_the_session_both_ways(row: Exchange) -> None:
+def test_telegrams_of_the_session_survive_encoding(row: Exchange) -> None:
     entry, write = row.entry, row.value is not None
     assert dryve.encode_request(row.transaction, entry, row.value) == row.request
     request = dryve.decode_request(row.request)
@@ -224,7 +232,7 @@ def test_telegrams_of_the_session_both_ways(row: Exchange) -> None:
 
 
 @pytest.mark.parametrize("row", REFUSED)
-def test_refusals_both_ways(row: Exchange) -> None:
+def test_refusals_survive_encoding(row: Exchange) -> None:
     kind, code = row.answers.split()[:2]
     made = dryve.encode_abort if kind == "abort" else dryve.encode_exception
     assert made(row.transaction, number(code)) == row.answer
@@ -236,7 +244,7 @@ def test_refusals_both_ways(row: Exchange) -> None:
 
 
 @pytest.mark.parametrize("row", table("word", "in", "leads to", "and"), ids=lambda row: " ".join(row[:3]))
-def test_each_word_leads_where_the_page_says(row: list[str]) -> None:
+def test_each_controlword_leads_to_the_state_on_the_page(row: list[str]) -> None:
     word, before, after = (number(cell.split()[0]) for cell in row[:3])
     drive = DryveDevice(RAIL)
     drive.state = decode_state(before)
@@ -245,8 +253,8 @@ def test_each_word_leads_where_the_page_says(row: list[str]) -> None:
     assert drive.state.value == row[2].split(" ", 1)[1]
 
 
-class Stubborn(DryveDevice):
-    """Keeps its set-point when its master is gone, and remembers what it was asked."""
+class RecordingDrive(DryveDevice):
+    """Drive that keeps its set-point without a master and records its requests."""
 
     def __init__(self) -> None:
         super().__init__(RAIL)
@@ -260,7 +268,7 @@ class Stubborn(DryveDevice):
         pass
 
     def undergo(self, event: str) -> None:
-        """What a row without telegrams says."""
+        """Apply the event of a row without telegrams."""
         if motion := re.fullmatch(r"\*the cart is at (\S+) m, moving at (\S+) m/s\*", event):
             self.sense(*map(float, motion.groups()))
         elif trip := re.fullmatch(r"\*the drive trips: (\w+)\*", event):
@@ -269,8 +277,8 @@ class Stubborn(DryveDevice):
             assert event == "*a new connection*"
 
 
-def test_the_twins_drive_answers_as_the_page_says() -> None:
-    drive = Stubborn()
+def test_the_simulated_drive_answers_as_on_the_page() -> None:
+    drive = RecordingDrive()
     drive.sense(0.0, 0.0)
     for row in SESSION:
         if not row.request:
@@ -279,10 +287,10 @@ def test_the_twins_drive_answers_as_the_page_says() -> None:
             assert drive.answer(row.request, 0).hex() == row.answer.hex(), row.says
 
 
-def test_the_driver_says_what_the_page_says_and_nothing_else(run: Any, until: Any, running: Any) -> None:
+def test_the_driver_sends_the_pages_telegrams_and_no_others(run: Any, until: Any, running: Any) -> None:
 
-    async def play() -> Stubborn:
-        drive, faults = Stubborn(), Faults(lambda: 0)
+    async def play() -> RecordingDrive:
+        drive, faults = RecordingDrive(), Faults(lambda: 0)
         server = DryveServer("127.0.0.1", 0, drive, faults, lambda: 0)
         drive.sense(0.0, 0.0)
         await server.open()
@@ -318,11 +326,11 @@ def test_the_driver_says_what_the_page_says_and_nothing_else(run: Any, until: An
 # Motion capture
 
 
-def test_the_longest_sample_is_the_pages() -> None:
+def test_the_longest_sample_is_that_of_the_page() -> None:
     assert f"whole sample has at most {mocap_payload.MAX_BYTES:,} bytes" in PAGE
 
 
-def test_the_mocap_payload() -> None:
+def test_the_mocap_payload_matches_the_page() -> None:
     [shown] = re.findall(r"```json\n(\{\"sequence\".*)\n```", PAGE)
     [coded] = re.findall(r"```text\n((?:[0-9a-f]+\n)+)```", PAGE)
     payload = bytes.fromhex(coded)
@@ -336,6 +344,6 @@ def test_the_mocap_payload() -> None:
 
 
 @pytest.mark.parametrize(("payload", "why"), table("payload", "refused because"))
-def test_mocap_payloads_that_are_refused(payload: str, why: str) -> None:
+def test_invalid_mocap_payloads_are_rejected(payload: str, why: str) -> None:
     with pytest.raises(ValueError, match=re.escape(why)):
         mocap_payload.decode(payload.encode(), 0)

@@ -1,4 +1,4 @@
-"""The scripts of examples/gymnasium: other learners learn on our robots, and what they learned flies."""
+"""The scripts of examples/gymnasium train on the environments, and their policies fly."""
 
 import sys
 from pathlib import Path
@@ -8,13 +8,14 @@ import pytest
 pytest.importorskip("gymnasium")
 pytest.importorskip("torch")
 
-from softarm.daemon.shell.offline import Lockstep
+from softarm.daemon.runtime.offline import Lockstep
 from softarm.policies.onnx_policy import OnnxPolicy
 from softarm.schemas.config import Config
 from softarm.schemas.goals import Goal
 from softarm.training.record import foreign
 
 STEPS = 32 * 4096
+FEW_STEPS = 4096  # one iteration of either script
 TARGETS = [Goal("reach", y, z) for y, z in ((-0.35, 0.6), (-0.25, 0.62), (-0.15, 0.58), (-0.2, 0.65))]
 
 pytestmark = pytest.mark.slow
@@ -29,11 +30,20 @@ def _scripts(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def reached(file: Path) -> int:
-    """Of the targets, by the daemon's own tick."""
+    """Count the targets that a policy reaches in the real control loop."""
     flown = Lockstep(Config(), OnnxPolicy(str(file)))
     return sum(flown.fly(target, cart_start_m=0.1).reached for target in TARGETS)
 
 
+def test_the_scripts_train_and_export_for_a_few_steps(tmp_path: Path) -> None:
+    import train_ppo
+
+    agent, _, _ = train_ppo.train(FEW_STEPS)
+    foreign.export(agent.actor, tmp_path / "mine.onnx", mean=agent.mean, scale=agent.scale, cut=train_ppo.CUT)
+    assert OnnxPolicy(str(tmp_path / "mine.onnx")).metadata.task == "reach"
+
+
+@pytest.mark.prove
 def test_ppo_in_one_file_learns_to_reach_and_its_network_flies(tmp_path: Path) -> None:
     import train_ppo
 
@@ -46,6 +56,7 @@ def test_ppo_in_one_file_learns_to_reach_and_its_network_flies(tmp_path: Path) -
     assert reached(tmp_path / "mine.onnx") >= 1
 
 
+@pytest.mark.prove
 def test_stable_baselines3_learns_to_reach_and_its_network_flies(tmp_path: Path) -> None:
     pytest.importorskip("stable_baselines3")
     import train_sb3
@@ -58,7 +69,7 @@ def test_stable_baselines3_learns_to_reach_and_its_network_flies(tmp_path: Path)
     assert reached(tmp_path / "mine.onnx") >= 1
 
 
-def test_what_measures_speed_counts_steps() -> None:
+def test_the_speed_script_counts_steps() -> None:
     import speed
 
     assert speed.steps_per_s("vector_entry_point", 4, 0.05) > 0

@@ -1,4 +1,4 @@
-"""The firmware's core, built for this computer, in the place of the twin's device."""
+"""The firmware's core, built for this computer, as a replacement of the twin's device."""
 
 import ctypes
 import importlib.util
@@ -29,7 +29,8 @@ UNDEFINED = ("-fsanitize=undefined", "-fno-sanitize-recover=all")
 DRAW = ctypes.CFUNCTYPE(ctypes.c_uint32)
 _u8, _u16, _u32 = ctypes.c_uint8, ctypes.c_uint16, ctypes.c_uint32
 _core, _size, _bool, _float = ctypes.c_void_p, ctypes.c_size_t, ctypes.c_bool, ctypes.c_float
-FUNCTIONS: dict[str, tuple[Any, ...]] = {  # what it returns, then what it takes
+# Result type, then argument types.
+FUNCTIONS: dict[str, tuple[Any, ...]] = {
     "core_new": (_core, DRAW),
     "core_delete": (None, _core),
     "core_watch": (None, _core, _u32),
@@ -56,7 +57,7 @@ FUNCTIONS: dict[str, tuple[Any, ...]] = {  # what it returns, then what it takes
 
 @pytest.fixture(scope="session")
 def compiler() -> str:
-    """The C++ compiler; without one the firmware's tests are skipped, and say so."""
+    """Return the C++ compiler, or skip the test without one."""
     found = shutil.which("g++")
     if found is None:
         pytest.skip("there is no g++: the firmware is not tried (apt-get install g++)")
@@ -65,13 +66,13 @@ def compiler() -> str:
 
 @pytest.fixture(scope="session")
 def build(compiler: str, tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Path]:
-    """Compile sources, the core's among them, into one file; it ends the process on undefined behaviour."""
+    """Compile sources and the core into one file that aborts on undefined behaviour."""
 
     def built(name: str, *arguments: str | Path) -> Path:
         path = tmp_path_factory.mktemp("firmware") / name
         sources = [*arguments, SOURCES / "core.cpp", SOURCES / "frames.cpp"]
         command = [compiler, *STRICT, "-O1", "-g", "-o", str(path), *map(str, sources)]
-        if subprocess.run([*command, *UNDEFINED], capture_output=True).returncode:  # or without, where g++ cannot
+        if subprocess.run([*command, *UNDEFINED], capture_output=True).returncode:
             subprocess.run(command, check=True)
         return path
 
@@ -80,7 +81,7 @@ def build(compiler: str, tmp_path_factory: pytest.TempPathFactory) -> Callable[.
 
 @pytest.fixture(scope="session")
 def load() -> Callable[[Path, dict[str, tuple[Any, ...]]], ctypes.CDLL]:
-    """A shared library whose functions know what they return and take."""
+    """Load a shared library and declare the types of its functions."""
 
     def loaded(path: Path, functions: dict[str, tuple[Any, ...]]) -> ctypes.CDLL:
         library = ctypes.CDLL(str(path))
@@ -94,16 +95,17 @@ def load() -> Callable[[Path, dict[str, tuple[Any, ...]]], ctypes.CDLL]:
 
 @pytest.fixture(scope="session")
 def library(build: Callable[..., Path], load: Callable[..., ctypes.CDLL]) -> ctypes.CDLL:
-    """The core."""
+    """Build and load the core."""
     return load(build("core.so", "-shared", "-fPIC", HERE / "host.cpp"), FUNCTIONS)
 
 
 class Board:
-    """As `softarm.drivers.twin.teensy.TeensyDevice`, and its relay."""
+    """Board with the interface of `softarm.drivers.twin.teensy.TeensyDevice`, and a relay."""
 
     def __init__(self, library: ctypes.CDLL, new_token: Callable[[], int]) -> None:
         self._library = library
-        self._draw = DRAW(new_token)  # lives as long as what calls it
+        # ctypes needs the callback alive.
+        self._draw = DRAW(new_token)
         self._core = library.core_new(self._draw)
 
     def close(self) -> None:
@@ -128,7 +130,7 @@ class Board:
 
 @pytest.fixture
 def make_board(library: ctypes.CDLL) -> Iterator[Callable[..., Board]]:
-    """Boards with the firmware in them, switched on at their clock's zero."""
+    """Return a function that makes boards with the firmware, started at time zero."""
     made: list[Board] = []
 
     def make(new_token: Callable[[], int] = lambda: 0xA1B2C3D4) -> Board:

@@ -15,8 +15,8 @@ void core_delete(Core* core) { delete core; }
 
 void core_watch(Core* core, uint32_t now_us) { core->watch(now_us); }
 
-// Takes all of `data` at one instant; returns how many bytes of `answers` were written. There has to be room for one frame more
-// than there are zeros in `data`.
+// Processes `data` at one instant and returns the number of bytes in `answers`, which must hold one frame more than
+// there are zeros in `data`.
 size_t core_take(Core* core, const uint8_t* data, size_t length, uint32_t now_us, float kpa, bool in_span, uint8_t* answers) {
   size_t said = 0U;
   for (size_t i = 0U; i < length; ++i) {

@@ -1,4 +1,4 @@
-// A Teensy's pins and line for the sketch, as variables: what it calls is done to them, and tests look.
+// A Teensy's pins and serial line as variables, which the sketch sets and the tests read.
 #include "teensyduino/Arduino.h"
 
 #include <string.h>
@@ -12,7 +12,8 @@ constexpr size_t kLineMax = 4096U;
 struct Pin {
   int mode = -1;
   int value = -1;
-  int value_as_output = -1;  // what it showed when it became an output
+  // Value at the time when the pin became an output.
+  int value_as_output = -1;
 };
 
 Pin pins[128];

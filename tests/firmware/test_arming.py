@@ -1,6 +1,6 @@
-"""The relay in the drive's enable input: does the daemon arm over it, and what stops the cart when the rest cannot?
+"""The relay in the drive's enable input: the daemon arms with it, and it stops the cart when nothing else can.
 
-In lockstep: the daemon's own tick, the driver's own words, the firmware's core, the twin's drive.
+The daemon's tick, the firmware's core and the twin's drive run in lockstep.
 """
 
 import math
@@ -26,12 +26,12 @@ LOOK_NS = 1_000_000
 
 
 class Bench:
-    """Board and drive, joined by a wire from the relay to DI7; a daemon, and the cable to the drive."""
+    """Board and drive, with the relay in the line of DI7; a daemon, and the cable to the drive."""
 
     def __init__(self, board: Any, closed: Callable[[Any], bool]) -> None:
         self.board, self._closed = board, closed
         self.drive = DryveDevice(DryveRail())
-        self.drive.keeps_going = True  # whatever happens to its master
+        self.drive.keeps_going = True
         self.talk = Conversation(SerialRegulator().time_to_live_s)
         self.controller = Controller(Config(), InlineRunner(Hold()))
         self.now_ns, self.frames, self.requests, self.ticks = 0, 0, 0, 0
@@ -49,13 +49,13 @@ class Bench:
         made = []
         for back in (24, 16, 8, 0):
             self.frames += 1
-            tip = Pose(1e-5 * (self.frames % 2), 0.52, 0.0)  # cameras have noise
+            tip = Pose(1e-5 * (self.frames % 2), 0.52, 0.0)
             bodies = (Pose(0.0, 0.965, 0.0), *[Pose(0.0, 0.7, 0.0)] * 4, tip)
             made.append(MocapFrame(self.frames, self.now_ns - back * 1_000_000, self.now_ns, bodies))
         return tuple(made)
 
     def pass_time(self, nanoseconds: int) -> None:
-        """Board and drive go on, whoever leads them."""
+        """Advance board and drive."""
         until_ns = self.now_ns + nanoseconds
         while self.now_ns < until_ns:
             self.now_ns = min(self.now_ns + LOOK_NS, until_ns)
@@ -85,7 +85,7 @@ class Bench:
         return self.outputs
 
     def _lead(self, enable: bool) -> None:
-        """As the rail's master does it: nothing to a drive whose DI7 is low."""
+        """Lead the drive as its master does: send nothing while DI7 is low."""
         word = next_controlword(self.drive.state, enable, at_rest=True) if self.drive.remote else None
         if word is not None:
             self._drive_to(dryve.CONTROLWORD, word)
@@ -109,7 +109,7 @@ class Bench:
         return self
 
     def seconds_to_stop(self, at_most_s: float) -> float:
-        """Until the drive is told by its enable input to brake, from now."""
+        """Return the time until DI7 makes the drive brake."""
         began_ns = self.now_ns
         while self.drive.in_operation and self.now_ns - began_ns < at_most_s * 1e9:
             self.pass_time(LOOK_NS)
@@ -122,19 +122,19 @@ def bench(make_board: Any) -> Bench:
     return Bench(make_board(), lambda board: board.relay_closed)
 
 
-def test_the_daemon_arms_over_the_relay_as_it_is(bench: Bench) -> None:
+def test_the_daemon_arms_with_the_relay(bench: Bench) -> None:
     bench.armed()
 
 
-def test_a_relay_that_closes_for_an_armed_board_alone_could_never_be_armed(make_board: Any) -> None:
-    """Why it is closed for a host that speaks at all: the daemon asks for DI7 before it arms anything."""
+def test_a_relay_that_closes_only_when_armed_would_prevent_arming(make_board: Any) -> None:
+    """Show why disarmed commands close the relay: the daemon requires DI7 before it arms."""
     bench = Bench(make_board(), lambda board: board.armed)
     bench.ticks_for(1.5)
     bench.tick("arm")
     assert "enable input (DI7) is low" in bench.reasons()
 
 
-def test_a_dead_host_leaves_a_drive_that_is_told_to_stop(bench: Bench) -> None:
+def test_a_dead_host_stops_the_drive(bench: Bench) -> None:
     bench.armed()
     assert bench.seconds_to_stop(1.0) <= 0.1 + 1e-9
     bench.drive.sense(0.0, 0.0)
@@ -151,14 +151,14 @@ def test_an_emergency_stop_reaches_the_drive_without_its_cable(bench: Bench) -> 
     bench.linked = True
     bench.ticks_for(0.5)
     bench.tick("acknowledge")
-    assert "enable input (DI7) is low" in bench.reasons()  # within the second
+    assert "enable input (DI7) is low" in bench.reasons()
     bench.ticks_for(0.7)
     bench.tick("acknowledge")
     assert bench.outputs.estop is EStop.CLEAR
     bench.armed()
 
 
-def test_a_pulled_cable_to_the_drive_is_answered_as_soon_as_the_daemon_knows(bench: Bench) -> None:
+def test_a_pulled_cable_stops_the_drive_when_the_daemon_detects_it(bench: Bench) -> None:
     bench.armed()
     assert bench.rail is not None
     bench.linked, bench.rail = False, replace(bench.rail, velocity_m_s=0.5)
@@ -175,7 +175,7 @@ def test_a_pulled_cable_to_the_drive_is_answered_as_soon_as_the_daemon_knows(ben
     bench.armed()
 
 
-def test_who_arms_within_the_second_is_told_why_not(bench: Bench) -> None:
+def test_arming_within_the_second_is_refused_with_the_reason(bench: Bench) -> None:
     bench.armed()
     bench._drive_to(dryve.TARGET_VELOCITY, 0)
     bench.drive.sense(0.0, 0.0)
@@ -184,11 +184,11 @@ def test_who_arms_within_the_second_is_told_why_not(bench: Bench) -> None:
         bench.tick()
     bench.tick("arm")
     assert "enable input (DI7) is low" in bench.reasons()
-    assert bench.outputs.estop is EStop.CLEAR  # nothing is latched by it
+    assert bench.outputs.estop is EStop.CLEAR
     bench.armed()
 
 
-def test_the_button_on_the_wall_is_in_the_same_line(bench: Bench) -> None:
+def test_the_emergency_stop_button_is_in_the_same_line(bench: Bench) -> None:
     bench.armed()
     bench.button = True
     assert bench.seconds_to_stop(1.0) <= 1e-3

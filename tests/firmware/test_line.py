@@ -1,4 +1,4 @@
-"""The daemon's own driver on a real pseudo-terminal, and the firmware's core at the other end."""
+"""The daemon's driver and the firmware's core, connected by a real pseudo-terminal."""
 
 import contextlib
 import os
@@ -21,7 +21,7 @@ NATIVE = Path(__file__).parents[2] / "firmware" / "native" / "main.cpp"
 
 
 class Bench:
-    """Driver and board, on a clock that moves as it is told."""
+    """Driver and board with a manual clock."""
 
     def __init__(self, path: Path, board: Any, clock: Any, until: Any) -> None:
         self.clock, self._until = clock, until
@@ -32,7 +32,7 @@ class Bench:
     async def write_until(
         self, condition: Any, armed: bool = False, pressure_kpa: float = 0.0, pass_s: float = 0.0
     ) -> None:
-        """Write as a control loop does; a tick of `pass_s` goes by only once the last command was answered."""
+        """Write as a control loop does; a tick of `pass_s` passes once the last command was answered."""
         answered = self.regulator.read()
 
         def each() -> None:
@@ -58,7 +58,7 @@ def bench(tmp_path: Path, make_board: Any, clock: Any, until: Any, regulator_ben
     return regulator_bench(make)
 
 
-def test_it_is_armed_and_vents_by_itself_when_the_driver_falls_silent(bench: Any) -> None:
+def test_the_board_is_armed_and_vents_when_the_driver_is_silent(bench: Any) -> None:
     async def script(b: Bench) -> None:
         await b.arm()
         assert b.board.set_point_kpa == 10.0
@@ -74,7 +74,7 @@ def test_it_is_armed_and_vents_by_itself_when_the_driver_falls_silent(bench: Any
     bench(script)
 
 
-def test_a_replugged_cable_brings_nothing_back(bench: Any) -> None:
+def test_after_replugging_the_board_stays_disarmed(bench: Any) -> None:
     async def script(b: Bench) -> None:
         await b.arm()
         b.faults.serial_unplug()
@@ -90,7 +90,7 @@ def test_a_replugged_cable_brings_nothing_back(bench: Any) -> None:
 def test_a_board_that_was_reset_is_greeted_again(bench: Any, make_board: Any) -> None:
     async def script(b: Bench) -> None:
         await b.arm()
-        b.port.device = b.board = make_board(lambda: 5)  # as its watchdog leaves it
+        b.port.device = b.board = make_board(lambda: 5)
         await b.write_until(lambda: b.board.accepted_sequence and b.regulator.problem() is None, True, 10.0)
         assert (b.board.armed, b.board.relay_closed) == (False, False)
         await b.arm()
@@ -98,7 +98,7 @@ def test_a_board_that_was_reset_is_greeted_again(bench: Any, make_board: Any) ->
     bench(script)
 
 
-def test_the_drivers_farewell_vents_and_opens_the_relay(bench: Any) -> None:
+def test_stopping_the_driver_vents_and_opens_the_relay(bench: Any) -> None:
     async def script(b: Bench) -> None:
         await b.arm()
         await b.regulator.stop()
@@ -108,32 +108,32 @@ def test_the_drivers_farewell_vents_and_opens_the_relay(bench: Any) -> None:
 
 
 class Program:
-    """firmware/native: a board as a process of this computer, with a clock of its own."""
+    """Process of firmware/native: a board on this computer, with its own clock."""
 
     def __init__(self, path: Path) -> None:
         self._process = subprocess.Popen([path], stdout=subprocess.PIPE, text=True)
         assert self._process.stdout is not None
-        self._said = self._process.stdout
-        self.port = self._said.readline().removeprefix("drivers.regulator.port: ").strip()
+        self._output = self._process.stdout
+        self.port = self._output.readline().removeprefix("drivers.regulator.port: ").strip()
 
     def end(self) -> list[str]:
-        """What its valve did until now, each change once; its relay has a second of its own, and is left out."""
+        """Return the changes of the valve so far, without the relay."""
         self._process.terminate()
-        told = [", ".join(line.split(", ")[:2]) for line in self._said.read().splitlines()]
+        changes = [", ".join(line.split(", ")[:2]) for line in self._output.read().splitlines()]
         self._process.wait()
-        self._said.close()
-        return [state for state, before in zip(told, ["", *told], strict=False) if state != before]
+        self._output.close()
+        return [state for state, before in zip(changes, ["", *changes], strict=False) if state != before]
 
 
 @pytest.fixture
 def program(build: Any) -> Iterator[Program]:
     program = Program(build("native", NATIVE))
     yield program
-    with contextlib.suppress(ValueError):  # its output was read to the end already
+    with contextlib.suppress(ValueError):
         program.end()
 
 
-def test_the_program_of_this_computer_is_a_board_too(program: Program, run: Any, until: Any, running: Any) -> None:
+def test_the_native_program_acts_as_a_board(program: Program, run: Any, until: Any, running: Any) -> None:
     regulator = TeensyRegulator(SerialRegulator(port=program.port, time_to_live_s=0.25))
 
     async def script() -> None:
@@ -146,9 +146,9 @@ def test_the_program_of_this_computer_is_a_board_too(program: Program, run: Any,
 
 
 @pytest.mark.realtime
-def test_the_steps_of_the_page_go_through_the_valves_map(program: Program) -> None:
-    """docs/firmware.md, before the daemon may arm; with deadlines, for a time to live is one."""
-    page = (NATIVE.parents[2] / "docs" / "firmware.md").read_text(encoding="utf-8")
+def test_the_steps_of_the_page_cover_the_valves_range(program: Program) -> None:
+    """Follow docs/hardware/firmware.md, in real time because of the time to live."""
+    page = (NATIVE.parents[2] / "docs" / "hardware" / "firmware.md").read_text(encoding="utf-8")
     [steps] = re.findall(r"```python\n(.*?)```", page, re.DOTALL)
     steps, shorter = re.subn(
         r"(?m)^SECONDS = .*", "SECONDS = 0.3", re.sub(r'(?m)^PORT = ".*"', f'PORT = "{program.port}"', steps)

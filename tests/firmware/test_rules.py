@@ -1,4 +1,4 @@
-"""What the firmware promises beside the page's device rules: its relay, its sensor, its clock, its tokens."""
+"""Promises of the firmware in addition to the page's rules: relay, sensor, clock and tokens."""
 
 import itertools
 import math
@@ -13,12 +13,13 @@ from softarm.drivers.regulator.cobs import Deframer, frame
 from softarm.drivers.regulator.teensy import Fault, Hello, RegulatorCommand, RegulatorState, Welcome, decode, encode
 
 MS = 1_000_000
-OPEN_MS = 1000  # what an opened relay stays open at least
+# Shortest time of an open relay.
+OPEN_MS = 1000
 WRAP_MS = 2**32 / 1000
 
 
 class Host:
-    """The other end of the board's line, on a clock of its own."""
+    """Host's end of the board's line, with a manual clock."""
 
     def __init__(self, board: Any, now_ms: float = 0.0) -> None:
         self.board, self.now_ns = board, round(now_ms * MS)
@@ -54,14 +55,14 @@ class Host:
         self.board.watch(self.now_ns)
 
     def talk(self, milliseconds: float, armed: bool = False) -> "Host":
-        """A command every 33 ms, the first at once."""
+        """Send a command every 33 ms, the first at once."""
         for _ in range(math.ceil(milliseconds / 33)):
             self.command(armed)
             self.wait(33)
         return self
 
     def armed(self) -> "Host":
-        """Disarmed for longer than the relay takes, then armed."""
+        """Send disarmed commands until the relay closes, then armed ones."""
         self.greet().talk(OPEN_MS + 100).talk(33, armed=True)
         assert (self.board.armed, self.board.relay_closed) == (True, True)
         return self
@@ -89,7 +90,7 @@ def host(make_board: Any) -> Host:
     ],
 )
 @pytest.mark.parametrize("armed", [False, True])
-def test_the_ends_of_its_ranges(host: Host, kpa: float, live_ms: int, accepted: bool, armed: bool) -> None:
+def test_commands_at_the_ends_of_the_ranges(host: Host, kpa: float, live_ms: int, accepted: bool, armed: bool) -> None:
     host.greet().command(False)
     answer = host.command(armed, kpa, live_ms)
     assert answer.faults == (Fault(0) if accepted else Fault.RANGE)
@@ -97,7 +98,7 @@ def test_the_ends_of_its_ranges(host: Host, kpa: float, live_ms: int, accepted: 
 
 
 @pytest.mark.parametrize("more", [b"\1", b"\7" * 7, b"\7" * 300])
-def test_a_command_with_something_behind_it_is_none(host: Host, more: bytes) -> None:
+def test_a_command_with_extra_bytes_is_ignored(host: Host, more: bytes) -> None:
     host.greet()
     said = frame(encode(RegulatorCommand(host.token, 0.1, False, 1.0), 2, 0))
     assert host.board.receive(said[:-1] + more + b"\0", host.now_ns, 1.0) == b""
@@ -107,7 +108,7 @@ def test_a_command_with_something_behind_it_is_none(host: Host, more: bytes) -> 
 # The relay
 
 
-def test_the_relay_closes_for_a_host_that_speaks_before_anything_is_armed(host: Host) -> None:
+def test_the_relay_closes_for_disarmed_commands(host: Host) -> None:
     assert not host.board.relay_closed
     host.greet()
     assert not host.board.relay_closed
@@ -115,13 +116,13 @@ def test_the_relay_closes_for_a_host_that_speaks_before_anything_is_armed(host: 
     host.command(False)
     host.now_ns = OPEN_MS * MS - 1000
     host.board.watch(host.now_ns)
-    assert not host.board.relay_closed  # not in the first second
+    assert not host.board.relay_closed
     host.wait(0.001)
     assert host.board.relay_closed
     assert not host.board.armed
 
 
-def test_silence_opens_it_after_the_time_to_live_whether_armed_or_not(host: Host) -> None:
+def test_silence_opens_the_relay_after_the_time_to_live(host: Host) -> None:
     for armed in (False, True):
         host.greet().talk(OPEN_MS + 100)
         host.command(armed)
@@ -131,7 +132,7 @@ def test_silence_opens_it_after_the_time_to_live_whether_armed_or_not(host: Host
         assert not host.board.relay_closed
 
 
-def test_what_is_latched_keeps_it_open_until_a_disarmed_command(host: Host) -> None:
+def test_a_latched_fault_keeps_the_relay_open_until_a_disarmed_command(host: Host) -> None:
     host.armed().wait(101)
     host.talk(3 * OPEN_MS, armed=True)
     assert not host.board.relay_closed
@@ -140,7 +141,7 @@ def test_what_is_latched_keeps_it_open_until_a_disarmed_command(host: Host) -> N
 
 
 @pytest.mark.parametrize("how", ["disarmed", "hello", "silence"])
-def test_whatever_disarms_opens_it_for_a_second(host: Host, how: str) -> None:
+def test_every_disarming_opens_the_relay_for_a_second(host: Host, how: str) -> None:
     host.armed()
     if how == "disarmed":
         host.command(False)
@@ -155,16 +156,16 @@ def test_whatever_disarms_opens_it_for_a_second(host: Host, how: str) -> None:
     assert host.board.relay_closed
 
 
-def test_a_hello_opens_it_at_once_also_of_a_board_that_was_disarmed(host: Host) -> None:
+def test_a_hello_opens_the_relay_at_once_even_when_disarmed(host: Host) -> None:
     host.greet().talk(OPEN_MS + 100)
     host.command(False)
     assert host.board.relay_closed
-    host.board.receive(frame(encode(Hello(), 9999, 0)), host.now_ns, 1.0)  # and nobody looks at the clock
+    host.board.receive(frame(encode(Hello(), 9999, 0)), host.now_ns, 1.0)
     assert not host.board.relay_closed
 
 
 @pytest.mark.parametrize("bad", [{"wrong": 1}, {"kpa": 20.5}, {"kpa": math.nan}, {"live_ms": 251}])
-def test_commands_that_are_refused_do_not_hold_it(host: Host, bad: dict[str, Any]) -> None:
+def test_rejected_commands_do_not_keep_the_relay_closed(host: Host, bad: dict[str, Any]) -> None:
     host.armed()
     for _ in range(6):
         host.command(False, **bad)
@@ -182,7 +183,7 @@ SPOKEN = st.one_of(
 
 @settings(max_examples=200, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(st.lists(SPOKEN, max_size=25), st.sampled_from([0.0, WRAP_MS - 700, 3 * WRAP_MS - 2000]))
-def test_the_relay_is_closed_only_while_it_may_be(make_board: Any, script: list[Any], start_ms: float) -> None:
+def test_the_relay_is_closed_only_when_allowed(make_board: Any, script: list[Any], start_ms: float) -> None:
     host = Host(make_board(itertools.count(7).__next__), start_ms)
     was_closed = was_armed = False
     opened_ns = host.now_ns
@@ -215,7 +216,7 @@ def test_the_relay_is_closed_only_while_it_may_be(make_board: Any, script: list[
 
 
 @pytest.mark.parametrize("left_ms", [0.001, 50.0, 99.999, 100.0])
-def test_the_time_to_live_runs_on_over_the_wrap_of_the_microseconds(make_board: Any, left_ms: float) -> None:
+def test_the_time_to_live_expires_across_the_wrap_of_the_clock(make_board: Any, left_ms: float) -> None:
     host = Host(make_board(), WRAP_MS - 2 * OPEN_MS)
     host.armed()
     last_ns = round((WRAP_MS - left_ms) * MS)
@@ -228,7 +229,7 @@ def test_the_time_to_live_runs_on_over_the_wrap_of_the_microseconds(make_board: 
     assert not host.board.armed
 
 
-def test_an_hour_of_silence_brings_nothing_back(host: Host) -> None:
+def test_after_an_hour_of_silence_the_board_is_still_disarmed(host: Host) -> None:
     host.armed()
     for _ in range(2 * 72):  # over the wrap: 72 minutes, half a minute at a time
         host.wait(30_000)
@@ -236,7 +237,7 @@ def test_an_hour_of_silence_brings_nothing_back(host: Host) -> None:
     assert host.command(True).faults == Fault.TIME_TO_LIVE
 
 
-def test_a_clock_that_goes_back_vents(host: Host) -> None:
+def test_a_clock_that_goes_backwards_vents(host: Host) -> None:
     host.armed().wait(-1)
     assert (host.board.armed, host.board.relay_closed) == (False, False)
 
@@ -245,7 +246,7 @@ def test_a_clock_that_goes_back_vents(host: Host) -> None:
 
 
 @pytest.mark.parametrize("kpa", [math.nan, math.inf, -math.inf])
-def test_a_broken_sensor_is_a_finite_number_and_a_fault_and_nothing_else(host: Host, kpa: float) -> None:
+def test_a_broken_sensor_gives_a_finite_number_and_a_fault(host: Host, kpa: float) -> None:
     host.armed().sensor = (kpa, True)
     assert host.command(True) == RegulatorState(host.sequence, True, Fault.SENSOR, 0.0)
     host.sensor = (-12.5, False)
@@ -255,7 +256,7 @@ def test_a_broken_sensor_is_a_finite_number_and_a_fault_and_nothing_else(host: H
     assert host.command(True) == RegulatorState(host.sequence, True, Fault(0), -12.5)
 
 
-def test_hellos_at_once_have_a_token_each_and_the_last_one_counts(host: Host) -> None:
+def test_each_of_several_hellos_has_a_token_and_the_last_is_valid(host: Host) -> None:
     hellos = b"".join(frame(encode(Hello(), sequence, 0)) for sequence in (1, 2, 3))
     answers = Deframer().feed(host.board.receive(hellos, host.now_ns, 0.0))
     tokens = [decode(body)[0].token for body in answers]

@@ -1,4 +1,4 @@
-"""Three devices from one page: firmware, twin's and outside robot's hear the same line and have to say the same."""
+"""Three implementations of one page (firmware, twin, independent robot) must answer the same line equally."""
 
 import itertools
 import math
@@ -11,14 +11,14 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from softarm.benchmarks.outside import regulator as outside
 from softarm.drivers.regulator.cobs import frame
 from softarm.drivers.twin.teensy import TeensyDevice
+from validation.outside import regulator as outside
 
 BELOW, ABOVE = (float(np.nextafter(np.float32(edge), np.float32(way))) for edge, way in ((-0.7, -9), (20, 99)))
 KPA = st.sampled_from([0.0, -0.0, 5.0, 12.5, -0.7, 20.0, BELOW, ABOVE, math.nan, math.inf, -math.inf, 1e-42])
 LIVE_MS = st.sampled_from([1, 57, 100, 100, 100, 250, 0, 251, 300, 65535])
-AHEAD = st.sampled_from([1, 1, 1, 1, 2, 0, -1, 2**31 - 1, 2**31, -(2**31) + 1])  # of the last one that was said
+AHEAD = st.sampled_from([1, 1, 1, 1, 2, 0, -1, 2**31 - 1, 2**31, -(2**31) + 1])
 WAIT_US = st.one_of(
     st.sampled_from([0, 1, 999, 1000, 1001, 33_333, 56_999, 57_000, 99_999, 100_000, 100_001, 249_999, 250_000]),
     st.integers(0, 300_000),
@@ -37,7 +37,7 @@ STEP = st.one_of(
 
 
 class Three:
-    """The devices on one clock, and what a host at the other end would know."""
+    """The devices on one clock, and the knowledge of a host."""
 
     def __init__(self, make_board: Callable[..., Any], now_us: int, monkeypatch: pytest.MonkeyPatch) -> None:
         self.now_us = now_us
@@ -65,7 +65,7 @@ class Three:
         return draw
 
     def say(self, step: tuple[Any, ...]) -> None:
-        """Put what a step says on the line; it is heard when time passes or `hear` is called."""
+        """Put the bytes of a step on the line; they are received when time passes or `receive_all` is called."""
         kind, *rest = step
         if kind == "noise":
             self._pending += rest[0]
@@ -80,24 +80,24 @@ class Three:
                 self._pending += frame(struct.pack("<BBII", 1, 1, self.sequence, 0))
             else:
                 _, wrong, live_ms, flags, kpa = rest
-                said = (self.token ^ wrong, live_ms, flags, kpa)
-                self._pending += frame(struct.pack("<BBIIIHBf", 1, 2, self.sequence, 0, *said))
+                fields = (self.token ^ wrong, live_ms, flags, kpa)
+                self._pending += frame(struct.pack("<BBIIIHBf", 1, 2, self.sequence, 0, *fields))
 
-    def hear(self, cut: int = 0) -> None:
-        """Hand over what is on the line, in two pieces."""
+    def receive_all(self, cut: int = 0) -> None:
+        """Deliver the bytes on the line in two pieces."""
         data, self._pending = self._pending, b""
         for piece in (data[:cut], data[cut:]):
             now_ns = self.now_us * 1000
-            said = [
+            answers = [
                 self.board.receive(piece, now_ns, 3.25),
                 self.twin.receive(piece, now_ns, 3.25),
-                self.outside.hear(piece, self.now_us, 3.25),
+                self.outside.receive(piece, self.now_us, 3.25),
             ]
-            assert said[0].hex() == said[1].hex() == said[2].hex()
+            assert answers[0].hex() == answers[1].hex() == answers[2].hex()
             self.watch()
 
     def watch(self) -> None:
-        """Let them look at the clock, and compare what they do."""
+        """Advance the devices and compare their outputs."""
         self.board.watch(self.now_us * 1000)
         self.twin.watch(self.now_us * 1000)
         self.outside.run(self.now_us)
@@ -114,21 +114,21 @@ class Three:
     start_us=st.sampled_from([0, 2**31 - 150_000, 2**32 - 1, 2**32 - 150_000, 5 * 2**32 - 40_000]),
     first=st.sampled_from([1, 2**31 - 3, 2**32 - 3]),
 )
-def test_three_devices_do_and_say_the_same(
+def test_three_devices_act_and_answer_equally(
     make_board: Any, monkeypatch: pytest.MonkeyPatch, script: Any, start_us: int, first: int
 ) -> None:
     three = Three(make_board, start_us, monkeypatch)
     for step in (("hello", first), ("command", 1, 0, 100, 0, 0.0), ("command", 1, 0, 100, 1, 5.0)):
         three.say(step)
-        three.hear()
+        three.receive_all()
     assert three.board.armed
     for step, cut in script:
         if step[0] == "wait":
-            three.hear(cut)
+            three.receive_all(cut)
             three.now_us += step[1]
             three.watch()
         else:
             three.say(step)
-            if cut % 3:  # else it waits for what comes next
-                three.hear(cut)
-    three.hear()
+            if cut % 3:
+                three.receive_all(cut)
+    three.receive_all()

@@ -1,4 +1,4 @@
-"""The sketch around the core: compiled and run on this computer, a Teensy's pins being variables; never on a Teensy."""
+"""The sketch around the core, compiled and run on this computer with a Teensy's pins as variables."""
 
 import configparser
 import ctypes
@@ -39,14 +39,14 @@ FUNCTIONS: dict[str, tuple[Any, ...]] = {
 
 
 def complaints(compiler: str, *arguments: str | Path, said: str | None = None) -> str:
-    """What the compiler has against a file of the sketch, or against a text that takes its place."""
+    """Return the compiler's errors for a file of the sketch, or for a text in its place."""
     strict = ("-std=gnu++14", "-Wall", "-Wextra", "-Wconversion", "-Wshadow", "-Werror", "-fsyntax-only")
     command = [compiler, *strict, *DECLARED, *map(str, arguments)]
     return subprocess.run(command, input=said, capture_output=True, text=True, timeout=60).stderr
 
 
 @pytest.mark.parametrize("name", ["regulator.ino", "teensy36.cpp", "core.cpp", "frames.cpp"])
-def test_it_compiles_against_what_teensyduino_declares(compiler: str, name: str) -> None:
+def test_the_sketch_compiles_against_teensyduinos_declarations(compiler: str, name: str) -> None:
     assert complaints(compiler, SKETCH / name) == ""
 
 
@@ -58,7 +58,7 @@ def test_it_compiles_against_what_teensyduino_declares(compiler: str, name: str)
         ("teensy36.cpp", "WDOG_TOVALL", "WDOG_TOVAL"),
     ],
 )
-def test_a_slip_of_the_pen_does_not_compile(compiler: str, name: str, right: str, wrong: str) -> None:
+def test_a_mistake_does_not_compile(compiler: str, name: str, right: str, wrong: str) -> None:
     text = (SKETCH / name).read_text(encoding="utf-8")
     assert right in text
     assert wrong in complaints(compiler, "-", said=text.replace(right, wrong))
@@ -70,18 +70,18 @@ def test_a_slip_of_the_pen_does_not_compile(compiler: str, name: str, right: str
         ("kValve = kVppiMinus1To1Bar", "kValve = kVppi0To2Bar", "reach v_vent"),
         ("kAmplifier = {4.9F, 0.4F}", "kAmplifier = {5.2F, 0.4F}", "in reset would inflate the muscle"),
         ("kAmplifier = {4.9F, 0.4F}", "kAmplifier = {4.9F, 0.3F}", "does not reach 20 kPa"),
-        ("0.0F, 10.0F, 5.0F}", "0.0F, 10.0F, 5.2F}", "v_vent is not where 0 kPa lies"),
-        ("4.0F, 8.0F, 1.0F / 3.0F", "0.0F, 8.0F, 1.0F / 3.0F", "a torn wire or a short would be believed"),
-        ("kWatchdogMs = 20U", "kWatchdogMs = 2000U", "a hung loop has to vent"),
+        ("0.0F, 10.0F, 5.0F}", "0.0F, 10.0F, 5.2F}", "v_vent is not the voltage of 0 kPa"),
+        ("4.0F, 8.0F, 1.0F / 3.0F", "0.0F, 8.0F, 1.0F / 3.0F", "a broken wire or a short circuit would read as valid"),
+        ("kWatchdogMs = 20U", "kWatchdogMs = 2000U", "a hung loop must vent"),
     ],
 )
-def test_a_bench_that_cannot_be_right_does_not_compile(compiler: str, right: str, wrong: str, why: str) -> None:
+def test_an_inconsistent_bench_does_not_compile(compiler: str, right: str, wrong: str, why: str) -> None:
     text = (SKETCH / "board.h").read_text(encoding="utf-8")
     assert text.count(right) == 1
     assert why in complaints(compiler, "-", said=text.replace(right, wrong).replace("#pragma once", ""))
 
 
-def test_the_core_asks_for_no_heap_and_nothing_of_a_board(compiler: str, tmp_path: Path) -> None:
+def test_the_core_needs_no_heap_and_no_board(compiler: str, tmp_path: Path) -> None:
     nm = shutil.which("nm")
     assert nm is not None, "nm comes with g++"
     needed, ours = set(), set()
@@ -96,7 +96,7 @@ def test_the_core_asks_for_no_heap_and_nothing_of_a_board(compiler: str, tmp_pat
     assert "Arduino.h" not in "".join((SKETCH / name).read_text() for name in ("core.h", "core.cpp", "board.h"))
 
 
-def test_platformio_builds_what_is_there() -> None:
+def test_platformio_builds_the_existing_files() -> None:
     plan = configparser.ConfigParser()
     plan.read(FIRMWARE / "platformio.ini")
     assert dict(plan["env:teensy36"]) == {"platform": "teensy", "board": "teensy36", "framework": "arduino"}
@@ -106,7 +106,7 @@ def test_platformio_builds_what_is_there() -> None:
 
 
 class Teensy:
-    """The sketch on a Teensy of variables, and a host at its line."""
+    """Sketch with simulated pins, and a host at its line."""
 
     def __init__(self, library: ctypes.CDLL) -> None:
         self.sketch, self.now_us, self.sequence, self.token = library, 0, 0, 0
@@ -118,9 +118,9 @@ class Teensy:
         self.sketch.sketch_loop()
 
     def answers(self) -> list[Any]:
-        heard = ctypes.create_string_buffer(4096)
-        length = self.sketch.line_hear(heard)
-        return [decode(body)[0] for body in self._deframer.feed(heard.raw[:length])]
+        received = ctypes.create_string_buffer(4096)
+        length = self.sketch.line_hear(received)
+        return [decode(body)[0] for body in self._deframer.feed(received.raw[:length])]
 
     def say(self, *messages: Any) -> list[Any]:
         data = b""
@@ -156,16 +156,16 @@ def built(build: Any, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def teensy(built: Path, load: Any, tmp_path: Path) -> Teensy:
-    """Switched on: from a copy of its own, for it has one set of pins."""
+    """Start a new copy of the sketch, because a copy has one set of pins."""
     library = load(Path(shutil.copy(built, tmp_path)), FUNCTIONS)
-    library.sensor_set(round(5.0 / 3 / 3.3 * 4095))  # 5 V behind the divider: 0 kPa
+    library.sensor_set(round(5.0 / 3 / 3.3 * 4095))
     library.sketch_setup()
     return Teensy(library)
 
 
-def test_it_begins_vented_open_and_watched(teensy: Teensy) -> None:
+def test_the_sketch_starts_vented_with_an_open_relay_and_a_watchdog(teensy: Teensy) -> None:
     sketch = teensy.sketch
-    assert (sketch.pin_mode(RELAY), sketch.pin_value_as_output(RELAY)) == (OUTPUT, LOW)  # low before it drives
+    assert (sketch.pin_mode(RELAY), sketch.pin_value_as_output(RELAY)) == (OUTPUT, LOW)
     assert (sketch.pin_value(RELAY), sketch.pin_value(DAC), sketch.pin_value(LED)) == (LOW, VENT_COUNTS, LOW)
     assert sketch.watchdog_time_ms() == 20
     for loops in range(1, 5):
@@ -173,7 +173,7 @@ def test_it_begins_vented_open_and_watched(teensy: Teensy) -> None:
         assert sketch.watchdog_fed() == loops
 
 
-def test_what_the_core_decides_is_at_the_pins_and_silence_takes_it_back(teensy: Teensy) -> None:
+def test_the_pins_follow_the_core_and_silence_resets_them(teensy: Teensy) -> None:
     sketch = teensy.sketch
     teensy.arm(20.0)
     twenty = round((6.0 - 4.9) / 0.4 / 3.3 * 4095)
@@ -185,17 +185,17 @@ def test_what_the_core_decides_is_at_the_pins_and_silence_takes_it_back(teensy: 
 
 
 @pytest.mark.parametrize(
-    ("volts", "kpa", "sound"), [(5.0, 0.0, True), (6.0, 20.0, True), (0.0, -100.0, False), (9.0, 80.0, False)]
+    ("volts", "kpa", "valid"), [(5.0, 0.0, True), (6.0, 20.0, True), (0.0, -100.0, False), (9.0, 80.0, False)]
 )
-def test_the_sensor_is_read_through_its_divider(teensy: Teensy, volts: float, kpa: float, sound: bool) -> None:
+def test_the_sensor_is_read_through_its_divider(teensy: Teensy, volts: float, kpa: float, valid: bool) -> None:
     teensy.arm()
     teensy.sketch.sensor_set(round(volts / 3 / 3.3 * 4095))
     state = teensy.command(True)
     assert state.pressure_kpa == pytest.approx(kpa, abs=0.05)  # half a count
-    assert state.faults == (Fault(0) if sound else Fault.SENSOR)
+    assert state.faults == (Fault(0) if valid else Fault.SENSOR)
 
 
-def test_a_host_that_does_not_read_holds_nothing_up(teensy: Teensy) -> None:
+def test_a_host_that_does_not_read_delays_nothing(teensy: Teensy) -> None:
     teensy.arm()
     teensy.sketch.line_room(24)  # a state takes 25
     for _ in range(3):
@@ -206,7 +206,7 @@ def test_a_host_that_does_not_read_holds_nothing_up(teensy: Teensy) -> None:
     assert teensy.command(False).accepted_sequence == teensy.sequence
 
 
-def test_a_flooded_line_does_not_keep_the_outputs_from_being_looked_at(teensy: Teensy) -> None:
+def test_the_outputs_are_updated_on_a_flooded_line(teensy: Teensy) -> None:
     teensy.arm()
     teensy.sketch.line_say(b"\x07" * 1000, 1000)
     teensy.loop(101)
@@ -221,16 +221,16 @@ def test_a_flooded_line_does_not_keep_the_outputs_from_being_looked_at(teensy: T
     ("vacuum", "kpa", "volts"),
     [(True, 0.0, 5.0), (True, -0.7, 4.965), (True, 20.0, 6.0), (False, 0.0, 0.0), (False, -0.7, 0.0), (False, 20, 1.0)],
 )
-def test_each_valve_gets_its_own_voltage(library: ctypes.CDLL, vacuum: bool, kpa: float, volts: float) -> None:
+def test_each_valve_receives_its_own_voltage(library: ctypes.CDLL, vacuum: bool, kpa: float, volts: float) -> None:
     assert library.board_output(vacuum, True, kpa) / 4095 * 10 == pytest.approx(volts, abs=10 / 4095)
 
 
 @pytest.mark.parametrize(("vacuum", "volts"), [(True, 5.0), (False, 0.0)])
-def test_vent_is_the_valves_own_voltage_and_not_zero(library: ctypes.CDLL, vacuum: bool, volts: float) -> None:
+def test_vent_is_a_voltage_of_the_valve_and_not_zero(library: ctypes.CDLL, vacuum: bool, volts: float) -> None:
     assert library.board_output(vacuum, False, 20.0) / 4095 * 10 == pytest.approx(volts, abs=10 / 4095)
 
 
-def test_no_count_of_the_dac_goes_beyond_what_board_h_says(library: ctypes.CDLL) -> None:
+def test_no_count_of_the_dac_exceeds_the_range_of_board_h(library: ctypes.CDLL) -> None:
     assert library.board_own_volts(0) == pytest.approx(4.9)
     assert library.board_own_volts(4095) == pytest.approx(6.22)
     assert [library.board_own_output(True, kpa) for kpa in (-1e9, 1e9)] == [0, 4095]

@@ -1,4 +1,4 @@
-"""The relay between both wires: the drivers as they are, the drive's master in its process, board and drive."""
+"""The relay between board and drive, with the real drivers and the drive's master in its process."""
 
 from pathlib import Path
 from typing import Any
@@ -16,7 +16,7 @@ TICK_S = 0.033
 
 
 class Bench:
-    """The board's clock moves by a tick with each command that was answered, so that its second is soon over."""
+    """Bench whose board's clock advances by a tick with each answered command, so that its second passes fast."""
 
     def __init__(self, path: Path, board: Any, clock: Any, until: Any) -> None:
         self.board, self.clock, self._until = board, clock, until
@@ -29,7 +29,7 @@ class Bench:
         self.rail: Any = None
 
     async def write_until(self, condition: Any, armed: bool, speak: bool = True) -> None:
-        """A control loop's writes; `speak`: to the board too."""
+        """Write as a control loop does; `speak` includes the board."""
         answered = self.regulator.read()
 
         def each() -> None:
@@ -48,7 +48,7 @@ class Bench:
         await self._until(condition, each)
 
     async def armed(self) -> None:
-        """As the daemon has it: both well and disarmed first, DI7 high among that, then both armed."""
+        """Arm as the daemon does: both devices healthy and disarmed with DI7 high, then both armed."""
         await self.write_until(lambda: (reading := self.rail.read()) and reading.remote and not self.board.armed, False)
         await self.write_until(lambda: self.board.armed and self.rail.read().enabled, True)
 
@@ -56,7 +56,8 @@ class Bench:
 @pytest.fixture
 def bench(tmp_path: Path, make_board: Any, clock: Any, until: Any, run: Any, running: Any, monkeypatch: Any) -> Any:
     monkeypatch.setattr("softarm.drivers.regulator.driver.HELLO_S", 0.005)
-    monkeypatch.setattr("softarm.drivers.twin.dryve.SILENCE_MAX_S", float("inf"))  # its clock is the board's
+    # The twin's drive has the board's clock.
+    monkeypatch.setattr("softarm.drivers.twin.dryve.SILENCE_MAX_S", float("inf"))
 
     async def play(script: Any) -> None:
         bench = Bench(tmp_path / "teensy", make_board(), clock, until)
@@ -86,13 +87,13 @@ def test_the_drive_is_armed_over_the_relay_and_disarmed_and_armed_again(bench: A
 
 
 @pytest.mark.slow
-def test_a_board_that_hears_nothing_stops_a_drive_whose_master_goes_on(bench: Any) -> None:
+def test_a_board_without_commands_stops_a_drive_with_a_live_master(bench: Any) -> None:
     async def script(b: Bench) -> None:
         await b.armed()
         await b.write_until(lambda: not b.rail.read().enabled, True, speak=False)
         assert not b.drive.in_operation
         await b.write_until(lambda: b.board.faults, True)
-        assert not b.rail.read().enabled  # armed commands to either bring nothing back
+        assert not b.rail.read().enabled
         await b.armed()
 
     bench(script)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from softarm.daemon.control.records import Mode
-from softarm.daemon.shell.offline import Lockstep
+from softarm.daemon.runtime.offline import Lockstep
 from softarm.policies.base import PolicyError
 from softarm.policies.excite import LEAD_IN_S, Excite
 from softarm.policies.hold import Hold
@@ -48,7 +48,7 @@ def test_the_seeds_sequence_lasts_about_28_s_and_holds_its_three_parts():
 
 
 @pytest.mark.parametrize("name", ["both", "rail-steps", "free-decay"])
-def test_it_plays_to_its_end_through_the_daemons_tick(name):
+def test_an_excitation_plays_to_its_end_in_the_control_loop(name):
     lockstep = Lockstep(Config(), Excite(name))
     lockstep.arm()
     outputs = lockstep.tick(lockstep.request("goal", Goal("run")))
@@ -84,10 +84,10 @@ def test_a_run_is_for_policies_without_a_target_and_a_reach_for_those_with_one()
     reaching = Lockstep(Config(), Pid())
     reaching.arm()
     outputs = reaching.tick(reaching.request("goal", Goal("run")))
-    assert "needs a target: give a reach goal" in outputs.results[-1].reasons[0]
+    assert "needs a target: request a reach goal" in outputs.results[-1].reasons[0]
 
 
-def test_a_run_without_an_end_goes_on_until_it_is_cancelled():
+def test_a_run_without_an_end_continues_until_it_is_cancelled():
     lockstep = Lockstep(Config(), Hold())
     lockstep.arm()
     lockstep.tick(lockstep.request("goal", Goal("run")))
@@ -97,7 +97,7 @@ def test_a_run_without_an_end_goes_on_until_it_is_cancelled():
     assert lockstep.tick(lockstep.request("cancel_goal")).goal.state == "cancelled"
 
 
-def test_a_stop_ends_it():
+def test_a_stop_ends_an_excitation():
     lockstep = Lockstep(Config(), Excite("seed"))
     lockstep.arm()
     lockstep.tick(lockstep.request("goal", Goal("run")))
@@ -105,12 +105,12 @@ def test_a_stop_ends_it():
     assert (outputs.goal.state, outputs.sent.pressure_kpa) == ("failed", 0.0)
 
 
-def test_an_unknown_excitation_gets_the_list():
+def test_an_unknown_excitation_is_refused_with_the_list():
     with pytest.raises(PolicyError, match=r"no excitation 'rail-chrip'; did you mean rail-chirp\? \(there are: seed"):
         Excite("rail-chrip")
 
 
-def test_a_reset_begins_again():
+def test_a_reset_restarts_the_excitation():
     policy = Excite("seed")
     observation, goal = np.zeros(8, np.float32), np.full(2, np.nan, np.float32)
     first = [policy.step(observation, goal).tolist() for _ in range(300)]
@@ -119,6 +119,6 @@ def test_a_reset_begins_again():
     assert max(pressure for _, pressure in first) > 10
 
 
-def test_it_is_declared_as_a_plugin():
+def test_excite_is_declared_as_a_plugin():
     project = tomllib.loads((Path(__file__).parents[2] / "pyproject.toml").read_text())
     assert project["project"]["entry-points"]["softarm.policies"]["excite"] == "softarm.policies.excite:Excite"

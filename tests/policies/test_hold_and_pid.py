@@ -21,7 +21,7 @@ def goal(y, z):
     return np.array([y, z], dtype=np.float32)
 
 
-def test_both_are_policies():
+def test_hold_and_pid_are_policies():
     assert isinstance(Hold(), Policy)
     assert isinstance(Pid(), Policy)
     assert not Hold().spec.needs_target
@@ -40,7 +40,7 @@ def test_hold_refuses_a_rest_pressure_outside_the_muscles_range(rest):
         Hold(rest_pressure_kpa=rest)
 
 
-def test_pid_is_the_papers():
+def test_pid_has_the_papers_gains():
     action = Pid().step(observe(tip_y=0.05, tip_z=0.52), goal(-0.25, 0.56))
     np.testing.assert_allclose(action, [-1.0 * (0.05 + 0.25), -20.0 * (0.52 - 0.56)], rtol=1e-5)
 
@@ -73,6 +73,6 @@ def test_an_integral_does_not_wind_up_while_its_action_is_at_a_limit():
 
 
 @pytest.mark.parametrize("gain", [-1.0, float("nan"), float("inf")])
-def test_a_gain_that_would_push_away_is_refused(gain):
+def test_a_negative_gain_is_refused(gain):
     with pytest.raises(PolicyError, match=r"option kd_z is .*; allowed 0 or more"):
         Pid(kd_z=gain)

@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from softarm.benchmarks import commands
-from softarm.daemon.shell.offline import Lockstep
+from benchmarks import commands
+from softarm.daemon.runtime.offline import Lockstep
 from softarm.policies.base import Policy, PolicyError
 from softarm.policies.mppi import plans
 from softarm.policies.mppi.cost import Cost
@@ -61,7 +61,7 @@ class TestFlights:
         reached = []
         for goal in (Goal("reach", -0.35, 0.75), Goal("reach", 0.1, 0.6), Goal("reach", -0.25, 0.7)):
             for _ in range(10):
-                daemon.tick(daemon.request("goal", Goal("reach", -0.4, 0.85)))  # each begins anew, none is reached
+                daemon.tick(daemon.request("goal", Goal("reach", -0.4, 0.85)))  # each begins again, none is reached
             outputs = daemon.tick(daemon.request("goal", goal))
             assert (
                 max(abs(outputs.observed.values.tip_vy_m_s), abs(outputs.observed.values.tip_vz_m_s)) > 0.05
@@ -71,7 +71,7 @@ class TestFlights:
             reached.append(outputs.goal.state)
         assert reached == ["reached"] * 3
 
-    def test_the_same_flight_comes_out_the_same(self, flown):
+    def test_flights_are_repeatable(self, flown):
         """A reset forgets everything, and the sampling is seeded."""
         policy, _ = flown
         flights = []
@@ -82,7 +82,7 @@ class TestFlights:
         np.testing.assert_array_equal(*flights)
         assert np.ptp(flights[0], axis=0).max() > 0
 
-    def test_a_broken_observation_is_a_fault_and_no_more(self, flown):
+    def test_an_invalid_observation_is_a_fault_of_one_step(self, flown):
         policy, _ = flown
         runner = InlineRunner(policy)
         assert runner.step(HANGING, TARGET).fault is None
@@ -100,7 +100,7 @@ class TestBudget:
         assert policy.rounds_flown == 4
 
     @pytest.mark.parametrize("round_ms", [2.0, 3.0, 5.9])
-    def test_no_round_is_begun_that_would_end_too_late(self, round_ms):
+    def test_no_round_begins_that_would_exceed_the_budget(self, round_ms):
         clock = Clock(round_ms)
         policy = Mppi(rounds=100, rollouts=64, budget_s=0.012, clock=clock)
         for _ in range(3):
@@ -109,7 +109,7 @@ class TestBudget:
             assert policy.rounds_flown > 0
             assert clock.now_ns - start_ns <= 12_000_000
 
-    def test_without_time_it_flies_the_plan_it_has(self):
+    def test_without_time_the_current_plan_is_flown(self):
         clock = Clock(0.0)
         policy = Mppi(rollouts=64, clock=clock)
         policy.step(HANGING, TARGET)
@@ -162,18 +162,18 @@ class TestEstimate:
         return np.array(tips), np.array(angles)
 
     @pytest.mark.parametrize("seed", range(3))
-    def test_where_the_model_is_the_robot_it_finds_what_nobody_sees(self, seed):
+    def test_with_the_true_model_the_estimator_finds_the_hidden_state(self, seed):
         tips, angles = self.follow(0.0, seed)
         assert tips.max() < 2e-3
         assert angles[10:].max() < np.radians(0.5)
 
     @pytest.mark.parametrize("seed", range(3))
-    def test_the_cameras_noise_stays_small(self, seed):
+    def test_camera_noise_stays_small_in_the_estimate(self, seed):
         tips, angles = self.follow(0.5e-3, seed)
         assert tips.max() < 3e-3
         assert angles[10:].max() < np.radians(3.0)
 
-    def test_a_frame_that_is_seen_twice_is_not_believed_twice(self):
+    def test_a_repeated_frame_does_not_change_the_estimate(self):
         estimator = Estimator(Model(), 1 / 30)
         start = HANGING.astype(float)
         estimator.begin(start)
@@ -182,7 +182,7 @@ class TestEstimate:
         assert estimator.distance_m(start) > 0.01  # the muscle has pulled, whatever the old frame shows
 
     @pytest.mark.parametrize("pressure", [0.0, 8.0, 20.0])
-    def test_the_guessed_shape_has_the_tip_that_was_seen(self, pressure):
+    def test_the_estimated_shape_has_the_observed_tip(self, pressure):
         arm = Model().arm
         for angles in np.random.default_rng(3).uniform(-0.4, 0.2, (20, 5)):
             tip = tip_from_cart_m(arm, angles)
@@ -202,7 +202,7 @@ class TestPlans:
             assert np.abs(each).max() <= 1.0
         assert np.unique(varied[:, 20], axis=1).shape[1] > 150
 
-    def test_a_step_later_a_plan_has_lost_its_first_command(self):
+    def test_a_shifted_plan_lacks_its_first_command(self):
         plan = np.arange(6, dtype=np.float32).reshape(2, 3, 1)
         np.testing.assert_array_equal(plans.shifted(plan)[:, :, 0], [[1, 2, 2], [4, 5, 5]])
 
@@ -216,22 +216,22 @@ class TestCost:
     def cost(self, *arguments, **keywords) -> float:
         return float(Cost().of(self.path(*arguments, **keywords), np.array([0.0, 0.6], np.float32), 1 / 30)[0])
 
-    def test_nearer_is_better_sooner_is_better_and_arriving_late_beats_missing(self):
+    def test_the_cost_prefers_near_then_early_and_late_over_missed(self):
         assert self.cost([0.2, 0.05]) < self.cost([0.2, 0.1])
         assert self.cost([0.0, 0.2]) < self.cost([0.2, 0.0])
         assert self.cost([0.2] * 38 + [0.02]) < self.cost([0.041] * 39)
 
-    def test_a_cart_that_cannot_stop_before_the_rails_end_costs(self):
+    def test_a_cart_that_cannot_stop_on_the_rail_adds_cost(self):
         assert self.cost([0.0], cart=0.20, velocity=0.9) > 0.2
         assert self.cost([0.0], cart=0.20, velocity=-0.9) == self.cost([0.0])
         assert self.cost([0.0], cart=-0.249) > self.cost([0.0])
 
-    def test_a_path_of_nan_is_the_last_choice(self):
+    def test_a_path_with_nan_has_infinite_cost(self):
         assert self.cost([0.0, np.nan]) == np.inf
 
 
 class TestPlugin:
-    def test_it_is_a_policy_and_it_is_published(self, flown):
+    def test_mppi_is_a_published_policy(self, flown):
         assert isinstance(flown[0], Policy)
         project = tomllib.loads((Path(__file__).parents[2] / "pyproject.toml").read_text(encoding="utf-8"))
         assert project["project"]["entry-points"]["softarm.policies"]["mppi"] == "softarm.policies.mppi.policy:Mppi"
@@ -240,7 +240,7 @@ class TestPlugin:
         ("options", "said"),
         [({"rollouts": 10}, "rollouts is 10; allowed 64"), ({"budget_s": 0.1}, "budget_s"), ({"model": "sed"}, "seed")],
     )
-    def test_an_option_that_cannot_be_is_named(self, options, said):
+    def test_an_invalid_option_is_named(self, options, said):
         with pytest.raises(PolicyError, match=said):
             Mppi(**options)
 

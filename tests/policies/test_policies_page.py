@@ -1,4 +1,4 @@
-"""What docs/policies.md shows works, as it stands there."""
+"""The examples of docs/policies/interface.md work as printed."""
 
 import re
 import sys
@@ -12,7 +12,7 @@ from softarm.policies.base import Policy
 from softarm.policies.registry import available
 from softarm.policies.runner import InlineRunner
 
-PAGE = (Path(__file__).parents[2] / "docs/policies.md").read_text(encoding="utf-8")
+PAGE = (Path(__file__).parents[2] / "docs/policies/interface.md").read_text(encoding="utf-8")
 
 
 @pytest.fixture
@@ -23,7 +23,7 @@ def example(monkeypatch):
     return module.Wave
 
 
-def test_the_example_is_a_policy_that_the_runner_takes(example):
+def test_the_runner_accepts_the_example_of_the_page(example):
     policy = example(speed_m_s=0.1, period_s=4.0)
     assert isinstance(policy, Policy)
     runner = InlineRunner(policy)
@@ -35,6 +35,6 @@ def test_the_example_is_a_policy_that_the_runner_takes(example):
     np.testing.assert_allclose([velocities[0], velocities[60]], [0.1, -0.1], atol=1e-6)  # half of 4 s
 
 
-def test_every_policy_that_is_shipped_is_on_the_page():
+def test_the_page_lists_every_shipped_policy():
     for name in available():
         assert f"`{name}`" in PAGE

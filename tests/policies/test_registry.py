@@ -23,7 +23,7 @@ GOOD = """
 """
 
 
-def test_the_built_in_ones_are_there_with_a_line_each():
+def test_built_in_policies_are_listed_with_a_description():
     entries = available()
     assert {"hold", "pid", "onnx"} <= entries.keys()
     assert entries["pid"].error is None
@@ -32,19 +32,19 @@ def test_the_built_in_ones_are_there_with_a_line_each():
     assert load("pid").spec.name == "pid"
 
 
-def test_onnx_by_itself_says_which_option_it_needs():
+def test_onnx_without_a_model_names_the_missing_option():
     assert "needs the option model" in available()["onnx"].error
     with pytest.raises(PolicyError, match="policy 'onnx': plugin 'onnx' needs the option model"):
         load("onnx")
 
 
-def test_an_installed_plugin_is_found_and_is_called_what_it_was_chosen_by(install):
+def test_an_installed_plugin_has_the_name_it_was_chosen_by(install):
     install("wavy", GOOD, wave="Wave")
     assert available()["wave"].description == "swings to and fro"
     assert load("wave").spec == PolicySpec(name="wave", description="swings to and fro")
 
 
-def test_the_configuration_makes_policies_with_options_and_wins(install):
+def test_policies_of_the_configuration_take_precedence(install):
     install("wavy", GOOD, wave="Wave")
     configured = {
         "fast": Configured(plugin="wave", options={"speed": 0.9}),
@@ -57,7 +57,7 @@ def test_the_configuration_makes_policies_with_options_and_wins(install):
     assert load("wave", configured).speed == 0.5
 
 
-def test_a_model_file_under_a_name_of_ones_own(write_model):
+def test_the_configuration_names_a_model_file(write_model):
     path = write_model()
     configured = {"mine": Configured(plugin="onnx", options={"model": str(path)})}
     entry = available(configured)["mine"]
@@ -100,7 +100,7 @@ def test_a_plugin_that_fails_is_listed_with_its_error_and_hides_no_other(install
         load("broken")
 
 
-def test_a_plugin_whose_constructor_fails_is_named_with_what_it_said(install):
+def test_a_plugin_whose_constructor_fails_is_reported_with_its_message(install):
     source = GOOD.replace("self.speed = speed", "raise RuntimeError('out of coffee')")
     install("wavy", source, wave="Wave")
     with pytest.raises(PolicyError, match="policy 'wave': RuntimeError: out of coffee; available: "):
@@ -113,7 +113,7 @@ def test_a_plugin_without_step_is_no_policy(install):
         load("wave")
 
 
-def test_an_unknown_name_gets_the_nearest_and_all_that_there_are():
+def test_an_unknown_name_is_refused_with_the_nearest_and_all_names():
     with pytest.raises(PolicyError, match=r"no policy 'hodl'; did you mean 'hold'\? available: excite, hold, .*pid"):
         load("hodl")
     with pytest.raises(PolicyError, match=r"no policy 'xyzzy'; available: excite, hold, .*pid"):

@@ -6,7 +6,7 @@ import zipfile
 import numpy as np
 import pytest
 
-from softarm.daemon.shell.offline import Lockstep
+from softarm.daemon.runtime.offline import Lockstep
 from softarm.policies.base import MODELS, Policy, PolicyError
 from softarm.policies.plans import Plans
 from softarm.policies.runner import InlineRunner
@@ -20,7 +20,7 @@ STEPS = 5
 
 
 def made_up() -> Plans:
-    """Two starts to one target, one to another; commands and tips that are easily told apart."""
+    """Two starts to one target, one to another; commands and tips that are easily reported apart."""
     command = np.zeros((3, 8, 2), dtype=np.float32)
     command[..., 0] = 0.01 * np.arange(8) + 0.1 * np.arange(3)[:, None]
     command[..., 1] = 5.0 + np.arange(8)
@@ -48,7 +48,7 @@ def seen(cart=0.0, tip=(0.0, 0.52)):
     return np.array([cart, 0, *tip, 0, 0, 0, 0], dtype=np.float32)
 
 
-def test_on_its_reference_it_plays_the_plan_then_holds_its_end_then_rests(file):
+def test_on_its_reference_the_plan_is_played_then_held_then_rests(file):
     policy = Trajectory(str(file), extension_steps=2)
     assert isinstance(policy, Policy)
     plans, played = made_up(), []
@@ -61,7 +61,7 @@ def test_on_its_reference_it_plays_the_plan_then_holds_its_end_then_rests(file):
     np.testing.assert_allclose(played[STEPS + 2 :], [(0.0, last[1])] * 2, atol=1e-6)
 
 
-def test_the_feedback_is_the_seeds(file):
+def test_the_feedback_has_the_seeds_gains(file):
     """[P] (5a, 5b): 0.1 of the tip's error along y, 5 of that along z, by which the tip lags its reference."""
     off = np.array([0.01, -0.02], dtype=np.float32)
     plans = made_up()
@@ -69,12 +69,12 @@ def test_the_feedback_is_the_seeds(file):
     np.testing.assert_allclose(action - plans.command[0, 0], (-0.1 * 0.01, 5.0 * 0.02), atol=1e-6)
 
 
-def test_it_stays_within_the_actuators(file):
+def test_commands_stay_within_the_actuators_ranges(file):
     policy = Trajectory(str(file), k_y=100.0, k_z=5000.0)
     np.testing.assert_allclose(policy.step(seen(tip=(0.02, 0.50)), GOAL), (-1.0, 20.0), atol=1e-6)
 
 
-def test_it_takes_the_plan_from_the_nearest_start_anew_after_a_reset(file):
+def test_the_plan_from_the_nearest_start_is_chosen_after_each_reset(file):
     policy = Trajectory(str(file), k_y=0.0, k_z=0.0)
     assert policy.step(seen(), GOAL)[0] == pytest.approx(0.0)
     policy.reset()
@@ -92,7 +92,7 @@ def test_it_takes_the_plan_from_the_nearest_start_anew_after_a_reset(file):
         ((-0.2, 0.6), seen(tip=(-0.05, 0.52)), "the tip 5.0 cm off"),
     ],
 )
-def test_without_a_plan_it_refuses_in_a_sentence(file, goal, observation, said):
+def test_a_target_without_a_plan_is_refused(file, goal, observation, said):
     policy = Trajectory(str(file))
     with pytest.raises(PolicyError, match=said):
         policy.step(observation, np.array(goal, dtype=np.float32))
@@ -102,7 +102,7 @@ def test_without_a_plan_it_refuses_in_a_sentence(file, goal, observation, said):
 
 
 @pytest.mark.parametrize("name", ["k_y", "k_z", "extension_steps"])
-def test_a_gain_that_is_none_is_refused(file, name):
+def test_an_invalid_gain_is_refused(file, name):
     for bad in (-1.0, np.inf):
         with pytest.raises(PolicyError, match=name):
             Trajectory(str(file), **{name: bad})
@@ -122,15 +122,15 @@ def broken(file, **changed):
         ({"rate_hz": 60}, "at 60 Hz"),
         ({"steps": np.array([5, 9, 6])}, r"steps lie in 5 .. 9; allowed 1 .. 8"),
         ({"steps": np.array([5, 6])}, "does not fit 2 plans"),
-        ({"command": np.full((3, 8, 2), np.nan)}, "command has entries that are not finite"),
+        ({"command": np.full((3, 8, 2), np.nan)}, "command holds NaN or infinity"),
         ({"command": np.zeros((3, 9, 2))}, "do not belong together"),
         ({"steps": np.float64(5)}, "does not fit 1 plans"),
         ({"format": np.array([1, 1])}, "has format"),
         ({"format": "one"}, "has format one"),
-        ({"miss_m": np.array(["a", "b", "c"])}, "miss_m has entries that are not finite numbers"),
+        ({"miss_m": np.array(["a", "b", "c"])}, "miss_m holds NaN or infinity"),
     ],
 )
-def test_a_file_that_is_not_sound_is_refused(file, changed, said):
+def test_an_invalid_file_of_plans_is_refused(file, changed, said):
     broken(file, **changed)
     with pytest.raises(PolicyError, match=said) as refused:
         Trajectory(str(file))
@@ -138,7 +138,7 @@ def test_a_file_that_is_not_sound_is_refused(file, changed, said):
 
 
 @pytest.mark.parametrize(("name", "content"), [("steps.npy", b"no array"), ("more.npy", bytes(300_000_000))])
-def test_a_file_with_a_member_that_is_no_array_or_too_large_is_refused(file, name, content):
+def test_a_file_with_an_invalid_or_oversized_member_is_refused(file, name, content):
     with zipfile.ZipFile(file) as archive:
         members = {each: archive.read(each) for each in archive.namelist()}
     with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED) as archive:
@@ -148,7 +148,7 @@ def test_a_file_with_a_member_that_is_no_array_or_too_large_is_refused(file, nam
         Trajectory(str(file))
 
 
-def test_a_file_with_a_changed_byte_is_refused_or_flown_wherever_it_is(file):
+def test_a_file_with_one_changed_byte_is_refused_or_flown(file):
     data = file.read_bytes()
     for at in range(0, len(data), len(data) // 300 + 1):
         file.write_bytes(data[:at] + bytes([data[at] ^ 0x90]) + data[at + 1 :])
@@ -156,20 +156,20 @@ def test_a_file_with_a_changed_byte_is_refused_or_flown_wherever_it_is(file):
             Trajectory(str(file))
 
 
-def test_no_file_and_no_such_file_are_refused(tmp_path):
+def test_a_missing_file_is_refused(tmp_path):
     (tmp_path / "empty.npz").write_bytes(b"PK no")
     for name, said in (("none.npz", "no file"), ("empty.npz", "not a file of plans")):
         with pytest.raises(PolicyError, match=said):
             Trajectory(str(tmp_path / name))
 
 
-def test_saved_plans_come_back(file):
+def test_saved_plans_are_loaded_unchanged(file):
     loaded, saved = Plans.load(file), made_up()
     for name in ("target_m", "cart_start_m", "steps", "command", "tip_m"):
         np.testing.assert_allclose(getattr(loaded, name), getattr(saved, name), atol=1e-5)
 
 
-def test_it_describes_itself_from_its_file(file):
+def test_the_spec_is_read_from_the_file(file):
     spec = Trajectory.describe(str(file))
     assert spec == Trajectory(str(file)).spec
     assert spec.episode_steps == 7 + 3

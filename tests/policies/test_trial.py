@@ -1,4 +1,4 @@
-"""A policy is tried out where it can do no harm, whatever it is."""
+"""Trial of a policy in a separate process, which may crash or hang."""
 
 import json
 import os
@@ -23,8 +23,8 @@ from softarm.policies.base import PolicySpec
 
 assert os.sched_getscheduler(0) == os.SCHED_OTHER
 
-class Guest:
-    spec = PolicySpec("guest", "does as its option says")
+class Plugged:
+    spec = PolicySpec("plugged", "does as its option says")
 
     def __init__(self, does="well"):
         self.does = does
@@ -50,29 +50,29 @@ class Guest:
 
 
 @pytest.fixture
-def guest(tmp_path, monkeypatch):
-    """guest(does): a policy of an installed plugin, ready to be configured."""
-    (tmp_path / "guest_arm.py").write_text(PLUGIN)
-    info = tmp_path / "guest_arm-1.0.dist-info"
+def plugged(tmp_path, monkeypatch):
+    """Configure a policy of an installed plug-in by its behaviour: well, wedges, crashes, ..."""
+    (tmp_path / "other_arm.py").write_text(PLUGIN)
+    info = tmp_path / "other_arm-1.0.dist-info"
     info.mkdir()
-    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: guest-arm\nVersion: 1.0\n")
-    (info / "entry_points.txt").write_text("[softarm.policies]\nguest = guest_arm:Guest\n")
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: other-arm\nVersion: 1.0\n")
+    (info / "entry_points.txt").write_text("[softarm.policies]\nplugged = other_arm:Plugged\n")
     monkeypatch.setenv("PYTHONPATH", str(tmp_path), prepend=os.pathsep)
-    return lambda does: {"mine": Configured(plugin="guest", options={"does": does})}
+    return lambda does: {"mine": Configured(plugin="plugged", options={"does": does})}
 
 
-def test_a_good_policy_passes_whatever_it_prints(guest):
-    try_out("mine", guest("well"), 60)
+def test_a_good_policy_passes_whatever_it_prints(plugged):
+    try_out("mine", plugged("well"), 60)
 
 
-def test_the_daemons_priority_is_not_its_guests(guest):
+def test_a_trial_does_not_inherit_the_daemons_priority(plugged):
     thread = threading.get_native_id()
     try:
         os.sched_setscheduler(thread, os.SCHED_FIFO, os.sched_param(1))
     except PermissionError:
         pytest.skip("this machine grants no real-time priority")
     try:
-        try_out("mine", guest("well"), 60)
+        try_out("mine", plugged("well"), 60)
     finally:
         os.sched_setscheduler(thread, os.SCHED_OTHER, os.sched_param(0))
 
@@ -80,36 +80,36 @@ def test_the_daemons_priority_is_not_its_guests(guest):
 @pytest.mark.parametrize(
     ("does", "sentence"),
     [
-        ("crashes", "policy 'mine': its process ended by SIGSEGV while it was tried out"),
+        ("crashes", "policy 'mine': its process ended by SIGSEGV during its trial"),
         ("leaves", "policy 'mine': its process ended with exit code 3"),
         ("raises", r"policy 'mine': its first step failed \(ValueError: no weights\)"),
         ("hoards", "policy 'mine': its first step failed .*Unable to allocate"),
     ],
 )
-def test_what_goes_wrong_is_told(guest, does, sentence):
+def test_a_failed_trial_is_reported(plugged, does, sentence):
     with pytest.raises(PolicyError, match=sentence):
-        try_out("mine", guest(does), 60)
+        try_out("mine", plugged(does), 60)
 
 
 @pytest.mark.slow
-def test_one_that_never_ends_is_killed(guest):
-    with pytest.raises(PolicyError, match="did not load and do its first step within 3 s"):
-        try_out("mine", guest("wedges"), 3)
+def test_a_trial_that_never_ends_is_killed(plugged):
+    with pytest.raises(PolicyError, match="no first step within 3 s"):
+        try_out("mine", plugged("wedges"), 3)
 
 
 @pytest.mark.slow
-def test_one_whose_daemon_is_gone_ends_by_itself(guest):
-    policies = json.dumps({name: one.model_dump() for name, one in guest("wedges").items()})
+def test_a_trial_ends_without_its_daemon(plugged):
+    policies = json.dumps({name: one.model_dump() for name, one in plugged("wedges").items()})
     left = subprocess.run([sys.executable, "-c", trial._PROGRAM, "mine", "2"], input=policies.encode(), timeout=60)
     assert left.returncode == -signal.SIGALRM
 
 
-def test_what_is_loaded_here_was_tried_there(guest):
+def test_a_policy_is_loaded_only_after_its_trial(plugged):
     assert trial.load("hold", {}, 60).spec.name == "hold"
     with pytest.raises(PolicyError, match="its process ended by SIGSEGV"):
-        trial.load("mine", guest("crashes"), 60)
+        trial.load("mine", plugged("crashes"), 60)
 
 
-def test_an_unknown_name_is_told_as_ever():
+def test_an_unknown_name_is_reported_by_the_trial():
     with pytest.raises(PolicyError, match="no policy 'hodl'; did you mean 'hold'"):
         try_out("hodl", {}, 60)

@@ -1,4 +1,4 @@
-"""One short flight that shakes everything, and what it leaves behind."""
+"""A short flight with all signals, and its measurements."""
 
 from dataclasses import dataclass, replace
 from typing import Any

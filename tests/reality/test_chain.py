@@ -1,4 +1,4 @@
-"""Ten links that are as heavy, stiff and lazy as five."""
+"""Refinement of the arm: ten links with the mass, stiffness and damping of five."""
 
 import numpy as np
 import pytest
@@ -47,14 +47,14 @@ def test_one_piece_is_the_model_itself() -> None:
     np.testing.assert_array_equal(chain.share, 1.0)
 
 
-def test_a_fine_joints_share_of_the_models_angle() -> None:
-    """Equal springs: the triangle itself; nobody shares with the joint at the clamp, and none follows the last."""
+def test_the_shares_of_fine_joints_form_a_triangle() -> None:
+    """With equal springs, the shares are the triangle; the joint at the clamp shares with no other."""
     equal = BODY.model_copy(update={"stiffness_nm_rad": (1.0,) * 5})
     np.testing.assert_allclose(refine(equal, 2).share, [1, 0.25, *[0.5] * 7, 0.25])
 
 
 @pytest.mark.parametrize("pressure_kpa", [0.0, 10.0, 20.0])
-def test_the_hanging_pose_is_the_five_link_simulators(pressure_kpa: float) -> None:
+def test_the_hanging_pose_equals_the_five_link_simulators(pressure_kpa: float) -> None:
     simulator = Simulator(physics_rate_hz=1200.0)
     simulator.step(0.0, pressure_kpa, 8.0)
     robot = Robot(RobotParameters(), held=True)

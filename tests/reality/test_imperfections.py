@@ -1,4 +1,4 @@
-"""Each imperfection moves what it should and nothing upstream of it; none is without an exemplar here."""
+"""Each imperfection has an example and changes its own stage but none upstream."""
 
 import dataclasses
 from typing import Any
@@ -20,6 +20,7 @@ EXEMPLARS: dict[str, tuple[float, dict[str, float]]] = {
     "Regulator.gain": (0.1, {}),
     "Regulator.offset_kpa": (1.0, {}),
     "Regulator.ceiling_kpa": (8.0, {}),
+    "Regulator.leak_1_s": (0.5, {}),
     "Regulator.stick_kpa": (2.0, {"stick_below_kpa": 8.0}),
     "Regulator.stick_below_kpa": (8.0, {"stick_kpa": 2.0}),
     "Rail.acceleration_m_s2": (3.0, {}),
@@ -79,7 +80,7 @@ EXEMPLARS: dict[str, tuple[float, dict[str, float]]] = {
     "RailSensor.velocity_quantum_m_s": (0.05, {}),
     "Clock.camera_drift": (0.001, {}),
 }
-# The recording controller's, not the robot's: tests/reality/test_record.py.
+# Parameters of the recording controller, not of the robot: tests/reality/test_record.py.
 OF_THE_RECORDING = {"Clock.tick_jitter_s", "Clock.missed_ticks"}
 QUIET = {"noise_m": 0.0, "angle_noise_rad": 0.0}
 
@@ -94,7 +95,7 @@ def _truths(flown: Any) -> tuple[Any, ...]:
 
 
 @pytest.mark.parametrize("name", EXEMPLARS)
-def test_it_moves_its_stage_and_nothing_upstream(name: str, fly: Any, perturb: Any, nominal: Any) -> None:
+def test_an_imperfection_changes_its_stage_and_none_upstream(name: str, fly: Any, perturb: Any, nominal: Any) -> None:
     group, field = name.split(".")
     value, companions = EXEMPLARS[name]
     without = fly(perturb(group, **companions)) if companions else nominal
@@ -114,7 +115,7 @@ def test_it_moves_its_stage_and_nothing_upstream(name: str, fly: Any, perturb: A
         assert changed == {sensor: sensor == group.replace("Clock", "Mocap") for sensor in changed}
 
 
-def test_a_seed_is_a_robot_bit_for_bit(fly: Any, perturb: Any, nominal: Any) -> None:
+def test_equal_seeds_give_equal_robots_bit_for_bit(fly: Any, perturb: Any, nominal: Any) -> None:
     restless = perturb("Mocap", dropout=0.2, transport_jitter_s=0.004)
     one, again, other = fly(restless, seed=3), fly(restless, seed=3), fly(restless, seed=4)
     assert (one.frames, one.gauge, one.encoder) == (again.frames, again.gauge, again.encoder)
@@ -124,7 +125,7 @@ def test_a_seed_is_a_robot_bit_for_bit(fly: Any, perturb: Any, nominal: Any) -> 
     assert one.gauge == fly(perturb("Mocap"), seed=3).gauge
 
 
-def test_dead_time_is_as_long_as_it_says(fly: Any, perturb: Any, nominal: Any) -> None:
+def test_dead_time_has_its_declared_length(fly: Any, perturb: Any, nominal: Any) -> None:
     late = fly(perturb("Regulator", dead_time_s=2 / 30))
     np.testing.assert_array_equal(late.pressure_kpa[2:], nominal.pressure_kpa[:-2])
 
@@ -137,9 +138,13 @@ def test_dead_time_is_as_long_as_it_says(fly: Any, perturb: Any, nominal: Any) -
         ({"offset_kpa": -1.0}, (9.0, 11.0, 3.0)),
         ({"ceiling_kpa": 11.0}, (10.0, 11.0, 4.0)),
         ({"deadband_kpa": 3.0}, (10.0, 10.0, 4.0)),
+        # The nominal chamber fills in 0.1532 s: a share of 1 / (1 + 0.5 * 0.1532) of the command is reached.
+        ({"leak_1_s": 0.5}, (9.288, 11.146, 3.715)),
     ],
 )
-def test_the_pressure_that_is_reached(fly: Any, perturb: Any, values: dict[str, float], reached_kpa: Any) -> None:
+def test_the_reached_pressure_follows_the_imperfections(
+    fly: Any, perturb: Any, values: dict[str, float], reached_kpa: Any
+) -> None:
     def steps(t_s: float) -> tuple[float, float]:
         return 0.0, 10.0 if t_s < 2 else 12.0 if t_s < 4 else 4.0
 
@@ -147,7 +152,7 @@ def test_the_pressure_that_is_reached(fly: Any, perturb: Any, values: dict[str, 
     np.testing.assert_allclose(flown.pressure_kpa[[58, 118, 179]], reached_kpa, atol=0.01)
 
 
-def test_it_fills_and_vents_with_the_declared_time_constants(fly: Any, perturb: Any) -> None:
+def test_filling_and_venting_have_the_declared_time_constants(fly: Any, perturb: Any) -> None:
     """The area between a step and the answer to it is the step times the time constant, whatever the tube."""
 
     def up_and_down(t_s: float) -> tuple[float, float]:
@@ -177,7 +182,7 @@ def test_the_arm_hangs_as_declared(fly: Any, perturb: Any) -> None:
     assert hang_m(8.0, saturation_kpa=8.0) == pytest.approx(hang_m(8.0 / 2 ** (1 / 3)), abs=2e-5)
 
 
-def test_choked_flow_is_a_slope(fly: Any, perturb: Any) -> None:
+def test_choked_flow_limits_the_slope(fly: Any, perturb: Any) -> None:
     rates = np.diff(fly(perturb("Regulator", flow_limit_kpa_s=30.0)).pressure_kpa) * 30
     assert np.abs(rates).max() == pytest.approx(30.0, rel=0.01)
 
@@ -212,7 +217,7 @@ def test_the_motor_plays_within_its_backlash(fly: Any, perturb: Any) -> None:
     assert np.ptp(apart_m) > 0.9 * gap_m  # both sides are visited
 
 
-def test_with_play_too_the_motor_carries_the_whole_cart(fly: Any, perturb: Any) -> None:
+def test_with_play_the_motor_still_moves_the_whole_mass(fly: Any, perturb: Any) -> None:
     def start(t_s: float) -> tuple[float, float]:
         return 0.9, 0.0
 
@@ -271,7 +276,7 @@ def test_the_loose_marker_wobbles_alone(fly: Any, perturb: Any) -> None:
     assert np.abs(apart[:, 4, 0].mean()) < 0.3 * np.abs(apart[:, 4, 0]).max()
 
 
-def test_frames_are_lost_at_the_rate_it_says_and_the_sequence_tells(fly: Any, perturb: Any) -> None:
+def test_frames_are_lost_at_the_declared_rate_and_counted(fly: Any, perturb: Any) -> None:
     frames = fly(perturb("Mocap", dropout=0.3), 6.0).frames
     assert 1 - len(frames) / frames[-1].sequence == pytest.approx(0.3, abs=0.05)
 
@@ -290,7 +295,7 @@ def test_the_gauge_reads_high_in_steps(fly: Any, perturb: Any, nominal: Any) -> 
     np.testing.assert_allclose(readings[3::4], flown.pressure_kpa + 1.0, atol=0.2501)
 
 
-def test_hysteresis_is_a_loop_that_does_not_ask_for_the_rate(fly: Any, perturb: Any) -> None:
+def test_hysteresis_is_a_rate_independent_loop(fly: Any, perturb: Any) -> None:
     """At one and the same pressure the tip hangs elsewhere on the way down, however long one waits."""
 
     def up_and_down(t_s: float) -> tuple[float, float]:
@@ -305,7 +310,7 @@ def test_hysteresis_is_a_loop_that_does_not_ask_for_the_rate(fly: Any, perturb: 
     assert abs(loop_m()) < 2e-4
 
 
-def test_warming_up_softens_and_creep_goes_on(fly: Any, perturb: Any) -> None:
+def test_warming_up_softens_the_arm_and_creep_continues(fly: Any, perturb: Any) -> None:
     def pressed(t_s: float) -> tuple[float, float]:
         return 0.0, 10.0
 

@@ -1,4 +1,4 @@
-"""What a robot may be told, and that the page says the same."""
+"""Parameters of the independent robot, and their table in the documentation."""
 
 import dataclasses
 from pathlib import Path
@@ -12,7 +12,7 @@ from softarm.reality.quantities import of, table
 from softarm.schemas.model import Arm as ModelArm
 from softarm.schemas.model import Model
 
-PAGE = Path(__file__).parents[2] / "docs" / "reality.md"
+PAGE = Path(__file__).parents[2] / "docs" / "reference" / "reality.md"
 FIELDS = [(group, field) for group in GROUPS for field in dataclasses.fields(group)]
 NAMES = [f"{group.__name__}.{field.name}" for group, field in FIELDS]
 
@@ -27,7 +27,7 @@ def test_every_quantity_declares_itself_and_its_default_is_allowed(group: Any, f
 
 
 @pytest.mark.parametrize(("group", "field"), FIELDS, ids=NAMES)
-def test_no_quantity_takes_what_is_below_its_range(group: Any, field: Any) -> None:
+def test_every_quantity_rejects_a_value_below_its_range(group: Any, field: Any) -> None:
     with pytest.raises(ValueError, match=rf"{group.__name__}\.{field.name} is .*; allowed "):
         group(**{field.name: type(field.default)(of(group)[field.name].low - 1)})
 
@@ -45,12 +45,12 @@ def test_no_quantity_takes_what_is_below_its_range(group: Any, field: Any) -> No
         ),  # type: ignore[arg-type]
     ],
 )
-def test_a_bad_value_is_told_with_its_range(make: Any, message: str) -> None:
+def test_a_bad_value_is_reported_with_its_range(make: Any, message: str) -> None:
     with pytest.raises(ValueError, match=message):
         make()
 
 
-def test_the_nominal_robot_is_the_models() -> None:
+def test_the_nominal_robot_equals_the_model() -> None:
     assert of_model(Model()) == RobotParameters()
 
 
@@ -66,5 +66,5 @@ def test_an_arm_of_other_than_five_links_is_refused() -> None:
         RobotParameters(body=short)
 
 
-def test_the_pages_table_is_the_declaration() -> None:
+def test_the_page_shows_the_declared_table() -> None:
     assert table(*GROUPS) in PAGE.read_text(encoding="utf-8")

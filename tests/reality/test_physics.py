@@ -1,4 +1,4 @@
-"""The independent robot obeys mechanics, and stays near the simulator when both are nominal."""
+"""The independent robot against mechanics, and against the nominal simulator."""
 
 from dataclasses import replace
 from typing import Any
@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from softarm.benchmarks import commands
+from benchmarks import commands
 from softarm.reality.parameters import Arm, Rail, RobotParameters
 from softarm.reality.plant import energy_j
 from softarm.reality.robot import Robot
@@ -17,7 +17,7 @@ from softarm.simulator.simulator import Simulator
 STRAIGHT = ModelArm(torque_offset_nm=(0.0,) * 5)
 
 
-def test_it_hangs_straight_where_nothing_bends_it() -> None:
+def test_an_arm_without_torques_hangs_straight() -> None:
     robot = Robot(RobotParameters(body=STRAIGHT))
     robot.advance(1.0)
     np.testing.assert_allclose(robot.truth.link_angles_rad, 0.0, atol=1e-9)
@@ -25,7 +25,7 @@ def test_it_hangs_straight_where_nothing_bends_it() -> None:
     np.testing.assert_allclose(robot.truth.link_ends_m[-1], (0.0, tip_z_m), atol=1e-9)
 
 
-def test_hanging_it_is_at_rest_from_the_start() -> None:
+def test_a_hanging_arm_is_at_rest_from_the_start() -> None:
     robot = Robot(cart_position_m=0.1, held=True, hanging=True)
     start = robot.truth
     assert start.t_s == 0
@@ -35,7 +35,7 @@ def test_hanging_it_is_at_rest_from_the_start() -> None:
     np.testing.assert_allclose(robot.truth.link_ends_m, start.link_ends_m, atol=2e-5)
 
 
-def test_pressure_bends_it_towards_minus_y_and_more_pressure_more() -> None:
+def test_more_pressure_bends_the_arm_further_towards_minus_y() -> None:
     tips_m = []
     for pressure in (0.0, 5.0, 10.0, 20.0):
         robot = Robot(held=True)
@@ -89,8 +89,8 @@ def test_the_stops_hold_the_cart() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("draw", [commands.smooth, commands.bang_bang])
-def test_nominal_it_stays_near_the_five_link_simulator(draw: Any) -> None:
-    """Six command sets of 3 s; docs/reality.md gives the RMS over more."""
+def test_the_nominal_robot_stays_near_the_five_link_simulator(draw: Any) -> None:
+    """Six command sets of 3 s; docs/reference/reality.md gives the RMS over more."""
     tips_mm, carts_mm = [], []
     for seed in range(6):
         velocity, pressure = draw(1, seed=seed)
@@ -106,7 +106,7 @@ def test_nominal_it_stays_near_the_five_link_simulator(draw: Any) -> None:
     assert np.sqrt(np.square(carts_mm).mean()) < 4.0
 
 
-def test_two_kilohertz_are_enough() -> None:
+def test_a_step_rate_of_two_kilohertz_is_sufficient() -> None:
     """The same swing with the step halved, through MuJoCo alone: the tip agrees to half a millimetre."""
 
     def swing(steps: int, halved: int) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""A recorded trial is what was measured, in the files of the trial format."""
+"""A recorded trial contains the measurements in the files of the trial format."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -44,7 +44,7 @@ def test_a_trial_folder_has_the_formats_files_and_columns(tmp_path: Path) -> Non
         assert all(np.isfinite(table[column]).all() for column in table.dtype.names)
 
 
-def test_what_is_read_back_is_what_the_robot_measured(tmp_path: Path) -> None:
+def test_the_files_contain_the_robots_measurements(tmp_path: Path) -> None:
     """The same commands given to a second robot by hand yield the file's numbers, digit for digit."""
     parameters = replace(RobotParameters(), clock=Clock(tick_jitter_s=0.003))
     trial = read(record(swing, tmp_path / "trial", 1.0, parameters, seed=5, kind="sine"))
@@ -87,7 +87,7 @@ def test_the_same_arguments_write_the_same_bytes_and_another_seed_does_not(tmp_p
     assert (one / "mocap.csv").read_bytes() != (other / "mocap.csv").read_bytes()
 
 
-def test_a_restless_controller_ticks_late_and_misses(tmp_path: Path) -> None:
+def test_an_irregular_controller_ticks_late_and_skips_ticks(tmp_path: Path) -> None:
     clock = Clock(tick_jitter_s=0.005, missed_ticks=0.2)
     trial = read(record(swing, tmp_path / "trial", 8.0, replace(RobotParameters(), clock=clock), kind="sine"))
     late_s = (trial["command"]["t"] - SETTLE_S) % (1 / 30)
@@ -97,7 +97,7 @@ def test_a_restless_controller_ticks_late_and_misses(tmp_path: Path) -> None:
     np.testing.assert_allclose(np.diff(regular), 1 / 30, atol=2e-9)
 
 
-def test_a_held_cart_stands_while_the_arm_bends(tmp_path: Path) -> None:
+def test_a_clamped_cart_does_not_move_while_the_arm_bends(tmp_path: Path) -> None:
     folder = record(lambda t: (0.5, 15.0), tmp_path / "held", 1.0, kind="step", held=True, cart_position_m=0.1)
     trial = read(folder)
     assert yaml.safe_load((folder / "trial.yaml").read_text())["rail"] == "held"
@@ -105,9 +105,9 @@ def test_a_held_cart_stands_while_the_arm_bends(tmp_path: Path) -> None:
     assert trial["mocap"]["link5_y"][-1] < trial["mocap"]["link5_y"][0] - 0.02
 
 
-def test_it_overwrites_nothing_and_refuses_no_time(tmp_path: Path) -> None:
+def test_a_recording_never_overwrites_and_needs_a_duration(tmp_path: Path) -> None:
     record(swing, tmp_path / "trial", 0.2, kind="sine")
-    with pytest.raises(FileExistsError, match="holds something already; name a new folder"):
+    with pytest.raises(FileExistsError, match="is not empty; name a new folder"):
         record(swing, tmp_path / "trial", 0.2, kind="sine")
     with pytest.raises(ValueError, match=r"duration_s is 0; give 0.1 to 3600 seconds"):
         record(swing, tmp_path / "none", 0, kind="sine")

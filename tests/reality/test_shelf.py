@@ -1,4 +1,4 @@
-"""The independent robot's shelf: boards that it cannot pass, where ours stand."""
+"""The shelf of the independent robot: solid boards at the simulator's places."""
 
 import numpy as np
 import pytest
@@ -50,6 +50,6 @@ def test_the_arm_does_not_pass_the_boards_edge(free, stopped):
     assert stopped[0][:, 0].min() > EDGE_M - RADIUS_M / 2
 
 
-def test_it_is_held_back_as_ours_is(stopped):
+def test_a_shelf_holds_the_arm_as_in_the_simulator(stopped):
     theirs, ours = stopped
     assert np.linalg.norm(theirs - ours, axis=1).max() < 0.05

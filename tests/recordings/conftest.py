@@ -1,4 +1,4 @@
-"""A log of rail readings, whole and as a kill leaves it."""
+"""A log of rail readings, complete and as a kill leaves it."""
 
 from pathlib import Path
 
@@ -28,5 +28,5 @@ def readings():
 
 @pytest.fixture
 def killed(tmp_path):
-    """As a killed daemon leaves it: unchunked, without an end."""
+    """Log of a killed daemon, without chunks and end."""
     return write(tmp_path / "killed.mcap")

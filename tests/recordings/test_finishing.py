@@ -1,4 +1,4 @@
-"""A log that was left in the middle becomes a whole one, or stays as it is."""
+"""Recovery of an unfinished log."""
 
 import pytest
 from mcap.reader import make_reader
@@ -7,7 +7,7 @@ from softarm.recordings import finishing, mcap_file
 from softarm.recordings.channels import RAIL
 
 
-def test_recover_makes_an_indexed_file_of_what_is_whole(killed, readings):
+def test_recover_writes_an_indexed_file_of_all_complete_records(killed, readings):
     killed.write_bytes(killed.read_bytes()[:-3])
     assert not mcap_file.is_finished(killed)
     log = finishing.recover(killed)
@@ -21,7 +21,7 @@ def test_recover_makes_an_indexed_file_of_what_is_whole(killed, readings):
     assert [path.name for path in killed.parent.iterdir()] == ["killed.mcap"]
 
 
-def test_recover_clears_away_what_a_kill_in_an_earlier_one_has_left(killed):
+def test_recover_deletes_the_draft_of_a_killed_recovery(killed):
     (killed.parent / f".{killed.name}.draft").write_bytes(b"half")
     finishing.recover(killed)
     assert [path.name for path in killed.parent.iterdir()] == [killed.name]
@@ -39,7 +39,7 @@ def test_recover_that_is_interrupted_leaves_the_old_file(killed):
     assert [path.name for path in killed.parent.iterdir()] == ["killed.mcap"]
 
 
-def test_a_log_that_is_held_or_empty_is_left_alone(killed, tmp_path):
+def test_an_open_or_empty_log_is_unchanged(killed, tmp_path):
     before = killed.read_bytes()
     with killed.open("rb") as writer:
         finishing.hold(writer.fileno())

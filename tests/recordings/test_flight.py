@@ -1,4 +1,4 @@
-"""What is read of a log to be shown: the newest of everything beside each tick, and what is wrong in words."""
+"""Contents of a log for display: the newest data at each tick, and errors as sentences."""
 
 from pathlib import Path
 
@@ -13,16 +13,16 @@ from softarm.recordings.mcap_file import LogError
 FLIGHT = Path(__file__).parents[1] / "data" / "flight.mcap"
 
 
-def test_each_tick_comes_with_what_it_had_seen():
-    sights = [sight for sight in flight.sights(FLIGHT) if sight is not None]
-    for sight, (inputs, outputs, timing) in zip(sights, logs.read(FLIGHT), strict=True):
-        assert (sight.frame, sight.pressure, sight.rail) == (inputs.mocap[-1], inputs.pressure, inputs.rail)
-        assert (sight.tick.outputs.tick, sight.tick.outputs.sent) == (outputs.tick, outputs.sent)
-        assert sight.tick.timing.compute_ns == timing.compute_ns
+def test_each_tick_has_the_newest_data():
+    moments = [moment for moment in flight.moments(FLIGHT) if moment is not None]
+    for moment, (inputs, outputs, timing) in zip(moments, logs.read(FLIGHT), strict=True):
+        assert (moment.frame, moment.pressure, moment.rail) == (inputs.mocap[-1], inputs.pressure, inputs.rail)
+        assert (moment.tick.outputs.tick, moment.tick.outputs.sent) == (outputs.tick, outputs.sent)
+        assert moment.tick.timing.compute_ns == timing.compute_ns
 
 
-def test_there_is_something_for_every_message_so_that_progress_can_be_shown():
-    assert sum(1 for _ in flight.sights(FLIGHT)) == logs.read(FLIGHT).records
+def test_every_message_reports_progress():
+    assert sum(1 for _ in flight.moments(FLIGHT)) == logs.read(FLIGHT).records
 
 
 def test_seconds_count_from_the_first_measurement_and_of_nothing_there_are_none(tmp_path, killed, readings):
@@ -39,7 +39,7 @@ def test_seconds_count_from_the_first_measurement_and_of_nothing_there_are_none(
     [(b'{"position_m": 0}', "t_receive_ns: Field required"), (b"{", "Invalid JSON")],
     ids=["field", "json"],
 )
-def test_a_message_of_another_kind_is_told_with_its_place(tmp_path, data, what):
+def test_a_message_of_another_kind_is_reported_with_its_place(tmp_path, data, what):
     odd = tmp_path / "odd.mcap"
     with odd.open("wb") as file:
         live = LiveFile(file, [RAIL])

@@ -1,4 +1,4 @@
-"""Which logs there are."""
+"""List of the logs in a folder."""
 
 import shutil
 
@@ -8,7 +8,7 @@ from softarm.recordings import finishing
 from softarm.recordings.listing import listing
 
 
-def test_the_listing_tells_finished_from_unfinished(killed, readings):
+def test_the_listing_distinguishes_finished_and_unfinished_logs(killed, readings):
     done = killed.with_name("done.mcap")
     shutil.copy(killed, done)
     finishing.finish(done)

@@ -1,4 +1,4 @@
-"""A recording is read up to where it breaks off, by whoever reads it."""
+"""An interrupted recording is readable up to its end."""
 
 from dataclasses import replace
 
@@ -24,7 +24,7 @@ def test_every_cut_gives_a_prefix(killed, readings):
     assert (counts[0], counts[-1]) == (0, len(readings))
 
 
-def test_what_stands_on_nothing_is_left_out(killed, readings):
+def test_records_without_their_definition_are_omitted(killed, readings):
     """A message of a channel, a channel of a schema, that a damaged file does not hold."""
     with killed.open("wb") as file:
         writer = Writer(file, use_chunking=False)
@@ -47,7 +47,7 @@ def test_a_log_without_a_configuration_that_can_be_read_says_so(killed, metadata
 
 
 @pytest.mark.parametrize("read", [lambda path: list(messages(path)), LogFile.open])
-def test_what_is_not_there_or_no_log_is_told(tmp_path, read):
+def test_a_missing_file_or_another_format_is_reported(tmp_path, read):
     with pytest.raises(LogError, match=r"nothing\.mcap: cannot be read \(No such file"):
         read(tmp_path / "nothing.mcap")
     (tmp_path / "notes.mcap").write_text("hello, this is not a log")

@@ -1,4 +1,4 @@
-"""The page of a log: what is in it is what was flown, and it stays small."""
+"""The page of the log player contains the flight and stays small."""
 
 import base64
 import json
@@ -41,7 +41,7 @@ def stamps(data):
     return np.frombuffer(base64.b64decode(data["stamps"]), "<u4") / 1e4
 
 
-def test_its_curves_are_the_ticks(log, text):
+def test_the_players_curves_are_the_ticks(log, text):
     data, recorded = said(text), list(log)
     begin_ns = recorded[0][0].t_ns
     np.testing.assert_allclose(stamps(data), [(i.t_ns - begin_ns) * 1e-9 for i, _, _ in recorded], atol=1.01e-4)
@@ -56,7 +56,7 @@ def test_its_curves_are_the_ticks(log, text):
     assert data["begin_ms"] == (begin_ns + offset_ns) // 10**6
 
 
-def test_what_holds_and_what_happened_have_their_moments(log, text):
+def test_states_and_events_have_their_times(log, text):
     data = said(text)
     assert [mode for _, mode in data["runs"]["mode"]][:3] == ["disarmed", "arming", "armed"]
     goals = [run[1:5] for run in data["runs"]["goal"]]
@@ -66,7 +66,7 @@ def test_what_holds_and_what_happened_have_their_moments(log, text):
     assert data["robot"]["soft_m"] == [-0.25, 0.25]
 
 
-def test_it_fetches_nothing_and_no_text_of_a_log_ends_its_script(log):
+def test_the_page_fetches_nothing_and_no_text_ends_its_script(log):
     nasty = "</script><script>alert(1)</script><img src=http://example.org/>"
     entry = Entry(1, log.t_first_ns, datetime.now(UTC), 1, "event", "x", nasty)
     text = player.page(log, [entry])
@@ -92,8 +92,8 @@ def test_a_long_log_is_thinned_with_the_worst_lateness_kept():
 
 
 def test_an_hour_at_full_rate_is_about_seven_megabytes():
-    """As the page packs it: every tick of an hour, none left out."""
-    from softarm.pages import plot
+    """Unpack the ticks of an hour from the page."""
+    from softarm.reporting import plot
 
     samples, row = player.Samples(), np.linspace(0, 1, len(player.SERIES))
     for number in range(3600 * 30):
@@ -103,6 +103,6 @@ def test_an_hour_at_full_rate_is_about_seven_megabytes():
     assert 6e6 < len(json.dumps(packed)) < 7.5e6
 
 
-def test_a_log_without_a_tick_is_told(killed):
+def test_a_log_without_a_tick_is_reported(killed):
     with pytest.raises(LogError, match="does not say what time it was"):
         player.page(logs.read(killed), ())

@@ -1,4 +1,4 @@
-"""What the rail was told and did, out of a log that the daemon wrote."""
+"""Commands and motion of the rail, read from a log of the daemon."""
 
 from pathlib import Path
 
@@ -12,7 +12,7 @@ from softarm.schemas.config import Config
 FLIGHT = Path(__file__).parents[1] / "data" / "flight.mcap"
 
 
-def test_a_log_says_what_was_sent_and_what_came_of_it():
+def test_a_log_contains_commands_and_their_effects():
     motion = rail_motion.read(FLIGHT)
     assert motion.config == Config.model_validate(motion.config.model_dump())
     assert len(motion.sent_s) == len(motion.set_point_m_s) == len(motion.obeyed) > 200
@@ -31,6 +31,6 @@ def test_readings_that_are_no_numbers_are_left_out_and_a_log_without_ticks_is_em
     assert (len(motion.t_s), len(motion.sent_s), motion.config) == (29, 0, None)
 
 
-def test_what_is_no_log_is_refused(tmp_path):
+def test_a_file_that_is_no_log_is_rejected(tmp_path):
     with pytest.raises(LogError, match="cannot be read"):
         rail_motion.read(tmp_path / "none.mcap")

@@ -1,4 +1,4 @@
-"""A log as tables: a row for each tick, every digit, a unit in every name."""
+"""A log as tables: one row per tick, all digits, units in the names."""
 
 import csv
 import json
@@ -26,7 +26,7 @@ def ticks(log):
     return tables.ticks(log)
 
 
-def test_a_row_is_a_tick_as_the_loop_saw_and_decided_it(log, ticks):
+def test_a_row_contains_the_inputs_and_outputs_of_a_tick(log, ticks):
     recorded = list(log)
     assert {len(column) for column in ticks.values()} == {len(recorded)}
     begin_ns = recorded[0][0].mocap[0].t_capture_ns
@@ -54,11 +54,11 @@ def test_a_row_is_a_tick_as_the_loop_saw_and_decided_it(log, ticks):
     assert {"armed", "disarmed", "stopped"} <= set(ticks["mode"])
 
 
-def test_its_instants_are_the_walls(log, ticks):
+def test_the_times_are_wall_clock_times(log, ticks):
     offset_ns = int(log.metadata["clock"]["wall_minus_monotonic_ns"])
     first = next(iter(log.inputs())).t_ns + offset_ns
     assert ticks["time_utc"][0] == np.datetime64(first, "ns")
-    assert str(ticks["time_utc"][0])[:10] == "2026-11-22"
+    assert str(ticks["time_utc"][0])[:10] == "2026-11-23"
 
 
 def test_csv_and_parquet_give_every_digit_back(ticks, tmp_path):
@@ -80,7 +80,7 @@ def test_csv_and_parquet_give_every_digit_back(ticks, tmp_path):
             assert table[name].to_pylist() == list(column)
 
 
-def test_what_happened_is_a_table_too(log):
+def test_events_are_a_table_too(log):
     entries = tuple(log.entries())
     events = tables.events(log, entries)
     assert list(events["text"]) == [entry.text for entry in entries]
@@ -88,12 +88,12 @@ def test_what_happened_is_a_table_too(log):
     assert set(events["t_s"]) <= set(tables.ticks(log)["t_s"])
 
 
-def test_the_head_of_the_log_comes_along(log):
+def test_the_header_of_the_log_is_exported(log):
     about = json.loads(tables.about(log))
     assert about["configuration"]["control"]["rate_hz"] == 30
     assert [policy["name"] for policy in about["policies"]] == ["reach", "pid"]
 
 
-def test_a_log_that_does_not_know_the_time_is_told(killed):
+def test_a_log_without_wall_clock_time_is_reported(killed):
     with pytest.raises(LogError, match="does not say what time it was"):
         tables.ticks(logs.read(killed))

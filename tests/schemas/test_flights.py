@@ -1,4 +1,4 @@
-"""What is flown and when it counts: the paper's sets, and shares that add up."""
+"""Scenarios of the paper's test sets, the criterion of success, and shares that add up."""
 
 import json
 
@@ -53,7 +53,7 @@ def test_the_paper_swings_into_twelve_shelves_and_the_random_ones_lie_in_its_tra
         assert -0.025 <= each.cart_start_m <= 0.24
 
 
-def test_a_shelf_stands_where_its_target_is_so_deep_and_just_above_the_board():
+def test_a_shelf_is_placed_by_the_depth_and_height_of_its_target():
     scenario = Scenario(Goal("reach", -0.45, 0.6), 0.1, depth_m=0.07)
     assert scenario.shelf_m == pytest.approx((-0.38, 0.595))
 
@@ -72,7 +72,7 @@ def test_an_arm_is_swung_the_same_way_from_the_same_seed_and_within_what_actuato
 
 
 @given(reached=st.booleans(), max_cart_m=metres)
-def test_a_flight_counts_when_the_target_was_reached_within_the_rails_limit(reached, max_cart_m):
+def test_a_flight_succeeds_if_the_target_is_reached_within_the_rails_limit(reached, max_cart_m):
     status = GoalStatus(TEST_TARGETS[0], "reached" if reached else "failed")
     flight = Flight(status, max_tip_z_m=0.6, max_cart_m=max_cart_m, ticks=9)
     assert flight.reached == flights.counts(reached, max_cart_m) == (reached and max_cart_m <= RAIL_LIMIT_M)
@@ -84,14 +84,14 @@ def test_shares_are_those_of_their_part_and_add_up(flown):
     shares = flights.shares(reached, z_m)
     low = [hit for hit, z in flown if z <= TRAINED_Z_MAX_M + 1e-4]
     above = [hit for hit, z in flown if z > TRAINED_Z_MAX_M + 1e-4]
-    told = 0.0
+    counted = 0.0
     for part, share in ((low, shares.in_range), (above, shares.above)):
         if part:
             assert 0.0 <= share <= 1.0
-            told += len(part) * share
+            counted += len(part) * share
         else:
             assert np.isnan(share)
-    assert shares.all == pytest.approx(told / len(flown))
+    assert shares.all == pytest.approx(counted / len(flown))
     assert shares.all == pytest.approx(sum(reached) / len(flown))
     assert flights.shares(reached[::-1], z_m[::-1]) == pytest.approx(shares, nan_ok=True)
 
@@ -103,10 +103,10 @@ def test_the_border_is_in_range_however_it_is_rounded(precision):
     assert flights.in_range(np.linspace(0.55, 0.80, 6, dtype=precision)).sum() == 4
 
 
-def test_shares_of_nothing_and_of_other_targets_are_refused():
+def test_shares_need_flights_and_one_target_each():
     with pytest.raises(ValueError, match="0 flights"):
         flights.shares([], [])
-    with pytest.raises(ValueError, match="2 flights to 1 targets"):
+    with pytest.raises(ValueError, match="2 flights and 1 targets"):
         flights.shares([True, False], [0.6])
 
 

@@ -1,4 +1,4 @@
-"""The observation: its order stands once, and files, logs and arrays follow it."""
+"""The observation: one order for files, logs and arrays."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""The keys of a stage's nominal model: what is refused says what would do; the page shows the table."""
+"""Keys of a stage's nominal model: errors state the allowed values, and the page shows the table."""
 
 import re
 from pathlib import Path
@@ -7,7 +7,7 @@ import pytest
 
 from softarm.schemas.stage_model import CHANNELS, MODEL_KEYS, complaints, table
 
-PAGE = Path(__file__).parents[2] / "docs" / "trials.md"
+PAGE = Path(__file__).parents[2] / "docs" / "reference" / "trials.md"
 PENDULUM = {"mass_kg": 0.1, "centre_m": 0.2, "inertia_kg_m2": 0}
 CHAIN = {"mass_kg": [1, 2], "centre_m": [0.1, 0.2], "inertia_kg_m2": [0, 0], "length_m": [0.2]}
 
@@ -29,7 +29,7 @@ def test_the_page_shows_every_key():
         ("chain", {**CHAIN, "coulomb_nm": [0.1, 0], "armature_kg_m2": 0.001}, 2),
     ],
 )
-def test_a_sound_model_has_no_complaint(kind, model, links):
+def test_a_valid_model_has_no_error(kind, model, links):
     assert list(complaints(kind, model, links)) == []
 
 
@@ -54,8 +54,8 @@ def test_a_sound_model_has_no_complaint(kind, model, links):
         ("tracking", {"lag_s": -1}, 1, "lag_s", "is -1; allowed 0 to 1000 s"),
         ("tracking", {"lag_s": "50 ms"}, 1, "lag_s", "write a bare number in s: 0.05"),
         ("tracking", {"lag_s": [1, 2]}, 1, "lag_s", "is a list; allowed one number"),
-        ("tracking", {"gain": 0}, 1, "gain", "is 0: nothing would move"),
-        ("tracking", {"gain": 2, "map": [[0, 0], [1, 2]]}, 1, "map", "stands beside gain; keep one"),
+        ("tracking", {"gain": 0}, 1, "gain", "is 0, so nothing would move"),
+        ("tracking", {"gain": 2, "map": [[0, 0], [1, 2]]}, 1, "map", "is given together with gain; keep one"),
         ("tracking", {"map": [[0, 0]]}, 1, "map", "allowed two \\[command, reached\\] pairs or more"),
         ("tracking", {"map": [[0, 0], [0, 2]]}, 1, "map", "commands that do not rise"),
         ("driven_mass", {}, 1, "", "needs either mass_kg"),
@@ -67,13 +67,13 @@ def test_a_sound_model_has_no_complaint(kind, model, links):
         ("chain", {k: v for k, v in CHAIN.items() if k != "length_m"}, 2, "", "2 links need length_m"),
     ],
 )
-def test_a_wrong_model_is_told_by_key_and_next_step(kind, model, links, key, says):
+def test_a_wrong_model_is_reported_with_key_and_next_step(kind, model, links, key, says):
     ((name, text),) = complaints(kind, model, links)
     assert name == key
     assert re.search(says, text), text
 
 
-def test_what_people_call_a_key_is_no_other_key():
+def test_common_names_for_a_key_are_no_other_keys():
     for keys in MODEL_KEYS.values():
         names = [name for key in keys for name in (key.name, *key.called)]
         assert len(names) == len(set(names))

@@ -1,4 +1,4 @@
-"""verdict.json says its format; one from before it did is read, a newer one is refused with both numbers."""
+"""Format of verdict.json: older formats are read, newer ones are rejected."""
 
 import json
 
@@ -13,19 +13,19 @@ NOTHING = Verdict(
 )
 
 
-def test_it_says_its_format_and_is_read_back():
+def test_a_verdict_states_its_format_and_is_read_back():
     written = NOTHING.model_dump_json()
     assert json.loads(written)["format"] == 1
     assert Verdict.model_validate_json(written) == NOTHING
 
 
-def test_one_that_does_not_say_is_of_the_first_format():
+def test_a_verdict_without_format_has_the_first_format():
     content = NOTHING.model_dump(mode="json")
     del content["format"]
     assert Verdict.model_validate_json(json.dumps(content)) == NOTHING
 
 
-def test_a_newer_one_is_refused_with_both_before_anything_else_of_it_is_judged():
+def test_a_newer_format_is_refused_before_anything_else_is_checked():
     content = NOTHING.model_dump(mode="json") | {"format": 2, "unheard_of": 1}
-    with pytest.raises(ValueError, match="a verdict of format 2; this software reads format 1: update it"):
+    with pytest.raises(ValueError, match="verdict of format 2; this software reads format 1: update it"):
         Verdict.model_validate_json(json.dumps(content))

@@ -1,12 +1,12 @@
-"""The simulator and MuJoCo, built from one model and given one set of commands, end at the same place."""
+"""The simulator against MuJoCo: the same model and commands give the same motion."""
 
 from collections.abc import Callable
 
 import numpy as np
 import pytest
 
-from softarm.benchmarks import commands
-from softarm.benchmarks.mujoco_arm import fly
+from benchmarks import commands
+from benchmarks.mujoco_arm import fly
 from softarm.schemas.model import Arm, Cart, Model, seed_effects
 from softarm.schemas.robot import CONTROL_PERIOD_S
 from softarm.simulator.simulator import Simulator
@@ -89,7 +89,7 @@ def test_tip_agrees_with_any_number_of_links(links: int) -> None:
     ],
 )
 def test_tip_agrees_with_an_effect(effect: str, parameters: dict[str, float]) -> None:
-    """What MuJoCo can express itself, or from its own state, over a second.
+    """Effects that MuJoCo computes itself, or from its own state, over a second.
 
     To 0.5 mm, or a twentieth of what the effect does: MuJoCo's dry friction is soft.
     """

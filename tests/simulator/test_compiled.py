@@ -1,4 +1,4 @@
-"""A stale kernel never runs: tried on copies."""
+"""A stale compiled kernel never runs; tests with copies of the package."""
 
 import importlib
 import os
@@ -14,7 +14,8 @@ from softarm.simulator import compiled, kernel
 from softarm.simulator.kernel.compiled import SOURCES
 
 SIMULATOR = Path(kernel.__file__).parents[1]
-HOUSE = SIMULATOR.resolve().parent
+PACKAGE = SIMULATOR.parent
+ROOT = PACKAGE.parent
 OF_THE_KERNEL = """
 import numpy as np
 from softarm.simulator import kernel
@@ -37,10 +38,10 @@ ENTRY = "from made import compiled\nfrom law import law\n@compiled\ndef entry(x)
 
 
 def process(code, path):
-    """Start Python in a folder, with the modules that lie there before the house's."""
-    # Python's own cache tells versions of a file apart by the second and the length alone.
+    """Start Python in a folder, with the modules in it before softarm's."""
+    # Python's own cache distinguishes versions of a file by the second and the length only.
     env = {name: value for name, value in os.environ.items() if not name.startswith("NUMBA_")}
-    env |= {"PYTHONPATH": f"{path}{os.pathsep}{HOUSE}", "PYTHONDONTWRITEBYTECODE": "1"}
+    env |= {"PYTHONPATH": f"{path}{os.pathsep}{ROOT}", "PYTHONDONTWRITEBYTECODE": "1"}
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
     return subprocess.Popen([sys.executable, "-c", code], cwd=path, env=env, text=True, **pipes)
 
@@ -58,10 +59,10 @@ def kept(folder):
 
 
 @pytest.mark.slow
-def test_an_edit_of_the_pressure_stage_is_flown_at_once(tmp_path):
-    for room in ("simulator", "schemas", "common"):
-        shutil.copytree(HOUSE / room, tmp_path / "softarm" / room, ignore=shutil.ignore_patterns("__pycache__"))
-    shutil.copy(HOUSE / "softarm" / "__init__.py", tmp_path / "softarm")
+def test_an_edit_of_the_pressure_stage_takes_effect_at_once(tmp_path):
+    for name in ("simulator", "schemas", "common"):
+        shutil.copytree(PACKAGE / name, tmp_path / "softarm" / name, ignore=shutil.ignore_patterns("__pycache__"))
+    shutil.copy(PACKAGE / "__init__.py", tmp_path / "softarm")
     assert answer(process(OF_THE_KERNEL, tmp_path)) == ["10.0", "0"]
     assert answer(process(OF_THE_KERNEL, tmp_path)) == ["10.0", "1"]
 
@@ -72,16 +73,16 @@ def test_an_edit_of_the_pressure_stage_is_flown_at_once(tmp_path):
     assert answer(process(OF_THE_KERNEL, tmp_path)) == ["0.0", "0"]
 
 
-def test_the_kernels_stamp_covers_every_file_of_ours_that_it_imports():
+def test_the_kernels_stamp_covers_every_imported_project_file():
     code = (
         "import sys, softarm.simulator.kernel; print(*(m.__file__ for n, m in sys.modules.items() if 'softarm.' in n))"
     )
-    files = map(Path, answer(process(code, HOUSE)))
+    files = map(Path, answer(process(code, ROOT)))
     assert set(files) - {SIMULATOR / "__init__.py"} == set(SOURCES)
 
 
 def test_no_function_is_kept_by_numbas_own_cache():
-    for file in (file for room in HOUSE.glob("*/__init__.py") for file in room.parent.rglob("*.py")):
+    for file in PACKAGE.rglob("*.py"):
         assert not re.search(r"^ *@.*\bcache=True", file.read_text(), re.MULTILINE), file
 
 
@@ -96,7 +97,7 @@ def package(tmp_path, monkeypatch):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "home"))
     monkeypatch.setattr(compiled.numba.config, "CACHE_DIR", "")
     monkeypatch.setattr(sys, "dont_write_bytecode", True)
-    compiled._say.cache_clear()
+    compiled._warn_once.cache_clear()
     yield folder
     forget()
 
@@ -121,7 +122,7 @@ def edit(package):
     (package / "law.py").write_text(LAW.replace("2 * x", "3 * x"))
 
 
-def test_what_was_kept_is_found_again_and_what_an_edit_made_useless_is_deleted(package):
+def test_a_cached_function_is_reused_and_deleted_after_an_edit(package):
     assert entry()(1.0) == 2.0
     before, again = kept(package), entry()
     assert (again(1.0), hits(again)) == (2.0, 1)
@@ -131,14 +132,14 @@ def test_what_was_kept_is_found_again_and_what_an_edit_made_useless_is_deleted(p
     assert not set(kept(package)) & set(before)
 
 
-def test_another_version_compiles_anew(package, monkeypatch):
+def test_another_version_compiles_again(package, monkeypatch):
     entry()(1.0)
     monkeypatch.setattr(compiled, "VERSIONS", (*compiled.VERSIONS[:-1], "another"))
     new = entry()
     assert (new(1.0), hits(new)) == (2.0, 0)
 
 
-def test_a_process_that_outlives_an_edit_leaves_nothing_of_the_old_text_behind(package):
+def test_a_process_older_than_an_edit_saves_no_old_code(package):
     old = entry()
     edit(package)
     assert entry()(1.0) == 3.0
@@ -147,7 +148,7 @@ def test_a_process_that_outlives_an_edit_leaves_nothing_of_the_old_text_behind(p
 
 
 @pytest.mark.slow
-def test_several_that_start_at_once_after_an_edit_all_see_it(package):
+def test_processes_that_start_together_after_an_edit_all_use_it(package):
     entry()(1.0)
     edit(package)
     started = [process("from entry import entry; print(entry(1.0))", package) for _ in range(3)]
@@ -183,14 +184,14 @@ open("saved", "w").close()
 
 
 @pytest.mark.slow
-def test_two_that_save_at_once_both_keep_what_they_made(package):
+def test_two_processes_can_save_at_the_same_time(package):
     slow, quick = (process(code, package) for code in (SLOW, QUICK))
     assert (answer(slow), answer(quick)) == (["2"], ["2.0"])
     again = entry()
     assert (again(1), again(1.0), hits(again)) == (2, 2.0, 2)
 
 
-def test_beside_files_that_cannot_be_written_the_users_cache_is_as_safe_and_it_says_once_where_that_is(package, caplog):
+def test_a_read_only_package_uses_the_users_cache_and_warns_once(package, caplog):
     (package / "__pycache__").touch()  # no folder can be made there, not even by root
     home = package.with_name("home")
     assert entry()(1.0) == 2.0
@@ -205,7 +206,7 @@ def test_beside_files_that_cannot_be_written_the_users_cache_is_as_safe_and_it_s
     assert len(caplog.records) == 1
 
 
-def test_with_no_place_to_write_at_all_it_compiles_at_each_start_and_says_so_once(package, caplog):
+def test_without_a_writable_cache_each_start_compiles_and_warns_once(package, caplog):
     (package / "__pycache__").touch()
     package.with_name("home").touch()
     assert entry()(1.0) == 2.0
@@ -215,12 +216,12 @@ def test_with_no_place_to_write_at_all_it_compiles_at_each_start_and_says_so_onc
     assert "set NUMBA_CACHE_DIR" in said
 
 
-def test_who_listens_is_told_before_the_first_compile_and_not_again(package, caplog):
-    compiled._tell.cache_clear()
+def test_the_first_compile_is_announced_once(package, caplog):
+    compiled._inform_once.cache_clear()
     with caplog.at_level("INFO", compiled.__name__):
         assert entry()(1.0) == 2.0
         assert [record.getMessage() for record in caplog.records] == [compiled.COMPILING]
         forget()
-        compiled._tell.cache_clear()
+        compiled._inform_once.cache_clear()
         assert entry()(1.0) == 2.0
     assert [record.getMessage() for record in caplog.records] == [compiled.COMPILING]

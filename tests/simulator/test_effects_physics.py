@@ -1,14 +1,16 @@
-"""What mechanics says of the effects, and what the ways to drive the simulator promise."""
+"""Effects against mechanics, and the promises of each way to drive the simulator."""
+
+import math
 
 import numpy as np
 import pytest
 
-from softarm.benchmarks import commands
-from softarm.benchmarks.endurance import fly
+from benchmarks import commands
 from softarm.schemas.model import Arm, Cart, Model
-from softarm.simulator import stages
 from softarm.simulator.effects import REGISTRY
 from softarm.simulator.simulator import Simulator
+from tests.simulator import stages
+from validation.endurance import fly
 
 
 def energies_j(simulator: Simulator, shelf: tuple[float, float], stiffness: float) -> np.ndarray:
@@ -98,7 +100,7 @@ def test_fixed_base_holds_the_cart_and_frees_the_arm() -> None:
     assert np.abs(simulator.link_angles_rad).max() > 0.2
 
 
-def test_arm_alone_repeats_the_whole_robot_from_what_was_measured() -> None:
+def test_the_arm_alone_reproduces_the_robot_from_measurements() -> None:
     """Pressure and cart of a flight, sampled at 240 Hz, move the arm as they did in it."""
     velocity, pressure = (commanded[:45, 0] for commanded in commands.smooth(1, seed=3))
     stamps, fine = np.arange(45) / 30, np.arange(0, 356) / 240
@@ -112,7 +114,7 @@ def test_arm_alone_repeats_the_whole_robot_from_what_was_measured() -> None:
     np.testing.assert_allclose(alone, flight.pressure_kpa, atol=1e-3)
 
 
-def test_replay_is_stepping_with_any_stamps() -> None:
+def test_a_replay_equals_stepping_with_any_stamps() -> None:
     rng = np.random.default_rng(5)
     stamps = np.cumsum(rng.uniform(0.02, 0.05, 20))
     velocity, pressure = rng.uniform(-0.5, 0.5, (20, 3)), rng.uniform(0, 20, (20, 3))
@@ -123,6 +125,26 @@ def test_replay_is_stepping_with_any_stamps() -> None:
         np.testing.assert_array_equal(stepped.link_ends_m(), replayed.link_ends_m[i])
     with pytest.raises(ValueError, match="ascend"):
         stages.replay(stepped, stamps[::-1], velocity, pressure, stamps)
+
+
+@pytest.mark.parametrize("rate_limit", [math.inf, 20.0])
+def test_a_leak_drains_the_muscle_by_the_flow_balance(rate_limit: float) -> None:
+    """The flow balance is integrated step by step: what the valve lets in or out, less what leaks."""
+    rate, inflate, deflate = 0.8, 0.2, 0.3
+    effects = {"pressure.lag": {"inflate": inflate, "deflate": deflate}, "pressure.leak": {"rate": rate}}
+    if math.isfinite(rate_limit):
+        effects["pressure.rate_limit"] = {"rate": rate_limit}
+    stamps = np.arange(60) / 30
+    command = np.where(stamps < 1.0, 15.0, 3.0)
+    fine, expected, p = 400, [0.0], 0.0
+    for target in command[:-1]:
+        for _ in range(fine):
+            valve = (target - p) / (inflate if target > p else deflate)
+            p += (min(max(valve, -rate_limit), rate_limit) - rate * p) / (30 * fine)
+        expected.append(p)
+    found = stages.pressure_alone(Model(effects=effects), stamps, command, stamps)
+    np.testing.assert_allclose(found[:, 0], expected, atol=0.03)
+    assert found[:, 0].max() < 15.0 / (1.0 + rate * inflate) + 0.01
 
 
 def test_every_robot_has_its_own_model() -> None:
@@ -177,6 +199,6 @@ def test_single_precision_at_240_hz_is_near_the_reference_with_all_effects() -> 
 
 
 def test_random_parameters_within_bounds_stay_finite() -> None:
-    """A few thousand episodes; `python -m softarm.benchmarks.endurance` flies a million."""
+    """A few thousand episodes; `python -m validation.endurance` flies a million."""
     for rate_hz in (120.0, 240.0):
         assert fly(1024, seed=round(rate_hz), rate_hz=rate_hz).finite

@@ -1,4 +1,4 @@
-"""The registry keeps its word: every entry is complete, and whoever reads it gets the same answer."""
+"""The effect registry: every entry is complete and consistent with its readers."""
 
 import math
 import re
@@ -13,7 +13,7 @@ from softarm.simulator.effect_table import EFFECTS, RIVALS
 from softarm.simulator.effects import REGISTRY, STAGES, Effect, EffectError, Parameter
 from softarm.simulator.effects_page import page
 
-PAGE = Path(__file__).parents[2] / "docs" / "effects.md"
+PAGE = Path(__file__).parents[2] / "docs" / "reference" / "effects.md"
 PARAMETERS = [(effect, parameter) for effect in EFFECTS for parameter in effect.parameters]
 BASE_UNITS = {"s", "m", "kg", "N", "rad", "kPa", "1"}
 
@@ -58,14 +58,14 @@ def test_unit_is_made_of_base_units(effect: Effect, p: Parameter) -> None:
         assert {re.sub(r"\^[234]$", "", factor) for factor in factors} <= BASE_UNITS
 
 
-def test_confusion_is_mutual_and_told_apart() -> None:
+def test_every_confusable_pair_is_symmetric_and_has_an_experiment() -> None:
     pairs = [frozenset(pair[:2]) for pair in RIVALS]
     assert len(set(pairs)) == len(pairs)
     assert all(len(pair) == 2 and pair <= set(REGISTRY) for pair in pairs)
     for effect in REGISTRY.values():
-        for rival in effect.confused_with:
-            assert effect.name in REGISTRY[rival].confused_with
-            assert f"{rival}: " in effect.separated_by
+        for rival, experiment in effect.separated_by.items():
+            assert experiment
+            assert REGISTRY[rival].separated_by[effect.name] == experiment
 
 
 def test_seed_has_its_four_and_they_are_valid() -> None:
@@ -109,7 +109,7 @@ def test_names_that_do_not_exist_are_refused_with_the_nearest() -> None:
     ):
         with pytest.raises(EffectError, match=rf"did you mean {nearest}\?"):
             effects.find(path)
-    with pytest.raises(EffectError, match=r"unknown effect; docs/effects\.md"):
+    with pytest.raises(EffectError, match=r"unknown effect; docs/reference/effects\.md"):
         effects.find("zzz")
     with pytest.raises(EffectError, match="no parameters"):
         effects.find("observation.finite_difference.on")
@@ -124,12 +124,14 @@ def test_nan_and_infinity_are_no_values() -> None:
 
 
 def test_page_is_not_stale() -> None:
-    assert PAGE.read_text(encoding="utf-8") == page(), "python -m softarm.simulator.effects_page > docs/effects.md"
+    assert PAGE.read_text(encoding="utf-8") == page(), (
+        "python -m softarm.simulator.effects_page > docs/reference/effects.md"
+    )
 
 
-def test_walk_through_shows_the_code_as_it_is() -> None:
-    text = (PAGE.parent / "adding-an-effect.md").read_text(encoding="utf-8")
+def test_the_walk_through_shows_the_present_code() -> None:
+    text = (PAGE.parents[1] / "development" / "adding-an-effect.md").read_text(encoding="utf-8")
     blocks = re.findall(r"```python\n# (\S+)\n(.*?)```", text, flags=re.DOTALL)
     assert len(blocks) >= 6
     for name, code in blocks:
-        assert code in (PAGE.parents[1] / name).read_text(encoding="utf-8"), f"{name} has other code now"
+        assert code in (PAGE.parents[2] / name).read_text(encoding="utf-8"), f"{name} has other code now"

@@ -1,16 +1,16 @@
-"""rail.force_limit: the motor gives no more, so the cart moves by what is left and by what pushes it."""
+"""The effect rail.force_limit: the remaining force and external forces move the cart."""
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from softarm.benchmarks import commands
+from benchmarks import commands
 from softarm.reality.parameters import Rail, RobotParameters
 from softarm.reality.robot import Robot
 from softarm.schemas.model import Arm, Cart, Model, seed_effects
-from softarm.simulator import stages
 from softarm.simulator.simulator import Simulator
+from tests.simulator import stages
 
 CART, ARM = Cart(), Arm()
 ENDLESS = Cart(travel_m=100.0)
@@ -46,7 +46,7 @@ def test_at_its_limit_the_drive_pushes_with_that_and_what_else_pushes_counts(for
     assert slope == pytest.approx((force_n + push_n) / CART.mass_kg, rel=1e-3)
 
 
-def test_what_pushes_harder_than_the_limit_takes_the_cart_away_and_weaker_does_not() -> None:
+def test_only_a_force_above_the_limit_moves_the_cart() -> None:
     away, held = (ride(limited(1.5), 0.0, push) for push in (2.0, 1.2))
     assert away[-1] == pytest.approx(0.5 / CART.mass_kg * 0.3, rel=0.1)
     assert held[-1] == pytest.approx(1.2 / CART.velocity_gain_n_s_m, rel=0.02)  # no stiffer than its gain
@@ -137,17 +137,6 @@ def test_beside_limited_robots_one_without_a_limit_is_as_alone_bit_for_bit() -> 
     assert abs(beside.cart_position_m[0] - beside.cart_position_m[1]) > 0.01
 
 
-def test_within_the_play_of_a_drive_without_a_limit_its_most_is_a_number() -> None:
-    """It gives nothing there: nothing of infinity."""
-    simulator = Simulator(Model(effects=seed_effects() | {"rail.backlash": {"gap": 0.02}}), 1)
-    most = []
-    for command in (0.2, 0.2, -0.2, -0.2):
-        simulator.step(command, 0.0)
-        most.append(float(simulator._rows[0, simulator._at.drive_most, 0]))
-    assert 0.0 in most
-    assert not np.isnan(most).any()
-
-
 def test_a_cart_that_is_held_or_given_has_no_drive_to_limit() -> None:
     free, bound = (Simulator(Model(effects=limited(force)), 1, fixed_base=True) for force in (200.0, 0.5))
     for simulator in (free, bound):
@@ -159,7 +148,7 @@ def test_a_cart_that_is_held_or_given_has_no_drive_to_limit() -> None:
 
 
 @pytest.mark.parametrize("force_n", [1.2, 2.2])
-def test_it_is_the_independent_robots_limit(force_n: float) -> None:
+def test_the_limit_equals_the_independent_robots(force_n: float) -> None:
     """A start, a step and a reversal that the motor cannot follow; without the law the cart is elsewhere.
 
     No longer than that: at the next turn the other's ramp runs ahead of its cart, which is another law than ours.

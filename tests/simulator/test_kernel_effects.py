@@ -1,4 +1,4 @@
-"""Every effect of the registry: exactly nothing at neutral, felt in its own stage, deaf upstream, and found by a fit.
+"""Every effect: no change when neutral, a change of its own stage only, and identifiable by a fit.
 
 Each is measured where it belongs: its stage alone, driven by inputs that all robots share.
 """
@@ -10,10 +10,10 @@ import pytest
 from numpy.typing import ArrayLike
 
 from softarm.schemas.model import Model
-from softarm.simulator import stages
 from softarm.simulator.effects import REGISTRY
 from softarm.simulator.sensors import Clock, Sensors
 from softarm.simulator.simulator import Simulator
+from tests.simulator import stages
 
 NUMERIC = [effect for effect in REGISTRY.values() if effect.parameters]
 BY_CHANCE = ("mocap.noise", "mocap.dropout", "clock.jitter", "clock.missed_ticks")
@@ -105,7 +105,7 @@ UPSTREAM = {"rail": ("pressure",), "arm": ("pressure", "rail"), "contact": ("pre
 
 
 @pytest.mark.parametrize("effect", NUMERIC, ids=lambda effect: effect.name)
-def test_at_neutral_it_is_absent_bit_for_bit(effect) -> None:  # type: ignore[no-untyped-def]
+def test_a_neutral_effect_equals_no_effect_bit_for_bit(effect) -> None:  # type: ignore[no-untyped-def]
     """Alone, and beside neighbours in the same SIMD register that have it in full."""
     run, model = STAGE[effect.stage], base(effect.name)
     without = run(model, 1, {})
@@ -118,7 +118,7 @@ def test_at_neutral_it_is_absent_bit_for_bit(effect) -> None:  # type: ignore[no
 
 
 @pytest.mark.parametrize("effect", NUMERIC, ids=lambda effect: effect.name)
-def test_strong_it_moves_its_own_stage_and_nothing_upstream(effect) -> None:  # type: ignore[no-untyped-def]
+def test_a_strong_effect_changes_its_stage_and_none_upstream(effect) -> None:  # type: ignore[no-untyped-def]
     model, strong = base(effect.name), exemplar(effect.name)
     without, changed = (STAGE[effect.stage](model, 1, values) for values in ({}, strong))
     assert np.isfinite(changed).all()
@@ -155,7 +155,7 @@ def test_a_fit_of_its_own_simulation_finds_its_size(effect) -> None:  # type: ig
     np.testing.assert_allclose(found, truth, rtol=0.02)
 
 
-def test_chances_are_as_large_as_they_say() -> None:
+def test_random_effects_have_their_declared_probabilities() -> None:
     robots, looks = 400, 40
     simulator = Simulator(
         None,
@@ -169,9 +169,9 @@ def test_chances_are_as_large_as_they_say() -> None:
     )
     sensors, clock = Sensors(simulator, np.random.default_rng(3)), Clock(simulator, np.random.default_rng(4))
     sensors.look()
-    sights, ticks = [sensors.look() for _ in range(looks)], [clock.tick() for _ in range(looks)]
-    fresh = np.array([sight.fresh for sight in sights])
-    cart = np.array([sight.positions_m[:, 0, 0] for sight in sights])
+    frames, ticks = [sensors.look() for _ in range(looks)], [clock.tick() for _ in range(looks)]
+    fresh = np.array([frame.fresh for frame in frames])
+    cart = np.array([frame.positions_m[:, 0, 0] for frame in frames])
     assert cart[fresh].std() == pytest.approx(0.002, rel=0.03)
     assert 1.0 - fresh.mean() == pytest.approx(0.1, rel=0.05)
     late, ticked = (np.array(each) for each in zip(*ticks, strict=True))
@@ -180,7 +180,7 @@ def test_chances_are_as_large_as_they_say() -> None:
 
 
 @pytest.mark.parametrize("rate", [-0.01, 0.004])
-def test_a_drifting_clock_stretches_stamps_and_what_is_differenced_by_them(rate: float) -> None:
+def test_a_drifting_clock_stretches_stamps_and_velocities(rate: float) -> None:
     """A second of the loop is 1 + rate of the cameras'; poses are where they are, and rates are per their second."""
     simulator = Simulator(Model(), 2, overrides={"clock.drift.rate": np.array([rate, 0.0])})
     sensors = Sensors(simulator, np.random.default_rng(1))

@@ -1,4 +1,4 @@
-"""The MJCF export is the model's robot: MuJoCo loads it, finds its masses and springs, and moves it alike."""
+"""The MJCF export: MuJoCo loads it with the model's masses and springs, and it moves alike."""
 
 import numpy as np
 import pytest
@@ -122,25 +122,25 @@ def test_everything_at_once_loads_and_moves() -> None:
     assert data.qpos[0] > 0.02
 
 
-def test_what_is_left_out_is_said_twice() -> None:
-    """Whatever no attribute of the file holds, for every effect of the registry."""
+def test_every_omitted_effect_is_listed_and_commented() -> None:
+    """Every effect of the registry changes the file or is listed as omitted."""
     plain = export(Model(effects={}))
     assert not plain.left_out
     for name in REGISTRY:
         exported = export(Model(effects={name: STRONG[name]}))
-        told = [sentence for sentence in exported.left_out if sentence.startswith(f"{name}: ")]
+        listed = [sentence for sentence in exported.left_out if sentence.startswith(f"{name}: ")]
         body = exported.xml.splitlines()
         changed = [line for line in body if "<!--" not in line] != plain.xml.splitlines()
-        assert changed or told, name
-        assert all(f"<!-- Left out: {sentence} -->" in exported.xml for sentence in told)
+        assert changed or listed, name
+        assert all(f"<!-- Left out: {sentence} -->" in exported.xml for sentence in listed)
     assert export(Model(effects={"pressure.lag": {"inflate": 0.2, "deflate": 0.2}})).left_out == ()
 
 
-def test_offset_without_a_spring_is_left_out_and_told() -> None:
+def test_an_offset_without_a_spring_is_omitted_and_listed() -> None:
     exported = export(Model(arm=Arm(stiffness_nm_rad=(0.0, 1.0, 1.0, 1.0, 1.0)), effects={}))
     assert exported.left_out == ("arm.torque_offset_nm[0]: it is the rest angle of a spring, and this joint has none",)
 
 
-def test_effects_that_nobody_knows_are_refused() -> None:
+def test_unknown_effects_are_rejected() -> None:
     with pytest.raises(effects.EffectError, match=r"did you mean arm.tilt\?"):
         export(Model(effects={"arm.tlt": {}}))

@@ -1,4 +1,4 @@
-"""Model files: what is written comes back; what is wrong is named by file, line, key, bounds and source."""
+"""Model files: round trip, and errors with file, line, key, bounds and source."""
 
 import difflib
 import math
@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from softarm.common.yaml_lines import MAX_TOLD
+from softarm.common.yaml_lines import ERRORS_MAX
 from softarm.schemas.model import Arm, Cart, Model, seed_effects
 from softarm.simulator import effects, model_file
 from softarm.simulator.model_file import ModelFileError
@@ -138,7 +138,7 @@ def test_file_without_effects_has_the_seed_s(tmp_path: Path) -> None:
             f"effects: {{rail.delay: {{delay: {10**400}}}}}\n",
             r":1: effects.rail.delay.delay: is beyond 1e15; allowed 0 to 0.1 s",
         ),
-        ("effects: {rail.delay: }\n", r":1: effects.rail.delay: has nothing behind its colon; write {} or "),
+        ("effects: {rail.delay: }\n", r":1: effects.rail.delay: has no value; write {} or "),
         ("effects: {rail.delay: {}}\n", r":1: effects.rail.delay: names no parameter.*; give delay \(s\), or remove"),
         ("effects: {observation.finite_difference: {on: 1}}\n", r"has no parameters: it is on or absent; write {}"),
         ("effects: [rail.delay]\n", r":1: effects: is a list; allowed a group of names of your choice; change it"),
@@ -151,10 +151,10 @@ def test_file_without_effects_has_the_seed_s(tmp_path: Path) -> None:
             "arm:\n  link_mass_kg:\n  - 1\n  - x\n",
             r":4: arm.link_mass_kg.1: is 'x'; .*; write a bare number in kg;",
         ),
-        ("arm:\n  link_mass_kg: [1]\n", r":1: arm: link_mass_kg has 1 entries, link_length_m has 5: one entry"),
+        ("arm:\n  link_mass_kg: [1]\n", r":1: arm: link_mass_kg has 1 entries, link_length_m has 5: give one entry"),
         ("arm:\n  link_mass_kg: 1\n", r":2: arm.link_mass_kg: is 1; allowed a list; change it"),
         ("cart: {mass_kg: yes}\n", r":1: cart.mass_kg: is true; allowed 0.01 to 50 kg; source"),
-        ("cart: {mass_kg: 1, mass_kg: 2}\n", r":1: cart.mass_kg: stands twice \(first in line 1\); keep one"),
+        ("cart: {mass_kg: 1, mass_kg: 2}\n", r":1: cart.mass_kg: is given twice \(first in line 1\); keep one"),
         ("cart: [\n", r":2: not valid YAML: while parsing a flow node"),
         ("cart: &c\n  mass_kg: *c\n", r":2: cart.mass_kg: refers to itself; write the values out"),
         ("cart: " + "[" * 2000, r":1: not valid YAML: it is nested too deeply"),
@@ -169,7 +169,7 @@ def test_mistakes_are_named(tmp_path: Path, text: str, complaint: str) -> None:
         model_file.load(path)
 
 
-def test_all_mistakes_are_told_at_once_and_in_order(tmp_path: Path) -> None:
+def test_all_errors_are_reported_at_once_and_in_order(tmp_path: Path) -> None:
     path = tmp_path / "model.yaml"
     path.write_text("cart:\n  mass_kg: 0\n  travel_m: 0\n  mas: 1\neffects:\n  arm.tilt: {angle: 2}\n  arm.tlt: {}\n")
     with pytest.raises(ModelFileError) as error:
@@ -187,9 +187,7 @@ MARKS = [":", " ", "\n", "\n  ", "{", "}", "[", "]", ",", "&a ", "*a", "!!int ",
 @pytest.mark.slow
 @settings(max_examples=300, deadline=None, derandomize=True)
 @given(st.lists(st.sampled_from(KEYS + VALUES + MARKS), max_size=25).map("".join) | st.text(max_size=40))
-def test_whatever_is_in_the_file_gives_a_model_or_a_complaint_with_its_name(
-    tmp_path_factory: pytest.TempPathFactory, text: str
-) -> None:
+def test_any_file_gives_a_model_or_an_error_with_its_name(tmp_path_factory: pytest.TempPathFactory, text: str) -> None:
     path = tmp_path_factory.mktemp("models") / "model.yaml"
     path.write_text(text, encoding="utf-8")
     try:
@@ -205,7 +203,7 @@ def test_missing_file_and_unknown_name_are_named(tmp_path: Path) -> None:
         model_file.load("no-dely")
 
 
-def test_of_thousands_of_unknown_effects_the_first_are_told_with_a_suggestion_and_the_rest_counted(
+def test_of_thousands_of_unknown_effects_the_first_are_reported_and_the_rest_counted(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path = tmp_path / "model.yaml"
@@ -215,10 +213,10 @@ def test_of_thousands_of_unknown_effects_the_first_are_told_with_a_suggestion_an
     monkeypatch.setattr(difflib, "get_close_matches", lambda *a, **k: searches.append(a) or real(*a, **k))
     with pytest.raises(ModelFileError) as error:
         model_file.load(path)
-    *told, rest = str(error.value).splitlines()
+    *reported, rest = str(error.value).splitlines()
     assert (
-        told[0]
-        == f"{path}:2: effects.rail.dely_0: unknown effect; did you mean rail.delay? docs/effects.md lists them all"
+        reported[0] == f"{path}:2: effects.rail.dely_0: unknown effect; did you mean rail.delay? "
+        "docs/reference/effects.md lists them all"
     )
-    assert rest == f"{path}: and {5000 - MAX_TOLD} more; mend these first"
-    assert len(told) == len(searches) == MAX_TOLD
+    assert rest == f"{path}: and {5000 - ERRORS_MAX} more; correct these first"
+    assert len(reported) == len(searches) == ERRORS_MAX

@@ -1,11 +1,11 @@
-"""What mechanics says of the arm, checked without the kernel's own formulas."""
+"""The arm against mechanics, without the kernel's own formulas."""
 
 from collections.abc import Callable
 
 import numpy as np
 import pytest
 
-from softarm.benchmarks import commands
+from benchmarks import commands
 from softarm.schemas.model import Arm, Cart, Model, seed_effects
 from softarm.simulator.simulator import Simulator
 
@@ -81,7 +81,7 @@ def test_error_falls_with_the_square_of_the_step() -> None:
 
 @pytest.mark.parametrize("draw", [commands.smooth, commands.bang_bang])
 def test_drive_s_switching_costs_no_accuracy(draw: Callable[..., tuple[np.ndarray, np.ndarray]]) -> None:
-    """The drive changes its law within steps, thousands of times here; the error stays docs/simulator.md's."""
+    """The drive changes its law within steps, thousands of times here; the error stays docs/training/simulator.md's."""
     velocity, pressure = draw(256, seed=9)
 
     def tips_m(rate_hz: float) -> np.ndarray:

@@ -1,9 +1,9 @@
-"""What planners stand on: whole plans in one call, a batch put where one robot is, and points in mid-flight."""
+"""Interface of planners: whole plans in one call, a batch at the state of one robot, points of a trajectory."""
 
 import numpy as np
 import pytest
 
-from softarm.benchmarks import commands
+from benchmarks import commands
 from softarm.schemas.model import Arm, Model
 from softarm.simulator.simulator import Simulator
 
@@ -49,8 +49,8 @@ def test_arms_of_another_number_of_links_are_not_taken_over() -> None:
         Simulator().take_over(Simulator(Model(arm=shorter)))
 
 
-def test_robots_put_where_they_are_fly_on_as_if_nobody_had_touched_them() -> None:
-    """The command under way is still obeyed; `reset` would have dropped it."""
+def test_robots_put_at_their_own_state_continue_unchanged() -> None:
+    """The delayed command still acts; `reset` would have dropped it."""
     velocity, pressure = commands.smooth(6, seed=2)
     touched, left = Simulator(robots=6), Simulator(robots=6)
     for step in range(20):

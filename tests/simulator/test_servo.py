@@ -1,16 +1,16 @@
-"""rail.servo: the reference ramps, then lags; a loop with feed-forward follows it, and where it cannot it runs on."""
+"""The effect rail.servo: a ramp, a lag, and a loop with feed-forward that saturates."""
 
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from softarm.benchmarks import commands
+from benchmarks import commands
 from softarm.reality.parameters import Rail, RobotParameters
 from softarm.reality.robot import Robot
 from softarm.schemas.model import Cart, Model, seed_effects
-from softarm.simulator import stages
 from softarm.simulator.kernel.rail import REACH_M
 from softarm.simulator.simulator import Simulator
+from tests.simulator import stages
 
 PERIOD_S = 1 / 30
 # Feed-forward of the bare cart's own mass: what is not pushed from outside is where its reference is.
@@ -156,7 +156,7 @@ def test_a_robot_without_it_is_as_alone_bit_for_bit() -> None:
         (Rail(acceleration_m_s2=2.5), {"rail.acceleration_limit": {"acceleration": 2.5}}),
     ],
 )
-def test_it_is_the_independent_robots_drive(rail: Rail, others: dict[str, dict[str, float]]) -> None:
+def test_the_servo_equals_the_independent_robots_drive(rail: Rail, others: dict[str, dict[str, float]]) -> None:
     """Through turn after turn, by the velocity that counts; the tracker with the same effects is elsewhere."""
     robot = Robot(RobotParameters(rail=rail), hanging=True)
     tracked = seed_effects() | others

@@ -1,11 +1,11 @@
-"""What the batch promises: every robot is alone in it, no command breaks it, its arrays are the caller's."""
+"""Promises of a batch: robots are independent, no command breaks it, arrays belong to the caller."""
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from softarm.benchmarks import commands
+from benchmarks import commands
 from softarm.schemas.model import Model, seed_effects
 from softarm.simulator.simulator import Simulator
 
@@ -42,7 +42,7 @@ def test_batch_equals_one_by_one_bit_for_bit(robots: int) -> None:
         np.testing.assert_array_equal(state_of(alone)[0], state_of(batch)[i])
 
 
-def test_robot_of_nan_leaves_its_neighbours_alone_and_recovers() -> None:
+def test_a_robot_with_nan_does_not_affect_others_and_recovers() -> None:
     velocity, pressure = commands.smooth(40, seed=1)
     clean, spoilt = Simulator(SEED, 40), Simulator(SEED, 40)
     for step in range(10):
@@ -171,7 +171,7 @@ def test_time_counts_from_the_last_full_reset() -> None:
     assert simulator.time_s == 0.0
 
 
-def test_refusals_say_what_is_allowed() -> None:
+def test_rejections_state_the_allowed_values() -> None:
     simulator = Simulator(SEED, 3)
     with pytest.raises(ValueError, match=r"robots is 0; a simulator holds 1 or more"):
         Simulator(SEED, 0)

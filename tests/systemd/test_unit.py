@@ -1,4 +1,4 @@
-"""systemd itself judges the unit; the udev rule names the Teensy."""
+"""The service file, checked by systemd, and the udev rule of the Teensy."""
 
 import configparser
 import re
@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from softarm.daemon.shell.service import DESCRIPTORS
-from softarm.drivers.rail import master
+from softarm.daemon.runtime.service import DESCRIPTORS
+from softarm.drivers.rail import master, rest
 
 SYSTEMD = Path(__file__).parents[2] / "systemd"
 ANALYZE = shutil.which("systemd-analyze")
@@ -25,7 +25,7 @@ def unit() -> configparser.ConfigParser:
 
 @pytest.fixture
 def installed(tmp_path) -> Path:
-    """The unit, with a program that is there in the place of ours."""
+    """Return the unit with an existing program in ExecStart."""
     text = (SYSTEMD / "softarmd.service").read_text()
     text, replaced = re.subn(r"(?m)^ExecStart=\S+", "ExecStart=/bin/true", text)
     assert replaced == 1
@@ -39,7 +39,7 @@ def analyze(*arguments: str) -> subprocess.CompletedProcess[str]:
 
 
 @needs_systemd
-def test_systemd_knows_every_key_and_value(installed):
+def test_systemd_accepts_every_key_and_value(installed):
     verdict = analyze("verify", "--man=no", "--recursive-errors=no", str(installed))
     assert verdict.returncode == 0, verdict.stderr
     assert installed.name not in verdict.stderr
@@ -65,19 +65,19 @@ def test_the_watchdog_is_slower_than_a_few_ticks_and_systemd_waits_for_the_log()
     assert service["ExecStart"] == "/opt/softarm/.venv/bin/softarm run --config /etc/softarm/softarm.yaml"
 
 
-def test_files_may_be_opened_as_the_daemon_asks():
+def test_the_limit_of_open_files_is_the_daemons():
     assert int(unit()["Service"]["LimitNOFILE"]) == DESCRIPTORS
 
 
-def test_nothing_takes_away_the_serial_port_or_real_time():
+def test_the_serial_port_and_real_time_stay_available():
     service = unit()["Service"]
     assert service["SupplementaryGroups"] == "dialout"
     assert service["DeviceAllow"] == "char-ttyACM rw"
     assert not {"PrivateDevices", "RestrictRealtime", "PrivateNetwork"} & set(service)
-    assert "CPUSchedulingPolicy" not in service  # real time is the configuration's choice
+    assert "CPUSchedulingPolicy" not in service
 
 
-def test_the_rule_gives_the_teensy_to_the_daemon_and_keeps_modemmanager_off():
+def test_the_rule_gives_the_daemon_access_and_excludes_modemmanager():
     text = (SYSTEMD / "99-softarm.rules").read_text().replace("\\\n", " ")
     rules = [line for line in text.splitlines() if line.strip() and not line.startswith("#")]
     assert len(rules) == 1
@@ -88,7 +88,7 @@ def test_the_rule_gives_the_teensy_to_the_daemon_and_keeps_modemmanager_off():
     assert terms["SYMLINK"] == "softarm-regulator"
 
 
-def test_the_end_of_the_daemon_leaves_the_rails_process_time_to_stop_the_drive():
+def test_the_rails_process_has_time_to_stop_the_drive():
     service = unit()["Service"]
-    assert service["KillMode"] == "control-group"  # SIGTERM, which it does not heed, and SIGKILL only later
-    assert float(service["TimeoutStopSec"].removesuffix("s")) > master.PART_S + master.BRAKE_MAX_S
+    assert service["KillMode"] == "control-group"
+    assert float(service["TimeoutStopSec"].removesuffix("s")) > master.SHUT_DOWN_S + rest.BRAKE_MAX_S

@@ -1,4 +1,4 @@
-"""The Gymnasium environments: Gymnasium's own checker, its conventions, and the task behind them."""
+"""The Gymnasium environments: Gymnasium's own checker, its conventions, and the tasks."""
 
 from pathlib import Path
 
@@ -17,7 +17,7 @@ from softarm.simulator.model_file import ModelFileError  # noqa: E402
 from softarm.training import gym_envs  # noqa: E402
 
 TASKS = ("Reach", "Shelf")
-REACH_POLICY = Path(__file__).parents[2] / "policies" / "models" / "reach.onnx"
+REACH_POLICY = Path(__file__).parents[2] / "softarm" / "policies" / "models" / "reach.onnx"
 
 
 def one(task: str, **options):
@@ -34,14 +34,24 @@ def many(task: str, robots: int, **options):
 
 
 @pytest.mark.parametrize("task", TASKS)
-def test_gymnasium_s_own_checker_has_nothing_to_say(task: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Its warnings are errors here. It renders in every mode, the window into memory."""
+def test_gymnasiums_checker_accepts_every_render_mode(task: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Warnings are errors here, and the window is drawn into memory."""
     monkeypatch.setenv("MPLBACKEND", "agg")
-    check_env(one(task))
+    env = one(task)
+    assert env.metadata["render_modes"] == ["human", "rgb_array"]
+    check_env(env)
+
+
+def test_gymnasiums_checker_skips_the_window_without_a_display(monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in ("MPLBACKEND", "DISPLAY", "WAYLAND_DISPLAY"):
+        monkeypatch.delenv(name, raising=False)
+    check_env(one("Reach"))
+    with pytest.raises(RuntimeError, match="needs a display"):
+        one("Reach", render_mode="human")
 
 
 @pytest.mark.parametrize("task", TASKS)
-def test_vector_keeps_to_its_spaces_and_to_gymnasium_s_autoreset(task: str) -> None:
+def test_the_vector_environment_follows_its_spaces_and_gymnasiums_autoreset(task: str) -> None:
     robots = 40
     env = many(task, robots)
     assert env.metadata["autoreset_mode"] is AutoresetMode.SAME_STEP
@@ -65,14 +75,14 @@ def test_vector_keeps_to_its_spaces_and_to_gymnasium_s_autoreset(task: str) -> N
             for robot in np.flatnonzero(over):
                 last = info["final_obs"][robot]
                 assert env.single_observation_space.contains(last)
-                np.testing.assert_array_equal(last[8:], before[robot, 8:])  # still the goal of the episode that ended
+                np.testing.assert_array_equal(last[8:], before[robot, 8:])
                 assert (observation[robot, 8:] != last[8:]).all()
-                assert not observation[robot, [1, 4, 5]].any()  # the next one begins at rest
+                assert not observation[robot, [1, 4, 5]].any()
     assert ended >= robots
 
 
 @pytest.mark.parametrize("task", TASKS)
-def test_single_and_vector_are_the_same_robot(task: str) -> None:
+def test_single_and_vector_environments_give_the_same_robot(task: str) -> None:
     single, vector = one(task), many(task, 1)
     first, _ = single.reset(seed=7)
     np.testing.assert_array_equal(first, vector.reset(seed=7)[0][0])
@@ -90,7 +100,7 @@ def test_single_and_vector_are_the_same_robot(task: str) -> None:
 
 
 @pytest.mark.parametrize("task", TASKS)
-def test_a_seed_draws_the_same_and_no_seed_another(task: str) -> None:
+def test_a_seed_repeats_the_episode(task: str) -> None:
     env = one(task)
     first, again = env.reset(seed=3)[0], env.reset(seed=3)[0]
     np.testing.assert_array_equal(first, again)
@@ -98,27 +108,31 @@ def test_a_seed_draws_the_same_and_no_seed_another(task: str) -> None:
 
 
 BAD_ACTIONS = {
-    "a list": ([0.0, 0.0], TypeError, "the action is a list; allowed is a float32 array of shape"),
-    "None": (None, TypeError, "the action is a NoneType; allowed"),
-    "integers": (np.zeros(2, np.int64), TypeError, "the action's numbers are int64; allowed is float32"),
-    "texts": (np.array(["a", "b"]), TypeError, "the action's numbers are <U1; allowed is float32"),
-    "one number": (np.zeros(1, np.float32), ValueError, r"the action has the shape \(1,\); allowed is \(2,\)"),
+    "a list": ([0.0, 0.0], TypeError, "the action is of type list; allowed is a float32 array of shape"),
+    "None": (None, TypeError, "the action is of type NoneType; allowed"),
+    "integers": (np.zeros(2, np.int64), TypeError, "the action is of type int64; allowed is a float32"),
+    "texts": (np.array(["a", "b"]), TypeError, "the action is of type <U1; allowed is a float32"),
+    "one number": (
+        np.zeros(1, np.float32),
+        ValueError,
+        r"the action has the shape \(1,\); allowed is a float32 array of shape \(2,\)",
+    ),
     "a batch of one": (
         np.zeros((1, 2), np.float32),
         ValueError,
-        r"the action has the shape \(1, 2\); allowed is \(2,\)",
+        r"the action has the shape \(1, 2\); allowed is a float32 array of shape \(2,\)",
     ),
     "NaN": (
         np.array([np.nan, 0.0], np.float32),
         ValueError,
-        r"the action is \[nan, 0.0\]; allowed are numbers in -1..1",
+        r"the action is \[nan, 0.0\]; allowed is a float32 array",
     ),
-    "infinity": (np.array([0.0, -np.inf]), ValueError, r"the action is \[0.0, -inf\]; allowed are numbers in -1..1"),
+    "infinity": (np.array([0.0, -np.inf]), ValueError, r"the action is \[0.0, -inf\]; allowed is a float32 array"),
 }
 
 
 @pytest.mark.parametrize("case", BAD_ACTIONS)
-def test_what_is_no_action_is_refused_in_a_sentence_and_changes_nothing(case: str) -> None:
+def test_an_invalid_action_is_refused_with_the_reason_and_changes_nothing(case: str) -> None:
     action, kind, text = BAD_ACTIONS[case]
     env, untouched = one("Reach"), one("Reach")
     env.reset(seed=5), untouched.reset(seed=5)
@@ -128,20 +142,20 @@ def test_what_is_no_action_is_refused_in_a_sentence_and_changes_nothing(case: st
     np.testing.assert_array_equal(env.step(good)[0], untouched.step(good)[0])
 
 
-def test_of_many_actions_the_bad_one_is_named() -> None:
+def test_the_robot_of_an_invalid_action_is_named() -> None:
     env = many("Reach", 3)
     env.reset(seed=5)
     actions = np.zeros((3, 2), np.float32)
     actions[1, 0] = np.nan
-    with pytest.raises(ValueError, match=r"the action of robot 1 is \[nan, 0.0\]; allowed are numbers in -1..1"):
+    with pytest.raises(ValueError, match=r"the action of robot 1 is \[nan, 0.0\]; allowed is a float32 array"):
         env.step(actions)
     with pytest.raises(
-        ValueError, match=r"the action has the shape \(2,\); allowed is \(3, 2\): .* a row for each robot"
+        ValueError, match=r"the action has the shape \(2,\); allowed is a float32 array of shape \(3, 2\)"
     ):
         env.step(np.zeros(2, np.float32))
 
 
-def test_actions_of_double_precision_are_taken_and_what_lies_outside_is_cut() -> None:
+def test_actions_of_double_precision_are_accepted_and_clipped() -> None:
     first, second = one("Reach"), one("Reach")
     first.reset(seed=5), second.reset(seed=5)
     seen = [env.step(action)[0] for env, action in ((first, np.array([1e300, -7.0])), (second, np.array([9.0, -9.0])))]
@@ -165,8 +179,8 @@ def test_steps_before_a_reset_or_after_the_end_are_refused() -> None:
     env.step(still)
 
 
-def test_next_step_autoreset_begins_an_episode_in_a_step_of_its_own() -> None:
-    """As SyncVectorEnv does it: the last observation is returned, the step after it begins anew for nothing."""
+def test_next_step_autoreset_begins_an_episode_in_a_separate_step() -> None:
+    """Like in SyncVectorEnv, the step after an episode's last observation only resets the robot."""
     env = many("Reach", 6, autoreset_mode="NextStep")
     assert env.metadata["autoreset_mode"] is AutoresetMode.NEXT_STEP
     observation, _ = env.reset(seed=2)
@@ -188,7 +202,7 @@ def test_next_step_autoreset_begins_an_episode_in_a_step_of_its_own() -> None:
     assert ended >= 12
 
 
-def test_gymnasium_s_own_wrappers_take_it() -> None:
+def test_gymnasiums_wrappers_accept_the_environment() -> None:
     made = "softarm.training.gym_envs:SoftArmReach-v0"
     wrapped = gymnasium.wrappers.vector
     env = wrapped.RecordEpisodeStatistics(gymnasium.make_vec(made, num_envs=4, autoreset_mode="NextStep"))
@@ -203,19 +217,19 @@ def test_gymnasium_s_own_wrappers_take_it() -> None:
         many("Reach", 2, autoreset_mode=AutoresetMode.DISABLED)
 
 
-def test_of_many_one_seed_draws_all() -> None:
+def test_one_seed_determines_all_robots() -> None:
     env = many("Reach", 3)
     np.testing.assert_array_equal(env.reset(seed=4)[0], many("Reach", 3).reset(seed=4)[0])
     with pytest.raises(TypeError, match="the seed is a list; allowed is one integer"):
         env.reset(seed=[1, 2, 3])
 
 
-def test_gymnasium_makes_the_fast_one_of_itself() -> None:
+def test_make_vec_chooses_the_fast_environment_by_default() -> None:
     env = gymnasium.make_vec("softarm.training.gym_envs:SoftArmReach-v0", num_envs=4)
     assert isinstance(env.unwrapped, gym_envs.ReachVectorEnv)
 
 
-def test_goal_may_be_given() -> None:
+def test_the_goal_can_be_set_by_options() -> None:
     observation, _ = one("Reach").reset(options={"target_m": (-0.2, 0.6)})
     np.testing.assert_allclose(observation[8:], (-0.2, 0.6), rtol=1e-6)
     observation, _ = many("Shelf", 3).reset(options={"target_m": (-0.48, 0.63), "depth_m": (0.0, 0.1, 0.2)})
@@ -226,7 +240,7 @@ def test_goal_may_be_given() -> None:
         one("Reach").reset(options={"target_m": (5, 0.6)})
 
 
-def test_model_may_be_a_shipped_name() -> None:
+def test_the_model_can_be_a_shipped_name() -> None:
     """Without rail.delay the cart answers within the first step."""
     moved = []
     for name in ("seed", "no-delay"):
@@ -239,7 +253,7 @@ def test_model_may_be_a_shipped_name() -> None:
         one("Reach", model="no-dely")
 
 
-def test_shelf_stands_where_the_target_says() -> None:
+def test_the_place_of_the_shelf_follows_the_target() -> None:
     """The arm swings towards -y; a board at its height stops it by the front edge, one out of reach does not."""
 
     def farthest_y_m(depth_m: float) -> float:
@@ -252,7 +266,7 @@ def test_shelf_stands_where_the_target_says() -> None:
 
 
 def test_shipped_policy_flies_the_reach_task() -> None:
-    """What the house trained reaches its targets through Gymnasium's door as well."""
+    """A shipped policy reaches its targets in the Gymnasium environment, too."""
     onnxruntime = pytest.importorskip("onnxruntime")
     session = onnxruntime.InferenceSession(REACH_POLICY)
     robots = 48
@@ -269,7 +283,7 @@ def test_shipped_policy_flies_the_reach_task() -> None:
 
 
 def test_the_page_names_every_signal_of_the_spaces_in_its_order_and_unit() -> None:
-    page = (Path(__file__).parents[2] / "docs" / "gymnasium.md").read_text(encoding="utf-8")
+    page = (Path(__file__).parents[2] / "docs" / "training" / "gymnasium.md").read_text(encoding="utf-8")
     observed = page.partition("| | observation | unit |")[2].partition("\n\n")[0].splitlines()[2:]
     for k, signal in enumerate((*OBSERVATION, *SHELF_GOAL)):
         number, name, unit = (cell.strip() for cell in observed[k].strip("|").split("|"))

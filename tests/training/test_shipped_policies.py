@@ -10,8 +10,8 @@ import pytest
 from softarm import policies
 from softarm.schemas.model import Model
 from softarm.schemas.policy import METADATA_KEY, PolicyMetadata
+from softarm.training.learn.validation import validation_scenarios
 from softarm.training.run.recipe import PRESETS
-from softarm.training.run.validation import validation_scenarios
 from softarm.training.task.reach import ReachTask
 from softarm.training.task.shelf import environment_of
 
@@ -56,7 +56,7 @@ def test_a_shipped_policy_reaches_random_targets_of_its_training_range(name, lea
     assert reached_in_range(policy, task) >= least
 
 
-def test_the_robust_policy_bears_a_late_and_weak_rail_that_undoes_the_others():
+def test_the_robust_policy_flies_a_late_and_weak_rail_on_which_others_fail():
     model = Model()
     rail = {"rail.delay": {"delay": 0.09}, "rail.acceleration_limit": {"acceleration": 2.5}}
     late = model.model_copy(update={"effects": dict(model.effects) | rail})

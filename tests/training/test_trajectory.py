@@ -15,7 +15,7 @@ from softarm.training.trajectory.problem import PlanningProblem, interpolation
 from softarm.training.trajectory.rollout import Rollouts
 
 TARGETS = np.array([[-0.2, 0.6], [-0.3, 0.7], [0.0, 0.8]], dtype=np.float32)
-REACHABLE = np.array([True, True, False])  # (0, 0.8): the rail is too short, whoever swings
+REACHABLE = np.array([True, True, False])  # (0, 0.8): the rail is too short for any swing
 
 
 @pytest.fixture(scope="module")
@@ -38,7 +38,7 @@ def report(small):
 
 
 @pytest.mark.slow
-def test_reachable_targets_are_hit_and_others_are_said_to_be_missed(report):
+def test_reachable_targets_are_hit_and_others_are_reported_as_missed(report):
     np.testing.assert_array_equal(np.isfinite(report.reached_s), REACHABLE)
     np.testing.assert_array_equal(report.planned, REACHABLE)
     assert (report.plans.miss_m[REACHABLE] < 0.01).all()
@@ -47,7 +47,7 @@ def test_reachable_targets_are_hit_and_others_are_said_to_be_missed(report):
 
 
 @pytest.mark.slow
-def test_a_plan_flown_again_goes_where_it_says_whatever_integrates_it(report):
+def test_a_plan_has_the_same_tip_path_at_another_physics_rate(report):
     plans = report.plans
     for rate_hz, tolerance_m in ((PHYSICS_RATE_HZ, 1e-4), (4800.0, 2e-3)):
         flown = Rollouts(physics_rate_hz=rate_hz).fly(plans.command.transpose(1, 0, 2), plans.cart_start_m)
@@ -58,7 +58,7 @@ def test_a_plan_flown_again_goes_where_it_says_whatever_integrates_it(report):
 
 
 @pytest.mark.slow
-def test_plans_keep_the_limits_with_room_for_the_tracker(report):
+def test_plans_keep_a_margin_to_the_limits(report):
     problem, plans = PlanningProblem(), report.plans
     flown = Rollouts(physics_rate_hz=PHYSICS_RATE_HZ).fly(plans.command.transpose(1, 0, 2), plans.cart_start_m)
     for k, n in enumerate(plans.steps):
@@ -69,14 +69,14 @@ def test_plans_keep_the_limits_with_room_for_the_tracker(report):
     assert np.abs(plans.command[0, :, 0]).max() > 0.05  # it does move
 
 
-def test_same_seed_same_plans(small, monkeypatch):
+def test_equal_seeds_give_equal_plans(small, monkeypatch):
     monkeypatch.setattr("softarm.training.trajectory.optimiser.OUTER", 2)
     one, two = (plan(TARGETS[:1], (0.0,), seed=3).plans for _ in range(2))
     np.testing.assert_array_equal(one.command, two.command)
     np.testing.assert_array_equal(one.steps, two.steps)
 
 
-def test_a_plan_knows_the_effects_of_its_model(small, report):
+def test_a_plan_uses_the_effects_of_its_model(small, report):
     """On a robot with a longer delay a plan made for it hits; one made for the seed's robot does not."""
     effects = seed_effects() | {"rail.delay": {"delay": 0.1}}
     target = TARGETS[1:2]
@@ -97,8 +97,8 @@ def optimiser():
     return Optimiser(PlanningProblem(), Rollouts(), batch)
 
 
-def test_the_gradient_is_the_merits_own_slope(optimiser):
-    """Of the objective and of every constraint; a step to either side tells."""
+def test_the_gradient_equals_the_slope_of_the_merit(optimiser):
+    """The slope is a central difference of the objective with every constraint."""
     knots = random_knots(PlanningProblem(), 2, np.random.default_rng(5))[:, : optimiser._knots] / UNIT
     knots = np.clip(knots, (-0.9, 0.1), (0.9, 1.9)).reshape(2, -1).astype(np.float32)
     penalty = np.full(2, 50.0, dtype=np.float32)
@@ -125,7 +125,7 @@ def test_interpolation_is_straight_between_knots():
     np.testing.assert_allclose(matrix @ np.array([0.0, 3.0, 6.0, 9.0][: matrix.shape[1]]), np.arange(8), rtol=1e-6)
 
 
-def test_first_guesses_pass_near_their_targets_within_the_rail():
+def test_initial_guesses_pass_near_their_targets_within_the_rail():
     problem, rollouts = PlanningProblem(), Rollouts()
     swings = library(problem, rollouts, 0.0, 512, np.random.default_rng(0))
     guesses = nearest(swings, TARGETS[:1], 3)
@@ -137,7 +137,7 @@ def test_first_guesses_pass_near_their_targets_within_the_rail():
     assert misses.max() < 0.05 < 0.2 < at_rest
 
 
-def test_a_search_by_trial_agrees_about_what_can_be_reached(monkeypatch):
+def test_search_and_planner_agree_on_reachable_targets(monkeypatch):
     monkeypatch.setattr(ceiling, "ROUNDS", 12)
     monkeypatch.setattr(ceiling, "POPULATION", 48)
     monkeypatch.setattr(ceiling, "ELITES", 6)
@@ -146,7 +146,7 @@ def test_a_search_by_trial_agrees_about_what_can_be_reached(monkeypatch):
     assert 0.1 < found.closest_m[2] < 0.2
 
 
-def test_rows_tell_of_plans_and_of_searches_alike(report, monkeypatch):
+def test_rows_of_plans_and_of_searches_have_the_same_fields(report, monkeypatch):
     found = rows.of_plans(report)
     assert [row["reached"] for row in found] == REACHABLE.tolist() == [row["planned"] for row in found]
     assert found[0] == pytest.approx({**found[0], "y": -0.2, "z": 0.6, "start": 0.1})

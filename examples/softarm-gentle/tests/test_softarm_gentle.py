@@ -1,9 +1,9 @@
-"""`gentle`: what it pays for, and a short training whose policy the daemon flies."""
+"""The task `gentle`: its reward, and a short training whose policy the daemon flies."""
 
 from pathlib import Path
 
 import numpy as np
-from softarm.daemon.shell.offline import Lockstep
+from softarm.daemon.runtime.offline import Lockstep
 from softarm.policies import registry
 from softarm.schemas.config import Config, Policy
 from softarm.schemas.goals import Goal
@@ -20,7 +20,7 @@ def reward(apart_m: float, speed_m_s: float, off_rail: bool = False) -> float:
     return float(task.reward(Moment(tip, speed, target, cart, success, np.array([off_rail])))[0])
 
 
-def test_slow_is_better_than_fast_and_there_better_than_elsewhere() -> None:
+def test_the_reward_is_higher_when_slow_and_near_the_target() -> None:
     assert reward(0.0, 0.0) > reward(0.0, 0.5) > reward(0.0, 2.0) > reward(0.05, 2.0)
     assert reward(0.05, 1.0) < reward(0.3, 1.0) < reward(0.3, 0.0) == 0.0
     assert reward(0.3, 0.0, off_rail=True) < reward(0.05, 2.0)
@@ -33,4 +33,4 @@ def test_a_short_training_leaves_a_policy_that_flies(tmp_path: Path) -> None:
     policy = registry.load("trained", {"trained": Policy(plugin="onnx", options={"model": str(file)})})
     flight = Lockstep(Config(), policy).fly(Goal("reach", -0.1, 0.58), cart_start_m=0.1)
     assert flight.stop is None
-    assert flight.status.state in ("reached", "failed")  # 1024 frames are no training
+    assert flight.status.state in ("reached", "failed")

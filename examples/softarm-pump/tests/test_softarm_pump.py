@@ -1,8 +1,8 @@
-"""`pump` reaches, by swinging, what no slow command reaches."""
+"""The policy `pump` reaches targets by swinging that no slow command reaches."""
 
 import numpy as np
 import pytest
-from softarm.daemon.shell.offline import Lockstep
+from softarm.daemon.runtime.offline import Lockstep
 from softarm.policies import registry
 from softarm.policies.base import PolicyError
 from softarm.schemas.config import Config
@@ -12,7 +12,7 @@ from softarm.schemas.goals import Goal
 TARGETS = [Goal("reach", y, z) for y, z in ((-0.35, 0.6), (-0.2, 0.65), (-0.3, 0.7), (-0.35, 0.8))]
 
 
-def test_it_swings_onto_targets_that_the_papers_pid_cannot_reach() -> None:
+def test_it_reaches_targets_that_the_papers_pid_cannot_reach() -> None:
     reached = {}
     for name in ("pump", "pid"):
         flown = Lockstep(Config(), registry.load(name))
@@ -23,9 +23,9 @@ def test_it_swings_onto_targets_that_the_papers_pid_cannot_reach() -> None:
     assert reached["pid"] <= 1
 
 
-def test_it_pushes_against_the_deflection_and_only_as_long_as_height_is_lacking() -> None:
+def test_it_pushes_against_the_deflection_until_the_swing_is_high_enough() -> None:
     policy, goal = registry.load("pump"), np.array([-0.3, 0.7], np.float32)
-    place = np.array([0.06, 0, 0, 0.6, 0, 0, 0, 0], np.float32)  # about where it wants to stand
+    place = np.array([0.06, 0, 0, 0.6, 0, 0, 0, 0], np.float32)
     left, right = place.copy(), place.copy()
     left[2], right[2] = 0.06 - 0.15, 0.06 + 0.15
     assert policy.step(left, goal)[0] > 0.2
@@ -35,7 +35,7 @@ def test_it_pushes_against_the_deflection_and_only_as_long_as_height_is_lacking(
     assert abs(policy.step(high, goal)[0]) < 0.1
 
 
-def test_an_option_below_zero_is_told() -> None:
+def test_an_option_below_zero_is_rejected() -> None:
     odd = {"odd": Configured(plugin="pump", options={"lead_s": -0.1})}
-    with pytest.raises(PolicyError, match="lead_s is -0.1; allowed 0 or more"):
+    with pytest.raises(PolicyError, match="lead_s is -0.1; allowed: 0 or more"):
         registry.load("odd", odd)

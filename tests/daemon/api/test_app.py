@@ -1,4 +1,4 @@
-"""The REST API over a real inbox: every endpoint, and every refusal with its sentence."""
+"""REST API over a real inbox: every endpoint and every refusal with its message."""
 
 import json
 import re
@@ -19,8 +19,8 @@ from softarm.daemon.control.inbox import Inbox
 from softarm.daemon.control.records import ActiveEvent, EStop, Outputs, Problems
 from softarm.daemon.logbook import logs
 from softarm.daemon.logbook.recorder import Recorder
-from softarm.daemon.shell.daemon import simulated_devices
-from softarm.daemon.shell.loop import ControlLoop
+from softarm.daemon.runtime.devices import simulated_devices
+from softarm.daemon.runtime.loop import ControlLoop
 from softarm.daemon.tick import Controller
 from softarm.policies.hold import Hold
 from softarm.policies.runner import InlineRunner
@@ -28,7 +28,7 @@ from softarm.schemas.config import Config
 from softarm.schemas.goals import Goal, GoalStatus
 
 
-def test_the_status_is_the_snapshot_and_what_stands_around_it(client, loop):
+def test_the_status_is_the_snapshot_and_its_context(client, loop):
     loop.problems = Problems(rail="127.0.0.1:502: connect: refused; is the gateway on?")
     status = client.get("/api/status").json()
     assert set(Outputs.__dataclass_fields__) <= set(status)
@@ -43,7 +43,7 @@ def test_the_status_is_the_snapshot_and_what_stands_around_it(client, loop):
     assert status["version"]
 
 
-def test_a_snapshot_is_encoded_once_however_many_ask(silent):
+def test_a_snapshot_is_encoded_once_for_all_clients(silent):
     _, loop = silent
     loop.outputs = replace(loop.outputs, t_ns=time.monotonic_ns() + 60_000_000_000)
     view = StatusView(lambda: loop.outputs, Problems, None, {}, time.monotonic_ns, "1")
@@ -71,7 +71,10 @@ def test_health_is_200_when_nothing_is_wrong(client):
 @pytest.mark.parametrize(
     ("change", "sentence"),
     [
-        ({"estop": EStop.LATCHED}, "the emergency stop is latched: POST /api/acknowledge"),
+        (
+            {"estop": EStop.LATCHED},
+            "the emergency stop is latched: make sure that the arm is free, then run `softarm acknowledge`",
+        ),
         ({"estop": EStop.ENGAGED}, "the emergency stop is engaged: remove its cause"),
         (
             {"events": (ActiveEvent("mocap_stale", "soft_stop", "too old (230 ms): check the bridge"),)},
@@ -87,24 +90,26 @@ def test_health_is_503_with_the_reason(client, loop, change, sentence):
     assert any(reason.startswith(sentence) for reason in answer.json()["reasons"])
 
 
-def test_another_method_is_told_all_that_the_path_takes(client):
+def test_a_wrong_method_is_answered_with_the_allowed_ones(client):
     answer = client.request("PATCH", "/api/goal")
     assert answer.status_code == 405
     assert answer.headers["Allow"] == "DELETE, GET, POST"
 
 
-def test_the_schema_names_every_refusal_that_may_come(client):
+def test_the_schema_lists_every_possible_refusal(client):
     paths = client.get("/openapi.json").json()["paths"]
-    told = {(method, path): set(each["responses"]) for path, at in paths.items() for method, each in at.items()}
-    assert all(codes >= {"200", "401", "403", "408", "413"} for way, codes in told.items() if way[1] != "/api/stop")
-    assert {way for way, codes in told.items() if "400" in codes} == {
+    documented = {(method, path): set(each["responses"]) for path, at in paths.items() for method, each in at.items()}
+    assert all(
+        codes >= {"200", "401", "403", "408", "413"} for way, codes in documented.items() if way[1] != "/api/stop"
+    )
+    assert {way for way, codes in documented.items() if "400" in codes} == {
         ("post", "/api/goal"),
         ("post", "/api/login"),
         ("put", "/api/policy"),
     }
 
 
-def test_a_warning_is_not_ill_health(client, loop):
+def test_a_warning_is_healthy(client, loop):
     loop.outputs = replace(loop.outputs, events=(ActiveEvent("tick_late", "warn", "late"),))
     assert client.get("/api/health").status_code == 200
 
@@ -121,7 +126,7 @@ def test_health_names_devices_and_recorder(loop, tmp_path, app, client_of):
     ]
 
 
-def test_a_loop_that_stands_still_is_told_by_health_and_status(silent):
+def test_health_and_status_report_a_stalled_loop(silent):
     client, loop = silent
     loop.outputs = replace(loop.outputs, t_ns=time.monotonic_ns() - 3_000_000_000)
     answer = client.get("/api/health")
@@ -156,7 +161,7 @@ def test_a_request_is_answered_by_the_loop(client, loop, method, path, kind):
 
 
 @pytest.mark.slow
-def test_a_silent_loop_is_a_503_that_says_so(silent):
+def test_a_silent_loop_is_a_503_with_the_reason(silent):
     client, _ = silent
     answer = client.post("/api/arm")
     assert answer.status_code == 503
@@ -184,11 +189,11 @@ def test_a_goal_reaches_the_loop_and_comes_back(client, loop):
     assert loop.taken[-1].request.goal.kind == "hold"
 
 
-def test_a_target_outside_the_training_range_is_taken_with_a_warning(client):
+def test_a_target_outside_the_training_range_is_accepted_with_a_warning(client):
     warnings = client.post("/api/goal", json={"kind": "reach", "y_m": 0.2, "z_m": 0.75}).json()["warnings"]
     assert warnings == [
-        "y_m 0.2 lies outside what the policy 'reach' was trained on (-0.4..0 m): it may miss",
-        "z_m 0.75 lies outside what the policy 'reach' was trained on (0.55..0.7 m): it may miss",
+        "y_m 0.2 is outside the training range of the policy 'reach' (-0.4..0 m): it may miss",
+        "z_m 0.75 is outside the training range of the policy 'reach' (0.55..0.7 m): it may miss",
     ]
 
 
@@ -226,17 +231,21 @@ def test_the_goal_is_shown_flat(client, loop):
         ('{"kind": "reach", "y_m": "0.1", "z_m": 0.6}', "y_m: must be a number; allowed -0.6..0.6 m"),
         ('{"kind": "reach", "y_m": NaN, "z_m": 0.6}', "y_m: must be a number; allowed -0.6..0.6 m"),
         ('{"kind": "reach", "y_m": 0, "z_m": 1e999}', "z_m: must be a number; allowed 0.5..0.85 m"),
-        ('{"kind": "reach", "y_m": 0}', "z_m: is missing, it must be a number; allowed 0.5..0.85 m"),
+        ('{"kind": "reach", "y_m": 0}', "z_m: missing; must be a number; allowed 0.5..0.85 m"),
         ('{"kind": "reach", "y_m": null, "z_m": 0.6}', "y_m: must be a number; allowed -0.6..0.6 m"),
         ('{"kind": "fly"}', "kind: must be 'reach', 'hold' or 'run'; send {"),
         ('{"y_m": 0, "z_m": 0.6}', "kind: must be 'reach', 'hold' or 'run'; send {"),
-        ('{"kind": "hold", "y_m": 0}', "y_m: is not known here; send {"),
+        ('{"kind": "hold", "y_m": 0}', "y_m: unknown key; did you mean y_m? send {"),
+        ('{"kind": "reach", "y": 1, "z_m": 0.6}', "y: unknown key; did you mean y_m? send {"),
         ('{"kind": "reach"', "the body is not JSON ("),
         ("[1, 2]", "the body must be a JSON object"),
         ("", "the body must be a JSON object"),
         ('{"kind": "reach", "y_m": 0.7, "z_m": 0.9}', "y_m 0.7 is outside the workspace; allowed -0.6..0.6 m"),
         ('{"kind": "reach", "y_m": 0, "z_m": 0.9}', "z_m 0.9 is outside the workspace; allowed 0.5..0.85 m"),
-        ('{"kind": "reach", "y_m": 0.6, "z_m": 0.5}', "the target (0.6, 0.5) is 0.582 m from where the hinge"),
+        (
+            '{"kind": "reach", "y_m": 0.6, "z_m": 0.5}',
+            "the target (0.6, 0.5) is out of reach, 0.582 m from the nearest position of the hinge",
+        ),
     ],
 )
 def test_a_wrong_goal_is_refused_with_what_is_allowed(client, loop, body, sentence):
@@ -246,7 +255,7 @@ def test_a_wrong_goal_is_refused_with_what_is_allowed(client, loop, body, senten
     assert not loop.taken
 
 
-def test_a_body_without_its_content_type_is_told_what_to_send(client):
+def test_a_body_without_content_type_is_refused_with_an_example(client):
     answer = client.post("/api/goal", content='{"kind": "hold"}', headers={"Content-Type": "text/plain"})
     assert answer.status_code == 422
     assert "Content-Type: application/json" in answer.json()["detail"]
@@ -271,13 +280,13 @@ def test_the_policies_are_listed_with_those_that_cannot_be_used(client):
 
 
 @pytest.mark.realtime
-def test_a_policy_is_loaded_and_warmed_up_beside_the_loop(loop, app, client_of, shelf):
+def test_a_policy_is_loaded_and_warmed_up_outside_the_loop(loop, app, client_of, shelf):
     client = client_of(app(loop, policies=shelf))
     answer = client.put("/api/policy", json={"name": "pid"})
     assert answer.status_code == 200
     policy, thread = shelf.loaded[0]
     assert (policy.steps, policy.resets) == (1, 2)
-    assert thread == "aside: loading the policy 'pid'"
+    assert thread == "worker: loading the policy 'pid'"
     post = loop.taken[-1]
     assert post.request.policy == "pid"
     outcome = post.runner.step(np.zeros(8, dtype=np.float32), np.zeros(2, dtype=np.float32))
@@ -303,7 +312,7 @@ def test_the_log_notes_every_change_of_policy_once(tmp_path, client_of, shelf):
     assert [policy["name"] for policy in logs.read(recorder.path).policies] == ["hold", "reach"]
 
 
-def test_the_documentation_says_that_an_answer_may_warn(client):
+def test_the_schema_contains_the_warnings_of_an_answer(client):
     api = client.get("/openapi.json").json()
     answer = api["paths"]["/api/goal"]["post"]["responses"]["200"]["content"]["application/json"]["schema"]["$ref"]
     assert "warnings" in api["components"]["schemas"][answer.rpartition("/")[2]]["properties"]
@@ -316,10 +325,8 @@ def test_the_runner_of_a_refused_policy_ends(client, loop):
     assert not any(thread.name == "policy pid" for thread in threading.enumerate())
 
 
-def test_a_policy_that_never_loads_is_given_up_and_holds_up_neither_the_next_nor_the_end(
-    loop, app, serving, shelf, monkeypatch
-):
-    monkeypatch.setattr("softarm.daemon.api.app.LOADING_S", 0.2)
+def test_a_policy_that_never_loads_delays_neither_the_next_nor_the_end(loop, app, serving, shelf, monkeypatch):
+    monkeypatch.setattr("softarm.daemon.api.endpoints.policies.LOADING_S", 0.2)
     wedged = threading.Event()  # stands for a first step without end
     load = shelf.load
     shelf.load = lambda name: (wedged.wait(), load(name))[1] if name == "reach" else load(name)
@@ -327,13 +334,13 @@ def test_a_policy_that_never_loads_is_given_up_and_holds_up_neither_the_next_nor
         with httpx.Client(base_url=f"http://127.0.0.1:{port}") as client:
             answer = client.put("/api/policy", json={"name": "reach"})
             assert answer.status_code == 504
-            assert "loading the policy 'reach': not done within 0.2 s" in answer.json()["detail"]
+            assert "loading the policy 'reach': not finished within 0.2 s" in answer.json()["detail"]
             assert client.put("/api/policy", json={"name": "pid"}).status_code == 200
             assert client.put("/api/policy", json={"name": "reach"}).status_code == 504
             answer = client.put("/api/policy", json={"name": "pid"})
             assert answer.status_code == 503  # two that never end are enough
-            assert "2 of these run already" in answer.json()["detail"]
-        wedges = [thread for thread in threading.enumerate() if thread.name.startswith("aside: ")]
+            assert "2 of these are running already" in answer.json()["detail"]
+        wedges = [thread for thread in threading.enumerate() if thread.name.startswith("worker: ")]
     assert [thread.daemon for thread in wedges] == [True, True]  # the process does not wait for them
     wedged.set()
     for thread in wedges:
@@ -343,10 +350,10 @@ def test_a_policy_that_never_loads_is_given_up_and_holds_up_neither_the_next_nor
 @pytest.mark.parametrize(
     ("body", "code", "sentence"),
     [
-        ({"name": "nix"}, 404, "no policy 'nix'; there are: broken, lost, pid, reach"),
+        ({"name": "nix"}, 404, "no policy 'nix'; available: broken, lost, pid, reach"),
         ({"name": "lost"}, 422, "policy 'lost': its file is gone; available: pid, reach"),
         ({"name": "broken"}, 422, "policy 'broken': its first step failed (ValueError: no weights)"),
-        ({}, 422, "name: is missing, it must be text; GET /api/policies lists the names"),
+        ({}, 422, "name: missing; must be text; GET /api/policies lists the names"),
         ({"name": 3}, 422, "name: must be text; GET /api/policies lists the names"),
     ],
 )
@@ -357,7 +364,7 @@ def test_a_wrong_policy_is_refused(client, loop, body, code, sentence):
     assert not loop.taken
 
 
-def test_the_logs_are_listed_and_the_present_one_is_marked(loop, tmp_path, app, client_of):
+def test_the_logs_are_listed_and_the_current_one_is_marked(loop, tmp_path, app, client_of):
     config = Config(recorder={"directory": tmp_path})
     old, new = Recorder(config), Recorder(config)
     old.start()
@@ -385,8 +392,6 @@ def test_the_documentation_names_every_endpoint_with_an_example(client):
     assert all(client.get(script).status_code == 200 for script in scripts)  # nothing from the internet
     api = client.get("/openapi.json").json()
     assert {(method.upper(), path) for path, methods in api["paths"].items() for method in methods} == {
-        ("GET", "/"),
-        ("GET", "/dashboard/{path}"),
         ("GET", "/api/robot"),
         ("GET", "/api/recent"),
         ("GET", "/api/status"),
@@ -415,20 +420,22 @@ def test_the_documentation_names_every_endpoint_with_an_example(client):
         ("GET", "/api/incidents"),
         ("GET", "/api/incidents/{name}"),
     }
+    tags = {tag["name"] for tag in api["tags"]}
+    assert all(set(method["tags"]) <= tags for methods in api["paths"].values() for method in methods.values())
     goal = api["paths"]["/api/goal"]["post"]["requestBody"]["content"]["application/json"]
     assert goal["examples"]["reach"]["value"] == {"kind": "reach", "y_m": -0.2, "z_m": 0.65}
     assert all(method["description"] for methods in api["paths"].values() for method in methods.values())
 
 
-def test_every_answer_says_the_apis_version(client):
+def test_every_answer_has_the_apis_version(client):
     for answer in (client.get("/api/status"), client.get("/nothing"), client.get("/api/status", headers={"Host": "x"})):
         assert answer.headers["softarm-api"] == "1"
 
 
 @pytest.mark.parametrize("version", ["2", "99999999999999999999999", "one"])
-def test_a_request_of_a_newer_version_is_refused_with_both_but_a_stop_is_not(client, version):
+def test_a_request_of_a_newer_version_is_refused_unless_it_is_a_stop(client, version):
     answer = client.post("/api/arm", headers={"softarm-api": version})
     assert answer.status_code == 400
-    assert f"speaks version 1 of the API, the request version {version[:20]}" in answer.json()["detail"]
+    assert f"the request has version {version[:20]} of the API, this daemon supports 1" in answer.json()["detail"]
     assert client.post("/api/stop", headers={"softarm-api": version}).status_code == 200
     assert client.post("/api/arm", headers={"softarm-api": "1"}).status_code == 200

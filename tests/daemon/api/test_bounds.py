@@ -1,4 +1,4 @@
-"""An untrusted guest is bounded: sizes, keys, connections, time; and a stop gets through."""
+"""Bounds on untrusted clients in size, keys, connections and time; a stop is always accepted."""
 
 import asyncio
 import json
@@ -22,14 +22,14 @@ def keys(count: int) -> str:
 
 
 @pytest.mark.parametrize("body", [keys(100_000), "{" * 5000], ids=["100,000 keys", "no JSON"])
-def test_a_body_that_is_too_long_is_not_even_parsed(client, loop, body):
+def test_a_body_that_is_too_long_is_not_parsed(client, loop, body):
     answer = client.post("/api/goal", content=body, headers=JSON)
     assert answer.status_code == 413  # parsed, it would be 422 or 400
     assert answer.json()["detail"].startswith("the body has more than 4096 bytes")
     assert not loop.taken
 
 
-def test_so_is_one_that_does_not_say_its_length(client, loop):
+def test_a_long_body_without_a_stated_length_is_refused(client, loop):
     async def pieces():
         for _ in range(1000):
             yield b" " * 1000
@@ -39,34 +39,34 @@ def test_so_is_one_that_does_not_say_its_length(client, loop):
     assert not loop.taken
 
 
-def test_of_many_mistakes_the_first_are_told(client):
+def test_the_first_of_many_mistakes_are_reported(client):
     reasons = client.post("/api/goal", content=keys(100), headers=JSON).json()["reasons"]
     assert len(reasons) == 6
-    assert reasons[0].startswith("key0: is not known here")
-    assert reasons[-1] == "and 95 mistakes more"
+    assert reasons[0].startswith("key0: unknown key")
+    assert reasons[-1] == "and 95 more errors"
 
 
-def test_a_long_name_is_not_told_back(client):
+def test_a_long_name_is_not_repeated(client):
     reason = client.post("/api/goal", json={"kind": "hold", "x" * 3000: 1}).json()["reasons"][0]
-    assert reason.startswith("x" * 40 + "...: is not known here")
+    assert reason.startswith("x" * 40 + "...: unknown key")
 
 
 @pytest.mark.parametrize("body", [b"[" * 4000, b'{"kind": "\xff"}'])
-def test_a_body_that_cannot_be_read_is_told_so(client, body):
+def test_an_unreadable_body_is_refused_with_the_reason(client, body):
     answer = client.post("/api/goal", content=body, headers=JSON)
     assert answer.status_code == 400
     assert answer.json()["reasons"] == [answer.json()["detail"]]
-    assert "UTF-8, not nested deeply" in answer.json()["detail"]
+    assert "UTF-8 without deep nesting" in answer.json()["detail"]
 
 
 @pytest.mark.parametrize("origin", ["http://[::1", "http://[", "//[x]:y"])
-def test_an_origin_that_cannot_be_read_is_a_foreign_one(client, origin):
+def test_an_unreadable_origin_is_foreign(client, origin):
     answer = client.post("/api/arm", headers={"Origin": origin})
     assert answer.status_code == 403
     assert "may not command this robot" in answer.json()["detail"]
 
 
-def test_a_stop_in_a_flood_is_answered_as_done(loop, app):
+def test_a_stop_during_a_flood_is_confirmed(loop, app):
     async def flood():
         transport = httpx.ASGITransport(app(loop))
         async with httpx.AsyncClient(transport=transport, base_url=LOCAL) as client:
@@ -77,7 +77,7 @@ def test_a_stop_in_a_flood_is_answered_as_done(loop, app):
 
 
 class LateLook:
-    """A loop that answers at once; whoever looks for that is held up before the answer is there to be seen."""
+    """Loop that answers at once, whose readers are delayed until the answer exists."""
 
     def __init__(self, outputs):
         self.inbox, self.problems, self._outputs = Inbox(), Problems(), outputs
@@ -93,12 +93,12 @@ class LateLook:
 
 
 @pytest.mark.parametrize("path", ["/api/stop", "/api/arm"])
-def test_what_was_done_while_the_api_was_held_up_is_told_as_done(silent, app, client_of, monkeypatch, path):
-    monkeypatch.setattr("softarm.daemon.api.app.ANSWER_S", 0.02)
+def test_a_request_done_while_the_api_was_delayed_is_confirmed(silent, app, client_of, monkeypatch, path):
+    monkeypatch.setattr("softarm.daemon.api.requests.ANSWER_S", 0.02)
     assert client_of(app(LateLook(silent[1].outputs))).post(path).status_code == 200
 
 
-def test_a_stop_is_done_when_a_later_tick_holds_it_whatever_became_of_its_result(silent):
+def test_a_later_tick_with_the_stop_confirms_it_without_its_result(silent):
     client, loop = silent
     stopped = replace(loop.outputs, mode=Mode.STOPPED, estop=EStop.LATCHED, results=())
     loop.outputs = replace(stopped, t_ns=time.monotonic_ns() + 10**9)
@@ -125,7 +125,7 @@ def opened(stack: ExitStack, port: int, sent: bytes = b"") -> socket.socket:
 @pytest.mark.parametrize(
     "sent", [b"", b"POST /api/goal HTTP/1.1\r\nHost: 127.0.0.1\r\nContent-Length: 4000\r\n\r\n{"], ids=["idle", "slow"]
 )
-def test_clients_that_only_stay_leave_room_for_the_next(loop, app, serving, sent):
+def test_idle_clients_make_room_for_new_ones(loop, app, serving, sent):
     with serving(app(loop)) as port, ExitStack() as stack:
         idle = [opened(stack, port, sent) for _ in range(300)]
         assert httpx.post(f"{LOCAL}:{port}/api/stop", timeout=5).status_code == 200
@@ -144,7 +144,7 @@ def is_closed(connection: socket.socket) -> bool:
 
 
 def said_until_closed(connection: socket.socket, trickle: bytes = b"") -> bytes:
-    """All that the server says; meanwhile a byte goes out now and then."""
+    """Return the server's whole answer while single bytes are sent."""
     said = b""
     connection.settimeout(0.05)
     while True:
@@ -172,7 +172,7 @@ def said_until_closed(connection: socket.socket, trickle: bytes = b"") -> bytes:
     ],
     ids=["nothing said", "a slow header", "a slow second header"],
 )
-def test_who_does_not_come_to_a_request_is_hung_up_on(loop, app, serving, monkeypatch, sent, trickle):
+def test_a_client_without_a_request_is_disconnected(loop, app, serving, monkeypatch, sent, trickle):
     monkeypatch.setattr("softarm.daemon.api.bounds.QUIET_S", 0.3)
     with serving(app(loop)) as port, ExitStack() as stack:
         said_until_closed(opened(stack, port, sent), trickle)  # ends
@@ -184,7 +184,7 @@ def test_a_slow_body_is_refused_and_its_connection_closed(loop, app, serving, mo
         request = b"POST /api/goal HTTP/1.1\r\nHost: 127.0.0.1\r\nContent-Length: 4000\r\n\r\n"
         said = said_until_closed(opened(stack, port, request), b" ")
         assert said.startswith(b"HTTP/1.1 408 ")
-        assert b"did not come within 0.3 s" in said
+        assert b"did not arrive within 0.3 s" in said
 
 
 def test_a_header_that_is_too_long_is_refused(loop, app, serving):

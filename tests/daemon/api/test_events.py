@@ -1,4 +1,4 @@
-"""GET /api/events, and who is behind a request, over real sockets and the real recorder."""
+"""GET /api/events and the source of a request, over real sockets and the real recorder."""
 
 import logging
 import time
@@ -6,18 +6,19 @@ import time
 import httpx
 import pytest
 
+from softarm.daemon.assembly import Daemon
 from softarm.daemon.control.records import EStop, Inputs, Mode, Outputs
 from softarm.daemon.logbook import incidents, logs
 from softarm.daemon.logbook.history import History
-from softarm.daemon.shell.daemon import Daemon, simulated_devices
+from softarm.daemon.runtime.devices import simulated_devices
 from softarm.schemas.config import Config
 
 TOKEN, VIEW = "0123456789abcdef0123456789abcdef", "v" * 32
 
 
 @pytest.fixture
-def told(loop, app, client_of):
-    """A client of a daemon to which ten things happened."""
+def recorded(loop, app, client_of):
+    """Return a client of a daemon with ten events."""
     history = History("run1", lambda: 0, lambda: 1_800_000_000_000_000_000)
     for tick in range(1, 11):
         mode = Mode.ARMED if tick % 2 else Mode.DISARMED
@@ -25,8 +26,8 @@ def told(loop, app, client_of):
     return client_of(app(loop, history=history))
 
 
-def test_events_are_told_from_the_newest_or_after_a_number(told):
-    answer = told.get("/api/events").json()
+def test_events_are_served_from_the_newest_or_after_a_number(recorded):
+    answer = recorded.get("/api/events").json()
     assert [event["number"] for event in answer["events"]] == list(range(1, 11))
     assert (answer["run"], answer["oldest"], answer["newest"]) == ("run1", 1, 10)
     assert answer["events"][0] == {
@@ -36,15 +37,15 @@ def test_events_are_told_from_the_newest_or_after_a_number(told):
         "tick": 1,
         "kind": "mode",
         "what": "armed",
-        "text": "armed, was disarmed",
+        "text": "disarmed → armed",
         "who": None,
         "accepted": None,
     }
-    assert [e["number"] for e in told.get("/api/events?limit=2").json()["events"]] == [9, 10]
-    assert [e["number"] for e in told.get("/api/events?since=3&limit=2").json()["events"]] == [4, 5]
+    assert [e["number"] for e in recorded.get("/api/events?limit=2").json()["events"]] == [9, 10]
+    assert [e["number"] for e in recorded.get("/api/events?since=3&limit=2").json()["events"]] == [4, 5]
 
 
-def test_before_anything_happened_there_is_nothing_to_tell(client):
+def test_a_new_daemon_has_no_events(client):
     assert client.get("/api/events").json() == {"run": "", "events": [], "oldest": None, "newest": None}
 
 
@@ -59,13 +60,13 @@ def test_before_anything_happened_there_is_nothing_to_tell(client):
         ("since=" + "9" * 5000, "since: is '99999999999999999999'; allowed"),
     ],
 )
-def test_another_number_is_refused_with_what_is_allowed(told, query, sentence):
-    answer = told.get(f"/api/events?{query}")
+def test_an_invalid_number_is_refused_with_the_allowed_range(recorded, query, sentence):
+    answer = recorded.get(f"/api/events?{query}")
     assert answer.status_code == 422
     assert answer.json()["detail"].startswith(sentence)
 
 
-def test_a_request_carries_whose_it_is(loop, app, client_of, tmp_path):
+def test_a_request_has_its_source(loop, app, client_of, tmp_path):
     for name, text in (("token", TOKEN), ("view", VIEW)):
         (tmp_path / name).write_text(text)
         (tmp_path / name).chmod(0o600)
@@ -74,22 +75,20 @@ def test_a_request_carries_whose_it_is(loop, app, client_of, tmp_path):
     client.post("/api/arm", headers={"Authorization": f"Bearer {TOKEN}"})
     client.post("/api/stop", headers={"Authorization": f"Bearer {VIEW}"})
     assert [post.request.who for post in loop.taken] == [
-        "the API with the command token",
-        "the API with the view token",
+        "the API (command token)",
+        "the API (view token)",
     ]
 
 
-def test_without_a_token_it_is_the_apis(client, loop):
+def test_a_request_without_a_token_has_the_api_as_source(client, loop):
     client.post("/api/disarm")
     assert loop.taken[-1].request.who == "the API"
 
 
 @pytest.mark.slow
 @pytest.mark.realtime
-def test_a_whole_daemon_tells_who_stopped_it_alike_over_rest_in_its_log_and_in_the_journal(
-    tmp_path, caplog, monkeypatch
-):
-    monkeypatch.setattr("softarm.daemon.shell.realtime._set", lambda priority: None)  # this process is the tests'
+def test_rest_log_and_journal_name_the_same_source_of_a_stop(tmp_path, caplog, monkeypatch):
+    monkeypatch.setattr("softarm.common.realtime._set", lambda priority: None)  # this process is the tests'
     config = Config(api={"port": 0}, recorder={"directory": tmp_path}, control={"policy": "hold"})
     daemon = Daemon(config, simulated_devices())
     with caplog.at_level(logging.INFO, "softarm.events"):
@@ -100,15 +99,15 @@ def test_a_whole_daemon_tells_who_stopped_it_alike_over_rest_in_its_log_and_in_t
             daemon.stop_by_key()
             assert httpx.post(f"{daemon.url}/api/acknowledge", trust_env=False).status_code in (200, 409)
             wait_for(lambda: any(entry.what == "acknowledge" for entry in daemon.recorder.history.entries))
-            told = httpx.get(f"{daemon.url}/api/events", trust_env=False).json()["events"]
+            recorded = httpx.get(f"{daemon.url}/api/events", trust_env=False).json()["events"]
         finally:
             daemon.stop()
-    asked = [(event["what"], event["who"]) for event in told if event["kind"] == "request"]
-    assert asked == [("stop", "the stop's own way"), ("stop", "the terminal"), ("acknowledge", "the API")]
-    (stop,) = (event for event in told if event["kind"] == "stop")
-    assert (stop["who"], stop["text"][:15]) == ("the stop's own way", "emergency stop:")
+    asked = [(event["what"], event["who"]) for event in recorded if event["kind"] == "request"]
+    assert asked == [("stop", "the dedicated stop port"), ("stop", "the terminal"), ("acknowledge", "the API")]
+    (stop,) = (event for event in recorded if event["kind"] == "stop")
+    assert (stop["who"], stop["text"][:15]) == ("the dedicated stop port", "emergency stop:")
     texts = [entry.text for entry in logs.read(daemon.recorder.path).entries()]
-    assert texts[: len(told)] == [event["text"] for event in told]
+    assert texts[: len(recorded)] == [event["text"] for event in recorded]
     assert [record.message for record in caplog.records if record.name == "softarm.events"] == texts
     assert len(incidents.listing(tmp_path)) == 1
 

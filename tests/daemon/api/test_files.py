@@ -1,4 +1,4 @@
-"""Logs kept, deleted and replayed over the API, reports shown: those files and no others, whoever asks for what."""
+"""Download, deletion and replay of logs and display of reports over the API, and of no other file."""
 
 import os
 import shutil
@@ -14,14 +14,15 @@ import httpx
 import pytest
 
 from softarm.daemon.api.endpoints import files
-from softarm.daemon.api.endpoints.files import CHUNK, SANDBOX
+from softarm.daemon.api.endpoints.files import CHUNK_BYTES, SANDBOX
 from softarm.daemon.logbook import logs
 from softarm.daemon.logbook.recorder import Recorder
-from softarm.daemon.shell import replay_aside
+from softarm.daemon.runtime import replay_process
 from softarm.recordings import finishing
 from softarm.schemas.config import Config
 
 FLIGHT = Path(__file__).parents[2] / "data" / "flight.mcap"
+WAIT_S = 120  # only a server that hangs takes so long, even on a busy machine
 NO_NAMES = [
     "..",
     "../softarm.yaml",
@@ -50,11 +51,11 @@ def config(tmp_path):
 
 @pytest.fixture
 def folder(config, tmp_path):
-    """With a log and everything that is none."""
+    """Return a folder with one log and every kind of file that is not a log."""
     made = config.recorder.directory
     made.mkdir()
     (tmp_path / "secret.mcap").write_bytes(b"secret")
-    (made / "flight.mcap").write_bytes(os.urandom(3 * CHUNK + 5))
+    (made / "flight.mcap").write_bytes(os.urandom(3 * CHUNK_BYTES + 5))
     (made / ".hidden.mcap").write_bytes(b"secret")
     (made / "notes.txt").write_bytes(b"secret")
     (made / "folder.mcap").mkdir()
@@ -68,16 +69,16 @@ def client(loop, app, client_of, config):
     return client_of(app(loop, config))
 
 
-def test_a_log_is_handed_out_as_it_is(client, folder):
+def test_a_log_is_downloaded_unchanged(client, folder):
     answer = client.get("/api/logs/flight.mcap")
     assert answer.content == (folder / "flight.mcap").read_bytes()
-    assert answer.headers["content-length"] == str(3 * CHUNK + 5)
+    assert answer.headers["content-length"] == str(3 * CHUNK_BYTES + 5)
     assert answer.headers["content-disposition"] == "attachment; filename*=UTF-8''flight.mcap"
     assert answer.headers["x-content-type-options"] == "nosniff"
     assert answer.headers["content-type"] == "application/octet-stream"
 
 
-def test_a_name_may_be_any_that_lies_there(client, folder):
+def test_a_log_with_any_name_is_downloaded(client, folder):
     name = 'a "log" of Zoë;.mcap'
     (folder / name).write_bytes(b"x")
     answer = client.get(f"/api/logs/{quote(name)}")
@@ -85,7 +86,7 @@ def test_a_name_may_be_any_that_lies_there(client, folder):
     assert answer.headers["content-disposition"] == f"attachment; filename*=UTF-8''{quote(name)}"
 
 
-def test_a_log_that_grows_is_handed_out_as_long_as_it_was(config, folder, monkeypatch, loop, app, client_of):
+def test_a_growing_log_is_downloaded_at_its_first_length(config, folder, monkeypatch, loop, app, client_of):
     path, before = folder / "flight.mcap", (folder / "flight.mcap").read_bytes()
     opened = files._opened
 
@@ -102,7 +103,7 @@ def test_a_log_that_grows_is_handed_out_as_long_as_it_was(config, folder, monkey
 
 @pytest.mark.parametrize("method", ["GET", "DELETE", "POST"])
 @pytest.mark.parametrize("name", NO_NAMES)
-def test_nothing_else_of_the_disk_is_handed_out_deleted_or_replayed(client, folder, tmp_path, name, method):
+def test_no_other_file_is_downloaded_deleted_or_replayed(client, folder, tmp_path, name, method):
     before = sorted(tmp_path.rglob("*"))
     path = f"/api/logs/{name}" + ("/replay" if method == "POST" else "")
     answer = client.request(method, path)
@@ -113,26 +114,28 @@ def test_nothing_else_of_the_disk_is_handed_out_deleted_or_replayed(client, fold
 
 
 @pytest.mark.slow
-def test_only_so_many_are_sent_at_once_and_one_that_ends_makes_room(loop, app, serving, config, folder, monkeypatch):
+def test_simultaneous_downloads_are_limited_and_an_ended_one_makes_room(
+    loop, app, serving, config, folder, monkeypatch
+):
     monkeypatch.setattr(files, "DOWNLOADS_MAX", 1)
     with (folder / "flight.mcap").open("wb") as file:
         file.truncate(64_000_000)
     with serving(app(loop, config), config.api.model_copy(update={"port": 0})) as port:
         url = f"http://127.0.0.1:{port}/api/logs/flight.mcap"
-        with httpx.stream("GET", url, timeout=10) as slow:
+        with httpx.stream("GET", url, timeout=WAIT_S) as slow:
             assert slow.status_code == 200
-            refused = httpx.get(url, timeout=10)
+            refused = httpx.get(url, timeout=WAIT_S)
             assert refused.status_code == 503
-            assert "1 files are being sent already" in refused.text
-        deadline = time.monotonic() + 20
-        while (answer := httpx.get(url, timeout=10)).status_code == 503:
+            assert "1 downloads are running already" in refused.text
+        deadline = time.monotonic() + WAIT_S
+        while (answer := httpx.get(url, timeout=WAIT_S)).status_code == 503:
             assert time.monotonic() < deadline
         assert len(answer.content) == 64_000_000
     assert not is_open("flight.mcap")
 
 
 def is_open(name: str) -> bool:
-    """By this process."""
+    """Return whether this process has a file open."""
     for link in Path("/proc/self/fd").iterdir():
         with suppress(OSError):
             if name in os.readlink(link):
@@ -141,19 +144,19 @@ def is_open(name: str) -> bool:
 
 
 def until(condition) -> None:
-    deadline = time.monotonic() + 20
+    deadline = time.monotonic() + WAIT_S
     while not condition():
         assert time.monotonic() < deadline
         time.sleep(0.01)
 
 
 @pytest.mark.slow
-def test_who_takes_nothing_of_what_he_asked_for_is_hung_up_on(loop, app, serving, config, folder, monkeypatch):
-    monkeypatch.setattr("softarm.daemon.api.bounds.DEAF_S", 0.3)
+def test_a_client_that_does_not_read_its_download_is_disconnected(loop, app, serving, config, folder, monkeypatch):
+    monkeypatch.setattr("softarm.daemon.api.bounds.UNREAD_S", 0.3)
     with (folder / "flight.mcap").open("wb") as file:
         file.truncate(64_000_000)
     with serving(app(loop, config), config.api.model_copy(update={"port": 0})) as port:
-        deaf = socket.create_connection(("127.0.0.1", port), timeout=20)
+        deaf = socket.create_connection(("127.0.0.1", port), timeout=WAIT_S)
         deaf.sendall(b"GET /api/logs/flight.mcap HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n")
         until(lambda: is_open("flight.mcap"))
         until(lambda: not is_open("flight.mcap"))
@@ -166,7 +169,7 @@ def test_who_takes_nothing_of_what_he_asked_for_is_hung_up_on(loop, app, serving
 
 
 @pytest.mark.slow
-def test_a_log_is_deleted_and_it_is_told_whose_wish_that_was(loop, app, client_of, config, folder):
+def test_a_deletion_is_recorded_with_its_source(loop, app, client_of, config, folder):
     recorder = Recorder(config)
     recorder.start()
     client = client_of(app(loop, config, recorder=recorder, history=recorder.history))
@@ -181,7 +184,7 @@ def test_a_log_is_deleted_and_it_is_told_whose_wish_that_was(loop, app, client_o
         recorder.stop()
     (event,) = client.get("/api/events").json()["events"]
     assert (event["kind"], event["what"], event["accepted"], event["who"]) == ("request", "delete_log", True, "the API")
-    assert event["text"] == "delete log flight.mcap, asked for by the API"
+    assert event["text"] == "delete log flight.mcap requested from the API"
     assert [entry.text for entry in logs.read(recorder.path).entries()] == [event["text"]]
 
 
@@ -192,7 +195,7 @@ def test_a_log_that_another_daemon_writes_is_not_deleted(client, folder):
     assert client.request("DELETE", "/api/logs/flight.mcap").status_code == 200
 
 
-def test_to_delete_and_to_replay_takes_the_token_that_commands(loop, app, client_of, config, folder, tmp_path):
+def test_deletion_and_replay_need_the_command_token(loop, app, client_of, config, folder, tmp_path):
     tokens = {"token_file": "c" * 32, "view_token_file": "v" * 32}
     for key, token in tokens.items():
         (tmp_path / key).write_text(token)
@@ -208,7 +211,7 @@ def test_to_delete_and_to_replay_takes_the_token_that_commands(loop, app, client
 
 
 @pytest.mark.slow
-def test_a_replay_says_what_the_verb_says(client, folder):
+def test_a_replay_answers_as_the_command_line_does(client, folder):
     shutil.copy(FLIGHT, folder / "real.mcap")
     answer = client.post("/api/logs/real.mcap/replay")
     assert answer.status_code == 200
@@ -221,14 +224,14 @@ def test_a_replay_says_what_the_verb_says(client, folder):
 
 
 @pytest.mark.slow
-def test_what_cannot_be_replayed_says_why(client, folder):
+def test_a_failed_replay_has_a_reason(client, folder):
     answer = client.post("/api/logs/flight.mcap/replay")  # of random bytes
     assert answer.status_code == 422
     assert "flight.mcap" in answer.json()["detail"]
 
 
 @pytest.mark.slow
-def test_a_replay_that_takes_too_long_is_ended_and_the_next_has_its_place(client, folder, monkeypatch):
+def test_a_replay_that_takes_too_long_is_ended_and_makes_room(client, folder, monkeypatch):
     shutil.copy(FLIGHT, folder / "real.mcap")
     monkeypatch.setattr(files, "REPLAY_S", 0.05)
     for _ in range(2):
@@ -238,20 +241,20 @@ def test_a_replay_that_takes_too_long_is_ended_and_the_next_has_its_place(client
 
 
 @pytest.mark.slow
-def test_a_replay_that_nobody_waits_for_any_more_is_ended(loop, app, serving, config, folder):
+def test_a_replay_whose_client_left_is_ended(loop, app, serving, config, folder):
     shutil.copy(FLIGHT, folder / "real.mcap")
     with serving(app(loop, config), config.api.model_copy(update={"port": 0})) as port:
         url = f"http://127.0.0.1:{port}/api/logs/real.mcap/replay"
         with pytest.raises(httpx.ReadTimeout):
             httpx.post(url, timeout=0.2)
-        assert httpx.post(url, timeout=20).status_code in (200, 503)
-        deadline = time.monotonic() + 20
-        while httpx.post(url, timeout=30).status_code == 503:
+        assert httpx.post(url, timeout=WAIT_S).status_code in (200, 503)
+        deadline = time.monotonic() + WAIT_S
+        while httpx.post(url, timeout=WAIT_S).status_code == 503:
             assert time.monotonic() < deadline
 
 
-def test_the_process_of_a_replay_outranks_nobody():
-    program = replay_aside._PROGRAM.partition("from softarm")[0] + (
+def test_a_replay_process_has_the_lowest_priority():
+    program = replay_process._PROGRAM.partition("from softarm")[0] + (
         "print(os.nice(0), os.sched_getscheduler(0), open('/proc/self/oom_score_adj').read())"
     )
     done = subprocess.run([sys.executable, "-c", program, "x", "5"], capture_output=True, text=True, check=True)
@@ -275,7 +278,7 @@ def test_reports_are_shown_in_a_sandbox(client, config):
         assert client.get(f"/api/reports/{name}").status_code == 404
 
 
-def test_a_report_that_asks_for_something_is_a_page_of_nobody(client):
-    """What a sandboxed page sends along: `Origin: null`."""
+def test_a_sandboxed_report_may_not_use_the_api(client):
+    """A sandboxed page sends `Origin: null`."""
     assert client.post("/api/arm", headers={"Origin": "null"}).status_code == 403
     assert client.get("/api/status", headers={"Origin": "null"}).status_code == 403

@@ -1,4 +1,4 @@
-"""GET /api/incidents: what there is, one of them as a file, and nothing else of the directory."""
+"""GET /api/incidents: list and download of incident files, and of no other file."""
 
 import json
 import zipfile
@@ -6,7 +6,7 @@ import zipfile
 from softarm.schemas.config import Config
 
 
-def test_incident_files_are_listed_and_handed_out(loop, app, client_of, tmp_path):
+def test_incident_files_are_listed_and_downloaded(loop, app, client_of, tmp_path):
     (tmp_path / "incidents").mkdir()
     name = "incident-20260101T000000Z.zip"
     with zipfile.ZipFile(tmp_path / "incidents" / name, "w") as archive:

@@ -1,4 +1,4 @@
-"""Log-in from a browser: the token once, then a cookie no script reads, and nothing that another site could use."""
+"""Log-in from a browser by a token and then a cookie that no script or other site can use."""
 
 import json
 import re
@@ -7,8 +7,8 @@ import pytest
 from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 
-from softarm.daemon.api.auth import Role
-from softarm.daemon.api.login import LOGIN_S, LOGINS_MAX, TICKET_S, Handed, Sessions
+from softarm.daemon.access.auth import Role
+from softarm.daemon.access.login import LOGIN_S, LOGINS_MAX, TICKET_S, SecretStore, Sessions
 from softarm.schemas.config import Api, Config
 
 TOKENS = {"token_file": "c" * 32, "view_token_file": "v" * 32, "stop_token_file": "s" * 32}
@@ -30,7 +30,7 @@ def client(loop, app, client_of, files):
 
 
 def logged_in(client, key="token_file", **headers):
-    """Headers of a page of this API in a browser that has logged in."""
+    """Return the headers of a page of this API in a logged-in browser."""
     answer = client.post("/api/login", json={"token": TOKENS[key]}, headers=PAGE | headers)
     assert answer.status_code == 200, answer.text
     return PAGE | {"Cookie": answer.headers["set-cookie"].partition(";")[0]}
@@ -45,16 +45,16 @@ def test_the_cookie_is_kept_from_scripts_other_sites_and_the_token(client):
     assert TOKENS["view_token_file"] not in answer.headers["set-cookie"]
 
 
-def test_who_has_logged_in_needs_no_token_any_more(client, loop):
+def test_a_logged_in_browser_needs_no_token(client, loop):
     page = logged_in(client)
     assert client.get("/api/status", headers=page).status_code == 200
     assert client.get("/api/status", headers={"Cookie": "a=b; " + page["Cookie"] + " ;c"}).status_code == 200
     assert client.get("/api/login", headers=page).json() == {"needed": True, "role": "command"}
     assert client.post("/api/arm", headers=page).status_code == 200
-    assert loop.taken[-1].request.who == "a browser with the command token"
+    assert loop.taken[-1].request.who == "the dashboard (command token)"
 
 
-def test_before_it_says_so(client):
+def test_without_a_login_the_answer_says_so(client):
     assert client.get("/api/login").json() == {"needed": True, "role": None}
     assert client.get("/api/status", headers={"Cookie": "softarm-8080=guess"}).status_code == 401
     token = {"Authorization": f"Bearer {TOKENS['stop_token_file']}"}
@@ -69,7 +69,7 @@ def test_before_it_says_so(client):
         ("stop_token_file", {"/api/arm": 403, "/api/stop": 200, "/api/ticket": 403, "/api/logout": 200}),
     ],
 )
-def test_a_login_may_what_its_token_may(client, key, may):
+def test_a_login_has_the_role_of_its_token(client, key, may):
     page = logged_in(client, key)
     assert {path: client.post(path, headers=page).status_code for path in may} == may
 
@@ -89,11 +89,11 @@ def test_a_login_may_what_its_token_may(client, key, may):
         ("POST", "/api/logout"),
     ],
 )
-def test_what_changes_something_by_cookie_has_to_come_from_a_page_of_this_api(client, loop, asked, origin):
+def test_a_change_by_cookie_must_come_from_a_page_of_this_api(client, loop, asked, origin):
     page = logged_in(client) | {"Origin": origin}
     answer = client.request(*asked, headers={name: value for name, value in page.items() if value is not None})
     assert answer.status_code == 403
-    assert "allowed are pages of this API itself" in answer.json()["detail"]
+    assert "allowed are pages of this API" in answer.json()["detail"]
     assert loop.taken == []
     assert client.get("/api/login", headers=page | PAGE).json()["role"] == "command"
 
@@ -114,21 +114,21 @@ def test_another_site_cannot_log_a_browser_in(client):
 @pytest.mark.parametrize(
     ("body", "status", "sentence"),
     [
-        ({"token": "wrong" * 8}, 401, "the token is wrong: send the text in the file of api.token_file"),
+        ({"token": "wrong" * 8}, 401, "the token is wrong: enter the text in the file of api.token_file"),
         ({"token": "\ud800" * 20}, 401, "the token is wrong"),
         ({"token": ""}, 401, "the token is wrong"),
-        ({}, 422, "token: is missing, it must be text; that in the file of api.token_file"),
+        ({}, 422, "token: missing; must be text: the token in the file of api.token_file"),
         ({"token": 5}, 422, "token: must be text"),
         ([], 422, "the body must be a JSON object"),
     ],
 )
-def test_what_is_no_token_is_refused_with_what_is(client, body, status, sentence):
+def test_an_invalid_token_is_refused_with_the_next_step(client, body, status, sentence):
     answer = client.post("/api/login", content=json.dumps(body), headers=PAGE | {"Content-Type": "application/json"})
     assert (answer.status_code, answer.json()["detail"][: len(sentence)]) == (status, sentence)
     assert "set-cookie" not in answer.headers
 
 
-def test_wrong_tokens_leave_a_trace_in_the_journal_and_cannot_fill_it(client, caplog):
+def test_wrong_tokens_are_logged_a_limited_number_of_times(client, caplog):
     for _ in range(9):
         client.post("/api/login", json={"token": "wrong" * 8}, headers=PAGE)
     assert [record.args[0] for record in caplog.records if "wrong token" in record.msg] == [1, 2, 4, 8]
@@ -148,20 +148,20 @@ def test_logging_out_ends_it_for_the_browser_and_for_the_daemon(client):
     assert client.get("/api/status", headers=page).status_code == 401
 
 
-def test_logging_in_again_ends_what_was(client):
+def test_a_new_login_ends_the_old_one(client):
     page = logged_in(client, "view_token_file")
     again = logged_in(client, **page)
     assert client.get("/api/status", headers=page).status_code == 401
     assert client.get("/api/login", headers=again).json()["role"] == "command"
 
 
-def test_without_tokens_nobody_has_to(loop, app, client_of):
+def test_without_tokens_no_login_is_needed(loop, app, client_of):
     client = client_of(app(loop))
     assert client.get("/api/login").json() == {"needed": False, "role": "command"}
     answer = client.post("/api/login", json={"token": "c" * 32})
     assert (answer.status_code, answer.json()["detail"]) == (
         409,
-        "this API asks for no token: nobody has to log in",
+        "this API requires no token, so there is no log-in",
     )
 
 
@@ -187,7 +187,7 @@ def test_a_ticket_opens_one_stream_and_the_cookie_none(loop, app, client_of, ser
 PUBLIC = "https://arm.example"
 
 
-def test_behind_a_proxy_with_tls_the_cookie_is_secure_and_its_pages_are_ours(loop, app, client_of, files):
+def test_behind_a_tls_proxy_the_cookie_is_secure_and_its_pages_are_allowed(loop, app, client_of, files):
     config = Config(api={"public_origin": PUBLIC} | files)
     for host in ("127.0.0.1:8080", "arm.example"):  # as proxies may name it
         client = client_of(app(loop, config), f"http://{host}")
@@ -212,13 +212,13 @@ def test_behind_a_proxy_with_tls_the_cookie_is_secure_and_its_pages_are_ours(loo
         "https://",
     ],
 )
-def test_a_public_origin_is_one_as_browsers_write_it(files, origin):
+def test_a_public_origin_must_have_the_form_that_browsers_send(files, origin):
     with pytest.raises(ValueError, match=r"allowed https://HOST or https://HOST:PORT as a browser shows it"):
         Api(public_origin=origin, **files)
 
 
 def test_a_public_origin_needs_a_token():
-    with pytest.raises(ValueError, match="public_origin without token_file: whoever reaches the proxy may command"):
+    with pytest.raises(ValueError, match="public_origin without token_file: every client of the proxy may command"):
         Api(public_origin=PUBLIC)
 
 
@@ -229,28 +229,28 @@ class Clock:
         return self.now
 
 
-def test_what_was_handed_out_is_good_for_so_long_and_so_many():
+def test_secrets_expire_and_are_limited_in_number():
     clock = Clock()
-    handed = Handed(10.0, 3, clock)
-    first = handed.out(Role.VIEW)
+    handed = SecretStore(10.0, 3, clock)
+    first = handed.issue(Role.VIEW)
     clock.now = 9.9
     assert handed.role(first) is Role.VIEW
     clock.now = 10.0
     assert handed.role(first) is None
-    many = [handed.out(Role.STOP) for _ in range(4)]
+    many = [handed.issue(Role.STOP) for _ in range(4)]
     assert len(set(many)) == 4
     assert [handed.role(each) for each in many] == [None, *[Role.STOP] * 3]
-    assert (handed.back(many[1]), handed.back(many[1])) == (Role.STOP, None)
+    assert (handed.revoke(many[1]), handed.revoke(many[1])) == (Role.STOP, None)
 
 
 def test_a_login_lasts_half_a_day_and_a_ticket_seconds():
     clock = Clock()
     sessions = Sessions(8080, clock)
-    login, ticket = sessions.logins.out(Role.VIEW), sessions.tickets.out(Role.VIEW)
+    login, ticket = sessions.logins.issue(Role.VIEW), sessions.tickets.issue(Role.VIEW)
     clock.now = TICKET_S
     assert (sessions.logins.role(login), sessions.tickets.role(ticket)) == (Role.VIEW, None)
     clock.now = LOGIN_S
     assert sessions.logins.role(login) is Role.STOP  # a stop button on a page left open works on
-    others = [sessions.logins.out(Role.VIEW) for _ in range(LOGINS_MAX)]
+    others = [sessions.logins.issue(Role.VIEW) for _ in range(LOGINS_MAX)]
     assert {sessions.logins.role(each) for each in others} == {Role.VIEW}
     assert sessions.logins.role(login) is None

@@ -1,4 +1,4 @@
-"""GET /metrics in the text format that Prometheus 0.0.4 states, read by its grammar, not by our writer's habits."""
+"""GET /metrics in the text format 0.0.4 of Prometheus, parsed by its published grammar."""
 
 import re
 import shutil
@@ -16,7 +16,7 @@ SUFFIXES = {"counter": ("",), "gauge": ("",), "histogram": ("_bucket", "_sum", "
 
 
 def parsed(text):
-    """Samples by name and labels; the text must be whole, each family together, with help and type before it."""
+    """Return samples by name and labels; assert complete families with help and type first."""
     assert text.endswith("\n")
     kinds, samples, family = {}, {}, None
     for line in text.splitlines():
@@ -36,7 +36,7 @@ def parsed(text):
 
 @pytest.fixture
 def figures(loop, app, client_of, tmp_path):
-    """A daemon whose ticks were 0.2 ms late and one 5 ms, that armed once."""
+    """Return a client of a daemon that armed once; ticks were 0.2 ms late and one 5 ms."""
     history = History("run", lambda: 0, lambda: 0)
     still = Outputs(0, 1, 200_000, 0, 0, Mode.DISARMED, EStop.CLEAR)
     late = ActiveEvent("tick_late", "warn", "late")
@@ -46,7 +46,7 @@ def figures(loop, app, client_of, tmp_path):
     return client_of(app(loop, Config(recorder={"directory": tmp_path}), history=history))
 
 
-def test_it_is_the_format_that_prometheus_reads(figures, tmp_path):
+def test_the_metrics_have_the_format_of_prometheus(figures, tmp_path):
     answer = figures.get("/metrics")
     assert answer.headers["content-type"].startswith("text/plain; version=0.0.4")
     kinds, samples = parsed(answer.text)
@@ -73,7 +73,7 @@ def test_lateness_is_a_histogram_of_all_ticks(figures):
     assert samples["softarm_tick_late_seconds_sum"] == pytest.approx(0.0058)
 
 
-def test_before_the_first_tick_there_is_what_there_is(silent):
+def test_before_the_first_tick_the_known_metrics_are_served(silent):
     client, loop = silent
     loop.outputs = None
     _, samples = parsed(client.get("/metrics").text)
@@ -81,7 +81,7 @@ def test_before_the_first_tick_there_is_what_there_is(silent):
     assert not any(name.startswith("softarm_mode") for name in samples)
 
 
-def test_a_loop_that_stands_still_shows(silent):
+def test_the_metrics_show_a_stalled_loop(silent):
     client, loop = silent
     loop.outputs = replace(loop.outputs, t_ns=loop.outputs.t_ns - 3_000_000_000)
     _, samples = parsed(client.get("/metrics").text)

@@ -1,4 +1,4 @@
-"""The proxies of docs/service.md, as they stand there: log in, command and stream through TLS."""
+"""Proxies of docs/operate/service.md, copied from the page: log-in, commands and stream through TLS."""
 
 import re
 import shutil
@@ -15,7 +15,7 @@ from websockets.sync.client import connect
 
 from softarm.schemas.config import Config
 
-PAGE = Path(__file__).parents[3] / "docs/service.md"
+PAGE = Path(__file__).parents[3] / "docs/operate/service.md"
 NAME = "arm.example.org"
 TOKEN = "c" * 32
 
@@ -39,7 +39,7 @@ def answers(port: int) -> bool:
 
 
 def example(language: str, *changes: tuple[str, str]) -> str:
-    """What the page says for a proxy, with this test's ports and certificate."""
+    """Return the page's configuration of a proxy with this test's ports and certificate."""
     text = re.search(rf"```{language}\n(.*?)```", PAGE.read_text(encoding="utf-8"), re.S)[1]
     for was, now in changes:
         assert was in text
@@ -48,7 +48,7 @@ def example(language: str, *changes: tuple[str, str]) -> str:
 
 
 def nginx(folder: Path, api_port: int, port: int) -> list[str | Path]:
-    """The command that runs it."""
+    """Return the command that runs nginx."""
     server = example(
         "nginx",
         ("listen 443 ssl", f"listen 127.0.0.1:{port} ssl"),
@@ -67,7 +67,7 @@ def nginx(folder: Path, api_port: int, port: int) -> list[str | Path]:
 
 
 def caddy(folder: Path, api_port: int, port: int) -> list[str | Path]:
-    """The command that runs it; with a certificate of its own it fetches none."""
+    """Return the command that runs Caddy; a local certificate avoids fetching one."""
     own = f"    bind 127.0.0.1\n    tls {folder / 'cert.pem'} {folder / 'key.pem'}\n"
     site = example(
         "Caddyfile", (f"{NAME} {{\n", f"{NAME}:{port} {{\n{own}"), ("127.0.0.1:8080", f"127.0.0.1:{api_port}")
@@ -79,7 +79,7 @@ def caddy(folder: Path, api_port: int, port: int) -> list[str | Path]:
 
 @pytest.fixture(params=[nginx, caddy], ids=lambda proxy: proxy.__name__)
 def proxied(request, loop, app, serving, tmp_path, monkeypatch):
-    """The proxy's port, and what trusts its certificate."""
+    """Yield the proxy's port and a TLS context that trusts its certificate."""
     if shutil.which(request.param.__name__) is None:
         pytest.skip(f"{request.param.__name__} is missing")
     for folder in ("XDG_DATA_HOME", "XDG_CONFIG_HOME"):  # caddy's own
@@ -116,7 +116,7 @@ def test_a_browser_logs_in_commands_and_streams_through_tls(proxied, loop):
         assert answer.headers["set-cookie"].endswith("SameSite=Strict; Secure")
         cookie = {"Cookie": answer.headers["set-cookie"].partition(";")[0]}
         assert browser.post("/api/arm", headers=cookie, **named).status_code == 200
-        assert loop.taken[-1].request.who == "a browser with the command token"
+        assert loop.taken[-1].request.who == "the dashboard (command token)"
         forged = {"Origin": "https://evil.example"}
         assert browser.post("/api/disarm", headers=cookie | forged, **named).status_code == 403
         ticket = browser.post("/api/ticket", headers=cookie, **named).json()["ticket"]
@@ -126,7 +126,7 @@ def test_a_browser_logs_in_commands_and_streams_through_tls(proxied, loop):
         way = socket.create_connection(("127.0.0.1", port))
         return connect(address + query, sock=way, ssl=trust, server_hostname=NAME, origin=page["Origin"])
 
-    with stream(f"?ticket={ticket}") as told:
-        assert '"mode":"armed"' in told.recv(timeout=5)
+    with stream(f"?ticket={ticket}") as stream_socket:
+        assert '"mode":"armed"' in stream_socket.recv(timeout=5)
     with pytest.raises(InvalidStatus):
         stream(f"?ticket={ticket}")

@@ -1,4 +1,4 @@
-"""Pages are loaded again and again, by many, of a daemon that may stand still: nothing grows, a stop gets through."""
+"""Floods of page reloads, also of a stalled daemon: no growth, and a stop is accepted."""
 
 import asyncio
 import gc
@@ -13,8 +13,9 @@ import httpx
 import pytest
 from websockets.sync.client import connect
 
+from softarm.daemon.assembly import Daemon
 from softarm.daemon.logbook.recent import Recent
-from softarm.daemon.shell.daemon import Daemon, simulated_devices
+from softarm.daemon.runtime.devices import simulated_devices
 from softarm.schemas.config import Config
 from softarm.schemas.messages import BODY_NAMES
 
@@ -23,7 +24,7 @@ LOADED = ("/", "/api/robot", "/api/recent", "/api/status")
 
 @pytest.fixture
 def recent(silent):
-    """A minute of it."""
+    """Return an application whose history holds a minute."""
     made = Recent(time.monotonic_ns, time.time_ns)
     for tick in range(1800):
         made.take(replace(silent[1].outputs, tick=tick, t_ns=tick * 33_333_333))
@@ -31,14 +32,14 @@ def recent(silent):
 
 
 async def loaded(app, path: str) -> int:
-    """Ask an application without all that a client costs."""
-    told, sent = [], [{"type": "http.request", "body": b"", "more_body": False}]
+    """Call an application without the cost of a client."""
+    received, sent = [], [{"type": "http.request", "body": b"", "more_body": False}]
 
     async def receive():
         return sent.pop() if sent else await asyncio.sleep(3600)
 
     async def send(message):
-        told.append(message)
+        received.append(message)
 
     scope = {
         "type": "http",
@@ -55,15 +56,15 @@ async def loaded(app, path: str) -> int:
         "server": ("127.0.0.1", 8080),
     }
     await app(scope, receive, send)
-    return told[0]["status"]
+    return received[0]["status"]
 
 
-@pytest.mark.slow
+@pytest.mark.prove
 def test_ten_thousand_reloads_leave_nothing_behind(silent, app, recent):
     made = app(silent[1], recent=recent)
 
     async def reload(times: int) -> set[int]:
-        """Of what is asked for beside the page, which costs more, so much is asked for that one left behind shows."""
+        """Request the more expensive endpoints often enough that one leak each would show."""
         paths = (path for number in range(times) for path in (LOADED if number % 8 == 0 else LOADED[:1]))
         return {await loaded(made, path) for path in paths}
 
@@ -81,7 +82,7 @@ def test_ten_thousand_reloads_leave_nothing_behind(silent, app, recent):
 
 
 @pytest.mark.slow
-def test_in_a_flood_of_reloads_a_stop_gets_through_and_nobody_is_turned_away(loop, app, serving, recent):
+def test_during_a_flood_of_reloads_a_stop_and_every_reload_are_answered(loop, app, serving, recent):
     over = threading.Event()
     seen: list[int] = []
 
@@ -104,7 +105,7 @@ def test_in_a_flood_of_reloads_a_stop_gets_through_and_nobody_is_turned_away(loo
     assert set(seen) == {200}
 
 
-def test_of_a_daemon_whose_loop_stands_still_the_page_still_comes_and_says_so(silent, app, client_of, recent):
+def test_the_page_of_a_stalled_daemon_loads_and_reports_the_stall(silent, app, client_of, recent):
     _, loop = silent
     client = client_of(app(loop, recent=recent))
     loop.outputs = replace(loop.outputs, t_ns=time.monotonic_ns() - 10**9)
@@ -119,10 +120,10 @@ def test_of_a_daemon_whose_loop_stands_still_the_page_still_comes_and_says_so(si
 @pytest.mark.realtime
 def test_a_whole_daemon_shows_the_arm_and_keeps_its_last_minutes(tmp_path, monkeypatch):
     asked: list[int] = []
-    monkeypatch.setattr("softarm.daemon.shell.realtime._set", asked.append)
+    monkeypatch.setattr("softarm.common.realtime._set", asked.append)
     config = Config(api={"port": 0}, recorder={"directory": tmp_path}, control={"policy": "hold"})
     daemon = Daemon(config, simulated_devices())
-    assert asked == []  # whoever makes one keeps the priority that it had, and so does all that it starts
+    assert asked == []  # threads keep the priority of the thread that starts them
     daemon.start()
     try:
         with httpx.Client(base_url=daemon.url, trust_env=False) as client:

@@ -1,4 +1,4 @@
-"""The web server over a real socket, in a thread of its own, and the stream of snapshots."""
+"""Web server over a real socket in its own thread, and the stream of snapshots."""
 
 import asyncio
 import json
@@ -14,15 +14,16 @@ from websockets.asyncio.client import connect
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import connect as connect_sync
 
+from softarm.daemon.access.sockets import ApiError
 from softarm.daemon.api.server import ApiServer
-from softarm.daemon.api.sockets import ApiError
 from softarm.daemon.api.stream import Pace
 from softarm.schemas.config import Api
 
 LOCAL = "http://127.0.0.1"
+WAIT_S = 60  # only a server that hangs takes so long, even on a busy machine
 
 
-def test_the_server_answers_and_gives_its_port_back(loop, app, serving):
+def test_the_server_answers_and_releases_its_port(loop, app, serving):
     with serving(app(loop)) as port:
         assert httpx.get(f"{LOCAL}:{port}/api/status").json()["mode"] == "armed"
     with pytest.raises(httpx.ConnectError):
@@ -67,7 +68,7 @@ def test_the_stream_sends_new_snapshots_at_the_rate_asked_for(loop, app, serving
 
 
 def sent_in(pace: Pace, ticks_hz: float, seconds: float) -> list[int]:
-    """Numbers of the ticks that are sent; the sender looks every 5 ms, ticks come up to 2 ms late."""
+    """Return the numbers of sent ticks; the sender polls every 5 ms, ticks come up to 2 ms late."""
     sent, now_s, late_s = [], 0.0, (0.0, 0.002, 0.0005, 0.001)
     while now_s < seconds:
         tick = int(now_s * ticks_hz)
@@ -80,7 +81,7 @@ def sent_in(pace: Pace, ticks_hz: float, seconds: float) -> list[int]:
 
 
 @pytest.mark.parametrize(("hz", "ticks_hz"), [(30, 30), (10, 30), (20, 30), (7, 30), (30, 100), (0.5, 30)])
-def test_the_pace_is_what_was_asked_for(hz, ticks_hz):
+def test_the_stream_has_the_requested_rate(hz, ticks_hz):
     sent = sent_in(Pace(hz), ticks_hz, 60)
     assert len(sent) == pytest.approx(60 * hz, abs=1.01)
     if hz == ticks_hz:
@@ -88,47 +89,47 @@ def test_the_pace_is_what_was_asked_for(hz, ticks_hz):
 
 
 @pytest.mark.parametrize("hz", ["0", "-1", "31", "nan", "fast"])
-def test_the_stream_refuses_a_rate_it_does_not_have(loop, hz, app, serving):
+def test_the_stream_refuses_an_unsupported_rate(loop, hz, app, serving):
     with serving(app(loop)) as port, pytest.raises(InvalidStatus) as refusal:
         connect_sync(f"ws://127.0.0.1:{port}/api/stream?hz={hz}")
     assert refusal.value.response.status_code == 422
     assert f"hz: is '{hz}'; allowed above 0, at most 30".encode() in refusal.value.response.body
 
 
-def test_streams_are_so_many_and_one_that_ends_makes_room(loop, app, serving, monkeypatch):
-    monkeypatch.setattr("softarm.daemon.api.app.STREAMS_MAX", 2)
+def test_streams_are_limited_and_an_ended_one_makes_room(loop, app, serving, monkeypatch):
+    monkeypatch.setattr("softarm.daemon.api.endpoints.observation.STREAMS_MAX", 2)
     with serving(app(loop)) as port, ExitStack() as stack:
         address = f"ws://127.0.0.1:{port}/api/stream"
         first, second = (stack.enter_context(connect_sync(address)) for _ in range(2))
-        first.recv(timeout=5), second.recv(timeout=5)
+        first.recv(timeout=WAIT_S), second.recv(timeout=WAIT_S)
         with pytest.raises(InvalidStatus) as refusal:
             connect_sync(address)
         assert refusal.value.response.status_code == 503
-        assert b"2 clients have a stream already" in refusal.value.response.body
+        assert b"2 clients already have a stream" in refusal.value.response.body
         first.close()
         while True:
             with suppress(InvalidStatus):  # the server may still be hearing of it
-                stack.enter_context(connect_sync(address)).recv(timeout=5)
+                stack.enter_context(connect_sync(address)).recv(timeout=WAIT_S)
                 break
 
 
 @pytest.mark.slow
-def test_a_client_that_does_not_read_holds_up_nobody_and_piles_nothing_up(loop, app, serving):
+def test_a_client_that_does_not_read_delays_no_other_and_gets_no_backlog(loop, app, serving):
     loop.outputs = replace(loop.outputs, clamps=("x" * 1_000_000,))
     with serving(app(loop)) as port, ExitStack() as stack:
         address = f"ws://127.0.0.1:{port}/api/stream"
         pipe = small_pipe(port)
         deaf = stack.enter_context(connect_sync(address, sock=pipe, max_size=None, max_queue=1, close_timeout=0.2))
         good = stack.enter_context(connect_sync(address, max_size=None))
-        seen = [json.loads(good.recv(timeout=5))["tick"] for _ in range(40)]
+        seen = [json.loads(good.recv(timeout=WAIT_S))["tick"] for _ in range(40)]
         in_the_pipe = 0
-        while json.loads(deaf.recv(timeout=5))["tick"] <= seen[-1]:
+        while json.loads(deaf.recv(timeout=WAIT_S))["tick"] <= seen[-1]:
             in_the_pipe += 1
     assert in_the_pipe < 20  # of 40: what the sender's system had buffered (4 MB), and then the present
 
 
 def small_pipe(port: int) -> socket.socket:
-    """A connection whose receiving side holds little: left to itself, a system may buffer 32 MB of it."""
+    """Return a connection with a small receive buffer; by default it may hold 32 MB."""
     pipe = socket.socket()
     pipe.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 65536)
     pipe.connect(("127.0.0.1", port))
@@ -143,15 +144,15 @@ def test_stopping_closes_open_streams_at_once(loop, reading, app, serving):
             address = f"ws://127.0.0.1:{port}/api/stream"
             good = stack.enter_context(connect_sync(address, max_size=None))
             other = stack.enter_context(connect_sync(address, max_size=None, max_queue=1, close_timeout=0.2))
-            other.recv(timeout=5)
+            other.recv(timeout=WAIT_S)
             if not reading:
                 loop.outputs = replace(loop.outputs, clamps=("x" * 1_000_000,))
             for _ in range(3 if reading else 30):
-                good.recv(timeout=5)
+                good.recv(timeout=WAIT_S)
         with pytest.raises(ConnectionClosed):
             drain(good)
 
 
 def drain(socket) -> None:
     while True:
-        socket.recv(timeout=5)
+        socket.recv(timeout=WAIT_S)

@@ -1,4 +1,4 @@
-"""What a page shows of the robot: what stays as it is, the last minutes, where the bodies are, and when."""
+"""Data of the dashboard: constants, the last minutes, poses of the bodies and their times."""
 
 import asyncio
 import json
@@ -13,7 +13,7 @@ from softarm import __version__
 from softarm.daemon.api.status import StatusView
 from softarm.daemon.control.records import Outputs, Problems
 from softarm.daemon.logbook.recent import NAMES, Recent
-from softarm.daemon.shell.daemon import simulated_devices
+from softarm.daemon.runtime.devices import simulated_devices
 from softarm.policies import registry
 from softarm.schemas.config import Config
 from softarm.schemas.messages import BODY_NAMES, MocapFrame, Pose
@@ -22,7 +22,7 @@ from softarm.schemas.rest import RobotAnswer
 BODIES = tuple(Pose(0.01 * n, 0.9 - 0.1 * n, 0.0) for n in range(6))
 
 
-def test_what_stays_as_it_is(loop, app, client_of):
+def test_the_robots_constants_are_served(loop, app, client_of):
     config = Config(limits={"rail": {"position_max_m": 0.2}}, goals={"success_radius_m": 0.03})
     answer = client_of(app(loop, config, stop_port=lambda: 8081)).get("/api/robot").json()
     assert RobotAnswer.model_validate(answer).version == __version__
@@ -39,7 +39,7 @@ def test_what_stays_as_it_is(loop, app, client_of):
     assert simulated_devices().simulated
 
 
-def test_it_is_there_before_the_loop_ticks(silent):
+def test_the_robots_constants_are_served_before_the_first_tick(silent):
     client, loop = silent
     loop.outputs = None
     assert client.get("/api/robot").status_code == 200
@@ -47,7 +47,7 @@ def test_it_is_there_before_the_loop_ticks(silent):
     assert client.get("/api/recent").json() == {name: [] for name in NAMES}
 
 
-def test_the_last_minutes(loop, app, client_of):
+def test_the_last_minutes_are_served_as_columns(loop, app, client_of):
     recent = Recent(time.monotonic_ns, time.time_ns)
     recent.take(loop.outputs)
     client = client_of(app(loop, recent=recent))
@@ -59,13 +59,13 @@ def test_the_last_minutes(loop, app, client_of):
 
 
 @pytest.mark.parametrize("seconds", ["0", "-1", "601", "1.5", "nan", "", "٣"])
-def test_seconds_that_are_not_kept_are_refused(client, seconds):
+def test_a_span_longer_than_kept_is_refused(client, seconds):
     answer = client.get("/api/recent", params={"seconds": seconds})
     assert answer.status_code == 422
     assert "allowed a whole number from 1 to 600" in answer.json()["detail"]
 
 
-def test_many_who_reload_at_once_are_all_answered(loop, app):
+def test_many_simultaneous_reloads_are_answered(loop, app):
     recent = Recent(time.monotonic_ns, time.time_ns)
     for tick in range(3000):
         recent.take(replace(loop.outputs, tick=tick, t_ns=tick * 33_333_333))
@@ -92,7 +92,7 @@ def test_the_status_has_the_time_of_its_tick(silent):
     assert status["time"] == pytest.approx(1_699_999_998.0, abs=1e-5)
 
 
-def test_the_bodies_are_those_of_the_newest_good_frame(silent):
+def test_the_bodies_are_from_the_newest_good_frame(silent):
     outputs = silent[1].outputs
     assert view_of(outputs, None)["bodies"] is None
     lost = (*BODIES[:4], replace_pose(BODIES[4], tracked=False), replace_pose(BODIES[5], z_m=math.inf))
@@ -107,7 +107,7 @@ def replace_pose(pose: Pose, **changes) -> Pose:
     return pose._replace(**changes)
 
 
-def test_bodies_without_an_observation_have_their_age_all_the_same(silent):
+def test_bodies_without_an_observation_have_an_age(silent):
     outputs = replace(silent[1].outputs, observed=None, t_ns=50_000_000)
     assert view_of(outputs, MocapFrame(7, 10_000_000, 0, BODIES))["ages_ms"] == {
         "mocap": 40.0,
@@ -117,7 +117,7 @@ def test_bodies_without_an_observation_have_their_age_all_the_same(silent):
     assert view_of(outputs, None)["ages_ms"]["mocap"] is None
 
 
-def test_a_policy_for_the_shelf_says_how_deep_its_targets_lie():
+def test_a_shelf_policy_reports_its_shelf_depth():
     policies = registry.available({})
     assert policies["reach"].spec.shelf_depth_m is None
     shelves = [entry.spec.shelf_depth_m for name, entry in policies.items() if "shelf" in name]

@@ -1,4 +1,4 @@
-"""A mistake in the configuration is found before the arm moves: its line, what is allowed, what to do."""
+"""Reader of the configuration file: every mistake with its line, the allowed values and the next step."""
 
 import re
 from pathlib import Path
@@ -26,7 +26,7 @@ def write(tmp_path):
 
 
 def problems(path: Path) -> list[str]:
-    """What is said of a file, without the folder it lies in."""
+    """Return the messages about a file, without its folder."""
     with pytest.raises(ConfigurationError) as refusal:
         read(path)
     assert str(refusal.value).splitlines() == list(refusal.value.problems)
@@ -40,7 +40,7 @@ def test_the_example_is_complete_and_shows_the_defaults():
     assert absent == []
 
 
-def test_the_twins_file_differs_from_the_example_only_in_where_things_are():
+def test_the_twin_file_differs_from_the_example_in_addresses_only():
     default, twin = Config().model_dump(), load(ROOT / "twin.yaml").model_dump()
     assert {name for name in default if default[name] != twin[name]} == {"control", "drivers"}
     assert twin["drivers"]["rail"]["host"] == "127.0.0.1"
@@ -48,14 +48,14 @@ def test_the_twins_file_differs_from_the_example_only_in_where_things_are():
 
 
 @pytest.mark.parametrize("text", ["", "# nothing\n", "limits:\n", "limits:\n  rail:\npolicies:\n"])
-def test_what_is_left_out_or_empty_has_its_defaults(write, text):
+def test_missing_keys_have_their_defaults(write, text):
     if "policies" in text:
         assert problems(write(text))[0].startswith("arm.yaml:3: policies: is null; allowed a group of names")
     else:
         assert load(write(text)) == Config()
 
 
-def test_values_are_taken_over_with_their_lines(write):
+def test_values_are_read_with_their_lines(write):
     path = write("""\
         limits:
           rail: {position_max_m: 0.2, velocity_max_m_s: 5e-1}
@@ -72,7 +72,7 @@ def test_values_are_taken_over_with_their_lines(write):
     assert loaded.place(("limits", "rail", "position_min_m")) == str(path)
 
 
-def test_all_mistakes_are_told_at_once_in_the_files_order(write):
+def test_all_mistakes_are_reported_in_the_files_order(write):
     path = write("""\
         limits:
           rail:
@@ -115,7 +115,7 @@ def test_all_mistakes_are_told_at_once_in_the_files_order(write):
         "allowed a text or a number or a whole number or true or false; change it",
         "arm.yaml:18: api.port: is 8080.5; allowed 0 to 65535, a whole number; "
         "change it, or remove the line for the default 8080",
-        "arm.yaml:19: api.port: stands twice (first in line 18); keep one",
+        "arm.yaml:19: api.port: is given twice (first in line 18); keep one",
         "arm.yaml:20: apis: unknown key; did you mean api? "
         "(allowed a group with the keys host, port, stop_port, token_file, view_token_file, stop_token_file, "
         "public_origin, reports)",
@@ -186,13 +186,13 @@ def test_all_mistakes_are_told_at_once_in_the_files_order(write):
         ),
     ],
 )
-def test_each_mistake_has_its_sentence(write, text, said):
+def test_each_mistake_has_its_message(write, text, said):
     assert f"arm.yaml:{said}" in problems(write(text))
 
 
-def test_a_file_that_cannot_be_read_is_named_with_the_way_out(tmp_path):
+def test_an_unreadable_file_is_named_with_the_next_step(tmp_path):
     assert problems(tmp_path / "no.yaml") == [
-        "no.yaml: no such file; name an existing one, or write one with `softarm config new`"
+        "no.yaml: no such file; name an existing file, or write one with `softarm config new`"
     ]
     (tmp_path / "latin.yaml").write_bytes("höhe: 1".encode("latin-1"))
     assert "latin.yaml: not UTF-8 text" in problems(tmp_path / "latin.yaml")[0]
@@ -209,11 +209,11 @@ def test_any_text_is_a_configuration_or_a_configuration_error(tmp_path, text):
     try:
         load(path)
     except ConfigurationError as refusal:
-        told = refusal.problems
+        reported = refusal.problems
     else:
         return
-    assert told
-    assert all(problem.startswith(str(path)) for problem in told)
+    assert reported
+    assert all(problem.startswith(str(path)) for problem in reported)
 
 
 NUMBERS = [key for key in leaves(Config) if key.bounds]
@@ -221,7 +221,7 @@ NUMBERS = [key for key in leaves(Config) if key.bounds]
 
 @settings(deadline=None, max_examples=150, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(st.sampled_from(NUMBERS), st.floats(-1e6, 1e6))
-def test_a_number_out_of_its_bounds_is_refused_at_its_line_and_the_hint_would_be_taken(tmp_path, key, value):
+def test_an_out_of_range_number_is_refused_with_a_valid_hint(tmp_path, key, value):
     path = tmp_path / "number.yaml"
     lines = [f"{'  ' * depth}{name}:" for depth, name in enumerate(key.path)]
     path.write_text("\n".join(lines) + f" {value!r}\n")
@@ -236,7 +236,7 @@ def test_a_number_out_of_its_bounds_is_refused_at_its_line_and_the_hint_would_be
         assert key.quantity.admits(float(said.rpartition("write ")[2]))
 
 
-def test_effective_limits_say_value_bounds_and_where_each_comes_from(write):
+def test_effective_limits_have_value_bounds_and_source(write):
     path = write("limits:\n  rail:\n    velocity_max_m_s: 0.5\n    braking_m_s2: 2.5\n    latency_s: 0.1\n")
     rows = {row.key: row for row in effective_limits(read(path))}
     assert rows["limits.rail.velocity_max_m_s"][1:] == ("0.5", "m/s", "above 0, at most 1 m/s", "line 3")
@@ -249,8 +249,8 @@ def test_effective_limits_say_value_bounds_and_where_each_comes_from(write):
     assert float(rows["pressure step per tick"].value) == pytest.approx(20.7)
 
 
-def test_the_pages_example_says_what_the_page_says(write):
-    page = (ROOT / "docs/configuration.md").read_text(encoding="utf-8")
+def test_the_pages_example_prints_the_pages_output(write):
+    page = (ROOT / "docs/reference/configuration.md").read_text(encoding="utf-8")
     said = re.search(r"```\n(arm\.yaml:.*?)```", page, re.DOTALL)[1]
     example = re.search(r"```yaml\n(.*?)```", page, re.DOTALL)[1]
     assert problems(write(example)) == said.splitlines()

@@ -1,4 +1,4 @@
-"""A configuration that contradicts itself is refused before the arm moves, though each of its values is allowed."""
+"""Contradictions between allowed values of a configuration."""
 
 import pytest
 
@@ -23,7 +23,7 @@ def refusals(tmp_path):
     return refusals
 
 
-def test_the_defaults_are_sound():
+def test_the_defaults_have_no_contradiction():
     assert list(contradictions(Config())) == []
 
 
@@ -33,40 +33,40 @@ def test_the_defaults_are_sound():
         (
             "drivers: {rail: {acceleration_m_s2: 3}}",
             f"1: {RAIL}: limits.rail.braking_m_s2 is 1.7, above {RAIL} 3.0 less the arm's pull of 1.5 (limits.rail."
-            "surge_m_s2 10.5 less the ramp, at most half of it): the cart cannot brake so hard; "
+            "surge_m_s2 10.5 less the ramp, at most half of it): the cart cannot brake that hard; "
             "lower braking_m_s2 to 1.5, or raise the ramp",
         ),
         (
             "limits: {rail: {braking_m_s2: 3.5}}",
             f"1: limits.rail.braking_m_s2: is 3.5, above {RAIL} 6.0 less the arm's pull of 3 (limits.rail.surge_m_s2 "
-            "10.5 less the ramp, at most half of it): the cart cannot brake so hard; "
+            "10.5 less the ramp, at most half of it): the cart cannot brake that hard; "
             "lower braking_m_s2 to 3, or raise the ramp",
         ),
         (
             "limits:\n  rail: {surge_m_s2: 1}",
-            f"2: limits.rail.surge_m_s2: is 1.0, below {RAIL} 6.0: the drive alone speeds the cart up faster than is "
-            "counted on; raise surge_m_s2 to 6.0 and the arm's pull, or lower the ramp",
+            f"2: limits.rail.surge_m_s2: is 1.0, below {RAIL} 6.0: the drive alone accelerates the cart faster "
+            "than assumed; raise surge_m_s2 to 6.0 plus the arm's pull, or lower the ramp",
         ),
         (
             "drivers: {rail: {quick_stop_m_s2: 1.5}}",
             "1: drivers.rail.quick_stop_m_s2: is 1.5, below limits.rail.braking_m_s2 1.7: an emergency stop would "
-            "brake less than is counted on; raise quick_stop_m_s2 to 1.7 or more",
+            "brake less than assumed; raise quick_stop_m_s2 to 1.7 or more",
         ),
         (
             "limits: {rail: {latency_s: 0}}",
-            "1: limits.rail.latency_s: is 0.0, below 0.005: no command reaches drivers.rail.driver dryve_d1 at once; "
-            "measure it, or remove the line for the default",
+            "1: limits.rail.latency_s: is 0.0, below 0.005: no command reaches drivers.rail.driver dryve_d1 faster; "
+            "measure the latency, or remove the line for the default",
         ),
         (
             "limits: {rail: {position_max_m: 0.3}}",
-            "1: limits.rail.position_max_m: is 0.3, and the mechanical stop at 0.3 m lies less than 0.02 m beyond it: "
-            "the cart would hit the stop before the failsafe calls it outside; bring it within 0.28 m of the middle",
+            "1: limits.rail.position_max_m: is 0.3, and the mechanical stop at 0.3 m is less than 0.02 m beyond it: "
+            "the cart would hit the stop before the failsafe reacts; move the limit within 0.28 m of the middle",
         ),
         (
             "limits: {rail: {position_min_m: -0.29}}",
-            "1: limits.rail.position_min_m: is -0.29, and the mechanical stop at 0.3 m lies less than 0.02 m "
-            "beyond it: the cart would hit the stop before the failsafe calls it outside; "
-            "bring it within 0.28 m of the middle",
+            "1: limits.rail.position_min_m: is -0.29, and the mechanical stop at 0.3 m is less than 0.02 m "
+            "beyond it: the cart would hit the stop before the failsafe reacts; "
+            "move the limit within 0.28 m of the middle",
         ),
         (
             "drivers: {regulator: {time_to_live_s: 0.031}}",
@@ -81,22 +81,22 @@ def test_the_defaults_are_sound():
         (
             "drivers: {rail: {timeout_s: 0.4, time_to_live_s: 0.3}}",
             "1: drivers.rail.timeout_s: is 0.4, not below drivers.rail.time_to_live_s 0.3: the link would still wait "
-            "for an answer when it has to switch the drive off; lower it to 0.1",
+            "for an answer when it must switch the drive off; lower it to 0.1",
         ),
         (
             "failsafe: {rail_stale_s: 0.6}",
-            "1: failsafe.rail_stale_s: is 0.6, above 0.5: the safety filter brakes for a reading of the axis that is "
-            "older than that, and nothing would say why; lower it to 0.5 or less",
+            "1: failsafe.rail_stale_s: is 0.6, above 0.5: the safety filter brakes for an axis reading older "
+            "than that without reporting an event; lower it to 0.5 or less",
         ),
         (
             "drivers: {rail: {hold_s: 0.1, time_to_live_s: 0.1, timeout_s: 0.05}}",
             "1: drivers.rail.time_to_live_s: is 0.1, not above drivers.rail.hold_s 0.1: the drive would be switched "
-            "off before it is braked; raise it to 0.2",
+            "off before it brakes; raise it to 0.2",
         ),
         (
             "failsafe: {mocap_stale_s: 0.03}",
-            "1: failsafe.mocap_stale_s: is 0.03, no longer than a tick (0.0333 s at control.rate_hz 30): a reading of "
-            "motion capture that is in order would count as too old; raise it to 0.07 or more",
+            "1: failsafe.mocap_stale_s: is 0.03, no longer than a tick (0.0333 s at control.rate_hz 30): a valid "
+            "reading of motion capture would count as too old; raise it to 0.07 or more",
         ),
         (
             "recorder: {file_max_mb: 500, keep_mb: 600}",
@@ -120,13 +120,13 @@ def test_each_contradiction_has_both_keys_their_values_and_the_next_step(refusal
         "failsafe: {rail_stale_s: 0.04}\ndrivers: {regulator: {time_to_live_s: 0.04}}",
     ],
 )
-def test_what_a_robot_may_be_is_no_contradiction(refusals, text):
+def test_valid_configurations_have_no_contradiction(refusals, text):
     assert refusals(text) == []
 
 
-def test_all_are_told_at_once_in_the_files_order(refusals):
-    told = refusals("limits:\n  rail:\n    surge_m_s2: 1\n    latency_s: 0\nfailsafe: {pressure_stale_s: 0.01}\n")
-    assert [problem.split(": ")[:2] for problem in told] == [
+def test_all_contradictions_are_reported_in_the_files_order(refusals):
+    reported = refusals("limits:\n  rail:\n    surge_m_s2: 1\n    latency_s: 0\nfailsafe: {pressure_stale_s: 0.01}\n")
+    assert [problem.split(": ")[:2] for problem in reported] == [
         ["3", "limits.rail.surge_m_s2"],
         ["4", "limits.rail.latency_s"],
         ["5", "failsafe.pressure_stale_s"],

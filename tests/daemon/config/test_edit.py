@@ -1,4 +1,4 @@
-"""Values written into a file: what is written, and what stays."""
+"""Editor of single values in a configuration file."""
 
 from pathlib import Path
 
@@ -47,7 +47,7 @@ def test_in_the_packaged_file_only_the_value_changes():
         ),
     ],
 )
-def test_where_it_is_put(before: str, after: str):
+def test_a_value_is_inserted_in_its_group(before: str, after: str):
     assert edited(before, centre_m=0.29) == after
 
 
@@ -60,7 +60,7 @@ def test_where_it_is_put(before: str, after: str):
         "drivers:\n  rail:\n    centre_m:\n      0.3\n",
     ],
 )
-def test_what_is_written_otherwise_is_left_and_told(text: str):
+def test_an_unusual_layout_is_left_and_reported(text: str):
     with pytest.raises(FileError, match=r"write by hand drivers\.rail\.centre_m: 0\.29|not valid YAML"):
         edited(text, centre_m=0.29)
 
@@ -71,7 +71,7 @@ def test_a_value_that_is_not_allowed_is_refused():
 
 
 @given(st.floats(-2, 2), st.booleans(), st.sampled_from([EXAMPLE, TWIN]))
-def test_what_is_read_again_is_what_was_written(centre_m: float, reversed: bool, file: Path):
+def test_an_edited_file_reads_back_its_values(centre_m: float, reversed: bool, file: Path):
     text = file.read_text(encoding="utf-8")
     new = yaml_lines.parse(edited(text, centre_m=round(centre_m, 4), reversed=reversed), FILE).data
     old = yaml_lines.parse(text, FILE).data

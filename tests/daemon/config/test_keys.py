@@ -1,16 +1,16 @@
-"""What is said of every key of the configuration."""
+"""Reference of the configuration keys and generated files."""
 
 from softarm.common.keys import leaves
-from softarm.common.revision import ROOT
+from softarm.common.revision import PACKAGE
 from softarm.daemon.config import keys
 from softarm.daemon.config.configuration import read
 from softarm.schemas.config import Config
 
 
-def test_every_key_is_told_with_a_word_on_it():
-    told = list(keys.rows())
-    assert [row.key for row in told] == [key.name for key in leaves(Config)]
-    assert [row.key for row in told if not row.meaning] == []
+def test_every_key_has_a_meaning():
+    reported = list(keys.rows())
+    assert [row.key for row in reported] == [key.name for key in leaves(Config)]
+    assert [row.key for row in reported if not row.meaning] == []
 
 
 def test_a_row_has_unit_range_and_default():
@@ -21,12 +21,12 @@ def test_a_row_has_unit_range_and_default():
     assert rows["policies"].default == "none"
 
 
-def test_what_a_new_file_holds_is_sound_and_says_what_its_kind_needs(tmp_path):
+def test_a_new_file_is_valid_and_complete(tmp_path):
     (tmp_path / "robot.yaml").write_text(keys.for_a_robot())
     (tmp_path / "twin.yaml").write_text(keys.for_the_twin())
     (tmp_path / "simulated.yaml").write_text(keys.for_a_simulated_robot())
     assert read(tmp_path / "robot.yaml").config == Config()
-    assert read(tmp_path / "twin.yaml").config == read(ROOT / "twin.yaml").config != Config()
+    assert read(tmp_path / "twin.yaml").config == read(PACKAGE / "twin.yaml").config != Config()
     simulated = read(tmp_path / "simulated.yaml")
     assert simulated.config == Config()
     assert {place[0] for place in simulated.lines if place} == set(Config.model_fields) - {"drivers"}

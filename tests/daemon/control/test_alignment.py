@@ -1,11 +1,11 @@
-"""How late the cameras are, from the cart alone: found while it moves, and never invented."""
+"""Latency of motion capture, estimated from the moving cart."""
 
 import math
 
 import numpy as np
 import pytest
 
-from softarm.daemon.control.alignment import Alignment, Past
+from softarm.daemon.control.alignment import Alignment, ReadingHistory
 
 MS = 1_000_000
 TICK_NS = 33_333_333
@@ -20,7 +20,7 @@ def velocity_m_s(t_s):
 
 
 def flown(late_ms=0.0, sense=1.0, offset_m=0.0, ticks=60, noise_m=0.0003, axis_slips_at=None):
-    """The alignment after each tick of a swing, and the distance that it found."""
+    """Yield the alignment and its distance after each tick of a swing."""
     rng, alignment = np.random.default_rng(3), Alignment()
     for tick in range(ticks):
         now_ns = tick * TICK_NS
@@ -29,7 +29,7 @@ def flown(late_ms=0.0, sense=1.0, offset_m=0.0, ticks=60, noise_m=0.0003, axis_s
         alignment.axis.add(now_ns, place_m(t_s) + slip_m, velocity_m_s(t_s))
         shown_ns = now_ns - 4 * MS
         seen_s = (shown_ns - late_ms * MS) * 1e-9
-        apart_m = alignment.see(shown_ns, sense * place_m(seen_s) + offset_m + rng.normal(0.0, noise_m))
+        apart_m = alignment.update(shown_ns, sense * place_m(seen_s) + offset_m + rng.normal(0.0, noise_m))
         yield alignment, apart_m
 
 
@@ -43,12 +43,12 @@ def test_the_delay_is_found_within_a_few_milliseconds_and_a_second(late_ms):
 
 
 @pytest.mark.parametrize("late_ms", [0, 46, 140])
-def test_no_delay_is_taken_for_a_distance_not_even_before_it_is_known(late_ms):
+def test_latency_never_counts_as_a_distance(late_ms):
     assert max(apart_m for _, apart_m in flown(late_ms) if apart_m is not None) < 0.012
 
 
 @pytest.mark.parametrize("late_ms", [0, 46, 140])
-def test_a_frame_that_is_off_is_found_beside_any_delay(late_ms):
+def test_a_shifted_frame_is_found_at_any_latency(late_ms):
     apart_m = [apart_m for _, apart_m in flown(late_ms, offset_m=0.05)]
     assert max(apart_m[25:]) > 0.04
 
@@ -67,31 +67,31 @@ def test_a_mirrored_frame_is_found_within_a_few_ticks_of_moving(late_ms):
     assert not any(each.mirrored for each, _ in flown(late_ms))
 
 
-def test_a_cart_at_rest_tells_no_delay():
+def test_a_cart_at_rest_shows_no_latency():
     alignment, rng = Alignment(), np.random.default_rng(0)
     for tick in range(200):
         alignment.axis.add(tick * TICK_NS, 0.1, 0.0)
-        assert (alignment.see(tick * TICK_NS, 0.1 + rng.normal(0.0, 0.002)) or 0.0) < 0.01
+        assert (alignment.update(tick * TICK_NS, 0.1 + rng.normal(0.0, 0.002)) or 0.0) < 0.01
     assert alignment.lag_ns is None
     assert not alignment.mirrored
 
 
-def test_an_axis_that_moves_under_a_camera_that_shows_nothing_tells_no_delay():
+def test_an_axis_that_moves_alone_shows_no_latency():
     alignment = Alignment()
     for tick in range(60):
         alignment.axis.add(tick * TICK_NS, place_m(tick / 30), velocity_m_s(tick / 30))
-        alignment.see(tick * TICK_NS, 0.0)
+        alignment.update(tick * TICK_NS, 0.0)
     assert alignment.lag_ns is None
 
 
-def test_what_the_steps_told_is_forgotten_on_request():
+def test_restart_discards_the_estimate():
     *_, (alignment, _) = flown(46)
     alignment.restart()
     assert alignment.lag_ns is None
 
 
-def test_a_device_is_asked_only_where_it_was_read():
-    past = Past()
+def test_a_history_has_values_only_near_its_readings():
+    past = ReadingHistory()
     assert past.at(0) is None
     for t_ms, position_m in ((100, 0.0), (140, 0.04), (140, 9.0), (120, 9.0)):  # the last two are no newer
         past.add(t_ms * MS, position_m, 1.0)
@@ -102,23 +102,23 @@ def test_a_device_is_asked_only_where_it_was_read():
     assert past.at(190 * MS + 1) is None
 
 
-def test_between_two_readings_value_and_rate_lie_on_a_line():
-    past = Past()
+def test_value_and_rate_are_interpolated_linearly():
+    past = ReadingHistory()
     for t_ms, position_m, velocity_m_s in ((0, 0.0, 0.0), (40, 0.04, 2.0), (80, 0.2, 6.0)):
         past.add(t_ms * MS, position_m, velocity_m_s)
     assert past.at(10 * MS) == pytest.approx((0.01, 0.5))
     assert past.at(70 * MS) == pytest.approx((0.16, 5.0))
 
 
-def test_what_is_read_without_a_rate_has_none():
-    past = Past()
+def test_a_reading_without_a_rate_has_rate_zero():
+    past = ReadingHistory()
     past.add(0, 5.0)
     assert past.at(40 * MS) == (5.0, 0.0)
 
 
 @pytest.mark.parametrize(("after_ns", "kept"), [(400 * MS, True), (400 * MS + 1, False)])
-def test_readings_are_kept_for_as_long_as_a_late_frame_may_ask_for_them(after_ns, kept):
-    past = Past()
+def test_readings_are_kept_for_the_longest_allowed_delay(after_ns, kept):
+    past = ReadingHistory()
     past.add(0, 0.1)
     past.add(after_ns, 0.2)
     assert (past.at(0) is not None) is kept
@@ -128,49 +128,49 @@ def test_readings_are_kept_for_as_long_as_a_late_frame_may_ask_for_them(after_ns
 
 
 def one_step(path_m, shown_m, step_ns=200 * MS):
-    """What a step of motion capture's cart tells, and how far from the axis it ends."""
+    """Return the alignment after one step of the cart, and its final distance from the axis."""
     alignment, now_ns = Alignment(), 200 * MS + step_ns
     for t_ms in range(0, 201, 10):
         alignment.axis.add(t_ms * MS, 0.0)
-    alignment.see(200 * MS, 0.0)
+    alignment.update(200 * MS, 0.0)
     for lag in reversed(range(16)):
         alignment.axis.add(now_ns - lag * 10 * MS, (*path_m, *[0.0] * 16)[lag])
-    return alignment, alignment.see(now_ns, shown_m)
+    return alignment, alignment.update(now_ns, shown_m)
 
 
-def told_ms(path_m, shown_m):
+def reported_ms(path_m, shown_m):
     lag_ns = one_step(path_m, shown_m)[0].lag_ns
     return None if lag_ns is None else lag_ns / MS
 
 
 def passing(place, before_m, at_m, after_m):
-    """A path of which three places are given."""
+    """Return a path through three given positions."""
     return [*[0.0] * place, before_m, at_m, after_m, *[0.0] * 15][1:17]
 
 
 @pytest.mark.parametrize("place", range(16))
-def test_the_delay_is_where_the_axis_was_as_the_camera_shows_the_cart(place):
-    """A parabola through what is left there and either side, 5, 10 and 20 mm; at either end there is but one side."""
+def test_the_delay_is_the_age_of_the_matching_axis_position(place):
+    """The minimum is on a parabola through three residuals, except at either end."""
     beside_ms = 10 * 0.5 * (10**2 - 20**2) / (10**2 - 2 * 5**2 + 20**2)
     expected_ms = 10 * place + (beside_ms if 0 < place < 15 else 0.0)
-    assert told_ms(passing(place, 0.09, 0.095, 0.08), 0.1) == pytest.approx(expected_ms, abs=1e-6)
+    assert reported_ms(passing(place, 0.09, 0.095, 0.08), 0.1) == pytest.approx(expected_ms, abs=1e-6)
 
 
-@pytest.mark.parametrize(("apart_m", "told"), [(0.009, False), (0.011, True)])
-def test_a_delay_that_another_explains_as_well_is_not_told(apart_m, told):
-    """Thirty milliseconds less; of 60 more there is no question."""
+@pytest.mark.parametrize(("apart_m", "reported"), [(0.009, False), (0.011, True)])
+def test_an_ambiguous_latency_is_not_reported(apart_m, reported):
+    """The smallest delay wins within 30 ms; minima 60 ms apart are ambiguous."""
     speeding_up = [*[0.1 + apart_m] * 3, 0.1, 0.05]
-    assert (told_ms(speeding_up, 0.1) is not None) is told
+    assert (reported_ms(speeding_up, 0.1) is not None) is reported
 
 
-@pytest.mark.parametrize(("other_m", "told"), [(0.0387, False), (0.0436, True)])
-def test_a_delay_that_explains_little_is_not_told(other_m, told):
-    """It leaves 20 mm: too much for a quarter of what another leaves, in squares, less (10 mm)^2."""
+@pytest.mark.parametrize(("other_m", "reported"), [(0.0387, False), (0.0436, True)])
+def test_a_latency_with_a_large_residual_is_not_reported(other_m, reported):
+    """The squared residual of 20 mm exceeds a quarter of the next best less (10 mm)^2."""
     slowing_down = [*[0.12 - other_m] * 3, 0.1, 0.05]
-    assert (told_ms(slowing_down, 0.12) is not None) is told
+    assert (reported_ms(slowing_down, 0.12) is not None) is reported
 
 
-def test_the_distance_is_from_where_the_axis_was_ten_milliseconds_either_side_of_the_delay():
+def test_the_distance_allows_ten_milliseconds_around_the_delay():
     for place in range(15):
         assert one_step(passing(place, 0.09, 0.095, 0.12), 0.1)[1] == 0.0
     alignment, apart_m = one_step([0.0, 0.2, 0.09, 0.095, 0.08, 0.2], 0.1)
@@ -178,24 +178,24 @@ def test_the_distance_is_from_where_the_axis_was_ten_milliseconds_either_side_of
     assert apart_m == pytest.approx(0.005)
 
 
-def test_before_the_delay_is_known_the_distance_is_from_where_the_axis_was_within_any():
+def test_the_distance_allows_every_delay_before_the_delay_is_known():
     assert one_step([], 0.05)[1] == 0.05
     assert one_step([0.0, 0.0, 0.04, 0.03], 0.05)[1] == pytest.approx(0.01)
 
 
-def test_what_the_axis_did_in_silence_tells_no_delay():
+def test_a_gap_in_the_frames_shows_no_latency():
     alignment = Alignment()
     for t_ms in range(0, 200, 10):
         alignment.axis.add(t_ms * MS, 0.0)
-    alignment.see(190 * MS, 0.0)
-    assert alignment.see(300 * MS, 0.06) is None
+    alignment.update(190 * MS, 0.0)
+    assert alignment.update(300 * MS, 0.06) is None
     alignment.axis.add(320 * MS, 0.06)
-    assert alignment.see(320 * MS, 0.06) == 0.0
+    assert alignment.update(320 * MS, 0.06) == 0.0
     assert alignment.lag_ns is None
 
 
 @pytest.mark.parametrize(("shown_m", "mirrored"), [(-0.0221, False), (-0.0226, True)])
-def test_a_mirrored_frame_is_told_from_22_mm_in_a_step(shown_m, mirrored):
+def test_a_mirrored_frame_is_reported_from_a_step_of_22_mm(shown_m, mirrored):
     assert one_step([-shown_m], shown_m)[0].mirrored is mirrored
 
 
@@ -208,32 +208,32 @@ def test_a_mirrored_frame_is_told_from_22_mm_in_a_step(shown_m, mirrored):
         ([0.02] * 16, -0.064, False),
     ],
 )
-def test_a_mirrored_frame_leaves_less_than_a_quarter_of_the_squares(path_m, shown_m, mirrored):
+def test_a_mirrored_frame_needs_a_residual_below_a_quarter(path_m, shown_m, mirrored):
     assert one_step(path_m, shown_m)[0].mirrored is mirrored
 
 
 @pytest.mark.parametrize(("step_ns", "mirrored"), [(400 * MS, True), (400 * MS + 1, False)])
-def test_a_step_as_long_as_the_axis_is_remembered_tells_something(step_ns, mirrored):
+def test_a_step_as_long_as_the_history_counts(step_ns, mirrored):
     assert one_step([0.05] * 16, -0.05, step_ns)[0].mirrored is mirrored
 
 
 def crept(step_m, shown_m, axis_m):
-    """After a mirrored step the two go on by so much in each tick."""
+    """Return the alignment after a mirrored step and 99 smaller steps."""
     alignment, _ = one_step([step_m] * 16, -step_m)
     for tick in range(1, 100):
         now_ns = 400 * MS + tick * TICK_NS
         alignment.axis.add(now_ns, step_m + tick * axis_m, axis_m / TICK_NS * 1e9)
-        alignment.see(now_ns, -step_m + tick * shown_m)
+        alignment.update(now_ns, -step_m + tick * shown_m)
     return alignment
 
 
 @pytest.mark.parametrize(("axis_m", "remembered"), [(0.0, True), (0.0028, True), (0.0035, False)])
-def test_what_a_step_told_is_forgotten_while_the_cart_moves_alone(axis_m, remembered):
-    """3 mm in a tick is moving."""
+def test_an_old_step_is_forgotten_while_the_cart_moves_alone(axis_m, remembered):
+    """A step of 3 mm in a tick counts as motion."""
     assert crept(0.05, 0.0, axis_m).mirrored is remembered
 
 
 @pytest.mark.parametrize(("creeping_m", "mirrored"), [(0.0035, False), (0.0045, True)])
-def test_what_steps_told_is_of_about_a_second(creeping_m, mirrored):
-    """Those of a mirrored frame add up until as much is forgotten as comes in: to (20 mm)^2 or (26 mm)^2."""
+def test_the_estimate_covers_about_a_second(creeping_m, mirrored):
+    """Steps of a mirrored frame add up to an equilibrium with forgetting: (20 mm)^2 or (26 mm)^2."""
     assert crept(0.0, -creeping_m, creeping_m).mirrored is mirrored

@@ -1,11 +1,11 @@
-"""Through the dark: cart and tip are carried on from what was seen last, and soon not at all."""
+"""Dead reckoning of cart and tip during a dropout."""
 
 import math
 
 import pytest
 
-from softarm.daemon.control.alignment import Past
-from softarm.daemon.control.dead_reckoning import DeadReckoning, Readings, Sighting, Strength, TipModel
+from softarm.daemon.control.alignment import ReadingHistory
+from softarm.daemon.control.dead_reckoning import DeadReckoning, Readings, Strength, TipModel, TrackedPose
 from softarm.daemon.control.observer import Observer
 from softarm.daemon.control.plausibility import REACH_MAX_M, REACH_MIN_M
 from softarm.daemon.control.records import Inputs
@@ -18,8 +18,8 @@ HINGE_M = 0.965
 
 
 def swing(lag_ns=0, cart_off_m=0.0, read_until_ns=10**12, strength=1.0, angle=0.3):
-    """A robot that is as the model says: sightings every 8 ms, axis and pressure read beside them."""
-    model, axis, pressure = TipModel(), Past(), Past()
+    """Return a robot that follows the model, with poses every 8 ms and readings of axis and pressure."""
+    model, axis, pressure = TipModel(), ReadingHistory(), ReadingHistory()
     rate, seen = -1.0, []
     for step in range(60):
         t_ns = round(step * 1e9 / 120)
@@ -35,7 +35,7 @@ def swing(lag_ns=0, cart_off_m=0.0, read_until_ns=10**12, strength=1.0, angle=0.
         length = 0.44 + model.bent_m(angle, kpa)
         cart_y_m = cart_m + cart_off_m
         tip = (cart_y_m + length * math.sin(angle), HINGE_M - length * math.cos(angle))
-        seen.append(Sighting(t_ns + lag_ns, cart_y_m, *tip))
+        seen.append(TrackedPose(t_ns + lag_ns, cart_y_m, *tip))
         rate += (strength * model.own_rad_s2(angle, rate, kpa) + model.pulled_rad_s2(angle, cart_m_s2)) / 120
         angle += rate / 120
     return seen, Readings(axis, pressure, lag_ns)
@@ -47,8 +47,8 @@ def off_m(one, other):
 
 @pytest.mark.parametrize("lag_ms", [0, 46])
 @pytest.mark.parametrize("cart_off_m", [0.0, 0.02])
-def test_a_robot_that_is_as_the_model_says_is_carried_on_to_a_millimetre(lag_ms, cart_off_m):
-    """Also where the cameras are late, and where their frame is off: the cart goes on from where it was seen."""
+def test_a_robot_like_the_model_is_extrapolated_to_a_millimetre(lag_ms, cart_off_m):
+    """Late cameras and a shifted frame do not matter: the cart continues from its tracked position."""
     seen, readings = swing(lag_ms * MS, cart_off_m)
     reckoning = DeadReckoning(seen[16], seen[20], readings)
     for then in (seen[24], seen[28], seen[32], seen[40]):
@@ -56,47 +56,47 @@ def test_a_robot_that_is_as_the_model_says_is_carried_on_to_a_millimetre(lag_ms,
 
 
 @pytest.mark.parametrize("strength", [0.75, 1.0, 1.2])
-def test_the_arms_strength_is_told_from_its_swing(strength):
+def test_the_arms_strength_is_estimated_from_its_swing(strength):
     seen, readings = swing(strength=strength, angle=0.9)
-    told = Strength()
-    for sighting in seen[::4]:
-        told.see(sighting, readings)
-    assert told.value == pytest.approx(strength, abs=0.05)
+    estimate = Strength()
+    for pose in seen[::4]:
+        estimate.update(pose, readings)
+    assert estimate.value == pytest.approx(strength, abs=0.05)
 
 
-def test_an_arm_at_rest_tells_no_strength_and_a_gap_is_not_differenced_over():
+def test_an_arm_at_rest_and_a_gap_keep_the_nominal_strength():
     seen, readings = swing()
-    told = Strength()
-    for sighting in (seen[0], seen[4], seen[30], seen[34]):
-        told.see(sighting, readings)
-    assert told.value == 1.0
-    still, axis, pressure = Strength(), Past(), Past()
+    estimate = Strength()
+    for pose in (seen[0], seen[4], seen[30], seen[34]):
+        estimate.update(pose, readings)
+    assert estimate.value == 1.0
+    still, axis, pressure = Strength(), ReadingHistory(), ReadingHistory()
     for tick in range(30):
         axis.add(tick * TICK_NS, 0.0)
         pressure.add(tick * TICK_NS, 0.0)
         angle = TipModel().offset_rad_s2 / TipModel().stiffness_1_s2 + 1e-3 * (tick % 2)
-        hanging = Sighting(tick * TICK_NS, 0.0, 0.44 * math.sin(angle), HINGE_M - 0.44 * math.cos(angle))
-        still.see(hanging, Readings(axis, pressure, 0))
+        hanging = TrackedPose(tick * TICK_NS, 0.0, 0.44 * math.sin(angle), HINGE_M - 0.44 * math.cos(angle))
+        still.update(hanging, Readings(axis, pressure, 0))
     assert still.value == pytest.approx(1.0, abs=0.1)
 
 
-def test_where_axis_or_pressure_is_silent_too_nothing_is_carried_on():
+def test_without_axis_or_pressure_there_is_no_extrapolation():
     seen, readings = swing(read_until_ns=200 * MS)
     reckoning = DeadReckoning(seen[16], seen[20], readings)
     assert reckoning.at(240 * MS) is not None
     assert reckoning.at(260 * MS) is None
     assert reckoning.at(270 * MS) is None
-    blind = Readings(Past(), readings.pressure, 0)
+    blind = Readings(ReadingHistory(), readings.pressure, 0)
     assert DeadReckoning(seen[16], seen[20], blind).at(200 * MS) is None
 
 
-def test_the_deviation_grows_with_the_dark():
+def test_the_deviation_grows_with_the_dropout():
     deviations = [TipModel().deviation_m(each) for each in (0.0, 0.033, 0.067, 0.1, 0.133, 0.167)]
     assert deviations == sorted(deviations)
     assert deviations[-1] < 0.05
 
 
-def test_the_numbers_are_those_that_were_fitted():
+def test_the_constants_are_the_fitted_ones():
     model = TipModel()
     assert model.own_rad_s2(0.0, 0.0, 0.0) == pytest.approx(-0.9854)  # by itself towards -y
     assert model.own_rad_s2(0.1, 0.0, 0.0) == pytest.approx(-0.9854 - 5.333)  # and back, with a period of 0.86 s
@@ -108,24 +108,24 @@ def test_the_numbers_are_those_that_were_fitted():
     assert model.bent_m(0.5, 10.0) == pytest.approx(-0.0031725 + 0.002494)
 
 
-def test_the_deviation_is_of_the_cameras_at_first_and_seven_millimetres_after_100_ms():
+def test_the_deviation_grows_from_camera_noise_to_seven_millimetres_in_100_ms():
     assert TipModel().deviation_m(0.0) == 0.0015
     assert TipModel().deviation_m(0.1) == pytest.approx(0.0075)
 
 
-# One step of 25 ms after one that was seen: three of those that the numbers were fitted with.
+# One step of 25 ms after a tracked one: three samples of the fitted constants' data.
 
 STEP_NS, DT_S = 25 * MS, 1 / 120
 IDLE = TipModel(*[0.0] * 8)  # an arm that nothing turns and nothing bends
 
 
 def at_angle(t_ns, angle, length_m=0.44, cart_y_m=0.0):
-    return Sighting(t_ns, cart_y_m, cart_y_m + length_m * math.sin(angle), HINGE_M - length_m * math.cos(angle))
+    return TrackedPose(t_ns, cart_y_m, cart_y_m + length_m * math.sin(angle), HINGE_M - length_m * math.cos(angle))
 
 
 def reckoned(model, before, seen, axis_m_s2=0.0, kpa=(0.0, 0.0), step_ns=STEP_NS, strength=1.0):
-    """Angle and length to which an arm is carried on that was seen at two angles; kPa then and after the step."""
-    axis, pressure = Past(), Past()
+    """Return the extrapolated angle and length of an arm tracked at two angles and two pressures in kPa."""
+    axis, pressure = ReadingHistory(), ReadingHistory()
     for t_ns in (0, STEP_NS, STEP_NS + step_ns):
         axis.add(t_ns, 0.0, axis_m_s2 * t_ns * 1e-9)
         pressure.add(t_ns, kpa[t_ns > STEP_NS])
@@ -136,13 +136,13 @@ def reckoned(model, before, seen, axis_m_s2=0.0, kpa=(0.0, 0.0), step_ns=STEP_NS
     return math.atan2(y_m, down_m), math.hypot(y_m, down_m)
 
 
-def test_an_arm_that_nothing_turns_goes_on():
+def test_an_arm_without_torque_keeps_its_rate():
     assert reckoned(IDLE, 0.1, 0.15) == pytest.approx((0.2, 0.44))
 
 
 @pytest.mark.parametrize(("steps", "turned"), [(1, 1), (2, 3), (3, 6)])
-def test_what_turns_it_turned_it_since_the_middle_of_the_step_that_was_seen(steps, turned):
-    """It stood when it was seen last: in the step before, it came to that. Torque and cart by 30 and 10 rad/s^2."""
+def test_torque_acts_from_the_middle_of_the_last_tracked_step(steps, turned):
+    """The arm came to rest in the last tracked step under 30 and 10 rad/s^2 of torque and cart."""
     model = IDLE._replace(offset_rad_s2=30.0, cart_1_m=2.0)
     before = 0.5 * 40.0 * 0.025**2
     step_ns = round(steps * DT_S * 1e9)
@@ -150,30 +150,30 @@ def test_what_turns_it_turned_it_since_the_middle_of_the_step_that_was_seen(step
     assert angle == pytest.approx(turned * 40.0 * DT_S**2, abs=1e-5)
 
 
-def test_the_pressure_that_acts_is_of_each_steps_middle():
+def test_the_pressure_of_each_steps_middle_acts():
     angle, _ = reckoned(IDLE._replace(muscle_rad_s2_kpa=1.0), 0.0, 0.0, kpa=(0.0, 6.0))
     assert angle == pytest.approx(-(1.0 + (1.0 + 3.0) + (1.0 + 3.0 + 5.0)) * DT_S**2)
 
 
-def test_the_line_grows_by_what_pressure_and_angle_add():
-    """By 0.001 m for each radian and kilopascal; it may have had some when it was seen."""
+def test_the_length_grows_with_pressure_and_angle():
+    """The length grows by 0.001 m per radian and kilopascal from its tracked value."""
     angle, length_m = reckoned(IDLE._replace(bend_m_kpa=1e-3), 0.4, 0.5, kpa=(5.0, 20.0))
     assert (angle, length_m) == pytest.approx((0.6, 0.44 - 1e-3 * 5.0 * 0.5 + 1e-3 * 20.0 * 0.6))
 
 
 @pytest.mark.parametrize(("bend_m", "length_m"), [(10.0, REACH_MIN_M), (-10.0, REACH_MAX_M)])
-def test_no_line_is_shorter_or_longer_than_an_arm(bend_m, length_m):
+def test_the_length_stays_within_the_arms_range(bend_m, length_m):
     assert reckoned(IDLE._replace(bend_m=bend_m), 0.4, 0.5)[1] == pytest.approx(length_m)
 
 
-def test_carried_on_for_no_time_it_is_where_it_was_seen():
+def test_extrapolation_by_zero_returns_the_tracked_pose():
     seen, readings = swing()
     found = DeadReckoning(seen[16], seen[20], readings).at(seen[20].t_ns)
     assert found == pytest.approx(seen[20])
 
 
 def read(*t_ms, value=0.0):
-    past = Past()
+    past = ReadingHistory()
     for each in t_ms:
         past.add(each * MS, value * each)
     return past
@@ -186,16 +186,16 @@ def test_axis_and_pressure_are_read_where_the_frame_shows_them():
     assert Readings(read(0), read(0, 100), 0).at(100 * MS) is None
 
 
-def test_where_the_axis_was_silent_at_either_frame_nothing_is_carried_on():
+def test_an_axis_silent_at_either_frame_prevents_extrapolation():
     first, second = at_angle(40 * MS, 0.0), at_angle(85 * MS, 0.1)
-    for heard in ((0, 85), (70, 85), (0,)):  # at both, only at the second, only at the first
-        axis, pressure = read(*heard), read(0, 85, 110)
+    for read_ms in ((0, 85), (70, 85), (0,)):  # at both, only at the second, only at the first
+        axis, pressure = read(*read_ms), read(0, 85, 110)
         reckoning = DeadReckoning(first, second, Readings(axis, pressure, 0))
         axis.add(110 * MS, 0.0)
-        assert (reckoning.at(110 * MS) is not None) is (heard == (0, 85))
+        assert (reckoning.at(110 * MS) is not None) is (read_ms == (0, 85))
 
 
-def test_what_is_lost_is_not_found_again():
+def test_a_lost_extrapolation_stays_lost():
     axis, pressure = read(0, 33), read(0, 33, 100)
     reckoning = DeadReckoning(at_angle(0, 0.0), at_angle(33 * MS, 0.1), Readings(axis, pressure, 0))
     assert reckoning.at(100 * MS) is None
@@ -206,15 +206,15 @@ def test_what_is_lost_is_not_found_again():
 # How strong the arm is
 
 
-def told(strength_at, steps_ms, until_ms=1000, angle=0.8):
-    """By an arm that swings under a cart that stands, looked at in steps that come again and again."""
-    model, axis, pressure, rate = TipModel(), Past(), Past(), 0.0
+def estimated(strength_at, steps_ms, until_ms=1000, angle=0.8):
+    """Estimate the strength of an arm that swings under a resting cart, in repeated steps."""
+    model, axis, pressure, rate = TipModel(), ReadingHistory(), ReadingHistory(), 0.0
     strength, next_ms, looks = Strength(), 0, 0
     for t_ms in range(until_ms):
         if t_ms == next_ms:
             axis.add(t_ms * MS, 0.0)
             pressure.add(t_ms * MS, 5.0)
-            strength.see(at_angle(t_ms * MS, angle), Readings(axis, pressure, 0))
+            strength.update(at_angle(t_ms * MS, angle), Readings(axis, pressure, 0))
             next_ms += steps_ms[looks % len(steps_ms)]
             looks += 1
         rate += strength_at(t_ms) * model.own_rad_s2(angle, rate, 5.0) * 1e-3
@@ -223,49 +223,49 @@ def told(strength_at, steps_ms, until_ms=1000, angle=0.8):
 
 
 @pytest.mark.parametrize("steps_ms", [(33,), (66,), (33, 66)])
-def test_the_arms_strength_is_told_over_steps_of_up_to_80_ms(steps_ms):
-    assert told(lambda _: 0.6, steps_ms) == pytest.approx(0.6, abs=0.04)
+def test_the_arms_strength_is_estimated_over_steps_of_up_to_80_ms(steps_ms):
+    assert estimated(lambda _: 0.6, steps_ms) == pytest.approx(0.6, abs=0.04)
 
 
 @pytest.mark.parametrize("steps_ms", [(100,), (33, 100)])
-def test_no_strength_is_told_over_longer_steps(steps_ms):
-    assert told(lambda _: 0.6, steps_ms) == 1.0
+def test_longer_steps_keep_the_nominal_strength(steps_ms):
+    assert estimated(lambda _: 0.6, steps_ms) == 1.0
 
 
-def test_the_strength_is_of_the_last_second():
-    """A payload that is dropped is forgotten."""
-    assert told(lambda t_ms: 0.6 if t_ms < 1000 else 1.2, (33,), until_ms=2100) == pytest.approx(1.2, abs=0.06)
+def test_the_strength_is_estimated_over_the_last_second():
+    """The estimate forgets a dropped payload."""
+    assert estimated(lambda t_ms: 0.6 if t_ms < 1000 else 1.2, (33,), until_ms=2100) == pytest.approx(1.2, abs=0.06)
 
 
-def test_no_arm_is_taken_for_half_as_strong_again_or_for_less_than_half():
-    assert told(lambda _: 0.2, (33,)) == 0.5
-    assert told(lambda _: 2.5, (33,)) == 1.5
+def test_the_estimated_strength_stays_within_its_bounds():
+    assert estimated(lambda _: 0.2, (33,)) == 0.5
+    assert estimated(lambda _: 2.5, (33,)) == 1.5
 
 
 def of_three(angles, silent=False):
-    """What three sightings tell, 25 ms apart and without pressure; the axis may be silent at one more in between."""
+    """Estimate from three poses 25 ms apart without pressure; the axis may be silent at another one between."""
     strength, axis = Strength(), read(0, 25, 50, 75)
-    readings, blind = Readings(axis, axis, 0), Readings(Past(), axis, 0)
+    readings, blind = Readings(axis, axis, 0), Readings(ReadingHistory(), axis, 0)
     for tick, angle in enumerate(angles):
         if silent and tick == 2:
-            strength.see(at_angle(2 * STEP_NS, angle), blind)
-        strength.see(at_angle((tick + (silent and tick == 2)) * STEP_NS, angle), readings)
+            strength.update(at_angle(2 * STEP_NS, angle), blind)
+        strength.update(at_angle((tick + (silent and tick == 2)) * STEP_NS, angle), readings)
     return strength.value
 
 
-def test_the_models_own_strength_counts_as_much_as_what_200_would_tell():
-    """An arm that is held at an angle, where it would swing by 10 rad/s^2: as if it had no strength. Squares count."""
+def test_the_nominal_strength_has_the_weight_of_200():
+    """An arm held where it would swing at 10 rad/s^2 has strength zero, weighted by squares."""
     held = (10.0 - 0.9854) / 53.33
     assert of_three([held] * 3) == pytest.approx(200 / (200 + 10.0**2))
     assert of_three([held] * 3, silent=True) == 1.0
 
 
-def test_of_a_turning_arm_the_damping_counts():
-    """5 rad/s, neither faster nor slower."""
+def test_damping_counts_for_a_rotating_arm():
+    """The angular rate is 5 rad/s in either direction."""
     assert of_three([-0.125, 0.0, 0.125]) == pytest.approx(200 / (200 + (0.9854 + 5.0 * 0.6769) ** 2))
 
 
-def test_an_arm_that_hangs_still_is_carried_on_where_it_hangs():
+def test_a_still_arm_is_extrapolated_at_rest():
     observer = Observer(Config())
     for tick in range(8):
         now = tick * TICK_NS
@@ -277,6 +277,6 @@ def test_an_arm_that_hangs_still_is_carried_on_where_it_hangs():
         )
         observer.update(inputs)
     observed = observer.observe(now, 0.0)
-    assert observed.dark_ns == 3 * TICK_NS
+    assert observed.bridged_ns == 3 * TICK_NS
     assert observed.values.tip_y_m == pytest.approx(-0.0094, abs=0.003)
     assert observed.values.tip_z_m == pytest.approx(0.523, abs=0.003)

@@ -6,12 +6,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from softarm.daemon.control.failsafe import TABLE, Event, ModeMachine, Response, page
+from softarm.daemon.control.failsafe import ACKNOWLEDGE, TABLE, Event, Response, page
+from softarm.daemon.control.modes import ModeMachine
 from softarm.daemon.control.records import EStop, Mode
 
 
 def machine(mode: Mode) -> ModeMachine:
-    """A machine brought into a mode by what would bring it there."""
+    """Return a machine brought into a mode by real events."""
     made = ModeMachine(arming_ticks=3, braking_ticks=5, settling_ticks=9)
     if mode is Mode.DISARMED:
         return made
@@ -38,7 +39,7 @@ def names(response: Response) -> list[str]:
 
 
 @pytest.mark.parametrize("name", TABLE)
-def test_every_line_of_the_table_says_what_is_wrong_and_what_to_do(name):
+def test_every_line_of_the_table_has_a_cause_and_a_next_step(name):
     rule = TABLE[name]
     assert rule.meaning
     assert rule.remedy
@@ -47,7 +48,7 @@ def test_every_line_of_the_table_says_what_is_wrong_and_what_to_do(name):
     assert rule.remedy in text
 
 
-def test_starts_disarmed():
+def test_the_machine_starts_disarmed():
     assert ModeMachine(3, 5, 9).mode is Mode.DISARMED
     assert ModeMachine(3, 5, 9).estop is EStop.CLEAR
 
@@ -66,7 +67,7 @@ def test_a_stop_ends_every_active_mode_and_latches(mode, name):
     assert made.mode is Mode.STOPPED
 
 
-def test_stops_are_counted_soft_ones_too_and_one_that_lasts_once():
+def test_each_stop_and_soft_stop_is_counted_once():
     made = ModeMachine(3, 5, 9)
     assert made.stops == 0
     made.latch("a stop of the daemon before this one")
@@ -81,7 +82,7 @@ def test_stops_are_counted_soft_ones_too_and_one_that_lasts_once():
     assert made.stops == 3
 
 
-def test_the_stop_is_remembered_by_what_stopped_it_not_by_what_came_after():
+def test_the_last_stop_keeps_its_first_cause():
     made = machine(Mode.ARMED)
     step(made, "rail_fault")
     step(made, "stop_requested")
@@ -161,7 +162,7 @@ def test_arming_waits_for_the_devices_and_gives_up_in_time():
         assert made.mode is Mode.ARMING
     step(made)
     assert made.mode is Mode.STOPPING
-    assert "did not take the arm command" in made.last_stop
+    assert "did not accept the arm command" in made.last_stop
 
 
 def test_devices_that_take_the_command_in_the_last_tick_are_in_time():
@@ -172,7 +173,7 @@ def test_devices_that_take_the_command_in_the_last_tick_are_in_time():
     assert made.mode is Mode.ARMED
 
 
-def test_arming_that_something_else_ends_is_not_blamed_on_the_devices():
+def test_arming_ended_by_another_event_is_no_timeout():
     made = machine(Mode.ARMING)
     for _ in range(3):
         step(made)
@@ -181,7 +182,7 @@ def test_arming_that_something_else_ends_is_not_blamed_on_the_devices():
 
 
 def test_the_time_for_arming_is_over_once_the_arm_is_armed():
-    """A device that switches itself off later is an event of its own."""
+    """A device that switches itself off later is a separate event."""
     made = machine(Mode.ARMED)
     for _ in range(10):
         step(made, devices_armed=False)
@@ -195,13 +196,13 @@ def test_arming_an_armed_arm_is_no_refusal_and_changes_nothing():
         assert made.mode is mode
 
 
-def test_events_may_come_one_by_one():
+def test_events_may_be_an_iterator():
     made = machine(Mode.ARMED)
     made.update(iter([Event("tick_late"), Event("mocap_stale")]), devices_armed=True, at_rest=False, still=False)
     assert made.mode is Mode.STOPPING
 
 
-def test_who_resumes_in_the_mode_that_holds_does_not_begin_it_anew():
+def test_resuming_in_the_same_mode_keeps_its_time():
     made = machine(Mode.STOPPING)
     for _ in range(5):
         step(made)
@@ -212,7 +213,7 @@ def test_who_resumes_in_the_mode_that_holds_does_not_begin_it_anew():
     assert (made.mode, made.estop) == (Mode.STOPPED, EStop.LATCHED)
 
 
-def test_a_cart_that_never_rests_is_let_go_after_a_while():
+def test_a_soft_stop_ends_although_the_cart_never_rests():
     made = machine(Mode.STOPPING)
     for _ in range(5):
         step(made)
@@ -222,7 +223,7 @@ def test_a_cart_that_never_rests_is_let_go_after_a_while():
 
 
 @pytest.mark.parametrize("rests_in", range(5))
-def test_a_cart_that_rests_under_an_arm_that_goes_on_swinging_is_let_go_a_while_later(rests_in):
+def test_a_soft_stop_ends_although_the_arm_keeps_swinging(rests_in):
     made = machine(Mode.STOPPING)
     for tick in range(9):
         step(made, at_rest=tick == rests_in)
@@ -231,7 +232,7 @@ def test_a_cart_that_rests_under_an_arm_that_goes_on_swinging_is_let_go_a_while_
     assert made.mode is Mode.DISARMED
 
 
-def test_that_the_cart_rested_in_the_stop_before_says_nothing_of_this_one():
+def test_each_soft_stop_waits_for_the_cart_again():
     made = machine(Mode.STOPPING)
     step(made, at_rest=True, still=True)
     assert made.arm(()) == ()
@@ -242,26 +243,26 @@ def test_that_the_cart_rested_in_the_stop_before_says_nothing_of_this_one():
 
 
 @pytest.mark.parametrize("name", [n for n, rule in TABLE.items() if rule.blocks_arming])
-def test_what_blocks_arming_is_named_with_its_remedy(name):
+def test_a_refusal_to_arm_names_cause_and_remedy(name):
     made = machine(Mode.DISARMED)
     assert made.refusals([Event(name)]) == (Event(name).text,)
     assert made.arm([Event(name)]) == (Event(name).text,)
     assert made.mode is Mode.DISARMED
 
 
-def test_the_latch_is_freed_by_an_acknowledgement_once_the_cause_is_gone():
+def test_an_acknowledgement_clears_the_latch_once_the_cause_is_gone():
     made = machine(Mode.ARMED)
     step(made, "remote_off")
     assert any("DI7" in reason for reason in made.acknowledge([Event("remote_off")]))
     assert made.estop is EStop.ENGAGED
     step(made)
-    assert made.arm(()) == ("the emergency stop is latched: POST /api/acknowledge first",)
+    assert made.arm(()) == (f"the emergency stop is latched: make sure that the arm is free, {ACKNOWLEDGE}",)
     assert made.acknowledge(()) == ()
     assert (made.mode, made.estop) == (Mode.DISARMED, EStop.CLEAR)
     assert made.arm(()) == ()
 
 
-def test_disarming_is_always_taken():
+def test_disarming_is_never_refused():
     for mode in (Mode.ARMING, Mode.ARMED):
         made = machine(mode)
         made.disarm("by hand")
@@ -269,6 +270,7 @@ def test_disarming_is_always_taken():
         assert made.last_stop == "by hand"
 
 
-def test_the_page_is_made_from_the_table():
-    made = Path(__file__).parents[3] / "docs" / "failsafe.md"
-    assert made.read_text() == page(), "stale: run `python -m softarm.daemon.control.failsafe > docs/failsafe.md`"
+def test_the_page_is_generated_from_the_table():
+    made = Path(__file__).parents[3] / "docs" / "reference" / "failsafe.md"
+    remedy = "stale: run `python -m softarm.daemon.control.failsafe > docs/reference/failsafe.md`"
+    assert made.read_text() == page(), remedy

@@ -9,9 +9,9 @@ from softarm.schemas.goals import Goal
 SECOND = 1_000_000_000
 
 
-def test_reached_when_the_tip_is_within_the_radius():
+def test_a_goal_is_reached_within_its_radius():
     goals = GoalTracker(Goals())
-    goals.take_up(Goal("reach", -0.2, 0.6))
+    goals.start(Goal("reach", -0.2, 0.6))
     goals.update([(-0.2, 0.5)], 5 * SECOND)
     assert goals.status.state == "running"
     goals.update([(-0.2, 0.5601)], 6 * SECOND)
@@ -21,64 +21,64 @@ def test_reached_when_the_tip_is_within_the_radius():
     assert goals.running is None
 
 
-def test_a_tip_that_passes_by_between_two_ticks_has_reached():
+def test_a_tip_that_passes_the_target_between_ticks_reaches_it():
     goals = GoalTracker(Goals())
-    goals.take_up(Goal("reach", -0.2, 0.6))
+    goals.start(Goal("reach", -0.2, 0.6))
     goals.update([(0.0, 0.52)], 0)
     goals.update([(-0.1, 0.6), (-0.21, 0.6), (-0.3, 0.6)], SECOND)
     assert goals.status.state == "reached"
     assert goals.status.closest_m == pytest.approx(0.01)
 
 
-def test_a_goal_that_is_reached_as_time_runs_out_is_reached_and_the_rest_of_the_tick_is_past_it():
+def test_a_goal_reached_at_the_time_limit_is_reached():
     goals = GoalTracker(Goals(time_limit_s=2.0))
-    goals.take_up(Goal("reach", -0.2, 0.6))
+    goals.start(Goal("reach", -0.2, 0.6))
     goals.update([(0.0, 0.52)], 0)
     goals.update([(-0.18, 0.6), (-0.2, 0.6)], 2 * SECOND)
     assert (goals.status.state, goals.status.reason) == ("reached", None)
     assert goals.status.closest_m == pytest.approx(0.02)
 
 
-def test_where_the_tip_was_before_the_goal_does_not_count():
+def test_tip_positions_before_the_goal_do_not_count():
     goals = GoalTracker(Goals())
-    goals.take_up(Goal("reach", -0.2, 0.6))
+    goals.start(Goal("reach", -0.2, 0.6))
     goals.update([(-0.2, 0.6), (-0.3, 0.6)], 0)
     assert goals.status.state == "running"
     assert goals.status.closest_m == pytest.approx(0.1)
 
 
-def test_a_tip_that_nobody_saw_has_not_reached_and_the_reason_says_so():
+def test_an_unseen_tip_fails_the_goal_with_that_reason():
     goals = GoalTracker(Goals(time_limit_s=2.0))
-    goals.take_up(Goal("reach", 0.0, 0.6))
+    goals.start(Goal("reach", 0.0, 0.6))
     goals.update([], 0)
     goals.update([], 2 * SECOND)
     assert goals.status.state == "failed"
     assert "the tip was not seen" in goals.status.reason
 
 
-def test_fails_at_the_time_limit_and_says_how_close_it_came():
+def test_a_goal_fails_at_the_time_limit_with_the_closest_distance():
     goals = GoalTracker(Goals(time_limit_s=2.0))
-    goals.take_up(Goal("reach", 0.0, 0.6))
+    goals.start(Goal("reach", 0.0, 0.6))
     goals.update([(0.0, 0.5)], 0)
     goals.update([(0.0, 0.45)], SECOND)
     assert goals.status.state == "running"
     goals.update([(0.0, 0.4)], 2 * SECOND)
     assert goals.status.state == "failed"
-    assert goals.status.reason == "not reached within 2.00 s; closest 100 mm, reached means within 40 mm"
+    assert goals.status.reason == "not reached within 2.00 s: closest distance 100 mm, required 40 mm"
 
 
-def test_a_new_goal_takes_the_place_of_the_old_and_counts_on():
+def test_a_new_goal_replaces_the_old_one():
     goals = GoalTracker(Goals())
-    goals.take_up(Goal("reach", 0.0, 0.6))
+    goals.start(Goal("reach", 0.0, 0.6))
     goals.update([(0.0, 0.59)], 0)
-    goals.take_up(Goal("reach", -0.3, 0.7))
+    goals.start(Goal("reach", -0.3, 0.7))
     assert goals.status.number == 2
     assert goals.status.closest_m is None
 
 
 def test_a_hold_has_no_end_of_its_own():
     goals = GoalTracker(Goals())
-    goals.take_up(Goal("hold"))
+    goals.start(Goal("hold"))
     goals.update([(0.0, 0.52)], 0)
     goals.update([(0.0, 0.52)], 1000 * SECOND)
     assert goals.running == goals.status.goal
@@ -90,7 +90,7 @@ TICK = SECOND // 30
 
 
 def flown(goals, ticks, tip=(0.0, 0.5), start=0):
-    """The states after each of so many ticks at 30 Hz, stamped in whole nanoseconds."""
+    """Return the states after each tick at 30 Hz, stamped in whole nanoseconds."""
     states = []
     for tick in range(ticks):
         goals.update([tip], start + tick * TICK)
@@ -100,42 +100,42 @@ def flown(goals, ticks, tip=(0.0, 0.5), start=0):
 
 def test_a_run_is_over_with_the_policys_episode_to_the_tick():
     goals = GoalTracker(Goals())
-    goals.take_up(Goal("run"), run_s=10 / 30)
+    goals.start(Goal("run"), run_s=10 / 30)
     assert flown(goals, 11) == ["running"] * 10 + ["reached"]
     assert goals.status.reason is None
     assert goals.status.closest_m is None
 
 
-def test_a_run_of_a_policy_without_an_episode_goes_on():
+def test_a_run_without_an_episode_has_no_end():
     goals = GoalTracker(Goals())
-    goals.take_up(Goal("run"))
+    goals.start(Goal("run"))
     assert set(flown(goals, 300)) == {"running"}
 
 
-def test_time_is_up_to_the_tick():
+def test_the_time_limit_ends_in_its_exact_tick():
     goals = GoalTracker(Goals(time_limit_s=10 / 30))
-    goals.take_up(Goal("reach", 0.0, 0.6))
+    goals.start(Goal("reach", 0.0, 0.6))
     assert flown(goals, 11) == ["running"] * 10 + ["failed"]
 
 
 @pytest.mark.parametrize("goal", [Goal("reach", 0.0, 0.6), Goal("hold")])
 def test_the_end_of_the_policys_episode_reaches_no_target_and_ends_no_hold(goal):
     goals = GoalTracker(Goals(time_limit_s=100))
-    goals.take_up(goal, run_s=10 / 30)
+    goals.start(goal, run_s=10 / 30)
     assert set(flown(goals, 100)) == {"running"}
 
 
-def test_every_goal_has_a_time_and_an_episode_of_its_own():
+def test_every_goal_has_its_own_time_and_episode():
     goals = GoalTracker(Goals())
-    goals.take_up(Goal("run"), run_s=10 / 30)
+    goals.start(Goal("run"), run_s=10 / 30)
     flown(goals, 5)
-    goals.take_up(Goal("run"), run_s=10 / 30)
+    goals.start(Goal("run"), run_s=10 / 30)
     assert flown(goals, 11, start=5 * TICK) == ["running"] * 10 + ["reached"]
-    goals.take_up(Goal("run"))
+    goals.start(Goal("run"))
     assert set(flown(goals, 300, start=99 * TICK)) == {"running"}
 
 
-def test_without_a_goal_nothing_is_looked_at():
+def test_without_a_goal_no_result_changes():
     goals = GoalTracker(Goals())
     before = goals.status
     goals.update([(0.0, 0.5)], SECOND)
@@ -145,9 +145,9 @@ def test_without_a_goal_nothing_is_looked_at():
 
 
 @pytest.mark.parametrize(("end", "state"), [("fail", "failed"), ("cancel", "cancelled")])
-def test_a_goal_that_is_ended_says_how_and_why_and_keeps_its_time(end, state):
+def test_an_ended_goal_keeps_state_reason_and_time(end, state):
     goals = GoalTracker(Goals())
-    goals.take_up(Goal("reach", 0.0, 0.6))
+    goals.start(Goal("reach", 0.0, 0.6))
     flown(goals, 4)
     getattr(goals, end)("because")
     assert (goals.status.state, goals.status.reason) == (state, "because")
@@ -159,7 +159,7 @@ def test_a_goal_that_is_ended_says_how_and_why_and_keeps_its_time(end, state):
 
 def test_failing_and_cancelling_leave_an_ended_goal_alone():
     goals = GoalTracker(Goals())
-    goals.take_up(Goal("reach", 0.0, 0.6))
+    goals.start(Goal("reach", 0.0, 0.6))
     goals.update([(0.0, 0.6)], 0)
     goals.fail("too late")
     goals.cancel("too late")

@@ -17,7 +17,7 @@ def test_requests_come_out_once_in_order_with_growing_numbers():
     assert kinds(inbox) == []
 
 
-def test_a_stop_comes_first_and_is_taken_even_when_the_slot_is_full():
+def test_a_stop_is_first_and_accepted_by_a_full_inbox():
     inbox = Inbox(capacity=2)
     inbox.post("arm")
     inbox.post("cancel_goal")
@@ -27,7 +27,7 @@ def test_a_stop_comes_first_and_is_taken_even_when_the_slot_is_full():
     assert kinds(inbox) == ["stop", "arm", "cancel_goal"]
 
 
-def test_stops_that_wait_are_one():
+def test_waiting_stops_share_one_number():
     inbox = Inbox(capacity=2)
     number = inbox.post("stop")
     inbox.post("arm")

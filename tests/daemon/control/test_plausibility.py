@@ -1,4 +1,4 @@
-"""What cannot be true is left out, and named within a few frames; what a healthy robot shows never is."""
+"""Plausibility of motion capture frames: faults are named within a few frames, healthy robots never."""
 
 import itertools
 import math
@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from softarm.daemon.control.plausibility import FEW, Plausibility, is_usable
-from softarm.daemon.shell.offline import Lockstep
+from softarm.daemon.runtime.offline import Lockstep
 from softarm.drivers.bodies.simulated import SimulatedBody
 from softarm.policies.base import PolicySpec
 from softarm.schemas.config import Config
@@ -20,7 +20,7 @@ HINGE_M = 0.965
 
 
 def cameras(rng=None):
-    """Frames of a swing at 120 Hz with the noise of cameras: cart and tip move, as on the robot."""
+    """Yield frames of a swing at 120 Hz with camera noise."""
     rng = rng or np.random.default_rng(0)
     for number in itertools.count(1):
         t_s = number * FRAME_NS * 1e-9
@@ -47,7 +47,7 @@ def mirrored(frame):
 
 
 def judged(frames, axis=lambda frame: frame.bodies[0].y_m):
-    """The judge after these frames, and which of them it took."""
+    """Return the judge after these frames, and the accepted ones."""
     judge = Plausibility()
     return judge, [judge.accepts(frame, axis(frame)) for frame in frames]
 
@@ -60,7 +60,7 @@ def healthy(count):
     return list(itertools.islice(cameras(), count))
 
 
-def test_a_swing_that_cameras_with_noise_see_is_never_doubted():
+def test_a_swing_with_camera_noise_is_plausible():
     judge, taken = judged(healthy(1200))
     assert all(taken)
     assert names(judge) == []
@@ -76,7 +76,7 @@ SPOILT = {
 
 
 @pytest.mark.parametrize("name", SPOILT)
-def test_the_third_frame_in_a_row_that_cannot_be_true_is_the_event_with_its_numbers(name):
+def test_the_third_implausible_frame_in_a_row_is_an_event(name):
     frames = healthy(40)
     judge, taken = judged([*frames[:37], *map(SPOILT[name], frames[37:39])])
     assert names(judge) == ["mocap_outlier"]
@@ -89,8 +89,8 @@ def test_the_third_frame_in_a_row_that_cannot_be_true_is_the_event_with_its_numb
 
 
 @pytest.mark.parametrize("rate", [1, 4])
-def test_a_tip_that_jumps_in_every_tenth_frame_is_found_whatever_the_cameras_rate(rate):
-    """0.3 m along the arc, which the arm could reach; `rate`: every frame at 120 Hz, or every fourth at 30 Hz."""
+def test_a_tip_that_jumps_in_every_tenth_frame_is_found_at_any_rate(rate):
+    """The tip jumps 0.3 m along its arc; every frame arrives, or every fourth."""
     frames = healthy(160 * rate)[::rate]
     frames = [restamped(frame, sequence=number) for number, frame in enumerate(frames)]
 
@@ -110,7 +110,7 @@ def test_a_tip_that_jumps_in_every_tenth_frame_is_found_whatever_the_cameras_rat
     assert names(judge) == ["mocap_jump"]
 
 
-def test_one_frame_that_cannot_be_true_warns_is_left_out_and_is_forgotten():
+def test_one_implausible_frame_warns_and_is_rejected():
     frames = healthy(60)
     judge, taken = judged([*frames[:10], SPOILT["mocap_jump"](frames[10]), *frames[11:30]])
     assert taken.count(False) == 1
@@ -120,8 +120,8 @@ def test_one_frame_that_cannot_be_true_warns_is_left_out_and_is_forgotten():
     assert names(judge) == []
 
 
-def test_a_tip_that_is_elsewhere_after_a_gap_is_believed_again():
-    """What lies beyond a jump is where it is, once the body has had the time to go there."""
+def test_a_tip_elsewhere_after_a_gap_is_accepted_again():
+    """A body is accepted beyond a jump once it has had the time to move there."""
     frames = healthy(80)
     _, taken = judged([*frames[:10], *(moved(f, 5, dz_m=0.06) for f in frames[10:])])
     assert taken[10:12] == [False, True]
@@ -158,7 +158,7 @@ def test_a_bridge_that_is_restarted_costs_one_frame():
     assert names(judge) == ["mocap_outlier"]
 
 
-def test_two_bridges_at_once_are_found_whichever_counts_higher():
+def test_two_simultaneous_bridges_are_found():
     for offset in (-1000, 0, 1000):
         both = itertools.chain.from_iterable(
             (restamped(f, sequence=5000 + i), restamped(f, sequence=5000 + i + offset, ahead_ns=1_000_000))
@@ -169,7 +169,7 @@ def test_two_bridges_at_once_are_found_whichever_counts_higher():
 
 
 class BangBang:
-    """As hard as commands go."""
+    """Policy with the hardest possible commands."""
 
     spec = PolicySpec("bang-bang", "as hard as commands go")
 
@@ -194,7 +194,7 @@ class BangBang:
         {"mocap.scale": {"scale": 0.02}, "mocap.rotation": {"angle": 0.02}},
     ],
 )
-def test_no_policy_on_the_simulated_robot_is_doubted_however_hard_it_swings(effects):
+def test_no_simulated_swing_is_implausible(effects):
     model = Model()
     model.effects.update(effects)
     daemon = Lockstep(Config(goals={"time_limit_s": 20.0}), BangBang(4), body=SimulatedBody(model))
@@ -213,32 +213,33 @@ def test_no_policy_on_the_simulated_robot_is_doubted_however_hard_it_swings(effe
 
 
 def still(number, cart=(0.0, HINGE_M), tip=(0.0, 0.525), ahead_ns=-2_000_000, step_ns=FRAME_NS):
-    """A frame of an arm that hangs; cameras have noise."""
+    """Return a frame of a hanging arm with camera noise."""
     noise = 1e-5 * (number % 2)
     bodies = (Pose(cart[0] + noise, cart[1], 0.0), *[Pose(0.0, 0.7, 0.0)] * 4, Pose(tip[0] + noise, tip[1], 0.0))
     return MocapFrame(number, number * step_ns, number * step_ns - ahead_ns, bodies)
 
 
 def said(*frames, axis=lambda frame: None):
-    """What is said of the last of these frames, as one that by itself cannot be true."""
+    """Return the detail of the last frame as a single outlier."""
     judge, taken = judged(frames, axis)
     return "" if taken[-1] else list(judge.events())[-1].detail.partition(";")[0]
 
 
 @pytest.mark.parametrize("ahead_ms", [4.9, 5.1])
-def test_a_stamp_may_be_ahead_by_the_clocks_noise(ahead_ms):
-    assert said(still(1, ahead_ns=round(ahead_ms * 1e6))) == ("" if ahead_ms < 5 else "5 ms ahead")
-    assert said(still(1, ahead_ns=50_000_000)) == "50 ms ahead"
+def test_a_stamp_ahead_by_the_clocks_noise_is_plausible(ahead_ms):
+    expected = "" if ahead_ms < 5 else "0.005 s ahead of CLOCK_MONOTONIC, allowed 0.005 s"
+    assert said(still(1, ahead_ns=round(ahead_ms * 1e6))) == expected
+    assert said(still(1, ahead_ns=50_000_000)) == "0.050 s ahead of CLOCK_MONOTONIC, allowed 0.005 s"
 
 
 @pytest.mark.parametrize("side", [-1, 1])
-def test_the_cart_may_be_off_the_hinges_height_by_five_centimetres(side):
+def test_a_cart_within_five_centimetres_of_the_hinges_height_is_plausible(side):
     assert said(still(1, cart=(0.0, HINGE_M + side * 0.049), tip=(0.0, 0.55))) == ""
     off_m = HINGE_M + side * 0.051
     assert said(still(1, cart=(0.0, off_m), tip=(0.0, 0.55))) == f"the cart at z {off_m:.3f} m, the hinge is at 0.965 m"
 
 
-def test_the_tip_may_be_as_far_from_the_cart_as_an_arm_can_be():
+def test_a_tip_within_the_longest_arm_is_plausible():
     longest_m = 1.15 * sum(Model().arm.link_length_m)
     for reach_m, plausible in ((0.149, False), (0.151, True), (longest_m - 1e-3, True), (longest_m + 1e-3, False)):
         found = said(still(1, tip=(reach_m, HINGE_M)))
@@ -248,8 +249,8 @@ def test_the_tip_may_be_as_far_from_the_cart_as_an_arm_can_be():
 
 @pytest.mark.parametrize(("body", "top_m_s"), [("tip", 8.0), ("cart", 2.0)])
 @pytest.mark.parametrize("step_ms", [8, 33])
-def test_a_body_may_be_as_fast_as_it_can_be_and_is_looked_at_with_cameras_noise(body, top_m_s, step_ms):
-    """After one frame, which tells no velocity."""
+def test_the_highest_velocity_plus_noise_is_plausible(body, top_m_s, step_ms):
+    """A jump directly after the first frame."""
     for off_m, plausible in ((-1e-3, True), (1e-3, False)):
         far_m = top_m_s * step_ms * 1e-3 + 0.03 + off_m
         angle = 2 * math.asin(min(1.0, far_m / 2 / 0.44))  # along the arc
@@ -263,12 +264,12 @@ def test_a_body_may_be_as_fast_as_it_can_be_and_is_looked_at_with_cameras_noise(
         )
         found = said(frames[0], MocapFrame(3, frames[1].t_capture_ns, frames[1].t_receive_ns, tuple(bodies)))
         assert (found == "") is plausible, found
-        assert plausible or found == f"the {body} by {far_m * 1e3:.0f} mm in {step_ms} ms"
+        assert plausible or found == f"the {body} moved {far_m * 1e3:.0f} mm in {step_ms} ms"
 
 
 @pytest.mark.parametrize(("place", "name", "top_m_s2"), [(5, "tip", 150.0), (0, "cart", 60.0)])
-def test_a_bodys_velocity_may_change_as_fast_as_it_can(place, name, top_m_s2):
-    """At rest in two frames 25 ms apart, and then elsewhere: by its acceleration over both steps, and noise."""
+def test_the_highest_acceleration_is_plausible(place, name, top_m_s2):
+    """A body at rest may move by its acceleration over both steps plus noise."""
     step_ns = 25_000_000
     allowed_m = top_m_s2 * 0.025**2 + 0.03
     for off_m, plausible in ((-1e-3, True), (1e-3, False)):
@@ -277,24 +278,24 @@ def test_a_bodys_velocity_may_change_as_fast_as_it_can(place, name, top_m_s2):
         assert (said(*rest, last) == "") is plausible
 
 
-def test_a_body_that_has_come_to_speed_may_still_not_be_faster_than_it_can_be():
+def test_a_velocity_above_the_highest_is_implausible():
     places_m = (0.0, 0.075, 0.160)  # the last at 3.4 m/s, of which cameras' noise may be 1.2
     frames = [
         still(number, cart=(place_m, HINGE_M), tip=(0.2 + place_m, 0.6), step_ns=25_000_000)
         for number, place_m in enumerate(places_m, start=1)
     ]
     assert said(*frames[:2]) == ""
-    assert said(*frames) == "the cart by 85 mm in 25 ms"
+    assert said(*frames) == "the cart moved 85 mm in 25 ms"
 
 
-def test_two_frames_of_one_instant_tell_no_speed():
+def test_two_frames_with_one_stamp_give_no_velocity():
     frame = still(1)
     again = MocapFrame(2, frame.t_capture_ns, frame.t_receive_ns, still(2, tip=(0.2, 0.6)).bodies)
     assert said(frame, again) == ""
 
 
 def stuck(count, place, *, came_m=0.0, cart_m=0.0, axis_m=0.0):
-    """What is said of a body that comes by so much and stays to the last digit, of so many frames, as others move."""
+    """Return the detail of a body that moves once and then repeats its pose while others move."""
     frames = [still(1, tip=(0.1, 0.6)), moved(still(2, tip=(0.1, 0.6)), place, dy_m=came_m)]
     for number in range(3, count + 2):
         share = (number - 2) / (count - 1)
@@ -305,11 +306,11 @@ def stuck(count, place, *, came_m=0.0, cart_m=0.0, axis_m=0.0):
     return said(*frames, axis=lambda frame: 0.1 + axis_m * (frame.sequence - 2) / (count - 1))
 
 
-def test_a_tip_that_stops_dead_out_of_a_swing_is_frozen_in_the_third_frame():
+def test_a_tip_that_stops_abruptly_in_a_swing_is_frozen_in_the_third_frame():
     frame_s = FRAME_NS * 1e-9
     assert stuck(2, 5, came_m=0.5 * frame_s) == ""
     found = stuck(3, 5, came_m=0.5 * frame_s)
-    assert found == "the tip at one place to the last digit in 3 frames, out of a swing at 0.5 m/s"
+    assert found == "the tip has the same pose to the last digit in 3 frames, after a swing at 0.5 m/s"
     assert stuck(3, 5, came_m=0.29 * frame_s) == ""
     assert "swing" in stuck(3, 5, came_m=0.31 * frame_s)
     assert stuck(3, 0, came_m=0.5 * frame_s) == ""  # a cart may stop dead: it has a drive
@@ -319,7 +320,7 @@ def test_a_tip_that_stops_dead_out_of_a_swing_is_frozen_in_the_third_frame():
 def test_a_tip_that_stays_while_the_cart_moves_is_frozen(side):
     assert stuck(3, 5, cart_m=side * 0.0099) == ""
     assert stuck(3, 5, cart_m=side * 0.0101) == (
-        "the tip at one place to the last digit in 3 frames, while the cart moved 10 mm"
+        "the tip has the same pose to the last digit in 3 frames, while the cart moved 10 mm"
     )
 
 
@@ -328,11 +329,11 @@ def test_a_tip_that_stays_while_the_cart_moves_is_frozen(side):
 def test_a_body_that_stays_while_the_axis_moves_is_frozen(name, place, side):
     assert stuck(3, place, axis_m=side * 0.0499) == ""
     assert stuck(3, place, axis_m=side * 0.0501) == (
-        f"the {name} at one place to the last digit in 3 frames, while the axis moved 50 mm"
+        f"the {name} has the same pose to the last digit in 3 frames, while the axis moved 50 mm"
     )
 
 
-def test_a_tip_that_stays_while_the_cart_moves_is_the_event_when_no_axis_is_heard():
+def test_a_tip_that_stays_while_the_cart_moves_is_frozen_without_an_axis():
     frames = [still(number, cart=(0.004 * number, HINGE_M)) for number in range(1, 12)]
     stays = [
         MocapFrame(f.sequence, f.t_capture_ns, f.t_receive_ns, (*f.bodies[:5], frames[0].bodies[5])) for f in frames
@@ -341,15 +342,15 @@ def test_a_tip_that_stays_while_the_cart_moves_is_the_event_when_no_axis_is_hear
     assert names(judge) == ["mocap_frozen"]
 
 
-@pytest.mark.parametrize("heard", [range(1, 3), range(3, 6), range(0)])
-def test_of_an_axis_that_was_not_heard_at_both_ends_nothing_is_known(heard):
+@pytest.mark.parametrize("readings", [range(1, 3), range(3, 6), range(0)])
+def test_an_axis_with_one_reading_shows_no_motion(readings):
     still_frames = [MocapFrame(n, n * FRAME_NS, n * FRAME_NS, still(1).bodies) for n in range(1, 6)]
-    assert said(*still_frames, axis=lambda frame: 0.2 * frame.sequence if frame.sequence in heard else None) == ""
+    assert said(*still_frames, axis=lambda frame: 0.2 * frame.sequence if frame.sequence in readings else None) == ""
 
 
 @pytest.mark.parametrize("place", [0, 5])
 @pytest.mark.parametrize("lack", [{"tracked": False}, {"y_m": math.nan}, {"z_m": math.inf}])
-def test_a_frame_is_usable_with_every_number_of_cart_and_tip_and_whatever_the_links_show(place, lack):
+def test_a_frame_needs_valid_cart_and_tip_poses_only(place, lack):
     whole = still(1)
     assert is_usable(whole)
     bodies = list(whole.bodies)

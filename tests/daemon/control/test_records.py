@@ -1,4 +1,4 @@
-"""When may a stop be answered as done? By its result, or by a later tick that holds one."""
+"""Confirmation of a stop request by its result or by a later tick."""
 
 import pytest
 
@@ -13,22 +13,22 @@ def outputs(t_ns: int, estop: EStop, *results: RequestResult) -> Outputs:
 
 
 @pytest.mark.parametrize("estop", [EStop.ENGAGED, EStop.LATCHED])
-def test_a_tick_that_began_after_it_was_asked_for_and_holds_a_stop_is_enough(estop):
+def test_a_later_tick_with_a_stop_confirms_the_request(estop):
     assert outputs(ASKED_NS, estop).has_stopped(STOP, ASKED_NS)  # a flood may have pushed its result out
 
 
-def test_a_stop_from_before_is_not_this_one():
+def test_an_earlier_stop_does_not_confirm_the_request():
     assert not outputs(ASKED_NS - 1, EStop.LATCHED).has_stopped(STOP, ASKED_NS)
 
 
-def test_its_own_result_is_enough_in_the_very_tick_that_it_slipped_into():
+def test_the_requests_own_result_confirms_it():
     assert outputs(ASKED_NS - 1, EStop.ENGAGED, RequestResult(STOP, True)).has_stopped(STOP, ASKED_NS)
 
 
 @pytest.mark.parametrize("result", [RequestResult(STOP + 1, True), RequestResult(STOP, False, ("why",))])
-def test_anothers_result_or_a_refusal_is_not(result):
+def test_the_result_of_another_request_or_a_refusal_does_not_confirm(result):
     assert not outputs(ASKED_NS - 1, EStop.ENGAGED, result).has_stopped(STOP, ASKED_NS)
 
 
-def test_a_tick_without_a_stop_has_not():
+def test_a_tick_without_a_stop_does_not_confirm():
     assert not outputs(ASKED_NS + 1, EStop.CLEAR, RequestResult(3, True)).has_stopped(STOP, ASKED_NS)

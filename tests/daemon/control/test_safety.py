@@ -1,4 +1,4 @@
-"""The safety filter: whatever is wanted, what is sent keeps cart and muscle within their limits."""
+"""Safety filter: every sent command keeps cart and muscle within their limits."""
 
 import math
 from collections import deque
@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from softarm.common.braking import CREEP_MAX_M_S, RETURN_SPEED_M_S
 from softarm.daemon.control.safety import SafetyFilter
-from softarm.daemon.shell.offline import Lockstep
+from softarm.daemon.runtime.offline import Lockstep
 from softarm.policies.base import PolicySpec
 from softarm.schemas.config import Config, DryveRail, Limits, PressureLimits, RailLimits
 from softarm.schemas.goals import Goal
@@ -38,7 +38,7 @@ readings = st.none() | st.builds(read, any_number, any_number, st.integers(-(10*
 
 
 @given(st.lists(st.tuples(any_number, any_number, readings), min_size=1, max_size=20))
-def test_whatever_comes_in_what_goes_out_is_within_every_limit(steps):
+def test_every_sent_command_is_within_every_limit(steps):
     safety = make()
     pressure = 0.0
     for tick, (velocity, kpa, rail) in enumerate(steps):
@@ -57,7 +57,7 @@ def test_an_action_within_the_limits_passes_untouched_in_the_middle_of_the_rail(
 
 
 class RampingCart:
-    """A velocity-mode drive with latency whose ramp the arm helps or hinders, at 1 kHz."""
+    """Drive in velocity mode at 1 kHz with latency and a disturbing arm."""
 
     def __init__(self, position: float, pulls) -> None:
         self.position, self.velocity = position, 0.0
@@ -84,7 +84,7 @@ class RampingCart:
     st.lists(st.sampled_from([33, 33, 34, 67, 133]), min_size=1, max_size=5),
 )
 def test_no_sequence_of_actions_drives_the_cart_past_its_limits(velocities, start, pulls, ages, pauses):
-    """However old the readings are and whichever ticks are skipped."""
+    """The limits hold for readings of any age and any skipped ticks."""
     safety = make()
     cart = RampingCart(start, pulls)
     cart.advance(0.0, 0, 1)
@@ -105,7 +105,7 @@ def test_a_mirrored_world_gets_mirrored_commands(velocities, position, speed):
         assert one.cart_velocity_m_s == -other.cart_velocity_m_s
 
 
-def test_at_the_end_of_the_rail_only_the_way_back_is_open():
+def test_at_the_end_of_the_rail_only_motion_inwards_is_allowed():
     safety = make()
     out, clamps = safety.apply(Command(True, 1.0, 0.0), read(RAIL.position_max_m, 0.0), 0)
     assert out.cart_velocity_m_s <= 0
@@ -118,13 +118,13 @@ def test_at_the_end_of_the_rail_only_the_way_back_is_open():
 
 
 @pytest.mark.parametrize("side", [-1, 1])
-def test_a_cart_outside_comes_back_gently_by_itself(side):
+def test_a_cart_outside_the_limits_returns_slowly(side):
     sent, _ = make().apply(Command(True, 0.0, 0.0), read(side * 0.28, 0.0), 0)
     assert sent.cart_velocity_m_s == pytest.approx(-side * RETURN_SPEED_M_S)
 
 
 def under_way(velocity: float) -> SafetyFilter:
-    """A filter that has sent one velocity for ten ticks, the last of them at -1."""
+    """Return a filter that sent one velocity for ten ticks ending at t = -1."""
     safety = make()
     for tick in range(-10, 0):
         safety.apply(Command(True, velocity, 0.0), read(-0.2, velocity, tick * SOON_NS), tick * SOON_NS)
@@ -133,7 +133,7 @@ def under_way(velocity: float) -> SafetyFilter:
 
 @pytest.mark.parametrize("age_s", [0.0, 0.03, 0.15])
 def test_braking_begins_at_the_braking_distance(age_s):
-    """At 0.9 m/s: what the reading is old, the latency, as long as the link holds the command, then v^2 / 2a.
+    """At 0.9 m/s: age of the reading, latency and hold time of the link, then v^2 / 2a.
 
     And what an arm may have dragged the cart along since the reading.
     """
@@ -146,8 +146,8 @@ def test_braking_begins_at_the_braking_distance(age_s):
         assert ("rail_position_max" in clamps) is not passes
 
 
-def test_after_a_pause_the_link_has_braked_and_that_counts():
-    """From 0.5 m/s, the cart may stand already or still roll: no more speed passes than if it rolled."""
+def test_braking_by_the_link_after_a_pause_is_assumed():
+    """A cart at 0.5 m/s may have stopped or still roll: the filter assumes that it rolls."""
     seen = read(0.13, 0.5, -SOON_NS)
     fresh, _ = under_way(0.5).apply(Command(True, 0.5, 0.0), seen, 0)
     later, _ = under_way(0.5).apply(Command(True, 0.5, 0.0), seen, 4 * SOON_NS)
@@ -157,7 +157,7 @@ def test_after_a_pause_the_link_has_braked_and_that_counts():
     assert never.cart_velocity_m_s == 0.5
 
 
-def test_a_reading_that_is_too_old_is_none():
+def test_a_reading_that_is_too_old_is_ignored():
     old_ns = 500_000_000
     for age_ns, unknown in ((old_ns, False), (old_ns + 1000, True)):
         sent, clamps = make().apply(Command(True, -0.1, 3.0), MIDDLE, age_ns)
@@ -173,8 +173,8 @@ def test_a_stamp_ahead_of_the_clock_is_a_reading_of_now():
 
 
 @pytest.mark.parametrize("seed", range(40))
-def test_what_is_forgotten_of_the_commands_could_not_matter_any_more(seed):
-    """Of a reading as old as any that counts, and with ticks left out: the law says the same with all that was sent."""
+def test_forgotten_commands_can_no_longer_act(seed):
+    """With the oldest usable reading and skipped ticks, the law gives the same as with all sent commands."""
     draw = np.random.default_rng(seed)
     safety, sent, now_ns = make(), [], 0
     for _ in range(40):
@@ -182,15 +182,15 @@ def test_what_is_forgotten_of_the_commands_could_not_matter_any_more(seed):
         wanted = float(draw.choice([-1.0, 1.0]))
         age_ns = int(draw.choice([0, 250, 450, 499, 500])) * 1_000_000
         seen = read(float(draw.uniform(-0.1, 0.1)), float(draw.uniform(-0.3, 0.3)), now_ns - age_ns)
-        told = [((now_ns - at_ns) * 1e-9, each) for at_ns, each in sent]
-        law = RAIL.braking_law(HOLD_S).bound(wanted, seen.position_m, seen.velocity_m_s, age_ns * 1e-9, told)
+        set_points = [((now_ns - at_ns) * 1e-9, each) for at_ns, each in sent]
+        law = RAIL.braking_law(HOLD_S).bound(wanted, seen.position_m, seen.velocity_m_s, age_ns * 1e-9, set_points)
         passed, _ = safety.apply(Command(True, wanted, 0.0), seen, now_ns)
         assert passed.cart_velocity_m_s == law.velocity_m_s
         sent.append((now_ns, passed.cart_velocity_m_s))
 
 
-def test_what_was_sent_instead_counts():
-    """A replay stands where the record does: the axis under another command, the muscle from another pressure."""
+def test_resume_replaces_the_last_command():
+    """A replay continues from the recorded command of axis and muscle."""
     safety = make(None, pressure=PressureLimits(slew_max_kpa_s=60.0))
     safety.apply(Command(True, -1.0, 0.0), MIDDLE, 0)
     safety.resume(Command(True, 0.4, 10.0))
@@ -199,7 +199,7 @@ def test_what_was_sent_instead_counts():
     assert sent.pressure_kpa == pytest.approx(12.0)
 
 
-def test_what_is_remembered_of_the_commands_is_bounded():
+def test_the_memory_of_commands_is_bounded():
     safety = make()
     for tick in range(2000):
         safety.apply(Command(True, 0.1, 0.0), None if tick < 1000 else MIDDLE, tick * SOON_NS)
@@ -216,7 +216,7 @@ def test_what_is_remembered_of_the_commands_is_bounded():
         (Command(True, 0.1, math.inf), "non_finite"),
     ],
 )
-def test_every_clamp_says_its_name(wanted, clamp):
+def test_every_clamp_has_a_name(wanted, clamp):
     _, clamps = make().apply(wanted, MIDDLE, 0)
     assert clamp in clamps
 
@@ -226,18 +226,18 @@ def test_a_pressure_at_its_limit_is_within_it(kpa):
     assert make().apply(Command(True, 0.0, kpa), MIDDLE, 0) == (Command(True, 0.0, kpa), ())
 
 
-def test_a_number_that_is_none_brakes_and_vents():
+def test_nan_or_infinity_brakes_and_vents():
     sent, _ = make().apply(Command(True, math.nan, 10.0), MIDDLE, 0)
     assert sent == Command(True, 0.0, 0.0)
     sent, _ = make().apply(Command(True, 1.0, 10.0), read(math.nan, 0.0), 0)
     assert sent == Command(True, 0.0, 0.0)
 
 
-def test_what_is_off_stays_off_wherever_the_cart_is():
+def test_a_disabled_command_stays_disabled():
     assert make().apply(Command(False, 1.0, 9.0), read(0.28, 0.5), 0) == (SAFE, ())
 
 
-def test_without_a_cart_state_the_cart_stands_still():
+def test_without_a_cart_state_the_cart_brakes():
     sent, clamps = make().apply(Command(True, 0.5, 3.0), None, 0)
     assert sent == Command(True, 0.0, 3.0)
     assert clamps == ("rail_unknown",)
@@ -261,7 +261,7 @@ def test_a_drive_without_its_own_ramp_has_its_set_points_slewed():
 
 
 @pytest.mark.parametrize("ramp", [None, RAIL.acceleration_max_m_s2 + 0.1])
-def test_so_has_one_whose_ramp_is_steeper_than_the_cart_may_have_and_both_ways(ramp):
+def test_a_drive_with_a_steep_ramp_is_slewed_in_both_directions(ramp):
     safety, step = make(drive_ramp=ramp), RAIL.acceleration_max_m_s2 * PERIOD
     wanted = [0.5, 0.5, 0.5, 0.5, -0.5, -0.5, -0.5]
     sent = [
@@ -271,15 +271,15 @@ def test_so_has_one_whose_ramp_is_steeper_than_the_cart_may_have_and_both_ways(r
     assert sent == pytest.approx([step, 2 * step, 0.5, 0.5, 0.5 - step, 0.5 - 2 * step, 0.5 - 3 * step])
 
 
-def test_one_whose_own_ramp_is_gentle_enough_is_left_to_it():
+def test_a_drive_with_a_gentle_ramp_is_not_slewed():
     sent, clamps = make(drive_ramp=RAIL.acceleration_max_m_s2).apply(Command(True, 0.5, 0.0), MIDDLE, 0)
     assert (sent.cart_velocity_m_s, clamps) == (0.5, ())
 
 
-class Wild:
-    """Tries to throw the cart off the rail: bang-bang in time, or in step with the arm's swing."""
+class Adversary:
+    """Policy that pushes the cart beyond the rail, by time or with the arm's swing."""
 
-    spec = PolicySpec("wild", "adversarial")
+    spec = PolicySpec("adversary", "adversarial")
 
     def __init__(self, kind: str, seed: int) -> None:
         self._kind = kind
@@ -302,9 +302,9 @@ class Wild:
 
 @pytest.mark.parametrize("kind", ["bang_bang", "with_swing", "against_swing"])
 def test_on_the_simulated_robot_no_policy_passes_the_limits(kind):
-    """The arm's pull included, which the filter does not model but only allows for."""
+    """The limits hold with the arm's pull, which the filter does not model."""
     for seed in range(6 if kind == "bang_bang" else 1):
-        flights = Lockstep(Config(), Wild(kind, seed))
+        flights = Lockstep(Config(), Adversary(kind, seed))
         for start in (-0.2, 0.0, 0.2):
             flight = flights.fly(Goal("reach", 0.59, 0.51), start)
             assert flight.status.state == "failed"  # out of time, not stopped by the failsafe

@@ -1,4 +1,4 @@
-"""A simulated daemon and a real browser before it: Debian's Chromium, or none, and then the tests say so."""
+"""A simulated daemon and a real browser, Debian's Chromium; without it the tests are skipped with a reason."""
 
 import contextlib
 import re
@@ -10,29 +10,31 @@ from urllib.parse import urlsplit
 import httpx
 import pytest
 
-from softarm.daemon.shell import daemon as shell
+from softarm.daemon.assembly import Daemon
+from softarm.daemon.runtime.devices import simulated_devices
 from softarm.schemas.config import Config
 
-PATIENCE_MS = 20_000  # a busy machine is slow, not wrong
-# A busy machine skips ticks, and reads late: no reason to stop an arm that is not there.
-PATIENT = {"missed_ticks_max": 30, "policy_budget_s": 0.03} | dict.fromkeys(
+TIMEOUT_MS = 60_000
+# Longer than a configuration allows: a busy machine skips ticks for seconds, which must not stop a simulated arm.
+FAILSAFE = {"missed_ticks_max": 10_000, "policy_budget_s": 60.0} | dict.fromkeys(
     ("mocap_stale_s", "pressure_stale_s", "rail_stale_s"), 1.0
 )
-# A browser says so of every answer of 400 and more, and of every connection that fails.
-SAID_OF_ANSWERS = re.compile(r"Failed to load resource|WebSocket connection to|net::ERR_|blocked by CORS policy")
+# Messages of the browser for every answer of 400 and more and every failed connection.
+EXPECTED_MESSAGES = re.compile(r"Failed to load resource|WebSocket connection to|net::ERR_|blocked by CORS policy")
 
 
 @contextlib.contextmanager
-def running(tmp_path, port: int = 0, **api) -> Iterator[shell.Daemon]:
-    """A daemon with a robot simulated in this process."""
+def running(tmp_path, port: int = 0, **api) -> Iterator[Daemon]:
+    """Run a daemon with a robot simulated in this process."""
     there = {"port": port, "stop_port": 0, "reports": tmp_path / "reports"}
     settings = {
         "api": there | api,
         "recorder": {"directory": tmp_path},
-        "control": {"realtime_priority": 0},  # or a browser that is started from now on would have it, too
-        "failsafe": PATIENT,
+        "control": {"realtime_priority": 0},  # a browser started later would inherit it
     }
-    made = shell.Daemon(Config.model_validate(settings), shell.simulated_devices())
+    config = Config.model_validate(settings)
+    config = config.model_copy(update={"failsafe": config.failsafe.model_copy(update=FAILSAFE)})
+    made = Daemon(config, simulated_devices())
     made.start()
     try:
         yield made
@@ -42,16 +44,16 @@ def running(tmp_path, port: int = 0, **api) -> Iterator[shell.Daemon]:
 
 @pytest.fixture(scope="module")
 def daemon(tmp_path_factory, browser):
-    """One for all tests of a file. The browser is there first: without one none is started."""
+    """Yield one daemon for all tests of a file, started only if there is a browser."""
     with running(tmp_path_factory.mktemp("logs")) as made:
         yield made
 
 
 class Robot:
-    """What the daemon itself says and does, asked without the page."""
+    """The daemon's REST API, without the page."""
 
     def __init__(self, url: str) -> None:
-        self.client = httpx.Client(base_url=url, timeout=5)
+        self.client = httpx.Client(base_url=url, timeout=60)
 
     @property
     def status(self) -> dict:
@@ -60,8 +62,8 @@ class Robot:
     def ask(self, path: str, body: object = None) -> httpx.Response:
         return self.client.post(path, json=body)
 
-    def until(self, met: Callable[[dict], bool], seconds: float = 10.0) -> dict:
-        """The first status that meets it."""
+    def until(self, met: Callable[[dict], bool], seconds: float = 60.0) -> dict:
+        """Return the first status that meets a condition."""
         deadline = time.monotonic() + seconds
         while not met(status := self.status):
             assert time.monotonic() < deadline, status
@@ -69,8 +71,8 @@ class Robot:
         return status
 
     def calm(self) -> None:
-        """Disarmed at once, whatever went before."""
-        self.until(lambda status: status.get("arming_refusals") == [] or status.get("mode") == "stopped", seconds=30)
+        """Disarm from any mode."""
+        self.until(lambda status: status.get("arming_refusals") == [] or status.get("mode") == "stopped")
         self.ask("/api/stop")
         assert self.ask("/api/acknowledge").status_code == 200
 
@@ -81,11 +83,26 @@ class Robot:
 
 @pytest.fixture
 def robot(daemon):
-    """The daemon's robot, disarmed."""
+    """Yield the daemon's robot, disarmed."""
     made = Robot(daemon.url)
     with made.client:
         made.calm()
         yield made
+
+
+@pytest.fixture
+def round_trip_s():
+    """Return round_trip_s(page), which measures the present load by the longest of three browser round trips."""
+
+    def measure(page) -> float:
+        durations = []
+        for _ in range(3):
+            began = time.monotonic()
+            page.evaluate("() => new Promise(requestAnimationFrame)")
+            durations.append(time.monotonic() - began)
+        return max(durations)
+
+    return measure
 
 
 SIZE = {"width": 1280, "height": 860}
@@ -93,12 +110,12 @@ SIZE = {"width": 1280, "height": 860}
 
 @pytest.fixture(scope="module")
 def desk(browser):
-    """A context of a browser for all pages of a file that need none of their own: it has the scripts already."""
+    """Return a browser context shared by the pages of a file, with cached scripts."""
     return browser.new_context(viewport=SIZE)
 
 
 class Watched:
-    """Opens pages and keeps what is wrong with them: errors, requests to elsewhere, files that are missing."""
+    """Opens pages and collects errors, requests to other hosts and missing files."""
 
     def __init__(self, browser, desk, url: str) -> None:
         self._browser, self._desk, self._url = browser, desk, url
@@ -107,12 +124,12 @@ class Watched:
     def __call__(
         self, look: bool = True, url: str | None = None, apart: bool = False, closed_streams: bool = False, **options
     ):
-        """A page as soon as it is live.
+        """Open a page.
 
-        look: wait for that. url: of another daemon. apart: in a context of its own. closed_streams: no WebSocket opens.
+        look: wait until it is live. url: of another daemon. apart: in a new context. closed_streams: block WebSockets.
         """
         context = self._context(options) if options or apart else self._desk
-        context.set_default_timeout(PATIENCE_MS)
+        context.set_default_timeout(TIMEOUT_MS)
         page = context.new_page()
         self._pages.append(page)
         page.on("console", self._console)
@@ -133,7 +150,7 @@ class Watched:
         return context
 
     def _console(self, message) -> None:
-        if message.type in ("error", "warning") and not SAID_OF_ANSWERS.search(message.text):
+        if message.type in ("error", "warning") and not EXPECTED_MESSAGES.search(message.text):
             self.wrong.append(f"console: {message.text}")
         if "Content Security Policy" in message.text:
             self.wrong.append(message.text)
@@ -154,7 +171,7 @@ class Watched:
 
 @pytest.fixture
 def opened(browser, desk, daemon):
-    """opened(**options of a browser context): the dashboard; nothing may have been wrong with it in the end."""
+    """Yield opened(**options of a browser context); the test fails if a page had errors."""
     watched = Watched(browser, desk, f"{daemon.url}/")
     yield watched
     watched.close()
@@ -163,13 +180,13 @@ def opened(browser, desk, daemon):
 
 @pytest.fixture
 def page(robot, opened):
-    """The dashboard of a disarmed robot."""
+    """Return the dashboard of a disarmed robot."""
     return opened()
 
 
 @pytest.fixture
 def press():
-    """press(page, y_m, z_m): click there in the drawing; how it is scaled is read off its axis."""
+    """Return press(page, y_m, z_m), which clicks that point in the drawing."""
     return lambda page, y_m, z_m, tap=False: _press(page, y_m, z_m, tap)
 
 
@@ -196,13 +213,13 @@ def _press(page, y_m: float, z_m: float, tap: bool) -> None:
 
 @pytest.fixture(scope="session")
 def started():
-    """With started(tmp_path, port, **api) as daemon."""
+    """Return a context manager: started(tmp_path, port, **api) as daemon."""
     return running
 
 
 @pytest.fixture
 def asking():
-    """asking(url): the robot of another daemon."""
+    """Yield asking(url), which returns the robot of another daemon."""
     with contextlib.ExitStack() as made:
 
         def ask(url: str) -> Robot:
@@ -215,7 +232,7 @@ def asking():
 
 @pytest.fixture
 def threads():
-    """threads(function, number): run it in so many until the test ends; it is told by an event."""
+    """Yield threads(function, number), which runs threads until an event at the end of the test."""
     over, made = threading.Event(), []
 
     def start(function: Callable[[threading.Event], None], number: int) -> None:

@@ -1,38 +1,38 @@
-"""The arm is drawn as it is, and goes where a person clicks."""
+"""Drawing of the arm, which moves to clicked targets."""
 
 import json
 import re
 
 import pytest
 
-pytestmark = [pytest.mark.slow, pytest.mark.realtime]
+pytestmark = pytest.mark.slow
 
-ENDED = re.compile("reached|missed|cancelled")  # whichever: on a busy machine the arm may miss
+ENDED = re.compile("reached|missed|cancelled")  # on a busy machine the arm may miss
 
 REFUSED = (0.55, 0.52)  # in the drawing, and beyond the arm's reach
 
 
-def said(page) -> str:
+def result(page) -> str:
     return page.locator("#said").inner_text()
 
 
 def test_five_links_hang_from_the_cart_and_move_with_the_robot(page, robot, press):
     robot.arm()
     points = page.locator("#drawing .links").get_attribute("points")
-    assert len(points.split()) == 6
+    assert page.locator("#drawing .joint[visibility=visible]").count() == 4
     press(page, -0.25, 0.62)
     page.wait_for_function("(was) => document.querySelector('.links').getAttribute('points') !== was", arg=points)
     page.locator("#goal dd", has_text=ENDED).wait_for()
     trail = page.locator("#drawing .trail.t5").get_attribute("d")
-    assert trail.count("L") >= 5  # the tip's last places, that it has been at
+    assert trail.count("L") >= 5  # the last positions of the tip
 
 
 def test_the_drawing_shows_the_bodies_where_the_status_has_them(page):
-    told = {}
+    bodies = {}
 
     def keep(frame: str) -> None:
         status = json.loads(frame)
-        told[str(status["tick"])] = status["bodies"]
+        bodies[str(status["tick"])] = status["bodies"]
 
     page.on("websocket", lambda socket: socket.on("framereceived", keep))
     page.reload()
@@ -42,29 +42,32 @@ def test_the_drawing_shows_the_bodies_where_the_status_has_them(page):
           const [left, right] = [...document.querySelectorAll("#drawing .hard-limit")].map((end) => end.getBBox());
           const scale = (right.x - left.x - left.width) / 0.6, middle = (right.x + left.x + left.width) / 2;
           const rail = left.y + left.height / 2;
-          const points = document.querySelector(".links").getAttribute("points").split(" ").map((point) => {
-            const [x, y] = point.split(",").map(Number);
+          const drawn = document.querySelectorAll("#drawing :is(.joint[visibility=visible], .tip)");
+          const points = [...drawn].map((point) => {
+            const [x, y] = ["cx", "cy"].map((name) => Number(point.getAttribute(name)));
             return [(x - middle) / scale, 0.965 - (y - rail) / scale];
           });
           return [document.querySelector("#drawing svg").dataset.tick, points];
         }"""
     )
-    for (y, z), body in zip(drawn, told[tick], strict=True):
+    while tick not in bodies:  # the browser reports a frame of the stream after the page has used it
+        page.wait_for_timeout(10)
+    for (y, z), body in zip(drawn, bodies[tick][1:], strict=True):
         assert (y, z) == pytest.approx(body, abs=0.001)
 
 
-def test_a_click_sends_the_tip_there_and_says_so(page, robot, press):
+def test_a_click_sends_a_target_and_shows_the_result(page, robot, press):
     robot.arm()
     press(page, -0.2, 0.65)
     page.locator("#said .notice.done").wait_for()
     goal = robot.status["goal"]["goal"]
     assert (goal["y_m"], goal["z_m"]) == pytest.approx((-0.2, 0.65), abs=0.003)
-    assert re.search(r"Target y −0\.\d+, z 0\.6\d+ m: taken", said(page))
+    assert re.search(r"Target y −0\.\d+, z 0\.6\d+ m: accepted", result(page))
     page.locator("#drawing .goal:not([data-state=running])").wait_for()
     assert page.locator("#drawing .goal").get_attribute("data-state") == robot.status["goal"]["state"]
 
 
-def test_a_target_out_of_reach_is_refused_in_the_daemons_words(page, robot, press):
+def test_a_target_out_of_reach_is_refused_with_the_daemons_reason(page, robot, press):
     robot.arm()
     press(page, *REFUSED)
     page.locator("#said .notice.refused").wait_for()
@@ -75,20 +78,20 @@ def test_a_target_out_of_reach_is_refused_in_the_daemons_words(page, robot, pres
     assert [one.lower() for one in shown] == [one.lower() for one in answer.json()["reasons"]]
 
 
-def test_a_disarmed_robot_says_that_it_has_to_be_armed(page, press):
+def test_a_disarmed_robot_refuses_a_target(page, press):
     press(page, -0.2, 0.65)
     page.locator("#said .notice.refused").wait_for()
-    assert "arm" in said(page)
+    assert "arm" in result(page)
 
 
-def test_a_doubtful_target_is_taken_with_the_daemons_warning(page, robot, press):
+def test_a_doubtful_target_is_accepted_with_a_warning(page, robot, press):
     robot.arm()
     press(page, 0.3, 0.6)
     page.locator("#said .notice.warned").wait_for()
-    assert "lies outside what the policy 'reach' was trained on" in said(page)
+    assert "outside the training range of the policy 'reach'" in result(page)
 
 
-def test_what_lies_under_the_pointer_is_told_before_it_is_clicked(page):
+def test_the_point_under_the_pointer_is_shown_before_the_click(page):
     page.locator("#drawing svg").hover(position={"x": 300, "y": 200})
     aim = page.locator("#drawing .preview")
     assert aim.get_attribute("visibility") == "visible"
@@ -108,7 +111,7 @@ def test_a_finger_taps_a_target(robot, opened, press):
     assert (goal["y_m"], goal["z_m"]) == pytest.approx((-0.2, 0.65), abs=0.005)
 
 
-def test_two_numbers_are_a_target_too(page, robot):
+def test_two_numbers_send_a_target(page, robot):
     robot.arm()
     page.locator("#target-y").fill("-0.31")
     page.locator("#target-z").fill("0.6")
@@ -119,22 +122,22 @@ def test_two_numbers_are_a_target_too(page, robot):
     page.locator("#target-y").fill("")
     page.locator("#do-reach").click()
     page.locator("#said .notice.refused").wait_for()
-    assert "have to be numbers" in said(page)
+    assert "must be numbers" in result(page)
 
 
-def test_where_the_policy_was_trained_is_shaded_and_what_is_in_reach(page):
+def test_trained_range_and_reachable_area_are_shaded(page):
     assert page.locator("#drawing .trained").count() == 1
     assert page.locator("#drawing .within-reach").count() == 1
     assert page.locator("#drawing .soft-limit").count() == page.locator("#drawing .hard-limit").count() == 2
 
 
-def test_two_people_see_each_others_targets_and_who_asked(page, robot, opened, press):
+def test_two_pages_see_each_others_targets_and_their_source(page, robot, opened, press):
     robot.arm()
     other = opened()
     press(other, -0.3, 0.6)
     page.locator("#drawing .goal[visibility=visible]").wait_for()
-    page.locator("#goal >> text=the API").wait_for()
+    page.locator("#goal >> text=the dashboard").wait_for()
     page.locator("#panel-goals-tab").click()
     goal = robot.status["goal"]["goal"]
-    told = f"Reach y {goal['y_m']:g}, z {goal['z_m']:g} m; the API"
-    page.locator("#panel-goals li:first-child", has_text=told).wait_for()
+    shown = f"Reach y {goal['y_m']:g}, z {goal['z_m']:g} m, from the dashboard"
+    page.locator("#panel-goals li:first-child", has_text=shown).wait_for()

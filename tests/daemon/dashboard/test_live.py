@@ -1,4 +1,4 @@
-"""What is shown is live, or says that it is not; the charts have the last minute, before and after a reload."""
+"""The page shows live data or reports that it is stale; the charts survive a reload."""
 
 import re
 import time
@@ -6,9 +6,9 @@ from dataclasses import replace
 
 import pytest
 
-pytestmark = [pytest.mark.slow, pytest.mark.realtime]
+pytestmark = pytest.mark.slow
 
-ENDED = re.compile("reached|missed|cancelled")  # whichever: on a busy machine the arm may miss
+ENDED = re.compile("reached|missed|cancelled")  # on a busy machine the arm may miss
 
 
 def greyed(page) -> bool:
@@ -18,7 +18,7 @@ def greyed(page) -> bool:
     )
 
 
-def test_a_lost_daemon_is_said_at_once_and_found_again_by_itself(tmp_path, browser, opened, started, asking):
+def test_a_lost_daemon_is_reported_and_reconnected(tmp_path, browser, opened, started, asking):
     with started(tmp_path) as first:
         port = first.port
         page = opened(url=f"{first.url}/")
@@ -45,29 +45,31 @@ def age(page) -> float:
     return float(re.search(r"is ([0-9.]+) s old", page.locator("#lost-age").inner_text())[1])
 
 
-def test_silence_is_lost_within_a_second_or_two_though_the_connection_stands(page, monkeypatch):
-    """A cable that is pulled closes nothing: the browser's end stays open, and nothing comes."""
+@pytest.mark.realtime
+def test_a_silent_connection_counts_as_lost_within_two_seconds(page, monkeypatch, round_trip_s):
+    """A pulled cable leaves the browser's end of the connection open."""
     page.context.set_offline(True)
     page.route("**/api/**", lambda route: None)
     monkeypatch.setattr("softarm.daemon.api.status.StatusView.json", lambda view: None)
+    allowed_s = 2 + 10 * round_trip_s(page)
     cut = time.monotonic()
     page.locator("#link[data-link=lost]").wait_for()
-    assert time.monotonic() - cut < 2
-    assert 0.9 < age(page) < 2
+    assert time.monotonic() - cut < allowed_s
+    assert 0.9 < age(page) < allowed_s
     monkeypatch.undo()
     page.context.set_offline(False)
     page.unroute_all()
     page.locator("#link[data-link=live]").wait_for()
 
 
-def test_a_control_loop_that_stands_still_is_not_shown_as_live(page, robot, daemon, monkeypatch):
+def test_a_stalled_control_loop_is_not_shown_as_live(page, robot, daemon, monkeypatch):
     old = replace(daemon.loop.snapshot)
     monkeypatch.setattr(type(daemon.loop), "snapshot", property(lambda _: old, lambda _, value: None), raising=False)
     page.locator("#link[data-link=stalled]").wait_for()
-    assert "does not tick" in page.locator("#lost").inner_text()
+    assert "control loop does not tick" in page.locator("#lost").inner_text()
     page.wait_for_function("() => getComputedStyle(document.querySelector('#arm')).opacity < 0.5")
     assert greyed(page)
-    page.wait_for_timeout(1200)  # longer than a silence may be
+    page.wait_for_timeout(1200)  # longer than the allowed silence
     assert page.locator("#link").get_attribute("data-link") == "stalled"
     monkeypatch.undo()
     page.locator("#link[data-link=live]").wait_for()
@@ -78,11 +80,11 @@ def test_the_charts_survive_a_reload(page, robot):
     robot.until(lambda status: status["uptime_s"] > 4)
     page.reload()
     shown = "() => Number(document.querySelector('#plots').dataset.seconds) > performance.now() / 1000 + 2"
-    page.wait_for_function(shown)  # from before this page
+    page.wait_for_function(shown)  # data from before the reload
     assert page.locator("#plots canvas").count() == 6
 
 
-def test_a_chart_tells_its_newest_value_and_that_under_the_pointer(page, robot, press):
+def test_a_chart_shows_its_newest_value_and_the_one_under_the_pointer(page, robot, press):
     robot.arm()
     press(page, -0.25, 0.62)
     page.locator("#goal dd", has_text=ENDED).wait_for()
@@ -95,13 +97,13 @@ def test_a_chart_tells_its_newest_value_and_that_under_the_pointer(page, robot, 
     assert re.search(r"\d+\.\d s before the pause", page.locator("#charts-note").inner_text())
     box = over.bounding_box()
     seen = set()
-    for back in range(2, 12):  # somewhere in the last seconds the pressure was another
+    for back in range(2, 12):  # the pressure changed within the last seconds
         page.mouse.move(box["x"] + box["width"] - back, box["y"] + 40)
         seen.add(tuple(pressure.all_inner_texts()))
     assert len(seen | {tuple(newest)}) > 2
 
 
-def test_pause_holds_the_charts_and_not_the_robot(page, robot):
+def test_pause_freezes_the_charts_but_not_the_drawing(page, robot):
     page.locator("#pause").click()
     assert page.locator("#pause").get_attribute("aria-pressed") == "true"
     held = page.locator("#plots").get_attribute("data-seconds")
@@ -114,7 +116,8 @@ def test_pause_holds_the_charts_and_not_the_robot(page, robot):
     page.wait_for_function("(was) => document.querySelector('#plots').dataset.seconds !== was", arg=held)
 
 
-def test_a_chart_that_comes_onto_the_screen_has_the_newest(page, robot):
+@pytest.mark.realtime
+def test_a_chart_that_scrolls_into_view_has_the_newest_data(page, robot):
     tick = robot.status["tick"]
     page.wait_for_function("(was) => Number(document.querySelector('#drawing svg').dataset.tick) > was + 60", arg=tick)
     page.locator("#pause").click()
@@ -123,19 +126,19 @@ def test_a_chart_that_comes_onto_the_screen_has_the_newest(page, robot):
     box = ages.bounding_box()
     ages.hover(position={"x": box["width"] - 1, "y": box["height"] / 2})
     page.wait_for_function("() => document.querySelector('#charts-note').textContent.includes('before the pause')")
-    told = page.locator("#charts-note").inner_text()
-    assert float(re.search(r"([0-9.]+) s before", told)[1]) < 0.7
+    note = page.locator("#charts-note").inner_text()
+    assert float(re.search(r"([0-9.]+) s before", note)[1]) < 0.7
 
 
-def test_the_browser_hears_of_each_mode_in_words(page, robot):
+def test_screen_readers_get_each_mode(page, robot):
     robot.arm()
     page.wait_for_function("() => document.querySelector('#spoken').textContent.startsWith('Armed.')")
     robot.ask("/api/stop")
     page.wait_for_function("() => document.querySelector('#spoken').textContent.startsWith('Emergency stop.')")
 
 
-def test_where_no_stream_comes_through_the_page_asks_for_statuses(robot, opened):
-    """Some proxies let no WebSocket through."""
+def test_without_a_stream_the_page_polls_the_status(robot, opened):
+    """Some proxies block WebSockets."""
     page = opened(look=False, closed_streams=True)
     page.locator("#link[data-link=live]").wait_for()
     robot.arm()
@@ -146,7 +149,7 @@ def test_where_no_stream_comes_through_the_page_asks_for_statuses(robot, opened)
     assert page.locator("#link").get_attribute("data-link") == "live"
 
 
-def test_a_page_that_may_not_ask_says_why(opened):
+def test_a_refused_page_shows_the_reason(opened):
     page = opened()
     refused = {"status": 403, "json": {"detail": "no", "reasons": ["a page of 'x' may not command this robot"]}}
     page.route(re.compile("/api/(ticket|status)"), lambda route: route.fulfill(**refused))
@@ -154,7 +157,7 @@ def test_a_page_that_may_not_ask_says_why(opened):
     page.locator("#lost", has_text="A page of 'x' may not command this robot").wait_for()
 
 
-def test_a_policy_that_somebody_else_chose_is_shown(page, robot):
+def test_a_policy_chosen_by_another_client_is_shown(page, robot):
     assert page.locator("#panel-policies li", has_text="in use").locator("b").inner_text() == "reach"
     assert robot.client.put("/api/policy", json={"name": "hold"}, timeout=60).status_code == 200
     page.locator("#panel-policies li", has_text="in use").locator("b", has_text="hold").wait_for()

@@ -1,17 +1,17 @@
-"""Log-in by token, in three roles, from the page; nobody loses the stop."""
+"""Log-in by token in three roles; each keeps the stop."""
 
 from urllib.parse import urlsplit
 
 import pytest
 
-pytestmark = [pytest.mark.slow, pytest.mark.realtime]
+pytestmark = pytest.mark.slow
 
 TOKENS = {"command": "c" * 32, "view": "v" * 32, "stop": "s" * 32}
 
 
 @pytest.fixture(scope="module")
 def daemon(tmp_path_factory, browser, started):
-    """One that asks for a token."""
+    """Yield a daemon that requires a token."""
     folder = tmp_path_factory.mktemp("tokens")
     keys = {"command": "token_file", "view": "view_token_file", "stop": "stop_token_file"}
     for role, token in TOKENS.items():
@@ -34,7 +34,7 @@ def log_in(page, token: str) -> None:
     page.get_by_role("button", name="Log in").click()
 
 
-def test_who_shows_the_token_commands_and_the_page_keeps_none(robot, opened, daemon):
+def test_a_log_in_allows_commands_and_leaves_no_token_in_the_page(robot, opened, daemon):
     page = opened(look=False, apart=True)
     page.locator("#login").wait_for()
     assert page.locator("#arm").is_hidden()
@@ -50,23 +50,23 @@ def test_who_shows_the_token_commands_and_the_page_keeps_none(robot, opened, dae
     assert kept == ""
     page.reload()
     page.locator("#link[data-link=live]").wait_for()
-    page.route(lambda url: urlsplit(url).port == daemon.port, lambda route: route.abort())  # the stop's own way is left
+    page.route(lambda url: urlsplit(url).port == daemon.port, lambda route: route.abort())
     page.keyboard.press("Space")
     page.locator("#stopped[data-state=stopped]").wait_for()
-    assert "confirmed by the stop's own way" in page.locator("#stopped").inner_text()
+    assert "confirmed via the dedicated stop port" in page.locator("#stopped").inner_text()
     assert robot.status["mode"] == "stopped"
     page.unroute_all()
     page.get_by_role("button", name="Log out").click()
     page.locator("#login").wait_for()
 
 
-def test_a_wrong_token_is_refused_in_the_daemons_words(opened):
+def test_a_wrong_token_is_refused_with_the_daemons_reason(opened):
     page = opened(look=False, apart=True)
     log_in(page, "w" * 32)
     page.locator("#login-said >> text=The token is wrong").wait_for()
 
 
-def test_a_space_in_the_token_is_typed_and_stops_nothing(robot, opened):
+def test_a_space_in_the_token_field_does_not_stop(robot, opened):
     robot.arm()
     page = opened(look=False, apart=True)
     page.locator("#token").press_sequentially("a b")
@@ -74,40 +74,40 @@ def test_a_space_in_the_token_is_typed_and_stops_nothing(robot, opened):
     assert robot.status["mode"] == "armed"
 
 
-def test_who_may_look_sees_why_nothing_can_be_pressed_but_the_stop(robot, opened, press):
+def test_the_view_role_can_only_stop_and_sees_why(robot, opened, press):
     robot.arm()
     page = opened(look=False, apart=True)
     log_in(page, TOKENS["view"])
     page.locator("#link[data-link=live]").wait_for()
-    page.locator("#why-not >> text=may look and stop, nothing else").wait_for()
+    page.locator("#why-not >> text=may only view and stop").wait_for()
     for button in ("arm", "disarm", "acknowledge", "hold", "reach"):
         assert page.locator(f"#do-{button}").get_attribute("aria-disabled") == "true"
     page.locator("#drawing svg").wait_for()
     press(page, -0.2, 0.65)
-    page.locator("#said .notice.refused >> text=may look and stop").wait_for()
+    page.locator("#said .notice.refused >> text=may only view and stop").wait_for()
     assert robot.status["goal"]["number"] == 0
     page.keyboard.press("Space")
     page.locator("#stopped[data-state=stopped]").wait_for()
     assert robot.status["mode"] == "stopped"
 
 
-def test_who_may_stop_sees_the_stop_and_nothing_else(robot, opened):
+def test_the_stop_role_sees_only_the_stop(robot, opened):
     robot.arm()
     page = opened(look=False, apart=True)
     log_in(page, TOKENS["stop"])
-    page.locator("#login-why >> text=Your login may stop, nothing else").wait_for()
+    page.locator("#login-why >> text=Your token may only stop the robot").wait_for()
     assert page.locator("#arm").is_hidden()
     page.locator("#stop").click()
     page.locator("#stopped[data-state=stopped]").wait_for()
     assert robot.status["mode"] == "stopped"
 
 
-def test_a_stop_of_somebody_unknown_says_that_it_was_none(robot, opened):
+def test_a_stop_without_token_reports_not_confirmed(robot, opened):
     robot.arm()
     page = opened(look=False, apart=True)
     page.locator("#login").wait_for()
     page.locator("#stop").click()
     page.locator("#stopped[data-state=unconfirmed]").wait_for()
-    assert "NOT confirmed: use the button on the wall" in page.locator("#stopped").inner_text()
+    assert "NOT confirmed. Use the emergency-stop button" in page.locator("#stopped").inner_text()
     assert "token" in page.locator("#stopped").inner_text()
     assert robot.status["mode"] == "armed"

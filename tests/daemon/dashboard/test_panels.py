@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-pytestmark = [pytest.mark.slow, pytest.mark.realtime]
+pytestmark = pytest.mark.slow
 
 FLIGHT = next((Path(__file__).parents[2] / "data").glob("*.mcap"))
 
@@ -17,17 +17,17 @@ def tab(page, name: str):
     return page.locator(f"#panel-{name}")
 
 
-def test_policies_are_listed_with_what_they_are_and_what_is_wrong_with_them(page, robot):
+def test_policies_are_listed_with_description_or_error(page, robot):
     panel = tab(page, "policies")
     panel.locator("li").first.wait_for()
-    told = robot.client.get("/api/policies").json()["policies"]
-    assert panel.locator("li b").all_inner_texts() == [one["name"] for one in told]
+    listed = robot.client.get("/api/policies").json()["policies"]
+    assert panel.locator("li b").all_inner_texts() == [one["name"] for one in listed]
     assert panel.locator("li", has_text="in use").locator("b").inner_text() == "reach"
-    broken = next(one for one in told if one["error"])
+    broken = next(one for one in listed if one["error"])
     assert "cannot be used" in panel.locator("li.broken", has_text=broken["name"]).inner_text().lower()
 
 
-def test_another_policy_is_chosen_its_range_is_shaded_its_shelf_drawn(page, robot, press):
+def test_choosing_a_policy_shades_its_range_and_draws_its_shelf(page, robot, press):
     shaded = page.locator("#drawing .trained").get_attribute("width")
     page.get_by_role("button", name="Use shelf").click()
     page.locator("#said >> text=Policy shelf in use").wait_for()
@@ -47,17 +47,18 @@ def test_another_policy_is_chosen_its_range_is_shaded_its_shelf_drawn(page, robo
     robot.client.put("/api/policy", json={"name": "reach"})
 
 
-def test_events_come_by_themselves(page, robot):
+def test_new_events_appear_without_reload(page, robot):
     panel = tab(page, "events")
     robot.ask("/api/arm")
-    panel.locator("li", has_text="Arm, asked for by the API").first.wait_for()
+    panel.locator("li", has_text="Arm requested from the API").first.wait_for()
     newest = robot.client.get("/api/events").json()["events"][-1]["text"]
     panel.locator("li", has_text=newest[1:]).first.wait_for()
-    marks = panel.locator("li.event").evaluate_all("(rows) => rows.map((row) => getComputedStyle(row).borderRadius)")
-    assert set(marks) == {"0px"}  # an event of a mode is no sign of the mode
+    rows = "[...document.querySelectorAll('#panel-events li.event')]"
+    marks = page.evaluate(f"() => {rows}.map((row) => getComputedStyle(row).borderRadius)")
+    assert set(marks) == {"0px"}  # events must not look like the mode's sign
 
 
-def test_goals_have_their_outcomes(page, robot, press):
+def test_goals_are_listed_with_their_outcome(page, robot, press):
     robot.arm()
     before = robot.status["goal"]["number"]
     press(page, -0.22, 0.63)
@@ -71,7 +72,7 @@ def test_goals_have_their_outcomes(page, robot, press):
 
 @pytest.fixture
 def flight(daemon):
-    """A log that is finished."""
+    """Yield a finished log in the daemon's folder."""
     place = daemon.config.recorder.directory / "flight.mcap"
     shutil.copy(FLIGHT, place)
     yield place
@@ -89,28 +90,28 @@ def test_a_log_is_downloaded_replayed_and_deleted(page, daemon, flight, tmp_path
     row.locator("text=✓ Same commands").wait_for(timeout=60_000)
     row.get_by_role("button", name="Delete").click()
     assert flight.exists()
-    page.locator("#panel-logs-tab").focus()  # second thoughts
+    page.locator("#panel-logs-tab").focus()  # cancelled by moving the focus
     assert row.get_by_role("button", name="Delete").inner_text() == "Delete"
     row.get_by_role("button", name="Delete").click()
-    row.locator("text=Delete for good?").click()
+    row.locator("text=Delete permanently?").click()
     row.wait_for(state="detached")
     assert not flight.exists()
 
 
-def test_the_log_that_is_being_recorded_stays(page, daemon):
+def test_the_log_being_recorded_cannot_be_deleted(page, daemon):
     panel = tab(page, "logs")
     row = panel.locator("li", has_text=daemon.recorder.path.name)
     button = row.get_by_role("button", name="Delete")
     assert button.get_attribute("aria-disabled") == "true"
     button.click(force=True)
-    row.locator("text=It is being recorded.").wait_for()
+    row.locator("text=This log is being recorded.").wait_for()
     assert daemon.recorder.path.exists()
 
 
-def test_the_file_of_an_emergency_stop_is_downloaded(page, robot, tmp_path):
+def test_an_incident_file_is_downloaded(page, robot, tmp_path):
     robot.arm()
     robot.ask("/api/stop")
-    robot.until(lambda _: robot.client.get("/api/incidents").json()["incidents"], seconds=30)
+    robot.until(lambda _: robot.client.get("/api/incidents").json()["incidents"])
     panel = tab(page, "incidents")
     with page.expect_download() as download:
         panel.get_by_role("link", name="Download").first.click()
@@ -118,7 +119,7 @@ def test_the_file_of_an_emergency_stop_is_downloaded(page, robot, tmp_path):
     assert zipfile.ZipFile(tmp_path / "incident.zip").testzip() is None
 
 
-def test_a_report_opens_in_a_page_of_its_own(page, robot, daemon):
+def test_a_report_opens_in_a_new_page(page, robot, daemon):
     panel = tab(page, "reports")
     panel.locator("text=No reports").wait_for()
     folder = daemon.config.api.reports

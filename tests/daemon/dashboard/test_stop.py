@@ -1,4 +1,4 @@
-"""The stop: always in sight, by its own way when the rest is dead, and honest about what came of it."""
+"""The stop button: always visible, independent of the API, with a report of what confirmed it."""
 
 import contextlib
 import re
@@ -10,7 +10,7 @@ import httpx
 import pytest
 from websockets.sync.client import connect
 
-pytestmark = [pytest.mark.slow, pytest.mark.realtime]
+pytestmark = pytest.mark.slow
 
 
 @pytest.fixture
@@ -25,8 +25,8 @@ def banner(page) -> str:
 
 
 def requests(robot, until: str) -> list[str]:
-    """What was asked for, as soon as the events tell of this; a recorder's thread keeps them."""
-    deadline = time.monotonic() + 5
+    """Return the kinds of all requests once the recorder's thread has added this one."""
+    deadline = time.monotonic() + 30
     while time.monotonic() < deadline:
         events = robot.client.get("/api/events").json()["events"]
         kinds = [one["what"] for one in events if one["kind"] == "request"]
@@ -36,18 +36,18 @@ def requests(robot, until: str) -> list[str]:
 
 
 def cut(page, daemon, stop_too: bool = False, hang: bool = False) -> None:
-    """From here on the API fails, or never answers; with stop_too the stop's own way fails as well."""
+    """Let the API fail, or hang; with stop_too let the dedicated stop port fail as well."""
     page.route(
         lambda url: urlsplit(url).port == daemon.port or (stop_too and urlsplit(url).port == daemon.stop_port),
         lambda route: None if hang else route.abort(),
     )
 
 
-def test_the_button_stops_and_says_which_way_it_took(armed, robot):
+def test_the_button_stops_and_names_the_port_that_confirmed(armed, robot):
     armed.locator("#stop").click()
     armed.locator("#stopped[data-state=stopped]").wait_for()
     assert re.match(
-        r"Stopped at [0-9:]{8}: (confirmed by the (stop's own way|API) after \d+ ms|the robot's status shows it)",
+        r"Stopped at [0-9:]{8}: confirmed (via the (dedicated stop port|API) in \d+ ms|by the robot's status)",
         banner(armed),
     )
     assert robot.status["mode"] == "stopped"
@@ -55,7 +55,7 @@ def test_the_button_stops_and_says_which_way_it_took(armed, robot):
 
 
 @pytest.mark.parametrize("focus", ["body", "#do-disarm", "#drawing", "#target-y", "#panel-events-tab", "#pause"])
-def test_space_stops_wherever_the_focus_is_and_presses_nothing(armed, robot, focus):
+def test_space_stops_wherever_the_focus_is_and_presses_no_button(armed, robot, focus):
     if focus != "body":
         armed.locator(focus).focus()
     armed.keyboard.press("Space")
@@ -63,10 +63,10 @@ def test_space_stops_wherever_the_focus_is_and_presses_nothing(armed, robot, foc
     assert robot.status["mode"] == "stopped"
     assert armed.locator("#pause").get_attribute("aria-pressed") == "false"
     assert armed.locator("#panel-events-tab").get_attribute("aria-selected") == "false"
-    assert requests(robot, until="stop")[-1] == "stop"  # and no disarm after it
+    assert requests(robot, until="stop")[-1] == "stop"  # no disarm follows
 
 
-def test_a_space_in_a_text_is_a_space(armed, robot):
+def test_a_space_in_a_text_field_does_not_stop(armed, robot):
     armed.evaluate("document.body.append(Object.assign(document.createElement('textarea'), {id: 'note'}))")
     armed.locator("#note").focus()
     armed.keyboard.type("a b")
@@ -74,14 +74,14 @@ def test_a_space_in_a_text_is_a_space(armed, robot):
     assert robot.status["mode"] == "armed"
 
 
-def test_it_works_when_the_api_hangs(armed, robot, daemon):
+def test_the_button_works_when_the_api_hangs(armed, robot, daemon):
     cut(armed, daemon, hang=True)
     armed.keyboard.press("Space")
     armed.locator("#stopped[data-state=stopped]").wait_for()
     assert robot.status["mode"] == "stopped"
 
 
-def test_it_goes_by_the_stops_own_way_when_api_and_stream_are_dead(robot, opened, daemon):
+def test_the_button_uses_the_dedicated_port_if_api_and_stream_fail(robot, opened, daemon):
     robot.arm()
     page = opened()
     cut(page, daemon)
@@ -90,20 +90,20 @@ def test_it_goes_by_the_stops_own_way_when_api_and_stream_are_dead(robot, opened
     assert robot.status["mode"] == "stopped"
 
 
-def test_it_falls_back_on_the_api_when_its_own_way_is_dead(armed, robot, daemon):
+def test_the_button_uses_the_api_if_the_dedicated_port_fails(armed, robot, daemon):
     armed.route(lambda url: urlsplit(url).port == daemon.stop_port, lambda route: route.abort())
     armed.locator("#stop").click()
     armed.locator("#stopped[data-state=stopped]").wait_for()
     assert robot.status["mode"] == "stopped"
     armed.locator("#stop").click()
-    armed.locator("#stopped >> text=confirmed by the API").wait_for()
+    armed.locator("#stopped >> text=confirmed via the API").wait_for()
 
 
-def test_with_everything_dead_it_says_not_confirmed_and_goes_on_trying(armed, robot, daemon):
+def test_without_any_answer_the_button_reports_not_confirmed_and_retries(armed, robot, daemon):
     cut(armed, daemon, stop_too=True)
     armed.keyboard.press("Space")
     armed.locator("#stopped[data-state=unconfirmed]").wait_for()
-    assert "NOT confirmed: use the button on the wall" in banner(armed)
+    assert "NOT confirmed. Use the emergency-stop button" in banner(armed)
     assert robot.status["mode"] == "armed"
     assert armed.locator("#stop-text").inner_text() == "Not confirmed"
     armed.unroute_all()
@@ -111,7 +111,7 @@ def test_with_everything_dead_it_says_not_confirmed_and_goes_on_trying(armed, ro
     assert robot.status["mode"] == "stopped"
 
 
-def test_with_the_network_cut_it_says_not_confirmed(armed, robot):
+def test_without_network_the_button_reports_not_confirmed(armed, robot):
     armed.context.set_offline(True)
     armed.locator("#stop").click()
     armed.locator("#stopped[data-state=unconfirmed]").wait_for()
@@ -120,7 +120,8 @@ def test_with_the_network_cut_it_says_not_confirmed(armed, robot):
     armed.locator("#stopped[data-state=stopped]").wait_for()
 
 
-def test_it_stops_at_once_under_load(armed, robot, daemon, threads):
+@pytest.mark.realtime
+def test_the_button_stops_within_two_seconds_under_load(armed, robot, daemon, threads, round_trip_s):
     def flood(over: threading.Event) -> None:
         with httpx.Client(base_url=daemon.url, timeout=5) as client:
             while not over.is_set():
@@ -135,14 +136,15 @@ def test_it_stops_at_once_under_load(armed, robot, daemon, threads):
     threads(flood, 4)
     threads(watch, 12)
     armed.wait_for_timeout(300)  # of load
+    allowed_s = 2 + 10 * round_trip_s(armed)
     pressed = time.monotonic()
     armed.keyboard.press("Space")
     armed.locator("#stopped[data-state=stopped]").wait_for()
-    assert time.monotonic() - pressed < 2  # of which the browser has its share
+    assert time.monotonic() - pressed < allowed_s
     assert robot.status["mode"] == "stopped"
 
 
-def test_it_is_on_every_screen_and_nothing_covers_it(opened, robot):
+def test_the_button_is_visible_and_uncovered_on_every_screen(opened, robot):
     for size in ((360, 640), (390, 844), (768, 1024), (1280, 720)):
         page = opened(viewport=dict(zip(("width", "height"), size, strict=True)))
         page.evaluate("scrollTo(0, document.body.scrollHeight)")

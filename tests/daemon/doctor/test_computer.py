@@ -1,4 +1,4 @@
-"""Scheduling, clocks and disk: facts in, findings out; and what is read of this computer."""
+"""Findings of the doctor on scheduling, clocks and disk, and its reading of this computer."""
 
 from dataclasses import replace
 from datetime import UTC, datetime
@@ -6,10 +6,10 @@ from pathlib import Path
 
 import pytest
 
+from softarm.common.finding import State
 from softarm.daemon.doctor import clocks, disk, scheduling
 from softarm.daemon.doctor.clocks import Clocks
 from softarm.daemon.doctor.disk import Disk
-from softarm.daemon.doctor.finding import State
 from softarm.daemon.doctor.scheduling import Scheduling
 from softarm.schemas.config import Recorder
 from softarm.schemas.log import LogEntry
@@ -23,7 +23,7 @@ def states(findings):
     return {each.name: each.state for each in findings}
 
 
-def test_a_computer_that_is_quick_and_granted_everything_has_nothing_wrong_with_it():
+def test_a_fast_computer_with_all_permissions_has_no_findings():
     assert set(states(scheduling.judge(QUICK)).values()) == {State.OK}
     assert set(states(clocks.judge(SET)).values()) == {State.OK}
     assert set(states(disk.judge(ROOMY)).values()) == {State.OK}
@@ -43,10 +43,10 @@ def test_a_computer_that_is_quick_and_granted_everything_has_nothing_wrong_with_
         ({"late_ms": ()}, "timers", State.PROBLEM),
     ],
 )
-def test_what_is_said_of_scheduling(change, name, state):
-    told = states(scheduling.judge(replace(QUICK, **change)))
-    assert told.pop(name) is state
-    assert set(told.values()) == {State.OK}
+def test_scheduling_findings(change, name, state):
+    findings = states(scheduling.judge(replace(QUICK, **change)))
+    assert findings.pop(name) is state
+    assert set(findings.values()) == {State.OK}
 
 
 @pytest.mark.parametrize(
@@ -57,10 +57,10 @@ def test_what_is_said_of_scheduling(change, name, state):
         ({"source": "hpet"}, "clock source"),
     ],
 )
-def test_what_is_said_of_clocks(change, name):
-    told = states(clocks.judge(replace(SET, **change)))
-    assert told.pop(name) is State.WARNING
-    assert set(told.values()) == {State.OK}
+def test_clock_findings(change, name):
+    findings = states(clocks.judge(replace(SET, **change)))
+    assert findings.pop(name) is State.WARNING
+    assert set(findings.values()) == {State.OK}
 
 
 @pytest.mark.parametrize(
@@ -77,16 +77,16 @@ def test_what_is_said_of_clocks(change, name):
         ({"bytes_s": None, "flush_ms": None}, "disk's speed", State.OK),
     ],
 )
-def test_what_is_said_of_the_disk(change, name, state):
+def test_disk_findings(change, name, state):
     assert states(disk.judge(replace(ROOMY, **change)))[name] is state
 
 
-def test_days_left_are_told_at_the_rate_of_the_logs_that_lie_there():
+def test_days_left_follow_the_rate_of_existing_logs():
     figure = next(each.figure for each in disk.judge(ROOMY) if each.name == "logs")
-    assert "17 days of 8 h at 100 kB/s, as its logs took" in figure  # 50 GB / (100 kB/s x 28,800 s)
+    assert "17 days of 8 h at 100 kB/s, the rate of its logs" in figure  # 50 GB / (100 kB/s x 28,800 s)
 
 
-def test_no_log_is_asked_for_and_none_is_missed():
+def test_a_disabled_recorder_is_not_checked():
     assert states(disk.judge(replace(ROOMY, enabled=False, writable=False))) == {"logs": State.OK}
 
 
@@ -101,7 +101,7 @@ def test_this_computers_facts_are_read():
     assert watched.synchronised in (True, False, None)
 
 
-def test_a_folder_that_is_not_there_yet_is_judged_by_the_one_around_it_and_left_as_it_is(tmp_path):
+def test_a_missing_folder_is_judged_by_its_parent_and_not_created(tmp_path):
     entry = LogEntry(name="a", bytes=3_000_000, modified=datetime.now(UTC), duration_s=30.0, finished=True)
     unfinished = entry.model_copy(update={"duration_s": None, "bytes": 10**9})
     facts = disk.look(Recorder(directory=tmp_path / "deep" / "logs"), (entry, unfinished))

@@ -1,12 +1,12 @@
-"""A running daemon's word, the models, the limits, the configuration: facts in, findings out."""
+"""Findings of the doctor on a running daemon, models, limits and configuration."""
 
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
+from softarm.common.finding import State
 from softarm.daemon.doctor import from_logs, models, running, settings
-from softarm.daemon.doctor.finding import State
 from softarm.daemon.doctor.from_logs import Shown
 from softarm.daemon.doctor.models import Golden, Models
 from softarm.daemon.doctor.running import Running
@@ -19,7 +19,7 @@ DATA = Path(__file__).parents[2] / "data"
 
 
 def status(tick=0, **changes):
-    """What of GET /api/status is looked at, of a daemon at which all is well."""
+    """Return the fields of GET /api/status that are checked, of a healthy daemon."""
     return {
         "t_ns": round(tick * 1e9 / 30),
         "tick": tick,
@@ -47,11 +47,11 @@ def judged(first=None, last=None):
     return {each.name: each for each in running.judge(facts, Config())}
 
 
-def test_a_daemon_at_which_all_is_well():
-    told = judged()
-    assert {each.state for each in told.values()} == {State.OK}
-    assert told["loop"].figure.startswith("30.0 Hz")
-    assert told["motion capture's rate"].figure == "120 frames a second"
+def test_a_healthy_daemon_has_no_findings():
+    findings = judged()
+    assert {each.state for each in findings.values()} == {State.OK}
+    assert findings["loop"].figure.startswith("30.0 Hz")
+    assert findings["motion capture's rate"].figure == "120 frames a second"
 
 
 @pytest.mark.parametrize(
@@ -72,11 +72,12 @@ def test_a_daemon_at_which_all_is_well():
         ({"recorder": {"problem": "the disk is full"}}, "recorder", State.PROBLEM, "the disk is full"),
     ],
 )
-def test_what_a_daemon_says_is_judged_by_the_configuration(last, name, state, says):
-    told = judged(last=last)
-    assert told.pop(name)[1] is state
-    assert says in " ".join(judged(last=last)[name])
-    assert {each.state for each in told.values()} <= {State.OK}
+def test_the_daemons_status_is_compared_with_the_configuration(last, name, state, says):
+    findings = judged(last=last)
+    assert findings.pop(name)[1] is state
+    finding = judged(last=last)[name]
+    assert says in f"{finding.figure} {finding.advice}"
+    assert {each.state for each in findings.values()} <= {State.OK}
 
 
 @pytest.mark.parametrize(
@@ -91,29 +92,29 @@ def test_what_a_daemon_says_is_judged_by_the_configuration(last, name, state, sa
         (None, None, None),
     ],
 )
-def test_the_axis_is_held_against_motion_capture_where_the_cart_stands(axis_m, velocity_m_s, state):
+def test_the_axis_of_a_resting_cart_is_compared_with_motion_capture(axis_m, velocity_m_s, state):
     here = {"rail_position_m": axis_m, "rail_velocity_m_s": velocity_m_s}
-    told = judged(here, here)
-    assert (told["rail's zero"].state if "rail's zero" in told else None) is state
+    findings = judged(here, here)
+    assert (findings["rail's zero"].state if "rail's zero" in findings else None) is state
 
 
 def test_before_the_first_reading_a_device_is_a_problem():
     nothing = {"ages_ms": {"mocap": None, "pressure": None, "rail": None}, "observed": None}
-    told = judged(nothing, nothing)
-    assert [told[name].state for name in ("motion capture", "regulator", "rail")] == [State.PROBLEM] * 3
+    findings = judged(nothing, nothing)
+    assert [findings[name].state for name in ("motion capture", "regulator", "rail")] == [State.PROBLEM] * 3
 
 
-def test_a_daemon_that_refuses_to_tell_is_a_problem_and_may_be_in_use():
+def test_a_daemon_that_refuses_the_status_is_a_problem():
     facts = Running("http://robot", "a token is needed")
-    (told,) = running.judge(facts, Config())
-    assert told.state is State.PROBLEM
-    assert "--token-file" in told.advice
+    (finding,) = running.judge(facts, Config())
+    assert finding.state is State.PROBLEM
+    assert "--token-file" in finding.advice
     assert facts.in_use
     assert not Running("u", None, (status(),)).in_use
     assert Running("u", None, (status(mode="armed"),)).in_use
 
 
-def test_every_shipped_model_gives_here_what_its_file_says():
+def test_every_shipped_model_reproduces_its_golden_run():
     facts = models.look(Config())
     assert {each.name for each in facts.goldens} == {"reach", "reach-wide", "reach-robust", "shelf"}
     assert all(each.error is None and 0.0 <= each.off <= each.allowed for each in facts.goldens)
@@ -122,12 +123,12 @@ def test_every_shipped_model_gives_here_what_its_file_says():
     assert models.look(Config(), measured=False).steps_ms == ()
 
 
-def test_a_policy_that_is_not_there_and_one_that_cannot_be_made_are_told():
+def test_a_missing_and_a_broken_policy_are_reported():
     config = Config(control=Control(policy="raech"), policies={"mine": Policy(plugin="onx")})
-    told = [each for each in models.judge(models.look(config), 0.02) if each.state is State.PROBLEM]
-    assert [each.name for each in told] == ["policies", "policy"]
-    assert "policies.mine: no plugin 'onx'" in told[0].figure
-    assert "did you mean 'reach'" in told[1].figure
+    findings = [each for each in models.judge(models.look(config), 0.02) if each.state is State.PROBLEM]
+    assert [each.name for each in findings] == ["policies", "policy"]
+    assert "policies.mine: no plugin 'onx'" in findings[0].figure
+    assert "did you mean 'reach'" in findings[1].figure
 
 
 @pytest.mark.parametrize(
@@ -139,18 +140,18 @@ def test_a_policy_that_is_not_there_and_one_that_cannot_be_made_are_told():
         ((25.0,) * 10, State.PROBLEM),
     ],
 )
-def test_a_policys_time_is_held_against_its_budget(steps_ms, state):
+def test_a_policys_time_is_compared_with_its_budget(steps_ms, state):
     facts = Models("1.0", (Golden("reach", 1e-7, 1e-4),), "reach", steps_ms=steps_ms)
     assert {each.name: each.state for each in models.judge(facts, 0.02)} == {"golden runs": State.OK, "policy": state}
 
 
-def test_a_golden_run_that_comes_out_otherwise_is_a_problem():
+def test_a_golden_run_with_another_result_is_a_problem():
     facts = Models("1.0", (Golden("reach", error="off by 0.1"), Golden("shelf", 0, 1e-4)), "reach", steps_ms=(1.0,))
-    told = {each.name: each.state for each in models.judge(facts, 0.02)}
-    assert told == {"golden run": State.PROBLEM, "policy": State.OK}
+    findings = {each.name: each.state for each in models.judge(facts, 0.02)}
+    assert findings == {"golden run": State.PROBLEM, "policy": State.OK}
 
 
-def test_limits_that_logs_show_to_be_mild_are_problems():
+def test_limits_less_strict_than_measured_are_problems():
     row = LimitRow("latency_s", 0.033, Bound(0.06, 0.99, 0.05, 300, 60.0), 0.033, "act within 0.03 s")
     unknown = replace(row, bound=None, why="only 3 were seen")
     states = [each.state for each in from_logs.judge(Shown(DATA, (row, replace(row, advised=0.06), unknown)))]
@@ -166,12 +167,12 @@ def test_a_log_is_read_for_the_limits(tmp_path):
     assert from_logs.look(tmp_path, listing(tmp_path), Config()).rows == ()
 
 
-def test_a_configuration_is_judged_as_check_would(tmp_path):
+def test_the_doctor_finds_the_mistakes_that_check_finds(tmp_path):
     (tmp_path / "wrong.yaml").write_text("limits: {rail: {margin: 1}}\n")
     facts = settings.look(tmp_path / "wrong.yaml")
-    told = list(settings.judge(facts))
-    assert [each.state for each in told] == [State.PROBLEM]
-    assert "did you mean margin_m" in told[0].figure
+    findings = list(settings.judge(facts))
+    assert [each.state for each in findings] == [State.PROBLEM]
+    assert "did you mean margin_m" in findings[0].figure
     (tmp_path / "open.yaml").write_text("api: {host: 0.0.0.0}\n")
     assert "token" in next(settings.judge(settings.look(tmp_path / "open.yaml"))).figure
     (tmp_path / "plugged.yaml").write_text("drivers: {mocap: {driver: vicorn}}\n")

@@ -1,11 +1,11 @@
-"""Python, packages, extras: facts in, findings out."""
+"""Findings of the doctor on Python, packages and extras."""
 
 from dataclasses import replace
 
 import pytest
 
+from softarm.common.finding import State
 from softarm.daemon.doctor import software
-from softarm.daemon.doctor.finding import State
 from softarm.daemon.doctor.software import Package, Software
 
 HERE = Software(
@@ -25,22 +25,27 @@ def found(facts):
     ("python", "state"),
     [((3, 10, 9), State.PROBLEM), ((3, 11, 0), State.OK), ((3, 13, 2), State.OK), ((3, 14, 0), State.WARNING)],
 )
-def test_the_version_of_python(python, state):
+def test_an_unsupported_python_is_a_problem(python, state):
     assert found(replace(HERE, python=python))["Python"].state is state
 
 
-def test_a_package_that_is_missing_or_too_old_is_a_problem_of_the_core_and_none_of_an_extra():
+def test_the_version_is_shown_once_outside_a_checkout():
+    assert found(replace(HERE, revision="unknown, softarm 1.0"))["softarm"].figure == "1.0"
+    assert found(HERE)["softarm"].figure == "1.0 (abc)"
+
+
+def test_a_missing_or_old_package_is_a_problem_in_the_core_only():
     lacking = (Package("numpy", "numpy>=2", "1.26", False), Package("mcap", "mcap>=1", None, False))
-    told = found(replace(HERE, core=lacking, extras={"sim": lacking}))
-    assert told["packages"].state is State.PROBLEM
-    assert told["packages"].figure == "numpy>=2 is 1.26, mcap>=1 is not installed"
-    assert told["extra sim"].state is State.OK
-    assert told["extra sim"].figure == "lacks numpy, mcap"
-    assert "pip install 'softarm[sim]'" in told["extra sim"].advice
+    findings = found(replace(HERE, core=lacking, extras={"sim": lacking}))
+    assert findings["packages"].state is State.PROBLEM
+    assert findings["packages"].figure == "numpy>=2 is 1.26, mcap>=1 is not installed"
+    assert findings["extra sim"].state is State.OK
+    assert findings["extra sim"].figure == "lacks numpy, mcap"
+    assert "pip install 'softarm[sim]'" in findings["extra sim"].advice
     assert found(replace(HERE, core=()))["packages"].state is State.WARNING
 
 
-def test_what_is_installed_here_is_what_the_project_asks_for():
+def test_the_installed_packages_meet_the_projects_requirements():
     facts = software.look()
     core = {each.name for each in facts.core}
     assert {"numpy", "onnxruntime", "eclipse-zenoh", "click"} <= core

@@ -1,4 +1,4 @@
-"""What an installation does: from what is there to steps, and no step where nothing is to be done."""
+"""Plan of an installation: only the necessary steps for the computer's present state."""
 
 import re
 import shutil
@@ -19,7 +19,7 @@ OTHER = Config(recorder=Recorder(queue_max=500))
 
 
 def system(files=None, **changes):
-    """A computer with systemd on which these files are."""
+    """Return a computer with systemd and these files."""
     files = files or {}
     bare = System(
         Path("/"),
@@ -34,7 +34,7 @@ def system(files=None, **changes):
 
 
 def installed(user="softarm", text=PACKAGED.text):
-    """The files of a finished installation."""
+    """Return the files of a finished installation."""
     return {
         rendered.CONFIGURATION: text,
         plan.UNIT_PATH: rendered.unit(COMMAND, user, Config()),
@@ -51,7 +51,7 @@ def commands(done):
     return [" ".join(step.command) for step in done if isinstance(step, Run)]
 
 
-def test_on_a_bare_computer_user_folders_files_and_commands_are_made():
+def test_on_a_new_computer_everything_is_installed():
     done = steps(system(groups=frozenset()))
     assert [step.path for step in done if isinstance(step, Write)] == [
         rendered.CONFIGURATION,
@@ -67,14 +67,14 @@ def test_on_a_bare_computer_user_folders_files_and_commands_are_made():
     assert not any("start" in line for line in commands(done))  # an arm may be flying
 
 
-def test_a_second_time_nothing_is_written():
+def test_a_second_installation_writes_nothing():
     there = system(installed(), users=frozenset({"softarm"}), members=frozenset({"softarm"}))
     done = steps(there, replace(PACKAGED, installed=Config()))
     assert {type(step) for step in done} == {Keep, Run}
     assert commands(done) == ["systemctl enable softarmd"]
 
 
-def test_a_user_that_is_there_joins_the_group():
+def test_an_existing_user_joins_the_group():
     assert commands(steps(system(users=frozenset({"softarm"}))))[0] == "usermod --append --groups dialout softarm"
 
 
@@ -85,33 +85,33 @@ def test_an_upgrade_changes_the_unit_and_keeps_configuration_and_logs():
     assert unit.path == plan.UNIT_PATH
     assert "-ExecStart=/opt/old/bin/softarm run --config /etc/softarm/softarm.yaml" in unit.shown
     kept = {step.path: step.why for step in done if isinstance(step, Keep)}
-    assert kept[rendered.CONFIGURATION] == "it was changed, and stays: recorder.queue_max: 500, not 10000"
+    assert kept[rendered.CONFIGURATION] == "it was changed and stays: recorder.queue_max: 500, not 10000"
     assert rendered.STATE / "logs" in kept
 
 
-def test_a_configuration_that_is_asked_for_is_put_beside_one_that_is_there():
+def test_a_given_configuration_is_stored_next_to_the_existing_one():
     asked = Wanted("recorder: {queue_max: 600}\n", Config(recorder=Recorder(queue_max=600)), True, OTHER)
     done = steps(system(installed()), asked)
     (new,) = [step for step in done if isinstance(step, Write)]
     assert (new.path, new.text) == (Path("/etc/softarm/softarm.yaml.new"), asked.text)
-    (told,) = [step.why for step in done if isinstance(step, Keep) and step.path == rendered.CONFIGURATION]
-    assert "recorder.queue_max: 500, not 600" in told
+    (reason,) = [step.why for step in done if isinstance(step, Keep) and step.path == rendered.CONFIGURATION]
+    assert "recorder.queue_max: 500, not 600" in reason
     same = steps(system(installed()), replace(asked, installed=asked.config))
     assert not [step for step in same if isinstance(step, Write)]
 
 
-def test_under_another_folder_files_are_put_and_nothing_of_this_computer_is_touched(tmp_path):
+def test_another_root_folder_leaves_this_computer_unchanged(tmp_path):
     done = steps(system(root=tmp_path))
     assert commands(done) == []
     assert all(step.path.is_relative_to(tmp_path) for step in done)
     assert {step.owner for step in done if isinstance(step, Folder)} == {None}
 
 
-def test_without_systemd_its_commands_are_left_out():
+def test_without_systemd_its_commands_are_omitted():
     assert not [line for line in commands(steps(system(booted=False))) if "systemctl" in line]
 
 
-def test_uninstalling_takes_unit_and_rule_and_nothing_that_is_a_persons():
+def test_uninstalling_removes_unit_and_rule_and_no_user_files():
     done = list(plan.uninstall(system(installed(), users=frozenset({"softarm"})), "softarm"))
     assert [step.path for step in done if isinstance(step, Remove)] == [plan.UNIT_PATH, plan.RULE_PATH]
     assert commands(done) == ["systemctl disable --now softarmd", "systemctl daemon-reload", "udevadm control --reload"]
@@ -131,20 +131,20 @@ def test_the_unit_runs_the_environment_it_is_installed_from_as_the_user():
     assert "%%n" in rendered.unit(("/opt/%n/softarm",), "ann", Config())
 
 
-def test_a_folder_of_logs_elsewhere_is_opened_to_the_service():
+def test_the_service_may_write_to_another_log_folder():
     config = Config(recorder=Recorder(directory=Path("/data/logs")))
     assert "ReadWritePaths=/data/logs" in rendered.unit(COMMAND, "softarm", config).splitlines()
     done = steps(system(), replace(PACKAGED, config=config))
     assert Path("/data/logs") in [step.path for step in done if isinstance(step, Folder)]
 
 
-def test_the_program_is_the_script_beside_the_interpreter_or_else_the_module(tmp_path):
+def test_the_program_is_the_interpreters_script_or_the_module(tmp_path):
     assert rendered.program(tmp_path / "python") == (str(tmp_path / "python"), "-m", "softarm.cli.main")
     (tmp_path / "softarm").write_text("")
     assert rendered.program(tmp_path / "python") == (str(tmp_path / "softarm"),)
 
 
-def test_what_the_service_could_not_see_is_found():
+def test_paths_hidden_from_the_service_are_reported():
     assert rendered.hidden(("/opt/softarm/.venv", "/usr/bin/python3")) == []
     assert rendered.hidden(("/opt/x", "/root/.pyenv/bin/python3", "/home/ann/.venv")) == [
         "/root/.pyenv/bin/python3",
@@ -169,7 +169,7 @@ def test_the_unit_opens_an_adapters_port_where_one_is_configured(port, opened):
 
 
 @pytest.mark.skipif(shutil.which("systemd-analyze") is None, reason="systemd-analyze is not on this machine")
-def test_systemd_takes_the_unit_as_it_is_rendered_and_tells_what_is_wrong_with_another():
+def test_systemd_accepts_the_rendered_unit_and_reports_a_wrong_one():
     config = Config(recorder=Recorder(directory=Path("/var/log/soft arm")))
     unit = rendered.unit(("/bin/true",), "root", config)
     assert here.verify(unit) is None
@@ -178,19 +178,19 @@ def test_systemd_takes_the_unit_as_it_is_rendered_and_tells_what_is_wrong_with_a
     assert said.startswith("softarmd.service")
 
 
-def test_a_step_that_fails_says_why_and_what_to_do(tmp_path):
+def test_a_failed_step_reports_cause_and_next_step(tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises(StepError, match="cannot be written"):
         Write(tmp_path / "file" / "below", "text").carry_out()
     with pytest.raises(StepError, match="cannot be made"):
         Folder(tmp_path / "file" / "below", None).carry_out()
-    with pytest.raises(StepError, match="false: exit code 1; mend it"):
+    with pytest.raises(StepError, match="false: exit code 1; correct it"):
         Run(("false",)).carry_out()
-    with pytest.raises(StepError, match="mend it"):
+    with pytest.raises(StepError, match="correct it"):
         Run(("no-such-program-of-softarm",)).carry_out()
 
 
-def test_this_computer_is_looked_at(tmp_path):
+def test_the_plan_reads_this_computer(tmp_path):
     found = here.look(tmp_path)
     assert "root" in found.users
     assert not found.is_this

@@ -1,4 +1,4 @@
-"""A cart of a few lines, of no room of the house: a drive that ramps late and an arm that pulls, all of it known."""
+"""Simple cart with known limits: a drive that ramps late and an arm that pulls."""
 
 import math
 from collections import deque
@@ -27,7 +27,7 @@ def _cart(
     top_m_s: float = 0.9,
     seed: int = 1,
 ) -> RailMotion:
-    """Told to go to and fro at random for a while, and read once a tick.
+    """Cart with random set-points to and fro, read once a tick.
 
     age_s: so much older than its stamp a reading is; filter_s: of its velocity; jitter_s: by which stamps are late at
     most. late: a share of the set-points, and by how much later than `latency_s` they act.

@@ -1,4 +1,4 @@
-"""Where a configuration is milder than the robot was, and a patch that mends it: never milder, always sound."""
+"""Comparison of measured and configured limits, and the patch: never less strict, always valid."""
 
 import itertools
 from dataclasses import replace
@@ -11,7 +11,7 @@ from softarm.daemon.limits.findings import RailFindings, compared, findings
 from softarm.daemon.limits.measured import Bound, Measured
 from softarm.schemas.config import Config
 
-# The rail's limits of most tests, whatever the defaults are.
+# Rail limits of most tests, independent of the defaults.
 CONFIG = Config.model_validate({"limits": {"rail": {"latency_s": 0.0333, "braking_m_s2": 3.0, "surge_m_s2": 9.0}}})
 
 
@@ -48,12 +48,12 @@ def found(config: Config, seen: Measured) -> RailFindings:
         (measured(None, None, None), {}),
     ],
 )
-def test_what_is_milder_than_the_robot_was_is_rounded_to_the_safe_side(seen, advised):
+def test_a_lax_limit_is_rounded_to_the_safe_side(seen, advised):
     rows = compared(seen, CONFIG)
-    assert {row.key: row.advised for row in rows if row.milder} == advised
+    assert {row.key: row.advised for row in rows if row.is_too_lax} == advised
 
 
-def test_no_limit_is_ever_made_milder_and_a_sound_configuration_stays_sound():
+def test_no_limit_is_relaxed_and_a_valid_configuration_stays_valid():
     drives = (
         {"acceleration_m_s2": 6.0},
         {"acceleration_m_s2": 3.0},
@@ -78,7 +78,7 @@ def test_braking_that_a_new_surge_contradicts_is_lowered_with_it(tmp_path):
     result = found(config, measured(0.03, 5.6, 8.1))
     braking = next(row for row in result.rows if row.key == "braking_m_s2")
     assert (braking.advised, result.patched.limits.rail.surge_m_s2) == (3.9, 8.1)
-    assert "with surge_m_s2 8.1 no more than 3.9 agrees" in braking.why
+    assert "with surge_m_s2 8.1 at most 3.9 is consistent" in braking.why
 
 
 @pytest.mark.parametrize(
@@ -103,25 +103,25 @@ def test_a_patch_is_a_configuration_that_check_accepts(tmp_path, config, seen):
     assert max(map(len, result.patch().splitlines())) < 160
 
 
-def test_what_no_allowed_value_covers_is_said_and_stays(tmp_path):
+def test_a_limit_without_an_allowed_value_is_reported_and_kept(tmp_path):
     result = found(CONFIG, measured(0.03, -0.4, 9.0))
     braking = next(row for row in result.rows if row.key == "braking_m_s2")
-    assert (braking.milder, braking.advised) == (True, None)
-    assert "see to the drive" in braking.advice
+    assert (braking.is_too_lax, braking.advised) == (True, None)
+    assert "check the drive" in braking.advice
     assert "# no allowed value covers it" in result.patch()
     assert result.patched == CONFIG
 
 
-def test_too_little_data_says_how_much_and_how_to_get_it(cart):
+def test_too_little_data_is_reported_with_the_next_step(cart):
     result = findings([cart(seconds=10.0)])
-    assert not any(row.milder for row in result.rows)
+    assert not any(row.is_too_lax for row in result.rows)
     latency, braking, surge, _ = (row.why for row in result.rows)
-    assert "it takes 59: fly `softarm excite rail-dashes` for more" in latency
-    assert braking == surge == "Not looked at: without the latency nobody can tell when the cart was told to"
+    assert "59 required: record more with `softarm excite rail-dashes`" in latency
+    assert braking == surge == "Not measured: without the latency the time of a set-point's effect is unknown"
     assert result.config == Config()
 
 
-def test_recordings_are_held_against_the_configuration_that_they_were_last_made_under(cart):
+def test_recordings_are_compared_with_their_newest_configuration(cart):
     careful = Config.model_validate({"limits": {"rail": {"latency_s": 0.1}}})
     motions = [replace(cart(seconds=2.0), config=config) for config in (Config(), careful)]
     assert findings(motions).config == careful

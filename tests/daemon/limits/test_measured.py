@@ -1,4 +1,4 @@
-"""Measured limits cover what the cart did, and are not much wider: held to a cart of which everything is known."""
+"""Measured limits of a cart with known limits: safe and not much wider."""
 
 from dataclasses import replace
 
@@ -22,7 +22,7 @@ CARTS = (
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", CARTS, ids=str)
-def test_the_limits_of_a_known_cart_are_found_and_none_is_milder_than_it_was(cart, kind):
+def test_the_limits_of_a_known_cart_are_found_on_the_safe_side(cart, kind):
     ramp, pull = kind.get("ramp_m_s2", 6.0), kind.get("pull_m_s2", 0.0)
     late_s = kind.get("latency_s", 1 / 30) + kind.get("age_s", 0.0)  # a reading's hidden age is latency to who reads it
     found = measure([cart(**kind)], 6.0)
@@ -34,8 +34,8 @@ def test_the_limits_of_a_known_cart_are_found_and_none_is_milder_than_it_was(car
     assert found.ramp_m_s2 == pytest.approx(ramp, rel=0.1)
 
 
-def test_an_arm_that_pulls_harder_than_the_drive_drags_the_cart_along_and_no_other_does(cart):
-    """A pull of p against a ramp of r in a sine of 1.3 Hz wins p - r at most, for the time of a latency of it."""
+def test_only_an_arm_that_pulls_harder_than_the_drive_drags_the_cart(cart):
+    """A pull p against a ramp r in a sine of 1.3 Hz gains p - r at most, for one latency."""
     for pull, least, most in ((0.0, 0.0, 0.01), (2.0, 0.0, 0.05), (4.0, 0.05, 0.25)):
         found = measure([cart(ramp_m_s2=2.0, latency_s=0.1, pull_m_s2=pull, seconds=180.0)], 6.0)
         assert least <= found.drag.value <= most
@@ -52,7 +52,7 @@ def test_set_points_that_act_late_now_and_then_count(cart):
     assert 0.055 < found.surely.value <= found.latency.value < 0.08
 
 
-def test_too_little_is_no_measurement(cart):
+def test_too_little_data_gives_no_measurement(cart):
     found = measure([cart(seconds=10.0)], 6.0)
     assert (found.latency, found.braking, found.surge, found.drag) == (None,) * 4
     assert 0 < found.steps < COUNT_MIN
@@ -67,13 +67,13 @@ def test_a_recording_of_another_ramp_or_of_another_scale_is_left_out_with_the_re
     found = measure([motion, replace(motion, config=slow), wrong, still], 6.0)
     assert found.recordings == 1
     assert found.left_out == (
-        "cart: was flown with drivers.rail.acceleration_m_s2 4, not 6",
-        "cart: the axis's velocity is 2 times the slope of its position: see to drivers.rail first",
-        "cart: the cart stood still",
+        "cart: was recorded with drivers.rail.acceleration_m_s2 4, not 6",
+        "cart: the axis's velocity is 2 times the slope of its position: check drivers.rail first",
+        "cart: the cart did not move",
     )
 
 
-def test_what_the_mechanical_stop_or_a_switched_off_drive_did_to_the_cart_is_not_the_drives(cart):
+def test_mechanical_stops_and_a_disabled_drive_do_not_count(cart):
     motion = cart(seconds=60.0)
     hit = np.abs(motion.position_m) > 0.1  # as if a stop stood there and threw the cart back
     thrown = replace(
@@ -90,7 +90,7 @@ def test_what_the_mechanical_stop_or_a_switched_off_drive_did_to_the_cart_is_not
 
 @pytest.mark.parametrize("count", [59, 100, 299, 1000])
 def test_the_bound_holds_in_95_of_100_samples(count):
-    """Order statistics: from 299 values 99 % are bounded, from fewer a smaller share, which is told."""
+    """Order statistics: from 299 values 99 % are bounded, from fewer a smaller share, which is reported."""
     rng = np.random.default_rng(3)
     bounds = [tolerance_bound(rng.exponential(size=count), 1.0) for _ in range(1000)]
     share = bounds[0].share
@@ -99,7 +99,7 @@ def test_the_bound_holds_in_95_of_100_samples(count):
     assert np.mean([bound.value >= true for bound in bounds]) > 0.93
 
 
-def test_the_least_is_bounded_from_below():
+def test_the_minimum_is_bounded_from_below():
     values = np.arange(1000.0)
     assert tolerance_bound(values, 1.0, least=True).value == 999.0 - tolerance_bound(values, 1.0).value
     assert tolerance_bound(values[:58], 1.0) is None

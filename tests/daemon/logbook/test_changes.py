@@ -1,4 +1,4 @@
-"""What happened is told once, in the order in which it matters, with whose wish it was."""
+"""Event history: each change once, in order of importance, with its source."""
 
 from dataclasses import replace
 from datetime import UTC, datetime
@@ -14,15 +14,15 @@ PERIOD_NS = 33_333_334
 
 
 class Run:
-    """A daemon's ticks, one after the other, and what was told of them."""
+    """Consecutive ticks of a daemon and their history entries."""
 
     def __init__(self):
         self.changes = Changes(lambda t_ns: datetime.fromtimestamp(1_800_000_000 + t_ns * 1e-9, UTC))
         self.outputs = Outputs(0, 0, 0, 0, 0, Mode.DISARMED, EStop.CLEAR)
-        self.told = []
+        self.entries = []
 
     def tick(self, *requests, refused=(), events=(), **changes):
-        """One tick; the entries of it."""
+        """Make one tick and return its entries."""
         number = self.outputs.tick + 1
         results = tuple(RequestResult(request.number, not refused, refused) for request in requests)
         active = tuple(Event(name).active() for name in events)
@@ -30,7 +30,7 @@ class Run:
             self.outputs, t_ns=number * PERIOD_NS, tick=number, results=results, events=active, **changes
         )
         found = self.changes.take(Inputs(self.outputs.t_ns, requests=requests), self.outputs)
-        self.told += found
+        self.entries += found
         return found
 
     def ticks(self, seconds, **changes):
@@ -48,14 +48,14 @@ def texts(entries):
     return [entry.text for entry in entries]
 
 
-def test_of_an_arm_at_which_nothing_changes_nothing_is_told(run):
+def test_an_unchanged_robot_has_no_entries(run):
     assert run.ticks(3) == []
 
 
-def test_a_request_is_told_with_whose_it_was_and_what_came_of_it(run):
-    who = "the API with the command token from 10.0.0.7"
+def test_a_request_is_recorded_with_source_and_result(run):
+    who = "the API (command token, 10.0.0.7)"
     (entry,) = run.tick(Request(4, "arm", who=who), refused=("the drive is off: switch it on",))
-    assert entry.text == f"arm, asked for by {who}; refused: the drive is off: switch it on"
+    assert entry.text == f"arm requested from {who}; refused: the drive is off: switch it on"
     assert (entry.kind, entry.what, entry.who, entry.accepted) == ("request", "arm", who, False)
     (entry,) = run.tick(Request(5, "goal", Goal("reach", -0.2, 0.6)))
     assert (entry.text, entry.who, entry.accepted) == ("goal reach y -0.2, z 0.6 m", None, True)
@@ -65,10 +65,10 @@ def test_a_request_is_told_with_whose_it_was_and_what_came_of_it(run):
 def test_entries_are_counted_and_have_their_ticks_time(run):
     run.tick(Request(1, "arm"))
     run.tick(Request(2, "disarm"))
-    assert [entry.number for entry in run.told] == [1, 2]
-    assert [entry.tick for entry in run.told] == [2, 3]
-    assert run.told[0].t_ns == 2 * PERIOD_NS
-    assert run.told[0].time == datetime.fromtimestamp(1_800_000_000.066666668, UTC)
+    assert [entry.number for entry in run.entries] == [1, 2]
+    assert [entry.tick for entry in run.entries] == [2, 3]
+    assert run.entries[0].t_ns == 2 * PERIOD_NS
+    assert run.entries[0].time == datetime.fromtimestamp(1_800_000_000.066666668, UTC)
 
 
 def test_a_tick_that_failed_answers_no_request(run):
@@ -82,32 +82,32 @@ def test_a_flood_of_requests_is_counted_not_listed(run):
     for number in range(30):
         run.tick(*(Request(3 * number + i, "cancel_goal") for i in range(3)))
     run.ticks(1)
-    assert len(run.told) == LISTED + 1
-    assert run.told[-1].text == f"{90 - LISTED} requests more within a second"
+    assert len(run.entries) == LISTED + 1
+    assert run.entries[-1].text == f"{90 - LISTED} more requests within a second"
     assert len(run.tick(Request(1000, "arm"))) == 1
 
 
-def test_each_change_of_mode_is_told_and_a_stop_with_its_reason(run):
+def test_each_change_of_mode_is_recorded_and_a_stop_with_its_reason(run):
     run.tick(mode=Mode.ARMING)
     run.tick(mode=Mode.ARMED)
     run.tick(mode=Mode.STOPPING, last_stop="disarmed by request", last_stop_ns=1)
     run.tick(mode=Mode.DISARMED)
-    assert texts(run.told) == [
-        "arming, was disarmed",
-        "armed, was arming",
-        "stopping, was armed: disarmed by request",
-        "disarmed, was stopping",
+    assert texts(run.entries) == [
+        "disarmed → arming",
+        "arming → armed",
+        "armed → stopping: disarmed by request",
+        "stopping → disarmed",
     ]
-    assert {entry.kind for entry in run.told} == {"mode"}
+    assert {entry.kind for entry in run.entries} == {"mode"}
 
 
 def test_a_soft_stop_that_is_over_at_once_still_has_its_reason(run):
     run.tick(mode=Mode.ARMED)
     (entry,) = run.tick(mode=Mode.DISARMED, last_stop="disarmed by request", last_stop_ns=3 * PERIOD_NS)
-    assert entry.text == "disarmed, was armed: disarmed by request"
+    assert entry.text == "armed → disarmed: disarmed by request"
 
 
-def test_an_emergency_stop_is_told_after_the_request_and_with_whose_it_was(run):
+def test_an_emergency_stop_follows_its_request_and_names_the_source(run):
     run.tick(mode=Mode.ARMED)
     why = Event("stop_requested").text
     change = {"mode": Mode.STOPPED, "estop": EStop.ENGAGED, "last_stop": why, "last_stop_ns": 1}
@@ -118,10 +118,10 @@ def test_an_emergency_stop_is_told_after_the_request_and_with_whose_it_was(run):
     assert run.ticks(1) == []
 
 
-def test_a_stop_that_was_left_is_told_as_one_from_before():
+def test_a_stop_of_an_earlier_run_is_recorded_as_such():
     run = Run()
     (stop,) = run.tick(mode=Mode.STOPPED, estop=EStop.LATCHED, last_stop="the drive reports a fault")
-    assert stop.text == "emergency stop before this daemon began: the drive reports a fault"
+    assert stop.text == "emergency stop before this daemon started: the drive reports a fault"
 
 
 def test_a_log_that_begins_in_the_middle_of_a_run_begins_with_no_change():
@@ -130,7 +130,7 @@ def test_a_log_that_begins_in_the_middle_of_a_run_begins_with_no_change():
     assert run.tick() == []
 
 
-def test_the_end_of_a_goal_is_told_once(run):
+def test_the_end_of_a_goal_is_recorded_once(run):
     flown = GoalStatus(Goal("reach", -0.2, 0.6), "running", number=3)
     assert run.tick(goal=flown) == []
     (entry,) = run.tick(goal=replace(flown, state="failed", reason="the arm is not armed", time_s=1.24))
@@ -148,21 +148,21 @@ def test_a_device_is_lost_at_once_and_found_when_it_has_answered_for_a_second(ru
     assert (found.kind, found.what, found.text) == ("found", "rail", "rail found after 2.0 s")
 
 
-def test_a_device_that_flickers_is_told_once(run):
+def test_an_intermittent_device_is_recorded_once(run):
     for _ in range(20):
         run.tick(events=["mocap_stale"])
         run.tick()
-    assert texts(run.told) == [f"mocap lost: {Event('mocap_stale').text}"]
+    assert texts(run.entries) == [f"mocap lost: {Event('mocap_stale').text}"]
 
 
-def test_devices_that_have_not_come_yet_are_found_but_were_not_lost():
+def test_devices_that_appear_first_are_found_and_were_not_lost():
     run = Run()
     run.ticks(2, events=["mocap_missing", "rail_missing"])
     run.ticks(2)
-    assert sorted(texts(run.told)) == ["mocap found after 2.0 s", "rail found after 2.0 s"]
+    assert sorted(texts(run.entries)) == ["mocap found after 2.0 s", "rail found after 2.0 s"]
 
 
-def test_every_event_of_the_table_is_told_when_it_begins_and_again_after_it_was_long_gone(run):
+def test_every_event_is_recorded_at_its_start_and_again_after_a_long_absence(run):
     names = [name for name in TABLE if name not in LOST and name != "stop_requested"]
     assert [entry.what for entry in run.tick(events=names)] == names
     assert run.ticks(12, events=names) == []
@@ -172,12 +172,12 @@ def test_every_event_of_the_table_is_told_when_it_begins_and_again_after_it_was_
     assert [entry.kind for entry in run.tick(events=names)] == ["event"] * len(names)
 
 
-def test_a_complaint_that_is_no_text_is_told_all_the_same(run):
+def test_a_problem_that_is_not_text_is_recorded(run):
     (entry,) = run.tick(Request(1, "policy", policy="\ud800"))
     assert entry.text == "policy ?"
 
 
-def test_a_stop_in_mid_flight_is_of_this_run_even_where_an_old_log_does_not_say_when_it_was(run):
+def test_a_stop_without_a_time_belongs_to_this_run(run):
     run.tick(mode=Mode.ARMED)
     (stop,) = run.tick(mode=Mode.STOPPED, estop=EStop.ENGAGED, last_stop="the drive reports a fault")
     assert stop.text == "emergency stop: the drive reports a fault"

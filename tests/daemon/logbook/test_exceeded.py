@@ -1,17 +1,17 @@
-"""A run is measured against its limits by what was read and sent."""
+"""Comparison of a run's readings and commands with its limits."""
 
 import pytest
 
 from softarm.daemon.control.records import Inputs, Outputs
 from softarm.daemon.logbook.exceeded import exceeded
-from softarm.daemon.shell.offline import Lockstep
+from softarm.daemon.runtime.offline import Lockstep
 from softarm.policies import registry
 from softarm.schemas.config import Config, Limits
 from softarm.schemas.goals import Goal
 
 
 class Kept:
-    """A recorder that keeps its ticks."""
+    """Recorder that keeps its ticks in memory."""
 
     def __init__(self) -> None:
         self.ticks: list[tuple[Inputs, Outputs]] = []
@@ -27,7 +27,7 @@ def swing() -> list[tuple[Inputs, Outputs]]:
     return kept.ticks
 
 
-def test_a_swing_keeps_to_its_own_limits(swing):
+def test_a_swing_stays_within_its_limits(swing):
     assert exceeded(swing, Config().limits) == []
 
 
@@ -39,7 +39,7 @@ def test_a_swing_keeps_to_its_own_limits(swing):
         ("pressure", {"max_kpa": 2.0}, "a pressure outside its limits was sent"),
     ],
 )
-def test_what_a_narrower_limit_would_not_have_allowed_is_told(swing, device, limit, says):
+def test_values_beyond_a_stricter_limit_are_reported(swing, device, limit, says):
     limits = Limits.model_validate({device: limit})
     (problem,) = exceeded(swing, limits)
     assert problem.startswith(says)

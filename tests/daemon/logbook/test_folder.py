@@ -1,4 +1,4 @@
-"""The recorder deletes the oldest of its own logs, and nothing else."""
+"""Deletion of the recorder's oldest logs and of no other file."""
 
 import os
 
@@ -13,7 +13,7 @@ DAY_S = 86_400.0
 
 @pytest.fixture
 def directory(tmp_path):
-    """Five logs of 1 MB, a day apart; the newest, of day 5, is being written."""
+    """Return a folder with five daily logs of 1 MB; the newest is being written."""
     for day in range(1, 6):
         path = tmp_path / f"softarm-2026010{day}T000000Z.mcap"
         path.write_bytes(b"0" * 1_000_000)
@@ -22,31 +22,31 @@ def directory(tmp_path):
 
 
 def days(directory, **keep) -> list[int]:
-    """The days whose logs are left."""
+    """Return the days of the remaining logs."""
     own = directory / "softarm-20260105T000000Z.mcap"
     delete_oldest(directory, own, Recorder(**keep), now_s=5 * DAY_S)
     return [int(path.name[14:16]) for path in sorted(directory.glob("softarm-2026*.mcap"))]
 
 
-def test_within_size_and_age_all_are_kept(directory):
+def test_logs_within_size_and_age_are_kept(directory):
     assert days(directory, keep_mb=20_000, keep_days=365) == [1, 2, 3, 4, 5]
 
 
-def test_nobody_s_recordings_are_deleted_unasked(directory):
+def test_no_log_is_deleted_by_default(directory):
     with (directory / "softarm-20260101T000000Z.mcap").open("r+b") as file:
         file.truncate(10**12)  # a sparse terabyte
     assert days(directory) == [1, 2, 3, 4, 5]
 
 
-def test_the_oldest_go_until_the_rest_is_small_enough(directory):
+def test_the_oldest_logs_are_deleted_down_to_the_size(directory):
     assert days(directory, keep_mb=3) == [3, 4, 5]
 
 
-def test_what_is_too_old_goes(directory):
+def test_logs_that_are_too_old_are_deleted(directory):
     assert days(directory, keep_days=1.5) == [4, 5]
 
 
-def test_the_log_being_written_stays_whatever_its_size(directory):
+def test_the_log_being_written_stays_at_any_size(directory):
     (directory / "softarm-20260105T000000Z.mcap").write_bytes(b"0" * 5_000_000)
     assert days(directory, keep_mb=2) == [5]
 

@@ -1,4 +1,4 @@
-"""The newest events are kept, each has a line in the journal."""
+"""History of the newest events, each with a log line."""
 
 import logging
 from dataclasses import replace
@@ -14,39 +14,39 @@ def history():
 
 
 def turned(made, times):
-    """A mode that changes in every tick."""
+    """Take ticks whose mode changes every time."""
     for tick in range(1, times + 1):
         mode = Mode.ARMED if tick % 2 else Mode.DISARMED
         made.take(Inputs(tick), replace(OUTPUTS, t_ns=tick * 10**9, tick=tick, mode=mode))
 
 
-def test_each_entry_is_one_line_of_the_journal_and_a_stop_a_warning(caplog):
+def test_each_entry_is_one_log_line_and_a_stop_a_warning(caplog):
     made = history()
     with caplog.at_level(logging.INFO, "softarm.events"):
         turned(made, 2)
         stop = replace(OUTPUTS, t_ns=3, tick=3, mode=Mode.STOPPED, last_stop="a hand", last_stop_ns=3)
         made.take(Inputs(3), stop)
     assert [(record.levelname, record.message) for record in caplog.records] == [
-        ("INFO", "armed, was disarmed"),
-        ("INFO", "disarmed, was armed"),
+        ("INFO", "disarmed → armed"),
+        ("INFO", "armed → disarmed"),
         ("WARNING", "emergency stop: a hand"),
     ]
 
 
-def test_the_time_is_the_walls():
+def test_entries_have_wall_time():
     made = history()
     turned(made, 1)
     assert made.entries[0].time.isoformat() == "2027-01-15T08:00:01+00:00"
 
 
-def test_a_thousand_are_kept():
+def test_a_thousand_entries_are_kept():
     made = history()
     turned(made, KEPT + 7)
     assert [made.entries[0].number, made.entries[-1].number] == [8, KEPT + 7]
     assert len(made.entries) == KEPT
 
 
-def test_the_newest_or_those_after_a_number():
+def test_entries_are_read_from_the_newest_or_after_a_number():
     made = history()
     turned(made, 10)
     assert [e.number for e in made.after(None, 3)] == [8, 9, 10]

@@ -1,4 +1,4 @@
-"""Every emergency stop leaves one file that a person can send: it replays, holds no secret, and outlives the logs."""
+"""Incident file of every emergency stop: it replays, has no secret and outlives the logs."""
 
 import json
 import os
@@ -7,12 +7,12 @@ from pathlib import Path
 
 import pytest
 
-from softarm.daemon.api.auth import TOKEN_FILES
+from softarm.daemon.access.auth import TOKEN_FILES
 from softarm.daemon.control.records import EStop, Inputs, Mode, Outputs, TickTiming
 from softarm.daemon.logbook import folder, incidents, logs
 from softarm.daemon.logbook.recorder import Recorder
-from softarm.daemon.shell.offline import Lockstep
-from softarm.daemon.shell.replay import replay
+from softarm.daemon.runtime.offline import Lockstep
+from softarm.daemon.runtime.replay import replay
 from softarm.policies.hold import Hold
 from softarm.schemas.config import Config
 from softarm.schemas.messages import PressureReading
@@ -21,7 +21,7 @@ WALL_NS = 1_800_000_000_000_000_000
 
 
 class Flight:
-    """The real tick on a simulated robot, recorded."""
+    """Recorded real ticks on a simulated robot."""
 
     def __init__(self, config: Config) -> None:
         self.recorder = Recorder(config, Hold().spec, monotonic_ns=lambda: 0, wall_ns=lambda: WALL_NS)
@@ -29,7 +29,7 @@ class Flight:
         self.daemon = Lockstep(config, Hold(), recorder=self.recorder)
 
     def ticks(self, seconds: float, *kinds) -> None:
-        """So long; the requests come with the first tick."""
+        """Run for a time, with the requests in the first tick."""
         for number in range(round(seconds * 30)):
             self.daemon.tick(*(self.daemon.request(kind) for kind in kinds if number == 0))
 
@@ -44,7 +44,7 @@ def files(directory: Path) -> list[Path]:
 
 @pytest.fixture(scope="module")
 def stopped(tmp_path_factory):
-    """The directory of a daemon that was stopped at 31 s, and flew on; its configuration names files of tokens."""
+    """Return the directory of a daemon with token files that was stopped at 31 s and flew again."""
     directory = tmp_path_factory.mktemp("logs")
     config = config_of(directory).model_copy(update={"api": Config().api.model_copy(update=SECRETS)})
     flight = Flight(config)
@@ -62,7 +62,7 @@ SECRETS = {key: Path(f"/etc/secret/{key}") for key in TOKEN_FILES.values()}
 
 @pytest.fixture(scope="module")
 def parts(stopped, tmp_path_factory):
-    """What is in its one incident file, unpacked."""
+    """Return the unpacked content of its only incident file."""
     (path,) = files(stopped)
     unpacked = tmp_path_factory.mktemp("sent")
     with zipfile.ZipFile(path) as archive:
@@ -72,7 +72,7 @@ def parts(stopped, tmp_path_factory):
 
 
 @pytest.mark.slow
-def test_it_is_the_log_around_the_stop_which_replays_by_itself(parts, stopped):
+def test_an_incident_has_the_log_around_the_stop_which_replays(parts, stopped):
     log = logs.read(parts / "log.mcap")
     assert log.finished
     outputs = list(log.outputs())
@@ -88,13 +88,13 @@ def test_it_is_the_log_around_the_stop_which_replays_by_itself(parts, stopped):
 
 
 @pytest.mark.slow
-def test_it_says_what_happened_and_of_which_software(parts):
+def test_an_incident_names_events_and_software(parts):
     kinds = [entry.kind for entry in logs.read(parts / "log.mcap").entries()]
     assert kinds.count("stop") == 1
     text = (parts / "events.txt").read_text()
-    assert "emergency stop: somebody asked for an emergency stop" in text
+    assert "emergency stop: an emergency stop was requested" in text
     assert text.startswith("08:00:")
-    assert "emergency stop: somebody asked" in (parts / "README.txt").read_text()
+    assert "emergency stop: an emergency stop was requested" in (parts / "README.txt").read_text()
     versions = json.loads((parts / "versions.json").read_text())
     assert {"softarm", "git_revision", "python", "numpy", "name"} <= set(versions)
     assert sorted(path.name for path in parts.iterdir()) == [
@@ -107,19 +107,19 @@ def test_it_says_what_happened_and_of_which_software(parts):
 
 
 @pytest.mark.slow
-def test_it_holds_the_configuration_without_what_leads_to_secrets(parts):
-    told = Config.model_validate_json((parts / "configuration.json").read_text())
-    assert told == logs.read(parts / "log.mcap").config
-    assert told.limits == Config().limits
+def test_an_incident_has_the_configuration_without_secrets(parts):
+    stored = Config.model_validate_json((parts / "configuration.json").read_text())
+    assert stored == logs.read(parts / "log.mcap").config
+    assert stored.limits == Config().limits
     assert all(b"/etc/secret" not in path.read_bytes() for path in parts.iterdir())
-    assert [getattr(told.api, key) for key in TOKEN_FILES.values()] == [None] * 3
+    assert [getattr(stored.api, key) for key in TOKEN_FILES.values()] == [None] * 3
 
 
 @pytest.mark.slow
-def test_it_is_listed_with_its_time_and_reason_and_outlives_the_logs(stopped):
+def test_an_incident_is_listed_with_time_and_reason_and_outlives_the_logs(stopped):
     (entry,) = incidents.listing(stopped)
     assert incidents.NAME.fullmatch(entry.name)
-    assert entry.text.startswith("emergency stop: somebody asked for an emergency stop")
+    assert entry.text.startswith("emergency stop: an emergency stop was requested")
     assert entry.time.isoformat().startswith("2027-01-15T08:00:3")
     (path,) = files(stopped)
     assert entry.bytes == path.stat().st_size < 3_000_000
@@ -128,7 +128,7 @@ def test_it_is_listed_with_its_time_and_reason_and_outlives_the_logs(stopped):
     assert files(stopped) == [path]
 
 
-def test_a_reading_from_before_that_its_ticks_used_is_in_it(tmp_path):
+def test_an_incident_has_earlier_readings_that_its_ticks_used(tmp_path):
     recorder = Recorder(config_of(tmp_path), Hold().spec)
     recorder.start()
     pressure = PressureReading(1, 2.5, True)  # the device says nothing new for 40 s
@@ -146,7 +146,7 @@ def test_a_reading_from_before_that_its_ticks_used_is_in_it(tmp_path):
 
 
 @pytest.mark.slow
-def test_a_daemon_that_ends_after_the_stop_leaves_it_at_once(tmp_path):
+def test_a_daemon_that_ends_after_a_stop_writes_the_incident_at_once(tmp_path):
     flight = Flight(config_of(tmp_path))
     flight.daemon.arm()
     flight.ticks(0.1, "stop")
@@ -156,7 +156,7 @@ def test_a_daemon_that_ends_after_the_stop_leaves_it_at_once(tmp_path):
 
 
 @pytest.mark.slow
-def test_stops_within_seconds_share_a_file_and_later_ones_have_their_own(tmp_path):
+def test_stops_within_seconds_share_one_incident(tmp_path):
     flight = Flight(config_of(tmp_path))
     flight.daemon.arm()
     for wait_s in (1.0, 8.0, 1.0):
@@ -166,7 +166,7 @@ def test_stops_within_seconds_share_a_file_and_later_ones_have_their_own(tmp_pat
     assert len(incidents.listing(tmp_path)) == 2
 
 
-def test_without_a_stop_or_where_no_log_is_asked_for_there_is_none(tmp_path):
+def test_without_a_stop_or_a_recorder_there_is_no_incident(tmp_path):
     flight = Flight(config_of(tmp_path / "flown"))
     flight.daemon.arm()
     flight.ticks(1, "disarm")
@@ -178,18 +178,18 @@ def test_without_a_stop_or_where_no_log_is_asked_for_there_is_none(tmp_path):
     assert list(tmp_path.iterdir()) == [tmp_path / "flown"]
 
 
-def test_a_full_disk_costs_the_file_and_says_so(tmp_path, monkeypatch, caplog):
+def test_a_full_disk_prevents_the_incident_and_is_reported(tmp_path, monkeypatch, caplog):
     flight = Flight(config_of(tmp_path))
     flight.ticks(0.2, "stop")
     monkeypatch.setattr(folder, "FREE_MIN_BYTES", 1 << 62)
     flight.recorder.stop()
-    assert "no incident file of the stop" in caplog.text
+    assert "the incident file of the stop could not be written" in caplog.text
     assert "the disk is full" in caplog.text
     assert files(tmp_path) == []
 
 
 def kept(tmp_path: Path, number_max: int, mb_max: int) -> list[int]:
-    """Of five files of 1 MB those that are left; and what is no incident file always is."""
+    """Return the remaining of five files of 1 MB; assert that other files remain."""
     for number in range(1, 6):
         path = tmp_path / f"incident-2026010{number}T000000Z.zip"
         path.write_bytes(b"0" * 1_000_000)
@@ -204,11 +204,11 @@ def kept(tmp_path: Path, number_max: int, mb_max: int) -> list[int]:
     ("number_max", "mb_max", "left"),
     [(50, 200, [1, 2, 3, 4, 5]), (5, 5, [1, 2, 3, 4, 5]), (3, 200, [3, 4, 5]), (50, 2, [4, 5]), (1, 0, [5])],
 )
-def test_the_oldest_go_beyond_a_number_and_a_size_and_the_newest_never(tmp_path, number_max, mb_max, left):
+def test_the_oldest_incidents_are_deleted_and_the_newest_never(tmp_path, number_max, mb_max, left):
     assert kept(tmp_path, number_max, mb_max) == left
 
 
-def test_what_is_none_of_ours_is_neither_listed_nor_handed_out(tmp_path):
+def test_other_files_are_neither_listed_nor_downloaded(tmp_path):
     inside = tmp_path / incidents.FOLDER
     inside.mkdir()
     (inside / "incident-20260101T000000Z.zip").write_bytes(b"no zip")

@@ -1,4 +1,4 @@
-"""A log gives back every tick exactly as the loop saw it, also when it breaks off in the middle."""
+"""Log with every tick exactly as in the loop, also if it is cut off."""
 
 import math
 import struct
@@ -101,7 +101,7 @@ tick = st.tuples(inputs_of_a_tick, outputs_of_a_tick, timing_of_a_tick)
 
 
 def exactly(value):
-    """A value that two records share only when they agree in type and in every bit (all NaN count as one)."""
+    """Return a key that is equal for equal types and bits; all NaN are equal."""
     if is_dataclass(value):
         return type(value), tuple(exactly(getattr(value, field.name)) for field in fields(value))
     if isinstance(value, tuple):
@@ -112,7 +112,7 @@ def exactly(value):
 
 
 def make_tick(number: int, period_ns: int = 33_333_333) -> tuple[Inputs, Outputs, TickTiming]:
-    """A plausible tick: four frames, fresh readings."""
+    """Return a plausible tick with four frames and fresh readings."""
     now = 1_000_000_000 + number * period_ns
     poses = tuple(Pose(0.01 * number, 0.5 + i / 7, -0.1 * i) for i in range(6))
     frames = tuple(
@@ -153,7 +153,7 @@ def record(directory: Path, ticks, **recorder) -> Path:
 
 
 def unfinished(directory: Path, ticks) -> Path:
-    """A log as a killed daemon leaves it: unchunked, without an end."""
+    """Return the log of a killed daemon, without chunks and end."""
     path = directory / "killed.mcap"
     with path.open("wb") as file:
         live = TickFile(file)
@@ -180,7 +180,7 @@ def test_a_finished_file_gives_every_tick_back_bit_for_bit(tmp_path, ticks):
     assert exactly(tuple(log)) == exactly(tuple(ticks))
 
 
-def test_a_reading_is_written_once_while_it_is_the_same():
+def test_an_unchanged_reading_is_written_once():
     inputs, outputs, timing = make_tick(1)
     splitter = Splitter()
     first = [entry.topic for entry in splitter.split(inputs, outputs, timing)]
@@ -190,7 +190,7 @@ def test_a_reading_is_written_once_while_it_is_the_same():
     assert "/rail" not in again
 
 
-def test_messages_carry_real_stamps(tmp_path):
+def test_messages_have_real_stamps(tmp_path):
     inputs, outputs, timing = make_tick(3)
     path = record(tmp_path, [(inputs, outputs, timing)])
     with path.open("rb") as file:
@@ -225,7 +225,7 @@ def test_a_log_cut_anywhere_is_read_up_to_the_last_whole_tick(tmp_path):
         found = list(log)
         assert not log.finished
         assert exactly(tuple(found)) == exactly(tuple(ticks[: len(found)]))
-        assert f"{log.records} whole records over {log.duration_s:.2f} s" in log.ending
+        assert f"{log.records} complete records over {log.duration_s:.2f} s" in log.ending
         seen.append(len(found))
     assert seen == sorted(seen)
     assert (seen[0], seen[-1]) == (0, 12)
@@ -242,7 +242,7 @@ def test_a_log_that_was_finished_later_holds_the_same_ticks(tmp_path):
     assert log.config == Config()
 
 
-def test_a_log_whose_measurements_were_taken_out_is_not_replayed(tmp_path):
+def test_a_log_without_measurements_is_not_replayed(tmp_path):
     entries = list(Splitter().split(*make_tick(1)))
     joiner = Joiner()
     for entry in entries[1:-1]:
@@ -252,7 +252,7 @@ def test_a_log_whose_measurements_were_taken_out_is_not_replayed(tmp_path):
 
 
 @pytest.mark.parametrize("version", ["2", "-1"])
-def test_a_log_of_a_newer_format_is_refused_with_both(tmp_path, version):
+def test_a_log_of_a_newer_format_is_refused_with_both_versions(tmp_path, version):
     path = tmp_path / "newer.mcap"
     with path.open("wb") as file:
         live = TickFile(file)
@@ -263,7 +263,7 @@ def test_a_log_of_a_newer_format_is_refused_with_both(tmp_path, version):
 
 
 def disarmed(number: int, *requests: Request) -> tuple[Inputs, Outputs, TickTiming]:
-    """A tick of the run whose events the next tests read."""
+    """Return a tick of the run that the next tests read."""
     inputs, outputs, timing = make_tick(number)
     mode = Mode.ARMED if number >= 4 else Mode.DISARMED
     results = tuple(RequestResult(request.number, True) for request in requests)
@@ -274,10 +274,10 @@ def run_of_six() -> list[tuple[Inputs, Outputs, TickTiming]]:
     return [disarmed(n, *((Request(1, "arm", who="the terminal"),) if n == 3 else ())) for n in range(1, 7)]
 
 
-TOLD = [("request", 3, "arm, asked for by the terminal"), ("mode", 4, "armed, was disarmed")]
+ENTRIES = [("request", 3, "arm requested from the terminal"), ("mode", 4, "disarmed → armed")]
 
 
-def test_a_log_tells_what_happened_at_the_walls_time(tmp_path):
+def test_a_log_has_its_events_in_wall_time(tmp_path):
     path = tmp_path / "a.mcap"
     box = Recorder(
         Config(recorder={"directory": tmp_path}),
@@ -291,14 +291,14 @@ def test_a_log_tells_what_happened_at_the_walls_time(tmp_path):
     box.stop()
     path = box.path
     entries = list(logs.read(path).entries())
-    assert [(e.kind, e.tick, e.text) for e in entries] == TOLD
+    assert [(e.kind, e.tick, e.text) for e in entries] == ENTRIES
     assert [e.number for e in entries] == [1, 2]
     assert entries == list(box.history.entries)
     assert entries[1].time.isoformat() == "2027-01-15T08:00:01.133333+00:00"
     assert len(list(logs.read(path))) == 6
 
 
-def test_of_a_log_from_before_there_were_events_they_are_read_off_its_ticks(tmp_path):
+def test_the_events_of_a_log_without_events_are_derived_from_its_ticks(tmp_path):
     log = logs.read(unfinished(tmp_path, run_of_six()))
-    assert [(e.kind, e.tick, e.text) for e in log.entries()] == TOLD
+    assert [(e.kind, e.tick, e.text) for e in log.entries()] == ENTRIES
     assert {e.number for e in log.entries()} == {0}

@@ -1,4 +1,4 @@
-"""The last minutes as columns: what a chart shows is what the ticks said, in bounded memory, cheap to be asked for."""
+"""The last minutes as columns: equal to the ticks, in bounded memory, cheap to read."""
 
 import json
 import math
@@ -30,7 +30,7 @@ FLOWN = Outputs(
     rail_position_m=0.1,
     rail_velocity_m_s=-0.3,
 )
-DARK = Outputs(STEP_NS, 1, 0, 0, 0, Mode.DISARMED, EStop.CLEAR, sent=Command(False, 0.0, math.nan))
+UNOBSERVED = Outputs(STEP_NS, 1, 0, 0, 0, Mode.DISARMED, EStop.CLEAR, sent=Command(False, 0.0, math.nan))
 
 
 def filled(ticks: int, outputs: Outputs = FLOWN) -> Recent:
@@ -40,7 +40,7 @@ def filled(ticks: int, outputs: Outputs = FLOWN) -> Recent:
     return recent
 
 
-def test_every_column_shows_what_the_tick_said():
+def test_every_column_has_the_ticks_value():
     said = json.loads(filled(1).json(60))
     assert said == {
         "tick": [1],
@@ -64,8 +64,8 @@ def test_every_column_shows_what_the_tick_said():
     assert list(said) == list(NAMES) == list(RecentAnswer.model_fields)
 
 
-def test_what_is_not_known_or_no_number_is_null():
-    said = json.loads(filled(1, DARK).json(60))
+def test_an_unknown_value_or_nan_is_null():
+    said = json.loads(filled(1, UNOBSERVED).json(60))
     known = {"tick", "time", "sent_velocity_m_s", "late_ms", "policy_ms", "mode"}
     assert {name for name, column in said.items() if column != [None]} == known
 
@@ -76,14 +76,14 @@ def test_before_the_first_tick_the_columns_are_there_and_empty():
 
 @pytest.mark.parametrize("ticks", [1, 29, 30, 31, 2000])
 @pytest.mark.parametrize("seconds", [1, 60, 600])
-def test_it_is_the_newest_seconds_and_at_most_one_more_without_a_gap(ticks, seconds):
+def test_the_newest_seconds_are_returned_without_a_gap(ticks, seconds):
     said = json.loads(filled(ticks).json(seconds))
     assert {len(column) for column in said.values()} == {len(said["tick"])}
     assert said["tick"] == list(range(said["tick"][0], ticks + 1))
     assert min(ticks, 30 * seconds) <= len(said["tick"]) <= 30 * seconds + 2 * BLOCK
 
 
-def test_memory_is_bounded_and_the_oldest_go():
+def test_memory_is_bounded_and_the_oldest_are_dropped():
     recent = filled(KEPT + SPARE + 100)
     said = json.loads(recent.json(600))
     assert KEPT - BLOCK <= len(said["tick"]) <= KEPT
@@ -94,7 +94,7 @@ def test_memory_is_bounded_and_the_oldest_go():
     assert len(recent._texts) <= KEPT // BLOCK + 1
 
 
-def test_what_was_made_text_is_kept_as_such_and_still_true():
+def test_cached_text_stays_correct():
     recent = filled(95)
     before = json.loads(recent.json(60))
     recent.take(replace(FLOWN, tick=96, t_ns=96 * STEP_NS))
@@ -103,7 +103,7 @@ def test_what_was_made_text_is_kept_as_such_and_still_true():
     assert after["tick"][95:] == [96]
 
 
-def test_a_reader_beside_the_writer_sees_whole_rows_only():
+def test_a_concurrent_reader_gets_complete_rows_only():
     recent, over = Recent(lambda: 0, lambda: 0), threading.Event()
 
     def write():
@@ -126,5 +126,5 @@ def test_a_reader_beside_the_writer_sees_whole_rows_only():
         writer.join()
 
 
-def test_every_column_is_one_of_the_answers():
+def test_every_column_is_in_the_answer():
     assert set(COLUMNS) < set(RecentAnswer.model_fields)

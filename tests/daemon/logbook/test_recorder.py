@@ -1,4 +1,4 @@
-"""The recorder never holds the loop up, loses at most a flush to a kill, and leaves a tidy file."""
+"""Recorder: never delays the loop, loses one flush at most in a kill, leaves a valid file."""
 
 import dataclasses
 import os
@@ -28,7 +28,7 @@ SPEC = PolicySpec("reach", "swings", sha256="ab" * 32)
 
 
 def config(directory: Path, **recorder) -> Config:
-    """All ticks are kept: what of a still arm is left out is `test_thinning.py`'s."""
+    """Return a configuration that keeps all ticks; `test_thinning.py` tests thinning."""
     return Config(recorder={"directory": directory, "idle_interval_s": 0, **recorder})
 
 
@@ -62,7 +62,7 @@ def test_a_clean_stop_leaves_a_compressed_file_with_an_index(tmp_path):
     assert [path.name for path in tmp_path.iterdir()] == [recorder.path.name]
 
 
-def test_the_head_of_a_log_says_what_ran_where_and_when(tmp_path):
+def test_the_head_of_a_log_names_software_computer_and_time(tmp_path):
     settings = config(tmp_path)
     recorder = Recorder(settings, SPEC, monotonic_ns=lambda: 1_000, wall_ns=lambda: 1_790_000_000_000_000_000)
     recorder.start()
@@ -77,7 +77,7 @@ def test_the_head_of_a_log_says_what_ran_where_and_when(tmp_path):
     assert recorder.path.name == "softarm-20260921T141320Z.mcap"
 
 
-def test_a_change_of_policy_is_noted_in_its_place(tmp_path):
+def test_a_change_of_policy_is_recorded_in_order(tmp_path):
     recorder = Recorder(config(tmp_path), SPEC)
     recorder.start()
     recorder.tick(*make_tick(0))
@@ -87,7 +87,7 @@ def test_a_change_of_policy_is_noted_in_its_place(tmp_path):
     assert [policy["name"] for policy in logs.read(recorder.path).policies] == ["reach", "pid"]
 
 
-def test_of_a_still_arm_little_is_written_and_all_that_waits_at_the_end(tmp_path):
+def test_few_ticks_of_a_resting_arm_are_written_and_the_rest_at_the_end(tmp_path):
     recorder = Recorder(config(tmp_path, idle_interval_s=5.0, around_s=1.0), SPEC)
     recorder.start()
     for number in range(400):
@@ -144,14 +144,14 @@ def test_a_directory_that_cannot_be_made_is_refused_with_the_next_step(tmp_path)
 
 def test_a_full_disk_is_refused_at_start(tmp_path, monkeypatch):
     monkeypatch.setattr("softarm.daemon.logbook.folder.FREE_MIN_BYTES", 1 << 62)
-    with pytest.raises(RecorderError, match=r"the disk is full .* delete old logs or name a directory"):
+    with pytest.raises(RecorderError, match=r"the disk is full .* delete old logs or use a directory"):
         Recorder(config(tmp_path)).start()
     assert list(tmp_path.iterdir()) == []
 
 
 @pytest.fixture
 def disk(monkeypatch):
-    """A disk that can be full; looked at often."""
+    """Return a disk that can be full and is checked often."""
     full = threading.Event()
     flush, new_log = TickFile.flush, folder.new_log
 
@@ -169,7 +169,7 @@ def disk(monkeypatch):
     return full
 
 
-def test_a_disk_that_fills_up_ends_the_log_and_nothing_else(tmp_path, disk):
+def test_a_full_disk_ends_the_log_only(tmp_path, disk):
     recorder = Recorder(config(tmp_path))
     recorder.start()
     recorder.tick(*make_tick(0))
@@ -178,18 +178,18 @@ def test_a_disk_that_fills_up_ends_the_log_and_nothing_else(tmp_path, disk):
     wait_for(lambda: recorder.problem is not None, "the problem")
     assert "the log ends here" in recorder.problem
     assert "delete old logs" in recorder.problem
-    assert "recording goes on by itself" in recorder.problem
+    assert "recording continues by itself" in recorder.problem
     dropped = recorder.dropped
     recorder.tick(*flown(1))
     assert recorder.dropped == dropped + 1
-    wait_for(lambda: recorder.history.entries, "what happens is told all the same")
-    assert recorder.history.entries[0].text == "armed, was disarmed"
+    wait_for(lambda: recorder.history.entries, "the event is still reported")
+    assert recorder.history.entries[0].text == "disarmed → armed"
     recorder.stop()
     assert recorder.dropped == dropped + 1
     assert [o.tick for o in logs.read(recorder.path).outputs()] == [0]
 
 
-def test_recording_goes_on_in_a_new_file_when_there_is_room_again(tmp_path, disk):
+def test_recording_resumes_in_a_new_file_when_there_is_space(tmp_path, disk):
     recorder = Recorder(config(tmp_path), SPEC)
     recorder.start()
     first = recorder.path
@@ -213,20 +213,20 @@ def test_recording_goes_on_in_a_new_file_when_there_is_room_again(tmp_path, disk
 
 
 def flown(number: int, goal: str | None = None) -> tuple[Inputs, Outputs, TickTiming]:
-    """A tick of an armed arm, which flies a goal of this kind."""
+    """Return a tick of an armed arm with a goal of this kind."""
     inputs, outputs, timing = make_tick(number)
     status = GoalStatus() if goal is None else GoalStatus(Goal(goal, -0.2, 0.6), "running")
     return inputs, dataclasses.replace(outputs, mode=Mode.ARMED, goal=status), timing
 
 
 def stop_when_written(recorder: Recorder) -> None:
-    """What is queued at the end is written into the last file, however much it is."""
+    """Stopping writes all queued ticks into the last file."""
     wait_for(lambda: not recorder._queue, "the queue")
     recorder.stop()
 
 
 def parts(directory: Path) -> list[list[int]]:
-    """The ticks of each log, in the order of the run."""
+    """Return the ticks of each log in the order of the run."""
     found = sorted(map(logs.read, directory.glob("*.mcap")), key=lambda each: int(each.metadata["run"]["part"]))
     assert len({each.metadata["run"]["id"] for each in found}) == 1
     assert all(each.metadata["policy"]["name"] == "reach" for each in found)
@@ -235,7 +235,7 @@ def parts(directory: Path) -> list[list[int]]:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("goal", [None, "hold"])
-def test_a_run_of_days_in_flight_leaves_files_of_a_bounded_size_and_no_tick_out(tmp_path, goal):
+def test_a_long_flight_has_files_of_bounded_size_with_every_tick(tmp_path, goal):
     recorder = Recorder(config(tmp_path, file_max_mb=1), SPEC)
     recorder.start()
     for number in range(1, 1501):
@@ -249,7 +249,7 @@ def test_a_run_of_days_in_flight_leaves_files_of_a_bounded_size_and_no_tick_out(
 
 
 @pytest.mark.slow
-def test_a_full_file_waits_for_the_end_of_a_goal_but_not_for_ever(tmp_path):
+def test_a_full_file_waits_a_limited_time_for_the_end_of_a_goal(tmp_path):
     recorder = Recorder(config(tmp_path, file_max_mb=1), SPEC)
     recorder.start()
     for number in range(1, 1501):  # a goal begins before the file is full, and ends a little after
@@ -268,7 +268,7 @@ def test_a_full_file_waits_for_the_end_of_a_goal_but_not_for_ever(tmp_path):
 
 
 @pytest.mark.slow
-def test_a_full_file_goes_on_while_no_other_can_be_begun(tmp_path, disk, monkeypatch):
+def test_a_full_file_is_continued_if_no_new_one_can_be_created(tmp_path, disk, monkeypatch):
     recorder = Recorder(config(tmp_path, file_max_mb=1), SPEC)
     recorder.start()
     first = recorder.path
@@ -285,7 +285,7 @@ def test_a_full_file_goes_on_while_no_other_can_be_begun(tmp_path, disk, monkeyp
     assert [number for part in parts(tmp_path) for number in part] == list(range(1, 802))
 
 
-def test_a_tick_that_cannot_be_encoded_costs_itself_alone_and_is_counted(tmp_path, caplog):
+def test_a_tick_that_cannot_be_encoded_is_dropped_and_counted(tmp_path, caplog):
     recorder = Recorder(config(tmp_path), SPEC)
     recorder.start()
     reading = PressureReading(1, 0.5, False)
@@ -302,7 +302,7 @@ def test_a_tick_that_cannot_be_encoded_costs_itself_alone_and_is_counted(tmp_pat
     assert "left out of the log, like 1 before it" in caplog.text
 
 
-def test_a_frame_that_cannot_be_encoded_takes_its_tick_along_for_a_reader_counts_them(tmp_path):
+def test_a_frame_that_cannot_be_encoded_drops_its_tick(tmp_path):
     recorder = Recorder(config(tmp_path), SPEC)
     recorder.start()
     for number in range(1, 4):
@@ -314,7 +314,7 @@ def test_a_frame_that_cannot_be_encoded_takes_its_tick_along_for_a_reader_counts
     assert recorder.dropped == 1
 
 
-def test_switched_off_it_writes_nothing(tmp_path):
+def test_a_disabled_recorder_writes_nothing(tmp_path):
     recorder = Recorder(config(tmp_path / "logs", enabled=False), SPEC)
     recorder.start()
     recorder.tick(*make_tick(0))
@@ -322,11 +322,11 @@ def test_switched_off_it_writes_nothing(tmp_path):
     recorder.stop()
     assert recorder.path is None
     assert recorder.dropped == 0
-    assert [entry.text for entry in recorder.history.entries] == ["armed, was disarmed"]
+    assert [entry.text for entry in recorder.history.entries] == ["disarmed → armed"]
     assert not (tmp_path / "logs").exists()
 
 
-def test_the_next_start_finishes_what_a_kill_has_left(tmp_path):
+def test_the_next_start_finishes_the_log_of_a_killed_daemon(tmp_path):
     left = tmp_path / "softarm-20200101T000000Z.mcap"
     with left.open("wb") as file:
         live = TickFile(file)
@@ -342,7 +342,7 @@ def test_the_next_start_finishes_what_a_kill_has_left(tmp_path):
     assert (tmp_path / "softarm-20200101T000001Z.mcap").read_bytes() == b"rubbish"
 
 
-def test_a_log_that_is_being_written_is_left_to_its_writer(tmp_path):
+def test_a_log_being_written_is_not_finished_by_another_daemon(tmp_path):
     writer = Recorder(config(tmp_path))
     writer.start()
     writer.tick(*make_tick(0))
@@ -397,7 +397,7 @@ def test_a_kill_loses_no_more_than_the_last_flush(tmp_path):
 
 
 @pytest.mark.slow
-def test_two_minutes_are_finished_whole(tmp_path):
+def test_a_log_of_two_minutes_is_finished_completely(tmp_path):
     recorder = Recorder(config(tmp_path))
     recorder.start()
     for number in range(3600):

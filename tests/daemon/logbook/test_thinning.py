@@ -1,4 +1,4 @@
-"""Of a still arm that is switched off a log keeps a tick now and then, of all else everything."""
+"""Thinning of a log: few ticks of a disarmed arm at rest, every other tick."""
 
 from dataclasses import replace
 from itertools import pairwise
@@ -15,7 +15,7 @@ TIMING = TickTiming(1, 2, 3, None)
 
 
 def tick(number: int, **changes):
-    """Of a still arm, as every device sees it."""
+    """Return a tick of an arm at rest with every reading."""
     now = number * PERIOD_NS
     bodies = changes.pop("bodies", (Pose(0.1, 0.2, 0.3),) * 6)
     inputs = Inputs(
@@ -36,7 +36,7 @@ def numbers(ticks) -> list[int]:
 
 @pytest.fixture
 def still():
-    """One tick a second, all for a second around a change; 1000 ticks of a still arm have gone by."""
+    """Return a thinning of one tick a second after 1000 ticks at rest."""
     thinning = Thinning(1.0, 1.0)
     thinning.kept = [number for n in range(1, 1001) for number in numbers(thinning.take(tick(n)))]
     return thinning
@@ -68,7 +68,7 @@ def test_a_still_arm_is_written_once_per_interval_and_whole_at_the_start(still):
     ],
     ids=str,
 )
-def test_what_led_to_a_change_and_what_follows_it_is_there_whole(still, change):
+def test_ticks_around_a_change_are_all_kept(still, change):
     kept = numbers(still.take(tick(1001, **change)))
     assert kept == list(range(971, 1002))
     change.pop("requests", None)
@@ -77,13 +77,13 @@ def test_what_led_to_a_change_and_what_follows_it_is_there_whole(still, change):
     assert kept == list(range(971, 1031))
 
 
-def test_a_flight_is_kept_whole_however_long(still):
+def test_every_tick_of_a_flight_is_kept(still):
     flown = [tick(n, mode=Mode.ARMED, sent=Command(True, 0.0, 0.0)) for n in range(1001, 2001)]
     kept = [number for each in flown for number in numbers(still.take(each))]
     assert kept[-1000:] == list(range(1001, 2001))
 
 
-def test_sentences_that_count_are_no_change(still):
+def test_a_counter_in_a_text_is_not_a_change(still):
     def stale(n: int):
         return tick(n, events=(ActiveEvent("mocap_stale", "soft_stop", f"{n} ms old"),), arming_refusals=(f"{n} ms",))
 
@@ -92,7 +92,7 @@ def test_sentences_that_count_are_no_change(still):
     assert len([number for number in kept if number > 1040]) < 35
 
 
-def test_ticks_come_out_in_their_order_each_once_and_the_rest_at_the_end(still):
+def test_ticks_come_once_in_order_and_the_rest_at_the_end(still):
     kept = list(still.kept)
     for n in range(1001, 3001):
         kept += numbers(still.take(tick(n, kpa=0.6 if n % 700 == 0 else 0.0)))
@@ -107,13 +107,13 @@ def test_an_interval_of_none_keeps_every_tick():
     assert [number for n in range(1, 500) for number in numbers(thinning.take(tick(n)))] == list(range(1, 500))
 
 
-def test_while_motion_capture_settles_every_tick_is_kept_for_a_replay_has_to_count_its_frames(still):
+def test_every_tick_is_kept_while_motion_capture_settles(still):
     settling = (ActiveEvent("mocap_settling", "warn", "12 of 1000 frames"),)
     kept = [number for n in range(1001, 1201) for number in numbers(still.take(tick(n, events=settling)))]
     assert kept[-200:] == list(range(1001, 1201))
 
 
-def test_a_new_file_begins_with_what_waited_and_its_first_ticks_whole(still):
+def test_a_new_file_begins_with_the_waiting_and_all_first_ticks(still):
     still.begin()
     assert numbers(still.take(tick(1001))) == list(range(971, 1002))
     assert numbers(still.take(tick(1002))) == [1002]

@@ -1,4 +1,4 @@
-"""The latch on the disk: whatever ends the daemon, and wherever a write was cut short, a stop is never lost."""
+"""Latch on disk: no kill and no interrupted write loses a stop."""
 
 import os
 import re
@@ -16,11 +16,12 @@ import yaml
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
+from softarm.daemon.config.places import latch_path
 from softarm.daemon.stop import latch
-from softarm.daemon.stop.latch import SIZE, LatchError, LatchKeeper, Stop, decoded, encoded, latch_path
+from softarm.daemon.stop.latch import SIZE, LatchError, LatchKeeper, Stop, decoded, encoded
 from softarm.schemas.config import Config
 
-WHY = "the drive reports a fault (E12): clear the cause at the drive, then POST /api/acknowledge"
+WHY = "the drive reports a fault (E12): clear the cause at the drive, then run `softarm acknowledge`"
 
 
 @pytest.fixture
@@ -46,17 +47,17 @@ def until(condition):
 
 
 def killed(path):
-    """What a daemon finds that is started after one that was killed: the file as it is, and no lock on it."""
+    """Return the latch as a new daemon finds it after a kill: the unlocked file."""
     return decoded(path.read_bytes()).reason
 
 
-def test_a_robot_that_never_was_stopped_begins_free_and_leaves_no_file(path):
+def test_a_robot_without_a_stop_begins_clear_and_leaves_no_file(path):
     with keeping(path) as keeper:
         assert (keeper.left, keeper.problem, killed(path)) == (None, None, None)
     assert not path.exists()
 
 
-def test_what_was_noted_is_on_the_disk_without_being_asked_for(path):
+def test_a_stop_is_written_without_further_calls(path):
     with keeping(path) as keeper:
         keeper.note(WHY)
         until(lambda: killed(path) == WHY)
@@ -68,14 +69,14 @@ def test_what_was_noted_is_on_the_disk_without_being_asked_for(path):
         assert keeper.left is None
 
 
-def test_the_end_writes_what_was_noted_last(path):
+def test_closing_writes_the_last_stop(path):
     with keeping(path) as keeper:
         for number in range(20):
             keeper.note(f"stop {number}")
     assert killed(path) == "stop 19"
 
 
-def test_it_is_overwritten_where_it_lies_so_that_a_full_disk_cannot_refuse_it(path):
+def test_the_file_is_overwritten_in_place(path):
     with keeping(path) as keeper:
         before = path.stat()
         keeper.note(WHY)
@@ -90,7 +91,7 @@ def test_a_file_that_cannot_be_read_counts_as_a_stop(path, content):
     path.parent.mkdir()
     path.write_bytes(content)
     with keeping(path) as keeper:
-        assert f"whether the robot was stopped is not known ({path}" in keeper.left
+        assert f"the latch is unreadable ({path}" in keeper.left
         keeper.note(None)
         until(lambda: path.read_bytes() == encoded(Stop()))
 
@@ -129,12 +130,12 @@ def test_a_reason_of_any_length_and_alphabet_fits(reason):
 
 
 @pytest.mark.parametrize("time", ["1", "-1.0", "1e999", "NaN", "253402300800.0", '"now"', "null", "[1.0]"])
-def test_a_time_that_is_none_takes_nothing_from_the_stop(time):
+def test_an_invalid_time_leaves_the_stop_valid(time):
     content = f'{{"version": 1, "stopped": "why", "time": {time}}}'.encode().ljust(SIZE)
     assert decoded(content) == Stop("why", None)
 
 
-def test_a_stop_that_was_left_has_its_time_until_another_one_comes(path):
+def test_a_left_stop_keeps_its_time_until_the_next_one(path):
     wall_s = [1_800_000_000.25]
 
     def keeper():
@@ -160,14 +161,15 @@ def test_a_stop_that_was_left_has_its_time_until_another_one_comes(path):
     last.stop()
 
 
-def test_a_file_of_an_older_version_has_a_stop_without_a_time(path):
+def test_a_record_without_a_time_is_unreadable_and_counts_as_a_stop(path):
     path.parent.mkdir()
     path.write_bytes(f'{{"version": 1, "stopped": "{WHY}"}}'.encode().ljust(SIZE - 1) + b"\n")
     with keeping(path) as keeper:
-        assert (keeper.left, keeper.left_at) == (WHY, None)
+        assert "not a record of a stop" in keeper.left
+        assert keeper.left_at is None
 
 
-def test_a_disk_that_fails_is_a_problem_until_it_takes_the_note(path, monkeypatch, caplog):
+def test_a_failing_disk_is_a_problem_until_the_write_succeeds(path, monkeypatch, caplog):
     monkeypatch.setattr(latch, "RETRY_S", 0.01)
     write = os.pwrite
     broken = threading.Event()
@@ -208,17 +210,20 @@ def test_a_disk_that_hangs_is_a_problem_within_a_second(path, monkeypatch):
     keeper.stop()
 
 
-def test_a_second_daemon_of_the_same_robot_is_refused_and_takes_nothing_from_the_first(path):
+def test_a_second_daemon_of_the_same_robot_is_refused(path):
     with keeping(path) as first:
-        with pytest.raises(LatchError, match="another daemon has this robot"):
+        with pytest.raises(LatchError, match="another daemon controls this robot"):
             LatchKeeper(path).start()
         first.note(WHY)
         until(lambda: killed(path) == WHY)
 
 
-def test_where_nothing_can_be_kept_it_says_so(tmp_path):
+def test_an_unwritable_directory_is_reported(tmp_path):
     (tmp_path / "file").write_text("")
-    with pytest.raises(LatchError, match=r"stop\.json: cannot be kept there .* make file and folder writable"):
+    with pytest.raises(
+        LatchError,
+        match=r"stop\.json: the latch of the emergency stop cannot be kept there .* make file and folder writable",
+    ):
         LatchKeeper(tmp_path / "file" / "stop.json").start()
 
 
@@ -230,7 +235,7 @@ def test_the_file_is_the_robots_whatever_else_is_configured(tmp_path):
 
 
 class Killed:
-    """Daemons of one robot that is not there, each ended by kill -9."""
+    """Run daemons of one missing robot, each ended by kill -9."""
 
     def __init__(self, folder):
         with socket.socket() as probe:
@@ -251,7 +256,7 @@ class Killed:
 
     @contextmanager
     def running(self):
-        """A client of one more daemon, where it takes a stop, and what it said of how it begins."""
+        """Start another daemon; yield its client, its stop address and its first output."""
         command = [sys.executable, "-m", "softarm.cli.main", "run", "--config", str(self.config)]
         pipes = {"stdin": subprocess.DEVNULL, "stdout": subprocess.PIPE, "stderr": subprocess.STDOUT}
         with subprocess.Popen(command, **pipes, text=True, env={**os.environ, "PYTHONUNBUFFERED": "1"}) as process:
@@ -282,9 +287,9 @@ def test_a_daemon_that_is_killed_begins_stopped_until_that_is_acknowledged(tmp_p
         with robot.running() as (client, _, said):
             status = client.get("/api/status").json()
             assert (status["mode"], status["estop"]) == ("stopped", "latched")
-            assert status["last_stop"].startswith("somebody asked for an emergency stop")
+            assert status["last_stop"].startswith("an emergency stop was requested")
             assert abs(datetime.fromisoformat(status["last_stop_at"]) - stopped_at) < timedelta(seconds=1)
-            assert "stopped, as it was left (somebody asked" in said
+            assert "stopped since its last run (an emergency stop was requested" in said
     with robot.running() as (client, _, _):
         assert client.post("/api/acknowledge").status_code == 200
         until(lambda: killed(file) is None)

@@ -1,4 +1,4 @@
-"""The stop's own way: who may ask, what it answers, and that nobody there can hold it up."""
+"""Dedicated stop port: access, answers and independence from slow clients."""
 
 import http.client
 import json
@@ -10,9 +10,9 @@ from dataclasses import replace
 
 import pytest
 
-from softarm.daemon.api.auth import AuthError, Role
-from softarm.daemon.api.login import LOGIN_S, LOGINS_MAX, Sessions
-from softarm.daemon.api.sockets import ApiError
+from softarm.daemon.access.auth import AuthError, Role
+from softarm.daemon.access.login import LOGIN_S, LOGINS_MAX, Sessions
+from softarm.daemon.access.sockets import ApiError
 from softarm.daemon.control.inbox import Inbox
 from softarm.daemon.control.records import EStop, Mode, RequestResult
 from softarm.daemon.stop import listener
@@ -24,7 +24,7 @@ GOOD = b"POST /api/stop HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n"
 
 
 class StoppingLoop:
-    """Takes what is in the inbox at each look at its snapshot, as a tick between two looks would."""
+    """Stand-in for the control loop that empties the inbox at each read of its snapshot."""
 
     def __init__(self, outputs):
         self.inbox, self.outputs, self.ticks = Inbox(), outputs, True
@@ -46,13 +46,14 @@ def stopping(silent):
 
 @contextmanager
 def way(loop, config: Api | None = None, sessions: Sessions | None = None):
+    others = set(threading.enumerate())  # another test's daemon may still be stopping
     made = StopListener(config or Api(port=0), loop.inbox, loop.snapshot, sessions=sessions)
     port = made.start()
     try:
         yield port
     finally:
         made.stop()
-        assert not any(thread.name == "stop" for thread in threading.enumerate())
+        assert not any(thread.name == "stop" for thread in set(threading.enumerate()) - others)
 
 
 def ask(port: int, method: str = "POST", path: str = "/api/stop", **headers: str) -> tuple[int, dict]:
@@ -64,15 +65,15 @@ def ask(port: int, method: str = "POST", path: str = "/api/stop", **headers: str
     return found
 
 
-def test_a_stop_is_taken_and_answered_once_a_tick_holds_it(stopping):
+def test_a_stop_is_answered_once_a_tick_confirms_it(stopping):
     with way(stopping) as port:
         status, said = ask(port)
     assert (status, said["stopped"], said["mode"], said["estop"]) == (200, True, "stopped", "latched")
     assert stopping.taken == ["stop"]
-    assert stopping.who == ["the stop's own way"]
+    assert stopping.who == ["the dedicated stop port"]
 
 
-def test_a_loop_that_stands_still_is_told_and_the_stop_waits_for_it(stopping):
+def test_a_hung_loop_is_reported_and_the_stop_stays_in_the_inbox(stopping):
     stopping.ticks = False
     with way(stopping) as port:
         status, said = ask(port)
@@ -88,10 +89,10 @@ def test_a_loop_that_stands_still_is_told_and_the_stop_waits_for_it(stopping):
         ("/api/stop", {"Host": "robot.example"}, 403, "the Host header is 'robot.example'"),
         ("/api/stop", {"Origin": "https://evil.example"}, 403, "may not command this robot"),
         ("/api/stop", {"Origin": "http://[::1"}, 403, "may not command this robot"),
-        ("/api/arm", {}, 404, "here is POST /api/stop alone"),
+        ("/api/arm", {}, 404, "this port accepts POST /api/stop only"),
     ],
 )
-def test_what_is_no_stop_or_from_somewhere_else_is_refused(stopping, path, headers, status, sentence):
+def test_other_requests_and_foreign_pages_are_refused(stopping, path, headers, status, sentence):
     with way(stopping) as port:
         code, said = ask(port, path=path, **headers)
         assert (code, said["reasons"]) == (status, [said["detail"]])
@@ -100,7 +101,7 @@ def test_what_is_no_stop_or_from_somewhere_else_is_refused(stopping, path, heade
     assert stopping.taken == []
 
 
-def test_where_a_token_is_asked_for_a_stop_needs_it_too(stopping, tmp_path):
+def test_a_stop_needs_a_token_if_one_is_configured(stopping, tmp_path):
     (tmp_path / "token").write_text(TOKEN)
     (tmp_path / "token").chmod(0o600)
     with way(stopping, Api(port=0, token_file=tmp_path / "token")) as port:
@@ -112,7 +113,7 @@ def test_where_a_token_is_asked_for_a_stop_needs_it_too(stopping, tmp_path):
         StopListener(Api(host="0.0.0.0"), stopping.inbox, stopping.snapshot)
 
 
-def test_its_answers_say_the_apis_version_and_a_stop_of_any_is_taken(stopping):
+def test_answers_name_the_api_version_and_any_version_may_stop(stopping):
     with way(stopping) as port:
         connection = http.client.HTTPConnection("127.0.0.1", port, timeout=5)
         connection.request("POST", "/api/stop", headers={"softarm-api": "7"})
@@ -125,7 +126,7 @@ PAGES = Api(port=8080, stop_port=0)  # as if the API served at 8080
 
 
 def fetch(port: int, method: str, **headers: str) -> tuple[int, dict[str, str]]:
-    """As a browser sees it: the status, and what the answer allows."""
+    """Return the status and the allowed origin that a browser receives."""
     connection = http.client.HTTPConnection("127.0.0.1", port, timeout=5)
     connection.request(method, "/api/stop", headers=headers)
     answer = connection.getresponse()
@@ -139,7 +140,7 @@ def allowed_to(origin: str) -> dict[str, str]:
 
 
 @pytest.mark.parametrize("origin", ["http://127.0.0.1:8080", "http://localhost:8080", "http://[::1]:8080"])
-def test_a_page_of_the_api_may_stop_by_this_port_too(stopping, origin):
+def test_a_page_of_the_api_may_use_the_stop_port(stopping, origin):
     with way(stopping, PAGES) as port:
         status, allowed = fetch(port, "OPTIONS", Origin=origin, **{"Access-Control-Request-Method": "POST"})
         assert status == 204
@@ -169,7 +170,7 @@ def test_a_page_of_the_api_may_stop_by_this_port_too(stopping, origin):
         ("", "127.0.0.1"),
     ],
 )
-def test_no_other_page_may_nor_is_it_told_that_it_could(stopping, origin, host):
+def test_other_pages_are_refused(stopping, origin, host):
     with way(stopping, PAGES) as port:
         for method in ("OPTIONS", "POST") if origin else ("OPTIONS",):
             status, allowed = fetch(port, method, Origin=origin, Host=host)
@@ -177,7 +178,7 @@ def test_no_other_page_may_nor_is_it_told_that_it_could(stopping, origin, host):
     assert stopping.taken == []
 
 
-def test_beyond_loopback_a_page_is_the_apis_by_its_host_and_still_needs_a_token(stopping, tmp_path):
+def test_beyond_loopback_a_page_of_the_api_needs_a_token(stopping, tmp_path):
     (tmp_path / "token").write_text(TOKEN)
     (tmp_path / "token").chmod(0o600)
     config = Api(host="0.0.0.0", port=8080, stop_port=0, token_file=tmp_path / "token")
@@ -199,7 +200,7 @@ def test_every_role_may_stop(stopping, tmp_path, key):
     with way(stopping, Api(port=0, **files)) as port:
         assert ask(port, Authorization=f"Bearer {files[key].read_text()}")[0] == 200
     role = {"token_file": "command"}.get(key, key.partition("_")[0])
-    assert stopping.who == [f"the stop's own way with the {role} token"]
+    assert stopping.who == [f"the dedicated stop port ({role} token)"]
 
 
 NAMED = "http://robot.example:8080"
@@ -207,7 +208,7 @@ NAMED = "http://robot.example:8080"
 
 @pytest.fixture
 def far(tmp_path):
-    """An API that other machines reach."""
+    """Return settings of an API that other computers can reach."""
     (tmp_path / "token").write_text(TOKEN)
     (tmp_path / "token").chmod(0o600)
     return Api(host="0.0.0.0", port=8080, stop_port=0, token_file=tmp_path / "token")
@@ -222,7 +223,7 @@ def sessions():
 
 
 def cookie(sessions, role=Role.STOP) -> str:
-    return sessions.cookie(sessions.logins.out(role), secure=False).partition(";")[0]
+    return sessions.cookie(sessions.logins.issue(role), secure=False).partition(";")[0]
 
 
 @pytest.mark.parametrize("role", list(Role))
@@ -230,12 +231,12 @@ def test_a_page_that_has_logged_in_stops_without_a_token(stopping, far, sessions
     page = {"Origin": NAMED, "Host": "robot.example:8081", "Cookie": f"other=1; {cookie(sessions, role)}"}
     with way(stopping, far, sessions) as port:
         assert fetch(port, "POST", **page) == (200, allowed_to(NAMED))
-    assert stopping.who == [f"the stop's own way with the {role.name.lower()} token"]
+    assert stopping.who == [f"the dedicated stop port ({role.name.lower()} token)"]
 
 
-def test_a_page_left_open_over_night_keeps_its_button_and_one_that_logged_out_does_not(stopping, far, sessions):
+def test_an_expired_login_still_stops_and_a_revoked_one_does_not(stopping, far, sessions):
     kept, given_back = cookie(sessions), cookie(sessions)
-    sessions.logins.back(given_back.partition("=")[2])
+    sessions.logins.revoke(given_back.partition("=")[2])
     sessions.now_s[0] = LOGIN_S + 1
     page = {"Origin": NAMED, "Host": "robot.example:8081"}
     with way(stopping, far, sessions) as port:
@@ -247,45 +248,45 @@ def test_a_page_left_open_over_night_keeps_its_button_and_one_that_logged_out_do
 @pytest.mark.parametrize(
     "page",
     [
-        {},  # no browser, or one that does not say whose page it is
+        {},  # no browser, or one that sends no Origin
         {"Origin": "null"},  # a sandbox
         {"Origin": "http://evil.example"},
         {"Origin": "http://evil.example:8080"},
         {"Origin": "http://robot.example"},
-        {"Origin": "http://robot.example:8081"},  # whatever else that host serves
+        {"Origin": "http://robot.example:8081"},  # another server on that host
         {"Origin": "https://robot.example:8080"},
         {"Origin": "http://sub.robot.example:8080"},
         {"Origin": "http://robot.example:8080.evil.example"},
         {"Origin": NAMED, "Host": "evil.example:8081"},
     ],
 )
-def test_the_cookie_counts_from_no_other_page(stopping, far, sessions, page):
+def test_the_cookie_is_ignored_from_other_pages(stopping, far, sessions, page):
     with way(stopping, far, sessions) as port:
         status, allowed = fetch(port, "POST", **{"Host": "robot.example:8081", "Cookie": cookie(sessions)} | page)
         assert (status, allowed) == (401, {})
     assert stopping.taken == []
 
 
-def test_a_cookie_of_another_robot_or_made_up_is_none(stopping, far, sessions):
+def test_a_foreign_or_invented_cookie_is_ignored(stopping, far, sessions):
     page = {"Origin": NAMED, "Host": "robot.example:8081"}
-    secret = sessions.logins.out(Role.COMMAND)
-    ticket = sessions.tickets.out(Role.COMMAND)
+    secret = sessions.logins.issue(Role.COMMAND)
+    ticket = sessions.tickets.issue(Role.COMMAND)
     with way(stopping, far, sessions) as port:
         for value in (f"softarm-8090={secret}", "softarm-8080=guess", "softarm-8080=", f"softarm-8080={ticket}", ""):
             assert fetch(port, "POST", Cookie=value, **page)[0] == 401
         both = {"Cookie": f"softarm-8080={secret}", "Authorization": "Bearer wrong"}
-        assert fetch(port, "POST", **both, **page)[0] == 401  # a token that is shown is the one that counts
+        assert fetch(port, "POST", **both, **page)[0] == 401  # a token in the header takes precedence
     assert stopping.taken == []
 
 
-def test_logins_that_come_and_go_meanwhile_disturb_no_stop(stopping, far, sessions):
+def test_concurrent_logins_do_not_disturb_a_stop(stopping, far, sessions):
     page, over = {"Origin": NAMED, "Host": "robot.example:8081"}, threading.Event()
 
     def log_in_and_out():
         while not over.is_set():
-            handed = [sessions.logins.out(Role.VIEW) for _ in range(LOGINS_MAX // 2)]
+            handed = [sessions.logins.issue(Role.VIEW) for _ in range(LOGINS_MAX // 2)]
             for secret in handed:
-                sessions.logins.back(secret)
+                sessions.logins.revoke(secret)
 
     crowd = threading.Thread(target=log_in_and_out)
     crowd.start()
@@ -309,7 +310,7 @@ def test_logins_that_come_and_go_meanwhile_disturb_no_stop(stopping, far, sessio
         b"\xff\xfe: \xff\r\n\r\n",
     ],
 )
-def test_what_is_no_request_is_refused_and_harms_nobody(stopping, sent):
+def test_a_malformed_request_is_refused(stopping, sent):
     with way(stopping) as port, socket.create_connection(("127.0.0.1", port), timeout=5) as client:
         client.sendall(sent)
         assert client.recv(100).startswith(b"HTTP/1.1 4")
@@ -317,17 +318,17 @@ def test_what_is_no_request_is_refused_and_harms_nobody(stopping, sent):
         assert ask(port)[0] == 200
 
 
-def test_what_we_did_not_think_of_costs_one_client_alone(stopping, monkeypatch, caplog):
-    monkeypatch.setattr(listener.Door, "refusal", lambda self, headers: headers[b"x-needed"])
+def test_an_unexpected_error_closes_one_client_only(stopping, monkeypatch, caplog):
+    monkeypatch.setattr(listener.AccessControl, "refusal", lambda self, headers: headers[b"x-needed"])
     with way(stopping) as port:
         with pytest.raises(http.client.RemoteDisconnected):
             ask(port)
-        assert "was hung up on" in caplog.text
+        assert "closed a connection" in caplog.text
         monkeypatch.undo()
         assert ask(port)[0] == 200
 
 
-def test_a_body_that_comes_along_does_not_cost_the_answer(stopping):
+def test_a_stop_with_a_body_is_answered(stopping):
     with way(stopping) as port, socket.create_connection(("127.0.0.1", port), timeout=5) as client:
         client.sendall(GOOD.replace(b"\r\n\r\n", b"\r\nContent-Length: 100000\r\n\r\n") + b"x" * 100_000)
         assert client.recv(100).startswith(b"HTTP/1.1 200 OK")
@@ -343,20 +344,20 @@ def test_a_request_may_come_in_pieces(stopping):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("sent", [b"", b"POST /api/st"])
-def test_clients_that_say_nothing_give_way(stopping, sent):
+def test_silent_clients_make_room_for_new_ones(stopping, sent):
     with way(stopping) as port, ExitStack() as stack:
         for _ in range(300):
             stack.enter_context(socket.create_connection(("127.0.0.1", port), timeout=5)).sendall(sent)
         assert ask(port)[0] == 200
 
 
-def test_a_client_that_says_nothing_is_hung_up_on(stopping, monkeypatch):
-    monkeypatch.setattr(listener, "PATIENCE_S", 0.2)
+def test_a_silent_client_is_closed(stopping, monkeypatch):
+    monkeypatch.setattr(listener, "CLIENT_TIMEOUT_S", 0.2)
     with way(stopping) as port, socket.create_connection(("127.0.0.1", port), timeout=5) as client:
         assert client.recv(1) == b""
 
 
-def test_many_stops_at_once_are_one_and_all_are_answered(stopping):
+def test_many_simultaneous_stops_are_all_answered(stopping):
     stopping.ticks = False
     with way(stopping) as port, ExitStack() as stack:
         clients = [stack.enter_context(socket.create_connection(("127.0.0.1", port), timeout=5)) for _ in range(50)]
@@ -366,8 +367,8 @@ def test_many_stops_at_once_are_one_and_all_are_answered(stopping):
         assert all(client.recv(100).startswith(b"HTTP/1.1 200 OK") for client in clients)
 
 
-def test_no_descriptor_left_is_no_end(stopping, monkeypatch):
-    """The oldest client gives its own; the kernel's refusal itself is what is played."""
+def test_the_listener_survives_running_out_of_descriptors(stopping, monkeypatch):
+    """The oldest client is closed; the kernel's error is simulated."""
     real, refused = socket.socket.accept, []
 
     def accept(self):
@@ -388,17 +389,17 @@ def test_a_port_that_is_taken_is_refused_with_its_key(stopping):
 
 
 @pytest.mark.parametrize(("port", "stop_port", "expected"), [(8080, None, 8081), (0, None, 0), (8080, 9, 9), (5, 0, 0)])
-def test_the_port_is_the_next_or_the_named(port, stop_port, expected):
+def test_the_stop_port_follows_the_apis_unless_configured(port, stop_port, expected):
     assert Api(port=port, stop_port=stop_port).stops_at == expected
 
 
 @pytest.mark.parametrize(("port", "stop_port"), [(65535, None), (8080, 8080)])
-def test_two_ports_are_two(port, stop_port):
+def test_two_zero_ports_are_different(port, stop_port):
     with pytest.raises(ValueError, match="choose another"):
         Api(port=port, stop_port=stop_port)
 
 
-def test_a_stop_is_done_by_its_result_too_though_its_tick_began_before_the_clock_was_read(stopping):
+def test_a_stop_is_confirmed_by_its_result_even_if_the_tick_began_earlier(stopping):
     class Early(StoppingLoop):
         def snapshot(self):
             for post in self.inbox.take():

@@ -1,4 +1,4 @@
-"""The key that stops, on a terminal that the test holds the other end of."""
+"""Emergency stop by a key, on a pseudo-terminal."""
 
 import os
 import termios
@@ -11,10 +11,10 @@ from softarm.daemon.stop.terminal import StopKey
 
 @pytest.fixture
 def terminal():
-    """The far end, at which a person types, and the daemon's own."""
+    """Yield the keyboard's end and the daemon's end of a pseudo-terminal."""
     typist, ours = os.openpty()
     yield typist, ours
-    os.close(typist)  # hung up: whoever still waits for a key there ends, and reads none of the next test's
+    os.close(typist)  # ends a thread that still waits for a key
     for thread in threading.enumerate():
         if thread.name == "stop key":
             thread.join(10)
@@ -30,7 +30,7 @@ def test_space_and_s_stop_without_enter(terminal, typed):
         assert stopped.wait(5)
 
 
-def test_another_key_does_not(terminal):
+def test_other_keys_do_not_stop(terminal):
     typist, ours = terminal
     pressed, last = [], threading.Event()
 
@@ -45,7 +45,7 @@ def test_another_key_does_not(terminal):
     assert len(pressed) == 1
 
 
-def test_the_terminal_is_given_back_as_it_was(terminal):
+def test_the_terminal_is_restored(terminal):
     _, ours = terminal
     before = termios.tcgetattr(ours)
     with StopKey(lambda: None, ours):
@@ -54,7 +54,7 @@ def test_the_terminal_is_given_back_as_it_was(terminal):
     assert termios.tcgetattr(ours) == before
 
 
-def test_where_there_is_no_terminal_nothing_is_read(tmp_path):
+def test_without_a_terminal_no_key_is_read(tmp_path):
     read, write = os.pipe()
     os.write(write, b" ")
     with StopKey(lambda: pytest.fail("a pipe is no terminal"), read):

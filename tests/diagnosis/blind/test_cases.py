@@ -1,4 +1,4 @@
-"""The blind benchmark's cases: what is drawn, in which shares, how strongly, and what the files do not tell."""
+"""Cases of the blind benchmark: shares, strengths, nuisances and files."""
 
 from collections import Counter
 from dataclasses import fields, replace
@@ -30,8 +30,8 @@ from softarm.simulator import model_file
 from softarm.simulator.effects import REGISTRY
 
 CAUSES = (*KNOWN, *(UNKNOWN + name for name in UNKNOWNS))
-# Fields of reality that are neutral in a robot without a cause; the rest are what nuisances turn.
-TURNED = {
+# Fields of the independent robot that the nuisances change; all others are neutral without a cause.
+CHANGED = {
     "inflate_s",
     "deflate_s",
     "tube_s",
@@ -77,11 +77,11 @@ def test_the_same_seed_draws_the_same_cases_and_another_draws_others():
     assert not set(labels[0]) & set(labels[1])
 
 
-def test_every_effect_that_reality_can_produce_is_drawn_equally_often(cases):
+def test_every_cause_is_drawn_equally_often(cases):
     singles = Counter((case.causes[0].name, case.causes[0].removed) for case in cases if case.kind == "single")
     assert set(singles) == set(SINGLES)
     assert max(singles.values()) - min(singles.values()) <= 1
-    # A servo is what its drive is, in every case.
+    # rail.servo describes the drive of every case.
     robot = {name for name in REGISTRY if not name.startswith("contact.") and name != "rail.servo"}
     assert {name for name, _ in singles} == robot
     unknowns = Counter(case.causes[0].name for case in cases if case.kind == "unknown")
@@ -94,7 +94,7 @@ def test_no_unknown_cause_has_a_name_in_the_registry():
     assert set(KNOWN) < set(REGISTRY)
 
 
-def test_causes_that_come_together_are_never_look_alikes(cases):
+def test_combined_causes_are_never_rivals(cases):
     several = [[cause.name for cause in case.causes] for case in cases if case.kind in ("two", "uneven", "three")]
     assert Counter(map(len, several)) == {2: 28, 3: 12}
     assert all(separable(*pair) for names in several for pair in permutations(names, 2))
@@ -103,7 +103,7 @@ def test_causes_that_come_together_are_never_look_alikes(cases):
 
 
 @pytest.mark.parametrize("name", CAUSES)
-def test_reality_allows_every_cause_at_both_ends_and_it_changes_the_robot(name):
+def test_every_cause_is_allowed_at_both_ends_and_changes_the_robot(name):
     nominal = RobotParameters()
     for variant in variants_of(name):
         for end in ("low", "high"):
@@ -119,7 +119,7 @@ def test_reality_allows_every_cause_at_both_ends_and_it_changes_the_robot(name):
     assert stage_of(name) in {"pressure", "rail", "arm", "mocap", "clock"}
 
 
-def test_half_strength_is_for_weak_singles_and_for_the_second_of_an_uneven_pair(cases):
+def test_half_strength_is_only_for_half_and_uneven_cases(cases):
     for case in cases:
         weak = {"half": [True], "uneven": [False, True]}.get(case.kind, [False] * len(case.causes))
         assert [cause.half for cause in case.causes] == weak
@@ -128,7 +128,7 @@ def test_half_strength_is_for_weak_singles_and_for_the_second_of_an_uneven_pair(
 
 
 @pytest.mark.parametrize("name", KNOWN)
-def test_half_strength_is_halfway_to_where_a_knob_changes_nothing(name):
+def test_half_strength_is_halfway_to_no_effect(name):
     nominal = RobotParameters()
     for variant in variants_of(name):
         for knob in variant:
@@ -147,7 +147,7 @@ def test_half_strength_is_halfway_to_where_a_knob_changes_nothing(name):
 
 
 @pytest.mark.parametrize("name", CAUSES)
-def test_magnitudes_fill_their_range_evenly_on_a_logarithmic_scale(name):
+def test_magnitudes_are_drawn_log_uniformly(name):
     random = np.random.default_rng(0)
     for variant in variants_of(name):
         for knob in variant:
@@ -160,7 +160,7 @@ def test_magnitudes_fill_their_range_evenly_on_a_logarithmic_scale(name):
             assert np.mean(drawn) == pytest.approx((low + high) / 2, abs=0.1 * (high - low) + 1e-12)
 
 
-def test_a_removed_effect_leaves_the_robot_alone_and_is_out_of_the_model_file(cases):
+def test_a_removed_effect_changes_the_model_file_and_not_the_robot(cases):
     removed = [case for case in cases if any(cause.removed for cause in case.causes)]
     assert {cause.name for case in removed for cause in case.causes if cause.removed} == set(REMOVABLE)
     for case in removed:
@@ -173,13 +173,13 @@ def test_a_removed_effect_leaves_the_robot_alone_and_is_out_of_the_model_file(ca
     assert draw_cause(robot, "rail.delay", True, np.random.default_rng(2))[0] == robot
 
 
-def test_nuisances_turn_everything_that_is_never_quite_right_and_nothing_else():
+def test_nuisances_change_only_the_listed_parameters():
     nominal = RobotParameters()
     robots = [draw_nuisances(nominal, np.random.default_rng(seed)) for seed in range(100)]
     for group in GROUPS:
         for field in fields(getattr(nominal, group)):
             values = {getattr(getattr(robot, group), field.name) for robot in robots}
-            if field.name in TURNED:
+            if field.name in CHANGED:
                 assert len(values) == len(robots), field.name
             else:
                 assert values == {getattr(getattr(nominal, group), field.name)}, field.name
@@ -189,7 +189,7 @@ def test_nuisances_turn_everything_that_is_never_quite_right_and_nothing_else():
         assert np.std(scales.mean(axis=1)) == pytest.approx(sigma * np.sqrt(1.2), rel=0.25)
 
 
-def test_every_case_has_eight_trials_of_both_rails_and_fresh_ones_unlike_them(cases):
+def test_every_case_has_eight_trials_and_different_fresh_ones(cases):
     repeats = 0
     for case in cases:
         names = [trial.excitation for trial in case.planned]
@@ -206,7 +206,7 @@ def test_every_case_has_eight_trials_of_both_rails_and_fresh_ones_unlike_them(ca
     assert 60 < repeats < 140
 
 
-def test_names_say_nothing(cases):
+def test_names_reveal_nothing(cases):
     assert len({case.name for case in cases}) == len(cases)
     by_name = [case.kind for case in sorted(cases, key=lambda case: case.name)]
     assert by_name != sorted(by_name)
@@ -214,12 +214,12 @@ def test_names_say_nothing(cases):
 
 
 @pytest.mark.parametrize(("count", "seed"), [(0, 1), (5, -1)])
-def test_what_cannot_be_drawn_is_refused_in_words(count, seed):
+def test_an_invalid_count_or_seed_is_refused(count, seed):
     with pytest.raises(ValueError, match="give a count from 1 and a seed from 0"):
         draw(count, seed)
 
 
-def test_a_written_case_is_a_campaign_and_a_half_written_one_is_flown_again(tmp_path):
+def test_a_written_case_can_be_read_and_a_partial_one_is_written_again(tmp_path):
     case = next(case for case in draw(20, seed=2) if case.kind == "single")
     short = next(trial for trial in case.fresh if trial.excitation == "rail-multisine")
     case = replace(case, planned=(replace(short, folder="trial-1"),), fresh=(replace(short, seed=99),))

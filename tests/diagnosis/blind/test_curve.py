@@ -1,4 +1,4 @@
-"""Confidence as a measured frequency: bins of margins, none too small, never falling."""
+"""Calibration of confidences: bins of margins that are large enough and never fall."""
 
 import json
 
@@ -28,13 +28,13 @@ def effect(name, equivalents=()):
 
 
 def verdict(*effects):
-    said = {
+    own = {
         "verdict": "named" if effects else "none",
         "effects": list(effects),
         "next_experiment": None,
         "warnings": [],
     }
-    return EMPTY | said
+    return EMPTY | own
 
 
 @given(ANSWERS)
@@ -49,7 +49,7 @@ def test_every_answer_counts_once_and_shares_never_fall(answers):
         assert len(bins) < 2 or all(each["of"] >= BIN_LEAST for each in bins)
 
 
-def test_a_wider_margin_that_was_more_often_right_has_a_bin_of_its_own():
+def test_a_larger_margin_with_a_higher_share_has_its_own_bin():
     near = [("alone", 0.05, i < 15) for i in range(30)]
     far = [("alone", 0.9, True)] * 30
     assert curves(near + far)["alone"] == [
@@ -58,24 +58,24 @@ def test_a_wider_margin_that_was_more_often_right_has_a_bin_of_its_own():
     ]
 
 
-def test_of_the_robot_a_set_is_right_that_holds_a_cause_and_what_has_no_margin_does_not_count():
+def test_a_set_with_a_cause_is_right_and_names_without_margin_do_not_count():
     labels = seal.Labels("5a" * 32, 1, {"a": {"kind": "two", "causes": [{"name": "rail.lag"}, {"name": "arm.drag"}]}})
-    said = verdict(effect("rail.delay", ["rail.lag"]), effect("arm.tilt"), effect("arm.drag"))
-    answers = {"answers": [{"case": "a", "verdict": said, "margins": {"rail.delay": 0.3, "arm.tilt": 0.1}}]}
+    reply = verdict(effect("rail.delay", ["rail.lag"]), effect("arm.tilt"), effect("arm.drag"))
+    answers = {"answers": [{"case": "a", "verdict": reply, "margins": {"rail.delay": 0.3, "arm.tilt": 0.1}}]}
     assert list(of_robot(labels, answers)) == [("set", 0.3, True), ("alone", 0.1, False)]
 
 
 @pytest.mark.parametrize(("must", "right"), [([], True), (["lag", "dead_time"], False)])
-def test_of_rigs_one_of_several_that_nobody_could_tell_apart_is_wrong_alone(tmp_path, must, right):
+def test_one_of_several_inseparable_names_is_wrong_on_its_own(tmp_path, must, right):
     cause = {"names": ["lag"], "tied": ["dead_time"], "also": [], "near": [], "must": must}
-    said = {"verdict": verdict(effect("servo.lag")), "margins": {"servo.lag": 0.4}}
-    for folder, content in (("truths", {"causes": [cause]}), ("answers", said)):
+    reply = {"verdict": verdict(effect("servo.lag")), "margins": {"servo.lag": 0.4}}
+    for folder, content in (("truths", {"causes": [cause]}), ("answers", reply)):
         (tmp_path / folder).mkdir()
         (tmp_path / folder / "a.json").write_text(json.dumps(content))
     (tmp_path / "truths" / "unanswered.json").write_text("{}")
     assert list(of_rigs(tmp_path)) == [("alone", 0.4, right)]
 
 
-def test_it_says_what_it_wants():
+def test_an_unknown_command_is_refused():
     with pytest.raises(SystemExit):
-        curve.main(["nobody"])
+        curve.main(["unknown"])

@@ -1,4 +1,4 @@
-"""Answering blind: nothing but the data decides, nothing is lost when stopped, and what is frozen stays."""
+"""Running and opening the sealed benchmark: only data decide, runs can be continued, frozen answers stay."""
 
 import inspect
 import json
@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from softarm.cli.blind import blind
+from softarm.cli.gap.blind import blind
 from softarm.diagnosis.blind import methods, opening, run, seal
 from softarm.diagnosis.data.trials import TrialError
 from softarm.reality.record import record
@@ -36,7 +36,6 @@ LABELS = seal.Labels(
 
 @pytest.fixture(scope="module")
 def recorded(tmp_path_factory):
-    """Three cases of one short trial each."""
     data = tmp_path_factory.mktemp("blind") / "data"
     for seed, case in enumerate(CASES):
         record(lambda t: (0.2, 9.0), data / case / "trial-1", 0.5, seed=seed, kind="step")
@@ -52,7 +51,7 @@ def data(recorded, tmp_path):
 
 
 def names_gain(trials, model):
-    """A stand-in that answers from what it is handed: everything that it can see goes into the answer."""
+    """Stub of a method whose answer contains everything that it can read."""
     seen = [f"{trial.name} {trial.kind} {trial.source} {trial.warnings} {trial.missing}" for trial in trials]
     rms = float(np.std(trials[0].channels["mocap"]["link5_y"]))
     effect = NamedEffect(
@@ -74,7 +73,7 @@ def answers_of(file):
     return {answer["case"]: answer for answer in json.loads(file.read_text())["answers"]}
 
 
-def test_labels_are_no_argument_and_never_touched(data, tmp_path):
+def test_a_run_never_reads_the_labels(data, tmp_path):
     assert not any("label" in name for name in inspect.signature(run.run).parameters)
     assert not any("label" in str(parameter.opts) for parameter in blind.commands["run"].params)
     texts = []
@@ -91,7 +90,7 @@ def test_labels_are_no_argument_and_never_touched(data, tmp_path):
     assert set(answers_of(tmp_path / "none.json")) == set(CASES)
 
 
-def test_name_and_place_of_a_case_do_not_matter(data, tmp_path):
+def test_name_and_folder_of_a_case_do_not_change_the_answer(data, tmp_path):
     run.run(data, tmp_path / "a.json", processes=1)
     other = tmp_path / "elsewhere" / "z"
     for case, renamed in zip(CASES, ("zz", "aa", "mm"), strict=True):
@@ -104,7 +103,7 @@ def test_name_and_place_of_a_case_do_not_matter(data, tmp_path):
     assert len({str(answer["verdict"]) for answer in one.values()}) == 3  # they do depend on the data
 
 
-def test_a_stopped_run_goes_on_and_a_finished_one_answers_nothing_twice(data, tmp_path, monkeypatch):
+def test_an_interrupted_run_continues_and_no_case_is_answered_twice(data, tmp_path, monkeypatch):
     asked = []
 
     def stops(trials, model):
@@ -131,7 +130,7 @@ def test_a_stopped_run_goes_on_and_a_finished_one_answers_nothing_twice(data, tm
     assert set(run.read_seconds(file)) == set(CASES)
 
 
-def test_other_data_or_another_tool_are_answered_anew(data, tmp_path, monkeypatch):
+def test_changed_data_or_another_tool_are_answered_again(data, tmp_path, monkeypatch):
     file, seen = tmp_path / "answers.json", []
     monkeypatch.setitem(methods.METHODS, "diagnose", lambda t, m: seen.append(t) or names_gain(t, m))
     run.run(data, file, processes=1)
@@ -144,7 +143,7 @@ def test_other_data_or_another_tool_are_answered_anew(data, tmp_path, monkeypatc
     assert len(seen) == 7
 
 
-def test_a_tool_that_falls_over_has_answered_and_the_others_go_on(data, tmp_path, monkeypatch):
+def test_a_failure_is_an_answer_and_the_other_cases_continue(data, tmp_path, monkeypatch):
     def falls(trials, model):
         raise TrialError("too short")
 
@@ -155,16 +154,16 @@ def test_a_tool_that_falls_over_has_answered_and_the_others_go_on(data, tmp_path
     assert all(answer["verdict"] is None for answer in answers.values())
 
 
-def test_what_cannot_be_run_is_refused_in_words(data, tmp_path):
-    with pytest.raises(seal.SealError, match="method 'oracle' is unknown; there are diagnose"):
+def test_an_invalid_run_is_refused(data, tmp_path):
+    with pytest.raises(seal.SealError, match="unknown method 'oracle'; allowed are diagnose"):
         run.run(data, tmp_path / "a.json", "oracle")
-    with pytest.raises(seal.SealError, match="holds no case"):
+    with pytest.raises(seal.SealError, match="contains no case"):
         run.run(tmp_path / "nothing", tmp_path / "a.json")
     with pytest.raises(seal.SealError, match="outside"):
         run.run(data, data / "answers.json")
 
 
-def test_a_method_may_bring_its_model_or_have_it_made_of_its_verdict(data, monkeypatch):
+def test_the_patched_model_comes_from_the_method_or_its_verdict(data, monkeypatch):
     own = Model().model_copy(update={"effects": {"rail.gain": {"scale": 0.05}}})
 
     class Diagnosis:
@@ -180,7 +179,7 @@ def test_a_method_may_bring_its_model_or_have_it_made_of_its_verdict(data, monke
     assert run.answer_case(data / "case-a", "diagnose")["margins"] == {"pressure.gain": 0.4}
 
 
-def test_opening_scores_measures_on_fresh_trials_and_writes_everything(data, tmp_path):
+def test_opening_scores_measures_and_writes_the_results(data, tmp_path):
     file, fresh = tmp_path / "answers.json", tmp_path / "fresh"
     shutil.copytree(data, fresh)
     run.run(data, file, processes=1)
@@ -205,36 +204,36 @@ def test_opening_scores_measures_on_fresh_trials_and_writes_everything(data, tmp
 
 
 @pytest.mark.parametrize("broken", ["answers", "labels", "data", "incomplete", "twice"])
-def test_opening_refuses_whatever_changed_after_it_was_sealed(data, tmp_path, broken):
+def test_opening_refuses_anything_changed_after_sealing(data, tmp_path, broken):
     file, labels = tmp_path / "answers.json", tmp_path / "sealed" / "labels.json"
     run.run(data, file, processes=1)
-    files, told = [file], ""
+    files, expected = [file], ""
     if broken == "answers":
         file.write_text(file.read_text().replace("pressure.gain", "rail.gain"))
-        told = "has changed since it was frozen"
+        expected = "has changed since it was frozen"
     elif broken == "labels":
         labels.write_text(labels.read_text().replace("unknown.cable", "pressure.gain"))
-        told = "case-c"
+        expected = "case-c"
     elif broken == "data":
         (data / "case-a" / "trial-1" / "rail.csv").unlink()
-        told = "differs from what was answered"
+        expected = "changed after it was answered"
     elif broken == "incomplete":
         content = json.loads(file.read_text())
         content["answers"].pop()
         file.write_text(json.dumps(content))
         seal.freeze(file)
-        told = "case-c"
+        expected = "case-c"
     else:
-        files, told = [file, file], "one file a method"
+        files, expected = [file, file], "one file for each method"
         shutil.copy(file, tmp_path / "copy.json")
         shutil.copy(tmp_path / "answers.json.sha256", tmp_path / "copy.json.sha256")
         files = [file, tmp_path / "copy.json"]
-    with pytest.raises(seal.SealError, match=told):
+    with pytest.raises(seal.SealError, match=expected):
         opening.open_labels(data, labels, files, tmp_path / "out", None)
     assert not (tmp_path / "out").exists()
 
 
-def test_the_verbs_run_and_open(data, tmp_path):
+def test_the_commands_run_and_open_work(data, tmp_path):
     command = ["run", data, "--answers", tmp_path / "a.json", "--processes", "1"]
     outcome = CliRunner().invoke(blind, [str(word) for word in command])
     assert outcome.exit_code == 0, outcome.output

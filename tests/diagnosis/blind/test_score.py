@@ -1,4 +1,4 @@
-"""The score: every measure by hand on cases whose answer is plain to see."""
+"""Measures of the sealed benchmark on small cases that are counted by hand."""
 
 import pytest
 
@@ -34,7 +34,7 @@ def measures(*cases):
     return {name: (cell["hits"], cell["of"]) for name, cell in score(cases)["measures"].items()}
 
 
-def test_a_single_cause_exact_in_a_set_of_two_or_beside_others():
+def test_single_causes_are_counted_exact_or_in_sets_of_two():
     found = measures(
         case("single", ["rail.lag"], named("rail.lag"), stage="rail"),
         case("single", ["rail.lag"], named("rail.delay", "rail.lag"), stage="rail"),
@@ -48,7 +48,7 @@ def test_a_single_cause_exact_in_a_set_of_two_or_beside_others():
     assert found["right stage"] == found["right stage, single"] == (3, 5)
 
 
-def test_two_causes_count_once_each_whatever_their_order():
+def test_two_causes_are_matched_in_any_order():
     causes = ["rail.lag", "arm.drag"]
     found = measures(
         case("two", causes, named("arm.drag"), named("rail.lag"), stage="arm"),
@@ -62,7 +62,7 @@ def test_two_causes_count_once_each_whatever_their_order():
     assert found["right stage"] == (3, 4)
 
 
-def test_names_for_nothing_and_for_the_unknown_are_counted_against_it():
+def test_names_without_a_cause_and_for_unknown_causes_are_counted():
     found = measures(
         case("none", [], verdict="none"),
         case("none", [], named("rail.lag"), stage="rail"),
@@ -78,7 +78,7 @@ def test_names_for_nothing_and_for_the_unknown_are_counted_against_it():
     assert found["failed"] == (1, 6)
 
 
-def test_every_wrong_answer_is_told_with_the_truth():
+def test_every_wrong_answer_is_listed_with_the_truth():
     found = score(
         [
             case("single", ["rail.lag"], named("rail.delay"), stage="rail", removed=True),
@@ -92,14 +92,14 @@ def test_every_wrong_answer_is_told_with_the_truth():
     assert found["by_cause"]["rail.lag (removed)"]["hits"] == 0
 
 
-def test_a_share_has_wilsons_interval():
+def test_a_share_has_a_wilson_interval():
     found = share([True] * 8 + [False] * 2)
     assert (found["share"], found["hits"], found["of"]) == (0.8, 8, 10)
     assert (found["low"], found["high"]) == pytest.approx((0.4902, 0.9433), abs=1e-4)  # Newcombe 1998's method 3
     assert share([])["share"] is None
 
 
-def test_calibration_is_the_mean_distance_weighted_by_bin():
+def test_the_calibration_error_is_weighted_by_bin_size():
     cases = [case("single", ["rail.lag"], named("rail.lag", confidence=0.95))] * 3
     cases += [case("single", ["rail.lag"], named("rail.gain", confidence=0.95))]
     cases += [case("single", ["rail.lag"], named("rail.gain", "rail.lag", confidence=0.35))]
@@ -112,7 +112,7 @@ def test_calibration_is_the_mean_distance_weighted_by_bin():
     assert calibration([case("none", [])])["ece"] is None
 
 
-def test_coverage_counts_effects_that_are_alone_in_their_stage():
+def test_coverage_counts_effects_alone_in_their_stage():
     chain = Interval(value=0.2, low=0.1, high=0.3)
     fresh = {"rail": 0.5, "arm": 0.9, "chain": 0.35}
     found = coverage(
@@ -129,7 +129,7 @@ def test_coverage_counts_effects_that_are_alone_in_their_stage():
     assert found["stage"]["width"] == pytest.approx(0.2)
 
 
-def test_the_page_has_a_column_for_each_method_and_no_share_of_nothing():
+def test_the_table_has_a_column_for_each_method_and_no_share_without_cases():
     scored = score([case("none", [], verdict="none")])
     method = {"seconds_median": None, "seconds_worst": None, **scored}
     text = pages.markdown({"methods": {"one": method, "two": method}})

@@ -1,4 +1,4 @@
-"""Seals of the blind benchmark: what is committed to cannot change unseen, and labels never lie with the data."""
+"""Seals of the blind benchmark: no label changes unnoticed, and labels are never next to the data."""
 
 import json
 
@@ -16,19 +16,19 @@ def sealed(tmp_path):
     return data, file
 
 
-def test_labels_come_back_and_match_their_commitment(sealed):
+def test_labels_read_back_match_their_commitment(sealed):
     data, file = sealed
     assert seal.read_labels(file) == LABELS
     seal.check_labels(LABELS, data)
     assert [path.name for path in data.iterdir()] == [seal.COMMITMENT]
-    assert file.stat().st_mode & 0o077 == 0  # nobody else reads them
+    assert file.stat().st_mode & 0o077 == 0  # private
 
 
-def test_a_commitment_tells_nothing_without_the_salt():
-    told = seal.commitment(LABELS)
+def test_a_commitment_reveals_nothing_without_the_salt():
+    own = seal.commitment(LABELS)
     other = seal.commitment(seal.Labels("6b" * 32, LABELS.seed, LABELS.cases))
-    assert told["all"] != other["all"]
-    assert all(told["cases"][case] != other["cases"][case] for case in LABELS.cases)
+    assert own["all"] != other["all"]
+    assert all(own["cases"][case] != other["cases"][case] for case in LABELS.cases)
     same = seal.Labels(LABELS.salt, 1, dict.fromkeys(LABELS.cases, LABELS.cases["case-a"]))
     assert len(set(seal.commitment(same)["cases"].values())) == 2  # equal labels do not show as equal
 
@@ -43,30 +43,30 @@ def test_a_commitment_is_sha_256_of_salt_and_canonical_json():
 
 
 @pytest.mark.parametrize(
-    ("change", "told"),
+    ("change", "expected"),
     [
         (lambda d: d["cases"]["case-b"].update(kind="none"), "case-b"),
         (lambda d: d["cases"].pop("case-a"), "case-a"),
         (lambda d: d.update(seed=12), "the seed or the salt"),
     ],
 )
-def test_changed_labels_are_refused_by_name(sealed, change, told):
+def test_changed_labels_are_rejected_by_name(sealed, change, expected):
     data, file = sealed
     content = json.loads(file.read_text())
     change(content)
     file.write_text(json.dumps(content))
-    with pytest.raises(seal.SealError, match=told):
+    with pytest.raises(seal.SealError, match=expected):
         seal.check_labels(seal.read_labels(file), data)
 
 
 @pytest.mark.parametrize("inside", ["labels.json", "deep/labels.json", "../data/labels.json"])
-def test_labels_inside_the_data_folder_are_refused(tmp_path, inside):
+def test_labels_inside_the_data_folder_are_rejected(tmp_path, inside):
     with pytest.raises(seal.SealError, match="outside"):
         seal.write_labels(LABELS, tmp_path / "data" / inside, tmp_path / "data")
     assert not (tmp_path / "data").exists()
 
 
-def test_a_frozen_file_that_changes_is_refused(tmp_path):
+def test_a_changed_frozen_file_is_rejected(tmp_path):
     file = tmp_path / "answers.json"
     file.write_text("{}")
     with pytest.raises(seal.SealError, match="not frozen"):
@@ -78,7 +78,7 @@ def test_a_frozen_file_that_changes_is_refused(tmp_path):
         seal.check_frozen(file)
 
 
-def test_a_file_without_labels_is_refused(tmp_path):
+def test_a_file_without_labels_is_rejected(tmp_path):
     file = tmp_path / "labels.json"
     for text in ("{}", "[]", "no json"):
         file.write_text(text)
@@ -86,7 +86,7 @@ def test_a_file_without_labels_is_refused(tmp_path):
             seal.read_labels(file)
 
 
-def test_preparing_seals_before_flying_and_goes_on_with_the_same_cases(tmp_path):
+def test_preparing_seals_first_and_continues_with_the_same_cases(tmp_path):
     data, file = tmp_path / "data", tmp_path / "labels.json"
     cases = make.prepare(data, file, None, 10)
     assert [path.name for path in data.iterdir()] == [seal.COMMITMENT]
@@ -95,13 +95,13 @@ def test_preparing_seals_before_flying_and_goes_on_with_the_same_cases(tmp_path)
         make.prepare(data, file, None, 11)
     with pytest.raises(seal.SealError, match="10 other cases"):
         make.prepare(data, file, None, 10, seed=1)
-    with pytest.raises(seal.SealError, match="holds something already"):
+    with pytest.raises(seal.SealError, match="is not empty"):
         make.prepare(data, tmp_path / "other.json", None, 10)
     with pytest.raises(seal.SealError, match="outside"):
         make.prepare(tmp_path / "new", tmp_path / "l.json", tmp_path / "new" / "fresh", 10)
 
 
-def test_without_a_seed_nobody_can_draw_the_cases_again(tmp_path):
+def test_cases_without_a_seed_are_random(tmp_path):
     names = [{case.name for case in make.prepare(tmp_path / d, tmp_path / f"{d}.json", None, 10)} for d in "ab"]
     assert not names[0] & names[1]
     assert seal.new_secret() != seal.new_secret()

@@ -1,4 +1,4 @@
-"""Gaps, duplicates, jumps of time and wrong units are said before anything is fitted."""
+"""Checks before a fit: gaps, repeated stamps, jumps of the clock and wrong units."""
 
 import numpy as np
 import pytest
@@ -13,34 +13,34 @@ def series(t):
     return Series(np.asarray(t, dtype=float), {"value": np.arange(len(t), dtype=float)})
 
 
-def test_good_stamps_pass_untouched():
+def test_valid_stamps_are_unchanged():
     good = series(T)
     assert checks.tidy_stamps(good, "x") == (good, ())
 
 
-def test_duplicates_are_left_out_and_counted():
+def test_repeated_stamps_are_left_out_and_counted():
     tidy, warnings = checks.tidy_stamps(series(np.concatenate((T[:50], T[49:]))), "x.csv")
     np.testing.assert_array_equal(tidy.t_s, T)
     assert tidy["value"][49] == 49  # the first of the two
     assert warnings[0].startswith("x.csv: 1 rows repeat a stamp and were left out")
 
 
-def test_time_that_runs_backwards_is_sorted_and_said():
+def test_time_that_runs_backwards_is_sorted_with_a_warning():
     tidy, warnings = checks.tidy_stamps(series(np.concatenate((T[50:], T[:50]))), "x.csv")
     np.testing.assert_array_equal(tidy.t_s, T)
     assert "time runs backwards at 1 rows, first at row 51" in warnings[0]
-    assert "cut the recording in two" in warnings[0]
+    assert "split the recording in two" in warnings[0]
 
 
-def test_a_gap_is_measured():
+def test_a_gap_is_reported_with_its_length():
     _, warnings = checks.tidy_stamps(series(np.concatenate((T[:30], T[50:]))), "x.csv")
     assert warnings == (
-        "x.csv: 1 gaps, 0.21 s in all, the longest 0.210 s at 0.290 s (usual step 10.0 ms); what lies in a gap is "
-        "not compared: record again if it is much",
+        "x.csv: 1 gaps, 0.21 s in all, the longest 0.210 s at 0.290 s (usual step 10.0 ms); data in gaps are "
+        "not compared: record again if they are long",
     )
 
 
-def test_a_jump_of_the_clock_and_milliseconds():
+def test_a_clock_jump_and_milliseconds_are_reported():
     _, warnings = checks.tidy_stamps(series(np.concatenate((T, T + 3600))), "x.csv")
     assert "the clock jumps by 3599 s" in warnings[0]
     _, warnings = checks.tidy_stamps(series(T * 1e6), "x.csv")
@@ -52,11 +52,11 @@ def channels(record):
     return record("both").channels
 
 
-def test_right_units_give_no_warning(channels):
+def test_correct_units_give_no_warning(channels):
     assert checks.unit_warnings(channels, "trial") == ()
 
 
-def test_a_muscle_at_rest_is_not_taken_for_bar(record):
+def test_a_muscle_at_rest_is_not_mistaken_for_bar(record):
     assert checks.unit_warnings(record("rail-multisine").channels, "trial") == ()
 
 

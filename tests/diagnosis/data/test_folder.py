@@ -1,9 +1,13 @@
-"""A trial folder gives back what was recorded; what is wrong with it is said by file, column and row."""
+"""Trial folders of CSV or Parquet files: exact values, and errors that name file, column and row."""
 
+import math
 from dataclasses import replace
 
 import numpy as np
+import pyarrow as pa
 import pytest
+from pyarrow import csv as arrow_csv
+from pyarrow import parquet
 
 from softarm.diagnosis.data import folder
 from softarm.diagnosis.data.read import read_all, sources
@@ -20,27 +24,32 @@ def written(short, write, tmp_path):
     return write(short, tmp_path / "campaign" / "one")
 
 
-def test_numbers_and_stamps_come_back_exactly(short, written):
-    trial = folder.read(written)
-    assert (trial.kind, trial.rail, trial.name) == ("pressure-multisine", "free", "one")
-    for name, series in short.channels.items():
+def assert_same(trial, recorded):
+    assert trial.channels.keys() == recorded.channels.keys()
+    for name, series in recorded.channels.items():
         np.testing.assert_array_equal(trial.channels[name].t_s, series.t_s)
         for column, values in series.columns.items():
             np.testing.assert_array_equal(trial.channels[name][column], values, err_msg=f"{name}.{column}")
+
+
+def test_values_and_stamps_are_read_exactly(short, written):
+    trial = folder.read(written)
+    assert (trial.kind, trial.rail, trial.name) == ("pressure-multisine", "free", "one")
+    assert_same(trial, short)
     assert trial.warnings == ()
     assert set(trial.not_observable) == {"observation"}
 
 
-def test_a_missing_file_makes_its_stages_unobservable_in_words(written):
+def test_a_missing_file_makes_its_stages_unobservable(written):
     (written / "pressure.csv").unlink()
     trial = folder.read(written)
     assert set(trial.not_observable) == {"pressure", "arm", "observation"}
     assert trial.not_observable["arm"] == f"arm is not observable: there is no pressure.csv in {written}"
-    with pytest.raises(TrialError, match=r"the pressure channel is needed: there is no pressure\.csv"):
+    with pytest.raises(TrialError, match=r"the pressure channel is missing: there is no pressure\.csv"):
         trial.channel("pressure")
 
 
-def test_an_unseen_marker_is_nan_and_nothing_else_may_be(written):
+def test_only_an_untracked_marker_may_be_blank(written):
     edit(written / "mocap.csv", 5, "link3_y", "")
     assert np.isnan(folder.read(written).channels["mocap"]["link3_y"][3])
     edit(written / "pressure.csv", 7, "pressure", "")
@@ -63,7 +72,7 @@ def test_a_bad_cell_is_named_by_file_column_and_row(written, name, row, column, 
         folder.read(written)
 
 
-def test_trial_yaml_is_checked(written):
+def test_an_invalid_trial_yaml_is_rejected(written):
     (written / "trial.yaml").write_text("kind: chirp\nrail: clamped\n")
     with pytest.raises(
         TrialError,
@@ -72,23 +81,23 @@ def test_trial_yaml_is_checked(written):
         folder.read(written)
 
 
-def test_a_row_of_another_length_is_named(written):
+def test_a_row_of_another_length_is_rejected(written):
     path = written / "rail.csv"
     path.write_text(path.read_text() + "1.0,2.0\n")
     with pytest.raises(TrialError, match=r"rail\.csv: row \d+ has 2 cells, the header 3"):
         folder.read(written)
 
 
-def test_inputs_in_any_order_are_the_same_trials(short, write, tmp_path):
+def test_the_order_of_inputs_does_not_matter(short, write, tmp_path):
     a, b = write(short, tmp_path / "a"), write(short, tmp_path / "b")
     assert [t.name for t in read_all([b, a])] == [t.name for t in read_all([a, b])] == ["a", "b"]
     assert sources(tmp_path) == (a, b)
     with pytest.raises(TrialError, match="the trial a is given twice"):
         read_all([a, a])
-    with pytest.raises(TrialError, match="is not there; name an MCAP log"):
+    with pytest.raises(TrialError, match="does not exist; name an MCAP log"):
         read_all([tmp_path / "c"])
     (tmp_path / "empty").mkdir()
-    with pytest.raises(TrialError, match="holds no trial"):
+    with pytest.raises(TrialError, match="contains no trial"):
         read_all([tmp_path / "empty"])
 
 
@@ -99,20 +108,17 @@ def edit(path, row, column, cell):
     path.write_text("\n".join(",".join(cells) for cells in rows) + "\n")
 
 
-def test_columns_may_carry_their_units_and_a_written_folder_has_them(short, tmp_path):
+def test_column_names_may_contain_units_as_in_a_written_folder(short, tmp_path):
     (tmp_path / "one").mkdir()
     folder.write(short, tmp_path / "one", "csv")
     header = (tmp_path / "one" / "command.csv").read_text().partition("\n")[0]
     assert header == "t_s,cart_velocity_m_s,pressure_kpa"
     trial = folder.read(tmp_path / "one")
     assert (trial.kind, trial.rail) == (short.kind, short.rail)
-    for name, series in short.channels.items():
-        np.testing.assert_array_equal(trial.channels[name].t_s, series.t_s)
-        for column, values in series.columns.items():
-            np.testing.assert_array_equal(trial.channels[name][column], values, err_msg=f"{name}.{column}")
+    assert_same(trial, short)
 
 
-def test_a_reading_that_is_no_number_has_no_row_in_what_is_written(short, tmp_path):
+def test_a_nan_reading_is_not_written(short, tmp_path):
     rail = short.channels["rail"]
     odd = Series(rail.t_s, {**rail.columns, "position": np.where(np.arange(len(rail)) == 3, np.nan, rail["position"])})
     folder.write(replace(short, channels={**short.channels, "rail": odd}), tmp_path, "csv")
@@ -120,10 +126,73 @@ def test_a_reading_that_is_no_number_has_no_row_in_what_is_written(short, tmp_pa
     np.testing.assert_array_equal(read.t_s, np.delete(rail.t_s, 3))
 
 
-def test_a_column_with_and_without_its_unit_is_one_too_many(written):
+def test_a_column_with_and_without_its_unit_is_rejected(written):
     file = written / "pressure.csv"
     file.write_text(
         "\n".join(f"{line},{'pressure_kpa' if i == 0 else 1}" for i, line in enumerate(file.read_text().splitlines()))
     )
-    with pytest.raises(TrialError, match=r"pressure\.csv: pressure and pressure_kpa are one column; take one away"):
+    with pytest.raises(TrialError, match=r"pressure\.csv: pressure and pressure_kpa are the same column; remove one"):
         folder.read(written)
+
+
+@pytest.fixture
+def in_parquet(short, write, tmp_path):
+    place = write(short, tmp_path / "one")
+    for file in place.glob("*.csv"):
+        parquet.write_table(arrow_csv.read_csv(file), file.with_suffix(".parquet"))
+        file.unlink()
+    return place
+
+
+def change(file, column, values):
+    table = parquet.read_table(file)
+    parquet.write_table(table.set_column(table.column_names.index(column), column, values), file)
+
+
+def test_parquet_files_have_the_values_of_csv_files(short, in_parquet):
+    trial = folder.read(in_parquet)
+    assert (trial.kind, trial.warnings) == (short.kind, ())
+    assert_same(trial, short)
+
+
+def test_an_untracked_marker_is_a_null(short, in_parquet):
+    seen = short.channels["mocap"]["link3_y"].tolist()
+    change(in_parquet / "mocap.parquet", "link3_y", pa.array([None, *seen[1:]]))
+    assert np.isnan(folder.read(in_parquet).channels["mocap"]["link3_y"]).tolist() == [True] + [False] * (len(seen) - 1)
+
+
+def test_one_channel_in_two_files_is_rejected(short, in_parquet, write):
+    write(short, in_parquet.parent / "other")
+    (in_parquet.parent / "other" / "rail.csv").rename(in_parquet / "rail.csv")
+    with pytest.raises(TrialError, match=r"contains rail\.csv and rail\.parquet; remove one of them"):
+        folder.read(in_parquet)
+
+
+@pytest.mark.parametrize(
+    ("value", "says"),
+    [
+        (None, r"column velocity, row 1: nan is not a finite number; leave the row out if nothing was measured"),
+        (math.inf, r"column velocity, row 1: inf is not a finite number"),
+        ("fast", r"column velocity does not contain numbers; correct it or name another"),
+        (np.datetime64("2026-11-22T12:00:00"), r"column velocity does not contain numbers"),
+    ],
+)
+def test_a_column_without_numbers_is_rejected(short, in_parquet, value, says):
+    count = len(short.channels["rail"])
+    one = type(value) in (str, np.datetime64)
+    change(in_parquet / "rail.parquet", "velocity", pa.array([value] * count if one else [value] + [0.1] * (count - 1)))
+    with pytest.raises(TrialError, match=r"rail\.parquet: " + says):
+        folder.read(in_parquet)
+
+
+def test_an_invalid_parquet_file_is_rejected(in_parquet):
+    table = parquet.read_table(in_parquet / "rail.parquet")
+    parquet.write_table(table.drop_columns(["velocity"]), in_parquet / "rail.parquet")
+    with pytest.raises(TrialError, match=r"rail\.parquet: no column velocity; it has t, position"):
+        folder.read(in_parquet)
+    parquet.write_table(table.slice(0, 0), in_parquet / "rail.parquet")
+    with pytest.raises(TrialError, match=r"rail\.parquet: has no rows"):
+        folder.read(in_parquet)
+    (in_parquet / "rail.parquet").write_bytes(b"t,position,velocity\n")
+    with pytest.raises(TrialError, match=r"rail\.parquet: cannot be read \(.*\); export it again"):
+        folder.read(in_parquet)

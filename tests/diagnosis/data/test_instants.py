@@ -1,4 +1,4 @@
-"""Stamps as dates: read as seconds of one clock, however they are written; what cannot be one clock is told."""
+"""Stamps as dates, in all common forms; stamps that cannot belong to one clock are rejected."""
 
 from datetime import UTC, datetime, timedelta, timezone
 
@@ -25,7 +25,7 @@ trials:
 
 
 def stamps(form, zone=UTC):
-    """Of every row."""
+    """Return the stamps of every row in a form."""
     return [form((NOON + timedelta(seconds=float(t))).astimezone(zone)) for t in T]
 
 
@@ -37,11 +37,11 @@ def zulu(moment):
     return moment.strftime("%Y-%m-%dT%H:%M:%S.%fZ")
 
 
-def read(folder, sent, seen, stage=STAGE, parted=",", head=True):
-    """A trial with its stamps as they stand."""
+def read(folder, sent, seen, stage=STAGE, delimiter=",", head=True):
+    """Read a trial with these stamps."""
     for name, times, column, values in (("sent", sent, "u", COMMAND), ("seen", seen, "y", MEASURED)):
-        rows = [f"{t}{parted}{x:.9f}" for t, x in zip(times, values, strict=True)]
-        (folder / f"{name}.csv").write_text("\n".join([f"t{parted}{column}"] * head + rows) + "\n")
+        rows = [f"{t}{delimiter}{x:.9f}" for t, x in zip(times, values, strict=True)]
+        (folder / f"{name}.csv").write_text("\n".join([f"t{delimiter}{column}"] * head + rows) + "\n")
     (folder / "stage.yaml").write_text(stage)
     (trial,) = tables.read(folder / "stage.yaml")
     return trial
@@ -65,16 +65,16 @@ def test_dates_are_seconds_of_one_clock(tmp_path, form, zone):
     assert trial.warnings == ()
 
 
-def test_another_zone_is_another_way_to_write_the_same_moment(tmp_path):
+def test_stamps_in_two_time_zones_agree(tmp_path):
     trial = read(tmp_path, stamps(zulu), stamps(datetime.isoformat, timezone(timedelta(hours=-8))))
     np.testing.assert_array_equal(trial.channels["command"].t_s, trial.channels["measured"].t_s)
 
 
-def test_decimal_commas_and_no_header(tmp_path):
+def test_dates_may_have_decimal_commas_and_no_header(tmp_path):
     stage = (
         STAGE.replace("source: t,", "source: 1,").replace("source: u,", "source: 2,").replace("source: y", "source: 2")
     )
-    trial = read(tmp_path, *[[t.replace(".", ",") for t in stamps(plain)]] * 2, stage=stage, parted=";", head=False)
+    trial = read(tmp_path, *[[t.replace(".", ",") for t in stamps(plain)]] * 2, stage=stage, delimiter=";", head=False)
     np.testing.assert_allclose(trial.channels["measured"].t_s - NOON.timestamp(), T, atol=2e-6)
 
 
@@ -100,16 +100,20 @@ def mixed():
             stamps(plain),
             r"sent\.csv: column t has time zones, .*seen\.csv: column t has none; write both",
         ),
-        ([*stamps(zulu)[:9], "later", *stamps(zulu)[10:]], stamps(zulu), r"sent\.csv: column t, row 11: 'later' is no"),
-        (stamps(zulu), [f"{t:.3f}" for t in T], r"no moment is in both"),
+        (
+            [*stamps(zulu)[:9], "later", *stamps(zulu)[10:]],
+            stamps(zulu),
+            r"sent\.csv: column t, row 11: 'later' is not",
+        ),
+        (stamps(zulu), [f"{t:.3f}" for t in T], r"they do not overlap"),
     ],
     ids=["in a file", "between files", "no date", "dates and seconds"],
 )
-def test_what_cannot_be_one_clock_is_told_by_file_and_column(tmp_path, sent, seen, says):
+def test_stamps_of_different_clocks_are_rejected(tmp_path, sent, seen, says):
     with pytest.raises(TrialError, match=says):
         read(tmp_path, sent, seen)
 
 
-def test_dates_are_in_no_unit_but_seconds(tmp_path):
-    with pytest.raises(TrialError, match=r"column t: holds dates with a time of day; write `unit: s` alone"):
+def test_dates_with_another_unit_than_seconds_are_rejected(tmp_path):
+    with pytest.raises(TrialError, match=r"column t: contains dates with a time of day; write only `unit: s`"):
         read(tmp_path, stamps(zulu), stamps(zulu), STAGE.replace("unit: s}", "unit: ms}"))

@@ -1,11 +1,11 @@
-"""The daemon's own recording, read by the diagnosis: same numbers, real stamps."""
+"""The daemon's log as a trial: same values, measured stamps."""
 
 import numpy as np
 import pytest
 
 from softarm.daemon.logbook import logs
 from softarm.daemon.logbook.recorder import Recorder
-from softarm.daemon.shell.offline import Lockstep
+from softarm.daemon.runtime.offline import Lockstep
 from softarm.diagnosis.data import mcap
 from softarm.diagnosis.data.trials import TrialError
 from softarm.policies.excite import Excite
@@ -30,7 +30,7 @@ def recording(tmp_path_factory):
     return recorder.path
 
 
-def test_the_trial_holds_what_the_log_holds(recording):
+def test_the_trial_has_the_values_of_the_log(recording):
     trial = mcap.read(recording)
     ticks = list(logs.read(recording).ticks())
     origin = ticks[0][0].mocap[0].t_capture_ns
@@ -46,15 +46,14 @@ def test_the_trial_holds_what_the_log_holds(recording):
     assert (trial.kind, trial.not_observable, trial.warnings) == ("excite", {}, ())
 
 
-def test_a_cart_that_gave_way_was_not_held(recording):
-    """No velocity is commanded, yet the swinging arm moves the cart by more than a clamp would let it."""
+def test_a_cart_that_the_arm_moves_is_not_held(recording):
     trial = mcap.read(recording)
     assert not trial.channels["command"]["cart_velocity"].any()
     assert np.ptp(trial.channels["rail"]["position"]) > mcap.HELD_M
     assert trial.rail == "free"
 
 
-def test_a_log_that_breaks_off_is_read_up_to_there(recording, tmp_path):
+def test_a_truncated_log_is_read_to_its_end(recording, tmp_path):
     whole = mcap.read(recording)
     live = tmp_path / "killed.mcap"
     # Unfinished logs have no chunks: write one as the recorder does while it runs, and cut it.
@@ -72,7 +71,7 @@ def test_a_log_that_breaks_off_is_read_up_to_there(recording, tmp_path):
     np.testing.assert_array_equal(half.channels["mocap"].t_s, whole.channels["mocap"].t_s[:count])
 
 
-def test_what_is_no_log_is_told(tmp_path):
+def test_a_file_that_is_not_a_log_is_rejected(tmp_path):
     path = tmp_path / "x.mcap"
     path.write_bytes(b"no log at all, just some bytes")
     with pytest.raises(TrialError, match="not a log; a log is an MCAP file"):

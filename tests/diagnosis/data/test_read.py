@@ -1,4 +1,4 @@
-"""What inputs as people name them hold of the rail."""
+"""Rail motion in logs and trial folders."""
 
 from pathlib import Path
 
@@ -12,7 +12,7 @@ from softarm.schemas.config import Config
 FLIGHT = Path(__file__).parents[2] / "data" / "flight.mcap"
 
 
-def test_logs_and_trial_folders_hold_the_rails_motion_and_tables_of_other_rigs_do_not(tmp_path):
+def test_rail_motion_is_read_from_logs_and_trial_folders_only(tmp_path):
     trial, without, table = tmp_path / "a", tmp_path / "b", tmp_path / "stage.yaml"
     for folder in (trial, without):
         folder.mkdir()
@@ -31,7 +31,7 @@ def test_logs_and_trial_folders_hold_the_rails_motion_and_tables_of_other_rigs_d
     assert np.abs(log.velocity_m_s).max() > 0.5
 
 
-def test_what_is_no_log_is_refused_in_the_words_of_every_input(tmp_path):
-    (tmp_path / "a.mcap").write_text("nothing of the kind")
+def test_an_invalid_log_is_rejected(tmp_path):
+    (tmp_path / "a.mcap").write_text("invalid")
     with pytest.raises(TrialError, match="not a log"):
         rail_motions([tmp_path])

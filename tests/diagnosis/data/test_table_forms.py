@@ -1,4 +1,4 @@
-"""Tables as rigs write them: any delimiter, decimal commas, no header, marks; several mechanisms, patterns of files."""
+"""Forms of tables: delimiters, decimal commas, headers, missing values, several mechanisms, file patterns."""
 
 import re
 from pathlib import Path
@@ -24,8 +24,8 @@ trials:
 """
 
 
-def rows(*columns, parted=",", decimal="."):
-    text = [parted.join(f"{x:.9f}".replace(".", decimal) for x in row) for row in zip(*columns, strict=True)]
+def rows(*columns, delimiter=",", decimal="."):
+    text = [delimiter.join(f"{x:.9f}".replace(".", decimal) for x in row) for row in zip(*columns, strict=True)]
     return "\n".join(text) + "\n"
 
 
@@ -36,7 +36,7 @@ def read(folder, table, stage=STAGE, name="data.csv", coding="utf-8"):
     return tables.read(folder / "stage.yaml")
 
 
-def sound(trial):
+def assert_valid(trial):
     np.testing.assert_allclose(trial.channels["measured"].t_s, T, atol=1e-8)
     np.testing.assert_allclose(trial.channels["command"]["command"], COMMAND, atol=1e-8)
     np.testing.assert_allclose(trial.channels["measured"]["position"], MEASURED, atol=1e-8)
@@ -44,7 +44,7 @@ def sound(trial):
 
 
 @pytest.mark.parametrize(
-    ("parted", "decimal", "head", "coding"),
+    ("delimiter", "decimal", "head", "coding"),
     [
         (",", ".", "t,u,y\n", "utf-8"),
         (";", ",", "t;u;y\n", "utf-8"),
@@ -56,28 +56,28 @@ def sound(trial):
         (",", ".", "# logged on a Tuesday\n\nt, u, y\n", "utf-8"),
     ],
 )
-def test_a_text_table_is_read_however_it_is_parted(tmp_path, parted, decimal, head, coding):
-    (trial,) = read(tmp_path, head + rows(T, COMMAND, MEASURED, parted=parted, decimal=decimal), coding=coding)
-    sound(trial)
+def test_a_text_table_is_read_with_any_delimiter(tmp_path, delimiter, decimal, head, coding):
+    (trial,) = read(tmp_path, head + rows(T, COMMAND, MEASURED, delimiter=delimiter, decimal=decimal), coding=coding)
+    assert_valid(trial)
 
 
-def test_a_form_can_be_said(tmp_path):
-    table = "made by a logger;;\nt;u;y\n" + rows(T, COMMAND, MEASURED, parted=";", decimal=",")
+def test_a_table_format_can_be_declared(tmp_path):
+    table = "made by a logger;;\nt;u;y\n" + rows(T, COMMAND, MEASURED, delimiter=";", decimal=",")
     (trial,) = read(tmp_path, table, STAGE + 'table: {skip: 1, delimiter: ";", decimal: ",", header: true}\n')
-    sound(trial)
+    assert_valid(trial)
     with pytest.raises(TrialError, match=r"column t, row 3: '0,000000000' is not a finite number; .*decimal: ','"):
         read(tmp_path, table, STAGE + 'table: {skip: 1, delimiter: ";", decimal: "."}\n')
 
 
-def test_a_table_without_a_header_has_its_columns_by_number(tmp_path):
+def test_columns_without_a_header_are_named_by_number(tmp_path):
     stage = STAGE.replace("source: t", "source: 1").replace("source: u", "source: 2").replace("source: y", "source: 3")
     (trial,) = read(tmp_path, rows(T, COMMAND, MEASURED), stage)
-    sound(trial)
-    (trial,) = read(tmp_path, "t,u,y\n" + rows(T, COMMAND, MEASURED), stage)  # with one they may be, too
-    sound(trial)
+    assert_valid(trial)
+    (trial,) = read(tmp_path, "t,u,y\n" + rows(T, COMMAND, MEASURED), stage)  # also with a header
+    assert_valid(trial)
 
 
-def test_rows_of_a_missing_reading_are_left_out_of_their_channel(tmp_path):
+def test_rows_with_missing_values_are_left_out(tmp_path):
     gone = MEASURED.copy()
     gone[50:60] = -9999
     lines = ("t,u,y\n" + rows(T, COMMAND, gone)).splitlines()
@@ -89,16 +89,16 @@ def test_rows_of_a_missing_reading_are_left_out_of_their_channel(tmp_path):
     assert len(trial.channels["command"]) == 200
 
 
-def test_a_column_is_scaled_and_another_taken_from_it(tmp_path):
+def test_a_column_is_scaled_after_another_is_subtracted(tmp_path):
     stage = STAGE.replace("{source: y, unit: rad}", "{source: a, minus: b, scale: 0.087890625, unit: deg, add: 0.1}")
     counts = np.round(np.degrees(MEASURED - 0.1) / 0.087890625)
     (trial,) = read(tmp_path, "t,u,a,b\n" + rows(T, COMMAND, counts + 2048, np.full(200, 2048.0)), stage)
     np.testing.assert_allclose(trial.channels["measured"]["position"], MEASURED, atol=1e-3)
     own = trial.stage.units["measured"]["position"]
-    assert (own.name, own.house) == ("deg", "rad")
+    assert (own.name, own.standard) == ("deg", "rad")
 
 
-def test_a_pattern_is_a_trial_for_each_file_that_fits(tmp_path):
+def test_a_pattern_gives_a_trial_for_each_matching_file(tmp_path):
     table = "t,u,y\n" + rows(T, COMMAND, MEASURED)
     stage = STAGE.replace("{name: one, kind: sine, files: data.csv}", "{files: 'runs/*.csv'}")
     for name in ("steps-01", "steps-02", "chirp_7", "slow"):
@@ -111,7 +111,7 @@ def test_a_pattern_is_a_trial_for_each_file_that_fits(tmp_path):
     }
     assert trials[0].source.name == "chirp_7.csv"
     for trial in trials:
-        sound(trial)
+        assert_valid(trial)
     stage = stage.replace("{files", "{name: week, kind: mixed, files")
     assert [t.name for t in read(tmp_path, table, stage)] == [
         "week-chirp_7",
@@ -120,11 +120,11 @@ def test_a_pattern_is_a_trial_for_each_file_that_fits(tmp_path):
         "week-steps-02",
     ]
     stage = stage.replace("'runs/*.csv'", "{command: 'runs/*.csv', measured: 'runs/ste*.csv'}")
-    with pytest.raises(TrialError, match=r"there is no .*stechirp_7.csv beside the other channels of chirp_7; add it"):
+    with pytest.raises(TrialError, match=r"there is no .*stechirp_7.csv for the other channels of chirp_7; add it"):
         read(tmp_path, table, stage)
 
 
-def test_files_of_two_channels_are_paired_by_what_stands_for_the_star(tmp_path):
+def test_files_of_two_channels_are_paired_by_the_wildcard(tmp_path):
     stage = STAGE.replace("files: data.csv", "files: {command: '*/sent.csv', measured: '*/seen.csv'}")
     stage = stage.replace("name: one, ", "")
     for run in ("a", "b"):
@@ -133,13 +133,13 @@ def test_files_of_two_channels_are_paired_by_what_stands_for_the_star(tmp_path):
         (tmp_path / run / "seen.csv").write_text("t,y\n" + rows(T, MEASURED))
     trials = read(tmp_path, "", stage)
     assert [t.name for t in trials] == ["a", "b"]
-    sound(trials[1])
+    assert_valid(trials[1])
 
 
 @pytest.mark.parametrize(
     "pattern", ["**/data-*.csv", "deep/d*/data-*.csv", "../*/deep/down/data-?.csv", "deep/**/data-[ab].csv"]
 )
-def test_a_pattern_may_lead_anywhere(tmp_path, pattern):
+def test_a_pattern_may_contain_folders(tmp_path, pattern):
     table = "t,u,y\n" + rows(T, COMMAND, MEASURED)
     stage = STAGE.replace("{name: one, kind: sine, files: data.csv}", f"{{files: '{pattern}'}}")
     read(tmp_path / "here", table, stage, "deep/down/data-a.csv")
@@ -166,11 +166,11 @@ trials:
 """
 
 
-def test_several_mechanisms_in_one_file(tmp_path):
+def test_one_file_may_describe_several_mechanisms(tmp_path):
     pan, tilt = read(tmp_path, "t,u,y\n" + rows(T, COMMAND, MEASURED), SEVERAL)
     assert (pan.name, pan.stage.name, tilt.name, tilt.stage.name) == ("one/pan", "pan", "one/tilt", "tilt")
     assert (pan.stage.model, tilt.stage.model) == ({"lag_s": 0.02}, {})
-    sound(tilt)
+    assert_valid(tilt)
 
 
 @pytest.mark.parametrize(
@@ -186,7 +186,7 @@ def test_several_mechanisms_in_one_file(tmp_path):
         ("mechanisms:", "mechanism:", r"stage.yaml:2: mechanism: unknown key; did you mean mechanisms\?"),
     ],
 )
-def test_a_mistake_in_one_of_several_is_told_by_its_line(tmp_path, old, new, says):
+def test_a_mistake_in_one_of_several_mechanisms_is_reported_with_its_line(tmp_path, old, new, says):
     with pytest.raises(TrialError, match=says):
         read(tmp_path, "t,u,y\n" + rows(T, COMMAND, MEASURED), SEVERAL.replace(old, new, 1))
 
@@ -194,7 +194,7 @@ def test_a_mistake_in_one_of_several_is_told_by_its_line(tmp_path, old, new, say
 @pytest.mark.parametrize(
     ("file", "called"), [("bench 2/stage.yaml", "bench_2"), ("gripper.yaml", "gripper"), ("-/stage.yaml", "stage")]
 )
-def test_a_mechanism_without_a_name_is_called_as_its_file_or_the_file_s_folder(tmp_path, file, called):
+def test_a_mechanism_without_a_name_is_named_after_its_file_or_folder(tmp_path, file, called):
     place = tmp_path / file
     place.parent.mkdir(exist_ok=True)
     place.write_text(STAGE.replace("name: servo\n", ""))
@@ -204,19 +204,19 @@ def test_a_mechanism_without_a_name_is_called_as_its_file_or_the_file_s_folder(t
 
 
 @pytest.mark.parametrize(("name", "kind"), [("steps-01", "steps"), ("chirp7", "chirp"), ("run.3", "run"), ("12", "12")])
-def test_the_kind_is_the_name_less_its_number(name, kind):
+def test_the_kind_of_a_trial_is_its_name_without_the_number(name, kind):
     assert kind_of(name) == kind
 
 
-def test_the_example_of_the_page_reads(tmp_path):
-    page = (Path(__file__).parents[3] / "docs" / "trials.md").read_text(encoding="utf-8")
+def test_the_example_in_the_docs_is_valid(tmp_path):
+    page = (Path(__file__).parents[3] / "docs" / "reference" / "trials.md").read_text(encoding="utf-8")
     example = page.partition("### An example")[2]
     head = re.search(r"```\n(.*?\n)", example)[1]
     stage = re.search(r"```yaml\n(.*?)```", example, re.DOTALL)[1]
     volts, degrees = np.where(np.sin(2 * T) < 0, 1.0, 9.0), 30 * np.sin(3 * T)
     chamber = np.interp(volts, (0, 5, 10), (0, 400, 1000)) + 1013
     columns = (1e3 * T, volts, chamber, np.full(200, 1013), degrees, 2048 + np.round(degrees / 0.087890625))
-    table = head + rows(*columns, parted=";", decimal=",")
+    table = head + rows(*columns, delimiter=";", decimal=",")
     for name in ("runs/steps-01.csv", "runs/chirp-01.csv"):
         trials = read(tmp_path, table, stage, name)
     assert [(t.name, t.kind) for t in trials] == [

@@ -1,4 +1,4 @@
-"""What people get wrong about a rig's table: each is one sentence with file, column or key, and the next step."""
+"""Mistakes in a rig's table: each gives one sentence with file, column or key, and the next step."""
 
 import re
 import warnings
@@ -28,7 +28,7 @@ trials:
 
 
 class Rig:
-    """A sound rig on the disk, to be spoilt."""
+    """Files of a valid rig, which a test can change."""
 
     def __init__(self, folder):
         self.folder = folder
@@ -63,7 +63,7 @@ def rig(tmp_path):
     return Rig(tmp_path)
 
 
-def test_the_rig_is_sound(rig):
+def test_the_unchanged_rig_is_valid(rig):
     (trial,) = tables.read(rig.write())
     assert trial.warnings == ()
 
@@ -133,7 +133,7 @@ WRONG = {
     ),
     "a unit of another thing": (
         lambda rig: rig.says("p, unit: kPa", "p, unit: mm"),
-        r"stage.yaml:6: channels.measured.columns.pressure.unit: is mm, no unit of a pressure; .* kPa; correct it",
+        r"stage.yaml:6: channels.measured.columns.pressure.unit: is mm, not a unit of pressure; .* kPa; correct it",
     ),
     "a command in volts": (
         lambda rig: rig.says("u, unit: kPa", "u, unit: V"),
@@ -155,10 +155,10 @@ WRONG = {
         lambda rig: rig.says("source: p", "source: p - t"),
         r"seen.csv: no column p - t; it has t, p; for a difference write `source: p, minus: t`",
     ),
-    "no such file": (lambda rig: rig.says("seen.csv", "gone.csv"), r"gone.csv: is not there; correct `files`"),
+    "no such file": (lambda rig: rig.says("seen.csv", "gone.csv"), r"gone.csv: does not exist; correct `files`"),
     "a pattern that nothing fits": (
         lambda rig: rig.says("{command: sent.csv, measured: seen.csv}", "'runs/*.csv'"),
-        r"stage.yaml: trial one: files: no file fits .*runs/\*.csv; correct the pattern",
+        r"stage.yaml: trial one: files: no file matches .*runs/\*.csv; correct the pattern",
     ),
     "files for no channel": (
         lambda rig: rig.says("measured: seen.csv}", "measurd: seen.csv}"),
@@ -194,11 +194,11 @@ WRONG = {
     ),
     "nothing was measured in any row": (
         lambda rig: (_parquet(rig, np.full(400, np.nan)), rig.says("trials:", "table: {missing: [nan]}\ntrials:")),
-        r"seen.parquet: column p was not measured in any row; leave it out of the stage.yaml, or this trial",
+        r"seen.parquet: column p has no value in any row; leave it out of the stage.yaml, or this trial",
     ),
     "a column of text": (
         lambda rig: _parquet(rig, ["on"] * 400),
-        r"seen.parquet: column p does not hold numbers; name another in the stage.yaml",
+        r"seen.parquet: column p does not contain numbers; correct it or name another",
     ),
     "a ragged row": (_ragged, r"seen.csv: row 10 has 3 cells, the header 2; repair that row"),
     "an empty file": (lambda rig: (rig.folder / "seen.csv").write_text(""), r"seen.csv: has no rows; record some"),
@@ -253,11 +253,11 @@ WRONG = {
     ),
     "a clock set back": (
         _clock_back,
-        r"seen.csv: column t: the clock is set back by 59.99 s at row 202 \(1.99 s, then -58 s\); cut the recording",
+        r"seen.csv: column t: the clock is set back by 59.99 s at row 202 \(1.99 s, then -58 s\); split the recording",
     ),
     "a clock set ahead": (
         _gap_of_the_clock,
-        r"seen.csv: column t: the clock jumps ahead by 1e\+06 s at row 302; cut the",
+        r"seen.csv: column t: the clock jumps ahead by 1e\+06 s at row 302; split the",
     ),
     "one stamp for all": (
         lambda rig: rig.seen["t"].fill(3.0),
@@ -269,7 +269,7 @@ WRONG = {
     ),
     "elements of plain numbers": (
         lambda rig: rig.says("kind: tracking", "kind: tracking\nelements: {a: 0}"),
-        r"sent.csv: column u holds plain numbers, no lists; leave `elements` out",
+        r"sent.csv: column u contains plain numbers, not lists; leave `elements` out",
     ),
     "a segment for no source": (
         lambda rig: rig.says("kind: steps,", "kind: steps, segment: a,"),
@@ -293,7 +293,7 @@ WRONG = {
 
 
 def refusal(stage):
-    """What reading says, with no warning of numpy's beside it."""
+    """Return the error of reading a stage; warnings of numpy are errors too."""
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         try:
@@ -304,9 +304,9 @@ def refusal(stage):
 
 
 @pytest.mark.parametrize("case", WRONG)
-def test_what_is_wrong_is_one_sentence_with_place_and_next_step(rig, case):
-    spoil, says = WRONG[case]
-    spoil(rig)
+def test_a_mistake_gives_one_sentence_with_place_and_next_step(rig, case):
+    change, says = WRONG[case]
+    change(rig)
     stage = rig.write()
     text = refusal(stage)
     assert re.search(says, text), text
@@ -324,17 +324,17 @@ trials: [{files: cart.csv}]
 """
 
 
-def cart(folder, **spoilt):
+def cart(folder, **changed):
     """A cart of 2 kg under 0.5 A of a motor that gives 8 N/A."""
     moved = {"t": T, "i": 500 * np.sin(3 * T), "x": -1e3 * 2 / 9 * np.sin(3 * T), "v": -1e3 * 2 / 3 * np.cos(3 * T)}
-    moved |= spoilt
+    moved |= changed
     rows = zip(*(c.tolist() for c in moved.values()), strict=True)
     (folder / "cart.csv").write_text("\n".join([",".join(moved), *(",".join(map(str, r)) for r in rows)]))
     (folder / "stage.yaml").write_text(CART)
     return folder / "stage.yaml"
 
 
-def test_a_cart_is_sound(tmp_path):
+def test_the_unchanged_cart_is_valid(tmp_path):
     (trial,) = tables.read(cart(tmp_path))
     assert trial.warnings == ()
 
@@ -353,30 +353,30 @@ def test_a_cart_is_sound(tmp_path):
             r"cart.csv: column v: velocity is 0.001 times .* position looks like mm or velocity looks",
         ),
         (", velocity: {source: v, unit: mm/s}", "", "nothing"),
-        ("gain: 8", "gain: 0", r"stage.yaml:7: model.gain: is 0: nothing would move"),
+        ("gain: 8", "gain: 0", r"stage.yaml:7: model.gain: is 0, so nothing would move"),
         (
             ", gain: 8",
             "",
-            r"stage.yaml:7: model: the input is a current or a voltage: write `gain`, N or N m for one A",
+            r"stage.yaml:7: model: the input is a current or a voltage: write `gain`, in N or N m per A",
         ),
-        ("mass_kg", "inertia_kg_m2", r"model: what is measured has angles or metres \(here m or m/s\): write mass_kg"),
-        ("unit: mA", "unit: mV", r"current.unit: is mV, no unit of a current; allowed what converts to A; correct it"),
+        ("mass_kg", "inertia_kg_m2", r"model: the measured columns are in m or m/s: write mass_kg"),
+        ("unit: mA", "unit: mV", r"current.unit: is mV, not a unit of current; allowed are units of A; correct it"),
     ],
 )
-def test_a_slip_at_a_cart_is_told(tmp_path, old, new, says):
+def test_a_mistake_in_a_cart_is_reported(tmp_path, old, new, says):
     stage = cart(tmp_path)
     assert old in CART
     stage.write_text(CART.replace(old, new))
     assert re.search(says, refusal(stage)), refusal(stage)
 
 
-def test_metres_called_kilometres_cannot_be_pushed(tmp_path):
+def test_a_position_that_no_force_explains_is_reported(tmp_path):
     stage = cart(tmp_path)
     stage.write_text(CART.replace(", velocity: {source: v, unit: mm/s}", "").replace("unit: mm}", "unit: m}"))
-    assert re.search(r"column x: position speeds up with 1\.\d+e\+03 .* allow 12", refusal(stage)), refusal(stage)
+    assert re.search(r"column x: position accelerates by 1\.\d+e\+03 .* allow 12", refusal(stage)), refusal(stage)
 
 
-def test_an_angle_that_starts_again_and_a_pendulum_that_stands_at_pi(tmp_path):
+def test_a_wrapped_angle_and_a_pendulum_at_pi_are_reported(tmp_path):
     rows = "".join(f"{t:.2f},{(a + 180) % 360 - 180}\n" for t, a in zip(T, 170 + 60 * np.sin(3 * T), strict=True))
     (tmp_path / "swing.csv").write_text("t,a\n" + rows)
     (tmp_path / "stage.yaml").write_text(
@@ -388,7 +388,9 @@ def test_an_angle_that_starts_again_and_a_pendulum_that_stands_at_pi(tmp_path):
     )
     (tmp_path / "swing.csv").write_text("t,a\n" + "".join(f"{t:.2f},{180 + 20 * np.sin(3 * t)}\n" for t in T))
     (trial,) = tables.read(tmp_path / "stage.yaml")
-    assert re.search(r"column a: angle1 is about 3.1\d rad .* hangs at 0; write `add: -3.141593`", trial.warnings[0])
+    assert re.search(
+        r"column a: the median of angle1 is 3.1\d* rad, .* hangs at 0; write `add: -3.141593`", trial.warnings[0]
+    )
 
 
 ODD = {
@@ -399,7 +401,7 @@ ODD = {
     ),
     "a command that never changes": (
         lambda rig: rig.sent["u"].fill(50.0),
-        r"sent.csv: column u: the command is 50 kPa in every row while what is measured moves; is it the right",
+        r"sent.csv: column u: the command is 50 kPa in every row, but the measured values change; correct the column",
     ),
     "a velocity that is not there": (
         lambda rig: (
@@ -417,15 +419,15 @@ ODD = {
             rig.seen["p"].__setitem__(slice(0, 300), -999),
             rig.says("trials:", "table: {missing: [-999]}\ntrials:"),
         ),
-        r"seen.csv: column p was not measured in 75% of the rows, and these are left out",
+        r"seen.csv: column p has no value in 75% of the rows, which are left out",
     ),
 }
 
 
 @pytest.mark.parametrize("case", ODD)
-def test_what_is_odd_is_told_and_read(rig, case):
-    spoil, says = ODD[case]
-    spoil(rig)
+def test_doubtful_data_are_read_with_a_warning(rig, case):
+    change, says = ODD[case]
+    change(rig)
     stage = rig.write()
     with warnings.catch_warnings():
         warnings.simplefilter("error")
@@ -434,7 +436,7 @@ def test_what_is_odd_is_told_and_read(rig, case):
     assert re.search(says, trial.warnings[-1]), trial.warnings
 
 
-def test_commands_may_be_logged_when_they_change_alone(rig):
+def test_commands_may_be_logged_only_when_they_change(rig):
     changed = np.concatenate(([True], np.diff(COMMAND) != 0))
     assert changed.sum() < 10
     rig.sent = {name: values[changed] for name, values in rig.sent.items()}
@@ -450,20 +452,20 @@ def test_commands_may_be_logged_when_they_change_alone(rig):
 
 
 def two_trials(rig, sent, seen):
-    """A second trial beside the sound one."""
+    """Add a second trial to the rig."""
     rig.says("trials:", "trials:\n  - {name: two, kind: hold, files: {command: sent2.csv, measured: seen2.csv}}")
     (rig.folder / "sent2.csv").write_text("\n".join(rig.lines({"t": T, "u": sent})))
     (rig.folder / "seen2.csv").write_text("\n".join(rig.lines({"t": T, "p": seen})))
     return rig.write()
 
 
-def test_a_trial_in_which_nothing_moves_is_left_out_beside_others(rig):
+def test_a_trial_without_motion_is_left_out_with_a_warning(rig):
     (trial,) = tables.read(two_trials(rig, np.full(400, 20.0), np.full(400, 20.5)))
     assert trial.name == "one"
     assert re.search(r"seen2.csv: column p: nothing moves in this trial, .*; it is left out", trial.warnings[0])
 
 
-def test_what_a_small_command_does_not_move_may_be_friction_and_what_a_large_one_does_not_is_dead(rig):
+def test_no_motion_under_a_small_command_is_a_warning_and_under_a_large_one_an_error(rig):
     two, one = tables.read(two_trials(rig, 50 + 5 * np.sin(T), np.full(400, 50.2)))
     assert (two.name, one.warnings) == ("two", ())
     assert re.search(r"seen2.csv: column p: pressure is 50.2 kPa in every row, under a small command", two.warnings[0])
@@ -473,12 +475,12 @@ def test_what_a_small_command_does_not_move_may_be_friction_and_what_a_large_one
     )
 
 
-def test_a_held_trial_of_one_that_moves_elsewhere_is_no_wrong_column(rig):
+def test_a_trial_with_a_constant_command_is_valid(rig):
     two, _ = tables.read(two_trials(rig, np.full(400, 50.0), 50 + 0.05 * np.sin(97 * T)))
     assert two.warnings == ()
 
 
-def test_a_dead_column_is_told_in_its_owners_unit_and_before_what_is_added(rig):
+def test_a_dead_column_is_reported_in_the_tables_unit_before_add(rig):
     rig.says("source: p, unit: kPa}", "source: p, unit: mbar, add: -101.3}")
     rig.seen["p"] = np.full_like(T, 1013.0)
     assert "pressure is 1013 mbar in every row" in refusal(rig.write())

@@ -54,8 +54,8 @@ def test_wide_bounds_give_ordinary_least_squares():
     np.testing.assert_allclose(found, np.linalg.lstsq(matrix, right, rcond=None)[0], rtol=1e-6, atol=1e-8)
 
 
-def test_what_has_no_influence_stays_where_it_is():
-    """A column of zeros (a nuisance that no view sees) stays at zero and disturbs nobody."""
+def test_a_coordinate_without_influence_stays():
+    """A column of zeros (a nuisance that no view sees) stays at zero and changes nothing else."""
     normal, slope = np.diag([2.0, 0.0, 4.0]), np.array([2.0, 0.0, 20.0])
     found = box.solve(normal, slope, np.array([-3.0, -3.0, -3.0]), np.array([3.0, 3.0, 3.0]))
     np.testing.assert_allclose(found, [1.0, 0.0, 3.0], atol=1e-6)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from softarm.diagnosis.engine.confidence import confidence, frequency
-from softarm.diagnosis.engine.decision import decide, stage_of, stage_shares
+from softarm.diagnosis.engine.decision import Evidence, decide, stage_of, stage_shares
 from softarm.diagnosis.engine.fits import Fit
 from softarm.diagnosis.engine.search import Choice, Gain, SelectedEffect
 from softarm.diagnosis.engine.structure import Structure
@@ -44,107 +44,113 @@ def _choice(before, after, *selected, folds=(1.0, 1.0, 1.0), halves=(1.0, 1.0)):
     return Choice(_fit(), (), chosen, selected, None, (before, after))
 
 
+def _decide(choice, flexible, structures=None, thresholds=ROBOT, **further):
+    return decide(choice, Evidence(flexible, structures or {}, **further), thresholds)
+
+
+def _rig(**cause):
+    return dataclasses.replace(RIG, cause=dataclasses.replace(RIG.cause, **cause))
+
+
 def _names(decision):
     return [m.candidate.name for m in decision.selected]
 
 
 def test_no_gap_is_none():
-    decision = decide(_choice({"pressure": 0.8, "arm": 1.1}, {"pressure": 0.8, "arm": 1.1}), {"arm": 0.9})
+    decision = _decide(_choice({"pressure": 0.8, "arm": 1.1}, {"pressure": 0.8, "arm": 1.1}), {"arm": 0.9})
     assert (decision.kind, decision.selected) == ("none", ())
 
 
 @pytest.mark.parametrize(("explained", "kind"), [(0.5, "unknown"), (5.0, "incomplete")])
-def test_beside_a_gap_that_nobody_explains_a_small_name_is_none(explained, kind):
+def test_a_small_effect_next_to_a_large_unexplained_gap_is_not_named(explained, kind):
     payload = _named_effect("arm.payload", arm=explained)
     before, after = {"pressure": 27.0, "arm": 1.0 + explained}, {"pressure": 27.0, "arm": 1.0}
-    decision = decide(_choice(before, after, payload), {"pressure": 0.8})
+    decision = _decide(_choice(before, after, payload), {"pressure": 0.8})
     assert decision.kind == kind
     assert bool(decision.selected) == (kind == "incomplete")
 
 
 def test_a_gap_that_goes_is_named():
     lag = _named_effect("pressure.lag", pressure=49.0)
-    decision = decide(_choice({"pressure": 50.0, "arm": 1.0}, {"pressure": 1.0, "arm": 1.0}, lag), {})
+    decision = _decide(_choice({"pressure": 50.0, "arm": 1.0}, {"pressure": 1.0, "arm": 1.0}, lag), {})
     assert (decision.kind, _names(decision)) == ("named", ["pressure.lag"])
     assert decision.explained == pytest.approx(1.0)
 
 
 def test_a_gap_that_nothing_explains_is_unknown():
-    decision = decide(_choice({"arm": 40.0}, {"arm": 40.0}), {"arm": 0.8})
+    decision = _decide(_choice({"arm": 40.0}, {"arm": 40.0}), {"arm": 0.8})
     assert (decision.kind, decision.selected, decision.explained) == ("unknown", (), 0.0)
-    assert decision.left["arm"] == pytest.approx(0.8 * 39.0)
+    assert decision.unexplained["arm"] == pytest.approx(0.8 * 39.0)
 
 
 def test_one_cause_found_and_another_not_is_incomplete():
-    """The regulator's lag explains all there; what the arm shows nobody explains."""
+    """The regulator's lag explains its stage; the gap of the arm stays unexplained."""
     lag = _named_effect("pressure.lag", pressure=49.0)
-    decision = decide(_choice({"pressure": 50.0, "arm": 50.0}, {"pressure": 1.0, "arm": 50.0}, lag), {"arm": 1.0})
+    decision = _decide(_choice({"pressure": 50.0, "arm": 50.0}, {"pressure": 1.0, "arm": 50.0}, lag), {"arm": 1.0})
     assert (decision.kind, _names(decision)) == ("incomplete", ["pressure.lag"])
     assert decision.explained == pytest.approx(0.5)
 
 
 def test_an_effect_that_takes_a_part_of_its_own_gap_is_not_named():
-    """It only resembles the true one: an unknown cause is not given a name."""
-    decision = decide(_choice({"arm": 41.0}, {"arm": 31.0}, _named_effect("arm.damping", arm=10.0)), {"arm": 1.0})
+    decision = _decide(_choice({"arm": 41.0}, {"arm": 31.0}, _named_effect("arm.damping", arm=10.0)), {"arm": 1.0})
     assert (decision.kind, decision.selected, decision.explained) == ("unknown", (), 0.0)
 
 
 def test_an_effect_of_another_strength_in_every_excitation_is_not_named():
     """However much it explains, where it leaves anything: what is there has one strength."""
     parts = {"arm": 50.0}, {"arm": 1.5}, _named_effect("arm.damping", arm=48.5)
-    assert decide(_choice(*parts), {}).kind == "named"
-    unsteady = decide(_choice(*parts, folds=(0.2, 1.0, 1.8)), {})
+    assert _decide(_choice(*parts), {}).kind == "named"
+    unsteady = _decide(_choice(*parts, folds=(0.2, 1.0, 1.8)), {})
     assert (unsteady.kind, unsteady.selected) == ("unknown", ())
     whole = {"arm": 50.0}, {"arm": 1.0}, _named_effect("arm.hysteresis", arm=49.0)
-    assert decide(_choice(*whole, folds=(0.2, 1.0, 1.8)), {}).kind == "named"
+    assert _decide(_choice(*whole, folds=(0.2, 1.0, 1.8)), {}).kind == "named"
 
 
 def test_an_effect_that_grows_within_a_trial_is_not_named():
     parts = {"arm": 50.0}, {"arm": 1.5}, _named_effect("arm.damping", arm=48.5)
-    fading = decide(_choice(*parts, halves=(0.7, 1.3)), {})
+    fading = _decide(_choice(*parts, halves=(0.7, 1.3)), {})
     assert (fading.kind, fading.selected) == ("unknown", ())
 
 
 def test_an_effect_that_leaves_nothing_and_grows_within_a_trial_is_not_named_either():
     """An arm that softens as it warms up: one stiffness takes nearly all away, and it is no one stiffness."""
     whole = {"arm": 50.0}, {"arm": 0.4}, _named_effect("arm.stiffness", arm=49.6)
-    assert decide(_choice(*whole, halves=(0.99, 1.01)), {}).kind == "named"
-    assert decide(_choice(*whole, halves=(0.95, 1.05)), {}).kind == "unknown"
+    assert _decide(_choice(*whole, halves=(0.99, 1.01)), {}).kind == "named"
+    assert _decide(_choice(*whole, halves=(0.95, 1.05)), {}).kind == "unknown"
     weak = {"arm": 2.5}, {"arm": 0.4}, _named_effect("arm.stiffness", arm=2.1)
-    assert decide(_choice(*weak, halves=(0.95, 1.05)), {}).kind == "named"  # by chance
-    assert decide(_choice(*whole, folds=(0.92, 1.0, 1.08)), {}).kind == "unknown"  # from excitation to excitation
+    assert _decide(_choice(*weak, halves=(0.95, 1.05)), {}).kind == "named"  # by chance
+    assert _decide(_choice(*whole, folds=(0.92, 1.0, 1.08)), {}).kind == "unknown"  # from excitation to excitation
     law = {"arm": 50.0}, {"arm": 0.4}, _named_effect("arm.hysteresis", arm=49.6)
-    assert decide(_choice(*law, halves=(0.95, 1.05)), {}).kind == "named"  # its law is nobody's in every digit
+    assert _decide(_choice(*law, halves=(0.95, 1.05)), {}).kind == "named"  # its law is nobody's in every digit
 
 
 def test_a_rest_that_no_model_explains_counts_in_part():
-    """What changes at random from tick to tick is not the floor's noise either."""
     choice = _choice({"arm": 41.0}, {"arm": 11.0}, _named_effect("arm.damping", arm=30.0))
-    assert decide(choice, {"arm": 0.0}).left["arm"] >= ROBOT.random_share * 10.0
-    assert decide(choice, {"arm": 0.0}).left["arm"] < decide(choice, {"arm": 1.0}).left["arm"]
+    assert _decide(choice, {"arm": 0.0}).unexplained["arm"] >= ROBOT.gap.random_share * 10.0
+    assert _decide(choice, {"arm": 0.0}).unexplained["arm"] < _decide(choice, {"arm": 1.0}).unexplained["arm"]
 
 
-def test_what_an_effect_would_have_explained_is_left_when_it_falls():
+def test_the_energy_of_a_rejected_effect_counts_as_unexplained():
     lag, damping = _named_effect("pressure.lag", pressure=49.0), _named_effect("arm.damping", arm=3.0)
-    decision = decide(
+    decision = _decide(
         _choice({"pressure": 50.0, "arm": 12.0}, {"pressure": 1.0, "arm": 9.0}, lag, damping), {"arm": 1.0}
     )
     assert (decision.kind, _names(decision)) == ("incomplete", ["pressure.lag"])
-    assert decision.left["arm"] == pytest.approx(8.0 + 3.0)
+    assert decision.unexplained["arm"] == pytest.approx(8.0 + 3.0)
 
 
 def test_shares_go_to_the_cause_not_to_where_it_is_seen():
     """A payload shows on the rail too: its whole share is the arm's."""
     payload = _named_effect("arm.payload", rail=20.0, arm=60.0)
     choice = _choice({"rail": 21.0, "arm": 61.0}, {"rail": 1.0, "arm": 1.0}, payload)
-    shares = stage_shares(decide(choice, {}), {"clock": 20.0})
+    shares = stage_shares(_decide(choice, {}), {"clock": 20.0})
     assert shares == pytest.approx({"arm": 0.8, "clock": 0.2, "rail": 0.0})
     assert stage_of(shares, STAGES) == "arm"
 
 
-def test_what_is_left_is_the_stage_s_in_which_it_is_seen():
+def test_unexplained_energy_belongs_to_the_stage_that_shows_it():
     choice = _choice({"rail": 50.0, "arm": 5.0}, {"rail": 1.0, "arm": 5.0}, _named_effect("rail.lag", rail=49.0))
-    shares = stage_shares(decide(choice, {"arm": 1.0}), {})
+    shares = stage_shares(_decide(choice, {"arm": 1.0}), {})
     assert shares == pytest.approx({"rail": 49 / 53, "arm": 4 / 53})
 
 
@@ -152,53 +158,52 @@ def _odd(energy, stage="arm"):
     return {stage: Structure(energy, "at reversals, it carries on", 3, 40)}
 
 
-def test_structure_in_what_is_left_refuses_none():
+def test_structure_in_the_residual_rules_out_none():
     """Within the floor on the whole, and a drift in it that no noise has."""
     quiet = _choice({"arm": 0.9}, {"arm": 0.9})
-    assert decide(quiet, {}, _odd(0.4)).kind == "none"
-    decision = decide(quiet, {}, _odd(1.5))
-    assert (decision.kind, decision.odd) == ("unknown", {"arm": "at reversals, it carries on"})
+    assert _decide(quiet, {}, _odd(0.4)).kind == "none"
+    decision = _decide(quiet, {}, _odd(1.5))
+    assert (decision.kind, decision.structure) == ("unknown", {"arm": "at reversals, it carries on"})
 
 
 @pytest.mark.parametrize(("floors", "kind"), [(3.9, "none"), (4.1, "unknown")])
 def test_of_a_rig_a_part_may_be_further_off_than_the_whole(floors, kind):
     """Healthy coils stood at 0.6 floors, and at 3.8 and 4.0 under their largest forces: they were unknown."""
     structures = {"arm": Structure(floors**2, "under a large force, position carries on", 8, 80)}
-    decision = decide(_choice({"arm": 0.4}, {"arm": 0.4}), {}, structures, thresholds=RIG)
+    decision = _decide(_choice({"arm": 0.4}, {"arm": 0.4}), {}, structures, thresholds=RIG)
     assert decision.kind == kind
 
 
-def test_structure_in_what_is_left_refuses_named_if_it_is_a_part_of_what_was_explained():
+def test_structure_rules_out_named_if_it_is_a_part_of_the_explained_energy():
     parts = {"arm": 50.0}, {"arm": 1.5}, _named_effect("arm.damping", arm=48.5)
-    assert decide(_choice(*parts), {}, _odd(5.0)).kind == "named"
-    strong = decide(_choice(*parts), {}, _odd(10.0))
+    assert _decide(_choice(*parts), {}, _odd(5.0)).kind == "named"
+    strong = _decide(_choice(*parts), {}, _odd(10.0))
     assert (strong.kind, _names(strong)) == ("incomplete", ["arm.damping"])
 
 
-def test_a_sign_of_another_test_refuses_none_and_named_and_says_where():
+def test_a_finding_of_another_test_rules_out_none_and_named():
     quiet = _choice({"mocap": 0.3, "arm": 0.9}, {"mocap": 0.3, "arm": 0.9})
-    decision = decide(quiet, {}, signs=_odd(4.0, "mocap"))
-    assert (decision.kind, decision.odd) == ("unknown", {"mocap": "at reversals, it carries on"})
+    decision = _decide(quiet, {}, signs=_odd(4.0, "mocap"))
+    assert (decision.kind, decision.structure) == ("unknown", {"mocap": "at reversals, it carries on"})
     assert stage_of(stage_shares(decision, {}), STAGES) == "mocap"
     parts = {"arm": 50.0, "mocap": 0.3}, {"arm": 1.0, "mocap": 0.3}, _named_effect("arm.damping", arm=49.0)
-    assert decide(_choice(*parts), {}).kind == "named"
-    assert decide(_choice(*parts), {}, signs=_odd(4.0, "mocap")).kind == "incomplete"
+    assert _decide(_choice(*parts), {}).kind == "named"
+    assert _decide(_choice(*parts), {}, signs=_odd(4.0, "mocap")).kind == "incomplete"
 
 
-def test_what_nuisances_take_away_within_their_boxes_asks_for_no_cause():
-    """Of a rig, whose floor is its encoder's step: nine tenths of the gap are a gain of one per cent."""
+def test_energy_explained_by_nuisances_needs_no_cause():
     choice = _choice({"arm": 11.0}, {"arm": 11.0})
-    assert decide(choice, {}, tolerated={"arm": 100.0}, thresholds=RIG).kind == "none"
-    assert decide(choice, {}, tolerated={"arm": 10.0}, thresholds=RIG).kind == "unknown"
-    assert decide(choice, {}, tolerated={"arm": 100.0}, thresholds=ROBOT).kind == "unknown"
+    assert _decide(choice, {}, tolerated={"arm": 100.0}, thresholds=RIG).kind == "none"
+    assert _decide(choice, {}, tolerated={"arm": 10.0}, thresholds=RIG).kind == "unknown"
+    assert _decide(choice, {}, tolerated={"arm": 100.0}, thresholds=ROBOT).kind == "unknown"
 
 
 def test_however_much_nuisances_take_away_a_gap_of_many_floors_is_not_none():
     """A torque 24 ms late: the boxes take two fifths of it, and fifty floors are left."""
     for left, tolerated in ((3000.0, 2100.0), (3000.0, 45000.0), (40.0, 1000.0)):
         choice = _choice({"arm": left}, {"arm": left})
-        assert decide(choice, {}, tolerated={"arm": tolerated}, thresholds=RIG).kind == "unknown"
-    assert decide(_choice({"arm": 8.0}, {"arm": 8.0}), {}, tolerated={"arm": 300.0}, thresholds=RIG).kind == "none"
+        assert _decide(choice, {}, tolerated={"arm": tolerated}, thresholds=RIG).kind == "unknown"
+    assert _decide(_choice({"arm": 8.0}, {"arm": 8.0}), {}, tolerated={"arm": 300.0}, thresholds=RIG).kind == "none"
 
 
 def test_an_effect_at_its_bound_is_not_named():
@@ -206,16 +211,16 @@ def test_an_effect_at_its_bound_is_not_named():
     choice = _choice({"pressure": 50.0}, {"pressure": 1.0}, pinned)
     edge = tuple(d.high for d in pinned.candidate.parameters)
     at_bound = dataclasses.replace(choice, chosen=dataclasses.replace(choice.chosen, u=(edge,)))
-    assert decide(choice, {}).kind == "named"
-    assert (decide(at_bound, {}).kind, _names(decide(at_bound, {}))) == ("unknown", [])
+    assert _decide(choice, {}).kind == "named"
+    assert (_decide(at_bound, {}).kind, _names(_decide(at_bound, {}))) == ("unknown", [])
 
 
-def test_an_effect_that_adds_nothing_beside_the_others_is_not_named():
+def test_an_effect_without_a_gain_of_its_own_is_not_named():
     """However large the gap that they take away together."""
     real, idle = _named_effect("arm.stiffness", arm=900.0), _named_effect("arm.damping", arm=0.0)
     idle = dataclasses.replace(idle, gain=_gain(-0.1, arm=0.0))
     choice = _choice({"arm": 1000.0}, {"arm": 3.0}, real, idle)
-    assert _names(decide(choice, {}, thresholds=RIG)) == ["arm.stiffness"]
+    assert _names(_decide(choice, {}, thresholds=RIG)) == ["arm.stiffness"]
 
 
 def test_confidence_is_a_frequency_of_enough_cases_or_none():
@@ -226,7 +231,7 @@ def test_confidence_is_a_frequency_of_enough_cases_or_none():
     assert frequency({"alone": [{"margin": 0.0, "right": 2, "of": 2}], "set": []}, "alone", 1.0) is None
 
 
-def test_an_answer_whose_rival_stands_at_a_bound_has_no_confidence():
+def test_an_answer_with_a_rival_at_a_bound_has_no_confidence():
     alone = _named_effect("pressure.lag", pressure=49.0)
     assert confidence("robot", alone) > 0.9
     assert confidence("robot", dataclasses.replace(alone, bounded=("pressure.dead_time",))) is None
@@ -234,37 +239,39 @@ def test_an_answer_whose_rival_stands_at_a_bound_has_no_confidence():
     assert confidence("rig", dataclasses.replace(alone, bounded=("pressure.dead_time",))) is None
 
 
-def test_no_name_is_the_whole_beside_more_than_it_may_leave():
+def test_a_name_next_to_a_large_rest_is_incomplete():
     parts = {"arm": 3000.0}, {"arm": 40.0}, _named_effect("arm.payload", arm=2960.0)
-    assert decide(_choice(*parts), {}, thresholds=RIG).kind == "incomplete"
-    assert decide(_choice(*parts), {}, thresholds=RIG, bent={"arm": 10.0}).kind == "named"  # a keen swing keeps as much
+    assert _decide(_choice(*parts), {}, thresholds=RIG).kind == "incomplete"
+    assert (
+        _decide(_choice(*parts), {}, thresholds=RIG, bent={"arm": 10.0}).kind == "named"
+    )  # a keen swing keeps as much
     thrown = {"arm": 3000.0}, {"arm": 100.0}, _named_effect("arm.payload", arm=2900.0)
-    assert decide(_choice(*thrown), {}, thresholds=RIG, bent={"arm": 1e9}).kind == "incomplete"
-    assert decide(_choice(*parts), {}, thresholds=dataclasses.replace(RIG, beside_most=20.0)).kind == "named"
+    assert _decide(_choice(*thrown), {}, thresholds=RIG, bent={"arm": 1e9}).kind == "incomplete"
+    assert _decide(_choice(*parts), {}, thresholds=_rig(rest_most=20.0)).kind == "named"
 
 
-def test_beside_more_than_a_name_may_leave_it_explains_nearly_all_and_more_than_what_stays():
+def test_next_to_a_large_rest_a_name_must_explain_more_than_the_rest():
     parts = {"arm": 1000.0}, {"arm": 100.0}, _named_effect("arm.payload", arm=900.0)
-    flexible = decide(_choice(*parts), {"arm": 0.9}, thresholds=RIG)  # any model finds the rest: another law
+    flexible = _decide(_choice(*parts), {"arm": 0.9}, thresholds=RIG)  # any model finds the rest: another law
     assert (flexible.kind, flexible.selected) == ("unknown", ())
-    tempered = decide(_choice(*parts), {"arm": 0.9}, thresholds=dataclasses.replace(RIG, stands_over=0.85))
+    tempered = _decide(_choice(*parts), {"arm": 0.9}, thresholds=_rig(explained_over=0.85))
     assert (tempered.kind, _names(tempered)) == ("incomplete", ["arm.payload"])
     two = {"arm": 5000.0}, {"arm": 101.0}, _named_effect("arm.payload", arm=4800.0)
     small = _named_effect("arm.tilt", arm=40.0)
-    assert _names(decide(_choice(*two, small), {}, thresholds=RIG)) == ["arm.payload"]
+    assert _names(_decide(_choice(*two, small), {}, thresholds=RIG)) == ["arm.payload"]
 
 
-def test_what_leaves_many_floors_has_one_strength_however_large_the_gap_was():
+def test_an_effect_that_leaves_many_floors_must_be_steady():
     parts = {"arm": 12000.0}, {"arm": 400.0}, _named_effect("arm.payload", arm=11600.0)
-    assert decide(_choice(*parts), {}, thresholds=RIG).kind == "incomplete"
-    assert decide(_choice(*parts, halves=(0.8, 1.2)), {}, thresholds=RIG).kind == "unknown"
+    assert _decide(_choice(*parts), {}, thresholds=RIG).kind == "incomplete"
+    assert _decide(_choice(*parts, halves=(0.8, 1.2)), {}, thresholds=RIG).kind == "unknown"
     less = {"arm": 12000.0}, {"arm": 150.0}, _named_effect("arm.payload", arm=11850.0)
-    assert decide(_choice(*less, halves=(0.8, 1.2)), {}, thresholds=RIG).kind == "incomplete"
+    assert _decide(_choice(*less, halves=(0.8, 1.2)), {}, thresholds=RIG).kind == "incomplete"
 
 
 def test_structure_of_many_floors_is_not_granted_by_a_large_gap():
     parts = {"arm": 3000.0}, {"arm": 2.0}, _named_effect("arm.payload", arm=2998.0)
     found = {"arm": Structure(40.0, "near a reversal", 3, 40)}
-    assert decide(_choice(*parts), {}, found, thresholds=RIG).kind == "incomplete"
-    assert decide(_choice(*parts), {}, found, thresholds=RIG, bent={"arm": 30.0}).kind == "named"
-    assert decide(_choice(*parts), {}, found).kind == "named"  # of the robot's, by its share
+    assert _decide(_choice(*parts), {}, found, thresholds=RIG).kind == "incomplete"
+    assert _decide(_choice(*parts), {}, found, thresholds=RIG, bent={"arm": 30.0}).kind == "named"
+    assert _decide(_choice(*parts), {}, found).kind == "named"  # of the robot's, by its share

@@ -8,7 +8,7 @@ import pytest
 from scipy.stats import binom
 
 from softarm.diagnosis.engine.candidates import Candidate, FittedParameter, Nuisance
-from softarm.diagnosis.engine.held_out import block_sums, gram
+from softarm.diagnosis.engine.held_out import BlockSums
 from softarm.diagnosis.engine.problem import Setup
 from softarm.diagnosis.engine.whitened import BLOCK_S
 
@@ -117,7 +117,6 @@ def test_many_fits_at_once_are_each_alone(both):
 
 @pytest.mark.slow
 def test_95_percent_intervals_hold_the_truth_95_times_in_100():
-    """Of 200 recordings as many as chance allows an interval that is right (0.1 % beyond either end)."""
     inside, runs = np.zeros(2), 200
     for seed in range(runs):
         problem = _problem(_View(seed=seed))
@@ -137,7 +136,7 @@ def test_an_interval_of_no_parameters_is_empty():
 
 
 @pytest.mark.parametrize(("scale", "end"), [(0.8, 0.5), (-0.8, -0.5)])
-def test_bounds_hold_and_an_effect_at_its_bound_says_so(scale, end):
+def test_a_fit_stays_within_bounds_and_reports_an_effect_at_its_bound(scale, end):
     fit = _fit(_problem(_View(truth={SCALE: scale})), GAIN)
     assert fit.point[SCALE] == pytest.approx(end)
     assert fit.at_bound
@@ -155,7 +154,7 @@ def test_a_nuisance_stays_in_its_box():
     assert fit.nuisance[0] * ZERO.edge == pytest.approx(ZERO.high)
 
 
-def test_what_an_effect_fits_itself_is_no_nuisance_beside_it():
+def test_a_parameter_that_an_effect_fits_is_no_nuisance():
     own = Candidate("stage.zero", "stage", (_parameter(BIAS, -2.0, 2.0, 0.2),), ((0.2,),))
     fit = _fit(_problem(_View(truth={BIAS: 0.9})), own)
     assert fit.nuisance[0] == 0.0
@@ -163,7 +162,7 @@ def test_what_an_effect_fits_itself_is_no_nuisance_beside_it():
 
 
 @pytest.mark.parametrize("fold", range(3))
-def test_what_is_held_out_has_no_say(fold):
+def test_held_out_data_do_not_change_their_own_fit(fold):
     """Spoil one kind of excitation: the parameters that judge it stay, those that judge the others go astray."""
     kinds = sorted(KINDS)
     spoilt = _View()
@@ -187,7 +186,6 @@ def test_the_held_out_loss_is_that_of_the_held_out_parameters():
 
 
 def test_a_strength_that_changes_from_kind_to_kind_scatters():
-    """What is there has one strength; what only resembles it another one each time."""
     view = _View(truth={SCALE: 0.3})
     steady = _fit(_problem(view), GAIN).scatter(0)
     for trial, share in enumerate((0.1, 0.3, 0.45)):
@@ -221,8 +219,8 @@ def test_a_simulated_held_out_loss_is_the_linear_one_s_where_the_law_is_linear()
 def test_sums_by_block_are_as_one_by_one():
     problem = _problem(_View(truth={SCALE: 0.3}))
     (residual,) = problem.whitened
-    rr, gr = block_sums(problem, [{}])
-    gg = gram(problem)
+    sums = BlockSums(problem.whitened, problem.blocks)
+    (rr, gr), gg = sums.residuals([{}]), sums.gram()
     rows = residual.moments([{}])[0].rows
     for i, (name, part) in enumerate(residual.blocks):
         assert problem.blocks[i] == name
@@ -240,7 +238,7 @@ def test_no_interval_ends_at_its_own_estimate():
     assert (high > fit.u[0]).all()
 
 
-def test_who_is_left_out_is_taken_over_by_who_does_the_same():
+def test_a_similar_effect_replaces_an_effect_that_is_left_out():
     droop = Candidate("stage.droop", "stage", (_parameter("stage.droop.scale", -0.5, 0.5, 0.1),), ((0.1,),))
     view = _View(truth=TRUE)
     once = view.gap

@@ -1,8 +1,8 @@
-"""What is left out, and what a report says of it."""
+"""Tests of the folds of held-out data."""
 
 import pytest
 
-from softarm.diagnosis.engine.folds import folds, interleaved, unseen
+from softarm.diagnosis.engine.folds import folds, held_out, interleaved
 
 BLOCKS = [(trial, number) for trial in range(3) for number in range(10)]
 
@@ -12,12 +12,12 @@ BLOCKS = [(trial, number) for trial in range(3) for number in range(10)]
     [
         (("steps", "chirp", "steps"), (0, 1, 2), "kind"),
         (("steps", "steps", "steps"), (0, 1, 2), "trial"),
-        (("steps", "steps", "steps"), (0, 0, 0), "block"),  # three shots of one recording
+        (("steps", "steps", "steps"), (0, 0, 0), "block"),  # three windows of one recording
     ],
 )
 def test_whole_kinds_are_left_out_else_whole_recordings_else_stretches(kinds, origins, says):
     found = folds(BLOCKS, kinds, origins)
-    assert unseen(kinds, origins) == says
+    assert held_out(kinds, origins) == says
     whole = {"kind": kinds, "trial": origins}.get(says)
     if whole is None:
         assert len(set(found)) == 5

@@ -21,7 +21,7 @@ def test_of_a_mean_it_is_the_textbook_s():
     assert half[0] == pytest.approx(t.ppf(0.975, 8) * values.std(ddof=1) / 3, rel=1e-6)
 
 
-def test_what_no_block_shows_has_no_error_and_one_block_tells_nothing():
+def test_an_invisible_unknown_has_no_error_and_one_block_has_an_infinite_one():
     design = np.random.default_rng(1).normal(size=(6, 20, 2)) * (1.0, 0.0)
     normal = np.einsum("bni,bnj->bij", design, design)
     assert half_width(normal, np.zeros((6, 2)), np.zeros(2))[1] == 0.0

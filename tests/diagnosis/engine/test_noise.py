@@ -13,7 +13,7 @@ LENGTH = 3000  # samples a trial
 
 @dataclass
 class _View:
-    """As much of a view as whitening asks for."""
+    """Part of a view that whitening needs."""
 
     measured: np.ndarray
     trial: np.ndarray
@@ -56,7 +56,7 @@ def test_starts_and_gaps_are_left_out_and_nothing_else(coloured):
     np.testing.assert_array_equal(keep, expected)
 
 
-def test_what_is_left_out_is_zero_and_finite(coloured):
+def test_samples_without_a_filter_are_zero(coloured):
     gap = coloured.copy()
     gap[1000, 0] = np.nan
     whiten = whitener(_view(gap), gap)
@@ -67,7 +67,6 @@ def test_what_is_left_out_is_zero_and_finite(coloured):
 
 
 def test_the_filter_is_frozen(coloured):
-    """It is made once: another residual, ten times as large, comes out ten times as large."""
     whiten = whitener(_view(coloured), coloured)
     np.testing.assert_allclose(whiten(10 * coloured), 10 * whiten(coloured), rtol=1e-4, atol=1e-4)
 
@@ -79,7 +78,7 @@ def test_a_batch_is_whitened_as_each_alone(coloured):
 
 
 def test_a_residual_far_below_the_floor_is_not_blown_up(coloured):
-    """Else a model would be judged by what no simulator is blamed for."""
+    """Differences within the noise floor must not decide between models."""
     tiny = 1e-6 * coloured
     white = whitener(_view(tiny, (1.0, 1.0)), tiny)(tiny)
     assert np.abs(white).max() < 1e-3

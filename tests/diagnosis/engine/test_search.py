@@ -13,6 +13,7 @@ from softarm.diagnosis.engine.thresholds import RIG, ROBOT
 RATE_HZ, LENGTH_S, NOISE = 50.0, 6.0, 0.02
 PACE, LEVEL = "stage.pace.rate", "stage.level.height"
 TRUE_PACE, OTHER_WELL = 0.6, 2.3  # rad/s
+REFITTING = replace(RIG, search=replace(RIG.search, refit=True))
 
 
 def _candidate(path, low, high, size, *starts):
@@ -61,8 +62,8 @@ def searched():
     return with_
 
 
-def test_what_went_into_another_well_beside_others_is_fitted_from_its_own_start_as_well(searched):
-    search = searched(replace(RIG, anew=True))
+def test_an_effect_in_a_wrong_minimum_is_fitted_from_its_own_start_again(searched):
+    search = searched(REFITTING)
     both = search.problem.fit([((RATE, HEIGHT), ((OTHER_WELL,), (0.1,)))])[0]
     assert both.point[PACE] == pytest.approx(OTHER_WELL, abs=0.3)  # another well than the true one
     alone = next(fit for fit in search.reduced(both) if fit.names == ("stage.pace",))
@@ -70,41 +71,41 @@ def test_what_went_into_another_well_beside_others_is_fitted_from_its_own_start_
     assert alone.loss < 0.1 * both.loss
 
 
-def test_what_is_in_its_own_well_already_stays_there(searched):
-    search = searched(replace(RIG, anew=True))
+def test_an_effect_in_its_own_minimum_stays_there(searched):
+    search = searched(REFITTING)
     both = search.problem.fit([((RATE, HEIGHT), ((TRUE_PACE,), (0.0,)))])[0]
     alone = next(fit for fit in search.reduced(both) if fit.names == ("stage.pace",))
     assert alone.point[PACE] == pytest.approx(both.point[PACE], abs=0.01)
 
 
 @pytest.mark.parametrize(("thresholds", "height", "kept"), [(RIG, 0.03, 1), (RIG, 0.08, 2), (ROBOT, 0.03, 2)])
-def test_beside_what_explains_all_but_two_floors_nothing_more_is_named_of_a_rig(
-    searched, thresholds, height, kept, monkeypatch
-):
+def test_a_rig_gets_no_further_effect_within_two_floors(searched, thresholds, height, kept, monkeypatch):
     """A zero of 1.5 floors is nobody's gap alone, so it is none beside another effect, however sure; one of four is."""
     search = searched(thresholds, height)
     search.null_model()
-    monkeypatch.setattr(search, "worth", lambda gain: True)
+    monkeypatch.setattr(search, "is_gain", lambda gain: True)
     both = search.problem.fit([((RATE, HEIGHT), ((TRUE_PACE,), (height,)))])[0]
     assert search.pruned(both).names == ("stage.pace", "stage.level")[:kept]
 
 
 @pytest.mark.parametrize("thresholds", [ROBOT, RIG])
-def test_any_other_search_goes_on_from_where_it_was(searched, thresholds):
+def test_any_other_search_continues_from_the_previous_fit(searched, thresholds):
     search = searched(thresholds)
     both = search.problem.fit([((RATE, HEIGHT), ((OTHER_WELL,), (0.1,)))])[0]
     alone = next(fit for fit in search.reduced(both) if fit.names == ("stage.pace",))
     assert alone.point[PACE] > TRUE_PACE + 1.0  # another well still
 
 
-def test_what_a_straight_line_gets_wrong_of_a_nuisance_is_counted():
+def test_the_linearisation_error_of_a_nuisance_is_counted():
     view = _View()
     setup = Setup([view], (Nuisance(PACE, 0.0, -0.3, 0.3), Nuisance(LEVEL, 0.0, -0.1, 0.1)), ("turns", "turns"))
     fit = replace(setup.plain().fit([((), ())])[0], nuisance=np.array([0.5, 1.0]))
     line = np.sin(3.0 * view.t_s) + 0.5 * (np.sin(3.3 * view.t_s) - np.sin(3.0 * view.t_s))
     off = np.mean((np.sin(3.15 * view.t_s) - line) ** 2) / NOISE**2
     assert off > 1
-    assert setup.bent("stage", fit) == pytest.approx(off, rel=1e-4)
-    assert setup.bent("stage", replace(fit, nuisance=np.array([0.0, 1.0]))) == pytest.approx(0.0, abs=1e-4)
+    assert setup.linearisation_error("stage", fit) == pytest.approx(off, rel=1e-4)
+    assert setup.linearisation_error("stage", replace(fit, nuisance=np.array([0.0, 1.0]))) == pytest.approx(
+        0.0, abs=1e-4
+    )
     own = replace(fit, effects=(RATE,), u=((0.0,),))  # what a set itself fits is no nuisance beside it
-    assert setup.bent("stage", own) == pytest.approx(0.0, abs=1e-4)
+    assert setup.linearisation_error("stage", own) == pytest.approx(0.0, abs=1e-4)

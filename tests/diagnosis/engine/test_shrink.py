@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from softarm.diagnosis.engine.shrink import REST_LEAST, REST_MOST, beside_rest, chain_interval, interval
+from softarm.diagnosis.engine.shrink import REST_LEAST, REST_MOST, chain_interval, interval, with_rest
 
 SQUARES = st.lists(st.tuples(st.floats(0.1, 100), st.floats(0.0, 1.0)), min_size=2, max_size=12)
 
@@ -19,21 +19,21 @@ def test_an_interval_holds_its_own_value_and_ends_at_one(trials):
 
 
 @given(st.floats(0.01, 0.99), st.floats(0.1, 20), st.floats(0.1, 20))
-def test_what_is_explained_stays_while_the_rest_grows(shrink, times, more):
-    other = beside_rest(shrink, times)
+def test_the_explained_part_stays_while_the_rest_grows(shrink, times, more):
+    other = with_rest(shrink, times)
     rest, new = (1 - shrink) ** 2, (1 - other) ** 2
     assert new / (1 - new) == pytest.approx(times * rest / (1 - rest), rel=1e-6)
-    assert beside_rest(other, more) == pytest.approx(beside_rest(shrink, times * more), abs=1e-9)
+    assert with_rest(other, more) == pytest.approx(with_rest(shrink, times * more), abs=1e-9)
 
 
 def test_the_tip_s_interval_holds_where_lively_flights_leave_more():
     before = np.full(8, 1.0)
     value, low, high = chain_interval(before, before * 0.02)
     assert value == pytest.approx(1 - np.sqrt(0.02))
-    assert low == pytest.approx(beside_rest(value, REST_MOST))
-    assert high == pytest.approx(beside_rest(value, REST_LEAST))
+    assert low == pytest.approx(with_rest(value, REST_MOST))
+    assert high == pytest.approx(with_rest(value, REST_LEAST))
 
 
-def test_what_did_not_shrink_is_drawn_anew_and_no_more():
-    assert beside_rest(-0.2, 9.0) == -0.2
-    assert beside_rest(1.0, 9.0) == 1.0
+def test_a_gap_that_did_not_shrink_keeps_its_bootstrap_interval():
+    assert with_rest(-0.2, 9.0) == -0.2
+    assert with_rest(1.0, 9.0) == 1.0

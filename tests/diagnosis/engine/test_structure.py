@@ -33,7 +33,7 @@ def _noise(seed):
     return np.random.default_rng(seed).normal(size=SAMPLES)
 
 
-def test_noise_has_none_whatever_is_looked_at():
+def test_noise_has_no_structure():
     found = [_look(_noise(seed)) for seed in range(60)]
     assert found[0].looks > 20
     assert sum(each.signs > 0 for each in found) <= 4  # 0.6 are expected
@@ -49,7 +49,7 @@ def test_noise_has_none_whatever_is_looked_at():
     ],
     ids=["a hum", "an offset in one regime", "a drift", "one kind alone"],
 )
-def test_what_is_missing_is_found(law, where):
+def test_a_missing_law_has_structure(law, where):
     found = _look(law + _noise(3))
     assert found.signs > 0
     assert found.energy > 0.2
@@ -64,7 +64,7 @@ def test_its_energy_is_the_law_s():
     assert 1.5 < found.energy < 5.0  # 2 throughout; more where it is strongest
 
 
-def test_what_was_not_measured_says_nothing():
+def test_missing_samples_show_no_structure():
     residual = _noise(5)
     residual[::3] = np.nan
     assert _look(residual).signs == 0

@@ -46,7 +46,7 @@ def view():
 
 @pytest.fixture(scope="module")
 def starts():
-    """What a start leaves: an offset that dies away, in each channel; large against a residual of one."""
+    """Return the effect of a start: a decaying offset in each channel, large against a residual of one."""
     t = np.concatenate([np.arange(n) / RATE_HZ for n in SAMPLES])
     decay = 20 * np.exp(-t / 0.8)
     return np.stack([np.stack((decay, 0 * t), axis=1), np.stack((0 * t, decay), axis=1)]).astype(np.float32)
@@ -60,14 +60,14 @@ def test_a_point_is_simulated_once_for_all_that_a_view_cannot_see(view):
     assert seen[0] is seen[1] is again[0]
 
 
-def test_what_is_missing_is_simulated_in_one_batch(view):
+def test_missing_points_are_simulated_in_one_batch(view):
     residual = _residual(view)
     residual.moments([{"view.effect.size": 1.0}])
     residual.moments([{"view.effect.size": float(i)} for i in range(5)])
     assert view.asked == [1, 4]
 
 
-def test_two_lenses_share_what_was_simulated(view):
+def test_two_weightings_share_simulations(view):
     gaps = Gaps(view)
     for weight in (1.0, 2.0):
         whiten = Whitener(np.ones((CHANNELS, 1), np.float32), np.ones((sum(SAMPLES), CHANNELS), np.float32))
@@ -102,7 +102,7 @@ def test_trials_start_each_on_their_own(view, starts):
     assert rows[: SAMPLES[0] * CHANNELS].any()
 
 
-def test_what_is_no_start_survives(view, starts):
+def test_residuals_other_than_a_start_survive(view, starts):
     point = [{"view.effect.size": 1.0}]
     bare, projected = _residual(view).moments(point)[0].rr, _residual(view, starts).moments(point)[0].rr
     assert 0.9 * bare < projected <= bare

@@ -1,4 +1,4 @@
-"""A real machine's recording, whole diagnosis, nothing of ours in it: an excerpt that every checkout has."""
+"""Complete diagnosis of an excerpt of a real recording."""
 
 from pathlib import Path
 
@@ -11,19 +11,22 @@ from softarm.cli.main import main
 from softarm.schemas.verdict import Verdict
 
 HERE = Path(__file__).parent / "pendulum-free"
-PUBLISHED_NM = (5.0e-4, 5.4e-4)  # what other stretches of the whole recording give
+# Dry friction in other parts of the recording.
+PUBLISHED_NM = (5.0e-4, 5.4e-4)
 
 
 def seen():
-    """Stamps and angles of the excerpt, [N, 2]."""
+    """Return stamps and angles of the excerpt, [N, 2]."""
     return np.loadtxt(HERE / "free-swing-1.csv", delimiter=",", skiprows=1)
 
 
 @pytest.mark.slow
-def test_a_real_pendulums_dry_friction_is_named_with_its_size(tmp_path):
+def test_dry_friction_of_a_real_pendulum_is_named_with_its_size(tmp_path):
     answer, report = tmp_path / "verdict.json", tmp_path / "report.html"
-    told = CliRunner().invoke(main, ["diagnose", f"{HERE}/stage.yaml", "--json", str(answer), "--report", str(report)])
-    assert told.exit_code == 0, told.output
+    outcome = CliRunner().invoke(
+        main, ["diagnose", f"{HERE}/stage.yaml", "--json", str(answer), "--report", str(report)]
+    )
+    assert outcome.exit_code == 0, outcome.output
     verdict = Verdict.model_validate_json(answer.read_text(encoding="utf-8"))
     assert verdict.verdict == "named"
     (found,) = verdict.effects
@@ -37,8 +40,8 @@ def test_a_real_pendulums_dry_friction_is_named_with_its_size(tmp_path):
     assert "dry friction" in report.read_text(encoding="utf-8")
 
 
-def test_the_peaks_of_the_excerpt_fall_along_a_line_as_of_dry_friction():
-    """The same answer without any of our fits: a straight line holds the peaks better than an exponential."""
+def test_the_peaks_decay_linearly_as_with_dry_friction():
+    """A straight line fits the peaks better than an exponential."""
     t, angle = seen().T
     swing = np.abs(angle - np.pi)
     top = np.flatnonzero((swing[1:-1] > swing[:-2]) & (swing[1:-1] >= swing[2:]) & (swing[1:-1] > 0.01)) + 1
@@ -49,7 +52,7 @@ def test_the_peaks_of_the_excerpt_fall_along_a_line_as_of_dry_friction():
     assert left[0] < 0.5 * left[1]
 
 
-def test_the_excerpt_is_the_recordings(data):
+def test_the_excerpt_is_part_of_the_recording(data):
     with (data / "multiarm-pendulum" / "SingleDataFreeSwing_1_Dt_0_0001.mat").open("rb") as file:
         theta = loadmat(file, squeeze_me=True, struct_as_record=False)["Theta1"]
     excerpt = seen()

@@ -12,7 +12,6 @@ from pyarrow import csv, parquet
 
 from softarm.daemon.control.records import EStop, Inputs, Mode, Observed, Outputs, TickTiming
 from softarm.daemon.logbook import ticks
-from softarm.diagnosis.data.folder import read_table
 from softarm.diagnosis.data.read import read_all
 from softarm.diagnosis.diagnose import diagnose
 from softarm.diagnosis.engine.result import Diagnosis
@@ -61,7 +60,7 @@ def flown(tmp_path_factory: pytest.TempPathFactory) -> Callable[[float], Path]:
 
 @pytest.fixture(scope="session")
 def diagnosed(flown: Callable[[float], Path]) -> Callable[[float], Diagnosis]:
-    """What is said of it, in the order of the folder."""
+    """Return the answers in the order of the folder."""
     return cache(lambda dead_time_s: diagnose(read_all([flown(dead_time_s)]), Model()))
 
 
@@ -95,7 +94,7 @@ def messages(trial: Path) -> list[LogMessage]:
     """Every reading, frame and tick of a trial folder."""
 
     def rows(name: str) -> list[list[float]]:
-        return [[float(cell) for cell in row] for row in read_table(trial / f"{name}.csv")[1]]
+        return np.loadtxt(trial / f"{name}.csv", delimiter=",", skiprows=1, ndmin=2).tolist()
 
     def ns(t_s: float) -> int:
         return LATER_NS + round(t_s * 1e9)
@@ -126,5 +125,5 @@ def messages(trial: Path) -> list[LogMessage]:
         )
         tick = ticks.TickRecord(ticks._tick_inputs(Inputs(ns(t))), outputs, TickTiming(0, 0, 0, None))
         found.append(LogMessage(ticks.TICK.topic, ns(t), ns(t), ticks.TICK.encode(tick)))
-    entry = Entry(1, ns(0.0), datetime.fromtimestamp(0, UTC), 0, "mode", "armed", "armed, was arming")
+    entry = Entry(1, ns(0.0), datetime.fromtimestamp(0, UTC), 0, "mode", "armed", "arming → armed")
     return [*found, LogMessage(ticks.EVENT.topic, ns(0.0), ns(0.0), ticks.EVENT.encode(entry))]

@@ -39,7 +39,7 @@ def test_there_are_three_besides_ours():
 
 
 def test_the_largest_gain_is_one_effect_at_most(asked):
-    """It knows no tolerance: what two honest simulators differ by may gain as well."""
+    """The rule knows no tolerance, so a difference between two valid simulators may gain, too."""
     (effect,) = asked("largest-gain", DEAD_TIME_S).effects
     assert effect.name == "pressure.dead_time"
     assert effect.parameters["delay"].value == pytest.approx(DEAD_TIME_S, abs=0.005)
@@ -49,9 +49,9 @@ def test_the_largest_gain_is_one_effect_at_most(asked):
 def test_bic_begins_with_the_largest_gain_and_ends_at_the_most(asked):
     found = asked("bic", DEAD_TIME_S).effects
     assert found[0].name == asked("largest-gain", DEAD_TIME_S).effects[0].name
-    assert 1 <= len(found) <= ROBOT.effects_max
+    assert 1 <= len(found) <= ROBOT.search.effects_max
 
 
 def test_all_at_once_names_the_one_that_is_clearest_off_its_neutral_value(asked):
-    """What it names is no better than chance: docs/diagnosis.md."""
+    """The names of this rule are no better than chance: docs/gap/diagnosis.md."""
     assert len(asked("all-at-once", DEAD_TIME_S).effects) == 1

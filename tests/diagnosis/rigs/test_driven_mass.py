@@ -1,6 +1,6 @@
-"""A mass under a force: its law against closed forms and scipy, and what a view of it finds in carts of another law.
+"""Driven masses: the law against closed forms and scipy, and effects found in independently simulated carts.
 
-The carts are of our own making, and share no line with the law: LuGre bristles at 50 kHz, a controller, an encoder.
+The simulated carts have LuGre friction at 50 kHz, a controller and an encoder, and share no code with the law.
 """
 
 import math
@@ -27,7 +27,7 @@ KINDS = ("steps", "multisine", "slow", "sweep")
 
 @dataclass(frozen=True)
 class Cart:
-    """What a machine is; forces in N (or N m), ways in m (or rad)."""
+    """Parameters of a simulated machine; forces in N or N m, positions in m or rad."""
 
     mass: float = 2.0
     gain: float = 1.0
@@ -49,7 +49,7 @@ class Cart:
 
 @numba.njit
 def run(c, reference, kp, kd, step, fine, bristle, noise):
-    """Commands [T], positions [T] and speeds [T] at samples of `step`; c: a Cart's numbers in their order."""
+    """Return commands, positions and speeds [T] at samples of `step`; c: the values of a Cart in their order."""
     (mass, gain, viscous, dry, more, stick, stribeck, drag, offset, delay, lag, width, limit, gap, hz, ratio) = c
     n, sub = len(reference), round(step / fine)
     u, xs, vs = np.zeros(n), np.zeros(n), np.zeros(n)
@@ -89,7 +89,7 @@ def run(c, reference, kp, kd, step, fine, bristle, noise):
 
 
 def reference(kind, seconds, step, way, seed):
-    """[T] where the controller shall go."""
+    """Return the set-points of the controller, [T]."""
     t = np.arange(round(seconds / step)) * step
     draw = np.random.default_rng(seed)
     if kind == "steps":
@@ -105,7 +105,7 @@ def reference(kind, seconds, step, way, seed):
 def campaign(
     cart, nominal, seconds=12.0, step=0.01, way=0.3, encoder=5e-5, noise=2e-5, kinds=KINDS, seed=0, velocity=False
 ):
-    """Trials of a cart under a lax controller, to be held against a nominal model (a stage.yaml's `model`)."""
+    """Return trials of a cart under a soft controller, with a nominal model (a stage.yaml's `model`)."""
     trials = []
     turns = "inertia_kg_m2" in nominal
     stiff = 30.0 * cart.mass / cart.gain
@@ -150,8 +150,8 @@ def go(force, numbers, v=0.0, step=0.01, each=1, state=(0.0, 0.0, 0.0, 0.0)):
 
 
 @pytest.mark.parametrize("step", [0.001, 0.1, 3.0])
-def test_a_cart_coasts_to_a_stop_where_mechanics_says(step):
-    """Dry and viscous friction together: m v' = -F - b v from v0; then it stays."""
+def test_a_cart_coasts_to_the_analytical_stop(step):
+    """With dry and viscous friction, m v' = -F - b v from v0 until it stops."""
     m, b, f, v0 = 2.0, 0.5, 1.0, 1.2
     stop = m / b * math.log1p(b * v0 / f)
     t = np.arange(0, 12, step)
@@ -164,7 +164,7 @@ def test_a_cart_coasts_to_a_stop_where_mechanics_says(step):
     np.testing.assert_allclose(found, x, atol=1e-12)
 
 
-def test_a_cart_reaches_the_speed_at_which_friction_is_as_large_as_the_force():
+def test_a_cart_reaches_the_speed_where_friction_equals_the_force():
     force = np.full(6000, 5.0)
     for numbers, speed in (
         ({"VISCOUS": 2.0}, 2.5),
@@ -175,7 +175,7 @@ def test_a_cart_reaches_the_speed_at_which_friction_is_as_large_as_the_force():
         assert np.diff(go(force, law(**numbers)))[-1] / 0.01 == pytest.approx(speed, rel=1e-6)
 
 
-def test_a_cart_breaks_away_at_its_friction_and_not_before():
+def test_a_cart_breaks_away_at_its_static_friction():
     force = 0.01 * np.arange(400)  # to 4 N
     for numbers, least in (({"FORWARD": 2.0}, 2.0), ({"FORWARD": 2.0, "STICTION": 1.0}, 3.0), ({"FORWARD": 1.5}, 1.5)):
         found = go(force, law(**numbers))
@@ -186,7 +186,7 @@ def test_a_cart_breaks_away_at_its_friction_and_not_before():
     assert np.ptp(held[50:]) < 1e-6
 
 
-def test_no_step_is_too_long_for_dry_friction():
+def test_dry_friction_does_not_depend_on_the_step():
     force = np.random.default_rng(0).normal(0, 3, 1500)
     for give, share in ((0.0, 1e-9), (3e-5, 0.02)):
         numbers = law(FORWARD=1.0, BACKWARD=1.5, VISCOUS=0.5, GIVE=give)
@@ -194,8 +194,8 @@ def test_no_step_is_too_long_for_dry_friction():
         assert np.abs(fine - coarse).max() < share * np.ptp(fine)
 
 
-def test_bent_friction_goes_as_that_of_bristles():
-    """LuGre without its own damping, by an implicit solver of scipy's, through reversals and rests."""
+def test_bending_friction_agrees_with_the_lugre_model():
+    """The reference is LuGre without bristle damping, solved implicitly by scipy."""
     m, dry, bristle, b = 2.0, 1.0, 5e-5, 0.5
 
     def push(t):
@@ -218,7 +218,7 @@ def test_bent_friction_goes_as_that_of_bristles():
     assert np.abs(found - exact).max() < 0.5 * np.abs(rigid - exact).max()
 
 
-def test_what_hangs_on_a_spring_swings_as_scipy_says():
+def test_a_load_on_a_spring_agrees_with_scipy():
     w, ratio = 2 * math.pi * 5.0, 0.1
     t = np.arange(0, 2, 0.01)
     force = np.where((t > 0.195) & (t < 0.395), 4.0, 0.0)
@@ -232,7 +232,7 @@ def test_what_hangs_on_a_spring_swings_as_scipy_says():
     assert np.abs(found - exact).max() < 0.02 * np.ptp(exact)
 
 
-def test_play_is_crossed_at_reversals():
+def test_backlash_is_crossed_at_reversals():
     force = np.concatenate((np.full(100, 1.0), np.full(250, -1.0)))
     free, loose = go(force, law()), go(force, law(GAP=0.02), state=(1.0, 0.0, 0.0, 0.0))  # the forward flank is shut
     back = int(np.argmax(free))
@@ -240,7 +240,7 @@ def test_play_is_crossed_at_reversals():
     np.testing.assert_allclose(loose[back:], np.minimum(free.max(), free[back:] + 0.02), atol=1e-12)
 
 
-def test_an_amplifier_has_a_dead_zone_an_end_and_a_lag():
+def test_an_amplifier_has_a_dead_zone_a_limit_and_a_lag():
     held, out = np.linspace(-4, 4, 81), np.empty(81)
     laws.drive(held, law(WIDTH=1.0, LIMIT=2.0, GAIN=3.0), 0.01, out)
     np.testing.assert_allclose(out, 3 * np.clip(np.sign(held) * np.maximum(np.abs(held) - 1, 0), -2, 2), atol=1e-12)
@@ -256,7 +256,7 @@ def floors(view, point=None):
 
 
 def alone(view):
-    """Every effect alone, fitted, the best first."""
+    """Fit every effect alone and return the fits, the best first."""
     setup = Setup([view], nuisances(view), [str(k) for k in np.unique(view.trial)])
     problem = setup.weighed()
     search = Search(problem, setup.plain(), [view.stage], candidates(view))
@@ -265,7 +265,7 @@ def alone(view):
     return {f.names[0].partition(".")[2]: f for f in sorted(fits, key=lambda f: f.loss)}, null_model, problem
 
 
-def test_a_healthy_cart_shows_no_gap():
+def test_a_healthy_cart_has_no_gap():
     for more in ({}, {"encoder": 5e-4, "noise": 3e-4}, {"step": 0.004, "seconds": 6.0}):
         assert floors(DrivenMassView(campaign(RUBS, KNOWN, **(QUICK | more)))) < 2.0
 
@@ -289,8 +289,8 @@ SINGLES = {
 
 
 @pytest.mark.parametrize("name", SINGLES)
-def test_an_effect_fits_best_where_it_is_the_cause_and_has_its_size(name):
-    cart, parameter, size, twins = SINGLES[name]
+def test_the_cause_fits_best_with_its_true_size(name):
+    cart, parameter, size, inseparable = SINGLES[name]
     view = DrivenMassView(campaign(cart, KNOWN, **QUICK))
     fits, null_model, _ = alone(view)
     assert floors(view) > 5
@@ -299,7 +299,7 @@ def test_an_effect_fits_best_where_it_is_the_cause_and_has_its_size(name):
     assert fits[name].point[f"cart.{name}.{parameter}"] == pytest.approx(size, rel=apart)
     assert not fits[name].at_bound
     rivals = {other for other, f in fits.items() if f.loss < 3 * fits[name].loss + 20}
-    assert rivals - {name} == set(twins)
+    assert rivals - {name} == set(inseparable)
 
 
 PAIRS = (
@@ -310,7 +310,7 @@ PAIRS = (
 
 
 @pytest.mark.parametrize(("made", "found"), PAIRS)
-def test_two_effects_have_their_sizes_beside_each_other(made, found):
+def test_two_effects_are_fitted_with_their_true_sizes(made, found):
     view = DrivenMassView(campaign(replace(RUBS, **made), KNOWN, **QUICK))
     fits, _, problem = alone(view)
     both = tuple(fits[path.partition(".")[0]].effects[0] for path in found)
@@ -320,16 +320,19 @@ def test_two_effects_have_their_sizes_beside_each_other(made, found):
     assert fit.loss < 0.02 * min(f.loss for f in fits.values())
 
 
-def test_a_tilt_is_friction_that_is_larger_one_way_as_long_as_friction_holds_it():
+def test_a_tilt_resembles_asymmetric_friction_while_friction_holds_the_cart():
     view = DrivenMassView(campaign(replace(RUBS, offset=0.5), KNOWN, **QUICK))
     assert floors(view) > 100
     assert floors(view, {"cart.force_offset.force": 0.5}) < 2
-    assert floors(view, {"cart.friction_asymmetry.force": -0.5}) < 0.02 * floors(view)  # how friction bends is left
-    assert "turn the rig round" in next(e for e in view.effects if e.name == "cart.force_offset").separated_by.lower()
+    assert floors(view, {"cart.friction_asymmetry.force": -0.5}) < 0.02 * floors(
+        view
+    )  # the bending of friction differs
+    offset = next(e for e in view.effects if e.name == "cart.force_offset")
+    assert "turning the rig round" in offset.separated_by["cart.friction_asymmetry"]
 
 
-def test_a_pull_that_is_fitted_half_as_friction_is_found_whole_without_it():
-    """Larger than what rubs: the halves are one in motion, and no descent goes from one half to the whole."""
+def test_a_force_split_with_friction_is_found_whole_without_it():
+    """Both halves cause the same motion, so no descent leads from one half to the whole."""
     view = DrivenMassView(campaign(replace(RUBS, offset=-2.0), KNOWN, **QUICK))
     setup = Setup([view], nuisances(view), [str(k) for k in np.unique(view.trial)])
     problem, known = setup.weighed(), {c.name: c for c in candidates(view)}
@@ -340,14 +343,14 @@ def test_a_pull_that_is_fitted_half_as_friction_is_found_whole_without_it():
     assert problem.fit([(kept, u)], 12)[0].u[0][0] == pytest.approx(-2.0, abs=0.05)
 
 
-def test_a_late_force_and_a_late_reading_are_one():
+def test_dead_time_and_latency_are_indistinguishable():
     view = DrivenMassView(campaign(RUBS, KNOWN, **QUICK))
     gaps = view.gap([{"cart.dead_time.delay": 0.03}, {"cart.latency.delay": 0.03}])
     np.testing.assert_array_equal(gaps[0], gaps[1])
-    assert view.twins == {"cart.dead_time": ("cart.latency",)}
+    assert view.indistinguishable == {"cart.dead_time": ("cart.latency",)}
 
 
-def test_mass_and_gain_are_one_where_nothing_else_pushes():
+def test_mass_and_gain_are_indistinguishable_without_another_force():
     view = DrivenMassView(campaign(Cart(viscous=0.0), {"mass_kg": 2.0}, **QUICK))
     gaps = view.gap([{"cart.mass.scale": 0.25}, {"cart.gain.scale": -0.2}])
     assert np.nanmax(np.abs(gaps[0] - gaps[1])) < 0.01 * view.floor[0]
@@ -356,7 +359,7 @@ def test_mass_and_gain_are_one_where_nothing_else_pushes():
     assert np.nanmax(np.abs(gaps[0] - gaps[1])) > 10 * rubs.floor[0]
 
 
-def test_a_speed_alone_suffices_and_its_zero_can_be_off():
+def test_a_measured_speed_suffices_and_may_have_a_wrong_zero():
     view = DrivenMassView(campaign(replace(RUBS, coulomb=1.6), KNOWN, velocity=True, noise=1e-3, **QUICK))
     assert (view.unit, view.channels) == ("m/s", ("velocity",))
     assert {"cart.backlash", "cart.compliance"}.isdisjoint(e.name for e in view.effects)
@@ -367,8 +370,8 @@ def test_a_speed_alone_suffices_and_its_zero_can_be_off():
     assert np.nanmax(np.abs(biased)) > 0.01
 
 
-def test_an_axis_has_its_own_units_and_sizes():
-    """A small motor: grams and amperes; friction of a ten-thousandth of the cart's."""
+def test_units_and_bounds_follow_the_axis():
+    """The motor is small: its friction is a ten-thousandth of the cart's."""
     small = Cart(mass=2e-5, gain=0.02, viscous=2e-5, coulomb=6e-4)
     nominal = {"inertia_kg_m2": 2e-5, "gain": 0.02, "viscous": 2e-5, "coulomb": 2e-4}
     view = DrivenMassView(campaign(small, nominal, way=3.0, encoder=1.5e-3, **QUICK))
@@ -382,12 +385,13 @@ def test_an_axis_has_its_own_units_and_sizes():
     assert fits["coulomb_friction"].point["axis.coulomb_friction.force"] == pytest.approx(6e-4, rel=0.1)
 
 
-def test_bounds_hold_the_nominal_and_every_usual_change():
+def test_bounds_include_the_nominal_and_usual_values():
     for nominal in (KNOWN, {"mass_kg": 2.0}):
         view = DrivenMassView(campaign(RUBS, nominal, **QUICK))
         for effect in view.effects:
             assert effect.meaning
             assert effect.source
+            assert all(": " in experiment for experiment in effect.separated_by.values())
             for p in effect.parameters:
                 assert p.low < p.high
                 assert p.admits(p.neutral)
@@ -395,26 +399,25 @@ def test_bounds_hold_the_nominal_and_every_usual_change():
                 assert p.admits(view.nominal(f"{effect.name}.{p.name}".partition(".")[2]))
 
 
-def test_the_model_is_held_against_a_noise_that_it_does_not_chase():
-    """Windows are fitted by where they start alone: white noise stays what it is."""
+def test_fitted_starts_do_not_absorb_white_noise():
     noise = 2e-4
     view = DrivenMassView(campaign(RUBS, KNOWN, noise=noise, encoder=1e-6, **QUICK))
     left = view.gap([{}])[0][:, 0]
     assert 0.9 * noise < float(np.std(left)) < 1.3 * noise
 
 
-def test_an_encoders_step_is_what_all_differences_are_multiples_of():
+def test_the_resolution_of_an_encoder_is_found():
     draw = np.random.default_rng(0)
     x = np.cumsum(draw.normal(size=1000))
     assert resolution([np.round(x / 0.01) * 0.01]) == pytest.approx(0.01)
-    assert resolution([np.round(100 * x / 0.01) * 0.01]) == pytest.approx(0.01)  # sparse: few levels twice
+    assert resolution([np.round(100 * x / 0.01) * 0.01]) == pytest.approx(0.01)  # sparse levels
     assert resolution([x]) == 0.0
     assert resolution([np.sin(np.arange(5000.0))]) == 0.0
-    printed = np.round(np.round(x / 0.088) * 0.088, 2)  # two places of it: steps of 0.08 and 0.09
+    printed = np.round(np.round(x / 0.088) * 0.088, 2)  # rounded to two decimals: steps of 0.08 and 0.09
     assert resolution([np.append(printed, np.nan)]) == pytest.approx(0.088, rel=0.12)
 
 
-def test_windows_and_what_they_make_follow_the_motions_own_time():
+def test_windows_scale_with_the_period_of_the_motion():
     quick, slow = (DrivenMassView([_in(t, way) for t in campaign(RUBS, KNOWN, **QUICK)]) for way in (1.0, 50.0))
     assert slow.block_s == pytest.approx(50 * quick.block_s, rel=0.2)
     trial_s = float(quick.t_s[quick.trial == 0][-1])
@@ -426,7 +429,7 @@ def test_windows_and_what_they_make_follow_the_motions_own_time():
 
 
 def _in(trial, times):
-    """The same way in so many times the time, by a mass that is so much the heavier squared."""
+    """Slow a trial down by a factor, with the mass that gives the same motion."""
     channels = {name: Series(s.t_s * times, dict(s.columns)) for name, s in trial.channels.items()}
     model = dict(trial.stage.model)
     model["mass_kg"] = model["mass_kg"] * times**2
@@ -443,34 +446,33 @@ def broken(model, force=None, columns=("position",)):
     return [Trial("one", "sine", Path("one.csv"), channels, stage=TableStage("cart", "driven_mass", model))]
 
 
-def test_what_cannot_be_a_driven_mass_is_told_with_the_next_step():
+def test_an_invalid_driven_mass_is_rejected():
     with pytest.raises(TrialError, match=r"cart: model lacks mass_kg \(or inertia_kg_m2"):
         DrivenMassView(broken({"gain": 2.0}))
     with pytest.raises(TrialError, match=r"model\.mass_kg is 0"):
         DrivenMassView(broken({"mass_kg": 0.0}))
-    with pytest.raises(TrialError, match="the force is nought in every trial"):
+    with pytest.raises(TrialError, match="the force is zero in every trial"):
         DrivenMassView(broken({"mass_kg": 1.0}, force=np.zeros(500)))
-    with pytest.raises(TrialError, match="no column position or velocity"):
+    with pytest.raises(TrialError, match="needs a column position or velocity"):
         DrivenMassView(broken({"mass_kg": 1.0}, columns=("height",)))
-    with pytest.raises(TrialError, match="one driven mass at a time"):
+    with pytest.raises(TrialError, match="diagnose one driven mass at a time"):
         DrivenMassView([replace(broken({})[0], stage=None)])
 
 
-def test_nothing_is_named_on_a_healthy_cart():
+def test_no_effect_is_named_on_a_healthy_cart():
     verdict = diagnose_table(campaign(RUBS, KNOWN, **QUICK)).verdict
     assert (verdict.verdict, verdict.effects) == ("none", ())
 
 
-@pytest.mark.slow
-def test_a_carts_dry_friction_is_named_by_its_encoder_alone():
+@pytest.mark.prove
+def test_dry_friction_of_a_cart_is_named_from_its_encoder():
     verdict = diagnose_table(campaign(replace(RUBS, coulomb=1.6), KNOWN, **QUICK)).verdict
     assert verdict.verdict == "named"
     assert [e.name for e in verdict.effects] == ["cart.coulomb_friction"]
     assert verdict.effects[0].parameters["force"].value == pytest.approx(1.6, rel=0.1)
 
 
-def test_the_generator_is_scipys_lugre():
-    """Bristles at 50 kHz against an implicit solver: one second, one reversal, no controller's noise."""
+def test_the_simulated_cart_agrees_with_scipy():
     cart = Cart(coulomb=1.0, stiction=0.5, stribeck=0.05)
     numbers = tuple(float(getattr(cart, name)) for name in Cart.__dataclass_fields__)
     step, bristle = 0.01, 2e-5

@@ -1,34 +1,48 @@
-"""What to record next of a rig: the first set that anything separates, else that nothing does."""
+"""Next experiment of a rig: the first set that a motion separates, or the statement that no motion does."""
+
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+from softarm.diagnosis.data.trials import Series, TableStage, Trial
 from softarm.diagnosis.rigs.experiments import NOTHING, between, splitting
-from softarm.diagnosis.rigs.views import RigView
-from softarm.diagnosis.rigs.vocabulary import effects
+from softarm.diagnosis.rigs.tracking import TrackingView
 
 
 @pytest.fixture(scope="module")
 def view():
-    t = np.arange(100) / 50
-    return RigView(
-        "axis", "rad", ("position",), effects("tracking", "axis", "rad"), [t], [np.sin(t)[:, None]], 1e-3, [{"t": t}]
-    )
+    t = np.arange(800) / 50
+    channels = {"command": Series(t, {"command": np.sin(t)}), "measured": Series(t, {"position": 0.9 * np.sin(t)})}
+    return TrackingView([Trial("one", "sine", Path("one"), channels, stage=TableStage("axis", "tracking", {}))])
 
 
-def test_a_set_without_a_motion_says_so(view):
+def test_a_set_that_no_motion_separates_says_so(view):
     found = splitting(view, [("axis.sensor_bias", "axis.rate_limit")])
     assert found.excitation == NOTHING
     assert found.separates == ("axis.sensor_bias", "axis.rate_limit")
     assert not found.expect
 
 
-def test_of_several_sets_one_that_a_motion_separates_comes_first(view):
+def test_a_set_that_a_motion_separates_comes_first(view):
     hopeless, good = ("axis.sensor_bias", "axis.rate_limit"), ("axis.deadband", "axis.lag")
     found = splitting(view, [("axis.gain",), hopeless, good])
     assert found == between(view, good)
     assert found.excitation == "a slow ramp"
 
 
-def test_a_name_alone_asks_for_nothing(view):
+def test_a_single_name_needs_no_experiment(view):
     assert splitting(view, [("axis.gain",)]) is None
+
+
+def test_dead_time_and_latency_are_separated_by_a_second_sensor(view):
+    found = between(view, ("axis.dead_time", "axis.latency"))
+    assert "second sensor" in found.excitation
+    (sign,) = set(found.expect.values())
+    assert sign not in found.excitation
+    assert "only their sum" in sign
+
+
+def test_every_rival_pair_states_a_motion_and_what_it_shows(view):
+    pairs = {text for effect in view.effects for text in effect.separated_by.values()}
+    assert [text for text in pairs if ": " not in text] == []

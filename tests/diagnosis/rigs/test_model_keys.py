@@ -1,4 +1,4 @@
-"""Every key that a stage.yaml's model may have says something to the view of its kind: none is accepted and ignored."""
+"""Every key of a stage.yaml's model changes the prediction of its view: no key is accepted and ignored."""
 
 from pathlib import Path
 
@@ -26,7 +26,7 @@ OTHER = {"lag_s": 0.2, "delay_s": 0.1, "gain": 2.0, "offset": 0.3, "map": ((-2.0
          "rate_limit": 0.5, "acceleration_limit": 2.0, "mass_kg": 3.0, "inertia_kg_m2": 3.0, "viscous": 2.0,
          "coulomb": 0.4, "gravity_m_s2": 5.0, "damping_nm_s_rad": 0.05, "coulomb_nm": 0.05,
          "armature_kg_m2": 0.02, "inertia_joint_kg_m2": (0.0112, 0.0063)}  # fmt: skip
-SECOND = {"length_m": (0.4, 0.2)}  # the last link's matters to nothing
+SECOND = {"length_m": (0.4, 0.2)}  # the last length has no effect
 
 
 def residuals(kind, model):
@@ -38,7 +38,7 @@ def residuals(kind, model):
 @pytest.mark.parametrize(
     ("kind", "key"), [(kind, key.name) for kind, keys in MODEL_KEYS.items() if kind in VIEWS for key in keys]
 )
-def test_a_key_of_the_model_changes_what_its_view_expects(kind, key):
+def test_every_key_of_the_model_changes_the_prediction(kind, key):
     links = 2 if "link" in {each.each for each in MODEL_KEYS[kind]} else 1
     usual = MODEL[kind]
     if key in usual and isinstance(usual[key], tuple):
@@ -58,8 +58,8 @@ def test_a_key_of_the_model_changes_what_its_view_expects(kind, key):
     assert not np.allclose(residuals(kind, changed), residuals(kind, usual), rtol=1e-4, atol=1e-7)
 
 
-def test_the_page_shows_every_channel_and_column():
-    page = (Path(__file__).parents[3] / "docs" / "trials.md").read_text(encoding="utf-8")
+def test_the_docs_list_every_channel_and_column():
+    page = (Path(__file__).parents[3] / "docs" / "reference" / "trials.md").read_text(encoding="utf-8")
     for channels in CHANNELS.values():
         for name, channel in channels.items():
             for word in (name, *channel.any_of, *channel.others):

@@ -1,9 +1,9 @@
-"""What a rig's owner is told is in the units of the owner's columns, and the same in all of them."""
+"""Diagnoses of rigs in the units of their tables."""
 
 import numpy as np
 import pytest
 
-from softarm.diagnosis.data.trials import OwnUnit, TableStage
+from softarm.diagnosis.data.trials import TableStage, TableUnit
 from softarm.diagnosis.from_files import diagnose_files
 from softarm.diagnosis.rigs.owner_units import owners
 
@@ -19,22 +19,22 @@ trials:
 """
 
 
-def rig(folder, unit, worth):
-    """A servo that ends 0.05 rad beside its command, with an encoder's steps."""
+def rig(folder, unit, factor):
+    """Write the tables of a servo with an offset of 0.05 rad and an encoder."""
     draw = np.random.default_rng(4)
     shapes = {"steps": np.sign(np.sin(0.9 * T)), "sine": np.sin(2 * T), "slow": np.sin(0.5 * T)}
     for i, (name, shape) in enumerate(shapes.items()):
         command = 0.4 * shape + 0.1 * i
         position = np.concatenate(([command[0]], command[:-1])) + 0.05
         position = np.round((position + 3e-4 * draw.normal(size=len(T))) / 1e-3) * 1e-3
-        rows = zip(1e3 * T, command / worth, position / worth, strict=True)
+        rows = zip(1e3 * T, command / factor, position / factor, strict=True)
         (folder / f"{name}.csv").write_text("t,u,y\n" + "\n".join(",".join(f"{x:.9g}" for x in r) for r in rows) + "\n")
     (folder / "stage.yaml").write_text(STAGE.replace("UNIT", unit))
     return folder / "stage.yaml"
 
 
 @pytest.mark.slow
-def test_a_servo_in_degrees_is_answered_in_degrees(tmp_path):
+def test_a_servo_in_degrees_is_diagnosed_in_degrees(tmp_path):
     deg = diagnose_files([rig(tmp_path, "deg", np.pi / 180)])
     assert deg.verdict.verdict == "named"
     (offset,) = (e.parameters["offset"] for e in deg.verdict.effects if "offset" in e.parameters)
@@ -44,7 +44,7 @@ def test_a_servo_in_degrees_is_answered_in_degrees(tmp_path):
     assert offset.value == pytest.approx(truth, rel=0.05)
     gap = deg.verdict.gap
     assert {q["servo"].unit for q in (gap.before, gap.after, gap.floor, gap.ceiling)} == {"deg"}
-    assert gap.before["servo"].value == pytest.approx(truth, rel=0.3)  # and what is lost by steps
+    assert gap.before["servo"].value == pytest.approx(truth, rel=0.3)  # and the resolution
     assert {o.unit for o in deg.overlays} == {r.unit for r in deg.regimes} == {"deg"}
     assert np.nanmax(deg.overlays[0].measured) > 20
     assert deg.units["servo.rate_limit.rate"] == "deg/s"
@@ -59,14 +59,14 @@ def stage(kind, **columns):
 
 
 MM, DEG, MBAR, VOLT = (
-    OwnUnit("mm", 1e-3, "m"),
-    OwnUnit("deg", 0.0175, "rad"),
-    OwnUnit("mbar", 0.1, "kPa"),
-    OwnUnit("V", 1, "V"),
+    TableUnit("mm", 1e-3, "m"),
+    TableUnit("deg", 0.0175, "rad"),
+    TableUnit("mbar", 0.1, "kPa"),
+    TableUnit("V", 1, "V"),
 )
 
 
-def test_rates_are_said_in_the_owners_unit_too():
+def test_rates_are_converted_too():
     known = owners(stage("tracking", command={"command": VOLT}, measured={"pressure": MBAR}))
     assert known["kPa"] == ("mbar", 10)
     assert known["kPa/s^2"] == ("mbar/s^2", 10)
@@ -74,19 +74,19 @@ def test_rates_are_said_in_the_owners_unit_too():
     assert "m" not in known
 
 
-def test_what_is_judged_says_the_unit_where_two_columns_share_a_dimension():
-    two = stage("tracking", command={"command": OwnUnit("rad", 1, "rad")}, measured={"position": DEG})
+def test_the_compared_column_determines_the_unit():
+    two = stage("tracking", command={"command": TableUnit("rad", 1, "rad")}, measured={"position": DEG})
     assert owners(two)["rad"][0] == "deg"
-    velocity = stage("tracking", measured={"velocity": OwnUnit("mm/s", 1e-3, "m/s")})
+    velocity = stage("tracking", measured={"velocity": TableUnit("mm/s", 1e-3, "m/s")})
     assert [owners(velocity)[unit][0] for unit in ("m/s", "m/s^2", "m/s^3")] == ["mm/s", "mm/s^2", "mm/s^3"]
-    turning = stage("driven_mass", measured={"velocity": OwnUnit("rpm", 0.1047, "rad/s")})
+    turning = stage("driven_mass", measured={"velocity": TableUnit("rpm", 0.1047, "rad/s")})
     assert [owners(turning)[unit][0] for unit in ("rad/s", "rad/s^2")] == ["rpm", "rpm/s"]
     assert "rad" not in owners(turning)
 
 
-def test_a_share_stays_a_share():
+def test_a_share_keeps_its_unit():
     assert owners(
-        stage("tracking", command={"command": OwnUnit("%", 0.01, "-")}, measured={"position": MM})
+        stage("tracking", command={"command": TableUnit("%", 0.01, "-")}, measured={"position": MM})
     ).keys() == {
         "m",
         "m/s",

@@ -1,4 +1,4 @@
-"""Followers of a command: every law against one integrated otherwise, bounds and floors from the data, any unit."""
+"""Actuators that follow a command: laws against an independent integration, bounds and noise floors from data."""
 
 import math
 from dataclasses import replace
@@ -17,12 +17,12 @@ from softarm.diagnosis.rigs.tracking import TrackingView, resolving_hz
 
 STEP_S, FINE = 0.02, 40
 T = STEP_S * np.arange(800)
-# What looks alike from command to reading: zeros, delays; play and a dead zone where nothing lags.
-TWINS = {"sensor_bias": "gain", "latency": "dead_time", "deadband": "backlash", "backlash": "deadband"}
+# Effects that look alike between command and reading; backlash and dead band only without a lag.
+ALIKE = {"sensor_bias": "gain", "latency": "dead_time", "deadband": "backlash", "backlash": "deadband"}
 
 
 def commands(t=T):
-    """Kinds of excitation, at most about 1."""
+    """Return commands of several kinds, at most about 1."""
     late = t / t[-1]
     return {
         "steps": np.select([np.sin(12 * late * (1 + i)) > 0.3 * i for i in range(3)], (0.8, -0.5, 0.2), -0.9),
@@ -33,7 +33,7 @@ def commands(t=T):
 
 
 def rig(command, truth, step_s=STEP_S):
-    """What is read at every sample, of a follower in steps of a fortieth: Heun, a queue, hysteresis as many plays."""
+    """Simulate the readings of an actuator independently, in steps of a fortieth of a sample."""
     h = step_s / FINE
     fine = np.repeat(command, FINE)
     late = round((truth.get("delay", 0.0) + truth.get("latency", 0.0)) / h)
@@ -83,7 +83,7 @@ def trial(command, seen, t=T, kind="steps", model=None, column="position"):
 
 
 def flown(truth, noise=1e-3, quick=1.0, large=1.0, seed=0):
-    """Trials of one rig under every kind; quick: how many times faster it all goes; large: unit."""
+    """Return trials of one rig under every command; quick: factor of speed; large: factor of the unit."""
     draw = np.random.default_rng(seed)
     found = []
     for kind, command in commands().items():
@@ -93,7 +93,7 @@ def flown(truth, noise=1e-3, quick=1.0, large=1.0, seed=0):
 
 
 def alone(trials):
-    """Every effect alone at its best, the best first: name -> (loss, point)."""
+    """Fit every effect alone and return loss and point by name, the best first."""
     view = TrackingView(trials)
     problem = Setup([view], nuisances(view), [t.kind for t in trials]).weighed()
     fits = problem.fit([((c,), (start,)) for c in candidates(view) for start in c.starts], 10)
@@ -130,8 +130,8 @@ def predicted(trials, point):
 
 
 @pytest.mark.parametrize(("name", "truth", "point"), CASES)
-def test_a_law_says_what_another_integrator_does(name, truth, point):
-    """The acceleration limit stands before a lag: alone it would ring for ever."""
+def test_every_law_agrees_with_an_independent_integration(name, truth, point):
+    """The acceleration limit is tested with a lag, because alone it rings."""
     trials = flown(dict(truth), noise=0.0)
     lag = {"lag.rise": truth["lag"], "lag.fall": truth["lag"]} if name == "acceleration_limit" else {}
     nominal, own = predicted(trials, lag), predicted(trials, lag | point)
@@ -140,20 +140,20 @@ def test_a_law_says_what_another_integrator_does(name, truth, point):
 
 
 @pytest.mark.parametrize(("name", "truth", "point"), [case for case in CASES if case[0] != "acceleration_limit"])
-def test_an_effect_alone_fits_best_and_at_its_size(name, truth, point):
+def test_the_cause_fits_best_with_its_true_size(name, truth, point):
     found = alone(flown(dict(truth)))
-    assert next(iter(found)) in {name, TWINS.get(name)}
-    if name == "latency":  # a late sensor is a late rig
+    assert next(iter(found)) in {name, ALIKE.get(name)}
+    if name == "latency":  # indistinguishable
         name, point = "dead_time", {"dead_time.delay": truth["latency"]}
-    for path, value in point.items():  # of a staircase of commands nobody sees a delay closer than to half a step
+    for path, value in point.items():  # stepped commands resolve a delay to half a step
         near = 0.55 * (T[1] - T[0]) if path == "dead_time.delay" else 0.006
         assert found[name][1][f"axis.{path}"] == pytest.approx(value, rel=0.12, abs=near)
 
 
 @pytest.mark.parametrize("lag", [0.0, 0.1])
 @pytest.mark.parametrize("late", [0.3, 0.5, 0.99])
-def test_a_limit_of_the_rate_begins_when_the_command_changes_not_at_the_sample_before(lag, late):
-    """Limits came out 0.6 % low, outside their intervals, where a grid was half a sample off the command's clock."""
+def test_a_rate_limit_acts_from_the_change_of_the_command(lag, late):
+    """Otherwise limits were 0.6 % low if the grid was half a sample off the command's clock."""
     command = np.where(T < 4.0, 0.0, 1.0)
     since = T + late * STEP_S - 4.0
     full = max(1.0 - 0.8 * lag, 0.0) / 0.8  # until the lag alone is slower
@@ -168,7 +168,7 @@ def test_a_limit_of_the_rate_begins_when_the_command_changes_not_at_the_sample_b
 
 
 def rubbed(command, lag, loss, fine=200):
-    """A loop of speed against dry friction: lag dv/dt = command - v - loss, against the motion or the wish to move."""
+    """Simulate a velocity loop with dry friction: lag dv/dt = command - v - loss."""
     h, v, out = STEP_S / fine, 0.0, np.empty(len(command))
     for i, wanted in enumerate(command):
         out[i] = v
@@ -179,14 +179,14 @@ def rubbed(command, lag, loss, fine=200):
 
 
 @pytest.mark.parametrize("lag", [0.1, 0.004])
-def test_dry_friction_against_a_loop_of_speed_is_no_dead_zone(lag):
-    draw, told = np.random.default_rng(0), {"axis.lag.rise": lag, "axis.lag.fall": lag}
+def test_dry_friction_in_a_velocity_loop_is_not_a_dead_band(lag):
+    draw, given = np.random.default_rng(0), {"axis.lag.rise": lag, "axis.lag.fall": lag}
     trials = []
     for kind, command in commands().items():
         seen = rubbed(command, lag, 0.08) + 1e-3 * draw.normal(size=len(T))
         trials.append(trial(command, seen, kind=kind, model={"lag_s": lag}, column="velocity"))
     view = TrackingView(trials)
-    unseen, seen = view.gap([told, told | {"axis.coulomb_friction.loss": 0.08}]).astype(float)
+    unseen, seen = view.gap([given, given | {"axis.coulomb_friction.loss": 0.08}]).astype(float)
     assert np.sqrt(np.nanmean(seen**2)) < 0.05 * np.sqrt(np.nanmean(unseen**2))
     found = alone(trials)
     assert next(iter(found)) == "coulomb_friction"
@@ -194,14 +194,13 @@ def test_dry_friction_against_a_loop_of_speed_is_no_dead_zone(lag):
     assert "axis.coulomb_friction" not in {e.name for e in TrackingView(flown({"lag": 0.1})).effects}
 
 
-def test_a_dead_zone_without_a_lag_is_play_of_twice_its_width():
-    """No test can tell what is the same: they have to come out as a set."""
+def test_a_dead_band_without_a_lag_equals_backlash_of_twice_its_width():
     found = alone(flown({"width": 0.06}))
     assert found["backlash"][0] == pytest.approx(found["deadband"][0], rel=0.05)
     assert found["backlash"][1]["axis.backlash.gap"] == pytest.approx(0.12, rel=0.05)
 
 
-def test_every_bit_stays_where_no_effect_is_on():
+def test_neutral_parameters_change_no_bit():
     trials = flown({"lag": 0.1})
     view = TrackingView(trials)
     neutral = {f"{e.name}.{p.name}": p.neutral for e in view.effects for p in e.parameters}
@@ -211,8 +210,7 @@ def test_every_bit_stays_where_no_effect_is_on():
 
 
 @pytest.mark.parametrize(("quick", "large"), [(0.01, 300.0), (40.0, 2e-3), (1.0, 57.3)])
-def test_the_same_rig_in_other_units_of_length_and_time_is_the_same_problem(quick, large):
-    """A valve of seconds in kPa, an axis of milliseconds in m: bounds, sizes and boxes scale alike."""
+def test_bounds_and_boxes_scale_with_units_of_length_and_time(quick, large):
     truth = {"rise": 0.3, "fall": 0.1, "width": 0.05}
     powers = {"s": (1, 0), "Hz": (-1, 0), "-": (0, 0), "rad": (0, 1), "rad/s": (-1, 1), "rad/s^2": (-2, 1)}
     views = [TrackingView(flown(dict(truth), quick=q, large=x)) for q, x in ((1.0, 1.0), (quick, large))]
@@ -221,17 +219,23 @@ def test_the_same_rig_in_other_units_of_length_and_time_is_the_same_problem(quic
     for a, b in zip(one, other, strict=True):
         for p, r in zip(a.parameters, b.parameters, strict=True):
             time, length = powers[p.unit]
-            worth = quick**-time * large**length
-            worth = 1 / worth if p.inverse else worth
-            for x, y in ((p.low, r.low), (p.high, r.high), (p.size, r.size), (p.news, r.news), (p.nominal, r.nominal)):
-                assert y == pytest.approx(x * worth, rel=1e-6, abs=1e-12)
+            factor = quick**-time * large**length
+            factor = 1 / factor if p.inverse else factor
+            for x, y in (
+                (p.low, r.low),
+                (p.high, r.high),
+                (p.size, r.size),
+                (p.tolerance, r.tolerance),
+                (p.nominal, r.nominal),
+            ):
+                assert y == pytest.approx(x * factor, rel=1e-6, abs=1e-12)
 
 
-def test_a_rate_that_the_recording_surpasses_is_no_candidate():
+def test_bounds_exclude_limits_that_the_recording_exceeds():
     seen = flown({"rate": 2.0}, noise=0.01)
     view = TrackingView(seen)
     rate = next(p for e in view.effects for p in e.parameters if p.name == "rate")
-    assert 1.5 < rate.low < 2.0  # the true one stays in reach, below it nothing does
+    assert 1.5 < rate.low < 2.0  # includes the true limit
     free = TrackingView(flown({"lag": 0.03}, noise=0.01))
     rate = next(p for e in free.effects for p in e.parameters if p.name == "rate")
     assert rate.low > 8.0
@@ -239,10 +243,10 @@ def test_a_rate_that_the_recording_surpasses_is_no_candidate():
     assert 0.45 < ceiling.low < 0.5 < ceiling.high
     steps = commands()["steps"]
     reached = TrackingView([trial(steps, rig(steps, {"lag": 0.05}))])
-    assert not [e for e in reached.effects if e.name == "axis.ceiling"]  # all that was asked for was reached
+    assert not [e for e in reached.effects if e.name == "axis.ceiling"]  # every command was reached
 
 
-def test_noise_alone_is_never_taken_for_speed():
+def test_noise_is_not_mistaken_for_speed():
     still = [np.random.default_rng(i).normal(size=4000) for i in range(3)]
     assert fastest(still, 0.01, 1, 1.0) < 0.02 * fastest([np.diff(s) / 0.01 for s in still], 0.01, 1, 0.0)
     ramp = 3.0 * 0.01 * np.arange(4000) + 0.05 * still[0]
@@ -252,7 +256,7 @@ def test_noise_alone_is_never_taken_for_speed():
     assert fastest([throw], 0.01, 2, white_noise([throw])) < 9.81
 
 
-def test_floors_come_from_noise_repeats_and_steps_of_the_sensor():
+def test_noise_floors_come_from_noise_repeats_and_resolution():
     draw = np.random.default_rng(1)
     smooth = np.sin(2 * np.pi * T / 4)
     assert white_noise([smooth + 0.02 * draw.normal(size=len(T))]) == pytest.approx(0.02, rel=0.15)
@@ -271,7 +275,7 @@ def test_floors_come_from_noise_repeats_and_steps_of_the_sensor():
     assert TrackingView([coarse]).floor[0] > 0.0499
 
 
-def test_the_nominal_has_a_static_gain_or_a_map_and_its_own_lags_and_limits():
+def test_the_nominal_model_has_gain_or_map_lag_and_limits():
     volts = 5 + 2.5 * commands()["multisine"]
     seen = rig(40 * volts - 80, {"lag": 0.15, "delay": 0.04})
     line = {"gain": 40.0, "offset": -80.0, "lag_s": 0.15, "delay_s": 0.04}
@@ -285,7 +289,7 @@ def test_the_nominal_has_a_static_gain_or_a_map_and_its_own_lags_and_limits():
     assert predicted([trial(volts, limited, model={"rate_limit": 6.0})], {}) < 0.01
 
 
-def test_a_fast_source_is_averaged_as_far_as_nothing_is_lost():
+def test_a_fast_source_is_averaged_without_losing_motion():
     t = np.arange(0, 20, 2e-4)
     slow = Series(t, {"position": np.sin(t) + 1e-3 * np.random.default_rng(2).normal(size=len(t))})
     assert 20 < resolving_hz(slow, "position") < 320
@@ -295,8 +299,8 @@ def test_a_fast_source_is_averaged_as_far_as_nothing_is_lost():
     assert resolving_hz(rare, "position") == pytest.approx(50, rel=0.01)
 
 
-def test_a_delay_of_what_follows_a_held_command_at_once_is_known_to_half_a_sample():
-    """The same readings, whatever the delay within a sample; a lag's slope tells it."""
+def test_a_delay_without_a_lag_is_resolved_to_half_a_sample():
+    """Without a lag, all delays within a sample give the same readings."""
     command = commands()["multisine"]
     seen = [rig(command, {"delay": delay}) for delay in (0.1208, 0.1302, 0.1392)]
     np.testing.assert_allclose(seen[0], seen[1], atol=1e-9)
@@ -306,16 +310,16 @@ def test_a_delay_of_what_follows_a_held_command_at_once_is_known_to_half_a_sampl
     assert delay.low < 0.13 < delay.high
     assert 0.99 * STEP_S < delay.high - delay.low < 2.2 * STEP_S
     view = TrackingView(flown({"lag": 0.1}))
-    assert not view.known_to({"axis.lag.rise": 0.1, "axis.lag.fall": 0.1})
+    assert not view.unresolved({"axis.lag.rise": 0.1, "axis.lag.fall": 0.1})
     half = pytest.approx(STEP_S / 2)
-    assert view.known_to({}) == {"dead_time.delay": half, "latency.delay": half}
+    assert view.unresolved({}) == {"dead_time.delay": half, "latency.delay": half}
 
 
-def test_a_delay_beside_a_nominal_lag_is_known_no_better_than_that():
-    """A second pole of a twentieth of the lag is nobody's gap, and moves the delay that fits by as much."""
+def test_a_delay_is_as_uncertain_as_the_nominal_lag():
+    """A second pole of a twentieth of the lag is within tolerance and changes the fitted delay as much."""
     model = {"lag_s": 0.2}
     trials = [replace(t, stage=replace(t.stage, model=model)) for t in flown({"lag": 0.2, "delay": 0.1})]
-    assert TrackingView(trials).forms == {
+    assert TrackingView(trials).model_uncertainty == {
         "dead_time.delay": pytest.approx(0.012),
         "latency.delay": pytest.approx(0.012),
     }
@@ -324,10 +328,10 @@ def test_a_delay_beside_a_nominal_lag_is_known_no_better_than_that():
     assert found.name == "axis.dead_time"
     assert 0.012 <= delay.value - delay.low < 0.02
     assert 0.012 <= delay.high - delay.value < 0.02
-    assert TrackingView(flown({"delay": 0.1})).forms["dead_time.delay"] == 0.0
+    assert TrackingView(flown({"delay": 0.1})).model_uncertainty["dead_time.delay"] == 0.0
 
 
-def test_units_are_the_measured_ones():
+def test_units_follow_the_measured_channel():
     trials = flown({"lag": 0.1})
     for unit, rate, acceleration in (
         ("m/s", "m/s^2", "m/s^3"),
@@ -339,8 +343,8 @@ def test_units_are_the_measured_ones():
         assert (units["rise"], units["strength"], units["frequency"]) == ("s", "-", "Hz")
 
 
-def test_real_servos_move_faster_than_the_limits_that_were_named(data):
-    """Half of the recording was above the limits that a diagnosis once named with 99 %."""
+def test_bounds_of_real_servos_exclude_limits_that_they_exceed(data):
+    """An earlier diagnosis named limits that half of the recording exceeded."""
     trials = tables.read(Path(tables.__file__).parents[1] / "rigs" / "stages" / "so101.yaml", data)
     for k in range(1, 7):
         view = TrackingView([each for each in trials if each.stage.name == f"servo{k}"])

@@ -1,4 +1,4 @@
-"""What stamps and noise alone tell: lateness, missed ticks, lost frames, noise, and how velocities were made."""
+"""Tests of effects measured from stamps and noise."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -52,7 +52,7 @@ def _late(seed, sigma_s):
     return 10.0 + k * TICK_S + sigma_s * np.abs(np.random.default_rng(seed).normal(size=len(k)))
 
 
-def test_lateness_of_ticks_is_told():
+def test_late_ticks_are_named_as_jitter():
     found = _count([_trial(f"t{i}", stamps=_late(i, 0.004)) for i in range(4)], "clock.jitter")
     assert found.named
     assert found.value == pytest.approx(0.004, rel=0.1)
@@ -60,14 +60,14 @@ def test_lateness_of_ticks_is_told():
     assert found.shrink > 0.8
 
 
-def test_ticks_that_are_early_as_often_as_late_are_told_as_well():
+def test_symmetric_jitter_is_named():
     draw = np.random.default_rng(5)
     k = np.arange(600)
     trials = [_trial(f"t{i}", stamps=k * TICK_S + 0.003 * draw.normal(size=600)) for i in range(3)]
     assert _count(trials, "clock.jitter").value == pytest.approx(0.003, rel=0.1)
 
 
-def test_missed_ticks_are_told_and_are_no_jitter():
+def test_missed_ticks_are_named_and_are_no_jitter():
     trials = []
     for i in range(4):
         here = np.random.default_rng(i).random(600) >= 0.06
@@ -80,7 +80,7 @@ def test_missed_ticks_are_told_and_are_no_jitter():
 
 
 @pytest.mark.parametrize("way", ["lost", "repeated"])
-def test_dropped_frames_are_told_whether_lost_or_repeated(way):
+def test_lost_and_repeated_frames_are_named_as_dropout(way):
     trials = []
     for i in range(4):
         gone = np.flatnonzero(np.random.default_rng(i).random(2400) < 0.08)
@@ -104,7 +104,7 @@ def _drifting(i, rate, jitter_s=0.0008, length_s=LENGTH_S):
 
 
 @pytest.mark.parametrize("rate", [-0.004, -0.0005, 0.0005, 0.004])
-def test_cameras_whose_stamps_gain_or_lose_are_told_with_their_sign(rate):
+def test_a_drift_of_the_cameras_has_its_sign(rate):
     found = _count([_drifting(i, rate) for i in range(4)], "clock.drift")
     assert found.named
     assert found.value == pytest.approx(rate, abs=1e-5)
@@ -122,7 +122,7 @@ def test_a_clock_as_clocks_are_is_not_named_however_frames_come(rate, jitter_s):
         assert abs(found.value) < TOLERANCE["clock.drift"]
 
 
-def test_one_long_trial_tells_a_drift_as_several_do():
+def test_one_long_trial_shows_a_drift():
     found = _count([_drifting(0, 0.002)], "clock.drift")
     assert found.value == pytest.approx(0.002, abs=1e-5)
 
@@ -134,7 +134,7 @@ def test_a_drift_that_the_model_has_is_no_gap_and_one_that_it_has_for_nothing_is
     assert found.before == pytest.approx(0.002, abs=1e-5)
 
 
-def test_noise_is_told_from_motion():
+def test_noise_is_separated_from_motion():
     trials = [_trial(f"t{i}", noise_m=0.002, seed=i) for i in range(3)]
     found = _count(trials, "mocap.noise")
     assert found.named
@@ -142,7 +142,6 @@ def test_noise_is_told_from_motion():
 
 
 def test_a_well_kept_rig_shows_nothing():
-    """What the tolerance allows of everything at once: nothing is named."""
     trials = []
     for i in range(4):
         stamps = np.delete(_late(i, 0.5 * TOLERANCE["clock.jitter"]), [100, 300, 500])
@@ -160,14 +159,14 @@ def test_a_well_kept_rig_shows_nothing():
     assert all(c.value > 0 for c in found if c.name != "clock.drift")
 
 
-def test_what_the_model_has_already_is_not_named():
+def test_an_effect_of_the_model_is_not_named():
     model = Model(effects={"clock.jitter": {"sigma": 0.004}})
     found = _count([_trial(f"t{i}", stamps=_late(i, 0.004)) for i in range(4)], "clock.jitter", model)
     assert not found.named
     assert found.value == pytest.approx(0.004, rel=0.1)
 
 
-def test_what_a_model_has_and_the_robot_lacks_is_named():
+def test_an_effect_that_the_robot_lacks_is_named():
     model = Model(effects={"clock.jitter": {"sigma": 0.006}})
     found = _count([_trial(f"t{i}", stamps=_late(i, 0.0003)) for i in range(4)], "clock.jitter", model)
     assert found.named
@@ -195,7 +194,7 @@ def _seen(name, differenced, seed=0):
 
 
 @pytest.mark.parametrize(("robot", "model"), [(True, TRUE), (False, DIFFERENCED)], ids=["has it", "lacks it"])
-def test_finite_differences_and_true_velocities_are_told_apart(robot, model):
+def test_finite_differences_and_true_velocities_are_separated(robot, model):
     found = _count([_seen(f"t{i}", robot, i) for i in range(3)], "observation.finite_difference", model)
     assert found.named
     assert found.present == robot
@@ -204,14 +203,13 @@ def test_finite_differences_and_true_velocities_are_told_apart(robot, model):
 
 
 @pytest.mark.parametrize(("robot", "model"), [(True, DIFFERENCED), (False, TRUE)], ids=["both have", "neither has"])
-def test_velocities_that_are_as_modelled_are_no_news(robot, model):
+def test_velocities_as_in_the_model_are_not_named(robot, model):
     assert not _count([_seen(f"t{i}", robot, i) for i in range(3)], "observation.finite_difference", model).named
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["clock.missed_ticks", "clock.jitter"])
 def test_95_percent_intervals_hold_the_truth_95_times_in_100(name):
-    """Of 300 campaigns of five trials as many as chance allows an interval that is right (0.1 % beyond either end)."""
     k, share, sigma_s, runs, inside = np.arange(400), 0.05, 0.004, 300, 0
     truth = share if name == "clock.missed_ticks" else sigma_s
     for seed in range(runs):

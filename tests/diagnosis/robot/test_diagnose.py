@@ -55,7 +55,7 @@ def test_when_nothing_is_wrong_nothing_is_named(diagnosed):
 
 
 @pytest.mark.parametrize("out", ONE_AT_A_TIME + PAIRS, ids="+".join)
-def test_what_the_seed_s_simulator_lacks_is_named_and_nothing_else(out, diagnosed):
+def test_only_the_missing_effect_of_the_seed_is_named(out, diagnosed):
     """The paper's four effects, one at a time and in pairs."""
     verdict = diagnosed(out).verdict
     assert _names(diagnosed(out)) == sorted(out)
@@ -83,11 +83,11 @@ def test_the_gap_of_its_stage_shrinks_and_the_shrink_is_held_out(out, diagnosed)
     assert verdict.where.share[stage] > 0.8
 
 
-def test_what_goes_with_all_named_effects_together_has_an_interval_around_the_gaps_own_share(diagnosed):
+def test_the_total_shrink_has_an_interval_around_its_share(diagnosed):
     diagnosis = diagnosed(("pressure.lag", "rail.delay"))
     gap = diagnosis.verdict.gap
-    assert {"pressure", "rail", "chain"} <= diagnosis.together.keys()
-    for stage, of in diagnosis.together.items():
+    assert {"pressure", "rail", "chain"} <= diagnosis.total_shrink.keys()
+    for stage, of in diagnosis.total_shrink.items():
         assert of.value == pytest.approx(1 - gap.after[stage].value / gap.before[stage].value, abs=2e-3), stage
         assert of.low < of.value < of.high or of.value == of.high == 1, stage
     assert diagnosis.held_out == "kind"
@@ -102,11 +102,11 @@ def test_the_shrink_holds_on_excitations_that_no_fit_has_seen(diagnosed, campaig
         assert fresh[stage] > 0.8
         assert effect.shrink.stage.value == pytest.approx(fresh[stage], abs=0.15)
     assert abs(fresh["mocap"]) < 0.05
-    assert fresh["chain"] == pytest.approx(diagnosis.together["chain"].value, abs=0.15)
+    assert fresh["chain"] == pytest.approx(diagnosis.total_shrink["chain"].value, abs=0.15)
 
 
 @pytest.mark.parametrize("out", [ONE_AT_A_TIME[0], ONE_AT_A_TIME[3], PAIRS[1]], ids="+".join)
-def test_the_patched_model_is_a_model_and_has_what_was_missing(out, diagnosed):
+def test_the_patched_model_has_the_missing_effect(out, diagnosed):
     patched = diagnosed(out).patched
     assert set(patched.effects) == set(SEED)
     validate(patched.effects)
@@ -125,8 +125,8 @@ def test_a_payload_is_the_arm_s_though_the_rail_feels_it(diagnosed):
     assert diagnosis.verdict.where.share.get("rail", 0.0) < 0.1
 
 
-def test_a_wrong_zero_and_a_biased_sensor_cannot_be_told_apart_without_mocap(diagnosed, campaign):
-    """The regulator's own reading is off by a constant: the set is told, and that the arm would hardly feel 1.2 kPa."""
+def test_a_zero_error_and_a_biased_sensor_are_inseparable_without_mocap(diagnosed, campaign):
+    """The regulator's own reading is off by a constant: the set is reported, since the arm hardly reacts to 1.2 kPa."""
     trials = [
         replace(t, channels={k: v for k, v in t.channels.items() if k in ("command", "pressure", "rail")})
         for t in campaign((("pressure.sensor_bias", (("bias", 1.2),)),))
@@ -162,19 +162,19 @@ def test_inputs_that_are_no_campaign_are_refused_in_words():
         diagnose([])
 
 
-def test_a_joint_within_tolerance_is_a_nuisance_that_the_diagnosis_tells(campaign):
+def test_a_joint_within_tolerance_is_reported_as_a_nuisance(campaign):
     """A joint 2 % stiffer than the model says is nobody's gap, and it is not kept from the reader."""
     arm = Model().arm
     stiffer = (arm.stiffness_nm_rad[0] * 1.02, *arm.stiffness_nm_rad[1:])
     diagnosis = diagnose(campaign(arm=arm.model_copy(update={"stiffness_nm_rad": stiffer})), Model())
     assert diagnosis.verdict.verdict == "none"
-    told = {path: x for path, x in diagnosis.nuisances.items() if "[" in path}
-    assert len(told) == 4 * arm.links
-    assert told["arm.stiffness_nm_rad[1]"] == pytest.approx(0.02, abs=0.005)
-    assert max(abs(told[f"arm.stiffness_nm_rad[{i}]"]) for i in range(2, 6)) < 0.04
+    reported = {path: x for path, x in diagnosis.nuisances.items() if "[" in path}
+    assert len(reported) == 4 * arm.links
+    assert reported["arm.stiffness_nm_rad[1]"] == pytest.approx(0.02, abs=0.005)
+    assert max(abs(reported[f"arm.stiffness_nm_rad[{i}]"]) for i in range(2, 6)) < 0.04
 
 
-def test_what_a_named_effect_fits_itself_is_not_told_as_a_nuisance(diagnosed):
+def test_a_parameter_of_a_named_effect_is_no_nuisance(diagnosed):
     diagnosis = diagnosed(("rail.delay",))
     assert "rail.delay.delay" not in diagnosis.nuisances
     assert "rail.lag.time" in diagnosis.nuisances

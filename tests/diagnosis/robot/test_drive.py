@@ -3,7 +3,7 @@
 import pytest
 
 from softarm.diagnosis.diagnose import diagnose
-from softarm.diagnosis.robot.drive import SERVO, driven, with_servo
+from softarm.diagnosis.robot.drive import SERVO, with_identified_drive, with_servo
 from softarm.diagnosis.robot.shrink import measure_shrink
 from softarm.diagnosis.robot.trial_grid import on_grid
 from softarm.schemas.model import Model
@@ -22,7 +22,7 @@ FURTHER = {
 
 
 def law(trials, model=MODEL):
-    return driven(on_grid(trials, model), model, [trial.kind for trial in trials])
+    return with_identified_drive(on_grid(trials, model), model, [trial.kind for trial in trials])
 
 
 @pytest.mark.parametrize("further", FURTHER)
@@ -32,12 +32,12 @@ def test_the_law_that_moved_the_cart_is_recognised(campaign, further, servo):
     assert found == (with_servo(MODEL) if servo else MODEL)
 
 
-def test_a_model_that_says_so_and_a_rail_that_was_held_are_left_alone(campaign):
+def test_a_model_with_a_servo_and_a_held_rail_are_unchanged(campaign):
     trials = campaign((SERVED,), KINDS)
     assert law(trials, with_servo(MODEL)) == with_servo(MODEL)
     grid = on_grid(trials, MODEL)
     grid.held[:] = True
-    assert driven(grid, MODEL, KINDS) is MODEL
+    assert with_identified_drive(grid, MODEL, KINDS) is MODEL
 
 
 def test_a_lag_of_a_servo_is_named_alone_with_its_size_and_the_patch_has_its_law(campaign):

@@ -28,7 +28,7 @@ def proposal():
 
 
 def _recorded(kinds, point, without=()):
-    """What is at hand: these kinds, flown by a robot of these effects; without: channels that were not recorded."""
+    """Return the problem of simulated trials of these kinds; without: channels that were not recorded."""
     flown = {trial.kind: trial for trial in flights(Model(), point)}
     trials = [
         replace(flown[kind], channels={name: c for name, c in flown[kind].channels.items() if name not in without})
@@ -55,22 +55,21 @@ def test_the_separation_is_real(proposal):
     assert np.sqrt(np.mean(apart**2)) > LEAST * FLOOR_M_S
 
 
-def test_what_is_expected_is_what_one_sees(proposal):
-    """The number told for each explanation, read again off an own flight at the time told."""
-    baseline, told = _velocity(proposal.excitation, {}), {}
+def test_the_expected_result_is_the_simulated_one(proposal):
+    """The expected number of each explanation agrees with a separate simulation at the stated time."""
+    baseline, found = _velocity(proposal.excitation, {}), {}
     for name, point in RAIL.items():
         text = proposal.expect[name]
         assert text.startswith("rail, velocity: ")
         number, at_s = float(re.search(r": ([+-][\d.e-]+)", text)[1]), float(re.search(r"at ([\d.]+) s", text)[1])
         change = _velocity(proposal.excitation, point) - baseline
-        near = change[max(0, round(at_s * 60) - 4) : round(at_s * 60) + 5]  # the time is told to a tenth
+        near = change[max(0, round(at_s * 60) - 4) : round(at_s * 60) + 5]  # the time is rounded to a tenth
         assert np.abs(near - number).min() < 0.1 * abs(number) + 0.2 * FLOOR_M_S
-        told[name] = number
-    assert abs(told["rail.lag"] - told["rail.acceleration_limit"]) > FLOOR_M_S
+        found[name] = number
+    assert abs(found["rail.lag"] - found["rail.acceleration_limit"]) > FLOOR_M_S
 
 
 def test_a_flight_begins_with_a_robot_that_hangs_still():
-    """Who starts straight swings into its hang, another for each stiffness: that is no excitation's doing."""
     (steps,) = (t for t in flights(Model(), {"arm.stiffness.scale": -0.3}) if t.kind == "rail-steps")
     mocap = steps.channels["mocap"]
     still = mocap.t_s < 0.9  # before the first step
@@ -80,7 +79,7 @@ def test_a_flight_begins_with_a_robot_that_hangs_still():
     assert abs(mocap["link5_y"][0]) > 1e-3  # it does not hang straight
 
 
-def test_what_no_excitation_separates_is_said():
+def test_an_inseparable_pair_is_reported():
     same = splitting(Model(), {"rail.lag": LAG, "the same": dict(LAG)})
     assert same.excitation.startswith(NOTHING)
     assert same.separates == ("rail.lag", "the same")
@@ -88,14 +87,13 @@ def test_what_no_excitation_separates_is_said():
     assert splitting(Model(), {"rail.lag": LAG}) is None
 
 
-def test_what_was_flown_is_not_asked_for_again(proposal):
+def test_a_recorded_excitation_is_not_proposed_again(proposal):
     kinds = [proposal.excitation, "seed"]
     found = splitting(Model(), RAIL, _recorded(kinds, LAG), kinds)
     assert found.excitation not in kinds
 
 
-def test_as_much_again_as_what_did_not_tell_them_apart_is_nothing(proposal):
-    """What was flown parted them further than anything else in the list would, and they are a set all the same."""
+def test_a_separation_like_the_recorded_one_is_not_enough(proposal):
     kinds = [proposal.excitation, "rail-dashes"]
     found = splitting(Model(), RAIL, _recorded(kinds, LAG), kinds)
     assert found.excitation.startswith(NOTHING)
@@ -110,14 +108,13 @@ def test_a_repeat_is_asked_for_where_it_shows_a_stage_that_was_not_recorded():
 
 
 def test_nuisances_take_their_share():
-    """What a well-kept simulator may be off by tells nobody apart: a dead time of 5 ms is within tolerance."""
     problem = _recorded(["seed"], {})
     late = {"pressure.dead_time.delay": 0.005}
     assert closest(problem, [{}, late]).max() < 0.1
     assert closest(problem, [{}, {"pressure.dead_time.delay": 0.05}]).max() > 5 * LEAST
 
 
-def test_what_nobody_knows_is_flown_again():
+def test_an_unknown_effect_is_repeated():
     assert repeated("rail-chirp").excitation == "rail-chirp"
     assert repeated("a rope and a dog").excitation in EXCITATIONS
     assert set(repeated("both").expect) == set(repeated("both").separates)

@@ -43,7 +43,7 @@ def test_a_marker_that_wobbles_is_found_by_link_and_size(link, campaign):
     assert found.energy > 1
 
 
-def test_a_wobble_within_what_such_cameras_show_is_none(campaign):
+def test_a_wobble_within_the_noise_is_not_loose(campaign):
     assert loose_marker(_wobbling(campaign(kinds=KINDS), 3, 0.0002), LINKS) is None
 
 
@@ -67,7 +67,7 @@ def test_a_wrong_scale_and_a_turned_frame_are_no_wobble(campaign):
     assert loose_marker(_changed(campaign(kinds=KINDS), turned), LINKS) is None
 
 
-def test_without_angles_nobody_can_tell(campaign):
+def test_without_angles_no_marker_is_loose(campaign):
     trials = _wobbling(campaign(kinds=KINDS), 3, 0.004)
     bare = []
     for t in trials:

@@ -99,7 +99,7 @@ def test_a_hidden_marker_is_missing_alone():
 
 
 def test_the_cameras_drift_is_taken_out():
-    """A clock that runs half a part in a thousand slow is 3 ms off after six seconds: reception tells it."""
+    """A clock that runs half a part in a thousand slow is 3 ms off after six seconds: reception shows it."""
     draw = np.random.default_rng(0)
     true = 2.0 + np.arange(round(LENGTH_S * 120)) / 120
     stamps = 2.0 + (true - 2.0) * (1 - 5e-4)
@@ -177,11 +177,11 @@ def test_trials_of_unlike_lengths_lie_side_by_side():
 @pytest.mark.parametrize(
     ("spoil", "message"),
     [
-        (lambda t: _without(t, "command"), "command channel is needed"),
-        (lambda t: _without(t, "pressure", "rail", "mocap"), "nothing that was measured"),
+        (lambda t: _without(t, "command"), "command"),
+        (lambda t: _without(t, "pressure", "rail", "mocap"), "no measurements"),
         (
             lambda t: replace(t, channels=t.channels | {"pressure": BRIEF}),
-            r"only 1\.4 s are covered by all .* 2 s or more",
+            r"cover only 1\.4 s, at least 2 s",
         ),
     ],
     ids=["no commands", "nothing measured", "too short"],

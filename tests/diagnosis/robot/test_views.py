@@ -90,7 +90,6 @@ def test_an_effect_changes_the_views_that_declare_it_and_no_other(stage, views, 
 
 
 def test_an_effect_shows_most_in_its_own_stage_or_where_nothing_else_could(points, changed):
-    """Of the regulator's and the axis's effects the strongest trace is at home."""
     for name in points:
         home = REGISTRY[name].stage
         if home in ("pressure", "rail") and name not in ("pressure.sensor_bias", "rail.gain", "rail.backlash"):
@@ -133,7 +132,7 @@ def test_an_encoder_on_the_motor_never_sees_play(views):
 
 
 def _swing(late_s):
-    """Ten seconds of an arm that swings at 1.1 Hz under a cart that nobody drives, its poses late."""
+    """Ten seconds of an arm that swings at 1.1 Hz under a cart that is not driven, with late poses."""
     t, n = np.arange(600) / 60, MODEL.arm.links
     angle = 0.3 * np.sin(2 * np.pi * 1.1 * (t - late_s))
     cart = np.zeros(len(t))
@@ -150,7 +149,7 @@ def _swing(late_s):
     return Trial("swing", "swing", Path("swing"), channels, "free")
 
 
-def test_late_poses_push_the_cart_late_and_the_rail_is_not_blamed():
+def test_late_poses_push_the_cart_late_without_a_gap_of_the_rail():
     """The arm's push is taken from mocap: with the latency known the axis is pushed as it was seen without one."""
     late_s = 0.04
     prompt, late = (
@@ -158,8 +157,8 @@ def test_late_poses_push_the_cart_late_and_the_rail_is_not_blamed():
     )
     inner = slice(60, -60)
     right = prompt.gap([{}])[0, inner]
-    blamed, known = late.gap([{}, {"mocap.latency.delay": late_s}])[:, inner]
-    assert np.abs(blamed - right).max() > 0.1 * np.abs(right).max()
+    uncorrected, known = late.gap([{}, {"mocap.latency.delay": late_s}])[:, inner]
+    assert np.abs(uncorrected - right).max() > 0.1 * np.abs(right).max()
     assert np.abs(known - right).max() < 0.02 * np.abs(right).max()
 
 
@@ -169,7 +168,7 @@ def test_a_start_that_was_seen_wrong_shows_in_its_own_trial(views):
     assert (np.nanmax(np.abs(directions), axis=(1, 2)) > 5e-4).all()
 
 
-def test_what_is_counted_is_not_simulated(views):
+def test_a_counted_effect_is_not_fitted(views):
     """Effects that are read off stamps act in no view: they would be counted twice."""
     declared = frozenset().union(*(view.acts for view in views.values()))
     counted = {f"{name}.{p.name}" for name in TOLERANCE for p in REGISTRY[name].parameters}
@@ -188,7 +187,7 @@ def test_the_rail_is_looked_at_by_end_and_by_direction(views):
 
 
 @pytest.mark.parametrize(("stage", "where"), [("rail", "in the first 4 s"), ("pressure", "from 5 to 10 kPa")])
-def test_what_shows_in_one_place_alone_is_found_there(stage, where, views):
+def test_an_effect_in_one_regime_is_found_there(stage, where, views):
     """On the whole it is within the floor, and it is the same each time."""
     view = views[stage]
     noise = 0.3 * np.random.default_rng(2).normal(size=view.measured.shape)

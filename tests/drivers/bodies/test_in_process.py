@@ -1,4 +1,4 @@
-"""The devices in this process are the same for either body; their time is the caller's."""
+"""In-process devices of either body, on the caller's time."""
 
 import pytest
 
@@ -24,7 +24,7 @@ def test_every_stamp_is_on_the_callers_clock(robot):
     assert robot.body.now_ns == 3 * PERIOD_NS
 
 
-def test_it_moves_under_the_commands_last_written_and_not_at_all_when_they_are_off(robot):
+def test_the_robot_moves_under_the_last_commands_and_only_while_enabled(robot):
     def fly(enable):
         robot.regulator.write(enable, 10.0)
         for _ in range(15):
@@ -43,14 +43,13 @@ def test_it_moves_under_the_commands_last_written_and_not_at_all_when_they_are_o
 
 
 def test_a_set_point_that_is_not_renewed_brakes_the_cart_until_the_next_one(robot):
-    """As the rail's link does; however long the pause, it acts for its hold."""
     for tick in range(1, 16):
         robot.rail.write(True, 0.4)
         robot.mocap.read(BOOTED_NS + tick * PERIOD_NS)
     moved = robot.body.cart_position_m
     robot.mocap.read(robot.now_ns + 30 * PERIOD_NS)
     assert robot.body.cart_velocity_m_s == pytest.approx(0.0, abs=0.1)
-    assert robot.body.cart_position_m < moved + 0.4 * (0.045 + 0.034) + 0.4**2 / 6  # the hold, the delay, the brake
+    assert robot.body.cart_position_m < moved + 0.4 * (0.045 + 0.034) + 0.4**2 / 6
     robot.rail.write(True, 0.4)
     robot.mocap.read(robot.now_ns + PERIOD_NS)
     robot.rail.write(True, 0.4)
@@ -58,7 +57,7 @@ def test_a_set_point_that_is_not_renewed_brakes_the_cart_until_the_next_one(robo
     assert robot.body.cart_velocity_m_s > 0.05
 
 
-def test_time_that_is_skipped_moves_nothing(robot):
+def test_skipped_time_moves_nothing(robot):
     robot.rail.write(True, 0.5)
     robot.mocap.read(BOOTED_NS + PERIOD_NS)
     before = robot.body.cart_position_m

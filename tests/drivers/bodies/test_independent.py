@@ -1,9 +1,9 @@
-"""The independent robot as a body: the daemon cannot tell it from the simulated one, but by how it flies."""
+"""Body of the independent robot: the same interface as the simulated one."""
 
 import numpy as np
 import pytest
 
-from softarm.daemon.shell.offline import Lockstep
+from softarm.daemon.runtime.offline import Lockstep
 from softarm.drivers.bodies.base import PlacementError
 from softarm.drivers.bodies.in_process import InProcessRobot
 from softarm.drivers.bodies.independent import IndependentBody
@@ -18,7 +18,7 @@ from softarm.schemas.model import Arm, Model
 FRAME_NS = 8_333_334
 
 
-def test_it_hangs_where_it_was_made_until_it_is_told_to_move_and_stops_when_it_is_not_enabled():
+def test_it_hangs_at_rest_until_commanded_and_stops_when_disabled():
     robot = InProcessRobot(IndependentBody(cart_position_m=0.1))
     (*_, frame) = robot.mocap.read(200_000_000)
     assert frame.bodies[0].y_m == pytest.approx(0.1, abs=0.002)
@@ -44,7 +44,7 @@ def test_it_hangs_where_it_was_made_until_it_is_told_to_move_and_stops_when_it_i
     assert robot.regulator.read().pressure_kpa < 1.0
 
 
-def test_the_daemons_own_tick_flies_it_and_a_change_of_the_robot_is_felt():
+def test_the_daemons_tick_flies_it_and_a_change_of_the_robot_matters():
     def closest_m(parameters):
         daemon = Lockstep(Config(), registry.load("reach"), body=IndependentBody(parameters, cart_position_m=0.1))
         daemon.arm()
@@ -57,20 +57,20 @@ def test_the_daemons_own_tick_flies_it_and_a_change_of_the_robot_is_felt():
     assert nominal[0] != late[0]
 
 
-def test_it_cannot_be_put_anywhere():
+def test_placing_it_is_refused():
     daemon = Lockstep(Config(), Hold(), body=IndependentBody())
-    with pytest.raises(PlacementError, match="cannot be put anywhere: make it where it is to start"):
+    with pytest.raises(PlacementError, match="cannot be placed: create it at its starting position"):
         daemon.fly(Goal("reach", -0.2, 0.6), 0.1)
 
 
-def test_ticks_are_a_thirtieth_of_a_second_however_many_there_were():
+def test_many_ticks_accumulate_no_rounding_error():
     daemon = Lockstep(Config(), Hold(), body=IndependentBody())
     for _ in range(90):
         daemon.tick()
     assert daemon.robot.now_ns == 3_000_000_000
 
 
-def test_it_moves_as_commanded_and_shows_what_its_sensors_read():
+def test_it_moves_as_commanded_and_returns_its_sensors_readings():
     parameters = RobotParameters(
         mocap=Mocap(transport_s=0.02, noise_m=0.0),
         pressure_sensor=PressureSensor(bias_kpa=1.0, noise_kpa=0.0),
@@ -89,7 +89,7 @@ def test_it_moves_as_commanded_and_shows_what_its_sensors_read():
     assert position_m == pytest.approx(body.cart_position_m, abs=0.005 + 1e-9)
     assert position_m % 0.01 == pytest.approx(0.0, abs=1e-9) or position_m % 0.01 == pytest.approx(0.01, abs=1e-9)
     assert reading.velocity_m_s == pytest.approx(-0.3, abs=0.1)
-    assert seen[0] == ()  # still on its way
+    assert seen[0] == ()
     (newest,) = seen[-1]
     assert body.now_ns - newest.t_capture_ns == pytest.approx(20e6, abs=10e6)
     assert newest.t_receive_ns - newest.t_capture_ns == 20_000_000
@@ -97,14 +97,14 @@ def test_it_moves_as_commanded_and_shows_what_its_sensors_read():
     assert np.hypot(*np.subtract(newest.bodies[-1][:2], body.tip_m)) < 0.03
 
 
-def test_the_cart_leans_on_the_end_of_its_travel():
+def test_the_cart_stays_at_the_end_of_its_travel():
     body = IndependentBody()
     for _ in range(120):
         body.step(1.0, 0.0, FRAME_NS)
     assert body.cart_position_m == pytest.approx(body.travel_m, abs=1e-3)
 
 
-def test_a_model_that_it_cannot_be_is_refused():
+def test_a_body_with_another_number_of_links_is_refused():
     short = Arm(**{name: value[:3] for name, value in Arm() if isinstance(value, tuple)})
     with pytest.raises(ValueError, match="body has 3 links"):
         IndependentBody(of_model(Model(arm=short)))

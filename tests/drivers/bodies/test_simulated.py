@@ -1,4 +1,4 @@
-"""The simulated robot as a body: its model's sensor effects are in what it shows, and the rail may have ends."""
+"""Body of the simulated robot: sensor effects and the ends of the rail."""
 
 import math
 
@@ -30,13 +30,13 @@ def frames(made, ticks=30):
     return seen
 
 
-def test_latency_shows_poses_older_than_their_stamp():
+def test_latency_returns_poses_older_than_their_stamp():
     prompt, late = frames(robot()), frames(robot(mocap__latency={"delay": 2 * PERIOD_NS * 1e-9}))
     assert late[20].t_capture_ns == prompt[20].t_capture_ns
     assert late[20].bodies[0].y_m == pytest.approx(prompt[18].bodies[0].y_m, abs=1e-6)
 
 
-def test_a_dropped_frame_is_not_there_and_its_number_is_missing():
+def test_a_dropped_frame_leaves_a_gap_in_the_numbers():
     seen = frames(robot(mocap__dropout={"share": 0.5}), ticks=60)
     assert 10 < len(seen) < 50
     assert len({frame.sequence for frame in seen}) == len(seen)
@@ -53,7 +53,7 @@ def test_the_frame_may_be_turned_scaled_shifted_and_noisy():
     assert 0 < abs(noisy.y_m - straight.y_m) < 0.006
 
 
-def test_the_pressure_sensor_may_read_high_while_the_arm_feels_the_truth():
+def test_a_pressure_offset_affects_the_reading_only():
     true, biased = robot(), robot(pressure__sensor_bias={"bias": 1.5})
     assert frames(true)[-1].bodies == frames(biased)[-1].bodies
     assert biased.regulator.read().pressure_kpa - true.regulator.read().pressure_kpa == pytest.approx(1.5, abs=1e-5)
@@ -63,10 +63,10 @@ def test_a_wrong_feed_constant_shows_between_read_back_and_mocap():
     made = robot(rail__gain={"scale": 0.1})
     cart = frames(made, 12)[-1].bodies[0].y_m
     assert cart == pytest.approx(1.1 * made.rail.read().position_m, rel=1e-5)
-    assert made.rail.read().velocity_m_s == pytest.approx(0.5, abs=0.03)  # the axis believes it does as told
+    assert made.rail.read().velocity_m_s == pytest.approx(0.5, abs=0.03)
 
 
-def test_without_sensor_effects_the_robot_shows_the_truth():
+def test_without_sensor_effects_the_readings_are_exact():
     made = robot()
     last = frames(made)[-1]
     assert last.bodies[0].y_m == float(made.body.simulator.cart_position_m[0])
@@ -84,7 +84,7 @@ def test_the_cart_rests_at_the_end_of_its_travel_and_can_be_driven_away():
     assert body.cart_position_m < 0.0
 
 
-def test_the_cameras_see_the_arm_hang_from_the_cart():
+def test_motion_capture_shows_the_arm_below_the_cart():
     body = SimulatedBody()
     [frame] = body.frames()
     cart, *links = frame.bodies

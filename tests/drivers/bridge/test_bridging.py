@@ -1,4 +1,4 @@
-"""Frames on their way, over real sockets and real Zenoh: what the cameras' server shows, the daemon's driver hears."""
+"""Frames from a NatNet server through the bridge to the daemon's driver, over real sockets and Zenoh."""
 
 import socket
 import threading
@@ -12,7 +12,7 @@ from softarm.drivers.bridge.bridging import Bridging, Status
 from softarm.drivers.bridge.client import Client
 from softarm.drivers.bridge.conversation import Conversation
 from softarm.drivers.bridge.frame import Plane
-from softarm.drivers.bridge.look import Nowhere, look_at
+from softarm.drivers.bridge.look import NullOutlet, look_at
 from softarm.drivers.bridge.natnet import Body, Frame
 from softarm.drivers.bridge.publisher import Publisher
 from softarm.drivers.mocap.driver import ZenohMocapSource
@@ -27,7 +27,7 @@ POSES = {name: Pose(0.1 + 0.01 * i, 0.965 - 0.0885 * i, 0.05 * i) for i, name in
 
 
 class Streaming:
-    """A server that streams the same arm 200 times a second, and knows when it took which frame."""
+    """Server that streams a still arm 200 times a second and records the time of each frame."""
 
     def __init__(self, server: Motive, exposed: bool) -> None:
         self.taken: dict[int, int] = {}
@@ -63,7 +63,7 @@ def config(server: Motive, **changes: Any) -> Bridge:
     ("version", "exposed", "group"),
     [((3, 1), True, None), ((4, 1), False, None), ((4, 0), True, "239.255.42.99")],
 )
-def test_the_daemon_hears_what_the_server_shows(
+def test_the_daemon_receives_the_servers_frames(
     version: Any, exposed: bool, group: str | None, free_port: int, run: Any, until: Any, running: Any
 ) -> None:
     lines: list[str] = []
@@ -75,7 +75,7 @@ def test_the_daemon_hears_what_the_server_shows(
     frames: list[Any] = []
 
     async def play() -> None:
-        publisher.open()  # before the daemon: it tries until somebody listens
+        publisher.open()
         with server, Streaming(server, exposed) as streaming, Client(setup, "127.0.0.1", lines.append) as client:
             bridging = Bridging(setup, client, publisher, lines.append)
             async with running(source):
@@ -89,7 +89,7 @@ def test_the_daemon_hears_what_the_server_shows(
                 await until(lambda: not frames[-1].bodies[3].tracked, each)
                 check(frames, streaming)
                 status = bridging.status()
-                assert status.is_heard
+                assert status.daemon_listens
                 assert status.problem is None
                 assert status.lost == ("link3",)
                 assert status.age_ms > 4.0
@@ -98,9 +98,9 @@ def test_the_daemon_hears_what_the_server_shows(
     def check(frames: list[Any], streaming: Streaming) -> None:
         first, last = frames[0], frames[-1]
         offset = min(streaming.taken, key=lambda n: abs(streaming.taken[n] - last.t_capture_ns)) - last.sequence
-        for frame in frames[-50:]:  # once the clocks are known well
+        for frame in frames[-50:]:
             error_ns = frame.t_capture_ns - streaming.taken[frame.sequence + offset]
-            assert abs(error_ns) < 4_000_000  # with other programs beside it; the next frame is 5 ms away
+            assert abs(error_ns) < 4_000_000
         for name, pose, seen in zip(BODY_NAMES, POSES.values(), first.bodies, strict=True):
             assert seen[:3] == pytest.approx(pose[:3], abs=2e-6), name
             assert seen.tracked
@@ -109,11 +109,11 @@ def test_the_daemon_hears_what_the_server_shows(
         run(play())
     finally:
         publisher.close()
-    assert f"the daemon at {daemon.endpoint} hears" in lines
+    assert f"the daemon at {daemon.endpoint} listens" in lines
 
 
-def test_an_independent_client_hears_our_server_as_well() -> None:
-    """The package natnet in unicast: its CONNECT has five bytes, and it says a keep-alive whenever it looks."""
+def test_an_independent_client_receives_the_servers_frames() -> None:
+    """Use the package natnet in unicast: its CONNECT has five bytes, and it sends a keep-alive at every poll."""
     frames: list[Any] = []
     models: list[Any] = []
     with Motive((3, 1)) as server, Streaming(server, True):
@@ -131,7 +131,7 @@ def test_an_independent_client_hears_our_server_as_well() -> None:
     assert shown[IDS["link5"]].tracking_valid
 
 
-def test_datagrams_from_elsewhere_are_counted_and_not_read() -> None:
+def test_datagrams_from_other_senders_are_counted_and_ignored() -> None:
     with Motive() as server, Client(config(server), "127.0.0.1", lambda text: None) as client:
         assert client._commands is not None
         port = client._commands.getsockname()[1]
@@ -145,7 +145,7 @@ def test_datagrams_from_elsewhere_are_counted_and_not_read() -> None:
         assert client.conversation.server is None or client.conversation.server.clock_hz != 5
 
 
-def test_a_look_tells_what_is_streamed_and_what_is_missing() -> None:
+def test_an_inspection_lists_streamed_and_missing_bodies() -> None:
     marks = Marks(cart=Marked(rigid_body="Wagen"), link4=Marked(rigid_body=IDS["link4"]), link2=None)
     with Motive() as server, Streaming(server, True) as streaming:
         streaming.poses["link3"] = Pose(0, 0, 0, tracked=False)
@@ -161,47 +161,47 @@ def test_a_look_tells_what_is_streamed_and_what_is_missing() -> None:
     assert rows["link1", "link1"].seen == 1.0
     assert rows["link1", "link1"].pose == pytest.approx(POSES["link1"][:3], abs=2e-6)
     assert rows["", "link2"].room_m is not None
-    assert "cart: no such rigid body, the server names cart (1), link1 (2)" in (found.problem or "")
-    assert found.status.rate_hz > 20  # of 200, beside other programs
+    assert "cart: no such rigid body, the server streams cart (1), link1 (2)" in (found.problem or "")
+    assert found.status.rate_hz > 20
 
 
-def test_a_server_that_is_not_there_is_told() -> None:
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as nobody:
-        nobody.bind(("127.0.0.1", 0))
-        setup = Bridge(command_port=nobody.getsockname()[1])
+def test_a_missing_server_is_reported() -> None:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as silent:
+        silent.bind(("127.0.0.1", 0))
+        setup = Bridge(command_port=silent.getsockname()[1])
         with Client(setup, "127.0.0.1", lambda text: None) as client:
             found = look_at(setup, client, 0.05)
-    assert (found.problem or "").startswith(f"127.0.0.1:{setup.command_port}: connect: no answer; is Motive running")
+    assert (found.problem or "").startswith(f"127.0.0.1:{setup.command_port}: connect: no answer; start Motive")
 
 
 class Scripted:
-    """An inlet whose frames and problems the test makes."""
+    """Inlet with the frames and problems of the test."""
 
     def __init__(self, clock: Any) -> None:
         self.conversation = Conversation(lambda text: None)
         self.conversation.ids = dict(IDS)
-        self.strangers, self.clock, self.said, self.poses, self.number = 0, clock, None, dict(POSES), 0
+        self.strangers, self.clock, self.sent, self.poses, self.number = 0, clock, None, dict(POSES), 0
 
     def poll(self, seconds: float) -> list[Any]:
-        from softarm.drivers.bridge.conversation import Taken
+        from softarm.drivers.bridge.conversation import StampedFrame
 
         self.number += 1
         self.conversation.counts.frames += 1
         frame = Frame(self.number, bodies_of(Plane(ROOM), self.poses), 1, 1, 1, 0)
-        return [Taken(frame, self.clock() - 8_000_000, self.clock(), self.number)]
+        return [StampedFrame(frame, self.clock() - 8_000_000, self.clock(), self.number)]
 
     def problem(self) -> str | None:
-        return self.said
+        return self.sent
 
 
 @pytest.fixture
 def scripted(clock: Any) -> Any:
     lines: list[str] = []
     inlet = Scripted(clock)
-    bridging = Bridging(Bridge(room=ROOM), inlet, Nowhere(), lines.append, clock)
+    bridging = Bridging(Bridge(room=ROOM), inlet, NullOutlet(), lines.append, clock)
 
     def run(seconds: float) -> list[str]:
-        """Frames at 100 Hz; what was said meanwhile."""
+        """Step at 100 Hz and return the reported lines."""
         lines.clear()
         for _ in range(round(100 * seconds)):
             clock.advance(0.01)
@@ -211,62 +211,62 @@ def scripted(clock: Any) -> Any:
     return inlet, bridging, run
 
 
-def test_what_changes_is_told_in_a_line_not_in_one_a_frame(scripted: Any) -> None:
+def test_a_change_is_reported_once_and_not_with_every_frame(scripted: Any) -> None:
     inlet, bridging, run = scripted
-    assert run(2.0) == ["frames come"]
+    assert run(2.0) == ["frames arrive"]
     inlet.poses["link3"] = Pose(0, 0, 0, tracked=False)
     assert run(2.0) == ["link3 is lost"]
     inlet.poses["link3"] = POSES["link3"]
-    assert run(2.0) == ["link3 is seen again, after 2.0 s"]
-    inlet.said = "1.2.3.4:1510: read: it answers, and streams no frames; is it in Live mode?"
-    assert run(3.0) == [inlet.said]
-    inlet.said = None
-    assert run(3.0) == ["frames come"]
+    assert run(2.0) == ["link3 is tracked again, after 2.0 s"]
+    inlet.sent = "1.2.3.4:1510: read: it answers, and streams no frames; is it in Live mode?"
+    assert run(3.0) == [inlet.sent]
+    inlet.sent = None
+    assert run(3.0) == ["frames arrive"]
     assert bridging.status().rate_hz == pytest.approx(100, abs=2)
     assert bridging.status().age_ms == pytest.approx(8.0)
 
 
-def test_what_flickers_is_told_by_the_minute(scripted: Any) -> None:
+def test_short_dropouts_are_reported_by_the_minute(scripted: Any) -> None:
     inlet, _, run = scripted
     run(1.0)
-    said = []
+    sent = []
     for _ in range(60):
         inlet.poses["link2"] = Pose(0, 0, 0, tracked=False)
         inlet.conversation.counts.gaps += 1
-        said += run(0.1)
+        sent += run(0.1)
         inlet.poses["link2"] = POSES["link2"]
-        said += run(0.9)
-    [line] = said
+        sent += run(0.9)
+    [line] = sent
     assert line.startswith("in the last minute: 6000 frames; ")
-    assert "59 that the server counted never came" in line
+    assert "59 missing from the server's count" in line
     assert "link2 lost in 9.8 %" in line
 
 
-def test_a_name_that_the_server_lacks_is_told_and_asked_for_again(scripted: Any) -> None:
+def test_a_missing_name_is_reported_and_requested_again(scripted: Any) -> None:
     inlet, bridging, run = scripted
     inlet.conversation.ids = {name: number for name, number in IDS.items() if name != "link5"} | {"tip": 6}
     inlet.conversation.wants_names = False
     lost, line = run(2.0)
     assert lost == "link5 is lost"
-    assert line.startswith("link5: no such rigid body, the server names cart (1), link1 (2)")
-    assert "tip (6); name it in Motive" in line
+    assert line.startswith("link5: no such rigid body, the server streams cart (1), link1 (2)")
+    assert "tip (6); rename it in Motive" in line
     assert inlet.conversation.wants_names
     assert bridging.status().problem == line
     inlet.conversation.ids = dict(IDS)
-    assert run(2.0) == ["link5 is seen again, after 2.0 s", "frames come"]
+    assert run(2.0) == ["link5 is tracked again, after 2.0 s", "frames arrive"]
 
 
-def test_a_line_for_a_terminal_says_rate_age_clock_and_who_hears() -> None:
+def test_the_status_line_has_rate_age_clock_and_daemon() -> None:
     status = Status(119.9, 6.1, ("link3",), -12.3, 0.15, 23.4, "x", True, None, {})
     assert status.line() == (
-        "119.9 frames/s | 6.1 ms old | lost: link3 | clock -12.300 s +- 0.15 ms, +23.4 ppm | the daemon hears"
+        "119.9 frames/s | 6.1 ms old | lost: link3 | clock -12.300 s +- 0.15 ms, +23.4 ppm | the daemon listens"
     )
 
 
-def test_a_body_that_is_tracked_without_numbers_is_lost_not_sent(scripted: Any) -> None:
+def test_a_tracked_body_with_nan_is_lost(scripted: Any) -> None:
     sent: list[bytes] = []
 
-    class Kept(Nowhere):
+    class Kept(NullOutlet):
         def put(self, frame: bytes) -> None:
             sent.append(frame)
 

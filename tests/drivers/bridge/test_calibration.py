@@ -1,4 +1,4 @@
-"""A room is found again from what cameras saw of an arm at rest and of a cart that was pushed."""
+"""Calibration of the cameras' coordinates from an arm at rest and a pushed cart."""
 
 import dataclasses
 import math
@@ -21,22 +21,27 @@ from softarm.schemas.bridge import Bridge, Marked, Marks, Room
 from softarm.schemas.messages import BODY_NAMES, Pose
 
 HINGE_M = 0.965
-STEP_NS = 30_000_000  # fewer frames than cameras take
+# Fewer frames than cameras take.
+STEP_NS = 30_000_000
 
 
 @dataclasses.dataclass
 class Lab:
-    """A robot in a room. markers: of the cart, beside and above the first hinge."""
+    """Robot in front of cameras. `markers` is the offset of the cart's markers from the first hinge.
+
+    By body: `turns` is the rotation of its own axes, `called` its wrong name, `shift` its displacement along and up,
+    `lost` the share of frames without it. `bump_m` is a deviation of the rail in its middle.
+    """
 
     room: Room = Room(up="y", yaw_rad=0.6, tilt_rad=0.004, origin_m=(1.0, 0.02, -2.0))  # noqa: RUF009
     markers_m: tuple[float, float] = (0.01, 0.04)
     noise_m: float = 0.0003
-    turns: dict = dataclasses.field(default_factory=dict)  # body -> how its own axes were made
-    called: dict = dataclasses.field(default_factory=dict)  # body -> what it is taken for
-    shift: dict = dataclasses.field(default_factory=dict)  # body -> where it hangs too far along and up
-    lost: dict = dataclasses.field(default_factory=dict)  # body -> share of frames
+    turns: dict = dataclasses.field(default_factory=dict)
+    called: dict = dataclasses.field(default_factory=dict)
+    shift: dict = dataclasses.field(default_factory=dict)
+    lost: dict = dataclasses.field(default_factory=dict)
     straight: bool = False
-    bump_m: float = 0.0  # of the rail, in its middle
+    bump_m: float = 0.0
     seed: int = 1
 
     def __post_init__(self):
@@ -44,7 +49,7 @@ class Lab:
         self.plane = Plane(self.room)
 
     def poses(self, cart_m, swing_rad=0.0):
-        """The arm under a cart at y; swing: added to every angle."""
+        """Return the bodies for a cart at y; `swing` is added to every angle."""
         poses = {}
         for name, rest in rest_shape(self.straight).items():
             far = math.hypot(rest.y_m, rest.z_m)
@@ -72,10 +77,10 @@ class Lab:
         return [self.sample(k * STEP_NS, cart_m) for k in range(round(1e9 * seconds / STEP_NS))]
 
     def push(self, *stops, begin=0.05):
-        """From stop to stop at 0.3 m/s, two seconds at the last."""
+        """Return samples from stop to stop at 0.3 m/s, with two seconds at the last."""
         way = [begin]
         for stop in stops:
-            way += [way[-1]] * 5  # nobody turns on the spot
+            way += [way[-1]] * 5
             way += list(np.linspace(way[-1], stop, max(2, round(abs(stop - way[-1]) / 0.3 * 1e9 / STEP_NS))))
         way += [stops[-1]] * round(2e9 / STEP_NS)
         return [self.sample(k * STEP_NS, y, 0.2 * math.sin(0.2 * k)) for k, y in enumerate(way)]
@@ -86,7 +91,7 @@ class Lab:
         )
 
     def farthest(self, found):
-        """How wrong a pose is at worst after the calibration (m, rad)."""
+        """Return the largest error of a pose after the calibration, m and rad."""
         view, quiet = View(found.room, found.marks), dataclasses.replace(self, noise_m=0.0, lost={})
         worst_m = worst_rad = 0.0
         for cart_m, swing in ((-0.3, 0.5), (0.0, 0.0), (0.3, -0.7)):
@@ -123,7 +128,7 @@ labs = st.builds(
 @settings(max_examples=12, deadline=None, derandomize=True, phases=[Phase_.generate, Phase_.explicit])
 @given(labs)
 @pytest.mark.slow
-def test_whatever_the_room_poses_come_back_within_two_millimetres(lab):
+def test_poses_are_recovered_within_two_millimetres(lab):
     found = lab.found()
     worst_m, worst_rad = lab.farthest(found)
     assert worst_m < 0.002
@@ -132,14 +137,14 @@ def test_whatever_the_room_poses_come_back_within_two_millimetres(lab):
     assert found.travel_m == pytest.approx(0.6, abs=0.004)
 
 
-def test_the_sense_is_that_of_the_last_end():
+def test_the_direction_is_that_of_the_last_end():
     lab = Lab(room=Room(up="z", yaw_rad=-2.0))
     assert lab.farthest(lab.found())[0] < 0.001
     other = calibrate(lab.rest(), lab.push(0.3, -0.3), Marks(), last_is_plus=False)
     assert lab.farthest(other)[0] < 0.001
 
 
-def test_the_middle_may_be_where_the_cart_hangs():
+def test_the_middle_may_be_the_position_at_rest():
     lab = Lab()
     found = calibrate(lab.rest(0.0), lab.push(0.25, begin=0.0), Marks(), last_is_plus=True, middle_here=True)
     assert lab.farthest(found)[0] < 0.001
@@ -149,14 +154,14 @@ def test_the_middle_may_be_where_the_cart_hangs():
 def test_frames_in_which_the_cart_jumps_change_nothing():
     lab = Lab()
     push = lab.push(-0.3, 0.3)
-    for k in range(0, len(push), 20):  # a reflection, or another body
+    for k in range(0, len(push), 20):
         far = push[k].bodies["cart"]._replace(position_m=(5.0, 1.0, 2.0 + 0.01 * k))
         push[k] = push[k]._replace(bodies=dict(push[k].bodies) | {"cart": far})
     found = calibrate(lab.rest(), push, Marks(), last_is_plus=True)
     assert lab.farthest(found)[0] < 0.001
 
 
-def test_a_link_that_is_left_out_is_left_out():
+def test_a_link_may_be_omitted():
     lab = Lab(lost={"link2": 1.0})
     found = calibrate(lab.rest(), lab.push(-0.3, 0.3), Marks(link2=None), last_is_plus=True)
     assert found.marks.link2 is None
@@ -173,33 +178,34 @@ def test_names_and_ids_of_the_rigid_bodies_are_kept():
 @pytest.mark.parametrize(
     ("lab", "says"),
     [
-        (Lab(lost={"link4": 1.0}), "link4 was never seen at rest; name it in Motive"),
-        (Lab(lost={"link4": 0.7}), r"link4 was seen in \d\d % of the frames at rest"),
+        (Lab(lost={"link4": 1.0}), "link4 was never tracked at rest; name it in Motive"),
+        (Lab(lost={"link4": 0.7}), r"link4 was tracked in \d\d % of the frames at rest"),
         (
             Lab(called={"link2": "link4", "link4": "link2"}),
-            "link2 and link4 seem swapped: link4 hangs where link2 should",
+            "link2 and link4 seem swapped: link4 is at the place of link2",
         ),
         (
             Lab(called={"link2": "link3", "link3": "link4", "link4": "link2"}),
-            "from the top hang cart, link1, link3, link4, link2, link5, which should be cart, link1",
+            "the order from the top is cart, link1, link3, link4, link2, link5, expected cart, link1",
         ),
-        (Lab(shift={"link2": (0.0, 0.03)}), "link1 and link2 hang 0.058. m apart at rest, not 0.0885"),
-        (Lab(shift={"link2": (0.1, 0.0)}), r"link2 hangs \+1?\d\d mm beside the others"),
+        (Lab(shift={"link2": (0.0, 0.03)}), "link1 and link2 are 0.058. m apart at rest, 0.0885 m expected"),
+        (Lab(shift={"link2": (0.1, 0.0)}), r"link2 is \+1?\d\d mm away from the line of the others"),
         (Lab(room=Room(tilt_rad=0.03)), r"the rail rises by \+1.7 degrees towards \+y"),
-        (Lab(bump_m=0.03), "the rail is not straight: .* in height"),
-        (Lab(noise_m=0.01), "moves by .* mm; wait until the arm hangs still"),
-        (Lab(markers_m=(0.0, 0.4)), r"the cart's markers are -\d\d\d mm in height of the first hinge"),
+        (Lab(bump_m=0.03), "the rail is not straight: .* vertically"),
+        (Lab(noise_m=0.01), "moves by .* mm, at most 4 mm allowed; wait until the arm is at rest"),
+        (Lab(markers_m=(0.0, 0.4)), r"the cart's markers are -\d\d\d mm vertically from the first hinge"),
     ],
 )
-def test_what_is_wrong_is_named(lab, says):
+def test_a_problem_is_reported(lab, says):
     with pytest.raises(CalibrationError, match=says):
         lab.found()
 
 
-def test_a_bump_is_told_with_its_place():
+def test_a_bump_is_reported_with_its_place():
     lab = Lab(bump_m=0.02)
     with pytest.raises(
-        CalibrationError, match=r"0\.(29|3\d) m from the end where the push began .* \d mm aside and \+1\d mm in height"
+        CalibrationError,
+        match=r"0\.(29|3\d) m from the end where the push began .* \d mm sideways and \+1\d mm vertically",
     ):
         lab.found()
 
@@ -210,38 +216,38 @@ def test_a_bump_is_told_with_its_place():
         (
             (-0.1, 0.1),
             False,
-            r"the cart went 0.20 m, which is too short; push it 0.40 m or more from stop to stop \(0.60 m\)",
+            r"the cart moved 0.20 m, which is too short; push it 0.40 m or more from stop to stop \(0.60 m\)",
         ),
         ((0.1,), True, "push it 0.15 m or more$"),
-        ((-0.5, 0.5), False, "the cart went 1.00 m on a rail of 0.60"),
+        ((-0.5, 0.5), False, "the cart moved 1.00 m on a rail of 0.60"),
     ],
 )
-def test_a_push_that_is_none_is_told(stops, middle, says):
+def test_an_invalid_push_is_reported(stops, middle, says):
     lab = Lab()
     with pytest.raises(CalibrationError, match=says):
         calibrate(lab.rest(0.0), lab.push(*stops, begin=0.0), Marks(), last_is_plus=True, middle_here=middle)
 
 
-def test_an_arm_that_leans_is_told():
+def test_a_leaning_arm_is_reported():
     lab = Lab()
     rest = [lab.sample(k, 0.0, 0.3) for k in range(100)]
-    with pytest.raises(CalibrationError, match=r"the arm leans by 1[4-9] degrees from the cameras' up"):
+    with pytest.raises(CalibrationError, match=r"the arm leans by 1[4-9] degrees from the cameras' vertical"):
         calibrate(rest, lab.push(-0.3, 0.3), Marks(), last_is_plus=True)
 
 
-def test_what_is_odd_but_no_hindrance_is_noted():
+def test_tolerated_deviations_are_noted():
     lab = Lab(room=Room(origin_m=(0.0, -0.07, 0.0)), shift={"link3": (0.0, 0.012), "link4": (0.02, 0.0)})
     found = calibrate(lab.rest(), lab.push(-0.25, 0.25), Marks(), last_is_plus=True)
-    told = "\n".join(found.notes)
-    assert "the cart went 0.50" in told
-    assert "the rail has 0.60: the middle is right if both ends were its stops" in told
-    assert "the cameras' ground plane lies 0.070 m above the floor" in told
-    assert "link2-link3 hang 0.076" in told
-    assert "link4 hangs +20 mm beside where it should" in told
+    notes = "\n".join(found.notes)
+    assert "the cart moved 0.50" in notes
+    assert "the rail has 0.60 m: the middle is right only if both ends were the stops" in notes
+    assert "the cameras' ground plane is 0.070 m above the floor" in notes
+    assert "link2-link3 are 0.076" in notes
+    assert "link4 is +20 mm away from its nominal place" in notes
 
 
 @pytest.mark.slow
-def test_the_arm_hangs_as_the_simulator_has_it():
+def test_the_shape_at_rest_is_the_simulators():
     from softarm.drivers.bodies.simulated import SimulatedBody
 
     body = SimulatedBody()
@@ -255,7 +261,7 @@ def test_the_arm_hangs_as_the_simulator_has_it():
 @pytest.mark.parametrize(
     "config", [Bridge(), Bridge(command_port=1600, received_after_s=0.004, bodies=Marks(link1=None))]
 )
-def test_what_is_written_is_read_again(config):
+def test_the_written_file_can_be_read(config):
     lab = Lab(room=Room(origin_m=(0.0, -0.07, 0.0)), lost={"link1": 1.0} if config.bodies.link1 is None else {})
     found = calibrate(lab.rest(), lab.push(-0.3, 0.3), config.bodies, last_is_plus=True)
     whole = written.configuration(config, "192.168.1.10", found)
@@ -264,7 +270,7 @@ def test_what_is_written_is_read_again(config):
     assert whole.server == "192.168.1.10"
     assert "-0.0," not in text
     assert "-0.0}" not in text
-    assert "# Odd: the cameras' ground plane lies 0.07" in text
+    assert "# Note: the cameras' ground plane is 0.07" in text
     assert max(map(len, text.splitlines())) < 220
     assert lab.farthest(dataclasses.replace(found, room=whole.room, marks=whole.bodies))[0] < 0.001
 
@@ -276,45 +282,45 @@ def gathered(samples, middle_here=False, gathering=None):
     gathering = gathering or Gathering(BODY_NAMES, middle_here)
     begin = getattr(gathering, "clock", 0)
     for k, sample in enumerate(samples):
-        gathering.see(begin + k * STEP_NS, sample.bodies)
+        gathering.add(begin + k * STEP_NS, sample.bodies)
     gathering.clock = begin + len(samples) * STEP_NS
     return gathering
 
 
-def test_it_waits_for_the_rest_and_ends_when_the_cart_stands_at_its_last_end():
+def test_the_recording_waits_for_rest_and_ends_at_the_last_end():
     lab = Lab()
     swinging = [lab.sample(0, 0.05, 0.2 * math.sin(0.2 * k)) for k in range(200)]
     gathering = gathered(swinging)
     assert gathering.phase is Phase.RESTING
-    assert gathering.moves_m() > 0.05
+    assert gathering.motion_m() > 0.05
     gathered(lab.rest(seconds=3.5), gathering=gathering)
     assert gathering.phase is Phase.PUSHING
     assert len(gathering.rest) == 101
-    gathered(lab.push(-0.3), gathering=gathering)  # stands there for long: half of a push
+    gathered(lab.push(-0.3), gathering=gathering)
     assert gathering.phase is Phase.PUSHING
     gathered(lab.push(0.3, begin=-0.3), gathering=gathering)
     assert gathering.phase is Phase.DONE
-    assert gathering.gone_m() == pytest.approx(0.6, abs=0.01)
+    assert gathering.push_m() == pytest.approx(0.6, abs=0.01)
     found = calibrate(gathering.rest, gathering.push, Marks(), last_is_plus=True)
     assert lab.farthest(found)[0] < 0.001
 
 
-def test_from_the_middle_a_push_to_one_end_will_do():
+def test_from_the_middle_a_push_to_one_end_suffices():
     lab = Lab()
     gathering = gathered([*lab.rest(0.0, 3.5), *lab.push(0.25, begin=0.0)], middle_here=True)
     assert gathering.phase is Phase.DONE
 
 
-def test_a_body_that_is_not_seen_is_named_while_it_waits():
+def test_a_body_without_tracking_is_reported_while_waiting():
     lab = Lab(lost={"link3": 1.0})
     gathering = gathered(lab.rest(seconds=5))
     assert gathering.phase is Phase.RESTING
     assert gathering.missing() == ("link3",)
-    gathering.break_off()
-    with pytest.raises(CalibrationError, match="link3 was never seen at rest"):
+    gathering.finish()
+    with pytest.raises(CalibrationError, match="link3 was never tracked at rest"):
         calibrate(gathering.rest, gathering.push, Marks(), last_is_plus=True)
 
 
-def test_all_figures_are_those_of_the_model():
+def test_the_dimensions_are_those_of_the_model():
     assert calibration.HINGE_Z_M == HINGE_M
     assert calibration.depth("link5") == pytest.approx(5 * 0.0885)

@@ -1,4 +1,4 @@
-"""The server's clock by ours: drift, one-sided queueing, a clock that is set, an echo that cannot be."""
+"""Conversion of the server's clock: drift, one-sided delays, a clock that is set, an impossible echo."""
 
 import math
 import random
@@ -6,15 +6,16 @@ import statistics
 
 import pytest
 
-from softarm.drivers.bridge.clock import FEW, EchoClock
+from softarm.drivers.bridge.clock import ECHOES_MIN, EchoClock
 
-HZ = 3_312_787  # of a recorded server
+# Clock rate of a recorded server.
+HZ = 3_312_787
 START = 5_000_000_000_000
 WAY_NS = 120_000
 
 
 class Servers:
-    """A clock that began elsewhere and runs by `ppm` faster; echoes to it take their ways."""
+    """Clock with an offset that runs `ppm` faster; echoes have delays."""
 
     def __init__(self, ppm: float, seed: int = 1) -> None:
         self.rate, self.random, self.ahead_ns = 1 + ppm * 1e-6, random.Random(seed), 77_000_000_000_000
@@ -24,20 +25,20 @@ class Servers:
 
     def echo(self, clock: EchoClock, now_ns: int, out_ns: float = 0, back_ns: float = 0) -> None:
         there = now_ns + WAY_NS + round(out_ns)
-        clock.hear(now_ns, there + WAY_NS + round(back_ns), self.ticks(there))
+        clock.add(now_ns, there + WAY_NS + round(back_ns), self.ticks(there))
 
 
 def play(
     clock: EchoClock, server: Servers, seconds: float, begin_s: float = 0.0, out: float = 0, back: float = 0
 ) -> list[float]:
-    """Two echoes a second, queued by so much on average; returns errors of stamps after the first ten seconds."""
+    """Send two echoes a second with random delays, and return the errors of stamps after ten seconds."""
     errors = []
     for step in range(round(seconds * 2)):
         now = START + round((begin_s + step / 2) * 1e9)
         queue = server.random.expovariate
         server.echo(clock, now, queue(1) * out, queue(1) * back)
         if clock.is_ready and step > 20:
-            then = now - 8_000_000  # a frame of just before
+            then = now - 8_000_000
             error = abs(clock.here_ns(server.ticks(then)) - then)
             assert error <= 1e9 * clock.uncertainty_s + 1, step
             errors.append(error)
@@ -46,7 +47,7 @@ def play(
 
 @pytest.mark.parametrize("ppm", [-50.0, 0.0, 50.0])
 @pytest.mark.parametrize(("out_us", "back_us"), [(0, 0), (400, 400), (2000, 0), (0, 2000)])
-def test_stamps_are_right_whatever_drifts_and_queues(ppm, out_us, back_us):
+def test_stamps_are_right_despite_drift_and_delays(ppm, out_us, back_us):
     clock, server = EchoClock(HZ), Servers(ppm)
     errors = play(clock, server, 300, out=1e3 * out_us, back=1e3 * back_us)
     queue_ns = 1e3 * max(out_us, back_us)
@@ -56,19 +57,19 @@ def test_stamps_are_right_whatever_drifts_and_queues(ppm, out_us, back_us):
     assert clock.restarts == 0
 
 
-def test_a_way_that_is_longer_than_the_other_is_within_what_is_said():
+def test_unequal_directions_are_within_the_uncertainty():
     clock, server = EchoClock(HZ), Servers(10.0)
     for step in range(40):
-        server.echo(clock, START + step * 500_000_000, back_ns=300_000)  # always
+        server.echo(clock, START + step * 500_000_000, back_ns=300_000)
     then = START + 20_000_000_000
     error = abs(clock.here_ns(server.ticks(then)) - then)
     assert 100_000 < error < 1e9 * clock.uncertainty_s < 400_000
 
 
-def test_stamps_are_given_after_a_few_echoes():
+def test_frames_are_stamped_after_a_few_echoes():
     clock, server = EchoClock(HZ), Servers(50.0)
     assert clock.uncertainty_s == math.inf
-    for step in range(FEW):
+    for step in range(ECHOES_MIN):
         assert not clock.is_ready
         server.echo(clock, START + step * 20_000_000)
     assert clock.is_ready
@@ -76,13 +77,13 @@ def test_stamps_are_given_after_a_few_echoes():
     assert abs(clock.here_ns(server.ticks(then)) - then) < 10_000
 
 
-def test_a_clock_that_was_set_is_followed_at_the_second_echo_that_says_so():
+def test_a_clock_that_was_set_is_followed_at_the_second_echo():
     clock, server = EchoClock(HZ), Servers(20.0)
     play(clock, server, 60)
     server.ahead_ns -= 3_600_000_000_000
     server.echo(clock, START + 60_000_000_000)
-    assert clock.restarts == 0  # one may be a fluke
-    for step in range(1, FEW + 1):
+    assert clock.restarts == 0
+    for step in range(1, ECHOES_MIN + 1):
         server.echo(clock, START + 60_000_000_000 + step * 500_000_000)
     assert clock.restarts == 1
     then = START + 64_000_000_000
@@ -90,18 +91,18 @@ def test_a_clock_that_was_set_is_followed_at_the_second_echo_that_says_so():
     assert abs(clock.here_ns(server.ticks(then)) - then) < 200_000
 
 
-def test_one_echo_that_cannot_be_changes_nothing():
+def test_one_impossible_echo_is_ignored():
     clock, server = EchoClock(HZ), Servers(0.0)
     play(clock, server, 20)
     before = clock.here_ns(server.ticks(START))
-    clock.hear(START + 20_500_000_000, START + 20_400_000_000, server.ticks(START))  # answered before it was asked
-    clock.hear(START + 20_500_000_000, START + 20_501_000_000, server.ticks(START))  # of 20 s ago
+    clock.add(START + 20_500_000_000, START + 20_400_000_000, server.ticks(START))
+    clock.add(START + 20_500_000_000, START + 20_501_000_000, server.ticks(START))
     server.echo(clock, START + 21_000_000_000)
     assert clock.restarts == 0
     assert clock.here_ns(server.ticks(START)) == pytest.approx(before, abs=2000)
 
 
-def test_a_minute_of_slow_echoes_is_believed_in_the_end():
+def test_a_minute_of_slow_echoes_is_accepted_in_the_end():
     clock, server = EchoClock(HZ), Servers(30.0)
     play(clock, server, 60)
     play(clock, server, 240, begin_s=60, out=3e6, back=3e6)

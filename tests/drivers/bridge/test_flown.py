@@ -1,4 +1,4 @@
-"""An arm whose cameras are seen through NatNet alone, in a room and by a clock of their own, reaches its target."""
+"""An arm that is tracked through NatNet alone, with other coordinates and another clock, reaches its target."""
 
 import queue
 import struct
@@ -11,7 +11,7 @@ from softarm.drivers.bridge.frame import Plane, View, names_of
 from softarm.drivers.mocap.source import Frames
 from softarm.drivers.twin import motive
 from softarm.drivers.twin.motive import CLOCK_HZ, IDS, bodies_of
-from softarm.flights import through_source
+from softarm.evaluation import through_source
 from softarm.schemas.bridge import Marks, Room
 from softarm.schemas.messages import BODY_NAMES, MocapFrame
 
@@ -24,7 +24,7 @@ def ticks(now_ns: int) -> int:
 
 
 class ThroughNatNet:
-    """A source that is all of the bridge but its sockets. Datagrams come by `shown`."""
+    """Source with all of the bridge except its sockets; datagrams arrive by `shown`."""
 
     interface = 1
     description = "NatNet"
@@ -34,34 +34,34 @@ class ThroughNatNet:
         self.view = View(room, Marks())
 
     def run(self, frames: Frames) -> None:
-        """See `softarm.drivers.mocap.source.Source.run`."""
-        talk = Conversation(lambda text: None)
-        talk.hear(motive.server_info((4, 1), CLOCK_HZ, 1511, None), frames.now_ns())
-        talk.hear(motive.models((4, 1), IDS), frames.now_ns())
-        names, _ = names_of(Marks(), talk.ids)
+        """Run as `softarm.drivers.mocap.source.Source` requires."""
+        conversation = Conversation(lambda text: None)
+        conversation.receive(motive.server_info((4, 1), CLOCK_HZ, 1511, None), frames.now_ns())
+        conversation.receive(motive.models((4, 1), IDS), frames.now_ns())
+        names, _ = names_of(Marks(), conversation.ids)
         for _ in range(5):
-            self.echo(talk, frames.now_ns())
+            self.echo(conversation, frames.now_ns())
         while frames.are_wanted:
             try:
                 datagram = self.shown.get(timeout=0.05)
             except queue.Empty:
                 continue
-            self.echo(talk, frames.now_ns())
-            taken = talk.hear(datagram, frames.now_ns())
+            self.echo(conversation, frames.now_ns())
+            taken = conversation.receive(datagram, frames.now_ns())
             if taken is not None:
                 seen = self.view.of(taken.frame.bodies, names)
                 poses = {name: pose[:3] for name, pose in zip(BODY_NAMES, seen.poses, strict=True) if pose.tracked}
                 frames.put(taken.sequence, taken.t_capture_ns, poses)
 
-    def echo(self, talk: Conversation, now_ns: int) -> None:
-        """Ask for the server's clock, which answers at once."""
-        talk._asked.append(now_ns)
-        talk.hear(motive.message(natnet.ECHO_RESPONSE, struct.pack("<QQ", now_ns, ticks(now_ns))), now_ns)
+    def echo(self, conversation: Conversation, now_ns: int) -> None:
+        """Request the server's clock, which answers at once."""
+        conversation._asked.append(now_ns)
+        conversation.receive(motive.message(natnet.ECHO_RESPONSE, struct.pack("<QQ", now_ns, ticks(now_ns))), now_ns)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("room", [Room(up="y", yaw_rad=0.4, origin_m=(1.2, 0.1, -0.7)), Room(up="z", yaw_rad=-2.5)])
-def test_it_reaches_its_target(room: Room) -> None:
+def test_the_arm_reaches_its_target(room: Room) -> None:
     source, plane = ThroughNatNet(room), Plane(room)
 
     def show(frame: MocapFrame) -> None:

@@ -1,4 +1,4 @@
-"""From the room to the robot's plane: both up axes, any yaw and tilt, markers that sit beside the arm."""
+"""Transformation to the robot's plane: both vertical axes, any yaw and tilt, markers away from the arm's axis."""
 
 import math
 
@@ -25,7 +25,7 @@ poses = st.builds(Pose, number, number, st.floats(-3.1, 3.1), st.just(True))
 
 
 @given(rooms, st.lists(poses, min_size=6, max_size=6))
-def test_what_a_room_shows_comes_back(room, there):
+def test_transformed_points_are_recovered(room, there):
     shown = bodies_of(Plane(room), dict(zip(BODY_NAMES, there, strict=True)))
     seen = View(room, Marks()).of(shown, NAMES)
     for back, pose in zip(seen.poses, there, strict=True):
@@ -34,15 +34,15 @@ def test_what_a_room_shows_comes_back(room, there):
     assert seen.lost == ()
 
 
-def test_y_up_is_turned_as_motive_turns_it():
-    """x, y, z of a room with y up are x, -z, y of one with z up."""
+def test_y_up_is_rotated_as_in_motive():
+    """Compare x, y, z with y up and x, -z, y with z up."""
     for yaw in (0.0, 0.7, -2.0):
         lying, standing = Plane(Room(up="y", yaw_rad=yaw)), Plane(Room(up="z", yaw_rad=yaw))
         assert lying.place((1.0, 2.0, -3.0)) == pytest.approx(standing.place((1.0, 3.0, 2.0)))
     assert Plane(Room(up="z", yaw_rad=math.pi / 2)).place((1.0, 2.0, 3.0)) == pytest.approx((2.0, 3.0))
 
 
-def test_the_other_sense_of_the_rail_is_half_a_turn():
+def test_the_opposite_direction_of_the_rail_is_half_a_turn():
     one, other = Plane(Room(yaw_rad=0.3)), Plane(Room(yaw_rad=0.3 - math.pi))
     y_m, z_m = one.place((0.4, 0.9, 0.1))
     assert other.place((0.4, 0.9, 0.1)) == pytest.approx((-y_m, z_m))
@@ -51,8 +51,8 @@ def test_the_other_sense_of_the_rail_is_half_a_turn():
 
 
 @given(rooms, st.floats(-3.0, 3.0), st.floats(-0.2, 0.2), st.floats(-0.2, 0.2), st.floats(0, 6.2), number, number)
-def test_markers_beside_the_arm_that_were_defined_however_come_back(room, angle, across, along, twist, a, b):
-    """The streamed point is off the arm's axis, and the body's own axes stand however they stood when it was made."""
+def test_markers_with_any_offset_and_axes_are_recovered(room, angle, across, along, twist, a, b):
+    """Use a streamed point away from the arm's axis, and body axes with any rotation."""
     plane = Plane(room)
     made = (
         math.sin(twist / 2) * math.cos(a),
@@ -69,13 +69,13 @@ def test_markers_beside_the_arm_that_were_defined_however_come_back(room, angle,
     assert pose[:3] == pytest.approx((0.1, 0.5, angle), abs=1e-9)
 
 
-def test_a_twist_about_the_arm_is_no_angle():
+def test_a_twist_about_the_arm_is_ignored():
     plane = Plane(Room(yaw_rad=1.0))
-    twist = (0.0, math.sin(0.2), 0.0, math.cos(0.2))  # about up
+    twist = (0.0, math.sin(0.2), 0.0, math.cos(0.2))
     assert plane.angle(product(plane.turn(0.6), twist), (0.0, 0.0, 0.0, 1.0)) == pytest.approx(0.6)
 
 
-def test_what_is_not_tracked_not_named_or_not_finite_is_lost():
+def test_a_body_untracked_unnamed_or_with_nan_is_lost():
     body = Body(1, (0.0, 1.0, 0.0), (0.0, 0.0, 0.0, 1.0), 0.0, True)
     bodies = [
         body,
@@ -86,8 +86,8 @@ def test_what_is_not_tracked_not_named_or_not_finite_is_lost():
     ]
     seen = View(Room(), Marks(link5=Marked(rigid_body=77), link4=None)).of(bodies, NAMES)
     assert seen.lost == ("link1", "link2", "link3", "link4", "link5")
-    assert seen.doubtful == ("link2", "link3")
-    assert View(Room(), Marks(link2=None)).of(bodies, NAMES).doubtful == ("link3",)
+    assert seen.invalid == ("link2", "link3")
+    assert View(Room(), Marks(link2=None)).of(bodies, NAMES).invalid == ("link3",)
 
 
 def test_bodies_are_found_by_name_or_by_id():
@@ -97,12 +97,12 @@ def test_bodies_are_found_by_name_or_by_id():
     assert missing == ("link4",)
 
 
-def test_a_rigid_body_is_one_body_alone():
+def test_a_rigid_body_belongs_to_one_body_only():
     with pytest.raises(ValueError, match=r"bodies.link2.rigid_body is 'link1', which is link1 already"):
         Marks(link2=Marked(rigid_body="link1"))
 
 
-def test_the_planes_axes_stand_upright_on_each_other():
+def test_the_planes_axes_are_orthogonal():
     plane = Plane(Room(yaw_rad=0.4, tilt_rad=0.03))
     assert dot(plane.along, plane.up) == pytest.approx(0.0, abs=1e-15)
     assert dot(plane.along, plane.along) == pytest.approx(1.0)

@@ -1,4 +1,4 @@
-"""Motion capture from another package: whatever it does, the loop gets good frames or a sentence."""
+"""Motion capture from a plug-in: the loop receives valid frames or a sentence."""
 
 import math
 import re
@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from softarm.common.plugins import PluginError
-from softarm.daemon.shell.daemon import motion_capture
+from softarm.daemon.runtime.devices import motion_capture
 from softarm.drivers.mocap import plugged
 from softarm.drivers.mocap.plugged import PluggedMocapSource
 from softarm.drivers.mocap.source import Frames, Source
@@ -20,7 +20,7 @@ POSES = {name: (0.1 * i, 0.9 - 0.1 * i, 0.01 * i) for i, name in enumerate(BODY_
 
 
 class Scripted:
-    """Does in its thread what the test says."""
+    """Source that runs a test's functions in its thread."""
 
     description = "a script"
 
@@ -44,7 +44,7 @@ def _fail(frames: Frames) -> None:
 
 @pytest.fixture
 def play(clock: Any, run: Any, running: Any) -> Any:
-    """Run `script(device)` while a source of these runs is running."""
+    """Run `script(device)` with a running source."""
 
     def begin(source: Scripted, script: Any) -> None:
         async def whole() -> None:
@@ -57,7 +57,7 @@ def play(clock: Any, run: Any, running: Any) -> Any:
     return begin
 
 
-def test_frames_come_in_order_with_the_stamps_of_capture_and_arrival(play: Any, clock: Any, until: Any) -> None:
+def test_frames_arrive_in_order_with_the_stamps_of_capture_and_arrival(play: Any, clock: Any, until: Any) -> None:
     def source(frames: Frames) -> None:
         for sequence in (0, 1, 3):
             frames.put(sequence, 10 + sequence, POSES | {"link2": None})
@@ -79,19 +79,18 @@ def test_frames_come_in_order_with_the_stamps_of_capture_and_arrival(play: Any, 
 
 
 BAD: dict[str, tuple[tuple[Any, Any, Any], str]] = {
-    "a body of another name": ((1, 20, {"tip": (0, 0, 0)}), "bodies may be called cart"),
+    "a body of another name": ((1, 20, {"tip": (0, 0, 0)}), "the names of bodies must be among cart"),
     "two numbers": ((1, 20, {"cart": (0.0, 0.9)}), r"cart must be \[y, z, angle\] or null"),
-    "NaN": ((1, 20, {"cart": (0.0, math.nan, 0.0)}), "cart holds a number that is not finite"),
+    "NaN": ((1, 20, {"cart": (0.0, math.nan, 0.0)}), "cart holds NaN or infinity"),
     "text": ((1, 20, {"cart": "abc"}), "could not convert"),
     "no bodies": ((1, 20, None), "malformed"),
     "a fraction of a frame": ((1.5, 20, POSES), "sequence must be an integer"),
-    "a stamp of another clock": ((1, 10**12, POSES), "ahead of CLOCK_MONOTONIC"),
     "an old stamp": ((1, 10, POSES), "no newer than the last"),
 }
 
 
 @pytest.mark.parametrize("case", BAD)
-def test_what_is_no_frame_is_counted_and_told_and_ends_nothing(case: str, play: Any, clock: Any, until: Any) -> None:
+def test_an_invalid_frame_is_counted_and_reported(case: str, play: Any, clock: Any, until: Any) -> None:
     bad, text = BAD[case]
 
     def source(frames: Frames) -> None:
@@ -111,19 +110,19 @@ def test_what_is_no_frame_is_counted_and_told_and_ends_nothing(case: str, play: 
     play(Scripted(source), script)
 
 
-def test_what_a_source_itself_refuses_is_counted_and_told(play: Any, until: Any) -> None:
+def test_input_refused_by_a_source_is_counted_and_reported(play: Any, until: Any) -> None:
     def source(frames: Frames) -> None:
         frames.refuse("7 words; allowed are 10")
         _wait(frames)
 
     async def script(device: PluggedMocapSource) -> None:
         await until(lambda: device.malformed == 1)
-        assert "a malformed frame: 7 words; allowed are 10 (0 oversized, 1 malformed" in (device.problem() or "")
+        assert "a frame is malformed: 7 words; allowed are 10 (0 oversized, 1 malformed" in (device.problem() or "")
 
     play(Scripted(source), script)
 
 
-def test_a_source_that_raises_or_returns_is_told_and_run_again(
+def test_a_source_that_raises_or_returns_is_reported_and_restarted(
     play: Any, clock: Any, until: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(plugged, "RETRY_S", 0.01)
@@ -141,7 +140,9 @@ def test_a_source_that_raises_or_returns_is_told_and_run_again(
 
     async def script(device: PluggedMocapSource) -> None:
         await until(lambda: source.started == 4)
-        assert "run: run returned while frames are wanted; it is run again every second" in (device.problem() or "")
+        assert "run: run returned while frames were wanted; correct the source; it is restarted every second" in (
+            device.problem() or ""
+        )
         again.set()
         await until(lambda: device.frames == 1)
         await until(lambda: device.problem() is None)
@@ -149,14 +150,14 @@ def test_a_source_that_raises_or_returns_is_told_and_run_again(
     play(source, script)
 
 
-def test_what_it_raised_is_in_the_sentence(play: Any, until: Any) -> None:
+def test_the_sentence_contains_the_exception(play: Any, until: Any) -> None:
     async def script(device: PluggedMocapSource) -> None:
         await until(lambda: "run raised OSError: port 9000 is in use" in (device.problem() or ""))
 
     play(Scripted(_fail), script)
 
 
-def test_it_is_asked_to_end_and_ends(play: Any, until: Any) -> None:
+def test_a_source_ends_on_request(play: Any, until: Any) -> None:
     ended = threading.Event()
 
     def source(frames: Frames) -> None:
@@ -194,7 +195,7 @@ def configured(driver: str, **options: Any) -> Mocap:
     return Mocap(driver=driver, options=options)
 
 
-def test_the_daemon_takes_the_source_that_its_configuration_names(install: Any) -> None:
+def test_the_daemon_uses_the_source_in_its_configuration(install: Any) -> None:
     install("theirs", MINE, "softarm.mocap_sources", mine="Mine")
     assert plugged.names() == ("zenoh", "mine")
     device = motion_capture(configured("mine", port=7))
@@ -213,7 +214,7 @@ def test_the_daemon_takes_the_source_that_its_configuration_names(install: Any) 
         ("broken", {}, "OSError: no such camera"),
     ],
 )
-def test_one_that_cannot_be_used_is_told_before_anything_moves(
+def test_an_unusable_source_is_reported_at_the_start(
     driver: str, options: dict[str, Any], text: str, install: Any
 ) -> None:
     install("theirs", MINE, "softarm.mocap_sources", mine="Mine", newer="Newer", mute="Mute", broken="Broken")

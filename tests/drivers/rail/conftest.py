@@ -1,4 +1,4 @@
-"""A bench for the rail: the driver, its process as a thread, and a drive on a TCP port that does as it is told."""
+"""Bench of the rail: the driver, its process as a thread, and a scripted drive on a TCP port."""
 
 import asyncio
 import itertools
@@ -22,22 +22,23 @@ from softarm.schemas.config import DryveRail
 
 
 class Drive(DryveDevice):
-    """Remembers what it was asked; `script` may answer in its place, `coasts` delays its motion, and `stubborn` keeps
-    its set-point when its master is gone.
+    """Drive that records its requests.
+
+    `script` may answer in its place, `coasts` keeps its velocity, and `keeps_set_point` ignores a lost master.
     """
 
     def __init__(self, config: DryveRail) -> None:
         super().__init__(config)
-        self.heard: list[tuple[ModbusRequest, DriveState]] = []
-        self.links: list[list[ModbusRequest]] = []  # the same by connection
-        self.stubborn = False
+        self.requests: list[tuple[ModbusRequest, DriveState]] = []
+        self.links: list[list[ModbusRequest]] = []
+        self.keeps_set_point = False
         self.script: Callable[[bytes, Callable[[], bytes]], bytes] | None = None
         self.position_m = self.velocity_m_s = 0.0
         self.coasts = False
 
     def answer(self, telegram: bytes, now_ns: int) -> bytes:
-        self.heard.append((dryve.decode_request(telegram), self.state))
-        self.links[-1].append(self.heard[-1][0])
+        self.requests.append((dryve.decode_request(telegram), self.state))
+        self.links[-1].append(self.requests[-1][0])
         if self.script is None:
             return super().answer(telegram, now_ns)
         return self.script(telegram, lambda: super(Drive, self).answer(telegram, now_ns))
@@ -47,31 +48,31 @@ class Drive(DryveDevice):
         self.sense(self.position_m, self.velocity_m_s)
 
     def quick_stop(self) -> None:
-        if not self.stubborn:
+        if not self.keeps_set_point:
             super().quick_stop()
 
     def writes(self, entry: dryve.Entry, since: int = 0) -> list[int]:
         return [
             int.from_bytes(request.data, "little", signed=entry.signed)
-            for request, _ in self.heard[since:]
+            for request, _ in self.requests[since:]
             if request.data is not None and (request.index, request.sub) == (entry.index, entry.sub)
         ]
 
 
 class Server(DryveServer):
-    """Tells the drive of each connection."""
+    """Server that starts a new list of requests with each connection."""
 
     async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         self.device.links.append([])  # type: ignore[attr-defined]
         await super()._serve(reader, writer)
 
 
-class Leading(threading.Thread):
-    """The rail's process as a thread: a clock that stands still cannot reach into another process."""
+class ProcessThread(threading.Thread):
+    """The rail's process as a thread, so that it shares the test's clock."""
 
     def __init__(self, settings: Settings, theirs: socket.socket, clock: Any) -> None:
         super().__init__(daemon=True)
-        self._theirs = theirs.dup()  # the caller closes its own, as it would for a process
+        self._theirs = theirs.dup()
         self._settings, self._clock = settings, clock
         self.start()
 
@@ -84,11 +85,11 @@ class Leading(threading.Thread):
         return None if self.is_alive() else 0
 
     def kill(self) -> None:
-        """It ends by itself once the pair is closed."""
+        """Do nothing: the thread ends when the pair closes."""
 
 
 class Bench:
-    """Driver and drive; the driver's clock stands still until told, the drive's own watchdog never bites."""
+    """Driver and drive with a manual clock; the drive's own watchdog never triggers."""
 
     def __init__(self, clock: Any, until: Any, config: DryveRail) -> None:
         self.clock, self._until = clock, until
@@ -100,7 +101,7 @@ class Bench:
     async def open(self) -> None:
         await self.server.open()
         self.config = self.config.model_copy(update={"port": self.server.port})
-        self.axis = DryveRailAxis(self.config, 0, self.clock, lambda *start: Leading(*start[:2], self.clock))
+        self.axis = DryveRailAxis(self.config, 0, self.clock, lambda *start: ProcessThread(*start[:2], self.clock))
 
     def step(self) -> None:
         self.server.step()
@@ -119,12 +120,12 @@ class Bench:
         await self._until(condition, each)
 
     async def pass_time(self, seconds: float, enable: bool, velocity_m_s: float) -> None:
-        """The clock goes on, and with it the control loop."""
+        """Advance the clock and write a set-point every 30 ms."""
         for _ in range(math.ceil(seconds / 0.03)):
             self.clock.advance(0.03)
             self.axis.write(enable, velocity_m_s)
             number = self.axis._number
-            await self.wait_until(lambda n=number: self.axis._report.taken == n)
+            await self.wait_until(lambda n=number: self.axis._report.received == n)
 
     async def wait_until(self, condition: Any) -> None:
         await self._until(condition, self.step)
@@ -150,7 +151,7 @@ def bench(clock: Any, until: Any, run: Any, running: Any, monkeypatch: Any) -> A
                 await bench.stop()
         finally:
             await bench.server.close()
-        no_word_was_sent_twice_and_operation_kept_its_bits(bench.drive)
+        check_controlwords(bench.drive)
 
     def start(script: Any, prepare: Any = lambda b: None, **config: Any) -> None:
         run(play(script, DryveRail(host="127.0.0.1", timeout_s=1.0).model_copy(update=config), prepare))
@@ -158,8 +159,9 @@ def bench(clock: Any, until: Any, run: Any, running: Any, monkeypatch: Any) -> A
     return start
 
 
-def no_word_was_sent_twice_and_operation_kept_its_bits(drive: Drive) -> None:
-    words = [(r, state) for r, state in drive.heard if (r.index, bool(r.data)) == (0x6040, True)]
+def check_controlwords(drive: Drive) -> None:
+    """Check that no controlword was sent twice, and that a drive in operation kept its bits or was shut down."""
+    words = [(r, state) for r, state in drive.requests if (r.index, bool(r.data)) == (0x6040, True)]
     for (earlier, _), (later, _) in itertools.pairwise(words):
         repeated = earlier.data == later.data and earlier.transaction == later.transaction
         assert not repeated

@@ -1,4 +1,4 @@
-"""A rail link that answers badly: it begins and ends with a stop, and one bad answer in motion is borne."""
+"""A rail connection with bad answers: it begins and ends with a stop, and tolerates one bad answer in motion."""
 
 from collections.abc import Callable
 from typing import Any
@@ -25,9 +25,9 @@ def ends(link: list[ModbusRequest]) -> tuple[Any, Any]:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", BAD_ANSWERS)
-def test_a_link_begins_and_ends_with_a_stop_whatever_is_answered(bench: Any, kind: str) -> None:
+def test_a_connection_begins_and_ends_with_a_stop_despite_bad_answers(bench: Any, kind: str) -> None:
     async def script(b: Any) -> None:
-        b.drive.stubborn = True  # nothing but what is said stops it
+        b.drive.keeps_set_point = True
         await b.enable()
         b.drive.script = lambda telegram, _: BAD_ANSWERS[kind](int.from_bytes(telegram[:2], "big"))
         await b.write_until(lambda: len(b.drive.links) > 3, True, 0.3)
@@ -36,7 +36,7 @@ def test_a_link_begins_and_ends_with_a_stop_whatever_is_answered(bench: Any, kin
     bench(script, timeout_s=0.02)
 
 
-def test_a_link_that_is_left_in_peace_begins_and_ends_with_a_stop_too(bench: Any, until: Any) -> None:
+def test_a_healthy_connection_begins_and_ends_with_a_stop(bench: Any, until: Any) -> None:
     async def script(b: Any) -> None:
         await b.enable()
         await b.stop()
@@ -47,7 +47,7 @@ def test_a_link_that_is_left_in_peace_begins_and_ends_with_a_stop_too(bench: Any
 
 @pytest.mark.parametrize("kind", BAD_ANSWERS)
 @pytest.mark.parametrize("index", [0x60FF, 0x6041, 0x6064, 0x606C])
-def test_one_bad_answer_does_not_end_a_link_in_motion(bench: Any, kind: str, index: int) -> None:
+def test_one_bad_answer_does_not_end_a_connection_in_motion(bench: Any, kind: str, index: int) -> None:
     async def script(b: Any) -> None:
         await b.enable(0.3)
         spoilt: list[int] = []
@@ -65,10 +65,10 @@ def test_one_bad_answer_does_not_end_a_link_in_motion(bench: Any, kind: str, ind
         assert b.axis.read().enabled
         assert b.axis.problem() is None
 
-    bench(script, timeout_s=0.3)  # longer than a busy machine holds up either side
+    bench(script, timeout_s=0.3)
 
 
-def test_a_set_point_that_was_refused_once_is_said_again_without_waiting_for_the_next(bench: Any) -> None:
+def test_a_refused_set_point_is_sent_again_at_once(bench: Any) -> None:
     async def script(b: Any) -> None:
         await b.enable(0.3)
         refused: list[int] = []
@@ -80,33 +80,34 @@ def test_a_set_point_that_was_refused_once_is_said_again_without_waiting_for_the
             return answer()
 
         b.drive.script = refuse
-        b.axis.write(True, 0.0)  # once
+        b.axis.write(True, 0.0)
         await b.wait_until(lambda: refused and b.drive.velocity_m_s == 0.0)
 
     bench(script)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("storm", [3, 40, 150])  # telegrams; a link's end falls within the longer ones
+# Numbers of telegrams; the connection ends within the longer ones.
+@pytest.mark.parametrize("storm", [3, 40, 150])
 def test_a_cart_in_motion_is_stopped_as_soon_as_refusals_end(
     bench: Any, storm: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("softarm.drivers.rail.master.RETRY_S", (0.005, 60.0))  # no pause may grow meanwhile
+    monkeypatch.setattr("softarm.drivers.rail.master.RETRY_S", (0.005, 60.0))
 
     async def script(b: Any) -> None:
-        b.drive.stubborn = True
+        b.drive.keeps_set_point = True
         await b.enable(0.3)
-        began = len(b.drive.heard)
+        began = len(b.drive.requests)
 
         def refuse(telegram: bytes, answer: Callable[[], bytes]) -> bytes:
-            if len(b.drive.heard) <= began + storm:
+            if len(b.drive.requests) <= began + storm:
                 return dryve.encode_abort(int.from_bytes(telegram[:2], "big"), 0x08000022)
             return answer()
 
         b.drive.script = refuse
-        await b.write_until(lambda: len(b.drive.heard) > began + storm, True, 0.3)
+        await b.write_until(lambda: len(b.drive.requests) > began + storm, True, 0.3)
         await b.write_until(lambda: b.drive.velocity_m_s == 0.0, True, 0.3)
-        after = [request for request, _ in b.drive.heard[began + storm :]]
+        after = [request for request, _ in b.drive.requests[began + storm :]]
         stops = [request.index == 0x60FF and request.data == bytes(4) for request in after]
         assert stops.index(True) <= 1
 

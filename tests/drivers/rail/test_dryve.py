@@ -1,4 +1,4 @@
-"""The D1's telegrams, byte for byte as the manual, the sample programs and real drives have them."""
+"""Telegrams of the D1, byte for byte as in the manual, the sample programs and recordings of real drives."""
 
 import pytest
 from hypothesis import given
@@ -34,7 +34,7 @@ ABORTED = "00000000000b00abff00060dce00000206"
 
 
 @pytest.mark.parametrize(("entry", "value", "telegram"), REQUESTS)
-def test_requests(entry: Entry, value: int | None, telegram: str) -> None:
+def test_requests_match_the_samples(entry: Entry, value: int | None, telegram: str) -> None:
     assert dryve.encode_request(0, entry, value).hex() == telegram
 
 
@@ -49,11 +49,11 @@ def test_requests(entry: Entry, value: int | None, telegram: str) -> None:
         ("00000000000f002b0d00000060830000000002e803", 0, dryve.ACCELERATION, 1000),  # 2 bytes of 4: no sign
     ],
 )
-def test_answers(telegram: str, transaction: int, entry: Entry, value: int) -> None:
+def test_answers_match_the_samples(telegram: str, transaction: int, entry: Entry, value: int) -> None:
     assert dryve.decode_answer(bytes.fromhex(telegram), transaction, entry, write=False) == value
 
 
-def test_the_acknowledgement_of_a_write() -> None:
+def test_the_acknowledgement_of_a_write_is_accepted() -> None:
     assert dryve.decode_answer(bytes.fromhex(ACKNOWLEDGED), 0, dryve.CONTROLWORD, write=True) == 0
 
 
@@ -76,20 +76,20 @@ def test_error_answers_become_sentences_that_name_the_object(telegram: str, word
     [
         ("00000000000f002b0d000000606c0000000002fbff", dryve.VELOCITY, "2 bytes for 606Ch:0"),
         ("00010000000f002b0d000000604100000000024006", dryve.STATUSWORD, "transaction 1, not 0"),
-        ("00000000000f002b0d000000604000000000024006", dryve.STATUSWORD, "no answer to a request for 6041h"),
+        ("00000000000f002b0d000000604000000000024006", dryve.STATUSWORD, "not an answer to a request for 6041h"),
         ("000000000010002b0d00000060410000000003400600", dryve.STATUSWORD, "3 bytes for 6041h"),
         ("00000000000f002b0d000000604100000000044006", dryve.STATUSWORD, "declared 4"),
-        (ACKNOWLEDGED, dryve.CONTROLWORD, "no answer to a request for 6040h"),
+        (ACKNOWLEDGED, dryve.CONTROLWORD, "not an answer to a request for 6040h"),
         ("00000000000e002b0d0000006041000000000140", dryve.STATUSWORD, "1 bytes for 6041h"),
     ],
 )
-def test_answers_that_do_not_fit_are_refused(telegram: str, entry: Entry, words: str) -> None:
+def test_answers_that_do_not_fit_are_rejected(telegram: str, entry: Entry, words: str) -> None:
     with pytest.raises(DryveMismatch, match=words):
         dryve.decode_answer(bytes.fromhex(telegram), 0, entry, write=False)
 
 
 @given(st.integers(0, 65535), st.integers(-(2**31), 2**31 - 1))
-def test_the_drives_side_reads_what_the_masters_side_writes(transaction: int, value: int) -> None:
+def test_requests_and_answers_survive_encoding(transaction: int, value: int) -> None:
     request = dryve.decode_request(dryve.encode_request(transaction, dryve.TARGET_VELOCITY, value))
     assert request == dryve.ModbusRequest(transaction, 0x60FF, 0, 4, value.to_bytes(4, "little", signed=True))
     assert dryve.decode_answer(dryve.encode_acknowledgement(request), transaction, dryve.TARGET_VELOCITY, True) == 0
@@ -109,14 +109,13 @@ def test_aborts_are_17_bytes_and_exceptions_9(transaction: int, abort: int) -> N
 
 
 @given(st.binary(max_size=40))
-def test_noise_never_raises_anything_else(telegram: bytes) -> None:
+def test_noise_raises_only_the_two_errors_of_an_exchange(telegram: bytes) -> None:
     with pytest.raises((DryveRefusal, DryveMismatch)):
         dryve.decode_answer(telegram, 0x7FFF, dryve.STATUSWORD, write=False)
 
 
 def read_all(*pieces: bytes) -> list[str]:
-    """The telegrams in a stream that arrives in these pieces; a broken one's error in its place."""
-
+    """Return the telegrams in a stream of pieces, with an error message in the place of a broken one."""
     telegrams, out = dryve.Telegrams(), []
     for piece in pieces:
         telegrams.feed(piece)
@@ -129,18 +128,18 @@ def read_all(*pieces: bytes) -> list[str]:
     return out
 
 
-def test_telegrams_are_framed_on_their_length() -> None:
+def test_telegrams_are_split_by_their_length() -> None:
     assert read_all(bytes.fromhex(ABORTED + ACKNOWLEDGED), b"") == [ABORTED, ACKNOWLEDGED]
 
 
 @given(st.integers(1, 18))
-def test_a_wait_that_was_given_up_in_the_middle_of_a_telegram_loses_nothing(cut: int) -> None:
+def test_a_telegram_in_two_pieces_is_complete(cut: int) -> None:
     whole = bytes.fromhex(ACKNOWLEDGED)
     assert read_all(whole[:cut], whole[cut:]) == [ACKNOWLEDGED]
 
 
 @pytest.mark.parametrize("head", ["0000000004ff", "000000000002", "00000001000d"])
-def test_a_header_that_no_telegram_has_is_refused_and_what_follows_is_read(head: str) -> None:
+def test_an_invalid_header_is_rejected_and_the_next_telegram_is_read(head: str) -> None:
     broken, whole = read_all(bytes.fromhex(head) + bytes(1279), bytes.fromhex(ACKNOWLEDGED))
-    assert f"{head} heads no telegram" in broken
+    assert f"{head} is not a telegram's header" in broken
     assert whole == ACKNOWLEDGED

@@ -1,4 +1,4 @@
-"""One connection: what is not ours is bounded, and the loop goes on meanwhile."""
+"""One connection to the drive: answers to other requests are skipped within bounds."""
 
 import asyncio
 import select
@@ -51,7 +51,7 @@ def acknowledge(telegram: bytes) -> bytes:
     return dryve.encode_acknowledgement(dryve.decode_request(telegram))
 
 
-def test_a_flood_of_answers_to_other_requests_ends_an_exchange_long_before_its_time(linked: Any) -> None:
+def test_many_answers_to_other_requests_end_an_exchange_before_its_timeout(linked: Any) -> None:
     def script(link: DryveLink) -> None:
         with pytest.raises(dryve.DryveMismatch, match=r"60FFh:0 .*: more than 8 answers to other requests in a row"):
             link.write(dryve.TARGET_VELOCITY, 1)
@@ -60,16 +60,16 @@ def test_a_flood_of_answers_to_other_requests_ends_an_exchange_long_before_its_t
     linked(script, lambda number, telegram: STRAY * 2000 if number == 1 else acknowledge(telegram))
 
 
-def test_a_few_strays_are_skipped(linked: Any) -> None:
+def test_a_few_answers_to_other_requests_are_skipped(linked: Any) -> None:
     def script(link: DryveLink) -> None:
         link.write(dryve.TARGET_VELOCITY, 1)
         link.write(dryve.TARGET_VELOCITY, 2)
-        assert link.strays == 3 * STRAYS_MAX  # the stop at the start had some too
+        assert link.strays == 3 * STRAYS_MAX
 
     linked(script, lambda _, telegram: STRAY * STRAYS_MAX + acknowledge(telegram))
 
 
-def test_a_wire_that_says_the_same_again_and_again_is_given_up_long_before_the_time_of_an_answer(linked: Any) -> None:
+def test_a_line_that_repeats_one_answer_fails_before_the_timeout(linked: Any) -> None:
     began_s = time.monotonic()
 
     def script(link: DryveLink) -> None:
@@ -87,10 +87,10 @@ def test_a_wire_that_says_the_same_again_and_again_is_given_up_long_before_the_t
     linked(script, repeat)
 
 
-def test_an_answer_that_is_late_does_not_hurry_the_next(linked: Any) -> None:
+def test_a_late_answer_does_not_shorten_the_next_exchange(linked: Any) -> None:
     late = []
 
-    def hold_back(number: int, telegram: bytes) -> bytes:
+    def delay(number: int, telegram: bytes) -> bytes:
         late.append(acknowledge(telegram))
         return b"" if number == 0 else late[number - 1] + (late[number] if number == 2 else b"")
 
@@ -99,10 +99,10 @@ def test_an_answer_that_is_late_does_not_hurry_the_next(linked: Any) -> None:
             link.write(dryve.TARGET_VELOCITY, 1)
         link.write(dryve.TARGET_VELOCITY, 2)
 
-    linked(script, hold_back, timeout_s=0.1)
+    linked(script, delay, timeout_s=0.1)
 
 
-def test_an_exchange_after_a_garbled_one_is_whole(linked: Any) -> None:
+def test_an_exchange_after_a_garbled_one_succeeds(linked: Any) -> None:
     def script(link: DryveLink) -> None:
         with pytest.raises(EXCHANGE_ERRORS):
             link.write(dryve.TARGET_VELOCITY, 1)

@@ -1,4 +1,4 @@
-"""What of the daemon's set-points is in force, whatever it says and however late it is heard."""
+"""Validity of the daemon's set-points, and the packets that carry them."""
 
 import contextlib
 import math
@@ -15,7 +15,7 @@ from softarm.drivers.rail.pair import Reading, Report, SetPoint
 MS = 1_000_000
 HOLD_MS, LIVE_MS = 45, 150
 
-# Each step: time that passes, then a set-point that was so long on its way, or none.
+# Each step: a time that passes, then a set-point with its delay, or None.
 steps = st.lists(
     st.tuples(
         st.integers(0, 250),
@@ -26,43 +26,43 @@ steps = st.lists(
 
 
 @given(steps)
-def test_nothing_moves_that_is_old_or_was_not_permitted_anew(script: list[Any]) -> None:
+def test_only_a_fresh_and_permitted_set_point_moves_the_cart(script: list[Any]) -> None:
     orders, now_ms = Orders(HOLD_MS / 1e3, LIVE_MS / 1e3), 1000
-    heard_disabled = permitted = False
+    was_disabled = permitted = False
     sent_ms, velocity = -math.inf, 0.0
-    for passed_ms, said in script:
+    for passed_ms, received in script:
         now_ms += passed_ms
         if permitted and now_ms - sent_ms > LIVE_MS:
-            heard_disabled = permitted = False
-        orders.lapse(now_ms * MS)
+            was_disabled = permitted = False
+        orders.expire(now_ms * MS)
         assert (orders.permitted_since_ns is not None) == permitted
-        if said is not None:
-            enable, under_way_ms, velocity = said
-            sent_ms = max(sent_ms, now_ms - under_way_ms)
-            orders.take(SetPoint(1, round(sent_ms * MS), enable, velocity), now_ms * MS)
-            permitted = enable and (permitted or heard_disabled)
-            heard_disabled = not enable
-        told = orders.velocity_m_s(now_ms * MS)
+        if received is not None:
+            enable, delay_ms, velocity = received
+            sent_ms = max(sent_ms, now_ms - delay_ms)
+            orders.accept(SetPoint(1, round(sent_ms * MS), enable, velocity), now_ms * MS)
+            permitted = enable and (permitted or was_disabled)
+            was_disabled = not enable
+        allowed = orders.velocity_m_s(now_ms * MS)
         fresh = now_ms - sent_ms <= HOLD_MS
-        assert told == (velocity if permitted and fresh and math.isfinite(velocity) else 0.0)
+        assert allowed == (velocity if permitted and fresh and math.isfinite(velocity) else 0.0)
 
 
-def test_a_first_set_point_that_is_enabled_permits_nothing() -> None:
+def test_a_first_enabled_set_point_permits_nothing() -> None:
     orders = Orders(0.045, 0.15)
-    assert not orders.take(SetPoint(1, 0, True, 0.5), 0)
+    assert not orders.accept(SetPoint(1, 0, True, 0.5), 0)
     assert orders.velocity_m_s(0) == 0.0
-    assert not orders.take(SetPoint(2, 0, False, 0.5), 0)
-    assert orders.take(SetPoint(3, 0, True, 0.5), 0)
+    assert not orders.accept(SetPoint(2, 0, False, 0.5), 0)
+    assert orders.accept(SetPoint(3, 0, True, 0.5), 0)
     assert orders.velocity_m_s(0) == 0.5
 
 
-def test_a_stamp_from_the_future_is_now() -> None:
+def test_a_stamp_in_the_future_counts_as_now() -> None:
     orders = Orders(0.045, 0.15)
-    orders.take(SetPoint(1, 10**12, False, 0.0), 0)
-    orders.take(SetPoint(2, 10**12, True, 0.5), 0)
+    orders.accept(SetPoint(1, 10**12, False, 0.0), 0)
+    orders.accept(SetPoint(2, 10**12, True, 0.5), 0)
     assert orders.velocity_m_s(45 * MS) == 0.5
     assert orders.velocity_m_s(46 * MS) == 0.0
-    assert orders.lapse(151 * MS)
+    assert orders.expire(151 * MS)
 
 
 numbers = st.floats(allow_nan=False)
@@ -74,28 +74,28 @@ readings = st.builds(
 
 
 @given(st.builds(SetPoint, st.integers(0, 2**32 - 1), stamps, st.booleans(), numbers, st.integers(0, 2**32 - 1)))
-def test_set_points_go_down_whole(message: SetPoint) -> None:
+def test_set_points_survive_encoding(message: SetPoint) -> None:
     assert pair.decode_set_point(pair.encode_set_point(message)) == message
 
 
 @given(st.builds(Report, st.integers(0, 2**32 - 1), st.booleans(), st.none() | readings, st.none() | sentences))
-def test_reports_come_up_whole(message: Report) -> None:
+def test_reports_survive_encoding(message: Report) -> None:
     assert pair.decode_report(pair.encode_report(message)) == message
 
 
 @pytest.mark.parametrize("may_move", [True, False])
-def test_a_beginning_says_whether_the_drive_may_move(may_move: bool) -> None:
+def test_a_begin_message_carries_whether_the_drive_may_move(may_move: bool) -> None:
     assert pair.decode_begin(pair.encode_begin(may_move)) is may_move
 
 
-def test_sentences_without_end_are_cut() -> None:
+def test_long_sentences_are_cut() -> None:
     packet = pair.encode_report(Report(1, True, None, "x" * 20_000))
     assert len(packet) == pair.PACKET_MAX
     assert set(pair.decode_report(packet).problem or "") == {"x"}
 
 
 @given(st.binary(max_size=80))
-def test_what_is_no_message_is_refused_and_nothing_worse(packet: bytes) -> None:
+def test_an_invalid_packet_raises_value_error_only(packet: bytes) -> None:
     for decode in (pair.decode_set_point, pair.decode_report, pair.decode_begin):
         with contextlib.suppress(ValueError):
             decode(packet)  # type: ignore[operator]

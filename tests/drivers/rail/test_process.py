@@ -1,6 +1,6 @@
-"""The rail's process, for real: it outlives the daemon until the drive is off, though that keeps its set-point.
+"""The rail's process itself: it outlives the daemon until the drive is disabled.
 
-How soon is measured by softarm.benchmarks.dead_daemon.
+The drive keeps its set-point without a master. validation.dead_daemon measures the times.
 """
 
 import asyncio
@@ -27,7 +27,7 @@ from softarm.schemas.config import DryveRail
 
 HEAVY = {"numpy", "numba", "pydantic", "asyncio", "zenoh", "logging", "json", "yaml", "dataclasses", "inspect"}
 
-# A daemon in miniature: arms as a person would, then renews a set-point more often than a tick would.
+# A small daemon: it enables the drive, then renews the set-point more often than a tick would.
 DAEMON = """
 import asyncio, ctypes, signal, sys
 from softarm.drivers.rail.driver import DryveRailAxis
@@ -40,7 +40,7 @@ async def main():
     axis = DryveRailAxis(DryveRail.model_validate_json(sys.argv[1]), 20)
     axis.start()
     signal.signal(signal.SIGUSR1, lambda *_: ctypes.PyDLL(None).usleep(600_000))  # with the interpreter's lock
-    print(axis._leading.child.pid, flush=True)
+    print(axis._active.child.pid, flush=True)
     enable = False
     while True:
         axis.write(enable, 0.5)
@@ -52,16 +52,16 @@ asyncio.run(main())
 
 
 class Drive(DryveDevice):
-    """Keeps its set-point when nobody speaks with it; notes when each one came."""
+    """Drive that keeps its set-point without a master, and records all set-points."""
 
     def __init__(self) -> None:
         super().__init__(DryveRail(host="127.0.0.1"))
         self.velocities: list[tuple[float, int]] = []
-        self.by_link: dict[asyncio.Task[Any] | None, list[int]] = {}  # the same, in the order of their connections
-        self.asked = 0
+        self.by_link: dict[asyncio.Task[Any] | None, list[int]] = {}
+        self.requests = 0
 
     def answer(self, telegram: bytes, now_ns: int) -> bytes:
-        self.asked += 1
+        self.requests += 1
         request = dryve.decode_request(telegram)
         if request.index == 0x60FF and request.data is not None:
             velocity = int.from_bytes(request.data, "little", signed=True)
@@ -96,10 +96,11 @@ async def served(drive: Drive) -> AsyncIterator[DryveRail]:
 
 @contextlib.asynccontextmanager
 async def flying(config: DryveRail, drive: Drive, until: Any) -> AsyncIterator[tuple[int, int]]:
-    """A daemon that moves the cart: its process and the rail's."""
+    """Yield the process ids of a daemon that moves the cart and of its rail process."""
     daemon, rail = await launched(config)
     try:
-        while not await moves(drive):  # on a busy machine it may be late, and the drive off again before it moves
+        # On a busy machine the daemon may be late, and the drive disabled again before it moves.
+        while not await moves(drive):
             daemon.kill()
             await daemon.wait()
             await until(partial(gone, rail), drive.step)
@@ -129,7 +130,7 @@ async def moves(drive: Drive) -> bool:
 
 
 def gone(process: int) -> bool:
-    """Ended, be it unburied."""
+    """Return whether a process has ended, even if it is not reaped."""
     try:
         return Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[0] == "Z"
     except FileNotFoundError:
@@ -137,11 +138,11 @@ def gone(process: int) -> bool:
 
 
 @pytest.mark.parametrize("end", [signal.SIGKILL, signal.SIGABRT, signal.SIGINT, signal.SIGHUP])
-def test_when_the_daemon_dies_the_drive_is_stopped_and_switched_off(run: Any, until: Any, end: signal.Signals) -> None:
+def test_when_the_daemon_dies_the_drive_is_disabled(run: Any, until: Any, end: signal.Signals) -> None:
     async def play() -> None:
         drive = Drive()
         async with served(drive) as config, flying(config, drive, until) as (daemon, rail):
-            os.killpg(daemon, end)  # as Ctrl-C, or the end of a session: to all that are with it
+            os.killpg(daemon, end)
             await until(lambda: drive.off, drive.step)
             await until(lambda: gone(rail))
 
@@ -149,7 +150,7 @@ def test_when_the_daemon_dies_the_drive_is_stopped_and_switched_off(run: Any, un
 
 
 @pytest.mark.parametrize("freeze", [signal.SIGSTOP, signal.SIGUSR1])
-def test_when_the_daemon_freezes_the_drive_is_off_and_stays_off_when_it_wakes(
+def test_when_the_daemon_freezes_the_drive_is_disabled_and_stays_disabled(
     run: Any, until: Any, freeze: signal.Signals
 ) -> None:
     async def play() -> None:
@@ -159,7 +160,7 @@ def test_when_the_daemon_freezes_the_drive_is_off_and_stays_off_when_it_wakes(
             await until(lambda: drive.off, drive.step)
             os.kill(daemon, signal.SIGCONT)
             since = len(drive.velocities)
-            until_s = time.monotonic() + 1.0  # SIGUSR1's freeze ends by itself, and both daemons say "enable" again
+            until_s = time.monotonic() + 1.0
             await until(lambda: time.monotonic() > until_s, drive.step)
             assert {velocity for _, velocity in drive.velocities[since:]} <= {0}
             assert drive.off
@@ -168,7 +169,7 @@ def test_when_the_daemon_freezes_the_drive_is_off_and_stays_off_when_it_wakes(
 
 
 @pytest.mark.parametrize("end", [signal.SIGKILL, signal.SIGSTOP])
-def test_when_the_rails_process_dies_or_hangs_a_new_one_stops_the_drive_first(
+def test_a_process_that_dies_or_hangs_is_replaced_by_one_that_stops_the_drive_first(
     run: Any, until: Any, running: Any, end: signal.Signals
 ) -> None:
     async def play() -> None:
@@ -186,25 +187,25 @@ def test_when_the_rails_process_dies_or_hangs_a_new_one_stops_the_drive_first(
             async with running(axis):
                 await until(lambda: axis.read() is not None and axis.problem() is None, lambda: each(False))
                 await until(lambda: axis.read().velocity_m_s, lambda: each(True))  # type: ignore[union-attr]
-                first = axis._leading.child.pid  # type: ignore[union-attr]
+                first = axis._active.child.pid  # type: ignore[union-attr]
                 os.kill(first, end)
                 await until(lambda: False in seen, lambda: each(True))
                 assert "the rail's process ended" in (axis.problem() or "")
                 await until(lambda: drive.off and axis.read().linked, lambda: each(True))  # type: ignore[union-attr]
                 (_, *firsts), *others = drive.by_link.values()
-                assert any(firsts)  # it moved
-                assert others  # the new one may have spoken before its predecessor's end was told
+                assert any(firsts)
+                assert others
                 assert {velocity for link in others for velocity in link} == {0}
                 assert not axis.read().enabled  # type: ignore[union-attr]
                 assert gone(first)
-                assert axis._leading.child.pid != first  # type: ignore[union-attr]
+                assert axis._active.child.pid != first  # type: ignore[union-attr]
                 await until(lambda: axis.problem() is None, lambda: each(False))
-                await until(lambda: drive.moving, lambda: each(True))  # a person has disarmed and armed
+                await until(lambda: drive.moving, lambda: each(True))
 
     run(play())
 
 
-def test_a_process_that_hangs_when_the_daemon_ends_is_replaced_by_one_that_stops_the_drive(
+def test_a_process_that_hangs_at_the_daemons_end_is_replaced(
     run: Any, until: Any, running: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("softarm.drivers.rail.driver.STOP_S", 1.0)
@@ -216,7 +217,7 @@ def test_a_process_that_hangs_when_the_daemon_ends_is_replaced_by_one_that_stops
             async with running(axis):
                 await until(lambda: axis.problem() is None, lambda: axis.write(False, 0.0))
                 await until(lambda: drive.moving, lambda: axis.write(True, 0.5) or drive.step())
-                os.kill(axis._leading.child.pid, signal.SIGSTOP)  # type: ignore[union-attr]
+                os.kill(axis._active.child.pid, signal.SIGSTOP)  # type: ignore[union-attr]
                 mover = asyncio.create_task(until(lambda: False, drive.step))
                 await axis.stop()
                 mover.cancel()
@@ -225,7 +226,7 @@ def test_a_process_that_hangs_when_the_daemon_ends_is_replaced_by_one_that_stops
     run(play())
 
 
-def test_a_drive_that_trips_in_motion_is_asked_no_oftener_than_before(run: Any, until: Any, running: Any) -> None:
+def test_a_drive_in_fault_is_not_polled_more_often(run: Any, until: Any, running: Any) -> None:
     async def play() -> None:
         drive = Drive()
         async with served(drive) as config:
@@ -235,23 +236,23 @@ def test_a_drive_that_trips_in_motion_is_asked_no_oftener_than_before(run: Any, 
                 await until(lambda: drive.moving, lambda: axis.write(True, 0.5) or drive.step())
                 drive.trip(0x8611)
                 await until(lambda: axis.read().faults, lambda: axis.write(True, 0.5))  # type: ignore[union-attr]
-                since, began_s = drive.asked, time.monotonic()
+                since, began_s = drive.requests, time.monotonic()
                 await until(lambda: time.monotonic() > began_s + 0.5)
-                assert drive.asked - since < 150  # a cycle in 40 ms has four
+                assert drive.requests - since < 150
 
     run(play())
 
 
-def test_stopping_the_driver_switches_the_drive_off_and_leaves_no_process(run: Any, until: Any, running: Any) -> None:
+def test_stopping_the_driver_disables_the_drive_and_leaves_no_process(run: Any, until: Any, running: Any) -> None:
     async def play() -> None:
         drive = Drive()
         async with served(drive) as config:
             axis = DryveRailAxis(config, 20)
             async with running(axis):
-                process = axis._leading.child.pid  # type: ignore[union-attr]
+                process = axis._active.child.pid  # type: ignore[union-attr]
                 await until(lambda: axis.problem() is None, lambda: axis.write(False, 0.0))
                 await until(lambda: drive.moving, lambda: axis.write(True, 0.5) or drive.step())
-                os.kill(process, signal.SIGTERM)  # a service manager says so to all; only the pair ends it
+                os.kill(process, signal.SIGTERM)
                 mover = asyncio.create_task(until(lambda: False, drive.step))
                 await axis.stop()
                 mover.cancel()
@@ -261,14 +262,15 @@ def test_stopping_the_driver_switches_the_drive_off_and_leaves_no_process(run: A
     run(play())
 
 
-def test_it_weighs_little(free_port: int, run: Any, until: Any, running: Any) -> None:
+def test_the_process_is_small_and_imports_little(free_port: int, run: Any, until: Any, running: Any) -> None:
     async def play() -> None:
         axis = DryveRailAxis(DryveRail(host="127.0.0.1", port=free_port))
         async with running(axis):
             await until(lambda: "Connection refused" in (axis.problem() or ""), lambda: axis.write(False, 0.0))
-            status = Path(f"/proc/{axis._leading.child.pid}/status").read_text()  # type: ignore[union-attr]
+            status = Path(f"/proc/{axis._active.child.pid}/status").read_text()  # type: ignore[union-attr]
             [resident_kb] = [int(line.split()[1]) for line in status.splitlines() if line.startswith("VmRSS")]
-            assert resident_kb < 25_000  # an empty interpreter has 9,000, the daemon 200,000
+            # An empty interpreter has 9,000, the daemon 200,000.
+            assert resident_kb < 25_000
 
     run(play())
     names = "import sys, softarm.drivers.rail.process; print(*sys.modules)"

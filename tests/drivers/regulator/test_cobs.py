@@ -1,4 +1,4 @@
-"""Framing on the serial line: exact where the standard is, deaf to noise."""
+"""Framing on the serial line: as in the standard, and robust against noise."""
 
 import random
 
@@ -19,7 +19,7 @@ VECTORS = [
 
 
 @pytest.mark.parametrize(("data", "stuffed"), VECTORS)
-def test_known_vectors(data: str, stuffed: str) -> None:
+def test_known_vectors_are_encoded(data: str, stuffed: str) -> None:
     assert stuff(bytes.fromhex(data)).hex() == stuffed
     assert unstuff(bytes.fromhex(stuffed)).hex() == data
 
@@ -39,7 +39,7 @@ def test_agrees_with_the_cobs_package_and_holds_no_zero(data: bytes) -> None:
 @given(st.binary(max_size=60))
 @example(b"\x03\x01\x00")  # a zero within a run
 @example(b"\x01\x00\x01")
-def test_refuses_what_the_cobs_package_refuses(block: bytes) -> None:
+def test_rejects_the_blocks_that_the_cobs_package_rejects(block: bytes) -> None:
     try:
         expected = oracle.decode(block) if block else None
     except oracle.DecodeError:
@@ -51,12 +51,12 @@ def test_refuses_what_the_cobs_package_refuses(block: bytes) -> None:
         assert unstuff(block) == expected
 
 
-def test_crc_check_value() -> None:
+def test_the_crc_has_its_check_value() -> None:
     assert crc16(b"123456789") == 0x29B1
 
 
 @given(st.lists(st.binary(min_size=1, max_size=40), max_size=8), st.data())
-def test_frames_survive_any_cutting_of_the_stream(bodies: list[bytes], data: st.DataObject) -> None:
+def test_frames_survive_any_splitting_of_the_stream(bodies: list[bytes], data: st.DataObject) -> None:
     stream = b"".join(map(frame, bodies))
     cuts = sorted(data.draw(st.lists(st.integers(0, len(stream)), max_size=10)))
     deframer = Deframer()
@@ -65,14 +65,14 @@ def test_frames_survive_any_cutting_of_the_stream(bodies: list[bytes], data: st.
     assert deframer.dropped == 0
 
 
-def test_the_frame_after_noise_is_heard() -> None:
+def test_the_frame_after_noise_is_received() -> None:
     deframer = Deframer()
     assert deframer.feed(b"\x07noise without end") == []
     assert deframer.feed(b"\0" + frame(b"hello")) == [b"hello"]
     assert deframer.dropped == 1
 
 
-def test_noise_without_a_zero_does_not_pile_up() -> None:
+def test_noise_without_a_zero_does_not_accumulate() -> None:
     deframer = Deframer()
     for _ in range(100):
         assert deframer.feed(b"\x55" * FRAME_MAX_BYTES) == []
@@ -83,12 +83,12 @@ def test_noise_without_a_zero_does_not_pile_up() -> None:
 
 
 @pytest.mark.parametrize("cut", [0, 1, FRAME_MAX_BYTES, FRAME_MAX_BYTES + 1, 2 * FRAME_MAX_BYTES, -12, -1])
-def test_after_too_much_noise_it_begins_anew_at_a_zero_however_the_line_is_cut(cut: int) -> None:
+def test_after_too_much_noise_the_next_zero_starts_a_frame(cut: int) -> None:
     line = b"\x55" * 2 * FRAME_MAX_BYTES + frame(b"unheard") + frame(b"hello")
     deframer = Deframer()
     assert [*deframer.feed(line[:cut]), *deframer.feed(line[cut:])] == [b"hello"]
     assert deframer.dropped == 1
-    for _ in range(2):  # and a second time
+    for _ in range(2):
         assert deframer.feed(b"\x07" * 300) == []
     assert deframer.feed(frame(b"unheard") + frame(b"hello")) == [b"hello"]
     assert deframer.dropped == 2
@@ -106,15 +106,15 @@ def test_the_longest_frame_passes_whole_or_in_pieces_and_one_byte_more_does_not(
     assert deframer.dropped == 1
 
 
-def test_zeros_between_frames_are_no_frames() -> None:
+def test_zeros_between_frames_are_ignored() -> None:
     deframer = Deframer()
     assert deframer.feed(b"\0\0" + frame(b"hello") + b"\0" + frame(b"again")) == [b"hello", b"again"]
     assert deframer.dropped == 0
 
 
-def test_a_frame_around_nothing_is_noise() -> None:
+def test_an_empty_frame_is_noise() -> None:
     deframer = Deframer()
-    assert deframer.feed(frame(b"")) == []  # its CRC is right
+    assert deframer.feed(frame(b"")) == []
     assert deframer.dropped == 1
 
 

@@ -1,4 +1,4 @@
-"""The regulator's driver against the twin's device behind a real pseudo-terminal."""
+"""Driver of the regulator against the twin's device behind a real pseudo-terminal."""
 
 import os
 from pathlib import Path
@@ -17,23 +17,23 @@ MEASURED_KPA = 3.25
 
 
 class Device(TeensyDevice):
-    """Remembers what it was told."""
+    """Device that records the received messages."""
 
     def __init__(self) -> None:
-        self.heard: list[Any] = []
+        self.received: list[Any] = []
         self._spy = Deframer()
         super().__init__()
 
     def receive(self, data: bytes, now_ns: int, pressure_kpa: float) -> bytes:
-        self.heard += [decode(body)[0] for body in self._spy.feed(data)]
+        self.received += [decode(body)[0] for body in self._spy.feed(data)]
         return super().receive(data, now_ns, pressure_kpa)
 
     def commands(self) -> list[RegulatorCommand]:
-        return [message for message in self.heard if isinstance(message, RegulatorCommand)]
+        return [message for message in self.received if isinstance(message, RegulatorCommand)]
 
 
 class Bench:
-    """Driver and device, on a clock that stands still."""
+    """Driver and device with a manual clock."""
 
     def __init__(self, path: Path, clock: Any, until: Any) -> None:
         self.clock, self.path, self._until = clock, path, until
@@ -50,8 +50,8 @@ class Bench:
 
     async def arm(self, pressure_kpa: float = 10.0) -> None:
         def disarmed() -> bool:
-            heard = self.device.commands()
-            return self.regulator.read() is not None and bool(heard) and not heard[-1].armed
+            commands = self.device.commands()
+            return self.regulator.read() is not None and bool(commands) and not commands[-1].armed
 
         await self.write_until(disarmed)
         await self.write_until(lambda: self.regulator.read().armed, True, pressure_kpa)
@@ -62,7 +62,7 @@ def bench(tmp_path: Path, clock: Any, until: Any, regulator_bench: Any) -> Any:
     return regulator_bench(lambda: Bench(tmp_path / "teensy", clock, until))
 
 
-def test_set_points_arrive_and_the_sensor_comes_back(bench: Any) -> None:
+def test_set_points_reach_the_device_and_the_sensor_is_read(bench: Any) -> None:
     async def script(b: Bench) -> None:
         await b.arm(12.5)
         await b.write_until(lambda: b.device.set_point_kpa == 12.5, True, 12.5)
@@ -76,22 +76,20 @@ def test_set_points_arrive_and_the_sensor_comes_back(bench: Any) -> None:
     bench(script)
 
 
-def test_without_writes_nothing_is_sent_and_the_device_vents_until_disarmed_and_armed_again(
-    bench: Any, until: Any
-) -> None:
+def test_without_writes_the_device_vents_until_disarmed_and_armed_again(bench: Any, until: Any) -> None:
     async def script(b: Bench) -> None:
         await b.arm()
-        await until(lambda: b.regulator.read().sequence == len(b.device.commands()) + 1)  # all answered
-        told = len(b.device.heard)
+        await until(lambda: b.regulator.read().sequence == len(b.device.commands()) + 1)
+        count = len(b.device.received)
         b.clock.advance(0.101)
         b.port.step()
         assert b.device.set_point_kpa == 0.0
-        assert len(b.device.heard) == told
+        assert len(b.device.received) == count
         await b.write_until(lambda: not b.regulator.read().armed, True, 10.0)
         assert "commands stopped, so the muscle was vented: disarm, then arm again" in b.regulator.problem()
-        assert b.regulator.read().faults == ()  # it did what it was built for; that it vented, `armed` says
-        await b.write_until(lambda: len(b.device.heard) > told + 5, True, 10.0)
-        assert b.device.set_point_kpa == 0.0  # armed commands alone do not bring it back
+        assert b.regulator.read().faults == ()
+        await b.write_until(lambda: len(b.device.received) > count + 5, True, 10.0)
+        assert b.device.set_point_kpa == 0.0
         await b.write_until(lambda: b.regulator.problem() is None)
         await b.arm()
         assert b.device.set_point_kpa == 10.0
@@ -99,16 +97,16 @@ def test_without_writes_nothing_is_sent_and_the_device_vents_until_disarmed_and_
     bench(script)
 
 
-def test_the_newest_set_point_wins(bench: Any, until: Any) -> None:
+def test_the_newest_set_point_replaces_older_ones(bench: Any, until: Any) -> None:
     async def script(b: Bench) -> None:
         await b.arm()
         await until(lambda: b.regulator.read().sequence == len(b.device.commands()) + 1)
         since = len(b.device.commands())
-        for kpa in range(11, 20):  # above what it is armed with
+        for kpa in range(11, 20):
             b.regulator.write(True, float(kpa))
         await until(lambda: b.device.commands()[-1].pressure_kpa == 19.0)
-        told = [command.pressure_kpa for command in b.device.commands()[since:]]
-        assert told == sorted(told)  # any may be told again, to keep the device alive; none comes back
+        sent = [command.pressure_kpa for command in b.device.commands()[since:]]
+        assert sent == sorted(sent)
 
     bench(script)
 
@@ -120,15 +118,15 @@ def test_stop_vents_and_frees_the_port(bench: Any, running: Any) -> None:
         await b._until(lambda: not b.device.armed)
         assert not b.device.commands()[-1].armed
         again = TeensyRegulator(SerialRegulator(port=str(b.path)), b.clock)
-        async with running(again):  # exclusive, so the first must have let go
+        async with running(again):
             await b._until(lambda: again.problem() is None)
-        b.regulator.write(True, 5.0)  # harmless
+        b.regulator.write(True, 5.0)
 
     bench(script)
 
 
 @pytest.mark.parametrize("bad_kpa", [float("nan"), float("inf")])
-def test_a_set_point_that_is_not_finite_vents(bench: Any, bad_kpa: float) -> None:
+def test_nan_and_infinity_vent(bench: Any, bad_kpa: float) -> None:
     async def script(b: Bench) -> None:
         await b.arm()
         await b.write_until(lambda: not b.regulator.read().armed, True, bad_kpa)
@@ -137,23 +135,23 @@ def test_a_set_point_that_is_not_finite_vents(bench: Any, bad_kpa: float) -> Non
     bench(script)
 
 
-def test_a_set_point_out_of_range_is_refused_in_words(bench: Any) -> None:
+def test_a_set_point_out_of_range_is_rejected_and_reported(bench: Any) -> None:
     async def script(b: Bench) -> None:
         await b.arm()
         await b.write_until(lambda: b.regulator.read().faults, True, 25.0)
-        assert "out of range (-0.7 to 20.0 kPa" in b.regulator.problem()
-        assert b.device.set_point_kpa == 10.0  # the last good one, until its time runs out
+        assert "out of range (allowed: -0.7 to 20.0 kPa" in b.regulator.problem()
+        assert b.device.set_point_kpa == 10.0
 
     bench(script)
 
 
-def test_garbled_answers_are_dropped_and_told(bench: Any) -> None:
+def test_garbled_answers_are_dropped_and_reported(bench: Any) -> None:
     async def script(b: Bench) -> None:
         await b.arm()
         b.faults.serial_garbage()
         before = b.regulator.read()
-        told = len(b.device.heard)
-        await b.write_until(lambda: len(b.device.heard) > told + 20, True, 10.0)
+        count = len(b.device.received)
+        await b.write_until(lambda: len(b.device.received) > count + 20, True, 10.0)
         b.clock.advance(0.3)
         assert "no answer for 0.3 s" in b.regulator.problem()
         assert "check the cable" in b.regulator.problem()
@@ -171,10 +169,10 @@ def test_silence_reopens_the_port_and_greets_again(bench: Any) -> None:
         b.faults.serial_silence()
         await b.write_until(lambda: "no answer for 0." in (tick(b) or ""), True, 10.0)
         await b.write_until(lambda: "no answer for 1 s" in (tick(b) or ""), True, 10.0)
-        hellos = sum(isinstance(message, Hello) for message in b.device.heard)
+        hellos = sum(isinstance(message, Hello) for message in b.device.received)
         b.faults.clear()
         await b.write_until(lambda: b.regulator.problem() is None)
-        assert sum(isinstance(message, Hello) for message in b.device.heard) > hellos
+        assert sum(isinstance(message, Hello) for message in b.device.received) > hellos
         assert not b.device.armed
 
     def tick(b: Bench) -> str | None:
@@ -191,9 +189,9 @@ def test_a_port_that_vanishes_while_open_comes_back_disarmed(bench: Any) -> None
         await b.write_until(lambda: "No such file or directory" in (b.regulator.problem() or ""), True, 10.0)
         assert "plug the Teensy in" in b.regulator.problem()
         b.faults.clear()
-        told = len(b.device.heard)
-        await b.write_until(lambda: len(b.device.heard) > told + 5, True, 10.0)
-        assert not b.device.armed  # no armed command revives it
+        count = len(b.device.received)
+        await b.write_until(lambda: len(b.device.received) > count + 5, True, 10.0)
+        assert not b.device.armed
         await b.arm()
 
     bench(script)
@@ -209,7 +207,7 @@ def test_a_device_that_restarts_is_greeted_again(bench: Any) -> None:
     bench(script)
 
 
-def refused(path: Path, run: Any, until: Any, running: Any) -> str:
+def problem_of(path: Path, run: Any, until: Any, running: Any) -> str:
     async def play() -> str:
         regulator = TeensyRegulator(SerialRegulator(port=str(path)))
         async with running(regulator):
@@ -221,15 +219,15 @@ def refused(path: Path, run: Any, until: Any, running: Any) -> str:
     return str(run(play()))
 
 
-def test_ports_that_cannot_be_opened_are_told(tmp_path: Path, run: Any, until: Any, running: Any) -> None:
+def test_a_port_that_cannot_be_opened_is_reported(tmp_path: Path, run: Any, until: Any, running: Any) -> None:
     absent, plain = tmp_path / "absent", tmp_path / "plain"
     plain.write_text("no port")
-    assert f"{absent}: open: " in refused(absent, run, until, running)
-    assert "plug the Teensy in (ls /dev/serial/by-id)" in refused(absent, run, until, running)
-    assert "is it a serial port?" in refused(plain, run, until, running)
+    assert f"{absent}: open: " in problem_of(absent, run, until, running)
+    assert "plug the Teensy in (ls /dev/serial/by-id)" in problem_of(absent, run, until, running)
+    assert "set drivers.regulator.port to a serial port" in problem_of(plain, run, until, running)
 
 
-def test_a_port_that_another_process_holds_is_told(tmp_path: Path, clock: Any, run: Any, until: Any) -> None:
+def test_a_port_held_by_another_process_is_reported(tmp_path: Path, clock: Any, run: Any, until: Any) -> None:
     async def play() -> None:
         bench = Bench(tmp_path / "teensy", clock, until)
         bench.port.open()
@@ -245,81 +243,79 @@ def test_a_port_that_another_process_holds_is_told(tmp_path: Path, clock: Any, r
     run(play())
 
 
-def test_a_host_that_only_hears_itself_says_so(clock: Any) -> None:
-    talk = Conversation(0.1)
-    talk.receive(talk.greeting(clock()))
-    assert not talk.known
-    assert "echoes" in str(talk.complaint)
+def test_an_echo_of_the_sent_bytes_is_reported(clock: Any) -> None:
+    conversation = Conversation(0.1)
+    conversation.receive(conversation.greeting(clock()))
+    assert not conversation.known
+    assert "echoes" in str(conversation.complaint)
 
 
-def test_an_older_firmware_is_named() -> None:
-    talk = Conversation(0.1)
-    talk.receive(frame(b"\2" + encode(Welcome(1), 1, 1)[1:]))
-    assert "protocol version 2, this software speaks 1" in str(talk.complaint)
-    assert talk.dropped == 1
+def test_another_protocol_version_is_reported() -> None:
+    conversation = Conversation(0.1)
+    conversation.receive(frame(b"\2" + encode(Welcome(1), 1, 1)[1:]))
+    assert "protocol version 2, this software supports 1" in str(conversation.complaint)
+    assert conversation.dropped == 1
 
 
 def test_commands_wait_for_the_token(clock: Any) -> None:
-    talk = Conversation(0.1)
-    assert talk.command(True, 5.0, clock()) == b""
-    talk.receive(frame(encode(Welcome(77), 1, 1)))
-    [body] = Deframer().feed(talk.command(True, 5.0, clock()))
+    conversation = Conversation(0.1)
+    assert conversation.command(True, 5.0, clock()) == b""
+    conversation.receive(frame(encode(Welcome(77), 1, 1)))
+    [body] = Deframer().feed(conversation.command(True, 5.0, clock()))
     assert decode(body)[0] == RegulatorCommand(77, 0.1, True, 5.0)
-    talk.receive(frame(encode(RegulatorState(0, False, Fault.TOKEN, 0.0), 2, 1)))
-    assert talk.command(True, 5.0, clock()) == b""
+    conversation.receive(frame(encode(RegulatorState(0, False, Fault.TOKEN, 0.0), 2, 1)))
+    assert conversation.command(True, 5.0, clock()) == b""
 
 
-def heard(talk: Conversation, message: Any, sequence: int) -> RegulatorState | None:
-    return talk.receive(frame(encode(message, sequence, 0)))
+def receive(conversation: Conversation, message: Any, sequence: int) -> RegulatorState | None:
+    return conversation.receive(frame(encode(message, sequence, 0)))
 
 
-def test_a_state_that_is_heard_again_is_no_new_reading(clock: Any) -> None:
-    talk = Conversation(0.1)
-    heard(talk, Welcome(77), 2**32 - 2)
-    talk.command(True, 5.0, clock())
+def test_a_repeated_state_is_not_a_new_reading(clock: Any) -> None:
+    conversation = Conversation(0.1)
+    receive(conversation, Welcome(77), 2**32 - 2)
+    conversation.command(True, 5.0, clock())
     state = RegulatorState(1, True, Fault(0), 5.0)
-    assert heard(talk, state, 2**32 - 1) == state
-    assert heard(talk, state, 0) == state  # the count wraps
+    assert receive(conversation, state, 2**32 - 1) == state
+    assert receive(conversation, state, 0) == state
     clock.advance(0.5)
-    talk.command(True, 5.0, clock())
+    conversation.command(True, 5.0, clock())
     for old in (0, 0, 2**32 - 1):
-        assert heard(talk, state, old) is None
-    assert "message 4294967295 is not newer than the last: repeated, or late" in str(talk.complaint)
-    assert talk.dropped == 3
-    assert talk.unanswered_since_ns == clock()  # it does not count as an answer either
-    assert heard(talk, state, 1) == state
-    assert talk.complaint is None
+        assert receive(conversation, state, old) is None
+    assert "message 4294967295 is repeated or late" in str(conversation.complaint)
+    assert conversation.dropped == 3
+    assert conversation.unanswered_since_ns == clock()
+    assert receive(conversation, state, 1) == state
+    assert conversation.complaint is None
 
 
-def test_an_answer_to_an_earlier_opening_is_no_reading() -> None:
-    talk = Conversation(0.1)
-    assert heard(talk, RegulatorState(1, True, Fault(0), 5.0), 9) is None
-    heard(talk, Welcome(77), 10)
-    assert talk.known
+def test_an_answer_to_an_earlier_connection_is_not_a_reading() -> None:
+    conversation = Conversation(0.1)
+    assert receive(conversation, RegulatorState(1, True, Fault(0), 5.0), 9) is None
+    receive(conversation, Welcome(77), 10)
+    assert conversation.known
 
 
 def test_an_old_welcome_does_not_change_the_token(clock: Any) -> None:
-    talk = Conversation(0.1)
-    heard(talk, Welcome(1), 5)
-    heard(talk, Welcome(2), 6)  # two greetings were under way: the device's last word counts
-    heard(talk, Welcome(1), 5)
-    [body] = Deframer().feed(talk.command(True, 5.0, clock()))
+    conversation = Conversation(0.1)
+    receive(conversation, Welcome(1), 5)
+    receive(conversation, Welcome(2), 6)
+    receive(conversation, Welcome(1), 5)
+    [body] = Deframer().feed(conversation.command(True, 5.0, clock()))
     assert decode(body)[0] == RegulatorCommand(2, 0.1, True, 5.0)
 
 
-def test_a_device_that_counts_anew_after_a_restart_is_greeted_and_believed_again(clock: Any) -> None:
-    talk = Conversation(0.1)
-    heard(talk, Welcome(1), 5000)
-    heard(talk, RegulatorState(0, False, Fault.TOKEN, 0.0), 1)
-    assert talk.greeting(clock())
-    heard(talk, Welcome(2), 2)
+def test_a_device_that_restarts_its_count_is_greeted_again(clock: Any) -> None:
+    conversation = Conversation(0.1)
+    receive(conversation, Welcome(1), 5000)
+    receive(conversation, RegulatorState(0, False, Fault.TOKEN, 0.0), 1)
+    assert conversation.greeting(clock())
+    receive(conversation, Welcome(2), 2)
     state = RegulatorState(3, False, Fault(0), 5.0)
-    assert heard(talk, state, 3) == state
+    assert receive(conversation, state, 3) == state
 
 
-def test_a_repeating_line_leaves_the_reading_to_grow_old(bench: Any) -> None:
-    """The twin's line says its last frame again and again; the daemon sees a device that has fallen silent."""
-
+def test_on_a_line_that_repeats_itself_the_reading_becomes_stale(bench: Any) -> None:
     async def script(b: Bench) -> None:
         await b.arm()
         answer = b.device.receive
@@ -335,16 +331,16 @@ def test_a_repeating_line_leaves_the_reading_to_grow_old(bench: Any) -> None:
         b.clock.advance(0.3)
         await b.write_until(lambda: len(kept) > 6, True, 10.0)
         assert b.regulator.read().t_receive_ns == stamp_ns
-        assert "not newer than the last" in b.regulator.problem()
+        assert "is repeated or late" in b.regulator.problem()
 
     bench(script)
 
 
-def test_a_thousand_other_descriptors_hurt_nothing(bench: Any, many_descriptors: Any) -> None:
+def test_a_thousand_other_descriptors_do_not_matter(bench: Any, many_descriptors: Any) -> None:
     async def script(b: Bench) -> None:
         b.faults.serial_unplug()
         await b.write_until(lambda: "plug the Teensy in" in (b.regulator.problem() or ""))
-        with many_descriptors():  # takes the closed port's number too
+        with many_descriptors():
             b.faults.clear()
             await b.arm()
             assert b.regulator.problem() is None
@@ -354,11 +350,11 @@ def test_a_thousand_other_descriptors_hurt_nothing(bench: Any, many_descriptors:
     bench(script)
 
 
-def test_the_twin_leaves_a_real_device_alone(tmp_path: Path, clock: Any) -> None:
+def test_the_twin_does_not_replace_a_real_device(tmp_path: Path, clock: Any) -> None:
     path = tmp_path / "ttyACM0"
     path.write_text("the real thing")
     port = TeensyPort(path, TeensyDevice(), Faults(clock), clock, lambda: 0.0)
-    with pytest.raises(Exception, match=r"something else is there; set drivers\.regulator\.port"):
+    with pytest.raises(Exception, match=r"another file exists there; set drivers\.regulator\.port"):
         port.open()
     assert path.read_text() == "the real thing"
     assert not os.path.islink(path)

@@ -1,4 +1,4 @@
-"""The messages on the serial line: what is packed is unpacked, and nothing else is taken for a message."""
+"""Messages on the serial line: they survive encoding, and nothing else is accepted."""
 
 import contextlib
 import math
@@ -30,17 +30,17 @@ messages = st.one_of(
 
 
 @given(messages, u32, st.integers(0, 2**64))
-def test_round_trip(message: object, sequence: int, time_us: int) -> None:
+def test_a_message_survives_encoding(message: object, sequence: int, time_us: int) -> None:
     assert decode(encode(message, sequence, time_us)) == (message, sequence)  # type: ignore[arg-type]
 
 
-def test_the_layout_that_the_firmware_reads() -> None:
+def test_the_layout_is_that_of_the_firmware() -> None:
     body = encode(RegulatorCommand(0xA1B2C3D4, 0.1, True, 12.5), sequence=7, time_us=2**32 + 1)
     assert body.hex() == "0102" + "07000000" + "01000000" + "d4c3b2a1" + "6400" + "01" + "00004841"
 
 
 @pytest.mark.parametrize(("flags", "armed"), [(0x00, False), (0x01, True), (0xFE, False), (0xFF, True)])
-def test_the_lowest_flag_arms_and_the_others_say_nothing(flags: int, armed: bool) -> None:
+def test_the_lowest_flag_arms_and_the_others_are_ignored(flags: int, armed: bool) -> None:
     command = encode(RegulatorCommand(1, 0.1, True, 1.0), 1, 1)
     assert decode(command[:16] + bytes([flags]) + command[17:])[0] == RegulatorCommand(1, 0.1, armed, 1.0)
     state = encode(RegulatorState(1, True, Fault(0), 1.0), 1, 1)
@@ -64,25 +64,25 @@ def test_noise_is_a_message_or_a_value_error(body: bytes) -> None:
         (encode(RegulatorState(1, True, Fault(0), 0.0), 1, 1)[:-4] + struct.pack("<f", math.nan), "pressure of nan"),
     ],
 )
-def test_refusals_say_what_is_wrong(body: bytes, words: str) -> None:
+def test_an_error_states_the_cause(body: bytes, words: str) -> None:
     with pytest.raises(ValueError, match=words):
         decode(body)
 
 
-def test_every_fault_has_its_words() -> None:
+def test_every_fault_has_a_sentence() -> None:
     assert Fault(0).sentences() == ()
-    assert not [sentence for fault in Fault for sentence in fault.sentences() if "does not know" in sentence]
+    assert not [sentence for fault in Fault for sentence in fault.sentences() if "unknown" in sentence]
 
 
-def test_a_fault_bit_that_nobody_here_knows_is_a_fault_with_its_number() -> None:
+def test_an_unknown_fault_bit_is_reported_with_its_number() -> None:
     body = encode(RegulatorState(1, True, Fault(0), 1.0), 1, 1)
     body = body[:15] + (1 << 2 | 1 << 15 | 1 << 9).to_bytes(2, "little") + body[17:]
     state, _ = decode(body)
     assert isinstance(state, RegulatorState)
     known, ninth, fifteenth = state.faults.sentences()
-    assert known == "the command was out of range (-0.7 to 20.0 kPa, time to live up to 0.25 s)"
-    assert "fault bit 9, which this software does not know" in ninth
-    assert "fault bit 15" in fifteenth
+    assert known == "the command was out of range (allowed: -0.7 to 20.0 kPa, time to live up to 0.25 s)"
+    assert "unknown fault bit 9" in ninth
+    assert "unknown fault bit 15" in fifteenth
     assert len(Fault(0xFFFF).sentences()) == 16
 
 

@@ -1,4 +1,4 @@
-"""What the twin's two devices promise, on a clock that the test holds."""
+"""Promises of the twin's two devices, with a manual clock."""
 
 import json
 import math
@@ -21,7 +21,7 @@ MS = 1_000_000
 
 
 class Host:
-    """The other end of the Teensy's line."""
+    """Host's end of the Teensy's line."""
 
     def __init__(self) -> None:
         self.device = TeensyDevice()
@@ -29,19 +29,19 @@ class Host:
         self._deframer, self._sequence = Deframer(), 0
         self.token = 0
 
-    def say(self, message: Any) -> Any:
+    def send(self, message: Any) -> Any:
         self._sequence += 1
         answer = self.device.receive(frame(encode(message, self._sequence, 0)), self.now_ns, 1.0)
         [body] = self._deframer.feed(answer)
         return decode(body)[0]
 
     def greet(self) -> None:
-        answer = self.say(Hello())
+        answer = self.send(Hello())
         assert isinstance(answer, Welcome)
         self.token = answer.token
 
     def command(self, armed: bool, kpa: float = 5.0, time_to_live_s: float = 0.1, token: int | None = None) -> Any:
-        return self.say(RegulatorCommand(self.token if token is None else token, time_to_live_s, armed, kpa))
+        return self.send(RegulatorCommand(self.token if token is None else token, time_to_live_s, armed, kpa))
 
 
 @pytest.fixture
@@ -58,7 +58,7 @@ def test_arming_takes_a_disarmed_command_first(host: Host) -> None:
     assert host.device.set_point_kpa == 5.0
 
 
-def test_it_vents_when_the_time_to_live_runs_out_and_no_late_command_revives_it(host: Host) -> None:
+def test_it_vents_when_the_time_to_live_expires_and_late_commands_do_not_arm(host: Host) -> None:
     host.command(False)
     host.command(True, time_to_live_s=0.1)
     host.now_ns = 100 * MS - 1
@@ -72,7 +72,7 @@ def test_it_vents_when_the_time_to_live_runs_out_and_no_late_command_revives_it(
     assert host.command(True).armed
 
 
-def test_the_wrong_token_neither_arms_nor_keeps_alive(host: Host) -> None:
+def test_a_wrong_token_neither_arms_nor_keeps_alive(host: Host) -> None:
     host.command(False)
     accepted = host.command(True).accepted_sequence
     host.now_ns = 90 * MS
@@ -100,7 +100,7 @@ def test_commands_out_of_range_are_not_accepted(host: Host, kpa: float, time_to_
     assert (answer.faults, answer.armed) == (Fault.RANGE, False)
 
 
-def test_a_command_that_comes_again_is_answered_and_keeps_nothing_alive(host: Host) -> None:
+def test_a_repeated_command_is_answered_but_keeps_nothing_alive(host: Host) -> None:
     host.command(False)
     accepted = host.command(True).accepted_sequence
     host.now_ns = 90 * MS
@@ -114,7 +114,7 @@ def test_a_command_that_comes_again_is_answered_and_keeps_nothing_alive(host: Ho
 
 def test_the_count_of_accepted_commands_begins_with_the_hello(host: Host) -> None:
     assert host.command(False, token=host.token ^ 1).accepted_sequence == 0
-    assert host.command(False).accepted_sequence == 3  # after the hello and the one refused
+    assert host.command(False).accepted_sequence == 3
     host.greet()
     assert host.command(False, 25.0).accepted_sequence == 0
 
@@ -146,7 +146,7 @@ def test_noise_on_the_line_never_arms(data: bytes) -> None:
 
 
 class Master:
-    """The other end of the drive's line."""
+    """Master's end of the drive's line."""
 
     def __init__(self, **config: Any) -> None:
         self.drive = DryveDevice(DryveRail(**config))
@@ -182,11 +182,11 @@ class Master:
         ("0000000000050003000a0001", "00000000000300ab03"),
     ],
 )
-def test_the_drive_answers_as_real_ones_were_seen_to(telegram: str, answer: str) -> None:
+def test_the_drive_answers_as_recorded_from_real_ones(telegram: str, answer: str) -> None:
     assert Master().ask(telegram) == answer
 
 
-def test_di7_low_is_bit_9_and_nothing_works() -> None:
+def test_with_di7_low_bit_9_is_clear_and_the_drive_cannot_be_enabled() -> None:
     master = Master()
     master.drive.remote = False
     assert master.ask("0f0f0000000d002b0d00000060410000000002").endswith("4004")
@@ -195,7 +195,7 @@ def test_di7_low_is_bit_9_and_nothing_works() -> None:
     assert master.drive.state is DriveState.SWITCH_ON_DISABLED
 
 
-def test_the_walk_shows_the_states_of_the_sample_programs() -> None:
+def test_enabling_shows_the_states_of_the_sample_programs() -> None:
     master, seen = Master(), []
     for word in (0x0100, 0x0006, 0x0007, 0x000F):
         master.write(dryve.CONTROLWORD, word)
@@ -216,7 +216,7 @@ def test_only_an_enabled_drive_in_velocity_mode_moves() -> None:
     assert master.drive.target_velocity_m_s == 0.0
 
 
-def test_a_silent_master_makes_it_brake_and_switch_off() -> None:
+def test_without_a_master_the_drive_brakes_and_is_disabled() -> None:
     master = Master()
     master.enable()
     master.write(dryve.TARGET_VELOCITY, 50_000)
@@ -225,14 +225,14 @@ def test_a_silent_master_makes_it_brake_and_switch_off() -> None:
     assert master.drive.target_velocity_m_s == 0.5
     master.drive.watch(master.now_ns + 101 * MS)
     assert (master.drive.state, master.drive.target_velocity_m_s) == (DriveState.QUICK_STOP, 0.0)
-    master.write(dryve.CONTROLWORD, 0x000F)  # no way back while it brakes
+    master.write(dryve.CONTROLWORD, 0x000F)
     assert master.drive.state is DriveState.QUICK_STOP
     master.drive.sense(0.12, 0.0)
     master.drive.watch(master.now_ns)
     assert master.drive.state is DriveState.SWITCH_ON_DISABLED
 
 
-def test_a_drive_that_keeps_going_does_so_without_its_master_and_stops_when_told() -> None:
+def test_a_drive_that_keeps_going_moves_without_its_master_until_stopped() -> None:
     master = Master()
     master.drive.keeps_going = True
     master.enable()
@@ -283,11 +283,11 @@ def test_operation_is_only_reached_through_switched_on(words: list[int]) -> None
 
 
 @given(st.binary(max_size=40))
-def test_no_telegram_upsets_the_drive(telegram: bytes) -> None:
+def test_any_telegram_is_answered(telegram: bytes) -> None:
     assert len(Master().drive.answer(telegram, 0)) in (9, 17, 19, 20, 21, 23)
 
 
-def test_faults_last_as_long_as_they_are_told(clock: Any) -> None:
+def test_faults_last_as_long_as_requested(clock: Any) -> None:
     faults = Faults(clock)
     faults.apply(b'{"fault": "mocap_drop_body", "body": "link3", "seconds": 0.5}')
     assert faults.active("mocap_drop_body")
@@ -304,7 +304,7 @@ def test_faults_last_as_long_as_they_are_told(clock: Any) -> None:
     assert not faults.active("remote_low")
 
 
-def test_a_fault_may_last_for_more_seconds_than_there_are_nanoseconds(clock: Any) -> None:
+def test_a_fault_may_last_for_very_many_seconds(clock: Any) -> None:
     faults = Faults(clock)
     faults.apply(b'{"fault": "mocap_freeze", "seconds": 1' + b"0" * 400 + b"}")
     assert faults.active("mocap_freeze")
@@ -313,32 +313,32 @@ def test_a_fault_may_last_for_more_seconds_than_there_are_nanoseconds(clock: Any
 @pytest.mark.parametrize(
     ("message", "words"),
     [
-        (b"nonsense", "JSON object like"),
-        (b"[]", "JSON object like"),
-        (b"[" * 100_000, "JSON object like"),
-        (json.dumps({"fault": "earthquake"}).encode(), "no fault 'earthquake'; choose one of clear, mocap_drop_body"),
-        (json.dumps({"fault": "apply"}).encode(), "no fault 'apply'"),
-        (json.dumps({"fault": "__init__"}).encode(), "no fault '__init__'"),
-        (json.dumps({"fault": ["x"]}).encode(), "no fault"),
-        (json.dumps({"fault": "mocap_freeze", "seconds": -1}).encode(), "give a positive number"),
+        (b"nonsense", "JSON object such as"),
+        (b"[]", "JSON object such as"),
+        (b"[" * 100_000, "JSON object such as"),
+        (json.dumps({"fault": "earthquake"}).encode(), "unknown fault 'earthquake'; allowed: clear, mocap_drop_body"),
+        (json.dumps({"fault": "apply"}).encode(), "unknown fault 'apply'"),
+        (json.dumps({"fault": "__init__"}).encode(), "unknown fault '__init__'"),
+        (json.dumps({"fault": ["x"]}).encode(), "unknown fault"),
+        (json.dumps({"fault": "mocap_freeze", "seconds": -1}).encode(), "use a positive number"),
         (json.dumps({"fault": "mocap_freeze", "second": 1}).encode(), "unexpected keyword argument 'second'"),
-        (json.dumps({"fault": "mocap_drop_body", "body": "nose"}).encode(), "no body 'nose'; choose one of cart"),
+        (json.dumps({"fault": "mocap_drop_body", "body": "nose"}).encode(), "unknown body 'nose'; allowed: cart"),
     ],
 )
-def test_faults_that_do_not_exist_are_refused_in_words(clock: Any, message: bytes, words: str) -> None:
+def test_an_invalid_fault_is_rejected_with_the_allowed_values(clock: Any, message: bytes, words: str) -> None:
     with pytest.raises(ValueError, match=words):
         Faults(clock).apply(message)
 
 
 def homing(master: Master, speed: int = 5000) -> None:
-    """A drive in operation in homing mode, which has not begun."""
+    """Enable the drive in homing mode without starting a search."""
     for entry, value in ((dryve.HOMING_SPEED, speed), (dryve.HOMING_CREEP, 1000)):
         master.write(entry, value)
     master.enable()
     master.write(dryve.MODE, dryve.HOMING)
 
 
-def test_it_is_homed_when_it_is_switched_on_and_is_not_after_a_power_cycle() -> None:
+def test_the_drive_is_homed_at_first_and_not_after_a_power_cycle() -> None:
     master = Master()
     master.drive.sense(0.1, 0.0)
     assert (master.read(dryve.HOMING_STATUS), master.read(dryve.POSITION)) == (1, 40_000)
@@ -354,7 +354,7 @@ def test_a_search_goes_to_the_switch_and_back_to_its_edge() -> None:
     master.drive.power_cycle()
     homing(master)
     assert master.drive.target_velocity_m_s == 0.0
-    assert master.read(dryve.STATUSWORD) & 0x3400 == 0x0400  # not begun
+    assert master.read(dryve.STATUSWORD) & 0x3400 == 0x0400
     master.write(dryve.CONTROLWORD, 0x001F)
     assert master.drive.target_velocity_m_s == -0.05
     assert master.read(dryve.STATUSWORD) & 0x3400 == 0
@@ -367,7 +367,7 @@ def test_a_search_goes_to_the_switch_and_back_to_its_edge() -> None:
 
 
 @pytest.mark.parametrize("word", [0x000F, 0x010F, 0x011F, 0x0006])
-def test_a_search_that_is_broken_off_does_not_go_on_by_itself(word: int) -> None:
+def test_a_cancelled_search_does_not_resume_by_itself(word: int) -> None:
     master = Master()
     homing(master)
     master.write(dryve.CONTROLWORD, 0x001F)
@@ -379,7 +379,7 @@ def test_a_search_that_is_broken_off_does_not_go_on_by_itself(word: int) -> None
     assert master.drive.target_velocity_m_s == 0.0
 
 
-def test_a_search_without_a_speed_fails_and_a_lost_master_ends_one() -> None:
+def test_a_search_without_speed_fails_and_a_lost_master_ends_a_search() -> None:
     master = Master()
     homing(master, speed=0)
     master.write(dryve.CONTROLWORD, 0x001F)

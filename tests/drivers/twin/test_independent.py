@@ -1,4 +1,4 @@
-"""The twin whose body is the independent robot: the same wires, the same drivers."""
+"""Twin with the independent robot as its body, behind the same interfaces."""
 
 import socket
 import subprocess
@@ -31,7 +31,7 @@ def config(tmp_path: Path) -> Config:
     )
 
 
-def test_the_daemons_drivers_move_it(config: Config, run: Any, until: Any, running: Any) -> None:
+def test_the_daemons_drivers_move_the_independent_robot(config: Config, run: Any, until: Any, running: Any) -> None:
     async def play() -> None:
         mocap, regulator = ZenohMocapSource(config.drivers.mocap), TeensyRegulator(config.drivers.regulator)
         rail = DryveRailAxis(config.drivers.rail)
@@ -62,7 +62,7 @@ def test_the_daemons_drivers_move_it(config: Config, run: Any, until: Any, runni
 
 def test_the_ordinary_twin_needs_no_mujoco() -> None:
     program = (
-        "import sys, softarm.cli.twin, softarm.drivers.twin.main;"
+        "import sys, softarm.cli.operate.twin, softarm.drivers.twin.main;"
         "print('mujoco' in sys.modules, 'softarm.reality' in sys.modules)"
     )
     answer = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=60, check=False)

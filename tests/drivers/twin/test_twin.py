@@ -1,4 +1,4 @@
-"""The whole twin, in real time, as the daemon's drivers and as nobody at all."""
+"""The whole twin in real time, with the daemon's drivers and without."""
 
 import asyncio
 import json
@@ -37,7 +37,7 @@ def config(tmp_path: Path) -> Config:
     return Config(
         drivers=Drivers(
             mocap=Mocap(endpoint=f"tcp/127.0.0.1:{mocap_port}"),
-            # The longest time to live that the device takes, for tests that share a busy machine.
+            # The longest time to live that the device accepts, because tests share a busy machine.
             regulator=SerialRegulator(port=str(tmp_path / "wires" / "teensy"), time_to_live_s=0.25),
             rail=DryveRail(host="127.0.0.1", port=rail_port, timeout_s=1.0),
         )
@@ -66,7 +66,7 @@ class Hands:
         await self._until(condition, each)
 
     async def arm(self) -> None:
-        """As a person would: first see that all is well, then ask."""
+        """Arm once all devices are healthy."""
         await self.write_until(lambda: self.problems() == [None] * 3 and self.regulator.read() and self.rail.read())
 
         def armed() -> bool:
@@ -81,7 +81,7 @@ def test_the_drivers_move_the_twin_and_their_silence_stops_it(
 ) -> None:
     async def play() -> None:
         hands = Hands(config, until)
-        async with running(hands.mocap, hands.regulator, hands.rail):  # the daemon is first
+        async with running(hands.mocap, hands.regulator, hands.rail):
             await until(lambda: all(hands.problems()))
             async with Twin(config) as twin:
                 await hands.arm()
@@ -89,13 +89,13 @@ def test_the_drivers_move_the_twin_and_their_silence_stops_it(
                 start = hands.frames[-1].bodies
                 await hands.write_until(lambda: twin.state.cart_velocity_m_s < -0.2, True, (-0.3, 15.0))
                 await hands.write_until(lambda: hands.regulator.read().pressure_kpa > 5.0, True, (-0.3, 15.0))
-                moved = hands.frames[-1]
-                assert moved.bodies[0].y_m < start[0].y_m
-                assert moved.bodies[5].y_m < start[5].y_m  # pressure bends it towards -y
+                # The tip first swings out the other way.
+                await hands.write_until(lambda: hands.frames[-1].bodies[5].y_m < start[5].y_m, True, (-0.3, 15.0))
+                assert hands.frames[-1].bodies[0].y_m < start[0].y_m
                 assert hands.rail.read().position_m == pytest.approx(twin.state.cart_position_m, abs=0.05)
                 sequences = [frame.sequence for frame in hands.frames]
                 assert sequences == sorted(set(sequences))
-                # The loop dies: nobody writes any more.
+                # The loop dies: no further writes.
                 await until(lambda: twin.state.vented and abs(twin.state.cart_velocity_m_s) < 0.05)
                 assert twin.state.crashes == 0
                 assert twin.state.vented_since_ns is not None
@@ -113,8 +113,8 @@ def test_a_closed_connection_brakes_the_cart_within_the_rail(
             async with running(hands.mocap, hands.regulator, hands.rail):
                 await hands.arm()
                 await hands.write_until(lambda: twin.state.cart_velocity_m_s > 0.3, True, (0.4, 5.0))
-                assert hands.rail._leading is not None
-                hands.rail._leading.child.kill()  # the kernel closes its connection
+                assert hands.rail._active is not None
+                hands.rail._active.child.kill()
                 await until(lambda: twin.state.drive == "switch-on disabled")
                 off_ns = twin.state.out_of_operation_since_ns
                 await until(lambda: twin.state.braked_since_ns)
@@ -147,7 +147,7 @@ def test_faults_reach_the_drivers(config: Config, run: Any, until: Any, running:
     run(play())
 
 
-def test_the_devices_do_not_count_what_the_twin_was_held_up_for(clock: Any) -> None:
+def test_delays_of_the_twin_do_not_count_as_silence(clock: Any) -> None:
     device_clock = DeviceClock(clock)
     start_ns = device_clock()
     for _ in range(12):
@@ -159,7 +159,7 @@ def test_the_devices_do_not_count_what_the_twin_was_held_up_for(clock: Any) -> N
     assert device_clock() - start_ns == pytest.approx(0.125e9, rel=1e-6)
 
 
-def test_a_second_twin_is_refused_and_leaves_the_first_ones_wires_alone(config: Config, run: Any) -> None:
+def test_a_second_twin_is_refused_and_the_first_keeps_its_ports(config: Config, run: Any) -> None:
     async def play() -> None:
         async with Twin(config):
             there = Path(config.drivers.regulator.port).readlink()
@@ -180,7 +180,7 @@ run_twin(Config.model_validate_json(sys.argv[1]), None, lambda line: print(line,
 
 
 @pytest.mark.slow
-def test_its_process_outlives_the_daemon_hears_faults_and_ends_when_told(config: Config, run: Any, until: Any) -> None:
+def test_the_process_outlives_the_daemon_and_ends_on_a_signal(config: Config, run: Any, until: Any) -> None:
     async def play() -> None:
         process = await asyncio.create_subprocess_exec(
             sys.executable, "-c", MAIN, config.model_dump_json(), stdout=subprocess.PIPE, stderr=subprocess.STDOUT
@@ -189,12 +189,12 @@ def test_its_process_outlives_the_daemon_hears_faults_and_ends_when_told(config:
         ready = (await process.stdout.readline()).decode()
         assert config.drivers.regulator.port in ready
         assert Path(config.drivers.regulator.port).is_symlink()
-        for _ in range(2):  # a daemon comes, goes, and comes again
+        for _ in range(2):
             await watch_and_break(config, until)
         process.send_signal(signal.SIGTERM)
         output, _ = await asyncio.wait_for(process.communicate(), 5)
         assert process.returncode == 0
-        assert b"there is no fault 'nonsense'" in output
+        assert b"unknown fault 'nonsense'" in output
         assert not Path(config.drivers.regulator.port).is_symlink()
 
     run(play())
@@ -223,12 +223,12 @@ async def watch_and_break(config: Config, until: Any) -> None:
 
 
 @pytest.mark.parametrize("body", [SimulatedBody, IndependentBody])
-def test_a_cart_that_leans_on_the_end_of_its_travel_has_crashed_once(body: Any) -> None:
+def test_a_cart_that_stays_at_the_end_of_its_travel_has_crashed_once(body: Any) -> None:
     made = body()
     ends, struck = EndStops(made.travel_m), []
     for velocity_m_s in (*[1.0] * 120, *[-0.2] * 60, *[1.0] * 60):
         made.step(velocity_m_s, 0.0, 8_333_334)
-        struck.append(ends.see(made.cart_position_m))
+        struck.append(ends.update(made.cart_position_m))
     assert ends.crashes == struck.count(True) == 2
-    assert 0.25 < struck.index(True) / 120 < 0.6  # 0.3 m at 1 m/s from rest
+    assert 0.25 < struck.index(True) / 120 < 0.6
     assert ends.cart_max_abs_m == made.travel_m

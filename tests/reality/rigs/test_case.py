@@ -1,4 +1,4 @@
-"""Which rigs are drawn, how they are recorded, and that nothing of the truth lies beside the data."""
+"""Drawn rigs and their recordings; the data reveal nothing of the truth."""
 
 import json
 from collections import Counter
@@ -15,7 +15,7 @@ from softarm.reality.rigs.record import record, stage_model, write
 from softarm.schemas.trial import StageFile
 
 
-def test_shares_hold_kinds_come_in_turn_and_the_seed_says_all():
+def test_cases_follow_the_shares_alternate_kinds_and_depend_on_the_seed_alone():
     cases = draw(100, 3)
     kinds, categories = Counter(c.kind for c in cases), Counter(c.category for c in cases)
     assert set(kinds.values()) == {25}
@@ -33,7 +33,7 @@ def test_shares_hold_kinds_come_in_turn_and_the_seed_says_all():
         draw(0, 0)
 
 
-def test_a_category_is_what_it_says():
+def test_every_case_matches_its_category():
     for case in draw(300, 5):
         known = [c for c in case.causes if c.names]
         match case.category:
@@ -54,7 +54,7 @@ def test_a_category_is_what_it_says():
 
 
 @pytest.mark.parametrize("rig", RIGS.values(), ids=RIGS)
-def test_half_the_strength_is_less_of_every_fault(rig):
+def test_half_the_strength_weakens_every_fault(rig):
     for name, fault in FAULTS[rig.plant].items():
         for seed in range(5):
             whole, half = (fault.draw(rig, size, np.random.default_rng(seed)) for size in (1.0, 0.5))
@@ -65,12 +65,12 @@ def test_half_the_strength_is_less_of_every_fault(rig):
 
 @pytest.mark.parametrize("kind", excitation.SHAPES)
 @pytest.mark.parametrize("pace_s", [0.008, 0.1, 1.5])
-def test_what_is_told_stays_within_reach_and_moves(kind, pace_s):
+def test_an_excitation_stays_within_reach_and_moves(kind, pace_s):
     t = np.arange(0, 12, 0.01)
-    told = excitation.told(kind, t, pace_s, np.random.default_rng(1))
-    assert told.shape == t.shape
-    assert np.max(np.abs(told)) <= 1.0
-    assert np.ptp(told) > (0.01 if kind == "plateau" else 0.3)
+    signal = excitation.signal(kind, t, pace_s, np.random.default_rng(1))
+    assert signal.shape == t.shape
+    assert np.max(np.abs(signal)) <= 1.0
+    assert np.ptp(signal) > (0.01 if kind == "plateau" else 0.3)
 
 
 @pytest.mark.slow
@@ -95,13 +95,13 @@ def test_a_folder_holds_what_an_owner_has_and_the_truth_is_elsewhere(tmp_path, r
 
 
 def test_the_truth_is_not_written_among_the_data(tmp_path):
-    with pytest.raises(ValueError, match="handed to the tool"):
+    with pytest.raises(ValueError, match="which the diagnosis reads"):
         write(case_of("servo", []), tmp_path / "data", tmp_path / "data" / "truths")
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("rig", ["servo", "cart", "pendulum"])
-def test_a_recording_is_the_same_twice(rig):
+def test_a_recording_is_reproducible(rig):
     case = case_of(rig, [next(iter(FAULTS[RIGS[rig].plant]))], seed=3)
     one, other = record(case), record(case)
     assert one[1] == other[1]
@@ -111,19 +111,19 @@ def test_a_recording_is_the_same_twice(rig):
 
 
 @pytest.mark.slow
-def test_a_sound_rig_is_near_what_its_owner_believes_and_a_fault_shows(tmp_path):
+def test_a_healthy_rig_is_near_its_nominal_model_and_a_fault_is_visible(tmp_path):
     sound = write(case_of("servo", [], seed=1), tmp_path / "d", tmp_path / "t")
     assert sound["off_nominal"] < 3 * sound["floor"]
     assert sound["shows"] == {}
     whole = write(case_of("servo", ["dead_time"], seed=1), tmp_path / "d", tmp_path / "t")
     half = write(case_of("servo", ["dead_time"], 0.5, seed=1), tmp_path / "d", tmp_path / "t")
     assert whole["clarity"] > 1.5 * half["clarity"] > 10
-    late = {t: record(case_of("servo", ["dead_time"], seed=1, told=[t] * 2))[0][0] for t in ("chirp",)}["chirp"]
+    late = record(case_of("servo", ["dead_time"], seed=1, excitations=["chirp"] * 2))[0][0]
     assert np.abs(late.clean[0] - late.clean[3]).max() > 10 * np.abs(late.clean[2] - late.clean[1]).max()
 
 
 @pytest.mark.slow
-def test_two_faults_are_told_apart_in_what_each_shows(tmp_path):
+def test_the_truth_says_how_clearly_each_of_two_faults_is_visible(tmp_path):
     truth = write(case_of("finger", ["gain", "uneven lag"], seed=2), tmp_path / "d", tmp_path / "t")
     assert set(truth["shows"]) == {"gain", "uneven lag"}
     assert truth["clarity"] == min(truth["shows"].values()) > 3
@@ -131,9 +131,9 @@ def test_two_faults_are_told_apart_in_what_each_shows(tmp_path):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("rig", ["servo", "belt", "bellows", "tank"])
-def test_a_follower_that_is_believed_is_the_lag_and_delay_of_its_stage_yaml(rig):
-    """What the owner wrote down is what a fit of one lag to the machine would give: any other leaves more."""
-    case = case_of(rig, [], seed=3, told=["chirp", "steps"])
+def test_a_nominal_follower_equals_the_lag_and_delay_of_its_stage_yaml(rig):
+    """The nominal values equal the fit of a single lag with delay: other values have a larger residual."""
+    case = case_of(rig, [], seed=3, excitations=["chirp", "steps"])
     runs, floor = record(case)
     model = stage_model(case.rig)
 

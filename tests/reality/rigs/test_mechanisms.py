@@ -1,4 +1,4 @@
-"""Each machine against a closed form."""
+"""Each machine against a closed-form solution."""
 
 import math
 
@@ -6,16 +6,16 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from softarm.reality.rigs.cart import Held, cart
+from softarm.reality.rigs.cart import Controller, cart
 from softarm.reality.rigs.follower import ATMOSPHERE_KPA, INNER_SHARE, axis, chamber
-from softarm.reality.rigs.laws import Bristles, Loops, Play, arrivals, coloured, heard, orifice
+from softarm.reality.rigs.laws import Bristles, Loops, Play, arrivals, coloured, held, orifice
 from softarm.reality.rigs.links import Links, swing
 
 ONE = np.zeros(1)
 
 
 @pytest.mark.slow
-def test_bristles_slip_at_their_level_each_way_and_hold_what_is_weaker():
+def test_bristles_slip_at_their_level_and_hold_weaker_forces():
     rub = Bristles(np.array([2.0]), np.array([3.0]), 1.0, 1e-4, 1e-4)
     for _ in range(20000):
         up = rub.force(np.array([0.1]))
@@ -32,7 +32,7 @@ def test_bristles_slip_at_their_level_each_way_and_hold_what_is_weaker():
     assert abs(v) < 1e-6
 
 
-def test_play_and_loops_do_not_care_how_fast():
+def test_play_and_hysteresis_are_rate_independent():
     slow, quick = (np.sin(np.linspace(0, 6 * math.pi, n)) for n in (6001, 601))
     for law in (lambda: Play(np.array([0.3]), ONE), lambda: Loops(np.array([0.4]), ONE)):
         one, other = law(), law()
@@ -42,21 +42,21 @@ def test_play_and_loops_do_not_care_how_fast():
         assert np.ptp(a[2000:] - slow[2000:]) > 0.1  # a loop at all
 
 
-def test_an_orifice_chokes():
+def test_the_flow_through_an_orifice_is_choked():
     assert orifice(np.array([500.0]), np.array([100.0]))[0] == pytest.approx(500 * 0.6847, rel=1e-3)
     assert orifice(np.array([500.0]), np.array([50.0]))[0] == orifice(np.array([500.0]), np.array([200.0]))[0]
     assert orifice(np.array([500.0]), np.array([500.0]))[0] == 0.0
     assert 0 < orifice(np.array([500.0]), np.array([450.0]))[0] < 300
 
 
-def test_a_queue_delivers_in_order_and_late():
+def test_a_queue_delivers_in_order_with_delay():
     random = np.random.default_rng(1)
     sent = np.arange(100) * 0.01
     at = arrivals(sent, 0.05, 0.02, random)
     assert np.all(np.diff(at) >= 0)
     assert np.all(at - sent >= 0.05)
     t = np.linspace(0.0003, 1.0003, 2001)  # never at an arrival itself
-    late = heard(t, arrivals(sent, 0.05, 0.0, random), sent)
+    late = held(t, arrivals(sent, 0.05, 0.0, random), sent)
     assert np.allclose(late, np.clip(np.floor((t - 0.05) / 0.01), 0, 99) * 0.01)
 
 
@@ -70,9 +70,9 @@ def test_noise_has_its_sigma_and_its_colour():
 def test_an_axis_answers_a_step_as_two_lags(velocity):
     tau, dt = 0.1, 1e-4
     steps = 5000
-    told = np.ones((steps, 1))
-    told[0] = 0.0
-    out = axis(told, [{"lag_s": tau}], ONE, dt, velocity)[:, 0]
+    command = np.ones((steps, 1))
+    command[0] = 0.0
+    out = axis(command, [{"lag_s": tau}], ONE, dt, velocity)[:, 0]
     t = dt * np.arange(1, steps + 1)
     inner = tau * INNER_SHARE
     root = np.roots([tau * inner, tau, 1.0])  # of the closed loop, both modes alike
@@ -83,13 +83,13 @@ def test_an_axis_answers_a_step_as_two_lags(velocity):
 @pytest.mark.slow
 def test_an_axis_with_weak_torque_speeds_up_on_a_ramp_and_friction_leaves_an_error():
     dt, steps = 1e-4, 20000
-    told = np.full((steps, 2), 1.0)
-    told[0] = 0.0
-    out = axis(told, [{"lag_s": 0.02, "acceleration": 2.0}, {"lag_s": 0.02}], np.zeros(2), dt, True)
+    command = np.full((steps, 2), 1.0)
+    command[0] = 0.0
+    out = axis(command, [{"lag_s": 0.02, "acceleration": 2.0}, {"lag_s": 0.02}], np.zeros(2), dt, True)
     assert np.diff(out[500:2000, 0]).mean() / dt == pytest.approx(2.0, rel=0.02)
     hold = 0.05  # what friction holds of a position error, as a level: error / (outer inner)
     out = axis(
-        told,
+        command,
         [{"lag_s": 0.1, "friction_up": hold / (0.01 * INNER_SHARE), "friction_down": 1.0}, {}],
         np.zeros(2),
         dt,
@@ -102,13 +102,13 @@ def test_an_axis_with_weak_torque_speeds_up_on_a_ramp_and_friction_leaves_an_err
 @pytest.mark.slow
 def test_a_chamber_fills_and_vents_with_its_lags_and_no_faster_than_its_orifice():
     dt, steps = 2e-4, 15000
-    told = np.full((steps, 2), 30.0)
-    told[0] = 10.0
+    command = np.full((steps, 2), 30.0)
+    command[0] = 10.0
     lanes = [
         {"lag_s": 0.3, "lag_down_s": 0.6, "supply_kpa": 80.0},
         {"lag_s": 0.02, "orifice_1_s": 0.2, "supply_kpa": 300.0},
     ]
-    out = chamber(told, lanes, np.zeros(2), dt)
+    out = chamber(command, lanes, np.zeros(2), dt)
     at = round(0.3 / dt)
     assert (out[at, 0] - 10) / 20 == pytest.approx(1 - math.exp(-1), abs=0.03)  # less the spool's
     choked = 0.2 * orifice(np.array([300 + ATMOSPHERE_KPA]), np.array([ATMOSPHERE_KPA]))[0]
@@ -120,24 +120,24 @@ def test_a_chamber_fills_and_vents_with_its_lags_and_no_faster_than_its_orifice(
 
 
 def test_a_cart_reaches_its_terminal_speed():
-    held = Held(1.0, 1e-6, 1e9, 1e-9)
+    controller = Controller(1.0, 1e-6, 1e9, 1e-9)
     dt, steps = 1e-3, 12000
     lanes = [
         {"mass_kg": 2.0, "slope_rad": 0.1, "viscous_n_s_m": 4.0},
         {"mass_kg": 2.0, "slope_rad": 0.1, "drag_n_s2_m2": 4.0},
         {"mass_kg": 2.0, "slope_rad": 0.1, "viscous_n_s_m": 4.0, "friction_up_n": 1.0, "friction_down_n": 1.0},
     ]
-    out, _ = cart(np.zeros((steps, 3)), lanes, np.zeros(3), dt, 10, held)
+    out, _ = cart(np.zeros((steps, 3)), lanes, np.zeros(3), dt, 10, controller)
     weight = 2 * 9.81 * math.sin(0.1)
     speed = (out[-1] - out[-1001]) / 1.0
     assert speed == pytest.approx([weight / 4, math.sqrt(weight / 4), (weight - 1) / 4], rel=1e-3)
 
 
-def test_a_cart_is_held_near_its_path_and_its_copies_are_put_back():
-    held = Held(2.0, 20.0, 1e3, 1e-6)
+def test_a_cart_follows_its_path_and_its_variants_are_reset():
+    controller = Controller(2.0, 20.0, 1e3, 1e-6)
     dt, steps = 1e-3, 4000
     path = -0.1 * np.cos(2 * np.pi * 0.5 * dt * np.arange(steps))[:, None]
-    out, asked = cart(path, [{"mass_kg": 2.0}, {"mass_kg": 1.0}], np.zeros(2), dt, 2, held, window_s=1.0)
+    out, asked = cart(path, [{"mass_kg": 2.0}, {"mass_kg": 1.0}], np.zeros(2), dt, 2, controller, window_s=1.0)
     assert np.max(np.abs(out[1000:, 0] - path[1000:, 0])) < 3e-3
     assert np.max(np.abs(asked[500:-1])) == pytest.approx(2.0 * 0.1 * (2 * np.pi * 0.5) ** 2, rel=0.15)
     apart = np.abs(out[:, 1] - out[:, 0])
@@ -145,9 +145,9 @@ def test_a_cart_is_held_near_its_path_and_its_copies_are_put_back():
 
 
 def test_a_load_on_a_spring_swings_at_its_frequency():
-    held = Held(1.0, 1e-6, 1e9, 1e-9)
+    controller = Controller(1.0, 1e-6, 1e9, 1e-9)
     lanes = [{"mass_kg": 1.0, "spring_rad_s": 30.0, "spring_zeta": 0.0, "bumper_n_m": 0.0, "force_n": 1.0}]
-    out, _ = cart(np.zeros((20000, 1)), lanes, ONE, 1e-4, 10, held)
+    out, _ = cart(np.zeros((20000, 1)), lanes, ONE, 1e-4, 10, controller)
     t = 1e-4 * np.arange(1, 20001)
     w = 30.0 / math.sqrt(1 - 0.35)  # free two bodies: by the reduced mass
     want = t * t / 2 + 0.35 / 0.65 / w**2 * (1 - np.cos(w * t))
@@ -195,17 +195,17 @@ def test_a_base_that_speeds_up_tilts_a_pendulum_and_a_hanging_arm_stays_where_it
     base = np.full((2 * 6000 + 1, 1), 1.0)
     out = swing(np.zeros((1, 1)), lanes, ONE, 1e-3, 6000, 1, base=base)
     assert out[-1, 0, 0] == pytest.approx(-math.atan2(1.0, 9.81), abs=1e-3)
-    held = swing(
+    loaded = swing(
         np.zeros((1, 1)), [{"viscous_nm_s": 2.0}], ONE, 1e-3, 6000, 1, torques=lambda i, q, v: np.full((1, 1), 1.0)
     )
-    assert held[-1, 0, 0] == pytest.approx(math.asin(1.0 / (9.81 * 0.5)), abs=1e-3)
+    assert loaded[-1, 0, 0] == pytest.approx(math.asin(1.0 / (9.81 * 0.5)), abs=1e-3)
 
 
-def test_a_number_that_no_machine_has_is_refused():
+def test_an_unknown_parameter_is_rejected():
     for make in (
         lambda: axis(np.zeros((2, 1)), [{"laag_s": 1.0}], ONE, 1e-3, False),
-        lambda: cart(np.zeros((2, 1)), [{"mas_kg": 1.0}], ONE, 1e-3, 1, Held(1, 1, 1, 1)),
+        lambda: cart(np.zeros((2, 1)), [{"mas_kg": 1.0}], ONE, 1e-3, 1, Controller(1, 1, 1, 1)),
         lambda: Links([{"mass": 1.0}], ONE, 1e-3, 1),
     ):
-        with pytest.raises(KeyError, match="no such number"):
+        with pytest.raises(KeyError, match="no parameter of this name"):
             make()

@@ -1,4 +1,4 @@
-"""The recorded flight as Foxglove gets it, read back by libraries that are not ours."""
+"""The recorded flight as an export for Foxglove, read back by independent libraries."""
 
 import json
 from collections import defaultdict

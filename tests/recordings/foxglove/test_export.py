@@ -1,4 +1,4 @@
-"""A log as Foxglove opens it: in its own types, at the wall's time, nothing lost; the black box stays as it was."""
+"""Export for Foxglove: its types, wall-clock times, all data, an unchanged log."""
 
 import json
 from datetime import UTC, datetime
@@ -12,7 +12,7 @@ from softarm.diagnosis.data import mcap
 from softarm.recordings.foxglove import converter, export
 from softarm.schemas.log import Metadata
 
-OWN = {"/mocap", "/pressure", "/rail", "/request", "/tick"}
+OWN = {"/event", "/mocap", "/pressure", "/rail", "/request", "/tick"}
 TYPES = {
     "/tf_static": "foxglove.FrameTransforms",
     "/tf": "foxglove.FrameTransforms",
@@ -24,7 +24,7 @@ TYPES = {
 }
 
 
-def test_its_channels_have_foxgloves_types_and_say_them(converted):
+def test_the_channels_declare_foxgloves_types(converted):
     assert set(converted.messages) == OWN | set(TYPES) | {"/state"}
     for topic, schema in converted.schemas.items():
         assert schema.encoding == "jsonschema"
@@ -45,7 +45,7 @@ READ = {"boolean", "string", "number", "integer", "object", "array"}
 
 
 def unread(node, where):
-    """What of a schema the reader of Foxglove Studio 1.48 (mcap-support, parseJsonSchema) refuses."""
+    """Return the parts of a schema that Foxglove Studio 1.48 rejects (mcap-support, parseJsonSchema)."""
     if "oneOf" in node and all(isinstance(one.get("const"), int) for one in node["oneOf"]):
         return
     if node.get("type") not in READ:
@@ -57,7 +57,7 @@ def unread(node, where):
 
 
 def test_every_schema_is_one_that_foxglove_reads(converted):
-    """It takes one type for each field, and drops the whole topic otherwise: its plots stay empty."""
+    """Foxglove needs one type per field and drops the whole topic otherwise."""
     for topic, schema in converted.schemas.items():
         assert list(unread(json.loads(schema.data, parse_constant=pytest.fail), topic)) == []
 
@@ -94,20 +94,20 @@ def protobuf_times(said):
     return [protobuf_times(each) for each in said] if isinstance(said, list) else said
 
 
-def test_it_is_wall_clock_time_everywhere(converted, log):
+def test_every_time_is_wall_clock_time(converted, log):
     offset_ns = int(log.metadata["clock"]["wall_minus_monotonic_ns"])
     ticks = [inputs.t_ns + offset_ns for inputs in log.inputs()]
     assert (
         [at for at, _, _ in converted.messages["/tick"]] == ticks == [at for at, _, _ in converted.messages["/state"]]
     )
-    assert f"{datetime.fromtimestamp(ticks[0] / 1e9, UTC):%Y-%m-%d}" == "2026-11-22"
+    assert f"{datetime.fromtimestamp(ticks[0] / 1e9, UTC):%Y-%m-%d}" == "2026-11-23"
     taken = [frame.t_capture_ns + offset_ns for frame in log.frames()]
     assert [at for _, at, _ in converted.messages["/tf"]] == taken
     stamps = [said["transforms"][0]["timestamp"] for said in converted["/tf"]]
     assert [stamp["sec"] * 10**9 + stamp["nsec"] for stamp in stamps] == taken
 
 
-def test_nothing_of_the_log_is_lost_and_it_reads_as_the_log(converted, log):
+def test_the_export_contains_the_whole_log(converted, log):
     trial, original = mcap.read(converted.path), mcap.read(log.path)
     assert trial.kind == original.kind
     for name, series in original.channels.items():
@@ -118,7 +118,7 @@ def test_nothing_of_the_log_is_lost_and_it_reads_as_the_log(converted, log):
     assert converted.metadata == {name: dict(values) for name, values in written.items()}
 
 
-def test_the_journal_is_what_happened_even_of_a_log_that_has_no_entries(converted, log):
+def test_the_journal_lists_events_even_without_log_entries(converted, log):
     entries = list(log.entries())
     assert [said["message"] for said in converted["/log"]] == [entry.text for entry in entries]
     levels = {entry.text: said["level"] for entry, said in zip(entries, converted["/log"], strict=True)}
@@ -127,14 +127,14 @@ def test_the_journal_is_what_happened_even_of_a_log_that_has_no_entries(converte
     assert (levels[stop], levels[refused], levels["arm"]) == (4, 3, 2)
 
 
-def test_the_numbers_to_plot_are_the_ticks(converted, log):
+def test_the_plotted_numbers_are_the_ticks(converted, log):
     for said, (inputs, outputs, _) in zip(converted["/state"], log, strict=True):
         assert (said["mode"], said["cart_velocity_sent_m_s"]) == (outputs.mode, outputs.sent.cart_velocity_m_s)
         assert said["pressure_measured_kpa"] == inputs.pressure.pressure_kpa
         assert said["tip_y_m"] == outputs.observed.values.tip_y_m
 
 
-def test_the_layout_shows_what_there_is():
+def test_the_layout_refers_to_existing_channels():
     layout = json.loads(export.layout())
     topics = {channel.topic for channel in converter.channels()}
     (state,) = (json.loads(channel.json_schema) for channel in converter.channels() if channel.topic == "/state")

@@ -1,4 +1,4 @@
-"""What is told to who lacks the SDK is there: an extra of that name brings it."""
+"""The extra named in the message about the missing SDK exists."""
 
 import tomllib
 from pathlib import Path

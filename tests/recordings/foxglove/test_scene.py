@@ -1,4 +1,4 @@
-"""The scene is where the robot was: frames that fit together, limits, target and shelf in their places."""
+"""The scene matches the robot: frames, limits, target and shelf."""
 
 import math
 from itertools import pairwise
@@ -32,7 +32,7 @@ def entities(update):
     return {entity["id"]: entity for entity in update["entities"]}
 
 
-def test_each_link_reaches_from_its_frame_to_the_one_before(converted):
+def test_each_link_connects_its_frame_to_the_previous_one(converted):
     """So angle, sign and place are right: the beam is drawn without a gap in any of the flight's frames."""
     lengths = [entity["cylinders"][0]["size"]["z"] for entity in converted["/scene/robot"][0]["entities"][2:7]]
     assert lengths == list(Arm().link_length_m)
@@ -48,12 +48,12 @@ def test_each_link_reaches_from_its_frame_to_the_one_before(converted):
     assert swung > 0.3
 
 
-def test_a_body_that_was_not_seen_has_no_frame():
+def test_an_untracked_body_has_no_frame():
     poses = [Pose(0.1 * i, 0.9, 0.0) for i in range(6)]
     poses[2], poses[4] = Pose(0.0, 0.0, 0.0, tracked=False), Pose(math.nan, 0.5, 0.0)
-    told = scene.frames(MocapFrame(1, 5, 6, tuple(poses)), 1_700_000_000_000_000_005)
-    assert [each["child_frame_id"] for each in told["transforms"]] == ["cart", "link1", "link3", "link5"]
-    assert told["transforms"][0]["timestamp"] == {"sec": 1_700_000_000, "nsec": 5}
+    labels = scene.frames(MocapFrame(1, 5, 6, tuple(poses)), 1_700_000_000_000_000_005)
+    assert [each["child_frame_id"] for each in labels["transforms"]] == ["cart", "link1", "link3", "link5"]
+    assert labels["transforms"][0]["timestamp"] == {"sec": 1_700_000_000, "nsec": 5}
 
 
 def test_the_rail_has_its_soft_and_hard_limits():
@@ -77,7 +77,7 @@ def test_the_target_is_a_sphere_of_the_success_radius_and_goes_when_there_is_non
 @pytest.mark.parametrize(
     ("policy", "edge_m"), [("reach", None), ("shelf", -0.375), ("mine", -0.35), ("other", None)], ids=str
 )
-def test_the_shelf_stands_where_a_policy_of_the_shelf_takes_it_to_be(policy, edge_m):
+def test_the_shelf_is_where_the_shelf_policy_assumes_it(policy, edge_m):
     made = {
         "mine": Policy(plugin="onnx", options={"model": "shelf", "target_depth_m": 0.1}),
         "other": Policy(plugin="onnx", options={"model": "reach"}),
@@ -92,7 +92,7 @@ def test_the_shelf_stands_where_a_policy_of_the_shelf_takes_it_to_be(policy, edg
     assert at["z"] + size["z"] / 2 == pytest.approx(0.62 - 0.005)
 
 
-def test_scenes_are_told_when_they_change_and_the_flights_targets_are_all_there(converted):
+def test_scenes_are_sent_on_changes_and_contain_all_targets(converted):
     assert len(converted["/scene/robot"]) == len(converted["/tf_static"]) == 1
     shown = [update["entities"][0]["spheres"][0] for update in converted["/scene/target"] if update["entities"]]
     places = [(ball["pose"]["position"]["y"], ball["pose"]["position"]["z"]) for ball in shown]
@@ -110,9 +110,9 @@ def test_scenes_are_told_when_they_change_and_the_flights_targets_are_all_there(
 def test_the_trail_is_where_the_tip_was_in_the_last_second_and_a_half(converted, log):
     seen = [(frame.t_capture_ns, frame.bodies[-1]) for frame in log.frames()]
     offset_ns = int(log.metadata["clock"]["wall_minus_monotonic_ns"])
-    told = converted.messages["/scene/trail"]
-    assert np.diff([at for _, at, _ in told]).min() >= 50_000_000
-    for _, at_ns, said in told[2 :: len(told) // 7]:
+    labels = converted.messages["/scene/trail"]
+    assert np.diff([at for _, at, _ in labels]).min() >= 50_000_000
+    for _, at_ns, said in labels[2 :: len(labels) // 7]:
         (line,) = said["entities"][0]["lines"]
         places = {
             (round(pose.y_m, 4), round(pose.z_m, 4)) for t, pose in seen if at_ns - 1.5e9 <= t + offset_ns <= at_ns
@@ -124,5 +124,5 @@ def test_the_trail_is_where_the_tip_was_in_the_last_second_and_a_half(converted,
     assert len(points) > 15
 
 
-def test_a_trail_of_one_place_is_none():
+def test_a_trail_of_one_point_is_absent():
     assert scene.trail([(0.0, 0.5)], 5)["entities"] == []

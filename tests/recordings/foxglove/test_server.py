@@ -1,4 +1,4 @@
-"""The process that serves: what it says of itself, and what it makes of a log that comes in."""
+"""The server process: its announcements and its messages of a live log."""
 
 import io
 import socket
@@ -16,7 +16,7 @@ def test_without_the_extra_it_says_how_to_get_it(monkeypatch, capsys):
     assert capsys.readouterr().out == "is not installed: pip install 'softarm[foxglove]'\n"
 
 
-def test_a_port_that_is_taken_is_said(capsys):
+def test_an_occupied_port_is_reported(capsys):
     pytest.importorskip("foxglove")
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = taken.getsockname()[1]
@@ -46,8 +46,8 @@ class Sdk:
         return Channel()
 
 
-def test_what_goes_out_is_what_an_export_holds_with_what_stands_still_told_each_second(log, converted):
-    """The flight down the pipe: the same messages, but the scenes again and again, for whoever comes later."""
+def test_live_messages_equal_an_export_with_unchanged_scenes_repeated_each_second(log, converted):
+    """Relay a flight: the same messages, with the scenes repeated for later clients."""
     sdk = Sdk()
     relay = server.Relay(sdk, None)
     with log.path.open("rb") as file:

@@ -13,8 +13,8 @@ from softarm.training.learn.inference import infer, workers
 from softarm.training.learn.network import NetworkShape, PolicyNetwork
 from softarm.training.learn.ppo import Ppo, PpoConfig
 from softarm.training.record.export import onnx_model
+from softarm.training.record.settings import TrainingConfig
 from softarm.training.run.session import Session
-from softarm.training.run.settings import TrainingConfig
 from softarm.training.task.environment import Environment
 from softarm.training.task.reach import TASKS
 from softarm.training.task.shelf import ShelfTask, environment_of
@@ -32,7 +32,7 @@ def network(order: str) -> PolicyNetwork:
 
 
 @pytest.mark.parametrize("order", ORDERS)
-def test_the_file_does_what_the_network_does(order):
+def test_the_file_computes_the_networks_actions(order):
     made = network(order)
     session = onnxruntime.InferenceSession(onnx_model(made).SerializeToString())
     state = made.initial_state(4)
@@ -68,12 +68,12 @@ def test_all_weights_learn(order):
     assert [name for name, weight in made.named_parameters() if torch.equal(weight, before[name])] == []
 
 
-def test_an_order_that_there_is_not_is_refused():
+def test_an_unknown_order_is_refused():
     with pytest.raises(ValueError, match="mlp-lstm, lstm-mlp, mlp"):
         NetworkShape(order="gru")
 
 
-def test_noise_on_observations_reaches_the_learner_alone():
+def test_observation_noise_affects_the_learner_alone():
     seen = {}
     for noise in (0.0, 0.1):
         with workers(1) as pool:
@@ -87,7 +87,7 @@ def test_noise_on_observations_reaches_the_learner_alone():
 
 
 @pytest.mark.slow
-def test_without_a_muscle_nothing_is_pumped_and_the_file_vents(tmp_path):
+def test_without_a_muscle_the_pressure_stays_zero_in_training_and_file(tmp_path):
     task = replace(TASKS["reach"], muscle=False)
     environment = Environment(task, 8, 0)
     environment.reset()
@@ -104,7 +104,7 @@ def test_without_a_muscle_nothing_is_pumped_and_the_file_vents(tmp_path):
 
 
 @pytest.mark.slow
-def test_a_shelf_run_is_killed_goes_on_and_leaves_a_policy_that_is_told_the_depth(tmp_path):
+def test_a_resumed_shelf_run_exports_a_policy_with_a_target_depth(tmp_path):
     with workers(1) as pool:
 
         def session(folder, resume):

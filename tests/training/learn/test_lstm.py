@@ -62,7 +62,7 @@ def test_gradients_equal_autograd(reference):
         torch.testing.assert_close(a, e, atol=1e-5 * float(e.abs().max()), rtol=0)
 
 
-def test_the_way_of_graphics_cards_gives_the_same(reference):
+def test_the_cells_of_graphics_cards_give_the_same_numbers(reference):
     x, keep, state, weight = inputs()
     wanted = [x, reference.weight_ih_l0, reference.weight_hh_l0, reference.bias_ih_l0]
     compiled, (h, c) = fast(reference, x, keep, state)
@@ -101,7 +101,7 @@ def test_gradients_through_bfloat16_products_stay_close(reference):
         assert 0.0 < float((r - e).norm()) < 0.05 * float(e.norm())
 
 
-def test_what_the_next_step_is_fed_is_rounded_as_torch_rounds():
+def test_the_input_of_the_next_step_is_rounded_like_in_torch():
     generator = torch.Generator().manual_seed(0)
     pre_activations = 3.0 * torch.randn(64, 4 * SIZE, generator=generator)
     pre_activations[0, :3] = torch.tensor([float("inf"), float("nan"), -0.0])
@@ -123,7 +123,7 @@ def test_large_pre_activations_saturate_and_stay_finite(reference):
     assert torch.isfinite(gradient).all()
 
 
-def test_a_state_that_is_no_number_stays_visible(reference):
+def test_nan_in_the_state_stays_visible(reference):
     x, _, state, _ = inputs()
     x = x.detach()
     x[0, 2] = float("nan")

@@ -24,7 +24,7 @@ def column(*values: float) -> torch.Tensor:
     return torch.tensor(values).unsqueeze(-1)
 
 
-def test_advantage_by_hand_keeps_termination_and_time_out_apart():
+def test_the_advantage_distinguishes_termination_and_time_out():
     # gamma = 0.5, lambda = 0.5. Step 1 ends an episode, step 3 goes on beyond the roll-out.
     reward, value = column(1.0, 2.0, 3.0, 4.0), column(10.0, 20.0, 30.0, 40.0)
     done = column(0.0, 1.0, 0.0, 0.0)
@@ -38,7 +38,7 @@ def test_advantage_by_hand_keeps_termination_and_time_out_apart():
     torch.testing.assert_close(generalised_advantage(reward, value, timed_out, done, 0.5, 0.5), expected)
 
 
-def test_with_lambda_one_and_no_end_the_advantage_is_the_discounted_return_less_the_value():
+def test_with_lambda_one_the_advantage_is_the_discounted_return_minus_the_value():
     generator = torch.Generator().manual_seed(0)
     reward, value = torch.rand(6, 3, generator=generator), torch.rand(6, 3, generator=generator)
     last = torch.rand(1, 3, generator=generator)
@@ -75,7 +75,7 @@ def test_probability_and_divergence_equal_torch_distributions():
     assert float(kl_divergence(old, old_std, old, old_std)) == pytest.approx(0.0, abs=1e-7)
 
 
-def test_the_normaliser_knows_mean_and_variance_of_all_it_was_shown():
+def test_the_normaliser_has_mean_and_variance_of_all_values():
     generator = torch.Generator().manual_seed(0)
     batches = [torch.randn(n, 3, generator=generator) * 5.0 + 100.0 for n in (1, 17, 400)]
     normaliser = RunningNormaliser(3)
@@ -93,7 +93,7 @@ def learner(pool, robots=16, **config) -> Ppo:
     return Ppo(network, Environment(TASKS["reach"], robots, 0), PpoConfig(**config), pool, 0)
 
 
-def test_what_follows_a_step_is_nothing_after_an_end_and_a_value_after_a_time_out():
+def test_the_following_value_is_zero_after_a_termination_and_not_after_a_time_out():
     with workers(1) as pool:
         ppo = learner(pool, robots=64)
         ppo.environment._elapsed[:] = 95  # everybody runs out of time within the roll-out
@@ -111,7 +111,7 @@ def test_what_follows_a_step_is_nothing_after_an_end_and_a_value_after_a_time_ou
     assert torch.all(rollout.following[4][timed_out] != rollout.value[5][timed_out])
 
 
-def test_any_number_of_threads_learns_the_same_bit_for_bit():
+def test_the_number_of_threads_changes_no_bit():
     results = []
     for count in (1, 3):
         with workers(count) as pool:
@@ -141,6 +141,6 @@ def test_learning_raises_the_value_of_good_actions():
     assert math.isfinite(statistics.value_loss)
 
 
-def test_robots_that_do_not_split_are_refused():
+def test_a_number_of_robots_that_does_not_split_is_refused():
     with workers(1) as pool, pytest.raises(ValueError, match="multiple of 4"):
         learner(pool, robots=18)

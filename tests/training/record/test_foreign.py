@@ -28,7 +28,7 @@ def network(*between: nn.Module, inputs: int = 10) -> nn.Sequential:
 
 
 @pytest.mark.parametrize("layer", [nn.Tanh(), nn.ReLU(), nn.ELU(0.5), nn.Sigmoid(), nn.Identity()])
-def test_the_file_does_what_the_network_does(layer: nn.Module, tmp_path: Path) -> None:
+def test_the_file_computes_the_networks_actions(layer: nn.Module, tmp_path: Path) -> None:
     layers = network(layer)
     share = foreign.export(
         layers, tmp_path / "mine.onnx", mean=MEAN, scale=SCALE, cut=2.0, training={"learner": "mine"}
@@ -46,7 +46,7 @@ def test_the_file_does_what_the_network_does(layer: nn.Module, tmp_path: Path) -
         np.testing.assert_allclose(policy.step(seen[:8], seen[8:]), low + (wanted + 1) / 2 * (high - low), rtol=1e-4)
 
 
-def test_a_task_with_more_to_see_is_flown_too(tmp_path: Path) -> None:
+def test_a_task_with_a_longer_observation_is_exported(tmp_path: Path) -> None:
     foreign.export(network(nn.Tanh(), inputs=11), tmp_path / "shelf.onnx", ShelfTask())
     assert OnnxPolicy(str(tmp_path / "shelf.onnx")).metadata.task == "shelf"
 
@@ -59,7 +59,7 @@ def test_a_task_with_more_to_see_is_flown_too(tmp_path: Path) -> None:
         (nn.Sequential(nn.Linear(10, 3)), "the network gives 3 numbers; an action has 2"),
     ],
 )
-def test_what_cannot_be_written_is_told(layers: nn.Sequential, text: str, tmp_path: Path) -> None:
+def test_an_unsupported_network_is_refused(layers: nn.Sequential, text: str, tmp_path: Path) -> None:
     with pytest.raises(ForeignNetworkError, match=text):
         foreign.export(layers, tmp_path / "mine.onnx")
     assert not (tmp_path / "mine.onnx").exists()

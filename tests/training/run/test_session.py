@@ -12,17 +12,18 @@ import pytest
 import torch
 from click.testing import CliRunner
 
-from softarm.cli.export import export as export_command
-from softarm.cli.train import train
+from softarm.cli.learn.checkpoint import export as export_command
+from softarm.cli.learn.train import train
 from softarm.schemas.policy import METADATA_KEY, OBSERVATION, REACH_GOAL, PolicyMetadata
+from softarm.training.learn import validation
 from softarm.training.learn.inference import infer, workers
 from softarm.training.learn.network import NetworkShape, PolicyNetwork
 from softarm.training.learn.ppo import PpoConfig
+from softarm.training.record import checkpoint
+from softarm.training.record.checkpoint import CheckpointError
 from softarm.training.record.export import export_checkpoint, onnx_model
-from softarm.training.run import checkpoint, validation
-from softarm.training.run.checkpoint import CheckpointError
+from softarm.training.record.settings import TrainingConfig
 from softarm.training.run.session import Session, averaged_share
-from softarm.training.run.settings import TrainingConfig
 from softarm.training.task.environment import ACTIONS, INPUTS, Environment
 from softarm.training.task.reach import TASKS
 
@@ -66,7 +67,7 @@ def finished(tmp_path_factory) -> Session:
 
 
 @pytest.mark.slow
-def test_a_run_that_was_killed_goes_on_bit_for_bit(finished, tmp_path):
+def test_a_killed_run_is_resumed_bit_for_bit(finished, tmp_path):
     with workers(1) as pool:
         killed = session(tmp_path, pool)
         for _ in range(3):  # one beyond its last checkpoint
@@ -87,7 +88,7 @@ def test_a_run_that_was_killed_goes_on_bit_for_bit(finished, tmp_path):
 
 
 @pytest.mark.slow
-def test_it_moves_away_from_where_it_began(finished, tmp_path):
+def test_training_changes_the_weights(finished, tmp_path):
     with workers(1) as pool:
         fresh = session(tmp_path, pool)
     distance = max(
@@ -97,7 +98,7 @@ def test_it_moves_away_from_where_it_began(finished, tmp_path):
     assert distance > 1e-3
 
 
-def test_what_is_validated_is_a_moving_average_of_the_weights(tmp_path):
+def test_validation_uses_a_moving_average_of_the_weights(tmp_path):
     with workers(1) as pool:
         run = session(tmp_path, pool)
         expected = torch.zeros_like(run.network.value_head.weight)
@@ -119,7 +120,7 @@ def test_an_average_forgets_untrained_weights_and_then_moves_slowly():
     assert shares[-1] == pytest.approx(0.025)
 
 
-def test_it_leaves_a_curve_and_a_picture(finished):
+def test_a_run_writes_its_learning_curve_as_table_and_picture(finished):
     with (finished.out / "learning_curve.csv").open() as file:
         rows = list(csv.DictReader(file))
     assert [int(row["frames"]) for row in rows] == [FRAMES * k for k in (1, 2, 3, 4)]
@@ -169,7 +170,7 @@ def test_onnx_equals_torch_over_a_full_episode_with_resets():
     assert np.mean(spread) > 0.05  # actions that all look alike would prove nothing
 
 
-def test_the_graph_needs_an_old_operator_set_only():
+def test_the_graph_needs_no_operator_set_above_17():
     model = onnx_model(lively_network())
     assert [(entry.domain, entry.version) for entry in model.opset_import] == [("", 17)]
     onnx.checker.check_model(model, full_check=True)
@@ -183,17 +184,17 @@ def test_other_settings_cannot_resume_a_run(finished):
 
 
 @pytest.mark.slow
-def test_a_run_ends_when_its_patience_does(tmp_path):
-    patient = replace(SMALL, robots=16, validate_every=1, validation_trials=6, patience=2)
+def test_a_run_ends_after_validations_without_improvement(tmp_path):
+    config = replace(SMALL, robots=16, validate_every=1, validation_trials=6, patience=2)
     with workers(1) as pool:
-        run = session(tmp_path, pool, config=patient)
+        run = session(tmp_path, pool, config=config)
         run.run(frames=100 * 256, minutes=None)
     validated = [row.validation for row in run.curve]
     assert len(validated) < 100
     assert max(validated[-2:]) <= max(validated[:-2])
 
 
-def test_nothing_to_resume_is_said(tmp_path):
+def test_a_missing_checkpoint_is_reported(tmp_path):
     with workers(1) as pool, pytest.raises(CheckpointError, match="no such checkpoint"):
         session(tmp_path, pool, resume=True)
 
@@ -218,14 +219,14 @@ def test_a_damaged_checkpoint_is_refused(tmp_path):
         {"average": 3},
     ],
 )
-def test_a_checkpoint_whose_network_is_none_is_refused(tmp_path, changed):
+def test_a_checkpoint_without_a_valid_network_is_refused(tmp_path, changed):
     whole = {"settings": {}, "task": {}, "seed": 1, "curve": [], "average": PolicyNetwork(NetworkShape()).state_dict()}
     checkpoint.save(tmp_path / "odd.pt", whole | changed)
     with pytest.raises(CheckpointError, match=r"odd\.pt: holds no network"):
         checkpoint.load_policy(tmp_path / "odd.pt")
 
 
-def test_validation_trials_are_none_of_the_test_targets():
+def test_the_validation_set_contains_no_test_target():
     trials, grid = validation.validation_scenarios(TASK, 5), validation.grid_scenarios(5)
     assert len(np.unique(grid.target_m, axis=0)) == 54
     assert sorted(np.unique(grid.starts.cart_position_m)) == pytest.approx([0.0, 0.1, 0.2])
@@ -234,7 +235,7 @@ def test_validation_trials_are_none_of_the_test_targets():
     assert np.mean(trials.target_m[:, 1] <= 0.70) == pytest.approx(2 / 3, abs=0.01)
 
 
-def test_flying_counts_each_trial_once_and_knows_how_close_it_came():
+def test_a_trial_counts_once_and_has_its_closest_distance():
     class Still(PolicyNetwork):
         """Holds the cart and vents."""
 

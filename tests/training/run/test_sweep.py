@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from click.testing import CliRunner
 
-from softarm.cli.train import train as train_command
+from softarm.cli.learn.train import train as train_command
 from softarm.training.learn.inference import workers
 from softarm.training.run import sweep
 from softarm.training.run.recipe import RECIPES, Recipe, begin, prepare
@@ -32,7 +32,7 @@ def file(tmp_path):
 
 
 @pytest.mark.slow
-def test_a_sweep_is_restarted_where_it_was(file, tmp_path):
+def test_a_restarted_sweep_skips_finished_runs(file, tmp_path):
     out, wanted = tmp_path / "runs", sweep.load(file)
     todo, finished = sweep.plan(wanted, out, threads=1)
     assert [(work.name, work.seed) for work in todo] == [("full", 1), ("mlp", 1), ("full", 2), ("mlp", 2)]
@@ -55,7 +55,7 @@ def test_a_sweep_is_restarted_where_it_was(file, tmp_path):
     assert (out / "mlp" / "seed-1" / "report.html").is_file()
 
 
-def test_what_a_single_runs_options_say_stands_in_a_sweeps_file(file, tmp_path):
+def test_options_of_a_single_run_are_refused_for_a_sweep(file, tmp_path):
     out = ["--out", str(tmp_path / "out")]
     beside = ["reach", "--seed", "1", "--robots", "16", "--device", "cpu", "--resume"]
     result = CliRunner().invoke(train_command, ["--sweep", str(file), *out, *beside])
@@ -67,7 +67,7 @@ def test_what_a_single_runs_options_say_stands_in_a_sweeps_file(file, tmp_path):
     assert not (tmp_path / "out").exists()
 
 
-def test_a_finished_run_of_another_recipe_is_not_taken_for_this_one(file, tmp_path):
+def test_a_finished_run_of_another_recipe_is_refused(file, tmp_path):
     wanted = sweep.load(file)
     folder = tmp_path / "runs" / "full" / "seed-1"
     folder.mkdir(parents=True)
@@ -77,7 +77,7 @@ def test_a_finished_run_of_another_recipe_is_not_taken_for_this_one(file, tmp_pa
         sweep.plan(wanted, tmp_path / "runs", threads=1)
 
 
-def test_a_run_that_fails_is_named(file, tmp_path):
+def test_a_failed_run_is_named(file, tmp_path):
     todo, _ = sweep.plan(sweep.load(file), tmp_path, threads=1)
     broken = todo[0]._replace(recipe=todo[0].recipe | {"model": str(tmp_path / "gone.yaml")})
     with pytest.raises(SweepError, match="full, seed 1: ModelFileError"):
@@ -111,7 +111,7 @@ def test_the_table_has_mean_and_spread_over_seeds():
         ("[1", "bad.yaml:1: not valid YAML: while parsing a flow sequence"),
     ],
 )
-def test_a_file_that_cannot_be_run_is_refused_before_anything_is(tmp_path, text, words):
+def test_an_invalid_sweep_is_refused_before_any_run(tmp_path, text, words):
     path = tmp_path / "bad.yaml"
     path.write_text(text)
     with pytest.raises(SweepError, match=r"bad\.yaml") as caught:
@@ -122,7 +122,7 @@ def test_a_file_that_cannot_be_run_is_refused_before_anything_is(tmp_path, text,
     assert words.split("'")[0] in result.output
 
 
-def test_a_run_like_a_shipped_one_begins_with_its_recipe():
+def test_like_starts_from_the_recipe_of_a_shipped_policy():
     wanted = sweep.Sweep.model_validate(
         {"seeds": [1], "base": {"like": "shelf", "frames": 7}, "runs": {"a": {"settings": {"task.muscle": False}}}}
     )
@@ -137,7 +137,7 @@ def test_the_shipped_sweeps_can_be_run(name):
     assert sweep.load(BENCHMARKS / f"{name}.yaml").recipes()
 
 
-def test_settings_are_named_as_the_policys_file_names_them(tmp_path):
+def test_settings_have_the_names_of_the_policys_file(tmp_path):
     recipe = Recipe(settings={**TINY, "task.target_z_m": (0.6, 0.65)}, randomise={"arm.payload.mass": (0.0, 0.02)})
     with workers(1) as pool:
         session = begin(recipe, 4, tmp_path, pool, resume=False)
@@ -147,7 +147,7 @@ def test_settings_are_named_as_the_policys_file_names_them(tmp_path):
 
 
 class FakeRay:
-    """What of Ray's interface a sweep uses; runs finish last first."""
+    """Stand-in for the part of Ray that a sweep uses; the last run finishes first."""
 
     def __init__(self):
         self.asked, self.open = [], False
@@ -189,7 +189,7 @@ def ray(monkeypatch):
     return fake
 
 
-def test_a_cluster_gives_results_as_they_come_and_is_left(file, tmp_path, ray, monkeypatch):
+def test_a_cluster_yields_results_and_is_detached(file, tmp_path, ray, monkeypatch):
     monkeypatch.setattr(sweep, "train", lambda work: (work.name, work.seed, ray.open))
     todo, _ = sweep.plan(sweep.load(file), tmp_path, threads=3)
     assert list(sweep.on_ray(todo[:2], "local")) == [("mlp", 1, True), ("full", 1, True)]
@@ -200,7 +200,7 @@ def test_a_cluster_gives_results_as_they_come_and_is_left(file, tmp_path, ray, m
     assert ray.asked[-1]["num_gpus"] == 1
 
 
-def test_a_cluster_that_is_not_there_and_a_run_that_fails_on_one_are_named(file, tmp_path, ray, monkeypatch):
+def test_a_missing_cluster_and_a_failed_run_on_one_are_reported(file, tmp_path, ray, monkeypatch):
     todo, _ = sweep.plan(sweep.load(file), tmp_path, threads=1)
     with pytest.raises(SweepError, match=r"no Ray cluster at 'far:1': could not reach far:1; give"):
         next(sweep.on_ray(todo, "far:1"))
@@ -214,7 +214,7 @@ def test_a_cluster_that_is_not_there_and_a_run_that_fails_on_one_are_named(file,
     assert not ray.open
 
 
-def test_without_the_package_a_cluster_is_refused_with_the_way_to_get_it(file, tmp_path, monkeypatch):
+def test_a_cluster_without_ray_is_refused_with_the_install_command(file, tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "ray", None)
     todo, _ = sweep.plan(sweep.load(file), tmp_path, threads=1)
     with pytest.raises(SweepError, match=r"pip install 'softarm\[ray\]'"):

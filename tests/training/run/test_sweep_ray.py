@@ -1,4 +1,4 @@
-"""Sweeps on a real Ray instance of this machine, as `softarm train --sweep FILE --ray local` starts one."""
+"""Sweeps on a local Ray instance, as `softarm train --sweep FILE --ray local` starts one."""
 
 import csv
 import json
@@ -18,8 +18,8 @@ pytest.importorskip("ray")
 
 
 ROOT = Path(softarm.__file__).parents[1]
-ENOUGH_S = 150.0  # seconds where there is a core to be had
-pytestmark = [pytest.mark.slow, pytest.mark.timeout(400)]
+ENOUGH_S = 600.0  # ends a hanging test; no test depends on the speed of the machine
+pytestmark = [pytest.mark.slow, pytest.mark.timeout(1800)]
 FILE = """
 seeds: [1]
 base: {task: reach, settings: {run.robots: 16, run.validate_every: 4, run.validation_trials: 8}}
@@ -31,11 +31,11 @@ runs:
 
 @pytest.fixture
 def apart(monkeypatch):
-    """Ray's files in a folder of their own, whose name is short enough for its sockets; no process may outlive it."""
+    """Give Ray a folder with a name short enough for its sockets, and wait for the end of its processes."""
     with tempfile.TemporaryDirectory(prefix="ray-") as folder:
         monkeypatch.setenv("RAY_TMPDIR", folder)
         monkeypatch.setenv("RAY_AUTH_MODE", "token")
-        monkeypatch.setenv("RAY_AUTH_TOKEN", "f" * 64)  # else Ray makes one in the home folder
+        monkeypatch.setenv("RAY_AUTH_TOKEN", "f" * 64)  # or Ray creates a token in the home folder
         monkeypatch.setenv("PYTHONPATH", str(ROOT))
         yield Path(folder)
         await_true(lambda: not processes(folder), "Ray's processes to end")
@@ -49,7 +49,7 @@ def file(tmp_path):
 
 
 def processes(folder):
-    """Of Ray, by the folder that they were given."""
+    """Return the processes of the Ray instance with this folder."""
     found = []
     for each in Path("/proc").glob("[0-9]*"):
         try:
@@ -57,7 +57,7 @@ def processes(folder):
             if f"RAY_TMPDIR={folder}".encode() in (each / "environ").read_bytes() and state != "Z":
                 found.append(int(each.name))
         except OSError:
-            continue  # ended meanwhile, or another's
+            continue  # ended meanwhile, or not ours
     return sorted(set(found) - {os.getpid()})
 
 
@@ -78,7 +78,8 @@ def frames(folder):
         return [int(float(row["frames"])) for row in csv.DictReader(opened)]
 
 
-def test_a_killed_sweep_started_again_skips_what_is_finished_and_goes_on_with_the_rest(file, tmp_path, apart):
+@pytest.mark.prove
+def test_a_killed_sweep_skips_finished_runs_and_continues_the_others(file, tmp_path, apart):
     out = tmp_path / "runs"
     short, long = out / "short" / "seed-1", out / "long" / "seed-1"
     first = subprocess.Popen(command(file, out), cwd=ROOT, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
@@ -103,20 +104,20 @@ def test_a_killed_sweep_started_again_skips_what_is_finished_and_goes_on_with_th
     assert "short, seed 1" not in again.stdout
     assert "long, seed 1: validation" in again.stdout
     whole = frames(long)
-    assert whole == sorted(set(whole))  # gone on, not begun again
+    assert whole == sorted(set(whole))  # continued, not restarted
     assert whole[-1] == 10240
     assert {each["name"] for each in json.loads((out / "results.json").read_text())} == {"short", "long"}
 
 
 @pytest.mark.usefixtures("apart")
-def test_a_run_that_fails_is_told_in_its_own_words(file, tmp_path):
+def test_a_failed_run_is_reported_with_its_own_message(file, tmp_path):
     out = tmp_path / "runs"
     for name in ("short", "long"):
         (out / name / "seed-1").mkdir(parents=True)
         (out / name / "seed-1" / "latest.pt").write_bytes(b"half a checkp")
     failed = subprocess.run(command(file, out), cwd=ROOT, capture_output=True, text=True, timeout=ENOUGH_S)
     assert failed.returncode == 1
-    (line,) = (line for line in failed.stderr.splitlines() if "mend it" in line)
+    (line,) = (line for line in failed.stderr.splitlines() if ", seed 1: " in line)
     assert "seed 1: CheckpointError: " in line
     assert "latest.pt" in line
     assert "Traceback" not in failed.stderr + failed.stdout

@@ -14,11 +14,11 @@ from softarm.training.learn.network import NetworkShape
 from softarm.training.learn.normaliser import VARIANCE_FLOOR
 from softarm.training.learn.ppo import PpoConfig
 from softarm.training.record import export
+from softarm.training.record.checkpoint import CheckpointError
+from softarm.training.record.settings import TrainingConfig
 from softarm.training.run import warm_start
-from softarm.training.run.checkpoint import CheckpointError
 from softarm.training.run.recipe import PRESETS
 from softarm.training.run.session import Session
-from softarm.training.run.settings import TrainingConfig
 from softarm.training.task.environment import ACTIONS, INPUTS
 from softarm.training.task.reach import TASKS
 
@@ -30,7 +30,7 @@ def weights(model):
 
 
 @pytest.mark.parametrize("name", ["reach", "reach-wide", "shelf"])
-def test_a_policy_that_is_read_and_written_again_is_the_same_bit_for_bit(name):
+def test_a_policy_is_read_and_exported_again_bit_for_bit(name):
     file = MODELS / f"{name}.onnx"
     prior = warm_start.load_weights(file)
     before, after = weights(onnx.load(file)), weights(export.onnx_model(prior.network))
@@ -43,7 +43,7 @@ def test_a_policy_that_is_read_and_written_again_is_the_same_bit_for_bit(name):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("order", ["mlp-lstm", "lstm-mlp", "mlp"])
-def test_a_policy_of_any_order_of_layers_is_read_again_and_trained_on(order, tmp_path):
+def test_training_continues_from_any_order_of_layers(order, tmp_path):
     shape = NetworkShape(INPUTS, ACTIONS, mlp=(16, 12), state=8, order=order)
     with workers(1) as pool:
         session = Session(TASKS["reach"], SMALL, PpoConfig(), tmp_path / "first", pool, resume=False, shape=shape)
@@ -61,7 +61,7 @@ def test_a_policy_of_any_order_of_layers_is_read_again_and_trained_on(order, tmp
         again.advance()
 
 
-def test_the_normaliser_is_kept_with_the_weight_of_what_it_has_seen():
+def test_the_normaliser_keeps_its_number_of_observations():
     prior = warm_start.load_weights(MODELS / "reach.onnx")
     stored, normaliser = weights(onnx.load(MODELS / "reach.onnx")), prior.network.observation_normaliser
     assert np.array_equal(normaliser.mean.numpy(), stored["observation_mean"].astype(float))
@@ -70,7 +70,7 @@ def test_the_normaliser_is_kept_with_the_weight_of_what_it_has_seen():
     assert normaliser.count == prior.metadata.training["run.frames"] > 1e6
 
 
-def test_the_critic_learns_and_the_actor_does_not(tmp_path):
+def test_the_critic_is_fitted_while_the_actor_is_fixed(tmp_path):
     prior = warm_start.load_weights(MODELS / "reach.onnx")
     with workers(1) as pool:
         session = Session(prior.task, SMALL, PpoConfig(), tmp_path, pool, resume=False)
@@ -92,7 +92,7 @@ def test_the_critic_learns_and_the_actor_does_not(tmp_path):
     assert session.settings["start.frames"] == prior.metadata.training["run.frames"]
 
 
-def test_what_is_no_policy_is_refused_in_a_sentence(tmp_path):
+def test_an_invalid_policy_file_is_refused(tmp_path):
     with pytest.raises(CheckpointError, match=r"gone\.onnx: no such policy"):
         warm_start.load_weights(tmp_path / "gone.onnx")
     (tmp_path / "text.onnx").write_text("no model")

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from softarm.schemas.model import Model
 from softarm.simulator.simulator import Simulator
-from softarm.training.run.validation import at_rest
+from softarm.training.learn.validation import at_rest
 from softarm.training.task.environment import Environment, to_physical
 from softarm.training.task.reach import TASKS, Starts
 
@@ -105,7 +105,7 @@ def test_time_runs_out_after_a_hundred_steps_and_is_no_termination():
     assert step.observation[0, 4:7].tolist() == [0.0, 0.0, 0.0]
 
 
-def test_a_robot_that_is_no_number_begins_again_and_harms_nobody():
+def test_a_robot_with_nan_restarts_without_effect_on_others():
     environment = begin(robots=4)
     environment.simulator.reset(robots=[2], pressure_kpa=np.nan)
     for _ in range(3):
@@ -116,7 +116,7 @@ def test_a_robot_that_is_no_number_begins_again_and_harms_nobody():
         assert not step.terminated[[0, 1, 3]].any()
 
 
-def test_same_seed_same_run_other_seed_other_run():
+def test_the_seed_determines_the_run():
     def run(seed: int) -> np.ndarray:
         environment = Environment(REACH, 8, seed)
         environment.reset()
@@ -126,7 +126,7 @@ def test_same_seed_same_run_other_seed_other_run():
     assert not np.array_equal(run(1), run(2))
 
 
-def test_a_snapshot_goes_on_bit_for_bit():
+def test_a_snapshot_is_continued_bit_for_bit():
     actions = np.random.default_rng(0).uniform(-1, 1, (60, 32, 2)).astype(np.float32)
     one = Environment(REACH, 32, 5)
     one.reset()

@@ -7,18 +7,18 @@ import onnx
 import pytest
 from click.testing import CliRunner
 
-from softarm.cli.train import train
+from softarm.cli.learn.train import train
 from softarm.schemas.model import Model
 from softarm.schemas.policy import METADATA_KEY, PolicyMetadata
 from softarm.simulator import model_file
 from softarm.simulator.effects import REGISTRY, exemplars
+from softarm.training.learn import validation
 from softarm.training.learn.inference import workers
 from softarm.training.learn.network import NetworkShape, PolicyNetwork
 from softarm.training.learn.ppo import PpoConfig
-from softarm.training.run import validation
-from softarm.training.run.checkpoint import CheckpointError
+from softarm.training.record.checkpoint import CheckpointError
+from softarm.training.record.settings import TrainingConfig
 from softarm.training.run.session import Session
-from softarm.training.run.settings import TrainingConfig
 from softarm.training.task.environment import ACTIONS, INPUTS, Environment, Step
 from softarm.training.task.reach import TASKS
 
@@ -61,7 +61,7 @@ def same(ours: list[Step], theirs: list[Step]) -> bool:
     return all(np.array_equal(a, b) for x, y in zip(ours, theirs, strict=True) for a, b in zip(x, y, strict=True))
 
 
-def test_neutral_effects_are_as_none_bit_for_bit():
+def test_neutral_effects_change_no_bit():
     neutral = {name: {p.name: p.neutral for p in REGISTRY[name].parameters} for name in OURS}
     runs = []
     for each in (None, model(**neutral)):
@@ -88,7 +88,7 @@ def test_latency_of_a_tick_shows_the_tick_before():
         np.testing.assert_array_equal(now.reward, at_once.reward)
 
 
-def test_dropout_repeats_what_was_shown():
+def test_a_dropout_repeats_the_last_observation():
     environment = begin(model(mocap__dropout={"share": 0.5}))
     before, repeated = environment._observe(), 0
     for step, plain in zip(fly(environment), fly(begin()), strict=True):
@@ -99,13 +99,13 @@ def test_dropout_repeats_what_was_shown():
     assert 0.35 < repeated / (20 * ROBOTS) < 0.65
 
 
-def test_the_regulators_bias_is_read_and_not_felt():
+def test_a_sensor_bias_changes_the_reading_and_not_the_pressure():
     for plain, read in zip(fly(begin()), fly(begin(model(pressure__sensor_bias={"bias": 1.5}))), strict=True):
         np.testing.assert_allclose(read.observation[:, PRESSURE], plain.observation[:, PRESSURE] + 1.5, atol=1e-5)
         np.testing.assert_array_equal(read.final_tip_m, plain.final_tip_m)
 
 
-def test_a_displaced_frame_moves_what_is_seen_and_not_success():
+def test_a_displaced_frame_changes_the_observation_and_not_the_success():
     """Targets where the tip is, and where it is seen: the first are reached."""
     displaced = model(mocap__offset={"y": 0.08, "z": -0.05}, mocap__rotation={"angle": 0.1})
     tip = np.array([0.0, 0.5225])
@@ -141,7 +141,7 @@ def test_a_missed_tick_keeps_the_command(guard):
     assert 0.35 < kept / (20 * ROBOTS) < 0.65
 
 
-def test_who_begins_again_forgets_and_harms_nobody():
+def test_a_restart_clears_the_sensors_of_that_robot_alone():
     """Robot 0 reaches at once; what the others show does not depend on it."""
     distorted = model(mocap__latency={"delay": 0.05}, mocap__offset={"y": 0.01})
     near = FAR.copy()
@@ -159,7 +159,7 @@ def test_who_begins_again_forgets_and_harms_nobody():
     assert restarts >= 1
 
 
-def test_a_robot_that_is_no_number_harms_nobody_through_its_sensors():
+def test_the_sensors_of_a_robot_with_nan_do_not_affect_others():
     environment = begin(strong())
     environment.simulator.reset(robots=[2], pressure_kpa=np.nan)
     for step in fly(environment, 3):
@@ -168,7 +168,7 @@ def test_a_robot_that_is_no_number_harms_nobody_through_its_sensors():
         assert np.isfinite(step.final_tip_m).all()
 
 
-def test_a_snapshot_goes_on_bit_for_bit():
+def test_a_snapshot_is_continued_bit_for_bit():
     one = Environment(REACH, ROBOTS, 5, strong())
     one.reset()
     one.stagger()
@@ -184,7 +184,7 @@ def test_a_snapshot_goes_on_bit_for_bit():
     assert same([two.step(action) for action in plan[30:]], expected)
 
 
-def test_how_close_a_trial_came_is_the_true_distance():
+def test_the_closest_distance_of_a_trial_is_the_true_one():
     network = PolicyNetwork(NetworkShape(INPUTS, ACTIONS))
     trials = validation.Scenarios(validation.at_rest(np.zeros(1), 5), np.float32([[0.0, 0.53]]))
     displaced = model(mocap__offset={"y": 0.1, "z": 0.1})
@@ -195,7 +195,7 @@ def test_how_close_a_trial_came_is_the_true_distance():
 
 
 @pytest.mark.slow
-def test_a_run_on_a_model_says_so_and_goes_on_bit_for_bit_and_on_no_other(tmp_path):
+def test_a_run_records_its_model_and_resumes_on_no_other(tmp_path):
     config = TrainingConfig(seed=3, robots=16, validate_every=1, validation_trials=6)
 
     def session(out, resume=False, on=None) -> Session:
@@ -234,7 +234,7 @@ def test_the_command_takes_a_model_by_file_or_name(tmp_path, monkeypatch):
     assert "did you mean no-delay?" in result.output
 
 
-def test_gymnasium_shows_the_same_and_draws_from_its_seed(monkeypatch):
+def test_gymnasium_gives_the_same_observations_and_draws_from_its_seed(monkeypatch):
     gymnasium = pytest.importorskip("gymnasium")
     from gymnasium.utils.env_checker import check_env
 

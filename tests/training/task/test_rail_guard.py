@@ -21,7 +21,9 @@ states = st.tuples(velocities, positions, velocities)
 
 @settings(max_examples=200, deadline=None)
 @given(st.lists(states, min_size=1, max_size=6), st.sampled_from([0.0, 0.02, PERIOD_S, 0.05, 0.1]))
-def test_it_sends_what_the_daemons_filter_sends(steps: list[tuple[float, float, float]], latency_s: float) -> None:
+def test_the_guard_sends_the_commands_of_the_daemons_filter(
+    steps: list[tuple[float, float, float]], latency_s: float
+) -> None:
     """Whatever the latency: the commands of as many ticks are remembered."""
     limits = RailLimits(latency_s=latency_s)
     guard = RailGuard(1, PERIOD_S, limits)
@@ -36,7 +38,7 @@ def test_it_sends_what_the_daemons_filter_sends(steps: list[tuple[float, float, 
         guard.replace(np.array([expected], dtype=np.float32))  # keep the histories the same
 
 
-def test_hard_swings_stay_on_the_rail_but_for_millimetres() -> None:
+def test_hard_swings_stay_on_the_rail_within_millimetres() -> None:
     robots = 256
     simulator, guard = Simulator(robots=robots, physics_rate_hz=240), RailGuard(robots, PERIOD_S)
     rng = np.random.default_rng(3)
@@ -52,7 +54,7 @@ def test_hard_swings_stay_on_the_rail_but_for_millimetres() -> None:
     assert 0.2 < farthest < RailLimits().position_max_m + 0.005
 
 
-def test_a_robot_that_begins_anew_was_told_to_stand() -> None:
+def test_a_restarted_robot_has_zero_as_earlier_command() -> None:
     def sent(position: float) -> list[float]:
         at = np.full(2, position, dtype=np.float32)
         return guard.apply(np.ones(2, dtype=np.float32), at, np.zeros(2, dtype=np.float32)).tolist()
@@ -66,7 +68,7 @@ def test_a_robot_that_begins_anew_was_told_to_stand() -> None:
     assert old < new
 
 
-def test_it_goes_on_where_a_snapshot_was_taken() -> None:
+def test_the_guard_is_continued_from_a_snapshot() -> None:
     """Also of one made when there was one command to remember."""
     guard, other = RailGuard(3, PERIOD_S), RailGuard(3, PERIOD_S)
     now = np.float32([[1.0, 0.5, -1.0], [0.05, 0.1, -0.1], [0.5, 0.2, -0.3]])

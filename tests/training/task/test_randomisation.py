@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from softarm.simulator.effects import EffectError
+from softarm.training.learn.validation import at_rest
 from softarm.training.run.recipe import RECIPES, ROBUST, prepare
-from softarm.training.run.validation import at_rest
 from softarm.training.task.randomisation import Randomisation
 from softarm.training.task.reach import TASKS
 from softarm.training.task.shelf import ShelfTask, environment_of
@@ -20,7 +20,7 @@ def actions(robots: int, steps: int, seed: int = 0) -> np.ndarray:
     return np.random.default_rng(seed).uniform(-1, 1, (steps, robots, 2)).astype(np.float32)
 
 
-def test_every_robot_has_a_value_of_its_own_within_the_range():
+def test_each_robot_has_a_separate_value_within_the_range():
     values = Randomisation(PAYLOAD).draw(np.random.default_rng(0), 200)["arm.payload.mass"]
     assert values.shape == (200,)
     assert 0.01 <= values.min() < 0.015
@@ -40,7 +40,7 @@ def test_robots_that_differ_move_apart_and_equal_ones_do_not():
     assert tips["different"] > 1e-3
 
 
-def test_what_is_drawn_once_stays_and_what_is_drawn_each_episode_changes_with_it():
+def test_values_are_drawn_once_or_in_each_episode():
     for each_episode in (False, True):
         environment = environment_of(REACH, 32, 1, randomisation=Randomisation(PAYLOAD, each_episode))
         environment.reset()
@@ -92,12 +92,12 @@ def test_a_batch_of_different_robots_is_restored_bit_for_bit(task):
         ({"arm.payload.mass": (0.2, 0.1)}, ValueError, "a lower and a higher"),
     ],
 )
-def test_what_cannot_be_drawn_is_refused(ranges, error, words):
+def test_an_invalid_range_is_refused(ranges, error, words):
     with pytest.raises(error, match=words):
         Randomisation(ranges)
 
 
-def test_the_robust_recipe_draws_the_seeds_robot_among_others():
+def test_the_robust_recipe_includes_the_seeds_robot():
     randomisation = prepare(RECIPES["reach-robust"], 1).randomisation
     assert randomisation.each_episode
     low, high = randomisation.ranges["rail.delay.delay"]

@@ -11,8 +11,8 @@ pytest.importorskip("torch")
 from softarm.common.plugins import PluginError
 from softarm.policies.onnx_policy import OnnxPolicy
 from softarm.training.learn.inference import workers
+from softarm.training.record.checkpoint import CheckpointError, load, task_of
 from softarm.training.run import recipe, warm_start
-from softarm.training.run.checkpoint import CheckpointError, load, task_of
 from softarm.training.task import registry
 from softarm.training.task.environment import Environment
 from softarm.training.task.reach import ReachTask
@@ -52,7 +52,7 @@ def near(install):
     install("tasks_of_theirs", NEAR, "softarm.tasks", **names)
 
 
-def test_a_task_goes_by_the_name_it_is_published_under(near):
+def test_a_task_has_the_name_of_its_entry_point(near):
     task = registry.load("near")
     assert (task.name, task.weight, registry.plugin_of(task)) == ("near", 2.0, "near")
     assert recipe.preset("near") == task
@@ -72,12 +72,12 @@ def test_a_task_goes_by_the_name_it_is_published_under(near):
         ("stranger", "it is a Stranger, not derived from ReachTask"),
     ],
 )
-def test_one_that_cannot_be_used_says_why(name, text, near):
+def test_an_unusable_task_is_refused_with_the_reason(name, text, near):
     with pytest.raises(PluginError, match=f"task '{name}': .*{text}"):
         registry.load(name)
 
 
-def test_its_reward_is_the_environments(near):
+def test_the_environment_uses_the_tasks_reward(near):
     task = replace(registry.load("near"), action_noise=0.0)
     environment = Environment(task, 8, 0)
     environment.reset()
@@ -95,7 +95,7 @@ def test_its_reward_is_the_environments(near):
         (lambda self, now: now.tip_speed_m_s * np.nan, "reward gave nan for robot 0"),
     ],
 )
-def test_what_is_no_reward_is_told(reward, text):
+def test_an_invalid_reward_is_refused(reward, text):
     environment = Environment(type("Odd", (ReachTask,), {"reward": reward})(name="odd"), 4, 0)
     environment.reset()
     with pytest.raises(ValueError, match=f"task 'odd': {text}"):
@@ -103,7 +103,7 @@ def test_what_is_no_reward_is_told(reward, text):
 
 
 @pytest.mark.slow
-def test_it_is_trained_and_its_files_know_it(near, tmp_path):
+def test_a_plugin_task_is_trained_and_recorded_in_its_files(near, tmp_path):
     out, settings = tmp_path / "run", {"run.robots": 8, "run.validation_trials": 12}
     with workers(1) as pool:
         recipe.begin(recipe.named("near").changed(None, settings), 1, out, pool, resume=False).run(128, None)

@@ -1,4 +1,4 @@
-"""Two drives on real TCP ports, in worlds whose time passes when the visitor lets it."""
+"""Two drives on real TCP ports, in worlds whose time passes when the tool waits."""
 
 import contextlib
 import threading
@@ -7,28 +7,31 @@ from typing import Any
 
 import pytest
 
-from softarm.benchmarks.outside.body import Body
-from softarm.benchmarks.outside.drive import Drive, Port
-from softarm.benchmarks.outside.robot import STEP_S, Robot
 from softarm.drivers.rail.cia402 import DriveState
-from softarm.drivers.rail.commissioning.visit import Visit
+from softarm.drivers.rail.commissioning.session import DriveSession
 from softarm.drivers.rail.settings import Settings, settings_of
 from softarm.drivers.twin.dryve import LIMIT_SWITCH, DryveDevice, DryveServer
 from softarm.drivers.twin.faults import Faults
 from softarm.schemas.config import DryveRail
 from softarm.schemas.robot import RAIL_TRAVEL_M
+from validation.outside.body import Body
+from validation.outside.drive import Drive, Port
+from validation.outside.robot import STEP_S, Robot
 
 FINE_S = 0.001
 
 
 class World:
-    """Time in nanoseconds and a cart; `pause` is what a visitor calls to wait."""
+    """Clock and cart of a test; the tool waits by `pause`.
+
+    `words` are the received controlwords. The functions in `at` are called as time passes, until they return True.
+    """
 
     def __init__(self) -> None:
         self.now_ns = 1_000_000_000
         self.port = 0
-        self.words: list[int] = []  # controlwords that the drive was told, in their order
-        self.at: list[Callable[[], bool]] = []  # asked as time passes, until they say True
+        self.words: list[int] = []
+        self.at: list[Callable[[], bool]] = []
         self.speeds_m_s: list[float] = []
 
     def clock(self) -> int:
@@ -50,12 +53,12 @@ class World:
     def settings(self, **changes: Any) -> Settings:
         return settings_of(DryveRail(host="127.0.0.1", port=self.port, timeout_s=1.0))._replace(**changes)
 
-    def visit(self, **changes: Any) -> Visit:
-        return Visit(self.settings(**changes), self.clock, self.pause)
+    def session(self, **changes: Any) -> DriveSession:
+        return DriveSession(self.settings(**changes), self.clock, self.pause)
 
 
-class TwinsWorld(World):
-    """The twin's drive, and a cart that goes as it is told."""
+class TwinWorld(World):
+    """World of the twin's drive, with a cart that follows exactly."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -92,8 +95,8 @@ class TwinsWorld(World):
         self.drive.sense(self._position_m, speed_m_s)
 
 
-class OutsidesWorld(World):
-    """The robot that is built from docs/wires.md alone, its own inertia included."""
+class OutsideWorld(World):
+    """World of the robot that is built from docs/reference/wires.md alone, with inertia."""
 
     def __init__(self, start_m: float) -> None:
         super().__init__()
@@ -118,18 +121,18 @@ class OutsidesWorld(World):
 
 
 @pytest.fixture
-def twin(served: Any) -> Iterator[TwinsWorld]:
-    world = TwinsWorld()
+def twin(served: Any) -> Iterator[TwinWorld]:
+    world = TwinWorld()
     with served(world.server):
         world.port = world.server.port
         yield world
 
 
 @pytest.fixture
-def outside(free_port: int) -> Iterator[OutsidesWorld]:
-    world, ended = OutsidesWorld(0.1), threading.Event()
+def outside(free_port: int) -> Iterator[OutsideWorld]:
+    world, ended = OutsideWorld(0.1), threading.Event()
     world.port = free_port
-    world.pause(0.01)  # a counter counts from the first step on
+    world.pause(0.01)
     port = Port(world.drive, "127.0.0.1", free_port)
 
     def serve() -> None:

@@ -1,4 +1,4 @@
-"""A board that is spoken to and never armed."""
+"""The regulator board receives disarmed commands while a tool uses the drive."""
 
 import asyncio
 import threading
@@ -17,7 +17,7 @@ PATIENCE_S = 20.0
 
 
 class Board(TeensyDevice):
-    """Remembers what it accepted."""
+    """Board that records its answers."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -51,7 +51,7 @@ def board(tmp_path: Path) -> Iterator[tuple[Board, SerialRegulator]]:
     loop.close()
 
 
-def test_it_is_told_disarmed_commands_for_as_long_as_it_is_held(board: tuple[Board, SerialRegulator]) -> None:
+def test_a_held_relay_sends_disarmed_commands(board: tuple[Board, SerialRegulator]) -> None:
     device, config = board
     until_s = time.monotonic() + PATIENCE_S
     with Relay(config) as relay:
@@ -64,13 +64,13 @@ def test_it_is_told_disarmed_commands_for_as_long_as_it_is_held(board: tuple[Boa
     assert len(device.states) >= 5
 
 
-def test_commands_come_apart_and_without_a_call_none_comes(tmp_path: Path) -> None:
+def test_commands_are_sent_at_most_every_20_ms(tmp_path: Path) -> None:
     now_s = [0.0]
-    said: list[tuple[bool, float]] = []
+    sent: list[tuple[bool, float]] = []
     with Relay(SerialRegulator(port=str(tmp_path / "none")), lambda: now_s[0]) as relay:
-        relay._regulator.write = lambda *command: said.append(command)  # type: ignore[method-assign]
+        relay._regulator.write = lambda *command: sent.append(command)  # type: ignore[method-assign]
         for _ in range(1000):
             relay.hold()
             now_s[0] += 0.001
-    assert set(said) == {(False, 0.0)}
-    assert 45 <= len(said) <= 51
+    assert set(sent) == {(False, 0.0)}
+    assert 45 <= len(sent) <= 51

@@ -1,4 +1,4 @@
-"""Whatever a drive shows, one word moves it, once, and nothing does after a halt."""
+"""Homing: one controlword moves the cart, once, and none does after a halt."""
 
 import itertools
 from typing import Any
@@ -8,12 +8,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from softarm.drivers.rail.cia402 import DriveState, decode_state
-from softarm.drivers.rail.commissioning.search import STILL_MAX_S, WALK_MAX_S, Search
+from softarm.drivers.rail.commissioning.search import STILL_MAX_S, Search
+from softarm.drivers.rail.enabling import ENABLE_MAX_S
 from softarm.drivers.rail.feedback import Feedback
 
 POLL_NS = 20_000_000
 REMOTE, REACHED, ATTAINED, ERROR = 0x0200, 0x0400, 0x1000, 0x2000
-WALK = (0x40, 0x21, 0x23)
+ENABLE = (0x40, 0x21, 0x23)
 RUN = 0x27
 START, HALT, OFF = 0x001F, 0x010F, 0x0006
 
@@ -23,7 +24,7 @@ def seen(word: int, t_ns: int = 0, position_m: float = 0.0, velocity_m_s: float 
 
 
 class Played:
-    """A search that is shown one thing after another, 20 ms apart."""
+    """Search that receives feedback every 20 ms."""
 
     def __init__(self, method: int | None = 17) -> None:
         self.search = Search(0.05, 0.01, method, 0)
@@ -31,12 +32,12 @@ class Played:
 
     def show(self, word: int, position_m: float = 0.0, velocity_m_s: float = 0.0, stop: bool = False) -> int | None:
         self.t_ns += POLL_NS
-        said = self.search.next(seen(word | REMOTE, self.t_ns, position_m, velocity_m_s), stop)
-        self.words += [] if said is None else [said]
-        return said
+        sent = self.search.next(seen(word | REMOTE, self.t_ns, position_m, velocity_m_s), stop)
+        self.words += [] if sent is None else [sent]
+        return sent
 
     def begin(self, bits: int = REACHED) -> None:
-        for state in (*WALK, RUN):
+        for state in (*ENABLE, RUN):
             self.show(state | bits)
         assert self.words == [0x0006, 0x0007, 0x000F, START]
 
@@ -45,12 +46,12 @@ class Played:
         return "; ".join(self.search.failure or ())
 
 
-def test_a_search_that_goes_well_ends_switched_off() -> None:
+def test_a_successful_search_ends_disabled() -> None:
     played = Played()
     played.begin()
     for step in range(100):
         assert played.show(RUN, -0.001 * step, -0.05) is None
-    assert played.show(RUN | ATTAINED, -0.1) is None  # not at rest yet
+    assert played.show(RUN | ATTAINED, -0.1) is None
     played.show(RUN | ATTAINED | REACHED, 0.0)
     assert played.show(RUN | ATTAINED | REACHED) == OFF
     assert not played.search.over
@@ -60,7 +61,7 @@ def test_a_search_that_goes_well_ends_switched_off() -> None:
     assert played.words[4:] == [OFF]
 
 
-def test_bits_of_the_search_before_are_not_believed() -> None:
+def test_bits_of_the_search_before_are_ignored() -> None:
     played = Played()
     played.begin(bits=REACHED | ATTAINED)
     for step in range(10):
@@ -71,7 +72,7 @@ def test_bits_of_the_search_before_are_not_believed() -> None:
     assert played.show(RUN | ATTAINED | REACHED) == OFF
 
 
-def test_a_method_that_takes_where_it_stands_may_never_show_its_bit_low() -> None:
+def test_a_method_without_motion_may_never_clear_its_bit() -> None:
     played = Played(method=37)
     played.begin(bits=REACHED | ATTAINED)
     while not played.search.over:
@@ -86,17 +87,17 @@ def test_a_method_that_takes_where_it_stands_may_never_show_its_bit_low() -> Non
         (lambda p: p.show(0x0F), "the drive reports"),
         (lambda p: p.show(0x2704 & ~REMOTE), "invalid boot state"),
         (lambda p: p.search.next(seen(RUN, p.t_ns), False), "DI7"),
-        (lambda p: p.show(RUN, stop=True), "broken off by a person"),
+        (lambda p: p.show(RUN, stop=True), "a person interrupted it"),
         (lambda p: p.show(0x07), "fell back to 'quick stop active'"),
         (lambda p: p.show(0x40), "fell back to 'switch-on disabled'"),
         (lambda p: [p.show(RUN | ERROR) for _ in range(20)], "homing failed (bit 13"),
-        (lambda p: [p.show(RUN, -0.01 * n, -0.5) for n in range(5)], "0.05 m/s were asked for"),
-        (lambda p: [p.show(RUN, 0.003 * n) for n in range(2000)], "has gone 1.3"),
+        (lambda p: [p.show(RUN, -0.01 * n, -0.5) for n in range(5)], "0.05 m/s were requested"),
+        (lambda p: [p.show(RUN, 0.003 * n) for n in range(2000)], "the axis counted 1.3"),
         (lambda p: [p.show(RUN) for _ in range(round(STILL_MAX_S / 0.02) + 2)], "has not moved for 3 s"),
         (lambda p: [p.show(RUN, 0.001 * (n // 70 % 2)) for n in range(4000)], "takes too long"),
     ],
 )
-def test_what_goes_wrong_is_braked_switched_off_and_said(show: Any, says: str) -> None:
+def test_a_failure_brakes_disables_and_is_reported(show: Any, says: str) -> None:
     played = Played()
     played.begin()
     before = len(played.words)
@@ -108,22 +109,22 @@ def test_what_goes_wrong_is_braked_switched_off_and_said(show: Any, says: str) -
     assert set(played.words[before:]) <= {HALT, OFF}
 
 
-def test_a_drive_that_stays_where_it_is_in_the_walk_is_given_up() -> None:
+def test_a_drive_that_cannot_be_enabled_ends_the_search() -> None:
     played = Played()
-    for _ in range(round(WALK_MAX_S / 0.02) + 3):
+    for _ in range(round(ENABLE_MAX_S / 0.02) + 3):
         played.show(0x40)
     assert played.words == [0x0006]
     assert "stays in 'switch-on disabled'" in played.failure
     assert played.search.over
 
 
-def test_a_drive_that_somebody_else_has_put_into_operation_is_not_started() -> None:
+def test_a_drive_enabled_by_another_master_is_not_started() -> None:
     played = Played()
     assert played.show(RUN) == HALT
-    assert "not by us" in played.failure
+    assert "another master has enabled the drive" in played.failure
 
 
-def test_a_drive_that_does_not_switch_off_is_told_as_such() -> None:
+def test_a_drive_that_cannot_be_disabled_is_reported() -> None:
     played = Played()
     played.begin()
     played.show(RUN, stop=True)
@@ -133,7 +134,7 @@ def test_a_drive_that_does_not_switch_off_is_told_as_such() -> None:
     assert "press the hardware e-stop" in played.failure
 
 
-words = st.sampled_from([*WALK, RUN, RUN, RUN, 0x07, 0x0F, 0x08, 0x2704]).flatmap(
+words = st.sampled_from([*ENABLE, RUN, RUN, RUN, 0x07, 0x0F, 0x08, 0x2704]).flatmap(
     lambda state: st.sampled_from([0, REMOTE, REMOTE, REMOTE | REACHED | ATTAINED, REMOTE | ERROR]).map(
         lambda bits: state | bits
     )
@@ -142,25 +143,25 @@ looks = st.tuples(words, st.floats(-0.4, 0.4), st.floats(-1, 1), st.booleans(), 
 
 
 @given(st.lists(looks, max_size=80), st.integers(0, 4))
-def test_whatever_it_shows_one_word_moves_it_once_and_none_after_trouble(shown: list[Any], walked: int) -> None:
+def test_for_any_feedback_one_controlword_moves_and_none_after_a_failure(shown: list[Any], steps: int) -> None:
     played = Played()
-    for state in (*WALK, RUN)[:walked]:
+    for state in (*ENABLE, RUN)[:steps]:
         played.show(state)
     for word, position_m, velocity_m_s, stop, polls in shown:
         for _ in range(polls):
-            troubled = played.search.failure is not None
+            failed = played.search.failure is not None
             played.t_ns += POLL_NS
             look = seen(word, played.t_ns, position_m, velocity_m_s)
-            said = played.search.next(look, stop and polls % 7 == 0)
-            if said is None:
+            sent = played.search.next(look, stop and polls % 7 == 0)
+            if sent is None:
                 continue
-            played.words.append(said)
+            played.words.append(sent)
             in_operation = look.state is DriveState.OPERATION_ENABLED
-            assert not in_operation or said & 0x0F == 0x0F or said == OFF  # bits 0 to 3
-            if troubled or played.search.failure is not None:
-                assert said in (HALT, OFF)
-                assert said != HALT or in_operation
-            if said == START:
+            assert not in_operation or sent & 0x0F == 0x0F or sent == OFF
+            if failed or played.search.failure is not None:
+                assert sent in (HALT, OFF)
+                assert sent != HALT or in_operation
+            if sent == START:
                 assert in_operation
                 assert played.words[-2] == 0x000F
     assert played.words.count(START) <= 1

@@ -1,1 +1,0 @@
-"""Fuzzing: does every parser refuse in words what it cannot take?"""

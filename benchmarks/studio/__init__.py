@@ -1,1 +1,0 @@
-"""A log of ours in Foxglove Studio, whose last open version npm has."""

@@ -1,1 +1,0 @@
-"""REST and WebSocket: a guest of the control loop."""

@@ -1,1 +1,0 @@
-"""What is asked for in groups, beside the commands in `app.py`; their docstrings are the page at /docs."""

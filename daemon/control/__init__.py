@@ -1,1 +1,0 @@
-"""What the tick is made of: observer, checks, failsafe, safety filter, goals. Pure."""

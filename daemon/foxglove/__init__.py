@@ -1,1 +1,0 @@
-"""Live to Foxglove: a guest that nobody waits for."""

@@ -1,1 +1,0 @@
-"""The daemon as a service of this computer: what has to be where, and putting it there."""

@@ -1,1 +1,0 @@
-"""Where is the gap between robot and simulator: trials, system identification, diagnosis."""

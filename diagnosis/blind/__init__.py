@@ -1,1 +1,0 @@
-"""The blind benchmark: cases from the independent robot, sealed labels, answers, score. Page: docs/blind.md."""

@@ -1,1 +1,0 @@
-"""What decides, alike for every view: fit, select, ceiling, decide, hold out, resample. It knows no view by type."""

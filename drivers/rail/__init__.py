@@ -1,1 +1,0 @@
-"""The rail's drive, a dryve D1 on Modbus TCP."""

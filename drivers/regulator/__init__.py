@@ -1,1 +1,0 @@
-"""The pressure regulator behind a Teensy on a serial line."""

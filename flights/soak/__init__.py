@@ -1,1 +1,0 @@
-"""Flying for hours: do memory, descriptors, threads, logs, lateness stay as they are, and does nothing else happen?"""

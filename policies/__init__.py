@@ -1,1 +1,0 @@
-"""The plugin interface and the built-in policies."""

@@ -1,0 +1,1 @@
+"""`softarm bridge`: feed motion capture to the daemon and calibrate it."""

@@ -1,0 +1,1 @@
+"""Verbs that measure, explain and close the gap between robot and simulator."""

@@ -1,0 +1,114 @@
+"""`softarm blind`: make sealed cases of the blind benchmark, answer them and score the answers."""
+
+from pathlib import Path
+
+import click
+
+from softarm.cli.shared.errors import fail
+from softarm.cli.shared.interrupt import leaves
+from softarm.cli.shared.options import FILE, FOLDER
+from softarm.common.processes import bar
+
+labels_option = click.option("--labels", "labels_file", type=FILE, required=True, help="File of the sealed labels.")
+processes_option = click.option(
+    "--processes", default=2, show_default=True, type=click.IntRange(1, 64), help="Parallel processes, one core each."
+)
+
+
+@click.group()
+def blind() -> None:
+    """Measure the diagnosis on robots with sealed faults.
+
+    \b
+    Examples:
+      softarm blind make cases --labels sealed/labels.json --fresh sealed/fresh
+      softarm blind run cases --answers answers.json
+      softarm blind open cases --labels sealed/labels.json --fresh sealed/fresh --answers answers.json --out score
+    """
+
+
+@blind.command()
+@click.argument("data", type=FOLDER)
+@labels_option
+@click.option("--fresh", type=FOLDER, help="Folder for three more trials of each case, used by the score only.")
+@click.option("--cases", "count", default=100, show_default=True, type=click.IntRange(1, 10000), help="Number to draw.")
+@click.option("--seed", type=click.IntRange(0), help="Seed of the draw; random and secret by default.")
+@processes_option
+def make(data: Path, labels_file: Path, fresh: Path | None, count: int, seed: int | None, processes: int) -> None:
+    """Draw cases, seal their labels, and fly the cases into DATA. The same command resumes an interrupted run.
+
+    The labels contain the seed and the salt, which reveal every fault: keep this file outside DATA.
+
+    \b
+    Example:
+      softarm blind make cases --cases 100 --labels sealed/labels.json --fresh sealed/fresh
+    """
+    from softarm.diagnosis.blind import make as making
+    from softarm.diagnosis.blind.seal import SealError
+
+    leaves(f"the finished cases are kept in {data}; the same command continues")
+    try:
+        cases = making.prepare(data, labels_file, fresh, count, seed)
+    except SealError as error:
+        fail(str(error))
+    with bar("flying", len(cases)) as shown:
+        making.write_cases(cases, data, fresh, processes, lambda name: shown.advance())
+    click.echo(f"{len(cases)} cases in {data}, labels in {labels_file}, commitment in {data / 'commitment.json'}")
+    click.echo(f"next: softarm blind run {data} --answers answers.json")
+
+
+@blind.command()
+@click.argument("data", type=FOLDER)
+@click.option("--answers", "answers_file", type=FILE, required=True, help="File for the answers; frozen at the end.")
+@click.option("--method", default="diagnose", show_default=True, help="Method that answers: diagnose, or a baseline.")
+@click.option("--trials", type=click.IntRange(1), help="Number of trials of each case that the method sees.")
+@processes_option
+def run(data: Path, answers_file: Path, method: str, trials: int | None, processes: int) -> None:
+    """Answer every case of DATA and freeze the answers (FILE.sha256). The same command resumes an interrupted run.
+
+    An answer is kept as long as the tool's code and the case's files are unchanged.
+
+    \b
+    Examples:
+      softarm blind run cases --answers answers.json
+      softarm blind run cases --answers bic.json --method bic
+    """
+    from softarm.diagnosis.blind import run as running
+    from softarm.diagnosis.blind.seal import SealError
+
+    leaves(f"the answers so far are kept in {answers_file}, not frozen; the same command continues")
+    try:
+        with bar(method, total=None) as shown:
+            digest = running.run(data, answers_file, method, processes, shown.count, trials)
+    except SealError as error:
+        fail(str(error))
+    click.echo(f"wrote {answers_file}; frozen as {digest}")
+
+
+@blind.command("open")
+@click.argument("data", type=FOLDER)
+@labels_option
+@click.option(
+    "--answers", "answer_files", type=FILE, multiple=True, required=True, help="Frozen answers; one file per method."
+)
+@click.option("--fresh", type=FOLDER, help="Folder of the fresh trials; without it the shrink is not checked.")
+@click.option("--out", type=FOLDER, required=True, help="Folder for score.json, score.md and the pictures.")
+def open_(data: Path, labels_file: Path, answer_files: tuple[Path, ...], fresh: Path | None, out: Path) -> None:
+    """Score frozen answers against the labels; refuse files that changed after sealing.
+
+    \b
+    Example:
+      softarm blind open cases --labels sealed/labels.json --fresh sealed/fresh \\
+        --answers answers.json --answers bic.json --out score
+    """
+    from softarm.diagnosis.blind import opening
+    from softarm.diagnosis.blind.seal import SealError
+    from softarm.diagnosis.data.trials import TrialError
+
+    leaves("no score was written; the same command starts again")
+    try:
+        with bar("opening", total=None) as shown:
+            opening.open_labels(data, labels_file, answer_files, out, fresh, on_case=shown.count)
+    except (SealError, TrialError) as error:
+        fail(str(error))
+    click.echo((out / "score.md").read_text(encoding="utf-8"))

@@ -1,0 +1,98 @@
+"""`softarm diagnose`: name the effect that the simulator lacks, and how far it shrinks the gap."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from softarm.cli.gap.inputs import refuse_misplaced
+from softarm.cli.gap.rail_limits import limits_option, write_limits
+from softarm.cli.gap.verdict_text import show
+from softarm.cli.shared.errors import fail
+from softarm.cli.shared.interrupt import NOTHING, leaves
+from softarm.cli.shared.options import FILE, FOLDER, INPUT, check_places
+from softarm.cli.shared.printing import warn
+from softarm.common.processes import bar
+
+if TYPE_CHECKING:
+    from softarm.diagnosis.engine.result import Diagnosis
+
+
+@click.command()
+@click.argument("inputs", metavar="INPUT...", type=INPUT, nargs=-1, required=True)
+@click.option(
+    "--model",
+    "model_file",
+    type=FILE,
+    help="Nominal simulator: a file or a shipped name (default: the campaign's model.yaml, else seed).",
+)
+@click.option("--data", type=FOLDER, help="Folder of the data files of a stage.yaml (default: its own folder).")
+@click.option("--json", "json_file", type=FILE, help="Write the verdict to this file.")
+@click.option("--report", "report_file", type=FILE, help="Write the report, one HTML page, to this file.")
+@click.option("--patch", "patch_file", type=FILE, help="Write the model with the named effects to this file.")
+@limits_option
+def diagnose(
+    inputs: tuple[Path, ...],
+    model_file: Path | None,
+    data: Path | None,
+    json_file: Path | None,
+    report_file: Path | None,
+    patch_file: Path | None,
+    limits_file: Path | None,
+) -> None:
+    """Find the effect that a simulator lacks, from recordings of the robot.
+
+    An INPUT is a log of the daemon (.mcap), a trial folder, a campaign of them, or the stage.yaml of another rig. The
+    verdict is named, incomplete, unknown or none; the exit code is 0 for each of them.
+
+    \b
+    Examples:
+      softarm diagnose campaign --json verdict.json --report report.html --patch patched-model.yaml
+      softarm diagnose logs/*.mcap --model mine.yaml --report report.html --limits limits-patch.yaml
+      softarm diagnose stage.yaml --data recordings --json verdict.json
+    """
+    from softarm.common import files
+    from softarm.diagnosis import report
+    from softarm.diagnosis.data.trials import TrialError
+    from softarm.diagnosis.from_files import TABLES, diagnose_files
+    from softarm.simulator import model_file as models
+
+    if data is not None and not any(path.suffix in TABLES for path in inputs):
+        raise click.UsageError("--data is for the data files of a stage.yaml: name one as INPUT, or omit --data")
+    refuse_misplaced(inputs)
+    check_places(json_file, report_file, patch_file, limits_file)
+    leaves(NOTHING)
+    try:
+        with bar("reading") as shown:
+            result = diagnose_files(inputs, model_file, data, shown.report, warn)
+    except (TrialError, models.ModelFileError) as error:
+        fail(str(error))
+    written = []
+    try:
+        if json_file is not None:
+            files.write_text(json_file, result.verdict.model_dump_json(indent=1) + "\n")
+            written.append(json_file)
+        if report_file is not None:
+            report.write(result, report_file)
+            written.append(report_file)
+        if patch_file is not None and result.patched is not None:
+            models.save(result.patched, patch_file)
+            written.append(patch_file)
+        if limits_file is not None:
+            write_limits(inputs, limits_file, result.verdict)
+            written.append(limits_file)
+    except TrialError as error:
+        fail(str(error))
+    except OSError as error:
+        fail(f"{error.filename}: cannot be written ({error.strerror}); choose another place")
+    show(result, json_file)
+    if patch_file is not None and result.patched is None:
+        click.echo(f"{patch_file}: not written, {_no_patch(result)}", err=True)
+    if written:
+        click.echo(f"wrote {', '.join(map(str, written))}")
+
+
+def _no_patch(result: "Diagnosis") -> str:
+    if result.nominal is None:
+        return "another rig has no model file; its parameters are in the verdict"
+    return f"no effect was named (verdict: {result.verdict.verdict})"

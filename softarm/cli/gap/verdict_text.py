@@ -1,0 +1,49 @@
+"""Text of a diagnosis for the terminal."""
+
+import shlex
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from softarm.cli.shared.printing import print_table, print_text
+
+if TYPE_CHECKING:
+    from softarm.diagnosis.engine.result import Diagnosis
+
+CONFIG = "softarm.yaml"  # the robot's configuration, which a diagnosis does not need
+
+
+def show(result: "Diagnosis", json_file: Path | None) -> None:
+    """Print the answer, a paragraph and a table row per stage, the next steps and the warnings."""
+    from softarm.diagnosis import report
+    from softarm.reporting.numbers import percent, quantity
+
+    verdict, gap = result.verdict, result.verdict.gap
+    print_text("\n".join(report.answer(result)))
+    if len({effect.name.rpartition(".")[0] for effect in verdict.effects}) > 1:
+        print_text("\n".join(f"{stage}: {text}" for stage, text in report.paragraphs(result).items()))
+    rows = []
+    for stage, before in gap.before.items():
+        share = verdict.where.share.get(stage)
+        after = gap.after.get(stage) if verdict.effects else None
+        others = (before, after, gap.ceiling.get(stage), gap.floor.get(stage))
+        cells = [quantity(q.value, q.unit) if q else "-" for q in others]
+        rows.append((stage, "-" if share is None else percent(share), *cells))
+    print_table(("stage", "share", "before", "after", "ceiling", "floor"), rows)
+    if (flight := report.flight(result)) is not None and verdict.next_experiment is not None:
+        separated = verdict.next_experiment.separates
+        purpose = f" separates {', '.join(separated)}" if separated else ""
+        click.echo(f"next: the excitation {flight.name}{purpose}: {_command(flight.name, json_file)}")
+    for step in report.steps(result):
+        print_text(f"next: {step}")
+    for warning in verdict.warnings:
+        click.echo(f"warning: {warning}", err=True)
+
+
+def _command(excitation: str, json_file: Path | None) -> str:
+    """Return the command that plays an excitation, on the robot if its configuration is in this folder."""
+    choice = f"--plan {shlex.quote(str(json_file))}" if json_file is not None else excitation
+    if Path(CONFIG).is_file():
+        return f"softarm excite {choice} --config {CONFIG}"
+    return f"softarm excite {choice} --simulated\n(a simulated robot; for yours, use --config FILE instead)"

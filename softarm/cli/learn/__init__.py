@@ -1,0 +1,1 @@
+"""Verbs that train, plan, compare and create policies."""

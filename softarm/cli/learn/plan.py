@@ -1,0 +1,110 @@
+"""`softarm plan`: optimise trajectories for the policy `trajectory`, or search which targets can be reached."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from softarm.cli.shared.interrupt import NOTHING, leaves
+from softarm.cli.shared.options import FILE, json_option, load_model, model_option, write_json
+from softarm.cli.shared.printing import print_table, print_text
+from softarm.schemas.flights import CART_STARTS_M
+
+if TYPE_CHECKING:
+    from softarm.training.trajectory.rows import Row
+
+OUT = Path("runs/trajectories.npz")
+LISTED = 12  # so many plans are shown one by one
+
+
+@click.command()
+@click.option("--target", "targets", type=(float, float), multiple=True, metavar="Y Z", help="Default: the paper's 54.")
+@click.option(
+    "--start",
+    "starts",
+    type=click.FloatRange(-0.2, 0.2),
+    multiple=True,
+    default=CART_STARTS_M,
+    show_default=True,
+    metavar="M",
+    help="Start of the cart; repeatable.",
+)
+@model_option
+@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Seed of the first guesses.")
+@click.option("--out", type=FILE, default=OUT, show_default=True, help="The file of plans to write.")
+@click.option("--ceiling", is_flag=True, help="Only search which targets can be reached; write no plans.")
+@json_option
+def plan(
+    targets: tuple[tuple[float, float], ...],
+    starts: tuple[float, ...],
+    model_file: Path | None,
+    seed: int,
+    out: Path,
+    ceiling: bool,
+    json_file: Path | None,
+) -> None:
+    """Optimise commands that swing the tip onto targets (the paper's upper bound) and write them to a file.
+
+    Every plan starts with the arm straight and at rest. It is simulated at 1200 Hz with the daemon's braking limit
+    before it is written. The policy `trajectory` tracks it.
+
+    \b
+    Examples:
+      softarm plan
+      softarm plan --target -0.2 0.7 --start 0
+      softarm plan --ceiling
+    """
+    import time
+
+    import numpy as np
+
+    from softarm.common.processes import bar
+    from softarm.schemas.flights import TEST_TARGETS
+    from softarm.training.trajectory import planner, rows
+    from softarm.training.trajectory.ceiling import ROUNDS
+
+    leaves(NOTHING)
+    model = load_model(model_file) if model_file else None
+    aims = np.array(targets or [(goal.y_m, goal.z_m) for goal in TEST_TARGETS], dtype=np.float32)
+    wall, cpu = time.perf_counter(), time.process_time()
+    if ceiling:
+        with bar("searching", ROUNDS * len(starts)) as shown:
+            found = rows.of_searches(aims, starts, model, seed, shown.advance)
+    else:
+        with bar("flying random swings") as shown:
+            name = model_file.stem if model_file else "seed"
+            report = planner.plan(aims, starts, model, name, seed, lambda text, share: shown.advance(share, text))
+        out.parent.mkdir(parents=True, exist_ok=True)
+        report.plans.save(out)
+        found = rows.of_plans(report)
+    wall, cpu = time.perf_counter() - wall, time.process_time() - cpu
+    _show(found)
+    done = "searched" if ceiling else "planned and flown"
+    print_text(f"{len(found)} {done} in {wall:.1f} s ({cpu:.1f} s of processor time)")
+    write_json(json_file, {"wall_s": wall, "cpu_s": cpu, "rows": found})
+    if not ceiling:
+        print_text(f"wrote {out}. Next: fly the plans with the real control loop:")
+        click.echo(f"  echo '{{policies: {{mine: {{plugin: trajectory, options: {{plans: {out}}}}}}}}}' > mine.yaml")
+        click.echo("  softarm evaluate --policy mine --config mine.yaml")
+
+
+def _show(found: "list[Row]") -> None:
+    """Print a row per plan, or per height if there are many, and the targets that were missed."""
+    from softarm.training.trajectory import rows
+
+    lines = []
+    if len(found) <= LISTED:
+        for row in found:
+            start, place, miss = f"{row['start']:.2f}", f"{row['y']:.2f}, {row['z']:.2f}", f"{row['miss_m'] * 1e3:.1f}"
+            planned = "-" if row["planned_miss_m"] is None else f"{row['planned_miss_m'] * 1e3:.1f}"
+            lines.append((start, place, planned, miss, "not" if row["time_s"] is None else f"{row['time_s']:.2f}"))
+        columns = ("start (m)", "y, z (m)", "planned (mm)", "in the simulator (mm)", "reached after (s)")
+        print_table(columns, lines)
+        return
+    for label, part in rows.by_height(found).items():
+        planned = "-" if part.planned is None else f"{100 * part.planned:.1f} %"
+        after = "-" if part.mean_time_s is None else f"{part.mean_time_s:.2f} on average"
+        lines.append((label, str(part.rows), planned, f"{100 * part.reached:.1f} %", after))
+    print_table(("targets", "from starts", "in the plan", "in the simulator", "reached after (s)"), lines)
+    if missed := sorted({(row["y"], row["z"]) for row in found if not row["reached"]}):
+        print_text("missed from at least one start: " + ", ".join(f"({y:.2f}, {z:.2f})" for y, z in missed))

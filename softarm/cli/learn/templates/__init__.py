@@ -1,0 +1,109 @@
+"""Templates of `softarm new`: the package of a plug-in, with a test that flies it.
+
+Files that end in `.in` are `string.Template`s with `$name` as typed, `$project`, `$module`, `$class_name`, and
+`$version` of this softarm.
+"""
+
+import keyword
+import re
+from importlib.util import find_spec
+from pathlib import Path
+from string import Template
+from typing import NamedTuple
+
+from softarm import __version__
+from softarm.common import files
+from softarm.common.plugins import PluginError
+
+KINDS = ("policy", "task", "source")
+NAME = re.compile(r"[a-z][a-z0-9]*(-[a-z0-9]+)*")
+LONGEST = 40
+
+
+class Package(NamedTuple):
+    """Names and files of a plug-in's package."""
+
+    kind: str
+    name: str  # selects the plug-in
+
+    @property
+    def project(self) -> str:
+        """Return the name of the distribution."""
+        return f"softarm-{self.name}"
+
+    @property
+    def module(self) -> str:
+        """Return the name of the module, with a prefix that avoids collisions with other modules."""
+        return self.project.replace("-", "_")
+
+    @property
+    def class_name(self) -> str:
+        """Return the name of the class."""
+        return "".join(part.capitalize() for part in self.name.split("-")) + self.kind.capitalize()
+
+    @property
+    def texts(self) -> dict[str, str]:
+        """Return the text of each file by its path in the package."""
+        templates = {
+            "pyproject.toml": "pyproject.toml",
+            "README.md": "README.md",
+            f"{self.module}.py": "module.py",
+            f"tests/test_{self.module}.py": "test.py",
+        }
+        values = {"name": self.name, "project": self.project, "module": self.module, "class_name": self.class_name}
+        values["version"] = ".".join(__version__.split(".")[:2])
+        source = Path(__file__).parent / self.kind
+        return {
+            place: Template((source / f"{file}.in").read_text(encoding="utf-8")).substitute(values)
+            for place, file in templates.items()
+        }
+
+
+def named(kind: str, name: str) -> Package:
+    """Return the package of a new plug-in. Raises PluginError if its name is invalid or taken."""
+    if not NAME.fullmatch(name) or len(name) > LONGEST:
+        raise PluginError(
+            f"'{name}' is no valid name of a {kind}: allowed are lower-case letters, digits and single hyphens, a "
+            f"letter first, at most {LONGEST} characters, such as my-{kind}"
+        )
+    if keyword.iskeyword(name):
+        raise PluginError(f"'{name}' is a keyword of Python; choose another name, such as my-{name}")
+    if name in (taken := _taken(kind)):
+        raise PluginError(f"the {kind} '{name}' exists already ({', '.join(sorted(taken))}); choose another name")
+    package = Package(kind, name)
+    if find_spec(package.module) is not None:
+        raise PluginError(f"the module {package.module} is already installed; choose another name")
+    return package
+
+
+def write(package: Package, folder: Path) -> list[Path]:
+    """Write the files of a package and return their paths.
+
+    Raises:
+        PluginError: The folder is not empty.
+        OSError: A file cannot be written.
+    """
+    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+        raise PluginError(f"{folder}: exists and is not overwritten; choose another --out, or remove it")
+    written = []
+    for path, text in package.texts.items():
+        file = folder / path
+        file.parent.mkdir(parents=True, exist_ok=True)
+        files.write_text(file, text)
+        written.append(file)
+    return written
+
+
+def _taken(kind: str) -> set[str]:
+    if kind == "policy":
+        from softarm.policies import registry
+
+        return set(registry.available())
+    if kind == "source":
+        from softarm.drivers.mocap import plugged
+
+        return set(plugged.names())
+    from softarm.training.run.recipe import PRESETS
+    from softarm.training.task import registry as tasks
+
+    return {*PRESETS, *tasks.names()}

@@ -1,0 +1,107 @@
+"""`softarm train`: train one policy or a sweep in the simulator and export it as ONNX."""
+
+from pathlib import Path
+
+import click
+
+from softarm.cli.learn.sweeps import train_sweep
+from softarm.cli.shared.errors import fail
+from softarm.cli.shared.interrupt import leaves
+from softarm.cli.shared.options import FILE, FOLDER, model_option
+from softarm.cli.shared.printing import waiting
+from softarm.common.processes import bar, cores
+
+
+@click.command()
+@click.argument("task", required=False)
+@click.option("--wide", is_flag=True, help="Same as the task reach-wide: z up to 0.80 m, starts along the whole rail.")
+@click.option("--seed", type=click.IntRange(min=0), default=1, show_default=True, help="Seed of the run.")
+@click.option("--frames", type=click.IntRange(min=1), help="Stop after this number of steps, summed over robots.")
+@click.option("--minutes", type=click.FloatRange(min=0, min_open=True), help="Stop after this time.")
+@click.option(
+    "--robots", type=click.IntRange(min=8), help="Simulated in parallel.  [default: the recipe's, 1024 or 2048]"
+)
+@click.option("--device", help="Device of the network: cpu, or cuda for a graphics card.  [default: cpu]")
+@model_option
+@click.option("--out", type=FOLDER, help="Folder of all results.  [default: runs/TASK-SEED or runs/TASK-MODEL-SEED]")
+@click.option("--resume", is_flag=True, help="Continue from the folder's last checkpoint.")
+@click.option(
+    "--sweep", type=FILE, help="Train all runs of this file, seeds x configurations; the same command resumes."
+)
+@click.option("--workers", type=click.IntRange(min=1), help="With --sweep: parallel runs.  [default: one per core]")
+@click.option("--ray", "ray_address", help="With --sweep: run on this Ray cluster; 'local' starts one here.")
+def train(
+    task: str | None,
+    wide: bool,
+    seed: int,
+    frames: int | None,
+    minutes: float | None,
+    robots: int | None,
+    device: str | None,
+    model_file: Path | None,
+    out: Path | None,
+    resume: bool,
+    sweep: Path | None,
+    workers: int | None,
+    ray_address: str | None,
+) -> None:
+    """Train a policy that swings the tip to a target, in free space (reach*) or into a shelf (shelf).
+
+    Tasks: reach, reach-wide, reach-robust, shelf, and installed plug-ins. By default the run has as many frames as that
+    of the shipped policy. The exported checkpoint is the best one on validation targets and starts, which differ from
+    the test trials. --model sets the simulator for training, validation and test; the policy file names it.
+
+    \b
+    Examples:
+      softarm train reach
+      softarm train reach --wide --seed 3 --minutes 5
+      softarm train reach --model no-delay
+      softarm train shelf --out runs/mine --resume
+      softarm train --sweep benchmarks/ablation.yaml --out runs/ablation
+    """
+    if sweep is not None:
+        train_sweep(sweep, out or Path("runs") / sweep.stem, workers or cores(), ray_address)
+        return
+    if task is None:
+        raise click.UsageError("no task given: name one, e.g. `softarm train reach`, or use --sweep FILE")
+    if wide and task not in ("reach", "reach-wide"):
+        raise click.UsageError(f"--wide is for reach, not for {task}")
+
+    from softarm.simulator.model_file import ModelFileError
+    from softarm.training.learn import inference
+    from softarm.training.record import tensorboard
+    from softarm.training.record.checkpoint import CheckpointError
+    from softarm.training.run.recipe import begin, named
+    from softarm.training.run.report import ending
+
+    name = "reach-wide" if wide else task
+    try:
+        recipe = named(name)
+    except ValueError as error:
+        raise click.UsageError(str(error)) from None
+    recipe = recipe.changed(model_file, {"run.robots": robots, "run.device": device})
+    folder = out or Path("runs") / "-".join((name, *([model_file.stem] if model_file else []), str(seed)))
+    if not resume and (folder / "latest.pt").exists():
+        fail(f"{folder} already contains a run: continue it with --resume, or choose another --out")
+    leaves(lambda: _left(folder))
+    with inference.workers() as pool:
+        try:
+            with waiting("creating robots and network"):
+                session = begin(recipe, seed, folder, pool, resume)
+        except (CheckpointError, ModelFileError, ValueError) as error:
+            fail(str(error))
+        if missing := tensorboard.missing():
+            click.secho(missing, fg="yellow")
+        end = frames or (None if minutes else recipe.frames)
+        with bar("starting", float(end or 0) if minutes is None else 60 * minutes, stay=True) as shown:
+            policy = session.run(
+                end, minutes, lambda now: shown.show(now.seconds if minutes else now.frames, text=now.sentence)
+            )
+        for line in ending(session, policy):
+            click.echo(line)
+
+
+def _left(folder: Path) -> str:
+    if not (folder / "latest.pt").exists():
+        return f"no checkpoint yet; {folder} may be deleted"
+    return f"the newest checkpoint is in {folder}; the same command with --resume continues from it"

@@ -1,0 +1,1 @@
+"""Verbs that run the daemon and ask it to move the arm."""

@@ -1,0 +1,62 @@
+"""Waiting for the end of a goal."""
+
+import time
+from typing import Any
+
+import click
+
+from softarm.cli.shared.errors import fail
+from softarm.cli.shared.interrupt import leaves
+from softarm.cli.shared.printing import print_json, waiting
+from softarm.cli.shared.remote import Remote
+
+POLL_S = 0.1
+
+
+def follow(
+    daemon: Remote, answer: dict[str, Any], doing: str, wait: bool, as_json: bool, seconds: float | None = None
+) -> None:
+    """Report a goal, after its end if asked for. Exits with 1 when it is not reached.
+
+    Args:
+        daemon: The daemon that has the goal.
+        answer: Its answer to the request that set the goal.
+        doing: Text for a goal that is running.
+        wait: Wait for the end.
+        as_json: Print JSON instead of a sentence.
+        seconds: Cancel the goal after this time and wait until then.
+    """
+    if not wait and seconds is None:
+        if as_json:
+            print_json(daemon.get("/api/goal"))
+        else:
+            click.echo(doing)
+        return
+    leaves("the daemon continues with the goal; `softarm goal cancel` ends it")
+    with waiting(doing):
+        ended = _end(daemon, answer["goal"]["number"], seconds)
+    if as_json:
+        print_json(ended)
+    if ended["state"] == "cancelled" and seconds is not None and ended["time_s"] >= seconds - POLL_S:
+        done = f"cancelled after {ended['time_s']:.2f} s, as requested"
+    elif ended["state"] != "reached":
+        fail(f"{ended['state']}: {ended['reason']}")
+    elif ended["closest_m"] is None:
+        done = f"played to its end in {ended['time_s']:.2f} s"
+    else:
+        done = f"reached in {ended['time_s']:.2f} s, closest {ended['closest_m']:.3f} m"
+    if not as_json:
+        click.echo(done)
+
+
+def _end(daemon: Remote, number: int, seconds: float | None) -> dict[str, Any]:
+    """Poll the goal until it ends by the daemon's time limit, or cancel it after `seconds`."""
+    over_s = None if seconds is None else time.monotonic() + seconds
+    while (now := daemon.get("/api/goal"))["state"] == "running" and now["number"] == number:
+        if over_s is not None and time.monotonic() >= over_s:
+            daemon.request("DELETE", "/api/goal")
+            over_s = None
+        time.sleep(POLL_S)
+    if now["number"] != number:
+        fail("another goal has replaced this one: see `softarm status`")
+    return dict(now)

@@ -1,0 +1,124 @@
+"""`softarm run`: run the daemon on the robot or on a robot simulated in this process."""
+
+import signal
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from softarm.cli.operate.prepared import prepared
+from softarm.cli.shared.client import DEFAULT_URL, url_of
+from softarm.cli.shared.errors import fail
+from softarm.cli.shared.interrupt import leaves, left_now
+from softarm.cli.shared.options import config_option, flown_model, model_option
+from softarm.cli.shared.words import Formatter, in_commands
+
+if TYPE_CHECKING:
+    from softarm.daemon.assembly import Daemon
+    from softarm.daemon.foxglove.publisher import FoxglovePublisher
+    from softarm.schemas.config import Config
+
+
+@click.command()
+@config_option
+@click.option("--simulated", is_flag=True, help="Use a robot simulated in this process instead of real devices.")
+@model_option
+@click.option("--port", type=click.IntRange(0, 65535), help="Port of the API instead of api.port; 0: any free one.")
+@click.option(
+    "--foxglove",
+    metavar="[[HOST:]PORT]",
+    is_flag=False,
+    flag_value="8765",
+    help="Serve live data to Foxglove, view only; on this computer only unless HOST is given.  [8765]",
+)
+def run(
+    config_file: Path | None, simulated: bool, model_file: Path | None, port: int | None, foxglove: str | None
+) -> None:
+    """Run the control daemon until Ctrl-C or SIGTERM.
+
+    It starts disarmed. Control it over REST, on the dashboard, or with `softarm arm`, `goal`, `status` and `stop`.
+
+    \b
+    Examples:
+      softarm run --config softarm.yaml        on the robot
+      softarm run --simulated                  without hardware
+      softarm run --simulated --foxglove       also live in Foxglove, at ws://127.0.0.1:8765
+      softarm run --config twin.yaml           on the twin started by `softarm twin --config twin.yaml`
+    """
+    import logging
+
+    from softarm.common.plugins import PluginError
+    from softarm.daemon import assembly
+    from softarm.daemon.access.auth import AuthError
+    from softarm.daemon.access.sockets import ApiError
+    from softarm.daemon.foxglove.publisher import FoxgloveError
+    from softarm.daemon.logbook.recorder import RecorderError
+    from softarm.daemon.runtime.devices import real_devices, simulated_devices
+    from softarm.daemon.stop.latch import LatchError
+
+    if config_file is None and not simulated:
+        raise click.UsageError(
+            "no robot chosen: use --config FILE for real devices (`softarm config new` writes one), or --simulated"
+        )
+    output = logging.StreamHandler()
+    output.setFormatter(Formatter("%(levelname)s %(name)s: %(message)s"))
+    logging.basicConfig(level=logging.INFO, handlers=[output])
+    logging.getLogger("uvicorn").setLevel(logging.WARNING)
+    leaves("the daemon had not started")
+    try:
+        config = prepared(config_file, wires=not simulated, port=port)
+        publisher = None if foxglove is None else _publisher(config, foxglove)
+        if simulated:
+            ended = assembly.run(config, simulated_devices(flown_model(model_file)), announce, foxglove=publisher)
+        else:
+            ended = assembly.run(config, real_devices(config), announce, assembly.latch_of(config), publisher)
+    except (PluginError, LatchError, RecorderError, FoxgloveError, ApiError, AuthError) as error:
+        fail(str(error))
+    if ended == signal.SIGINT:
+        raise KeyboardInterrupt
+    click.echo(f"ended: {left_now()}", err=True)
+
+
+def _left(running: "Daemon") -> str:
+    """Return the text on the state that an ended daemon leaves."""
+    last = running.loop.snapshot
+    latched = last is not None and last.estop != "clear" and running.latch is not None
+    stop = "; the emergency stop stays latched until `softarm acknowledge` after the next start" if latched else ""
+    log = running.recorder.path
+    return f"the drive is off, the muscle vented{stop}" + (f"; {log} is closed" if log else "")
+
+
+def _publisher(config: "Config", address: str) -> "FoxglovePublisher":
+    """Return the Foxglove server at [HOST:]PORT."""
+    from softarm.daemon.foxglove.publisher import FoxglovePublisher
+
+    host, _, port = address.rpartition(":")
+    if not (port.isdecimal() and int(port) < 65536):
+        raise click.UsageError(f"--foxglove {address}: allowed PORT or HOST:PORT, PORT 0 to 65535 (0: any)")
+    return FoxglovePublisher(config, host.strip("[]") or "127.0.0.1", int(port))
+
+
+def announce(running: "Daemon") -> None:
+    """Print the daemon's address, its state and the next commands."""
+    from softarm.daemon.stop.terminal import is_offered
+
+    leaves(lambda: _left(running))
+    log = running.recorder.path
+    left = None if running.latch is None else running.latch.left
+    address = _address_option(running)
+    state = "disarmed"
+    if left is not None:
+        state = f"stopped since its last run ({in_commands(left)}): `softarm acknowledge{address}`"
+    click.echo(f"softarm: serving {running.url} (API: {running.url}/docs), {state}")
+    click.echo(f"softarm: recording {log}" if log else "softarm: not recording (recorder.enabled is false)")
+    if running.foxglove is not None:
+        click.echo(f"softarm: live for Foxglove at {running.foxglove.url} (open a connection, Foxglove WebSocket)")
+    key = "; space or s here is an emergency stop" if is_offered() else ""
+    click.echo(f"softarm: stop: `softarm stop{address}`, or POST {running.stop_url}{key}")
+    click.echo(f"softarm: next: `softarm arm{address}`, then `softarm goal reach -0.2 0.6{address}`; Ctrl-C ends")
+
+
+def _address_option(running: "Daemon") -> str:
+    """Return the --url option that other verbs need to find this daemon; empty at the default address."""
+    url = url_of(running.config.api.model_copy(update={"port": running.port}))
+    return "" if url == DEFAULT_URL else f" --url {url}"

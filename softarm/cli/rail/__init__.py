@@ -1,0 +1,1 @@
+"""`softarm rail`: home the axis and find the middle of the rail."""

@@ -1,0 +1,1 @@
+"""Verbs that read recordings and events."""

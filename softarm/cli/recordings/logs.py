@@ -1,0 +1,99 @@
+"""`softarm logs`: list, recover and export the daemon's recordings."""
+
+from collections.abc import Iterator
+from datetime import datetime
+from pathlib import Path
+
+import click
+
+from softarm.cli.recordings.export import export
+from softarm.cli.shared.errors import fail
+from softarm.cli.shared.interrupt import leaves
+from softarm.cli.shared.printing import print_json, print_option
+from softarm.cli.shared.remote import Remote, remote
+
+
+@click.group(invoke_without_command=True)
+@print_option
+@remote
+@click.pass_context
+def logs(context: click.Context, daemon: Remote, as_json: bool) -> None:
+    """List the recordings, newest first, with the time of the last write, size, length and path.
+
+    \b
+    Examples:
+      softarm logs
+      softarm logs recover logs            repair logs cut off by a kill or a full disk
+      softarm logs export --to csv LOG     tables for other programs
+    """
+    if context.invoked_subcommand is not None:
+        return
+    answer = daemon.get("/api/logs")
+    if as_json:
+        print_json(answer)
+        return
+    if not answer["logs"]:
+        click.echo(f"no recordings yet in {answer['directory']}", err=True)
+    for log in answer["logs"]:
+        written = datetime.fromisoformat(log["modified"]).astimezone()
+        length = "" if log["duration_s"] is None else f"{log['duration_s']:.1f} s"
+        remark = "  (recording)" if log["recording"] else "" if log["finished"] else "  (unfinished)"
+        click.echo(
+            f"{written:%Y-%m-%d %H:%M:%S}  {log['bytes'] / 1e6:8.1f} MB  {length:>9}  "
+            f"{answer['directory']}/{log['name']}{remark}"
+        )
+
+
+logs.add_command(export)
+
+
+@logs.command()
+@click.argument("paths", nargs=-1, required=True, type=click.Path(exists=True, path_type=Path))
+def recover(paths: tuple[Path, ...]) -> None:
+    """Repair logs that were cut off by a kill or a full disk; PATHS are logs or folders of them.
+
+    All complete records are kept, compressed and with an index; the old file stays until then. Finished logs and logs
+    that a daemon is writing are left alone. Exits with 1 if one could not be repaired.
+
+    \b
+    Examples:
+      softarm logs recover logs
+      softarm logs recover logs/softarm-20260101T120000Z.mcap
+    """
+    files = [file for path in paths for file in (sorted(path.glob("*.mcap")) if path.is_dir() else [path])]
+    if not files:
+        fail(f"{', '.join(map(str, paths))}: no logs there; give the recorder's directory or a log")
+    leaves("repaired logs stay repaired; the others are unchanged")
+    problems = []
+    for file in files:
+        for sentence, mended in _recovered(file):
+            click.echo(sentence, err=not mended)
+            problems += [] if mended else [sentence]
+    if problems:
+        raise SystemExit(1)
+
+
+def _recovered(path: Path) -> Iterator[tuple[str, bool]]:
+    """Repair one log; yield a sentence about it and whether the log is valid now."""
+    from softarm.recordings import finishing, mcap_file
+
+    try:
+        if mcap_file.is_finished(path):
+            yield f"{path}: is finished, nothing to repair", True
+            return
+        if finishing.is_held(path):
+            yield f"{path}: is being written by a running daemon, left alone", True
+            return
+        before = path.stat().st_size
+        log = finishing.recover(path)
+    except OSError as error:
+        yield f"{path}: cannot be repaired ({error.strerror}): free disk space, or make file and folder writable", False
+        return
+    except mcap_file.LogError as error:
+        yield str(error), False
+        return
+    if log.finished:
+        size = f"{before / 1e6:.1f} MB, now {path.stat().st_size / 1e6:.1f} MB"
+        yield f"{path}: repaired; {log.records} complete records over {log.duration_s:.2f} s ({size})", True
+    else:
+        yield f"{path}: has no complete record and was not changed; delete it", False

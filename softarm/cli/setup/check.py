@@ -1,0 +1,97 @@
+"""`softarm check`: check a configuration and print its limits, or check the stage.yaml of a rig."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from softarm.cli.setup.check_stage import check_stage
+from softarm.cli.shared.errors import fail
+from softarm.cli.shared.interrupt import leaves
+from softarm.cli.shared.options import FOLDER
+from softarm.cli.shared.printing import print_json, print_option, print_table, waiting
+
+if TYPE_CHECKING:
+    from softarm.daemon.config.configuration import Loaded
+
+
+@click.command()
+@click.argument("file", type=click.Path(path_type=Path))
+@click.option("--logs", "folder", type=FOLDER, help="Also compare the rail limits with these logs of the robot.")
+@click.option("--data", type=FOLDER, help="Folder of the data files of a stage.yaml (default: its own folder).")
+@click.option("--simulated", is_flag=True, help="Check for `softarm run --simulated`, which has no devices.")
+@print_option
+def check(file: Path, folder: Path | None, data: Path | None, simulated: bool, as_json: bool) -> None:
+    """Check a configuration FILE; print the limits in force and the source of each.
+
+    FILE may be the stage.yaml of another rig: every trial and column is read and checked as in `softarm diagnose`.
+
+    Exit code 1, with every mistake and its line, if `softarm run` would not start with FILE now: an unknown key, a
+    policy whose first step fails, a port in use, an unreadable token, or a folder that cannot be written. With --logs
+    also if the robot had more latency, less braking or more acceleration than the rail limits allow for. Values for
+    which the logs are too short are listed and are no mistake.
+
+    \b
+    Examples:
+      softarm check softarm.yaml
+      softarm check softarm.yaml --logs logs
+      softarm check softarm.yaml --json
+      softarm check stage.yaml --data recordings
+    """
+    from softarm.common import realtime
+    from softarm.daemon.config.configuration import effective_limits
+    from softarm.daemon.runtime import preflight
+    from softarm.diagnosis.data.stage_file import is_stage
+
+    if is_stage(file):
+        check_stage(file, data)
+        return
+    if data is not None:
+        raise click.UsageError("--data is for the data files of a stage.yaml: name one as FILE, or omit --data")
+    leaves("nothing was changed")
+    with waiting("checking the configuration and its policies"):
+        found = preflight.look(file, wires=not simulated, thorough=True)
+    problems, loaded = list(found.problems), found.loaded
+    limits = [] if loaded is None else effective_limits(loaded)
+    if loaded is not None and not (problems or as_json):
+        columns = ("limit", "value", "unit", "allowed, or how it follows", "from")
+        print_table(columns, limits, f"{file}: limits in force", width=140)
+    if loaded is not None and folder is not None:
+        problems += _too_lax(loaded, folder, quiet=as_json)
+    if as_json:
+        rows = [row._asdict() for row in limits]
+        print_json({"file": str(file), "sound": not problems, "problems": problems, "limits": rows})
+    if problems:
+        fail("\n".join(problems))
+    if (slow := realtime.refused(found.config.control.realtime_priority)) is not None:
+        click.echo(f"warning: control.realtime_priority {found.config.control.realtime_priority}: {slow}", err=True)
+    if not as_json:
+        click.echo(f"{file}: valid; starts with policy '{found.config.control.policy}'")
+
+
+def _too_lax(loaded: "Loaded", folder: Path, quiet: bool) -> list[str]:
+    """Return a sentence for each rail limit that is laxer than the logs show; print all limits unless `quiet`."""
+    from softarm.daemon.limits.findings import findings
+    from softarm.recordings import rail_motion
+    from softarm.recordings.mcap_file import LogError
+
+    try:
+        with waiting(f"reading the logs in {folder}"):
+            motions = [rail_motion.read(path) for path in sorted(folder.glob("*.mcap"))]
+    except LogError as error:
+        fail(str(error))
+    if not motions:
+        fail(f"{folder}: contains no log; name the recorder.directory, or another folder with .mcap files of the robot")
+    found = findings(motions, loaded.config)
+    rows = [(row.key, f"{row.configured:g}", row.measured, row.why) for row in found.rows]
+    if not quiet:
+        columns = ("limits.rail", "configured", "measured", "what the logs show")
+        print_table(columns, rows, f"{folder}: the rail", width=140)
+    for reason in found.measured.left_out:
+        click.echo(f"left out: {reason}", err=True)
+    return [
+        f"{loaded.place(('limits', 'rail', row.key))}: limits.rail.{row.key}: is {row.configured:g}, laxer than the "
+        f"robot in {folder}: {row.why}; {row.advice}"
+        for row in found.rows
+        if row.is_too_lax
+    ]

@@ -1,0 +1,102 @@
+"""`softarm doctor`: check this computer before a flight and print the remedy for each problem."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from softarm.cli.shared.client import url_of
+from softarm.cli.shared.options import FILE, FOLDER, config_option, token_of
+from softarm.cli.shared.printing import print_json, print_option
+from softarm.cli.shared.words import in_commands
+from softarm.common.processes import bar
+
+if TYPE_CHECKING:
+    from softarm.common.finding import Finding
+    from softarm.daemon.doctor.examination import Target
+
+COLOURS = {"ok": "green", "warning": "yellow", "problem": "red"}
+
+
+@click.command()
+@config_option
+@click.option("--simulated", is_flag=True, help="Check for `softarm run --simulated`, which has no devices.")
+@click.option("--url", envvar="SOFTARM_URL", show_envvar=True, help="Address of the daemon (default: from the file).")
+@click.option("--token-file", type=FILE, help="File with the API's token; else $SOFTARM_TOKEN. Not needed on loopback.")
+@click.option("--logs", "folder", type=FOLDER, help="Folder of the robot's logs (default: recorder.directory).")
+@print_option
+def doctor(
+    config_file: Path | None,
+    simulated: bool,
+    url: str | None,
+    token_file: Path | None,
+    folder: Path | None,
+    as_json: bool,
+) -> None:
+    """Check this computer: software, configuration, devices, policies, scheduling, clocks, disk, limits.
+
+    With a running daemon it reads rates, ages and latency; otherwise it checks whether a daemon can start. It moves
+    nothing and opens no serial port. It connects to the drive only if no other program here does. It takes seconds.
+
+    Exit code 0 without problems, even with warnings; 1 with problems.
+
+    \b
+    Examples:
+      softarm doctor --config softarm.yaml
+      softarm doctor --config twin.yaml         while a daemon runs with this file
+      softarm doctor --simulated                for `softarm run --simulated`
+      softarm doctor --json > doctor.json
+    """
+    from softarm.daemon.doctor import examination, running, settings
+
+    loaded = settings.look(config_file, wires=not simulated)
+    url = url or url_of(loaded.config.api)
+    try:
+        daemon = running.look(url, token_of(token_file))
+    except ValueError as error:
+        raise click.BadParameter(f"{error}; e.g. http://127.0.0.1:8080", param_hint="--url") from None
+    target = examination.Target(loaded, url, daemon, simulated, folder)
+    found = _examine(target, quiet=as_json)
+    problems = sum(each.state == "problem" for several in found.values() for each in several)
+    if as_json:
+        findings = [{"part": part} | _plain(each) for part, several in found.items() for each in several]
+        print_json({"sound": problems == 0, "findings": findings})
+    else:
+        _print_summary(found, problems)
+    if problems:
+        raise SystemExit(1)
+
+
+def _plain(finding: "Finding") -> dict[str, str]:
+    """Return a finding as JSON fields."""
+    return {"name": finding.name, "state": finding.state, "figure": finding.figure, "advice": finding.advice}
+
+
+def _examine(target: "Target", quiet: bool) -> "dict[str, list[Finding]]":
+    """Return the findings of every part, and print them as they arrive unless `quiet`."""
+    from softarm.daemon.doctor.examination import PARTS
+
+    found = {}
+    with bar("examining", len(PARTS)) as progress:
+        for name, examine in PARTS.items():
+            progress.advance(0, f"examining {name}")
+            found[name] = list(examine(target))
+            progress.advance()
+            if not quiet and found[name]:
+                _print_part(name, found[name])
+    return found
+
+
+def _print_part(part: str, findings: "list[Finding]") -> None:
+    click.echo(f"\n{part}")
+    for each in findings:
+        state = click.style(f"{each.state:<8}", fg=COLOURS[each.state], bold=each.state != "ok")
+        click.echo(f"  {state} {each.name}: {in_commands(each.figure)}")
+        if each.advice:
+            click.echo(f"           {'-> ' if each.state != 'ok' else ''}{in_commands(each.advice)}")
+
+
+def _print_summary(found: "dict[str, list[Finding]]", problems: int) -> None:
+    warnings = sum(each.state == "warning" for several in found.values() for each in several)
+    counted = f"{problems} problem{'s' * (problems != 1)}, {warnings} warning{'s' * (warnings != 1)}"
+    click.echo(f"\n{counted}: " + ("not ready to fly" if problems else "ready to fly"))

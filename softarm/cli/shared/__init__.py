@@ -1,0 +1,1 @@
+"""Parts that several verbs share: options, printing, errors, the REST client."""

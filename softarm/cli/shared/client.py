@@ -1,0 +1,118 @@
+"""Client of the daemon's REST API, for the verbs."""
+
+import http.client
+import json
+from types import TracebackType
+from typing import TYPE_CHECKING, Any, Self
+
+import click
+import httpx
+
+from softarm.cli.shared.errors import Unreachable, fail
+from softarm.cli.shared.words import all_in_commands
+from softarm.schemas.rest import API_HEADER, API_VERSION
+
+if TYPE_CHECKING:
+    from softarm.schemas.config import Api
+
+DEFAULT_URL = "http://127.0.0.1:8080"
+TIMEOUT_S = 5.0
+STOP_TIMEOUT_S = 1.0  # of the dedicated stop port; the daemon answers within 0.5 s
+
+
+def url_of(api: "Api") -> str:
+    """Return the address at which a daemon of this configuration answers on this computer."""
+    return f"http://{'127.0.0.1' if api.host in ('0.0.0.0', '::') else api.host}:{api.port or 8080}"
+
+
+class Remote:
+    """A daemon at a URL. Every call that fails ends the command with a sentence."""
+
+    def __init__(self, url: str, token: str | None = None) -> None:
+        self.url = url.rstrip("/")
+        headers = {API_HEADER: str(API_VERSION)} | ({"Authorization": f"Bearer {token}"} if token else {})
+        try:
+            # No proxy from the environment: a robot is on this machine or on its own network.
+            self._client = httpx.Client(base_url=self.url, headers=headers, trust_env=False)
+        except (httpx.InvalidURL, ValueError) as error:
+            raise click.BadParameter(f"{url!r} is no URL ({error}); e.g. {DEFAULT_URL}") from None
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._client.close()
+
+    def get(self, path: str) -> Any:
+        """Return the resource at a path, parsed from JSON."""
+        return self.request("GET", path)
+
+    def post(self, path: str, body: object = None) -> Any:
+        """Send a request with an optional body and return the parsed answer."""
+        return self.request("POST", path, body)
+
+    def stop(self, port: int | None = None) -> bool:
+        """Stop through the dedicated stop port and return whether the daemon confirmed it.
+
+        Args:
+            port: The stop port; by default the port of the API plus one.
+        """
+        url = self._client.base_url
+        if url.scheme != "http":
+            return False  # a TLS proxy forwards the API's port only
+        headers = {name: value for name, value in self._client.headers.items() if name == "authorization"}
+        connection = http.client.HTTPConnection(url.host, port or (url.port or 80) + 1, timeout=STOP_TIMEOUT_S)
+        try:
+            connection.request("POST", "/api/stop", headers=headers)
+            return json.loads(connection.getresponse().read(4096)).get("stopped") is True
+        except (OSError, http.client.HTTPException, ValueError, AttributeError):
+            return False
+        finally:
+            connection.close()
+
+    def request(self, method: str, path: str, body: object = None, timeout_s: float | None = None) -> Any:
+        """Return the parsed answer, with every REST request in its texts replaced by the verb for it."""
+        return all_in_commands(self._parsed(self._answer(method, path, body, timeout_s or TIMEOUT_S)))
+
+    def download(self, path: str) -> bytes:
+        """Return the bytes at a path."""
+        return self._answer("GET", path, None, TIMEOUT_S).content
+
+    def _answer(self, method: str, path: str, body: object, timeout_s: float) -> httpx.Response:
+        """Return a successful response; otherwise end the command with the daemon's own reason."""
+        try:
+            response = self._client.request(method, path, json=body, timeout=timeout_s)
+        except httpx.UnsupportedProtocol:
+            raise click.BadParameter(f"{self.url!r} lacks http:// or https://; e.g. {DEFAULT_URL}") from None
+        except httpx.ConnectError:
+            raise Unreachable(
+                f"no daemon at {self.url}: start one with `softarm run --config FILE`, or name its --url"
+            ) from None
+        except httpx.TimeoutException:
+            fail(f"the daemon at {self.url} has not answered for {timeout_s:g} s: see its own output")
+        except httpx.HTTPError as error:
+            fail(f"the connection to {self.url} broke ({error}): see whether the daemon still runs")
+        version = response.headers.get(API_HEADER, "")
+        if path != "/api/stop" and version.isdecimal() and int(version) > API_VERSION:
+            fail(
+                f"the daemon at {self.url} uses version {version} of the API, this command version {API_VERSION}: "
+                "update softarm here"
+            )
+        if response.status_code == 401:
+            fail(f"the daemon at {self.url} requires a valid token: give it with --token-file FILE or $SOFTARM_TOKEN")
+        if response.is_error:
+            fail(_detail(self._parsed(response)) or f"{method} {path}: HTTP {response.status_code}")
+        return response
+
+    def _parsed(self, response: httpx.Response) -> Any:
+        try:
+            return response.json()
+        except ValueError:
+            fail(f"{self.url} does not answer as a softarm daemon: another program may use this port")
+
+
+def _detail(answer: object) -> str | None:
+    detail = answer.get("detail") if isinstance(answer, dict) else None
+    return detail if isinstance(detail, str) else None

@@ -1,0 +1,34 @@
+"""Errors of verbs: one sentence on standard error and exit code 1. Usage errors are click's and exit with 2."""
+
+from typing import IO, Any, NoReturn
+
+import click
+
+from softarm.cli.shared.words import in_commands
+
+# Exit code -> meaning, for scripts.
+EXITS = {
+    0: "done",
+    1: "refused, failed or not reached; standard error states the cause and what to do",
+    2: "usage error: unknown verb or option, or a value out of range",
+    3: "`close-gap` only: finished, but the old policy is the better one",
+    70: "defect in softarm: `softarm --debug VERB ...` shows the traceback",
+    130: "Ctrl-C: standard error states what was left, and in which state",
+}
+
+
+class Failure(click.ClickException):
+    """Failure of a verb, with its cause and the next step."""
+
+    def show(self, file: IO[Any] | None = None) -> None:
+        """Print the message without a prefix: a file's problem starts with FILE:LINE, which editors follow."""
+        click.echo(in_commands(self.format_message()), file=file, err=file is None)
+
+
+class Unreachable(Failure):
+    """Failure to reach a daemon; verbs that work without one catch it."""
+
+
+def fail(text: str) -> NoReturn:
+    """End the command with a sentence and exit code 1."""
+    raise Failure(text)

@@ -1,0 +1,107 @@
+"""Parameter types and options that several verbs share."""
+
+import json
+import os
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+from click.core import ParameterSource
+
+from softarm.cli.shared.completion import models
+from softarm.cli.shared.errors import fail
+from softarm.common import files
+
+if TYPE_CHECKING:
+    from softarm.schemas.model import Model
+
+FILE = click.Path(path_type=Path, dir_okay=False)
+INPUT = click.Path(path_type=Path)
+FOLDER = click.Path(path_type=Path, file_okay=False)
+
+json_option = click.option("--json", "json_file", type=FILE, help="Write the results to this file.")
+config_option = click.option("--config", "config_file", type=FILE, help="The YAML file; default values without.")
+model_option = click.option(
+    "--model",
+    "model_file",
+    type=FILE,
+    shell_complete=models,
+    help="Model of the robot: a file, or a shipped name such as no-delay (default: seed).",
+)
+
+
+def typed() -> list[str]:
+    """Return the arguments and options of the running verb that were typed, by their names on the command line."""
+    context = click.get_current_context()
+    parameters = ((each, context.get_parameter_source(each.name or "")) for each in context.command.params)
+    return [
+        each.human_readable_name if isinstance(each, click.Argument) else each.opts[0]
+        for each, source in parameters
+        if source is ParameterSource.COMMANDLINE
+    ]
+
+
+def load_model(file: Path) -> "Model":
+    """Return a model by its file or shipped name; end the command with a sentence if it is missing or invalid."""
+    from softarm.simulator import model_file
+
+    try:
+        return model_file.load(file)
+    except model_file.ModelFileError as error:
+        fail(str(error))
+
+
+def flown_model(file: Path | None) -> "Model | None":
+    """Return the model of a robot for the real control loop, or None without a file.
+
+    Prints the effects that this loop cannot simulate. Ends the command with a sentence if the model is missing, invalid
+    or has another number of links than the daemon expects.
+    """
+    from softarm.schemas.messages import BODY_NAMES
+
+    if file is None:
+        return None
+    model = load_model(file)
+    if model.arm.links != len(BODY_NAMES) - 1:
+        fail(f"{file}: has {model.arm.links} links; the daemon flies an arm of {len(BODY_NAMES) - 1} marker sets")
+    clock = [name for name in model.effects if name.startswith("clock.")]
+    if clock:
+        click.echo(f"{', '.join(clock)}: not simulated, since the real control loop runs here", err=True)
+    return model
+
+
+def write_json(file: Path | None, data: object) -> None:
+    """Write the results to the file of --json, if there is one, as `write` does."""
+    if file is not None:
+        write(file, json.dumps(data, indent=1) + "\n")
+
+
+def write(file: Path, text: str) -> None:
+    """Write a text file and print its name; end the command with a sentence if that fails."""
+    write_bytes(file, text.encode())
+
+
+def write_bytes(file: Path, content: bytes) -> None:
+    """Write a binary file as `write` does."""
+    try:
+        files.write_bytes(file, content)
+    except OSError as error:
+        fail(f"{error.filename}: cannot be written ({error.strerror}); choose another place")
+    click.echo(f"wrote {file}")
+
+
+def check_places(*places: Path | None) -> None:
+    """End the command with a sentence if the folder of a result is missing, before minutes of work."""
+    for file in places:
+        if file is not None and not file.parent.is_dir():
+            fail(f"{file}: the folder {file.parent} does not exist; create it or choose another place")
+
+
+def token_of(file: Path | None) -> str | None:
+    """Return the API token from a file, or else from $SOFTARM_TOKEN, or None."""
+    if file is None:
+        return os.environ.get("SOFTARM_TOKEN")
+    try:
+        return file.read_text(encoding="utf-8").strip()
+    except (OSError, UnicodeDecodeError) as error:
+        fail(f"--token-file {file}: cannot be read ({error}); name the file of the daemon's api.token_file")

@@ -1,0 +1,1 @@
+"""Helpers that do not depend on the robot, and the braking law."""

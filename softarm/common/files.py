@@ -1,0 +1,57 @@
+"""Atomic writing of files: a reader, also after a crash, finds either the old file or the new one."""
+
+import os
+import secrets
+import stat
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import BinaryIO
+
+
+def write_text(path: Path | str, text: str) -> None:
+    """Replace a file by a text in UTF-8."""
+    write_bytes(path, text.encode())
+
+
+def write_bytes(path: Path | str, content: bytes) -> None:
+    """Replace a file by the given bytes."""
+    with replacing(path) as file:
+        file.write(content)
+
+
+@contextmanager
+def replacing(path: Path | str) -> Iterator[BinaryIO]:
+    """Open a draft that replaces a file at the end of the block; an error in the block deletes the draft.
+
+    The hidden draft is in the same folder and is flushed to the disk first. The new file keeps the permissions of the
+    old one. A symbolic link keeps its target, which is replaced. A device or a pipe is written directly.
+
+    Raises:
+        OSError: The file cannot be written.
+    """
+    target = Path(path)
+    if target.exists() and not target.is_file():
+        with target.open("wb") as file:
+            yield file
+        return
+    target = Path(os.path.realpath(target))
+    draft = target.with_name(f".{target.name}.{secrets.token_hex(4)}")
+    try:
+        with _begun(draft, path) as file:
+            if target.exists():
+                os.fchmod(file.fileno(), stat.S_IMODE(target.stat().st_mode))
+            yield file
+            file.flush()
+            os.fsync(file.fileno())
+        draft.replace(target)
+    finally:
+        draft.unlink(missing_ok=True)
+
+
+def _begun(draft: Path, path: Path | str) -> BinaryIO:
+    """Open the draft; an error names the file that it replaces."""
+    try:
+        return draft.open("xb")
+    except OSError as error:
+        raise OSError(error.errno, error.strerror, str(path)) from None

@@ -1,0 +1,1 @@
+"""The daemon: control loop, API, logbook, dashboard and health checks."""

@@ -1,0 +1,86 @@
+"""Listening TCP sockets of the daemon."""
+
+import contextlib
+import errno
+import shlex
+import socket
+from collections.abc import Callable
+from pathlib import Path
+
+from softarm.daemon.access.holders import holders
+
+LISTENS = "0A"  # state of a socket in /proc/net/tcp
+
+
+class ApiError(Exception):
+    """The API or the dedicated stop port cannot be opened; the text has the address and the next step."""
+
+
+def listen(host: str, port: int, key: str, backlog: int) -> socket.socket:
+    """Return a listening TCP socket.
+
+    Args:
+        host: address of this computer.
+        port: TCP port; 0 for any free one.
+        key: configuration key of the port, for the error's text.
+        backlog: connections that may wait.
+
+    Raises:
+        ApiError: if the address cannot be bound.
+    """
+    return _opened(host, port, key, lambda opened: opened.listen(backlog))
+
+
+def try_out(host: str, port: int, key: str) -> None:
+    """Check that `listen` would succeed without blocking the port; raise ApiError otherwise."""
+    _opened(host, port, key, lambda _: None).close()
+
+
+def bound(host: str, port: int) -> socket.socket:
+    """Return a socket bound to an address that does not listen yet; raise OSError if it cannot be bound."""
+    family, kind, protocol, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
+    made = socket.socket(family, kind, protocol)
+    try:
+        made.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        made.bind(address)
+    except OSError:
+        made.close()
+        raise
+    return made
+
+
+def _opened(host: str, port: int, key: str, begin: Callable[[socket.socket], None]) -> socket.socket:
+    try:
+        opened = bound(host, port)
+        try:
+            begin(opened)
+        except OSError:
+            opened.close()
+            raise
+    except OSError as error:
+        where = f"api.host {host}, {key} {port}: cannot listen there"
+        if error.errno != errno.EADDRINUSE:
+            raise ApiError(f"{where} ({error.strerror}); name an address of this machine and a free {key}") from error
+        raise ApiError(
+            f"{where}, {holder(port) or 'a program of another user'} does; stop that one (`softarm status` asks a "
+            f"daemon), or choose another {key}, 0 for any"
+        ) from error
+    return opened
+
+
+def holder(port: int) -> str | None:
+    """Return a description of the process that listens at a TCP port, or None if none is visible."""
+    inodes = {f"socket:[{inode}]" for table in ("tcp", "tcp6") for inode in _listening(Path("/proc/net", table), port)}
+    for process in holders(inodes):
+        with contextlib.suppress(OSError):  # the process has ended meanwhile
+            command = (process / "cmdline").read_bytes().decode(errors="replace").split("\0")
+            return f"process {process.name} ({shlex.join(command[:-1])[:80]})"
+    return None
+
+
+def _listening(table: Path, port: int) -> list[str]:
+    try:
+        rows = [line.split() for line in table.read_text().splitlines()[1:]]
+    except OSError:
+        return []
+    return [row[9] for row in rows if row[3] == LISTENS and int(row[1].rpartition(":")[2], 16) == port]

@@ -1,0 +1,113 @@
+"""Endpoints that report the robot's state. Their docstrings are the texts of /docs."""
+
+import asyncio
+import math
+from typing import Any
+
+from fastapi import APIRouter, WebSocket
+from fastapi.responses import Response
+
+from softarm.daemon.api.bounds import STREAMS_MAX
+from softarm.daemon.api.context import ApiContext
+from softarm.daemon.api.endpoints import metrics
+from softarm.daemon.api.endpoints.files import LISTING_S, LISTINGS_MAX
+from softarm.daemon.api.endpoints.robot import robot_answer
+from softarm.daemon.api.refusals import Refused, answers, content, json_response, query_integer, refusal
+from softarm.daemon.api.status import Status, StatusView
+from softarm.daemon.api.stream import stream
+from softarm.daemon.api.workers import Workers
+from softarm.daemon.logbook import folder
+from softarm.daemon.logbook.history import KEPT
+from softarm.daemon.logbook.recent import KEPT_S
+from softarm.schemas.rest import EventsAnswer, Health, RecentAnswer, RobotAnswer
+from softarm.schemas.robot import CONTROL_RATE_HZ
+
+RECENT_S = 10.0  # time limit for encoding the last minutes
+UNHEALTHY: dict[int | str, dict[str, Any]] = {
+    503: {"model": Health, "description": "the robot cannot be used; the answer states why"}
+}
+
+
+class Observation:
+    """Endpoints for status, events, charts and metrics."""
+
+    def __init__(self, context: ApiContext, view: StatusView) -> None:
+        self._context, self._view = context, view
+        self._disk = Workers(LISTINGS_MAX, LISTING_S)
+        self._charting, self._charts = Workers(1, RECENT_S), asyncio.Lock()
+        self._streams = 0
+
+    def router(self) -> APIRouter:
+        """Return the routes of these endpoints."""
+        router = APIRouter(tags=["Observation"], default_response_class=Response)
+        router.get("/api/robot", responses=answers(RobotAnswer))(self.robot)
+        router.get("/api/status", responses=answers(Status, 503))(self.status)
+        router.get("/api/recent", responses=answers(RecentAnswer, 422, 503, 504))(self.get_recent)
+        router.get("/api/health", responses=answers(Health) | UNHEALTHY)(self.health)
+        router.get("/api/events", responses=answers(EventsAnswer, 422))(self.get_events)
+        router.get("/metrics", responses=answers(content("text/plain", text=True), 503, 504))(self.get_metrics)
+        router.websocket("/api/stream")(self.stream)
+        return router
+
+    async def robot(self) -> Response:
+        """Return the constants of this run: dimensions, limits and the dedicated stop port."""
+        context = self._context
+        answer = robot_answer(
+            context.config, run=context.history.run, simulated=context.simulated, stop_port=context.stop_port()
+        )
+        return json_response(answer.model_dump_json())
+
+    async def get_recent(self, seconds: str = "60") -> Response:
+        """Return the last `seconds` (1 to 600) as columns for charts, in whole seconds."""
+        count = query_integer("seconds", seconds, 1, KEPT_S)
+        async with self._charts:  # one at a time, so frequent clients wait only for each other
+            text = await self._charting.run("the last minutes", lambda: self._context.recent.json(count))
+        return json_response(text)
+
+    async def status(self) -> Response:
+        """Return the robot's complete status as of the newest control tick."""
+        status = self._view.json()
+        if status is None:
+            raise Refused(503, *self._view.why_unhealthy())
+        return json_response(status)
+
+    async def health(self) -> Response:
+        """Return 200 if the robot can be used, otherwise 503 with the reasons."""
+        reasons = tuple(self._view.why_unhealthy())
+        return json_response(Health(healthy=not reasons, reasons=reasons).model_dump_json(), 503 if reasons else 200)
+
+    async def get_events(self, since: str | None = None, limit: str = "100") -> Response:
+        """Return `limit` events: the newest, or with `since` the oldest after that number."""
+        history = self._context.history
+        after = None if since is None else query_integer("since", since, 0, None)
+        found = history.after(after, query_integer("limit", limit, 1, KEPT))
+        kept = history.entries
+        ends = (kept[0].number, kept[-1].number) if kept else (None, None)
+        answer = EventsAnswer(run=history.run, events=found, oldest=ends[0], newest=ends[1])
+        return json_response(answer.model_dump_json())
+
+    async def get_metrics(self) -> Response:
+        """Return figures for a Prometheus server in its text format."""
+        recorder, settings = self._context.recorder, self._context.config.recorder
+        free = await self._disk.run("reading the free disk space", lambda: folder.free_bytes(settings.directory))
+        text = metrics.exposition(self._view, self._context.history, recorder.dropped if recorder else 0, free)
+        return Response(text, media_type=metrics.TYPE)
+
+    async def stream(self, socket: WebSocket, hz: str = str(CONTROL_RATE_HZ)) -> None:
+        """Send every new status, at most `hz` times a second. A slow client gets fewer."""
+        try:
+            rate = float(hz)
+        except ValueError:
+            rate = math.nan
+        if not 0 < rate <= CONTROL_RATE_HZ:
+            reason = f"hz: is {hz[:20]!r}; allowed above 0, at most {CONTROL_RATE_HZ}"
+            await socket.send_denial_response(refusal(422, (reason,)))
+        elif self._streams >= STREAMS_MAX:
+            reason = f"{STREAMS_MAX} clients already have a stream: close one, or GET /api/status"
+            await socket.send_denial_response(refusal(503, (reason,)))
+        else:
+            self._streams += 1
+            try:
+                await stream(self._view, socket, rate)
+            finally:
+                self._streams -= 1

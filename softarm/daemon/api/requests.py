@@ -1,0 +1,71 @@
+"""Hands a request to the control loop and waits for the tick that answers it."""
+
+import asyncio
+import time
+from collections.abc import Callable
+
+from fastapi import Request
+from fastapi.responses import Response
+
+from softarm.daemon.api.bounds import WHO
+from softarm.daemon.api.refusals import Refused, json_response
+from softarm.daemon.api.status import StatusView
+from softarm.daemon.api.stream import POLL_S
+from softarm.daemon.control.inbox import ANSWER_S, STOP_WAITS, Inbox, InboxFull
+from softarm.daemon.control.records import RequestKind, RequestResult
+from softarm.policies.runner import PolicyRunner
+from softarm.schemas.goals import Goal
+
+
+class Requests:
+    """Posts requests to the inbox and answers with the status after the tick that handled them."""
+
+    def __init__(self, inbox: Inbox, view: StatusView, clock: Callable[[], int]) -> None:
+        self._inbox, self._view, self._clock = inbox, view, clock
+
+    async def post(
+        self,
+        request: Request,
+        kind: RequestKind,
+        *,
+        goal: Goal | None = None,
+        policy: str | None = None,
+        runner: PolicyRunner | None = None,
+        warnings: tuple[str, ...] = (),
+    ) -> Response:
+        """Post a request and return the status after the tick that handled it.
+
+        Raises:
+            Refused: 409 with the control loop's reasons, 503 if the control loop does not answer.
+        """
+        try:
+            number = self._inbox.post(kind, goal=goal, policy=policy, runner=runner, who=request.scope[WHO])
+        except InboxFull as error:
+            raise Refused(503, str(error)) from error
+        result = await self._result(kind, number, self._clock())
+        if result is None:
+            raise Refused(503, f"{kind}: the control loop did not answer within {ANSWER_S:g} s", _next_step(kind))
+        if not result.accepted:
+            raise Refused(409, *result.reasons)
+        answer = self._view.answer(warnings)
+        if answer is None:
+            raise Refused(503, *self._view.why_unhealthy())
+        return json_response(answer)
+
+    async def _result(self, kind: RequestKind, number: int, posted_ns: int) -> RequestResult | None:
+        deadline = time.monotonic() + ANSWER_S
+        late = False
+        while not late:
+            late = time.monotonic() >= deadline  # then look once more: the API itself may have been held up
+            snapshot = self._view.snapshot()
+            if kind == "stop" and snapshot is not None and snapshot.has_stopped(number, posted_ns):
+                return RequestResult(number, True)
+            for result in reversed(snapshot.results if snapshot else ()):
+                if result.number == number:
+                    return result
+            await asyncio.sleep(POLL_S)
+        return None
+
+
+def _next_step(kind: RequestKind) -> str:
+    return STOP_WAITS if kind == "stop" else "see GET /api/health; the request is still in the inbox"

@@ -1,0 +1,61 @@
+"""Runs slow work in threads that neither the next request nor the end of the service waits for."""
+
+import asyncio
+import contextlib
+import threading
+from collections.abc import Callable
+from typing import TypeVar
+
+from softarm.daemon.api.refusals import Refused
+
+Result = TypeVar("Result")
+
+
+class Workers:
+    """Limited number of worker threads with a time limit; work that never ends keeps its thread and its place."""
+
+    def __init__(self, at_once: int, limit_s: float) -> None:
+        self._places, self._limit_s = threading.Semaphore(at_once), limit_s
+        self._at_once = at_once
+
+    async def run(self, name: str, work: Callable[[], Result]) -> Result:
+        """Run `work` in a thread and return its result or raise its exception.
+
+        Args:
+            name: of the work, for refusals.
+            work: called without arguments in the worker thread.
+
+        Raises:
+            Refused: 503 if all places are taken, 504 if the work exceeds the time limit.
+        """
+        if not self._places.acquire(blocking=False):
+            reason = f"{name}: {self._at_once} of these are running already. Retry later, or restart the service"
+            raise Refused(503, reason)
+        loop = asyncio.get_running_loop()
+        answer: asyncio.Future[Result] = loop.create_future()
+
+        def finish(result: Result | None, error: BaseException | None) -> None:
+            if answer.cancelled():
+                return
+            if error is None:
+                answer.set_result(result)  # type: ignore[arg-type]
+            else:
+                answer.set_exception(error)
+
+        def execute() -> None:
+            result, error = None, None
+            try:
+                result = work()
+            except BaseException as raised:  # includes a plug-in that calls sys.exit()
+                error = raised if isinstance(raised, Exception) else RuntimeError(f"{type(raised).__name__}: {raised}")
+            finally:
+                self._places.release()
+            with contextlib.suppress(RuntimeError):  # the API has stopped
+                loop.call_soon_threadsafe(finish, result, error)
+
+        threading.Thread(target=execute, name=f"worker: {name}", daemon=True).start()
+        try:
+            async with asyncio.timeout(self._limit_s):
+                return await answer
+        except TimeoutError as error:
+            raise Refused(504, f"{name}: not finished within {self._limit_s:g} s; abandoned") from error

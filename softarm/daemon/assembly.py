@@ -1,0 +1,204 @@
+"""The complete daemon: recorder, control loop, API and stop port, and the order in which they start and stop."""
+
+import logging
+import signal
+import sys
+import threading
+import time
+from collections.abc import Callable
+from types import FrameType
+
+from softarm.common import realtime
+from softarm.daemon.access.login import Sessions
+from softarm.daemon.api.app import create_app
+from softarm.daemon.api.context import ApiContext
+from softarm.daemon.api.server import ApiServer
+from softarm.daemon.config.places import latch_path
+from softarm.daemon.control.inbox import Inbox
+from softarm.daemon.foxglove.publisher import FoxglovePublisher
+from softarm.daemon.logbook.recorder import Recorder
+from softarm.daemon.runtime.devices import Devices
+from softarm.daemon.runtime.first_policy import first_policy
+from softarm.daemon.runtime.loop import ControlLoop
+from softarm.daemon.runtime.service import Notifier, Watchdog, allow_descriptors
+from softarm.daemon.stop.latch import LatchKeeper
+from softarm.daemon.stop.listener import StopListener
+from softarm.daemon.stop.terminal import StopKey
+from softarm.daemon.tick import Controller
+from softarm.policies import registry
+from softarm.policies.base import Policy
+from softarm.policies.runner import ThreadRunner
+from softarm.schemas.config import Config
+
+log = logging.getLogger(__name__)
+
+POLL_S = 0.1
+SWITCH_INTERVAL_S = 0.0002  # the API's thread yields to the control loop within this time instead of 5 ms
+
+
+def latch_of(config: Config) -> LatchKeeper:
+    """Return the latch of a real robot; a robot simulated in this process has none."""
+    return LatchKeeper(latch_path(config), config.control.realtime_priority)
+
+
+class Daemon:
+    """The daemon in this process, on the caller's devices."""
+
+    def __init__(
+        self,
+        config: Config,
+        devices: Devices,
+        latch: LatchKeeper | None = None,
+        policy: Policy | None = None,
+        foxglove: FoxglovePublisher | None = None,
+    ) -> None:
+        """Assemble the daemon without starting it; keeps the priority of the calling thread.
+
+        `policy` is the loaded `control.policy`; without it the policy is loaded here. A real robot has a latch.
+
+        Raises:
+            PolicyError: The policy cannot be loaded.
+        """
+        self.config = config
+        policy = policy or registry.load(config.control.policy, config.policies)
+        self.recorder = Recorder(config, policy.spec)
+        self.foxglove = foxglove
+        if foxglove is not None:
+            self.recorder.listener = foxglove.take
+        self.inbox = Inbox()
+        self.latch = latch
+        self.notifier = Notifier()
+        self.watchdog = Watchdog(self.notifier)
+        controller = Controller(config, ThreadRunner(policy, config.failsafe.policy_budget_s))
+        self.loop = ControlLoop(
+            controller,
+            devices,
+            self.inbox,
+            self.recorder,
+            self.watchdog,
+            latch,
+            rate_hz=config.control.rate_hz,
+            realtime_priority=config.control.realtime_priority,
+        )
+        sessions = Sessions(config.api.port)
+        self.api = ApiServer(config.api, create_app(self._api_context(controller, devices, sessions)))
+        self.stop_listener = StopListener(
+            config.api,
+            self.inbox,
+            lambda: self.loop.snapshot,
+            config.control.realtime_priority,
+            lambda: self.port,
+            sessions,
+        )
+        self.port = self.stop_port = 0
+
+    def _api_context(self, controller: Controller, devices: Devices, sessions: Sessions) -> ApiContext:
+        return ApiContext(
+            self.config,
+            self.inbox,
+            lambda: self.loop.snapshot,
+            lambda: self.loop.problems,
+            self.recorder,
+            self.recorder.history,
+            self.recorder.recent,
+            frame=lambda: controller.frame,
+            sessions=sessions,
+            stop_port=lambda: self.stop_port,
+            left_at=lambda: None if self.latch is None else self.latch.left_at,
+            simulated=devices.simulated,
+        )
+
+    def start(self) -> None:
+        """Start latch, recorder, stop port, API and loop: the API answers before the hardware is ready.
+
+        Raises:
+            LatchError, RecorderError, FoxgloveError, ApiError: A part cannot start; the others are stopped again.
+        """
+        sys.setswitchinterval(SWITCH_INTERVAL_S)
+        try:
+            if self.latch is not None:
+                self.latch.start()
+            self.recorder.start()
+            if self.foxglove is not None:
+                self.foxglove.start()
+            self.stop_port = self.stop_listener.start()
+            self.port = self.api.start()
+        except Exception:
+            self.stop_listener.stop()
+            self.recorder.stop()
+            if self.foxglove is not None:
+                self.foxglove.stop()
+            if self.latch is not None:
+                self.latch.stop()
+            raise
+        self.loop.start()
+
+    def stop(self) -> None:
+        """Stop every part, even if another fails; the loop first, since it leaves the devices safe."""
+        for part in (self.loop, self.latch, self.stop_listener, self.api, self.recorder, self.foxglove):
+            try:
+                if part is not None:
+                    part.stop()
+            except Exception:
+                log.exception("%s did not stop cleanly", type(part).__name__)
+
+    @property
+    def url(self) -> str:
+        """Return the address of the API."""
+        return f"http://{self.config.api.host}:{self.port}"
+
+    @property
+    def stop_url(self) -> str:
+        """Return the address of the dedicated stop port."""
+        return f"http://{self.config.api.host}:{self.stop_port}/api/stop"
+
+    def stop_by_key(self) -> None:
+        """Request an emergency stop from the terminal."""
+        self.inbox.post("stop", who="the terminal")
+        log.warning("emergency stop by key: `softarm acknowledge` releases the latch")
+
+
+def wait_for(stop: threading.Event, poll_s: float = POLL_S) -> None:
+    """Wait until a signal handler sets the event. For the main thread, where handlers run.
+
+    `Event.wait` could hold the lock that the handler's `set` needs, and deadlock.
+    """
+    while not stop.is_set():
+        time.sleep(poll_s)
+
+
+def run(
+    config: Config,
+    devices: Devices,
+    on_ready: Callable[[Daemon], None],
+    latch: LatchKeeper | None = None,
+    foxglove: FoxglovePublisher | None = None,
+) -> int:
+    """Run the daemon until SIGINT or SIGTERM and return the signal; notify systemd if present.
+
+    Calls `on_ready` once the daemon has started. Raises the errors of `first_policy` and `Daemon`.
+    """
+    stop, signals = threading.Event(), [signal.SIGTERM]
+
+    def end(number: int, _frame: FrameType | None) -> None:
+        signals.append(signal.Signals(number))
+        stop.set()
+
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, end)
+    allow_descriptors()
+    realtime.outrank_other_programs(config.control.realtime_priority)  # inherited by the policy's threads
+    policy = first_policy(config, stop)
+    if policy is None:
+        return signals[-1]
+    daemon = Daemon(config, devices, latch, policy, foxglove)
+    daemon.start()
+    try:
+        on_ready(daemon)
+        daemon.notifier.ready(f"serving {daemon.url}")
+        with StopKey(daemon.stop_by_key):
+            wait_for(stop)
+        daemon.notifier.stopping()
+    finally:
+        daemon.stop()
+    return signals[-1]

@@ -1,0 +1,1 @@
+"""The configuration file: reader, checks, editor and reference of its keys."""

@@ -1,0 +1,126 @@
+"""Reader of the configuration file: reports all mistakes at once, with their lines."""
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from softarm.common import yaml_lines
+from softarm.common.keys import leaves
+from softarm.common.quantity import shown
+from softarm.common.yaml_lines import FileError, Place
+from softarm.common.yaml_schema import fit
+from softarm.daemon.access.auth import TOKEN_FILES
+from softarm.daemon.config.contradictions import contradictions
+from softarm.daemon.config.places import latch_path
+from softarm.schemas.config import Config
+
+
+@dataclass(frozen=True, slots=True)
+class Loaded:
+    """Content of a configuration file and the line of each key."""
+
+    path: Path
+    config: Config
+    lines: dict[Place, int]  # from 1; keys with default values are missing
+
+    def place(self, path: Place) -> str:
+        """Return the location of a key: `FILE:LINE`, or the file alone."""
+        return f"{self.path}:{self.lines[path]}" if path in self.lines else str(self.path)
+
+
+class ConfigurationError(FileError):
+    """All mistakes of a configuration; `remains` is the configuration without them, if possible."""
+
+    remains: Loaded | None = None
+
+
+def load(path: Path | str) -> Config:
+    """Read the daemon's configuration.
+
+    Raises:
+        ConfigurationError: The file has mistakes; it names all of them.
+    """
+    return read(path).config
+
+
+def read(path: Path | str) -> Loaded:
+    """Read the daemon's configuration with the line of each key.
+
+    Raises:
+        ConfigurationError: The file has mistakes; it names all of them.
+    """
+    document: yaml_lines.Document | None = None
+    try:
+        document = yaml_lines.read(path, "name an existing file, or write one with `softarm config new`")
+        return Loaded(document.path, fit(document, Config, rules=contradictions), document.lines)
+    except FileError as error:
+        refused = ConfigurationError(error.problems, error.rest, error.left_out)
+        if document is not None and isinstance(error.rest, Config):
+            refused.remains = Loaded(document.path, error.rest, document.lines)
+        raise refused from None
+
+
+class LimitRow(NamedTuple):
+    """One line of `softarm check`."""
+
+    key: str
+    value: str
+    unit: str
+    bounds: str  # for a derived value: its formula
+    source: str  # line in the file, `default` or `derived`
+
+
+def effective_limits(loaded: Loaded) -> list[LimitRow]:
+    """Return the limits, ages and workspace in force, followed by the values derived from them."""
+    rows = []
+    for key in leaves(Config):
+        if key.path[0] in ("limits", "failsafe", "goals"):
+            value: Any = loaded.config
+            for name in key.path:
+                value = getattr(value, str(name))
+            line = loaded.lines.get(key.path)
+            source = "default" if line is None else f"line {line}"
+            rows.append(LimitRow(key.name, shown(value), key.unit, key.bounds, source))
+    return rows + list(_derived(loaded.config))
+
+
+def _derived(config: Config) -> Iterator[LimitRow]:
+    rail, pressure, period_s = config.limits.rail, config.limits.pressure, 1 / config.control.rate_hz
+    speed = rail.velocity_max_m_s
+    hold_s = config.drivers.rail.hold_s
+    stopping_m = speed * (rail.latency_s + hold_s) + speed**2 / (2 * rail.braking_m_s2)
+
+    def row(key: str, value: float, unit: str, how: str) -> LimitRow:
+        return LimitRow(key, f"{value:.4g}", unit, how, "derived")
+
+    yield row("tick", period_s * 1e3, "ms", "1 / control.rate_hz")
+    yield row("stopping distance at full speed", stopping_m, "m", "v (latency + hold) + v^2 / (2 braking)")
+    yield row(
+        "full speed towards +y up to",
+        rail.position_max_m - rail.margin_m - stopping_m,
+        "m",
+        "position_max - margin - stopping distance",
+    )
+    yield row(
+        "full speed towards -y down to",
+        rail.position_min_m + rail.margin_m + stopping_m,
+        "m",
+        "position_min + margin + stopping distance",
+    )
+    yield row("pressure step per tick", pressure.slew_max_kpa_s * period_s, "kPa", "slew_max x tick")
+    ticks = math.ceil((pressure.max_kpa - pressure.min_kpa) / (pressure.slew_max_kpa_s * period_s) - 1e-9)
+    yield row("full pressure range in", ticks, "ticks", "(max - min) / step")
+    address, how = f"{config.api.host}:{config.api.stops_at}", "api.stop_port, or the one after api.port"
+    yield LimitRow("stop port", address, "", how, "derived")
+    roles = [role.name.lower() for role, key in TOKEN_FILES.items() if getattr(config.api, key) is not None]
+    who = f"clients with a token: {', '.join(roles)}" if roles else "programs on this computer"
+    yield LimitRow("clients of the API", who, "", "api.token_file, view_token_file, stop_token_file", "derived")
+    where, how = (
+        str(latch_path(config)),
+        "in the service's state directory, else recorder.directory; named after the axis",
+    )
+    yield LimitRow("latch of the emergency stop", where, "", how, "derived")
+    share = 100 * config.failsafe.policy_budget_s / period_s
+    yield row("policy's share of a tick", share, "%", "policy_budget / tick")

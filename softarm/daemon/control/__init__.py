@@ -1,0 +1,1 @@
+"""Parts of the control tick: observer, checks, failsafe, safety filter, goals. Pure."""

@@ -1,0 +1,376 @@
+"""Failsafe table: every event with its response, how it clears and what the operator does.
+
+The page docs/reference/failsafe.md and the API's arming refusals are made from the table.
+"""
+
+from dataclasses import dataclass
+from enum import IntEnum
+
+from softarm.daemon.control.records import ActiveEvent
+
+
+class Response(IntEnum):
+    """Response of an armed robot to an event, mildest first."""
+
+    WARN = 0  # shown and logged
+    SOFT_STOP = 1  # brake, vent, hold the cart until the arm is still, then disarm; a person arms again
+    STOP = 2  # vent and switch the drive off at once; latched until acknowledged
+
+
+@dataclass(frozen=True, slots=True)
+class Rule:
+    """One line of the failsafe table."""
+
+    response: Response
+    blocks_arming: bool
+    meaning: str
+    remedy: str  # the next step
+    clears: str = "when the cause is gone"
+
+
+# What an operator does after an emergency stop, once the cause is gone.
+ACKNOWLEDGE = "then run `softarm acknowledge` or press Acknowledge on the dashboard"
+
+TABLE: dict[str, Rule] = {
+    "stop_requested": Rule(
+        Response.STOP,
+        True,
+        "an emergency stop was requested",
+        f"make sure that the arm is free, {ACKNOWLEDGE}",
+        "at once; the latch stays",
+    ),
+    "remote_off": Rule(
+        Response.STOP,
+        True,
+        "the emergency-stop circuit is open: the drive's enable input (DI7) is low",
+        f"release the emergency-stop button, {ACKNOWLEDGE}",
+    ),
+    "internal_error": Rule(
+        Response.STOP,
+        True,
+        "the control loop failed",
+        "keep the log, report the error and restart the service",
+        "never: restart the service",
+    ),
+    "rail_fault": Rule(
+        Response.STOP,
+        True,
+        "the drive reports a fault",
+        f"clear the cause at the drive, {ACKNOWLEDGE}",
+    ),
+    "regulator_fault": Rule(
+        Response.STOP,
+        True,
+        "the pressure regulator reports a fault",
+        f"check its supply and wiring, {ACKNOWLEDGE}",
+    ),
+    "rail_outside": Rule(
+        Response.STOP,
+        True,
+        "the cart is outside the rail limits",
+        f"with the drive off, push the cart back inside by hand, {ACKNOWLEDGE}",
+    ),
+    "rail_astray": Rule(
+        Response.STOP,
+        True,
+        "the cart does not follow the drive's set-points",
+        f"check that nothing blocks the cart, and check the belt and the drive's operating mode, {ACKNOWLEDGE}",
+    ),
+    "rail_disagrees": Rule(
+        Response.STOP,
+        True,
+        "the axis and motion capture report different cart positions",
+        "end the daemon and home the axis (`softarm rail home`), find its middle (`softarm rail centre`) or "
+        f"calibrate the motion capture frame again, {ACKNOWLEDGE}",
+    ),
+    "pressure_outside": Rule(
+        Response.STOP,
+        True,
+        "the measured pressure is outside its limits",
+        f"check the supply and the regulator's range, {ACKNOWLEDGE}",
+    ),
+    "not_finite": Rule(
+        Response.STOP,
+        True,
+        "a sensor sent NaN or infinity",
+        f"check the log of the named device, {ACKNOWLEDGE}",
+    ),
+    "mocap_missing": Rule(
+        Response.SOFT_STOP,
+        True,
+        "no usable motion capture frame has arrived",
+        "start the bridge; check that cart and tip are tracked",
+    ),
+    "mocap_stale": Rule(
+        Response.SOFT_STOP,
+        True,
+        "motion capture has stopped: the newest usable frame is too old",
+        "check the bridge, and check that the cameras see cart and tip",
+    ),
+    "mocap_clock": Rule(
+        Response.SOFT_STOP,
+        True,
+        "motion capture frames are stamped in the future",
+        "stamp frames with this computer's CLOCK_MONOTONIC (docs/reference/wires.md)",
+    ),
+    "mocap_two_sources": Rule(
+        Response.SOFT_STOP,
+        True,
+        "the sequence number of motion capture frames does not rise: two bridges publish at once",
+        "stop one bridge, or give it another drivers.mocap.key",
+    ),
+    "mocap_height": Rule(
+        Response.SOFT_STOP,
+        True,
+        "motion capture reports the cart at a wrong height",
+        "calibrate the frame: z is 0 at the floor; check which marker set is named cart",
+    ),
+    "mocap_reach": Rule(
+        Response.SOFT_STOP,
+        True,
+        "motion capture reports the tip where the arm cannot reach",
+        "check the frame's scale and axes; check which marker set is named link5",
+    ),
+    "mocap_jump": Rule(
+        Response.SOFT_STOP,
+        True,
+        "motion capture poses jump farther than a body can move",
+        "check for swapped marker sets, reflections or a second bridge",
+    ),
+    "mocap_frozen": Rule(
+        Response.SOFT_STOP,
+        True,
+        "motion capture repeats the pose of a moving body",
+        "restart the bridge: it publishes poses that the cameras no longer see",
+    ),
+    "mocap_mirrored": Rule(
+        Response.SOFT_STOP,
+        False,
+        "motion capture and the axis report opposite directions",
+        "reverse the y axis of the motion capture frame or of the drive (drivers.rail.reversed); `softarm "
+        "rail centre` shows which",
+    ),
+    "mocap_too_late": Rule(
+        Response.SOFT_STOP,
+        False,
+        "motion capture latency is too high",
+        "speed up cameras, tracking and network, or raise failsafe.mocap_late_max_s",
+    ),
+    "mocap_bridged": Rule(
+        Response.WARN,
+        False,
+        "motion capture dropout: the pose is estimated",
+        "check the bridge, and check that the cameras see cart and tip",
+    ),
+    "mocap_late": Rule(
+        Response.WARN,
+        False,
+        "motion capture latency is high",
+        "speed up cameras, tracking and network, or train policies for it (`softarm diagnose` measures it)",
+    ),
+    "mocap_outlier": Rule(
+        Response.WARN,
+        False,
+        "an implausible motion capture frame was left out",
+        "no action for a single frame; the log has it",
+    ),
+    "mocap_settling": Rule(
+        Response.WARN,
+        True,
+        "motion capture has just started",
+        "wait until enough frames have arrived",
+    ),
+    "mocap_body_lost": Rule(
+        Response.WARN,
+        False,
+        "a marker set is not tracked",
+        "check its markers and the cameras",
+    ),
+    "pressure_missing": Rule(
+        Response.SOFT_STOP,
+        True,
+        "the pressure regulator has not answered",
+        "check its cable and port",
+    ),
+    "pressure_stale": Rule(
+        Response.SOFT_STOP,
+        True,
+        "the pressure reading is too old",
+        "check the regulator's cable and port",
+    ),
+    "regulator_vented": Rule(
+        Response.SOFT_STOP,
+        False,
+        "the regulator vented by itself: commands did not arrive in time",
+        "check the cable and the load of this computer, then arm again",
+    ),
+    "rail_missing": Rule(
+        Response.SOFT_STOP,
+        True,
+        "the axis has not answered",
+        "check the drive's address and its gateway",
+    ),
+    "rail_stale": Rule(
+        Response.SOFT_STOP,
+        True,
+        "the axis reading is too old",
+        "check the network to the drive",
+    ),
+    "rail_not_homed": Rule(
+        Response.SOFT_STOP,
+        True,
+        "the drive is not homed: its position has no meaning",
+        "end the daemon, then run `softarm rail home`",
+    ),
+    "rail_link_lost": Rule(
+        Response.SOFT_STOP,
+        True,
+        "the process that controls the drive ended or hung; a new one stops the drive first",
+        "find the reason in the service's log, then arm again",
+    ),
+    "rail_too_slow": Rule(
+        Response.SOFT_STOP,
+        True,
+        "the drive answers too slowly: set-points arrive later than the safety filter assumes",
+        "find what slows the network or the drive, or measure limits.rail.latency_s again",
+    ),
+    "rail_slow": Rule(
+        Response.WARN,
+        False,
+        "an exchange with the drive took longer than a tick",
+        "find other users of its network; limits.rail.latency_s must cover this delay",
+    ),
+    "rail_disabled": Rule(
+        Response.SOFT_STOP,
+        False,
+        "the drive switched itself off",
+        "check the drive's status, then arm again",
+    ),
+    "rail_overrun": Rule(
+        Response.WARN,
+        False,
+        "the cart passed its soft limit by more than limits.rail allows for",
+        "lower limits.rail.braking_m_s2 or raise latency_s: `softarm check CONFIG --logs FOLDER` shows the values",
+    ),
+    "policy_fault": Rule(
+        Response.SOFT_STOP,
+        False,
+        "the policy failed",
+        "choose another policy (`softarm policy use NAME`, or Policies on the dashboard) or repair it",
+        "at once",
+    ),
+    "arming_timeout": Rule(
+        Response.SOFT_STOP,
+        False,
+        "the drive or the regulator did not accept the arm command in time",
+        "check their status, then arm again",
+        "at once",
+    ),
+    "ticks_missed": Rule(
+        Response.SOFT_STOP,
+        False,
+        "the control loop fell behind",
+        "reduce the load of this computer, then arm again",
+        "at once",
+    ),
+    "tick_late": Rule(
+        Response.WARN,
+        False,
+        "a control tick was skipped",
+        "reduce the load of this computer",
+        "at once",
+    ),
+    "not_recorded": Rule(
+        Response.WARN,
+        True,
+        "no log is being written",
+        "remove the cause (recording resumes by itself), or set recorder.arm_without_log: true",
+    ),
+    "stop_not_kept": Rule(
+        Response.WARN,
+        True,
+        "an emergency stop would be lost if the daemon restarted",
+        "remove the cause; the file is written again every second",
+    ),
+    "recorder_dropping": Rule(
+        Response.WARN,
+        False,
+        "the recorder lost messages",
+        "check the disk's speed and free space; the service's log names the messages",
+    ),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Event:
+    """An event of the table that is active in this tick, with its numbers."""
+
+    name: str
+    detail: str = ""
+
+    @property
+    def rule(self) -> Rule:
+        """Return the event's line in the table."""
+        return TABLE[self.name]
+
+    @property
+    def text(self) -> str:
+        """Return the cause, its numbers and the next step."""
+        detail = f" ({self.detail})" if self.detail else ""
+        return f"{self.rule.meaning}{detail}: {self.rule.remedy}"
+
+    def active(self) -> ActiveEvent:
+        """Return the event as the snapshot shows it."""
+        return ActiveEvent(self.name, self.rule.response.name.lower(), self.text)
+
+
+LATCH = """\
+## The latch outlives the daemon
+
+The daemon keeps the reason for an emergency stop in a file. After a crash or restart, the new daemon
+starts `stopped` and latched, with the old reason, until a person acknowledges it. An unreadable file counts as an
+emergency stop.
+
+The file, `stop-HOST-PORT.json`, is named after the axis (`drivers.rail`): it belongs to the robot, whichever
+configuration is used. It is in the service's `/var/lib/softarm`, otherwise in `recorder.directory`; `softarm check`
+shows its path. A robot simulated in the daemon's own process has no such file.
+
+A thread of its own writes the file after the tick that stopped. A few milliseconds after the answer to the stop the
+latch survives a kill, and once the disk has the data, a power cut. The file exists before anything can stop, and it is
+overwritten in place, so a full disk cannot prevent the write. While writing fails or takes longer than 1 s, arming is
+refused (`stop_not_kept`). A daemon that ends without an emergency stop removes the file.
+"""
+
+
+def page() -> str:
+    """Return docs/reference/failsafe.md; `python -m softarm.daemon.control.failsafe` prints it."""
+    responses = {
+        Response.WARN: "shown and logged; nothing stops",
+        Response.SOFT_STOP: "brake, vent and hold the cart until the arm is still, then disarm; a person arms again",
+        Response.STOP: "drive off and vented at once; latched until a person acknowledges it",
+    }
+    lines = [
+        "# Failsafe events",
+        "",
+        "Each event with its response and the next step, for operators. Acknowledge an emergency stop with",
+        "`softarm acknowledge`, with the dashboard's button, or with `POST /api/acknowledge`.",
+        "",
+        "Generated from the table in `softarm/daemon/control/failsafe.py` with",
+        "`python -m softarm.daemon.control.failsafe > docs/reference/failsafe.md`.",
+        "",
+    ]
+    for response in sorted(responses, reverse=True):
+        lines += [f"## {response.name.lower().replace('_', ' ')}: {responses[response]}", ""]
+        lines += ["| event | cause | next step | refuses arming | clears |", "|---|---|---|---|---|"]
+        lines += [
+            f"| `{name}` | {rule.meaning} | {rule.remedy} | {'yes' if rule.blocks_arming else 'no'} | {rule.clears} |"
+            for name, rule in TABLE.items()
+            if rule.response is response
+        ]
+        lines.append("")
+    lines.append(LATCH)
+    return "\n".join(lines)
+
+
+if __name__ == "__main__":
+    print(page(), end="")

@@ -1,0 +1,79 @@
+// The last minute as columns: loaded from `GET /api/recent`, extended by the stream.
+
+import { get } from "./api.js";
+
+export const SPAN_S = 60;
+const GAP_S = 0.25; // a longer pause between ticks breaks the lines
+const ROWS_MAX = 2600; // older rows are removed beyond this number
+
+const cell = {
+  tick: (s) => s.tick,
+  time: (s) => s.time ?? Date.now() / 1000,
+  tip_y_m: (s) => s.observed?.values[2],
+  tip_z_m: (s) => s.observed?.values[3],
+  cart_m: (s) => s.rail_position_m,
+  cart_velocity_m_s: (s) => s.rail_velocity_m_s,
+  action_velocity_m_s: (s) => s.action?.[0],
+  sent_velocity_m_s: (s) => s.sent?.cart_velocity_m_s,
+  pressure_kpa: (s) => s.observed?.values[7],
+  action_pressure_kpa: (s) => s.action?.[1],
+  sent_pressure_kpa: (s) => s.sent?.pressure_kpa,
+  late_ms: (s) => s.late_ns * 1e-6,
+  policy_ms: (s) => s.policy_ns * 1e-6,
+  mocap_age_ms: (s) => s.ages_ms?.mocap,
+  pressure_age_ms: (s) => s.ages_ms?.pressure,
+  rail_age_ms: (s) => s.ages_ms?.rail,
+};
+export const NAMES = Object.keys(cell);
+
+export class History {
+  constructor() {
+    this.columns = Object.fromEntries(NAMES.map((name) => [name, []]));
+  }
+
+  get newest() {
+    return this.columns.time.at(-1);
+  }
+
+  row(value) {
+    for (const name of NAMES) this.columns[name].push(value(name) ?? null);
+  }
+
+  // Add a status; skip a tick that the columns already hold.
+  add(status) {
+    const { tick, time } = this.columns;
+    if (tick.length && status.tick <= tick.at(-1)) {
+      if (status.tick > tick.at(-1) - 300) return;
+      this.clear(); // the daemon was restarted
+    }
+    const now = cell.time(status);
+    this.append(now, (name) => cell[name](status));
+    if (time.length > ROWS_MAX) this.forget(now - SPAN_S);
+  }
+
+  clear() {
+    for (const name of NAMES) this.columns[name].length = 0;
+  }
+
+  forget(before) {
+    const first = this.columns.time.findIndex((time) => time >= before);
+    for (const name of NAMES) this.columns[name].splice(0, Math.max(first, 0));
+  }
+
+  // Load the daemon's columns and keep the rows that arrived since.
+  async load() {
+    const kept = await get(`api/recent?seconds=${SPAN_S}`).catch(() => null);
+    if (!kept?.tick?.length) return;
+    const since = this.columns;
+    this.columns = Object.fromEntries(NAMES.map((name) => [name, []]));
+    kept.tick.forEach((_, k) => this.append(kept.time[k], (name) => kept[name]?.[k]));
+    since.tick.forEach((tick, k) => tick > kept.tick.at(-1) && this.append(since.time[k], (name) => since[name][k]));
+  }
+
+  // Append a row; after missing ticks an empty row precedes it.
+  append(now, value) {
+    const { tick, time } = this.columns;
+    if (time.length && now - time.at(-1) > GAP_S) this.row((name) => ({ tick: tick.at(-1), time: time.at(-1) + 0.001 })[name]);
+    this.row(value);
+  }
+}

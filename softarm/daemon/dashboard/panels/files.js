@@ -1,0 +1,109 @@
+// Panels for this robot's files: logs, incidents and reports.
+
+import { ask, get, post } from "../link/api.js";
+import { ROLE_LIMITS } from "../view/controls.js";
+import { bytes, clock, el, seconds, sentence, worded } from "../view/dom.js";
+import { Panel } from "./panel.js";
+
+const REPLAY_S = 310; // the daemon's own limit is 300 s
+const path = (kind, name) => `api/${kind}/${encodeURIComponent(name)}`;
+const words = (error) => (error.reasons ?? [String(error)]).map((one) => sentence(worded(one))).join(". ");
+
+function entry(name, more, ...buttons) {
+  const message = el("span", { class: "more", role: "status" });
+  const row = el("li", { class: "file" }, el("div", {}, el("b", {}, name), el("span", { class: "more" }, more), message), el("span", { class: "acts" }, buttons));
+  return { row, message };
+}
+
+const link = (href, text, properties) => el("a", { class: "button small", href, ...properties }, text);
+
+export class Logs extends Panel {
+  constructor() {
+    super("Logs");
+  }
+
+  fetch() {
+    return get("api/logs", { seconds: 35 });
+  }
+
+  fill({ directory, logs }) {
+    this.place.replaceChildren(this.list(logs.map((log) => this.log(log)), "No logs."), el("p", { class: "hint" }, `Folder: ${directory}`));
+  }
+
+  log(log) {
+    const length = log.duration_s === null ? (log.recording ? "being recorded" : "not finished") : seconds(log.duration_s);
+    const why = log.recording ? "This log is being recorded." : this.commands ? "" : ROLE_LIMITS.view;
+    const button = (text, act) => el("button", { type: "button", class: "small", title: why, "aria-disabled": String(Boolean(why)), "aria-label": `${text} ${log.name}`, onclick: (event) => (why ? (made.message.textContent = why) : act(event.target)) }, text);
+    const made = entry(log.name, `${clock(log.modified, true)} · ${bytes(log.bytes)} · ${length}`,
+      link(path("logs", log.name), "Download", { download: log.name, "aria-label": `Download ${log.name}` }),
+      button("Replay", () => this.replay(log, made.message)),
+      button("Delete", (pressed) => this.confirm(log, pressed, made.message)));
+    return made.row;
+  }
+
+  async replay(log, message) {
+    message.textContent = "Replaying. This takes up to five minutes …";
+    try {
+      const answer = await post(`${path("logs", log.name)}/replay`, undefined, { seconds: REPLAY_S });
+      message.textContent = `${answer.same ? "✓ Same commands" : "✕ Different commands"}. ${answer.sentences.map(sentence).join(". ")}`;
+    } catch (error) {
+      message.textContent = words(error);
+    }
+  }
+
+  // Ask for confirmation in the button itself: a dialog would cover Stop.
+  confirm(log, pressed, message) {
+    const back = pressed.textContent;
+    if (pressed.dataset.armed) return void this.remove(log, message);
+    pressed.dataset.armed = "1";
+    pressed.classList.add("danger");
+    pressed.textContent = "Delete permanently?";
+    const reset = () => {
+      delete pressed.dataset.armed;
+      pressed.classList.remove("danger");
+      pressed.textContent = back;
+    };
+    pressed.addEventListener("blur", reset, { once: true });
+    pressed.addEventListener("keydown", (event) => event.key === "Escape" && pressed.blur(), { once: true });
+  }
+
+  async remove(log, message) {
+    message.textContent = "Deleting …";
+    try {
+      await ask("DELETE", path("logs", log.name), undefined, { raw: true });
+      await this.open();
+    } catch (error) {
+      message.textContent = words(error);
+    }
+  }
+}
+
+export class Incidents extends Panel {
+  constructor() {
+    super("Incidents");
+  }
+
+  fetch() {
+    return get("api/incidents", { seconds: 35 });
+  }
+
+  fill({ incidents }) {
+    const rows = incidents.map((one) => entry(sentence(worded(one.text)), `${clock(one.time, true)} · ${bytes(one.bytes)} · ${one.name}`, link(path("incidents", one.name), "Download", { download: one.name, "aria-label": `Download ${one.name}` })).row);
+    this.place.replaceChildren(el("p", { class: "hint" }, "Each emergency stop writes one file: the log around the stop, the configuration and the versions."), this.list(rows, "No incident files."));
+  }
+}
+
+export class Reports extends Panel {
+  constructor() {
+    super("Reports");
+  }
+
+  fetch() {
+    return get("api/reports", { seconds: 35 });
+  }
+
+  fill({ directory, reports }) {
+    const rows = reports.map((one) => entry(one.name, `${clock(one.modified, true)} · ${bytes(one.bytes)}`, link(path("reports", one.name), "Open", { target: "_blank", rel: "noopener", "aria-label": `Open ${one.name}` })).row);
+    this.place.replaceChildren(this.list(rows, `No reports in ${directory}. Write one with softarm diagnose --report ${directory}/NAME.html.`));
+  }
+}

@@ -1,0 +1,114 @@
+"""All checks of `softarm doctor` in their order; each part gathers its facts in its turn."""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from softarm.common.finding import Finding, ok
+from softarm.daemon.doctor import (
+    clocks,
+    disk,
+    from_logs,
+    models,
+    ports,
+    running,
+    scheduling,
+    settings,
+    software,
+    untried,
+)
+from softarm.daemon.doctor.running import Running
+from softarm.daemon.doctor.settings import Settings
+from softarm.daemon.runtime import preflight
+from softarm.recordings.listing import listing
+from softarm.schemas.config import Config
+
+
+@dataclass(frozen=True, slots=True)
+class Target:
+    """The computer, configuration and daemon under examination."""
+
+    settings: Settings
+    url: str  # address of a running daemon
+    daemon: Running | None  # None if no daemon answers
+    simulated: bool = False  # a robot simulated in the daemon's process has no hardware
+    logs: Path | None = None  # default: the recorder's folder
+
+    @property
+    def config(self) -> Config:
+        """Return the configuration in force."""
+        return self.settings.config
+
+    @property
+    def idle(self) -> bool:
+        """Return whether heavy checks are allowed because no arm is in use."""
+        return self.daemon is None or not self.daemon.in_use
+
+
+Part = Callable[[Target], Iterator[Finding]]
+
+
+def _software(target: Target) -> Iterator[Finding]:
+    return software.judge(software.look())
+
+
+def _settings(target: Target) -> Iterator[Finding]:
+    return settings.judge(target.settings, target.simulated)
+
+
+def _wires(target: Target) -> Iterator[Finding]:
+    """Examine the running daemon, or whether one can start."""
+    config = target.config
+    if target.daemon is not None:
+        yield from running.judge(target.daemon, config)
+        return
+    yield ok("daemon", f"no daemon at {target.url}, so the following checks whether one can start")
+    if not target.simulated:
+        yield from ports.judge_serial(ports.look_serial(config.drivers.regulator.port))
+        yield from ports.judge_axis(ports.look_axis(config.drivers.rail.host, config.drivers.rail.port))
+        yield from (each for each in preflight.places(config, wires=True) if each.name == "emergency stop")
+    addresses = ports.look_listening(config)
+    wanted = (each for each in addresses if each.key.startswith("api.") or not target.simulated)
+    yield from ports.judge_listening(tuple(wanted))
+
+
+def _models(target: Target) -> Iterator[Finding]:
+    return models.judge(models.look(target.config, target.idle), target.config.failsafe.policy_budget_s)
+
+
+def _scheduling(target: Target) -> Iterator[Finding]:
+    return scheduling.judge(scheduling.look(target.config.control.realtime_priority), target.simulated)
+
+
+def _clocks(target: Target) -> Iterator[Finding]:
+    return clocks.judge(clocks.look())
+
+
+def _disk(target: Target) -> Iterator[Finding]:
+    recorder = target.config.recorder
+    return disk.judge(disk.look(recorder, listing(recorder.directory), target.idle))
+
+
+def _from_logs(target: Target) -> Iterator[Finding]:
+    """Compare the rail's limits with the logs; those of a simulated robot say nothing about a rail."""
+    if target.simulated:
+        return iter(())
+    folder = target.logs or target.config.recorder.directory
+    return from_logs.judge(from_logs.look(folder, listing(folder), target.config))
+
+
+def _untried(target: Target) -> Iterator[Finding]:
+    return iter(()) if target.simulated else untried.judge()
+
+
+PARTS: dict[str, Part] = {
+    "software": _software,
+    "configuration": _settings,
+    "robot and daemon": _wires,
+    "policies": _models,
+    "scheduling": _scheduling,
+    "clocks": _clocks,
+    "disk": _disk,
+    "limits": _from_logs,
+    "never used with hardware": _untried,
+}

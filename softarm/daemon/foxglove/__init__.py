@@ -1,0 +1,1 @@
+"""Live data for Foxglove, independent of the control loop."""

@@ -1,0 +1,135 @@
+"""Plans the steps from the present state of a system to an installed service. Pure."""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from softarm.common.keys import leaves
+from softarm.common.quantity import shown
+from softarm.daemon.install import rendered
+from softarm.daemon.install.rendered import CONFIGURATION, RULE, STATE
+from softarm.daemon.install.steps import Folder, Keep, Remove, Run, Step, Write
+from softarm.schemas.config import Config
+
+UNIT_PATH = Path("/etc/systemd/system/softarmd.service")
+RULE_PATH = Path("/etc/udev/rules.d/99-softarm.rules")
+GROUP = "dialout"  # group of the serial device
+
+
+@dataclass(frozen=True, slots=True)
+class System:
+    """Installed state of the system, and what may be done."""
+
+    root: Path  # / for this system; files only for another folder
+    read: Callable[[Path], str | None]  # returns a file's text, or None
+    is_folder: Callable[[Path], bool]
+    users: frozenset[str]
+    members: frozenset[str]  # of the group
+    groups: frozenset[str]
+    booted: bool  # systemd runs here
+
+    @property
+    def is_this(self) -> bool:
+        """Return whether this is the running system."""
+        return self.root == Path("/")
+
+    def place(self, path: Path) -> Path:
+        """Return the path below the system's root."""
+        return self.root / path.relative_to("/")
+
+
+@dataclass(frozen=True, slots=True)
+class Wanted:
+    """The configuration for the service."""
+
+    text: str
+    config: Config  # that the text says
+    asked_for: bool  # False for the packaged one
+    installed: Config | None = None  # the one that is there
+
+
+def install(system: System, command: tuple[str, ...], user: str, wanted: Wanted) -> Iterator[Step]:
+    """Yield the steps to a service that runs `command`."""
+    if system.is_this:
+        yield from _user(system, user)
+    config = wanted.installed or wanted.config
+    for folder in (STATE, *rendered.log_folders(config)):
+        if system.is_folder(path := system.place(folder)):
+            yield Keep(path, "its content stays")
+        else:
+            yield Folder(path, user if system.is_this else None)
+    yield from _configuration(system, wanted)
+    unit = _file(system, UNIT_PATH, rendered.unit(command, user, config))
+    rule = _file(system, RULE_PATH, RULE.read_text(encoding="utf-8"))
+    yield from (unit, rule)
+    if system.is_this and isinstance(rule, Write):
+        yield from (Run(("udevadm", "control", "--reload")), Run(("udevadm", "trigger", "--subsystem-match=tty")))
+    if system.is_this and system.booted:
+        if isinstance(unit, Write):
+            yield Run(("systemctl", "daemon-reload"))
+        yield Run(("systemctl", "enable", "softarmd"))
+
+
+def _user(system: System, user: str) -> Iterator[Step]:
+    if GROUP not in system.groups:
+        yield Run(("groupadd", "--system", GROUP))
+    if user not in system.users:
+        home = ("--home-dir", str(STATE), "--shell", "/usr/sbin/nologin")
+        yield Run(("useradd", "--system", "--user-group", *home, "--groups", GROUP, user))
+    elif user not in system.members:
+        yield Run(("usermod", "--append", "--groups", GROUP, user))
+
+
+def _configuration(system: System, wanted: Wanted) -> Iterator[Step]:
+    """Keep an existing configuration; write a different requested one next to it."""
+    path = system.place(CONFIGURATION)
+    if wanted.installed is None:
+        yield Write(path, wanted.text, system.read(path))
+        return
+    different = [f"{key}: {here}, not {new}" for key, here, new in differences(wanted.installed, wanted.config)]
+    if not different:
+        yield Keep(path, "it has the requested values" if wanted.asked_for else "it has the default values")
+    elif wanted.asked_for:
+        yield Keep(path, f"it was changed and stays; the requested one is written next to it: {'; '.join(different)}")
+        yield _file(system, CONFIGURATION.with_name(f"{path.name}.new"), wanted.text)
+    else:
+        yield Keep(path, f"it was changed and stays: {'; '.join(different)}")
+
+
+def differences(one: Config, other: Config) -> Iterator[tuple[str, str, str]]:
+    """Yield each key whose values differ, with both values."""
+    for key in leaves(Config):
+        values = [_value(config, key.path) for config in (one, other)]
+        if values[0] != values[1]:
+            here, there = (str(value) if isinstance(value, dict) else shown(value) for value in values)
+            yield key.name, here, there
+
+
+def _value(config: Config, path: tuple[str | int, ...]) -> object:
+    value: object = config
+    for name in path:
+        value = getattr(value, str(name))
+    return value
+
+
+def _file(system: System, path: Path, text: str) -> Write | Keep:
+    """Return a step that writes the file, or keeps it if it is up to date."""
+    place = system.place(path)
+    before = system.read(place)
+    return Keep(place, "it is up to date") if before == text else Write(place, text, before)
+
+
+def uninstall(system: System, user: str) -> Iterator[Step]:
+    """Yield the steps that remove unit and rule; configuration, logs and user stay."""
+    if system.is_this and system.booted and system.read(UNIT_PATH) is not None:
+        yield Run(("systemctl", "disable", "--now", "softarmd"))
+    removed = [path for path in (UNIT_PATH, RULE_PATH) if system.read(system.place(path)) is not None]
+    yield from (Remove(system.place(path)) for path in removed)
+    if system.is_this and system.booted and UNIT_PATH in removed:
+        yield Run(("systemctl", "daemon-reload"))
+    if system.is_this and RULE_PATH in removed:
+        yield Run(("udevadm", "control", "--reload"))
+    for path in (CONFIGURATION.parent, STATE):
+        yield Keep(system.place(path), f"configuration and logs stay; delete them with `rm -r {system.place(path)}`")
+    if system.is_this and user in system.users:
+        yield Keep(STATE, f"the user {user} stays; delete it with `userdel {user}`")

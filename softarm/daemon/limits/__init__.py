@@ -1,0 +1,1 @@
+"""Limits of the rail measured from recordings, compared with the configured limits."""

@@ -1,0 +1,1 @@
+"""Logs of ticks and frames, the event history and incident files."""

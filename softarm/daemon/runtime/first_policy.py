@@ -1,0 +1,50 @@
+"""Loading of the first policy in bounded time, after a trial in a process that can be killed."""
+
+import threading
+import time
+from collections.abc import Callable
+
+from softarm.policies import trial
+from softarm.policies.base import Policy, PolicyError
+from softarm.schemas.config import Config
+
+LOADING_S = 120.0  # trial and loading together: a policy may hang even after its trial
+POLL_S = 0.05
+
+
+def first_policy(config: Config, over: threading.Event, loading_s: float = LOADING_S) -> Policy | None:
+    """Return the configured policy, or None if `over` was set before it was loaded.
+
+    A loading thread that is abandoned is left behind.
+
+    Raises:
+        PolicyError: The policy cannot be used or was not loaded in time.
+    """
+    name = config.control.policy
+    answers: list[Policy | PolicyError] = []
+
+    def load() -> None:
+        answers.append(_answer(lambda: trial.load(name, config.policies, min(trial.TRIAL_S, loading_s))))
+
+    loader = threading.Thread(target=load, name=f"loading {name}", daemon=True)
+    loader.start()
+    deadline_s = time.monotonic() + loading_s
+    while loader.is_alive():
+        if over.is_set():
+            return None
+        if time.monotonic() > deadline_s:
+            raise PolicyError(f"policy '{name}': was not loaded within {loading_s:g} s; repair it or choose another")
+        loader.join(POLL_S)
+    answer = answers[0]
+    if isinstance(answer, PolicyError):
+        raise answer
+    return answer
+
+
+def _answer(load: Callable[[], Policy]) -> Policy | PolicyError:
+    try:
+        return load()
+    except PolicyError as error:
+        return error
+    except BaseException as error:  # including sys.exit() in a plug-in
+        return PolicyError(f"{type(error).__name__}: {error}")

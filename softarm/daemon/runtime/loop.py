@@ -1,0 +1,230 @@
+"""Control loop: runs the tick at 30 Hz between reading and writing the devices.
+
+It owns the devices and shares only an inbox and immutable snapshots.
+"""
+
+import asyncio
+import gc
+import logging
+import threading
+import time
+from collections.abc import Callable
+from typing import Protocol
+
+from softarm.common import realtime
+from softarm.daemon.control.failsafe import Event
+from softarm.daemon.control.inbox import Inbox
+from softarm.daemon.control.records import EStop, Inputs, Mode, Outputs, Problems, TickTiming
+from softarm.daemon.runtime.devices import Devices
+from softarm.daemon.runtime.wakeup import PunctualSelector
+from softarm.daemon.tick import Controller
+from softarm.policies.base import PolicySpec
+from softarm.policies.runner import PolicyRunner
+from softarm.schemas.robot import CONTROL_RATE_HZ
+
+log = logging.getLogger(__name__)
+
+# Busy wait before a tick: on a core that has just left its idle state a tick takes twice as long.
+AWAKE_NS = 300_000
+# Garbage is collected only if this much of the period is left.
+COLLECT_SLACK_NS = 15_000_000
+# Every so many collections is a full one; the others skip objects that survived two, such as a connection.
+COLLECT_ALL_EVERY = 300
+
+
+class TickRecorder(Protocol):
+    """Recorder of ticks that never blocks."""
+
+    problem: str | None
+
+    @property
+    def dropped(self) -> int:
+        """Return the number of ticks lost since the start."""
+
+    def tick(self, inputs: Inputs, outputs: Outputs, timing: TickTiming) -> None:
+        """Record one tick with its timing."""
+
+    def policy(self, spec: PolicySpec) -> None:
+        """Record that another policy is used from now on."""
+
+
+class Latch(Protocol):
+    """Latch of the emergency stop that outlives the daemon; never blocks."""
+
+    left: str | None  # emergency stop left by the previous daemon
+
+    @property
+    def problem(self) -> str | None:
+        """Return why the latch is not on disk, or None."""
+
+    def note(self, reason: str | None) -> None:
+        """Set the reason for the current stop, or None."""
+
+
+class GoodTicks(Protocol):
+    """Watchdog that counts ticks on time and without an internal error."""
+
+    def good_tick(self, now_ns: int) -> None:
+        """Report a tick that was on time and without an error."""
+
+
+class ControlLoop:
+    """Thread that runs the controller on absolute deadlines; a late tick skips whole periods."""
+
+    def __init__(
+        self,
+        controller: Controller,
+        devices: Devices,
+        inbox: Inbox,
+        recorder: TickRecorder | None,
+        watchdog: GoodTicks | None = None,
+        latch: Latch | None = None,
+        *,
+        rate_hz: int = CONTROL_RATE_HZ,
+        realtime_priority: int = 0,
+        clock: Callable[[], int] = time.monotonic_ns,
+    ) -> None:
+        self._controller = controller
+        self._devices = devices
+        self._inbox = inbox
+        self._recorder = recorder
+        self._watchdog = watchdog
+        self._latch = latch
+        self._period_ns = round(1e9 / rate_hz)
+        self._priority = realtime_priority
+        self._clock = clock
+        self._thread = threading.Thread(target=self._main, name="control", daemon=True)
+        self._stop = threading.Event()
+        self._collections = 0
+        self._failed: str | None = None  # exception of the controller; the arm stays stopped after it
+        self._failed_ns = 0
+        self.snapshot: Outputs | None = None
+        self.timing: TickTiming | None = None
+        self.problems = Problems()  # of the devices, in the newest tick
+        self.on_tick: Callable[[Outputs, TickTiming], None] | None = None  # for benchmarks
+
+    def start(self) -> None:
+        """Start the thread of the loop."""
+        self._thread.start()
+
+    def stop(self) -> None:
+        """End the loop and leave every device safe, within a few seconds."""
+        self._stop.set()
+        self._thread.join(timeout=5.0)
+
+    def _main(self) -> None:
+        realtime.outrank_own_threads(self._priority)
+
+        def punctual_loop() -> asyncio.AbstractEventLoop:
+            return asyncio.SelectorEventLoop(PunctualSelector())
+
+        with asyncio.Runner(loop_factory=punctual_loop) as runner:
+            runner.run(self._run())
+
+    async def _run(self) -> None:
+        for device in self._devices.all():
+            device.start()
+        gc.collect()
+        gc.freeze()
+        gc.disable()  # collected explicitly in the idle part of a tick
+        try:
+            deadline = self._clock() + self._period_ns
+            while not self._stop.is_set():
+                await self._sleep_until(deadline)
+                deadline = self._tick(deadline)
+        finally:
+            gc.enable()
+            await self._stop_devices()
+
+    async def _sleep_until(self, deadline_ns: int) -> None:
+        while (left := deadline_ns - self._clock()) > 0:
+            await asyncio.sleep(max(0, left - AWAKE_NS) * 1e-9)
+
+    def _tick(self, deadline_ns: int) -> int:
+        """Read, decide and write; return the next deadline."""
+        now = self._clock()
+        late = now - deadline_ns
+        missed = late // self._period_ns
+        inputs, runners = self._read(now, late, missed)
+        read = self._clock()
+        outputs = self._decide(inputs, runners)
+        decided = self._clock()
+        self._write(outputs)
+        written = self._clock()
+        newest = next((each.t_capture_ns for each in reversed(inputs.mocap) if each.t_capture_ns <= written), None)
+        timing = TickTiming(read - now, decided - read, written - decided, written - newest if newest else None)
+        self.snapshot, self.timing, self.problems = outputs, timing, inputs.problems
+        if self._latch is not None:
+            self._latch.note(None if outputs.estop is EStop.CLEAR else outputs.last_stop)
+        for number, runner in runners.items():
+            if any(result.number == number and result.accepted for result in outputs.results):
+                gc.freeze()  # its objects live as long as the policy: no collection needs to visit them
+                if self._recorder is not None:
+                    self._recorder.policy(runner.policy.spec)
+        if self._recorder is not None:
+            self._recorder.tick(inputs, outputs, timing)
+        if self._watchdog is not None and self._failed is None and not missed:
+            self._watchdog.good_tick(written)
+        if self.on_tick is not None:
+            self.on_tick(outputs, timing)
+        following = deadline_ns + (missed + 1) * self._period_ns
+        if following - self._clock() > COLLECT_SLACK_NS:
+            self._collections += 1
+            gc.collect(2 if self._collections % COLLECT_ALL_EVERY == 0 else 1)
+        return following
+
+    def _read(self, now: int, late: int, missed: int) -> tuple[Inputs, dict[int, PolicyRunner]]:
+        posts = self._inbox.take()
+        devices = self._devices
+        inputs = Inputs(
+            t_ns=now,
+            late_ns=late,
+            missed=missed,
+            mocap=devices.mocap.read(now),
+            pressure=devices.regulator.read(),
+            rail=devices.rail.read(),
+            requests=tuple(post.request for post in posts),
+            problems=Problems(devices.mocap.problem(), devices.regulator.problem(), devices.rail.problem()),
+            recorder_dropped=self._recorder.dropped if self._recorder is not None else 0,
+            recorder_problem=self._recorder.problem if self._recorder is not None else None,
+            latched=self._latch.left if self._latch is not None and self.snapshot is None else None,
+            latch_problem=self._latch.problem if self._latch is not None else None,
+        )
+        return inputs, {p.request.number: p.runner for p in posts if p.runner is not None}
+
+    def _decide(self, inputs: Inputs, runners: dict[int, PolicyRunner]) -> Outputs:
+        if self._failed is None:
+            try:
+                return self._controller.tick(inputs, runners)
+            except Exception as error:
+                log.exception("the control loop failed: the arm is braked and vented; restart the service")
+                self._failed, self._failed_ns = f"{type(error).__name__}: {error}", inputs.t_ns
+        event = Event("internal_error", self._failed)
+        return Outputs(
+            t_ns=inputs.t_ns,
+            tick=-1,
+            late_ns=inputs.late_ns,
+            missed=inputs.missed,
+            missed_total=0,
+            mode=Mode.STOPPED,
+            estop=EStop.ENGAGED,
+            events=(event.active(),),
+            arming_refusals=(event.text,),
+            last_stop=event.text,
+            last_stop_ns=self._failed_ns,
+        )
+
+    def _write(self, outputs: Outputs) -> None:
+        sent = outputs.sent
+        self._devices.rail.write(sent.enable, sent.cart_velocity_m_s)
+        self._devices.regulator.write(sent.enable, sent.pressure_kpa)
+        if outputs.reset_devices:
+            self._devices.rail.reset_fault()
+            self._devices.regulator.reset_fault()
+
+    async def _stop_devices(self) -> None:
+        """Stop every device, even if another fails."""
+        results = await asyncio.gather(*(d.stop() for d in self._devices.all()), return_exceptions=True)
+        for result in results:
+            if isinstance(result, BaseException):
+                log.error("a device did not stop cleanly: %s", result)

@@ -1,0 +1,74 @@
+"""Rivals of the named effects, as the report lists them."""
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from softarm.diagnosis.engine import resample
+from softarm.diagnosis.engine.fits import Fit
+from softarm.diagnosis.engine.result import Rival
+from softarm.diagnosis.engine.search import Choice, Gain, Search, SelectedEffect
+from softarm.schemas.verdict import Interval
+
+FURTHER_SHOWN = 6
+AT_BOUND = "at its bound"
+
+
+def by_gain(search: Search, choice: Choice, selected: Sequence[SelectedEffect]) -> tuple[Rival, ...]:
+    """Return the named effects and the best other candidates, with gains relative to the named effects' losses."""
+    alone = {fit.names[0]: _largest_share(gain) for fit, gain in choice.alone}
+    found = []
+    for effect in selected:
+        name = effect.candidate.name
+        same = f"; not separable from {', '.join(effect.equivalents)}" if effect.equivalents else ""
+        own_gain = _relative(effect.gain, max(effect.gain.value, 1e-9))
+        found.append(Rival((name,), alone.get(name, 0.0), own_gain, _own(choice.chosen.point, name), f"named{same}"))
+    named = {effect.candidate.name for effect in selected}
+    further = [(f, g) for f, g in search.ranked(choice.chosen) if f.effects[-1].name not in named][:FURTHER_SHOWN]
+    scale = max((m.gain.value for m in selected), default=max((g.value for _, g in further), default=1.0)) or 1.0
+    for fit, gain in further:
+        name = fit.effects[-1].name
+        note = AT_BOUND if fit.at_bound else "adds too little to be named"
+        found.append(Rival((name,), alone.get(name, 0.0), _relative(gain, scale), _own(fit.point, name), note))
+    return tuple(found)
+
+
+def by_share(search: Search, chosen: Fit, null_model: Fit, selected: Sequence[SelectedEffect]) -> tuple[Rival, ...]:
+    """Return every candidate with the shares of the RMS that it removes alone and next to the others."""
+    alone = {f.effects[0].name: f for f in search.extended(null_model)}
+    further = {f.effects[-1].name: f for f in search.extended(chosen)}
+    named = {effect.candidate.name: effect for effect in selected}
+    found = []
+    for name, fit in alone.items():
+        share = min(max(_removed(null_model, fit).value, 0.0), 1.0)
+        more, less, note = further.get(name, fit), chosen if name in further else null_model, ""
+        if name in named:
+            more, less, note = chosen, named[name].without, "named"
+        elif same := [effect.candidate.name for effect in selected if name in effect.equivalents]:
+            note = f"not separable from {same[0]}"
+        elif more.at_bound:
+            note = AT_BOUND
+        found.append(Rival((name,), share, _removed(less, more), _own(more.point, name), note))
+    return tuple(sorted(found, key=lambda r: (-r.alone, r.names)))
+
+
+def _largest_share(gain: Gain) -> float:
+    """Return the largest share of a stage's RMS that a gain removes."""
+    return max((1 - float(np.sqrt(max(1 - s, 0.0))) for s in gain.shares.values()), default=0.0)
+
+
+def _relative(gain: Gain, scale: float) -> Interval:
+    return Interval(value=gain.value / scale, low=gain.low / scale, high=gain.high / scale)
+
+
+def _own(point: Mapping[str, float], name: str) -> dict[str, float]:
+    return {path: x for path, x in point.items() if path.startswith(f"{name}.") and np.isfinite(x)}
+
+
+def _removed(less: Fit, more: Fit) -> Interval:
+    """Return the share of the RMS that `more` removes from `less`, with a bootstrap over blocks."""
+    before, after = np.maximum(less.held_out, 0.0), np.maximum(more.held_out, 0.0)
+    drawn = resample.draws(len(before))
+    low, high = resample.interval(1 - np.sqrt((drawn @ after) / np.maximum(drawn @ before, 1e-12)))
+    value = 1 - float(np.sqrt(after.sum() / max(before.sum(), 1e-12)))
+    return Interval(value=value, low=min(float(low), value), high=max(float(high), value))

@@ -1,0 +1,98 @@
+"""Baselines of the diagnosis with the same simulator and protocol.
+
+They have no ceiling, no whitening and no rivals.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from softarm.diagnosis.data.trials import Trial
+from softarm.diagnosis.engine.fits import Fit
+from softarm.diagnosis.engine.problem import Setup
+from softarm.diagnosis.engine.search import Search
+from softarm.diagnosis.engine.thresholds import ROBOT
+from softarm.diagnosis.robot.candidates import candidates, nuisances
+from softarm.diagnosis.robot.trial_grid import on_grid
+from softarm.diagnosis.robot.views import robot_views
+from softarm.schemas.model import Model
+from softarm.schemas.verdict import Estimate, Gap, Interval, NamedEffect, Shrink, Verdict, Where
+from softarm.simulator.effects import REGISTRY
+
+GAIN_MIN = 0.1  # smallest gain of `largest_gain`, as a share of the misfit
+CLEARLY = 1.96  # smallest distance from nominal of `all_at_once`, in half intervals
+
+
+def largest_gain(trials: Sequence[Trial], model: Model) -> Verdict:
+    """Return the effect that, alone, lowers the nominal misfit most."""
+    search = _search(trials, model)
+    null_model = search.problem.fit([((), ())])[0]
+    best = min(search.extended(null_model), key=lambda f: f.loss)
+    return _verdict([best] if best.loss < (1 - GAIN_MIN) * null_model.loss else [])
+
+
+def bic(trials: Sequence[Trial], model: Model) -> Verdict:
+    """Return the effects of a forward selection by BIC, with every sample taken as independent."""
+    search = _search(trials, model)
+    samples = sum(residual.kept for residual in search.problem.whitened)
+    chosen = search.problem.fit([((), ())])[0]
+
+    def criterion(fit: Fit) -> float:
+        return float(samples * np.log(fit.loss) + np.log(samples) * sum(len(c.parameters) for c in fit.effects))
+
+    while len(chosen.effects) < ROBOT.search.effects_max:
+        best = min(search.extended(chosen), key=criterion)
+        if criterion(best) >= criterion(chosen):
+            break
+        chosen = best
+    return _verdict([chosen] if chosen.effects else [])
+
+
+def all_at_once(trials: Sequence[Trial], model: Model) -> Verdict:
+    """Fit all parameters together and return the effect that differs most significantly from nominal."""
+    search = _search(trials, model)
+    known = {c.name: c for c in reversed(search.candidates)}
+    effects = tuple(known[name] for name in REGISTRY if name in known)
+    # Effects with a kink have no slope where they are absent, so all start slightly present.
+    start = tuple(tuple(min(max(d.nominal + 0.1 * d.size, d.low), d.high) for d in c.parameters) for c in effects)
+    fit = search.problem.fit([(effects, start)], rounds=6)[0]
+    low, high = search.problem.interval(fit)
+    at, ranked = 0, []
+    for effect, us in zip(fit.effects, fit.u, strict=True):
+        half = (high[at : at + len(us)] - low[at : at + len(us)]) / 2
+        clear = max(
+            abs(u - d.nominal) / max(h, 1e-9 * d.size) for u, d, h in zip(us, effect.parameters, half, strict=True)
+        )
+        ranked.append((clear, effect, us))
+        at += len(us)
+    ranked.sort(key=lambda each: -each[0])
+    return _named([(e, us, c) for c, e, us in ranked[:1] if c > CLEARLY])
+
+
+def _search(trials: Sequence[Trial], model: Model) -> Search:
+    shown = on_grid(sorted(trials, key=lambda t: t.name), model)
+    views = robot_views(shown, model)
+    setup = Setup(views, nuisances(model), [trial.kind for trial in sorted(trials, key=lambda t: t.name)])
+    return Search(setup.weighed(), setup.plain(), [view.stage for view in views], candidates(model))
+
+
+def _verdict(fits: Sequence[Fit]) -> Verdict:
+    return _named([(c, us, 1.0) for fit in fits for c, us in zip(fit.effects, fit.u, strict=True)])
+
+
+def _named(found: Sequence[tuple[object, tuple[float, ...], float]]) -> Verdict:
+    effects = []
+    for candidate, us, _ in found:
+        parameters = {
+            d.path.rpartition(".")[2]: Estimate(value=d.value(u), low=d.value(u), high=d.value(u), unit=d.unit)
+            for d, u in zip(candidate.parameters, us, strict=True)  # type: ignore[attr-defined]
+            if np.isfinite(d.value(u))
+        }
+        unknown = Interval(value=0.0, low=0.0, high=0.0)  # baselines do not measure the shrink
+        effects.append(
+            NamedEffect(name=candidate.name, parameters=parameters, shrink=Shrink(stage=unknown))  # type: ignore[attr-defined]
+        )
+    stage = REGISTRY[effects[0].name].stage if effects else None
+    where = Where(stage=stage, share={stage: 1.0} if stage else {}, regime="not asked")
+    empty = Gap(before={}, after={}, floor={}, ceiling={})
+    return Verdict(verdict="named" if effects else "none", where=where, effects=tuple(effects), gap=empty)

@@ -1,0 +1,188 @@
+"""Drawing of the benchmark's cases: kinds in fixed shares, causes in turn, random robots and trials."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any, Literal, TypeVar
+
+import numpy as np
+
+from softarm.diagnosis.blind.imperfections import KNOWN, REMOVABLE, UNKNOWN, UNKNOWNS, Cause, draw_cause, draw_nuisances
+from softarm.reality.parameters import RobotParameters
+from softarm.schemas.excitation import EXCITATIONS
+from softarm.schemas.model import Model
+from softarm.simulator.effects import REGISTRY
+
+T = TypeVar("T")
+# half: one cause at half strength; uneven: two causes, one of them at half strength.
+Kind = Literal["single", "half", "two", "uneven", "three", "none", "unknown"]
+SHARES: dict[Kind, float] = {
+    "single": 0.20,
+    "half": 0.15,
+    "two": 0.08,
+    "uneven": 0.06,
+    "three": 0.06,
+    "none": 0.15,
+    "unknown": 0.30,
+}
+_TOGETHER: dict[Kind, int] = {"two": 2, "uneven": 2, "three": 3}
+
+PROGRAMME = (
+    "seed",
+    "pressure-staircase",
+    "free-decay",
+    "pressure-multisine",
+    "rail-steps",
+    "rail-chirp",
+    "rail-multisine",
+    "both",
+)
+# One of these may be replaced by a repeat of another excitation.
+_GIVEN_UP = ("pressure-multisine", "rail-multisine", "rail-chirp", "pressure-staircase")
+FRESH = ("sinusoid", "both", "rail-multisine")
+# Share of the trials without rail motion in which the drive holds the cart.
+_FREE_SHARE = 0.25
+_SEEDS = 2**31
+
+# Possible causes and whether they are removed from the model file: removable ones occur in both forms.
+SINGLES: tuple[tuple[str, bool], ...] = (*((name, False) for name in KNOWN), *((name, True) for name in REMOVABLE))
+
+
+@dataclass(frozen=True, slots=True)
+class PlannedTrial:
+    """Trial of a case that will be recorded."""
+
+    folder: str
+    excitation: str
+    held: bool
+    seed: int
+
+
+@dataclass(frozen=True, slots=True)
+class Case:
+    """Robot of a case, its nominal model and its planned trials."""
+
+    name: str
+    kind: Kind
+    causes: tuple[Cause, ...]
+    robot: RobotParameters
+    model: Model
+    planned: tuple[PlannedTrial, ...]
+    fresh: tuple[PlannedTrial, ...]  # never given to the tool
+
+    @property
+    def label(self) -> dict[str, Any]:
+        """Label that is sealed, as JSON types."""
+        causes = [
+            {
+                "name": c.name,
+                "stage": c.stage,
+                "removed": c.removed,
+                "half": c.half,
+                "settings": dict(c.settings),
+            }
+            for c in self.causes
+        ]
+        return {"kind": self.kind, "causes": causes}
+
+
+def draw(count: int, seed: int) -> list[Case]:
+    """Draw cases in random order and with random names.
+
+    Raises ValueError for a count below 1 or a seed below 0.
+    """
+    if count < 1 or seed < 0:
+        raise ValueError(f"count is {count}, seed is {seed}; give a count from 1 and a seed from 0")
+    random = np.random.default_rng((seed, 0))
+    wanted = list(_plan(count, random))
+    random.shuffle(wanted)
+    names = random.choice(16**6, size=count, replace=False)
+    return [
+        _case(f"case-{name:06x}", kind, causes, np.random.default_rng((seed, 1, index)))
+        for index, (name, (kind, causes)) in enumerate(zip(names, wanted, strict=True))
+    ]
+
+
+def counts(count: int) -> dict[Kind, int]:
+    """Return the number of cases of each kind by SHARES, rounded by the largest remainders."""
+    exact = {kind: share * count for kind, share in SHARES.items()}
+    whole = {kind: int(value + 1e-9) for kind, value in exact.items()}
+    by_rest = sorted(exact, key=lambda kind: whole[kind] - exact[kind])
+    for kind in by_rest[: count - sum(whole.values())]:
+        whole[kind] += 1
+    return whole
+
+
+Wanted = tuple[Kind, tuple[tuple[str, bool], ...]]
+
+
+def _plan(count: int, random: np.random.Generator) -> Iterator[Wanted]:
+    """Kind and causes (name, removed) of every case; single causes occur about equally often."""
+    wanted = counts(count)
+    unknowns = _in_turn([UNKNOWN + name for name in UNKNOWNS], random)
+    singles = _in_turn(SINGLES, random)
+    # Removed effects have no half strength.
+    halves = _in_turn([each for each in SINGLES if not each[1]], random)
+    for _ in range(wanted["single"]):
+        yield "single", (next(singles),)
+    for _ in range(wanted["half"]):
+        yield "half", (next(halves),)
+    several = _in_turn(SINGLES, random)
+    for kind, together in _TOGETHER.items():
+        for _ in range(wanted[kind]):
+            yield kind, _apart(several, together, known_last=kind == "uneven")
+    for _ in range(wanted["none"]):
+        yield "none", ()
+    for _ in range(wanted["unknown"]):
+        yield "unknown", ((next(unknowns), False),)
+
+
+def _apart(causes: Iterator[tuple[str, bool]], together: int, known_last: bool) -> tuple[tuple[str, bool], ...]:
+    """Next causes that are not rivals of each other; with `known_last`, the last one is not a removed effect."""
+    chosen = [next(causes)]
+    while len(chosen) < together:
+        last = known_last and len(chosen) == together - 1
+        chosen.append(
+            next(
+                each for each in causes if all(separable(one[0], each[0]) for one in chosen) and not (last and each[1])
+            )
+        )
+    return tuple(chosen)
+
+
+def separable(one: str, other: str) -> bool:
+    """Return whether two effects may be combined in a case: they differ and are not rivals."""
+    return one != other and other not in REGISTRY[one].separated_by
+
+
+def _in_turn(items: Sequence[T], random: np.random.Generator) -> Iterator[T]:
+    """All items in random order, again and again."""
+    while True:
+        for index in random.permutation(len(items)):
+            yield items[index]
+
+
+def _case(name: str, kind: Kind, wanted: Sequence[tuple[str, bool]], random: np.random.Generator) -> Case:
+    robot = draw_nuisances(RobotParameters(), random)
+    causes = []
+    for place, (effect, removed) in enumerate(wanted, 1):
+        half = kind == "half" or (kind == "uneven" and place == len(wanted))
+        robot, cause = draw_cause(robot, effect, removed, random, half)
+        causes.append(cause)
+    effects = {n: p for n, p in Model().effects.items() if not any(c.removed and c.name == n for c in causes)}
+    model = Model().model_copy(update={"effects": effects})
+    programme = list(PROGRAMME)
+    if random.random() < 0.5:
+        gone = _GIVEN_UP[random.integers(len(_GIVEN_UP))]
+        programme.remove(gone)
+        programme.append(programme[random.integers(len(programme))])
+    random.shuffle(programme)
+    return Case(name, kind, tuple(causes), robot, model, _planned(programme, random), _planned(FRESH, random))
+
+
+def _planned(programme: Sequence[str], random: np.random.Generator) -> tuple[PlannedTrial, ...]:
+    planned = []
+    for number, name in enumerate(programme, 1):
+        excitation = EXCITATIONS[name]
+        free = excitation.moves_rail or (excitation.duration_s < 20 and random.random() < _FREE_SHARE)
+        planned.append(PlannedTrial(f"trial-{number}", name, not free, int(random.integers(_SEEDS))))
+    return tuple(planned)

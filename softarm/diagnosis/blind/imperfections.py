@@ -1,0 +1,280 @@
+"""Tables of the benchmark's causes with their strengths, and of the nuisances of every robot.
+
+A cause has the name of its effect in the registry, or `unknown.NAME` without one. Its magnitude is drawn log-uniformly
+between clearly stronger than the nuisances (docs/evidence/blind.md) and strong. A cause that can occur in several forms
+(a lag in filling, in venting or in both) has a variant for each.
+"""
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Literal
+
+import numpy as np
+
+from softarm.reality.parameters import RobotParameters
+from softarm.schemas.model import Arm
+
+UNKNOWN = "unknown."
+
+
+@dataclass(frozen=True, slots=True)
+class Knob:
+    """One or more parameters of the independent robot, `group.field`, that get the same random value."""
+
+    paths: tuple[str, ...]
+    how: Literal["set", "add", "times"]
+    low: float
+    high: float
+    either_way: bool = False  # the opposite sign, or for `times` the inverse, is equally likely
+    limit: bool = False  # a limit: strong if its value is small
+    rest: float = 0.0  # value without an effect; only for `set`
+    shape: bool = False  # changes the form, not the strength
+
+    def draw(self, random: np.random.Generator) -> float:
+        """Draw a value log-uniformly between low and high, in the parameter's unit."""
+        value = float(np.exp(random.uniform(np.log(self.low), np.log(self.high))))
+        if self.either_way and random.random() < 0.5:
+            return 1 / value if self.how == "times" else -value
+        return value
+
+    def halved(self, value: float) -> float:
+        """Return the value of half strength: halfway to no effect, for a limit by its inverse."""
+        if self.shape:
+            return value
+        if self.limit:
+            return 2 / (1 / value + 1 / self.rest)
+        return float(np.sqrt(value)) if self.how == "times" else (value + self.rest) / 2
+
+
+Variant = tuple[Knob, ...]
+
+
+def _set(path: str, low: float, high: float, rest: float = 0.0) -> Knob:
+    return Knob((path,), "set", low, high, rest=rest)
+
+
+def _limit(path: str, low: float, high: float, rest: float = math.inf) -> Knob:
+    return Knob((path,), "set", low, high, limit=True, rest=rest)
+
+
+def _shape(path: str, low: float, high: float) -> Knob:
+    return Knob((path,), "set", low, high, shape=True)
+
+
+def _add(path: str, low: float, high: float) -> Knob:
+    return Knob((path,), "add", low, high)
+
+
+def _either(path: str, low: float, high: float) -> Knob:
+    return Knob((path,), "add", low, high, either_way=True)
+
+
+_NOMINAL = RobotParameters()
+# Largest commanded pressure.
+_PRESSED_KPA = 20.0
+# Force that the nominal ramp needs.
+_PUSHED_N = _NOMINAL.rail.acceleration_m_s2 * (_NOMINAL.cart.mass_kg + sum(_NOMINAL.body.link_mass_kg))
+_FILL, _VENT = "regulator.inflate_s", "regulator.deflate_s"
+_LAGS: tuple[Variant, ...] = tuple(
+    (Knob(paths, "times", 1.35, 2.2, either_way=True),) for paths in ((_FILL,), (_VENT,), (_FILL, _VENT))
+)
+
+# Effect -> its variants.
+KNOWN: dict[str, tuple[Variant, ...]] = {
+    "pressure.lag": _LAGS,
+    "pressure.dead_time": ((_set("regulator.dead_time_s", 0.025, 0.080),),),
+    "pressure.rate_limit": ((_limit("regulator.flow_limit_kpa_s", 20.0, 45.0),),),
+    "pressure.deadband": ((_set("regulator.deadband_kpa", 1.0, 2.5),),),
+    "pressure.gain": ((_either("regulator.gain", 0.06, 0.15),), (_either("regulator.offset_kpa", 0.5, 1.2),)),
+    "pressure.ceiling": ((_limit("regulator.ceiling_kpa", 10.0, 16.0, _PRESSED_KPA),),),
+    "pressure.leak": ((_set("regulator.leak_1_s", 0.4, 1.2),),),
+    "pressure.sensor_bias": ((_either("pressure_sensor.bias_kpa", 0.5, 1.5),),),
+    "rail.acceleration_limit": ((_limit("rail.acceleration_m_s2", 2.0, 4.0, _NOMINAL.rail.acceleration_m_s2),),),
+    "rail.force_limit": ((_limit("rail.force_limit_n", 1.2, 2.2, _PUSHED_N),),),
+    "rail.delay": ((_add("rail.delay_s", 0.020, 0.060),),),
+    "rail.lag": ((_set("rail.lag_s", 0.025, 0.080),),),
+    "rail.gain": ((_either("rail.feed_error", 0.03, 0.08),),),
+    "rail.coulomb_friction": ((_set("rail.coulomb_n", 1.5, 5.0),),),
+    "rail.backlash": ((_set("rail.backlash_m", 0.002, 0.006),),),
+    "arm.stiffness": ((_either("arm.stiffness", 0.12, 0.40),),),
+    "arm.damping": ((_add("arm.damping", 0.5, 1.5),),),
+    "arm.muscle_gain": ((_either("arm.muscle_gain", 0.10, 0.30),),),
+    "arm.torque_offset": ((_either("arm.torque_offset", 0.8, 2.0),),),
+    "arm.coulomb_friction": ((_set("arm.friction_nm", 0.006, 0.030),),),
+    "arm.stiffening": ((_set("arm.stiffening_1_rad2", 2.5, 4.5),),),
+    "arm.hysteresis": ((_set("arm.hysteresis", 0.3, 0.5), _shape("arm.hysteresis_kpa", 6.0, 12.0)),),
+    "arm.muscle_saturation": ((_limit("arm.saturation_kpa", 12.0, 25.0),),),
+    "arm.payload": ((_set("arm.payload_kg", 0.010, 0.060),),),
+    "arm.tilt": ((_either("arm.tilt_rad", 0.020, 0.060),),),
+    "arm.drag": ((_set("arm.air_kg_m3", 5.0, 15.0),),),
+    "arm.creep": ((_set("arm.creep", 0.15, 0.5), _shape("arm.creep_s", 1.0, 5.0)),),
+    "mocap.latency": ((_set("mocap.latency_s", 0.010, 0.050),),),
+    "mocap.dropout": ((_set("mocap.dropout", 0.05, 0.30),),),
+    "mocap.rotation": ((_either("mocap.rotation_rad", 0.010, 0.050),),),
+    "mocap.scale": ((_either("mocap.scale", 0.01, 0.04),),),
+    "mocap.offset": ((_either("mocap.offset_y_m", 0.005, 0.020),), (_either("mocap.offset_z_m", 0.005, 0.020),)),
+    "mocap.noise": ((_set("mocap.noise_m", 0.001, 0.004, _NOMINAL.mocap.noise_m),),),
+    "clock.jitter": ((_set("clock.tick_jitter_s", 0.002, 0.008),),),
+    "clock.missed_ticks": ((_set("clock.missed_ticks", 0.03, 0.15),),),
+    "clock.drift": ((_either("clock.camera_drift", 0.001, 0.004),),),
+}
+
+# Effects of the seed model that can be removed from the model file.
+REMOVABLE = ("pressure.lag", "rail.acceleration_limit", "rail.delay", "observation.finite_difference")
+
+
+def _loose(link: int) -> Knob:
+    return Knob(("mocap.loose_link",), "set", link, link)
+
+
+_WOBBLE = (_set("mocap.loose_hz", 2.5, 7.0), _set("mocap.loose_damping", 0.05, 0.3))
+
+# Causes outside the registry.
+UNKNOWNS: dict[str, tuple[Variant, ...]] = {
+    "sticking_valve": ((_set("regulator.stick_kpa", 1.0, 3.0), _set("regulator.stick_below_kpa", 6.0, 20.0)),),
+    "random_regulator_delay": ((_set("regulator.dead_time_jitter_s", 0.03, 0.08),),),
+    "random_rail_delay": ((_set("rail.delay_jitter_s", 0.02, 0.06),),),
+    "stribeck_stiction": ((_set("rail.stiction_n", 4.0, 9.0), _set("rail.stribeck_m_s", 0.08, 0.25)),),
+    "cable": ((_set("rail.cable_n_m", 40.0, 150.0), _either("rail.cable_taut_m", 0.001, 0.03)),),
+    "gear_ripple": ((_set("rail.ripple_n", 2.5, 8.0), _set("rail.ripple_period_m", 0.02, 0.06)),),
+    "loose_marker": tuple((_loose(link), *_WOBBLE) for link in (2, 3, 4, 5)),
+    "warming_up": ((_either("arm.softening", 0.2, 0.5), _set("arm.softening_s", 3.0, 12.0)),),
+    "coarse_gauge": ((_set("pressure_sensor.quantum_kpa", 0.8, 2.0),),),
+}
+_STAGE_OF_UNKNOWN = {
+    "sticking_valve": "pressure",
+    "random_regulator_delay": "pressure",
+    "random_rail_delay": "rail",
+    "stribeck_stiction": "rail",
+    "cable": "rail",
+    "gear_ripple": "rail",
+    "loose_marker": "mocap",
+    "warming_up": "arm",
+    "coarse_gauge": "pressure",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Cause:
+    """Cause of a gap: an effect of the robot, or one removed from its model file."""
+
+    name: str  # name in the registry, or UNKNOWN + a name of UNKNOWNS
+    removed: bool  # removed from the model file; the robot is unchanged
+    settings: Mapping[str, float]  # parameter of the independent robot -> its value
+    half: bool = False  # at half strength
+
+    @property
+    def stage(self) -> str:
+        """Stage in which the cause acts."""
+        return stage_of(self.name)
+
+
+def stage_of(name: str) -> str:
+    """Return the stage in which a cause acts."""
+    if name.startswith(UNKNOWN):
+        return _STAGE_OF_UNKNOWN[name.removeprefix(UNKNOWN)]
+    return name.partition(".")[0]
+
+
+def draw_cause(
+    robot: RobotParameters, name: str, removed: bool, random: np.random.Generator, half: bool = False
+) -> tuple[RobotParameters, Cause]:
+    """Return a robot with one random cause, at half strength if `half`; `removed` causes leave it unchanged."""
+    if removed:
+        return robot, Cause(name, True, {})
+    variants = variants_of(name)
+    variant = variants[random.integers(len(variants))]
+    values = [knob.draw(random) for knob in variant]
+    if half:
+        values = [knob.halved(value) for knob, value in zip(variant, values, strict=True)]
+    robot, settings = given(robot, variant, values)
+    return robot, Cause(name, False, settings, half)
+
+
+def variants_of(name: str) -> tuple[Variant, ...]:
+    """Return the variants of a cause."""
+    return UNKNOWNS[name.removeprefix(UNKNOWN)] if name.startswith(UNKNOWN) else KNOWN[name]
+
+
+def given(
+    robot: RobotParameters, variant: Variant, values: Sequence[float]
+) -> tuple[RobotParameters, dict[str, float]]:
+    """Return a robot with one variant at these values, and the values of the changed parameters."""
+    settings: dict[str, float] = {}
+    for knob, value in zip(variant, values, strict=True):
+        for path in knob.paths:
+            robot = turned(robot, path, knob.how, value)
+            settings[path] = read(robot, path)
+    return robot, settings
+
+
+def read(robot: RobotParameters, path: str) -> float:
+    """Return a parameter of the independent robot, `group.field`."""
+    group, _, name = path.partition(".")
+    return float(getattr(getattr(robot, group), name))
+
+
+def turned(robot: RobotParameters, path: str, how: str, value: float) -> RobotParameters:
+    """Return a robot with one parameter changed; raise ValueError if the value is not allowed."""
+    group, _, name = path.partition(".")
+    old = getattr(getattr(robot, group), name)
+    new = {"set": value, "add": old + value, "times": old * value}[how]
+    if isinstance(old, int):
+        new = round(new)  # number of a link
+    changed: Any = getattr(robot, group)
+    if isinstance(changed, Arm) or group == "cart":
+        changed = changed.model_copy(update={name: new})
+    else:
+        changed = replace(changed, **{name: new})
+    return replace(robot, **{group: changed})
+
+
+# Nuisances, drawn for every case: parameter, how it is changed, and half-width of a uniform distribution.
+_UNIFORM: tuple[tuple[str, Literal["add", "times"], float], ...] = (
+    (_FILL, "times", 0.03),
+    (_VENT, "times", 0.03),
+    ("rail.acceleration_m_s2", "times", 0.03),
+    ("rail.delay_s", "add", 0.002),
+    ("rail.velocity_gain_n_s_m", "times", 0.05),
+    ("cart.mass_kg", "times", 0.005),
+    ("pressure_sensor.bias_kpa", "add", 0.05),
+    ("mocap.offset_y_m", "add", 0.0005),
+    ("mocap.offset_z_m", "add", 0.0005),
+    ("mocap.rotation_rad", "add", 0.0005),
+    ("clock.camera_drift", "add", 50e-6),
+)
+# Parameter of the body -> sigma, drawn once for all joints and again for each.
+_BODY = {"stiffness_nm_rad": 0.015, "muscle_gain_nm_kpa": 0.015, "damping_nm_s_rad": 0.05, "torque_offset_nm": 0.05}
+_MASS_HALF_WIDTH = 0.005
+_SENSOR_NOISE = ("mocap.noise_m", "mocap.angle_noise_rad", "pressure_sensor.noise_kpa")
+
+
+def draw_nuisances(robot: RobotParameters, random: np.random.Generator) -> RobotParameters:
+    """Return a healthy robot with random deviations within tolerances."""
+    body = robot.body
+    update: dict[str, tuple[float, ...]] = {
+        name: _scaled(getattr(body, name), 1 + random.normal(0, sigma) + random.normal(0, sigma, body.links))
+        for name, sigma in _BODY.items()
+    }
+    masses = 1 + random.uniform(-_MASS_HALF_WIDTH, _MASS_HALF_WIDTH, body.links)
+    update["link_mass_kg"] = _scaled(body.link_mass_kg, masses)
+    robot = replace(robot, body=body.model_copy(update=update))
+    for path, how, half in _UNIFORM:
+        off = random.uniform(-half, half)
+        robot = turned(robot, path, how, off if how == "add" else 1 + off)
+    for path in _SENSOR_NOISE:
+        robot = turned(robot, path, "times", float(np.exp(random.uniform(np.log(0.7), np.log(1.4)))))
+    for path, low, high in (
+        ("clock.tick_jitter_s", 0.0001, 0.0003),
+        ("mocap.dropout", 0.001, 0.005),
+        ("regulator.tube_s", 0.003, 0.008),
+        ("mocap.transport_s", 0.002, 0.006),
+        ("mocap.transport_jitter_s", 0.0002, 0.0008),
+    ):
+        robot = turned(robot, path, "set", random.uniform(low, high))
+    return robot
+
+
+def _scaled(values: Iterable[float], factors: Iterable[float]) -> tuple[float, ...]:
+    return tuple(float(value * factor) for value, factor in zip(values, factors, strict=True))

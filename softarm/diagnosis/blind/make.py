@@ -1,0 +1,87 @@
+"""Simulation of the benchmark's cases: data in one folder, labels and fresh trials elsewhere."""
+
+import shutil
+from collections.abc import Callable, Sequence
+from functools import partial
+from pathlib import Path
+
+from softarm.common.processes import as_they_come
+from softarm.diagnosis.blind import seal
+from softarm.diagnosis.blind.cases import Case, PlannedTrial, draw
+from softarm.reality.parameters import RobotParameters
+from softarm.reality.record import record
+from softarm.schemas.excitation import EXCITATIONS
+from softarm.simulator import model_file
+
+OnCase = Callable[[str], None]
+
+
+def write_case(case: Case, data: Path, fresh: Path | None = None) -> str:
+    """Write a case to `data/NAME` and `fresh/NAME`, replacing older files, and return its name.
+
+    Each folder gets a model.yaml and the trials; `fresh` is optional.
+    """
+    for root, planned in ((data, case.planned), (fresh, case.fresh)):
+        if root is None:
+            continue
+        folder = root / case.name
+        shutil.rmtree(folder, ignore_errors=True)
+        folder.mkdir(parents=True)
+        for trial in planned:
+            _fly(case.robot, trial, folder / trial.folder)
+        model_file.save(case.model, folder / "model.yaml")  # last: it marks the case as complete
+    return case.name
+
+
+def is_written(case: Case, data: Path, fresh: Path | None = None) -> bool:
+    """Return whether a case was written completely."""
+    return all((root / case.name / "model.yaml").is_file() for root in (data, fresh) if root is not None)
+
+
+def prepare(data: Path, labels_file: Path, fresh: Path | None, count: int, seed: int | None = None) -> list[Case]:
+    """Draw the cases and seal their labels before any simulation; existing labels are used again.
+
+    The default seed is random. Raises SealError if labels or fresh trials are inside `data`, which the tool may read,
+    or the labels belong to other cases.
+    """
+    for place in (labels_file, fresh):
+        if place is not None:
+            seal.keep_apart(place, data)
+    if labels_file.exists():
+        labels = seal.read_labels(labels_file)
+        cases = draw(len(labels.cases), labels.seed)
+        if {case.name: case.label for case in cases} != dict(labels.cases):
+            raise seal.SealError(f"{labels_file}: was made by another version; name a new file and a new folder")
+        if len(cases) != count or seed not in (None, labels.seed):
+            raise seal.SealError(
+                f"{labels_file}: belongs to {len(cases)} other cases; name a new file and a new folder"
+            )
+        seal.check_labels(labels, data)
+        return cases
+    if data.exists() and any(data.iterdir()):
+        raise seal.SealError(f"{data}: is not empty and belongs to other labels; name a new folder")
+    salt, secret = seal.new_secret()
+    seed = secret if seed is None else seed
+    cases = draw(count, seed)
+    seal.write_labels(seal.Labels(salt, seed, {case.name: case.label for case in cases}), labels_file, data)
+    return cases
+
+
+def write_cases(
+    cases: Sequence[Case], data: Path, fresh: Path | None, processes: int = 2, on_case: OnCase | None = None
+) -> None:
+    """Simulate and write the cases that are not complete yet; `on_case` is called for complete ones too."""
+    finished = on_case or (lambda name: None)
+    todo = []
+    for case in cases:
+        if is_written(case, data, fresh):
+            finished(case.name)
+        else:
+            todo.append(case)
+    for _, name in as_they_come(partial(write_case, data=data, fresh=fresh), todo, processes):
+        finished(name)
+
+
+def _fly(robot: RobotParameters, trial: PlannedTrial, folder: Path) -> None:
+    excitation = EXCITATIONS[trial.excitation]
+    record(excitation.at, folder, excitation.duration_s, robot, trial.seed, kind=trial.excitation, held=trial.held)

@@ -1,0 +1,115 @@
+"""Scoring of frozen answers: check the seals, measure on fresh trials, score and write the results."""
+
+import json
+import statistics
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from softarm.diagnosis.blind import pages, run, seal
+from softarm.diagnosis.blind.score import Scored, score
+from softarm.diagnosis.data import read
+from softarm.diagnosis.data.trials import Trial
+from softarm.schemas.model import Model
+from softarm.schemas.verdict import Verdict
+from softarm.simulator import model_file
+
+# Fresh trials, nominal model, patched model -> stage (and `chain`) -> share of the gap that was removed.
+Measure = Callable[[Sequence[Trial], Model, Model], Mapping[str, float]]
+# case, done, of
+OnCase = Callable[[str, int, int], None]
+
+
+def measure_shrink(trials: Sequence[Trial], nominal: Model, patched: Model) -> Mapping[str, float]:
+    """Return the share of the gap that a patched model removes, by stage (`softarm.diagnosis.robot.shrink`)."""
+    from softarm.diagnosis.robot import shrink
+
+    return shrink.measure_shrink(trials, nominal, patched)
+
+
+def open_labels(
+    data: Path,
+    labels_file: Path,
+    answer_files: Sequence[Path],
+    out: Path,
+    fresh: Path | None = None,
+    measure: Measure = measure_shrink,
+    on_case: OnCase | None = None,
+) -> dict[str, Any]:
+    """Score each file of answers and write `score.json`, `score.md` and `reliability-METHOD.png` to `out`.
+
+    Returns the content of score.json. Without a folder of `fresh` trials the shrink is not measured. Raises SealError
+    if answers changed after they were frozen, lack a case or belong to other data, or the labels differ from the
+    commitment.
+    """
+    frozen = {file: (seal.check_frozen(file), run.read_answers(file)) for file in answer_files}
+    labels = seal.read_labels(labels_file)
+    seal.check_labels(labels, data)
+    for file, (_, content) in frozen.items():
+        _check_complete(file, content, labels, data)
+    methods: dict[str, Any] = {}
+    for file, (digest, content) in frozen.items():
+        if content["method"] in methods:
+            raise seal.SealError(
+                f"{file}: there are already answers of {content['method']}; name one file for each method"
+            )
+        cases = _scored(labels, content, fresh, measure, on_case)
+        seconds = run.read_seconds(file)
+        methods[content["method"]] = {
+            "tool": content["tool"],
+            "answers_sha256": digest,
+            "seconds_median": statistics.median(seconds.values()) if seconds else None,
+            "seconds_worst": max(seconds.values(), default=None),
+            **score(cases),
+        }
+    result = {"labels": seal.commitment(labels)["all"], "methods": methods}
+    out.mkdir(parents=True, exist_ok=True)
+    (out / "score.json").write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
+    (out / "score.md").write_text(pages.markdown(result), encoding="utf-8")
+    for name, scored in methods.items():
+        pages.reliability(scored["calibration"], name, out / f"reliability-{name}.png")
+    return result
+
+
+def _check_complete(file: Path, content: Mapping[str, Any], labels: seal.Labels, data: Path) -> None:
+    """Check that every case was answered once, with these data."""
+    given = {answer["case"]: answer["data"] for answer in content["answers"]}
+    if missing := sorted(set(labels.cases) ^ set(given)):
+        raise seal.SealError(
+            f"{file}: {', '.join(missing[:5])} {'is' if len(missing) == 1 else 'are'} in the labels or in the answers, "
+            "but not in both; finish `softarm blind run` on these data"
+        )
+    for case, digest in given.items():
+        if run.digest(data / case) != digest:
+            raise seal.SealError(f"{data / case}: changed after it was answered; run `softarm blind run` again")
+
+
+def _scored(
+    labels: seal.Labels, content: Mapping[str, Any], fresh: Path | None, measure: Measure, on_case: OnCase | None
+) -> list[Scored]:
+    cases = []
+    answers = content["answers"]
+    for number, answer in enumerate(answers, 1):
+        label = labels.cases[answer["case"]]
+        verdict = Verdict.model_validate_json(json.dumps(answer["verdict"])) if answer["verdict"] else None
+        shrink = None
+        if fresh is not None and verdict is not None and verdict.effects:
+            place = fresh / answer["case"]
+            patched = Model.model_validate_json(json.dumps(answer["patched_model"]))
+            shrink = measure(read.read_all([place]), model_file.load(place / "model.yaml"), patched)
+        causes = label["causes"]
+        cases.append(
+            Scored(
+                answer["case"],
+                label["kind"],
+                tuple(cause["name"] for cause in causes),
+                tuple(cause["stage"] for cause in causes),
+                tuple(cause["removed"] for cause in causes),
+                verdict,
+                answer["failure"],
+                shrink,
+            )
+        )
+        if on_case is not None:
+            on_case(answer["case"], number, len(answers))
+    return cases

@@ -1,0 +1,116 @@
+"""Markdown tables and reliability diagram of a score."""
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from softarm.diagnosis.blind.score import OUTCOMES, Outcome, ScoredRig
+from softarm.reporting.colours import LIGHT
+
+
+def markdown(result: Mapping[str, Any]) -> str:
+    """Return the tables of a score: one column for each method, and the wrong answers of each."""
+    methods: Mapping[str, Mapping[str, Any]] = result["methods"]
+    return "\n".join((*measures(methods), "", *_causes(methods), *_all_wrong(methods))) + "\n"
+
+
+def strength(rows: Iterable[Mapping[str, Any]]) -> str:
+    """Return the table of docs/evidence/blind.md with the strength of every cause's weakest form."""
+    lines = ["| cause | drawn | its weakest shows in | changes | nuisances | ratio |", "|---|---|---|---|---|---|"]
+    for row in rows:
+        ratio = "inf" if row["ratio"] is None else f"{row['ratio']:.1f}"
+        figures = f"{row['changes']:.3g} | {row['nuisances']:.3g} | {ratio}"
+        lines.append(f"| {row['cause']} | {row['drawn']} | {row['signal']} | {figures} |")
+    return "\n".join(lines) + "\n"
+
+
+def measures(methods: Mapping[str, Mapping[str, Any]]) -> Iterator[str]:
+    """Yield the lines of the table of measures, one row for each measure and one column for each method."""
+    first = next(iter(methods.values()))
+    yield f"| {first['cases']} cases | " + " | ".join(methods) + " |"
+    yield "|---|" + "---|" * len(methods)
+    for name in first["measures"]:
+        yield f"| {name} | " + " | ".join(_share(method["measures"][name]) for method in methods.values()) + " |"
+    for name in first["coverage"]:
+        cells = (_share(method["coverage"][name]) for method in methods.values())
+        yield f"| 95 % interval of the shrink holds, {name} | " + " | ".join(cells) + " |"
+    cells = (_number(method["calibration"]["ece"], ".3f") for method in methods.values())
+    yield "| calibration error (ECE) | " + " | ".join(cells) + " |"
+    for name in ("median", "worst"):
+        cells = (_number(method[f"seconds_{name}"], ".0f") for method in methods.values())
+        yield f"| processor seconds a case, {name} | " + " | ".join(cells) + " |"
+
+
+def _causes(methods: Mapping[str, Mapping[str, Any]]) -> Iterator[str]:
+    yield "| cause, alone | " + " | ".join(f"right: {name}" for name in methods) + " |"
+    yield "|---|" + "---|" * len(methods)
+    for cause in next(iter(methods.values()))["by_cause"]:
+        cells = (method["by_cause"][cause] for method in methods.values())
+        yield f"| {cause} | " + " | ".join(f"{cell['hits']} of {cell['of']}" for cell in cells) + " |"
+
+
+def _all_wrong(methods: Mapping[str, Mapping[str, Any]]) -> Iterator[str]:
+    for name, method in methods.items():
+        yield from ("", f"Wrong answers of `{name}`:", "", "| case | truth | verdict | named (confidence) |")
+        yield "|---|---|---|---|"
+        for wrong in method["wrong"]:
+            named = ", ".join(
+                "/".join((e["name"], *e["equivalents"]))
+                + ("" if e["confidence"] is None else f" ({e['confidence']:.2f})")
+                for e in wrong["named"]
+            )
+            truth = " and ".join(wrong["causes"]) or "none"
+            verdict = wrong["verdict"].replace("|", "/").replace("\n", " ")
+            yield f"| {wrong['case']} | {truth} | {verdict} | {named or '-'} |"
+
+
+def _share(cell: Mapping[str, Any]) -> str:
+    if cell["share"] is None:
+        return "-"
+    return f"{cell['share']:.0%} ({cell['low']:.0%} .. {cell['high']:.0%}; {cell['hits']} of {cell['of']})"
+
+
+def _number(value: float | None, how: str) -> str:
+    return "-" if value is None else format(value, how)
+
+
+def rig_table(found: Mapping[str, Mapping[str, Any]]) -> str:
+    """Return the counts as a Markdown table; `sure` counts confident answers among wrong and picked ones."""
+    columns = ("cases", *OUTCOMES, "sure")
+    lines = [f"| | {' | '.join(columns)} | s (median, worst) |", "|---" * (len(columns) + 2) + "|"]
+    for name, row in found.items():
+        counts = " | ".join(str(row[c] or "") for c in columns)
+        lines.append(f"| {name} | {counts} | {row['seconds_median']:.0f}, {row['seconds_worst']:.0f} |")
+    return "\n".join(lines)
+
+
+def rig_answers(scored: Sequence[ScoredRig], outcomes: Sequence[Outcome] = ("wrong", "picked", "failed")) -> str:
+    """Return one line for each case with one of these outcomes."""
+    lines = []
+    for s in sorted(scored, key=lambda s: (OUTCOMES.index(s.outcome), s.rig, s.faults)):
+        if s.outcome in outcomes:
+            named = "; ".join(" or ".join(group) for group in s.named) or s.verdict
+            sure = ", sure" if s.sure else ""
+            truth = " + ".join(s.faults) or "nothing"
+            lines.append(f"{s.outcome}{sure}: {s.rig} ({s.category}, {s.case}): {truth}; answer {s.verdict}: {named}")
+    return "\n".join(lines)
+
+
+def reliability(calibration: Mapping[str, Any], title: str, file: Path) -> None:
+    """Write a PNG of the share of right names against confidence; raise OSError if it cannot be written."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(4.5, 4.5), layout="constrained")
+    axes = figure.subplots()
+    axes.plot((0, 1), (0, 1), color="0.6", lw=0.8)
+    bins = [b for b in calibration["bins"] if b["of"]]
+    x, y = [b["confidence"] for b in bins], [b["share"] for b in bins]
+    around = [[b["share"] - b["low"] for b in bins], [b["high"] - b["share"] for b in bins]]
+    axes.errorbar(x, y, around, fmt="o", color=LIGHT["accent"], capsize=3)
+    for b in bins:
+        axes.annotate(str(b["of"]), (b["confidence"], b["share"]), textcoords="offset points", xytext=(6, -10))
+    axes.set(xlim=(0, 1), ylim=(0, 1), xlabel="confidence", ylabel="share right (95 %)")
+    ece = _number(calibration["ece"], ".3f")
+    axes.set_title(f"{title}: {calibration['named']} names, ECE {ece}")
+    FigureCanvasAgg(figure).print_png(str(file))

@@ -1,0 +1,177 @@
+"""Running of a method on every case: in parallel, restartable, frozen at the end, without access to the labels."""
+
+import json
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from functools import partial
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+from softarm import common, diagnosis, schemas, simulator
+from softarm.common.processes import as_they_come
+from softarm.common.words import did_you_mean
+from softarm.diagnosis.blind import methods, seal
+from softarm.diagnosis.data import read
+from softarm.diagnosis.data.trials import Trial
+from softarm.schemas.model import Model
+from softarm.schemas.verdict import Verdict
+from softarm.simulator import model_file
+
+Clock = Callable[[], float]
+# case, answered, of
+OnAnswer = Callable[[str, int, int], None]
+_CODE = (".py", ".yaml", ".json")
+
+
+def run(
+    data: Path,
+    file: Path,
+    method: str = methods.DEFAULT,
+    processes: int = 2,
+    on_answer: OnAnswer | None = None,
+    trials: int | None = None,
+) -> str:
+    """Answer every case, freeze the file of answers and return its SHA-256.
+
+    Answers of the same version of the tool to the same data are kept, also after an interrupted run. Processor times
+    are written to `file` + `.timing.json`, which is not frozen.
+
+    The method sees the first `trials` of each case by name, or all. Raises SealError if the folder contains no cases,
+    or the method is unknown.
+    """
+    if method not in methods.METHODS:
+        hint = did_you_mean(method, methods.METHODS)
+        raise seal.SealError(f"unknown method {method!r}; {hint}allowed are {', '.join(methods.METHODS)}")
+    cases = folders(data)
+    seal.keep_apart(file, data)
+    file.parent.mkdir(parents=True, exist_ok=True)
+    about = {"method": method if trials is None else f"{method}, {trials} trials", "tool": tool_version()}
+    unfinished = _beside(file, ".partial")
+    done = _kept(file, unfinished, about, cases)
+    todo = [case for case in cases if case.name not in done]
+    with unfinished.open("a", encoding="utf-8") as out:
+        for _, answer in as_they_come(partial(answer_case, method=method, shown=trials), todo, processes):
+            done[answer["case"]] = answer
+            out.write(json.dumps({**about, **answer}) + "\n")
+            out.flush()
+            if on_answer is not None:
+                on_answer(answer["case"], len(done), len(cases))
+    _write(file, about, done)
+    unfinished.unlink()
+    return seal.freeze(file)
+
+
+def folders(data: Path) -> list[Path]:
+    """Return the folders of all cases, sorted; raise SealError if there are none."""
+    cases = sorted(path.parent for path in data.glob("*/model.yaml"))
+    if not cases:
+        raise seal.SealError(
+            f"{data}: contains no case (a folder with a model.yaml); name the folder that `softarm blind make` wrote"
+        )
+    return cases
+
+
+def answer_case(
+    folder: Path, method: str, shown: int | None = None, clock: Clock = time.process_time
+) -> dict[str, Any]:
+    """Return a method's answer to one case; an exception of the method is recorded as a failure.
+
+    The method sees the first `shown` trials, or all, and the model, but neither the case's name nor its path.
+    """
+    begin = clock()
+    model = model_file.load(folder / "model.yaml")
+    trials = [_anonymous(trial, folder) for trial in read.read_all([folder])][:shown]
+    verdict: Verdict | None = None
+    patched: Model | None = None
+    failure = ""
+    margins: dict[str, float] = {}
+    try:
+        found = methods.METHODS[method](trials, model)
+        verdict, own = (found, None) if isinstance(found, Verdict) else (found.verdict, found.patched)
+        margins = {} if isinstance(found, Verdict) else dict(found.margins)
+        patched = own or methods.patched(model, verdict)
+    except Exception as error:  # a failure is scored, and the other cases continue
+        failure = f"{type(error).__name__}: {error}"
+    return {
+        "case": folder.name,
+        "data": digest(folder),
+        "verdict": None if verdict is None else verdict.model_dump(mode="json"),
+        "patched_model": None if patched is None else patched.model_dump(),
+        "margins": margins,
+        "failure": failure,
+        "seconds": clock() - begin,
+    }
+
+
+def digest(folder: Path) -> str:
+    """Return the SHA-256 of a case's files, independent of the case's name."""
+    files = sorted(path for path in folder.rglob("*") if path.is_file())
+    return seal.sha256("".join(f"{path.relative_to(folder)} {seal.sha256(path.read_bytes())}\n" for path in files))
+
+
+def tool_version() -> str:
+    """Return the package's version with a hash of the code that answers."""
+    lines = []
+    for package in (common, diagnosis, schemas, simulator):
+        root = Path(str(package.__file__)).parent
+        for path in sorted(
+            p for p in root.rglob("*") if p.suffix in _CODE and "blind" not in p.relative_to(root).parts
+        ):
+            lines.append(f"{root.name}/{path.relative_to(root)} {seal.sha256(path.read_bytes())}")
+    return f"{version('softarm')}+{seal.sha256(chr(10).join(lines))[:12]}"
+
+
+def read_answers(file: Path) -> dict[str, Any]:
+    """Return a frozen file's method, tool and answers; raise SealError if it was not frozen or has changed."""
+    seal.check_frozen(file)
+    answers: dict[str, Any] = json.loads(file.read_text(encoding="utf-8"))
+    return answers
+
+
+def read_seconds(file: Path) -> dict[str, float]:
+    """Return the processor time of each case, s; empty if it was not recorded."""
+    timing = _beside(file, ".timing.json")
+    return dict(json.loads(timing.read_text(encoding="utf-8"))) if timing.is_file() else {}
+
+
+def _anonymous(trial: Trial, folder: Path) -> Trial:
+    warnings = tuple(text.replace(str(folder), "case") for text in trial.warnings)
+    missing = {channel: text.replace(str(folder), "case") for channel, text in trial.missing.items()}
+    return replace(trial, source=Path("case") / trial.source.name, warnings=warnings, missing=missing)
+
+
+def _kept(file: Path, unfinished: Path, about: dict[str, str], cases: Sequence[Path]) -> dict[str, dict[str, Any]]:
+    """Earlier answers of the same tool and method to the same data."""
+    lines: list[dict[str, Any]] = []
+    if file.is_file():
+        before, seconds = json.loads(file.read_text(encoding="utf-8")), read_seconds(file)
+        lines += [
+            {"method": before["method"], "tool": before["tool"], **answer, "seconds": seconds.get(answer["case"], 0.0)}
+            for answer in before["answers"]
+        ]
+    if unfinished.is_file():
+        for line in unfinished.read_text(encoding="utf-8").splitlines():
+            try:
+                lines.append(json.loads(line))
+            except ValueError:
+                continue  # the run was interrupted in this line
+    now = {case.name: digest(case) for case in cases} if lines else {}
+    return {
+        line["case"]: {key: value for key, value in line.items() if key not in about}
+        for line in lines
+        if all(line[key] == value for key, value in about.items()) and now.get(line["case"]) == line["data"]
+    }
+
+
+def _write(file: Path, about: dict[str, str], done: dict[str, dict[str, Any]]) -> None:
+    """Write answers sorted by case without their times, so that equal answers are equal bytes; times separately."""
+    answers = [{key: value for key, value in done[name].items() if key != "seconds"} for name in sorted(done)]
+    file.write_text(json.dumps({**about, "answers": answers}, indent=1) + "\n", encoding="utf-8")
+    times = {name: done[name]["seconds"] for name in sorted(done)}
+    _beside(file, ".timing.json").write_text(json.dumps(times, indent=1) + "\n", encoding="utf-8")
+
+
+def _beside(file: Path, ending: str) -> Path:
+    return file.with_name(file.name + ending)

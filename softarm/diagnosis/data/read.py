@@ -1,0 +1,74 @@
+"""Reading of all inputs of a diagnosis: logs, trial folders, campaigns and stage.yaml files."""
+
+from collections.abc import Callable, Iterable, Iterator
+from pathlib import Path
+
+import numpy as np
+
+from softarm.diagnosis.data import folder, mcap, tables
+from softarm.diagnosis.data.trials import Trial, TrialError, unique_names
+from softarm.recordings import rail_motion
+from softarm.recordings.mcap_file import LogError
+from softarm.recordings.rail_motion import RailMotion
+
+
+def read_all(paths: Iterable[Path], on_trial: Callable[[Path], None] | None = None) -> tuple[Trial, ...]:
+    """Read every trial of the inputs, sorted by name.
+
+    An input is an MCAP log, a trial folder, a campaign (a folder of trial folders and logs) or a stage.yaml. Raises
+    TrialError if a path is none of these, or its data are invalid.
+    """
+    trials: list[Trial] = []
+    for path in paths:
+        for source in sources(path):
+            if source.suffix in (".yaml", ".yml"):
+                trials += tables.read(source)
+            else:
+                trials.append(folder.read(source) if source.is_dir() else mcap.read(source))
+            if on_trial is not None:
+                on_trial(source)
+    return unique_names(trials)
+
+
+def rail_motions(paths: Iterable[Path]) -> tuple[RailMotion, ...]:
+    """Return the motion of the rail in each recording; tables of rigs contain none.
+
+    Raises TrialError as `read_all` does.
+    """
+    found: list[RailMotion] = []
+    for source in (source for path in paths for source in sources(path)):
+        if source.suffix == ".mcap":
+            try:
+                found.append(rail_motion.read(source))
+            except LogError as error:
+                raise TrialError(str(error)) from None
+        elif source.is_dir():
+            found += _rail_of(folder.read(source))
+    return tuple(found)
+
+
+def _rail_of(trial: Trial) -> Iterator[RailMotion]:
+    """Rail motion of a trial folder; every command counts as carried out."""
+    if {"command", "rail"} <= trial.channels.keys():
+        sent, seen = trial.channel("command"), trial.channel("rail")
+        obeyed = np.ones(len(sent), dtype=bool)
+        columns = seen.t_s, seen["position"], seen["velocity"]
+        yield RailMotion(trial.source, sent.t_s, sent["cart_velocity"], obeyed, *columns)
+
+
+def sources(path: Path) -> tuple[Path, ...]:
+    """Return the trials and stage.yaml files of a path; raise TrialError if it contains none."""
+    if path.is_file() and path.suffix in (".mcap", ".yaml", ".yml"):
+        return (path,)
+    if not path.exists():
+        raise TrialError(f"{path}: does not exist; name an MCAP log, a trial folder, a campaign or a stage.yaml")
+    if path.is_file():
+        raise TrialError(f"{path}: is neither an .mcap log nor a stage.yaml; describe a table in a stage.yaml")
+    if folder.is_trial(path):
+        return (path,)
+    inside = tuple(sorted((*(p for p in path.iterdir() if p.is_dir() and folder.is_trial(p)), *path.glob("*.mcap"))))
+    if not inside:
+        raise TrialError(
+            f"{path}: contains no trial: no trial.yaml (a trial), no folders with one (a campaign) and no .mcap logs"
+        )
+    return inside

@@ -1,0 +1,182 @@
+"""Reading of a stage.yaml and of the trials that it lists, one for each file that a pattern matches."""
+
+import re
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from softarm.common import yaml_lines
+from softarm.common.words import did_you_mean, nearest
+from softarm.common.yaml_lines import FileError
+from softarm.common.yaml_schema import fit
+from softarm.diagnosis.data import stage_rules
+from softarm.diagnosis.data.trials import TrialError
+from softarm.schemas.stage_model import CHANNELS
+from softarm.schemas.trial import Mechanism, SeveralFile, StageFile, TableForm, TableTrial
+
+EXAMPLE = "one of diagnosis/rigs/stages/*.yaml"
+_STAR = re.compile(r"\*+|\?|\[[^\]]*\]")
+
+
+@dataclass(frozen=True, slots=True)
+class Recording:
+    """One trial of one mechanism, with its file for each channel."""
+
+    name: str
+    kind: str
+    files: Mapping[str, Path]
+    segment: str | None
+
+
+@dataclass(frozen=True, slots=True)
+class Stage:
+    """One mechanism of a stage.yaml, with its trials as they are written there."""
+
+    name: str
+    about: Mechanism
+    form: TableForm
+    trials: tuple[TableTrial, ...]
+    several: bool  # whether the file describes several mechanisms; names of trials then contain the mechanism
+
+
+def is_stage(path: Path) -> bool:
+    """Return whether a YAML file describes tables of a rig, valid or not; a robot configuration has no such keys."""
+    try:
+        data = yaml_lines.read(path, "").data
+    except FileError:
+        return False
+    return isinstance(data, dict) and bool({"channels", "mechanisms", "trials"} & data.keys())
+
+
+def load(path: Path) -> tuple[Stage, ...]:
+    """Read a stage.yaml; raise TrialError with every mistake on a line of its own."""
+    try:
+        document = yaml_lines.read(path, f"write one, e.g. {EXAMPLE}")
+        several = _is_of_several(document.data)
+        more = stage_rules.findings(document.data)
+        if several:
+            whole = fit(document, SeveralFile, more)
+            lacking = [name for name, each in whole.mechanisms.items() if not each.trials and not whole.trials]
+            if lacking:
+                raise TrialError(
+                    f"{path}: trials: {', '.join(lacking)} has none; add `trials`, there or for all mechanisms"
+                )
+            return tuple(
+                Stage(name, each, whole.table, each.trials or whole.trials, True)
+                for name, each in whole.mechanisms.items()
+            )
+        one = fit(document, StageFile, more)
+        return (Stage(one.name or _called(path), one, one.table, one.trials, False),)
+    except FileError as error:
+        raise TrialError(str(error)) from None
+
+
+def _called(path: Path) -> str:
+    """Name of a mechanism without a name: that of its file, or of the folder of a `stage.yaml`."""
+    own = path.resolve()
+    text = own.parent.name if own.stem == "stage" else own.stem
+    return re.sub(r"\W+", "_", text).strip("_") or "stage"
+
+
+def _is_of_several(data: Any) -> bool:
+    return isinstance(data, dict) and "channels" not in data and nearest("mechanisms", map(str, data)) is not None
+
+
+def recordings(path: Path, base: Path, stage: Stage) -> Iterator[Recording | TrialError]:
+    """Yield every trial of a stage with its patterns expanded, or a TrialError instead of an invalid trial."""
+    taken: set[str] = set()
+    for trial in stage.trials:
+        try:
+            found = list(_recordings(path, base, stage.about, trial))
+        except TrialError as error:
+            yield error
+            continue
+        for each in found:
+            if each.name in taken:
+                yield TrialError(f"{path}: two trials are called {each.name}; give one of them another `name`")
+            taken.add(each.name)
+            yield each
+
+
+def _recordings(path: Path, base: Path, about: Mechanism, trial: TableTrial) -> Iterator[Recording]:
+    wanted = CHANNELS[about.kind]
+    files = trial.files if isinstance(trial.files, dict) else dict.fromkeys(about.channels, trial.files)
+    called = trial.name or (trial.files if isinstance(trial.files, str) else "")
+    of = f"{path}: trial {called}" if called else f"{path}: trials"
+    for name in files:
+        if name not in about.channels:
+            near = did_you_mean(name, about.channels)
+            raise TrialError(
+                f"{of}: files: no channel {name}; {near}the file describes {', '.join(about.channels)}; correct it"
+            )
+    for name in about.channels:
+        if name not in files and not wanted[name].optional:
+            raise TrialError(f"{of}: names no file for the {name} channel; add it under `files`")
+    if trial.segment is not None and not _has_segment(about):
+        raise TrialError(f"{of}: has a segment, but no `source` holds {{segment}}; put it there, or leave it out")
+    stars = {name: pattern for name, pattern in files.items() if _STAR.search(pattern)}
+    if not stars:
+        first = Path(next(iter(files.values())))
+        name = trial.name or (first.stem if trial.segment is None else f"{first.stem}-{trial.segment}")
+        yield Recording(name, trial.kind or kind_of(name), {c: base / f for c, f in files.items()}, trial.segment)
+        return
+    fitting = {name: _fitting(base, pattern) for name, pattern in stars.items()}
+    for name, found in fitting.items():
+        if not found:
+            raise TrialError(
+                f"{of}: files: no file matches {base / stars[name]}; correct the pattern or the data folder"
+            )
+    every = sorted(set().union(*fitting.values()))
+    for starred in every:
+        if lacking := [name for name, found in fitting.items() if starred not in found]:
+            raise TrialError(
+                f"{of}: files: there is no {base / _filled(stars[lacking[0]], starred)} for the other channels of "
+                f"{'-'.join(starred)}; add it, or remove those"
+            )
+        own = "-".join(starred)
+        name = f"{trial.name}-{own}" if trial.name else own
+        place = {c: fitting[c][starred] if c in fitting else base / f for c, f in files.items()}
+        yield Recording(name, trial.kind or kind_of(trial.name or own), place, trial.segment)
+
+
+def kind_of(name: str) -> str:
+    """Return the kind of excitation that a trial's name suggests: the name without its number."""
+    return re.sub(r"[\s_.\-]*\d+$", "", name) or name
+
+
+def _has_segment(about: Mechanism) -> bool:
+    columns = (each for channel in about.channels.values() for each in (channel.time, *channel.columns.values()))
+    return any("{segment}" in str(column.source) for column in columns)
+
+
+def _fitting(base: Path, pattern: str) -> dict[tuple[str, ...], Path]:
+    """Files that match a pattern, by the text that its wildcards stand for."""
+    plain, parts = Path(), list(Path(pattern).parts)
+    while not _STAR.search(parts[0]):  # folders before the first wildcard may lead anywhere
+        plain /= parts.pop(0)
+    base, pattern = base / plain, "/".join(parts)
+    exact = re.compile(_as_expression(pattern))
+    found = {}
+    for file in sorted(base.glob(pattern)):
+        if file.is_file() and (fits := exact.fullmatch(file.relative_to(base).as_posix())):
+            found[tuple(part.replace("/", "-") for part in fits.groups() if part)] = file
+    return found
+
+
+def _as_expression(pattern: str) -> str:
+    found, at = [], 0
+    for star in _STAR.finditer(pattern):
+        found.append(re.escape(pattern[at : star.start()]))
+        at = star.end()
+        if star[0].startswith("**"):  # no folder, or any number of them
+            found.append("(.*?)/?" if pattern[at : at + 1] == "/" else "(.*)")
+            at += pattern[at : at + 1] == "/"
+        else:
+            found.append({"*": "([^/]*)", "?": "([^/])"}.get(star[0], f"({star[0]})"))
+    return "".join(found) + re.escape(pattern[at:])
+
+
+def _filled(pattern: str, starred: tuple[str, ...]) -> str:
+    each = iter(starred)
+    return _STAR.sub(lambda star: next(each, star[0]), pattern)

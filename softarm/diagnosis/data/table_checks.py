@@ -1,0 +1,349 @@
+"""Checks of a rig's table against its stage.yaml before a fit: clocks, units, ranges.
+
+Data that cannot be diagnosed are rejected; doubtful data give a warning. Either message is one sentence that names
+file, column and next step.
+"""
+
+from collections.abc import Callable, Iterator, Mapping
+from itertools import combinations
+from pathlib import Path
+
+import numpy as np
+
+from softarm.common.quantity import PURE, UNITS, factor
+from softarm.diagnosis.data import checks
+from softarm.diagnosis.data.still_checks import compared_columns
+from softarm.diagnosis.data.trials import Array, Series, Trial, TrialError
+from softarm.schemas.stage_model import StageKind
+from softarm.schemas.trial import Column, Mechanism, TableChannel
+
+# Least number of rows and seconds of the measured channel.
+ROWS_LEAST, SECONDS_LEAST = 20, 0.8
+# Usual steps between rows outside these bounds mean that the stamps have another unit.
+STEP_MIN_S, STEP_SLOW_S, STEP_MAX_S = 4e-5, 0.5, 2.0
+STEP_LIKELY_S = (2e-4, 0.2)
+# A step back by more usual steps than this means that the clock was set; a smaller one is a delayed row.
+BACK_STEPS = 5.0
+# With more steps back than this, rows are out of order and can be sorted.
+SETS_MOST = 3
+# Ratios of two clocks of one recording whose units differ.
+SPANS = (1e3, 1e6, 1e9)
+# Data before the first and after the last command that are allowed.
+LATE_S, LATE_SHARE = 1.0, 0.05
+# Relative tolerance of a ratio that is taken for that of two units.
+ALIKE = 0.08
+# Ratio of measured to commanded range that no effect explains, and that certainly no lag explains.
+SWING_RATIO = 4.0
+SWING_SURE = 50.0
+# Time over which slopes are compared, and relative difference that is allowed.
+SLOPE_S, SLOPE_TOLERANCE = 0.08, 0.3
+# A step this close to a whole turn is a wrapped angle.
+WRAP_RAD = 0.3
+UPRIGHT_RAD = 0.5
+# Interval at which a mass's speed is compared, and acceleration that an incline may add.
+PUSH_S, WEIGHT_M_S2 = 0.1, 10.0
+
+# Maps a row's index to its number in the file.
+Place = Callable[[int], int]
+
+
+def clock(time_s: Array, about: Column, where: str, place: Place, on_change: bool) -> list[str]:
+    """Return warnings about the stamps of a channel.
+
+    For messages, `where` is file and column and `place` maps a row's index to its number in the file. With on_change,
+    rows may be logged only when the value changes, as commands may. Raises TrialError if the column cannot be a clock.
+    """
+    steps = np.diff(time_s)
+    if not steps.size:
+        return []
+    if not steps.any():
+        raise TrialError(f"{where}: every row has the stamp {time_s[0]:g} s; name the column that holds the time")
+    usual = float(np.median(np.abs(steps)))
+    seconds = factor(about.unit)[0] * about.scale
+    back = np.flatnonzero(steps < -max(BACK_STEPS * usual, 1e-9))
+    if 0 < back.size <= SETS_MOST:
+        k = int(back[0])
+        raise TrialError(
+            f"{where}: the clock is set back by {-steps[k]:.4g} s at row {place(k + 1)} ({time_s[k]:.6g} s, then "
+            f"{time_s[k + 1]:.6g} s); split the recording there into two trials"
+        )
+    if usual and not STEP_MIN_S <= usual <= (np.inf if on_change else STEP_MAX_S):
+        likely = _time_unit(usual / seconds)
+        raise TrialError(
+            f"{where}: rows are {usual:.4g} s apart"
+            + (f"; its stamps look like {likely}: write `unit: {likely}`" if likely else "; correct its `unit`")
+        )
+    ahead = np.flatnonzero(steps > checks.SPLIT_S)
+    if ahead.size and usual < 1.0 and not on_change:
+        k = int(ahead[0])
+        raise TrialError(
+            f"{where}: the clock jumps ahead by {steps[k]:.4g} s at row {place(k + 1)}; split the recording "
+            "there into two trials"
+        )
+    if usual < STEP_SLOW_S or on_change:
+        return []
+    return [
+        f"{where}: rows are {usual:.4g} s apart; if its stamps are in ms, write `unit: ms`; if they count rows, write "
+        "`scale` with the seconds per row"
+    ]
+
+
+def _time_unit(step: float) -> str | None:
+    """Unit in which a step is one that rigs are usually recorded with."""
+    units = {"s": 1.0, **UNITS["s"]}
+    low, high = STEP_LIKELY_S
+    return next((unit for unit, factor_ in units.items() if low <= step * factor_ <= high), None)
+
+
+def ranges(series: Series, kind: StageKind, channel: TableChannel, where: str) -> Iterator[str]:
+    """Yield warnings about columns whose range is implausible in the unit that the stage.yaml names."""
+    limits = {"m": (20.0, "millimetres"), "kPa": (2000.0, "Pa"), "m/s": (50.0, "mm/s")}
+    if kind != "driven_mass":  # a wheel turns for long
+        limits["rad"] = (13.0, "degrees")
+    for name, column in channel.columns.items():
+        of_one, unit = factor(column.unit)
+        top = float(np.max(np.abs(series[name] - column.add), initial=0.0))
+        if unit in limits and top > limits[unit][0] and of_one <= 1.0:  # a larger unit such as bar or rev is no slip
+            standard = f", {top:.4g} {unit}" if column.unit != unit else ""
+            yield (
+                f"{where}: {name} goes up to {top / of_one:.4g} {column.unit}{standard} (from {column.source}); "
+                f"is it in {limits[unit][1]}? correct `unit` in the stage.yaml"
+            )
+
+
+def mistakes(trial: Trial, about: Mechanism, at: "Columns") -> Iterator[str]:
+    """Yield the reasons why a trial cannot be diagnosed."""
+    yield from _too_short(trial, at)
+    yield from _apart(trial, at)
+    yield from _wrapped(trial, at)
+    slips = [text for sure, text in (*_slips(trial, about, at), *_slopes(trial, at)) if sure]
+    yield from slips or _pushed(trial, at)
+
+
+def oddities(trial: Trial, about: Mechanism, at: "Columns") -> Iterator[str]:
+    """Yield warnings about a trial that can be diagnosed."""
+    for sure, text in (*_slips(trial, about, at), *_slopes(trial, at)):
+        if not sure:
+            yield text
+    yield from _late(trial, at)
+    yield from _upright(trial, at)
+
+
+class Columns:
+    """Names of files and columns of a trial, for messages."""
+
+    def __init__(self, about: Mechanism, files: Mapping[str, Path]) -> None:
+        self.about, self.files = about, files
+
+    def __call__(self, channel: str, column: str | None = None) -> str:
+        """Return the file and column of a channel's column, or of its stamps if `column` is None."""
+        named = self.of(channel, column)
+        return f"{self.files[channel]}: column {named.source}"
+
+    def reading(self, channel: str, column: str, value: float) -> str:
+        """Return a value in the table's unit, as it is written in the table, before `add`."""
+        about = self.of(channel, column)
+        text = f"{(value - about.add) / factor(about.unit)[0]:.4g}"
+        return text if about.unit in ("1", PURE) else f"{text} {about.unit}"
+
+    def of(self, channel: str, column: str | None) -> Column:
+        """Return a column as the stage.yaml describes it, or the time column if `column` is None."""
+        known = self.about.channels[channel]
+        return known.time if column is None else known.columns[column]
+
+
+def _too_short(trial: Trial, at: Columns) -> Iterator[str]:
+    for name, series in trial.channels.items():
+        t = series.t_s
+        length = float(t[-1] - t[0]) if len(t) else 0.0
+        needed = (ROWS_LEAST, SECONDS_LEAST) if name == "measured" else (2, 0.0)
+        if len(t) < needed[0] or length < needed[1]:
+            yield (
+                f"{at(name)}: {len(t)} rows over {length:.3g} s; the {name} channel needs {needed[0]} rows over "
+                f"{needed[1]:g} s at least: record longer, leave this trial out, or correct the time's `unit`"
+            )
+
+
+def _apart(trial: Trial, at: Columns) -> Iterator[str]:
+    """Channels whose clocks have different units, or do not overlap."""
+    spans = {name: (float(s.t_s[0]), float(s.t_s[-1])) for name, s in trial.channels.items() if len(s) > 1}
+    for one, other in combinations(spans, 2):
+        (a, b), (c, d) = spans[one], spans[other]
+        ratio = (b - a) / (d - c)
+        many = min(len(trial.channels[one]), len(trial.channels[other])) >= ROWS_LEAST
+        if many and any(abs(max(ratio, 1 / ratio) / span - 1) < 0.2 for span in SPANS):
+            yield (
+                f"{at(one)}: the {one} channel lasts {b - a:.4g} s, {other} {d - c:.4g} s; "
+                "the stamps of one have another unit: correct its `unit`"
+            )
+        elif min(b, d) <= max(a, c):
+            yield (
+                f"{at(one)}: the {one} channel runs from {a:.6g} to {b:.6g} s, {other} from {c:.6g} to {d:.6g} s: they "
+                "do not overlap; stamp both by one clock"
+            )
+
+
+def _late(trial: Trial, at: Columns) -> Iterator[str]:
+    """Measured rows after the last command, or before the first one."""
+    drive = next((name for name in ("command", "force", "torque") if name in trial.channels), None)
+    if drive is None or "measured" not in trial.channels:
+        return
+    sent, seen = trial.channels[drive].t_s, trial.channels["measured"].t_s
+    allowed = max(LATE_S, LATE_SHARE * float(seen[-1] - seen[0]))
+    if seen[-1] - sent[-1] > allowed:
+        yield (
+            f"{at('measured')}: goes on for {seen[-1] - sent[-1]:.3g} s after the last {drive}, which counts as held; "
+            "cut those rows, or log it to the end"
+        )
+    if sent[0] - seen[0] > allowed:
+        yield (
+            f"{at('measured')}: begins {sent[0] - seen[0]:.3g} s before the first {drive}, which counts as held; cut "
+            "those rows, or log it from the start"
+        )
+
+
+def _wrapped(trial: Trial, at: Columns) -> Iterator[str]:
+    """Angles that start again after a whole turn."""
+    if "measured" not in trial.channels or trial.stage is None:
+        return
+    for name, values in trial.channels["measured"].columns.items():
+        if trial.stage.unit("measured", name) != "rad" or len(values) < ROWS_LEAST:
+            continue
+        steps = np.abs(np.diff(values))
+        turns = np.flatnonzero(np.abs(steps - 2 * np.pi) < WRAP_RAD)
+        if turns.size and float(np.quantile(steps, 0.9)) < WRAP_RAD:
+            yield (
+                f"{at('measured', name)}: {name} starts again after a whole turn at "
+                f"{trial.channels['measured'].t_s[turns[0]]:.4g} s; write it without wrapping (numpy.unwrap)"
+            )
+
+
+def _static(trial: Trial, command: Array) -> Array:
+    """Value that the nominal model reaches under constant commands."""
+    model: Mapping[str, object] = trial.stage.model if trial.stage is not None else {}
+    if "map" in model:
+        pairs = np.asarray(model["map"], dtype=float)
+        return np.asarray(np.interp(command, pairs[:, 0], pairs[:, 1]))
+    return _single(model, "gain", 1.0) * command + _single(model, "offset", 0.0)
+
+
+def _slips(trial: Trial, about: Mechanism, at: Columns) -> Iterator[tuple[bool, str]]:
+    """Ranges of command and measured value that do not match: (whether a unit is certainly wrong, sentence)."""
+    if trial.stage is None or about.kind != "tracking" or not {"command", "measured"} <= trial.channels.keys():
+        return
+    (name,) = compared_columns(trial)
+    seen, expected = trial.channels["measured"][name], _static(trial, trial.channels["command"]["command"])
+    spread = [float(np.quantile(x, 0.95) - np.quantile(x, 0.05)) for x in (seen, expected)]
+    if min(spread) <= 0:
+        return
+    ratio = spread[0] / spread[1]
+    if 1 / SWING_RATIO < ratio < SWING_RATIO:
+        return
+    text = (
+        f"{at('measured', name)}: {name} moves {ratio:.3g} times as far as the model predicts for its command "
+        f"({at('command', 'command')})"
+    )
+    units = trial.stage.units
+    measured, command = units["measured"][name], units["command"]["command"]
+    likely = _either(
+        _meant(measured.factor / ratio, measured.standard, name),
+        _meant(command.factor * ratio, command.standard, "command"),
+    )
+    levels = [float(np.mean(x)) for x in (seen, expected)]
+    same_level = levels[1] and abs(levels[1]) > 0.3 * spread[1]
+    slipped = abs(levels[0] / levels[1] / ratio - 1) < 2 * ALIKE if same_level else ratio < 1 / SWING_SURE
+    if likely:
+        yield (ratio > 1 or slipped), f"{text}; {likely}: correct `unit`, or write `gain` in the model"
+    else:
+        yield ratio > SWING_SURE or ratio < 1 / SWING_SURE, f"{text}; correct a `unit`, or write `gain` in the model"
+
+
+def _pushed(trial: Trial, at: Columns) -> Iterator[str]:
+    """A mass whose speed changes by far more than its force and weight allow."""
+    if trial.stage is None or trial.stage.kind != "driven_mass" or not {"force", "measured"} <= trial.channels.keys():
+        return
+    driver, place = next(iter(trial.channels["force"].columns)), next(iter(trial.channels["measured"].columns))
+    force, measured, model = trial.channels["force"], trial.channels["measured"], trial.stage.model
+    if min(len(force), len(measured)) < ROWS_LEAST:
+        return
+    gain, offset = _single(model, "gain", 1.0), _single(model, "offset", 0.0)
+    mass = _single(model, "inertia_kg_m2", _single(model, "mass_kg", 1.0))
+    t = np.arange(measured.t_s[0], measured.t_s[-1], PUSH_S)
+    x = np.interp(t, measured.t_s, measured[place])
+    jumps = np.diff(x, 1 if place == "velocity" else 2) / (1.0 if place == "velocity" else PUSH_S)
+    most = (abs(gain) * float(np.max(np.abs(force[driver]))) + abs(offset)) / mass + WEIGHT_M_S2
+    seen = float(np.quantile(np.abs(jumps), 0.9)) / PUSH_S if len(jumps) else 0.0
+    if seen > SWING_SURE * most:
+        yield (
+            f"{at('measured', place)}: {place} accelerates by {seen:.3g} (in m/s^2 or rad/s^2), but {driver} "
+            f"({at('force', driver)}) and the model's mass allow {most:.3g}; correct a `unit`, `gain` or the mass"
+        )
+
+
+def _single(model: Mapping[str, object], key: str, default: float) -> float:
+    return float(np.ravel(np.asarray(model.get(key, default), dtype=float))[0])
+
+
+def _meant(of_one: float, standard: str, name: str) -> str:
+    """Name the known unit with this factor; empty if there is none."""
+    known = {standard: 1.0, **UNITS.get(standard, {})} if standard != PURE else {"%": 0.01, "1": 1.0}
+    found = sorted((unit for unit, each in known.items() if abs(of_one / each - 1) < ALIKE), key=len)
+    return f"{name} looks like {found[0]}" if found else ""
+
+
+def _either(*likely: str) -> str:
+    return " or ".join(filter(None, likely))
+
+
+def _slopes(trial: Trial, at: Columns) -> Iterator[tuple[bool, str]]:
+    """Rates that are not the slopes of their positions; the view of a tracking stage checks its own."""
+    if "measured" not in trial.channels or trial.stage is None or trial.stage.kind == "tracking":
+        return
+    measured = trial.channels["measured"]
+    if len(measured) < ROWS_LEAST:
+        return
+    pairs = [("position", "velocity"), *((f"angle{i}", f"rate{i}") for i in range(1, 13))]
+    for place, rate in pairs:
+        if not {place, rate} <= measured.columns.keys():
+            continue
+        ratio = _slope_ratio(measured.t_s, measured[place], measured[rate])
+        if ratio is None or abs(ratio - 1) <= SLOPE_TOLERANCE:
+            continue
+        units = trial.stage.units["measured"]
+        likely = (
+            "one of the two has the opposite sign"
+            if abs(ratio + 1) <= SLOPE_TOLERANCE
+            else _either(
+                _meant(units[place].factor * ratio, units[place].standard, place),
+                _meant(units[rate].factor / ratio, units[rate].standard, rate),
+            )
+        )
+        yield (
+            bool(likely),
+            f"{at('measured', rate)}: {rate} is {ratio:.3g} times the slope of {place} ({at('measured', place)}); "
+            + (f"{likely}: " if likely else "")
+            + "correct `unit` or `scale` of one",
+        )
+
+
+def _slope_ratio(t: Array, x: Array, v: Array) -> float | None:
+    """Ratio of a rate to its position's slope, over times in which a sensor's resolution does not matter."""
+    wide = max(1, round(SLOPE_S / max(float(np.median(np.diff(t))), 1e-9)))
+    if len(t) <= 2 * wide:
+        return None
+    summed = np.concatenate(([0.0], np.cumsum(0.5 * (v[1:] + v[:-1]) * np.diff(t))))
+    moved, integrated = x[wide:] - x[:-wide], summed[wide:] - summed[:-wide]
+    return float(moved @ integrated / (moved @ moved)) if moved @ moved > 0 else None
+
+
+def _upright(trial: Trial, at: Columns) -> Iterator[str]:
+    """A pendulum whose angle is not zero when it hangs."""
+    if trial.stage is None or trial.stage.kind != "pendulum" or "measured" not in trial.channels:
+        return
+    for name in compared_columns(trial):
+        middle = float(np.median(trial.channels["measured"][name]))
+        if abs(abs(middle) - np.pi) < UPRIGHT_RAD:
+            yield (
+                f"{at('measured', name)}: the median of {name} is {middle:.3g} rad, but a pendulum hangs at 0; "
+                f"write `add: {-np.copysign(np.pi, middle):.6f}`"
+            )

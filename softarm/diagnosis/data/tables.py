@@ -1,0 +1,191 @@
+"""Reading of a rig's tables as trials, as its stage.yaml describes them."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from softarm.common.quantity import factor
+from softarm.diagnosis.data import checks, stage_rules, still_checks, table_checks, table_files
+from softarm.diagnosis.data.stage_file import Recording, Stage, load, recordings
+from softarm.diagnosis.data.table_checks import Columns
+from softarm.diagnosis.data.table_files import Table
+from softarm.diagnosis.data.trials import Series, TableStage, TableUnit, Trial, TrialError
+from softarm.schemas.stage_model import ModelValue
+from softarm.schemas.trial import Mechanism, TableChannel, TableForm
+
+# Number of mistakes that are listed; the others are counted.
+MISTAKES_SHOWN = 20
+# Share of rows without a reading from which there is a warning.
+_MANY = 0.5
+
+
+def read(path: Path, data: Path | None = None) -> tuple[Trial, ...]:
+    """Read every trial of a stage.yaml.
+
+    With `elements` or `mechanisms` there is one trial for each, called `TRIAL/ELEMENT`. The tables are in `data`, by
+    default the folder of the stage.yaml. Raises TrialError with one line for each mistake, with file, column and row.
+    """
+    base = path.parent if data is None else data
+    loaded: dict[Path, Table] = {}  # a file that serves many trials is read once
+    checked: list[tuple[Trial, Columns]] = []
+    wrong: dict[str, None] = {}
+    for stage in load(path):
+        for recording in recordings(path, base, stage):
+            if isinstance(recording, TrialError):
+                wrong[str(recording)] = None
+                continue
+            for element in tuple(stage.about.elements) or ("",):
+                try:
+                    trial = _trial(stage, recording, element, loaded)
+                except TrialError as error:
+                    wrong[str(error)] = None
+                    continue
+                at = Columns(stage.about, recording.files)
+                if mistakes := dict.fromkeys(table_checks.mistakes(trial, stage.about, at)):
+                    wrong |= mistakes
+                    continue
+                odd = table_checks.oddities(trial, stage.about, at)
+                checked.append((replace(trial, warnings=(*trial.warnings, *odd)), at))
+    trials, dead = _without_still(checked)
+    wrong |= dict.fromkeys(dead)
+    if wrong:
+        shown = [*wrong][:MISTAKES_SHOWN]
+        if more := len(wrong) - len(shown):
+            shown.append(f"{path}: and {more} more; correct these first")
+        raise TrialError("\n".join(shown))
+    return trials
+
+
+def _without_still(checked: Sequence[tuple[Trial, Columns]]) -> tuple[tuple[Trial, ...], list[str]]:
+    """Trials in which something moves, with their warnings; and the mistakes."""
+    kept: list[Trial] = []
+    wrong: list[str] = []
+    for name in dict.fromkeys(trial.stage.name for trial, _ in checked if trial.stage is not None):
+        mine = [(trial, at) for trial, at in checked if trial.stage is not None and trial.stage.name == name]
+        trials = [trial for trial, _ in mine]
+        found = list(still_checks.stillness(trials, [at for _, at in mine]))
+        wrong += [each.text for each in found if each.kind == "mistake"]
+        gone = {each.trial: each.text for each in found if each.kind == "left out"}
+        odd = {
+            k: tuple(each.text for each in found if each.kind == "warning" and each.trial == k)
+            for k in range(len(mine))
+        }
+        left = [replace(t, warnings=(*t.warnings, *odd[k])) for k, t in enumerate(trials) if k not in gone]
+        if left and gone:
+            left[0] = replace(left[0], warnings=(*left[0].warnings, *gone.values()))
+        kept += left
+    return tuple(kept), wrong
+
+
+def _trial(stage: Stage, recording: Recording, element: str, loaded: dict[Path, Table]) -> Trial:
+    about = stage.about
+    channels: dict[str, Series] = {}
+    missing: dict[str, str] = {}
+    warnings: list[str] = []
+    zoned: dict[bool | None, str] = {}
+    for name, channel in about.channels.items():
+        if name not in recording.files:
+            missing[name] = f"trial {recording.name} names no file for it"
+            continue
+        path = recording.files[name]
+        if path not in loaded:
+            loaded[path] = table_files.load(path, stage.form)
+        place = about.elements.get(element)
+        drive = name in still_checks.DRIVES
+        series, found, zone = _series(loaded[path], channel, stage.form, recording.segment, place, drive)
+        zoned.setdefault(zone, f"{path}: column {channel.time.source}")
+        channels[name], odd = checks.tidy_stamps(series, f"{path}: {name}", gaps=not drive)
+        warnings += (*found, *odd, *table_checks.ranges(channels[name], about.kind, channel, f"{path}: {name}"))
+    if True in zoned and False in zoned:
+        raise TrialError(
+            f"{zoned[True]} has time zones, {zoned[False]} has none; write both with time zones, or both without"
+        )
+    if about.angles == "relative":
+        channels["measured"] = _absolute(channels["measured"], about.links)
+    units = {
+        name: {column: TableUnit(each.unit, *factor(each.unit)) for column, each in channel.columns.items()}
+        for name, channel in about.channels.items()
+    }
+    own = element or stage.name
+    name = f"{recording.name}/{own}" if element or stage.several else recording.name
+    return Trial(
+        name,
+        recording.kind,
+        next(iter(recording.files.values())),
+        channels,
+        "free",
+        TableStage(own, about.kind, _in_standard_units(about, units), units, about.angles == "relative"),
+        tuple(warnings),
+        missing,
+    )
+
+
+def _series(
+    table: Table, channel: TableChannel, form: TableForm, segment: str | None, element: int | None, drive: bool
+) -> tuple[Series, list[str], bool | None]:
+    """Rows of a channel with a reading in every column, warnings about the others, and the time zones of its stamps."""
+    if element is not None and not any(table_files.holds_lists(table, c, segment) for c in channel.columns.values()):
+        source = next(iter(channel.columns.values())).source
+        raise TrialError(
+            f"{table.path}: column {source} contains plain numbers, not lists; leave `elements` out, or name another "
+            "column"
+        )
+    time, zoned = table_files.stamps(table, channel.time, form, segment)
+    columns = {n: table_files.column(table, column, form, segment, element) for n, column in channel.columns.items()}
+    warnings = []
+    keep = np.isfinite(time)
+    for name, values in columns.items():
+        if len(values) != len(time):
+            raise TrialError(
+                f"{table.path}: column {name} has {len(values)} rows, the time column {len(time)}; complete it"
+            )
+        gone = ~np.isfinite(values)
+        source = channel.columns[name].source
+        if gone.all():
+            raise TrialError(
+                f"{table.path}: column {source} has no value in any row; leave it out of the stage.yaml, or this trial"
+            )
+        if gone.mean() > _MANY:
+            warnings.append(
+                f"{table.path}: column {source} has no value in {gone.mean():.0%} of the rows, which are left out; "
+                f"leave the column out if {name} is not needed"
+            )
+        keep &= ~gone
+    if not keep.any():
+        raise TrialError(f"{table.path}: no row has a value in every column; leave columns out of the stage.yaml")
+    rows = np.flatnonzero(keep)
+    where = f"{table.path}: column {channel.time.source}"
+    warnings += table_checks.clock(time[rows], channel.time, where, lambda i: table.place(int(rows[i])), drive)
+    return Series(time[rows], {name: values[rows] for name, values in columns.items()}), warnings, zoned
+
+
+def _in_standard_units(about: Mechanism, units: Mapping[str, Mapping[str, TableUnit]]) -> Mapping[str, ModelValue]:
+    """Model of a stage with the parameters of a tracking stage converted from its columns' units."""
+    if about.kind != "tracking":
+        return about.model
+    followed = stage_rules.followed(units["measured"]) or ""
+    to, from_ = units["measured"][followed].factor, units["command"]["command"].factor
+    factors = {"gain": to / from_, "offset": to, "rate_limit": to, "acceleration_limit": to}
+    return {key: _times(value, factors.get(key, 1.0), from_, to) for key, value in about.model.items()}
+
+
+def _times(value: ModelValue, by: float, from_: float, to: float) -> ModelValue:
+    if isinstance(value, tuple):  # a map
+        return tuple((command * from_, reached * to) for command, reached in value)  # type: ignore[misc]
+    return value * by
+
+
+def _absolute(series: Series, links: int) -> Series:
+    """Absolute angles and rates from relative ones; a rate is left out if one before it is missing."""
+    columns = dict(series.columns)
+    for name in ("angle", "rate"):
+        own = [columns.pop(f"{name}{i}", None) for i in range(1, links + 1)]
+        total = np.zeros(len(series))
+        for i, each in enumerate(own, 1):
+            if each is None:
+                break
+            total = total + each
+            columns[f"{name}{i}"] = total
+    return Series(series.t_s, columns)

@@ -1,0 +1,54 @@
+"""Diagnosis of trials of the robot or of a rig."""
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+
+from threadpoolctl import threadpool_limits
+
+from softarm.diagnosis.data.trials import Trial, TrialError
+from softarm.diagnosis.engine.result import Diagnosis
+from softarm.diagnosis.engine.search import Progress
+from softarm.diagnosis.robot.diagnose import diagnose_robot
+from softarm.schemas.model import Model
+
+
+def diagnose(
+    trials: Sequence[Trial], model: Model | None = None, progress: Progress | None = None, processes: int = 1
+) -> Diagnosis:
+    """Find where robot and simulator differ, by which effects, and how far the gap shrinks with them.
+
+    The result is deterministic.
+
+    Args:
+        trials: trials of the robot or of a rig.
+        model: nominal model of the robot, by default the seed's; a rig's tables bring their own.
+        progress: called with the current step and the finished share, 0 to 1.
+        processes: number of a rig's stages that are diagnosed at the same time.
+
+    Raises:
+        TrialError: there are no trials, or trials of the robot and of rigs, or nothing can be compared.
+    """
+    if not trials:
+        raise TrialError("no trial to diagnose; name a campaign, a trial folder or a log")
+    tables = [trial for trial in trials if trial.stage is not None]
+    if tables and len(tables) < len(trials):
+        raise TrialError(f"{tables[0].source}: tables of a rig and recordings of the robot; diagnose them separately")
+    ordered = sorted(trials, key=lambda trial: (trial.name, str(trial.source)))
+    report = progress or (lambda what, share: None)
+    with _one_thread():
+        if tables:
+            # The laws of rigs are compiled on import.
+            from softarm.diagnosis.rigs.diagnose import diagnose_table
+            from softarm.diagnosis.rigs.owner_units import in_owners_units
+
+            return in_owners_units(diagnose_table(ordered, report, processes), ordered)
+        return diagnose_robot(ordered, model or Model(), report)
+
+
+@contextmanager
+def _one_thread() -> Iterator[None]:
+    """Limit BLAS and the boosted trees to one thread; with small matrices, several take twenty times the work."""
+    import sklearn  # noqa: F401  # the limit only holds for loaded libraries
+
+    with threadpool_limits(1):
+        yield

@@ -1,0 +1,1 @@
+"""Engine of the diagnosis, the same for every view: fits, search, held-out scores, decision."""

@@ -1,0 +1,53 @@
+"""Confidence of an answer: the share of correct answers among blind cases with known causes.
+
+`confidence.json` holds the counts for the robot and for rigs, for a single name and for a set, by margin; it is written
+by `softarm.diagnosis.blind.curve`. An answer with fewer than `CASES_LEAST` cases has no confidence.
+"""
+
+import json
+from collections.abc import Iterable
+from functools import cache
+from importlib.resources import files
+from typing import Any, Literal
+
+from softarm.diagnosis.engine.search import SelectedEffect
+
+CASES_LEAST = 10
+System = Literal["robot", "rig"]
+
+
+def confidence(system: System, effect: SelectedEffect) -> float | None:
+    """Return the confidence of a named effect.
+
+    It is None for too few cases, and for an effect whose rival fits as well at the end of its range: the bound may be
+    the only reason against the rival.
+    """
+    if effect.bounded:
+        return None
+    return frequency(_table()[system], "set" if effect.equivalents else "alone", margin(effect))
+
+
+def margin(effect: SelectedEffect) -> float:
+    """Return the lead over the best rival outside the set, as a share of the effect's gain; 0 is a tie."""
+    lacks = [g.value for f, g in effect.rivals if f.effects[-1].name not in effect.equivalents]
+    return max(min([1.0, *(lack / max(effect.gain.value, 1e-9) for lack in lacks)]), 0.0)
+
+
+def margins(selected: Iterable[SelectedEffect]) -> dict[str, float]:
+    """Return the margins, by name, of the effects that may have a confidence."""
+    return {effect.candidate.name: margin(effect) for effect in selected if not effect.bounded}
+
+
+def frequency(curves: dict[str, Any], answer: Literal["alone", "set"], margin: float) -> float | None:
+    """Return the share of correct answers at the highest margin reached, or None for too few cases."""
+    reached = [each for each in curves[answer] if each["margin"] <= margin and each["of"] >= CASES_LEAST]
+    if not reached:
+        return None
+    best = max(reached, key=lambda each: float(each["margin"]))
+    return float(best["right"] / best["of"])
+
+
+@cache
+def _table() -> dict[str, Any]:
+    text = (files("softarm.diagnosis.engine") / "confidence.json").read_text()
+    return dict(json.loads(text))

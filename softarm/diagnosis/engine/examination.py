@@ -1,0 +1,125 @@
+"""Examination of a set of views: search, flexible model, structure of the residual, decision."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from softarm.diagnosis.engine.candidates import Candidate
+from softarm.diagnosis.engine.ceiling import explainable
+from softarm.diagnosis.engine.decision import Decision, Evidence, decide
+from softarm.diagnosis.engine.fits import Fit, FitProblem
+from softarm.diagnosis.engine.problem import Setup
+from softarm.diagnosis.engine.search import Choice, Progress, Search
+from softarm.diagnosis.engine.structure import Structure, structure
+from softarm.diagnosis.engine.thresholds import Thresholds
+from softarm.diagnosis.engine.whitened import BLOCK_S, blocks_of
+
+FLEXIBLE_MIN = 0.6  # energy above which a flexible model is worth its time; up to 1 it changes no decision
+
+
+class Examination:
+    """Steps of a diagnosis on one problem; each step runs once, when its result is needed."""
+
+    def __init__(
+        self, setup: Setup, candidates: Sequence[Candidate], kinds: Sequence[str], t: Thresholds, progress: Progress
+    ) -> None:
+        """Search for the effects.
+
+        Args:
+            setup: problem of the views.
+            candidates: effects that may be the cause.
+            kinds: excitation of each trial of the views.
+            t: thresholds of the system.
+            progress: called with the current step and the finished share, 0 to 1.
+        """
+        self.setup, self.thresholds, self._kinds = setup, t, tuple(kinds)
+        self.stages = tuple(view.stage for view in setup.views)
+        self.plain = setup.plain()
+        known = tuple(candidates)
+
+        def search(problem: FitProblem) -> Search:
+            problem = replace(problem, simulated=t.approximate, fold=setup.search_folds(t.search.folds))
+            return Search(problem, self.plain, self.stages, known, t)
+
+        def part(low: float, high: float) -> Progress:
+            return lambda what, share: progress(what, low + share * (high - low))
+
+        self.search = search(setup.weighed())
+        if not t.approximate:  # the residual of a first search is the noise model of the second
+            rough = self.search.run(part(0.0, 0.5))
+            self.search = search(setup.weighed(setup.residuals(self.plain, rough.chosen)))
+        choice = self.search.run(progress if t.approximate else part(0.5, 1.0))
+        self.searched: Fit = choice.chosen  # with the held-out data of its rivals
+        self.choice: Choice = replace(choice, chosen=self.held_out([choice.chosen])[0])
+
+    def held_out(self, fits: Sequence[Fit]) -> list[Fit]:
+        """Return fits with the held-out data of the verdict (kinds, else trials)."""
+        if self.thresholds.search.folds == "held_out":
+            return list(fits)
+        problem = replace(self.search.problem, fold=self.setup.fold)
+        return problem.fit([(f.effects, f.u) for f in fits], rounds=1)
+
+    @cached_property
+    def residuals(self) -> dict[str, NDArray[np.float32]]:
+        """Return the residuals with the chosen effects by stage, [M, S]."""
+        return dict(zip(self.stages, self.setup.residuals(self.plain, self.choice.chosen), strict=True))
+
+    @cached_property
+    def flexible(self) -> dict[str, tuple[float, Mapping[str, float]]]:
+        """Return the explainable share of each stage's residual, and the features that a flexible model uses."""
+        found: dict[str, tuple[float, Mapping[str, float]]] = {}
+        fold = dict(zip(self.setup.blocks, self.setup.fold, strict=True))
+        for view in self.setup.views:
+            if self.choice.energies[1][view.stage] > FLEXIBLE_MIN:
+                own = np.empty(len(view.trial), dtype=np.int64)
+                for name, a, b in blocks_of(view, self.setup.block_s):
+                    own[a:b] = fold[name]
+                share, uses = explainable(view, self.residuals[view.stage], own, self.setup.block_s / BLOCK_S)
+                found[view.stage] = max(share, self._by_law(view.stage)), uses
+        return found
+
+    def _by_law(self, stage: str) -> float:
+        """Return the largest share of a stage's residual that another fitted set removes."""
+        after = self.choice.energies[1][stage]
+        fits = self.search.fitted
+        least = min((self.search.energies(f)[stage] for f in fits), default=after)
+        return max(0.0, 1 - least / after) if after > 0 else 0.0
+
+    @cached_property
+    def structures(self) -> dict[str, Structure]:
+        """Return the structure of each stage's residual."""
+        return {
+            view.stage: structure(view, self.residuals[view.stage], self._kinds, self.setup.block_s)
+            for view in self.setup.views
+        }
+
+    @cached_property
+    def tolerated(self) -> dict[str, float]:
+        """Return the energy of each stage that nuisances explain without any effect."""
+        raw = self.search.energies(replace(self.choice.null_model, nuisance=0 * self.choice.null_model.nuisance))
+        return {s: max(raw[s] - e, 0.0) for s, e in self.choice.energies[0].items()}
+
+    @cached_property
+    def bent(self) -> dict[str, float]:
+        """Return the linearisation errors of the nuisances, for stages that keep much of their gap."""
+        most, (_, after), fit = self.thresholds.cause.rest_most, self.choice.energies, self.choice.chosen
+        rest = {view.stage: max(after[view.stage] - 1, self.structures[view.stage].energy) for view in self.setup.views}
+        return {stage: self.setup.linearisation_error(stage, fit) for stage, energy in rest.items() if energy > most}
+
+    def decide(self, signs: Mapping[str, Structure] | None = None) -> Decision:
+        """Return the verdict on the chosen effects.
+
+        Args:
+            signs: stage -> finding of a further test, which no effect of the list explains.
+        """
+        shares = {stage: share for stage, (share, _) in self.flexible.items()}
+        evidence = Evidence(shares, self.structures, self.tolerated, self.bent, signs or {})
+        return decide(self.choice, evidence, self.thresholds)
+
+    @cached_property
+    def null_residuals(self) -> dict[str, NDArray[np.float32]]:
+        """Return the residuals with the nuisances alone by stage, [M, S]."""
+        return dict(zip(self.stages, self.setup.residuals(self.plain, self.choice.null_model), strict=True))

@@ -1,0 +1,383 @@
+"""Fits of many sets of effects at once by Gauss-Newton within bounds; each Jacobian is one batch of simulations.
+
+Every fit includes the nuisance parameters, linear within their boxes. Held-out losses come from the fit's last
+linearisation, solved again without each fold, or from simulations.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from softarm.diagnosis.engine import box
+from softarm.diagnosis.engine.candidates import Coordinates, EffectSet, point_of, split
+from softarm.diagnosis.engine.held_out import Block, BlockSums, simulated_losses
+from softarm.diagnosis.engine.jackknife import RIDGE, half_width
+from softarm.diagnosis.engine.view import Array, Point
+from softarm.diagnosis.engine.whitened import Moments, Rows, WhitenedResidual
+
+ROUNDS = 4
+CONVERGED = 1e-3  # relative gain of the loss that ends a fit
+NUDGE = 0.04  # finite difference, in sizes of a parameter
+SHORTER = 0.3  # factor of a step that did not lower the loss
+NOISE_SIGMAS = 2.0  # chance correlation of neighbours in white noise
+LEAST_WIDTH = 1e-3  # smallest half interval, in sizes of a parameter
+REACH = 2.0  # largest step of a round, in sizes of a parameter
+# Cost of a usual change, in losses. It only decides directions that the data leave open (torque, weight and inertia
+# scale alike): the smallest change is taken, so that each effect can be left out on its own.
+PRIOR = 0.01
+
+
+@dataclass(frozen=True, slots=True)
+class Fit:
+    """Result of fitting one set of effects."""
+
+    effects: EffectSet
+    u: Coordinates
+    nuisance: Array  # [q] in units of the boxes' edges
+    loss: float  # weighted squares of the whitened residual
+    held_out: Array  # [B] loss of each block, from a fit without the block's fold
+    folds: Array  # [F, p] coordinates from a fit without each fold
+    halves: Array  # [2, p] coordinates from the first and from the second half of every trial
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Return the names of the effects."""
+        return tuple(each.name for each in self.effects)
+
+    @property
+    def point(self) -> Point:
+        """Return the parameters in the registry's units."""
+        return point_of(self.effects, self.u)
+
+    @property
+    def fold_points(self) -> list[Point]:
+        """Return the parameters of each fit that left out one fold."""
+        return [point_of(self.effects, split(self.effects, x)) for x in self.folds]
+
+    def scatter(self, i: int) -> float:
+        """Return the jackknife error of an effect's strength across folds, relative to its change.
+
+        It is small for a true effect. A law that only resembles the true one needs another strength in each fold.
+        """
+        at, change = self._strongest(i)
+        values = self.folds[:, at]
+        return float(np.sqrt((len(values) - 1) / len(values) * np.sum((values - values.mean()) ** 2)) / change)
+
+    def drift(self, i: int) -> float:
+        """Return the difference of an effect's strength between the trials' halves, relative to its change."""
+        at, change = self._strongest(i)
+        early, late = self.halves[:, at]
+        return float(abs(late - early) / change)
+
+    def _strongest(self, i: int) -> tuple[int, float]:
+        """Return the index, among all parameters, and the change of an effect's most changed parameter."""
+        parameters, us = self.effects[i].parameters, self.u[i]
+        j = max(range(len(parameters)), key=lambda k: abs(us[k] - parameters[k].nominal) / parameters[k].size)
+        at = sum(len(each.parameters) for each in self.effects[:i]) + j
+        return at, max(abs(us[j] - parameters[j].nominal), 1e-9 * parameters[j].size)
+
+    @property
+    def exceeds_tolerance(self) -> bool:
+        """Return whether every effect exceeds its tolerance."""
+        return all(each.exceeds_tolerance(us) for each, us in zip(self.effects, self.u, strict=True))
+
+    @property
+    def at_bound(self) -> bool:
+        """Return whether any effect is at a bound."""
+        return any(each.at_bound(us) for each, us in zip(self.effects, self.u, strict=True))
+
+
+class _Descent:
+    """State of the descent of one set: the best coordinates and the next to try."""
+
+    def __init__(self, effects: EffectSet, start: Array) -> None:
+        self.effects, self.best, self.tried = effects, start, start
+        self.loss, self.moving = np.inf, True
+        self.jacobians: list[Rows] = []
+        self.bases: list[Moments] = []
+        self._step = np.zeros_like(start)
+
+    def accept(self, loss: float) -> bool:
+        """Keep the tried coordinates if their loss is the best so far, else shorten the step; return which."""
+        if loss < self.loss or not self.bases:
+            self.moving = not loss > self.loss * (1 - CONVERGED)
+            self.best, self.loss = self.tried, loss
+            return True
+        self._step = SHORTER * self._step
+        self.tried = self.best + self._step
+        return False
+
+    def advance(self, jacobians: list[Rows], bases: list[Moments], step: Array) -> None:
+        """Try a step from the best coordinates, where this linearisation holds."""
+        self.jacobians, self.bases, self._step = jacobians, bases, step
+        self.moving = self.moving and bool(len(step))
+        self.tried = self.best + step
+
+
+@dataclass(frozen=True, slots=True)
+class FitProblem:
+    """Whitened residuals of all views, the boxes of the nuisances, and the fold of each block."""
+
+    whitened: tuple[WhitenedResidual, ...]
+    nuisance_paths: tuple[str, ...]  # [q]
+    nuisance_low: Array  # [q] in units of the edges
+    nuisance_high: Array
+    blocks: tuple[Block, ...]  # [B]
+    fold: NDArray[np.int64]  # [B]
+    simulated: bool = False  # simulate held-out losses instead of using the last linearisation
+
+    def fit(self, sets: Sequence[tuple[EffectSet, Coordinates]], rounds: int = ROUNDS) -> list[Fit]:
+        """Fit every set from its start, all sets together.
+
+        Each round simulates the losses of all sets, then the Jacobians of the sets that improved.
+        """
+        searches = [_Descent(effects, np.array([x for us in u for x in us])) for effects, u in sets]
+        for _ in range(rounds):
+            moving = [each for each in searches if each.moving]
+            if not moving:
+                break
+            losses = self._losses([d.effects for d in moving], [d.tried for d in moving])
+            costs = [_cost(d.effects, d.tried) for d in moving]
+            gained = [d for d, loss, cost in zip(moving, losses, costs, strict=True) if d.accept(loss + cost)]
+            linear = self._linear([d.effects for d in gained], [d.best for d in gained])
+            for descent, (jacobians, bases) in zip(gained, linear, strict=True):
+                descent.advance(jacobians, bases, self.step(descent.effects, descent.best, jacobians, bases))
+        return [self._fit(d.effects, d.best, d.loss, d.jacobians, d.bases) for d in searches]
+
+    def losses(self, sets: Sequence[tuple[EffectSet, Coordinates]]) -> list[float]:
+        """Return the losses of sets at given coordinates with fitted nuisances."""
+        return self._losses([effects for effects, _ in sets], [np.array([x for us in u for x in us]) for _, u in sets])
+
+    def left_out(self, fit: Fit) -> list[tuple[EffectSet, Coordinates]]:
+        """Return a set without each of its effects, the others moved linearly to compensate for it."""
+        x = np.array([v for us in fit.u for v in us])
+        p, found, first = len(x), [], 0
+        ((jacobians, bases),) = self._linear([fit.effects], [x])
+        normal, slope = self._held_normal(fit.effects, x, jacobians, bases)
+        parameters = [d for each in fit.effects for d in each.parameters]
+        low, high = self._box(fit.effects, x)  # up to the bounds: the change is large
+        low[:p], high[:p] = (np.array([getattr(d, end) for d in parameters]) - x for end in ("low", "high"))
+        for i, each in enumerate(fit.effects):
+            gone = np.arange(first, first + len(each.parameters))
+            back = np.array([d.nominal for d in each.parameters]) - x[gone]
+            rest = np.delete(np.arange(len(slope)), gone)
+            wanted = -(slope[rest] + normal[np.ix_(rest, gone)] @ back)
+            change = box.solve(np.ascontiguousarray(normal[np.ix_(rest, rest)]), wanted, low[rest], high[rest])
+            others = fit.effects[:i] + fit.effects[i + 1 :]
+            found.append((others, split(others, np.delete(x, gone) + change[: p - len(gone)])))
+            first += len(gone)
+        return found
+
+    def block_squares(self) -> Array:
+        """Return the squares of the nominal model's whitened residual in each block, [B]."""
+        return np.asarray(BlockSums(self.whitened, self.blocks).residuals([{}])[0][0])
+
+    def nuisance_box(self, effects: EffectSet) -> tuple[Array, Array]:
+        """Return low and high [q] of the nuisances; a parameter that the set fits itself is fixed."""
+        own = {d.path for each in effects for d in each.parameters}
+        free = np.array([path not in own for path in self.nuisance_paths])
+        return self.nuisance_low * free, self.nuisance_high * free
+
+    def _moments(self, points: Sequence[Point]) -> list[list[Moments]]:
+        """[view][point]."""
+        return [residual.moments(points) for residual in self.whitened]
+
+    def _losses(self, effects: Sequence[EffectSet], state: Sequence[Array]) -> list[float]:
+        points = [point_of(e, split(e, x)) for e, x in zip(effects, state, strict=True)]
+        moments = self._moments(points)
+        gg = sum(residual.gg for residual in self.whitened)
+        result = []
+        for i, each in enumerate(effects):
+            rr, gr = sum(m[i].rr for m in moments), sum(m[i].gr for m in moments)
+            w = box.solve(gg, -gr, *self.nuisance_box(each))
+            loss = rr + 2 * w @ gr + w @ gg @ w
+            result.append(float(loss) if np.isfinite(loss) else np.inf)
+        return result
+
+    def _linear(self, effects: Sequence[EffectSet], state: Sequence[Array]) -> list[tuple[list[Rows], list[Moments]]]:
+        """Return the Jacobian ([p, N] or empty) and the moments of every set, by view."""
+        points, nudges = [], []
+        for each, x in zip(effects, state, strict=True):
+            parameters = [d for c in each for d in c.parameters]
+            away = [1 if v + NUDGE * d.size <= d.high else -1 for d, v in zip(parameters, x, strict=True)]
+            nudge = np.array([NUDGE * d.size * sign for d, sign in zip(parameters, away, strict=True)])
+            nudges.append(nudge)
+            points.append([point_of(each, split(each, x + change)) for change in (0 * x, *np.diag(nudge))])
+        flat = [p for ps in points for p in ps]
+        moments, at, found = self._moments(flat), 0, []
+        for ps, nudge in zip(points, nudges, strict=True):
+            jacobians: list[Rows] = []
+            bases: list[Moments] = []
+            for residual_moments in moments:
+                base = residual_moments[at]
+                rows = [m.rows for m in residual_moments[at + 1 : at + len(ps)]]
+                moved = any(row is not base.rows for row in rows)
+                jacobians.append(
+                    np.stack([(row - base.rows) / np.float32(n) for row, n in zip(rows, nudge, strict=True)])
+                    if moved
+                    else np.empty((0, 0), np.float32)
+                )
+                bases.append(base)
+            found.append((jacobians, bases))
+            at += len(ps)
+        return found
+
+    def step(self, effects: EffectSet, x: Array, jacobians: list[Rows], bases: list[Moments]) -> Array:
+        """Return a Gauss-Newton step from x, with the nuisances fitted."""
+        normal, slope = self._held_normal(effects, x, jacobians, bases)
+        return np.asarray(box.solve(normal, -slope, *self._box(effects, x))[: len(x)])
+
+    def _held_normal(
+        self, effects: EffectSet, x: Array, jacobians: list[Rows], bases: list[Moments]
+    ) -> tuple[Array, Array]:
+        """Return normal matrix and slope of effects and nuisances, with the prior."""
+        p = len(x)
+        normal, slope = self._normal(p, jacobians, bases)
+        held, pull = _prior(effects, x)
+        normal[range(p), range(p)] += held
+        slope[:p] += pull
+        return normal, slope
+
+    def _normal(self, p: int, jacobians: list[Rows], bases: list[Moments]) -> tuple[Array, Array]:
+        q = len(self.nuisance_low)
+        normal, slope = np.zeros((p + q, p + q)), np.zeros(p + q)
+        for residual, jacobian, base in zip(self.whitened, jacobians, bases, strict=True):
+            normal[p:, p:] += residual.gg
+            slope[p:] += base.gr
+            if len(jacobian):
+                normal[:p, :p] += jacobian @ jacobian.T
+                across = jacobian @ residual.columns.T
+                normal[:p, p:] += across
+                normal[p:, :p] += across.T
+                slope[:p] += jacobian @ base.rows
+        return normal, slope
+
+    def _box(self, effects: EffectSet, x: Array) -> tuple[Array, Array]:
+        parameters = [d for c in effects for d in c.parameters]
+        low = np.array([max(d.low - v, -REACH * d.size) for d, v in zip(parameters, x, strict=True)])
+        high = np.array([min(d.high - v, REACH * d.size) for d, v in zip(parameters, x, strict=True)])
+        nuisance_low, nuisance_high = self.nuisance_box(effects)
+        return np.concatenate((low, nuisance_low)), np.concatenate((high, nuisance_high))
+
+    def _fit(self, effects: EffectSet, x: Array, loss: float, jacobians: list[Rows], bases: list[Moments]) -> Fit:
+        """Solve the last linearisation with all data, without each fold, and on each half of the trials."""
+        normal, slope, squares = self._by_block(len(x), jacobians, bases)
+        low, high = self._box(effects, x)
+        total_normal, total_slope = normal.sum(axis=0), slope.sum(axis=0)
+        held, pull = _prior(effects, x)
+        total_normal[range(len(x)), range(len(x))] += held
+        total_slope[: len(x)] += pull
+        best = box.solve(total_normal, -total_slope, low, high)
+        lost, folds = np.empty(len(squares)), []
+        for fold in np.unique(self.fold):
+            out = self.fold == fold
+            others = total_normal - normal[out].sum(axis=0), total_slope - slope[out].sum(axis=0)
+            y = box.solve(others[0], -others[1], low, high)
+            folds.append(x + y[: len(x)])
+            lost[out] = squares[out] + 2 * slope[out] @ y + np.einsum("i,bij,j->b", y, normal[out], y)
+        if self.simulated:
+            sums = BlockSums(self.whitened, self.blocks)
+            lost = simulated_losses(sums, self.fold, self.nuisance_box(effects), effects, x, np.array(folds))
+        late = self._late()
+        halves = []
+        for part in (~late, late):
+            y = box.solve(normal[part].sum(axis=0), -slope[part].sum(axis=0), low, high)
+            halves.append(x + y[: len(x)])
+        nuisance = best[len(x) :]
+        return Fit(
+            effects,
+            split(effects, x),
+            nuisance,
+            loss - float(pull @ (pull / held)),  # without the prior
+            lost,
+            np.array(folds),
+            np.array(halves),
+        )
+
+    def interval(self, fit: Fit, inexact: bool = False) -> tuple[Array, Array]:
+        """Return the 95 % interval of a fit's parameters, low and high, [p] each.
+
+        Args:
+            fit: fit whose parameters are meant.
+            inexact: widen the interval by the law error that the residual may hide.
+        """
+        x = np.array([v for us in fit.u for v in us])
+        p = len(x)
+        if not p:
+            return x, x
+        ((jacobians, bases),) = self._linear([fit.effects], [x])
+        normal, slope, _ = self._by_block(p, jacobians, bases)
+        low, high = self._box(fit.effects, x)
+        sizes = np.array([d.size for each in fit.effects for d in each.parameters])
+        best = box.solve(normal.sum(axis=0), -slope.sum(axis=0), low, high)
+        free = (best > low + 1e-9) & (best < high - 1e-9)  # nuisances at an edge stay there
+        free[:p] = True
+        slope = slope + normal[:, :, ~free] @ best[~free]
+        half = half_width(normal[:, free][:, :, free], slope[:, free], best[free])[:p]
+        if inexact:
+            half = np.hypot(half, self._law_error(fit.effects, best, normal.sum(axis=0), jacobians, bases))
+        least = LEAST_WIDTH * sizes
+        return np.minimum(x + best[:p] - half, x - least), np.maximum(x + best[:p] + half, x + least)
+
+    def _law_error(
+        self, effects: EffectSet, best: Array, normal: Array, jacobians: list[Rows], bases: list[Moments]
+    ) -> Array:
+        """Return each parameter's error [p] if the residual hides a law that resembles its effect.
+
+        Only the autocorrelated part of the residual counts; noise has none but by chance. The nuisances yield within
+        their boxes. best: [p + q] minimum of the last linearisation; normal: its matrix.
+        """
+        p, carried, chance = len(best) - len(self.nuisance_low), 0.0, 0.0
+        for residual, jacobian, base in zip(self.whitened, jacobians, bases, strict=True):
+            rows = base.rows + best[p:] @ residual.columns + (best[:p] @ jacobian if len(jacobian) else 0.0)
+            width = residual.gaps.view.measured.shape[1]
+            for _, part in residual.blocks:
+                products = rows[part][width:] * rows[part][:-width]
+                carried, chance = carried + float(products.sum()), chance + float(products @ products)
+        left = max(carried - NOISE_SIGMAS * chance**0.5, 0.0)
+        reach = np.max(np.abs(self.nuisance_box(effects)), axis=0)
+        kept = np.concatenate((np.ones(p, dtype=bool), reach > 0))
+        held = normal[kept][:, kept] + np.diag(np.concatenate((np.zeros(p), left / reach[reach > 0] ** 2)))
+        held += RIDGE * held.diagonal().max() * np.eye(len(held))
+        return np.asarray(np.sqrt(left * np.linalg.inv(held).diagonal()[:p]))
+
+    def _late(self) -> NDArray[np.bool_]:
+        """Return which blocks are in the second half of their trial, [B]."""
+        last: dict[int, int] = {}
+        for trial, number in self.blocks:
+            last[trial] = max(last.get(trial, 0), number)
+        return np.array([2 * number > last[trial] for trial, number in self.blocks])
+
+    def _by_block(self, p: int, jacobians: list[Rows], bases: list[Moments]) -> tuple[Array, Array, Array]:
+        """Return normal matrices [B, p + q, p + q], slopes [B, p + q] and squares [B] of the blocks."""
+        size, q = len(self.blocks), len(self.nuisance_low)
+        normal, slope, squares = np.zeros((size, p + q, p + q)), np.zeros((size, p + q)), np.zeros(size)
+        place = {name: i for i, name in enumerate(self.blocks)}
+        for residual, jacobian, base in zip(self.whitened, jacobians, bases, strict=True):
+            for (name, part), gg in zip(residual.blocks, residual.block_gg, strict=True):
+                b, c, r = place[name], residual.columns[:, part], base.rows[part]
+                normal[b, p:, p:] += gg
+                slope[b, p:] += c @ r
+                squares[b] += r @ r
+                if len(jacobian):
+                    j = jacobian[:, part]
+                    across = j @ c.T
+                    normal[b, :p, :p] += j @ j.T
+                    normal[b, :p, p:] += across
+                    normal[b, p:, :p] += across.T
+                    slope[b, :p] += j @ r
+        return normal, slope, squares
+
+
+def _prior(effects: EffectSet, x: Array) -> tuple[Array, Array]:
+    """Return diagonal [p] and slope [p] of the prior on changes."""
+    parameters = [d for each in effects for d in each.parameters]
+    held = np.array([PRIOR / d.size**2 for d in parameters])
+    return held, held * (x - np.array([d.nominal for d in parameters]))
+
+
+def _cost(effects: EffectSet, x: Array) -> float:
+    held, pull = _prior(effects, x)
+    return float(pull @ (pull / held))

@@ -1,0 +1,362 @@
+"""Search for the set of effects: forward, one more at a time, or backward from all effects at once.
+
+Every comparison is between nested fits with the same nuisances, on held-out blocks.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from softarm.diagnosis.engine import resample
+from softarm.diagnosis.engine.candidates import Candidate, Coordinates, EffectSet
+from softarm.diagnosis.engine.fits import Fit, FitProblem
+from softarm.diagnosis.engine.problem import BLOCK_LOSS
+from softarm.diagnosis.engine.thresholds import ROBOT, Thresholds
+from softarm.diagnosis.engine.view import Array
+
+SIZES = (0.3, 1.0, 2.0)  # starts of a backward search, in usual changes
+RESTARTS = 3  # repeats of a backward search, each without one more effect that ended at its bound
+EQUAL = 0.5  # held-out loss that counts as no difference
+CORRECTION = 0.02  # share of the gap's energy: a smaller gain within the ignored energy corrects another law
+REFIT_MAX = 2  # effects of a set that is fitted from its own starts
+POLISH, SETTLED = 4, 0.005  # further descents of a backward search, and the relative gain that ends them
+
+Progress = Callable[[str, float], None]
+
+
+@dataclass(frozen=True, slots=True)
+class Gain:
+    """Held-out gain of one fit over another."""
+
+    value: float  # difference of losses
+    low: float  # 95 % interval, block bootstrap
+    high: float
+    shares: Mapping[str, float]  # stage -> share of the residual's energy that is removed
+    energies: Mapping[str, float]  # stage -> removed energy
+
+
+@dataclass(frozen=True, slots=True)
+class SelectedEffect:
+    """Chosen effect with its gain next to the others and its rivals."""
+
+    candidate: Candidate
+    without: Fit  # the other selected effects alone
+    gain: Gain
+    rivals: tuple[tuple[Fit, Gain], ...]  # the set with a rival in its place, and the chosen set's gain over it
+    equivalents: tuple[str, ...]  # effects that the data cannot separate from it
+    bounded: tuple[str, ...] = ()  # rivals that would be equivalents, but are at the end of their range
+
+
+@dataclass(frozen=True, slots=True)
+class Choice:
+    """Result of a search."""
+
+    null_model: Fit  # nuisances alone
+    alone: tuple[tuple[Fit, Gain], ...]  # every candidate alone, best first
+    chosen: Fit
+    selected: tuple[SelectedEffect, ...]  # largest gain first
+    next_gain: Gain | None  # of the best candidate outside the chosen set
+    energies: tuple[Mapping[str, float], Mapping[str, float]]  # before, after
+
+
+class Search:
+    """Search over candidates on a problem; `plain` is the same problem in units of the noise floors."""
+
+    def __init__(
+        self,
+        problem: FitProblem,
+        plain: FitProblem,
+        stages: Sequence[str],
+        candidates: Sequence[Candidate],
+        thresholds: Thresholds = ROBOT,
+    ) -> None:
+        self.problem, self.plain, self.stages = problem, plain, tuple(stages)
+        self.candidates, self.thresholds = tuple(candidates), thresholds
+        self._rough = replace(problem, simulated=False)  # without simulated held-out losses
+        self._first: Mapping[str, float] = {}  # energies of the whole gap
+        self._extended: dict[frozenset[str], list[Fit]] = {}  # base names -> fits with one more effect
+        self._reduced: dict[tuple[tuple[str, ...], Coordinates], list[Fit]] = {}
+        self._settled: dict[str, tuple[float, ...]] = {}  # coordinates of the chosen effects
+
+    def run(self, progress: Progress) -> Choice:
+        """Return the chosen effects; the search is deterministic."""
+        null_model = self.null_model()
+        if max(self._first.values(), default=0.0) <= self.thresholds.gain.ignored:
+            return Choice(null_model, (), null_model, (), None, (self._first, self._first))
+        chosen = self.backward(null_model, progress) if self.thresholds.approximate else null_model
+        if not chosen.effects:  # a backward search may end in a local minimum
+            chosen = self.forward(null_model, progress)
+        if self.thresholds.approximate:
+            self._settled = dict(zip(chosen.names, chosen.u, strict=True))
+            chosen = self.first_of_equals(chosen, null_model)
+        further = next((g for f, g in self.ranked(chosen) if not f.at_bound), None)
+        energies = self.energies(null_model), self.energies(chosen)
+        return Choice(
+            null_model, tuple(self.ranked(null_model)), chosen, self.selected(chosen, null_model), further, energies
+        )
+
+    def null_model(self) -> Fit:
+        """Fit the nuisances alone, without any effect."""
+        fit = self.problem.fit([((), ())])[0]
+        self._first = self.energies(fit)
+        return fit
+
+    def forward(self, null_model: Fit, progress: Progress) -> Fit:
+        """Add one effect at a time, with swaps for rivals and pruning in between."""
+        chosen, seen, most = null_model, {frozenset[str]()}, self.thresholds.search.effects_max
+        while True:
+            progress(f"searching effect {len(chosen.effects) + 1}", min(0.9, 0.3 * len(chosen.effects)))
+            ranked = self.ranked(chosen)
+            good = [(f, g) for f, g in ranked if self.is_gain(g) and f.exceeds_tolerance and not f.at_bound]
+            if not good or len(chosen.effects) == most:
+                return chosen
+            further = self.pruned(self.swapped(good[0][0]))
+            if frozenset(further.names) in seen or not self.gain(chosen, further).value > 0:
+                return chosen
+            seen.add(frozenset(further.names))
+            chosen = further
+
+    def backward(self, null_model: Fit, progress: Progress) -> Fit:
+        """Fit all effects at once and remove those that are unnecessary, at a bound or within tolerance."""
+        progress("fitting all effects at once", 0.0)
+        pool = self.candidates
+        fit = self.pruned(self.full(null_model, pool))
+        for _ in range(RESTARTS):  # an effect at its bound replaced others: repeat without it
+            bound = [c for c, u in zip(fit.effects, fit.u, strict=True) if c.at_bound(u)]
+            if not bound or len(pool) == 1:
+                break
+            pool = tuple(c for c in pool if c is not bound[0])
+            fit = self.pruned(self.full(null_model, pool))
+        while fit.effects:
+            progress(f"removing effects from {len(fit.effects)}", 0.5)
+            pinned = [
+                i
+                for i, each in enumerate(fit.effects)
+                if each.at_bound(fit.u[i]) or not each.exceeds_tolerance(fit.u[i])
+            ]
+            lone = len(fit.effects) == 1 and not self.is_gain(self.gain(null_model, fit))
+            if not pinned and not lone:
+                return fit
+            if len(fit.effects) == 1:
+                return null_model
+            fit = self.pruned(self.reduced(fit)[pinned[0]])
+        return fit
+
+    def full(self, null_model: Fit, candidates: Sequence[Candidate]) -> Fit:
+        """Fit all effects at once from several starts and return the best fit."""
+        rounds = self.thresholds.search.rounds
+        every = tuple(candidates)
+        started = [(every, tuple(_moved(c, size) for c in every)) for size in SIZES]
+        fit = min(self._rough.fit(started, rounds), key=lambda f: f.loss)
+        for _ in range(POLISH):
+            best = self._rough.fit([(fit.effects, fit.u)], rounds)[0]
+            settled = not best.loss < fit.loss * (1 - SETTLED)
+            fit = min((fit, best), key=lambda f: f.loss)
+            if settled:
+                break
+        return self.problem.fit([(fit.effects, fit.u)], rounds=1)[0] if fit.loss < null_model.loss else null_model
+
+    def ranked(self, base: Fit) -> list[tuple[Fit, Gain]]:
+        """Return a set with every further candidate and its gain, best first."""
+        gains = [(fit, self.gain(base, fit)) for fit in self.extended(base)]
+        return sorted(gains, key=lambda each: (-each[1].value, each[0].names))
+
+    def is_correction(self, less: Fit, gain: Gain) -> bool:
+        """Return whether a gain only corrects another effect's law: little of the gap, within the ignored energy."""
+        left = max(self.energies(less).values(), default=0.0)
+        little = all(e <= CORRECTION * self._first.get(s, 0.0) for s, e in gain.energies.items())
+        ignored = self.thresholds.gain.ignored
+        return ignored > 0 and left <= ignored and little
+
+    def is_gain(self, gain: Gain) -> bool:
+        """Return whether a gain is beyond chance and large enough to matter."""
+        enough = gain.low > 0 and gain.value > self.thresholds.gain.loss_min
+        return enough and any(self._is_visible(gain, stage) for stage in gain.shares)
+
+    def _is_visible(self, gain: Gain, stage: str) -> bool:
+        t, share, energy = self.thresholds.gain, gain.shares[stage], gain.energies[stage]
+        clearly = any(share > s and energy > e and gain.low > low for s, e, low in t.visible)
+        return clearly and (share > t.further_share or energy > t.further_min * self._first.get(stage, 0.0))
+
+    def extended(self, base: Fit, without: tuple[str, ...] = ()) -> list[Fit]:
+        """Fit a set with every further candidate, from its best start; poor candidates only roughly."""
+        memory, t = frozenset(base.names), self.thresholds.search
+        if memory not in self._extended:
+            options = [c for c in self.candidates if c.name not in base.names]
+            started = self._started(base, options)
+            # Without one chosen effect the others are distorted: also start rivals from the chosen coordinates.
+            u = tuple(self._settled.get(c.name, own) for c, own in zip(base.effects, base.u, strict=True))
+            started += self._started(replace(base, u=u), options) if u != base.u else []
+            rough = _best_of_each(self._rough.fit(started, t.rounds_rough))
+            least = base.loss - (1 - t.lag_share) * (base.loss - rough[0].loss) if rough else 0.0
+            good = [f for f in rough[: t.candidates_max] if t.lag_share >= 1 or f.loss <= least]
+            fine = self.problem.fit([(f.effects, f.u) for f in good], t.rounds) + rough[len(good) :]
+            forms: dict[str, Fit] = {}
+            for fit in sorted(fine, key=lambda f: f.loss):  # keep the better form of an effect
+                forms.setdefault(fit.effects[-1].name, fit)
+            self._extended[memory] = list(forms.values())
+        return [fit for fit in self._extended[memory] if fit.effects[-1].name not in without]
+
+    def _started(self, base: Fit, options: Sequence[Candidate]) -> list[tuple[EffectSet, Coordinates]]:
+        """Return the base with every option at its best start."""
+        sets: list[tuple[EffectSet, Coordinates]] = [
+            ((*base.effects, c), (*base.u, start)) for c in options for start in c.starts
+        ]
+        losses, at, started = self.problem.losses(sets), 0, []
+        for c in options:
+            started += [sets[i] for i in sorted(range(at, at + len(c.starts)), key=lambda i: losses[i])[:1]]
+            at += len(c.starts)
+        return started
+
+    @property
+    def fitted(self) -> list[Fit]:
+        """Return every set that was fitted."""
+        return [f for fits in (*self._extended.values(), *self._reduced.values()) for f in fits]
+
+    def reduced(self, fit: Fit) -> list[Fit]:
+        """Fit a set without each of its effects."""
+        memory = (fit.names, fit.u)
+        if memory not in self._reduced:
+            sets = [_without(fit, i) for i in range(len(fit.effects))]
+            few = 1 < len(sets) <= REFIT_MAX + 1
+            if self.thresholds.approximate and few:  # the other of two similar effects must grow to replace it
+                moved = self.problem.left_out(fit)
+                better = np.less(self.problem.losses(moved), self.problem.losses(sets))
+                sets = [m if gains else s for m, s, gains in zip(moved, sets, better, strict=True)]
+            fits = self.problem.fit(sets, self.thresholds.search.rounds) if sets else []
+            self._reduced[memory] = self._refitted(fits) if self.thresholds.search.refit and few else fits
+        return self._reduced[memory]
+
+    def _refitted(self, fits: Sequence[Fit]) -> list[Fit]:
+        """Return each fit, or a better one from the best of its effects' own starts.
+
+        A fit that descended together with other effects may have ended in another local minimum.
+        """
+        begun = []
+        for fit in fits:
+            sets = [
+                (fit.effects, (*fit.u[:i], start, *fit.u[i + 1 :]))
+                for i, effect in enumerate(fit.effects)
+                for start in effect.starts
+            ]
+            losses = self.problem.losses(sets)
+            begun.append(sets[int(np.argmin(losses))])
+        again = self.problem.fit(begun, self.thresholds.search.rounds)
+        return [min(pair, key=lambda f: f.loss) for pair in zip(fits, again, strict=True)]
+
+    def pruned(self, fit: Fit) -> Fit:
+        """Remove effects that the others do not need."""
+        while len(fit.effects) > 1:
+            gains = [(self.gain(less, fit), less) for less in self.reduced(fit)]
+            weak = [(g.value, less) for g, less in gains if not self.is_gain(g) or self.is_correction(less, g)]
+            if not weak:
+                return fit
+            fit = min(weak, key=lambda each: each[0])[1]
+        return fit
+
+    def swapped(self, fit: Fit) -> Fit:
+        """Replace single effects by rivals as long as the set improves."""
+        for _ in range(self.thresholds.search.effects_max):
+            if len(fit.effects) < 2:
+                return fit
+            options = [
+                each
+                for less in self.reduced(fit)
+                for each in self.extended(less, tuple(set(fit.names) - set(less.names)))
+                if each.exceeds_tolerance and not each.at_bound
+            ]
+            best = min(options, key=lambda f: float(f.held_out.sum()), default=fit)
+            if not self.gain(fit, best).low > 0:
+                return fit
+            fit = best
+        return fit
+
+    def without_each(self, chosen: Fit, null_model: Fit) -> list[Fit]:
+        """Return the chosen set without each of its effects; without its only effect it is the null model."""
+        return self.reduced(chosen) if len(chosen.effects) > 1 else [null_model] * len(chosen.effects)
+
+    def selected(self, chosen: Fit, null_model: Fit) -> tuple[SelectedEffect, ...]:
+        """Return each effect's gain next to the others, and its rivals."""
+        found = []
+        for effect, less in zip(chosen.effects, self.without_each(chosen, null_model), strict=True):
+            gain = self.gain(less, chosen)
+            rivals = [(f, self.gain(f, chosen)) for f in self.extended(less, (effect.name,))]
+            rivals.sort(key=lambda each: (each[1].value, each[0].names))
+            alike = [f for f, g in rivals if self.is_equivalent(less, f, g, gain)]
+            same = tuple(f.effects[-1].name for f in alike if not f.at_bound)
+            bounded = tuple(f.effects[-1].name for f in alike if f.at_bound)
+            found.append(SelectedEffect(effect, less, gain, tuple(rivals), same, bounded))
+        return tuple(sorted(found, key=lambda m: (-m.gain.value, m.candidate.name)))
+
+    def first_of_equals(self, chosen: Fit, null_model: Fit) -> Fit:
+        """Return the set with the earlier candidate in place of any that the data cannot separate from it."""
+        order = [c.name for c in self.candidates]
+        for effect, less in zip(chosen.effects, self.without_each(chosen, null_model), strict=True):
+            for rival in sorted(self.extended(less, chosen.names), key=lambda f: order.index(f.effects[-1].name)):
+                earlier = order.index(rival.effects[-1].name) < order.index(effect.name)
+                same = abs(self.gain(rival, chosen).value) < EQUAL
+                if earlier and same and rival.exceeds_tolerance and not rival.at_bound:
+                    return rival
+        return chosen
+
+    def is_equivalent(self, less: Fit, rival: Fit, lack: Gain, gain: Gain) -> bool:
+        """Return whether a rival may be the cause as well: it explains the same part, and about as well.
+
+        No law is exact. Far above the noise, a small lack is due to the form of the laws, however significant.
+        """
+        own, t = self.gain(less, rival), self.thresholds.rival
+        shared = any(own.energies[s] > 0.5 * e > 0.05 for s, e in gain.energies.items())
+        rest = float(self._counted(rival).sum()) - lack.value
+        close = lack.low <= 0 or lack.value < max(t.lack_max, t.misfit_share * rest)
+        enough = rival.exceeds_tolerance and self.is_gain(own)
+        return enough and shared and close and lack.value < t.share_max * gain.value
+
+    def gain(self, less: Fit, more: Fit) -> Gain:
+        """Return the gain of `more` over `less`."""
+        difference = self._counted(less) - self._counted(more)
+        before, after = self.energies(less), self.energies(more)
+        shares = {s: 1 - after[s] / before[s] for s in self.stages if before[s] > 1e-9}
+        gone = {s: before[s] - after[s] for s in shares}
+        return Gain(float(difference.sum()), *bootstrap(difference), shares, gone)
+
+    def _counted(self, fit: Fit) -> Array:
+        """Return the held-out losses by block, large ones tempered for approximate laws."""
+        return tempered(fit) if self.thresholds.approximate else fit.held_out
+
+    def energies(self, fit: Fit) -> dict[str, float]:
+        """Return the energy of each stage's residual."""
+        result = {}
+        for stage, residual in zip(self.stages, self.plain.whitened, strict=True):
+            rows = residual.moments([fit.point])[0].rows + fit.nuisance.astype(np.float32) @ residual.columns
+            noise = float(np.mean((residual.gaps.view.noise / residual.gaps.view.floor) ** 2))
+            result[stage] = max(float(rows @ rows) / max(residual.kept, 1.0) - noise, 0.0)
+        return result
+
+
+def bootstrap(difference: Array) -> tuple[float, float]:
+    """Return the 95 % bootstrap interval of a sum over blocks, with fixed draws."""
+    low, high = resample.interval(resample.draws(len(difference)) @ difference)
+    return float(low), float(high)
+
+
+def tempered(fit: Fit) -> Array:
+    """Return the held-out losses by block, with a logarithm beyond the usual loss of a block."""
+    return np.asarray(BLOCK_LOSS * np.log1p(np.maximum(fit.held_out, 0.0) / BLOCK_LOSS))
+
+
+def _without(fit: Fit, i: int) -> tuple[EffectSet, Coordinates]:
+    return fit.effects[:i] + fit.effects[i + 1 :], fit.u[:i] + fit.u[i + 1 :]
+
+
+def _best_of_each(fits: Sequence[Fit]) -> list[Fit]:
+    """Return the best fit for each last candidate, best first."""
+    best: dict[int, Fit] = {}
+    for fit in sorted(fits, key=lambda f: f.loss):
+        best.setdefault(id(fit.effects[-1]), fit)
+    return list(best.values())
+
+
+def _moved(candidate: Candidate, size: float) -> tuple[float, ...]:
+    """Return coordinates moved from nominal by a share of the usual change, within the bounds."""
+    return tuple(min(max(d.nominal + size * d.size, d.low), d.high) for d in candidate.parameters)

@@ -1,0 +1,154 @@
+"""Whitened and weighted residuals of a view as rows of a least-squares problem, without the trials' starts.
+
+Results are cached by the parameters that act on the view, so that a parameter of another stage costs no simulation.
+"""
+
+from collections import OrderedDict
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from softarm.diagnosis.engine.noise import Whitener
+from softarm.diagnosis.engine.view import Array, Point, View
+
+Rows = NDArray[np.float32]
+Key = tuple[tuple[str, float], ...]
+CACHED = 1500
+BLOCK_S = 1.5  # block of the robot; a rig's view has its own
+START_PRIOR = 1.0  # a trial's start is known to about one unit of its directions
+
+
+class Gaps:
+    """Cache of a view's raw gaps."""
+
+    def __init__(self, view: View) -> None:
+        self.view = view
+        self._found: OrderedDict[Key, NDArray[np.float32]] = OrderedDict()
+
+    def key(self, point: Point) -> Key:
+        """Return the part of a point that acts on the view."""
+        return tuple(sorted((path, float(x)) for path, x in point.items() if path in self.view.acts))
+
+    def fetch(self, points: Sequence[Point]) -> dict[Key, NDArray[np.float32]]:
+        """Return the gaps [M, S] of all points by key; missing ones are simulated in one batch."""
+        keys = dict.fromkeys(self.key(point) for point in points)
+        missing = [key for key in keys if key not in self._found]
+        if missing:
+            for key, gap in zip(missing, self.view.gap([dict(key) for key in missing]), strict=True):
+                self._found[key] = gap
+        result = {key: self._found[key] for key in keys}
+        for key in keys:
+            self._found.move_to_end(key)
+        while len(self._found) > max(CACHED, len(keys)):
+            self._found.popitem(last=False)
+        return result
+
+
+@dataclass(frozen=True, slots=True)
+class Moments:
+    """Products of one point's rows r [N] with the nuisance columns G [q, N]."""
+
+    rows: Rows  # [N]
+    rr: float
+    gr: Array  # [q]
+
+
+class WhitenedResidual:
+    """Rows of one view under one weighting, with the q nuisance columns of the problem."""
+
+    def __init__(
+        self,
+        gaps: Gaps,
+        whiten: Whitener,
+        nuisances: Rows,
+        starts: Rows | None,
+        weight: float,
+        block_s: float = BLOCK_S,
+    ) -> None:
+        """Whiten the nuisance columns.
+
+        Args:
+            gaps: gaps of the view.
+            whiten: filter of the residuals.
+            nuisances: changes of the gap at the edges of the boxes, [q, M, S].
+            starts: changes of the gap with each trial's start, [d, M, S].
+            weight: weight of each whitened square.
+            block_s: length of a block that counts as independent.
+        """
+        self.gaps, self._whiten, self._weight = gaps, whiten, np.float32(np.sqrt(weight))
+        view = gaps.view
+        self._trials = slices(view.trial)
+        self._starts = None if starts is None else self._solve_starts(starts)
+        self.columns = self._rows(nuisances)  # [q, N]
+        self.gg = (self.columns @ self.columns.T).astype(np.float64)
+        self.kept = float(whiten.keep.sum())
+        self._moments: OrderedDict[Key, Moments] = OrderedDict()
+        width = nuisances.shape[2]
+        self.blocks = [(name, slice(a * width, b * width)) for name, a, b in blocks_of(view, block_s)]
+
+    @cached_property
+    def block_gg(self) -> Array:
+        """Return the Gram matrices of the nuisance columns, [blocks, q, q]."""
+        columns = (self.columns[:, part] for _, part in self.blocks)
+        return np.stack([c @ c.T for c in columns]).astype(np.float64)
+
+    def moments(self, points: Sequence[Point]) -> list[Moments]:
+        """Return the moments of each point."""
+        keys = [self.gaps.key(point) for point in points]
+        missing = dict.fromkeys(key for key in keys if key not in self._moments)
+        if missing:
+            raw = self.gaps.fetch([dict(key) for key in missing])
+            rows = self._rows(np.stack([raw[key] for key in missing]))
+            gr = (rows @ self.columns.T).astype(np.float64)
+            rr = np.einsum("ij,ij->i", rows, rows).astype(np.float64)
+            for i, key in enumerate(missing):
+                self._moments[key] = Moments(rows[i], float(rr[i]), gr[i])
+        result = [self._moments[key] for key in keys]
+        for key in keys:
+            self._moments.move_to_end(key)
+        while len(self._moments) > max(CACHED, len(keys)):
+            self._moments.popitem(last=False)
+        return result
+
+    def _rows(self, gaps: NDArray[np.floating]) -> Rows:
+        """Return whitened, weighted rows [P, M S] of gaps [P, M, S]."""
+        white = self._whiten(gaps)
+        if self._starts is not None:
+            for part, (directions, solve) in zip(self._trials, self._starts, strict=True):
+                rows = white[:, part].reshape(len(white), -1)
+                rows -= (rows @ directions.T) @ (solve @ directions)
+                white[:, part] = rows.reshape(white[:, part].shape)
+        return np.ascontiguousarray(white.reshape(len(white), -1) * self._weight)
+
+    def _solve_starts(self, starts: Rows) -> list[tuple[Rows, Rows]]:
+        white = self._whiten(starts)
+        found = []
+        for part in self._trials:
+            directions = white[:, part].reshape(len(white), -1)
+            normal = directions @ directions.T + START_PRIOR * np.eye(len(directions), dtype=np.float32)
+            found.append((directions, np.linalg.inv(normal).astype(np.float32)))
+        return found
+
+
+def slices(trial: NDArray[np.int64]) -> list[slice]:
+    """Return the samples of each trial."""
+    edges = np.flatnonzero(np.diff(trial, prepend=-1, append=-1))
+    return [slice(int(a), int(b)) for a, b in pairwise(edges)]
+
+
+def blocks_of(view: View, length_s: float) -> list[tuple[tuple[int, int], int, int]]:
+    """Return the name (trial, number) and the range of samples of every block, in order."""
+    found = []
+    t, trial = view.t_s, view.trial
+    for part in slices(trial):
+        number = ((t[part] - t[part.start]) / length_s).astype(int)
+        edges = np.flatnonzero(np.diff(number, prepend=-1, append=-1))
+        found += [
+            ((int(trial[part.start]), int(number[a])), part.start + int(a), part.start + int(b))
+            for a, b in pairwise(edges)
+        ]
+    return found

@@ -1,0 +1,74 @@
+"""Diagnosis of files: read the recordings, find the nominal model, compare both."""
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+from softarm.common.processes import cores
+from softarm.diagnosis.data import tables
+from softarm.diagnosis.data.folder import is_trial
+from softarm.diagnosis.data.read import read_all
+from softarm.diagnosis.data.trials import Trial, TrialError, unique_names
+from softarm.diagnosis.diagnose import diagnose
+from softarm.diagnosis.engine.result import Diagnosis
+from softarm.diagnosis.engine.search import Progress
+from softarm.schemas.model import Model
+from softarm.simulator import model_file
+
+TABLES = (".yaml", ".yml")  # suffixes of a stage.yaml
+_READING = 0.05  # share of the whole work
+
+
+def diagnose_files(
+    inputs: Sequence[Path],
+    model: Path | None = None,
+    data: Path | None = None,
+    progress: Progress = lambda what, share: None,
+    warn: Callable[[str], None] = lambda text: None,
+) -> Diagnosis:
+    """Diagnose logs, trial folders, campaigns or the stage.yaml of a rig.
+
+    Args:
+        inputs: files and folders to read.
+        model: nominal model; by default the campaign's model.yaml, else the seed's with a call of `warn`.
+        data: folder of the files of a stage.yaml, by default its own.
+        progress: called with the current step and the finished share, 0 to 1.
+        warn: called with a text for the user.
+
+    Raises:
+        TrialError: the inputs cannot be compared, or their campaigns have different models.
+        ModelFileError: the model file is invalid.
+    """
+
+    def reading(source: Path) -> None:
+        progress(f"reading {source.name}", 0.0)
+
+    trials = _read(inputs, data, reading)
+    nominal = None
+    if any(trial.stage is None for trial in trials):  # tables of a rig bring their own
+        nominal = model_file.load(model) if model is not None else _of_the_campaign(inputs)
+        if nominal is None:
+            warn("no --model and no model.yaml with the trials: the seed's simulator is the nominal model")
+            nominal = Model()
+    return diagnose(trials, nominal, lambda what, share: progress(what, _READING + share * (1 - _READING)), cores())
+
+
+def _read(inputs: Sequence[Path], data: Path | None, on_trial: Callable[[Path], None]) -> tuple[Trial, ...]:
+    if data is None:
+        return read_all(inputs, on_trial)
+    rest = read_all([path for path in inputs if path.suffix not in TABLES], on_trial)
+    own = (trial for path in inputs if path.suffix in TABLES for trial in tables.read(path, data))
+    return unique_names((*rest, *own))
+
+
+def _of_the_campaign(inputs: Sequence[Path]) -> Model | None:
+    """Return the model.yaml of the inputs' campaigns, or None; raise TrialError if several differ."""
+    campaigns = {path if path.is_dir() and not is_trial(path) else path.parent for path in inputs}
+    found = sorted(folder / "model.yaml" for folder in campaigns)
+    models = {path: model_file.load(path) for path in found if path.is_file()}
+    if not models:
+        return None
+    (one, model), *others = models.items()
+    for other, another in others:
+        if another != model:
+            raise TrialError(f"{one} and {other} differ; choose one with --model")
+    return model

@@ -1,0 +1,236 @@
+"""Headline and summary of a diagnosis: the cause, the confidence, and how far the gap shrinks."""
+
+from collections.abc import Sequence
+
+from softarm.diagnosis.engine.result import Diagnosis
+from softarm.diagnosis.report.words import (
+    HELD_OUT,
+    change,
+    meaning,
+    model_word,
+    noise_level,
+    one_of,
+    reduction,
+    shrinks_by,
+    sized,
+    sizes,
+    stages_of,
+    times,
+)
+from softarm.reporting.numbers import listed, number, percent, quantity
+from softarm.schemas.verdict import NamedEffect
+
+_AS_GOOD = 0.9  # share of the flexible model's improvement: an effect that reaches it failed for another reason
+_LISTED_MAX = 4  # effects in a headline; more are counted
+NOT_RATED = "not rated"
+
+
+def answer(diagnosis: Diagnosis) -> tuple[str, str, str]:
+    """Return the cause, its confidence, and how far the gap shrinks, as three short texts."""
+    kind = diagnosis.verdict.verdict
+    if kind == "none":
+        return _none(diagnosis)
+    if kind == "unknown" or not diagnosis.verdict.effects:
+        return _unknown(diagnosis)
+    return _cause(diagnosis), _how_sure(diagnosis), _shrinks(diagnosis)
+
+
+def headline(diagnosis: Diagnosis) -> str:
+    """Return the named effects with their sizes, or the verdict in a few words."""
+    verdict = diagnosis.verdict
+    if verdict.verdict == "none":
+        return "No cause found" if _exceeds_a_floor(diagnosis) else "No gap"
+    if verdict.verdict == "unknown" or not verdict.effects:
+        return f"An unknown effect in {verdict.where.stage}" if verdict.where.stage else "An unknown effect"
+    more = ", and more" if verdict.verdict == "incomplete" else ""
+    if sum(1 + len(effect.equivalents) for effect in verdict.effects) > _LISTED_MAX:
+        return f"{_counted(verdict.effects)}{more}"
+    several = len(verdict.effects) > 1
+    texts = []
+    for effect in verdict.effects:
+        members = listed((effect.name, *effect.equivalents), "or")
+        texts.append(sized(effect) if not effect.equivalents else f"either {members}" if several else members)
+    return listed(_singles_first(verdict.effects, texts)) + more
+
+
+def confidence_figure(effects: Sequence[NamedEffect]) -> tuple[str, str]:
+    """Return the label and the value of the confidence tile.
+
+    Effects without a measured confidence are counted in the label.
+    """
+    rated = [effect.confidence for effect in effects if effect.confidence is not None]
+    if not rated:
+        return "confidence", NOT_RATED
+    if len(effects) == 1:
+        return "confidence", percent(rated[0])
+    missing = len(effects) - len(rated)
+    note = f" ({missing} of {len(effects)} effects {NOT_RATED})" if missing else ""
+    return f"lowest confidence{note}", percent(min(rated))
+
+
+def _counted(effects: Sequence[NamedEffect]) -> str:
+    """Return `3 effects in servo1`, `26 effects in 6 stages` or `One of 5 effects in servo1`."""
+    stages = sorted({effect.name.rpartition(".")[0] for effect in effects})
+    where = stages[0] if len(stages) == 1 else f"{len(stages)} stages"
+    if len(effects) == 1:
+        return f"One of {1 + len(effects[0].equivalents)} effects in {where}"
+    sets = ", each with alternatives" if all(effect.equivalents for effect in effects) else ""
+    return f"{len(effects)} effects in {where}{sets}"
+
+
+def _singles_first(effects: Sequence[NamedEffect], texts: Sequence[str]) -> list[str]:
+    pairs = list(zip(effects, texts, strict=True))
+    return [t for e, t in pairs if not e.equivalents] + [t for e, t in pairs if e.equivalents]
+
+
+def _relation(diagnosis: Diagnosis, effect: NamedEffect) -> str:
+    """Return how simulator and robot differ in an effect."""
+    it = model_word(diagnosis)
+    if diagnosis.nominal is None or diagnosis.patched is None or effect.name not in diagnosis.nominal.effects:
+        return f"Missing in the {it}"
+    if effect.name not in diagnosis.patched.effects:
+        return f"In the {it} but not on the robot"
+    return f"Wrong size in the {it}"
+
+
+def _cause(diagnosis: Diagnosis) -> str:
+    named = diagnosis.verdict.effects
+    more = " More of the gap could be explained." if diagnosis.verdict.verdict == "incomplete" else ""
+    if len(named) > _LISTED_MAX:
+        return f"Missing in the {model_word(diagnosis)}, {_counted(named)}: {_by_law(named)}.{more}"
+    groups: dict[str, list[NamedEffect]] = {}
+    for effect in named:
+        groups.setdefault(_relation(diagnosis, effect), []).append(effect)
+    sentences = [f"{relation}: {_listed(diagnosis, effects)}." for relation, effects in groups.items()]
+    return " ".join(sentences) + more
+
+
+def _listed(diagnosis: Diagnosis, effects: Sequence[NamedEffect]) -> str:
+    """Return effects with their sizes, sets of indistinguishable effects last."""
+    if len(effects) == 1 and not effects[0].equivalents:
+        (one,) = effects
+        explained, size = meaning(diagnosis, one.name), sizes(one)
+        return f"{one.name}{f' ({explained})' if explained else ''}{f', {size}' if size else ''}"
+    texts = [one_of(effect) if effect.equivalents else sized(effect) for effect in effects]
+    *head, last = _singles_first(effects, texts)
+    return f"{', '.join(head)}, and {last}" if head and last.startswith("either") else listed((*head, last))
+
+
+def _by_law(effects: Sequence[NamedEffect]) -> str:
+    """Return effects grouped by law, such as `lag (servo1 and servo2), deadband or backlash (servo1)`."""
+    found: dict[str, list[str]] = {}
+    for effect in effects:
+        laws = sorted(name.rpartition(".")[2] for name in (effect.name, *effect.equivalents))
+        found.setdefault(listed(laws, "or"), []).append(effect.name.rpartition(".")[0])
+    common = sorted(found.items(), key=lambda item: (-len(item[1]), item[0]))
+    return ", ".join(f"{law} ({listed(sorted(stages))})" for law, stages in common)
+
+
+def _how_sure(diagnosis: Diagnosis) -> str:
+    verdict = diagnosis.verdict
+    rated = sorted(round(100 * e.confidence) for e in verdict.effects if e.confidence is not None)
+    unrated = [effect.name for effect in verdict.effects if effect.confidence is None]
+    if not rated:
+        text = "The confidence of this answer has not been measured"
+    else:
+        shares = f"{rated[0]}–{rated[-1]} %" if rated[0] < rated[-1] else f"{rated[0]} %"
+        text = f"In blind tests, {shares} of such answers were correct"
+        text += f"; {NOT_RATED}: {listed(unrated)}" if unrated else ""
+    stage = verdict.where.stage
+    if stage is None:
+        return text + "."
+    share = verdict.where.share.get(stage)
+    part = "The gap" if share is None else f"{percent(share)} of the gap"
+    regime = f" ({verdict.where.regime})" if verdict.where.regime else ""
+    return f"{text}. {part} arises in the {stage} stage{regime}."
+
+
+def _shrinks(diagnosis: Diagnosis) -> str:
+    gap, stage = diagnosis.verdict.gap, diagnosis.verdict.where.stage or ""
+    one, *more = diagnosis.verdict.effects
+    it = "all of them" if more else one.name if one.equivalents else "it"
+    parts = [_shrink_of(diagnosis, stage, f"the gap of the {stage} stage")]
+    if stage != "chain":
+        parts.append(_shrink_of(diagnosis, "chain", "the gap at the tip"))
+    parts = [part for part in parts if part]
+    if not parts:
+        return "The shrink of the gap could not be measured on this data."
+    floor = gap.floor.get(stage)
+    noise = f" In the {stage} stage, {noise_level(floor)}." if floor else ""
+    corrected = f"With {it} corrected in the {model_word(diagnosis)}"
+    return f"{corrected}, {' and '.join(parts)}, {HELD_OUT[diagnosis.held_out]}.{noise}"
+
+
+def _shrink_of(diagnosis: Diagnosis, place: str, whose: str) -> str:
+    gap = diagnosis.verdict.gap
+    before, after = gap.before.get(place), gap.after.get(place)
+    share = reduction(before, after)
+    if before is None or after is None or share is None:
+        return ""
+    verb = "shrinks" if share >= 0 else "grows"
+    return f"{whose} {verb} from {change(before, after, ' to ')} RMS ({shrinks_by(diagnosis, place)})"
+
+
+def _unknown(diagnosis: Diagnosis) -> tuple[str, str, str]:
+    verdict, stage = diagnosis.verdict, diagnosis.verdict.where.stage
+    before, ceiling = verdict.gap.before.get(stage or ""), verdict.gap.ceiling.get(stage or "")
+    could = reduction(before, ceiling)
+    where = f"in the {stage} stage" if stage else "between robot and simulator"
+    regime = f" ({verdict.where.regime})" if verdict.where.regime else ""
+    size = f" of {quantity(before.value, before.unit)} RMS" if before else ""
+    cause = f"There is a gap{size} {where}{regime}. No known effect explains it."
+    mine = [r for r in diagnosis.rivals if stage and any(name.startswith(f"{stage}.") for name in r.names)]
+    best = max(mine or diagnosis.rivals, key=lambda r: r.alone, default=None)
+    held_out = HELD_OUT[diagnosis.held_out]
+    sure = f"{held_out[0].upper()}{held_out[1:]}, a flexible model could remove "
+    sure += "part of it." if could is None else f"{percent(could)} of it."
+    if best is not None:
+        closest, alone = " with ".join(best.names), max(0.0, best.alone)
+        sure += f" The closest known effect, {closest}, removes {percent(alone)}."
+        if could is not None and alone > _AS_GOOD * could:
+            sure += " That is as much, but it failed other checks; see the warnings and the rivals."
+    feature = next((name for left in diagnosis.unexplained if left.stage == stage for name, _ in left.depends_on), None)
+    hint = f" The residual depends most on {feature}." if feature else ""
+    return cause, sure, f"The {model_word(diagnosis)} stays unchanged, and the gap remains.{hint}"
+
+
+def _exceeds_a_floor(diagnosis: Diagnosis) -> bool:
+    return any(ratio > 1 for ratio in _in_floors(diagnosis).values())
+
+
+def _in_floors(diagnosis: Diagnosis) -> dict[str, float]:
+    """Return each stage's gap in multiples of its noise floor, where the floor is known."""
+    gap = diagnosis.verdict.gap
+    found = {
+        stage: times(gap.before[stage], gap.floor.get(stage)) for stage in stages_of(diagnosis) if stage in gap.before
+    }
+    return {stage: ratio for stage, ratio in found.items() if ratio is not None}
+
+
+def _none(diagnosis: Diagnosis) -> tuple[str, str, str]:
+    gap, known = diagnosis.verdict.gap, _in_floors(diagnosis)
+    it = model_word(diagnosis)
+    robot = "robot" if diagnosis.nominal is not None else "rig"
+    unchanged = f"Nothing needs to change in the {it}. Other excitations may still show a gap."
+    if not known:
+        return (
+            f"No gap between {robot} and {it} was found on this data.",
+            "No noise floor is known, so the smallest visible gap is unknown.",
+            unchanged,
+        )
+    stage = max(known, key=lambda name: known[name])
+    left, floor, ratio = gap.before[stage], gap.floor[stage], known[stage]
+    place = "the whole chain" if stage == "chain" else f"the {stage} stage"
+    size = f"{quantity(left.value, left.unit)} RMS; {noise_level(floor)}"
+    if ratio <= 1:
+        return (
+            f"No gap beyond noise: {robot} and {it} agree on this data.",
+            f"Closest to its noise floor is {place} with {size}.",
+            unchanged,
+        )
+    return (
+        f"No cause of a gap between {robot} and {it} was found on this data.",
+        f"{place[0].upper()}{place[1:]} is at {number(ratio, 2)} times its noise floor: {size}. "
+        "That is too little to attribute to an effect, and no proof that the gap is zero.",
+        f"The {it} stays unchanged. Larger, faster or longer excitations would show more.",
+    )

@@ -1,0 +1,176 @@
+"""Report sections with the evidence: overlays, spectra, regimes, rivals and the remaining gap."""
+
+from collections.abc import Callable, Sequence
+from typing import TypeVar
+
+from softarm.diagnosis.engine.result import Diagnosis, Regime, Rival, Spectrum
+from softarm.diagnosis.report import overlays
+from softarm.diagnosis.report.words import percents, unit_of
+from softarm.reporting import charts, plot
+from softarm.reporting.markup import Html, bar, el, join, legend, prose, table
+from softarm.reporting.numbers import number, percent, quantity
+from softarm.schemas.verdict import Interval
+
+Row = TypeVar("Row")
+_AT_ONCE = 20  # rows of a table
+
+
+def traces(diagnosis: Diagnosis) -> Html:
+    """Return the section with measured, nominal and patched signals over time."""
+    if not diagnosis.overlays:
+        return el("p", "No recordings to draw.", class_="none")
+    shown = overlays.traces(diagnosis)
+    kinds = max((list(one.curves) for one in shown), key=len)
+    every = plot.every(shown)
+    thin = f" One of {every} samples is drawn, to keep the page small." if every > 1 else ""
+    text = (
+        "Each stage is simulated alone, driven by the signals measured before it. "
+        f"The lower strip is measured minus simulated; its grey band is the stage's noise floor.{thin}"
+    )
+    drawn = plot.charts(overlays.CHOICES, kinds, "measured and simulated signals over time")
+    return join([el("p", text), drawn])
+
+
+def frequencies(diagnosis: Diagnosis) -> Html:
+    """Return the section with the residual by frequency and by regime."""
+    drawn = [(s, drawing) for s in diagnosis.spectra if (drawing := _spectrum(s)) is not None]
+    figures = [el("figure", el("figcaption", el("b", s.stage), f"  {s.unit}/√Hz"), drawing) for s, drawing in drawn]
+    patched = any(s.patched is not None for s, _ in drawn)
+    parts: list[Html] = []
+    if figures:
+        parts += [
+            el("p", "Amplitude density of measured minus simulated; all trials and channels of a stage together."),
+            legend(*(("nominal", "patched") if patched else ("nominal",)), "floor"),
+            el("div", *figures, class_="multiples"),
+        ]
+    if diagnosis.regimes:
+        stage = diagnosis.verdict.where.stage
+        shown, rest = _split(diagnosis.regimes, lambda regime: regime.stage == stage)
+        parts += [el("h3", "By regime"), _regimes(shown), *_folded("other stages", rest, _regimes)]
+    return join(parts) if parts else el("p", "No spectra were computed.", class_="none")
+
+
+def _spectrum(of: Spectrum) -> Html | None:
+    curves = {"nominal": of.nominal} if of.patched is None else {"nominal": of.nominal, "patched": of.patched}
+    text = f"Residual amplitude density of {of.stage} in {of.unit} per root hertz over frequency"
+    return charts.spectrum(of.frequency_hz, curves, of.floor, text)
+
+
+def _split(rows: Sequence[Row], first: Callable[[Row], bool]) -> tuple[list[Row], list[Row]]:
+    """Return the rows to show and the rows to fold: all of a few, or the rows of the diagnosed stage."""
+    shown = [row for row in rows if first(row)]
+    if len(rows) <= _AT_ONCE or not shown:
+        return list(rows), []
+    return shown, [row for row in rows if not first(row)]
+
+
+def _folded(what: str, rows: Sequence[Row], draw: Callable[[Sequence[Row]], Html]) -> list[Html]:
+    """Return a collapsed table of further rows, or an empty list."""
+    return [el("details", el("summary", f"{what}: {len(rows)} more rows"), draw(rows))] if rows else []
+
+
+def _regimes(regimes: Sequence[Regime]) -> Html:
+    """Return one table row per regime."""
+    patched = any(regime.patched_rms is not None for regime in regimes)
+    most: dict[str, float] = {}
+    for regime in regimes:
+        most[regime.stage] = max(most.get(regime.stage, 0.0), regime.nominal_rms, regime.patched_rms or 0.0)
+
+    def cell(regime: Regime, value: float | None, kind: str) -> Html:
+        if value is None:
+            return Html("–")
+        return bar(value / (most[regime.stage] or 1.0), kind, quantity(value, regime.unit))
+
+    rows = []
+    for r in regimes:
+        row = [r.stage, r.name, f"{r.samples:,}".replace(",", " "), cell(r, r.nominal_rms, "nominal")]
+        rows.append([*row, cell(r, r.patched_rms, "patched")] if patched else row)
+    head = ["stage", "regime", "samples", "nominal", *(["patched"] if patched else [])]
+    caption = "Residual by regime, RMS; bars are relative to the largest value of their stage"
+    return table(head, rows, caption, numbers=(2,))
+
+
+def contenders(diagnosis: Diagnosis) -> Html:
+    """Return the section with every effect that was tried as the cause."""
+    if not diagnosis.rivals:
+        return el("p", "No effect was tried.", class_="none")
+    forest = charts.Forest([r.conditional for r in diagnosis.rivals if r.conditional is not None])
+    head = ("effect", "alone", join(["next to the named ones, percent", forest.axis()]), "fitted", "note")
+    robot = diagnosis.nominal is not None
+    base = "of the gain of the named effect" if robot else "of the gap that remains without it"
+    caption = f"Effects tried as the cause; alone: share of the stage's gap; next to the named ones: share {base}"
+
+    def drawn(rivals: Sequence[Rival]) -> Html:
+        return el("div", table(head, [_rival(diagnosis, rival, forest) for rival in rivals], caption), class_="rivals")
+
+    stage = diagnosis.verdict.where.stage
+    shown, rest = _split(diagnosis.rivals, lambda rival: any(name.startswith(f"{stage}.") for name in rival.names))
+    text = (
+        "Alone, a wrong effect can fit as well as the right one. The second figure decides: the gain of an effect "
+        "next to the named ones, with its 95 % interval. An interval that excludes zero is a real gain."
+    )
+    return join([el("p", prose(text)), drawn(shown), *_folded("other stages", rest, drawn)])
+
+
+def _rival(diagnosis: Diagnosis, rival: Rival, forest: charts.Forest) -> tuple[Html, ...]:
+    name = join([el("code", name) for name in rival.names], " + ")
+    fitted = [
+        el(
+            "span",
+            f"{path.rpartition('.')[2]} {quantity(value, unit_of(diagnosis, path), 3)}",
+            title=path,
+            class_="fit",
+        )
+        for path, value in rival.parameters.items()
+    ]
+    note = el("span", prose(rival.note), class_="tag named" if rival.note == "named" else None)
+    return name, bar(rival.alone, "plain", percent(rival.alone)), _added(rival.conditional, forest), join(fitted), note
+
+
+def _added(of: Interval | None, forest: charts.Forest) -> Html:
+    if of is None:
+        return Html("–")
+    return el("span", forest.row(of, percents(of)), el("span", percents(of), class_="num"), class_="forestcell")
+
+
+def left(diagnosis: Diagnosis) -> Html:
+    """Return the section with the remaining gap of each stage, and the signals that it depends on."""
+    gap, named = diagnosis.verdict.gap, bool(diagnosis.verdict.effects)
+    rows = []
+    for stage, before in gap.before.items():
+        after, floor, ceiling = (q.get(stage) for q in (gap.after, gap.floor, gap.ceiling))
+        shown = after if named else None
+        drawn = charts.ladder(before.value, *(q.value if q else None for q in (shown, floor, ceiling)))
+        texts = [quantity(q.value, q.unit) if q else "–" for q in (before, shown, ceiling, floor)]
+        rows.append((_place(stage), *texts, drawn))
+    robot = diagnosis.nominal is not None
+    noise = "repeatability, sensor noise and the tolerance of a good simulator" if robot else "the level of noise"
+    text = (
+        "The ceiling is the gap that remains after a flexible model without physics; no effect can do much better. "
+        f"The floor is {noise}."
+    )
+    head = ("stage", "before", "after", "ceiling", "floor", "on one scale")
+    caption = "Gap before and after the correction, RMS"
+    parts = [
+        el("p", text),
+        legend("nominal", *(["patched"] if named else []), "ceiling", "floor"),
+        table(head, rows, caption, numbers=(1, 2, 3, 4)),
+    ]
+    for each in diagnosis.unexplained:
+        parts += [el("h3", each.stage), _depends(each.explained_share, each.depends_on, named)]
+    return join(parts)
+
+
+def _place(stage: str) -> str:
+    return "tip, whole chain" if stage == "chain" else stage
+
+
+def _depends(explained: float, on: tuple[tuple[str, float], ...], named: bool) -> Html:
+    share = bar(explained, "patched", percent(explained))
+    effects = "the named effects" if named else "known effects"
+    text = el("p", f"Share of the explainable gap that {effects} explain: ", share)
+    if not on:
+        return text
+    most = max(value for _, value in on) or 1.0
+    rows = ((name, bar(value / most, "plain", number(value, 2))) for name, value in on)
+    return join([text, table(("signal", "importance"), rows, "Signals that the remaining gap depends on")])

@@ -1,0 +1,46 @@
+"""Report page of a diagnosis, with its sections in order."""
+
+from collections.abc import Iterable
+from pathlib import Path
+
+from softarm.common import files
+from softarm.diagnosis.engine.result import Diagnosis
+from softarm.diagnosis.report import evidence, overlays, sections, stages
+from softarm.diagnosis.report.answer import headline
+from softarm.reporting.document import Section, document
+from softarm.reporting.markup import Html
+
+FurtherSections = Iterable[tuple[str, str]]
+
+
+def write(diagnosis: Diagnosis, path: Path, *, further: FurtherSections = ()) -> None:
+    """Write the report as one HTML file.
+
+    Args:
+        diagnosis: diagnosis to report.
+        path: file to write.
+        further: title and HTML of each section to insert after the causal chain.
+
+    Raises:
+        OSError: the file cannot be written.
+    """
+    files.write_text(path, render(diagnosis, further=further))
+
+
+def render(diagnosis: Diagnosis, *, further: FurtherSections = ()) -> str:
+    """Return the report as HTML; equal diagnoses give equal pages."""
+    where = "Where in the chain" if diagnosis.nominal is not None else "Where the gap is"
+    shown = [
+        Section("Stage by stage", "stages", stages.section(diagnosis)),
+        Section("Measured, nominal, patched", "overlays", evidence.traces(diagnosis)),
+        Section(where, "chain", sections.chain(diagnosis)),
+        *(Section(title, f"further-{i}", Html(body)) for i, (title, body) in enumerate(further, 1)),
+        Section("Frequencies and regimes", "frequencies", evidence.frequencies(diagnosis)),
+        Section("Rivals", "rivals", evidence.contenders(diagnosis)),
+        Section("Remaining gap", "left", evidence.left(diagnosis)),
+        Section("Next experiment", "next", sections.next_step(diagnosis)),
+        Section("Details", "details", sections.details(diagnosis)),
+        Section("Method", "method", sections.method(diagnosis)),
+    ]
+    lead, data = sections.result(diagnosis), overlays.packed(diagnosis)
+    return document(headline(diagnosis), "softarm diagnosis", lead, shown, plot=data)

@@ -1,0 +1,183 @@
+"""Results stage by stage: one paragraph each, and a table of the effects."""
+
+from collections.abc import Sequence
+
+from softarm.diagnosis.engine.result import Diagnosis
+from softarm.diagnosis.report.answer import NOT_RATED
+from softarm.diagnosis.report.words import (
+    HELD_OUT,
+    change,
+    interval,
+    meaning,
+    model_word,
+    noise_level,
+    of_stage,
+    one_of,
+    percents,
+    reduction,
+    shrinks_by,
+    sizes,
+    stages_of,
+    times,
+)
+from softarm.reporting.markup import Html, el, join, prose, table
+from softarm.reporting.numbers import listed, number, percent, quantity
+from softarm.schemas.verdict import Interval, NamedEffect, Quantity
+
+_AT_FLOOR = 1.05  # noise floors
+_EXPLAINED_MAX = 2  # effects whose meaning fits a paragraph; more have it in the table
+
+
+def paragraphs(diagnosis: Diagnosis) -> dict[str, str]:
+    """Return the findings of each stage as one paragraph of text, by stage."""
+    return {stage: _paragraph(diagnosis, stage) for stage in stages_of(diagnosis)}
+
+
+def section(diagnosis: Diagnosis) -> Html:
+    """Return the paragraphs and the table of effects."""
+    shown = [
+        el("p", el("b", "Tip, whole chain" if stage == "chain" else stage), ": ", prose(text))
+        for stage, text in paragraphs(diagnosis).items()
+    ]
+    return join([*(shown or [el("p", "No stage could be compared.", class_="none")]), effects(diagnosis)])
+
+
+def _paragraph(diagnosis: Diagnosis, stage: str) -> str:
+    named = of_stage(diagnosis, stage)
+    before, after = (q.get(stage) for q in (diagnosis.verdict.gap.before, diagnosis.verdict.gap.after))
+    floor = diagnosis.verdict.gap.floor.get(stage)
+    if before is None:
+        return f"{_causes(diagnosis, named)}. The gap could not be measured on this data."
+    if named and after is None:
+        return f"{_causes(diagnosis, named)}. The gap is {quantity(before.value, before.unit)} RMS, not held out."
+    if named and len(named) <= _EXPLAINED_MAX:
+        return f"{_causes(diagnosis, named)}. {_shrinks(diagnosis, stage, len(named))}{_rest(after, floor)}."
+    if named:
+        return f"{_shrinks(diagnosis, stage, len(named))}{_rest(after, floor)}. {_causes(diagnosis, named)}."
+    if diagnosis.verdict.effects and (reduction(before, after) or 0.0) > 0.005:
+        shrunk = f"{change(before, after, ' to ')} RMS ({shrinks_by(diagnosis, stage)})" if after else ""
+        own = "" if stage == "chain" else "no effect of this stage is named. "
+        return f"{own}With the named effects, the gap shrinks from {shrunk}{_rest(after, floor)}."
+    return _without_effect(diagnosis, stage, before, floor)
+
+
+def _causes(diagnosis: Diagnosis, named: Sequence[NamedEffect]) -> str:
+    if len(named) > _EXPLAINED_MAX:
+        return f"The {len(named)} effects: {'; '.join(_sized(each) for each in named)}"
+    return "; ".join(f"{_relation(diagnosis, each)} {_described(diagnosis, each)}" for each in named)
+
+
+def _relation(diagnosis: Diagnosis, effect: NamedEffect) -> str:
+    it = model_word(diagnosis)
+    if diagnosis.nominal is None or diagnosis.patched is None or effect.name not in diagnosis.nominal.effects:
+        return f"missing in the {it}:"
+    if effect.name in diagnosis.patched.effects:
+        return f"wrong size in the {it}:"
+    return f"in the {it} but not on the robot:"
+
+
+def _sized(effect: NamedEffect) -> str:
+    """Return `servo1.lag, time 60 ms (55 to 65)`; for a set, state whose size it is."""
+    size = sizes(effect)
+    if not effect.equivalents:
+        return f"{effect.name}{', ' if size else ''}{size}"
+    return f"{one_of(effect)}{f'; for the first, {size}' if size else ''}"
+
+
+def _described(diagnosis: Diagnosis, effect: NamedEffect) -> str:
+    """Return an effect with its meaning and size."""
+    size = sizes(effect)
+    if not effect.equivalents:
+        text = meaning(diagnosis, effect.name)
+        return f"{effect.name}{f' ({text})' if text else ''}{f', {size}' if size else ''}"
+    members = [f"{n} ({text})" for n in (effect.name, *effect.equivalents) if (text := meaning(diagnosis, n))]
+    text = f"either {listed(members, 'or')}; this data cannot separate them" if members else one_of(effect)
+    return f"{text}{f'. For {effect.name}, {size}' if size else ''}"
+
+
+def _shrinks(diagnosis: Diagnosis, stage: str, effects: int) -> str:
+    """Return how far the gap shrinks, and on which held-out data."""
+    gap = diagnosis.verdict.gap
+    before, after = gap.before[stage], gap.after[stage]
+    verb = "shrinks" if (reduction(before, after) or 0.0) >= 0 else "grows"
+    shrunk = f"the gap {verb} from {change(before, after, ' to ')} RMS ({shrinks_by(diagnosis, stage)})"
+    held_out = HELD_OUT[diagnosis.held_out]
+    with_them = f"all {effects} effects" if effects > _EXPLAINED_MAX else "both" if effects == 2 else "it"
+    return f"With {with_them} corrected, {shrunk} {held_out}"
+
+
+def _rest(after: Quantity | None, floor: Quantity | None) -> str:
+    """Return the remaining gap in multiples of the noise floor."""
+    if after is None or floor is None or (ratio := times(after, floor)) is None:
+        return ""
+    if ratio < _AT_FLOOR:
+        return f". The rest is noise: {noise_level(floor)}"
+    return f". The rest is {number(ratio, 2)} times the noise floor of {quantity(floor.value, floor.unit)}"
+
+
+def _without_effect(diagnosis: Diagnosis, stage: str, before: Quantity, floor: Quantity | None) -> str:
+    """Return the text of a stage that no named effect changes."""
+    size, ratio = f"{quantity(before.value, before.unit)} RMS", times(before, floor)
+    if ratio is None or floor is None:
+        return f"a gap of {size}; its noise floor is unknown"
+    if ratio <= 1:
+        return f"no gap: {size}; {noise_level(floor)}."
+    could = reduction(before, diagnosis.verdict.gap.ceiling.get(stage))
+    some = f" A flexible model could remove {percent(could)} of it." if could and could > 0.005 else ""
+    shown = f"{size}, {number(ratio, 2)} times the noise floor of {quantity(floor.value, floor.unit)}"
+    if diagnosis.verdict.verdict == "none":
+        return f"{shown}. That is too little to attribute to an effect, and no proof that the gap is zero.{some}"
+    return f"{shown}. No effect is named for it.{some}"
+
+
+def effects(diagnosis: Diagnosis) -> Html:
+    """Return the table of named effects: meaning, size, and the share of the gap that each explains."""
+    named = diagnosis.verdict.effects
+    if not named:
+        return Html("")
+    tip = any(e.shrink.chain for e in named)
+    order = {stage: i for i, stage in enumerate(stages_of(diagnosis))}
+    rows, last = [], ""
+    for e in sorted(named, key=lambda e: order[e.name.rpartition(".")[0]]):
+        stage = e.name.rpartition(".")[0]
+        row: list[Html | str] = ["" if stage == last else stage, _names(e), _sizes(e), _meanings(diagnosis, e)]
+        row.append(_share(e.shrink.stage))
+        row += [_share(e.shrink.chain)] if tip else []
+        row.append(NOT_RATED if e.confidence is None else percent(e.confidence))
+        rows.append(row)
+        last = stage
+    head = ["stage", "effect", "size (95 % interval)", "meaning", "unique share, stage"]
+    head += ["unique share, tip"] * tip + ["confidence"]
+    caption = f"Effects by stage; shares {HELD_OUT[diagnosis.held_out]}, with 95 % intervals"
+    return el("div", table(head, rows, caption), _definitions(tip), class_="effects")
+
+
+def _definitions(tip: bool) -> Html:
+    """Return the definitions of the table's columns."""
+    text = (
+        "Unique share: how much of the gap (RMS) disappears when this effect joins all the other named effects. "
+        "Shares of effects that overlap do not add up to 100 %."
+    )
+    text += " Stage: the stage alone, driven by measured inputs." if tip else ""
+    text += " Tip: the tip's position, simulated from commands alone through every stage." if tip else ""
+    return el("p", text, class_="hint")
+
+
+def _share(of: Interval | None) -> Html:
+    return el("span", "–" if of is None else percents(of), class_="size")
+
+
+def _names(effect: NamedEffect) -> Html:
+    first, *others = (name.rpartition(".")[2] for name in (effect.name, *effect.equivalents))
+    return join([el("code", first), *(el("span", "or ", el("code", name), class_="or") for name in others)])
+
+
+def _meanings(diagnosis: Diagnosis, effect: NamedEffect) -> Html:
+    first, *others = (meaning(diagnosis, name) or "–" for name in (effect.name, *effect.equivalents))
+    return join([prose(first), *(el("span", "or ", prose(text), class_="or") for text in others)])
+
+
+def _sizes(effect: NamedEffect) -> Html:
+    """Return one line per parameter; a set shows the parameters of its first effect."""
+    of = [f"{name} {interval(each, each.unit)}" for name, each in effect.parameters.items()]
+    return join([el("span", prose(text), class_="size") for text in of]) if of else Html("–")

@@ -1,0 +1,155 @@
+"""Parts of the report's sentences: effects, sets, changes, shares and intervals."""
+
+import math
+
+from softarm.diagnosis.engine.result import Diagnosis, HeldOut
+from softarm.reporting.numbers import listed, number, percent, quantity, scaled
+from softarm.schemas.verdict import Estimate, Interval, NamedEffect, Quantity
+from softarm.simulator.effects import REGISTRY, Effect
+
+HELD_OUT: dict[HeldOut | None, str] = {
+    "kind": "on held-out excitations",
+    "trial": "on held-out trials",
+    "block": "on held-out stretches of the same trials",
+    None: "on held-out data",
+}
+_OPEN = 1e11  # a bound beyond this is no bound
+
+
+def change(before: Quantity, after: Quantity, arrow: str = " → ") -> str:
+    """Return two root mean squares in one unit, such as `0.98 → 0.034 kPa`."""
+    shown, factor = scaled(before.unit, max(before.value, after.value))
+    return f"{number(before.value * factor, 2)}{arrow}{number(after.value * factor, 2)} {shown}".strip()
+
+
+def interval(of: Interval, unit: str = "") -> str:
+    """Return an estimate with its bounds, such as `61 ms (55 to 68)`, with as many digits as the interval deserves."""
+    if of.high >= _OPEN or of.low <= -_OPEN:
+        return _open(of, unit)
+    all_three = (of.value, of.low, of.high)
+    finite = [abs(v) for v in all_three if math.isfinite(v)]
+    shown, factor = scaled(unit, max(finite, default=0.0))
+    half = (of.high - of.low) / 2 * factor
+    if 1e-4 <= half < math.inf:
+        decimals = max(0, -math.floor(math.log10(half / 3)))  # a half width of 3 to 29 units of the last digit
+        value, low, high = (f"{v * factor:.{decimals}f}" for v in all_three)
+    else:
+        value, low, high = (number(v * factor) for v in all_three)
+    return f"{value} {shown}".strip() + f" ({low} to {high})"
+
+
+def _open(of: Interval, unit: str) -> str:
+    shown, factor = scaled(unit, of.value if abs(of.value) < _OPEN else of.low)
+    low, value, high = (number(v * factor) for v in (of.low, of.value, of.high))
+    if of.value >= _OPEN:
+        return f"{low} {shown}".strip() + " or more"
+    tail = f"{low} or more" if of.low > -_OPEN else f"{high} or less" if of.high < _OPEN else "any"
+    return f"{value} {shown}".strip() + f" ({tail})"
+
+
+def size(of: Estimate) -> str:
+    """Return an estimate without its interval, such as `61 ms`, or `20 N or more` for one without an upper bound."""
+    return _open(of, of.unit) if of.value >= _OPEN else quantity(of.value, of.unit)
+
+
+def percents(of: Interval) -> str:
+    """Return a share with its interval, such as `74 % (70 to 78)`."""
+    return f"{percent(of.value)} ({round(100 * of.low)} to {round(100 * of.high)})"
+
+
+def known(diagnosis: Diagnosis, name: str) -> Effect | None:
+    """Return an effect of the diagnosis's vocabulary, else of the registry, or None."""
+    return diagnosis.vocabulary.get(name) or REGISTRY.get(name)
+
+
+def meaning(diagnosis: Diagnosis, name: str) -> str:
+    """Return an effect's meaning in words, or an empty string for an unknown effect."""
+    effect = known(diagnosis, name)
+    return effect.meaning if effect else ""
+
+
+def unit_of(diagnosis: Diagnosis, path: str) -> str:
+    """Return the unit of `stage.effect.parameter`, or an empty string if it is unknown."""
+    if path in diagnosis.units:
+        return diagnosis.units[path]
+    name, _, parameter = path.rpartition(".")
+    effect = REGISTRY.get(name)
+    return next((p.unit for p in effect.parameters if p.name == parameter), "") if effect else ""
+
+
+def of_stage(diagnosis: Diagnosis, stage: str) -> list[NamedEffect]:
+    """Return the named effects of a stage."""
+    return [effect for effect in diagnosis.verdict.effects if effect.name.startswith(f"{stage}.")]
+
+
+def stages_of(diagnosis: Diagnosis) -> tuple[str, ...]:
+    """Return every stage with a gap or an effect, the whole chain last."""
+    gaps = diagnosis.verdict.gap.before
+    named = (effect.name.rpartition(".")[0] for effect in diagnosis.verdict.effects)
+    found = dict.fromkeys((*(stage for stage in gaps if stage != "chain"), *named))
+    return (*found, *(stage for stage in gaps if stage == "chain"))
+
+
+def model_word(diagnosis: Diagnosis) -> str:
+    """Return `simulator` for the robot and `model` for another rig, which has a nominal model only."""
+    return "model" if diagnosis.nominal is None else "simulator"
+
+
+def one_of(effect: NamedEffect) -> str:
+    """Return an effect's name, or its set of indistinguishable effects."""
+    if not effect.equivalents:
+        return effect.name
+    return f"either {listed((effect.name, *effect.equivalents), 'or')} (this data cannot separate them)"
+
+
+def sizes(effect: NamedEffect) -> str:
+    """Return an effect's parameters with their intervals."""
+    return ", ".join(f"{name} {interval(of, of.unit)}" for name, of in effect.parameters.items())
+
+
+def sized(effect: NamedEffect) -> str:
+    """Return an effect's name and the size of its parameters, without intervals."""
+    of = ", ".join(f"{name} {size(each)}" for name, each in effect.parameters.items())
+    return f"{effect.name} ({of})" if of else effect.name
+
+
+def times(before: Quantity, floor: Quantity | None) -> float | None:
+    """Return a gap in multiples of its noise floor, or None if the floor is unknown."""
+    return before.value / floor.value if floor is not None and floor.value > 0 else None
+
+
+def reduction(before: Quantity | None, after: Quantity | None) -> float | None:
+    """Return the share by which a root mean square shrank, or None if either value is unknown."""
+    if before is None or after is None or before.value <= 0:
+        return None
+    return 1 - after.value / before.value
+
+
+def noise_level(floor: Quantity) -> str:
+    """Return the clause that states a stage's noise floor."""
+    return f"differences below {quantity(floor.value, floor.unit)} count as noise"
+
+
+def shrinks_by(diagnosis: Diagnosis, place: str) -> str:
+    """Return the shrink of a stage's gap, such as `74 % less, 95 % interval 70 to 78`, or an empty string."""
+    gap, of = diagnosis.verdict.gap, shrink(diagnosis, place)
+    share = reduction(gap.before.get(place), gap.after.get(place))
+    if share is None or not diagnosis.verdict.effects:
+        return ""
+    share = share if of is None else of.value
+    text = f"{percent(abs(share))} {'less' if share >= 0 else 'more'}"
+    if of is None:
+        return f"{text}, interval not known"
+    low, high = (of.low, of.high) if share >= 0 else (-of.high, -of.low)
+    digits = 0 if round(100 * low) < round(100 * high) else 1
+    return f"{text}, 95 % interval {100 * low:.{digits}f} to {100 * high:.{digits}f}"
+
+
+def shrink(diagnosis: Diagnosis, place: str) -> Interval | None:
+    """Return the share of a stage's gap that all named effects remove on held-out data."""
+    if place in diagnosis.total_shrink:
+        return diagnosis.total_shrink[place]
+    effects = diagnosis.verdict.effects
+    if len(effects) != 1:
+        return None
+    return effects[0].shrink.chain if place == "chain" else effects[0].shrink.stage

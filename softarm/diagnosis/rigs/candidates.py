@@ -1,0 +1,102 @@
+"""Effects and nuisances that may be fitted to a stage of a rig (for the soft arm: `robot/candidates.py`)."""
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+from softarm.diagnosis.engine.candidates import Candidate, FittedParameter, Nuisance
+from softarm.diagnosis.rigs.views import RigView
+from softarm.simulator.effects import Effect, Parameter
+
+# Half-widths of the errors that a good nominal model may have. The viscous friction is free: a published value was
+# usually fitted as the only friction and holds the share of all others.
+_ABSOLUTE = {
+    "gain.scale": 0.01,
+    "dead_time.delay": 0.004,
+    "stiffness.scale": 0.01,
+    "sensor_bias.bias": 0.003,
+    "damping.scale": 1.0,
+}
+# Half-widths in noise floors of the view.
+_FLOORS = {"gain.offset": 1.0}
+# An effect counts only beyond this multiple of its parameter's half-width.
+_BEYOND = 1.001
+# Starting values of a fit, as shares of the usual change.
+_SHARES = (0.3, 1.0, 2.5)
+# Pairs of which a reading shows only the sum: only the second one is a nuisance.
+_SUMMED = {"sensor_bias.bias": "gain.offset", "latency.delay": "dead_time.delay"}
+
+
+@dataclass(frozen=True, slots=True)
+class Falling(FittedParameter):
+    """Parameter whose neutral value is its highest; u is the fall below it, so that every effect grows with u."""
+
+    top: float = 0.0
+
+    def value(self, u: float) -> float:
+        """Return the parameter's value at u; the neutral value at 0."""
+        return self.top - min(max(u, self.low), self.high)
+
+
+def candidates(view: RigView) -> tuple[Candidate, ...]:
+    """Return every effect that the stage can have, and only the first of a group of indistinguishable effects."""
+    later = {name for others in view.indistinguishable.values() for name in others}
+    return tuple(_candidate(view, effect) for effect in view.effects if effect.name not in later)
+
+
+def nuisances(view: RigView) -> tuple[Nuisance, ...]:
+    """Return the parameters that are fitted within their boxes next to every candidate."""
+    return tuple(_nuisances(view))
+
+
+def _candidate(view: RigView, effect: Effect) -> Candidate:
+    parameters = tuple(_parameter(view, effect, p) for p in effect.parameters)
+    return Candidate(effect.name, view.stage, parameters, tuple(_starts(parameters, effect.parameters)))
+
+
+def _parameter(view: RigView, effect: Effect, p: Parameter) -> FittedParameter:
+    path = f"{effect.name}.{p.name}"
+    local = path.partition(".")[2]
+    nominal, news = view.nominal(local), _BEYOND * _widths(view).get(local, 0.0)
+    if math.isinf(p.neutral):
+        u = 0.0 if math.isinf(nominal) else 1 / nominal
+        return FittedParameter(
+            path, p.unit, u, 0.0, 1 / p.low, abs(1 / p.exemplar - u) or 1 / p.exemplar, 0.0, True, news
+        )
+    size = p.exemplar if p.default is not None else abs(p.exemplar - nominal) or abs(p.exemplar)
+    if p.default is None and p.neutral == p.high > p.low:
+        fallen = p.neutral - nominal
+        return Falling(path, p.unit, fallen, 0.0, p.neutral - p.low, size, 0.0, tolerance=news, top=p.neutral)
+    return FittedParameter(path, p.unit, nominal, p.low, p.high, size, p.neutral, tolerance=news)
+
+
+def _starts(parameters: Sequence[FittedParameter], declared: Sequence[Parameter]) -> Iterator[tuple[float, ...]]:
+    """Yield changes of several sizes, in both directions where the bounds allow; shape parameters keep their value."""
+    seen = set()
+    for share in (*_SHARES, *(-s for s in _SHARES)):
+        u = tuple(
+            d.nominal if p.default is not None else min(max(d.nominal + share * d.size, d.low), d.high)
+            for d, p in zip(parameters, declared, strict=True)
+        )
+        if u not in seen and u != tuple(d.nominal for d in parameters):
+            seen.add(u)
+            yield u
+
+
+def _widths(view: RigView) -> dict[str, float]:
+    """Return the half-width of every nuisance's box by 'effect.parameter'."""
+    return (
+        _ABSOLUTE | {local: share * float(view.floor.max()) for local, share in _FLOORS.items()} | dict(view.tolerances)
+    )
+
+
+def _nuisances(view: RigView) -> Iterator[Nuisance]:
+    widths = _widths(view)
+    known = {f"{e.name}.{p.name}".partition(".")[2] for e in view.effects for p in e.parameters}
+    for effect in view.effects:
+        for p in effect.parameters:
+            path = f"{effect.name}.{p.name}"
+            local = path.partition(".")[2]
+            if local in widths and _SUMMED.get(local) not in known:
+                nominal = view.nominal(local)
+                yield Nuisance(path, nominal, max(p.low, nominal - widths[local]), min(p.high, nominal + widths[local]))

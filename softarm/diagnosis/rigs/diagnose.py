@@ -1,0 +1,283 @@
+"""Diagnosis of the trials of one rig, each of its stages on its own."""
+
+import math
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Protocol
+
+import numpy as np
+
+from softarm.common.processes import as_they_come
+from softarm.diagnosis.answer import rivals
+from softarm.diagnosis.answer.assembly import Answer, StageAnswer, assemble
+from softarm.diagnosis.answer.evidence import overlays, regimes, rms
+from softarm.diagnosis.data.trials import Trial, TrialError
+from softarm.diagnosis.engine.confidence import confidence, margins
+from softarm.diagnosis.engine.decision import Decision, Kind
+from softarm.diagnosis.engine.examination import Examination
+from softarm.diagnosis.engine.problem import Setup
+from softarm.diagnosis.engine.result import Diagnosis, HeldOut, Rival, Unexplained
+from softarm.diagnosis.engine.search import Progress, SelectedEffect
+from softarm.diagnosis.engine.thresholds import RIG, WINDOWED
+from softarm.diagnosis.engine.view import Array
+from softarm.diagnosis.rigs import experiments
+from softarm.diagnosis.rigs.candidates import candidates, nuisances
+from softarm.diagnosis.rigs.chain.view import ChainView
+from softarm.diagnosis.rigs.driven_mass import DrivenMassView
+from softarm.diagnosis.rigs.shrinks import by_recording, shrunk
+from softarm.diagnosis.rigs.tracking import TrackingView, velocity_warnings
+from softarm.diagnosis.rigs.views import RigView
+from softarm.schemas.verdict import Estimate, Interval, NamedEffect, NextExperiment, Shrink, Where
+from softarm.simulator.effects import Effect
+
+
+class ViewClass(Protocol):
+    """Class of views for one kind of stage."""
+
+    def __call__(self, trials: Sequence[Trial], /) -> RigView:
+        """Return the view of these trials; raise TrialError if they lack a required channel or model parameter."""
+
+    def windows(self, trial: Trial, /) -> tuple[Trial, ...]:
+        """Return the windows that a trial is cut into, as `RigView.windows` does."""
+
+
+# Kind of stage -> its view. A new kind is one more line.
+VIEWS: Mapping[str, ViewClass] = {
+    "tracking": TrackingView,
+    "driven_mass": DrivenMassView,
+    "pendulum": ChainView,
+    "chain": ChainView,
+}
+
+# With at least this many recordings, the search holds out whole recordings instead of blocks.
+TRIALS_LEAST = 4
+_WEAK_HELD_OUT = {
+    "kind": "",
+    "trial": "held-out data are other trials of the same kind of motion; record several kinds",
+    "block": "held-out data are blocks of the same trial, which is the weakest test; record more trials",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """Result of the diagnosis of one stage."""
+
+    answer: StageAnswer
+    energy: float  # squared nominal residual over the squared noise floor
+    regime: str
+    decision: Decision
+    named: tuple[NamedEffect, ...]
+    nuisances: Mapping[str, float]
+    rivals: tuple[Rival, ...]
+    following: NextExperiment | None
+    held_out: HeldOut
+    vocabulary: tuple[Effect, ...]
+    warnings: tuple[str, ...]
+
+
+def diagnose_table(
+    trials: Sequence[Trial], report: Progress = lambda text, share: None, processes: int = 1
+) -> Diagnosis:
+    """Diagnose every stage of a rig's trials on its own; the result is deterministic.
+
+    Args:
+        trials: trials read from a stage.yaml.
+        report: called with the current step and the finished share, 0 to 1.
+        processes: number of stages diagnosed at the same time.
+
+    Raises:
+        TrialError: if a trial does not belong to a rig, or its kind of stage has no view.
+    """
+    started = time.monotonic()
+    names = sorted({t.stage.name for t in trials if t.stage is not None})
+    if not names or any(t.stage is None for t in trials):
+        raise TrialError("these trials belong to no rig; diagnose recordings of the soft arm with diagnose_trials")
+    own = {name: tuple(t for t in trials if t.stage is not None and t.stage.name == name) for name in names}
+    report(names[0], 0.0)
+    found: dict[str, Finding] = {}
+    for mine, finding in as_they_come(examine, tuple(own.values()), processes):
+        report(finding.answer.stage, (len(found) + 1) / len(names))
+        found[mine[0].stage.name if mine[0].stage else ""] = finding
+    stages = [found[name] for name in names]
+    tracking = [t for t in trials if t.stage is not None and t.stage.kind == "tracking"]
+    warnings = [*dict.fromkeys(w for t in trials for w in t.warnings), *velocity_warnings(tracking)]
+    warnings += [text for stage in stages for text in stage.warnings]
+    return assemble(_answer(stages, warnings), trials, started)
+
+
+def _answer(stages: Sequence[Finding], warnings: Sequence[str]) -> Answer:
+    """Return the answer on all stages of a rig."""
+    gaps = [s for s in stages if s.decision.kind != "none"]
+    kinds = {s.decision.kind for s in gaps}
+    kind: Kind = "none"
+    if gaps:
+        kind = kinds.pop() if len(kinds) == 1 else "incomplete"
+    total = sum(s.energy for s in stages)
+    worst = max(gaps, key=lambda s: s.energy, default=None)
+    named = [s for s in stages if s.decision.kind == "named"]
+    return Answer(
+        kind=kind,
+        where=Where(
+            stage=worst.answer.stage if worst else None,
+            share={s.answer.stage: s.energy / total if total else 0.0 for s in stages},
+            regime=worst.regime if worst else "nowhere: the gap is within the noise floor",
+        ),
+        effects=tuple(effect for s in stages for effect in s.named),
+        stages=tuple(s.answer for s in stages),
+        rivals=tuple(rival for s in stages for rival in s.rivals),
+        nuisances={path: value for s in stages for path, value in s.nuisances.items()},
+        margins={name: margin for s in named for name, margin in margins(s.decision.selected).items()},
+        held_out=min((s.held_out for s in stages), key=("block", "trial", "kind").index),
+        next_experiment=next((s.following for s in gaps if s.following is not None), None),
+        warnings=tuple(warnings),
+        units={f"{e.name}.{p.name}": p.unit for s in stages for e in s.vocabulary for p in e.parameters},
+        vocabulary={effect.name: effect for s in stages for effect in s.vocabulary},
+    )
+
+
+def view_of(trials: Sequence[Trial]) -> tuple[RigView, tuple[Trial, ...], tuple[int, ...]]:
+    """Return a stage's view, its windows in the view's order, and the index of the trial that each was cut from.
+
+    Raises TrialError for a kind of stage without a view.
+    """
+    kind = trials[0].stage.kind if trials[0].stage is not None else ""
+    if kind not in VIEWS:
+        raise TrialError(f"{trials[0].source}: a {kind} stage cannot be diagnosed yet; {' and '.join(VIEWS)} can")
+    cut = [(k, window) for k, trial in enumerate(trials) for window in VIEWS[kind].windows(trial)]
+    windows = tuple(window for _, window in cut)
+    return VIEWS[kind](windows), windows, tuple(k for k, _ in cut)
+
+
+def examine(trials: Sequence[Trial]) -> Finding:
+    """Diagnose one stage from all its trials."""
+    view, ordered, origins = view_of(trials)
+    kinds = [t.kind for t in ordered]
+    setup = Setup([view], nuisances(view), kinds, origins, view.block_s)
+    thresholds = WINDOWED if view.fits_starts and len(trials) >= TRIALS_LEAST else RIG
+    thresholds = replace(thresholds, search=replace(thresholds.search, refit=view.restarts_few_effects))
+    found = Examination(setup, candidates(view), kinds, thresholds, lambda text, share: None)
+    return _Stage(view, ordered, origins, found).finding()
+
+
+class _Stage:
+    """Assembly of a stage's finding from the examination of its view."""
+
+    def __init__(self, view: RigView, trials: tuple[Trial, ...], origins: tuple[int, ...], found: Examination) -> None:
+        self.view, self.trials, self.origins, self.found = view, trials, origins, found
+        self.choice, self.decision = found.choice, found.decide()
+        self.nominal: Array = view.gap([{}])[0].astype(float)
+        self.left: Array = found.residuals[view.stage].astype(float)
+        without = found.search.without_each(self.choice.chosen, self.choice.null_model)
+        self.without = dict(zip(self.choice.chosen.names, found.held_out(without), strict=True))
+
+    def finding(self) -> Finding:
+        """Return the complete finding."""
+        view, decision, found = self.view, self.decision, self.found
+        answer = self._answer()
+        worst = max(regimes(view, self.nominal, None), key=lambda r: r.nominal_rms, default=None)
+        return Finding(
+            answer=answer,
+            energy=(answer.before / answer.floor) ** 2,
+            regime="throughout" if worst is None else f"largest: {worst.name}",
+            decision=decision,
+            named=tuple(self._named(m) for m in decision.selected),
+            nuisances=found.setup.fitted_nuisances(self.choice.chosen),
+            rivals=rivals.by_share(found.search, found.searched, self.choice.null_model, decision.selected),
+            following=experiments.splitting(view, [self._same(m) for m in decision.selected]),
+            held_out=found.setup.held_out,
+            vocabulary=view.effects,
+            warnings=tuple(self._warnings()),
+        )
+
+    def _answer(self) -> StageAnswer:
+        view, chosen, named = self.view, self.choice.chosen, bool(self.decision.selected)
+        patched = self.left if named else None
+        before, fitted = rms(self.nominal), rms(self.left)
+        # The fitted residual, enlarged by the held-out loss over the fitted loss.
+        enlarged = math.sqrt(max(chosen.held_out.sum() / max(chosen.loss, 1e-12), 1.0))
+        after = min(fitted * enlarged, before) if named else before
+        share, features = self.found.flexible.get(view.stage, (0.0, {}))
+        return StageAnswer(
+            stage=view.stage,
+            unit=view.unit,
+            before=before,
+            after=after,
+            floor=float(np.sqrt(np.mean(view.floor**2))),
+            ceiling=min(fitted * math.sqrt(1 - share), after),
+            overlays=overlays(view, self.trials, self.nominal, patched),
+            regimes=regimes(view, self.nominal, patched),
+            unexplained=Unexplained(view.stage, self.decision.explained, tuple(features.items())),
+            total_shrink=self._total_shrink() if named else None,
+        )
+
+    def _losses(self, losses: Array) -> Array:
+        return by_recording(losses, self.found.search.problem.blocks, self.origins)
+
+    def _total_shrink(self) -> Interval:
+        """Return the share of the held-out RMS residual that all named effects remove together."""
+        squares = self.found.search.problem.block_squares()
+        return shrunk(self._losses(squares), self._losses(self.choice.chosen.held_out))
+
+    def _named(self, effect: SelectedEffect) -> NamedEffect:
+        less = self._losses(self.without[effect.candidate.name].held_out)
+        more = self._losses(self.choice.chosen.held_out)
+        return NamedEffect(
+            name=effect.candidate.name,
+            parameters=self._estimates(effect),
+            # Next to an unexplained residual any effect may stand in for its cause; how often is not measured.
+            confidence=confidence("rig", effect) if self.decision.kind == "named" else None,
+            equivalents=self._same(effect)[1:],
+            shrink=Shrink(stage=shrunk(less, more)),
+        )
+
+    def _same(self, effect: SelectedEffect) -> tuple[str, ...]:
+        """Return an effect and all effects that these data, or any data of such a stage, cannot separate from it."""
+        names = (effect.candidate.name, *effect.equivalents)
+        others = (other for name in names for other in self.view.indistinguishable.get(name, ()))
+        return tuple(dict.fromkeys((*names, *others)))
+
+    def _estimates(self, effect: SelectedEffect) -> dict[str, Estimate]:
+        chosen = self.choice.chosen
+        at = chosen.names.index(effect.candidate.name)
+        first = sum(len(each.parameters) for each in chosen.effects[:at])
+        bounds = self.found.search.problem.interval(chosen, self.found.thresholds.approximate)
+        unresolved = self.view.unresolved(chosen.point)
+        found = {}
+        for i, (parameter, u) in enumerate(zip(effect.candidate.parameters, chosen.u[at], strict=True)):
+            least = unresolved.get(parameter.path.partition(".")[2], 0.0)
+            ends = [min(float(bounds[0][first + i]), u - least), max(float(bounds[1][first + i]), u + least)]
+            # The loss is flat over an unresolved range, so the fit's interval means nothing there.
+            if least > 0:
+                ends = [max(ends[0], u - 2 * least), min(ends[1], u + 2 * least)]
+            model = self.view.model_uncertainty.get(parameter.path.partition(".")[2], 0.0)
+            ends = [u - math.hypot(u - ends[0], model), u + math.hypot(ends[1] - u, model)]
+            ends = [min(max(x, parameter.low), parameter.high) for x in ends]
+            values = [parameter.value(x) for x in (u, *ends)]
+            value, low, high = (x if math.isfinite(x) else 1e12 for x in (values[0], min(values), max(values)))
+            found[parameter.path.rpartition(".")[2]] = Estimate(value=value, low=low, high=high, unit=parameter.unit)
+        return found
+
+    def _warnings(self) -> list[str]:
+        stage, found = self.view.stage, list(self.view.warnings)
+        how: HeldOut = self.found.setup.held_out
+        if self.decision.selected and _WEAK_HELD_OUT[how]:
+            found.append(f"{stage}: {_WEAK_HELD_OUT[how]}")
+        for effect in self.choice.selected:
+            name = effect.candidate.name
+            if effect not in self.decision.selected:
+                found.append(f"{name} is not named: it shrinks the gap but leaves more than it explains")
+            elif effect.bounded:
+                found.append(
+                    f"{name} is not rated: {', '.join(effect.bounded)} explains as much at the end of its range, "
+                    "and that bound may be the only reason against it"
+                )
+        if self.decision.structure and self.decision.selected:
+            found.append(f"{stage}: the residual is not noise ({'; '.join(self.decision.structure.values())})")
+        damping = self.found.setup.fitted_nuisances(self.choice.chosen).get(f"{stage}.damping.scale")
+        if damping is not None and self.decision.selected and damping < -0.9:
+            found.append(
+                f"{stage}: with the named effects, the model's viscous friction vanishes "
+                f"(damping x {max(1 + damping, 0.0):.2g}); it had replaced them"
+            )
+        return found

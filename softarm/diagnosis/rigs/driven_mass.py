@@ -1,0 +1,395 @@
+"""View of a mass that a force, a torque or a motor's current moves: a cart on a rail, a motor's axis, a linear stage.
+
+The model is simulated in short windows whose starts are fitted at every point, and its motion is compared with the
+measured one. No acceleration is needed, so an encoder suffices, and an inexact model does not diverge.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.signal import savgol_filter
+
+from softarm.diagnosis.data.trials import TableStage, Trial, TrialError
+from softarm.diagnosis.engine.view import Array, Point
+from softarm.diagnosis.engine.whitened import BLOCK_S, slices
+from softarm.diagnosis.rigs.driven_mass_effects import DrivenMassScales, driven_mass_effects
+from softarm.diagnosis.rigs.grid import Grid, grid, held_integral, resolution, time_since_change
+from softarm.diagnosis.rigs.laws import driven_mass as laws
+from softarm.diagnosis.rigs.scales import STRETCHES_LEAST, STRETCHES_MOST
+from softarm.diagnosis.rigs.views import FLOOR_SHARE, RigView, neutral_values, stage_of
+from softarm.simulator.effects import Effect
+
+# Columns that can drive the mass -> their unit, in the order in which they are looked for.
+DRIVEN_BY = {"force": "N", "current": "A", "voltage": "V"}
+# Samples are averaged down to this rate, or to this many per period of the motion if that is more.
+RATE_HZ, SAMPLES_PER_PERIOD = 100.0, 100
+# Length of a window as a share of the usual period: a small force must show, and the error of an inexact model grows
+# with the square of the time. BLOCK_WINDOWS windows count as one independent stretch.
+WINDOW_PERIODS, SAMPLES_LEAST, BLOCK_WINDOWS = 0.8, 16, 2
+STEPS_PER_PERIOD, SUBSTEPS_MOST = 60, 8
+# Number of spring frequencies that are tried, with this load share.
+TRIED, NUDGED = 20, 0.05
+# Iterations of the fit of a window's start.
+ROUNDS = 3
+# Lengths of smoothing filters, samples; the longest whose residual is at most NOISE_MORE times the noise is used.
+SMOOTHED = (5, 9, 17, 33, 65)
+NOISE_MORE = 1.3
+# Uncertainty of the input's stamps, in steps: the input may be held or sampled.
+HELD_LATE = 0.5
+# Errors of a good nominal model: shares of its gain, of its own values, and of the usual force.
+OF_GAIN, OF_OWN, OF_FORCE = 0.01, 0.02, 0.004
+# Uncertainty of the travel over which friction bends, as a multiple.
+GIVE_TIMES = 3.0
+# Shares of the largest speed and force that bound the regimes.
+SLOW, STILL, STRONG = 0.15, 0.01, 0.6
+_MODEL = {
+    "viscous": "damping.viscous",
+    "coulomb": "coulomb_friction.force",
+    "offset": "force_offset.force",
+    "delay_s": "dead_time.delay",
+}
+_INPUT = ("dead_time.delay", "latency.delay", "deadband.width", "ceiling.limit", "lag.time", "gain.scale")
+
+
+@dataclass(frozen=True, slots=True)
+class _Motion:
+    """Measured motion of one trial."""
+
+    grid: Grid
+    seen: Array  # [T]; NaN in gaps
+    position: Array  # [T] smoothed, or integrated from the speed
+    speed: Array  # [T]
+    noise: float
+    spread: Array  # [2] uncertainty of position and speed at the start of a window
+
+
+class DrivenMassView(RigView):
+    """View from the input to the position, or to the velocity if no position was recorded; all trials of one stage."""
+
+    def __init__(self, trials: Sequence[Trial]) -> None:
+        """Prepare the trials of one driven mass.
+
+        Raises TrialError if the trials belong to another kind of stage, lack a column, or their model has no mass.
+        """
+        stage = stage_of(trials, ("driven_mass",), "driven mass")
+        self._mass, rotary = _mass(stage)
+        self._gain = _number(stage, "gain", 1.0)
+        self._speed_alone = not all("position" in t.channel("measured").columns for t in trials)
+        column, driver = _columns(trials, self._speed_alone)
+        step = resolution([t.channel("measured")[column] for t in trials])
+        inputs = [held_integral(t.channel("force"), t.channel("force")[driver], 10.0) for t in trials]
+        limit = abs(self._gain) * _largest([t.channel("force")[driver] for t in trials]) / self._mass
+        self._motions = _motions(trials, column, step, limit)
+        length = stage.unit("measured", column).removesuffix("/s") or ("rad" if rotary else "m")
+        scales = _scales(trials, self._motions, driver, abs(self._gain), limit, step, length, "N m" if rotary else "N")
+        self._inputs, self._scales = inputs, scales
+        own = driven_mass_effects(stage.name, scales, self._speed_alone)
+        self._known = neutral_values(own) | {path: _number(stage, key, 0.0) for key, path in _MODEL.items()}
+        window_s, self.block_s = _window_lengths(scales, self._motions)
+        self._edges = [_edges(m.grid, window_s) for m in self._motions]
+        self._each = int(min(max(np.ceil(scales.step_s * STEPS_PER_PERIOD / scales.period_s), 1), SUBSTEPS_MOST))
+        self._late: dict[tuple[int, float], Array] = {}
+        self._forces: dict[tuple[float, ...], list[Array]] = {}
+        signals = [self._signals(k) for k in range(len(trials))]
+        super().__init__(
+            stage.name,
+            scales.speed_unit if self._speed_alone else scales.length,
+            (column,),
+            own,
+            [m.grid.t_s for m in self._motions],
+            [m.seen[:, None] for m in self._motions],
+            step,
+            signals,
+        )
+        parts = [m.seen[a:b] for m, e in zip(self._motions, self._edges, strict=True) for a, b in pairwise(e)]
+        swing = np.sqrt(np.nanmean(np.concatenate([p - np.nanmean(p) for p in parts if np.isfinite(p).any()]) ** 2))
+        self.floor = np.array([max(FLOOR_SHARE * swing, step, *(m.noise for m in self._motions), 1e-12)])
+        self._windows = [self._starts(m, e) for m, e in zip(self._motions, self._edges, strict=True)]
+        self._fit = laws.Fit(float(self.floor[0]), scales.step_s, self._each, ROUNDS, self._speed_alone)
+        self.effects = tuple(self._tuned(e) if e.name.endswith(".compliance") else e for e in self.effects)
+
+    def _tuned(self, effect: Effect) -> Effect:
+        """Start a spring's frequency where it explains most, because a search finds a resonance only from nearby."""
+        share, frequency, ratio = effect.parameters
+        tried, gain = np.geomspace(frequency.low, frequency.high, TRIED), []
+        base = np.nan_to_num(self._gap([{}], 0)[:, 0])
+        for hz in tried:
+            point = {f"{effect.name}.share": NUDGED, f"{effect.name}.frequency": hz}
+            change = np.nan_to_num(self._gap([point], 0)[:, 0]) - base
+            gain.append(float(change @ base) ** 2 / max(float(change @ change), 1e-300))
+        best = float(tried[int(np.argmax(gain))])
+        self._known["compliance.frequency"] = best
+        return replace(effect, parameters=(share, replace(frequency, neutral=best, default=best, exemplar=best), ratio))
+
+    @property
+    def tolerances(self) -> Mapping[str, float]:
+        """Errors that a good nominal model may have, by 'effect.parameter'."""
+        s = self._scales
+        between = [float(np.median(np.diff(t))) for t, _ in self._inputs]
+        own = {path: max(OF_OWN * abs(self.nominal(path)), OF_FORCE * s.usual) for path in _MODEL.values()}
+        return own | {
+            "coulomb_friction.give": GIVE_TIMES * self.nominal("coulomb_friction.give"),
+            "gain.scale": OF_GAIN,
+            "dead_time.delay": HELD_LATE * max(between),
+            "damping.viscous": max(OF_OWN * self.nominal("damping.viscous"), OF_FORCE * s.usual / s.speed),
+        }
+
+    @property
+    def regimes(self) -> Mapping[str, NDArray[np.bool_]]:
+        """Parts of the data by speed, direction and force."""
+        f, s = self.features, self._scales
+        speed, force = f["speed"], np.abs(f["force"])
+        still = np.abs(speed) < STILL * s.speed
+        return {
+            "at rest": still,
+            "moving slowly": ~still & (np.abs(speed) < SLOW * s.speed),
+            "moving fast": np.abs(speed) > 0.5 * s.speed,
+            "moving forwards": speed > STILL * s.speed,
+            "moving backwards": speed < -STILL * s.speed,
+            "after a reversal": (f["time since reversal"] < 0.1 * s.period_s) & ~still,
+            "under a large force": force > STRONG * s.force,
+            "coasting": ~still & (force < 0.05 * s.force),
+        }
+
+    def _gap(self, points: Sequence[Point], i: int) -> Array:
+        point = {path: float(self.values(points[i : i + 1], path)[0]) for path in self._known}
+        law, parts = self._law(point), []
+        forces = self._driven(tuple(point[path] for path in _INPUT), law)
+        for m, windows, force in zip(self._motions, self._windows, forces, strict=True):
+            out = np.empty(len(m.seen))
+            laws.residuals(windows, force, law, self._fit._replace(step_s=m.grid.step_s), out)
+            parts.append(out)
+        return np.concatenate(parts)[:, None]
+
+    def _law(self, point: Point) -> Array:
+        law = np.zeros(laws.COLUMNS)
+        dry, more = point["coulomb_friction.force"], point["friction_asymmetry.force"]
+        law[laws.FORWARD], law[laws.BACKWARD] = max(dry + more, 0.0), max(dry - more, 0.0)
+        law[laws.GAIN] = self._gain * (1 + point["gain.scale"])
+        law[laws.MASS] = self._mass * (1 + point["mass.scale"])
+        for path, column in (
+            ("deadband.width", laws.WIDTH),
+            ("ceiling.limit", laws.LIMIT),
+            ("lag.time", laws.LAG),
+            ("coulomb_friction.give", laws.GIVE),
+            ("stiction.force", laws.STICTION),
+            ("stiction.speed", laws.SPEED),
+            ("damping.viscous", laws.VISCOUS),
+            ("drag.coefficient", laws.DRAG),
+            ("force_offset.force", laws.OFFSET),
+        ):
+            law[column] = point[path]
+        if self._speed_alone:
+            law[laws.BIAS] = point["sensor_bias.bias"]
+        else:
+            law[laws.GAP], share = point["backlash.gap"], point["compliance.share"]
+            law[laws.SHARE], law[laws.RATIO] = share, point["compliance.ratio"]
+            law[laws.OMEGA] = 2 * np.pi * point["compliance.frequency"] if share != 0.0 else 0.0
+        return law
+
+    def _driven(self, key: tuple[float, ...], law: Array) -> list[Array]:
+        """Forces of all trials, [T each]; cached, because most points share them."""
+        if key not in self._forces:
+            if len(self._forces) > 16:
+                self._forces.clear()
+            found = []
+            for k, m in enumerate(self._motions):
+                held = self._held(k, key[0] + key[1])
+                out = np.empty_like(held)
+                laws.drive(held, law, m.grid.step_s / self._each, out)
+                found.append(out)
+            self._forces[key] = found
+        return self._forces[key]
+
+    def _held(self, k: int, delay_s: float) -> Array:
+        """Mean of the delayed input over every step; a delay may be any fraction of a sample."""
+        if (k, delay_s) not in self._late:
+            if len(self._late) > 64 * len(self._motions):
+                self._late.clear()
+            g, (t, summed) = self._motions[k].grid, self._inputs[k]
+            h = g.step_s / self._each
+            at = np.interp(g.t_s[0] - delay_s + h * np.arange(len(g.t_s) * self._each + 1), t, summed)
+            self._late[k, delay_s] = np.diff(at) / h
+        return self._late[k, delay_s]
+
+    def _starts(self, m: _Motion, edges: NDArray[np.int64]) -> laws.Windows:
+        """Windows of a trial with the measured state at the start of each."""
+        first = edges[:-1]
+        direction = np.where(np.abs(m.speed) > 0.05 * self._scales.speed, np.sign(m.speed), 0.0)
+        last = np.maximum.accumulate(np.where(direction != 0.0, np.arange(len(direction)), 0))
+        position = np.zeros(len(first)) if self._speed_alone else m.position[first]
+        starts = np.ascontiguousarray(np.stack((position, m.speed[first]), axis=1))
+        return laws.Windows(m.seen, edges, starts, m.spread, direction[last[first]], direction[first])
+
+    def _signals(self, k: int) -> dict[str, Array]:
+        """Features for a flexible model of the residual; sums over a window, because a push shows long after."""
+        m, edges = self._motions[k], self._edges[k]
+        t, v = m.grid.t_s, m.speed
+        force = self._gain * self._held(k, self.nominal("dead_time.delay")).reshape(len(t), -1).mean(axis=1)
+        direction = np.sign(np.where(np.abs(v) > STILL * self._scales.speed, v, 0.0))
+        signals = {"force": force, "speed": v, "direction": direction}
+        signals |= {"time since reversal": time_since_change(t, np.sign(v)), "position": m.position}
+        begun = np.repeat(edges[:-1], np.diff(edges))
+        signals["time in the window"] = t - t[begun]
+        sums = {
+            "force": force,
+            "direction": direction,
+            "speed": v,
+            "drag": v * np.abs(v),
+            "position": m.position - m.position.mean(),
+        }
+        for name, values in sums.items():
+            signals[f"{name}, summed"] = _summed_twice(values, edges, m.grid.step_s, self._speed_alone)
+        return signals
+
+
+def _summed_twice(values: Array, edges: NDArray[np.int64], step_s: float, once: bool) -> Array:
+    """Motion since a window's start under a force of these values on a unit mass: speed (once) or position."""
+    out = np.empty_like(values)
+    for a, b in pairwise(edges):
+        speed = np.cumsum(values[a:b]) * step_s
+        out[a:b] = speed if once else np.cumsum(speed) * step_s
+    return out
+
+
+def _mass(stage: TableStage) -> tuple[float, bool]:
+    """Mass or inertia, and whether it turns; raises TrialError if the model has neither or it is not above 0."""
+    for key, rotary in (("mass_kg", False), ("inertia_kg_m2", True)):
+        if key in stage.model:
+            value = _number(stage, key, 0.0)
+            if not value > 0:
+                raise TrialError(f"{stage.name}: model.{key} is {value:g}, but must be above 0; correct it")
+            return value, rotary
+    raise TrialError(
+        f"{stage.name}: model lacks mass_kg (or inertia_kg_m2, if it turns); add it, motion shows only force over mass"
+    )
+
+
+def _number(stage: TableStage, key: str, otherwise: float) -> float:
+    return float(np.ravel(stage.model.get(key, otherwise))[0])
+
+
+def _columns(trials: Sequence[Trial], speed_alone: bool) -> tuple[str, str]:
+    """Measured column and driving column; raises TrialError if a trial lacks either."""
+    column = "velocity" if speed_alone else "position"
+    if not all(column in t.channel("measured").columns for t in trials):
+        raise TrialError(
+            f"{trials[0].source}: the measured channel needs a column position or velocity in every trial; add it"
+        )
+    for driver in DRIVEN_BY:
+        if all(driver in t.channel("force").columns for t in trials):
+            return column, driver
+    raise TrialError(
+        f"{trials[0].source}: the force channel needs a column {' or '.join(DRIVEN_BY)} in every trial; add it"
+    )
+
+
+def _largest(signals: Sequence[Array]) -> float:
+    """Largest value of the signals without a few outliers; raises TrialError if all values are zero."""
+    largest = float(np.quantile(np.abs(np.concatenate(signals)), 0.995))
+    if not largest > 0:
+        raise TrialError(
+            "the force is zero in every trial, so nothing drives the mass; check `source` in the stage.yaml"
+        )
+    return largest
+
+
+def _motions(trials: Sequence[Trial], column: str, step: float, limit: float) -> list[_Motion]:
+    """Measured motions on grids that are finer for fast motion; limit: largest acceleration from the input."""
+    rate = RATE_HZ
+    for _ in range(2):
+        found = [_motion(grid(t.channel("measured"), rate, (column,)), column, step, limit) for t in trials]
+        finer = SAMPLES_PER_PERIOD / _period(found, column, limit)
+        if finer <= rate:
+            break
+        rate = finer
+    return found
+
+
+def _motion(g: Grid, column: str, step: float, limit: float) -> _Motion:
+    seen = g.columns[column]
+    known = np.isfinite(seen)
+    whole = np.interp(g.t_s, g.t_s[known], seen[known])
+    noise = max(float(np.std(np.diff(whole, 3))) / np.sqrt(20.0), step / np.sqrt(12.0), 1e-12)
+    width = SMOOTHED[0]
+    for wider in SMOOTHED[1:]:
+        if wider >= len(whole) or np.std(whole - savgol_filter(whole, wider, 2)) > NOISE_MORE * noise:
+            break
+        width = wider
+    smooth = savgol_filter(whole, width, 2)
+    span = width * g.step_s
+    if column == "velocity":
+        position, speed = np.cumsum(smooth) * g.step_s, smooth
+        spread = np.array([1.0, 3 * noise + 0.1 * limit * span])
+    else:
+        position, speed = smooth, savgol_filter(whole, width, 2, deriv=1, delta=g.step_s)
+        slope = noise * np.sqrt(12.0 / (width * (width**2 - 1))) / g.step_s
+        spread = np.array([5 * noise + 0.1 * limit * span**2, 3 * slope + 0.1 * limit * span])
+    return _Motion(g, seen, position, speed, noise, spread)
+
+
+def _period(motions: Sequence[_Motion], column: str, limit: float) -> float:
+    """Period of the usual motion: of a sine with the same travel and speed, or with the same travel at `limit`.
+
+    limit: largest acceleration; the second period is the shorter one where friction takes most of the force.
+    """
+    found = []
+    for m in motions:
+        x = m.speed if column == "velocity" else m.position
+        v = np.gradient(m.speed, m.grid.step_s) if column == "velocity" else m.speed
+        swing = float(np.std(x))
+        pushed = swing / limit if column == "velocity" else (np.sqrt(2) * swing / limit) ** 0.5
+        moved = swing / max(float(np.sqrt(np.mean(v**2))), 1e-12)
+        found.append(min(2 * np.pi * min(pushed, moved), float(m.grid.t_s[-1] - m.grid.t_s[0])))
+    return max(float(np.median(found)), 20 * motions[0].grid.step_s)
+
+
+def _window_lengths(s: DrivenMassScales, motions: Sequence[_Motion]) -> tuple[float, float]:
+    """Length of a window, and of an independent stretch of whole windows, s."""
+    trial_s = float(np.median([m.grid.t_s[-1] - m.grid.t_s[0] for m in motions]))
+    least = min(max(WINDOW_PERIODS * s.period_s, SAMPLES_LEAST * s.step_s), trial_s / 2)
+    # A whole number of windows per standard block, or of blocks per window, because window starts affect the fit.
+    window = BLOCK_S * round(least / BLOCK_S) if least > BLOCK_S else BLOCK_S / max(int(BLOCK_S / least), 1)
+    wanted = min(max(BLOCK_WINDOWS * window, trial_s / STRETCHES_MOST), trial_s / STRETCHES_LEAST)
+    return window, window * max(round(wanted / window), 1)
+
+
+def _scales(
+    trials: Sequence[Trial],
+    motions: Sequence[_Motion],
+    driver: str,
+    gain: float,
+    limit: float,
+    step: float,
+    length: str,
+    force_unit: str,
+) -> DrivenMassScales:
+    column = "position" if "position" in motions[0].grid.columns else "velocity"
+    largest = _largest([t.channel("force")[driver] for t in trials])
+    speed = float(np.quantile(np.abs(np.concatenate([m.speed for m in motions])), 0.99))
+    travel = float(max(np.ptp(m.position) for m in motions))
+    return DrivenMassScales(
+        length=length,
+        force_unit=force_unit,
+        input_unit=force_unit if driver == "force" else DRIVEN_BY[driver],
+        input=largest,
+        force=gain * largest,
+        usual=gain * float(np.mean([np.mean(np.abs(t.channel("force")[driver])) for t in trials])),
+        speed=max(speed, 1e-9),
+        travel=max(travel, 1e-9),
+        resolution=max(step, *(m.noise for m in motions)),
+        step_s=float(np.median([m.grid.step_s for m in motions])),
+        period_s=_period(motions, column, limit),
+    )
+
+
+def _edges(g: Grid, window_s: float) -> NDArray[np.int64]:
+    """First samples of all windows, and the end [W + 1]; a rest of less than half a window joins the last one."""
+    number = ((g.t_s - g.t_s[0]) / window_s + 1e-9).astype(int)
+    edges = [*(part.start for part in slices(number)), len(number)]
+    if len(edges) > 2 and (edges[-1] - edges[-2]) * g.step_s < 0.5 * window_s:
+        del edges[-2]
+    return np.array(edges)

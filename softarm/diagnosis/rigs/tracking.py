@@ -1,0 +1,279 @@
+"""View of an actuator that follows a command: a servo, a regulator, an axis in velocity mode.
+
+The nominal model follows at once and exactly, unless the stage.yaml gives it a lag, a delay or limits.
+"""
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from softarm.common.quantity import PURE
+from softarm.diagnosis.data.trials import Series, Trial, TrialError
+from softarm.diagnosis.engine.view import Array, Point
+from softarm.diagnosis.rigs.grid import Grid, grid, held_integral, resolution, time_since_change
+from softarm.diagnosis.rigs.laws import tracking as law
+from softarm.diagnosis.rigs.scales import TrackingScales, repeatability, scales, stretch, white_noise
+from softarm.diagnosis.rigs.tracking_effects import tracking_effects
+from softarm.diagnosis.rigs.views import RigView, neutral_values, stage_of
+from softarm.schemas.stage_model import ModelValue
+
+# Columns that can follow the command -> their default unit. The first one that a table has is used.
+MEASURED = {"position": "rad", "pressure": "kPa", "velocity": "m/s", "value": PURE}
+# Integration steps per sample of a stage with at most FEW samples; with more samples, one step each.
+SUBSTEPS, FEW = 2, 12_000
+# The start of a trial is skipped, because earlier commands still show: at most this share of the trial, and at most
+# this multiple of the delay.
+SKIPPED, SETTLED = 0.03, 5.0
+# Relative difference between a velocity and its position's slope beyond which the two have different units.
+SLOPE_TOLERANCE = 0.3
+# Share of the signal's RMS that averaging a fast source may lose.
+RESOLVED = 3e-3
+# Least number of samples that remain of a trial, and largest number of samples that are averaged into one.
+LEAST, BINS_MOST = 500, 1024
+# Accuracy of stamps, in samples.
+DELAY_TOLERANCE = 0.2
+# Errors of a good nominal model, as shares of its lag and of the range.
+LAG_TOLERANCE, ZERO_TOLERANCE = 0.06, 0.001
+# Weights that extrapolate the straight line through three readings to the first one.
+_FIRST = np.array((5, 2, -1)) / 6
+_LAW = (
+    ("gain.scale", law.SCALE),
+    ("gain.offset", law.OFFSET),
+    ("deadband.width", law.WIDTH),
+    ("lag.rise", law.RISE),
+    ("lag.fall", law.FALL),
+    ("rate_limit.rate", law.RATE),
+    ("rate_limit.fall", law.DOWN),
+    ("acceleration_limit.acceleration", law.ACCELERATION),
+    ("second_order.damping", law.DAMPING),
+    ("second_order.coupling", law.COUPLING),
+    ("backlash.gap", law.GAP),
+    ("hysteresis.strength", law.STRENGTH),
+    ("hysteresis.width", law.LOOP),
+    ("sensor_bias.bias", law.BIAS),
+    ("coulomb_friction.loss", law.DRY),
+)
+# Key of a stage.yaml's model -> the parameters that it sets.
+_MODEL = {
+    "lag_s": ("lag.rise", "lag.fall"),
+    "delay_s": ("dead_time.delay",),
+    "rate_limit": ("rate_limit.rate", "rate_limit.fall"),
+    "acceleration_limit": ("acceleration_limit.acceleration",),
+}
+
+
+class TrackingView(RigView):
+    """View from the command to the measured channel, all trials of one stage."""
+
+    def __init__(self, trials: Sequence[Trial], unit: str | None = None) -> None:
+        """Prepare the trials of one tracking stage; `unit` replaces the measured channel's own unit.
+
+        Raises TrialError if the trials do not belong to one tracking stage, or lack a column.
+        """
+        about = stage_of(trials, ("tracking",), "tracking stage")
+        stage, given = about.name, about.model
+        column = _measured(stage, trials)
+        unit = unit or about.unit("measured", column) or MEASURED[column]
+        rate = max(resolving_hz(t.channel("measured"), column) for t in trials)
+        grids = [grid(t.channel("measured"), rate) for t in trials]
+        commands = [_mean_command(t.channel("command"), given) for t in trials]
+        seen = [g.columns[column] for g in grids]
+        means = [_held(g, c) for g, c in zip(grids, commands, strict=True)]
+        self.scales = scales([g.t_s for g in grids], means, seen)
+        shown = [
+            np.where(g.t_s - g.t_s[0] < _skipped(g, self.scales.late_s), np.nan, s)[:, None]
+            for g, s in zip(grids, seen, strict=True)
+        ]
+        step = resolution([t.channel("measured")[column] for t in trials])
+        signals = [_signals(g, m, s, self.scales) for g, m, s in zip(grids, means, seen, strict=True)]
+        found = tracking_effects(stage, unit, self.scales, velocity=column == "velocity")
+        super().__init__(stage, unit, (column,), found, [g.t_s for g in grids], shown, step, signals)
+        self.floor = np.maximum(self.floor, max(self.scales.noise, repeatability(means, seen)))
+        self.block_s = stretch([g.t_s for g in grids], seen, self.scales.late_s)
+        self._known = neutral_values(found) | {
+            path: float(np.ravel(given[key])[0]) for key in given for path in _MODEL.get(key, ())
+        }
+        self._grids, self._commands = grids, commands
+        self._starts = [float(_FIRST @ s[np.isfinite(s)][:3]) for s in seen]
+        sent = [t.channel("command") for t in trials]
+        self._changes_s = float(
+            np.median(np.concatenate([*(_between_changes(s) for s in sent), [self.scales.longest_s]]))
+        )
+        self._each = SUBSTEPS if len(self.t_s) <= FEW else 1
+        self._late: dict[tuple[int, float], tuple[Array, Array]] = {}
+
+    @property
+    def regimes(self) -> Mapping[str, NDArray[np.bool_]]:
+        """Parts of the data by how the command moves and on which side the error is."""
+        rate, error = self.features["command rate"], self.features["error"]
+        fast = float(np.quantile(np.abs(rate), 0.9)) or float(np.abs(rate).max())
+        still = np.abs(rate) < 0.02 * max(fast, 1e-12)
+        return {
+            "command standing": still,
+            "command moving slowly": ~still & (np.abs(rate) < 0.3 * fast),
+            "command moving fast": ~still & (np.abs(rate) >= 0.3 * fast),
+            "command rising": rate > 0.02 * fast,
+            "command falling": rate < -0.02 * fast,
+            "behind from below": error > 0,
+            "behind from above": error < 0,
+            "after a reversal": self.features["time since reversal"] < 4 * self.scales.late_s,
+        }
+
+    @property
+    def tolerances(self) -> Mapping[str, float]:
+        """Errors that a good nominal model may have, by 'effect.parameter'."""
+        delay = DELAY_TOLERANCE * self.scales.step_s
+        zero = max(float(self.floor.max()), ZERO_TOLERANCE * self.scales.reach)
+        lags = {path: LAG_TOLERANCE * self.nominal(path) for path in _MODEL["lag_s"] if self.nominal(path) > 0}
+        return lags | {
+            "dead_time.delay": delay, "latency.delay": delay, "gain.offset": zero, "sensor_bias.bias": zero
+        }  # fmt: skip
+
+    def unresolved(self, point: Point) -> Mapping[str, float]:
+        """Return half-widths of delays that change no sample: without a lag, half the time between commands."""
+        inert = ("lag.rise", "lag.fall") if np.isinf(self._value([point], "second_order.frequency")) else ()
+        if not inert or max(self._value([point], path) for path in inert) > self.scales.step_s:
+            return {}
+        return dict.fromkeys(("dead_time.delay", "latency.delay"), 0.5 * min(self.scales.step_s, self._changes_s))
+
+    @property
+    def model_uncertainty(self) -> Mapping[str, float]:
+        """Uncertainty of a delay next to a nominal lag: the lag's own tolerance.
+
+        How cascaded loops divide their total delay into lag and dead time depends on the form of the law.
+        """
+        late = max((LAG_TOLERANCE * self.nominal(path) for path in _MODEL["lag_s"] if path in self._known), default=0.0)
+        return dict.fromkeys(("dead_time.delay", "latency.delay"), late)
+
+    def _value(self, point: Sequence[Point], path: str, absent: float = 0.0) -> float:
+        """Value of a parameter at a point, or `absent` if this rig cannot show its effect."""
+        return float(self.values(point, path)[0]) if path in self._known else absent
+
+    def _gap(self, points: Sequence[Point], i: int) -> Array:
+        point = points[i : i + 1]
+        numbers = np.zeros(law.COLUMNS)
+        for path, at in _LAW:
+            numbers[at] = self._value(point, path)
+        numbers[law.PERIOD] = 1 / (2 * np.pi * self._value(point, "second_order.frequency"))
+        ceiling = self._value(point, "ceiling.limit", np.inf)
+        numbers[law.CEILING] = ceiling if ceiling < self._known.get("ceiling.limit", np.inf) else np.inf
+        # The law is the same: only the sum shows.
+        delay = self._value(point, "dead_time.delay") + self._value(point, "latency.delay")
+        parts = []
+        for k, g in enumerate(self._grids):
+            out = np.empty(len(g.t_s))
+            law.follow(*self._command(k, delay), self._starts[k], numbers, g.step_s / self._each, self._each, out)
+            parts.append(out)
+        return np.asarray(self.measured - np.concatenate(parts)[:, None])
+
+    def _command(self, k: int, delay_s: float) -> tuple[Array, Array]:
+        """Delayed command of trial k: its mean over every substep, and its value just before each substep's edge."""
+        key = (k, delay_s)
+        if key not in self._late:
+            if len(self._late) > 64 * len(self._grids):
+                self._late.clear()
+            g, (t, summed) = self._grids[k], self._commands[k]
+            h = g.step_s / self._each
+            edges = g.t_s[0] - delay_s + h * np.arange(len(g.t_s) * self._each + 1)
+            held = np.diff(summed) / np.diff(t)
+            last = np.clip(np.searchsorted(t, edges) - 1, 0, len(held) - 1)
+            self._late[key] = np.diff(np.interp(edges, t, summed)) / h, held[last]
+        return self._late[key]
+
+
+def velocity_warnings(trials: Sequence[Trial]) -> list[str]:
+    """Return a warning for every stage whose measured velocity is not the slope of its position."""
+    slopes: dict[str, list[float]] = {}
+    for trial in trials:
+        measured = trial.channel("measured")
+        if {"position", "velocity"} <= measured.columns.keys() and trial.stage is not None:
+            x, t, v = measured["position"], measured.t_s, measured["velocity"]
+            slope = (x[6:] - x[:-6]) / (t[6:] - t[:-6])
+            if slope @ slope > 0:
+                slopes.setdefault(trial.stage.name, []).append(float(slope @ v[3:-3] / (slope @ slope)))
+    return [
+        f"{stage}: the measured velocity is {np.median(found):.2g} times the slope of its position, so one of the two "
+        "has a wrong unit or scale. Only the position is used. Correct `unit` in the stage.yaml"
+        for stage, found in slopes.items()
+        if abs(np.median(found) - 1) > SLOPE_TOLERANCE
+    ]
+
+
+def _measured(stage: str, trials: Sequence[Trial]) -> str:
+    """Column that follows the command."""
+    columns = [t.channel("measured").columns for t in trials]
+    for name in MEASURED:
+        if all(name in each for each in columns):
+            return name
+    raise TrialError(f"{stage}: the measured channel needs a column {' or '.join(MEASURED)} in every trial; add it")
+
+
+def _mean_command(series: Series, model: Mapping[str, ModelValue]) -> tuple[Array, Array]:
+    """Stamps, and the integral of the nominal final value under the held command; extended at both ends."""
+    margin = float(series.t_s[-1] - series.t_s[0]) + 1.0
+    return held_integral(series, _nominal_end(series["command"], model), margin)
+
+
+def _nominal_end(command: Array, model: Mapping[str, ModelValue]) -> Array:
+    """Final value of the nominal model: by `map`, extrapolated beyond its ends, or by `gain` and `offset`."""
+    if "map" not in model:
+        gain, offset = (float(np.ravel(model.get(key, other))[0]) for key, other in (("gain", 1.0), ("offset", 0.0)))
+        return np.asarray(command * gain + offset)
+    at, reached = np.asarray(model["map"], dtype=float).T
+    slopes = np.diff(reached) / np.diff(at)
+    below, above = np.minimum(command - at[0], 0.0), np.maximum(command - at[-1], 0.0)
+    return np.asarray(np.interp(command, at, reached) + slopes[0] * below + slopes[-1] * above)
+
+
+def resolving_hz(series: Series, column: str) -> float:
+    """Return the lowest rate, Hz, at which averaging a measured column loses only noise; at most its source's rate."""
+    t, x = series.t_s, series[column]
+    usual = float(np.median(np.diff(t)))
+    noise, bins = white_noise([x]), 1
+    lost = (RESOLVED * float(np.std(x))) ** 2
+    while 2 * bins <= BINS_MOST and len(x) // (2 * bins) > LEAST:
+        wide = 2 * bins
+        whole = x[: len(x) // wide * wide].reshape(-1, wide)
+        place = np.arange(whole.size)
+        left = whole.ravel() - np.interp(place, place[::wide] + 0.5 * (wide - 1), whole.mean(axis=1))
+        if float(np.mean(left**2)) > 1.1 * noise**2 * (1 + 1 / wide) + lost:
+            break
+        bins = wide
+    return 1 / (usual * bins)
+
+
+def _between_changes(command: Series) -> Array:
+    """Times between changes of the command, s."""
+    return np.asarray(np.diff(command.t_s[np.flatnonzero(np.diff(command["command"], prepend=np.nan))]))
+
+
+def _skipped(g: Grid, late_s: float) -> float:
+    """Time that is skipped at a trial's start, s."""
+    return min(SKIPPED * float(g.t_s[-1] - g.t_s[0]), SETTLED * late_s)
+
+
+def _held(g: Grid, command: tuple[Array, Array]) -> Array:
+    """Mean of the command over every sample."""
+    t, summed = command
+    return np.asarray((np.interp(g.t_s + g.step_s, t, summed) - np.interp(g.t_s, t, summed)) / g.step_s)
+
+
+def _signals(g: Grid, u: Array, seen: Array, scale: TrackingScales) -> dict[str, Array]:
+    """Features for a flexible model of the residual."""
+    seen = np.interp(g.t_s, g.t_s[np.isfinite(seen)], seen[np.isfinite(seen)])
+    rate = np.gradient(u, g.step_s)
+    moving = np.abs(rate) > 1e-9 * scale.reach / scale.step_s
+    direction = np.sign(rate)[np.maximum.accumulate(np.where(moving, np.arange(len(u)), 0))]
+    signals = {
+        "command": u,
+        "command rate": rate,
+        "error": u - seen,
+        "time since reversal": time_since_change(g.t_s, direction),
+    }
+    if "effort" in g.columns:
+        signals["effort"] = np.nan_to_num(g.columns["effort"])
+    for name, times in (("a little", 1), ("some time", 3)):
+        back = min(max(1, round(times * scale.late_s / g.step_s)), len(u) - 1)
+        signals[f"command {name} before"] = np.concatenate((np.full(back, u[0]), u[:-back]))
+    return signals

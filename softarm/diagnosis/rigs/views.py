@@ -1,0 +1,151 @@
+"""Base class of all rigs' views."""
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from softarm.diagnosis.data.trials import TableStage, Trial, TrialError
+from softarm.diagnosis.engine.view import Array, Point
+from softarm.diagnosis.engine.whitened import BLOCK_S
+from softarm.simulator.effects import Effect
+
+# Prefixes of features that hold nothing of the view's own measured channels.
+INPUTS = ("command", "base", "force", "torque", "current", "time since reversal")
+# Share of a signal's RMS below which a residual counts as noise.
+FLOOR_SHARE = 1e-3
+
+
+def stage_of(trials: Sequence[Trial], kinds: Sequence[str], title: str) -> TableStage:
+    """Return the stage that all trials belong to; raise TrialError if it is not exactly one of these kinds."""
+    stages = {t.stage.name: t.stage for t in trials if t.stage is not None and t.stage.kind in kinds}
+    if len(stages) != 1 or any(t.stage is None for t in trials):
+        raise TrialError(f"diagnose one {title} at a time; these trials have {', '.join(sorted(stages)) or 'none'}")
+    return stages.popitem()[1]
+
+
+def neutral_values(effects: Sequence[Effect]) -> dict[str, float]:
+    """Return the neutral value of every parameter, by 'effect.parameter'."""
+    return {f"{e.name.rpartition('.')[2]}.{p.name}": p.neutral for e in effects for p in e.parameters}
+
+
+class RigView:
+    """View of one stage of a rig; implements `softarm.diagnosis.engine.view.View`.
+
+    Attributes:
+        block_s: length of a stretch of data that counts as independent of its neighbours, s.
+        fits_starts: whether the start of every window is fitted at every point.
+        restarts_few_effects: whether models with few effects are also fitted from their own starting values
+            (`Thresholds`). Measured to pay for chains only; other kinds were not measured.
+    """
+
+    block_s = BLOCK_S
+    fits_starts = False
+    restarts_few_effects = False
+    _known: dict[str, float]
+
+    def __init__(
+        self,
+        stage: str,
+        unit: str,
+        channels: tuple[str, ...],
+        effects: Sequence[Effect],
+        t_s: Sequence[Array],
+        measured: Sequence[Array],
+        step: float,
+        signals: Sequence[Mapping[str, Array]],
+    ) -> None:
+        """Join the samples of all trials.
+
+        Args:
+            stage: name of the stage.
+            unit: unit of every channel.
+            channels: names of the S measured channels.
+            effects: effects that the stage can have.
+            t_s: stamps of each trial, [T].
+            measured: measured values of each trial, [T, S].
+            step: resolution of the encoder, in `unit`; 0 if it has none.
+            signals: features of each trial by name, [T] each.
+        """
+        self.stage, self.unit, self.channels, self.effects = stage, unit, channels, tuple(effects)
+        self.t_s: Array = np.concatenate(t_s)
+        self.trial: NDArray[np.int64] = np.repeat(np.arange(len(t_s)), [len(t) for t in t_s])
+        self.measured: Array = np.concatenate(measured)
+        swing = np.sqrt(np.nanmean((self.measured - np.nanmean(self.measured, axis=0)) ** 2, axis=0))
+        self.floor: Array = np.maximum(FLOOR_SHARE * swing, max(step, 1e-9))
+        self.noise: Array = np.zeros(len(channels))
+        self.acts = frozenset(f"{e.name}.{n.name}" for e in self.effects for n in e.parameters)
+        self.features: Mapping[str, Array] = {name: np.concatenate([s[name] for s in signals]) for name in signals[0]}
+
+    @classmethod
+    def windows(cls, trial: Trial) -> tuple[Trial, ...]:
+        """Cut a trial into the windows that the view is made of; the start of each window is fitted."""
+        return (trial,)
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """Warnings about the data, for the reader of the verdict."""
+        return ()
+
+    @property
+    def regimes(self) -> Mapping[str, NDArray[np.bool_]]:
+        """Parts of the data by name, [M] masks."""
+        return {}
+
+    def nominal(self, path: str) -> float:
+        """Return a parameter of the nominal model; `path` is 'effect.parameter'."""
+        return self._known[path]
+
+    def values(self, points: Sequence[Point], path: str) -> Array:
+        """Return the value of 'effect.parameter' at each of P points, [P]."""
+        name = f"{self.stage}.{path}"
+        return np.array([point.get(name, self.nominal(path)) for point in points], dtype=float)
+
+    @property
+    def indistinguishable(self) -> Mapping[str, tuple[str, ...]]:
+        """Effect -> effects that no recording of such a stage can separate from it: one is fitted, all are named.
+
+        Of a dead time and a latency, only the sum shows.
+        """
+        pair = f"{self.stage}.dead_time", f"{self.stage}.latency"
+        return {pair[0]: pair[1:]} if {effect.name for effect in self.effects} >= set(pair) else {}
+
+    @property
+    def tolerances(self) -> Mapping[str, float]:
+        """Errors that a good nominal model may have: 'effect.parameter' -> half-width, instead of the usual ones."""
+        return {}
+
+    def unresolved(self, point: Point) -> Mapping[str, float]:
+        """Return half-widths of the ranges in which parameters change no sample: 'effect.parameter' -> half-width."""
+        return {}
+
+    @property
+    def model_uncertainty(self) -> Mapping[str, float]:
+        """Uncertainty from the form of the law itself: 'effect.parameter' -> half-width to add to its interval."""
+        return {}
+
+    @property
+    def echoes(self) -> frozenset[str]:
+        """Features that contain the view's own measured channels, so their noise is in the residual too."""
+        return frozenset(name for name in self.features if not name.startswith(INPUTS))
+
+    @property
+    def own_nuisances(self) -> Mapping[str, float]:
+        """Nuisances of this view alone: name -> share of its own value at the edge of its box."""
+        return {}
+
+    def own_directions(self) -> NDArray[np.float32]:
+        """Return how the gap changes with each own nuisance up to the edge of its box, [q, M, S]."""
+        return np.empty((0, *self.measured.shape), np.float32)
+
+    def start_directions(self) -> NDArray[np.float32] | None:
+        """Return how the gap changes with the start of each trial, [d, M, S]; None if starts are measured."""
+        return None
+
+    def gap(self, points: Sequence[Point]) -> NDArray[np.float32]:
+        """Return measured minus predicted values at each of P points, [P, M, S]; NaN where no sample was measured."""
+        return np.stack([self._gap(points, i) for i in range(len(points))]).astype(np.float32)
+
+    def _gap(self, points: Sequence[Point], i: int) -> Array:
+        """Return measured minus predicted values at point i, [M, S]."""
+        raise NotImplementedError

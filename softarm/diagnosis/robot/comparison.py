@@ -1,0 +1,91 @@
+"""Comparison of the robot's trials with a nominal model: grid, views, and the tip simulated from commands."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from softarm.diagnosis.data.trials import Trial, TrialError
+from softarm.diagnosis.engine.problem import Setup
+from softarm.diagnosis.engine.search import Progress
+from softarm.diagnosis.engine.view import Array, Point
+from softarm.diagnosis.engine.whitened import BLOCK_S, Key, blocks_of
+from softarm.diagnosis.robot.candidates import nuisances
+from softarm.diagnosis.robot.chain import tip_gap
+from softarm.diagnosis.robot.drive import with_identified_drive
+from softarm.diagnosis.robot.trial_grid import TrialGrid, on_grid
+from softarm.diagnosis.robot.views import RobotView, robot_views
+from softarm.schemas.model import Model
+
+Gap = NDArray[np.float32]
+
+
+class TipGaps:
+    """Cache of the tip's gaps, simulated from commands alone."""
+
+    def __init__(self, grid: TrialGrid, model: Model) -> None:
+        self._grid, self._model = grid, model
+        self._found: dict[Key, Gap] = {}
+
+    def fetch(self, points: Sequence[Point]) -> Gap:
+        """Return measured minus simulated tip (y, z) at each point, m, [P, M, 2]."""
+        keys = [tuple(sorted(point.items())) for point in points]
+        if missing := [key for key in dict.fromkeys(keys) if key not in self._found]:
+            gaps = tip_gap(self._grid, self._model, [dict(key) for key in missing])
+            self._found |= zip(missing, gaps, strict=True)
+        return np.stack([self._found[key] for key in keys])
+
+
+@dataclass(frozen=True, slots=True)
+class Comparison:
+    """Trials of the robot next to a nominal model."""
+
+    trials: tuple[Trial, ...]
+    nominal: Model
+    model: Model  # the nominal model, with the drive that the trials show
+    grid: TrialGrid
+    views: tuple[RobotView, ...]
+    setup: Setup
+    tips: TipGaps
+
+    @property
+    def kinds(self) -> list[str]:
+        """Return the excitation of each trial."""
+        return [trial.kind for trial in self.trials]
+
+    @property
+    def stages(self) -> tuple[str, ...]:
+        """Return the stages that the trials show."""
+        return tuple(view.stage for view in self.views)
+
+    def held_out(self, gaps: NDArray[np.floating]) -> Gap:
+        """Return each sample's gap [M, S] from gaps by fold [F, M, S]: the one whose fit did not use the sample."""
+        folds = np.unique(self.setup.fold, return_inverse=True)[1]
+        fold = dict(zip(self.setup.blocks, folds, strict=True))
+        own = np.zeros(gaps.shape[1], dtype=np.int64)
+        for name, a, b in blocks_of(self.views[0], BLOCK_S):
+            own[a:b] = fold[name]
+        return np.asarray(gaps[own, np.arange(len(own))])
+
+    def squares(self, gap: NDArray[np.floating], trial: NDArray[np.int64]) -> Array:
+        """Return the squares of a gap [M, S] in each trial, [K]."""
+        return np.array([np.nansum(gap[trial == k].astype(float) ** 2) for k in range(len(self.trials))])
+
+
+def compare(trials: Sequence[Trial], nominal: Model, progress: Progress) -> Comparison:
+    """Prepare the comparison of trials with a nominal model.
+
+    Raises:
+        TrialError: no stage can be compared.
+    """
+    progress("resampling the trials", 0.02)
+    grid = on_grid(trials, nominal)
+    kinds = [trial.kind for trial in trials]
+    model = with_identified_drive(grid, nominal, kinds)
+    views = robot_views(grid, model)
+    if not views:
+        raise TrialError(f"{trials[0].source}: no stage can be compared; record pressure, rail or mocap as well")
+    progress("simulating each stage alone", 0.08)
+    setup = Setup(views, nuisances(model), kinds)
+    return Comparison(tuple(trials), nominal, model, grid, views, setup, TipGaps(grid, model))

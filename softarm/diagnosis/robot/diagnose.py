@@ -1,0 +1,275 @@
+"""Diagnosis of the robot: from trials and a nominal model to the answer."""
+
+import time
+from collections.abc import Sequence
+
+import numpy as np
+
+from softarm.diagnosis.answer import rivals
+from softarm.diagnosis.answer.assembly import Answer, StageAnswer, assemble, share
+from softarm.diagnosis.answer.evidence import overlays, regimes, spectrum
+from softarm.diagnosis.data.trials import Trial
+from softarm.diagnosis.engine.candidates import point_of
+from softarm.diagnosis.engine.confidence import confidence, margins
+from softarm.diagnosis.engine.decision import Decision, Kind, stage_of, stage_shares
+from softarm.diagnosis.engine.examination import Examination
+from softarm.diagnosis.engine.fits import Fit
+from softarm.diagnosis.engine.result import Diagnosis, Unexplained
+from softarm.diagnosis.engine.search import Choice, Progress, SelectedEffect
+from softarm.diagnosis.engine.shrink import widened
+from softarm.diagnosis.engine.thresholds import ROBOT
+from softarm.diagnosis.engine.view import Array, Point
+from softarm.diagnosis.robot import experiments, regime
+from softarm.diagnosis.robot.candidates import candidates
+from softarm.diagnosis.robot.comparison import Comparison, compare
+from softarm.diagnosis.robot.counts import Count, counts
+from softarm.diagnosis.robot.decided import Decided, decide
+from softarm.diagnosis.robot.drive import SERVO
+from softarm.diagnosis.robot.shrinks import effect_shrink, stage_gap, tip_gap
+from softarm.diagnosis.robot.trial_grid import RATE_HZ
+from softarm.schemas.model import Model
+from softarm.schemas.verdict import Estimate, NamedEffect, NextExperiment, Shrink, Where
+from softarm.simulator.effects import REGISTRY, STAGES, find
+
+ALWAYS_SHOWN = ("clock", "observation")  # counted stages that are listed without a named effect as well
+KINDS_LEAST = 3  # kinds of excitation
+AT_BOUND_MIN = 50.0  # gain of an effect at its bound that is worth a warning
+
+
+def diagnose_robot(trials: Sequence[Trial], nominal: Model, progress: Progress) -> Diagnosis:
+    """Return the diagnosis of the robot.
+
+    Args:
+        trials: trials of the robot.
+        nominal: nominal model.
+        progress: called with the current step and the finished share, 0 to 1.
+
+    Raises:
+        TrialError: no stage can be compared.
+    """
+    started = time.monotonic()
+    comparison = compare(trials, nominal, progress)
+    found = Examination(
+        comparison.setup,
+        candidates(comparison.model),
+        comparison.kinds,
+        ROBOT,
+        lambda what, done: progress(what, 0.12 + 0.63 * done),
+    )
+    progress("fitting a flexible model", 0.75)
+    decided = decide(comparison, found)
+    counted = counts(comparison.trials, comparison.model)
+    progress("measuring the shrink of the gap", 0.85)
+    answer = _answer(comparison, found, decided, counted)
+    named = [count for count in counted if count.named]
+    patched = None
+    if decided.decision.selected or named:
+        patched = _patched(comparison.model, decided.decision, found.choice, named)
+    return assemble(answer, comparison.trials, started, nominal, patched)
+
+
+def _answer(comparison: Comparison, found: Examination, decided: Decided, counted: Sequence[Count]) -> Answer:
+    choice, decision = found.choice, decided.decision
+    named = [count for count in counted if count.named]
+    energies: dict[str, float] = {}
+    for count in named:
+        energies[count.stage] = energies.get(count.stage, 0.0) + (count.before / count.floor) ** 2
+    shares = stage_shares(decision, energies)
+    kind: Kind = decision.kind
+    if named:
+        kind = "named" if kind in ("none", "named") else "incomplete"
+    stage = None if kind == "none" else stage_of(shares, STAGES)
+    point = _point(decision, choice)
+    bounds = found.search.problem.interval(choice.chosen)
+    effects = [
+        _named_effect(comparison, found, bounds, effect, _fold_points(choice.chosen, point))
+        for effect in decision.selected
+    ]
+    effects += [_count_effect(count) for count in named]
+    return Answer(
+        kind=kind,
+        where=Where(stage=stage, share=shares, regime=_regime(comparison, stage)),
+        effects=tuple(sorted(effects, key=lambda e: -shares.get(e.name.partition(".")[0], 0.0))),
+        stages=tuple(_stages(comparison, found, decided, counted, point)),
+        rivals=rivals.by_gain(found.search, choice, decision.selected),
+        nuisances=comparison.setup.fitted_nuisances(choice.chosen),
+        margins=margins(decision.selected),
+        held_out=comparison.setup.held_out,
+        next_experiment=_next(comparison, found, decision),
+        warnings=tuple(_warnings(comparison, choice, decision)),
+    )
+
+
+def _regime(comparison: Comparison, stage: str | None) -> str:
+    if stage is None:
+        return "nowhere"
+    for view, gaps in zip(comparison.views, comparison.setup.gaps, strict=True):
+        if view.stage == stage:
+            return regime.in_words(view, gaps.fetch([{}])[()])
+    return "throughout"
+
+
+def _named_effect(
+    comparison: Comparison,
+    found: Examination,
+    bounds: tuple[Array, Array],
+    effect: SelectedEffect,
+    points: Sequence[Point],
+) -> NamedEffect:
+    """Return a named effect; bounds: low and high of all chosen parameters."""
+    fit = found.choice.chosen
+    i = fit.names.index(effect.candidate.name)
+    first = sum(len(c.parameters) for c in fit.effects[:i])
+    parameters = {}
+    for j, parameter in enumerate(effect.candidate.parameters):
+        value = parameter.value(fit.u[i][j])
+        ends = [parameter.value(bound[first + j]) for bound in bounds]
+        if np.isfinite(value):
+            finite = [x if np.isfinite(x) else find(parameter.path)[1].high for x in (value, *ends)]
+            name = parameter.path.rpartition(".")[2]
+            parameters[name] = Estimate(value=value, low=min(finite), high=max(finite), unit=parameter.unit)
+    return NamedEffect(
+        name=effect.candidate.name,
+        parameters=parameters,
+        confidence=confidence("robot", effect),
+        equivalents=effect.equivalents,
+        shrink=effect_shrink(comparison, found, effect, points),
+    )
+
+
+def _count_effect(count: Count) -> NamedEffect:
+    """Return an effect that was measured from stamps and noise."""
+    estimate = Estimate(value=count.value, low=count.low, high=count.high, unit=count.unit)
+    parameters = {count.parameter: estimate} if count.parameter else {}
+    spread = (count.high - count.low) / max(2 * abs(count.value - count.nominal), 1e-12) if count.parameter else 0.1
+    stage = share(count.shrink, *widened(count.shrink, count.shrink - spread, count.shrink + spread))
+    return NamedEffect(name=count.name, parameters=parameters, shrink=Shrink(stage=stage))
+
+
+def _stages(
+    comparison: Comparison, found: Examination, decided: Decided, counted: Sequence[Count], point: Point
+) -> list[StageAnswer]:
+    """Return the gaps of all stages, of effects measured from stamps and noise, and of the whole chain."""
+    points = _fold_points(found.choice.chosen, point)
+    answers = []
+    for view, gaps in zip(comparison.views, comparison.setup.gaps, strict=True):
+        gap = stage_gap(comparison, view, gaps, points)
+        fetched = gaps.fetch([{}, point])
+        before, after = fetched[()], fetched[gaps.key(point)] if point else None
+        flexible, features = found.flexible.get(view.stage, (0.0, None))
+        explained = decided.decision.explained
+        shown = None if len(view.channels) <= 2 else (len(view.channels) // 2 - 1, len(view.channels) - 1)
+        answers.append(
+            StageAnswer(
+                stage=view.stage,
+                unit=view.unit,
+                before=gap.before,
+                after=gap.after,
+                floor=decided.floors[view.stage],
+                ceiling=gap.after * float(np.sqrt(1 - flexible)),
+                overlays=overlays(view, comparison.trials, before, after, shown),
+                spectrum=spectrum(view, before, after, RATE_HZ),
+                regimes=regimes(view, before, after, regime.LEAST_S),
+                unexplained=None if features is None else Unexplained(view.stage, explained, tuple(features.items())),
+                total_shrink=gap.total_shrink if point else None,
+            )
+        )
+    answers += _counted_stages(counted, {each.stage for each in answers})
+    tip = tip_gap(comparison, points)
+    if tip is not None and decided.chain_floor is not None:
+        total = tip.total_shrink if point else None
+        answers.append(StageAnswer("chain", "m", tip.before, tip.after, decided.chain_floor, None, total_shrink=total))
+    return answers
+
+
+def _counted_stages(counted: Sequence[Count], known: set[str]) -> list[StageAnswer]:
+    answers: dict[str, StageAnswer] = {}
+    for count in sorted(counted, key=lambda count: not count.named):
+        if count.stage not in known and count.stage not in answers and (count.named or count.stage in ALWAYS_SHOWN):
+            before, floor = round(count.before, 9), round(count.floor, 9)
+            after = round(count.after if count.named else count.before, 9)
+            answers[count.stage] = StageAnswer(count.stage, count.unit, before, after, floor, after)
+    return list(answers.values())
+
+
+def _next(comparison: Comparison, found: Examination, decision: Decision) -> NextExperiment | None:
+    """Return a flight that separates a set, a note that none does, or a repeat of the worst trial."""
+    asked = None
+    for effect in decision.selected:
+        close = [fit for fit, _ in effect.rivals if fit.effects[-1].name in effect.equivalents]
+        if close:
+            explanations = {effect.candidate.name: found.choice.chosen.point}
+            explanations |= {fit.effects[-1].name: fit.point for fit in close[:3]}
+            plan = experiments.splitting(comparison.model, explanations, found.plain, comparison.kinds)
+            if plan is not None and plan.expect:
+                return plan
+            asked = asked or plan
+    if asked is not None or decision.kind not in ("unknown", "incomplete"):
+        return asked
+    return experiments.repeated(_worst_kind(comparison, found))
+
+
+def _worst_kind(comparison: Comparison, found: Examination) -> str:
+    """Return the excitation of the trial with the largest gap, in the stage with the largest residual."""
+    after = found.choice.energies[1]
+    pairs = zip(comparison.views, found.plain.whitened, strict=True)
+    view, residual = max(pairs, key=lambda pair: after[pair[0].stage])
+    rows = residual.moments([{}])[0].rows.reshape(len(view.trial), -1)
+    squares = [
+        float((rows[view.trial == k] ** 2).mean()) if (view.trial == k).any() else 0.0
+        for k in range(len(comparison.trials))
+    ]
+    return comparison.trials[int(np.argmax(squares))].kind
+
+
+def _warnings(comparison: Comparison, choice: Choice, decision: Decision) -> list[str]:
+    found = [warning for trial in comparison.trials for warning in trial.warnings]
+    if comparison.model is not comparison.nominal:
+        found.append(f"the drive behaves like a servo, and the model has none: {SERVO} is added to both models")
+    for trial in comparison.trials:
+        found += [f"{trial.name}: {text}" for text in trial.not_observable.values()]
+    if len(set(comparison.kinds)) < KINDS_LEAST:
+        found.append(
+            "fewer than three kinds of excitation: wrong effects may fit as well; record more (softarm excite)"
+        )
+    found += [f"{stage}: {where}; no known effect explains it" for stage, where in decision.structure.items()]
+    for effect in choice.selected:
+        if effect not in decision.selected:
+            found.append(f"{effect.candidate.name} is not named: it shrinks the gap but leaves more than it explains")
+    for fit, gain in choice.alone[:3]:
+        if fit.at_bound and gain.value > AT_BOUND_MIN:
+            found.append(f"{fit.names[0]} is not named: it explains part of the gap only at the end of its range")
+    return found
+
+
+def _fold_points(chosen: Fit, point: Point) -> list[Point]:
+    """Return the named effects' parameters, fitted without each fold."""
+    return [{path: each[path] for path in point} for each in chosen.fold_points]
+
+
+def _point(decision: Decision, choice: Choice) -> dict[str, float]:
+    """Return the parameters of the named effects."""
+    named = {effect.candidate.name for effect in decision.selected}
+    pairs = [(c, u) for c, u in zip(choice.chosen.effects, choice.chosen.u, strict=True) if c.name in named]
+    return point_of(tuple(c for c, _ in pairs), tuple(u for _, u in pairs))
+
+
+def _patched(model: Model, decision: Decision, choice: Choice, named: Sequence[Count]) -> Model:
+    """Return the nominal model with the named effects, without an effect that the robot does not have."""
+    effects = {name: dict(values) for name, values in model.effects.items()}
+    point = _point(decision, choice)
+    for effect in decision.selected:
+        name = effect.candidate.name
+        values = {p.name: point[f"{name}.{p.name}"] for p in REGISTRY[name].parameters}
+        if all(values[p.name] == p.neutral for p in REGISTRY[name].parameters if p.default is None):
+            effects.pop(name, None)
+        else:
+            effects[name] = values
+    for count in named:
+        if count.parameter:
+            effects.setdefault(count.name, {})[count.parameter] = count.value
+        elif count.present:
+            effects[count.name] = {}
+        else:
+            effects.pop(count.name, None)
+    return model.model_copy(update={"effects": effects})

@@ -1,0 +1,378 @@
+"""NatNet, the UDP protocol of OptiTrack's Motive: rigid bodies and clocks of versions 3.0 to 4.x.
+
+Little-endian: message u16, bytes of payload u16, payload. The layouts are those of the SDK's samples;
+docs/hardware/bridge.md states which were tested. `decode` raises ValueError, and nothing else, for invalid datagrams.
+"""
+
+import struct
+from collections.abc import Callable, Mapping
+from typing import NamedTuple
+
+# Bytes of the longest UDP datagram.
+LONGEST = 65_507
+NAME_BYTES = 256
+# A newer 4.x is decoded as 4.1; the total length then confirms the layout.
+SUPPORTED = ((3, 0), (4, 4))
+
+(CONNECT, SERVER_INFO, REQUEST, RESPONSE, REQUEST_MODELS, MODELS) = range(6)
+FRAME, KEEP_ALIVE, ECHO_REQUEST, ECHO_RESPONSE, DISCONNECT = 7, 10, 12, 13, 9
+# Flag of a rigid body.
+TRACKED = 1
+# Flags of a frame.
+RECORDING, MODELS_CHANGED, EDIT_MODE = 1, 2, 4
+
+Version = tuple[int, int]
+Vector = tuple[float, float, float]
+# x, y, z, w
+Quaternion = tuple[float, float, float, float]
+
+_HEAD, _COUNT, _SHORT = struct.Struct("<HH"), struct.Struct("<I"), struct.Struct("<h")
+_BODY = struct.Struct("<i3f4ffh")
+_STAMPS, _PRECISION, _END = struct.Struct("<IIdQQQ"), 8, 4
+_SERVER = struct.Struct("<256s4B4BQHB4s")
+_ECHO = struct.Struct("<QQ")
+_MARKER, _LABELED = 12, 26
+
+
+class Body(NamedTuple):
+    """Streamed rigid body: position, m, and unit quaternion in the cameras' coordinates.
+
+    `error_m` is the mean distance of the markers from their nominal positions.
+    """
+
+    id: int
+    position_m: Vector
+    orientation: Quaternion
+    error_m: float
+    tracked: bool
+
+
+class Frame(NamedTuple):
+    """One frame. Stamps are ticks of the server's clock, 0 if the cameras do not provide them.
+
+    `exposed` is the middle of the exposure, `received` the arrival of the data in the server. `parameters` holds
+    RECORDING, MODELS_CHANGED and EDIT_MODE.
+    """
+
+    number: int
+    bodies: tuple[Body, ...]
+    exposed: int
+    received: int
+    sent: int
+    parameters: int
+
+
+class Server(NamedTuple):
+    """Description of a server; `group` is its multicast group, None for unicast."""
+
+    name: str
+    application: tuple[int, int, int, int]
+    natnet: tuple[int, int, int, int]
+    clock_hz: int
+    data_port: int
+    group: str | None
+
+    @property
+    def version(self) -> Version:
+        """Version of the layout of its frames."""
+        return self.natnet[:2]
+
+
+class Models(NamedTuple):
+    """Streaming ids of the rigid bodies by name."""
+
+    ids: Mapping[str, int]
+
+
+class Echo(NamedTuple):
+    """Answer to `echo`: the stamp of the request, and the server's clock."""
+
+    stamp: int
+    ticks: int
+
+
+class Other(NamedTuple):
+    """Message of a type that the bridge does not use."""
+
+    message: int
+
+
+Message = Frame | Server | Models | Echo | Other
+
+
+def connect() -> bytes:
+    """Return a request for the stream: the server answers with `Server` and, in unicast, with frames."""
+    sender = struct.pack("<256s4B4B", b"softarm", 1, 0, 0, 0, 4, 1, 0, 0)
+    # The zero options request all data, in the server's own version.
+    return _message(CONNECT, sender + bytes(5))
+
+
+def keep_alive() -> bytes:
+    """Return a keep-alive: a unicast server forgets silent clients. It is not answered."""
+    return _message(KEEP_ALIVE)
+
+
+def disconnect() -> bytes:
+    """Return the message that ends the stream."""
+    return _message(DISCONNECT)
+
+
+def request_models() -> bytes:
+    """Return a request for `Models`."""
+    return _message(REQUEST_MODELS)
+
+
+def request_layout(version: Version) -> bytes:
+    """Return a request to a unicast server (4.0 or newer) for frames in an older layout than its own."""
+    return _message(REQUEST, f"Bitstream,{version[0]}.{version[1]}".encode() + b"\0")
+
+
+def echo(stamp: int) -> bytes:
+    """Return a request for the server's clock; the stamp may be 0 to 2^64 - 1."""
+    return _message(ECHO_REQUEST, struct.pack("<Q", stamp))
+
+
+def decode(datagram: bytes, version: Version | None) -> Message:
+    """Return the message in a datagram of a server.
+
+    Args:
+        datagram: Received bytes.
+        version: The server's `Server.version`, needed for frames and models.
+
+    Raises:
+        ValueError: The datagram is invalid.
+    """
+    if len(datagram) < _HEAD.size:
+        raise ValueError(f"a datagram of {len(datagram)} bytes; a NatNet message has {_HEAD.size} or more")
+    message, size = _HEAD.unpack_from(datagram)
+    if size != len(datagram) - _HEAD.size:
+        raise ValueError(f"message {message} declares {size} bytes and has {len(datagram) - _HEAD.size}")
+    if message not in _READ:
+        return Other(message)
+    if message in (FRAME, MODELS):
+        if version is None:
+            raise ValueError("frames arrived before the server's version")
+        if not (3, 0) <= version < (5, 0):
+            raise ValueError(
+                f"NatNet {version[0]}.{version[1]} is not read; 3.0 to 4.x are: see docs/hardware/bridge.md"
+            )
+    return _READ[message](_Reader(datagram, _HEAD.size), version or (0, 0))
+
+
+def _message(message: int, payload: bytes = b"") -> bytes:
+    return _HEAD.pack(message, len(payload)) + payload
+
+
+class _Reader:
+    """Reader of a datagram; reading beyond its end raises ValueError with the name of the item."""
+
+    def __init__(self, data: bytes, at: int) -> None:
+        self.data, self.at = data, at
+
+    @property
+    def left(self) -> int:
+        return len(self.data) - self.at
+
+    def skip(self, size: int, what: str) -> None:
+        if size > self.left:
+            raise ValueError(f"{what}: {size} bytes, where {self.left} are left of the datagram")
+        self.at += size
+
+    def take(self, layout: struct.Struct, what: str) -> tuple[int, ...]:
+        begin = self.at
+        self.skip(layout.size, what)
+        return layout.unpack_from(self.data, begin)
+
+    def count(self, what: str) -> int:
+        return self.take(_COUNT, f"the number of {what}")[0]
+
+    def text(self, what: str) -> str:
+        end = self.data.find(b"\0", self.at)
+        if end < 0:
+            raise ValueError(f"{what}: no end of the text within the datagram")
+        text, self.at = self.data[self.at : end], end + 1
+        return text.decode("utf-8", "replace")
+
+    def all_read(self, what: str, *may_be_left: int) -> None:
+        if self.left not in (0, *may_be_left):
+            raise ValueError(f"{what}: {self.left} bytes are left over: the layout is not that of the server's version")
+
+
+def _frame(reader: _Reader, version: Version) -> Frame:
+    number = reader.count("the frame")
+    sized = version >= (4, 1)
+    _section(reader, sized, "marker sets", _skip_marker_set)
+    _section(reader, sized, "unlabeled markers", _skipping(_MARKER, "a marker"))
+    bodies = _bodies(reader, sized)
+    _section(reader, sized, "skeletons", _skip_skeleton)
+    if sized:
+        _section(reader, sized, "assets", _skip_skeleton)
+    _section(reader, sized, "labeled markers", _skipping(_LABELED, "a labeled marker"))
+    _section(reader, sized, "force plates", _skip_channels)
+    _section(reader, sized, "devices", _skip_channels)
+    *_, exposed, received, sent = reader.take(_STAMPS, "stamps")
+    # The vendor's samples disagree on whether 4.0 has a precise stamp; the datagram's length decides.
+    if sized or (version == (4, 0) and reader.left == _PRECISION + _SHORT.size + _END):
+        reader.skip(_PRECISION, "the precise stamp")
+    (parameters,) = reader.take(_SHORT, "parameters")
+    reader.skip(_END, "the frame's end")
+    reader.all_read("a frame")
+    return Frame(number, bodies, exposed, received, sent, parameters)
+
+
+def _section(reader: _Reader, sized: bool, what: str, skip_one: Callable[[_Reader], None]) -> None:
+    """Skip a section of counted items."""
+    count = reader.count(what)
+    if sized:
+        reader.skip(reader.count(f"bytes of {what}"), what)
+        return
+    # Each item has a byte or more, so the end of the datagram bounds a wrong count.
+    for _ in range(count):
+        skip_one(reader)
+
+
+def _bodies(reader: _Reader, sized: bool) -> tuple[Body, ...]:
+    count = reader.count("rigid bodies")
+    if sized and (size := reader.count("bytes of rigid bodies")) != count * _BODY.size:
+        raise ValueError(f"{count} rigid bodies in {size} bytes; each has {_BODY.size}")
+    begin = reader.at
+    reader.skip(count * _BODY.size, f"{count} rigid bodies")
+    read = _BODY.iter_unpack(reader.data[begin : reader.at])
+    return tuple(Body(id, (x, y, z), (a, b, c, d), e, bool(p & TRACKED)) for id, x, y, z, a, b, c, d, e, p in read)
+
+
+def _skipping(size: int, what: str) -> Callable[[_Reader], None]:
+    return lambda reader: reader.skip(size, what)
+
+
+def _skip_marker_set(reader: _Reader) -> None:
+    reader.text("a marker set's name")
+    reader.skip(_MARKER * reader.count("a set's markers"), "a set's markers")
+
+
+def _skip_skeleton(reader: _Reader) -> None:
+    reader.skip(4, "a skeleton")
+    reader.skip(_BODY.size * reader.count("a skeleton's bones"), "a skeleton's bones")
+
+
+def _skip_channels(reader: _Reader) -> None:
+    reader.skip(4, "a device")
+    for _ in range(reader.count("channels")):
+        reader.skip(4 * reader.count("a channel's values"), "a channel's values")
+
+
+def _server(reader: _Reader, _: Version) -> Server:
+    # A later version may append fields.
+    if reader.left < _SERVER.size:
+        raise ValueError(f"a server's answer of {reader.left} bytes; it has {_SERVER.size}")
+    name, *rest = _SERVER.unpack_from(reader.data, reader.at)
+    clock_hz, data_port, is_multicast, group = rest[8:]
+    if clock_hz == 0:
+        raise ValueError("the server's clock has 0 ticks a second; NatNet 3.0 or newer is needed")
+    return Server(
+        name.split(b"\0")[0].decode("utf-8", "replace"),
+        (rest[0], rest[1], rest[2], rest[3]),
+        (rest[4], rest[5], rest[6], rest[7]),
+        clock_hz,
+        data_port,
+        ".".join(map(str, group)) if is_multicast else None,
+    )
+
+
+def _echo(reader: _Reader, _: Version) -> Echo:
+    stamp, ticks = reader.take(_ECHO, "an echo")
+    reader.all_read("an echo")
+    return Echo(stamp, ticks)
+
+
+_RIGID_BODY = 1
+
+
+def _models(reader: _Reader, version: Version) -> Models:
+    ids: dict[str, int] = {}
+    for _ in range(reader.count("models")):
+        kind = reader.count("a model")
+        end = None
+        if version >= (4, 1):
+            size = reader.count("bytes of a model")
+            end = reader.at + size
+            if size > reader.left:
+                raise ValueError(f"a model of {size} bytes, where {reader.left} are left of the datagram")
+        if kind == _RIGID_BODY:
+            name, id = reader.text("a rigid body's name"), reader.count("a rigid body's id")
+            ids[name] = id
+            if end is None:
+                _skip_rigid_body(reader, version)
+        elif end is None:
+            if kind not in _SKIP_MODEL:
+                raise ValueError(f"a model of kind {kind}, unknown in NatNet {version[0]}.{version[1]}")
+            _SKIP_MODEL[kind](reader, version)
+        if end is not None:
+            if reader.at > end:
+                raise ValueError(f"a model is longer than its declared {size} bytes")
+            reader.at = end
+    reader.all_read("models", _END)
+    return Models(ids)
+
+
+def _skip_rigid_body(reader: _Reader, version: Version) -> None:
+    """Skip the fields after name and id."""
+    reader.skip(16, "a rigid body's parent and offset")
+    count = reader.count("a rigid body's markers")
+    reader.skip(16 * count, "a rigid body's markers")
+    if version >= (4, 0):
+        _skip_texts(reader, count)
+
+
+def _skip_texts(reader: _Reader, count: int) -> None:
+    for _ in range(count):
+        reader.text("a name")
+
+
+def _skip_set_model(reader: _Reader, _: Version) -> None:
+    reader.text("a marker set's name")
+    _skip_texts(reader, reader.count("names"))
+
+
+def _skip_skeleton_model(reader: _Reader, version: Version) -> None:
+    reader.text("a skeleton's name")
+    reader.skip(4, "a skeleton's id")
+    for _ in range(reader.count("bones")):
+        reader.text("a bone's name")
+        reader.skip(4, "a bone's id")
+        _skip_rigid_body(reader, version)
+
+
+def _skip_plate_model(reader: _Reader, _: Version) -> None:
+    reader.skip(4, "a force plate's id")
+    reader.text("a force plate's number")
+    reader.skip(4 * (2 + 3 + 144 + 12 + 2), "a force plate")
+    _skip_texts(reader, reader.count("channels"))
+
+
+def _skip_device_model(reader: _Reader, _: Version) -> None:
+    reader.skip(4, "a device's id")
+    reader.text("a device's name")
+    reader.text("a device's number")
+    reader.skip(8, "a device")
+    _skip_texts(reader, reader.count("channels"))
+
+
+def _skip_camera_model(reader: _Reader, _: Version) -> None:
+    reader.text("a camera's name")
+    reader.skip(28, "a camera")
+
+
+_SKIP_MODEL: Mapping[int, Callable[[_Reader, Version], None]] = {
+    0: _skip_set_model,
+    2: _skip_skeleton_model,
+    3: _skip_plate_model,
+    4: _skip_device_model,
+    5: _skip_camera_model,
+}
+_READ: Mapping[int, Callable[[_Reader, Version], Message]] = {
+    SERVER_INFO: _server,
+    MODELS: _models,
+    FRAME: _frame,
+    ECHO_RESPONSE: _echo,
+}

@@ -1,0 +1,1 @@
+"""Motion capture: frames over Zenoh, or from an installed plug-in."""

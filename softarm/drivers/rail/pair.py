@@ -1,0 +1,122 @@
+"""Messages between the daemon and the rail's process: one packet of a socket pair is one message.
+
+A begin message and set-points go to the process, reports come back. Every stamp is CLOCK_MONOTONIC, which all
+processes of a host share.
+"""
+
+import struct
+from typing import NamedTuple
+
+VERSION = 1
+PACKET_MAX = 8192  # bytes
+
+_BEGIN = struct.Struct("<BB")
+_SET_POINT = struct.Struct("<BBIIqd")
+_REPORT = struct.Struct("<BBIqqqdd")
+_ENABLE = 1
+_OUT_OF_OPERATION, _READING, _ENABLED, _REMOTE, _PROBLEM, _HOMED, _NOT_HOMED = (1 << bit for bit in range(7))
+_HOMED_FLAGS = {True: _HOMED, False: _NOT_HOMED, None: 0}
+
+
+class SetPoint(NamedTuple):
+    """Command of the control loop.
+
+    `number` counts the daemon's set-points, `t_ns` is the time of sending. `acknowledged` counts a person's
+    acknowledgements; each increase requests a fault reset.
+    """
+
+    number: int
+    t_ns: int
+    enable: bool
+    velocity_m_s: float
+    acknowledged: int = 0
+
+
+class Reading(NamedTuple):
+    """Result of one poll of the drive: a lightweight `softarm.schemas.messages.RailReading`.
+
+    `t_ns` is the time of the position request. The cycle times are the median and the maximum over the last second.
+    `homed` is None if the drive does not report it.
+    """
+
+    t_ns: int
+    position_m: float
+    velocity_m_s: float
+    enabled: bool
+    remote: bool
+    cycle_p50_ns: int
+    cycle_max_ns: int
+    faults: tuple[str, ...]
+    homed: bool | None = None
+
+
+class Report(NamedTuple):
+    """State of the rail's process, sent after every poll and at least at the rate of its heartbeat.
+
+    `received` is the number of the newest set-point. `out_of_operation` is the last known state of the drive.
+    """
+
+    received: int
+    out_of_operation: bool
+    reading: Reading | None
+    problem: str | None
+
+
+def encode_begin(may_move: bool) -> bytes:
+    """Return the first packet, after which the process controls the drive.
+
+    Args:
+        may_move: Whether the drive may be in operation at this moment.
+    """
+    return _BEGIN.pack(VERSION, may_move)
+
+
+def decode_begin(packet: bytes) -> bool:
+    """Return whether the drive may be in operation. Raises ValueError on another version or length."""
+    if len(packet) != _BEGIN.size or packet[0] != VERSION:
+        raise ValueError(f"{packet[:32].hex()} is not a begin message of version {VERSION}")
+    return bool(packet[1])
+
+
+def encode_set_point(message: SetPoint) -> bytes:
+    """Return the packet of a set-point."""
+    number, t_ns, enable, velocity_m_s, acknowledged = message
+    return _SET_POINT.pack(VERSION, _ENABLE if enable else 0, number, acknowledged, t_ns, velocity_m_s)
+
+
+def decode_set_point(packet: bytes) -> SetPoint:
+    """Return the set-point in a packet. Raises ValueError on another version or length."""
+    if len(packet) != _SET_POINT.size or packet[0] != VERSION:
+        raise ValueError(f"{packet[:32].hex()} is not a set-point of version {VERSION}")
+    _, flags, number, acknowledged, t_ns, velocity_m_s = _SET_POINT.unpack(packet)
+    return SetPoint(number, t_ns, bool(flags & _ENABLE), velocity_m_s, acknowledged)
+
+
+def encode_report(message: Report) -> bytes:
+    """Return the packet of a report. Text beyond the end of the packet is cut."""
+    flags = (_OUT_OF_OPERATION if message.out_of_operation else 0) | (_PROBLEM if message.problem is not None else 0)
+    if message.reading is None:
+        head = _REPORT.pack(VERSION, flags, message.received, 0, 0, 0, 0.0, 0.0)
+        faults: tuple[str, ...] = ()
+    else:
+        t_ns, position_m, velocity_m_s, enabled, remote, p50_ns, max_ns, faults, homed = message.reading
+        flags |= _READING | _HOMED_FLAGS[homed] | (_ENABLED if enabled else 0) | (_REMOTE if remote else 0)
+        head = _REPORT.pack(VERSION, flags, message.received, t_ns, p50_ns, max_ns, position_m, velocity_m_s)
+    return (head + "\0".join((message.problem or "", *faults)).encode())[:PACKET_MAX]
+
+
+def decode_report(packet: bytes) -> Report:
+    """Return the report in a packet. Raises ValueError on another version or on a packet that is too short."""
+    if len(packet) < _REPORT.size or packet[0] != VERSION:
+        raise ValueError(f"{packet[:32].hex()} is not a report of version {VERSION}")
+    _, flags, received, t_ns, p50_ns, max_ns, position_m, velocity_m_s = _REPORT.unpack_from(packet)
+    problem, *faults = packet[_REPORT.size :].decode(errors="replace").split("\0")
+    enabled, remote = bool(flags & _ENABLED), bool(flags & _REMOTE)
+    homed = next(value for value, flag in _HOMED_FLAGS.items() if flags & flag == flag)
+    reading = Reading(t_ns, position_m, velocity_m_s, enabled, remote, p50_ns, max_ns, tuple(faults), homed)
+    return Report(
+        received,
+        bool(flags & _OUT_OF_OPERATION),
+        reading if flags & _READING else None,
+        problem if flags & _PROBLEM else None,
+    )

@@ -1,0 +1,287 @@
+"""NatNet server of the twin: it streams the robot as OptiTrack's Motive would.
+
+    python -m softarm.drivers.twin.motive --listen tcp/127.0.0.1:7448 --serve 127.0.0.1:1510
+
+It receives the twin's frames (set `drivers.mocap.endpoint` of the twin to the endpoint of --listen) and streams the
+same bodies in its own coordinates and on its own clock. `softarm bridge natnet --server 127.0.0.1` connects it to a
+daemon.
+"""
+
+import argparse
+import contextlib
+import os
+import signal
+import socket
+import struct
+import threading
+import time
+from collections.abc import Callable, Mapping, Sequence
+from typing import NamedTuple, Self
+
+import zenoh
+
+from softarm.drivers.bridge import natnet
+from softarm.drivers.bridge.frame import Plane
+from softarm.drivers.bridge.natnet import Body, Version
+from softarm.drivers.mocap import payload
+from softarm.drivers.mocap.zenoh_session import listener
+from softarm.schemas.bridge import Room
+from softarm.schemas.messages import BODY_NAMES, Pose
+
+CLOCK_HZ = 10_000_000
+# A client that sends nothing for so long receives no more frames.
+FORGET_S = 5.0
+GROUP = "239.255.42.99"
+IDS = {name: number for number, name in enumerate(BODY_NAMES, 1)}
+
+
+class Extras(NamedTuple):
+    """Further contents of a frame, which a reader must skip.
+
+    Numbers of markers by set, of unlabeled and labeled markers, of bones by skeleton, and of values by channel of each
+    force plate.
+    """
+
+    marker_sets: Mapping[str, int] = {}
+    unlabeled: int = 0
+    skeletons: Sequence[int] = ()
+    labeled: int = 0
+    plates: Sequence[Sequence[int]] = ()
+
+
+def frame(
+    version: Version,
+    number: int,
+    bodies: Sequence[Body],
+    stamps: tuple[int, int, int],
+    parameters: int = 0,
+    extras: Extras = Extras(),  # noqa: B008
+    precise: bool | None = None,
+) -> bytes:
+    """Return a FRAMEOFDATA message.
+
+    Args:
+        stamps: Times of exposure, reception and transmission, in ticks.
+        parameters: Flags of the frame.
+        precise: Whether to include the precise stamp; by default as 4.1 and newer do.
+    """
+    sized = version >= (4, 1)
+
+    def section(count: int, content: bytes = b"") -> bytes:
+        return struct.pack("<I", count) + (struct.pack("<I", len(content)) if sized else b"") + content
+
+    def rigid(body: Body) -> bytes:
+        return struct.pack("<i3f4ffh", body.id, *body.position_m, *body.orientation, body.error_m, body.tracked)
+
+    sets = b"".join(
+        name.encode() + b"\0" + struct.pack("<I", n) + bytes(12 * n) for name, n in extras.marker_sets.items()
+    )
+    bones = b"".join(struct.pack("<II", 7, n) + bytes(38 * n) for n in extras.skeletons)
+    plates = b"".join(
+        struct.pack("<II", 1, len(channels)) + b"".join(struct.pack("<I", n) + bytes(4 * n) for n in channels)
+        for channels in extras.plates
+    )
+    parts = [
+        struct.pack("<I", number),
+        section(len(extras.marker_sets), sets),
+        section(extras.unlabeled, bytes(12 * extras.unlabeled)),
+        section(len(bodies), b"".join(map(rigid, bodies))),
+        section(len(extras.skeletons), bones),
+        section(0) if sized else b"",
+        section(extras.labeled, bytes(26 * extras.labeled)),
+        section(len(extras.plates), plates),
+        section(0),
+        struct.pack("<IIdQQQ", 0, 0, number / 120, *stamps),
+        struct.pack("<II", 1, 2) if (sized if precise is None else precise) else b"",
+        struct.pack("<h", parameters),
+        bytes(4),
+    ]
+    return message(natnet.FRAME, b"".join(parts))
+
+
+def server_info(version: Version, clock_hz: int, data_port: int, group: str | None) -> bytes:
+    """Return a SERVERINFO message."""
+    multicast = socket.inet_aton(group) if group else bytes(4)
+    name = struct.pack("<256s4B4B", b"Motive", 3, 1, 0, 0, *version, 0, 0)
+    return message(natnet.SERVER_INFO, name + struct.pack("<QHB", clock_hz, data_port, group is not None) + multicast)
+
+
+def models(version: Version, ids: Mapping[str, int]) -> bytes:
+    """Return a MODELDEF message: for each name a marker set and a rigid body with three markers, as Motive sends."""
+    described = []
+    for name, number in ids.items():
+        words = b"".join(f"{name}_{k}".encode() + b"\0" for k in range(3))
+        text = name.encode() + b"\0"
+        described.append((0, text + struct.pack("<I", 3) + words))
+        turn = bytes(16) if version >= (4, 2) else b""
+        body = text + struct.pack("<ii", number, -1) + bytes(12) + turn + struct.pack("<I", 3) + bytes(3 * 16)
+        described.append((1, body + (words if version >= (4, 0) else b"")))
+    parts = [struct.pack("<I", len(described))]
+    for kind, content in described:
+        parts.append(
+            struct.pack("<I", kind) + (struct.pack("<I", len(content)) if version >= (4, 1) else b"") + content
+        )
+    return message(natnet.MODELS, b"".join(parts))
+
+
+def message(number: int, content: bytes) -> bytes:
+    """Return a NatNet message."""
+    return struct.pack("<HH", number, len(content)) + content
+
+
+def bodies_of(plane: Plane, poses: Mapping[str, Pose]) -> tuple[Body, ...]:
+    """Return the rigid bodies for poses in the robot's plane; bodies without tracking are at Motive's default pose."""
+    return tuple(
+        Body(IDS[name], plane.point(pose.y_m, pose.z_m), plane.turn(pose.angle_rad), 2e-4, True)
+        if pose.tracked
+        else Body(IDS[name], (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0), 0.0, False)
+        for name, pose in poses.items()
+    )
+
+
+class Motive:
+    """NatNet server with a command and a data socket, like Motive's: `with Motive() as motive`.
+
+    Frames go to all connected clients or to the multicast group.
+    `answers = False` makes the server silent.
+    """
+
+    def __init__(
+        self,
+        version: Version = (4, 1),
+        host: str = "127.0.0.1",
+        port: int = 0,
+        data_port: int = 0,
+        group: str | None = None,
+        ids: Mapping[str, int] = IDS,
+        clock: Callable[[], int] = time.monotonic_ns,
+        rate: float = 1.0,
+        began_ns: int = 0,
+    ) -> None:
+        """Create the server; its clock runs `rate` times as fast as `clock` and was 0 at `began_ns`."""
+        self.version, self.ids, self.group = version, dict(ids), group
+        self.answers = True
+        self._clock, self._rate, self._began_ns = clock, rate, began_ns
+        self._commands, self._data = _bound(host, port), _bound(host, data_port)
+        self._data.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_IF, socket.inet_aton(host))
+        self._clients: dict[tuple[str, int], float] = {}
+        self._stopping = threading.Event()
+        self._thread = threading.Thread(target=self._serve, name="motive", daemon=True)
+
+    @property
+    def port(self) -> int:
+        """Port of the command socket."""
+        return int(self._commands.getsockname()[1])
+
+    @property
+    def data_port(self) -> int:
+        """Port of the data socket."""
+        return int(self._data.getsockname()[1])
+
+    def __enter__(self) -> Self:
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._stopping.set()
+        self._thread.join()
+        self._commands.close()
+        self._data.close()
+
+    def ticks(self, now_ns: int | None = None) -> int:
+        """Return the server's clock in ticks."""
+        now_ns = self._clock() if now_ns is None else now_ns
+        return round((now_ns - self._began_ns) * self._rate * CLOCK_HZ / 1e9)
+
+    def stream(self, datagram: bytes) -> None:
+        """Send a frame to all clients."""
+        if self.group is not None:
+            self._data.sendto(datagram, (self.group, self.data_port))
+            return
+        over = time.monotonic() - FORGET_S
+        for client, spoke in tuple(self._clients.items()):
+            if spoke < over:
+                del self._clients[client]
+            else:
+                self._data.sendto(datagram, client)
+
+    def forget(self) -> None:
+        """Forget all clients, as a restarted server does."""
+        self._clients.clear()
+
+    def _serve(self) -> None:
+        self._commands.settimeout(0.05)
+        while not self._stopping.is_set():
+            try:
+                datagram, client = self._commands.recvfrom(natnet.LONGEST)
+            except TimeoutError:
+                continue
+            if self.answers and len(datagram) >= 4:
+                self._answer(datagram, client)
+
+    def _answer(self, datagram: bytes, client: tuple[str, int]) -> None:
+        kind, content = struct.unpack_from("<H", datagram)[0], datagram[4:]
+        if kind == natnet.CONNECT:
+            self._clients[client] = time.monotonic()
+            self._commands.sendto(server_info(self.version, CLOCK_HZ, self.data_port, self.group), client)
+        elif kind == natnet.KEEP_ALIVE and client in self._clients:
+            self._clients[client] = time.monotonic()
+        elif kind == natnet.DISCONNECT:
+            self._clients.pop(client, None)
+        elif kind == natnet.REQUEST_MODELS:
+            self._commands.sendto(models(self.version, self.ids), client)
+        elif kind == natnet.ECHO_REQUEST and len(content) == 8:
+            self._commands.sendto(message(natnet.ECHO_RESPONSE, content + struct.pack("<Q", self.ticks())), client)
+
+
+def _bound(host: str, port: int) -> socket.socket:
+    made = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    made.bind((host, port))
+    return made
+
+
+def main() -> None:
+    """Stream the twin's frames until SIGINT or SIGTERM."""
+    parser = argparse.ArgumentParser(description="Stream the twin's frames as OptiTrack's Motive does.")
+    add = parser.add_argument
+    add(
+        "--listen",
+        default="tcp/127.0.0.1:7448",
+        help="Zenoh endpoint to listen at; the twin connects to it",
+    )
+    add("--key", default="softarm/mocap")
+    add("--serve", default="127.0.0.1:1510", help="HOST:PORT of the command socket; the data socket has the next port")
+    add("--natnet", default="4.1", help="version of NatNet, 3.0 to 4.4")
+    add("--up", choices=("y", "z"), default="y")
+    add("--yaw", type=float, default=0.4, help="yaw of the rail in the cameras' coordinates, rad")
+    add("--exposed", action="store_true", help="add the time of the middle of the exposure, as Ethernet cameras do")
+    add("--ppm", type=float, default=30.0, help="rate error of the server's clock, parts per million")
+    options = parser.parse_args()
+    host, _, port = options.serve.partition(":")
+    major, _, minor = options.natnet.partition(".")
+    # Before any thread starts: a real camera system is not delayed by programs on this computer.
+    with contextlib.suppress(OSError):
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(1))
+    room = Room(up=options.up, yaw_rad=options.yaw, origin_m=(1.2, 0.1, -0.7))
+    plane = Plane(room)
+    ended = threading.Event()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda *_: ended.set())
+    motive = Motive((int(major), int(minor)), host, int(port), int(port) + 1, rate=1 + options.ppm * 1e-6)
+
+    def show(sample: zenoh.Sample) -> None:
+        seen = payload.decode(sample.payload.to_bytes(), time.monotonic_ns())
+        bodies = bodies_of(plane, dict(zip(BODY_NAMES, seen.bodies, strict=True)))
+        exposed = motive.ticks(seen.t_capture_ns)
+        stamps = (exposed if options.exposed else 0, exposed + CLOCK_HZ // 200, motive.ticks())
+        motive.stream(frame(motive.version, seen.sequence, bodies, stamps))
+
+    with motive, zenoh.open(listener(options.listen)) as session:
+        session.declare_subscriber(options.key, show)
+        print(f"NatNet {options.natnet} at {options.serve}, frames from {options.listen}", flush=True)
+        print(f"bridge.yaml for this server: room: {room.model_dump_json()}", flush=True)
+        ended.wait()
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,1 @@
+"""Evaluation of policies: runners, parallel flights, tests, tables, pages and closing of a gap."""

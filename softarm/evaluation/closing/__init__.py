@@ -1,0 +1,1 @@
+"""Steps of `softarm close-gap` after the diagnosis, and the files that they write."""

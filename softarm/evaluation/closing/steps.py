@@ -1,0 +1,194 @@
+"""Steps from a diagnosis to a retrained policy: patch the model, retrain, fly old and new, write the results."""
+
+import importlib.util
+import json
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+
+from softarm.common import files
+from softarm.common.processes import bar
+from softarm.common.words import did_you_mean
+from softarm.daemon.limits.findings import RailFindings
+from softarm.diagnosis import report
+from softarm.diagnosis.engine.result import Diagnosis
+from softarm.evaluation.closing import story, summary
+from softarm.evaluation.closing.closed import Closed, Place
+from softarm.evaluation.closing.diagnosed import with_diagnosed
+from softarm.evaluation.closing.fly import Flown, Replanning, fly_all
+from softarm.evaluation.closing.outcomes import HELD_BACK, NEW, NOMINAL, OLD, PATCHED, REPLANNED
+from softarm.evaluation.closing.wires import Wires
+from softarm.evaluation.robots import with_faults
+from softarm.policies.base import MODELS
+from softarm.reality.parameters import RobotParameters
+from softarm.schemas.config import RailLimits
+from softarm.schemas.flights import TEST_TARGETS
+from softarm.schemas.goals import Goal
+from softarm.schemas.messages import BODY_NAMES
+from softarm.schemas.model import Model
+from softarm.simulator import model_file
+from softarm.training.run.retrain import Retrained, RetrainingConfig, retrain
+from softarm.training.run.warm_start import load_weights
+
+LIMITS, PATCH = "limits-patch.yaml", "patched-model.yaml"
+FILES = ("verdict.json", "report.html", "summary.json", LIMITS, PATCH, "retrained.onnx", "retrained.pt")
+Spent = dict[str, dict[str, float]]  # step -> wall_s, cpu_s
+
+
+def close(
+    found: Diagnosis,
+    rail: RailFindings,
+    policy: Path,
+    out: Path,
+    held_back: Place,
+    is_the_robot: bool,
+    config: RetrainingConfig,
+    spent: Spent,
+    targets: Sequence[Goal] = TEST_TARGETS,
+    processes: int | None = None,
+    replanned: bool = True,
+    through: Callable[[Closed], Wires | None] = lambda closed: None,
+) -> Closed:
+    """Patch the nominal simulator, retrain the policy in it, fly old and new, and write all results to `out`.
+
+    Training and flights use the rail limits that campaign or diagnosis show, where those are stricter.
+
+    Args:
+        rail: Rail limits that the campaign shows.
+        policy: ONNX file of the old policy.
+        out: Existing folder for all results.
+        held_back: Held-out robot, on which both policies are compared.
+        is_the_robot: The held-out robot was declared to be the campaign's. Its success is the verdict's success_real.
+        spent: Receives the time of each step.
+        replanned: Also fly `mppi` on the patched model.
+        through: Flies the same policies on wires, or returns None.
+
+    Raises:
+        ValueError: No policy can fly this robot, or the retraining is too short; the diagnosis is written first.
+        CheckpointError: The policy was not written by training.
+        PolicyError: A policy cannot be loaded.
+        OSError: A result cannot be written.
+    """
+    if found.nominal is None:
+        raise ValueError("the campaign shows another rig, and policies fly only the arm; use `softarm diagnose`")
+    held_back, rail = of_the_nominal_body(held_back, found.nominal), with_diagnosed(rail, found.verdict)
+    places = [Place(NOMINAL, "the nominal simulator", found.nominal)]
+    files.write_text(out / LIMITS, rail.patch())
+    # Before the retraining, so that the diagnosis survives a refused or interrupted one.
+    _write_diagnosis(found, out)
+    policies: dict[str, Flown] = {OLD: policy}
+    retrained: Retrained | None = None
+    if found.patched is not None:
+        model_file.save(found.patched, out / PATCH)
+        places.append(Place(PATCHED, "the patched simulator", found.patched))
+        with timed(spent, "retrain"):
+            retrained = _retrain(policy, found.patched, out, config, rail.patched.limits.rail)
+        policies[NEW] = retrained.policy
+        if replanned:
+            policies[REPLANNED] = Replanning(out / PATCH)
+    places.append(held_back)
+    robots = {place.key: place.robot for place in places}
+    pairs = [(name, key) for key in robots for name in policies if (name, key) != (REPLANNED, NOMINAL)]
+    with timed(spent, "fly"), bar("flying") as shown:
+        flown = fly_all(policies, robots, pairs, targets, rail.patched, shown.report, processes)
+    closed = Closed(found, policy, tuple(places), flown, retrained, tuple(targets), rail, is_the_robot).with_task()
+    # Before the robot moves, so that the results survive an interrupted flight.
+    _write(closed, out, spent)
+    if (wires := through(closed)) is not None:
+        closed = replace(closed, wires=wires)
+        _write(closed, out, spent)
+    return closed
+
+
+def _write_diagnosis(found: Diagnosis, out: Path, further: Sequence[tuple[str, str]] = ()) -> None:
+    """Write the report and the verdict."""
+    report.write(found, out / "report.html", further=further)
+    files.write_text(out / "verdict.json", found.verdict.model_dump_json(indent=1) + "\n")
+
+
+def _write(closed: Closed, out: Path, spent: Spent) -> None:
+    """Write the report, the verdict and the summary."""
+    _write_diagnosis(closed.diagnosis, out, story.sections(closed))
+    files.write_text(out / "summary.json", json.dumps(summary.summary(closed, spent), indent=1) + "\n")
+
+
+def _retrain(policy: Path, model: Model, out: Path, config: RetrainingConfig, limits: RailLimits) -> Retrained:
+    """Retrain the policy and show a progress bar."""
+    with bar("retraining") as shown:
+        name = f"{out.name}/patched-model"
+        try:
+            return retrain(policy, model, name, out, config, shown.report, limits)
+        except ValueError as error:
+            kept = f"{out / 'report.html'} and verdict.json hold the diagnosis; start again with another --out"
+            raise ValueError(f"{error}. {kept}") from error
+
+
+def independent(faults: Sequence[str]) -> Place:
+    """Return the independent robot with faults. Raises ValueError for an unknown fault or a missing package."""
+    if importlib.util.find_spec("mujoco") is None:
+        raise ValueError(
+            "the independent robot needs the package 'mujoco': pip install 'softarm[mujoco]', or give --robot MODEL"
+        )
+    title = f"the independent robot ({', '.join(faults) or 'without a fault'})"
+    return Place(HELD_BACK, title, with_faults(RobotParameters(), faults), tuple(faults))
+
+
+def simulated(name: str, model: Model) -> Place:
+    """Return a simulated robot with the given model as held-out robot."""
+    return Place(HELD_BACK, f"the held-out robot ({name})", model)
+
+
+def of_the_nominal_body(place: Place, nominal: Model) -> Place:
+    """Give the independent robot the arm and the cart of the nominal model; its actuators stay its own.
+
+    Raises:
+        ValueError: No policy flies an arm of so many links.
+    """
+    if nominal.arm.links != len(BODY_NAMES) - 1:
+        raise ValueError(
+            f"the nominal model has {nominal.arm.links} links; policies fly an arm of {len(BODY_NAMES) - 1} marker sets"
+        )
+    if isinstance(place.robot, Model):
+        return place
+    return replace(place, robot=replace(place.robot, body=nominal.arm, cart=nominal.cart))
+
+
+def policy_file(name: str) -> Path:
+    """Return the ONNX file of a policy, given as a path or as the name of a shipped one.
+
+    Raises:
+        ValueError: The file does not exist.
+        CheckpointError: The policy cannot be retrained.
+    """
+    file = Path(name) if name.endswith(".onnx") else MODELS / f"{name}.onnx"
+    if not file.is_file():
+        shipped = sorted(path.stem for path in MODELS.glob("*.onnx"))
+        instead = f"{did_you_mean(name, shipped)}name an .onnx file of `softarm train`, or one of {', '.join(shipped)}"
+        raise ValueError(f"--policy {name}: no such file; {instead}")
+    # Fail here rather than after minutes of diagnosis.
+    load_weights(file)
+    return file
+
+
+def make_folder(out: Path) -> None:
+    """Create the folder of the results. Raises ValueError if it holds results already, OSError if it cannot be made."""
+    existing = [name for name in (*FILES, "training") if (out / name).exists()]
+    if existing:
+        raise ValueError(f"{out} already holds {', '.join(existing)}; name a new --out")
+    out.mkdir(parents=True, exist_ok=True)
+
+
+@contextmanager
+def timed(spent: Spent, step: str) -> Iterator[None]:
+    """Record the wall and CPU seconds of a step, including child processes."""
+    import resource
+
+    def cpu_s() -> float:
+        used = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
+        return sum(u.ru_utime + u.ru_stime for u in used)
+
+    wall, cpu = time.monotonic(), cpu_s()
+    yield
+    spent[step] = {"wall_s": round(time.monotonic() - wall, 1), "cpu_s": round(cpu_s() - cpu, 1)}

@@ -1,0 +1,189 @@
+"""Flights of a policy by the real control loop, in lockstep with a robot in this process.
+
+The validation of training instead flies many robots at once: `training/learn/validation.py`.
+"""
+
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from softarm.daemon.control.records import Mode
+from softarm.daemon.runtime.offline import Lockstep
+from softarm.drivers.bodies.simulated import SimulatedBody
+from softarm.policies import registry
+from softarm.policies.base import Array, Policy, PolicyError
+from softarm.reality.parameters import RobotParameters
+from softarm.schemas import flights
+from softarm.schemas.config import Config
+from softarm.schemas.config import Policy as ConfiguredPolicy
+from softarm.schemas.flights import TEST_TARGETS, Flight, Scenario, Shares, Swing
+from softarm.schemas.goals import Goal
+from softarm.schemas.model import Model
+
+Robot = Model | RobotParameters  # the simulator with a model, or the independent robot
+Reached = NDArray[np.bool_]  # [targets, starts]
+PolicyName = Path | str  # an ONNX file, or a name that the registry knows
+NOWHERE = Goal("reach", 0.0, 0.9)  # out of reach
+
+
+class Recorded(Policy):
+    """Policy that records its refusals, which the daemon turns into a fault and a stop."""
+
+    def __init__(self, policy: Policy) -> None:
+        self.spec = policy.spec
+        self.refusal: str | None = None
+        self._policy = policy
+
+    def reset(self) -> None:
+        """Reset the recorded policy."""
+        self._policy.reset()
+
+    def step(self, observation: Array, goal: Array) -> Array:
+        """Return the policy's command and record a refusal."""
+        try:
+            return self._policy.step(observation, goal)
+        except PolicyError as error:
+            self.refusal = str(error)
+            raise
+
+
+class Swung(Policy):
+    """Policy that swings the arm during its first goal and then follows another policy."""
+
+    def __init__(self, policy: Policy, swing: Swing) -> None:
+        self.spec = policy.spec
+        self._policy, self._swing = policy, swing
+        self._goals = self._tick = 0
+
+    def reset(self) -> None:
+        """Count the goals; the first one swings."""
+        self._goals += 1
+        if self._goals > 1:
+            self._policy.reset()
+
+    def step(self, observation: Array, goal: Array) -> Array:
+        """Return a sinusoid during the first goal, later the policy's command."""
+        if self._goals > 1:
+            return self._policy.step(observation, goal)
+        self._tick += 1
+        return self._swing.command(self._tick - 1)
+
+
+class Runner:
+    """Runner of scenarios, one after another; each starts independently of the one before.
+
+    Raises RuntimeError if the control loop refuses to arm. The independent robot needs the extra `mujoco`.
+    """
+
+    def __init__(self, policy: Policy, robot: Robot | None = None, config: Config | None = None) -> None:
+        """Prepare the robot (default: the seed's simulator) and the configuration (default: its default values)."""
+        self._policy, self._robot, self._config = policy, robot or Model(), config or Config()
+        self._recorded = Recorded(policy)
+        self._shelved = False
+        # Compile and arm now, so that timed flights do not include it.
+        self._waiting = (
+            None if isinstance(self._robot, RobotParameters) else self._simulated(self._robot, self._recorded)
+        )
+
+    def fly(self, scenario: Scenario) -> Flight:
+        """Fly to one goal until it is reached or has failed."""
+        self._recorded.refusal = None
+        with _target_depth(self._policy, scenario):
+            flight = self.begin(scenario).pursue(scenario.goal)
+        return replace(flight, refusal=self._recorded.refusal)
+
+    def begin(self, scenario: Scenario) -> Lockstep:
+        """Return the armed control loop of a robot in the scenario's start state, swinging or at rest."""
+        if scenario.swing is None:
+            return self._at_rest(scenario, self._recorded)
+        daemon = self._at_rest(scenario, Swung(self._recorded, scenario.swing))
+        daemon.tick(daemon.request("goal", NOWHERE))
+        for _ in range(scenario.swing.ticks):
+            daemon.tick()
+        return daemon
+
+    def _at_rest(self, scenario: Scenario, policy: Policy) -> Lockstep:
+        if isinstance(self._robot, RobotParameters):
+            return self._independent(self._robot, policy, scenario)
+        if policy is not self._recorded:
+            body, daemon = self._simulated(self._robot, policy)
+        else:
+            body, daemon = self._ready(self._robot, scenario)
+        if scenario.shelf_m is not None:
+            body.simulator.place_shelf(*scenario.shelf_m)
+        daemon.place(scenario.cart_start_m)
+        return daemon
+
+    def _ready(self, model: Model, scenario: Scenario) -> tuple[SimulatedBody, Lockstep]:
+        """Return the simulated robot of the last scenario if it is still armed, or a new one."""
+        shelved, self._shelved = self._shelved, scenario.shelf_m is not None
+        if self._waiting is None or not _is_armed(self._waiting[1]) or (shelved and not self._shelved):
+            self._waiting = self._simulated(model, self._recorded)
+        return self._waiting
+
+    def _simulated(self, model: Model, policy: Policy) -> tuple[SimulatedBody, Lockstep]:
+        body = SimulatedBody(model)
+        daemon = Lockstep(self._config, policy, body=body)
+        daemon.arm()
+        return body, daemon
+
+    def _independent(self, parameters: RobotParameters, policy: Policy, scenario: Scenario) -> Lockstep:
+        """Return a new independent robot, which starts where the scenario says."""
+        from softarm.drivers.bodies.independent import IndependentBody
+
+        start_m, shelf_m = scenario.cart_start_m, scenario.shelf_m
+        body = IndependentBody(parameters, scenario.seed, cart_position_m=start_m, shelf_m=shelf_m)
+        daemon = Lockstep(self._config, policy, body=body)
+        daemon.arm()
+        return daemon
+
+
+def fly(
+    policy: Policy, robot: Robot | None, scenarios: Iterable[Scenario], config: Config | None = None
+) -> list[Flight]:
+    """Fly all scenarios in their order. Raises RuntimeError if the control loop refuses to arm."""
+    runner = Runner(policy, robot, config)
+    return [runner.fly(scenario) for scenario in scenarios]
+
+
+def load(policy: PolicyName, config: Config | None = None) -> Policy:
+    """Load a policy by its ONNX file or by its name, also one of the configuration. Raises PolicyError."""
+    if isinstance(policy, str):
+        return registry.load(policy, config.policies if config else None)
+    return registry.load("flown", {"flown": ConfiguredPolicy(plugin="onnx", options={"model": str(policy)})})
+
+
+def fly_grid(
+    policy: PolicyName, robot: Robot, targets: Sequence[Goal] = TEST_TARGETS, config: Config | None = None
+) -> Reached:
+    """Fly every target from rest at every cart start. Raises PolicyError."""
+    flown = fly(load(policy), robot, flights.grid(targets), config)
+    return np.array([flight.reached for flight in flown]).reshape(len(targets), -1)
+
+
+def shares(reached: Reached, targets: Sequence[Goal] = TEST_TARGETS) -> Shares:
+    """Return the shares by the height of the targets."""
+    heights_m = np.repeat([goal.z_m for goal in targets], reached.shape[1])
+    return flights.shares(reached.ravel(), heights_m)
+
+
+def _is_armed(daemon: Lockstep) -> bool:
+    return daemon.outputs is not None and daemon.outputs.mode is Mode.ARMED
+
+
+@contextmanager
+def _target_depth(policy: Policy, scenario: Scenario) -> Iterator[None]:
+    """Set the scenario's target depth for this flight, if the policy has one."""
+    own = getattr(policy, "target_depth_m", None)
+    if own is None or scenario.depth_m is None:
+        yield
+        return
+    policy.target_depth_m = scenario.depth_m  # type: ignore[attr-defined]
+    try:
+        yield
+    finally:
+        policy.target_depth_m = own  # type: ignore[attr-defined]

@@ -1,0 +1,1 @@
+"""Soak test: hours of flying, with checks for growth and for unexpected events."""

@@ -1,0 +1,72 @@
+"""Test for growth of a quantity: a straight line through its samples, with an interval of the slope."""
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from typing import Literal, NamedTuple
+
+import numpy as np
+
+BLOCKS = 8
+WINDOWS = 64  # after the warm-up; each gives one number
+_T95 = 2.365  # Student's t, 97.5 %, BLOCKS - 1 degrees of freedom
+WARM_UP_SHARE, WARM_UP_MAX_H = 0.25, 0.25  # of a run; filling caches is no leak
+
+Statistic = Callable[[np.ndarray], float]
+Verdict = Literal["flat", "grows", "too short to decide"]
+
+
+class Slope(NamedTuple):
+    """Growth per unit of time with its 95 % interval and the allowed growth."""
+
+    value: float
+    low: float
+    high: float
+    allowed: float
+
+    @property
+    def verdict(self) -> Verdict:
+        """Flat: the interval is at most the allowed growth. Grows: the interval is above it."""
+        return "flat" if self.high <= self.allowed else "grows" if self.low > self.allowed else "too short to decide"
+
+
+def slope(time: Sequence[float], values: Sequence[float], allowed: float, of: Statistic = np.median) -> Slope:
+    """Fit a slope to the samples after the warm-up.
+
+    Neighbouring windows are correlated, so the interval comes from a jackknife over blocks of windows, as in
+    `softarm.diagnosis.engine.jackknife`. It is infinite for too few samples.
+
+    `allowed` is the allowed growth per unit of time, `of` the statistic of a window: the minimum suits resources that
+    are allocated and freed, as a leak raises it.
+    """
+    t, y = np.asarray(time, float), np.asarray(values, float)
+    warm = t - t[0] >= warm_up(float(t[-1] - t[0])) if len(t) else np.zeros(0, bool)
+    t, y = t[warm], y[warm]
+    if len(t) < 2 * BLOCKS:
+        return Slope(math.nan, -math.inf, math.inf, allowed)
+    parts = min(WINDOWS, len(t))
+    t = np.array([part.mean() for part in np.array_split(t, parts)])
+    y = np.array([of(part) for part in np.array_split(y, parts)])
+    whole = _fit(t, y)
+    block = np.arange(len(t)) * BLOCKS // len(t)
+    moved = np.array([_fit(t[block != one], y[block != one]) for one in range(BLOCKS)]) - whole
+    half = _T95 * math.sqrt((BLOCKS - 1) / BLOCKS * float(np.sum(moved**2)))
+    return Slope(whole, whole - half, whole + half, allowed)
+
+
+def warm_up(length: float) -> float:
+    """Return the part of a run that does not count."""
+    return min(WARM_UP_SHARE * length, WARM_UP_MAX_H)
+
+
+def judge(slopes: Mapping[str, Slope], per: str) -> list[str]:
+    """Return a sentence for each quantity that is not flat; `per` is the unit of time."""
+    return [
+        f"{name} {one.verdict}: {one.value:.3g} per {per} ({one.low:.3g} to {one.high:.3g}), allowed {one.allowed:g}"
+        for name, one in slopes.items()
+        if one.verdict != "flat"
+    ]
+
+
+def _fit(t: np.ndarray, y: np.ndarray) -> float:
+    centred = t - t.mean()
+    return float(centred @ y / (centred @ centred))

@@ -1,0 +1,179 @@
+"""Runners of policies: the control loop receives an outcome in time, even if the policy fails or hangs."""
+
+import threading
+import time
+from collections.abc import Callable
+from typing import NamedTuple, Protocol
+
+import numpy as np
+
+from softarm.policies.base import Array, Policy
+
+Clock = Callable[[], int]  # nanoseconds, monotonic
+
+
+class PolicyOutcome(NamedTuple):
+    """Action of a policy, or a sentence that states why it is missing."""
+
+    action: Array | None  # float32 [2]: cart velocity (m/s), pressure (kPa); finite
+    fault: str | None
+    duration_ns: int  # as the caller saw it
+
+
+class PolicyRunner(Protocol):
+    """Runner of one policy. No method raises or waits longer than the policy's budget."""
+
+    @property
+    def policy(self) -> Policy:
+        """Policy that runs; callers may only read its `spec`."""
+
+    def reset(self) -> None:
+        """Reset the policy before its next step."""
+
+    def step(self, observation: Array, goal: Array) -> PolicyOutcome:
+        """Run one step on copies of observation and goal [2]; see `softarm.policies.base.Policy.step`."""
+
+    def close(self) -> None:
+        """End the runner; it runs no further steps."""
+
+
+class _Guard:
+    """Call of a policy in the current thread, with every failure as a sentence."""
+
+    def __init__(self, policy: Policy) -> None:
+        self._policy = policy
+        self._name = policy.spec.name
+        self._resets_wanted = 1  # a count, so that a request during a late step is not lost
+        self._resets_done = 0
+
+    def ask_reset(self) -> None:
+        self._resets_wanted += 1
+
+    def call(self, observation: Array, goal: Array) -> tuple[Array | None, str | None]:
+        """Reset if requested, step and check the action. Raises nothing but KeyboardInterrupt."""
+        doing = "reset"
+        try:
+            wanted = self._resets_wanted
+            if self._resets_done != wanted:
+                self._policy.reset()
+                self._resets_done = wanted
+            doing = "step"
+            return self._checked(self._policy.step(observation, goal))
+        except KeyboardInterrupt:
+            raise
+        except BaseException as error:  # a policy that calls sys.exit() must not end the daemon either
+            text = str(error).strip().partition("\n")[0]
+            return None, f"policy '{self._name}': {doing} raised {type(error).__name__}" + (f": {text}" if text else "")
+
+    def _checked(self, action: object) -> tuple[Array | None, str | None]:
+        if not isinstance(action, np.ndarray):
+            return None, self._wrong(f"{type(action).__name__} instead of a numpy array")
+        if action.shape != (2,):
+            return None, self._wrong(f"an array of shape {list(action.shape)} instead of [2]")
+        if action.dtype.kind not in "fiu":
+            return None, self._wrong(f"an array of {action.dtype} instead of float32")
+        with np.errstate(over="ignore", invalid="ignore"):
+            result = np.array(action, dtype=np.float32)
+        # Two float compares are a tenth of np.isfinite(...).all(); NaN fails both.
+        if not (abs(result[0]) < np.inf and abs(result[1]) < np.inf):
+            return None, self._wrong(f"[{result[0]}, {result[1]}], which is not finite")
+        return result, None
+
+    def _wrong(self, what: str) -> str:
+        return f"policy '{self._name}': step returned {what}; it must return [cart velocity m/s, pressure kPa]"
+
+
+class InlineRunner:
+    """Runner in the caller's thread without a budget, for repeatable lockstep runs."""
+
+    def __init__(self, policy: Policy, clock: Clock = time.monotonic_ns) -> None:
+        self.policy = policy
+        self._guard = _Guard(policy)
+        self._clock = clock
+
+    def reset(self) -> None:
+        """Reset the policy before its next step."""
+        self._guard.ask_reset()
+
+    def step(self, observation: Array, goal: Array) -> PolicyOutcome:
+        """Run one step, which takes as long as the policy needs."""
+        start_ns = self._clock()
+        action, fault = self._guard.call(np.array(observation, dtype=np.float32), np.array(goal, dtype=np.float32))
+        return PolicyOutcome(action, fault, self._clock() - start_ns)
+
+    def close(self) -> None:
+        """Do nothing: the runner has no thread."""
+
+
+class ThreadRunner:
+    """Runner with a separate thread; a step that takes longer than `budget_s` is abandoned.
+
+    While an abandoned step still runs, further steps fail at once, and its result is discarded. Only one thread may
+    call reset and step. The runner cannot interrupt a policy in C that holds the interpreter's lock; the service's
+    watchdog covers that case.
+    """
+
+    def __init__(self, policy: Policy, budget_s: float, clock: Clock = time.monotonic_ns) -> None:
+        self.policy = policy
+        self._name = policy.spec.name
+        self._budget_s = budget_s
+        self._clock = clock
+        self._guard = _Guard(policy)
+        self._late_since_ns: int | None = None  # start of an abandoned step that still runs
+        self._closed = False
+        self._request: tuple[Array, Array] | None = None
+        self._result: tuple[Array | None, str | None] = (None, None)
+        # Bare locks as one-shot signals take a third of the time of threading.Event.
+        self._go, self._done = threading.Lock(), threading.Lock()
+        self._go.acquire()
+        self._done.acquire()
+        self._thread = threading.Thread(target=self._work, name=f"policy {self._name}", daemon=True)
+        self._thread.start()
+
+    def reset(self) -> None:
+        """Reset the policy in its thread, within the budget of the next step."""
+        self._guard.ask_reset()
+
+    def step(self, observation: Array, goal: Array) -> PolicyOutcome:
+        """Run one step and return within `budget_s` plus the scheduler's delay."""
+        start_ns = self._clock()
+        if self._closed:
+            return PolicyOutcome(None, f"policy '{self._name}': its runner is closed", 0)
+        if self._late_since_ns is not None:
+            if not self._done.acquire(blocking=False):
+                return self._late(self._late_since_ns, start_ns)
+            self._late_since_ns = None
+        self._request = (np.array(observation, dtype=np.float32), np.array(goal, dtype=np.float32))
+        self._go.release()
+        if not self._done.acquire(timeout=self._budget_s):
+            self._late_since_ns = start_ns
+            return self._late(start_ns, start_ns)
+        action, fault = self._result
+        return PolicyOutcome(action, fault, self._clock() - start_ns)
+
+    def close(self) -> None:
+        """End the thread; a thread that hangs in its policy ends with the process."""
+        self._closed = True
+        if self._go.locked():
+            self._go.release()
+        if self._late_since_ns is None:
+            self._thread.join(timeout=self._budget_s)
+
+    def _late(self, since_ns: int, start_ns: int) -> PolicyOutcome:
+        now_ns = self._clock()
+        fault = (
+            f"late: policy '{self._name}' has not answered for {(now_ns - since_ns) / 1e6:.0f} ms; "
+            f"its budget is {self._budget_s * 1e3:.0f} ms"
+        )
+        return PolicyOutcome(None, fault, now_ns - start_ns)
+
+    def _work(self) -> None:
+        while True:
+            self._go.acquire()
+            if self._closed or self._request is None:
+                return
+            try:
+                self._result = self._guard.call(*self._request)
+            except KeyboardInterrupt:  # raised by the policy: signals go to the main thread
+                self._result = (None, f"policy '{self._name}': step raised KeyboardInterrupt")
+            self._done.release()

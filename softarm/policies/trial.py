@@ -1,0 +1,106 @@
+"""Trial of a policy in a separate process before the daemon loads it: that process may crash or be killed.
+
+The process gets the policy's name, and the configured policies as JSON on standard input. It prints the problem; no
+output and exit code 0 mean success.
+"""
+
+import json
+import math
+import os
+import resource
+import signal
+import subprocess
+import sys
+from collections.abc import Mapping
+
+import numpy as np
+
+from softarm.policies import registry
+from softarm.policies.base import Policy, PolicyError
+from softarm.schemas.config import Policy as ConfiguredPolicy
+from softarm.schemas.policy import Observation, places
+
+TRIAL_S = 90.0  # to load and step once; a plug-in may compile for half a minute
+MEMORY_MAX = 16 * 1024**3  # bytes of address space, most of which a just-in-time compiler only reserves
+# The alarm ends the process if the daemon is gone. The daemon's real-time priority is dropped before any import.
+_PROGRAM = """
+import os
+import signal
+import sys
+signal.alarm(int(sys.argv[2]))
+os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
+os.nice(10)
+from softarm.policies import trial
+trial.main()
+"""
+# Inputs of the first step: the arm hanging at rest, and a target in the training range.
+_HANGING = np.zeros(len(Observation._fields), dtype=np.float32)
+_HANGING[places("tip_z_m")] = 0.52
+_TARGET = np.array([-0.2, 0.6], dtype=np.float32)
+
+
+def ready(policy: Policy) -> Policy:
+    """Load a policy, run one step and reset it. Raises PolicyError if that fails."""
+    try:
+        policy.reset()
+        policy.step(_HANGING.copy(), _TARGET.copy())
+        policy.reset()
+    except Exception as error:
+        why = f"its first step failed ({type(error).__name__}: {error}); choose another"
+        raise PolicyError(f"policy '{policy.spec.name}': {why}") from error
+    return policy
+
+
+def load(name: str, configured: Mapping[str, ConfiguredPolicy], limit_s: float) -> Policy:
+    """Try out a policy in another process, then load it here. Raises PolicyError if either fails."""
+    try_out(name, configured, limit_s)
+    return ready(registry.load(name, configured))
+
+
+def try_out(name: str, configured: Mapping[str, ConfiguredPolicy], limit_s: float) -> None:
+    """Load a policy and run its first step in another process.
+
+    Raises PolicyError with the problem, also if it takes longer than `limit_s` or the process ends.
+    """
+    process = subprocess.Popen(
+        [sys.executable, "-c", _PROGRAM, name, str(math.ceil(limit_s) + 1)],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.DEVNULL,
+    )
+    with process:
+        try:
+            policies = json.dumps({key: policy.model_dump(mode="json") for key, policy in configured.items()})
+            answer, _ = process.communicate(policies.encode(), timeout=limit_s)
+        except subprocess.TimeoutExpired:
+            raise PolicyError(
+                f"policy '{name}': no first step within {limit_s:g} s; repair the policy or choose another"
+            ) from None
+        finally:
+            process.kill()
+    if answer:
+        raise PolicyError(answer.decode(errors="replace"))
+    if process.returncode:
+        how = process.returncode
+        ended = f"by {signal.Signals(-how).name}" if how < 0 else f"with exit code {how}"
+        raise PolicyError(f"policy '{name}': its process ended {ended} during its trial; repair it")
+
+
+def _problem(name: str) -> str:
+    """Return the problem of a policy, or an empty text."""
+    configured = {key: ConfiguredPolicy.model_validate(policy) for key, policy in json.load(sys.stdin).items()}
+    try:
+        ready(registry.load(name, configured))
+    except PolicyError as error:
+        return str(error)
+    return ""
+
+
+def main() -> None:
+    """Run as the trial's process; it does not return."""
+    _, hard = resource.getrlimit(resource.RLIMIT_AS)
+    resource.setrlimit(resource.RLIMIT_AS, (MEMORY_MAX, hard))
+    answer = os.dup(1)
+    os.dup2(2, 1)  # keep output of the plug-in out of the answer
+    os.write(answer, _problem(sys.argv[1]).encode())
+    os._exit(0)  # do not wait for threads of the plug-in

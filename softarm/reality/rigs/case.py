@@ -1,0 +1,266 @@
+"""Cases of a corpus of rigs: a machine, its faults and its excitations, all drawn from one seed."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Final, Literal, TypeVar, get_args
+
+import numpy as np
+
+from softarm.reality.rigs.faults import FAULTS, Fault
+from softarm.reality.rigs.presets import RIGS, Kind, Rig
+
+T = TypeVar("T")
+Category = Literal["single", "half", "two", "set", "none", "unknown"]
+CATEGORIES: Final[tuple[Category, ...]] = get_args(Category)
+# Share of each category in a corpus.
+SHARES: Final[Mapping[Category, float]] = {
+    "single": 0.24, "half": 0.12, "two": 0.12, "set": 0.16, "none": 0.14, "unknown": 0.22,
+}  # fmt: skip
+USUAL = ("steps", "holds", "sines", "chirp", "multisine")
+SWINGS = ("small swing", "medium swing", "large swing")
+# Two faults of one family are hard to distinguish: a case never has both.
+_FAMILIES = (
+    {"dead_time", "latency", "lag", "uneven lag", "second_order", "compliance"},
+    {"deadband", "friction", "backlash", "hysteresis"},
+    {"gain", "offset", "load", "sensor_bias", "lean", "bias"},
+    {"rate_limit", "acceleration_limit", "choked flow", "lag", "uneven lag"},
+    {"ceiling", "weak supply", "gain", "offset"},
+    {"payload", "moment", "weak motor"},
+    {"coulomb_friction", "damping", "drag", "uneven friction", "slope"},
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Tie:
+    """Causes that some recordings cannot distinguish: one of `faults` is present, the right answer names all."""
+
+    faults: tuple[str, ...]
+    # Names that the answer must contain, and names that it may contain.
+    must: frozenset[str]
+    may: frozenset[str]
+    # The only excitations of the case. Empty: the usual ones, because no excitation distinguishes the causes.
+    excitations: tuple[str, ...] = ()
+    # Empty: all rigs of the kind that can have the faults.
+    rigs: tuple[str, ...] = ()
+
+
+_TIES: Final[Mapping[Kind, tuple[Tie, ...]]] = {
+    "tracking": (
+        Tie(("dead_time", "lag"), frozenset({"dead_time", "lag"}), frozenset({"latency", "second_order"}),
+            ("slow sine",)),
+        Tie(("gain", "offset", "sensor_bias"), frozenset({"gain", "sensor_bias"}), frozenset({"ceiling"}),
+            ("plateau",)),
+        Tie(("friction", "backlash"), frozenset({"deadband", "backlash"}),
+            frozenset({"hysteresis", "coulomb_friction", "lag"}), ("slow sine",)),
+        Tie(("offset", "sensor_bias"), frozenset({"gain", "sensor_bias"}), frozenset()),
+    ),
+    "driven_mass": (
+        Tie(("payload", "weak motor"), frozenset({"mass", "gain"}), frozenset({"payload"})),
+        Tie(("slope", "uneven friction"), frozenset({"force_offset", "friction_asymmetry"}), frozenset({"tilt"})),
+        Tie(("coulomb_friction", "damping", "slope"), frozenset({"coulomb_friction", "damping", "force_offset"}),
+            frozenset({"drag", "friction_asymmetry", "stiction", "tilt"}), ("one speed",)),
+    ),
+    "pendulum": (
+        Tie(("moment", "payload"), frozenset({"stiffness", "payload"}), frozenset(), rigs=("pendulum", "boom")),
+    ),
+    # A moving base or a motor distinguishes all causes.
+    "chain": (),
+}  # fmt: skip
+# Faults that no recording of the rig distinguishes from another fault are never a single cause.
+_TIED_ALWAYS: Final[Mapping[str, frozenset[str]]] = {
+    "cart": frozenset({"payload", "weak motor", "slope", "uneven friction"}),
+    "slide": frozenset({"payload", "weak motor", "slope", "uneven friction"}),
+    "coil": frozenset({"payload", "weak motor", "slope", "uneven friction"}),
+    "pendulum": frozenset({"moment", "payload"}),
+    "boom": frozenset({"moment", "payload"}),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Cause:
+    """One fault of a case and the names that a diagnosis may give it."""
+
+    fault: str
+    # Parameters of the plant.
+    settings: Mapping[str, float | tuple[float, ...]]
+    # Each of these names is right; empty: the fault is no known effect.
+    names: frozenset[str]
+    # Names that may also be in the answer because the data cannot exclude them.
+    tied: frozenset[str]
+    # Names that must all be in the answer.
+    must: frozenset[str]
+    # Names that are right as a part of an unknown effect.
+    near: frozenset[str]
+    # Additional names that do not count as a mistake.
+    also: frozenset[str]
+
+
+@dataclass(frozen=True, slots=True)
+class RigCase:
+    """One recorded rig; its folder contains neither `causes` nor `category`."""
+
+    name: str
+    rig: Rig
+    category: Category
+    causes: tuple[Cause, ...]
+    strength: float
+    # The excitation of each trial.
+    excitations: tuple[str, ...]
+    seed: int
+
+    @property
+    def kind(self) -> Kind:
+        """Return the kind of the stage."""
+        return self.rig.kind
+
+    @property
+    def truth(self) -> dict[str, Any]:
+        """Return the drawn case as JSON types."""
+        causes = [
+            {
+                "fault": c.fault,
+                "settings": {n: np.ravel(x).tolist() if isinstance(x, tuple) else x for n, x in c.settings.items()},
+            }
+            | {name: sorted(getattr(c, name)) for name in ("names", "tied", "must", "near", "also")}
+            for c in self.causes
+        ]
+        return {
+            "case": self.name,
+            "rig": self.rig.name,
+            "kind": self.kind,
+            "plant": self.rig.plant,
+            "category": self.category,
+            "strength": self.strength,
+            "excitations": list(self.excitations),
+            "seed": self.seed,
+            "causes": causes,
+        }
+
+
+def draw(
+    count: int, seed: int, kinds: Sequence[Kind] = get_args(Kind), categories: Sequence[Category] = CATEGORIES
+) -> list[RigCase]:
+    """Draw cases of some kinds and categories; neither their order nor their names reveal their contents.
+
+    Kinds alternate, and so do the rigs of a kind; `SHARES` gives the number of cases per category.
+
+    Raises:
+        ValueError: The count is below 1, the seed is negative, or a kind or category is unknown or missing.
+    """
+    if count < 1 or seed < 0:
+        raise ValueError(f"count is {count}, seed is {seed}; give a count from 1 and a seed from 0")
+    for given, known in ((kinds, get_args(Kind)), (categories, CATEGORIES)):
+        if not given or not set(given) <= set(known):
+            raise ValueError(f"{', '.join(given) or 'nothing'}: allowed are {', '.join(known)}")
+    random = np.random.default_rng((seed, 0))
+    wanted = _categories(count, categories)
+    random.shuffle(wanted)
+    kind_of, rigs = (
+        _in_turn(kinds, random),
+        {k: _in_turn([r for r in RIGS.values() if r.kind == k], random) for k in kinds},
+    )
+    names = random.choice(16**6, size=count, replace=False)
+    faults: dict[tuple[str, bool], Iterator[str]] = {}
+    cases = []
+    for index, (name, category) in enumerate(zip(names, wanted, strict=True)):
+        rig = next(rigs[next(kind_of)])
+        own = np.random.default_rng((seed, 1, index))
+        cases.append(_case(f"rig-{name:06x}", rig, category, faults, own, int(own.integers(2**31))))
+    return cases
+
+
+def case_of(
+    rig: str, faults: Sequence[str], strength: float = 1.0, seed: int = 0, excitations: Sequence[str] = ()
+) -> RigCase:
+    """Return a case with chosen faults (of `FAULTS`) of a rig (of `RIGS`), with given or usual excitations.
+
+    Raises:
+        KeyError: The rig or a fault is unknown.
+    """
+    machine, random = RIGS[rig], np.random.default_rng((seed, 2))
+    causes = tuple(_cause(machine, name, strength, random) for name in faults)
+    unknown = any(not c.names for c in causes)
+    category: Category = "none" if not faults else "unknown" if unknown else "two" if len(faults) > 1 else "single"
+    return RigCase(
+        f"{rig}-{'-'.join(faults) or 'healthy'}".replace(" ", "-"), machine, category, causes, strength,
+        tuple(excitations) or _usual(machine, random), seed,
+    )  # fmt: skip
+
+
+def _categories(count: int, categories: Sequence[Category]) -> list[Category]:
+    """Return a category per case by `SHARES`; the largest remainders get the cases that rounding leaves."""
+    total = sum(SHARES[c] for c in categories)
+    exact = {c: SHARES[c] / total * count for c in categories}
+    whole = {c: int(x) for c, x in exact.items()}
+    for c in sorted(exact, key=lambda c: whole[c] - exact[c])[: count - sum(whole.values())]:
+        whole[c] += 1
+    return [c for c, n in whole.items() for _ in range(n)]
+
+
+def _in_turn(items: Sequence[T], random: np.random.Generator) -> Iterator[T]:
+    while True:
+        for index in random.permutation(len(items)):
+            yield items[index]
+
+
+def _case(
+    name: str,
+    rig: Rig,
+    category: Category,
+    faults: dict[tuple[str, bool], Iterator[str]],
+    random: np.random.Generator,
+    seed: int,
+) -> RigCase:
+    strength = 0.5 if category == "half" else 1.0
+    excitations = _usual(rig, random)
+    causes: tuple[Cause, ...] = ()
+    if category == "set":
+        causes, excitations = _tied(rig, random, excitations)
+        category = "set" if causes else "single"
+    if category not in ("set", "none"):
+        turn = faults.setdefault((rig.name, category == "unknown"), _in_turn(_faults(rig, category), random))
+        chosen = [next(turn)]
+        if category == "two":
+            chosen.append(next(f for f in turn if not _alike(chosen[0], f)))
+        causes = tuple(_cause(rig, f, strength, random) for f in chosen)
+    return RigCase(name, rig, category, causes, strength, excitations, seed)
+
+
+def _faults(rig: Rig, category: Category) -> list[str]:
+    """Return the possible faults of a rig: known effects that its data can distinguish, or unknown effects."""
+    known = category != "unknown"
+    never = _TIED_ALWAYS.get(rig.name, frozenset())
+    return [name for name, f in FAULTS[rig.plant].items() if bool(f.names) == known and name not in never]
+
+
+def _alike(one: str, other: str) -> bool:
+    return one == other or any({one, other} <= family for family in _FAMILIES)
+
+
+def _cause(rig: Rig, name: str, strength: float, random: np.random.Generator, tie: Tie | None = None) -> Cause:
+    fault: Fault = FAULTS[rig.plant][name]
+    must, may = (tie.must, tie.may) if tie else (frozenset[str](), frozenset[str]())
+    names = fault.names | must if tie else fault.names
+    return Cause(name, fault.draw(rig, strength, random), names, fault.tied | may, must, fault.near, fault.also)
+
+
+def _tied(rig: Rig, random: np.random.Generator, usual: tuple[str, ...]) -> tuple[tuple[Cause, ...], tuple[str, ...]]:
+    """Return a cause that its recordings cannot distinguish from others, and the excitations of these recordings."""
+    there = FAULTS[rig.plant]
+    ties = [
+        t for t in _TIES[rig.kind] if any(f in there for f in t.faults) and (not t.rigs or rig.name in t.rigs)
+    ]  # fmt: skip
+    if not ties:
+        return (), usual
+    tie = ties[random.integers(len(ties))]
+    options = [f for f in tie.faults if f in there]
+    cause = _cause(rig, options[random.integers(len(options))], 1.0, random, tie)
+    return (cause,), tie.excitations * 5 or usual
+
+
+def _usual(rig: Rig, random: np.random.Generator) -> tuple[str, ...]:
+    kinds = list(SWINGS * 2 if rig.plant == "pendulum" else USUAL)
+    if rig.plant != "pendulum" and random.random() < 0.5:
+        kinds.append(kinds[random.integers(len(kinds))])
+    random.shuffle(kinds)
+    return tuple(kinds)

@@ -1,0 +1,201 @@
+"""Models of rigs that follow a command: an axis in velocity or position mode, a servo, a chamber behind a valve.
+
+A mapping gives the parameters of each lane; missing ones are neutral (`DEFAULTS`). Positions, speeds and forces are
+per mass and in the rig's own unit of length (radian or metre).
+"""
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from softarm.reality.rigs.laws import Array, Bristles, Loops, Play, dead_zone, orifice, stacked
+
+INF = float("inf")
+# Time constant of the inner loop as a share of the outer loop's.
+INNER_SHARE = 1 / 40
+ATMOSPHERE_KPA = 101.3
+
+DEFAULTS: Mapping[str, float] = {
+    # Time constant of the outer loop.
+    "lag_s": 0.1,
+    # Time constant of venting a chamber; 0: `lag_s`.
+    "lag_down_s": 0.0,
+    # Relative error of the command.
+    "gain": 0.0,
+    "offset": 0.0,
+    # Upper limit of the command or the supply.
+    "ceiling": INF,
+    # Dead zone of the loop's error.
+    "dead_zone": 0.0,
+    # Limit of the speed.
+    "rate": INF,
+    "acceleration": INF,
+    # Friction and forces are per mass.
+    "friction_up": 0.0,
+    "friction_down": 0.0,
+    "stiction": 1.0,
+    "stribeck": 1.0,
+    # Constant force.
+    "load": 0.0,
+    "gap": 0.0,
+    "loop_width": 0.0,
+    # Natural frequency of a spring between drive and sensor; 0: no spring.
+    "mode_rad_s": 0.0,
+    "mode_zeta": 0.15,
+    # Force that repeats with the position.
+    "ripple": 0.0,
+    "ripple_pitch": 1.0,
+    # Amplitude of a 1 Hz error of the measurement.
+    "hum": 0.0,
+    # Share by which the gain has grown after a long time.
+    "drift": 0.0,
+    "drift_s": 60.0,
+    # Share of play or friction that is present at first; 0: all.
+    "wear": 0.0,
+    "wear_s": 60.0,
+    # Position that is lost when the acceleration exceeds `slip_above`.
+    "slip": 0.0,
+    "slip_above": INF,
+    # Fill rate of a chamber through a wide open valve, in upstream pressures.
+    "orifice_1_s": INF,
+    # Gauge pressure of the supply.
+    "supply_kpa": 400.0,
+}
+NAMES: frozenset[str] = frozenset(DEFAULTS)
+
+
+def lanes_of(lanes: Sequence[Mapping[str, float]]) -> dict[str, Array]:
+    """Return the parameters of all lanes as one array per name.
+
+    Raises:
+        KeyError: A name is not in `DEFAULTS`.
+    """
+    unknown = {name for lane in lanes for name in lane} - NAMES
+    if unknown:
+        raise KeyError(f"a follower has no parameter of this name: {', '.join(sorted(unknown))}")
+    return {name: stacked([lane.get(name, value) for lane in lanes]) for name, value in DEFAULTS.items()}
+
+
+class _Seen:
+    """Path from the drive to the sensor: spring, play, hysteresis, slip, hum."""
+
+    def __init__(self, p: Mapping[str, Array], start: Array, clock_s: Array, dt_s: float) -> None:
+        self._p, self._clock_s, self._dt_s = p, clock_s, dt_s
+        self._springs = p["mode_rad_s"] > 0
+        self._at, self._speed = start.copy(), np.zeros_like(start)
+        self._play = Play(p["gap"] * worn(p, clock_s), start)
+        self._loops = Loops(p["loop_width"], start)
+        self._lost = np.zeros_like(start)
+        self._last = np.zeros_like(start)
+        self._slips = bool(np.any(p["slip"] != 0))
+        self._recovered = np.zeros_like(start)
+
+    def step(self, x: Array, push: Array, t_s: float) -> Array:
+        p, dt = self._p, self._dt_s
+        if np.any(self._springs):
+            w, zeta = p["mode_rad_s"], p["mode_zeta"]
+            moved = (x - self._last) / dt if t_s > 0 else np.zeros_like(x)
+            self._speed += dt * (w * w * (x - self._at) + 2 * zeta * w * (moved - self._speed))
+            self._at += dt * self._speed
+            self._last = x.copy()
+            x = np.where(self._springs, self._at, x)
+        if self._slips:
+            hit = (np.abs(push) > p["slip_above"]) & (t_s > self._recovered)
+            self._lost -= np.where(hit, p["slip"] * np.sign(push), 0.0)
+            self._recovered = np.where(hit, t_s + 0.5, self._recovered)
+            x = x + self._lost
+        x = self._loops.step(self._play.step(x))
+        return np.asarray(x + p["hum"] * np.sin(2 * np.pi * (self._clock_s + t_s) + 0.7))
+
+
+def worn(p: Mapping[str, Array], clock_s: Array) -> Array:
+    """Return the share of play or friction that is present at a time; it grows from `wear` to 1."""
+    grown = p["wear"] + (1 - p["wear"]) * (1 - np.exp(-clock_s / p["wear_s"]))
+    return np.where(p["wear"] > 0, grown, 1.0)
+
+
+def axis(commands: Array, lanes: Sequence[Mapping[str, float]], clock_s: Array, dt_s: float, velocity: bool) -> Array:
+    """Return the positions or, in velocity mode, the speeds [N, L] for received commands [N, L].
+
+    Position mode: a proportional loop around a velocity loop that is 40 times as fast. Velocity mode: a proportional
+    loop around a current loop.
+
+    Args:
+        clock_s: Start time of each lane's trial in the campaign, s [L].
+    """
+    p = lanes_of(lanes)
+    n = commands.shape[1]
+    outer, inner = p["lag_s"], INNER_SHARE * p["lag_s"]
+    start = commands[0].copy()
+    x, v, f = (np.zeros(n) if velocity else start.copy()), (start.copy() if velocity else np.zeros(n)), np.zeros(n)
+    share = worn(p, clock_s)
+    rub = Bristles(
+        p["friction_up"] * share, p["friction_down"] * share, 1.0, _give(p, outer, inner), dt_s,
+        p["stiction"], p["stribeck"],
+    )  # fmt: skip
+    seen = _Seen(p, v if velocity else x, clock_s, dt_s)
+    out = np.empty_like(commands)
+    waves = np.any(p["ripple"] != 0)
+    for i in range(len(commands)):
+        t = i * dt_s
+        scale = 1 + p["gain"] + p["drift"] * (1 - np.exp(-(clock_s + t) / p["drift_s"]))
+        wanted = np.minimum(commands[i] * scale + p["offset"], p["ceiling"])
+        if velocity:
+            push = dead_zone(wanted - v, p["dead_zone"]) / outer
+            push = np.minimum(np.maximum(push, -p["acceleration"]), p["acceleration"])
+            f += (push - f) * dt_s / inner
+            force = f
+        else:
+            speed = dead_zone(wanted - x, p["dead_zone"]) / outer
+            speed = np.minimum(np.maximum(speed, -p["rate"]), p["rate"])
+            push = (speed - v) / inner
+            force = push = np.minimum(np.maximum(push, -p["acceleration"]), p["acceleration"])
+        pushed = force + p["load"]
+        if waves:
+            pushed = pushed + p["ripple"] * np.sin(2 * np.pi * x / p["ripple_pitch"])
+        if rub.any:
+            pushed = pushed - rub.force(v)
+        v = v + dt_s * pushed
+        x = x + dt_s * v
+        out[i] = seen.step(v if velocity else x, push, t)
+    return out
+
+
+def chamber(commands: Array, lanes: Sequence[Mapping[str, float]], clock_s: Array, dt_s: float) -> Array:
+    """Return the gauge pressure of each lane's chamber, kPa [N, L], for received commands, kPa [N, L].
+
+    A regulator opens its valve in proportion to the pressure error, through an exact map of the valve's flow. When
+    wide open, the orifice limits the flow from the supply or to the atmosphere. The spool has 1/40 of the lag.
+    """
+    p = lanes_of(lanes)
+    fill = p["lag_s"]
+    vent = np.where(p["lag_down_s"] > 0, p["lag_down_s"], fill)
+    pressure = commands[0].copy()
+    opening = np.zeros_like(pressure)
+    supply = p["supply_kpa"] + ATMOSPHERE_KPA
+    wide = np.where(np.isfinite(p["orifice_1_s"]), p["orifice_1_s"], 30.0 / fill)
+    seen = _Seen(p, pressure, clock_s, dt_s)
+    out = np.empty_like(commands)
+    for i in range(len(commands)):
+        t = i * dt_s
+        scale = 1 + p["gain"] + p["drift"] * (1 - np.exp(-(clock_s + t) / p["drift_s"]))
+        wanted = np.minimum(commands[i] * scale + p["offset"], p["ceiling"])
+        error = dead_zone(wanted - pressure, p["dead_zone"])
+        inside = pressure + ATMOSPHERE_KPA
+        inward = wide * orifice(supply, inside)
+        outward = wide * orifice(inside, np.full_like(inside, ATMOSPHERE_KPA))
+        rising = error > 0
+        asked = error / np.where(rising, fill, vent)
+        most = np.where(rising, inward, outward)
+        share = np.clip(asked / np.maximum(most, 1e-9), -1.0, 1.0)
+        opening += (share - opening) * np.minimum(dt_s / (INNER_SHARE * np.minimum(fill, vent)), 1.0)
+        flow = np.where(opening > 0, opening * inward, opening * outward)
+        pressure = pressure + dt_s * flow
+        out[i] = seen.step(pressure, flow, t)
+    return out
+
+
+def _give(p: Mapping[str, Array], outer: Array, inner: Array) -> Array:
+    """Return the deflection of the bristles: a hundredth of the error that their friction holds."""
+    level = np.maximum(p["friction_up"], p["friction_down"])
+    return np.maximum(0.01 * level * outer * inner, 1e-9)

@@ -1,0 +1,147 @@
+"""Cameras, pressure sensor and rail encoder: from the true state to the readings that the controller receives.
+
+All stamps are on the controller's clock, nanoseconds since the robot's start.
+"""
+
+from collections import deque
+
+import numpy as np
+from numpy.typing import NDArray
+
+from softarm.reality.parameters import Mocap, PressureSensor, RailSensor
+from softarm.schemas.messages import MocapFrame, Pose, PressureReading, RailReading
+
+Array = NDArray[np.float64]
+
+
+def nanoseconds(t_s: float) -> int:
+    """Convert seconds to whole nanoseconds."""
+    return round(t_s * 1e9)
+
+
+def quantised(value: float, quantum: float) -> float:
+    """Return the nearest multiple of a quantum; a quantum of 0 changes nothing."""
+    return round(value / quantum) * quantum if quantum else value
+
+
+class Timer:
+    """Timer of readings at a regular rate."""
+
+    def __init__(self, rate_hz: float) -> None:
+        self._rate_hz, self._count = rate_hz, 1
+
+    @property
+    def due_s(self) -> float:
+        """Return the time of the next reading, s."""
+        return self._count / self._rate_hz
+
+    def done(self) -> None:
+        """Advance to the next reading."""
+        self._count += 1
+
+
+class Cameras:
+    """Cameras that see six marker sets (`softarm.schemas.messages.BODY_NAMES`); frames arrive in order."""
+
+    def __init__(self, parameters: Mocap, drift: float, base_height_m: float, random: np.random.Generator) -> None:
+        self._p, self._drift, self._base_m, self._random = parameters, drift, base_height_m, random
+        self.timer = Timer(parameters.rate_hz)
+        self._sequence = 0
+        self._on_the_way: deque[MocapFrame] = deque()
+        # Displacement of the loose marker set, m.
+        self._wobble = np.zeros(2)
+        self._wobble_m_s = np.zeros(2)
+        self._end_m_s: Array | None = None
+
+    @property
+    def loose_link(self) -> int:
+        """Return the link with the loose marker set (1 to 5), or 0."""
+        return self._p.loose_link
+
+    def shake(self, end_velocity_m_s: tuple[float, float], dt_s: float) -> None:
+        """Advance the loose marker set by a step: a damped spring connects it to its moving link."""
+        velocity = np.array(end_velocity_m_s)
+        before = velocity if self._end_m_s is None else self._end_m_s
+        self._end_m_s = velocity
+        omega = 2 * np.pi * self._p.loose_hz
+        pull = omega**2 * self._wobble + 2 * self._p.loose_damping * omega * self._wobble_m_s
+        self._wobble_m_s = self._wobble_m_s - pull * dt_s - (velocity - before)
+        self._wobble = self._wobble + self._wobble_m_s * dt_s
+
+    def expose(self, t_s: float, cart_m: float, ends_m: Array, angles_rad: Array) -> None:
+        """Take a frame; a frame that is lost on the network still counts in the sequence."""
+        self.timer.done()
+        self._sequence += 1
+        p, random = self._p, self._random
+        places = np.vstack(([cart_m, self._base_m], ends_m))
+        if p.loose_link:
+            places[p.loose_link] += self._wobble
+        places = self._calibrated(places) + random.normal(0.0, 1.0, places.shape) * p.noise_m
+        angles = np.append(0.0, angles_rad) + p.rotation_rad + random.normal(0.0, 1.0, 6) * p.angle_noise_rad
+        jitter_s = random.exponential(1.0) * p.transport_jitter_s
+        if random.random() < p.dropout:
+            return
+        received_s = t_s + p.latency_s + p.transport_s + jitter_s
+        received_ns = nanoseconds(received_s)
+        if self._on_the_way:
+            received_ns = max(received_ns, self._on_the_way[-1].t_receive_ns)
+        stamp_ns = nanoseconds(t_s * (1 + self._drift) + p.latency_s)
+        bodies = tuple(Pose(y, z, angle) for (y, z), angle in zip(places.tolist(), angles.tolist(), strict=True))
+        self._on_the_way.append(MocapFrame(self._sequence, stamp_ns, received_ns, bodies))
+
+    def received(self, now_s: float) -> list[MocapFrame]:
+        """Return the frames received since the last call, oldest first."""
+        frames, now_ns = [], nanoseconds(now_s)
+        while self._on_the_way and self._on_the_way[0].t_receive_ns <= now_ns:
+            frames.append(self._on_the_way.popleft())
+        return frames
+
+    def _calibrated(self, places: Array) -> Array:
+        p = self._p
+        sine, cosine = np.sin(p.rotation_rad), np.cos(p.rotation_rad)
+        middle = np.array((0.0, self._base_m))
+        # Positive angles turn towards +y, like the angles of the links.
+        turned = (places - middle) @ np.array(((cosine, sine), (-sine, cosine)))
+        return np.asarray(middle + (1 + p.scale) * turned + (p.offset_y_m, p.offset_z_m))
+
+
+class Gauge:
+    """Pressure sensor inside the regulator."""
+
+    def __init__(self, parameters: PressureSensor, random: np.random.Generator) -> None:
+        self._p, self._random = parameters, random
+        self.timer = Timer(parameters.rate_hz)
+        self._readings: list[PressureReading] = []
+
+    def read(self, t_s: float, pressure_kpa: float) -> None:
+        """Take a reading at a time."""
+        self.timer.done()
+        p = self._p
+        raw = pressure_kpa + p.bias_kpa + float(self._random.normal()) * p.noise_kpa
+        self._readings.append(PressureReading(nanoseconds(t_s), quantised(raw, p.quantum_kpa), True))
+
+    def received(self) -> list[PressureReading]:
+        """Return the readings since the last call, oldest first."""
+        readings, self._readings = self._readings, []
+        return readings
+
+
+class Encoder:
+    """Encoder read-back of the rail's axis."""
+
+    def __init__(self, parameters: RailSensor) -> None:
+        self._p = parameters
+        self.timer = Timer(parameters.rate_hz)
+        self._readings: list[RailReading] = []
+
+    def read(self, t_s: float, position_m: float, velocity_m_s: float) -> None:
+        """Take a reading at a time."""
+        self.timer.done()
+        position = quantised(position_m, self._p.position_quantum_m)
+        velocity = quantised(velocity_m_s, self._p.velocity_quantum_m_s)
+        self._readings.append(RailReading(nanoseconds(t_s), position, velocity, True))
+
+    def received(self) -> list[RailReading]:
+        """Return the readings since the last call, oldest first."""
+        readings, self._readings = self._readings, []
+        return readings

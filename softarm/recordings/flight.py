@@ -1,0 +1,186 @@
+"""Contents of a log for display: ticks, frames and readings in the order of the file.
+
+Only the fields that are drawn, plotted and tabulated are read, so logs of other versions can be shown.
+"""
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import NamedTuple
+
+from pydantic import BaseModel, ValidationError
+
+from softarm.recordings import channels, mcap_file
+from softarm.schemas import log
+from softarm.schemas.config import Config
+from softarm.schemas.events import Entry
+from softarm.schemas.flights import SHELF_MIDDLE_M
+from softarm.schemas.goals import GoalStatus
+from softarm.schemas.messages import Command, MocapFrame, PressureReading, RailReading
+from softarm.schemas.policy import Observation
+
+
+class Observed(BaseModel):
+    """Observation given to the policy."""
+
+    values: Observation
+    mocap_age_ns: int = 0
+    pressure_age_ns: int = 0
+    rail_age_ns: int = 0
+    bridged_ns: int = 0
+
+
+class ActiveEvent(BaseModel):
+    """Active event of the failsafe table."""
+
+    name: str
+
+
+class Outputs(BaseModel):
+    """Decisions of a tick."""
+
+    t_ns: int  # start of the tick, CLOCK_MONOTONIC
+    tick: int = 0
+    late_ns: int = 0
+    missed: int = 0
+    mode: str = ""
+    estop: str = ""
+    sent: Command
+    action: tuple[float, float] | None = None
+    policy: str = ""
+    policy_ns: int = 0
+    clamps: tuple[str, ...] = ()
+    observed: Observed | None = None
+    goal: GoalStatus = GoalStatus()
+    events: tuple[ActiveEvent, ...] = ()
+
+
+class Timing(BaseModel):
+    """Durations of the parts of a tick."""
+
+    read_ns: int = 0
+    compute_ns: int = 0
+    write_ns: int = 0
+    sensor_to_command_ns: int | None = None
+
+
+class Tick(BaseModel):
+    """Control tick with its outputs and timing."""
+
+    outputs: Outputs
+    timing: Timing = Timing()
+
+
+class Moment(NamedTuple):
+    """Tick together with the newest data of every device at that time."""
+
+    tick: Tick
+    frame: MocapFrame | None
+    pressure: PressureReading | None
+    rail: RailReading | None
+
+
+EVENT = channels.LogChannel(log.EVENT, Entry)
+Record = Tick | MocapFrame | PressureReading | RailReading | Entry
+
+
+def record(topic: str, data: bytes) -> Record | None:
+    """Return one message of a log, or None for a channel that is not shown.
+
+    Raises:
+        pydantic.ValidationError: The message has another format.
+    """
+    match topic:
+        case log.TICK:
+            return Tick.model_validate_json(data)
+        case log.MOCAP:
+            return channels.MOCAP.decode(data)
+        case log.PRESSURE:
+            return channels.PRESSURE.decode(data)
+        case log.RAIL:
+            return channels.RAIL.decode(data)
+        case log.EVENT:
+            return EVENT.decode(data)
+    return None
+
+
+def records(path: Path) -> Iterator[Record | None]:
+    """Yield every message of a log in file order, with None for channels that are not shown.
+
+    Raises:
+        LogError: The file is not a log, or has an unknown format.
+    """
+    for topic, data in mcap_file.messages(path):
+        try:
+            yield record(topic, data)
+        except ValidationError as error:
+            raise unreadable(path, topic, error) from None
+
+
+def moments(path: Path) -> Iterator[Moment | None]:
+    """Yield every tick with the newest device data, and None for every other message, to show progress."""
+    frame: MocapFrame | None = None
+    pressure: PressureReading | None = None
+    rail: RailReading | None = None
+    for one in records(path):
+        match one:
+            case MocapFrame():
+                frame = one
+            case PressureReading():
+                pressure = one
+            case RailReading():
+                rail = one
+            case Tick():
+                yield Moment(one, frame, pressure, rail)
+                continue
+        yield None
+
+
+def first_stamp_ns(path: Path) -> int:
+    """Return the stamp of the first measurement or tick, CLOCK_MONOTONIC; seconds of a log count from it.
+
+    Raises:
+        LogError: The file is not a log.
+    """
+    for one in records(path):
+        match one:
+            case MocapFrame():
+                return one.t_capture_ns
+            case PressureReading() | RailReading():
+                return one.t_receive_ns
+            case Tick():
+                return one.outputs.t_ns
+    raise nothing_in(path)
+
+
+def shelf_depth_m(policy: str, config: Config) -> float | None:
+    """Return the distance of a policy's targets behind the front edge of the shelf, or None without a shelf."""
+    made = config.policies.get(policy)
+    options = made.options if made else {"model": policy}
+    depth_m = options.get("target_depth_m", SHELF_MIDDLE_M if options.get("model") == "shelf" else None)
+    return None if depth_m is None else float(depth_m)
+
+
+def wall_minus_monotonic_ns(path: Path, metadata: log.Metadata) -> int:
+    """Return the offset from the stamps of a log to wall-clock time.
+
+    Raises:
+        LogError: The log does not contain the offset.
+    """
+    try:
+        return int(metadata[log.CLOCK]["wall_minus_monotonic_ns"])
+    except (KeyError, ValueError):
+        raise mcap_file.LogError(f"{path}: does not say what time it was; name a log of the daemon's") from None
+
+
+def nothing_in(path: Path) -> mcap_file.LogError:
+    """Return the error for a log without a tick."""
+    return mcap_file.LogError(f"{path}: holds nothing to show; was the daemon stopped before its first tick?")
+
+
+def unreadable(path: Path, topic: str, error: ValidationError) -> mcap_file.LogError:
+    """Return the error for a message of an unknown format."""
+    problem = error.errors(include_url=False)[0]
+    where = f"{'.'.join(map(str, problem['loc']))}: " if problem["loc"] else ""
+    return mcap_file.LogError(
+        f"{path}: a message on {topic}: {where}{problem['msg']}; was it edited, or recorded by another version?"
+    )

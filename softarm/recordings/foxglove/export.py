@@ -1,0 +1,89 @@
+"""Export of a log for Foxglove: the messages in wall-clock time, with a scene, plots and a journal."""
+
+import re
+from collections.abc import Callable, Iterable
+from importlib.resources import files
+from pathlib import Path
+
+from mcap.records import Channel, Message, Metadata, Schema
+from mcap.writer import Writer
+from pydantic import ValidationError
+
+from softarm.common import files as atomic
+from softarm.recordings import flight, mcap_file
+from softarm.recordings.foxglove import converter
+from softarm.recordings.foxglove.converter import Converter
+from softarm.recordings.live import LIBRARY
+from softarm.recordings.log_file import LogFile
+from softarm.reporting.colours import on_any_ground
+from softarm.schemas.events import Entry
+
+Advance = Callable[[], None]
+
+
+def layout() -> str:
+    """Return the layout for Foxglove: 3D, plots, states and journal, in the colours of `softarm.reporting`."""
+    text = (files("softarm.recordings.foxglove") / "layout.json").read_text(encoding="utf-8")
+    return re.sub(r'"color": "([a-z]+)"', lambda found: f'"color": "{_hex(found[1])}"', text)
+
+
+def _hex(name: str) -> str:
+    return "#" + "".join(f"{round(255 * part):02x}" for part in on_any_ground(name))
+
+
+def export(log: LogFile, target: Path, entries: Iterable[Entry], advance: Advance = lambda: None) -> int:
+    """Write a log for Foxglove and return the number of messages. The log itself is not changed.
+
+    Args:
+        log: The log.
+        target: File to write.
+        entries: Events of the log.
+        advance: Called for every message read.
+
+    Raises:
+        LogError: The log cannot be read.
+        OSError: The file cannot be written.
+    """
+    offset_ns = flight.wall_minus_monotonic_ns(log.path, log.metadata)
+    changing = Converter(log.config, offset_ns)
+    with atomic.replacing(target) as file:
+        writer = Writer(file)
+        writer.start(profile="", library=LIBRARY)
+        ids = {channel.topic: _register(writer, channel) for channel in converter.channels()}
+        topics: dict[int, str] = {}
+        schemas: dict[int, Schema] = {}
+        count = 0
+
+        def put(message: converter.Message) -> None:
+            nonlocal count
+            count += 1
+            writer.add_message(ids[message.topic], message.log_time, message.data, message.publish_time, count)
+
+        for record in mcap_file.records(log.path):
+            match record:
+                case Schema():
+                    schemas[record.id] = record
+                case Channel():
+                    topics[record.id] = record.topic
+                    if record.topic not in ids:  # a finished log repeats it at its end
+                        ids[record.topic] = _register(writer, converter.own(record, schemas[record.schema_id]))
+                case Metadata():
+                    writer.add_metadata(record.name, record.metadata)
+                case Message():
+                    advance()
+                    topic = topics[record.channel_id]
+                    try:
+                        for message in changing.take(topic, record.log_time, record.publish_time, record.data):
+                            put(message)
+                    except ValidationError as error:
+                        raise flight.unreadable(log.path, topic, error) from None
+        if not changing.has_events:
+            for entry in entries:
+                put(changing.journal(entry))
+        writer.finish()
+    return count
+
+
+def _register(writer: Writer, channel: converter.Channel) -> int:
+    schema = writer.register_schema(channel.schema_name, "jsonschema", channel.json_schema)
+    return int(writer.register_channel(channel.topic, "json", schema))

@@ -1,0 +1,82 @@
+"""Complete records of an MCAP file, even if it breaks off."""
+
+import os
+from collections.abc import Iterator
+from pathlib import Path
+from typing import IO
+
+from mcap.records import Channel, McapRecord, Message, Schema
+from mcap.stream_reader import StreamReader
+from mcap.writer import MCAP0_MAGIC
+
+
+class LogError(Exception):
+    """Error about a file that is not a log or cannot be read, with its name and the next step."""
+
+
+def records(path: Path) -> Iterator[McapRecord]:
+    """Yield every complete record in file order, up to the point where the file breaks off.
+
+    A message without its channel, or a channel without its schema, is left out.
+
+    Raises:
+        LogError: The file does not exist or is not MCAP.
+    """
+    try:
+        file = path.open("rb")
+    except OSError as error:
+        raise LogError(f"{path}: cannot be read ({error.strerror}); see `softarm status` for the logs") from error
+    with file:
+        magic = file.read(len(MCAP0_MAGIC))
+        if not MCAP0_MAGIC.startswith(magic):
+            raise LogError(f"{path}: not a log; a log is an MCAP file, as the recorder writes it")
+        file.seek(0)
+        yield from stream(file, os.fstat(file.fileno()).st_size)
+
+
+def stream(file: IO[bytes], record_max: int) -> Iterator[McapRecord]:
+    """Yield every complete record of a stream, such as a pipe, as `records` does, up to `record_max` bytes each."""
+    found = StreamReader(file, record_size_limit=record_max).records
+    schemas, channels = {0}, set[int]()  # 0: channels without a schema
+    while True:
+        try:
+            record = next(found)
+        except Exception:  # the library's parser raises various errors at the break
+            return
+        match record:
+            case Schema():
+                schemas.add(record.id)
+            case Channel() if record.schema_id in schemas:
+                channels.add(record.id)
+            case Channel():
+                continue
+            case Message() if record.channel_id not in channels:
+                continue
+        yield record
+
+
+def messages(path: Path) -> Iterator[tuple[str, bytes]]:
+    """Yield topic and data of every complete message in file order.
+
+    Raises:
+        LogError: The file does not exist or is not MCAP.
+    """
+    topics: dict[int, str] = {}
+    for record in records(path):
+        if isinstance(record, Channel):
+            topics[record.id] = record.topic
+        elif isinstance(record, Message):
+            yield topics[record.channel_id], record.data
+
+
+def is_finished(path: Path) -> bool:
+    """Return whether the file ends as a complete MCAP file.
+
+    Raises:
+        OSError: The file cannot be read.
+    """
+    with path.open("rb") as file:
+        if os.fstat(file.fileno()).st_size < 2 * len(MCAP0_MAGIC):
+            return False
+        file.seek(-len(MCAP0_MAGIC), os.SEEK_END)
+        return bool(file.read() == MCAP0_MAGIC)

@@ -1,0 +1,75 @@
+"""A complete HTML page: head, sections with links, embedded style and script, no external resources."""
+
+import json
+from collections.abc import Sequence
+from functools import cache
+from importlib.resources import files
+from typing import NamedTuple
+
+from softarm.reporting.markup import Html, el, join
+
+# Even if a text contains markup, the browser fetches nothing and runs no script on a page without one.
+_POLICY = "default-src 'none'; style-src 'unsafe-inline'; img-src data:"
+_SCRIPTED = f"{_POLICY}; script-src 'unsafe-inline'"
+
+_PLOTTER = ("shared/language.js", "shared/uPlot.iife.min.js", "shared/plotter.js")
+_PLOT, _PLAYER = ("plot.js",), ("shared/arm.js", "player.js")
+
+
+class Section(NamedTuple):
+    """A section of the page with its own title."""
+
+    title: str
+    anchor: str
+    body: Html
+
+
+def document(
+    title: str, maker: str, lead: Html, sections: Sequence[Section], plot: object = None, player: object = None
+) -> str:
+    """Return a page as text; equal contents give equal pages.
+
+    Args:
+        title: Title of the page.
+        maker: Program that made the page, e.g. `softarm diagnosis`.
+        lead: Heading (h1) and introduction.
+        sections: Sections in the order of the page.
+        plot: Data for plot.js, of `softarm.reporting.plot.packed`.
+        player: Data for player.js. Without plot and player, the page has no script.
+    """
+    script: tuple[Html, ...] = ()
+    style = _parts("shared/colours.css", "style.css")
+    if plot is not None or player is not None:
+        data = el("script", _embedded(plot if player is None else player), type="application/json", id="data")
+        script = data, el("script", _parts(*_PLOTTER, *(_PLOT if player is None else _PLAYER)))
+        style = join([style, _parts("shared/uPlot.min.css", *(["player.css"] if player is not None else []))])
+    links = (el("a", section.title, href=f"#{section.anchor}") for section in sections)
+    body = el(
+        "body",
+        el("header", el("p", maker, class_="brand"), lead),
+        el("nav", *links, aria_label="sections"),
+        el("main", *(el("section", el("h2", one.title), one.body, id=one.anchor) for one in sections)),
+        *script,
+    )
+    head = el(
+        "head",
+        el("meta", charset="utf-8"),
+        el("meta", name="viewport", content="width=device-width, initial-scale=1"),
+        el("meta", name="color-scheme", content="light dark"),
+        el("meta", http_equiv="Content-Security-Policy", content=_SCRIPTED if script else _POLICY),
+        el("title", f"{title} · {maker}"),
+        el("style", style),
+    )
+    return "<!doctype html>\n" + join([el("html", head, body, lang="en")]) + "\n"
+
+
+@cache
+def _parts(*names: str) -> Html:
+    folder = files("softarm.reporting")
+    return Html("\n".join((folder / name).read_text(encoding="utf-8") for name in names))
+
+
+def _embedded(value: object) -> Html:
+    """Return JSON in which no text can end the script element."""
+    text = json.dumps(value, separators=(",", ":"), allow_nan=False)
+    return Html(text.replace("&", "\\u0026").replace("<", "\\u003c").replace(">", "\\u003e"))

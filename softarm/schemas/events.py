@@ -1,0 +1,33 @@
+"""Events of the daemon, as the API, the log and `softarm events` report them."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from datetime import datetime
+from typing import Literal
+
+EventKind = Literal["request", "mode", "stop", "goal", "lost", "found", "event"]
+
+KINDS: Mapping[EventKind, str] = {
+    "request": "a request and its result",
+    "mode": "a change of mode",
+    "stop": "an emergency stop",
+    "goal": "the end of a goal",
+    "lost": "a device stopped answering",
+    "found": "a device started answering",
+    "event": "an event of the failsafe table became active",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Entry:
+    """One event of a control tick."""
+
+    number: int  # counted from 1 in a run of the daemon; 0: derived from the ticks of a log without entries
+    t_ns: int  # start of the tick, CLOCK_MONOTONIC
+    time: datetime  # the same in UTC
+    tick: int
+    kind: EventKind
+    what: str  # the request's kind, the new mode, the goal's state, the device, the event's name
+    text: str  # the whole event as a sentence
+    who: str | None = None  # the client that sent the request
+    accepted: bool | None = None  # of a request: whether it was carried out

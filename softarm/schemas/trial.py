@@ -1,0 +1,112 @@
+"""Data models of trial.yaml (of a folder) and stage.yaml (of a mechanism's tables), see docs/reference/trials.md."""
+
+from typing import Annotated, Literal
+
+from pydantic import AfterValidator, BeforeValidator, Field
+
+from softarm.common.quantity import factor
+from softarm.schemas.base import Strict
+from softarm.schemas.stage_model import LINKS_MAX, ModelValue, StageKind
+
+__all__ = ["Column", "Mechanism", "SeveralFile", "StageFile", "StageKind", "TableForm", "TableTrial", "TrialFile"]
+
+
+def _pure(unit: object) -> object:
+    return "1" if unit == 1 else unit  # as YAML reads it without quotes
+
+
+def _known(unit: str) -> str:
+    factor(unit)
+    return unit
+
+
+# Unit of a column; `softarm.common.quantity.factor` converts it.
+Unit = Annotated[str, BeforeValidator(_pure), AfterValidator(_known)]
+
+
+class TrialFile(Strict):
+    """Data model of trial.yaml: the conditions of a recording."""
+
+    kind: Annotated[str, Field(min_length=1)]  # the excitation, free text
+    rail: Literal["free", "held"] = "free"  # held: the cart was clamped, or its drive stood still
+
+
+# A column by its header, or by its number from 1 without headers; in .mat a path: Theta1.signals.values, Y_id[0].
+Source = Annotated[str, Field(min_length=1)] | Annotated[int, Field(ge=1)]
+
+
+class Column(Strict):
+    """Source of a column of a table: (source - minus) x scale in `unit`, converted to base units, plus `add`."""
+
+    source: Source
+    minus: Source | None = None  # another column of the same file, in the same unit
+    unit: Unit
+    scale: float = 1.0  # value of 1 in the column, in `unit`: 0.0879 deg for a count of 4096
+    row: Annotated[int, Field(ge=0)] | None = None  # of a .mat matrix whose rows are the signals
+    add: float = 0.0  # added last, in base units: -pi for an angle that is pi while the pendulum hangs
+
+
+class TableForm(Strict):
+    """Format of text tables; missing keys are detected."""
+
+    header: bool | None = None  # true: the first row has names; false: a source is a column's number
+    delimiter: Literal[",", ";", "tab", "space"] | None = None
+    decimal: Literal[".", ","] | None = None
+    skip: Annotated[int, Field(ge=0)] = 0  # number of lines before the header
+    # Cells that mean "not measured", such as -9999 or "n/a"; also in .mat and Parquet.
+    missing: tuple[str | float, ...] = ()
+
+
+class TableChannel(Strict):
+    """Columns that share time stamps."""
+
+    time: Column
+    columns: Annotated[dict[str, Column], Field(min_length=1)]  # by the names that the kind of stage requires
+
+
+class TableTrial(Strict):
+    """One trial: a file for each channel, or one for all. A path with * gives a trial for each matching file."""
+
+    name: Annotated[str, Field(min_length=1)] | None = None  # default: the text that * matches, or the file's name
+    kind: Annotated[str, Field(min_length=1)] | None = None  # the excitation; default: the name without its number
+    # Channel -> file, relative to the data folder.
+    files: Annotated[str, Field(min_length=1)] | Annotated[dict[str, str], Field(min_length=1)]
+    segment: str | None = None  # replaces {segment} in a column's source
+
+
+class Mechanism(Strict):
+    """One mechanism: its columns, their units and its nominal model.
+
+    Channels, columns and the model's keys by kind: `softarm.schemas.stage_model`, docs/reference/trials.md.
+    """
+
+    kind: StageKind
+    links: Annotated[int, Field(ge=1, le=LINKS_MAX)] = 1  # of a pendulum or a chain
+    # Angles of a chain: from the vertical, or each from the link before it.
+    angles: Literal["absolute", "relative"] = "absolute"
+    # If cells hold lists, one stage for each element: its name -> the index in the list.
+    elements: dict[str, Annotated[int, Field(ge=0)]] = Field(default_factory=dict)
+    channels: Annotated[dict[str, TableChannel], Field(min_length=1)]
+    model: dict[str, ModelValue] = Field(default_factory=dict)  # nominal parameters
+
+
+class StageFile(Mechanism):
+    """Data model of a stage.yaml with one mechanism."""
+
+    name: Annotated[str, Field(min_length=1)] | None = None  # default: the file's name, for `stage.yaml` its folder's
+    table: TableForm = TableForm()
+    trials: Annotated[tuple[TableTrial, ...], Field(min_length=1)]
+
+
+class OneOfSeveral(Mechanism):
+    """One of several mechanisms, with its own trials or those of the whole file."""
+
+    trials: tuple[TableTrial, ...] = ()
+
+
+class SeveralFile(Strict):
+    """Data model of a stage.yaml with several mechanisms by name."""
+
+    mechanisms: Annotated[dict[str, OneOfSeveral], Field(min_length=1)]
+    table: TableForm = TableForm()
+    trials: tuple[TableTrial, ...] = ()

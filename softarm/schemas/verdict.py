@@ -1,0 +1,111 @@
+"""Data model of verdict.json. `python -m softarm.schemas.verdict` prints its JSON Schema."""
+
+from typing import Annotated, Final, Literal
+
+from pydantic import Field, model_validator
+
+from softarm.schemas.base import Strict
+
+FORMAT: Final = 1
+
+Share = Annotated[float, Field(ge=0, le=1)]
+
+
+class Interval(Strict):
+    """An estimate with its 95 % interval."""
+
+    value: float
+    low: float
+    high: float
+
+
+class Estimate(Interval):
+    """A parameter of an effect, in the registry's unit, or for a rig in the unit of its columns."""
+
+    unit: str
+
+
+class Quantity(Strict):
+    """A root mean square with its unit."""
+
+    value: float
+    unit: str
+
+
+class Shrink(Strict):
+    """Reduction of the held-out gap when the effect is added to the other named effects, as a share."""
+
+    stage: Interval
+    chain: Interval | None = None  # of the tip from commands alone; None if the chain cannot be simulated
+
+
+class NamedEffect(Strict):
+    """An effect that the simulator lacks, or has and the robot does not."""
+
+    name: str  # stage.effect
+    parameters: dict[str, Estimate]  # empty for an effect that is on or off
+    # Share of correct answers of this kind on cases of known cause; None without such cases.
+    confidence: Share | None = None
+    equivalents: tuple[str, ...] = ()  # indistinguishable on this data
+    shrink: Shrink
+
+
+class Where(Strict):
+    """Location of the gap in the causal chain; the stage is None without a gap."""
+
+    stage: str | None
+    share: dict[str, Share]  # stage -> share of the gap
+    regime: str  # in words: when and in which band
+
+
+class Gap(Strict):
+    """Root mean squares of each stage driven by measured inputs, and of the tip for the whole `chain`."""
+
+    before: dict[str, Quantity]
+    after: dict[str, Quantity]  # with the named effects added; held out
+    # Noise floor: repeatability, sensor noise, and the effect of deviations within tolerance on these recordings.
+    floor: dict[str, Quantity]
+    ceiling: dict[str, Quantity]  # gap that a flexible black-box model leaves
+
+
+class Task(Strict):
+    """Success shares of a policy; None if unknown."""
+
+    success_real: Share | None = None
+    success_nominal: Share | None = None
+    success_patched: Share | None = None
+
+
+class NextExperiment(Strict):
+    """Excitation that separates indistinguishable effects; run it with `softarm excite --plan verdict.json`."""
+
+    excitation: str  # a name of schemas.excitation.EXCITATIONS
+    separates: tuple[str, ...]
+    expect: dict[str, str]  # effect -> the observation if it is the cause
+
+
+class Verdict(Strict):
+    """The complete result of a diagnosis."""
+
+    format: Literal[1] = 1
+    verdict: Literal["named", "incomplete", "unknown", "none"]
+    where: Where
+    effects: tuple[NamedEffect, ...] = ()  # ordered by what each adds to the others
+    gap: Gap
+    task: Task | None = None
+    next_experiment: NextExperiment | None = None
+    warnings: tuple[str, ...] = ()
+
+    @model_validator(mode="before")
+    @classmethod
+    def _not_newer(cls, content: object) -> object:
+        format_ = content.get("format", FORMAT) if isinstance(content, dict) else FORMAT
+        if isinstance(format_, int) and format_ > FORMAT:
+            raise ValueError(f"verdict of format {format_}; this software reads format {FORMAT}: update it")
+        return content
+
+
+if __name__ == "__main__":
+    import json
+
+    print(json.dumps(Verdict.model_json_schema(), indent=1))

@@ -1,0 +1,73 @@
+"""Print docs/reference/effects.md from the registry.
+
+`python -m softarm.simulator.effects_page > docs/reference/effects.md` writes the page.
+"""
+
+from collections.abc import Iterator
+
+from softarm.schemas.model import seed_effects
+from softarm.simulator.effect_table import RIVALS
+from softarm.simulator.effects import REGISTRY, STAGES, Effect, Parameter
+
+_INTRO = """\
+<!-- Written by `python -m softarm.simulator.effects_page`; edit effect_table.py instead. -->
+# Effects
+
+An effect is a named piece of physics, actuation, sensing or timing that a simulator can have or lack. A model file
+lists those that it has under `effects:`, each with its parameters; an effect without a line is absent. At its neutral
+value it changes nothing, exactly. The order is causal; `softarm model show seed` lists those of a model.
+
+*Neutral*: where the parameter changes nothing (-: a shape parameter with the default in brackets).
+*Bounds*: limits of fits, draws and model files. *Strong*: a large but possible value, which the tests use.
+[P] is the CoRL 2023 paper (SM: its supplement), [C] its authors' released configuration.
+
+"""
+
+_STAGES = {
+    "pressure": "From the pressure command to the muscle's pressure and its reading.",
+    "rail": "From the velocity command to the cart's motion.",
+    "arm": "From pressure and cart motion to the links' motion.",
+    "mocap": "From motion to measured poses.",
+    "observation": "From measurements to the observation of the policy.",
+    "clock": "Timing, next to the other stages.",
+    "contact": "The shelf's surface; in the shelf task only.",
+}
+
+
+def page() -> str:
+    """Return the page's text."""
+    stages = "".join(f"{line}\n" for stage in STAGES for line in _stage(stage))
+    return _INTRO + stages + "\n".join(_pairs()) + "\n"
+
+
+def _stage(stage: str) -> Iterator[str]:
+    effects = [effect for effect in REGISTRY.values() if effect.stage == stage]
+    yield from (f"## {stage}", _STAGES[stage], "")
+    if rows := [_row(effect, parameter) for effect in effects for parameter in effect.parameters]:
+        head = ("| parameter | unit | neutral | bounds | strong | meaning |", "|---|---|---|---|---|---|")
+        yield from (*head, *rows, "")
+    for effect in effects:
+        yield from (f"### {effect.name}", f"{_text(effect)} Source: {effect.source}.", "")
+
+
+def _text(effect: Effect) -> str:
+    text = f"{effect.meaning[0].upper()}{effect.meaning[1:]}."
+    if effect.name in seed_effects():
+        text += " The seed's model has it."
+    return text if effect.parameters else f"{text} It has no parameters; write `{{}}`."
+
+
+def _row(effect: Effect, p: Parameter) -> str:
+    neutral = f"{p.neutral:g}" if p.default is None else f"- ({p.default:g})"
+    name = f"`{effect.name}.{p.name}`"
+    return f"| {name} | {p.unit} | {neutral} | {p.low:g} .. {p.high:g} | {p.exemplar:g} | {p.meaning} |"
+
+
+def _pairs() -> Iterator[str]:
+    yield from ("## Similar effects", "Pairs of effects that explain similar data, and what separates them.", "")
+    yield from ("| effects | separated by |", "|---|---|")
+    yield from (f"| `{one}`, `{other}` | {how} |" for one, other, how in RIVALS)
+
+
+if __name__ == "__main__":
+    print(page(), end="")

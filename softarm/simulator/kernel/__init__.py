@@ -1,0 +1,31 @@
+"""The compiled batch kernel, which advances blocks of memory. It imports only numpy, numba and simd.py.
+
+Each SIMD lane (simulator/simd.py) carries one robot, so the code reads as if for one robot. A block holds one group
+of lanes as a flat array of rows (layout.py): parameters, state, command history and scratch, one value a lane. Each
+stage has its file: pressure.py, rail.py, arm.py with joints.py and contact.py. run.py combines them, numerics.py
+holds shared functions.
+
+The numbers of links and lanes are the lengths of two tuples. They are constants to the compiler, so one source
+serves any number of links, a large batch and a single robot. The effects of a batch are a set of bits, read once a
+substep: a scalar branch costs little next to a thousand vector operations. An effect at its neutral value is an
+exact identity, so a robot's numbers are the same bit for bit whatever effects the others have. The kernel runs in
+float32; float64 compiles from the same source. Fast-math is off, so NaN propagates.
+
+A change in any of these files recompiles all of them (compiled.py): numba alone would check only run.py.
+"""
+
+from softarm.simulator.kernel.layout import HISTORY, Rows, rows
+from softarm.simulator.kernel.run import advance, advance_cart, advance_parallel, advance_pressure, fly, locate, prepare
+
+__all__ = [
+    "HISTORY",
+    "Rows",
+    "advance",
+    "advance_cart",
+    "advance_parallel",
+    "advance_pressure",
+    "fly",
+    "locate",
+    "prepare",
+    "rows",
+]

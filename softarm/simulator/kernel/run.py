@@ -1,0 +1,209 @@
+"""Entry points of the kernel: a step of every block of a batch."""
+
+# mypy: allow-untyped-defs, allow-untyped-calls
+import math
+
+from numba import get_thread_id, prange
+
+from softarm.simulator.kernel.arm import assemble, limit_drive, locate_block, solve
+from softarm.simulator.kernel.compiled import compiled
+from softarm.simulator.kernel.contact import add_shelf
+from softarm.simulator.kernel.joints import add_drag, add_joints, add_payload, add_tilt, settle_joints
+from softarm.simulator.kernel.layout import (
+    AIR,
+    CART_GIVEN,
+    JOINTS,
+    PAYLOAD,
+    PRESSURE,
+    PRESSURE_GIVEN,
+    RAIL,
+    SHELF,
+    TILT,
+    rows,
+)
+from softarm.simulator.kernel.numerics import clip
+from softarm.simulator.kernel.pressure import age, issue, regulate
+from softarm.simulator.kernel.rail import drive, gives_way, lacking, settle_cart
+from softarm.simulator.simd import load, store
+
+# Cap on rates, far beyond the robot's (its links turn at up to 30 rad/s). It keeps a light link finite when a
+# parameter within its bounds makes the step too coarse.
+FASTEST_RAD_S, FASTEST_M_S = 80.0, 20.0
+
+
+@compiled
+def _issue(m, lanes, at, active):
+    late = load(m, at.late, lanes)
+    if not active & CART_GIVEN:
+        issue(m, lanes, load(m, at.cart_command, lanes), at.rail_history, 0.0, late)
+    if active & PRESSURE and not active & PRESSURE_GIVEN:
+        issue(m, lanes, load(m, at.pressure_command, lanes), at.pressure_history, load(m, at.deadband, lanes), late)
+
+
+@compiled
+def _grow_older(m, lanes, at, active, duration):
+    if not active & CART_GIVEN:
+        age(m, lanes, at.rail_history, duration)
+    if active & PRESSURE and not active & PRESSURE_GIVEN:
+        age(m, lanes, at.pressure_history, duration)
+
+
+@compiled
+def _advance_block(m, w, links, lanes, parts, active, substeps, dt):
+    """Advance one block by `substeps` substeps of `dt` seconds under its commands."""
+    at, h = rows(links), 0.5 * dt
+    if len(parts) == 0:
+        active = 0  # a constant to the compiler, which removes all effects
+    _issue(m, lanes, at, active)
+    for substep in range(substeps):
+        assemble(m, w, links, lanes, active, (substep + 1) * dt, dt)
+        if active & JOINTS:
+            add_joints(m, w, links, lanes, dt)
+        if active & PAYLOAD:
+            add_payload(m, w, links, lanes, dt)
+        if active & TILT:
+            add_tilt(m, w, links, lanes)
+        if active & AIR:
+            add_drag(m, w, links, lanes, dt)
+        if active & SHELF:
+            add_shelf(m, w, links, lanes, dt)
+        solve(w, links, lanes)
+        if active & RAIL and not active & CART_GIVEN:
+            limit_drive(m, w, links, lanes)
+        if active & JOINTS:
+            settle_joints(m, w, links, lanes, dt)
+        if active & RAIL:
+            settle_cart(m, lanes, at, dt * (load(m, at.v, lanes) + h * load(w, at.rhs, lanes)))
+        for i in range(len(links) + 1):
+            most = FASTEST_M_S if i == 0 else FASTEST_RAD_S
+            v = load(m, at.v + i, lanes)
+            change = clip(dt * load(w, at.rhs + i, lanes), -most, most)
+            after = clip(v + change, -most, most)
+            store(m, at.a + i, lanes, change * (1.0 / dt))
+            store(m, at.q + i, lanes, load(m, at.q + i, lanes) + h * (v + after))
+            store(m, at.v + i, lanes, after)
+    _grow_older(m, lanes, at, active, substeps * dt)
+
+
+@compiled
+def advance(memory, scratch, links, lanes, parts, active, substeps, dt):
+    """Advance every block on this thread. `prepare` must have been called for this dt.
+
+    Args:
+        memory: [blocks, rows * lanes], changed in place.
+        scratch: [threads, rows * lanes].
+        links: tuple with one entry a link; only its length counts.
+        lanes: tuple with one entry a lane; only its length counts.
+        parts: an empty tuple if `active` is 0, else (0,).
+        active: the bits of layout.py.
+        substeps: number of substeps.
+        dt: length of a substep, s, a scalar of the memory's type.
+    """
+    for block in range(memory.shape[0]):
+        _advance_block(memory[block], scratch[0], links, lanes, parts, active, substeps, dt)
+
+
+@compiled(parallel=True)
+def advance_parallel(memory, scratch, links, lanes, parts, active, substeps, dt):
+    """Advance every block on all cores, with the arguments of `advance`."""
+    for block in prange(memory.shape[0]):
+        _advance_block(memory[block], scratch[get_thread_id()], links, lanes, parts, active, substeps, dt)
+
+
+@compiled(nogil=True)
+def fly(memory, scratch, links, lanes, parts, active, substeps, dt, velocity, pressure, path):
+    """Advance every block on this thread through a whole plan, without holding Python's lock.
+
+    Blocks are advanced one after the other, so that a block's rows stay in the nearest cache. The first eight
+    arguments are those of `advance`.
+
+    Args:
+        velocity: commands of the cart [steps, robots], m/s.
+        pressure: commands [steps, robots], kPa.
+        path: [steps, 4, robots], set to the cart's y and velocity and the tip's y and z at the end of every step.
+    """
+    at, n, width = rows(links), len(links), len(lanes)
+    for block in range(memory.shape[0]):
+        m, first = memory[block], block * width
+        for step in range(velocity.shape[0]):
+            for k in range(min(width, velocity.shape[1] - first)):
+                m[at.cart_command * width + k] = velocity[step, first + k]
+                m[at.pressure_command * width + k] = pressure[step, first + k]
+            _advance_block(m, scratch[0], links, lanes, parts, active, substeps, dt)
+            locate_block(m, links, lanes)
+            for k in range(min(width, velocity.shape[1] - first)):
+                path[step, 0, first + k] = m[at.q * width + k]
+                path[step, 1, first + k] = m[at.v * width + k]
+                path[step, 2, first + k] = m[(at.end_y + n - 1) * width + k]
+                path[step, 3, first + k] = m[(at.end_z + n - 1) * width + k]
+
+
+@compiled
+def advance_pressure(memory, scratch, links, lanes, parts, active, substeps, dt):
+    """Advance only the pressure, with the arguments of `advance`."""
+    at = rows(links)
+    for block in range(memory.shape[0]):
+        m = memory[block]
+        _issue(m, lanes, at, active | CART_GIVEN)
+        for substep in range(substeps):
+            regulate(m, lanes, at, active, (substep + 1) * dt, dt)
+        _grow_older(m, lanes, at, active | CART_GIVEN, substeps * dt)
+
+
+@compiled
+def advance_cart(memory, scratch, links, lanes, parts, active, substeps, dt):
+    """Advance only the cart under its drive and the force at `cart_push`, with the arguments of `advance`."""
+    at, h = rows(links), 0.5 * dt
+    for block in range(memory.shape[0]):
+        m = memory[block]
+        _issue(m, lanes, at, active | PRESSURE_GIVEN)
+        for substep in range(substeps):
+            force, mass = drive(m, lanes, at, active, (substep + 1) * dt, dt)
+            inertia = load(m, at.cart_mass, lanes) + mass
+            a = (force + load(m, at.cart_push, lanes)) / inertia
+            if active & RAIL:
+                response = 1.0 / inertia
+                a = a + response * gives_way(m, lanes, at, lacking(m, lanes, at, a), response)
+            v = load(m, at.v, lanes)
+            way = dt * (v + h * a)
+            if active & RAIL:
+                settle_cart(m, lanes, at, way)
+            store(m, at.a, lanes, a)
+            store(m, at.q, lanes, load(m, at.q, lanes) + way)
+            store(m, at.v, lanes, v + dt * a)
+        _grow_older(m, lanes, at, active | PRESSURE_GIVEN, substeps * dt)
+
+
+@compiled
+def prepare(memory, links, lanes, dt):
+    """Set the rows of every block that depend only on parameters and the length of the substep."""
+    n, width = len(links), len(lanes)
+    at = rows(links)
+    real = type(dt)
+    h = real(0.5) * dt
+    times = (at.inflate, at.deflate, at.rail_lag, at.creep_time)
+    for block in range(memory.shape[0]):
+        m = memory[block]
+        for k in range(width):
+            for lag in range(4):
+                time = m[times[lag] * width + k]
+                if lag < 2:
+                    reach = real(1.0) / (real(1.0) + m[at.leak * width + k] * time)
+                    m[(at.reach_inflate + lag) * width + k] = reach
+                    time = time * reach
+                lost = -math.expm1(-dt / time) if time > 0 else real(1.0)
+                m[(at.keep_inflate + lag) * width + k] = real(1.0) - lost
+                m[(at.mean_inflate + lag) * width + k] = lost * time / dt
+            for i in range(n):
+                implicit = h * (m[(at.damping + i) * width + k] + h * m[(at.stiffness + i) * width + k])
+                m[(at.implicit + i) * width + k] = implicit
+                m[(at.diagonal + i) * width + k] = m[(at.coupling + i * n + i) * width + k] + implicit
+                if i > 0:
+                    m[(at.diagonal + i - 1) * width + k] += implicit
+
+
+@compiled
+def locate(memory, links, lanes):
+    """Set position and velocity of every link's far end."""
+    for block in range(memory.shape[0]):
+        locate_block(memory[block], links, lanes)

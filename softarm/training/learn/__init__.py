@@ -1,0 +1,1 @@
+"""Policy network, learner, inference and validation."""

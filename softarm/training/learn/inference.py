@@ -1,0 +1,98 @@
+"""Inference for many robots, on threads or a graphics card; the number of threads changes no bit."""
+
+# mypy: allow-untyped-decorators
+
+import os
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+from typing import TypeVar
+
+import torch
+from torch import Tensor
+
+from softarm.training.learn.network import PolicyNetwork, RecurrentState
+
+CHUNK = 512  # robots a thread takes at once
+DEVICES = ("cpu", "cuda")
+T = TypeVar("T")
+R = TypeVar("R")
+
+
+class Workers:
+    """Threads that each run torch single-threaded; results have the order of the work."""
+
+    def __init__(self, count: int) -> None:
+        self._pool = ThreadPoolExecutor(count, "training", initializer=torch.set_num_threads, initargs=(1,))
+
+    def map(self, function: Callable[[T], R], work: Sequence[T]) -> list[R]:
+        """Apply the function to each piece of work."""
+        return list(self._pool.map(function, work))
+
+    def close(self) -> None:
+        """End the worker threads."""
+        self._pool.shutdown()
+
+
+@contextmanager
+def workers(count: int | None = None) -> Iterator[Workers]:
+    """Provide `count` threads (default: one per core); torch outside them runs single-threaded meanwhile."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    pool = Workers(count or len(os.sched_getaffinity(0)))
+    try:
+        yield pool
+    finally:
+        pool.close()
+        torch.set_num_threads(before)
+
+
+def device_named(name: str) -> torch.device:
+    """Return the device of a network. Raises ValueError if it is unknown or not available here."""
+    if name not in DEVICES:
+        raise ValueError(f"run.device is {name!r}; give one of {', '.join(DEVICES)}")
+    if name == "cuda" and not torch.cuda.is_available():
+        raise ValueError(f"run.device is 'cuda', and torch {torch.__version__} sees no such card here; give cpu")
+    return torch.device(name)
+
+
+def quick_dtype(device: torch.device) -> torch.dtype:
+    """Return bfloat16 if the processor multiplies it in hardware, else float32."""
+    fast = device.type == "cpu" and torch.cpu._is_avx512_bf16_supported()
+    return torch.bfloat16 if fast else torch.float32
+
+
+def share_of(count: int, most: int, device: torch.device) -> int:
+    """Return the size of a chunk of `count`: at most `most` on a thread, all on a graphics card."""
+    return most if device.type == "cpu" else count
+
+
+def infer(
+    network: PolicyNetwork,
+    observation: Tensor,
+    keep: Tensor,
+    state: RecurrentState,
+    pool: Workers,
+    dtype: torch.dtype = torch.float32,
+) -> tuple[Tensor, Tensor, RecurrentState]:
+    """Run one step for every robot.
+
+    Takes observations [R, inputs], `keep` [R] (0 where an episode begins) and states [R, size] on the network's device.
+    Returns the action's mean [R, actions], the value in the reward's unit [R] and the next state.
+    """
+    count, size, device = observation.shape[0], state[0].shape[1], state[0].device
+    means, values = torch.empty(count, network.shape.actions, device=device), torch.empty(count, device=device)
+    hidden, cell = torch.empty(count, size, device=device), torch.empty(count, size, device=device)
+    chunk = share_of(count, CHUNK, device)
+
+    # Gradients are disabled per thread, so the caller cannot do it for the pool.
+    @torch.no_grad()
+    def part(robots: slice) -> None:
+        mean, value, (hidden[robots], cell[robots]) = network(
+            observation[None, robots], keep[None, robots], (state[0][robots], state[1][robots]), dtype
+        )
+        means[robots] = mean[0]
+        values[robots] = network.value_normaliser.restore(value[0].unsqueeze(-1)).squeeze(-1)
+
+    pool.map(part, [slice(k, min(k + chunk, count)) for k in range(0, count, chunk)])
+    return means, values, (hidden, cell)

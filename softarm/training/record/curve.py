@@ -1,0 +1,79 @@
+"""Learning curve of a run, as a table and a picture."""
+
+import csv
+import io
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+from softarm.common import files
+from softarm.reporting.colours import LIGHT
+
+BLUE, ORANGE, GREEN, PAPER = (LIGHT[name] for name in ("accent", "warning", "good", "paper"))  # as on the pages
+
+
+class Iteration(NamedTuple):
+    """Figures of one iteration."""
+
+    iteration: int
+    frames: int
+    seconds: float
+    frames_per_s: float
+    reward: float  # mean per step, scaled
+    success: float  # of the episodes that ended in the roll-out, with exploration noise
+    kl: float
+    learning_rate: float
+    std: float
+    value_loss: float
+    validation: float | None = None  # success on the validation set, where one was flown
+
+
+def validated(rows: Sequence[Iteration]) -> list[float]:
+    """Return the success of each validation, in order."""
+    return [row.validation for row in rows if row.validation is not None]
+
+
+def fruitless(rows: Sequence[Iteration]) -> int:
+    """Return the number of validations since the best one."""
+    shares = validated(rows)
+    return len(shares) - 1 - shares.index(max(shares)) if shares else 0
+
+
+def write_csv(rows: Sequence[Iteration], path: Path) -> None:
+    """Write the table atomically."""
+    text = io.StringIO()
+    writer = csv.writer(text)
+    writer.writerow(Iteration._fields)
+    writer.writerows(rows)
+    files.write_text(path, text.getvalue())
+
+
+def write_png(rows: Sequence[Iteration], path: Path, title: str) -> None:
+    """Draw success, reward, KL divergence and learning rate over frames."""
+    from matplotlib.figure import Figure  # no pyplot: no global state, no display
+
+    figure = Figure(figsize=(9, 7.5), layout="constrained", facecolor=PAPER)
+    success, reward, steering = figure.subplots(3, 1, sharex=True, height_ratios=(2, 1, 1))
+    millions = [row.frames / 1e6 for row in rows]
+    success.plot(millions, [row.success for row in rows], color="0.7", label="training episodes, with noise")
+    validated = [row for row in rows if row.validation is not None]
+    success.plot(
+        [row.frames / 1e6 for row in validated],
+        [row.validation for row in validated],
+        "o-",
+        markersize=3,
+        color=BLUE,
+        label="validation set, no noise",
+    )
+    success.set(ylabel="share reached", ylim=(0, 1))
+    reward.plot(millions, [row.reward for row in rows], color=BLUE, label="mean reward of a step, scaled")
+    reward.set(ylabel="reward")
+    steering.semilogy(millions, [row.learning_rate for row in rows], color=GREEN, label="learning rate")
+    steering.semilogy(millions, [row.kl for row in rows], color=ORANGE, alpha=0.7, label="KL divergence")
+    steering.set(ylabel="learner", xlabel="million frames")
+    figure.suptitle(title, x=0.01, ha="left", fontweight="bold")
+    for axes in (success, reward, steering):
+        axes.legend(loc="lower left", bbox_to_anchor=(0, 1), ncols=2, frameon=False, borderaxespad=0.2)
+        axes.grid(alpha=0.3)
+        axes.spines[["top", "right"]].set_visible(False)
+    figure.savefig(path, dpi=120)

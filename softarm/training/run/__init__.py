@@ -1,0 +1,1 @@
+"""Training runs: sessions, recipes, sweeps, and retraining of a policy."""

@@ -1,0 +1,164 @@
+"""Recipes of training runs: task, model, variation of the robots and other settings.
+
+A recipe is a few lines of YAML; its `settings` have the names under which a policy's file records them.
+"""
+
+from collections.abc import Mapping
+from dataclasses import fields, replace
+from pathlib import Path
+from typing import Any, NamedTuple, TypeVar, get_type_hints
+
+from pydantic import Field, field_validator
+
+from softarm.common.plugins import PluginError
+from softarm.common.words import did_you_mean
+from softarm.schemas.base import Strict
+from softarm.simulator import model_file
+from softarm.training.learn.inference import Workers
+from softarm.training.learn.network import NetworkShape
+from softarm.training.learn.ppo import PpoConfig
+from softarm.training.record.settings import TrainingConfig
+from softarm.training.run.session import Session
+from softarm.training.task import registry
+from softarm.training.task.randomisation import Randomisation
+from softarm.training.task.reach import TASKS, ReachTask
+from softarm.training.task.shelf import ShelfTask
+
+Setting = bool | int | float | str | tuple[float, ...]
+Part = TypeVar("Part")
+
+PRESETS: dict[str, ReachTask] = TASKS | {
+    "reach-robust": replace(TASKS["reach-wide"], name="reach-robust"),
+    "shelf": ShelfTask(),
+}
+# Ranges of robots on a bench, drawn in each episode. The rail's are widest, because the cart times a swing: trained
+# on one drive alone, a policy loses a quarter of its targets on a later drive.
+ROBUST = {
+    "pressure.lag.inflate": (0.10, 0.32),
+    "pressure.lag.deflate": (0.14, 0.44),
+    "pressure.dead_time.delay": (0.0, 0.1),
+    "pressure.gain.scale": (-0.08, 0.08),
+    "rail.acceleration_limit.acceleration": (2.5, 8.0),
+    "rail.delay.delay": (0.02, 0.1),
+    "rail.lag.time": (0.0, 0.08),
+    "arm.stiffness.scale": (-0.25, 0.35),
+    "arm.damping.scale": (-0.3, 1.5),
+    "arm.muscle_gain.scale": (-0.25, 0.25),
+    "arm.torque_offset.scale": (-0.5, 0.5),
+    "arm.payload.mass": (0.0, 0.1),
+    "arm.tilt.angle": (-0.01, 0.01),
+    "mocap.latency.delay": (0.0, 0.015),
+    "mocap.noise.sigma": (0.0, 0.001),
+}
+
+
+class Recipe(Strict):
+    """Recipe of a run, without its seed."""
+
+    task: str = "reach"  # a preset's name, or that of another package's
+    model: str = "seed"  # a shipped name or a file
+    frames: int = Field(5_000_000, ge=1)  # control steps of single robots
+    # 'part.field' of task, run, ppo or network -> its value, e.g. network.order: mlp
+    settings: dict[str, Setting] = Field(default_factory=dict)
+    # 'stage.effect.parameter' of the effect registry -> lowest and highest value
+    randomise: dict[str, tuple[float, float]] = Field(default_factory=dict)
+    each_episode: bool = True  # draw a robot again for each of its episodes
+
+    @field_validator("task")
+    @classmethod
+    def _known(cls, name: str) -> str:
+        known = (*PRESETS, *registry.names())
+        if name not in known:
+            raise ValueError(f"no task {name!r}; there is {', '.join(known)}")
+        return name
+
+    def changed(self, model: Path | None, settings: Mapping[str, Setting | None]) -> "Recipe":
+        """Return the recipe with changed values; None keeps a value."""
+        given = {name: value for name, value in settings.items() if value is not None}
+        return self.model_copy(
+            update={"model": self.model if model is None else str(model), "settings": self.settings | given}
+        )
+
+
+class Ingredients(NamedTuple):
+    """Recipe with objects instead of names, for a session."""
+
+    task: ReachTask
+    run: TrainingConfig
+    ppo: PpoConfig
+    network: NetworkShape
+    randomisation: Randomisation
+
+
+def preset(name: str) -> ReachTask:
+    """Return a task by its name; built-in tasks take precedence. Raises ValueError."""
+    if name in PRESETS:
+        return PRESETS[name]
+    try:
+        return registry.load(name)
+    except PluginError as error:
+        raise ValueError(str(error)) from error
+
+
+def named(name: str) -> Recipe:
+    """Return a recipe by name: a shipped policy's, or the default for a plug-in's task. Raises ValueError."""
+    if name in RECIPES:
+        return RECIPES[name]
+    plugins = registry.names()
+    if name not in plugins:
+        known = (*RECIPES, *plugins)
+        raise ValueError(f"no task '{name}'; {did_you_mean(name, known)}there is {', '.join(known)}")
+    return Recipe.model_validate({"task": name})
+
+
+def prepare(recipe: Recipe, seed: int) -> Ingredients:
+    """Replace names by objects. Raises ValueError for an unknown setting or effect."""
+    parts: dict[str, Any] = {
+        "task": preset(recipe.task),
+        "run": TrainingConfig(seed=seed),
+        "ppo": PpoConfig(),
+        "network": NetworkShape(),
+    }
+    for name in recipe.settings:
+        part = name.partition(".")[0]
+        if part not in parts:
+            raise ValueError(f"{name}: there is no part {part!r}; settings begin with {', '.join(parts)}")
+    for part, usual in parts.items():
+        given = {
+            name.partition(".")[2]: value for name, value in recipe.settings.items() if name.partition(".")[0] == part
+        }
+        parts[part] = _changed(part, usual, given)
+    return Ingredients(**parts, randomisation=Randomisation(recipe.randomise, recipe.each_episode))
+
+
+def begin(recipe: Recipe, seed: int, out: Path, pool: Workers, resume: bool) -> Session:
+    """Create the session of a recipe. Raises ValueError, ModelFileError or CheckpointError."""
+    parts, model = prepare(recipe, seed), model_file.load(recipe.model)
+    task, run, ppo, network, randomisation = parts
+    name = Path(recipe.model).stem
+    return Session(task, run, ppo, out, pool, resume, model, name, randomisation, network)
+
+
+def _changed(part: str, usual: Part, given: dict[str, Setting]) -> Part:
+    """Return a dataclass with other values of the same types."""
+    kinds = get_type_hints(type(usual))
+    known = {each.name for each in fields(usual)}  # type: ignore[arg-type]
+    for name, value in given.items():
+        if name not in known:
+            raise ValueError(f"{part}.{name}: no such setting; {part} has {', '.join(sorted(known))}")
+        before = getattr(usual, name)
+        number = isinstance(before, int | float) and not isinstance(before, bool)
+        fits = isinstance(value, type(before)) or (number and type(value) in (int, float))
+        if not fits or (type(before) is int and type(value) is not int):
+            raise ValueError(f"{part}.{name} is {value!r}; give a {kinds[name]}, such as {before!r}")
+    return replace(usual, **given)  # type: ignore[type-var]
+
+
+# Recipes of the policies known by name.
+RECIPES: dict[str, Recipe] = {
+    "reach": Recipe(task="reach", frames=5_000_000),
+    "reach-wide": Recipe(task="reach-wide", frames=8_000_000),
+    "reach-robust": Recipe(task="reach-robust", frames=12_000_000, randomise=ROBUST),
+    # Successes are rare, so more learning steps per frame help.
+    "shelf": Recipe(task="shelf", frames=5_000_000, settings={"run.robots": 1024}),
+}

@@ -1,0 +1,206 @@
+"""Training session: learn, validate, save checkpoints, stop and export the policy."""
+
+import copy
+import time
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from softarm.schemas.model import Model
+from softarm.training.learn.inference import Workers, device_named
+from softarm.training.learn.network import NetworkShape, PolicyNetwork
+from softarm.training.learn.ppo import Ppo, PpoConfig
+from softarm.training.learn.validation import Validation, validation_scenarios
+from softarm.training.record import checkpoint, curve, export
+from softarm.training.record.settings import DTYPES, TrainingConfig, recorded, usual
+from softarm.training.record.tensorboard import EventFile
+from softarm.training.task.environment import ACTIONS
+from softarm.training.task.randomisation import Randomisation
+from softarm.training.task.reach import ReachTask
+from softarm.training.task.registry import plugin_of
+from softarm.training.task.shelf import environment_of
+
+# The average spans at most a tenth of a run's age, so that untrained weights are soon forgotten.
+YOUNG = 10
+
+
+@dataclass(frozen=True)
+class Standing:
+    """Progress of a run after an iteration."""
+
+    frames: int  # control steps of single robots
+    seconds: float
+    frames_per_s: float  # of the last iteration
+    success: float  # of the episodes that ended, with exploration noise
+    reward: float
+    validation: float | None  # newest
+    best: float | None
+
+    @property
+    def sentence(self) -> str:
+        """Progress as a sentence for people."""
+        validation = "-" if self.validation is None else f"{self.validation:.1%}, best {self.best:.1%}"
+        return (
+            f"{self.frames / 1e6:.1f} M frames, {self.frames_per_s / 1e3:.0f} k/s, "
+            f"reward {self.reward:.2f}, valid {validation}"
+        )
+
+
+class Session:
+    """Training run with its files in `out`.
+
+    Files: latest.pt, best.pt, learning_curve.csv and .png, tensorboard/, and at the end the policy.
+    """
+
+    def __init__(
+        self,
+        task: ReachTask,
+        config: TrainingConfig,
+        ppo: PpoConfig,
+        out: Path,
+        pool: Workers,
+        resume: bool,
+        model: Model | None = None,
+        model_name: str = "seed",
+        randomisation: Randomisation | None = None,
+        shape: NetworkShape | None = None,
+    ) -> None:
+        """Prepare a new run in `out`, or resume it from latest.pt there.
+
+        The robots have the seed's model by default; `model_name` is recorded. The task determines the numbers of
+        inputs and actions of `shape`.
+
+        Raises:
+            CheckpointError: The checkpoint to resume is missing or was made with other settings.
+            ValueError: The device is not available.
+        """
+        self.task, self.config, self.ppo, self.out, self.pool = task, config, ppo, out, pool
+        saved = checkpoint.load(out / "latest.pt") if resume else None
+        device = device_named(config.device)
+        products = config.products_on(device)
+        self.model, robots = model or Model(), randomisation or Randomisation()
+        rate_hz = config.physics_rate_hz
+        environment = environment_of(task, config.robots, config.seed, self.model, rate_hz, robots)
+        shape = replace(shape or NetworkShape(), inputs=environment.inputs, actions=ACTIONS)
+        as_run = replace(config, matrix_products=products)
+        self.settings = recorded(task, as_run, ppo, robots, shape, self.model, model_name)
+        with torch.random.fork_rng(devices=[]):
+            torch.manual_seed(config.seed)
+            self.network = PolicyNetwork(shape).to(device)
+        # What is validated and exported: single iterations jitter around it.
+        self.average = copy.deepcopy(self.network)
+        scenarios = validation_scenarios(task, environment.simulator.links, config.validation_trials)
+        self._validation = Validation(task, scenarios, pool, rate_hz, self.model, DTYPES[products], robots)
+        self.learner = Ppo(self.network, environment, ppo, pool, config.seed, DTYPES[products])
+        self.frames, self.seconds = 0, 0.0
+        self.curve: list[curve.Iteration] = []
+        self.events = EventFile(out / "tensorboard")
+        if saved is not None:
+            self._restore(saved)
+
+    @property
+    def title(self) -> str:
+        """Task, model and seed for people."""
+        model = self.settings["model.name"]
+        return f"{self.task.name}{'' if model == 'seed' else f' on {model}'}, seed {self.config.seed}"
+
+    @property
+    def best(self) -> float | None:
+        """Best validation success so far, as a share; None before the first validation."""
+        return max(curve.validated(self.curve), default=None)
+
+    def run(
+        self, frames: int | None, minutes: float | None, on_progress: Callable[[Standing], None] = lambda _: None
+    ) -> Path:
+        """Train until a bound or the patience is reached, and return the path of the exported policy.
+
+        The bounds are control steps of single robots, and minutes; both include a run before a resume. Raises
+        ValueError without any bound.
+        """
+        if frames is None and minutes is None:
+            raise ValueError("the run has no end: give frames or minutes")
+        try:
+            while (frames is None or self.frames < frames) and (minutes is None or self.seconds < 60.0 * minutes):
+                if self.config.patience and curve.fruitless(self.curve) >= self.config.patience:
+                    break
+                on_progress(self.advance())
+            if self.curve and self.curve[-1].validation is None:
+                self._validate_and_save()
+        finally:
+            self.events.close()
+        curve.write_png(self.curve, self.out / "learning_curve.png", self.title)
+        return self.export_best()
+
+    def advance(self) -> Standing:
+        """Learn for one iteration; at intervals also validate and save a checkpoint."""
+        start = time.monotonic()
+        statistics = self.learner.iterate()
+        self.average.follow(self.network, averaged_share(len(self.curve), self.config.averaging))
+        took = time.monotonic() - start
+        steps = self.config.robots * self.ppo.horizon
+        self.frames += steps
+        self.seconds += took
+        row = curve.Iteration(len(self.curve) + 1, self.frames, self.seconds, steps / took, **statistics._asdict())
+        self.curve.append(row)
+        self.events.add(self.curve)
+        if len(self.curve) % self.config.validate_every == 0:
+            self._validate_and_save()
+            self.seconds += time.monotonic() - start - took
+        newest = next(reversed(curve.validated(self.curve)), None)
+        return Standing(
+            self.frames, self.seconds, row.frames_per_s, statistics.success, statistics.reward, newest, self.best
+        )
+
+    def export_best(self) -> Path:
+        """Export the policy of the checkpoint with the best validation."""
+        policy = self.out / f"{self.task.name}.onnx"
+        export.export_checkpoint(self.out / "best.pt", policy)
+        return policy
+
+    def _validate_and_save(self) -> None:
+        before, success = self.best, self._validation.success(self.average)
+        self.curve[-1] = self.curve[-1]._replace(validation=success)
+        self.events.add_validation(self.curve[-1])
+        if before is None or success > before:
+            checkpoint.save(self.out / "best.pt", self._policy())
+        checkpoint.save(self.out / "latest.pt", self._policy() | {"learner": self.learner.snapshot()})
+        curve.write_csv(self.curve, self.out / "learning_curve.csv")
+
+    def _policy(self) -> dict[str, Any]:
+        """Return the averaged weights and how they were trained."""
+        plugin = plugin_of(self.task)
+        return {
+            "settings": self.settings,
+            "average": self.average.state_dict(),
+            "network": asdict(self.network.shape),
+            "kind": self.task.kind,
+            "task": asdict(self.task) | ({} if plugin is None else {"plugin": plugin}),
+            "seed": self.config.seed,
+            "frames": self.frames,
+            "seconds": self.seconds,
+            "best": self.best,
+            "curve": [tuple(row) for row in self.curve],
+        }
+
+    def _restore(self, saved: dict[str, Any]) -> None:
+        """Continue from a checkpoint. Raises CheckpointError if it was made with other settings."""
+        # Settings that a checkpoint leaves out have their usual values.
+        settings = usual(self.task, self.network.shape.inputs) | saved["settings"]
+        for key, value in self.settings.items():
+            if settings.get(key) != value:
+                raise checkpoint.CheckpointError(
+                    f"{self.out / 'latest.pt'}: was trained with {key} = {settings.get(key)}, not {value}; "
+                    "resume with the same settings or give another --out"
+                )
+        self.learner.restore(saved["learner"])
+        self.average.load_state_dict(saved["average"])
+        self.frames, self.seconds = saved["frames"], saved["seconds"]
+        self.curve = [curve.Iteration(*row) for row in saved["curve"]]
+
+
+def averaged_share(iterations: int, averaging: float) -> float:
+    """Return the share of the newest weights in their average after a number of iterations."""
+    return max(1.0 - averaging, YOUNG / (YOUNG + iterations))

@@ -1,0 +1,1 @@
+"""Tasks and the batch environment in which they are learned."""

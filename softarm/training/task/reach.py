@@ -1,0 +1,128 @@
+"""Reach task: ranges, rewards and starts. [P]: the paper; [C]: its authors' configuration."""
+
+from dataclasses import dataclass, replace
+from typing import NamedTuple, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from softarm.schemas.config import RailLimits
+from softarm.schemas.flights import TRAINED_Z_MAX_M
+from softarm.schemas.policy import REACH_GOAL, Signal, TaskKind
+from softarm.schemas.robot import CONTROL_RATE_HZ, PRESSURE_MAX_KPA, PRESSURE_MIN_KPA, RAIL_LIMIT_M
+
+Array = NDArray[np.float32]
+Range = tuple[float, float]
+
+
+class Starts(NamedTuple):
+    """Start states of robots at rest."""
+
+    cart_position_m: Array  # [R]
+    joint_angles_rad: Array  # [R, links]
+    pressure_kpa: Array  # [R]
+
+
+class Moment(NamedTuple):
+    """Inputs of a reward, one entry per robot: true values, not those of the sensors."""
+
+    tip_m: Array  # y, z, [R, 2]
+    tip_speed_m_s: Array  # [R]
+    target_m: Array  # y, z, [R, 2]
+    cart_position_m: Array  # [R]
+    success: NDArray[np.bool_]  # the tip lies within the radius, and the cart is on the rail
+    off_rail: NDArray[np.bool_]
+
+
+CLAMP_KEYS = ("latency_s", "braking_m_s2", "surge_m_s2", "drag_m_s")  # of limits.rail, used by the braking law
+
+
+@dataclass(frozen=True)
+class ReachTask:
+    """Swing the tip to a target in free space. The defaults are the seed's training range ([P] SM-E)."""
+
+    name: str = "reach"
+    target_y_m: Range = (-0.4, 0.0)
+    target_z_m: Range = (0.55, TRAINED_Z_MAX_M)
+    cart_start_m: Range = (-0.025, RAIL_LIMIT_M)  # [C]
+    joint_start_deg: float = 10.0  # uniform within +- this [C]
+    pressure_start_kpa: Range = (PRESSURE_MIN_KPA, PRESSURE_MAX_KPA)
+    vented_starts: float = 0.5  # share of the starts without pressure; [C] keeps the last episode's
+    success_radius_m: float = 0.04
+    episode_steps: int = 100
+    rate_hz: float = float(CONTROL_RATE_HZ)
+    rail_limit_m: float = RAIL_LIMIT_M  # an episode ends beyond it
+    success_reward: float = 1000.0
+    speed_reward: float = 0.1  # per m/s of the tip
+    rail_penalty: float = -100.0
+    reward_scale: float = 0.01  # [C]
+    action_noise: float = 0.001  # standard deviation on the +-1 action ([P] SM-E)
+    # Commands pass the same braking clamp as in the daemon; without it the exact task of the seed.
+    rail_guard: bool = True
+    # Parameters of that clamp, as in the daemon's limits.rail (softarm.schemas.config.RailLimits).
+    rail_latency_s: float = RailLimits().latency_s
+    rail_braking_m_s2: float = RailLimits().braking_m_s2
+    rail_surge_m_s2: float = RailLimits().surge_m_s2
+    rail_drag_m_s: float = RailLimits().drag_m_s
+    muscle: bool = True  # False: always vented ([P] section 4.2, cart actions only)
+
+    @property
+    def rail_limits(self) -> RailLimits:
+        """Rail limits that clamp the commands."""
+        return RailLimits(**{key: getattr(self, f"rail_{key}") for key in CLAMP_KEYS})
+
+    def under(self, limits: RailLimits) -> Self:
+        """Return the task with other rail limits."""
+        return replace(self, **{f"rail_{key}": getattr(limits, key) for key in CLAMP_KEYS})
+
+    @property
+    def goal(self) -> tuple[Signal, ...]:
+        """Signals of the goal at the end of an observation."""
+        return REACH_GOAL
+
+    @property
+    def kind(self) -> TaskKind:
+        """Kind of the task in a policy's file."""
+        return "reach"
+
+    def sample_targets(self, rng: np.random.Generator, count: int) -> Array:
+        """Draw targets y, z in metres, float32 [count, 2], uniform over the range."""
+        y = rng.uniform(*self.target_y_m, count)
+        z = rng.uniform(*self.target_z_m, count)
+        return np.stack((y, z), axis=1).astype(np.float32)
+
+    def sample_starts(self, rng: np.random.Generator, count: int, links: int) -> Starts:
+        """Draw start states for `count` robots."""
+        cart = rng.uniform(*self.cart_start_m, count)
+        angles = rng.uniform(-1.0, 1.0, (count, links)) * np.deg2rad(self.joint_start_deg)
+        pressure = rng.uniform(*self.pressure_start_kpa, count)
+        pressure[rng.random(count) < (self.vented_starts if self.muscle else 1.0)] = 0.0
+        return Starts(cart.astype(np.float32), angles.astype(np.float32), pressure.astype(np.float32))
+
+    def succeeded(self, tip_m: Array, target_m: Array) -> NDArray[np.bool_]:
+        """Return whether tips [R, 2] lie within the radius of their targets [R, 2]."""
+        offset = tip_m - target_m
+        near: NDArray[np.bool_] = np.hypot(offset[:, 0], offset[:, 1]) < self.success_radius_m
+        return near
+
+    def reward(self, now: Moment) -> Array:
+        """Return the scaled reward of a step, float32 [R] ([P] section 4)."""
+        total = self.success_reward * now.success + self.rail_penalty * now.off_rail
+        scaled: Array = (self.reward_scale * (total + self.speed_reward * now.tip_speed_m_s)).astype(np.float32)
+        return scaled
+
+
+# reach-wide is for chained targets, as in the demo: each starts where the last one left the cart.
+TASKS = {
+    task.name: task
+    for task in (
+        ReachTask(),
+        ReachTask(
+            name="reach-wide",
+            target_y_m=(-0.42, 0.02),
+            target_z_m=(0.54, 0.80),
+            cart_start_m=(-0.22, 0.24),
+            joint_start_deg=15.0,
+        ),
+    )
+}

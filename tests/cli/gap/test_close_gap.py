@@ -1,0 +1,93 @@
+"""Tests of `softarm close-gap` with a stand-in for the diagnosis."""
+
+import json
+from functools import partial
+from types import SimpleNamespace
+
+import pytest
+
+from softarm.diagnosis.engine.result import Diagnosis
+from softarm.evaluation.closing import steps
+from softarm.schemas.flights import TEST_TARGETS
+from softarm.schemas.model import Model
+from softarm.schemas.verdict import Gap, Verdict, Where
+from softarm.simulator import model_file
+from tests.cli.invoke import invoke
+
+EASY, NEVER = TEST_TARGETS[4], TEST_TARGETS[-1]  # (-0.20, 0.55), and (0, 0.80), which no command reaches
+NONE = Verdict(
+    verdict="none",
+    where=Where(stage=None, share={}, regime="nowhere"),
+    effects=(),
+    gap=Gap(before={}, after={}, floor={}, ceiling={}),
+)
+
+
+@pytest.fixture
+def asked(monkeypatch):
+    """Replace the diagnosis and return its settings."""
+    asked = SimpleNamespace(nominal=Model())
+
+    def diagnose(trials, model, progress=None, processes=1):
+        return Diagnosis(NONE, asked.nominal, None, (("a", "seed", 1.0),))
+
+    monkeypatch.setattr("softarm.diagnosis.from_files.diagnose", diagnose)
+    return asked
+
+
+@pytest.fixture
+def campaign(tmp_path):
+    """Return a campaign with one trial: one second of pressure."""
+    trial = tmp_path / "campaign" / "a"
+    trial.mkdir(parents=True)
+    (trial / "trial.yaml").write_text("kind: seed\n")
+    rows = [f"{k / 30:.4f},{k % 7}.0" for k in range(30)]
+    (trial / "pressure.csv").write_text("\n".join(("t,pressure", *rows)) + "\n")
+    model_file.save(Model(), trial.parent / "model.yaml")
+    return trial.parent
+
+
+def test_the_result_shows_success_rates_and_the_written_files(asked, campaign, tmp_path, monkeypatch):
+    monkeypatch.setattr(steps, "close", partial(steps.close, targets=(EASY, NEVER), processes=1))
+    arguments = ["close-gap", str(campaign), "--out", str(tmp_path / "out"), "--policy", "reach", "--robot", "no-delay"]
+    outcome = invoke(*arguments)
+    assert outcome.exit_code == 3, outcome.output  # keep the old one: there is no other
+    for words in ("robot", "the nominal simulator", "the held-out robot", "50 %", "No effect was named"):
+        assert words in outcome.output
+    assert f"wrote verdict.json, report.html, summary.json, limits-patch.yaml to {tmp_path / 'out'}" in outcome.output
+    assert json.loads((tmp_path / "out" / "summary.json").read_text())["spent"].keys() == {"diagnose", "fly"}
+
+
+def test_a_campaign_of_another_rig_is_refused(asked, campaign, tmp_path):
+    asked.nominal = None
+    outcome = invoke("close-gap", campaign, "--out", tmp_path / "out")
+    assert outcome.exit_code == 1
+    assert "the campaign shows another rig, and policies fly only the arm" in outcome.output
+
+
+def test_existing_results_are_not_overwritten(asked, campaign, tmp_path):
+    (tmp_path / "summary.json").write_text("{}")
+    outcome = invoke("close-gap", campaign, "--out", tmp_path)
+    assert outcome.exit_code == 1
+    assert "already holds summary.json; name a new --out" in outcome.output
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message", "code"),
+    [
+        (("--policy", "raech"), "one of reach, reach-robust, reach-wide", 1),
+        (("--fault", "regulator.dead_time=0.06"), "allowed here: inflate_s, deflate_s", 1),
+        (("--fault", "valve.stuck=1"), "a group of regulator, rail, arm", 1),
+        (("--fault", "arm.payload_kg=heavy"), "'heavy' is not a number", 1),
+        (("--fault", "arm.payload_kg=7"), "allowed 0 to 0.5", 1),
+        (("--robot", "no-delay", "--fault", "arm.payload_kg=0.1"), "--fault is for the independent robot", 2),
+        (("--robot", "no-dely"), "did you mean no-delay?", 1),
+        (("--twin",), "--twin and --yes go with --config: name a configuration", 2),
+        (("--yes",), "--twin and --yes go with --config", 2),
+    ],
+)
+def test_wrong_options_are_refused_before_the_long_work(campaign, tmp_path, arguments, message, code):
+    outcome = invoke("close-gap", campaign, "--out", tmp_path / "out", *arguments)
+    assert outcome.exit_code == code, outcome.output
+    assert message in " ".join(outcome.output.split())
+    assert not (tmp_path / "out").exists()

@@ -1,0 +1,266 @@
+"""Tests of `softarm diagnose` and `softarm excite --plan` with a stand-in for the diagnosis."""
+
+import json
+import shlex
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from softarm.daemon.config import configuration
+from softarm.diagnosis.engine.result import Diagnosis, Overlay
+from softarm.schemas.config import Config
+from softarm.schemas.model import Model
+from softarm.schemas.verdict import (
+    Estimate,
+    Gap,
+    Interval,
+    NamedEffect,
+    NextExperiment,
+    Quantity,
+    Shrink,
+    Verdict,
+    Where,
+)
+from softarm.simulator import model_file
+from tests.cli.invoke import invoke
+
+HALF = Interval(value=0.5, low=0.4, high=0.6)
+NAMED = Verdict(
+    verdict="named",
+    where=Where(stage="pressure", share={"pressure": 1.0}, regime="deflating"),
+    effects=(
+        NamedEffect(
+            name="pressure.dead_time",
+            parameters={"delay": Estimate(value=0.06, low=0.05, high=0.07, unit="s")},
+            confidence=0.9,
+            shrink=Shrink(stage=HALF),
+        ),
+    ),
+    gap=Gap(
+        before={"pressure": Quantity(value=2.0, unit="kPa")},
+        after={"pressure": Quantity(value=1.0, unit="kPa")},
+        floor={},
+        ceiling={},
+    ),
+    next_experiment=NextExperiment(
+        excitation="pressure-multisine", separates=("pressure.lag",), expect={"pressure.lag": "a slope at once"}
+    ),
+    warnings=("one frame is missing",),
+)
+UNKNOWN = NAMED.model_copy(update={"verdict": "unknown", "effects": (), "next_experiment": None})
+
+
+def write_trial(folder, model=None):
+    """Write a trial of one second into a campaign, optionally with a model."""
+    folder.mkdir(parents=True)
+    (folder / "trial.yaml").write_text("kind: seed\n")
+    rows = [f"{k / 30:.4f},{k % 7}.0" for k in range(30)]
+    (folder / "pressure.csv").write_text("\n".join(("t,pressure", *rows)) + "\n")
+    if model is not None:
+        model_file.save(model, folder.parent / "model.yaml")
+    return folder
+
+
+@pytest.fixture
+def asked(monkeypatch):
+    """Replace the diagnosis and return its settings and inputs."""
+    asked = SimpleNamespace(verdict=NAMED, patched=Model(effects={}), trials=None, model=None)
+
+    def diagnose(trials, model, progress=None, processes=1):
+        asked.trials, asked.model = trials, model
+        progress("fitting", 0.5)
+        t = np.arange(30) / 30
+        overlay = Overlay("pressure", trials[0].name, "seed", "pressure", "kPa", t, t, t + 1, None)
+        return Diagnosis(asked.verdict, model, asked.patched, (("a", "seed", 1.0),), (overlay,))
+
+    monkeypatch.setattr("softarm.diagnosis.from_files.diagnose", diagnose)
+    return asked
+
+
+def test_diagnose_writes_verdict_report_and_patch_and_prints_the_answer(asked, tmp_path):
+    campaign = write_trial(tmp_path / "campaign" / "a", Model(effects={})).parent
+    places = [tmp_path / name for name in ("verdict.json", "report.html", "patched.yaml")]
+    outcome = invoke("diagnose", campaign, "--json", places[0], "--report", places[1], "--patch", places[2])
+    assert outcome.exit_code == 0, outcome.output
+    assert Verdict.model_validate_json(places[0].read_text()) == NAMED
+    assert places[1].read_text(encoding="utf-8").startswith("<!doctype html>")
+    assert model_file.load(places[2]) == asked.patched
+    output = " ".join(outcome.output.split())
+    assert "the regulator starts to react late), delay 60 ms (50 to 70)." in output
+    assert "shrinks from 2 to 1 kPa RMS" in output
+    assert "warning: one frame is missing" in output
+    assert f"softarm excite --plan {places[0]}" in output
+    assert [trial.name for trial in asked.trials] == ["a"]
+
+
+@pytest.mark.parametrize("written", [True, False], ids=["with a verdict", "without"])
+@pytest.mark.parametrize("configured", [True, False], ids=["with softarm.yaml", "without"])
+def test_the_printed_next_command_runs(asked, tmp_path, monkeypatch, written, configured):
+    monkeypatch.chdir(tmp_path)
+    write_trial(tmp_path / "campaign" / "a", Model(effects={}))
+    if configured:
+        (tmp_path / "softarm.yaml").write_text("recorder: {directory: logs}\n")
+    outcome = invoke("diagnose", "campaign", *(("--json", "a verdict.json") if written else ()))
+    (line,) = [line for line in outcome.output.splitlines() if line.startswith("next: the excitation")]
+    _, name, *command = shlex.split(line[line.index("softarm excite") :])
+    assert name == "excite"
+    assert ("--plan" in command) == written
+    assert ("--config" in command) == configured
+    # On a robot it would move one: played in this process instead, with everything else as printed.
+    played = invoke("excite", *command, *(("--simulated",) if configured else ()))
+    assert played.exit_code == 0, played.output
+    assert "played pressure-multisine" in played.output
+
+
+def test_another_rig_gets_a_recording_to_make_instead_of_a_command(asked, tmp_path):
+    (set_,) = (NAMED.effects[0].model_copy(update={"equivalents": ("pressure.lag",)}),)
+    asked.verdict = NAMED.model_copy(update={"effects": (set_,), "next_experiment": None})
+    outcome = invoke("diagnose", write_trial(tmp_path / "c" / "a"))
+    output = " ".join(outcome.output.split())
+    assert "next: To separate dead_time and lag (pressure): a step: flat foot or slope at once" in output
+    assert "softarm excite" not in output
+
+
+def test_limits_are_measured_from_the_recordings(asked, tmp_path):
+    trial = write_trial(tmp_path / "campaign" / "a")
+    times = [k / 30 for k in range(300)]
+    speeds = [0.5 if k % 20 < 10 else -0.5 for k in range(300)]
+    commands = [f"{t:.5f},{v},0.0" for t, v in zip(times, speeds, strict=True)]
+    (trial / "command.csv").write_text("\n".join(("t,cart_velocity,pressure", *commands)) + "\n")
+    places = [0.1 + (k % 20 if k % 20 < 10 else 20 - k % 20) / 60 for k in range(300)]
+    readings = [f"{t:.5f},{y:.5f},{v}" for t, y, v in zip(times, places, speeds, strict=True)]
+    (trial / "rail.csv").write_text("\n".join(("t,position,velocity", *readings)) + "\n")
+    patch = tmp_path / "limits-patch.yaml"
+    outcome = invoke("diagnose", trial.parent, "--limits", patch)
+    assert outcome.exit_code == 0, outcome.output
+    assert configuration.load(patch) == Config()
+    assert "(1 recording, 10 s)" in patch.read_text()
+    assert "set-point steps recorded, 59 required: record more with `softarm excite rail-dashes`" in outcome.output
+    assert f"wrote {patch}" in outcome.output
+
+
+def test_a_diagnosed_rail_delay_raises_the_latency_limit(asked, tmp_path):
+    """The recording has too few set-point steps to measure the latency itself."""
+    late = NAMED.effects[0].model_copy(update={"name": "rail.delay"})
+    asked.verdict = NAMED.model_copy(update={"effects": (late,)})
+    patch = tmp_path / "limits-patch.yaml"
+    outcome = invoke("diagnose", write_trial(tmp_path / "campaign" / "a"), "--limits", patch)
+    assert outcome.exit_code == 0, outcome.output
+    assert configuration.load(patch).limits.rail.latency_s == 0.07
+    output = " ".join(outcome.output.split())
+    assert output.count("the diagnosis names rail.delay, 60 ms, 70 at most") == 1
+    assert "raise it to 0.07" in output
+
+
+def test_the_nominal_model_is_the_option_then_the_campaigns_then_the_seed(asked, tmp_path):
+    campaign = write_trial(tmp_path / "campaign" / "a", Model(effects={})).parent
+    bare = write_trial(tmp_path / "bare" / "b")
+    invoke("diagnose", campaign)
+    assert asked.model.effects == {}
+    invoke("diagnose", campaign / "a")
+    assert asked.model.effects == {}
+    model_file.save(Model(), tmp_path / "model.yaml")  # beside the campaign, none of its business
+    invoke("diagnose", campaign)
+    assert asked.model.effects == {}
+    invoke("diagnose", campaign, "--model", "no-delay")
+    assert asked.model == model_file.load("no-delay")
+    outcome = invoke("diagnose", bare)
+    assert asked.model == Model()
+    assert "the seed's simulator is the nominal model" in outcome.output
+
+
+def test_campaigns_with_different_models_need_the_model_option(asked, tmp_path):
+    one = write_trial(tmp_path / "one" / "a", Model(effects={})).parent
+    other = write_trial(tmp_path / "other" / "b", Model()).parent
+    outcome = invoke("diagnose", one, other)
+    assert outcome.exit_code == 1
+    assert "differ; choose one with --model" in outcome.output
+    assert asked.trials is None
+
+
+def test_without_a_named_effect_no_patch_is_written(asked, tmp_path):
+    asked.verdict, asked.patched = UNKNOWN, None
+    trial, patch = write_trial(tmp_path / "c" / "a"), tmp_path / "patched.yaml"
+    outcome = invoke("diagnose", trial, "--patch", patch)
+    assert outcome.exit_code == 0
+    assert "not written, no effect was named (verdict: unknown)" in outcome.output
+    assert not patch.exists()
+
+
+def test_data_of_another_rig_may_be_in_another_folder(asked, tmp_path):
+    (tmp_path / "data").mkdir()
+    (tmp_path / "data" / "a.csv").write_text("t,c,p\n" + "".join(f"{k / 10},{k},{k}\n" for k in range(20)))
+    column = {"source": "t", "unit": "s"}
+    stage = {
+        "name": "axis",
+        "kind": "tracking",
+        "channels": {
+            "command": {"time": column, "columns": {"command": {"source": "c", "unit": "rad"}}},
+            "measured": {"time": column, "columns": {"position": {"source": "p", "unit": "rad"}}},
+        },
+        "trials": [{"name": "one", "kind": "ramp", "files": {"command": "a.csv", "measured": "a.csv"}}],
+    }
+    (tmp_path / "stage.yaml").write_text(json.dumps(stage))
+    outcome = invoke("diagnose", tmp_path / "stage.yaml", "--data", tmp_path / "data")
+    assert outcome.exit_code == 0, outcome.output
+    assert asked.model is None
+    assert asked.trials[0].stage.name == "axis"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message", "code"),
+    [
+        ((), "Missing argument 'INPUT...'", 2),
+        (("nowhere",), "nowhere: does not exist; name an MCAP log, a trial folder", 1),
+        (("c/a", "--data", "."), "--data is for the data files of a stage.yaml", 2),
+        (("c/a", "--model", "no-dely"), "did you mean no-delay?", 1),
+        (("c/a", "--json", "no/v.json"), "no/v.json: the folder no does not exist; create it", 1),
+        (("c/a", "--report", "c"), "is a directory", 2),
+    ],
+)
+def test_a_wrong_command_is_refused_with_the_remedy(arguments, message, code, asked, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    write_trial(tmp_path / "c" / "a")
+    outcome = invoke("diagnose", *arguments)
+    assert message in outcome.output
+    assert outcome.exit_code == code
+    assert asked.trials is None
+
+
+def test_the_next_experiment_of_a_verdict_is_played_and_diagnosed(asked, tmp_path):
+    plan, config = tmp_path / "a verdict.json", tmp_path / "softarm.yaml"
+    plan.write_text(NAMED.model_dump_json())
+    config.write_text(f"recorder: {{directory: {tmp_path / 'logs'}}}\n")
+    outcome = invoke("excite", "--plan", plan, "--simulated", "--config", config)
+    assert outcome.exit_code == 0, outcome.output
+    assert "if pressure.lag: a slope at once" in outcome.output
+    assert "played pressure-multisine" in outcome.output
+    (log,) = (tmp_path / "logs").glob("*.mcap")
+    (line,) = [line for line in outcome.output.splitlines() if line.startswith("next: ")]
+    assert f"also name the recordings behind {plan}" in outcome.output
+    again = invoke(*shlex.split(line.removeprefix("next: softarm")))
+    assert again.exit_code == 0, again.output
+    assert [trial.source for trial in asked.trials] == [log]
+    assert Verdict.model_validate_json(plan.read_text()) == NAMED  # still there to be played again
+    assert (tmp_path / "a verdict-next.json").is_file()
+
+
+@pytest.mark.parametrize(
+    ("text", "arguments", "message", "code"),
+    [
+        (UNKNOWN.model_dump_json(), (), "asks for no next experiment; name an excitation", 1),
+        ('{"verdict": "none"}', (), "where: Field required; name a file that `softarm diagnose --json` wrote", 1),
+        ("no JSON", (), "Invalid JSON", 1),
+        (None, (), "cannot be read", 1),
+        (NAMED.model_dump_json(), ("seed",), "NAME or --plan, not both", 2),
+        (NAMED.model_dump_json().replace("multisine", "mltisine"), (), "no excitation 'pressure-mltisine'", 1),
+    ],
+)
+def test_an_unusable_verdict_is_refused_with_the_reason(text, arguments, message, code, tmp_path):
+    plan = tmp_path / "verdict.json"
+    if text is not None:
+        plan.write_text(text)
+    outcome = invoke("excite", *arguments, "--plan", plan, "--simulated")
+    assert message in outcome.output
+    assert outcome.exit_code == code

@@ -1,0 +1,99 @@
+"""Tests of `softarm excite` and `softarm identify`."""
+
+import json
+import re
+from pathlib import Path
+
+import pytest
+
+from softarm.daemon.config import configuration
+from softarm.schemas.config import Config
+from softarm.simulator import model_file
+from tests.cli.invoke import invoke
+
+FILES = {"--out": "m.yaml", "--json": "m.json", "--plots": "pictures", "--limits": "limits-patch.yaml"}
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("excite")
+    config = folder / "softarm.yaml"
+    config.write_text(f"recorder: {{directory: {folder / 'logs'}}}\n")
+    outcome = invoke("excite", "pressure-multisine", "--simulated", "--config", config)
+    assert outcome.exit_code == 0, outcome.output
+    (log,) = (folder / "logs").glob("*.mcap")
+    assert f"next: softarm identify {log} --out model.yaml" in outcome.output
+    return log
+
+
+@pytest.mark.slow
+def test_identify_writes_a_model_results_and_plots(recorded, tmp_path):
+    files = {option: tmp_path / name for option, name in FILES.items()}
+    outcome = invoke("identify", recorded, *(word for pair in files.items() for word in pair))
+    assert outcome.exit_code == 0, outcome.output
+    fitted = model_file.load(tmp_path / "m.yaml").arm
+    assert fitted.stiffness_nm_rad[0] == pytest.approx(0.8385, rel=0.01)
+    assert fitted.muscle_gain_nm_kpa[2] == pytest.approx(0.0113, rel=0.02)
+    written = json.loads((tmp_path / "m.json").read_text())
+    assert written["torque_rmse_nm"]["refined"] < 0.02
+    assert len(written["parameters"]) == 20
+    # The cart stood still: nothing is known of its rail, and nothing is patched.
+    assert "# Left out: " in (tmp_path / "limits-patch.yaml").read_text()
+    assert configuration.load(tmp_path / "limits-patch.yaml") == Config()
+    assert written["limits"]["rail"]["braking_m_s2"]["measured"] is None
+    assert "no held-out excitation" in outcome.output
+    pictures = sorted(p.name for p in (tmp_path / "pictures").iterdir())
+    assert pictures == ["parameters.png", f"torques-{recorded.stem}.png"]
+    assert all((tmp_path / "pictures" / p).read_bytes().startswith(b"\x89PNG") for p in pictures)
+
+
+@pytest.mark.prove
+def test_a_fault_of_the_independent_robot_is_diagnosed(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    outcome = invoke(
+        "excite", "free-decay", "pressure-multisine", "--reality", "--fault", "regulator.gain=0.2", "--logs", "mine"
+    )
+    assert outcome.exit_code == 0, outcome.output
+    logs = re.findall(r"recorded (\S+)", outcome.output)
+    assert sorted(logs) == sorted(str(log.resolve()) for log in Path("mine").glob("*.mcap"))
+    assert len(logs) == 2
+    assert f"or:   softarm diagnose {' '.join(logs)} --report report.html" in outcome.output
+    outcome = invoke("diagnose", *logs, "--json", "verdict.json")
+    assert outcome.exit_code == 0, outcome.output
+    (effect,) = json.loads(Path("verdict.json").read_text())["effects"]
+    assert effect["name"] == "pressure.gain"
+    assert effect["parameters"]["scale"]["value"] == pytest.approx(0.2, abs=0.02)
+
+
+def test_a_log_cannot_be_fitted_and_held_out(recorded, tmp_path):
+    outcome = invoke("identify", recorded, "--check", recorded, "--out", tmp_path / "m.yaml")
+    assert outcome.exit_code == 1
+    assert "given for the fit and for the check" in outcome.output
+    assert not (tmp_path / "m.yaml").exists()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message", "code"),
+    [
+        (("excite",), "no excitation named: `softarm excite --list` shows all", 2),
+        (("excite", "seed"), "no robot chosen: use --config FILE for real devices, --simulated, or --reality", 2),
+        (("excite", "seed", "--simulated", "--fault", "arm.payload_kg=0.03"), "add --reality", 2),
+        (("excite", "seed", "--reality", "--fault", "arm.paylod_kg=0.03"), "write group.quantity=value", 1),
+        (("excite", "free-decay", "sed", "--simulated"), "no excitation 'sed'; did you mean seed?", 1),
+        (("excite", "sed", "--simulated"), "no excitation 'sed'; did you mean seed?", 1),
+        (("identify", "nowhere", "--out", "m.yaml"), "nowhere: does not exist; name an MCAP log, a trial folder", 1),
+    ],
+)
+def test_a_wrong_command_is_refused_with_the_remedy(arguments, message, code, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    outcome = invoke(*arguments)
+    assert message in outcome.output
+    assert outcome.exit_code == code
+
+
+def test_the_list_shows_every_excitation():
+    from softarm.schemas.excitation import EXCITATIONS
+
+    outcome = invoke("excite", "--list")
+    assert all(line.split()[0] in EXCITATIONS for line in outcome.output.splitlines())
+    assert len(outcome.output.splitlines()) == len(EXCITATIONS)

@@ -1,0 +1,136 @@
+"""Tests of `softarm evaluate`."""
+
+import json
+import re
+
+import numpy as np
+import pytest
+
+from softarm.evaluation import page
+from softarm.policies.base import MODELS
+from softarm.training.trajectory import ceiling
+from tests.cli.invoke import invoke
+
+
+def run(*arguments):
+    return invoke("evaluate", *arguments)
+
+
+@pytest.fixture(scope="module")
+def runs(tmp_path_factory):
+    """Return a sweep's folder with two seeds of one name, as `softarm train --sweep` writes it."""
+    folder = tmp_path_factory.mktemp("runs")
+    for seed, model in ((1, "reach"), (2, "reach-wide")):
+        (folder / "mine" / f"seed-{seed}").mkdir(parents=True)
+        (folder / "mine" / f"seed-{seed}" / "reach.onnx").symlink_to(MODELS / f"{model}.onnx")
+    return folder
+
+
+@pytest.mark.slow
+def test_trained_policies_are_shown_with_their_spread_and_the_papers_results(runs, tmp_path):
+    page = tmp_path / "all.html"
+    result = run(
+        *("--all", "--runs", runs, "--only", "mine", "--only", "pid", "--test", "grid", "--workers", 1),
+        *("--json", tmp_path / "all.json", "--report", page),
+    )
+    assert result.exit_code == 0, result.output
+    table = json.loads((tmp_path / "all.json").read_text())
+    mine = table["policies"]["mine"]["all"]
+    assert len(mine["values"]) == 2
+    assert mine["mean"] == pytest.approx(np.mean(mine["values"]))
+    assert mine["spread"] == pytest.approx(np.std(mine["values"], ddof=1))
+    assert mine["mean"] > 0.8 > table["policies"]["pid"]["all"]["mean"]
+    assert table["policies"]["pid"]["all"]["spread"] is None
+    assert table["hardware"]["the paper's learned policy"]["all"] == 0.80
+    assert [len(shares) for shares in table["reached"].values()] == [54, 54]
+    text = page.read_text()
+    assert "<svg" in text
+    assert not re.search(r"https?:", text)
+    assert "mean and standard deviation over seeds" in text
+    for words in ("mine", "pid", "the paper&#x27;s PID"):
+        assert words in text
+        assert words.replace("&#x27;", "'") in result.output
+
+
+def test_the_ceiling_is_a_row_of_the_table_and_a_map(monkeypatch, tmp_path):
+    monkeypatch.setattr(ceiling, "ROUNDS", 2)
+    monkeypatch.setattr(ceiling, "POPULATION", 24)
+    result = run("--all", "--only", "ceiling", "--test", "grid", "--workers", 1, "--json", tmp_path / "all.json")
+    assert result.exit_code == 0, result.output
+    written = json.loads((tmp_path / "all.json").read_text())
+    assert list(written["policies"]["ceiling"]) == ["in_range", "above", "all"]
+    assert 0.0 < written["policies"]["ceiling"]["all"]["mean"] < 1.0
+    assert len(written["reached"]["ceiling"]) == 54
+    assert "| ceiling (open-loop search) |  |" in result.output
+    assert "<figcaption><b>ceiling (open-loop search)</b>" in page.html(written, "")
+
+
+@pytest.fixture
+def configured(tmp_path):
+    """Return a configuration with a policy of its own and a cart that hardly moves."""
+    file = tmp_path / "mine.yaml"
+    file.write_text(
+        f"policies: {{my-reach: {{plugin: onnx, options: {{model: {MODELS / 'reach.onnx'}}}}}}}\n"
+        "limits: {rail: {velocity_max_m_s: 0.02}}\n"
+    )
+    return file
+
+
+@pytest.mark.slow
+def test_trained_and_configured_policies_are_compared_with_shipped_ones(configured, tmp_path):
+    file = tmp_path / "trained.onnx"
+    file.symlink_to(MODELS / "shelf.onnx")
+    names = (str(file), "my-reach", "pid")
+    result = run(
+        *(option for name in names for option in ("--policy", name)),
+        *("--config", configured, "--model", "no-delay", "--test", "shelf", "--workers", 1),
+        *("--json", tmp_path / "all.json", "--report", tmp_path / "all.html"),
+    )
+    assert result.exit_code == 0, result.output
+    table = json.loads((tmp_path / "all.json").read_text())
+    assert set(table["policies"]) == set(names)
+    assert {tuple(row) for row in table["policies"].values()} == {("shelf@no-delay",)}
+    # The configuration holds the cart, so no swing reaches the shelf.
+    assert table["policies"][str(file)]["shelf@no-delay"]["mean"] == 0.0
+    assert "standard deviation" not in (tmp_path / "all.html").read_text().split("<h1>")[1].split("<nav")[0]
+
+
+@pytest.mark.slow
+def test_a_trained_file_is_evaluated_alone():
+    result = run("--policy", MODELS / "reach.onnx")
+    assert result.exit_code == 0, result.output
+    assert "x real time" in result.output
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("--all", "--test", "fly"), "no test 'fly'"),
+        (("--all", "--test", "held_back@no-delay"), "takes no model"),
+        (("--all", "--test", "grid@no-dely"), "did you mean no-delay"),
+        (("--all", "--only", "nothing"), "no policy nothing"),
+        (("--policy", "missing.onnx", "--policy", "reach"), "missing.onnx"),
+        (("--all", "--config", "missing.yaml"), "missing.yaml"),
+    ],
+)
+def test_an_unknown_name_is_refused_with_the_known_ones(arguments, words):
+    result = run(*arguments)
+    assert result.exit_code == 1
+    assert words in result.output
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("--matrix",), "give its folder with --runs"),
+        (("--only", "pid"), "go with --all"),
+        (("--all", "--policy", "pid"), "choose rows with --only"),
+        (("--workers", 2), "goes with a comparison"),
+        (("--model", "no-delay", "--test", "grid@no-delay"), "names a model itself"),
+        (("--matrix", "--runs", ".", "--model", "no-delay"), "omit --policy and --model"),
+    ],
+)
+def test_options_without_effect_are_refused_with_the_reason(arguments, words):
+    result = run(*arguments)
+    assert result.exit_code == 2
+    assert words in " ".join(result.output.replace("│", " ").split()).replace("Choose", "choose")

@@ -1,0 +1,141 @@
+"""Tests of `softarm new`: the written packages pass their checks and fly."""
+
+import os
+import subprocess
+import sys
+import tomllib
+from collections.abc import Sequence
+from pathlib import Path
+
+import pytest
+
+from tests.cli.invoke import invoke
+
+ROOT = Path(__file__).parents[3]
+KINDS = {"policy": "lean-over", "task": "gentle", "source": "my-cameras"}
+
+
+def new(*arguments: str | Path):
+    return invoke("new", *arguments)
+
+
+@pytest.fixture(scope="module")
+def written(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    """Return one package of each kind, installed by a metadata folder as pip writes it."""
+    packages = {}
+    for kind, name in KINDS.items():
+        packages[kind] = folder = tmp_path_factory.mktemp("new") / kind
+        result = new(kind, name, "--out", folder)
+        assert result.exit_code == 0, result.output
+        project = tomllib.loads((folder / "pyproject.toml").read_text())["project"]
+        info = folder / f"{project['name'].replace('-', '_')}-{project['version']}.dist-info"
+        info.mkdir()
+        (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {project['name']}\nVersion: 0.1.0\n")
+        points = [
+            f"[{group}]\n" + "".join(f"{point} = {target}\n" for point, target in entries.items())
+            for group, entries in project["entry-points"].items()
+        ]
+        (info / "entry_points.txt").write_text("".join(points))
+    return packages
+
+
+def run(folder: Path, *command: str, others: Sequence[Path] = ()) -> None:
+    path = os.pathsep.join(map(str, (folder, *others, ROOT)))
+    done = subprocess.run(
+        [sys.executable, "-m", *command],
+        cwd=folder,
+        env=os.environ | {"PYTHONPATH": path},
+        capture_output=True,
+        text=True,
+        timeout=170,
+        check=False,
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+
+
+@pytest.mark.slow
+def test_the_tests_of_new_packages_pass(written: dict[str, Path]) -> None:
+    """All run in one process, which saves imports."""
+    folder, *others = written.values()
+    ours = [str(each / "tests") for each in written.values()]
+    run(folder, "pytest", "-q", "-p", "no:cacheprovider", "--rootdir", str(folder), *ours, others=others)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_new_package_passes_its_style_checks(kind: str, written: dict[str, Path]) -> None:
+    run(written[kind], "ruff", "check", "--no-cache", ".")
+    run(written[kind], "ruff", "format", "--no-cache", "--check", ".")
+
+
+@pytest.mark.slow
+def test_new_packages_pass_strict_type_checks(written: dict[str, Path], tmp_path: Path) -> None:
+    """One run checks all three, which saves time."""
+    files = [str(file) for folder in written.values() for file in (*folder.glob("*.py"), *folder.glob("tests/*.py"))]
+    assert len(files) == 6
+    path = os.pathsep.join(map(str, (*written.values(), ROOT)))
+    done = subprocess.run(
+        [sys.executable, "-m", "mypy", "--strict", "--config-file", ROOT / "pyproject.toml", *files],
+        cwd=ROOT,
+        env=os.environ | {"MYPYPATH": path},
+        capture_output=True,
+        text=True,
+        timeout=170,
+        check=False,
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+
+
+def test_the_written_files_and_the_next_commands_are_printed(tmp_path: Path) -> None:
+    result = new("policy", "lean", "--out", tmp_path / "lean")
+    assert result.exit_code == 0
+    lines = result.stdout.splitlines()
+    wrote, following = lines[: lines.index("next:")], lines[lines.index("next:") + 1 :]
+    files = sorted(path for path in (tmp_path / "lean").rglob("*") if path.is_file())
+    assert sorted(wrote) == [f"wrote {file}" for file in files]
+    assert [line.strip() for line in following] == [
+        f"pip install --editable {tmp_path / 'lean'}",
+        f"pytest {tmp_path / 'lean'}",
+        "softarm evaluate --policy lean",
+    ]
+
+
+def test_existing_files_are_not_overwritten(tmp_path: Path) -> None:
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine" / "thesis.md").write_text("mine")
+    result = new("policy", "lean", "--out", tmp_path / "mine")
+    assert result.exit_code == 1
+    assert "mine: exists and is not overwritten; choose another --out" in result.stderr
+    assert [path.name for path in (tmp_path / "mine").iterdir()] == ["thesis.md"]
+    assert new("policy", "lean", "--out", tmp_path / "mine" / "thesis.md").exit_code == 2
+
+
+@pytest.mark.parametrize(
+    ("kind", "name", "text"),
+    [
+        (
+            "policy",
+            "Lean",
+            "'Lean' is no valid name of a policy: allowed are lower-case letters, digits and single hyphens",
+        ),
+        ("policy", "2lean", "allowed are lower-case letters"),
+        ("policy", "le--an", "allowed are lower-case letters"),
+        ("policy", "../lean", "allowed are lower-case letters"),
+        ("policy", "l" * 41, "at most 40 characters"),
+        ("policy", "lambda", "'lambda' is a keyword of Python; choose another name, such as my-lambda"),
+        ("policy", "reach-wide", "the policy 'reach-wide' exists already"),
+        ("source", "zenoh", "the source 'zenoh' exists already"),
+        ("task", "shelf", "the task 'shelf' exists already"),
+    ],
+)
+def test_an_invalid_or_taken_name_is_refused(kind: str, name: str, text: str, tmp_path: Path) -> None:
+    result = new(kind, name, "--out", tmp_path / "out")
+    assert result.exit_code == 1
+    assert text in result.stderr
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_name_of_an_installed_module_is_refused(install, tmp_path: Path) -> None:
+    install("softarm_lean", "")
+    result = new("policy", "lean", "--out", tmp_path / "out")
+    assert result.exit_code == 1
+    assert "the module softarm_lean is already installed; choose another name" in result.stderr

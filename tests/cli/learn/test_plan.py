@@ -1,0 +1,39 @@
+"""Tests of `softarm plan`."""
+
+import numpy as np
+import pytest
+
+from softarm.policies.plans import Plans
+from softarm.training.trajectory import ceiling
+from tests.cli.invoke import invoke
+
+
+@pytest.fixture
+def small(monkeypatch):
+    """Reduce first guesses and iterations to the number that these targets need."""
+    monkeypatch.setattr("softarm.training.trajectory.optimiser.OUTER", 5)
+    monkeypatch.setattr("softarm.training.trajectory.planner.LIBRARY", 512)
+    monkeypatch.setattr("softarm.training.trajectory.planner.EACH", 1)
+
+
+def test_plan_writes_plans_and_results(small, tmp_path):
+    out, results = tmp_path / "deep/mine.npz", tmp_path / "mine.json"
+    arguments = ["plan", "--target", "-0.2", "0.6", "--start", "0", "--out", str(out), "--json", str(results)]
+    result = invoke(*arguments)
+    assert result.exit_code == 0, result.output
+    plans = Plans.load(out)
+    np.testing.assert_allclose(plans.target_m, [[-0.2, 0.6]], atol=1e-6)
+    assert plans.model == "seed"
+    assert '"reached": true' in results.read_text()
+    assert str(out) in result.output.replace("\n", "")
+
+
+def test_the_ceiling_of_all_targets_is_printed_by_height(monkeypatch, tmp_path):
+    monkeypatch.setattr(ceiling, "ROUNDS", 2)
+    monkeypatch.setattr(ceiling, "POPULATION", 24)
+    monkeypatch.chdir(tmp_path)
+    result = invoke("plan", "--ceiling", "--start", "0")
+    assert result.exit_code == 0, result.output
+    for words in ("z <= 0.70 m", "z > 0.70 m", "54 searched in", "missed from at least one start: ("):
+        assert words in result.output
+    assert list(tmp_path.iterdir()) == []  # a search writes no plans

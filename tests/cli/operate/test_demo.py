@@ -1,0 +1,39 @@
+"""Tests of `softarm demo` and its exit code."""
+
+import pytest
+from click.testing import Result
+
+from softarm.evaluation.software_in_the_loop import SoftwareInTheLoop, SoftwareInTheLoopError
+from tests.cli.invoke import invoke
+
+pytestmark = [pytest.mark.timeout(120), pytest.mark.realtime]
+
+
+def demo(logs, *arguments) -> Result:
+    return invoke("demo", "--targets", "1", "--logs", logs, *arguments)
+
+
+@pytest.mark.slow
+def test_a_target_is_reached_and_no_limit_exceeded(tmp_path):
+    result = demo(tmp_path)
+    assert result.exit_code == 0, result.output
+    assert "1 of 1 reached, no limit exceeded" in result.output
+    assert len(list(tmp_path.glob("*.mcap"))) == 1
+
+
+@pytest.mark.slow
+def test_a_refusal_of_the_daemon_fails_the_demo(tmp_path):
+    result = demo(tmp_path, "--policy", "hold")
+    assert result.exit_code == 1
+    assert "the policy 'hold' does not move to targets" in result.output
+
+
+def test_the_error_of_a_child_process_is_printed(monkeypatch, tmp_path):
+    def without_an_extra(self):
+        self.__exit__(None, None, None)
+        raise SoftwareInTheLoopError("softarm twin needs the package 'numba': pip install 'softarm[sim]'")
+
+    monkeypatch.setattr(SoftwareInTheLoop, "__enter__", without_an_extra)
+    done = invoke("demo", "--logs", tmp_path)
+    assert done.exit_code == 1
+    assert "pip install 'softarm[sim]'" in done.output

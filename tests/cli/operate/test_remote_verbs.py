@@ -1,0 +1,424 @@
+"""Tests of the verbs that use a running daemon."""
+
+import json
+import socket
+from datetime import UTC, datetime
+
+import pytest
+
+from softarm.cli.shared.printing import clock
+from softarm.daemon.control.inbox import Inbox
+from softarm.daemon.control.records import ActiveEvent, EStop, Mode, Outputs, Problems
+from softarm.daemon.stop.listener import StopListener
+from softarm.schemas.config import Api
+from softarm.schemas.goals import Goal, GoalStatus
+from softarm.schemas.log import LogEntry
+from softarm.schemas.rest import GoalAnswer, LogsAnswer, PoliciesAnswer, PolicyAnswer
+from tests.cli.invoke import invoke
+
+
+def reach(state, number=3, **more):
+    """Return a goal in the format of GET /api/goal."""
+    values = {"kind": "reach", "reason": None, "y_m": -0.2, "z_m": 0.6, "closest_m": None, "time_s": 0.0}
+    return GoalAnswer(state=state, number=number, **values | more).model_dump()
+
+
+@pytest.fixture
+def accepts_goal(daemon, make_status):
+    goal = GoalStatus(Goal("reach", -0.2, 0.6), "running", number=3)
+    daemon.on("POST", "/api/goal", make_status(goal=goal) | {"warnings": []})
+    return daemon
+
+
+def test_arm_waits_until_the_arm_is_armed(softarm, daemon, make_status):
+    daemon.on("POST", "/api/arm", make_status(mode=Mode.ARMING))
+    arming = make_status(mode=Mode.ARMING)
+    daemon.on("GET", "/api/status", make_status(mode=Mode.DISARMED), arming, arming, make_status(mode=Mode.ARMED))
+    result = softarm("arm")
+    assert (result.exit_code, result.stdout) == (0, "armed\n")
+    assert [path for _, path, _ in daemon.requests] == ["/api/status", "/api/arm"] + ["/api/status"] * 3
+
+
+def settling(make_status, *more):
+    text = "motion capture has only just come up (9 of 30 frames): wait for it"
+    events = [{"name": "mocap_settling", "response": "warn", "text": text}]
+    return make_status(mode=Mode.DISARMED) | {"events": events, "arming_refusals": [text, *more]}
+
+
+def test_arm_waits_for_motion_capture_to_settle(softarm, daemon, make_status):
+    ready, armed = make_status(mode=Mode.DISARMED), make_status(mode=Mode.ARMED)
+    daemon.on("POST", "/api/arm", armed)
+    daemon.on("GET", "/api/status", settling(make_status), settling(make_status), ready, armed)
+    assert softarm("arm").exit_code == 0
+    assert [path for _, path, _ in daemon.requests] == ["/api/status"] * 3 + ["/api/arm", "/api/status"]
+
+
+def test_arm_does_not_wait_if_another_reason_remains(softarm, daemon, make_status):
+    daemon.on("GET", "/api/status", settling(make_status, "no reading from the rail yet: check it"))
+    daemon.on("POST", "/api/arm", make_status(mode=Mode.DISARMED))
+    softarm("arm")
+    assert [path for _, path, _ in daemon.requests][:2] == ["/api/status", "/api/arm"]
+
+
+def test_arm_limits_its_wait_for_motion_capture(softarm, daemon, make_status, monkeypatch):
+    monkeypatch.setattr("softarm.cli.operate.arming._SETTLES_S", 0.02)
+    daemon.on("GET", "/api/status", settling(make_status))
+    daemon.on("POST", "/api/arm", make_status(mode=Mode.DISARMED))
+    softarm("arm")
+    assert ("POST", "/api/arm", None) in daemon.requests
+
+
+def test_a_failed_arm_prints_the_reason(softarm, daemon, make_status):
+    daemon.on("POST", "/api/arm", make_status(mode=Mode.ARMING))
+    daemon.on("GET", "/api/status", make_status(mode=Mode.DISARMED, last_stop="the drive did not enable"))
+    result = softarm("arm")
+    assert (result.exit_code, result.stdout) == (1, "")
+    assert result.stderr == "not armed, mode disarmed: the drive did not enable\n"
+
+
+@pytest.mark.parametrize(
+    ("verb", "path", "printed"),
+    [
+        ("disarm", "/api/disarm", "disarmed"),
+        ("stop", "/api/stop", "stopped and latched; `softarm acknowledge` releases the latch"),
+        ("acknowledge", "/api/acknowledge", "disarmed"),
+    ],
+)
+def test_disarm_stop_and_acknowledge_print_the_result(softarm, daemon, make_status, verb, path, printed):
+    daemon.on("POST", path, make_status())
+    daemon.on("GET", "/api/status", make_status(mode=Mode.DISARMED))
+    result = softarm(verb)
+    assert (result.exit_code, result.stdout) == (0, printed + "\n")
+    assert daemon.requests[0] == ("POST", path, None)
+
+
+def test_a_long_disarm_prints_once_what_it_waits_for(softarm, daemon, make_status, monkeypatch):
+    monkeypatch.setattr("softarm.cli.operate.arming._PATIENCE_S", -1.0)
+    daemon.on("POST", "/api/disarm", make_status(mode=Mode.STOPPING))
+    stopping = [make_status(mode=Mode.STOPPING)] * 2
+    daemon.on("GET", "/api/status", *stopping, make_status(mode=Mode.DISARMED))
+    result = softarm("disarm")
+    assert (result.exit_code, result.stdout) == (0, "disarmed\n")
+    assert result.stderr == "holding the cart until the arm is still\n"
+
+
+@pytest.fixture
+def stop_port():
+    """Run the dedicated stop port of a stopped daemon; yield its inbox and port."""
+    inbox = Inbox()
+    stopped = Outputs(1 << 62, 1, 0, 0, 0, Mode.STOPPED, EStop.LATCHED)
+    way = StopListener(Api(port=0), inbox, lambda: stopped)
+    yield inbox, way.start()
+    way.stop()
+
+
+def test_stop_uses_the_dedicated_port(softarm, daemon, stop_port):
+    inbox, port = stop_port
+    result = softarm("stop", "--stop-port", port)
+    assert (result.exit_code, result.stdout) == (0, "stopped and latched; `softarm acknowledge` releases the latch\n")
+    assert [post.request.kind for post in inbox.take()] == ["stop"]
+    assert daemon.requests == []
+
+
+def test_the_stop_port_is_by_default_the_port_of_the_api_plus_one(softarm, stop_port, monkeypatch):
+    inbox, port = stop_port
+    monkeypatch.delenv("SOFTARM_STOP_PORT")
+    assert softarm("stop", "--url", f"http://127.0.0.1:{port - 1}").exit_code == 0
+    assert [post.request.kind for post in inbox.take()] == ["stop"]
+
+
+def test_stop_falls_back_to_rest_if_another_program_has_the_port(softarm, daemon, make_status):
+    daemon.on("POST", "/api/stop", make_status())  # an answer without `stopped`
+    result = softarm("stop", "--stop-port", daemon.server.server_port)
+    assert result.exit_code == 0
+    assert [path for _, path, _ in daemon.requests] == ["/api/stop"] * 2
+
+
+def test_negative_coordinates_are_not_read_as_options(softarm, accepts_goal):
+    result = softarm("goal", "reach", "-0.2", "0.6")
+    assert (result.exit_code, result.stdout) == (0, "reaching for y -0.2, z 0.6 m\n")
+    assert accepts_goal.requests == [("POST", "/api/goal", {"kind": "reach", "y_m": -0.2, "z_m": 0.6})]
+
+
+def test_a_misspelt_option_of_reach_is_refused(softarm, daemon):
+    result = softarm("goal", "reach", "-0.2", "0.6", "--wiat")
+    assert result.exit_code == 2
+    assert "--wiat" in result.stderr
+    assert daemon.requests == []
+
+
+def test_wait_ends_with_the_goal_reached(softarm, accepts_goal):
+    running = reach("running", time_s=0.4, closest_m=0.2)
+    accepts_goal.on("GET", "/api/goal", running, running, reach("reached", time_s=1.234, closest_m=0.0391))
+    result = softarm("goal", "reach", -0.2, 0.6, "--wait")
+    assert (result.exit_code, result.stdout) == (0, "reached in 1.23 s, closest 0.039 m\n")
+
+
+@pytest.mark.parametrize(
+    ("end", "message"),
+    [
+        (reach("failed", reason="time limit of 3.33 s", closest_m=0.1), "failed: time limit of 3.33 s\n"),
+        (reach("cancelled", reason="disarmed"), "cancelled: disarmed\n"),
+        (reach("running", number=4), "another goal has replaced this one: see `softarm status`\n"),
+        (reach("reached", number=5), "another goal has replaced this one: see `softarm status`\n"),
+    ],
+)
+def test_wait_fails_with_the_reason_if_the_goal_is_not_reached(softarm, accepts_goal, end, message):
+    accepts_goal.on("GET", "/api/goal", reach("running"), end)
+    result = softarm("goal", "reach", -0.2, 0.6, "--wait")
+    assert (result.exit_code, result.stdout) == (1, "")
+    assert result.stderr.endswith(message)
+
+
+def test_warnings_go_to_stderr(softarm, daemon, make_status):
+    daemon.on("POST", "/api/goal", make_status() | {"warnings": ["never trained there"]})
+    result = softarm("goal", "reach", 0.5, 0.6)
+    assert result.exit_code == 0
+    assert result.stderr == "warning: never trained there\n"
+
+
+def test_hold_and_cancel_send_their_requests(softarm, daemon, make_status):
+    daemon.on("POST", "/api/goal", make_status() | {"warnings": []})
+    daemon.on("DELETE", "/api/goal", make_status())
+    assert softarm("goal", "hold").stdout == "holding\n"
+    assert softarm("goal", "cancel").stdout == "cancelled\n"
+    assert daemon.requests == [("POST", "/api/goal", {"kind": "hold"}), ("DELETE", "/api/goal", None)]
+
+
+def test_goal_without_a_verb_shows_the_state_of_the_goal(softarm, daemon, make_status):
+    goal = GoalStatus(Goal("reach", -0.2, 0.6), "running", closest_m=0.083, time_s=1.23, number=3)
+    daemon.on("GET", "/api/status", make_status(), make_status(goal=goal))
+    assert softarm("goal").stdout == "no goal since the daemon started; `softarm goal --help` lists the verbs\n"
+    assert softarm("goal", "--url", daemon.url).stdout == "reach y -0.2, z 0.6 m: running, 1.2 s, closest 0.083 m\n"
+    result = softarm("goal", "--url", daemon.url, "hold")
+    assert (result.exit_code, daemon.requests[2:]) == (2, [])
+    assert "--url goes after the verb" in result.stderr
+
+
+def test_policies_are_listed_with_the_one_in_use_marked(softarm, daemon):
+    policies = (
+        PolicyAnswer(name="hold", plugin="hold", description="stands still", error=None),
+        PolicyAnswer(name="reach-wide", plugin="onnx", description="learned", error=None),
+    )
+    daemon.on("GET", "/api/policies", PoliciesAnswer(active="reach-wide", policies=policies).model_dump())
+    assert softarm("policy", "list").stdout == "  hold        stands still\n* reach-wide  learned\n"
+    assert json.loads(softarm("policy", "list", "--json").stdout)["active"] == "reach-wide"
+
+
+def test_without_a_daemon_the_installed_policies_are_listed(softarm, daemon):
+    daemon.close()
+    result = softarm("policy", "list")
+    assert (result.exit_code, result.stderr.startswith(f"no daemon answers at {daemon.url}: ")) == (0, True)
+    assert "  hold          cart at rest" in result.stdout
+    assert "\n  reach-wide    learned" in result.stdout
+
+
+def test_the_policies_of_a_configuration_are_listed_without_a_daemon(softarm, daemon, tmp_path):
+    config = tmp_path / "arm.yaml"
+    config.write_text("control: {policy: mine}\npolicies: {mine: {plugin: pid}, broken: {plugin: pdi}}\n")
+    lines = softarm("policy", "list", "--config", config).stdout.splitlines()
+    assert any(line.startswith("* mine          PID") for line in lines)
+    assert any("cannot be used: no plugin 'pdi'; did you mean 'pid'?" in line for line in lines)
+    assert daemon.requests == []
+    config.write_text("polices: {}\n")
+    assert "did you mean policies?" in softarm("policy", "list", "--config", config).stderr
+
+
+def test_a_policy_is_chosen_by_name(softarm, daemon, make_status):
+    daemon.on("PUT", "/api/policy", make_status())
+    assert softarm("policy", "use", "pid").stdout == "using pid\n"
+    assert daemon.requests == [("PUT", "/api/policy", {"name": "pid"})]
+
+
+def test_logs_are_listed_with_size_duration_and_path(softarm, daemon, monkeypatch):
+    logs = tuple(
+        LogEntry(
+            name=name,
+            bytes=size,
+            modified="2026-11-21T10:00:00+00:00",
+            duration_s=length,
+            finished=length is not None,
+            recording=recording,
+        )
+        for name, size, length, recording in (
+            ("b.mcap", 2_500_000, None, True),
+            ("a.mcap", 9_100_000, 61.04, False),
+            ("c.mcap", 0, None, False),
+        )
+    )
+    daemon.on("GET", "/api/logs", LogsAnswer(directory="/var/log/softarm", logs=logs).model_dump(mode="json"))
+    lines = softarm("logs").stdout.splitlines()
+    assert [line[19:] for line in lines] == [
+        "       2.5 MB             /var/log/softarm/b.mcap  (recording)",
+        "       9.1 MB     61.0 s  /var/log/softarm/a.mcap",
+        "       0.0 MB             /var/log/softarm/c.mcap  (unfinished)",
+    ]
+
+
+def test_an_empty_list_of_logs_is_reported(softarm, daemon):
+    daemon.on("GET", "/api/logs", LogsAnswer(directory="/tmp/x", logs=()).model_dump())
+    result = softarm("logs")
+    assert (result.exit_code, result.stdout, result.stderr) == (0, "", "no recordings yet in /tmp/x\n")
+
+
+def test_status_of_a_healthy_arm_is_complete(softarm, daemon, make_status):
+    goal = GoalStatus(Goal("reach", -0.2, 0.6), "running", closest_m=0.083, time_s=1.23, number=3)
+    daemon.on("GET", "/api/status", make_status(goal=goal, clamps=("rail_velocity",)))
+    assert softarm("status").stdout.splitlines() == [
+        "mode      armed",
+        "policy    reach",
+        "goal      reach y -0.2, z 0.6 m: running, 1.2 s, closest 0.083 m",
+        "tip       y -0.123 m, z 0.541 m",
+        "cart      y +0.012 m, +0.10 m/s",
+        "pressure  4.2 kPa",
+        "sent      +0.25 m/s, 5.0 kPa (limited by rail_velocity)",
+        "loop      tick 1234, 2 missed, 0.2 ms late",
+        "log       logs/a.mcap",
+    ]
+
+
+def test_status_shows_every_fault(softarm, daemon, make_status):
+    event = ActiveEvent("mocap_stale", "stop", "no frame for 0.3 s [see the bridge]")
+    daemon.on(
+        "GET",
+        "/api/status",
+        make_status(
+            mode=Mode.STOPPED,
+            estop=EStop.LATCHED,
+            observed=None,
+            events=(event,),
+            stalled=True,
+            policy_fault="late: 20 ms",
+            problems=Problems(rail="10.0.0.1:502: connect: refused; switch it on"),
+            arming_refusals=("acknowledge the stop first",),
+            last_stop="mocap_stale",
+            last_stop_at=datetime(2026, 11, 22, 12, 0, 0, 250_000, tzinfo=UTC),
+            goal=GoalStatus(Goal("hold"), "cancelled", reason="stopped"),
+        ),
+    )
+    out = softarm("status").stdout
+    for line in (
+        "the control loop has stopped: the values below are old; see the daemon's own output",
+        "mode      stopped; emergency stop latched",
+        "policy    reach: late: 20 ms",
+        "goal      hold: cancelled (stopped), 0.0 s",
+        "rail      10.0.0.1:502: connect: refused; switch it on",
+        "event     mocap_stale (stop): no frame for 0.3 s [see the bridge]",
+        "cannot arm: acknowledge the stop first",
+        f"last stop: mocap_stale ({clock('2026-11-22T12:00:00.250Z')})",
+    ):
+        assert line + "\n" in out
+    assert "tip" not in out
+
+
+def test_status_shows_each_fault_once(softarm, daemon, make_status):
+    message = "10.0.0.1:502: connect: refused; switch it on"
+    event = ActiveEvent("rail_missing", "soft_stop", f"the axis has not answered ({message}): check it")
+    problems = Problems(rail=message)
+    daemon.on("GET", "/api/status", make_status(events=(event,), arming_refusals=(event.text,), problems=problems))
+    out = softarm("status").stdout
+    assert out.count(message) == 1
+    assert f"cannot arm: {event.text}\n" in out
+
+
+def test_status_as_json_is_the_unchanged_answer_of_the_api(softarm, daemon, make_status):
+    daemon.on("GET", "/api/status", b'{"mode": "armed"}')
+    assert softarm("status", "--json").stdout == '{\n "mode": "armed"\n}\n'
+
+
+def test_watch_shows_each_status_until_the_daemon_ends(softarm, daemon, make_status):
+    daemon.on("GET", "/api/status", make_status(tick=1), make_status(tick=2), b"gone")
+    result = softarm("status", "--watch")
+    assert result.exit_code == 1
+    assert "tick 2" in result.stdout
+    assert "not answer as a softarm daemon" in result.stderr
+
+
+def test_a_missing_token_names_the_option(softarm, daemon):
+    daemon.on("GET", "/api/status", {"detail": "send `Authorization: Bearer TOKEN`", "reasons": []}, code=401)
+    result = softarm("status")
+    assert result.exit_code == 1
+    assert "give it with --token-file FILE or $SOFTARM_TOKEN" in result.stderr
+    assert "Bearer" not in result.stderr
+
+
+@pytest.mark.parametrize("code", [404, 409, 422, 503])
+def test_a_refusal_is_printed_in_the_daemons_words(softarm, daemon, code):
+    sentence = "mocap: no frame for 0.3 s; see the bridge"
+    daemon.on("POST", "/api/acknowledge", {"detail": sentence, "reasons": [sentence]}, code=code)
+    result = softarm("acknowledge")
+    assert (result.exit_code, result.stdout, result.stderr) == (1, "", sentence + "\n")
+
+
+def test_an_error_without_text_shows_its_http_status(softarm, daemon):
+    daemon.on("POST", "/api/acknowledge", {"detail": [{"loc": []}]}, code=500)
+    assert softarm("acknowledge").stderr == "`softarm acknowledge`: HTTP 500\n"
+
+
+def test_a_missing_daemon_is_reported_with_the_command_to_start_it():
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))  # bound, not listening: refuses
+        url = f"http://127.0.0.1:{taken.getsockname()[1]}"
+        result = invoke("status", "--url", url)
+    assert result.exit_code == 1
+    assert result.stderr == (f"no daemon at {url}: start one with `softarm run --config FILE`, or name its --url\n")
+
+
+def test_a_daemon_that_does_not_answer_times_out(monkeypatch):
+    monkeypatch.setattr("softarm.cli.shared.client.TIMEOUT_S", 0.05)
+    with socket.create_server(("127.0.0.1", 0)) as silent:
+        result = invoke("stop", "--url", f"http://127.0.0.1:{silent.getsockname()[1]}")
+    assert result.exit_code == 1
+    assert "has not answered for 0.05 s" in result.stderr
+
+
+def test_a_broken_connection_is_reported(softarm, daemon):
+    daemon.hang_up("GET", "/api/status")
+    result = softarm("status")
+    assert result.exit_code == 1
+    assert f"the connection to {daemon.url} broke" in result.stderr
+
+
+def test_another_program_on_the_port_is_recognised(softarm, daemon):
+    daemon.on("GET", "/api/status", b"<html>hello</html>")
+    assert "does not answer as a softarm daemon" in softarm("status").stderr
+
+
+@pytest.mark.parametrize("url", ["127.0.0.1:8080", "ftp://x", "http://[::1", "http://h:port"])
+def test_an_invalid_url_is_a_usage_error(url):
+    result = invoke("status", "--url", url)
+    assert result.exit_code == 2
+    assert "e.g. http://127.0.0.1:8080" in result.stderr
+
+
+def test_a_token_file_overrides_the_token_of_the_environment(softarm, daemon, tmp_path, monkeypatch, make_status):
+    daemon.on("GET", "/api/status", make_status())
+    softarm("status")
+    assert "Authorization" not in daemon.headers
+    monkeypatch.setenv("SOFTARM_TOKEN", "from-environment")
+    softarm("status")
+    assert daemon.headers["Authorization"] == "Bearer from-environment"
+    (tmp_path / "token").write_text("from-file\n")
+    softarm("status", "--token-file", tmp_path / "token")
+    assert daemon.headers["Authorization"] == "Bearer from-file"
+    result = softarm("status", "--token-file", tmp_path / "none")
+    assert result.exit_code == 1
+    assert "none: cannot be read" in result.stderr
+
+
+def test_proxies_of_the_environment_are_ignored(softarm, daemon, monkeypatch, make_status):
+    monkeypatch.setenv("HTTP_PROXY", "http://127.0.0.1:9")
+    monkeypatch.setenv("ALL_PROXY", "http://127.0.0.1:9")
+    daemon.on("GET", "/api/status", make_status())
+    assert softarm("status").exit_code == 0
+
+
+def test_a_newer_api_is_refused_except_for_a_stop(softarm, daemon, make_status):
+    daemon.extra_headers = {"softarm-api": "2"}
+    daemon.on("POST", "/api/acknowledge", make_status())
+    result = softarm("acknowledge")
+    assert result.exit_code == 1
+    assert "uses version 2 of the API, this command version 1: update softarm here" in result.stderr
+    assert daemon.headers["softarm-api"] == "1"
+    daemon.on("POST", "/api/stop", make_status())
+    assert softarm("stop").exit_code == 0

@@ -1,0 +1,145 @@
+"""Tests of `softarm run`."""
+
+import os
+import re
+import signal
+import socket
+import subprocess
+import sys
+
+import httpx
+import pytest
+
+from softarm.daemon.assembly import Daemon
+from softarm.daemon.logbook import logs
+from tests.cli.invoke import invoke
+
+pytestmark = pytest.mark.timeout(120)
+
+
+def write(path, text):
+    path.write_text(text)
+    return path
+
+
+@pytest.mark.realtime
+def test_a_simulated_run_arms_swings_and_ends_cleanly(tmp_path):
+    config = write(tmp_path / "c.yaml", f"api: {{port: 0}}\nrecorder: {{directory: {tmp_path}}}\n")
+    command = [sys.executable, "-m", "softarm.cli.main", "run", "--simulated", "--config", str(config)]
+    typist, terminal = os.openpty()
+    pipes = {"stdin": terminal, "stdout": subprocess.PIPE, "stderr": subprocess.STDOUT}
+    with subprocess.Popen(command, **pipes, text=True, start_new_session=True) as process:
+        try:
+            url = next(m[1] for line in process.stdout if (m := re.search(r"serving (http://\S+)", line)))
+            recording = next(m[1] for line in process.stdout if (m := re.search(r"recording (\S+)", line)))
+            stop_url = next(m[1] for line in process.stdout if (m := re.search(r"POST (\S+); space or s here", line)))
+            with httpx.Client(base_url=url) as client:
+                # Not a status before the first tick, refusals until motion capture has settled.
+                while (status := client.get("/api/status").json()).get("arming_refusals") != []:
+                    pass
+                assert status["mode"] == "disarmed"
+                assert client.post("/api/arm").status_code == 200
+                while client.get("/api/status").json()["mode"] != "armed":
+                    pass
+                goal = {"kind": "reach", "y_m": -0.2, "z_m": 0.6}
+                assert client.post("/api/goal", json=goal).status_code == 200
+                while (answer := client.get("/api/goal").json())["state"] == "running":
+                    pass
+                assert answer["state"] == "reached"
+                assert httpx.post(stop_url).json()["mode"] == "stopped"
+                while client.get("/api/status").json()["estop"] != "latched":
+                    pass
+                assert client.post("/api/acknowledge").status_code == 200
+                os.write(typist, b" ")
+                while client.get("/api/status").json()["estop"] != "latched":
+                    pass
+        finally:
+            process.send_signal(signal.SIGTERM)
+        assert process.wait(10) == 0
+    os.close(typist)
+    os.close(terminal)
+    assert logs.read(recording).finished
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "message"),
+    [
+        ([], 2, "no robot chosen: use --config FILE for real devices"),
+        (["--simulated", "--config", "{}/none.yaml"], 1, "none.yaml"),
+        (["--simulated", "--config", "{}/policy.yaml"], 1, "no policy 'raech'; did you mean 'reach'?"),
+        (["--simulated", "--config", "{}/open.yaml"], 1, "token"),
+        (["--simulated", "--config", "{}/typo.yaml"], 1, "position_max_m"),
+        (["--simulated", "--config", "{}/fine.yaml", "--model", "nodelay"], 1, "did you mean no-delay?"),
+        (["--simulated", "--config", "{}/fine.yaml", "--model", "{}/short.yaml"], 1, "has 1 links"),
+    ],
+)
+def test_a_daemon_that_cannot_start_reports_the_reason(tmp_path, arguments, code, message):
+    logs_line = f"recorder: {{directory: {tmp_path}}}\n"
+    write(tmp_path / "policy.yaml", logs_line + "control: {policy: raech}\n")
+    write(tmp_path / "open.yaml", logs_line + "api: {host: 0.0.0.0}\n")
+    write(tmp_path / "fine.yaml", logs_line)
+    one_link = ("length_m: [0.4]", "mass_kg: [0.1]", "inertia_kg_m2: [0.001]")
+    others = ("stiffness_nm_rad", "damping_nm_s_rad", "muscle_gain_nm_kpa", "torque_offset_nm")
+    arm = ", ".join([*(f"link_{line}" for line in one_link), *(f"{name}: [0.01]" for name in others)])
+    write(tmp_path / "short.yaml", f"arm: {{{arm}}}\neffects: {{}}\n")
+    write(tmp_path / "typo.yaml", "limits: {rail: {positoin_max_m: 0.2}}\n")
+    result = invoke("run", *[argument.format(tmp_path) for argument in arguments])
+    assert (result.exit_code, message in result.output) == (code, True), result.output
+
+
+@pytest.mark.parametrize("port", [0, 8080, None])
+def test_the_next_commands_name_a_port_that_is_not_the_default(tmp_path, monkeypatch, port):
+    def run(config, devices, announce, **_):
+        announce(Daemon(config, devices))
+
+    monkeypatch.setattr("softarm.daemon.assembly.run", run)
+    monkeypatch.setattr("softarm.daemon.runtime.preflight.sockets.try_out", lambda *_: None)
+    monkeypatch.setattr(Daemon, "port", property(lambda self: self.config.api.port or 9123, lambda *_: None), False)
+    config = write(tmp_path / "c.yaml", f"api: {{port: 9300, stop_port: 1}}\nrecorder: {{directory: {tmp_path}}}\n")
+    option = () if port is None else ("--port", str(port))
+    output = invoke("run", "--simulated", "--config", config, *option).output
+    address = {0: " --url http://127.0.0.1:9123", 8080: "", None: " --url http://127.0.0.1:9300"}[port]
+    assert f"next: `softarm arm{address}`, then `softarm goal reach -0.2 0.6{address}`" in output
+    assert f"stop: `softarm stop{address}`" in output
+
+
+@pytest.mark.parametrize(
+    ("port", "text"),
+    [
+        ("80800", "80800 is not in the range 0<=x<=65535"),
+        ("9001", "--port 9001: stop_port is 9001 like port: choose another"),
+        ("{taken}", "api.port {taken}: cannot listen there"),
+    ],
+)
+def test_a_port_that_cannot_be_used_is_refused(tmp_path, port, text):
+    with socket.socket() as other:
+        other.bind(("127.0.0.1", 0))
+        other.listen(1)
+        taken = other.getsockname()[1]
+        config = write(tmp_path / "c.yaml", f"api: {{stop_port: 9001}}\nrecorder: {{directory: {tmp_path}}}\n")
+        arguments = ["run", "--simulated", "--config", str(config), "--port", port.format(taken=taken)]
+        result = invoke(*arguments)
+    assert result.exit_code != 0
+    assert text.format(taken=taken) in result.output
+
+
+@pytest.mark.parametrize("verb", [["run", "--config"], ["check"], ["excite", "seed", "--config"]])
+def test_a_port_in_use_leaves_no_log(tmp_path, verb):
+    with socket.socket() as other:
+        other.bind(("127.0.0.1", 0))
+        other.listen(1)
+        port = other.getsockname()[1]
+        config = write(tmp_path / "c.yaml", f"api: {{port: {port}}}\nrecorder: {{directory: {tmp_path}/logs}}\n")
+        result = invoke(*verb, config)
+    assert result.exit_code == 1
+    assert f"api.port {port}: cannot listen there, process {os.getpid()} (" in result.stderr
+    assert os.listdir(tmp_path) == ["c.yaml"]
+
+
+@pytest.mark.parametrize("address", ["x", "70000", "0.0.0.0:", "host:-1"])
+def test_an_invalid_foxglove_address_is_a_usage_error(address):
+    result = invoke("run", "--simulated", "--foxglove", address)
+    assert result.exit_code == 2
+    assert f"--foxglove {address}: allowed PORT or HOST:PORT, PORT 0 to 65535 (0: any)" in " ".join(
+        result.output.split()
+    )

@@ -1,0 +1,214 @@
+"""Tests of `softarm check`."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from tests.cli.invoke import invoke
+
+ROOT = Path(__file__).parents[3]
+
+
+@pytest.fixture
+def check(tmp_path):
+    def check(text: str):
+        path = tmp_path / "arm.yaml"
+        path.write_text(text)
+        return path, invoke("check", path)
+
+    return check
+
+
+def test_a_valid_file_prints_its_limits_and_their_sources(check):
+    path, result = check("limits:\n  rail: {velocity_max_m_s: 0.4}\ncontrol: {policy: hold}\n")
+    assert result.exit_code == 0
+    row = next(line for line in result.stdout.splitlines() if "velocity_max_m_s" in line)
+    assert "0.4" in row
+    assert "above 0, at most 1 m/s" in row
+    assert "line 2" in row
+    row = next(line for line in result.stdout.splitlines() if "pressure.max_kpa" in line)
+    assert "default" in row
+    assert "stopping distance at full speed" in result.stdout
+    assert "127.0.0.1:8081" in next(line for line in result.stdout.splitlines() if "stop port" in line)
+    latch = next(line for line in result.stdout.splitlines() if "latch of the emergency stop" in line)
+    assert "logs/stop-169.254.0.1-502.json" in latch
+    assert result.stdout.endswith(f"{path}: valid; starts with policy 'hold'\n")
+
+
+@pytest.mark.parametrize(
+    ("text", "lines"),
+    [
+        (
+            "limits:\n  rial: {}\nfailsafe:\n  mocap_stale_s: 100\n",
+            (":2: limits.rial: unknown key; did you mean rail?", ":4: failsafe.mocap_stale_s: is 100;"),
+        ),
+        (
+            "control:\n  policy: hodl\npolicies:\n  mine:\n    plugin: pid\n    options: {kpy: 1}\n",
+            (
+                ":4: policies.mine: plugin 'pid' has no option 'kpy'; did you mean 'kp_y'?",
+                ":2: control.policy: no policy 'hodl'; did you mean 'hold'?",
+            ),
+        ),
+        (
+            "control: {policy: hold}\ndrivers:\n  mocap:\n    driver: zenho\n",
+            (":4: drivers.mocap.driver 'zenho': no motion capture source 'zenho'; did you mean 'zenoh'?",),
+        ),
+        ("api:\n  host: 0.0.0.0\n", (":2: api.host 0.0.0.0 can be reached from other machines and needs api.",)),
+        ("api:\n  host: 0.0.0.0\n  token_file: no/token\n", (":3: api.token_file no/token: cannot be read",)),
+    ],
+)
+def test_every_mistake_is_printed_with_its_line(check, text, lines):
+    path, result = check(text)
+    assert (result.exit_code, result.stdout) == (1, "")
+    for printed, start in zip(result.stderr.splitlines(), lines, strict=True):
+        assert printed.startswith(f"{path}{start}")
+
+
+def test_the_default_policy_is_checked_too(check, monkeypatch, tmp_path):
+    monkeypatch.setattr("softarm.policies.registry.MODELS", tmp_path / "empty")
+    path, result = check("")
+    assert result.exit_code == 1
+    assert result.stderr.startswith(f"{path}: control.policy: no policy 'reach'")
+
+
+@pytest.mark.parametrize("verb", [["check"], ["run", "--simulated", "--config"], ["twin", "--config"]])
+def test_every_verb_reports_a_contradiction_with_the_same_text(tmp_path, verb):
+    path = tmp_path / "arm.yaml"
+    path.write_text("limits: {rail: {latency_s: 0}}\n")
+    result = invoke(*verb, path)
+    assert result.exit_code == 1
+    assert result.stderr == (
+        f"{path}:1: limits.rail.latency_s: is 0.0, below 0.005: no command reaches drivers.rail.driver dryve_d1 "
+        "faster; measure the latency, or remove the line for the default\n"
+    )
+
+
+@pytest.mark.parametrize("name", ["softarm.yaml", "twin.yaml"])
+def test_the_shipped_files_are_valid(name):
+    result = invoke("check", str(ROOT / name))
+    assert result.exit_code == 0, result.stderr
+
+
+def test_a_missing_file_is_reported():
+    result = invoke("check", "nowhere.yaml")
+    assert result.exit_code == 1
+    assert result.stderr.startswith("nowhere.yaml: no such file; name an existing file")
+
+
+@pytest.fixture(scope="module")
+def logs(tmp_path_factory):
+    """Return a folder with a log of a robot whose rail is late and weak."""
+    folder = tmp_path_factory.mktemp("logs")
+    config = folder / "careful.yaml"
+    careful = "{latency_s: 0.09, braking_m_s2: 1, velocity_max_m_s: 0.6}"
+    config.write_text(f"limits: {{rail: {careful}}}\nrecorder: {{directory: {folder}}}\n")
+    model = folder / "model.yaml"
+    lag = "pressure.lag: {inflate: 0.158, deflate: 0.221}"
+    rail = "rail.delay: {delay: 0.06}, rail.acceleration_limit: {acceleration: 4}"
+    model.write_text(f"effects: {{{lag}, {rail}}}\n")
+    played = ["excite", "rail-dashes", "--simulated", "--config", str(config), "--model", str(model)]
+    result = invoke(*played)
+    assert result.exit_code == 0, result.output
+    return folder
+
+
+@pytest.mark.slow
+def test_limits_laxer_than_the_logs_show_are_reported(logs, tmp_path):
+    path = tmp_path / "arm.yaml"
+    path.write_text("limits:\n  rail:\n    latency_s: 0.02\n    braking_m_s2: 3\n    surge_m_s2: 9\n")
+    result = invoke("check", path, "--logs", logs)
+    assert result.exit_code == 1
+    latency, braking = result.stderr.splitlines()
+    assert latency.startswith(f"{path}:3: limits.rail.latency_s: is 0.02, laxer than the robot in {logs}: 9")
+    assert "% of set-point steps act within 0.06" in latency
+    assert "; raise it to 0.06" in latency
+    assert braking.startswith(f"{path}:4: limits.rail.braking_m_s2: is 3, laxer than the robot in {logs}: 9")
+    assert "; lower it to " in braking
+    assert "the rail" in result.stdout
+    path.write_text("limits:\n  rail: {latency_s: 0.075, braking_m_s2: 1}\n")
+    assert invoke("check", path, "--logs", logs).exit_code == 0
+
+
+def test_a_folder_without_logs_is_refused_but_short_logs_are_accepted(tmp_path):
+    path = tmp_path / "arm.yaml"
+    path.write_text("")
+    result = invoke("check", path, "--logs", tmp_path)
+    assert result.exit_code == 1
+    assert result.stderr.startswith(f"{tmp_path}: contains no log; name the recorder.directory")
+    flown = ROOT / "tests" / "data"
+    result = invoke("check", path, "--logs", flown)
+    assert result.exit_code == 0
+    assert "59 required" in result.stdout
+
+
+STAGE = """
+name: chamber
+kind: tracking
+channels:
+  command: {time: {source: t, unit: s}, columns: {command: {source: u, unit: V}}}
+  measured: {time: {source: t, unit: s}, columns: {pressure: {source: p, unit: mbar}}}
+model: {gain: 500}
+trials:
+  - {name: one, kind: steps, files: one.csv}
+  - {name: two, kind: steps, files: two.csv}
+"""
+
+
+@pytest.fixture
+def rig(tmp_path):
+    rows = "".join(f"{0.01 * i:.2f},{i // 50 % 3},{500 * (i // 50 % 3) + i % 7}\n" for i in range(400))
+    for name in ("one", "two"):
+        (tmp_path / f"{name}.csv").write_text("t,u,p\n" + rows)
+    path = tmp_path / "stage.yaml"
+    path.write_text(STAGE)
+    return path
+
+
+def test_check_reads_every_trial_of_a_stage_file_in_its_units(rig):
+    result = invoke("check", rig)
+    assert result.exit_code == 0, result.output
+    row = next(line for line in result.stdout.splitlines() if "two" in line and "pressure" in line)
+    assert [cell for cell in row.split() if cell[0].isalnum()][-3:] == ["0", "1006", "mbar"]
+    assert result.stdout.endswith(f"{rig}: valid; 2 trials of chamber (tracking)\n")
+
+
+def test_every_invalid_trial_of_a_stage_file_is_reported(rig, tmp_path):
+    (tmp_path / "one.csv").write_text("t,u,p\n0,0,0\n")
+    (tmp_path / "two.csv").write_text("t,u\n0,0\n")
+    result = invoke("check", rig)
+    assert result.exit_code == 1
+    one, *more = result.stderr.splitlines()
+    assert one.startswith(f"{tmp_path}/one.csv: column t: 1 rows over 0 s; the command channel needs 2 rows")
+    assert more[-1] == f"{tmp_path}/two.csv: no column p; it has t, u; correct the stage.yaml"
+    result = invoke("diagnose", rig)
+    assert result.exit_code == 1
+    assert one in result.stderr
+
+
+def test_a_mistake_in_a_stage_file_is_reported(rig):
+    rig.write_text(rig.read_text().replace("gain", "gian"))
+    result = invoke("check", rig)
+    assert result.exit_code == 1
+    assert f"{rig}:7: model.gian: unknown key; did you mean gain?" in result.stderr
+
+
+def test_the_data_option_requires_a_stage_file(check, tmp_path):
+    path, _ = check("")
+    result = invoke("check", path, "--data", tmp_path)
+    assert result.exit_code == 2
+    assert "--data is for the data files of a stage.yaml" in result.stderr
+
+
+def test_check_prints_limits_and_mistakes_as_json(check, tmp_path):
+    path, _ = check("")
+    answer = json.loads(invoke("check", path, "--json").stdout)
+    assert (answer["sound"], answer["problems"]) == (True, [])
+    assert any(row["key"] == "limits.rail.velocity_max_m_s" for row in answer["limits"])
+    path.write_text("control: {rate_hz: 60, policy: raech}\n")
+    result = invoke("check", path, "--json")
+    answer = json.loads(result.stdout)
+    assert (result.exit_code, answer["sound"], len(answer["problems"])) == (1, False, 2)
+    path.write_text("")
+    result = invoke("check", path, "--json", "--logs", ROOT / "tests" / "data")
+    assert json.loads(result.stdout)["sound"] is True

@@ -1,0 +1,104 @@
+"""Tests of Ctrl-C: its message and exit code 130."""
+
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+
+from softarm.daemon.control.records import Mode
+from softarm.daemon.logbook import logs
+
+
+def interrupt(*_):
+    raise KeyboardInterrupt
+
+
+@pytest.mark.parametrize(
+    ("arguments", "patched", "left"),
+    [
+        (
+            ["goal", "run", "--wait"],
+            "operate.following",
+            "the daemon continues with the goal; `softarm goal cancel` ends it",
+        ),
+        (["arm"], "operate.arming", "the daemon continues to arm; `softarm disarm` reverts that"),
+        (["disarm"], "operate.arming", "the daemon keeps running and disarms once the arm is still"),
+        (["events", "--follow"], "recordings.events", "the daemon keeps running"),
+        (["status", "--watch"], "operate.status", "the daemon keeps running"),
+    ],
+)
+def test_ctrl_c_while_waiting_leaves_the_daemon_running(
+    softarm, daemon, make_status, monkeypatch, arguments, patched, left
+):
+    mode = Mode.STOPPING if arguments == ["disarm"] else Mode.ARMING
+    status = make_status(mode=mode) | {"warnings": []}
+    for verb in ("arm", "disarm", "goal"):
+        daemon.on("POST", f"/api/{verb}", status | {"goal": {"number": 3}})
+    daemon.on("GET", "/api/status", status)
+    daemon.on("GET", "/api/goal", {"state": "running", "number": 3})
+    daemon.on("GET", "/api/events?limit=50", {"run": "a", "events": [], "oldest": None, "newest": None})
+    # Only this module's clock: a thread of another test may sleep meanwhile.
+    clock = SimpleNamespace(sleep=interrupt, monotonic=time.monotonic)
+    monkeypatch.setattr(f"softarm.cli.{patched}.time", clock)
+    result = softarm(*arguments)
+    assert result.exit_code == 130
+    assert result.stderr.endswith(f"\ninterrupted: {left}\n")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "patched", "left"),
+    [
+        (["evaluate"], "softarm.evaluation.evaluation.evaluate", "nothing was written"),
+        (["plan", "--ceiling"], "softarm.training.trajectory.rows.of_searches", "nothing was written"),
+        (["diagnose", "x.mcap"], "softarm.diagnosis.from_files.diagnose_files", "nothing was written"),
+        (
+            ["blind", "run", "cases", "--answers", "a.json"],
+            "softarm.diagnosis.blind.run.run",
+            "the answers so far are kept in a.json, not frozen; the same command continues",
+        ),
+        (
+            ["train", "reach", "--out", "mine"],
+            "softarm.training.run.recipe.begin",
+            "no checkpoint yet; mine may be deleted",
+        ),
+        (
+            ["train", "--sweep", "a.yaml", "--out", "runs"],
+            "softarm.training.run.sweep.load",
+            "finished runs are kept in runs; the same command continues with the others",
+        ),
+        (["replay", "x.mcap"], "softarm.daemon.logbook.logs.parts", "nothing was changed"),
+    ],
+)
+def test_ctrl_c_during_work_reports_what_is_kept(softarm, monkeypatch, arguments, patched, left):
+    monkeypatch.setattr(patched, interrupt)
+    result = softarm(*arguments)
+    assert (result.exit_code, result.stderr) == (130, f"\ninterrupted: {left}\n")
+
+
+@pytest.mark.realtime
+@pytest.mark.timeout(120)
+@pytest.mark.parametrize(
+    ("number", "code", "word"), [(signal.SIGINT, 130, "interrupted"), (signal.SIGTERM, 0, "ended")]
+)
+def test_an_ended_daemon_reports_the_state_of_the_robot(tmp_path: Path, number: signal.Signals, code: int, word: str):
+    config = tmp_path / "arm.yaml"
+    config.write_text(f"api: {{port: 0}}\ncontrol: {{policy: hold}}\nrecorder: {{directory: {tmp_path}}}\n")
+    command = [sys.executable, "-m", "softarm.cli.main", "run", "--simulated", "--config", str(config)]
+    plain = {**os.environ, "PYTHONUNBUFFERED": "1"}
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, env=plain) as process:
+        try:
+            recording = next(m[1] for line in process.stdout if (m := re.search(r"recording (\S+)", line)))
+            next(line for line in process.stdout if "Ctrl-C ends" in line)
+            process.send_signal(number)
+            output = process.communicate(timeout=20)[0]
+        finally:
+            process.kill()
+    assert process.returncode == code
+    assert output.endswith(f"{word}: the drive is off, the muscle vented; {recording} is closed\n")
+    assert logs.read(recording).finished

@@ -1,0 +1,202 @@
+"""Access control by host, page and token."""
+
+import json
+from pathlib import Path
+
+import pytest
+from websockets.exceptions import InvalidStatus
+from websockets.sync.client import connect as connect_sync
+
+from softarm.daemon.access.auth import AccessControl, AuthError, Role, is_loopback, load_tokens
+from softarm.schemas.config import Api, Config
+
+LOCAL = "http://127.0.0.1"
+TOKEN = "0123456789abcdef0123456789abcdef"
+
+
+def test_loopback_refuses_foreign_hosts_and_pages(client):
+    answer = client.get("/api/status", headers={"Host": "robot.example:8080"})
+    assert answer.status_code == 403
+    assert "the Host header is 'robot.example:8080'" in answer.json()["detail"]
+    answer = client.post("/api/arm", headers={"Origin": "https://evil.example"})
+    assert answer.status_code == 403
+    assert "a page of 'https://evil.example' may not command this robot" in answer.json()["detail"]
+    assert client.post("/api/arm", headers={"Origin": "null"}).status_code == 403
+    assert client.post("/api/arm", headers={"Origin": LOCAL}).status_code == 200
+    for host in ("localhost:8080", "[::1]:8080", "127.0.0.1"):
+        assert client.get("/api/status", headers={"Host": host}).status_code == 200
+
+
+def test_loopback_refuses_foreign_pages_on_the_stream_too(loop, app, serving):
+    with serving(app(loop)) as port, pytest.raises(InvalidStatus) as refusal:
+        connect_sync(f"ws://127.0.0.1:{port}/api/stream", origin="https://evil.example")
+    assert refusal.value.response.status_code == 403
+    assert b"may not command this robot" in refusal.value.response.body
+
+
+@pytest.mark.parametrize(
+    ("host", "expected"),
+    [
+        ("127.0.0.1", True),
+        ("127.9.9.9", True),
+        ("::1", True),
+        ("localhost", True),
+        ("0.0.0.0", False),
+        ("192.168.1.4", False),
+        ("robot.example", False),
+    ],
+)
+def test_loopback_is_known(host, expected):
+    assert is_loopback(host) is expected
+
+
+def token_file(directory: Path, text: str = TOKEN + "\n", mode: int = 0o600, name: str = "token") -> Path:
+    path = directory / name
+    path.write_text(text)
+    path.chmod(mode)
+    return path
+
+
+def test_another_address_requires_a_token(loop, app):
+    with pytest.raises(AuthError, match=r"api\.host 0\.0\.0\.0 .* needs api\.token_file: write a long random"):
+        app(loop, Config(api={"host": "0.0.0.0"}))
+
+
+@pytest.mark.parametrize(
+    ("text", "mode", "sentence"),
+    [
+        ("short", 0o600, "holds 5 characters; allowed: one word, 16 or more"),
+        ("two words that are long enough", 0o600, "one word"),
+        (TOKEN, 0o604, "every user of this machine can open it; `chmod o= "),
+        ("ü" * 20, 0o600, "cannot be read"),
+    ],
+)
+def test_a_bad_token_file_is_refused(tmp_path, text, mode, sentence):
+    with pytest.raises(AuthError) as refusal:
+        load_tokens(Api(host="0.0.0.0", token_file=token_file(tmp_path, text, mode)))
+    assert sentence in str(refusal.value)
+    with pytest.raises(AuthError, match="cannot be read"):
+        load_tokens(Api(token_file=tmp_path / "missing"))
+
+
+def test_with_a_token_every_request_needs_it(loop, tmp_path, app, client_of):
+    config = Config(api={"host": "0.0.0.0", "token_file": token_file(tmp_path)})
+    client = client_of(app(loop, config), "http://robot.example")
+    for path in ("/api/status", "/docs", "/openapi.json", "/nothing"):
+        answer = client.get(path)
+        assert answer.status_code == 401
+        assert "`Authorization: Bearer TOKEN`" in answer.json()["detail"]
+    wrong = client.get("/api/status", headers={"Authorization": f"Bearer {TOKEN}x"})
+    assert (wrong.status_code, wrong.json()["detail"][:18]) == (401, "the token is wrong")
+    assert client.get("/api/status", headers={"Authorization": TOKEN}).status_code == 401
+    right = {"Authorization": f"Bearer {TOKEN}"}
+    assert client.get("/api/status", headers=right).status_code == 200
+
+
+def test_with_a_token_the_stream_needs_it_too(loop, tmp_path, app, serving):
+    config = Config(api={"port": 0, "token_file": token_file(tmp_path)})
+    with serving(app(loop, config), config.api) as port:
+        address = f"ws://127.0.0.1:{port}/api/stream"
+        with pytest.raises(InvalidStatus) as refusal:
+            connect_sync(address)
+        assert refusal.value.response.status_code == 401
+        right = {"Authorization": f"Bearer {TOKEN}"}
+        with connect_sync(address, additional_headers=right) as socket:
+            assert json.loads(socket.recv(timeout=5))["mode"] == "armed"
+
+
+ROLES = {"stop_token_file": "s" * 32, "view_token_file": "v" * 32, "token_file": TOKEN}
+MAY = {  # the least of them that may
+    ("GET", "/api/status"): "view_token_file",
+    ("HEAD", "/api/status"): "view_token_file",
+    ("GET", "/api/health"): "view_token_file",
+    ("GET", "/api/goal"): "view_token_file",
+    ("GET", "/api/policies"): "view_token_file",
+    ("GET", "/api/logs"): "view_token_file",
+    ("GET", "/openapi.json"): "view_token_file",
+    ("GET", "/api/stop"): "view_token_file",
+    ("POST", "/api/stop"): "stop_token_file",
+    ("PUT", "/api/stop"): "token_file",
+    ("POST", "/api/stop/"): "token_file",
+    ("POST", "/api/arm"): "token_file",
+    ("POST", "/api/disarm"): "token_file",
+    ("POST", "/api/acknowledge"): "token_file",
+    ("POST", "/api/goal"): "token_file",
+    ("DELETE", "/api/goal"): "token_file",
+    ("PUT", "/api/policy"): "token_file",
+    ("OPTIONS", "/api/status"): "token_file",
+    ("BREW", "/api/status"): "token_file",
+}
+
+
+@pytest.fixture
+def roles(tmp_path: Path) -> dict[str, Path]:
+    return {key: token_file(tmp_path, token, name=key) for key, token in ROLES.items()}
+
+
+@pytest.mark.parametrize(("asked", "least"), MAY.items(), ids=lambda value: "-".join(value) if value[0] else "")
+@pytest.mark.parametrize("key", ROLES)
+def test_each_role_includes_the_lower_ones_only(loop, roles, app, client_of, key, asked, least):
+    client = client_of(app(loop, Config(api={"host": "0.0.0.0"} | roles)), "http://robot.example")
+    answer = client.request(*asked, headers={"Authorization": f"Bearer {ROLES[key]}"})
+    allowed = list(ROLES).index(key) >= list(ROLES).index(least)
+    assert (answer.status_code not in (401, 403)) is allowed
+    if not allowed and asked[0] != "HEAD":
+        assert f"use the token of api.{least}" in answer.json()["detail"]
+
+
+def test_the_stream_needs_the_view_role(loop, roles, app, serving):
+    config = Config(api={"port": 0} | roles)
+    with serving(app(loop, config), config.api) as port:
+        address = f"ws://127.0.0.1:{port}/api/stream"
+        with connect_sync(address, additional_headers={"Authorization": f"Bearer {'v' * 32}"}) as socket:
+            assert json.loads(socket.recv(timeout=5))["mode"] == "armed"
+        with pytest.raises(InvalidStatus) as refusal:
+            connect_sync(address, additional_headers={"Authorization": f"Bearer {'s' * 32}"})
+        assert refusal.value.response.status_code == 403
+
+
+def test_roles_need_a_command_token_and_different_tokens(tmp_path, roles):
+    assert load_tokens(Api(**roles)) == {Role.COMMAND: TOKEN, Role.VIEW: "v" * 32, Role.STOP: "s" * 32}
+    with pytest.raises(ValueError, match="view_token_file without token_file: any client may command"):
+        Api(view_token_file=roles["view_token_file"])
+    with pytest.raises(AuthError, match=r"holds the token of api\.token_file, which may do more") as refusal:
+        load_tokens(Api(token_file=roles["token_file"], stop_token_file=token_file(tmp_path, TOKEN)))
+    assert refusal.value.key == "stop_token_file"
+
+
+def test_a_client_on_another_machine_is_named_by_its_address(roles):
+    access = AccessControl(Api(host="0.0.0.0", **roles))
+    headers = {b"authorization": b"Bearer " + b"v" * 32}
+    assert access.who("the API", headers, "10.0.0.7") == "the API (view token, 10.0.0.7)"
+    assert access.who("the API", {b"authorization": b"Bearer wrong"}, "10.0.0.7") == "the API (10.0.0.7)"
+    for own in ("127.0.0.1", "::1", None):
+        assert access.who("the API", {}, own) == "the API"
+
+
+PROXIED = {b"host": b"arm.example", b"x-forwarded-for": b"203.0.113.9, 192.0.2.7"}
+
+
+@pytest.mark.parametrize(
+    ("headers", "address", "details"),
+    [
+        ({}, "127.0.0.1", ", 192.0.2.7"),  # the last: the proxy's own word
+        ({b"host": b"127.0.0.1:8080", b"origin": b"https://arm.example"}, "::1", ", 192.0.2.7"),
+        ({b"x-forwarded-for": b"2001:db8::1"}, "127.0.0.1", ", 2001:db8::1"),
+        ({b"x-forwarded-for": b"127.0.0.1"}, "127.0.0.1", ""),
+        ({b"x-forwarded-for": b"192.0.2.7, the moon"}, "127.0.0.1", ""),
+        ({b"x-forwarded-for": b"192.0.2.7,"}, "127.0.0.1", ""),
+        ({b"x-forwarded-for": b""}, "127.0.0.1", ""),
+        ({b"host": b"127.0.0.1:8080"}, "127.0.0.1", ""),  # a program here, not the proxy
+        ({b"host": b"127.0.0.1:8080", b"origin": b"http://arm.example"}, "127.0.0.1", ""),
+        ({}, "198.51.100.4", ", 198.51.100.4"),  # another machine that says so
+        ({}, None, ""),
+    ],
+)
+def test_only_the_proxy_may_name_the_clients_address(tmp_path, headers, address, details):
+    access = AccessControl(Api(token_file=token_file(tmp_path), public_origin="https://arm.example"))
+    assert access.who("the API", PROXIED | headers, address, Role.VIEW) == f"the API (view token{details})"
+
+
+def test_without_a_proxy_the_forwarded_address_is_ignored(tmp_path):
+    assert AccessControl(Api()).who("the API", PROXIED, "127.0.0.1") == "the API"

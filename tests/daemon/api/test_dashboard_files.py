@@ -1,0 +1,125 @@
+"""The dashboard's files: served without log-in, nothing else is served, and pages have the rights they need."""
+
+import re
+from importlib import resources
+
+import pytest
+
+from softarm.daemon.api.endpoints.dashboard import POLICY, STOP_PORT, TYPES, DashboardFiles, stop_source
+from softarm.daemon.api.refusals import Refused
+from softarm.schemas.config import Config
+
+FILES = resources.files("softarm.daemon.dashboard")
+PAGE = FILES.joinpath("index.html").read_text(encoding="utf-8")
+LINKED = re.findall(r'(?:src|href)="(/dashboard/[^"]+)"', PAGE)
+SCRIPT = next(path for path in LINKED if path.endswith("js"))
+
+
+@pytest.fixture
+def strict(loop, app, client_of, tmp_path):
+    """Return a client of an API that requires a token."""
+    (tmp_path / "token").write_text("c" * 32)
+    (tmp_path / "token").chmod(0o600)
+    return client_of(app(loop, Config(api={"host": "0.0.0.0", "token_file": tmp_path / "token"})), "http://arm.example")
+
+
+def test_the_page_requires_no_token_but_the_status_does(strict):
+    answer = strict.get("/")
+    assert answer.status_code == 200
+    assert answer.headers["content-type"] == "text/html; charset=utf-8"
+    assert answer.text == PAGE
+    assert strict.get("/api/status").status_code == 401
+
+
+def test_every_file_that_the_page_links_is_served(client):
+    for path in LINKED:
+        answer = client.get(path)
+        assert answer.status_code == 200
+        assert answer.headers["content-type"] == TYPES[path.rpartition(".")[2]]
+
+
+def test_pages_of_other_sites_are_refused(client):
+    assert client.get("/", headers={"Host": "evil.example"}).status_code == 403
+    assert client.get(SCRIPT, headers={"Origin": "http://evil.example"}).status_code == 403
+
+
+@pytest.mark.parametrize(
+    "path",
+    [
+        "/dashboard/",
+        "/dashboard/__init__.py",
+        "/dashboard/nothing.js",
+        "/dashboard/../tick.py",
+        "/dashboard/%2e%2e/%2e%2e/softarm.yaml",
+        "/dashboard//etc/passwd",
+        "/dashboard/..%2f..%2fapi%2fauth.py",
+        "/dashboard/app.js%00.html",
+        "/dashboard/shared",
+    ],
+)
+def test_no_other_file_is_served(strict, path):
+    answer = strict.get(path)
+    assert answer.status_code in (401, 404)  # 401: the client itself has made it another path
+    assert set(answer.json()) == {"detail", "reasons"}
+
+
+def test_a_dashboard_path_does_not_lead_to_the_api(strict):
+    answer = strict.get("/dashboard/%2e%2e/api/status")
+    assert answer.status_code == 404
+    assert answer.json()["detail"].startswith("the dashboard has no file")
+
+
+def test_a_page_may_connect_to_the_daemon_and_the_stop_port_only(loop, app, client_of):
+    client = client_of(app(loop, stop_port=lambda: 8081), "http://127.0.0.1:8080")
+    for path in ("/", SCRIPT):
+        headers = client.get(path).headers
+        assert headers["content-security-policy"] == (
+            "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data: blob:; font-src 'self'; "
+            "manifest-src 'self'; connect-src 'self' http://127.0.0.1:8081; frame-ancestors 'none'; base-uri 'none'; "
+            "form-action 'none'"
+        )
+        assert headers["x-content-type-options"] == "nosniff"
+        assert headers["cache-control"] == "no-cache"
+
+
+@pytest.mark.parametrize(
+    ("host", "port", "source"),
+    [
+        ("robot.example:8080", 8081, " http://robot.example:8081"),
+        ("robot.example", 9, " http://robot.example:9"),
+        ("[::1]:8080", 8081, ""),
+        ("a; script-src *", 8081, ""),
+        ("a\r\nb", 8081, ""),
+        ("", 8081, ""),
+        ("robot.example", None, ""),
+    ],
+)
+def test_the_policy_names_the_stop_port_of_a_valid_host(host, port, source):
+    assert stop_source(host, port) == source
+    assert POLICY.format(stop=source).count(";") == 9
+
+
+def test_an_unchanged_file_is_not_sent_again(client):
+    etag = client.get(SCRIPT).headers["etag"]
+    again = client.get(SCRIPT, headers={"If-None-Match": f'"other", {etag}'})
+    assert (again.status_code, again.content, again.headers["etag"]) == (304, b"", etag)
+    assert client.get(SCRIPT, headers={"If-None-Match": '"other"'}).status_code == 200
+
+
+def test_the_page_carries_the_stop_port_for_its_script(silent, app, client_of):
+    _, loop = silent
+    for port in (8081, None):
+        page = client_of(app(loop, stop_port=lambda port=port: port)).get("/").text
+        assert STOP_PORT.format(port=port or "") in page
+
+
+def test_files_of_any_depth_are_served_and_no_other_type(tmp_path):
+    (tmp_path / "vendor" / "deep").mkdir(parents=True)
+    (tmp_path / "vendor" / "deep" / "a.mjs").write_text("1")
+    (tmp_path / "vendor" / "LICENSE").write_text("do as you like")
+    pages = DashboardFiles(lambda: None, tmp_path)
+    request = type("Asked", (), {"headers": {}})()
+    assert pages.answer("vendor/deep/a.mjs", request).headers["content-type"] == "text/javascript; charset=utf-8"
+    for path in ("vendor/LICENSE", "vendor/deep", "vendor/deep/", "", "."):
+        with pytest.raises(Refused):
+            pages.answer(path, request)

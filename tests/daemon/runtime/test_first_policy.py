@@ -1,0 +1,90 @@
+"""Loading of the first policy, which may crash or hang."""
+
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+
+import pytest
+import yaml
+
+from softarm.daemon.runtime.first_policy import first_policy
+from softarm.policies.base import PolicyError
+from softarm.schemas.config import Config
+
+pytestmark = pytest.mark.timeout(120)
+
+PLUGIN = """
+import os, pathlib, signal
+from softarm.policies.base import PolicySpec
+
+class Plugin:
+    spec = PolicySpec("plugin", "does as its option says")
+
+    def __init__(self, does, mark="/dev/null"):
+        pathlib.Path(mark).write_text("loading")
+        if does == "crashes":
+            os.kill(os.getpid(), signal.SIGSEGV)
+        while does == "wedges":
+            pass
+"""
+
+
+@pytest.fixture
+def plugin(tmp_path, monkeypatch):
+    """Return plugin(does), a configuration whose first policy is an installed plug-in."""
+    (tmp_path / "plugin_arm.py").write_text(PLUGIN)
+    info = tmp_path / "plugin_arm-1.0.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: plugin-arm\nVersion: 1.0\n")
+    (info / "entry_points.txt").write_text("[softarm.policies]\nplugin = plugin_arm:Plugin\n")
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path), prepend=os.pathsep)
+
+    def made(does: str) -> dict:
+        options = {"does": does, "mark": str(tmp_path / "mark")}
+        return {"control": {"policy": "mine"}, "policies": {"mine": {"plugin": "plugin", "options": options}}}
+
+    return made
+
+
+def until(condition):
+    deadline = time.monotonic() + 30.0
+    while not condition():
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
+
+
+def test_a_good_policy_is_loaded_after_its_first_step():
+    policy = first_policy(Config(control={"policy": "hold"}), threading.Event())
+    assert policy.spec.name == "hold"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("does", "sentence"), [("crashes", "its process ended by SIGSEGV"), ("wedges", "within 3 s")])
+def test_a_broken_policy_is_reported_in_time(plugin, does, sentence):
+    with pytest.raises(PolicyError, match=sentence):
+        first_policy(Config(**plugin(does)), threading.Event(), loading_s=60 if does == "crashes" else 3)
+
+
+@pytest.mark.slow
+def test_the_end_of_the_service_does_not_wait_for_loading(plugin, tmp_path):
+    over = threading.Event()
+    threading.Thread(target=lambda: (until((tmp_path / "mark").exists), over.set())).start()
+    assert first_policy(Config(**plugin("wedges")), over, loading_s=20) is None
+    assert over.is_set()
+
+
+@pytest.mark.slow
+def test_a_service_whose_first_policy_hangs_ends_on_request(plugin, tmp_path):
+    settings = plugin("wedges") | {"recorder": {"directory": str(tmp_path)}, "api": {"port": 0}}
+    (tmp_path / "arm.yaml").write_text(yaml.safe_dump(settings))
+    command = [sys.executable, "-m", "softarm.cli.main", "run", "--config", str(tmp_path / "arm.yaml")]
+    with subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE) as process:
+        try:
+            until((tmp_path / "mark").exists)
+            process.send_signal(signal.SIGTERM)
+            assert process.wait(5) == 0
+        finally:
+            process.kill()

@@ -1,0 +1,191 @@
+"""Control loop: accurate ticks, robust against errors, safe devices at the end."""
+
+import gc
+import itertools
+import threading
+import time
+import weakref
+
+import pytest
+
+from softarm.daemon.control.inbox import Inbox
+from softarm.daemon.control.records import EStop, Mode
+from softarm.daemon.logbook.recorder import Recorder
+from softarm.daemon.runtime import loop as control_loop
+from softarm.daemon.runtime.devices import Devices
+from softarm.daemon.runtime.loop import ControlLoop
+from softarm.daemon.tick import Controller
+from softarm.drivers.bodies.in_process import InProcessRobot
+from softarm.drivers.bodies.simulated import SimulatedBody
+from softarm.policies.hold import Hold
+from softarm.policies.runner import InlineRunner
+from softarm.schemas.config import Config
+from softarm.schemas.messages import SAFE
+
+WAIT_S = 20.0
+PERIOD_NS = round(1e9 / 30)
+
+
+class Watched:
+    """Device of the simulated robot that records writes and stops."""
+
+    def __init__(self, device, stop_error=None):
+        self._device = device
+        self._stop_error = stop_error
+        self.written = []
+        self.stopped = False
+
+    def __getattr__(self, name):
+        return getattr(self._device, name)
+
+    def write(self, *values):
+        self.written.append(values)
+        self._device.write(*values)
+
+    async def stop(self):
+        self.stopped = True
+        if self._stop_error:
+            raise self._stop_error
+
+
+class Loop:
+    """Control loop on a simulated robot, with a method that waits for ticks."""
+
+    def __init__(self, controller=None, recorder=None, **stop_errors):
+        robot = InProcessRobot(SimulatedBody(), time.monotonic_ns())
+        parts = {name: Watched(getattr(robot, name), stop_errors.get(name)) for name in ("mocap", "regulator", "rail")}
+        self.devices = Devices(**parts)
+        self.inbox = Inbox()
+        self.good_ticks = 0
+        self.ticks = []
+        self.before_tick = {}
+        self._ticked = threading.Condition()
+        self.loop = ControlLoop(
+            controller or Controller(Config(), InlineRunner(Hold())), self.devices, self.inbox, recorder, self
+        )
+        self.loop.on_tick = self._on_tick
+
+    def good_tick(self, _now_ns):
+        self.good_ticks += 1
+
+    def _on_tick(self, outputs, timing):
+        with self._ticked:
+            self.ticks.append((outputs, timing))
+            self._ticked.notify_all()
+        if len(self.ticks) in self.before_tick:
+            self.before_tick[len(self.ticks)]()
+
+    def until(self, condition):
+        with self._ticked:
+            assert self._ticked.wait_for(lambda: self.ticks and condition(self.ticks[-1][0]), WAIT_S)
+        return self.ticks[-1][0]
+
+    def __enter__(self):
+        self.loop.start()
+        return self
+
+    def __exit__(self, *_):
+        self.loop.stop()
+
+
+@pytest.mark.slow
+def test_the_loop_arms_on_request_and_writes_every_tick():
+    with Loop() as loop:
+        loop.until(lambda outputs: not outputs.arming_refusals)
+        number = loop.inbox.post("arm")
+        outputs = loop.until(lambda outputs: outputs.mode is Mode.ARMED)
+        assert [r.accepted for r in outputs.results if r.number == number] == [True]
+        assert loop.loop.snapshot.tick >= outputs.tick
+    assert loop.devices.rail.written[0] == (False, 0.0)
+    assert (True, 0.0) in loop.devices.rail.written
+    assert abs(len(loop.devices.rail.written) - len(loop.ticks)) <= 1
+
+
+class Cycle:
+    def __init__(self):
+        self.own = self
+
+
+def test_old_garbage_is_collected_too(monkeypatch):
+    """A client's connection is a reference cycle that lives for seconds; without collection it leaks."""
+    monkeypatch.setattr(control_loop, "COLLECT_ALL_EVERY", 5)
+    with Loop() as loop:
+        first = loop.until(lambda outputs: outputs.tick >= 1).tick
+        cycle = Cycle()
+        alive = weakref.ref(cycle)
+        loop.until(lambda outputs: outputs.tick >= first + 4)
+        del cycle
+        loop.until(lambda outputs: alive() is None)
+
+
+def test_the_loop_works_with_a_thousand_open_descriptors(many_descriptors):
+    with many_descriptors(), Loop() as loop:
+        loop.until(lambda outputs: outputs.tick >= 3)
+
+
+@pytest.mark.slow
+def test_while_the_recorder_cannot_write_arming_is_refused(tmp_path):
+    recorder = Recorder(Config(recorder={"directory": tmp_path}))
+    recorder.problem = "the log ends here: the disk is full"
+    with Loop(recorder=recorder) as loop:
+        loop.until(lambda outputs: outputs.tick > 60)
+        number = loop.inbox.post("arm")
+        outputs = loop.until(lambda outputs: any(r.number == number for r in outputs.results))
+        assert outputs.mode is Mode.DISARMED
+        assert "the disk is full" in outputs.results[-1].reasons[-1]
+        recorder.problem = None
+        loop.until(lambda outputs: not outputs.arming_refusals)
+
+
+def test_a_late_tick_skips_whole_periods_and_stays_on_its_grid():
+    loop = Loop()
+    loop.before_tick[5] = lambda: time.sleep(0.08)  # a delay of the loop
+    with loop:
+        loop.until(lambda outputs: outputs.missed_total >= 1 and outputs.tick >= 10)
+    deadlines = [outputs.t_ns - outputs.late_ns for outputs, _ in loop.ticks]
+    for earlier, later in itertools.pairwise(deadlines):
+        periods = (later - earlier) / PERIOD_NS
+        assert periods == pytest.approx(round(periods), abs=0.05 * round(periods))
+    assert [outputs.tick for outputs, _ in loop.ticks] == list(range(1, len(loop.ticks) + 1))
+    assert loop.good_ticks < len(loop.ticks)  # the watchdog did not hear of the late one
+
+
+class Failing:
+    """Controller whose tick raises an error."""
+
+    def __init__(self):
+        self.calls = 0
+
+    def tick(self, inputs, runners):
+        self.calls += 1
+        raise ZeroDivisionError("a bug")
+
+
+def test_a_failed_tick_brakes_and_vents_and_the_loop_continues(caplog):
+    controller = Failing()
+    with Loop(controller) as loop:
+        loop.until(lambda _: len(loop.ticks) >= 5)
+    outputs = loop.loop.snapshot
+    assert controller.calls == 1  # its state is not to be trusted any more
+    assert (outputs.mode, outputs.estop, outputs.sent) == (Mode.STOPPED, EStop.ENGAGED, SAFE)
+    assert "ZeroDivisionError: a bug" in outputs.arming_refusals[0]
+    assert outputs.last_stop_ns == loop.ticks[0][0].t_ns < outputs.t_ns
+    assert set(loop.devices.rail.written) == {(False, 0.0)}
+    assert loop.good_ticks == 0  # so that the service is restarted
+    assert "the control loop failed" in caplog.text
+
+
+def test_stopping_tries_every_device_even_if_others_fail(caplog):
+    with Loop(rail=OSError("no route"), regulator=RuntimeError("stuck")) as loop:
+        loop.until(lambda _: True)
+    assert loop.devices.rail.stopped
+    assert loop.devices.regulator.stopped
+    assert loop.devices.mocap.stopped
+    assert "no route" in caplog.text
+
+
+def test_the_thread_ends_and_enables_garbage_collection():
+    with Loop() as loop:
+        loop.until(lambda _: True)
+    assert not loop.loop._thread.is_alive()
+    assert gc.isenabled()

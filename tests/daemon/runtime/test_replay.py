@@ -1,0 +1,205 @@
+"""Replay of logs: the same commands, bit for bit, and gaps reported."""
+
+import dataclasses
+import time
+from itertools import pairwise
+
+import pytest
+
+from softarm.daemon.control.plausibility import WINDOW
+from softarm.daemon.logbook import logs
+from softarm.daemon.logbook.recorder import Recorder
+from softarm.daemon.runtime.offline import Lockstep
+from softarm.daemon.runtime.replay import replay
+from softarm.policies import registry
+from softarm.policies.runner import InlineRunner
+from softarm.recordings.mcap_file import LogError
+from softarm.schemas.config import Config
+from softarm.schemas.config import Recorder as RecorderConfig
+from softarm.schemas.goals import Goal
+
+POLICY = "reach"
+
+
+@pytest.fixture
+def log(tmp_path):
+    """Record two goals, a new one in mid-swing, an emergency stop and its acknowledgement."""
+    config = Config(recorder=RecorderConfig(directory=tmp_path))
+    policy = registry.load(POLICY)
+    recorder = Recorder(config, policy.spec)
+    recorder.start()
+    daemon = Lockstep(config, policy, recorder=recorder)
+    daemon.arm()
+    for goal in (Goal("reach", -0.3, 0.6), Goal("reach", -0.1, 0.65)):
+        daemon.tick(daemon.request("goal", goal))
+        for _ in range(20):
+            daemon.tick()
+    for kind in ("stop", "acknowledge", "arm"):
+        daemon.tick(daemon.request(kind))
+        daemon.tick()
+    recorder.stop()
+    return logs.read(recorder.path)
+
+
+def test_every_tick_comes_out_as_recorded(log):
+    replayed = replay(log.ticks(), log.config, registry.load)
+    assert replayed.compared == replayed.ticks == len(list(log.ticks())) > 70
+    assert replayed.differences == replayed.gaps == []
+
+
+def test_a_changed_command_is_found(log):
+    """The comparison can fail: one recorded command is off by one part in ten million."""
+    ticks = list(log.ticks())
+    moving = next(i for i, (_, outputs) in enumerate(ticks) if outputs.sent.cart_velocity_m_s)
+    inputs, outputs = ticks[moving]
+    sent = outputs.sent._replace(cart_velocity_m_s=outputs.sent.cart_velocity_m_s * (1 + 1e-7))
+    ticks[moving] = (inputs, dataclasses.replace(outputs, sent=sent))
+    assert [d.field for d in replay(ticks, log.config, registry.load).differences] == ["sent"]
+
+
+@pytest.fixture
+def thinned(tmp_path):
+    """Record two flights with long rests around them, a change of policy and a latched stop."""
+    config = Config(recorder=RecorderConfig(directory=tmp_path, around_s=1.0))
+    policy = registry.load(POLICY)
+    recorder = Recorder(config, policy.spec)
+    recorder.start()
+    daemon, runners = Lockstep(config, policy, recorder=recorder), {}
+    tick = daemon.controller.tick
+    daemon.controller.tick = lambda inputs: tick(inputs, runners)
+
+    def wait(seconds: int) -> None:
+        for _ in range(30 * seconds):
+            daemon.tick()
+
+    def fly(*target: float) -> None:
+        daemon.arm()
+        daemon.tick(daemon.request("goal", Goal("reach", *target)))
+        wait(2)
+
+    wait(60)
+    fly(-0.3, 0.6)
+    daemon.tick(daemon.request("disarm"))
+    wait(60)
+    change = dataclasses.replace(daemon.request("policy"), policy="pid")
+    runners[change.number] = InlineRunner(registry.load("pid"))
+    daemon.tick(change)
+    wait(60)
+    fly(-0.1, 0.65)
+    daemon.tick(daemon.request("stop"))
+    wait(60)
+    daemon.tick(daemon.request("acknowledge"))
+    recorder.stop()
+    return logs.read(recorder.path)
+
+
+def test_a_log_with_gaps_replays_the_same_outside_the_gaps(thinned):
+    replayed = replay(thinned.ticks(), thinned.config, registry.load)
+    assert replayed.differences == []
+    assert not any(gap.armed for gap in replayed.gaps)
+    outputs = list(thinned.outputs())
+    missing = sum(gap.missing for gap in replayed.gaps)
+    assert missing + replayed.ticks == outputs[-1].tick
+    assert missing > 6000
+    assert replayed.compared > 250
+    armed = [tick.tick for tick in outputs if tick.mode in ("arming", "armed", "stopping")]
+    assert {tick.policy for tick in outputs if tick.mode == "armed"} == {"reach", "pid"}
+    assert len(armed) == sum(b - a == 1 for a, b in pairwise(armed)) + 2  # two flights, both whole
+
+
+def test_a_changed_command_is_found_after_a_gap_too(thinned):
+    ticks = list(thinned.ticks())
+    last = max(i for i, (_, outputs) in enumerate(ticks) if outputs.sent.cart_velocity_m_s)
+    inputs, outputs = ticks[last]
+    ticks[last] = (inputs, dataclasses.replace(outputs, sent=outputs.sent._replace(pressure_kpa=19.0)))
+    assert [d.field for d in replay(ticks, thinned.config, registry.load).differences] == ["sent"]
+
+
+def test_a_log_from_the_middle_of_a_run_resumes_its_state(thinned):
+    """The file after a full one starts with the goal, the policy and the last stop of its run."""
+    ticks = list(thinned.ticks())
+    start = next(i for i, (_, outputs) in enumerate(ticks) if outputs.policy == "pid") + 1
+    assert not ticks[start][0].requests  # the policy is not named again
+    replayed = replay(ticks[start:], thinned.config, registry.load)
+    assert replayed.differences == []
+    assert (replayed.gaps[0].after, replayed.gaps[0].tick) == (None, ticks[start][1].tick)
+    assert replayed.compared > 100
+
+
+@pytest.fixture
+def parted(tmp_path):
+    """Record a flight of many goals long enough for several files; return them in order."""
+    config = Config(recorder=RecorderConfig(directory=tmp_path, file_max_mb=1))
+    policy = registry.load(POLICY)
+    recorder = Recorder(config, policy.spec)
+    recorder.start()
+    daemon = Lockstep(config, policy, recorder=recorder)
+    daemon.arm()
+    for y_m in (-0.3, -0.1, -0.25, -0.05) * 8:
+        outputs = daemon.tick(daemon.request("goal", Goal("reach", y_m, 0.62)))
+        while outputs.goal.state == "running":
+            outputs = daemon.tick()
+        daemon.tick()
+    while recorder._queue:
+        time.sleep(0.01)
+    recorder.stop()
+    return logs.parts(sorted(tmp_path.glob("*.mcap"), key=lambda path: int(logs.read(path).metadata["run"]["part"])))
+
+
+@pytest.mark.slow
+def test_a_split_flight_replays_the_same_joined_and_in_parts(parted):
+    assert len(parted) >= 3
+    whole = replay([tick for part in parted for tick in part.ticks()], parted[0].config, registry.load)
+    assert (whole.differences, whole.gaps, whole.compared) == ([], [], whole.ticks)
+    for part in parted[1:]:
+        alone = replay(part.ticks(), part.config, registry.load)
+        assert alone.differences == []
+        assert [(gap.after, gap.armed) for gap in alone.gaps] == [(None, True)]
+        assert 0 < alone.ticks - alone.compared < 60  # about two seconds
+
+
+@pytest.mark.slow
+def test_parts_out_of_order_or_of_different_runs_are_refused(parted, log):
+    one, two, *_ = (part.path for part in parted)
+    for wrong in ((two, one), (one, one), (one, log.path)):
+        with pytest.raises(LogError, match=r"does not follow .* in one run"):
+            logs.parts(wrong)
+
+
+def test_a_goal_interrupted_by_a_gap_is_not_compared(log):
+    """The policy's state at the gap is not in the log."""
+    ticks = list(log.ticks())
+    moving = next(i for i, (_, outputs) in enumerate(ticks) if outputs.sent.cart_velocity_m_s)
+    replayed = replay(ticks[moving + 5 :], log.config, registry.load)
+    assert replayed.differences == []
+    flown = sum(outputs.goal.state == "running" for _, outputs in ticks[moving + 5 :])
+    assert replayed.ticks - replayed.compared >= flown
+
+
+def test_ticks_lost_while_armed_are_reported(log):
+    """Ticks lost from a full queue are unknown, unlike omitted ticks of an arm at rest."""
+    ticks = list(log.ticks())
+    moving = next(i for i, (_, outputs) in enumerate(ticks) if outputs.sent.cart_velocity_m_s)
+    del ticks[moving : moving + 3]
+    (gap,) = replay(ticks, log.config, registry.load).gaps
+    assert (gap.missing, gap.armed) == (3, True)
+
+
+def test_state_from_before_a_gap_is_not_a_difference(tmp_path):
+    """Disagreement in every other tick is no event, although the remaining ticks alone would be one."""
+    config = Config(recorder=RecorderConfig(directory=tmp_path, idle_interval_s=0))
+    recorder = Recorder(config, registry.load("hold").spec)
+    recorder.start()
+    daemon = Lockstep(config, registry.load("hold"), recorder=recorder)
+    read = daemon.robot.rail.read
+    apart = [0.0]
+    daemon.robot.rail.read = lambda: dataclasses.replace(read(), position_m=read().position_m + apart[0])
+    for number in range(240):
+        apart[0] = 0.04 if number % 10 == 0 or number >= 190 else 0.0
+        daemon.tick()
+    recorder.stop()
+    ticks = [t for i, t in enumerate(logs.read(recorder.path).ticks()) if (i % 10 == 0 and i > 30) or i >= 190]
+    assert "rail_disagrees" in [event.name for event in ticks[-1][1].events]
+    replayed = replay(ticks, config, lambda _: registry.load("hold"))
+    assert replayed.differences == []
+    assert replayed.compared == 50 - WINDOW

@@ -1,0 +1,81 @@
+"""Playback of an excitation, live or in lockstep."""
+
+from dataclasses import replace
+
+import pytest
+
+from softarm.daemon.logbook import logs
+from softarm.daemon.play import length_s, play, play_simulated
+from softarm.daemon.runtime.devices import simulated_devices
+from softarm.drivers.base import WithoutWire
+from softarm.policies.base import PolicyError
+from softarm.policies.excite import LEAD_IN_S
+from softarm.schemas import excitation
+from softarm.schemas.config import Config
+from softarm.schemas.messages import MocapFrame
+
+
+@pytest.fixture
+def config(tmp_path, monkeypatch) -> Config:
+    """Return a configuration with an excitation of one second."""
+    short = excitation.Excitation("short", "half a bend", (excitation.Ramp(1.0, 0.0, 8.0),))
+    monkeypatch.setitem(excitation.EXCITATIONS, "short", short)
+    return Config.model_validate({"recorder": {"directory": str(tmp_path)}, "api": {"port": 0}})
+
+
+@pytest.fixture(autouse=True)
+def _ordinary_scheduling(monkeypatch):
+    """Keep the test process at its normal priority."""
+    monkeypatch.setattr("softarm.common.realtime._set", lambda priority: None)
+
+
+def highest_sent_kpa(log) -> float:
+    return max(outputs.sent.pressure_kpa for outputs in log.outputs())
+
+
+def test_lockstep_playback_is_recorded_and_ends_disarmed(config):
+    reported: list[float] = []
+    status, path = play_simulated(config, "short", None, reported.append)
+    assert status.state == "reached"
+    assert reported[-1] == status.time_s == pytest.approx(length_s(config, "short"), abs=0.05)
+    assert length_s(config, "short") == pytest.approx(LEAD_IN_S + 1.0)
+    log = logs.read(path)
+    assert log.finished
+    assert log.config.control.policy == "excite-short"
+    assert highest_sent_kpa(log) == pytest.approx(8.0, abs=0.3)
+    assert [outputs.mode for outputs in log.outputs()][-1] != "armed"
+
+
+@pytest.mark.realtime
+def test_live_playback_arms_and_plays(config):
+    status, path = play(config, "short", simulated_devices(), lambda time_s: None)
+    assert status.state == "reached"
+    log = logs.read(path)
+    assert log.finished
+    assert highest_sent_kpa(log) == pytest.approx(8.0, abs=0.3)
+
+
+class NoFrames(WithoutWire):
+    """Motion capture without any frame."""
+
+    stopped = False
+
+    def read(self, now_ns: int) -> tuple[MocapFrame, ...]:
+        return ()
+
+    async def stop(self) -> None:
+        self.stopped = True
+
+
+@pytest.mark.realtime
+def test_a_robot_that_cannot_be_armed_is_left_safe(config, monkeypatch):
+    monkeypatch.setattr("softarm.daemon.play._ARMING_S", 0.5)
+    cameras = NoFrames()
+    with pytest.raises(RuntimeError, match=r"did not arm within .* s: .*motion capture"):
+        play(config, "short", replace(simulated_devices(), mocap=cameras), lambda time_s: None)
+    assert cameras.stopped
+
+
+def test_an_unknown_excitation_is_named(config):
+    with pytest.raises(PolicyError, match="did you mean short"):
+        length_s(config, "shrt")

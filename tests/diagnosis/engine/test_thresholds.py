@@ -1,0 +1,213 @@
+"""Tests of the thresholds: each fails if its threshold moves by a factor of two either way."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from softarm.diagnosis.engine.candidates import Candidate, FittedParameter
+from softarm.diagnosis.engine.decision import Evidence, decide, is_cause, remainder
+from softarm.diagnosis.engine.fits import Fit
+from softarm.diagnosis.engine.search import Choice, Gain, Search, SelectedEffect
+from softarm.diagnosis.engine.structure import Structure
+from softarm.diagnosis.engine.thresholds import RIG, ROBOT
+
+PARAMETER = FittedParameter("arm.payload.mass", "kg", 0.0, 0.0, 10.0, 1.0, 0.0)
+PAYLOAD = Candidate("arm.payload", "arm", (PARAMETER,), ((1.0,),))
+CONSTANT = replace(PAYLOAD, constant=True)
+
+
+def fit(*effects, scatter=0.0, drift=0.0, loss=0.0):
+    """Return a fit with the given scatter and drift of its effect's strength."""
+    u = tuple((1.0,) for _ in effects)
+    spread = scatter * np.sqrt(3 / 4)  # jackknife error of three folds
+    folds = np.outer([1 - spread, 1.0, 1 + spread], np.ones(len(effects)))
+    halves = np.outer([1 - drift / 2, 1 + drift / 2], np.ones(len(effects)))
+    return Fit(effects, u, np.zeros(0), 0.0, np.array([loss]), folds, halves)
+
+
+def choice(before, after, effect=None, explained=0.0, scatter=0.0, drift=0.0):
+    """Return the result of a search in one stage, with one chosen effect or none."""
+    energies = {"arm": before}, {"arm": after}
+    if effect is None:
+        return Choice(fit(), (), fit(), (), None, energies)
+    gain = Gain(100.0, 50.0, 150.0, {"arm": 0.9}, {"arm": explained})
+    chosen = SelectedEffect(effect, fit(), gain, (), ())
+    return Choice(fit(), (), fit(effect, scatter=scatter, drift=drift), (chosen,), None, energies)
+
+
+def kind(t, before, after, flexible=1.0, explained=None, **evidence):
+    """Return the verdict on one stage, with one steady effect or none."""
+    found = choice(before, after) if explained is None else choice(before, after, PAYLOAD, explained)
+    return decide(found, Evidence({"arm": flexible}, **evidence), t).kind
+
+
+def named(t, before, after, flexible=0.0, effect=PAYLOAD, explained=None, bent=0.0, **steadiness):
+    """Return whether an effect is a cause."""
+    found = choice(before, after, effect, before - after if explained is None else explained, **steadiness)
+    rest = remainder(found, Evidence({"arm": flexible}, bent={"arm": bent}), t)
+    return is_cause(found.selected[0], found, rest, t)
+
+
+def structure(energy):
+    return {"structures": {"arm": Structure(energy, "near a reversal", 1, 10)}}
+
+
+class Energies(Search):
+    """Search without data: the energies of its fits are given."""
+
+    def __init__(self, t, first=100.0, left=100.0):
+        self.thresholds, self.stages = t, ("arm",)
+        self._first, self._left = {"arm": first}, {"arm": left}
+
+    def energies(self, fit):
+        return self._left
+
+
+def is_gain(t, value=1000.0, low=100.0, share=0.5, energy=50.0, first=100.0):
+    return Energies(t, first).is_gain(Gain(value, low, 2 * value, {"arm": share}, {"arm": energy}))
+
+
+def is_equivalent(t, lack, gain=1e6, rest=0.0):
+    """Return whether a rival is an equivalent that is worse by a significant `lack` of held-out loss."""
+    search = Energies(t)
+    own = Gain(gain, gain / 2, 2 * gain, {"arm": 0.9}, {"arm": 90.0})
+    search.gain = lambda less, more: own
+    search._counted = lambda fit: np.array([rest + lack])
+    return search.is_equivalent(fit(), fit(PAYLOAD), replace(own, value=lack, low=0.9 * lack), own)
+
+
+def is_correction(t, left):
+    return Energies(t, left=left).is_correction(fit(), Gain(10.0, 5.0, 15.0, {"arm": 0.01}, {"arm": 0.5}))
+
+
+# Name -> threshold set, probe on the lower side, probe on the upper side. The two answers differ.
+PROBES = {
+    "gain.ignored": (RIG, lambda t: is_correction(t, 2.5), lambda t: is_correction(t, 6.0)),
+    "gain.loss_min": (ROBOT, lambda t: is_gain(t, 6.0, 5.0), lambda t: is_gain(t, 12.0, 11.0)),
+    "gain.further_min": (
+        ROBOT,
+        lambda t: is_gain(t, share=0.15, energy=4.0),
+        lambda t: is_gain(t, share=0.15, energy=9.0),
+    ),
+    "gain.further_share": (
+        ROBOT,
+        lambda t: is_gain(t, share=0.3, energy=1.0),
+        lambda t: is_gain(t, share=0.6, energy=1.0),
+    ),
+    "rival.lack_max": (ROBOT, lambda t: is_equivalent(t, 7.0), lambda t: is_equivalent(t, 14.0)),
+    "rival.share_max": (
+        ROBOT,
+        lambda t: is_equivalent(t, 7.0, gain=80.0),
+        lambda t: is_equivalent(t, 7.0, gain=40.0),
+    ),
+    "rival.misfit_share": (
+        RIG,
+        lambda t: is_equivalent(t, 180.0, rest=1000.0),
+        lambda t: is_equivalent(t, 350.0, rest=1000.0),
+    ),
+    "cause.explained_min": (ROBOT, lambda t: named(t, 101.0, 31.0, 1.0), lambda t: named(t, 101.0, 8.0, 1.0)),
+    "cause.answer_min": (
+        ROBOT,
+        lambda t: _answered(t, 7.0),
+        lambda t: _answered(t, 15.0),
+    ),
+    "cause.floor_share": (
+        RIG,
+        lambda t: named(t, 101.0, 6.0, scatter=1.0),
+        lambda t: named(t, 101.0, 11.0, scatter=1.0),
+    ),
+    "cause.floor_most": (
+        RIG,
+        lambda t: named(t, 12000.0, 170.0, scatter=1.0),
+        lambda t: named(t, 12000.0, 320.0, scatter=1.0),
+    ),
+    "cause.rest_most": (
+        RIG,
+        lambda t: kind(t, 3000.0, 22.0, 0.0, 2978.0),
+        lambda t: kind(t, 3000.0, 42.0, 0.0, 2958.0),
+    ),
+    "cause.bent_share": (
+        RIG,
+        lambda t: _whole(t, 75.0),
+        lambda t: _whole(t, 110.0),
+    ),
+    "cause.explained_over": (RIG, lambda t: named(t, 1000.0, 71.0), lambda t: named(t, 1000.0, 91.0)),
+    "cause.scatter_max": (
+        ROBOT,
+        lambda t: named(t, 1e6, 1e4, scatter=0.045),
+        lambda t: named(t, 1e6, 1e4, scatter=0.085),
+    ),
+    "cause.chance": (ROBOT, lambda t: named(t, 5.0, 1.1, scatter=0.09), lambda t: named(t, 5.0, 1.1, scatter=0.14)),
+    "cause.constant_max": (
+        ROBOT,
+        lambda t: named(t, 1e6, 1e4, effect=CONSTANT, scatter=0.03),
+        lambda t: named(t, 1e6, 1e4, effect=CONSTANT, scatter=0.055),
+    ),
+    "gap.unknown_min": (ROBOT, lambda t: kind(t, 1.35, 1.35), lambda t: kind(t, 1.7, 1.7)),
+    "gap.random_share": (ROBOT, lambda t: kind(t, 1.7, 1.7, 0.0), lambda t: kind(t, 2.5, 2.5, 0.0)),
+    "gap.structure_min": (
+        ROBOT,
+        lambda t: kind(t, 0.9, 0.9, **structure(0.7)),
+        lambda t: kind(t, 0.9, 0.9, **structure(1.4)),
+    ),
+    "gap.structure_share": (
+        ROBOT,
+        lambda t: kind(t, 101.0, 1.0, 0.0, 100.0, **structure(11.0)),
+        lambda t: kind(t, 101.0, 1.0, 0.0, 100.0, **structure(21.0)),
+    ),
+    "gap.tolerated_share": (
+        RIG,
+        lambda t: kind(t, 8.0, 8.0, tolerated={"arm": 65.0}),
+        lambda t: kind(t, 8.0, 8.0, tolerated={"arm": 34.0}),
+    ),
+}
+
+
+def _answered(t, explained):
+    """Return the verdict on a small effect next to a large unexplained gap of another stage."""
+    found = choice(1 + explained, 1.0, PAYLOAD, explained)
+    energies = {"arm": 1 + explained, "rail": 101.0}, {"arm": 1.0, "rail": 101.0}
+    return decide(replace(found, energies=energies), Evidence({"rail": 1.0}), t).kind
+
+
+def _whole(t, after):
+    """Return the verdict on a swing with large linearisation errors."""
+    return kind(t, 3000.0 + after, after, 0.0, 3000.0, bent={"arm": 1e9})
+
+
+def moved(t, name, factor):
+    group, _, field = name.partition(".")
+    rule = getattr(t, group)
+    return replace(t, **{group: replace(rule, **{field: factor * getattr(rule, field)})})
+
+
+@pytest.mark.parametrize("name", PROBES)
+def test_a_threshold_lies_between_its_two_probes(name):
+    t, below, above = PROBES[name]
+    assert below(t) != above(t)
+    for factor in (0.5, 2.0):
+        other = moved(t, name, factor)
+        assert (below(other), above(other)) != (below(t), above(t)), factor
+
+
+def test_every_threshold_has_probes():
+    known = {
+        f"{group}.{field}" for group in ("gain", "rival", "cause", "gap") for field in _fields(getattr(ROBOT, group))
+    }
+    assert known - {"gain.visible"} == set(PROBES)
+
+
+def _fields(rule):
+    return type(rule).__slots__
+
+
+@pytest.mark.parametrize("column", ["share", "energy", "low"])
+@pytest.mark.parametrize(("row", "limits"), [(0, (0.10, 0.30, 0.0)), (1, (0.20, 0.10, 0.0)), (2, (0.10, 0.05, 10.0))])
+def test_a_gain_must_be_visible_in_its_stage(row, limits, column):
+    """Values above one row of limits are a gain; with one value below its limit they are not."""
+    alone = replace(ROBOT, gain=replace(ROBOT.gain, visible=(ROBOT.gain.visible[row],), further_min=0.0))
+    limits = dict(zip(("share", "energy", "low"), limits, strict=True))
+    values = {name: max(1.2 * limit, 0.1) for name, limit in limits.items()}
+    assert is_gain(alone, **values)
+    assert not is_gain(alone, **values | {column: 0.8 * limits[column]})

@@ -1,0 +1,243 @@
+"""Homing over real TCP: the twin's drive, and one written from docs/reference/wires.md alone."""
+
+import csv
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from softarm.drivers.base import DeviceError
+from softarm.drivers.rail import dryve
+from softarm.drivers.rail.cia402 import DriveState
+
+START, HALT, OFF = 0x001F, 0x010F, 0x0006
+
+
+def refused(transaction: bytes) -> bytes:
+    return dryve.encode_abort(int.from_bytes(transaction[:2], "big"), 0x08000022)
+
+
+def test_the_simulated_drive_is_homed_slowly_and_left_disabled(twin: Any) -> None:
+    twin.put(0.05)
+    twin.drive.power_cycle()
+    with twin.session() as session:
+        assert (session.homed(), session.method()) == (False, 17)
+        assert session.poll().position_m == pytest.approx(-0.3)
+        found = session.home(0.05, 0.01)
+        assert session.poll().state is DriveState.READY
+    assert found.confirmed is True
+    assert found.position_m == pytest.approx(twin.position_m, abs=2e-5)
+    assert found.axis_m == pytest.approx(found.position_m + 0.3)
+    assert -0.2855 < twin.position_m < -0.284
+    assert {round(abs(speed), 6) for speed in twin.speeds_m_s} == {0.0, 0.05, 0.01}
+    assert twin.words.count(START) == 1
+    assert twin.words[-1] == OFF
+    assert twin.drive._values[dryve.MODE] == dryve.PROFILE_VELOCITY
+
+
+def test_the_independent_drive_is_homed_by_its_own_method(outside: Any) -> None:
+    with outside.session() as session:
+        assert (session.homed(), session.method()) == (False, 18)
+        assert session.poll().position_m == pytest.approx(-0.3, abs=1e-4)
+        found = session.home(0.05, 0.01)
+        assert session.poll().out_of_operation
+    assert found.confirmed is True
+    assert found.position_m == pytest.approx(outside.position_m, abs=1e-3)
+    assert outside.position_m == pytest.approx(0.29, abs=2e-3)
+    assert max(map(abs, outside.speeds_m_s)) < 0.07
+    assert outside.robot.crashes == 0
+    assert outside.words.count(START) == 1
+
+
+def test_a_stop_request_brakes_and_disables(twin: Any) -> None:
+    twin.drive.power_cycle()
+    with twin.session() as session, pytest.raises(DeviceError, match="a person interrupted it"):
+        session.home(0.05, 0.01, stop=lambda: twin.position_m < -0.02)
+    assert twin.words[-2:] == [HALT, OFF]
+    assert twin.drive.state is DriveState.READY
+    assert -0.025 < twin.position_m < -0.02
+    assert not twin.drive.reference.homed
+
+
+@pytest.mark.parametrize(
+    ("happens", "says"),
+    [
+        (lambda w: w.drive.trip(0x8611), "E11 following error"),
+        (lambda w: setattr(w.drive, "remote", False), "DI7 is low"),
+        (lambda w: setattr(w, "held", True), "not moved for 3 s"),
+        (lambda w: w.drive.quick_stop(), "fell back to 'quick stop active'"),
+        (lambda w: w.put(-0.35), "E12 limit switch"),
+    ],
+)
+def test_a_failure_is_reported_and_the_drive_is_disabled(twin: Any, happens: Any, says: str) -> None:
+    twin.drive.power_cycle()
+    twin.at.append(lambda: twin.drive.reference.searching and twin.position_m < -0.01 and (happens(twin) or True))
+    with twin.session() as session, pytest.raises(DeviceError, match=says):
+        session.home(0.05, 0.01)
+    assert not twin.drive.in_operation
+    assert set(twin.words[twin.words.index(START) + 1 :]) <= {HALT, OFF}
+
+
+def test_a_failed_homing_is_reported(twin: Any) -> None:
+    begin = twin.drive.reference.begin
+    twin.drive.reference.begin = lambda speed: begin(0)
+    with twin.session() as session, pytest.raises(DeviceError, match="homing failed"):
+        session.home(0.05, 0.01)
+    assert twin.words[-2:] == [HALT, OFF]
+
+
+def test_a_drive_that_is_not_homed_after_its_search_is_an_error(twin: Any) -> None:
+    update = twin.drive.reference.update
+
+    def forgetful(position_m: float) -> None:
+        update(position_m)
+        twin.drive.reference.homed = False
+
+    twin.drive.reference.update = forgetful
+    with twin.session() as session, pytest.raises(DeviceError, match="reports that it is not homed"):
+        session.home(0.05, 0.01)
+
+
+def test_a_drive_in_operation_is_reported_and_disabled(twin: Any) -> None:
+    twin.drive.state = DriveState.OPERATION_ENABLED
+    with twin.session() as session:
+        assert session.was_operating
+    assert twin.words == [HALT, OFF]
+
+
+def test_a_speed_that_the_drive_does_not_accept_moves_nothing(twin: Any) -> None:
+    def script(telegram: bytes, answer: Callable[[], bytes]) -> bytes:
+        if telegram[12:15] == b"\x60\x99\x01" and not telegram[9]:
+            return dryve.encode_value(dryve.decode_request(telegram), bytes(4))
+        return answer()
+
+    twin.script = script
+    with (
+        twin.session() as session,
+        pytest.raises(DeviceError, match=r"6099h:1.*reads 0 after 5000 was written.*nothing moved"),
+    ):
+        session.home(0.05, 0.01)
+    assert twin.words == [0x0100]
+
+
+def test_one_bad_answer_is_tolerated_and_two_brake_on_a_new_connection(twin: Any) -> None:
+    for bad, says in ((1, None), (2, "a new connection disabled the drive")):
+        twin.put(0.0)
+        twin.drive.power_cycle()
+        twin.words.clear()
+        left = [bad]
+
+        def script(telegram: bytes, answer: Callable[[], bytes], left: list[int] = left) -> bytes:
+            if twin.position_m < -0.01 and telegram[12:14] == b"\x60\x41" and left[0]:
+                left[0] -= 1
+                return refused(telegram)
+            return answer()
+
+        twin.script = script
+        with twin.session() as session:
+            if says is None:
+                session.home(0.05, 0.01)
+                continue
+            with pytest.raises(DeviceError, match=says):
+                session.home(0.05, 0.01)
+        # By then the drive itself had braked.
+        assert twin.words[twin.words.index(START) + 1 :] == [HALT, 0x0100]
+        assert not twin.drive.in_operation
+
+
+def test_a_drive_that_keeps_moving_is_stopped_when_the_connection_breaks(twin: Any) -> None:
+    # The D1 may continue its search without its master; its manual does not say.
+    twin.drive.keeps_going = True
+    loop = twin.server._server.get_loop()
+    broken: list[int] = []
+
+    def break_it() -> bool:
+        if twin.position_m < -0.02 and not broken:
+            broken.append(1)
+            loop.call_soon_threadsafe(twin.server._disconnect)
+        return bool(broken)
+
+    twin.at.append(break_it)
+    with twin.session() as session, pytest.raises(DeviceError, match="connection failed during homing"):
+        session.home(0.05, 0.01)
+    assert not twin.drive.in_operation
+    assert twin.words[-2:] == [HALT, OFF]
+    assert twin.position_m > -0.05
+
+
+def test_a_refused_start_is_not_repeated(twin: Any) -> None:
+    def script(telegram: bytes, answer: Callable[[], bytes]) -> bytes:
+        return refused(telegram) if telegram[12:14] == b"\x60\x40" and telegram[19:] == b"\x1f\x00" else answer()
+
+    twin.script = script
+    with twin.session() as session, pytest.raises(DeviceError, match="refused in the drive's present state"):
+        session.home(0.05, 0.01)
+    assert twin.words.count(START) == 1
+    assert not twin.drive.in_operation
+    assert twin.position_m == 0.0
+
+
+def test_a_drive_may_report_neither_method_nor_status(twin: Any) -> None:
+    def script(telegram: bytes, answer: Callable[[], bytes]) -> bytes:
+        return refused(telegram) if telegram[12:14] in (b"\x60\x98", b"\x20\x14") else answer()
+
+    twin.script = script
+    twin.drive.power_cycle()
+    with twin.session() as session:
+        assert (session.method(), session.homed()) == (None, None)
+        assert session.home(0.05, 0.01).confirmed is None
+
+
+def test_a_fault_is_reset_on_request_and_nothing_moves(twin: Any) -> None:
+    twin.drive.trip(0x8611)
+    with twin.session() as session:
+        assert session.poll().faults()
+        session.reset_fault()
+        assert session.poll().state is DriveState.SWITCH_ON_DISABLED
+        session.reset_fault()
+    assert twin.words == [0x0100, 0x0100, 0x0080, 0x0100]
+
+
+def test_a_reversed_axis_is_homed(twin: Any) -> None:
+    twin.drive.power_cycle()
+    with twin.session(reversed=True) as session:
+        found = session.home(0.05, 0.01)
+    assert found.position_m == pytest.approx(-twin.position_m, abs=2e-5)
+    assert found.axis_m == pytest.approx(twin.position_m + 0.3, abs=2e-5)
+
+
+def test_a_missing_drive_is_reported(free_port: int, twin: Any) -> None:
+    with pytest.raises(DeviceError, match="Modbus TCP Gateway"), twin.session(port=free_port):
+        pass
+
+
+def test_every_connection_begins_and_ends_with_a_stop(twin: Any) -> None:
+    requests: list[bytes] = []
+
+    def script(telegram: bytes, answer: Callable[[], bytes]) -> bytes:
+        requests.append(telegram)
+        return answer()
+
+    twin.script = script
+    with twin.session() as session:
+        session.home(0.05, 0.01)
+    stop = (b"\x60\xff", bytes(4))
+    assert [(each[12:14], each[19:]) for each in (requests[0], requests[-1])] == [stop, stop]
+
+
+def test_a_homing_sends_the_telegrams_of_the_page_and_no_others(twin: Any) -> None:
+    with (Path(__file__).parents[4] / "docs" / "reference" / "vectors" / "homing.csv").open(newline="") as lines:
+        shown = [bytes.fromhex(row["telegram"]) for row in csv.DictReader(lines)]
+    requests: list[bytes] = []
+
+    def script(telegram: bytes, answer: Callable[[], bytes]) -> bytes:
+        requests.append(telegram)
+        return answer()
+
+    twin.put(-0.283)
+    twin.script = script
+    with twin.session() as session:
+        session.home(0.05, 0.01)
+    assert requests[:36] == shown[:36]
+    assert {each[2:] for each in requests} == {each[2:] for each in shown}

@@ -1,0 +1,185 @@
+"""Files that the steps of closing a gap write, with an invented diagnosis and a few frames of training."""
+
+import json
+
+import numpy as np
+import pytest
+
+from softarm.daemon.config.configuration import load
+from softarm.daemon.limits.findings import RailFindings, compared
+from softarm.daemon.limits.measured import Bound, Measured
+from softarm.diagnosis.engine.result import Diagnosis
+from softarm.evaluation.closing import steps
+from softarm.evaluation.closing.closed import Place
+from softarm.evaluation.closing.outcomes import HELD_BACK
+from softarm.evaluation.closing.wires import Wires
+from softarm.evaluation.robots import with_faults
+from softarm.policies.base import MODELS
+from softarm.reality.parameters import RobotParameters
+from softarm.schemas.config import Config, Limits, RailLimits
+from softarm.schemas.flights import TEST_TARGETS
+from softarm.schemas.model import Arm, Model
+from softarm.schemas.verdict import Estimate, Gap, Interval, NamedEffect, Shrink, Verdict, Where
+from softarm.simulator import model_file
+from softarm.training.run.retrain import RetrainingConfig
+from softarm.training.run.warm_start import load_weights
+
+pytestmark = pytest.mark.slow
+
+CAREFUL = Config(limits=Limits(rail=RailLimits(braking_m_s2=3.0, surge_m_s2=9.0)))
+SEEN = Measured(
+    *(Bound(value, 0.97, value, 100, 50.0) for value in (0.05, 0.05, 2.6, 8.0, 0.02)),
+    6.0,
+    100,
+    100,
+    100,
+    100,
+    1,
+    50.0,
+    (),
+)
+RAIL = RailFindings(CAREFUL, SEEN, compared(SEEN, CAREFUL))
+REACH = MODELS / "reach.onnx"
+EASY, NEVER = TEST_TARGETS[4], TEST_TARGETS[-1]  # (-0.20, 0.55), and (0, 0.80), which no command reaches
+TINY = RetrainingConfig(
+    frames=2048,
+    frames_min=0,
+    seconds=float("inf"),
+    robots=64,
+    validate_every=1,
+    validation_trials=12,
+    critic_iterations=1,
+)
+LATE = Model(effects=Model().effects | {"pressure.dead_time": {"delay": 0.06}})
+NAMED = Verdict(
+    verdict="named",
+    where=Where(stage="pressure", share={"pressure": 1.0}, regime="throughout"),
+    effects=(
+        NamedEffect(
+            name="pressure.dead_time",
+            parameters={"delay": Estimate(value=0.06, low=0.05, high=0.07, unit="s")},
+            confidence=0.9,
+            shrink=Shrink(stage=Interval(value=0.5, low=0.4, high=0.6)),
+        ),
+    ),
+    gap=Gap(before={}, after={}, floor={}, ceiling={}),
+)
+NONE = NAMED.model_copy(
+    update={"verdict": "none", "effects": (), "where": Where(stage=None, share={}, regime="nowhere")}
+)
+
+
+def close(out, held_back, declared=True, through=lambda closed: None, **found):
+    out.mkdir()
+    usual = {"verdict": NAMED, "nominal": Model(), "patched": LATE, "trials": (("a", "seed", 1.0),)}
+    diagnosis = Diagnosis(**usual | found)
+    spent = {}
+    targets = (EASY, NEVER)
+    how = {"targets": targets, "processes": 1, "through": through}
+    steps.close(diagnosis, RAIL, REACH, out, held_back, declared, TINY, spent, **how)
+    summary = json.loads((out / "summary.json").read_text())
+    assert summary["spent"].keys() == spent.keys()
+    return Verdict.model_validate_json((out / "verdict.json").read_text()), summary
+
+
+def test_a_named_effect_is_patched_trained_on_and_flown(tmp_path):
+    out = tmp_path / "closed"
+    robot = Place(HELD_BACK, "the robot", with_faults(RobotParameters(), ["regulator.dead_time_s=0.06"]))
+    verdict, summary = close(out, robot)
+    assert model_file.load(out / "patched-model.yaml") == LATE
+    old, new = load_weights(REACH), load_weights(out / "retrained.onnx")
+    assert new.metadata.training["start.frames"] == old.metadata.training["run.frames"]
+    assert new.metadata.training["model.sha256"] == model_file.fingerprint(LATE)
+
+    patched = RAIL.patched.limits.rail
+    assert (patched.latency_s, patched.braking_m_s2, patched.surge_m_s2) == (0.05, 2.6, 9.0)
+    assert load(out / "limits-patch.yaml").limits.rail == patched
+    for key in ("latency_s", "braking_m_s2", "surge_m_s2"):
+        assert new.metadata.training[f"task.rail_{key}"] == getattr(patched, key)
+    assert summary["limits"]["rail"]["braking_m_s2"]["advised"] == 2.6
+    assert not np.array_equal(new.network.w_h.detach(), old.network.w_h.detach())
+    assert (out / "retrained.pt").stat().st_size > 1e6
+    # Only one of the two targets can be reached.
+    assert verdict.task.success_nominal == pytest.approx(0.5)
+    assert 0 <= verdict.task.success_patched <= 0.5
+    assert verdict.task.success_real == summary["success"]["held-back"]["old"]["all"]
+    assert set(summary["success"]) == {"nominal", "patched", "held-back"}
+    for key, row in summary["success"].items():
+        assert {"old", "new", "rest", "chained", "difference"} <= set(row)
+        assert ("mppi" in row) == (key != "nominal")
+        for manner in ("rest", "chained"):
+            assert {"gained", "lost", "difference"} == set(row[manner])
+            assert row["old"][manner]["flights"] == row["new"][manner]["flights"] == 6
+    assert summary["fly"] == "old"
+    assert summary["against_retrained"]
+    assert summary["wires"] is None
+    assert set(summary["mppi_beyond_advised"]) == {"patched", "held-back"}
+    assert summary["flights"] == 6
+    assert summary["retrained"]["frames"] == TINY.frames
+    assert set(summary["spent"]) == {"retrain", "fly"}
+    page = (out / "report.html").read_text(encoding="utf-8")
+    assert page.count("<html") == 1
+    for text in (
+        "The policy before and after",
+        "Retraining",
+        "Rail limits",
+        "retrained from rest, the robot",
+        "Keep the old policy",
+    ):
+        assert text in page
+
+
+def test_a_refused_retraining_leaves_report_and_verdict_of_the_diagnosis(tmp_path, monkeypatch):
+    """A user who has waited for the diagnosis keeps it when the retraining is too short."""
+
+    def refuse(*_):
+        raise ValueError("too short: give --seconds 320 or more")
+
+    monkeypatch.setattr(steps, "retrain", refuse)
+    out = tmp_path / "out"
+    with pytest.raises(ValueError, match=r"--seconds 320 or more\. .*report.html .* start again with another --out"):
+        close(out, Place(HELD_BACK, "late", LATE))
+    assert Verdict.model_validate_json((out / "verdict.json").read_text()) == NAMED
+    assert "pressure.dead_time" in (out / "report.html").read_text(encoding="utf-8")
+    assert not (out / "summary.json").exists()
+
+
+def test_without_a_named_effect_nothing_is_patched_or_retrained(tmp_path):
+    late = Place(HELD_BACK, "late", LATE)
+    verdict, summary = close(tmp_path / "out", late, declared=False, verdict=NONE, patched=None)
+    left = ["limits-patch.yaml", "report.html", "summary.json", "verdict.json"]
+    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == left
+    assert verdict.task.success_nominal == pytest.approx(0.5)
+    assert verdict.task.success_patched is None
+    assert verdict.task.success_real is None
+    assert summary["retrained"] is None
+    assert set(summary["success"]) == {"nominal", "held-back"}
+    assert "nothing was patched or retrained" in (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
+
+
+def test_another_rig_has_no_policy(tmp_path):
+    with pytest.raises(ValueError, match="shows another rig, and policies fly only the arm"):
+        close(tmp_path / "out", Place(HELD_BACK, "late", LATE), nominal=None)
+
+
+def test_the_independent_robot_gets_the_nominal_arm_and_cart_and_keeps_its_actuators():
+    heavier = Model(arm=Arm(link_mass_kg=(0.005, 0.005, 0.005, 0.005, 0.2)))
+    place = steps.of_the_nominal_body(steps.independent(["regulator.dead_time_s=0.06"]), heavier)
+    assert place.robot.body == heavier.arm
+    assert place.robot.regulator.dead_time_s == 0.06
+    assert steps.of_the_nominal_body(Place(HELD_BACK, "late", LATE), heavier).robot == LATE
+
+
+def test_results_are_written_before_the_robot_moves_and_again_after(tmp_path):
+    there = []
+
+    def through(closed):
+        there.append(json.loads((tmp_path / "out" / "summary.json").read_text()))
+        return Wires.unflown("the robot of softarm.yaml", "not wanted")
+
+    place = Place(HELD_BACK, "late", LATE)
+    found = {"verdict": NONE, "patched": None}
+    _, summary = close(tmp_path / "out", place, through=through, **found)
+    assert there[0]["wires"] is None
+    assert there[0]["success"] == summary["success"]
+    assert summary["wires"]["ended"] == "not wanted"

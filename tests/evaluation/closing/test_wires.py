@@ -1,0 +1,126 @@
+"""Flights on wires: a separate daemon in real time, with the twin or the devices of a configuration."""
+
+import threading
+from itertools import pairwise
+
+import httpx
+import pytest
+
+from softarm.daemon.config.configuration import load
+from softarm.daemon.limits.findings import RailFindings, compared
+from softarm.daemon.limits.measured import Bound, Measured, measure
+from softarm.daemon.logbook import logs
+from softarm.evaluation.closing import story, wires
+from softarm.evaluation.closing.outcomes import CHAINED, NEW, OLD, REST
+from softarm.evaluation.software_in_the_loop import SoftwareInTheLoop, SoftwareInTheLoopError
+from softarm.policies.base import MODELS
+from softarm.schemas.config import Config, Goals, Limits, RailLimits, Workspace
+
+BOTH = {OLD: MODELS / "reach.onnx", NEW: MODELS / "reach-robust.onnx"}
+LIVE = (pytest.mark.slow, pytest.mark.realtime, pytest.mark.timeout(170))
+KEYS = ("latency_s", "braking_m_s2", "surge_m_s2", "drag_m_s")
+
+
+def live(test):
+    for mark in LIVE:
+        test = mark(test)
+    return test
+
+
+def findings(config, measured=None):
+    measured = measured or measure((), 6.0)
+    return RailFindings(config, measured, compared(measured, config))
+
+
+def test_devices_with_unknown_limits_are_not_moved():
+    unsaid = wires.refusals(Config(), findings(Config()))
+    assert [text.split()[0] for text in unsaid] == [f"limits.rail.{key}" for key in KEYS]
+    assert "neither configured nor measured: only 0 set-point steps recorded" in unsaid[0]
+    usual = RailLimits()
+    said = Config(limits=Limits(rail=RailLimits(**{key: getattr(usual, key) for key in KEYS})))
+    assert wires.refusals(said, findings(said)) == []
+    bounds = (Bound(value, 0.97, value, 100, 50.0) for value in (0.05, 0.05, 2.6, 8.0, 0.02))
+    seen = Measured(*bounds, 6.0, 100, 100, 100, 100, 1, 50.0, ())
+    assert wires.refusals(Config(), findings(Config(), seen)) == []
+    bounds = (Bound(value, 0.97, value, 100, 50.0) for value in (0.25, 0.25, 2.6, 8.0, 0.02))
+    later = Measured(*bounds, 6.0, 100, 100, 100, 100, 1, 50.0, ())
+    (beyond,) = wires.refusals(said, findings(said, later))
+    assert "no allowed value covers it: check the drive" in beyond
+
+
+def test_the_question_states_what_moves_and_for_how_long():
+    text = wires.what_moves(Config(), "softarm.yaml", 18)
+    for words in ("The robot of softarm.yaml will move", "between -0.25 and 0.25 m at up to 1 m/s", "up to 20 kPa"):
+        assert words in text
+    minutes = [int(wires.what_moves(Config(), "a", goals).split("about ")[1].split()[0]) for goals in (18, 36, 72)]
+    assert all(later > sooner for sooner, later in pairwise(minutes))
+
+
+def test_a_workspace_without_a_test_target_is_refused(tmp_path):
+    nowhere = Config(goals=Goals(workspace=Workspace(y_min_m=0.5, y_max_m=0.6)))
+    with pytest.raises(ValueError, match="contains none of the 54 test targets"):
+        wires.fly(nowhere, BOTH, 1, "the robot", tmp_path, None, lambda text, share: None)
+
+
+@live
+def test_old_and_new_fly_the_same_goals_on_the_twin(tmp_path):
+    reported, twin = [], wires.Twin("our twin", ("--reality", "--fault", "rail.delay_s=0.05"), True)
+    config = Config(limits=Limits(rail=RailLimits(latency_s=0.06)))
+    found = wires.fly(config, BOTH, 1, "the robot", tmp_path / "logs", twin, lambda *args: reported.append(args))
+    assert (found.title, found.is_the_robot, found.ended) == ("our twin", True, None)
+    for manner in (REST, CHAINED):
+        for name in BOTH:
+            assert found.flown[name, manner].reached.shape == (1,)
+            assert found.flown[name, manner].stops == (None,)
+    assert sum(found.both(name).reached.sum() for name in BOTH) >= 2  # real time on a busy machine
+    log = logs.read(found.log)
+    assert log.config.limits.rail.latency_s == 0.06
+    flown = [outputs.policy for outputs in log.outputs() if outputs.goal.state == "running"]
+    assert len(set(flown)) == 2
+    assert [share for _, share in reported] == [0.0, 0.0, 0.25, 0.5, 0.75]
+
+
+@pytest.fixture
+def robot(tmp_path):
+    """Configuration with devices that answer; the daemon cannot distinguish them from hardware."""
+    sil = SoftwareInTheLoop(tmp_path / "logs")
+    try:
+        sil.start_twin()
+        yield load(sil.config_file)
+    finally:
+        sil.__exit__(None, None, None)
+
+
+@live
+def test_a_person_ends_the_flights_and_must_acknowledge_the_stop(robot, tmp_path):
+    def stop_soon(text, share):
+        if "policy" in text:
+            threading.Timer(1.5, httpx.post, (f"http://127.0.0.1:{robot.api.port}/api/stop",)).start()
+
+    found = wires.fly(robot, BOTH, 2, "the robot", tmp_path, None, stop_soon)
+    assert "an emergency stop was requested" in found.ended
+    assert found.ended_by is None  # no policy's fault
+    assert (found.flights, found.won, found.against) == (0, None, ())
+    with pytest.raises(SoftwareInTheLoopError, match="an emergency stop is latched"):
+        wires.fly(robot, BOTH, 2, "the robot", tmp_path, None, lambda text, share: None)
+
+
+@live
+def test_flights_before_a_crash_of_the_daemon_count(robot, tmp_path, monkeypatch):
+    begun = []
+    began = wires.Bench.use
+
+    def use(bench, policy):
+        begun.append(policy)
+        if len(begun) == 3:  # old and new have flown the first goal
+            bench.daemon.kill()
+        began(bench, policy)
+
+    monkeypatch.setattr(wires.Bench, "use", use)
+    found = wires.fly(robot, BOTH, 2, "the robot", tmp_path, None, lambda text, share: None)
+    assert found.flights == 1
+    assert found.ended is not None
+    assert found.ended_by is None
+    reported = story.sentences_of(found)
+    assert reported[0].startswith("On the wires of the robot: the old policy reaches ")
+    assert "ended before all was flown" in reported[1]

@@ -1,0 +1,54 @@
+"""A leak is reported from noise, and from what has not been watched for long enough."""
+
+import math
+
+import numpy as np
+import pytest
+
+from softarm.evaluation.soak.slopes import Slope, judge, slope
+
+HOURS = np.linspace(0.0, 2.0, 400)
+
+
+def wandering(seed, size):
+    """Noise whose neighbours are alike."""
+    return np.convolve(np.random.default_rng(seed).normal(0, size, 430), np.ones(31) / 31, "valid")
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_leak_grows_and_noise_is_flat(seed):
+    assert slope(HOURS, 100 + 8 * HOURS + wandering(seed, 1.0), 2.0).verdict == "grows"
+    assert slope(HOURS, 100 + wandering(seed, 1.0), 2.0).verdict == "flat"
+
+
+def test_the_interval_covers_the_truth_in_about_95_percent():
+    held = 0
+    for seed in range(200):
+        found = slope(HOURS, 3.0 * HOURS + wandering(seed, 1.0), 0.0)
+        held += found.low <= 3.0 <= found.high
+    assert 0.85 <= held / 200 <= 0.99
+
+
+def test_growth_during_the_warm_up_is_no_leak():
+    assert slope(HOURS, 100 + 50 * np.minimum(HOURS, 0.2), 2.0).verdict == "flat"
+
+
+def test_freed_memory_is_no_leak_and_hides_none():
+    busy = np.random.default_rng(0).exponential(5.0, 400)
+    assert slope(HOURS, 100 + busy, 2.0, np.min).verdict == "flat"
+    assert slope(HOURS, 100 + busy + 8 * HOURS, 2.0, np.min).verdict == "grows"
+
+
+def test_a_count_that_never_changes_has_no_slope():
+    assert slope(HOURS, np.full(400, 17.0), 0.5)[:3] == pytest.approx((0.0, 0.0, 0.0), abs=1e-9)
+
+
+def test_too_few_samples_are_undecided():
+    found = slope(HOURS[:10], HOURS[:10], 2.0)
+    assert (math.isnan(found.value), found.verdict) == (True, "too short to decide")
+    assert slope([], [], 2.0).verdict == "too short to decide"
+
+
+def test_only_quantities_that_are_not_flat_are_reported():
+    reported = judge({"memory": Slope(5.0, 4.0, 6.0, 2.0), "threads": Slope(0.0, 0.0, 0.0, 0.5)}, "hour")
+    assert reported == ["memory grows: 5 per hour (4 to 6), allowed 2"]

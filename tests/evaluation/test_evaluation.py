@@ -1,0 +1,55 @@
+import pytest
+
+from softarm.daemon.runtime.offline import Lockstep
+from softarm.evaluation import evaluation
+from softarm.policies import registry
+from softarm.schemas.config import Config
+from softarm.schemas.goals import Goal
+
+pytestmark = pytest.mark.slow
+
+
+@pytest.fixture(scope="module")
+def reach():
+    return evaluation.evaluate("reach", Config())
+
+
+def test_the_shipped_policy_reaches_the_papers_level_in_the_control_loop(reach):
+    """[P]: 94 % in range, 50 % above, 80 % in all."""
+    assert reach["success"]["in_range"] >= 0.94
+    assert reach["success"]["above"] >= 0.50
+    assert reach["success"]["all"] >= 0.80
+
+
+def test_no_flight_leaves_the_rail(reach):
+    assert reach["max_cart_m"] <= 0.25
+
+
+def test_the_result_has_the_documented_fields(reach):
+    assert set(reach) >= {"policy", "success", "max_tip_z_m", "real_time_factor", "targets"}
+    assert len(reach["targets"]) == evaluation.FLIGHTS
+    assert set(reach["targets"][0]) == {"y", "z", "start", "reached", "time_s", "closest_m"}
+
+
+def test_the_wide_policy_reaches_nine_of_ten():
+    success = evaluation.evaluate("reach-wide", Config())["success"]
+    assert success["in_range"] >= 0.97
+    assert success["above"] >= 0.75
+    assert success["all"] >= 0.90
+
+
+def test_pid_reaches_few_targets():
+    """[P] SM-I: 17 %, never above z = 0.56 m."""
+    result = evaluation.evaluate("pid", Config())
+    assert 0.05 <= result["success"]["all"] <= 0.25
+    assert result["max_tip_z_m"] <= 0.56
+
+
+def test_two_flights_from_one_start_are_the_same():
+    """No state is carried from one flight into the next."""
+    daemon = Lockstep(Config(), registry.load("reach"))
+    first = daemon.fly(Goal("reach", -0.2, 0.6), 0.1)
+    daemon.fly(Goal("reach", -0.35, 0.75), 0.0)
+    again = daemon.fly(Goal("reach", -0.2, 0.6), 0.1)
+    assert again.status.time_s == pytest.approx(first.status.time_s, abs=1e-6)
+    assert again.status.closest_m == pytest.approx(first.status.closest_m, abs=1e-5)

@@ -1,0 +1,82 @@
+"""Table of all policies in all tests, with the footnotes of its figures."""
+
+import numpy as np
+import pytest
+
+from softarm.evaluation import page, table, tests
+from softarm.evaluation.table import Entry, Job, Score
+from softarm.policies.onnx_policy import OnnxPolicy
+from softarm.training.trajectory import ceiling
+
+pytestmark = pytest.mark.slow
+
+
+def test_a_test_on_another_model_has_a_separate_column():
+    found = table.entries(None, ("pid",))
+    result = table.compare(found, 1, ("shelf@no-delay",))
+    assert list(result["policies"]["pid"]) == ["shelf@no-delay"]
+    assert "on no-delay" in page.markdown(result)
+
+
+def test_every_shipped_policy_is_flown_and_the_ceiling_covers_the_grid_alone():
+    found = table.entries(None)
+    assert {"mppi", "pid", "reach", "reach-wide", "shelf", "trajectory", "ceiling"} <= {entry.name for entry in found}
+    trained = OnnxPolicy("reach").metadata.seed
+    assert [entry.seed for entry in found if entry.name in ("pid", "reach")] == [None, trained]
+    todo = table.jobs(found, tuple(tests.TESTS))
+    assert {job.test for job in todo if job.entry.name == "ceiling"} == {"grid"}
+    for entry in found:
+        for name, test in tests.TESTS.items():
+            parts = [job.part for job in todo if (job.entry, job.test) == (entry, name)]
+            if parts:  # each trial once
+                assert sorted(number for part in parts for number in part) == list(range(len(test.scenarios())))
+
+
+def test_the_ceiling_is_searched_from_the_start_of_each_trial(monkeypatch):
+    asked = []
+
+    def search(targets_m, start_m, model):
+        asked.append(start_m)
+        return ceiling.Ceiling(np.zeros(54), np.where(targets_m[:, 1] < 0.6, start_m, np.nan))
+
+    monkeypatch.setattr(ceiling, "search", search)
+    result = table.compare([Entry("ceiling")], 1, ("grid",))
+    assert asked == [0.0, 0.1, 0.2]
+    assert result["reached"]["ceiling"] == [1.0] * 9 + [0.0] * 45
+    assert result["policies"]["ceiling"]["in_range"]["mean"] == pytest.approx(9 / 36)
+
+
+def test_refused_trials_are_noted_and_a_fully_refused_test_is_no_zero():
+    swinging = [Job(Entry("trajectory"), "swinging", range(162)), Job(Entry("trajectory"), "shelf", range(12))]
+    result = table.summary({job: table.measure(job) for job in swinging})
+    figures, notes = result["policies"]["trajectory"], result["notes"]["trajectory"]
+    assert 0.5 < figures["swinging"]["refused"] < 1.0
+    assert figures["swinging"]["mean"] <= 1.0 - figures["swinging"]["refused"]
+    refused = round(162 * figures["swinging"]["refused"])
+    assert notes["swinging"] == [
+        f"refused {refused} of 162 trials, which count as not reached; the first: no plan from here"
+    ]
+    assert figures["shelf"]["refused"] == 1.0
+    row, *_ = (line for line in page.markdown(result).splitlines() if line.startswith("| trajectory"))
+    mid_swing, shelf = (cell.strip() for cell in row.split("|")[3:5])
+    assert mid_swing == f"{100 * figures['swinging']['mean']:.1f} [1]"
+    assert shelf == "- [2]"
+    assert "<sup>1</sup>" in page.html(result, "")
+
+
+def test_a_figure_outside_the_training_range_has_a_note():
+    entries = {entry.name: entry for entry in table.entries(None, ("reach", "reach-wide", "pid"))}
+    missed = [Score(False)] * 162
+    result = table.summary({Job(entry, "grid", range(162)): missed for entry in entries.values()})
+    assert result["notes"] == {"pid": {}, "reach": {"above": [table.OUTSIDE]}, "reach-wide": {}}
+    assert page.footnotes(result) == [table.OUTSIDE]
+
+
+def test_the_number_of_processes_does_not_change_the_table(monkeypatch):
+    monkeypatch.setattr(table, "PART", 5)
+    found = table.entries(None, ("pid", "shelf"))
+    done = []
+    alone = table.compare(found, 1, ("shelf",))
+    assert table.compare(found, 2, ("shelf",), done.append) == alone
+    assert sorted(done) == [2, 2, 5, 5, 5, 5]
+    assert alone["policies"]["shelf"]["shelf"]["mean"] > 0.5 > alone["policies"]["pid"]["shelf"]["mean"]

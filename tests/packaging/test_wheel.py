@@ -1,0 +1,213 @@
+"""The built wheel adds only `softarm` to an environment and works there."""
+
+import os
+import shutil
+import subprocess
+import sys
+import sysconfig
+import tarfile
+import zipfile
+from importlib.metadata import distributions
+from pathlib import Path
+
+import pytest
+
+from softarm import __version__ as softarm_version
+
+pytestmark = pytest.mark.slow
+
+ROOT = Path(__file__).parents[2]
+DEPENDENCIES = sysconfig.get_path("purelib")
+
+EXAMPLES = sorted(path.parent for path in (ROOT / "examples").glob("*/pyproject.toml"))
+
+# A project of a user with package names that softarm once had, and a policy as in docs/policies/interface.md.
+PROJECT = {
+    "pyproject.toml": """
+        [build-system]
+        requires = ["setuptools"]
+        build-backend = "setuptools.build_meta"
+        [project]
+        name = "their-arm"
+        version = "1.0"
+        [project.entry-points."softarm.policies"]
+        left = "policies.left:Left"
+        [tool.setuptools]
+        packages = ["policies", "training"]
+        py-modules = ["cli"]
+    """,
+    "policies/__init__.py": "",
+    "policies/base.py": "THEIRS = True",
+    "policies/left.py": """
+        import numpy as np
+        from policies.base import THEIRS
+        from softarm.policies.base import PolicySpec
+
+        class Left:
+            spec = PolicySpec("left", "to the left, always")
+
+            def reset(self):
+                assert THEIRS
+
+            def step(self, observation, goal):
+                return np.array([-1.0, 0.0], np.float32)
+    """,
+    "training/__init__.py": "THEIRS = True",
+    "cli.py": "raise SystemExit('their own cli was run')",
+}
+
+
+def run(*command: str | Path, cwd: Path, seconds: float = 170.0) -> str:
+    """Run a command without this checkout on its path, and return its output."""
+    clean = {name: value for name, value in os.environ.items() if name not in ("PYTHONPATH", "PYTHONHOME")}
+    done = subprocess.run(
+        list(map(str, command)), cwd=cwd, env=clean, capture_output=True, text=True, timeout=seconds, check=False
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+    return done.stdout
+
+
+@pytest.fixture(scope="module")
+def built(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Build the sdist and the wheel from the files that git lists, and return their folder."""
+    source, out = tmp_path_factory.mktemp("source"), tmp_path_factory.mktemp("dist")
+    files = subprocess.run(
+        ["git", "ls-files", "--cached", "--others", "--exclude-standard", "-z"],
+        cwd=ROOT,
+        capture_output=True,
+        check=True,
+    ).stdout
+    subprocess.run(
+        ["tar", "--create", "--null", "--files-from=-", f"--file={out}/tree.tar", "--ignore-failed-read"],
+        cwd=ROOT,
+        input=files,
+        check=True,
+        capture_output=True,
+    )
+    with tarfile.open(out / "tree.tar") as tree:
+        tree.extractall(source, filter="tar")
+    run(sys.executable, "-m", "build", "--no-isolation", "--outdir", out, source, cwd=source)
+    return out
+
+
+@pytest.fixture(scope="module")
+def installed(built: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Install softarm and a user's project into a new environment, and return its Python.
+
+    A .pth file gives it the dependencies of this environment without the editable install.
+    """
+    home = tmp_path_factory.mktemp("home")
+    for name, text in PROJECT.items():
+        lines = text.strip("\n").splitlines()
+        margin = min((len(line) - len(line.lstrip()) for line in lines if line.strip()), default=0)
+        (home / "their-arm" / name).parent.mkdir(parents=True, exist_ok=True)
+        (home / "their-arm" / name).write_text("\n".join(line[margin:] for line in lines) + "\n")
+    run(sys.executable, "-m", "venv", "--without-pip", home / "env", cwd=home)
+    python = home / "env" / "bin" / "python"
+    site = Path(run(python, "-c", "import sysconfig; print(sysconfig.get_path('purelib'))", cwd=home).strip())
+    (site / "dependencies.pth").write_text(DEPENDENCIES + "\n")
+    pip = (sys.executable, "-m", "pip", "--quiet", "--python", python, "install", "--no-deps", "--no-build-isolation")
+    for example in EXAMPLES:
+        shutil.copytree(example, home / "examples" / example.name)
+    run(*pip, next(built.glob("*.whl")), home / "their-arm", *(home / "examples").iterdir(), cwd=home)
+    return python
+
+
+def test_the_wheel_and_the_sdist_contain_softarm_only(built: Path) -> None:
+    with zipfile.ZipFile(next(built.glob("*.whl"))) as wheel:
+        tops = {name.split("/")[0] for name in wheel.namelist()}
+    assert {top for top in tops if not top.endswith(".dist-info")} == {"softarm"}
+    with tarfile.open(next(built.glob("*.tar.gz"))) as sdist:
+        assert not [member.name for member in sdist if member.issym() or member.islnk()]
+        tops = {name.split("/")[1] for name in sdist.getnames() if "/" in name}
+    assert {top for top in tops if "." not in top} == {"softarm", "LICENSE", "PKG-INFO"}
+
+
+def test_the_wheel_contains_all_data_files_and_no_others(built: Path) -> None:
+    listed = subprocess.run(["git", "ls-files"], cwd=ROOT, capture_output=True, text=True, check=True).stdout.split()
+    linked = {path.name for path in (ROOT / "softarm").iterdir() if path.is_symlink()}
+    wanted = {f"softarm/{name}" for name in listed if name.split("/")[0] in linked}
+    wanted |= {name for name in listed if name.startswith("softarm/") and not (ROOT / name).is_symlink()}
+    pages = (".md", ".png", ".csv")
+    wanted -= {name for name in wanted if name.startswith("softarm/docs/") and not name.endswith(pages)}
+    assert {"softarm/softarm.yaml", "softarm/twin.yaml", "softarm/systemd/softarmd.service"} < wanted
+    with zipfile.ZipFile(next(built.glob("*.whl"))) as wheel:
+        held = {name for name in wheel.namelist() if name.startswith("softarm/")}
+    assert held == wanted
+
+
+def test_only_softarm_is_added_to_the_environment(installed: Path) -> None:
+    site = next(installed.parents[1].glob("lib/python*/site-packages"))
+    ours = [found for found in distributions(path=[str(site)]) if found.name == "softarm"]
+    tops = {str(file).split("/")[0] for found in ours for file in found.files or ()}
+    assert {top for top in tops if not top.endswith(".dist-info") and top != ".."} == {"softarm"}
+
+
+def test_packages_of_the_user_and_of_softarm_are_importable_together(installed: Path, tmp_path: Path) -> None:
+    said = run(
+        installed,
+        "-c",
+        "import policies.base, training, softarm.policies.base, softarm.training.gym_envs;"
+        "import gymnasium;"
+        "print(policies.base.THEIRS, training.THEIRS, softarm.__file__);"
+        "print(gymnasium.spec('SoftArmReach-v0').id)",
+        cwd=installed.parents[2] / "their-arm",
+    )
+    site = next(installed.parents[1].glob("lib/python*/site-packages"))
+    assert said.splitlines() == [f"True True {site}/softarm/__init__.py", "SoftArmReach-v0"]
+
+
+def test_data_files_are_found_in_the_installed_package(installed: Path, tmp_path: Path) -> None:
+    said = run(
+        installed,
+        "-c",
+        "from softarm.common.revision import PACKAGE;"
+        "from softarm.daemon.config.configuration import read;"
+        "print(read(PACKAGE / 'softarm.yaml').config.api.port, read(PACKAGE / 'twin.yaml').config.drivers.rail.port);"
+        "print((PACKAGE / 'systemd' / 'softarmd.service').is_file(), (PACKAGE / 'docs/operate/service.md').is_file())",
+        cwd=tmp_path,
+    )
+    assert said.split() == ["8080", "15020", "True", "True"]
+
+
+def test_the_wheel_alone_creates_a_configuration_and_a_service(installed: Path, tmp_path: Path) -> None:
+    softarm = installed.with_name("softarm")
+    run(softarm, "config", "new", "--twin", cwd=tmp_path)
+    run(softarm, "config", "new", cwd=tmp_path)
+    assert "softarm.yaml: valid" in run(softarm, "check", "softarm.yaml", cwd=tmp_path)
+    run(softarm, "service", "install", "--root", tmp_path / "root", "--config", "twin.yaml", cwd=tmp_path)
+    unit = (tmp_path / "root/etc/systemd/system/softarmd.service").read_text()
+    assert f"ExecStart={softarm} run --config /etc/softarm/softarm.yaml" in unit.splitlines()
+    page = unit.partition("Documentation=file://")[2].splitlines()[0]
+    assert Path(page).is_relative_to(installed.parents[1])
+    assert Path(page).is_file()
+
+
+@pytest.mark.prove
+@pytest.mark.timeout(400)
+def test_the_demo_runs_from_an_empty_folder(installed: Path, tmp_path: Path) -> None:
+    said = run(installed.with_name("softarm"), "demo", "--targets", "1", cwd=tmp_path, seconds=390)
+    assert "no limit exceeded" in said
+    assert list((tmp_path / "logs").glob("*.mcap"))
+
+
+def test_help_and_the_list_of_policies_from_the_users_project(installed: Path) -> None:
+    home = installed.parents[2] / "their-arm"
+    softarm = installed.with_name("softarm")
+    assert "evaluate" in run(softarm, "--help", cwd=home)
+    assert f"version {softarm_version}" in run(installed, "-m", "softarm.cli.main", "--version", cwd=home)
+
+
+@pytest.mark.prove
+@pytest.mark.timeout(400)
+def test_the_users_plugin_is_flown_and_so_are_a_shipped_policy_and_the_examples(installed: Path) -> None:
+    home = installed.parents[2] / "their-arm"
+    softarm = installed.with_name("softarm")
+    assert "left: 54 targets" in run(softarm, "evaluate", "--policy", "left", cwd=home, seconds=390)
+    flown = run(softarm, "evaluate", "--policy", "reach", cwd=home)
+    assert float(flown.partition("│ all         │")[2].partition("%")[0]) > 85.0
+    examples = home.parent / "examples"
+    tests = [examples / example.name / "tests" for example in EXAMPLES]
+    assert len(tests) == 3
+    plain = ("-q", "-p", "no:cacheprovider", "--import-mode=importlib", "--rootdir", examples)
+    assert " passed" in run(installed, "-m", "pytest", *plain, *tests, cwd=home)

@@ -1,0 +1,149 @@
+"""Tables on the pages: generated from stored results with their origin."""
+
+import json
+import re
+import subprocess
+import sys
+
+import pytest
+from click.testing import CliRunner
+
+from benchmarks import keep, results
+from tools import render, tables
+
+PAGES = sorted(render.DOCS.rglob("*.md"))
+STORED = sorted(file.stem for file in results.FOLDER.glob("*.json"))
+ABOUT = {"revision", "machine", "date", "command", "depends"}
+FIGURE = {"mean": 0.25, "spread": None, "refused": 0}
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
+def test_no_table_is_stale(page):
+    text = page.read_text(encoding="utf-8")
+    assert render.rendered(text) == text, "run python -m tools.render"
+
+
+def test_every_table_is_on_one_page_and_every_result_in_a_table():
+    marked = [name for page in PAGES for name in re.findall(r"<!-- results: (.*?) -->", page.read_text("utf-8"))]
+    assert sorted(marked) == sorted(tables.TABLES)
+    asked = set()
+    for table in tables.TABLES.values():
+        table(lambda name: asked.add(name) or results.read(name))
+    assert sorted(asked) == STORED
+
+
+@pytest.mark.parametrize("name", STORED)
+def test_a_result_states_its_origin(name):
+    about = results.read(name)["about"]
+    assert about.keys() - {"transcribed"} == ABOUT
+    assert about["depends"] == list(results.depends_on(name)), "the paths of benchmarks/results.py"
+    assert all((results.CHECKOUT / path).exists() for path in about["depends"]), "a path was renamed"
+    assert re.fullmatch(r"[0-9a-f]{40}", about["revision"]), "measure at a commit, with nothing changed since"
+    assert about.get("transcribed", True) is True
+
+
+def test_a_page_with_another_figure_is_stale_and_is_updated(tmp_path, monkeypatch):
+    name = "results.md"
+    sound = (render.DOCS / "evidence" / name).read_text(encoding="utf-8")
+    page = tmp_path / name
+    page.write_text(sound.replace("| 9.8 M |", "| 98 M |"), encoding="utf-8")
+    monkeypatch.setattr(render, "DOCS", tmp_path)
+    run = CliRunner().invoke(render.main, ["--check"])
+    assert run.exit_code == 1
+    assert "results.md: stale" in run.output
+    assert CliRunner().invoke(render.main, []).exit_code == 0
+    assert page.read_text(encoding="utf-8") == sound
+    assert CliRunner().invoke(render.main, ["--check"]).exit_code == 0
+
+
+def test_a_missing_table_is_an_error():
+    with pytest.raises(KeyError):
+        render.rendered("<!-- results: nonsense -->\n<!-- /results -->\n")
+
+
+@pytest.mark.parametrize(
+    ("figure", "text"),
+    [
+        (None, ""),
+        (FIGURE, "25.0"),
+        (FIGURE | {"mean": 0.0}, "0"),
+        (FIGURE | {"spread": 0.013}, "25.0 +- 1.3"),
+        (FIGURE | {"mean": 0.0, "spread": 0.0}, "0.0 +- 0.0"),
+        (FIGURE | {"refused": 145 / 162}, "25.0 (refused 145 of 162)"),
+        (FIGURE | {"refused": 1}, "-"),
+    ],
+)
+def test_a_figure_is_shown_with_its_spread_and_rejected_runs(figure, text):
+    assert tables.cell(figure, trials=162) == text
+
+
+def test_a_row_of_another_length_is_rejected():
+    assert tables.markdown(("a", "b"), [["1", ""]]) == "| a | b |\n|---|---|\n| 1 | |\n"
+    with pytest.raises(ValueError, match="1 cells in a table of 2 columns"):
+        tables.markdown(("a", "b"), [["1"]])
+
+
+WRITES = """
+import json, sys
+place = sys.argv[sys.argv.index("--json") + 1]
+json.dump({"speed": 2.5, "long": [1, 2], "about": "its own"}, open(place, "w"))
+sys.exit(int(sys.argv[1]))
+"""
+
+
+def test_the_output_of_a_command_is_stored_with_the_command(tmp_path, monkeypatch):
+    monkeypatch.setattr(results, "FOLDER", tmp_path)
+    script = tmp_path / "measure.py"
+    script.write_text(WRITES)
+    run = CliRunner().invoke(keep.main, ["--without", "long", "loop", "--", sys.executable, str(script), "0"])
+    assert run.exit_code == 0, run.output
+    found = json.loads((tmp_path / "loop.json").read_text())
+    assert found.keys() == {"about", "speed"}
+    assert found["speed"] == 2.5
+    assert found["about"].keys() == ABOUT
+    assert found["about"]["command"].endswith("measure.py 0")
+
+
+def test_a_failed_command_stores_no_output(tmp_path, monkeypatch):
+    monkeypatch.setattr(results, "FOLDER", tmp_path)
+    script = tmp_path / "measure.py"
+    script.write_text(WRITES)
+    run = CliRunner().invoke(keep.main, ["loop", "--", sys.executable, str(script), "3"])
+    assert run.exit_code == 1
+    assert "ended with 3; nothing was kept" in run.output
+    assert not (tmp_path / "loop.json").exists()
+
+
+def test_a_result_counts_the_commits_that_changed_its_code_since(tmp_path):
+    def git(*words):
+        who = ("-c", "user.name=a", "-c", "user.email=a@example.org")
+        return subprocess.run(["git", *who, *words], cwd=tmp_path, check=True, capture_output=True, text=True).stdout
+
+    git("init", "-q")
+    for number, name in enumerate(("code.py", "other.py", "code.py", "code.py")):
+        (tmp_path / name).write_text(str(number))
+        git("add", ".")
+        git("commit", "-qm", name)
+    first = git("rev-list", "--max-parents=0", "HEAD").strip()
+    assert results.age({"revision": first, "depends": ["code.py"]}, tmp_path) == 2
+    assert results.age({"revision": first, "depends": ["other.py"]}, tmp_path) == 1
+    assert results.age({"revision": "HEAD", "depends": ["code.py", "other.py"]}, tmp_path) == 0
+
+
+def test_results_and_pages_that_changed_since_do_not_change_the_revision(tmp_path):
+    def git(*words):
+        who = ("-c", "user.name=a", "-c", "user.email=a@example.org")
+        return subprocess.run(["git", *who, *words], cwd=tmp_path, check=True, capture_output=True, text=True).stdout
+
+    result, code = tmp_path / "benchmarks" / "results" / "loop.json", tmp_path / "benchmarks" / "loop.py"
+    result.parent.mkdir(parents=True)
+    result.write_text("1")
+    code.write_text("1")
+    git("init", "-q")
+    git("add", ".")
+    git("commit", "-qm", "all")
+    commit = git("rev-parse", "HEAD").strip()
+    result.write_text("2")
+    assert results.measured(tmp_path) == commit
+    code.write_text("2")
+    assert results.measured(tmp_path) == f"{commit}+changes"

@@ -1,0 +1,207 @@
+"""Report of a run: the curve for TensorBoard, and a page with curves and tip paths."""
+
+from base64 import b64encode
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from matplotlib.patches import Circle, FancyBboxPatch
+from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+
+from softarm import policies
+from softarm.cli.learn.train import train
+from softarm.schemas import flights
+from softarm.training.learn import validation
+from softarm.training.learn.inference import workers
+from softarm.training.learn.ppo import PpoConfig
+from softarm.training.record import page, path_figure, tensorboard
+from softarm.training.record.settings import TrainingConfig
+from softarm.training.run import report, warm_start
+from softarm.training.run.session import Session
+from softarm.training.task.reach import ReachTask
+from softarm.training.task.shelf import ShelfTask
+
+pytestmark = pytest.mark.slow
+
+SMALL = TrainingConfig(seed=3, robots=16, validate_every=2, validation_trials=12)
+FRAMES = 16 * 16
+SHIPPED = Path(policies.__file__).parent / "models" / "reach.onnx"
+RADIUS_M = ReachTask().success_radius_m
+
+
+def session(out, pool, resume=False, task=None):
+    return Session(task or ReachTask(), SMALL, PpoConfig(), out, pool, resume)
+
+
+@cache
+def flown():
+    """The 54 targets by the shipped policy: most reached, some missed."""
+    prior = warm_start.load_weights(SHIPPED)
+    with workers(1) as pool:
+        return validation.grid_test(prior.network, prior.task, pool, physics_rate_hz=240.0)
+
+
+def flown_at_shelf(run, pool):
+    """Only the twelve, and coarsely."""
+    trials = validation.combined(flights.shelf(), run.model.arm.links)
+    outcome = validation.fly(run.average, run.task, trials, pool)
+    return validation.Tested(validation.ShelfReport(float(outcome.reached.mean()), 0.25), trials, outcome)
+
+
+def read(folder):
+    """tag -> (frames, value) of each point."""
+    events = EventAccumulator(str(folder)).Reload()
+    return {tag: [(each.step, each.value) for each in events.Scalars(tag)] for tag in events.Tags()["scalars"]}
+
+
+def reported(curve):
+    """Return the learning curve as TensorBoard stores it, in float32."""
+    points = {}
+    for tag, column in tensorboard.SCALARS.items():
+        values = [(row.frames, getattr(row, column)) for row in curve]
+        points[tag] = [(frames, pytest.approx(value, rel=1e-6)) for frames, value in values if value is not None]
+    return points
+
+
+def test_tensorboard_holds_the_learning_curve_over_frames(tmp_path):
+    with workers(1) as pool:
+        run = session(tmp_path, pool)
+        run.run(frames=3 * FRAMES, minutes=None)
+    points = read(tmp_path / "tensorboard")
+    assert points == reported(run.curve)
+    assert [frames for frames, _ in points["episodes/reward"]] == [FRAMES, 2 * FRAMES, 3 * FRAMES]
+    assert [frames for frames, _ in points["validation/success"]] == [2 * FRAMES, 3 * FRAMES]
+    assert run.events.fault is None
+
+
+def test_a_resumed_run_writes_each_point_once(tmp_path):
+    with workers(1) as pool:
+        killed = session(tmp_path, pool)
+        for _ in range(3):  # one beyond its last checkpoint
+            killed.advance()
+        killed.events.close()
+        assert len(read(tmp_path / "tensorboard")["learner/kl"]) == 3
+        resumed = session(tmp_path, pool, resume=True)
+        assert len(resumed.curve) == 2
+        resumed.run(frames=4 * FRAMES, minutes=None)
+    assert len(resumed.curve) == 4
+    assert read(tmp_path / "tensorboard") == reported(resumed.curve)
+
+
+def test_training_without_tensorboard_continues_with_one_message(tmp_path, monkeypatch):
+    monkeypatch.setattr(tensorboard, "find_spec", lambda name: None)
+    monkeypatch.setattr(report, "fly_test_trials", lambda session: flown())
+    arguments = ["reach", "--robots", "16", "--frames", str(FRAMES), "--out", str(tmp_path)]
+    result = CliRunner().invoke(train, arguments)
+    assert result.exit_code == 0, result.output
+    assert " ".join(result.output.split()).count("pip install tensorboard") == 1
+    assert "tensorboard --logdir" not in result.output
+    assert not (tmp_path / "tensorboard").exists()
+    assert "report.html" in result.output
+    assert (tmp_path / "report.html").is_file()
+    assert (tmp_path / "reach.onnx").is_file()
+
+
+def test_a_read_only_folder_does_not_stop_a_run(tmp_path):
+    (tmp_path / "tensorboard").write_text("in the way")
+    with workers(1) as pool:
+        run = session(tmp_path, pool)
+        run.run(frames=2 * FRAMES, minutes=None)
+    assert len(run.curve) == 2
+    assert str(tmp_path / "tensorboard") in run.events.fault
+
+
+def test_paths_of_successes_end_at_the_target():
+    trials, outcome = flown().scenarios, flown().flown
+    assert 20 < outcome.reached.sum() < 150, "trials that all end alike would prove nothing"
+    np.testing.assert_allclose(outcome.tip_m[0, :, 0], trials.starts.cart_position_m, atol=1e-3)  # the arm hangs
+    for trial, reached in enumerate(outcome.reached):
+        path = outcome.tip_m[:, trial]
+        flying = np.isfinite(path).all(axis=1)
+        steps = round(float(outcome.time_s[trial]) * 30)
+        assert flying.tolist() == [True] * (steps + 1) + [False] * (100 - steps)
+        away = np.linalg.norm(path[1 : steps + 1] - trials.target_m[trial], axis=1)
+        assert (away[-1] < RADIUS_M) == reached
+        assert (away[:-1] >= RADIUS_M).all()
+        assert away.min() == pytest.approx(outcome.closest_m[trial], abs=1e-6)
+
+
+def test_the_picture_shows_every_trial_of_the_54_targets():
+    tested = flown()
+    figure = path_figure.draw(tested, ReachTask(), "reach, seed 1")
+    assert len(figure.axes) == 54
+    drawn = {line.get_gid(): line for axes in figure.axes for line in axes.get_lines() if line.get_gid()}
+    assert drawn.keys() == {f"trial-{k}" for k in range(162)}
+    for k, reached in enumerate(tested.flown.reached):
+        line = drawn[f"trial-{k}"]
+        assert line.get_color() == (path_figure.REACHED if reached else path_figure.MISSED)
+        away = np.linalg.norm(line.get_xydata()[-1] - tested.scenarios.target_m[k])
+        assert (away < RADIUS_M) == reached
+    # Panels lie as the targets do, whatever order those have.
+    places = [axes.get_position() for axes in figure.axes]
+    centres = [next(p for p in axes.patches if isinstance(p, Circle)).get_center() for axes in figure.axes]
+    for way, of in ((lambda place: place.x0, 0), (lambda place: place.y0, 1)):
+        order = np.argsort([centre[of] for centre in centres], kind="stable")
+        assert (np.diff([way(places[k]) for k in order]) >= -1e-9).all()
+    words = [text.get_text() for axes in figure.axes for text in axes.texts]
+    assert any(word.startswith("in ") for word in words)
+    assert any(word.endswith("cm away") for word in words)
+
+
+def test_a_report_is_one_self_contained_file(tmp_path):
+    with workers(1) as pool:
+        run = session(tmp_path, pool)
+        run.run(frames=2 * FRAMES, minutes=None)
+        text = report.write(run, flown()).read_text()
+    for picture in ("learning_curve.png", "tip_paths.png"):
+        content = (tmp_path / picture).read_bytes()
+        assert content.startswith(b"\x89PNG")
+        assert f"data:image/png;base64,{b64encode(content).decode()}" in text
+    assert "http://" not in text
+    assert "https://" not in text
+    assert "<script" not in text
+    assert flown().report.sentence in text
+    assert "<code>run.robots</code></th><td>16</td><td>2048</td>" in text
+    assert "ppo." not in text  # as usual
+    assert f"{run.best:.1%}" in text
+
+
+def test_the_shelf_is_drawn_with_its_boards(tmp_path):
+    with workers(1) as pool:
+        run = session(tmp_path, pool, task=ShelfTask())
+        run.run(frames=2 * FRAMES, minutes=None)
+        tested = flown_at_shelf(run, pool)
+        text = report.write(run, tested).read_text()
+    assert "shelf, seed 3" in text
+    assert text.count("data:image/png;base64,") == 2
+    figure = path_figure.draw(tested, run.task, run.title)
+    assert len(figure.axes) == 4
+    assert sum(len([line for line in axes.get_lines() if line.get_gid()]) for axes in figure.axes) == 12
+    for axes, target, depth in zip(
+        figure.axes, tested.scenarios.target_m[::3], tested.scenarios.depth_m[::3], strict=True
+    ):
+        boards = [patch.get_path().get_extents() for patch in axes.patches if isinstance(patch, FancyBboxPatch)]
+        lower, upper = sorted(boards, key=lambda board: board.y0)
+        assert lower.y1 == pytest.approx(target[1] - run.task.board_below_m, abs=1e-6)
+        assert upper.y0 - lower.y1 == pytest.approx(0.2, abs=1e-6)
+        assert lower.x1 == upper.x1 == pytest.approx(target[0] + depth, abs=1e-6)
+
+
+def test_a_page_lists_only_settings_that_differ_from_the_default():
+    usual = {"run.robots": 4096, "task.target_z_m": [0.55, 0.7], "randomise.each_episode": False}
+    assert page.changed(usual, usual) == []
+    given = usual | {"task.target_z_m": [0.55, 0.8], "randomise.each_episode": True}
+    assert page.changed(given, usual) == [("task.target_z_m", "0.55 .. 0.8", "0.55 .. 0.7")]
+    given |= {"randomise.ranges.arm.payload.mass": [0.0, 0.05]}
+    assert ("randomise.ranges.arm.payload.mass", "0 .. 0.05", "") in page.changed(given, usual)
+    assert ("randomise.each_episode", "True", "False") in page.changed(given, usual)
+
+
+def test_names_are_escaped_in_markup():
+    summary = page.Summary("a<b>", "reach", "<i>", 1, 10, 1.0, 0.5, 10, "<u>", "x < y", [("<s>", "<p>", "")])
+    text = page.render(summary, b"", b"")
+    assert "a&lt;b&gt;" in text
+    for tag in ("<b>", "<i>", "<u>", "<s>", "<td><p>"):
+        assert tag not in text

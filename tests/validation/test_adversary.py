@@ -1,0 +1,66 @@
+"""A small run of the adversary: a few worlds, with the filter alone and the whole tick."""
+
+import numpy as np
+import pytest
+
+from softarm.schemas.config import RailLimits
+from softarm.schemas.robot import RAIL_EXCURSION_M, RAIL_LIMIT_M
+from validation import adversary
+from validation.adversary_batch import Genes, Policies, World, attack, fly, measured
+
+NOMINAL = World(6.0, 1 / 30, 0.0, 0.0, 0.0, 1)
+POOR = World(4.0, 0.08, 0.05, 0.12, 0.2, 3)  # slow, late, loaded, seen late, and ticks are skipped
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("world", [NOMINAL, POOR])
+def test_no_policy_moves_the_cart_beyond_the_margin(world):
+    found = attack(world, robots=48, seed=1)
+    assert found["beyond_m"] < RAIL_EXCURSION_M
+    assert found["robot_ticks"] == 48 * 1000
+
+
+def test_the_default_limits_hold_the_nominal_robot_against_the_worst_policy():
+    """Bred by the search: with 3 m/s^2 to brake with it came 2 cm beyond."""
+    robots, rng = 32, np.random.default_rng(0)
+    genes = Genes(*(np.full(robots, each) for each in (1.15, 1.0, 0.43, 1.0, 0.38, 0.6)))
+    genes = Genes(*(each + 0.02 * rng.standard_normal(robots) for each in genes))
+    flown = fly(NOMINAL, RailLimits(), Policies(robots, rng, genes), 200, rng)
+    assert 0.22 < flown.farthest_m.max() < RAIL_LIMIT_M + RAIL_EXCURSION_M
+    mild = fly(NOMINAL, RailLimits(braking_m_s2=4.0, surge_m_s2=8.0), Policies(robots, rng, genes), 200, rng)
+    assert mild.farthest_m.max() > RAIL_LIMIT_M + RAIL_EXCURSION_M
+
+
+def test_the_measured_bounds_match_the_robots_motion():
+    limits = measured(World(3.0, 0.05, 0.0, 0.0, 0.0, 1), 32, np.random.default_rng(0))
+    assert 0.2 < limits.braking_m_s2 < 3.0
+    assert limits.surge_m_s2 >= 6.0
+    assert limits.latency_s == 0.05
+
+
+@pytest.mark.prove
+def test_the_whole_tick_gives_the_same_result(monkeypatch):
+    monkeypatch.setattr(adversary, "TICKS_OF_A_WORLD", 500)
+    found = adversary.attack_by_ticks(POOR, seed=2)
+    assert found["robot_ticks"] >= 500
+    assert found["beyond_m"] < RAIL_EXCURSION_M
+    assert found["farthest_m"].keys() == set(adversary.KINDS)
+
+
+def test_the_summary_counts_the_worlds_beyond_the_margin():
+    def world(beyond_m, **more):
+        return {
+            "beyond_m": beyond_m,
+            "flights": 2,
+            "robot_ticks": 10,
+            "farthest_m": {"random": 0.25 + beyond_m},
+            **more,
+        }
+
+    found = adversary.summed([world(-0.01), world(0.004), world(0.02, stops={"rail_outside": 1}), world(0.05)])
+    assert (found["worlds"], found["robot_ticks"], found["flights"]) == (4, 40, 8)
+    assert found["worlds_beyond_soft_limit"] == 3
+    assert (found["worlds_beyond_margin"], found["worlds_at_hard_limit"]) == (2, 1)
+    assert found["farthest_m"]["random"] == pytest.approx(0.3)
+    assert found["stops"] == {"rail_outside": 1}
+    assert [each["beyond_m"] for each in found["worst"]] == [0.05, 0.02, 0.004, -0.01]

@@ -1,0 +1,174 @@
+"""The robot of validation/outside: it shares no code with softarm and follows the page."""
+
+import ast
+import csv
+import re
+import sys
+from pathlib import Path
+
+import pytest
+
+from softarm.schemas.robot import PHYSICS_RATE_HZ
+from softarm.simulator.simulator import Simulator
+from validation import outside
+from validation.outside import regulator
+from validation.outside.body import STOP_M, Body
+from validation.outside.drive import OFF, RUN, Drive
+from validation.outside.robot import STEP_S, Robot
+
+FOLDER = Path(outside.__file__).parent
+REFERENCE = Path(__file__).parents[2] / "docs" / "reference"
+PAGE = (REFERENCE / "wires.md").read_text(encoding="utf-8")
+OTHERS = {"numpy", "zenoh"}
+UNRELIED = 1 << 10 | 1 << 12  # of 6041h: the page's vectors show the twin's
+
+
+def rows(first: str) -> list[list[str]]:
+    """Cells of every line of the page whose first cell matches."""
+    lines = [[cell.strip(" `") for cell in line.strip("|").split("|")] for line in PAGE.splitlines() if line[:1] == "|"]
+    return [cells for cells in lines if re.fullmatch(first, cells[0])]
+
+
+def vectors(name: str) -> list[list[str]]:
+    """Return the rows of a file with test vectors."""
+    with (REFERENCE / "vectors" / name).open(newline="") as lines:
+        return list(csv.reader(lines))[1:]
+
+
+@pytest.mark.parametrize("file", sorted(FOLDER.glob("*.py")), ids=lambda file: file.name)
+def test_the_outside_robot_imports_nothing_of_softarm(file: Path) -> None:
+    for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            named = [alias.name for alias in node.names]
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level < 2, "above its own folder"
+            named = [] if node.level else [node.module or ""]
+        else:
+            continue
+        assert {name.partition(".")[0] for name in named} <= sys.stdlib_module_names | OTHERS
+
+
+def test_the_outside_regulator_follows_the_page(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(regulator.os, "urandom", lambda _: 0xA1B2C3D4.to_bytes(4, "little"))
+    firmware, said = regulator.Firmware(), vectors("regulator.csv")
+    assert len(said) > 20
+    for (_, _, time_us, _, line), (_, answer, _, _, answered) in zip(said[::2], said[1::2], strict=True):
+        kpa = re.search(r"(\S+) kPa", answer)
+        assert firmware.receive(bytes.fromhex(line), int(time_us), float(kpa[1]) if kpa else 0.0).hex() == answered
+
+
+def without_unrelied(telegram: bytes) -> bytes:
+    """A read statusword's bits that no client may rely on, taken out."""
+    if telegram[9:10] == b"\0" and telegram[12:14] == b"\x60\x41" and len(telegram) == 21:
+        word = int.from_bytes(telegram[19:], "little") & ~UNRELIED
+        return telegram[:19] + word.to_bytes(2, "little")
+    return telegram
+
+
+def test_the_outside_drive_follows_the_page() -> None:
+    """Up to the new connection: what a drive shows after it has braked by itself is its own."""
+    drive, answered = Drive(None, 0.0, 0.0, keep=False), 0
+    drive.step(STEP_S, 0.0, 0.0, 0.0)
+    for says, *telegrams in vectors("rail.csv"):
+        if says == "*a new connection*":
+            break
+        if motion := re.search(r"at (\S+) m, moving at (\S+) m/s", says):
+            drive.step(STEP_S, 0.1, float(motion[1]), float(motion[2]))
+        else:
+            request, answer = bytes.fromhex(telegrams[0]), bytes.fromhex(telegrams[2])
+            assert without_unrelied(drive.answer(request, 0.1)).hex() == without_unrelied(answer).hex(), says
+            answered += 1
+    assert answered == 28
+
+
+@pytest.mark.parametrize(
+    "row", rows("[0-9A-F]{4}h") and [r for r in rows("[0-9A-F]{4}h") if r[1][2:4] == "h "], ids=str
+)
+def test_each_controlword_leads_to_the_state_of_the_page(row: list[str]) -> None:
+    word, before, after = (int(cell.split("h")[0], 16) for cell in row[:3])
+    drive = Drive(None, 0.0, 0.0, keep=False)
+    drive.state = before
+    drive.answer(telegram(0x6040, word, 2), 0.0)
+    assert drive.state == after
+
+
+def telegram(index: int, value: int, size: int) -> bytes:
+    """A write."""
+    data = value.to_bytes(size, "little", signed=value < 0)
+    head = bytes((0, 1, 0, 0, 0, 13 + size, 0, 0x2B, 0x0D, 1, 0, 0)) + index.to_bytes(2, "big")
+    return head + bytes((0, 0, 0, 0, size)) + data
+
+
+def running(keep: bool = False, latency_s: float = 0.0) -> Robot:
+    """In operation at time 0."""
+    robot = Robot(Body(), Drive(6.0, latency_s, 0.0, keep, friction_n=3.0), bound_m=0.2)
+    for index, value, size in ((0x6060, 3, 1), (0x6040, 6, 2), (0x6040, 7, 2), (0x6040, 15, 2)):
+        robot.drive.answer(telegram(index, value, size), 0.0)
+    assert robot.drive.state == RUN
+    return robot
+
+
+def drive_for(robot: Robot, seconds: float, master_until_s: float = 1e9) -> None:
+    """Let time pass from 0; the master asks for the statusword until then."""
+    for step in range(round(seconds / STEP_S)):
+        now = step * STEP_S
+        if now < master_until_s:
+            robot.drive.answer(telegram(0x60FF, 50_000, 4), now)
+        robot.step(now)
+
+
+def test_a_set_point_acts_on_the_ramp_after_the_latency() -> None:
+    robot = running(latency_s=0.05)
+    drive_for(robot, 0.05)
+    assert abs(robot.body.cart_m_s) < 0.01
+    robot = running(latency_s=0.05)
+    drive_for(robot, 0.1)
+    assert robot.body.cart_m_s == pytest.approx(0.3, abs=0.05)
+
+
+def test_a_silent_master_stops_the_drive_unless_it_keeps_its_set_point() -> None:
+    braked, kept = running(), running(keep=True)
+    for robot in (braked, kept):
+        drive_for(robot, 1.0, master_until_s=0.2)
+    assert braked.drive.state == OFF
+    assert (braked.crashes, braked.excursions) == (0, 0)
+    assert braked.max_cart_m < 0.2
+    assert [crash["speed_m_s"] for crash in kept.last_crashes] == [pytest.approx(0.5, abs=0.1)]
+    assert (kept.crashes, kept.excursions) == (1, 1)
+    assert STOP_M <= kept.max_cart_m < STOP_M + 0.005
+
+
+@pytest.mark.parametrize(
+    ("angle_rad", "friction_n", "held_s", "rolled_mm"),
+    [(1.0, 0.0, 0, 130), (1.0, 3.0, 0, 1), (1.5, 0.0, 0, 155), (1.5, 3.0, 0, 7), (1.5, 1.0, 0, 72), (1.5, 1.0, 3, 1)],
+)
+def test_a_cart_without_power_is_rolled_by_the_arm(
+    angle_rad: float, friction_n: float, held_s: int, rolled_mm: int
+) -> None:
+    """docs/operate/safety.md says so."""
+    body = Body(friction_n=friction_n)
+    body.q[1:] = angle_rad
+    for _ in range(round(held_s / STEP_S)):
+        body.step(STEP_S, 0.0, 0.0, servo_ns_m=1e5)
+    begin_m = body.cart_m
+    robot = Robot(body, Drive(None, 0.0, 0.0, keep=False), bound_m=1.0)
+    for step in range(2000):
+        robot.step(step * STEP_S)
+    assert abs(begin_m) < 0.001
+    assert 1e3 * robot.max_cart_m == pytest.approx(rolled_mm, abs=1)
+
+
+def test_the_outside_arm_agrees_with_the_simulator() -> None:
+    """The same pressures on a cart that gives way: two formulations of one robot, tips within 2 mm."""
+    body, simulator = Body(friction_n=0.0), Simulator(physics_rate_hz=PHYSICS_RATE_HZ)
+    servo_ns_m = simulator.model.cart.velocity_gain_n_s_m
+    apart_mm = []
+    for tick in range(90):
+        kpa = 16.0 if tick % 20 < 10 else 2.0
+        for _ in range(33):
+            body.step(STEP_S, kpa, -servo_ns_m * body.cart_m_s, servo_ns_m)
+        simulator.step(0.0, kpa, 33 * STEP_S)
+        y, z, _ = body.poses()["link5"]
+        true_y, true_z = simulator.tip_m()[0].tolist()
+        apart_mm.append(1e3 * ((y - true_y) ** 2 + (z - true_z) ** 2) ** 0.5)
+    assert max(apart_mm) < 2.0

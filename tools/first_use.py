@@ -1,0 +1,145 @@
+"""Time the first minutes of a new user: from a fresh clone to a target clicked in the browser, then their own policy.
+
+    python -m tools.first_use --json FILE
+
+The steps are those of README.md and docs/tutorial.md in an empty folder: clone this checkout, run `make demo` (packages
+come over the network unless pip has them), start the daemon, and let a real browser arm, click and watch. The time to
+read and think is not included. Needs Chromium and Playwright.
+"""
+
+import os
+import re
+import signal
+import subprocess
+import tempfile
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import click
+from rich.console import Console
+from rich.table import Table
+
+from benchmarks import results
+from softarm.common.revision import CHECKOUT
+from tools import chromium
+
+_SERVING = re.compile(r"serving (http://\S+)")
+AIMS_S = {"a target clicked, and reached": 300.0, "an own policy flown": 600.0}
+
+
+class Stopwatch:
+    """Seconds since the start of the clone, step by step."""
+
+    def __init__(self, console: Console) -> None:
+        self._console, self._begun_s = console, time.monotonic()
+        self.steps: list[tuple[str, float]] = []
+
+    def passed(self, step: str) -> None:
+        """Record the end of a step."""
+        self.steps.append((step, time.monotonic() - self._begun_s))
+        self._console.print(f"{self.steps[-1][1]:6.1f} s  {step}")
+
+
+def typed(command: str, folder: Path, environment: dict[str, str] | None = None) -> None:
+    """Run a command as a user would type it.
+
+    Raises:
+        ClickException: The command failed; with its output.
+    """
+    done = subprocess.run(command, shell=True, cwd=folder, env=environment, capture_output=True, text=True, check=False)
+    if done.returncode:
+        raise click.ClickException(f"{command}\n{done.stdout[-2000:]}\n{done.stderr[-2000:]}")
+
+
+@contextmanager
+def daemon(folder: Path, environment: dict[str, str]) -> Iterator[str]:
+    """Run `softarm run --simulated` on a free port while the context lasts and yield its URL."""
+    ports = folder / "ports.yaml"
+    ports.write_text("api: {port: 0, stop_port: 0}\n", encoding="utf-8")
+    command = ["softarm", "run", "--simulated", "--config", str(ports)]
+    with subprocess.Popen(command, cwd=folder, env=environment, stdout=subprocess.PIPE, text=True) as running:
+        try:
+            assert running.stdout is not None
+            found = next((found for line in running.stdout if (found := _SERVING.search(line))), None)
+            if found is None:
+                raise click.ClickException("the daemon ended before it served; see its message above")
+            yield found[1]
+        finally:
+            running.send_signal(signal.SIGINT)
+
+
+def click_a_target(url: str, seen: str) -> None:
+    """Arm in the browser, click into the drawing and wait for the result; raise a time-out otherwise.
+
+    Args:
+        url: Address of the dashboard.
+        seen: Regular expression of the expected text about the goal.
+    """
+    from playwright.sync_api import expect
+
+    with chromium.opened() as browser:
+        page = browser.new_page(viewport={"width": 1280, "height": 900})
+        page.goto(url)
+        expect(page.locator("#do-arm")).to_be_enabled(timeout=30_000)
+        expect(page.locator("#reasons .reason")).to_have_count(0, timeout=30_000)  # reasons against arming
+        page.locator("#do-arm").click()
+        expect(page.locator("#mode")).to_have_attribute("data-mode", "armed", timeout=15_000)
+        box = page.locator("#drawing").bounding_box()
+        assert box is not None
+        page.mouse.click(box["x"] + 0.36 * box["width"], box["y"] + 0.55 * box["height"])
+        expect(page.locator("#goal")).to_contain_text(re.compile(seen), timeout=20_000)
+
+
+def environment_of(clone: Path) -> dict[str, str]:
+    """Return the environment of a terminal with the virtual environment of a clone."""
+    mine = {key: value for key, value in os.environ.items() if key not in ("PYTHONPATH", "PYTHONHOME")}
+    return {**mine, "VIRTUAL_ENV": str(clone / ".venv"), "PATH": f"{clone / '.venv/bin'}:{os.environ['PATH']}"}
+
+
+def first_use(clone: Path, watch: Stopwatch) -> None:
+    """Run and time every step."""
+    typed(f"git clone --quiet {CHECKOUT} {clone}", clone.parent)
+    watch.passed("cloned")
+    bare = {key: value for key, value in os.environ.items() if key not in ("PYTHONPATH", "VIRTUAL_ENV")}
+    typed("make demo", clone, bare)
+    watch.passed("make demo: set up, ten targets")
+    environment = environment_of(clone)
+    with daemon(clone, environment) as url:
+        watch.passed("softarm run --simulated")
+        click_a_target(url, "reached ✓")
+        watch.passed("a target clicked, and reached")
+    typed("softarm new policy my-swing", clone, environment)
+    typed("pip install --editable softarm-my-swing", clone, environment)
+    watch.passed("softarm new policy, installed")
+    with daemon(clone, environment) as url:
+        typed("softarm policy use my-swing", clone, {**environment, "SOFTARM_URL": url})
+        click_a_target(url, "reached ✓|Not reached")  # the first policy is a simple one
+        watch.passed("an own policy flown")
+
+
+@click.command()
+@results.json_option
+def main(json_file: Path | None) -> None:
+    """Run all steps and print their times.
+
+    \b
+    Example:
+      python -m tools.first_use --json first-use.json
+    """
+    console = Console()
+    with tempfile.TemporaryDirectory() as folder:
+        watch = Stopwatch(console)
+        first_use(Path(folder) / "softarm", watch)
+    table = Table("", "after", "aim")
+    for step, seconds in watch.steps:
+        table.add_row(step, f"{seconds:.0f} s", f"{AIMS_S[step]:.0f} s" if step in AIMS_S else "")
+    console.print(table)
+    if json_file is not None:
+        steps = [{"step": step, "after_s": round(s, 1), "aim_s": AIMS_S.get(step)} for step, s in watch.steps]
+        results.write(json_file, {"steps": steps})
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,1 @@
+"""Check of exported logs in Foxglove Studio, in its last open version from npm."""

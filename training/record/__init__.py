@@ -1,1 +1,0 @@
-"""What a run leaves: the learning curve, pictures, a page, the exported policy."""

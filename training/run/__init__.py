@@ -1,1 +1,0 @@
-"""A training run, many of them, and one that goes on from a shipped policy."""

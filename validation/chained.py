@@ -1,0 +1,411 @@
+"""Fly goals without rest: does the cart ever leave its limits, does the arm ever stop unrequested?
+
+Each goal starts where the last one ended, in mid-swing; goals are drawn from the whole workspace. The body is the
+simulator or the independent robot of `reality/`, in lockstep with the daemon's tick, or the robot of
+`validation/outside/` behind real interfaces in real time. The cart's motion is taken from the body's true state.
+After an unrequested stop a new robot starts at rest in the middle.
+
+    python -m validation.chained --body outside --goals 1000 --json FILE
+
+Every goal is stored at once in FILE.part; the same command continues from there.
+"""
+
+import contextlib
+import json
+import shlex
+import subprocess
+import sys
+import tempfile
+import time
+from collections import Counter
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any, Protocol
+
+import click
+import numpy as np
+from rich.console import Console
+
+from benchmarks import results
+from softarm.common.processes import bar
+from softarm.daemon.config import configuration
+from softarm.daemon.control.records import Mode, Outputs, Request
+from softarm.daemon.control.workspace import refusals
+from softarm.daemon.runtime.offline import Lockstep
+from softarm.drivers.bodies.base import Body
+from softarm.drivers.bodies.independent import IndependentBody
+from softarm.drivers.bodies.simulated import SimulatedBody
+from softarm.evaluation.robots import ROBOTS
+from softarm.evaluation.software_in_the_loop import SoftwareInTheLoop, SoftwareInTheLoopError
+from softarm.policies import registry
+from softarm.policies.base import Policy
+from softarm.schemas.config import Config
+from softarm.schemas.goals import Goal
+from softarm.schemas.policy import TrainingRange
+from softarm.schemas.robot import RAIL_EXCURSION_M
+
+STOP_M = 0.0005  # distance from the end of travel that counts as a hit
+LOOKS = 8  # samples of the cart per tick in lockstep: 240 Hz
+AFTER_S = 1.0  # observed after a stop and after the last goal
+POLL_S = 0.03
+SHARED = {"limits", "failsafe", "goals", "policies"}  # sections of the configuration used with every body
+
+
+@dataclass
+class Leg:
+    """Result of one goal."""
+
+    reached: bool
+    trained: bool  # target within the policy's training range
+    max_cart_m: float
+    excursions: int
+    crashes: int
+    stop: str | None  # reason of an unrequested stop
+    events: list[str]
+    seconds: float
+    timing: dict[str, float] = field(default_factory=dict)  # in real time only
+
+
+class Arm(Protocol):
+    """Daemon together with a robot."""
+
+    def fly(self, goal: Goal, trained: bool, last: bool) -> Leg:
+        """Fly one goal from the current state.
+
+        Args:
+            goal: The target.
+            trained: Whether the policy was trained on targets there.
+            last: Observe for another second afterwards.
+        """
+
+    def close(self) -> None:
+        """Release the daemon and the robot."""
+
+
+class Cart:
+    """Record of a cart, with its farthest position and how often it exceeded the bound and hit the end of travel."""
+
+    def __init__(self, bound_m: float, travel_m: float) -> None:
+        self.max_m = 0.0
+        self.excursions = self.crashes = 0
+        self._bound_m, self._end_m = bound_m, travel_m - STOP_M
+        self._before_m = 0.0
+
+    def look(self, cart_m: float) -> None:
+        """Record the current position, m from the middle."""
+        before_m, away_m = self._before_m, abs(cart_m)
+        self.max_m = max(self.max_m, away_m)
+        self.excursions += away_m > self._bound_m >= before_m
+        self.crashes += away_m >= self._end_m > before_m
+        self._before_m = away_m
+
+
+class InLockstep:
+    """The daemon's tick with a body in this process."""
+
+    def __init__(self, config: Config, policy: Policy, body: Body) -> None:
+        self._daemon = Lockstep(config, policy, body=body)
+        self._daemon.arm()
+        self._bound_m = bound_m(config)
+        self._cart = Cart(self._bound_m, body.travel_m)
+        self._period_ns = round(1e9 / config.control.rate_hz)
+
+    def fly(self, goal: Goal, trained: bool, last: bool) -> Leg:
+        """Fly one goal as `Arm.fly` does.
+
+        Raises:
+            RuntimeError: The goal was refused.
+        """
+        cart, daemon = self._cart, self._daemon
+        cart.max_m, excursions, crashes = 0.0, cart.excursions, cart.crashes
+        events: set[str] = set()
+        request = daemon.request("goal", goal)
+        outputs = self._tick(request)
+        if not all(result.accepted for result in outputs.results if result.number == request.number):
+            raise RuntimeError(f"{goal} was refused: {outputs.results[-1].reasons}")
+        begun_ns = outputs.t_ns
+        while outputs.goal.state == "running" and outputs.mode is Mode.ARMED:
+            outputs = self._tick()
+            events |= {event.name for event in outputs.events}
+        seconds = (outputs.t_ns - begun_ns) * 1e-9
+        stop = None if outputs.mode is Mode.ARMED else str(outputs.last_stop)
+        reached = outputs.goal.state == "reached"
+        for _ in range(round(AFTER_S * daemon.config.control.rate_hz) if last or stop else 0):
+            self._tick()
+        excursions, crashes = cart.excursions - excursions, cart.crashes - crashes
+        return Leg(reached, trained, cart.max_m, excursions, crashes, stop, sorted(events), seconds)
+
+    def close(self) -> None:
+        """Do nothing, since no resource is held."""
+
+    def _tick(self, *requests: Request) -> Outputs:
+        robot = self._daemon.robot
+        begun_ns = robot.now_ns
+        for part in range(1, LOOKS):
+            robot.advance(begun_ns + part * self._period_ns // LOOKS)
+            self._cart.look(robot.body.cart_position_m)
+        outputs = self._daemon.tick(*requests)
+        self._cart.look(robot.body.cart_position_m)
+        return outputs
+
+
+class Outside(SoftwareInTheLoop):
+    """The daemon as a user starts it, with the outside robot in place of the twin."""
+
+    def __init__(self, config: Config, policy: str, options: Sequence[str], logs: Path) -> None:
+        overrides = config.model_dump(mode="json", include=SHARED, exclude_unset=True)
+        super().__init__(logs, {**overrides, "control": {"policy": policy}})
+        self._options = [*options, "--bound-m", str(bound_m(config))]
+        self._truth_file = self.folder / "truth.json"
+
+    def start_twin(self) -> None:
+        """Start the outside robot instead of the twin."""
+        drivers = self.settings["drivers"]
+        where = {
+            "serial": drivers["regulator"]["port"],
+            "rail-port": drivers["rail"]["port"],
+            "endpoint": drivers["mocap"]["endpoint"],
+            "status": self._truth_file,
+        }
+        options = [part for name, value in where.items() for part in (f"--{name}", str(value))]
+        with (self.folder / "outside.out").open("ab") as output:
+            self.twin = subprocess.Popen(
+                [sys.executable, "-m", "validation.outside", *options, *self._options],
+                stdout=output,
+                stderr=subprocess.STDOUT,
+            )
+        self._wait("outside", self.twin, lambda: self._truth_file.exists() and self._truth_file.stat().st_size > 0)
+
+    def truth(self) -> dict[str, Any]:
+        """Return the robot's true state, at most 50 ms old."""
+        while True:  # the file is rewritten in place and may be incomplete
+            with contextlib.suppress(json.JSONDecodeError):
+                return dict(json.loads(self._truth_file.read_text()))
+
+
+class OnWires:
+    """The daemon with the outside robot, in real time."""
+
+    def __init__(self, config: Config, policy: str, options: Sequence[str], logs: Path) -> None:
+        """Start both processes and arm.
+
+        Raises:
+            SoftwareInTheLoopError: A process did not start, or arming was refused.
+        """
+        with contextlib.ExitStack() as stack:
+            self._loop = stack.enter_context(Outside(config, policy, options, logs))
+            self._loop.arm()
+            self._ends = stack.pop_all()
+
+    def fly(self, goal: Goal, trained: bool, last: bool) -> Leg:
+        """Fly one goal as `Arm.fly` does.
+
+        Raises:
+            SoftwareInTheLoopError: The goal was refused, or a process has ended.
+        """
+        loop = self._loop
+        before, missed = loop.truth(), loop.status()["missed_total"]
+        events: set[str] = set()
+        loop.reach(goal)
+        while (status := loop.status())["goal"]["state"] == "running" and status["mode"] == "armed":
+            events |= {event["name"] for event in status["events"]}
+            time.sleep(POLL_S)
+        stop = None if status["mode"] == "armed" else str(status["last_stop"])
+        if last or stop:
+            time.sleep(AFTER_S)
+        after = loop.truth()
+        timing = {name: after[name] - before[name] for name in ("steps", "late_steps", "stalls", "paused_s")}
+        return Leg(
+            reached=status["goal"]["state"] == "reached",
+            trained=trained,
+            max_cart_m=after["max_cart_m"],
+            excursions=after["excursions"] - before["excursions"],
+            crashes=after["crashes"] - before["crashes"],
+            stop=stop,
+            events=sorted(events | {event["name"] for event in status["events"]}),
+            seconds=status["goal"]["time_s"],
+            timing={**timing, "max_late_s": after["max_late_s"], "missed_ticks": status["missed_total"] - missed},
+        )
+
+    def close(self) -> None:
+        """End the daemon and the robot."""
+        self._ends.close()
+
+
+def bound_m(config: Config) -> float:
+    """Return how far the cart may be from the middle, soft limit and margin together."""
+    rail = config.limits.rail
+    return max(-rail.position_min_m, rail.position_max_m) + RAIL_EXCURSION_M
+
+
+def draw(config: Config, seed: int, number: int) -> Goal:
+    """Return the goal with a given number, drawn from the targets that the daemon would accept."""
+    rng, space = np.random.default_rng((seed, number)), config.goals.workspace
+    while True:
+        y_m, z_m = rng.uniform((space.y_min_m, space.z_min_m), (space.y_max_m, space.z_max_m)).tolist()
+        goal = Goal("reach", y_m, z_m)
+        if not refusals(goal, config):
+            return goal
+
+
+def fly(begin: Callable[[int], Arm], goals: Iterable[tuple[Goal, bool]], on_leg: Callable[[Leg], None]) -> None:
+    """Fly goals, each with whether the policy was trained there; `begin` receives the number of arms used so far."""
+    arms, arm, left = 0, None, list(goals)
+    try:
+        while left:
+            if arm is None:
+                arm, arms = begin(arms), arms + 1
+            (goal, trained), *left = left
+            leg = arm.fly(goal, trained, last=not left)
+            on_leg(leg)
+            if leg.stop is not None:
+                arm.close()
+                arm = None
+    finally:
+        if arm is not None:
+            arm.close()
+
+
+def summary(legs: Sequence[Leg]) -> dict[str, Any]:
+    """Return the figures of a whole chain."""
+    trained = [leg for leg in legs if leg.trained]
+    found: dict[str, Any] = {
+        "goals": len(legs),
+        "reached": sum(leg.reached for leg in legs),
+        "trained_goals": len(trained),
+        "trained_reached": sum(leg.reached for leg in trained),
+        "max_cart_m": max(leg.max_cart_m for leg in legs),
+        "excursions": sum(leg.excursions for leg in legs),
+        "crashes": sum(leg.crashes for leg in legs),
+        "stops": dict(Counter(leg.stop for leg in legs if leg.stop is not None)),
+        "goals_with_event": dict(Counter(event for leg in legs for event in leg.events)),
+        "seconds": sum(leg.seconds for leg in legs),
+    }
+    if timed := [leg.timing for leg in legs if leg.timing]:
+        longest = {"max_late_s": max(each["max_late_s"] for each in timed)}
+        found["timing"] = {name: sum(each[name] for each in timed) for name in timed[0]} | longest
+    found["incidents"] = [
+        {"goal": number, **asdict(leg)} for number, leg in enumerate(legs) if leg.excursions or leg.crashes or leg.stop
+    ]
+    return found
+
+
+def resumed(part: Path | None, settings: dict[str, Any]) -> list[Leg]:
+    """Return the legs that an interrupted run has stored.
+
+    Raises:
+        ClickException: The file belongs to another run or revision.
+    """
+    if part is None or not part.exists():
+        return []
+    first, *lines = part.read_text(encoding="utf-8").splitlines()
+    if json.loads(first) != settings:
+        raise click.ClickException(f"{part} belongs to another run or revision: delete it, or use another --json")
+    return [Leg(**json.loads(line)) for line in lines]
+
+
+def keep(part: Path | None, record: dict[str, Any]) -> None:
+    """Append a record to the partial result."""
+    if part is not None:
+        with part.open("a", encoding="utf-8") as file:
+            file.write(json.dumps(record) + "\n")
+
+
+@click.command()
+@click.option("--body", type=click.Choice(["simulated", "reality", "outside"]), required=True, help="Robot to fly.")
+@click.option("--goals", default=1000, show_default=True, type=click.IntRange(min=1))
+@click.option("--policy", default="reach-wide", show_default=True, help="Name, as `softarm policy list` shows it.")
+@click.option("--seed", default=0, show_default=True, type=click.IntRange(min=0), help="Of the goals.")
+@click.option("--changed", type=click.Choice(list(ROBOTS)), default="nominal", help="Fault of the independent robot.")
+@click.option(
+    "--options", default="", metavar="TEXT", help="Options of the outside robot, such as '--latency-ms 90 --keep'."
+)
+@click.option("--config", "config_file", type=results.FILE, help="Take limits, failsafe, goals and policies from here.")
+@click.option("--logs", type=click.Path(path_type=Path, file_okay=False), help="Keep the outside daemon's logs here.")
+@results.json_option
+def main(
+    body: str,
+    goals: int,
+    policy: str,
+    seed: int,
+    changed: str,
+    options: str,
+    config_file: Path | None,
+    logs: Path | None,
+    json_file: Path | None,
+) -> None:
+    """Fly goals without rest; exit with 1 if the cart exceeded its bound or the arm stopped unrequested.
+
+    \b
+    Example:
+      python -m validation.chained --body reality --goals 200
+    """
+    config = Config() if config_file is None else configuration.load(config_file)
+    policies = config.policies
+    spec = registry.load(policy, policies).spec
+    settings = {"body": body, "policy": policy, "seed": seed, "changed": changed, "options": options}
+    limits = config.model_dump(mode="json", include=SHARED, exclude_unset=True)
+    part = None if json_file is None else json_file.with_name(f"{json_file.name}.part")
+    header = {**settings, "limits": limits, "revision": results.measured()}
+    legs = resumed(part, header)
+    if not legs:
+        keep(part, header)
+
+    def begin(number: int) -> Arm:
+        if body == "outside":
+            return OnWires(config, policy, shlex.split(options), logs or Path(folder))
+        made: Body = SimulatedBody() if body == "simulated" else IndependentBody(ROBOTS[changed], len(legs) + number)
+        return InLockstep(config, registry.load(policy, policies), made)
+
+    def take(leg: Leg) -> None:
+        legs.append(leg)
+        keep(part, asdict(leg))
+        shown.advance()
+
+    drawn = [draw(config, seed, number) for number in range(len(legs), goals)]
+    aims = [(goal, _within(spec.trained, goal)) for goal in drawn]
+    with (
+        tempfile.TemporaryDirectory(prefix="softarm-") as folder,
+        bar(f"chained, {body}", goals, done=len(legs)) as shown,
+    ):
+        try:
+            fly(begin, aims, take)
+        except (SoftwareInTheLoopError, RuntimeError) as error:
+            raise click.ClickException(str(error)) from None
+    figures = {**settings, "limits": limits, **summary(legs)}
+    if json_file is not None and part is not None:
+        results.write(json_file, figures)
+        part.unlink()
+    _say(figures, bound_m(config))
+    raise SystemExit(bool(figures["excursions"] or figures["crashes"] or figures["stops"]))
+
+
+def _within(trained: TrainingRange | None, goal: Goal) -> bool:
+    if trained is None:
+        return False
+    (y_low, y_high), (z_low, z_high) = trained.target_y_m, trained.target_z_m
+    return y_low <= goal.y_m <= y_high and z_low <= goal.z_m <= z_high
+
+
+def _say(figures: dict[str, Any], bound: float) -> None:
+    console = Console(soft_wrap=True)
+    console.print(
+        f"{figures['body']}, {figures['policy']}: {figures['reached']} of {figures['goals']} goals reached "
+        f"({figures['trained_reached']} of {figures['trained_goals']} in its training range); cart within "
+        f"{figures['max_cart_m']:.4f} m, {figures['excursions']} times beyond {bound:g} m, {figures['crashes']} times "
+        f"at its end; {sum(figures['stops'].values())} unrequested stops"
+    )
+    for reason, count in figures["stops"].items():
+        console.print(f"  {count} x {reason}")
+    if "timing" in figures:
+        timing = figures["timing"]
+        console.print(
+            f"  robot: {timing['late_steps']} of {timing['steps']} steps more than 5 ms late, the latest "
+            f"{1e3 * timing['max_late_s']:.0f} ms ({timing['stalls']} times more than 20 ms), paused for "
+            f"{timing['paused_s']:.2f} s; daemon: {timing['missed_ticks']} ticks missed"
+        )
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,72 @@
+"""Access to a running daemon for validations: plug-ins, the process of the rail, and recovery after a stop."""
+
+import contextlib
+import time
+from collections.abc import Mapping
+from pathlib import Path
+
+import httpx
+
+from softarm.drivers.rail import process as rail_process
+from softarm.evaluation.software_in_the_loop import SoftwareInTheLoop, SoftwareInTheLoopError
+
+POLL_S = 0.03
+
+
+def write_plugin(folder: Path, name: str, policies: Mapping[str, str]) -> None:
+    """Write the metadata of an installed package, so that a daemon with `folder` on PYTHONPATH finds its policies.
+
+    Args:
+        folder: Existing folder.
+        name: Name of the distribution.
+        policies: Policy name -> `module:class`.
+    """
+    about = folder / f"{name}-1.dist-info"
+    about.mkdir()
+    (about / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {name}\nVersion: 1\n")
+    points = [f"{policy} = {target}" for policy, target in policies.items()]
+    (about / "entry_points.txt").write_text("\n".join(["[softarm.policies]", *points]) + "\n")
+
+
+def rail_process_of(daemon_pid: int) -> int:
+    """Return the id of the process that drives the rail for a daemon; the spare one has fewer connections.
+
+    Raises:
+        SoftwareInTheLoopError: The daemon has no such process.
+    """
+    children = Path(f"/proc/{daemon_pid}/task").glob("*/children")
+    processes = [int(number) for file in children for number in file.read_text().split()]
+    of_rail = [process for process in processes if _is_of_rail(process)]
+    if not of_rail:
+        raise SoftwareInTheLoopError("the daemon has no process for the rail")
+    return max(of_rail, key=_sockets)
+
+
+def recover(loop: SoftwareInTheLoop, patience_s: float) -> bool:
+    """Acknowledge a latched stop and wait until arming would be accepted; return whether there was a latch.
+
+    Raises:
+        SoftwareInTheLoopError: Arming is still refused after `patience_s`.
+    """
+    is_acknowledged = False
+    deadline = time.monotonic() + patience_s
+    refusals: list[str] = ["the daemon does not answer"]
+    while time.monotonic() < deadline:
+        with contextlib.suppress(httpx.HTTPError):
+            status = loop.client.get("/api/status", timeout=0.5).raise_for_status().json()
+            refusals = status["arming_refusals"]
+            if not refusals:
+                return is_acknowledged
+            if status["estop"] != "clear":
+                is_acknowledged = True
+                loop.client.post("/api/acknowledge")
+        time.sleep(POLL_S)
+    raise SoftwareInTheLoopError(f"not ready again within {patience_s:g} s: {refusals}")
+
+
+def _is_of_rail(process: int) -> bool:
+    return rail_process.__name__.encode() in Path(f"/proc/{process}/cmdline").read_bytes()
+
+
+def _sockets(process: int) -> int:
+    return sum("socket:" in str(file.readlink()) for file in Path(f"/proc/{process}/fd").iterdir())

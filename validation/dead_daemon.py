@@ -1,0 +1,321 @@
+"""Measure how far the cart moves when a process dies, freezes or holds its lock.
+
+The wire-level twin runs in this process, with a drive that keeps its last set-point without a master. A separate daemon
+runs a policy that drives the cart from end to end at up to 1 m/s, as fast as the safety filter allows. At a random
+moment the daemon or the rail's process is disturbed. Measured at the robot: the time from the last set-point that moved
+the cart to the stop, the time to the open valve, and the travel of the cart.
+
+    python -m validation.dead_daemon --repeats 50 --json FILE
+"""
+
+import asyncio
+import contextlib
+import os
+import random
+import signal
+import subprocess
+import tempfile
+import threading
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import click
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from benchmarks import results
+from softarm.common import realtime
+from softarm.common.processes import bar
+from softarm.drivers.bodies.base import Body
+from softarm.drivers.bodies.simulated import SimulatedBody
+from softarm.drivers.twin.cameras import TwinState
+from softarm.drivers.twin.main import Twin
+from softarm.evaluation.software_in_the_loop import SoftwareInTheLoop, SoftwareInTheLoopError
+from softarm.schemas.config import Config
+from validation.daemon_process import rail_process_of, recover, write_plugin
+
+SWING_S = (0.3, 2.0)  # how long the policy drives before the disturbance
+REST_S = 5.0  # longer than any stop takes
+RECOVER_S = 60.0
+LOCK_S = 1.0
+KILLED_S = 1.0  # a killed daemon has ended by then
+SAMPLE_S = 0.002
+SPEED_M_S = 0.2  # minimum speed at the disturbance
+
+# Plug-in policy: end to end at full speed, with random pressures; on request it holds the interpreter's lock.
+_POLICY = """
+import ctypes, os, random
+import numpy as np
+from softarm.policies.base import PolicySpec
+
+class Rush:
+    spec = PolicySpec(name="rush", description="sweeps from end to end at full speed", needs_target=False)
+
+    def __init__(self, trigger: str) -> None:
+        self._trigger, self._draw, self._left = trigger, random.Random(0), 0
+
+    def reset(self) -> None:
+        self._left = 0
+
+    def step(self, observation, goal):
+        if self._left <= 0:
+            self._left = self._draw.randint(3, 24)
+            self._command = np.array((self._draw.choice((-1.0, 1.0)), self._draw.uniform(0, 20)), dtype=np.float32)
+        self._left -= 1
+        if os.path.exists(self._trigger):
+            os.remove(self._trigger)
+            ctypes.PyDLL(None).usleep({lock_us})
+        return self._command
+"""
+
+
+class Robot(threading.Thread):
+    """Thread that runs the twin on an asyncio loop of its own."""
+
+    def __init__(self, config: Config, body: Body) -> None:
+        super().__init__(name="robot", daemon=True)
+        self._config, self._body = config, body
+        self._ready, self._over = threading.Event(), threading.Event()
+        self._problem: BaseException | None = None
+        self.twin: Twin
+        self.seen: list[tuple[float, float, bool]] | None = None  # time, cart position, whether the valve was open
+
+    def run(self) -> None:
+        """Simulate the robot until `end`."""
+        realtime.outrank_own_threads(self._config.control.realtime_priority)
+        try:
+            asyncio.run(self._serve())
+        except BaseException as error:
+            self._problem = error
+        self._ready.set()
+
+    async def _serve(self) -> None:
+        async with Twin(self._config, body=self._body) as twin:
+            twin.faults.rail_keeps_going()
+            self.twin = twin
+            self._ready.set()
+            while not self._over.is_set():
+                if self.seen is not None:
+                    self.seen.append((time.monotonic(), twin.state.cart_position_m, twin.teensy.set_point_kpa == 0.0))
+                await asyncio.sleep(SAMPLE_S)
+
+    def wait(self) -> None:
+        """Wait until the interfaces are open; raise the error that prevented it."""
+        self._ready.wait()
+        if self._problem is not None:
+            raise self._problem
+
+    def end(self) -> None:
+        """End the thread and wait for it."""
+        self._over.set()
+        self.join(5.0)
+
+    @property
+    def state(self) -> TwinState:
+        """Return the true state of the robot."""
+        return self.twin.state
+
+
+class Rig(SoftwareInTheLoop):
+    """Daemon that drives the robot from end to end."""
+
+    def __init__(self, folder: Path, body: Body) -> None:
+        self._trigger = folder / "lock"
+        policy = {"plugin": "rush", "options": {"trigger": str(self._trigger)}}
+        overrides = {"policies": {"rush": policy}, "control": {"policy": "rush"}, "goals": {"time_limit_s": 600}}
+        super().__init__(folder / "logs", overrides)
+        self.robot = Robot(Config.model_validate(self.settings), body)
+
+    def start_twin(self) -> None:
+        """Start the robot in this process."""
+        self.robot.start()
+        self.robot.wait()
+
+    def start_daemon(self) -> None:
+        """Start a daemon, acknowledging the latch that a killed one left."""
+        self.daemon = self._start("run", self.config_file)
+        recover(self, RECOVER_S)
+
+    def rush(self) -> None:
+        """Arm and let the policy drive, retrying for `RECOVER_S`.
+
+        Raises:
+            SoftwareInTheLoopError: The daemon did not arm.
+        """
+        deadline = time.monotonic() + RECOVER_S
+        while True:
+            try:
+                self.arm()
+                self.post("goal", kind="run")
+                return
+            except SoftwareInTheLoopError:
+                # A busy machine may cause a stop.
+                if time.monotonic() > deadline:
+                    raise
+                recover(self, RECOVER_S)
+
+    def kill(self) -> None:
+        """Kill the daemon with SIGKILL."""
+        assert self.daemon is not None
+        self.daemon.kill()
+
+    def freeze(self) -> None:
+        """Stop the daemon with SIGSTOP."""
+        assert self.daemon is not None
+        self.daemon.send_signal(signal.SIGSTOP)
+
+    def lock(self) -> None:
+        """Make the policy hold the interpreter's lock."""
+        self._trigger.touch()
+
+    def kill_rail(self) -> None:
+        """Kill the rail's process with SIGKILL."""
+        assert self.daemon is not None
+        os.kill(rail_process_of(self.daemon.pid), signal.SIGKILL)
+
+    def freeze_rail(self) -> None:
+        """Stop the rail's process with SIGSTOP."""
+        assert self.daemon is not None
+        os.kill(rail_process_of(self.daemon.pid), signal.SIGSTOP)
+
+    def go_on(self) -> None:
+        """Return to a daemon that can drive."""
+        assert self.daemon is not None
+        self.daemon.send_signal(signal.SIGCONT)
+        try:
+            self.daemon.wait(KILLED_S)
+        except subprocess.TimeoutExpired:
+            recover(self, RECOVER_S)
+        else:
+            self.start_daemon()
+
+
+CASES: dict[str, Callable[[Rig], None]] = {
+    "daemon: kill -9": Rig.kill,
+    "daemon: SIGSTOP": Rig.freeze,
+    f"daemon: interpreter's lock held for {LOCK_S:g} s": Rig.lock,
+    "rail's process: kill -9": Rig.kill_rail,
+    "rail's process: SIGSTOP": Rig.freeze_rail,
+}
+
+
+def run(repeats: int, cases: list[str], report: Callable[[float], None], body: Body | None = None) -> dict[str, Any]:
+    """Measure `repeats` trials of each case and return the figures by case.
+
+    Args:
+        repeats: Trials of each case.
+        cases: Names from CASES.
+        report: Receives the finished share, 0 to 1.
+        body: Robot to simulate; the simulator's by default.
+
+    Raises:
+        SoftwareInTheLoopError: The daemon does not fly.
+    """
+    # Real devices do not wait for other programs.
+    realtime.outrank_other_programs(Config().control.realtime_priority)
+    draw = random.Random(0)
+    figures: dict[str, Any] = {}
+    with _rig(body or SimulatedBody()) as rig:
+        for number, name in enumerate(cases):
+            trials = []
+            for repeat in range(repeats):
+                trials.append(_trial(rig, CASES[name], draw))
+                report((number + (repeat + 1) / repeats) / len(cases))
+            figures[name] = _figures(trials)
+    return figures
+
+
+@contextlib.contextmanager
+def _rig(body: Body) -> Iterator[Rig]:
+    with tempfile.TemporaryDirectory(prefix="softarm-") as name:
+        folder, path = Path(name), os.environ.get("PYTHONPATH", "")
+        (folder / "rush.py").write_text(_POLICY.format(lock_us=round(LOCK_S * 1e6)))
+        write_plugin(folder, "rush", {"rush": "rush:Rush"})
+        os.environ["PYTHONPATH"] = os.pathsep.join(filter(None, (str(folder), path)))
+        rig = Rig(folder, body)
+        try:
+            with rig:
+                yield rig
+        finally:
+            rig.robot.end()
+            os.environ["PYTHONPATH"] = path
+
+
+def _trial(rig: Rig, do: Callable[[Rig], None], draw: random.Random) -> dict[str, float]:
+    rig.rush()
+    time.sleep(draw.uniform(*SWING_S))
+    robot, speed_m_s = rig.robot, draw.uniform(SPEED_M_S, 0.95)
+    deadline = time.monotonic() + REST_S
+    while abs(robot.state.cart_velocity_m_s) < speed_m_s and time.monotonic() < deadline:
+        time.sleep(0.001)
+    seen: list[tuple[float, float, bool]] = []
+    before, began_s, robot.seen = robot.state, time.monotonic(), seen
+    do(rig)
+    deadline = time.monotonic() + REST_S
+    while not _at_rest(state := robot.state) and time.monotonic() < deadline:
+        time.sleep(SAMPLE_S)
+    time.sleep(0.1)
+    robot.seen = None
+    assert state.halted_after_s is not None, "the cart received no stop"
+    rig.go_on()
+    places = [before.cart_position_m, *(place for _, place, _ in seen)]
+    return {
+        "speed_m_s": abs(before.cart_velocity_m_s),
+        "stop_received_ms": state.halted_after_s * 1e3,
+        "vented_ms": 1e3 * (next(at_s for at_s, _, valve_open in seen if valve_open) - began_s),
+        "travel_mm": 1e3 * max(abs(place - places[0]) for place in places),
+        "farthest_mm": 1e3 * max(map(abs, places)),
+        "crashes": state.crashes - before.crashes,
+    }
+
+
+def _at_rest(state: TwinState) -> bool:
+    return state.halted_after_s is not None and state.braked_since_ns is not None and state.vented
+
+
+def _figures(trials: list[dict[str, float]]) -> dict[str, Any]:
+    measured = [name for name in trials[0] if name != "crashes"]
+    spread = {name: _spread([trial[name] for trial in trials]) for name in measured}
+    return {**spread, "trials": len(trials), "crashes": sum(round(trial["crashes"]) for trial in trials)}
+
+
+def _spread(values: list[float]) -> dict[str, float]:
+    p50, p99, top = map(float, np.percentile(values, [50, 99, 100]))
+    return {"p50": p50, "p99": p99, "max": top}
+
+
+@click.command()
+@click.option("--repeats", default=50, show_default=True, type=click.IntRange(1), help="Trials of each case.")
+@click.option("--reality", is_flag=True, help="Use the independent robot.")
+@results.json_option
+def main(repeats: int, reality: bool, json_file: Path | None) -> None:
+    """Measure how far the cart moves when a process dies, freezes or holds its lock.
+
+    \b
+    Example:
+      python -m validation.dead_daemon --repeats 50 --json dead-daemon.json
+    """
+    body: Body | None = None
+    if reality:
+        from softarm.drivers.bodies.independent import IndependentBody
+
+        body = IndependentBody()
+    try:
+        with bar("ending daemons") as shown:
+            figures = run(repeats, list(CASES), shown.show, body)
+    except SoftwareInTheLoopError as error:
+        raise click.ClickException(str(error)) from None
+    if json_file is not None:
+        results.write(json_file, {"cases": figures})
+    table = Table("p50 / p99 / max", "stop received (ms)", "valve open (ms)", "travel (mm)", "farthest (mm)", "crashes")
+    for name, found in figures.items():
+        spreads = ("{p50:.0f} / {p99:.0f} / {max:.0f}".format(**found[key]) for key in list(found)[1:5])
+        table.add_row(name, *spreads, str(found["crashes"]))
+    Console().print(table)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,142 @@
+"""Measure the cost of a fault: policies at the 54 targets on the independent robot, one fault at a time.
+
+    python -m validation.faults --policy reach --policy reach-robust --json faults.json --png faults.png
+
+Every flight runs the daemon's tick in lockstep. The table shows which faults policies should be trained for and which
+are worth a diagnosis. Needs the extra `mujoco`.
+"""
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import click
+from rich.console import Console
+from rich.table import Table
+
+from benchmarks import results
+from softarm.common.processes import WorkerDied, as_they_come, bar, cores
+from softarm.evaluation.evaluation import FLIGHTS
+from softarm.evaluation.robots import with_faults
+from softarm.evaluation.runner import fly_grid, shares
+from softarm.policies import registry
+from softarm.policies.base import PolicyError
+from softarm.reality.parameters import RobotParameters
+
+NONE = "none"
+MARKERS = "osD^vP*X"  # matplotlib markers, one per policy
+# Strong faults within the bounds of the effect registry and of a bench; the rail's first.
+FAULTS = (
+    "rail.delay_s=0.06",
+    "rail.delay_s=0.09",
+    "rail.acceleration_m_s2=3",
+    "rail.acceleration_m_s2=2",
+    "rail.lag_s=0.1",
+    "rail.force_limit_n=8",
+    "rail.viscous_n_s_m=15",
+    "regulator.dead_time_s=0.15",
+    "regulator.flow_limit_kpa_s=40",
+    "regulator.ceiling_kpa=12",
+    "regulator.gain=-0.3",
+    "arm.payload_kg=0.12",
+    "arm.muscle_gain=-0.35",
+    "arm.saturation_kpa=10",
+    "arm.stiffness=0.5",
+    "arm.stiffness=-0.35",
+    "arm.damping=2",
+    "arm.torque_offset=2",
+)
+
+
+def measure(
+    policies: Sequence[str], faults: Sequence[str], advance: Callable[[int], None]
+) -> dict[str, dict[str, float]]:
+    """Return fault -> policy -> share of the 162 flights that reached their target.
+
+    Args:
+        policies: Names of policies.
+        faults: Faults as GROUP.QUANTITY=VALUE.
+        advance: Receives the number of flights that have ended since the last call.
+
+    Raises:
+        PolicyError: A policy cannot be loaded.
+        ValueError: A fault does not exist.
+    """
+    robots = {NONE: RobotParameters()} | {fault: with_faults(RobotParameters(), [fault]) for fault in faults}
+    for policy in policies:
+        registry.load(policy)  # fail before minutes of work
+    todo = [(policy, fault, robot) for fault, robot in robots.items() for policy in policies]
+    found: dict[str, dict[str, float]] = {fault: {} for fault in robots}
+    for (policy, fault, _), share in as_they_come(_fly, todo, cores()):
+        found[fault][policy] = share
+        advance(FLIGHTS)
+    return {fault: {policy: reached[policy] for policy in policies} for fault, reached in found.items()}
+
+
+def _fly(job: tuple[str, str, RobotParameters]) -> float:
+    policy, _, robot = job
+    return shares(fly_grid(policy, robot)).all
+
+
+def draw(found: dict[str, dict[str, float]], policies: Sequence[str], path: Path) -> None:
+    """Draw one row per fault with one mark per policy."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(8, 0.32 * len(found) + 1.4), layout="constrained")
+    FigureCanvasAgg(figure)
+    axes = figure.subplots()
+    rows = range(len(found))
+    for row, reached in zip(rows, found.values(), strict=True):
+        axes.plot([100 * min(reached.values()), 100 * max(reached.values())], [row, row], color="0.8", lw=3, zorder=1)
+    for number, policy in enumerate(policies):
+        marker = MARKERS[number % len(MARKERS)]
+        axes.scatter([100 * reached[policy] for reached in found.values()], rows, marker=marker, label=policy, zorder=2)
+    axes.set_yticks(rows, ["no fault" if fault == NONE else fault for fault in found])
+    axes.invert_yaxis()
+    axes.set_xlim(0, 100)
+    axes.set_xlabel("targets reached (54 targets, three starts), %")
+    axes.grid(axis="x", alpha=0.3)
+    axes.legend(loc="lower left")
+    figure.savefig(path, dpi=120)
+
+
+@click.command()
+@click.option(
+    "--policy",
+    "policies",
+    multiple=True,
+    default=("reach", "reach-wide", "reach-robust"),
+    show_default=True,
+    help="Name as in `softarm policy list`; may be repeated.",
+)
+@click.option(
+    "--fault", "faults", multiple=True, metavar="GROUP.QUANTITY=VALUE", help="Only this fault; may be repeated."
+)
+@results.json_option
+@click.option("--png", type=results.FILE, help="Draw the figures to this file.")
+def main(policies: tuple[str, ...], faults: tuple[str, ...], json_file: Path | None, png: Path | None) -> None:
+    """Print a table with a row per fault and a column per policy.
+
+    \b
+    Example:
+      python -m validation.faults --policy reach --policy pid --json faults.json --png faults.png
+    """
+    console = Console()
+    chosen = faults or FAULTS
+    try:
+        with bar("flying", (1 + len(chosen)) * len(policies) * FLIGHTS) as shown:
+            found = measure(policies, chosen, shown.advance)
+    except (PolicyError, ValueError, WorkerDied) as error:
+        raise click.ClickException(str(error)) from None
+    table = Table("fault", *policies)
+    for fault, reached in found.items():
+        table.add_row(fault, *(f"{reached[policy]:.1%}" for policy in policies))
+    console.print(table)
+    if json_file is not None:
+        results.write(json_file, found)
+    if png is not None:
+        draw(found, policies, png)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,1 @@
+"""Fuzzing: every parser must reject invalid input with a message."""

@@ -1,0 +1,35 @@
+"""Description of a parser under test, and helpers that several of them use."""
+
+import atexit
+import shutil
+import tempfile
+from collections.abc import Callable
+from functools import cache
+from pathlib import Path
+from random import Random
+from typing import Any, NamedTuple
+
+ROOT = Path(__file__).resolve().parents[3]
+
+
+class Parser(NamedTuple):
+    """Parser under test: how to draw a case, the call to test, and the errors that it may raise."""
+
+    draw: Callable[[Random], Any]
+    take: Callable[[Any], object]
+    errors: tuple[type[Exception], ...]
+
+
+@cache
+def folder() -> Path:
+    """Return the temporary folder of this process, which is removed at its end."""
+    made = Path(tempfile.mkdtemp(prefix="softarm-fuzz-"))
+    atexit.register(shutil.rmtree, made, ignore_errors=True)
+    return made
+
+
+def written(name: str, data: bytes) -> Path:
+    """Write a file into the temporary folder and return its path."""
+    path = folder() / name
+    path.write_bytes(data)
+    return path

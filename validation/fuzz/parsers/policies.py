@@ -1,0 +1,166 @@
+"""Policy files: ONNX models, planned trajectories, checkpoints of training."""
+
+import zipfile
+from collections.abc import Callable
+from dataclasses import asdict
+from io import BytesIO
+from random import Random
+
+from validation.fuzz import mutate
+from validation.fuzz.parsers.base import Parser, folder, written
+
+
+def _graph() -> Parser:
+    """Return the check of an ONNX file before it runs."""
+    from softarm.policies import onnx_graph
+    from softarm.policies.base import MODELS
+
+    model = (MODELS / "reach.onnx").read_bytes()
+
+    def draw(random: Random) -> bytes:
+        """Return a model with changes at its start and end, where the structure is."""
+        return mutate.of_bytes(random, [model[:3000], model[:3000] + model[-3000:], model[-3000:]])
+
+    return Parser(draw, onnx_graph.check, (onnx_graph.GraphError,))
+
+
+def _onnx() -> Parser:
+    """Return the parser of a whole model, including its golden run."""
+    from softarm.policies.base import MODELS, PolicyError
+    from softarm.policies.onnx_policy import OnnxPolicy
+
+    model = (MODELS / "reach.onnx").read_bytes()
+
+    def draw(random: Random) -> bytes:
+        """Return a model with changes at its ends, where the weights are not."""
+        if random.random() < 0.2:
+            return mutate.of_bytes(random, [model])
+        part = random.choice((500, 4000))
+        if random.random() < 0.5:
+            return mutate.of_bytes(random, [model[:part]]) + model[part:]
+        return model[:-part] + mutate.of_bytes(random, [model[-part:]])
+
+    return Parser(draw, lambda data: OnnxPolicy(str(written("model.onnx", data))), (PolicyError,))
+
+
+def _weights() -> Parser:
+    """Return the parser of a model whose training continues."""
+    from softarm.policies.base import MODELS
+    from softarm.training.record.checkpoint import CheckpointError
+    from softarm.training.run.warm_start import load_weights
+
+    model = (MODELS / "reach.onnx").read_bytes()
+    return Parser(
+        lambda random: (
+            mutate.of_bytes(random, [model[:4000]]) + model[4000:]
+            if random.random() < 0.5
+            else model[:-20_000] + mutate.of_bytes(random, [model[-20_000:]])
+        ),
+        lambda data: load_weights(written("weights.onnx", data)),
+        (CheckpointError,),
+    )
+
+
+def _metadata() -> Parser:
+    """Return the parser of a model's metadata with changed meaning."""
+    import json
+
+    import onnx
+
+    from softarm.policies.base import MODELS, PolicyError
+    from softarm.policies.onnx_policy import OnnxPolicy
+    from softarm.schemas.policy import METADATA_KEY
+
+    model = onnx.load(str(MODELS / "reach.onnx"))
+    entry = next(each for each in model.metadata_props if each.key == METADATA_KEY)
+    tree = json.loads(entry.value)
+
+    def draw(random: Random) -> bytes:
+        changed = onnx.ModelProto()
+        changed.CopyFrom(model)
+        entry = next(each for each in changed.metadata_props if each.key == METADATA_KEY)
+        entry.value = mutate.to_json(random, mutate.of_tree(random, tree)).decode("utf-8", "replace")
+        data: bytes = changed.SerializeToString()
+        return data
+
+    return Parser(draw, lambda data: OnnxPolicy(str(written("model.onnx", data))), (PolicyError,))
+
+
+def _plans() -> Parser:
+    """Return the parser of planned trajectories, a zip of arrays with a wrong zip, header or number."""
+    import numpy as np
+
+    from softarm.policies.base import MODELS, PolicyError
+    from softarm.policies.trajectory import Trajectory
+
+    source = next(MODELS.glob("*.npz"))
+    with np.load(source) as opened:
+        arrays = {name: opened[name] for name in opened.files}
+    arrays |= {name: array[:3] for name, array in arrays.items() if array.ndim}
+    files = {}
+    for name, array in arrays.items():
+        buffer = BytesIO()
+        np.save(buffer, array)
+        files[f"{name}.npy"] = buffer.getvalue()
+
+    def zipped(contents: dict[str, bytes]) -> bytes:
+        out = BytesIO()
+        with zipfile.ZipFile(out, "w", zipfile.ZIP_DEFLATED) as archive:
+            for name, content in contents.items():
+                archive.writestr(name, content)
+        return out.getvalue()
+
+    good = zipped(files)
+
+    def draw(random: Random) -> bytes:
+        if random.random() < 0.4:
+            return mutate.of_bytes(random, [good])
+        name = random.choice(sorted(files))
+        content = files[name]
+        changed = mutate.of_bytes(random, [content[:140]]) + content[140:]
+        return zipped(files | {name: changed if random.random() < 0.8 else mutate.of_bytes(random, [content])})
+
+    return Parser(draw, lambda data: Trajectory(str(written("plans.npz", data))), (PolicyError,))
+
+
+def _checkpoint() -> Parser:
+    import torch
+
+    from softarm.training.learn.network import NetworkShape, PolicyNetwork
+    from softarm.training.record import checkpoint
+
+    shape = NetworkShape(mlp=(8,), state=8)
+    network = PolicyNetwork(shape)
+    content = {
+        "settings": {},
+        "task": {},
+        "seed": 1,
+        "curve": [],
+        "average": network.state_dict(),
+        "network": asdict(shape),
+    }
+
+    def draw(random: Random) -> bytes:
+        path = folder() / "drawn.pt"
+        made = content
+        if random.random() < 0.6:
+            plain = mutate.of_tree(random, {key: value for key, value in content.items() if key != "average"})
+            made = plain | {"average": content["average"]} if isinstance(plain, dict) else plain
+        try:
+            checkpoint.save(path, made)
+        except TypeError:  # the case is not a dict
+            torch.save(made, path)
+        data = path.read_bytes()
+        return data if made is not content else mutate.of_bytes(random, [data])
+
+    return Parser(draw, lambda data: checkpoint.load_policy(written("taken.pt", data)), (checkpoint.CheckpointError,))
+
+
+PARSERS: dict[str, Callable[[], Parser]] = {
+    "onnx.graph": _graph,
+    "onnx.model": _onnx,
+    "onnx.metadata": _metadata,
+    "onnx.weights": _weights,
+    "npz.plans": _plans,
+    "pt.checkpoint": _checkpoint,
+}

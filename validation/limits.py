@@ -1,0 +1,245 @@
+"""Check that measured limits cover the robot, on rails of known ramp, latency, payload and read-back delay.
+
+    python -m validation.limits --json limits.json
+
+Each robot is first flown with a careful configuration (`softarm excite rail-dashes`, then the policy `reach` from goal
+to goal). Its limits are measured from these flights as `softarm identify --limits` does. The patched configuration then
+faces a policy that drives the cart against both ends as hard as possible. The cart's motion is the body's true state.
+The simulated robot needs the extra `sim`, the independent one `mujoco`.
+"""
+
+from collections import deque
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import click
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from benchmarks import results
+from softarm.common.processes import as_they_come, bar, cores
+from softarm.daemon.control.records import Inputs, Mode, Outputs, TickTiming
+from softarm.daemon.limits.findings import EXCITATION, RailFindings, findings
+from softarm.daemon.runtime.offline import Lockstep
+from softarm.drivers.bodies.base import Body
+from softarm.drivers.bodies.independent import IndependentBody
+from softarm.drivers.bodies.simulated import SimulatedBody
+from softarm.policies import registry
+from softarm.policies.base import Array, Policy, PolicySpec
+from softarm.policies.excite import Excite
+from softarm.reality.parameters import Arm, Rail, RobotParameters
+from softarm.recordings.rail_motion import RailMotion
+from softarm.schemas.config import Config
+from softarm.schemas.goals import Goal
+from softarm.schemas.messages import RailReading
+from softarm.schemas.model import Model, seed_effects
+
+LOOKS = 8  # samples of the body per tick
+PLAYED_S, REACH_S, ATTACK_S = 65.0, 60.0, 30.0
+
+
+@dataclass(frozen=True)
+class Robot:
+    """Robot with known properties."""
+
+    body: str  # simulator, reality
+    ramp_m_s2: float
+    latency_s: float
+    payload_kg: float
+    age_s: float  # how much older readings are than their stamps
+
+    def make(self) -> "Aged":
+        """Return a new body, at rest in the middle."""
+        if self.body == "reality":
+            rail = Rail(acceleration_m_s2=self.ramp_m_s2, delay_s=self.latency_s)
+            return Aged(IndependentBody(RobotParameters(rail=rail, arm=Arm(payload_kg=self.payload_kg))), self.age_s)
+        effects = seed_effects() | {
+            "rail.acceleration_limit": {"acceleration": self.ramp_m_s2},
+            "rail.delay": {"delay": self.latency_s},
+        }
+        if self.payload_kg:
+            effects["arm.payload"] = {"mass": self.payload_kg}
+        return Aged(SimulatedBody(Model(effects=effects)), self.age_s)
+
+    def config(self, **rail: float) -> Config:
+        """Return the daemon's configuration, with the drive set to the robot's ramp."""
+        limits = {"acceleration_max_m_s2": 20.0, "surge_m_s2": self.ramp_m_s2, "braking_m_s2": self.ramp_m_s2, **rail}
+        drive = {"acceleration_m_s2": self.ramp_m_s2, "quick_stop_m_s2": self.ramp_m_s2}
+        return Config.model_validate({"limits": {"rail": limits}, "drivers": {"rail": drive}})
+
+
+ROBOTS = tuple(
+    Robot(body, *kind)
+    for body in ("simulator", "reality")
+    for kind in (
+        (6.0, 0.033, 0.0, 0.0),
+        (6.0, 0.01, 0.1, 0.0),
+        (3.0, 0.06, 0.1, 0.03),
+        (8.0, 0.1, 0.05, 0.0),
+        (2.0, 0.033, 0.0, 0.03),
+    )
+)
+
+
+class Aged:
+    """Body whose axis readings are older than their stamps, with a record of its true motion."""
+
+    def __init__(self, body: Body, age_s: float) -> None:
+        self._body, self._age_ns = body, round(age_s * 1e9)
+        self._seen: deque[RailReading] = deque([body.encoder()], maxlen=1000)
+        self.watched: list[tuple[float, float, float]] = []  # time in s, true position in m, true velocity in m/s
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._body, name)
+
+    def step(self, cart_velocity_m_s: float, pressure_kpa: float, duration_ns: int) -> None:
+        """Advance the body as `Body.step` does."""
+        done = 0
+        for look in range(1, LOOKS + 1):
+            until = duration_ns * look // LOOKS
+            self._body.step(cart_velocity_m_s, pressure_kpa, until - done)
+            done = until
+            self._seen.append(replace(self._body.encoder(), t_receive_ns=self._body.now_ns))
+            self.watched.append((self._body.now_ns * 1e-9, self._body.cart_position_m, self._body.cart_velocity_m_s))
+
+    def encoder(self) -> RailReading:
+        """Return an old reading with a current stamp."""
+        old = [each for each in self._seen if each.t_receive_ns <= self._body.now_ns - self._age_ns] or [self._seen[0]]
+        return replace(old[-1], t_receive_ns=self._body.now_ns)
+
+
+class Attack(Policy):
+    """Policy that drives at full speed in either direction while the muscle swings the arm."""
+
+    def __init__(self, seed: int) -> None:
+        self.spec = PolicySpec("attack", "drives the cart against both ends", needs_target=False)
+        self._rng = np.random.default_rng(seed)
+        self._left = [0, 0]
+        self._wanted = np.zeros(2, dtype=np.float32)
+
+    def reset(self) -> None:
+        """Do nothing, since the attack keeps no state of a goal."""
+
+    def step(self, observation: Array, goal: Array) -> Array:
+        """Return cart velocity and pressure."""
+        for i, (low, high, longest) in enumerate(((-1.0, 1.0, 20), (0.0, 20.0, 30))):
+            self._left[i] -= 1
+            if self._left[i] < 0:
+                self._left[i] = int(self._rng.integers(1, longest))
+                self._wanted[i] = self._rng.choice((low, high))
+        return self._wanted.copy()
+
+
+class Ticks(list[tuple[Inputs, Outputs]]):
+    """`softarm.daemon.runtime.loop.TickRecorder` that keeps the ticks in memory."""
+
+    dropped = 0
+    problem: str | None = None
+
+    def tick(self, inputs: Inputs, outputs: Outputs, timing: TickTiming) -> None:
+        """Store one tick in memory."""
+        self.append((inputs, outputs))
+
+    def policy(self, spec: PolicySpec) -> None:
+        """Do nothing, since the policy never changes."""
+
+    def motion(self, config: Config) -> RailMotion:
+        """Return the motion of the rail, as read from a log of these ticks."""
+        sent = [(o.t_ns * 1e-9, o.sent.cart_velocity_m_s, o.sent.enable) for _, o in self]
+        rails = {i.rail.t_receive_ns: i.rail for i, _ in self if i.rail is not None}
+        seen = [(t * 1e-9, each.position_m, each.velocity_m_s) for t, each in sorted(rails.items())]
+        sent_s, set_points, enabled = np.array(sent, dtype=np.float64).T
+        t_s, position_m, velocity_m_s = np.array(seen, dtype=np.float64).T
+        return RailMotion(Path("ticks"), sent_s, set_points, enabled > 0, t_s, position_m, velocity_m_s, config)
+
+
+class Flight(NamedTuple):
+    """Result of one flight."""
+
+    motion: RailMotion
+    farthest_m: float  # true position of the cart from the middle
+    stops: int
+
+
+def fly(robot: Robot, config: Config, policy: Policy, seconds: float, goals: np.random.Generator | None) -> Flight:
+    """Fly goals (or one `run` if None) for a given time, arming again after every stop."""
+    body, ticks = robot.make(), Ticks()
+    daemon = Lockstep(config, policy, recorder=ticks, body=body)
+    stops, outputs = -1, daemon.tick()
+    while outputs.t_ns < seconds * 1e9:
+        if outputs.mode is not Mode.ARMED:
+            stops += 1
+            daemon.tick(daemon.request("acknowledge"))
+            try:
+                outputs = daemon.arm()
+            except RuntimeError:
+                # The cart is beyond its limits.
+                break
+        elif outputs.goal.state == "running":
+            outputs = daemon.tick()
+        elif goals is None:
+            outputs = daemon.tick(daemon.request("goal", Goal("run")))
+        else:
+            y_m, z_m = goals.uniform((-0.4, 0.55), (0.0, 0.75)).tolist()
+            outputs = daemon.tick(daemon.request("goal", Goal("reach", y_m, z_m)))
+    return Flight(ticks.motion(config), max(abs(y) for _, y, _ in body.watched), max(stops, 0))
+
+
+def measured(robot: Robot) -> RailFindings:
+    """Return the findings of the robot's owner: an excitation and a minute of careful flights."""
+    pull = 0.5 * robot.ramp_m_s2
+    careful = robot.config(
+        latency_s=0.15, braking_m_s2=0.25 * robot.ramp_m_s2, surge_m_s2=robot.ramp_m_s2 + 2 * pull, velocity_max_m_s=0.8
+    )
+    played = fly(robot, careful, Excite(EXCITATION), PLAYED_S, None)
+    flown = fly(robot, careful, registry.load("reach"), REACH_S, np.random.default_rng(1))
+    # Compared with the mildest limits, so that the whole patch comes from the measurement.
+    return findings([played.motion, flown.motion], robot.config(latency_s=0.005))
+
+
+def tried(robot: Robot) -> dict[str, Any]:
+    """Measure, patch and attack one robot; return plain values."""
+    found = measured(robot)
+    attacked = fly(robot, found.patched, Attack(2), ATTACK_S, None)
+    seen = found.measured
+    bounds = {"latency_s": seen.latency, "braking_m_s2": seen.braking, "surge_m_s2": seen.surge, "drag_m_s": seen.drag}
+    return {
+        "robot": asdict(robot),
+        "measured": {key: None if bound is None else bound._asdict() for key, bound in bounds.items()},
+        "farthest_m": attacked.farthest_m,
+        "stops": attacked.stops,
+    }
+
+
+@click.command()
+@results.json_option
+def main(json_file: Path | None) -> None:
+    """Print a table with one row per robot.
+
+    \b
+    Example:
+      python -m validation.limits --json limits.json
+    """
+    rows = {}
+    with bar("measuring, patching, attacking", len(ROBOTS)) as shown:
+        for robot, figures in as_they_come(tried, ROBOTS, cores()):
+            rows[robot] = figures
+            shown.advance(1)
+    table = Table("body", "ramp", "payload", "latency true", "measured", "braking", "surge", "drag", "cart at most")
+    for robot in ROBOTS:
+        figures = rows[robot]
+        bounds = (
+            "-" if each is None else f"{each['value']:.3g} ({each['events']})" for each in figures["measured"].values()
+        )
+        late = f"{1e3 * (robot.latency_s + robot.age_s):.0f} ms"
+        farthest = f"{figures['farthest_m']:.4f} m"
+        table.add_row(robot.body, f"{robot.ramp_m_s2:g}", f"{robot.payload_kg:g}", late, *bounds, farthest)
+    Console(width=120).print(table)
+    if json_file is not None:
+        results.write(json_file, {"rows": [rows[robot] for robot in ROBOTS]})
+
+
+if __name__ == "__main__":
+    main()

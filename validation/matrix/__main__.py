@@ -1,0 +1,56 @@
+"""Command line of the fault matrix."""
+
+import sys
+from pathlib import Path
+
+import click
+from rich.console import Console
+from rich.table import Table
+
+from benchmarks import results
+from softarm.common.processes import bar
+from softarm.evaluation.software_in_the_loop import SoftwareInTheLoopError
+from validation.matrix.cells import Cell, Outcome, cells, faults_of
+from validation.matrix.flight import fly_all
+
+
+@click.command()
+@click.option("--only", metavar="TEXT", help="Only cells whose name (`rail, read: garbage`) contains this.")
+@results.json_option
+def main(only: str | None, json_file: Path | None) -> None:
+    """Cause each fault; exit with 1 if an outcome was unsafe or attributed to the wrong device.
+
+    \b
+    Examples:
+      python -m validation.matrix --only "rail, read"
+      python -m validation.matrix --json matrix.json
+    """
+    chosen = [cell for cell in cells() if only is None or only in str(cell)]
+    if not chosen:
+        raise click.BadParameter(f"no cell has this name; allowed: {', '.join(str(cell) for cell in cells())}")
+    flown: list[tuple[Cell, Outcome]] = []
+    try:
+        with bar("causing faults", len(chosen)) as shown:
+
+            def report(cell: Cell, outcome: Outcome) -> None:
+                flown.append((cell, outcome))
+                shown.advance(1)
+
+            fly_all(chosen, report)
+    except SoftwareInTheLoopError as error:
+        raise click.ClickException(str(error)) from None
+    if json_file is not None:
+        figures = [{**vars(cell), **outcome.as_json(), "wrong": faults_of(cell, outcome)} for cell, outcome in flown]
+        results.write(json_file, {"cells": figures})
+    table = Table("fault", "stopped", "braked / vented (ms)", "farthest (m)", "causes", "wrong")
+    for cell, outcome in flown:
+        took = " / ".join("-" if ms is None else f"{ms:.0f}" for ms in (outcome.braked_ms, outcome.vented_ms))
+        causes, wrong = ", ".join(outcome.causes), "; ".join(faults_of(cell, outcome))
+        table.add_row(str(cell), str(outcome.stopped), took, f"{outcome.farthest_m:.3f}", causes, wrong)
+    Console(width=None if sys.stdout.isatty() else 240).print(table)
+    if any(faults_of(cell, outcome) for cell, outcome in flown):
+        sys.exit(1)
+
+
+if __name__ == "__main__":
+    main()

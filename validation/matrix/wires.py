@@ -1,0 +1,347 @@
+"""Wires between daemon and devices that can be disturbed, with a TCP relay, a pty relay and a Zenoh relay.
+
+They know the length of a frame and nothing else about the data. All run in one thread with an asyncio loop of its own;
+`spoil` and `mend` may be called from any other thread.
+"""
+
+import asyncio
+import contextlib
+import json
+import os
+import random
+import threading
+import tty
+from collections.abc import Callable, Iterator
+from enum import StrEnum
+from pathlib import Path
+from typing import Any, Literal, Self
+
+import zenoh
+
+from softarm.drivers.mocap.zenoh_session import client, listener
+from softarm.drivers.regulator import cobs
+from softarm.drivers.twin.cameras import STATE_KEY
+
+SLOW_S = 0.06  # almost two ticks
+RETRY_S = 0.05
+CLOCK_JUMP_S = 10.0
+DEVICE_TIME = slice(6, 10)  # of a regulator frame's body: the sender's microseconds, docs/reference/wires.md
+
+Direction = Literal["read", "write"]  # from the daemon's side
+
+
+class Fault(StrEnum):
+    """Disturbance of a wire."""
+
+    TIME_OUT = "time-out"  # no data passes
+    GARBAGE = "garbage"  # the same number of random bytes
+    DISCONNECT = "disconnect"  # closes this and every new connection
+    SLOW = "slow"  # data passes SLOW_S later
+    HALF_FRAME = "half frame"  # only the first half of each piece passes
+    REPLAY = "replay"  # data from before the fault is repeated
+    CLOCK_JUMP = "clock jump"  # the device's clock is CLOCK_JUMP_S ahead
+
+
+class Wire:
+    """Current fault of one wire, and its effect on data."""
+
+    def __init__(self, seed: int) -> None:
+        self._random = random.Random(seed)
+        self._fault: Fault | None = None
+        self._directions: tuple[Direction, ...] = ()
+        self._passed: dict[Direction, bytes] = {}
+
+    def spoil(self, fault: Fault, *directions: Direction) -> None:
+        """Apply a fault in the given directions until `mend`."""
+        self._directions, self._fault = directions, fault
+        if fault is Fault.DISCONNECT:
+            self.hang_up()
+
+    def mend(self) -> None:
+        """Remove the fault from the wire."""
+        self._fault = None
+
+    def hang_up(self) -> None:
+        """Close the current connection, if there is one."""
+        raise NotImplementedError
+
+    @property
+    def hung_up(self) -> bool:
+        """Return whether connections are currently refused."""
+        return self._fault is Fault.DISCONNECT
+
+    def delay_s(self, direction: Direction) -> float:
+        """Return how much later data arrives."""
+        return SLOW_S if self._fault is Fault.SLOW and direction in self._directions else 0.0
+
+    def through(self, data: bytes, direction: Direction) -> bytes:
+        """Return the data that comes out at the other end."""
+        fault = self._fault if direction in self._directions else None
+        match fault:
+            case None:
+                self._passed[direction] = data
+            case Fault.TIME_OUT:
+                return b""
+            case Fault.GARBAGE:
+                return self._random.randbytes(len(data))
+            case Fault.HALF_FRAME:
+                return data[: len(data) // 2]
+            case Fault.REPLAY:
+                return self._passed.get(direction, b"")
+            case Fault.CLOCK_JUMP:
+                return self.jumped(data)
+        return data
+
+    def jumped(self, data: bytes) -> bytes:
+        """Return data whose sender's clock is ahead; unchanged if the wire carries no clock."""
+        return data
+
+
+class RailWire(Wire):
+    """TCP relay at the address where the daemon expects the drive."""
+
+    def __init__(self, seed: int, port: int, device_port: int) -> None:
+        super().__init__(seed)
+        self._port, self._device_port = port, device_port
+        self._open: set[asyncio.StreamWriter] = set()
+        self._server: asyncio.Server | None = None
+        self._loop: asyncio.AbstractEventLoop | None = None
+
+    async def open(self) -> None:
+        """Listen for the daemon."""
+        self._loop = asyncio.get_running_loop()
+        self._server = await asyncio.start_server(self._serve, "127.0.0.1", self._port)
+
+    async def close(self) -> None:
+        """Stop listening for connections."""
+        self._abort()
+        if self._server is not None:
+            self._server.close()
+
+    def hang_up(self) -> None:
+        """Close the connections of both sides."""
+        if self._loop is not None:
+            self._loop.call_soon_threadsafe(self._abort)
+
+    def _abort(self) -> None:
+        for writer in self._open:
+            writer.transport.abort()
+
+    async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        if self.hung_up:
+            writer.transport.abort()
+            return
+        with contextlib.suppress(OSError):
+            device_reader, device_writer = await asyncio.open_connection("127.0.0.1", self._device_port)
+            ends = {writer, device_writer}
+            self._open |= ends
+            pumps = [
+                asyncio.create_task(self._pump(reader, device_writer, "write")),
+                asyncio.create_task(self._pump(device_reader, writer, "read")),
+            ]
+            await asyncio.wait(pumps, return_when=asyncio.FIRST_COMPLETED)
+            for pump in pumps:
+                pump.cancel()
+            await asyncio.gather(*pumps, return_exceptions=True)
+            for end in ends:
+                end.transport.abort()
+            self._open -= ends
+
+    async def _pump(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter, direction: Direction) -> None:
+        loop = asyncio.get_running_loop()
+        with contextlib.suppress(OSError):
+            while data := await reader.read(4096):
+                loop.call_later(self.delay_s(direction), _write, writer, self.through(data, direction))
+
+
+def _write(writer: asyncio.StreamWriter, data: bytes) -> None:
+    if not writer.is_closing():
+        writer.write(data)
+
+
+class RegulatorWire(Wire):
+    """Pty at the path of the serial port, joined to the device's own pty."""
+
+    def __init__(self, seed: int, path: Path, device_path: Path) -> None:
+        super().__init__(seed)
+        self._path, self._device_path = path, device_path
+        self._loop: asyncio.AbstractEventLoop | None = None
+        self._host: tuple[int, int] | None = None  # both ends of the pty
+        self._device: int | None = None
+        self._task: asyncio.Task[None] | None = None
+        self._deframer = cobs.Deframer()
+
+    async def open(self) -> None:
+        """Create the pty, and again after each hang-up."""
+        self._loop = asyncio.get_running_loop()
+        self._task = asyncio.create_task(self._keep_plugged())
+
+    async def close(self) -> None:
+        """Remove the pty again."""
+        if self._task is not None:
+            self._task.cancel()
+        self._unplug()
+
+    def hang_up(self) -> None:
+        """Close the pty, as an unplugged cable does."""
+        if self._loop is not None:
+            self._loop.call_soon_threadsafe(self._unplug)
+
+    def jumped(self, data: bytes) -> bytes:
+        """Return a frame with its time set ahead and a correct CRC."""
+        ahead = b""
+        for body in self._deframer.feed(data):
+            microseconds = int.from_bytes(body[DEVICE_TIME], "little") + int(CLOCK_JUMP_S * 1e6)
+            later = (microseconds % 2**32).to_bytes(4, "little")
+            ahead += cobs.frame(body[: DEVICE_TIME.start] + later + body[DEVICE_TIME.stop :])
+        return ahead
+
+    async def _keep_plugged(self) -> None:
+        while True:
+            if self._host is None and not self.hung_up and self._device_path.exists():
+                with contextlib.suppress(OSError):
+                    self._plug()
+            await asyncio.sleep(RETRY_S)
+
+    def _plug(self) -> None:
+        assert self._loop is not None
+        self._device = os.open(self._device_path, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
+        tty.setraw(self._device)
+        self._host = os.openpty()
+        for end in self._host:
+            tty.setraw(end)
+            os.set_blocking(end, False)
+        self._path.unlink(missing_ok=True)
+        self._path.symlink_to(os.ttyname(self._host[1]))
+        self._loop.add_reader(self._device, self._pump, self._device, self._host[0], "read")
+        self._loop.add_reader(self._host[0], self._pump, self._host[0], self._device, "write")
+
+    def _unplug(self) -> None:
+        self._path.unlink(missing_ok=True)
+        for end in (*(self._host or ()), self._device):
+            if end is not None:
+                if self._loop is not None:
+                    self._loop.remove_reader(end)
+                os.close(end)
+        self._host = self._device = None
+
+    def _pump(self, source: int, sink: int, direction: Direction) -> None:
+        try:
+            data = os.read(source, 4096)
+        except BlockingIOError:
+            return
+        except OSError:
+            data = b""
+        if not data:
+            self._unplug()
+            return
+        assert self._loop is not None
+        self._loop.call_later(self.delay_s(direction), self._put, sink, self.through(data, direction))
+
+    def _put(self, sink: int, data: bytes) -> None:
+        if self._host is not None and sink in (self._host[0], self._device):
+            with contextlib.suppress(OSError):
+                os.write(sink, data)
+
+
+class MocapWire(Wire):
+    """Relay that receives frames on its own endpoint and passes them on to the daemon.
+
+    The twin's own states arrive here as well; `report_state` receives each of them.
+    """
+
+    def __init__(
+        self, seed: int, key: str, endpoint: str, camera_endpoint: str, report_state: Callable[[dict[str, Any]], None]
+    ) -> None:
+        super().__init__(seed)
+        self._key, self._endpoint, self._camera_endpoint = key, endpoint, camera_endpoint
+        self._report_state = report_state
+        self._loop: asyncio.AbstractEventLoop | None = None
+        self._cameras: zenoh.Session | None = None
+        self._daemon: zenoh.Session | None = None
+        self._task: asyncio.Task[None] | None = None
+
+    async def open(self) -> None:
+        """Receive frames, and wait for the daemon's endpoint."""
+        self._loop = asyncio.get_running_loop()
+        self._cameras = zenoh.open(listener(self._camera_endpoint))
+        self._cameras.declare_subscriber(self._key, self._receive)
+        self._cameras.declare_subscriber(STATE_KEY, self._receive_state)
+        self._task = asyncio.create_task(self._keep_connected())
+
+    async def close(self) -> None:
+        """Close both Zenoh sessions."""
+        if self._task is not None:
+            self._task.cancel()
+        self._leave()
+        if self._cameras is not None:
+            self._cameras.close()  # type: ignore[no-untyped-call]
+
+    def hang_up(self) -> None:
+        """Close the session with the daemon."""
+        if self._loop is not None:
+            self._loop.call_soon_threadsafe(self._leave)
+
+    def jumped(self, data: bytes) -> bytes:
+        """Return a frame whose capture time is set ahead."""
+        frame = json.loads(data)
+        frame["t_capture_ns"] += int(CLOCK_JUMP_S * 1e9)
+        return json.dumps(frame).encode()
+
+    async def _keep_connected(self) -> None:
+        while True:
+            if self._daemon is None and not self.hung_up:
+                with contextlib.suppress(zenoh.ZError):
+                    self._daemon = await asyncio.to_thread(zenoh.open, client(self._endpoint))
+            await asyncio.sleep(RETRY_S)
+
+    def _leave(self) -> None:
+        session, self._daemon = self._daemon, None
+        if session is not None:
+            session.close()  # type: ignore[no-untyped-call]
+
+    def _receive_state(self, sample: zenoh.Sample) -> None:
+        self._report_state(json.loads(sample.payload.to_bytes()))
+
+    def _receive(self, sample: zenoh.Sample) -> None:
+        """Receive a frame on the thread of Zenoh."""
+        if self._loop is not None:
+            data, encoding = sample.payload.to_bytes(), sample.encoding
+            self._loop.call_soon_threadsafe(self._pass_on, data, encoding)
+
+    def _pass_on(self, data: bytes, encoding: zenoh.Encoding) -> None:
+        assert self._loop is not None
+        through = self.through(data, "read")
+        if through:
+            self._loop.call_later(self.delay_s("read"), self._put, through, encoding)
+
+    def _put(self, data: bytes, encoding: zenoh.Encoding) -> None:
+        if self._daemon is not None:
+            with contextlib.suppress(zenoh.ZError):
+                drop = zenoh.CongestionControl.DROP
+                self._daemon.put(self._key, data, encoding=encoding, congestion_control=drop)
+
+
+class Wires:
+    """Context in which the three wires run in a thread of their own."""
+
+    def __init__(self, rail: RailWire, regulator: RegulatorWire, mocap: MocapWire) -> None:
+        self.rail, self.regulator, self.mocap = rail, regulator, mocap
+        self._loop = asyncio.new_event_loop()
+        self._thread = threading.Thread(target=self._loop.run_forever, name="wires", daemon=True)
+
+    def __iter__(self) -> Iterator[RailWire | RegulatorWire | MocapWire]:
+        yield from (self.rail, self.regulator, self.mocap)
+
+    def __enter__(self) -> Self:
+        self._thread.start()
+        for wire in self:
+            asyncio.run_coroutine_threadsafe(wire.open(), self._loop).result(10)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        for wire in self:
+            asyncio.run_coroutine_threadsafe(wire.close(), self._loop).result(10)
+        self._loop.call_soon_threadsafe(self._loop.stop)
+        self._thread.join(5)
+        self._loop.close()

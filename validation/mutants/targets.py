@@ -1,0 +1,53 @@
+"""The mutated modules, and the tests that define their behaviour."""
+
+from pathlib import Path
+from typing import NamedTuple
+
+from softarm.common.revision import CHECKOUT
+
+
+class Target(NamedTuple):
+    """Module together with the tests that must detect its changes."""
+
+    module: str  # file, relative to the package
+    tests: tuple[str, ...]
+    root: Path = CHECKOUT
+    package: str = "softarm"  # prefix of the import name; empty for none
+
+    @property
+    def name(self) -> str:
+        """Return the import name of the module."""
+        return ".".join([self.package, *Path(self.module).with_suffix("").parts]).lstrip(".")
+
+    @property
+    def source(self) -> str:
+        """Return the source text of the module."""
+        return (self.root / self.package / self.module).read_text(encoding="utf-8")
+
+
+_CONTROL = "tests/daemon/control"
+_TICK = "tests/daemon/test_tick.py"
+_LATCH = "tests/daemon/test_latch.py"
+_PAGE = "tests/drivers/test_wires_page.py"  # docs/reference/wires.md specifies every codec
+TARGETS = {
+    target.module: target
+    for target in (
+        Target("common/braking.py", ("tests/common/test_braking.py", f"{_CONTROL}/test_safety.py")),
+        Target("daemon/control/safety.py", (f"{_CONTROL}/test_safety.py",)),
+        Target("daemon/control/failsafe.py", (f"{_CONTROL}/test_failsafe.py", _LATCH, _TICK)),
+        Target("daemon/control/modes.py", (f"{_CONTROL}/test_failsafe.py", _LATCH, _TICK)),
+        Target("daemon/control/checks.py", (f"{_CONTROL}/test_checks.py", _TICK)),
+        Target("daemon/control/plausibility.py", (f"{_CONTROL}/test_plausibility.py",)),
+        Target("daemon/control/observer.py", (f"{_CONTROL}/test_observer.py",)),
+        Target("daemon/control/alignment.py", (f"{_CONTROL}/test_alignment.py",)),
+        Target("daemon/control/dead_reckoning.py", (f"{_CONTROL}/test_dead_reckoning.py",)),
+        Target("daemon/control/following.py", (f"{_CONTROL}/test_following.py",)),
+        Target("daemon/control/goals.py", (f"{_CONTROL}/test_goals.py",)),
+        Target("daemon/tick.py", (_TICK, _LATCH)),
+        Target("policies/runner.py", ("tests/policies/test_runner.py",)),
+        Target("drivers/rail/cia402.py", ("tests/drivers/rail/test_cia402.py", _PAGE)),
+        Target("drivers/regulator/teensy.py", ("tests/drivers/regulator/test_teensy.py", _PAGE)),
+        Target("drivers/regulator/cobs.py", ("tests/drivers/regulator/test_cobs.py", _PAGE)),
+        Target("drivers/mocap/payload.py", ("tests/drivers/mocap/test_payload.py", _PAGE)),
+    )
+}

@@ -1,0 +1,295 @@
+"""Measure how soon a stop is answered while the API is under attack.
+
+One process runs a daemon with a simulated robot, another the attackers. This process requests stops through the
+dedicated stop port and over REST, with the control loop's priority where the system grants it, so that the daemon is
+measured and not other work. An answer follows the tick that stopped the robot and wrote its commands, so the time until
+that tick is included: half a period of the loop on average.
+
+    python -m validation.stop --json FILE
+"""
+
+import asyncio
+import contextlib
+import http.client
+import json
+import multiprocessing
+import os
+import random
+import re
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Awaitable, Callable, Coroutine, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import click
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from benchmarks import results
+from softarm.common import realtime
+from softarm.common.processes import bar
+from softarm.daemon.runtime.service import allow_descriptors
+from softarm.schemas.config import Config
+
+START_S = 60.0
+WARM_UP_S = 2.0  # of an attack, before the measurement
+PAUSE_S = (0.05, 0.15)  # random, so that the phase of the loop does not matter
+TIMEOUT_S = 5.0
+CLIENTS = 1100
+SLOW_CLIENTS = 200
+BODY = 5_000_000  # bytes
+KEYS = 100_000
+
+
+class Ports(NamedTuple):
+    """Ports of the daemon under attack."""
+
+    api: int
+    stop: int
+    pid: int = 0
+
+
+Attack = Callable[[Ports], Coroutine[Any, Any, None]]
+
+
+class DaemonError(Exception):
+    """Failure of a daemon to start, with its output."""
+
+
+def run(stops: int, attacks: list[str], report: Callable[[float], None]) -> dict[str, Any]:
+    """Request `stops` stops each way under each attack and return the figures by attack.
+
+    Raises:
+        DaemonError: The daemon did not start.
+    """
+    figures = {}
+    with daemon() as ports, ThreadPoolExecutor(1, initializer=_outrank) as asking:
+        for number, name in enumerate(attacks):
+            with _attacked(name, ports):
+                figures[name] = asking.submit(_measure, ports, stops).result()
+            report((number + 1) / len(attacks))
+    return figures
+
+
+def _outrank() -> None:
+    """Raise the priority of this thread only, since child processes would inherit it."""
+    realtime.outrank_own_threads(Config().control.realtime_priority)
+
+
+@contextlib.contextmanager
+def daemon() -> Iterator[Ports]:
+    """Run `softarm run --simulated` on free ports while the context lasts.
+
+    Raises:
+        DaemonError: The daemon did not start.
+    """
+    with tempfile.TemporaryDirectory(prefix="softarm-") as folder:
+        config, printed = Path(folder) / "softarm.yaml", Path(folder) / "run.out"
+        config.write_text(f"api: {{port: 0, stop_port: 0}}\nrecorder: {{directory: {folder}}}\n")
+        command = [sys.executable, "-m", "softarm.cli.main", "run", "--simulated", "--config", str(config)]
+        with printed.open("wb") as output:
+            process = subprocess.Popen(
+                command,
+                stdin=subprocess.DEVNULL,
+                stdout=output,
+                stderr=subprocess.STDOUT,
+                env={**os.environ, "PYTHONUNBUFFERED": "1"},
+            )
+        try:
+            yield _ports(process, printed)
+        finally:
+            process.send_signal(signal.SIGTERM)
+            try:
+                process.wait(10)
+            except subprocess.TimeoutExpired:
+                process.kill()
+                process.wait()
+
+
+def _ports(process: subprocess.Popen[bytes], printed: Path) -> Ports:
+    deadline = time.monotonic() + START_S
+    while time.monotonic() < deadline and process.poll() is None:
+        found = re.search(r"serving \S+:(\d+) .*POST \S+:(\d+)/api/stop", printed.read_text(), re.DOTALL)
+        if found and _stop(ports := Ports(int(found[1]), int(found[2]), process.pid), "stop") is not None:
+            return ports
+        time.sleep(0.1)
+    raise DaemonError(f"the daemon did not start within {START_S:g} s:\n{printed.read_text()}")
+
+
+def _measure(ports: Ports, stops: int) -> dict[str, Any]:
+    pauses = random.Random(0)
+    took: dict[str, list[float | None]] = {"stop": [], "api": []}
+    for _ in range(stops):
+        for way, times in took.items():
+            time.sleep(pauses.uniform(*PAUSE_S))
+            times.append(_stop(ports, way))
+    return {way: _spread(times) for way, times in took.items()}
+
+
+def _stop(ports: Ports, way: str) -> float | None:
+    """Return the seconds until a stop was confirmed, or None."""
+    started = time.monotonic()
+    connection = http.client.HTTPConnection("127.0.0.1", getattr(ports, way), timeout=TIMEOUT_S)
+    try:
+        connection.request("POST", "/api/stop")
+        answer = connection.getresponse()
+        answer.read()
+        return time.monotonic() - started if answer.status == 200 else None
+    except (OSError, http.client.HTTPException):
+        return None
+    finally:
+        connection.close()
+
+
+def _spread(times_s: list[float | None]) -> dict[str, Any]:
+    done = [seconds * 1e3 for seconds in times_s if seconds is not None]
+    p50, p99, top = np.percentile(done, [50, 99, 100]) if done else (None, None, None)
+    return {"p50": p50, "p99": p99, "max": top, "asked": len(times_s), "unanswered": len(times_s) - len(done)}
+
+
+@contextlib.contextmanager
+def _attacked(name: str, ports: Ports) -> Iterator[None]:
+    attackers = multiprocessing.get_context("spawn").Process(target=_attack, args=(name, ports), daemon=True)
+    attackers.start()
+    try:
+        time.sleep(WARM_UP_S)
+        yield
+    finally:
+        attackers.kill()
+        attackers.join()
+
+
+def _attack(name: str, ports: Ports) -> None:
+    allow_descriptors()
+    asyncio.run(ATTACKS[name](ports))
+
+
+async def _nothing(_: Ports) -> None:
+    await asyncio.sleep(3600)
+
+
+async def _idle(ports: Ports) -> None:
+    await _crowd(CLIENTS, ports.api, _stay_connected)
+
+
+async def _idle_at_the_stop(ports: Ports) -> None:
+    await _crowd(CLIENTS, ports.stop, _stay_connected)
+
+
+async def _slow_bodies(ports: Ports) -> None:
+    await _crowd(SLOW_CLIENTS, ports.api, _send_slowly)
+
+
+async def _keys(ports: Ports) -> None:
+    body = json.dumps({"kind": "hold"} | {f"key{i}": i for i in range(KEYS)}).encode()
+    chunked = b"".join(b"%x\r\n%b\r\n" % (len(part), part) for part in _parts(body, 60_000)) + b"0\r\n\r\n"
+    with_length = _head(b"Content-Length: %d" % len(body)) + body
+    without = _head(b"Transfer-Encoding: chunked") + chunked
+
+    async def send(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        for request in (with_length, without):
+            writer.write(request)
+            await writer.drain()
+            await reader.read(4096)
+
+    await _crowd(8, ports.api, send)
+
+
+async def _policies(ports: Ports) -> None:
+    import httpx
+
+    async with httpx.AsyncClient(base_url=f"http://127.0.0.1:{ports.api}", timeout=60.0) as client:
+        while True:
+            for name in ("reach-wide", "reach"):
+                with contextlib.suppress(httpx.HTTPError):
+                    await client.put("/api/policy", json={"name": name})
+
+
+async def _stay_connected(reader: asyncio.StreamReader, _: asyncio.StreamWriter) -> None:
+    await reader.read()
+
+
+async def _send_slowly(_: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+    writer.write(_head(b"Transfer-Encoding: chunked" if random.random() < 0.5 else b"Content-Length: %d" % BODY))
+    while True:
+        writer.write(b"1\r\nx\r\n")
+        await writer.drain()
+        await asyncio.sleep(0.1)
+
+
+def _head(line: bytes) -> bytes:
+    return b"POST /api/goal HTTP/1.1\r\nHost: 127.0.0.1\r\nContent-Type: application/json\r\n" + line + b"\r\n\r\n"
+
+
+def _parts(body: bytes, size: int) -> Iterator[bytes]:
+    yield from (body[at : at + size] for at in range(0, len(body), size))
+
+
+Client = Callable[[asyncio.StreamReader, asyncio.StreamWriter], Awaitable[None]]
+
+
+async def _crowd(clients: int, port: int, act: Client) -> None:
+    """Keep `clients` clients connected; each reconnects when it is refused."""
+
+    async def client() -> None:
+        while True:
+            with contextlib.suppress(OSError, asyncio.IncompleteReadError):
+                reader, writer = await asyncio.open_connection("127.0.0.1", port)
+                try:
+                    await act(reader, writer)
+                finally:
+                    writer.close()
+            await asyncio.sleep(random.uniform(0.05, 0.15))
+
+    await asyncio.gather(*(client() for _ in range(clients)))
+
+
+ATTACKS: dict[str, Attack] = {
+    "nothing": _nothing,
+    f"{CLIENTS} idle clients": _idle,
+    "bodies of megabytes, slowly": _slow_bodies,
+    f"goals of {KEYS} keys": _keys,
+    "policies being swapped": _policies,
+    f"{CLIENTS} idle clients at the stop port": _idle_at_the_stop,
+}
+
+
+@click.command()
+@click.option(
+    "--stops", default=100, show_default=True, type=click.IntRange(1), help="Stops each way under each attack."
+)
+@results.json_option
+def main(stops: int, json_file: Path | None) -> None:
+    """Measure how soon a stop is answered while the API is under attack.
+
+    \b
+    Example:
+      python -m validation.stop --json stop.json
+    """
+    try:
+        with bar("stopping") as shown:
+            figures = run(stops, list(ATTACKS), shown.show)
+    except DaemonError as error:
+        raise click.ClickException(str(error)) from None
+    if json_file is not None:
+        results.write(json_file, {"answer_ms": figures})
+    table = Table("answered after p50 / p99 / max (ms), unanswered", "stop port", "REST")
+    for name, ways in figures.items():
+        table.add_row(name, *(_cell(ways[way]) for way in ("stop", "api")))
+    Console().print(table)
+
+
+def _cell(spread: dict[str, Any]) -> str:
+    if spread["p50"] is None:
+        return f"none of {spread['asked']}"
+    return "{p50:.1f} / {p99:.1f} / {max:.1f}, {unanswered} of {asked}".format(**spread)
+
+
+if __name__ == "__main__":
+    main()
