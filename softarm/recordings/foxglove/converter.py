@@ -23,6 +23,7 @@ FIXED, FRAMES, ROBOT, TARGET, SHELF = "/tf_static", "/tf", "/scene/robot", "/sce
 TRAIL, TRAIL_NS, TRAIL_STEP_NS = "/scene/trail", 1_500_000_000, 50_000_000  # trail of the tip: duration and steps
 STATE, JOURNAL = "/state", "/log"
 INFO, WARNING, ERROR = 2, 3, 4  # foxglove.LogLevel
+_SCHEMAS = files("softarm.recordings.foxglove") / "schemas"
 
 
 class Message(NamedTuple):
@@ -97,7 +98,21 @@ def own(channel: records.Channel, schema: records.Schema) -> Channel:
 
 
 def _schema(kind: str) -> bytes:
-    return (files("softarm.recordings.foxglove") / "schemas" / f"{kind}.json").read_bytes()
+    """Return one of Foxglove's schemas; its files have each shared type once, in shared.json."""
+    shared, schema = (json.loads((_SCHEMAS / f"{name}.json").read_text()) for name in ("shared", kind))
+    return (json.dumps(_inline(schema, shared), indent=1) + "\n").encode()
+
+
+def _inline(node: Any, shared: dict[str, Any]) -> Any:
+    """Return a part of a schema with the shared types in place of their references."""
+    if isinstance(node, list):
+        return [_inline(each, shared) for each in node]
+    if not isinstance(node, dict):
+        return node
+    node = dict(node)
+    if "$ref" in node:
+        node = shared[node.pop("$ref").rpartition("/")[2]] | node
+    return {name: _inline(each, shared) for name, each in node.items()}
 
 
 class Converter:

@@ -1,5 +1,6 @@
 """Export for Foxglove: its types, wall-clock times, all data, an unchanged log."""
 
+import hashlib
 import json
 from datetime import UTC, datetime
 from importlib.resources import files
@@ -157,6 +158,15 @@ def test_the_layout_refers_to_existing_channels():
 
 def leaves(node):
     return {node} if isinstance(node, str) else leaves(node["first"]) | leaves(node["second"])
+
+
+@pytest.mark.parametrize(
+    ("topic", "digest"),
+    [("/tf", "4c9e63c7f5ef94d5"), ("/log", "6db5d97de2c0bc5e"), ("/scene/robot", "90abc80841709714")],
+)
+def test_the_schemas_are_those_of_the_package(converted, topic, digest):
+    """The digests are those of the package's files, with one space of indentation."""
+    assert hashlib.sha256(converted.schemas[topic].data).hexdigest().startswith(digest)
 
 
 def test_the_schemas_come_with_their_licence():
