@@ -57,6 +57,15 @@ def configuration_keys() -> str:
     return f"# Configuration keys\n\n{lead}\n\n{head}\n{rows}\n"
 
 
+def reality_parameters() -> str:
+    """Return the page with every parameter of the independent robot."""
+    from softarm.reality.parameters import GROUPS
+    from softarm.reality.quantities import table
+
+    lead = "The output of `softarm twin --reality --fault list`; see [Independent robot](reality.md)."
+    return f"# Parameters of the independent robot\n\n{lead}\n\n{table(*GROUPS)}"
+
+
 def rest_schemas() -> str:
     """Return the page with every request of the REST API and every body."""
     from softarm.daemon.api.app import ApiContext, create_app
@@ -119,5 +128,6 @@ def _cell(text: object) -> str:
 
 REFERENCES: dict[str, Callable[[], str]] = {
     "reference/configuration-keys.md": configuration_keys,
+    "reference/reality-parameters.md": reality_parameters,
     "reference/rest-schemas.md": rest_schemas,
 }

@@ -216,14 +216,16 @@ def _wrong_map(value: object) -> str:
 def table() -> str:
     """Return the table of docs/reference/trials.md: every key of every kind of stage."""
     rows = ["| kind | key | unit | allowed | default | meaning |", "|---|---|---|---|---|---|"]
+    kinds: dict[ModelKey, list[str]] = {}
     for kind in get_args(StageKind):
         for key in MODEL_KEYS[kind]:
-            plain = Quantity(low=key.low, high=key.high, above=key.above).bounds or "any"
-            allowed = {"one": plain, "link": f"{plain}; a list, one for each link", "pairs": "a list of pairs"}[
-                key.each
-            ]
-            default = "needed" if key.needed else "-" if key.default is None else f"{key.default:g}"
-            rows.append(f"| {kind} | `{key.name}` | {key.unit} | {allowed} | {default} | {key.meaning} |")
+            kinds.setdefault(key, []).append(kind)
+    for key, having in kinds.items():
+        plain = Quantity(low=key.low, high=key.high, above=key.above).bounds or "any"
+        allowed = {"one": plain, "link": f"{plain}; one for each link", "pairs": "a list of pairs"}[key.each]
+        default = "needed" if key.needed else "-" if key.default is None else f"{key.default:g}"
+        names = ", ".join(having)
+        rows.append(f"| {names} | `{key.name}` | {key.unit} | {allowed} | {default} | {key.meaning} |")
     return "\n".join(rows)
 
 

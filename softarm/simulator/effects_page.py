@@ -13,13 +13,12 @@ _INTRO = """\
 <!-- Written by `python -m softarm.simulator.effects_page`; edit effect_table.py instead. -->
 # Effects
 
-An effect is a named piece of physics, actuation, sensing or timing that a simulator can have or lack. A model file
-lists those that it has under `effects:`, each with its parameters; an effect without a line is absent. At its neutral
-value it changes nothing, exactly. The order is causal; `softarm model show seed` lists those of a model.
+For everybody who edits a [model file](models.md) or reads a diagnosis: every piece of physics, actuation, sensing or
+timing that the simulator can have or lack, in causal order. The seed's model has
+{seed}.
 
-*Neutral*: where the parameter changes nothing (-: a shape parameter with the default in brackets).
-*Bounds*: limits of fits, draws and model files. *Strong*: a large but possible value, which the tests use.
-[P] is the CoRL 2023 paper (SM: its supplement), [C] its authors' released configuration.
+*Neutral*: the parameter changes nothing (-: a shape parameter, its default in brackets). *Bounds*: limits of fits,
+draws and model files. [P] is the CoRL 2023 paper (SM: its supplement), [C] its authors' released configuration.
 
 """
 
@@ -37,34 +36,33 @@ _STAGES = {
 def page() -> str:
     """Return the page's text."""
     stages = "".join(f"{line}\n" for stage in STAGES for line in _stage(stage))
-    return _INTRO + stages + "\n".join(_pairs()) + "\n"
+    seed = ", ".join(f"`{name}`" for name in seed_effects())
+    return _INTRO.format(seed=seed) + stages + "\n".join(_pairs()) + "\n"
 
 
 def _stage(stage: str) -> Iterator[str]:
     effects = [effect for effect in REGISTRY.values() if effect.stage == stage]
-    yield from (f"## {stage}", _STAGES[stage], "")
-    if rows := [_row(effect, parameter) for effect in effects for parameter in effect.parameters]:
-        head = ("| parameter | unit | neutral | bounds | strong | meaning |", "|---|---|---|---|---|---|")
-        yield from (*head, *rows, "")
+    yield from (f"## {stage}", "", _STAGES[stage], "")
     for effect in effects:
-        yield from (f"### {effect.name}", f"{_text(effect)} Source: {effect.source}.", "")
+        yield f"- **`{effect.name}`**: {_text(effect)} Source: {effect.source}."
+    yield ""
+    if rows := [_row(effect, parameter) for effect in effects for parameter in effect.parameters]:
+        yield from ("| parameter | unit | neutral | bounds | meaning |", "|---|---|---|---|---|", *rows, "")
 
 
 def _text(effect: Effect) -> str:
     text = f"{effect.meaning[0].upper()}{effect.meaning[1:]}."
-    if effect.name in seed_effects():
-        text += " The seed's model has it."
-    return text if effect.parameters else f"{text} It has no parameters; write `{{}}`."
+    return text if effect.parameters else f"{text} No parameters: write `{{}}`."
 
 
 def _row(effect: Effect, p: Parameter) -> str:
     neutral = f"{p.neutral:g}" if p.default is None else f"- ({p.default:g})"
     name = f"`{effect.name}.{p.name}`"
-    return f"| {name} | {p.unit} | {neutral} | {p.low:g} .. {p.high:g} | {p.exemplar:g} | {p.meaning} |"
+    return f"| {name} | {p.unit} | {neutral} | {p.low:g} .. {p.high:g} | {p.meaning} |"
 
 
 def _pairs() -> Iterator[str]:
-    yield from ("## Similar effects", "Pairs of effects that explain similar data, and what separates them.", "")
+    yield from ("## Similar effects", "", "Pairs of effects that explain similar data, and what separates them.", "")
     yield from ("| effects | separated by |", "|---|---|")
     yield from (f"| `{one}`, `{other}` | {how} |" for one, other, how in RIVALS)
 

@@ -51,6 +51,8 @@ def test_linked_files_of_the_repository_are_in_the_site(site):
 def test_references_are_generated_from_the_code(site):
     keys = (site / "reference/configuration-keys.html").read_text(encoding="utf-8")
     assert "limits.rail.position_min_m" in keys
+    parameters = (site / "reference/reality-parameters.html").read_text(encoding="utf-8")
+    assert "Rail.stribeck_m_s" in parameters
     requests = (site / "reference/rest-schemas.html").read_text(encoding="utf-8")
     assert "POST /api/goal" in requests
     assert 'href="#reachbody"' in requests

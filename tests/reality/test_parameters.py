@@ -1,7 +1,6 @@
 """Parameters of the independent robot, and their table in the documentation."""
 
 import dataclasses
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -12,7 +11,6 @@ from softarm.reality.quantities import of, table
 from softarm.schemas.model import Arm as ModelArm
 from softarm.schemas.model import Model
 
-PAGE = Path(__file__).parents[2] / "docs" / "reference" / "reality.md"
 FIELDS = [(group, field) for group in GROUPS for field in dataclasses.fields(group)]
 NAMES = [f"{group.__name__}.{field.name}" for group, field in FIELDS]
 
@@ -66,5 +64,6 @@ def test_an_arm_of_other_than_five_links_is_refused() -> None:
         RobotParameters(body=short)
 
 
-def test_the_page_shows_the_declared_table() -> None:
-    assert table(*GROUPS) in PAGE.read_text(encoding="utf-8")
+def test_the_table_for_the_page_has_a_row_for_every_parameter() -> None:
+    rows = table(*GROUPS).splitlines()[2:]
+    assert [row.split("`")[1] for row in rows] == NAMES

@@ -17,6 +17,9 @@ class Response(IntEnum):
     STOP = 2  # vent and switch the drive off at once; latched until acknowledged
 
 
+USUALLY = "when the cause is gone"
+
+
 @dataclass(frozen=True, slots=True)
 class Rule:
     """One line of the failsafe table."""
@@ -25,7 +28,7 @@ class Rule:
     blocks_arming: bool
     meaning: str
     remedy: str  # the next step
-    clears: str = "when the cause is gone"
+    clears: str = USUALLY
 
 
 # What an operator does after an emergency stop, once the cause is gone.
@@ -327,18 +330,14 @@ class Event:
 LATCH = """\
 ## The latch outlives the daemon
 
-The daemon keeps the reason for an emergency stop in a file. After a crash or restart, the new daemon
-starts `stopped` and latched, with the old reason, until a person acknowledges it. An unreadable file counts as an
-emergency stop.
+After a crash or restart, the new daemon starts `stopped` and latched, with the old reason, until a person acknowledges
+it. The reason is in a file, `stop-HOST-PORT.json`, named after the axis (`drivers.rail`). It is in the service's
+`/var/lib/softarm`, otherwise in `recorder.directory`; `softarm check` shows its path. An unreadable file counts as an
+emergency stop. A robot simulated in the daemon's own process has no such file.
 
-The file, `stop-HOST-PORT.json`, is named after the axis (`drivers.rail`): it belongs to the robot, whichever
-configuration is used. It is in the service's `/var/lib/softarm`, otherwise in `recorder.directory`; `softarm check`
-shows its path. A robot simulated in the daemon's own process has no such file.
-
-A thread of its own writes the file after the tick that stopped. A few milliseconds after the answer to the stop the
-latch survives a kill, and once the disk has the data, a power cut. The file exists before anything can stop, and it is
-overwritten in place, so a full disk cannot prevent the write. While writing fails or takes longer than 1 s, arming is
-refused (`stop_not_kept`). A daemon that ends without an emergency stop removes the file.
+A few milliseconds after the answer to the stop the latch survives a kill, and once the disk has the data, a power cut.
+A full disk cannot prevent the write. While writing fails or takes longer than 1 s, arming is refused
+(`stop_not_kept`). A daemon that ends without an emergency stop removes the file.
 """
 
 
@@ -352,24 +351,28 @@ def page() -> str:
     lines = [
         "# Failsafe events",
         "",
-        "Each event with its response and the next step, for operators. Acknowledge an emergency stop with",
-        "`softarm acknowledge`, with the dashboard's button, or with `POST /api/acknowledge`.",
-        "",
-        "Generated from the table in `softarm/daemon/control/failsafe.py` with",
-        "`python -m softarm.daemon.control.failsafe > docs/reference/failsafe.md`.",
+        "For operators: each event with its response and the next step. An event clears when its cause is gone, unless",
+        "its next step says otherwise; with *refuses arming* the arm cannot be armed before.",
+        "`python -m softarm.daemon.control.failsafe > docs/reference/failsafe.md` writes this page.",
         "",
     ]
     for response in sorted(responses, reverse=True):
         lines += [f"## {response.name.lower().replace('_', ' ')}: {responses[response]}", ""]
-        lines += ["| event | cause | next step | refuses arming | clears |", "|---|---|---|---|---|"]
-        lines += [
-            f"| `{name}` | {rule.meaning} | {rule.remedy} | {'yes' if rule.blocks_arming else 'no'} | {rule.clears} |"
-            for name, rule in TABLE.items()
-            if rule.response is response
-        ]
+        if response is Response.STOP:
+            lines += ["*Acknowledge*: `softarm acknowledge`, the dashboard's button, or `POST /api/acknowledge`.", ""]
+        lines += ["| event | cause | next step | refuses arming |", "|---|---|---|---|"]
+        lines += [_row(name, rule) for name, rule in TABLE.items() if rule.response is response]
         lines.append("")
     lines.append(LATCH)
     return "\n".join(lines)
+
+
+def _row(name: str, rule: Rule) -> str:
+    """Return an event's line of the page."""
+    step = rule.remedy.replace(ACKNOWLEDGE, "then acknowledge")
+    if rule.clears != USUALLY:
+        step += f" (clears: {rule.clears.partition(':')[0]})"
+    return f"| `{name}` | {rule.meaning} | {step} | {'yes' if rule.blocks_arming else 'no'} |"
 
 
 if __name__ == "__main__":
