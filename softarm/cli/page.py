@@ -1,7 +1,6 @@
 """Generator of docs/reference/cli.md: `python -m softarm.cli.page > docs/reference/cli.md`."""
 
 import inspect
-import re
 from collections.abc import Iterator
 
 import click
@@ -12,7 +11,7 @@ from softarm.cli.shared.errors import EXITS
 HEAD = """\
 # Command line
 
-For everybody who types or scripts commands. `softarm VERB --help` prints the options of a verb and more examples.
+For everybody who types or scripts commands. `softarm VERB --help` prints the options of a verb and examples.
 `python -m softarm.cli.page > docs/reference/cli.md` writes this page.
 """
 TAIL = """\
@@ -49,18 +48,13 @@ _SOFTARM_COMPLETE=fish_source softarm | source                       # in ~/.con
 """
 
 
-SAID = re.compile(r"^(\S.*?)(\s{2,})(\S.*)$")  # a command, and what is said beside it
-
-
 def page() -> str:
-    """Return the Markdown page of all verbs, each with its first example."""
+    """Return the Markdown page of all verbs, each with its purpose."""
     parts = [HEAD]
     for section, verbs in VERBS.items():
-        parts.append(f"## {section}\n\n| verb | |\n|---|---|")
-        commands = [each for name in verbs for each in commands_of(name)]
-        parts.append("\n".join(f"| `{path}` | {_line(path, command)} |" for path, command in commands))
-        shown = [_example(command) for _, command in commands if not isinstance(command, click.Group)]
-        parts.append("\n```\n" + "\n".join(shown) + "\n```\n")
+        commands = [each for name in verbs for each in commands_of(name) if _does_something(each[1])]
+        lines = "\n".join(f"- `{path}`: {_line(path, command)}" for path, command in commands)
+        parts.append(f"## {section}\n\n{lines}\n")
     exits = "\n".join(f"| {code} | {meaning} |" for code, meaning in EXITS.items())
     return "\n".join([*parts, TAIL.format(exits=exits)])
 
@@ -75,23 +69,14 @@ def commands_of(name: str) -> Iterator[tuple[str, click.Command]]:
             yield f"softarm {name} {inner}", command
 
 
-def examples(command: click.Command) -> list[str]:
-    """Return the lines below `Example` in a verb's help, with continued lines joined."""
-    lines = inspect.cleandoc(command.help or "").splitlines()
-    begin = next((number for number, line in enumerate(lines) if line.startswith("Example")), len(lines))
-    return [line.removeprefix("  ") for line in lines[begin + 1 :] if line.startswith("  ")]
-
-
-def _example(command: click.Command) -> str:
-    """Return the first example of a verb, with a continued line joined."""
-    text = re.sub(r"\\\n\s*", "", "\n".join(examples(command)))
-    return SAID.sub(r"\1\2# \3", text.partition("\n")[0])
+def _does_something(command: click.Command) -> bool:
+    """Return whether a command does more than group its sub-verbs."""
+    return not isinstance(command, click.Group) or command.invoke_without_command
 
 
 def _line(path: str, command: click.Command) -> str:
     listed = [section[name].help for section in VERBS.values() for name in section if path == f"softarm {name}"]
-    text = listed[0] if listed else inspect.cleandoc(command.help or "").partition("\n\n")[0].replace("\n", " ")
-    return text.replace("|", "\\|")
+    return listed[0] if listed else inspect.cleandoc(command.help or "").partition("\n\n")[0].replace("\n", " ")
 
 
 if __name__ == "__main__":

@@ -18,7 +18,7 @@ timing that the simulator can have or lack, in causal order. The seed's model ha
 {seed}.
 
 *Neutral*: the parameter changes nothing (-: a shape parameter, its default in brackets). *Bounds*: limits of fits,
-draws and model files. [P] is the CoRL 2023 paper (SM: its supplement), [C] its authors' released configuration.
+draws and model files. `softarm model show` prints the source of each effect in a model.
 
 """
 
@@ -44,7 +44,7 @@ def _stage(stage: str) -> Iterator[str]:
     effects = [effect for effect in REGISTRY.values() if effect.stage == stage]
     yield from (f"## {stage}", "", _STAGES[stage], "")
     for effect in effects:
-        yield f"- **`{effect.name}`**: {_text(effect)} Source: {effect.source}."
+        yield f"- **`{effect.name}`**: {_text(effect)}"
     yield ""
     if rows := [_row(effect, parameter) for effect in effects for parameter in effect.parameters]:
         yield from ("| parameter | unit | neutral | bounds | meaning |", "|---|---|---|---|---|", *rows, "")
