@@ -60,7 +60,7 @@ class Inlet(Protocol):
     """Source of frames, such as `softarm.drivers.bridge.client.Client`."""
 
     conversation: Conversation
-    strangers: int
+    other_senders: int
 
     def poll(self, seconds: float) -> list[StampedFrame]:
         """Wait for frames and return them; see `Client.poll`."""
@@ -173,7 +173,7 @@ class Bridging:
     def _figures(self) -> dict[str, int]:
         inlet, outlet = self._inlet, self._outlet
         figures = asdict(inlet.conversation.counts)
-        return figures | {"strangers": inlet.strangers, "sent": outlet.sent, "without_daemon": outlet.without_daemon}
+        return figures | {"strangers": inlet.other_senders, "sent": outlet.sent, "without_daemon": outlet.without_daemon}
 
     def _journal(self) -> None:
         if (change := self._problem.update(self._inlet.problem() or self._nameless(), self._clock())) is not None:

@@ -18,7 +18,7 @@ _POLL_S = 0.01
 class Client:
     """Client of a NatNet server: `with Client(...) as client`, then `poll`.
 
-    Entering raises DeviceError on an invalid address. `strangers` counts datagrams from other senders.
+    Entering raises DeviceError on an invalid address. `other_senders` counts datagrams from other senders.
     """
 
     def __init__(
@@ -29,7 +29,7 @@ class Client:
         clock: Callable[[], int] = time.monotonic_ns,
     ) -> None:
         self.conversation = Conversation(report, config.received_after_s)
-        self.strangers = 0
+        self.other_senders = 0
         self.place = f"{server}:{config.command_port}"
         self._config, self._host, self._clock = config, server, clock
         self._selector = selectors.DefaultSelector()
@@ -119,7 +119,7 @@ class Client:
                 self._problem = str(error.strerror or error)
                 return taken
             if host != self._server[0]:
-                self.strangers += 1
+                self.other_senders += 1
             elif (frame := self.conversation.receive(datagram, self._clock())) is not None:
                 taken.append(frame)
 

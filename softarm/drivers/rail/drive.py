@@ -1,14 +1,19 @@
 """The drive as its masters use it: one connection after another, each of which begins and ends with a stop."""
 
 import contextlib
+import time
 from collections.abc import Callable
 
 from softarm.drivers.rail import dryve
-from softarm.drivers.rail.cia402 import ControlWord
+from softarm.drivers.rail.cia402 import ControlWord, DriveState, decode_state
 from softarm.drivers.rail.dryve_link import CONNECT_S, DryveLink, Wait
-from softarm.drivers.rail.feedback import AT_REST_M_S, Feedback, poll
-from softarm.drivers.rail.rest import Pause, bring_to_rest
+from softarm.drivers.rail.enabling import BRAKE_MAX_S
+from softarm.drivers.rail.feedback import AT_REST_M_S, FAULTY, Feedback
 from softarm.drivers.rail.settings import Settings
+
+# For a drive that refuses to report its state.
+HALT_TRIES, HALT_PAUSE_S = 20, 0.01
+BRAKE_PAUSE_S = 0.01
 
 
 class Drive:
@@ -17,7 +22,7 @@ class Drive:
     Every method but `close` raises one of `dryve_link.LINK_ERRORS`.
     """
 
-    def __init__(self, settings: Settings, wait: Wait, pause: Pause) -> None:
+    def __init__(self, settings: Settings, wait: Wait, pause: Callable[[float], object]) -> None:
         self.settings = settings
         self.target = 0
         self._wait, self._pause = wait, pause
@@ -65,8 +70,35 @@ class Drive:
         self.link.write(dryve.TARGET_VELOCITY, target)
 
     def bring_to_rest(self) -> bool:
-        """Brake, disable the drive, and return whether it was in operation."""
-        return bring_to_rest(self.link, self.settings.units(AT_REST_M_S), self._pause)
+        """Brake for `BRAKE_MAX_S` at most, disable the drive, and return whether it was in operation.
+
+        This is the first action on every connection, in any state of the drive.
+        """
+        drive, operating = self.link, self._halt()
+        until_s = time.monotonic() + BRAKE_MAX_S
+        at_rest = self.settings.units(AT_REST_M_S)
+        while abs(drive.read(dryve.VELOCITY)) > at_rest and time.monotonic() < until_s:
+            self._pause(BRAKE_PAUSE_S)
+        drive.write(dryve.CONTROLWORD, ControlWord.SHUTDOWN if operating else ControlWord.RESET_AND_HALT)
+        return operating
+
+    def _halt(self) -> bool:
+        """Brake a drive in operation and return whether it was; stop it blindly while it refuses to answer."""
+        drive = self.link
+        for left in reversed(range(HALT_TRIES)):
+            try:
+                operating = decode_state(drive.read(dryve.STATUSWORD)) is DriveState.OPERATION_ENABLED
+                if operating:
+                    drive.write(dryve.TARGET_VELOCITY, 0)
+                    drive.write(dryve.CONTROLWORD, ControlWord.ENABLE_AND_HALT)
+                return operating
+            except dryve.DryveRefusal:
+                if not left:
+                    raise
+                self._pause(HALT_PAUSE_S)
+                with contextlib.suppress(dryve.DryveRefusal):
+                    drive.write(dryve.TARGET_VELOCITY, 0)
+        raise AssertionError("the last try returns or raises")
 
     def configure_velocity_mode(self) -> str | None:
         """Set the mode and the ramps, read them back and return the first difference as text, or None."""
@@ -89,4 +121,24 @@ class Drive:
 
     def poll(self, clock: Callable[[], int]) -> Feedback:
         """Read the drive's state, stamped by `clock` in ns."""
-        return poll(self.link, self.settings, clock)
+        drive, settings = self.link, self.settings
+        statusword = drive.read(dryve.STATUSWORD)
+        t_ns = clock()
+        position = drive.read(dryve.POSITION)
+        velocity = drive.read(dryve.VELOCITY)
+        state = decode_state(statusword)
+        return Feedback(
+            t_ns=t_ns,
+            state=state,
+            statusword=statusword,
+            position_m=settings.position_m(position),
+            velocity_m_s=settings.velocity_m_s(velocity),
+            error_code=drive.read(dryve.ERROR_CODE) if state in FAULTY else 0,
+        )
+
+    def read_homed(self) -> bool | None:
+        """Return whether the drive reports a valid zero, or None if it does not answer this optional object."""
+        try:
+            return bool(self.link.read(dryve.HOMING_STATUS) & 1)
+        except (dryve.DryveRefusal, dryve.DryveMismatch, TimeoutError):
+            return None

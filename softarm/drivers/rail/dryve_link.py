@@ -14,7 +14,7 @@ from softarm.drivers.rail.cia402 import ControlWord
 from softarm.drivers.rail.dryve import Entry
 
 # Answers to other requests that one exchange skips.
-STRAYS_MAX = 8
+SKIPPED_MAX = 8
 # 6061h lags 6060h by up to a quarter of a second.
 MODE_MAX_S, MODE_PAUSE_S = 0.5, 0.02
 # After a repeated answer the right one follows at once, or the line repeats itself for ever.
@@ -50,13 +50,13 @@ class DryveLink:
     """One TCP connection to the drive. Its first and last bytes are a stop (60FFh = 0) that needs no answer.
 
     After one of EXCHANGE_ERRORS the next request may be tried; after any other error the connection must be closed.
-    `strays` counts the skipped answers to other requests. After a repeated answer the right one must follow within
+    `skipped` counts the skipped answers to other requests. After a repeated answer the right one must follow within
     `ECHO_S`. Nothing is sent twice.
     """
 
     def __init__(self, line: socket.socket, wait: Wait, request_timeout_s: float) -> None:
         """Use a non-blocking socket that is connected or connecting."""
-        self.strays = 0
+        self.skipped = 0
         self._line, self._wait, self._timeout_s = line, wait, request_timeout_s
         self._telegrams = dryve.Telegrams()
         self._transaction = 0
@@ -149,21 +149,21 @@ class DryveLink:
         """
         transaction = self._send(entry, value)
         deadline_s = until_s = time.monotonic() + self._timeout_s
-        for _ in range(STRAYS_MAX + 1):
+        for _ in range(SKIPPED_MAX + 1):
             telegram = self._next_telegram(until_s)
             if telegram is None:
                 verb = "read" if value is None else "write"
-                strays = f" ({self.strays} answers to other requests)" if self.strays else ""
+                skipped = f" ({self.skipped} answers to other requests)" if self.skipped else ""
                 waited_s = self._timeout_s - max(0.0, deadline_s - until_s)
-                raise TimeoutError(f"{verb} {entry}: no answer within {waited_s:.2g} s{strays}")
+                raise TimeoutError(f"{verb} {entry}: no answer within {waited_s:.2g} s{skipped}")
             answered = int.from_bytes(telegram[:2], "big")
             if answered not in self._unanswered:
                 until_s = min(until_s, time.monotonic() + ECHO_S)
             self._unanswered.discard(answered)
             if answered == transaction:
                 return dryve.decode_answer(telegram, transaction, entry, write=value is not None)
-            self.strays += 1
-        raise dryve.DryveMismatch(f"{entry}: more than {STRAYS_MAX} answers to other requests in a row")
+            self.skipped += 1
+        raise dryve.DryveMismatch(f"{entry}: more than {SKIPPED_MAX} answers to other requests in a row")
 
     def _next_telegram(self, until_s: float) -> bytes | None:
         while (telegram := self._telegrams.next()) is None:

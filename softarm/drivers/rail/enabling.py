@@ -7,10 +7,11 @@ from typing import NamedTuple
 
 from softarm.drivers.rail.cia402 import DriveState, next_controlword
 from softarm.drivers.rail.feedback import Feedback
-from softarm.drivers.rail.rest import BRAKE_MAX_S
 
 # From switch-on disabled to operation enabled.
 ENABLE_MAX_S = 2.0
+# From 1 m/s at 6 m/s^2 braking takes 0.17 s.
+BRAKE_MAX_S = 1.0
 
 
 class Step(NamedTuple):

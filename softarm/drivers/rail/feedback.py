@@ -1,12 +1,9 @@
 """One poll of the drive: position, velocity, state and fault."""
 
-from collections.abc import Callable
 from typing import NamedTuple
 
 from softarm.drivers.rail import dryve
-from softarm.drivers.rail.cia402 import DriveState, StatusWord, decode_state
-from softarm.drivers.rail.dryve_link import DryveLink
-from softarm.drivers.rail.settings import Settings
+from softarm.drivers.rail.cia402 import DriveState, StatusWord
 
 # A swinging arm keeps pulling at a cart at rest.
 AT_REST_M_S = 0.02
@@ -56,37 +53,3 @@ class Feedback(NamedTuple):
         if self.state in FAULTY:
             return (f"{dryve.ERROR_CODES.get(self.error_code, 'unknown error')} (0x{self.error_code:04X})",)
         return ()
-
-
-def poll(drive: DryveLink, settings: Settings, clock: Callable[[], int]) -> Feedback:
-    """Read the drive's state.
-
-    Args:
-        drive: Connection to the drive.
-        settings: Units and zero of the axis.
-        clock: Monotonic clock, ns.
-
-    Raises:
-        Exception: One of `dryve_link.LINK_ERRORS`.
-    """
-    statusword = drive.read(dryve.STATUSWORD)
-    t_ns = clock()
-    position = drive.read(dryve.POSITION)
-    velocity = drive.read(dryve.VELOCITY)
-    state = decode_state(statusword)
-    return Feedback(
-        t_ns=t_ns,
-        state=state,
-        statusword=statusword,
-        position_m=settings.position_m(position),
-        velocity_m_s=settings.velocity_m_s(velocity),
-        error_code=drive.read(dryve.ERROR_CODE) if state in FAULTY else 0,
-    )
-
-
-def read_homed(drive: DryveLink) -> bool | None:
-    """Return whether the drive reports a valid zero, or None if it does not answer this optional object."""
-    try:
-        return bool(drive.read(dryve.HOMING_STATUS) & 1)
-    except (dryve.DryveRefusal, dryve.DryveMismatch, TimeoutError):
-        return None

@@ -19,7 +19,7 @@ from softarm.drivers.rail.daemon_line import DaemonLine, HungUp
 from softarm.drivers.rail.drive import Drive
 from softarm.drivers.rail.dryve_link import EXCHANGE_ERRORS, LINK_ERRORS
 from softarm.drivers.rail.enabling import Enabling
-from softarm.drivers.rail.feedback import Feedback, read_homed
+from softarm.drivers.rail.feedback import Feedback
 from softarm.drivers.rail.orders import Orders
 from softarm.drivers.rail.pair import Reading, Report
 from softarm.drivers.rail.problems import Problems
@@ -226,7 +226,7 @@ class Master:
             return
         fell = feedback.state is DriveState.SWITCH_ON_DISABLED
         if self._feedback is None or self._homed is False or (fell and self._feedback.state is not feedback.state):
-            self._homed = read_homed(self._drive.link)
+            self._homed = self._drive.read_homed()
 
     def _is_operating(self) -> bool:
         return self._feedback is not None and self._feedback.state is DriveState.OPERATION_ENABLED

@@ -139,9 +139,9 @@ def test_datagrams_from_other_senders_are_counted_and_ignored() -> None:
             stranger.bind(("127.0.0.2", 0))
             stranger.sendto(motive.server_info((3, 1), 5, 1, None), ("127.0.0.1", port))
         deadline = time.monotonic() + 10
-        while client.strangers == 0 and time.monotonic() < deadline:
+        while client.other_senders == 0 and time.monotonic() < deadline:
             client.poll(0.01)
-        assert client.strangers == 1
+        assert client.other_senders == 1
         assert client.conversation.server is None or client.conversation.server.clock_hz != 5
 
 
@@ -180,7 +180,7 @@ class Scripted:
     def __init__(self, clock: Any) -> None:
         self.conversation = Conversation(lambda text: None)
         self.conversation.ids = dict(IDS)
-        self.strangers, self.clock, self.sent, self.poses, self.number = 0, clock, None, dict(POSES), 0
+        self.other_senders, self.clock, self.sent, self.poses, self.number = 0, clock, None, dict(POSES), 0
 
     def poll(self, seconds: float) -> list[Any]:
         from softarm.drivers.bridge.conversation import StampedFrame

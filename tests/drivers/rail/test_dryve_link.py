@@ -10,10 +10,10 @@ from typing import Any
 import pytest
 
 from softarm.drivers.rail import dryve
-from softarm.drivers.rail.dryve_link import EXCHANGE_ERRORS, STRAYS_MAX, DryveLink
+from softarm.drivers.rail.dryve_link import EXCHANGE_ERRORS, SKIPPED_MAX, DryveLink
 
 PATIENCE_S = 5.0
-STRAY = bytes.fromhex("77770000000d002b0d01000060ff0000000000")
+OTHER = bytes.fromhex("77770000000d002b0d01000060ff0000000000")
 
 
 @pytest.fixture
@@ -55,18 +55,18 @@ def test_many_answers_to_other_requests_end_an_exchange_before_its_timeout(linke
     def script(link: DryveLink) -> None:
         with pytest.raises(dryve.DryveMismatch, match=r"60FFh:0 .*: more than 8 answers to other requests in a row"):
             link.write(dryve.TARGET_VELOCITY, 1)
-        assert link.strays == STRAYS_MAX + 1
+        assert link.skipped == SKIPPED_MAX + 1
 
-    linked(script, lambda number, telegram: STRAY * 2000 if number == 1 else acknowledge(telegram))
+    linked(script, lambda number, telegram: OTHER * 2000 if number == 1 else acknowledge(telegram))
 
 
 def test_a_few_answers_to_other_requests_are_skipped(linked: Any) -> None:
     def script(link: DryveLink) -> None:
         link.write(dryve.TARGET_VELOCITY, 1)
         link.write(dryve.TARGET_VELOCITY, 2)
-        assert link.strays == 3 * STRAYS_MAX
+        assert link.skipped == 3 * SKIPPED_MAX
 
-    linked(script, lambda _, telegram: STRAY * STRAYS_MAX + acknowledge(telegram))
+    linked(script, lambda _, telegram: OTHER * SKIPPED_MAX + acknowledge(telegram))
 
 
 def test_a_line_that_repeats_one_answer_fails_before_the_timeout(linked: Any) -> None:

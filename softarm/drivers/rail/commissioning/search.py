@@ -7,9 +7,8 @@ answered by 010Fh, which brakes; at rest the drive is disabled. Nothing moves af
 from enum import Enum, auto
 
 from softarm.drivers.rail.cia402 import ControlWord, DriveState, StatusWord, next_controlword
-from softarm.drivers.rail.enabling import ENABLE_MAX_S
+from softarm.drivers.rail.enabling import BRAKE_MAX_S, ENABLE_MAX_S
 from softarm.drivers.rail.feedback import Feedback
-from softarm.drivers.rail.rest import BRAKE_MAX_S
 from softarm.schemas.robot import RAIL_TRAVEL_M
 
 # No homing method leaves the axis at rest for longer before it has finished.

@@ -15,8 +15,8 @@ from softarm.drivers.rail import dryve
 from softarm.drivers.rail.cia402 import DriveState
 from softarm.drivers.rail.commissioning.search import Search
 from softarm.drivers.rail.drive import Drive
-from softarm.drivers.rail.dryve_link import EXCHANGE_ERRORS, LINK_ERRORS, DryveLink, describe_error
-from softarm.drivers.rail.feedback import Feedback, read_homed
+from softarm.drivers.rail.dryve_link import EXCHANGE_ERRORS, LINK_ERRORS, describe_error
+from softarm.drivers.rail.feedback import Feedback
 from softarm.drivers.rail.settings import Settings
 
 T = TypeVar("T")
@@ -93,18 +93,18 @@ class DriveSession:
 
     def poll(self) -> Feedback:
         """Return the drive's present state."""
-        return self._request(lambda _: self._drive.poll(self.clock))
+        return self._request(lambda: self._drive.poll(self.clock))
 
     def homed(self) -> bool | None:
         """Return whether the drive reports that it is homed, or None if it does not report it."""
-        return self._request(read_homed)
+        return self._request(self._drive.read_homed)
 
     def method(self) -> int | None:
         """Return the drive's homing method, a key of `METHODS`, or None if it does not report one."""
 
-        def ask(drive: DryveLink) -> int | None:
+        def ask() -> int | None:
             try:
-                return drive.read(dryve.HOMING_METHOD)
+                return self._drive.link.read(dryve.HOMING_METHOD)
             except (dryve.DryveRefusal, dryve.DryveMismatch):
                 return None
 
@@ -113,7 +113,7 @@ class DriveSession:
     def reset_fault(self) -> None:
         """Reset a drive in fault; nothing moves."""
         if self.poll().state is DriveState.FAULT:
-            self._request(lambda _: self._drive.reset_fault())
+            self._request(self._drive.reset_fault)
 
     def home(
         self,
@@ -131,7 +131,7 @@ class DriveSession:
             report: Receives the result of every poll.
         """
         method = self.method()
-        self._request(lambda drive: self._configure(drive, speed_m_s, creep_m_s))
+        self._request(lambda: self._configure(speed_m_s, creep_m_s))
         search = Search(speed_m_s, creep_m_s, method, self.clock())
         try:
             self._search(search, stop, report)
@@ -139,7 +139,7 @@ class DriveSession:
             raise self._recover(error, search) from error
         if search.failure is not None:
             raise self._error("home", *search.failure)
-        self._request(lambda drive: drive.write(dryve.MODE, dryve.PROFILE_VELOCITY))
+        self._request(lambda: self._drive.link.write(dryve.MODE, dryve.PROFILE_VELOCITY))
         seen, confirmed = self.poll(), self.homed()
         if confirmed is False:
             problem = "the search succeeded, but the drive reports that it is not homed (2014h)"
@@ -163,9 +163,9 @@ class DriveSession:
                 self._drive.link.write(dryve.CONTROLWORD, word)
             self.pause(POLL_S)
 
-    def _configure(self, drive: DryveLink, speed_m_s: float, creep_m_s: float) -> None:
+    def _configure(self, speed_m_s: float, creep_m_s: float) -> None:
         """Set homing mode, ramps and speeds, and read each back. Nothing moves."""
-        ramps, units = self.settings, self.settings.units
+        drive, ramps, units = self._drive.link, self.settings, self.settings.units
         for entry, value in (
             (dryve.DECELERATION, units(ramps.acceleration_m_s2)),
             (dryve.QUICK_STOP, units(ramps.quick_stop_m_s2)),
@@ -209,9 +209,9 @@ class DriveSession:
         poll.register(line, events)
         return bool(poll.poll(1e3 * max(0.0, seconds)))
 
-    def _request(self, ask: Callable[[DryveLink], T]) -> T:
+    def _request(self, ask: Callable[[], T]) -> T:
         try:
-            return ask(self._drive.link)
+            return ask()
         except LINK_ERRORS as error:
             raise self._described(error) from error
 
