@@ -94,7 +94,7 @@ class Robot(threading.Thread):
 
     async def _serve(self) -> None:
         async with Twin(self._config, body=self._body) as twin:
-            twin.faults.rail_keeps_going()
+            twin.faults.start("rail_keeps_going")
             self.twin = twin
             self._ready.set()
             while not self._over.is_set():

@@ -305,7 +305,7 @@ def test_the_driver_sends_the_pages_telegrams_and_no_others(run: Any, until: Any
                 for velocity_m_s in (0.25, -0.25):
                     await fly(lambda v=velocity_m_s: drive.target_velocity_m_s == v, True, velocity_m_s)
                 drive.sense(0.1, 0.25)
-                faults.rail_drop_connection()
+                faults.start("rail_drop_connection")
                 await fly(lambda: drive.target_velocity_m_s == 0.0)
                 drive.sense(0.12, 0.0)
                 await fly(lambda: axis.problem() is None and drive.state is DriveState.READY)

@@ -77,9 +77,9 @@ def test_the_board_is_armed_and_vents_when_the_driver_is_silent(bench: Any) -> N
 def test_after_replugging_the_board_stays_disarmed(bench: Any) -> None:
     async def script(b: Bench) -> None:
         await b.arm()
-        b.faults.serial_unplug()
+        b.faults.start("serial_unplug")
         await b.write_until(lambda: "plug the Teensy in" in (b.regulator.problem() or ""), True, 10.0)
-        b.faults.clear()
+        b.faults.start("clear")
         await b.write_until(lambda: b.regulator.problem() is None, True, 10.0)
         assert not b.board.armed
         await b.arm()

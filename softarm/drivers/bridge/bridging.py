@@ -172,8 +172,8 @@ class Bridging:
 
     def _figures(self) -> dict[str, int]:
         inlet, outlet = self._inlet, self._outlet
-        figures = asdict(inlet.conversation.counts)
-        return figures | {"strangers": inlet.other_senders, "sent": outlet.sent, "without_daemon": outlet.without_daemon}
+        figures = asdict(inlet.conversation.counts) | {"strangers": inlet.other_senders}
+        return figures | {"sent": outlet.sent, "without_daemon": outlet.without_daemon}
 
     def _journal(self) -> None:
         if (change := self._problem.update(self._inlet.problem() or self._nameless(), self._clock())) is not None:

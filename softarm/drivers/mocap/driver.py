@@ -14,8 +14,6 @@ A source that stops, or sends invalid samples, changes no state: `problem` repor
 The device commands nothing, so no state without the host is needed.
 """
 
-import asyncio
-import threading
 import time
 from collections.abc import Callable
 
@@ -36,22 +34,8 @@ class ZenohMocapSource(Reception):
         place, remedy = f"{config.endpoint} {config.key}", "correct the bridge: docs/reference/wires.md"
         super().__init__(place, remedy, "start the bridge, or `softarm twin`", clock)
         self._config = config
-        self._stopping = threading.Event()
-        self._thread: threading.Thread | None = None
         self._session: zenoh.Session | None = None
         self._link_problem: str | None = "the endpoint is being opened"
-
-    def start(self) -> None:
-        """Open the endpoint in a thread, because `zenoh.open` may block."""
-        self._thread = threading.Thread(target=self._listen, name="mocap", daemon=True)
-        self._thread.start()
-
-    async def stop(self) -> None:
-        """Close the session; a process with an open session may never end."""
-        self._stopping.set()
-        if self._thread is not None:
-            await asyncio.to_thread(self._thread.join, 0.9)
-        self._good.clear()
 
     def problem(self) -> str | None:
         """Return why there is no fresh frame, as one sentence with the next step, or None if all is well."""
@@ -59,7 +43,8 @@ class ZenohMocapSource(Reception):
             return self.describe("listen", self._link_problem, "stop the other daemon, or correct drivers.mocap")
         return self.sample_problem()
 
-    def _listen(self) -> None:
+    def _run(self) -> None:
+        """Open the endpoint, which may block, and close it at the end: an open session may keep the process alive."""
         while not self._stopping.is_set():
             try:
                 self._session = zenoh.open(listener(self._config.endpoint))

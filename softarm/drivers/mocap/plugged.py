@@ -1,7 +1,5 @@
 """Motion capture from a plug-in: the source runs on a thread of its own and cannot delay the control loop."""
 
-import asyncio
-import threading
 import time
 from collections.abc import Callable, Mapping
 
@@ -52,26 +50,8 @@ class PluggedMocapSource(Reception):
             f"motion capture source '{name}'", "correct the source: docs/reference/wires.md", "start it", clock
         )
         self._source = source
-        self._stopping = threading.Event()
-        self._thread: threading.Thread | None = None
         # Failure of the last run, until a frame arrives.
         self._failure: str | None = None
-
-    def start(self) -> None:
-        """Run the source in a thread."""
-        self._thread = threading.Thread(target=self._keep_running, name="mocap", daemon=True)
-        self._thread.start()
-
-    async def stop(self) -> None:
-        """Request the source to end; a source that does not is abandoned."""
-        await asyncio.to_thread(self.end)
-
-    def end(self) -> None:
-        """Request the source to end, and wait for it up to 0.9 s."""
-        self._stopping.set()
-        if self._thread is not None:
-            self._thread.join(0.9)
-        self._good.clear()
 
     def problem(self) -> str | None:
         """Return why there is no fresh frame, as one sentence with the next step, or None if all is well."""
@@ -111,7 +91,7 @@ class PluggedMocapSource(Reception):
         self.malformed += 1
         self.complain(self.clock(), f"a frame is malformed: {problem}")
 
-    def _keep_running(self) -> None:
+    def _run(self) -> None:
         while self.are_wanted:
             try:
                 self._source.run(self)

@@ -3,12 +3,16 @@
 A source judges each frame in its own thread; the control loop takes the accepted frames once a tick.
 """
 
+import asyncio
+import threading
 from collections import deque
 from collections.abc import Callable
 
 from softarm.drivers.base import DeviceError
 from softarm.schemas.messages import CAPTURE_AHEAD_MAX_NS, MocapFrame
 
+# Longest wait for the thread at the end.
+JOIN_S = 0.9
 # Frames kept between two ticks: half a second at 120 Hz.
 RING = 64
 SILENCE_S = 0.1
@@ -21,6 +25,7 @@ class Reception:
 
     Counts `frames` (accepted), `oversized` (never parsed), `malformed` (not a frame) and `misplaced` (out of order).
     A frame stamped in the future is accepted: the failsafe rejects it and raises `mocap_clock`.
+    A source overrides `_run`, which receives frames in a thread of its own until `_stopping` is set.
     """
 
     def __init__(self, place: str, remedy: str, start: str, clock: Callable[[], int]) -> None:
@@ -35,10 +40,31 @@ class Reception:
         self.frames = self.oversized = self.malformed = self.misplaced = 0
         self.clock = clock
         self._place, self._remedy, self._start = place, remedy, start
+        self._stopping = threading.Event()
+        self._thread: threading.Thread | None = None
         self._good: deque[MocapFrame] = deque(maxlen=RING)
         self._last_frame_ns: int | None = None
         self._last_capture_ns = -1
         self._complaint: tuple[int, str] | None = None
+
+    def start(self) -> None:
+        """Receive frames in a thread."""
+        self._thread = threading.Thread(target=self._run, name="mocap", daemon=True)
+        self._thread.start()
+
+    async def stop(self) -> None:
+        """Request the thread to end; one that does not is abandoned."""
+        await asyncio.to_thread(self.end)
+
+    def end(self) -> None:
+        """Request the thread to end, and wait for it up to `JOIN_S`."""
+        self._stopping.set()
+        if self._thread is not None:
+            self._thread.join(JOIN_S)
+        self._good.clear()
+
+    def _run(self) -> None:
+        raise NotImplementedError
 
     def read(self, now_ns: int) -> tuple[MocapFrame, ...]:
         """Return and remove the buffered frames, oldest first."""

@@ -1,19 +1,40 @@
 """Faults that can be injected into a running twin."""
 
-import inspect
 import json
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from typing import NamedTuple
 
 from softarm.common.words import did_you_mean
 from softarm.schemas.messages import BODY_NAMES
 
 FOREVER_S = 1e9
+CLEAR, DROP_BODY = "clear", "mocap_drop_body"
+# Each happens once.
+EVENTS = {
+    "mocap_garbage": "Motion capture sends one invalid sample.",
+    "rail_drop_connection": "The drive resets its TCP connection.",
+    "rail_fault": "The drive reports E11, following error.",
+    "rail_unreferenced": "The drive loses its supply: the cart's position becomes its zero until it is homed.",
+}
+# Each lasts for a number of seconds, or until cleared.
+LASTING = {
+    "mocap_freeze": "Motion capture sends no frames.",
+    "mocap_stuck": "Motion capture repeats its last poses with new stamps.",
+    DROP_BODY: "Motion capture loses one rigid body.",
+    "serial_silence": "The regulator neither receives nor answers; its watchdog continues.",
+    "serial_garbage": "Each answer of the regulator has a flipped bit.",
+    "serial_unplug": "The regulator's port disappears and returns.",
+    "rail_silence": "The drive neither receives nor answers telegrams; its watchdog continues.",
+    "rail_keeps_going": "The drive keeps its last set-point without a master.",
+    "rail_segment": "Answers of the drive arrive byte by byte.",
+    "remote_low": "The drive's enable input DI7 goes low: the hardware e-stop.",
+}
+MEANINGS = {CLEAR: "End all faults at once."} | EVENTS | LASTING
 
 
 class Faults:
-    """Faults of the twin. Each method starts one, for `seconds` or until `clear`."""
+    """Faults of the twin; `lost_body` is the body of the newest `mocap_drop_body`."""
 
     def __init__(self, clock: Callable[[], int]) -> None:
         self.lost_body: str | None = None
@@ -31,74 +52,35 @@ class Faults:
         self._pending.discard(name)
         return due
 
-    def clear(self) -> None:
-        """End all faults at once."""
-        self._until_ns.clear()
-        self._pending.clear()
-
-    def mocap_freeze(self, seconds: float = math.inf) -> None:
-        """Motion capture sends no frames."""
-        self._last("mocap_freeze", seconds)
-
-    def mocap_stuck(self, seconds: float = math.inf) -> None:
-        """Motion capture repeats its last poses with new stamps."""
-        self._last("mocap_stuck", seconds)
-
-    def mocap_drop_body(self, body: str, seconds: float = math.inf) -> None:
-        """Motion capture loses one rigid body."""
-        if body not in BODY_NAMES:
-            raise ValueError(f"unknown body {body!r}; allowed: {', '.join(BODY_NAMES)}")
-        self.lost_body = body
-        self._last("mocap_drop_body", seconds)
-
-    def mocap_garbage(self) -> None:
-        """Motion capture sends one invalid sample."""
-        self._pending.add("mocap_garbage")
-
-    def serial_silence(self, seconds: float = math.inf) -> None:
-        """The regulator neither receives nor answers; its watchdog continues."""
-        self._last("serial_silence", seconds)
-
-    def serial_garbage(self, seconds: float = math.inf) -> None:
-        """Each answer of the regulator has a flipped bit."""
-        self._last("serial_garbage", seconds)
-
-    def serial_unplug(self, seconds: float = math.inf) -> None:
-        """The regulator's port disappears and returns."""
-        self._last("serial_unplug", seconds)
-
-    def rail_silence(self, seconds: float = math.inf) -> None:
-        """The drive neither receives nor answers telegrams; its watchdog continues."""
-        self._last("rail_silence", seconds)
-
-    def rail_keeps_going(self, seconds: float = math.inf) -> None:
-        """The drive keeps its last set-point without a master."""
-        self._last("rail_keeps_going", seconds)
-
-    def rail_segment(self, seconds: float = math.inf) -> None:
-        """Answers of the drive arrive byte by byte."""
-        self._last("rail_segment", seconds)
-
-    def rail_drop_connection(self) -> None:
-        """The drive resets its TCP connection."""
-        self._pending.add("rail_drop_connection")
-
-    def rail_fault(self) -> None:
-        """The drive reports E11, following error."""
-        self._pending.add("rail_fault")
-
-    def rail_unreferenced(self) -> None:
-        """The drive loses its supply: the cart's position becomes its zero until it is homed."""
-        self._pending.add("rail_unreferenced")
-
-    def remote_low(self, seconds: float = math.inf) -> None:
-        """The drive's enable input DI7 goes low: the hardware e-stop."""
-        self._last("remote_low", seconds)
-
     @property
     def lasting(self) -> tuple[str, ...]:
         """Names of the lasting faults that are active."""
         return tuple(name for name in self._until_ns if self.active(name))
+
+    def start(self, name: str, seconds: float = math.inf, body: str | None = None) -> None:
+        """Start a fault, or end all of them with `CLEAR`.
+
+        Args:
+            name: A key of `MEANINGS`.
+            seconds: Duration of a lasting fault; by default until cleared.
+            body: The rigid body that `DROP_BODY` loses.
+
+        Raises:
+            ValueError: The duration or the body is invalid.
+        """
+        if name == CLEAR:
+            self._until_ns.clear()
+            self._pending.clear()
+        elif name in EVENTS:
+            self._pending.add(name)
+        else:
+            if name == DROP_BODY:
+                if body not in BODY_NAMES:
+                    raise ValueError(f"unknown body {body!r}; allowed: {', '.join(BODY_NAMES)}")
+                self.lost_body = body
+            if isinstance(seconds, bool) or not isinstance(seconds, int | float) or not seconds > 0:
+                raise ValueError(f"{name}: seconds is {seconds!r}; use a positive number")
+            self._until_ns[name] = self._clock() + min(seconds, FOREVER_S) * 1e9
 
     def apply(self, message: bytes) -> str:
         """Start the fault in a JSON object, such as {"fault": "mocap_drop_body", "body": "link3", "seconds": 0.5}.
@@ -114,26 +96,19 @@ class Faults:
             name = arguments.pop("fault")
         except (ValueError, AttributeError, KeyError, TypeError, RecursionError):
             raise ValueError('a fault must be a JSON object such as {"fault": "mocap_freeze", "seconds": 1}') from None
-        if not isinstance(name, str) or name not in _NAMES:
-            hint = did_you_mean(str(name), _NAMES)
-            raise ValueError(f"unknown fault {name!r}; {hint}allowed: {', '.join(sorted(_NAMES))}")
-        try:
-            getattr(self, name)(**arguments)
-        except TypeError as error:
-            raise ValueError(f"{name}: {error}") from None
-        return name
-
-    def _last(self, name: str, seconds: float) -> None:
-        if isinstance(seconds, bool) or not isinstance(seconds, int | float) or not seconds > 0:
-            raise ValueError(f"{name}: seconds is {seconds!r}; use a positive number")
-        self._until_ns[name] = self._clock() + min(seconds, FOREVER_S) * 1e9
+        if not isinstance(name, str) or name not in MEANINGS:
+            hint = did_you_mean(str(name), MEANINGS)
+            raise ValueError(f"unknown fault {name!r}; {hint}allowed: {', '.join(sorted(MEANINGS))}")
+        for argument in arguments.keys() - _arguments(name):
+            raise ValueError(f"{name}: unexpected keyword argument {argument!r}")
+        self.start(name, **arguments)
+        return str(name)
 
 
-_NAMES = {name for name, part in vars(Faults).items() if name[0] != "_" and callable(part)} - {
-    "active",
-    "take",
-    "apply",
-}
+def _arguments(name: str) -> tuple[str, ...]:
+    if name == DROP_BODY:
+        return "body", "seconds"
+    return ("seconds",) if name in LASTING else ()
 
 
 class Described(NamedTuple):
@@ -146,14 +121,13 @@ class Described(NamedTuple):
 
 def described() -> list[Described]:
     """Return the descriptions of all faults, sorted by name."""
-    return [Described(name, _value(name), (getattr(Faults, name).__doc__ or "").strip()) for name in sorted(_NAMES)]
+    return [Described(name, _value(name), MEANINGS[name]) for name in sorted(MEANINGS)]
 
 
 def _value(name: str) -> str:
-    takes = inspect.signature(getattr(Faults, name)).parameters
-    if "body" in takes:
+    if name == DROP_BODY:
         return f"BODY or BODY,SECONDS; a body is {', '.join(BODY_NAMES)}"
-    return "SECONDS above 0 (default: until cleared)" if "seconds" in takes else ""
+    return "SECONDS above 0 (default: until cleared)" if name in LASTING else ""
 
 
 def message(text: str) -> bytes:
@@ -168,19 +142,17 @@ def message(text: str) -> bytes:
     name, equals, value = text.strip().partition("=")
     name = name.replace("-", "_")
     fields: dict[str, object] = {"fault": name}
-    takes = inspect.signature(getattr(Faults, name)).parameters if name in _NAMES else {}
-    body, comma, seconds = value.partition(",") if "body" in takes else ("", equals, value)
-    if "body" in takes:
-        fields["body"] = body
-    if comma and takes:
-        fields["seconds"] = _seconds(name, seconds, takes)
+    if name == DROP_BODY:
+        fields["body"], equals, value = value.partition(",")
+    if equals and name in MEANINGS:
+        fields["seconds"] = _seconds(name, value)
     encoded = json.dumps(fields).encode()
     Faults(lambda: 0).apply(encoded)
     return encoded
 
 
-def _seconds(name: str, text: str, takes: Mapping[str, object]) -> float:
-    if "seconds" not in takes:
+def _seconds(name: str, text: str) -> float:
+    if name not in LASTING:
         raise ValueError(f"{name}: takes no value; write {name} alone")
     try:
         return float(text)

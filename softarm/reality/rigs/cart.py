@@ -9,9 +9,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from softarm.reality.rigs.laws import Array, Bristles, Play, stacked
+from softarm.reality.rigs.laws import GRAVITY_M_S2, Array, Bristles, Play, lanes_of, worn
 
-GRAVITY_M_S2 = 9.81
 # Share of the mass behind the spring.
 LOAD_SHARE = 0.35
 
@@ -86,10 +85,7 @@ def cart(
     Raises:
         KeyError: A name is not in `DEFAULTS`.
     """
-    unknown = {name for lane in lanes for name in lane} - DEFAULTS.keys()
-    if unknown:
-        raise KeyError(f"a cart has no parameter of this name: {', '.join(sorted(unknown))}")
-    p = {name: stacked([lane.get(name, value) for lane in lanes]) for name, value in DEFAULTS.items()}
+    p = lanes_of("a cart", lanes, DEFAULTS)
     trials = path.shape[1]
     copies = len(lanes) // trials
     of = np.tile(np.arange(trials), copies)
@@ -97,10 +93,16 @@ def cart(
     mass = np.where(springs, (1 - LOAD_SHARE) * p["mass_kg"], p["mass_kg"])
     load = LOAD_SHARE * p["mass_kg"]
     stiff, damp = load * p["spring_rad_s"] ** 2, 2 * p["spring_zeta"] * load * p["spring_rad_s"]
-    worn = np.where(p["wear"] > 0, p["wear"] + (1 - p["wear"]) * (1 - np.exp(-clock_s / p["wear_s"])), 1.0)
+    share = worn(p, clock_s)
     top = float(np.max(np.abs(path - path[0]))) or 1.0
     rub = Bristles(
-        p["friction_up_n"] * worn, p["friction_down_n"] * worn, mass, 2e-4 * top, dt_s, p["stiction"], p["stribeck_m_s"]
+        p["friction_up_n"] * share,
+        p["friction_down_n"] * share,
+        mass,
+        2e-4 * top,
+        dt_s,
+        p["stiction"],
+        p["stribeck_m_s"],
     )
     x = np.tile(path[0], copies)
     v, y, w, force = np.zeros_like(x), x.copy(), np.zeros_like(x), np.zeros_like(x)

@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from softarm.reality.rigs.laws import Array, Bristles, Loops, Play, dead_zone, orifice, stacked
+from softarm.reality.rigs.laws import Array, Bristles, Loops, Play, dead_zone, lanes_of, orifice, worn
 
 INF = float("inf")
 # Time constant of the inner loop as a share of the outer loop's.
@@ -61,19 +61,6 @@ DEFAULTS: Mapping[str, float] = {
     # Gauge pressure of the supply.
     "supply_kpa": 400.0,
 }
-NAMES: frozenset[str] = frozenset(DEFAULTS)
-
-
-def lanes_of(lanes: Sequence[Mapping[str, float]]) -> dict[str, Array]:
-    """Return the parameters of all lanes as one array per name.
-
-    Raises:
-        KeyError: A name is not in `DEFAULTS`.
-    """
-    unknown = {name for lane in lanes for name in lane} - NAMES
-    if unknown:
-        raise KeyError(f"a follower has no parameter of this name: {', '.join(sorted(unknown))}")
-    return {name: stacked([lane.get(name, value) for lane in lanes]) for name, value in DEFAULTS.items()}
 
 
 class _Seen:
@@ -108,12 +95,6 @@ class _Seen:
         return np.asarray(x + p["hum"] * np.sin(2 * np.pi * (self._clock_s + t_s) + 0.7))
 
 
-def worn(p: Mapping[str, Array], clock_s: Array) -> Array:
-    """Return the share of play or friction that is present at a time; it grows from `wear` to 1."""
-    grown = p["wear"] + (1 - p["wear"]) * (1 - np.exp(-clock_s / p["wear_s"]))
-    return np.where(p["wear"] > 0, grown, 1.0)
-
-
 def axis(commands: Array, lanes: Sequence[Mapping[str, float]], clock_s: Array, dt_s: float, velocity: bool) -> Array:
     """Return the positions or, in velocity mode, the speeds [N, L] for received commands [N, L].
 
@@ -123,7 +104,7 @@ def axis(commands: Array, lanes: Sequence[Mapping[str, float]], clock_s: Array, 
     Args:
         clock_s: Start time of each lane's trial in the campaign, s [L].
     """
-    p = lanes_of(lanes)
+    p = lanes_of("a follower", lanes, DEFAULTS)
     n = commands.shape[1]
     outer, inner = p["lag_s"], INNER_SHARE * p["lag_s"]
     start = commands[0].copy()
@@ -167,7 +148,7 @@ def chamber(commands: Array, lanes: Sequence[Mapping[str, float]], clock_s: Arra
     A regulator opens its valve in proportion to the pressure error, through an exact map of the valve's flow. When
     wide open, the orifice limits the flow from the supply or to the atmosphere. The spool has 1/40 of the lag.
     """
-    p = lanes_of(lanes)
+    p = lanes_of("a follower", lanes, DEFAULTS)
     fill = p["lag_s"]
     vent = np.where(p["lag_down_s"] > 0, p["lag_down_s"], fill)
     pressure = commands[0].copy()

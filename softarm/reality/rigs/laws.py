@@ -1,7 +1,7 @@
 """Laws of machine elements for many lanes at once: dry friction, play, hysteresis, orifice, queue."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Collection, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.floating[Any]]
 
+GRAVITY_M_S2 = 9.81
 _TINY = 1e-12
 # Ratio of downstream to upstream pressure below which the flow of air is choked (heat ratio 1.4).
 CRITICAL_RATIO = (2 / 2.4) ** 3.5
@@ -135,6 +136,29 @@ def coloured(count: int, step_s: float, sigma: float, corner_hz: float, random: 
     return out
 
 
-def stacked(lanes: Sequence[float]) -> Array:
-    """Return one number per lane as an array."""
-    return np.asarray(lanes, dtype=float)
+def worn(p: Mapping[str, Array], clock_s: Array) -> Array:
+    """Return the share of play or friction that is present at a time; it grows from `wear` to 1."""
+    grown = p["wear"] + (1 - p["wear"]) * (1 - np.exp(-clock_s / p["wear_s"]))
+    return np.where(p["wear"] > 0, grown, 1.0)
+
+
+def lanes_of(machine: str, lanes: Sequence[Mapping[str, float]], defaults: Mapping[str, float]) -> dict[str, Array]:
+    """Return the parameters of all lanes as one array per name.
+
+    Args:
+        machine: Kind of the machine, for the error.
+        lanes: Parameters of each lane.
+        defaults: Neutral value of each parameter.
+
+    Raises:
+        KeyError: A name is not in `defaults`.
+    """
+    check_names(machine, lanes, defaults)
+    return {name: np.array([lane.get(name, value) for lane in lanes], float) for name, value in defaults.items()}
+
+
+def check_names(machine: str, lanes: Sequence[Mapping[str, Any]], known: Collection[str]) -> None:
+    """Raise KeyError if a lane has a parameter of another name."""
+    unknown = {name for lane in lanes for name in lane} - set(known)
+    if unknown:
+        raise KeyError(f"{machine} has no parameter of this name: {', '.join(sorted(unknown))}")

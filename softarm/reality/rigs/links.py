@@ -10,9 +10,8 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from softarm.reality.rigs.laws import Array, Bristles
+from softarm.reality.rigs.laws import GRAVITY_M_S2, Array, Bristles, check_names, worn
 
-GRAVITY_M_S2 = 9.81
 # Parameters per joint and per lane; missing ones are neutral.
 JOINT_PARAMETERS: Mapping[str, float] = {
     "mass_kg": 1.0,
@@ -69,9 +68,7 @@ class Links:
         Raises:
             KeyError: A name is neither in `JOINT_PARAMETERS` nor in `LANE_PARAMETERS`.
         """
-        unknown = {name for lane in lanes for name in lane} - JOINT_PARAMETERS.keys() - LANE_PARAMETERS.keys()
-        if unknown:
-            raise KeyError(f"a chain has no parameter of this name: {', '.join(sorted(unknown))}")
+        check_names("a chain", lanes, {*JOINT_PARAMETERS, *LANE_PARAMETERS})
         joint = {
             name: np.array([np.broadcast_to(lane.get(name, value), n) for lane in lanes], dtype=float)
             for name, value in JOINT_PARAMETERS.items()
@@ -92,10 +89,7 @@ class Links:
         self.coupling = length[:, low] * arm[:, high]
         self.coupling[:, range(n), range(n)] = 0.0
         self.viscous, self.state = joint["viscous_nm_s"], np.zeros((2, len(lanes), n))
-        share = np.where(
-            self.p["wear"] > 0, self.p["wear"] + (1 - self.p["wear"]) * (1 - np.exp(-clock_s / self.p["wear_s"])), 1.0
-        )[:, None]
-        level = joint["friction_nm"] * share
+        level = joint["friction_nm"] * worn(self.p, clock_s)[:, None]
         self.rub = Bristles(
             level + joint["friction_more_up_nm"], level, own, 1e-3, dt_s,
             self.p["stiction"][:, None], self.p["stribeck_rad_s"][:, None],

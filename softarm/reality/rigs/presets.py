@@ -7,6 +7,8 @@ from typing import Final, Literal
 
 import numpy as np
 
+from softarm.reality.rigs.laws import GRAVITY_M_S2
+
 Plant = Literal["velocity axis", "position axis", "chamber", "cart", "pendulum", "arm", "cart-pendulum"]
 Kind = Literal["tracking", "driven_mass", "pendulum", "chain"]
 KINDS: Final[dict[Plant, Kind]] = {
@@ -55,7 +57,6 @@ class Rig:
         return KINDS[self.plant]
 
 
-GRAVITY_M_S2 = 9.81
 _DEG = math.pi / 180
 _PSI, _BAR, _MBAR = 6.894757, 100.0, 0.1
 

@@ -18,7 +18,7 @@ from scipy.signal import lfilter
 from softarm.reality.rigs import excitation
 from softarm.reality.rigs.cart import Controller, cart
 from softarm.reality.rigs.case import RigCase
-from softarm.reality.rigs.follower import INNER_SHARE, NAMES, axis, chamber
+from softarm.reality.rigs.follower import DEFAULTS, INNER_SHARE, axis, chamber
 from softarm.reality.rigs.laws import Array, arrivals, coloured, held
 from softarm.reality.rigs.links import swing
 from softarm.reality.rigs.presets import Plant, Rig, damping_of, mass_of, moments_of
@@ -190,7 +190,7 @@ def _follow(case: RigCase, lanes: Sequence[Lane], durations: Sequence[float], ra
             )
             received[:, v * k + trial] = held(fine_t, arrived, values)
     clock = np.tile(PAUSE_S * np.arange(k), len(lanes))
-    plant = [{n: _one(lane, n) for n in lane if n in NAMES} for lane in lanes for _ in range(k)]
+    plant = [{n: _one(lane, n) for n in lane if n in DEFAULTS} for lane in lanes for _ in range(k)]
     if rig.plant == "chamber":
         fine = chamber(received, plant, clock, dt)
     else:

@@ -149,7 +149,7 @@ def test_a_dropped_connection_brakes_and_the_motion_does_not_resume(bench: Any) 
     async def script(b: Any) -> None:
         await b.enable()
         since = len(b.drive.requests)
-        b.faults.rail_drop_connection()
+        b.faults.start("rail_drop_connection")
         await b.write_until(lambda: b.drive.state is DriveState.SWITCH_ON_DISABLED, True, 0.3)
         await b.write_until(lambda: len(b.drive.requests) > since + 60, True, 0.3)
         assert b.drive.velocity_m_s == 0.0
@@ -275,7 +275,7 @@ def test_a_velocity_of_two_bytes_is_rejected(bench: Any) -> None:
 
 def test_segmented_answers_are_joined(bench: Any) -> None:
     async def script(b: Any) -> None:
-        b.faults.rail_segment()
+        b.faults.start("rail_segment")
         await b.enable()
 
     bench(script)
@@ -299,11 +299,11 @@ def test_an_invalid_boot_state_is_reported_and_nothing_is_sent(bench: Any) -> No
 def test_the_hardware_e_stop_stops_the_cart_and_its_release_does_not_start_it(bench: Any) -> None:
     async def script(b: Any) -> None:
         await b.enable()
-        b.faults.remote_low()
+        b.faults.start("remote_low")
         await b.write_until(lambda: not b.axis.read().remote, True, 0.3)
         await b.write_until(lambda: b.drive.velocity_m_s == 0.0, True, 0.3)
         assert "the enable input DI7 is low; release the hardware e-stop" in b.axis.problem()
-        b.faults.clear()
+        b.faults.start("clear")
         await b.write_until(lambda: b.axis.read().remote, True, 0.3)
         since = len(b.drive.requests)
         await b.write_until(lambda: len(b.drive.requests) > since + 40, True, 0.3)
@@ -318,7 +318,7 @@ def test_the_hardware_e_stop_stops_the_cart_and_its_release_does_not_start_it(be
 def test_a_fault_is_reported_and_reset_only_on_request_while_disabled(bench: Any) -> None:
     async def script(b: Any) -> None:
         await b.enable()
-        b.faults.rail_fault()
+        b.faults.start("rail_fault")
         await b.write_until(lambda: b.axis.read().faults, True, 0.3)
         assert b.axis.read().faults == ("E11 following error (0x8611)",)
         assert "the drive reports E11" in b.axis.problem()
@@ -399,7 +399,7 @@ def test_a_drive_that_loses_its_zero_with_its_supply_is_detected(bench: Any) -> 
         assert b.axis.read().homed is True
         b.drive.position_m, b.drive.velocity_m_s = 0.1, 0.0
         b.drive.move()
-        b.faults.rail_unreferenced()
+        b.faults.start("rail_unreferenced")
         await b.write_until(lambda: b.axis.read().homed is False, True, 0.3)
         assert b.axis.read().position_m == pytest.approx(-0.3)
         await b.pass_time(0.3, False, 0.0)

@@ -148,7 +148,7 @@ def test_a_set_point_out_of_range_is_rejected_and_reported(bench: Any) -> None:
 def test_garbled_answers_are_dropped_and_reported(bench: Any) -> None:
     async def script(b: Bench) -> None:
         await b.arm()
-        b.faults.serial_garbage()
+        b.faults.start("serial_garbage")
         before = b.regulator.read()
         count = len(b.device.received)
         await b.write_until(lambda: len(b.device.received) > count + 20, True, 10.0)
@@ -156,7 +156,7 @@ def test_garbled_answers_are_dropped_and_reported(bench: Any) -> None:
         assert "no answer for 0.3 s" in b.regulator.problem()
         assert "check the cable" in b.regulator.problem()
         assert b.regulator.read().sequence < len(b.device.commands())
-        b.faults.clear()
+        b.faults.start("clear")
         await b.write_until(lambda: b.regulator.problem() is None)
         assert b.regulator.read().t_receive_ns > before.t_receive_ns
 
@@ -166,11 +166,11 @@ def test_garbled_answers_are_dropped_and_reported(bench: Any) -> None:
 def test_silence_reopens_the_port_and_greets_again(bench: Any) -> None:
     async def script(b: Bench) -> None:
         await b.arm()
-        b.faults.serial_silence()
+        b.faults.start("serial_silence")
         await b.write_until(lambda: "no answer for 0." in (tick(b) or ""), True, 10.0)
         await b.write_until(lambda: "no answer for 1 s" in (tick(b) or ""), True, 10.0)
         hellos = sum(isinstance(message, Hello) for message in b.device.received)
-        b.faults.clear()
+        b.faults.start("clear")
         await b.write_until(lambda: b.regulator.problem() is None)
         assert sum(isinstance(message, Hello) for message in b.device.received) > hellos
         assert not b.device.armed
@@ -185,10 +185,10 @@ def test_silence_reopens_the_port_and_greets_again(bench: Any) -> None:
 def test_a_port_that_vanishes_while_open_comes_back_disarmed(bench: Any) -> None:
     async def script(b: Bench) -> None:
         await b.arm()
-        b.faults.serial_unplug()
+        b.faults.start("serial_unplug")
         await b.write_until(lambda: "No such file or directory" in (b.regulator.problem() or ""), True, 10.0)
         assert "plug the Teensy in" in b.regulator.problem()
-        b.faults.clear()
+        b.faults.start("clear")
         count = len(b.device.received)
         await b.write_until(lambda: len(b.device.received) > count + 5, True, 10.0)
         assert not b.device.armed
@@ -338,10 +338,10 @@ def test_on_a_line_that_repeats_itself_the_reading_becomes_stale(bench: Any) -> 
 
 def test_a_thousand_other_descriptors_do_not_matter(bench: Any, many_descriptors: Any) -> None:
     async def script(b: Bench) -> None:
-        b.faults.serial_unplug()
+        b.faults.start("serial_unplug")
         await b.write_until(lambda: "plug the Teensy in" in (b.regulator.problem() or ""))
         with many_descriptors():
-            b.faults.clear()
+            b.faults.start("clear")
             await b.arm()
             assert b.regulator.problem() is None
             await b.regulator.stop()

@@ -132,16 +132,16 @@ def test_faults_reach_the_drivers(config: Config, run: Any, until: Any, running:
             hands = Hands(config, until)
             async with running(hands.mocap, hands.regulator, hands.rail):
                 await hands.write_until(lambda: hands.problems() == [None] * 3)
-                twin.faults.mocap_drop_body("link3")
+                twin.faults.start("mocap_drop_body", body="link3")
                 await hands.write_until(lambda: not hands.frames[-1].bodies[3].tracked)
                 assert [body.tracked for body in hands.frames[-1].bodies].count(False) == 1
-                twin.faults.clear()
-                twin.faults.mocap_garbage()
+                twin.faults.start("clear")
+                twin.faults.start("mocap_garbage")
                 await hands.write_until(lambda: hands.mocap.malformed == 1)
-                twin.faults.mocap_stuck()
+                twin.faults.start("mocap_stuck")
                 await hands.write_until(lambda: hands.frames[-1].bodies == hands.frames[-2].bodies)
-                twin.faults.clear()
-                twin.faults.mocap_freeze()
+                twin.faults.start("clear")
+                twin.faults.start("mocap_freeze")
                 await hands.write_until(lambda: "no frame for" in (hands.mocap.problem() or ""))
 
     run(play())
