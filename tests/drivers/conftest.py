@@ -38,13 +38,9 @@ def free_port() -> int:
 
 
 @pytest.fixture
-def run() -> Callable[[Coroutine[Any, Any, Any]], Any]:
-    """Run a coroutine to its end, or fail if it hangs."""
-
-    async def bounded(work: Coroutine[Any, Any, Any]) -> Any:
-        return await asyncio.wait_for(work, 2 * PATIENCE_S)
-
-    return lambda work: asyncio.run(bounded(work))
+def anyio_backend() -> str:
+    """Run asynchronous tests and fixtures on asyncio."""
+    return "asyncio"
 
 
 @pytest.fixture
@@ -80,18 +76,18 @@ def _running() -> Any:
 
 
 @pytest.fixture
-def regulator_bench(run: Any, monkeypatch: pytest.MonkeyPatch) -> Callable[..., Any]:
-    """Return a function that runs scripts, each with a new bench: a `regulator` to be run, and a `port`."""
+def opened_regulator(monkeypatch: pytest.MonkeyPatch) -> Callable[[Any], Any]:
+    """Context that opens the port of a bench and runs its regulator."""
     monkeypatch.setattr("softarm.drivers.regulator.driver.RETRY_S", (0.005, 0.01))
     monkeypatch.setattr("softarm.drivers.regulator.driver.HELLO_S", 0.005)
 
-    async def play(make: Callable[[], Any], script: Callable[[Any], Coroutine[Any, Any, None]]) -> None:
-        bench = make()
+    @contextlib.asynccontextmanager
+    async def opened(bench: Any) -> AsyncIterator[Any]:
         bench.port.open()
         try:
             async with running(bench.regulator):
-                await script(bench)
+                yield bench
         finally:
             bench.port.close()
 
-    return lambda make: lambda script: run(play(make, script))
+    return opened

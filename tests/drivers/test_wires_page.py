@@ -287,40 +287,36 @@ def test_the_simulated_drive_answers_as_on_the_page() -> None:
             assert drive.answer(row.request, 0).hex() == row.answer.hex(), row.says
 
 
-def test_the_driver_sends_the_pages_telegrams_and_no_others(run: Any, until: Any, running: Any) -> None:
+@pytest.mark.anyio
+async def test_the_driver_sends_the_pages_telegrams_and_no_others(until: Any, running: Any) -> None:
+    drive, faults = RecordingDrive(), Faults(lambda: 0)
+    server = DryveServer("127.0.0.1", 0, drive, faults, lambda: 0)
+    drive.sense(0.0, 0.0)
+    await server.open()
+    axis = DryveRailAxis(RAIL.model_copy(update={"port": server.port, "timeout_s": 1.0}), 20)
 
-    async def play() -> RecordingDrive:
-        drive, faults = RecordingDrive(), Faults(lambda: 0)
-        server = DryveServer("127.0.0.1", 0, drive, faults, lambda: 0)
-        drive.sense(0.0, 0.0)
-        await server.open()
-        axis = DryveRailAxis(RAIL.model_copy(update={"port": server.port, "timeout_s": 1.0}), 20)
+    async def fly(condition: Any, enable: bool = False, velocity_m_s: float = 0.0) -> None:
+        await until(condition, lambda: axis.write(enable, velocity_m_s) or server.step())
 
-        async def fly(condition: Any, enable: bool = False, velocity_m_s: float = 0.0) -> None:
-            await until(condition, lambda: axis.write(enable, velocity_m_s) or server.step())
-
-        try:
-            async with running(axis):
-                await fly(lambda: axis.problem() is None and axis.read() is not None)
-                for velocity_m_s in (0.25, -0.25):
-                    await fly(lambda v=velocity_m_s: drive.target_velocity_m_s == v, True, velocity_m_s)
-                drive.sense(0.1, 0.25)
-                faults.start("rail_drop_connection")
-                await fly(lambda: drive.target_velocity_m_s == 0.0)
-                drive.sense(0.12, 0.0)
-                await fly(lambda: axis.problem() is None and drive.state is DriveState.READY)
-                drive.trip(0x8611)
-                await fly(lambda: axis.read().faults)  # type: ignore[union-attr]
-                axis.reset_fault()
-                await fly(lambda: drive.state is DriveState.SWITCH_ON_DISABLED)
-        finally:
-            await server.close()
-        return drive
-
-    asked = run(play()).asked
+    try:
+        async with running(axis):
+            await fly(lambda: axis.problem() is None and axis.read() is not None)
+            for velocity_m_s in (0.25, -0.25):
+                await fly(lambda v=velocity_m_s: drive.target_velocity_m_s == v, True, velocity_m_s)
+            drive.sense(0.1, 0.25)
+            faults.start("rail_drop_connection")
+            await fly(lambda: drive.target_velocity_m_s == 0.0)
+            drive.sense(0.12, 0.0)
+            await fly(lambda: axis.problem() is None and drive.state is DriveState.READY)
+            drive.trip(0x8611)
+            await fly(lambda: axis.read().faults)  # type: ignore[union-attr]
+            axis.reset_fault()
+            await fly(lambda: drive.state is DriveState.SWITCH_ON_DISABLED)
+    finally:
+        await server.close()
     set_up = [row.request for row in EXCHANGES[:12]]
-    assert asked[: len(set_up)] == set_up
-    assert {telegram[2:] for telegram in asked} == {row.request[2:] for row in EXCHANGES}
+    assert drive.asked[: len(set_up)] == set_up
+    assert {telegram[2:] for telegram in drive.asked} == {row.request[2:] for row in EXCHANGES}
 
 
 # Motion capture

@@ -21,8 +21,8 @@ assert _spec is not None
 assert _spec.loader is not None
 _benches = importlib.util.module_from_spec(_spec)
 _spec.loader.exec_module(_benches)
-clock, run, until, running = _benches.clock, _benches.run, _benches.until, _benches._running
-regulator_bench = _benches.regulator_bench
+anyio_backend, clock, until, running = _benches.anyio_backend, _benches.clock, _benches.until, _benches._running
+opened_regulator = _benches.opened_regulator
 
 STRICT = ("-std=c++14", "-Wall", "-Wextra", "-Wconversion", "-Wshadow", "-Wpedantic", "-Werror")
 UNDEFINED = ("-fsanitize=undefined", "-fno-sanitize-recover=all")

@@ -5,7 +5,7 @@ import os
 import re
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import AsyncIterator, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +16,7 @@ from softarm.drivers.twin.faults import Faults
 from softarm.drivers.twin.teensy import TeensyPort
 from softarm.schemas.config import SerialRegulator
 
+pytestmark = pytest.mark.anyio
 MEASURED_KPA = 3.25
 NATIVE = Path(__file__).parents[2] / "firmware" / "native" / "main.cpp"
 
@@ -51,60 +52,47 @@ class Bench:
 
 
 @pytest.fixture
-def bench(tmp_path: Path, make_board: Any, clock: Any, until: Any, regulator_bench: Any) -> Any:
-    def make() -> Bench:
-        return Bench(tmp_path / "teensy", make_board(lambda: int.from_bytes(os.urandom(4), "little")), clock, until)
-
-    return regulator_bench(make)
-
-
-def test_the_board_is_armed_and_vents_when_the_driver_is_silent(bench: Any) -> None:
-    async def script(b: Bench) -> None:
-        await b.arm()
-        assert b.board.set_point_kpa == 10.0
-        assert b.regulator.read().pressure_kpa == MEASURED_KPA
-        assert b.regulator.problem() is None
-        b.clock.advance(0.101)
-        b.port.step()
-        assert (b.board.armed, b.board.set_point_kpa, b.board.relay_closed) == (False, 0.0, False)
-        await b.write_until(lambda: "commands stopped" in (b.regulator.problem() or ""), True, 10.0)
-        assert not b.board.armed
-        await b.arm()
-
-    bench(script)
+async def bench(tmp_path: Path, make_board: Any, clock: Any, until: Any, opened_regulator: Any) -> AsyncIterator[Bench]:
+    board = make_board(lambda: int.from_bytes(os.urandom(4), "little"))
+    async with opened_regulator(Bench(tmp_path / "teensy", board, clock, until)) as bench:
+        yield bench
 
 
-def test_after_replugging_the_board_stays_disarmed(bench: Any) -> None:
-    async def script(b: Bench) -> None:
-        await b.arm()
-        b.faults.start("serial_unplug")
-        await b.write_until(lambda: "plug the Teensy in" in (b.regulator.problem() or ""), True, 10.0)
-        b.faults.start("clear")
-        await b.write_until(lambda: b.regulator.problem() is None, True, 10.0)
-        assert not b.board.armed
-        await b.arm()
-
-    bench(script)
-
-
-def test_a_board_that_was_reset_is_greeted_again(bench: Any, make_board: Any) -> None:
-    async def script(b: Bench) -> None:
-        await b.arm()
-        b.port.device = b.board = make_board(lambda: 5)
-        await b.write_until(lambda: b.board.accepted_sequence and b.regulator.problem() is None, True, 10.0)
-        assert (b.board.armed, b.board.relay_closed) == (False, False)
-        await b.arm()
-
-    bench(script)
+async def test_the_board_is_armed_and_vents_when_the_driver_is_silent(bench: Any) -> None:
+    await bench.arm()
+    assert bench.board.set_point_kpa == 10.0
+    assert bench.regulator.read().pressure_kpa == MEASURED_KPA
+    assert bench.regulator.problem() is None
+    bench.clock.advance(0.101)
+    bench.port.step()
+    assert (bench.board.armed, bench.board.set_point_kpa, bench.board.relay_closed) == (False, 0.0, False)
+    await bench.write_until(lambda: "commands stopped" in (bench.regulator.problem() or ""), True, 10.0)
+    assert not bench.board.armed
+    await bench.arm()
 
 
-def test_stopping_the_driver_vents_and_opens_the_relay(bench: Any) -> None:
-    async def script(b: Bench) -> None:
-        await b.arm()
-        await b.regulator.stop()
-        assert (b.board.armed, b.board.relay_closed) == (False, False)
+async def test_after_replugging_the_board_stays_disarmed(bench: Any) -> None:
+    await bench.arm()
+    bench.faults.start("serial_unplug")
+    await bench.write_until(lambda: "plug the Teensy in" in (bench.regulator.problem() or ""), True, 10.0)
+    bench.faults.start("clear")
+    await bench.write_until(lambda: bench.regulator.problem() is None, True, 10.0)
+    assert not bench.board.armed
+    await bench.arm()
 
-    bench(script)
+
+async def test_a_board_that_was_reset_is_greeted_again(bench: Any, make_board: Any) -> None:
+    await bench.arm()
+    bench.port.device = bench.board = make_board(lambda: 5)
+    await bench.write_until(lambda: bench.board.accepted_sequence and bench.regulator.problem() is None, True, 10.0)
+    assert (bench.board.armed, bench.board.relay_closed) == (False, False)
+    await bench.arm()
+
+
+async def test_stopping_the_driver_vents_and_opens_the_relay(bench: Any) -> None:
+    await bench.arm()
+    await bench.regulator.stop()
+    assert (bench.board.armed, bench.board.relay_closed) == (False, False)
 
 
 class Program:
@@ -133,15 +121,12 @@ def program(build: Any) -> Iterator[Program]:
         program.end()
 
 
-def test_the_native_program_acts_as_a_board(program: Program, run: Any, until: Any, running: Any) -> None:
+async def test_the_native_program_acts_as_a_board(program: Program, until: Any, running: Any) -> None:
     regulator = TeensyRegulator(SerialRegulator(port=program.port, time_to_live_s=0.25))
 
-    async def script() -> None:
-        async with running(regulator):
-            await until(lambda: regulator.read() is not None, lambda: regulator.write(False, 0.0))
-            await until(lambda: regulator.read().armed, lambda: regulator.write(True, 7.5))  # type: ignore[union-attr]
-
-    run(script())
+    async with running(regulator):
+        await until(lambda: regulator.read() is not None, lambda: regulator.write(False, 0.0))
+        await until(lambda: regulator.read().armed, lambda: regulator.write(True, 7.5))  # type: ignore[union-attr]
     assert program.end() == ["disarmed, 0.00 kPa", "armed, 7.50 kPa", "disarmed, 0.00 kPa"]
 
 

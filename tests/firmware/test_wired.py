@@ -1,5 +1,6 @@
 """The relay between board and drive, with the real drivers and the drive's master in its process."""
 
+from collections.abc import AsyncIterator
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +13,7 @@ from softarm.drivers.twin.faults import Faults
 from softarm.drivers.twin.teensy import TeensyPort
 from softarm.schemas.config import DryveRail, SerialRegulator
 
+pytestmark = pytest.mark.anyio
 TICK_S = 0.033
 
 
@@ -54,46 +56,38 @@ class Bench:
 
 
 @pytest.fixture
-def bench(tmp_path: Path, make_board: Any, clock: Any, until: Any, run: Any, running: Any, monkeypatch: Any) -> Any:
+async def bench(
+    tmp_path: Path, make_board: Any, clock: Any, until: Any, running: Any, monkeypatch: Any
+) -> AsyncIterator[Bench]:
     monkeypatch.setattr("softarm.drivers.regulator.driver.HELLO_S", 0.005)
     # The twin's drive has the board's clock.
     monkeypatch.setattr("softarm.drivers.twin.dryve.SILENCE_MAX_S", float("inf"))
-
-    async def play(script: Any) -> None:
-        bench = Bench(tmp_path / "teensy", make_board(), clock, until)
-        await bench.server.open()
-        bench.port.open()
-        bench.rail = DryveRailAxis(DryveRail(host="127.0.0.1", port=bench.server.port, timeout_s=1.0), 20)
-        try:
-            async with running(bench.regulator, bench.rail):
-                await script(bench)
-        finally:
-            bench.port.close()
-            await bench.server.close()
-
-    return lambda script: run(play(script))
+    bench = Bench(tmp_path / "teensy", make_board(), clock, until)
+    await bench.server.open()
+    bench.port.open()
+    bench.rail = DryveRailAxis(DryveRail(host="127.0.0.1", port=bench.server.port, timeout_s=1.0), 20)
+    try:
+        async with running(bench.regulator, bench.rail):
+            yield bench
+    finally:
+        bench.port.close()
+        await bench.server.close()
 
 
 @pytest.mark.slow
-def test_the_drive_is_armed_over_the_relay_and_disarmed_and_armed_again(bench: Any) -> None:
-    async def script(b: Bench) -> None:
-        await b.armed()
-        await b.write_until(lambda: not b.rail.read().remote, False)
-        assert not b.drive.in_operation
-        assert "enable input DI7 is low" in b.rail.problem()
-        await b.armed()
-
-    bench(script)
+async def test_the_drive_is_armed_over_the_relay_and_disarmed_and_armed_again(bench: Any) -> None:
+    await bench.armed()
+    await bench.write_until(lambda: not bench.rail.read().remote, False)
+    assert not bench.drive.in_operation
+    assert "enable input DI7 is low" in bench.rail.problem()
+    await bench.armed()
 
 
 @pytest.mark.slow
-def test_a_board_without_commands_stops_a_drive_with_a_live_master(bench: Any) -> None:
-    async def script(b: Bench) -> None:
-        await b.armed()
-        await b.write_until(lambda: not b.rail.read().enabled, True, speak=False)
-        assert not b.drive.in_operation
-        await b.write_until(lambda: b.board.faults, True)
-        assert not b.rail.read().enabled
-        await b.armed()
-
-    bench(script)
+async def test_a_board_without_commands_stops_a_drive_with_a_live_master(bench: Any) -> None:
+    await bench.armed()
+    await bench.write_until(lambda: not bench.rail.read().enabled, True, speak=False)
+    assert not bench.drive.in_operation
+    await bench.write_until(lambda: bench.board.faults, True)
+    assert not bench.rail.read().enabled
+    await bench.armed()

@@ -59,12 +59,13 @@ def config(server: Motive, **changes: Any) -> Bridge:
     return Bridge(command_port=server.port, room=ROOM, **changes)
 
 
+@pytest.mark.anyio
 @pytest.mark.parametrize(
     ("version", "exposed", "group"),
     [((3, 1), True, None), ((4, 1), False, None), ((4, 0), True, "239.255.42.99")],
 )
-def test_the_daemon_receives_the_servers_frames(
-    version: Any, exposed: bool, group: str | None, free_port: int, run: Any, until: Any, running: Any
+async def test_the_daemon_receives_the_servers_frames(
+    version: Any, exposed: bool, group: str | None, free_port: int, until: Any, running: Any
 ) -> None:
     lines: list[str] = []
     daemon = Listener(endpoint=f"tcp/127.0.0.1:{free_port}")
@@ -74,8 +75,18 @@ def test_the_daemon_receives_the_servers_frames(
     setup = config(server, daemon=daemon, local="127.0.0.1" if group else "0.0.0.0")
     frames: list[Any] = []
 
-    async def play() -> None:
-        publisher.open()
+    def check(frames: list[Any], streaming: Streaming) -> None:
+        first, last = frames[0], frames[-1]
+        offset = min(streaming.taken, key=lambda n: abs(streaming.taken[n] - last.t_capture_ns)) - last.sequence
+        for frame in frames[-50:]:
+            error_ns = frame.t_capture_ns - streaming.taken[frame.sequence + offset]
+            assert abs(error_ns) < 4_000_000
+        for name, pose, seen in zip(BODY_NAMES, POSES.values(), first.bodies, strict=True):
+            assert seen[:3] == pytest.approx(pose[:3], abs=2e-6), name
+            assert seen.tracked
+
+    publisher.open()
+    try:
         with server, Streaming(server, exposed) as streaming, Client(setup, "127.0.0.1", lines.append) as client:
             bridging = Bridging(setup, client, publisher, lines.append)
             async with running(source):
@@ -94,19 +105,6 @@ def test_the_daemon_receives_the_servers_frames(
                 assert status.lost == ("link3",)
                 assert status.age_ms > 4.0
                 assert source.malformed + source.misplaced == 0
-
-    def check(frames: list[Any], streaming: Streaming) -> None:
-        first, last = frames[0], frames[-1]
-        offset = min(streaming.taken, key=lambda n: abs(streaming.taken[n] - last.t_capture_ns)) - last.sequence
-        for frame in frames[-50:]:
-            error_ns = frame.t_capture_ns - streaming.taken[frame.sequence + offset]
-            assert abs(error_ns) < 4_000_000
-        for name, pose, seen in zip(BODY_NAMES, POSES.values(), first.bodies, strict=True):
-            assert seen[:3] == pytest.approx(pose[:3], abs=2e-6), name
-            assert seen.tracked
-
-    try:
-        run(play())
     finally:
         publisher.close()
     assert f"the daemon at {daemon.endpoint} listens" in lines

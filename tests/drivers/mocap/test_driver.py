@@ -4,6 +4,7 @@ import asyncio
 import subprocess
 import sys
 import threading
+from collections.abc import AsyncIterator, Callable
 from typing import Any
 
 import pytest
@@ -16,6 +17,7 @@ from softarm.drivers.mocap.zenoh_session import client, listener
 from softarm.schemas.config import Mocap
 from softarm.schemas.messages import BODY_NAMES, Pose
 
+pytestmark = pytest.mark.anyio
 POSES = tuple(Pose(0.1 * i, 0.9 - 0.1 * i, 0.01 * i) for i in range(len(BODY_NAMES)))
 
 
@@ -39,90 +41,92 @@ def config(free_port: int) -> Mocap:
 
 
 @pytest.fixture
-def with_bridge(config: Mocap, clock: Any, run: Any, until: Any, running: Any) -> Any:
-    """Run `script(source, bridge, gather)`; `gather(n)` reads until n frames have arrived."""
-
-    async def play(script: Any) -> None:
-        source = ZenohMocapSource(config, clock)
-        async with running(source):
-            await until(lambda: "no frame yet" in (source.problem() or ""))
-            bridge = await asyncio.to_thread(Bridge, config.endpoint)
-            frames: list[Any] = []
-
-            async def gather(count: int) -> list[Any]:
-                await until(lambda: len(frames) >= count, lambda: frames.extend(source.read(clock())))
-                return frames
-
-            try:
-                await script(source, bridge, gather)
-            finally:
-                bridge.session.close()
-
-    return lambda script: run(play(script))
+async def source(config: Mocap, clock: Any, until: Any, running: Any) -> AsyncIterator[ZenohMocapSource]:
+    source = ZenohMocapSource(config, clock)
+    async with running(source):
+        await until(lambda: "no frame yet" in (source.problem() or ""))
+        yield source
 
 
-def test_frames_arrive_in_order_with_the_stamps_of_capture_and_arrival(with_bridge: Any, clock: Any) -> None:
-    async def script(source: Any, bridge: Bridge, gather: Any) -> None:
-        bridge.frame(0, 10)
-        await gather(1)
-        for sequence in (1, 2, 4):
-            bridge.frame(sequence, 10 + sequence)
-        frames = await gather(4)
-        assert [frame.sequence for frame in frames] == [0, 1, 2, 4]
-        assert [frame.t_capture_ns for frame in frames] == [10, 11, 12, 14]
-        assert {frame.t_receive_ns for frame in frames} == {clock()}
-        assert frames[0].bodies == POSES
-        assert source.problem() is None
-
-    with_bridge(script)
+@pytest.fixture
+async def bridge(config: Mocap, source: ZenohMocapSource) -> AsyncIterator[Bridge]:
+    bridge = await asyncio.to_thread(Bridge, config.endpoint)
+    yield bridge
+    bridge.session.close()
 
 
-def test_a_frame_is_stamped_on_arrival_and_not_when_it_is_read(with_bridge: Any, clock: Any, until: Any) -> None:
-    async def script(source: Any, bridge: Bridge, gather: Any) -> None:
-        arrivals = []
-        for sequence in (1, 2):
-            bridge.frame(sequence, 10 + sequence)
-            await until(lambda sequence=sequence: source.frames == sequence)
-            arrivals.append(clock())
-            clock.advance(0.033)
-        frames = source.read(clock())
-        assert [frame.t_receive_ns for frame in frames] == arrivals
-        assert arrivals[0] < arrivals[1] < clock()
+@pytest.fixture
+def gather(source: ZenohMocapSource, clock: Any, until: Any) -> Callable[[int], Any]:
+    """Read until a number of frames have arrived."""
+    frames: list[Any] = []
 
-    with_bridge(script)
+    async def gather(count: int) -> list[Any]:
+        await until(lambda: len(frames) >= count, lambda: frames.extend(source.read(clock())))
+        return frames
+
+    return gather
 
 
-def test_a_late_tick_is_not_reported_as_a_clock_error(with_bridge: Any, clock: Any, until: Any) -> None:
-    async def script(source: Any, bridge: Bridge, gather: Any) -> None:
-        tick_ns = clock()
-        clock.advance(0.3)
-        bridge.frame(1, clock())
-        await until(lambda: source.frames)
-        assert [frame.sequence for frame in source.read(tick_ns)] == [1]
-        assert source.misplaced == 0
-
-    with_bridge(script)
-
-
-def test_a_sample_that_is_too_long_is_counted_reported_and_never_parsed(with_bridge: Any, until: Any) -> None:
-    async def script(source: Any, bridge: Bridge, gather: Any) -> None:
-        whole = mocap_payload.encode(1, 10, POSES)
-        bridge.send(whole + b" " * (mocap_payload.MAX_BYTES - len(whole)))
-        await until(lambda: source.frames == 1)
-        longer = mocap_payload.encode(2, 11, POSES)
-        bridge.send(longer + b" " * (mocap_payload.MAX_BYTES + 1 - len(longer)))
-        await until(lambda: source.oversized == 1)
-        assert "a sample has 4097 bytes, at most 4096 are allowed (1 oversized, 0 malformed" in source.problem()
-        bridge.send(b"[" * 2_000_000)
-        await until(lambda: source.oversized == 2)
-        bridge.frame(3, 12)
-        assert [frame.sequence for frame in await gather(2)] == [1, 3]
-        assert source.malformed == 0
-
-    with_bridge(script)
+async def test_frames_arrive_in_order_with_the_stamps_of_capture_and_arrival(
+    source: Any, bridge: Bridge, gather: Any, clock: Any
+) -> None:
+    bridge.frame(0, 10)
+    await gather(1)
+    for sequence in (1, 2, 4):
+        bridge.frame(sequence, 10 + sequence)
+    frames = await gather(4)
+    assert [frame.sequence for frame in frames] == [0, 1, 2, 4]
+    assert [frame.t_capture_ns for frame in frames] == [10, 11, 12, 14]
+    assert {frame.t_receive_ns for frame in frames} == {clock()}
+    assert frames[0].bodies == POSES
+    assert source.problem() is None
 
 
-def test_samples_are_parsed_off_the_control_loops_thread(with_bridge: Any, until: Any, monkeypatch: Any) -> None:
+async def test_a_frame_is_stamped_on_arrival_and_not_when_it_is_read(
+    source: Any, bridge: Bridge, clock: Any, until: Any
+) -> None:
+    arrivals = []
+    for sequence in (1, 2):
+        bridge.frame(sequence, 10 + sequence)
+        await until(lambda sequence=sequence: source.frames == sequence)
+        arrivals.append(clock())
+        clock.advance(0.033)
+    frames = source.read(clock())
+    assert [frame.t_receive_ns for frame in frames] == arrivals
+    assert arrivals[0] < arrivals[1] < clock()
+
+
+async def test_a_late_tick_is_not_reported_as_a_clock_error(
+    source: Any, bridge: Bridge, clock: Any, until: Any
+) -> None:
+    tick_ns = clock()
+    clock.advance(0.3)
+    bridge.frame(1, clock())
+    await until(lambda: source.frames)
+    assert [frame.sequence for frame in source.read(tick_ns)] == [1]
+    assert source.misplaced == 0
+
+
+async def test_a_sample_that_is_too_long_is_counted_reported_and_never_parsed(
+    source: Any, bridge: Bridge, gather: Any, until: Any
+) -> None:
+    whole = mocap_payload.encode(1, 10, POSES)
+    bridge.send(whole + b" " * (mocap_payload.MAX_BYTES - len(whole)))
+    await until(lambda: source.frames == 1)
+    longer = mocap_payload.encode(2, 11, POSES)
+    bridge.send(longer + b" " * (mocap_payload.MAX_BYTES + 1 - len(longer)))
+    await until(lambda: source.oversized == 1)
+    assert "a sample has 4097 bytes, at most 4096 are allowed (1 oversized, 0 malformed" in source.problem()
+    bridge.send(b"[" * 2_000_000)
+    await until(lambda: source.oversized == 2)
+    bridge.frame(3, 12)
+    assert [frame.sequence for frame in await gather(2)] == [1, 3]
+    assert source.malformed == 0
+
+
+async def test_samples_are_parsed_off_the_control_loops_thread(
+    bridge: Bridge, gather: Any, until: Any, monkeypatch: Any
+) -> None:
     threads: list[int] = []
 
     def spy(*arguments: Any) -> Any:
@@ -132,88 +136,72 @@ def test_samples_are_parsed_off_the_control_loops_thread(with_bridge: Any, until
     decode = mocap_payload.decode
     monkeypatch.setattr(mocap_payload, "decode", spy)
 
-    async def script(source: Any, bridge: Bridge, gather: Any) -> None:
-        bridge.frame(1, 10)
-        await gather(1)
-        assert threads
-        assert threading.get_ident() not in threads
-
-    with_bridge(script)
+    bridge.frame(1, 10)
+    await gather(1)
+    assert threads
+    assert threading.get_ident() not in threads
 
 
-def test_bad_samples_are_counted_and_reported_and_the_next_good_one_passes(with_bridge: Any, clock: Any) -> None:
-    async def script(source: Any, bridge: Bridge, gather: Any) -> None:
-        bridge.send(b"{}")
-        bridge.frame(1, 10)
-        await gather(1)
-        assert source.malformed == 1
-        assert "a sample is malformed: a frame must have exactly the fields" in source.problem()
-        assert "docs/reference/wires.md" in source.problem()
-        bridge.frame(2, 10)
-        bridge.frame(4, 11)
-        frames = await gather(2)
-        assert [frame.sequence for frame in frames] == [1, 4]
-        assert source.misplaced == 1
-        clock.advance(1.1)
-        bridge.frame(5, 12)
-        await gather(3)
-        assert source.problem() is None
-
-    with_bridge(script)
-
-
-def test_silence_is_reported(with_bridge: Any, clock: Any) -> None:
-    async def script(source: Any, bridge: Bridge, gather: Any) -> None:
-        bridge.frame(1, 10)
-        await gather(1)
-        clock.advance(0.5)
-        assert "no frame for 0.5 s; check the cameras and the bridge" in source.problem()
-
-    with_bridge(script)
+async def test_bad_samples_are_counted_and_reported_and_the_next_good_one_passes(
+    source: Any, bridge: Bridge, gather: Any, clock: Any
+) -> None:
+    bridge.send(b"{}")
+    bridge.frame(1, 10)
+    await gather(1)
+    assert source.malformed == 1
+    assert "a sample is malformed: a frame must have exactly the fields" in source.problem()
+    assert "docs/reference/wires.md" in source.problem()
+    bridge.frame(2, 10)
+    bridge.frame(4, 11)
+    frames = await gather(2)
+    assert [frame.sequence for frame in frames] == [1, 4]
+    assert source.misplaced == 1
+    clock.advance(1.1)
+    bridge.frame(5, 12)
+    await gather(3)
+    assert source.problem() is None
 
 
-def test_a_flood_keeps_the_newest_frames(with_bridge: Any) -> None:
-    async def script(source: Any, bridge: Bridge, gather: Any) -> None:
-        for sequence in range(10 * RING):
-            bridge.frame(sequence, 100 + sequence)
-        frames = await gather(1)
-        while frames[-1].sequence != 10 * RING - 1:
-            await gather(len(frames) + 1)
-        sequences = [frame.sequence for frame in frames]
-        assert sequences == sorted(set(sequences))
-
-    with_bridge(script)
+async def test_silence_is_reported(source: Any, bridge: Bridge, gather: Any, clock: Any) -> None:
+    bridge.frame(1, 10)
+    await gather(1)
+    clock.advance(0.5)
+    assert "no frame for 0.5 s; check the cameras and the bridge" in source.problem()
 
 
-def test_an_endpoint_in_use_is_reported_and_opened_when_it_is_free(
-    config: Mocap, run: Any, until: Any, running: Any, monkeypatch: pytest.MonkeyPatch
+async def test_a_flood_keeps_the_newest_frames(bridge: Bridge, gather: Any) -> None:
+    for sequence in range(10 * RING):
+        bridge.frame(sequence, 100 + sequence)
+    frames = await gather(1)
+    while frames[-1].sequence != 10 * RING - 1:
+        await gather(len(frames) + 1)
+    sequences = [frame.sequence for frame in frames]
+    assert sequences == sorted(set(sequences))
+
+
+async def test_an_endpoint_in_use_is_reported_and_opened_when_it_is_free(
+    config: Mocap, until: Any, running: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("softarm.drivers.mocap.driver.RETRY_S", 0.01)
 
-    async def play() -> None:
-        other = zenoh.open(listener(config.endpoint))
-        source = ZenohMocapSource(config)
-        async with running(source):
-            await until(lambda: "Address already in use" in (source.problem() or ""))
-            assert source.problem().startswith(f"{config.endpoint} softarm/mocap: listen: ")
-            assert "stop the other daemon" in source.problem()
-            assert source.read(1) == ()
-            other.close()
-            await until(lambda: "no frame yet" in (source.problem() or ""))
-
-    run(play())
-
-
-def test_a_stopped_source_returns_no_frames_and_frees_the_endpoint(config: Mocap, run: Any, until: Any) -> None:
-    async def play() -> None:
-        source = ZenohMocapSource(config)
-        source.start()
-        await until(lambda: "no frame yet" in (source.problem() or ""))
-        await source.stop()
+    other = zenoh.open(listener(config.endpoint))
+    source = ZenohMocapSource(config)
+    async with running(source):
+        await until(lambda: "Address already in use" in (source.problem() or ""))
+        assert source.problem().startswith(f"{config.endpoint} softarm/mocap: listen: ")
+        assert "stop the other daemon" in source.problem()
         assert source.read(1) == ()
-        zenoh.open(listener(config.endpoint)).close()
+        other.close()
+        await until(lambda: "no frame yet" in (source.problem() or ""))
 
-    run(play())
+
+async def test_a_stopped_source_returns_no_frames_and_frees_the_endpoint(config: Mocap, until: Any) -> None:
+    source = ZenohMocapSource(config)
+    source.start()
+    await until(lambda: "no frame yet" in (source.problem() or ""))
+    await source.stop()
+    assert source.read(1) == ()
+    zenoh.open(listener(config.endpoint)).close()
 
 
 def test_real_drivers_load_without_the_simulator() -> None:

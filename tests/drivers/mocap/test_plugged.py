@@ -1,8 +1,10 @@
 """Motion capture from a plug-in: the loop receives valid frames or a sentence."""
 
+import contextlib
 import math
 import re
 import threading
+from collections.abc import AsyncIterator, Callable
 from typing import Any
 
 import numpy as np
@@ -16,6 +18,7 @@ from softarm.drivers.mocap.source import Frames, Source
 from softarm.schemas.config import Mocap
 from softarm.schemas.messages import BODY_NAMES
 
+pytestmark = pytest.mark.anyio
 POSES = {name: (0.1 * i, 0.9 - 0.1 * i, 0.01 * i) for i, name in enumerate(BODY_NAMES)}
 
 
@@ -43,27 +46,27 @@ def _fail(frames: Frames) -> None:
 
 
 @pytest.fixture
-def play(clock: Any, run: Any, running: Any) -> Any:
-    """Run `script(device)` with a running source."""
+def played(clock: Any, running: Any) -> Callable[[Scripted], Any]:
+    """Context of a device that runs a source."""
 
-    def begin(source: Scripted, script: Any) -> None:
-        async def whole() -> None:
-            device = PluggedMocapSource("scripted", source, clock)
-            async with running(device):
-                await script(device)
+    @contextlib.asynccontextmanager
+    async def played(source: Scripted) -> AsyncIterator[PluggedMocapSource]:
+        device = PluggedMocapSource("scripted", source, clock)
+        async with running(device):
+            yield device
 
-        run(whole())
-
-    return begin
+    return played
 
 
-def test_frames_arrive_in_order_with_the_stamps_of_capture_and_arrival(play: Any, clock: Any, until: Any) -> None:
+async def test_frames_arrive_in_order_with_the_stamps_of_capture_and_arrival(
+    played: Any, clock: Any, until: Any
+) -> None:
     def source(frames: Frames) -> None:
         for sequence in (0, 1, 3):
             frames.put(sequence, 10 + sequence, POSES | {"link2": None})
         _wait(frames)
 
-    async def script(device: PluggedMocapSource) -> None:
+    async with played(Scripted(source)) as device:
         await until(lambda: device.frames == 3)
         frames = device.read(clock())
         assert [(frame.sequence, frame.t_capture_ns) for frame in frames] == [(0, 10), (1, 11), (3, 13)]
@@ -74,8 +77,6 @@ def test_frames_arrive_in_order_with_the_stamps_of_capture_and_arrival(play: Any
         assert device.read(clock()) == ()
         clock.advance(0.2)
         assert "motion capture source 'scripted': read: no frame for 0.2 s" in (device.problem() or "")
-
-    play(Scripted(source), script)
 
 
 BAD: dict[str, tuple[tuple[Any, Any, Any], str]] = {
@@ -90,7 +91,7 @@ BAD: dict[str, tuple[tuple[Any, Any, Any], str]] = {
 
 
 @pytest.mark.parametrize("case", BAD)
-def test_an_invalid_frame_is_counted_and_reported(case: str, play: Any, clock: Any, until: Any) -> None:
+async def test_an_invalid_frame_is_counted_and_reported(case: str, played: Any, clock: Any, until: Any) -> None:
     bad, text = BAD[case]
 
     def source(frames: Frames) -> None:
@@ -99,7 +100,7 @@ def test_an_invalid_frame_is_counted_and_reported(case: str, play: Any, clock: A
         frames.put(2, np.int64(30).item(), {name: np.array(pose) for name, pose in POSES.items()})
         _wait(frames)
 
-    async def script(device: PluggedMocapSource) -> None:
+    async with played(Scripted(source)) as device:
         await until(lambda: device.frames == 2)
         assert device.malformed + device.misplaced == 1
         assert [frame.sequence for frame in device.read(clock())] == [0, 2]
@@ -107,23 +108,19 @@ def test_an_invalid_frame_is_counted_and_reported(case: str, play: Any, clock: A
         clock.advance(1.1)
         assert "no frame for 1.1 s" in (device.problem() or "")
 
-    play(Scripted(source), script)
 
-
-def test_input_refused_by_a_source_is_counted_and_reported(play: Any, until: Any) -> None:
+async def test_input_refused_by_a_source_is_counted_and_reported(played: Any, until: Any) -> None:
     def source(frames: Frames) -> None:
         frames.refuse("7 words; allowed are 10")
         _wait(frames)
 
-    async def script(device: PluggedMocapSource) -> None:
+    async with played(Scripted(source)) as device:
         await until(lambda: device.malformed == 1)
         assert "a frame is malformed: 7 words; allowed are 10 (0 oversized, 1 malformed" in (device.problem() or "")
 
-    play(Scripted(source), script)
 
-
-def test_a_source_that_raises_or_returns_is_reported_and_restarted(
-    play: Any, clock: Any, until: Any, monkeypatch: pytest.MonkeyPatch
+async def test_a_source_that_raises_or_returns_is_reported_and_restarted(
+    played: Any, clock: Any, until: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(plugged, "RETRY_S", 0.01)
     again = threading.Event()
@@ -138,7 +135,7 @@ def test_a_source_that_raises_or_returns_is_reported_and_restarted(
 
     source = Scripted(_fail, leave, lambda frames: None, work)
 
-    async def script(device: PluggedMocapSource) -> None:
+    async with played(source) as device:
         await until(lambda: source.started == 4)
         assert "run: run returned while frames were wanted; correct the source; it is restarted every second" in (
             device.problem() or ""
@@ -147,27 +144,21 @@ def test_a_source_that_raises_or_returns_is_reported_and_restarted(
         await until(lambda: device.frames == 1)
         await until(lambda: device.problem() is None)
 
-    play(source, script)
 
-
-def test_the_sentence_contains_the_exception(play: Any, until: Any) -> None:
-    async def script(device: PluggedMocapSource) -> None:
+async def test_the_sentence_contains_the_exception(played: Any, until: Any) -> None:
+    async with played(Scripted(_fail)) as device:
         await until(lambda: "run raised OSError: port 9000 is in use" in (device.problem() or ""))
 
-    play(Scripted(_fail), script)
 
-
-def test_a_source_ends_on_request(play: Any, until: Any) -> None:
+async def test_a_source_ends_on_request(played: Any, until: Any) -> None:
     ended = threading.Event()
 
     def source(frames: Frames) -> None:
         _wait(frames)
         ended.set()
 
-    async def script(device: PluggedMocapSource) -> None:
+    async with played(Scripted(source)) as device:
         await until(lambda: "no frame yet" in (device.problem() or ""))
-
-    play(Scripted(source), script)
     assert ended.is_set()
 
 

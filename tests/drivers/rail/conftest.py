@@ -1,11 +1,12 @@
 """Bench of the rail: the driver, its process as a thread, and a scripted drive on a TCP port."""
 
 import asyncio
+import contextlib
 import itertools
 import math
 import socket
 import threading
-from collections.abc import Callable
+from collections.abc import AsyncIterator, Callable
 from typing import Any
 
 import pytest
@@ -137,26 +138,31 @@ class Bench:
 
 
 @pytest.fixture
-def bench(clock: Any, until: Any, run: Any, running: Any, monkeypatch: Any) -> Any:
+def opened(clock: Any, until: Any, running: Any, monkeypatch: Any) -> Callable[..., Any]:
+    """Context of a bench with given settings of the drive, after `prepare`."""
     monkeypatch.setattr("softarm.drivers.rail.master.RETRY_S", (0.005, 0.01))
     monkeypatch.setattr("softarm.drivers.rail.master.POLL_S", 0.005)
 
-    async def play(script: Any, config: DryveRail, prepare: Any) -> None:
-        bench = Bench(clock, until, config)
+    @contextlib.asynccontextmanager
+    async def opened(prepare: Any = lambda bench: None, **config: Any) -> AsyncIterator[Bench]:
+        bench = Bench(clock, until, DryveRail(host="127.0.0.1", timeout_s=1.0).model_copy(update=config))
         prepare(bench)
         await bench.open()
         try:
             async with running(bench.axis):
-                await script(bench)
+                yield bench
                 await bench.stop()
         finally:
             await bench.server.close()
         check_controlwords(bench.drive)
 
-    def start(script: Any, prepare: Any = lambda b: None, **config: Any) -> None:
-        run(play(script, DryveRail(host="127.0.0.1", timeout_s=1.0).model_copy(update=config), prepare))
+    return opened
 
-    return start
+
+@pytest.fixture
+async def bench(opened: Any) -> AsyncIterator[Bench]:
+    async with opened() as bench:
+        yield bench
 
 
 def check_controlwords(drive: Drive) -> None:

@@ -8,6 +8,7 @@ import pytest
 from softarm.drivers.rail import dryve
 from softarm.drivers.rail.dryve import ModbusRequest
 
+pytestmark = pytest.mark.anyio
 STOP = ("60ff", bytes(4))
 BAD_ANSWERS = {
     "refused": lambda t: dryve.encode_abort(t, 0x08000022),
@@ -25,31 +26,26 @@ def ends(link: list[ModbusRequest]) -> tuple[Any, Any]:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", BAD_ANSWERS)
-def test_a_connection_begins_and_ends_with_a_stop_despite_bad_answers(bench: Any, kind: str) -> None:
-    async def script(b: Any) -> None:
-        b.drive.keeps_set_point = True
-        await b.enable()
-        b.drive.script = lambda telegram, _: BAD_ANSWERS[kind](int.from_bytes(telegram[:2], "big"))
-        await b.write_until(lambda: len(b.drive.links) > 3, True, 0.3)
-        assert [ends(link) for link in b.drive.links[:3]] == [(STOP, STOP)] * 3
-
-    bench(script, timeout_s=0.02)
+async def test_a_connection_begins_and_ends_with_a_stop_despite_bad_answers(opened: Any, kind: str) -> None:
+    async with opened(timeout_s=0.02) as bench:
+        bench.drive.keeps_set_point = True
+        await bench.enable()
+        bench.drive.script = lambda telegram, _: BAD_ANSWERS[kind](int.from_bytes(telegram[:2], "big"))
+        await bench.write_until(lambda: len(bench.drive.links) > 3, True, 0.3)
+        assert [ends(link) for link in bench.drive.links[:3]] == [(STOP, STOP)] * 3
 
 
-def test_a_healthy_connection_begins_and_ends_with_a_stop(bench: Any, until: Any) -> None:
-    async def script(b: Any) -> None:
-        await b.enable()
-        await b.stop()
-        await until(lambda: ends(b.drive.links[0]) == (STOP, STOP))
-
-    bench(script)
+async def test_a_healthy_connection_begins_and_ends_with_a_stop(bench: Any, until: Any) -> None:
+    await bench.enable()
+    await bench.stop()
+    await until(lambda: ends(bench.drive.links[0]) == (STOP, STOP))
 
 
 @pytest.mark.parametrize("kind", BAD_ANSWERS)
 @pytest.mark.parametrize("index", [0x60FF, 0x6041, 0x6064, 0x606C])
-def test_one_bad_answer_does_not_end_a_connection_in_motion(bench: Any, kind: str, index: int) -> None:
-    async def script(b: Any) -> None:
-        await b.enable(0.3)
+async def test_one_bad_answer_does_not_end_a_connection_in_motion(opened: Any, kind: str, index: int) -> None:
+    async with opened(timeout_s=0.3) as bench:
+        await bench.enable(0.3)
         spoilt: list[int] = []
 
         def spoil(telegram: bytes, answer: Callable[[], bytes]) -> bytes:
@@ -58,57 +54,49 @@ def test_one_bad_answer_does_not_end_a_connection_in_motion(bench: Any, kind: st
                 return BAD_ANSWERS[kind](int.from_bytes(telegram[:2], "big"))
             return answer()
 
-        b.drive.script = spoil
-        await b.write_until(lambda: spoilt, True, 0.4)
-        await b.write_until(lambda: b.axis.read().velocity_m_s == 0.4, True, 0.4)
-        assert len(b.drive.links) == 1
-        assert b.axis.read().enabled
-        assert b.axis.problem() is None
-
-    bench(script, timeout_s=0.3)
+        bench.drive.script = spoil
+        await bench.write_until(lambda: spoilt, True, 0.4)
+        await bench.write_until(lambda: bench.axis.read().velocity_m_s == 0.4, True, 0.4)
+        assert len(bench.drive.links) == 1
+        assert bench.axis.read().enabled
+        assert bench.axis.problem() is None
 
 
-def test_a_refused_set_point_is_sent_again_at_once(bench: Any) -> None:
-    async def script(b: Any) -> None:
-        await b.enable(0.3)
-        refused: list[int] = []
+async def test_a_refused_set_point_is_sent_again_at_once(bench: Any) -> None:
+    await bench.enable(0.3)
+    refused: list[int] = []
 
-        def refuse(telegram: bytes, answer: Callable[[], bytes]) -> bytes:
-            if telegram[12:14].hex() == "60ff" and telegram[9] and not refused:
-                refused.append(1)
-                return dryve.encode_abort(int.from_bytes(telegram[:2], "big"), 0x08000022)
-            return answer()
+    def refuse(telegram: bytes, answer: Callable[[], bytes]) -> bytes:
+        if telegram[12:14].hex() == "60ff" and telegram[9] and not refused:
+            refused.append(1)
+            return dryve.encode_abort(int.from_bytes(telegram[:2], "big"), 0x08000022)
+        return answer()
 
-        b.drive.script = refuse
-        b.axis.write(True, 0.0)
-        await b.wait_until(lambda: refused and b.drive.velocity_m_s == 0.0)
-
-    bench(script)
+    bench.drive.script = refuse
+    bench.axis.write(True, 0.0)
+    await bench.wait_until(lambda: refused and bench.drive.velocity_m_s == 0.0)
 
 
 @pytest.mark.slow
 # Numbers of telegrams; the connection ends within the longer ones.
 @pytest.mark.parametrize("storm", [3, 40, 150])
-def test_a_cart_in_motion_is_stopped_as_soon_as_refusals_end(
+async def test_a_cart_in_motion_is_stopped_as_soon_as_refusals_end(
     bench: Any, storm: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("softarm.drivers.rail.master.RETRY_S", (0.005, 60.0))
 
-    async def script(b: Any) -> None:
-        b.drive.keeps_set_point = True
-        await b.enable(0.3)
-        began = len(b.drive.requests)
+    bench.drive.keeps_set_point = True
+    await bench.enable(0.3)
+    began = len(bench.drive.requests)
 
-        def refuse(telegram: bytes, answer: Callable[[], bytes]) -> bytes:
-            if len(b.drive.requests) <= began + storm:
-                return dryve.encode_abort(int.from_bytes(telegram[:2], "big"), 0x08000022)
-            return answer()
+    def refuse(telegram: bytes, answer: Callable[[], bytes]) -> bytes:
+        if len(bench.drive.requests) <= began + storm:
+            return dryve.encode_abort(int.from_bytes(telegram[:2], "big"), 0x08000022)
+        return answer()
 
-        b.drive.script = refuse
-        await b.write_until(lambda: len(b.drive.requests) > began + storm, True, 0.3)
-        await b.write_until(lambda: b.drive.velocity_m_s == 0.0, True, 0.3)
-        after = [request for request, _ in b.drive.requests[began + storm :]]
-        stops = [request.index == 0x60FF and request.data == bytes(4) for request in after]
-        assert stops.index(True) <= 1
-
-    bench(script)
+    bench.drive.script = refuse
+    await bench.write_until(lambda: len(bench.drive.requests) > began + storm, True, 0.3)
+    await bench.write_until(lambda: bench.drive.velocity_m_s == 0.0, True, 0.3)
+    after = [request for request, _ in bench.drive.requests[began + storm :]]
+    stops = [request.index == 0x60FF and request.data == bytes(4) for request in after]
+    assert stops.index(True) <= 1

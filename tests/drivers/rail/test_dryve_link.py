@@ -17,7 +17,7 @@ OTHER = bytes.fromhex("77770000000d002b0d01000060ff0000000000")
 
 
 @pytest.fixture
-def linked(run: Any) -> Callable[..., None]:
+def linked() -> Callable[..., None]:
     """Run `script(link)` against a drive whose answer to the n-th telegram, from 0, is `answers(n, telegram)`."""
 
     async def play(script: Any, answers: Callable[[int, bytes], bytes], timeout_s: float) -> None:
@@ -38,7 +38,7 @@ def linked(run: Any) -> Callable[..., None]:
         async with await asyncio.start_server(serve, "127.0.0.1", 0) as server:
             await asyncio.to_thread(talk, server.sockets[0].getsockname()[1])
 
-    return lambda script, answers, timeout_s=PATIENCE_S: run(play(script, answers, timeout_s))
+    return lambda script, answers, timeout_s=PATIENCE_S: asyncio.run(play(script, answers, timeout_s))
 
 
 def wait(line: socket.socket, events: int, seconds: float) -> bool:

@@ -25,6 +25,7 @@ from softarm.drivers.twin.dryve import DryveDevice, DryveServer
 from softarm.drivers.twin.faults import Faults
 from softarm.schemas.config import DryveRail
 
+pytestmark = pytest.mark.anyio
 HEAVY = {"numpy", "numba", "pydantic", "asyncio", "zenoh", "logging", "json", "yaml", "dataclasses", "inspect"}
 
 # A small daemon: it enables the drive, then renews the set-point more often than a tick would.
@@ -138,141 +139,120 @@ def gone(process: int) -> bool:
 
 
 @pytest.mark.parametrize("end", [signal.SIGKILL, signal.SIGABRT, signal.SIGINT, signal.SIGHUP])
-def test_when_the_daemon_dies_the_drive_is_disabled(run: Any, until: Any, end: signal.Signals) -> None:
-    async def play() -> None:
-        drive = Drive()
-        async with served(drive) as config, flying(config, drive, until) as (daemon, rail):
-            os.killpg(daemon, end)
-            await until(lambda: drive.off, drive.step)
-            await until(lambda: gone(rail))
-
-    run(play())
+async def test_when_the_daemon_dies_the_drive_is_disabled(until: Any, end: signal.Signals) -> None:
+    drive = Drive()
+    async with served(drive) as config, flying(config, drive, until) as (daemon, rail):
+        os.killpg(daemon, end)
+        await until(lambda: drive.off, drive.step)
+        await until(lambda: gone(rail))
 
 
 @pytest.mark.parametrize("freeze", [signal.SIGSTOP, signal.SIGUSR1])
-def test_when_the_daemon_freezes_the_drive_is_disabled_and_stays_disabled(
-    run: Any, until: Any, freeze: signal.Signals
+async def test_when_the_daemon_freezes_the_drive_is_disabled_and_stays_disabled(
+    until: Any, freeze: signal.Signals
 ) -> None:
-    async def play() -> None:
-        drive = Drive()
-        async with served(drive) as config, flying(config, drive, until) as (daemon, _):
-            os.kill(daemon, freeze)
-            await until(lambda: drive.off, drive.step)
-            os.kill(daemon, signal.SIGCONT)
-            since = len(drive.velocities)
-            until_s = time.monotonic() + 1.0
-            await until(lambda: time.monotonic() > until_s, drive.step)
-            assert {velocity for _, velocity in drive.velocities[since:]} <= {0}
-            assert drive.off
-
-    run(play())
+    drive = Drive()
+    async with served(drive) as config, flying(config, drive, until) as (daemon, _):
+        os.kill(daemon, freeze)
+        await until(lambda: drive.off, drive.step)
+        os.kill(daemon, signal.SIGCONT)
+        since = len(drive.velocities)
+        until_s = time.monotonic() + 1.0
+        await until(lambda: time.monotonic() > until_s, drive.step)
+        assert {velocity for _, velocity in drive.velocities[since:]} <= {0}
+        assert drive.off
 
 
 @pytest.mark.parametrize("end", [signal.SIGKILL, signal.SIGSTOP])
-def test_a_process_that_dies_or_hangs_is_replaced_by_one_that_stops_the_drive_first(
-    run: Any, until: Any, running: Any, end: signal.Signals
+async def test_a_process_that_dies_or_hangs_is_replaced_by_one_that_stops_the_drive_first(
+    until: Any, running: Any, end: signal.Signals
 ) -> None:
-    async def play() -> None:
-        drive = Drive()
-        async with served(drive) as config:
-            axis = DryveRailAxis(config, 20)
-            seen: list[bool] = []
+    drive = Drive()
+    async with served(drive) as config:
+        axis = DryveRailAxis(config, 20)
+        seen: list[bool] = []
 
-            def each(enable: bool) -> None:
-                drive.step()
-                axis.write(enable, 0.5)
-                if (reading := axis.read()) is not None:
-                    seen.append(reading.linked)
+        def each(enable: bool) -> None:
+            drive.step()
+            axis.write(enable, 0.5)
+            if (reading := axis.read()) is not None:
+                seen.append(reading.linked)
 
-            async with running(axis):
-                await until(lambda: axis.read() is not None and axis.problem() is None, lambda: each(False))
-                await until(lambda: axis.read().velocity_m_s, lambda: each(True))  # type: ignore[union-attr]
-                first = axis._active.child.pid  # type: ignore[union-attr]
-                os.kill(first, end)
-                await until(lambda: False in seen, lambda: each(True))
-                assert "the rail's process ended" in (axis.problem() or "")
-                await until(lambda: drive.off and axis.read().linked, lambda: each(True))  # type: ignore[union-attr]
-                (_, *firsts), *others = drive.by_link.values()
-                assert any(firsts)
-                assert others
-                assert {velocity for link in others for velocity in link} == {0}
-                assert not axis.read().enabled  # type: ignore[union-attr]
-                assert gone(first)
-                assert axis._active.child.pid != first  # type: ignore[union-attr]
-                await until(lambda: axis.problem() is None, lambda: each(False))
-                await until(lambda: drive.moving, lambda: each(True))
-
-    run(play())
+        async with running(axis):
+            await until(lambda: axis.read() is not None and axis.problem() is None, lambda: each(False))
+            await until(lambda: axis.read().velocity_m_s, lambda: each(True))  # type: ignore[union-attr]
+            first = axis._active.child.pid  # type: ignore[union-attr]
+            os.kill(first, end)
+            await until(lambda: False in seen, lambda: each(True))
+            assert "the rail's process ended" in (axis.problem() or "")
+            await until(lambda: drive.off and axis.read().linked, lambda: each(True))  # type: ignore[union-attr]
+            (_, *firsts), *others = drive.by_link.values()
+            assert any(firsts)
+            assert others
+            assert {velocity for link in others for velocity in link} == {0}
+            assert not axis.read().enabled  # type: ignore[union-attr]
+            assert gone(first)
+            assert axis._active.child.pid != first  # type: ignore[union-attr]
+            await until(lambda: axis.problem() is None, lambda: each(False))
+            await until(lambda: drive.moving, lambda: each(True))
 
 
-def test_a_process_that_hangs_at_the_daemons_end_is_replaced(
-    run: Any, until: Any, running: Any, monkeypatch: pytest.MonkeyPatch
+async def test_a_process_that_hangs_at_the_daemons_end_is_replaced(
+    until: Any, running: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("softarm.drivers.rail.driver.STOP_S", 1.0)
 
-    async def play() -> None:
-        drive = Drive()
-        async with served(drive) as config:
-            axis = DryveRailAxis(config, 20)
-            async with running(axis):
-                await until(lambda: axis.problem() is None, lambda: axis.write(False, 0.0))
-                await until(lambda: drive.moving, lambda: axis.write(True, 0.5) or drive.step())
-                os.kill(axis._active.child.pid, signal.SIGSTOP)  # type: ignore[union-attr]
-                mover = asyncio.create_task(until(lambda: False, drive.step))
-                await axis.stop()
-                mover.cancel()
-            assert drive.off
-
-    run(play())
-
-
-def test_a_drive_in_fault_is_not_polled_more_often(run: Any, until: Any, running: Any) -> None:
-    async def play() -> None:
-        drive = Drive()
-        async with served(drive) as config:
-            axis = DryveRailAxis(config, 20)
-            async with running(axis):
-                await until(lambda: axis.problem() is None, lambda: axis.write(False, 0.0))
-                await until(lambda: drive.moving, lambda: axis.write(True, 0.5) or drive.step())
-                drive.trip(0x8611)
-                await until(lambda: axis.read().faults, lambda: axis.write(True, 0.5))  # type: ignore[union-attr]
-                since, began_s = drive.requests, time.monotonic()
-                await until(lambda: time.monotonic() > began_s + 0.5)
-                assert drive.requests - since < 150
-
-    run(play())
-
-
-def test_stopping_the_driver_disables_the_drive_and_leaves_no_process(run: Any, until: Any, running: Any) -> None:
-    async def play() -> None:
-        drive = Drive()
-        async with served(drive) as config:
-            axis = DryveRailAxis(config, 20)
-            async with running(axis):
-                process = axis._active.child.pid  # type: ignore[union-attr]
-                await until(lambda: axis.problem() is None, lambda: axis.write(False, 0.0))
-                await until(lambda: drive.moving, lambda: axis.write(True, 0.5) or drive.step())
-                os.kill(process, signal.SIGTERM)
-                mover = asyncio.create_task(until(lambda: False, drive.step))
-                await axis.stop()
-                mover.cancel()
-            assert drive.off
-            assert gone(process)
-
-    run(play())
-
-
-def test_the_process_is_small_and_imports_little(free_port: int, run: Any, until: Any, running: Any) -> None:
-    async def play() -> None:
-        axis = DryveRailAxis(DryveRail(host="127.0.0.1", port=free_port))
+    drive = Drive()
+    async with served(drive) as config:
+        axis = DryveRailAxis(config, 20)
         async with running(axis):
-            await until(lambda: "Connection refused" in (axis.problem() or ""), lambda: axis.write(False, 0.0))
-            status = Path(f"/proc/{axis._active.child.pid}/status").read_text()  # type: ignore[union-attr]
-            [resident_kb] = [int(line.split()[1]) for line in status.splitlines() if line.startswith("VmRSS")]
-            # An empty interpreter has 9,000, the daemon 200,000.
-            assert resident_kb < 25_000
+            await until(lambda: axis.problem() is None, lambda: axis.write(False, 0.0))
+            await until(lambda: drive.moving, lambda: axis.write(True, 0.5) or drive.step())
+            os.kill(axis._active.child.pid, signal.SIGSTOP)  # type: ignore[union-attr]
+            mover = asyncio.create_task(until(lambda: False, drive.step))
+            await axis.stop()
+            mover.cancel()
+        assert drive.off
 
-    run(play())
+
+async def test_a_drive_in_fault_is_not_polled_more_often(until: Any, running: Any) -> None:
+    drive = Drive()
+    async with served(drive) as config:
+        axis = DryveRailAxis(config, 20)
+        async with running(axis):
+            await until(lambda: axis.problem() is None, lambda: axis.write(False, 0.0))
+            await until(lambda: drive.moving, lambda: axis.write(True, 0.5) or drive.step())
+            drive.trip(0x8611)
+            await until(lambda: axis.read().faults, lambda: axis.write(True, 0.5))  # type: ignore[union-attr]
+            since, began_s = drive.requests, time.monotonic()
+            await until(lambda: time.monotonic() > began_s + 0.5)
+            assert drive.requests - since < 150
+
+
+async def test_stopping_the_driver_disables_the_drive_and_leaves_no_process(until: Any, running: Any) -> None:
+    drive = Drive()
+    async with served(drive) as config:
+        axis = DryveRailAxis(config, 20)
+        async with running(axis):
+            process = axis._active.child.pid  # type: ignore[union-attr]
+            await until(lambda: axis.problem() is None, lambda: axis.write(False, 0.0))
+            await until(lambda: drive.moving, lambda: axis.write(True, 0.5) or drive.step())
+            os.kill(process, signal.SIGTERM)
+            mover = asyncio.create_task(until(lambda: False, drive.step))
+            await axis.stop()
+            mover.cancel()
+        assert drive.off
+        assert gone(process)
+
+
+async def test_the_process_is_small_and_imports_little(free_port: int, until: Any, running: Any) -> None:
+    axis = DryveRailAxis(DryveRail(host="127.0.0.1", port=free_port))
+    async with running(axis):
+        await until(lambda: "Connection refused" in (axis.problem() or ""), lambda: axis.write(False, 0.0))
+        status = Path(f"/proc/{axis._active.child.pid}/status").read_text()  # type: ignore[union-attr]
+        [resident_kb] = [int(line.split()[1]) for line in status.splitlines() if line.startswith("VmRSS")]
+        # An empty interpreter has 9,000, the daemon 200,000.
+        assert resident_kb < 25_000
     names = "import sys, softarm.drivers.rail.process; print(*sys.modules)"
     root = str(Path(softarm.__file__).parents[1])
     command = [sys.executable, "-S", "-P", "-c", names]

@@ -1,6 +1,7 @@
 """Driver of the regulator against the twin's device behind a real pseudo-terminal."""
 
 import os
+from collections.abc import AsyncIterator
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,7 @@ from softarm.drivers.twin.faults import Faults
 from softarm.drivers.twin.teensy import TeensyDevice, TeensyPort
 from softarm.schemas.config import SerialRegulator
 
+pytestmark = pytest.mark.anyio
 MEASURED_KPA = 3.25
 
 
@@ -58,189 +60,158 @@ class Bench:
 
 
 @pytest.fixture
-def bench(tmp_path: Path, clock: Any, until: Any, regulator_bench: Any) -> Any:
-    return regulator_bench(lambda: Bench(tmp_path / "teensy", clock, until))
+async def bench(tmp_path: Path, clock: Any, until: Any, opened_regulator: Any) -> AsyncIterator[Bench]:
+    async with opened_regulator(Bench(tmp_path / "teensy", clock, until)) as bench:
+        yield bench
 
 
-def test_set_points_reach_the_device_and_the_sensor_is_read(bench: Any) -> None:
-    async def script(b: Bench) -> None:
-        await b.arm(12.5)
-        await b.write_until(lambda: b.device.set_point_kpa == 12.5, True, 12.5)
-        reading = b.regulator.read()
-        assert reading.pressure_kpa == MEASURED_KPA
-        assert reading.t_receive_ns == b.clock()
-        assert reading.faults == ()
-        assert b.regulator.problem() is None
-        assert b.device.commands()[-1].time_to_live_s == 0.1
-
-    bench(script)
+async def test_set_points_reach_the_device_and_the_sensor_is_read(bench: Any) -> None:
+    await bench.arm(12.5)
+    await bench.write_until(lambda: bench.device.set_point_kpa == 12.5, True, 12.5)
+    reading = bench.regulator.read()
+    assert reading.pressure_kpa == MEASURED_KPA
+    assert reading.t_receive_ns == bench.clock()
+    assert reading.faults == ()
+    assert bench.regulator.problem() is None
+    assert bench.device.commands()[-1].time_to_live_s == 0.1
 
 
-def test_without_writes_the_device_vents_until_disarmed_and_armed_again(bench: Any, until: Any) -> None:
-    async def script(b: Bench) -> None:
-        await b.arm()
-        await until(lambda: b.regulator.read().sequence == len(b.device.commands()) + 1)
-        count = len(b.device.received)
-        b.clock.advance(0.101)
-        b.port.step()
-        assert b.device.set_point_kpa == 0.0
-        assert len(b.device.received) == count
-        await b.write_until(lambda: not b.regulator.read().armed, True, 10.0)
-        assert "commands stopped, so the muscle was vented: disarm, then arm again" in b.regulator.problem()
-        assert b.regulator.read().faults == ()
-        await b.write_until(lambda: len(b.device.received) > count + 5, True, 10.0)
-        assert b.device.set_point_kpa == 0.0
-        await b.write_until(lambda: b.regulator.problem() is None)
-        await b.arm()
-        assert b.device.set_point_kpa == 10.0
-
-    bench(script)
+async def test_without_writes_the_device_vents_until_disarmed_and_armed_again(bench: Any, until: Any) -> None:
+    await bench.arm()
+    await until(lambda: bench.regulator.read().sequence == len(bench.device.commands()) + 1)
+    count = len(bench.device.received)
+    bench.clock.advance(0.101)
+    bench.port.step()
+    assert bench.device.set_point_kpa == 0.0
+    assert len(bench.device.received) == count
+    await bench.write_until(lambda: not bench.regulator.read().armed, True, 10.0)
+    assert "commands stopped, so the muscle was vented: disarm, then arm again" in bench.regulator.problem()
+    assert bench.regulator.read().faults == ()
+    await bench.write_until(lambda: len(bench.device.received) > count + 5, True, 10.0)
+    assert bench.device.set_point_kpa == 0.0
+    await bench.write_until(lambda: bench.regulator.problem() is None)
+    await bench.arm()
+    assert bench.device.set_point_kpa == 10.0
 
 
-def test_the_newest_set_point_replaces_older_ones(bench: Any, until: Any) -> None:
-    async def script(b: Bench) -> None:
-        await b.arm()
-        await until(lambda: b.regulator.read().sequence == len(b.device.commands()) + 1)
-        since = len(b.device.commands())
-        for kpa in range(11, 20):
-            b.regulator.write(True, float(kpa))
-        await until(lambda: b.device.commands()[-1].pressure_kpa == 19.0)
-        sent = [command.pressure_kpa for command in b.device.commands()[since:]]
-        assert sent == sorted(sent)
-
-    bench(script)
+async def test_the_newest_set_point_replaces_older_ones(bench: Any, until: Any) -> None:
+    await bench.arm()
+    await until(lambda: bench.regulator.read().sequence == len(bench.device.commands()) + 1)
+    since = len(bench.device.commands())
+    for kpa in range(11, 20):
+        bench.regulator.write(True, float(kpa))
+    await until(lambda: bench.device.commands()[-1].pressure_kpa == 19.0)
+    sent = [command.pressure_kpa for command in bench.device.commands()[since:]]
+    assert sent == sorted(sent)
 
 
-def test_stop_vents_and_frees_the_port(bench: Any, running: Any) -> None:
-    async def script(b: Bench) -> None:
-        await b.arm()
-        await b.regulator.stop()
-        await b._until(lambda: not b.device.armed)
-        assert not b.device.commands()[-1].armed
-        again = TeensyRegulator(SerialRegulator(port=str(b.path)), b.clock)
-        async with running(again):
-            await b._until(lambda: again.problem() is None)
-        b.regulator.write(True, 5.0)
-
-    bench(script)
+async def test_stop_vents_and_frees_the_port(bench: Any, running: Any) -> None:
+    await bench.arm()
+    await bench.regulator.stop()
+    await bench._until(lambda: not bench.device.armed)
+    assert not bench.device.commands()[-1].armed
+    again = TeensyRegulator(SerialRegulator(port=str(bench.path)), bench.clock)
+    async with running(again):
+        await bench._until(lambda: again.problem() is None)
+    bench.regulator.write(True, 5.0)
 
 
 @pytest.mark.parametrize("bad_kpa", [float("nan"), float("inf")])
-def test_nan_and_infinity_vent(bench: Any, bad_kpa: float) -> None:
-    async def script(b: Bench) -> None:
-        await b.arm()
-        await b.write_until(lambda: not b.regulator.read().armed, True, bad_kpa)
-        assert b.device.set_point_kpa == 0.0
-
-    bench(script)
+async def test_nan_and_infinity_vent(bench: Any, bad_kpa: float) -> None:
+    await bench.arm()
+    await bench.write_until(lambda: not bench.regulator.read().armed, True, bad_kpa)
+    assert bench.device.set_point_kpa == 0.0
 
 
-def test_a_set_point_out_of_range_is_rejected_and_reported(bench: Any) -> None:
-    async def script(b: Bench) -> None:
-        await b.arm()
-        await b.write_until(lambda: b.regulator.read().faults, True, 25.0)
-        assert "out of range (allowed: -0.7 to 20.0 kPa" in b.regulator.problem()
-        assert b.device.set_point_kpa == 10.0
-
-    bench(script)
+async def test_a_set_point_out_of_range_is_rejected_and_reported(bench: Any) -> None:
+    await bench.arm()
+    await bench.write_until(lambda: bench.regulator.read().faults, True, 25.0)
+    assert "out of range (allowed: -0.7 to 20.0 kPa" in bench.regulator.problem()
+    assert bench.device.set_point_kpa == 10.0
 
 
-def test_garbled_answers_are_dropped_and_reported(bench: Any) -> None:
-    async def script(b: Bench) -> None:
-        await b.arm()
-        b.faults.start("serial_garbage")
-        before = b.regulator.read()
-        count = len(b.device.received)
-        await b.write_until(lambda: len(b.device.received) > count + 20, True, 10.0)
-        b.clock.advance(0.3)
-        assert "no answer for 0.3 s" in b.regulator.problem()
-        assert "check the cable" in b.regulator.problem()
-        assert b.regulator.read().sequence < len(b.device.commands())
-        b.faults.start("clear")
-        await b.write_until(lambda: b.regulator.problem() is None)
-        assert b.regulator.read().t_receive_ns > before.t_receive_ns
-
-    bench(script)
+async def test_garbled_answers_are_dropped_and_reported(bench: Any) -> None:
+    await bench.arm()
+    bench.faults.start("serial_garbage")
+    before = bench.regulator.read()
+    count = len(bench.device.received)
+    await bench.write_until(lambda: len(bench.device.received) > count + 20, True, 10.0)
+    bench.clock.advance(0.3)
+    assert "no answer for 0.3 s" in bench.regulator.problem()
+    assert "check the cable" in bench.regulator.problem()
+    assert bench.regulator.read().sequence < len(bench.device.commands())
+    bench.faults.start("clear")
+    await bench.write_until(lambda: bench.regulator.problem() is None)
+    assert bench.regulator.read().t_receive_ns > before.t_receive_ns
 
 
-def test_silence_reopens_the_port_and_greets_again(bench: Any) -> None:
-    async def script(b: Bench) -> None:
-        await b.arm()
-        b.faults.start("serial_silence")
-        await b.write_until(lambda: "no answer for 0." in (tick(b) or ""), True, 10.0)
-        await b.write_until(lambda: "no answer for 1 s" in (tick(b) or ""), True, 10.0)
-        hellos = sum(isinstance(message, Hello) for message in b.device.received)
-        b.faults.start("clear")
-        await b.write_until(lambda: b.regulator.problem() is None)
-        assert sum(isinstance(message, Hello) for message in b.device.received) > hellos
-        assert not b.device.armed
+async def test_silence_reopens_the_port_and_greets_again(bench: Any) -> None:
+    def tick() -> str:
+        bench.clock.advance(0.05)
+        return bench.regulator.problem() or ""
 
-    def tick(b: Bench) -> str | None:
-        b.clock.advance(0.05)
-        return b.regulator.problem()
-
-    bench(script)
+    await bench.arm()
+    bench.faults.start("serial_silence")
+    await bench.write_until(lambda: "no answer for 0." in tick(), True, 10.0)
+    await bench.write_until(lambda: "no answer for 1 s" in tick(), True, 10.0)
+    hellos = sum(isinstance(message, Hello) for message in bench.device.received)
+    bench.faults.start("clear")
+    await bench.write_until(lambda: bench.regulator.problem() is None)
+    assert sum(isinstance(message, Hello) for message in bench.device.received) > hellos
+    assert not bench.device.armed
 
 
-def test_a_port_that_vanishes_while_open_comes_back_disarmed(bench: Any) -> None:
-    async def script(b: Bench) -> None:
-        await b.arm()
-        b.faults.start("serial_unplug")
-        await b.write_until(lambda: "No such file or directory" in (b.regulator.problem() or ""), True, 10.0)
-        assert "plug the Teensy in" in b.regulator.problem()
-        b.faults.start("clear")
-        count = len(b.device.received)
-        await b.write_until(lambda: len(b.device.received) > count + 5, True, 10.0)
-        assert not b.device.armed
-        await b.arm()
-
-    bench(script)
+async def test_a_port_that_vanishes_while_open_comes_back_disarmed(bench: Any) -> None:
+    await bench.arm()
+    bench.faults.start("serial_unplug")
+    await bench.write_until(lambda: "No such file or directory" in (bench.regulator.problem() or ""), True, 10.0)
+    assert "plug the Teensy in" in bench.regulator.problem()
+    bench.faults.start("clear")
+    count = len(bench.device.received)
+    await bench.write_until(lambda: len(bench.device.received) > count + 5, True, 10.0)
+    assert not bench.device.armed
+    await bench.arm()
 
 
-def test_a_device_that_restarts_is_greeted_again(bench: Any) -> None:
-    async def script(b: Bench) -> None:
-        await b.arm()
-        b.port.device = b.device = Device()
-        await b.write_until(lambda: b.regulator.read().faults == () and b.device.accepted_sequence)
-        await b.arm()
-
-    bench(script)
+async def test_a_device_that_restarts_is_greeted_again(bench: Any) -> None:
+    await bench.arm()
+    bench.port.device = bench.device = Device()
+    await bench.write_until(lambda: bench.regulator.read().faults == () and bench.device.accepted_sequence)
+    await bench.arm()
 
 
-def problem_of(path: Path, run: Any, until: Any, running: Any) -> str:
-    async def play() -> str:
-        regulator = TeensyRegulator(SerialRegulator(port=str(path)))
-        async with running(regulator):
-            await until(lambda: "not opened yet" not in (regulator.problem() or ""))
-            regulator.write(True, 5.0)
-            assert regulator.read() is None
-            return str(regulator.problem())
+@pytest.mark.parametrize(
+    ("name", "says"),
+    [
+        ("absent", "plug the Teensy in (ls /dev/serial/by-id)"),
+        ("plain", "set drivers.regulator.port to a serial port"),
+    ],
+)
+async def test_a_port_that_cannot_be_opened_is_reported(
+    tmp_path: Path, until: Any, running: Any, name: str, says: str
+) -> None:
+    (tmp_path / "plain").write_text("no port")
+    regulator = TeensyRegulator(SerialRegulator(port=str(tmp_path / name)))
+    async with running(regulator):
+        await until(lambda: "not opened yet" not in (regulator.problem() or ""))
+        regulator.write(True, 5.0)
+        assert regulator.read() is None
+        problem = regulator.problem() or ""
+    assert f"{tmp_path / name}: open: " in problem
+    assert says in problem
 
-    return str(run(play()))
 
-
-def test_a_port_that_cannot_be_opened_is_reported(tmp_path: Path, run: Any, until: Any, running: Any) -> None:
-    absent, plain = tmp_path / "absent", tmp_path / "plain"
-    plain.write_text("no port")
-    assert f"{absent}: open: " in problem_of(absent, run, until, running)
-    assert "plug the Teensy in (ls /dev/serial/by-id)" in problem_of(absent, run, until, running)
-    assert "set drivers.regulator.port to a serial port" in problem_of(plain, run, until, running)
-
-
-def test_a_port_held_by_another_process_is_reported(tmp_path: Path, clock: Any, run: Any, until: Any) -> None:
-    async def play() -> None:
-        bench = Bench(tmp_path / "teensy", clock, until)
-        bench.port.open()
-        rival = TeensyRegulator(SerialRegulator(port=str(bench.path)), clock)
-        bench.regulator.start()
-        await bench.write_until(lambda: bench.regulator.problem() is None)
-        rival.start()
-        await until(lambda: "another process holds the port: stop it" in (rival.problem() or ""))
-        await rival.stop()
-        await bench.regulator.stop()
-        bench.port.close()
-
-    run(play())
+async def test_a_port_held_by_another_process_is_reported(tmp_path: Path, clock: Any, until: Any) -> None:
+    bench = Bench(tmp_path / "teensy", clock, until)
+    bench.port.open()
+    rival = TeensyRegulator(SerialRegulator(port=str(bench.path)), clock)
+    bench.regulator.start()
+    await bench.write_until(lambda: bench.regulator.problem() is None)
+    rival.start()
+    await until(lambda: "another process holds the port: stop it" in (rival.problem() or ""))
+    await rival.stop()
+    await bench.regulator.stop()
+    bench.port.close()
 
 
 def test_an_echo_of_the_sent_bytes_is_reported(clock: Any) -> None:
@@ -315,39 +286,33 @@ def test_a_device_that_restarts_its_count_is_greeted_again(clock: Any) -> None:
     assert receive(conversation, state, 3) == state
 
 
-def test_on_a_line_that_repeats_itself_the_reading_becomes_stale(bench: Any) -> None:
-    async def script(b: Bench) -> None:
-        await b.arm()
-        answer = b.device.receive
-        kept: list[bytes] = []
+async def test_on_a_line_that_repeats_itself_the_reading_becomes_stale(bench: Any) -> None:
+    await bench.arm()
+    answer = bench.device.receive
+    kept: list[bytes] = []
 
-        def repeat(data: bytes, now_ns: int, pressure_kpa: float) -> bytes:
-            kept.append(answer(data, now_ns, pressure_kpa))
-            return kept[0]
+    def repeat(data: bytes, now_ns: int, pressure_kpa: float) -> bytes:
+        kept.append(answer(data, now_ns, pressure_kpa))
+        return kept[0]
 
-        b.device.receive = repeat  # type: ignore[method-assign]
-        await b.write_until(lambda: len(kept) > 3, True, 10.0)
-        stamp_ns = b.regulator.read().t_receive_ns
-        b.clock.advance(0.3)
-        await b.write_until(lambda: len(kept) > 6, True, 10.0)
-        assert b.regulator.read().t_receive_ns == stamp_ns
-        assert "is repeated or late" in b.regulator.problem()
-
-    bench(script)
+    bench.device.receive = repeat  # type: ignore[method-assign]
+    await bench.write_until(lambda: len(kept) > 3, True, 10.0)
+    stamp_ns = bench.regulator.read().t_receive_ns
+    bench.clock.advance(0.3)
+    await bench.write_until(lambda: len(kept) > 6, True, 10.0)
+    assert bench.regulator.read().t_receive_ns == stamp_ns
+    assert "is repeated or late" in bench.regulator.problem()
 
 
-def test_a_thousand_other_descriptors_do_not_matter(bench: Any, many_descriptors: Any) -> None:
-    async def script(b: Bench) -> None:
-        b.faults.start("serial_unplug")
-        await b.write_until(lambda: "plug the Teensy in" in (b.regulator.problem() or ""))
-        with many_descriptors():
-            b.faults.start("clear")
-            await b.arm()
-            assert b.regulator.problem() is None
-            await b.regulator.stop()
-            assert not b.device.commands()[-1].armed
-
-    bench(script)
+async def test_a_thousand_other_descriptors_do_not_matter(bench: Any, many_descriptors: Any) -> None:
+    bench.faults.start("serial_unplug")
+    await bench.write_until(lambda: "plug the Teensy in" in (bench.regulator.problem() or ""))
+    with many_descriptors():
+        bench.faults.start("clear")
+        await bench.arm()
+        assert bench.regulator.problem() is None
+        await bench.regulator.stop()
+        assert not bench.device.commands()[-1].armed
 
 
 def test_the_twin_does_not_replace_a_real_device(tmp_path: Path, clock: Any) -> None:

@@ -23,6 +23,8 @@ from softarm.drivers.twin.cameras import FAULT_KEY, STATE_KEY
 from softarm.drivers.twin.main import DeviceClock, EndStops, Twin
 from softarm.schemas.config import Config, Drivers, DryveRail, Mocap, SerialRegulator
 
+pytestmark = pytest.mark.anyio
+
 
 def free_ports() -> tuple[int, int]:
     with socket.socket() as one, socket.socket() as two:
@@ -75,76 +77,65 @@ class Hands:
         await self.write_until(armed, True)
 
 
-@pytest.mark.slow
-def test_the_drivers_move_the_twin_and_their_silence_stops_it(
-    config: Config, run: Any, until: Any, running: Any
+@pytest.mark.parametrize("make", [pytest.param(SimulatedBody, marks=pytest.mark.slow), IndependentBody])
+async def test_the_drivers_move_the_twin_and_their_silence_stops_it(
+    config: Config, until: Any, running: Any, make: Any
 ) -> None:
-    async def play() -> None:
+    hands = Hands(config, until)
+    async with running(hands.mocap, hands.regulator, hands.rail):
+        await until(lambda: all(hands.problems()))
+        async with Twin(config, body=make()) as twin:
+            await hands.arm()
+            await hands.write_until(lambda: hands.frames, True)
+            start = hands.frames[-1].bodies
+            await hands.write_until(lambda: twin.state.cart_velocity_m_s < -0.2, True, (-0.3, 15.0))
+            await hands.write_until(lambda: hands.regulator.read().pressure_kpa > 5.0, True, (-0.3, 15.0))
+            # The tip first swings out the other way.
+            await hands.write_until(lambda: hands.frames[-1].bodies[5].y_m < start[5].y_m, True, (-0.3, 15.0))
+            assert hands.frames[-1].bodies[0].y_m < start[0].y_m
+            assert hands.rail.read().position_m == pytest.approx(twin.state.cart_position_m, abs=0.05)
+            sequences = [frame.sequence for frame in hands.frames]
+            assert sequences == sorted(set(sequences))
+            # The loop dies: no further writes.
+            await until(lambda: twin.state.vented and abs(twin.state.cart_velocity_m_s) < 0.05)
+            assert twin.state.crashes == 0
+            assert twin.state.vented_since_ns is not None
+
+
+@pytest.mark.slow
+async def test_a_closed_connection_brakes_the_cart_within_the_rail(config: Config, until: Any, running: Any) -> None:
+    async with Twin(config) as twin:
         hands = Hands(config, until)
         async with running(hands.mocap, hands.regulator, hands.rail):
-            await until(lambda: all(hands.problems()))
-            async with Twin(config) as twin:
-                await hands.arm()
-                await hands.write_until(lambda: hands.frames, True)
-                start = hands.frames[-1].bodies
-                await hands.write_until(lambda: twin.state.cart_velocity_m_s < -0.2, True, (-0.3, 15.0))
-                await hands.write_until(lambda: hands.regulator.read().pressure_kpa > 5.0, True, (-0.3, 15.0))
-                # The tip first swings out the other way.
-                await hands.write_until(lambda: hands.frames[-1].bodies[5].y_m < start[5].y_m, True, (-0.3, 15.0))
-                assert hands.frames[-1].bodies[0].y_m < start[0].y_m
-                assert hands.rail.read().position_m == pytest.approx(twin.state.cart_position_m, abs=0.05)
-                sequences = [frame.sequence for frame in hands.frames]
-                assert sequences == sorted(set(sequences))
-                # The loop dies: no further writes.
-                await until(lambda: twin.state.vented and abs(twin.state.cart_velocity_m_s) < 0.05)
-                assert twin.state.crashes == 0
-                assert twin.state.vented_since_ns is not None
-
-    run(play())
+            await hands.arm()
+            await hands.write_until(lambda: twin.state.cart_velocity_m_s > 0.3, True, (0.4, 5.0))
+            assert hands.rail._active is not None
+            hands.rail._active.child.kill()
+            await until(lambda: twin.state.drive == "switch-on disabled")
+            off_ns = twin.state.out_of_operation_since_ns
+            await until(lambda: twin.state.braked_since_ns)
+            assert off_ns is not None
+            assert twin.state.cart_max_abs_m < 0.3
+            assert twin.state.crashes == 0
 
 
 @pytest.mark.slow
-def test_a_closed_connection_brakes_the_cart_within_the_rail(
-    config: Config, run: Any, until: Any, running: Any
-) -> None:
-    async def play() -> None:
-        async with Twin(config) as twin:
-            hands = Hands(config, until)
-            async with running(hands.mocap, hands.regulator, hands.rail):
-                await hands.arm()
-                await hands.write_until(lambda: twin.state.cart_velocity_m_s > 0.3, True, (0.4, 5.0))
-                assert hands.rail._active is not None
-                hands.rail._active.child.kill()
-                await until(lambda: twin.state.drive == "switch-on disabled")
-                off_ns = twin.state.out_of_operation_since_ns
-                await until(lambda: twin.state.braked_since_ns)
-                assert off_ns is not None
-                assert twin.state.cart_max_abs_m < 0.3
-                assert twin.state.crashes == 0
-
-    run(play())
-
-
-@pytest.mark.slow
-def test_faults_reach_the_drivers(config: Config, run: Any, until: Any, running: Any) -> None:
-    async def play() -> None:
-        async with Twin(config) as twin:
-            hands = Hands(config, until)
-            async with running(hands.mocap, hands.regulator, hands.rail):
-                await hands.write_until(lambda: hands.problems() == [None] * 3)
-                twin.faults.start("mocap_drop_body", body="link3")
-                await hands.write_until(lambda: not hands.frames[-1].bodies[3].tracked)
-                assert [body.tracked for body in hands.frames[-1].bodies].count(False) == 1
-                twin.faults.start("clear")
-                twin.faults.start("mocap_garbage")
-                await hands.write_until(lambda: hands.mocap.malformed == 1)
-                twin.faults.start("mocap_stuck")
-                await hands.write_until(lambda: hands.frames[-1].bodies == hands.frames[-2].bodies)
-                twin.faults.start("clear")
-                twin.faults.start("mocap_freeze")
-                await hands.write_until(lambda: "no frame for" in (hands.mocap.problem() or ""))
-
-    run(play())
+async def test_faults_reach_the_drivers(config: Config, until: Any, running: Any) -> None:
+    async with Twin(config) as twin:
+        hands = Hands(config, until)
+        async with running(hands.mocap, hands.regulator, hands.rail):
+            await hands.write_until(lambda: hands.problems() == [None] * 3)
+            twin.faults.start("mocap_drop_body", body="link3")
+            await hands.write_until(lambda: not hands.frames[-1].bodies[3].tracked)
+            assert [body.tracked for body in hands.frames[-1].bodies].count(False) == 1
+            twin.faults.start("clear")
+            twin.faults.start("mocap_garbage")
+            await hands.write_until(lambda: hands.mocap.malformed == 1)
+            twin.faults.start("mocap_stuck")
+            await hands.write_until(lambda: hands.frames[-1].bodies == hands.frames[-2].bodies)
+            twin.faults.start("clear")
+            twin.faults.start("mocap_freeze")
+            await hands.write_until(lambda: "no frame for" in (hands.mocap.problem() or ""))
 
 
 def test_delays_of_the_twin_do_not_count_as_silence(clock: Any) -> None:
@@ -159,16 +150,13 @@ def test_delays_of_the_twin_do_not_count_as_silence(clock: Any) -> None:
     assert device_clock() - start_ns == pytest.approx(0.125e9, rel=1e-6)
 
 
-def test_a_second_twin_is_refused_and_the_first_keeps_its_ports(config: Config, run: Any) -> None:
-    async def play() -> None:
-        async with Twin(config):
-            there = Path(config.drivers.regulator.port).readlink()
-            with pytest.raises(DeviceError, match="listen as the rail"):
-                async with Twin(config):
-                    pass
-            assert Path(config.drivers.regulator.port).readlink() == there
-
-    run(play())
+async def test_a_second_twin_is_refused_and_the_first_keeps_its_ports(config: Config) -> None:
+    async with Twin(config):
+        there = Path(config.drivers.regulator.port).readlink()
+        with pytest.raises(DeviceError, match="listen as the rail"):
+            async with Twin(config):
+                pass
+        assert Path(config.drivers.regulator.port).readlink() == there
 
 
 MAIN = """
@@ -180,24 +168,21 @@ run_twin(Config.model_validate_json(sys.argv[1]), None, lambda line: print(line,
 
 
 @pytest.mark.slow
-def test_the_process_outlives_the_daemon_and_ends_on_a_signal(config: Config, run: Any, until: Any) -> None:
-    async def play() -> None:
-        process = await asyncio.create_subprocess_exec(
-            sys.executable, "-c", MAIN, config.model_dump_json(), stdout=subprocess.PIPE, stderr=subprocess.STDOUT
-        )
-        assert process.stdout is not None
-        ready = (await process.stdout.readline()).decode()
-        assert config.drivers.regulator.port in ready
-        assert Path(config.drivers.regulator.port).is_symlink()
-        for _ in range(2):
-            await watch_and_break(config, until)
-        process.send_signal(signal.SIGTERM)
-        output, _ = await asyncio.wait_for(process.communicate(), 5)
-        assert process.returncode == 0
-        assert b"unknown fault 'nonsense'" in output
-        assert not Path(config.drivers.regulator.port).is_symlink()
-
-    run(play())
+async def test_the_process_outlives_the_daemon_and_ends_on_a_signal(config: Config, until: Any) -> None:
+    process = await asyncio.create_subprocess_exec(
+        sys.executable, "-c", MAIN, config.model_dump_json(), stdout=subprocess.PIPE, stderr=subprocess.STDOUT
+    )
+    assert process.stdout is not None
+    ready = (await process.stdout.readline()).decode()
+    assert config.drivers.regulator.port in ready
+    assert Path(config.drivers.regulator.port).is_symlink()
+    for _ in range(2):
+        await watch_and_break(config, until)
+    process.send_signal(signal.SIGTERM)
+    output, _ = await asyncio.wait_for(process.communicate(), 5)
+    assert process.returncode == 0
+    assert b"unknown fault 'nonsense'" in output
+    assert not Path(config.drivers.regulator.port).is_symlink()
 
 
 async def watch_and_break(config: Config, until: Any) -> None:
@@ -232,3 +217,12 @@ def test_a_cart_that_stays_at_the_end_of_its_travel_has_crashed_once(body: Any) 
     assert ends.crashes == struck.count(True) == 2
     assert 0.25 < struck.index(True) / 120 < 0.6
     assert ends.cart_max_abs_m == made.travel_m
+
+
+def test_the_ordinary_twin_needs_no_mujoco() -> None:
+    program = (
+        "import sys, softarm.cli.operate.twin, softarm.drivers.twin.main;"
+        "print('mujoco' in sys.modules, 'softarm.reality' in sys.modules)"
+    )
+    answer = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=60, check=False)
+    assert (answer.stdout.strip(), answer.returncode) == ("False False", 0), answer.stderr
