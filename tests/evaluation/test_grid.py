@@ -1,9 +1,7 @@
 """Flights of a policy to a grid of targets, their shares, and the faults of the robot."""
 
-import numpy as np
-
 from softarm.evaluation.robots import with_faults
-from softarm.evaluation.runner import fly_grid, shares
+from softarm.evaluation.runner import fly_grid
 from softarm.policies.base import MODELS
 from softarm.reality.parameters import RobotParameters
 from softarm.schemas.config import Config, Limits, RailLimits
@@ -23,13 +21,6 @@ def test_flights_do_not_depend_on_earlier_ones():
 def test_flights_use_the_given_configuration():
     held = Config(limits=Limits(rail=RailLimits(velocity_max_m_s=0.02)))
     assert fly_grid(REACH, Model(), (EASY,), held).sum() < 3  # a cart that hardly moves leaves most of it to the muscle
-
-
-def test_shares_are_split_by_the_height_of_targets():
-    old, new = np.array([[True, True], [False, False]]), np.array([[False, True], [True, True]])
-    assert shares(old, (EASY, NEVER)).in_range == 1.0
-    assert shares(new, (EASY, NEVER)).above == 1.0
-    assert shares(new, (EASY, NEVER)).all == 0.75
 
 
 def test_faults_are_set_one_by_one():

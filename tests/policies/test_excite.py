@@ -1,8 +1,6 @@
 """Excitations stay within their limits, play to their end through the daemon, and leave the cart near the middle."""
 
 import math
-import tomllib
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,8 +9,6 @@ from softarm.daemon.control.records import Mode
 from softarm.daemon.runtime.offline import Lockstep
 from softarm.policies.base import PolicyError
 from softarm.policies.excite import LEAD_IN_S, Excite
-from softarm.policies.hold import Hold
-from softarm.policies.pid import Pid
 from softarm.schemas.config import Config
 from softarm.schemas.excitation import (
     CART_EXCURSION_MAX_M,
@@ -76,35 +72,6 @@ def test_the_lead_in_brings_the_cart_to_the_middle():
     assert abs(outputs.rail_position_m) < 0.01
 
 
-def test_a_run_is_for_policies_without_a_target_and_a_reach_for_those_with_one():
-    playing = Lockstep(Config(), Excite("seed"))
-    playing.arm()
-    outputs = playing.tick(playing.request("goal", Goal("reach", -0.2, 0.6)))
-    assert "does not move to targets" in outputs.results[-1].reasons[0]
-    reaching = Lockstep(Config(), Pid())
-    reaching.arm()
-    outputs = reaching.tick(reaching.request("goal", Goal("run")))
-    assert "needs a target: request a reach goal" in outputs.results[-1].reasons[0]
-
-
-def test_a_run_without_an_end_continues_until_it_is_cancelled():
-    lockstep = Lockstep(Config(), Hold())
-    lockstep.arm()
-    lockstep.tick(lockstep.request("goal", Goal("run")))
-    for _ in range(200):  # longer than goals.time_limit_s
-        outputs = lockstep.tick()
-    assert (outputs.goal.state, outputs.action) == ("running", (0.0, 0.0))
-    assert lockstep.tick(lockstep.request("cancel_goal")).goal.state == "cancelled"
-
-
-def test_a_stop_ends_an_excitation():
-    lockstep = Lockstep(Config(), Excite("seed"))
-    lockstep.arm()
-    lockstep.tick(lockstep.request("goal", Goal("run")))
-    outputs = lockstep.tick(lockstep.request("stop"))
-    assert (outputs.goal.state, outputs.sent.pressure_kpa) == ("failed", 0.0)
-
-
 def test_an_unknown_excitation_is_refused_with_the_list():
     with pytest.raises(PolicyError, match=r"no excitation 'rail-chrip'; did you mean rail-chirp\? \(there are: seed"):
         Excite("rail-chrip")
@@ -117,8 +84,3 @@ def test_a_reset_restarts_the_excitation():
     policy.reset()
     assert [policy.step(observation, goal).tolist() for _ in range(300)] == first
     assert max(pressure for _, pressure in first) > 10
-
-
-def test_excite_is_declared_as_a_plugin():
-    project = tomllib.loads((Path(__file__).parents[2] / "pyproject.toml").read_text())
-    assert project["project"]["entry-points"]["softarm.policies"]["excite"] == "softarm.policies.excite:Excite"

@@ -205,10 +205,3 @@ def test_a_missing_file_is_named_with_a_remedy():
         OnnxPolicy(model="nowhere.onnx")
     with pytest.raises(PolicyError, match="a shipped model"):
         OnnxPolicy(model="no-such-name")
-
-
-def test_a_reaching_policy_ignores_the_depth():
-    policy = OnnxPolicy("reach")
-    policy.target_depth_m = 0.3
-    policy.step(np.zeros(8, np.float32), np.array((-0.2, 0.6), np.float32))
-    assert policy._input.shape == (1, 10)

@@ -154,6 +154,40 @@ def arm_alone(
     return np.stack(looks)
 
 
+def energies_j(simulator: Simulator, shelf: tuple[float, float] = (100.0, 0.0), stiffness: float = 0.0) -> np.ndarray:
+    """Kinetic, gravity's, springs' and the shelf's energy of every robot, [R], without the kernel's formulas.
+
+    The shelf's is that of a spring on the depth of the arm's bars in the boards, sampled along both.
+    """
+    arm, cart = simulator.model.arm, simulator.model.cart
+    length, mass = np.array(arm.link_length_m), np.array(arm.link_mass_kg)
+    angle, rate = simulator.link_angles_rad.astype(float), simulator.link_rates_rad_s.astype(float)
+    start = np.stack((simulator.cart_position_m, np.full(simulator.robots, arm.base_height_m)), axis=1).astype(float)
+    moving = np.stack((simulator.cart_velocity_m_s, np.zeros(simulator.robots)), axis=1).astype(float)
+    energy = 0.5 * cart.mass_kg * moving[:, 0] ** 2
+    joints = np.diff(angle, axis=1, prepend=0.0)
+    energy += 0.5 * (np.array(arm.stiffness_nm_rad) * joints**2).sum(axis=1)
+    edge, top = shelf[0] - 0.005, shelf[1] - 0.005
+    for i in range(arm.links):
+        along = length[i] * np.stack((np.sin(angle[:, i]), -np.cos(angle[:, i])), axis=1)
+        turning = length[i] * rate[:, [i]] * np.stack((np.cos(angle[:, i]), np.sin(angle[:, i])), axis=1)
+        velocity, centre = moving + turning / 2, start + along / 2
+        energy += 0.5 * mass[i] * (velocity**2).sum(axis=1) + 0.5 * arm.link_inertia_kg_m2[i] * rate[:, i] ** 2
+        energy += mass[i] * arm.gravity_m_s2 * centre[:, 1]
+        span = 1.0 if i < arm.links - 1 else 1.0 - 0.0381 / length[i]
+        for height in (top, top + 0.21):
+            end = start + span * along
+            aside = end[:, 0] - np.clip(end[:, 0], edge - 0.39, edge)
+            depth = 0.0431 - np.hypot(aside, end[:, 1] - height)
+            energy += 0.5 * stiffness * np.maximum(depth, 0.0) ** 2
+            share = ((np.array([edge, height]) - start) * along).sum(axis=1) / (length[i] ** 2)
+            beside = start + np.clip(share, 0.0, span)[:, None] * along
+            depth = 0.0431 - np.hypot(beside[:, 0] - edge, beside[:, 1] - height)
+            energy += np.where((share > 0) & (share < span), 0.5 * stiffness * np.maximum(depth, 0.0) ** 2, 0.0)
+        start, moving = start + along, moving + turning
+    return energy
+
+
 def _columns(values: ArrayLike) -> NDArray[np.float64]:
     """Return [T] or [T, R]; a single column serves all robots."""
     array = np.asarray(values, dtype=np.float64)

@@ -13,40 +13,6 @@ from tests.simulator import stages
 from validation.endurance import fly
 
 
-def energies_j(simulator: Simulator, shelf: tuple[float, float], stiffness: float) -> np.ndarray:
-    """Kinetic, gravity's, springs' and the shelf's energy of every robot, [R], without the kernel's formulas.
-
-    The shelf's is that of a spring on the depth of the arm's bars in the boards, sampled along both.
-    """
-    arm, cart = simulator.model.arm, simulator.model.cart
-    length, mass = np.array(arm.link_length_m), np.array(arm.link_mass_kg)
-    angle, rate = simulator.link_angles_rad.astype(float), simulator.link_rates_rad_s.astype(float)
-    start = np.stack((simulator.cart_position_m, np.full(simulator.robots, arm.base_height_m)), axis=1).astype(float)
-    moving = np.stack((simulator.cart_velocity_m_s, np.zeros(simulator.robots)), axis=1).astype(float)
-    energy = 0.5 * cart.mass_kg * moving[:, 0] ** 2
-    joints = np.diff(angle, axis=1, prepend=0.0)
-    energy += 0.5 * (np.array(arm.stiffness_nm_rad) * joints**2).sum(axis=1)
-    edge, top = shelf[0] - 0.005, shelf[1] - 0.005
-    for i in range(arm.links):
-        along = length[i] * np.stack((np.sin(angle[:, i]), -np.cos(angle[:, i])), axis=1)
-        turning = length[i] * rate[:, [i]] * np.stack((np.cos(angle[:, i]), np.sin(angle[:, i])), axis=1)
-        velocity, centre = moving + turning / 2, start + along / 2
-        energy += 0.5 * mass[i] * (velocity**2).sum(axis=1) + 0.5 * arm.link_inertia_kg_m2[i] * rate[:, i] ** 2
-        energy += mass[i] * arm.gravity_m_s2 * centre[:, 1]
-        span = 1.0 if i < arm.links - 1 else 1.0 - 0.0381 / length[i]
-        for height in (top, top + 0.21):
-            end = start + span * along
-            aside = end[:, 0] - np.clip(end[:, 0], edge - 0.39, edge)
-            depth = 0.0431 - np.hypot(aside, end[:, 1] - height)
-            energy += 0.5 * stiffness * np.maximum(depth, 0.0) ** 2
-            share = ((np.array([edge, height]) - start) * along).sum(axis=1) / (length[i] ** 2)
-            beside = start + np.clip(share, 0.0, span)[:, None] * along
-            depth = 0.0431 - np.hypot(beside[:, 0] - edge, beside[:, 1] - height)
-            energy += np.where((share > 0) & (share < span), 0.5 * stiffness * np.maximum(depth, 0.0) ** 2, 0.0)
-        start, moving = start + along, moving + turning
-    return energy
-
-
 @pytest.mark.parametrize("friction", [0.0, 0.4])
 @pytest.mark.parametrize("rate_hz", [240.0, 1200.0])
 def test_contact_never_injects_energy(rate_hz: float, friction: float) -> None:
@@ -60,14 +26,14 @@ def test_contact_never_injects_energy(rate_hz: float, friction: float) -> None:
     hit.place_shelf(*shelf)
     for simulator in (free, hit):
         simulator.reset(joint_angles_rad=starts)
-    have = have_free = energies_j(hit, shelf, 2000.0)
+    have = have_free = stages.energies_j(hit, shelf, 2000.0)
     gain = gain_free = 0.0
     apart = np.zeros(robots)
     for _ in range(240):
         for simulator in (free, hit):
             simulator.step(0.0, 0.0, 1 / 120)
         had, had_free = have, have_free
-        have, have_free = energies_j(hit, shelf, 2000.0), energies_j(free, (100.0, 0.0), 0.0)
+        have, have_free = stages.energies_j(hit, shelf, 2000.0), stages.energies_j(free)
         gain, gain_free = max(gain, np.max(have - had)), max(gain_free, np.max(have_free - had_free))
         apart = np.maximum(apart, np.abs(hit.tip_m() - free.tip_m()).max(axis=1))
     assert (apart > 0.02).mean() > 0.9
@@ -112,19 +78,6 @@ def test_the_arm_alone_reproduces_the_robot_from_measurements() -> None:
     np.testing.assert_allclose(angles, flight.link_angles_rad, atol=2e-3)
     alone = stages.pressure_alone(Model(), stamps, pressure, fine)
     np.testing.assert_allclose(alone, flight.pressure_kpa, atol=1e-3)
-
-
-def test_a_replay_equals_stepping_with_any_stamps() -> None:
-    rng = np.random.default_rng(5)
-    stamps = np.cumsum(rng.uniform(0.02, 0.05, 20))
-    velocity, pressure = rng.uniform(-0.5, 0.5, (20, 3)), rng.uniform(0, 20, (20, 3))
-    replayed = stages.replay(Simulator(None, 3), stamps, velocity, pressure, stamps[1:])
-    stepped = Simulator(None, 3)
-    for i in range(19):
-        stepped.step(velocity[i], pressure[i], stamps[i + 1] - stamps[i])
-        np.testing.assert_array_equal(stepped.link_ends_m(), replayed.link_ends_m[i])
-    with pytest.raises(ValueError, match="ascend"):
-        stages.replay(stepped, stamps[::-1], velocity, pressure, stamps)
 
 
 @pytest.mark.parametrize("rate_limit", [math.inf, 20.0])

@@ -123,20 +123,6 @@ def test_a_swinging_arm_on_its_cart_gains_no_more_momentum_than_the_limit_gives(
     assert most[5] == most[4]  # a limit that is never reached is none
 
 
-def test_beside_limited_robots_one_without_a_limit_is_as_alone_bit_for_bit() -> None:
-    velocity, pressure = commands.bang_bang(1, seed=7)
-    alone, beside = (
-        Simulator(Model(cart=ENDLESS), n, overrides=values)
-        for n, values in ((1, {}), (3, {"rail.force_limit.force": np.array([1.0, np.inf, 1.5])}))
-    )
-    for v, p in zip(velocity[:60, 0], pressure[:60, 0], strict=True):
-        alone.step(v, p)
-        beside.step(v, p)
-    np.testing.assert_array_equal(beside.link_angles_rad[1], alone.link_angles_rad[0])
-    np.testing.assert_array_equal(beside.cart_position_m[1], alone.cart_position_m[0])
-    assert abs(beside.cart_position_m[0] - beside.cart_position_m[1]) > 0.01
-
-
 def test_a_cart_that_is_held_or_given_has_no_drive_to_limit() -> None:
     free, bound = (Simulator(Model(effects=limited(force)), 1, fixed_base=True) for force in (200.0, 0.5))
     for simulator in (free, bound):

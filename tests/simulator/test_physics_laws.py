@@ -8,6 +8,7 @@ import pytest
 from benchmarks import commands
 from softarm.schemas.model import Arm, Cart, Model, seed_effects
 from softarm.simulator.simulator import Simulator
+from tests.simulator.stages import energies_j
 
 ARM = Arm()
 
@@ -25,27 +26,6 @@ def passive(**changes: object) -> Arm:
     return Arm(**{**quiet, **changes})  # type: ignore[arg-type]
 
 
-def energy_j(model: Model, simulator: Simulator) -> float:
-    """Kinetic and potential energy of the first robot, summed link by link from its centres' motion."""
-    arm = model.arm
-    length = np.array(arm.link_length_m)
-    angle, rate = simulator.link_angles_rad[0], simulator.link_rates_rad_s[0]
-    cart_velocity = float(simulator.cart_velocity_m_s[0])
-    joints = np.diff(angle, prepend=0.0)
-    energy = 0.5 * model.cart.mass_kg * cart_velocity**2
-    energy += 0.5 * float(np.dot(arm.stiffness_nm_rad, joints**2))
-    end, end_velocity = np.array([0.0, arm.base_height_m]), np.array([cart_velocity, 0.0])
-    for i in range(arm.links):
-        along = length[i] * np.array([np.sin(angle[i]), -np.cos(angle[i])])
-        turning = length[i] * rate[i] * np.array([np.cos(angle[i]), np.sin(angle[i])])
-        centre, velocity = end + along / 2, end_velocity + turning / 2
-        energy += 0.5 * arm.link_mass_kg[i] * velocity @ velocity
-        energy += 0.5 * arm.link_inertia_kg_m2[i] * rate[i] ** 2
-        energy += arm.link_mass_kg[i] * arm.gravity_m_s2 * centre[1]
-        end, end_velocity = end + along, end_velocity + turning
-    return float(energy)
-
-
 def test_energy_is_conserved_to_second_order() -> None:
     """No damping, no drive: what energy drifts in a second falls fourfold as the step is halved."""
     model = Model(arm=passive(), cart=Cart(velocity_gain_n_s_m=0.0, travel_m=100.0), effects={})
@@ -53,11 +33,11 @@ def test_energy_is_conserved_to_second_order() -> None:
     for rate_hz in (1200.0, 2400.0, 4800.0):
         simulator = Simulator(model, 1, rate_hz, dtype=np.float64)
         simulator.reset(joint_angles_rad=[0.5, 0.3, 0.2, 0.1, 0.1])
-        before = energy_j(model, simulator)
+        before = energies_j(simulator)[0]
         worst = 0.0
         for _ in range(30):
             simulator.step(0.0, 0.0)
-            worst = max(worst, abs(energy_j(model, simulator) - before))
+            worst = max(worst, abs(energies_j(simulator)[0] - before))
         drifts.append(worst)
     assert drifts[0] < 0.01 * abs(before)
     assert np.log2(drifts[0] / drifts[1]) > 1.8
@@ -107,18 +87,6 @@ def test_single_precision_costs_nothing() -> None:
             simulator.step(v, p)
         tips.append(simulator.tip_m())
     assert np.abs(tips[0] - tips[1]).max() < 2e-5
-
-
-def test_mirror_image_moves_as_the_mirror_of_the_motion() -> None:
-    model = Model(arm=Arm(torque_offset_nm=(0.0,) * 5), effects=without("pressure.lag"))
-    simulator = Simulator(model, 2, 1200.0)
-    simulator.reset(joint_angles_rad=np.array([[0.3, -0.2, 0.1, 0.2, 0.1]]) * [[1.0], [-1.0]])
-    for v, p in zip(*(sets[:60, 0] for sets in commands.smooth(1, seed=5)), strict=True):
-        simulator.step(np.array([v, -v]), np.array([p, -p]))
-    (y, z), (mirrored_y, mirrored_z) = simulator.tip_m()
-    assert y == pytest.approx(-mirrored_y, abs=1e-5)
-    assert z == pytest.approx(mirrored_z, abs=1e-5)
-    assert abs(y) > 0.05
 
 
 def test_arm_rests_where_its_torques_balance() -> None:

@@ -46,7 +46,7 @@ def test_gymnasiums_checker_skips_the_window_without_a_display(monkeypatch: pyte
     for name in ("MPLBACKEND", "DISPLAY", "WAYLAND_DISPLAY"):
         monkeypatch.delenv(name, raising=False)
     check_env(one("Reach"))
-    with pytest.raises(RuntimeError, match="needs a display"):
+    with pytest.raises(RuntimeError, match=r"needs a display, and neither DISPLAY .* use render_mode='rgb_array'"):
         one("Reach", render_mode="human")
 
 
@@ -263,23 +263,6 @@ def test_the_place_of_the_shelf_follows_the_target() -> None:
 
     assert farthest_y_m(-0.3) < -0.25
     assert farthest_y_m(0.45) > -0.2  # the edge is at -0.15 m
-
-
-def test_shipped_policy_flies_the_reach_task() -> None:
-    """A shipped policy reaches its targets in the Gymnasium environment, too."""
-    onnxruntime = pytest.importorskip("onnxruntime")
-    session = onnxruntime.InferenceSession(REACH_POLICY)
-    robots = 48
-    env = many("Reach", robots)
-    observation, _ = env.reset(seed=11)
-    h = c = np.zeros((1, robots, 256), dtype=np.float32)
-    first = np.full(robots, -1)
-    for _ in range(100):
-        action, h, c = session.run(None, {"observation": observation, "h_in": h, "c_in": c})
-        observation, _, terminated, truncated, info = env.step(np.clip(action, -1.0, 1.0))
-        over = (terminated | truncated) & (first < 0)
-        first[over] = info["success"][over]
-    assert (first == 1).mean() > 0.85
 
 
 def test_the_page_names_every_signal_of_the_spaces_in_its_order_and_unit() -> None:

@@ -97,13 +97,6 @@ def test_each_robot_has_a_separate_picture() -> None:
     np.testing.assert_array_equal(again[2], env.render()[2])
 
 
-def test_a_window_without_a_display_is_refused_with_a_remedy(monkeypatch: pytest.MonkeyPatch) -> None:
-    for name in ("DISPLAY", "WAYLAND_DISPLAY", "MPLBACKEND"):
-        monkeypatch.delenv(name, raising=False)
-    with pytest.raises(RuntimeError, match=r"needs a display, and neither DISPLAY .* use render_mode='rgb_array'"):
-        made(render_mode="human")
-
-
 def test_a_window_shows_the_same_as_the_pixels(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("MPLBACKEND", "agg")
     shown, env = made(render_mode="human"), made()

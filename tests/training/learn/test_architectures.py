@@ -3,7 +3,6 @@
 from dataclasses import replace
 
 import numpy as np
-import onnxruntime
 import pytest
 import torch
 
@@ -12,12 +11,10 @@ from softarm.schemas.policy import OBSERVATION
 from softarm.training.learn.inference import infer, workers
 from softarm.training.learn.network import NetworkShape, PolicyNetwork
 from softarm.training.learn.ppo import Ppo, PpoConfig
-from softarm.training.record.export import onnx_model
 from softarm.training.record.settings import TrainingConfig
 from softarm.training.run.session import Session
 from softarm.training.task.environment import Environment
 from softarm.training.task.reach import TASKS
-from softarm.training.task.shelf import ShelfTask, environment_of
 
 ORDERS = ("mlp-lstm", "lstm-mlp", "mlp")
 SMALL = TrainingConfig(seed=3, robots=16, validate_every=2, validation_trials=12)
@@ -29,23 +26,6 @@ def network(order: str) -> PolicyNetwork:
     made = PolicyNetwork(NetworkShape(order=order))
     made.observation_normaliser.update(3.0 * torch.randn(200, 10) + 1.0)
     return made
-
-
-@pytest.mark.parametrize("order", ORDERS)
-def test_the_file_computes_the_networks_actions(order):
-    made = network(order)
-    session = onnxruntime.InferenceSession(onnx_model(made).SerializeToString())
-    state = made.initial_state(4)
-    h, c = (part.numpy()[None] for part in state)
-    spread = []
-    with workers(1) as pool:
-        for k in range(20):
-            observation = torch.randn(4, 10, generator=torch.Generator().manual_seed(k))
-            mean, _, state = infer(made, observation, torch.ones(4), state, pool)
-            action, h, c = session.run(None, {"observation": observation.numpy(), "h_in": h, "c_in": c})
-            np.testing.assert_allclose(action, mean.clamp(-1, 1).numpy(), atol=1e-5, rtol=0)
-            spread.append(action)
-    assert np.std(spread) > 0.01
 
 
 @pytest.mark.parametrize("order", ORDERS)
@@ -101,36 +81,3 @@ def test_without_a_muscle_the_pressure_stays_zero_in_training_and_file(tmp_path)
     assert golden[:, 1] == pytest.approx(np.full(len(golden), VENTED), abs=1e-6)
     action = policy.step(np.full(len(OBSERVATION), 0.3, np.float32), np.array((-0.2, 0.6), np.float32))
     assert action[1] == pytest.approx(0.0, abs=1e-4)
-
-
-@pytest.mark.slow
-def test_a_resumed_shelf_run_exports_a_policy_with_a_target_depth(tmp_path):
-    with workers(1) as pool:
-
-        def session(folder, resume):
-            return Session(ShelfTask(), SMALL, PpoConfig(), tmp_path / folder, pool, resume)
-
-        whole = session("whole", False)
-        for _ in range(4):
-            whole.advance()
-        killed = session("killed", False)
-        for _ in range(3):
-            killed.advance()
-        resumed = session("killed", True)
-        resumed.advance()
-        resumed.advance()
-        policy = OnnxPolicy(str(resumed.export_best()))
-    mine, theirs = resumed.network.state_dict(), whole.network.state_dict()
-    assert all(torch.equal(mine[key], theirs[key]) for key in theirs)
-    assert policy.metadata.task == "shelf"
-    observation, goal = np.zeros(8, np.float32), np.array((-0.45, 0.62), np.float32)
-    policy.target_depth_m = 0.11
-    policy.step(observation, goal)
-    assert policy._input[0, 8:] == pytest.approx([-0.45, 0.62, 0.11])
-
-
-def test_a_shelf_environment_ends_its_observation_with_the_depth():
-    environment = environment_of(ShelfTask(), 4, 0)
-    observation = environment.reset()
-    assert observation.shape == (4, environment.inputs) == (4, 11)
-    assert np.all((observation[:, 10] >= -0.05) & (observation[:, 10] <= 0.20))

@@ -44,21 +44,30 @@ def fast(layer, x, keep, state, dtype=torch.float32):
     return lstm.sequence(x, keep, state, layer.weight_ih_l0, layer.weight_hh_l0, layer.bias_ih_l0, dtype)
 
 
-def test_values_and_last_state_equal_torch(reference):
+def of_a_card(layer, x, keep, state):
+    """Run the cells of graphics cards, here on the processor."""
+    return lstm._step_by_step(x, keep, state, layer.weight_ih_l0, layer.weight_hh_l0, layer.bias_ih_l0)
+
+
+def gradients(run, layer, *more):
+    x, keep, state, weight = inputs()
+    wanted = [x, layer.weight_ih_l0, layer.weight_hh_l0, layer.bias_ih_l0]
+    return torch.autograd.grad((run(layer, x, keep, state, *more)[0] * weight).sum(), wanted)
+
+
+@pytest.mark.parametrize("run", [fast, of_a_card])
+def test_values_and_last_state_equal_torch(reference, run):
     x, keep, state, _ = inputs()
     expected, (h, c) = torch_sequence(reference, x, keep, state)
-    hidden, (last_h, last_c) = fast(reference, x, keep, state)
+    hidden, (last_h, last_c) = run(reference, x, keep, state)
     torch.testing.assert_close(hidden, expected, atol=2e-6, rtol=0)
     torch.testing.assert_close(last_h, h, atol=2e-6, rtol=0)
     torch.testing.assert_close(last_c, c, atol=5e-6, rtol=1e-6)
 
 
-def test_gradients_equal_autograd(reference):
-    x, keep, state, weight = inputs()
-    wanted = [x, reference.weight_ih_l0, reference.weight_hh_l0, reference.bias_ih_l0]
-    expected = torch.autograd.grad((torch_sequence(reference, x, keep, state)[0] * weight).sum(), wanted)
-    actual = torch.autograd.grad((fast(reference, x, keep, state)[0] * weight).sum(), wanted)
-    for a, e in zip(actual, expected, strict=True):
+@pytest.mark.parametrize("run", [fast, of_a_card])
+def test_gradients_equal_autograd(reference, run):
+    for a, e in zip(gradients(run, reference), gradients(torch_sequence, reference), strict=True):
         torch.testing.assert_close(a, e, atol=1e-5 * float(e.abs().max()), rtol=0)
 
 
@@ -93,11 +102,7 @@ def test_bfloat16_products_stay_close(reference):
 
 
 def test_gradients_through_bfloat16_products_stay_close(reference):
-    x, keep, state, weight = inputs()
-    wanted = [x, reference.weight_ih_l0, reference.weight_hh_l0, reference.bias_ih_l0]
-    exact = torch.autograd.grad((fast(reference, x, keep, state)[0] * weight).sum(), wanted)
-    rough = torch.autograd.grad((fast(reference, x, keep, state, torch.bfloat16)[0] * weight).sum(), wanted)
-    for r, e in zip(rough, exact, strict=True):
+    for r, e in zip(gradients(fast, reference, torch.bfloat16), gradients(fast, reference), strict=True):
         assert 0.0 < float((r - e).norm()) < 0.05 * float(e.norm())
 
 

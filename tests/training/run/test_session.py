@@ -14,7 +14,8 @@ from click.testing import CliRunner
 
 from softarm.cli.learn.checkpoint import export as export_command
 from softarm.cli.learn.train import train
-from softarm.schemas.policy import METADATA_KEY, OBSERVATION, REACH_GOAL, PolicyMetadata
+from softarm.policies.onnx_policy import OnnxPolicy
+from softarm.schemas.policy import METADATA_KEY
 from softarm.training.learn import validation
 from softarm.training.learn.inference import infer, workers
 from softarm.training.learn.network import NetworkShape, PolicyNetwork
@@ -36,10 +37,10 @@ def session(out: Path, pool, resume: bool = False, config: TrainingConfig = SMAL
     return Session(TASK, config, PpoConfig(), out, pool, resume)
 
 
-def lively_network(seed: int = 0) -> PolicyNetwork:
+def lively_network(order: str = "mlp-lstm", seed: int = 0) -> PolicyNetwork:
     """Random weights whose actions use the whole range, and a normaliser that has seen something."""
     torch.manual_seed(seed)
-    network = PolicyNetwork(NetworkShape(INPUTS, ACTIONS))
+    network = PolicyNetwork(NetworkShape(INPUTS, ACTIONS, order=order))
     environment = Environment(TASK, 64, seed)
     network.observation_normaliser.update(torch.from_numpy(environment.reset()))
     rng = np.random.default_rng(seed)
@@ -49,12 +50,6 @@ def lively_network(seed: int = 0) -> PolicyNetwork:
     with torch.no_grad():
         network.mean_head.weight.mul_(3.0)
     return network
-
-
-def open_model(model: bytes | Path) -> onnxruntime.InferenceSession:
-    options = onnxruntime.SessionOptions()
-    options.intra_op_num_threads = 1
-    return onnxruntime.InferenceSession(model if isinstance(model, bytes) else str(model), options)
 
 
 @pytest.fixture(scope="module")
@@ -85,17 +80,6 @@ def test_a_killed_run_is_resumed_bit_for_bit(finished, tmp_path):
         return [row._replace(seconds=0.0, frames_per_s=0.0) for row in rows]
 
     assert without_time(resumed.curve) == without_time(finished.curve)
-
-
-@pytest.mark.slow
-def test_training_changes_the_weights(finished, tmp_path):
-    with workers(1) as pool:
-        fresh = session(tmp_path, pool)
-    distance = max(
-        float((a - b).detach().abs().max())
-        for a, b in zip(fresh.network.parameters(), finished.network.parameters(), strict=True)
-    )
-    assert distance > 1e-3
 
 
 def test_validation_uses_a_moving_average_of_the_weights(tmp_path):
@@ -129,25 +113,17 @@ def test_a_run_writes_its_learning_curve_as_table_and_picture(finished):
 
 
 def test_the_policy_file_describes_itself_and_reproduces_its_golden_run(finished):
-    path = finished.out / "reach.onnx"
-    policy = open_model(path)
-    described = PolicyMetadata.model_validate_json(policy.get_modelmeta().custom_metadata_map[METADATA_KEY])
-    assert described.observation == OBSERVATION
-    assert described.goal == REACH_GOAL
+    described = OnnxPolicy(str(finished.out / "reach.onnx")).metadata  # loading replays the golden run
     assert described.trained.target_z_m == TASK.target_z_m
     assert (described.seed, described.training["run.robots"]) == (3, 64)
     assert described.validation_success == finished.best
     assert len(described.golden.inputs) == 100
-    h = c = np.zeros((1, 1, described.state_size), dtype=np.float32)
-    for given, expected in zip(described.golden.inputs, described.golden.outputs, strict=True):
-        observation = np.array([given], dtype=np.float32)
-        action, h, c = policy.run(None, {"observation": observation, "h_in": h, "c_in": c})
-        assert action[0] == pytest.approx(expected, abs=1e-5)
 
 
-def test_onnx_equals_torch_over_a_full_episode_with_resets():
-    network, robots = lively_network(), 16
-    policy = open_model(onnx_model(network).SerializeToString())
+@pytest.mark.parametrize("order", ["mlp-lstm", "lstm-mlp", "mlp"])
+def test_onnx_equals_torch_over_a_full_episode_with_resets(order):
+    network, robots = lively_network(order), 16
+    policy = onnxruntime.InferenceSession(onnx_model(network).SerializeToString())
     environment = Environment(TASK, robots, 1)
     observation = environment.reset()
     environment.stagger()
@@ -192,11 +168,6 @@ def test_a_run_ends_after_validations_without_improvement(tmp_path):
     validated = [row.validation for row in run.curve]
     assert len(validated) < 100
     assert max(validated[-2:]) <= max(validated[:-2])
-
-
-def test_a_missing_checkpoint_is_reported(tmp_path):
-    with workers(1) as pool, pytest.raises(CheckpointError, match="no such checkpoint"):
-        session(tmp_path, pool, resume=True)
 
 
 def test_a_damaged_checkpoint_is_refused(tmp_path):
@@ -279,9 +250,3 @@ def test_the_commands_train_and_export(tmp_path):
     result = runner.invoke(export_command, [str(tmp_path / "missing.pt"), "--out", str(exported)])
     assert result.exit_code == 1
     assert "no such checkpoint" in result.output
-
-
-def test_the_help_has_examples():
-    runner = CliRunner()
-    assert "softarm train reach --wide" in runner.invoke(train, ["reach", "--help"]).output
-    assert "softarm export runs" in runner.invoke(export_command, ["--help"]).output

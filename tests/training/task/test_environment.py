@@ -105,17 +105,6 @@ def test_time_runs_out_after_a_hundred_steps_and_is_no_termination():
     assert step.observation[0, 4:7].tolist() == [0.0, 0.0, 0.0]
 
 
-def test_a_robot_with_nan_restarts_without_effect_on_others():
-    environment = begin(robots=4)
-    environment.simulator.reset(robots=[2], pressure_kpa=np.nan)
-    for _ in range(3):
-        step = environment.step(np.zeros((4, 2), dtype=np.float32))
-        assert np.isfinite(step.observation).all()
-        assert np.isfinite(step.final_observation).all()
-        assert np.isfinite(step.reward).all()
-        assert not step.terminated[[0, 1, 3]].any()
-
-
 def test_the_seed_determines_the_run():
     def run(seed: int) -> np.ndarray:
         environment = Environment(REACH, 8, seed)
@@ -124,22 +113,6 @@ def test_the_seed_determines_the_run():
 
     assert np.array_equal(run(1), run(1))
     assert not np.array_equal(run(1), run(2))
-
-
-def test_a_snapshot_is_continued_bit_for_bit():
-    actions = np.random.default_rng(0).uniform(-1, 1, (60, 32, 2)).astype(np.float32)
-    one = Environment(REACH, 32, 5)
-    one.reset()
-    one.stagger()
-    for action in actions[:30]:
-        one.step(action)
-    snapshot = one.snapshot()
-    expected = [one.step(action) for action in actions[30:]]
-    two = Environment(REACH, 32, 99)
-    two.restore(snapshot)
-    for action, step in zip(actions[30:], expected, strict=True):
-        for ours, theirs in zip(two.step(action), step, strict=True):
-            assert np.array_equal(ours, theirs)
 
 
 @settings(max_examples=30, deadline=None)

@@ -3,22 +3,16 @@
 from dataclasses import replace
 
 import numpy as np
-import onnx
 import pytest
 from click.testing import CliRunner
 
 from softarm.cli.learn.train import train
 from softarm.schemas.model import Model
-from softarm.schemas.policy import METADATA_KEY, PolicyMetadata
 from softarm.simulator import model_file
 from softarm.simulator.effects import REGISTRY, exemplars
 from softarm.training.learn import validation
 from softarm.training.learn.inference import workers
 from softarm.training.learn.network import NetworkShape, PolicyNetwork
-from softarm.training.learn.ppo import PpoConfig
-from softarm.training.record.checkpoint import CheckpointError
-from softarm.training.record.settings import TrainingConfig
-from softarm.training.run.session import Session
 from softarm.training.task.environment import ACTIONS, INPUTS, Environment, Step
 from softarm.training.task.reach import TASKS
 
@@ -159,17 +153,18 @@ def test_a_restart_clears_the_sensors_of_that_robot_alone():
     assert restarts >= 1
 
 
-def test_the_sensors_of_a_robot_with_nan_do_not_affect_others():
-    environment = begin(strong())
+@pytest.mark.parametrize("model", [Model(), strong()])
+def test_a_robot_with_nan_restarts_without_effect_on_others(model):
+    environment = begin(model)
     environment.simulator.reset(robots=[2], pressure_kpa=np.nan)
     for step in fly(environment, 3):
-        assert np.isfinite(step.observation).all()
-        assert np.isfinite(step.final_observation).all()
-        assert np.isfinite(step.final_tip_m).all()
+        assert all(np.isfinite(values).all() for values in step)
+        assert np.flatnonzero(step.terminated).tolist() in ([], [2])
 
 
-def test_a_snapshot_is_continued_bit_for_bit():
-    one = Environment(REACH, ROBOTS, 5, strong())
+@pytest.mark.parametrize("model", [Model(), strong()])
+def test_a_snapshot_is_continued_bit_for_bit(model):
+    one = Environment(REACH, ROBOTS, 5, model)
     one.reset()
     one.stagger()
     plan = actions(60)
@@ -177,8 +172,7 @@ def test_a_snapshot_is_continued_bit_for_bit():
         one.step(action)
     snapshot = one.snapshot()
     expected = [one.step(action) for action in plan[30:]]
-    two = Environment(REACH, ROBOTS, 99, strong())
-    two.reset()
+    two = Environment(REACH, ROBOTS, 99, model)
     two.restore(snapshot)
     assert any((step.terminated | step.truncated).any() for step in expected)
     assert same([two.step(action) for action in plan[30:]], expected)
@@ -192,28 +186,6 @@ def test_the_closest_distance_of_a_trial_is_the_true_one():
         outcome = validation.fly(network, REACH, trials, pool, model=displaced)
     assert outcome.reached[0]
     assert outcome.closest_m[0] < REACH.success_radius_m
-
-
-@pytest.mark.slow
-def test_a_run_records_its_model_and_resumes_on_no_other(tmp_path):
-    config = TrainingConfig(seed=3, robots=16, validate_every=1, validation_trials=6)
-
-    def session(out, resume=False, on=None) -> Session:
-        return Session(REACH, config, PpoConfig(), out, pool, resume, on or strong(), "strong")
-
-    with workers(1) as pool:
-        whole, killed = session(tmp_path / "whole"), session(tmp_path / "killed")
-        whole.advance(), whole.advance(), killed.advance()
-        resumed = session(tmp_path / "killed", resume=True)
-        resumed.advance()
-        with pytest.raises(CheckpointError, match=r"model\.sha256 = [0-9a-f]{64}, not"):
-            session(tmp_path / "killed", resume=True, on=Model())
-    described = onnx.load(whole.export_best()).metadata_props
-    (text,) = [p.value for p in described if p.key == METADATA_KEY]
-    training = PolicyMetadata.model_validate_json(text).training
-    assert (training["model.name"], training["model.sha256"]) == ("strong", model_file.fingerprint(strong()))
-    mine, theirs = resumed.network.state_dict(), whole.network.state_dict()
-    assert all(mine[key].equal(theirs[key]) for key in theirs)
 
 
 def test_the_command_takes_a_model_by_file_or_name(tmp_path, monkeypatch):
@@ -234,13 +206,9 @@ def test_the_command_takes_a_model_by_file_or_name(tmp_path, monkeypatch):
     assert "did you mean no-delay?" in result.output
 
 
-def test_gymnasium_gives_the_same_observations_and_draws_from_its_seed(monkeypatch):
+def test_gymnasium_gives_the_same_observations_and_draws_from_its_seed():
     gymnasium = pytest.importorskip("gymnasium")
-    from gymnasium.utils.env_checker import check_env
-
-    monkeypatch.setenv("MPLBACKEND", "agg")  # the checker renders in every mode
     make = "softarm.training.gym_envs:SoftArmReach-v0"
-    check_env(gymnasium.make(make, model=strong()).unwrapped)
     env = gymnasium.make_vec(make, num_envs=ROBOTS, vectorization_mode="vector_entry_point", model=strong()).unwrapped
     ours = Environment(REACH, ROBOTS, 0, strong())
     for _ in range(2):  # nothing is left over of an earlier episode
