@@ -42,93 +42,6 @@ _SPEED_M_S, _PRESSURE_KPA, _DEPTH_M = 50.0, (-20.0, 200.0), (-1.0, 1.0)
 _MOCAP_ERROR_M = 0.8
 
 
-class _Batch:
-    """Robots of one task, and the observation space of a robot."""
-
-    def __init__(
-        self, kind: type[ReachTask], given: Task, robots: int, model: ModelName, physics_rate_hz: float
-    ) -> None:
-        """Prepare the robots. Raises ModelFileError for an invalid model, ValueError for an invalid task."""
-        task = preset(given) if isinstance(given, str) else given or kind()
-        if not isinstance(task, kind):
-            raise ValueError(f"task '{task.name}' is not for this environment; allowed is a {kind.__name__}")
-        self.model = model_file.load(model) if isinstance(model, str | Path) else model or Model()
-        self.environment = environment_of(task, robots, 0, self.model, physics_rate_hz)
-        self.success = np.zeros(robots, dtype=np.bool_)
-        self.is_begun = False
-        self._pictures: dict[int, Picture] = {}
-        cart = self.model.cart.travel_m + 0.1
-        arm, height = sum(self.model.arm.link_length_m) + 0.1, self.model.arm.base_height_m
-        speed, y, z = (-_SPEED_M_S, _SPEED_M_S), (-cart - arm, cart + arm), (height - arm, height + arm)
-        error = 0.0 if self.environment.sensors is None else _MOCAP_ERROR_M
-        seen = [(low - error, high + error) for low, high in ((-cart, cart), y, z)]
-        ranges = [seen[0], speed, *seen[1:], speed, speed, (ACTION[0].low, ACTION[0].high), _PRESSURE_KPA]
-        ranges += [y, z, _DEPTH_M] if isinstance(task, ShelfTask) else [y, z]
-        self._low, self._high = np.array(ranges, dtype=np.float32).T
-        self.space = Box(self._low, self._high, dtype=np.float32)
-
-    def begin(self, rng: np.random.Generator, options: dict[str, Any] | None) -> Array:
-        """Begin an episode for every robot and return the observations [R, N].
-
-        `options` may hold `target_m` [2] or [R, 2] and, for the shelf task, `depth_m` as a scalar or [R]. Raises
-        ValueError for an unknown option and a goal outside the observation space.
-        """
-        robots, first = self.environment.robots, len(OBSERVATION)
-        places: dict[str, tuple[str, tuple[int, ...], slice]] = {
-            "target_m": ("targets_m", (robots, 2), slice(first, first + 2))
-        }
-        if isinstance(self.environment, ShelfEnvironment):
-            places["depth_m"] = ("depths_m", (robots,), slice(first + 2, first + 3))
-        given: dict[str, Any] = {}
-        for name, value in (options or {}).items():
-            if name not in places:
-                raise ValueError(f"unknown option {name}; this task takes {', '.join(places)}")
-            key, shape, goal = places[name]
-            given[key] = np.broadcast_to(np.asarray(value, dtype=np.float32), shape)
-            low, high = self._low[goal], self._high[goal]
-            if not ((low <= given[key]) & (given[key] <= high)).all():
-                raise ValueError(f"{name} is {value}; give something within {low} .. {high}")
-        self.environment.rng = rng
-        self.is_begun, self.success[:] = True, False
-        return self.seen(self.environment.reset(**given))
-
-    def step(self, actions: Array) -> Step:
-        """Hold actions [R, 2] for a control step. Raises ResetNeeded without an episode."""
-        if not self.is_begun:
-            raise ResetNeeded("step before reset: call reset() first, and after each episode's end")
-        step = self.environment.step(actions)
-        self.success = step.success
-        return step
-
-    def seen(self, observation: Array) -> Array:
-        """Clip observations [R, N] to the space."""
-        return np.clip(observation, self._low, self._high)
-
-    def view(self, robot: int) -> View:
-        """Return the state of a robot to draw. Raises ResetNeeded without an episode."""
-        if not self.is_begun:
-            raise ResetNeeded("render before reset: call reset() first")
-        environment, simulator = self.environment, self.environment.simulator
-        shelf = environment.shelf_m[robot] if isinstance(environment, ShelfEnvironment) else None
-        time_s, cart_y_m = float(environment.elapsed_s[robot]), float(simulator.cart_position_m[robot])
-        target, success = environment.target_m[robot], bool(self.success[robot])
-        return View(time_s, cart_y_m, simulator.link_ends_m()[robot], target, success, shelf)
-
-    def window(self) -> Window:
-        """Open a window for one robot. Raises RuntimeError without a display."""
-        task = self.environment.task
-        return Window(self.model, task.rail_limit_m, task.success_radius_m, task.rate_hz)
-
-    def pixels(self, robot: int) -> Pixels:
-        """Draw a robot from the side, uint8 [360, 640, 3]."""
-        if robot not in self._pictures:
-            task = self.environment.task
-            self._pictures[robot] = Picture(self.model, task.rail_limit_m, task.success_radius_m)
-        picture = self._pictures[robot]
-        picture.draw(self.view(robot))
-        return picture.pixels()
-
-
 def _checked(action: object, shape: tuple[int, ...]) -> Array:
     """Return an action as float32. Raises TypeError or ValueError that states the value and what is allowed."""
     allowed = f"allowed is a float32 array of shape {shape}, cart velocity and pressure in -1..1"
@@ -149,73 +62,6 @@ def _one_of(name: str, value: str | None, known: list[str]) -> str | None:
     if value is not None and value not in known:
         raise ValueError(f"{name} is {value!r}; allowed: {', '.join(known)}")
     return value
-
-
-class ReachEnv(gymnasium.Env[Array, Array]):
-    """`SoftArmReach-v0`: swing the tip of one robot to a target in free space."""
-
-    metadata = {"render_modes": ["human", "rgb_array"], "render_fps": CONTROL_RATE_HZ}  # noqa: RUF012
-    action_space = ACTIONS
-    kind: type[ReachTask] = ReachTask
-
-    def __init__(
-        self,
-        task: Task = None,
-        model: ModelName = None,
-        physics_rate_hz: float = TRAINING_PHYSICS_RATE_HZ,
-        render_mode: str | None = None,
-    ) -> None:
-        """Prepare the robot; without a display, `metadata` does not list the render mode "human".
-
-        Raises:
-            ModelFileError: The model is missing or invalid.
-            ValueError: The task or the render mode is unknown.
-            RuntimeError: The render mode is "human" and there is no display.
-        """
-        self.render_mode = _one_of("render_mode", render_mode, self.metadata["render_modes"])
-        if no_window() is not None:
-            self.metadata = {**self.metadata, "render_modes": ["rgb_array"]}
-        self._batch = _Batch(self.kind, task, 1, model, physics_rate_hz)
-        # The last frame shows how the episode ended.
-        self._batch.environment.restarts = False
-        self._window = self._batch.window() if render_mode == "human" else None
-        self._is_over = False
-        self.observation_space = self._batch.space
-
-    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Array, dict[str, Any]]:
-        """Begin an episode; `options` may hold `target_m` and `depth_m`. Raises ValueError for an unknown option."""
-        super().reset(seed=seed)
-        observation = self._batch.begin(self.np_random, options)[0]
-        self._is_over = False
-        self._show()
-        return observation, {"success": False}
-
-    def step(self, action: Array) -> tuple[Array, float, bool, bool, dict[str, Any]]:
-        """Hold an action for a control step. Raises TypeError or ValueError if it is invalid, ResetNeeded."""
-        checked = _checked(action, ACTIONS.shape)
-        if self._is_over:
-            raise ResetNeeded("step after the episode's end (terminated or truncated): call reset() first")
-        step = self._batch.step(checked[None])
-        seen, info = self._batch.seen(step.final_observation)[0], {"success": bool(step.success[0])}
-        terminated, truncated = bool(step.terminated[0]), bool(step.truncated[0])
-        self._is_over = terminated or truncated
-        self._show()
-        return seen, float(step.reward[0]), terminated, truncated, info
-
-    def render(self) -> Pixels | None:
-        """Draw the robot from the side, uint8 [360, 640, 3]; with "human" the window needs no call."""
-        if self.render_mode is None:
-            gymnasium.logger.warn("render without a render_mode: make the environment with render_mode='rgb_array'")
-        return self._batch.pixels(0) if self.render_mode == "rgb_array" else None
-
-    def close(self) -> None:
-        """Close the window, if there is one."""
-        if self._window is not None:
-            self._window.close()
-
-    def _show(self) -> None:
-        if self._window is not None:
-            self._window.show(self._batch.view(0))
 
 
 class ReachVectorEnv(VectorEnv[Array, Array, NDArray[Any]]):
@@ -243,21 +89,65 @@ class ReachVectorEnv(VectorEnv[Array, Array, NDArray[Any]]):
         name = autoreset_mode.value if isinstance(autoreset_mode, AutoresetMode) else autoreset_mode
         _one_of("autoreset_mode", name, [mode.value for mode in modes])
         self.metadata = {**self.metadata, "autoreset_mode": AutoresetMode(name)}
-        self.num_envs, self._resets_in_step = num_envs, name == AutoresetMode.SAME_STEP.value
-        self._batch = _Batch(self.kind, task, num_envs, model, physics_rate_hz)
-        self._batch.environment.restarts = self._resets_in_step
+        task = preset(task) if isinstance(task, str) else task or self.kind()
+        if not isinstance(task, self.kind):
+            raise ValueError(f"task '{task.name}' is not for this environment; allowed is a {self.kind.__name__}")
+        model = model_file.load(model) if isinstance(model, str | Path) else model or Model()
+        self.environment = environment_of(task, num_envs, 0, model, physics_rate_hz)
+        self.environment.restarts = name == AutoresetMode.SAME_STEP.value
+        # Arguments of a drawing.
+        self.scene = (model, task.rail_limit_m, task.success_radius_m)
+        self.num_envs, self._is_begun = num_envs, False
         self._over = np.zeros(num_envs, dtype=np.bool_)  # the next step begins an episode, with NEXT_STEP
-        self.single_observation_space, self.single_action_space = self._batch.space, ACTIONS
-        self.observation_space = batch_space(self._batch.space, num_envs)
+        self._success = np.zeros(num_envs, dtype=np.bool_)
+        self._pictures: dict[int, Picture] = {}
+        self._low, self._high = self._bounds(model)
+        self.single_observation_space = Box(self._low, self._high, dtype=np.float32)
+        self.single_action_space = ACTIONS
+        self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(ACTIONS, num_envs)
+
+    def _bounds(self, model: Model) -> Array:
+        """Return the lowest and the highest observation of a robot, [2, N]."""
+        cart = model.cart.travel_m + 0.1
+        arm, height = sum(model.arm.link_length_m) + 0.1, model.arm.base_height_m
+        speed, y, z = (-_SPEED_M_S, _SPEED_M_S), (-cart - arm, cart + arm), (height - arm, height + arm)
+        error = 0.0 if self.environment.sensors is None else _MOCAP_ERROR_M
+        seen = [(low - error, high + error) for low, high in ((-cart, cart), y, z)]
+        ranges = [seen[0], speed, *seen[1:], speed, speed, (ACTION[0].low, ACTION[0].high), _PRESSURE_KPA]
+        ranges += [y, z, _DEPTH_M] if isinstance(self.environment, ShelfEnvironment) else [y, z]
+        return np.array(ranges, dtype=np.float32).T
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Array, dict[str, Any]]:
         """Begin an episode for every robot. Raises ValueError for an unknown option, TypeError for several seeds."""
         if seed is not None and not isinstance(seed, int):
             raise TypeError(f"the seed is a {type(seed).__name__}; allowed is one integer, from which all robots draw")
         super().reset(seed=seed)
-        self._over[:] = False
-        return self._batch.begin(self.np_random, options), {}
+        return self.begin(self.np_random, options), {}
+
+    def begin(self, rng: np.random.Generator, options: dict[str, Any] | None) -> Array:
+        """Begin an episode for every robot with random numbers of `rng` and return the observations [R, N].
+
+        `options` may hold `target_m` [2] or [R, 2] and, for the shelf task, `depth_m` as a scalar or [R]. Raises
+        ValueError for an unknown option and a goal outside the observation space.
+        """
+        first = len(OBSERVATION)
+        places = {"target_m": slice(first, first + 2)}
+        if isinstance(self.environment, ShelfEnvironment):
+            places["depth_m"] = slice(first + 2, first + 3)
+        given: dict[str, Any] = {}
+        for name, value in (options or {}).items():
+            if name not in places:
+                raise ValueError(f"unknown option {name}; this task takes {', '.join(places)}")
+            shape = (self.num_envs, 2) if name == "target_m" else (self.num_envs,)
+            goal = np.broadcast_to(np.asarray(value, dtype=np.float32), shape)
+            low, high = self._low[places[name]], self._high[places[name]]
+            if not ((low <= goal) & (goal <= high)).all():
+                raise ValueError(f"{name} is {value}; give something within {low} .. {high}")
+            given[name.replace("_m", "s_m")] = goal
+        self.environment.rng = rng
+        self._is_begun, self._over[:], self._success[:] = True, False, False
+        return self._seen(self.environment.reset(**given))
 
     def step(self, actions: Array) -> tuple[Array, NDArray[Any], NDArray[Any], NDArray[Any], dict[str, Any]]:
         """Hold actions [R, 2] for a control step; robots whose episode ends begin a new one.
@@ -265,50 +155,142 @@ class ReachVectorEnv(VectorEnv[Array, Array, NDArray[Any]]):
         With SAME_STEP, `info["final_obs"]` and `info["final_info"]` describe the episodes that ended. Raises TypeError
         or ValueError if an action is invalid, ResetNeeded before the first reset.
         """
-        step = self._batch.step(_checked(actions, (self.num_envs, *ACTIONS.shape)))
-        if not self._resets_in_step:
+        return self.advance(_checked(actions, (self.num_envs, *ACTIONS.shape)))
+
+    def advance(self, actions: Array) -> tuple[Array, NDArray[Any], NDArray[Any], NDArray[Any], dict[str, Any]]:
+        """Run `step` with valid actions."""
+        if not self._is_begun:
+            raise ResetNeeded("step before reset: call reset() first, and after each episode's end")
+        step = self.environment.step(actions)
+        if not self.environment.restarts:
             step = self._restarted(step)
+        self._success = step.success
         info = {"success": step.success, "_success": np.ones(self.num_envs, dtype=np.bool_)}
-        if self._resets_in_step:
-            last = self._batch.seen(step.final_observation)
+        if self.environment.restarts:
+            last = self._seen(step.final_observation)
             for robot in np.flatnonzero(step.terminated | step.truncated).tolist():
                 ended = {"final_obs": last[robot], "final_info": {"success": bool(step.success[robot])}}
                 info = self._add_info(info, ended, robot)
-        return self._batch.seen(step.observation), step.reward, step.terminated, step.truncated, info
-
-    def render(self) -> tuple[Pixels, ...] | None:
-        """Draw each robot from the side, uint8 [360, 640, 3]; after an episode's end, the start of the next one."""
-        if self.render_mode is None:
-            return None
-        return tuple(self._batch.pixels(robot) for robot in range(self.num_envs))
+        return self._seen(step.observation), step.reward, step.terminated, step.truncated, info
 
     def _restarted(self, step: Step) -> Step:
         """Replace the step of robots whose episode had ended by the first observation of a new episode."""
         continues = ~self._over
-        observation = self._batch.environment.restart(self._over) if self._over.any() else step.observation
+        observation = self.environment.restart(self._over) if self._over.any() else step.observation
         terminated, truncated, success = (each & continues for each in (step.terminated, step.truncated, step.success))
         self._over = terminated | truncated
-        observation = np.where(self._over[:, None], step.final_observation, observation)
-        self._batch.success = success
         return step._replace(
-            observation=observation,
+            observation=np.where(self._over[:, None], step.final_observation, observation),
             reward=np.where(continues, step.reward, np.float32(0.0)),
             terminated=terminated,
             truncated=truncated,
             success=success,
         )
 
+    def _seen(self, observation: Array) -> Array:
+        """Clip observations [R, N] to the space."""
+        return np.clip(observation, self._low, self._high)
 
-class ShelfEnv(ReachEnv):
-    """`SoftArmShelf-v0`: swing the tip of one robot into a shelf, between two boards."""
+    def view(self, robot: int) -> View:
+        """Return the state of a robot to draw. Raises ResetNeeded without an episode."""
+        if not self._is_begun:
+            raise ResetNeeded("render before reset: call reset() first")
+        environment, simulator = self.environment, self.environment.simulator
+        shelf = environment.shelf_m[robot] if isinstance(environment, ShelfEnvironment) else None
+        time_s, cart_y_m = float(environment.elapsed_s[robot]), float(simulator.cart_position_m[robot])
+        target, success = environment.target_m[robot], bool(self._success[robot])
+        return View(time_s, cart_y_m, simulator.link_ends_m()[robot], target, success, shelf)
 
-    kind = ShelfTask
+    def render(self) -> tuple[Pixels, ...] | None:
+        """Draw each robot from the side, uint8 [360, 640, 3]; after an episode's end, the start of the next one."""
+        if self.render_mode is None:
+            return None
+        frames = []
+        for robot in range(self.num_envs):
+            view = self.view(robot)
+            if robot not in self._pictures:
+                self._pictures[robot] = Picture(*self.scene)
+            self._pictures[robot].draw(view)
+            frames.append(self._pictures[robot].pixels())
+        return tuple(frames)
+
+
+class ReachEnv(gymnasium.Env[Array, Array]):
+    """`SoftArmReach-v0`: swing the tip of one robot to a target in free space."""
+
+    metadata = {"render_modes": ["human", "rgb_array"], "render_fps": CONTROL_RATE_HZ}  # noqa: RUF012
+    action_space = ACTIONS
+    vector: type[ReachVectorEnv] = ReachVectorEnv
+
+    def __init__(
+        self,
+        task: Task = None,
+        model: ModelName = None,
+        physics_rate_hz: float = TRAINING_PHYSICS_RATE_HZ,
+        render_mode: str | None = None,
+    ) -> None:
+        """Prepare the robot; without a display, `metadata` does not list the render mode "human".
+
+        Raises:
+            ModelFileError: The model is missing or invalid.
+            ValueError: The task or the render mode is unknown.
+            RuntimeError: The render mode is "human" and there is no display.
+        """
+        self.render_mode = _one_of("render_mode", render_mode, self.metadata["render_modes"])
+        if no_window() is not None:
+            self.metadata = {**self.metadata, "render_modes": ["rgb_array"]}
+        # With NEXT_STEP the last frame shows how the episode ended.
+        self._robots = self.vector(1, task, model, physics_rate_hz, "rgb_array", AutoresetMode.NEXT_STEP)
+        rate_hz = self._robots.environment.task.rate_hz
+        self._window = Window(*self._robots.scene, rate_hz) if render_mode == "human" else None
+        self._is_over = False
+        self.observation_space = self._robots.single_observation_space
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Array, dict[str, Any]]:
+        """Begin an episode; `options` may hold `target_m` and `depth_m`. Raises ValueError for an unknown option."""
+        super().reset(seed=seed)
+        observation = self._robots.begin(self.np_random, options)[0]
+        self._is_over = False
+        self._show()
+        return observation, {"success": False}
+
+    def step(self, action: Array) -> tuple[Array, float, bool, bool, dict[str, Any]]:
+        """Hold an action for a control step. Raises TypeError or ValueError if it is invalid, ResetNeeded."""
+        checked = _checked(action, ACTIONS.shape)
+        if self._is_over:
+            raise ResetNeeded("step after the episode's end (terminated or truncated): call reset() first")
+        (seen,), (reward,), (terminated,), (truncated,), info = self._robots.advance(checked[None])
+        self._is_over = bool(terminated or truncated)
+        self._show()
+        return seen, float(reward), bool(terminated), bool(truncated), {"success": bool(info["success"][0])}
+
+    def render(self) -> Pixels | None:
+        """Draw the robot from the side, uint8 [360, 640, 3]; with "human" the window needs no call."""
+        if self.render_mode is None:
+            gymnasium.logger.warn("render without a render_mode: make the environment with render_mode='rgb_array'")
+        frames = self._robots.render() if self.render_mode == "rgb_array" else None
+        return None if frames is None else frames[0]
+
+    def close(self) -> None:
+        """Close the window, if there is one."""
+        if self._window is not None:
+            self._window.close()
+
+    def _show(self) -> None:
+        if self._window is not None:
+            self._window.show(self._robots.view(0))
 
 
 class ShelfVectorEnv(ReachVectorEnv):
     """`SoftArmShelf-v0` with many robots, stepped in one call."""
 
     kind = ShelfTask
+
+
+class ShelfEnv(ReachEnv):
+    """`SoftArmShelf-v0`: swing the tip of one robot into a shelf, between two boards."""
+
+    vector = ShelfVectorEnv
 
 
 for _task in ("Reach", "Shelf"):
