@@ -49,7 +49,8 @@ def test_foreign_operators_and_custom_functions_are_refused(write_model):
 
 def test_an_oversized_graph_is_refused(write_model, monkeypatch):
     path = write_model()
-    with pytest.raises(GraphError, match="its graph has 1007 nodes; allowed are 1000"):
+    nodes = 1000 + len(onnx.load(path).graph.node)
+    with pytest.raises(GraphError, match=f"its graph has {nodes} nodes; allowed are 1000"):
         check(with_nodes(path, [helper.make_node("Relu", ["observation"], [f"r{i}"]) for i in range(1000)]))
     monkeypatch.setattr(onnx_graph, "SIZE_MAX", 100)
     with pytest.raises(GraphError, match="allowed are"):
@@ -64,6 +65,6 @@ def test_any_bytes_are_read_or_refused(content):
 
 def test_a_model_cut_anywhere_is_read_or_refused(write_model):
     content = write_model().read_bytes()
-    for end in range(0, len(content), 7):
+    for end in range(0, len(content), len(content) // 60):
         with contextlib.suppress(GraphError):
             check(content[:end])

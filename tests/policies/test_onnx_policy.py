@@ -3,18 +3,21 @@
 import hashlib
 
 import numpy as np
+import onnx
 import onnxruntime
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from onnx import numpy_helper
 
 from softarm.policies.base import Policy, PolicyError
 from softarm.policies.onnx_policy import OnnxPolicy
 from softarm.schemas.policy import ACTION, OBSERVATION, REACH_GOAL, Golden
 
 
-def fly(policy, inputs):
-    return np.array([policy.step(row[:8], row[8:]) for row in inputs])
+def fly(policy, golden):
+    rows = np.array(golden.inputs, dtype=np.float32)
+    return np.array([policy.step(row[:8], row[8:]) for row in rows])
 
 
 def scaled(unit_actions):
@@ -23,11 +26,11 @@ def scaled(unit_actions):
     return low + (unit_actions + 1) / 2 * (high - low)
 
 
-def test_a_step_equals_numpy_and_is_scaled_to_units(write_model, network):
-    policy = OnnxPolicy(model=str(write_model()))
+def test_a_step_equals_torch_and_is_scaled_to_units(golden):
+    policy = OnnxPolicy("reach")
     assert isinstance(policy, Policy)
-    actions = fly(policy, network.inputs)
-    np.testing.assert_allclose(actions, scaled(network.run(network.inputs)), atol=2e-5)
+    actions = fly(policy, golden)
+    np.testing.assert_allclose(actions, scaled(np.array(golden.outputs)), atol=2e-4)
     assert actions.dtype == np.float32
     assert np.ptp(actions, axis=0).min() > 0.1  # or the comparison would say nothing
 
@@ -66,35 +69,26 @@ def test_invalid_text_in_a_file_is_refused(write_model, capfd):
     assert capfd.readouterr() == ("", "")
 
 
-def test_reset_clears_the_recurrent_state(write_model, network):
-    policy = OnnxPolicy(model=str(write_model()))
-    first = fly(policy, network.inputs[:3])
-    carried_on = fly(policy, network.inputs[:3])
+def test_reset_clears_the_recurrent_state(golden):
+    policy = OnnxPolicy("reach")
+    first, carried_on = fly(policy, golden), fly(policy, golden)
     policy.reset()
-    again = fly(policy, network.inputs[:3])
+    again = fly(policy, golden)
     assert (first == again).all()
     assert (first != carried_on).any()
 
 
-def test_two_policies_from_one_file_do_not_share_their_state(write_model, network):
-    path = str(write_model())
-    one, other = OnnxPolicy(model=path), OnnxPolicy(model=path)
-    alone = fly(OnnxPolicy(model=path), network.inputs)
-    for row, expected in zip(network.inputs, alone, strict=True):
+def test_two_policies_from_one_file_share_no_state_and_no_actions(golden):
+    one, other = OnnxPolicy("reach"), OnnxPolicy("reach")
+    alone, returned = fly(OnnxPolicy("reach"), golden), []
+    for row in np.array(golden.inputs, dtype=np.float32):
         other.step(row[:8] + 1, row[8:])
-        assert (one.step(row[:8], row[8:]) == expected).all()
-
-
-def test_a_returned_action_is_a_copy(write_model, network):
-    policy = OnnxPolicy(model=str(write_model()))
-    first = policy.step(network.inputs[0, :8], network.inputs[0, 8:])
-    kept = first.copy()
-    policy.step(network.inputs[1, :8], network.inputs[1, 8:])
-    assert (first == kept).all()
+        returned.append(one.step(row[:8], row[8:]))
+    assert (np.array(returned) == alone).all()
 
 
 def test_the_spec_holds_the_metadata_of_the_file(write_model):
-    path = write_model()
+    path = write_model(validation_success=0.97)
     spec = OnnxPolicy(model=str(path)).spec
     assert spec == OnnxPolicy.describe(model=str(path))
     assert spec.sha256 == hashlib.sha256(path.read_bytes()).hexdigest()
@@ -125,11 +119,11 @@ def test_actions_are_within_the_ranges_for_any_observation(tmp_path, write_model
     assert -0.7 - 1e-6 <= pressure <= 20.0 + 1e-5
 
 
-def test_a_narrower_action_range_is_respected(write_model, network):
+def test_a_narrower_action_range_is_respected(write_model, golden):
     narrow = (ACTION[0].model_copy(update={"low": -0.5, "high": 0.25}), ACTION[1])
     policy = OnnxPolicy(model=str(write_model(action=narrow)))
-    expected = -0.5 + (network.run(network.inputs)[:, 0] + 1) / 2 * 0.75
-    np.testing.assert_allclose(fly(policy, network.inputs)[:, 0], expected, atol=1e-5)
+    expected = -0.5 + (np.array(golden.outputs)[:, 0] + 1) / 2 * 0.75
+    np.testing.assert_allclose(fly(policy, golden)[:, 0], expected, atol=1e-4)
 
 
 def swapped(signals, i, j):
@@ -180,14 +174,12 @@ def test_all_problems_of_the_metadata_are_reported_together(write_model):
         OnnxPolicy(model=str(write_model(goal=swapped(REACH_GOAL, 0, 1), rate_hz=60.0)))
 
 
-def test_altered_weights_are_refused(write_model, network):
+def test_altered_weights_are_refused(write_model):
     path = write_model()
-    content = path.read_bytes()
-    weights = network.head.tobytes()
-    assert content.count(weights) == 1
-    altered = network.head.copy()
-    altered[0, 0] += 0.01
-    path.write_bytes(content.replace(weights, altered.tobytes()))
+    model = onnx.load(path)
+    (bias,) = (weights for weights in model.graph.initializer if weights.name == "head_bias")
+    bias.CopyFrom(numpy_helper.from_array(numpy_helper.to_array(bias) + np.float32(0.01), "head_bias"))
+    onnx.save(model, path)
     with pytest.raises(PolicyError, match="its golden run is off by"):
         OnnxPolicy(model=str(path))
 

@@ -50,13 +50,9 @@ class Plugged:
 
 
 @pytest.fixture
-def plugged(tmp_path, monkeypatch):
+def plugged(install, tmp_path, monkeypatch):
     """Configure a policy of an installed plug-in by its behaviour: well, wedges, crashes, ..."""
-    (tmp_path / "other_arm.py").write_text(PLUGIN)
-    info = tmp_path / "other_arm-1.0.dist-info"
-    info.mkdir()
-    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: other-arm\nVersion: 1.0\n")
-    (info / "entry_points.txt").write_text("[softarm.policies]\nplugged = other_arm:Plugged\n")
+    install("other_arm", PLUGIN, plugged="Plugged")
     monkeypatch.setenv("PYTHONPATH", str(tmp_path), prepend=os.pathsep)
     return lambda does: {"mine": Configured(plugin="plugged", options={"does": does})}
 
