@@ -95,12 +95,12 @@ def _flown(bench: Bench, closed: "Closed", title: str) -> "Wires":
 
 def _twin(bench: Bench, closed: "Closed") -> "Twin":
     """Return the held-out robot as a twin process behind the wires."""
-    from softarm.evaluation.closing.outcomes import HELD_BACK
+    from softarm.evaluation.closing.outcomes import HELD_OUT
     from softarm.evaluation.closing.wires import Twin
     from softarm.schemas.model import Model
     from softarm.simulator import model_file
 
-    place, nominal = closed.place(HELD_BACK), closed.diagnosis.nominal
+    place, nominal = closed.place(HELD_OUT), closed.diagnosis.nominal
     assert nominal is not None
     title = f"our twin, as {place.title}"
     if isinstance(place.robot, Model):

@@ -8,7 +8,7 @@ from typing import Self
 from softarm.daemon.limits.findings import RailFindings
 from softarm.diagnosis.engine.result import Diagnosis
 from softarm.evaluation.closing.outcomes import (
-    HELD_BACK,
+    HELD_OUT,
     MANNERS,
     NEW,
     NOMINAL,
@@ -96,7 +96,7 @@ class Closed:
             found = self.flown.get((OLD, key, REST))
             return None if found is None else found.share
 
-        real = share(HELD_BACK) if self.declared else None
+        real = share(HELD_OUT) if self.declared else None
         task = Task(success_real=real, success_nominal=share(NOMINAL), success_patched=share(PATCHED))
         verdict = self.diagnosis.verdict.model_copy(update={"task": task})
         return replace(self, diagnosis=replace(self.diagnosis, verdict=verdict))

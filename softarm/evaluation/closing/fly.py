@@ -10,7 +10,7 @@ import numpy as np
 
 from softarm.common.processes import as_they_come, cores
 from softarm.daemon.runtime.offline import Lockstep
-from softarm.evaluation.closing.outcomes import CHAINED, REST, Flights
+from softarm.evaluation.closing.outcomes import CHAINED, REST, Flights, joined
 from softarm.evaluation.runner import Robot, Runner, load
 from softarm.policies.base import Policy
 from softarm.schemas import flights
@@ -44,10 +44,10 @@ class Job(NamedTuple):
     """Some flights of one policy on one robot, made by one process."""
 
     key: Key
+    number: int  # among the jobs of the key
     policy: Flown
     robot: Robot
     scenarios: Sequence[Scenario]
-    groups: Sequence[int]
     config: Config
 
 
@@ -99,10 +99,11 @@ def fly_all(
     count = 0
     on_progress(f"flying {total} flights", 0.0)
     for job, flown in as_they_come(_fly, todo, processes or cores()):
-        found[job.key, job.groups[0]] = flown
+        found[job.key, job.number] = flown
         done, count = done + _cost(job), count + len(job.scenarios)
         on_progress(f"flying, {count} of {total} flights", done / whole)
-    return {key: _in_order(key, found) for key in dict.fromkeys(job.key for job in todo)}
+    keys = dict.fromkeys(job.key for job in todo)
+    return {key: joined([found[job.key, job.number] for job in todo if job.key == key]) for key in keys}
 
 
 def fly_chain(runner: Runner, chain: Iterable[Scenario]) -> list[Flight]:
@@ -125,14 +126,9 @@ def _jobs(
     config: Config,
 ) -> Iterable[Job]:
     for policy, robot in pairs:
-        of = (policies[policy], robots[robot])
-        first = 0
-        for part in at_rest(targets):
-            groups = [first + number // len(CART_STARTS_M) for number in range(len(part))]
-            first = groups[-1] + 1
-            yield Job((policy, robot, REST), *of, part, groups, config)
-        for number, chain in enumerate(chains(targets)):
-            yield Job((policy, robot, CHAINED), *of, chain, [number] * len(chain), config)
+        for manner, parts in ((REST, at_rest(targets)), (CHAINED, chains(targets))):
+            for number, part in enumerate(parts):
+                yield Job((policy, robot, manner), number, policies[policy], robots[robot], part, config)
 
 
 def _cost(job: Job) -> int:
@@ -144,14 +140,9 @@ def _cost(job: Job) -> int:
 def _fly(job: Job) -> Flights:
     policy = job.policy.load() if isinstance(job.policy, Replanning) else load(job.policy)
     runner = Runner(policy, job.robot, job.config)
-    flown = fly_chain(runner, job.scenarios) if job.key[2] == CHAINED else [runner.fly(each) for each in job.scenarios]
+    if job.key[2] == CHAINED:
+        flown, size = fly_chain(runner, job.scenarios), len(job.scenarios)
+    else:
+        flown, size = [runner.fly(each) for each in job.scenarios], len(CART_STARTS_M)
     reached = np.array([flight.reached for flight in flown])
-    return Flights(reached, tuple(flight.stop for flight in flown), np.array(job.groups))
-
-
-def _in_order(key: Key, found: Mapping[tuple[Key, int], Flights]) -> Flights:
-    """Join the parts of a key in the order of their targets."""
-    parts = [found[one] for one in sorted(one for one in found if one[0] == key)]
-    stops = tuple(stop for part in parts for stop in part.stops)
-    together = [np.concatenate([getattr(part, name) for part in parts]) for name in ("reached", "group")]
-    return Flights(together[0], stops, together[1])
+    return Flights(reached, tuple(flight.stop for flight in flown), np.arange(len(flown)) // size)

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 OLD, NEW, REPLANNED = "old", "new", "mppi"
 TITLES = {OLD: "old policy", NEW: "retrained", REPLANNED: "mppi"}
-NOMINAL, PATCHED, HELD_BACK = "nominal", "patched", "held-back"
+NOMINAL, PATCHED, HELD_OUT = "nominal", "patched", "held-back"
 REST, CHAINED = "rest", "chained"
 MANNERS = {REST: "at rest", CHAINED: "in mid-swing"}  # state of the arm when a goal starts
 RESAMPLES, SEED = 4000, 54

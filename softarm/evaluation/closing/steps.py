@@ -18,7 +18,7 @@ from softarm.evaluation.closing import story, summary
 from softarm.evaluation.closing.closed import Closed, Place
 from softarm.evaluation.closing.diagnosed import with_diagnosed
 from softarm.evaluation.closing.fly import Flown, Replanning, fly_all
-from softarm.evaluation.closing.outcomes import HELD_BACK, NEW, NOMINAL, OLD, PATCHED, REPLANNED
+from softarm.evaluation.closing.outcomes import HELD_OUT, NEW, NOMINAL, OLD, PATCHED, REPLANNED
 from softarm.evaluation.closing.wires import Wires
 from softarm.evaluation.robots import with_faults
 from softarm.policies.base import MODELS
@@ -42,7 +42,7 @@ def close(
     rail: RailFindings,
     policy: Path,
     out: Path,
-    held_back: Place,
+    held_out: Place,
     is_the_robot: bool,
     config: RetrainingConfig,
     spent: Spent,
@@ -59,7 +59,7 @@ def close(
         rail: Rail limits that the campaign shows.
         policy: ONNX file of the old policy.
         out: Existing folder for all results.
-        held_back: Held-out robot, on which both policies are compared.
+        held_out: Held-out robot, on which both policies are compared.
         is_the_robot: The held-out robot was declared to be the campaign's. Its success is the verdict's success_real.
         spent: Receives the time of each step.
         replanned: Also fly `mppi` on the patched model.
@@ -73,7 +73,7 @@ def close(
     """
     if found.nominal is None:
         raise ValueError("the campaign shows another rig, and policies fly only the arm; use `softarm diagnose`")
-    held_back, rail = of_the_nominal_body(held_back, found.nominal), with_diagnosed(rail, found.verdict)
+    held_out, rail = of_the_nominal_body(held_out, found.nominal), with_diagnosed(rail, found.verdict)
     places = [Place(NOMINAL, "the nominal simulator", found.nominal)]
     files.write_text(out / LIMITS, rail.patch())
     # Before the retraining, so that the diagnosis survives a refused or interrupted one.
@@ -88,7 +88,7 @@ def close(
         policies[NEW] = retrained.policy
         if replanned:
             policies[REPLANNED] = Replanning(out / PATCH)
-    places.append(held_back)
+    places.append(held_out)
     robots = {place.key: place.robot for place in places}
     pairs = [(name, key) for key in robots for name in policies if (name, key) != (REPLANNED, NOMINAL)]
     with timed(spent, "fly"), bar("flying") as shown:
@@ -132,12 +132,12 @@ def independent(faults: Sequence[str]) -> Place:
             "the independent robot needs the package 'mujoco': pip install 'softarm[mujoco]', or give --robot MODEL"
         )
     title = f"the independent robot ({', '.join(faults) or 'without a fault'})"
-    return Place(HELD_BACK, title, with_faults(RobotParameters(), faults), tuple(faults))
+    return Place(HELD_OUT, title, with_faults(RobotParameters(), faults), tuple(faults))
 
 
 def simulated(name: str, model: Model) -> Place:
     """Return a simulated robot with the given model as held-out robot."""
-    return Place(HELD_BACK, f"the held-out robot ({name})", model)
+    return Place(HELD_OUT, f"the held-out robot ({name})", model)
 
 
 def of_the_nominal_body(place: Place, nominal: Model) -> Place:

@@ -2,7 +2,7 @@
 
 from softarm.evaluation.closing.advice import advise
 from softarm.evaluation.closing.closed import Closed
-from softarm.evaluation.closing.outcomes import HELD_BACK, MANNERS, NEW, OLD, PATCHED, REPLANNED, REST, TITLES, better
+from softarm.evaluation.closing.outcomes import HELD_OUT, MANNERS, NEW, OLD, PATCHED, REPLANNED, REST, TITLES, better
 from softarm.evaluation.closing.wires import Wires
 from softarm.reporting import charts
 from softarm.reporting.markup import Html, el, join, prose, shaded, table
@@ -41,7 +41,7 @@ def _recommendation(closed: Closed) -> list[str]:
         texts = [f"Keep the old policy: {'; '.join(advice.against)}."]
     else:
         texts = ["Fly the retrained policy."]
-    for key in (PATCHED, HELD_BACK):
+    for key in (PATCHED, HELD_OUT):
         place, old, new = closed.place(key), closed.both(OLD, key), closed.both(NEW, key)
         texts.append(
             f"On {place.title} the old policy reaches {percent(old.share)} of {old.reached.size} goals, from rest and "
@@ -69,7 +69,7 @@ def lines(closed: Closed) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
 def _stops(closed: Closed) -> list[str]:
     """Count the unrequested stops, which are failures in the shares already."""
     texts = []
-    for key in (PATCHED, HELD_BACK):
+    for key in (PATCHED, HELD_OUT):
         counted = {name: closed.both(name, key) for name in closed.policies if (name, key, REST) in closed.flown}
         if not any(each.stopped.any() for each in counted.values()):
             continue
@@ -84,12 +84,12 @@ def _replanning(closed: Closed) -> list[str]:
     if REPLANNED not in closed.policies:
         return []
     best = OLD if advise(closed).fly == "old" else NEW
-    home, away = (closed.both(REPLANNED, key).share for key in (PATCHED, HELD_BACK))
-    won = closed.won(HELD_BACK, REPLANNED, best)
+    home, away = (closed.both(REPLANNED, key).share for key in (PATCHED, HELD_OUT))
+    won = closed.won(HELD_OUT, REPLANNED, best)
     how = "significantly more than" if won.above else "significantly less than" if won.below else "about as much as"
     return [
         f"Without training: mppi, planning on patched-model.yaml, reaches {percent(home)} on the patched simulator, "
-        f"which is its own model, and {percent(away)} on {closed.place(HELD_BACK).title}: {how} the "
+        f"which is its own model, and {percent(away)} on {closed.place(HELD_OUT).title}: {how} the "
         f"{TITLES[best].removesuffix(' policy')} policy ({won.text})."
     ]
 
@@ -132,7 +132,7 @@ def _through(wires: Wires) -> Html:
 
 def _before_and_after(closed: Closed) -> Html:
     parts = [el("p", prose(text)) for text in (*_recommendation(closed), *_replanning(closed))] + [_shares(closed)]
-    for key in (HELD_BACK, PATCHED):
+    for key in (HELD_OUT, PATCHED):
         parts.append(el("div", *(_map(closed, name, key) for name in closed.policies), class_="multiples maps"))
     targets = len(closed.targets)
     note = (

@@ -6,7 +6,7 @@ from typing import Any
 
 from softarm.evaluation.closing.advice import advise
 from softarm.evaluation.closing.closed import Closed
-from softarm.evaluation.closing.outcomes import HELD_BACK, MANNERS, NEW, OLD, PATCHED, REPLANNED, REST, Flights, better
+from softarm.evaluation.closing.outcomes import HELD_OUT, MANNERS, NEW, OLD, PATCHED, REPLANNED, REST, Flights, better
 from softarm.evaluation.closing.wires import Wires
 from softarm.evaluation.runner import shares
 from softarm.schemas.flights import CART_STARTS_M
@@ -24,7 +24,7 @@ def summary(closed: Closed, spent: Mapping[str, Mapping[str, float]]) -> dict[st
         "patch": [row._asdict() for row in patch],
         "limits": closed.rail.summary(),
         "policy": str(closed.policy),
-        "held_back_robot": closed.place(HELD_BACK).title,
+        "held_back_robot": closed.place(HELD_OUT).title,
         "flights": closed.flights,
         "success": {place.key: _success(closed, place.key) for place in closed.places},
         "fly": advice.fly,
@@ -80,7 +80,7 @@ def _replanning(closed: Closed) -> dict[str, Any] | None:
     if REPLANNED not in closed.policies:
         return None
     best = OLD if advise(closed).fly == "old" else NEW
-    return {key: closed.won(key, REPLANNED, best)._asdict() for key in (PATCHED, HELD_BACK)}
+    return {key: closed.won(key, REPLANNED, best)._asdict() for key in (PATCHED, HELD_OUT)}
 
 
 def _retrained(retrained: Retrained) -> dict[str, Any]:

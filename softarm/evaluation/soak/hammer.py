@@ -1,13 +1,12 @@
 """Misbehaving clients of the API, all at the same time."""
 
 import contextlib
-import itertools
 import random
 import socket
 import threading
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from typing import Self
 
 import httpx
@@ -39,14 +38,14 @@ class Hammer:
     `answers` counts statuses; `wrong` counts forbidden answers by request.
     """
 
-    def __init__(self, url: str, stop_port: int, seed: int, clients: int = 2) -> None:
+    def __init__(self, url: str, stop_port: int, seed: int) -> None:
         self._url, self._stop_port = url, stop_port
         self._stopping = threading.Event()
         # Each action draws from its own generator, so that one does not influence the others.
-        actions: Iterator[Action] = itertools.cycle((self._ask, self._ask, self._stream, self._idle))
+        actions: tuple[Action, ...] = (self._ask, self._ask, self._stream, self._idle)
         self._threads = [
-            threading.Thread(target=self._work, args=(next(actions), random.Random(seed + n)), daemon=True)
-            for n in range(clients + 2)
+            threading.Thread(target=self._work, args=(action, random.Random(seed + n)), daemon=True)
+            for n, action in enumerate(actions)
         ]
         self.answers: Counter[int] = Counter()
         self.wrong: Counter[str] = Counter()

@@ -13,7 +13,7 @@ from softarm.evaluation.closing.advice import advise
 from softarm.evaluation.closing.closed import Closed, Place
 from softarm.evaluation.closing.outcomes import (
     CHAINED,
-    HELD_BACK,
+    HELD_OUT,
     MANNERS,
     NEW,
     NOMINAL,
@@ -37,7 +37,7 @@ NAMED = Verdict(
     gap=Gap(before={}, after={}, floor={}, ceiling={}),
 )
 RAIL = RailFindings(Config(), measure((), 6.0), compared(measure((), 6.0), Config()))
-PLACES = tuple(Place(key, f"the {key} one", Model()) for key in (NOMINAL, PATCHED, HELD_BACK))
+PLACES = tuple(Place(key, f"the {key} one", Model()) for key in (NOMINAL, PATCHED, HELD_OUT))
 WHY = "rail_outside: the cart is outside the rail limits"
 
 
@@ -61,7 +61,7 @@ def closed(shares, declared=True, better=True, wires=None, replanned=None):
     return Closed(found, MODELS / "reach.onnx", PLACES, flown, retrained, TEST_TARGETS, RAIL, declared, wires)
 
 
-WON = {NOMINAL: (140, 130), PATCHED: (120, 145), HELD_BACK: (120, 140)}
+WON = {NOMINAL: (140, 130), PATCHED: (120, 145), HELD_OUT: (120, 140)}
 
 
 def test_a_policy_that_is_better_everywhere_is_recommended():
@@ -75,10 +75,10 @@ def test_a_policy_that_is_better_everywhere_is_recommended():
     [
         ({PATCHED: (147, 145)}, "on the patched simulator the retrained policy is no better: -1.2 % ("),
         ({PATCHED: (147, 130)}, "on the patched simulator the retrained policy is worse: -10.5 % ("),
-        ({PATCHED: (145, 146), HELD_BACK: (140, 140)}, "not significantly better: +0.6 % (0 to +"),
-        ({HELD_BACK: (140, 130)}, "on the held-back one it is worse: -6.2 % ("),
+        ({PATCHED: (145, 146), HELD_OUT: (140, 140)}, "not significantly better: +0.6 % (0 to +"),
+        ({HELD_OUT: (140, 130)}, "on the held-back one it is worse: -6.2 % ("),
         ({PATCHED: (120, reached(150, stops=12))}, "the patched one it causes more unrequested stops: 24, not 0"),
-        ({HELD_BACK: (120, reached(150, stops=12))}, "the held-back one it causes more unrequested stops: 24"),
+        ({HELD_OUT: (120, reached(150, stops=12))}, "the held-back one it causes more unrequested stops: 24"),
     ],
 )
 def test_one_reason_against_keeps_the_old_policy(changed, says):
@@ -102,7 +102,7 @@ def test_a_gain_on_the_robot_itself_suffices_without_a_loss_on_the_patched_model
 
 
 def test_an_undeclared_robot_does_not_count():
-    assert advise(closed(WON | {HELD_BACK: (140, 120)}, declared=False)).fly == "retrained"
+    assert advise(closed(WON | {HELD_OUT: (140, 120)}, declared=False)).fly == "retrained"
 
 
 def test_a_validation_without_gain_keeps_the_old_policy():
@@ -145,11 +145,11 @@ def test_mppi_is_compared_with_the_recommended_policy():
     assert "+6.2 %" in texts  # than the retrained one: 150 to 140 of 162
     kept = closed(WON | {PATCHED: (147, 145)}, replanned=120)
     assert "about as much as the old policy" in story.sentences(kept)[-1]  # 120 to the old one's 120
-    assert summary.summary(kept, {})["mppi_beyond_advised"][HELD_BACK]["value"] == 0.0
+    assert summary.summary(kept, {})["mppi_beyond_advised"][HELD_OUT]["value"] == 0.0
 
 
 def test_unrequested_stops_are_stated_separately():
-    texts = " ".join(story.sentences(closed(WON | {HELD_BACK: (reached(120, stops=3), reached(140, stops=1))})))
+    texts = " ".join(story.sentences(closed(WON | {HELD_OUT: (reached(120, stops=3), reached(140, stops=1))})))
     assert "Unrequested stops on the held-back one: old policy 6, retrained 2 (the first: rail_outs" in texts
     assert "No unrequested stop" in " ".join(story.sentences(closed(WON)))
 

@@ -11,7 +11,7 @@ from softarm.daemon.limits.measured import Bound, Measured
 from softarm.diagnosis.engine.result import Diagnosis
 from softarm.evaluation.closing import steps
 from softarm.evaluation.closing.closed import Place
-from softarm.evaluation.closing.outcomes import HELD_BACK
+from softarm.evaluation.closing.outcomes import HELD_OUT
 from softarm.evaluation.closing.wires import Wires
 from softarm.evaluation.robots import with_faults
 from softarm.policies.base import MODELS
@@ -69,14 +69,14 @@ NONE = NAMED.model_copy(
 )
 
 
-def close(out, held_back, declared=True, through=lambda closed: None, **found):
+def close(out, held_out, declared=True, through=lambda closed: None, **found):
     out.mkdir()
     usual = {"verdict": NAMED, "nominal": Model(), "patched": LATE, "trials": (("a", "seed", 1.0),)}
     diagnosis = Diagnosis(**usual | found)
     spent = {}
     targets = (EASY, NEVER)
     how = {"targets": targets, "processes": 1, "through": through}
-    steps.close(diagnosis, RAIL, REACH, out, held_back, declared, TINY, spent, **how)
+    steps.close(diagnosis, RAIL, REACH, out, held_out, declared, TINY, spent, **how)
     summary = json.loads((out / "summary.json").read_text())
     assert summary["spent"].keys() == spent.keys()
     return Verdict.model_validate_json((out / "verdict.json").read_text()), summary
@@ -84,7 +84,7 @@ def close(out, held_back, declared=True, through=lambda closed: None, **found):
 
 def test_a_named_effect_is_patched_trained_on_and_flown(tmp_path):
     out = tmp_path / "closed"
-    robot = Place(HELD_BACK, "the robot", with_faults(RobotParameters(), ["regulator.dead_time_s=0.06"]))
+    robot = Place(HELD_OUT, "the robot", with_faults(RobotParameters(), ["regulator.dead_time_s=0.06"]))
     verdict, summary = close(out, robot)
     assert model_file.load(out / "patched-model.yaml") == LATE
     old, new = load_weights(REACH), load_weights(out / "retrained.onnx")
@@ -138,14 +138,14 @@ def test_a_refused_retraining_leaves_report_and_verdict_of_the_diagnosis(tmp_pat
     monkeypatch.setattr(steps, "retrain", refuse)
     out = tmp_path / "out"
     with pytest.raises(ValueError, match=r"--seconds 320 or more\. .*report.html .* start again with another --out"):
-        close(out, Place(HELD_BACK, "late", LATE))
+        close(out, Place(HELD_OUT, "late", LATE))
     assert Verdict.model_validate_json((out / "verdict.json").read_text()) == NAMED
     assert "pressure.dead_time" in (out / "report.html").read_text(encoding="utf-8")
     assert not (out / "summary.json").exists()
 
 
 def test_without_a_named_effect_nothing_is_patched_or_retrained(tmp_path):
-    late = Place(HELD_BACK, "late", LATE)
+    late = Place(HELD_OUT, "late", LATE)
     verdict, summary = close(tmp_path / "out", late, declared=False, verdict=NONE, patched=None)
     left = ["limits-patch.yaml", "report.html", "summary.json", "verdict.json"]
     assert sorted(path.name for path in (tmp_path / "out").iterdir()) == left
@@ -159,7 +159,7 @@ def test_without_a_named_effect_nothing_is_patched_or_retrained(tmp_path):
 
 def test_another_rig_has_no_policy(tmp_path):
     with pytest.raises(ValueError, match="shows another rig, and policies fly only the arm"):
-        close(tmp_path / "out", Place(HELD_BACK, "late", LATE), nominal=None)
+        close(tmp_path / "out", Place(HELD_OUT, "late", LATE), nominal=None)
 
 
 def test_the_independent_robot_gets_the_nominal_arm_and_cart_and_keeps_its_actuators():
@@ -167,7 +167,7 @@ def test_the_independent_robot_gets_the_nominal_arm_and_cart_and_keeps_its_actua
     place = steps.of_the_nominal_body(steps.independent(["regulator.dead_time_s=0.06"]), heavier)
     assert place.robot.body == heavier.arm
     assert place.robot.regulator.dead_time_s == 0.06
-    assert steps.of_the_nominal_body(Place(HELD_BACK, "late", LATE), heavier).robot == LATE
+    assert steps.of_the_nominal_body(Place(HELD_OUT, "late", LATE), heavier).robot == LATE
 
 
 def test_results_are_written_before_the_robot_moves_and_again_after(tmp_path):
@@ -177,7 +177,7 @@ def test_results_are_written_before_the_robot_moves_and_again_after(tmp_path):
         there.append(json.loads((tmp_path / "out" / "summary.json").read_text()))
         return Wires.unflown("the robot of softarm.yaml", "not wanted")
 
-    place = Place(HELD_BACK, "late", LATE)
+    place = Place(HELD_OUT, "late", LATE)
     found = {"verdict": NONE, "patched": None}
     _, summary = close(tmp_path / "out", place, through=through, **found)
     assert there[0]["wires"] is None
