@@ -68,7 +68,7 @@ def follow(make: Callable[[], Session], pool: Workers, frames_most: int = FRAMES
         if len(session.curve) % session.config.validate_every:
             continue
         now = time.monotonic()
-        report = validation.grid_test(session.average, session.task, pool).report
+        report = validation.fly_trials(session.average, session.task, pool, session.model).report
         assert isinstance(report, Shares)
         points.append(Point(now - start - aside, standing.frames, report))
         aside += time.monotonic() - now

@@ -16,12 +16,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softarm.common.plugins import PluginError
-from softarm.schemas.policy import TrainingRange
+from softarm.schemas.policy import ACTION, TrainingRange
 
 Array = NDArray[np.float32]
 GROUP = "softarm.policies"
 INTERFACE = 1  # version that a policy's class states; docs/policies/interface.md describes it
 MODELS = Path(__file__).parent / "models"  # shipped models, named by their stem
+# Ranges of the two commands, m/s and kPa.
+LOW: Array = np.array([signal.low for signal in ACTION], dtype=np.float32)
+HIGH: Array = np.array([signal.high for signal in ACTION], dtype=np.float32)
 
 
 class PolicyError(PluginError):

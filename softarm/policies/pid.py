@@ -4,13 +4,11 @@ import math
 
 import numpy as np
 
-from softarm.policies.base import Array, PolicyError, PolicySpec
-from softarm.schemas.policy import ACTION, places
+from softarm.policies.base import HIGH, LOW, Array, PolicyError, PolicySpec
+from softarm.schemas.policy import places
 from softarm.schemas.robot import CONTROL_PERIOD_S
 
 _TIP, _TIP_VELOCITY = places("tip_y_m", "tip_z_m"), places("tip_vy_m_s", "tip_vz_m_s")
-_LOW = np.array([signal.low for signal in ACTION], dtype=np.float32)
-_HIGH = np.array([signal.high for signal in ACTION], dtype=np.float32)
 
 
 class Pid:
@@ -50,6 +48,6 @@ class Pid:
         error = observation[_TIP] - goal
         integral = self._integral + error * np.float32(CONTROL_PERIOD_S)
         action = -self._kp * error - self._kd * observation[_TIP_VELOCITY] - self._ki * integral
-        clipped: Array = np.clip(action, _LOW, _HIGH)
+        clipped: Array = np.clip(action, LOW, HIGH)
         self._integral = np.where(clipped == action, integral, self._integral)
         return clipped

@@ -5,15 +5,13 @@ from pathlib import Path
 
 import numpy as np
 
-from softarm.policies.base import Array, PolicyError, PolicySpec
+from softarm.policies.base import HIGH, LOW, Array, PolicyError, PolicySpec
 from softarm.policies.plans import Plans, find, sha256
-from softarm.schemas.policy import ACTION, TrainingRange, places
+from softarm.schemas.policy import TrainingRange, places
 
 TARGET_TOLERANCE_M = 0.01
 START_TOLERANCE_M = 0.03  # of cart and tip, from the start of a plan
 [_CART], _TIP = places("cart_position_m"), places("tip_y_m", "tip_z_m")
-_LOW = np.array([signal.low for signal in ACTION], dtype=np.float32)
-_HIGH = np.array([signal.high for signal in ACTION], dtype=np.float32)
 
 
 class Trajectory:
@@ -69,7 +67,7 @@ class Trajectory:
         if k >= last + self._extension:
             return np.array((0.0, reference[1]), dtype=np.float32)
         tip = self._plans.tip_m[plan, min(k, last)]
-        action: Array = np.clip(reference + self._gain * (tip - observation[_TIP]), _LOW, _HIGH)
+        action: Array = np.clip(reference + self._gain * (tip - observation[_TIP]), LOW, HIGH)
         return action.astype(np.float32)
 
     def _choose(self, observation: Array, goal: Array) -> int:

@@ -5,10 +5,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from softarm.policies.base import HIGH, LOW
 from softarm.policies.mppi import plans
 from softarm.policies.mppi.cost import Cost
 from softarm.schemas.model import Model
-from softarm.schemas.policy import ACTION
 
 if TYPE_CHECKING:
     from softarm.simulator.simulator import Simulator
@@ -18,8 +18,6 @@ Array = NDArray[np.float32]
 PHYSICS_HZ = 120.0  # coarse: the next tick corrects the error of some mm at a plan's end
 KEPT_SHARE = 1 / 8  # of a round's plans, varied in the next round
 FRESH_SHARE = 1 / 8  # of a tick's first round, new random plans
-LOW = np.array([signal.low for signal in ACTION], dtype=np.float32)
-HIGH = np.array([signal.high for signal in ACTION], dtype=np.float32)
 CENTRE, HALF = np.float32(0.5) * (HIGH + LOW), np.float32(0.5) * (HIGH - LOW)
 
 

@@ -56,12 +56,6 @@ def device_named(name: str) -> torch.device:
     return torch.device(name)
 
 
-def quick_dtype(device: torch.device) -> torch.dtype:
-    """Return bfloat16 if the processor multiplies it in hardware, else float32."""
-    fast = device.type == "cpu" and torch.cpu._is_avx512_bf16_supported()
-    return torch.bfloat16 if fast else torch.float32
-
-
 def share_of(count: int, most: int, device: torch.device) -> int:
     """Return the size of a chunk of `count`: at most `most` on a thread, all on a graphics card."""
     return most if device.type == "cpu" else count

@@ -7,7 +7,6 @@ import torch
 from softarm.schemas.model import Model
 from softarm.schemas.robot import TRAINING_PHYSICS_RATE_HZ
 from softarm.simulator import model_file
-from softarm.training.learn.inference import quick_dtype
 from softarm.training.learn.network import NetworkShape
 from softarm.training.learn.ppo import PpoConfig
 from softarm.training.task.environment import ACTIONS
@@ -39,8 +38,8 @@ class TrainingConfig:
 
 
 def quick_products(device: torch.device) -> str:
-    """Return the type that `auto` selects on a device."""
-    return str(quick_dtype(device)).removeprefix("torch.")
+    """Return the type that `auto` selects: bfloat16 if the processor multiplies it in hardware, else float32."""
+    return "bfloat16" if device.type == "cpu" and torch.cpu._is_avx512_bf16_supported() else "float32"
 
 
 def recorded(

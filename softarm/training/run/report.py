@@ -3,7 +3,7 @@
 from collections.abc import Iterator
 from pathlib import Path
 
-from softarm.training.learn.validation import Tested, chosen_by, test
+from softarm.training.learn.validation import Tested, chosen_by, fly_trials
 from softarm.training.record import page, path_figure, tensorboard
 from softarm.training.record.checkpoint import load_policy
 from softarm.training.record.settings import quick_products, usual
@@ -13,7 +13,7 @@ from softarm.training.run.session import Session
 def fly_test_trials(session: Session) -> Tested:
     """Fly the task's test trials with the exported policy; they do not influence the training."""
     network, _ = load_policy(session.out / "best.pt")
-    return test(network, session.task, session.pool, session.model)
+    return fly_trials(network, session.task, session.pool, session.model)
 
 
 def write(session: Session, tested: Tested) -> Path:

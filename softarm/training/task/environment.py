@@ -12,6 +12,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from softarm.policies.base import HIGH, LOW
 from softarm.schemas.model import Model
 from softarm.schemas.policy import ACTION, REACH_GOAL, Observation, places
 from softarm.schemas.robot import TRAINING_PHYSICS_RATE_HZ
@@ -27,8 +28,6 @@ Mask = NDArray[np.bool_]
 
 INPUTS = len(Observation._fields) + len(REACH_GOAL)
 ACTIONS = len(ACTION)
-_LOW = np.array([signal.low for signal in ACTION], dtype=np.float32)
-_HIGH = np.array([signal.high for signal in ACTION], dtype=np.float32)
 _SEEN = places("cart_position_m", "tip_y_m", "tip_z_m", "cart_velocity_m_s", "tip_vy_m_s", "tip_vz_m_s")
 _SENT, _PRESSURE = places("previous_cart_velocity_command_m_s", "pressure_kpa")
 _SEEN_THROUGH = ("pressure.sensor_bias", "clock.drift")  # effects of the sensors, in addition to mocap.*
@@ -51,7 +50,7 @@ class Step(NamedTuple):
 
 def to_physical(action: Array) -> Array:
     """Map actions in -1..1, float32 [..., 2], to cart velocity (m/s) and pressure (kPa)."""
-    return _LOW + (np.clip(action, -1.0, 1.0) + 1.0) * (0.5 * (_HIGH - _LOW))
+    return LOW + (np.clip(action, -1.0, 1.0) + 1.0) * (0.5 * (HIGH - LOW))
 
 
 class Environment:

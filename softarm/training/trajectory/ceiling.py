@@ -10,9 +10,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from softarm.policies.base import HIGH, LOW
 from softarm.schemas.model import Model
-from softarm.schemas.policy import ACTION
-from softarm.schemas.robot import TRAINING_PHYSICS_RATE_HZ
 from softarm.training.task.reach import ReachTask
 from softarm.training.trajectory.problem import Array, interpolation
 from softarm.training.trajectory.rollout import Rollouts
@@ -20,8 +19,6 @@ from softarm.training.trajectory.rollout import Rollouts
 POPULATION, ELITES, ROUNDS = 96, 12, 40
 SMOOTH = 0.15  # share of the old mean and spread that a round keeps
 SPREAD_LEAST = 0.02  # of the range, so that the population keeps searching
-_LOW = np.array([signal.low for signal in ACTION], dtype=np.float32)
-_HIGH = np.array([signal.high for signal in ACTION], dtype=np.float32)
 
 
 class Ceiling(NamedTuple):
@@ -36,7 +33,6 @@ def search(
     cart_start_m: float = 0.0,
     model: Model | None = None,
     seed: int = 0,
-    physics_rate_hz: float = TRAINING_PHYSICS_RATE_HZ,
     on_round: Callable[[], None] = lambda: None,
 ) -> Ceiling:
     """Search commands for every target [G, 2] from a straight, vented arm at rest; at the actuators' full ranges."""
@@ -44,7 +40,7 @@ def search(
     targets, steps = len(targets_m), task.episode_steps
     spread_out = interpolation(steps)
     knots = spread_out.shape[1]
-    rollouts = Rollouts(model, task.rate_hz, physics_rate_hz)
+    rollouts = Rollouts(model, task.rate_hz)
     # Unit commands: -1 .. 1 is the actuators' range.
     mean = np.zeros((targets, knots, 2), dtype=np.float32)
     spread = np.full_like(mean, 0.7)
@@ -75,7 +71,7 @@ def _fly(
     rollouts: Rollouts, task: ReachTask, spread_out: Array, knots: Array, targets_m: Array, cart_start_m: float
 ) -> tuple[Array, NDArray[np.int64]]:
     """Return each robot's smallest distance with its cart inside the limit, and the step of it, [R]."""
-    commands = _LOW + (np.einsum("tk,rkc->trc", spread_out, knots) + 1.0) * (0.5 * (_HIGH - _LOW))
+    commands = LOW + (np.einsum("tk,rkc->trc", spread_out, knots) + 1.0) * (0.5 * (HIGH - LOW))
     start = np.full(len(knots), cart_start_m, dtype=np.float32)
     motion = rollouts.fly(commands.astype(np.float32), start, guarded=True)
     distance = np.hypot(*(motion.tip_m - targets_m).transpose(2, 0, 1))
