@@ -9,7 +9,7 @@ from softarm.cli.gap.rail_limits import print_stricter
 from softarm.cli.gap.wire_flights import GOALS, Bench, check_wires, through_wires
 from softarm.cli.shared.errors import fail
 from softarm.cli.shared.interrupt import leaves
-from softarm.cli.shared.options import FILE, FOLDER, flown_model
+from softarm.cli.shared.options import FILE, FOLDER, flown_model, load_config
 from softarm.cli.shared.printing import print_table, print_text, warn
 from softarm.common.processes import WorkerDied, bar
 
@@ -67,7 +67,6 @@ def close_gap(
       softarm close-gap campaign --out closed --fault regulator.dead_time_s=0.06 --fault arm.payload_kg=0.03
       softarm close-gap campaign --out closed --robot other-robot.yaml --config softarm.yaml --twin
     """
-    from softarm.daemon.config.configuration import ConfigurationError, load
     from softarm.daemon.limits.findings import findings
     from softarm.diagnosis import report
     from softarm.diagnosis.data.read import rail_motions
@@ -76,7 +75,6 @@ def close_gap(
     from softarm.evaluation.closing import steps
     from softarm.evaluation.closing.advice import advise
     from softarm.policies.base import PolicyError
-    from softarm.schemas.config import Config
     from softarm.simulator.model_file import ModelFileError
     from softarm.training.record.checkpoint import CheckpointError
     from softarm.training.run.retrain import RetrainingConfig
@@ -84,11 +82,11 @@ def close_gap(
     if faults and robot != REALITY:
         raise click.UsageError("--fault is for the independent robot: omit --robot, or add the effect to its model")
     check_wires(config_file, twin, yes)
-    wrong = (ConfigurationError, TrialError, ModelFileError, CheckpointError, PolicyError, WorkerDied)
+    wrong = (TrialError, ModelFileError, CheckpointError, PolicyError, WorkerDied)
     recipe = RetrainingConfig() if seconds is None else RetrainingConfig(seconds=seconds)
     spent = steps.Spent()
     try:
-        config = load(config_file) if config_file else Config()
+        config = load_config(config_file)
         model = None if robot == REALITY else flown_model(Path(robot))
         held_out = steps.independent(faults) if model is None else steps.simulated(robot, model)
         file = steps.policy_file(policy)

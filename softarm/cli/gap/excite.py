@@ -6,12 +6,11 @@ from typing import TYPE_CHECKING
 import click
 
 from softarm.cli.gap.excitations import planned, print_next
-from softarm.cli.operate.prepared import prepared
 from softarm.cli.operate.robots import independent_body
 from softarm.cli.shared.completion import excitations
 from softarm.cli.shared.errors import fail
 from softarm.cli.shared.interrupt import leaves
-from softarm.cli.shared.options import FILE, FOLDER, config_option, flown_model, model_option
+from softarm.cli.shared.options import FILE, FOLDER, config_option, flown_model, load_config, model_option, prepared
 from softarm.common.processes import bar
 
 if TYPE_CHECKING:
@@ -58,16 +57,14 @@ def excite(
     from softarm.daemon.access.auth import AuthError
     from softarm.daemon.access.sockets import ApiError
     from softarm.daemon.assembly import latch_of
-    from softarm.daemon.config import configuration
     from softarm.daemon.logbook.recorder import RecorderError
     from softarm.daemon.play import length_s, play, play_simulated
     from softarm.daemon.runtime.devices import real_devices
     from softarm.daemon.stop.latch import LatchError
     from softarm.policies.base import PolicyError
-    from softarm.schemas.config import Config
     from softarm.schemas.excitation import EXCITATIONS
 
-    wrong = (configuration.ConfigurationError, PolicyError, LatchError, RecorderError, ApiError, AuthError)
+    wrong = (PolicyError, LatchError, RecorderError, ApiError, AuthError)
     if show:
         for excitation in EXCITATIONS.values():
             click.echo(f"{excitation.name:20s} {excitation.duration_s:5.1f} s  {excitation.description}")
@@ -87,10 +84,7 @@ def excite(
     stopped = "" if simulated or reality else "the cart was braked, the muscle vented, the drive is off; "
     leaves(f"{stopped}recordings are kept; the last one is incomplete")
     try:
-        if simulated or reality:
-            config = configuration.load(config_file) if config_file else Config()
-        else:
-            config = prepared(config_file, wires=True)
+        config = load_config(config_file) if simulated or reality else prepared(config_file, wires=True)
         if logs is not None:
             recorder = config.recorder.model_copy(update={"directory": logs})
             config = config.model_copy(update={"recorder": recorder})

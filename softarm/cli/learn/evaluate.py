@@ -10,7 +10,16 @@ import click
 from softarm.cli.shared.completion import policies as known_policies
 from softarm.cli.shared.errors import fail
 from softarm.cli.shared.interrupt import NOTHING, leaves
-from softarm.cli.shared.options import FILE, config_option, flown_model, json_option, model_option, write, write_json
+from softarm.cli.shared.options import (
+    FILE,
+    config_option,
+    flown_model,
+    json_option,
+    load_config,
+    model_option,
+    write,
+    write_json,
+)
 from softarm.cli.shared.printing import print_table
 from softarm.common.processes import WorkerDied, bar, cores
 
@@ -116,16 +125,14 @@ def evaluate(
 
 
 def _compare(choice: _Choice, json_file: Path | None, report: Path | None, workers: int) -> None:
-    from softarm.daemon.config import configuration
     from softarm.evaluation import page, table
     from softarm.evaluation import tests as known
     from softarm.policies.base import PolicyError
-    from softarm.schemas.config import Config
     from softarm.simulator.model_file import ModelFileError
 
     flown_model(choice.model_file)
     try:
-        config = configuration.load(choice.config_file) if choice.config_file else Config()
+        config = load_config(choice.config_file)
         tests = choice.tests or known.default(choice.compare_all, choice.matrix)
         if choice.model_file:
             tests = tuple(known.on_model(test, choice.model_file) for test in tests)
@@ -135,7 +142,7 @@ def _compare(choice: _Choice, json_file: Path | None, report: Path | None, worke
         found = table.entries(choice.runs, names, choice.matrix, choice.files, config)
         with bar("flying", sum(len(job.part) for job in table.jobs(found, tests))) as shown:
             result = table.compare(found, workers, tests, shown.advance, config)
-    except (configuration.ConfigurationError, PolicyError, ModelFileError, ValueError, WorkerDied) as error:
+    except (PolicyError, ModelFileError, ValueError, WorkerDied) as error:
         fail(str(error))
     click.echo(page.markdown(result), nl=False)
     write_json(json_file, result)
@@ -144,17 +151,15 @@ def _compare(choice: _Choice, json_file: Path | None, report: Path | None, worke
 
 
 def _evaluate(policy: str, json_file: Path | None, config_file: Path | None, model_file: Path | None) -> None:
-    from softarm.daemon.config import configuration
     from softarm.evaluation import evaluation
     from softarm.policies.base import PolicyError
-    from softarm.schemas.config import Config
 
     try:
-        config = configuration.load(config_file) if config_file else Config()
+        config = load_config(config_file)
         model = flown_model(model_file)
         with bar(f"flying {policy}", evaluation.FLIGHTS) as shown:
             result = evaluation.evaluate(policy, config, model, shown.advance)
-    except (configuration.ConfigurationError, PolicyError) as error:
+    except PolicyError as error:
         fail(str(error))
     parts = (("z <= 0.70 m", "in_range"), ("z > 0.70 m", "above"), ("all", "all"))
     rows = [(label, f"{100 * result['success'][part]:.1f} %") for label, part in parts]

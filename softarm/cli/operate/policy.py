@@ -6,8 +6,8 @@ from typing import Any
 import click
 
 from softarm.cli.shared.completion import policies
-from softarm.cli.shared.errors import Unreachable, fail
-from softarm.cli.shared.options import FILE
+from softarm.cli.shared.errors import Unreachable
+from softarm.cli.shared.options import FILE, load_config
 from softarm.cli.shared.printing import print_json, print_option, waiting
 from softarm.cli.shared.remote import Remote, remote
 from softarm.cli.verbs import Verbs
@@ -60,15 +60,10 @@ def list_(daemon: Remote, config_file: Path | None, as_json: bool) -> None:
 def _here(config_file: Path | None) -> Json:
     """Return the list that a daemon with this configuration would give; its initial policy is the active one."""
     from softarm.daemon.api.endpoints.policies import policy_answer
-    from softarm.daemon.config import configuration
     from softarm.policies import registry
-    from softarm.schemas.config import Config
     from softarm.schemas.rest import PoliciesAnswer
 
-    try:
-        config = configuration.load(config_file) if config_file is not None else Config()
-    except configuration.ConfigurationError as error:
-        fail(str(error))
+    config = load_config(config_file)
     entries = registry.available(config.policies).values()
     active = config.control.policy if config_file is not None else None
     return PoliciesAnswer(active=active, policies=tuple(map(policy_answer, entries))).model_dump(mode="json")

@@ -6,12 +6,10 @@ from typing import TYPE_CHECKING
 
 import click
 
-from softarm.cli.operate.prepared import prepared
 from softarm.cli.shared.client import DEFAULT_URL, url_of
 from softarm.cli.shared.errors import fail
 from softarm.cli.shared.interrupt import leaves, left_now
-from softarm.cli.shared.options import config_option, flown_model, model_option
-from softarm.cli.shared.words import Formatter, in_commands
+from softarm.cli.shared.options import config_option, flown_model, model_option, prepared
 
 if TYPE_CHECKING:
     from softarm.daemon.assembly import Daemon
@@ -60,9 +58,7 @@ def run(
         raise click.UsageError(
             "no robot chosen: use --config FILE for real devices (`softarm config new` writes one), or --simulated"
         )
-    output = logging.StreamHandler()
-    output.setFormatter(Formatter("%(levelname)s %(name)s: %(message)s"))
-    logging.basicConfig(level=logging.INFO, handlers=[output])
+    logging.basicConfig(level=logging.INFO, format="%(levelname)s %(name)s: %(message)s")
     logging.getLogger("uvicorn").setLevel(logging.WARNING)
     leaves("the daemon had not started")
     try:
@@ -108,7 +104,7 @@ def announce(running: "Daemon") -> None:
     address = _address_option(running)
     state = "disarmed"
     if left is not None:
-        state = f"stopped since its last run ({in_commands(left)}): `softarm acknowledge{address}`"
+        state = f"stopped since its last run ({left}): `softarm acknowledge{address}`"
     click.echo(f"softarm: serving {running.url} (API: {running.url}/docs), {state}")
     click.echo(f"softarm: recording {log}" if log else "softarm: not recording (recorder.enabled is false)")
     if running.foxglove is not None:

@@ -8,7 +8,7 @@ from softarm.cli.operate.robots import faulty_body, list_faults, wire_fault
 from softarm.cli.shared import completion
 from softarm.cli.shared.errors import fail
 from softarm.cli.shared.interrupt import INTERRUPTED, leaves
-from softarm.cli.shared.options import FILE, flown_model, model_option
+from softarm.cli.shared.options import FILE, flown_model, load_config, model_option
 from softarm.cli.shared.printing import print_json, print_option, waiting
 from softarm.cli.verbs import Verbs
 
@@ -57,20 +57,19 @@ def twin(
 
 def _simulate(config_file: Path, model_file: Path | None, reality: bool, faults: tuple[str, ...]) -> None:
     from softarm.common import realtime
-    from softarm.daemon.config.configuration import ConfigurationError, load
     from softarm.drivers.base import DeviceError
     from softarm.drivers.twin.main import run_twin
 
     leaves("the simulated robot has ended; a connected daemon stops and reports it")
     try:
-        config = load(config_file)
+        config = load_config(config_file)
         on_wires = [wire_fault(text) for text in faults if "." not in text.partition("=")[0]]
         model = flown_model(model_file)
         body = faulty_body(model, reality, tuple(text for text in faults if "." in text.partition("=")[0]))
         # Real devices do not wait for other programs of this computer.
         realtime.outrank_other_programs(config.control.realtime_priority)
         ended = run_twin(config, None, lambda text: click.echo(f"softarm twin: {text}"), body, on_wires)
-    except (ConfigurationError, DeviceError) as error:
+    except DeviceError as error:
         fail(str(error))
     if ended + 128 == INTERRUPTED:
         raise KeyboardInterrupt
@@ -94,7 +93,6 @@ def fault(name: str, config_file: Path, as_json: bool) -> None:
       softarm twin fault mocap_drop_body=link3 --config twin.yaml
       softarm twin fault clear --config twin.yaml
     """
-    from softarm.daemon.config.configuration import ConfigurationError, load
     from softarm.drivers.base import DeviceError
     from softarm.drivers.twin.remote import switch
 
@@ -102,10 +100,10 @@ def fault(name: str, config_file: Path, as_json: bool) -> None:
         list_faults(reality=None)
         return
     try:
-        message, endpoint = wire_fault(name), load(config_file).drivers.mocap.endpoint
+        message, endpoint = wire_fault(name), load_config(config_file).drivers.mocap.endpoint
         with waiting(f"contacting the twin at {endpoint}"):
             state = switch(endpoint, message)
-    except (ConfigurationError, DeviceError) as error:
+    except DeviceError as error:
         fail(str(error))
     if as_json:
         print_json(state)

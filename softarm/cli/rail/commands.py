@@ -6,11 +6,11 @@ import click
 
 from softarm.cli.rail import sources as rail_sources
 from softarm.cli.rail.centring import pushed, report_centre
-from softarm.cli.rail.exclusive import configuration, only_one, relay_held
+from softarm.cli.rail.exclusive import only_one, relay_held
 from softarm.cli.rail.homing import allowed, announce_motion, enabled, ready, report_homed, searched
 from softarm.cli.shared.errors import fail
 from softarm.cli.shared.interrupt import leaves
-from softarm.cli.shared.options import FILE, token_of
+from softarm.cli.shared.options import FILE, load_config, token_of
 from softarm.cli.verbs import Verbs
 
 config_option = click.option(
@@ -62,7 +62,7 @@ def home(config_file: Path, speed_m_s: float, reset_fault: bool, relay: bool, ye
 
     if speed_m_s != speed_m_s:
         raise click.BadParameter("nan is no speed; allowed 0.005 to 0.1 m/s", param_hint="--speed")
-    config = configuration(config_file)
+    config = load_config(config_file)
     leaves("nothing moved; the drive is off")
     with only_one(config), relay_held(config, relay) as hold:
         try:
@@ -101,7 +101,7 @@ def centre(config_file: Path, seconds: float | None, write: bool, url: str | Non
     from softarm.drivers.rail.commissioning.centre import centre as judge
 
     leaves("nothing was written, and the drive did not move")
-    config = configuration(config_file)
+    config = load_config(config_file)
     with rail_sources.source(config, config_file, url, token_of(token_file)) as source:
         end = "Enter ends it" if seconds is None else f"you have {seconds:g} s"
         click.echo(

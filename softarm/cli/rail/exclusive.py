@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
@@ -11,16 +10,6 @@ from softarm.cli.shared.errors import fail
 
 if TYPE_CHECKING:
     from softarm.schemas.config import Config
-
-
-def configuration(file: Path) -> "Config":
-    """Return the configuration of a file, or end the command with all its mistakes."""
-    from softarm.daemon.config.configuration import ConfigurationError, load
-
-    try:
-        return load(file)
-    except ConfigurationError as error:
-        fail(str(error))
 
 
 @contextmanager

@@ -13,7 +13,6 @@ from softarm.cli.shared.errors import fail
 from softarm.cli.shared.options import FILE
 from softarm.cli.shared.printing import clock
 from softarm.cli.shared.remote import Remote, remote
-from softarm.cli.shared.words import all_in_commands
 
 Json = dict[str, Any]
 POLL_S = 0.5
@@ -41,8 +40,7 @@ def events(daemon: Remote, log: Path | None, limit: int, follow: bool, as_json: 
     """
     if log is not None and follow:
         raise click.UsageError("a log does not grow here: leave LOG out to follow the running daemon")
-    found = _recorded(log) if log is not None else _live(daemon, limit, follow)
-    for event in map(all_in_commands, found):
+    for event in _recorded(log) if log is not None else _live(daemon, limit, follow):
         click.echo(json.dumps(event) if as_json else f"{clock(event['time'])}  {event['text']}")
 
 

@@ -53,13 +53,12 @@ def _show(found: Json) -> None:
 
 def _listed(folder: Path) -> Json:
     """Return the list that a daemon with these logs would give."""
-    from softarm.cli.shared.words import all_in_commands
     from softarm.daemon.logbook import incidents as files
 
     if not folder.is_dir():
         fail(f"--folder {folder}: is not a folder; give the one of recorder.directory")
     listed = [entry.model_dump(mode="json") for entry in files.listing(folder)]
-    return {"directory": str(folder / files.FOLDER), "incidents": all_in_commands(listed)}
+    return {"directory": str(folder / files.FOLDER), "incidents": listed}
 
 
 def _fetch(daemon: Remote, folder: Path | None, found: Json, name: str, out: Path | None) -> None:

@@ -11,7 +11,6 @@ from softarm.cli.shared.errors import fail
 from softarm.cli.shared.interrupt import leaves
 from softarm.cli.shared.options import FILE
 from softarm.cli.shared.printing import waiting
-from softarm.cli.shared.words import in_commands
 
 
 @click.command()
@@ -48,6 +47,6 @@ def replay(files: tuple[Path, ...]) -> None:
         click.echo(part.ending)
     *sentences, outcome = describe(replayed)
     for sentence in sentences:
-        click.echo(in_commands(sentence))
+        click.echo(sentence)
     click.echo(outcome, err=bool(replayed.differences))
     sys.exit(bool(replayed.differences))

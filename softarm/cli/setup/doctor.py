@@ -8,7 +8,6 @@ import click
 from softarm.cli.shared.client import url_of
 from softarm.cli.shared.options import FILE, FOLDER, config_option, token_of
 from softarm.cli.shared.printing import print_json, print_option
-from softarm.cli.shared.words import in_commands
 from softarm.common.processes import bar
 
 if TYPE_CHECKING:
@@ -91,9 +90,9 @@ def _print_part(part: str, findings: "list[Finding]") -> None:
     click.echo(f"\n{part}")
     for each in findings:
         state = click.style(f"{each.state:<8}", fg=COLOURS[each.state], bold=each.state != "ok")
-        click.echo(f"  {state} {each.name}: {in_commands(each.figure)}")
+        click.echo(f"  {state} {each.name}: {each.figure}")
         if each.advice:
-            click.echo(f"           {'-> ' if each.state != 'ok' else ''}{in_commands(each.advice)}")
+            click.echo(f"           {'-> ' if each.state != 'ok' else ''}{each.advice}")
 
 
 def _print_summary(found: "dict[str, list[Finding]]", problems: int) -> None:

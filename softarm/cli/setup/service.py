@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import click
 
 from softarm.cli.shared.errors import fail
-from softarm.cli.shared.options import FILE
+from softarm.cli.shared.options import FILE, load_config
 from softarm.cli.verbs import Verbs
 
 if TYPE_CHECKING:
@@ -71,7 +71,6 @@ def install(config_file: Path | None, user: str, root: Path, dry_run: bool, unin
 def _installing(system: "System", config_file: Path | None, user: str, dry_run: bool) -> "list[Step]":
     """Return the steps of an installation whose unit and configuration are valid."""
     from softarm.daemon.config import keys
-    from softarm.daemon.config.configuration import ConfigurationError, load
     from softarm.daemon.install import here, plan, rendered
 
     if (unseen := rendered.hidden()) and system.is_this:
@@ -82,11 +81,8 @@ def _installing(system: "System", config_file: Path | None, user: str, dry_run: 
         click.echo(text, err=True) if dry_run else fail(text)
     path = system.place(rendered.CONFIGURATION)
     file = config_file or keys.EXAMPLE
-    try:
-        config = load(file)
-        installed = load(path) if path.exists() else None
-    except ConfigurationError as error:
-        fail(str(error))
+    config = load_config(file)
+    installed = load_config(path) if path.exists() else None
     if lost := rendered.hidden(rendered.named_files(installed or config)):
         fail(f"{path if installed else file}: names {lost[0]}, hidden from the service; move it into /etc/softarm")
     command = rendered.program()

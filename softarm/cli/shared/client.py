@@ -1,7 +1,5 @@
 """Client of the daemon's REST API, for the verbs."""
 
-import http.client
-import json
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self
 
@@ -9,7 +7,6 @@ import click
 import httpx
 
 from softarm.cli.shared.errors import Unreachable, fail
-from softarm.cli.shared.words import all_in_commands
 from softarm.schemas.rest import API_HEADER, API_VERSION
 
 if TYPE_CHECKING:
@@ -62,19 +59,15 @@ class Remote:
         url = self._client.base_url
         if url.scheme != "http":
             return False  # a TLS proxy forwards the API's port only
-        headers = {name: value for name, value in self._client.headers.items() if name == "authorization"}
-        connection = http.client.HTTPConnection(url.host, port or (url.port or 80) + 1, timeout=STOP_TIMEOUT_S)
+        stop_url = url.copy_with(port=port or (url.port or 80) + 1, path="/api/stop")
         try:
-            connection.request("POST", "/api/stop", headers=headers)
-            return json.loads(connection.getresponse().read(4096)).get("stopped") is True
-        except (OSError, http.client.HTTPException, ValueError, AttributeError):
+            return self._client.post(stop_url, timeout=STOP_TIMEOUT_S).json().get("stopped") is True
+        except (httpx.HTTPError, ValueError, AttributeError):
             return False
-        finally:
-            connection.close()
 
     def request(self, method: str, path: str, body: object = None, timeout_s: float | None = None) -> Any:
-        """Return the parsed answer, with every REST request in its texts replaced by the verb for it."""
-        return all_in_commands(self._parsed(self._answer(method, path, body, timeout_s or TIMEOUT_S)))
+        """Send a request and return the parsed answer."""
+        return self._parsed(self._answer(method, path, body, timeout_s or TIMEOUT_S))
 
     def download(self, path: str) -> bytes:
         """Return the bytes at a path."""

@@ -4,8 +4,6 @@ from typing import IO, Any, NoReturn
 
 import click
 
-from softarm.cli.shared.words import in_commands
-
 # Exit code -> meaning, for scripts.
 EXITS = {
     0: "done",
@@ -22,7 +20,7 @@ class Failure(click.ClickException):
 
     def show(self, file: IO[Any] | None = None) -> None:
         """Print the message without a prefix: a file's problem starts with FILE:LINE, which editors follow."""
-        click.echo(in_commands(self.format_message()), file=file, err=file is None)
+        click.echo(self.format_message(), file=file, err=file is None)
 
 
 class Unreachable(Failure):

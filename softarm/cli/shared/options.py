@@ -13,6 +13,7 @@ from softarm.cli.shared.errors import fail
 from softarm.common import files
 
 if TYPE_CHECKING:
+    from softarm.schemas.config import Config
     from softarm.schemas.model import Model
 
 FILE = click.Path(path_type=Path, dir_okay=False)
@@ -39,6 +40,33 @@ def typed() -> list[str]:
         for each, source in parameters
         if source is ParameterSource.COMMANDLINE
     ]
+
+
+def load_config(file: Path | None) -> "Config":
+    """Return the configuration of a file, the defaults without one; end the command with all mistakes of the file."""
+    from softarm.daemon.config.configuration import ConfigurationError, load
+    from softarm.schemas.config import Config
+
+    try:
+        return Config() if file is None else load(file)
+    except ConfigurationError as error:
+        fail(str(error))
+
+
+def prepared(file: Path | None, wires: bool, port: int | None = None) -> "Config":
+    """Return a configuration that a daemon can start with; end the command with all problems otherwise.
+
+    Args:
+        file: The YAML file; None for the default values.
+        wires: The robot is behind real interfaces, not simulated in this process.
+        port: Port of the API, instead of the file's.
+    """
+    from softarm.daemon.runtime import preflight
+
+    found = preflight.look(file, wires, port=port)
+    if found.problems:
+        fail("\n".join(found.problems))
+    return found.config
 
 
 def load_model(file: Path) -> "Model":

@@ -10,8 +10,6 @@ from datetime import datetime
 
 import click
 
-from softarm.cli.shared.words import in_commands
-
 WIDTH = 80  # where there is no terminal
 PATIENCE_S = 2.0  # a wait longer than this is announced
 
@@ -52,7 +50,7 @@ def print_text(text: str) -> None:
     """Print sentences wrapped to the terminal."""
     from rich.console import Console
 
-    Console().print(in_commands(text), markup=False, highlight=False)
+    Console().print(text, markup=False, highlight=False)
 
 
 @contextmanager

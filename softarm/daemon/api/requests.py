@@ -44,7 +44,8 @@ class Requests:
             raise Refused(503, str(error)) from error
         result = await self._result(kind, number, self._clock())
         if result is None:
-            raise Refused(503, f"{kind}: the control loop did not answer within {ANSWER_S:g} s", _next_step(kind))
+            next_step = STOP_WAITS if kind == "stop" else "see `softarm status`; the request is still in the inbox"
+            raise Refused(503, f"{kind}: the control loop did not answer within {ANSWER_S:g} s", next_step)
         if not result.accepted:
             raise Refused(409, *result.reasons)
         answer = self._view.answer(warnings)
@@ -65,7 +66,3 @@ class Requests:
                     return result
             await asyncio.sleep(POLL_S)
         return None
-
-
-def _next_step(kind: RequestKind) -> str:
-    return STOP_WAITS if kind == "stop" else "see GET /api/health; the request is still in the inbox"

@@ -352,7 +352,7 @@ def test_a_refusal_is_printed_in_the_daemons_words(softarm, daemon, code):
 
 def test_an_error_without_text_shows_its_http_status(softarm, daemon):
     daemon.on("POST", "/api/acknowledge", {"detail": [{"loc": []}]}, code=500)
-    assert softarm("acknowledge").stderr == "`softarm acknowledge`: HTTP 500\n"
+    assert softarm("acknowledge").stderr == "POST /api/acknowledge: HTTP 500\n"
 
 
 def test_a_missing_daemon_is_reported_with_the_command_to_start_it():

@@ -13,7 +13,7 @@ TIMES = {
     "incident-20261122T120000Z.zip": "2026-11-22T12:00:00+00:00",
     "incident-20261121T120000Z.zip": "2026-11-21T12:00:00+00:00",
 }
-TEXT = "emergency stop: somebody asked for it, then POST /api/acknowledge"
+TEXT = "emergency stop: somebody asked for it, then run `softarm acknowledge`"
 
 
 @pytest.fixture
@@ -40,7 +40,7 @@ def test_each_incident_is_a_line_with_its_time_and_cause(softarm, asked):
     first, second = softarm("incidents").stdout.splitlines()
     assert first.startswith(clock(TIMES["incident-20261122T120000Z.zip"]))
     assert "   2.0 MB  incident-20261122T120000Z.zip  emergency stop: " in first
-    assert second.endswith("then `softarm acknowledge`")
+    assert second.endswith("then run `softarm acknowledge`")
 
 
 def test_an_incident_is_fetched_by_name_or_as_the_latest(softarm, asked, tmp_path, monkeypatch):

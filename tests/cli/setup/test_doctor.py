@@ -25,11 +25,11 @@ def bench(tmp_path, monkeypatch):
 
 @pytest.mark.slow
 def test_the_state_of_a_running_daemon_is_checked(softarm, daemon, bench, make_status):
-    here = {"rail_position_m": 0.02, "rail_velocity_m_s": 0.0, "arming_refusals": ("no: POST /api/acknowledge",)}
+    here = {"rail_position_m": 0.02, "rail_velocity_m_s": 0.0, "arming_refusals": ("the drive is off",)}
     daemon.on("GET", "/api/status", make_status(mode=Mode.DISARMED, **here))
     done = softarm("doctor", "--config", "softarm.yaml", "--simulated")
     assert "rail's zero: the axis is +8.0 mm from motion capture here" in done.output
-    assert "no: `softarm acknowledge`" in done.output
+    assert "problem  arming: the drive is off" in done.output
     assert "no reading yet" in done.output
     assert done.exit_code == 1
     assert {path for _, path, _ in daemon.requests} == {"/api/status"}
