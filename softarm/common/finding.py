@@ -44,6 +44,11 @@ def problem(name: str, figure: str, advice: str = "", place: Place = ()) -> Find
     return Finding(name, State.PROBLEM, figure, advice, place)
 
 
+def graded(name: str, state: State, figure: str, advice: str) -> Finding:
+    """Return a finding of any severity; one without a problem needs no advice."""
+    return Finding(name, state, figure, "" if state is State.OK else advice)
+
+
 def by(value: float, fine: float, bearable: float) -> State:
     """Return the severity of a value that is better the smaller it is; NaN is a problem."""
     return State.OK if value <= fine else State.WARNING if value <= bearable else State.PROBLEM

@@ -36,8 +36,7 @@ def try_out(host: str, port: int, key: str) -> None:
     _opened(host, port, key, lambda _: None).close()
 
 
-def bound(host: str, port: int) -> socket.socket:
-    """Return a socket bound to an address that does not listen yet; raise OSError if it cannot be bound."""
+def _bound(host: str, port: int) -> socket.socket:
     family, kind, protocol, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
     made = socket.socket(family, kind, protocol)
     try:
@@ -51,16 +50,18 @@ def bound(host: str, port: int) -> socket.socket:
 
 def _opened(host: str, port: int, key: str, begin: Callable[[socket.socket], None]) -> socket.socket:
     try:
-        opened = bound(host, port)
+        opened = _bound(host, port)
         try:
             begin(opened)
         except OSError:
             opened.close()
             raise
     except OSError as error:
-        where = f"api.host {host}, {key} {port}: cannot listen there"
+        where = f"api.host {host}, {key} {port}" if key.startswith("api.") else f"{key} {host}:{port}"
+        where = f"{where}: cannot listen there"
         if error.errno != errno.EADDRINUSE:
-            raise ApiError(f"{where} ({error.strerror}); name an address of this machine and a free {key}") from error
+            advice = f"name an address of this machine and a free {key}, above 1023 without root"
+            raise ApiError(f"{where} ({error.strerror}); {advice}") from error
         raise ApiError(
             f"{where}, {holder(port) or 'a program of another user'} does; stop that one (`softarm status` asks a "
             f"daemon), or choose another {key}, 0 for any"

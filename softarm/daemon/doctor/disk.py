@@ -8,7 +8,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from softarm.common.finding import Finding, State, by, ok, problem, warning
+from softarm.common.finding import Finding, State, by, graded, ok, problem, warning
 from softarm.daemon.logbook.folder import FREE_MIN_BYTES
 from softarm.schemas.config import Recorder
 from softarm.schemas.log import LogEntry
@@ -88,18 +88,9 @@ def judge(facts: Disk) -> Iterator[Finding]:
         return
     figure = f"{facts.bytes_s / 1e6:.0f} MB/s, {facts.flush_ms:.1f} ms to flush"
     needed = facts.log_bytes_s or FLIGHT_BYTES_S
-    state = max(
-        by(needed / facts.bytes_s, SHARE_MAX, 1.0), by(facts.flush_ms, FLUSH_FINE_MS, FLUSH_BEARABLE_MS), key=_order
-    )
-    if state is State.OK:
-        yield ok("disk's speed", figure)
-    else:
-        advice = f"logs take {needed / 1e6:.2f} MB/s: set recorder.directory to a faster disk"
-        yield Finding("disk's speed", state, figure, advice)
-
-
-def _order(state: State) -> int:
-    return list(State).index(state)
+    states = by(needed / facts.bytes_s, SHARE_MAX, 1.0), by(facts.flush_ms, FLUSH_FINE_MS, FLUSH_BEARABLE_MS)
+    advice = f"logs take {needed / 1e6:.2f} MB/s: set recorder.directory to a faster disk"
+    yield graded("disk's speed", max(states, key=list(State).index), figure, advice)
 
 
 def _free_space(facts: Disk) -> Finding:

@@ -48,14 +48,6 @@ class Target:
 Part = Callable[[Target], Iterator[Finding]]
 
 
-def _software(target: Target) -> Iterator[Finding]:
-    return software.judge(software.look())
-
-
-def _settings(target: Target) -> Iterator[Finding]:
-    return settings.judge(target.settings, target.simulated)
-
-
 def _wires(target: Target) -> Iterator[Finding]:
     """Examine the running daemon, or whether one can start."""
     config = target.config
@@ -67,21 +59,7 @@ def _wires(target: Target) -> Iterator[Finding]:
         yield from ports.judge_serial(ports.look_serial(config.drivers.regulator.port))
         yield from ports.judge_axis(ports.look_axis(config.drivers.rail.host, config.drivers.rail.port))
         yield from (each for each in preflight.places(config, wires=True) if each.name == "emergency stop")
-    addresses = ports.look_listening(config)
-    wanted = (each for each in addresses if each.key.startswith("api.") or not target.simulated)
-    yield from ports.judge_listening(tuple(wanted))
-
-
-def _models(target: Target) -> Iterator[Finding]:
-    return models.judge(models.look(target.config, target.idle), target.config.failsafe.policy_budget_s)
-
-
-def _scheduling(target: Target) -> Iterator[Finding]:
-    return scheduling.judge(scheduling.look(target.config.control.realtime_priority), target.simulated)
-
-
-def _clocks(target: Target) -> Iterator[Finding]:
-    return clocks.judge(clocks.look())
+    yield from ports.listening(config, wires=not target.simulated)
 
 
 def _disk(target: Target) -> Iterator[Finding]:
@@ -97,18 +75,18 @@ def _from_logs(target: Target) -> Iterator[Finding]:
     return from_logs.judge(from_logs.look(folder, listing(folder), target.config))
 
 
-def _untried(target: Target) -> Iterator[Finding]:
-    return iter(()) if target.simulated else untried.judge()
-
-
 PARTS: dict[str, Part] = {
-    "software": _software,
-    "configuration": _settings,
+    "software": lambda target: software.judge(software.look()),
+    "configuration": lambda target: settings.judge(target.settings, target.simulated),
     "robot and daemon": _wires,
-    "policies": _models,
-    "scheduling": _scheduling,
-    "clocks": _clocks,
+    "policies": lambda target: models.judge(
+        models.look(target.config, target.idle), target.config.failsafe.policy_budget_s
+    ),
+    "scheduling": lambda target: scheduling.judge(
+        scheduling.look(target.config.control.realtime_priority), target.simulated
+    ),
+    "clocks": lambda target: clocks.judge(clocks.look()),
     "disk": _disk,
     "limits": _from_logs,
-    "never used with hardware": _untried,
+    "never used with hardware": lambda target: iter(()) if target.simulated else untried.judge(),
 }

@@ -5,7 +5,6 @@ The serial device is never opened, since that would disturb the program that use
 """
 
 import contextlib
-import errno
 import grp
 import os
 import re
@@ -54,15 +53,6 @@ class Axis:
     error: str | None = None
 
 
-@dataclass(frozen=True, slots=True)
-class Listening:
-    """An address of this computer on which the daemon will listen."""
-
-    key: str
-    address: str
-    error: int | None = None  # why it could not
-
-
 def look_serial(path: str, devices: Path = Path("/dev")) -> Serial:
     """Gather facts about a serial device; `devices` is searched for alternatives."""
     user = _user()
@@ -96,27 +86,6 @@ def look_axis(host: str, port: int) -> Axis:
     except OSError as error:
         return Axis(address, error=error.strerror or str(error))
     return Axis(address, connect_ms=(time.monotonic() - begun_s) * 1e3)
-
-
-def look_listening(config: Config) -> tuple[Listening, ...]:
-    """Check the TCP ports of API, emergency stop and motion capture; port 0 is skipped."""
-    wanted = [("api.port", config.api.host, config.api.port), ("api.stop_port", config.api.host, config.api.stops_at)]
-    mocap = config.drivers.mocap
-    zenoh = re.fullmatch(r"tcp/\[?(.+?)\]?:(\d+)", mocap.endpoint)
-    if mocap.driver == plugged.BUILT_IN and zenoh is not None:
-        wanted.append(("drivers.mocap.endpoint", zenoh[1], int(zenoh[2])))
-    return tuple(Listening(key, f"{host}:{port}", _bind_error(host, port)) for key, host, port in wanted if port)
-
-
-def _bind_error(host: str, port: int) -> int | None:
-    try:
-        with sockets.bound(host, port) as probe:
-            probe.listen(1)
-    except socket.gaierror:
-        return errno.EADDRNOTAVAIL
-    except OSError as error:
-        return error.errno
-    return None
 
 
 def is_connected(host: str, port: int) -> bool:
@@ -185,18 +154,20 @@ def judge_axis(facts: Axis) -> Iterator[Finding]:
         yield ok("rail", f"{facts.address} takes a connection in {facts.connect_ms:.1f} ms")
 
 
-def judge_listening(places: tuple[Listening, ...]) -> Iterator[Finding]:
-    """Yield a finding per address."""
-    for each in places:
-        match each.error:
-            case None:
-                yield ok(each.key, f"{each.address} is free")
-            case errno.EADDRINUSE:
-                advice = f"end the other program (`ss -ltnp`), or choose another {each.key}"
-                yield problem(each.key, f"{each.address} is in use, and no softarm daemon answers", advice)
-            case errno.EADDRNOTAVAIL:
-                advice = f"name one of its own in {each.key}, e.g. 127.0.0.1"
-                yield problem(each.key, f"{each.address} is not an address of this computer", advice)
-            case error:
-                advice = f"choose another {each.key}, above 1023"
-                yield problem(each.key, f"{each.address}: {os.strerror(error)}", advice)
+def listening(config: Config, wires: bool) -> Iterator[Finding]:
+    """Yield a finding for each TCP port on which the daemon will listen; port 0 is skipped.
+
+    `wires` is false for a robot simulated in the daemon's process, which needs no port for motion capture.
+    """
+    wanted = [("api.port", config.api.host, config.api.port), ("api.stop_port", config.api.host, config.api.stops_at)]
+    mocap = config.drivers.mocap
+    zenoh = re.fullmatch(r"tcp/\[?(.+?)\]?:(\d+)", mocap.endpoint)
+    if wires and mocap.driver == plugged.BUILT_IN and zenoh is not None:
+        wanted.append(("drivers.mocap.endpoint", zenoh[1], int(zenoh[2])))
+    for key, host, port in wanted:
+        try:
+            if port:
+                sockets.try_out(host, port, key)
+                yield ok(key, f"{host}:{port} is free")
+        except sockets.ApiError as error:
+            yield problem(key, str(error))

@@ -8,7 +8,7 @@ from typing import Any
 
 import httpx
 
-from softarm.common.finding import Finding, State, by, ok, problem, warning
+from softarm.common.finding import Finding, State, by, graded, ok, problem, warning
 from softarm.schemas.config import Config
 from softarm.schemas.policy import Observation
 from softarm.schemas.rest import API_HEADER
@@ -129,15 +129,10 @@ def _ages(statuses: Sequence[dict[str, Any]], config: Config) -> Iterator[Findin
         elif not ages_ms:
             yield problem(name, "no reading yet", "switch on all devices of the robot")
         else:
-            figure = f"readings are {max(ages_ms):.0f} ms old at most"
             limit = f"failsafe.{key}_stale_s is {stale_s * 1e3:g} ms"
-            match by(max(ages_ms), 0.6 * stale_s * 1e3, stale_s * 1e3):
-                case State.OK:
-                    yield ok(name, f"{figure} ({limit})")
-                case State.WARNING:
-                    yield warning(name, figure, f"{limit}: check network and load for delays")
-                case _:
-                    yield problem(name, figure, f"{limit}: check network and load for delays")
+            figure = f"readings are {max(ages_ms):.0f} ms old at most ({limit})"
+            state = by(max(ages_ms), 0.6 * stale_s * 1e3, stale_s * 1e3)
+            yield graded(name, state, figure, "check network and load for delays")
 
 
 def _times(statuses: Sequence[dict[str, Any]], config: Config) -> Iterator[Finding]:
@@ -145,14 +140,11 @@ def _times(statuses: Sequence[dict[str, Any]], config: Config) -> Iterator[Findi
     cycles_ms = [cycle for each in statuses if (cycle := each["rail_cycle_max_ms"]) is not None]
     if cycles_ms:
         figure, latency_ms = f"{max(cycles_ms):.1f} ms at most", config.limits.rail.latency_s * 1e3
-        match by(max(cycles_ms), min(EXCHANGES_FINE_MS, latency_ms), latency_ms):
-            case State.OK:
-                yield ok("rail's exchanges", figure)
-            case State.WARNING:
-                yield warning("rail's exchanges", figure, "a tick has 33 ms: connect the drive by a dedicated cable")
-            case _:
-                advice = f"limits.rail.latency_s is {latency_ms:.0f} ms: use a dedicated cable, or raise it"
-                yield problem("rail's exchanges", figure, f"{advice} (docs/operate/limits.md)")
+        advice = "a tick has 33 ms: connect the drive by a dedicated cable"
+        if (state := by(max(cycles_ms), min(EXCHANGES_FINE_MS, latency_ms), latency_ms)) is State.PROBLEM:
+            advice = f"limits.rail.latency_s is {latency_ms:.0f} ms: use a dedicated cable, or raise it"
+            advice = f"{advice} (docs/operate/limits.md)"
+        yield graded("rail's exchanges", state, figure, advice)
     policy_ms, budget_ms = max(each["policy_ns"] for each in statuses) * 1e-6, config.failsafe.policy_budget_s * 1e3
     if policy_ms > budget_ms:
         advice = f"failsafe.policy_budget_s is {budget_ms:g} ms: choose a smaller policy, or reduce the load"

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from softarm.common import realtime
-from softarm.common.finding import Finding, State, by, ok, problem, warning
+from softarm.common.finding import Finding, State, by, graded, ok, problem, warning
 
 MEASURED_S = 1.5
 INTERVAL_NS = 2_000_000
@@ -112,13 +112,9 @@ def _timers(facts: Scheduling) -> Finding:
     figure = (
         f"wake-ups {median:.2f} ms late (median), {p99:.2f} ms (99 %), {most:.2f} ms (worst of {len(facts.late_ms)})"
     )
-    match by(p99, LATE_FINE_MS, LATE_BEARABLE_MS):
-        case State.OK:
-            return ok("timers", figure)
-        case State.WARNING:
-            return warning("timers", figure, "end other programs, or grant real-time priority")
-        case _:
-            return problem("timers", figure, "ticks would be missed: end other programs, or grant real-time priority")
+    state = by(p99, LATE_FINE_MS, LATE_BEARABLE_MS)
+    effect = "ticks would be missed: " if state is State.PROBLEM else ""
+    return graded("timers", state, figure, f"{effect}end other programs, or grant real-time priority")
 
 
 def _mb(count: float) -> str:

@@ -1,6 +1,5 @@
 """Findings of the doctor on serial device, axis and ports, made without blocking them."""
 
-import errno
 import os
 import pty
 import socket
@@ -10,7 +9,7 @@ import pytest
 
 from softarm.common.finding import State
 from softarm.daemon.doctor import ports
-from softarm.daemon.doctor.ports import Axis, Listening, Serial
+from softarm.daemon.doctor.ports import Axis, Serial
 from softarm.schemas.config import Api, Config, Drivers, Mocap
 
 THERE = Serial("/dev/ttyACM0", True, True, True, "dialout", "ann")
@@ -109,15 +108,16 @@ def test_axis_findings():
 def test_a_used_port_and_a_foreign_address_are_reported(drive):
     taken = drive.getsockname()[1]
     config = Config(api=Api(port=taken, stop_port=0), drivers=Drivers(mocap=Mocap(endpoint=f"tcp/203.0.113.7:{taken}")))
-    places = {each.key: each.error for each in ports.look_listening(config)}
-    assert places == {"api.port": errno.EADDRINUSE, "drivers.mocap.endpoint": errno.EADDRNOTAVAIL}
-    findings = [*ports.judge_listening(ports.look_listening(config))]
-    assert [each.state for each in findings] == [State.PROBLEM, State.PROBLEM]
-    assert "choose another api.port" in findings[0].advice
-    assert only(ports.judge_listening((Listening("api.port", "a:1"),))).state is State.OK
-    assert "above 1023" in only(ports.judge_listening((Listening("api.port", "a:1", errno.EACCES),))).advice
+    used, foreign = ports.listening(config, wires=True)
+    assert {used.state, foreign.state} == {State.PROBLEM}
+    assert f"api.port {taken}: cannot listen there, process {os.getpid()} (" in used.figure
+    assert "choose another api.port" in used.figure
+    assert foreign.figure.startswith(f"drivers.mocap.endpoint 203.0.113.7:{taken}: cannot listen there (")
+    assert [each.name for each in ports.listening(config, wires=False)] == ["api.port"]
+    drive.close()
+    assert only(ports.listening(config, wires=False)).state is State.OK
 
 
 def test_an_endpoint_without_tcp_is_not_checked():
     config = Config(api=Api(port=0), drivers=Drivers(mocap=Mocap(endpoint="unixpipe/none")))
-    assert ports.look_listening(config) == ()
+    assert list(ports.listening(config, wires=True)) == []
