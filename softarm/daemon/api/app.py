@@ -42,17 +42,7 @@ def create_app(context: ApiContext) -> FastAPI:
     access = AccessControl(context.config.api)
     sessions = context.sessions or Sessions(context.config.api.port)
     policies = context.policies or Installed(context.config)
-    view = StatusView(
-        context.snapshot,
-        context.problems,
-        context.recorder,
-        policies.available(),
-        context.clock,
-        __version__,
-        context.stop_port,
-        frame=context.frame,
-        left_at=context.left_at,
-    )
+    view = StatusView(context, policies.available())
     requests = Requests(context.inbox, view, context.clock)
     # FastAPI's own page loads its scripts from the internet, which a bench may not have.
     app = FastAPIOffline(

@@ -7,17 +7,13 @@ from datetime import datetime
 
 from softarm.daemon.access.login import Sessions
 from softarm.daemon.api.endpoints.policies import Policies
-from softarm.daemon.api.status import RecorderState
 from softarm.daemon.control.inbox import Inbox
 from softarm.daemon.control.records import Outputs, Problems
 from softarm.daemon.logbook.history import History
 from softarm.daemon.logbook.recent import Recent
+from softarm.daemon.logbook.recorder import Recorder
 from softarm.schemas.config import Config
 from softarm.schemas.messages import MocapFrame
-
-
-def _no_problems() -> Problems:
-    return Problems()
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,13 +35,14 @@ class ApiContext:
         stop_port: returns the dedicated stop port, or None without one.
         left_at: returns the time of a stop that the previous daemon left latched.
         clock: CLOCK_MONOTONIC in ns.
+        wall_ns: Unix time in ns.
     """
 
     config: Config
     inbox: Inbox
     snapshot: Callable[[], Outputs | None]
-    problems: Callable[[], Problems] = _no_problems
-    recorder: RecorderState | None = None
+    problems: Callable[[], Problems] = Problems
+    recorder: Recorder | None = None
     history: History = field(default_factory=lambda: History("", time.monotonic_ns, time.time_ns))
     recent: Recent = field(default_factory=lambda: Recent(time.monotonic_ns, time.time_ns))
     policies: Policies | None = None
@@ -54,4 +51,5 @@ class ApiContext:
     sessions: Sessions | None = None
     stop_port: Callable[[], int | None] = lambda: None
     left_at: Callable[[], datetime | None] = lambda: None
-    clock: Callable[[], int] = field(default=time.monotonic_ns)
+    clock: Callable[[], int] = time.monotonic_ns
+    wall_ns: Callable[[], int] = time.time_ns

@@ -1,15 +1,14 @@
 """The robot's status for the API: the newest snapshot with ages, problems and versions."""
 
 import math
-import time
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from datetime import datetime
-from pathlib import Path
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 from pydantic import TypeAdapter
 
+from softarm import __version__
 from softarm.daemon.control.failsafe import ACKNOWLEDGE
 from softarm.daemon.control.records import EStop, Outputs, Problems
 from softarm.daemon.logbook.history import utc
@@ -18,22 +17,12 @@ from softarm.policies.registry import PolicyEntry
 from softarm.schemas.messages import MocapFrame
 from softarm.schemas.policy import TrainingRange
 
+if TYPE_CHECKING:
+    from softarm.daemon.api.context import ApiContext
+    from softarm.daemon.logbook.recorder import Recorder
+
 STALLED_NS = 200_000_000  # the control loop has stalled if the snapshot is older
 _OUTPUTS = tuple(field.name for field in fields(Outputs))
-
-
-class RecorderState(Protocol):
-    """State of the recorder that the API shows."""
-
-    path: Path | None
-    problem: str | None
-
-    @property
-    def dropped(self) -> int:
-        """Number of ticks that could not be recorded."""
-
-    def done(self, what: str, text: str, who: str) -> None:
-        """Record an action outside the control loop, such as a deleted log. Never blocks."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,39 +86,23 @@ _STATUS, _ANSWER = TypeAdapter(Status), TypeAdapter(RequestAnswer)
 class StatusView:
     """Builds the status and encodes each snapshot once for all clients. Not thread-safe."""
 
-    def __init__(
-        self,
-        snapshot: Callable[[], Outputs | None],
-        problems: Callable[[], Problems],
-        recorder: RecorderState | None,
-        policies: Mapping[str, PolicyEntry],
-        clock: Callable[[], int],
-        version: str,
-        stop_port: Callable[[], int | None] = lambda: None,
-        wall_ns: Callable[[], int] = time.time_ns,
-        frame: Callable[[], MocapFrame | None] = lambda: None,
-        left_at: Callable[[], datetime | None] = lambda: None,
-    ) -> None:
-        """Take the callbacks of `ApiContext` with the same names."""
-        self._snapshot, self._problems, self._recorder = snapshot, problems, recorder
-        self._clock, self._wall_ns = clock, wall_ns
-        self._version = version
-        self._stop_port, self._frame, self._left_at = stop_port, frame, left_at
-        self._started_ns = clock()
+    def __init__(self, context: "ApiContext", policies: Mapping[str, PolicyEntry]) -> None:
+        self._context = context
+        self._started_ns = context.clock()
         self._cached: tuple[Outputs | None, bool, bytes] = (None, False, b"")
         self.policies = policies  # as last listed
 
     def snapshot(self) -> Outputs | None:
         """Return the newest snapshot, or None before the first tick."""
-        return self._snapshot()
+        return self._context.snapshot()
 
     def age_ns(self, outputs: Outputs) -> int:
         """Return the time since the start of the snapshot's tick."""
-        return self._clock() - outputs.t_ns
+        return self._context.clock() - outputs.t_ns
 
     def json(self) -> bytes | None:
         """Return the status as JSON, or None before the first tick."""
-        outputs = self._snapshot()
+        outputs = self._context.snapshot()
         if outputs is None:
             return None
         stalled = self._stalled(outputs)
@@ -141,7 +114,7 @@ class StatusView:
 
     def answer(self, warnings: tuple[str, ...]) -> bytes | None:
         """Return the answer to a request that was carried out as JSON, or None before the first tick."""
-        outputs = self._snapshot()
+        outputs = self._context.snapshot()
         if outputs is None:
             return None
         return _ANSWER.dump_json(RequestAnswer(**self._parts(outputs, self._stalled(outputs)), warnings=warnings))
@@ -152,32 +125,32 @@ class StatusView:
     def _parts(self, outputs: Outputs, stalled: bool) -> dict[str, Any]:
         entry = self.policies.get(outputs.policy)
         spec = entry.spec if entry else None
-        recorder, frame = self._recorder, self._frame()
+        recorder, frame = self._context.recorder, self._context.frame()
         return {name: getattr(outputs, name) for name in _OUTPUTS} | {
             "time": self._wall_of(outputs.t_ns) * 1e-9,
             "stalled": stalled,
             "bodies": _bodies(frame),
             "ages_ms": _ages(outputs, frame),
-            "problems": self._problems(),
+            "problems": self._context.problems(),
             "policy_info": _policy_info(spec) if spec else None,
             "recorder": _recorder_info(recorder),
             "uptime_s": (outputs.t_ns - self._started_ns) * 1e-9,
-            "version": self._version,
+            "version": __version__,
             "last_stop_at": self._last_stop_at(outputs),
-            "stop_port": self._stop_port(),
+            "stop_port": self._context.stop_port(),
         }
 
     def _last_stop_at(self, outputs: Outputs) -> datetime | None:
         if outputs.last_stop is None:
             return None
-        return self._left_at() if outputs.last_stop_ns is None else utc(self._wall_of(outputs.last_stop_ns))
+        return self._context.left_at() if outputs.last_stop_ns is None else utc(self._wall_of(outputs.last_stop_ns))
 
     def _wall_of(self, t_ns: int) -> int:
-        return self._wall_ns() + t_ns - self._clock()
+        return self._context.wall_ns() + t_ns - self._context.clock()
 
     def why_unhealthy(self) -> list[str]:
         """Return every reason why the robot cannot be used now; empty if it can."""
-        outputs = self._snapshot()
+        outputs = self._context.snapshot()
         if outputs is None:
             return ["the control loop has not ticked yet: wait a second, then check the service's log"]
         reasons = []
@@ -186,7 +159,7 @@ class StatusView:
             reasons.append(
                 f"the control loop has not ticked for {age_ns * 1e-9:.1f} s: check the service's log, then restart it"
             )
-        problems = self._problems()
+        problems = self._context.problems()
         for device in ("mocap", "regulator", "rail"):
             if (problem := getattr(problems, device)) is not None:
                 reasons.append(f"{device}: {problem}")
@@ -195,12 +168,12 @@ class StatusView:
         elif outputs.estop is EStop.ENGAGED:
             reasons.append(f"the emergency stop is engaged: remove its cause, {ACKNOWLEDGE}")
         reasons += [f"{event.name}: {event.text}" for event in outputs.events if event.response != "warn"]
-        if self._recorder is not None and self._recorder.problem is not None:
-            reasons.append(f"recorder: {self._recorder.problem}")
+        if self._context.recorder is not None and self._context.recorder.problem is not None:
+            reasons.append(f"recorder: {self._context.recorder.problem}")
         return reasons
 
 
-def _recorder_info(recorder: RecorderState | None) -> RecorderInfo:
+def _recorder_info(recorder: "Recorder | None") -> RecorderInfo:
     if recorder is None:
         return RecorderInfo(None, 0, None)
     return RecorderInfo(str(recorder.path) if recorder.path else None, recorder.dropped, recorder.problem)

@@ -4,7 +4,7 @@ A new measurement is written once, on its own channel; /tick names the ones it u
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Any
 
 from softarm.daemon.control.records import Inputs, Outputs, Problems, Request, TickTiming
@@ -42,21 +42,23 @@ class TickRecord:
     timing: TickTiming
 
 
+# Fields that both records have; `requests` is a number in one of them.
+_SHARED = {each.name for each in fields(TickInputs)} & {each.name for each in fields(Inputs)} - {"requests"}
+
+
 def _tick_inputs(inputs: Inputs) -> TickInputs:
     return TickInputs(
-        inputs.t_ns,
-        inputs.late_ns,
-        inputs.missed,
-        len(inputs.mocap),
-        len(inputs.requests),
-        None if inputs.pressure is None else inputs.pressure.t_receive_ns,
-        None if inputs.rail is None else inputs.rail.t_receive_ns,
-        inputs.problems,
-        inputs.recorder_dropped,
-        inputs.recorder_problem,
-        inputs.latched,
-        inputs.latch_problem,
+        mocap_frames=len(inputs.mocap),
+        requests=len(inputs.requests),
+        pressure_t_receive_ns=None if inputs.pressure is None else inputs.pressure.t_receive_ns,
+        rail_t_receive_ns=None if inputs.rail is None else inputs.rail.t_receive_ns,
+        **_shared(inputs),
     )
+
+
+def _shared(inputs: Inputs | TickInputs) -> dict[str, Any]:
+    """Return the inputs without their own channel by name."""
+    return {name: getattr(inputs, name) for name in _SHARED}
 
 
 REQUEST = LogChannel(log.REQUEST, Request)
@@ -130,18 +132,11 @@ class Joiner:
 
     def _joined(self, tick: TickInputs) -> Inputs:
         inputs = Inputs(
-            t_ns=tick.t_ns,
-            late_ns=tick.late_ns,
-            missed=tick.missed,
             mocap=tuple(self._frames),
             pressure=None if tick.pressure_t_receive_ns is None else self._pressure,
             rail=None if tick.rail_t_receive_ns is None else self._rail,
             requests=tuple(self._requests),
-            problems=tick.problems,
-            recorder_dropped=tick.recorder_dropped,
-            recorder_problem=tick.recorder_problem,
-            latched=tick.latched,
-            latch_problem=tick.latch_problem,
+            **_shared(tick),
         )
         if _tick_inputs(inputs) != tick:
             raise ValueError(f"the messages before the tick at {tick.t_ns} ns are not those that it names")

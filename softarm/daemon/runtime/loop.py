@@ -16,7 +16,9 @@ from softarm.daemon.control.failsafe import Event
 from softarm.daemon.control.inbox import Inbox
 from softarm.daemon.control.records import EStop, Inputs, Mode, Outputs, Problems, TickTiming
 from softarm.daemon.runtime.devices import Devices
+from softarm.daemon.runtime.service import Watchdog
 from softarm.daemon.runtime.wakeup import PunctualSelector
+from softarm.daemon.stop.latch import LatchKeeper
 from softarm.daemon.tick import Controller
 from softarm.policies.base import PolicySpec
 from softarm.policies.runner import PolicyRunner
@@ -48,26 +50,6 @@ class TickRecorder(Protocol):
         """Record that another policy is used from now on."""
 
 
-class Latch(Protocol):
-    """Latch of the emergency stop that outlives the daemon; never blocks."""
-
-    left: str | None  # emergency stop left by the previous daemon
-
-    @property
-    def problem(self) -> str | None:
-        """Return why the latch is not on disk, or None."""
-
-    def note(self, reason: str | None) -> None:
-        """Set the reason for the current stop, or None."""
-
-
-class GoodTicks(Protocol):
-    """Watchdog that counts ticks on time and without an internal error."""
-
-    def good_tick(self, now_ns: int) -> None:
-        """Report a tick that was on time and without an error."""
-
-
 class ControlLoop:
     """Thread that runs the controller on absolute deadlines; a late tick skips whole periods."""
 
@@ -77,12 +59,11 @@ class ControlLoop:
         devices: Devices,
         inbox: Inbox,
         recorder: TickRecorder | None,
-        watchdog: GoodTicks | None = None,
-        latch: Latch | None = None,
+        watchdog: Watchdog | None = None,
+        latch: LatchKeeper | None = None,
         *,
         rate_hz: int = CONTROL_RATE_HZ,
         realtime_priority: int = 0,
-        clock: Callable[[], int] = time.monotonic_ns,
     ) -> None:
         self._controller = controller
         self._devices = devices
@@ -92,7 +73,6 @@ class ControlLoop:
         self._latch = latch
         self._period_ns = round(1e9 / rate_hz)
         self._priority = realtime_priority
-        self._clock = clock
         self._thread = threading.Thread(target=self._main, name="control", daemon=True)
         self._stop = threading.Event()
         self._collections = 0
@@ -128,7 +108,7 @@ class ControlLoop:
         gc.freeze()
         gc.disable()  # collected explicitly in the idle part of a tick
         try:
-            deadline = self._clock() + self._period_ns
+            deadline = time.monotonic_ns() + self._period_ns
             while not self._stop.is_set():
                 await self._sleep_until(deadline)
                 deadline = self._tick(deadline)
@@ -137,20 +117,20 @@ class ControlLoop:
             await self._stop_devices()
 
     async def _sleep_until(self, deadline_ns: int) -> None:
-        while (left := deadline_ns - self._clock()) > 0:
+        while (left := deadline_ns - time.monotonic_ns()) > 0:
             await asyncio.sleep(max(0, left - AWAKE_NS) * 1e-9)
 
     def _tick(self, deadline_ns: int) -> int:
         """Read, decide and write; return the next deadline."""
-        now = self._clock()
+        now = time.monotonic_ns()
         late = now - deadline_ns
         missed = late // self._period_ns
         inputs, runners = self._read(now, late, missed)
-        read = self._clock()
+        read = time.monotonic_ns()
         outputs = self._decide(inputs, runners)
-        decided = self._clock()
+        decided = time.monotonic_ns()
         self._write(outputs)
-        written = self._clock()
+        written = time.monotonic_ns()
         newest = next((each.t_capture_ns for each in reversed(inputs.mocap) if each.t_capture_ns <= written), None)
         timing = TickTiming(read - now, decided - read, written - decided, written - newest if newest else None)
         self.snapshot, self.timing, self.problems = outputs, timing, inputs.problems
@@ -168,7 +148,7 @@ class ControlLoop:
         if self.on_tick is not None:
             self.on_tick(outputs, timing)
         following = deadline_ns + (missed + 1) * self._period_ns
-        if following - self._clock() > COLLECT_SLACK_NS:
+        if following - time.monotonic_ns() > COLLECT_SLACK_NS:
             self._collections += 1
             gc.collect(2 if self._collections % COLLECT_ALL_EVERY == 0 else 1)
         return following

@@ -40,15 +40,11 @@ class Notifier:
 
     def ready(self, status: str) -> None:
         """Report that the start is complete."""
-        self.send("READY=1", _status(status))
+        self.send("READY=1", f"STATUS={' '.join(status.split())}")
 
-    def status(self, status: str) -> None:
-        """Set the status line of `systemctl status`."""
-        self.send(_status(status))
-
-    def stopping(self, status: str = "stopping") -> None:
+    def stopping(self) -> None:
         """Report that the shutdown has begun."""
-        self.send("STOPPING=1", _status(status))
+        self.send("STOPPING=1", "STATUS=stopping")
 
 
 class Watchdog:
@@ -77,7 +73,3 @@ def _period_ns(environment: Mapping[str, str]) -> int | None:
     except ValueError:
         return None
     return microseconds * 1000 if microseconds > 0 else None
-
-
-def _status(text: str) -> str:
-    return f"STATUS={' '.join(text.split())}"

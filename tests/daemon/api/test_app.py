@@ -46,7 +46,7 @@ def test_the_status_is_the_snapshot_and_its_context(client, loop):
 def test_a_snapshot_is_encoded_once_for_all_clients(silent):
     _, loop = silent
     loop.outputs = replace(loop.outputs, t_ns=time.monotonic_ns() + 60_000_000_000)
-    view = StatusView(lambda: loop.outputs, Problems, None, {}, time.monotonic_ns, "1")
+    view = StatusView(ApiContext(Config(), loop.inbox, lambda: loop.outputs), {})
     assert view.json() is view.json()
     before = view.json()
     loop.outputs = replace(loop.outputs, tick=99)

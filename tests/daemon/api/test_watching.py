@@ -10,8 +10,10 @@ import httpx
 import pytest
 
 from softarm import __version__
+from softarm.daemon.api.context import ApiContext
 from softarm.daemon.api.status import StatusView
-from softarm.daemon.control.records import Outputs, Problems
+from softarm.daemon.control.inbox import Inbox
+from softarm.daemon.control.records import Outputs
 from softarm.daemon.logbook.recent import NAMES, Recent
 from softarm.daemon.runtime.devices import simulated_devices
 from softarm.policies import registry
@@ -49,12 +51,13 @@ def test_the_robots_constants_are_served_before_the_first_tick(silent):
 
 def test_the_last_minutes_are_served_as_columns(loop, app, client_of):
     recent = Recent(time.monotonic_ns, time.time_ns)
-    recent.take(loop.outputs)
+    outputs = loop.outputs
+    recent.take(outputs)
     client = client_of(app(loop, recent=recent))
     answer = client.get("/api/recent?seconds=5")
     assert answer.headers["content-type"] == "application/json"
     said = answer.json()
-    assert said["tick"] == [0]
+    assert said["tick"] == [outputs.tick]
     assert said["time"] == [pytest.approx(time.time(), abs=5)]
 
 
@@ -80,10 +83,9 @@ def test_many_simultaneous_reloads_are_answered(loop, app):
 
 
 def view_of(outputs: Outputs, frame: MocapFrame | None, wall_ns: int = 0, now_ns: int = 0) -> dict:
-    view = StatusView(
-        lambda: outputs, Problems, None, {}, lambda: now_ns, "1", wall_ns=lambda: wall_ns, frame=lambda: frame
-    )
-    return json.loads(view.json())
+    clocks = {"clock": lambda: now_ns, "wall_ns": lambda: wall_ns}
+    context = ApiContext(Config(), Inbox(), lambda: outputs, frame=lambda: frame, **clocks)
+    return json.loads(StatusView(context, {}).json())
 
 
 def test_the_status_has_the_time_of_its_tick(silent):

@@ -19,9 +19,9 @@ from starlette.types import Receive, Scope, Send
 
 from softarm.daemon.api.bounds import WHO
 from softarm.daemon.api.refusals import Refused, answers, content, json_response
-from softarm.daemon.api.status import RecorderState
 from softarm.daemon.api.workers import Workers
 from softarm.daemon.logbook import incidents
+from softarm.daemon.logbook.recorder import Recorder
 from softarm.daemon.runtime import replay_process
 from softarm.recordings import finishing
 from softarm.recordings.listing import listing
@@ -45,7 +45,7 @@ SANDBOX = (
 class Files:
     """Endpoints that list, send, replay and delete files."""
 
-    def __init__(self, config: Config, recorder: RecorderState | None) -> None:
+    def __init__(self, config: Config, recorder: Recorder | None) -> None:
         self._logs = config.recorder.directory.absolute()
         self._reports = config.api.reports.absolute()
         self._recorder = recorder
