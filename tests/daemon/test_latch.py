@@ -3,24 +3,21 @@
 The law: it is freed by an acknowledgement in a tick in which no cause of a stop holds, and by nothing else.
 """
 
-import dataclasses
 import itertools
 from collections.abc import Sequence
+from dataclasses import replace
 
-import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from softarm.daemon.control.failsafe import ACKNOWLEDGE, TABLE, Response
-from softarm.daemon.control.records import EStop, Inputs, Mode, Outputs, Request
-from softarm.daemon.tick import Controller
-from softarm.policies.base import PolicySpec
-from softarm.policies.runner import InlineRunner
+from softarm.daemon.control.records import EStop, Mode, Outputs
 from softarm.schemas.config import Config, Failsafe
-from softarm.schemas.messages import SAFE, MocapFrame, Pose, PressureReading, RailReading
+from softarm.schemas.messages import SAFE
+from tests.daemon.rig import Rig as RobotAtRest
+from tests.daemon.rig import Steady
 
-PERIOD_NS = 33_333_333
 KINDS = ("stop", "acknowledge", "arm", "disarm")
 ORDERS = [order for size in range(len(KINDS) + 1) for order in itertools.permutations(KINDS, size)]
 # What may be wrong in a tick, with nothing wrong among it: a name, and the reading that shows it.
@@ -31,7 +28,7 @@ CAUSES = {
     "regulator_fault": {"pressure": {"faults": ("supply low",)}},
     "regulator_vented": {"pressure": {"armed": False}},
     "rail_disabled": {"rail": {"enabled": False}},
-    "mocap_clock": {"mocap": None},
+    "mocap_clock": {"ahead_ns": 50_000_000},
 }
 STARTS = {
     Mode.DISARMED: (),
@@ -42,64 +39,28 @@ STARTS = {
 }
 
 
-class Still:
-    """Policy without any command."""
-
-    spec = PolicySpec("still", "for tests")
-
-    def reset(self) -> None:
-        """Do nothing: the policy has no state."""
-
-    def step(self, observation: object, goal: object) -> np.ndarray:
-        return np.zeros(2, dtype=np.float32)
-
-
-class Rig:
-    """Controller with devices that accept every command at once."""
+class Rig(RobotAtRest):
+    """Controller with devices that accept every command at once, and a cart that still rolls in a soft stop."""
 
     def __init__(self, mode: Mode = Mode.DISARMED, **first: str) -> None:
-        self.controller = Controller(Config(failsafe=Failsafe(arming_frames=1)), InlineRunner(Still()))
-        self.now = self.number = self.ticks = 0
-        self.on = False
-        self.before: Outputs | None = None
-        self.outputs = self.tick(**first)
+        super().__init__(Steady((0.0, 0.0)), Config(failsafe=Failsafe(arming_frames=1)), frames=1)
+        self.tick(**first)
         for request in STARTS[mode]:
             self.tick(*filter(None, [request]))
         assert first or self.outputs.mode is mode
 
     def tick(self, *kinds: str, cause: str = "nothing", **first: str) -> Outputs:
         wrong = CAUSES[cause]
-        self.now += PERIOD_NS
-        self.ticks += 1
-        ahead = 50_000_000 if "mocap" in wrong else 0
-        moving = 0.5 if self.on else 0.0  # a cart that still rolls: a soft stop lasts
-        self.before = getattr(self, "outputs", None)
-        requests = []
-        for kind in kinds:
-            self.number += 1
-            requests.append(
-                Request(
-                    self.number,
-                    kind,
-                )
-            )
-        self.outputs = self.controller.tick(
-            Inputs(
-                t_ns=self.now,
-                mocap=(MocapFrame(self.ticks, self.now - 8_000_000 + ahead, self.now, self.bodies()),),
-                pressure=dataclasses.replace(PressureReading(self.now, 0.0, self.on), **wrong.get("pressure", {})),
-                rail=dataclasses.replace(RailReading(self.now, 0.0, moving, self.on), **wrong.get("rail", {})),
-                requests=tuple(requests),
-                **first,
-            )
-        )
+        fresh = self.inputs(*kinds, **first)
+        readings = {
+            "mocap": tuple(replace(f, t_capture_ns=f.t_capture_ns + wrong.get("ahead_ns", 0)) for f in fresh.mocap),
+            "pressure": replace(fresh.pressure, **wrong.get("pressure", {})),
+            "rail": replace(fresh.rail, velocity_m_s=0.5 if self.on else 0.0, **wrong.get("rail", {})),
+        }
+        self.before = self.outputs
+        self.outputs = self.controller.tick(replace(fresh, **readings))
         self.on = self.outputs.sent.enable
         return self.outputs
-
-    def bodies(self) -> tuple[Pose, ...]:
-        """Return frames of a hanging arm with camera noise."""
-        tip = Pose(1e-5 * (self.ticks % 2), 0.52, 0.0)
-        return (Pose(0.0, 0.965, 0.0), *[Pose(0.0, 0.7, 0.0)] * 4, tip)
 
     def obeys(self, kinds: Sequence[str]) -> None:
         """Assert the latch's rules over the last tick."""

@@ -26,7 +26,7 @@ class Target(NamedTuple):
 
 
 _CONTROL = "tests/daemon/control"
-_TICK = "tests/daemon/test_tick.py"
+_TICK = ("tests/daemon/test_tick.py", "tests/daemon/test_tick_stops.py")
 _LATCH = "tests/daemon/test_latch.py"
 _PAGE = "tests/drivers/test_wires_page.py"  # docs/reference/wires.md specifies every codec
 TARGETS = {
@@ -34,16 +34,16 @@ TARGETS = {
     for target in (
         Target("common/braking.py", ("tests/common/test_braking.py", f"{_CONTROL}/test_safety.py")),
         Target("daemon/control/safety.py", (f"{_CONTROL}/test_safety.py",)),
-        Target("daemon/control/failsafe.py", (f"{_CONTROL}/test_failsafe.py", _LATCH, _TICK)),
-        Target("daemon/control/modes.py", (f"{_CONTROL}/test_failsafe.py", _LATCH, _TICK)),
-        Target("daemon/control/checks.py", (f"{_CONTROL}/test_checks.py", _TICK)),
+        Target("daemon/control/failsafe.py", (f"{_CONTROL}/test_failsafe.py", _LATCH, *_TICK)),
+        Target("daemon/control/modes.py", (f"{_CONTROL}/test_failsafe.py", _LATCH, *_TICK)),
+        Target("daemon/control/checks.py", (f"{_CONTROL}/test_checks.py", *_TICK)),
         Target("daemon/control/plausibility.py", (f"{_CONTROL}/test_plausibility.py",)),
         Target("daemon/control/observer.py", (f"{_CONTROL}/test_observer.py",)),
         Target("daemon/control/alignment.py", (f"{_CONTROL}/test_alignment.py",)),
         Target("daemon/control/dead_reckoning.py", (f"{_CONTROL}/test_dead_reckoning.py",)),
         Target("daemon/control/following.py", (f"{_CONTROL}/test_following.py",)),
         Target("daemon/control/goals.py", (f"{_CONTROL}/test_goals.py",)),
-        Target("daemon/tick.py", (_TICK, _LATCH)),
+        Target("daemon/tick.py", (*_TICK, _LATCH)),
         Target("policies/runner.py", ("tests/policies/test_runner.py",)),
         Target("drivers/rail/cia402.py", ("tests/drivers/rail/test_cia402.py", _PAGE)),
         Target("drivers/regulator/teensy.py", ("tests/drivers/regulator/test_teensy.py", _PAGE)),

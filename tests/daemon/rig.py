@@ -1,0 +1,102 @@
+"""Controller with readings of a robot at rest, for tests of the control tick."""
+
+import dataclasses
+
+import numpy as np
+
+from softarm.daemon.control.records import Inputs, Mode, Request
+from softarm.daemon.tick import Controller
+from softarm.policies.base import PolicySpec
+from softarm.policies.runner import InlineRunner
+from softarm.schemas.config import Config
+from softarm.schemas.goals import Goal
+from softarm.schemas.messages import MocapFrame, Pose, PressureReading, RailReading
+
+PERIOD_NS = 33_333_333
+
+
+class Steady:
+    """Policy with a constant action that records its observations."""
+
+    spec = PolicySpec("steady", "for tests")
+
+    def __init__(self, action=(0.2, 5.0)):
+        self.action = np.array(action, dtype=np.float32)
+        self.seen, self.resets = [], 0
+
+    def reset(self):
+        self.resets += 1
+
+    def step(self, observation, goal):
+        self.seen.append((observation.copy(), goal.copy()))
+        return self.action
+
+
+class Rig:
+    """Controller with readings of a robot at rest, any of which a test can change."""
+
+    def __init__(self, policy=None, config=None, frames=4):
+        self.policy = policy or Steady()
+        self.controller = Controller(config or Config(), InlineRunner(self.policy))
+        self.frames = frames  # of a tick
+        self.now = 0
+        self.number = 0
+        self.sequence = 0
+        self.tip = (0.0, 0.52)
+        self.cart = 0.0
+        self.on = False
+        self.outputs = None
+
+    def inputs(self, *kinds, goal=None, **changes):
+        self.now += PERIOD_NS
+        frames = []
+        for ago in reversed(range(self.frames)):
+            self.sequence += 1
+            tip = Pose(self.tip[0] + 1e-5 * (self.sequence % 2), self.tip[1], 0.0)  # cameras have noise
+            bodies = (Pose(self.cart, 0.965, 0.0), *[Pose(self.cart, 0.7, 0.0)] * 4, tip)
+            stamp = self.now - (ago + 1) * 8_000_000
+            frames.append(MocapFrame(self.sequence, stamp, self.now, bodies))
+        requests = []
+        for kind in kinds:
+            self.number += 1
+            requests.append(Request(self.number, kind, goal))
+        return dataclasses.replace(
+            Inputs(
+                t_ns=self.now,
+                mocap=tuple(frames),
+                pressure=PressureReading(self.now, 0.0, self.on),
+                rail=RailReading(self.now, self.cart, 0.0, self.on),
+                requests=tuple(requests),
+            ),
+            **changes,
+        )
+
+    def tick(self, *kinds, goal=None, runners=None, **changes):
+        self.outputs = self.controller.tick(self.inputs(*kinds, goal=goal, **changes), runners)
+        self.on = self.outputs.sent.enable
+        return self.outputs
+
+    def armed(self):
+        for _ in range(30):
+            self.tick()
+        self.tick("arm")
+        self.tick()
+        assert self.outputs.mode is Mode.ARMED
+        return self
+
+    def swinging(self):
+        self.armed().tick("goal", goal=Goal("reach", -0.2, 0.6))
+        assert self.outputs.action is not None
+        return self
+
+    def reasons(self):
+        return " ".join(self.outputs.results[-1].reasons)
+
+
+def spoil(rig, **fields):
+    """Return the next inputs with changed fields of a reading."""
+    rig.now -= PERIOD_NS
+    fresh = rig.inputs()
+    rig.now -= PERIOD_NS
+    reading = fields.pop("of")
+    return {reading: dataclasses.replace(getattr(fresh, reading), **fields)}
