@@ -124,18 +124,16 @@ class Daemon:
             self.stop_port = self.stop_listener.start()
             self.port = self.api.start()
         except Exception:
-            self.stop_listener.stop()
-            self.recorder.stop()
-            if self.foxglove is not None:
-                self.foxglove.stop()
-            if self.latch is not None:
-                self.latch.stop()
+            self._stop_parts()
             raise
         self.loop.start()
 
     def stop(self) -> None:
         """Stop every part, even if another fails; the loop first, since it leaves the devices safe."""
-        for part in (self.loop, self.latch, self.stop_listener, self.api, self.recorder, self.foxglove):
+        self._stop_parts(self.loop)
+
+    def _stop_parts(self, *first: ControlLoop) -> None:
+        for part in (*first, self.latch, self.stop_listener, self.api, self.recorder, self.foxglove):
             try:
                 if part is not None:
                     part.stop()

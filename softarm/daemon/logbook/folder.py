@@ -19,7 +19,21 @@ from softarm.schemas.config import Recorder
 log = logging.getLogger(__name__)
 
 FREE_MIN_BYTES = 100_000_000  # about ten minutes of flight
+PAUSE_RECORDS, PAUSE_S = 20, 0.002
 OWN_NAME = re.compile(r"softarm-\d{8}T\d{6}Z(-\d+)?\.mcap")  # only logs named by the recorder are deleted
+
+
+class Pause:
+    """Releases the interpreter every few records of long work for the control loop."""
+
+    def __init__(self) -> None:
+        self._records = 0
+
+    def __call__(self) -> None:
+        """Count a record."""
+        self._records += 1
+        if self._records % PAUSE_RECORDS == 0:
+            time.sleep(PAUSE_S)
 
 
 def new_log(directory: Path, wall_ns: int) -> tuple[Path, BinaryIO]:

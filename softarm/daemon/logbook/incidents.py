@@ -8,7 +8,6 @@ import json
 import logging
 import re
 import threading
-import time
 import zipfile
 from collections import deque
 from collections.abc import Callable, Iterable, Sequence
@@ -38,7 +37,6 @@ BEFORE_NS, AFTER_NS = 20_000_000_000, 5_000_000_000  # a second stop within AFTE
 END_S = 5.0  # time limit at the daemon's end
 EVENTS = 200  # the newest
 TEXT_MAX = 1000  # characters of the reason in the listing
-PAUSE_RECORDS, PAUSE_S = 20, 0.002
 
 READ_ME = """\
 {text}
@@ -146,7 +144,7 @@ def write(directory: Path, config: Config, incident: Incident) -> Path:
         ticks = Path(scratch) / "log.mcap"
         with ticks.open("wb") as file:
             _fill(TickFile(file), config, incident)
-        finishing.finish(ticks, _Pause())
+        finishing.finish(ticks, folder.Pause())
         with files.replacing(path) as draft, zipfile.ZipFile(draft, "w", zipfile.ZIP_DEFLATED) as archive:
             archive.comment = json.dumps({"time": stop.time.isoformat(), "text": stop.text[:TEXT_MAX]}).encode()
             about = READ_ME.format(text=stop.text, time=stop.time, version=software["softarm"], machine=machine["name"])
@@ -160,7 +158,7 @@ def write(directory: Path, config: Config, incident: Incident) -> Path:
 
 def _fill(live: TickFile, config: Config, incident: Incident) -> None:
     """Write the ticks as a log, each after its events."""
-    pause, policy = _Pause(), incident.ticks[0].policy if incident.ticks else None
+    pause, policy = folder.Pause(), incident.ticks[0].policy if incident.ticks else None
     live.head(config, policy, incident.monotonic_ns, incident.wall_ns)
     for reading in incident.readings:
         live.add(LogMessage(*reading))
@@ -175,18 +173,6 @@ def _fill(live: TickFile, config: Config, incident: Incident) -> None:
             live.add(LogMessage(*message))
         pause()
     live.flush()
-
-
-class _Pause:
-    """Releases the interpreter every few records for the control loop."""
-
-    def __init__(self) -> None:
-        self._records = 0
-
-    def __call__(self) -> None:
-        self._records += 1
-        if self._records % PAUSE_RECORDS == 0:
-            time.sleep(PAUSE_S)
 
 
 def without_secrets(config: Config) -> Config:

@@ -31,7 +31,6 @@ log = logging.getLogger(__name__)
 FINISH_S = 5.0  # a log that takes longer to finish at stop is finished at the next start
 RETRY_S = 2.0  # between attempts after a disk failure
 OVERFULL = 1.1  # of file_max_mb: a larger file is ended even during a goal
-PAUSE_RECORDS, PAUSE_S = 20, 0.002  # pauses of the clean-up for the control loop
 
 Clock = Callable[[], int]
 
@@ -316,18 +315,15 @@ class Recorder:
 
     def _tidy(self, own: Path) -> None:
         """Finish interrupted logs and delete the oldest, with pauses for the control loop."""
-        records = 0
+        pause = folder.Pause()
 
-        def pause() -> None:
-            nonlocal records
-            records += 1
+        def between_records() -> None:
             if self._stopping.is_set():
                 raise _Enough
-            if records % PAUSE_RECORDS == 0:
-                time.sleep(PAUSE_S)
+            pause()
 
         try:
-            folder.finish_left(own.parent, own, pause)
+            folder.finish_left(own.parent, own, between_records)
             folder.delete_oldest(own.parent, own, self._settings)
         except _Enough:
             return
