@@ -167,6 +167,19 @@ def shelf():
 
 
 @pytest.fixture
+def tokens(tmp_path):
+    """Return tokens(token_file=TEXT, ...), which writes these files and returns them by their configuration keys."""
+
+    def write(**texts: str):
+        for key, text in texts.items():
+            (tmp_path / key).touch(0o600)
+            (tmp_path / key).write_text(text)
+        return {key: tmp_path / key for key in texts}
+
+    return write
+
+
+@pytest.fixture
 def app():
     """Return app(loop, config, **context), the application on this loop."""
     return lambda *args, **kwargs: create_app(context(*args, **kwargs))

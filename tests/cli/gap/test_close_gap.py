@@ -75,13 +75,11 @@ def test_existing_results_are_not_overwritten(asked, campaign, tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "message", "code"),
     [
-        (("--policy", "raech"), "one of reach, reach-robust, reach-wide", 1),
         (("--fault", "regulator.dead_time=0.06"), "allowed here: inflate_s, deflate_s", 1),
         (("--fault", "valve.stuck=1"), "a group of regulator, rail, arm", 1),
         (("--fault", "arm.payload_kg=heavy"), "'heavy' is not a number", 1),
         (("--fault", "arm.payload_kg=7"), "allowed 0 to 0.5", 1),
         (("--robot", "no-delay", "--fault", "arm.payload_kg=0.1"), "--fault is for the independent robot", 2),
-        (("--robot", "no-dely"), "did you mean no-delay?", 1),
         (("--twin",), "--twin and --yes go with --config: name a configuration", 2),
         (("--yes",), "--twin and --yes go with --config", 2),
     ],

@@ -80,7 +80,6 @@ def test_a_log_cannot_be_fitted_and_held_out(recorded, tmp_path):
         (("excite", "seed", "--simulated", "--fault", "arm.payload_kg=0.03"), "add --reality", 2),
         (("excite", "seed", "--reality", "--fault", "arm.paylod_kg=0.03"), "write group.quantity=value", 1),
         (("excite", "free-decay", "sed", "--simulated"), "no excitation 'sed'; did you mean seed?", 1),
-        (("excite", "sed", "--simulated"), "no excitation 'sed'; did you mean seed?", 1),
         (("identify", "nowhere", "--out", "m.yaml"), "nowhere: does not exist; name an MCAP log, a trial folder", 1),
     ],
 )

@@ -105,10 +105,8 @@ def test_a_trained_file_is_evaluated_alone():
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (("--all", "--test", "fly"), "no test 'fly'"),
         (("--all", "--test", "held_back@no-delay"), "takes no model"),
         (("--all", "--test", "grid@no-dely"), "did you mean no-delay"),
-        (("--all", "--only", "nothing"), "no policy nothing"),
         (("--policy", "missing.onnx", "--policy", "reach"), "missing.onnx"),
         (("--all", "--config", "missing.yaml"), "missing.yaml"),
     ],

@@ -66,23 +66,15 @@ def test_a_simulated_run_arms_swings_and_ends_cleanly(tmp_path):
     [
         ([], 2, "no robot chosen: use --config FILE for real devices"),
         (["--simulated", "--config", "{}/none.yaml"], 1, "none.yaml"),
-        (["--simulated", "--config", "{}/policy.yaml"], 1, "no policy 'raech'; did you mean 'reach'?"),
-        (["--simulated", "--config", "{}/open.yaml"], 1, "token"),
-        (["--simulated", "--config", "{}/typo.yaml"], 1, "position_max_m"),
-        (["--simulated", "--config", "{}/fine.yaml", "--model", "nodelay"], 1, "did you mean no-delay?"),
         (["--simulated", "--config", "{}/fine.yaml", "--model", "{}/short.yaml"], 1, "has 1 links"),
     ],
 )
 def test_a_daemon_that_cannot_start_reports_the_reason(tmp_path, arguments, code, message):
-    logs_line = f"recorder: {{directory: {tmp_path}}}\n"
-    write(tmp_path / "policy.yaml", logs_line + "control: {policy: raech}\n")
-    write(tmp_path / "open.yaml", logs_line + "api: {host: 0.0.0.0}\n")
-    write(tmp_path / "fine.yaml", logs_line)
+    write(tmp_path / "fine.yaml", f"recorder: {{directory: {tmp_path}}}\n")
     one_link = ("length_m: [0.4]", "mass_kg: [0.1]", "inertia_kg_m2: [0.001]")
     others = ("stiffness_nm_rad", "damping_nm_s_rad", "muscle_gain_nm_kpa", "torque_offset_nm")
     arm = ", ".join([*(f"link_{line}" for line in one_link), *(f"{name}: [0.01]" for name in others)])
     write(tmp_path / "short.yaml", f"arm: {{{arm}}}\neffects: {{}}\n")
-    write(tmp_path / "typo.yaml", "limits: {rail: {positoin_max_m: 0.2}}\n")
     result = invoke("run", *[argument.format(tmp_path) for argument in arguments])
     assert (result.exit_code, message in result.output) == (code, True), result.output
 
@@ -105,29 +97,18 @@ def test_the_next_commands_name_a_port_that_is_not_the_default(tmp_path, monkeyp
 
 @pytest.mark.parametrize(
     ("port", "text"),
-    [
-        ("80800", "80800 is not in the range 0<=x<=65535"),
-        ("9001", "--port 9001: stop_port is 9001 like port: choose another"),
-        ("{taken}", "api.port {taken}: cannot listen there"),
-    ],
+    [("80800", "80800 is not in the range 0<=x<=65535"), ("9001", "--port 9001: stop_port is 9001 like port: choose")],
 )
-def test_a_port_that_cannot_be_used_is_refused(tmp_path, port, text):
-    with socket.socket() as other:
-        other.bind(("127.0.0.1", 0))
-        other.listen(1)
-        taken = other.getsockname()[1]
-        config = write(tmp_path / "c.yaml", f"api: {{stop_port: 9001}}\nrecorder: {{directory: {tmp_path}}}\n")
-        arguments = ["run", "--simulated", "--config", str(config), "--port", port.format(taken=taken)]
-        result = invoke(*arguments)
+def test_a_port_that_is_not_allowed_is_refused(tmp_path, port, text):
+    config = write(tmp_path / "c.yaml", f"api: {{stop_port: 9001}}\nrecorder: {{directory: {tmp_path}}}\n")
+    result = invoke("run", "--simulated", "--config", config, "--port", port)
     assert result.exit_code != 0
-    assert text.format(taken=taken) in result.output
+    assert text in result.output
 
 
 @pytest.mark.parametrize("verb", [["run", "--config"], ["check"], ["excite", "seed", "--config"]])
 def test_a_port_in_use_leaves_no_log(tmp_path, verb):
-    with socket.socket() as other:
-        other.bind(("127.0.0.1", 0))
-        other.listen(1)
+    with socket.create_server(("127.0.0.1", 0)) as other:
         port = other.getsockname()[1]
         config = write(tmp_path / "c.yaml", f"api: {{port: {port}}}\nrecorder: {{directory: {tmp_path}/logs}}\n")
         result = invoke(*verb, config)

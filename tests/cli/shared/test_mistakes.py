@@ -20,6 +20,7 @@ ROOT = Path(__file__).parents[3]
         ("evaluate --all --only raech", "did you mean reach?"),
         ("evaluate --polcy reach", "--policy"),
         ("excite sed --simulated", "did you mean seed?"),
+        ("close-gap campaign --out closed --robot no-dely", "did you mean no-delay?"),
         ("train raech", "did you mean reach?"),
         ("blind run cases --answers a.json --method bics", "did you mean bic?"),
         ("close-gap campaign --out closed --policy reech", "did you mean reach?"),

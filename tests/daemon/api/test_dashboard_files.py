@@ -16,11 +16,9 @@ SCRIPT = next(path for path in LINKED if path.endswith("js"))
 
 
 @pytest.fixture
-def strict(loop, app, client_of, tmp_path):
+def strict(loop, app, client_of, tokens):
     """Return a client of an API that requires a token."""
-    (tmp_path / "token").write_text("c" * 32)
-    (tmp_path / "token").chmod(0o600)
-    return client_of(app(loop, Config(api={"host": "0.0.0.0", "token_file": tmp_path / "token"})), "http://arm.example")
+    return client_of(app(loop, Config(api={"host": "0.0.0.0"} | tokens(token_file="c" * 32))), "http://arm.example")
 
 
 def test_the_page_requires_no_token_but_the_status_does(strict):

@@ -17,11 +17,8 @@ PAGE = {"Origin": f"http://{HOST}"}
 
 
 @pytest.fixture
-def files(tmp_path):
-    for key, token in TOKENS.items():
-        (tmp_path / key).write_text(token)
-        (tmp_path / key).chmod(0o600)
-    return {key: tmp_path / key for key in TOKENS}
+def files(tokens):
+    return tokens(**TOKENS)
 
 
 @pytest.fixture

@@ -78,19 +78,17 @@ def caddy(folder: Path, api_port: int, port: int) -> list[str | Path]:
 
 
 @pytest.fixture(params=[nginx, caddy], ids=lambda proxy: proxy.__name__)
-def proxied(request, loop, app, serving, tmp_path, monkeypatch):
+def proxied(request, loop, app, serving, tokens, tmp_path, monkeypatch):
     """Yield the proxy's port and a TLS context that trusts its certificate."""
     if shutil.which(request.param.__name__) is None:
         pytest.skip(f"{request.param.__name__} is missing")
     for folder in ("XDG_DATA_HOME", "XDG_CONFIG_HOME"):  # caddy's own
         monkeypatch.setenv(folder, str(tmp_path))
-    (tmp_path / "token").write_text(TOKEN)
-    (tmp_path / "token").chmod(0o600)
     made = f"req -x509 -newkey rsa:2048 -nodes -days 2 -subj /CN={NAME} -addext subjectAltName=DNS:{NAME}".split()
     written = ["-keyout", tmp_path / "key.pem", "-out", tmp_path / "cert.pem"]
     subprocess.run(["openssl", *made, *written], check=True, capture_output=True)
     port = free_port()
-    config = Config(api={"port": 0, "token_file": tmp_path / "token", "public_origin": f"https://{NAME}:{port}"})
+    config = Config(api={"port": 0, "public_origin": f"https://{NAME}:{port}"} | tokens(token_file=TOKEN))
     with serving(app(loop, config), config.api) as api_port:
         proxy = subprocess.Popen(request.param(tmp_path, api_port, port))
         try:

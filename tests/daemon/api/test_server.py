@@ -36,8 +36,6 @@ def test_a_port_that_is_taken_is_refused_with_the_next_step(loop, app, serving):
         ApiServer(Api(port=port), made).start()
     assert f"api.host 127.0.0.1, api.port {port}: cannot listen there" in str(refusal.value)
     assert "choose another api.port" in str(refusal.value)
-    with pytest.raises(ApiError, match=r"api\.host 192\.0\.2\.1"):
-        ApiServer(Api(host="192.0.2.1", port=0), made).start()
 
 
 def test_the_server_takes_no_signals(loop, app, serving):

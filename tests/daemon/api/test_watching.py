@@ -1,12 +1,10 @@
 """Data of the dashboard: constants, the last minutes, poses of the bodies and their times."""
 
-import asyncio
 import json
 import math
 import time
 from dataclasses import replace
 
-import httpx
 import pytest
 
 from softarm import __version__
@@ -68,20 +66,6 @@ def test_a_span_longer_than_kept_is_refused(client, seconds):
     assert "allowed a whole number from 1 to 600" in answer.json()["detail"]
 
 
-def test_many_simultaneous_reloads_are_answered(loop, app):
-    recent = Recent(time.monotonic_ns, time.time_ns)
-    for tick in range(3000):
-        recent.take(replace(loop.outputs, tick=tick, t_ns=tick * 33_333_333))
-    made = app(loop, recent=recent)
-
-    async def reload() -> list[int]:
-        async with httpx.AsyncClient(transport=httpx.ASGITransport(made), base_url="http://127.0.0.1") as client:
-            answers = await asyncio.gather(*(client.get(f"/api/recent?seconds={n % 60 + 1}") for n in range(100)))
-        return [answer.status_code for answer in answers]
-
-    assert asyncio.run(reload()) == [200] * 100
-
-
 def view_of(outputs: Outputs, frame: MocapFrame | None, wall_ns: int = 0, now_ns: int = 0) -> dict:
     clocks = {"clock": lambda: now_ns, "wall_ns": lambda: wall_ns}
     context = ApiContext(Config(), Inbox(), lambda: outputs, frame=lambda: frame, **clocks)
@@ -97,16 +81,12 @@ def test_the_status_has_the_time_of_its_tick(silent):
 def test_the_bodies_are_from_the_newest_good_frame(silent):
     outputs = silent[1].outputs
     assert view_of(outputs, None)["bodies"] is None
-    lost = (*BODIES[:4], replace_pose(BODIES[4], tracked=False), replace_pose(BODIES[5], z_m=math.inf))
+    lost = (*BODIES[:4], BODIES[4]._replace(tracked=False), BODIES[5]._replace(z_m=math.inf))
     assert view_of(outputs, MocapFrame(7, 0, 0, lost))["bodies"] == [
         *([body.y_m, body.z_m] for body in BODIES[:4]),
         None,
         None,
     ]
-
-
-def replace_pose(pose: Pose, **changes) -> Pose:
-    return pose._replace(**changes)
 
 
 def test_bodies_without_an_observation_have_an_age(silent):

@@ -46,12 +46,19 @@ def wait_for(condition, what: str) -> None:
         time.sleep(0.005)
 
 
-def test_a_clean_stop_leaves_a_compressed_file_with_an_index(tmp_path):
-    recorder = Recorder(config(tmp_path), SPEC)
+def recorded(settings: Config, ticks) -> Recorder:
+    """Record ticks and stop when all are written."""
+    recorder = Recorder(settings, SPEC)
     recorder.start()
-    for number in range(90):
-        recorder.tick(*make_tick(number))
+    for one in ticks:
+        recorder.tick(*one)
+    wait_for(lambda: not recorder._queue, "the queue")
     recorder.stop()
+    return recorder
+
+
+def test_a_clean_stop_leaves_a_compressed_file_with_an_index(tmp_path):
+    recorder = recorded(config(tmp_path), map(make_tick, range(90)))
     with recorder.path.open("rb") as file:
         reader = make_reader(file)
         summary = reader.get_summary()
@@ -88,11 +95,7 @@ def test_a_change_of_policy_is_recorded_in_order(tmp_path):
 
 
 def test_few_ticks_of_a_resting_arm_are_written_and_the_rest_at_the_end(tmp_path):
-    recorder = Recorder(config(tmp_path, idle_interval_s=5.0, around_s=1.0), SPEC)
-    recorder.start()
-    for number in range(400):
-        recorder.tick(*make_tick(number))
-    recorder.stop()
+    recorder = recorded(config(tmp_path, idle_interval_s=5.0, around_s=1.0), map(make_tick, range(400)))
     kept = [outputs.tick for outputs in logs.read(recorder.path).outputs()]
     assert len(kept) < 70
     assert kept[-30:] == list(range(370, 400))
@@ -135,11 +138,8 @@ def test_a_full_queue_drops_and_counts_and_never_blocks(tmp_path, monkeypatch):
 
 def test_a_directory_that_cannot_be_made_is_refused_with_the_next_step(tmp_path):
     (tmp_path / "file").touch()
-    with pytest.raises(RecorderError) as refusal:
+    with pytest.raises(RecorderError, match=r"file/logs: .*make it writable for uid .*set recorder.enabled: false"):
         Recorder(config(tmp_path / "file" / "logs")).start()
-    assert str(tmp_path / "file" / "logs") in str(refusal.value)
-    assert "make it writable for uid" in str(refusal.value)
-    assert "set recorder.enabled: false" in str(refusal.value)
 
 
 def test_a_full_disk_is_refused_at_start(tmp_path, monkeypatch):
@@ -219,12 +219,6 @@ def flown(number: int, goal: str | None = None) -> tuple[Inputs, Outputs, TickTi
     return inputs, dataclasses.replace(outputs, mode=Mode.ARMED, goal=status), timing
 
 
-def stop_when_written(recorder: Recorder) -> None:
-    """Stopping writes all queued ticks into the last file."""
-    wait_for(lambda: not recorder._queue, "the queue")
-    recorder.stop()
-
-
 def parts(directory: Path) -> list[list[int]]:
     """Return the ticks of each log in the order of the run."""
     found = sorted(map(logs.read, directory.glob("*.mcap")), key=lambda each: int(each.metadata["run"]["part"]))
@@ -236,11 +230,7 @@ def parts(directory: Path) -> list[list[int]]:
 @pytest.mark.slow
 @pytest.mark.parametrize("goal", [None, "hold"])
 def test_a_long_flight_has_files_of_bounded_size_with_every_tick(tmp_path, goal):
-    recorder = Recorder(config(tmp_path, file_max_mb=1), SPEC)
-    recorder.start()
-    for number in range(1, 1501):
-        recorder.tick(*flown(number, goal))
-    stop_when_written(recorder)
+    recorder = recorded(config(tmp_path, file_max_mb=1), (flown(number, goal) for number in range(1, 1501)))
     ticks = parts(tmp_path)
     assert len(ticks) >= 3
     assert [number for part in ticks for number in part] == list(range(1, 1501))
@@ -250,19 +240,14 @@ def test_a_long_flight_has_files_of_bounded_size_with_every_tick(tmp_path, goal)
 
 @pytest.mark.slow
 def test_a_full_file_waits_a_limited_time_for_the_end_of_a_goal(tmp_path):
-    recorder = Recorder(config(tmp_path, file_max_mb=1), SPEC)
-    recorder.start()
-    for number in range(1, 1501):  # a goal begins before the file is full, and ends a little after
-        recorder.tick(*flown(number, "reach" if 300 <= number < 1400 else None))
-    stop_when_written(recorder)
+    # A goal begins before the file is full, and ends a little after.
+    goals = {number: "reach" if 300 <= number < 1400 else None for number in range(1, 1501)}
+    recorded(config(tmp_path, file_max_mb=1), (flown(*each) for each in goals.items()))
     first, *others = parts(tmp_path)
     assert 300 < len(first) < 1400
-    recorder = Recorder(config(tmp_path / "short", file_max_mb=1), SPEC)
-    recorder.start()
     full = round(len(first) / 1.1)
-    for number in range(1, 1001):
-        recorder.tick(*flown(number, "reach" if 300 <= number < full + 10 else None))
-    stop_when_written(recorder)
+    goals = {number: "reach" if 300 <= number < full + 10 else None for number in range(1, 1001)}
+    recorded(config(tmp_path / "short", file_max_mb=1), (flown(*each) for each in goals.items()))
     assert parts(tmp_path / "short")[0][-1] == full + 10  # the first tick in which no policy flew
     assert [number for part in (first, *others) for number in part] == list(range(1, 1501))
 
@@ -291,7 +276,8 @@ def test_a_tick_that_cannot_be_encoded_is_dropped_and_counted(tmp_path, caplog):
     reading = PressureReading(1, 0.5, False)
     for number in range(1, 11):
         inputs, outputs, timing = make_tick(number)
-        wrong = {"problems": Problems(rail="\ud800")} if number in (1, 5, 6) else {}
+        wrong = {"problems": Problems(rail="\ud800")} if number in (1, 5) else {}
+        wrong |= {"mocap": (*inputs.mocap[:2], None, inputs.mocap[3])} if number == 6 else {}
         recorder.tick(dataclasses.replace(inputs, pressure=reading, **wrong), outputs, timing)
     recorder.stop()
     assert (recorder.dropped, recorder.problem) == (3, None)
@@ -300,18 +286,6 @@ def test_a_tick_that_cannot_be_encoded_is_dropped_and_counted(tmp_path, caplog):
     assert all(inputs.pressure == reading and len(inputs.mocap) == 4 for inputs, _, _ in ticks)
     assert "tick 1: PydanticSerializationError" in caplog.text
     assert "left out of the log, like 1 before it" in caplog.text
-
-
-def test_a_frame_that_cannot_be_encoded_drops_its_tick(tmp_path):
-    recorder = Recorder(config(tmp_path), SPEC)
-    recorder.start()
-    for number in range(1, 4):
-        inputs, outputs, timing = make_tick(number)
-        frames = (*inputs.mocap[:2], None, inputs.mocap[3]) if number == 2 else inputs.mocap
-        recorder.tick(dataclasses.replace(inputs, mocap=frames), outputs, timing)
-    recorder.stop()
-    assert [outputs.tick for outputs in logs.read(recorder.path).outputs()] == [1, 3]
-    assert recorder.dropped == 1
 
 
 def test_a_disabled_recorder_writes_nothing(tmp_path):
@@ -340,17 +314,6 @@ def test_the_next_start_finishes_the_log_of_a_killed_daemon(tmp_path):
     recorder.stop()
     assert len(list(logs.read(left).inputs())) == 50
     assert (tmp_path / "softarm-20200101T000001Z.mcap").read_bytes() == b"rubbish"
-
-
-def test_a_log_being_written_is_not_finished_by_another_daemon(tmp_path):
-    writer = Recorder(config(tmp_path))
-    writer.start()
-    writer.tick(*make_tick(0))
-    wait_for(lambda: logs.read(writer.path).t_last_ns is not None, "the first tick in the file")
-    assert not finishing.recover(writer.path).finished
-    writer.tick(*make_tick(1))
-    writer.stop()
-    assert len(list(logs.read(writer.path).inputs())) == 2
 
 
 CHILD = """
@@ -394,16 +357,3 @@ def test_a_kill_loses_no_more_than_the_last_flush(tmp_path):
         assert len(list(log.frames())) >= 4 * len(list(log.inputs())) > 0
         assert not log.finished
         assert finishing.recover(log.path).finished
-
-
-@pytest.mark.slow
-def test_a_log_of_two_minutes_is_finished_completely(tmp_path):
-    recorder = Recorder(config(tmp_path))
-    recorder.start()
-    for number in range(3600):
-        recorder.tick(*make_tick(number))
-    wait_for(lambda: not recorder._queue, "the queue")
-    recorder.stop()
-    log = logs.read(recorder.path)
-    assert log.finished
-    assert len(list(log.ticks())) == 3600

@@ -101,10 +101,8 @@ def test_other_requests_and_foreign_pages_are_refused(stopping, path, headers, s
     assert stopping.taken == []
 
 
-def test_a_stop_needs_a_token_if_one_is_configured(stopping, tmp_path):
-    (tmp_path / "token").write_text(TOKEN)
-    (tmp_path / "token").chmod(0o600)
-    with way(stopping, Api(port=0, token_file=tmp_path / "token")) as port:
+def test_a_stop_needs_a_token_if_one_is_configured(stopping, tokens):
+    with way(stopping, Api(port=0, **tokens(token_file=TOKEN))) as port:
         assert ask(port)[0] == 401
         assert ask(port, Authorization=f"Bearer {TOKEN}x")[0] == 401
         assert stopping.taken == []
@@ -123,6 +121,13 @@ def test_answers_name_the_api_version_and_any_version_may_stop(stopping):
 
 
 PAGES = Api(port=8080, stop_port=0)  # as if the API served at 8080
+NAMED = "http://robot.example:8080"
+
+
+@pytest.fixture
+def far(tokens):
+    """Return settings of an API that other computers can reach."""
+    return Api(host="0.0.0.0", port=8080, stop_port=0, **tokens(token_file=TOKEN))
 
 
 def fetch(port: int, method: str, **headers: str) -> tuple[int, dict[str, str]]:
@@ -178,12 +183,9 @@ def test_other_pages_are_refused(stopping, origin, host):
     assert stopping.taken == []
 
 
-def test_beyond_loopback_a_page_of_the_api_needs_a_token(stopping, tmp_path):
-    (tmp_path / "token").write_text(TOKEN)
-    (tmp_path / "token").chmod(0o600)
-    config = Api(host="0.0.0.0", port=8080, stop_port=0, token_file=tmp_path / "token")
-    page = {"Origin": "http://robot.example:8080", "Host": "robot.example:8081"}
-    with way(stopping, config) as port:
+def test_beyond_loopback_a_page_of_the_api_needs_a_token(stopping, far):
+    page = {"Origin": NAMED, "Host": "robot.example:8081"}
+    with way(stopping, far) as port:
         assert fetch(port, "OPTIONS", **page)[0] == 204
         assert fetch(port, "POST", **page) == (401, allowed_to(page["Origin"]))
         assert fetch(port, "POST", **page, Authorization=f"Bearer {TOKEN}")[0] == 200
@@ -192,26 +194,12 @@ def test_beyond_loopback_a_page_of_the_api_needs_a_token(stopping, tmp_path):
 
 
 @pytest.mark.parametrize("key", ["token_file", "view_token_file", "stop_token_file"])
-def test_every_role_may_stop(stopping, tmp_path, key):
-    files = {name: tmp_path / name for name in ("token_file", "view_token_file", "stop_token_file")}
-    for number, file in enumerate(files.values()):
-        file.write_text(f"{number}" * 32)
-        file.chmod(0o600)
+def test_every_role_may_stop(stopping, tokens, key):
+    files = tokens(token_file="0" * 32, view_token_file="1" * 32, stop_token_file="2" * 32)
     with way(stopping, Api(port=0, **files)) as port:
         assert ask(port, Authorization=f"Bearer {files[key].read_text()}")[0] == 200
     role = {"token_file": "command"}.get(key, key.partition("_")[0])
     assert stopping.who == [f"the dedicated stop port ({role} token)"]
-
-
-NAMED = "http://robot.example:8080"
-
-
-@pytest.fixture
-def far(tmp_path):
-    """Return settings of an API that other computers can reach."""
-    (tmp_path / "token").write_text(TOKEN)
-    (tmp_path / "token").chmod(0o600)
-    return Api(host="0.0.0.0", port=8080, stop_port=0, token_file=tmp_path / "token")
 
 
 @pytest.fixture
