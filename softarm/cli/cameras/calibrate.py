@@ -12,7 +12,8 @@ from softarm.cli.cameras.settings import server_option, settings
 from softarm.cli.shared.errors import fail
 from softarm.cli.shared.interrupt import NOTHING, leaves
 from softarm.cli.shared.options import FILE, check_places, write
-from softarm.cli.shared.printing import progress_line, warn
+from softarm.cli.shared.printing import warn
+from softarm.common.processes import bar
 
 if TYPE_CHECKING:
     from softarm.drivers.bridge.calibration import Found
@@ -81,7 +82,11 @@ def calibrate(
     gathering = Gathering([name for name in BODY_NAMES if getattr(config.bodies, name) is not None], middle)
     warn("let the arm hang still, drive off and vented" + (", the cart in the middle of the rail" if middle else ""))
     try:
-        with Client(config, address, warn) as client, progress_line() as show:
+        with Client(config, address, warn) as client, bar("calibrating", None) as shown:
+
+            def show(text: str) -> None:
+                shown.show(text=text)
+
             gather(config, client, gathering, seconds, partial(_next, config, gathering, middle), show)
         if end is None:
             end = "+y" if click.confirm(END, err=True) else "-y"

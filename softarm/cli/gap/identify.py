@@ -10,6 +10,7 @@ from softarm.cli.gap.rail_limits import limits_option, write_limits
 from softarm.cli.shared.errors import fail
 from softarm.cli.shared.interrupt import NOTHING, leaves
 from softarm.cli.shared.options import FILE, FOLDER, INPUT, json_option, model_option
+from softarm.cli.shared.printing import print_table, print_text, warn
 from softarm.common.processes import bar
 
 if TYPE_CHECKING:
@@ -91,27 +92,22 @@ def _pictures(result: "Identification", folder: Path | None) -> list[Path]:
 
 def _show(result: "Identification") -> None:
     """Print the parameters with their intervals, the errors of the fit and every warning."""
-    from rich.console import Console
-    from rich.table import Table
-
     from softarm.diagnosis.identify.identify import gain_nm_psi
 
-    console = Console()
-    table = Table("joint", "K (N m/rad)", "D (N m s/rad)", "b (N m/kPa)", "b (N m/psi)", "offset (N m)")
-    for number, (k, d, b, o) in enumerate(result.joints, 1):
-        psi = f"{gain_nm_psi(b['value']):.4f}"
-        table.add_row(str(number), _cell(k), _cell(d), _cell(b, 6), psi, _cell(o))
-    console.print(table)
+    rows = [
+        (str(number), _cell(k), _cell(d), _cell(b, 6), f"{gain_nm_psi(b['value']):.4f}", _cell(o))
+        for number, (k, d, b, o) in enumerate(result.joints, 1)
+    ]
+    print_table(("joint", "K (N m/rad)", "D (N m s/rad)", "b (N m/kPa)", "b (N m/psi)", "offset (N m)"), rows)
     low, high = result.regression.range_nm
-    console.print(
+    print_text(
         f"torque RMSE {result.regression.rmse_nm:.4f} N m by regression, {result.torque_rmse_nm:.4f} N m refined "
         f"(torques {low:.2f} .. {high:.2f} N m); link ends within {result.refinement.rmse_m * 1e3:.2f} mm RMS"
     )
     for check in result.checks:
         y, z = check.rmse_m
-        console.print(f"held-out {check.trial}: tip within {y * 1e3:.2f} mm in y, {z * 1e3:.2f} mm in z RMS")
-    for warning in result.warnings:
-        click.echo(f"warning: {warning}", err=True)
+        print_text(f"held-out {check.trial}: tip within {y * 1e3:.2f} mm in y, {z * 1e3:.2f} mm in z RMS")
+    warn(*(f"warning: {text}" for text in result.warnings))
 
 
 def _cell(estimate: "IdentifiedParameter", digits: int = 4) -> str:

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from softarm.cli.shared.printing import print_table, print_text
+from softarm.cli.shared.printing import print_table, print_text, warn
 
 if TYPE_CHECKING:
     from softarm.diagnosis.engine.result import Diagnosis
@@ -37,8 +37,7 @@ def show(result: "Diagnosis", json_file: Path | None) -> None:
         click.echo(f"next: the excitation {flight.name}{purpose}: {_command(flight.name, json_file)}")
     for step in report.steps(result):
         print_text(f"next: {step}")
-    for warning in verdict.warnings:
-        click.echo(f"warning: {warning}", err=True)
+    warn(*(f"warning: {text}" for text in verdict.warnings))
 
 
 def _command(excitation: str, json_file: Path | None) -> str:

@@ -12,7 +12,7 @@ from softarm.cli.shared.completion import policies
 from softarm.cli.shared.errors import fail
 from softarm.cli.shared.interrupt import leaves
 from softarm.cli.shared.options import model_option
-from softarm.cli.shared.printing import waiting
+from softarm.cli.shared.printing import print_table, waiting
 from softarm.schemas.flights import TEST_TARGETS
 from softarm.schemas.goals import Goal
 
@@ -66,7 +66,16 @@ def demo(targets: int, seed: int, policy: str, model_file: Path | None, logs: Pa
         problems = exceeded(log.ticks(), log.config.limits)
     except SoftwareInTheLoopError as error:
         fail(str(error))
-    _show(console, results)
+    rows = [
+        (
+            f"{result['y_m']:+.2f}, {result['z_m']:.2f}",
+            result["state"],
+            f"{result['time_s']:.2f}",
+            f"{1e3 * result['closest_m']:.0f}",
+        )
+        for result in results
+    ]
+    print_table(("target y, z (m)", "result", "time (s)", "closest (mm)"), rows)
     console.print(f"log: {path}")
     reached = sum(result["state"] == "reached" for result in results)
     if reached < NEEDED * targets:
@@ -86,18 +95,3 @@ def _fly(console: "Console", sil: "SoftwareInTheLoop", number: int, goal: Goal) 
     mark = "[green]reached[/green]" if result["state"] == "reached" else f"[red]{result['state']}[/red]"
     console.print(f"{label}   {mark} after {result['time_s']:.2f} s, closest {1e3 * result['closest_m']:.0f} mm")
     return result
-
-
-def _show(console: "Console", results: list[dict[str, Any]]) -> None:
-    """Print the table of results."""
-    from rich.table import Table
-
-    table = Table("target y, z (m)", "result", "time (s)", "closest (mm)")
-    for result in results:
-        table.add_row(
-            f"{result['y_m']:+.2f}, {result['z_m']:.2f}",
-            result["state"],
-            f"{result['time_s']:.2f}",
-            f"{1e3 * result['closest_m']:.0f}",
-        )
-    console.print(table)

@@ -58,17 +58,17 @@ def doctor(
     found = _examine(target, quiet=as_json)
     problems = sum(each.state == "problem" for several in found.values() for each in several)
     if as_json:
-        findings = [{"part": part} | _plain(each) for part, several in found.items() for each in several]
+        fields = ("name", "state", "figure", "advice")
+        findings = [
+            {"part": part} | {name: getattr(each, name) for name in fields}
+            for part, several in found.items()
+            for each in several
+        ]
         print_json({"sound": problems == 0, "findings": findings})
     else:
         _print_summary(found, problems)
     if problems:
         raise SystemExit(1)
-
-
-def _plain(finding: "Finding") -> dict[str, str]:
-    """Return a finding as JSON fields."""
-    return {"name": finding.name, "state": finding.state, "figure": finding.figure, "advice": finding.advice}
 
 
 def _examine(target: "Target", quiet: bool) -> "dict[str, list[Finding]]":

@@ -3,8 +3,7 @@
 import json
 import sys
 import threading
-import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from datetime import datetime
 
@@ -70,24 +69,3 @@ def waiting(text: str) -> Iterator[None]:
         yield
     finally:
         later.cancel()
-
-
-@contextmanager
-def progress_line() -> Iterator[Callable[[str], None]]:
-    """Show progress on standard error: one updated line on a terminal, elsewhere a new line every two seconds."""
-    from rich.console import Console
-
-    console = Console(stderr=True)
-    if console.is_terminal:
-        with console.status("") as status:
-            yield lambda text: status.update(text)
-        return
-    due = time.monotonic() + PATIENCE_S
-
-    def show(text: str) -> None:
-        nonlocal due
-        if (now := time.monotonic()) >= due:
-            due = now + PATIENCE_S
-            click.echo(text, err=True)
-
-    yield show
