@@ -40,11 +40,6 @@ class RecorderError(Exception):
 
 
 @dataclass(frozen=True, slots=True)
-class _PolicyChange:
-    spec: PolicySpec
-
-
-@dataclass(frozen=True, slots=True)
 class _Unrecorded:
     """A tick that is not recorded; only its events are kept."""
 
@@ -79,7 +74,7 @@ class Recorder:
         self._config = config
         self._settings = config.recorder
         self._monotonic_ns, self._wall_ns = monotonic_ns, wall_ns
-        self._queue: deque[Tick | _Unrecorded | _PolicyChange | _Action] = deque()
+        self._queue: deque[Tick | _Unrecorded | PolicySpec | _Action] = deque()
         self._stopping = threading.Event()
         self._writer: threading.Thread | None = None
         self._tidier: threading.Thread | None = None
@@ -140,7 +135,7 @@ class Recorder:
     def policy(self, spec: PolicySpec) -> None:
         """Note the policy of the following ticks. Never blocks."""
         if self._settings.enabled:
-            self._queue.append(_PolicyChange(spec))
+            self._queue.append(spec)
 
     def done(self, what: str, text: str, who: str) -> None:
         """Note an action outside the control loop, such as a deleted log. Never blocks."""
@@ -211,9 +206,9 @@ class Recorder:
         """Write the queue; return whether the file ends here."""
         while self._queue:
             item = self._queue.popleft()
-            if isinstance(item, _PolicyChange):
-                self._policy = item.spec
-                live.policy(item.spec)
+            if isinstance(item, PolicySpec):
+                self._policy = item
+                live.policy(item)
                 continue
             for entry in self._events(item):
                 live.entry(entry)
@@ -266,8 +261,8 @@ class Recorder:
         """Count the queued ticks as lost and remember the policy for the next log."""
         while self._queue:
             item = self._queue.popleft()
-            if isinstance(item, _PolicyChange):
-                self._policy = item.spec
+            if isinstance(item, PolicySpec):
+                self._policy = item
                 continue
             self._lost += not isinstance(item, _Unrecorded | _Action)
             self._events(item)
