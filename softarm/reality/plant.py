@@ -196,12 +196,3 @@ def _boards(edge_m: float, board_m: float) -> str:
 def _point(mass_kg: float) -> str:
     """Return a point mass, or nothing for zero: a body welded to its parent needs no mass."""
     return f'<inertial pos="0 0 0" mass="{mass_kg}" diaginertia="1e-9 1e-9 1e-9"/>' if mass_kg else ""
-
-
-def energy_j(plant: Plant) -> float:
-    """Return the kinetic and potential energy, springs included."""
-    before = plant.model.opt.enableflags
-    plant.model.opt.enableflags |= mujoco.mjtEnableBit.mjENBL_ENERGY
-    mujoco.mj_forward(plant.model, plant.data)
-    plant.model.opt.enableflags = before
-    return float(plant.data.energy.sum())

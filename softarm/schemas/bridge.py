@@ -36,7 +36,7 @@ class Marked(Strict):
     along_m: Annotated[float, Field(ge=-0.3, le=0.3)] = 0.0
 
     @model_validator(mode="after")
-    def _turned(self) -> Self:
+    def _check_quaternion(self) -> Self:
         if not 0.99 < math.sqrt(sum(part**2 for part in self.hanging)) < 1.01:
             raise ValueError("hanging must be a unit quaternion x, y, z, w: [0, 0, 0, 1], or what calibrate finds")
         return self
@@ -53,7 +53,7 @@ class Marks(Strict):
     link5: Marked = Marked()
 
     @model_validator(mode="after")
-    def _each_its_own(self) -> Self:
+    def _check_names(self) -> Self:
         taken: dict[str | int, str] = {}
         for name, mark in self:
             if mark is None:

@@ -39,7 +39,7 @@ class RailLimits(Strict):
     margin_m: Annotated[float, Field(ge=0, le=0.1)] = 0.01
 
     @model_validator(mode="after")
-    def _ordered(self) -> Self:
+    def _check_order(self) -> Self:
         if self.position_max_m - self.position_min_m < 4 * self.margin_m or (
             self.position_max_m <= self.position_min_m
         ):
@@ -113,7 +113,7 @@ class Workspace(Strict):
     z_max_m: Annotated[float, Field(ge=0.4, le=1.4)] = 0.85
 
     @model_validator(mode="after")
-    def _ordered(self) -> Self:
+    def _check_order(self) -> Self:
         if not (self.y_min_m < self.y_max_m and self.z_min_m < self.z_max_m):
             raise ValueError("y_min_m must lie below y_max_m, and z_min_m below z_max_m: swap or widen them")
         return self
@@ -143,7 +143,7 @@ class Mocap(Strict):
     options: dict[str, str | float | int | bool] = Field(default_factory=dict)  # options of the plug-in
 
     @model_validator(mode="after")
-    def _options_are_a_plugins(self) -> Self:
+    def _check_options(self) -> Self:
         if self.driver == "zenoh" and self.options:
             raise ValueError(f"options {', '.join(self.options)} are a plugin's: name it as driver, or remove them")
         return self
@@ -202,7 +202,7 @@ class Api(Strict):
     reports: Path = Path("reports")  # directory of diagnosis reports that the API serves
 
     @model_validator(mode="after")
-    def _commanding_takes_a_token_if_looking_does(self) -> Self:
+    def _check_token_files(self) -> Self:
         for key in ("view_token_file", "stop_token_file"):
             if self.token_file is None and getattr(self, key) is not None:
                 raise ValueError(
@@ -211,7 +211,7 @@ class Api(Strict):
         return self
 
     @model_validator(mode="after")
-    def _what_everybody_reaches_takes_a_token(self) -> Self:
+    def _check_public_origin(self) -> Self:
         if self.public_origin is None:
             return self
         if not ORIGIN.fullmatch(self.public_origin) or self.public_origin.endswith(":443"):
@@ -226,7 +226,7 @@ class Api(Strict):
         return self
 
     @model_validator(mode="after")
-    def _a_port_for_each(self) -> Self:
+    def _check_ports(self) -> Self:
         if self.stop_port is None and self.port == 65535:
             raise ValueError("port 65535 leaves no port for the stop: choose another, or name a stop_port")
         if self.stop_port == self.port != 0:
@@ -276,7 +276,7 @@ class Config(Strict):
     recorder: Recorder = Recorder()
 
     @model_validator(mode="after")
-    def _drive_ramp_within_limit(self) -> Self:
+    def _check_ramp(self) -> Self:
         ramp, limit = self.drivers.rail.acceleration_m_s2, self.limits.rail.acceleration_max_m_s2
         if ramp > limit:
             raise ValueError(

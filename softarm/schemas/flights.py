@@ -92,11 +92,11 @@ def shelf() -> list[Scenario]:
     return [Scenario(goal, start, number, SHELF_MIDDLE_M) for number, (goal, start) in pairs]
 
 
-def random_shelf(count: int = 500) -> list[Scenario]:
-    """Return random scenarios of the shelf's training range; every call returns the same ones."""
+def random_shelf() -> list[Scenario]:
+    """Return 500 random scenarios of the shelf's training range; every call returns the same ones."""
     rng = np.random.default_rng(500)
     ranges = (SHELF_Y_M, SHELF_Z_M, SHELF_DEPTH_M, SHELF_CART_M)
-    draws = zip(*(rng.uniform(*ends, count).tolist() for ends in ranges), strict=True)
+    draws = zip(*(rng.uniform(*ends, 500).tolist() for ends in ranges), strict=True)
     return [Scenario(Goal("reach", y, z), start, depth_m=depth) for y, z, depth, start in draws]
 
 

@@ -34,7 +34,7 @@ class Arm(Strict):
     gravity_m_s2: float = 9.81
 
     @model_validator(mode="after")
-    def _one_entry_a_link(self) -> Self:
+    def _check_lengths(self) -> Self:
         n = len(self.link_length_m)
         for name, value in self:
             if isinstance(value, tuple) and len(value) != n:

@@ -98,7 +98,7 @@ class Verdict(Strict):
 
     @model_validator(mode="before")
     @classmethod
-    def _not_newer(cls, content: object) -> object:
+    def _check_format(cls, content: object) -> object:
         format_ = content.get("format", FORMAT) if isinstance(content, dict) else FORMAT
         if isinstance(format_, int) and format_ > FORMAT:
             raise ValueError(f"verdict of format {format_}; this software reads format {FORMAT}: update it")

@@ -3,18 +3,28 @@
 from dataclasses import replace
 from typing import Any
 
+import mujoco
 import numpy as np
 import pytest
 
 from benchmarks import commands
 from softarm.reality.parameters import Arm, Rail, RobotParameters
-from softarm.reality.plant import energy_j
+from softarm.reality.plant import Plant
 from softarm.reality.robot import Robot
 from softarm.schemas.model import Arm as ModelArm
 from softarm.schemas.robot import CONTROL_PERIOD_S
 from softarm.simulator.simulator import Simulator
 
 STRAIGHT = ModelArm(torque_offset_nm=(0.0,) * 5)
+
+
+def energy_j(plant: Plant) -> float:
+    """Return the kinetic and potential energy, springs included."""
+    before = plant.model.opt.enableflags
+    plant.model.opt.enableflags |= mujoco.mjtEnableBit.mjENBL_ENERGY
+    mujoco.mj_forward(plant.model, plant.data)
+    plant.model.opt.enableflags = before
+    return float(plant.data.energy.sum())
 
 
 def test_an_arm_without_torques_hangs_straight() -> None:

@@ -21,17 +21,11 @@ class Client:
     Entering raises DeviceError on an invalid address. `other_senders` counts datagrams from other senders.
     """
 
-    def __init__(
-        self,
-        config: Bridge,
-        server: str,
-        report: Callable[[str], None],
-        clock: Callable[[], int] = time.monotonic_ns,
-    ) -> None:
+    def __init__(self, config: Bridge, server: str, report: Callable[[str], None]) -> None:
         self.conversation = Conversation(report, config.received_after_s)
         self.other_senders = 0
         self.place = f"{server}:{config.command_port}"
-        self._config, self._host, self._clock = config, server, clock
+        self._config, self._host = config, server
         self._selector = selectors.DefaultSelector()
         self._commands: socket.socket | None = None
         self._data: socket.socket | None = None
@@ -70,7 +64,7 @@ class Client:
         Args:
             seconds: Longest wait.
         """
-        for datagram in self.conversation.due(self._clock()):
+        for datagram in self.conversation.due(time.monotonic_ns()):
             self._send(datagram)
         self._join()
         taken = []
@@ -80,7 +74,7 @@ class Client:
 
     def problem(self) -> str | None:
         """Return why no frames arrive, with the next step, or None if they do."""
-        conversation, now_ns = self.conversation, self._clock()
+        conversation, now_ns = self.conversation, time.monotonic_ns()
 
         def sentence(command: str, problem: str, remedy: str) -> str:
             return str(DeviceError(self.place, command, problem, remedy))
@@ -120,7 +114,7 @@ class Client:
                 return taken
             if host != self._server[0]:
                 self.other_senders += 1
-            elif (frame := self.conversation.receive(datagram, self._clock())) is not None:
+            elif (frame := self.conversation.receive(datagram, time.monotonic_ns())) is not None:
                 taken.append(frame)
 
     def _join(self) -> None:

@@ -1,7 +1,6 @@
 """Inspection of a camera system's stream without publishing."""
 
 import time
-from collections.abc import Callable
 from typing import NamedTuple
 
 from softarm.drivers.bridge.bridging import Bridging, Inlet, Status
@@ -44,26 +43,24 @@ class NullOutlet:
         """Drop a frame without publishing."""
 
 
-def look_at(config: Bridge, inlet: Inlet, patience_s: float, clock: Callable[[], int] = time.monotonic_ns) -> Found:
+def look_at(config: Bridge, inlet: Inlet, patience_s: float) -> Found:
     """Inspect the stream for a second after the first frame.
 
     Args:
         config: Configuration of the bridge.
         inlet: Source of the frames.
         patience_s: Longest wait for the first frame.
-        clock: Monotonic clock, ns.
     """
-    bridging = Bridging(config, inlet, NullOutlet(), lambda text: None, clock)
-    begin_ns = clock()
-    until_ns = begin_ns + round(patience_s * 1e9)
+    bridging = Bridging(config, inlet, NullOutlet(), lambda text: None)
+    until_ns = time.monotonic_ns() + round(patience_s * 1e9)
     counted: dict[int, int] = {}
     newest: dict[int, Body] = {}
     poses: dict[str, Pose] = {}
     frames = 0
-    while clock() < until_ns:
+    while time.monotonic_ns() < until_ns:
         for taken, seen in bridging.step():
             if frames == 0:
-                until_ns = clock() + LOOK_NS
+                until_ns = time.monotonic_ns() + LOOK_NS
             frames += 1
             for body in taken.frame.bodies:
                 counted[body.id] = counted.get(body.id, 0) + body.tracked

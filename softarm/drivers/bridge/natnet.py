@@ -10,7 +10,6 @@ from typing import NamedTuple
 
 # Bytes of the longest UDP datagram.
 LONGEST = 65_507
-NAME_BYTES = 256
 # A newer 4.x is decoded as 4.1; the total length then confirms the layout.
 SUPPORTED = ((3, 0), (4, 4))
 

@@ -15,7 +15,7 @@ import socket
 import struct
 import threading
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple, Self
 
 import zenoh
@@ -153,15 +153,13 @@ class Motive:
         port: int = 0,
         data_port: int = 0,
         group: str | None = None,
-        ids: Mapping[str, int] = IDS,
-        clock: Callable[[], int] = time.monotonic_ns,
         rate: float = 1.0,
         began_ns: int = 0,
     ) -> None:
-        """Create the server; its clock runs `rate` times as fast as `clock` and was 0 at `began_ns`."""
-        self.version, self.ids, self.group = version, dict(ids), group
+        """Create the server; its clock runs `rate` times as fast as CLOCK_MONOTONIC and was 0 at `began_ns`."""
+        self.version, self.group = version, group
         self.answers = True
-        self._clock, self._rate, self._began_ns = clock, rate, began_ns
+        self._rate, self._began_ns = rate, began_ns
         self._commands, self._data = _bound(host, port), _bound(host, data_port)
         self._data.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_IF, socket.inet_aton(host))
         self._clients: dict[tuple[str, int], float] = {}
@@ -190,7 +188,7 @@ class Motive:
 
     def ticks(self, now_ns: int | None = None) -> int:
         """Return the server's clock in ticks."""
-        now_ns = self._clock() if now_ns is None else now_ns
+        now_ns = time.monotonic_ns() if now_ns is None else now_ns
         return round((now_ns - self._began_ns) * self._rate * CLOCK_HZ / 1e9)
 
     def stream(self, datagram: bytes) -> None:
@@ -229,7 +227,7 @@ class Motive:
         elif kind == natnet.DISCONNECT:
             self._clients.pop(client, None)
         elif kind == natnet.REQUEST_MODELS:
-            self._commands.sendto(models(self.version, self.ids), client)
+            self._commands.sendto(models(self.version, IDS), client)
         elif kind == natnet.ECHO_REQUEST and len(content) == 8:
             self._commands.sendto(message(natnet.ECHO_RESPONSE, content + struct.pack("<Q", self.ticks())), client)
 

@@ -16,13 +16,12 @@ ANSWER_S = 2.0
 SETTLED_NS = 200_000_000
 
 
-def switch(endpoint: str, message: bytes, answer_s: float = ANSWER_S) -> dict[str, Any]:
+def switch(endpoint: str, message: bytes) -> dict[str, Any]:
     """Send a fault to the twin behind an endpoint and return its state 0.2 s later.
 
     Args:
         endpoint: Zenoh endpoint of the daemon.
         message: Message for `Faults.apply`.
-        answer_s: Longest wait for the twin's state.
 
     Raises:
         DeviceError: The daemon or the twin does not run.
@@ -35,19 +34,19 @@ def switch(endpoint: str, message: bytes, answer_s: float = ANSWER_S) -> dict[st
     with session:
         states = session.declare_subscriber(STATE_KEY, zenoh.handlers.RingChannel(1))
         # The first state shows that the twin runs and this session is connected to it.
-        _next(states, endpoint, answer_s)
+        _next(states, endpoint)
         session.put(FAULT_KEY, message)
         sent_ns = time.monotonic_ns()
-        while (state := _next(states, endpoint, answer_s))["t_ns"] < sent_ns + SETTLED_NS:
+        while (state := _next(states, endpoint))["t_ns"] < sent_ns + SETTLED_NS:
             pass
         return state
 
 
-def _next(states: Any, endpoint: str, answer_s: float) -> dict[str, Any]:
-    over_s = time.monotonic() + answer_s
+def _next(states: Any, endpoint: str) -> dict[str, Any]:
+    over_s = time.monotonic() + ANSWER_S
     while time.monotonic() < over_s:
         if (sample := states.try_recv()) is not None:
             return dict(json.loads(sample.payload.to_bytes()))
         time.sleep(0.01)
     remedy = "start `softarm twin` with the same --config"
-    raise DeviceError(endpoint, STATE_KEY, f"no twin has published its state for {answer_s:g} s", remedy)
+    raise DeviceError(endpoint, STATE_KEY, f"no twin has published its state for {ANSWER_S:g} s", remedy)
