@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from softarm.drivers.bridge.frame import Plane, View, dot, names_of, product
+from softarm.drivers.bridge.frame import Plane, View, names_of, product
 from softarm.drivers.bridge.natnet import Body
 from softarm.drivers.twin.motive import IDS, bodies_of
 from softarm.schemas.bridge import Marked, Marks, Room
@@ -100,9 +100,3 @@ def test_bodies_are_found_by_name_or_by_id():
 def test_a_rigid_body_belongs_to_one_body_only():
     with pytest.raises(ValueError, match=r"bodies.link2.rigid_body is 'link1', which is link1 already"):
         Marks(link2=Marked(rigid_body="link1"))
-
-
-def test_the_planes_axes_are_orthogonal():
-    plane = Plane(Room(yaw_rad=0.4, tilt_rad=0.03))
-    assert dot(plane.along, plane.up) == pytest.approx(0.0, abs=1e-15)
-    assert dot(plane.along, plane.along) == pytest.approx(1.0)

@@ -6,29 +6,6 @@ from hypothesis import strategies as st
 
 from softarm.drivers.rail.cia402 import ControlWord, DriveState, StatusWord, decode_state, next_controlword
 
-
-@pytest.mark.parametrize(
-    ("statusword", "state"),
-    [
-        (0x0640, DriveState.SWITCH_ON_DISABLED),  # manual, page 103
-        (0x0440, DriveState.SWITCH_ON_DISABLED),
-        (0x0221, DriveState.READY),
-        (0x0223, DriveState.SWITCHED_ON),
-        (0x0627, DriveState.OPERATION_ENABLED),  # the others: seen on real drives
-        (0x1627, DriveState.OPERATION_ENABLED),
-        (0x0608, DriveState.FAULT),
-        (0x2208, DriveState.FAULT),
-        (0x1608, DriveState.FAULT),
-        (0x020F, DriveState.FAULT_REACTION),
-        (0x0207, DriveState.QUICK_STOP),
-        (0x0200, DriveState.NOT_READY),
-        (0x2704, DriveState.INVALID),
-    ],
-)
-def test_a_statusword_decodes_to_its_state(statusword: int, state: DriveState) -> None:
-    assert decode_state(statusword) is state
-
-
 # The standard's table: low byte of the statusword, x for bits that do not encode the state.
 STANDARD = {
     "x0xx0000": DriveState.NOT_READY,
@@ -76,15 +53,6 @@ def test_controlwords_have_the_standards_bits() -> None:
     assert bits(ControlWord.START_HOMING) == {voltage, no_quick_stop, switch_on, operate, start}
     assert bits(ControlWord.RESET_AND_HALT) == {halt}
     assert bits(ControlWord.FAULT_RESET) == {reset}
-
-
-def test_states_have_the_standards_names() -> None:
-    assert [decode_state(word).value for word in (0x0640, 0x0221, 0x0627, 0x0608)] == [
-        "switch-on disabled",
-        "ready to switch on",
-        "operation enabled",
-        "fault",
-    ]
 
 
 def test_each_state_towards_operation_has_one_controlword() -> None:
