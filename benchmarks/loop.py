@@ -15,7 +15,7 @@ import select
 import struct
 import tempfile
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Self
 
@@ -37,6 +37,7 @@ REQUESTS_PER_S = 200
 WEBSOCKETS = 2
 GOAL_EVERY_S = 4.0
 Tick = tuple[Inputs, Outputs, TickTiming]
+Window = tuple[int, int]  # monotonic nanoseconds
 SHOWN = {
     "compute_ms": "compute (ms)",
     "lateness_ms": "lateness (ms)",
@@ -61,19 +62,23 @@ def run(seconds: float, report: Callable[[float], None], model: Path | None = No
         with BareLoop(Path(folder)) as bare, SoftwareInTheLoop(Path(folder), model=model) as sil:
             log = Path(sil.status()["recorder"]["log"])
             sil.arm()
-            idle = _swing(sil, seconds, lambda share: report(share / 2))
+            idle = swing(sil, seconds, lambda share: report(share / 2))
             hammer = multiprocessing.get_context("spawn").Process(target=_hammer, args=(sil.url, seconds + 5.0))
             hammer.start()
             time.sleep(2.0)  # the interpreter of the clients starts before the measurement
-            hammered = _swing(sil, seconds, lambda share: report(0.5 + share / 2))
+            hammered = swing(sil, seconds, lambda share: report(0.5 + share / 2))
             hammer.terminate()
             hammer.join()
         ticks = list(logs.read(log))
-        return {"idle": _figures(ticks, idle, bare), "hammered": _figures(ticks, hammered, bare)}
+        return {"idle": figures(ticks, [idle], bare), "hammered": figures(ticks, [hammered], bare)}
 
 
-def _swing(sil: SoftwareInTheLoop, seconds: float, report: Callable[[float], None]) -> tuple[int, int]:
-    """Send goals for a while and return the time window in monotonic nanoseconds."""
+def swing(sil: SoftwareInTheLoop, seconds: float, report: Callable[[float], None]) -> Window:
+    """Send goals for a while and return when.
+
+    Raises:
+        SoftwareInTheLoopError: The daemon refused a goal.
+    """
     targets = random.Random(0)
     start = time.monotonic()
     while (passed := time.monotonic() - start) < seconds:
@@ -101,8 +106,8 @@ class BareLoop:
         self._process.kill()
         self._process.join()
 
-    def lateness_ns(self, window: tuple[int, int]) -> list[int]:
-        """Return the lateness of the wake-ups within a window of monotonic nanoseconds."""
+    def lateness_ns(self, window: Window) -> list[int]:
+        """Return the lateness of the wake-ups within a window."""
         notes = np.fromfile(self._notes, dtype=np.int64).reshape(-1, 2)
         within = (window[0] <= notes[:, 0]) & (notes[:, 0] < window[1])
         return list(map(int, notes[within, 1]))
@@ -122,15 +127,16 @@ def _wake(notes: str) -> None:
             file.write(struct.pack("<qq", now, now - deadline))
 
 
-def _figures(log: Iterable[Tick], window: tuple[int, int], bare: BareLoop) -> dict[str, Any]:
-    ticks = [tick for tick in log if window[0] <= tick[0].t_ns < window[1]]
+def figures(log: Iterable[Tick], windows: Sequence[Window], bare: BareLoop) -> dict[str, Any]:
+    """Return the punctuality of the loop within some windows of its log."""
+    ticks = [tick for tick in log if any(begin <= tick[0].t_ns < end for begin, end in windows)]
     timings = [timing for _, _, timing in ticks]
     ages = [t.sensor_to_command_ns for t in timings if t.sensor_to_command_ns is not None]
     return {
         "compute_ms": spread([t.read_ns + t.compute_ns + t.write_ns for t in timings]),
         "lateness_ms": spread([inputs.late_ns for inputs, _, _ in ticks]),
         "sensor_to_command_ms": spread(ages),
-        "bare_loop_lateness_ms": spread(bare.lateness_ns(window)),
+        "bare_loop_lateness_ms": spread([late for window in windows for late in bare.lateness_ns(window)]),
         "ticks": len(ticks),
         "missed_ticks": sum(inputs.missed for inputs, _, _ in ticks),
         "policy_ticks": sum(outputs.action is not None for _, outputs, _ in ticks),
@@ -141,6 +147,17 @@ def spread(values_ns: Sequence[float]) -> dict[str, float]:
     """Return percentiles of nanoseconds, in ms."""
     p50, p99, p999, top = np.percentile(np.array(values_ns) / 1e6, [50, 99, 99.9, 100])
     return {"p50": float(p50), "p99": float(p99), "p999": float(p999), "max": float(top)}
+
+
+def table(result: Mapping[str, Mapping[str, Any]]) -> Table:
+    """Return the figures of some conditions as a table."""
+    shown = Table("p50 / p99 / p99.9 / max", *result)
+    for name, label in SHOWN.items():
+        spreads = (condition[name] for condition in result.values())
+        shown.add_row(label, *("{p50:.2f} / {p99:.2f} / {p999:.2f} / {max:.2f}".format(**each) for each in spreads))
+    for name, label in COUNTED.items():
+        shown.add_row(label, *(str(condition[name]) for condition in result.values()))
+    return shown
 
 
 def _hammer(url: str, seconds: float) -> None:
@@ -189,14 +206,7 @@ def main(seconds: float, json_file: Path | None, model_file: Path | None) -> Non
         raise click.ClickException(str(error)) from None
     if json_file is not None:
         results.write(json_file, result)
-    table = Table("p50 / p99 / p99.9 / max", *result)
-    for name, label in SHOWN.items():
-        table.add_row(
-            label, *("{p50:.2f} / {p99:.2f} / {p999:.2f} / {max:.2f}".format(**part[name]) for part in result.values())
-        )
-    for name, label in COUNTED.items():
-        table.add_row(label, *(str(part[name]) for part in result.values()))
-    Console().print(table)
+    Console().print(table(result))
 
 
 if __name__ == "__main__":

@@ -6,8 +6,7 @@ no cost. Its integrator is the cheapest one for a given error: `implicitfast` (`
 this arm, `Euler` has three times the error at the same step). Its step is the coarsest whose tip error after 3 s is
 about equal; the reference for both errors is MuJoCo's RK4 at 12 kHz.
 
-Also measured: the cost of the effects, the scaling with cores and batch, and the distance from the machine's arithmetic
-peak (simulator_profile.py).
+Also measured: the cost of the effects, and the scaling with cores and batch.
 
     python -m benchmarks.simulator --json FILE
 """
@@ -20,18 +19,22 @@ from typing import Any
 
 import click
 import mujoco
+import numba
 import numpy as np
 from mujoco import rollout
 from rich.console import Console
 
-from benchmarks import commands, results, simulator_profile
+from benchmarks import commands, results
 from benchmarks.mujoco_arm import mjcf
 from softarm.common.processes import bar, cores
 from softarm.schemas.model import Cart, Model, seed_effects
 from softarm.schemas.robot import CONTROL_PERIOD_S, TRAINING_PHYSICS_RATE_HZ
+from softarm.simulator.effects import REGISTRY
 from softarm.simulator.simulator import Simulator
 
 ROBOTS = 4096
+STEPS = 60  # of a timed flight
+BATCHES = (1, 8, 128, 1024, 4096, 16384)
 REFERENCE_SUBSTEPS = 400
 CANDIDATES = (20, 30, 40, 50, 60, 70, 80, 90, 100, 120, 140, 160, 200, 240, 320)
 # Errors within this ratio count as equal.
@@ -44,7 +47,7 @@ MODEL = Model(
 
 
 def run(quick: bool = False) -> dict[str, Any]:
-    """Measure both simulators and the profile.
+    """Measure both simulators, the cost of effects and the scaling.
 
     Args:
         quick: Use fewer command sets and rounds; the figures then scatter.
@@ -70,8 +73,8 @@ def run(quick: bool = False) -> dict[str, Any]:
         for _ in range(rounds):
             speeds.append((race.ours(), race.mujoco()))
             shown.advance()
-        shown.show(text="profile")
-        more = simulator_profile.measure(rounds)
+        shown.show(text="scaling")
+        more = _scaling(rounds)
     our_speed, mujoco_speed = (statistics.median(side) for side in zip(*speeds, strict=True))
     return {
         "control_steps_per_s": our_speed,
@@ -145,31 +148,65 @@ def _error_mm(tips: np.ndarray, reference: np.ndarray) -> dict[str, float]:
     return {"mean": float(error.mean()), "max": float(error.max())}
 
 
+class _Flight:
+    """Batch of robots in motion, compiled; each call of `speed` returns control steps per second."""
+
+    def __init__(self, model: Model | None, robots: int) -> None:
+        self._commands = commands.smooth(robots, seed=3)
+        self._simulator = Simulator(model, robots, TRAINING_PHYSICS_RATE_HZ)
+        self._robots = robots
+        self.speed()
+
+    def speed(self) -> float:
+        start = time.perf_counter()
+        for v, p in zip(*(each[:STEPS] for each in self._commands), strict=True):
+            self._simulator.step(v, p, CONTROL_PERIOD_S)
+        return self._robots * STEPS / (time.perf_counter() - start)
+
+    def median_speed(self, rounds: int) -> float:
+        return statistics.median(self.speed() for _ in range(rounds))
+
+
+def _scaling(rounds: int) -> dict[str, Any]:
+    """Return control steps/s with the seed's effects and with all at their exemplars, by cores and by batch."""
+    every = {effect.name: {p.name: p.exemplar for p in effect.parameters} for effect in REGISTRY.values()}
+    seed, full = _Flight(None, ROBOTS), _Flight(Model(effects=every), ROBOTS)
+    seed_speed, full_speed = seed.median_speed(rounds), full.median_speed(rounds)
+    by_cores = {}
+    threads = numba.get_num_threads()
+    for number in range(1, cores() + 1):
+        numba.set_num_threads(number)
+        by_cores[str(number)] = seed.median_speed(rounds)
+    numba.set_num_threads(threads)
+    return {
+        "effects": {
+            "seed_control_steps_per_s": seed_speed,
+            "all_control_steps_per_s": full_speed,
+            "all_over_seed": full_speed / seed_speed,
+        },
+        "scaling": {
+            "cores": by_cores,
+            "batch": {str(robots): _Flight(None, robots).median_speed(rounds) for robots in BATCHES},
+        },
+    }
+
+
 class _Race:
     """Both simulators, warmed up; each call simulates ROBOTS robots and returns control steps per second."""
 
-    STEPS, MUJOCO_STEPS = 60, 1
+    MUJOCO_STEPS = 1
 
     def __init__(self, mujoco_substeps: int, threads: int) -> None:
-        self._velocity, self._pressure = commands.smooth(ROBOTS, seed=3)
-        self._simulator = Simulator(MODEL, ROBOTS, TRAINING_PHYSICS_RATE_HZ)
+        velocity, pressure = (each[: self.MUJOCO_STEPS] for each in commands.smooth(ROBOTS, seed=3))
+        self.ours = _Flight(MODEL, ROBOTS).speed
         self._model = mujoco.MjModel.from_xml_string(mjcf(MODEL, mujoco_substeps / CONTROL_PERIOD_S, actuators=True))
         self._workers = [mujoco.MjData(self._model) for _ in range(threads)]
         self._pool = rollout.Rollout(nthread=threads)
-        self._control = _mujoco_controls(
-            self._velocity[: self.MUJOCO_STEPS], self._pressure[: self.MUJOCO_STEPS], mujoco_substeps
-        )
+        self._control = _mujoco_controls(velocity, pressure, mujoco_substeps)
         rest = _state_at_rest(self._model)
         self._rest = np.tile(rest, (ROBOTS, 1))
         self._states = np.zeros((ROBOTS, self._control.shape[1], rest.shape[1]))
-        self.ours()
         self.mujoco()
-
-    def ours(self) -> float:
-        start = time.perf_counter()
-        for v, p in zip(self._velocity[: self.STEPS], self._pressure[: self.STEPS], strict=True):
-            self._simulator.step(v, p, CONTROL_PERIOD_S)
-        return ROBOTS * self.STEPS / (time.perf_counter() - start)
 
     def mujoco(self) -> float:
         start = time.perf_counter()
@@ -186,7 +223,13 @@ def _show(result: dict[str, Any]) -> None:
             f"{result[f'{key}control_steps_per_s']:12,.0f} control steps/s  "
             f"tip error after 3 s: mean {error['mean']:.3f} mm, max {error['max']:.3f} mm"
         )
-    simulator_profile.show(console, result)
+    effects = result["effects"]
+    console.print(
+        f"effects   the seed's four {effects['seed_control_steps_per_s']:,.0f}/s, all on "
+        f"{effects['all_control_steps_per_s']:,.0f}/s: {effects['all_over_seed']:.2f} of it"
+    )
+    for name, speeds in result["scaling"].items():
+        console.print(f"{name:<9} {', '.join(f'{number}: {speed:,.0f}/s' for number, speed in speeds.items())}")
     console.print(f"ratio     {result['ratio']:,.0f} on {result['cores']} cores, {ROBOTS} robots")
 
 

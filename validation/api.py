@@ -13,7 +13,8 @@ from pathlib import Path
 
 import click
 
-from validation.stop import DaemonError, daemon
+from softarm.evaluation.software_in_the_loop import SoftwareInTheLoopError
+from validation.daemon_process import SimulatedDaemon
 
 _EXPECTED = """
 request-timeout = 310.0  # a log's replay may take that long
@@ -30,13 +31,13 @@ def run(examples: int, seed: int) -> tuple[bool, str]:
     """Return whether every check passed, and the output of Schemathesis.
 
     Raises:
-        DaemonError: The daemon did not start.
+        SoftwareInTheLoopError: The daemon did not start.
     """
-    with daemon() as ports, tempfile.TemporaryDirectory(prefix="softarm-") as folder:
+    with tempfile.TemporaryDirectory(prefix="softarm-") as folder, SimulatedDaemon(Path(folder)) as daemon:
         expected = Path(folder) / "schemathesis.toml"
         expected.write_text(_EXPECTED)
         program = [sys.executable, "-m", "schemathesis.cli", "--config-file", str(expected), "--no-color", "run"]
-        asked = f"http://127.0.0.1:{ports.api}/openapi.json --checks all --phases examples,coverage,fuzzing"
+        asked = f"{daemon.url}/openapi.json --checks all --phases examples,coverage,fuzzing"
         options = f"--continue-on-failure --seed {seed} --max-examples {examples}"
         done = subprocess.run(
             [*program, *asked.split(), *options.split()], cwd=folder, capture_output=True, text=True, check=False
@@ -56,7 +57,7 @@ def main(examples: int, seed: int) -> None:
     """
     try:
         held, said = run(examples, seed)
-    except DaemonError as error:
+    except SoftwareInTheLoopError as error:
         raise click.ClickException(str(error)) from None
     click.echo(said)
     raise SystemExit(not held)

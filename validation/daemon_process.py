@@ -1,4 +1,4 @@
-"""Access to a running daemon for validations: plug-ins, the process of the rail, and recovery after a stop."""
+"""Daemons under validation: one with a simulated robot, plug-ins, the process of the rail, recovery after a stop."""
 
 import contextlib
 import time
@@ -11,6 +11,22 @@ from softarm.drivers.rail import process as rail_process
 from softarm.evaluation.software_in_the_loop import SoftwareInTheLoop, SoftwareInTheLoopError
 
 POLL_S = 0.03
+
+
+class SimulatedDaemon(SoftwareInTheLoop):
+    """Context in which `softarm run --simulated` runs on free ports."""
+
+    def __init__(self, logs: Path, *options: str) -> None:
+        super().__init__(logs)
+        self._options = options
+
+    def start_twin(self) -> None:
+        """Start no twin, since the daemon simulates the robot."""
+
+    def start_daemon(self) -> None:
+        """Start the daemon and wait until it can be armed."""
+        self.daemon = self._start("run", self.config_file, "--simulated", *self._options)
+        self._wait("run", self.daemon, self._ready_to_arm)
 
 
 def write_plugin(folder: Path, name: str, policies: Mapping[str, str]) -> None:

@@ -13,12 +13,7 @@ import contextlib
 import http.client
 import json
 import multiprocessing
-import os
 import random
-import re
-import signal
-import subprocess
-import sys
 import tempfile
 import time
 from collections.abc import Awaitable, Callable, Coroutine, Iterator
@@ -35,9 +30,10 @@ from benchmarks import results
 from softarm.common import realtime
 from softarm.common.processes import bar
 from softarm.daemon.runtime.service import allow_descriptors
+from softarm.evaluation.software_in_the_loop import SoftwareInTheLoopError
 from softarm.schemas.config import Config
+from validation.daemon_process import SimulatedDaemon
 
-START_S = 60.0
 WARM_UP_S = 2.0  # of an attack, before the measurement
 PAUSE_S = (0.05, 0.15)  # random, so that the phase of the loop does not matter
 TIMEOUT_S = 5.0
@@ -52,24 +48,24 @@ class Ports(NamedTuple):
 
     api: int
     stop: int
-    pid: int = 0
 
 
 Attack = Callable[[Ports], Coroutine[Any, Any, None]]
-
-
-class DaemonError(Exception):
-    """Failure of a daemon to start, with its output."""
 
 
 def run(stops: int, attacks: list[str], report: Callable[[float], None]) -> dict[str, Any]:
     """Request `stops` stops each way under each attack and return the figures by attack.
 
     Raises:
-        DaemonError: The daemon did not start.
+        SoftwareInTheLoopError: The daemon did not start.
     """
     figures = {}
-    with daemon() as ports, ThreadPoolExecutor(1, initializer=_outrank) as asking:
+    with (
+        tempfile.TemporaryDirectory() as folder,
+        SimulatedDaemon(Path(folder)) as daemon,
+        ThreadPoolExecutor(1, initializer=_outrank) as asking,
+    ):
+        ports = Ports(daemon.settings["api"]["port"], daemon.stop_port)
         for number, name in enumerate(attacks):
             with _attacked(name, ports):
                 figures[name] = asking.submit(_measure, ports, stops).result()
@@ -80,46 +76,6 @@ def run(stops: int, attacks: list[str], report: Callable[[float], None]) -> dict
 def _outrank() -> None:
     """Raise the priority of this thread only, since child processes would inherit it."""
     realtime.outrank_own_threads(Config().control.realtime_priority)
-
-
-@contextlib.contextmanager
-def daemon() -> Iterator[Ports]:
-    """Run `softarm run --simulated` on free ports while the context lasts.
-
-    Raises:
-        DaemonError: The daemon did not start.
-    """
-    with tempfile.TemporaryDirectory(prefix="softarm-") as folder:
-        config, printed = Path(folder) / "softarm.yaml", Path(folder) / "run.out"
-        config.write_text(f"api: {{port: 0, stop_port: 0}}\nrecorder: {{directory: {folder}}}\n")
-        command = [sys.executable, "-m", "softarm.cli.main", "run", "--simulated", "--config", str(config)]
-        with printed.open("wb") as output:
-            process = subprocess.Popen(
-                command,
-                stdin=subprocess.DEVNULL,
-                stdout=output,
-                stderr=subprocess.STDOUT,
-                env={**os.environ, "PYTHONUNBUFFERED": "1"},
-            )
-        try:
-            yield _ports(process, printed)
-        finally:
-            process.send_signal(signal.SIGTERM)
-            try:
-                process.wait(10)
-            except subprocess.TimeoutExpired:
-                process.kill()
-                process.wait()
-
-
-def _ports(process: subprocess.Popen[bytes], printed: Path) -> Ports:
-    deadline = time.monotonic() + START_S
-    while time.monotonic() < deadline and process.poll() is None:
-        found = re.search(r"serving \S+:(\d+) .*POST \S+:(\d+)/api/stop", printed.read_text(), re.DOTALL)
-        if found and _stop(ports := Ports(int(found[1]), int(found[2]), process.pid), "stop") is not None:
-            return ports
-        time.sleep(0.1)
-    raise DaemonError(f"the daemon did not start within {START_S:g} s:\n{printed.read_text()}")
 
 
 def _measure(ports: Ports, stops: int) -> dict[str, Any]:
@@ -275,7 +231,7 @@ def main(stops: int, json_file: Path | None) -> None:
     try:
         with bar("stopping") as shown:
             figures = run(stops, list(ATTACKS), shown.show)
-    except DaemonError as error:
+    except SoftwareInTheLoopError as error:
         raise click.ClickException(str(error)) from None
     if json_file is not None:
         results.write(json_file, {"answer_ms": figures})

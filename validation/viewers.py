@@ -1,158 +1,138 @@
-"""Measure whether ten viewers delay the control loop.
+"""Measure whether viewers delay the control loop.
 
 A daemon with a simulated robot flies goals, in turns without clients and with viewers in another process. Each viewer
-reads the stream at 30 Hz and requests the last minute (GET /api/recent) every 5 s. The lateness comes from the
-daemon's own log, tick by tick; a bare loop next to them shows the machine's share. All turns belong to one run, so
-their ratios are the cost of the viewers.
+reads the stream at 30 Hz and requests the last minute (GET /api/recent) every 5 s; with `--foxglove` one Foxglove
+client subscribes to everything instead. The lateness comes from the daemon's own log, tick by tick; a bare loop next to
+them shows the machine's share. All turns belong to one run, so their ratios are the cost of the viewers.
 
     python -m validation.viewers --json FILE
 """
 
 import asyncio
+import contextlib
 import json
 import multiprocessing
-import random
+import re
 import tempfile
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Awaitable, Callable, Iterator
 from multiprocessing.connection import Connection
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import click
 import httpx
 import numpy as np
+import websockets
 from rich.console import Console
-from rich.table import Table
 
 from benchmarks import results
-from benchmarks.loop import GOAL_EVERY_S, BareLoop, Tick, spread
+from benchmarks.loop import BareLoop, Window, figures, spread, swing, table
 from softarm.common.processes import bar
 from softarm.daemon.logbook import logs
 from softarm.evaluation.soak import usage
-from softarm.schemas.flights import TEST_TARGETS
-from validation.stop import DaemonError, Ports, daemon
+from softarm.evaluation.software_in_the_loop import SoftwareInTheLoop, SoftwareInTheLoopError
+from validation.daemon_process import SimulatedDaemon
 
-ARM_S = 20.0
 READY_S = 60.0
 RECENT_EVERY_S = 5.0
-PARTS = ("alone", "viewed")
+FOXGLOVE = websockets.Subprotocol("foxglove.sdk.v1")
 
 
-class Turn(NamedTuple):
-    """Period with or without viewers."""
-
-    begin_ns: int  # monotonic time
-    end_ns: int
-    cpu_s: float  # used by the daemon
-    seen: dict[str, Any]  # received by the viewers
-
-
-def run(seconds: float, turns: int, viewers: int, report: Callable[[float], None]) -> dict[str, Any]:
+def run(
+    seconds: float, turns: int, viewers: int, report: Callable[[float], None], foxglove: bool = False
+) -> dict[str, Any]:
     """Measure `turns` turns of `seconds` each way and return the figures.
 
     Raises:
-        DaemonError: The daemon did not start, or refused a goal.
+        SoftwareInTheLoopError: The daemon did not start or refused a goal, or a viewer failed.
     """
-    taken: dict[str, list[Turn]] = {part: [] for part in PARTS}
-    targets = random.Random(0)
-    with tempfile.TemporaryDirectory() as folder, BareLoop(Path(folder)) as bare, daemon() as ports:
-        url = f"http://127.0.0.1:{ports.api}"
-        with httpx.Client(base_url=url, timeout=10.0) as client:
-            _arm(client)
-            for number in range(turns):
-                taken["alone"].append(_turn(client, ports, seconds, targets, None))
-                with _Crowd(url, viewers) as crowd:
-                    taken["viewed"].append(_turn(client, ports, seconds, targets, crowd))
-                report((number + 1) / turns)
-            log = client.get("/api/status").json()["recorder"]["log"]
-            client.post("/api/disarm")
+    windows: dict[str, list[Window]] = {"alone": [], "viewed": []}
+    cpu_s = dict.fromkeys(windows, 0.0)
+    seen: list[dict[str, Any]] = []
+    options = ("--foxglove", "0") if foxglove else ()
+    with (
+        tempfile.TemporaryDirectory() as folder,
+        BareLoop(Path(folder)) as bare,
+        SimulatedDaemon(Path(folder) / "logs", *options) as daemon,
+    ):
+        assert daemon.daemon is not None
+        pids = [daemon.daemon.pid]
+        log = daemon.status()["recorder"]["log"]
+        daemon.arm()
+        for number in range(2 * turns):
+            part = "viewed" if number % 2 else "alone"
+            with _watched(daemon, viewers, seconds, foxglove) if number % 2 else contextlib.nullcontext() as came:
+                before_s = usage.of(pids).cpu_s
+                windows[part].append(swing(daemon, seconds, lambda _: None))
+                cpu_s[part] += usage.of(pids).cpu_s - before_s
+                if came is not None:
+                    seen.append(came.recv())
+            report((number + 1) / (2 * turns))
         ticks = list(logs.read(log))
-        figures = {part: _figures(ticks, turns_taken, bare) for part, turns_taken in taken.items()}
-    return {"viewers": viewers, **figures, "ratio": _ratios(figures)}
+        found = {part: figures(ticks, those, bare) for part, those in windows.items()}
+    if failed := [each for one in seen for each in one["failed"]]:
+        raise SoftwareInTheLoopError(f"a viewer failed: {failed[0]}")
+    for part, each in found.items():
+        each["daemon_cpu"] = cpu_s[part] / (turns * seconds)
+    found["viewed"] |= {
+        "viewers_cpu": sum(one["cpu_s"] for one in seen) / (turns * seconds),
+        "stream_hz": float(np.mean([one["hz"] for one in seen])),
+        "recent_ms": spread([1e9 * took for one in seen for took in one["recent_s"]] or [0.0]),
+        "recent_bytes": max((size for one in seen for size in one["bytes"]), default=0),
+    }
+    return {"viewers": viewers, **found, "ratio": _ratios(found)}
 
 
-def _arm(client: httpx.Client) -> None:
-    """Arm after the stop with which the daemon was tested.
-
-    Raises:
-        DaemonError: Arming was refused.
-    """
-    client.post("/api/acknowledge")
-    deadline = time.monotonic() + ARM_S
-    while (status := client.get("/api/status").json())["mode"] != "armed":
-        if time.monotonic() > deadline:
-            raise DaemonError(f"cannot be armed: {'; '.join(status['arming_refusals']) or status['mode']}")
-        if status["mode"] == "disarmed":
-            client.post("/api/arm")
-        time.sleep(0.1)
-
-
-def _turn(client: httpx.Client, ports: Ports, seconds: float, targets: random.Random, crowd: "_Crowd | None") -> Turn:
-    """Send goals for a while.
+@contextlib.contextmanager
+def _watched(daemon: SoftwareInTheLoop, viewers: int, seconds: float, foxglove: bool) -> Iterator[Connection]:
+    """Connect the viewers in another process; the connection returns their figures after `seconds`.
 
     Raises:
-        DaemonError: A goal was refused.
+        SoftwareInTheLoopError: The viewers receive no data.
     """
-    if crowd is not None:
-        crowd.begin()
-    cpu_s, begin = usage.of([ports.pid]).cpu_s, time.monotonic()
-    while (passed := time.monotonic() - begin) < seconds:
-        goal = targets.choice(TEST_TARGETS)
-        answer = client.post("/api/goal", json={"kind": "reach", "y_m": goal.y_m, "z_m": goal.z_m})
-        if answer.status_code != 200:
-            raise DaemonError(f"no goal is flown: {answer.json()['detail']}")
-        time.sleep(min(GOAL_EVERY_S, max(0.0, seconds - passed)))
-    end_ns = time.monotonic_ns()
-    return Turn(round(begin * 1e9), end_ns, usage.of([ports.pid]).cpu_s - cpu_s, {} if crowd is None else crowd.end())
+    context = multiprocessing.get_context("spawn")
+    ours, theirs = context.Pipe()
+    found = re.search(r"(ws://\S+)", daemon.printed("run")) if foxglove else None
+    arguments = (daemon.url, found and found[1], viewers, seconds, theirs)
+    process = context.Process(target=_watch, args=arguments, daemon=True)
+    process.start()
+    try:
+        if not ours.poll(READY_S):
+            raise SoftwareInTheLoopError(f"the viewers received no data within {READY_S:g} s")
+        ours.recv()
+        yield ours
+    finally:
+        process.kill()
+        process.join()
 
 
-class _Crowd:
-    """Viewers in another process, connected before the measurement."""
-
-    def __init__(self, url: str, viewers: int) -> None:
-        context = multiprocessing.get_context("spawn")
-        self._ours, theirs = context.Pipe()
-        self._process = context.Process(target=_watch, args=(url, viewers, theirs), daemon=True)
-
-    def __enter__(self) -> "_Crowd":
-        """Connect all viewers or raise DaemonError."""
-        self._process.start()
-        if not self._ours.poll(READY_S):
-            raise DaemonError(f"the viewers received no data within {READY_S:g} s")
-        self._ours.recv()
-        return self
-
-    def begin(self) -> None:
-        """Start counting what the viewers receive."""
-        self._ours.send("begin")
-
-    def end(self) -> dict[str, Any]:
-        """Return the figures of the viewers."""
-        self._ours.send("end")
-        seen: dict[str, Any] = self._ours.recv()
-        return seen
-
-    def __exit__(self, *_: object) -> None:
-        self._process.kill()
-        self._process.join()
+def _watch(url: str, foxglove_url: str | None, viewers: int, seconds: float, way: Connection) -> None:
+    asyncio.run(_watching(url, foxglove_url, viewers, seconds, way))
 
 
-def _watch(url: str, viewers: int, way: Connection) -> None:
-    asyncio.run(_watching(url, viewers, way))
-
-
-async def _watching(url: str, viewers: int, way: Connection) -> None:
-    import websockets
-
+async def _watching(url: str, foxglove_url: str | None, viewers: int, seconds: float, way: Connection) -> None:
     frames, took, sizes, there = [0] * viewers, [], [], [asyncio.Event() for _ in range(viewers)]
+
+    def received(number: int) -> None:
+        frames[number] += 1
+        there[number].set()
+
+    async def subscribe(number: int) -> None:
+        """Subscribe to every channel of Foxglove."""
+        async with websockets.connect(foxglove_url or "", subprotocols=[FOXGLOVE], max_size=None) as socket:
+            async for data in socket:
+                if isinstance(data, bytes):
+                    received(number)
+                elif (message := json.loads(data))["op"] == "advertise":
+                    channels = [{"id": one["id"], "channelId": one["id"]} for one in message["channels"]]
+                    await socket.send(json.dumps({"op": "subscribe", "subscriptions": channels}))
 
     async def follow(number: int) -> None:
         async with websockets.connect(url.replace("http", "ws", 1) + "/api/stream", max_size=None) as stream:
             async for text in stream:
                 json.loads(text)
-                frames[number] += 1
-                there[number].set()
+                received(number)
 
     async def look_back(number: int) -> None:
         await asyncio.sleep(RECENT_EVERY_S * number / viewers)
@@ -167,69 +147,25 @@ async def _watching(url: str, viewers: int, way: Connection) -> None:
                 sizes.append(len(answer.content))
                 await asyncio.sleep(max(0.0, RECENT_EVERY_S - took[-1]))
 
-    tasks = [asyncio.create_task(work(number)) for number in range(viewers) for work in (follow, look_back)]
+    works: tuple[Callable[[int], Awaitable[None]], ...] = (subscribe,) if foxglove_url else (follow, look_back)
+    tasks = [asyncio.ensure_future(work(number)) for number in range(viewers) for work in works]
     await asyncio.gather(*(one.wait() for one in there))
     way.send("ready")
-    await asyncio.to_thread(way.recv)
-    before, begun, cpu_s = sum(frames), time.monotonic(), time.process_time()
+    before, cpu_s = sum(frames), time.process_time()
     took.clear()
-    await asyncio.to_thread(way.recv)
-    rate = (sum(frames) - before) / (time.monotonic() - begun) / viewers
+    await asyncio.sleep(seconds)
+    rate = (sum(frames) - before) / seconds / viewers
     failed = [str(task.exception()) for task in tasks if task.done()]
     way.send({"hz": rate, "recent_s": took, "bytes": sizes, "cpu_s": time.process_time() - cpu_s, "failed": failed})
     for task in tasks:
         task.cancel()
 
 
-def _figures(log: Iterable[Tick], turns: Sequence[Turn], bare: BareLoop) -> dict[str, Any]:
-    windows = [(turn.begin_ns, turn.end_ns) for turn in turns]
-    ticks = [tick for tick in log if any(begin <= tick[0].t_ns < end for begin, end in windows)]
-    wall_s = sum(end - begin for begin, end in windows) * 1e-9
-    failed = [each for turn in turns for each in turn.seen.get("failed", ())]
-    if failed:
-        raise DaemonError(f"a viewer failed: {failed[0]}")
-    seen = [turn.seen for turn in turns if turn.seen]
-    return {
-        "lateness_ms": spread([inputs.late_ns for inputs, _, _ in ticks]),
-        "compute_ms": spread([each.read_ns + each.compute_ns + each.write_ns for _, _, each in ticks]),
-        "bare_loop_lateness_ms": spread([late for window in windows for late in bare.lateness_ns(window)]),
-        "ticks": len(ticks),
-        "missed_ticks": sum(inputs.missed for inputs, _, _ in ticks),
-        "policy_ticks": sum(outputs.action is not None for _, outputs, _ in ticks),
-        "daemon_cpu": sum(turn.cpu_s for turn in turns) / wall_s,
-        "viewers_cpu": sum(one["cpu_s"] for one in seen) / wall_s,
-        "stream_hz": float(np.mean([one["hz"] for one in seen])) if seen else None,
-        "recent_ms": spread([1e9 * took for one in seen for took in one["recent_s"]]) if seen else None,
-        "recent_bytes": max((size for one in seen for size in one["bytes"]), default=None),
-    }
-
-
-def _ratios(figures: dict[str, Any]) -> dict[str, float]:
+def _ratios(found: dict[str, Any]) -> dict[str, float]:
     """Return figures with viewers divided by those without."""
-    alone, viewed = (figures[part] for part in PARTS)
+    alone, viewed = found["alone"], found["viewed"]
     late = {f"lateness_{of}": viewed["lateness_ms"][of] / alone["lateness_ms"][of] for of in ("p50", "p99", "max")}
     return late | {"daemon_cpu": viewed["daemon_cpu"] / alone["daemon_cpu"]}
-
-
-def _show(result: dict[str, Any]) -> Table:
-    table = Table("p50 / p99 / max", "alone", f"{result['viewers']} viewers", "ratio")
-    parts, ratio = [result[part] for part in PARTS], result["ratio"]
-    for name, label in (
-        ("lateness_ms", "lateness of ticks (ms)"),
-        ("compute_ms", "compute (ms)"),
-        ("bare_loop_lateness_ms", "lateness of a bare loop (ms)"),
-        ("recent_ms", "GET /api/recent (ms)"),
-    ):
-        cells = ("{p50:.2f} / {p99:.2f} / {max:.2f}".format(**part[name]) if part[name] else "" for part in parts)
-        of = " / ".join(f"{ratio[f'lateness_{of}']:.2f}" for of in ("p50", "p99", "max"))
-        table.add_row(label, *cells, of if name == "lateness_ms" else "")
-    for name, label in (("ticks", "ticks"), ("missed_ticks", "missed ticks"), ("policy_ticks", "with a policy")):
-        table.add_row(label, *(str(part[name]) for part in parts))
-    shown = [f"{part['daemon_cpu']:.1%}" for part in parts]
-    table.add_row("daemon, of a core", *shown, f"{ratio['daemon_cpu']:.2f}")
-    table.add_row("viewers, of a core", "", f"{parts[1]['viewers_cpu']:.1%}")
-    table.add_row("stream of each (Hz)", "", f"{parts[1]['stream_hz']:.1f}")
-    return table
 
 
 @click.command()
@@ -238,8 +174,9 @@ def _show(result: dict[str, Any]) -> Table:
 )
 @click.option("--turns", default=3, show_default=True, type=click.IntRange(1, 1000), help="Number of turns each way.")
 @click.option("--viewers", default=10, show_default=True, type=click.IntRange(1, 32), help="Number of viewers.")
+@click.option("--foxglove", is_flag=True, help="Instead of the viewers, one client of `softarm run --foxglove`.")
 @results.json_option
-def main(seconds: float, turns: int, viewers: int, json_file: Path | None) -> None:
+def main(seconds: float, turns: int, viewers: int, foxglove: bool, json_file: Path | None) -> None:
     """Measure the punctuality of the control loop with and without viewers.
 
     \b
@@ -248,12 +185,20 @@ def main(seconds: float, turns: int, viewers: int, json_file: Path | None) -> No
     """
     try:
         with bar("flying") as shown:
-            result = run(seconds, turns, viewers, shown.show)
-    except DaemonError as error:
+            result = run(seconds, turns, 1 if foxglove else viewers, shown.show, foxglove)
+    except SoftwareInTheLoopError as error:
         raise click.ClickException(str(error)) from None
     if json_file is not None:
         results.write(json_file, result)
-    Console().print(_show(result))
+    console = Console()
+    console.print(table({part: result[part] for part in ("alone", "viewed")}))
+    viewed, ratio = result["viewed"], result["ratio"]
+    console.print(
+        f"daemon {result['alone']['daemon_cpu']:.1%} and {viewed['daemon_cpu']:.1%} of a core, "
+        f"viewers {viewed['viewers_cpu']:.1%}; stream of each {viewed['stream_hz']:.1f} Hz; "
+        f"ratios of lateness p50 {ratio['lateness_p50']:.2f}, p99 {ratio['lateness_p99']:.2f}"
+    )
+    console.print("GET /api/recent (ms): {p50:.1f} / {p99:.1f} / {p999:.1f} / {max:.1f}".format(**viewed["recent_ms"]))
 
 
 if __name__ == "__main__":

@@ -1,1 +1,0 @@
-"""Check of exported logs in Foxglove Studio, in its last open version from npm."""
