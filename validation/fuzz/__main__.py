@@ -11,8 +11,6 @@ import time
 from pathlib import Path
 
 import click
-from rich.console import Console
-from rich.table import Table
 
 from benchmarks import results
 from softarm.common.processes import bar
@@ -52,15 +50,9 @@ def main(minutes: float, only: tuple[str, ...], first: int, case: int | None, js
                 found[name] = so_far
                 shown.show(number * share_s + time.monotonic() - begun_s, text=name)
     if json_file is not None:
-        figures = {
-            name: {"cases": each.cases, "findings": [f._asdict() for f in each.findings]}
-            for name, each in found.items()
-        }
-        results.write(json_file, {"parsers": figures})
-    table = Table("parser", "cases", "findings")
+        results.write(json_file, {"parsers": {name: each.as_json() for name, each in found.items()}})
     for name, each in found.items():
-        table.add_row(name, f"{each.cases:,}", str(len(each.findings)))
-    Console().print(table)
+        click.echo(f"{name:20} {each.cases:10,} cases, {len(each.findings)} findings")
     findings = [finding for each in found.values() for finding in each.findings]
     for finding in findings:
         click.echo(f"{finding.parser} case {finding.case}: {finding.what}")

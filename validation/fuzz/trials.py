@@ -1,24 +1,25 @@
 """Execution of cases, in this process or in a separate one that may hang or crash."""
 
-import contextlib
+import faulthandler
 import functools
 import multiprocessing
 import time
 import traceback
 from collections.abc import Iterator
-from multiprocessing.connection import Connection
 from pathlib import Path
 from random import Random
 from typing import Any, NamedTuple
 
+from validation import apart
 from validation.fuzz.parsers import PARSERS, Parser
 
 # Processor time of one case, in units of `work_s`: 2 s on the machine of docs/evidence/results.md.
 WORK_MAX = 40.0
 QUICK_S = 0.2  # cases below this are not compared with the unit
 MEMORY_MAX_MB = 300.0  # peak of one case
-START = "spawn"  # start method of the other process
 HANG_S = 20.0  # wall time
+START = "spawn"  # start method of the other process
+PERIOD_S = 60.0  # of one process
 FINDINGS_MAX = 20  # per parser, each at another line of code
 
 
@@ -28,6 +29,17 @@ class Finding(NamedTuple):
     parser: str
     case: int
     what: str
+
+
+class Fuzzed(NamedTuple):
+    """Result of fuzzing one parser."""
+
+    cases: int
+    findings: list[Finding]
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the result as plain data."""
+        return {"cases": self.cases, "findings": [each._asdict() for each in self.findings]}
 
 
 @functools.cache
@@ -44,7 +56,7 @@ def draw(name: str, number: int) -> object:
 def try_case(name: str, number: int) -> Finding | None:
     """Feed one case to its parser in this process and return the finding, or None."""
     parser, case = made(name), draw(name, number)
-    _forget_peak()
+    Path("/proc/self/clear_refs").write_text("5")  # resets the peak memory, proc(5)
     before_mb, begun_s = _memory_mb("VmRSS"), time.process_time()
     try:
         parser.take(case)
@@ -76,68 +88,39 @@ def _where(error: Exception) -> str:
     return f"{Path(frame.filename).name}:{frame.lineno}"
 
 
-def _forget_peak() -> None:
-    """Reset the peak memory of this process (proc(5), clear_refs)."""
-    Path("/proc/self/clear_refs").write_text("5")
-
-
 def _memory_mb(field: str) -> float:
     """Return VmRSS (current) or VmHWM (peak) of this process in MB."""
     status = Path("/proc/self/status").read_text()
     return int(status.partition(f"{field}:")[2].split(maxsplit=1)[0]) / 1024
 
 
-class Fuzzed(NamedTuple):
-    """Result of fuzzing one parser."""
-
-    cases: int
-    findings: list[Finding]
+def _try_cases(name: str, current: Any, seconds: float) -> list[Finding]:
+    """Try cases for a time, at least one; `current` counts them. A case that hangs ends the process."""
+    made(name)
+    findings, until_s = [], time.monotonic() + seconds
+    while True:
+        faulthandler.dump_traceback_later(HANG_S, exit=True)
+        if (finding := try_case(name, current.value)) is not None:
+            findings.append(finding)
+        current.value += 1
+        if time.monotonic() >= until_s or len(findings) == FINDINGS_MAX:
+            return findings
 
 
 def fuzz(name: str, seconds: float, first: int = 0) -> Iterator[Fuzzed]:
-    """Feed a parser for `seconds` in another process, and yield the state now and then."""
-    deadline_s, next_case = time.monotonic() + seconds, first
+    """Feed a parser for `seconds` in other processes, and yield the state now and then."""
+    deadline_s = time.monotonic() + seconds
+    current = multiprocessing.get_context(START).Value("q", first)
     found: dict[str, Finding] = {}
-    while time.monotonic() < deadline_s and len(found) < FINDINGS_MAX:
-        with _worker(name, next_case) as (process, receiver):
-            while (left_s := deadline_s - time.monotonic()) > 0 and len(found) < FINDINGS_MAX:
-                is_ready = receiver.poll(min(HANG_S, left_s))
-                if not is_ready and left_s > HANG_S:
-                    what, next_case = f"hangs: no answer within {HANG_S:g} s", next_case + 1
-                    found.setdefault(what, Finding(name, next_case - 1, what))
-                    break
-                if not is_ready:
-                    break
-                try:
-                    next_case, finding = receiver.recv()
-                except EOFError:
-                    process.join()
-                    what, next_case = f"the process died ({process.exitcode})", next_case + 1
-                    found.setdefault(what, Finding(name, next_case - 1, what))
-                    break
-                if finding is not None:
-                    found.setdefault(finding.what.rpartition(" at ")[2], finding)
-                yield Fuzzed(next_case - first, list(found.values()))
-    yield Fuzzed(next_case - first, list(found.values()))
-
-
-@contextlib.contextmanager
-def _worker(name: str, first: int) -> Iterator[tuple[Any, Connection]]:
-    context: Any = multiprocessing.get_context(START)
-    receiver, sender = context.Pipe(duplex=False)
-    process = context.Process(target=_work, args=(name, first, sender), daemon=True)
-    process.start()
-    sender.close()
-    try:
-        yield process, receiver
-    finally:
-        process.kill()
-        process.join()
-        receiver.close()
-
-
-def _work(name: str, number: int, sender: Connection) -> None:
-    while True:
-        finding = try_case(name, number)
-        number += 1
-        sender.send((number, finding))
+    while (left_s := deadline_s - time.monotonic()) > 0 and len(found) < FINDINGS_MAX:
+        period_s = min(PERIOD_S, left_s)
+        try:
+            findings = apart.call(START, period_s + 2 * HANG_S, _try_cases, name, current, period_s)
+        except apart.ProcessDied as error:
+            findings = [
+                Finding(name, current.value, f"{error}, or a case took more than {HANG_S:g} s: see its traceback")
+            ]
+            current.value += 1
+        for each in findings:
+            found.setdefault(each.what.rpartition(" at ")[2], each)
+        yield Fuzzed(current.value - first, list(found.values()))

@@ -12,6 +12,7 @@ from collections.abc import Iterator
 from typing import Any, NamedTuple
 
 Step = tuple[str, int | None]  # field of a node, and the index if it is a list
+Key = tuple[str, str, str, int]  # function, code before, code after, number among equal ones
 
 SITE_MAX = 120  # characters of context around a change
 _NAME = re.compile(r"[a-z][a-z0-9_]*")
@@ -56,6 +57,11 @@ class Mutant(NamedTuple):
     which: int  # number among equal ones of the function, from 1
     path: tuple[Step, ...]
     node: ast.AST  # the replacement
+
+    @property
+    def key(self) -> Key:
+        """Return the identity, which matches the mutant with its explanation."""
+        return self.function, self.was, self.now, self.which
 
     def __str__(self) -> str:
         which = f" (number {self.which})" if self.which > 1 else ""

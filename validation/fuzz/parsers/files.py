@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from pathlib import Path
 from random import Random
+from typing import Any
 
 import yaml
 
@@ -99,70 +100,55 @@ def _model() -> Parser:
     return _yaml(texts, model_file.load, model_file.ModelFileError)
 
 
-def _stage() -> Parser:
+def _table(suffix: str, write: Callable[[Path, dict[str, Any]], object]) -> Parser:
     """Return the parser of a stage.yaml with its table, either of which may be wrong."""
-    from softarm.diagnosis.data import tables
-    from softarm.diagnosis.data.trials import TrialError
-
-    about = (
-        "name: servo\nkind: tracking\nchannels:\n"
-        "  command: {time: {source: t, unit: s}, columns: {command: {source: u, unit: rad}}}\n"
-        "  measured: {time: {source: t, unit: s}, columns: {position: {source: y, unit: deg, add: 0.1}}}\n"
-        "trials:\n  - {name: a, kind: steps, files: {command: table.csv, measured: table.csv}}\n"
-    )
-    table = "t,u,y\n" + "".join(f"{0.05 * i:.2f},{i % 3},{i % 5 * 20}\n" for i in range(40))
-
-    def draw(random: Random) -> tuple[bytes, bytes]:
-        if random.random() < 0.5:
-            return yaml_text(random, [about]), table.encode()
-        return about.encode(), mutate.of_bytes(random, [table.encode()])
-
-    def take(case: tuple[bytes, bytes]) -> object:
-        written("table.csv", case[1])
-        return tables.read(written("stage.yaml", case[0]))
-
-    return Parser(draw, take, (TrialError,))
-
-
-def _matlab() -> Parser:
-    return _binary_table(".mat")
-
-
-def _parquet() -> Parser:
-    return _binary_table(".parquet")
-
-
-def _binary_table(suffix: str) -> Parser:
-    """Return the parser of binary tables of other programs."""
     import numpy as np
 
     from softarm.diagnosis.data import tables
     from softarm.diagnosis.data.trials import TrialError
 
-    columns = {"t": np.arange(50) * 0.02, "u": np.arange(50) % 3 * 1.0, "y": np.arange(50) % 5 * 0.5}
     path = folder() / f"good{suffix}"
-    if suffix == ".mat":
-        from scipy.io import savemat
-
-        savemat(path, columns)
-    else:
-        import pyarrow
-        from pyarrow import parquet
-
-        parquet.write_table(pyarrow.table(columns), path)
+    write(path, {"t": np.arange(50) * 0.02, "u": np.arange(50) % 3 * 1.0, "y": np.arange(50) % 5 * 0.5})
     good = path.read_bytes()
     about = (
         "name: servo\nkind: tracking\nchannels:\n"
         "  command: {time: {source: t, unit: s}, columns: {command: {source: u, unit: rad}}}\n"
-        "  measured: {time: {source: t, unit: s}, columns: {position: {source: y, unit: rad}}}\n"
+        "  measured: {time: {source: t, unit: s}, columns: {position: {source: y, unit: deg, add: 0.1}}}\n"
         f"trials:\n  - {{name: a, kind: steps, files: {{command: table{suffix}, measured: table{suffix}}}}}\n"
     )
 
-    def take(data: bytes) -> object:
-        written(f"table{suffix}", data)
-        return tables.read(written("binary.yaml", about.encode()))
+    def draw(random: Random) -> tuple[bytes, bytes]:
+        if suffix == ".csv" and random.random() < 0.5:
+            return yaml_text(random, [about]), good
+        return about.encode(), mutate.of_bytes(random, [good])
 
-    return Parser(lambda random: mutate.of_bytes(random, [good]), take, (TrialError,))
+    def take(case: tuple[bytes, bytes]) -> object:
+        written(f"table{suffix}", case[1])
+        return tables.read(written("stage.yaml", case[0]))
+
+    return Parser(draw, take, (TrialError,))
+
+
+def _csv() -> Parser:
+    import numpy as np
+
+    def write(path: Path, columns: dict[str, Any]) -> None:
+        np.savetxt(path, np.stack(list(columns.values()), axis=1), "%.2f", ",", header="t,u,y", comments="")
+
+    return _table(".csv", write)
+
+
+def _matlab() -> Parser:
+    from scipy.io import savemat
+
+    return _table(".mat", savemat)
+
+
+def _parquet() -> Parser:
+    import pyarrow
+    from pyarrow import parquet
+
+    return _table(".parquet", lambda path, columns: parquet.write_table(pyarrow.table(columns), path))
 
 
 def _trial() -> Parser:
@@ -239,7 +225,7 @@ def _latch() -> Parser:
 PARSERS: dict[str, Callable[[], Parser]] = {
     "yaml.configuration": _configuration,
     "yaml.model": _model,
-    "yaml.stage": _stage,
+    "yaml.stage": _csv,
     "yaml.sweep": _sweep,
     "csv.trial": _trial,
     "table.mat": _matlab,

@@ -10,52 +10,51 @@ from validation.fuzz import mutate
 from validation.fuzz.parsers.base import Parser, folder, written
 
 
+def _model() -> bytes:
+    from softarm.policies.base import MODELS
+
+    return (MODELS / "reach.onnx").read_bytes()
+
+
+def _changed_ends(random: Random, model: bytes, bytes_of_end: int) -> bytes:
+    """Return a model with changes at its start or end, where the weights are not."""
+    if random.random() < 0.5:
+        return mutate.of_bytes(random, [model[:bytes_of_end]]) + model[bytes_of_end:]
+    return model[:-bytes_of_end] + mutate.of_bytes(random, [model[-bytes_of_end:]])
+
+
 def _graph() -> Parser:
     """Return the check of an ONNX file before it runs."""
     from softarm.policies import onnx_graph
-    from softarm.policies.base import MODELS
 
-    model = (MODELS / "reach.onnx").read_bytes()
-
-    def draw(random: Random) -> bytes:
-        """Return a model with changes at its start and end, where the structure is."""
-        return mutate.of_bytes(random, [model[:3000], model[:3000] + model[-3000:], model[-3000:]])
-
-    return Parser(draw, onnx_graph.check, (onnx_graph.GraphError,))
+    model = _model()
+    examples = [model[:3000], model[:3000] + model[-3000:], model[-3000:]]
+    return Parser(lambda random: mutate.of_bytes(random, examples), onnx_graph.check, (onnx_graph.GraphError,))
 
 
 def _onnx() -> Parser:
     """Return the parser of a whole model, including its golden run."""
-    from softarm.policies.base import MODELS, PolicyError
+    from softarm.policies.base import PolicyError
     from softarm.policies.onnx_policy import OnnxPolicy
 
-    model = (MODELS / "reach.onnx").read_bytes()
+    model = _model()
 
     def draw(random: Random) -> bytes:
-        """Return a model with changes at its ends, where the weights are not."""
         if random.random() < 0.2:
             return mutate.of_bytes(random, [model])
-        part = random.choice((500, 4000))
-        if random.random() < 0.5:
-            return mutate.of_bytes(random, [model[:part]]) + model[part:]
-        return model[:-part] + mutate.of_bytes(random, [model[-part:]])
+        return _changed_ends(random, model, random.choice((500, 4000)))
 
     return Parser(draw, lambda data: OnnxPolicy(str(written("model.onnx", data))), (PolicyError,))
 
 
 def _weights() -> Parser:
     """Return the parser of a model whose training continues."""
-    from softarm.policies.base import MODELS
     from softarm.training.record.checkpoint import CheckpointError
     from softarm.training.run.warm_start import load_weights
 
-    model = (MODELS / "reach.onnx").read_bytes()
+    model = _model()
     return Parser(
-        lambda random: (
-            mutate.of_bytes(random, [model[:4000]]) + model[4000:]
-            if random.random() < 0.5
-            else model[:-20_000] + mutate.of_bytes(random, [model[-20_000:]])
-        ),
+        lambda random: _changed_ends(random, model, random.choice((4000, 20_000))),
         lambda data: load_weights(written("weights.onnx", data)),
         (CheckpointError,),
     )
