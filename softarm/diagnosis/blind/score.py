@@ -218,17 +218,8 @@ def wrong(case: Scored) -> dict[str, Any]:
 
 
 Outcome = Literal["right", "wide", "part", "picked", "wrong", "silent", "missed", "failed"]
+# Their meanings: docs/evidence/rigs.md.
 OUTCOMES: Final[tuple[Outcome, ...]] = get_args(Outcome)
-MEANINGS: Final[Mapping[Outcome, str]] = {
-    "right": "all causes, with no other name but those that the data cannot separate from them",
-    "wide": "all causes, in sets that are larger than necessary",
-    "part": "one of two causes, and no wrong name",
-    "picked": "one of several effects that the data cannot separate, without the others",
-    "wrong": "a name that is not a cause",
-    "silent": "unknown, although the cause is a known effect or there is none",
-    "missed": "none, although there is a cause",
-    "failed": "an error",
-}
 # Confidence from which a wrong name counts as confident; a name without confidence counts too.
 SURE = 0.8
 # Faults that change less than this, relative to noise and tolerances, are too weak to be found.

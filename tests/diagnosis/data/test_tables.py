@@ -139,21 +139,6 @@ def test_model_parameters_are_converted_to_standard_units(tmp_path, model, insid
     assert (trial.stage.unit("command", "command"), trial.stage.unit("measured", "velocity")) == ("V", "")
 
 
-@pytest.mark.parametrize(
-    ("old", "new", "says"),
-    [
-        ("kind: tracking", "kind: tracking\nlinks: 2", "links: is for a chain or a pendulum"),
-        ("kind: tracking", "kind: tracking\nangles: relative", "angles: is for a chain"),
-        ("kind: tracking", "kindd: tracking", r"kindd: unknown key; did you mean kind\?"),
-    ],
-)
-def test_an_invalid_stage_is_rejected_with_line_and_key(tmp_path, old, new, says):
-    stage = put(tmp_path, ".csv")
-    stage.write_text(TWO_UNITS.replace("MODEL", "gain: 0.002").replace(old, new, 1))
-    with pytest.raises(TrialError, match=says):
-        tables.read(stage)
-
-
 def test_relative_angles_of_a_chain_are_absolute_in_memory(tmp_path):
     columns = {"t": T, "a": np.sin(T), "b": np.cos(T), "w": T, "m": 0.3 * T}
     rows = zip(*(c.tolist() for c in columns.values()), strict=True)

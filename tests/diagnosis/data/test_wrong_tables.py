@@ -114,6 +114,14 @@ WRONG = {
         ),
         r"stage.yaml:7: channels.base: unknown channel; a tracking stage has command, measured; call it one of these",
     ),
+    "links of a tracking stage": (
+        lambda rig: rig.says("kind: tracking", "kind: tracking\nlinks: 2"),
+        r"links: is for a chain or a pendulum",
+    ),
+    "angles of a tracking stage": (
+        lambda rig: rig.says("kind: tracking", "kind: tracking\nangles: relative"),
+        r"angles: is for a chain",
+    ),
     "a negative lag": (lambda rig: rig.says("0.05", "-1"), r"stage.yaml:7: model.lag_s: is -1; allowed 0 to 1000 s"),
     "a lag as text": (
         lambda rig: rig.says("0.05", "50 ms"),

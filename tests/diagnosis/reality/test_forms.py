@@ -35,14 +35,9 @@ def test_a_shuffled_campaign_from_parquet_gets_the_same_verdict(diagnosed, as_pa
     assert verdict == diagnosed(DEAD_TIME_S).verdict
 
 
-@pytest.fixture(scope="module")
-def verdict_of_logs(as_logs):
-    return diagnose(read_all([as_logs]), Model()).verdict
-
-
-def test_the_daemons_logs_get_the_same_verdict(diagnosed, verdict_of_logs):
+def test_the_daemons_logs_get_the_same_verdict(diagnosed, as_logs):
     """Their clock begins elsewhere: what depends on where a grid begins differs by rounding, nothing else."""
-    verdict, expected = verdict_of_logs, diagnosed(DEAD_TIME_S).verdict
+    verdict, expected = diagnose(read_all([as_logs]), Model()).verdict, diagnosed(DEAD_TIME_S).verdict
     assert (verdict.verdict, verdict.where.stage) == (expected.verdict, expected.where.stage)
     assert [(e.name, e.equivalents) for e in verdict.effects] == [(e.name, e.equivalents) for e in expected.effects]
     for one, other in zip(verdict.effects, expected.effects, strict=True):
@@ -77,8 +72,3 @@ def test_what_is_exported_is_the_log_to_the_bit(exported, as_logs):
             for column, values in {"t": series.t_s, **series.columns}.items():
                 other = {"t": export.channels[channel].t_s, **export.channels[channel].columns}[column]
                 np.testing.assert_array_equal(values, other)
-
-
-@pytest.mark.parametrize("exported", ["parquet"], indirect=True)
-def test_what_is_exported_gets_the_logs_verdict(exported, verdict_of_logs):
-    assert diagnose(read_all([exported]), Model()).verdict == verdict_of_logs

@@ -41,8 +41,3 @@ def test_dead_time_and_latency_are_separated_by_a_second_sensor(view):
     (sign,) = set(found.expect.values())
     assert sign not in found.excitation
     assert "only their sum" in sign
-
-
-def test_every_rival_pair_states_a_motion_and_what_it_shows(view):
-    pairs = {text for effect in view.effects for text in effect.separated_by.values()}
-    assert [text for text in pairs if ": " not in text] == []

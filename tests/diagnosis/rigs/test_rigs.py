@@ -100,20 +100,6 @@ def test_the_nominal_actuator_follows_at_once():
     np.testing.assert_allclose(follow({}, command)[away], command[away], atol=1e-9)
 
 
-def test_the_step_responses_agree_with_closed_forms():
-    command = np.where(T >= 5, 0.3, 0.0)
-    late = T - 5.0
-    lag = follow({"lag.rise": 0.2, "lag.fall": 0.2}, command)
-    np.testing.assert_allclose(lag[late > 0.1], 0.3 * (1 - np.exp(-late[late > 0.1] / 0.2)), atol=3e-3)
-    moved = follow({"dead_time.delay": 0.153}, command)
-    assert np.interp(0.15, moved[240:280], late[240:280]) == pytest.approx(0.153, abs=0.021)
-    assert follow({"deadband.width": 0.05}, command)[-1] == pytest.approx(0.25, abs=1e-6)
-    assert follow({"gain.scale": -0.1, "gain.offset": 0.02}, command)[-1] == pytest.approx(0.29, abs=1e-6)
-    slope = np.diff(follow({"rate_limit.rate": 0.5}, command)) / 0.02
-    assert np.nanmax(slope) == pytest.approx(0.5, rel=1e-3)
-    assert follow({"backlash.gap": 0.1}, command)[-1] == pytest.approx(0.25, abs=1e-6)
-
-
 def test_only_a_wrong_velocity_gives_a_warning():
     y = np.sin(T)
     slope = np.gradient(y, T)
@@ -344,17 +330,6 @@ def named(stage, data, element=None, verdict="named"):
     diagnosis = diagnose_table([t for t in trials if element in (None, t.stage.name)])
     assert diagnosis.verdict.verdict == verdict
     return diagnosis, {e.name.partition(".")[2]: e.parameters for e in diagnosis.verdict.effects}
-
-
-@pytest.mark.slow
-def test_small_swings_of_a_real_pendulum_show_dry_friction(data):
-    diagnosis, found = named("pendulum-free.yaml", data)
-    assert all(e.equivalents == () for e in diagnosis.verdict.effects)
-    assert set(found) == {"coulomb_friction"}
-    assert 4e-4 < found["coulomb_friction"]["torque"].value < 6e-4
-    viscous = next(r for r in diagnosis.rivals if r.names == ("joint.damping",))
-    assert viscous.alone < 0.5
-    assert viscous.conditional.value < 0.1
 
 
 @pytest.mark.slow

@@ -5,7 +5,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from threadpoolctl import threadpool_info, threadpool_limits
 
 from softarm.diagnosis.data.trials import Series, TableStage, Trial
 from softarm.diagnosis.diagnose import diagnose
@@ -86,12 +85,3 @@ def test_an_effect_without_a_remaining_residual_is_named():
     assert found.name == "pole.coulomb_friction"
     assert found.parameters["torque"].value == pytest.approx(0.01, rel=0.05)
     assert floors_left(verdict) < 5
-
-
-def test_a_diagnosis_uses_one_thread_and_restores_the_others():
-    seen = []
-    with threadpool_limits(2):
-        diagnose(driven()[:1], progress=lambda text, share: seen.extend(threadpool_info()))
-        assert {each["num_threads"] for each in seen} == {1}
-        assert {each["num_threads"] for each in threadpool_info()} == {2}
-    assert {each["user_api"] for each in seen} == {"blas", "openmp"}  # the trees' too
