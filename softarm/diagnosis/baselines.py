@@ -4,14 +4,14 @@ They have no ceiling, no whitening and no rivals.
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from softarm.diagnosis.data.trials import Trial
 from softarm.diagnosis.engine.fits import Fit
 from softarm.diagnosis.engine.problem import Setup
-from softarm.diagnosis.engine.search import Search
-from softarm.diagnosis.engine.thresholds import ROBOT
+from softarm.diagnosis.engine.search import EFFECTS_MAX, Search
 from softarm.diagnosis.robot.candidates import candidates, nuisances
 from softarm.diagnosis.robot.trial_grid import on_grid
 from softarm.diagnosis.robot.views import robot_views
@@ -28,7 +28,7 @@ def largest_gain(trials: Sequence[Trial], model: Model) -> Verdict:
     search = _search(trials, model)
     null_model = search.problem.fit([((), ())])[0]
     best = min(search.extended(null_model), key=lambda f: f.loss)
-    return _verdict([best] if best.loss < (1 - GAIN_MIN) * null_model.loss else [])
+    return _named(best if best.loss < (1 - GAIN_MIN) * null_model.loss else null_model)
 
 
 def bic(trials: Sequence[Trial], model: Model) -> Verdict:
@@ -40,12 +40,12 @@ def bic(trials: Sequence[Trial], model: Model) -> Verdict:
     def criterion(fit: Fit) -> float:
         return float(samples * np.log(fit.loss) + np.log(samples) * sum(len(c.parameters) for c in fit.effects))
 
-    while len(chosen.effects) < ROBOT.search.effects_max:
+    while len(chosen.effects) < EFFECTS_MAX:
         best = min(search.extended(chosen), key=criterion)
         if criterion(best) >= criterion(chosen):
             break
         chosen = best
-    return _verdict([chosen] if chosen.effects else [])
+    return _named(chosen)
 
 
 def all_at_once(trials: Sequence[Trial], model: Model) -> Verdict:
@@ -65,8 +65,8 @@ def all_at_once(trials: Sequence[Trial], model: Model) -> Verdict:
         )
         ranked.append((clear, effect, us))
         at += len(us)
-    ranked.sort(key=lambda each: -each[0])
-    return _named([(e, us, c) for c, e, us in ranked[:1] if c > CLEARLY])
+    clear, effect, us = max(ranked, key=lambda each: each[0])
+    return _named(replace(fit, effects=(effect,), u=(us,)) if clear > CLEARLY else replace(fit, effects=(), u=()))
 
 
 def _search(trials: Sequence[Trial], model: Model) -> Search:
@@ -76,22 +76,17 @@ def _search(trials: Sequence[Trial], model: Model) -> Search:
     return Search(setup.weighed(), setup.plain(), [view.stage for view in views], candidates(model))
 
 
-def _verdict(fits: Sequence[Fit]) -> Verdict:
-    return _named([(c, us, 1.0) for fit in fits for c, us in zip(fit.effects, fit.u, strict=True)])
-
-
-def _named(found: Sequence[tuple[object, tuple[float, ...], float]]) -> Verdict:
+def _named(fit: Fit) -> Verdict:
+    """Return a verdict that names all effects of a fit."""
     effects = []
-    for candidate, us, _ in found:
+    for candidate, us in zip(fit.effects, fit.u, strict=True):
         parameters = {
             d.path.rpartition(".")[2]: Estimate(value=d.value(u), low=d.value(u), high=d.value(u), unit=d.unit)
-            for d, u in zip(candidate.parameters, us, strict=True)  # type: ignore[attr-defined]
+            for d, u in zip(candidate.parameters, us, strict=True)
             if np.isfinite(d.value(u))
         }
         unknown = Interval(value=0.0, low=0.0, high=0.0)  # baselines do not measure the shrink
-        effects.append(
-            NamedEffect(name=candidate.name, parameters=parameters, shrink=Shrink(stage=unknown))  # type: ignore[attr-defined]
-        )
+        effects.append(NamedEffect(name=candidate.name, parameters=parameters, shrink=Shrink(stage=unknown)))
     stage = REGISTRY[effects[0].name].stage if effects else None
     where = Where(stage=stage, share={stage: 1.0} if stage else {}, regime="not asked")
     empty = Gap(before={}, after={}, floor={}, ceiling={})

@@ -4,7 +4,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from softarm.diagnosis.blind.score import OUTCOMES, Outcome, ScoredRig
+from softarm.diagnosis.blind.score import OUTCOMES, ScoredRig
 from softarm.reporting.colours import LIGHT
 
 
@@ -84,11 +84,11 @@ def rig_table(found: Mapping[str, Mapping[str, Any]]) -> str:
     return "\n".join(lines)
 
 
-def rig_answers(scored: Sequence[ScoredRig], outcomes: Sequence[Outcome] = ("wrong", "picked", "failed")) -> str:
-    """Return one line for each case with one of these outcomes."""
+def rig_answers(scored: Sequence[ScoredRig]) -> str:
+    """Return one line for each wrong, picked or failed answer."""
     lines = []
     for s in sorted(scored, key=lambda s: (OUTCOMES.index(s.outcome), s.rig, s.faults)):
-        if s.outcome in outcomes:
+        if s.outcome in ("wrong", "picked", "failed"):
             named = "; ".join(" or ".join(group) for group in s.named) or s.verdict
             sure = ", sure" if s.sure else ""
             truth = " + ".join(s.faults) or "nothing"

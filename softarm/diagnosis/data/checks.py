@@ -16,6 +16,7 @@ SPLIT_S = 60.0
 # Ratios of two columns that should agree, within 15 %, and the unit that each suggests.
 _PRESSURE_RATIOS = tuple((1 / UNITS["kPa"][unit], unit) for unit in ("psi", "bar", "Pa"))
 _LENGTH_RATIOS = tuple((1 / UNITS["m"][unit], unit) for unit in ("millimetres", "centimetres", "inches"))
+LINK_LENGTH_M = 0.0885
 _DEGREES = 1 / UNITS["rad"]["degrees"]
 _ANGLE_RATIOS = (
     (_DEGREES, "degrees"),
@@ -73,11 +74,11 @@ def _gaps(t: Array, where: str) -> Iterator[str]:
         )
 
 
-def unit_warnings(channels: Mapping[str, Series], where: str, link_length_m: float = 0.0885) -> tuple[str, ...]:
+def unit_warnings(channels: Mapping[str, Series], where: str) -> tuple[str, ...]:
     """Return warnings about units of a robot's recording that look wrong, from ranges and columns that must agree."""
     return (
         *_pressure_units(channels, where),
-        *_length_units(channels, where, link_length_m),
+        *_length_units(channels, where),
         *_angle_units(channels, where),
     )
 
@@ -108,17 +109,17 @@ def _pressure_units(channels: Mapping[str, Series], where: str) -> Iterator[str]
                 )
 
 
-def _length_units(channels: Mapping[str, Series], where: str, link_length_m: float) -> Iterator[str]:
+def _length_units(channels: Mapping[str, Series], where: str) -> Iterator[str]:
     if (mocap := channels.get("mocap")) is not None and "link1_y" in mocap.columns:
         length = _median(np.hypot(mocap["link1_y"] - mocap["cart_y"], mocap["link1_z"] - mocap["cart_z"]))
-        if unit := _named(length / link_length_m, _LENGTH_RATIOS):
+        if unit := _named(length / LINK_LENGTH_M, _LENGTH_RATIOS):
             yield (
-                f"{where}/mocap: cart and link1 are {length:.3g} apart where the link is {link_length_m} m long; "
+                f"{where}/mocap: cart and link1 are {length:.3g} apart where the link is {LINK_LENGTH_M} m long; "
                 f"positions look like {unit}: convert them to metres"
             )
-        elif abs(length / link_length_m - 1) > 0.1:
+        elif abs(length / LINK_LENGTH_M - 1) > 0.1:
             yield (
-                f"{where}/mocap: cart and link1 are {length:.4f} m apart, the link is {link_length_m} m long; check "
+                f"{where}/mocap: cart and link1 are {length:.4f} m apart, the link is {LINK_LENGTH_M} m long; check "
                 "where the rigid bodies' pivots are (cart: at the first hinge; linkN: at the far end of link N)"
             )
     if (rail := channels.get("rail")) is None or len(rail) < 3:

@@ -1,12 +1,15 @@
 """Checks for columns of a rig that never change: dead sensors, trials without motion, commands that are too small."""
 
-from collections.abc import Iterator, Sequence
-from typing import Literal, NamedTuple, Protocol
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Literal, NamedTuple
 
 import numpy as np
 
+from softarm.common.quantity import PURE, factor
 from softarm.diagnosis.data.stage_rules import followed
 from softarm.diagnosis.data.trials import Array, Trial
+from softarm.schemas.trial import Column, Mechanism
 
 # Channels that make a rig move.
 DRIVES = ("command", "force")
@@ -16,14 +19,27 @@ SMALL = 0.5
 JITTER = 0.05
 
 
-class Where(Protocol):
+class Columns:
     """Names of files and columns of a trial, for messages."""
 
-    def __call__(self, channel: str, column: str) -> str:
-        """Return the file and column of a channel's column."""
+    def __init__(self, about: Mechanism, files: Mapping[str, Path]) -> None:
+        self.about, self.files = about, files
+
+    def __call__(self, channel: str, column: str | None = None) -> str:
+        """Return the file and column of a channel's column, or of its stamps if `column` is None."""
+        named = self.of(channel, column)
+        return f"{self.files[channel]}: column {named.source}"
 
     def reading(self, channel: str, column: str, value: float) -> str:
-        """Return a value as it is written in the table."""
+        """Return a value in the table's unit, as it is written in the table, before `add`."""
+        about = self.of(channel, column)
+        text = f"{(value - about.add) / factor(about.unit)[0]:.4g}"
+        return text if about.unit in ("1", PURE) else f"{text} {about.unit}"
+
+    def of(self, channel: str, column: str | None) -> Column:
+        """Return a column as the stage.yaml describes it, or the time column if `column` is None."""
+        known = self.about.channels[channel]
+        return known.time if column is None else known.columns[column]
 
 
 class Stillness(NamedTuple):
@@ -34,7 +50,7 @@ class Stillness(NamedTuple):
     text: str
 
 
-def stillness(trials: Sequence[Trial], places: Sequence[Where]) -> Iterator[Stillness]:
+def stillness(trials: Sequence[Trial], places: Sequence[Columns]) -> Iterator[Stillness]:
     """Yield findings about all trials of one stage; a trial without motion means little without the others."""
     moved = [{name: _spread(t.channels["measured"][name]) for name in compared_columns(t)} for t in trials]
     driven = [_driven(t) for t in trials]
@@ -77,7 +93,7 @@ def compared_columns(trial: Trial) -> tuple[str, ...]:
     return tuple(name for name in columns if not name.startswith(("rate", "effort")))
 
 
-def _nothing(k: int, trial: Trial, at: Where, drive: str, others: bool) -> Stillness:
+def _nothing(k: int, trial: Trial, at: Columns, drive: str, others: bool) -> Stillness:
     name = compared_columns(trial)[0]
     text = f"{at('measured', name)}: nothing moves in this trial, neither {name} nor {drive}"
     if others:

@@ -6,13 +6,12 @@ file, column and next step.
 
 from collections.abc import Callable, Iterator, Mapping
 from itertools import combinations
-from pathlib import Path
 
 import numpy as np
 
 from softarm.common.quantity import PURE, UNITS, factor
 from softarm.diagnosis.data import checks
-from softarm.diagnosis.data.still_checks import compared_columns
+from softarm.diagnosis.data.still_checks import Columns, compared_columns
 from softarm.diagnosis.data.trials import Array, Series, Trial, TrialError
 from softarm.schemas.stage_model import StageKind
 from softarm.schemas.trial import Column, Mechanism, TableChannel
@@ -111,7 +110,7 @@ def ranges(series: Series, kind: StageKind, channel: TableChannel, where: str) -
             )
 
 
-def mistakes(trial: Trial, about: Mechanism, at: "Columns") -> Iterator[str]:
+def mistakes(trial: Trial, about: Mechanism, at: Columns) -> Iterator[str]:
     """Yield the reasons why a trial cannot be diagnosed."""
     yield from _too_short(trial, at)
     yield from _apart(trial, at)
@@ -120,36 +119,13 @@ def mistakes(trial: Trial, about: Mechanism, at: "Columns") -> Iterator[str]:
     yield from slips or _pushed(trial, at)
 
 
-def oddities(trial: Trial, about: Mechanism, at: "Columns") -> Iterator[str]:
+def oddities(trial: Trial, about: Mechanism, at: Columns) -> Iterator[str]:
     """Yield warnings about a trial that can be diagnosed."""
     for sure, text in (*_slips(trial, about, at), *_slopes(trial, at)):
         if not sure:
             yield text
     yield from _late(trial, at)
     yield from _upright(trial, at)
-
-
-class Columns:
-    """Names of files and columns of a trial, for messages."""
-
-    def __init__(self, about: Mechanism, files: Mapping[str, Path]) -> None:
-        self.about, self.files = about, files
-
-    def __call__(self, channel: str, column: str | None = None) -> str:
-        """Return the file and column of a channel's column, or of its stamps if `column` is None."""
-        named = self.of(channel, column)
-        return f"{self.files[channel]}: column {named.source}"
-
-    def reading(self, channel: str, column: str, value: float) -> str:
-        """Return a value in the table's unit, as it is written in the table, before `add`."""
-        about = self.of(channel, column)
-        text = f"{(value - about.add) / factor(about.unit)[0]:.4g}"
-        return text if about.unit in ("1", PURE) else f"{text} {about.unit}"
-
-    def of(self, channel: str, column: str | None) -> Column:
-        """Return a column as the stage.yaml describes it, or the time column if `column` is None."""
-        known = self.about.channels[channel]
-        return known.time if column is None else known.columns[column]
 
 
 def _too_short(trial: Trial, at: Columns) -> Iterator[str]:

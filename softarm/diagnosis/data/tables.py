@@ -9,7 +9,7 @@ import numpy as np
 from softarm.common.quantity import factor
 from softarm.diagnosis.data import checks, stage_rules, still_checks, table_checks, table_files
 from softarm.diagnosis.data.stage_file import Recording, Stage, load, recordings
-from softarm.diagnosis.data.table_checks import Columns
+from softarm.diagnosis.data.still_checks import Columns
 from softarm.diagnosis.data.table_files import Table
 from softarm.diagnosis.data.trials import Series, TableStage, TableUnit, Trial, TrialError
 from softarm.schemas.stage_model import ModelValue

@@ -39,22 +39,22 @@ def scaled(view: View, gap: Array) -> Whitener:
     return Whitener((1 / size)[:, None].astype(np.float32), np.isfinite(view.measured).astype(np.float32))
 
 
-def whitener(view: View, residual: Array, order: int = ORDER) -> Whitener:
+def whitener(view: View, residual: Array) -> Whitener:
     """Fit the autoregression of a residual [M, S] (Yule-Walker), channel by channel."""
     starts = np.flatnonzero(np.diff(view.trial, prepend=-1))
     keep = np.isfinite(view.measured).astype(np.float32)
-    taps = np.zeros((len(view.floor), order + 1), np.float32)
+    taps = np.zeros((len(view.floor), ORDER + 1), np.float32)
     for s in range(len(view.floor)):
         r = residual[:, s]
-        covariance = np.array([np.nanmean(r[lag:] * r[: len(r) - lag]) for lag in range(order + 1)])
+        covariance = np.array([np.nanmean(r[lag:] * r[: len(r) - lag]) for lag in range(ORDER + 1)])
         covariance[0] += (FLOOR_SHARE * view.floor[s]) ** 2
         phi = solve_toeplitz(covariance[:-1], covariance[1:])
         innovation = max(covariance[0] - phi @ covariance[1:], 1e-3 * covariance[0])
         taps[s] = np.concatenate(([1.0], -phi)) / np.sqrt(innovation)
-    for lag in range(1, order + 1):
+    for lag in range(1, ORDER + 1):
         ahead = np.ones_like(keep)
         ahead[lag:] = np.isfinite(view.measured[:-lag])
         keep *= ahead
     for start in starts:
-        keep[start : start + order] = 0.0
+        keep[start : start + ORDER] = 0.0
     return Whitener(taps, keep)

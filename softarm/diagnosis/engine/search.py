@@ -15,6 +15,7 @@ from softarm.diagnosis.engine.problem import BLOCK_LOSS
 from softarm.diagnosis.engine.thresholds import ROBOT, Thresholds
 from softarm.diagnosis.engine.view import Array
 
+EFFECTS_MAX = 3  # effects of a forward search
 SIZES = (0.3, 1.0, 2.0)  # starts of a backward search, in usual changes
 RESTARTS = 3  # repeats of a backward search, each without one more effect that ended at its bound
 EQUAL = 0.5  # held-out loss that counts as no difference
@@ -56,7 +57,6 @@ class Choice:
     alone: tuple[tuple[Fit, Gain], ...]  # every candidate alone, best first
     chosen: Fit
     selected: tuple[SelectedEffect, ...]  # largest gain first
-    next_gain: Gain | None  # of the best candidate outside the chosen set
     energies: tuple[Mapping[str, float], Mapping[str, float]]  # before, after
 
 
@@ -83,18 +83,16 @@ class Search:
         """Return the chosen effects; the search is deterministic."""
         null_model = self.null_model()
         if max(self._first.values(), default=0.0) <= self.thresholds.gain.ignored:
-            return Choice(null_model, (), null_model, (), None, (self._first, self._first))
+            return Choice(null_model, (), null_model, (), (self._first, self._first))
         chosen = self.backward(null_model, progress) if self.thresholds.approximate else null_model
         if not chosen.effects:  # a backward search may end in a local minimum
             chosen = self.forward(null_model, progress)
         if self.thresholds.approximate:
             self._settled = dict(zip(chosen.names, chosen.u, strict=True))
             chosen = self.first_of_equals(chosen, null_model)
-        further = next((g for f, g in self.ranked(chosen) if not f.at_bound), None)
+        self.extended(chosen)  # further effects count in `fitted`
         energies = self.energies(null_model), self.energies(chosen)
-        return Choice(
-            null_model, tuple(self.ranked(null_model)), chosen, self.selected(chosen, null_model), further, energies
-        )
+        return Choice(null_model, tuple(self.ranked(null_model)), chosen, self.selected(chosen, null_model), energies)
 
     def null_model(self) -> Fit:
         """Fit the nuisances alone, without any effect."""
@@ -104,12 +102,12 @@ class Search:
 
     def forward(self, null_model: Fit, progress: Progress) -> Fit:
         """Add one effect at a time, with swaps for rivals and pruning in between."""
-        chosen, seen, most = null_model, {frozenset[str]()}, self.thresholds.search.effects_max
+        chosen, seen = null_model, {frozenset[str]()}
         while True:
             progress(f"searching effect {len(chosen.effects) + 1}", min(0.9, 0.3 * len(chosen.effects)))
             ranked = self.ranked(chosen)
             good = [(f, g) for f, g in ranked if self.is_gain(g) and f.exceeds_tolerance and not f.at_bound]
-            if not good or len(chosen.effects) == most:
+            if not good or len(chosen.effects) == EFFECTS_MAX:
                 return chosen
             further = self.pruned(self.swapped(good[0][0]))
             if frozenset(further.names) in seen or not self.gain(chosen, further).value > 0:
@@ -257,7 +255,7 @@ class Search:
 
     def swapped(self, fit: Fit) -> Fit:
         """Replace single effects by rivals as long as the set improves."""
-        for _ in range(self.thresholds.search.effects_max):
+        for _ in range(EFFECTS_MAX):
             if len(fit.effects) < 2:
                 return fit
             options = [

@@ -13,7 +13,6 @@ from typing import Final, Literal
 class SearchBudget:
     """Extent and cost of the search for a set of effects."""
 
-    effects_max: int = 3  # of a forward search
     rounds: int = 4  # Gauss-Newton rounds of a full fit
     rounds_rough: int = 2  # Gauss-Newton rounds of a first, rough fit
     candidates_max: int = 10  # candidates that get a full fit

@@ -1,7 +1,7 @@
 """System identification of the arm: regression of the paper, refinement by simulation, check on held-out trials."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TypedDict
 
 import numpy as np
@@ -139,7 +139,8 @@ def identify(
     for m in checked:
         on_progress(f"check on {m.name}")
         checks.append(_check(fitted, m))
-    rmse = _torque_rmse(refined.column, smooth, first)
+    modelled = tuple(regression.modelled(refined.column, each) for each in smooth)
+    rmse = replace(first, modelled_nm=modelled).rmse_nm
     warnings += _doubts(model, refined, rmse, checks)
     names = tuple(m.name for m in motions)
     return Identification(fitted, names, smooth, first, rmse, refined, tuple(checks), tuple(warnings))
@@ -175,11 +176,6 @@ def _check(model: Model, seen: Motion) -> Check:
     tip = [n - 1, 2 * n - 1]
     simulated = refinement.follow(model.arm, seen)[:, tip].astype(float)
     return Check(seen.name, seen.t_s, seen.signals[:, tip], simulated, seen.compared)
-
-
-def _torque_rmse(column: Array, smooth: Sequence[Derivatives], first: Regression) -> float:
-    errors = [t - regression.modelled(column, d) for t, d in zip(first.torque_nm, smooth, strict=True)]
-    return float(np.sqrt(np.mean(np.concatenate(errors) ** 2)))
 
 
 def _doubts(model: Model, fitted: Refinement, rmse_nm: float, checks: Sequence[Check]) -> list[str]:

@@ -4,7 +4,6 @@ import math
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Protocol
 
 import numpy as np
 
@@ -31,19 +30,8 @@ from softarm.diagnosis.rigs.views import RigView
 from softarm.schemas.verdict import Estimate, Interval, NamedEffect, NextExperiment, Shrink, Where
 from softarm.simulator.effects import Effect
 
-
-class ViewClass(Protocol):
-    """Class of views for one kind of stage."""
-
-    def __call__(self, trials: Sequence[Trial], /) -> RigView:
-        """Return the view of these trials; raise TrialError if they lack a required channel or model parameter."""
-
-    def windows(self, trial: Trial, /) -> tuple[Trial, ...]:
-        """Return the windows that a trial is cut into, as `RigView.windows` does."""
-
-
 # Kind of stage -> its view. A new kind is one more line.
-VIEWS: Mapping[str, ViewClass] = {
+VIEWS: Mapping[str, type[TrackingView | DrivenMassView | ChainView]] = {
     "tracking": TrackingView,
     "driven_mass": DrivenMassView,
     "pendulum": ChainView,

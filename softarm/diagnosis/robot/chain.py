@@ -7,15 +7,14 @@ from numpy.typing import NDArray
 
 from softarm.diagnosis.engine.view import Array, Point
 from softarm.diagnosis.robot.trial_grid import STEP_S, TrialGrid
-from softarm.diagnosis.robot.views import ABOUT_RAIL, ARM_HZ, delayed, directions, parameters
+from softarm.diagnosis.robot.views import ABOUT_RAIL, ARM_HZ, PHYSICS, delayed, directions
 from softarm.schemas.model import Model
-from softarm.simulator.effects import REGISTRY, value
+from softarm.simulator.effects import value
 from softarm.simulator.simulator import Simulator
 
 # Two good simulators of one robot differ by 5.4 to 6.6 mm at the tip, without tolerated deviations (`robot/floors.py`);
 # most of it is drift of the cart.
 FLOOR_M = 0.009
-_PHYSICS = parameters(*(n for n, e in REGISTRY.items() if e.stage in ("pressure", "rail", "arm")))
 
 
 def tip_gap(grid: TrialGrid, model: Model, points: Sequence[Point]) -> NDArray[np.float32]:
@@ -36,7 +35,7 @@ def stage_of_tip_gap(grid: TrialGrid, model: Model) -> str:
 def _flown(grid: TrialGrid, model: Model, points: Sequence[Point]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Return measured minus simulated tip [P, M, 2] and cart [P, M] at each point."""
     k = len(grid.trials)
-    names = sorted({path for point in points for path in point if path in _PHYSICS})
+    names = sorted({path for point in points for path in point if path in PHYSICS})
 
     def each(path: str) -> Array:
         effect, _, parameter = path.rpartition(".")

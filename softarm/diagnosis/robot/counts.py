@@ -89,14 +89,11 @@ def _pooled(name: str, parameter: str, model: Model, values: Array, events: floa
     before = float(np.sqrt(np.mean((values - nominal) ** 2)))
     after = float(np.sqrt(np.mean((values - others) ** 2)))
     named = abs(pooled - nominal) > floor and events >= FEW and after < 0.7 * before
+    about, low = next(p for p in REGISTRY[name].parameters if p.name == parameter), pooled - half
     if name == "mocap.noise":
         named = named and pooled > 1.8 * nominal
-        nominal_unit = REGISTRY[name].parameters[0].unit
-        return Count(
-            name, parameter, nominal_unit, nominal, pooled, pooled - half, pooled + half, before, after, floor, named
-        )
-    about = next(p for p in REGISTRY[name].parameters if p.name == parameter)
-    low = max(about.low, pooled - half)
+    else:
+        low = max(about.low, low)
     return Count(name, parameter, about.unit, nominal, pooled, low, pooled + half, before, after, floor, named)
 
 

@@ -19,12 +19,11 @@ from softarm.diagnosis.engine.view import Point
 from softarm.diagnosis.engine.whitened import Rows, slices
 from softarm.diagnosis.robot.candidates import nuisances
 from softarm.diagnosis.robot.trial_grid import STEP_S, on_grid
-from softarm.diagnosis.robot.views import ARM_HZ, parameters, robot_views
+from softarm.diagnosis.robot.views import ARM_HZ, PHYSICS, robot_views
 from softarm.schemas.excitation import EXCITATIONS, Excitation
 from softarm.schemas.model import Model
 from softarm.schemas.robot import CONTROL_PERIOD_S
 from softarm.schemas.verdict import NextExperiment
-from softarm.simulator.effects import REGISTRY
 from softarm.simulator.simulator import Simulator
 
 Array = NDArray[np.float64]
@@ -36,7 +35,6 @@ HANG_S = 20.0  # time at rest before a flight
 A_TICK = round(CONTROL_PERIOD_S / STEP_S)  # steps of the grid
 LONGEST_S = 30.0  # compared part of a flight
 NOTHING = "no excitation in the list separates these"
-_PHYSICS = parameters(*(name for name, e in REGISTRY.items() if e.stage in ("pressure", "rail", "arm")))
 
 
 def splitting(
@@ -90,7 +88,7 @@ def repeated(kind: str) -> NextExperiment:
 def flights(model: Model, point: Point) -> list[Trial]:
     """Return a simulated trial of every excitation, from rest and with exact sensors; mocap's effects are left out."""
     plans = list(EXCITATIONS.values())
-    physics = {path: x for path, x in point.items() if path in _PHYSICS}
+    physics = {path: x for path, x in point.items() if path in PHYSICS}
     robots = Simulator(model, len(plans), ARM_HZ, overrides=physics)
     velocity, pressure = np.transpose([plan.at(0.0) for plan in plans])
     robots.step(velocity, pressure, HANG_S)

@@ -20,6 +20,7 @@ FLOOR_KPA, FLOOR_M_S, FLOOR_MOCAP_M = 0.10, 0.02, 0.0007
 FLOOR_LINK_Y_M, FLOOR_LINK_Z_M = 0.0007, 0.0005  # of the first link; y grows with the links, z with half of that
 RAIL_HZ, ARM_HZ = 480.0, 240.0
 ROBOTS_MAX = 4096
+START_NUDGES = (0.02, 0.2)  # rad, rad/s
 LEVELS_KPA = (2, 5, 10, 15)
 # An encoder on the motor shows neither a wrong feed nor play.
 ON_MOTOR = "rail.encoder.on_motor"
@@ -42,6 +43,9 @@ def parameters(*effects: str) -> frozenset[str]:
 
 def _stage(stage: str) -> tuple[str, ...]:
     return tuple(name for name, effect in REGISTRY.items() if effect.stage == stage)
+
+
+PHYSICS = parameters(*_stage("pressure"), *_stage("rail"), *_stage("arm"))
 
 
 class RobotView:
@@ -125,7 +129,10 @@ class RobotView:
         return np.concatenate(parts)
 
     def _gap(self, points: Sequence[Point]) -> NDArray[np.float32]:
-        predicted = self._predict(points)  # [T, P, K, S]
+        return self._less(self._predict(points))
+
+    def _less(self, predicted: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Return measured minus predicted samples, [P, M, S], of predicted steps, [T, P, K, S]."""
         step, trial = self.grid.sample
         flat = predicted[step, :, trial].transpose(1, 0, 2)
         return np.asarray(self.measured.astype(np.float32)[None] - flat)
@@ -294,19 +301,13 @@ class ArmView(RobotView):
         simulator = Simulator(self.model, robots, ARM_HZ, overrides=self._overrides(points, parameters(*_stage("arm"))))
         return self._fly(simulator, points)
 
-    def start_directions(self, angle_rad: float = 0.02, rate_rad_s: float = 0.2) -> NDArray[np.float32]:
+    def start_directions(self) -> NDArray[np.float32]:
         """Return the changes of the gap with initial angles, then rates, [2 n, M, S]."""
         n = self.grid.links
-        base = self._gap([{}])
-        changes = (
-            np.concatenate((angle_rad * np.eye(n), np.zeros((n, n)))),
-            np.concatenate((np.zeros((n, n)), rate_rad_s * np.eye(n))),
-        )
+        changes = np.diag(np.repeat(START_NUDGES, n)).reshape(2 * n, 2, n)
         simulator = Simulator(self.model, 2 * n * len(self.grid.trials), ARM_HZ)
-        moved = self._fly(simulator, [{}] * (2 * n), changes)
-        step, trial = self.grid.sample
-        flat = self.measured.astype(np.float32)[None] - moved[step, :, trial].transpose(1, 0, 2)
-        return np.asarray(flat - base)
+        moved = self._fly(simulator, [{}] * (2 * n), (changes[:, 0], changes[:, 1]))
+        return self._less(moved) - self._gap([{}])
 
     @property
     def own_nuisances(self) -> Mapping[str, float]:
@@ -323,9 +324,7 @@ class ArmView(RobotView):
                 values[i] += share * (values[i] if name != "torque_offset_nm" else max(map(abs, values)))
                 models += [self.model.model_copy(update={"arm": arm.model_copy(update={name: tuple(values)})})] * k
         moved = self._fly(Simulator(models, physics_rate_hz=ARM_HZ), [{}] * (len(JOINT_SHARES) * n))
-        step, trial = self.grid.sample
-        flat = self.measured.astype(np.float32)[None] - moved[step, :, trial].transpose(1, 0, 2)
-        return np.asarray(flat - self._gap([{}]))
+        return self._less(moved) - self._gap([{}])
 
     def _fly(
         self, simulator: Simulator, points: Sequence[Point], changes: tuple[Array, Array] | None = None

@@ -41,7 +41,7 @@ def _named_effect(name, equivalents=(), **energies):
 
 def _choice(before, after, *selected, folds=(1.0, 1.0, 1.0), halves=(1.0, 1.0)):
     chosen = _fit(*(m.candidate.name for m in selected), folds=folds, halves=halves)
-    return Choice(_fit(), (), chosen, selected, None, (before, after))
+    return Choice(_fit(), (), chosen, selected, (before, after))
 
 
 def _decide(choice, flexible, structures=None, thresholds=ROBOT, **further):

@@ -30,10 +30,10 @@ def choice(before, after, effect=None, explained=0.0, scatter=0.0, drift=0.0):
     """Return the result of a search in one stage, with one chosen effect or none."""
     energies = {"arm": before}, {"arm": after}
     if effect is None:
-        return Choice(fit(), (), fit(), (), None, energies)
+        return Choice(fit(), (), fit(), (), energies)
     gain = Gain(100.0, 50.0, 150.0, {"arm": 0.9}, {"arm": explained})
     chosen = SelectedEffect(effect, fit(), gain, (), ())
-    return Choice(fit(), (), fit(effect, scatter=scatter, drift=drift), (chosen,), None, energies)
+    return Choice(fit(), (), fit(effect, scatter=scatter, drift=drift), (chosen,), energies)
 
 
 def kind(t, before, after, flexible=1.0, explained=None, **evidence):

@@ -24,7 +24,7 @@ def diagnosis(*effects, plan=None, nominal=None, overlays=()):
     """Return a diagnosis with these effects, of a rig unless there is a nominal model of the robot."""
     verdict = Verdict(
         verdict="named" if effects else "unknown",
-        where=Where(stage=None, share={}, regime=""),
+        where=Where(stage="servo1" if overlays else None, share={}, regime=""),
         effects=effects,
         gap=Gap(before={}, after={}, floor={}, ceiling={}),
         next_experiment=plan,

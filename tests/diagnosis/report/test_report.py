@@ -123,10 +123,6 @@ def alike(effect, *equivalents):
     return effect.model_copy(update={"equivalents": equivalents})
 
 
-def play(i, one, other):
-    return alike(DEAD_TIME.model_copy(update={"name": f"servo{i}.{one}"}), f"servo{i}.{other}")
-
-
 PAIR = alike(DEAD_TIME, "pressure.lag")
 
 
@@ -299,7 +295,8 @@ def test_a_headline_has_the_size_of_each_effect_or_their_number(effects, says):
 
 def test_many_effects_are_grouped_by_law():
     many = [DEAD_TIME.model_copy(update={"name": f"servo{i}.lag"}) for i in (1, 2, 3)]
-    many += [play(1, "deadband", "backlash"), play(2, "backlash", "deadband")]
+    many.append(alike(DEAD_TIME.model_copy(update={"name": "servo1.deadband"}), "servo1.backlash"))
+    many.append(alike(DEAD_TIME.model_copy(update={"name": "servo2.backlash"}), "servo2.deadband"))
     cause, _, _ = report.answer(diagnosis(verdict=verdict(effects=tuple(many)), nominal=None, patched=None))
     assert cause == (
         "Missing in the model, 5 effects in 3 stages: "
