@@ -2,6 +2,7 @@
 
 import csv
 from collections.abc import Callable
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -37,27 +38,34 @@ def _record(excitation: str, model: Model | None = None, seed: int = 0, noise: f
     frames, slow = [], []
     for k in range(round((plan.duration_s + 0.5) * MOCAP_HZ)):
         t = k / MOCAP_HZ
-        bodies = [(robot.cart_position_m[0], robot.model.arm.base_height_m, 0.0)]
-        bodies += [(y, z, a) for (y, z), a in zip(robot.link_ends_m()[0], robot.link_angles_rad[0], strict=True)]
-        poses = np.array(bodies) + noise * draw.normal(size=(6, 3)) * (MOCAP_NOISE_M, MOCAP_NOISE_M, ANGLE_NOISE_RAD)
-        frames.append((t, t + 0.004, *poses.ravel()))
+        frames.append((t, t + MOCAP_LATE_S, *_poses(robot, draw, noise).ravel()))
         if k % 2 == 0:
             command = plan.at(t)
             reading = robot.pressure_kpa[0] + noise * draw.normal() * PRESSURE_NOISE_KPA
             slow.append((t, *command, reading, robot.cart_position_m[0], robot.cart_velocity_m_s[0]))
         robot.step(*command, 1 / MOCAP_HZ)
-    return _trial(excitation, np.array(frames, dtype=float), np.array(slow, dtype=float))
+    return _trial(excitation, frames, slow)
 
 
-def _trial(name: str, frames: np.ndarray, slow: np.ndarray) -> Trial:
+def _poses(robot: Simulator, draw: np.random.Generator, noise: float = 1.0) -> np.ndarray:
+    """Return the noisy poses of cart and links: y, z and angle of each."""
+    bodies = [(robot.cart_position_m[0], robot.model.arm.base_height_m, 0.0)]
+    bodies += [(y, z, a) for (y, z), a in zip(robot.link_ends_m()[0], robot.link_angles_rad[0], strict=True)]
+    errors = noise * draw.normal(size=(6, 3)) * (MOCAP_NOISE_M, MOCAP_NOISE_M, ANGLE_NOISE_RAD)
+    return np.array(bodies, dtype=float) + errors
+
+
+def _trial(name: str, frames: list[tuple[float, ...]], slow: list[tuple[float, ...]], rows_a_command: int = 1) -> Trial:
+    """Return a trial of frames (capture, reception, poses) and rows (stamp, commands, pressure, position, velocity)."""
     bodies = ("cart", *(f"link{i}" for i in range(1, 6)))
     mocap = ["t_receive", *(f"{body}_{part}" for body in bodies for part in ("y", "z", "angle"))]
-    t = slow[:, 0].copy()
+    seen, rows = np.array(frames, dtype=float), np.array(slow, dtype=float)
+    t, sent = rows[:, 0], rows[::rows_a_command]
     channels = {
-        "command": Series(t, {"cart_velocity": slow[:, 1].copy(), "pressure": slow[:, 2].copy()}),
-        "pressure": Series(t, {"pressure": slow[:, 3].copy()}),
-        "rail": Series(t, {"position": slow[:, 4].copy(), "velocity": slow[:, 5].copy()}),
-        "mocap": Series(frames[:, 0].copy(), {c: frames[:, i].copy() for i, c in enumerate(mocap, 1)}),
+        "command": Series(sent[:, 0].copy(), {"cart_velocity": sent[:, 1].copy(), "pressure": sent[:, 2].copy()}),
+        "pressure": Series(t.copy(), {"pressure": rows[:, 3].copy()}),
+        "rail": Series(t.copy(), {"position": rows[:, 4].copy(), "velocity": rows[:, 5].copy()}),
+        "mocap": Series(seen[:, 0].copy(), {c: seen[:, i].copy() for i, c in enumerate(mocap, 1)}),
     }
     return Trial(name, name, Path(name), channels, "free")
 
@@ -99,36 +107,15 @@ def _fly(kind: str, model: Model, seed: int) -> Trial:
     frames, slow = [], []
     for k in range(round(LENGTH_S / FRAME_S)):
         t = k * FRAME_S
-        bodies = [(robot.cart_position_m[0], model.arm.base_height_m, 0.0)]
-        bodies += [(y, z, a) for (y, z), a in zip(robot.link_ends_m()[0], robot.link_angles_rad[0], strict=True)]
-        noise = draw.normal(size=(6, 3)) * (MOCAP_NOISE_M, MOCAP_NOISE_M, ANGLE_NOISE_RAD)
-        poses = np.array(bodies, dtype=float) + noise
-        frames.append((t, t + MOCAP_LATE_S, *poses.ravel()))
+        frames.append((t, t + MOCAP_LATE_S, *_poses(robot, draw).ravel()))
         command = plan.at(from_s + FRAMES_A_TICK * FRAME_S * (k // FRAMES_A_TICK))
         if k % 2 == 0:
             reading = robot.pressure_reading_kpa[0] + draw.normal() * PRESSURE_NOISE_KPA
             slow.append((t, *command, reading, robot.cart_position_m[0], robot.cart_velocity_m_s[0]))
         robot.step(*command, FRAME_S)
-    return _flown(kind, np.array(frames, dtype=float), np.array(slow, dtype=float))
-
-
-def _flown(name: str, frames: np.ndarray, slow: np.ndarray) -> Trial:
-    bodies = ("cart", *(f"link{i}" for i in range(1, 6)))
-    columns = ["t_receive", *(f"{body}_{part}" for body in bodies for part in ("y", "z", "angle"))]
-    t, sent = slow[:, 0], slow[:: FRAMES_A_TICK // 2]
-    mocap = Series(frames[:, 0].copy(), {c: frames[:, i].copy() for i, c in enumerate(columns, 1)})
-    return Trial(
-        name,
-        name,
-        Path(name),
-        {
-            "command": Series(sent[:, 0].copy(), {"cart_velocity": sent[:, 1].copy(), "pressure": sent[:, 2].copy()}),
-            "pressure": Series(t.copy(), {"pressure": slow[:, 3].copy()}),
-            "rail": Series(t.copy(), {"position": slow[:, 4].copy(), "velocity": slow[:, 5].copy()}),
-            "mocap": mocap,
-            "observation": _observation(mocap, sent[2:, 0]),
-        },
-    )
+    trial = _trial(kind, frames, slow, FRAMES_A_TICK // 2)
+    ticks = trial.channels["command"].t_s[2:]
+    return replace(trial, channels={**trial.channels, "observation": _observation(trial.channels["mocap"], ticks)})
 
 
 def _observation(mocap: Series, ticks: np.ndarray) -> Series:

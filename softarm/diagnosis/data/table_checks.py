@@ -4,7 +4,7 @@ Data that cannot be diagnosed are rejected; doubtful data give a warning. Either
 file, column and next step.
 """
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from itertools import combinations
 
 import numpy as np
@@ -12,7 +12,7 @@ import numpy as np
 from softarm.common.quantity import PURE, UNITS, factor
 from softarm.diagnosis.data import checks
 from softarm.diagnosis.data.still_checks import Columns, compared_columns
-from softarm.diagnosis.data.trials import Array, Series, Trial, TrialError
+from softarm.diagnosis.data.trials import Array, Series, TableStage, Trial, TrialError
 from softarm.schemas.stage_model import StageKind
 from softarm.schemas.trial import Column, Mechanism, TableChannel
 
@@ -194,13 +194,12 @@ def _wrapped(trial: Trial, at: Columns) -> Iterator[str]:
             )
 
 
-def _static(trial: Trial, command: Array) -> Array:
+def _static(stage: TableStage, command: Array) -> Array:
     """Value that the nominal model reaches under constant commands."""
-    model: Mapping[str, object] = trial.stage.model if trial.stage is not None else {}
-    if "map" in model:
-        pairs = np.asarray(model["map"], dtype=float)
+    if "map" in stage.model:
+        pairs = np.asarray(stage.model["map"], dtype=float)
         return np.asarray(np.interp(command, pairs[:, 0], pairs[:, 1]))
-    return _single(model, "gain", 1.0) * command + _single(model, "offset", 0.0)
+    return stage.number("gain", 1.0) * command + stage.number("offset", 0.0)
 
 
 def _slips(trial: Trial, about: Mechanism, at: Columns) -> Iterator[tuple[bool, str]]:
@@ -208,7 +207,7 @@ def _slips(trial: Trial, about: Mechanism, at: Columns) -> Iterator[tuple[bool, 
     if trial.stage is None or about.kind != "tracking" or not {"command", "measured"} <= trial.channels.keys():
         return
     (name,) = compared_columns(trial)
-    seen, expected = trial.channels["measured"][name], _static(trial, trial.channels["command"]["command"])
+    seen, expected = trial.channels["measured"][name], _static(trial.stage, trial.channels["command"]["command"])
     spread = [float(np.quantile(x, 0.95) - np.quantile(x, 0.05)) for x in (seen, expected)]
     if min(spread) <= 0:
         return
@@ -239,11 +238,11 @@ def _pushed(trial: Trial, at: Columns) -> Iterator[str]:
     if trial.stage is None or trial.stage.kind != "driven_mass" or not {"force", "measured"} <= trial.channels.keys():
         return
     driver, place = next(iter(trial.channels["force"].columns)), next(iter(trial.channels["measured"].columns))
-    force, measured, model = trial.channels["force"], trial.channels["measured"], trial.stage.model
+    force, measured, stage = trial.channels["force"], trial.channels["measured"], trial.stage
     if min(len(force), len(measured)) < ROWS_LEAST:
         return
-    gain, offset = _single(model, "gain", 1.0), _single(model, "offset", 0.0)
-    mass = _single(model, "inertia_kg_m2", _single(model, "mass_kg", 1.0))
+    gain, offset = stage.number("gain", 1.0), stage.number("offset", 0.0)
+    mass = stage.number("inertia_kg_m2", stage.number("mass_kg", 1.0))
     t = np.arange(measured.t_s[0], measured.t_s[-1], PUSH_S)
     x = np.interp(t, measured.t_s, measured[place])
     jumps = np.diff(x, 1 if place == "velocity" else 2) / (1.0 if place == "velocity" else PUSH_S)
@@ -254,10 +253,6 @@ def _pushed(trial: Trial, at: Columns) -> Iterator[str]:
             f"{at('measured', place)}: {place} accelerates by {seen:.3g} (in m/s^2 or rad/s^2), but {driver} "
             f"({at('force', driver)}) and the model's mass allow {most:.3g}; correct a `unit`, `gain` or the mass"
         )
-
-
-def _single(model: Mapping[str, object], key: str, default: float) -> float:
-    return float(np.ravel(np.asarray(model.get(key, default), dtype=float))[0])
 
 
 def _meant(of_one: float, standard: str, name: str) -> str:

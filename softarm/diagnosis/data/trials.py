@@ -83,6 +83,10 @@ class TableStage:
     units: Mapping[str, Mapping[str, TableUnit]] = field(default_factory=dict)  # channel -> column -> unit
     relative: bool = False  # whether a chain's angles were measured from link to link; here they are absolute
 
+    def number(self, key: str, default: float) -> float:
+        """Return a parameter of the model, its first value if it has several, or the default."""
+        return float(np.ravel(np.asarray(self.model.get(key, default), dtype=float))[0])
+
     def unit(self, channel: str, column: str) -> str:
         """Return the standard unit of a column, in which its Series is; empty if the table does not give it."""
         own = self.units.get(channel, {}).get(column)
@@ -125,6 +129,14 @@ class Trial:
         """Time from the first stamp to the last over all channels, s."""
         ends = [(series.t_s[0], series.t_s[-1]) for series in self.channels.values() if len(series)]
         return float(max(e for _, e in ends) - min(s for s, _ in ends)) if ends else 0.0
+
+
+def check_links(trial: Trial, links: int) -> None:
+    """Raise TrialError if mocap does not see exactly this number of links."""
+    mocap = trial.channel("mocap").columns
+    if f"link{links}_y" not in mocap or f"link{links + 1}_y" in mocap:
+        seen = sum(name.startswith("link") and name.endswith("_y") for name in mocap)
+        raise TrialError(f"{trial.source}: mocap sees {seen} links, the model has {links}; name the model of this arm")
 
 
 def unique_names(trials: Iterable[Trial]) -> tuple[Trial, ...]:

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 from scipy.signal import butter, sosfiltfilt
 
-from softarm.diagnosis.data.trials import Series, Trial, TrialError
+from softarm.diagnosis.data.trials import Series, Trial, TrialError, check_links
 
 Array = NDArray[np.float64]
 
@@ -75,9 +75,7 @@ def measured(trial: Trial, links: int) -> Motion:
         TrialError: mocap or pressure is missing or too short.
     """
     mocap, pressure = trial.channel("mocap"), trial.channel("pressure")
-    if f"link{links}_y" not in mocap.columns or f"link{links + 1}_y" in mocap.columns:
-        seen = sum(name.startswith("link") and name.endswith("_y") for name in mocap.columns)
-        raise TrialError(f"{trial.source}: mocap sees {seen} links, the model has {links}; name the model of this arm")
+    check_links(trial, links)
     signals = np.stack([mocap[f"link{i}_{part}"] for part in ("y", "z", "angle") for i in range(1, links + 1)], axis=1)
     cart = np.stack((mocap["cart_y"], mocap["cart_z"]), axis=1)
     # Outside the pressure's stamps the input is unknown.

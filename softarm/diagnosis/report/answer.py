@@ -5,15 +5,14 @@ from collections.abc import Sequence
 from softarm.diagnosis.engine.result import Diagnosis
 from softarm.diagnosis.report.words import (
     HELD_OUT,
-    change,
-    meaning,
+    described,
     model_word,
     noise_level,
     one_of,
     reduction,
-    shrinks_by,
+    relation,
+    shrinks,
     sized,
-    sizes,
     stages_of,
     times,
 )
@@ -83,16 +82,6 @@ def _singles_first(effects: Sequence[NamedEffect], texts: Sequence[str]) -> list
     return [t for e, t in pairs if not e.equivalents] + [t for e, t in pairs if e.equivalents]
 
 
-def _relation(diagnosis: Diagnosis, effect: NamedEffect) -> str:
-    """Return how simulator and robot differ in an effect."""
-    it = model_word(diagnosis)
-    if diagnosis.nominal is None or diagnosis.patched is None or effect.name not in diagnosis.nominal.effects:
-        return f"Missing in the {it}"
-    if effect.name not in diagnosis.patched.effects:
-        return f"In the {it} but not on the robot"
-    return f"Wrong size in the {it}"
-
-
 def _cause(diagnosis: Diagnosis) -> str:
     named = diagnosis.verdict.effects
     more = " More of the gap could be explained." if diagnosis.verdict.verdict == "incomplete" else ""
@@ -100,17 +89,15 @@ def _cause(diagnosis: Diagnosis) -> str:
         return f"Missing in the {model_word(diagnosis)}, {_counted(named)}: {_by_law(named)}.{more}"
     groups: dict[str, list[NamedEffect]] = {}
     for effect in named:
-        groups.setdefault(_relation(diagnosis, effect), []).append(effect)
-    sentences = [f"{relation}: {_listed(diagnosis, effects)}." for relation, effects in groups.items()]
+        groups.setdefault(relation(diagnosis, effect), []).append(effect)
+    sentences = [f"{how[0].upper()}{how[1:]}: {_listed(diagnosis, effects)}." for how, effects in groups.items()]
     return " ".join(sentences) + more
 
 
 def _listed(diagnosis: Diagnosis, effects: Sequence[NamedEffect]) -> str:
     """Return effects with their sizes, sets of indistinguishable effects last."""
     if len(effects) == 1 and not effects[0].equivalents:
-        (one,) = effects
-        explained, size = meaning(diagnosis, one.name), sizes(one)
-        return f"{one.name}{f' ({explained})' if explained else ''}{f', {size}' if size else ''}"
+        return described(diagnosis, effects[0])
     texts = [one_of(effect) if effect.equivalents else sized(effect) for effect in effects]
     *head, last = _singles_first(effects, texts)
     return f"{', '.join(head)}, and {last}" if head and last.startswith("either") else listed((*head, last))
@@ -163,12 +150,8 @@ def _shrinks(diagnosis: Diagnosis) -> str:
 
 def _shrink_of(diagnosis: Diagnosis, place: str, whose: str) -> str:
     gap = diagnosis.verdict.gap
-    before, after = gap.before.get(place), gap.after.get(place)
-    share = reduction(before, after)
-    if before is None or after is None or share is None:
-        return ""
-    verb = "shrinks" if share >= 0 else "grows"
-    return f"{whose} {verb} from {change(before, after, ' to ')} RMS ({shrinks_by(diagnosis, place)})"
+    known = reduction(gap.before.get(place), gap.after.get(place)) is not None
+    return f"{whose} {shrinks(diagnosis, place)}" if known else ""
 
 
 def _unknown(diagnosis: Diagnosis) -> tuple[str, str, str]:

@@ -7,14 +7,16 @@ from softarm.diagnosis.report.answer import NOT_RATED
 from softarm.diagnosis.report.words import (
     HELD_OUT,
     change,
+    described,
     interval,
     meaning,
-    model_word,
     noise_level,
     of_stage,
     one_of,
     percents,
     reduction,
+    relation,
+    shrinks,
     shrinks_by,
     sizes,
     stages_of,
@@ -64,16 +66,7 @@ def _paragraph(diagnosis: Diagnosis, stage: str) -> str:
 def _causes(diagnosis: Diagnosis, named: Sequence[NamedEffect]) -> str:
     if len(named) > _EXPLAINED_MAX:
         return f"The {len(named)} effects: {'; '.join(_sized(each) for each in named)}"
-    return "; ".join(f"{_relation(diagnosis, each)} {_described(diagnosis, each)}" for each in named)
-
-
-def _relation(diagnosis: Diagnosis, effect: NamedEffect) -> str:
-    it = model_word(diagnosis)
-    if diagnosis.nominal is None or diagnosis.patched is None or effect.name not in diagnosis.nominal.effects:
-        return f"missing in the {it}:"
-    if effect.name in diagnosis.patched.effects:
-        return f"wrong size in the {it}:"
-    return f"in the {it} but not on the robot:"
+    return "; ".join(f"{relation(diagnosis, each)}: {_described(diagnosis, each)}" for each in named)
 
 
 def _sized(effect: NamedEffect) -> str:
@@ -88,8 +81,7 @@ def _described(diagnosis: Diagnosis, effect: NamedEffect) -> str:
     """Return an effect with its meaning and size."""
     size = sizes(effect)
     if not effect.equivalents:
-        text = meaning(diagnosis, effect.name)
-        return f"{effect.name}{f' ({text})' if text else ''}{f', {size}' if size else ''}"
+        return described(diagnosis, effect)
     members = [f"{n} ({text})" for n in (effect.name, *effect.equivalents) if (text := meaning(diagnosis, n))]
     text = f"either {listed(members, 'or')}; this data cannot separate them" if members else one_of(effect)
     return f"{text}{f'. For {effect.name}, {size}' if size else ''}"
@@ -97,13 +89,8 @@ def _described(diagnosis: Diagnosis, effect: NamedEffect) -> str:
 
 def _shrinks(diagnosis: Diagnosis, stage: str, effects: int) -> str:
     """Return how far the gap shrinks, and on which held-out data."""
-    gap = diagnosis.verdict.gap
-    before, after = gap.before[stage], gap.after[stage]
-    verb = "shrinks" if (reduction(before, after) or 0.0) >= 0 else "grows"
-    shrunk = f"the gap {verb} from {change(before, after, ' to ')} RMS ({shrinks_by(diagnosis, stage)})"
-    held_out = HELD_OUT[diagnosis.held_out]
     with_them = f"all {effects} effects" if effects > _EXPLAINED_MAX else "both" if effects == 2 else "it"
-    return f"With {with_them} corrected, {shrunk} {held_out}"
+    return f"With {with_them} corrected, the gap {shrinks(diagnosis, stage)} {HELD_OUT[diagnosis.held_out]}"
 
 
 def _rest(after: Quantity | None, floor: Quantity | None) -> str:

@@ -95,6 +95,29 @@ def model_word(diagnosis: Diagnosis) -> str:
     return "model" if diagnosis.nominal is None else "simulator"
 
 
+def relation(diagnosis: Diagnosis, effect: NamedEffect) -> str:
+    """Return how simulator and robot differ in an effect, such as `missing in the simulator`."""
+    it = model_word(diagnosis)
+    if diagnosis.nominal is None or diagnosis.patched is None or effect.name not in diagnosis.nominal.effects:
+        return f"missing in the {it}"
+    if effect.name not in diagnosis.patched.effects:
+        return f"in the {it} but not on the robot"
+    return f"wrong size in the {it}"
+
+
+def described(diagnosis: Diagnosis, effect: NamedEffect) -> str:
+    """Return an effect with its meaning and the size of its parameters; equivalents are left out."""
+    text, size = meaning(diagnosis, effect.name), sizes(effect)
+    return f"{effect.name}{f' ({text})' if text else ''}{f', {size}' if size else ''}"
+
+
+def shrinks(diagnosis: Diagnosis, place: str) -> str:
+    """Return how a stage's gap changes, such as `shrinks from 1.2 to 0.3 kPa RMS (74 % less, ...)`."""
+    before, after = diagnosis.verdict.gap.before[place], diagnosis.verdict.gap.after[place]
+    verb = "shrinks" if (reduction(before, after) or 0.0) >= 0 else "grows"
+    return f"{verb} from {change(before, after, ' to ')} RMS ({shrinks_by(diagnosis, place)})"
+
+
 def one_of(effect: NamedEffect) -> str:
     """Return an effect's name, or its set of indistinguishable effects."""
     if not effect.equivalents:

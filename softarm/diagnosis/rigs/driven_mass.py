@@ -76,7 +76,7 @@ class DrivenMassView(RigView):
         """
         stage = stage_of(trials, ("driven_mass",), "driven mass")
         self._mass, rotary = _mass(stage)
-        self._gain = _number(stage, "gain", 1.0)
+        self._gain = stage.number("gain", 1.0)
         self._speed_alone = not all("position" in t.channel("measured").columns for t in trials)
         column, driver = _columns(trials, self._speed_alone)
         step = resolution([t.channel("measured")[column] for t in trials])
@@ -87,7 +87,7 @@ class DrivenMassView(RigView):
         scales = _scales(trials, self._motions, driver, abs(self._gain), limit, step, length, "N m" if rotary else "N")
         self._inputs, self._scales = inputs, scales
         own = driven_mass_effects(stage.name, scales, self._speed_alone)
-        self._known = neutral_values(own) | {path: _number(stage, key, 0.0) for key, path in _MODEL.items()}
+        self._known = neutral_values(own) | {path: stage.number(key, 0.0) for key, path in _MODEL.items()}
         window_s, self.block_s = _window_lengths(scales, self._motions)
         self._edges = [_edges(m.grid, window_s) for m in self._motions]
         self._each = int(min(max(np.ceil(scales.step_s * STEPS_PER_PERIOD / scales.period_s), 1), SUBSTEPS_MOST))
@@ -259,17 +259,13 @@ def _mass(stage: TableStage) -> tuple[float, bool]:
     """Mass or inertia, and whether it turns; raises TrialError if the model has neither or it is not above 0."""
     for key, rotary in (("mass_kg", False), ("inertia_kg_m2", True)):
         if key in stage.model:
-            value = _number(stage, key, 0.0)
+            value = stage.number(key, 0.0)
             if not value > 0:
                 raise TrialError(f"{stage.name}: model.{key} is {value:g}, but must be above 0; correct it")
             return value, rotary
     raise TrialError(
         f"{stage.name}: model lacks mass_kg (or inertia_kg_m2, if it turns); add it, motion shows only force over mass"
     )
-
-
-def _number(stage: TableStage, key: str, otherwise: float) -> float:
-    return float(np.ravel(stage.model.get(key, otherwise))[0])
 
 
 def _columns(trials: Sequence[Trial], speed_alone: bool) -> tuple[str, str]:

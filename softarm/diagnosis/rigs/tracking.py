@@ -9,14 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softarm.common.quantity import PURE
-from softarm.diagnosis.data.trials import Series, Trial, TrialError
+from softarm.diagnosis.data.trials import Series, TableStage, Trial, TrialError
 from softarm.diagnosis.engine.view import Array, Point
 from softarm.diagnosis.rigs.grid import Grid, grid, held_integral, resolution, time_since_change
 from softarm.diagnosis.rigs.laws import tracking as law
 from softarm.diagnosis.rigs.scales import TrackingScales, repeatability, scales, stretch, white_noise
 from softarm.diagnosis.rigs.tracking_effects import tracking_effects
 from softarm.diagnosis.rigs.views import RigView, neutral_values, stage_of
-from softarm.schemas.stage_model import ModelValue
 
 # Columns that can follow the command -> their default unit. The first one that a table has is used.
 MEASURED = {"position": "rad", "pressure": "kPa", "velocity": "m/s", "value": PURE}
@@ -66,18 +65,18 @@ _MODEL = {
 class TrackingView(RigView):
     """View from the command to the measured channel, all trials of one stage."""
 
-    def __init__(self, trials: Sequence[Trial], unit: str | None = None) -> None:
-        """Prepare the trials of one tracking stage; `unit` replaces the measured channel's own unit.
+    def __init__(self, trials: Sequence[Trial]) -> None:
+        """Prepare the trials of one tracking stage.
 
         Raises TrialError if the trials do not belong to one tracking stage, or lack a column.
         """
         about = stage_of(trials, ("tracking",), "tracking stage")
-        stage, given = about.name, about.model
+        stage = about.name
         column = _measured(stage, trials)
-        unit = unit or about.unit("measured", column) or MEASURED[column]
+        unit = about.unit("measured", column) or MEASURED[column]
         rate = max(resolving_hz(t.channel("measured"), column) for t in trials)
         grids = [grid(t.channel("measured"), rate) for t in trials]
-        commands = [_mean_command(t.channel("command"), given) for t in trials]
+        commands = [_mean_command(t.channel("command"), about) for t in trials]
         seen = [g.columns[column] for g in grids]
         means = [_held(g, c) for g, c in zip(grids, commands, strict=True)]
         self.scales = scales([g.t_s for g in grids], means, seen)
@@ -92,7 +91,7 @@ class TrackingView(RigView):
         self.floor = np.maximum(self.floor, max(self.scales.noise, repeatability(means, seen)))
         self.block_s = stretch([g.t_s for g in grids], seen, self.scales.late_s)
         self._known = neutral_values(found) | {
-            path: float(np.ravel(given[key])[0]) for key in given for path in _MODEL.get(key, ())
+            path: about.number(key, 0.0) for key in about.model for path in _MODEL.get(key, ())
         }
         self._grids, self._commands = grids, commands
         self._starts = [float(_FIRST @ s[np.isfinite(s)][:3]) for s in seen]
@@ -209,18 +208,17 @@ def _measured(stage: str, trials: Sequence[Trial]) -> str:
     raise TrialError(f"{stage}: the measured channel needs a column {' or '.join(MEASURED)} in every trial; add it")
 
 
-def _mean_command(series: Series, model: Mapping[str, ModelValue]) -> tuple[Array, Array]:
+def _mean_command(series: Series, stage: TableStage) -> tuple[Array, Array]:
     """Stamps, and the integral of the nominal final value under the held command; extended at both ends."""
     margin = float(series.t_s[-1] - series.t_s[0]) + 1.0
-    return held_integral(series, _nominal_end(series["command"], model), margin)
+    return held_integral(series, _nominal_end(series["command"], stage), margin)
 
 
-def _nominal_end(command: Array, model: Mapping[str, ModelValue]) -> Array:
+def _nominal_end(command: Array, stage: TableStage) -> Array:
     """Final value of the nominal model: by `map`, extrapolated beyond its ends, or by `gain` and `offset`."""
-    if "map" not in model:
-        gain, offset = (float(np.ravel(model.get(key, other))[0]) for key, other in (("gain", 1.0), ("offset", 0.0)))
-        return np.asarray(command * gain + offset)
-    at, reached = np.asarray(model["map"], dtype=float).T
+    if "map" not in stage.model:
+        return np.asarray(command * stage.number("gain", 1.0) + stage.number("offset", 0.0))
+    at, reached = np.asarray(stage.model["map"], dtype=float).T
     slopes = np.diff(reached) / np.diff(at)
     below, above = np.minimum(command - at[0], 0.0), np.maximum(command - at[-1], 0.0)
     return np.asarray(np.interp(command, at, reached) + slopes[0] * below + slopes[-1] * above)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 from scipy.signal import butter, sosfiltfilt
 
-from softarm.diagnosis.data.trials import Series, Trial, TrialError
+from softarm.diagnosis.data.trials import Series, Trial, TrialError, check_links
 from softarm.diagnosis.robot.counts import cameras_clock, mocap_noise
 from softarm.schemas.model import Model
 
@@ -155,9 +155,8 @@ def _sampled(series: Series | None, column: str, t: Array) -> Array:
 def _poses(trial: Trial, t: Array, model: Model, held: bool, axis: Array) -> dict[str, Array]:
     """Return mocap's poses and the motion of the cart, by field of `TrialGrid`."""
     n, mocap = model.arm.links, _one_clock(trial.channels.get("mocap"))
-    if mocap is not None and (f"link{n}_y" not in mocap.columns or f"link{n + 1}_y" in mocap.columns):
-        seen = sum(name.startswith("link") and name.endswith("_y") for name in mocap.columns)
-        raise TrialError(f"{trial.source}: mocap sees {seen} links, the model has {n}; name the model of this arm")
+    if mocap is not None:
+        check_links(trial, n)
     cart_y, cart_z = (_sampled(mocap, f"cart_{part}", t) for part in ("y", "z"))
     ends = [_sampled(mocap, f"link{i}_{part}", t) for part in ("y", "z") for i in range(1, n + 1)]
     links = np.stack(ends, axis=1) - np.repeat(np.stack((cart_y, cart_z), axis=1), n, axis=1)

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from softarm.diagnosis.blind import curve, seal
+from softarm.diagnosis.blind import seal
 from softarm.diagnosis.blind.curve import BIN_LEAST, MARGINS, curves, of_rigs, of_robot
 
 ANSWERS = st.lists(st.tuples(st.sampled_from(["alone", "set"]), st.floats(0, 1), st.booleans()), max_size=300)
@@ -74,8 +74,3 @@ def test_one_of_several_inseparable_names_is_wrong_on_its_own(tmp_path, must, ri
         (tmp_path / folder / "a.json").write_text(json.dumps(content))
     (tmp_path / "truths" / "unanswered.json").write_text("{}")
     assert list(of_rigs(tmp_path)) == [("alone", 0.4, right)]
-
-
-def test_an_unknown_command_is_refused():
-    with pytest.raises(SystemExit):
-        curve.main(["unknown"])

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from softarm.diagnosis.engine.candidates import Candidate, FittedParameter, Nuisance
+from softarm.diagnosis.engine.fits import FitProblem
 from softarm.diagnosis.engine.problem import Setup
 from softarm.diagnosis.engine.search import Search
 from softarm.diagnosis.engine.thresholds import RIG, ROBOT
@@ -94,6 +95,28 @@ def test_any_other_search_continues_from_the_previous_fit(searched, thresholds):
     both = search.problem.fit([((RATE, HEIGHT), ((OTHER_WELL,), (0.1,)))])[0]
     alone = next(fit for fit in search.reduced(both) if fit.names == ("stage.pace",))
     assert alone.point[PACE] > TRUE_PACE + 1.0  # another well still
+
+
+def test_only_good_candidates_get_a_full_fit(searched, monkeypatch):
+    """The number of sets and the rounds of each fit; the level removes nothing of a wrong pace."""
+    fits, fit = [], FitProblem.fit
+
+    def counted(problem, sets, rounds):
+        fits.append((len(sets), rounds))
+        return fit(problem, sets, rounds)
+
+    def extended(**budget):
+        search = searched(replace(ROBOT, search=replace(ROBOT.search, rounds=7, rounds_rough=1, **budget)))
+        base = search.null_model()
+        fits.clear()
+        monkeypatch.setattr(FitProblem, "fit", counted)
+        search.extended(base)
+        monkeypatch.undo()
+        return fits
+
+    assert extended() == [(2, 1), (2, 7)]
+    assert extended(candidates_max=1) == [(2, 1), (1, 7)]
+    assert extended(lag_share=0.5) == [(2, 1), (1, 7)]
 
 
 def test_the_linearisation_error_of_a_nuisance_is_counted():

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from softarm.diagnosis.data import tables
-from softarm.diagnosis.data.trials import Series, TableStage, Trial
+from softarm.diagnosis.data.trials import Series, TableStage, TableUnit, Trial
 from softarm.diagnosis.engine.problem import Setup
 from softarm.diagnosis.rigs.candidates import candidates, nuisances
 from softarm.diagnosis.rigs.diagnose import diagnose_table
@@ -338,7 +338,9 @@ def test_units_follow_the_measured_channel():
         ("kPa", "kPa/s", "kPa/s^2"),
         ("counts", "counts/s", "counts/s^2"),
     ):
-        units = {p.name: p.unit for e in TrackingView(trials, unit).effects for p in e.parameters}
+        stage = TableStage("axis", "tracking", {}, {"measured": {"position": TableUnit(unit, 1.0, unit)}})
+        view = TrackingView([replace(each, stage=stage) for each in trials])
+        units = {p.name: p.unit for e in view.effects for p in e.parameters}
         assert (units["offset"], units["gap"], units["rate"], units["acceleration"]) == (unit, unit, rate, acceleration)
         assert (units["rise"], units["strength"], units["frequency"]) == ("s", "-", "Hz")
 

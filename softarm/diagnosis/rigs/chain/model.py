@@ -124,7 +124,7 @@ def chain_of(stage: TableStage) -> Chain:
         dry=_each(stage, "coulomb_nm", n),
         armature=_each(stage, "armature_kg_m2", n),
         mass=mass,
-        gravity=float(np.ravel(model.get("gravity_m_s2", GRAVITY_M_S2))[0]),
+        gravity=stage.number("gravity_m_s2", GRAVITY_M_S2),
         relative=stage.relative,
     )
 
