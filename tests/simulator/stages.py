@@ -1,11 +1,10 @@
-"""Replay of commands with their stamps through the whole robot or through one stage.
+"""Replay of commands with their stamps through one stage of the robot, and the energy of the whole.
 
-A single stage is driven by measurements of its inputs, so that a fault of the regulator does not appear in the arm.
+A stage is driven by measurements of its inputs, so that a fault of the regulator does not appear in the arm.
 Parameters are given by column: a Jacobian is a batch of robots under the same commands.
 """
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -20,51 +19,6 @@ Overrides = Mapping[str, ArrayLike]
 SAME_S = 1e-9
 
 
-@dataclass(frozen=True)
-class Recording:
-    """Motion of the whole robot at S instants; R robots of n links."""
-
-    time_s: NDArray[np.float64]  # [S]
-    pressure_kpa: Array  # [S, R], in the muscle
-    pressure_reading_kpa: Array  # [S, R], what its sensor says
-    cart_position_m: Array  # [S, R]
-    cart_velocity_m_s: Array  # [S, R]
-    link_angles_rad: Array  # [S, R, n], absolute
-    link_ends_m: Array  # [S, R, n, 2], y, z; the last is the tip
-
-
-def replay(
-    simulator: Simulator,
-    times_s: ArrayLike,
-    cart_velocity_m_s: ArrayLike,
-    pressure_kpa: ArrayLike,
-    sample_times_s: ArrayLike,
-) -> Recording:
-    """Issue commands at their stamps and look at given instants; the simulator goes on from where it is.
-
-    times_s: [T], ascending, any spacing; commands [T], or [T, R] one a robot, each held until the next.
-    sample_times_s: [S], ascending, from times_s[0] on. Raises ValueError for other shapes or orders.
-    """
-    velocity, pressure = _columns(cart_velocity_m_s), _columns(pressure_kpa)
-    looks = []
-    for command, duration_s in _walk(times_s, sample_times_s, len(velocity), len(pressure)):
-        if duration_s > 0:
-            simulator.step(velocity[command], pressure[command], duration_s)
-        else:
-            looks.append(
-                (
-                    simulator.pressure_kpa,
-                    simulator.pressure_reading_kpa,
-                    simulator.cart_position_m,
-                    simulator.cart_velocity_m_s,
-                    simulator.link_angles_rad,
-                    simulator.link_ends_m(),
-                )
-            )
-    seen = (np.stack(each) for each in zip(*looks, strict=True))
-    return Recording(np.asarray(sample_times_s, dtype=np.float64), *seen)
-
-
 def pressure_alone(
     model: Model | Sequence[Model],
     times_s: ArrayLike,
@@ -73,17 +27,16 @@ def pressure_alone(
     *,
     robots: int | None = None,
     overrides: Overrides | None = None,
-    start_kpa: ArrayLike = 0.0,
 ) -> Array:
-    """Replay pressure commands through the regulator; returns what its sensor reads, kPa [S, R].
+    """Replay pressure commands through the regulator and return the readings of its sensor, kPa [S, R].
 
-    Shapes as in `replay`, the rest as in `Simulator`; start_kpa: true pressure at times_s[0].
+    times_s: [T], ascending, any spacing; commands [T], or [T, R] one a robot, each held until the next.
+    sample_times_s: [S], ascending, from times_s[0] on. The rest as in `Simulator`.
     """
     simulator = Simulator(model, robots, overrides=overrides)
-    simulator.reset(pressure_kpa=start_kpa)
     command = _columns(command_kpa)
     looks = []
-    for i, duration_s in _walk(times_s, sample_times_s, len(command)):
+    for i, duration_s in _walk(times_s, sample_times_s):
         if duration_s > 0:
             simulator.step_pressure(command[i], duration_s)
         else:
@@ -101,19 +54,17 @@ def rail_alone(
     robots: int | None = None,
     overrides: Overrides | None = None,
     physics_rate_hz: float = PHYSICS_RATE_HZ,
-    start_m: ArrayLike = 0.0,
 ) -> tuple[Array, Array]:
     """Replay velocity commands through the rail; returns the cart's position (m) and velocity (m/s), [S, R].
 
-    Shapes as in `replay`. arm_force_n: what the arm pushes the cart with, scalar, or [T] or [T, R] as the commands;
-    0 is a cart without an arm. The cart starts at rest.
+    Shapes as in `pressure_alone`. arm_force_n: force of the arm on the cart, scalar, [T] or [T, R]; 0 is a cart
+    without an arm. The cart starts at rest.
     """
     simulator = Simulator(model, robots, physics_rate_hz, overrides=overrides)
-    simulator.reset(cart_position_m=start_m)
     command = _columns(command_m_s)
     force = np.broadcast_to(np.asarray(arm_force_n, dtype=np.float64), command.shape)
     looks = []
-    for i, duration_s in _walk(times_s, sample_times_s, len(command)):
+    for i, duration_s in _walk(times_s, sample_times_s):
         if duration_s > 0:
             simulator.step_cart(command[i], duration_s, force[i])
         else:
@@ -132,25 +83,21 @@ def arm_alone(
     robots: int | None = None,
     overrides: Overrides | None = None,
     physics_rate_hz: float = TRAINING_PHYSICS_RATE_HZ,
-    joint_angles_rad: ArrayLike = 0.0,
-    see: Callable[[Simulator], Array] = lambda simulator: simulator.link_angles_rad,
 ) -> Array:
-    """Move cart and pressure as measured and let the arm follow; returns what `see` sees at every stamp, [T, R, ...].
+    """Move cart and pressure as measured and return the arm's absolute link angles at every stamp, [T, R, n].
 
     times_s: [T], ascending; measurements [T] or [T, R], smoothed: between stamps the cart follows the cubic through
-    positions and velocities, the pressure a straight line. joint_angles_rad: at the start, at rest; as in
-    `Simulator.reset`. see: the absolute link angles unless another look is wanted.
+    positions and velocities, the pressure a straight line.
     """
     simulator = Simulator(model, robots, physics_rate_hz, overrides=overrides)
     times = np.asarray(times_s, dtype=np.float64)
     position, velocity, pressure = map(_columns, (cart_position_m, cart_velocity_m_s, pressure_kpa))
-    _check(times, times, len(position), len(velocity), len(pressure))
-    simulator.reset(joint_angles_rad=joint_angles_rad, cart_position_m=position[0], pressure_kpa=pressure[0])
-    looks = [see(simulator)]
+    simulator.reset(cart_position_m=position[0], pressure_kpa=pressure[0])
+    looks = [simulator.link_angles_rad]
     for i in range(1, len(times)):
         start = (position[i - 1], velocity[i - 1], pressure[i - 1])
         simulator.step_arm(position[i], velocity[i], pressure[i], times[i] - times[i - 1], start=start)
-        looks.append(see(simulator))
+        looks.append(simulator.link_angles_rad)
     return np.stack(looks)
 
 
@@ -194,18 +141,10 @@ def _columns(values: ArrayLike) -> NDArray[np.float64]:
     return array[:, 0] if array.ndim == 2 and array.shape[1] == 1 else array
 
 
-def _check(times: NDArray[np.float64], samples: NDArray[np.float64], *lengths: int) -> None:
-    if times.ndim != 1 or not len(times) or set(lengths) != {len(times)}:
-        raise ValueError(f"{times.shape} stamps for {', '.join(map(str, lengths))} rows; give one stamp a row")
-    if (np.diff(times) <= 0).any() or (np.diff(samples) < 0).any() or (len(samples) and samples[0] < times[0] - SAME_S):
-        raise ValueError("stamps must ascend and samples must not come before the first of them; sort both")
-
-
-def _walk(times_s: ArrayLike, sample_times_s: ArrayLike, *lengths: int) -> Iterator[tuple[int, float]]:
+def _walk(times_s: ArrayLike, sample_times_s: ArrayLike) -> Iterator[tuple[int, float]]:
     """Yield what to do next: (command in force, how long to hold it), or (that command, 0.0) to look."""
     times = np.asarray(times_s, dtype=np.float64)
     samples = np.atleast_1d(np.asarray(sample_times_s, dtype=np.float64))
-    _check(times, samples, *lengths)
     now, command = times[0], 0
     for sample in samples:
         while now < sample - SAME_S:

@@ -1,46 +1,38 @@
 """The shipped files are what the presets train, and they fly."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import onnxruntime
 import pytest
 
-from softarm import policies
+from softarm.policies.base import MODELS
 from softarm.schemas.model import Model
 from softarm.schemas.policy import METADATA_KEY, PolicyMetadata
-from softarm.training.learn.validation import validation_scenarios
+from softarm.training.learn.validation import fly_actions, validation_scenarios
 from softarm.training.run.recipe import PRESETS
 from softarm.training.task.reach import ReachTask
 from softarm.training.task.shelf import environment_of
 
 pytestmark = pytest.mark.slow
 
-MODELS = Path(policies.__file__).parent / "models"
-
 
 def shipped(name: str) -> onnxruntime.InferenceSession:
-    options = onnxruntime.SessionOptions()
-    options.intra_op_num_threads = 1
-    return onnxruntime.InferenceSession(str(MODELS / f"{name}.onnx"), options)
+    return onnxruntime.InferenceSession(str(MODELS / f"{name}.onnx"))
 
 
 def reached_in_range(policy: onnxruntime.InferenceSession, task: ReachTask, model: Model | None = None) -> float:
     """Share of random targets of the task's training range."""
-    task = replace(task, action_noise=0.0)
     trials, count = validation_scenarios(task, 5, 384), 256  # the first two thirds lie in the range
-    environment = environment_of(task, 384, 0, model)
-    observation = trials.begin(environment)
     h = c = np.zeros((1, 384, policy.get_inputs()[1].shape[2]), dtype=np.float32)
-    reached, alive = np.zeros(384, dtype=np.bool_), np.ones(384, dtype=np.bool_)
-    for _ in range(task.episode_steps):
+
+    def act(observation: np.ndarray) -> np.ndarray:
+        nonlocal h, c
         action, h, c = policy.run(None, {"observation": observation, "h_in": h, "c_in": c})
-        step = environment.step(action)
-        reached |= alive & step.success
-        alive &= ~(step.terminated | step.truncated)
-        observation = step.observation
-    return float(reached[:count].mean())
+        return action
+
+    environment = environment_of(replace(task, action_noise=0.0), 384, 0, model)
+    return float(fly_actions(act, environment, trials).reached[:count].mean())
 
 
 @pytest.mark.parametrize(

@@ -5,8 +5,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from softarm.daemon.limits.findings import RailFindings, compared
-from softarm.daemon.limits.measured import measure
 from softarm.diagnosis.engine.result import Diagnosis
 from softarm.evaluation.closing import story, summary
 from softarm.evaluation.closing.advice import advise
@@ -27,16 +25,10 @@ from softarm.policies.base import MODELS
 from softarm.schemas.config import Config
 from softarm.schemas.flights import TEST_TARGETS
 from softarm.schemas.model import Model
-from softarm.schemas.verdict import Gap, Verdict, Where
 from softarm.training.run.retrain import Retrained
+from tests.evaluation.closing import cases
 
-NAMED = Verdict(
-    verdict="named",
-    where=Where(stage="rail", share={"rail": 1.0}, regime="throughout"),
-    effects=(),
-    gap=Gap(before={}, after={}, floor={}, ceiling={}),
-)
-RAIL = RailFindings(Config(), measure((), 6.0), compared(measure((), 6.0), Config()))
+RAIL = cases.findings(Config())
 PLACES = tuple(Place(key, f"the {key} one", Model()) for key in (NOMINAL, PATCHED, HELD_OUT))
 WHY = "rail_outside: the cart is outside the rail limits"
 
@@ -57,7 +49,7 @@ def closed(shares, declared=True, better=True, wires=None, replanned=None):
             if replanned is not None and key != NOMINAL:
                 flown[REPLANNED, key, manner] = reached(replanned)
     retrained = Retrained(MODELS / "reach.onnx", 1, 1.0, 0.82, 0.91 if better else 0.82, ())
-    found = Diagnosis(NAMED, Model(), Model(), ())
+    found = Diagnosis(cases.named("rail.delay", 0.05, 0.06), Model(), Model(), ())
     return Closed(found, MODELS / "reach.onnx", PLACES, flown, retrained, TEST_TARGETS, RAIL, declared, wires)
 
 

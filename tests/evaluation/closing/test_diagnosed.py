@@ -2,32 +2,18 @@
 
 import pytest
 
-from softarm.daemon.limits.findings import RailFindings, compared
-from softarm.daemon.limits.measured import Bound, Measured, measure
 from softarm.evaluation.closing.diagnosed import with_diagnosed
 from softarm.evaluation.closing.wires import refusals
 from softarm.schemas.config import Config, Limits, RailLimits
-from softarm.schemas.verdict import Estimate, Gap, Interval, NamedEffect, Shrink, Verdict, Where
-
-UNSEEN = measure((), 6.0)
-BOUNDS = (Bound(value, 0.97, value, 100, 50.0) for value in (0.05, 0.05, 2.6, 8.0, 0.02))
-SEEN = Measured(*BOUNDS, 6.0, 100, 100, 100, 100, 1, 50.0, ())
+from tests.evaluation.closing import cases
 
 
-def findings(measured=UNSEEN, latency_s=1 / 30):
-    config = Config(limits=Limits(rail=RailLimits(latency_s=latency_s)))
-    return RailFindings(config, measured, compared(measured, config))
+def findings(measured=cases.UNSEEN, latency_s=1 / 30):
+    return cases.findings(Config(limits=Limits(rail=RailLimits(latency_s=latency_s))), measured)
 
 
 def named(value, high, effect="rail.delay"):
-    late = NamedEffect(
-        name=effect,
-        parameters={"delay": Estimate(value=value, low=value, high=high, unit="s")},
-        confidence=0.9,
-        shrink=Shrink(stage=Interval(value=0.5, low=0.4, high=0.6)),
-    )
-    where = Where(stage="rail", share={"rail": 1.0}, regime="throughout")
-    return Verdict(verdict="named", where=where, effects=(late,), gap=Gap(before={}, after={}, floor={}, ceiling={}))
+    return cases.named(effect, value, high)
 
 
 def flown(rail):
@@ -53,7 +39,7 @@ def test_the_latency_is_never_relaxed_and_only_the_rail_counts(verdict, latency_
 
 
 def test_a_measured_latency_takes_precedence():
-    assert flown(with_diagnosed(findings(SEEN), named(0.0887, 0.0894))) == 0.05
+    assert flown(with_diagnosed(findings(cases.seen()), named(0.0887, 0.0894))) == 0.05
 
 
 def test_a_latency_beyond_the_allowed_range_moves_no_rail():

@@ -6,8 +6,6 @@ import numpy as np
 import pytest
 
 from softarm.daemon.config.configuration import load
-from softarm.daemon.limits.findings import RailFindings, compared
-from softarm.daemon.limits.measured import Bound, Measured
 from softarm.diagnosis.engine.result import Diagnosis
 from softarm.evaluation.closing import steps
 from softarm.evaluation.closing.closed import Place
@@ -19,26 +17,16 @@ from softarm.reality.parameters import RobotParameters
 from softarm.schemas.config import Config, Limits, RailLimits
 from softarm.schemas.flights import TEST_TARGETS
 from softarm.schemas.model import Arm, Model
-from softarm.schemas.verdict import Estimate, Gap, Interval, NamedEffect, Shrink, Verdict, Where
+from softarm.schemas.verdict import Verdict, Where
 from softarm.simulator import model_file
 from softarm.training.run.retrain import RetrainingConfig
 from softarm.training.run.warm_start import load_weights
+from tests.evaluation.closing import cases
 
 pytestmark = pytest.mark.slow
 
 CAREFUL = Config(limits=Limits(rail=RailLimits(braking_m_s2=3.0, surge_m_s2=9.0)))
-SEEN = Measured(
-    *(Bound(value, 0.97, value, 100, 50.0) for value in (0.05, 0.05, 2.6, 8.0, 0.02)),
-    6.0,
-    100,
-    100,
-    100,
-    100,
-    1,
-    50.0,
-    (),
-)
-RAIL = RailFindings(CAREFUL, SEEN, compared(SEEN, CAREFUL))
+RAIL = cases.findings(CAREFUL, cases.seen())
 REACH = MODELS / "reach.onnx"
 EASY, NEVER = TEST_TARGETS[4], TEST_TARGETS[-1]  # (-0.20, 0.55), and (0, 0.80), which no command reaches
 TINY = RetrainingConfig(
@@ -51,19 +39,7 @@ TINY = RetrainingConfig(
     critic_iterations=1,
 )
 LATE = Model(effects=Model().effects | {"pressure.dead_time": {"delay": 0.06}})
-NAMED = Verdict(
-    verdict="named",
-    where=Where(stage="pressure", share={"pressure": 1.0}, regime="throughout"),
-    effects=(
-        NamedEffect(
-            name="pressure.dead_time",
-            parameters={"delay": Estimate(value=0.06, low=0.05, high=0.07, unit="s")},
-            confidence=0.9,
-            shrink=Shrink(stage=Interval(value=0.5, low=0.4, high=0.6)),
-        ),
-    ),
-    gap=Gap(before={}, after={}, floor={}, ceiling={}),
-)
+NAMED = cases.named("pressure.dead_time", 0.06, 0.07)
 NONE = NAMED.model_copy(
     update={"verdict": "none", "effects": (), "where": Where(stage=None, share={}, regime="nowhere")}
 )

@@ -7,14 +7,13 @@ import httpx
 import pytest
 
 from softarm.daemon.config.configuration import load
-from softarm.daemon.limits.findings import RailFindings, compared
-from softarm.daemon.limits.measured import Bound, Measured, measure
 from softarm.daemon.logbook import logs
 from softarm.evaluation.closing import story, wires
 from softarm.evaluation.closing.outcomes import CHAINED, NEW, OLD, REST
 from softarm.evaluation.software_in_the_loop import SoftwareInTheLoop, SoftwareInTheLoopError
 from softarm.policies.base import MODELS
 from softarm.schemas.config import Config, Goals, Limits, RailLimits, Workspace
+from tests.evaluation.closing.cases import findings, seen
 
 BOTH = {OLD: MODELS / "reach.onnx", NEW: MODELS / "reach-robust.onnx"}
 LIVE = (pytest.mark.slow, pytest.mark.realtime, pytest.mark.timeout(170))
@@ -27,11 +26,6 @@ def live(test):
     return test
 
 
-def findings(config, measured=None):
-    measured = measured or measure((), 6.0)
-    return RailFindings(config, measured, compared(measured, config))
-
-
 def test_devices_with_unknown_limits_are_not_moved():
     unsaid = wires.refusals(Config(), findings(Config()))
     assert [text.split()[0] for text in unsaid] == [f"limits.rail.{key}" for key in KEYS]
@@ -39,12 +33,8 @@ def test_devices_with_unknown_limits_are_not_moved():
     usual = RailLimits()
     said = Config(limits=Limits(rail=RailLimits(**{key: getattr(usual, key) for key in KEYS})))
     assert wires.refusals(said, findings(said)) == []
-    bounds = (Bound(value, 0.97, value, 100, 50.0) for value in (0.05, 0.05, 2.6, 8.0, 0.02))
-    seen = Measured(*bounds, 6.0, 100, 100, 100, 100, 1, 50.0, ())
-    assert wires.refusals(Config(), findings(Config(), seen)) == []
-    bounds = (Bound(value, 0.97, value, 100, 50.0) for value in (0.25, 0.25, 2.6, 8.0, 0.02))
-    later = Measured(*bounds, 6.0, 100, 100, 100, 100, 1, 50.0, ())
-    (beyond,) = wires.refusals(said, findings(said, later))
+    assert wires.refusals(Config(), findings(Config(), seen())) == []
+    (beyond,) = wires.refusals(said, findings(said, seen(latency_s=0.25)))
     assert "no allowed value covers it: check the drive" in beyond
 
 

@@ -1,0 +1,32 @@
+"""Rail limits that a campaign shows and verdicts of a diagnosis, for the tests of closing a gap."""
+
+from softarm.daemon.limits.findings import RailFindings, compared
+from softarm.daemon.limits.measured import Bound, Measured, measure
+from softarm.schemas.config import Config
+from softarm.schemas.verdict import Estimate, Gap, Interval, NamedEffect, Shrink, Verdict, Where
+
+UNSEEN = measure((), 6.0)
+
+
+def seen(latency_s: float = 0.05) -> Measured:
+    """Return limits that a campaign measured."""
+    bounds = (Bound(value, 0.97, value, 100, 50.0) for value in (latency_s, latency_s, 2.6, 8.0, 0.02))
+    return Measured(*bounds, 6.0, 100, 100, 100, 100, 1, 50.0, ())
+
+
+def findings(config: Config, measured: Measured = UNSEEN) -> RailFindings:
+    """Return the measured limits beside those of a configuration."""
+    return RailFindings(config, measured, compared(measured, config))
+
+
+def named(name: str, value: float, high: float) -> Verdict:
+    """Return a verdict that names a delay, s."""
+    effect = NamedEffect(
+        name=name,
+        parameters={"delay": Estimate(value=value, low=value, high=high, unit="s")},
+        confidence=0.9,
+        shrink=Shrink(stage=Interval(value=0.5, low=0.4, high=0.6)),
+    )
+    stage = name.partition(".")[0]
+    where = Where(stage=stage, share={stage: 1.0}, regime="throughout")
+    return Verdict(verdict="named", where=where, effects=(effect,), gap=Gap(before={}, after={}, floor={}, ceiling={}))
