@@ -33,7 +33,7 @@ def available(configured: Mapping[str, ConfiguredPolicy] | None = None) -> dict[
 
     Imports every plug-in's module. An entry that fails states so in its `error` and does not affect the others.
     """
-    plugins = _plugins()
+    plugins = installed_plugins.installed(GROUP)  # without importing them
     entries = {name: _entry(name, name, {}, plugins) for name in plugins}
     for file in sorted(MODELS.glob("*.onnx")):
         entries[file.stem] = _entry(file.stem, "onnx", {"model": file.stem}, plugins)
@@ -57,18 +57,13 @@ def load(name: str, configured: Mapping[str, ConfiguredPolicy] | None = None) ->
     if entry.error is not None:
         raise PolicyError(f"policy '{name}': {entry.error}; available: {usable}")
     try:
-        policy = _plugins()[entry.plugin]()(**entry.options)
+        policy = installed_plugins.installed(GROUP)[entry.plugin]()(**entry.options)
         if not isinstance(policy, Policy):
             raise PolicyError("it lacks spec, reset or step; see docs/policies/interface.md")
         policy.spec = replace(policy.spec, name=name)
     except (Exception, SystemExit) as error:
         raise PolicyError(f"policy '{name}': {installed_plugins.said(error)}; available: {usable}") from error
     return policy
-
-
-def _plugins() -> dict[str, Callable[[], Plugin]]:
-    """Find the installed plug-ins without importing them."""
-    return installed_plugins.installed(GROUP)
 
 
 def _entry(

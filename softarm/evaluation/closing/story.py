@@ -1,8 +1,21 @@
 """Sections that `softarm close-gap` adds to the report: the retraining, and the policy before and after."""
 
+from collections.abc import Iterator
+
 from softarm.evaluation.closing.advice import advise
-from softarm.evaluation.closing.closed import Closed
-from softarm.evaluation.closing.outcomes import HELD_OUT, MANNERS, NEW, OLD, PATCHED, REPLANNED, REST, TITLES, better
+from softarm.evaluation.closing.closed import Closed, Place
+from softarm.evaluation.closing.outcomes import (
+    HELD_OUT,
+    MANNERS,
+    NEW,
+    OLD,
+    PATCHED,
+    REPLANNED,
+    REST,
+    TITLES,
+    Flights,
+    better,
+)
 from softarm.evaluation.closing.wires import Wires
 from softarm.reporting import charts
 from softarm.reporting.markup import Html, el, join, prose, shaded, table
@@ -56,14 +69,23 @@ def lines(closed: Closed) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
     won = ("retrained - old, 95 %",) if NEW in names else ()
     head = ("robot", "start", *(TITLES[name] for name in names), *won, "unrequested stops")
     rows = []
-    for place in closed.places:
-        for manner, title in MANNERS.items():
-            flown = [closed.flown.get((name, place.key, manner)) for name in names]
-            reached = ("-" if each is None else percent(each.share) for each in flown)
-            more = (_won(closed, place.key, manner),) if won else ()
-            stops = ", ".join("-" if each is None else str(int(each.stopped.sum())) for each in flown)
-            rows.append((place.title, title, *reached, *more, stops))
+    for place, manner, flown in _flown(closed):
+        reached = ("-" if each is None else percent(each.share) for each in flown)
+        more = (_won(closed, place.key, manner),) if won else ()
+        rows.append((place.title, MANNERS[manner], *reached, *more, _stopped(flown, "-")))
     return head, rows
+
+
+def _flown(closed: Closed) -> Iterator[tuple[Place, str, list[Flights | None]]]:
+    """Yield each place and start condition with the flights of every policy; None: not flown."""
+    for place in closed.places:
+        for manner in MANNERS:
+            yield place, manner, [closed.flown.get((name, place.key, manner)) for name in closed.policies]
+
+
+def _stopped(flown: list[Flights | None], none: str) -> str:
+    """Return the numbers of unrequested stops."""
+    return ", ".join(none if each is None else str(int(each.stopped.sum())) for each in flown)
 
 
 def _stops(closed: Closed) -> list[str]:
@@ -160,18 +182,13 @@ def _limits(closed: Closed) -> Html:
 
 def _shares(closed: Closed) -> Html:
     found = []
-    for place in closed.places:
-        for manner, title in MANNERS.items():
-            row: list[Html | str] = [place.title, title]
-            for name in closed.policies:
-                flown = closed.flown.get((name, place.key, manner))
-                row.append("–" if flown is None else shaded(flown.share, percent(flown.share)))
-            if NEW in closed.policies:
-                both = closed.changed(place.key, manner)
-                row += [f"+{both['gained']} −{both['lost']}", _won(closed, place.key, manner)]
-            stops = (closed.flown.get((name, place.key, manner)) for name in closed.policies)
-            row.append(", ".join("–" if each is None else str(int(each.stopped.sum())) for each in stops))
-            found.append(row)
+    for place, manner, flown in _flown(closed):
+        row: list[Html | str] = [place.title, MANNERS[manner]]
+        row += ["–" if each is None else shaded(each.share, percent(each.share)) for each in flown]
+        if NEW in closed.policies:
+            both = closed.changed(place.key, manner)
+            row += [f"+{both['gained']} −{both['lost']}", _won(closed, place.key, manner)]
+        found.append([*row, _stopped(flown, "–")])
     head = ["robot", "start", *(TITLES[name] for name in closed.policies)]
     if NEW in closed.policies:
         head += ["gained, lost", "retrained − old, 95 %"]

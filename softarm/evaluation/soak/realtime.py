@@ -105,18 +105,9 @@ def soak(hours: float, seed: int, logs: Path, on_progress: Callable[[str, float]
         name: slope([s.time_h for s in watch.samples], [getattr(s, name) for s in watch.samples], allowed, of)
         for name, (allowed, of) in ALLOWED.items()
     }
+    hours, armed, counted = end_s / 3600, script.armed / max(1, script.looks), dict(sorted(counts.items()))
     cart_max_m = float(truth.get("cart_max_abs_m", 0.0))
-    return Soaked(
-        seed,
-        end_s / 3600,
-        script.armed / max(1, script.looks),
-        watch.samples,
-        slopes,
-        dict(sorted(counts.items())),
-        unexpected,
-        cart_max_m,
-        watch.logs_max_mb,
-    )
+    return Soaked(seed, hours, armed, watch.samples, slopes, counted, unexpected, cart_max_m, watch.logs_max_mb)
 
 
 class _Watch:
@@ -156,18 +147,8 @@ class _Watch:
         self.logs_max_mb = max(self.logs_max_mb, logs_mb)
         late_ms = sorted(self._late_ms)[len(self._late_ms) // 2]
         cpu = 100 * (now.cpu_s - self._cpu_s) / (now_s - self._sampled_s)
-        self.samples.append(
-            Sample(
-                (now_s - self._begun_s) / 3600,
-                now.memory_mb,
-                now.descriptors,
-                now.threads,
-                cpu,
-                late_ms,
-                self._missed,
-                logs_mb,
-            )
-        )
+        time_h, used = (now_s - self._begun_s) / 3600, (now.memory_mb, now.descriptors, now.threads)
+        self.samples.append(Sample(time_h, *used, cpu, late_ms, self._missed, logs_mb))
         self._sampled_s, self._cpu_s, self._late_ms = now_s, now.cpu_s, []
 
 
