@@ -4,6 +4,7 @@ from pathlib import Path
 
 import pytest
 
+from softarm.daemon.logbook import logs
 from softarm.recordings.channels import RAIL
 from softarm.recordings.live import LiveFile, LogMessage
 from softarm.schemas.messages import RailReading
@@ -19,6 +20,17 @@ def write(path: Path, readings=READINGS) -> Path:
             live.add(LogMessage(RAIL.topic, reading.t_receive_ns, reading.t_receive_ns, RAIL.encode(reading)))
         live.flush()
     return path
+
+
+@pytest.fixture(scope="session")
+def flight_file():
+    """The recorded flight of a simulated robot."""
+    return Path(__file__).parents[1] / "data" / "flight.mcap"
+
+
+@pytest.fixture(scope="session")
+def log(flight_file):
+    return logs.read(flight_file)
 
 
 @pytest.fixture

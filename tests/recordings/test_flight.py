@@ -1,28 +1,23 @@
 """Contents of a log for display: the newest data at each tick, and errors as sentences."""
 
-from pathlib import Path
-
 import pytest
 
-from softarm.daemon.logbook import logs
 from softarm.recordings import flight
 from softarm.recordings.channels import RAIL
 from softarm.recordings.live import LiveFile, LogMessage
 from softarm.recordings.mcap_file import LogError
 
-FLIGHT = Path(__file__).parents[1] / "data" / "flight.mcap"
 
-
-def test_each_tick_has_the_newest_data():
-    moments = [moment for moment in flight.moments(FLIGHT) if moment is not None]
-    for moment, (inputs, outputs, timing) in zip(moments, logs.read(FLIGHT), strict=True):
+def test_each_tick_has_the_newest_data(flight_file, log):
+    moments = [moment for moment in flight.moments(flight_file) if moment is not None]
+    for moment, (inputs, outputs, timing) in zip(moments, log, strict=True):
         assert (moment.frame, moment.pressure, moment.rail) == (inputs.mocap[-1], inputs.pressure, inputs.rail)
         assert (moment.tick.outputs.tick, moment.tick.outputs.sent) == (outputs.tick, outputs.sent)
         assert moment.tick.timing.compute_ns == timing.compute_ns
 
 
-def test_every_message_reports_progress():
-    assert sum(1 for _ in flight.moments(FLIGHT)) == logs.read(FLIGHT).records
+def test_every_message_reports_progress(flight_file, log):
+    assert sum(1 for _ in flight.moments(flight_file)) == log.records
 
 
 def test_seconds_count_from_the_first_measurement_and_of_nothing_there_are_none(tmp_path, killed, readings):

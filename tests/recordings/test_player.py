@@ -5,7 +5,6 @@ import json
 import re
 from datetime import UTC, datetime
 from html import unescape
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,13 +13,6 @@ from softarm.daemon.logbook import logs
 from softarm.recordings import player
 from softarm.recordings.mcap_file import LogError
 from softarm.schemas.events import Entry
-
-FLIGHT = Path(__file__).parents[1] / "data" / "flight.mcap"
-
-
-@pytest.fixture(scope="module")
-def log():
-    return logs.read(FLIGHT)
 
 
 @pytest.fixture(scope="module")

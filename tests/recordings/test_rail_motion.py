@@ -1,7 +1,5 @@
 """Commands and motion of the rail, read from a log of the daemon."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -9,11 +7,9 @@ from softarm.recordings import rail_motion
 from softarm.recordings.mcap_file import LogError
 from softarm.schemas.config import Config
 
-FLIGHT = Path(__file__).parents[1] / "data" / "flight.mcap"
 
-
-def test_a_log_contains_commands_and_their_effects():
-    motion = rail_motion.read(FLIGHT)
+def test_a_log_contains_commands_and_their_effects(flight_file):
+    motion = rail_motion.read(flight_file)
     assert motion.config == Config.model_validate(motion.config.model_dump())
     assert len(motion.sent_s) == len(motion.set_point_m_s) == len(motion.obeyed) > 200
     assert len(motion.t_s) == len(motion.position_m) == len(motion.velocity_m_s) > 200

@@ -3,7 +3,6 @@
 import csv
 import json
 import math
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,13 +11,6 @@ from pyarrow import parquet
 from softarm.daemon.logbook import logs
 from softarm.recordings import tables
 from softarm.recordings.mcap_file import LogError
-
-FLIGHT = Path(__file__).parents[1] / "data" / "flight.mcap"
-
-
-@pytest.fixture(scope="module")
-def log():
-    return logs.read(FLIGHT)
 
 
 @pytest.fixture(scope="module")

@@ -231,17 +231,8 @@ class DryveRailAxis:
         known, found = self._report.reading if self._report is not None else None, report.reading
         self._report, self._received_ns, self._out_of_operation = report, self._clock(), report.out_of_operation
         if found is not None and found != known and not self._loss_unread:
-            self._reading = RailReading(
-                t_receive_ns=found.t_ns,
-                position_m=found.position_m,
-                velocity_m_s=found.velocity_m_s,
-                enabled=found.enabled,
-                remote=found.remote,
-                faults=found.faults,
-                cycle_p50_ns=found.cycle_p50_ns,
-                cycle_max_ns=found.cycle_max_ns,
-                homed=found.homed,
-            )
+            fields = found._asdict()
+            self._reading = RailReading(t_receive_ns=fields.pop("t_ns"), **fields)
 
     def _replace(self) -> None:
         """Detach from a process that has ended and activate another, unless this driver is stopping."""

@@ -197,52 +197,40 @@ async def test_a_process_that_dies_or_hangs_is_replaced_by_one_that_stops_the_dr
             await until(lambda: drive.moving, lambda: each(True))
 
 
-async def test_a_process_that_hangs_at_the_daemons_end_is_replaced(
-    until: Any, running: Any, monkeypatch: pytest.MonkeyPatch
+@pytest.fixture
+async def moving(until: Any, running: Any) -> AsyncIterator[tuple[Drive, DryveRailAxis]]:
+    """A driver whose process moves the cart."""
+    drive = Drive()
+    async with served(drive) as config:
+        axis = DryveRailAxis(config, 20)
+        async with running(axis):
+            await until(lambda: axis.problem() is None, lambda: axis.write(False, 0.0))
+            await until(lambda: drive.moving, lambda: axis.write(True, 0.5) or drive.step())
+            yield drive, axis
+
+
+async def test_a_drive_in_fault_is_not_polled_more_often(moving: Any, until: Any) -> None:
+    drive, axis = moving
+    drive.trip(0x8611)
+    await until(lambda: axis.read().faults, lambda: axis.write(True, 0.5))
+    since, began_s = drive.requests, time.monotonic()
+    await until(lambda: time.monotonic() > began_s + 0.5)
+    assert drive.requests - since < 150
+
+
+@pytest.mark.parametrize("before", [signal.SIGTERM, signal.SIGSTOP])
+async def test_stopping_disables_the_drive_and_leaves_no_process_even_if_it_hangs(
+    moving: Any, until: Any, monkeypatch: pytest.MonkeyPatch, before: signal.Signals
 ) -> None:
     monkeypatch.setattr("softarm.drivers.rail.driver.STOP_S", 1.0)
-
-    drive = Drive()
-    async with served(drive) as config:
-        axis = DryveRailAxis(config, 20)
-        async with running(axis):
-            await until(lambda: axis.problem() is None, lambda: axis.write(False, 0.0))
-            await until(lambda: drive.moving, lambda: axis.write(True, 0.5) or drive.step())
-            os.kill(axis._active.child.pid, signal.SIGSTOP)  # type: ignore[union-attr]
-            mover = asyncio.create_task(until(lambda: False, drive.step))
-            await axis.stop()
-            mover.cancel()
-        assert drive.off
-
-
-async def test_a_drive_in_fault_is_not_polled_more_often(until: Any, running: Any) -> None:
-    drive = Drive()
-    async with served(drive) as config:
-        axis = DryveRailAxis(config, 20)
-        async with running(axis):
-            await until(lambda: axis.problem() is None, lambda: axis.write(False, 0.0))
-            await until(lambda: drive.moving, lambda: axis.write(True, 0.5) or drive.step())
-            drive.trip(0x8611)
-            await until(lambda: axis.read().faults, lambda: axis.write(True, 0.5))  # type: ignore[union-attr]
-            since, began_s = drive.requests, time.monotonic()
-            await until(lambda: time.monotonic() > began_s + 0.5)
-            assert drive.requests - since < 150
-
-
-async def test_stopping_the_driver_disables_the_drive_and_leaves_no_process(until: Any, running: Any) -> None:
-    drive = Drive()
-    async with served(drive) as config:
-        axis = DryveRailAxis(config, 20)
-        async with running(axis):
-            process = axis._active.child.pid  # type: ignore[union-attr]
-            await until(lambda: axis.problem() is None, lambda: axis.write(False, 0.0))
-            await until(lambda: drive.moving, lambda: axis.write(True, 0.5) or drive.step())
-            os.kill(process, signal.SIGTERM)
-            mover = asyncio.create_task(until(lambda: False, drive.step))
-            await axis.stop()
-            mover.cancel()
-        assert drive.off
-        assert gone(process)
+    drive, axis = moving
+    process = axis._active.child.pid
+    os.kill(process, before)
+    mover = asyncio.create_task(until(lambda: False, drive.step))
+    await axis.stop()
+    mover.cancel()
+    assert drive.off
+    assert gone(process)
 
 
 async def test_the_process_is_small_and_imports_little(free_port: int, until: Any, running: Any) -> None:

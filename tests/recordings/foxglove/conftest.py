@@ -2,15 +2,11 @@
 
 import json
 from collections import defaultdict
-from pathlib import Path
 
 import pytest
 from mcap.reader import make_reader
 
-from softarm.daemon.logbook import logs
 from softarm.recordings.foxglove import export
-
-FLIGHT = Path(__file__).parents[2] / "data" / "flight.mcap"
 
 
 class Converted:
@@ -30,11 +26,6 @@ class Converted:
 
     def __getitem__(self, topic):
         return [said for _, _, said in self.messages[topic]]
-
-
-@pytest.fixture(scope="session")
-def log():
-    return logs.read(FLIGHT)
 
 
 @pytest.fixture(scope="session")
