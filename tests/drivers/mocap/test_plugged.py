@@ -76,7 +76,9 @@ async def test_frames_arrive_in_order_with_the_stamps_of_capture_and_arrival(
         assert device.problem() is None
         assert device.read(clock()) == ()
         clock.advance(0.2)
-        assert "motion capture source 'scripted': read: no frame for 0.2 s" in (device.problem() or "")
+        assert "motion capture source 'scripted': read: no frame for 0.2 s; check the cameras and the bridge" in (
+            device.problem() or ""
+        )
 
 
 BAD: dict[str, tuple[tuple[Any, Any, Any], str]] = {

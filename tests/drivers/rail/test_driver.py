@@ -9,8 +9,6 @@ import pytest
 from softarm.drivers.rail import dryve
 from softarm.drivers.rail.cia402 import DriveState
 from softarm.drivers.rail.driver import DryveRailAxis
-from softarm.drivers.twin.dryve import DryveDevice, DryveServer
-from softarm.drivers.twin.faults import Faults
 from softarm.schemas.config import DryveRail
 
 pytestmark = pytest.mark.anyio
@@ -183,29 +181,6 @@ async def test_a_missing_answer_ends_the_connection_and_nothing_is_repeated(open
         assert bench.drive.velocity_m_s == 0.0
 
 
-async def test_answers_to_other_requests_are_skipped(bench: Any) -> None:
-    previous = [b""]
-
-    def repeat(telegram: bytes, answer: Callable[[], bytes]) -> bytes:
-        late, previous[0] = previous[0], answer()
-        return late + previous[0]
-
-    bench.drive.script = repeat
-    await bench.enable()
-    assert bench.axis.read().velocity_m_s == 0.3
-
-
-async def test_an_answer_with_a_wrong_transaction_id_is_ignored(opened: Any) -> None:
-    def wrong(telegram: bytes, answer: Callable[[], bytes]) -> bytes:
-        return b"\x77\x77" + answer()[2:]
-
-    async with opened(timeout_s=0.05) as bench:
-        bench.drive.script = wrong
-        await bench.wait_until(lambda: "no answer within 0.02" in (bench.axis.problem() or ""))
-        assert "(2 answers to other requests)" in bench.axis.problem()
-        assert bench.axis.read() is None
-
-
 @pytest.mark.parametrize(
     ("answer", "words"),
     [
@@ -220,18 +195,6 @@ async def test_error_answers_are_reported(bench: Any, answer: Callable[[int], by
     await bench.wait_until(lambda: words in (bench.axis.problem() or ""))
     assert bench.axis.problem().startswith(f"127.0.0.1:{bench.server.port}: ")
     assert "connecting again" in bench.axis.problem()
-
-
-async def test_a_velocity_of_two_bytes_is_rejected(bench: Any) -> None:
-    def shorten(telegram: bytes, answer: Callable[[], bytes]) -> bytes:
-        whole = answer()
-        if telegram[9:14].hex() != "000000606c":
-            return whole
-        return whole[:5] + b"\x0f" + whole[6:18] + b"\x02" + whole[19:21]
-
-    bench.drive.script = shorten
-    await bench.wait_until(lambda: "2 bytes for 606Ch:0 (velocity actual)" in (bench.axis.problem() or ""))
-    assert bench.axis.read() is None
 
 
 async def test_segmented_answers_are_joined(bench: Any) -> None:
@@ -307,16 +270,6 @@ async def test_a_missing_drive_is_reported(free_port: int, until: Any, running: 
         assert axis.problem().startswith(f"127.0.0.1:{free_port}: connect: ")
         assert "switch on 'Modbus TCP Gateway'" in axis.problem()
         assert axis.read() is None
-
-
-async def test_the_twin_reports_a_port_in_use(clock: Any) -> None:
-    config = DryveRail(host="127.0.0.1")
-    first = DryveServer("127.0.0.1", 0, DryveDevice(config), Faults(clock), clock)
-    await first.open()
-    second = DryveServer("127.0.0.1", first.port, DryveDevice(config), Faults(clock), clock)
-    with pytest.raises(Exception, match=r"listen as the rail: .*set drivers\.rail\.host to 127\.0\.0\.1"):
-        await second.open()
-    await first.close()
 
 
 async def test_a_drive_that_is_not_homed_is_reported_and_never_enabled(bench: Any) -> None:

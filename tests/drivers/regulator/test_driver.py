@@ -201,17 +201,11 @@ async def test_a_port_that_cannot_be_opened_is_reported(
     assert says in problem
 
 
-async def test_a_port_held_by_another_process_is_reported(tmp_path: Path, clock: Any, until: Any) -> None:
-    bench = Bench(tmp_path / "teensy", clock, until)
-    bench.port.open()
-    rival = TeensyRegulator(SerialRegulator(port=str(bench.path)), clock)
-    bench.regulator.start()
+async def test_a_port_held_by_another_process_is_reported(bench: Bench, until: Any, running: Any) -> None:
     await bench.write_until(lambda: bench.regulator.problem() is None)
-    rival.start()
-    await until(lambda: "another process holds the port: stop it" in (rival.problem() or ""))
-    await rival.stop()
-    await bench.regulator.stop()
-    bench.port.close()
+    rival = TeensyRegulator(SerialRegulator(port=str(bench.path)), bench.clock)
+    async with running(rival):
+        await until(lambda: "another process holds the port: stop it" in (rival.problem() or ""))
 
 
 def test_an_echo_of_the_sent_bytes_is_reported(clock: Any) -> None:

@@ -153,7 +153,7 @@ def test_delays_of_the_twin_do_not_count_as_silence(clock: Any) -> None:
 async def test_a_second_twin_is_refused_and_the_first_keeps_its_ports(config: Config) -> None:
     async with Twin(config):
         there = Path(config.drivers.regulator.port).readlink()
-        with pytest.raises(DeviceError, match="listen as the rail"):
+        with pytest.raises(DeviceError, match=r"listen as the rail: .*set drivers\.rail\.host to 127\.0\.0\.1"):
             async with Twin(config):
                 pass
         assert Path(config.drivers.regulator.port).readlink() == there

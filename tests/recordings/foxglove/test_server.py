@@ -3,6 +3,8 @@
 import io
 import socket
 import sys
+import tomllib
+from pathlib import Path
 
 import pytest
 
@@ -14,6 +16,12 @@ def test_without_the_extra_it_says_how_to_get_it(monkeypatch, capsys):
     monkeypatch.setitem(sys.modules, "foxglove", None)
     server.serve("127.0.0.1", 0, io.BytesIO())
     assert capsys.readouterr().out == "is not installed: pip install 'softarm[foxglove]'\n"
+
+
+def test_the_extra_that_is_named_brings_the_sdk_and_the_core_does_not():
+    project = tomllib.loads((Path(__file__).parents[3] / "pyproject.toml").read_text())["project"]
+    assert any(each.startswith("foxglove-sdk") for each in project["optional-dependencies"]["foxglove"])
+    assert not any("foxglove" in each for each in project["dependencies"])
 
 
 def test_an_occupied_port_is_reported(capsys):
