@@ -1,11 +1,8 @@
 """Tests of `softarm bridge`."""
 
 import json
-import os
 import signal
-import socket
 import subprocess
-import sys
 import threading
 import time
 from collections.abc import Iterator
@@ -24,6 +21,7 @@ from softarm.drivers.twin.motive import Motive, bodies_of
 from softarm.schemas.bridge import Room
 from softarm.schemas.messages import BODY_NAMES, Pose
 from tests.cli.invoke import invoke
+from tests.processes import free_port, running
 
 POSES = {name: Pose(0.1, 0.965 - 0.0885 * i, 0.0, tracked=True) for i, name in enumerate(BODY_NAMES)}
 
@@ -63,23 +61,16 @@ def server(poses: dict[str, Pose]) -> Iterator[Motive]:
 
 
 @pytest.fixture
-def file(server: Motive, tmp_path: Path, free_port: int) -> Path:
+def file(server: Motive, tmp_path: Path) -> Path:
     """Return a bridge.yaml for this server and a daemon that does not run."""
     path = tmp_path / "bridge.yaml"
     settings = {
         "server": "127.0.0.1",
         "command_port": server.port,
-        "daemon": {"endpoint": f"tcp/127.0.0.1:{free_port}"},
+        "daemon": {"endpoint": f"tcp/127.0.0.1:{free_port()}"},
     }
     path.write_text(yaml.safe_dump(settings))
     return path
-
-
-@pytest.fixture
-def free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
 
 
 @pytest.mark.slow
@@ -215,9 +206,7 @@ def test_without_a_terminal_the_end_must_be_given(file: Path, tmp_path: Path) ->
 def test_a_signal_ends_the_bridge_and_it_reports_the_consequence(
     file: Path, number: int, code: int, message: str
 ) -> None:
-    command = [sys.executable, "-m", "softarm.cli.main", "bridge", "natnet", "--config", str(file), "--json"]
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, env=dict(os.environ), text=True)
-    try:
+    with running("bridge", "natnet", "--config", file, "--json", stderr=subprocess.PIPE) as process:
         assert process.stdout is not None
         status: dict[str, Any] = {"rate_hz": 0}
         deadline = time.monotonic() + 30
@@ -227,8 +216,5 @@ def test_a_signal_ends_the_bridge_and_it_reports_the_consequence(
         assert not status["daemon_listens"]
         process.send_signal(number)
         _, stderr = process.communicate(timeout=20)
-    finally:
-        process.kill()
-        process.wait()
     assert process.returncode == code
     assert message in stderr

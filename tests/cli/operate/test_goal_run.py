@@ -3,14 +3,13 @@
 import json
 import os
 import re
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 
 from softarm.schemas.goals import Goal, GoalStatus
 from softarm.schemas.rest import GoalAnswer
+from tests.processes import running, said
 
 ROOT = Path(__file__).parents[3]
 
@@ -62,36 +61,24 @@ def test_json_output_contains_only_the_end(softarm, runs, end, code):
 
 @pytest.mark.realtime
 @pytest.mark.timeout(120)
-def test_the_documented_policy_flies_from_the_command_line(tmp_path):
-    """The policy is installed by a metadata folder as pip writes it."""
+def test_the_documented_policy_flies_from_the_command_line(install, tmp_path):
     page = (ROOT / "docs" / "policies" / "interface.md").read_text(encoding="utf-8").partition("## Your own policy")[2]
     code = re.search(r"```python\n(.*?)```", page, re.DOTALL)
     assert code is not None
-    package, metadata = tmp_path / "my_package", tmp_path / "my_package-1.dist-info"
-    package.mkdir()
-    metadata.mkdir()
-    (package / "wave.py").write_text(code[1])
-    (metadata / "METADATA").write_text("Metadata-Version: 2.1\nName: my-package\nVersion: 1\n")
-    (metadata / "entry_points.txt").write_text("[softarm.policies]\nwave = my_package.wave:Wave\n")
+    install("my_package", code[1], wave="Wave")
     config = tmp_path / "arm.yaml"
     config.write_text(f"api: {{port: 0}}\ncontrol: {{policy: wave}}\nrecorder: {{directory: {tmp_path}/logs}}\n")
     environment = os.environ | {"PYTHONPATH": f"{tmp_path}:{os.environ.get('PYTHONPATH', ROOT)}"}
 
-    def softarm(*arguments):
-        return [sys.executable, "-m", "softarm.cli.main", *arguments]
+    with running("run", "--simulated", "--config", config, env=environment) as daemon:
+        url = said(daemon, r"serving (http://\S+)")
 
-    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.DEVNULL, "text": True, "env": environment}
-    with subprocess.Popen(softarm("run", "--simulated", "--config", str(config)), **pipes) as daemon:
-        try:
-            url = next(m[1] for line in daemon.stdout if (m := re.search(r"serving (http://\S+)", line)))
-            options = {**pipes, "stderr": subprocess.STDOUT, "env": environment | {"SOFTARM_URL": url}}
-            armed = subprocess.run(softarm("arm"), check=False, **options)
-            assert armed.returncode == 0, armed.stdout
-            listed = subprocess.run(softarm("policy", "list"), check=False, **options).stdout
-            assert "* wave          sweeps the cart to and fro  (needs no target: `softarm goal run`)" in listed
-            flown = subprocess.run(softarm("goal", "run", "--seconds", "0.5"), check=False, **options)
-            assert re.fullmatch(r"cancelled after 0\.\d\d s, as requested\n", flown.stdout), flown.stdout
-            where = json.loads(subprocess.run(softarm("status", "--json"), check=False, **options).stdout)
-            assert where["rail_position_m"] > 0.02
-        finally:
-            daemon.terminate()
+        def printed(*arguments):
+            with running(*arguments, env=environment | {"SOFTARM_URL": url}) as verb:
+                return verb.communicate()[0]
+
+        assert printed("arm") == "armed\n"
+        listed = printed("policy", "list")
+        assert "* wave          sweeps the cart to and fro  (needs no target: `softarm goal run`)" in listed
+        assert re.fullmatch(r"cancelled after 0\.\d\d s, as requested\n", printed("goal", "run", "--seconds", "0.5"))
+        assert json.loads(printed("status", "--json"))["rail_position_m"] > 0.02

@@ -1,11 +1,8 @@
 """Tests of `softarm run`."""
 
 import os
-import re
 import signal
 import socket
-import subprocess
-import sys
 
 import httpx
 import pytest
@@ -13,6 +10,7 @@ import pytest
 from softarm.daemon.assembly import Daemon
 from softarm.daemon.logbook import logs
 from tests.cli.invoke import invoke
+from tests.processes import running, said, until
 
 pytestmark = pytest.mark.timeout(120)
 
@@ -25,36 +23,31 @@ def write(path, text):
 @pytest.mark.realtime
 def test_a_simulated_run_arms_swings_and_ends_cleanly(tmp_path):
     config = write(tmp_path / "c.yaml", f"api: {{port: 0}}\nrecorder: {{directory: {tmp_path}}}\n")
-    command = [sys.executable, "-m", "softarm.cli.main", "run", "--simulated", "--config", str(config)]
     typist, terminal = os.openpty()
-    pipes = {"stdin": terminal, "stdout": subprocess.PIPE, "stderr": subprocess.STDOUT}
-    with subprocess.Popen(command, **pipes, text=True, start_new_session=True) as process:
-        try:
-            url = next(m[1] for line in process.stdout if (m := re.search(r"serving (http://\S+)", line)))
-            recording = next(m[1] for line in process.stdout if (m := re.search(r"recording (\S+)", line)))
-            stop_url = next(m[1] for line in process.stdout if (m := re.search(r"POST (\S+); space or s here", line)))
-            with httpx.Client(base_url=url) as client:
-                # Not a status before the first tick, refusals until motion capture has settled.
-                while (status := client.get("/api/status").json()).get("arming_refusals") != []:
-                    pass
-                assert status["mode"] == "disarmed"
-                assert client.post("/api/arm").status_code == 200
-                while client.get("/api/status").json()["mode"] != "armed":
-                    pass
-                goal = {"kind": "reach", "y_m": -0.2, "z_m": 0.6}
-                assert client.post("/api/goal", json=goal).status_code == 200
-                while (answer := client.get("/api/goal").json())["state"] == "running":
-                    pass
-                assert answer["state"] == "reached"
-                assert httpx.post(stop_url).json()["mode"] == "stopped"
-                while client.get("/api/status").json()["estop"] != "latched":
-                    pass
-                assert client.post("/api/acknowledge").status_code == 200
-                os.write(typist, b" ")
-                while client.get("/api/status").json()["estop"] != "latched":
-                    pass
-        finally:
-            process.send_signal(signal.SIGTERM)
+    with running("run", "--simulated", "--config", config, stdin=terminal, start_new_session=True) as process:
+        url = said(process, r"serving (http://\S+)")
+        recording = said(process, r"recording (\S+)")
+        stop_url = said(process, r"POST (\S+); space or s here")
+        with httpx.Client(base_url=url) as client:
+
+            def shows(path: str, key: str, value: object) -> bool:
+                return client.get(path).json().get(key, "nothing") == value
+
+            # Not a status before the first tick, refusals until motion capture has settled.
+            until(lambda: shows("/api/status", "arming_refusals", []))
+            assert shows("/api/status", "mode", "disarmed")
+            assert client.post("/api/arm").status_code == 200
+            until(lambda: shows("/api/status", "mode", "armed"))
+            goal = {"kind": "reach", "y_m": -0.2, "z_m": 0.6}
+            assert client.post("/api/goal", json=goal).status_code == 200
+            until(lambda: not shows("/api/goal", "state", "running"))
+            assert shows("/api/goal", "state", "reached")
+            assert httpx.post(stop_url).json()["mode"] == "stopped"
+            until(lambda: shows("/api/status", "estop", "latched"))
+            assert client.post("/api/acknowledge").status_code == 200
+            os.write(typist, b" ")
+            until(lambda: shows("/api/status", "estop", "latched"))
+        process.send_signal(signal.SIGTERM)
         assert process.wait(10) == 0
     os.close(typist)
     os.close(terminal)

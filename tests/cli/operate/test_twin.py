@@ -1,13 +1,10 @@
 """Tests of `softarm twin` and its faults."""
 
-import contextlib
 import json
-import os
 import signal
-import socket
-import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import pytest
 import zenoh
@@ -18,6 +15,7 @@ from softarm.evaluation.robots import with_effects
 from softarm.schemas.model import Model
 from softarm.simulator.effects import REGISTRY, exemplars
 from tests.cli.invoke import invoke
+from tests.processes import free_port, running, said
 
 CONFIG = str(Path(__file__).parents[3] / "twin.yaml")
 
@@ -87,9 +85,7 @@ def test_a_twin_without_its_file_is_refused() -> None:
 
 def test_a_fault_without_a_daemon_is_refused(tmp_path: Path) -> None:
     config = tmp_path / "twin.yaml"
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        config.write_text(f"drivers: {{mocap: {{endpoint: tcp/127.0.0.1:{free.getsockname()[1]}}}}}\n")
+    config.write_text(f"drivers: {{mocap: {{endpoint: tcp/127.0.0.1:{free_port()}}}}}\n")
     answer = invoke("twin", "fault", "mocap_freeze", "--config", config)
     assert answer.exit_code == 1
     assert "no daemon listens there; start `softarm run`" in answer.output
@@ -98,36 +94,24 @@ def test_a_fault_without_a_daemon_is_refused(tmp_path: Path) -> None:
 @pytest.mark.realtime
 @pytest.mark.timeout(120)
 def test_faults_change_at_run_time_and_ctrl_c_reports_the_state(tmp_path: Path) -> None:
-    with contextlib.ExitStack() as stack:
-        sockets = [stack.enter_context(socket.socket()) for _ in range(2)]
-        for one in sockets:
-            one.bind(("127.0.0.1", 0))
-        mocap, rail = (one.getsockname()[1] for one in sockets)
-    endpoint = f"tcp/127.0.0.1:{mocap}"
+    endpoint = f"tcp/127.0.0.1:{free_port()}"
     config = tmp_path / "twin.yaml"
     config.write_text(
         f"drivers: {{mocap: {{endpoint: {endpoint}}}, regulator: {{port: {tmp_path}/teensy}}, "
-        f"rail: {{host: 127.0.0.1, port: {rail}}}}}\n"
+        f"rail: {{host: 127.0.0.1, port: {free_port()}}}}}\n"
     )
-    command = [sys.executable, "-m", "softarm.cli.main", "twin"]
-    begun = [*command, "--config", str(config), "--fault", "serial_silence", "--fault", "arm.payload=0.05"]
+    begun = ("twin", "--config", config, "--fault", "serial_silence", "--fault", "arm.payload=0.05")
 
-    def fault(*arguments: str) -> "subprocess.CompletedProcess[str]":
-        asked = [*command, "fault", *arguments, "--config", str(config)]
-        return subprocess.run(asked, check=False, capture_output=True, text=True)
+    def fault(*arguments: str) -> Any:
+        return invoke("twin", "fault", *arguments, "--config", config)
 
-    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.STDOUT, "text": True}
-    plain = {**os.environ, "PYTHONUNBUFFERED": "1"}
-    with zenoh.open(listener(endpoint)), subprocess.Popen(begun, env=plain, **pipes) as twin:
-        try:
-            assert "regulator at" in next(line for line in twin.stdout if "softarm twin:" in line)
-            assert fault("mocap_drop_body=link3").stdout == "active faults: serial_silence, mocap_drop_body\n"
-            assert json.loads(fault("clear", "--json").stdout)["faults"] == []
-            twin.send_signal(signal.SIGINT)
-            output = twin.communicate(timeout=10)[0]
-        finally:
-            twin.kill()
+    with zenoh.open(listener(endpoint)), running(*begun) as twin:
+        assert "regulator at" in said(twin, "softarm twin:(.*)")
+        assert fault("mocap_drop_body=link3").stdout == "active faults: serial_silence, mocap_drop_body\n"
+        assert json.loads(fault("clear", "--json").stdout)["faults"] == []
+        twin.send_signal(signal.SIGINT)
+        output = twin.communicate(timeout=10)[0]
     assert twin.returncode == 130
-    assert output.endswith("interrupted: the robot is gone; a daemon that was connected stops and says so\n")
+    assert output.endswith("interrupted: the simulated robot has ended; a connected daemon stops and reports it\n")
     with zenoh.open(listener(endpoint)):
         assert "no twin has published its state for 2 s" in fault("rail_fault").stderr

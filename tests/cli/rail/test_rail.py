@@ -25,12 +25,7 @@ from softarm.drivers.twin.faults import Faults
 from softarm.schemas.config import DryveRail
 from softarm.schemas.policy import Observation
 from tests.cli.invoke import invoke
-
-
-def free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
+from tests.processes import free_port
 
 
 class Bench:

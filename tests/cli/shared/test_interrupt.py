@@ -1,10 +1,6 @@
 """Tests of Ctrl-C: its message and exit code 130."""
 
-import os
-import re
 import signal
-import subprocess
-import sys
 import time
 from pathlib import Path
 from types import SimpleNamespace
@@ -13,6 +9,7 @@ import pytest
 
 from softarm.daemon.control.records import Mode
 from softarm.daemon.logbook import logs
+from tests.processes import running, said
 
 
 def interrupt(*_):
@@ -89,16 +86,11 @@ def test_ctrl_c_during_work_reports_what_is_kept(softarm, monkeypatch, arguments
 def test_an_ended_daemon_reports_the_state_of_the_robot(tmp_path: Path, number: signal.Signals, code: int, word: str):
     config = tmp_path / "arm.yaml"
     config.write_text(f"api: {{port: 0}}\ncontrol: {{policy: hold}}\nrecorder: {{directory: {tmp_path}}}\n")
-    command = [sys.executable, "-m", "softarm.cli.main", "run", "--simulated", "--config", str(config)]
-    plain = {**os.environ, "PYTHONUNBUFFERED": "1"}
-    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, env=plain) as process:
-        try:
-            recording = next(m[1] for line in process.stdout if (m := re.search(r"recording (\S+)", line)))
-            next(line for line in process.stdout if "Ctrl-C ends" in line)
-            process.send_signal(number)
-            output = process.communicate(timeout=20)[0]
-        finally:
-            process.kill()
+    with running("run", "--simulated", "--config", config) as process:
+        recording = said(process, r"recording (\S+)")
+        said(process, "(Ctrl-C ends)")
+        process.send_signal(number)
+        output = process.communicate(timeout=20)[0]
     assert process.returncode == code
     assert output.endswith(f"{word}: the drive is off, the muscle vented; {recording} is closed\n")
     assert logs.read(recording).finished

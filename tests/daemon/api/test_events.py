@@ -1,7 +1,6 @@
 """GET /api/events and the source of a request, over real sockets and the real recorder."""
 
 import logging
-import time
 
 import httpx
 import pytest
@@ -12,6 +11,7 @@ from softarm.daemon.logbook import incidents, logs
 from softarm.daemon.logbook.history import History
 from softarm.daemon.runtime.devices import simulated_devices
 from softarm.schemas.config import Config
+from tests.processes import until
 
 TOKEN, VIEW = "0123456789abcdef0123456789abcdef", "v" * 32
 
@@ -86,11 +86,11 @@ def test_rest_log_and_journal_name_the_same_source_of_a_stop(tmp_path, caplog, m
     with caplog.at_level(logging.INFO, "softarm.events"):
         daemon.start()
         try:
-            wait_for(lambda: daemon.loop.snapshot is not None)
+            until(lambda: daemon.loop.snapshot is not None)
             assert httpx.post(daemon.stop_url, trust_env=False).status_code == 200
             daemon.stop_by_key()
             assert httpx.post(f"{daemon.url}/api/acknowledge", trust_env=False).status_code in (200, 409)
-            wait_for(lambda: any(entry.what == "acknowledge" for entry in daemon.recorder.history.entries))
+            until(lambda: any(entry.what == "acknowledge" for entry in daemon.recorder.history.entries))
             recorded = httpx.get(f"{daemon.url}/api/events", trust_env=False).json()["events"]
         finally:
             daemon.stop()
@@ -102,10 +102,3 @@ def test_rest_log_and_journal_name_the_same_source_of_a_stop(tmp_path, caplog, m
     assert texts[: len(recorded)] == [event["text"] for event in recorded]
     assert [record.message for record in caplog.records if record.name == "softarm.events"] == texts
     assert len(incidents.listing(tmp_path)) == 1
-
-
-def wait_for(condition) -> None:
-    deadline = time.monotonic() + 20
-    while not condition():
-        assert time.monotonic() < deadline
-        time.sleep(0.005)

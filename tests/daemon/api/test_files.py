@@ -5,7 +5,6 @@ import shutil
 import socket
 import subprocess
 import sys
-import time
 from contextlib import suppress
 from pathlib import Path
 from urllib.parse import quote
@@ -20,9 +19,9 @@ from softarm.daemon.logbook.recorder import Recorder
 from softarm.daemon.runtime import replay_process
 from softarm.recordings import finishing
 from softarm.schemas.config import Config
+from tests.processes import WAIT_S, until
 
 FLIGHT = Path(__file__).parents[2] / "data" / "flight.mcap"
-WAIT_S = 120  # only a server that hangs takes so long, even on a busy machine
 NO_NAMES = [
     "..",
     "../softarm.yaml",
@@ -127,10 +126,7 @@ def test_simultaneous_downloads_are_limited_and_an_ended_one_makes_room(
             refused = httpx.get(url, timeout=WAIT_S)
             assert refused.status_code == 503
             assert "1 downloads are running already" in refused.text
-        deadline = time.monotonic() + WAIT_S
-        while (answer := httpx.get(url, timeout=WAIT_S)).status_code == 503:
-            assert time.monotonic() < deadline
-        assert len(answer.content) == 64_000_000
+        until(lambda: len(httpx.get(url, timeout=WAIT_S).content) == 64_000_000)
     assert not is_open("flight.mcap")
 
 
@@ -141,13 +137,6 @@ def is_open(name: str) -> bool:
             if name in os.readlink(link):
                 return True
     return False
-
-
-def until(condition) -> None:
-    deadline = time.monotonic() + WAIT_S
-    while not condition():
-        assert time.monotonic() < deadline
-        time.sleep(0.01)
 
 
 @pytest.mark.slow
@@ -244,9 +233,7 @@ def test_a_replay_whose_client_left_is_ended(loop, app, serving, config, folder)
         with pytest.raises(httpx.ReadTimeout):
             httpx.post(url, timeout=0.2)
         assert httpx.post(url, timeout=WAIT_S).status_code in (200, 503)
-        deadline = time.monotonic() + WAIT_S
-        while httpx.post(url, timeout=WAIT_S).status_code == 503:
-            assert time.monotonic() < deadline
+        until(lambda: httpx.post(url, timeout=WAIT_S).status_code != 503)
 
 
 def test_a_replay_process_has_the_lowest_priority():

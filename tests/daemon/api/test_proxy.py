@@ -5,7 +5,6 @@ import shutil
 import socket
 import ssl
 import subprocess
-import time
 from pathlib import Path
 
 import httpx
@@ -14,6 +13,7 @@ from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 
 from softarm.schemas.config import Config
+from tests.processes import free_port, until
 
 PAGE = Path(__file__).parents[3] / "docs/operate/service.md"
 NAME = "arm.example.org"
@@ -23,11 +23,6 @@ pytestmark = [
     pytest.mark.slow,
     pytest.mark.skipif(shutil.which("openssl") is None, reason="openssl is missing"),
 ]
-
-
-def free_port() -> int:
-    with socket.create_server(("127.0.0.1", 0)) as server:
-        return int(server.getsockname()[1])
 
 
 def answers(port: int) -> bool:
@@ -92,11 +87,8 @@ def proxied(request, loop, app, serving, tokens, tmp_path, monkeypatch):
     with serving(app(loop, config), config.api) as api_port:
         proxy = subprocess.Popen(request.param(tmp_path, api_port, port))
         try:
-            deadline = time.monotonic() + 20
-            while not answers(port):
-                assert proxy.poll() is None, "the proxy ended; see its message above"
-                assert time.monotonic() < deadline
-                time.sleep(0.02)
+            until(lambda: answers(port) or proxy.poll() is not None)
+            assert proxy.poll() is None, "the proxy ended; see its message above"
             yield port, ssl.create_default_context(cafile=tmp_path / "cert.pem")
         finally:
             proxy.terminate()

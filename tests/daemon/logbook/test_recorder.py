@@ -23,6 +23,7 @@ from softarm.recordings.mcap_file import is_finished
 from softarm.schemas.config import Config
 from softarm.schemas.goals import Goal, GoalStatus
 from softarm.schemas.messages import MocapFrame, Pose, PressureReading
+from tests.processes import until
 
 SPEC = PolicySpec("reach", "swings", sha256="ab" * 32)
 
@@ -39,20 +40,13 @@ def make_tick(number: int, t_ns: int | None = None) -> tuple[Inputs, Outputs, Ti
     return Inputs(now, mocap=frames), outputs, TickTiming(1, 2, 3, None)
 
 
-def wait_for(condition, what: str) -> None:
-    deadline = time.monotonic() + 20
-    while not condition():
-        assert time.monotonic() < deadline, f"timed out waiting for {what}"
-        time.sleep(0.005)
-
-
 def recorded(settings: Config, ticks) -> Recorder:
     """Record ticks and stop when all are written."""
     recorder = Recorder(settings, SPEC)
     recorder.start()
     for one in ticks:
         recorder.tick(*one)
-    wait_for(lambda: not recorder._queue, "the queue")
+    until(lambda: not recorder._queue, "the queue")
     recorder.stop()
     return recorder
 
@@ -173,16 +167,16 @@ def test_a_full_disk_ends_the_log_only(tmp_path, disk):
     recorder = Recorder(config(tmp_path))
     recorder.start()
     recorder.tick(*make_tick(0))
-    wait_for(lambda: logs.read(recorder.path).t_last_ns is not None, "the first tick in the file")
+    until(lambda: logs.read(recorder.path).t_last_ns is not None, "the first tick in the file")
     disk.set()
-    wait_for(lambda: recorder.problem is not None, "the problem")
+    until(lambda: recorder.problem is not None, "the problem")
     assert "the log ends here" in recorder.problem
     assert "delete old logs" in recorder.problem
     assert "recording continues by itself" in recorder.problem
     dropped = recorder.dropped
     recorder.tick(*flown(1))
     assert recorder.dropped == dropped + 1
-    wait_for(lambda: recorder.history.entries, "the event is still reported")
+    until(lambda: recorder.history.entries, "the event is still reported")
     assert recorder.history.entries[0].text == "disarmed → armed"
     recorder.stop()
     assert recorder.dropped == dropped + 1
@@ -194,13 +188,13 @@ def test_recording_resumes_in_a_new_file_when_there_is_space(tmp_path, disk):
     recorder.start()
     first = recorder.path
     recorder.tick(*make_tick(0))
-    wait_for(lambda: logs.read(first).t_last_ns is not None, "the first tick in the file")
+    until(lambda: logs.read(first).t_last_ns is not None, "the first tick in the file")
     disk.set()
-    wait_for(lambda: recorder.problem is not None, "the problem")
+    until(lambda: recorder.problem is not None, "the problem")
     recorder.tick(*make_tick(1))
     recorder.policy(PolicySpec("pid", "the seed's gains"))  # taken up while nothing could be written
     disk.clear()
-    wait_for(lambda: recorder.problem is None, "the new log")
+    until(lambda: recorder.problem is None, "the new log")
     recorder.tick(*make_tick(2))
     recorder.stop()
     assert recorder.path != first
@@ -261,11 +255,11 @@ def test_a_full_file_is_continued_if_no_new_one_can_be_created(tmp_path, disk, m
     monkeypatch.setattr(folder, "new_log", lambda *_: (_ for _ in ()).throw(OSError(28, "No space left on device")))
     for number in range(1, 801):
         recorder.tick(*flown(number))
-    wait_for(lambda: first.stat().st_size > 1_500_000, "a file that is more than full")
+    until(lambda: first.stat().st_size > 1_500_000, "a file that is more than full")
     assert (recorder.path, recorder.problem) == (first, None)
     monkeypatch.setattr(folder, "new_log", new_log)
     recorder.tick(*flown(801))
-    wait_for(lambda: recorder.path != first, "the next file")
+    until(lambda: recorder.path != first, "the next file")
     recorder.stop()
     assert [number for part in parts(tmp_path) for number in part] == list(range(1, 802))
 
@@ -310,7 +304,7 @@ def test_the_next_start_finishes_the_log_of_a_killed_daemon(tmp_path):
     (tmp_path / "softarm-20200101T000001Z.mcap").write_bytes(b"rubbish")
     recorder = Recorder(config(tmp_path))
     recorder.start()
-    wait_for(lambda: is_finished(left), "the old log")
+    until(lambda: is_finished(left), "the old log")
     recorder.stop()
     assert len(list(logs.read(left).inputs())) == 50
     assert (tmp_path / "softarm-20200101T000001Z.mcap").read_bytes() == b"rubbish"
@@ -345,7 +339,7 @@ def test_a_kill_loses_no_more_than_the_last_flush(tmp_path):
         lifetime_s = random.Random(seed).uniform(0.3, 1.2)
         first = child.stdout.read(8)  # its first tick
         end_ns = struct.unpack("<q", first)[0] + lifetime_s * 1e9
-        wait_for(lambda end_ns=end_ns: time.monotonic_ns() > end_ns, "its time")
+        until(lambda end_ns=end_ns: time.monotonic_ns() > end_ns, "its time")
         child.kill()
         stamps = first + child.stdout.read()
         child.stdout.close()

@@ -2,10 +2,7 @@
 
 import os
 import signal
-import subprocess
-import sys
 import threading
-import time
 
 import pytest
 import yaml
@@ -13,6 +10,7 @@ import yaml
 from softarm.daemon.runtime.first_policy import first_policy
 from softarm.policies.base import PolicyError
 from softarm.schemas.config import Config
+from tests.processes import running, until
 
 pytestmark = pytest.mark.timeout(120)
 
@@ -33,13 +31,9 @@ class Plugin:
 
 
 @pytest.fixture
-def plugin(tmp_path, monkeypatch):
+def plugin(install, tmp_path, monkeypatch):
     """Return plugin(does), a configuration whose first policy is an installed plug-in."""
-    (tmp_path / "plugin_arm.py").write_text(PLUGIN)
-    info = tmp_path / "plugin_arm-1.0.dist-info"
-    info.mkdir()
-    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: plugin-arm\nVersion: 1.0\n")
-    (info / "entry_points.txt").write_text("[softarm.policies]\nplugin = plugin_arm:Plugin\n")
+    install("plugin_arm", PLUGIN, plugin="Plugin")
     monkeypatch.setenv("PYTHONPATH", str(tmp_path), prepend=os.pathsep)
 
     def made(does: str) -> dict:
@@ -47,13 +41,6 @@ def plugin(tmp_path, monkeypatch):
         return {"control": {"policy": "mine"}, "policies": {"mine": {"plugin": "plugin", "options": options}}}
 
     return made
-
-
-def until(condition):
-    deadline = time.monotonic() + 30.0
-    while not condition():
-        assert time.monotonic() < deadline
-        time.sleep(0.01)
 
 
 def test_a_good_policy_is_loaded_after_its_first_step():
@@ -80,11 +67,7 @@ def test_the_end_of_the_service_does_not_wait_for_loading(plugin, tmp_path):
 def test_a_service_whose_first_policy_hangs_ends_on_request(plugin, tmp_path):
     settings = plugin("wedges") | {"recorder": {"directory": str(tmp_path)}, "api": {"port": 0}}
     (tmp_path / "arm.yaml").write_text(yaml.safe_dump(settings))
-    command = [sys.executable, "-m", "softarm.cli.main", "run", "--config", str(tmp_path / "arm.yaml")]
-    with subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE) as process:
-        try:
-            until((tmp_path / "mark").exists)
-            process.send_signal(signal.SIGTERM)
-            assert process.wait(5) == 0
-        finally:
-            process.kill()
+    with running("run", "--config", tmp_path / "arm.yaml") as process:
+        until((tmp_path / "mark").exists)
+        process.send_signal(signal.SIGTERM)
+        assert process.wait(5) == 0

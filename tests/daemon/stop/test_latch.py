@@ -2,11 +2,7 @@
 
 import os
 import re
-import socket
-import subprocess
-import sys
 import threading
-import time
 from contextlib import contextmanager
 from datetime import UTC, datetime, timedelta
 
@@ -20,6 +16,7 @@ from softarm.daemon.config.places import latch_path
 from softarm.daemon.stop import latch
 from softarm.daemon.stop.latch import SIZE, LatchError, LatchKeeper, Stop, decoded, encoded
 from softarm.schemas.config import Config
+from tests.processes import free_port, running, said, until
 
 WHY = "the drive reports a fault (E12): clear the cause at the drive, then run `softarm acknowledge`"
 
@@ -37,13 +34,6 @@ def keeping(path):
         yield made
     finally:
         made.stop()
-
-
-def until(condition):
-    deadline = time.monotonic() + 10.0
-    while not condition():
-        assert time.monotonic() < deadline
-        time.sleep(0.002)
 
 
 def killed(path):
@@ -238,13 +228,10 @@ class Killed:
     """Run daemons of one missing robot, each ended by kill -9."""
 
     def __init__(self, folder):
-        with socket.socket() as probe:
-            probe.bind(("127.0.0.1", 0))
-            mocap = probe.getsockname()[1]
         settings = {
             "api": {"port": 0},
             "drivers": {
-                "mocap": {"endpoint": f"tcp/127.0.0.1:{mocap}"},
+                "mocap": {"endpoint": f"tcp/127.0.0.1:{free_port()}"},
                 "regulator": {"port": str(folder / "none")},
                 "rail": {"host": "127.0.0.1", "port": 1},
             },
@@ -256,40 +243,31 @@ class Killed:
 
     @contextmanager
     def running(self):
-        """Start another daemon; yield its client, its stop address and its first output."""
-        command = [sys.executable, "-m", "softarm.cli.main", "run", "--config", str(self.config)]
-        pipes = {"stdin": subprocess.DEVNULL, "stdout": subprocess.PIPE, "stderr": subprocess.STDOUT}
-        with subprocess.Popen(command, **pipes, text=True, env={**os.environ, "PYTHONUNBUFFERED": "1"}) as process:
-            try:
-                said = ""
-                for line in process.stdout:
-                    said += line
-                    if "softarm: next:" in line:
-                        break
-                url = re.search(r"serving (http://[^ ]+)", said)[1]
-                with httpx.Client(base_url=url, timeout=10.0) as client:
-                    until(lambda: client.get("/api/status").status_code == 200)
-                    yield client, re.search(r"POST (http://\S+)", said)[1], said
-            finally:
-                process.kill()
+        """Start another daemon; yield its client, its stop address and its first line."""
+        with running("run", "--config", self.config) as process:
+            first = said(process, "(.*serving .*)")
+            stop_url = said(process, r"POST (http://\S+)")
+            with httpx.Client(base_url=re.search(r"serving (\S+)", first)[1], timeout=10.0) as client:
+                until(lambda: client.get("/api/status").status_code == 200)
+                yield client, stop_url, first
 
 
 @pytest.mark.slow
 def test_a_daemon_that_is_killed_begins_stopped_until_that_is_acknowledged(tmp_path):
     robot = Killed(tmp_path)
     file = tmp_path / "logs" / "stop-127.0.0.1-1.json"
-    with robot.running() as (client, stop_url, said):
+    with robot.running() as (client, stop_url, _):
         assert client.get("/api/status").json()["estop"] == "clear"
         assert httpx.post(stop_url).json()["stopped"] is True
         stopped_at = datetime.fromisoformat(client.get("/api/status").json()["last_stop_at"])
         until(lambda: killed(file) is not None)
     for _ in range(2):
-        with robot.running() as (client, _, said):
+        with robot.running() as (client, _, first):
             status = client.get("/api/status").json()
             assert (status["mode"], status["estop"]) == ("stopped", "latched")
             assert status["last_stop"].startswith("an emergency stop was requested")
             assert abs(datetime.fromisoformat(status["last_stop_at"]) - stopped_at) < timedelta(seconds=1)
-            assert "stopped since its last run (an emergency stop was requested" in said
+            assert "stopped since its last run (an emergency stop was requested" in first
     with robot.running() as (client, _, _):
         assert client.post("/api/acknowledge").status_code == 200
         until(lambda: killed(file) is None)
