@@ -51,11 +51,7 @@ class Observation:
 
     async def robot(self) -> Response:
         """Return the constants of this run: dimensions, limits and the dedicated stop port."""
-        context = self._context
-        answer = robot_answer(
-            context.config, run=context.history.run, simulated=context.simulated, stop_port=context.stop_port()
-        )
-        return json_response(answer.model_dump_json())
+        return json_response(robot_answer(self._context).model_dump_json())
 
     async def get_recent(self, seconds: str = "60") -> Response:
         """Return the last `seconds` (1 to 600) as columns for charts, in whole seconds."""

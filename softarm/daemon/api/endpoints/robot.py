@@ -1,8 +1,8 @@
 """The answer of GET /api/robot: constants of one run of the daemon."""
 
 from softarm import __version__
+from softarm.daemon.api.context import ApiContext
 from softarm.daemon.control.workspace import HINGE_Z_M
-from softarm.schemas.config import Config
 from softarm.schemas.flights import BOARD_BELOW_M
 from softarm.schemas.messages import BODY_NAMES
 from softarm.schemas.model import Arm
@@ -10,22 +10,16 @@ from softarm.schemas.rest import RobotAnswer
 from softarm.schemas.robot import RAIL_TRAVEL_M
 
 
-def robot_answer(config: Config, *, run: str, simulated: bool, stop_port: int | None) -> RobotAnswer:
-    """Return dimensions and limits of the configured robot.
-
-    Args:
-        config: the configuration in force.
-        run: identifier of this run of the daemon.
-        simulated: True if the robot is simulated in this process.
-        stop_port: dedicated stop port, or None without one.
-    """
+def robot_answer(context: ApiContext) -> RobotAnswer:
+    """Return dimensions and limits of the configured robot."""
+    config = context.config
     rail, pressure, goals = config.limits.rail, config.limits.pressure, config.goals
     links = Arm().link_length_m
     return RobotAnswer(
         version=__version__,
-        run=run,
-        simulated=simulated,
-        stop_port=stop_port,
+        run=context.history.run,
+        simulated=context.simulated,
+        stop_port=context.stop_port(),
         rate_hz=config.control.rate_hz,
         bodies=BODY_NAMES,
         hinge_z_m=HINGE_Z_M,
