@@ -6,8 +6,6 @@ simulator or the independent robot of `reality/`, in lockstep with the daemon's 
 After an unrequested stop a new robot starts at rest in the middle.
 
     python -m validation.chained --body outside --goals 1000 --json FILE
-
-Every goal is stored at once in FILE.part; the same command continues from there.
 """
 
 import contextlib
@@ -29,7 +27,6 @@ from rich.console import Console
 
 from benchmarks import results
 from softarm.common.processes import bar
-from softarm.daemon.config import configuration
 from softarm.daemon.control.records import Mode, Outputs, Request
 from softarm.daemon.control.workspace import refusals
 from softarm.daemon.runtime.offline import Lockstep
@@ -291,27 +288,6 @@ def summary(legs: Sequence[Leg]) -> dict[str, Any]:
     return found
 
 
-def resumed(part: Path | None, settings: dict[str, Any]) -> list[Leg]:
-    """Return the legs that an interrupted run has stored.
-
-    Raises:
-        ClickException: The file belongs to another run or revision.
-    """
-    if part is None or not part.exists():
-        return []
-    first, *lines = part.read_text(encoding="utf-8").splitlines()
-    if json.loads(first) != settings:
-        raise click.ClickException(f"{part} belongs to another run or revision: delete it, or use another --json")
-    return [Leg(**json.loads(line)) for line in lines]
-
-
-def keep(part: Path | None, record: dict[str, Any]) -> None:
-    """Append a record to the partial result."""
-    if part is not None:
-        with part.open("a", encoding="utf-8") as file:
-            file.write(json.dumps(record) + "\n")
-
-
 @click.command()
 @click.option("--body", type=click.Choice(["simulated", "reality", "outside"]), required=True, help="Robot to fly.")
 @click.option("--goals", default=1000, show_default=True, type=click.IntRange(min=1))
@@ -321,62 +297,39 @@ def keep(part: Path | None, record: dict[str, Any]) -> None:
 @click.option(
     "--options", default="", metavar="TEXT", help="Options of the outside robot, such as '--latency-ms 90 --keep'."
 )
-@click.option("--config", "config_file", type=results.FILE, help="Take limits, failsafe, goals and policies from here.")
-@click.option("--logs", type=click.Path(path_type=Path, file_okay=False), help="Keep the outside daemon's logs here.")
 @results.json_option
-def main(
-    body: str,
-    goals: int,
-    policy: str,
-    seed: int,
-    changed: str,
-    options: str,
-    config_file: Path | None,
-    logs: Path | None,
-    json_file: Path | None,
-) -> None:
+def main(body: str, goals: int, policy: str, seed: int, changed: str, options: str, json_file: Path | None) -> None:
     """Fly goals without rest; exit with 1 if the cart exceeded its bound or the arm stopped unrequested.
 
     \b
     Example:
       python -m validation.chained --body reality --goals 200
     """
-    config = Config() if config_file is None else configuration.load(config_file)
-    policies = config.policies
-    spec = registry.load(policy, policies).spec
-    settings = {"body": body, "policy": policy, "seed": seed, "changed": changed, "options": options}
-    limits = config.model_dump(mode="json", include=SHARED, exclude_unset=True)
-    part = None if json_file is None else json_file.with_name(f"{json_file.name}.part")
-    header = {**settings, "limits": limits, "revision": results.measured()}
-    legs = resumed(part, header)
-    if not legs:
-        keep(part, header)
+    config, spec = Config(), registry.load(policy).spec
+    legs: list[Leg] = []
 
     def begin(number: int) -> Arm:
         if body == "outside":
-            return OnWires(config, policy, shlex.split(options), logs or Path(folder))
+            return OnWires(config, policy, shlex.split(options), Path(folder))
         made: Body = SimulatedBody() if body == "simulated" else IndependentBody(ROBOTS[changed], len(legs) + number)
-        return InLockstep(config, registry.load(policy, policies), made)
+        return InLockstep(config, registry.load(policy), made)
 
     def take(leg: Leg) -> None:
         legs.append(leg)
-        keep(part, asdict(leg))
         shown.advance()
 
-    drawn = [draw(config, seed, number) for number in range(len(legs), goals)]
+    drawn = [draw(config, seed, number) for number in range(goals)]
     aims = [(goal, _within(spec.trained, goal)) for goal in drawn]
-    with (
-        tempfile.TemporaryDirectory(prefix="softarm-") as folder,
-        bar(f"chained, {body}", goals, done=len(legs)) as shown,
-    ):
+    with tempfile.TemporaryDirectory(prefix="softarm-") as folder, bar(f"chained, {body}", goals) as shown:
         try:
             fly(begin, aims, take)
         except (SoftwareInTheLoopError, RuntimeError) as error:
             raise click.ClickException(str(error)) from None
+    settings = {"body": body, "policy": policy, "seed": seed, "changed": changed, "options": options}
+    limits = config.model_dump(mode="json", include=SHARED, exclude_unset=True)
     figures = {**settings, "limits": limits, **summary(legs)}
-    if json_file is not None and part is not None:
+    if json_file is not None:
         results.write(json_file, figures)
-        part.unlink()
     _say(figures, bound_m(config))
     raise SystemExit(bool(figures["excursions"] or figures["crashes"] or figures["stops"]))
 

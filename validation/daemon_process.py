@@ -1,12 +1,15 @@
 """Daemons under validation: one with a simulated robot, plug-ins, the process of the rail, recovery after a stop."""
 
 import contextlib
+import os
+import tempfile
 import time
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 import httpx
 
+from softarm.common.revision import CHECKOUT
 from softarm.drivers.rail import process as rail_process
 from softarm.evaluation.software_in_the_loop import SoftwareInTheLoop, SoftwareInTheLoopError
 
@@ -29,19 +32,25 @@ class SimulatedDaemon(SoftwareInTheLoop):
         self._wait("run", self.daemon, self._ready_to_arm)
 
 
-def write_plugin(folder: Path, name: str, policies: Mapping[str, str]) -> None:
-    """Write the metadata of an installed package, so that a daemon with `folder` on PYTHONPATH finds its policies.
+@contextlib.contextmanager
+def plugins(policies: Mapping[str, str]) -> Iterator[None]:
+    """Let daemons that start within the context find policies as plug-ins.
 
     Args:
-        folder: Existing folder.
-        name: Name of the distribution.
         policies: Policy name -> `module:class`.
     """
-    about = folder / f"{name}-1.dist-info"
-    about.mkdir()
-    (about / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {name}\nVersion: 1\n")
-    points = [f"{policy} = {target}" for policy, target in policies.items()]
-    (about / "entry_points.txt").write_text("\n".join(["[softarm.policies]", *points]) + "\n")
+    before = os.environ.get("PYTHONPATH")
+    with tempfile.TemporaryDirectory(prefix="softarm-") as folder:
+        about = Path(folder) / "validation-1.dist-info"
+        about.mkdir()
+        (about / "METADATA").write_text("Metadata-Version: 2.1\nName: validation\nVersion: 1\n")
+        points = [f"{policy} = {target}" for policy, target in policies.items()]
+        (about / "entry_points.txt").write_text("\n".join(["[softarm.policies]", *points]) + "\n")
+        os.environ["PYTHONPATH"] = os.pathsep.join([folder, str(CHECKOUT), *filter(None, [before])])
+        try:
+            yield
+        finally:
+            os.environ.pop("PYTHONPATH") if before is None else os.environ.update(PYTHONPATH=before)
 
 
 def rail_process_of(daemon_pid: int) -> int:

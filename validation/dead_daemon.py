@@ -35,7 +35,8 @@ from softarm.drivers.twin.cameras import TwinState
 from softarm.drivers.twin.main import Twin
 from softarm.evaluation.software_in_the_loop import SoftwareInTheLoop, SoftwareInTheLoopError
 from softarm.schemas.config import Config
-from validation.daemon_process import rail_process_of, recover, write_plugin
+from validation.daemon_process import plugins, rail_process_of, recover
+from validation.matrix.faulty_policies import PLUGINS
 
 SWING_S = (0.3, 2.0)  # how long the policy drives before the disturbance
 REST_S = 5.0  # longer than any stop takes
@@ -44,32 +45,6 @@ LOCK_S = 1.0
 KILLED_S = 1.0  # a killed daemon has ended by then
 SAMPLE_S = 0.002
 SPEED_M_S = 0.2  # minimum speed at the disturbance
-
-# Plug-in policy: end to end at full speed, with random pressures; on request it holds the interpreter's lock.
-_POLICY = """
-import ctypes, os, random
-import numpy as np
-from softarm.policies.base import PolicySpec
-
-class Rush:
-    spec = PolicySpec(name="rush", description="sweeps from end to end at full speed", needs_target=False)
-
-    def __init__(self, trigger: str) -> None:
-        self._trigger, self._draw, self._left = trigger, random.Random(0), 0
-
-    def reset(self) -> None:
-        self._left = 0
-
-    def step(self, observation, goal):
-        if self._left <= 0:
-            self._left = self._draw.randint(3, 24)
-            self._command = np.array((self._draw.choice((-1.0, 1.0)), self._draw.uniform(0, 20)), dtype=np.float32)
-        self._left -= 1
-        if os.path.exists(self._trigger):
-            os.remove(self._trigger)
-            ctypes.PyDLL(None).usleep({lock_us})
-        return self._command
-"""
 
 
 class Robot(threading.Thread):
@@ -124,7 +99,7 @@ class Rig(SoftwareInTheLoop):
 
     def __init__(self, folder: Path, body: Body) -> None:
         self._trigger = folder / "lock"
-        policy = {"plugin": "rush", "options": {"trigger": str(self._trigger)}}
+        policy = {"plugin": "rush", "options": {"trigger": str(self._trigger), "lock_s": LOCK_S}}
         overrides = {"policies": {"rush": policy}, "control": {"policy": "rush"}, "goals": {"time_limit_s": 600}}
         super().__init__(folder / "logs", overrides)
         self.robot = Robot(Config.model_validate(self.settings), body)
@@ -230,18 +205,13 @@ def run(repeats: int, cases: list[str], report: Callable[[float], None], body: B
 
 @contextlib.contextmanager
 def _rig(body: Body) -> Iterator[Rig]:
-    with tempfile.TemporaryDirectory(prefix="softarm-") as name:
-        folder, path = Path(name), os.environ.get("PYTHONPATH", "")
-        (folder / "rush.py").write_text(_POLICY.format(lock_us=round(LOCK_S * 1e6)))
-        write_plugin(folder, "rush", {"rush": "rush:Rush"})
-        os.environ["PYTHONPATH"] = os.pathsep.join(filter(None, (str(folder), path)))
-        rig = Rig(folder, body)
+    with tempfile.TemporaryDirectory(prefix="softarm-") as folder, plugins(PLUGINS):
+        rig = Rig(Path(folder), body)
         try:
             with rig:
                 yield rig
         finally:
             rig.robot.end()
-            os.environ["PYTHONPATH"] = path
 
 
 def _trial(rig: Rig, do: Callable[[Rig], None], draw: random.Random) -> dict[str, float]:

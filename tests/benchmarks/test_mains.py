@@ -19,7 +19,6 @@ STARTED = sorted(
     for file in (ROOT / folder).glob("*.py")
     if "def main(" in file.read_text(encoding="utf-8")
 )
-UNITS = {"json_file": "--json", "seconds": "--seconds", "seed": "--seed", "seeds": "--seed"}
 
 
 @pytest.fixture(params=STARTED)
@@ -34,13 +33,6 @@ def test_help_shows_an_example_of_itself(main):
     assert f"python -m {name}" in out.output.partition("Example")[2], name
 
 
-def test_options_of_several_benchmarks_have_one_name(main):
-    options = {option.name: option.opts for option in main.params}
-    for name in options.keys() & UNITS.keys():
-        assert options[name] == [UNITS[name]]
-    assert not {name for name in options if "json" in name} - {"json_file"}
-
-
 def test_figures_are_stored_with_their_origin(tmp_path):
     file = tmp_path / "figures.json"
     program = f"from benchmarks import results; results.write(results.Path({str(file)!r}), {{'speed': 2.5}})"
@@ -51,12 +43,3 @@ def test_figures_are_stored_with_their_origin(tmp_path):
     assert found["about"]["revision"] == results.measured()
     assert found["about"]["machine"]["cores"] >= 1
     assert found["about"]["command"].endswith("--seconds 3")
-
-
-def test_a_benchmarks_figures_name_the_command_that_gave_them(tmp_path, monkeypatch):
-    spec = importlib.util.find_spec("validation.endurance")
-    monkeypatch.setattr(sys.modules["__main__"], "__spec__", spec)
-    monkeypatch.setattr(sys, "argv", [spec.origin, "--episodes", "5"])
-    results.write(tmp_path / "figures.json", {})
-    about = json.loads((tmp_path / "figures.json").read_text())["about"]
-    assert about["command"] == "python -m validation.endurance --episodes 5"

@@ -14,7 +14,6 @@ from tools import render, tables
 PAGES = sorted(render.DOCS.rglob("*.md"))
 STORED = sorted(file.stem for file in results.FOLDER.glob("*.json"))
 ABOUT = {"revision", "machine", "date", "command", "depends"}
-FIGURE = {"mean": 0.25, "spread": None, "refused": 0}
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
@@ -56,33 +55,6 @@ def test_a_page_with_another_figure_is_stale_and_is_updated(tmp_path, monkeypatc
     assert CliRunner().invoke(render.main, ["--check"]).exit_code == 0
 
 
-def test_a_missing_table_is_an_error():
-    with pytest.raises(KeyError):
-        render.rendered("<!-- results: nonsense -->\n<!-- /results -->\n")
-
-
-@pytest.mark.parametrize(
-    ("figure", "text"),
-    [
-        (None, ""),
-        (FIGURE, "25.0"),
-        (FIGURE | {"mean": 0.0}, "0"),
-        (FIGURE | {"spread": 0.013}, "25.0 +- 1.3"),
-        (FIGURE | {"mean": 0.0, "spread": 0.0}, "0.0 +- 0.0"),
-        (FIGURE | {"refused": 145 / 162}, "25.0 (refused 145 of 162)"),
-        (FIGURE | {"refused": 1}, "-"),
-    ],
-)
-def test_a_figure_is_shown_with_its_spread_and_rejected_runs(figure, text):
-    assert tables.cell(figure, trials=162) == text
-
-
-def test_a_row_of_another_length_is_rejected():
-    assert tables.markdown(("a", "b"), [["1", ""]]) == "| a | b |\n|---|---|\n| 1 | |\n"
-    with pytest.raises(ValueError, match="1 cells in a table of 2 columns"):
-        tables.markdown(("a", "b"), [["1"]])
-
-
 WRITES = """
 import json, sys
 place = sys.argv[sys.argv.index("--json") + 1]
@@ -104,16 +76,6 @@ def test_the_output_of_a_command_is_stored_with_the_command(tmp_path, monkeypatc
     assert found["about"]["command"].endswith("measure.py 0")
 
 
-def test_a_failed_command_stores_no_output(tmp_path, monkeypatch):
-    monkeypatch.setattr(results, "FOLDER", tmp_path)
-    script = tmp_path / "measure.py"
-    script.write_text(WRITES)
-    run = CliRunner().invoke(keep.main, ["loop", "--", sys.executable, str(script), "3"])
-    assert run.exit_code == 1
-    assert "ended with 3; nothing was kept" in run.output
-    assert not (tmp_path / "loop.json").exists()
-
-
 def test_a_result_counts_the_commits_that_changed_its_code_since(tmp_path):
     def git(*words):
         who = ("-c", "user.name=a", "-c", "user.email=a@example.org")
@@ -128,22 +90,3 @@ def test_a_result_counts_the_commits_that_changed_its_code_since(tmp_path):
     assert results.age({"revision": first, "depends": ["code.py"]}, tmp_path) == 2
     assert results.age({"revision": first, "depends": ["other.py"]}, tmp_path) == 1
     assert results.age({"revision": "HEAD", "depends": ["code.py", "other.py"]}, tmp_path) == 0
-
-
-def test_results_and_pages_that_changed_since_do_not_change_the_revision(tmp_path):
-    def git(*words):
-        who = ("-c", "user.name=a", "-c", "user.email=a@example.org")
-        return subprocess.run(["git", *who, *words], cwd=tmp_path, check=True, capture_output=True, text=True).stdout
-
-    result, code = tmp_path / "benchmarks" / "results" / "loop.json", tmp_path / "benchmarks" / "loop.py"
-    result.parent.mkdir(parents=True)
-    result.write_text("1")
-    code.write_text("1")
-    git("init", "-q")
-    git("add", ".")
-    git("commit", "-qm", "all")
-    commit = git("rev-parse", "HEAD").strip()
-    result.write_text("2")
-    assert results.measured(tmp_path) == commit
-    code.write_text("2")
-    assert results.measured(tmp_path) == f"{commit}+changes"

@@ -6,7 +6,7 @@ import pytest
 from softarm.schemas.config import RailLimits
 from softarm.schemas.robot import RAIL_EXCURSION_M, RAIL_LIMIT_M
 from validation import adversary
-from validation.adversary_batch import Genes, Policies, World, attack, fly, measured
+from validation.adversary_batch import Genes, Policies, World, attack, fly
 
 NOMINAL = World(6.0, 1 / 30, 0.0, 0.0, 0.0, 1)
 POOR = World(4.0, 0.08, 0.05, 0.12, 0.2, 3)  # slow, late, loaded, seen late, and ticks are skipped
@@ -31,13 +31,6 @@ def test_the_default_limits_hold_the_nominal_robot_against_the_worst_policy():
     assert mild.farthest_m.max() > RAIL_LIMIT_M + RAIL_EXCURSION_M
 
 
-def test_the_measured_bounds_match_the_robots_motion():
-    limits = measured(World(3.0, 0.05, 0.0, 0.0, 0.0, 1), 32, np.random.default_rng(0))
-    assert 0.2 < limits.braking_m_s2 < 3.0
-    assert limits.surge_m_s2 >= 6.0
-    assert limits.latency_s == 0.05
-
-
 @pytest.mark.prove
 def test_the_whole_tick_gives_the_same_result(monkeypatch):
     monkeypatch.setattr(adversary, "TICKS_OF_A_WORLD", 500)
@@ -45,22 +38,3 @@ def test_the_whole_tick_gives_the_same_result(monkeypatch):
     assert found["robot_ticks"] >= 500
     assert found["beyond_m"] < RAIL_EXCURSION_M
     assert found["farthest_m"].keys() == set(adversary.KINDS)
-
-
-def test_the_summary_counts_the_worlds_beyond_the_margin():
-    def world(beyond_m, **more):
-        return {
-            "beyond_m": beyond_m,
-            "flights": 2,
-            "robot_ticks": 10,
-            "farthest_m": {"random": 0.25 + beyond_m},
-            **more,
-        }
-
-    found = adversary.summed([world(-0.01), world(0.004), world(0.02, stops={"rail_outside": 1}), world(0.05)])
-    assert (found["worlds"], found["robot_ticks"], found["flights"]) == (4, 40, 8)
-    assert found["worlds_beyond_soft_limit"] == 3
-    assert (found["worlds_beyond_margin"], found["worlds_at_hard_limit"]) == (2, 1)
-    assert found["farthest_m"]["random"] == pytest.approx(0.3)
-    assert found["stops"] == {"rail_outside": 1}
-    assert [each["beyond_m"] for each in found["worst"]] == [0.05, 0.02, 0.004, -0.01]

@@ -17,7 +17,7 @@ import httpx
 from softarm.daemon.logbook import logs
 from softarm.evaluation.software_in_the_loop import SoftwareInTheLoop, SoftwareInTheLoopError, free_ports
 from softarm.schemas.config import Config
-from validation.daemon_process import rail_process_of, recover
+from validation.daemon_process import plugins, rail_process_of, recover
 from validation.matrix import faulty_policies
 from validation.matrix.cells import DEVICES, Cell, Outcome
 from validation.matrix.wires import Fault, MocapWire, RailWire, RegulatorWire, Wire, Wires
@@ -38,10 +38,6 @@ class Bench:
     def __init__(self, folder: Path, seed: int = 0) -> None:
         self._folder = folder
         self._logs = folder / "logs"
-        plugins = folder / "plugins"
-        plugins.mkdir()
-        faulty_policies.install(plugins)
-        self._path = os.pathsep.join([str(plugins), *filter(None, [os.environ.get("PYTHONPATH")])])
         ports = free_ports(4)
         endpoints = [f"tcp/127.0.0.1:{port}" for port in ports[:2]]
         lines = [str(folder / "regulator"), str(folder / "regulator-device")]
@@ -64,13 +60,9 @@ class Bench:
         self._stack = contextlib.ExitStack()
 
     def __enter__(self) -> "Bench":
-        before = os.environ.get("PYTHONPATH")
-        os.environ["PYTHONPATH"] = self._path
-        try:
-            self._stack.enter_context(self.wires)
-            self._stack.enter_context(self.sil)
-        finally:
-            os.environ.pop("PYTHONPATH") if before is None else os.environ.update(PYTHONPATH=before)
+        self._stack.enter_context(plugins(faulty_policies.PLUGINS))
+        self._stack.enter_context(self.wires)
+        self._stack.enter_context(self.sil)
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -97,13 +89,11 @@ class Bench:
 
     def restart(self) -> None:
         """Start the daemon again after it has ended."""
-        os.environ["PYTHONPATH"] = self._path
         self.sil.start_daemon()
 
     def renew(self) -> None:
         """Restart twin and daemon with the cart in the middle."""
         self.sil.end()
-        os.environ["PYTHONPATH"] = self._path
         self.sil.start_twin()
         self.sil.start_daemon()
 

@@ -4,18 +4,10 @@ from dataclasses import replace
 
 import pytest
 
-from validation.matrix.cells import DEVICES, SAFE_S, Cell, Outcome, cells, faults_of
+from validation.matrix.cells import SAFE_S, Cell, Outcome, faults_of
 
 SILENT = Cell("rail", "read", "time-out")
 SAFE = Outcome(stopped=True, braked_ms=300.0, vented_ms=400.0, farthest_m=0.2, causes=("rail_stale",))
-
-
-def test_every_device_fails_in_every_way_that_it_can():
-    names = [str(cell) for cell in cells()]
-    assert len(names) == len(set(names))
-    assert {cell.who for cell in cells()} == {*DEVICES, "policy", "disk", "rail link", "daemon"}
-    assert "mocap, write: garbage" not in names  # nothing is ever written there
-    assert "rail, read: clock jump" not in names  # it has no clock
 
 
 def test_a_timely_stop_with_the_right_cause_passes():
@@ -38,10 +30,3 @@ def test_a_timely_stop_with_the_right_cause_passes():
 )
 def test_every_violation_is_reported(change, said):
     assert faults_of(SILENT, replace(SAFE, **change))[0].startswith(said)
-
-
-def test_a_tolerable_fault_allows_further_flight():
-    flown_on = Outcome(farthest_m=0.2)
-    assert faults_of(Cell("rail", "read", "slow"), flown_on) == []
-    assert faults_of(Cell("policy", "step", "excessive"), flown_on) == []
-    assert faults_of(Cell("policy", "step", "stuck"), flown_on) != []
