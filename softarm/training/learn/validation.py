@@ -1,7 +1,7 @@
 """Success of a network: a validation set to choose checkpoints, and the seed's test trials for reports."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -177,25 +177,6 @@ def fly_actions(act: Callable[[Array], Array], environment: Environment, scenari
         alive &= ~over
         observation = step.observation  # restarted robots no longer count
     return Flown(reached, time_s, closest, path)
-
-
-@dataclass(frozen=True)
-class Validation:
-    """Validation of a run: the same scenarios every time, on robots like those of the training."""
-
-    task: ReachTask
-    scenarios: Scenarios
-    pool: Workers
-    physics_rate_hz: float
-    model: Model
-    dtype: torch.dtype  # of the network's matrix products
-    randomisation: Randomisation
-
-    def success(self, network: PolicyNetwork) -> float:
-        """Return the share of scenarios that a network reaches."""
-        rate_hz, dtype, robots = self.physics_rate_hz, self.dtype, self.randomisation
-        flown = fly(network, self.task, self.scenarios, self.pool, rate_hz, self.model, dtype, robots)
-        return float(flown.reached.mean())
 
 
 def chosen_by(task: ReachTask) -> str:

@@ -4,6 +4,7 @@ import copy
 import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,7 @@ from softarm.schemas.model import Model
 from softarm.training.learn.inference import Workers, device_named
 from softarm.training.learn.network import NetworkShape, PolicyNetwork
 from softarm.training.learn.ppo import Ppo, PpoConfig
-from softarm.training.learn.validation import Validation, validation_scenarios
+from softarm.training.learn.validation import fly, validation_scenarios
 from softarm.training.record import checkpoint, curve, export
 from softarm.training.record.settings import DTYPES, TrainingConfig, recorded, usual
 from softarm.training.record.tensorboard import EventFile
@@ -93,7 +94,17 @@ class Session:
         # What is validated and exported: single iterations jitter around it.
         self.average = copy.deepcopy(self.network)
         scenarios = validation_scenarios(task, environment.simulator.links, config.validation_trials)
-        self._validation = Validation(task, scenarios, pool, rate_hz, self.model, DTYPES[products], robots)
+        # The same scenarios every time, on robots like those of the training.
+        self._fly_validation = partial(
+            fly,
+            task=task,
+            scenarios=scenarios,
+            pool=pool,
+            physics_rate_hz=rate_hz,
+            model=self.model,
+            dtype=DTYPES[products],
+            randomisation=robots,
+        )
         self.learner = Ppo(self.network, environment, ppo, pool, config.seed, DTYPES[products])
         self.frames, self.seconds = 0, 0.0
         self.curve: list[curve.Iteration] = []
@@ -161,7 +172,7 @@ class Session:
         return policy
 
     def _validate_and_save(self) -> None:
-        before, success = self.best, self._validation.success(self.average)
+        before, success = self.best, float(self._fly_validation(self.average).reached.mean())
         self.curve[-1] = self.curve[-1]._replace(validation=success)
         self.events.add_validation(self.curve[-1])
         if before is None or success > before:
