@@ -6,24 +6,13 @@ from softarm.schemas.config import Config
 pytestmark = pytest.mark.slow
 
 
-@pytest.fixture(scope="module")
-def reach():
-    return evaluation.evaluate("reach", Config())
-
-
-def test_the_shipped_policy_reaches_the_papers_level_in_the_control_loop(reach):
+def test_the_shipped_policy_reaches_the_papers_level_in_the_control_loop():
     """[P]: 94 % in range, 50 % above, 80 % in all."""
+    reach = evaluation.evaluate("reach", Config())
     assert reach["success"]["in_range"] >= 0.94
     assert reach["success"]["above"] >= 0.50
     assert reach["success"]["all"] >= 0.80
-
-
-def test_no_flight_leaves_the_rail(reach):
     assert reach["max_cart_m"] <= 0.25
-
-
-def test_the_result_has_the_documented_fields(reach):
-    assert set(reach) >= {"policy", "success", "max_tip_z_m", "real_time_factor", "targets"}
     assert len(reach["targets"]) == evaluation.FLIGHTS
     assert set(reach["targets"][0]) == {"y", "z", "start", "reached", "time_s", "closest_m"}
 

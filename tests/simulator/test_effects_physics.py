@@ -7,7 +7,7 @@ import pytest
 
 from benchmarks import commands
 from softarm.schemas.model import Arm, Cart, Model
-from softarm.simulator.effects import REGISTRY
+from softarm.simulator.effects import REGISTRY, exemplars
 from softarm.simulator.simulator import Simulator
 from tests.simulator import stages
 from validation.endurance import fly
@@ -125,7 +125,7 @@ SYMMETRIC = ("arm.coulomb_friction", "arm.drag", "arm.stiffening", "arm.creep", 
 @pytest.mark.parametrize("mirrored", SYMMETRIC)
 def test_mirrored_inputs_give_mirrored_motion(mirrored: str) -> None:
     both = (mirrored, "rail.coulomb_friction")
-    effects = {name: {p.name: p.exemplar for p in REGISTRY[name].parameters} for name in both}
+    effects = {name: exemplars()[name] for name in both}
     simulator = Simulator(Model(arm=Arm(torque_offset_nm=(0.0,) * 5), effects=effects), 2)
     simulator.reset(joint_angles_rad=np.array([[0.3, -0.2, 0.1, 0.2, 0.1]]) * [[1.0], [-1.0]])
     for v, p in zip(*(sets[:40, 0] for sets in commands.smooth(1, seed=5)), strict=True):
@@ -136,9 +136,9 @@ def test_mirrored_inputs_give_mirrored_motion(mirrored: str) -> None:
 def test_single_precision_at_240_hz_is_near_the_reference_with_all_effects() -> None:
     """Against the same flight in float64 at 24 kHz; the effects' kinks cost some of the smooth scheme's accuracy."""
     effects = {
-        name: {p.name: p.exemplar for p in effect.parameters}
-        for name, effect in REGISTRY.items()
-        if effect.stage in ("pressure", "rail", "arm") and effect.parameters
+        name: strong
+        for name, strong in exemplars().items()
+        if REGISTRY[name].stage in ("pressure", "rail", "arm") and strong
     }
     velocity, pressure = (commanded[:60] for commanded in commands.smooth(8, seed=8))
     tips = []

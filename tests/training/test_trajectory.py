@@ -1,4 +1,4 @@
-"""Plans bring the tip onto their targets in the simulator, and the optimiser's slopes are right."""
+"""Plans bring the tip onto their targets in the simulator and keep a margin to the limits."""
 
 import numpy as np
 import pytest
@@ -18,17 +18,13 @@ REACHABLE = np.array([True, True, False])  # (0, 0.8): the rail is too short for
 
 
 @pytest.fixture(scope="module")
-def small(monkeymodule):
+def small():
     """Fewer first guesses and iterations than shipped: enough for these targets."""
-    monkeymodule.setattr("softarm.training.trajectory.optimiser.OUTER", 5)
-    monkeymodule.setattr("softarm.training.trajectory.planner.LIBRARY", 512)
-    monkeymodule.setattr("softarm.training.trajectory.planner.EACH", 1)
-
-
-@pytest.fixture(scope="module")
-def monkeymodule():
     with pytest.MonkeyPatch.context() as patch:
-        yield patch
+        patch.setattr("softarm.training.trajectory.optimiser.OUTER", 5)
+        patch.setattr("softarm.training.trajectory.planner.LIBRARY", 512)
+        patch.setattr("softarm.training.trajectory.planner.EACH", 1)
+        yield
 
 
 @pytest.fixture(scope="module")

@@ -5,7 +5,6 @@ import pytest
 import torch
 from torch._subclasses.fake_tensor import FakeTensor, FakeTensorDeviceMismatchError, FakeTensorMode
 
-from softarm.training.learn import lstm, ppo
 from softarm.training.learn.inference import device_named, workers
 from softarm.training.learn.network import NetworkShape, PolicyNetwork
 from softarm.training.learn.ppo import Ppo, PpoConfig
@@ -15,26 +14,6 @@ from softarm.training.task.environment import ACTIONS, INPUTS, Environment
 from softarm.training.task.reach import TASKS
 
 pytestmark = pytest.mark.slow
-
-
-def learner(pool, shape: NetworkShape, **config) -> Ppo:
-    torch.manual_seed(0)
-    return Ppo(PolicyNetwork(shape), Environment(TASKS["reach"], 32, 0), PpoConfig(horizon=4, **config), pool, 0)
-
-
-def test_a_card_learns_the_same(monkeypatch):
-    weights = []
-    for compiled in (True, False):
-        if not compiled:
-            monkeypatch.setattr(lstm, "sequence", lambda *given: lstm._step_by_step(*given[:6]))
-        monkeypatch.setattr(ppo, "share_of", lambda count, most, _, compiled=compiled: 4 if compiled else count)
-        with workers(1) as pool:
-            made = learner(pool, NetworkShape(INPUTS, ACTIONS))
-            for _ in range(3):
-                made.iterate()
-            weights.append(made.network.state_dict())
-    for name, value in weights[0].items():
-        torch.testing.assert_close(weights[1][name], value, atol=2e-4, rtol=1e-4)
 
 
 @pytest.fixture

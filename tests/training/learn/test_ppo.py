@@ -38,16 +38,6 @@ def test_the_advantage_distinguishes_termination_and_time_out():
     torch.testing.assert_close(generalised_advantage(reward, value, timed_out, done, 0.5, 0.5), expected)
 
 
-def test_with_lambda_one_the_advantage_is_the_discounted_return_minus_the_value():
-    generator = torch.Generator().manual_seed(0)
-    reward, value = torch.rand(6, 3, generator=generator), torch.rand(6, 3, generator=generator)
-    last = torch.rand(1, 3, generator=generator)
-    following = torch.cat((value[1:], last))
-    advantage = generalised_advantage(reward, value, following, torch.zeros(6, 3), 0.9, 1.0)
-    returns = sum(0.9**k * reward[k] for k in range(6)) + 0.9**6 * last[0]
-    torch.testing.assert_close(advantage[0], returns - value[0])
-
-
 @pytest.mark.parametrize(
     ("kl", "rate", "expected"),
     [

@@ -3,6 +3,7 @@
 import json
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 from click.testing import CliRunner
@@ -161,25 +162,20 @@ class FakeRay:
         self.open = False
 
     def remote(self, **options):
-        return lambda function: FakeTask(self, function, options)
+        def task(function, asked=options):
+            def start(work):
+                self.asked.append(asked)
+                return lambda: function(work)
+
+            return SimpleNamespace(options=lambda **more: task(function, asked | more), remote=start)
+
+        return task
 
     def wait(self, waiting, num_returns):
         return waiting[-1:], waiting[:-1]
 
     def get(self, ready):
         return ready()
-
-
-class FakeTask:
-    def __init__(self, ray, function, options):
-        self.ray, self.function, self.asked = ray, function, options
-
-    def options(self, **options):
-        return FakeTask(self.ray, self.function, self.asked | options)
-
-    def remote(self, work):
-        self.ray.asked.append(self.asked)
-        return lambda: self.function(work)
 
 
 @pytest.fixture
