@@ -133,9 +133,9 @@ def test_datagrams_from_other_senders_are_counted_and_ignored() -> None:
     with Motive() as server, Client(config(server), "127.0.0.1", lambda text: None) as client:
         assert client._commands is not None
         port = client._commands.getsockname()[1]
-        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as stranger:
-            stranger.bind(("127.0.0.2", 0))
-            stranger.sendto(motive.server_info((3, 1), 5, 1, None), ("127.0.0.1", port))
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
+            sender.bind(("127.0.0.2", 0))
+            sender.sendto(motive.server_info((3, 1), 5, 1, None), ("127.0.0.1", port))
         deadline = time.monotonic() + 10
         while client.other_senders == 0 and time.monotonic() < deadline:
             client.poll(0.01)

@@ -112,8 +112,8 @@ def test_the_count_of_accepted_commands_begins_with_the_hello(host: Host) -> Non
 
 
 def test_before_the_first_hello_every_command_has_the_wrong_token() -> None:
-    stranger = Host()
-    answer = stranger.command(True)
+    host = Host()
+    answer = host.command(True)
     assert (answer.faults, answer.accepted_sequence, answer.armed) == (Fault.TOKEN, 0, False)
 
 

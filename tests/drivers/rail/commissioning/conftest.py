@@ -43,6 +43,11 @@ class World:
             self.move(FINE_S)
             self.at = [each for each in self.at if not each()]
 
+    def record(self, telegram: bytes) -> None:
+        """Record a written controlword."""
+        if telegram[12:14] == b"\x60\x40" and telegram[9]:
+            self.words.append(int.from_bytes(telegram[19:], "little"))
+
     def move(self, seconds: float) -> None:
         raise NotImplementedError
 
@@ -72,8 +77,7 @@ class TwinWorld(World):
         self.drive.answer = self.answer  # type: ignore[method-assign]
 
     def answer(self, telegram: bytes, now_ns: int) -> bytes:
-        if telegram[12:14] == b"\x60\x40" and telegram[9]:
-            self.words.append(int.from_bytes(telegram[19:], "little"))
+        self.record(telegram)
         if self.script is None:
             return self._answer(telegram, now_ns)
         return self.script(telegram, lambda: self._answer(telegram, now_ns))
@@ -106,8 +110,7 @@ class OutsideWorld(World):
         self.drive.answer = self.answer  # type: ignore[method-assign]
 
     def answer(self, telegram: bytes, now: float) -> bytes:
-        if telegram[12:14] == b"\x60\x40" and telegram[9]:
-            self.words.append(int.from_bytes(telegram[19:], "little"))
+        self.record(telegram)
         return self._answer(telegram, self.now_ns * 1e-9)
 
     @property
