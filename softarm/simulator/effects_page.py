@@ -3,6 +3,7 @@
 `python -m softarm.simulator.effects_page > docs/reference/effects.md` writes the page.
 """
 
+import math
 from collections.abc import Iterator
 
 from softarm.schemas.model import seed_effects
@@ -17,8 +18,8 @@ For everybody who edits a [model file](models.md) or reads a diagnosis: every pi
 timing that the simulator can have or lack, in causal order. The seed's model has
 {seed}.
 
-*Neutral*: the parameter changes nothing (-: a shape parameter, its default in brackets). *Bounds*: limits of fits,
-draws and model files. `softarm model show` prints the source of each effect in a model.
+At its neutral value a parameter changes nothing: 0, or infinity for a limit, unless its meaning states another.
+*Bounds* are limits of fits, draws and model files. `softarm model show` prints the source of each effect in a model.
 
 """
 
@@ -47,7 +48,7 @@ def _stage(stage: str) -> Iterator[str]:
         yield f"- **`{effect.name}`**: {_text(effect)}"
     yield ""
     if rows := [_row(effect, parameter) for effect in effects for parameter in effect.parameters]:
-        yield from ("| parameter | unit | neutral | bounds | meaning |", "|---|---|---|---|---|", *rows, "")
+        yield from ("| parameter | unit | bounds | meaning |", "|---|---|---|---|", *rows, "")
 
 
 def _text(effect: Effect) -> str:
@@ -56,15 +57,18 @@ def _text(effect: Effect) -> str:
 
 
 def _row(effect: Effect, p: Parameter) -> str:
-    neutral = f"{p.neutral:g}" if p.default is None else f"- ({p.default:g})"
+    meaning = p.meaning
+    if p.default is not None:
+        meaning += f"; none neutral, default {p.default:g}"
+    elif p.neutral not in (0, math.inf):
+        meaning += f"; neutral at {p.neutral:g}"
     name = f"`{effect.name}.{p.name}`"
-    return f"| {name} | {p.unit} | {neutral} | {p.low:g} .. {p.high:g} | {p.meaning} |"
+    return f"| {name} | {p.unit} | {p.low:g} .. {p.high:g} | {meaning} |"
 
 
 def _pairs() -> Iterator[str]:
     yield from ("## Similar effects", "", "Pairs of effects that explain similar data, and what separates them.", "")
-    yield from ("| effects | separated by |", "|---|---|")
-    yield from (f"| `{one}`, `{other}` | {how} |" for one, other, how in RIVALS)
+    yield from (f"- `{one}`, `{other}`: {how}." for one, other, how in RIVALS)
 
 
 if __name__ == "__main__":
