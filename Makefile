@@ -70,7 +70,7 @@ prove: .venv/.installed-dev
 	$(BIN)/python -m validation.adversary --ticks $(ADVERSARY_TICKS) --json $(RESULTS)/adversary.json
 	$(BIN)/python -m validation.adversary --ticks $$(( $(ADVERSARY_TICKS) / 20 )) --through tick --json $(RESULTS)/adversary-tick.json
 	$(BIN)/python -m validation.matrix --json $(RESULTS)/matrix.json
-	$(BIN)/python -m validation.mutants --json $(RESULTS)/mutants.json
+	$(BIN)/python -m validation.mutants
 	$(BIN)/python -m validation.fuzz --minutes $(FUZZ_MINUTES)
 	$(BIN)/python -m validation.api
 	$(BIN)/softarm soak --hours $(SOAK_HOURS) --lockstep-days 1

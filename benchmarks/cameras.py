@@ -13,12 +13,11 @@ import sys
 import tempfile
 import threading
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import click
-import numpy as np
 import yaml
 import zenoh
 
@@ -74,16 +73,11 @@ def run(seconds: float) -> dict[str, Any]:
     added = [(received[number][0] - streamed[number]) / 1e6 for number in common]
     wrong = [abs(received[number][1] - (streamed[number] - AGE_NS)) / 1e6 for number in common]
     return {
-        "added_ms": _spread(added),
-        "stamp_error_ms": _spread(wrong),
+        "added_ms": results.spread(added),
+        "stamp_error_ms": results.spread(wrong),
         "frames": len(late),
         "lost": len(late) - len(common),
     }
-
-
-def _spread(values: Sequence[float]) -> dict[str, float]:
-    p50, p99, top = map(float, np.percentile(values, [50, 99, 100]))
-    return {"p50": p50, "p99": p99, "max": top}
 
 
 @contextlib.contextmanager

@@ -67,16 +67,11 @@ class Timed:
     def figures(self) -> dict[str, Any]:
         """Return percentiles of both times and the number of steps."""
         return {
-            "wall_ms": _spread(self.wall_ms),
-            "processor_ms": _spread(self.processor_ms),
+            "wall_ms": results.spread(self.wall_ms),
+            "processor_ms": results.spread(self.processor_ms),
             "steps": len(self.wall_ms),
             "cut_short": self.cut_short,
         }
-
-
-def _spread(values: list[float]) -> dict[str, float]:
-    p50, p99, top = np.percentile(values, [50, 99, 100])
-    return {"p50": float(p50), "p99": float(p99), "max": float(top)}
 
 
 def fly_targets(policy: Policy, advance: Callable[[], None]) -> dict[str, Any]:

@@ -12,12 +12,13 @@ import json
 import shlex
 import subprocess
 import sys
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
 import click
+import numpy as np
 from rich.console import Console
 from rich.table import Table
 
@@ -105,6 +106,12 @@ def write(file: Path, figures: Mapping[str, Any], command: str | None = None) ->
     if file.parent.resolve() == FOLDER:
         about["depends"] = depends_on(file.stem)
     files.write_text(file, json.dumps({"about": about, **figures}, indent=1) + "\n")
+
+
+def spread(values: Sequence[float]) -> dict[str, float]:
+    """Return the median, the 99th percentile and the maximum of values."""
+    p50, p99, top = map(float, np.percentile(values, [50, 99, 100]))
+    return {"p50": p50, "p99": p99, "max": top}
 
 
 def measured(root: Path = CHECKOUT) -> str:

@@ -423,15 +423,6 @@ def rail_limits(read: Read) -> str:
     return markdown(("body", "ramp", "payload", "truly late by", *keys, "cart at most"), rows)
 
 
-def mutants(read: Read) -> str:
-    """Return how many small changes of the safety-relevant modules the tests detect."""
-    modules = read("mutants")["modules"]
-    counts = ("tried", "killed", "timed_out", "explained", "unexplained", "seconds")
-    rows = [[f"`{name}`", *(f"{found[count]:.0f}" for count in counts)] for name, found in modules.items()]
-    rows.append(["all", *(f"{sum(found[count] for found in modules.values()):.0f}" for count in counts)])
-    return markdown(("module", "tried", "killed by a test", "ended: too long", "explained", "left", "s"), rows)
-
-
 TABLES: dict[str, Callable[[Read], str]] = {
     "grid": grid,
     "all-tests": all_tests,

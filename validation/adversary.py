@@ -33,7 +33,17 @@ from softarm.schemas.goals import Goal
 from softarm.schemas.messages import RailReading
 from softarm.schemas.policy import Observation
 from softarm.schemas.robot import RAIL_EXCURSION_M, RAIL_LIMIT_M, RAIL_TRAVEL_M
-from validation.adversary_batch import GENERATIONS, KINDS, PATCHED, Genes, Policies, World, attack, measured
+from validation.adversary_batch import (
+    FLOWN_TICKS,
+    GENERATIONS,
+    KINDS,
+    PATCHED,
+    Genes,
+    Policies,
+    World,
+    attack,
+    measured,
+)
 
 ROBOTS = 256  # simulated at once in a world
 MEASURED_ROBOTS = 64
@@ -232,7 +242,8 @@ def main(ticks: int, seed: int, through: str, jobs: int, with_cost: bool, json_f
             results.write(json_file, {"cost": table})
         return
     started, found = time.perf_counter(), []
-    worlds = -(-ticks // _ticks_of_a_world(through))
+    ticks_of_a_world = (1 + GENERATIONS) * FLOWN_TICKS * ROBOTS if through == "law" else TICKS_OF_A_WORLD
+    worlds = -(-ticks // ticks_of_a_world)
     with bar("worlds", worlds) as shown, ProcessPoolExecutor(jobs, get_context("spawn")) as pool:
         for each in pool.map(_law if through == "law" else _tick, islice(count(seed * 1_000_000), worlds)):
             found.append(each)
@@ -249,12 +260,6 @@ def main(ticks: int, seed: int, through: str, jobs: int, with_cost: bool, json_f
     )
     if figures["worlds_beyond_margin"]:
         raise SystemExit(1)
-
-
-def _ticks_of_a_world(through: str) -> int:
-    from validation.adversary_batch import FLOWN_TICKS
-
-    return (1 + GENERATIONS) * FLOWN_TICKS * ROBOTS if through == "law" else TICKS_OF_A_WORLD
 
 
 if __name__ == "__main__":

@@ -22,7 +22,6 @@ from pathlib import Path
 from typing import Any
 
 import click
-import numpy as np
 from rich.console import Console
 from rich.table import Table
 
@@ -248,13 +247,8 @@ def _at_rest(state: TwinState) -> bool:
 
 def _figures(trials: list[dict[str, float]]) -> dict[str, Any]:
     measured = [name for name in trials[0] if name != "crashes"]
-    spread = {name: _spread([trial[name] for trial in trials]) for name in measured}
+    spread = {name: results.spread([trial[name] for trial in trials]) for name in measured}
     return {**spread, "trials": len(trials), "crashes": sum(round(trial["crashes"]) for trial in trials)}
-
-
-def _spread(values: list[float]) -> dict[str, float]:
-    p50, p99, top = map(float, np.percentile(values, [50, 99, 100]))
-    return {"p50": p50, "p99": p99, "max": top}
 
 
 @click.command()

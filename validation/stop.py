@@ -22,7 +22,6 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import click
-import numpy as np
 from rich.console import Console
 from rich.table import Table
 
@@ -105,8 +104,8 @@ def _stop(ports: Ports, way: str) -> float | None:
 
 def _spread(times_s: list[float | None]) -> dict[str, Any]:
     done = [seconds * 1e3 for seconds in times_s if seconds is not None]
-    p50, p99, top = np.percentile(done, [50, 99, 100]) if done else (None, None, None)
-    return {"p50": p50, "p99": p99, "max": top, "asked": len(times_s), "unanswered": len(times_s) - len(done)}
+    spread = results.spread(done) if done else dict.fromkeys(("p50", "p99", "max"))
+    return {**spread, "asked": len(times_s), "unanswered": len(times_s) - len(done)}
 
 
 @contextlib.contextmanager
