@@ -74,7 +74,5 @@ def _fly(
     commands = LOW + (np.einsum("tk,rkc->trc", spread_out, knots) + 1.0) * (0.5 * (HIGH - LOW))
     start = np.full(len(knots), cart_start_m, dtype=np.float32)
     motion = rollouts.fly(commands.astype(np.float32), start, guarded=True)
-    distance = np.hypot(*(motion.tip_m - targets_m).transpose(2, 0, 1))
-    kept = np.maximum.accumulate(np.abs(motion.state[:, :, 0]), axis=0) <= task.rail_limit_m
-    distance = np.where(kept, distance, np.inf)
+    distance = motion.distance_m(targets_m, task.rail_limit_m)
     return distance.min(axis=0), distance.argmin(axis=0)

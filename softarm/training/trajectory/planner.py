@@ -121,10 +121,8 @@ class _Planner:
         step = np.arange(longest + EXTENSION_STEPS + 1)[:, None]
         held = commands[np.minimum(step[:-1], batch.steps - 1), np.arange(len(batch.steps))]
         motion = self._verifier.fly(held.astype(np.float32), batch.cart_start_m, guarded=True)
-        distance = np.hypot(*(motion.tip_m - batch.target_m).transpose(2, 0, 1))
-        kept = np.maximum.accumulate(np.abs(motion.state[:, :, 0]), axis=0) <= task.rail_limit_m
         in_time = step <= np.minimum(batch.steps + EXTENSION_STEPS, task.episode_steps)
-        distance = np.where(kept & in_time, distance, np.inf)
+        distance = np.where(in_time, motion.distance_m(batch.target_m, task.rail_limit_m), np.inf)
         hit = distance < task.success_radius_m
         reached_s = np.where(hit.any(axis=0), hit.argmax(axis=0) / task.rate_hz, np.nan)
         return _Flown(

@@ -20,6 +20,17 @@ class Motion(NamedTuple):
     tip_m: Array  # [steps + 1, R, 2]
     sent: Array  # [steps, R, 2]: the commands, after the guard if there is one
 
+    def distance_m(self, targets_m: Array, rail_limit_m: float) -> Array:
+        """Return the distances of the tips from targets [R, 2], infinite once a cart has left the rail, [steps + 1, R].
+
+        Args:
+            targets_m: y and z of each robot's target.
+            rail_limit_m: Largest distance of a cart from the middle.
+        """
+        distance = np.hypot(*(self.tip_m - targets_m).transpose(2, 0, 1))
+        kept = np.maximum.accumulate(np.abs(self.state[:, :, 0]), axis=0) <= rail_limit_m
+        return np.where(kept, distance, np.inf)
+
 
 class Rollouts:
     """Roll-outs on simulators cached by batch size, as creating one costs more than a step."""
