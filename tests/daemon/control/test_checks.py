@@ -240,6 +240,12 @@ def seen(place: int, pose: Pose) -> Inputs:
     return replace(HEALTHY, mocap=(replace(FRAME, bodies=(*HANGING[:place], pose, *HANGING[place + 1 :])),))
 
 
+def test_implausible_frames_are_named():
+    """Three frames stamped 50 ms in the future; `test_plausibility.py` tests every kind."""
+    frames = (replace(FRAME, sequence=n, t_capture_ns=NOW + 50 * MS + n) for n in (2, 3, 4))
+    assert raised(HEALTHY, replace(HEALTHY, mocap=tuple(frames))).keys() == {"mocap_clock"}
+
+
 def test_bodies_that_are_not_tracked_are_named():
     first = seen(2, Pose(0.0, 0.7, 0.0, tracked=False)).mocap[0]
     bodies = (*first.bodies[:4], Pose(0.0, 0.6, 0.0, tracked=False), first.bodies[5])
