@@ -1,6 +1,6 @@
 """Measure the cost of a fault: policies at the 54 targets on the independent robot, one fault at a time.
 
-    python -m validation.faults --policy reach --policy reach-robust --json faults.json --png faults.png
+    python -m validation.faults --policy reach --policy reach-robust --json faults.json
 
 Every flight runs the daemon's tick in lockstep. The table shows which faults policies should be trained for and which
 are worth a diagnosis. Needs the extra `mujoco`.
@@ -23,7 +23,6 @@ from softarm.policies.base import PolicyError
 from softarm.reality.parameters import RobotParameters
 
 NONE = "none"
-MARKERS = "osD^vP*X"  # matplotlib markers, one per policy
 # Strong faults within the bounds of the effect registry and of a bench; the rail's first.
 FAULTS = (
     "rail.delay_s=0.06",
@@ -77,29 +76,6 @@ def _fly(job: tuple[str, str, RobotParameters]) -> float:
     return shares(fly_grid(policy, robot)).all
 
 
-def draw(found: dict[str, dict[str, float]], policies: Sequence[str], path: Path) -> None:
-    """Draw one row per fault with one mark per policy."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(8, 0.32 * len(found) + 1.4), layout="constrained")
-    FigureCanvasAgg(figure)
-    axes = figure.subplots()
-    rows = range(len(found))
-    for row, reached in zip(rows, found.values(), strict=True):
-        axes.plot([100 * min(reached.values()), 100 * max(reached.values())], [row, row], color="0.8", lw=3, zorder=1)
-    for number, policy in enumerate(policies):
-        marker = MARKERS[number % len(MARKERS)]
-        axes.scatter([100 * reached[policy] for reached in found.values()], rows, marker=marker, label=policy, zorder=2)
-    axes.set_yticks(rows, ["no fault" if fault == NONE else fault for fault in found])
-    axes.invert_yaxis()
-    axes.set_xlim(0, 100)
-    axes.set_xlabel("targets reached (54 targets, three starts), %")
-    axes.grid(axis="x", alpha=0.3)
-    axes.legend(loc="lower left")
-    figure.savefig(path, dpi=120)
-
-
 @click.command()
 @click.option(
     "--policy",
@@ -113,13 +89,12 @@ def draw(found: dict[str, dict[str, float]], policies: Sequence[str], path: Path
     "--fault", "faults", multiple=True, metavar="GROUP.QUANTITY=VALUE", help="Only this fault; may be repeated."
 )
 @results.json_option
-@click.option("--png", type=results.FILE, help="Draw the figures to this file.")
-def main(policies: tuple[str, ...], faults: tuple[str, ...], json_file: Path | None, png: Path | None) -> None:
+def main(policies: tuple[str, ...], faults: tuple[str, ...], json_file: Path | None) -> None:
     """Print a table with a row per fault and a column per policy.
 
     \b
     Example:
-      python -m validation.faults --policy reach --policy pid --json faults.json --png faults.png
+      python -m validation.faults --policy reach --policy pid --json faults.json
     """
     console = Console()
     chosen = faults or FAULTS
@@ -134,8 +109,6 @@ def main(policies: tuple[str, ...], faults: tuple[str, ...], json_file: Path | N
     console.print(table)
     if json_file is not None:
         results.write(json_file, found)
-    if png is not None:
-        draw(found, policies, png)
 
 
 if __name__ == "__main__":
