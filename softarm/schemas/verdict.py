@@ -50,6 +50,15 @@ class NamedEffect(Strict):
     shrink: Shrink
 
 
+class CalibratedParameter(Estimate):
+    """A parameter that the nominal model has, fitted within its tolerance; of a single joint its relative change."""
+
+    name: str  # stage.effect.parameter, or arm.KEY[JOINT]
+    nominal: float
+    at_edge: bool = False  # at the edge of the tolerance, so that the true value may lie beyond
+    shrink: float  # share of its stage's held-out RMS that it takes next to all others
+
+
 class Where(Strict):
     """Location of the gap in the causal chain; the stage is None without a gap."""
 
@@ -63,6 +72,9 @@ class Gap(Strict):
 
     before: dict[str, Quantity]
     after: dict[str, Quantity]  # with the named effects added; held out
+    calibrated: dict[str, Quantity] = Field(
+        default_factory=dict
+    )  # with the named effects and the calibration; held out
     # Noise floor: repeatability, sensor noise, and the effect of deviations within tolerance on these recordings.
     floor: dict[str, Quantity]
     ceiling: dict[str, Quantity]  # gap that a flexible black-box model leaves
@@ -91,6 +103,7 @@ class Verdict(Strict):
     verdict: Literal["named", "incomplete", "unknown", "none"]
     where: Where
     effects: tuple[NamedEffect, ...] = ()  # ordered by what each adds to the others
+    calibration: tuple[CalibratedParameter, ...] = ()  # what takes most of the gap first
     gap: Gap
     task: Task | None = None
     next_experiment: NextExperiment | None = None

@@ -29,7 +29,8 @@ if TYPE_CHECKING:
 @click.option("--data", type=FOLDER, help="Folder of the data files of a stage.yaml (default: its own folder).")
 @click.option("--json", "json_file", type=FILE, help="Write the verdict to this file.")
 @click.option("--report", "report_file", type=FILE, help="Write the report, one HTML page, to this file.")
-@click.option("--patch", "patch_file", type=FILE, help="Write the model with the named effects to this file.")
+@click.option("--patch", "patch_file", type=FILE, help="Write the model with effects and calibration to this file.")
+@click.option("--calibration/--no-calibration", default=True, help="Write the calibration to the patch as well.")
 @limits_option
 def diagnose(
     inputs: tuple[Path, ...],
@@ -38,6 +39,7 @@ def diagnose(
     json_file: Path | None,
     report_file: Path | None,
     patch_file: Path | None,
+    calibration: bool,
     limits_file: Path | None,
 ) -> None:
     """Find the effect that a simulator lacks, from recordings of the robot.
@@ -68,6 +70,7 @@ def diagnose(
     except (TrialError, models.ModelFileError) as error:
         fail(str(error))
     written = []
+    patched = result.calibrated if calibration else result.patched
     try:
         if json_file is not None:
             files.write_text(json_file, result.verdict.model_dump_json(indent=1) + "\n")
@@ -75,8 +78,8 @@ def diagnose(
         if report_file is not None:
             report.write(result, report_file)
             written.append(report_file)
-        if patch_file is not None and result.patched is not None:
-            models.save(result.patched, patch_file)
+        if patch_file is not None and patched is not None:
+            models.save(patched, patch_file)
             written.append(patch_file)
         if limits_file is not None:
             write_limits(inputs, limits_file, result.verdict)
@@ -86,7 +89,7 @@ def diagnose(
     except OSError as error:
         fail(f"{error.filename}: cannot be written ({error.strerror}); choose another place")
     show(result, json_file)
-    if patch_file is not None and result.patched is None:
+    if patch_file is not None and patched is None:
         click.echo(f"{patch_file}: not written, {_no_patch(result)}", err=True)
     if written:
         click.echo(f"wrote {', '.join(map(str, written))}")
@@ -95,4 +98,4 @@ def diagnose(
 def _no_patch(result: "Diagnosis") -> str:
     if result.nominal is None:
         return "another rig has no model file; its parameters are in the verdict"
-    return f"no effect was named (verdict: {result.verdict.verdict})"
+    return f"no effect was named and nothing calibrated (verdict: {result.verdict.verdict})"

@@ -11,6 +11,7 @@ from softarm.cli.shared.printing import print_table, print_text, warn
 if TYPE_CHECKING:
     from softarm.diagnosis.engine.result import Diagnosis
 
+CALIBRATION_SHOWN = 0.02  # least share of its stage's gap; the report lists all
 CONFIG = "softarm.yaml"  # the robot's configuration, which a diagnosis does not need
 
 
@@ -27,10 +28,17 @@ def show(result: "Diagnosis", json_file: Path | None) -> None:
     for stage, before in gap.before.items():
         share = verdict.where.share.get(stage)
         after = gap.after.get(stage) if verdict.effects else None
-        others = (before, after, gap.ceiling.get(stage), gap.floor.get(stage))
+        others = (before, after, gap.calibrated.get(stage), gap.ceiling.get(stage), gap.floor.get(stage))
         cells = [quantity(q.value, q.unit) if q else "-" for q in others]
         rows.append((stage, "-" if share is None else percent(share), *cells))
-    print_table(("stage", "share", "before", "after", "ceiling", "floor"), rows)
+    print_table(("stage", "share", "before", "after", "calibrated", "ceiling", "floor"), rows)
+    if verdict.calibration and verdict.effects:
+        print_text(report.calibration_in_words(result))
+    if shown := [each for each in verdict.calibration if each.shrink > CALIBRATION_SHOWN]:
+        found = [
+            (each.name, f"{quantity(each.nominal, each.unit)} → {quantity(each.value, each.unit, 3)}") for each in shown
+        ]
+        print_table(("calibrated parameter", "nominal → fitted"), found)
     if (flight := report.flight(result)) is not None and verdict.next_experiment is not None:
         separated = verdict.next_experiment.separates
         purpose = f" separates {', '.join(separated)}" if separated else ""

@@ -8,7 +8,16 @@ from softarm.diagnosis.data.trials import Trial
 from softarm.diagnosis.engine.decision import Kind
 from softarm.diagnosis.engine.result import Diagnosis, HeldOut, Overlay, Regime, Rival, Spectrum, Unexplained
 from softarm.schemas.model import Model
-from softarm.schemas.verdict import Gap, Interval, NamedEffect, NextExperiment, Quantity, Verdict, Where
+from softarm.schemas.verdict import (
+    CalibratedParameter,
+    Gap,
+    Interval,
+    NamedEffect,
+    NextExperiment,
+    Quantity,
+    Verdict,
+    Where,
+)
 from softarm.simulator.effects import Effect
 
 
@@ -21,6 +30,7 @@ class StageAnswer:
     before: float  # RMS of the nominal model
     after: float  # RMS with the named effects, held out
     floor: float  # RMS of the noise floor
+    calibrated: float | None  # RMS with the named effects and the calibration, held out; None if it has no meaning
     ceiling: float | None  # RMS that a flexible model leaves; None if it was not fitted
     overlays: tuple[Overlay, ...] = ()
     spectrum: Spectrum | None = None
@@ -40,6 +50,7 @@ class Answer:
     rivals: tuple[Rival, ...]
     nuisances: Mapping[str, float]
     margins: Mapping[str, float]
+    calibration: tuple[CalibratedParameter, ...]
     held_out: HeldOut
     next_experiment: NextExperiment | None
     warnings: tuple[str, ...]
@@ -48,7 +59,12 @@ class Answer:
 
 
 def assemble(
-    answer: Answer, trials: Sequence[Trial], started: float, nominal: Model | None = None, patched: Model | None = None
+    answer: Answer,
+    trials: Sequence[Trial],
+    started: float,
+    nominal: Model | None = None,
+    patched: Model | None = None,
+    calibrated: Model | None = None,
 ) -> Diagnosis:
     """Return the diagnosis with its verdict.
 
@@ -58,12 +74,14 @@ def assemble(
         started: `time.monotonic()` at the start of the diagnosis.
         nominal: nominal model of the robot; None for a rig.
         patched: nominal model with the named effects; None without any.
+        calibrated: nominal model with the named effects and the calibration; None without either.
     """
     stages = answer.stages
     verdict = Verdict(
         verdict=answer.kind,
         where=answer.where,
         effects=answer.effects,
+        calibration=answer.calibration,
         gap=gap_of(stages),
         next_experiment=answer.next_experiment,
         warnings=tuple(dict.fromkeys(answer.warnings)),
@@ -72,6 +90,7 @@ def assemble(
         verdict=verdict,
         nominal=nominal,
         patched=patched,
+        calibrated=calibrated,
         trials=tuple((t.name, t.kind, t.duration_s) for t in trials),
         overlays=tuple(overlay for each in stages for overlay in each.overlays),
         spectra=tuple(each.spectrum for each in stages if each.spectrum is not None),
@@ -89,13 +108,12 @@ def assemble(
 
 
 def gap_of(stages: Iterable[StageAnswer]) -> Gap:
-    """Return the gap of a verdict: before, after, floor and ceiling by stage."""
-    found: dict[str, dict[str, Quantity]] = {"before": {}, "after": {}, "floor": {}, "ceiling": {}}
+    """Return the gap of a verdict by stage."""
+    found: dict[str, dict[str, Quantity]] = {when: {} for when in Gap.model_fields}
     for each in stages:
-        values = {"before": each.before, "after": each.after, "floor": each.floor, "ceiling": each.ceiling}
-        for when, value in values.items():
-            if value is not None:
-                found[when][each.stage] = Quantity(value=value, unit=each.unit)
+        for when, quantities in found.items():
+            if (value := getattr(each, when)) is not None:
+                quantities[each.stage] = Quantity(value=value, unit=each.unit)
     return Gap(**found)
 
 

@@ -296,6 +296,16 @@ class FitProblem:
             np.array(halves),
         )
 
+    def linear(self, fit: Fit) -> tuple[Array, Array, Array, Array]:
+        """Return a fit's linearisation: normal matrices [B, n, n] and slopes [B, n] of the blocks, low and high [n].
+
+        The n unknowns are the steps of the effects' p parameters, then the nuisances in units of their edges.
+        """
+        x = np.array([v for us in fit.u for v in us])
+        ((jacobians, bases),) = self._linear([fit.effects], [x])
+        normal, slope, _ = self._by_block(len(x), jacobians, bases)
+        return normal, slope, *self._box(fit.effects, x)
+
     def interval(self, fit: Fit, inexact: bool = False) -> tuple[Array, Array]:
         """Return the 95 % interval of a fit's parameters, low and high, [p] each.
 
@@ -307,9 +317,7 @@ class FitProblem:
         p = len(x)
         if not p:
             return x, x
-        ((jacobians, bases),) = self._linear([fit.effects], [x])
-        normal, slope, _ = self._by_block(p, jacobians, bases)
-        low, high = self._box(fit.effects, x)
+        normal, slope, low, high = self.linear(fit)
         sizes = np.array([d.size for each in fit.effects for d in each.parameters])
         best = box.solve(normal.sum(axis=0), -slope.sum(axis=0), low, high)
         free = (best > low + 1e-9) & (best < high - 1e-9)  # nuisances at an edge stay there
@@ -317,6 +325,7 @@ class FitProblem:
         slope = slope + normal[:, :, ~free] @ best[~free]
         half = half_width(normal[:, free][:, :, free], slope[:, free], best[free])[:p]
         if inexact:
+            ((jacobians, bases),) = self._linear([fit.effects], [x])
             half = np.hypot(half, self._law_error(fit.effects, best, normal.sum(axis=0), jacobians, bases))
         least = LEAST_WIDTH * sizes
         return np.minimum(x + best[:p] - half, x - least), np.maximum(x + best[:p] + half, x + least)

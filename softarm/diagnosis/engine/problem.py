@@ -105,12 +105,15 @@ class Setup:
         off = found[gaps.key(moved)] - found[gaps.key(fit.point)] - line
         return float(np.nanmean((off / gaps.view.floor) ** 2))
 
+    def nuisance_scales(self) -> list[tuple[str, float, float]]:
+        """Return path, nominal value and change at the box's edge of every nuisance, of single joints as shares."""
+        scales = [(n.path, n.nominal, n.edge - n.nominal) for n in self.nuisances]
+        return scales + [(name, 0.0, share) for name, share in self._own.items()]
+
     def fitted_nuisances(self, fit: Fit) -> dict[str, float]:
         """Return the fitted nuisances of a set in the registry's units, of single joints as shares."""
-        edges = [(n.path, n.nominal, n.edge - n.nominal) for n in self.nuisances]
-        edges += [(name, 0.0, share) for name, share in self._own.items()]
         own = {p.path for each in fit.effects for p in each.parameters}
-        found = zip(edges, fit.nuisance, strict=True)
+        found = zip(self.nuisance_scales(), fit.nuisance, strict=True)
         return {path: nominal + float(x) * edge for (path, nominal, edge), x in found if path not in own}
 
     def _problem(self, filters: Sequence[Whitener], per_second: float | None) -> FitProblem:

@@ -95,3 +95,4 @@ class Diagnosis:
     held_out: HeldOut | None = None  # None if unknown
     margins: Mapping[str, float] = field(default_factory=dict)  # of effects that may have a confidence
     vocabulary: Mapping[str, Effect] = field(default_factory=dict)  # effects of a rig; the robot's are in the registry
+    calibrated: Model | None = None  # the patched model with the calibration; None without either

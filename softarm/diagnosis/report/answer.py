@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from softarm.diagnosis.engine.result import Diagnosis
 from softarm.diagnosis.report.words import (
     HELD_OUT,
+    calibration_in_words,
     described,
     model_word,
     noise_level,
@@ -194,7 +195,9 @@ def _none(diagnosis: Diagnosis) -> tuple[str, str, str]:
     gap, known = diagnosis.verdict.gap, _in_floors(diagnosis)
     it = model_word(diagnosis)
     robot = "robot" if diagnosis.nominal is not None else "rig"
-    unchanged = f"Nothing needs to change in the {it}. Other excitations may still show a gap."
+    unchanged = f"Nothing is missing in the {it}. Other excitations may still show a gap."
+    if diagnosis.verdict.calibration:
+        unchanged = f"{unchanged} {calibration_in_words(diagnosis)}"
     if not known:
         return (
             f"No gap between {robot} and {it} was found on this data.",

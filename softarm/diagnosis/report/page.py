@@ -32,6 +32,7 @@ def render(diagnosis: Diagnosis, *, further: FurtherSections = ()) -> str:
     where = "Where in the chain" if diagnosis.nominal is not None else "Where the gap is"
     shown = [
         Section("Stage by stage", "stages", stages.section(diagnosis)),
+        Section("Calibration", "calibration", sections.calibration(diagnosis)),
         Section("Measured, nominal, patched", "overlays", evidence.traces(diagnosis)),
         Section(where, "chain", sections.chain(diagnosis)),
         *(Section(title, f"further-{i}", Html(body)) for i, (title, body) in enumerate(further, 1)),

@@ -7,7 +7,7 @@ import numpy as np
 from softarm.diagnosis.engine.result import Diagnosis, HeldOut
 from softarm.diagnosis.report import causal, following
 from softarm.diagnosis.report.answer import answer, confidence_figure, headline
-from softarm.diagnosis.report.words import change, shrinks_by, unit_of
+from softarm.diagnosis.report.words import calibration_in_words, change, interval, shrinks_by
 from softarm.reporting import charts
 from softarm.reporting.markup import Html, bar, el, join, prose, table, tiles
 from softarm.reporting.numbers import listed, number, percent, quantity
@@ -144,16 +144,40 @@ def _commands(of: Excitation, samples: int = 600) -> Html:
     return charts.lanes(t, curves, f"Commands of the excitation {of.name}: {of.description}")
 
 
+def calibration(diagnosis: Diagnosis) -> Html:
+    """Return the section on the nominal model's own parameters, and the gap that is left with all of them."""
+    verdict = diagnosis.verdict
+    lead = el("p", prose(calibration_in_words(diagnosis)))
+    if not verdict.calibration:
+        return lead
+    rows = [
+        (
+            el("code", each.name),
+            quantity(each.nominal, each.unit, 3),
+            interval(each, each.unit) + (", at the edge of its tolerance" if each.at_edge else ""),
+            percent(max(each.shrink, 0.0)),
+        )
+        for each in verdict.calibration
+    ]
+    head = ("parameter", "nominal", "fitted, 95 % interval", "takes of its stage's gap")
+    caption = "Parameters of the nominal model that the data resolve, fitted within their tolerances"
+    return join([lead, table(head, rows, caption, numbers=(3,)), _gaps(diagnosis)])
+
+
+def _gaps(diagnosis: Diagnosis) -> Html:
+    """Return each stage's gap: nominal, with the effects, calibrated as well, and the ceiling."""
+    gap, rows = diagnosis.verdict.gap, []
+    for stage, before in gap.before.items():
+        others = [gap.after.get(stage) if diagnosis.verdict.effects else None, gap.calibrated.get(stage)]
+        cells = [quantity(each.value, each.unit) if each else "–" for each in (before, *others, gap.ceiling.get(stage))]
+        rows.append((stage, *cells))
+    head = ("stage", "nominal", "with effects", "and calibrated", "flexible model")
+    return table(head, rows, "RMS gap of each stage, held out", numbers=(1, 2, 3, 4))
+
+
 def details(diagnosis: Diagnosis) -> Html:
-    """Return the section with the patch, the nuisance parameters, warnings and trials."""
+    """Return the section with the patch, warnings and trials."""
     parts = [_patch(diagnosis)]
-    if diagnosis.nuisances:
-        rows = [
-            (el("code", path), quantity(value, unit_of(diagnosis, path), 3))
-            for path, value in diagnosis.nuisances.items()
-        ]
-        caption = "Nuisance parameters: fitted with every rival, within tolerance; no cause of the gap"
-        parts += [el("h3", "Nuisance parameters"), table(("parameter", "value"), rows, caption)]
     warnings = [el("li", prose(text)) for text in diagnosis.verdict.warnings]
     parts += [el("h3", "Warnings"), el("ul", *warnings) if warnings else el("p", "None.", class_="none")]
     trials = [(name, kind, f"{seconds:.1f} s") for name, kind, seconds in diagnosis.trials]

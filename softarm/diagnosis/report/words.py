@@ -148,6 +148,23 @@ def reduction(before: Quantity | None, after: Quantity | None) -> float | None:
     return 1 - after.value / before.value
 
 
+def calibration_in_words(diagnosis: Diagnosis) -> str:
+    """Return how many of the model's own parameters are off within tolerance, and what their correction takes."""
+    verdict = diagnosis.verdict
+    count = len(verdict.calibration)
+    if not count:
+        return f"The data show no error in the {model_word(diagnosis)}'s own parameters."
+    place = next((each for each in ("chain", verdict.where.stage) if each in verdict.gap.calibrated), None)
+    place = place or max(verdict.gap.calibrated, key=lambda stage: verdict.gap.before[stage].value)
+    before = verdict.gap.after[place] if verdict.effects else verdict.gap.before[place]
+    whose = "the gap at the tip" if place == "chain" else f"the gap of the {place} stage"
+    several = "parameters are" if count > 1 else "parameter is"
+    return (
+        f"Calibration: {count} {several} off within tolerance; corrected, {whose} goes from "
+        f"{change(before, verdict.gap.calibrated[place], ' to ')} RMS, held out."
+    )
+
+
 def noise_level(floor: Quantity) -> str:
     """Return the clause that states a stage's noise floor."""
     return f"differences below {quantity(floor.value, floor.unit)} count as noise"

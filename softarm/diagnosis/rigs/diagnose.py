@@ -10,6 +10,7 @@ import numpy as np
 from softarm.common.processes import as_they_come
 from softarm.diagnosis.answer import rivals
 from softarm.diagnosis.answer.assembly import Answer, StageAnswer, assemble
+from softarm.diagnosis.answer.calibration import Calibrated, calibrated
 from softarm.diagnosis.answer.evidence import overlays, regimes, rms
 from softarm.diagnosis.data.trials import Trial, TrialError
 from softarm.diagnosis.engine.confidence import confidence, margins
@@ -27,7 +28,7 @@ from softarm.diagnosis.rigs.driven_mass import DrivenMassView
 from softarm.diagnosis.rigs.shrinks import by_recording, shrunk
 from softarm.diagnosis.rigs.tracking import TrackingView, velocity_warnings
 from softarm.diagnosis.rigs.views import RigView
-from softarm.schemas.verdict import Estimate, Interval, NamedEffect, NextExperiment, Shrink, Where
+from softarm.schemas.verdict import CalibratedParameter, Estimate, Interval, NamedEffect, NextExperiment, Shrink, Where
 from softarm.simulator.effects import Effect
 
 # Kind of stage -> its view. A new kind is one more line.
@@ -57,6 +58,7 @@ class Finding:
     decision: Decision
     named: tuple[NamedEffect, ...]
     nuisances: Mapping[str, float]
+    calibration: tuple[CalibratedParameter, ...]
     rivals: tuple[Rival, ...]
     following: NextExperiment | None
     held_out: HeldOut
@@ -116,6 +118,7 @@ def _answer(stages: Sequence[Finding], warnings: Sequence[str]) -> Answer:
         rivals=tuple(rival for s in stages for rival in s.rivals),
         nuisances={path: value for s in stages for path, value in s.nuisances.items()},
         margins={name: margin for s in named for name, margin in margins(s.decision.selected).items()},
+        calibration=tuple(each for s in stages for each in s.calibration),
         held_out=min((s.held_out for s in stages), key=("block", "trial", "kind").index),
         next_experiment=next((s.following for s in gaps if s.following is not None), None),
         warnings=tuple(warnings),
@@ -154,10 +157,18 @@ class _Stage:
     def __init__(self, view: RigView, trials: tuple[Trial, ...], origins: tuple[int, ...], found: Examination) -> None:
         self.view, self.trials, self.origins, self.found = view, trials, origins, found
         self.choice, self.decision = found.choice, found.decide()
+        self.calibrated = self._calibrated()
         self.nominal: Array = view.gap([{}])[0].astype(float)
         self.left: Array = found.residuals[view.stage].astype(float)
         without = found.search.without_each(self.choice.chosen, self.choice.null_model)
         self.without = dict(zip(self.choice.chosen.names, found.held_out(without), strict=True))
+
+    def _calibrated(self) -> Calibrated:
+        """Return the calibration next to the named effects."""
+        found, units = self.found, {f"{e.name}.{p.name}": p.unit for e in self.view.effects for p in e.parameters}
+        fit = self.choice.chosen if self.decision.selected else self.choice.null_model
+        problem = replace(found.search.problem, fold=found.setup.fold)
+        return calibrated(found.setup, problem, found.plain, fit, units.__getitem__)
 
     def finding(self) -> Finding:
         """Return the complete finding."""
@@ -171,6 +182,7 @@ class _Stage:
             decision=decision,
             named=tuple(self._named(m) for m in decision.selected),
             nuisances=found.setup.fitted_nuisances(self.choice.chosen),
+            calibration=self.calibrated.parameters,
             rivals=rivals.by_share(found.search, found.searched, self.choice.null_model, decision.selected),
             following=experiments.splitting(view, [self._same(m) for m in decision.selected]),
             held_out=found.setup.held_out,
@@ -192,6 +204,7 @@ class _Stage:
             before=before,
             after=after,
             floor=float(np.sqrt(np.mean(view.floor**2))),
+            calibrated=self.calibrated.rms[view.stage],
             ceiling=min(fitted * math.sqrt(1 - share), after),
             overlays=overlays(view, self.trials, self.nominal, patched),
             regimes=regimes(view, self.nominal, patched),

@@ -7,7 +7,7 @@ from softarm.common.quantity import PURE
 from softarm.diagnosis.data.stage_rules import followed
 from softarm.diagnosis.data.trials import TableStage, TableUnit, Trial
 from softarm.diagnosis.engine.result import Diagnosis, Overlay, Regime
-from softarm.schemas.verdict import Estimate, Gap, NamedEffect, Quantity
+from softarm.schemas.verdict import CalibratedParameter, Estimate, Gap, NamedEffect, Quantity
 
 # Name of the table's unit, and its number of units per standard unit.
 Unit = tuple[str, float]
@@ -27,9 +27,10 @@ def in_owners_units(diagnosis: Diagnosis, trials: Sequence[Trial]) -> Diagnosis:
     )
     named = tuple(_effect(effect, units.get(effect.name.rpartition(".")[0], {})) for effect in verdict.effects)
     own = {path: _own(unit, _of(path, units)) for path, unit in diagnosis.units.items()}
+    calibration = tuple(_calibrated(each, own) for each in verdict.calibration)
     return replace(
         diagnosis,
-        verdict=verdict.model_copy(update={"gap": gap, "effects": named}),
+        verdict=verdict.model_copy(update={"gap": gap, "effects": named, "calibration": calibration}),
         overlays=tuple(_overlay(overlay, units.get(overlay.stage, {})) for overlay in diagnosis.overlays),
         regimes=tuple(_regime(regime, units.get(regime.stage, {})) for regime in diagnosis.regimes),
         rivals=tuple(replace(rival, parameters=_values(rival.parameters, own)) for rival in diagnosis.rivals),
@@ -85,6 +86,12 @@ def _values(of: Mapping[str, float], own: Mapping[str, Unit]) -> dict[str, float
 def _quantity(of: Quantity, known: Mapping[str, Unit]) -> Quantity:
     unit, worth = _own(of.unit, known)
     return Quantity(value=of.value * worth, unit=unit)
+
+
+def _calibrated(of: CalibratedParameter, own: Mapping[str, Unit]) -> CalibratedParameter:
+    unit, worth = own.get(of.name, (of.unit, 1.0))
+    scaled = {name: getattr(of, name) * worth for name in ("nominal", "value", "low", "high")}
+    return of.model_copy(update={**scaled, "unit": unit})
 
 
 def _effect(effect: NamedEffect, known: Mapping[str, Unit]) -> NamedEffect:

@@ -5,11 +5,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from softarm.diagnosis.answer.calibration import Calibrated
 from softarm.diagnosis.answer.evidence import rms
 from softarm.diagnosis.engine.decision import Decision
 from softarm.diagnosis.engine.examination import Examination
 from softarm.diagnosis.engine.structure import Structure
 from softarm.diagnosis.engine.thresholds import ROBOT
+from softarm.diagnosis.robot.calibration import calibration
 from softarm.diagnosis.robot.chain import stage_of_tip_gap
 from softarm.diagnosis.robot.comparison import Comparison
 from softarm.diagnosis.robot.floors import chain_floor, drift, stage_floors
@@ -23,6 +25,7 @@ class Decided:
     decision: Decision
     floors: Mapping[str, float]  # stage -> noise floor, RMS
     chain_floor: float | None  # noise floor of the tip, RMS, m; None if mocap has no tip
+    calibrated: Calibrated  # next to the named effects
 
 
 def decide(comparison: Comparison, found: Examination) -> Decided:
@@ -38,7 +41,7 @@ def decide(comparison: Comparison, found: Examination) -> Decided:
         tip_floor = chain_floor(comparison.grid, comparison.model, comparison.setup, reference, tip)
     if decision.kind == "none":
         decision = found.decide(signs | _above_floors(comparison, floors, tip_floor))
-    return Decided(decision, floors, tip_floor)
+    return Decided(decision, floors, tip_floor, calibration(comparison, found, reference))
 
 
 def _signs(comparison: Comparison, found: Examination) -> dict[str, Structure]:

@@ -20,6 +20,7 @@ from softarm.diagnosis.engine.shrink import widened
 from softarm.diagnosis.engine.thresholds import ROBOT
 from softarm.diagnosis.engine.view import Array, Point
 from softarm.diagnosis.robot import experiments, regime
+from softarm.diagnosis.robot.calibration import calibrated_tip, with_calibration
 from softarm.diagnosis.robot.candidates import candidates
 from softarm.diagnosis.robot.comparison import Comparison, compare
 from softarm.diagnosis.robot.counts import Count, counts
@@ -65,7 +66,10 @@ def diagnose_robot(trials: Sequence[Trial], nominal: Model, progress: Progress) 
     patched = None
     if decided.decision.selected or named:
         patched = _patched(comparison.model, decided.decision, found.choice, named)
-    return assemble(answer, comparison.trials, started, nominal, patched)
+    whole = patched
+    if decided.calibrated.values:
+        whole = with_calibration(patched or comparison.model, decided.calibrated.values)
+    return assemble(answer, comparison.trials, started, nominal, patched, whole)
 
 
 def _answer(comparison: Comparison, found: Examination, decided: Decided, counted: Sequence[Count]) -> Answer:
@@ -94,6 +98,7 @@ def _answer(comparison: Comparison, found: Examination, decided: Decided, counte
         rivals=rivals.by_gain(found.search, choice, decision.selected),
         nuisances=comparison.setup.fitted_nuisances(choice.chosen),
         margins=margins(decision.selected),
+        calibration=decided.calibrated.parameters,
         held_out=comparison.setup.held_out,
         next_experiment=_next(comparison, found, decision),
         warnings=tuple(_warnings(comparison, choice, decision)),
@@ -166,6 +171,7 @@ def _stages(
                 before=gap.before,
                 after=gap.after,
                 floor=decided.floors[view.stage],
+                calibrated=decided.calibrated.rms[view.stage],
                 ceiling=gap.after * float(np.sqrt(1 - flexible)),
                 overlays=overlays(view, comparison.trials, before, after, shown),
                 spectrum=spectrum(view, before, after, RATE_HZ),
@@ -177,8 +183,11 @@ def _stages(
     answers += _counted_stages(counted, {each.stage for each in answers})
     tip = tip_gap(comparison, points)
     if tip is not None and decided.chain_floor is not None:
+        calibrated = calibrated_tip(comparison, decided.calibrated, points)
         total = tip.total_shrink if point else None
-        answers.append(StageAnswer("chain", "m", tip.before, tip.after, decided.chain_floor, None, total_shrink=total))
+        answers.append(
+            StageAnswer("chain", "m", tip.before, tip.after, decided.chain_floor, calibrated, None, total_shrink=total)
+        )
     return answers
 
 
@@ -188,7 +197,7 @@ def _counted_stages(counted: Sequence[Count], known: set[str]) -> list[StageAnsw
         if count.stage not in known and count.stage not in answers and (count.named or count.stage in ALWAYS_SHOWN):
             before, floor = round(count.before, 9), round(count.floor, 9)
             after = round(count.after if count.named else count.before, 9)
-            answers[count.stage] = StageAnswer(count.stage, count.unit, before, after, floor, after)
+            answers[count.stage] = StageAnswer(count.stage, count.unit, before, after, floor, None, after)
     return list(answers.values())
 
 

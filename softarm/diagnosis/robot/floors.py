@@ -13,7 +13,7 @@ from softarm.diagnosis.answer.evidence import rms
 from softarm.diagnosis.engine.fits import Fit, FitProblem
 from softarm.diagnosis.engine.problem import Setup
 from softarm.diagnosis.engine.structure import Structure
-from softarm.diagnosis.engine.view import Array, View
+from softarm.diagnosis.engine.view import Array, Point, View
 from softarm.diagnosis.engine.whitened import slices
 from softarm.diagnosis.robot.chain import FLOOR_M, tip_gap
 from softarm.diagnosis.robot.trial_grid import TrialGrid
@@ -37,10 +37,16 @@ def stage_floors(setup: Setup, plain: FitProblem, fit: Fit) -> dict[str, float]:
 def chain_floor(grid: TrialGrid, model: Model, setup: Setup, fit: Fit, gap: NDArray[np.floating]) -> float:
     """Return the noise floor of the tip, RMS, m; gap: the tip's gap at the fit's point, [M, 2]."""
     nuisances = setup.fitted_nuisances(fit)
-    kept, point = with_joints(model, nuisances), {k: x for k, x in nuisances.items() if "[" not in k} | {**fit.point}
-    left = tip_gap(grid, kept, [point])[0]
+    left = tip_gap_with(grid, model, nuisances, fit.point)
     taken = max(2 * rms(gap) ** 2 - 2 * rms(left) ** 2, 0.0)
     return float(np.sqrt(FLOOR_M**2 + taken))
+
+
+def tip_gap_with(grid: TrialGrid, model: Model, nuisances: Mapping[str, float], point: Point) -> NDArray[np.floating]:
+    """Return the tip's gap [M, 2], m, of a model with fitted nuisances and, over them, the effects of a point."""
+    plain = {path: x for path, x in nuisances.items() if "[" not in path}
+    gap: NDArray[np.floating] = tip_gap(grid, with_joints(model, nuisances), [plain | dict(point)])[0]
+    return gap
 
 
 def with_joints(model: Model, nuisances: Mapping[str, float]) -> Model:

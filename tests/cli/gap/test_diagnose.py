@@ -48,6 +48,7 @@ NAMED = Verdict(
     ),
     warnings=("one frame is missing",),
 )
+WHOLE = Model(effects={"arm.stiffness": {"scale": 0.02}})
 UNKNOWN = NAMED.model_copy(update={"verdict": "unknown", "effects": (), "next_experiment": None})
 
 
@@ -65,14 +66,16 @@ def write_trial(folder, model=None):
 @pytest.fixture
 def asked(monkeypatch):
     """Replace the diagnosis and return its settings and inputs."""
-    asked = SimpleNamespace(verdict=NAMED, patched=Model(effects={}), trials=None, model=None)
+    asked = SimpleNamespace(verdict=NAMED, patched=Model(effects={}), calibrated=WHOLE, trials=None, model=None)
 
     def diagnose(trials, model, progress=None, processes=1):
         asked.trials, asked.model = trials, model
         progress("fitting", 0.5)
         t = np.arange(30) / 30
         overlay = Overlay("pressure", trials[0].name, "seed", "pressure", "kPa", t, t, t + 1, None)
-        return Diagnosis(asked.verdict, model, asked.patched, (("a", "seed", 1.0),), (overlay,))
+        return Diagnosis(
+            asked.verdict, model, asked.patched, (("a", "seed", 1.0),), (overlay,), calibrated=asked.calibrated
+        )
 
     monkeypatch.setattr("softarm.diagnosis.from_files.diagnose", diagnose)
     return asked
@@ -85,6 +88,8 @@ def test_diagnose_writes_verdict_report_and_patch_and_prints_the_answer(asked, t
     assert outcome.exit_code == 0, outcome.output
     assert Verdict.model_validate_json(places[0].read_text()) == NAMED
     assert places[1].read_text(encoding="utf-8").startswith("<!doctype html>")
+    assert model_file.load(places[2]) == WHOLE
+    assert invoke("diagnose", campaign, "--no-calibration", "--patch", places[2]).exit_code == 0
     assert model_file.load(places[2]) == asked.patched
     output = " ".join(outcome.output.split())
     assert "the regulator starts to react late), delay 60 ms (50 to 70)." in output
@@ -180,11 +185,11 @@ def test_campaigns_with_different_models_need_the_model_option(asked, tmp_path):
 
 
 def test_without_a_named_effect_no_patch_is_written(asked, tmp_path):
-    asked.verdict, asked.patched = UNKNOWN, None
+    asked.verdict, asked.patched, asked.calibrated = UNKNOWN, None, None
     trial, patch = write_trial(tmp_path / "c" / "a"), tmp_path / "patched.yaml"
     outcome = invoke("diagnose", trial, "--patch", patch)
     assert outcome.exit_code == 0
-    assert "not written, no effect was named (verdict: unknown)" in outcome.output
+    assert "not written, no effect was named and nothing calibrated (verdict: unknown)" in outcome.output
     assert not patch.exists()
 
 

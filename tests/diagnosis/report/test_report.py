@@ -17,6 +17,7 @@ from softarm.diagnosis.rigs.tracking_effects import tracking_effects
 from softarm.reporting import plot
 from softarm.schemas.model import Model
 from softarm.schemas.verdict import (
+    CalibratedParameter,
     Estimate,
     Gap,
     Interval,
@@ -58,6 +59,9 @@ PAYLOAD = NamedEffect(
     parameters={"mass": Estimate(value=0.03, low=0.028, high=0.033, unit="kg")},
     shrink=Shrink(stage=interval(0.3, 0.2, 0.4)),
 )
+STIFFNESS = CalibratedParameter(
+    name="arm.stiffness.scale", nominal=0.0, value=0.012, low=0.01, high=0.014, unit="-", shrink=0.62
+)
 GONE = NamedEffect(
     name="observation.finite_difference", parameters={}, confidence=0.9, shrink=Shrink(stage=interval(0.3, 0.2, 0.4))
 )
@@ -70,7 +74,9 @@ VERDICT = Verdict(
         after=rms("kPa", pressure=0.31) | rms("m", arm=0.004, chain=0.01),
         floor=rms("kPa", pressure=0.2) | rms("m", arm=0.003, chain=0.005),
         ceiling=rms("kPa", pressure=0.3),
+        calibrated=rms("kPa", pressure=0.21) | rms("m", arm=0.002, chain=0.004),
     ),
+    calibration=(STIFFNESS,),
     task=Task(success_real=0.6, success_nominal=0.9),
     next_experiment=NextExperiment(
         excitation="free-decay", separates=("arm.damping", "arm.drag"), expect={"arm.drag": "faster at first"}
@@ -459,7 +465,9 @@ EVIDENCE = (
     "inflate 0.2 s",
     "1 % (-2 to 3)",
     "sign of the rate",
+    "Calibration: 1 parameter is off within tolerance; corrected, the gap at the tip goes from 10 to 4 mm RMS",
     "arm.stiffness.scale",
+    "0.0120 (0.0100 to 0.0140)",
     "absent 0.0612 s",
     "on the robot 60 %",
     "in the nominal simulator 90 %",

@@ -1,0 +1,65 @@
+"""Calibration of a nominal model in a verdict: each resolved parameter, and the gap that is left with all of them."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+
+from softarm.diagnosis.engine.calibration import calibrate, held_out_rms
+from softarm.diagnosis.engine.fits import Fit, FitProblem
+from softarm.diagnosis.engine.problem import Setup
+from softarm.diagnosis.engine.view import Array
+from softarm.schemas.verdict import CalibratedParameter
+
+AT_EDGE = 0.98  # share of the box's edge from which a parameter counts as at its edge
+
+
+@dataclass(frozen=True, slots=True)
+class Calibrated:
+    """Calibration next to the named effects."""
+
+    parameters: tuple[CalibratedParameter, ...] = ()  # what takes most of the gap first
+    rms: Mapping[str, float] = field(default_factory=dict)  # stage -> RMS gap with effects and calibration, held out
+    values: Mapping[str, float] = field(default_factory=dict)  # path -> fitted value; of a single joint its change
+    folds: tuple[Mapping[str, float], ...] = ()  # the same fitted without each fold
+
+
+def calibrated(
+    setup: Setup, problem: FitProblem, plain: FitProblem, fit: Fit, unit: Callable[[str], str]
+) -> Calibrated:
+    """Return the calibration next to a fit's effects.
+
+    Args:
+        setup: problem of the views.
+        problem: the same, whitened, with the folds of the verdict.
+        plain: the same in units of the noise floors.
+        fit: named effects and their parameters.
+        unit: returns the unit of a parameter by its path.
+    """
+    found = calibrate(problem, fit)
+    if not found.resolved:
+        return Calibrated(rms=held_out_rms(setup, plain, fit, found.folds), folds=({},) * len(found.folds))
+    scales = setup.nuisance_scales()
+    left = held_out_rms(setup, plain, fit, found.folds)
+    parameters = []
+    for i in found.resolved:
+        path, nominal, scale = scales[i]
+        share, half = float(found.shares[i]), float(found.half[i])
+        less = held_out_rms(setup, plain, fit, found.without[i])
+        parameters.append(
+            CalibratedParameter(
+                name=path,
+                nominal=nominal,
+                value=nominal + share * scale,
+                low=nominal + share * scale - half * abs(scale),
+                high=nominal + share * scale + half * abs(scale),
+                unit=unit(path),
+                at_edge=bool(abs(share) >= AT_EDGE),
+                shrink=max(1 - left[stage] / less[stage] if less[stage] > 0 else 0.0 for stage in left),
+            )
+        )
+    values, *folds = (_values(scales, found.resolved, shares) for shares in (found.shares, *found.folds))
+    ordered = sorted(parameters, key=lambda each: (-each.shrink, each.name))
+    return Calibrated(tuple(ordered), left, values, tuple(folds))
+
+
+def _values(scales: list[tuple[str, float, float]], resolved: tuple[int, ...], shares: Array) -> dict[str, float]:
+    return {scales[i][0]: scales[i][1] + float(shares[i]) * scales[i][2] for i in resolved}

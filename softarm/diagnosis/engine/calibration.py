@@ -1,0 +1,122 @@
+"""Calibration: parameters that the nominal model has, fitted within their boxes next to the chosen effects.
+
+A box says how far a parameter of a good model may be off. A parameter that the data do not resolve stays nominal, so
+that a calibrated model differs from the nominal one only where the data show a difference.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from softarm.diagnosis.engine import box
+from softarm.diagnosis.engine.fits import Fit, FitProblem
+from softarm.diagnosis.engine.jackknife import half_width
+from softarm.diagnosis.engine.problem import Setup
+from softarm.diagnosis.engine.view import Array
+
+Indices = NDArray[np.int64]
+
+
+@dataclass(frozen=True, slots=True)
+class Calibration:
+    """Fitted nuisances as shares of their boxes' edges; 0 is nominal."""
+
+    shares: Array  # [q] 0 for a parameter that stays nominal
+    half: Array  # [q] half the 95 % interval, without the box; 0 for a parameter that stays nominal
+    folds: Array  # [F, q] fitted without each fold
+    without: dict[int, Array]  # resolved parameter -> the others fitted without each fold, [F, q]
+
+    @property
+    def resolved(self) -> tuple[int, ...]:
+        """Return the parameters whose interval excludes the nominal value."""
+        return tuple(self.without)
+
+
+class _Linear:
+    """Linearisation of a fit: effects first, then the nuisances."""
+
+    def __init__(self, problem: FitProblem, fit: Fit) -> None:
+        self.normal, self.slope, self.low, self.high = problem.linear(fit)
+        self.fold = problem.fold
+        self.effects = sum(len(each.parameters) for each in fit.effects)
+
+    def solve(self, free: Indices, kept: NDArray[np.bool_]) -> Array:
+        """Return the unknowns [n] that fit the kept blocks best, 0 where they are not free."""
+        normal, slope = self.normal[kept].sum(axis=0), self.slope[kept].sum(axis=0)
+        solution = np.zeros(len(slope))
+        matrix = np.ascontiguousarray(normal[np.ix_(free, free)])
+        solution[free] = box.solve(matrix, -slope[free], self.low[free], self.high[free])
+        return solution
+
+    def by_fold(self, free: Indices) -> Array:
+        """Return the nuisances fitted without each fold, [F, q]."""
+        found = [self.solve(free, self.fold != fold) for fold in np.unique(self.fold)]
+        return np.array(found)[:, self.effects :]
+
+    def half_widths(self, free: Indices) -> Array:
+        """Return half the 95 % interval of each free unknown without its box."""
+        normal, slope = self.normal[:, free][:, :, free], self.slope[:, free]
+        total = normal.sum(axis=0)
+        total[range(len(free)), range(len(free))] += 1e-10 * max(float(total.diagonal().max()), 1e-30)
+        return half_width(normal, slope, np.linalg.solve(total, -slope.sum(axis=0)))
+
+
+def calibrate(problem: FitProblem, fit: Fit) -> Calibration:
+    """Return the calibration next to a fit's effects."""
+    linear = _Linear(problem, fit)
+    free, solution, half = _resolved(linear, len(problem.blocks))
+    halves = np.zeros(len(solution))
+    halves[free] = half
+    first = linear.effects
+    without = {int(i) - first: linear.by_fold(free[free != i]) for i in free if i >= first}
+    return Calibration(solution[first:], halves[first:], linear.by_fold(free), without)
+
+
+def _resolved(linear: _Linear, blocks: int) -> tuple[Indices, Array, Array]:
+    """Return the free unknowns, all unknowns [n], and half the interval of each free one.
+
+    The nuisance that is resolved least is set to nominal and the others are fitted again, until all are resolved.
+    """
+    everything = np.ones(blocks, dtype=bool)
+    free = np.flatnonzero(linear.high > linear.low)
+    while len(free):
+        solution, half = linear.solve(free, everything), linear.half_widths(free)
+        certainty = np.abs(solution[free]) / np.maximum(half, 1e-30)
+        certainty[free < linear.effects] = np.inf
+        if certainty.min() >= 1:
+            return free, solution, half
+        free = np.delete(free, int(certainty.argmin()))
+    return free, np.zeros(len(linear.low)), np.zeros(0)
+
+
+def held_out_rms(setup: Setup, plain: FitProblem, fit: Fit, folds: Array) -> dict[str, float]:
+    """Return each stage's RMS gap with a fit's effects and with nuisances, each block without its own fold.
+
+    Args:
+        setup: problem of the views.
+        plain: the same in units of the noise floors.
+        fit: effects and their parameters by fold.
+        folds: nuisances fitted without each fold, in units of the boxes' edges, [F, q].
+    """
+    numbers = np.unique(plain.fold, return_inverse=True)[1]
+    fold_of = dict(zip(plain.blocks, numbers, strict=True))
+    found = {}
+    for view, residual in zip(setup.views, plain.whitened, strict=True):
+        moments = residual.moments(_points(fit, len(folds)))
+        squares = 0.0
+        for name, part in residual.blocks:
+            fold = fold_of[name]
+            rows = moments[fold].rows[part] + folds[fold].astype(np.float32) @ residual.columns[:, part]
+            left = rows.reshape(-1, len(view.floor)) * view.floor
+            squares += float((left**2).sum())
+        samples = int(np.isfinite(view.measured).sum())
+        found[view.stage] = float(np.sqrt(squares / max(samples, 1)))
+    return found
+
+
+def _points(fit: Fit, folds: int) -> Sequence[dict[str, float]]:
+    """Return the effects' parameters by fold; without effects the nominal model."""
+    points = [dict(point) for point in fit.fold_points]
+    return points if len(points) == folds else [{}] * folds

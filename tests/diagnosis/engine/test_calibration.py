@@ -1,0 +1,85 @@
+"""Calibration: resolved parameters come back with their share of the gap; the others stay nominal."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+import pytest
+
+from softarm.diagnosis.answer.calibration import calibrated
+from softarm.diagnosis.engine.candidates import Nuisance
+from softarm.diagnosis.engine.problem import Setup
+
+RATE_HZ, LENGTH_S, NOISE = 60.0, 6.0, 0.05
+SCALE, BIAS, SLOPE = "stage.gain.scale", "stage.zero.bias", "stage.drift.slope"
+NUISANCES = (Nuisance(SCALE, 1.0, 0.8, 1.2), Nuisance(BIAS, 0.0, -0.5, 0.5), Nuisance(SLOPE, 0.0, -0.2, 0.2))
+NOMINAL = {each.path: each.nominal for each in NUISANCES}
+
+
+@dataclass
+class _Gauge:
+    """A gauge with a scale, a bias and a slope in time; three trials."""
+
+    truth: dict[str, float]
+    seed: int = 0
+    stage, unit, channels = "stage", "-", ("reading",)
+    acts = frozenset({SCALE, BIAS, SLOPE})
+    noise: np.ndarray = field(default_factory=lambda: np.zeros(1))
+    regimes, features, own_nuisances = {}, {}, {}
+
+    def start_directions(self):
+        return None
+
+    def __post_init__(self):
+        t = np.arange(round(RATE_HZ * LENGTH_S)) / RATE_HZ
+        self.inputs = np.concatenate((np.sin(2 * t), np.sign(np.sin(3 * t)), np.exp(-t)))
+        self.t_s, self.trial = np.tile(t, 3), np.repeat(np.arange(3), len(t))
+        self.floor = np.array([NOISE])
+        noise = NOISE * np.random.default_rng(self.seed).normal(size=len(self.t_s))
+        self.measured = (self._predict(self.truth) + noise)[:, None]
+
+    def _predict(self, point):
+        at = NOMINAL | dict(point)
+        return at[SCALE] * self.inputs + at[BIAS] + at[SLOPE] * self.t_s
+
+    def gap(self, points):
+        return np.stack([self.measured - self._predict(p)[:, None] for p in points]).astype(np.float32)
+
+
+def calibration(truth, seed=0):
+    setup = Setup([_Gauge(truth, seed)], NUISANCES, ("sine", "square", "decay"))
+    plain = setup.plain()
+    (nothing,) = plain.fit([((), ())])
+    return calibrated(setup, plain, plain, nothing, lambda path: "-")
+
+
+def test_resolved_parameters_come_back_and_the_gap_falls_to_the_noise():
+    found = calibration({SCALE: 1.1, BIAS: 0.2})
+    assert {each.name for each in found.parameters} == {SCALE, BIAS}
+    for each in found.parameters:
+        truth = {SCALE: 1.1, BIAS: 0.2}[each.name]
+        assert each.low < truth < each.high
+        assert each.value == pytest.approx(truth, abs=0.02)
+        assert each.nominal == NOMINAL[each.name]
+        assert not each.at_edge
+    assert [each.name for each in found.parameters] == [BIAS, SCALE]  # what takes most comes first
+    assert all(each.shrink > 0.3 for each in found.parameters)
+    assert found.rms["stage"] == pytest.approx(NOISE, rel=0.1)
+
+
+def test_noise_alone_is_rarely_calibrated():
+    resolved = [len(calibration({}, seed).parameters) for seed in range(40)]
+    assert sum(resolved) <= 14  # of 120 tests at 5 %, on few blocks
+
+
+def test_without_a_resolved_parameter_the_model_stays_nominal():
+    found = next(each for each in (calibration({}, seed) for seed in range(40)) if not each.parameters)
+    assert found.values == {}
+    assert set(map(len, found.folds)) == {0}
+    assert found.rms["stage"] == pytest.approx(NOISE, rel=0.1)
+
+
+def test_a_parameter_beyond_its_tolerance_is_at_the_edge():
+    found = calibration({SCALE: 1.6})
+    (scale,) = (each for each in found.parameters if each.name == SCALE)
+    assert scale.at_edge
+    assert scale.value == pytest.approx(1.2)
