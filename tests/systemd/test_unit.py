@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from softarm.daemon.runtime.service import DESCRIPTORS
-from softarm.drivers.rail import master, rest
+from softarm.drivers.rail import drive, master
 
 SYSTEMD = Path(__file__).parents[2] / "systemd"
 ANALYZE = shutil.which("systemd-analyze")
@@ -91,4 +91,4 @@ def test_the_rule_gives_the_daemon_access_and_excludes_modemmanager():
 def test_the_rails_process_has_time_to_stop_the_drive():
     service = unit()["Service"]
     assert service["KillMode"] == "control-group"
-    assert float(service["TimeoutStopSec"].removesuffix("s")) > master.SHUT_DOWN_S + rest.BRAKE_MAX_S
+    assert float(service["TimeoutStopSec"].removesuffix("s")) > master.SHUT_DOWN_S + drive.BRAKE_MAX_S
