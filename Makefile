@@ -59,10 +59,12 @@ coverage: .venv/.installed-dev
 docs: .venv/.installed-dev
 	$(BIN)/mkdocs build --quiet
 
-# The long evidence: an hour and more. Stores its results with the revision; `python -m tools.render` fills the pages.
+# The long evidence: hours. Stores its results with the revision; `python -m tools.render` fills the pages.
+# Shorter: make prove FUZZ_MINUTES=2 SOAK_HOURS=0.05 ADVERSARY_TICKS=1000000 MUTANTS='--sample 20'
 FUZZ_MINUTES ?= 30
 SOAK_HOURS ?= 0.5
 ADVERSARY_TICKS ?= 10000000
+MUTANTS ?=
 RESULTS := benchmarks/results
 prove: .venv/.installed-dev
 	$(BIN)/pytest -m 'prove and not realtime' -n 2 --dist loadscope
@@ -70,7 +72,7 @@ prove: .venv/.installed-dev
 	$(BIN)/python -m validation.adversary --ticks $(ADVERSARY_TICKS) --json $(RESULTS)/adversary.json
 	$(BIN)/python -m validation.adversary --ticks $$(( $(ADVERSARY_TICKS) / 20 )) --through tick --json $(RESULTS)/adversary-tick.json
 	$(BIN)/python -m validation.matrix --json $(RESULTS)/matrix.json
-	$(BIN)/python -m validation.mutants
+	$(BIN)/python -m validation.mutants $(MUTANTS)
 	$(BIN)/python -m validation.fuzz --minutes $(FUZZ_MINUTES)
 	$(BIN)/python -m validation.api
 	$(BIN)/softarm soak --hours $(SOAK_HOURS) --lockstep-days 1
