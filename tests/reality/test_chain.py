@@ -39,6 +39,20 @@ def test_under_a_pressure_alone_the_angles_and_their_centre_are_the_models(piece
         assert (bend * hinge).sum() == pytest.approx((whole * np.arange(5) * BODY.link_length_m[0]).sum())
 
 
+def test_one_piece_is_the_model_itself() -> None:
+    chain = refine(BODY, 1)
+    for name, value in BODY:
+        if name in chain.__slots__:
+            np.testing.assert_allclose(getattr(chain, name), value, rtol=1e-12)
+    np.testing.assert_array_equal(chain.share, 1.0)
+
+
+def test_the_shares_of_fine_joints_form_a_triangle() -> None:
+    """With equal springs, the shares are the triangle; the joint at the clamp shares with no other."""
+    equal = BODY.model_copy(update={"stiffness_nm_rad": (1.0,) * 5})
+    np.testing.assert_allclose(refine(equal, 2).share, [1, 0.25, *[0.5] * 7, 0.25])
+
+
 @pytest.mark.parametrize("pressure_kpa", [0.0, 10.0, 20.0])
 def test_the_hanging_pose_equals_the_five_link_simulators(pressure_kpa: float) -> None:
     simulator = Simulator(physics_rate_hz=1200.0)

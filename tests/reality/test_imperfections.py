@@ -217,6 +217,28 @@ def test_the_motor_plays_within_its_backlash(fly: Any, perturb: Any) -> None:
     assert np.ptp(apart_m) > 0.9 * gap_m  # both sides are visited
 
 
+def test_with_play_the_motor_still_moves_the_whole_mass(fly: Any, perturb: Any) -> None:
+    def start(t_s: float) -> tuple[float, float]:
+        return 0.9, 0.0
+
+    rigid, loose = (fly(perturb("Rail", force_limit_n=1.0, backlash_m=gap), 0.5, start) for gap in (0.0, 0.002))
+    assert rigid.cart_m[-1] > 0.1
+    assert np.abs(loose.cart_m - rigid.cart_m).max() < 0.012  # the motor first has to cross its play, alone
+
+
+def test_a_wrong_feed_shows_between_read_back_and_truth(fly: Any, perturb: Any) -> None:
+    flown = fly(perturb("Rail", feed_error=0.05))
+    encoder_m = np.array([reading.position_m for reading in flown.encoder])[3::4]
+    np.testing.assert_allclose(flown.cart_m, 1.05 * encoder_m, atol=2e-5)
+
+
+def test_the_cable_pulls_at_one_end(fly: Any, perturb: Any, nominal: Any) -> None:
+    flown = fly(perturb("Rail", cable_n_m=80.0, cable_taut_m=0.03))
+    before = np.argmax(nominal.cart_m > 0.03)
+    np.testing.assert_array_equal(flown.cart_m[:before], nominal.cart_m[:before])
+    assert flown.cart_m[before:].max() < nominal.cart_m.max() - 0.005
+
+
 def test_poses_are_older_than_their_stamp_by_the_latency(fly: Any, perturb: Any) -> None:
     flown = fly(perturb("Mocap", latency_s=1 / 30, **QUIET))
     for frame in flown.frames:
@@ -252,6 +274,25 @@ def test_the_loose_marker_wobbles_alone(fly: Any, perturb: Any) -> None:
     assert (apart[:, [0, 1, 2, 3, 5]] == 0).all()
     assert 0.001 < np.abs(apart[:, 4, :2]).max() < 0.03
     assert np.abs(apart[:, 4, 0].mean()) < 0.3 * np.abs(apart[:, 4, 0]).max()
+
+
+def test_frames_are_lost_at_the_declared_rate_and_counted(fly: Any, perturb: Any) -> None:
+    frames = fly(perturb("Mocap", dropout=0.3), 6.0).frames
+    assert 1 - len(frames) / frames[-1].sequence == pytest.approx(0.3, abs=0.05)
+
+
+def test_drifting_stamps_gain_on_the_controllers_clock(fly: Any, perturb: Any) -> None:
+    frames = fly(perturb("Clock", camera_drift=0.002)).frames
+    gained_ns = [frame.t_capture_ns - frame.t_receive_ns for frame in frames]
+    assert gained_ns[-1] == pytest.approx(0.002 * frames[-1].t_receive_ns, abs=2)
+    assert (np.diff(gained_ns) > 0).all()
+
+
+def test_the_gauge_reads_high_in_steps(fly: Any, perturb: Any, nominal: Any) -> None:
+    flown = fly(perturb("PressureSensor", bias_kpa=1.0, noise_kpa=0.0, quantum_kpa=0.5))
+    readings = np.array([reading.pressure_kpa for reading in flown.gauge])
+    np.testing.assert_allclose(readings % 0.5, 0.0, atol=1e-9)
+    np.testing.assert_allclose(readings[3::4], flown.pressure_kpa + 1.0, atol=0.2501)
 
 
 def test_hysteresis_is_a_rate_independent_loop(fly: Any, perturb: Any) -> None:

@@ -5,6 +5,7 @@ from typing import Any
 
 import pytest
 
+from softarm.common.quantity import UNITS
 from softarm.reality.parameters import GROUPS, Arm, Mocap, Rail, Regulator, RobotParameters, of_model
 from softarm.reality.quantities import of, table
 from softarm.schemas.model import Arm as ModelArm
@@ -12,6 +13,15 @@ from softarm.schemas.model import Model
 
 FIELDS = [(group, field) for group in GROUPS for field in dataclasses.fields(group)]
 NAMES = [f"{group.__name__}.{field.name}" for group, field in FIELDS]
+
+
+@pytest.mark.parametrize(("group", "field"), FIELDS, ids=NAMES)
+def test_every_quantity_declares_itself_and_its_default_is_allowed(group: Any, field: Any) -> None:
+    declared = of(group)[field.name]
+    assert declared.takes(field.default)
+    assert declared.whole == (field.type == "int" or field.type is int)
+    assert declared.unit in UNITS
+    assert len(declared.meaning) > 3
 
 
 @pytest.mark.parametrize(("group", "field"), FIELDS, ids=NAMES)
@@ -40,6 +50,12 @@ def test_a_bad_value_is_reported_with_its_range(make: Any, message: str) -> None
 
 def test_the_nominal_robot_equals_the_model() -> None:
     assert of_model(Model()) == RobotParameters()
+
+
+def test_a_model_without_effects_has_neither_lag_nor_delay() -> None:
+    parameters = of_model(Model(effects={}))
+    assert (parameters.regulator.inflate_s, parameters.regulator.deflate_s, parameters.rail.delay_s) == (0, 0, 0)
+    assert parameters.rail.acceleration_m_s2 == 40
 
 
 def test_an_arm_of_other_than_five_links_is_refused() -> None:

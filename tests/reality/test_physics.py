@@ -1,5 +1,6 @@
 """The independent robot against mechanics, and against the nominal simulator."""
 
+from dataclasses import replace
 from typing import Any
 
 import mujoco
@@ -7,7 +8,7 @@ import numpy as np
 import pytest
 
 from benchmarks import commands
-from softarm.reality.parameters import Arm, RobotParameters
+from softarm.reality.parameters import Arm, Rail, RobotParameters
 from softarm.reality.plant import Plant
 from softarm.reality.robot import Robot
 from softarm.schemas.model import Arm as ModelArm
@@ -26,6 +27,14 @@ def energy_j(plant: Plant) -> float:
     return float(plant.data.energy.sum())
 
 
+def test_an_arm_without_torques_hangs_straight() -> None:
+    robot = Robot(RobotParameters(body=STRAIGHT))
+    robot.advance(1.0)
+    np.testing.assert_allclose(robot.truth.link_angles_rad, 0.0, atol=1e-9)
+    tip_z_m = STRAIGHT.base_height_m - sum(STRAIGHT.link_length_m)
+    np.testing.assert_allclose(robot.truth.link_ends_m[-1], (0.0, tip_z_m), atol=1e-9)
+
+
 def test_a_hanging_arm_is_at_rest_from_the_start() -> None:
     robot = Robot(cart_position_m=0.1, held=True, hanging=True)
     start = robot.truth
@@ -34,6 +43,17 @@ def test_a_hanging_arm_is_at_rest_from_the_start() -> None:
     assert start.link_ends_m[-1][0] < 0.1 - 0.003
     robot.advance(0.3)
     np.testing.assert_allclose(robot.truth.link_ends_m, start.link_ends_m, atol=2e-5)
+
+
+def test_more_pressure_bends_the_arm_further_towards_minus_y() -> None:
+    tips_m = []
+    for pressure in (0.0, 5.0, 10.0, 20.0):
+        robot = Robot(held=True)
+        robot.command(0.0, 0.0, pressure)
+        robot.advance(4.0)
+        tips_m.append(robot.truth.link_ends_m[-1][0])
+    assert (np.diff(tips_m) < -0.01).all()
+    assert tips_m[0] < 0  # the constant torque offset
 
 
 @pytest.mark.parametrize("held", [True, False])
@@ -108,3 +128,16 @@ def test_a_step_rate_of_two_kilohertz_is_sufficient() -> None:
 
     for steps in (400, 1000):
         assert np.linalg.norm(swing(steps, 1) - swing(steps, 4)) < 1e-3
+
+
+def test_a_limp_drive_gives_way_to_the_arm() -> None:
+    def wander_m(gain: float) -> float:
+        robot = Robot(replace(RobotParameters(), rail=Rail(velocity_gain_n_s_m=gain)))
+        robot.command(0.0, 0.0, 20.0)
+        farthest = 0.0
+        for step in range(60):
+            robot.advance(step / 60)
+            farthest = max(farthest, abs(robot.truth.cart_position_m))
+        return farthest
+
+    assert wander_m(30.0) > 3 * wander_m(300.0) > 0

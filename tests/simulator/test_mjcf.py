@@ -139,3 +139,8 @@ def test_every_omitted_effect_is_listed_and_commented() -> None:
 def test_an_offset_without_a_spring_is_omitted_and_listed() -> None:
     exported = export(Model(arm=Arm(stiffness_nm_rad=(0.0, 1.0, 1.0, 1.0, 1.0)), effects={}))
     assert exported.left_out == ("arm.torque_offset_nm[0]: it is the rest angle of a spring, and this joint has none",)
+
+
+def test_unknown_effects_are_rejected() -> None:
+    with pytest.raises(effects.EffectError, match=r"did you mean arm.tilt\?"):
+        export(Model(effects={"arm.tlt": {}}))

@@ -89,6 +89,18 @@ def test_single_precision_costs_nothing() -> None:
     assert np.abs(tips[0] - tips[1]).max() < 2e-5
 
 
+def test_mirror_image_moves_as_the_mirror_of_the_motion() -> None:
+    model = Model(arm=Arm(torque_offset_nm=(0.0,) * 5), effects=without("pressure.lag"))
+    simulator = Simulator(model, 2, 1200.0)
+    simulator.reset(joint_angles_rad=np.array([[0.3, -0.2, 0.1, 0.2, 0.1]]) * [[1.0], [-1.0]])
+    for v, p in zip(*(sets[:60, 0] for sets in commands.smooth(1, seed=5)), strict=True):
+        simulator.step(np.array([v, -v]), np.array([p, -p]))
+    (y, z), (mirrored_y, mirrored_z) = simulator.tip_m()
+    assert y == pytest.approx(-mirrored_y, abs=1e-5)
+    assert z == pytest.approx(mirrored_z, abs=1e-5)
+    assert abs(y) > 0.05
+
+
 def test_arm_rests_where_its_torques_balance() -> None:
     """The static shape by Newton's method on the joint torques' balance, gravity by summing over what hangs."""
     pressure_kpa = 12.0
@@ -114,6 +126,28 @@ def test_arm_rests_where_its_torques_balance() -> None:
     assert np.abs(simulator.link_rates_rad_s).max() < 1e-3
 
 
+def test_one_link_swings_at_the_pendulum_s_frequency() -> None:
+    stiffness, mass, length, inertia = 0.5, 0.12, 0.44, 2e-3
+    arm = Arm(
+        link_length_m=(length,),
+        link_mass_kg=(mass,),
+        link_inertia_kg_m2=(inertia,),
+        stiffness_nm_rad=(stiffness,),
+        damping_nm_s_rad=(0.0,),
+        muscle_gain_nm_kpa=(0.0,),
+        torque_offset_nm=(0.0,),
+    )
+    # A cart that no arm can move.
+    simulator = Simulator(Model(arm=arm, cart=Cart(mass_kg=1e4)), 1, 2400.0)
+    start = 0.02
+    simulator.reset(joint_angles_rad=start)
+    omega = np.sqrt((stiffness + mass * 9.81 * length / 2) / (inertia + mass * length**2 / 4))
+    for _ in range(60):
+        simulator.step(0.0, 0.0, 1 / 60)
+        expected = start * np.cos(omega * simulator.time_s)
+        assert simulator.joint_angles_rad[0, 0] == pytest.approx(expected, abs=2e-4)
+
+
 def test_pressure_keeps_the_seed_s_share_of_its_old_value_at_30_hz() -> None:
     """0.81 inflating, 0.86 deflating, whatever the physics' rate."""
     for rate_hz in (240.0, 1200.0):
@@ -130,6 +164,15 @@ def test_without_lag_pressure_follows_at_once() -> None:
     simulator = Simulator(Model(effects={}))
     simulator.step(0.0, 7.0)
     assert simulator.pressure_kpa[0] == 7.0
+
+
+def test_rail_answers_one_control_step_late() -> None:
+    model = Model(arm=passive())  # at rest the arm does not push its cart
+    simulator = Simulator(model, 1, 1200.0)
+    simulator.step(1.0, 0.0)
+    assert simulator.cart_velocity_m_s[0] == 0.0
+    simulator.step(1.0, 0.0, 1 / 1200)
+    assert simulator.cart_velocity_m_s[0] > 0.0
 
 
 @pytest.mark.parametrize("delay_s", [0.01, 1 / 30, 0.06, 0.1])

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import yaml
 
+from softarm.reality.rigs import excitation
 from softarm.reality.rigs.case import case_of, draw
 from softarm.reality.rigs.faults import FAULTS
 from softarm.reality.rigs.presets import RIGS
@@ -62,6 +63,16 @@ def test_half_the_strength_weakens_every_fault(rig):
     assert any(not f.names for f in FAULTS[rig.plant].values())
 
 
+@pytest.mark.parametrize("kind", excitation.SHAPES)
+@pytest.mark.parametrize("pace_s", [0.008, 0.1, 1.5])
+def test_an_excitation_stays_within_reach_and_moves(kind, pace_s):
+    t = np.arange(0, 12, 0.01)
+    signal = excitation.signal(kind, t, pace_s, np.random.default_rng(1))
+    assert signal.shape == t.shape
+    assert np.max(np.abs(signal)) <= 1.0
+    assert np.ptp(signal) > (0.01 if kind == "plateau" else 0.3)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("rig", ["servo", "grip", "cart", "pendulum", "arm", "pole"])
 def test_a_folder_holds_what_an_owner_has_and_the_truth_is_elsewhere(tmp_path, rig):
@@ -89,6 +100,17 @@ def test_the_truth_is_not_written_among_the_data(tmp_path):
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("rig", ["servo", "cart", "pendulum"])
+def test_a_recording_is_reproducible(rig):
+    case = case_of(rig, [next(iter(FAULTS[RIGS[rig].plant]))], seed=3)
+    one, other = record(case), record(case)
+    assert one[1] == other[1]
+    for a, b in zip(one[0], other[0], strict=True):
+        assert np.array_equal(a.measured, b.measured)
+        assert np.array_equal(a.stamps_s, b.stamps_s)
+
+
+@pytest.mark.slow
 def test_a_healthy_rig_is_near_its_nominal_model_and_a_fault_is_visible(tmp_path):
     sound = write(case_of("servo", [], seed=1), tmp_path / "d", tmp_path / "t")
     assert sound["off_nominal"] < 3 * sound["floor"]
@@ -98,6 +120,13 @@ def test_a_healthy_rig_is_near_its_nominal_model_and_a_fault_is_visible(tmp_path
     assert whole["clarity"] > 1.5 * half["clarity"] > 10
     late = record(case_of("servo", ["dead_time"], seed=1, excitations=["chirp"] * 2))[0][0]
     assert np.abs(late.clean[0] - late.clean[3]).max() > 10 * np.abs(late.clean[2] - late.clean[1]).max()
+
+
+@pytest.mark.slow
+def test_the_truth_says_how_clearly_each_of_two_faults_is_visible(tmp_path):
+    truth = write(case_of("finger", ["gain", "uneven lag"], seed=2), tmp_path / "d", tmp_path / "t")
+    assert set(truth["shows"]) == {"gain", "uneven lag"}
+    assert truth["clarity"] == min(truth["shows"].values()) > 3
 
 
 @pytest.mark.slow

@@ -8,7 +8,7 @@ from scipy.integrate import solve_ivp
 
 from softarm.reality.rigs.cart import Controller, cart
 from softarm.reality.rigs.follower import ATMOSPHERE_KPA, INNER_SHARE, axis, chamber
-from softarm.reality.rigs.laws import Bristles, Loops, Play, orifice
+from softarm.reality.rigs.laws import Bristles, Loops, Play, arrivals, coloured, held, orifice
 from softarm.reality.rigs.links import Links, swing
 
 ONE = np.zeros(1)
@@ -47,6 +47,23 @@ def test_the_flow_through_an_orifice_is_choked():
     assert orifice(np.array([500.0]), np.array([50.0]))[0] == orifice(np.array([500.0]), np.array([200.0]))[0]
     assert orifice(np.array([500.0]), np.array([500.0]))[0] == 0.0
     assert 0 < orifice(np.array([500.0]), np.array([450.0]))[0] < 300
+
+
+def test_a_queue_delivers_in_order_with_delay():
+    random = np.random.default_rng(1)
+    sent = np.arange(100) * 0.01
+    at = arrivals(sent, 0.05, 0.02, random)
+    assert np.all(np.diff(at) >= 0)
+    assert np.all(at - sent >= 0.05)
+    t = np.linspace(0.0003, 1.0003, 2001)  # never at an arrival itself
+    late = held(t, arrivals(sent, 0.05, 0.0, random), sent)
+    assert np.allclose(late, np.clip(np.floor((t - 0.05) / 0.01), 0, 99) * 0.01)
+
+
+def test_noise_has_its_sigma_and_its_colour():
+    noise = coloured(200_000, 0.01, 0.3, 2.0, np.random.default_rng(2))
+    assert np.std(noise) == pytest.approx(0.3, rel=0.05)
+    assert np.mean(noise[1:] * noise[:-1]) / 0.09 == pytest.approx(math.exp(-2 * math.pi * 0.02), rel=0.05)
 
 
 @pytest.mark.parametrize("velocity", [True, False])
@@ -114,6 +131,17 @@ def test_a_cart_reaches_its_terminal_speed():
     weight = 2 * 9.81 * math.sin(0.1)
     speed = (out[-1] - out[-1001]) / 1.0
     assert speed == pytest.approx([weight / 4, math.sqrt(weight / 4), (weight - 1) / 4], rel=1e-3)
+
+
+def test_a_cart_follows_its_path_and_its_variants_are_reset():
+    controller = Controller(2.0, 20.0, 1e3, 1e-6)
+    dt, steps = 1e-3, 4000
+    path = -0.1 * np.cos(2 * np.pi * 0.5 * dt * np.arange(steps))[:, None]
+    out, asked = cart(path, [{"mass_kg": 2.0}, {"mass_kg": 1.0}], np.zeros(2), dt, 2, controller, window_s=1.0)
+    assert np.max(np.abs(out[1000:, 0] - path[1000:, 0])) < 3e-3
+    assert np.max(np.abs(asked[500:-1])) == pytest.approx(2.0 * 0.1 * (2 * np.pi * 0.5) ** 2, rel=0.15)
+    apart = np.abs(out[:, 1] - out[:, 0])
+    assert apart[1001] < 0.05 * apart[999] < apart[999]
 
 
 def test_a_load_on_a_spring_swings_at_its_frequency():
