@@ -136,6 +136,14 @@ def test_reset_runs_before_the_first_step_and_once_per_request(run):
     assert calls == ["reset", "step", "step", "reset", "step"]
 
 
+def test_a_requested_reset_before_the_first_step_runs_once(run):
+    calls = []
+    runner = run(lambda o, g: calls.append("step") or o[:2], lambda: calls.append("reset"))
+    runner.reset()
+    runner.step(OBSERVATION, GOAL)
+    assert calls == ["reset", "step"]
+
+
 def interrupted(observation, goal):
     raise KeyboardInterrupt
 

@@ -8,7 +8,8 @@ from softarm.schemas.model import Model, seed_effects
 from softarm.schemas.robot import PHYSICS_RATE_HZ
 from softarm.training.task.reach import ReachTask
 from softarm.training.trajectory import ceiling, rows
-from softarm.training.trajectory.guesses import library, nearest
+from softarm.training.trajectory.guesses import library, nearest, random_knots
+from softarm.training.trajectory.optimiser import UNIT, Batch, Optimiser
 from softarm.training.trajectory.planner import plan
 from softarm.training.trajectory.problem import PlanningProblem, interpolation
 from softarm.training.trajectory.rollout import Rollouts
@@ -84,6 +85,34 @@ def test_a_plan_uses_the_effects_of_its_model(small, report):
         return float(np.hypot(*(flown.tip_m[plans.steps[k], k] - target[0])))
 
     assert end_miss_m(usual, 1) > 0.02 > 0.01 > end_miss_m(late, 0)
+
+
+@pytest.fixture(scope="module")
+def optimiser():
+    batch = Batch(TARGETS[:2], np.array([0.1, -0.2], dtype=np.float32), np.array([20, 26]))
+    return Optimiser(PlanningProblem(), Rollouts(), batch)
+
+
+def test_the_gradient_equals_the_slope_of_the_merit(optimiser):
+    """The slope is a central difference of the objective with every constraint."""
+    knots = random_knots(PlanningProblem(), 2, np.random.default_rng(5))[:, : optimiser._knots] / UNIT
+    knots = np.clip(knots, (-0.9, 0.1), (0.9, 1.9)).reshape(2, -1).astype(np.float32)
+    penalty = np.full(2, 50.0, dtype=np.float32)
+    terms = optimiser._terms(knots[None], optimiser._fly(knots[None]))
+    # Both kinds of constraint take part.
+    assert terms.ramp.max() > 0
+    assert terms.rail.max() > 0
+    multipliers = tuple(np.full_like(each[0], 0.3) for each in terms[1:])
+    _, gradient = optimiser._model(knots, penalty, multipliers)
+    step = np.float32(0.01)
+    for unknown in range(0, knots.shape[1], 3):
+        variants = np.repeat(knots[None], 2, axis=0)
+        variants[0, :, unknown] += step
+        variants[1, :, unknown] -= step
+        merit = optimiser._merit(optimiser._terms(variants, optimiser._fly(variants)), penalty, multipliers)
+        slope = (merit[0] - merit[1]) / (2 * step)
+        # One-sided slopes of the robot, central ones of the merit: they differ by a curvature.
+        np.testing.assert_allclose(gradient[:, unknown], slope, rtol=0.08, atol=0.02 * np.abs(gradient).max())
 
 
 def test_interpolation_is_straight_between_knots():

@@ -65,6 +65,13 @@ def test_every_mistake_is_printed_with_its_line(check, text, lines):
         assert printed.startswith(f"{path}{start}")
 
 
+def test_the_default_policy_is_checked_too(check, monkeypatch, tmp_path):
+    monkeypatch.setattr("softarm.policies.registry.MODELS", tmp_path / "empty")
+    path, result = check("")
+    assert result.exit_code == 1
+    assert result.stderr.startswith(f"{path}: control.policy: no policy 'reach'")
+
+
 @pytest.mark.parametrize("verb", [["check"], ["run", "--simulated", "--config"], ["twin", "--config"]])
 def test_every_verb_reports_a_contradiction_with_the_same_text(tmp_path, verb):
     path = tmp_path / "arm.yaml"

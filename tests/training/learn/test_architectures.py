@@ -15,6 +15,7 @@ from softarm.training.record.settings import TrainingConfig
 from softarm.training.run.session import Session
 from softarm.training.task.environment import Environment
 from softarm.training.task.reach import TASKS
+from softarm.training.task.shelf import ShelfTask, environment_of
 
 ORDERS = ("mlp-lstm", "lstm-mlp", "mlp")
 SMALL = TrainingConfig(seed=3, robots=16, validate_every=2, validation_trials=12)
@@ -81,3 +82,39 @@ def test_without_a_muscle_the_pressure_stays_zero_in_training_and_file(tmp_path)
     assert golden[:, 1] == pytest.approx(np.full(len(golden), VENTED), abs=1e-6)
     action = policy.step(np.full(len(OBSERVATION), 0.3, np.float32), np.array((-0.2, 0.6), np.float32))
     assert action[1] == pytest.approx(0.0, abs=1e-4)
+
+
+@pytest.mark.slow
+def test_a_resumed_shelf_run_exports_a_policy_with_a_target_depth(tmp_path):
+    with workers(1) as pool:
+
+        def session(folder, resume):
+            return Session(ShelfTask(), SMALL, PpoConfig(), tmp_path / folder, pool, resume)
+
+        whole = session("whole", False)
+        for _ in range(4):
+            whole.advance()
+        killed = session("killed", False)
+        for _ in range(3):
+            killed.advance()
+        resumed = session("killed", True)
+        resumed.advance()
+        resumed.advance()
+        policy = OnnxPolicy(str(resumed.export_best()))
+    mine, theirs = resumed.network.state_dict(), whole.network.state_dict()
+    assert all(torch.equal(mine[key], theirs[key]) for key in theirs)
+    assert policy.metadata.task == "shelf"
+    observation, goal = np.zeros(8, np.float32), np.array((-0.45, 0.62), np.float32)
+    actions = []
+    for depth_m in (0.11, 0.2):
+        policy.reset()
+        policy.target_depth_m = depth_m
+        actions.append(policy.step(observation, goal))
+    assert (actions[0] != actions[1]).any()
+
+
+def test_a_shelf_environment_ends_its_observation_with_the_depth():
+    environment = environment_of(ShelfTask(), 4, 0)
+    observation = environment.reset()
+    assert observation.shape == (4, environment.inputs) == (4, 11)
+    assert np.all((observation[:, 10] >= -0.05) & (observation[:, 10] <= 0.20))

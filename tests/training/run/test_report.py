@@ -198,3 +198,11 @@ def test_a_page_lists_only_settings_that_differ_from_the_default():
     given |= {"randomise.ranges.arm.payload.mass": [0.0, 0.05]}
     assert ("randomise.ranges.arm.payload.mass", "0 .. 0.05", "") in page.changed(given, usual)
     assert ("randomise.each_episode", "True", "False") in page.changed(given, usual)
+
+
+def test_names_are_escaped_in_markup():
+    summary = page.Summary("a<b>", "reach", "<i>", 1, 10, 1.0, 0.5, 10, "<u>", "x < y", [("<s>", "<p>", "")])
+    text = page.render(summary, b"", b"")
+    assert "a&lt;b&gt;" in text
+    for tag in ("<b>", "<i>", "<u>", "<s>", "<td><p>"):
+        assert tag not in text

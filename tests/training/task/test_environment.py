@@ -105,6 +105,16 @@ def test_time_runs_out_after_a_hundred_steps_and_is_no_termination():
     assert step.observation[0, 4:7].tolist() == [0.0, 0.0, 0.0]
 
 
+def test_the_seed_determines_the_run():
+    def run(seed: int) -> np.ndarray:
+        environment = Environment(REACH, 8, seed)
+        environment.reset()
+        return environment.step(np.full((8, 2), 0.3, dtype=np.float32)).observation
+
+    assert np.array_equal(run(1), run(1))
+    assert not np.array_equal(run(1), run(2))
+
+
 @settings(max_examples=30, deadline=None)
 @given(st.sampled_from(list(TASKS.values())), st.integers(0, 2**32 - 1))
 def test_starts_and_targets_stay_in_their_ranges(task, seed):
