@@ -56,6 +56,22 @@ def test_ticks_are_counted_from_one_and_a_policy_that_is_not_asked_takes_no_time
     assert (rig.outputs.policy_ns, rig.outputs.policy_fault, rig.outputs.action) == (0, None, None)
 
 
+def test_velocities_span_a_control_step_and_no_gap():
+    rig = Rig(config=Config.model_validate({"failsafe": {"mocap_bridge_s": 0.0}}))
+    for cart in (0.0, 0.001, 0.003, 0.006):  # ever faster
+        rig.cart = cart
+        rig.tick()
+    assert rig.outputs.observed.values.cart_velocity_m_s == pytest.approx(0.003 * 30)
+    for quiet, velocity_m_s in ((1, 0.06), (3, 0.0)):  # frames 67 and 133 ms apart; 100 ms are stale
+        for _ in range(quiet):
+            rig.tick(mocap=())
+        rig.cart += 0.004
+        newest = rig.inputs().mocap[-1:]
+        rig.now -= PERIOD_NS
+        rig.tick(mocap=newest)
+        assert rig.outputs.observed.values.cart_velocity_m_s == pytest.approx(velocity_m_s)
+
+
 def test_the_rails_cycle_time_is_reported_in_milliseconds():
     rig = Rig()
     assert (rig.tick().rail_cycle_p50_ms, rig.outputs.rail_cycle_max_ms) == (None, None)

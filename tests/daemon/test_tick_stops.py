@@ -6,14 +6,14 @@ import math
 import numpy as np
 import pytest
 
-from softarm.daemon.control.records import EStop, Mode
+from softarm.daemon.control.records import EStop, Mode, Problems
 from softarm.daemon.runtime.offline import Lockstep
 from softarm.daemon.tick import HALF_SWING_S
 from softarm.drivers.regulator.driver import reading_of
 from softarm.drivers.regulator.teensy import Fault, RegulatorState
 from softarm.schemas.config import Config
 from softarm.schemas.goals import Goal
-from softarm.schemas.messages import SAFE, Command, RailReading
+from softarm.schemas.messages import SAFE, Command, Pose, RailReading
 from softarm.schemas.model import Model
 from tests.daemon.rig import PERIOD_NS, Rig, Steady, spoil
 
@@ -335,3 +335,125 @@ def test_a_stop_has_the_time_of_its_tick_and_keeps_it():
 
 def test_a_stop_from_before_the_daemon_has_no_time():
     assert Rig().tick(latched="a hand").last_stop_ns is None
+
+
+@pytest.mark.parametrize(
+    ("position_m", "said"), [(0.2549, None), (-0.2549, None), (0.2561, "6 mm"), (-0.2692, "19 mm"), (0.2701, None)]
+)
+def test_an_overrun_of_the_soft_limit_of_millimetres_only_warns(position_m, said):
+    """An overrun beyond the filter's margin warns; farther out it stops the arm."""
+    rig = Rig().swinging()
+    rig.tick(**spoil(rig, of="rail", position_m=position_m))
+    texts = [event.text for event in rig.outputs.events if event.name == "rail_overrun"]
+    assert len(texts) == (said is not None)
+    assert said is None or said in texts[0]
+    assert (rig.outputs.mode is Mode.STOPPED) is (abs(position_m) > 0.27)
+
+
+def test_the_loss_of_the_rails_process_is_a_soft_stop_that_names_it():
+    rig = Rig().swinging()
+    lost = RailReading(rig.now, 0.0, 0.0, False, linked=False)
+    rig.tick(rail=lost, problems=Problems(rail="the rail's process ended: by itself"))
+    assert [event.name for event in rig.outputs.events] == ["rail_link_lost"]
+    assert "the rail's process ended: by itself" in rig.outputs.last_stop
+    assert rig.outputs.mode is Mode.STOPPING
+    assert rig.tick(rail=lost).arming_refusals
+
+
+@pytest.mark.parametrize(
+    ("p50_ms", "max_ms", "latency_s", "named"),
+    [
+        (20, 33, 1 / 30, []),
+        (20, 34, 1 / 30, ["rail_slow"]),
+        (34, 40, 1 / 30, ["rail_too_slow"]),
+        (34, 40, 0.05, ["rail_slow"]),
+        (51, 60, 0.05, ["rail_too_slow"]),
+        (34, 40, 0.01, ["rail_too_slow"]),
+    ],
+)
+def test_a_slow_drive_stops_the_arm_and_one_slow_cycle_warns(p50_ms, max_ms, latency_s, named):
+    config = Config.model_validate({"limits": {"rail": {"latency_s": latency_s}}})
+    rig = Rig(config=config).swinging()
+    cycles = {"cycle_p50_ns": p50_ms * 1_000_000, "cycle_max_ns": max_ms * 1_000_000}
+    rig.tick(rail=RailReading(rig.now + PERIOD_NS, 0.0, 0.0, True, **cycles))
+    assert [event.name for event in rig.outputs.events] == named
+    assert rig.outputs.mode is (Mode.STOPPING if named == ["rail_too_slow"] else Mode.ARMED)
+    assert (rig.outputs.rail_cycle_p50_ms, rig.outputs.rail_cycle_max_ms) == (p50_ms, max_ms)
+    for event in rig.outputs.events:
+        assert f"median {p50_ms} ms, longest {max_ms} ms in the last second" in event.text
+
+
+def test_mocap_stamped_in_the_future_is_not_used():
+    rig = Rig().swinging()
+    frames = rig.inputs().mocap
+    rig.now -= PERIOD_NS
+    rig.tick(
+        mocap=tuple(dataclasses.replace(f, t_capture_ns=f.t_receive_ns + 50_000_000 + i) for i, f in enumerate(frames))
+    )
+    assert rig.outputs.mode is Mode.STOPPING
+    assert "0.050 s ahead of CLOCK_MONOTONIC" in rig.outputs.last_stop
+
+
+def test_a_mirrored_frame_is_named_and_is_no_fault_of_the_axis():
+    daemon = Lockstep(Config(), Steady((0.4, 0.0)))
+    read = daemon.robot.mocap.read
+
+    def mirrored(now_ns):
+        frames = read(now_ns)
+        return tuple(dataclasses.replace(f, bodies=tuple(b._replace(y_m=-b.y_m) for b in f.bodies)) for f in frames)
+
+    daemon.robot.mocap.read = mirrored
+    daemon.arm()
+    daemon.tick(daemon.request("goal", Goal("reach", 0.0, 0.9)))
+    for _ in range(15):
+        daemon.tick()
+    assert "report opposite directions" in daemon.outputs.last_stop
+    assert daemon.outputs.estop is EStop.CLEAR
+
+
+def test_a_stop_request_latches_until_acknowledged():
+    rig = Rig().swinging()
+    rig.tick("stop")
+    assert (rig.outputs.mode, rig.outputs.sent) == (Mode.STOPPED, SAFE)
+    rig.tick("arm")
+    assert "emergency stop is latched" in rig.reasons()
+    rig.tick("acknowledge")
+    assert rig.outputs.mode is Mode.DISARMED
+    rig.tick("arm")
+    assert rig.outputs.mode is Mode.ARMING
+
+
+def respoil_bodies(rig, place, pose):
+    """Return the newest frames with one body changed."""
+    frames = rig.inputs().mocap
+    rig.now -= PERIOD_NS
+    return tuple(dataclasses.replace(f, bodies=(*f.bodies[:place], pose, *f.bodies[place + 1 :])) for f in frames)
+
+
+def test_a_nan_pose_stops_the_arm():
+    rig = Rig().swinging()
+    rig.tick(mocap=respoil_bodies(rig, 5, Pose(math.nan, 0.5, 0.0)))
+    assert rig.outputs.mode is Mode.STOPPED
+    assert "NaN or infinity" in rig.outputs.last_stop
+
+
+def test_a_lost_marker_set_of_a_middle_link_only_warns():
+    rig = Rig().swinging()
+    rig.tick(mocap=respoil_bodies(rig, 2, Pose(0.0, 0.7, 0.0, tracked=False)))
+    assert rig.outputs.mode is Mode.ARMED
+    assert [event.name for event in rig.outputs.events] == ["mocap_body_lost"]
+    assert "link2" in rig.outputs.events[0].text
+
+
+@pytest.mark.parametrize(("bridge_s", "flown"), [(0.15, 5), (0.06, 2), (0.0, 2)])
+def test_a_lost_tip_is_extrapolated_for_a_limited_time(bridge_s, flown):
+    rig = Rig(config=Config(failsafe={"mocap_bridge_s": bridge_s})).swinging()
+    for ticks in range(1, 10):
+        rig.tick(mocap=respoil_bodies(rig, 5, Pose(0.0, 0.5, 0.0, tracked=False)))
+        names = [event.name for event in rig.outputs.events]
+        if rig.outputs.mode is not Mode.ARMED:
+            break
+        assert ("mocap_bridged" in names) == (bridge_s > 0 and ticks * PERIOD_NS * 1e-9 <= bridge_s + 0.0167)
+    assert ticks == flown + 1
+    assert "mocap_stale" in names
+    assert rig.outputs.observed.bridged_ns == 0

@@ -169,6 +169,21 @@ def test_an_unreadable_file_is_named_with_the_next_step(tmp_path):
     ]
 
 
+@settings(deadline=None, max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(st.text(alphabet="ab:-{}[]&*!?|>'\"#%@ \n\t0.~<", max_size=60))
+def test_any_text_is_a_configuration_or_a_configuration_error(tmp_path, text):
+    path = tmp_path / "any.yaml"
+    path.write_text(text)
+    try:
+        load(path)
+    except ConfigurationError as refusal:
+        reported = refusal.problems
+    else:
+        return
+    assert reported
+    assert all(problem.startswith(str(path)) for problem in reported)
+
+
 NUMBERS = [key for key in leaves(Config) if key.bounds]
 
 

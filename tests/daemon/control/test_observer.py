@@ -61,6 +61,13 @@ def test_velocities_are_differences_over_about_one_control_step():
     assert observed.values.cart_velocity_m_s == pytest.approx(0.036 / 0.033)
 
 
+def test_at_the_loops_rate_velocities_are_differences_between_ticks():
+    observer = Observer(Config())
+    feed(observer, 33, frame(33, cart=0.0))
+    observed = feed(observer, 100, frame(100, cart=0.067))
+    assert observed.values.cart_velocity_m_s == pytest.approx(1.0)
+
+
 def test_every_frame_of_a_tick_is_seen():
     observer = Observer(Config())
     feed(
@@ -97,12 +104,26 @@ def test_no_velocity_spans_a_gap_or_precedes_the_second_frame():
     assert velocities(feed(observer, 234, frame(234, cart=0.1, tip=(0.1, 0.53)))) == (0.0, 0.0, 0.0)
 
 
+def test_two_frames_in_one_tick_give_a_velocity():
+    observer = Observer(Config())
+    observed = feed(observer, 40, frame(0), frame(33, cart=0.033))
+    assert observed.values.cart_velocity_m_s == pytest.approx(1.0)
+
+
 def test_a_long_dropout_clears_the_velocities():
     observer = Observer(Config(failsafe={"mocap_bridge_s": 0.0}))
     feed(observer, 0, frame(0))
     feed(observer, 33, frame(33, cart=0.033, tip=(0.033, 0.53)))
     assert velocities(feed(observer, 133)) != (0.0, 0.0, 0.0)
     assert velocities(feed(observer, 134)) == (0.0, 0.0, 0.0)
+
+
+def test_a_frame_older_than_the_newest_is_not_used():
+    observer = Observer(Config())
+    feed(observer, 33, frame(33, tip=(-0.1, 0.52)))
+    observed = feed(observer, 66, frame(24, tip=(-0.11, 0.52), sequence=34))
+    assert observed.values.tip_y_m == -0.1
+    assert observer.seen == ()
 
 
 def test_the_first_of_two_frames_with_one_stamp_is_used():
@@ -181,6 +202,18 @@ def test_a_dropout_restarts_the_count_of_frames_for_arming():
     assert observer.frames_in_a_row == 3
     feed(observer, 300)
     assert observer.frames_in_a_row == 0
+
+
+def test_the_axis_is_compared_with_mocap_at_one_instant():
+    """A cart at 1 m/s read 20 ms before the frame is 20 mm further by then: no disagreement."""
+    observer = Observer(Config())
+    for tick in range(8):
+        now, cart = 40 * tick * MS, 0.04 * tick
+        reading = RailReading(now - 30 * MS, cart - 0.03, 1.0, True)
+        observer.update(
+            Inputs(t_ns=now, mocap=(frame(40 * tick - 10, cart=cart - 0.01, tip=(cart, 0.6)),), rail=reading)
+        )
+    assert observer.apart_m == pytest.approx(0.0, abs=1e-3)
 
 
 def apart_at_first_m(axis_ms, seen_ms, now_ms, speed_m_s=0.0, axis_m=0.25):

@@ -33,8 +33,23 @@ def test_each_entry_is_one_log_line_and_a_stop_a_warning(caplog):
     ]
 
 
+def test_entries_have_wall_time():
+    made = history()
+    turned(made, 1)
+    assert made.entries[0].time.isoformat() == "2027-01-15T08:00:01+00:00"
+
+
 def test_a_thousand_entries_are_kept():
     made = history()
     turned(made, KEPT + 7)
     assert [made.entries[0].number, made.entries[-1].number] == [8, KEPT + 7]
     assert len(made.entries) == KEPT
+
+
+def test_entries_are_read_from_the_newest_or_after_a_number():
+    made = history()
+    turned(made, 10)
+    assert [e.number for e in made.after(None, 3)] == [8, 9, 10]
+    assert [e.number for e in made.after(4, 3)] == [5, 6, 7]
+    assert [e.number for e in made.after(9, 3)] == [10]
+    assert made.after(10, 3) == ()

@@ -8,7 +8,7 @@ from dataclasses import replace
 import pytest
 
 from softarm.daemon.control.records import EStop, Mode, Observed, Outputs
-from softarm.daemon.logbook.recent import BLOCK, KEPT, NAMES, SPARE, Recent
+from softarm.daemon.logbook.recent import BLOCK, COLUMNS, KEPT, NAMES, SPARE, Recent
 from softarm.schemas.messages import Command
 from softarm.schemas.policy import Observation
 from softarm.schemas.rest import RecentAnswer
@@ -70,6 +70,10 @@ def test_an_unknown_value_or_nan_is_null():
     assert {name for name, column in said.items() if column != [None]} == known
 
 
+def test_before_the_first_tick_the_columns_are_there_and_empty():
+    assert json.loads(Recent(lambda: 0, lambda: 0).json(60)) == {name: [] for name in NAMES}
+
+
 @pytest.mark.parametrize("ticks", [1, 29, 30, 31, 2000])
 @pytest.mark.parametrize("seconds", [1, 60, 600])
 def test_the_newest_seconds_are_returned_without_a_gap(ticks, seconds):
@@ -120,3 +124,7 @@ def test_a_concurrent_reader_gets_complete_rows_only():
     finally:
         over.set()
         writer.join()
+
+
+def test_every_column_is_in_the_answer():
+    assert set(COLUMNS) < set(RecentAnswer.model_fields)

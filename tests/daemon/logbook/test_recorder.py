@@ -310,6 +310,17 @@ def test_the_next_start_finishes_the_log_of_a_killed_daemon(tmp_path):
     assert (tmp_path / "softarm-20200101T000001Z.mcap").read_bytes() == b"rubbish"
 
 
+def test_a_log_being_written_is_not_finished_by_another_daemon(tmp_path):
+    writer = Recorder(config(tmp_path))
+    writer.start()
+    writer.tick(*make_tick(0))
+    until(lambda: logs.read(writer.path).t_last_ns is not None, "the first tick in the file")
+    assert not finishing.recover(writer.path).finished
+    writer.tick(*make_tick(1))
+    writer.stop()
+    assert len(list(logs.read(writer.path).inputs())) == 2
+
+
 CHILD = """
 import os, struct, sys, time
 from tests_support import make_tick
@@ -351,3 +362,16 @@ def test_a_kill_loses_no_more_than_the_last_flush(tmp_path):
         assert len(list(log.frames())) >= 4 * len(list(log.inputs())) > 0
         assert not log.finished
         assert finishing.recover(log.path).finished
+
+
+@pytest.mark.slow
+def test_a_log_of_two_minutes_is_finished_completely(tmp_path):
+    recorder = Recorder(config(tmp_path))
+    recorder.start()
+    for number in range(3600):
+        recorder.tick(*make_tick(number))
+    until(lambda: not recorder._queue, "the queue")
+    recorder.stop()
+    log = logs.read(recorder.path)
+    assert log.finished
+    assert len(list(log.ticks())) == 3600

@@ -41,6 +41,12 @@ def log(tmp_path):
     return logs.read(recorder.path)
 
 
+def test_every_tick_comes_out_as_recorded(log):
+    replayed = replay(log.ticks(), log.config, registry.load)
+    assert replayed.compared == replayed.ticks == len(list(log.ticks())) > 70
+    assert replayed.differences == replayed.gaps == []
+
+
 def moving(ticks):
     """Return the index of the first tick with a moving cart."""
     return next(i for i, (_, outputs) in enumerate(ticks) if outputs.sent.cart_velocity_m_s)
