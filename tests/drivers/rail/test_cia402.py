@@ -23,6 +23,28 @@ def fits(low_byte: int, pattern: str) -> bool:
     return all(bit in ("x", shown) for bit, shown in zip(pattern, f"{low_byte:08b}", strict=True))
 
 
+@pytest.mark.parametrize(
+    ("statusword", "state"),
+    [
+        (0x0640, DriveState.SWITCH_ON_DISABLED),  # manual, page 103
+        (0x0440, DriveState.SWITCH_ON_DISABLED),
+        (0x0221, DriveState.READY),
+        (0x0223, DriveState.SWITCHED_ON),
+        (0x0627, DriveState.OPERATION_ENABLED),  # the others: seen on real drives
+        (0x1627, DriveState.OPERATION_ENABLED),
+        (0x0608, DriveState.FAULT),
+        (0x2208, DriveState.FAULT),
+        (0x1608, DriveState.FAULT),
+        (0x020F, DriveState.FAULT_REACTION),
+        (0x0207, DriveState.QUICK_STOP),
+        (0x0200, DriveState.NOT_READY),
+        (0x2704, DriveState.INVALID),
+    ],
+)
+def test_a_statusword_decodes_to_its_state(statusword: int, state: DriveState) -> None:
+    assert decode_state(statusword) is state
+
+
 @pytest.mark.parametrize("low_byte", range(256))
 def test_every_low_byte_decodes_as_in_the_standards_table(low_byte: int) -> None:
     states = [state for pattern, state in STANDARD.items() if fits(low_byte, pattern)]

@@ -12,7 +12,7 @@ from softarm.drivers.rail import dryve
 from softarm.drivers.rail.cia402 import DriveState, decode_state
 from softarm.drivers.regulator.cobs import Deframer, frame
 from softarm.drivers.regulator.teensy import Fault, Hello, RegulatorCommand, Welcome, decode, encode
-from softarm.drivers.twin.dryve import DryveDevice
+from softarm.drivers.twin.dryve import LIMIT_SWITCH, DryveDevice
 from softarm.drivers.twin.faults import Faults
 from softarm.drivers.twin.teensy import TeensyDevice
 from softarm.schemas.config import DryveRail
@@ -187,6 +187,14 @@ def test_with_di7_low_bit_9_is_clear_and_the_drive_cannot_be_enabled() -> None:
     assert master.drive.state is DriveState.SWITCH_ON_DISABLED
 
 
+def test_enabling_shows_the_states_of_the_sample_programs() -> None:
+    master, seen = Master(), []
+    for word in (0x0100, 0x0006, 0x0007, 0x000F):
+        master.write(dryve.CONTROLWORD, word)
+        seen.append(master.read(dryve.STATUSWORD) & 0x6F)
+    assert seen == [0x40, 0x21, 0x23, 0x27]
+
+
 def test_only_an_enabled_drive_in_velocity_mode_moves() -> None:
     master = Master()
     master.write(dryve.TARGET_VELOCITY, 50_000)
@@ -240,6 +248,18 @@ def test_read_backs_are_in_drive_units_from_the_homed_end() -> None:
     master.drive.sense(-0.05, -0.125)
     assert master.read(dryve.POSITION) == 200
     assert master.read(dryve.VELOCITY) == -125
+
+
+def test_the_limit_switch_faults_until_a_rising_reset() -> None:
+    master = Master()
+    master.enable()
+    master.drive.trip(LIMIT_SWITCH)
+    assert decode_state(master.read(dryve.STATUSWORD)) is DriveState.FAULT
+    assert master.read(dryve.ERROR_CODE) == 0xFF00
+    master.write(dryve.CONTROLWORD, 0x0006)
+    assert master.drive.state is DriveState.FAULT
+    master.write(dryve.CONTROLWORD, 0x0080)
+    assert master.drive.state is DriveState.SWITCH_ON_DISABLED
 
 
 @given(st.lists(st.integers(0, 0xFFFF), max_size=30))

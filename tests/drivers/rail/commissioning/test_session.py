@@ -79,6 +79,14 @@ def test_a_failure_is_reported_and_the_drive_is_disabled(twin: Any, happens: Any
     assert set(twin.words[twin.words.index(START) + 1 :]) <= {HALT, OFF}
 
 
+def test_a_failed_homing_is_reported(twin: Any) -> None:
+    begin = twin.drive.reference.begin
+    twin.drive.reference.begin = lambda speed: begin(0)
+    with twin.session() as session, pytest.raises(DeviceError, match="homing failed"):
+        session.home(0.05, 0.01)
+    assert twin.words[-2:] == [HALT, OFF]
+
+
 def test_a_drive_that_is_not_homed_after_its_search_is_an_error(twin: Any) -> None:
     update = twin.drive.reference.update
 
