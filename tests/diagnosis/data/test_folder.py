@@ -81,6 +81,13 @@ def test_an_invalid_trial_yaml_is_rejected(written):
         folder.read(written)
 
 
+def test_a_row_of_another_length_is_rejected(written):
+    path = written / "rail.csv"
+    path.write_text(path.read_text() + "1.0,2.0\n")
+    with pytest.raises(TrialError, match=r"rail\.csv: row \d+ has 2 cells, the header 3"):
+        folder.read(written)
+
+
 def test_the_order_of_inputs_does_not_matter(short, write, tmp_path):
     a, b = write(short, tmp_path / "a"), write(short, tmp_path / "b")
     assert [t.name for t in read_all([b, a])] == [t.name for t in read_all([a, b])] == ["a", "b"]
@@ -174,4 +181,17 @@ def test_a_column_without_numbers_is_rejected(short, in_parquet, value, says):
     one = type(value) in (str, np.datetime64)
     change(in_parquet / "rail.parquet", "velocity", pa.array([value] * count if one else [value] + [0.1] * (count - 1)))
     with pytest.raises(TrialError, match=r"rail\.parquet: " + says):
+        folder.read(in_parquet)
+
+
+def test_an_invalid_parquet_file_is_rejected(in_parquet):
+    table = parquet.read_table(in_parquet / "rail.parquet")
+    parquet.write_table(table.drop_columns(["velocity"]), in_parquet / "rail.parquet")
+    with pytest.raises(TrialError, match=r"rail\.parquet: no column velocity; it has t, position"):
+        folder.read(in_parquet)
+    parquet.write_table(table.slice(0, 0), in_parquet / "rail.parquet")
+    with pytest.raises(TrialError, match=r"rail\.parquet: has no rows"):
+        folder.read(in_parquet)
+    (in_parquet / "rail.parquet").write_bytes(b"t,position,velocity\n")
+    with pytest.raises(TrialError, match=r"rail\.parquet: cannot be read \(.*\); export it again"):
         folder.read(in_parquet)

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from softarm.diagnosis.data import tables
+from softarm.diagnosis.data.stage_file import kind_of
 from softarm.diagnosis.data.trials import TrialError
 
 T = np.arange(200) * 0.02
@@ -200,6 +201,11 @@ def test_a_mechanism_without_a_name_is_named_after_its_file_or_folder(tmp_path, 
     (place.parent / "data.csv").write_text("t,u,y\n" + rows(T, COMMAND, MEASURED))
     (trial,) = tables.read(place)
     assert trial.stage.name == called
+
+
+@pytest.mark.parametrize(("name", "kind"), [("steps-01", "steps"), ("chirp7", "chirp"), ("run.3", "run"), ("12", "12")])
+def test_the_kind_of_a_trial_is_its_name_without_the_number(name, kind):
+    assert kind_of(name) == kind
 
 
 def test_the_example_in_the_docs_is_valid(tmp_path):

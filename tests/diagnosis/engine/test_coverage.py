@@ -10,6 +10,7 @@ from softarm.diagnosis.engine import structure
 from softarm.diagnosis.engine.candidates import Candidate, FittedParameter, Nuisance
 from softarm.diagnosis.engine.problem import Setup
 from softarm.diagnosis.engine.shrink import interval
+from softarm.diagnosis.engine.view import View
 
 TRIALS, RATE_HZ, LENGTH_S = 4, 30.0, 12.0
 STEPS = round(RATE_HZ * LENGTH_S)
@@ -110,6 +111,21 @@ def test_the_interval_of_a_shrink_holds_for_fresh_campaigns(unlike):
     assert ((low < value) & (value < high)).all()
     inside = np.mean((low <= fresh) & (fresh <= high))
     assert 0.88 < inside < 0.97
+
+
+def test_a_test_on_noise_rejects_at_its_level():
+    runs = 300
+    p = [next(_looks(_Gauge(seed))) for seed in range(runs)]
+    fewest, most = bounds(runs, 0.05)
+    found = sum(each < 0.05 for each in p)
+    assert fewest <= found <= most, found / runs
+
+
+def _looks(gauge: _Gauge):
+    """The p-value of every look at a gauge's noise."""
+    view: View = gauge
+    for _, mask in structure._places(view, ("hum",) * TRIALS):
+        yield from (p for _, _, p in structure._looks(view, gauge.noise, mask))
 
 
 def test_all_looks_together_find_something_in_noise_no_more_often_than_the_level_and_not_much_less(monkeypatch):

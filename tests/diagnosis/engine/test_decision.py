@@ -124,6 +124,12 @@ def test_an_effect_that_leaves_nothing_and_grows_within_a_trial_is_not_named_eit
     assert _decide(_choice(*law, halves=(0.95, 1.05)), {}).kind == "named"  # its law is nobody's in every digit
 
 
+def test_a_rest_that_no_model_explains_counts_in_part():
+    choice = _choice({"arm": 41.0}, {"arm": 11.0}, _named_effect("arm.damping", arm=30.0))
+    assert _decide(choice, {"arm": 0.0}).unexplained["arm"] >= ROBOT.gap.random_share * 10.0
+    assert _decide(choice, {"arm": 0.0}).unexplained["arm"] < _decide(choice, {"arm": 1.0}).unexplained["arm"]
+
+
 def test_the_energy_of_a_rejected_effect_counts_as_unexplained():
     lag, damping = _named_effect("pressure.lag", pressure=49.0), _named_effect("arm.damping", arm=3.0)
     decision = _decide(

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from softarm.diagnosis.engine.candidates import Candidate, FittedParameter, Nuisance
+from softarm.diagnosis.engine.held_out import BlockSums
 from softarm.diagnosis.engine.problem import Setup
 from softarm.diagnosis.engine.whitened import BLOCK_S
 
@@ -178,11 +179,39 @@ def test_a_strength_that_changes_from_kind_to_kind_scatters():
     assert _fit(_problem(view), GAIN).scatter(0) > 5 * steady
 
 
+def test_of_one_kind_trials_are_the_folds_and_of_one_trial_its_stretches():
+    blocks = _problem(_View()).blocks
+    one_kind = Setup([_View()], (ZERO,), ("steps",) * 3).plain()
+    assert [int(f) for f in one_kind.fold] == [trial for trial, _ in blocks]
+    single = _View()
+    mine = single.trial == 0
+    single.t_s, single.trial, single.measured, single.inputs = (
+        single.t_s[mine],
+        single.trial[mine],
+        single.measured[mine],
+        single.inputs[:1],
+    )
+    assert len(set(Setup([single], (ZERO,), ("steps",)).plain().fold)) > 1
+
+
 def test_a_simulated_held_out_loss_is_the_linear_one_s_where_the_law_is_linear():
     problem = _problem(_View(truth={SCALE: 0.3}))
     linear, simulated = _fit(problem, GAIN), _fit(dataclasses.replace(problem, simulated=True), GAIN)
     assert simulated.held_out.sum() == pytest.approx(linear.held_out.sum(), rel=0.02)
     assert simulated.held_out.sum() >= 0.98 * simulated.loss  # unseen blocks are not fitted better than seen ones
+
+
+def test_sums_by_block_are_as_one_by_one():
+    problem = _problem(_View(truth={SCALE: 0.3}))
+    (residual,) = problem.whitened
+    sums = BlockSums(problem.whitened, problem.blocks)
+    (rr, gr), gg = sums.residuals([{}]), sums.gram()
+    rows = residual.moments([{}])[0].rows
+    for i, (name, part) in enumerate(residual.blocks):
+        assert problem.blocks[i] == name
+        assert rr[0, i] == pytest.approx(float(rows[part] @ rows[part]), rel=1e-4)
+        np.testing.assert_allclose(gr[0, i], residual.columns[:, part] @ rows[part], rtol=1e-3, atol=1e-4)
+        np.testing.assert_allclose(gg[i], residual.columns[:, part] @ residual.columns[:, part].T, rtol=1e-3, atol=1e-4)
 
 
 def test_no_interval_ends_at_its_own_estimate():

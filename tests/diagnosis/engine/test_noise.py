@@ -59,6 +59,17 @@ def test_starts_and_gaps_are_left_out_and_nothing_else(coloured):
     np.testing.assert_array_equal(white != 0, expected == 1)
 
 
+def test_the_filter_is_frozen(coloured):
+    whiten = whitener(_view(coloured), coloured)
+    np.testing.assert_allclose(whiten(10 * coloured), 10 * whiten(coloured), rtol=1e-4, atol=1e-4)
+
+
+def test_a_batch_is_whitened_as_each_alone(coloured):
+    whiten = whitener(_view(coloured), coloured)
+    both = whiten(np.stack((coloured, -2 * coloured)))
+    np.testing.assert_array_equal(both[1], whiten(-2 * coloured))
+
+
 def test_a_residual_far_below_the_floor_is_not_blown_up(coloured):
     """Differences within the noise floor must not decide between models."""
     tiny = 1e-6 * coloured

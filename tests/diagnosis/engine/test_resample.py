@@ -20,6 +20,27 @@ def test_a_bootstrap_of_no_blocks_is_rejected():
         resample.draws(0)
 
 
+def test_one_block_has_an_interval_of_no_width():
+    assert resample.interval(resample.draws(1) @ np.array([3.0])) == (3.0, 3.0)
+
+
+def test_the_interval_of_a_mean_matches_the_central_limit():
+    values = np.random.default_rng(1).normal(size=400)
+    low, high = resample.interval(resample.draws(400) @ values / 400)
+    error = values.std() / np.sqrt(400)
+    assert high - low == pytest.approx(2 * 1.96 * error, rel=0.06)
+    assert low < values.mean() < high
+
+
+def test_each_column_has_an_interval_of_its_own():
+    values = np.random.default_rng(2).normal(size=(60, 3)) * (1.0, 10.0, 100.0)
+    low, high = resample.interval(resample.draws(60) @ values)
+    assert (high - low).shape == (3,)
+    for k in range(3):
+        alone = resample.interval(resample.draws(60) @ values[:, k])
+        np.testing.assert_allclose((low[k], high[k]), alone)
+
+
 def test_intervals_have_their_nominal_coverage():
     """95 % of 1000 means of 100 numbers, within chance (a correct interval fails in 5 of 100,000 cases)."""
     random, inside, runs = np.random.default_rng(3), 0, 1000

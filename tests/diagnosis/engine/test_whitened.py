@@ -75,6 +75,16 @@ def test_two_weightings_share_simulations(view):
     assert view.asked == [1]
 
 
+def test_moments_are_those_of_the_rows(view):
+    residual = _residual(view, weight=0.25)
+    moments = residual.moments([{"view.effect.size": 2.0}])[0]
+    expected = 0.5 * view.gap([{"view.effect.size": 2.0}])[0].ravel()
+    np.testing.assert_allclose(moments.rows, expected, rtol=1e-5, atol=1e-6)
+    assert moments.rr == pytest.approx(float(expected @ expected), rel=1e-4)
+    np.testing.assert_allclose(moments.gr, residual.columns @ moments.rows, rtol=1e-3, atol=1e-3)
+    np.testing.assert_allclose(residual.gg, residual.columns @ residual.columns.T, rtol=1e-4)
+
+
 def test_another_start_costs_no_more_than_its_prior(view, starts):
     """Twice the usual change of a start: thousands of squares without, a few with its directions projected out."""
     moved = 2.0 * starts[0]
@@ -106,3 +116,13 @@ def test_blocks_hold_every_row_once_and_none_holds_two_trials(view):
     for (number, _), part in residual.blocks:
         assert set(trial[part]) == {number}
         assert part.stop - part.start <= BLOCK_S * RATE_HZ * CHANNELS + CHANNELS
+
+
+def test_the_nuisances_gram_matrices_are_formed_once_block_by_block(view):
+    residual = _residual(view, weight=3.0)
+    assert residual.block_gg is residual.block_gg
+    np.testing.assert_allclose(residual.block_gg.sum(axis=0), residual.gg, rtol=1e-5)
+    for (_, part), gg in zip(residual.blocks, residual.block_gg, strict=True):
+        samples = (part.stop - part.start) / CHANNELS
+        # One nuisance moves both channels by one, the other the second channel by two.
+        np.testing.assert_allclose(gg, 3.0 * samples * np.array([[2.0, 2.0], [2.0, 4.0]]), rtol=1e-5)

@@ -4,6 +4,7 @@ import numpy as np
 
 from softarm.diagnosis import report
 from softarm.diagnosis.engine.result import Diagnosis, Overlay
+from softarm.diagnosis.report import following
 from softarm.diagnosis.rigs.scales import TrackingScales
 from softarm.diagnosis.rigs.tracking_effects import tracking_effects
 from softarm.schemas.model import Model
@@ -42,6 +43,14 @@ def test_every_set_has_an_experiment_that_separates_it_or_a_note_that_none_is_kn
     (nothing,) = steps("mocap.scale")
     assert nothing.startswith("To separate mocap.scale and pressure.dead_time: no experiment is known")
     assert "dead_time and deadband: ramps of several slopes" in steps("pressure.lag", "pressure.deadband")[0]
+
+
+def test_the_separation_of_two_effects_is_symmetric():
+    case = diagnosis(nominal=Model())
+    for one, other in (("pressure.lag", "pressure.dead_time"), ("arm.stiffness", "arm.muscle_gain")):
+        assert following.separation(case, one, other) == following.separation(case, other, one) != ""
+    of_a_rig = following.separation(diagnosis(), "servo1.deadband", "servo1.backlash")
+    assert of_a_rig.startswith("reversals under load")
 
 
 def test_sets_of_the_same_laws_share_a_sentence():

@@ -452,3 +452,24 @@ def test_dry_friction_of_a_cart_is_named_from_its_encoder():
     assert verdict.verdict == "named"
     assert [e.name for e in verdict.effects] == ["cart.coulomb_friction"]
     assert verdict.effects[0].parameters["force"].value == pytest.approx(1.6, rel=0.1)
+
+
+def test_the_simulated_cart_agrees_with_scipy():
+    cart = Cart(coulomb=1.0, stiction=0.5, stribeck=0.05)
+    numbers = tuple(float(getattr(cart, name)) for name in Cart.__dataclass_fields__)
+    step, bristle = 0.01, 2e-5
+    wanted = 0.1 * np.sin(2 * np.pi * np.arange(100) * step)
+    u, x, _ = run(numbers, wanted, 60.0, 9.0, step, FINE_S, bristle, np.zeros(100))
+
+    def slope(t, y):
+        level = 1.0 + 0.5 * math.exp(-((y[1] / 0.05) ** 2))
+        rate = y[1] - abs(y[1]) * y[2] / bristle
+        stiff = level / bristle
+        hold = stiff * y[2] + 0.5 * math.sqrt(stiff * 2.0) * rate
+        return [y[1], (u[min(int(t / step + 1e-9), 99)] - hold - 1.5 * y[1]) / 2.0, rate]
+
+    at, y = np.zeros(100), np.zeros(3)
+    for i in range(99):
+        y = solve_ivp(slope, (i * step, (i + 1) * step - 1e-9), y, "LSODA", rtol=1e-7, atol=1e-10).y[:, -1]
+        at[i + 1] = y[0]
+    assert np.abs(at - x).max() < 0.02 * np.ptp(x)

@@ -111,6 +111,26 @@ def test_effects_of_a_rig_never_speak_of_the_soft_arm():
         assert not words & {"cart", "regulator", "muscle", "mocap", "pose", "poses", "tip"}, effect.name
 
 
+def test_the_nominal_actuator_follows_at_once():
+    command = np.where(T > 5, 0.3, 0.0)
+    away = (T > 1) & (np.abs(T - 5) > 0.05)
+    np.testing.assert_allclose(follow({}, command)[away], command[away], atol=1e-9)
+
+
+def test_the_step_responses_agree_with_closed_forms():
+    command = np.where(T >= 5, 0.3, 0.0)
+    late = T - 5.0
+    lag = follow({"lag.rise": 0.2, "lag.fall": 0.2}, command)
+    np.testing.assert_allclose(lag[late > 0.1], 0.3 * (1 - np.exp(-late[late > 0.1] / 0.2)), atol=3e-3)
+    moved = follow({"dead_time.delay": 0.153}, command)
+    assert np.interp(0.15, moved[240:280], late[240:280]) == pytest.approx(0.153, abs=0.021)
+    assert follow({"deadband.width": 0.05}, command)[-1] == pytest.approx(0.25, abs=1e-6)
+    assert follow({"gain.scale": -0.1, "gain.offset": 0.02}, command)[-1] == pytest.approx(0.29, abs=1e-6)
+    slope = np.diff(follow({"rate_limit.rate": 0.5}, command)) / 0.02
+    assert np.nanmax(slope) == pytest.approx(0.5, rel=1e-3)
+    assert follow({"backlash.gap": 0.1}, command)[-1] == pytest.approx(0.25, abs=1e-6)
+
+
 def test_only_a_wrong_velocity_gives_a_warning():
     y = np.sin(T)
     slope = np.gradient(y, T)

@@ -15,6 +15,7 @@ from softarm.diagnosis.diagnose import diagnose
 from softarm.diagnosis.robot.experiments import NOTHING
 from softarm.diagnosis.robot.shrink import measure_shrink
 from softarm.schemas.model import Model, seed_effects
+from softarm.schemas.verdict import Verdict
 from softarm.simulator.effects import validate
 from softarm.simulator.simulator import Simulator
 
@@ -147,6 +148,12 @@ def test_two_runs_and_any_order_of_the_trials_give_the_same_verdict(diagnosed, c
     model = Model(effects={name: values for name, values in SEED.items() if name not in out})
     shuffled = [campaign()[i] for i in (2, 0, 3, 1)]
     assert diagnose(shuffled, model).verdict == diagnosed(out).verdict
+
+
+@pytest.mark.parametrize("out", [(), *ONE_AT_A_TIME, PAIRS[1]], ids="+".join)
+def test_a_verdict_survives_its_file(out, diagnosed):
+    verdict = diagnosed(out).verdict
+    assert Verdict.model_validate_json(verdict.model_dump_json()) == verdict
 
 
 def test_a_joint_within_tolerance_is_reported_as_a_nuisance(campaign):
