@@ -16,6 +16,7 @@ def test_the_shipped_policy_reaches_the_papers_level_in_the_control_loop():
     assert reach["success"]["above"] >= 0.50
     assert reach["success"]["all"] >= 0.80
     assert reach["max_cart_m"] <= 0.25
+    assert set(reach) >= {"policy", "max_tip_z_m", "real_time_factor"}
     assert len(reach["targets"]) == evaluation.FLIGHTS
     assert set(reach["targets"][0]) == {"y", "z", "start", "reached", "time_s", "closest_m"}
 

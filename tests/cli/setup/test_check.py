@@ -90,6 +90,12 @@ def test_the_shipped_files_are_valid(name):
     assert result.exit_code == 0, result.stderr
 
 
+def test_a_missing_file_is_reported():
+    result = invoke("check", "nowhere.yaml")
+    assert result.exit_code == 1
+    assert result.stderr.startswith("nowhere.yaml: no such file; name an existing file")
+
+
 @pytest.fixture(scope="module")
 def logs(tmp_path_factory):
     """Return a folder with a log of a robot whose rail is late and weak."""

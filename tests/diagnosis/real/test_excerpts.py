@@ -40,6 +40,18 @@ def test_dry_friction_of_a_real_pendulum_is_named_with_its_size(tmp_path):
     assert "dry friction" in report.read_text(encoding="utf-8")
 
 
+def test_the_peaks_decay_linearly_as_with_dry_friction():
+    """A straight line fits the peaks better than an exponential."""
+    t, angle = seen().T
+    swing = np.abs(angle - np.pi)
+    top = np.flatnonzero((swing[1:-1] > swing[:-2]) & (swing[1:-1] >= swing[2:]) & (swing[1:-1] > 0.01)) + 1
+    left = [
+        np.std(swing[top] - law(np.polyval(np.polyfit(t[top], height, 1), t[top])))
+        for height, law in ((swing[top], lambda x: x), (np.log(swing[top]), np.exp))
+    ]
+    assert left[0] < 0.5 * left[1]
+
+
 def test_the_excerpt_is_part_of_the_recording(data):
     with (data / "multiarm-pendulum" / "SingleDataFreeSwing_1_Dt_0_0001.mat").open("rb") as file:
         theta = loadmat(file, squeeze_me=True, struct_as_record=False)["Theta1"]

@@ -364,6 +364,17 @@ def named(stage, data, element=None, verdict="named"):
 
 
 @pytest.mark.slow
+def test_small_swings_of_a_real_pendulum_show_dry_friction(data):
+    diagnosis, found = named("pendulum-free.yaml", data)
+    assert all(e.equivalents == () for e in diagnosis.verdict.effects)
+    assert set(found) == {"coulomb_friction"}
+    assert 4e-4 < found["coulomb_friction"]["torque"].value < 6e-4
+    viscous = next(r for r in diagnosis.rivals if r.names == ("joint.damping",))
+    assert viscous.alone < 0.5
+    assert viscous.conditional.value < 0.1
+
+
+@pytest.mark.slow
 def test_large_swings_of_a_real_pendulum_show_dry_friction_and_drag(data):
     diagnosis, found = named("pendulum-single.yaml", data)
     assert set(found) == {"coulomb_friction", "drag"}

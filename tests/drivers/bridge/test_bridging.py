@@ -13,7 +13,7 @@ from softarm.drivers.bridge.client import Client
 from softarm.drivers.bridge.conversation import Conversation
 from softarm.drivers.bridge.frame import Plane
 from softarm.drivers.bridge.look import NullOutlet, look_at
-from softarm.drivers.bridge.natnet import Body, Frame
+from softarm.drivers.bridge.natnet import Frame
 from softarm.drivers.bridge.publisher import Publisher
 from softarm.drivers.mocap.driver import ZenohMocapSource
 from softarm.drivers.twin import motive
@@ -259,24 +259,3 @@ def test_the_status_line_has_rate_age_clock_and_daemon() -> None:
     assert status.line() == (
         "119.9 frames/s | 6.1 ms old | lost: link3 | clock -12.300 s +- 0.15 ms, +23.4 ppm | the daemon listens"
     )
-
-
-def test_a_tracked_body_with_nan_is_lost(scripted: Any) -> None:
-    sent: list[bytes] = []
-
-    class Kept(NullOutlet):
-        def put(self, frame: bytes) -> None:
-            sent.append(frame)
-
-    inlet, _, _ = scripted
-    bridging = Bridging(Bridge(room=ROOM), inlet, Kept(), lambda text: None, inlet.clock)
-    broken = Body(IDS["cart"], (float("nan"), 0.0, 0.0), (0.0, 0.0, 0.0, 1.0), 0.0, True)
-    poll = inlet.poll
-
-    def one(seconds: float) -> list[Any]:
-        [taken] = poll(seconds)
-        return [taken._replace(frame=taken.frame._replace(bodies=(broken, *taken.frame.bodies[1:])))]
-
-    inlet.poll = one
-    bridging.step()
-    assert b'"cart":null' in sent[0]
