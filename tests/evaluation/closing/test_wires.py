@@ -113,4 +113,4 @@ def test_flights_before_a_crash_of_the_daemon_count(robot, tmp_path, monkeypatch
     assert found.ended_by is None
     reported = story.sentences_of(found)
     assert reported[0].startswith("On the wires of the robot: the old policy reaches ")
-    assert "ended before all was flown" in reported[1]
+    assert "the flights ended early" in reported[1]
