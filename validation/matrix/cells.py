@@ -24,6 +24,9 @@ NAMED_BY = {
 }
 # Events whose remedy does not fit any of these faults.
 NEVER = ("rail_disagrees", "internal_error", "stop_requested")
+# Faults of a policy that stop the whole daemon meanwhile: it then misses what the devices send, and says so as well.
+FREEZING = ("holds-the-lock",)
+FROZEN = ("mocap_", "pressure_", "rail_", "regulator_", "ticks_")
 # Faults of a policy that do not require a stop.
 TOLERATED = ("sweep", "excessive")
 
@@ -117,6 +120,8 @@ def faults_of(cell: Cell, outcome: Outcome) -> list[str]:
             if took_ms is None or took_ms > SAFE_S * 1e3:
                 wrong.append(f"unsafe: {what} after {'never' if took_ms is None else f'{took_ms:.0f} ms'}")
     prefixes = NAMED_BY[cell.who]
+    if cell.fault in FREEZING and outcome.causes and outcome.causes[0].startswith(prefixes):
+        prefixes += FROZEN
     others = [cause for cause in outcome.causes if cause in NEVER or not cause.startswith(prefixes)]
     if others:
         wrong.append(f"wrong cause: {', '.join(others)}")

@@ -30,3 +30,13 @@ def test_a_timely_stop_with_the_right_cause_passes():
 )
 def test_every_violation_is_reported(change, said):
     assert faults_of(SILENT, replace(SAFE, **change))[0].startswith(said)
+
+
+def test_a_policy_that_stops_the_whole_daemon_may_cost_frames_but_is_named_first():
+    freezing = Cell("policy", "step", "holds-the-lock")
+    assert faults_of(freezing, replace(SAFE, causes=("policy_fault", "rail_link_lost", "mocap_too_late"))) == []
+    assert faults_of(freezing, replace(SAFE, causes=("rail_link_lost", "policy_fault"))) == [
+        "wrong cause: rail_link_lost"
+    ]
+    slow = Cell("policy", "step", "slow")
+    assert faults_of(slow, replace(SAFE, causes=("policy_fault", "rail_link_lost"))) == ["wrong cause: rail_link_lost"]
