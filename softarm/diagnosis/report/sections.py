@@ -160,7 +160,7 @@ def calibration(diagnosis: Diagnosis) -> Html:
         for each in verdict.calibration
     ]
     head = ("parameter", "nominal", "fitted, 95 % interval", "takes of its stage's gap")
-    caption = "Parameters of the nominal model that the data resolve, fitted within their tolerances"
+    caption = "Parameters of the nominal model that the data resolve; of single joints the relative change"
     return join([lead, table(head, rows, caption, numbers=(3,)), _gaps(diagnosis)])
 
 
