@@ -1,4 +1,4 @@
-"""Whole robot without its interfaces, with body, drive, firmware and the record of the cart."""
+"""Robot without the wires: body, drive, firmware and the record of the cart."""
 
 from .body import STOP_M, Body
 from .drive import Drive
