@@ -35,8 +35,6 @@ def calibrated(
         unit: returns the unit of a parameter by its path.
     """
     found = calibrate(problem, fit)
-    if not found.resolved:
-        return Calibrated(rms=held_out_rms(setup, plain, fit, found.folds), folds=({},) * len(found.folds))
     scales = setup.nuisance_scales()
     left = held_out_rms(setup, plain, fit, found.folds)
     parameters = []

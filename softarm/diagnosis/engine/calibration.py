@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from softarm.diagnosis.engine import box
 from softarm.diagnosis.engine.fits import Fit, FitProblem
-from softarm.diagnosis.engine.jackknife import half_width
+from softarm.diagnosis.engine.jackknife import RIDGE, half_width
 from softarm.diagnosis.engine.problem import Setup
 from softarm.diagnosis.engine.view import Array
 
@@ -59,7 +59,7 @@ class _Linear:
         """Return half the 95 % interval of each free unknown without its box."""
         normal, slope = self.normal[:, free][:, :, free], self.slope[:, free]
         total = normal.sum(axis=0)
-        total[range(len(free)), range(len(free))] += 1e-10 * max(float(total.diagonal().max()), 1e-30)
+        total[range(len(free)), range(len(free))] += RIDGE * max(float(total.diagonal().max()), 1e-30)
         return half_width(normal, slope, np.linalg.solve(total, -slope.sum(axis=0)))
 
 

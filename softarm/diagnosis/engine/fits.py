@@ -317,7 +317,9 @@ class FitProblem:
         p = len(x)
         if not p:
             return x, x
-        normal, slope, low, high = self.linear(fit)
+        ((jacobians, bases),) = self._linear([fit.effects], [x])
+        normal, slope, _ = self._by_block(p, jacobians, bases)
+        low, high = self._box(fit.effects, x)
         sizes = np.array([d.size for each in fit.effects for d in each.parameters])
         best = box.solve(normal.sum(axis=0), -slope.sum(axis=0), low, high)
         free = (best > low + 1e-9) & (best < high - 1e-9)  # nuisances at an edge stay there
@@ -325,7 +327,6 @@ class FitProblem:
         slope = slope + normal[:, :, ~free] @ best[~free]
         half = half_width(normal[:, free][:, :, free], slope[:, free], best[free])[:p]
         if inexact:
-            ((jacobians, bases),) = self._linear([fit.effects], [x])
             half = np.hypot(half, self._law_error(fit.effects, best, normal.sum(axis=0), jacobians, bases))
         least = LEAST_WIDTH * sizes
         return np.minimum(x + best[:p] - half, x - least), np.maximum(x + best[:p] + half, x + least)

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from softarm.common.processes import as_they_come
+from softarm.common.quantity import PURE
 from softarm.diagnosis.answer import rivals
 from softarm.diagnosis.answer.assembly import Answer, StageAnswer, assemble
 from softarm.diagnosis.answer.calibration import Calibrated, calibrated
@@ -41,7 +42,6 @@ VIEWS: Mapping[str, type[TrackingView | DrivenMassView | ChainView]] = {
 
 # With at least this many recordings, the search holds out whole recordings instead of blocks.
 TRIALS_LEAST = 4
-SHARE = "1"  # unit of a view's own nuisances: relative changes
 _WEAK_HELD_OUT = {
     "kind": "",
     "trial": "held-out data are other trials of the same kind of motion; record several kinds",
@@ -169,7 +169,7 @@ class _Stage:
         found, units = self.found, {f"{e.name}.{p.name}": p.unit for e in self.view.effects for p in e.parameters}
         fit = self.choice.chosen if self.decision.selected else self.choice.null_model
         problem = replace(found.search.problem, fold=found.setup.fold)
-        return calibrated(found.setup, problem, found.plain, fit, lambda path: units.get(path, SHARE))
+        return calibrated(found.setup, problem, found.plain, fit, lambda path: units.get(path, PURE))
 
     def finding(self) -> Finding:
         """Return the complete finding."""

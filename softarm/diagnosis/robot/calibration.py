@@ -4,6 +4,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from softarm.common.quantity import PURE
 from softarm.diagnosis.answer.calibration import Calibrated, calibrated
 from softarm.diagnosis.answer.evidence import rms
 from softarm.diagnosis.engine.examination import Examination
@@ -48,4 +49,4 @@ def with_calibration(model: Model, values: Mapping[str, float]) -> Model:
 
 def _unit(path: str) -> str:
     """Return the unit of a parameter; a single joint's change is a share."""
-    return "1" if "[" in path else find(path)[1].unit
+    return PURE if "[" in path else find(path)[1].unit
