@@ -11,6 +11,18 @@ ENDED = re.compile("reached|missed|cancelled")  # on a busy machine the arm may 
 
 REFUSED = (0.55, 0.52)  # in the drawing, and beyond the arm's reach
 
+DRAWN_POINTS = """() => {
+  const [left, right] = [...document.querySelectorAll("#drawing .hard-limit")].map((end) => end.getBBox());
+  const scale = (right.x - left.x - left.width) / 0.6, middle = (right.x + left.x + left.width) / 2;
+  const rail = left.y + left.height / 2;
+  const drawn = document.querySelectorAll("#drawing :is(.joint[visibility=visible], .tip)");
+  const points = [...drawn].map((point) => {
+    const [x, y] = ["cx", "cy"].map((name) => Number(point.getAttribute(name)));
+    return [(x - middle) / scale, 0.965 - (y - rail) / scale];
+  });
+  return [document.querySelector("#drawing svg").dataset.tick, points];
+}"""
+
 
 def result(page) -> str:
     return page.locator("#said").inner_text()
@@ -37,21 +49,10 @@ def test_the_drawing_shows_the_bodies_where_the_status_has_them(page):
     page.on("websocket", lambda socket: socket.on("framereceived", keep))
     page.reload()
     page.locator("#drawing svg[data-tick]").wait_for()
-    tick, drawn = page.evaluate(
-        """() => {
-          const [left, right] = [...document.querySelectorAll("#drawing .hard-limit")].map((end) => end.getBBox());
-          const scale = (right.x - left.x - left.width) / 0.6, middle = (right.x + left.x + left.width) / 2;
-          const rail = left.y + left.height / 2;
-          const drawn = document.querySelectorAll("#drawing :is(.joint[visibility=visible], .tip)");
-          const points = [...drawn].map((point) => {
-            const [x, y] = ["cx", "cy"].map((name) => Number(point.getAttribute(name)));
-            return [(x - middle) / scale, 0.965 - (y - rail) / scale];
-          });
-          return [document.querySelector("#drawing svg").dataset.tick, points];
-        }"""
-    )
-    while tick not in bodies:  # the browser reports a frame of the stream after the page has used it
+    tick, drawn = None, ()
+    while tick not in bodies:  # the browser may report a frame of the stream after the page has drawn it, or never
         page.wait_for_timeout(10)
+        tick, drawn = page.evaluate(DRAWN_POINTS)
     for (y, z), body in zip(drawn, bodies[tick][1:], strict=True):
         assert (y, z) == pytest.approx(body, abs=0.001)
 

@@ -190,9 +190,7 @@ def test_the_server_ends_with_its_daemon(tmp_path):
     publisher = FoxglovePublisher(config, port=0)
     publisher.start()
     with viewing(publisher) as viewer:
-        began = time.monotonic()
         publisher.stop()
-        assert time.monotonic() - began < 4
         with pytest.raises(ConnectionClosed):
             next(message for message in viewer.messages() if message is None)
     assert publisher._server.returncode == 0
