@@ -1,4 +1,4 @@
-"""Additions to the site: references generated from the code, and the repository's files that pages link to."""
+"""Additions to the site: tables generated from the code, and the repository's files that pages link to."""
 
 import posixpath
 import re
@@ -8,14 +8,24 @@ from typing import Any
 
 from mkdocs.structure.files import File, Files
 
+from softarm.cli import page as cli_page
+from softarm.cli.shared.errors import EXITS
+from softarm.daemon.api.app import ApiContext, create_app
+from softarm.daemon.config import keys
+from softarm.daemon.control import failsafe
+from softarm.daemon.control.inbox import Inbox
+from softarm.reality import parameters, quantities
+from softarm.schemas import stage_model
+from softarm.schemas.config import Config
+from softarm.simulator import effects_page
+
 ROOT = Path(__file__).resolve().parents[1]
 _LINK = re.compile(r"\]\((\.\./[\w./-]+?)(#[\w-]*)?\)")
+_GENERATED = re.compile(r"^<!-- generated: ([\w-]+) -->$", re.MULTILINE)
 
 
 def on_files(files: Files, config: Any) -> Files:
-    """Add the generated references, and a copy of every file outside docs/ that a page links to."""
-    for name, generate in REFERENCES.items():
-        files.append(File.generated(config, name, content=generate()))
+    """Add a copy of every file outside docs/ that a page links to."""
     for page in tuple(files.documentation_pages()):
         for target, _ in _LINK.findall(page.content_string):
             name = _outside(page.src_uri, target)
@@ -26,14 +36,14 @@ def on_files(files: Files, config: Any) -> Files:
 
 
 def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
-    """Point the links to files outside docs/ at their copies."""
+    """Replace the marks of generated tables, and point the links to files outside docs/ at their copies."""
     here = page.file.src_uri
 
     def replace(link: re.Match[str]) -> str:
         name = _outside(here, link[1])
         return f"]({posixpath.relpath(_copy(name), posixpath.dirname(here))})" if name else link[0]
 
-    return _LINK.sub(replace, markdown)
+    return _LINK.sub(replace, _GENERATED.sub(lambda mark: GENERATED[mark[1]](), markdown))
 
 
 def _outside(page: str, target: str) -> str | None:
@@ -47,48 +57,28 @@ def _copy(name: str) -> str:
     return f"files/{name.replace('/', '-')}.txt"
 
 
+def exit_codes() -> str:
+    """Return the exit codes of `softarm`."""
+    rows = "\n".join(f"| {code} | {means} |" for code, means in EXITS.items())
+    return f"| exit code | means |\n|---|---|\n{rows}"
+
+
 def configuration_keys() -> str:
-    """Return the page with every key of softarm.yaml."""
-    from softarm.daemon.config import keys
-
+    """Return every key of softarm.yaml."""
     rows = "\n".join(f"| `{row.key}` | {' | '.join(map(_cell, row[1:]))} |" for row in keys.rows())
-    head = "| key | unit | allowed | default | meaning |\n|---|---|---|---|---|"
-    lead = "The output of `softarm config units`; see [Configuration](configuration.md)."
-    return f"# Configuration keys\n\n{lead}\n\n{head}\n{rows}\n"
-
-
-def reality_parameters() -> str:
-    """Return the page with every parameter of the independent robot."""
-    from softarm.reality.parameters import GROUPS
-    from softarm.reality.quantities import table
-
-    lead = "The output of `softarm twin --reality --fault list`; see [Independent robot](reality.md)."
-    return f"# Parameters of the independent robot\n\n{lead}\n\n{table(*GROUPS)}"
+    return f"| key | unit | allowed | default | meaning |\n|---|---|---|---|---|\n{rows}"
 
 
 def rest_schemas() -> str:
-    """Return the page with every request of the REST API and every body."""
-    from softarm.daemon.api.app import ApiContext, create_app
-    from softarm.daemon.control.inbox import Inbox
-    from softarm.schemas.config import Config
-
+    """Return every request of the REST API and every body."""
     api = create_app(ApiContext(Config(), Inbox(), lambda: None)).openapi()
-    lead = "The content of the daemon's own page `/docs`; see [REST API](rest.md)."
-    lines = [
-        "# REST requests and bodies",
-        "",
-        lead,
-        "",
-        *_requests(api["paths"]),
-        *_bodies(api["components"]["schemas"]),
-    ]
-    return "\n".join(lines)
+    return "\n".join([*_requests(api["paths"]), *_bodies(api["components"]["schemas"])])
 
 
 def _requests(paths: dict[str, Any]) -> Iterator[str]:
     for path, methods in paths.items():
         for method, request in methods.items():
-            yield f"## {method.upper()} {path}\n\n{request.get('description') or request['summary']}\n"
+            yield f"### {method.upper()} {path}\n\n{request.get('description') or request['summary']}\n"
             body = request.get("requestBody", {}).get("content", {}).get("application/json", {}).get("schema")
             if body is not None:
                 yield f"Body: {_kind(body)}\n"
@@ -100,7 +90,7 @@ def _requests(paths: dict[str, Any]) -> Iterator[str]:
 
 def _bodies(schemas: dict[str, Any]) -> Iterator[str]:
     for name, schema in schemas.items():
-        yield f"## {name}\n\n{_cell(schema.get('description', ''))}\n"
+        yield f"### {name} {{ #body-{name.lower()} }}\n\n{_cell(schema.get('description', ''))}\n"
         if schema.get("properties"):
             yield "| field | type | meaning |\n|---|---|---|"
             for field, of in schema["properties"].items():
@@ -112,7 +102,7 @@ def _kind(schema: dict[str, Any]) -> str:
     """Return the type of a JSON schema in a few words."""
     if reference := schema.get("$ref"):
         name = reference.rpartition("/")[2]
-        return f"[{name}](#{name.lower()})"
+        return f"[{name}](#body-{name.lower()})"
     if several := schema.get("anyOf") or schema.get("oneOf"):
         return " or ".join(map(_kind, several))
     if values := schema.get("enum") or ([schema["const"]] if "const" in schema else []):
@@ -126,8 +116,13 @@ def _cell(text: object) -> str:
     return " ".join(str(text).split()).replace("|", "\\|")
 
 
-REFERENCES: dict[str, Callable[[], str]] = {
-    "reference/configuration-keys.md": configuration_keys,
-    "reference/reality-parameters.md": reality_parameters,
-    "reference/rest-schemas.md": rest_schemas,
+GENERATED: dict[str, Callable[[], str]] = {
+    "commands": cli_page.markdown,
+    "configuration-keys": configuration_keys,
+    "effects": effects_page.markdown,
+    "exit-codes": exit_codes,
+    "failsafe-events": failsafe.markdown,
+    "reality-parameters": lambda: quantities.table(*parameters.GROUPS),
+    "rest-schemas": rest_schemas,
+    "stage-keys": stage_model.table,
 }

@@ -89,7 +89,7 @@ def out_of_range(effect: Effect, parameter: Parameter, value: object) -> Violati
 def _unknown(name: str) -> str:
     near = [known for known in REGISTRY if known.partition(".")[2] == name.rpartition(".")[2]]  # on another stage
     hint = f"did you mean {near[0]}? " if near else did_you_mean(name, REGISTRY, cutoff=0.5)
-    return f"unknown effect; {hint}docs/reference/effects.md lists them all"
+    return f"unknown effect; {hint}`python -m softarm.simulator.effects_page` lists them all"
 
 
 def _unknown_parameter(effect: Effect, name: str) -> str:

@@ -1,7 +1,4 @@
-"""Print docs/reference/effects.md from the registry.
-
-`python -m softarm.simulator.effects_page > docs/reference/effects.md` writes the page.
-"""
+"""Table of every effect in docs/reference/effects.md; `python -m softarm.simulator.effects_page` prints it."""
 
 import math
 from collections.abc import Iterator
@@ -9,19 +6,6 @@ from collections.abc import Iterator
 from softarm.schemas.model import seed_effects
 from softarm.simulator.effect_table import RIVALS
 from softarm.simulator.effects import REGISTRY, STAGES, Effect, Parameter
-
-_INTRO = """\
-<!-- Written by `python -m softarm.simulator.effects_page`; edit effect_table.py instead. -->
-# Effects
-
-For everybody who edits a [model file](models.md) or reads a diagnosis: every piece of physics, actuation, sensing or
-timing that the simulator can have or lack, in causal order. The seed's model has
-{seed}.
-
-At its neutral value a parameter changes nothing: 0, or infinity for a limit, unless its meaning states another.
-*Bounds* are limits of fits, draws and model files. `softarm model show` prints the source of each effect in a model.
-
-"""
 
 _STAGES = {
     "pressure": "From the pressure command to the muscle's pressure and its reading.",
@@ -34,11 +18,11 @@ _STAGES = {
 }
 
 
-def page() -> str:
-    """Return the page's text."""
-    stages = "".join(f"{line}\n" for stage in STAGES for line in _stage(stage))
+def markdown() -> str:
+    """Return every effect with its parameters, and the pairs of similar effects."""
     seed = ", ".join(f"`{name}`" for name in seed_effects())
-    return _INTRO.format(seed=seed) + stages + "\n".join(_pairs()) + "\n"
+    stages = (line for stage in STAGES for line in _stage(stage))
+    return "\n".join([f"The seed's model has {seed}.", "", *stages, *_pairs()])
 
 
 def _stage(stage: str) -> Iterator[str]:
@@ -72,4 +56,4 @@ def _pairs() -> Iterator[str]:
 
 
 if __name__ == "__main__":
-    print(page(), end="")
+    print(markdown())

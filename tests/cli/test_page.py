@@ -1,4 +1,4 @@
-"""Tests that docs/reference/cli.md matches the verbs and its examples work."""
+"""Tests that the generated list has every verb and that the examples of the help work."""
 
 import inspect
 import re
@@ -12,7 +12,7 @@ import pytest
 from softarm.cli.gap import close_gap
 from softarm.cli.lazy_group import DEFECT
 from softarm.cli.main import VERBS, main
-from softarm.cli.page import commands_of, page
+from softarm.cli.page import commands_of, markdown
 from softarm.cli.shared.errors import EXITS
 from softarm.cli.shared.interrupt import INTERRUPTED
 from tests.cli.invoke import invoke
@@ -42,10 +42,9 @@ def typed(command):
 EXAMPLES = sorted({line for name in NAMES for _, command in commands_of(name) for line in typed(command)})
 
 
-def test_the_page_is_up_to_date():
-    assert (ROOT / "docs" / "reference" / "cli.md").read_text(encoding="utf-8") == page(), (
-        "run: python -m softarm.cli.page > docs/reference/cli.md"
-    )
+def test_the_generated_list_shows_every_verb():
+    listed = markdown()
+    assert all(f"- `softarm {name}" in listed for name in NAMES)
 
 
 def test_the_help_shows_an_example_of_every_verb():

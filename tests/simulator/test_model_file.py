@@ -211,7 +211,7 @@ def test_of_thousands_of_unknown_effects_the_first_are_reported_and_the_rest_cou
     *reported, rest = str(error.value).splitlines()
     assert (
         reported[0] == f"{path}:2: effects.rail.dely_0: unknown effect; did you mean rail.delay? "
-        "docs/reference/effects.md lists them all"
+        "`python -m softarm.simulator.effects_page` lists them all"
     )
     assert rest == f"{path}: and {5000 - ERRORS_MAX} more; correct these first"
     assert len(reported) == len(searches) == ERRORS_MAX

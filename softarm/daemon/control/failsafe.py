@@ -1,6 +1,6 @@
 """Failsafe table: every event with its response, how it clears and what the operator does.
 
-The page docs/reference/failsafe.md and the API's arming refusals are made from the table.
+The page docs/reference/failsafe.md and the API's arming refusals are generated from the table.
 """
 
 from dataclasses import dataclass
@@ -327,43 +327,14 @@ class Event:
         return ActiveEvent(self.name, self.rule.response.name.lower(), self.text)
 
 
-LATCH = """\
-## The latch outlives the daemon
-
-After a crash or restart, the new daemon starts `stopped` and latched, with the old reason, until a person acknowledges
-it. The reason is in a file, `stop-HOST-PORT.json`, named after the axis (`drivers.rail`). It is in the service's
-`/var/lib/softarm`, otherwise in `recorder.directory`; `softarm check` shows its path. An unreadable file counts as an
-emergency stop. A robot simulated in the daemon's own process has no such file.
-
-A few milliseconds after the answer to the stop the latch survives a kill, and once the disk has the data, a power cut.
-A full disk cannot prevent the write. While writing fails or takes longer than 1 s, arming is refused
-(`stop_not_kept`). A daemon that ends without an emergency stop removes the file.
-"""
-
-
-def page() -> str:
-    """Return docs/reference/failsafe.md; `python -m softarm.daemon.control.failsafe` prints it."""
-    responses = {
-        Response.WARN: "shown and logged; nothing stops",
-        Response.SOFT_STOP: "brake, vent and hold the cart until the arm is still, then disarm; a person arms again",
-        Response.STOP: "drive off and vented at once; latched until a person acknowledges it",
-    }
-    lines = [
-        "# Failsafe events",
-        "",
-        "For operators: each event with its response and the next step. An event clears when its cause is gone, unless",
-        "its next step says otherwise; with *refuses arming* the arm cannot be armed before.",
-        "`python -m softarm.daemon.control.failsafe > docs/reference/failsafe.md` writes this page.",
-        "",
-    ]
-    for response in sorted(responses, reverse=True):
-        lines += [f"## {response.name.lower().replace('_', ' ')}: {responses[response]}", ""]
-        if response is Response.STOP:
-            lines += ["*Acknowledge*: `softarm acknowledge`, the dashboard's button, or `POST /api/acknowledge`.", ""]
+def markdown() -> str:
+    """Return the tables of docs/reference/failsafe.md; `python -m softarm.daemon.control.failsafe` prints them."""
+    lines: list[str] = []
+    for response in sorted(Response, reverse=True):
+        lines += [f"## {response.name.capitalize().replace('_', ' ')}", ""]
         lines += ["| event | cause | next step | refuses arming |", "|---|---|---|---|"]
         lines += [_row(name, rule) for name, rule in TABLE.items() if rule.response is response]
         lines.append("")
-    lines.append(LATCH)
     return "\n".join(lines)
 
 
@@ -376,4 +347,4 @@ def _row(name: str, rule: Rule) -> str:
 
 
 if __name__ == "__main__":
-    print(page(), end="")
+    print(markdown(), end="")

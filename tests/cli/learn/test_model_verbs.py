@@ -59,7 +59,7 @@ def test_check_accepts_a_valid_model_and_reports_every_mistake(tmp_path: Path) -
     first, second = result.stderr.splitlines()
     assert (
         first == f"{path}:2: effects.rail.dely: unknown effect; did you mean rail.delay? "
-        "docs/reference/effects.md lists them all"
+        "`python -m softarm.simulator.effects_page` lists them all"
     )
     assert second.startswith(f"{path}:3: effects.arm.tilt.angle: is 2; allowed -0.2 to 0.2 rad; if you meant 2 degrees")
     result = run("check", "no-pressure-lag")

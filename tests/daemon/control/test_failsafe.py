@@ -1,12 +1,10 @@
 """The failsafe table and the mode machine, every mode against every response."""
 
-from pathlib import Path
-
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from softarm.daemon.control.failsafe import ACKNOWLEDGE, TABLE, Event, Response, page
+from softarm.daemon.control.failsafe import ACKNOWLEDGE, TABLE, Event, Response, markdown
 from softarm.daemon.control.modes import ModeMachine
 from softarm.daemon.control.records import EStop, Mode
 
@@ -270,7 +268,6 @@ def test_disarming_is_never_refused():
         assert made.last_stop == "by hand"
 
 
-def test_the_page_is_generated_from_the_table():
-    made = Path(__file__).parents[3] / "docs" / "reference" / "failsafe.md"
-    remedy = "stale: run `python -m softarm.daemon.control.failsafe > docs/reference/failsafe.md`"
-    assert made.read_text() == page(), remedy
+def test_the_generated_tables_show_every_event():
+    rows = [line for line in markdown().splitlines() if line.startswith("| `")]
+    assert sorted(row.split("`")[1] for row in rows) == sorted(TABLE)
