@@ -55,12 +55,16 @@ class Examination:
         self.searched: Fit = choice.chosen  # with the held-out data of its rivals
         self.choice: Choice = replace(choice, chosen=self.held_out([choice.chosen])[0])
 
+    @property
+    def verdict_problem(self) -> FitProblem:
+        """Return the search's problem with the held-out data of the verdict (kinds, else trials)."""
+        return replace(self.search.problem, fold=self.setup.fold)
+
     def held_out(self, fits: Sequence[Fit]) -> list[Fit]:
-        """Return fits with the held-out data of the verdict (kinds, else trials)."""
+        """Return fits with the held-out data of the verdict."""
         if self.thresholds.search.folds == "held_out":
             return list(fits)
-        problem = replace(self.search.problem, fold=self.setup.fold)
-        return problem.fit([(f.effects, f.u) for f in fits], rounds=1)
+        return self.verdict_problem.fit([(f.effects, f.u) for f in fits], rounds=1)
 
     @cached_property
     def residuals(self) -> dict[str, NDArray[np.float32]]:
@@ -118,6 +122,22 @@ class Examination:
         shares = {stage: share for stage, (share, _) in self.flexible.items()}
         evidence = Evidence(shares, self.structures, self.tolerated, self.bent, signs or {})
         return decide(self.choice, evidence, self.thresholds)
+
+    def named(self, decision: Decision) -> Fit:
+        """Return the fit of the named effects alone: the model that sizes, figures, calibration and patch describe."""
+        chosen, names = self.choice.chosen, {effect.candidate.name for effect in decision.selected}
+        kept = [pair for pair in zip(chosen.effects, chosen.u, strict=True) if pair[0].name in names]
+        if not kept:
+            return self.choice.null_model
+        if len(kept) == len(chosen.effects):
+            return chosen
+        effects, u = zip(*kept, strict=True)
+        return self.held_out(self.search.problem.fit([(effects, u)], self.thresholds.search.rounds))[0]
+
+    def without_each(self, fit: Fit) -> dict[str, Fit]:
+        """Return a fit without each of its effects, by the name of the missing one."""
+        less = self.search.without_each(fit, self.choice.null_model)
+        return dict(zip(fit.names, self.held_out(less), strict=True))
 
     @cached_property
     def null_residuals(self) -> dict[str, NDArray[np.float32]]:

@@ -158,18 +158,15 @@ class _Stage:
     def __init__(self, view: RigView, trials: tuple[Trial, ...], origins: tuple[int, ...], found: Examination) -> None:
         self.view, self.trials, self.origins, self.found = view, trials, origins, found
         self.choice, self.decision = found.choice, found.decide()
+        self.fit = found.named(self.decision)
         self.calibrated = self._calibrated()
         self.nominal: Array = view.gap([{}])[0].astype(float)
-        self.left: Array = found.residuals[view.stage].astype(float)
-        without = found.search.without_each(self.choice.chosen, self.choice.null_model)
-        self.without = dict(zip(self.choice.chosen.names, found.held_out(without), strict=True))
+        self.without = found.without_each(self.fit)
 
     def _calibrated(self) -> Calibrated:
         """Return the calibration next to the named effects."""
         found, units = self.found, {f"{e.name}.{p.name}": p.unit for e in self.view.effects for p in e.parameters}
-        fit = self.choice.chosen if self.decision.selected else self.choice.null_model
-        problem = replace(found.search.problem, fold=found.setup.fold)
-        return calibrated(found.setup, problem, found.plain, fit, lambda path: units.get(path, PURE))
+        return calibrated(found.setup, found.verdict_problem, found.plain, self.fit, lambda path: units.get(path, PURE))
 
     def finding(self) -> Finding:
         """Return the complete finding."""
@@ -182,7 +179,7 @@ class _Stage:
             regime="throughout" if worst is None else f"largest: {worst.name}",
             decision=decision,
             named=tuple(self._named(m) for m in decision.selected),
-            nuisances=found.setup.fitted_nuisances(self.choice.chosen),
+            nuisances=found.setup.fitted_nuisances(self.fit),
             calibration=self.calibrated.parameters,
             rivals=rivals.by_share(found.search, found.searched, self.choice.null_model, decision.selected),
             following=experiments.splitting(view, [self._same(m) for m in decision.selected]),
@@ -192,13 +189,12 @@ class _Stage:
         )
 
     def _answer(self) -> StageAnswer:
-        view, chosen, named = self.view, self.choice.chosen, bool(self.decision.selected)
-        patched = self.left if named else None
-        before, fitted = rms(self.nominal), rms(self.left)
-        # The fitted residual, enlarged by the held-out loss over the fitted loss.
-        enlarged = math.sqrt(max(chosen.held_out.sum() / max(chosen.loss, 1e-12), 1.0))
-        after = min(fitted * enlarged, before) if named else before
-        share, features = self.found.flexible.get(view.stage, (0.0, {}))
+        view, found, fit = self.view, self.found, self.fit
+        patched = found.setup.residuals(found.plain, fit)[0].astype(float) if fit.effects else None
+        before = after = rms(self.nominal)
+        if patched is not None:  # the fitted residual, enlarged by the held-out loss over the fitted loss
+            after = min(rms(patched) * math.sqrt(max(fit.held_out.sum() / max(fit.loss, 1e-12), 1.0)), before)
+        share, features = found.flexible.get(view.stage, (0.0, {}))
         return StageAnswer(
             stage=view.stage,
             unit=view.unit,
@@ -206,11 +202,11 @@ class _Stage:
             after=after,
             floor=float(np.sqrt(np.mean(view.floor**2))),
             calibrated=self.calibrated.rms[view.stage],
-            ceiling=min(fitted * math.sqrt(1 - share), after),
+            ceiling=min(rms(found.residuals[view.stage].astype(float)) * math.sqrt(1 - share), after),
             overlays=overlays(view, self.trials, self.nominal, patched),
             regimes=regimes(view, self.nominal, patched),
             unexplained=Unexplained(view.stage, self.decision.explained, tuple(features.items())),
-            total_shrink=self._total_shrink() if named else None,
+            total_shrink=None if patched is None else self._total_shrink(),
         )
 
     def _losses(self, losses: Array) -> Array:
@@ -219,11 +215,11 @@ class _Stage:
     def _total_shrink(self) -> Interval:
         """Return the share of the held-out RMS residual that all named effects remove together."""
         squares = self.found.search.problem.block_squares()
-        return shrunk(self._losses(squares), self._losses(self.choice.chosen.held_out))
+        return shrunk(self._losses(squares), self._losses(self.fit.held_out))
 
     def _named(self, effect: SelectedEffect) -> NamedEffect:
         less = self._losses(self.without[effect.candidate.name].held_out)
-        more = self._losses(self.choice.chosen.held_out)
+        more = self._losses(self.fit.held_out)
         return NamedEffect(
             name=effect.candidate.name,
             parameters=self._estimates(effect),
@@ -240,13 +236,13 @@ class _Stage:
         return tuple(dict.fromkeys((*names, *others)))
 
     def _estimates(self, effect: SelectedEffect) -> dict[str, Estimate]:
-        chosen = self.choice.chosen
-        at = chosen.names.index(effect.candidate.name)
-        first = sum(len(each.parameters) for each in chosen.effects[:at])
-        bounds = self.found.search.problem.interval(chosen, self.found.thresholds.approximate)
-        unresolved = self.view.unresolved(chosen.point)
+        fit = self.fit
+        at = fit.names.index(effect.candidate.name)
+        first = sum(len(each.parameters) for each in fit.effects[:at])
+        bounds = self.found.search.problem.interval(fit, self.found.thresholds.approximate)
+        unresolved = self.view.unresolved(fit.point)
         found = {}
-        for i, (parameter, u) in enumerate(zip(effect.candidate.parameters, chosen.u[at], strict=True)):
+        for i, (parameter, u) in enumerate(zip(effect.candidate.parameters, fit.u[at], strict=True)):
             least = unresolved.get(parameter.path.partition(".")[2], 0.0)
             ends = [min(float(bounds[0][first + i]), u - least), max(float(bounds[1][first + i]), u + least)]
             # The loss is flat over an unresolved range, so the fit's interval means nothing there.
@@ -276,7 +272,7 @@ class _Stage:
                 )
         if self.decision.structure and self.decision.selected:
             found.append(f"{stage}: the residual is not noise ({'; '.join(self.decision.structure.values())})")
-        damping = self.found.setup.fitted_nuisances(self.choice.chosen).get(f"{stage}.damping.scale")
+        damping = self.found.setup.fitted_nuisances(self.fit).get(f"{stage}.damping.scale")
         if damping is not None and self.decision.selected and damping < -0.9:
             found.append(
                 f"{stage}: with the named effects, the model's viscous friction vanishes "

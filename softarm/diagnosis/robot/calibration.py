@@ -18,7 +18,7 @@ from softarm.simulator.effects import REGISTRY, find, value
 
 def calibration(comparison: Comparison, found: Examination, fit: Fit) -> Calibrated:
     """Return the calibration next to a fit's effects."""
-    return calibrated(comparison.setup, found.search.problem, found.plain, fit, _unit)
+    return calibrated(comparison.setup, found.verdict_problem, found.plain, fit, _unit)
 
 
 def calibrated_tip(comparison: Comparison, found: Calibrated, points: Sequence[Point]) -> float:

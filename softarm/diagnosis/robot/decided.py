@@ -9,6 +9,7 @@ from softarm.diagnosis.answer.calibration import Calibrated
 from softarm.diagnosis.answer.evidence import rms
 from softarm.diagnosis.engine.decision import Decision
 from softarm.diagnosis.engine.examination import Examination
+from softarm.diagnosis.engine.fits import Fit
 from softarm.diagnosis.engine.structure import Structure
 from softarm.diagnosis.engine.thresholds import ROBOT
 from softarm.diagnosis.robot.calibration import calibration
@@ -25,6 +26,7 @@ class Decided:
     decision: Decision
     floors: Mapping[str, float]  # stage -> noise floor, RMS
     chain_floor: float | None  # noise floor of the tip, RMS, m; None if mocap has no tip
+    fit: Fit  # of the named effects alone
     calibrated: Calibrated  # next to the named effects
 
 
@@ -32,16 +34,15 @@ def decide(comparison: Comparison, found: Examination) -> Decided:
     """Return the decision; it is `none` only if every stage and the tip are within their noise floors."""
     signs = _signs(comparison, found)
     decision = found.decide(signs)
-    # Without named effects, only nuisances may explain a part of the floor.
-    reference = found.choice.chosen if decision.selected else found.choice.null_model
-    floors = stage_floors(comparison.setup, found.plain, reference)
+    named = found.named(decision)
+    floors = stage_floors(comparison.setup, found.plain, named)
     tip_floor = None
-    tip = comparison.tips.fetch([reference.point])[0]
+    tip = comparison.tips.fetch([named.point])[0]
     if np.isfinite(tip).any():
-        tip_floor = chain_floor(comparison.grid, comparison.model, comparison.setup, reference, tip)
+        tip_floor = chain_floor(comparison.grid, comparison.model, comparison.setup, named, tip)
     if decision.kind == "none":
         decision = found.decide(signs | _above_floors(comparison, floors, tip_floor))
-    return Decided(decision, floors, tip_floor, calibration(comparison, found, reference))
+    return Decided(decision, floors, tip_floor, named, calibration(comparison, found, named))
 
 
 def _signs(comparison: Comparison, found: Examination) -> dict[str, Structure]:

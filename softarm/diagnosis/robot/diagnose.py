@@ -9,16 +9,13 @@ from softarm.diagnosis.answer import rivals
 from softarm.diagnosis.answer.assembly import Answer, StageAnswer, assemble, share
 from softarm.diagnosis.answer.evidence import overlays, regimes, spectrum
 from softarm.diagnosis.data.trials import Trial
-from softarm.diagnosis.engine.candidates import point_of
 from softarm.diagnosis.engine.confidence import confidence, margins
 from softarm.diagnosis.engine.decision import Decision, Kind, stage_of, stage_shares
 from softarm.diagnosis.engine.examination import Examination
-from softarm.diagnosis.engine.fits import Fit
 from softarm.diagnosis.engine.result import Diagnosis, Unexplained
-from softarm.diagnosis.engine.search import Choice, Progress, SelectedEffect
+from softarm.diagnosis.engine.search import Choice, Progress
 from softarm.diagnosis.engine.shrink import widened
 from softarm.diagnosis.engine.thresholds import ROBOT
-from softarm.diagnosis.engine.view import Array, Point
 from softarm.diagnosis.robot import experiments, regime
 from softarm.diagnosis.robot.calibration import calibrated_tip, with_calibration
 from softarm.diagnosis.robot.candidates import candidates
@@ -65,7 +62,7 @@ def diagnose_robot(trials: Sequence[Trial], nominal: Model, progress: Progress) 
     named = [count for count in counted if count.named]
     patched = None
     if decided.decision.selected or named:
-        patched = _patched(comparison.model, decided.decision, found.choice, named)
+        patched = _patched(comparison.model, decided, named)
     whole = patched
     if decided.calibrated.values:
         whole = with_calibration(patched or comparison.model, decided.calibrated.values)
@@ -83,18 +80,12 @@ def _answer(comparison: Comparison, found: Examination, decided: Decided, counte
     if named:
         kind = "named" if kind in ("none", "named") else "incomplete"
     stage = None if kind == "none" else stage_of(shares, STAGES)
-    point = _point(decision, choice)
-    bounds = found.search.problem.interval(choice.chosen)
-    effects = [
-        _named_effect(comparison, found, bounds, effect, _fold_points(choice.chosen, point))
-        for effect in decision.selected
-    ]
-    effects += [_count_effect(count) for count in named]
+    effects = _named_effects(comparison, found, decided) + [_count_effect(count) for count in named]
     return Answer(
         kind=kind,
         where=Where(stage=stage, share=shares, regime=_regime(comparison, stage)),
         effects=tuple(sorted(effects, key=lambda e: -shares.get(e.name.partition(".")[0], 0.0))),
-        stages=tuple(_stages(comparison, found, decided, counted, point)),
+        stages=tuple(_stages(comparison, found, decided, counted)),
         rivals=rivals.by_gain(found.search, choice, decision.selected),
         nuisances=comparison.setup.fitted_nuisances(choice.chosen),
         margins=margins(decision.selected),
@@ -114,32 +105,32 @@ def _regime(comparison: Comparison, stage: str | None) -> str:
     return "throughout"
 
 
-def _named_effect(
-    comparison: Comparison,
-    found: Examination,
-    bounds: tuple[Array, Array],
-    effect: SelectedEffect,
-    points: Sequence[Point],
-) -> NamedEffect:
-    """Return a named effect; bounds: low and high of all chosen parameters."""
-    fit = found.choice.chosen
-    i = fit.names.index(effect.candidate.name)
-    first = sum(len(c.parameters) for c in fit.effects[:i])
-    parameters = {}
-    for j, parameter in enumerate(effect.candidate.parameters):
-        value = parameter.value(fit.u[i][j])
-        ends = [parameter.value(bound[first + j]) for bound in bounds]
-        if np.isfinite(value):
-            finite = [x if np.isfinite(x) else find(parameter.path)[1].high for x in (value, *ends)]
-            name = parameter.path.rpartition(".")[2]
-            parameters[name] = Estimate(value=value, low=min(finite), high=max(finite), unit=parameter.unit)
-    return NamedEffect(
-        name=effect.candidate.name,
-        parameters=parameters,
-        confidence=confidence("robot", effect),
-        equivalents=effect.equivalents,
-        shrink=effect_shrink(comparison, found, effect, points),
-    )
+def _named_effects(comparison: Comparison, found: Examination, decided: Decided) -> list[NamedEffect]:
+    """Return the named effects with their sizes and shrinks."""
+    fit, without = decided.fit, found.without_each(decided.fit)
+    bounds = found.search.problem.interval(fit)
+    effects = []
+    for effect in decided.decision.selected:
+        name = effect.candidate.name
+        first = sum(len(c.parameters) for c in fit.effects[: fit.names.index(name)])
+        parameters = {}
+        for i, parameter in enumerate(effect.candidate.parameters, first):
+            value = fit.point[parameter.path]
+            ends = [parameter.value(bound[i]) for bound in bounds]
+            if np.isfinite(value):
+                finite = [x if np.isfinite(x) else find(parameter.path)[1].high for x in (value, *ends)]
+                estimate = Estimate(value=value, low=min(finite), high=max(finite), unit=parameter.unit)
+                parameters[parameter.path.rpartition(".")[2]] = estimate
+        effects.append(
+            NamedEffect(
+                name=name,
+                parameters=parameters,
+                confidence=confidence("robot", effect),
+                equivalents=effect.equivalents,
+                shrink=effect_shrink(comparison, found.plain, effect, without[name], fit),
+            )
+        )
+    return effects
 
 
 def _count_effect(count: Count) -> NamedEffect:
@@ -152,10 +143,10 @@ def _count_effect(count: Count) -> NamedEffect:
 
 
 def _stages(
-    comparison: Comparison, found: Examination, decided: Decided, counted: Sequence[Count], point: Point
+    comparison: Comparison, found: Examination, decided: Decided, counted: Sequence[Count]
 ) -> list[StageAnswer]:
     """Return the gaps of all stages, of effects measured from stamps and noise, and of the whole chain."""
-    points = _fold_points(found.choice.chosen, point)
+    point, points = decided.fit.point, decided.fit.fold_points
     answers = []
     for view, gaps in zip(comparison.views, comparison.setup.gaps, strict=True):
         gap = stage_gap(comparison, view, gaps, points)
@@ -251,24 +242,11 @@ def _warnings(comparison: Comparison, choice: Choice, decision: Decision) -> lis
     return found
 
 
-def _fold_points(chosen: Fit, point: Point) -> list[Point]:
-    """Return the named effects' parameters, fitted without each fold."""
-    return [{path: each[path] for path in point} for each in chosen.fold_points]
-
-
-def _point(decision: Decision, choice: Choice) -> dict[str, float]:
-    """Return the parameters of the named effects."""
-    named = {effect.candidate.name for effect in decision.selected}
-    pairs = [(c, u) for c, u in zip(choice.chosen.effects, choice.chosen.u, strict=True) if c.name in named]
-    return point_of(tuple(c for c, _ in pairs), tuple(u for _, u in pairs))
-
-
-def _patched(model: Model, decision: Decision, choice: Choice, named: Sequence[Count]) -> Model:
+def _patched(model: Model, decided: Decided, named: Sequence[Count]) -> Model:
     """Return the nominal model with the named effects, without an effect that the robot does not have."""
     effects = {name: dict(values) for name, values in model.effects.items()}
-    point = _point(decision, choice)
-    for effect in decision.selected:
-        name = effect.candidate.name
+    point = decided.fit.point
+    for name in decided.fit.names:
         values = {p.name: point[f"{name}.{p.name}"] for p in REGISTRY[name].parameters}
         if all(values[p.name] == p.neutral for p in REGISTRY[name].parameters if p.default is None):
             effects.pop(name, None)

@@ -7,8 +7,7 @@ import numpy as np
 
 from softarm.diagnosis.answer.assembly import share
 from softarm.diagnosis.answer.evidence import rms
-from softarm.diagnosis.engine.examination import Examination
-from softarm.diagnosis.engine.fits import FitProblem
+from softarm.diagnosis.engine.fits import Fit, FitProblem
 from softarm.diagnosis.engine.search import SelectedEffect
 from softarm.diagnosis.engine.shrink import chain_interval, interval
 from softarm.diagnosis.engine.view import Array, Point, View
@@ -49,18 +48,25 @@ def tip_gap(comparison: Comparison, points: Sequence[Point]) -> HeldOutGap | Non
 
 
 def effect_shrink(
-    comparison: Comparison, found: Examination, effect: SelectedEffect, points: Sequence[Point]
+    comparison: Comparison, plain: FitProblem, effect: SelectedEffect, without: Fit, named: Fit
 ) -> Shrink:
     """Return the shares of its stage's and of the tip's gap that an effect removes next to the other named effects.
 
     Every trial is judged by parameters that were fitted without its kind of excitation.
+
+    Args:
+        comparison: trials and nominal model.
+        plain: problem in units of the noise floors.
+        effect: named effect.
+        without: fit of the other named effects.
+        named: fit of all named effects.
     """
     own = {d.path for d in effect.candidate.parameters} | set(effect.candidate.form)
-    residual = found.plain.whitened[comparison.stages.index(_stage_of(effect))]
-    fits = (effect.without.fold_points, found.choice.chosen.fold_points)
-    stage = interval(*(_squares(found.plain, residual, each, len(comparison.trials)) for each in fits))
-    without = [{k: v for k, v in each.items() if k not in own} for each in points]
-    tips = [comparison.held_out(gaps) for gaps in np.split(comparison.tips.fetch([*without, *points]), 2)]
+    residual = plain.whitened[comparison.stages.index(_stage_of(effect))]
+    fits = (without.fold_points, named.fold_points)
+    stage = interval(*(_squares(plain, residual, each, len(comparison.trials)) for each in fits))
+    less = [{k: v for k, v in each.items() if k not in own} for each in named.fold_points]
+    tips = [comparison.held_out(gaps) for gaps in np.split(comparison.tips.fetch([*less, *named.fold_points]), 2)]
     chain = None
     if np.isfinite(tips).any():
         trial = comparison.grid.sample[1]

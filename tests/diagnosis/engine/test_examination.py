@@ -1,0 +1,88 @@
+"""The examination as a whole: what follows from the named effects follows from them alone."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+
+from softarm.diagnosis.answer.calibration import calibrated
+from softarm.diagnosis.engine.candidates import Candidate, FittedParameter, Nuisance
+from softarm.diagnosis.engine.examination import Examination
+from softarm.diagnosis.engine.problem import Setup
+from softarm.diagnosis.engine.thresholds import RIG, ROBOT
+
+RATE_HZ, LENGTH_S, NOISE = 50.0, 6.0, 0.02
+SWING, LEVEL, BIAS = "stage.swing.size", "stage.level.height", "stage.zero.bias"
+TRUTH = {SWING: 0.8, LEVEL: 0.2}
+KINDS = ("slow", "fast", "both")
+
+
+def _candidate(path, *starts):
+    parameter = FittedParameter(path, "-", 0.0, -2.0, 2.0, 0.3, 0.0)
+    return Candidate(path.rpartition(".")[0], "stage", (parameter,), tuple((start,) for start in starts))
+
+
+@dataclass
+class _View:
+    """A reading with a swing, a level that is missing in a third of the data, and a zero that the model has."""
+
+    stage, unit, channels = "stage", "-", ("reading",)
+    acts = frozenset({SWING, LEVEL, BIAS})
+    regimes, features, own_nuisances, echoes = {}, {}, {}, frozenset()
+
+    def start_directions(self):
+        return None
+
+    def __post_init__(self):
+        t = np.arange(round(RATE_HZ * LENGTH_S)) / RATE_HZ
+        self.t_s, self.trial = np.tile(t, 3), np.repeat(np.arange(3), len(t))
+        self.swing = np.concatenate((np.sin(2 * t), np.sin(5 * t), np.sin(2 * t) + np.sin(5 * t)))
+        self.level = np.tile(t > LENGTH_S / 3, 3)
+        self.features = {"swing": self.swing, "level": self.level.astype(float)}
+        self.floor, self.noise = np.array([NOISE]), np.zeros(1)
+        noise = NOISE * np.random.default_rng(0).normal(size=len(self.t_s))
+        self.measured = (self._predict(TRUTH) + noise)[:, None]
+
+    def _predict(self, point):
+        level = point.get(LEVEL, 0.0) * self.level
+        return point.get(SWING, 0.0) * self.swing + level + point.get(BIAS, 0.0)
+
+    def gap(self, points):
+        return np.stack([self.measured - self._predict(p)[:, None] for p in points]).astype(np.float32)
+
+
+@pytest.fixture(params=[ROBOT, RIG], ids=["robot", "rig"])
+def found(request):
+    setup = Setup([_View()], (Nuisance(BIAS, 0.0, -0.5, 0.5),), KINDS)
+    known = (_candidate(SWING, 0.3, -0.3), _candidate(LEVEL, 0.3, -0.3))
+    return Examination(setup, known, KINDS, request.param, lambda what, share: None)
+
+
+def _without_level(found):
+    """The decision if the level, which was fitted, is not named."""
+    decision = found.decide()
+    assert {effect.candidate.name for effect in decision.selected} == {"stage.swing", "stage.level"}
+    kept = tuple(effect for effect in decision.selected if effect.candidate.name == "stage.swing")
+    return replace(decision, kind="incomplete", selected=kept)
+
+
+def test_the_fit_of_the_named_effects_has_no_other(found):
+    named = found.named(_without_level(found))
+    assert named.names == ("stage.swing",)
+    assert named.point[SWING] == pytest.approx(TRUTH[SWING], abs=0.05)
+    assert named.held_out.sum() > 2 * found.choice.chosen.held_out.sum()
+    assert [each.names for each in found.without_each(named).values()] == [()]
+
+
+def test_if_all_or_none_are_named_nothing_is_fitted_again(found):
+    decision = found.decide()
+    assert found.named(decision) is found.choice.chosen
+    assert found.named(replace(decision, selected=())) is found.choice.null_model
+
+
+def test_the_calibration_next_to_the_named_effects_replaces_what_is_not_named(found):
+    """Next to both effects the zero is nominal; next to the swing alone it takes the level's mean."""
+    decision = _without_level(found)
+    (bias,) = calibrated(found.setup, found.verdict_problem, found.plain, found.named(decision), str).parameters
+    assert (bias.name, bias.at_edge) == (BIAS, False)
+    assert bias.value == pytest.approx(TRUTH[LEVEL] * 2 / 3, abs=0.02)
