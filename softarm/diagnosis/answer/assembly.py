@@ -48,7 +48,6 @@ class Answer:
     effects: tuple[NamedEffect, ...]
     stages: tuple[StageAnswer, ...]
     rivals: tuple[Rival, ...]
-    nuisances: Mapping[str, float]
     margins: Mapping[str, float]
     calibration: tuple[CalibratedParameter, ...]
     held_out: HeldOut
@@ -97,7 +96,6 @@ def assemble(
         regimes=tuple(regime for each in stages for regime in each.regimes),
         rivals=answer.rivals,
         unexplained=tuple(each.unexplained for each in stages if each.unexplained is not None),
-        nuisances=answer.nuisances,
         units=answer.units,
         seconds=time.monotonic() - started,
         total_shrink={each.stage: each.total_shrink for each in stages if each.total_shrink is not None},

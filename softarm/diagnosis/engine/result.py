@@ -87,7 +87,6 @@ class Diagnosis:
     regimes: tuple[Regime, ...] = ()
     rivals: tuple[Rival, ...] = ()
     unexplained: tuple[Unexplained, ...] = ()
-    nuisances: Mapping[str, float] = field(default_factory=dict)  # fitted in every fit, within tolerance
     units: Mapping[str, str] = field(default_factory=dict)  # 'stage.effect.parameter' of a rig -> unit
     seconds: float = 0.0
     # Stage -> share of its RMS that all named effects remove.

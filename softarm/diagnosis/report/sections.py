@@ -206,8 +206,7 @@ def _method(diagnosis: Diagnosis) -> Iterator[str]:
     yield "Each stage is simulated alone, driven by the signals measured before it."
     effects = "Each effect of the registry" if robot else "Each effect that such a stage can have"
     yield f"{effects} is fitted within bounds and scored {_VALIDATION[diagnosis.held_out]}."
-    if diagnosis.nuisances or robot:
-        yield "Every fit includes the nuisance parameters: small errors of known quantities, within tolerance."
+    yield "Every fit includes the nuisance parameters: small errors of known quantities, within tolerance."
     yield "An effect is named for its unique contribution next to its rivals, not for its fit alone."
     if any(effect.parameters for effect in verdict.effects):
         yield "The 95 % interval of a fitted size is a jackknife over blocks of consecutive samples."

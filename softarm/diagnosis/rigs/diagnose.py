@@ -58,7 +58,6 @@ class Finding:
     regime: str
     decision: Decision
     named: tuple[NamedEffect, ...]
-    nuisances: Mapping[str, float]
     calibration: tuple[CalibratedParameter, ...]
     rivals: tuple[Rival, ...]
     following: NextExperiment | None
@@ -117,7 +116,6 @@ def _answer(stages: Sequence[Finding], warnings: Sequence[str]) -> Answer:
         effects=tuple(effect for s in stages for effect in s.named),
         stages=tuple(s.answer for s in stages),
         rivals=tuple(rival for s in stages for rival in s.rivals),
-        nuisances={path: value for s in stages for path, value in s.nuisances.items()},
         margins={name: margin for s in named for name, margin in margins(s.decision.selected).items()},
         calibration=tuple(each for s in stages for each in s.calibration),
         held_out=min((s.held_out for s in stages), key=("block", "trial", "kind").index),
@@ -179,7 +177,6 @@ class _Stage:
             regime="throughout" if worst is None else f"largest: {worst.name}",
             decision=decision,
             named=tuple(self._named(m) for m in decision.selected),
-            nuisances=found.setup.fitted_nuisances(self.fit),
             calibration=self.calibrated.parameters,
             rivals=rivals.by_share(found.search, found.searched, self.choice.null_model, decision.selected),
             following=experiments.splitting(view, [self._same(m) for m in decision.selected]),

@@ -34,7 +34,6 @@ def in_owners_units(diagnosis: Diagnosis, trials: Sequence[Trial]) -> Diagnosis:
         overlays=tuple(_overlay(overlay, units.get(overlay.stage, {})) for overlay in diagnosis.overlays),
         regimes=tuple(_regime(regime, units.get(regime.stage, {})) for regime in diagnosis.regimes),
         rivals=tuple(replace(rival, parameters=_values(rival.parameters, own)) for rival in diagnosis.rivals),
-        nuisances=_values(diagnosis.nuisances, own),
         units={path: unit for path, (unit, _) in own.items()},
     )
 

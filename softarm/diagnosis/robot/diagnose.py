@@ -87,7 +87,6 @@ def _answer(comparison: Comparison, found: Examination, decided: Decided, counte
         effects=tuple(sorted(effects, key=lambda e: -shares.get(e.name.partition(".")[0], 0.0))),
         stages=tuple(_stages(comparison, found, decided, counted)),
         rivals=rivals.by_gain(found.search, choice, decision.selected),
-        nuisances=comparison.setup.fitted_nuisances(choice.chosen),
         margins=margins(decision.selected),
         calibration=decided.calibrated.parameters,
         held_out=comparison.setup.held_out,

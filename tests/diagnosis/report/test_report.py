@@ -110,7 +110,6 @@ def diagnosis(**changes):
             Rival(("pressure.dead_time", "pressure.lag"), 0.76, None, {}),
         ),
         "unexplained": (Unexplained("arm", 0.4, (("sign of the rate", 0.3), (NASTY, 0.1))),),
-        "nuisances": {"arm.stiffness.scale": 0.01},
         "seconds": 12.0,
         "held_out": "kind",
     }

@@ -342,7 +342,8 @@ def test_large_swings_need_dry_friction_and_drag():
     assert set(effects_found) == {"joint.coulomb_friction", "joint.drag"}
     assert 2e-4 < effects_found["joint.coulomb_friction"]["torque"].value < 6e-4
     assert 0.006 < effects_found["joint.drag"]["coefficient"].value < 0.012
-    assert found.nuisances["joint.damping.scale"] < -0.3
+    damping = next(each for each in found.verdict.calibration if each.name == "joint.damping.scale")
+    assert damping.value < -0.3
 
 
 def test_the_search_holds_out_blocks_and_the_verdict_whole_kinds():
