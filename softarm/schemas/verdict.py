@@ -55,7 +55,9 @@ class CalibratedParameter(Estimate):
 
     name: str  # stage.effect.parameter, or arm.KEY[JOINT]
     nominal: float
-    at_edge: bool = False  # at the edge of the tolerance, so that the true value may lie beyond
+    tolerance_low: float  # ends of the tolerance
+    tolerance_high: float
+    at_edge: bool = False  # at an end of the tolerance, so that the true value may lie beyond
     shrink: float  # share of its stage's held-out RMS that it takes next to all others
 
 

@@ -36,9 +36,10 @@ def show(result: "Diagnosis", json_file: Path | None) -> None:
         print_text(report.calibration_in_words(result))
     if shown := [each for each in verdict.calibration if each.shrink > CALIBRATION_SHOWN]:
         found = [
-            (each.name, f"{quantity(each.nominal, each.unit)} → {quantity(each.value, each.unit, 3)}") for each in shown
+            (each.name, quantity(each.nominal, each.unit), report.interval(each, each.unit), report.tolerance(each))
+            for each in shown
         ]
-        print_table(("calibrated parameter", "nominal → fitted"), found)
+        print_table(("calibrated", "nominal", "fitted, 95 % interval", "tolerance"), found)
     if (flight := report.flight(result)) is not None and verdict.next_experiment is not None:
         separated = verdict.next_experiment.separates
         purpose = f" separates {', '.join(separated)}" if separated else ""

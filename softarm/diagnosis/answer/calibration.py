@@ -42,6 +42,7 @@ def calibrated(
         path, nominal, scale = scales[i]
         share, half = float(found.shares[i]), float(found.half[i])
         less = held_out_rms(setup, plain, fit, found.without[i])
+        ends = sorted(nominal + float(edge[i]) * scale for edge in (problem.nuisance_low, problem.nuisance_high))
         parameters.append(
             CalibratedParameter(
                 name=path,
@@ -50,6 +51,8 @@ def calibrated(
                 low=nominal + share * scale - half * abs(scale),
                 high=nominal + share * scale + half * abs(scale),
                 unit=unit(path),
+                tolerance_low=ends[0],
+                tolerance_high=ends[1],
                 at_edge=bool(abs(share) >= AT_EDGE),
                 shrink=max(1 - left[stage] / less[stage] if less[stage] > 0 else 0.0 for stage in left),
             )

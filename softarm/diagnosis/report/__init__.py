@@ -4,6 +4,16 @@ from softarm.diagnosis.report.answer import answer
 from softarm.diagnosis.report.following import flight, steps
 from softarm.diagnosis.report.page import render, write
 from softarm.diagnosis.report.stages import paragraphs
-from softarm.diagnosis.report.words import calibration_in_words
+from softarm.diagnosis.report.words import calibration_in_words, interval, tolerance
 
-__all__ = ["answer", "calibration_in_words", "flight", "paragraphs", "render", "steps", "write"]
+__all__ = [
+    "answer",
+    "calibration_in_words",
+    "flight",
+    "interval",
+    "paragraphs",
+    "render",
+    "steps",
+    "tolerance",
+    "write",
+]

@@ -7,7 +7,7 @@ import numpy as np
 from softarm.diagnosis.engine.result import Diagnosis, HeldOut
 from softarm.diagnosis.report import causal, following
 from softarm.diagnosis.report.answer import answer, confidence_figure, headline
-from softarm.diagnosis.report.words import calibration_in_words, change, interval, shrinks_by
+from softarm.diagnosis.report.words import calibration_in_words, change, interval, shrinks_by, tolerance
 from softarm.reporting import charts
 from softarm.reporting.markup import Html, bar, el, join, prose, table, tiles
 from softarm.reporting.numbers import listed, number, percent, quantity
@@ -154,14 +154,15 @@ def calibration(diagnosis: Diagnosis) -> Html:
         (
             el("code", each.name),
             quantity(each.nominal, each.unit, 3),
-            interval(each, each.unit) + (", at the edge of its tolerance" if each.at_edge else ""),
+            interval(each, each.unit),
+            tolerance(each),
             percent(max(each.shrink, 0.0)),
         )
         for each in verdict.calibration
     ]
-    head = ("parameter", "nominal", "fitted, 95 % interval", "takes of its stage's gap")
+    head = ("parameter", "nominal", "fitted, 95 % interval", "tolerance", "takes of its stage's gap")
     caption = "Parameters of the nominal model that the data resolve; of single joints the relative change"
-    return join([lead, table(head, rows, caption, numbers=(3,)), _gaps(diagnosis)])
+    return join([lead, table(head, rows, caption, numbers=(4,)), _gaps(diagnosis)])
 
 
 def _gaps(diagnosis: Diagnosis) -> Html:

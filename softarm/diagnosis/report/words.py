@@ -4,7 +4,7 @@ import math
 
 from softarm.diagnosis.engine.result import Diagnosis, HeldOut
 from softarm.reporting.numbers import listed, number, percent, quantity, scaled
-from softarm.schemas.verdict import Estimate, Interval, NamedEffect, Quantity
+from softarm.schemas.verdict import CalibratedParameter, Estimate, Interval, NamedEffect, Quantity
 from softarm.simulator.effects import REGISTRY, Effect
 
 HELD_OUT: dict[HeldOut | None, str] = {
@@ -45,6 +45,13 @@ def _open(of: Interval, unit: str) -> str:
         return f"{low} {shown}".strip() + " or more"
     tail = f"{low} or more" if of.low > -_OPEN else f"{high} or less" if of.high < _OPEN else "any"
     return f"{value} {shown}".strip() + f" ({tail})"
+
+
+def tolerance(of: CalibratedParameter) -> str:
+    """Return the ends of a parameter's tolerance, such as `2 to 8 ms, at the edge`."""
+    shown, factor = scaled(of.unit, max(abs(of.tolerance_low), abs(of.tolerance_high)))
+    ends = " to ".join(number(end * factor) for end in (of.tolerance_low, of.tolerance_high))
+    return f"{ends} {shown}".strip() + (", at the edge" if of.at_edge else "")
 
 
 def size(of: Estimate) -> str:

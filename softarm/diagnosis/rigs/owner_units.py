@@ -11,6 +11,7 @@ from softarm.schemas.verdict import CalibratedParameter, Estimate, Gap, NamedEff
 
 # Name of the table's unit, and its number of units per standard unit.
 Unit = tuple[str, float]
+_VALUES = ("nominal", "value", "low", "high", "tolerance_low", "tolerance_high")  # of a calibrated parameter
 _RATES = ("", "/s", "/s^2", "/s^3")
 
 
@@ -89,7 +90,7 @@ def _quantity(of: Quantity, known: Mapping[str, Unit]) -> Quantity:
 
 def _calibrated(of: CalibratedParameter, own: Mapping[str, Unit]) -> CalibratedParameter:
     unit, worth = own.get(of.name, (of.unit, 1.0))
-    scaled = {name: getattr(of, name) * worth for name in ("nominal", "value", "low", "high")}
+    scaled = {name: getattr(of, name) * worth for name in _VALUES}
     return of.model_copy(update={**scaled, "unit": unit})
 
 

@@ -12,6 +12,7 @@ from softarm.diagnosis.engine.result import Diagnosis, Overlay
 from softarm.schemas.config import Config
 from softarm.schemas.model import Model
 from softarm.schemas.verdict import (
+    CalibratedParameter,
     Estimate,
     Gap,
     Interval,
@@ -182,6 +183,25 @@ def test_campaigns_with_different_models_need_the_model_option(asked, tmp_path):
     assert outcome.exit_code == 1
     assert "differ; choose one with --model" in outcome.output
     assert asked.trials is None
+
+
+def test_the_tolerance_of_a_calibrated_parameter_is_printed(asked, tmp_path):
+    found = CalibratedParameter(
+        name="rail.lag.time",
+        nominal=0.02,
+        value=0.024,
+        low=0.022,
+        high=0.026,
+        unit="s",
+        tolerance_low=0.016,
+        tolerance_high=0.024,
+        at_edge=True,
+        shrink=0.2,
+    )
+    gap = NAMED.gap.model_copy(update={"calibrated": {"pressure": Quantity(value=0.8, unit="kPa")}})
+    asked.verdict = NAMED.model_copy(update={"calibration": (found,), "gap": gap})
+    output = " ".join(invoke("diagnose", write_trial(tmp_path / "c" / "a")).output.replace("│", "").split())
+    assert "rail.lag.time 20 ms 24.0 ms (22.0 to 26.0) 16 to 24 ms, at the edge" in output
 
 
 def test_without_a_named_effect_no_patch_is_written(asked, tmp_path):

@@ -61,6 +61,9 @@ def test_resolved_parameters_come_back_and_the_gap_falls_to_the_noise():
         assert each.value == pytest.approx(truth, abs=0.02)
         assert each.nominal == NOMINAL[each.name]
         assert not each.at_edge
+        assert (each.tolerance_low, each.tolerance_high) == pytest.approx(
+            {SCALE: (0.8, 1.2), BIAS: (-0.5, 0.5)}[each.name]
+        )
     assert [each.name for each in found.parameters] == [BIAS, SCALE]  # what takes most comes first
     assert all(each.shrink > 0.3 for each in found.parameters)
     assert found.rms["stage"] == pytest.approx(NOISE, rel=0.1)

@@ -60,7 +60,15 @@ PAYLOAD = NamedEffect(
     shrink=Shrink(stage=interval(0.3, 0.2, 0.4)),
 )
 STIFFNESS = CalibratedParameter(
-    name="arm.stiffness.scale", nominal=0.0, value=0.012, low=0.01, high=0.014, unit="-", shrink=0.62
+    name="arm.stiffness.scale",
+    nominal=0.0,
+    value=0.012,
+    low=0.01,
+    high=0.014,
+    unit="-",
+    tolerance_low=-0.06,
+    tolerance_high=0.06,
+    shrink=0.62,
 )
 GONE = NamedEffect(
     name="observation.finite_difference", parameters={}, confidence=0.9, shrink=Shrink(stage=interval(0.3, 0.2, 0.4))
@@ -466,7 +474,7 @@ EVIDENCE = (
     "sign of the rate",
     "Calibration: 1 parameter is off within tolerance; corrected, the gap at the tip goes from 10 to 4 mm RMS",
     "arm.stiffness.scale",
-    "0.0120 (0.0100 to 0.0140)",
+    "0.0120 (0.0100 to 0.0140) -0.06 to 0.06",
     "absent 0.0612 s",
     "on the robot 60 %",
     "in the nominal simulator 90 %",
@@ -482,6 +490,12 @@ def test_every_part_of_the_evidence_is_on_the_page():
     for piece in EVIDENCE:
         assert piece in page
     assert "in the patched simulator" not in page  # its success is not known
+
+
+def test_a_parameter_at_the_edge_of_its_tolerance_says_how_wide_that_is():
+    edge = STIFFNESS.model_copy(update={"value": 0.06, "low": 0.05, "high": 0.07, "at_edge": True})
+    page = Page(report.render(diagnosis(verdict=verdict(calibration=(edge,))))).words
+    assert "0.060 (0.050 to 0.070) -0.06 to 0.06, at the edge" in page
 
 
 def test_missing_results_are_shown_as_not_known():
