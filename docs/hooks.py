@@ -1,5 +1,6 @@
 """Additions to the site: tables generated from the code, and the repository's files that pages link to."""
 
+import json
 import posixpath
 import re
 from collections.abc import Callable, Iterator
@@ -14,6 +15,7 @@ from softarm.daemon.api.app import ApiContext, create_app
 from softarm.daemon.config import keys
 from softarm.daemon.control import failsafe
 from softarm.daemon.control.inbox import Inbox
+from softarm.diagnosis.blind import pages
 from softarm.reality import parameters, quantities
 from softarm.schemas import stage_model
 from softarm.schemas.config import Config
@@ -61,6 +63,13 @@ def exit_codes() -> str:
     """Return the exit codes of `softarm`."""
     rows = "\n".join(f"| {code} | {means} |" for code, means in EXITS.items())
     return f"| exit code | means |\n|---|---|\n{rows}"
+
+
+def blind_causes() -> str:
+    """Return every cause of the blind benchmark with its stored strength."""
+    stored = json.loads((ROOT / "benchmarks/results/strength.json").read_text(encoding="utf-8"))
+    about = stored["about"]
+    return f"{pages.strength(stored['causes'])}\n*Measured {about['date'][:10]} at {about['revision'][:8]}.*"
 
 
 def configuration_keys() -> str:
@@ -117,6 +126,7 @@ def _cell(text: object) -> str:
 
 
 GENERATED: dict[str, Callable[[], str]] = {
+    "blind-causes": blind_causes,
     "commands": cli_page.markdown,
     "configuration-keys": configuration_keys,
     "effects": effects_page.markdown,

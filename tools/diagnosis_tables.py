@@ -3,7 +3,6 @@
 from collections.abc import Callable, Iterable, Mapping
 from typing import Any
 
-from softarm.diagnosis.blind import pages
 from tools.markdown import Read, markdown
 
 
@@ -68,11 +67,6 @@ def _share(found: Mapping[str, Any]) -> str:
     return f"{100 * found['share']:.0f} % ({found['hits']} of {found['of']})"
 
 
-def strength(read: Read) -> str:
-    """Return how clearly the weakest strength of every imperfection shows."""
-    return pages.strength(read("strength")["causes"])
-
-
 def beside_sysid(read: Read) -> str:
     """Return the diagnosis next to mujoco.sysid on one campaign, with time and held-out error."""
     found = read("diagnosis")
@@ -105,6 +99,5 @@ TABLES: dict[str, Callable[[Read], str]] = {
     "blind": blind,
     "blind-again": blind_again,
     "blind-methods": blind_methods,
-    "strength": strength,
     "beside-sysid": beside_sysid,
 }

@@ -51,6 +51,7 @@ def test_linked_files_of_the_repository_are_in_the_site(site):
 @pytest.mark.parametrize(
     ("page", "shown"),
     [
+        ("blind-causes", "unknown.gear_ripple"),
         ("cli", "softarm goal reach"),
         ("cli", "<td>130</td>"),
         ("configuration", "limits.rail.position_min_m"),
