@@ -131,10 +131,9 @@ async def test_the_native_program_acts_as_a_board(program: Program, until: Any, 
 
 
 @pytest.mark.realtime
-def test_the_steps_of_the_page_cover_the_valves_range(program: Program) -> None:
-    """Follow docs/hardware/firmware.md, in real time because of the time to live."""
-    page = (NATIVE.parents[2] / "docs" / "hardware" / "firmware.md").read_text(encoding="utf-8")
-    [steps] = re.findall(r"```python\n(.*?)```", page, re.DOTALL)
+def test_the_steps_cover_the_valves_range(program: Program) -> None:
+    """Run firmware/steps.py, in real time because of the time to live."""
+    steps = (NATIVE.parents[1] / "steps.py").read_text(encoding="utf-8")
     steps, shorter = re.subn(
         r"(?m)^SECONDS = .*", "SECONDS = 0.3", re.sub(r'(?m)^PORT = ".*"', f'PORT = "{program.port}"', steps)
     )
