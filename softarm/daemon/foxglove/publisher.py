@@ -4,6 +4,7 @@ The recorder's thread puts ticks into a bounded queue, and a separate thread wri
 server loses the oldest ticks and delays neither the recorder nor the control loop.
 """
 
+import contextlib
 import logging
 import subprocess
 import sys
@@ -75,12 +76,13 @@ class FoxglovePublisher:
         command = (sys.executable, "-m", "softarm.recordings.foxglove.server", self._host, str(self.port))
         self._server = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE)
         assert self._server.stdin is not None
-        line = self._first_line()
+        live = _Pipe(cast(BinaryIO, _Counted(self._server.stdin)))
+        line = self._first_line(live)
         if not line.isdecimal():
             self.stop()
             raise FoxgloveError(f"Foxglove {line or 'did not start; see above'}")
         self.port = int(line)
-        self._thread = threading.Thread(target=self._send, args=(self._server.stdin,), name="foxglove", daemon=True)
+        self._thread = threading.Thread(target=self._send, args=(live,), name="foxglove", daemon=True)
         self._thread.start()
 
     def take(self, tick: Tick, entries: list[Entry]) -> None:
@@ -105,22 +107,22 @@ class FoxglovePublisher:
             self._server.wait()
         self._server.stdout.close()
 
-    def _first_line(self) -> str:
-        """Return the server's first line, or an empty text after the time limit."""
+    def _first_line(self, live: _Pipe) -> str:
+        """Send the log's head and return the server's first line, or an empty text after the time limit."""
         assert self._server is not None
         assert self._server.stdout is not None
         late = threading.Timer(START_S, self._server.kill)
         late.start()
         try:
+            with contextlib.suppress(OSError):  # a server that has ended has printed why
+                live.head(self._config, None, time.monotonic_ns(), time.time_ns())
             return self._server.stdout.readline().decode().strip()
         finally:
             late.cancel()
 
-    def _send(self, pipe: IO[bytes]) -> None:
+    def _send(self, live: _Pipe) -> None:
         """Write queued ticks in a separate thread, which a full pipe may block."""
         try:
-            live = _Pipe(cast(BinaryIO, _Counted(pipe)))
-            live.head(self._config, None, time.monotonic_ns(), time.time_ns())
             while not self._stopping.wait(POLL_S):
                 while self._queue:
                     self._put(live, *self._queue.popleft())

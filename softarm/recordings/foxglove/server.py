@@ -1,8 +1,8 @@
 """Live server for Foxglove: records of a log come in, their messages go out over WebSocket.
 
 It is a separate process, `python -m softarm.recordings.foxglove.server HOST PORT`: the log arrives on standard input,
-and the server ends with it. It prints one line, the port or an error. Clients can only watch: the server accepts no
-message, parameter or call.
+and the server ends with it. It starts after the log's head and prints one line, the port or an error. Clients can only
+watch: the server accepts no message, parameter or call.
 """
 
 import os
@@ -35,6 +35,11 @@ class Relay:
         self._metadata: dict[str, dict[str, str]] = {}
         self._converter: Converter | None = None
         self._channels = {one.topic: self._channel(one) for one in converter.channels()}
+
+    @property
+    def is_complete(self) -> bool:
+        """Return whether every channel exists: the SDK may refuse a channel to a client that connects earlier."""
+        return log.CLOCK in self._metadata
 
     def take(self, record: McapRecord) -> None:
         """Relay one record to the clients."""
@@ -69,19 +74,19 @@ def serve(host: str, port: int, source: BinaryIO) -> None:
     except ModuleNotFoundError:
         _say("is not installed: pip install 'softarm[foxglove]'")
         return
-    context = foxglove.Context()
-    try:
-        server = foxglove.start_server(name=NAME, host=host, port=port, capabilities=[], context=context)
-    except Exception as error:  # the SDK passes on errors of the operating system
-        _say(f"cannot be served at {host}:{port} ({error}); choose another port")
-        return
-    _say(str(server.port))
+    context, server = foxglove.Context(), None
     relay = Relay(foxglove, context)
     try:
         for record in mcap_file.stream(source, RECORD_MAX):
             relay.take(record)
+            if server is None and relay.is_complete:
+                server = foxglove.start_server(name=NAME, host=host, port=port, capabilities=[], context=context)
+                _say(str(server.port))
+    except RuntimeError as error:  # the SDK's error, raised by its start
+        _say(f"cannot be served at {host}:{port} ({error}); choose another port")
     finally:
-        server.stop()
+        if server is not None:
+            server.stop()
 
 
 def _say(text: str) -> None:

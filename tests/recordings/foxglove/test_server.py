@@ -8,8 +8,11 @@ from pathlib import Path
 
 import pytest
 
+from softarm.daemon.logbook import ticks
 from softarm.recordings import mcap_file
 from softarm.recordings.foxglove import converter, server
+from softarm.recordings.live import LiveFile
+from softarm.schemas import log as names
 
 
 def test_without_the_extra_it_says_how_to_get_it(monkeypatch, capsys):
@@ -24,14 +27,29 @@ def test_the_extra_that_is_named_brings_the_sdk_and_the_core_does_not():
     assert not any("foxglove" in each for each in project["dependencies"])
 
 
-def test_an_occupied_port_is_reported(capsys):
+def test_an_occupied_port_is_reported(log, capsys):
     pytest.importorskip("foxglove")
-    with socket.create_server(("127.0.0.1", 0)) as taken:
+    with socket.create_server(("127.0.0.1", 0)) as taken, log.path.open("rb") as source:
         port = taken.getsockname()[1]
-        server.serve("127.0.0.1", port, io.BytesIO())
+        server.serve("127.0.0.1", port, source)
     said = capsys.readouterr().out
     assert said.startswith(f"cannot be served at 127.0.0.1:{port} (")
     assert said.endswith("choose another port\n")
+
+
+def test_the_port_opens_after_every_channel_exists(monkeypatch):
+    """The SDK may refuse a new channel to a client that connected before the channel was created."""
+    foxglove = pytest.importorskip("foxglove")
+    created, real = [], foxglove.Channel
+    monkeypatch.setattr(foxglove, "Channel", lambda topic, **options: created.append(topic) or real(topic, **options))
+    at_start, start = [], foxglove.start_server
+    monkeypatch.setattr(foxglove, "start_server", lambda **options: at_start.extend(created) or start(**options))
+    head = io.BytesIO()
+    LiveFile(head, ticks.CHANNELS).note(names.CLOCK, {"wall_minus_monotonic_ns": "0"})
+    head.seek(0)
+    server.serve("127.0.0.1", 0, head)
+    assert {"/tick", "/tf", "/state", "/scene/robot"} <= set(at_start)
+    assert at_start == created
 
 
 class Sdk:
