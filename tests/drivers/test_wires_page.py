@@ -212,7 +212,7 @@ SESSION = [
 EXCHANGES = [row for row in SESSION if row.request]
 REFUSED = [
     Exchange(says, bytes.fromhex(request), answers, bytes.fromhex(answer))
-    for says, request, answers, answer in table("master", "telegram", "drive refuses", "its telegram")
+    for says, request, answers, answer in vectors("rail-refused.csv")
 ]
 
 
@@ -339,7 +339,7 @@ def test_the_mocap_payload_matches_the_page() -> None:
     assert all(math.isnan(value) for value in frame.bodies[2][:3])
 
 
-@pytest.mark.parametrize(("payload", "why"), table("payload", "refused because"))
+@pytest.mark.parametrize(("payload", "why"), vectors("mocap-refused.csv"))
 def test_invalid_mocap_payloads_are_rejected(payload: str, why: str) -> None:
     with pytest.raises(ValueError, match=re.escape(why)):
         mocap_payload.decode(payload.encode(), 0)
