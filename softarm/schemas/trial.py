@@ -1,8 +1,8 @@
 """Data models of trial.yaml (of a folder) and stage.yaml (of a mechanism's tables), see docs/reference/trials.md."""
 
-from typing import Annotated, Literal
+from typing import Annotated, Literal, Self
 
-from pydantic import AfterValidator, BeforeValidator, Field
+from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
 from softarm.common.quantity import factor
 from softarm.schemas.base import Strict
@@ -15,6 +15,11 @@ def _pure(unit: object) -> object:
     return "1" if unit == 1 else unit  # as YAML reads it without quotes
 
 
+def _listed(value: object) -> object:
+    """Return one value without brackets as a list of one; a list unchanged."""
+    return tuple(value) if isinstance(value, list) else (value,) if isinstance(value, str | int | float) else value
+
+
 def _known(unit: str) -> str:
     factor(unit)
     return unit
@@ -22,6 +27,8 @@ def _known(unit: str) -> str:
 
 # Unit of a column; `softarm.common.quantity.factor` converts it.
 Unit = Annotated[str, BeforeValidator(_pure), AfterValidator(_known)]
+# Cells that mean "not measured", such as -9999 or "n/a"; also in .mat and Parquet.
+Marks = Annotated[tuple[str | float, ...], BeforeValidator(_listed)]
 
 
 class TrialFile(Strict):
@@ -32,6 +39,7 @@ class TrialFile(Strict):
 
 
 # A column by its header, or by its number from 1 without headers; in .mat a path: Theta1.signals.values, Y_id[0].
+# An asterisk in a name stands for any text.
 Source = Annotated[str, Field(min_length=1)] | Annotated[int, Field(ge=1)]
 
 
@@ -39,10 +47,12 @@ class Column(Strict):
     """Source of a column of a table: (source - minus) x scale in `unit`, converted to base units, plus `add`."""
 
     source: Source
-    minus: Source | None = None  # another column of the same file, in the same unit
+    # Other columns of the same file, in the same unit.
+    minus: Annotated[tuple[Source, ...], BeforeValidator(_listed)] = ()
     unit: Unit
     scale: float = 1.0  # value of 1 in the column, in `unit`: 0.0879 deg for a count of 4096
     row: Annotated[int, Field(ge=0)] | None = None  # of a .mat matrix whose rows are the signals
+    missing: Marks | None = None  # instead of those of the table
     add: float = 0.0  # added last, in base units: -pi for an angle that is pi while the pendulum hangs
 
 
@@ -53,8 +63,7 @@ class TableForm(Strict):
     delimiter: Literal[",", ";", "tab", "space"] | None = None
     decimal: Literal[".", ","] | None = None
     skip: Annotated[int, Field(ge=0)] = 0  # number of lines before the header
-    # Cells that mean "not measured", such as -9999 or "n/a"; also in .mat and Parquet.
-    missing: tuple[str | float, ...] = ()
+    missing: Marks = ()
 
 
 class TableChannel(Strict):
@@ -72,6 +81,18 @@ class TableTrial(Strict):
     # Channel -> file, relative to the data folder.
     files: Annotated[str, Field(min_length=1)] | Annotated[dict[str, str], Field(min_length=1)]
     segment: str | None = None  # replaces {segment} in a column's source
+    # Seconds after the recording's first row; rows outside are left out.
+    from_s: Annotated[float, Field(ge=0)] = 0.0
+    to_s: Annotated[float, Field(gt=0)] | None = None
+
+    @model_validator(mode="after")
+    def _is_window(self) -> Self:
+        if self.to_s is not None and self.to_s <= self.from_s:
+            raise ValueError(
+                f"to_s is {self.to_s:g}, not after from_s ({self.from_s:g}); allowed above "
+                f"{self.from_s:g} s; correct one"
+            )
+        return self
 
 
 class Mechanism(Strict):

@@ -61,6 +61,11 @@ def diagnose(
 
     if data is not None and not any(path.suffix in TABLES for path in inputs):
         raise click.UsageError("--data is for the data files of a stage.yaml: name one as INPUT, or omit --data")
+    if model_file is not None and (stage := next((path for path in inputs if path.suffix in TABLES), None)):
+        raise click.UsageError(
+            f"--model is the simulator of the robot, but {stage} is another rig and holds its own nominal model; omit "
+            f"--model, and write the values under `model:` in {stage}"
+        )
     refuse_misplaced(inputs)
     check_places(json_file, report_file, patch_file, limits_file)
     leaves(NOTHING)

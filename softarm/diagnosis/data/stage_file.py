@@ -27,6 +27,9 @@ class Recording:
     kind: str
     files: Mapping[str, Path]
     segment: str | None
+    # Seconds after the first row of its files.
+    from_s: float = 0.0
+    to_s: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,7 +88,7 @@ def _is_of_several(data: Any) -> bool:
 
 def recordings(path: Path, base: Path, stage: Stage) -> Iterator[Recording | TrialError]:
     """Yield every trial of a stage with its patterns expanded, or a TrialError instead of an invalid trial."""
-    taken: set[str] = set()
+    taken: dict[str, Path] = {}
     for trial in stage.trials:
         try:
             found = list(_recordings(path, base, stage.about, trial))
@@ -94,8 +97,13 @@ def recordings(path: Path, base: Path, stage: Stage) -> Iterator[Recording | Tri
             continue
         for each in found:
             if each.name in taken:
-                yield TrialError(f"{path}: two trials are called {each.name}; give one of them another `name`")
-            taken.add(each.name)
+                own = next(iter(each.files.values()))
+                other = f"{each.name}-2" if own.parent == taken[each.name].parent else f"{own.parent.name}-{each.name}"
+                yield TrialError(
+                    f"{path}: two trials are called {each.name}; give one of them another `name`, e.g. `name: {other}` "
+                    f"for {own}"
+                )
+            taken[each.name] = next(iter(each.files.values()))
             yield each
 
 
@@ -115,11 +123,12 @@ def _recordings(path: Path, base: Path, about: Mechanism, trial: TableTrial) -> 
             raise TrialError(f"{of}: names no file for the {name} channel; add it under `files`")
     if trial.segment is not None and not _has_segment(about):
         raise TrialError(f"{of}: has a segment, but no `source` holds {{segment}}; put it there, or leave it out")
+    cut = trial.segment, trial.from_s, trial.to_s
     stars = {name: pattern for name, pattern in files.items() if _STAR.search(pattern)}
     if not stars:
         first = Path(next(iter(files.values())))
         name = trial.name or (first.stem if trial.segment is None else f"{first.stem}-{trial.segment}")
-        yield Recording(name, trial.kind or kind_of(name), {c: base / f for c, f in files.items()}, trial.segment)
+        yield Recording(name, trial.kind or kind_of(name), {c: base / f for c, f in files.items()}, *cut)
         return
     fitting = {name: _fitting(base, pattern) for name, pattern in stars.items()}
     for name, found in fitting.items():
@@ -137,7 +146,7 @@ def _recordings(path: Path, base: Path, about: Mechanism, trial: TableTrial) -> 
         own = "-".join(starred)
         name = f"{trial.name}-{own}" if trial.name else own
         place = {c: fitting[c][starred] if c in fitting else base / f for c, f in files.items()}
-        yield Recording(name, trial.kind or kind_of(trial.name or own), place, trial.segment)
+        yield Recording(name, trial.kind or kind_of(trial.name or own), place, *cut)
 
 
 def kind_of(name: str) -> str:

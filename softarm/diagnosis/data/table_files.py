@@ -23,6 +23,8 @@ from softarm.schemas.trial import Column, TableForm
 TEXT = (".csv", ".tsv", ".txt", ".dat")
 _DELIMITERS = {",": ",", ";": ";", "tab": "\t", "space": " "}
 _COMMA = re.compile(r"[-+]?\d*,\d+(?:[eE][-+]?\d+)?|[-+]?\d+,(?:[eE][-+]?\d+)?")
+# Source of stamps that count the rows of a table without a time column.
+ROWS = "rows"
 # Number of column names in a message.
 _SHOWN = 12
 
@@ -75,12 +77,13 @@ def column(table: Table, about: Column, form: TableForm, segment: str | None, el
     """
     from softarm.common.quantity import factor
 
+    form = _form_of(about, form)
     values = _numbers(table, about.source, about.row, form, segment, element)
-    if about.minus is not None:
-        other = _numbers(table, about.minus, about.row, form, segment, element)
+    for source in about.minus:
+        other = _numbers(table, source, about.row, form, segment, element)
         if len(other) != len(values):
             raise TrialError(
-                f"{table.path}: column {about.minus} has {len(other)} rows, {about.source} {len(values)}; "
+                f"{table.path}: column {source} has {len(other)} rows, {about.source} {len(values)}; "
                 "`minus` needs a column of the same length"
             )
         values = values - other
@@ -110,15 +113,32 @@ def stamps(table: Table, about: Column, form: TableForm, segment: str | None) ->
     if not texts and not dates:
         return column(table, about, form, segment, None), None
     where = f"{table.path}: column {about.source}"
-    if about.unit != "s" or about.scale != 1.0 or about.minus is not None:
+    if about.unit != "s" or about.scale != 1.0 or about.minus:
         raise TrialError(f"{where}: contains dates with a time of day; write only `unit: s`")
     if texts:
-        found, zoned = instants.seconds(raw, _missing(form), table.place, where)
+        found, zoned = instants.seconds(raw, _missing(_form_of(about, form)), table.place, where)
         return found + about.add, zoned
     found = (raw - np.datetime64(0, "s")) / np.timedelta64(1, "s")
     if np.isnan(found).any():
         raise TrialError(f"{where}, row {table.place(int(np.argmax(np.isnan(found))))}: not a date; leave that row out")
     return found + about.add, None
+
+
+def is_counted(table: Table, about: Column) -> bool:
+    """Return whether the stamps of a table without a time column count its rows."""
+    return about.source == ROWS and ROWS not in table.columns
+
+
+def counted(about: Column, rows: int) -> Array:
+    """Return the time of each counted row, s [N]."""
+    from softarm.common.quantity import factor
+
+    return np.asarray(np.arange(rows) * (about.scale * factor(about.unit)[0]) + about.add)
+
+
+def _form_of(about: Column, form: TableForm) -> TableForm:
+    """Return the form of a table with the marks of one column."""
+    return form if about.missing is None else form.model_copy(update={"missing": about.missing})
 
 
 def holds_lists(table: Table, about: Column, segment: str | None) -> bool:
@@ -230,9 +250,19 @@ def _matlab(path: Path) -> dict[str, Any]:
 
 def _name(table: Table, source: str | int, segment: str | None) -> str:
     """Name of a source in the table."""
-    if isinstance(source, str):
-        return source if segment is None else source.replace("{segment}", segment)
     names = list(table.columns)
+    if isinstance(source, str):
+        source = source if segment is None else source.replace("{segment}", segment)
+        if "*" not in source or source in table.columns:
+            return source
+        pattern = re.compile(".*".join(map(re.escape, source.split("*"))))
+        fitting = [name for name in names if pattern.fullmatch(name)]
+        if len(fitting) > 1:
+            raise TrialError(
+                f"{table.path}: {source} fits the columns {', '.join(fitting[:_SHOWN])}; allowed is one; write more of "
+                "its name"
+            )
+        return fitting[0] if fitting else source
     if source > len(names):
         raise TrialError(f"{table.path}: no column {source}; it has {len(names)}, counted from 1; correct `source`")
     return names[source - 1]

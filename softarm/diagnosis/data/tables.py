@@ -1,5 +1,6 @@
 """Reading of a rig's tables as trials, as its stage.yaml describes them."""
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -17,6 +18,8 @@ from softarm.schemas.trial import Mechanism, TableChannel, TableForm
 
 # Number of mistakes that are listed; the others are counted.
 MISTAKES_SHOWN = 20
+# Tolerance of a window's edges.
+EDGE_S = 1e-6
 # Share of rows without a reading from which there is a warning.
 _MANY = 0.5
 
@@ -102,6 +105,7 @@ def _trial(stage: Stage, recording: Recording, element: str, loaded: dict[Path, 
         raise TrialError(
             f"{zoned[True]} has time zones, {zoned[False]} has none; write both with time zones, or both without"
         )
+    channels = _within(channels, recording)
     if about.angles == "relative":
         channels["measured"] = _absolute(channels["measured"], about.links)
     units = {
@@ -132,8 +136,10 @@ def _series(
             f"{table.path}: column {source} contains plain numbers, not lists; leave `elements` out, or name another "
             "column"
         )
-    time, zoned = table_files.stamps(table, channel.time, form, segment)
+    is_counted = table_files.is_counted(table, channel.time)
+    stamps = None if is_counted else table_files.stamps(table, channel.time, form, segment)
     columns = {n: table_files.column(table, column, form, segment, element) for n, column in channel.columns.items()}
+    time, zoned = stamps or (table_files.counted(channel.time, len(next(iter(columns.values())))), None)
     warnings = []
     keep = np.isfinite(time)
     for name, values in columns.items():
@@ -159,6 +165,33 @@ def _series(
     where = f"{table.path}: column {channel.time.source}"
     warnings += table_checks.clock(time[rows], channel.time, where, lambda i: table.place(int(rows[i])), drive)
     return Series(time[rows], {name: values[rows] for name, values in columns.items()}), warnings, zoned
+
+
+def _within(channels: dict[str, Series], recording: Recording) -> dict[str, Series]:
+    """Channels in the window of a trial; one that drives the rig keeps its last value from before."""
+    if recording.from_s == 0 and recording.to_s is None:
+        return channels
+    first = min(float(series.t_s[0]) for series in channels.values())
+    last = max(float(series.t_s[-1]) for series in channels.values())
+    low, high = first + recording.from_s, math.inf if recording.to_s is None else first + recording.to_s
+    if low >= last:
+        raise TrialError(
+            f"{next(iter(recording.files.values()))}: trial {recording.name}: from_s is {recording.from_s:g}, but the "
+            f"recording lasts {last - first:.4g} s; allowed below {last - first:.4g} s; correct it"
+        )
+    found = {}
+    for name, series in channels.items():
+        # Stamps are rounded in the file, so a row on an edge may be a little beyond it.
+        keep = (series.t_s >= low - EDGE_S) & (series.t_s <= high + EDGE_S)
+        t = series.t_s
+        if (
+            name in still_checks.DRIVES
+            and (before := np.flatnonzero(t < low - EDGE_S)).size
+            and not (keep.any() and t[keep][0] <= low + EDGE_S)
+        ):
+            keep[before[-1]], t = True, np.maximum(t, low)
+        found[name] = Series(t[keep], {column: values[keep] for column, values in series.columns.items()})
+    return found
 
 
 def _in_standard_units(about: Mechanism, units: Mapping[str, Mapping[str, TableUnit]]) -> Mapping[str, ModelValue]:

@@ -239,6 +239,11 @@ def test_data_of_another_rig_may_be_in_another_folder(asked, tmp_path):
         ((), "Missing argument 'INPUT...'", 2),
         (("nowhere",), "nowhere: does not exist; name an MCAP log, a trial folder", 1),
         (("c/a", "--data", "."), "--data is for the data files of a stage.yaml", 2),
+        (
+            ("stage.yaml", "--model", "seed"),
+            "stage.yaml is another rig and holds its own nominal model; omit --model",
+            2,
+        ),
         (("c/a", "--model", "no-dely"), "did you mean no-delay?", 1),
         (("c/a", "--json", "no/v.json"), "no/v.json: the folder no does not exist; create it", 1),
         (("c/a", "--report", "c"), "is a directory", 2),
