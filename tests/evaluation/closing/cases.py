@@ -2,6 +2,8 @@
 
 from softarm.daemon.limits.findings import RailFindings, compared
 from softarm.daemon.limits.measured import Bound, Measured, measure
+from softarm.evaluation.closing.fly import Replanning
+from softarm.policies.mppi.policy import Mppi
 from softarm.schemas.config import Config
 from softarm.schemas.verdict import Estimate, Gap, Interval, NamedEffect, Shrink, Verdict, Where
 
@@ -30,3 +32,10 @@ def named(name: str, value: float, high: float) -> Verdict:
     stage = name.partition(".")[0]
     where = Where(stage=stage, share={stage: 1.0}, regime="throughout")
     return Verdict(verdict="named", where=where, effects=(effect,), gap=Gap(before={}, after={}, floor={}, ceiling={}))
+
+
+class QuickReplanning(Replanning):
+    """A replanning policy with a short search and a clock that stands still, so that other work changes no figure."""
+
+    def load(self) -> Mppi:
+        return Mppi(horizon_s=1.0, rollouts=128, rounds=1, model=str(self.model), clock=lambda: 0)

@@ -12,6 +12,7 @@ from softarm.schemas.config import Config, Failsafe
 from softarm.schemas.flights import TEST_TARGETS, Scenario, Swing
 from softarm.schemas.model import Model
 from softarm.simulator import model_file
+from tests.evaluation.closing import cases
 
 REACH = MODELS / "reach.onnx"
 EASY, NEVER = TEST_TARGETS[4], TEST_TARGETS[-1]  # (-0.20, 0.55), and (0, 0.80), which no command reaches
@@ -74,7 +75,7 @@ def test_every_policy_flies_the_same_scenarios_with_progress(tmp_path):
     model = with_effect("rail.delay", delay=0.06)
     file = tmp_path / "patched-model.yaml"
     model_file.save(model, file)
-    policies, reported = {OLD: REACH, NEW: REACH, REPLANNED: Replanning(file)}, []
+    policies, reported = {OLD: REACH, NEW: REACH, REPLANNED: cases.QuickReplanning(file)}, []
     pairs = [(name, PATCHED) for name in policies]
     robots, targets = {PATCHED: model}, (EASY, NEVER)
     flown = fly_all(policies, robots, pairs, targets, Config(), lambda *args: reported.append(args), processes=1)
@@ -91,5 +92,24 @@ def test_every_policy_flies_the_same_scenarios_with_progress(tmp_path):
     assert (shares[0], shares[-1]) == (0.0, pytest.approx(1.0))
     # A replanned flight counts for more: the first half of the flights is not half of the work.
     assert shares[reported.index(next(each for each in reported if "12 of 36" in each[0]))] < 0.2
-    again = fly_all({OLD: REACH}, robots, pairs[:1], targets, Config(), processes=2)
-    assert again[OLD, PATCHED, CHAINED].reached.tolist() == flown[OLD, PATCHED, CHAINED].reached.tolist()
+
+
+@pytest.mark.slow
+def test_the_replanning_policy_plans_on_the_model_of_its_file(tmp_path):
+    model = with_effect("rail.delay", delay=0.06)
+    model_file.save(model, tmp_path / "patched-model.yaml")
+    runner = Runner(Replanning(tmp_path / "patched-model.yaml").load(), model)
+    (flown,) = fly_chain(runner, [Scenario(EASY, 0.0)])
+    assert flown.reached
+    assert flown.stop is None
+
+
+@pytest.mark.prove
+@pytest.mark.slow
+def test_the_number_of_processes_does_not_change_the_flights():
+    robots, targets = {PATCHED: with_effect("rail.delay", delay=0.06)}, (EASY, NEVER)
+    alone, apart = (
+        fly_all({OLD: REACH}, robots, [(OLD, PATCHED)], targets, Config(), processes=count) for count in (1, 2)
+    )
+    for manner in (REST, CHAINED):
+        assert alone[OLD, PATCHED, manner].reached.tolist() == apart[OLD, PATCHED, manner].reached.tolist()

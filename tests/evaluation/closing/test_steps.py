@@ -30,7 +30,7 @@ RAIL = cases.findings(CAREFUL, cases.seen())
 REACH = MODELS / "reach.onnx"
 EASY, NEVER = TEST_TARGETS[4], TEST_TARGETS[-1]  # (-0.20, 0.55), and (0, 0.80), which no command reaches
 TINY = RetrainingConfig(
-    frames=2048,
+    frames=1024,
     frames_min=0,
     seconds=float("inf"),
     robots=64,
@@ -45,12 +45,11 @@ NONE = NAMED.model_copy(
 )
 
 
-def close(out, held_out, declared=True, through=lambda closed: None, **found):
+def close(out, held_out, declared=True, through=lambda closed: None, targets=(EASY, NEVER), **found):
     out.mkdir()
     usual = {"verdict": NAMED, "nominal": Model(), "patched": LATE, "trials": (("a", "seed", 1.0),)}
     diagnosis = Diagnosis(**usual | found)
     spent = {}
-    targets = (EASY, NEVER)
     how = {"targets": targets, "processes": 1, "through": through}
     steps.close(diagnosis, RAIL, REACH, out, held_out, declared, TINY, spent, **how)
     summary = json.loads((out / "summary.json").read_text())
@@ -58,10 +57,16 @@ def close(out, held_out, declared=True, through=lambda closed: None, **found):
     return Verdict.model_validate_json((out / "verdict.json").read_text()), summary
 
 
-def test_a_named_effect_is_patched_trained_on_and_flown(tmp_path):
+# Over 3 s: 72 flights and a retraining, the shortest that gives every figure of the results.
+@pytest.mark.parametrize(
+    "robot",
+    [LATE, pytest.param(with_faults(RobotParameters(), ["regulator.dead_time_s=0.06"]), marks=pytest.mark.prove)],
+    ids=["simulated", "independent"],
+)
+def test_a_named_effect_is_patched_trained_on_and_flown(tmp_path, monkeypatch, robot):
+    monkeypatch.setattr(steps, "Replanning", cases.QuickReplanning)
     out = tmp_path / "closed"
-    robot = Place(HELD_OUT, "the robot", with_faults(RobotParameters(), ["regulator.dead_time_s=0.06"]))
-    verdict, summary = close(out, robot)
+    verdict, summary = close(out, Place(HELD_OUT, "the robot", robot))
     assert model_file.load(out / "patched-model.yaml") == LATE
     old, new = load_weights(REACH), load_weights(out / "retrained.onnx")
     assert new.metadata.training["start.frames"] == old.metadata.training["run.frames"]
@@ -120,17 +125,28 @@ def test_a_refused_retraining_leaves_report_and_verdict_of_the_diagnosis(tmp_pat
     assert not (out / "summary.json").exists()
 
 
-def test_without_a_named_effect_nothing_is_patched_or_retrained(tmp_path):
+def test_without_a_named_effect_nothing_is_patched_or_retrained_and_results_precede_the_motion(tmp_path):
+    written = []
+
+    def through(closed):
+        written.append(json.loads((tmp_path / "out" / "summary.json").read_text()))
+        return Wires.unflown("the robot of softarm.yaml", "not wanted")
+
     late = Place(HELD_OUT, "late", LATE)
-    verdict, summary = close(tmp_path / "out", late, declared=False, verdict=NONE, patched=None)
-    left = ["limits-patch.yaml", "report.html", "summary.json", "verdict.json"]
-    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == left
-    assert verdict.task.success_nominal == pytest.approx(0.5)
+    found = {"verdict": NONE, "patched": None, "targets": (EASY,)}
+    verdict, summary = close(tmp_path / "out", late, declared=False, through=through, **found)
+    files = ["limits-patch.yaml", "report.html", "summary.json", "verdict.json"]
+    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == files
+    assert verdict.task.success_nominal == pytest.approx(1.0)
     assert verdict.task.success_patched is None
     assert verdict.task.success_real is None
     assert summary["retrained"] is None
     assert set(summary["success"]) == {"nominal", "held-back"}
     assert "nothing was patched or retrained" in (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
+    # Written before the robot moves, and again after.
+    assert [each["wires"] for each in written] == [None]
+    assert written[0]["success"] == summary["success"]
+    assert summary["wires"]["ended"] == "not wanted"
 
 
 def test_another_rig_has_no_policy(tmp_path):
@@ -144,18 +160,3 @@ def test_the_independent_robot_gets_the_nominal_arm_and_cart_and_keeps_its_actua
     assert place.robot.body == heavier.arm
     assert place.robot.regulator.dead_time_s == 0.06
     assert steps.of_the_nominal_body(Place(HELD_OUT, "late", LATE), heavier).robot == LATE
-
-
-def test_results_are_written_before_the_robot_moves_and_again_after(tmp_path):
-    there = []
-
-    def through(closed):
-        there.append(json.loads((tmp_path / "out" / "summary.json").read_text()))
-        return Wires.unflown("the robot of softarm.yaml", "not wanted")
-
-    place = Place(HELD_OUT, "late", LATE)
-    found = {"verdict": NONE, "patched": None}
-    _, summary = close(tmp_path / "out", place, through=through, **found)
-    assert there[0]["wires"] is None
-    assert there[0]["success"] == summary["success"]
-    assert summary["wires"]["ended"] == "not wanted"
