@@ -3,6 +3,7 @@ import pytest
 from softarm.daemon.runtime.offline import Lockstep
 from softarm.evaluation import evaluation
 from softarm.policies import registry
+from softarm.schemas import flights
 from softarm.schemas.config import Config
 from softarm.schemas.goals import Goal
 
@@ -21,6 +22,14 @@ def test_the_shipped_policy_reaches_the_papers_level_in_the_control_loop():
     assert set(reach["targets"][0]) == {"y", "z", "start", "reached", "time_s", "closest_m"}
 
 
+@pytest.fixture(params=[3, pytest.param(1, marks=pytest.mark.prove)], ids=["one start", "every start"])
+def starts(request, monkeypatch):
+    """Fly each target from one cart start, or from every one."""
+    flown = flights.grid()[:: request.param]
+    monkeypatch.setattr(flights, "grid", lambda: flown)
+
+
+@pytest.mark.usefixtures("starts")
 def test_the_wide_policy_reaches_nine_of_ten():
     success = evaluation.evaluate("reach-wide", Config())["success"]
     assert success["in_range"] >= 0.97
@@ -28,6 +37,7 @@ def test_the_wide_policy_reaches_nine_of_ten():
     assert success["all"] >= 0.90
 
 
+@pytest.mark.usefixtures("starts")
 def test_pid_reaches_few_targets():
     """[P] SM-I: 17 %, never above z = 0.56 m."""
     result = evaluation.evaluate("pid", Config())

@@ -46,15 +46,17 @@ def test_the_ceiling_is_searched_from_the_start_of_each_trial(monkeypatch):
     assert result["policies"]["ceiling"]["in_range"]["mean"] == pytest.approx(9 / 36)
 
 
-def test_refused_trials_are_noted_and_a_fully_refused_test_is_no_zero():
-    swinging = [Job(Entry("trajectory"), "swinging", range(162)), Job(Entry("trajectory"), "shelf", range(12))]
+def test_refused_trials_are_noted_and_a_fully_refused_test_is_no_zero(monkeypatch):
+    every = tests.TESTS["swinging"].scenarios()[::6]
+    monkeypatch.setitem(tests.TESTS, "swinging", tests.Test(lambda: every))
+    swinging = [Job(Entry("trajectory"), "swinging", range(27)), Job(Entry("trajectory"), "shelf", range(12))]
     result = table.summary({job: table.measure(job) for job in swinging})
     figures, notes = result["policies"]["trajectory"], result["notes"]["trajectory"]
     assert 0.5 < figures["swinging"]["refused"] < 1.0
     assert figures["swinging"]["mean"] <= 1.0 - figures["swinging"]["refused"]
-    refused = round(162 * figures["swinging"]["refused"])
+    refused = round(27 * figures["swinging"]["refused"])
     assert notes["swinging"] == [
-        f"refused {refused} of 162 trials, which count as not reached; the first: no plan from here"
+        f"refused {refused} of 27 trials, which count as not reached; the first: no plan from here"
     ]
     assert figures["shelf"]["refused"] == 1.0
     row, *_ = (line for line in page.markdown(result).splitlines() if line.startswith("| trajectory"))
@@ -72,11 +74,12 @@ def test_a_figure_outside_the_training_range_has_a_note():
     assert page.footnotes(result) == [table.OUTSIDE]
 
 
-def test_the_number_of_processes_does_not_change_the_table(monkeypatch):
-    monkeypatch.setattr(table, "PART", 5)
+@pytest.mark.parametrize("processes", [1, pytest.param(2, marks=pytest.mark.prove)])
+def test_the_size_of_jobs_and_the_number_of_processes_do_not_change_the_table(monkeypatch, processes):
     found = table.entries(None, ("pid", "shelf"))
     done = []
     alone = table.compare(found, 1, ("shelf",))
-    assert table.compare(found, 2, ("shelf",), done.append) == alone
+    monkeypatch.setattr(table, "PART", 5)
+    assert table.compare(found, processes, ("shelf",), done.append) == alone
     assert sorted(done) == [2, 2, 5, 5, 5, 5]
     assert alone["policies"]["shelf"]["shelf"]["mean"] > 0.5 > alone["policies"]["pid"]["shelf"]["mean"]

@@ -19,7 +19,8 @@ pytest.importorskip("ray")
 
 ROOT = Path(softarm.__file__).parents[1]
 ENOUGH_S = 600.0  # ends a hanging test; no test depends on the speed of the machine
-pytestmark = [pytest.mark.slow, pytest.mark.timeout(1800)]
+# Ray itself starts for a quarter of a minute; test_sweep.py proves the same with a stand-in for Ray.
+pytestmark = [pytest.mark.slow, pytest.mark.prove, pytest.mark.timeout(1800)]
 FILE = """
 seeds: [1]
 base: {task: reach, settings: {run.robots: 16, run.validate_every: 4, run.validation_trials: 8}}
@@ -78,7 +79,6 @@ def frames(folder):
         return [int(float(row["frames"])) for row in csv.DictReader(opened)]
 
 
-@pytest.mark.prove
 def test_a_killed_sweep_skips_finished_runs_and_continues_the_others(file, tmp_path, apart):
     out = tmp_path / "runs"
     short, long = out / "short" / "seed-1", out / "long" / "seed-1"
