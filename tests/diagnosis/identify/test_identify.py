@@ -30,10 +30,11 @@ def truth():
 
 @pytest.fixture(scope="module")
 def result(truth, record):
-    trials = tuple(record(name, truth, seed=i) for i, name in enumerate(("seed", "rail-chirp", "both"), 1))
+    trials = tuple(record(name, truth, seed=i) for i, name in enumerate(("seed", "rail-chirp"), 1))
     return identify(Model(), trials, (record("sinusoid", truth, seed=3),))
 
 
+# Over 3 s: identification of twenty parameters from 44 s of motion; shorter motions miss the five percent.
 def test_stiffness_damping_and_gain_are_within_five_percent(result, truth):
     errors = result.refinement.column / bench.to_columns(truth.arm) - 1
     assert np.abs(errors[:15]).max() < 0.05

@@ -46,12 +46,14 @@ def test_the_largest_gain_is_one_effect_at_most(asked):
     assert len(asked("largest-gain", 0.0).effects) <= 1
 
 
+@pytest.mark.prove
 def test_bic_begins_with_the_largest_gain_and_ends_at_the_most(asked):
     found = asked("bic", DEAD_TIME_S).effects
     assert found[0].name == asked("largest-gain", DEAD_TIME_S).effects[0].name
     assert 1 <= len(found) <= EFFECTS_MAX
 
 
+@pytest.mark.prove
 def test_all_at_once_names_the_one_that_is_clearest_off_its_neutral_value(asked):
     """The names of this rule are no better than chance: docs/gap/diagnosis.md."""
     assert len(asked("all-at-once", DEAD_TIME_S).effects) == 1

@@ -346,14 +346,15 @@ def test_no_effect_is_named_on_a_healthy_noisy_arm():
     assert (verdict.verdict, found) == ("none", {})
 
 
+# Over 3 s: a whole search over all effects of a chain, whose time hardly depends on the length of the recordings.
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("beyond", "name", "parameter", "size"),
     [
-        ({"dry": 0.03}, "coulomb_friction", "torque", 0.03),
-        ({"weight": 0.1}, "stiffness", "scale", 0.1),
+        pytest.param({"dry": 0.03}, "coulomb_friction", "torque", 0.03, marks=pytest.mark.prove),
+        pytest.param({"weight": 0.1}, "stiffness", "scale", 0.1, marks=pytest.mark.prove),
         ({"gain": 0.15}, "gain", "scale", 0.15),
-        ({"late": 0.02}, "dead_time", "delay", 0.02),
+        pytest.param({"late": 0.02}, "dead_time", "delay", 0.02, marks=pytest.mark.prove),
     ],
 )
 def test_only_the_cause_is_named_on_a_driven_link(beyond, name, parameter, size):

@@ -375,6 +375,7 @@ def test_small_swings_of_a_real_pendulum_show_dry_friction(data):
     assert viscous.conditional.value < 0.1
 
 
+# Over 3 s: the only whole diagnosis of large recorded swings.
 @pytest.mark.slow
 def test_large_swings_of_a_real_pendulum_show_dry_friction_and_drag(data):
     diagnosis, found = named("pendulum-single.yaml", data)

@@ -68,7 +68,7 @@ def floors_left(verdict):
     return verdict.gap.after["pole"].value / verdict.gap.floor["pole"].value
 
 
-@pytest.mark.parametrize("made", [driven, free])
+@pytest.mark.parametrize("made", [pytest.param(driven, marks=pytest.mark.prove), free])
 def test_an_unknown_effect_gives_no_confident_name(made):
     """A spring at the joint resembles a heavier pole or a tilted base, and leaves a large residual."""
     verdict = diagnose(made(spring=0.25, rest=0.1 if made is driven else 0.0)).verdict

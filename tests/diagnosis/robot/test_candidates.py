@@ -206,15 +206,19 @@ BODY = {
 }
 
 
+@pytest.fixture(scope="module")
+def good_bodies():
+    """Return the bodies of two thousand robots without a cause."""
+    random = np.random.default_rng(5)
+    return [draw_nuisances(RobotParameters(), random).body for _ in range(2000)]
+
+
 @pytest.mark.parametrize("name", BODY)
-def test_good_robots_are_within_the_tolerance(name):
+def test_good_robots_are_within_the_tolerance(name, good_bodies):
     """One robot in two hundred at the most, where all of its joints are known."""
     candidate, fitted = _found(BODY[name])
-    random, usual = np.random.default_rng(5), getattr(RobotParameters().body, name)
-    scales = []
-    for _ in range(2000):
-        body = draw_nuisances(RobotParameters(), random).body
-        scales.append(float(np.mean(np.array(getattr(body, name)) / usual)) - 1)
+    usual = getattr(RobotParameters().body, name)
+    scales = [float(np.mean(np.array(getattr(body, name)) / usual)) - 1 for body in good_bodies]
     exceeding = [candidate.exceeds_tolerance(_change(candidate, fitted, x)) for x in scales]
     assert np.mean(exceeding) < 0.005
 

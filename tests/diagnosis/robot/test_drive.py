@@ -25,8 +25,14 @@ def law(trials, model=MODEL):
     return with_identified_drive(on_grid(trials, model), model, [trial.kind for trial in trials])
 
 
-@pytest.mark.parametrize("further", FURTHER)
-@pytest.mark.parametrize("servo", [False, True])
+@pytest.mark.parametrize(
+    ("servo", "further"),
+    [
+        *((True, further) for further in FURTHER),
+        *((False, further) for further in ("nothing", "lag")),
+        *(pytest.param(False, further, marks=pytest.mark.prove) for further in ("friction", "force limit", "delay")),
+    ],
+)
 def test_the_law_that_moved_the_cart_is_recognised(campaign, further, servo):
     found = law(campaign((*FURTHER[further], *([SERVED] if servo else [])), KINDS))
     assert found == (with_servo(MODEL) if servo else MODEL)

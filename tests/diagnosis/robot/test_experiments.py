@@ -2,6 +2,7 @@
 
 import re
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -27,9 +28,15 @@ def proposal():
     return splitting(Model(), RAIL)
 
 
+@cache
+def _flown(point):
+    """Return a simulated trial of every kind, from ((path, value), ...)."""
+    return {trial.kind: trial for trial in flights(Model(), dict(point))}
+
+
 def _recorded(kinds, point, without=()):
     """Return the problem of simulated trials of these kinds; without: channels that were not recorded."""
-    flown = {trial.kind: trial for trial in flights(Model(), point)}
+    flown = _flown(tuple(point.items()))
     trials = [
         replace(flown[kind], channels={name: c for name, c in flown[kind].channels.items() if name not in without})
         for kind in kinds

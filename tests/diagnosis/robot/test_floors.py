@@ -72,6 +72,7 @@ def test_a_tip_gap_belongs_to_the_rail_or_to_the_arm(campaign):
     assert np.isfinite(tip_gap(on_grid(campaign(), loaded), loaded, [{}])).any()
 
 
+# Over 3 s: the shown floor is compared between two whole diagnoses.
 @pytest.mark.slow
 def test_none_means_that_every_gap_is_within_its_floor(campaign):
     """Single joints within tolerance add up at the tip: the floor that is shown holds them, and `none` agrees."""
