@@ -111,12 +111,16 @@ class Mechanism(Strict):
     model: dict[str, ModelValue] = Field(default_factory=dict)  # nominal parameters
 
 
+Effects = dict[str, dict[str, float]]  # `stage.effect` -> parameter -> value, in the units of a verdict
+
+
 class StageFile(Mechanism):
     """Data model of a stage.yaml with one mechanism."""
 
     name: Annotated[str, Field(min_length=1)] | None = None  # default: the file's name, for `stage.yaml` its folder's
     table: TableForm = TableForm()
     trials: Annotated[tuple[TableTrial, ...], Field(min_length=1)]
+    effects: Effects = Field(default_factory=dict)  # of the nominal model, besides `model`
 
 
 class OneOfSeveral(Mechanism):
@@ -131,3 +135,4 @@ class SeveralFile(Strict):
     mechanisms: Annotated[dict[str, OneOfSeveral], Field(min_length=1)]
     table: TableForm = TableForm()
     trials: tuple[TableTrial, ...] = ()
+    effects: Effects = Field(default_factory=dict)

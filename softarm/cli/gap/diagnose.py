@@ -57,6 +57,7 @@ def diagnose(
     from softarm.diagnosis import report
     from softarm.diagnosis.data.trials import TrialError
     from softarm.diagnosis.from_files import TABLES, diagnose_files
+    from softarm.diagnosis.rigs import patch
     from softarm.simulator import model_file as models
 
     if data is not None and not any(path.suffix in TABLES for path in inputs):
@@ -75,7 +76,11 @@ def diagnose(
     except (TrialError, models.ModelFileError) as error:
         fail(str(error))
     written = []
+    stage_files = [path for path in inputs if path.suffix in TABLES]
     patched = result.calibrated if calibration else result.patched
+    rig_patch = None
+    if patch_file is not None and len(stage_files) == 1:
+        rig_patch = patch.patched(stage_files[0], result.verdict, calibration)
     try:
         if json_file is not None:
             files.write_text(json_file, result.verdict.model_dump_json(indent=1) + "\n")
@@ -86,6 +91,9 @@ def diagnose(
         if patch_file is not None and patched is not None:
             models.save(patched, patch_file)
             written.append(patch_file)
+        elif patch_file is not None and rig_patch is not None:
+            files.write_text(patch_file, rig_patch)
+            written.append(patch_file)
         if limits_file is not None:
             write_limits(inputs, limits_file, result.verdict)
             written.append(limits_file)
@@ -94,13 +102,13 @@ def diagnose(
     except OSError as error:
         fail(f"{error.filename}: cannot be written ({error.strerror}); choose another place")
     show(result, json_file)
-    if patch_file is not None and patched is None:
-        click.echo(f"{patch_file}: not written, {_no_patch(result)}", err=True)
+    if patch_file is not None and patch_file not in written:
+        click.echo(f"{patch_file}: not written, {_no_patch(result, len(stage_files))}", err=True)
     if written:
         click.echo(f"wrote {', '.join(map(str, written))}")
 
 
-def _no_patch(result: "Diagnosis") -> str:
-    if result.nominal is None:
-        return "another rig has no model file; its parameters are in the verdict"
+def _no_patch(result: "Diagnosis", stage_files: int) -> str:
+    if stage_files > 1:
+        return "it is for one stage.yaml; diagnose each file alone"
     return f"no effect was named and nothing calibrated (verdict: {result.verdict.verdict})"

@@ -13,7 +13,7 @@ from softarm.common.yaml_schema import fit
 from softarm.diagnosis.data import stage_rules
 from softarm.diagnosis.data.trials import TrialError
 from softarm.schemas.stage_model import CHANNELS
-from softarm.schemas.trial import Mechanism, SeveralFile, StageFile, TableForm, TableTrial
+from softarm.schemas.trial import Effects, Mechanism, SeveralFile, StageFile, TableForm, TableTrial
 
 EXAMPLE = "one of diagnosis/rigs/stages/*.yaml"
 _STAR = re.compile(r"\*+|\?|\[[^\]]*\]")
@@ -40,6 +40,7 @@ class Stage:
     about: Mechanism
     form: TableForm
     trials: tuple[TableTrial, ...]
+    effects: Effects  # of all mechanisms of the file
     several: bool  # whether the file describes several mechanisms; names of trials then contain the mechanism
 
 
@@ -65,14 +66,20 @@ def load(path: Path) -> tuple[Stage, ...]:
                 raise TrialError(
                     f"{path}: trials: {', '.join(lacking)} has none; add `trials`, there or for all mechanisms"
                 )
-            return tuple(
-                Stage(name, each, whole.table, each.trials or whole.trials, True)
+            stages = tuple(
+                Stage(name, each, whole.table, each.trials or whole.trials, whole.effects, True)
                 for name, each in whole.mechanisms.items()
             )
-        one = fit(document, StageFile, more)
-        return (Stage(one.name or _called(path), one, one.table, one.trials, False),)
+        else:
+            one = fit(document, StageFile, more)
+            stages = (Stage(one.name or _called(path), one, one.table, one.trials, one.effects, False),)
     except FileError as error:
         raise TrialError(str(error)) from None
+    names = [name for stage in stages for name in (*stage.about.elements,) or (stage.name,)]
+    for effect in stages[0].effects:
+        if (own := effect.rpartition(".")[0]) not in names:
+            raise TrialError(f"{path}: effects: {effect}: no mechanism {own}; allowed {', '.join(names)}; correct it")
+    return stages
 
 
 def _called(path: Path) -> str:

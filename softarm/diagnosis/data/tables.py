@@ -113,6 +113,7 @@ def _trial(stage: Stage, recording: Recording, element: str, loaded: dict[Path, 
         for name, channel in about.channels.items()
     }
     own = element or stage.name
+    effects = {effect.removeprefix(f"{own}."): of for effect, of in stage.effects.items() if _stage_of(effect) == own}
     name = f"{recording.name}/{own}" if element or stage.several else recording.name
     return Trial(
         name,
@@ -120,10 +121,14 @@ def _trial(stage: Stage, recording: Recording, element: str, loaded: dict[Path, 
         next(iter(recording.files.values())),
         channels,
         "free",
-        TableStage(own, about.kind, _in_standard_units(about, units), units, about.angles == "relative"),
+        TableStage(own, about.kind, _in_standard_units(about, units), units, effects, about.angles == "relative"),
         tuple(warnings),
         missing,
     )
+
+
+def _stage_of(effect: str) -> str:
+    return effect.rpartition(".")[0]
 
 
 def _series(

@@ -19,7 +19,7 @@ from softarm.diagnosis.rigs.driven_mass_effects import DrivenMassScales, driven_
 from softarm.diagnosis.rigs.grid import Grid, grid, held_integral, resolution, time_since_change
 from softarm.diagnosis.rigs.laws import driven_mass as laws
 from softarm.diagnosis.rigs.scales import STRETCHES_LEAST, STRETCHES_MOST
-from softarm.diagnosis.rigs.views import FLOOR_SHARE, RigView, neutral_values, stage_of
+from softarm.diagnosis.rigs.views import FLOOR_SHARE, RigView, given_values, neutral_values, stage_of
 from softarm.simulator.effects import Effect
 
 # Columns that can drive the mass -> their unit, in the order in which they are looked for.
@@ -88,6 +88,7 @@ class DrivenMassView(RigView):
         self._inputs, self._scales = inputs, scales
         own = driven_mass_effects(stage.name, scales, self._speed_alone)
         self._known = neutral_values(own) | {path: stage.number(key, 0.0) for key, path in _MODEL.items()}
+        self._known |= given_values(stage, own)
         window_s, self.block_s = _window_lengths(scales, self._motions)
         self._edges = [_edges(m.grid, window_s) for m in self._motions]
         self._each = int(min(max(np.ceil(scales.step_s * STEPS_PER_PERIOD / scales.period_s), 1), SUBSTEPS_MOST))
@@ -109,7 +110,8 @@ class DrivenMassView(RigView):
         self.floor = np.array([max(FLOOR_SHARE * swing, step, *(m.noise for m in self._motions), 1e-12)])
         self._windows = [self._starts(m, e) for m, e in zip(self._motions, self._edges, strict=True)]
         self._fit = laws.Fit(float(self.floor[0]), scales.step_s, self._each, ROUNDS, self._speed_alone)
-        self.effects = tuple(self._tuned(e) if e.name.endswith(".compliance") else e for e in self.effects)
+        if "compliance" not in stage.effects:
+            self.effects = tuple(self._tuned(e) if e.name.endswith(".compliance") else e for e in self.effects)
 
     def _tuned(self, effect: Effect) -> Effect:
         """Start a spring's frequency where it explains most, because a search finds a resonance only from nearby."""

@@ -15,7 +15,7 @@ from softarm.diagnosis.rigs.grid import Grid, grid, held_integral, resolution, t
 from softarm.diagnosis.rigs.laws import tracking as law
 from softarm.diagnosis.rigs.scales import TrackingScales, repeatability, scales, stretch, white_noise
 from softarm.diagnosis.rigs.tracking_effects import tracking_effects
-from softarm.diagnosis.rigs.views import RigView, neutral_values, stage_of
+from softarm.diagnosis.rigs.views import RigView, given_values, neutral_values, stage_of
 
 # Columns that can follow the command -> their default unit. The first one that a table has is used.
 MEASURED = {"position": "rad", "pressure": "kPa", "velocity": "m/s", "value": PURE}
@@ -90,9 +90,10 @@ class TrackingView(RigView):
         super().__init__(stage, unit, (column,), found, [g.t_s for g in grids], shown, step, signals)
         self.floor = np.maximum(self.floor, max(self.scales.noise, repeatability(means, seen)))
         self.block_s = stretch([g.t_s for g in grids], seen, self.scales.late_s)
-        self._known = neutral_values(found) | {
-            path: about.number(key, 0.0) for key in about.model for path in _MODEL.get(key, ())
-        }
+        neutral = neutral_values(found)
+        self._no_ceiling = neutral.get("ceiling.limit", np.inf)
+        self._known = neutral | {path: about.number(key, 0.0) for key in about.model for path in _MODEL.get(key, ())}
+        self._known |= given_values(about, found)
         self._grids, self._commands = grids, commands
         self._starts = [float(_FIRST @ s[np.isfinite(s)][:3]) for s in seen]
         sent = [t.channel("command") for t in trials]
@@ -156,7 +157,7 @@ class TrackingView(RigView):
             numbers[at] = self._value(point, path)
         numbers[law.PERIOD] = 1 / (2 * np.pi * self._value(point, "second_order.frequency"))
         ceiling = self._value(point, "ceiling.limit", np.inf)
-        numbers[law.CEILING] = ceiling if ceiling < self._known.get("ceiling.limit", np.inf) else np.inf
+        numbers[law.CEILING] = ceiling if ceiling < self._no_ceiling else np.inf
         # The law is the same: only the sum shows.
         delay = self._value(point, "dead_time.delay") + self._value(point, "latency.delay")
         parts = []

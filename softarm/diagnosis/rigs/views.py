@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from softarm.diagnosis.data.trials import TableStage, Trial, TrialError
 from softarm.diagnosis.engine.view import Array, Point
 from softarm.diagnosis.engine.whitened import BLOCK_S
+from softarm.diagnosis.rigs.owner_units import owners
 from softarm.simulator.effects import Effect
 
 # Prefixes of features that hold nothing of the view's own measured channels.
@@ -27,6 +28,29 @@ def stage_of(trials: Sequence[Trial], kinds: Sequence[str], title: str) -> Table
 def neutral_values(effects: Sequence[Effect]) -> dict[str, float]:
     """Return the neutral value of every parameter, by 'effect.parameter'."""
     return {f"{e.name.rpartition('.')[2]}.{p.name}": p.neutral for e in effects for p in e.parameters}
+
+
+def given_values(about: TableStage, effects: Sequence[Effect]) -> dict[str, float]:
+    """Return the parameters that a stage.yaml gives under `effects`, in standard units, by 'effect.parameter'.
+
+    Raises TrialError for an effect or a parameter that the stage does not have.
+    """
+    known = {e.name.rpartition(".")[2]: {p.name: p.unit for p in e.parameters} for e in effects}
+    units, found = owners(about), {}
+    for name, values in about.effects.items():
+        if name not in known:
+            raise TrialError(
+                f"effects: {about.name}.{name}: unknown, or no effect that these recordings can show; allowed "
+                f"{', '.join(known)}; correct or remove it"
+            )
+        for parameter, value in values.items():
+            if parameter not in known[name]:
+                raise TrialError(
+                    f"effects: {about.name}.{name}.{parameter}: unknown parameter; allowed {', '.join(known[name])}; "
+                    "correct it"
+                )
+            found[f"{name}.{parameter}"] = value / units.get(known[name][parameter], ("", 1.0))[1]
+    return found
 
 
 class RigView:

@@ -23,7 +23,7 @@ from softarm.diagnosis.rigs.chain.model import Chain, absolute, chain_of, joints
 from softarm.diagnosis.rigs.chain.shooting import Law, Shooting
 from softarm.diagnosis.rigs.grid import Grid, grid, resolution, windows
 from softarm.diagnosis.rigs.laws import chain as law
-from softarm.diagnosis.rigs.views import RigView, neutral_values, stage_of
+from softarm.diagnosis.rigs.views import RigView, given_values, neutral_values, stage_of
 
 # Kinds of stage that this view serves.
 KINDS = ("pendulum", "chain")
@@ -92,6 +92,7 @@ class ChainView(RigView):
             self._known[f"coulomb_friction.{name}"] = float(chain.dry[i])
         for i, name in enumerate(of_joints("viscous", chain.n)):
             self._known[f"damping.{name}"] = float(chain.viscous[i])
+        self._known |= given_values(stage, found)
         self._late: dict[float, Array] = {}
         self._shooting = self._begin(shown)
         self._lost = self._without_lost()

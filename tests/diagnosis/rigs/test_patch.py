@@ -1,0 +1,153 @@
+"""The patch of a rig: a stage.yaml of the calibrated model, which the same command diagnoses again."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from click.testing import CliRunner
+
+from softarm.cli.main import main
+from softarm.diagnosis.data import tables
+from softarm.diagnosis.data.trials import TrialError
+from softarm.diagnosis.rigs import patch
+from softarm.diagnosis.rigs.diagnose import view_of
+from softarm.schemas.verdict import CalibratedParameter, Estimate, Gap, Interval, NamedEffect, Shrink, Verdict, Where
+
+PENDULUM = Path(__file__).parents[1] / "real" / "pendulum-free"
+NO_GAP = Gap(before={}, after={}, floor={}, ceiling={})
+T = np.arange(0, 4, 0.01)
+SERVO = """
+kind: tracking
+channels:
+  command: {time: {source: t, unit: s}, columns: {command: {source: u, unit: deg}}}
+  measured: {time: {source: t, unit: s}, columns: {position: {source: y, unit: deg}}}
+trials:
+  - {files: "*.csv"}
+"""
+
+
+def found(effects=(), calibration=()):
+    """Return a verdict with effects and calibrated parameters, each as (name, value)."""
+    share = Shrink(stage=Interval(value=0.5, low=0.4, high=0.6))
+    named = {}
+    for path, value in effects:
+        name, _, parameter = path.rpartition(".")
+        named.setdefault(name, {})[parameter] = Estimate(value=value, low=value, high=value, unit="")
+    return Verdict(
+        verdict="named",
+        where=Where(stage=None, share={}, regime=""),
+        effects=tuple(NamedEffect(name=name, parameters=of, shrink=share) for name, of in named.items()),
+        calibration=tuple(
+            CalibratedParameter(
+                name=name, value=x, low=x, high=x, unit="", nominal=0, tolerance_low=x, tolerance_high=x, shrink=0
+            )
+            for name, x in calibration
+        ),
+        gap=NO_GAP,
+    )
+
+
+def write(path, text):
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+@pytest.fixture
+def servo(tmp_path):
+    """A servo in degrees with a table."""
+    command = 20 * np.sin(3 * T)
+    rows = "\n".join(f"{t:.3f},{u:.5f},{min(u, 15):.5f}" for t, u in zip(T, command, strict=True))
+    write(tmp_path / "sine.csv", f"t,u,y\n{rows}\n")
+    return write(tmp_path / "grip.yaml", SERVO)
+
+
+def viewed(path, data):
+    return view_of(tables.read(path, data))[0]
+
+
+def invoke(*arguments):
+    outcome = CliRunner().invoke(main, [*map(str, arguments)])
+    assert outcome.exit_code == 0, outcome.output
+    return outcome.output
+
+
+@pytest.mark.slow
+def test_a_patched_pendulum_has_its_friction_and_is_not_missing_it_again(tmp_path):
+    """From the recording of a real pendulum to its patch, and from the patch to the recording again."""
+    whole, named, again = (tmp_path / name for name in ("whole.yaml", "named.yaml", "again.json"))
+    invoke("diagnose", PENDULUM / "stage.yaml", "--patch", whole)
+    invoke("diagnose", PENDULUM / "stage.yaml", "--patch", named, "--no-calibration")
+    effects, alone = (yaml.safe_load(path.read_text())["effects"] for path in (whole, named))
+    assert alone.keys() == {"joint.coulomb_friction"}
+    assert effects.keys() > alone.keys()
+    assert 4.5e-4 < alone["joint.coulomb_friction"]["torque"] < 5.6e-4
+    assert "valid" in invoke("check", whole, "--data", PENDULUM)
+    for patched in (whole, named):
+        invoke("diagnose", patched, "--data", PENDULUM, "--json", again)
+        verdict = Verdict.model_validate_json(again.read_text())
+        assert (verdict.verdict, verdict.effects) == ("none", ())
+
+
+def test_a_patch_is_in_the_units_of_the_table_and_keeps_the_name(servo, tmp_path):
+    text = patch.patched(servo, found([("grip.deadband.width", 2.0)], [("grip.gain.scale", 0.01)]), True)
+    view = viewed(write(tmp_path / "other.yaml", text), tmp_path)
+    assert view.stage == "grip"
+    assert view.nominal("deadband.width") == pytest.approx(np.radians(2.0))
+    assert view.nominal("gain.scale") == pytest.approx(0.01)
+    nominal, given = viewed(servo, tmp_path), {"grip.deadband.width": np.radians(2.0), "grip.gain.scale": 0.01}
+    np.testing.assert_allclose(view.gap([{}]), nominal.gap([given]), atol=1e-6)
+
+
+def test_a_ceiling_of_the_nominal_model_holds(servo, tmp_path):
+    text = patch.patched(servo, found([("grip.ceiling.limit", 15.0)]), True)
+    gap = viewed(write(tmp_path / "other.yaml", text), tmp_path).gap([{}])
+    assert np.nanmax(np.abs(viewed(servo, tmp_path).gap([{}]))) > np.radians(4)
+    assert np.nanmax(np.abs(gap)) < np.radians(1)
+
+
+def test_a_patch_is_patched_again(servo, tmp_path):
+    one = write(tmp_path / "one.yaml", patch.patched(servo, found([("grip.deadband.width", 2.0)]), True))
+    two = yaml.safe_load(patch.patched(one, found((), [("grip.gain.scale", 0.01)]), True))
+    assert two["effects"] == {"grip.deadband": {"width": 2.0}, "grip.gain": {"scale": 0.01}}
+
+
+def test_without_findings_there_is_no_patch(servo):
+    assert patch.patched(servo, found(), True) is None
+    assert patch.patched(servo, found((), [("grip.gain.scale", 0.01)]), False) is None
+
+
+@pytest.mark.parametrize("inertia", ["inertia_kg_m2", "inertia_joint_kg_m2"])
+def test_the_masses_of_a_chain_are_calibrated_in_its_model(inertia, tmp_path):
+    t = np.arange(0, 6, 0.01)
+    swing = np.stack([0.3 * np.cos(5 * t), 0.4 * np.cos(5 * t)])
+    np.savetxt(tmp_path / "swing.csv", np.stack([t, *swing], axis=1), delimiter=",", header="t,a,b", comments="")
+    columns = {f"angle{i}": {"source": name, "unit": "rad"} for i, name in ((1, "a"), (2, "b"))}
+    stage = {
+        "name": "arm",
+        "kind": "chain",
+        "links": 2,
+        "channels": {"measured": {"time": {"source": "t", "unit": "s"}, "columns": columns}},
+        "model": {"mass_kg": [1.0, 0.5], "centre_m": [0.2, 0.1], "length_m": [0.4], inertia: [0.05, 0.02]},
+        "trials": [{"files": "swing.csv"}],
+    }
+    path = write(tmp_path / "stage.yaml", yaml.safe_dump(stage))
+    text = patch.patched(path, found((), [("arm.mass1", 0.02), ("arm.inertia1", -0.01), ("arm.mass2", 0.01)]), True)
+    chain = viewed(write(tmp_path / "other.yaml", text), tmp_path)._chain
+    wanted = viewed(path, tmp_path)._chain.reweighed(np.array([0.02, 0.01]), np.array([-0.01, 0.0]))
+    for name in ("moment", "inertia", "own", "mass"):
+        np.testing.assert_allclose(getattr(chain, name), getattr(wanted, name), rtol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("effects", "text"),
+    [
+        ("{claw.gain: {scale: 0.1}}", "no mechanism claw"),
+        ("{grip.slack: {gap: 0.1}}", "grip.slack: unknown, or no effect that"),
+        ("{grip.gain: {size: 0.1}}", "grip.gain.size: unknown parameter"),
+    ],
+)
+def test_a_wrong_effect_is_refused_with_what_there_is(effects, text, servo, tmp_path):
+    path = write(tmp_path / "other.yaml", f"name: grip\n{SERVO}effects: {effects}\n")
+    with pytest.raises(TrialError, match=text):
+        viewed(path, tmp_path)
