@@ -22,6 +22,7 @@ class Section(NamedTuple):
     title: str
     anchor: str
     body: Html
+    folded: bool = False  # behind its title until the reader opens it
 
 
 def document(
@@ -48,7 +49,7 @@ def document(
         "body",
         el("header", el("p", maker, class_="brand"), lead),
         el("nav", *links, aria_label="sections"),
-        el("main", *(el("section", el("h2", one.title), one.body, id=one.anchor) for one in sections)),
+        el("main", *map(_section, sections)),
         *script,
     )
     head = el(
@@ -61,6 +62,13 @@ def document(
         el("style", style),
     )
     return "<!doctype html>\n" + join([el("html", head, body, lang="en")]) + "\n"
+
+
+def _section(of: Section) -> Html:
+    if not of.folded:
+        return el("section", el("h2", of.title), of.body, id=of.anchor)
+    body = el("div", of.body, id=of.anchor)  # inside, so that a link to it opens the section
+    return el("section", el("details", el("summary", el("h2", of.title)), body), class_="folded")
 
 
 @cache

@@ -1,7 +1,10 @@
 """Calibration of a nominal model in a verdict: each resolved parameter, and the gap that is left with all of them."""
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
 
 from softarm.diagnosis.engine.calibration import calibrate, held_out_rms
 from softarm.diagnosis.engine.fits import Fit, FitProblem
@@ -18,6 +21,8 @@ class Calibrated:
 
     parameters: tuple[CalibratedParameter, ...] = ()  # what takes most of the gap first
     rms: Mapping[str, float] = field(default_factory=dict)  # stage -> RMS gap with effects and calibration, held out
+    # Stage -> residual with effects and calibration, [M, S]; empty if no parameter is resolved.
+    residuals: Mapping[str, NDArray[np.float32]] = field(default_factory=dict)
     values: Mapping[str, float] = field(default_factory=dict)  # path -> fitted value; of a single joint its change
     folds: tuple[Mapping[str, float], ...] = ()  # the same fitted without each fold
 
@@ -59,7 +64,9 @@ def calibrated(
         )
     values, *folds = (_values(scales, found.resolved, shares) for shares in (found.shares, *found.folds))
     ordered = sorted(parameters, key=lambda each: (-each.shrink, each.name))
-    return Calibrated(tuple(ordered), left, values, tuple(folds))
+    residuals = setup.residuals(plain, replace(fit, nuisance=found.shares)) if parameters else []
+    by_stage = {view.stage: each for view, each in zip(setup.views, residuals, strict=bool(parameters))}
+    return Calibrated(tuple(ordered), left, by_stage, values, tuple(folds))
 
 
 def _values(scales: list[tuple[str, float, float]], resolved: tuple[int, ...], shares: Array) -> dict[str, float]:

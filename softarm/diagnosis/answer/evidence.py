@@ -21,15 +21,21 @@ def rms(values: Gap) -> float:
 
 
 def overlays(
-    view: View, trials: Sequence[Trial], before: Gap, after: Gap | None, channels: Sequence[int] | None = None
+    view: View,
+    trials: Sequence[Trial],
+    before: Gap,
+    after: Gap | None,
+    calibrated: Gap | None,
+    channels: Sequence[int] | None = None,
 ) -> tuple[Overlay, ...]:
-    """Return measured, nominal and patched signals of every trial.
+    """Return measured, nominal and patched and calibrated signals of every trial.
 
     Args:
         view: stage to show.
         trials: trials of the view.
         before: gap of the nominal model.
         after: gap with the named effects, or None without any.
+        calibrated: gap with the named effects and the calibration, or None without a calibration.
         channels: indices of the channels to show; by default all.
     """
     found = []
@@ -38,9 +44,9 @@ def overlays(
         for s in range(len(view.channels)) if channels is None else channels:
             measured = view.measured[rows, s]
             if np.isfinite(measured).any():
-                patched = None if after is None else measured - after[rows, s]
+                simulated = [None if gap is None else measured - gap[rows, s] for gap in (after, calibrated)]
                 labels = view.stage, trial.name, trial.kind, view.channels[s], view.unit
-                found.append(Overlay(*labels, view.t_s[rows], measured, measured - before[rows, s], patched))
+                found.append(Overlay(*labels, view.t_s[rows], measured, measured - before[rows, s], *simulated))
     return tuple(found)
 
 

@@ -28,6 +28,7 @@ class Overlay:
     measured: Array  # [N], NaN in gaps
     nominal: Array  # [N]
     patched: Array | None  # [N]; None without named effects
+    calibrated: Array | None = None  # [N], with the named effects and the calibration; None without calibration
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,8 +10,10 @@ from softarm.diagnosis.report.words import (
     model_word,
     noise_level,
     one_of,
+    plain,
     reduction,
     relation,
+    sentence,
     shrinks,
     sized,
     stages_of,
@@ -21,7 +23,7 @@ from softarm.reporting.numbers import listed, number, percent, quantity
 from softarm.schemas.verdict import NamedEffect
 
 _AS_GOOD = 0.9  # share of the flexible model's improvement: an effect that reaches it failed for another reason
-_LISTED_MAX = 4  # effects in a headline; more are counted
+LISTED_MAX = 4  # effects in a headline; more are counted
 NOT_RATED = "not rated"
 
 
@@ -36,36 +38,17 @@ def answer(diagnosis: Diagnosis) -> tuple[str, str, str]:
 
 
 def headline(diagnosis: Diagnosis) -> str:
-    """Return the named effects with their sizes, or the verdict in a few words."""
+    """Return the answer as one sentence that a technician understands."""
     verdict = diagnosis.verdict
     if verdict.verdict == "none":
         return "No cause found" if _exceeds_a_floor(diagnosis) else "No gap"
     if verdict.verdict == "unknown" or not verdict.effects:
         return f"An unknown effect in {verdict.where.stage}" if verdict.where.stage else "An unknown effect"
-    more = ", and more" if verdict.verdict == "incomplete" else ""
-    if sum(1 + len(effect.equivalents) for effect in verdict.effects) > _LISTED_MAX:
+    more = ", and more is missing" if verdict.verdict == "incomplete" else ""
+    if sum(1 + len(effect.equivalents) for effect in verdict.effects) > LISTED_MAX:
         return f"{_counted(verdict.effects)}{more}"
-    several = len(verdict.effects) > 1
-    texts = []
-    for effect in verdict.effects:
-        members = listed((effect.name, *effect.equivalents), "or")
-        texts.append(sized(effect) if not effect.equivalents else f"either {members}" if several else members)
-    return listed(_singles_first(verdict.effects, texts)) + more
-
-
-def confidence_figure(effects: Sequence[NamedEffect]) -> tuple[str, str]:
-    """Return the label and the value of the confidence tile.
-
-    Effects without a measured confidence are counted in the label.
-    """
-    rated = [effect.confidence for effect in effects if effect.confidence is not None]
-    if not rated:
-        return "confidence", NOT_RATED
-    if len(effects) == 1:
-        return "confidence", percent(rated[0])
-    missing = len(effects) - len(rated)
-    note = f" ({missing} of {len(effects)} effects {NOT_RATED})" if missing else ""
-    return f"lowest confidence{note}", percent(min(rated))
+    texts = _singles_first(verdict.effects, [plain(diagnosis, effect) for effect in verdict.effects])
+    return sentence(f"{', '.join(texts[:-1])}, and {texts[-1]}" if len(texts) > 1 else texts[0]) + more
 
 
 def _counted(effects: Sequence[NamedEffect]) -> str:
@@ -86,7 +69,7 @@ def _singles_first(effects: Sequence[NamedEffect], texts: Sequence[str]) -> list
 def _cause(diagnosis: Diagnosis) -> str:
     named = diagnosis.verdict.effects
     more = " More of the gap could be explained." if diagnosis.verdict.verdict == "incomplete" else ""
-    if len(named) > _LISTED_MAX:
+    if len(named) > LISTED_MAX:
         return f"Missing in the {model_word(diagnosis)}, {_counted(named)}: {_by_law(named)}.{more}"
     groups: dict[str, list[NamedEffect]] = {}
     for effect in named:

@@ -11,11 +11,11 @@ from softarm.reporting import plot
 Array = NDArray[np.float64]
 
 CHOICES = ("stage", "trial", "channel")
-_AT_ONCE, _WINDOW = 2000, 600  # samples: of a trial that is seen whole, and of the part of a longer one
+_WINDOW_S = 2.0
 
 
 def traces(diagnosis: Diagnosis) -> list[plot.Traces]:
-    """Return measured, nominal and patched curves of every stage, trial and channel, with the noise floor."""
+    """Return the measured and simulated curves of every stage, trial and channel, with the noise floor."""
     return [_traces(overlay, diagnosis) for overlay in diagnosis.overlays]
 
 
@@ -48,13 +48,14 @@ def first(diagnosis: Diagnosis) -> int:
 
 
 def window(overlay: Overlay) -> tuple[float, float] | None:
-    """Return the start and end of the largest gap, s, or None if the trial fits the plot."""
-    n, gap = len(overlay.t_s), np.nan_to_num(overlay.measured - overlay.nominal) ** 2
-    if n <= _AT_ONCE:
+    """Return the start and end of the two seconds with the largest gap, s, or None for a shorter trial."""
+    t_s, gap = overlay.t_s, np.nan_to_num(overlay.measured - overlay.nominal) ** 2
+    if len(t_s) < 2 or t_s[-1] - t_s[0] <= _WINDOW_S:
         return None
     summed = np.concatenate(([0.0], np.cumsum(gap)))
-    start = int(np.argmax(summed[_WINDOW:] - summed[:-_WINDOW]))
-    return float(overlay.t_s[start]), float(overlay.t_s[start + _WINDOW - 1])
+    ends = np.searchsorted(t_s, t_s + _WINDOW_S, side="right")
+    start = int(np.argmax((summed[ends] - summed[:-1]) * (t_s + _WINDOW_S <= t_s[-1])))
+    return float(t_s[start]), float(t_s[start] + _WINDOW_S)
 
 
 def _floor(diagnosis: Diagnosis, overlay: Overlay) -> float:
@@ -65,8 +66,8 @@ def _floor(diagnosis: Diagnosis, overlay: Overlay) -> float:
 
 def _traces(overlay: Overlay, diagnosis: Diagnosis) -> plot.Traces:
     curves = {"measured": overlay.measured, "nominal": overlay.nominal}
-    if overlay.patched is not None:
-        curves["patched"] = overlay.patched
+    curves |= {"patched": overlay.patched} if overlay.patched is not None else {}
+    curves |= {"calibrated": overlay.calibrated} if overlay.calibrated is not None else {}
     chosen = (overlay.stage, overlay.trial, overlay.channel)
     return plot.Traces(chosen, overlay.kind, overlay.unit, overlay.t_s, curves, _floor(diagnosis, overlay))
 

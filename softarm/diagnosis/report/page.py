@@ -19,7 +19,7 @@ def write(diagnosis: Diagnosis, path: Path, *, further: FurtherSections = ()) ->
     Args:
         diagnosis: diagnosis to report.
         path: file to write.
-        further: title and HTML of each section to insert after the causal chain.
+        further: title and HTML of each section to insert after the next experiment.
 
     Raises:
         OSError: the file cannot be written.
@@ -29,19 +29,17 @@ def write(diagnosis: Diagnosis, path: Path, *, further: FurtherSections = ()) ->
 
 def render(diagnosis: Diagnosis, *, further: FurtherSections = ()) -> str:
     """Return the report as HTML; equal diagnoses give equal pages."""
-    where = "Where in the chain" if diagnosis.nominal is not None else "Where the gap is"
     shown = [
-        Section("Stage by stage", "stages", stages.section(diagnosis)),
-        Section("Calibration", "calibration", sections.calibration(diagnosis)),
-        Section("Measured, nominal, patched", "overlays", evidence.traces(diagnosis)),
-        Section(where, "chain", sections.chain(diagnosis)),
-        *(Section(title, f"further-{i}", Html(body)) for i, (title, body) in enumerate(further, 1)),
-        Section("Frequencies and regimes", "frequencies", evidence.frequencies(diagnosis)),
-        Section("Rivals", "rivals", evidence.contenders(diagnosis)),
-        Section("Remaining gap", "left", evidence.left(diagnosis)),
+        Section("The worst two seconds", "overlays", evidence.traces(diagnosis)),
         Section("Next experiment", "next", sections.next_step(diagnosis)),
-        Section("Details", "details", sections.details(diagnosis)),
-        Section("Method", "method", sections.method(diagnosis)),
+        *(Section(title, f"further-{i}", Html(body)) for i, (title, body) in enumerate(further, 1)),
+        Section("Stage by stage", "stages", stages.section(diagnosis), folded=True),
+        Section("Calibration", "calibration", sections.calibration(diagnosis), folded=True),
+        Section("Frequencies and regimes", "frequencies", evidence.frequencies(diagnosis), folded=True),
+        Section("Rivals", "rivals", evidence.contenders(diagnosis), folded=True),
+        Section("Remaining gap", "left", evidence.left(diagnosis), folded=True),
+        Section("Details", "details", sections.details(diagnosis), folded=True),
+        Section("Method", "method", sections.method(diagnosis), folded=True),
     ]
     lead, data = sections.result(diagnosis), overlays.packed(diagnosis)
     return document(headline(diagnosis), "softarm diagnosis", lead, shown, plot=data)

@@ -6,13 +6,23 @@ import numpy as np
 
 from softarm.diagnosis.engine.result import Diagnosis, HeldOut
 from softarm.diagnosis.report import causal, following
-from softarm.diagnosis.report.answer import answer, confidence_figure, headline
-from softarm.diagnosis.report.words import calibration_in_words, change, interval, shrinks_by, tolerance
+from softarm.diagnosis.report.answer import LISTED_MAX, NOT_RATED, answer, headline
+from softarm.diagnosis.report.words import (
+    calibration_in_words,
+    change,
+    interval,
+    percents,
+    plain,
+    sentence,
+    shrinks_by,
+    sizes,
+    tolerance,
+)
 from softarm.reporting import charts
 from softarm.reporting.markup import Html, bar, el, join, prose, table, tiles
 from softarm.reporting.numbers import listed, number, percent, quantity
 from softarm.schemas.excitation import Excitation
-from softarm.schemas.verdict import NextExperiment
+from softarm.schemas.verdict import NamedEffect, NextExperiment
 from softarm.simulator.model_rows import differences
 
 _KINDS = {
@@ -32,13 +42,34 @@ _VALIDATION: dict[HeldOut | None, str] = {
 
 
 def result(diagnosis: Diagnosis) -> Html:
-    """Return the answer: headline, summary, and the figures behind them."""
+    """Return the first screen: one sentence, a card for each cause, the chain, the figures and the calibration."""
     kind = diagnosis.verdict.verdict
-    lead = [el("p", prose(sentence)) for sentence in answer(diagnosis)]
+    named = diagnosis.verdict.effects
+    causes = [_card(diagnosis, effect) for effect in named] if len(named) <= LISTED_MAX else []
+    lead = [calibration_in_words(diagnosis)] if causes else answer(diagnosis)
     shown = kind.replace("_", " ") + (", not separable" if _sets(diagnosis) and kind in ("named", "incomplete") else "")
     chip = el("p", el("span", shown, class_=f"verdict {kind}", title=_KINDS.get(kind, shown)), class_="chip")
     title = el("h1", prose(headline(diagnosis)))
-    return join([chip, title, el("div", *lead, class_="lead"), tiles(_figures(diagnosis)), _task(diagnosis)])
+    cards = el("div", *causes, class_="cards") if causes else Html("")
+    paragraphs = el("div", *(el("p", prose(text)) for text in lead), class_="lead")
+    first, second = (_chain(diagnosis), paragraphs) if causes else (paragraphs, _chain(diagnosis))
+    return join([chip, title, cards, first, tiles(_figures(diagnosis)), second, _task(diagnosis)])
+
+
+def _card(diagnosis: Diagnosis, effect: NamedEffect) -> Html:
+    """Return the card of a cause: its sentence, size, confidence, and share of the gap."""
+    codes = listed((effect.name, *effect.equivalents), "or")
+    place = effect.name.rpartition(".")[0]
+    takes = f"takes {percents(effect.shrink.stage)} of the {place} gap"
+    takes += f", {percents(effect.shrink.chain)} of the tip's" if effect.shrink.chain else ""
+    sure = NOT_RATED if effect.confidence is None else percent(effect.confidence)
+    facts = (prose(codes), sizes(effect), takes, f"confidence: {sure}")
+    return el(
+        "article",
+        el("h2", prose(sentence(plain(diagnosis, effect)))),
+        *(el("p", fact, class_="soft" if i != 1 else None) for i, fact in enumerate(facts) if fact),
+        class_="card",
+    )
 
 
 def _sets(diagnosis: Diagnosis) -> bool:
@@ -49,8 +80,6 @@ def _sets(diagnosis: Diagnosis) -> bool:
 def _figures(diagnosis: Diagnosis) -> list[tuple[str, Html | str]]:
     verdict, gap = diagnosis.verdict, diagnosis.verdict.gap
     figures: list[tuple[str, Html | str]] = []
-    if verdict.effects:
-        figures.append(confidence_figure(verdict.effects))
     stage = verdict.where.stage
     for place, label in ((stage, f"{stage} gap"), ("chain", "tip, whole chain")):
         if place is None or place not in gap.before:
@@ -78,8 +107,8 @@ def _task(diagnosis: Diagnosis) -> Html:
     return table(("success of the policy", "share"), rows, "How often the policy succeeds") if rows else Html("")
 
 
-def chain(diagnosis: Diagnosis) -> Html:
-    """Return the section that locates the gap in the causal chain."""
+def _chain(diagnosis: Diagnosis) -> Html:
+    """Return the causal chain with the stage of the gap marked."""
     where = diagnosis.verdict.where
     if where.stage is None:
         lead = "No stage stands out."

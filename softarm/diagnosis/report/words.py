@@ -5,6 +5,7 @@ import math
 from softarm.diagnosis.engine.result import Diagnosis, HeldOut
 from softarm.reporting.numbers import listed, number, percent, quantity, scaled
 from softarm.schemas.verdict import CalibratedParameter, Estimate, Interval, NamedEffect, Quantity
+from softarm.simulator.effect_table import Parameter
 from softarm.simulator.effects import REGISTRY, Effect
 
 HELD_OUT: dict[HeldOut | None, str] = {
@@ -116,6 +117,37 @@ def described(diagnosis: Diagnosis, effect: NamedEffect) -> str:
     """Return an effect with its meaning and the size of its parameters; equivalents are left out."""
     text, size = meaning(diagnosis, effect.name), sizes(effect)
     return f"{effect.name}{f' ({text})' if text else ''}{f', {size}' if size else ''}"
+
+
+def plain(diagnosis: Diagnosis, effect: NamedEffect) -> str:
+    """Return a named effect in a technician's words with its size, such as `the regulator reacts 68 ms late`."""
+    of = known(diagnosis, effect.name)
+    if of is None:
+        return sized(effect)
+    if relation(diagnosis, effect).startswith("in the "):
+        return f"the simulator has {of.name}, the robot has not"
+    declared = {parameter.name: parameter for parameter in of.parameters}
+    sizes_ = {name: _plain_size(each, declared.get(name)) for name, each in effect.parameters.items()}
+    try:
+        text = of.plain.format(stage=effect.name.rpartition(".")[0], **sizes_)
+    except KeyError:  # a parameter stays neutral
+        text = of.meaning
+    return f"either {text}, or {listed(effect.equivalents, 'or')} looks the same" if effect.equivalents else text
+
+
+def sentence(text: str) -> str:
+    """Return a text that begins with a capital, except where it begins with an effect's name."""
+    return text if "." in text.split()[0] else f"{text[0].upper()}{text[1:]}"
+
+
+def _plain_size(of: Estimate, declared: Parameter | None) -> str:
+    """Return a size with degrees for radians, percent for shares, and a sign where either one is possible."""
+    if of.value >= _OPEN:
+        return size(of)
+    value, unit = (math.degrees(of.value), "°") if of.unit == "rad" else (of.value, of.unit)
+    text = f"{number(100 * value, 2)} %" if unit == "-" else quantity(value, unit)
+    either = declared is not None and declared.low < declared.neutral < declared.high
+    return f"+{text}" if either and value > 0 else text
 
 
 def shrinks(diagnosis: Diagnosis, place: str) -> str:

@@ -200,7 +200,7 @@ class _Stage:
             floor=float(np.sqrt(np.mean(view.floor**2))),
             calibrated=self.calibrated.rms[view.stage],
             ceiling=min(rms(found.residuals[view.stage].astype(float)) * math.sqrt(1 - share), after),
-            overlays=overlays(view, self.trials, self.nominal, patched),
+            overlays=overlays(view, self.trials, self.nominal, patched, self.calibrated.residuals.get(view.stage)),
             regimes=regimes(view, self.nominal, patched),
             unexplained=Unexplained(view.stage, self.decision.explained, tuple(features.items())),
             total_shrink=None if patched is None else self._total_shrink(),

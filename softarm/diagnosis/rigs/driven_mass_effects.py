@@ -76,18 +76,21 @@ def _drive(s: DrivenMassScales) -> Iterator[Effect]:
         (_delay("from the input to the first force", s),),
         "the force comes late",
         source("pressure.dead_time"),
+        plain="the force on {stage} comes {delay} late",
     )
     yield Effect(
         "deadband",
         (strength("width", s.input_unit, 0.0, 0.0, 0.9 * s.input, 0.05 * s.input, "either way"),),
         "the amplifier makes no force of inputs up to the width, and reduces larger ones by the width",
         "standard model of an amplifier or a valve with overlap (dead zone)",
+        plain="the amplifier of {stage} ignores inputs below {width}",
     )
     yield Effect(
         "ceiling",
         (strength("limit", s.input_unit, math.inf, 0.1 * s.input, s.input, 0.7 * s.input, "either way"),),
         "the input acts only up to this: an amplifier's or a motor's limit",
         "standard saturation; motors and amplifiers state a peak current",
+        plain="the force on {stage} ends at {limit}",
     )
     slowness = min(max(s.step_s, 0.03 * s.period_s), 0.3 * s.period_s)
     yield Effect(
@@ -95,18 +98,21 @@ def _drive(s: DrivenMassScales) -> Iterator[Effect]:
         (strength("time", "s", 0.0, 0.0, s.period_s, slowness, "time constant"),),
         "the force follows the input as a first-order lag",
         source("rail.lag"),
+        plain="the force on {stage} follows with a time constant of {time}",
     )
     yield Effect(
         "gain",
         (strength("scale", "-", 0.0, -0.9, 4.0, 0.1, "relative error of the force per unit of input"),),
         "the input makes force x (1 + scale)",
         "force and torque constants are nominal values; Krishnan 2001, Electric Motor Drives",
+        plain="the force on {stage} is off by {scale}",
     )
     yield Effect(
         "mass",
         (strength("scale", "-", 0.0, -0.9, 4.0, 0.1, "relative error of the mass or inertia"),),
         "wrong mass, or a load that the model lacks: x (1 + scale)",
         source("arm.payload"),
+        plain="the mass of {stage} is off by {scale}",
     )
 
 
@@ -121,6 +127,7 @@ def _forces(s: DrivenMassScales) -> Iterator[Effect]:
         ),
         "dry friction",
         source("rail.coulomb_friction"),
+        plain="{stage} has {force} of dry friction",
     )
     yield Effect(
         "friction_asymmetry",
@@ -131,6 +138,7 @@ def _forces(s: DrivenMassScales) -> Iterator[Effect]:
         ),
         "dry friction is larger one way than the other",
         "Olsson et al. 1998, Friction models and friction compensation",
+        plain="the dry friction of {stage} differs by direction, {force} either way",
     )
     yield Effect(
         "stiction",
@@ -140,24 +148,28 @@ def _forces(s: DrivenMassScales) -> Iterator[Effect]:
         ),
         "dry friction is larger at rest and at creeping speed (Stribeck)",
         "Armstrong-Helouvry et al. 1994, A survey of models for the control of machines with friction",
+        plain="{stage} sticks: {force} more friction at rest",
     )
     yield Effect(
         "damping",
         (strength("viscous", viscous, 0.0, 0.0, 3 * force / speed, usual / speed, "friction per unit of speed"),),
         "viscous friction; a motor's back-EMF acts alike",
         source("rail.coulomb_friction"),
+        plain="{stage} has viscous friction of {viscous}",
     )
     yield Effect(
         "drag",
         (strength("coefficient", drag, 0.0, 0.0, 3 * force / speed**2, usual / speed**2, "times the speed squared"),),
         "quadratic drag",
         source("arm.drag"),
+        plain="drag slows {stage} at speed",
     )
     yield Effect(
         "force_offset",
         (strength("force", s.force_unit, 0.0, -force, force, 0.5 * usual, "forwards"),),
         "a constant force: the rail is tilted, a weight or a spring pulls, or the input's zero is wrong",
         source("arm.tilt"),
+        plain="a constant force of {force} pulls at {stage}",
     )
 
 
@@ -173,18 +185,21 @@ def _sensor(s: DrivenMassScales) -> Iterator[Effect]:
         ),
         "a spring between the drive and its load: the sensor sits on the load, or on the drive that the load shakes",
         "standard mechanics (two masses and a spring)",
+        plain="a spring between drive and load of {stage} swings at {frequency}",
     )
     yield Effect(
         "backlash",
         (strength("gap", s.length, 0.0, 0.0, 0.3 * s.travel, play, "free travel between the flanks"),),
         "play at reversals: the drive crosses the gap before the load follows",
         source("rail.backlash"),
+        plain="{stage} has {gap} of play",
     )
     yield Effect(
         "latency",
         (_delay("age of a reading beyond its stamp", s),),
         "readings are older than their stamps state",
         source("mocap.latency"),
+        plain="the readings of {stage} are {delay} older than their stamps",
     )
     most = 0.2 * s.speed
     yield Effect(
@@ -192,6 +207,7 @@ def _sensor(s: DrivenMassScales) -> Iterator[Effect]:
         (strength("bias", s.speed_unit, 0.0, -most, most, 0.02 * s.speed, "reading minus speed"),),
         "the speed sensor has a wrong zero",
         source("pressure.sensor_bias"),
+        plain="the speed sensor of {stage} reads {bias} off",
     )
 
 

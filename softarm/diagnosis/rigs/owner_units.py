@@ -104,8 +104,15 @@ def _effect(effect: NamedEffect, known: Mapping[str, Unit]) -> NamedEffect:
 
 def _overlay(of: Overlay, known: Mapping[str, Unit]) -> Overlay:
     unit, worth = _own(of.unit, known)
-    patched = None if of.patched is None else of.patched * worth
-    return replace(of, unit=unit, measured=of.measured * worth, nominal=of.nominal * worth, patched=patched)
+    patched, calibrated = (None if each is None else each * worth for each in (of.patched, of.calibrated))
+    return replace(
+        of,
+        unit=unit,
+        measured=of.measured * worth,
+        nominal=of.nominal * worth,
+        patched=patched,
+        calibrated=calibrated,
+    )
 
 
 def _regime(of: Regime, known: Mapping[str, Unit]) -> Regime:

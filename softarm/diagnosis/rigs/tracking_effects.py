@@ -54,6 +54,7 @@ def _drive(unit: str, s: TrackingScales) -> Iterator[Effect]:
         (_delay("from the command to the first reaction", s),),
         "it starts to react late",
         source("pressure.dead_time"),
+        plain="{stage} reacts {delay} late",
     )
     yield Effect(
         "gain",
@@ -63,6 +64,7 @@ def _drive(unit: str, s: TrackingScales) -> Iterator[Effect]:
         ),
         "it ends at the nominal end x (1 + scale) + offset: a proportional loop droops under a load",
         source("pressure.gain"),
+        plain="the gain of {stage} is off by {scale} and its zero by {offset}",
     )
     beyond = s.commanded - s.top
     if beyond > max(s.share, 0.0):  # a ceiling shows only if some commands were out of reach
@@ -73,18 +75,21 @@ def _drive(unit: str, s: TrackingScales) -> Iterator[Effect]:
             (strength("limit", unit, none, low, none, s.commanded - 0.5 * beyond, "highest value that is reached"),),
             "it ends at no more than this: the drive saturates",
             source("pressure.ceiling"),
+            plain="{stage} reaches at most {limit}",
         )
     yield Effect(
         "deadband",
         (_width("width", unit, s, "an error this small moves nothing"),),
         "an error up to the width, either way, moves nothing: dry friction against a proportional loop",
         source("pressure.deadband"),
+        plain="{stage} ignores errors below {width}",
     )
     yield Effect(
         "lag",
         (_delay("time constant upwards", s, "rise"), _delay("time constant downwards", s, "fall")),
         "it nears the command exponentially, with an own time constant upwards and downwards",
         source("pressure.lag"),
+        plain="{stage} follows slowly, with time constants of {rise} up and {fall} down",
     )
 
 
@@ -98,6 +103,7 @@ def _limits(unit: str, s: TrackingScales) -> Iterator[Effect]:
         ),
         "it moves no faster than this, upwards and downwards",
         source("pressure.rate_limit"),
+        plain="{stage} moves by at most {rate} up and {fall} down",
     )
     highest = s.reach / s.step_s**2
     yield Effect(
@@ -105,6 +111,7 @@ def _limits(unit: str, s: TrackingScales) -> Iterator[Effect]:
         (_limit("acceleration", _rate(unit, 2), s.acceleration, highest, "slope of the velocity"),),
         "its velocity changes no faster than this: a motor's torque is limited",
         source("rail.acceleration_limit"),
+        plain="{stage} accelerates at most with {acceleration}",
     )
 
 
@@ -123,12 +130,14 @@ def _mechanics(unit: str, s: TrackingScales) -> Iterator[Effect]:
         "it follows as a second-order system: a mass on a spring, a loop with an integrator",
         "standard second-order system, w^2 / (s^2 + 2 z w s + w^2); "
         "Franklin, Powell and Emami-Naeini, Feedback Control",
+        plain="{stage} swings at {frequency} when it follows",
     )
     yield Effect(
         "backlash",
         (_width("gap", unit, s, "free travel between the flanks"),),
         "play at reversals: the drive crosses the gap before the load follows",
         source("rail.backlash"),
+        plain="{stage} has {gap} of play",
     )
     yield Effect(
         "hysteresis",
@@ -138,12 +147,14 @@ def _mechanics(unit: str, s: TrackingScales) -> Iterator[Effect]:
         ),
         "a loop between command and end, as wide at any speed (Bouc-Wen): soft material, no free travel",
         source("arm.hysteresis"),
+        plain="{stage} moves differently on the way up and down (hysteresis)",
     )
     yield Effect(
         "coulomb_friction",
         (_width("loss", unit, s, "dry friction"),),
         "dry friction against a velocity loop: it stays behind by this, either way, and stands still below",
         source("rail.coulomb_friction"),
+        plain="dry friction holds {stage} back by {loss}",
     )
 
 
@@ -153,12 +164,14 @@ def _readings(unit: str, s: TrackingScales) -> Iterator[Effect]:
         (strength("bias", unit, 0.0, -s.reach, s.reach, s.share, "reading minus true value"),),
         "the sensor reads high",
         source("pressure.sensor_bias"),
+        plain="the sensor of {stage} reads {bias} off",
     )
     yield Effect(
         "latency",
         (_delay("age of a reading beyond its stamp", s),),
         "readings are older than their stamps state",
         source("mocap.latency"),
+        plain="the readings of {stage} are {delay} older than their stamps",
     )
 
 

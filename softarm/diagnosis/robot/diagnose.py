@@ -146,7 +146,7 @@ def _stages(
 ) -> list[StageAnswer]:
     """Return the gaps of all stages, of effects measured from stamps and noise, and of the whole chain."""
     point, points = decided.fit.point, decided.fit.fold_points
-    answers = []
+    answers, calibrated = [], decided.calibrated
     for view, gaps in zip(comparison.views, comparison.setup.gaps, strict=True):
         gap = stage_gap(comparison, view, gaps, points)
         fetched = gaps.fetch([{}, point])
@@ -161,9 +161,9 @@ def _stages(
                 before=gap.before,
                 after=gap.after,
                 floor=decided.floors[view.stage],
-                calibrated=decided.calibrated.rms[view.stage],
+                calibrated=calibrated.rms[view.stage],
                 ceiling=gap.after * float(np.sqrt(1 - flexible)),
-                overlays=overlays(view, comparison.trials, before, after, shown),
+                overlays=overlays(view, comparison.trials, before, after, calibrated.residuals.get(view.stage), shown),
                 spectrum=spectrum(view, before, after, RATE_HZ),
                 regimes=regimes(view, before, after, regime.LEAST_S),
                 unexplained=None if features is None else Unexplained(view.stage, explained, tuple(features.items())),
@@ -173,10 +173,10 @@ def _stages(
     answers += _counted_stages(counted, {each.stage for each in answers})
     tip = tip_gap(comparison, points)
     if tip is not None and decided.chain_floor is not None:
-        calibrated = calibrated_tip(comparison, decided.calibrated, points)
+        left = calibrated_tip(comparison, calibrated, points)
         total = tip.total_shrink if point else None
         answers.append(
-            StageAnswer("chain", "m", tip.before, tip.after, decided.chain_floor, calibrated, None, total_shrink=total)
+            StageAnswer("chain", "m", tip.before, tip.after, decided.chain_floor, left, None, total_shrink=total)
         )
     return answers
 

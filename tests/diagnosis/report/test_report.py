@@ -29,6 +29,7 @@ from softarm.schemas.verdict import (
     Verdict,
     Where,
 )
+from softarm.simulator.effects import REGISTRY
 
 NASTY = "</script><script>alert(1)</script> \"quoted\" & 'so'"
 VOID = {"meta", "br", "input"}
@@ -216,13 +217,14 @@ def test_a_page_is_whole_and_fetches_nothing(case):
 
 
 @pytest.mark.parametrize("case", CASES.values(), ids=CASES.keys())
-def test_the_answer_is_three_texts_that_are_on_the_page(case):
-    answer = report.answer(case)
+def test_the_answer_is_three_texts_and_the_page_has_them_or_a_card_for_each_cause(case):
+    answer, named = report.answer(case), case.verdict.effects
     assert len(answer) == 3
     page = Page(report.render(case)).words.replace("\N{NO-BREAK SPACE}", " ")
-    for sentence in answer:
-        assert sentence.endswith(".")
-        assert re.sub(r"\s", "", sentence) in re.sub(r"\s", "", page)
+    cards = [f"confidence: {'not rated' if e.confidence is None else f'{e.confidence:.0%}'}" for e in named]
+    for text in cards or answer:
+        assert cards or text.endswith(".")
+        assert re.sub(r"\s", "", text) in re.sub(r"\s", "", page)
 
 
 def test_a_named_effect_is_reported_with_size_confidence_and_shrink():
@@ -265,13 +267,14 @@ def test_a_set_is_reported_whole_and_after_the_single_effects():
 def test_an_effect_without_confidence_is_shown_as_not_rated():
     bare = OTHER_DELAY.model_copy(update={"confidence": None})
     page = Page(report.render(named(DEAD_TIME, bare))).words
-    assert "lowest confidence (1 of 2 effects not rated) 94 %" in page
-    assert "94 % of such answers were correct; not rated: rail.delay" in page
-    assert page.count("not rated") == 3  # tile, answer, table
+    assert "confidence: 94 %" in page
+    assert page.count("not rated") == 2  # card, table
+    _, sure, _ = report.answer(named(DEAD_TIME, bare))
+    assert "94 % of such answers were correct; not rated: rail.delay" in sure
     _, sure, _ = report.answer(named(bare))
     assert sure.startswith("The confidence of this answer has not been measured")
     page = Page(report.render(named(bare))).words
-    assert "confidence not rated" in page
+    assert "confidence: not rated" in page
     assert "Confidence is the share" not in page
 
 
@@ -288,21 +291,24 @@ STRONG = OTHER_DELAY.model_copy(
 @pytest.mark.parametrize(
     ("effects", "says"),
     [
-        ((DEAD_TIME,), "pressure.dead_time (delay 61 ms)"),
-        ((STRONG,), "rail.force_limit (force 20 N or more)"),
+        ((DEAD_TIME,), "The regulator reacts 61 ms late"),
+        ((STRONG,), "The drive pushes with at most 20 N or more"),
         (MANY, "26 effects in 6 stages"),
         (
             MANY[:4],
             "joint0.effect0 (delay 61 ms), joint1.effect1 (delay 61 ms), "
-            "joint2.effect2 (delay 61 ms) and joint3.effect3 (delay 61 ms)",
+            "joint2.effect2 (delay 61 ms), and joint3.effect3 (delay 61 ms)",
         ),
         (MANY[::6], "5 effects in joint0"),
         ((alike(DEAD_TIME, *(e.name for e in MANY)),), "One of 27 effects in pressure"),
         ((WIDE, WIDE), "2 effects in pressure, each with alternatives"),
-        ((PAIR, OTHER_DELAY), "rail.delay (delay 50 ms) and either pressure.dead_time or pressure.lag"),
+        (
+            (PAIR, OTHER_DELAY),
+            "The cart reacts 50 ms late, and either the regulator reacts 61 ms late, or pressure.lag looks the same",
+        ),
     ],
 )
-def test_a_headline_has_the_size_of_each_effect_or_their_number(effects, says):
+def test_a_headline_is_a_plain_sentence_with_sizes_or_a_number_of_effects(effects, says):
     assert headline(named(*effects)) == says
 
 
@@ -517,3 +523,30 @@ def test_a_further_section_keeps_its_markup_and_escapes_its_title(tmp_path):
     text = path.read_text(encoding="utf-8")
     assert "<h2>Policy &lt;now&gt;</h2><p>it <em>swings</em></p>" in text
     Page(text)
+
+
+def test_every_effect_of_the_arm_has_a_plain_sentence_with_its_size():
+    for effect in REGISTRY.values():
+        size = {p.name: Estimate(value=p.exemplar, low=p.low, high=p.high, unit=p.unit) for p in effect.parameters}
+        one = NamedEffect(name=effect.name, parameters=size, shrink=Shrink(stage=interval(0.5, 0.4, 0.6)))
+        text = headline(named(one))
+        assert effect.name not in text
+        assert text.lower() != effect.meaning.lower()
+        assert not re.search(r"[{}]", text)
+        assert re.search(r"\d", text) or not re.search("{(?!stage)", effect.plain), text
+
+
+def test_a_parameter_that_stays_neutral_leaves_the_meaning():
+    lag = NamedEffect(
+        name="pressure.lag",
+        parameters={"inflate": Estimate(value=0.1, low=0.1, high=0.1, unit="s")},
+        shrink=DEAD_TIME.shrink,
+    )
+    assert headline(named(lag)).lower() == REGISTRY["pressure.lag"].meaning
+
+
+def test_details_are_folded_and_a_link_leads_into_them():
+    page = report.render(CASES["named"])
+    assert page.count("<details") >= 6
+    for anchor in re.findall(r"<nav.*?</nav>", page)[0].split('href="#')[1:]:
+        assert f'id="{anchor.partition(chr(34))[0]}"' in page

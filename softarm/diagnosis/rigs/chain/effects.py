@@ -121,6 +121,7 @@ def _effects(chain: Chain, scales: ChainScales) -> Iterator[Effect]:
             REGISTRY["arm.stiffness"].parameters[:1],
             "wrong moment of the weight: m g a x (1 + scale)",
             source("arm.stiffness"),
+            plain="the links' weight moment is off by {scale}",
         )
     if chain.length[-1] > 0:  # otherwise the model does not give the position of the end
         mass = float(chain.mass.sum())
@@ -129,6 +130,7 @@ def _effects(chain: Chain, scales: ChainScales) -> Iterator[Effect]:
             (strength("mass", "kg", 0.0, 0.0, mass, 0.1 * mass, "a point at the last link's end"),),
             "extra mass at the end of the last link",
             source("arm.payload"),
+            plain="{mass} extra hang at the last link's end",
         )
     if several:
         yield Effect(
@@ -136,6 +138,7 @@ def _effects(chain: Chain, scales: ChainScales) -> Iterator[Effect]:
             (strength("scale", "-", 0.0, -0.8, 2.0, 0.2, "relative error, all links"),),
             "wrong inertia of the links about their joints: x (1 + scale)",
             source("arm.payload"),
+            plain="the links' inertia is off by {scale}",
         )
     yield from _friction(chain, scales)
     yield Effect(
@@ -143,6 +146,7 @@ def _effects(chain: Chain, scales: ChainScales) -> Iterator[Effect]:
         _by_joint("bias", "rad", np.full(chain.n, -0.2), np.full(chain.n, 0.2), np.full(chain.n, 5e-3)),
         "the encoders' zeros are wrong, or the base leans",
         source("pressure.sensor_bias"),
+        plain="the zeros of the joints' angles are off",
     )
     if weight and several:
         yield Effect(
@@ -150,6 +154,7 @@ def _effects(chain: Chain, scales: ChainScales) -> Iterator[Effect]:
             (strength("angle", "rad", 0.0, -0.2, 0.2, 0.02, "of the base"),),
             "the base is not level",
             source("arm.tilt"),
+            plain="the base is tilted by {angle}",
         )
     if scales.driven:
         yield from _motors(chain, scales)
@@ -157,13 +162,23 @@ def _effects(chain: Chain, scales: ChainScales) -> Iterator[Effect]:
 
 def _friction(chain: Chain, scales: ChainScales) -> Iterator[Effect]:
     load = _loads(chain, scales)
-    yield Effect("damping", _viscous(chain, scales), "wrong viscous friction in the joints", source("arm.damping"))
+    yield Effect(
+        "damping",
+        _viscous(chain, scales),
+        "wrong viscous friction in the joints",
+        source("arm.damping"),
+        plain="the viscous friction in the joints is off",
+    )
     noticed = NOTICED_DRIVEN * scales.torque_nm if scales.driven else NOTICED_SHARE * load
     noticed = np.maximum(noticed, NOTICED_SHARE * load)
     torques = _by_joint("torque", "N m", np.zeros(chain.n), np.maximum(load, 2 * chain.dry), chain.dry + noticed)
     give = shape("give", "rad", REACH_RAD, REACH_RAD, 0.05, 5e-3, "turn after which the friction has its full value")
     yield Effect(
-        "coulomb_friction", (*torques, give), REGISTRY["arm.coulomb_friction"].meaning, source("arm.coulomb_friction")
+        "coulomb_friction",
+        (*torques, give),
+        REGISTRY["arm.coulomb_friction"].meaning,
+        source("arm.coulomb_friction"),
+        plain="the joints have dry friction",
     )
     if chain.gravity > 0 and scales.reach_rad < TURNED_RAD:  # it has no meaning for a link that goes round
         yield Effect(
@@ -171,6 +186,7 @@ def _friction(chain: Chain, scales: ChainScales) -> Iterator[Effect]:
             REGISTRY["arm.stiffening"].parameters,
             "the moment grows with the angle: x (1 + cubic angle^2)",
             source("arm.stiffening"),
+            plain="the weight moment changes with the angle",
         )
     most = float((AIR_KG_M3 * (2 * chain.centre) ** 2).max())
     yield Effect(
@@ -178,6 +194,7 @@ def _friction(chain: Chain, scales: ChainScales) -> Iterator[Effect]:
         (strength("coefficient", "N s^2/m^2", 0.0, 0.0, most, 0.1 * most, "of each link, at its centre"),),
         REGISTRY["arm.drag"].meaning,
         source("arm.drag"),
+        plain="air drag slows the links",
     )
 
 
@@ -188,12 +205,14 @@ def _motors(chain: Chain, scales: ChainScales) -> Iterator[Effect]:
         _by_joint("scale", "-", np.full(n, -0.9), np.full(n, 2.0), np.full(n, 0.1), "relative error"),
         "the motors give torque x (1 + scale)",
         source("pressure.gain"),
+        plain="the motors' torque is off",
     )
     yield Effect(
         "torque_offset",
         _by_joint("torque", "N m", -load, load, 0.05 * np.maximum(scales.torque_nm, 0.1 * load)),
         "a constant torque at the joints; dry friction that is larger one way looks the same",
         source("arm.torque_offset"),
+        plain="a constant torque acts at the joints",
     )
     latest = 0.25 * scales.period_s
     yield Effect(
@@ -201,6 +220,7 @@ def _motors(chain: Chain, scales: ChainScales) -> Iterator[Effect]:
         (strength("delay", "s", 0.0, 0.0, latest, 2 * scales.sample_s, "before a torque acts"),),
         "the torques act later than their stamps state",
         source("pressure.dead_time"),
+        plain="the torques act {delay} late",
     )
 
 
