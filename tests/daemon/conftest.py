@@ -154,11 +154,15 @@ def client(loop):
 
 
 @pytest.fixture
-def silent():
+def stalled():
+    """Return a control loop that does not tick."""
+    return Loop()
+
+
+@pytest.fixture
+def silent(stalled):
     """Return a client of a daemon whose control loop is stalled."""
-    loop = Loop()
-    made = Client(create_app(context(loop)), LOCAL)
-    return made, loop
+    return Client(create_app(context(stalled)), LOCAL), stalled
 
 
 @pytest.fixture

@@ -128,7 +128,7 @@ def test_while_the_recorder_cannot_write_arming_is_refused(tmp_path):
     recorder = Recorder(Config(recorder={"directory": tmp_path}))
     recorder.problem = "the log ends here: the disk is full"
     with Loop(recorder=recorder) as loop:
-        loop.until(lambda outputs: outputs.tick > 60)
+        loop.until(lambda outputs: len(outputs.arming_refusals) == 1)
         number = loop.inbox.post("arm")
         outputs = loop.until(lambda outputs: any(r.number == number for r in outputs.results))
         assert outputs.mode is Mode.DISARMED

@@ -40,8 +40,8 @@ class StoppingLoop:
 
 
 @pytest.fixture
-def stopping(silent):
-    return StoppingLoop(silent[1].outputs)
+def stopping(stalled):
+    return StoppingLoop(stalled.outputs)
 
 
 @contextmanager
