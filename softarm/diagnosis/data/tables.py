@@ -121,7 +121,7 @@ def _trial(stage: Stage, recording: Recording, element: str, loaded: dict[Path, 
         next(iter(recording.files.values())),
         channels,
         "free",
-        TableStage(own, about.kind, _in_standard_units(about, units), units, effects, about.angles == "relative"),
+        TableStage(own, about.kind, _in_standard_units(about, units), units, about.angles == "relative", effects),
         tuple(warnings),
         missing,
     )

@@ -81,9 +81,9 @@ class TableStage:
     kind: StageKind
     model: Mapping[str, ModelValue]  # nominal parameters in standard units: `softarm.schemas.stage_model`
     units: Mapping[str, Mapping[str, TableUnit]] = field(default_factory=dict)  # channel -> column -> unit
+    relative: bool = False  # whether a chain's angles were measured from link to link; here they are absolute
     # Effect -> parameter -> value of the nominal model, in the units of a verdict.
     effects: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
-    relative: bool = False  # whether a chain's angles were measured from link to link; here they are absolute
 
     def number(self, key: str, default: float) -> float:
         """Return a parameter of the model, its first value if it has several, or the default."""
