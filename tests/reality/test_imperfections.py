@@ -168,7 +168,7 @@ def test_filling_and_venting_have_the_declared_time_constants(fly: Any, perturb:
 @pytest.mark.slow
 def test_the_arm_hangs_as_declared(fly: Any, perturb: Any) -> None:
     def hang_m(pressure_kpa: float, **values: float) -> float:
-        seconds = 8.0 if pressure_kpa else 0.1  # it starts at rest without pressure
+        seconds = 5.0 if pressure_kpa else 0.1  # it starts at rest without pressure
         flown = fly(
             perturb("Arm", damping=4.0, **values), seconds, lambda t_s: (0.0, pressure_kpa), held=True, hanging=True
         )

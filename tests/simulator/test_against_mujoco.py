@@ -34,10 +34,11 @@ def error_mm(ours: np.ndarray, theirs: np.ndarray) -> np.ndarray:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("draw", [commands.smooth, commands.bang_bang])
-def test_tip_agrees_after_three_seconds(draw: Callable[..., tuple[np.ndarray, np.ndarray]]) -> None:
-    """Sixteen command sets of each kind, all effects present. Issue 2 allows 1 / 3 mm and 0.3 / 1 mm."""
+@pytest.mark.parametrize("count", [6, pytest.param(16, marks=pytest.mark.prove)])
+def test_tip_agrees_after_three_seconds(draw: Callable[..., tuple[np.ndarray, np.ndarray]], count: int) -> None:
+    """Command sets of each kind, all effects present. Issue 2 allows 1 / 3 mm and 0.3 / 1 mm."""
     model = Model(cart=ENDLESS)
-    velocity, pressure = draw(16, seed=1)
+    velocity, pressure = draw(count, seed=1)
     theirs = mujoco_tips_m(model, velocity, pressure, MUJOCO_SUBSTEPS)
     # The commands are no walk in the park: the arm swings by more than its length.
     assert np.ptp(theirs[:, 0]) > 0.4
@@ -58,7 +59,7 @@ def test_tip_agrees_without_an_effect(absent: str) -> None:
     assert error_mm(tips_m(model, velocity, pressure, 1200.0), theirs).max() <= 0.5
 
 
-@pytest.mark.parametrize("links", [1, 3, 12])
+@pytest.mark.parametrize("links", [1, 3, pytest.param(12, marks=pytest.mark.prove)])
 def test_tip_agrees_with_any_number_of_links(links: int) -> None:
     """Unequal links, so that no two of them can be mixed up."""
     share = np.linspace(1.4, 0.6, links) / links

@@ -58,6 +58,7 @@ def kept(folder):
     return sorted(path.name for path in folder.rglob("*.nbi"))
 
 
+@pytest.mark.prove
 @pytest.mark.slow
 def test_an_edit_of_the_pressure_stage_takes_effect_at_once(tmp_path):
     for name in ("simulator", "schemas", "common"):
@@ -151,8 +152,8 @@ def test_a_process_older_than_an_edit_saves_no_old_code(package):
 def test_processes_that_start_together_after_an_edit_all_use_it(package):
     entry()(1.0)
     edit(package)
-    started = [process("from entry import entry; print(entry(1.0))", package) for _ in range(3)]
-    assert [answer(each) for each in started] == [["3.0"]] * 3
+    started = [process("from entry import entry; print(entry(1.0))", package) for _ in range(2)]
+    assert [answer(each) for each in started] == [["3.0"]] * 2
     again = entry()
     assert (again(1.0), hits(again)) == (3.0, 1)
 

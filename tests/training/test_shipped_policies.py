@@ -16,6 +16,8 @@ from softarm.training.task.shelf import environment_of
 
 pytestmark = pytest.mark.slow
 
+TRIALS = 192
+
 
 def shipped(name: str) -> onnxruntime.InferenceSession:
     return onnxruntime.InferenceSession(str(MODELS / f"{name}.onnx"))
@@ -23,15 +25,15 @@ def shipped(name: str) -> onnxruntime.InferenceSession:
 
 def reached_in_range(policy: onnxruntime.InferenceSession, task: ReachTask, model: Model | None = None) -> float:
     """Share of random targets of the task's training range."""
-    trials, count = validation_scenarios(task, 5, 384), 256  # the first two thirds lie in the range
-    h = c = np.zeros((1, 384, policy.get_inputs()[1].shape[2]), dtype=np.float32)
+    trials, count = validation_scenarios(task, 5, TRIALS), TRIALS * 2 // 3  # the first two thirds lie in the range
+    h = c = np.zeros((1, TRIALS, policy.get_inputs()[1].shape[2]), dtype=np.float32)
 
     def act(observation: np.ndarray) -> np.ndarray:
         nonlocal h, c
         action, h, c = policy.run(None, {"observation": observation, "h_in": h, "c_in": c})
         return action
 
-    environment = environment_of(replace(task, action_noise=0.0), 384, 0, model)
+    environment = environment_of(replace(task, action_noise=0.0), TRIALS, 0, model)
     return float(fly_actions(act, environment, trials).reached[:count].mean())
 
 

@@ -5,7 +5,7 @@ import pytest
 
 from softarm.schemas.config import RailLimits
 from softarm.schemas.robot import RAIL_EXCURSION_M, RAIL_LIMIT_M
-from validation import adversary
+from validation import adversary, adversary_batch
 from validation.adversary_batch import Genes, Policies, World, attack, fly
 
 NOMINAL = World(6.0, 1 / 30, 0.0, 0.0, 0.0, 1)
@@ -13,11 +13,14 @@ POOR = World(4.0, 0.08, 0.05, 0.12, 0.2, 3)  # slow, late, loaded, seen late, an
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("world", [NOMINAL, POOR])
-def test_no_policy_moves_the_cart_beyond_the_margin(world):
+@pytest.mark.parametrize(
+    ("world", "generations"), [(POOR, 1), *(pytest.param(each, 4, marks=pytest.mark.prove) for each in (NOMINAL, POOR))]
+)
+def test_no_policy_moves_the_cart_beyond_the_margin(world, generations, monkeypatch):
+    monkeypatch.setattr(adversary_batch, "GENERATIONS", generations)
     found = attack(world, robots=48, seed=1)
     assert found["beyond_m"] < RAIL_EXCURSION_M
-    assert found["robot_ticks"] == 48 * 1000
+    assert found["robot_ticks"] == 48 * 200 * (1 + generations)
 
 
 def test_the_default_limits_hold_the_nominal_robot_against_the_worst_policy():

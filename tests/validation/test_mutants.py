@@ -8,7 +8,8 @@ from validation.mutants.operators import mutants
 from validation.mutants.targets import TARGETS, Target
 from validation.mutants.trials import FailsUnchanged, trials
 
-SMOKE = "drivers/regulator/cobs.py"
+# Its tests need neither sockets nor a clock.
+SMOKE = "daemon/control/following.py"
 THING = "def clip(x, top):\n    while x > top:\n        x = x - 1\n    return x\n"
 
 
@@ -22,8 +23,8 @@ def test_every_explained_mutant_still_exists(module):
 @pytest.mark.slow
 @pytest.mark.timeout(900)
 def test_a_sample_of_mutants_is_killed_or_explained():
-    found = prove(TARGETS[SMOKE], jobs=1, sample=3)
-    assert found.figures["tried"] == 3
+    found = prove(TARGETS[SMOKE], jobs=1, sample=1)
+    assert found.figures["tried"] == 1
     assert found.unexplained == []
 
 
@@ -34,7 +35,7 @@ def tried(tmp_path):
         test = f"from thing import clip\ndef test_clip():\n    assert [clip(x, 2) for x in (1, 2, 5)] == {expected}\n"
         (tmp_path / "test_thing.py").write_text(test)
         target = Target("thing.py", ("test_thing.py",), tmp_path, package="")
-        return {str(each.mutant): each.end for each in trials(target, mutants(THING), jobs=2, slack_s=1.0)}
+        return {str(each.mutant): each.end for each in trials(target, mutants(THING), jobs=2, slack_s=0.2)}
 
     return run
 

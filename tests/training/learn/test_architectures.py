@@ -68,6 +68,7 @@ def test_observation_noise_affects_the_learner_alone():
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("plain_pictures")
 def test_without_a_muscle_the_pressure_stays_zero_in_training_and_file(tmp_path):
     task = replace(TASKS["reach"], muscle=False)
     environment = Environment(task, 8, 0)
@@ -85,20 +86,18 @@ def test_without_a_muscle_the_pressure_stays_zero_in_training_and_file(tmp_path)
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("plain_pictures")
 def test_a_resumed_shelf_run_exports_a_policy_with_a_target_depth(tmp_path):
     with workers(1) as pool:
 
         def session(folder, resume):
-            return Session(ShelfTask(), SMALL, PpoConfig(), tmp_path / folder, pool, resume)
+            return Session(ShelfTask(), replace(SMALL, validate_every=1), PpoConfig(), tmp_path / folder, pool, resume)
 
         whole = session("whole", False)
-        for _ in range(4):
-            whole.advance()
-        killed = session("killed", False)
-        for _ in range(3):
-            killed.advance()
+        whole.advance()
+        whole.advance()
+        session("killed", False).advance()
         resumed = session("killed", True)
-        resumed.advance()
         resumed.advance()
         policy = OnnxPolicy(str(resumed.export_best()))
     mine, theirs = resumed.network.state_dict(), whole.network.state_dict()

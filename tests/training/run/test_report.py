@@ -66,6 +66,7 @@ def reported(curve):
     return points
 
 
+@pytest.mark.usefixtures("plain_pictures")
 def test_tensorboard_holds_the_learning_curve_over_frames(tmp_path):
     with workers(1) as pool:
         run = session(tmp_path, pool)
@@ -77,6 +78,7 @@ def test_tensorboard_holds_the_learning_curve_over_frames(tmp_path):
     assert run.events.fault is None
 
 
+@pytest.mark.usefixtures("plain_pictures")
 def test_a_resumed_run_writes_each_point_once(tmp_path):
     with workers(1) as pool:
         killed = session(tmp_path, pool)
@@ -91,6 +93,7 @@ def test_a_resumed_run_writes_each_point_once(tmp_path):
     assert read(tmp_path / "tensorboard") == reported(resumed.curve)
 
 
+@pytest.mark.usefixtures("plain_pictures", "short_validation")
 def test_training_without_tensorboard_continues_with_one_message(tmp_path, monkeypatch):
     monkeypatch.setattr(tensorboard, "find_spec", lambda name: None)
     monkeypatch.setattr(report, "fly_test_trials", lambda session: flown())
@@ -105,6 +108,7 @@ def test_training_without_tensorboard_continues_with_one_message(tmp_path, monke
     assert (tmp_path / "reach.onnx").is_file()
 
 
+@pytest.mark.usefixtures("plain_pictures")
 def test_a_read_only_folder_does_not_stop_a_run(tmp_path):
     (tmp_path / "tensorboard").write_text("in the way")
     with workers(1) as pool:

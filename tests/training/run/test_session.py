@@ -171,6 +171,7 @@ def test_other_settings_cannot_resume_a_run(finished):
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("plain_pictures")
 def test_a_run_ends_after_validations_without_improvement(tmp_path):
     config = replace(SMALL, robots=16, validate_every=1, validation_trials=6, patience=2)
     with workers(1) as pool:
@@ -238,6 +239,7 @@ def test_a_trial_counts_once_and_has_its_closest_distance():
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("plain_pictures", "short_validation")
 def test_the_commands_train_and_export(tmp_path):
     runner, out = CliRunner(), tmp_path / "run"
     arguments = ["reach", "--robots", "16", "--frames", "256", "--seed", "5", "--out", str(out)]

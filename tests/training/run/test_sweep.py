@@ -33,6 +33,7 @@ def file(tmp_path):
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("plain_pictures")
 def test_a_restarted_sweep_skips_finished_runs(file, tmp_path):
     out, wanted = tmp_path / "runs", sweep.load(file)
     todo, finished = sweep.plan(wanted, out, threads=1)

@@ -1,0 +1,25 @@
+"""Fixtures of the tests of training."""
+
+from base64 import b64decode
+
+import pytest
+
+from softarm.training.record import curve, path_figure
+
+PIXEL = b64decode("iVBORw0KGgoAAAANSUhEUgAAAAEAAAABCAAAAAA6fptVAAAACklEQVR4nGNgAAAAAgABSK+kcQAAAABJRU5ErkJggg==")
+
+
+@pytest.fixture
+def plain_pictures(monkeypatch):
+    """Write one pixel as every picture of a run: to draw them takes longer than a short training."""
+    monkeypatch.setattr(curve, "write_png", lambda rows, path, *_: path.write_bytes(PIXEL))
+    monkeypatch.setattr(path_figure, "write_png", lambda tested, task, path, title: path.write_bytes(PIXEL))
+
+
+@pytest.fixture
+def short_validation(monkeypatch):
+    """Train the task `reach` with a small validation set where a command starts the run."""
+    from softarm.training.run.recipe import RECIPES
+
+    settings = {"run.validation_trials": 12}
+    monkeypatch.setitem(RECIPES, "reach", RECIPES["reach"].model_copy(update={"settings": settings}))
