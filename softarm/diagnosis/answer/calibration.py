@@ -6,12 +6,14 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from softarm.diagnosis.engine.calibration import calibrate, held_out_rms
+from softarm.diagnosis.engine.calibration import Calibration, calibrate, held_out_rms
 from softarm.diagnosis.engine.fits import Fit, FitProblem
 from softarm.diagnosis.engine.problem import Setup
 from softarm.diagnosis.engine.view import Array
 from softarm.schemas.verdict import CalibratedParameter
 
+# Share of its stage's gap, held out, that a calibrated parameter takes at least: a smaller one is not worth a change.
+WORTH = 0.01
 AT_EDGE = 0.98  # share of the box's edge from which a parameter counts as at its edge
 
 
@@ -40,13 +42,16 @@ def calibrated(
         unit: returns the unit of a parameter by its path.
     """
     found = calibrate(problem, fit)
+    left, takes = _takes(setup, plain, fit, found)
+    worth = [i for i, share in takes.items() if share >= WORTH]
+    if len(worth) < len(takes):
+        found = calibrate(problem, fit, worth)
+        left, takes = _takes(setup, plain, fit, found)
     scales = setup.nuisance_scales()
-    left = held_out_rms(setup, plain, fit, found.folds)
     parameters = []
     for i in found.resolved:
         path, nominal, scale = scales[i]
         share, half = float(found.shares[i]), float(found.half[i])
-        less = held_out_rms(setup, plain, fit, found.without[i])
         ends = sorted(nominal + float(edge[i]) * scale for edge in (problem.nuisance_low, problem.nuisance_high))
         parameters.append(
             CalibratedParameter(
@@ -59,7 +64,7 @@ def calibrated(
                 tolerance_low=ends[0],
                 tolerance_high=ends[1],
                 at_edge=bool(abs(share) >= AT_EDGE),
-                shrink=max(1 - left[stage] / less[stage] if less[stage] > 0 else 0.0 for stage in left),
+                shrink=takes[i],
             )
         )
     values, *folds = (_values(scales, found.resolved, shares) for shares in (found.shares, *found.folds))
@@ -67,6 +72,17 @@ def calibrated(
     residuals = setup.residuals(plain, replace(fit, nuisance=found.shares)) if parameters else []
     by_stage = {view.stage: each for view, each in zip(setup.views, residuals, strict=bool(parameters))}
     return Calibrated(tuple(ordered), left, by_stage, values, tuple(folds))
+
+
+def _takes(
+    setup: Setup, plain: FitProblem, fit: Fit, found: Calibration
+) -> tuple[Mapping[str, float], dict[int, float]]:
+    """Return each stage's held-out RMS, and the share of it that each resolved parameter takes next to the others."""
+    left, takes = held_out_rms(setup, plain, fit, found.folds), {}
+    for i in found.resolved:
+        less = held_out_rms(setup, plain, fit, found.without[i])
+        takes[i] = max(1 - left[stage] / less[stage] if less[stage] > 0 else 0.0 for stage in left)
+    return left, takes
 
 
 def _values(scales: list[tuple[str, float, float]], resolved: tuple[int, ...], shares: Array) -> dict[str, float]:

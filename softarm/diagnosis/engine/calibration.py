@@ -4,7 +4,7 @@ A box says how far a parameter of a good model may be off. A parameter that the 
 that a calibrated model differs from the nominal one only where the data show a difference.
 """
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -63,9 +63,12 @@ class _Linear:
         return half_width(normal, slope, np.linalg.solve(total, -slope.sum(axis=0)))
 
 
-def calibrate(problem: FitProblem, fit: Fit) -> Calibration:
-    """Return the calibration next to a fit's effects."""
+def calibrate(problem: FitProblem, fit: Fit, among: Collection[int] | None = None) -> Calibration:
+    """Return the calibration next to a fit's effects; `among`: nuisances that may leave their nominal value."""
     linear = _Linear(problem, fit)
+    for i in range(len(problem.nuisance_low)) if among is not None else ():
+        if i not in among:
+            linear.low[linear.effects + i] = linear.high[linear.effects + i] = 0.0
     free, solution, half = _resolved(linear, len(problem.blocks))
     halves = np.zeros(len(solution))
     halves[free] = half

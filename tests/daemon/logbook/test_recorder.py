@@ -249,7 +249,9 @@ def test_a_full_file_waits_a_limited_time_for_the_end_of_a_goal(tmp_path):
 
 @pytest.mark.slow
 def test_a_full_file_is_continued_if_no_new_one_can_be_created(tmp_path, disk, monkeypatch):
-    recorder = Recorder(config(tmp_path, file_max_mb=1, flush_interval_s=0.005), SPEC)  # a full file gets few ticks an interval
+    recorder = Recorder(
+        config(tmp_path, file_max_mb=1, flush_interval_s=0.005), SPEC
+    )  # a full file gets few ticks an interval
     recorder.start()
     first = recorder.path
     new_log = folder.new_log

@@ -31,8 +31,9 @@ def test_a_regime_has_its_rms_and_a_short_regime_is_left_out():
 def test_an_overlay_is_measured_minus_gap_and_a_channel_without_samples_has_none():
     gap = np.full((STEPS, 2), 0.1)
     trials = [SimpleNamespace(name=name, kind="seed") for name in ("one", "two")]
-    found = overlays(VIEW, trials, gap, 0.5 * gap)
+    found = overlays(VIEW, trials, gap, 0.5 * gap, 0.1 * gap)
     assert [(each.trial, each.channel) for each in found] == [("one", "y"), ("two", "y")]
     np.testing.assert_allclose(found[1].nominal, np.sin(T[300:]) - 0.1)
     np.testing.assert_allclose(found[1].patched, np.sin(T[300:]) - 0.05)
-    assert overlays(VIEW, trials, gap, None, channels=(1,)) == ()
+    np.testing.assert_allclose(found[1].calibrated, np.sin(T[300:]) - 0.01)
+    assert overlays(VIEW, trials, gap, None, None, channels=(1,)) == ()

@@ -21,6 +21,7 @@ class _Gauge:
 
     truth: dict[str, float]
     seed: int = 0
+    rate_hz: float = RATE_HZ
     stage, unit, channels = "stage", "-", ("reading",)
     acts = frozenset({SCALE, BIAS, SLOPE})
     noise: np.ndarray = field(default_factory=lambda: np.zeros(1))
@@ -30,7 +31,7 @@ class _Gauge:
         return None
 
     def __post_init__(self):
-        t = np.arange(round(RATE_HZ * LENGTH_S)) / RATE_HZ
+        t = np.arange(round(self.rate_hz * LENGTH_S)) / self.rate_hz
         self.inputs = np.concatenate((np.sin(2 * t), np.sign(np.sin(3 * t)), np.exp(-t)))
         self.t_s, self.trial = np.tile(t, 3), np.repeat(np.arange(3), len(t))
         self.floor = np.array([NOISE])
@@ -45,8 +46,8 @@ class _Gauge:
         return np.stack([self.measured - self._predict(p)[:, None] for p in points]).astype(np.float32)
 
 
-def calibration(truth, seed=0):
-    setup = Setup([_Gauge(truth, seed)], NUISANCES, ("sine", "square", "decay"))
+def calibration(truth, seed=0, rate_hz=RATE_HZ):
+    setup = Setup([_Gauge(truth, seed, rate_hz)], NUISANCES, ("sine", "square", "decay"))
     plain = setup.plain()
     (nothing,) = plain.fit([((), ())])
     return calibrated(setup, plain, plain, nothing, lambda path: "-")
@@ -86,3 +87,9 @@ def test_a_parameter_beyond_its_tolerance_is_at_the_edge():
     (scale,) = (each for each in found.parameters if each.name == SCALE)
     assert scale.at_edge
     assert scale.value == pytest.approx(1.2)
+
+
+def test_a_parameter_that_takes_less_than_a_hundredth_of_the_gap_stays_nominal():
+    for slope, named in ((0.0015, [SCALE]), (0.003, [SCALE, SLOPE])):  # both are resolved at this rate
+        found = calibration({SCALE: 1.1, SLOPE: slope}, rate_hz=240.0)
+        assert [each.name for each in found.parameters] == named
