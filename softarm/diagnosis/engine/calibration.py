@@ -66,9 +66,9 @@ class _Linear:
 def calibrate(problem: FitProblem, fit: Fit, among: Collection[int] | None = None) -> Calibration:
     """Return the calibration next to a fit's effects; `among`: nuisances that may leave their nominal value."""
     linear = _Linear(problem, fit)
-    for i in range(len(problem.nuisance_low)) if among is not None else ():
-        if i not in among:
-            linear.low[linear.effects + i] = linear.high[linear.effects + i] = 0.0
+    if among is not None:
+        others = [linear.effects + i for i in range(len(problem.nuisance_low)) if i not in among]
+        linear.low[others] = linear.high[others] = 0.0
     free, solution, half = _resolved(linear, len(problem.blocks))
     halves = np.zeros(len(solution))
     halves[free] = half
