@@ -14,6 +14,7 @@ _FETCHED = re.compile(r"<(?:script|link|img|iframe)\b[^>]*?\b(?:src|href)=\"?(ht
 pytestmark = pytest.mark.slow
 
 
+# Over 3 s: builds the site, once for all tests.
 @pytest.fixture(scope="module")
 def site(tmp_path_factory):
     """Return the folder of the built site."""

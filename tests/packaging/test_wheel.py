@@ -67,6 +67,7 @@ def run(*command: str | Path, cwd: Path, seconds: float = 170.0) -> str:
     return done.stdout
 
 
+# Over 3 s: builds the sdist and the wheel, once for all tests.
 @pytest.fixture(scope="module")
 def built(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Build the sdist and the wheel from the files that git lists, and return their folder."""
@@ -90,6 +91,7 @@ def built(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return out
 
 
+# Over 3 s: makes an environment and installs five packages, once for all tests.
 @pytest.fixture(scope="module")
 def installed(built: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Install softarm and a user's project into a new environment, and return its Python.

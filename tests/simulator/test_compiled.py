@@ -184,6 +184,7 @@ open("saved", "w").close()
 """
 
 
+# Over 3 s: two processes import numba and compile.
 @pytest.mark.slow
 def test_two_processes_can_save_at_the_same_time(package):
     slow, quick = (process(code, package) for code in (SLOW, QUICK))

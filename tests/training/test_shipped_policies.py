@@ -16,25 +16,26 @@ from softarm.training.task.shelf import environment_of
 
 pytestmark = pytest.mark.slow
 
-TRIALS = 192
-
 
 def shipped(name: str) -> onnxruntime.InferenceSession:
     return onnxruntime.InferenceSession(str(MODELS / f"{name}.onnx"))
 
 
-def reached_in_range(policy: onnxruntime.InferenceSession, task: ReachTask, model: Model | None = None) -> float:
+def reached_in_range(
+    policy: onnxruntime.InferenceSession, task: ReachTask, model: Model | None = None, count: int = 192
+) -> float:
     """Share of random targets of the task's training range."""
-    trials, count = validation_scenarios(task, 5, TRIALS), TRIALS * 2 // 3  # the first two thirds lie in the range
-    h = c = np.zeros((1, TRIALS, policy.get_inputs()[1].shape[2]), dtype=np.float32)
+    trials = validation_scenarios(task, 5, count)
+    h = c = np.zeros((1, count, policy.get_inputs()[1].shape[2]), dtype=np.float32)
 
     def act(observation: np.ndarray) -> np.ndarray:
         nonlocal h, c
         action, h, c = policy.run(None, {"observation": observation, "h_in": h, "c_in": c})
         return action
 
-    environment = environment_of(replace(task, action_noise=0.0), TRIALS, 0, model)
-    return float(fly_actions(act, environment, trials).reached[:count].mean())
+    environment = environment_of(replace(task, action_noise=0.0), count, 0, model)
+    # The first two thirds lie in the range.
+    return float(fly_actions(act, environment, trials).reached[: count * 2 // 3].mean())
 
 
 @pytest.mark.parametrize(
@@ -55,5 +56,7 @@ def test_the_robust_policy_flies_a_late_and_weak_rail_on_which_others_fail():
     rail = {"rail.delay": {"delay": 0.09}, "rail.acceleration_limit": {"acceleration": 2.5}}
     late = model.model_copy(update={"effects": dict(model.effects) | rail})
     task = PRESETS["reach-wide"]
-    robust, wide, reach = (reached_in_range(shipped(f"reach{name}"), task, late) for name in ("-robust", "-wide", ""))
+    robust, wide, reach = (
+        reached_in_range(shipped(f"reach{name}"), task, late, count=96) for name in ("-robust", "-wide", "")
+    )
     assert robust > max(wide, reach) + 0.2

@@ -12,6 +12,7 @@ NOMINAL = World(6.0, 1 / 30, 0.0, 0.0, 0.0, 1)
 POOR = World(4.0, 0.08, 0.05, 0.12, 0.2, 3)  # slow, late, loaded, seen late, and ticks are skipped
 
 
+# Over 3 s: the limits of a world are measured before it is attacked.
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("world", "generations"), [(POOR, 1), *(pytest.param(each, 4, marks=pytest.mark.prove) for each in (NOMINAL, POOR))]

@@ -20,6 +20,7 @@ def test_every_explained_mutant_still_exists(module):
     assert explained.read().get(module, {}).keys() <= set(keys)
 
 
+# Over 3 s: the tests of a module run three times, in processes of their own.
 @pytest.mark.slow
 @pytest.mark.timeout(900)
 def test_a_sample_of_mutants_is_killed_or_explained():
@@ -40,6 +41,7 @@ def tried(tmp_path):
     return run
 
 
+# Over 3 s: waits for mutants that never end.
 @pytest.mark.slow
 def test_a_good_test_kills_every_mutant_and_one_that_never_ends_is_ended(tried):
     found = tried([1, 2, 2])

@@ -53,6 +53,7 @@ def run(folder: Path, *command: str, others: Sequence[Path] = ()) -> None:
     assert done.returncode == 0, done.stdout + done.stderr
 
 
+# Over 3 s: a process of its own imports torch, trains a task and flies.
 @pytest.mark.slow
 def test_the_tests_of_new_packages_pass(written: dict[str, Path]) -> None:
     """All run in one process, which saves imports."""
