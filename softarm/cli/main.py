@@ -47,7 +47,7 @@ VERBS: dict[str, dict[str, Verb]] = {
         "soak": Verb("learn.soak:soak", "Fly for hours and report growth and events.", "sim"),
         "evaluate": Verb("learn.evaluate:evaluate", "Compare policies at the test targets.", "sim"),
         "model": Verb("learn.model:model", "Show, compare, check and export models of the robot."),
-        "new": Verb("learn.new:new", "Create a plug-in: policy, task or mocap source.", "train"),
+        "new": Verb("learn.new:new", "Create a plug-in, or the stage file of a rig.", "train"),
     },
 }
 

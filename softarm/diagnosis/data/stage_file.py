@@ -58,6 +58,9 @@ def load(path: Path) -> tuple[Stage, ...]:
     try:
         document = yaml_lines.read(path, f"write one, e.g. {EXAMPLE}")
         several = _is_of_several(document.data)
+        for _, about in stage_rules.mechanisms(document.data):
+            if about.get("model", ...) is None:  # all keys are commented out
+                about["model"] = {}
         more = stage_rules.findings(document.data)
         if several:
             whole = fit(document, SeveralFile, more)
@@ -72,7 +75,7 @@ def load(path: Path) -> tuple[Stage, ...]:
             )
         else:
             one = fit(document, StageFile, more)
-            stages = (Stage(one.name or _called(path), one, one.table, one.trials, one.effects, False),)
+            stages = (Stage(one.name or called(path), one, one.table, one.trials, one.effects, False),)
     except FileError as error:
         raise TrialError(str(error)) from None
     names = [name for stage in stages for name in (*stage.about.elements,) or (stage.name,)]
@@ -82,8 +85,8 @@ def load(path: Path) -> tuple[Stage, ...]:
     return stages
 
 
-def _called(path: Path) -> str:
-    """Name of a mechanism without a name: that of its file, or of the folder of a `stage.yaml`."""
+def called(path: Path) -> str:
+    """Return the name of a mechanism without one: that of its file, or of the folder of a `stage.yaml`."""
     own = path.resolve()
     text = own.parent.name if own.stem == "stage" else own.stem
     return re.sub(r"\W+", "_", text).strip("_") or "stage"

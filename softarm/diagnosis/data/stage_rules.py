@@ -33,7 +33,7 @@ def findings(data: Any) -> Findings:
     return found
 
 
-def mechanisms(data: Any) -> Iterator[tuple[Place, Mapping[str, Any]]]:
+def mechanisms(data: Any) -> Iterator[tuple[Place, dict[str, Any]]]:
     """Yield every group of a file that describes a mechanism, with its place."""
     if not isinstance(data, dict):
         return

@@ -67,7 +67,7 @@ def clock(time_s: Array, about: Column, where: str, place: Place, on_change: boo
             f"{time_s[k + 1]:.6g} s); split the recording there into two trials"
         )
     if usual and not STEP_MIN_S <= usual <= (np.inf if on_change else STEP_MAX_S):
-        likely = _time_unit(usual / seconds)
+        likely = time_unit(usual / seconds)
         raise TrialError(
             f"{where}: rows are {usual:.4g} s apart"
             + (f"; its stamps look like {likely}: write `unit: {likely}`" if likely else "; correct its `unit`")
@@ -87,8 +87,8 @@ def clock(time_s: Array, about: Column, where: str, place: Place, on_change: boo
     ]
 
 
-def _time_unit(step: float) -> str | None:
-    """Unit in which a step is one that rigs are usually recorded with."""
+def time_unit(step: float) -> str | None:
+    """Return the unit in which a step is one that rigs are usually recorded with."""
     units = {"s": 1.0, **UNITS["s"]}
     low, high = STEP_LIKELY_S
     return next((unit for unit, factor_ in units.items() if low <= step * factor_ <= high), None)

@@ -116,7 +116,7 @@ def stamps(table: Table, about: Column, form: TableForm, segment: str | None) ->
     if about.unit != "s" or about.scale != 1.0 or about.minus:
         raise TrialError(f"{where}: contains dates with a time of day; write only `unit: s`")
     if texts:
-        found, zoned = instants.seconds(raw, _missing(_form_of(about, form)), table.place, where)
+        found, zoned = instants.seconds(raw, _missing(_form_of(about, form), table.comma), table.place, where)
         return found + about.add, zoned
     found = (raw - np.datetime64(0, "s")) / np.timedelta64(1, "s")
     if np.isnan(found).any():
@@ -206,10 +206,11 @@ def _delimiter(line: str) -> str:
 
 
 def _is_value(cell: str, delimiter: str) -> bool:
-    return _number(cell, delimiter != ",") is not None or instants.instant(cell) is not None or not cell.strip()
+    return number(cell, delimiter != ",") is not None or instants.instant(cell) is not None or not cell.strip()
 
 
-def _number(cell: str, comma: bool) -> float | None:
+def number(cell: str, comma: bool) -> float | None:
+    """Return a cell as a number, or None if it is not one."""
     text = cell.strip()
     if comma and _COMMA.fullmatch(text):
         text = text.replace(",", ".")
@@ -280,7 +281,7 @@ def _numbers(
     """Unconverted values of a source, [N]; NaN where a value is missing."""
     name = _name(table, source, segment)
     raw = _find(table, name)
-    missing = _missing(form)
+    missing = _missing(form, table.comma)
     if isinstance(raw, list):
         return _texts(table, name, raw, missing, bool(form.missing), advice)
     values = np.asarray(raw)
@@ -310,17 +311,17 @@ def _numbers(
     return np.where(gone, np.nan, values)
 
 
-def _missing(form: TableForm) -> Callable[[str | float], bool]:
+def _missing(form: TableForm, comma: bool) -> Callable[[str | float], bool]:
     """Return a test for the form's marks for missing values: the same text, or the same number."""
     texts = {str(mark).strip().lower() for mark in form.missing}
-    numbers = {value for mark in form.missing if (value := _number(str(mark), False)) is not None}
+    numbers = {value for mark in form.missing if (value := number(str(mark), False)) is not None}
     nan = any(math.isnan(value) for value in numbers)
 
     def missing(cell: str | float) -> bool:
         if isinstance(cell, str):
             if cell.strip().lower() in texts:
                 return True
-            value = _number(cell, False)
+            value = number(cell, comma)
         else:
             value = cell
         return value is not None and (value in numbers or (nan and math.isnan(value)))
@@ -338,7 +339,7 @@ def _texts(
             return values
     except ValueError:
         pass
-    read = [math.nan if missing(cell) else _number(cell, table.comma) for cell in cells]
+    read = [math.nan if missing(cell) else number(cell, table.comma) for cell in cells]
     for i, value in enumerate(read):
         if value is None or (not math.isfinite(value) and not missing(cells[i])):
             raise TrialError(

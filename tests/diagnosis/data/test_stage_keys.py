@@ -51,6 +51,14 @@ def test_marks_of_a_column_replace_those_of_the_table(tmp_path):
     assert [len(series) for series in trial.channels.values()] == [200, 197]
 
 
+def test_a_number_marks_missing_values_with_decimal_commas_too(tmp_path):
+    seen = MEASURED.copy()
+    seen[120:123] = -999
+    text = table("t,u,y", T, COMMAND, seen).replace(",", ";").replace(".", ",")
+    (trial,) = read(tmp_path, text, ("source: y,", "source: y, missing: -999,"))
+    assert trial.channels["measured"]["position"].min() > -1
+
+
 @pytest.mark.parametrize(
     ("window", "first", "last"), [("from_s: 1.5, to_s: 3", 1.5, 3), ("from_s: 1", 1, 3.98), ("to_s: 2", 0, 2)]
 )

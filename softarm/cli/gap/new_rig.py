@@ -1,0 +1,137 @@
+"""`softarm new rig`: write the stage.yaml of another rig from its recordings."""
+
+from collections.abc import Iterable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, get_args
+
+import click
+
+from softarm.cli.gap.rig_questions import RATE, is_terminal, proposed
+from softarm.cli.shared.errors import Failure, fail
+from softarm.cli.shared.interrupt import NOTHING, leaves
+from softarm.cli.shared.options import FILE, INPUT, check_places, write
+from softarm.cli.shared.printing import print_table, waiting
+from softarm.schemas.stage_model import StageKind
+
+if TYPE_CHECKING:
+    from softarm.diagnosis.describe.survey import Survey
+
+KINDS = click.Choice(get_args(StageKind))
+ANGLES = click.Choice(("absolute", "relative"))
+
+
+@click.command()
+@click.argument("data", metavar="DATA...", type=INPUT, nargs=-1, required=True)
+@click.option("--out", type=FILE, default=Path("stage.yaml"), show_default=True, help="The file to write.")
+@click.option("--overwrite", is_flag=True, help="Replace an existing file.")
+@click.option("--name", default="", help="Name of the mechanism in the answer (default: the folder's).")
+@click.option("--kind", type=KINDS, help="Kind of mechanism.")
+@click.option("--command", multiple=True, metavar="COLUMN", help="Command, force or torques; may be repeated.")
+@click.option("--measured", multiple=True, metavar="COLUMN", help="Measured output; may be repeated, from link 1 on.")
+@click.option("--base", default="", metavar="COLUMN", help="Position of the cart below a pendulum or chain.")
+@click.option("--time", default="", metavar="COLUMN", help="Time column.")
+@click.option("--rate", type=RATE, metavar="HZ", help="Rows a second, for tables without a time column.")
+@click.option(
+    "--unit", "units", multiple=True, metavar="COLUMN=UNIT", help='Unit of a column; * fits several: "q*=rad".'
+)
+@click.option("--nominal", multiple=True, metavar="KEY=NUMBER", help="Value of the nominal model: mass_kg=0.4,0.3.")
+@click.option("--angles", type=ANGLES, help="Angles of a chain: from the vertical, or from link to link.")
+def rig(
+    data: tuple[Path, ...],
+    out: Path,
+    overwrite: bool,
+    name: str,
+    kind: StageKind | None,
+    command: tuple[str, ...],
+    measured: tuple[str, ...],
+    base: str,
+    time: str,
+    rate: float | None,
+    units: tuple[str, ...],
+    nominal: tuple[str, ...],
+    angles: Any,
+) -> None:
+    """Describe the recordings of another rig in a stage.yaml, and check it.
+
+    DATA are tables (.csv, .tsv, .txt, .dat, .parquet, .mat) or folders of them. Columns, units and rates that the
+    recordings show are written with their reason. The rest is asked for, or without a terminal taken from the options.
+
+    \b
+    Examples:
+      softarm new rig recordings
+      softarm new rig runs/*.csv --kind tracking --unit "angle*=deg" --out servo.yaml
+      softarm new rig swings --kind pendulum --nominal mass_kg=0.15 --nominal centre_m=0.15 --nominal inertia_kg_m2=1e-4
+    """
+    from softarm.diagnosis.data.stage_file import called
+    from softarm.diagnosis.data.trials import TrialError
+    from softarm.diagnosis.describe import stage_text
+    from softarm.diagnosis.describe.proposal import Answers
+    from softarm.diagnosis.describe.survey import survey
+
+    leaves(NOTHING)
+    _may_be_written(out, overwrite)
+    given = Answers(
+        kind=kind,
+        command=command,
+        measured=measured,
+        base=base,
+        time=time,
+        rate_hz=rate,
+        units=_pairs("--unit", units),
+        nominal=_pairs("--nominal", nominal),
+        angles=angles,
+    )
+    try:
+        with waiting("reading the recordings"):
+            found = survey(data)
+        _show(found)
+        proposal = proposed(found, given)
+    except TrialError as error:
+        fail(str(error))
+    text = stage_text.text(found, proposal, name or called(out), out.parent, f"softarm check {out}")
+    write(out, text)
+    leaves(f"{out} was written")
+    _check(out)
+
+
+def _may_be_written(out: Path, overwrite: bool) -> None:
+    """End the command if its file exists and may not be replaced."""
+    check_places(out)
+    if out.exists() and not overwrite:
+        if not is_terminal():
+            fail(f"{out}: exists and is not overwritten; choose another --out, or add --overwrite")
+        if not click.confirm(f"{out} exists. Replace it?"):
+            fail(f"{out}: not changed; choose another --out")
+
+
+def _pairs(option: str, texts: Iterable[str]) -> dict[str, str]:
+    """Return KEY=VALUE options by their keys; the last equals sign separates, since headers may hold others."""
+    for text in texts:
+        if not all(text.rpartition("=")):
+            raise click.UsageError(f"{option} {text}: has no value; write {option} NAME=VALUE")
+    return {text.rpartition("=")[0]: text.rpartition("=")[2] for text in texts}
+
+
+def _show(found: "Survey") -> None:
+    """Print what the columns hold."""
+    rows = []
+    for signal in found.signals:
+        low, high = (f"{x:.4g}" for x in (signal.all.min(), signal.all.max())) if len(signal.all) else ("-", "-")
+        marks = ", ".join(map(str, signal.marks))
+        rows.append((signal.label, low, high, signal.header.unit or "", signal.header.role, marks))
+    count = len(found.recordings)
+    title = f"{count} recording{'s' * (count > 1)}: columns"
+    print_table(("column", "from", "to", "unit in header", "role by name", "missing values"), rows, title, width=120)
+
+
+def _check(out: Path) -> None:
+    """Check the new file as `softarm check` does, and print the next command."""
+    from softarm.cli.setup.check_stage import check_stage
+
+    try:
+        check_stage(out, None)
+    except Failure:
+        click.echo(f"next: correct {out}, then\n  softarm check {out}")
+        raise
+    click.echo(f"next: complete `model:` in {out} with the values of your simulator, then")
+    click.echo(f"  softarm diagnose {out} --report {out.with_suffix('.html').name}")

@@ -1,0 +1,465 @@
+"""Proposal of a stage file: what the recordings show, what the user has answered, and what is still unknown."""
+
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from fnmatch import fnmatchcase
+from typing import Literal
+
+import numpy as np
+
+from softarm.common.quantity import PURE, UNITS, factor
+from softarm.common.words import did_you_mean
+from softarm.diagnosis.data.table_checks import ALIKE, UPRIGHT_RAD
+from softarm.diagnosis.data.trials import TrialError
+from softarm.diagnosis.describe import clocks, headers
+from softarm.diagnosis.describe.clocks import Clock
+from softarm.diagnosis.describe.kinds import guess
+from softarm.diagnosis.describe.survey import Signal, Survey
+from softarm.schemas.stage_model import MODEL_KEYS, ModelValue, StageKind, complaints
+
+Angles = Literal["absolute", "relative"]
+# Least correlation of a command and the column that follows it, and the lead in rows that decides.
+FOLLOWS = 0.6
+_DRIVES = {"N": "force", "N m": "force", "A": "current", "V": "voltage"}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Answers:
+    """What the user has said; empty values are inferred or asked for."""
+
+    kind: StageKind | None = None
+    command: tuple[str, ...] = ()
+    measured: tuple[str, ...] = ()
+    base: str = ""
+    time: str = ""
+    rate_hz: float | None = None
+    units: Mapping[str, str] = field(default_factory=dict)  # label or pattern -> unit
+    nominal: Mapping[str, str] = field(default_factory=dict)  # key of the model -> its text
+    angles: Angles | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Question:
+    """Something that the recordings do not show."""
+
+    option: str  # --unit
+    prefix: str  # of the option's value: `y=` for the unit of y
+    text: str
+    choices: tuple[str, ...] = ()
+    likely: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Use:
+    """One column of a stage file."""
+
+    signal: Signal
+    unit: str
+    note: str  # how its unit is known
+    add: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Proposal:
+    """Content of a stage file."""
+
+    kind: StageKind
+    why: str
+    links: int
+    angles: Angles | None
+    channels: Mapping[str, Mapping[str, Use]]
+    clocks: Mapping[str, Clock]  # by channel
+    candidates: Mapping[str, Sequence[Signal]]  # by channel
+    model: Mapping[str, ModelValue]
+    notes: Sequence[str]
+
+
+class Unknown(Exception):
+    """Questions that the user must answer first."""
+
+    def __init__(self, questions: Iterable[Question]) -> None:
+        self.questions = tuple(questions)
+        super().__init__(", ".join(q.option for q in self.questions))
+
+
+def propose(survey: Survey, answers: Answers) -> Proposal:
+    """Return the content of a stage file.
+
+    Raises:
+        Unknown: the recordings do not show everything.
+        TrialError: an answer does not fit the recordings.
+    """
+    return _Draft(survey, answers).proposal()
+
+
+class _Draft:
+    """Inference from a survey and answers, one step after the other."""
+
+    def __init__(self, survey: Survey, answers: Answers) -> None:
+        self.survey, self.answers = survey, answers
+        _check_units(survey, answers.units)
+        self.units = {s.label: unit for s in survey.signals if (unit := self._answered(s))}
+        self.times = self._times()
+        taken = {each.label for own in self.times.values() for each in own}
+        self.moving = [
+            s for s in survey.signals if not (s.is_constant or s.label in taken or s.dates or s.header.role == "time")
+        ]
+        self.notes: list[str] = []
+        self.by_group = {k: self._clock(next(s for s in survey.signals if s.group == k)) for k in self.times}
+
+    def proposal(self) -> Proposal:
+        """Return the complete proposal."""
+        kind, why = self._kind()
+        chosen, candidates = self._tracking() if kind == "tracking" else self._driven(kind)
+        uses = self._uses(kind, chosen)
+        links = len([name for name in uses["measured"] if name.startswith("angle")]) or 1
+        angles = self._angles(kind, links)
+        model = self._model(kind, links, uses)
+        stamps = {name: self._clock(next(iter(columns.values())).signal) for name, columns in uses.items()}
+        return Proposal(kind, why, links, angles, uses, stamps, candidates, model, self.notes)
+
+    def standard(self, signal: Signal) -> str:
+        """Return the standard unit of a signal, by its unit or by the quantity in its header; maybe empty."""
+        unit = self.units.get(signal.label) or signal.header.unit
+        return factor(unit)[1] if unit else signal.header.quantity
+
+    # Stamps
+
+    def _answered(self, signal: Signal) -> str | None:
+        """Return the unit that the user has given for a signal: by its name, else by a pattern."""
+        given = self.answers.units
+        own = [given[name] for name in (signal.label, str(signal.source), signal.header.name) if name in given]
+        fitting = [unit for name, unit in given.items() if "*" in name and fnmatchcase(signal.label, name)]
+        own += [unit for unit in fitting if signal.header.role != "time" or factor(unit)[1] == "s"]
+        return own[0] if own else None
+
+    def _times(self) -> dict[int, list[Signal]]:
+        groups = sorted({s.group for s in self.survey.signals})
+        if self.answers.rate_hz is not None:
+            return {k: [] for k in groups}
+        if self.answers.time:
+            named = [s for s in self.survey.signals if self.answers.time in (s.label, str(s.source))]
+            named = named or [self._named(self.answers.time, "--time")]
+            return {k: [s for s in named if s.group == k] or clocks.candidates(self.survey, k) for k in groups}
+        found = {k: clocks.candidates(self.survey, k) for k in groups}
+        if not all(found.values()):
+            raise Unknown([Question("--rate", "", "rows a second, since no column holds the time")])
+        return found
+
+    def _clock(self, signal: Signal) -> Clock:
+        times = self.times[signal.group]
+        found = clocks.of(signal, times, self.units, self.answers.rate_hz)
+        if not found.unit and (time := found.signal) is not None:
+            raise Unknown(
+                [Question("--unit", f"{time.label}=", f"unit of the time in {time.label}", ("s", *UNITS["s"]))]
+            )
+        return found
+
+    # Kind and roles
+
+    def _kind(self) -> tuple[StageKind, str]:
+        if self.answers.kind is not None:
+            return self.answers.kind, "as given"
+        kind, why, sure = guess(self.moving, self.standard, self._role, any(map(self._leads, self.moving)))
+        if not sure and self.answers.command and self.answers.measured:
+            sure = kind == "tracking"
+        if not sure:
+            raise Unknown([Question("--kind", "", f"kind of mechanism ({why})", tuple(MODEL_KEYS), kind)])
+        return kind, why
+
+    def _role(self, signal: Signal) -> str:
+        """Return the role of a signal, by its header, else by its file's name."""
+        several = len(self.times) > 1
+        path = self.survey.recordings[0].files[signal.group]
+        return signal.header.role or (headers.read(path.stem).role if several else "")
+
+    def _named(self, text: str, option: str) -> Signal:
+        """Return the signal that the user means."""
+        every = self.survey.signals
+        for known in (
+            [s for s in every if s.label == text],
+            [s for s in every if str(s.source) == text],
+            [s for s in every if s.header.name == text],
+        ):
+            if len(known) == 1:
+                return known[0]
+        labels = [s.label for s in every]
+        near = did_you_mean(text, labels)
+        raise TrialError(f"{option} {text}: no such column, or several; {near}allowed {', '.join(labels)}; name one")
+
+    def _tracking(self) -> tuple[dict[str, list[Signal]], dict[str, list[Signal]]]:
+        given = self.answers
+        command = [self._named(text, "--command") for text in given.command[:1]]
+        measured = [self._named(text, "--measured") for text in given.measured]
+        rest = [s for s in self.moving if s not in measured]
+        likely = [s for s in rest if self._role(s) == "command"]
+        likely = likely or [s for s in rest if self._role(s) != "measured" and self._leads(s)] or rest
+        command = command or (likely if len(likely) == 1 else [])
+        outputs = [s for s in self.moving if s not in command and self._role(s) != "command"]
+        if command and not measured:
+            measured = self._best(outputs, command[0])
+            outputs = sorted(outputs, key=lambda s: s not in measured)
+        questions = []
+        if not command:
+            questions.append(_choice("--command", "column of the command", rest, likely))
+        if not measured:
+            questions.append(_choice("--measured", "column of the measured output", outputs or rest, outputs))
+        if questions:
+            raise Unknown(questions)
+        lag, share = clocks.lead(command[0], measured[0], self.by_group)
+        what = (
+            f"the first leads by {lag:.3g} s"
+            if lag > 0
+            else f"the second leads by {-lag:.3g} s, so check both"
+            if lag < 0
+            else "no lag"
+        )
+        self.notes.append(f"Between {command[0].label} and {measured[0].label}: {what}, correlation {share:.2f}")
+        return {"command": command, "measured": measured}, {"command": rest, "measured": outputs}
+
+    def _leads(self, signal: Signal) -> bool:
+        """Return whether a signal leads every other moving one that correlates with it."""
+        pairs = [clocks.lead(signal, other, self.by_group) for other in self.moving if other is not signal]
+        alike = [lag for lag, share in pairs if abs(share) > FOLLOWS]
+        return bool(alike) and min(alike) > 0
+
+    def _best(self, outputs: Sequence[Signal], command: Signal) -> list[Signal]:
+        """Return the output that follows a command, if one is better than all others."""
+
+        def score(signal: Signal) -> tuple[int, float]:
+            same = self.standard(signal) == self.standard(command) != ""
+            known = self.standard(signal) in ("rad", "m", "kPa", "counts")
+            role, lag_share = self._role(signal) == "measured", clocks.lead(command, signal, self.by_group)
+            return 2 * same + 2 * role + known, round(abs(lag_share[1]), 1)
+
+        scores = {s.label: score(s) for s in outputs}
+        best = [s for s in outputs if scores[s.label] == max(scores.values())]
+        return best if len(best) == 1 else []
+
+    def _driven(self, kind: StageKind) -> tuple[dict[str, list[Signal]], dict[str, list[Signal]]]:
+        """Columns of a mass, a pendulum or a chain."""
+        given = self.answers
+        places = ("rad", "m", "counts") if kind == "driven_mass" else ("rad",)
+        found = sorted(
+            (s for s in self.moving if self.standard(s) in (*places, *(f"{p}/s" for p in places))), key=_natural
+        )
+        measured = [self._named(text, "--measured") for text in given.measured]
+        drive = "force" if kind == "driven_mass" else "torque"
+        pushes = [s for s in self.moving if self.standard(s) in (_DRIVES if kind == "driven_mass" else ("N m",))]
+        rest = [s for s in self.moving if s not in measured]
+        if not measured:
+            measured = [s for s in found if self._role(s) != "command"] or found
+        if not measured:
+            raise Unknown([_choice("--measured", "columns of the measured output, separated by commas", rest, found)])
+        if not given.measured and kind != "driven_mass":
+            measured += self._rates(measured)
+        chosen = {"measured": measured}
+        if kind != "pendulum":
+            count = len([s for s in measured if self.standard(s) == "rad"]) if kind == "chain" else 1
+            command = [self._named(text, "--command") for text in given.command]
+            command = command or next(
+                (some for role in ("measured", "command", "") if len(some := self._with(pushes, role)) == count),
+                pushes if len(pushes) == count else [],
+            )
+            if command:
+                chosen = {drive: sorted(command, key=_natural) if not given.command else command, **chosen}
+            elif kind == "driven_mass" or pushes:
+                raise Unknown([_choice("--command", f"column of the {drive}", rest, pushes)])
+        if kind != "driven_mass":
+            carts = [s for s in self.moving if self.standard(s) == "m" and s not in measured]
+            base = [self._named(given.base, "--base")] if given.base else carts if len(carts) == 1 else []
+            chosen |= {"base": base} if base else {}
+        return chosen, {drive: pushes, "measured": found} if kind != "pendulum" else {"measured": found}
+
+    def _rates(self, places: Sequence[Signal]) -> list[Signal]:
+        """Return the columns without a unit that are the slopes of angles."""
+        units = {s.label: (unit, "") for s in places if (unit := self.units.get(s.label) or s.header.unit)}
+        rest = [s for s in self.moving if s not in places and not (s.header.unit or self.units.get(s.label))]
+        return sorted((s for s in rest if self._of_slope(s, places, units)), key=_natural)
+
+    def _with(self, signals: Sequence[Signal], role: str) -> list[Signal]:
+        return [s for s in signals if self._role(s) == role]
+
+    # Units
+
+    def _uses(self, kind: StageKind, chosen: Mapping[str, Sequence[Signal]]) -> dict[str, dict[str, Use]]:
+        units: dict[str, tuple[str, str]] = {}
+        columns = [s for signals in chosen.values() for s in signals]
+        for signal in columns:
+            if signal.label in self.units:
+                units[signal.label] = self.units[signal.label], "as given"
+            elif signal.header.unit is not None:
+                units[signal.label] = signal.header.unit, "from the header"
+        for signal in columns:
+            if signal.label not in units and (known := self._of_slope(signal, columns, units)):
+                units[signal.label] = known
+        if unknown := [s for s in columns if s.label not in units]:
+            raise Unknown(
+                Question(
+                    "--unit",
+                    f"{s.label}=",
+                    f"unit of {s.label}, which goes from {s.all.min():.4g} to {s.all.max():.4g}",
+                    likely=_likely_unit(s, self.standard(s)),
+                )
+                for s in unknown
+            )
+        found: dict[str, dict[str, Use]] = {}
+        for channel, signals in chosen.items():
+            own = found.setdefault(channel, {})
+            for signal in signals:
+                unit, note = units[signal.label]
+                name = _column(kind, channel, factor(unit)[1], own)
+                own[name] = Use(signal, unit, note, _upright(signal, unit) if kind == "pendulum" else 0.0)
+        return found
+
+    def _of_slope(
+        self, signal: Signal, columns: Sequence[Signal], units: Mapping[str, tuple[str, str]]
+    ) -> tuple[str, str] | None:
+        """Return the unit of a rate that is the slope of a position whose unit is known."""
+        for place in columns:
+            if place.label not in units or place.group != signal.group or place is signal or place.elements:
+                continue
+            own, standard = factor(units[place.label][0])
+            rates = {f"{standard}/s": 1.0, **UNITS.get(f"{standard}/s", {})}
+            t = self.by_group[place.group].times_s[0]
+            slope = np.gradient(place.values[0], t)
+            good = np.isfinite(slope) & np.isfinite(signal.values[0])
+            x, y = slope[good], signal.values[0][good]
+            if not len(x) or not (x @ x) or np.corrcoef(x, y)[0, 1] < 0.8:
+                continue
+            ratio = float(x @ y / (x @ x))
+            for unit, value in rates.items():
+                if abs(ratio / own * value - 1) < 2 * ALIKE:
+                    return unit, f"from the slope of {place.label}"
+        return None
+
+    # Model
+
+    def _angles(self, kind: StageKind, links: int) -> Angles | None:
+        if kind != "chain" or links == 1:
+            return None
+        if self.answers.angles is None:
+            text = "angles are measured from the vertical (absolute) or from the link before (relative)"
+            raise Unknown([Question("--angles", "", text, ("absolute", "relative"))])
+        return self.answers.angles
+
+    def _model(self, kind: StageKind, links: int, uses: Mapping[str, Mapping[str, Use]]) -> dict[str, ModelValue]:
+        model: dict[str, ModelValue] = {key: _value(key, text) for key, text in self.answers.nominal.items()}
+        known = {key.name: key for key in MODEL_KEYS[kind]}
+        needed = [key.name for key in known.values() if key.needed and key.name not in model]
+        likely, per = "", ""
+        if kind == "chain" and "inertia_joint_kg_m2" in model:
+            needed.remove("inertia_kg_m2")
+        if links > 1 and "length_m" not in model:
+            needed.append("length_m")
+        units = {name: use.unit for columns in uses.values() for name, use in columns.items()}
+        if kind == "tracking":
+            command, (place, *_) = uses["command"]["command"], uses["measured"].values()
+            if factor(command.unit)[1] != factor(place.unit)[1] and not {"gain", "map"} & model.keys():
+                needed.append("gain")
+                likely, per = self._slope(command.signal, place.signal), f"{place.unit} per {command.unit}"
+        elif kind == "driven_mass":
+            turns = any(factor(use.unit)[1].startswith("rad") for use in uses["measured"].values())
+            mass = "inertia_kg_m2" if turns else "mass_kg"
+            needed += [mass] * (mass not in model)
+            needed += ["gain"] * ("force" not in units and "gain" not in model)
+        if needed:
+            raise Unknown(
+                Question(
+                    "--nominal",
+                    f"{name}=",
+                    _about(name, per or known[name].unit, known[name].meaning, links),
+                    (),
+                    likely,
+                )
+                for name in needed
+            )
+        plain = dict[object, object](model.items())
+        if wrong := [f"--nominal {key}: {text}" if key else text for key, text in complaints(kind, plain, links)]:
+            raise TrialError("\n".join(wrong))
+        return model
+
+    def _slope(self, command: Signal, measured: Signal) -> str:
+        """Return the slope of a measurement over its command, as these recordings show it."""
+        clock = self.by_group[command.group].times_s[0], self.by_group[measured.group].times_s[0]
+        x = np.interp(clock[1], clock[0], command.values[0])
+        y = measured.values[0]
+        good = np.isfinite(x) & np.isfinite(y)
+        return f"{np.polyfit(x[good], y[good], 1)[0]:.3g}" if good.sum() > 2 and np.ptp(x[good]) > 0 else ""
+
+
+def _check_units(survey: Survey, given: Mapping[str, str]) -> None:
+    """Raise TrialError for an unknown unit, or a column that is not there."""
+    known = {name: None for s in survey.signals for name in (s.label, str(s.source), s.header.name)}
+    for name, unit in given.items():
+        try:
+            factor(unit)
+        except ValueError as error:
+            raise TrialError(f"--unit {name}={unit}: {error}; write one of these") from None
+        if name not in known and not ("*" in name and any(fnmatchcase(s.label, name) for s in survey.signals)):
+            labels = [s.label for s in survey.signals]
+            near = did_you_mean(name, labels)
+            raise TrialError(f"--unit {name}={unit}: no such column; {near}allowed {', '.join(labels)}; name one")
+
+
+def _about(name: str, unit: str, meaning: str, links: int) -> str:
+    each = f" ({links} numbers, separated by commas)" if links > 1 else ""
+    return f"{name} of your simulator, {unit}: {meaning}{each}"
+
+
+def _value(key: str, text: str) -> ModelValue:
+    """Return the numbers of `0.6` or `0.6,0.5`."""
+    try:
+        numbers = tuple(float(part) for part in text.split(","))
+    except ValueError:
+        raise TrialError(
+            f"--nominal {key}={text}: is no number; allowed a number, or one for each link separated by commas; write "
+            f"e.g. --nominal {key}=0.5"
+        ) from None
+    return numbers[0] if len(numbers) == 1 else numbers
+
+
+def _choice(option: str, text: str, signals: Sequence[Signal], likely: Sequence[Signal]) -> Question:
+    first = likely[0].label if likely else ""
+    return Question(option, "", text, tuple(s.label for s in signals), first)
+
+
+def _natural(signal: Signal) -> tuple[object, ...]:
+    """Return a key that sorts angle2 before angle10."""
+    return tuple((0, int(part), "") if part.isdigit() else (1, 0, part) for part in re.split(r"(\d+)", signal.label))
+
+
+def _column(kind: StageKind, channel: str, standard: str, taken: Mapping[str, object]) -> str:
+    """Return the name that a kind of stage gives to a column with this standard unit."""
+    if channel in ("command", "base"):
+        return "command" if channel == "command" else "position"
+    if channel == "torque":
+        return f"torque{len(taken) + 1}"
+    if channel == "force":
+        return _DRIVES.get(standard, "force")
+    if kind in ("pendulum", "chain"):
+        name = "rate" if standard.endswith("/s") else "angle"
+        return f"{name}{sum(each.startswith(name) for each in taken) + 1}"
+    if standard in ("m", "rad", "counts"):
+        return "position"
+    if standard in ("m/s", "rad/s", "counts/s"):
+        return "velocity"
+    return "pressure" if standard == "kPa" else "value"
+
+
+def _upright(signal: Signal, unit: str) -> float:
+    """Return what to add to an angle that is half a turn while the pendulum hangs."""
+    worth, standard = factor(unit)
+    middle = float(np.median(signal.all)) * worth
+    return float(-np.copysign(np.pi, middle)) if standard == "rad" and abs(abs(middle) - np.pi) < UPRIGHT_RAD else 0.0
+
+
+def _likely_unit(signal: Signal, standard: str) -> str:
+    """Return the unit that a quantity usually has in such a range."""
+    top = float(np.max(np.abs(signal.all)))
+    if standard == "rad" and top > 2 * np.pi:
+        return "deg" if top <= 720 else "counts"
+    if standard == "m" and top > 5:
+        return "mm"
+    return {PURE: "1"}.get(standard, standard)

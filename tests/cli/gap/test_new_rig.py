@@ -1,0 +1,156 @@
+"""Tests of `softarm new rig`: the written stage file is read back, and nothing is overwritten silently."""
+
+import numpy as np
+import pytest
+
+from softarm.cli.gap import new_rig, rig_questions
+from softarm.diagnosis.data import tables
+from tests.cli.invoke import invoke
+
+T = np.arange(200) * 0.02
+COMMAND, MEASURED = 30 * np.sin(3 * T), 30 * np.sin(3 * (T - 0.1))
+
+
+def record(path, head, *columns):
+    path.parent.mkdir(exist_ok=True)
+    lines = (";".join(f"{x:.4f}".replace(".", ",") for x in row) for row in zip(*columns, strict=True))
+    path.write_text("\n".join([head, *lines, ""]))
+
+
+@pytest.fixture
+def runs(tmp_path, monkeypatch):
+    """Return the folder of two recordings, next to the current folder's stage.yaml."""
+    monkeypatch.chdir(tmp_path)
+    for name in ("steps-01", "chirp"):
+        record(tmp_path / "runs" / f"{name}.csv", "t/ms;soll [deg];angle [deg]", 1e3 * T, COMMAND, MEASURED)
+    return "runs"
+
+
+def test_the_written_file_is_checked_and_the_next_command_printed(runs, tmp_path):
+    result = invoke("new", "rig", runs, "--name", "servo", "--nominal", "lag_s=0.1")
+    assert result.exit_code == 0, result.output
+    lines = result.stdout.splitlines()
+    assert "wrote stage.yaml" in lines
+    assert "stage.yaml: valid; 2 trials of servo (tracking)" in lines
+    assert lines[-1] == "  softarm diagnose stage.yaml --report stage.html"
+    trials = tables.read(tmp_path / "stage.yaml")
+    assert [(t.name, t.kind, t.stage.model, t.warnings) for t in trials] == [
+        ("chirp", "chirp", {"lag_s": 0.1}, ()),
+        ("steps-01", "steps", {"lag_s": 0.1}, ()),
+    ]
+    np.testing.assert_allclose(trials[0].channels["measured"]["position"], np.radians(MEASURED), atol=1e-5)
+
+
+def test_every_key_of_the_written_file_is_explained(runs, tmp_path):
+    assert invoke("new", "rig", runs).exit_code == 0
+    lines = (tmp_path / "stage.yaml").read_text().splitlines()
+    for key in ("name:", "kind:", "channels:", "model:", "trials:"):
+        at = next(i for i, line in enumerate(lines) if line.startswith(key))
+        assert lines[at - 1].startswith("# ")
+    assert '      command: {source: "soll [deg]", unit: deg}  # -30 to 30; unit from the header' in lines
+    assert "  - {name: steps-01, kind: steps, files: runs/steps-01.csv}  # 200 rows, 3.98 s" in lines
+    assert any(line.startswith("  # lag_s: 0 ") and "time constant" in line for line in lines)
+
+
+def test_a_file_is_not_overwritten_silently(runs, tmp_path, monkeypatch):
+    (tmp_path / "stage.yaml").write_text("mine")
+    result = invoke("new", "rig", runs)
+    assert result.exit_code == 1
+    assert result.stderr == ("stage.yaml: exists and is not overwritten; choose another --out, or add --overwrite\n")
+    for module in (new_rig, rig_questions):
+        monkeypatch.setattr(module, "is_terminal", lambda: True)
+    assert invoke("new", "rig", runs, input="n\n").exit_code == 1
+    assert (tmp_path / "stage.yaml").read_text() == "mine"
+    assert invoke("new", "rig", runs, input="y\n").exit_code == 0
+    assert invoke("new", "rig", runs, "--overwrite").exit_code == 0
+
+
+@pytest.fixture
+def bare(tmp_path, monkeypatch):
+    """Return a recording whose headers say nothing."""
+    monkeypatch.chdir(tmp_path)
+    record(tmp_path / "run.csv", "a;b;c", T, COMMAND, MEASURED)
+    return "run.csv"
+
+
+def test_without_a_terminal_missing_facts_are_errors_with_their_options(bare, tmp_path):
+    result = invoke("new", "rig", bare)
+    assert result.exit_code == 1
+    assert result.stderr == (
+        "--kind is missing: kind of mechanism (the headers do not show it); allowed tracking, driven_mass, pendulum, "
+        "chain; add e.g. --kind tracking\n"
+    )
+    result = invoke("new", "rig", bare, "--kind", "tracking")
+    assert [line.partition(";")[2] for line in result.stderr.splitlines()] == [
+        " add e.g. --unit b=UNIT",
+        " add e.g. --unit c=UNIT",
+    ]
+    assert not (tmp_path / "stage.yaml").exists()
+    assert invoke("new", "rig", bare, "--kind", "tracking", "--unit", "b=deg", "--unit", "c=deg").exit_code == 0
+
+
+def test_at_a_terminal_missing_facts_are_asked_for_until_they_fit(bare, tmp_path, monkeypatch):
+    for module in (new_rig, rig_questions):
+        monkeypatch.setattr(module, "is_terminal", lambda: True)
+    result = invoke("new", "rig", bare, input="\nfoot\ndeg\ndeg\n")
+    assert result.exit_code == 0, result.output
+    assert "Kind of mechanism (the headers do not show it)" in result.output
+    assert "--unit b=foot: no unit 'foot'" in result.stderr
+    (trial,) = tables.read(tmp_path / "stage.yaml")
+    assert trial.stage.units["command"]["command"].name == "deg"
+
+
+def test_a_file_that_does_not_pass_its_check_is_kept_with_the_next_step(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    record(tmp_path / "run.csv", "t;soll [deg];angle [deg]", 0.1 * T, COMMAND, MEASURED)
+    result = invoke("new", "rig", "run.csv")
+    assert result.exit_code == 1
+    assert "200 rows over 0.398 s; the command channel" in result.stderr or "needs 20 rows over 0.8 s" in result.stderr
+    assert result.stdout.endswith("next: correct stage.yaml, then\n  softarm check stage.yaml\n")
+    assert (tmp_path / "stage.yaml").exists()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says", "code"),
+    [
+        (("nowhere",), "nowhere: does not exist; name the files or folders", 1),
+        (("run.csv", "--unit", "b"), "--unit b: has no value; write --unit NAME=VALUE", 2),
+        (("run.csv", "--rate", "0"), "--rate", 2),
+        (("run.csv", "--out", "no/stage.yaml"), "no/stage.yaml: the folder no does not exist", 1),
+        ((), "Missing argument 'DATA...'", 2),
+    ],
+)
+def test_a_wrong_command_is_refused_with_the_remedy(bare, arguments, says, code):
+    result = invoke("new", "rig", *arguments)
+    assert says in result.output
+    assert result.exit_code == code
+
+
+SWING = ("--nominal", "mass_kg=0.15", "--nominal", "centre_m=0.15", "--nominal", "inertia_kg_m2=1e-4")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("recordings", "options", "says"),
+    [
+        ("so101/step_response", ("--unit", "*positions=rad"), "6 trials of rig_1 (tracking)"),
+        (
+            "multiarm-pendulum/SinglePendulumDataForParameterEstimation.mat",
+            ("--kind", "pendulum", "--measured", "Y_{segment}#0", "--unit", "Y*#0=rad", *SWING),
+            "6 trials of rig (pendulum)",
+        ),
+        (
+            "double-pendulum/run-00.csv",
+            (
+                *("--unit", "pos*=rad", "--unit", "tau*=N m", "--angles", "relative", "--nominal", "mass_kg=0.64,0.56"),
+                *("--nominal", "centre_m=0.2,0.32", "--nominal", "inertia_joint_kg_m2=0.027,0.054"),
+                *("--nominal", "length_m=0.2,0.3"),
+            ),
+            "1 trial of rig (chain)",
+        ),
+    ],
+)
+def test_real_recordings_are_described(data, tmp_path, recordings, options, says):
+    result = invoke("new", "rig", data / recordings, *options, "--name", "rig", "--out", tmp_path / "stage.yaml")
+    assert result.exit_code == 0, result.output
+    assert says in result.stdout

@@ -1,0 +1,146 @@
+"""Proposals of a stage file: what follows from recordings, and what must be asked."""
+
+import numpy as np
+import pytest
+
+from softarm.diagnosis.data.trials import TrialError
+from softarm.diagnosis.describe.proposal import Answers, Unknown, propose
+from softarm.diagnosis.describe.survey import survey
+
+
+def proposal(path, **answers):
+    return propose(survey([path]), Answers(**answers))
+
+
+def questions(path, **answers):
+    with pytest.raises(Unknown) as caught:
+        proposal(path, **answers)
+    return [(q.option + (f" {q.prefix}" if q.prefix else ""), q.likely) for q in caught.value.questions]
+
+
+def columns(found):
+    return {
+        channel: {name: (use.signal.label, use.unit) for name, use in own.items()}
+        for channel, own in found.channels.items()
+    }
+
+
+def test_a_servo_with_units_in_its_headers_needs_no_answer(table, servo):
+    t, u, y = servo
+    path = table("run.csv", "t/ms;Sollwinkel [deg];angle [deg];temp_C;torque_Nm", 1e3 * t, u, y, 0 * t + 21, 0.1 * y,
+                 delimiter=";", decimal=",")  # fmt: skip
+    found = proposal(path)
+    assert found.kind == "tracking"
+    assert columns(found) == {
+        "command": {"command": ("Sollwinkel [deg]", "deg")},
+        "measured": {"position": ("angle [deg]", "deg")},
+    }
+    clock = found.clocks["measured"]
+    assert (clock.source, clock.unit, clock.note) == ("t/ms", "ms", "50 rows a second; unit from the header")
+    assert "the first leads by 0.0" in found.notes[0]
+
+
+@pytest.mark.parametrize("swapped", [False, True])
+def test_the_column_that_leads_is_the_command_where_headers_say_nothing(table, servo, swapped):
+    t, u, y = servo
+    path = table("run.csv", "t,one,two", t, *((y, u) if swapped else (u, y)))
+    assert questions(path) == [("--kind", "tracking")]
+    units = {"one": "deg", "two": "deg"}
+    found = columns(proposal(path, kind="tracking", units=units))
+    assert found["command"]["command"][0] == ("two" if swapped else "one")
+
+
+@pytest.mark.parametrize(("factor", "unit", "rate"), [(1, "s", 50), (1e3, "ms", 50), (1e6, "us", 50)])
+def test_the_unit_of_the_time_follows_from_its_step(table, servo, factor, unit, rate):
+    t, u, y = servo
+    found = proposal(table("run.csv", "time,cmd_deg,pos_deg", factor * t, u, y))
+    assert found.clocks["command"].unit == unit
+    assert found.clocks["command"].note == f"{rate} rows a second; unit from the step"
+
+
+def test_gaps_and_other_time_columns_are_noted(table, servo):
+    t, u, y = servo
+    keep = np.delete(np.arange(300), np.arange(100, 140))
+    found = proposal(table("run.csv", "t,stamp,cmd_deg,pos_deg", t[keep], t[keep] + 5, u[keep], y[keep]))
+    assert found.clocks["command"].note == "50 rows a second, 1 gaps; unit from the step; or stamp"
+
+
+def test_a_table_without_time_needs_its_rate(table, servo):
+    _, u, y = servo
+    path = table("run.csv", "cmd_deg,pos_deg", u, y)
+    assert questions(path) == [("--rate", "")]
+    clock = proposal(path, rate_hz=50).clocks["command"]
+    assert (clock.source, clock.scale, clock.unit) == ("rows", 0.02, "s")
+
+
+def test_units_that_no_header_has_are_asked_for_with_a_guess(table, servo):
+    t, u, y = servo
+    path = table("run.csv", "t,cmd_angle,angle", t, u, y)
+    assert questions(path) == [("--unit cmd_angle=", "deg"), ("--unit angle=", "deg")]
+    assert columns(proposal(path, units={"*angle": "deg"}))["command"] == {"command": ("cmd_angle", "deg")}
+
+
+def test_a_gain_is_asked_for_between_different_units(table, servo):
+    t, u, y = servo
+    path = table("run.csv", "t,valve_V,Druck (mbar)", t, u / 10, 20 * y)
+    ((option, likely),) = questions(path)
+    assert option == "--nominal gain="
+    assert 150 < float(likely) < 220
+    assert proposal(path, nominal={"gain": "200"}).model == {"gain": 200.0}
+
+
+def test_a_driven_mass_is_found(table, servo):
+    t, u, _ = servo
+    path = table("run.csv", "t,force [N],x_mm,v_mm_s", t, u, 300 * np.sin(t), 300 * np.cos(t))
+    assert questions(path) == [("--nominal mass_kg=", "")]
+    assert columns(proposal(path, nominal={"mass_kg": "2"})) == {
+        "force": {"force": ("force [N]", "N")},
+        "measured": {"velocity": ("v_mm_s", "mm/s"), "position": ("x_mm", "mm")},
+    }
+
+
+CHAIN = {"mass_kg": "1,1", "centre_m": "0.1,0.1", "inertia_kg_m2": "0.01,0.01", "length_m": "0.2,0.2"}
+
+
+def test_a_chain_has_measured_torques_and_rates_by_their_slopes(table, servo):
+    t, u, _ = servo
+    head = "t,q1_rad,q2_rad,qd1,qd2,tau_cmd1 [Nm],tau_cmd2 [Nm],tau_meas1 [Nm],tau_meas2 [Nm]"
+    one, two = np.sin(t), 0.5 * np.sin(3 * t)
+    path = table("run.csv", head, t, one, two, np.cos(t), 1.5 * np.cos(3 * t), u, u, u + 1, u + 1)
+    assert questions(path) == [("--angles", "")]
+    assert [option for option, _ in questions(path, angles="relative")] == [f"--nominal {key}=" for key in CHAIN]
+    found = proposal(path, angles="relative", nominal=CHAIN)
+    assert (found.kind, found.links, found.model["mass_kg"]) == ("chain", 2, (1.0, 1.0))
+    assert columns(found)["torque"] == {"torque1": ("tau_meas1 [Nm]", "Nm"), "torque2": ("tau_meas2 [Nm]", "Nm")}
+    assert columns(found)["measured"] == {
+        "angle1": ("q1_rad", "rad"),
+        "angle2": ("q2_rad", "rad"),
+        "rate1": ("qd1", "rad/s"),
+        "rate2": ("qd2", "rad/s"),
+    }
+
+
+def test_a_pendulum_that_hangs_at_half_a_turn_is_shifted(table, servo):
+    t, *_ = servo
+    path = table("run.csv", "t,theta_deg", t, 180 + 20 * np.sin(5 * t) * np.exp(-0.1 * t))
+    nominal = {"mass_kg": "0.2", "centre_m": "0.1", "inertia_kg_m2": "1e-4"}
+    found = proposal(path, nominal=nominal)
+    assert found.kind == "pendulum"
+    assert found.channels["measured"]["angle1"].add == pytest.approx(-np.pi)
+
+
+@pytest.mark.parametrize(
+    ("answers", "says"),
+    [
+        ({"command": ("cmb_deg",)}, r"--command cmb_deg: no such column, .*; did you mean cmd_deg\?"),
+        ({"units": {"pos_deg": "degs"}}, "--unit pos_deg=degs: no unit 'degs'; did you mean deg"),
+        ({"units": {"x": "deg"}}, "--unit x=deg: no such column; allowed t, cmd_deg, pos_deg; name one"),
+        ({"time": "cmd_deg"}, "--time cmd_deg: its numbers do not rise; name the column that holds the time"),
+        ({"nominal": {"lag_s": "fast"}}, "--nominal lag_s=fast: is no number; allowed a number"),
+        ({"nominal": {"lags": "1"}}, r"--nominal lags: unknown key; did you mean lag_s\?"),
+    ],
+)
+def test_an_answer_that_does_not_fit_is_refused(table, servo, answers, says):
+    t, u, y = servo
+    with pytest.raises(TrialError, match=says):
+        proposal(table("run.csv", "t,cmd_deg,pos_deg", t[:240], 0 * t[:240] - u[:240], y[:240]), **answers)

@@ -1,0 +1,165 @@
+"""Survey of recordings: files that belong together, columns, marks of missing values."""
+
+import numpy as np
+import pytest
+
+from softarm.diagnosis.data.trials import TrialError
+from softarm.diagnosis.describe.survey import survey
+
+
+def labels(found):
+    return [signal.label for signal in found.signals]
+
+
+def test_files_with_the_same_columns_are_recordings(table, servo, tmp_path):
+    for name in ("steps-1.csv", "steps-2.csv", "deep/steps-1.csv"):
+        table(name, "t,u,y", *servo)
+    (tmp_path / "README.txt").write_text("about these\n")
+    found = survey([tmp_path])
+    assert [(r.name, r.kind) for r in found.recordings] == [
+        ("deep-steps-1", "steps"),
+        (f"{tmp_path.name}-steps-1", "steps"),
+        ("steps-2", "steps"),
+    ]
+    assert labels(found) == ["t", "u", "y"]
+    assert found.unused == ("README.txt: has no rows; record some, or remove the file",)
+
+
+def test_files_of_two_devices_are_paired_by_folder(table, servo, tmp_path):
+    t, u, y = servo
+    for run in ("a", "b"):
+        table(f"{run}/control.csv", "t,angle", t, u)
+        table(f"{run}/state.csv", "t,angle,rate", t, y, y)
+        table(f"{run}/note.csv", "t", t)
+    found = survey([tmp_path])
+    assert [(r.name, [f.name for f in r.files.values()]) for r in found.recordings] == [
+        ("a", ["control.csv", "state.csv"]),
+        ("b", ["control.csv", "state.csv"]),
+    ]
+    assert labels(found) == ["control:t", "control:angle", "state:t", "state:angle", "rate"]
+    assert found.unused == ("note.csv: has no two columns of numbers (2 files)",)
+
+
+def test_files_of_two_devices_are_paired_by_the_varying_part_of_their_names(table, servo, tmp_path):
+    t, u, y = servo
+    for run in ("1", "2"):
+        table(f"run{run}_cmd.csv", "t,u", t, u)
+        table(f"run{run}_seen.csv", "t,y", t, y)
+    assert [r.name for r in survey([tmp_path]).recordings] == ["run1", "run2"]
+
+
+def test_extra_columns_of_some_recordings_are_left_out(table, servo, tmp_path):
+    t, u, y = servo
+    table("one.csv", "t,u,y", t, u, y)
+    table("two.csv", "t,u,y,z", t, u, y, y)
+    assert labels(survey([tmp_path])) == ["t", "u", "y"]
+
+
+def test_a_file_without_its_partner_is_left_out(table, servo, tmp_path):
+    t, u, y = servo
+    for run in ("a", "b"):
+        table(f"{run}/sent.csv", "t,u", t, u)
+    table("a/seen.csv", "t,y", t, y)
+    found = survey([tmp_path])
+    assert [r.name for r in found.recordings] == ["a"]
+    assert found.unused == ("sent.csv: has no file with the other columns",)
+
+
+def test_files_that_do_not_pair_up_are_refused(table, servo, tmp_path):
+    t, u, _ = servo
+    for name, head in (("a", "t,u"), ("b", "x,y"), ("c", "t,u")):
+        table(f"{name}.csv", head, t, u)
+    with pytest.raises(TrialError, match=r"files with different columns do not pair up: .*a.csv: t, u; .*b.csv: x, y;"):
+        survey([tmp_path])
+
+
+@pytest.mark.parametrize(
+    ("value", "rows", "marks"),
+    [
+        (-999.0, range(100, 180), (-999,)),
+        (0.0, (150,), (0,)),
+        (0.0, range(200, 300), ()),  # the end of an excitation
+        (60.0, (150,), ()),  # a step that a sensor may show
+    ],
+)
+def test_numbers_that_stand_for_missing_values_are_found(table, servo, value, rows, marks):
+    t, u, y = servo
+    seen = 80 + y
+    seen[list(rows)] = value
+    found = survey([table("run.csv", "t,u,y", t, u, seen)])
+    assert found.signals[2].marks == marks
+    assert np.isnan(found.signals[2].values[0]).sum() == (len(list(rows)) if marks else 0)
+
+
+def test_a_pause_of_a_command_is_no_missing_value(table):
+    t = np.arange(400) * 0.02
+    u = np.where(t % 2 < 1, 5.0, 0.0)
+    assert survey([table("run.csv", "t,u,y", t, u, u + 0.01 * t)]).signals[1].marks == ()
+
+
+def test_texts_in_a_column_of_numbers_are_marks_and_a_row_of_units_is_read(table, servo):
+    path = table("run.csv", "t;eins;zwei\ns;deg;bar", *servo, delimiter=";", decimal=",")
+    path.write_text(path.read_text().replace("\n0,1000;", "\n---;"))
+    t, one, two = survey([path]).signals
+    assert [each.header.unit for each in (t, one, two)] == ["s", "deg", "bar"]
+    assert (t.marks, one.marks) == (("---", "s"), ("deg",))
+
+
+def test_lines_above_the_header_and_decimal_commas_in_quotes_are_found(table, servo):
+    t, u, y = servo
+    path = table("run.csv", "Logger 3\nmade on Tuesday\nt,u,y", t, u, y)
+    assert survey([path]).form.skip == 2
+    path.write_text("t,u\n" + "".join(f'"{k},5","{k},25"\n' for k in range(50)))
+    found = survey([path])
+    assert found.form.decimal == ","
+    assert found.signals[1].all[:2].tolist() == [0.25, 1.25]
+
+
+def test_columns_without_a_header_are_numbered(table, servo):
+    assert [s.source for s in survey([table("run.csv", "", *servo)]).signals] == [1, 2, 3]
+
+
+def test_matlab_cells_become_segments_and_rows_become_signals(tmp_path, servo):
+    io = pytest.importorskip("scipy.io")
+    t, u, y = servo
+    cells = {name: np.empty((1, 2), dtype=object) for name in ("Time_id", "Y_id")}
+    for i in range(2):
+        cells["Time_id"][0, i], cells["Y_id"][0, i] = t[None], np.stack([u, y])
+    io.savemat(tmp_path / "swing.mat", cells | {"about": "text", "mass": 3.0})
+    found = survey([tmp_path])
+    assert [(r.name, r.segment) for r in found.recordings] == [("swing-id-0", "id[0]"), ("swing-id-1", "id[1]")]
+    assert labels(found) == ["Time_{segment}", "Y_{segment}#0", "Y_{segment}#1"]
+
+
+def test_parquet_dates_lists_and_gaps_are_read(tmp_path, servo):
+    pa = pytest.importorskip("pyarrow")
+    from pyarrow import parquet
+
+    t, u, y = servo
+    stamps = np.datetime64("2026-11-23T10:00:00", "us") + (t * 1e6).astype("timedelta64[us]")
+    lists = [[0.0, value] for value in u]
+    parquet.write_table(pa.table({"at": stamps, "cmd": lists, "y": y}), tmp_path / "run.parquet")
+    at, cmd, seen = survey([tmp_path]).signals
+    assert at.dates
+    assert (cmd.elements, seen.elements) == (2, 0)
+    np.testing.assert_allclose(cmd.values[0], u)
+
+
+@pytest.mark.parametrize(
+    ("name", "says"),
+    [
+        ("nowhere", "nowhere: does not exist; name the files or folders of your recordings"),
+        ("flight.mcap", "flight.mcap: no table; tables are .*; `softarm diagnose` reads it without a stage file"),
+        ("empty", "empty: contains no table"),
+        ("robot", "robot: a trial of the robot; `softarm diagnose` reads it without a stage file"),
+        ("words.csv", "words.csv: no file has two columns of numbers; name others"),
+    ],
+)
+def test_what_is_no_recording_of_a_rig_is_refused(tmp_path, name, says):
+    (tmp_path / "empty").mkdir()
+    (tmp_path / "robot").mkdir()
+    (tmp_path / "robot" / "trial.yaml").write_text("kind: chirp\n")
+    (tmp_path / "flight.mcap").write_bytes(b"")
+    (tmp_path / "words.csv").write_text("a,b\n" + "x,y\n" * 30)
+    with pytest.raises(TrialError, match=says):
+        survey([tmp_path / name])
