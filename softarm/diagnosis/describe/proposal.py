@@ -26,7 +26,7 @@ _DRIVES = {"N": "force", "N m": "force", "A": "current", "V": "voltage"}
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Answers:
-    """What the user has said; empty values are inferred or asked for."""
+    """Answers of the user; empty values are inferred or asked for."""
 
     kind: StageKind | None = None
     command: tuple[str, ...] = ()

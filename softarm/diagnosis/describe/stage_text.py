@@ -57,7 +57,7 @@ def _head(survey: Survey, proposal: Proposal, name: str, run: str) -> Iterator[s
     yield f"# {_KINDS[proposal.kind].capitalize()} ({proposal.why})."
     yield f"# Other kinds: {others}."
     yield f"kind: {proposal.kind}"
-    if proposal.links > 1:
+    if proposal.kind in ("pendulum", "chain"):
         yield "# Number of links, from the base on."
         yield f"links: {proposal.links}"
     if proposal.angles is not None:

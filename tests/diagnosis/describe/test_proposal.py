@@ -1,4 +1,4 @@
-"""Proposals of a stage file: what follows from recordings, and what must be asked."""
+"""Proposals of a stage file: inference from recordings, and questions."""
 
 import numpy as np
 import pytest
