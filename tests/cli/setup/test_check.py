@@ -5,13 +5,20 @@ from pathlib import Path
 
 import pytest
 
+from softarm.policies import registry, trial
 from tests.cli.invoke import invoke
 
 ROOT = Path(__file__).parents[3]
 
 
 @pytest.fixture
-def check(tmp_path):
+def trial_here(monkeypatch):
+    """Try policies in this process; test_trial proves the separate one, and the shipped files are tried there."""
+    monkeypatch.setattr(trial, "try_out", lambda name, configured, _: trial.ready(registry.load(name, configured)))
+
+
+@pytest.fixture
+def check(tmp_path, trial_here):
     def check(text: str):
         path = tmp_path / "arm.yaml"
         path.write_text(text)
@@ -114,6 +121,7 @@ def logs(tmp_path_factory):
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("trial_here")
 def test_limits_laxer_than_the_logs_show_are_reported(logs, tmp_path):
     path = tmp_path / "arm.yaml"
     path.write_text("limits:\n  rail:\n    latency_s: 0.02\n    braking_m_s2: 3\n    surge_m_s2: 9\n")
@@ -130,6 +138,7 @@ def test_limits_laxer_than_the_logs_show_are_reported(logs, tmp_path):
     assert invoke("check", path, "--logs", logs).exit_code == 0
 
 
+@pytest.mark.usefixtures("trial_here")
 def test_a_folder_without_logs_is_refused_but_short_logs_are_accepted(tmp_path):
     path = tmp_path / "arm.yaml"
     path.write_text("")

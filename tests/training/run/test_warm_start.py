@@ -41,7 +41,8 @@ def test_a_policy_is_read_and_exported_again_bit_for_bit(name):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("order", ["mlp-lstm", "lstm-mlp", "mlp"])
+@pytest.mark.usefixtures("plain_pictures")
+@pytest.mark.parametrize("order", ["mlp-lstm", "lstm-mlp", pytest.param("mlp", marks=pytest.mark.prove)])
 def test_training_continues_from_any_order_of_layers(order, tmp_path):
     shape = NetworkShape(INPUTS, ACTIONS, mlp=(16, 12), state=8, order=order)
     with workers(1) as pool:
