@@ -2,11 +2,12 @@
 
 import json
 import re
+from types import SimpleNamespace
 
 import pytest
 
 from softarm.daemon.control.records import Mode
-from softarm.daemon.doctor import clocks, disk, examination, models, scheduling, untried
+from softarm.daemon.doctor import clocks, disk, examination, models, running, scheduling, untried
 from softarm.schemas.rest import API_HEADER
 
 
@@ -18,6 +19,7 @@ def bench(tmp_path, monkeypatch):
     monkeypatch.setattr(scheduling, "look", lambda priority: calm)
     monkeypatch.setattr(disk, "speed", lambda folder: (200e6, 5.0))
     monkeypatch.setattr(models, "timed", lambda policy: (1.0,))
+    monkeypatch.setattr(running, "time", SimpleNamespace(sleep=lambda seconds: None))
     monkeypatch.setattr(clocks, "look", lambda: clocks.Clocks(0.0, 0.5, True, 0.1, "tsc"))
     (tmp_path / "softarm.yaml").write_text("api: {port: 0}\nrecorder: {directory: logs}\n")
     return tmp_path
