@@ -35,63 +35,66 @@ class Calibration:
 
 
 class _Linear:
-    """Linearisation of a fit: effects first, then the nuisances."""
+    """Linearisation of a fit: effects first, then the nuisances; the effects stay at the fit's values."""
 
     def __init__(self, problem: FitProblem, fit: Fit) -> None:
         self.normal, self.slope, self.low, self.high = problem.linear(fit)
-        self.fold = problem.fold
-        self.effects = sum(len(each.parameters) for each in fit.effects)
+        self.fold, x = problem.fold, np.array([v for us in fit.u for v in us])
+        self.effects = np.arange(len(x))
+        self.moved = fit.folds - x if len(x) else np.zeros((len(np.unique(self.fold)), 0))  # [F, p]
 
-    def solve(self, free: Indices, kept: NDArray[np.bool_]) -> Array:
-        """Return the unknowns [n] that fit the kept blocks best, 0 where they are not free."""
+    def solve(self, free: Indices, kept: NDArray[np.bool_], moved: Array) -> Array:
+        """Return the nuisances [q] that fit the kept blocks best next to moved effects, 0 where they are not free."""
         normal, slope = self.normal[kept].sum(axis=0), self.slope[kept].sum(axis=0)
+        slope = slope + normal[:, self.effects] @ moved
         solution = np.zeros(len(slope))
         matrix = np.ascontiguousarray(normal[np.ix_(free, free)])
         solution[free] = box.solve(matrix, -slope[free], self.low[free], self.high[free])
-        return solution
+        return solution[len(self.effects) :]
 
     def by_fold(self, free: Indices) -> Array:
         """Return the nuisances fitted without each fold, [F, q]."""
-        found = [self.solve(free, self.fold != fold) for fold in np.unique(self.fold)]
-        return np.array(found)[:, self.effects :]
+        folds = zip(np.unique(self.fold), self.moved, strict=True)
+        return np.array([self.solve(free, self.fold != fold, moved) for fold, moved in folds])
 
     def half_widths(self, free: Indices) -> Array:
-        """Return half the 95 % interval of each free unknown without its box."""
-        normal, slope = self.normal[:, free][:, :, free], self.slope[:, free]
+        """Return half the 95 % interval of each free nuisance without its box, next to uncertain effects."""
+        both = np.concatenate((self.effects, free))
+        normal, slope = self.normal[:, both][:, :, both], self.slope[:, both]
         total = normal.sum(axis=0)
-        total[range(len(free)), range(len(free))] += RIDGE * max(float(total.diagonal().max()), 1e-30)
-        return half_width(normal, slope, np.linalg.solve(total, -slope.sum(axis=0)))
+        total[range(len(both)), range(len(both))] += RIDGE * max(float(total.diagonal().max()), 1e-30)
+        return half_width(normal, slope, np.linalg.solve(total, -slope.sum(axis=0)))[len(self.effects) :]
 
 
 def calibrate(problem: FitProblem, fit: Fit, among: Collection[int] | None = None) -> Calibration:
     """Return the calibration next to a fit's effects; `among`: nuisances that may leave their nominal value."""
     linear = _Linear(problem, fit)
+    first = len(linear.effects)
     if among is not None:
-        others = [linear.effects + i for i in range(len(problem.nuisance_low)) if i not in among]
+        others = [first + i for i in range(len(problem.nuisance_low)) if i not in among]
         linear.low[others] = linear.high[others] = 0.0
-    free, solution, half = _resolved(linear, len(problem.blocks))
-    halves = np.zeros(len(solution))
-    halves[free] = half
-    first = linear.effects
-    without = {int(i) - first: linear.by_fold(free[free != i]) for i in free if i >= first}
-    return Calibration(solution[first:], halves[first:], linear.by_fold(free), without)
+    free, shares, half = _resolved(linear)
+    halves = np.zeros(len(shares))
+    halves[free - first] = half
+    without = {int(i) - first: linear.by_fold(free[free != i]) for i in free}
+    return Calibration(shares, halves, linear.by_fold(free), without)
 
 
-def _resolved(linear: _Linear, blocks: int) -> tuple[Indices, Array, Array]:
-    """Return the free unknowns, all unknowns [n], and half the interval of each free one.
+def _resolved(linear: _Linear) -> tuple[Indices, Array, Array]:
+    """Return the free unknowns, all nuisances [q], and half the interval of each free one.
 
     The nuisance that is resolved least is set to nominal and the others are fitted again, until all are resolved.
     """
-    everything = np.ones(blocks, dtype=bool)
-    free = np.flatnonzero(linear.high > linear.low)
+    first = len(linear.effects)
+    everything, still = np.ones(len(linear.fold), dtype=bool), np.zeros(first)
+    free = first + np.flatnonzero(linear.high[first:] > linear.low[first:])
     while len(free):
-        solution, half = linear.solve(free, everything), linear.half_widths(free)
-        certainty = np.abs(solution[free]) / np.maximum(half, 1e-30)
-        certainty[free < linear.effects] = np.inf
+        shares, half = linear.solve(free, everything, still), linear.half_widths(free)
+        certainty = np.abs(shares[free - first]) / np.maximum(half, 1e-30)
         if certainty.min() >= 1:
-            return free, solution, half
+            return free, shares, half
         free = np.delete(free, int(certainty.argmin()))
-    return free, np.zeros(len(linear.low)), np.zeros(0)
+    return free, np.zeros(len(linear.low) - first), np.zeros(0)
 
 
 def held_out_rms(setup: Setup, plain: FitProblem, fit: Fit, folds: Array) -> dict[str, float]:

@@ -124,15 +124,12 @@ class Examination:
         return decide(self.choice, evidence, self.thresholds)
 
     def named(self, decision: Decision) -> Fit:
-        """Return the fit of the named effects alone: the model that sizes, figures, calibration and patch describe."""
+        """Return the named effects alone, with their fitted sizes: the model of figures, calibration and patch."""
         chosen, names = self.choice.chosen, {effect.candidate.name for effect in decision.selected}
-        kept = [pair for pair in zip(chosen.effects, chosen.u, strict=True) if pair[0].name in names]
+        kept = [i for i, name in enumerate(chosen.names) if name in names]
         if not kept:
             return self.choice.null_model
-        if len(kept) == len(chosen.effects):
-            return chosen
-        effects, u = zip(*kept, strict=True)
-        return self.held_out(self.search.problem.fit([(effects, u)], self.thresholds.search.rounds))[0]
+        return chosen if len(kept) == len(chosen.effects) else self.verdict_problem.part(chosen, kept)
 
     def without_each(self, fit: Fit) -> dict[str, Fit]:
         """Return a fit without each of its effects, by the name of the missing one."""

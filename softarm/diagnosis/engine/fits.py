@@ -296,6 +296,20 @@ class FitProblem:
             np.array(halves),
         )
 
+    def part(self, fit: Fit, kept: Sequence[int]) -> Fit:
+        """Return a fit with some of its effects, which keep their values; the nuisances are fitted again."""
+        effects, u = tuple(fit.effects[i] for i in kept), tuple(fit.u[i] for i in kept)
+        owner = np.repeat(np.arange(len(fit.effects)), [len(each.parameters) for each in fit.effects])
+        mine = np.isin(owner, kept)
+        x, limits = np.array([v for us in u for v in us]), self.nuisance_box(effects)
+        moments = [each for (each,) in self._moments([point_of(effects, u)])]
+        gg, gr = sum(residual.gg for residual in self.whitened), sum(m.gr for m in moments)
+        w = box.solve(gg, -gr, *limits)
+        loss = float(sum(m.rr for m in moments) + 2 * w @ gr + w @ gg @ w)
+        folds, sums = fit.folds[:, mine], BlockSums(self.whitened, self.blocks)
+        lost = simulated_losses(sums, self.fold, limits, effects, x, folds)
+        return Fit(effects, u, w, loss, lost, folds, fit.halves[:, mine])
+
     def linear(self, fit: Fit) -> tuple[Array, Array, Array, Array]:
         """Return a fit's linearisation: normal matrices [B, n, n] and slopes [B, n] of the blocks, low and high [n].
 

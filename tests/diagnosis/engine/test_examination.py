@@ -69,7 +69,7 @@ def _without_level(found):
 def test_the_fit_of_the_named_effects_has_no_other(found):
     named = found.named(_without_level(found))
     assert named.names == ("stage.swing",)
-    assert named.point[SWING] == pytest.approx(TRUTH[SWING], abs=0.05)
+    assert named.point[SWING] == found.choice.chosen.point[SWING] == pytest.approx(TRUTH[SWING], abs=0.02)
     assert named.held_out.sum() > 2 * found.choice.chosen.held_out.sum()
     assert [each.names for each in found.without_each(named).values()] == [()]
 
