@@ -1,30 +1,43 @@
 """Rivals of the named effects, as the report lists them."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping
 
 import numpy as np
 
 from softarm.diagnosis.engine import resample
+from softarm.diagnosis.engine.decision import Decision
+from softarm.diagnosis.engine.examination import Examination
 from softarm.diagnosis.engine.fits import Fit
 from softarm.diagnosis.engine.result import Rival
-from softarm.diagnosis.engine.search import Choice, Gain, Search, SelectedEffect
+from softarm.diagnosis.engine.search import Choice, Gain, Search
 from softarm.schemas.verdict import Interval
 
 FURTHER_SHOWN = 6
 AT_BOUND = "at its bound"
+NOT_RESOLVED = "not resolved"
 
 
-def by_gain(search: Search, choice: Choice, selected: Sequence[SelectedEffect]) -> tuple[Rival, ...]:
+def not_named(choice: Choice, decision: Decision) -> Iterator[str]:
+    """Yield a warning for each fitted effect that is not named."""
+    for effect in choice.selected:
+        if effect in decision.unresolved:
+            yield f"{effect.candidate.name} is not named: next to the named effects, the recordings do not resolve it"
+        elif effect not in decision.selected:
+            yield f"{effect.candidate.name} is not named: it shrinks the gap but leaves more than it explains"
+
+
+def by_gain(search: Search, choice: Choice, decision: Decision) -> tuple[Rival, ...]:
     """Return the named effects and the best other candidates, with gains relative to the named effects' losses."""
+    selected = decision.selected
     alone = {fit.names[0]: _largest_share(gain) for fit, gain in choice.alone}
     found = []
-    for effect in selected:
+    for effect in (*selected, *decision.unresolved):
         name = effect.candidate.name
         same = f"; not separable from {', '.join(effect.equivalents)}" if effect.equivalents else ""
         own_gain = _relative(effect.gain, max(effect.gain.value, 1e-9))
-        found.append(Rival((name,), alone.get(name, 0.0), own_gain, _own(choice.chosen.point, name), f"named{same}"))
-    named = {effect.candidate.name for effect in selected}
-    further = [(f, g) for f, g in search.ranked(choice.chosen) if f.effects[-1].name not in named][:FURTHER_SHOWN]
+        note = f"named{same}" if effect in selected else NOT_RESOLVED
+        found.append(Rival((name,), alone.get(name, 0.0), own_gain, _own(choice.chosen.point, name), note))
+    further = search.ranked(choice.chosen)[:FURTHER_SHOWN]
     scale = max((m.gain.value for m in selected), default=max((g.value for _, g in further), default=1.0)) or 1.0
     for fit, gain in further:
         name = fit.effects[-1].name
@@ -33,23 +46,25 @@ def by_gain(search: Search, choice: Choice, selected: Sequence[SelectedEffect]) 
     return tuple(found)
 
 
-def by_share(search: Search, chosen: Fit, null_model: Fit, selected: Sequence[SelectedEffect]) -> tuple[Rival, ...]:
+def by_share(found: Examination, decision: Decision) -> tuple[Rival, ...]:
     """Return every candidate with the shares of the RMS that it removes alone and next to the others."""
+    search, chosen, null_model = found.search, found.searched, found.choice.null_model
     alone = {f.effects[0].name: f for f in search.extended(null_model)}
     further = {f.effects[-1].name: f for f in search.extended(chosen)}
-    named = {effect.candidate.name: effect for effect in selected}
-    found = []
+    causes = {effect.candidate.name: effect for effect in (*decision.selected, *decision.unresolved)}
+    rivals = []
     for name, fit in alone.items():
         share = min(max(_removed(null_model, fit).value, 0.0), 1.0)
         more, less, note = further.get(name, fit), chosen if name in further else null_model, ""
-        if name in named:
-            more, less, note = chosen, named[name].without, "named"
-        elif same := [effect.candidate.name for effect in selected if name in effect.equivalents]:
+        if name in causes:
+            more, less = chosen, causes[name].without
+            note = "named" if causes[name] in decision.selected else NOT_RESOLVED
+        elif same := [each.candidate.name for each in decision.selected if name in each.equivalents]:
             note = f"not separable from {same[0]}"
         elif more.at_bound:
             note = AT_BOUND
-        found.append(Rival((name,), share, _removed(less, more), _own(more.point, name), note))
-    return tuple(sorted(found, key=lambda r: (-r.alone, r.names)))
+        rivals.append(Rival((name,), share, _removed(less, more), _own(more.point, name), note))
+    return tuple(sorted(rivals, key=lambda r: (-r.alone, r.names)))
 
 
 def _largest_share(gain: Gain) -> float:

@@ -25,6 +25,7 @@ class Decision:
     unexplained: Energies  # explainable energy that no named effect explains
     explained: float  # share of the explainable energy that the named effects explain
     structure: Mapping[str, str] = field(default_factory=dict)  # stage -> structure in the residual that needs a cause
+    unresolved: tuple[SelectedEffect, ...] = ()  # causes after the first that the data do not resolve
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,6 +38,7 @@ class Evidence:
     bent: Energies = field(default_factory=dict)  # linearisation error of the nuisances
     # Findings of further tests with noise floors of their own; no effect of the list explains them.
     signs: Mapping[str, Structure] = field(default_factory=dict)
+    unresolved: AbstractSet[str] = frozenset()  # chosen effects that the data do not resolve
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,12 +54,15 @@ class Remainder:
 def decide(choice: Choice, evidence: Evidence, thresholds: Thresholds = ROBOT) -> Decision:
     """Return the verdict on the fitted effects of a search."""
     rest = remainder(choice, evidence, thresholds)
-    selected = tuple(effect for effect in choice.selected if is_cause(effect, choice, rest, thresholds))
-    fallen = tuple(effect for effect in choice.selected if effect not in selected)
+    causes = tuple(effect for effect in choice.selected if is_cause(effect, choice, rest, thresholds))
+    fallen = tuple(effect for effect in choice.selected if effect not in causes)
+    unresolved = tuple(effect for effect in causes[1:] if effect.candidate.name in evidence.unresolved)
+    selected = tuple(effect for effect in causes if effect not in unresolved)
     taken = _added({stage: max(evidence.tolerated.get(stage, 0.0), 0.0) for stage in rest.left}, selected)
     structure = _structure(evidence, rest, taken, thresholds)
     unnamed = _needs_cause(rest, taken, fallen, thresholds) or bool(structure)
-    left = _added(rest.left, fallen)
+    left = _added(rest.left, fallen + unresolved)
+    excess = any(energy > rest.most[stage] for stage, energy in left.items())
     explained = sum(max(e, 0.0) for effect in selected for e in effect.gain.energies.values())
     share = explained / (explained + sum(left.values())) if selected else 0.0
     left |= {stage: max(left.get(stage, 0.0), sign.energy) for stage, sign in evidence.signs.items()}
@@ -65,8 +70,8 @@ def decide(choice: Choice, evidence: Evidence, thresholds: Thresholds = ROBOT) -
         return Decision("unknown" if unnamed else "none", (), left, share, structure)
     if share < thresholds.cause.answer_min:
         return Decision("unknown", (), left, 0.0, structure)
-    whole = not fallen and share >= thresholds.cause.explained_min and not structure and not rest.excess
-    return Decision("named" if whole else "incomplete", selected, left, share, structure)
+    whole = not fallen and share >= thresholds.cause.explained_min and not structure and not excess
+    return Decision("named" if whole else "incomplete", selected, left, share, structure, unresolved)
 
 
 def remainder(choice: Choice, evidence: Evidence, t: Thresholds) -> Remainder:

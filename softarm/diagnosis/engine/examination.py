@@ -1,13 +1,13 @@
 """Examination of a set of views: search, flexible model, structure of the residual, decision."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
-from softarm.diagnosis.engine.candidates import Candidate
+from softarm.diagnosis.engine.candidates import Candidate, Coordinates, point_of
 from softarm.diagnosis.engine.ceiling import explainable
 from softarm.diagnosis.engine.decision import Decision, Evidence, decide
 from softarm.diagnosis.engine.fits import Fit, FitProblem
@@ -15,16 +15,26 @@ from softarm.diagnosis.engine.problem import Setup
 from softarm.diagnosis.engine.search import Choice, Progress, Search
 from softarm.diagnosis.engine.structure import Structure, structure
 from softarm.diagnosis.engine.thresholds import Thresholds
+from softarm.diagnosis.engine.view import Array
 from softarm.diagnosis.engine.whitened import BLOCK_S, blocks_of
 
+REACHED = 0.01  # change of a sample, in noise floors, from which it shows an effect
 FLEXIBLE_MIN = 0.6  # energy above which a flexible model is worth its time; up to 1 it changes no decision
+
+Widening = Callable[[Fit, Array, Array], tuple[Array, Array]]
 
 
 class Examination:
     """Steps of a diagnosis on one problem; each step runs once, when its result is needed."""
 
     def __init__(
-        self, setup: Setup, candidates: Sequence[Candidate], kinds: Sequence[str], t: Thresholds, progress: Progress
+        self,
+        setup: Setup,
+        candidates: Sequence[Candidate],
+        kinds: Sequence[str],
+        t: Thresholds,
+        progress: Progress,
+        widened: Widening = lambda fit, low, high: (low, high),
     ) -> None:
         """Search for the effects.
 
@@ -34,8 +44,10 @@ class Examination:
             kinds: excitation of each trial of the views.
             t: thresholds of the system.
             progress: called with the current step and the finished share, 0 to 1.
+            widened: adds the uncertainty of the laws to the interval of a fit's parameters, low and high, [p] each.
         """
-        self.setup, self.thresholds, self._kinds = setup, t, tuple(kinds)
+        self.setup, self.thresholds, self._kinds, self._widened = setup, t, tuple(kinds), widened
+        self._intervals: dict[tuple[tuple[str, ...], Coordinates], tuple[Array, Array]] = {}
         self.stages = tuple(view.stage for view in setup.views)
         self.plain = setup.plain()
         known = tuple(candidates)
@@ -113,6 +125,39 @@ class Examination:
         rest = {view.stage: max(after[view.stage] - 1, self.structures[view.stage].energy) for view in self.setup.views}
         return {stage: self.setup.linearisation_error(stage, fit) for stage, energy in rest.items() if energy > most}
 
+    def interval(self, fit: Fit) -> tuple[Array, Array]:
+        """Return the 95 % interval of a fit's parameters, low and high, [p] each."""
+        key = fit.names, fit.u
+        if key not in self._intervals:
+            found = self.search.problem.interval(fit, self.thresholds.approximate)
+            self._intervals[key] = self._widened(fit, *found)
+        return self._intervals[key]
+
+    @cached_property
+    def unresolved(self) -> frozenset[str]:
+        """Return the chosen effects whose interval contains the model's own value, or which no sample reaches."""
+        chosen, found, first = self.choice.chosen, set(), 0
+        if len(chosen.effects) < 2:
+            return frozenset()
+        low, high = self.interval(chosen)
+        for i, effect in enumerate(chosen.effects):
+            ends = zip(effect.parameters, low[first:], high[first:], strict=False)
+            first += len(effect.parameters)
+            if all(d.shape or a <= d.nominal <= b for d, a, b in ends) or not self._is_reached(chosen, i):
+                found.add(effect.name)
+        return frozenset(found)
+
+    def _is_reached(self, fit: Fit, i: int) -> bool:
+        """Return whether any sample's prediction changes if an effect of a fit goes back to the model's own value."""
+        nominal = tuple(d.nominal for d in fit.effects[i].parameters)
+        without = point_of(fit.effects, (*fit.u[:i], nominal, *fit.u[i + 1 :]))
+        for gaps in self.setup.gaps:
+            both = gaps.fetch([fit.point, without])
+            change = both[gaps.key(without)] - both[gaps.key(fit.point)]
+            if np.abs(np.nan_to_num(change) / gaps.view.floor).max() > REACHED:
+                return True
+        return False
+
     def decide(self, signs: Mapping[str, Structure] | None = None) -> Decision:
         """Return the verdict on the chosen effects.
 
@@ -120,7 +165,7 @@ class Examination:
             signs: stage -> finding of a further test, which no effect of the list explains.
         """
         shares = {stage: share for stage, (share, _) in self.flexible.items()}
-        evidence = Evidence(shares, self.structures, self.tolerated, self.bent, signs or {})
+        evidence = Evidence(shares, self.structures, self.tolerated, self.bent, signs or {}, self.unresolved)
         return decide(self.choice, evidence, self.thresholds)
 
     def named(self, decision: Decision) -> Fit:

@@ -67,7 +67,8 @@ def _parameter(view: RigView, effect: Effect, p: Parameter) -> FittedParameter:
     if p.default is None and p.neutral == p.high > p.low:
         fallen = p.neutral - nominal
         return Falling(path, p.unit, fallen, 0.0, p.neutral - p.low, size, 0.0, tolerance=news, top=p.neutral)
-    return FittedParameter(path, p.unit, nominal, p.low, p.high, size, p.neutral, tolerance=news)
+    shape = p.default is not None
+    return FittedParameter(path, p.unit, nominal, p.low, p.high, size, p.neutral, tolerance=news, shape=shape)
 
 
 def _starts(parameters: Sequence[FittedParameter], declared: Sequence[Parameter]) -> Iterator[tuple[float, ...]]:

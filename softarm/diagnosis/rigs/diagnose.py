@@ -4,6 +4,7 @@ import math
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -17,6 +18,7 @@ from softarm.diagnosis.data.trials import Trial, TrialError
 from softarm.diagnosis.engine.confidence import confidence, margins
 from softarm.diagnosis.engine.decision import Decision, Kind
 from softarm.diagnosis.engine.examination import Examination
+from softarm.diagnosis.engine.fits import Fit
 from softarm.diagnosis.engine.problem import Setup
 from softarm.diagnosis.engine.result import Diagnosis, HeldOut, Rival, Unexplained
 from softarm.diagnosis.engine.search import Progress, SelectedEffect
@@ -146,8 +148,19 @@ def examine(trials: Sequence[Trial]) -> Finding:
     setup = Setup([view], nuisances(view), kinds, origins, view.block_s)
     thresholds = WINDOWED if view.fits_starts and len(trials) >= TRIALS_LEAST else RIG
     thresholds = replace(thresholds, search=replace(thresholds.search, refit=view.restarts_few_effects))
-    found = Examination(setup, candidates(view), kinds, thresholds, lambda text, share: None)
+    found = Examination(setup, candidates(view), kinds, thresholds, lambda text, share: None, partial(widened, view))
     return _Stage(view, ordered, origins, found).finding()
+
+
+def widened(view: RigView, fit: Fit, low: Array, high: Array) -> tuple[Array, Array]:
+    """Return the interval of a fit's parameters with what the view cannot resolve and the uncertainty of its laws."""
+    paths = [d.path.partition(".")[2] for each in fit.effects for d in each.parameters]
+    u = np.array([x for us in fit.u for x in us])
+    widths = view.unresolved(fit.point), view.model_uncertainty
+    flat, law = (np.array([width.get(path, 0.0) for path in paths]) for width in widths)
+    # The loss is flat over an unresolved range, so the fit's interval means nothing there.
+    below, above = (np.where(flat > 0, np.clip(half, flat, 2 * flat), half) for half in (u - low, high - u))
+    return u - np.hypot(below, law), u + np.hypot(above, law)
 
 
 class _Stage:
@@ -178,7 +191,7 @@ class _Stage:
             decision=decision,
             named=tuple(self._named(m) for m in decision.selected),
             calibration=self.calibrated.parameters,
-            rivals=rivals.by_share(found.search, found.searched, self.choice.null_model, decision.selected),
+            rivals=rivals.by_share(found, decision),
             following=experiments.splitting(view, [self._same(m) for m in decision.selected]),
             held_out=found.setup.held_out,
             vocabulary=view.effects,
@@ -233,21 +246,12 @@ class _Stage:
         return tuple(dict.fromkeys((*names, *others)))
 
     def _estimates(self, effect: SelectedEffect) -> dict[str, Estimate]:
-        fit = self.fit
-        at = fit.names.index(effect.candidate.name)
-        first = sum(len(each.parameters) for each in fit.effects[:at])
-        bounds = self.found.search.problem.interval(fit, self.found.thresholds.approximate)
-        unresolved = self.view.unresolved(fit.point)
+        chosen = self.choice.chosen
+        at = chosen.names.index(effect.candidate.name)
+        first, bounds = sum(len(each.parameters) for each in chosen.effects[:at]), self.found.interval(chosen)
         found = {}
-        for i, (parameter, u) in enumerate(zip(effect.candidate.parameters, fit.u[at], strict=True)):
-            least = unresolved.get(parameter.path.partition(".")[2], 0.0)
-            ends = [min(float(bounds[0][first + i]), u - least), max(float(bounds[1][first + i]), u + least)]
-            # The loss is flat over an unresolved range, so the fit's interval means nothing there.
-            if least > 0:
-                ends = [max(ends[0], u - 2 * least), min(ends[1], u + 2 * least)]
-            model = self.view.model_uncertainty.get(parameter.path.partition(".")[2], 0.0)
-            ends = [u - math.hypot(u - ends[0], model), u + math.hypot(ends[1] - u, model)]
-            ends = [min(max(x, parameter.low), parameter.high) for x in ends]
+        for i, (parameter, u) in enumerate(zip(effect.candidate.parameters, chosen.u[at], strict=True), first):
+            ends = [min(max(float(bound[i]), parameter.low), parameter.high) for bound in bounds]
             values = [parameter.value(x) for x in (u, *ends)]
             value, low, high = (x if math.isfinite(x) else 1e12 for x in (values[0], min(values), max(values)))
             found[parameter.path.rpartition(".")[2]] = Estimate(value=value, low=low, high=high, unit=parameter.unit)
@@ -258,14 +262,12 @@ class _Stage:
         how: HeldOut = self.found.setup.held_out
         if self.decision.selected and _WEAK_HELD_OUT[how]:
             found.append(f"{stage}: {_WEAK_HELD_OUT[how]}")
-        for effect in self.choice.selected:
-            name = effect.candidate.name
-            if effect not in self.decision.selected:
-                found.append(f"{name} is not named: it shrinks the gap but leaves more than it explains")
-            elif effect.bounded:
+        found += rivals.not_named(self.choice, self.decision)
+        for effect in self.decision.selected:
+            if effect.bounded:
                 found.append(
-                    f"{name} is not rated: {', '.join(effect.bounded)} explains as much at the end of its range, "
-                    "and that bound may be the only reason against it"
+                    f"{effect.candidate.name} is not rated: {', '.join(effect.bounded)} explains as much at the end "
+                    "of its range, and that bound may be the only reason against it"
                 )
         if self.decision.structure and self.decision.selected:
             found.append(f"{stage}: the residual is not noise ({'; '.join(self.decision.structure.values())})")

@@ -109,9 +109,17 @@ def _parameter(name: str, p: Parameter, model: Model) -> FittedParameter:
             path, p.unit, u, 0.0, (1 - 1e-9) / p.low, size, 0.0, True, _tolerance(path, u, size), (1 + 1e-9) / p.high
         )
     size = p.exemplar if p.default is not None else abs(p.exemplar - p.neutral)
-    tolerance, open_end = _tolerance(path, nominal, size), path in _OPEN_ENDS
     return FittedParameter(
-        path, p.unit, nominal, p.low, p.high, size, p.neutral, tolerance=tolerance, open_end=open_end
+        path,
+        p.unit,
+        nominal,
+        p.low,
+        p.high,
+        size,
+        p.neutral,
+        tolerance=_tolerance(path, nominal, size),
+        open_end=path in _OPEN_ENDS,
+        shape=p.default is not None,
     )
 
 

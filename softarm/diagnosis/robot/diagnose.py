@@ -86,7 +86,7 @@ def _answer(comparison: Comparison, found: Examination, decided: Decided, counte
         where=Where(stage=stage, share=shares, regime=_regime(comparison, stage)),
         effects=tuple(sorted(effects, key=lambda e: -shares.get(e.name.partition(".")[0], 0.0))),
         stages=tuple(_stages(comparison, found, decided, counted)),
-        rivals=rivals.by_gain(found.search, choice, decision.selected),
+        rivals=rivals.by_gain(found.search, choice, decision),
         margins=margins(decision.selected),
         calibration=decided.calibrated.parameters,
         held_out=comparison.setup.held_out,
@@ -106,15 +106,15 @@ def _regime(comparison: Comparison, stage: str | None) -> str:
 
 def _named_effects(comparison: Comparison, found: Examination, decided: Decided) -> list[NamedEffect]:
     """Return the named effects with their sizes and shrinks."""
-    fit, without = decided.fit, found.without_each(decided.fit)
-    bounds = found.search.problem.interval(fit)
+    chosen, without = found.choice.chosen, found.without_each(decided.fit)
+    bounds = found.interval(chosen)
     effects = []
     for effect in decided.decision.selected:
         name = effect.candidate.name
-        first = sum(len(c.parameters) for c in fit.effects[: fit.names.index(name)])
+        first = sum(len(c.parameters) for c in chosen.effects[: chosen.names.index(name)])
         parameters = {}
         for i, parameter in enumerate(effect.candidate.parameters, first):
-            value = fit.point[parameter.path]
+            value = chosen.point[parameter.path]
             ends = [parameter.value(bound[i]) for bound in bounds]
             if np.isfinite(value):
                 finite = [x if np.isfinite(x) else find(parameter.path)[1].high for x in (value, *ends)]
@@ -126,7 +126,7 @@ def _named_effects(comparison: Comparison, found: Examination, decided: Decided)
                 parameters=parameters,
                 confidence=confidence("robot", effect),
                 equivalents=effect.equivalents,
-                shrink=effect_shrink(comparison, found.plain, effect, without[name], fit),
+                shrink=effect_shrink(comparison, found.plain, effect, without[name], decided.fit),
             )
         )
     return effects
@@ -232,9 +232,7 @@ def _warnings(comparison: Comparison, choice: Choice, decision: Decision) -> lis
             "fewer than three kinds of excitation: wrong effects may fit as well; record more (softarm excite)"
         )
     found += [f"{stage}: {where}; no known effect explains it" for stage, where in decision.structure.items()]
-    for effect in choice.selected:
-        if effect not in decision.selected:
-            found.append(f"{effect.candidate.name} is not named: it shrinks the gap but leaves more than it explains")
+    found += rivals.not_named(choice, decision)
     for fit, gain in choice.alone[:3]:
         if fit.at_bound and gain.value > AT_BOUND_MIN:
             found.append(f"{fit.names[0]} is not named: it explains part of the gap only at the end of its range")

@@ -275,3 +275,14 @@ def test_structure_of_many_floors_is_not_granted_by_a_large_gap():
     assert _decide(_choice(*parts), {}, found, thresholds=RIG).kind == "incomplete"
     assert _decide(_choice(*parts), {}, found, thresholds=RIG, bent={"arm": 30.0}).kind == "named"
     assert _decide(_choice(*parts), {}, found).kind == "named"  # of the robot's, by its share
+
+
+@pytest.mark.parametrize(("second", "kind"), [(2.0, "named"), (20.0, "incomplete")])
+def test_an_unresolved_second_effect_is_not_named_and_its_energy_is_left(second, kind):
+    lag, damping = _named_effect("pressure.lag", pressure=49.0), _named_effect("arm.damping", arm=second)
+    choice = _choice({"pressure": 50.0, "arm": 1.0 + second}, {"pressure": 1.0, "arm": 1.0}, lag, damping)
+    assert _names(_decide(choice, {})) == ["pressure.lag", "arm.damping"]
+    decision = _decide(choice, {}, unresolved=frozenset({"arm.damping", "pressure.lag"}))
+    assert (decision.kind, _names(decision)) == (kind, ["pressure.lag"])  # the first stays
+    assert [effect.candidate.name for effect in decision.unresolved] == ["arm.damping"]
+    assert decision.unexplained["arm"] == pytest.approx(second)

@@ -13,6 +13,7 @@ from softarm.diagnosis.engine.thresholds import RIG, ROBOT
 
 RATE_HZ, LENGTH_S, NOISE = 50.0, 6.0, 0.02
 SWING, LEVEL, BIAS = "stage.swing.size", "stage.level.height", "stage.zero.bias"
+STOP = "stage.stop.depth"
 TRUTH = {SWING: 0.8, LEVEL: 0.2}
 KINDS = ("slow", "fast", "both")
 
@@ -27,7 +28,7 @@ class _View:
     """A reading with a swing, a level that is missing in a third of the data, and a zero that the model has."""
 
     stage, unit, channels = "stage", "-", ("reading",)
-    acts = frozenset({SWING, LEVEL, BIAS})
+    acts = frozenset({SWING, LEVEL, BIAS, STOP})
     regimes, features, own_nuisances, echoes = {}, {}, {}, frozenset()
 
     def start_directions(self):
@@ -45,7 +46,8 @@ class _View:
 
     def _predict(self, point):
         level = point.get(LEVEL, 0.0) * self.level
-        return point.get(SWING, 0.0) * self.swing + level + point.get(BIAS, 0.0)
+        reading = point.get(SWING, 0.0) * self.swing + level + point.get(BIAS, 0.0)
+        return np.maximum(reading, point.get(STOP, 0.0) - 9.0)  # a stop that no sample reaches
 
     def gap(self, points):
         return np.stack([self.measured - self._predict(p)[:, None] for p in points]).astype(np.float32)
@@ -86,3 +88,19 @@ def test_the_calibration_next_to_the_named_effects_replaces_what_is_not_named(fo
     (bias,) = calibrated(found.setup, found.verdict_problem, found.plain, found.named(decision), str).parameters
     assert (bias.name, bias.at_edge) == (BIAS, False)
     assert bias.value == pytest.approx(TRUTH[LEVEL] * 2 / 3, abs=0.02)
+
+
+def test_an_effect_is_resolved_if_its_interval_excludes_the_models_value_and_a_sample_reaches_it(found):
+    assert found.unresolved == frozenset()
+    effects = (_candidate(SWING, 0.3), _candidate(LEVEL, 0.3), _candidate(STOP, 0.3))
+    (fit,) = found.search.problem.fit([(effects, ((0.8,), (0.2,), (0.5,)))], rounds=1)
+    assert _unresolved(found, fit) == {"stage.stop"}
+    level = replace(effects[1].parameters[0], nominal=0.2)
+    (fit,) = found.search.problem.fit([((effects[0], replace(effects[1], parameters=(level,))), fit.u[:2])], rounds=1)
+    assert _unresolved(found, fit) == {"stage.level"}  # the model has this level already
+
+
+def _unresolved(found, fit):
+    found.choice = replace(found.choice, chosen=fit)
+    found.__dict__.pop("unresolved")
+    return found.unresolved

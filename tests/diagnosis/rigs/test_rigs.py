@@ -330,8 +330,8 @@ def test_a_late_servo_is_split_into_dead_time_lag_and_acceleration_limit():
 
 
 @pytest.mark.slow
-def test_large_swings_need_dry_friction_and_drag():
-    """The model's viscous friction replaces dry friction and drag, so it shrinks when both are named."""
+def test_large_swings_need_drag_and_do_not_resolve_dry_friction():
+    """The model's viscous friction takes a part of both, so the interval of the dry friction holds zero."""
     draw = np.random.default_rng(5)
     trials = []
     for i, amplitude in enumerate((1.4, 1.0, 0.7, 0.4)):
@@ -339,11 +339,10 @@ def test_large_swings_need_dry_friction_and_drag():
         trials.append(pendulum(angle[:, 0] + 2e-4 * draw.normal(size=len(t)), t, f"swing {i}"))
     found = diagnose_table(trials)
     effects_found = {e.name: e.parameters for e in found.verdict.effects}
-    assert set(effects_found) == {"joint.coulomb_friction", "joint.drag"}
-    assert 2e-4 < effects_found["joint.coulomb_friction"]["torque"].value < 6e-4
-    assert 0.006 < effects_found["joint.drag"]["coefficient"].value < 0.012
-    damping = next(each for each in found.verdict.calibration if each.name == "joint.damping.scale")
-    assert damping.value < -0.3
+    assert set(effects_found) == {"joint.drag"}
+    assert 0.004 < effects_found["joint.drag"]["coefficient"].value < 0.012
+    assert {rival.names: rival.note for rival in found.rivals}["joint.coulomb_friction",] == "not resolved"
+    assert any("the recordings do not resolve it" in text for text in found.verdict.warnings)
 
 
 def test_the_search_holds_out_blocks_and_the_verdict_whole_kinds():
