@@ -77,7 +77,7 @@ def clock(time_s: Array, about: Column, where: str, place: Place, on_change: boo
         k = int(ahead[0])
         raise TrialError(
             f"{where}: the clock jumps ahead by {steps[k]:.4g} s at row {place(k + 1)}; split the recording "
-            "there into two trials"
+            f"there into two trials: in the first write `to_s: {time_s[k] - time_s[0]:.4g}`, in the second `from_s`"
         )
     if usual < STEP_SLOW_S or on_change:
         return []

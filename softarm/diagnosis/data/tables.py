@@ -2,10 +2,11 @@
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from softarm.common.quantity import factor
 from softarm.diagnosis.data import checks, stage_rules, still_checks, table_checks, table_files
@@ -84,6 +85,7 @@ def _without_still(checked: Sequence[tuple[Trial, Columns]]) -> tuple[tuple[Tria
 
 def _trial(stage: Stage, recording: Recording, element: str, loaded: dict[Path, Table]) -> Trial:
     about = stage.about
+    read: dict[str, _Rows] = {}
     channels: dict[str, Series] = {}
     missing: dict[str, str] = {}
     warnings: list[str] = []
@@ -96,16 +98,18 @@ def _trial(stage: Stage, recording: Recording, element: str, loaded: dict[Path, 
         if path not in loaded:
             loaded[path] = table_files.load(path, stage.form)
         place = about.elements.get(element)
-        drive = name in still_checks.DRIVES
-        series, found, zone = _series(loaded[path], channel, stage.form, recording.segment, place, drive)
+        read[name], found, zone = _rows(loaded[path], channel, stage.form, recording.segment, place)
         zoned.setdefault(zone, f"{path}: column {channel.time.source}")
-        channels[name], odd = checks.tidy_stamps(series, f"{path}: {name}", gaps=not drive)
-        warnings += (*found, *odd, *table_checks.ranges(channels[name], about.kind, channel, f"{path}: {name}"))
+        warnings += found
+    for name, rows in _within(read, recording).items():
+        path, drive, stamps = recording.files[name], name in still_checks.DRIVES, about.channels[name].time
+        warnings += table_checks.clock(rows.series.t_s, stamps, f"{path}: column {stamps.source}", rows.place, drive)
+        channels[name], odd = checks.tidy_stamps(rows.series, f"{path}: {name}", gaps=not drive)
+        warnings += (*odd, *table_checks.ranges(channels[name], about.kind, about.channels[name], f"{path}: {name}"))
     if True in zoned and False in zoned:
         raise TrialError(
             f"{zoned[True]} has time zones, {zoned[False]} has none; write both with time zones, or both without"
         )
-    channels = _within(channels, recording)
     if about.angles == "relative":
         channels["measured"] = _absolute(channels["measured"], about.links)
     units = {
@@ -131,9 +135,22 @@ def _stage_of(effect: str) -> str:
     return effect.rpartition(".")[0]
 
 
-def _series(
-    table: Table, channel: TableChannel, form: TableForm, segment: str | None, element: int | None, drive: bool
-) -> tuple[Series, list[str], bool | None]:
+@dataclass(frozen=True, slots=True)
+class _Rows:
+    """Rows of a channel in the order of the file, with stamps that are not checked yet."""
+
+    series: Series
+    rows: NDArray[np.intp]
+    table: Table
+
+    def place(self, index: int) -> int:
+        """Return the number of a row in the file, for messages."""
+        return self.table.place(int(self.rows[index]))
+
+
+def _rows(
+    table: Table, channel: TableChannel, form: TableForm, segment: str | None, element: int | None
+) -> tuple[_Rows, list[str], bool | None]:
     """Rows of a channel with a reading in every column, warnings about the others, and the time zones of its stamps."""
     if element is not None and not any(table_files.holds_lists(table, c, segment) for c in channel.columns.values()):
         source = next(iter(channel.columns.values())).source
@@ -167,17 +184,16 @@ def _series(
     if not keep.any():
         raise TrialError(f"{table.path}: no row has a value in every column; leave columns out of the stage.yaml")
     rows = np.flatnonzero(keep)
-    where = f"{table.path}: column {channel.time.source}"
-    warnings += table_checks.clock(time[rows], channel.time, where, lambda i: table.place(int(rows[i])), drive)
-    return Series(time[rows], {name: values[rows] for name, values in columns.items()}), warnings, zoned
+    series = Series(time[rows], {name: values[rows] for name, values in columns.items()})
+    return _Rows(series, rows, table), warnings, zoned
 
 
-def _within(channels: dict[str, Series], recording: Recording) -> dict[str, Series]:
+def _within(channels: dict[str, _Rows], recording: Recording) -> dict[str, _Rows]:
     """Channels in the window of a trial; one that drives the rig keeps its last value from before."""
     if recording.from_s == 0 and recording.to_s is None:
         return channels
-    first = min(float(series.t_s[0]) for series in channels.values())
-    last = max(float(series.t_s[-1]) for series in channels.values())
+    first = min(float(rows.series.t_s[0]) for rows in channels.values())
+    last = max(float(rows.series.t_s.max()) for rows in channels.values())
     low, high = first + recording.from_s, math.inf if recording.to_s is None else first + recording.to_s
     if low >= last:
         raise TrialError(
@@ -185,17 +201,20 @@ def _within(channels: dict[str, Series], recording: Recording) -> dict[str, Seri
             f"recording lasts {last - first:.4g} s; allowed below {last - first:.4g} s; correct it"
         )
     found = {}
-    for name, series in channels.items():
+    for name, each in channels.items():
+        t, columns = each.series.t_s, each.series.columns
         # Stamps are rounded in the file, so a row on an edge may be a little beyond it.
-        keep = (series.t_s >= low - EDGE_S) & (series.t_s <= high + EDGE_S)
-        t = series.t_s
-        if (
-            name in still_checks.DRIVES
-            and (before := np.flatnonzero(t < low - EDGE_S)).size
-            and not (keep.any() and t[keep][0] <= low + EDGE_S)
-        ):
-            keep[before[-1]], t = True, np.maximum(t, low)
-        found[name] = Series(t[keep], {column: values[keep] for column, values in series.columns.items()})
+        keep = (t >= low - EDGE_S) & (t <= high + EDGE_S)
+        before = np.flatnonzero(t < low - EDGE_S)
+        if name in still_checks.DRIVES and before.size and not np.any(keep & (t <= low + EDGE_S)):
+            keep[before[np.argmax(t[before])]], t = True, np.maximum(t, low)
+        if not keep.any():
+            raise TrialError(
+                f"{recording.files[name]}: trial {recording.name}: no row of the {name} channel is between from_s "
+                "and to_s; allowed a part that holds rows; correct them"
+            )
+        series = Series(t[keep], {column: values[keep] for column, values in columns.items()})
+        found[name] = _Rows(series, each.rows[keep], each.table)
     return found
 
 

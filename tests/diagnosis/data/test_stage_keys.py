@@ -79,6 +79,16 @@ def test_a_command_holds_its_last_value_from_before_the_window(tmp_path):
     assert (command.t_s.tolist(), command["command"].tolist()) == ([2.0, 3.0], [0.2, 0.4])
 
 
+@pytest.mark.parametrize(("window", "count"), [("to_s: 1.98", 100), ("from_s: 100", 100)])
+def test_a_window_cuts_a_recording_where_its_clock_jumps(tmp_path, window, count):
+    text = table("t,u,y", T + 100 * (T >= 2), COMMAND, MEASURED)
+    with pytest.raises(TrialError, match=r"the clock jumps ahead by 100 s at row 102; .* write `to_s: 1.98`"):
+        read(tmp_path, text)
+    (trial,) = read(tmp_path, text, ("name: one", f"name: one, {window}"))
+    assert len(trial.channels["measured"]) == count
+    assert trial.warnings == ()
+
+
 def test_several_windows_of_one_file_are_several_trials(tmp_path):
     one = "{name: one, files: data.csv}"
     trials = read(tmp_path, table(), (one, "{name: a, files: data.csv, to_s: 2}\n  - " + one.replace("one", "b")))
@@ -91,6 +101,10 @@ def test_several_windows_of_one_file_are_several_trials(tmp_path):
         ("from_s: 3, to_s: 3", r"to_s is 3, not after from_s \(3\); allowed above 3 s; correct one"),
         ("from_s: -1", r"from_s: is -1; allowed 0 or more s"),
         ("from_s: 60", r"trial one: from_s is 60, but the recording lasts 3.98 s; allowed below 3.98 s; correct it"),
+        (
+            "from_s: 3.505, to_s: 3.515",
+            r"trial one: no row of the measured channel is between from_s and to_s; .*correct",
+        ),
         ("from: 1", r"from: unknown key; did you mean from_s\?"),
     ],
 )
