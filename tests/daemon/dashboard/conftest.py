@@ -120,6 +120,7 @@ class Watched:
     def __init__(self, browser, desk, url: str) -> None:
         self._browser, self._desk, self._url = browser, desk, url
         self._contexts, self._pages, self.wrong = [], [], []
+        self._shared = None
 
     def __call__(
         self, look: bool = True, url: str | None = None, apart: bool = False, closed_streams: bool = False, **options
@@ -140,9 +141,30 @@ class Watched:
             page.route_web_socket("**/api/stream**", lambda socket: socket.close())
         page.goto(url or self._url)
         if look:
-            page.locator("#link[data-link=live]").wait_for()
-            page.locator("#drawing svg").wait_for()
+            self._wait(page)
         return page
+
+    def shared(self):
+        """Return one page for several tests, loaded again."""
+        if self._shared is None:
+            self._shared = self()
+        else:
+            self._shared.goto(self._url)
+            self._wait(self._shared)
+        return self._shared
+
+    def restore(self) -> None:
+        """Leave the dashboard, whose requests end with it, and undo what a test has changed in the browser."""
+        self._shared.goto("about:blank")
+        self._desk.set_offline(False)
+        self._shared.unroute_all(behavior="ignoreErrors")
+        self._shared.emulate_media(color_scheme="null")
+        self._shared.mouse.move(0, 0)
+
+    @staticmethod
+    def _wait(page) -> None:
+        page.locator("#link[data-link=live]").wait_for()
+        page.locator("#drawing svg").wait_for()
 
     def _context(self, options):
         context = self._browser.new_context(**{"viewport": SIZE} | options)
@@ -178,10 +200,21 @@ def opened(browser, desk, daemon):
     assert watched.wrong == []
 
 
+@pytest.fixture(scope="module")
+def watched(browser, desk, daemon):
+    """Return the owner of the page that the tests of a file share."""
+    made = Watched(browser, desk, f"{daemon.url}/")
+    yield made
+    made.close()
+
+
 @pytest.fixture
-def page(robot, opened):
-    """Return the dashboard of a disarmed robot."""
-    return opened()
+def page(robot, watched):
+    """Yield the dashboard of a disarmed robot, loaded anew; the test fails if it had errors."""
+    yield watched.shared()
+    watched.restore()
+    wrong, watched.wrong = watched.wrong, []
+    assert wrong == []
 
 
 @pytest.fixture

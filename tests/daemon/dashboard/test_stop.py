@@ -1,14 +1,10 @@
 """The stop button: always visible, independent of the API, with a report of what confirmed it."""
 
-import contextlib
 import re
-import threading
 import time
 from urllib.parse import urlsplit
 
-import httpx
 import pytest
-from websockets.sync.client import connect
 
 pytestmark = pytest.mark.slow
 
@@ -120,33 +116,11 @@ def test_without_network_the_button_reports_not_confirmed(armed, robot):
     armed.locator("#stopped[data-state=stopped]").wait_for()
 
 
-@pytest.mark.realtime
-def test_the_button_stops_within_two_seconds_under_load(armed, robot, daemon, threads, round_trip_s):
-    def flood(over: threading.Event) -> None:
-        with httpx.Client(base_url=daemon.url, timeout=5) as client:
-            while not over.is_set():
-                with contextlib.suppress(httpx.HTTPError):
-                    client.get("/api/events")
-
-    def watch(over: threading.Event) -> None:
-        with connect(f"ws://127.0.0.1:{daemon.port}/api/stream") as stream:
-            while not over.is_set():
-                stream.recv(timeout=5)
-
-    threads(flood, 4)
-    threads(watch, 12)
-    armed.wait_for_timeout(300)  # of load
-    allowed_s = 2 + 10 * round_trip_s(armed)
-    pressed = time.monotonic()
-    armed.keyboard.press("Space")
-    armed.locator("#stopped[data-state=stopped]").wait_for()
-    assert time.monotonic() - pressed < allowed_s
-    assert robot.status["mode"] == "stopped"
-
-
 def test_the_button_is_visible_and_uncovered_on_every_screen(opened, robot):
-    for size in ((360, 640), (390, 844), (768, 1024), (1280, 720)):
-        page = opened(viewport=dict(zip(("width", "height"), size, strict=True)))
+    sizes = ((360, 640), (390, 844), (768, 1024), (1280, 720))
+    page = opened(apart=True)
+    for size in sizes:
+        page.set_viewport_size(dict(zip(("width", "height"), size, strict=True)))
         page.evaluate("scrollTo(0, document.body.scrollHeight)")
         button = page.locator("#stop")
         box = button.bounding_box()
@@ -159,4 +133,3 @@ def test_the_button_is_visible_and_uncovered_on_every_screen(opened, robot):
             [box["x"] + box["width"] / 2, box["y"] + box["height"] / 2],
         )
         assert top == "stop"
-        page.close()
