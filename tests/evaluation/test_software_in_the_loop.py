@@ -14,7 +14,7 @@ from softarm.drivers.mocap import zenoh_session
 from softarm.evaluation.software_in_the_loop import SoftwareInTheLoop, SoftwareInTheLoopError
 from softarm.schemas.goals import Goal
 
-pytestmark = [pytest.mark.timeout(120), pytest.mark.realtime]
+pytestmark = pytest.mark.timeout(120)
 DEAD_S = 0.25
 
 
@@ -32,7 +32,8 @@ def wait(condition, what, seconds=10.0):
     return found
 
 
-@pytest.mark.slow
+@pytest.mark.prove
+@pytest.mark.realtime
 def test_a_goal_set_by_rest_is_reached_and_recorded(sil):
     sil.arm()
     tips = []
@@ -58,7 +59,9 @@ def twin_state(endpoint):
         return json.loads(wait(states.try_recv, "a state of the twin").payload.to_string())
 
 
+# Over 3 s: the start of a daemon and a twin.
 @pytest.mark.slow
+@pytest.mark.realtime
 def test_a_killed_daemon_leaves_a_vented_muscle_and_a_braked_cart_inside_the_rail(sil):
     """After kill -9 in mid-swing, no process sends a stop."""
     sil.arm()
@@ -84,7 +87,8 @@ def test_a_killed_daemon_leaves_a_vented_muscle_and_a_braked_cart_inside_the_rai
     assert abs(killed_ns - log.t_last_ns) <= 0.2e9
 
 
-@pytest.mark.slow
+@pytest.mark.prove
+@pytest.mark.realtime
 def test_a_stopped_daemon_leaves_no_process_and_a_finished_log(sil):
     path = sil.status()["recorder"]["log"]
     sil.daemon.send_signal(signal.SIGTERM)
@@ -103,7 +107,8 @@ def test_a_daemon_that_ends_at_once_is_reported_with_its_output(tmp_path):
         pass
 
 
-@pytest.mark.slow
+@pytest.mark.prove
+@pytest.mark.realtime
 def test_the_next_start_acknowledges_the_stop_of_a_killed_daemon(sil, tmp_path):
     (latch,) = (tmp_path / "logs").glob("stop-*.json")
     sil.post("stop")

@@ -6,14 +6,16 @@ from click.testing import Result
 from softarm.evaluation.software_in_the_loop import SoftwareInTheLoop, SoftwareInTheLoopError
 from tests.cli.invoke import invoke
 
-pytestmark = [pytest.mark.timeout(120), pytest.mark.realtime]
+pytestmark = pytest.mark.timeout(120)
 
 
 def demo(logs, *arguments) -> Result:
     return invoke("demo", "--targets", "1", "--logs", logs, *arguments)
 
 
+# Over 3 s: the start of a daemon and a twin, and a flight in real time.
 @pytest.mark.slow
+@pytest.mark.realtime
 def test_a_target_is_reached_and_no_limit_exceeded(tmp_path):
     result = demo(tmp_path)
     assert result.exit_code == 0, result.output
@@ -21,7 +23,8 @@ def test_a_target_is_reached_and_no_limit_exceeded(tmp_path):
     assert len(list(tmp_path.glob("*.mcap"))) == 1
 
 
-@pytest.mark.slow
+@pytest.mark.prove
+@pytest.mark.realtime
 def test_a_refusal_of_the_daemon_fails_the_demo(tmp_path):
     result = demo(tmp_path, "--policy", "hold")
     assert result.exit_code == 1

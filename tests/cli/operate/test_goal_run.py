@@ -9,6 +9,7 @@ import pytest
 
 from softarm.schemas.goals import Goal, GoalStatus
 from softarm.schemas.rest import GoalAnswer
+from tests.cli.invoke import invoke
 from tests.processes import running, said
 
 ROOT = Path(__file__).parents[3]
@@ -61,7 +62,7 @@ def test_json_output_contains_only_the_end(softarm, runs, end, code):
 
 @pytest.mark.realtime
 @pytest.mark.timeout(120)
-def test_the_documented_policy_flies_from_the_command_line(install, tmp_path):
+def test_the_documented_policy_flies_from_the_command_line(install, tmp_path, monkeypatch):
     page = (ROOT / "docs" / "policies" / "interface.md").read_text(encoding="utf-8").partition("## Your own policy")[2]
     code = re.search(r"```python\n(.*?)```", page, re.DOTALL)
     assert code is not None
@@ -71,11 +72,10 @@ def test_the_documented_policy_flies_from_the_command_line(install, tmp_path):
     environment = os.environ | {"PYTHONPATH": f"{tmp_path}:{os.environ.get('PYTHONPATH', ROOT)}"}
 
     with running("run", "--simulated", "--config", config, env=environment) as daemon:
-        url = said(daemon, r"serving (http://\S+)")
+        monkeypatch.setenv("SOFTARM_URL", said(daemon, r"serving (http://\S+)"))
 
         def printed(*arguments):
-            with running(*arguments, env=environment | {"SOFTARM_URL": url}) as verb:
-                return verb.communicate()[0]
+            return invoke(*arguments).output
 
         assert printed("arm") == "armed\n"
         listed = printed("policy", "list")

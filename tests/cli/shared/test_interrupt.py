@@ -9,7 +9,7 @@ import pytest
 
 from softarm.daemon.control.records import Mode
 from softarm.daemon.logbook import logs
-from tests.processes import running, said
+from tests.processes import WAIT_S, running, said
 
 
 def interrupt(*_):
@@ -78,10 +78,13 @@ def test_ctrl_c_during_work_reports_what_is_kept(softarm, monkeypatch, arguments
     assert (result.exit_code, result.stderr) == (130, f"\ninterrupted: {left}\n")
 
 
-@pytest.mark.realtime
-@pytest.mark.timeout(120)
+@pytest.mark.slow
 @pytest.mark.parametrize(
-    ("number", "code", "word"), [(signal.SIGINT, 130, "interrupted"), (signal.SIGTERM, 0, "ended")]
+    ("number", "code", "word"),
+    [
+        (signal.SIGINT, 130, "interrupted"),
+        pytest.param(signal.SIGTERM, 0, "ended", marks=pytest.mark.prove),
+    ],
 )
 def test_an_ended_daemon_reports_the_state_of_the_robot(tmp_path: Path, number: signal.Signals, code: int, word: str):
     config = tmp_path / "arm.yaml"
@@ -90,7 +93,7 @@ def test_an_ended_daemon_reports_the_state_of_the_robot(tmp_path: Path, number: 
         recording = said(process, r"recording (\S+)")
         said(process, "(Ctrl-C ends)")
         process.send_signal(number)
-        output = process.communicate(timeout=20)[0]
+        output = process.communicate(timeout=WAIT_S)[0]
     assert process.returncode == code
     assert output.endswith(f"{word}: the drive is off, the muscle vented; {recording} is closed\n")
     assert logs.read(recording).finished

@@ -210,7 +210,7 @@ def watched(browser, desk, daemon):
 
 @pytest.fixture
 def page(robot, watched):
-    """Yield the dashboard of a disarmed robot, loaded anew; the test fails if it had errors."""
+    """Yield the dashboard of a disarmed robot, loaded again; the test fails if it had errors."""
     yield watched.shared()
     watched.restore()
     wrong, watched.wrong = watched.wrong, []

@@ -1,6 +1,5 @@
 """Flights on wires: a separate daemon in real time, with the twin or the devices of a configuration."""
 
-import threading
 from itertools import pairwise
 
 import httpx
@@ -52,6 +51,7 @@ def test_a_workspace_without_a_test_target_is_refused(tmp_path):
         wires.fly(nowhere, BOTH, 1, "the robot", tmp_path, None, lambda text, share: None)
 
 
+@pytest.mark.prove
 @live
 def test_old_and_new_fly_the_same_goals_on_the_twin(tmp_path):
     reported, twin = [], wires.Twin("our twin", ("--reality", "--fault", "rail.delay_s=0.05"), True)
@@ -81,32 +81,38 @@ def robot(tmp_path):
         sil.__exit__(None, None, None)
 
 
-@live
-def test_a_person_ends_the_flights_and_must_acknowledge_the_stop(robot, tmp_path):
-    def stop_soon(text, share):
-        if "policy" in text:
-            threading.Timer(1.5, httpx.post, (f"http://127.0.0.1:{robot.api.port}/api/stop",)).start()
-
-    found = wires.fly(robot, BOTH, 2, "the robot", tmp_path, None, stop_soon)
-    assert "an emergency stop was requested" in found.ended
-    assert found.ended_by is None  # no policy's fault
-    assert (found.flights, found.won, found.against) == (0, None, ())
-    with pytest.raises(SoftwareInTheLoopError, match="an emergency stop is latched"):
-        wires.fly(robot, BOTH, 2, "the robot", tmp_path, None, lambda text, share: None)
-
-
-@live
-def test_flights_before_a_crash_of_the_daemon_count(robot, tmp_path, monkeypatch):
-    begun = []
+@pytest.fixture
+def before_the_second_goal(monkeypatch):
+    """Set an action, given the bench, that runs when old and new have flown the first goal."""
+    begun, actions = [], []
     began = wires.Bench.use
 
     def use(bench, policy):
         begun.append(policy)
-        if len(begun) == 3:  # old and new have flown the first goal
-            bench.daemon.kill()
+        if len(begun) == 3:
+            actions[0](bench)
         began(bench, policy)
 
     monkeypatch.setattr(wires.Bench, "use", use)
+    return actions.append
+
+
+# Over 3 s: flights of two policies in real time by a daemon and a twin in processes of their own.
+@live
+def test_a_person_ends_the_flights_and_must_acknowledge_the_stop(robot, tmp_path, before_the_second_goal):
+    before_the_second_goal(lambda bench: httpx.post(f"http://127.0.0.1:{robot.api.port}/api/stop"))
+    found = wires.fly(robot, BOTH, 2, "the robot", tmp_path, None, lambda text, share: None)
+    assert found.flights == 1
+    assert "an emergency stop was requested" in found.ended
+    assert found.ended_by is None  # no policy's fault
+    with pytest.raises(SoftwareInTheLoopError, match="an emergency stop is latched"):
+        wires.fly(robot, BOTH, 2, "the robot", tmp_path, None, lambda text, share: None)
+
+
+@pytest.mark.prove
+@live
+def test_flights_before_a_crash_of_the_daemon_count(robot, tmp_path, before_the_second_goal):
+    before_the_second_goal(lambda bench: bench.daemon.kill())
     found = wires.fly(robot, BOTH, 2, "the robot", tmp_path, None, lambda text, share: None)
     assert found.flights == 1
     assert found.ended is not None

@@ -77,14 +77,16 @@ def test_a_folder_that_holds_logs_is_refused(tmp_path):
     assert (done.exit_code, "is not empty" in done.output) == (1, True)
 
 
+# Over 3 s: the shortest time in which a goal is flown and enough requests are answered.
 @pytest.mark.slow
 @pytest.mark.realtime
-def test_a_few_seconds_in_real_time_fly_under_load(tmp_path):
-    soaked = realtime.soak(20 / 3600, 5, tmp_path, lambda what, share: None)
+@pytest.mark.parametrize("seconds", [7, pytest.param(20, marks=pytest.mark.prove)])
+def test_a_few_seconds_in_real_time_fly_under_load(tmp_path, seconds):
+    soaked = realtime.soak(seconds / 3600, 5, tmp_path, lambda what, share: None)
     late = ("stopped: ", "softarm run: ERROR softarm.drivers.rail")  # which on a busy machine are the machine's
     assert [one for one in soaked.unexpected if not one.what.startswith(late)] == []
     assert soaked.counts["goals"] >= 1
-    assert sum(n for what, n in soaked.counts.items() if what.startswith("answer: ")) > 20
-    assert len(soaked.samples) > 5
+    assert sum(n for what, n in soaked.counts.items() if what.startswith("answer: ")) > seconds
+    assert len(soaked.samples) > seconds / 4
     assert soaked.samples[-1].memory_mb > 20
     assert soaked.logs_max_mb > 0
