@@ -147,10 +147,29 @@ def loop():
         yield running
 
 
+class Present:
+    """The loop of the present test, for an application that several tests share."""
+
+    loop: Loop
+
+    def __getattr__(self, name):
+        return getattr(self.loop, name)
+
+
+@pytest.fixture(scope="module")
+def shared_app():
+    """Return one application for the tests of a file, since each takes 0.1 s, and where to put their loops."""
+    present = Present()
+    inbox = type("PresentInbox", (), {"__getattr__": lambda _, name: getattr(present.loop.inbox, name)})()
+    reads = {"policies": Shelf(), "problems": lambda: present.problems}
+    return create_app(ApiContext(Config(), inbox, lambda: present.outputs, **reads)), present
+
+
 @pytest.fixture
-def client(loop):
-    made = Client(create_app(context(loop)), LOCAL)
-    return made
+def client(loop, shared_app):
+    made, present = shared_app
+    present.loop = loop
+    return Client(made, LOCAL)
 
 
 @pytest.fixture
@@ -160,9 +179,11 @@ def stalled():
 
 
 @pytest.fixture
-def silent(stalled):
+def silent(stalled, shared_app):
     """Return a client of a daemon whose control loop is stalled."""
-    return Client(create_app(context(stalled)), LOCAL), stalled
+    made, present = shared_app
+    present.loop = stalled
+    return Client(made, LOCAL), stalled
 
 
 @pytest.fixture

@@ -127,10 +127,10 @@ def opened(stack: ExitStack, port: int, sent: bytes = b"") -> socket.socket:
 )
 def test_idle_clients_make_room_for_new_ones(loop, app, serving, sent):
     with serving(app(loop)) as port, ExitStack() as stack:
-        idle = [opened(stack, port, sent) for _ in range(300)]
+        idle = [opened(stack, port, sent) for _ in range(160)]
         assert httpx.post(f"{LOCAL}:{port}/api/stop", timeout=5).status_code == 200
         gone = sum(is_closed(one) for one in idle)
-        assert 300 - 128 <= gone <= 300 - 126  # the oldest gave way, no more
+        assert 160 - 128 <= gone <= 160 - 126  # the oldest gave way, no more
 
 
 def is_closed(connection: socket.socket) -> bool:

@@ -190,7 +190,7 @@ class BangBang:
     [
         {},
         {"mocap.noise": {"sigma": 0.002}, "mocap.dropout": {"share": 0.02}},
-        {"mocap.latency": {"delay": 0.06}},
+        pytest.param({"mocap.latency": {"delay": 0.06}}, marks=pytest.mark.prove),
         {"mocap.scale": {"scale": 0.02}, "mocap.rotation": {"angle": 0.02}},
     ],
 )

@@ -334,7 +334,7 @@ def test_a_request_may_come_in_pieces(stopping):
 @pytest.mark.parametrize("sent", [b"", b"POST /api/st"])
 def test_silent_clients_make_room_for_new_ones(stopping, sent):
     with way(stopping) as port, ExitStack() as stack:
-        for _ in range(300):
+        for _ in range(listener.CLIENTS_MAX + 36):
             stack.enter_context(socket.create_connection(("127.0.0.1", port), timeout=5)).sendall(sent)
         assert ask(port)[0] == 200
 

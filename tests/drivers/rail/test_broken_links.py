@@ -33,6 +33,7 @@ async def test_a_connection_begins_and_ends_with_a_stop_despite_bad_answers(open
         bench.drive.script = lambda telegram, _: BAD_ANSWERS[kind](int.from_bytes(telegram[:2], "big"))
         await bench.write_until(lambda: len(bench.drive.links) > 3, True, 0.3)
         assert [ends(link) for link in bench.drive.links[:3]] == [(STOP, STOP)] * 3
+        bench.drive.script = None
 
 
 async def test_a_healthy_connection_begins_and_ends_with_a_stop(bench: Any, until: Any) -> None:
