@@ -239,7 +239,8 @@ def _method(diagnosis: Diagnosis) -> Iterator[str]:
     yield "Every fit includes the nuisance parameters: small errors of known quantities, within tolerance."
     yield "An effect is named for its unique contribution next to its rivals, not for its fit alone."
     if any(effect.parameters for effect in verdict.effects):
-        yield "The 95 % interval of a fitted size is a jackknife over blocks of consecutive samples."
+        own = ", widened by the tolerance of a well-kept robot" if robot else ""
+        yield f"The 95 % interval of a fitted size is a jackknife over blocks of consecutive samples{own}."
     if verdict.effects:
         yield "The 95 % interval of a shrink is a bootstrap over trials, or over blocks of one trial."
     if verdict.gap.ceiling:

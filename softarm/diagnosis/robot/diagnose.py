@@ -1,5 +1,6 @@
 """Diagnosis of the robot: from trials and a nominal model to the answer."""
 
+import math
 import time
 from collections.abc import Sequence
 
@@ -9,6 +10,7 @@ from softarm.diagnosis.answer import rivals
 from softarm.diagnosis.answer.assembly import Answer, StageAnswer, assemble, share
 from softarm.diagnosis.answer.evidence import overlays, regimes, spectrum
 from softarm.diagnosis.data.trials import Trial
+from softarm.diagnosis.engine.candidates import FittedParameter
 from softarm.diagnosis.engine.confidence import confidence, margins
 from softarm.diagnosis.engine.decision import Decision, Kind, stage_of, stage_shares
 from softarm.diagnosis.engine.examination import Examination
@@ -107,7 +109,8 @@ def _regime(comparison: Comparison, stage: str | None) -> str:
 def _named_effects(comparison: Comparison, found: Examination, decided: Decided) -> list[NamedEffect]:
     """Return the named effects with their sizes and shrinks."""
     chosen, without = found.choice.chosen, found.without_each(decided.fit)
-    bounds = found.interval(chosen)
+    low, high = found.interval(chosen)
+    fitted = [u for each in chosen.u for u in each]
     effects = []
     for effect in decided.decision.selected:
         name = effect.candidate.name
@@ -115,7 +118,7 @@ def _named_effects(comparison: Comparison, found: Examination, decided: Decided)
         parameters = {}
         for i, parameter in enumerate(effect.candidate.parameters, first):
             value = chosen.point[parameter.path]
-            ends = [parameter.value(bound[i]) for bound in bounds]
+            ends = _with_tolerance(parameter, fitted[i], low[i], high[i])
             if np.isfinite(value):
                 finite = [x if np.isfinite(x) else find(parameter.path)[1].high for x in (value, *ends)]
                 estimate = Estimate(value=value, low=min(finite), high=max(finite), unit=parameter.unit)
@@ -130,6 +133,16 @@ def _named_effects(comparison: Comparison, found: Examination, decided: Decided)
             )
         )
     return effects
+
+
+def _with_tolerance(parameter: FittedParameter, u: float, low: float, high: float) -> tuple[float, float]:
+    """Return the ends of a size's interval, in the registry's unit, widened by the parameter's tolerance.
+
+    Noise alone gives a hundredth of the size. A well-kept robot shows up to the tolerance, and that much of the fitted
+    size may be the robot's own instead of its fault's.
+    """
+    below, above = math.hypot(u - low, parameter.tolerance), math.hypot(high - u, parameter.tolerance)
+    return parameter.value(u - below), parameter.value(u + above)
 
 
 def _count_effect(count: Count) -> NamedEffect:

@@ -34,13 +34,9 @@ LENGTH_S, DEAD_TIME_S = 8.0, 0.06
 
 
 def robot(dead_time_s: float) -> RobotParameters:
-    """The independent robot; 0: nothing is wrong with it.
-
-    A late one has no tube before its muscle: it would be late by that too, and by how much no law of ours says.
-    """
+    """The independent robot; 0: nothing is wrong with it."""
     sound = RobotParameters()
-    late = replace(sound.regulator, dead_time_s=dead_time_s, tube_s=0.0)
-    return replace(sound, regulator=late) if dead_time_s else sound
+    return replace(sound, regulator=replace(sound.regulator, dead_time_s=dead_time_s))
 
 
 @pytest.fixture(scope="session")

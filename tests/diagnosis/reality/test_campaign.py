@@ -16,8 +16,8 @@ def test_its_one_fault_is_named_and_its_size_lies_in_its_interval(diagnosed):
     (effect,) = verdict.effects
     assert (effect.name, effect.equivalents) == ("pressure.dead_time", ())
     delay = effect.parameters["delay"]
-    assert delay.low <= DEAD_TIME_S <= delay.high
-    assert delay.high - delay.low < 0.1 * DEAD_TIME_S
+    assert delay.low <= DEAD_TIME_S <= delay.high  # its tube delays the pressure as well
+    assert delay.high - delay.low < 0.5 * DEAD_TIME_S
     assert effect.shrink.stage.low > 0.5
     assert verdict.gap.after["pressure"].value < 0.3 * verdict.gap.before["pressure"].value
     assert found.patched.effects["pressure.dead_time"]["delay"] == delay.value
