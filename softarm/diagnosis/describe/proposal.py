@@ -4,6 +4,7 @@ import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from fnmatch import fnmatchcase
+from pathlib import Path
 from typing import Literal
 
 import numpy as np
@@ -144,7 +145,9 @@ class _Draft:
             return {k: [s for s in named if s.group == k] or clocks.candidates(self.survey, k) for k in groups}
         found = {k: clocks.candidates(self.survey, k) for k in groups}
         if not all(found.values()):
-            raise Unknown([Question("--rate", "", "rows a second, since no column holds the time")])
+            falling = [s.label for s in self.survey.signals if s.header.role == "time" and not found[s.group]]
+            why = f"{', '.join(falling)} does not rise" if falling else "no column holds the time"
+            raise Unknown([Question("--rate", "", f"rows a second, since {why}")])
         return found
 
     def _clock(self, signal: Signal) -> Clock:
@@ -174,6 +177,9 @@ class _Draft:
         path = self.survey.recordings[0].files[signal.group]
         return signal.header.role or (headers.read(path.stem).role if several else "")
 
+    def _path(self) -> Path:
+        return next(iter(self.survey.recordings[0].files.values()))
+
     def _named(self, text: str, option: str) -> Signal:
         """Return the signal that the user means."""
         every = self.survey.signals
@@ -190,6 +196,12 @@ class _Draft:
 
     def _tracking(self) -> tuple[dict[str, list[Signal]], dict[str, list[Signal]]]:
         given = self.answers
+        if len(self.moving) < 2:
+            still = ", ".join(s.label for s in self.survey.signals if s.is_constant) or "none"
+            raise TrialError(
+                f"{self._path()}: a tracking rig needs a command and an output that move; moving: "
+                f"{', '.join(s.label for s in self.moving) or 'none'}, constant: {still}; name other recordings"
+            )
         command = [self._named(text, "--command") for text in given.command[:1]]
         measured = [self._named(text, "--measured") for text in given.measured]
         rest = [s for s in self.moving if s not in measured]

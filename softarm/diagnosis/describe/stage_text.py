@@ -63,8 +63,8 @@ def _head(survey: Survey, proposal: Proposal, name: str, run: str) -> Iterator[s
     if proposal.angles is not None:
         yield "# absolute: from the vertical; relative: from the link before."
         yield f"angles: {proposal.angles}"
-    elements = max(use.signal.elements for columns in proposal.channels.values() for use in columns.values())
-    if elements:
+    lists = [use.signal.elements for columns in proposal.channels.values() for use in columns.values()]
+    if elements := min(filter(None, lists), default=0):
         yield "# Cells hold lists: one mechanism for each element. Give them their names."
         yield "elements: {" + ", ".join(f"{scalar(f'{name}_{i + 1}')}: {i}" for i in range(elements)) + "}"
 
@@ -120,6 +120,7 @@ def _column(use: Use) -> str:
 
 def _model(proposal: Proposal) -> Iterator[str]:
     yield "# The nominal model: the values of your simulator. A key behind # has its default."
+    yield "# If your simulator has more, such as play or a resonance, add `effects:` (docs/reference/trials.md)."
     yield "model:"
     keys = MODEL_KEYS[proposal.kind]
     width = max(len(key.name) for key in keys) + 12

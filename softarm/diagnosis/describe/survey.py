@@ -162,7 +162,7 @@ def _load(path: Path, form: TableForm) -> tuple[list[_File], TableForm]:
             table = table_files.load(path, form.model_copy(update={"skip": skip}))
         except TrialError as error:
             first = first if first.args else error
-            if path.suffix.lower() not in table_files.TEXT:
+            if path.suffix.lower() not in table_files.TEXT or " cells, " not in str(error):
                 break
             continue
         form = form.model_copy(update={"skip": skip})
@@ -190,15 +190,17 @@ def _of_matlab(path: Path, variables: Mapping[str, Any]) -> Iterator[_File]:
             cells[source] = values
         else:
             plain |= _rows(source, values)
-    if plain:
-        yield _File(path, plain, None, False)
+    # Signals of one length share a clock.
+    for rows in dict.fromkeys(map(len, plain.values())):
+        if len(own := {key: values for key, values in plain.items() if len(values) == rows}) > 1:
+            yield _File(path, own, None, False)
     # Y_id and Time_id are one recording; their segments replace {segment} in Y_{segment}.
     ends = {name: name.rpartition("_")[2] for name in cells}
     for end in dict.fromkeys(ends.values()):
-        own = {name: values for name, values in cells.items() if ends[name] == end}
-        for i in range(min(map(len, own.values()))):
+        parts = {name: values for name, values in cells.items() if ends[name] == end}
+        for i in range(min(map(len, parts.values()))):
             found: dict[Key, Any] = {}
-            for name, values in own.items():
+            for name, values in parts.items():
                 found |= _rows(f"{name.removesuffix(end)}{{segment}}", np.squeeze(values[i]))
             yield _File(path, found, f"{end}[{i}]", False)
 
@@ -239,8 +241,10 @@ def _is_numeric(raw: Any, comma: bool) -> bool:
         good = sum(table_files.number(cell, comma) is not None or instants.instant(cell) is not None for cell in raw)
         return good >= NUMBERS_LEAST * len(raw)
     if raw.dtype == object:
-        return isinstance(raw[0], list | np.ndarray) and len(raw[0]) > 0 and np.asarray(raw[0]).dtype.kind in "fiu"
-    return raw.dtype.kind in "fiuM"
+        if not all(isinstance(each, list | np.ndarray) for each in raw) or len({len(each) for each in raw}) > 1:
+            return False
+        return len(raw[0]) > 0 and np.asarray(list(raw)).dtype.kind in "fiu"
+    return raw.dtype.kind in "fiubM"
 
 
 def _groups(files: Sequence[_File]) -> list[list[_File]]:

@@ -73,6 +73,21 @@ def test_a_table_without_time_needs_its_rate(table, servo):
     assert (clock.source, clock.scale, clock.unit) == ("rows", 0.02, "s")
 
 
+def test_a_clock_that_falls_is_named(table, servo):
+    t, u, y = servo
+    with pytest.raises(Unknown) as caught:
+        proposal(table("run.csv", "t,cmd_deg,pos_deg", -t, u, y))
+    assert caught.value.questions[0].text == "rows a second, since t does not rise"
+
+
+def test_recordings_without_motion_are_refused(table, servo):
+    t, u, _ = servo
+    with pytest.raises(
+        TrialError, match="needs a command and an output that move; moving: cmd_deg, constant: pos_deg;"
+    ):
+        proposal(table("run.csv", "t,cmd_deg,pos_deg", t, u, 0 * t), kind="tracking")
+
+
 def test_units_that_no_header_has_are_asked_for_with_a_guess(table, servo):
     t, u, y = servo
     path = table("run.csv", "t,cmd_angle,angle", t, u, y)

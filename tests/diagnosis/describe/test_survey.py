@@ -131,6 +131,24 @@ def test_matlab_cells_become_segments_and_rows_become_signals(tmp_path, servo):
     assert labels(found) == ["Time_{segment}", "Y_{segment}#0", "Y_{segment}#1"]
 
 
+def test_matlab_signals_of_one_length_share_a_clock(tmp_path, servo):
+    io = pytest.importorskip("scipy.io")
+    t, u, y = servo
+    io.savemat(tmp_path / "run.mat", {"t": t, "cmd": u, "t2": t[::2], "pos": y[::2], "alone": np.arange(70.0)})
+    assert [(s.label, s.group) for s in survey([tmp_path]).signals] == [("t", 0), ("cmd", 0), ("t2", 1), ("pos", 1)]
+
+
+def test_two_columns_of_one_name_are_refused(table, servo):
+    with pytest.raises(TrialError, match="two columns are called a; rename one"):
+        survey([table("run.csv", "t,a,a", *servo)])
+
+
+def test_lists_of_different_lengths_are_no_signal(tmp_path):
+    rows = "".join(f'{k / 50},{k % 7},"{[k] * (1 + k % 2)}"\n' for k in range(50))
+    (tmp_path / "run.csv").write_text("t,u,lists\n" + rows)
+    assert labels(survey([tmp_path])) == ["t", "u"]
+
+
 def test_parquet_dates_lists_and_gaps_are_read(tmp_path, servo):
     pa = pytest.importorskip("pyarrow")
     from pyarrow import parquet
