@@ -46,6 +46,7 @@ def test_lockstep_playback_is_recorded_and_ends_disarmed(config):
     assert [outputs.mode for outputs in log.outputs()][-1] != "armed"
 
 
+# Over 3 s: lead-in and excitation in real time.
 @pytest.mark.realtime
 def test_live_playback_arms_and_plays(config):
     status, path = play(config, "short", simulated_devices(), lambda time_s: None)

@@ -5,6 +5,7 @@ import pytest
 from validation import dead_daemon
 
 
+# Over 3 s: one case with daemon, rail process and twin in real time.
 @pytest.mark.slow
 @pytest.mark.realtime
 @pytest.mark.timeout(170)

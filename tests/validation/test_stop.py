@@ -5,6 +5,7 @@ import pytest
 from validation import stop
 
 
+# Over 3 s: the crowd of clients takes seconds to connect.
 @pytest.mark.slow
 @pytest.mark.realtime
 @pytest.mark.timeout(170)

@@ -10,9 +10,10 @@ import pytest
 from softarm.schemas.goals import Goal, GoalStatus
 from softarm.schemas.rest import GoalAnswer
 from tests.cli.invoke import invoke
-from tests.processes import running, said
+from tests.processes import running, said, until
 
 ROOT = Path(__file__).parents[3]
+READY = '"arming_refusals": []'
 
 
 def run(state, number=3, **more):
@@ -77,6 +78,7 @@ def test_the_documented_policy_flies_from_the_command_line(install, tmp_path, mo
         def printed(*arguments):
             return invoke(*arguments).output
 
+        until(lambda: (status := invoke("status", "--json")).exit_code == 0 and READY in status.output)
         assert printed("arm") == "armed\n"
         listed = printed("policy", "list")
         assert "* wave          sweeps the cart to and fro  (needs no target: `softarm goal run`)" in listed

@@ -20,6 +20,7 @@ def write(path, text):
     return path
 
 
+# Over 3 s: a whole run from start to finished log, as a process of its own.
 @pytest.mark.realtime
 def test_a_simulated_run_arms_swings_and_ends_cleanly(tmp_path):
     config = write(tmp_path / "c.yaml", f"api: {{port: 0}}\nrecorder: {{directory: {tmp_path}}}\n")

@@ -91,6 +91,7 @@ def test_a_fault_without_a_daemon_is_refused(tmp_path: Path) -> None:
     assert "no daemon listens there; start `softarm run`" in answer.output
 
 
+# Over 3 s: `twin fault` waits 2 s for a twin that has ended.
 @pytest.mark.realtime
 @pytest.mark.timeout(120)
 def test_faults_change_at_run_time_and_ctrl_c_reports_the_state(tmp_path: Path) -> None:

@@ -17,6 +17,7 @@ def greyed(page) -> bool:
     )
 
 
+# Over 3 s: two daemons, one after the other.
 def test_a_lost_daemon_is_reported_and_reconnected(tmp_path, browser, opened, started, asking):
     with started(tmp_path) as first:
         port = first.port

@@ -15,6 +15,7 @@ FLOWN = [
 ]
 
 
+# Over 3 s: one cell flies with all processes in real time.
 @pytest.mark.slow
 @pytest.mark.realtime
 @pytest.mark.timeout(170)
