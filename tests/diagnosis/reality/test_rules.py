@@ -6,6 +6,7 @@ import pytest
 
 from softarm.diagnosis.blind import methods, run
 from softarm.diagnosis.engine.search import EFFECTS_MAX
+from softarm.reality.parameters import RobotParameters
 from softarm.schemas.model import Model
 from softarm.schemas.verdict import Verdict
 from softarm.simulator.effects import REGISTRY, validate
@@ -42,7 +43,7 @@ def test_the_largest_gain_is_one_effect_at_most(asked):
     """The rule knows no tolerance, so a difference between two valid simulators may gain, too."""
     (effect,) = asked("largest-gain", DEAD_TIME_S).effects
     assert effect.name == "pressure.dead_time"
-    assert effect.parameters["delay"].value == pytest.approx(DEAD_TIME_S, abs=0.005)
+    assert effect.parameters["delay"].value == pytest.approx(DEAD_TIME_S + RobotParameters().regulator.tube_s, abs=0.005)
     assert len(asked("largest-gain", 0.0).effects) <= 1
 
 
