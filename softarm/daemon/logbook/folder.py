@@ -91,7 +91,7 @@ def finish_left(directory: Path, own: Path, pause: Callable[[], None]) -> None:
     """Finish the interrupted logs until `pause` raises an exception."""
     for path in sorted(directory.glob("*.mcap")):
         try:
-            if path != own and not mcap_file.is_finished(path):
+            if path != own and path.is_file() and not mcap_file.is_finished(path):  # a pipe would wait for its writer
                 log.info("finishing an interrupted log: %s", finishing.recover(path, pause).ending)
         except (OSError, mcap_file.LogError) as error:  # an old log must not disturb the new one
             log.warning("an interrupted log cannot be finished and stays unchanged: %s: %s", path, error)

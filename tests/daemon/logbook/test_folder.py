@@ -1,10 +1,10 @@
-"""Deletion of the recorder's oldest logs and of no other file."""
+"""Old logs of the folder: deletion of the oldest, and finishing of interrupted ones."""
 
 import os
 
 import pytest
 
-from softarm.daemon.logbook.folder import delete_oldest
+from softarm.daemon.logbook.folder import delete_oldest, finish_left
 from softarm.recordings import finishing
 from softarm.schemas.config import Recorder
 
@@ -63,3 +63,9 @@ def test_a_file_that_a_person_has_named_is_never_touched(directory):
     assert days(directory, keep_mb=2, keep_days=0.5) == [5]
     assert (directory / "best-flight.mcap").exists()
     assert (directory / "softarm-notes.mcap").exists()
+
+
+def test_a_pipe_among_the_logs_does_not_hold_up_the_recorder(tmp_path):
+    os.mkfifo(tmp_path / "pipe.mcap")
+    finish_left(tmp_path, tmp_path / "own.mcap", lambda: None)
+    assert (tmp_path / "pipe.mcap").is_fifo()
