@@ -40,13 +40,14 @@ types:
 imports:
 	$(BIN)/lint-imports
 
-# Tests that assert deadlines run last and alone, since two busy cores keep none. A module's fixtures are made once.
+# Tests that assert deadlines run last and alone, since two busy cores keep none. A module's fixtures are made once. Three
+# processes, since a third of the time is spent waiting for daemons and browsers.
 unit:
-	$(BIN)/pytest -n 2 --dist loadscope -m 'not realtime and not prove' $(COVER)
+	$(BIN)/pytest -n 3 --dist loadscope -m 'not realtime and not prove' $(COVER)
 	$(BIN)/pytest -m 'realtime and not prove' $(if $(COVER),$(COVER) --cov-append)
 
 unit-quick:
-	$(BIN)/pytest -n 2 --dist loadscope -m 'not realtime and not slow and not prove'
+	$(BIN)/pytest -n 3 --dist loadscope -m 'not realtime and not slow and not prove'
 
 # Share of the lines that the tests run, package by package.
 coverage: .venv/.installed-dev
