@@ -3,6 +3,8 @@
 PYTHON ?= python3
 BIN := .venv/bin
 SHELL := /bin/sh
+# Tests start many Python processes; each would compile every module again.
+unexport PYTHONDONTWRITEBYTECODE
 
 .PHONY: install demo test quick lint types imports unit unit-quick coverage docs prove release clean
 
