@@ -4,9 +4,12 @@ import multiprocessing
 import os
 from collections.abc import Callable
 from multiprocessing.connection import Connection
+from multiprocessing.sharedctypes import Synchronized
 from pathlib import Path
 
 from softarm.evaluation.soak import lockstep, realtime
+
+POLL_S = 1.0
 
 
 def soak(
@@ -26,12 +29,14 @@ def soak(
         return None, lockstep.soak(days, seed, policy, lambda share: on_progress("in lockstep", share))
     context = multiprocessing.get_context("spawn")
     receiver, sender = context.Pipe(duplex=False)
-    stepping = context.Process(target=_step, args=(days, seed, policy, sender), daemon=True)
+    stepped_share = context.Value("d", 0.0)
+    stepping = context.Process(target=_step, args=(days, seed, policy, sender, stepped_share), daemon=True)
     stepping.start()
     sender.close()
     try:
         real = realtime.soak(hours, seed, logs, on_progress)
-        on_progress("waiting for lockstep", 1.0)
+        while not receiver.poll(POLL_S):
+            on_progress("in lockstep", stepped_share.value)
         stepped = receiver.recv()
     finally:
         stepping.kill()
@@ -41,9 +46,12 @@ def soak(
     return real, stepped
 
 
-def _step(days: float, seed: int, policy: str, sender: Connection) -> None:
+def _step(days: float, seed: int, policy: str, sender: Connection, done: "Synchronized[float]") -> None:
+    def progress(share: float) -> None:
+        done.value = share
+
     os.nice(19)
     try:
-        sender.send(lockstep.soak(days, seed, policy, lambda share: None))
+        sender.send(lockstep.soak(days, seed, policy, progress))
     except Exception as error:
         sender.send(error)

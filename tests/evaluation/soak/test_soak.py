@@ -6,7 +6,7 @@ import pytest
 from click.testing import CliRunner
 
 from softarm.cli.main import main
-from softarm.evaluation.soak import lockstep, page, realtime
+from softarm.evaluation.soak import both, lockstep, page, realtime
 from softarm.evaluation.soak.script import Unexpected
 from softarm.evaluation.soak.slopes import Slope
 from softarm.policies.hold import Hold
@@ -32,6 +32,18 @@ def test_a_minute_in_lockstep_flies_goals_without_a_stop(minute):
     assert len(minute.samples) == 30
     assert minute.samples[-1].day == pytest.approx(MINUTE, rel=0.01)
     assert minute.slopes.keys() == lockstep.ALLOWED.keys()
+
+
+@pytest.mark.slow
+def test_after_the_real_time_the_share_of_lockstep_is_shown(tmp_path, monkeypatch):
+    monkeypatch.setattr(both.realtime, "soak", lambda *_: None)
+    monkeypatch.setattr(both, "POLL_S", 0.01)
+    seen = []
+    _, stepped = both.soak(1.0, MINUTE / 4, 0, "pid", tmp_path, lambda doing, share: seen.append((doing, share)))
+    assert stepped.counts
+    assert {doing for doing, _ in seen} == {"in lockstep"}
+    assert 0 < max(share for _, share in seen) <= 1
+    assert seen == sorted(seen)
 
 
 def test_an_unrequested_stop_is_reported(monkeypatch):
