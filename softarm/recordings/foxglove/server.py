@@ -80,10 +80,12 @@ def serve(host: str, port: int, source: BinaryIO) -> None:
         for record in mcap_file.stream(source, RECORD_MAX):
             relay.take(record)
             if server is None and relay.is_complete:
-                server = foxglove.start_server(name=NAME, host=host, port=port, capabilities=[], context=context)
+                try:
+                    server = foxglove.start_server(name=NAME, host=host, port=port, capabilities=[], context=context)
+                except Exception as error:  # the SDK passes on errors of the operating system
+                    _say(f"cannot be served at {host}:{port} ({error}); choose another port")
+                    return
                 _say(str(server.port))
-    except RuntimeError as error:  # the SDK's error, raised by its start
-        _say(f"cannot be served at {host}:{port} ({error}); choose another port")
     finally:
         if server is not None:
             server.stop()
