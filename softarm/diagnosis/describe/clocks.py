@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from itertools import takewhile
 
 import numpy as np
 
@@ -10,7 +9,7 @@ from softarm.common.quantity import factor
 from softarm.diagnosis.data import checks, table_files
 from softarm.diagnosis.data.table_checks import STEP_LIKELY_S, STEP_MIN_S, time_unit
 from softarm.diagnosis.data.trials import Array, TrialError
-from softarm.diagnosis.describe.survey import Signal, Survey
+from softarm.diagnosis.describe.survey import Signal, Survey, common_start
 
 # Share of a clock's steps that do not fall; a few rows may be out of order.
 RISING = 0.9
@@ -85,7 +84,7 @@ def _gaps(stamps: Sequence[Array], step_s: float) -> int:
 def _nearest(times: Sequence[Signal], signal: Signal) -> Signal:
     """Time column whose name has most in common with a signal's: `Theta1.time` for `Theta1.signals`."""
     same = [each for each in times if [len(v) for v in each.values] == [len(v) for v in signal.values]] or times
-    return max(same, key=lambda each: sum(1 for _ in takewhile(lambda ab: ab[0] == ab[1], _pairs(each, signal))))
+    return max(same, key=lambda each: len(common_start((str(each.source), str(signal.source)))))
 
 
 def lead(one: Signal, other: Signal, clocks: Mapping[int, Clock]) -> tuple[float, float]:
@@ -109,10 +108,6 @@ def _resampled(at: Array, stamps: Array, values: Array) -> Array:
     good = np.isfinite(stamps) & np.isfinite(values)
     found = np.interp(at, stamps[good], values[good])
     return np.asarray(found - found.mean())
-
-
-def _pairs(one: Signal, other: Signal) -> "zip[tuple[str, str]]":
-    return zip(str(one.source), str(other.source), strict=False)
 
 
 def _rises(signal: Signal) -> bool:

@@ -10,7 +10,10 @@ _PLACES = ("m", "rad", "counts")
 
 
 def guess(
-    signals: Sequence[Signal], standard: Callable[[Signal], str], role: Callable[[Signal], str], is_led: bool
+    signals: Sequence[Signal],
+    standard: Callable[[Signal], str],
+    role: Callable[[Signal], str],
+    is_led: Callable[[], bool],
 ) -> tuple[StageKind, str, bool]:
     """Return the likeliest kind of mechanism, the reason, and whether there is no doubt.
 
@@ -18,7 +21,7 @@ def guess(
         signals: columns that move, without time.
         standard: the standard unit of a signal, maybe empty.
         role: the role of a signal: command, measured or empty.
-        is_led: whether one signal leads the others.
+        is_led: returns whether one signal leads the others; called where it decides.
     """
     found = {s.label: standard(s) for s in signals}
     commands = [s for s in signals if role(s) == "command" and found[s.label] not in ("N", "N m", "A")]
@@ -41,7 +44,7 @@ def guess(
         return "driven_mass", f"{push.label} moves {place.label}", False
     if angles and not commands and all(found[s.label] in ("rad", "rad/s") for s in signals):
         one = len(angles) == 1
-        return "tracking" if is_led and not one else "pendulum", "only angles move", one
+        return "tracking" if not one and is_led() else "pendulum", "only angles move", one
     if len(commands) == 1 and len(others) == 1 and role(others[0]) == "measured":
         return "tracking", f"{commands[0].label} is commanded, {others[0].label} is measured", True
     return "tracking", "the headers do not show it", False

@@ -164,7 +164,7 @@ class _Draft:
     def _kind(self) -> tuple[StageKind, str]:
         if self.answers.kind is not None:
             return self.answers.kind, "as given"
-        kind, why, sure = guess(self.moving, self.standard, self._role, any(map(self._leads, self.moving)))
+        kind, why, sure = guess(self.moving, self.standard, self._role, lambda: any(map(self._leads, self.moving)))
         if not sure and self.answers.command and self.answers.measured:
             sure = kind == "tracking"
         if not sure:

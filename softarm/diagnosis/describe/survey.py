@@ -283,15 +283,16 @@ def _by_folder(group: Sequence[_File]) -> dict[str, _File]:
 def _by_name(group: Sequence[_File]) -> dict[str, _File]:
     """Files by the part of their names that differs."""
     stems = [file.path.stem for file in group]
-    lead = len(_common(stems))
-    trail = len(_common([stem[lead:][::-1] for stem in stems]))
+    lead = len(common_start(stems))
+    trail = len(common_start([stem[lead:][::-1] for stem in stems]))
     return {
         f"{file.path.parent.as_posix()}/{stem[lead : len(stem) - trail]}": file
         for stem, file in zip(stems, group, strict=True)
     }
 
 
-def _common(texts: Sequence[str]) -> str:
+def common_start(texts: Sequence[str]) -> str:
+    """Return the text with which all texts begin."""
     low, high = min(texts), max(texts)
     return low[: next((i for i, (a, b) in enumerate(zip(low, high, strict=False)) if a != b), len(low))]
 
@@ -323,7 +324,7 @@ def _name(files: Mapping[int, _File], paired: bool) -> str:
     if not paired:
         return path.stem
     names = [file.path.stem for file in files.values()]
-    common = _common(names)
+    common = common_start(names)
     return common.rstrip("_-. ") or path.parent.name if common.endswith(("_", "-", ".", " ")) else path.parent.name
 
 
