@@ -69,9 +69,11 @@ def calibrated(
         )
     values, *folds = (_values(scales, found.resolved, shares) for shares in (found.shares, *found.folds))
     ordered = sorted(parameters, key=lambda each: (-each.shrink, each.name))
-    residuals = setup.residuals(plain, replace(fit, nuisance=found.shares)) if parameters else []
-    by_stage = {view.stage: each for view, each in zip(setup.views, residuals, strict=bool(parameters))}
-    return Calibrated(tuple(ordered), left, by_stage, values, tuple(folds))
+    residuals: dict[str, NDArray[np.float32]] = {}
+    if parameters:
+        each_view = setup.residuals(plain, replace(fit, nuisance=found.shares))
+        residuals = {view.stage: each for view, each in zip(setup.views, each_view, strict=True)}
+    return Calibrated(tuple(ordered), left, residuals, values, tuple(folds))
 
 
 def _takes(

@@ -28,7 +28,7 @@ def overlays(
     calibrated: Gap | None,
     channels: Sequence[int] | None = None,
 ) -> tuple[Overlay, ...]:
-    """Return measured, nominal and patched and calibrated signals of every trial.
+    """Return measured, nominal, patched and calibrated signals of every trial.
 
     Args:
         view: stage to show.

@@ -127,9 +127,9 @@ def plain(diagnosis: Diagnosis, effect: NamedEffect) -> str:
     if relation(diagnosis, effect).startswith("in the "):
         return f"the simulator has {of.name}, the robot has not"
     declared = {parameter.name: parameter for parameter in of.parameters}
-    sizes_ = {name: _plain_size(each, declared.get(name)) for name, each in effect.parameters.items()}
+    shown = {name: _plain_size(each, declared.get(name)) for name, each in effect.parameters.items()}
     try:
-        text = of.plain.format(stage=effect.name.rpartition(".")[0], **sizes_)
+        text = of.plain.format(stage=effect.name.rpartition(".")[0], **shown)
     except KeyError:  # a parameter stays neutral
         text = of.meaning
     return f"either {text}, or {listed(effect.equivalents, 'or')} looks the same" if effect.equivalents else text
