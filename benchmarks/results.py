@@ -5,7 +5,8 @@
 
 Each measurement has one file in benchmarks/results/. Its entry `about` holds the revision, the machine, the date, the
 command and the paths that the figures depend on; `transcribed` marks figures copied from a page, whose revision is the
-commit that last changed the page's table. `python -m tools.render` fills the tables of docs/ from these files.
+commit that last changed the page's table. A command that ends with `(removed; last in revision ...)` cannot be repeated
+here; its result counts as current. `python -m tools.render` fills the tables of docs/ from these files.
 """
 
 import json
@@ -56,7 +57,7 @@ DEPENDS: Mapping[str, tuple[str, ...]] = {
     "bridging": (*_FLIGHTS, "softarm/reality", "benchmarks/bridging.py"),
     "chained": (*_FLIGHTS, "softarm/reality", "validation/chained.py", "validation/outside"),
     "dead": (*_WIRES, "validation/dead_daemon.py"),
-    "diagnosis": (*_DIAGNOSIS, "benchmarks/diagnosis.py"),
+    "diagnosis": _DIAGNOSIS,
     "differ": (*_FLIGHTS, "softarm/reality"),
     "faults": (*_FLIGHTS, "softarm/reality", "validation/faults.py"),
     "first": ("softarm/cli", "softarm/evaluation", "pyproject.toml", "tools/first_use.py"),
@@ -167,7 +168,7 @@ def main(check: bool) -> None:
     for file in sorted(FOLDER.glob("*.json")):
         about = read(file.stem)["about"]
         behind = age(about)
-        stale += behind > 0
+        stale += behind > 0 and "(removed;" not in about["command"]
         table.add_row(file.stem, about["date"][:10], about["revision"][:8], str(behind or "-"), about["command"])
     Console(width=None if sys.stdout.isatty() else 200).print(table)
     click.echo(f"{stale} results are older than their code" if stale else "every result is as new as its code")

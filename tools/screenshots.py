@@ -18,19 +18,23 @@ import click
 import httpx
 from playwright.sync_api import Browser, Page
 
-from benchmarks import diagnosis as campaign
 from softarm.daemon.assembly import Daemon
 from softarm.daemon.runtime.devices import Devices, simulated_devices
 from softarm.diagnosis.data.read import read_all
 from softarm.diagnosis.diagnose import diagnose
 from softarm.diagnosis.report import page as page_of_report
 from softarm.drivers.base import MocapSource
+from softarm.evaluation.robots import with_faults
+from softarm.reality.parameters import RobotParameters
+from softarm.reality.record import record
 from softarm.schemas.config import Config
+from softarm.schemas.excitation import EXCITATIONS
 from softarm.schemas.model import Model
 from tools import chromium
 
 TARGETS = ((-0.3, 0.6), (-0.12, 0.68), (-0.34, 0.65), (-0.05, 0.58), (-0.26, 0.64))
 BETWEEN_S = 2.2
+FAULTS, RECORDED = ("regulator.dead_time_s=0.06", "arm.payload_kg=0.03"), ("seed", "free-decay", "rail-steps", "both")
 DESK, PHONE = {"width": 1280, "height": 900}, {"width": 390, "height": 844}
 # A browser makes a small machine skip ticks, which must not stop a simulated arm.
 TOLERANT = {"missed_ticks_max": 30, "policy_budget_s": 0.03} | dict.fromkeys(
@@ -127,9 +131,13 @@ def _refused(browser: Browser, out: Path) -> None:
 
 def _report(browser: Browser, out: Path) -> None:
     """Take pictures of the report of `softarm diagnose --report` for a robot with two faults."""
+    robot = with_faults(RobotParameters(), FAULTS)
     with tempfile.TemporaryDirectory() as folder:
+        for kind in RECORDED:
+            flown = EXCITATIONS[kind]
+            record(flown.at, Path(folder) / kind, flown.duration_s, robot, kind=kind, held=not flown.moves_rail)
         file = Path(folder) / "report.html"
-        page_of_report.write(diagnose(read_all([campaign.make_campaign(Path(folder))]), Model()), file)
+        page_of_report.write(diagnose(read_all([Path(folder)]), Model()), file)
         page = browser.new_context(viewport={"width": 1100, "height": 760}).new_page()
         page.goto(file.as_uri())
         chromium.keep(page, out / "report.png")

@@ -36,7 +36,7 @@ OPEN = {
 
 @dataclass(frozen=True)
 class RetrainingConfig:
-    """Recipe of a retraining; `python -m benchmarks.retraining` compares several on the validation set."""
+    """Recipe of a retraining; docs/evidence/close-gap.md compares several on the validation set."""
 
     frames: int = 2_000_000
     frames_min: int = 200_000  # fewer than a tenth of the recipe change the policy too little to compare it
