@@ -46,8 +46,8 @@ class FileError(Exception):
         super().__init__("\n".join(self.problems))
 
 
-class Finding(NamedTuple):
-    """Error at a place of a file. Its sentence is built on demand, since hints need a search."""
+class Mistake(NamedTuple):
+    """Mistake at a place of a file. Its sentence is built on demand, since hints need a search."""
 
     place: Place
     line: int
@@ -60,7 +60,7 @@ class Document(NamedTuple):
     path: Path
     data: Any
     lines: dict[Place, int]  # from 1
-    findings: list[Finding]  # errors of YAML itself; such a value is None
+    mistakes: list[Mistake]  # errors of YAML itself; such a value is None
 
     def line(self, place: Place) -> int:
         """Return the line of a place, or of its innermost parent in the file."""
@@ -116,11 +116,11 @@ def parse(text: str, path: Path) -> Document:
         raise FileError([f"{path}: not valid YAML: {what}; save it as plain text"]) from None
 
 
-def refuse(document: Document, findings: Iterable[Finding], rest: object = None) -> FileError:
-    """Return the error with the first ERRORS_MAX findings, in the file's order, and the number of the others."""
+def refuse(document: Document, mistakes: Iterable[Mistake], rest: object = None) -> FileError:
+    """Return the error with the first ERRORS_MAX mistakes, in the file's order, and the number of the others."""
     # One error per place.
     first: dict[tuple[int, Place], Callable[[], str]] = {}
-    found = sorted(findings, key=lambda each: each.line)
+    found = sorted(mistakes, key=lambda each: each.line)
     for place, line, say in found:
         first.setdefault((line, place), say)
     reported = []
@@ -290,7 +290,7 @@ class _Reader:
             event = next(self.events)
 
     def _find(self, event: Any, place: Place, text: str) -> None:
-        self.read.findings.append(Finding(place, event.start_mark.line + 1, partial(str, text)))
+        self.read.mistakes.append(Mistake(place, event.start_mark.line + 1, partial(str, text)))
 
     def _refuse(self, event: Any, what: str, instead: str = _CHECK) -> FileError:
         return FileError([f"{self.read.path}:{event.start_mark.line + 1}: not valid YAML: {what}; {instead}"])

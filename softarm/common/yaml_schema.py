@@ -11,7 +11,7 @@ from pydantic import BaseModel, ValidationError
 from softarm.common.keys import children, find, leaves
 from softarm.common.quantity import shown
 from softarm.common.words import nearest
-from softarm.common.yaml_lines import Document, FileError, Finding, Place, refuse
+from softarm.common.yaml_lines import Document, FileError, Mistake, Place, refuse
 
 M = TypeVar("M", bound=BaseModel)
 REST_TRIES = 3
@@ -38,19 +38,19 @@ def fit(
     if not isinstance(document.data, dict):
         names = ", ".join(key.name for key in children(schema))
         raise FileError([f"{document.path}:{document.line(())}: must hold keys; allowed: {names}"])
-    found = [Finding(place, document.line(place), say) for place, say in (more or {}).items()]
+    found = [Mistake(place, document.line(place), say) for place, say in (more or {}).items()]
     try:
         # In strict JSON a number must be a number (not "0.1", not yes), and a path is a text.
         rest: M | None = _validated(data := _filled(document.data, schema, ()), schema)
     except ValidationError as error:
         items = error.errors(include_url=False)
-        found += [each for item in items if (each := _finding(document, schema, item)).place not in (more or {})]
+        found += [each for item in items if (each := _mistake(document, schema, item)).place not in (more or {})]
         rest = _rest(document, data, schema)
     if rest is not None:
-        wrong = {".".join(map(str, each.place)) for each in (*document.findings, *found)}
+        wrong = {".".join(map(str, each.place)) for each in (*document.mistakes, *found)}
         found += [_said(document, text, ()) for text in rules(rest) if not any(name in text for name in wrong)]
-    if document.findings or found:
-        raise refuse(document, [*document.findings, *found], rest)
+    if document.mistakes or found:
+        raise refuse(document, [*document.mistakes, *found], rest)
     assert rest is not None
     return rest
 
@@ -91,20 +91,20 @@ def _filled(data: Any, schema: type[BaseModel], place: Place) -> Any:
     return {name: {} if name in empty else _filled(value, schema, (*place, name)) for name, value in data.items()}
 
 
-def _finding(document: Document, schema: type[BaseModel], item: Mapping[str, Any]) -> Finding:
+def _mistake(document: Document, schema: type[BaseModel], item: Mapping[str, Any]) -> Mistake:
     """Return a finding for an error of pydantic, at its line."""
     loc: Place = item["loc"]
     # Pydantic's location also contains the branches of a union.
     place = document.known(loc)
     if item["type"] == "value_error":
         return _said(document, str(item["ctx"]["error"]), place)
-    return Finding(place, document.line(place), partial(_explain, schema, place, item))
+    return Mistake(place, document.line(place), partial(_explain, schema, place, item))
 
 
-def _said(document: Document, text: str, otherwise: Place) -> Finding:
+def _said(document: Document, text: str, otherwise: Place) -> Mistake:
     """Return a finding at the first key that a sentence names, or at another place."""
     place = _named_in(text, document) or otherwise
-    return Finding(place, document.line(place), partial(str.removeprefix, text, f"{'.'.join(map(str, place))} "))
+    return Mistake(place, document.line(place), partial(str.removeprefix, text, f"{'.'.join(map(str, place))} "))
 
 
 def _explain(schema: type[BaseModel], place: Place, item: Mapping[str, Any]) -> str:

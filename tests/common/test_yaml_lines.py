@@ -55,7 +55,7 @@ def test_a_written_file_is_read_back(parser, data):
         patch.setattr(yaml_lines, "_FAST", getattr(yaml, parser))
         document = parse(yaml.safe_dump({"top": data}), FILE)
     assert document.data == {"top": data}
-    assert document.findings == []
+    assert document.mistakes == []
 
 
 def test_a_number_is_what_people_take_for_one():
@@ -176,7 +176,7 @@ def test_an_alias_bomb_is_an_error_after_so_many_values(text, monkeypatch):
 )
 def test_an_error_of_yaml_is_reported_with_the_others(text, found):
     document = parse(text, FILE)
-    assert [(each.place, each.line, each.say()) for each in document.findings] == found
+    assert [(each.place, each.line, each.say()) for each in document.mistakes] == found
 
 
 def test_names_of_keys_are_texts_as_they_were_written():

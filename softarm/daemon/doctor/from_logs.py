@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from softarm.common.finding import Finding, ok, problem, warning
-from softarm.daemon.limits.findings import EXCITATION, LimitRow, findings
+from softarm.daemon.limits.findings import EXCITATION, MeasuredLimit, findings
 from softarm.recordings import rail_motion
 from softarm.recordings.mcap_file import LogError
 from softarm.schemas.config import Config
@@ -20,7 +20,7 @@ class Shown:
     """Findings from the logs of a folder."""
 
     folder: Path
-    rows: tuple[LimitRow, ...] = ()  # empty if no log shows the rail
+    rows: tuple[MeasuredLimit, ...] = ()  # empty if no log shows the rail
 
 
 def look(folder: Path, logs: Sequence[LogEntry], config: Config) -> Shown:

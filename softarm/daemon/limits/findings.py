@@ -49,7 +49,7 @@ _TOLERANCES = {"latency_s": LATENCY_TOLERANCE_S, "drag_m_s": DRAG_TOLERANCE_M_S}
 
 
 @dataclass(frozen=True, slots=True)
-class LimitRow:
+class MeasuredLimit:
     """One limit of the rail: configured, measured and advised."""
 
     key: str  # in limits.rail
@@ -87,7 +87,7 @@ class RailFindings:
 
     config: Config
     measured: Measured
-    rows: tuple[LimitRow, ...]
+    rows: tuple[MeasuredLimit, ...]
 
     @property
     def pull_m_s2(self) -> float | None:
@@ -140,7 +140,7 @@ def findings(motions: Iterable[RailMotion], config: Config | None = None) -> Rai
     return RailFindings(config, measured, compared(measured, config))
 
 
-def compared(measured: Measured, config: Config) -> tuple[LimitRow, ...]:
+def compared(measured: Measured, config: Config) -> tuple[MeasuredLimit, ...]:
     """Return a row for each limit, in the order of the file."""
     latency = _row(config, "latency_s", measured.latency, measured.surely, measured.steps)
     braking = _row(config, "braking_m_s2", measured.braking, measured.braking, measured.brakings)
@@ -176,14 +176,14 @@ def _stops_anyway(config: Config, measured: Measured, counted_on_m_s2: float) ->
     )
 
 
-def _row(config: Config, key: str, bound: Bound | None, surely: Bound | None, count: int) -> LimitRow:
+def _row(config: Config, key: str, bound: Bound | None, surely: Bound | None, count: int) -> MeasuredLimit:
     """Compare one limit; `surely` is a bound that favours the configuration and decides alone."""
     configured, kind = float(getattr(config.limits.rail, key)), _KINDS[key]
     if bound is None or surely is None:
         why = (
             f"only {count} {kind.events} recorded, {COUNT_MIN} required: record more with `softarm excite {EXCITATION}`"
         )
-        return LimitRow(key, configured, None, configured, why)
+        return MeasuredLimit(key, configured, None, configured, why)
     worst = kind.says.format(f"{bound.value:.3g} {kind.unit}")
     why = (
         f"{math.floor(100 * bound.share + 1e-9)}% of {kind.events} {worst}, {SURE:.0%} sure "
@@ -192,11 +192,11 @@ def _row(config: Config, key: str, bound: Bound | None, surely: Bound | None, co
     tolerance = _TOLERANCES.get(key, TOLERANCE * configured)
     beyond = configured - surely.value if kind.least else surely.value - configured
     if beyond <= tolerance:
-        return LimitRow(key, configured, bound, configured, why)
+        return MeasuredLimit(key, configured, bound, configured, why)
     advised, allowed = _rounded(key, bound.value), find(Config, ("limits", "rail", key))
     assert allowed is not None
     assert allowed.quantity is not None
-    return LimitRow(key, configured, bound, advised if allowed.quantity.takes(advised) else None, why)
+    return MeasuredLimit(key, configured, bound, advised if allowed.quantity.takes(advised) else None, why)
 
 
 def _rounded(key: str, value: float) -> float:

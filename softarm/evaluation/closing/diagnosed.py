@@ -4,7 +4,7 @@ import math
 from dataclasses import replace
 
 from softarm.common.keys import find
-from softarm.daemon.limits.findings import LATENCY_TOLERANCE_S, LimitRow, RailFindings
+from softarm.daemon.limits.findings import LATENCY_TOLERANCE_S, MeasuredLimit, RailFindings
 from softarm.schemas.config import Config
 from softarm.schemas.verdict import Verdict
 
@@ -20,7 +20,7 @@ def with_diagnosed(rail: RailFindings, verdict: Verdict) -> RailFindings:
     late_s = math.ceil(1e3 * max(named.value, named.high) - 1e-6) / 1e3
     reason = f"the diagnosis names rail.delay, {1e3 * named.value:.0f} ms, {1e3 * named.high:.0f} at most"
 
-    def row(old: LimitRow) -> LimitRow:
+    def row(old: MeasuredLimit) -> MeasuredLimit:
         if old.key != "latency_s" or old.bound is not None or late_s <= old.configured + LATENCY_TOLERANCE_S:
             return old
         allowed = find(Config, ("limits", "rail", "latency_s"))

@@ -10,7 +10,7 @@ from softarm.daemon.doctor import from_logs, models, running, settings
 from softarm.daemon.doctor.from_logs import Shown
 from softarm.daemon.doctor.models import Golden, Models
 from softarm.daemon.doctor.running import Running
-from softarm.daemon.limits.findings import LimitRow
+from softarm.daemon.limits.findings import MeasuredLimit
 from softarm.daemon.limits.measured import Bound
 from softarm.recordings.listing import listing
 from softarm.schemas.config import Config, Control, Policy
@@ -152,7 +152,7 @@ def test_a_golden_run_with_another_result_is_a_problem():
 
 
 def test_limits_less_strict_than_measured_are_problems():
-    row = LimitRow("latency_s", 0.033, Bound(0.06, 0.99, 0.05, 300, 60.0), 0.033, "act within 0.03 s")
+    row = MeasuredLimit("latency_s", 0.033, Bound(0.06, 0.99, 0.05, 300, 60.0), 0.033, "act within 0.03 s")
     unknown = replace(row, bound=None, why="only 3 were seen")
     states = [each.state for each in from_logs.judge(Shown(DATA, (row, replace(row, advised=0.06), unknown)))]
     assert states == [State.OK, State.PROBLEM, State.WARNING]
