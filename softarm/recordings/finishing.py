@@ -17,8 +17,8 @@ from softarm.recordings.log_file import LogFile
 NEVER: Callable[[], None] = lambda: None  # noqa: E731
 
 
-def finish(path: Path, pause: Callable[[], None] = NEVER) -> int:
-    """Rewrite a log in place, compressed and with an index, and return its number of messages.
+def finish(path: Path, pause: Callable[[], None] = NEVER) -> None:
+    """Rewrite a log in place, compressed and with an index.
 
     The replacement is atomic. A file without a complete message is left alone.
 
@@ -33,9 +33,9 @@ def finish(path: Path, pause: Callable[[], None] = NEVER) -> int:
     for stale in path.parent.glob(f".{glob.escape(path.name)}.*"):  # left by a kill during an earlier call
         stale.unlink()
     if next(mcap_file.messages(path), None) is None:
-        return 0
+        return
     with files.replacing(path) as draft:
-        return _copy(path, draft, pause)
+        _copy(path, draft, pause)
 
 
 def recover(path: Path | str, pause: Callable[[], None] = NEVER) -> LogFile:
@@ -75,13 +75,12 @@ def _lock(descriptor: int) -> bool:
     return True
 
 
-def _copy(path: Path, file: BinaryIO, pause: Callable[[], None]) -> int:
+def _copy(path: Path, file: BinaryIO, pause: Callable[[], None]) -> None:
     """Copy all complete records into a new, chunked file."""
     writer = Writer(file)
     writer.start(profile="", library=LIBRARY)
     schemas = {0: 0}  # channels without a schema
     copies: dict[int, int] = {}
-    messages = 0
     for record in mcap_file.records(path):
         if isinstance(record, Schema) and record.id not in schemas:
             schemas[record.id] = writer.register_schema(record.name, record.encoding, record.data)
@@ -92,7 +91,6 @@ def _copy(path: Path, file: BinaryIO, pause: Callable[[], None]) -> int:
         elif isinstance(record, Metadata):
             writer.add_metadata(record.name, record.metadata)
         elif isinstance(record, Message):
-            messages += 1
             writer.add_message(
                 copies[record.channel_id],
                 log_time=record.log_time,
@@ -102,4 +100,3 @@ def _copy(path: Path, file: BinaryIO, pause: Callable[[], None]) -> int:
             )
         pause()
     writer.finish()
-    return messages

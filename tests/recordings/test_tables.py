@@ -48,7 +48,7 @@ def test_a_row_contains_the_inputs_and_outputs_of_a_tick(log, ticks):
 
 def test_the_times_are_wall_clock_times(log, ticks):
     offset_ns = int(log.metadata["clock"]["wall_minus_monotonic_ns"])
-    first = next(iter(log.inputs())).t_ns + offset_ns
+    first = next(log.ticks())[0].t_ns + offset_ns
     assert ticks["time_utc"][0] == np.datetime64(first, "ns")
     assert str(ticks["time_utc"][0])[:10] == "2026-11-23"
 

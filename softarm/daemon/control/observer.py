@@ -46,7 +46,6 @@ class Observer:
         self.pressure: PressureReading | None = None
         self.rail: RailReading | None = None
         self.frames_in_a_row = 0  # good frames without a gap, for arming
-        self.frames_lost = 0  # by the bridge's sequence numbers
         self.alignment = Alignment()
         self.apart_m: float | None = None  # distance of axis and mocap at the last comparison
         self.disagreeing_ticks = 0  # in a row
@@ -140,8 +139,6 @@ class Observer:
         newest_ns = self._recent[-1].t_ns if self._recent else None
         axis_m = self.rail.position_m if self.rail is not None else None
         for frame in frames:
-            if self.newest is not None and frame.sequence > self.newest.sequence + 1:
-                self.frames_lost += frame.sequence - self.newest.sequence - 1
             self.newest = frame
             newer = newest_ns is None or frame.t_capture_ns > newest_ns
             if newer and is_usable(frame) and self.plausibility.accepts(frame, axis_m):

@@ -97,7 +97,7 @@ def finish_left(directory: Path, own: Path, pause: Callable[[], None]) -> None:
             log.warning("an interrupted log cannot be finished and stays unchanged: %s: %s", path, error)
 
 
-def delete_oldest(directory: Path, own: Path, settings: Recorder, now_s: float | None = None) -> list[Path]:
+def delete_oldest(directory: Path, own: Path, settings: Recorder, now_s: float | None = None) -> None:
     """Delete the recorder's oldest logs until the rest is within `keep_mb` and `keep_days`, if these are set.
 
     A log being written by this or another daemon is never deleted. Raises OSError.
@@ -113,7 +113,6 @@ def delete_oldest(directory: Path, own: Path, settings: Recorder, now_s: float |
     now_s = time.time() if now_s is None else now_s
     states = {path: path.stat() for path in sorted(directory.glob("*.mcap")) if OWN_NAME.fullmatch(path.name)}
     total_bytes = sum(state.st_size for state in states.values())
-    deleted = []
     for path, state in states.items():
         too_old = now_s - state.st_mtime > keep_s
         too_much = total_bytes > keep_bytes
@@ -121,6 +120,4 @@ def delete_oldest(directory: Path, own: Path, settings: Recorder, now_s: float |
             continue
         path.unlink()
         total_bytes -= state.st_size
-        deleted.append(path)
         log.info("deleted an old log: %s (recorder.keep_days, recorder.keep_mb)", path)
-    return deleted

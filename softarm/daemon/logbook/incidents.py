@@ -202,16 +202,13 @@ def content(directory: Path, name: str) -> bytes | None:
     return path.read_bytes() if NAME.fullmatch(name) and path.is_file() else None
 
 
-def delete_oldest(directory: Path, number_max: int, mb_max: int) -> list[Path]:
+def delete_oldest(directory: Path, number_max: int, mb_max: int) -> None:
     """Delete the oldest files beyond a number and total size, never the newest. Raises OSError."""
     paths = sorted((p for p in directory.glob("*.zip") if NAME.fullmatch(p.name)), key=lambda p: p.stat().st_mtime)
     total = sum(path.stat().st_size for path in paths)
-    deleted = []
     for place, path in enumerate(paths[:-1]):
         if len(paths) - place <= number_max and total <= mb_max * 1e6:
             break
         total -= path.stat().st_size
         path.unlink()
-        deleted.append(path)
         log.info("deleted an old incident file: %s (recorder.incidents_max, recorder.incidents_max_mb)", path)
-    return deleted

@@ -10,12 +10,10 @@ from softarm.daemon.logbook import ticks
 from softarm.daemon.logbook.changes import Changes
 from softarm.daemon.logbook.history import utc
 from softarm.recordings import mcap_file
-from softarm.recordings.channels import MOCAP
 from softarm.recordings.log_file import LogFile
 from softarm.recordings.mcap_file import LogError
 from softarm.schemas import log
 from softarm.schemas.events import Entry
-from softarm.schemas.messages import MocapFrame
 
 
 class TickLog(LogFile):
@@ -44,17 +42,9 @@ class TickLog(LogFile):
         """Return inputs and outputs of every tick, as `softarm.daemon.runtime.replay.replay` requires."""
         return ((inputs, outputs) for inputs, outputs, _ in self)
 
-    def inputs(self) -> Iterator[Inputs]:
-        """Return the exact inputs of every tick."""
-        return (inputs for inputs, _, _ in self)
-
     def outputs(self) -> Iterator[Outputs]:
         """Return the exact outputs of every tick."""
         return (outputs for _, outputs, _ in self)
-
-    def timings(self) -> Iterator[TickTiming]:
-        """Return the durations of every tick."""
-        return (timing for _, _, timing in self)
 
     def entries(self) -> Iterator[Entry]:
         """Yield the events, derived from the ticks if the log has none."""
@@ -68,10 +58,6 @@ class TickLog(LogFile):
             changes = Changes(lambda t_ns: utc(t_ns + offset))
             for inputs, outputs in self.ticks():
                 yield from (replace(entry, number=0) for entry in changes.take(inputs, outputs))
-
-    def frames(self) -> Iterator[MocapFrame]:
-        """Return every motion capture frame, also those after the last complete tick."""
-        return (MOCAP.decode(data) for topic, data in mcap_file.messages(self.path) if topic == log.MOCAP)
 
 
 def read(path: Path | str) -> TickLog:

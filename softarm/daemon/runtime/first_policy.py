@@ -2,7 +2,6 @@
 
 import threading
 import time
-from collections.abc import Callable
 
 from softarm.policies import trial
 from softarm.policies.base import Policy, PolicyError
@@ -24,7 +23,12 @@ def first_policy(config: Config, over: threading.Event, loading_s: float = LOADI
     answers: list[Policy | PolicyError] = []
 
     def load() -> None:
-        answers.append(_answer(lambda: trial.load(name, config.policies, min(trial.TRIAL_S, loading_s))))
+        try:
+            answers.append(trial.load(name, config.policies, min(trial.TRIAL_S, loading_s)))
+        except PolicyError as error:
+            answers.append(error)
+        except BaseException as error:  # including sys.exit() in a plug-in
+            answers.append(PolicyError(f"{type(error).__name__}: {error}"))
 
     loader = threading.Thread(target=load, name=f"loading {name}", daemon=True)
     loader.start()
@@ -39,12 +43,3 @@ def first_policy(config: Config, over: threading.Event, loading_s: float = LOADI
     if isinstance(answer, PolicyError):
         raise answer
     return answer
-
-
-def _answer(load: Callable[[], Policy]) -> Policy | PolicyError:
-    try:
-        return load()
-    except PolicyError as error:
-        return error
-    except BaseException as error:  # including sys.exit() in a plug-in
-        return PolicyError(f"{type(error).__name__}: {error}")

@@ -8,7 +8,6 @@ import gc
 import logging
 import threading
 import time
-from collections.abc import Callable
 from typing import Protocol
 
 from softarm.common import realtime
@@ -79,9 +78,7 @@ class ControlLoop:
         self._failed: str | None = None  # exception of the controller; the arm stays stopped after it
         self._failed_ns = 0
         self.snapshot: Outputs | None = None
-        self.timing: TickTiming | None = None
         self.problems = Problems()  # of the devices, in the newest tick
-        self.on_tick: Callable[[Outputs, TickTiming], None] | None = None  # for benchmarks
 
     def start(self) -> None:
         """Start the thread of the loop."""
@@ -133,7 +130,7 @@ class ControlLoop:
         written = time.monotonic_ns()
         newest = next((each.t_capture_ns for each in reversed(inputs.mocap) if each.t_capture_ns <= written), None)
         timing = TickTiming(read - now, decided - read, written - decided, written - newest if newest else None)
-        self.snapshot, self.timing, self.problems = outputs, timing, inputs.problems
+        self.snapshot, self.problems = outputs, inputs.problems
         if self._latch is not None:
             self._latch.note(None if outputs.estop is EStop.CLEAR else outputs.last_stop)
         for number, runner in runners.items():
@@ -145,8 +142,6 @@ class ControlLoop:
             self._recorder.tick(inputs, outputs, timing)
         if self._watchdog is not None and self._failed is None and not missed:
             self._watchdog.good_tick(written)
-        if self.on_tick is not None:
-            self.on_tick(outputs, timing)
         following = deadline_ns + (missed + 1) * self._period_ns
         if following - time.monotonic_ns() > COLLECT_SLACK_NS:
             self._collections += 1

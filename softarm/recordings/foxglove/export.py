@@ -31,8 +31,8 @@ def _hex(name: str) -> str:
     return "#" + "".join(f"{round(255 * part):02x}" for part in on_any_ground(name))
 
 
-def export(log: LogFile, target: Path, entries: Iterable[Entry], advance: Advance = lambda: None) -> int:
-    """Write a log for Foxglove and return the number of messages. The log itself is not changed.
+def export(log: LogFile, target: Path, entries: Iterable[Entry], advance: Advance = lambda: None) -> None:
+    """Write a log for Foxglove. The log itself is not changed.
 
     Args:
         log: The log.
@@ -81,7 +81,6 @@ def export(log: LogFile, target: Path, entries: Iterable[Entry], advance: Advanc
             for entry in entries:
                 put(changing.journal(entry))
         writer.finish()
-    return count
 
 
 def _register(writer: Writer, channel: converter.Channel) -> int:

@@ -185,17 +185,6 @@ def test_a_frame_without_cart_or_tip_is_not_used(bad):
     assert observer.newest.t_capture_ns == 33 * MS
 
 
-def test_lost_frames_are_counted_by_the_bridges_own_numbers():
-    observer = Observer(Config())
-    feed(observer, 0, frame(0, sequence=7))
-    feed(observer, 33, frame(8, sequence=8), frame(33, sequence=12))
-    assert observer.frames_lost == 3
-    feed(observer, 66, frame(66, sequence=14))
-    assert observer.frames_lost == 4
-    feed(observer, 99, frame(80, sequence=14), frame(99, sequence=3))  # sent twice; the bridge was started again
-    assert observer.frames_lost == 4
-
-
 def test_a_dropout_restarts_the_count_of_frames_for_arming():
     observer = Observer(Config())
     feed(observer, 33, frame(16), frame(24), frame(33))

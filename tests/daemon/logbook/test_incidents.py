@@ -140,7 +140,7 @@ def test_an_incident_has_earlier_readings_that_its_ticks_used(tmp_path):
     (path,) = files(tmp_path)
     with zipfile.ZipFile(path) as archive:
         archive.extract("log.mcap", tmp_path)
-    ticks = list(logs.read(tmp_path / "log.mcap").inputs())
+    ticks = [inputs for inputs, _ in logs.read(tmp_path / "log.mcap").ticks()]
     assert len(ticks) == pytest.approx(600, abs=2)
     assert {inputs.pressure.pressure_kpa for inputs in ticks} == {2.5}
 

@@ -10,7 +10,6 @@ import pytest
 
 from softarm.daemon.control.inbox import Inbox
 from softarm.daemon.control.records import EStop, Mode
-from softarm.daemon.logbook.recorder import Recorder
 from softarm.daemon.runtime import loop as control_loop
 from softarm.daemon.runtime.devices import Devices
 from softarm.daemon.runtime.loop import ControlLoop
@@ -49,9 +48,12 @@ class Watched:
 
 
 class Loop:
-    """Control loop on a simulated robot, with a method that waits for ticks."""
+    """Control loop on a simulated robot and its recorder, with a method that waits for ticks."""
 
-    def __init__(self, controller=None, recorder=None, **stop_errors):
+    problem: str | None = None  # of the recorder
+    dropped = 0
+
+    def __init__(self, controller=None, **stop_errors):
         robot = InProcessRobot(SimulatedBody(), time.monotonic_ns())
         parts = {name: Watched(getattr(robot, name), stop_errors.get(name)) for name in ("mocap", "regulator", "rail")}
         self.devices = Devices(**parts)
@@ -61,24 +63,23 @@ class Loop:
         self.before_tick = {}
         self._ticked = threading.Condition()
         self.loop = ControlLoop(
-            controller or Controller(Config(), InlineRunner(Hold())), self.devices, self.inbox, recorder, self
+            controller or Controller(Config(), InlineRunner(Hold())), self.devices, self.inbox, self, self
         )
-        self.loop.on_tick = self._on_tick
 
     def good_tick(self, _now_ns):
         self.good_ticks += 1
 
-    def _on_tick(self, outputs, timing):
+    def tick(self, inputs, outputs, timing):
         with self._ticked:
-            self.ticks.append((outputs, timing))
+            self.ticks.append(outputs)
             self._ticked.notify_all()
         if len(self.ticks) in self.before_tick:
             self.before_tick[len(self.ticks)]()
 
     def until(self, condition):
         with self._ticked:
-            assert self._ticked.wait_for(lambda: self.ticks and condition(self.ticks[-1][0]), WAIT_S)
-        return self.ticks[-1][0]
+            assert self._ticked.wait_for(lambda: self.ticks and condition(self.ticks[-1]), WAIT_S)
+        return self.ticks[-1]
 
     def __enter__(self):
         self.loop.start()
@@ -124,16 +125,16 @@ def test_the_loop_works_with_a_thousand_open_descriptors(many_descriptors):
 
 
 @pytest.mark.slow
-def test_while_the_recorder_cannot_write_arming_is_refused(tmp_path):
-    recorder = Recorder(Config(recorder={"directory": tmp_path}))
-    recorder.problem = "the log ends here: the disk is full"
-    with Loop(recorder=recorder) as loop:
+def test_while_the_recorder_cannot_write_arming_is_refused():
+    made = Loop()
+    made.problem = "the log ends here: the disk is full"
+    with made as loop:
         loop.until(lambda outputs: len(outputs.arming_refusals) == 1)
         number = loop.inbox.post("arm")
         outputs = loop.until(lambda outputs: any(r.number == number for r in outputs.results))
         assert outputs.mode is Mode.DISARMED
         assert "the disk is full" in outputs.results[-1].reasons[-1]
-        recorder.problem = None
+        loop.problem = None
         loop.until(lambda outputs: not outputs.arming_refusals)
 
 
@@ -142,11 +143,11 @@ def test_a_late_tick_skips_whole_periods_and_stays_on_its_grid():
     loop.before_tick[5] = lambda: time.sleep(0.08)  # a delay of the loop
     with loop:
         loop.until(lambda outputs: outputs.missed_total >= 1 and outputs.tick >= 10)
-    deadlines = [outputs.t_ns - outputs.late_ns for outputs, _ in loop.ticks]
+    deadlines = [outputs.t_ns - outputs.late_ns for outputs in loop.ticks]
     for earlier, later in itertools.pairwise(deadlines):
         periods = (later - earlier) / PERIOD_NS
         assert periods == pytest.approx(round(periods), abs=0.05 * round(periods))
-    assert [outputs.tick for outputs, _ in loop.ticks] == list(range(1, len(loop.ticks) + 1))
+    assert [outputs.tick for outputs in loop.ticks] == list(range(1, len(loop.ticks) + 1))
     assert loop.good_ticks < len(loop.ticks)  # the watchdog did not hear of the late one
 
 
@@ -169,7 +170,7 @@ def test_a_failed_tick_brakes_and_vents_and_the_loop_continues(caplog):
     assert controller.calls == 1  # its state is not to be trusted any more
     assert (outputs.mode, outputs.estop, outputs.sent) == (Mode.STOPPED, EStop.ENGAGED, SAFE)
     assert "ZeroDivisionError: a bug" in outputs.arming_refusals[0]
-    assert outputs.last_stop_ns == loop.ticks[0][0].t_ns < outputs.t_ns
+    assert outputs.last_stop_ns == loop.ticks[0].t_ns < outputs.t_ns
     assert set(loop.devices.rail.written) == {(False, 0.0)}
     assert loop.good_ticks == 0  # so that the service is restarted
     assert "the control loop failed" in caplog.text

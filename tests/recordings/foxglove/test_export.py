@@ -97,12 +97,12 @@ def protobuf_times(said):
 
 def test_every_time_is_wall_clock_time(converted, log):
     offset_ns = int(log.metadata["clock"]["wall_minus_monotonic_ns"])
-    ticks = [inputs.t_ns + offset_ns for inputs in log.inputs()]
+    ticks = [inputs.t_ns + offset_ns for inputs, _ in log.ticks()]
     assert (
         [at for at, _, _ in converted.messages["/tick"]] == ticks == [at for at, _, _ in converted.messages["/state"]]
     )
     assert f"{datetime.fromtimestamp(ticks[0] / 1e9, UTC):%Y-%m-%d}" == "2026-11-23"
-    taken = [frame.t_capture_ns + offset_ns for frame in log.frames()]
+    taken = [frame.t_capture_ns + offset_ns for inputs, _ in log.ticks() for frame in inputs.mocap]
     assert [at for _, at, _ in converted.messages["/tf"]] == taken
     stamps = [said["transforms"][0]["timestamp"] for said in converted["/tf"]]
     assert [stamp["sec"] * 10**9 + stamp["nsec"] for stamp in stamps] == taken

@@ -108,7 +108,7 @@ def test_scenes_are_sent_on_changes_and_contain_all_targets(converted):
 
 
 def test_the_trail_is_where_the_tip_was_in_the_last_second_and_a_half(converted, log):
-    seen = [(frame.t_capture_ns, frame.bodies[-1]) for frame in log.frames()]
+    seen = [(frame.t_capture_ns, frame.bodies[-1]) for inputs, _ in log.ticks() for frame in inputs.mocap]
     offset_ns = int(log.metadata["clock"]["wall_minus_monotonic_ns"])
     labels = converted.messages["/scene/trail"]
     assert np.diff([at for _, at, _ in labels]).min() >= 50_000_000
