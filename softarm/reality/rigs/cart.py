@@ -9,10 +9,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from softarm.reality.rigs.laws import GRAVITY_M_S2, Array, Bristles, Play, lanes_of, worn
+from softarm.reality.rigs.laws import GRAVITY_M_S2, Array, Bristles, Play, grown, lanes_of, worn
 
 # Share of the mass behind the spring.
 LOAD_SHARE = 0.35
+SPRING_ZETA = 0.05
 
 DEFAULTS: Mapping[str, float] = {
     "mass_kg": 1.0,
@@ -23,8 +24,6 @@ DEFAULTS: Mapping[str, float] = {
     "lag_s": 0.0,
     "friction_up_n": 0.0,
     "friction_down_n": 0.0,
-    "stiction": 1.0,
-    "stribeck_m_s": 1.0,
     "viscous_n_s_m": 0.0,
     "drag_n_s2_m2": 0.0,
     "slope_rad": 0.0,
@@ -32,7 +31,6 @@ DEFAULTS: Mapping[str, float] = {
     "force_n": 0.0,
     # Natural frequency of the load on its spring; 0: rigid.
     "spring_rad_s": 0.0,
-    "spring_zeta": 0.05,
     # Play between cart and encoder.
     "gap_m": 0.0,
     "ripple_n": 0.0,
@@ -44,10 +42,8 @@ DEFAULTS: Mapping[str, float] = {
     "bumper_m": 0.0,
     # Share of the motor's force that is lost after a long time.
     "drift": 0.0,
-    "drift_s": 60.0,
     # Share of the friction that is present at first; 0: all.
     "wear": 0.0,
-    "wear_s": 60.0,
 }
 
 
@@ -92,18 +88,10 @@ def cart(
     springs = p["spring_rad_s"] > 0
     mass = np.where(springs, (1 - LOAD_SHARE) * p["mass_kg"], p["mass_kg"])
     load = LOAD_SHARE * p["mass_kg"]
-    stiff, damp = load * p["spring_rad_s"] ** 2, 2 * p["spring_zeta"] * load * p["spring_rad_s"]
+    stiff, damp = load * p["spring_rad_s"] ** 2, 2 * SPRING_ZETA * load * p["spring_rad_s"]
     share = worn(p, clock_s)
     top = float(np.max(np.abs(path - path[0]))) or 1.0
-    rub = Bristles(
-        p["friction_up_n"] * share,
-        p["friction_down_n"] * share,
-        mass,
-        2e-4 * top,
-        dt_s,
-        p["stiction"],
-        p["stribeck_m_s"],
-    )
+    rub = Bristles(p["friction_up_n"] * share, p["friction_down_n"] * share, mass, 2e-4 * top, dt_s)
     x = np.tile(path[0], copies)
     v, y, w, force = np.zeros_like(x), x.copy(), np.zeros_like(x), np.zeros_like(x)
     play = Play(p["gap_m"], x)
@@ -128,7 +116,7 @@ def cart(
             )
         received = asked[np.maximum(i - late, 0) // each, of]
         received = np.where(late > i, 0.0, received)
-        strong = (1 + p["gain"]) * (1 - p["drift"] * (1 - np.exp(-(clock_s + t) / p["drift_s"])))
+        strong = (1 + p["gain"]) * (1 - p["drift"] * grown(clock_s + t))
         force += (received * strong - force) * follows
         push = force + weight - p["viscous_n_s_m"] * v - p["drag_n_s2_m2"] * v * np.abs(v)
         push += p["ripple_n"] * np.sin(2 * np.pi * x / p["ripple_pitch_m"])

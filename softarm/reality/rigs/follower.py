@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from softarm.reality.rigs.laws import Array, Bristles, Loops, Play, dead_zone, lanes_of, orifice, worn
+from softarm.reality.rigs.laws import Array, Bristles, Loops, Play, dead_zone, grown, lanes_of, orifice, worn
 
 INF = float("inf")
 # Time constant of the inner loop as a share of the outer loop's.
@@ -49,10 +49,8 @@ DEFAULTS: Mapping[str, float] = {
     "hum": 0.0,
     # Share by which the gain has grown after a long time.
     "drift": 0.0,
-    "drift_s": 60.0,
     # Share of play or friction that is present at first; 0: all.
     "wear": 0.0,
-    "wear_s": 60.0,
     # Position that is lost when the acceleration exceeds `slip_above`.
     "slip": 0.0,
     "slip_above": INF,
@@ -119,7 +117,7 @@ def axis(commands: Array, lanes: Sequence[Mapping[str, float]], clock_s: Array, 
     waves = np.any(p["ripple"] != 0)
     for i in range(len(commands)):
         t = i * dt_s
-        scale = 1 + p["gain"] + p["drift"] * (1 - np.exp(-(clock_s + t) / p["drift_s"]))
+        scale = 1 + p["gain"] + p["drift"] * grown(clock_s + t)
         wanted = np.minimum(commands[i] * scale + p["offset"], p["ceiling"])
         if velocity:
             push = dead_zone(wanted - v, p["dead_zone"]) / outer
@@ -159,7 +157,7 @@ def chamber(commands: Array, lanes: Sequence[Mapping[str, float]], clock_s: Arra
     out = np.empty_like(commands)
     for i in range(len(commands)):
         t = i * dt_s
-        scale = 1 + p["gain"] + p["drift"] * (1 - np.exp(-(clock_s + t) / p["drift_s"]))
+        scale = 1 + p["gain"] + p["drift"] * grown(clock_s + t)
         wanted = np.minimum(commands[i] * scale + p["offset"], p["ceiling"])
         error = dead_zone(wanted - pressure, p["dead_zone"])
         inside = pressure + ATMOSPHERE_KPA

@@ -10,6 +10,8 @@ from numpy.typing import NDArray
 Array = NDArray[np.floating[Any]]
 
 GRAVITY_M_S2 = 9.81
+# Time constant of drift and wear.
+CHANGE_S = 60.0
 _TINY = 1e-12
 # Ratio of downstream to upstream pressure below which the flow of air is choked (heat ratio 1.4).
 CRITICAL_RATIO = (2 / 2.4) ** 3.5
@@ -136,10 +138,14 @@ def coloured(count: int, step_s: float, sigma: float, corner_hz: float, random: 
     return out
 
 
+def grown(clock_s: Array) -> Array:
+    """Return the share of a slow change that has happened at a time."""
+    return np.asarray(1 - np.exp(-clock_s / CHANGE_S))
+
+
 def worn(p: Mapping[str, Array], clock_s: Array) -> Array:
     """Return the share of play or friction that is present at a time; it grows from `wear` to 1."""
-    grown = p["wear"] + (1 - p["wear"]) * (1 - np.exp(-clock_s / p["wear_s"]))
-    return np.where(p["wear"] > 0, grown, 1.0)
+    return np.where(p["wear"] > 0, p["wear"] + (1 - p["wear"]) * grown(clock_s), 1.0)
 
 
 def lanes_of(machine: str, lanes: Sequence[Mapping[str, float]], defaults: Mapping[str, float]) -> dict[str, Array]:

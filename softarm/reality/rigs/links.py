@@ -20,8 +20,6 @@ JOINT_PARAMETERS: Mapping[str, float] = {
     "length_m": 1.0,
     "viscous_nm_s": 0.0,
     "friction_nm": 0.0,
-    # Additional friction while the joint opens.
-    "friction_more_up_nm": 0.0,
     # Constant error of the encoder.
     "bias_rad": 0.0,
 }
@@ -34,8 +32,6 @@ LANE_PARAMETERS: Mapping[str, float] = {
     "moment": 0.0,
     # Drag of each link at its centre.
     "drag_n_s2_m2": 0.0,
-    "stiction": 1.0,
-    "stribeck_rad_s": 1.0,
     # Relative error of the torques.
     "strength": 0.0,
     # Delay of the torques.
@@ -52,7 +48,6 @@ LANE_PARAMETERS: Mapping[str, float] = {
     "hum_nm": 0.0,
     # Share of the friction that is present at first; 0: all.
     "wear": 0.0,
-    "wear_s": 60.0,
 }
 Lane = Mapping[str, float | tuple[float, ...]]
 # Step, angles [K, n], rates [K, n] -> torques, N m [K, n].
@@ -90,10 +85,7 @@ class Links:
         self.coupling[:, range(n), range(n)] = 0.0
         self.viscous, self.state = joint["viscous_nm_s"], np.zeros((2, len(lanes), n))
         level = joint["friction_nm"] * worn(self.p, clock_s)[:, None]
-        self.rub = Bristles(
-            level + joint["friction_more_up_nm"], level, own, 1e-3, dt_s,
-            self.p["stiction"][:, None], self.p["stribeck_rad_s"][:, None],
-        )  # fmt: skip
+        self.rub = Bristles(level, level, own, 1e-3, dt_s)
 
     def step(self, t_s: float, torque: Array, push: tuple[Array, Array, Array]) -> None:
         """Integrate all chains over one step.

@@ -89,9 +89,9 @@ def record(case: RigCase) -> tuple[list[Run], float]:
     return runs, noise.rms
 
 
-def _one(lane: Lane, name: str, otherwise: float = 0.0) -> float:
-    """Return a scalar parameter of a lane."""
-    return float(np.ravel(lane.get(name, otherwise))[0])
+def _one(lane: Lane, name: str) -> float:
+    """Return a scalar parameter of a lane, 0 if it is not given."""
+    return float(np.ravel(lane.get(name, 0.0))[0])
 
 
 def _with(base: Lane, patches: Sequence[Mapping[str, float | tuple[float, ...]]]) -> Lane:
