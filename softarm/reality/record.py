@@ -101,7 +101,6 @@ def record(
     *,
     kind: str,
     held: bool = False,
-    cart_position_m: float = 0.0,
 ) -> Path:
     """Write one trial to a new or empty folder and return the folder.
 
@@ -122,7 +121,7 @@ def record(
         raise FileExistsError(f"{folder} is not empty; name a new folder for the trial")
     if not 0.1 <= duration_s <= 3600:
         raise ValueError(f"duration_s is {duration_s}; give 0.1 to 3600 seconds")
-    robot = Robot(parameters, seed, cart_position_m=cart_position_m, held=held, hanging=True)
+    robot = Robot(parameters, seed, held=held, hanging=True)
     log = _fly(robot, excitation, duration_s, np.random.default_rng((seed, _CLOCK)))
     folder.mkdir(parents=True, exist_ok=True)
     text = yaml.safe_dump({"kind": kind, "rail": "held" if held else "free"}, sort_keys=False)
