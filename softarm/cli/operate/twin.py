@@ -1,5 +1,6 @@
 """`softarm twin`: simulate the robot behind its real interfaces, with faults, in a separate process."""
 
+import asyncio
 from pathlib import Path
 
 import click
@@ -68,7 +69,7 @@ def _simulate(config_file: Path, model_file: Path | None, reality: bool, faults:
         body = faulty_body(model, reality, tuple(text for text in faults if "." in text.partition("=")[0]))
         # Real devices do not wait for other programs of this computer.
         realtime.outrank_other_programs(config.control.realtime_priority)
-        ended = run_twin(config, None, lambda text: click.echo(f"softarm twin: {text}"), body, on_wires)
+        ended = asyncio.run(run_twin(config, body, on_wires, lambda text: click.echo(f"softarm twin: {text}")))
     except DeviceError as error:
         fail(str(error))
     if ended + 128 == INTERRUPTED:

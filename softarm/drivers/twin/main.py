@@ -16,7 +16,6 @@ from softarm.drivers.twin.dryve import LIMIT_SWITCH, DryveDevice, DryveServer
 from softarm.drivers.twin.faults import Faults
 from softarm.drivers.twin.teensy import TeensyDevice, TeensyPort
 from softarm.schemas.config import Config
-from softarm.schemas.model import Model
 
 FRAME_HZ = 120
 # Frames for each published state: 30 Hz.
@@ -89,21 +88,19 @@ class Twin:
     def __init__(
         self,
         config: Config,
-        model: Model | None = None,
-        clock: Callable[[], int] = time.monotonic_ns,
         body: Body | None = None,
+        clock: Callable[[], int] = time.monotonic_ns,
     ) -> None:
         """Create the robot.
 
         Args:
             config: Ports and settings, as for the daemon.
-            model: Model of the simulated robot.
+            body: Robot behind the ports; the nominal simulated one by default.
             clock: Monotonic clock, ns.
-            body: Robot instead of a simulated one; `model` is ignored then.
         """
         drivers = config.drivers
         self.faults = Faults(clock)
-        self._body: Body = body or SimulatedBody(model)
+        self._body: Body = body or SimulatedBody()
         self.teensy, self.dryve = TeensyDevice(), DryveDevice(drivers.rail)
         self._clock, self._device_clock = clock, DeviceClock(clock)
         self._port = TeensyPort(
@@ -212,35 +209,18 @@ def _instant_ns(frame: int) -> int:
     return round(frame * 1e9 / FRAME_HZ)
 
 
-def run_twin(
-    config: Config,
-    model: Model | None,
-    on_ready: Callable[[str], None] | None = None,
-    body: Body | None = None,
-    faults: Sequence[bytes] = (),
-) -> int:
+async def run_twin(config: Config, body: Body, faults: Sequence[bytes], on_ready: Callable[[str], None]) -> int:
     """Run the twin until SIGINT or SIGTERM and return the signal's number.
 
     Args:
         config: Ports and settings, as for the daemon.
-        model: Model of the simulated robot.
-        on_ready: Receives one line with the open ports.
-        body: Robot instead of a simulated one; `model` is ignored then.
+        body: Robot behind the ports.
         faults: Messages for `Faults.apply`, active from the start.
+        on_ready: Receives one line with the open ports.
 
     Raises:
         DeviceError: A port is not available.
     """
-    return asyncio.run(_run(config, model, on_ready, body, faults))
-
-
-async def _run(
-    config: Config,
-    model: Model | None,
-    on_ready: Callable[[str], None] | None,
-    body: Body | None,
-    faults: Sequence[bytes],
-) -> int:
     stop, signals = asyncio.Event(), []
 
     def end(number: int) -> None:
@@ -249,15 +229,14 @@ async def _run(
 
     for number in (signal.SIGINT, signal.SIGTERM):
         asyncio.get_running_loop().add_signal_handler(number, end, number)
-    async with Twin(config, model, body=body) as twin:
+    async with Twin(config, body) as twin:
         for fault in faults:
             twin.faults.apply(fault)
-        if on_ready is not None:
-            drivers = config.drivers
-            on_ready(
-                f"regulator at {drivers.regulator.port}, rail at {drivers.rail.host}:{drivers.rail.port}, "
-                f"motion capture to {drivers.mocap.endpoint} on {drivers.mocap.key}"
-            )
+        drivers = config.drivers
+        on_ready(
+            f"regulator at {drivers.regulator.port}, rail at {drivers.rail.host}:{drivers.rail.port}, "
+            f"motion capture to {drivers.mocap.endpoint} on {drivers.mocap.key}"
+        )
         ends = [asyncio.create_task(twin.wait()), asyncio.create_task(stop.wait())]
         done, pending = await asyncio.wait(ends, return_when=asyncio.FIRST_COMPLETED)
         for task in pending:

@@ -160,10 +160,12 @@ async def test_a_second_twin_is_refused_and_the_first_keeps_its_ports(config: Co
 
 
 MAIN = """
-import sys
+import asyncio, sys
+from softarm.drivers.bodies.simulated import SimulatedBody
 from softarm.drivers.twin.main import run_twin
 from softarm.schemas.config import Config
-run_twin(Config.model_validate_json(sys.argv[1]), None, lambda line: print(line, flush=True))
+config = Config.model_validate_json(sys.argv[1])
+asyncio.run(run_twin(config, SimulatedBody(), (), lambda line: print(line, flush=True)))
 """
 
 
