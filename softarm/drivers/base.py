@@ -13,7 +13,6 @@ class DeviceError(Exception):
 
     def __init__(self, port: str, command: str, problem: str, remedy: str) -> None:
         super().__init__(f"{port}: {command}: {problem}; {remedy}")
-        self.port, self.command, self.problem, self.remedy = port, command, problem, remedy
 
 
 class Device(Protocol):

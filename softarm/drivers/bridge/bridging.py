@@ -10,11 +10,12 @@ from typing import NamedTuple, Protocol
 
 from softarm.common import yaml_lines
 from softarm.common.yaml_schema import fit
-from softarm.drivers.bridge.conversation import Conversation, StampedFrame
-from softarm.drivers.bridge.frame import ArmPoses, View
+from softarm.drivers.bridge.client import Client
+from softarm.drivers.bridge.conversation import StampedFrame
+from softarm.drivers.bridge.frame import View
 from softarm.drivers.mocap import payload
 from softarm.schemas.bridge import Bridge
-from softarm.schemas.messages import BODY_NAMES
+from softarm.schemas.messages import BODY_NAMES, Pose
 
 # Window of rate and age.
 WINDOW_NS = 1_000_000_000
@@ -56,19 +57,6 @@ class Outlet(Protocol):
         """Publish or drop a frame."""
 
 
-class Inlet(Protocol):
-    """Source of frames, such as `softarm.drivers.bridge.client.Client`."""
-
-    conversation: Conversation
-    other_senders: int
-
-    def poll(self, seconds: float) -> list[StampedFrame]:
-        """Wait for frames and return them; see `Client.poll`."""
-
-    def problem(self) -> str | None:
-        """Return why no frames arrive, or None; see `Client.problem`."""
-
-
 class Status(NamedTuple):
     """State of the bridge over the last second; `age_ms` is the median age of the frames on arrival."""
 
@@ -102,7 +90,7 @@ class Bridging:
     def __init__(
         self,
         config: Bridge,
-        inlet: Inlet,
+        inlet: Client,
         outlet: Outlet,
         report: Callable[[str], None],
         clock: Callable[[], int] = time.monotonic_ns,
@@ -115,8 +103,8 @@ class Bridging:
         self._problem = _Problem()
         self._minute = (clock(), self._figures())
 
-    def step(self, seconds: float = 0.01) -> list[tuple[StampedFrame, ArmPoses]]:
-        """Wait for frames, pass them to the daemon and return them.
+    def step(self, seconds: float = 0.01) -> list[tuple[StampedFrame, tuple[Pose, ...]]]:
+        """Wait for frames, pass them to the daemon and return them with their poses.
 
         Args:
             seconds: Longest wait.
@@ -124,10 +112,10 @@ class Bridging:
         done = []
         for taken in self._inlet.poll(seconds):
             names, self._unnamed = self._inlet.conversation.names_of(self._config.bodies)
-            seen = self._view.of(taken.frame.bodies, names)
-            self._outlet.put(payload.encode(taken.sequence, taken.t_capture_ns, seen.poses))
-            self._note(taken, seen)
-            done.append((taken, seen))
+            poses = self._view.of(taken.frame.bodies, names)
+            self._outlet.put(payload.encode(taken.sequence, taken.t_capture_ns, poses))
+            self._note(taken, poses)
+            done.append((taken, poses))
         self._journal()
         return done
 
@@ -157,13 +145,13 @@ class Bridging:
         problem = f"{missing}: no such rigid body, the server streams {named}"
         return f"{problem}; rename it in Motive, or in bodies of bridge.yaml"
 
-    def _note(self, taken: StampedFrame, seen: ArmPoses) -> None:
+    def _note(self, taken: StampedFrame, poses: tuple[Pose, ...]) -> None:
         now_ns = taken.t_arrival_ns
         self._recent.append((now_ns, now_ns - taken.t_capture_ns))
         self._forget(now_ns)
-        missing = set(seen.lost)
+        tracked = {name: pose.tracked for name, pose in zip(BODY_NAMES, poses, strict=True)}
         for name, lost in self._lost.items():
-            if (change := lost.update(name in missing, now_ns)) is not None:
+            if (change := lost.update(not tracked[name], now_ns)) is not None:
                 self._report(f"{name} {change}")
 
     def _forget(self, now_ns: int) -> None:

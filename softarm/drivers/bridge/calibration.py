@@ -70,7 +70,7 @@ class Found:
 
     `crooked_m` is the largest distance of the cart from its line, `floor_m` the height of the cameras' ground plane
     above the floor by the arm's lengths. `beside_m` is the offset of each link from its nominal place towards +y,
-    `spacing_m` the vertical distance of each pair "link1-link2", `noise_m` the largest motion of a body at rest.
+    `noise_m` the largest motion of a body at rest.
     """
 
     room: Room
@@ -79,7 +79,6 @@ class Found:
     crooked_m: float
     floor_m: float
     beside_m: Mapping[str, float]
-    spacing_m: Mapping[str, float]
     noise_m: float
     notes: tuple[str, ...]
 
@@ -177,7 +176,6 @@ def calibrate(
         crooked_m=line.crooked_m,
         floor_m=floor_m,
         beside_m=beside,
-        spacing_m=spacing,
         noise_m=max(each.moved_m for each in hang.values()),
         notes=tuple(_notes(line, floor_m, beside, spacing, middle_here)),
     )

@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Iterable, Mapping
-from typing import NamedTuple
 
 from softarm.drivers.bridge.natnet import Body, Quaternion, Vector
 from softarm.drivers.mocap.payload import LOST
@@ -66,21 +65,6 @@ class Plane:
         )
 
 
-class ArmPoses(NamedTuple):
-    """Poses of the arm in one frame, in the order of `BODY_NAMES`.
-
-    `invalid` are bodies that the server marks as tracked with NaN, infinity or an invalid orientation.
-    """
-
-    poses: tuple[Pose, ...]
-    invalid: tuple[str, ...]
-
-    @property
-    def lost(self) -> tuple[str, ...]:
-        """Names of the bodies without tracking."""
-        return tuple(name for name, pose in zip(BODY_NAMES, self.poses, strict=True) if not pose.tracked)
-
-
 class View:
     """Transformation of a frame's rigid bodies to poses."""
 
@@ -88,22 +72,19 @@ class View:
         self.plane = Plane(room)
         self._marks: dict[str, Marked | None] = {name: getattr(marks, name) for name in BODY_NAMES}
 
-    def of(self, bodies: Iterable[Body], names: Mapping[int, str]) -> ArmPoses:
-        """Return the poses of a frame.
+    def of(self, bodies: Iterable[Body], names: Mapping[int, str]) -> tuple[Pose, ...]:
+        """Return the poses of a frame, in the order of `BODY_NAMES`.
 
         Args:
             bodies: Rigid bodies of the frame.
             names: Name of the arm's body for each streaming id.
         """
         found = {names[body.id]: body for body in bodies if body.tracked and body.id in names}
-        poses, invalid = [], []
+        poses = []
         for name, mark in self._marks.items():
             body = found.get(name)
-            pose = LOST if body is None or mark is None else self.pose(body, mark)
-            poses.append(pose)
-            if body is not None and mark is not None and not pose.tracked:
-                invalid.append(name)
-        return ArmPoses(tuple(poses), tuple(invalid))
+            poses.append(LOST if body is None or mark is None else self.pose(body, mark))
+        return tuple(poses)
 
     def pose(self, body: Body, mark: Marked) -> Pose:
         """Return the pose of one body, LOST if it contains NaN, infinity or an invalid orientation."""

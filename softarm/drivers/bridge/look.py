@@ -3,7 +3,8 @@
 import time
 from typing import NamedTuple
 
-from softarm.drivers.bridge.bridging import Bridging, Inlet, Status
+from softarm.drivers.bridge.bridging import Bridging, Status
+from softarm.drivers.bridge.client import Client
 from softarm.drivers.bridge.frame import number_of
 from softarm.drivers.bridge.natnet import Body, Vector
 from softarm.schemas.bridge import Bridge
@@ -43,7 +44,7 @@ class NullOutlet:
         """Drop a frame without publishing."""
 
 
-def look_at(config: Bridge, inlet: Inlet, patience_s: float) -> Found:
+def look_at(config: Bridge, inlet: Client, patience_s: float) -> Found:
     """Inspect the stream for a second after the first frame.
 
     Args:
@@ -65,13 +66,13 @@ def look_at(config: Bridge, inlet: Inlet, patience_s: float) -> Found:
             for body in taken.frame.bodies:
                 counted[body.id] = counted.get(body.id, 0) + body.tracked
                 newest |= {body.id: body} if body.tracked or body.id not in newest else {}
-            poses |= {name: pose for name, pose in zip(BODY_NAMES, seen.poses, strict=True) if pose.tracked}
+            poses |= {name: pose for name, pose in zip(BODY_NAMES, seen, strict=True) if pose.tracked}
     rows = list(_rows(config, inlet, newest, {number: n / frames for number, n in counted.items()}, poses))
     return Found(rows, bridging.status(), _problem(bridging.status(), frames, poses))
 
 
 def _rows(
-    config: Bridge, inlet: Inlet, newest: dict[int, Body], seen: dict[int, float], poses: dict[str, Pose]
+    config: Bridge, inlet: Client, newest: dict[int, Body], seen: dict[int, float], poses: dict[str, Pose]
 ) -> list[Row]:
     ids = inlet.conversation.ids
     names = {number: name for name, number in ids.items()}

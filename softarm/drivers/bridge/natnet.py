@@ -13,12 +13,12 @@ LONGEST = 65_507
 # A newer 4.x is decoded as 4.1; the total length then confirms the layout.
 SUPPORTED = ((3, 0), (4, 4))
 
-(CONNECT, SERVER_INFO, REQUEST, RESPONSE, REQUEST_MODELS, MODELS) = range(6)
-FRAME, KEEP_ALIVE, ECHO_REQUEST, ECHO_RESPONSE, DISCONNECT = 7, 10, 12, 13, 9
+CONNECT, SERVER_INFO, REQUEST, REQUEST_MODELS, MODELS = 0, 1, 2, 4, 5
+FRAME, DISCONNECT, KEEP_ALIVE, ECHO_REQUEST, ECHO_RESPONSE = 7, 9, 10, 12, 13
 # Flag of a rigid body.
 TRACKED = 1
 # Flags of a frame.
-RECORDING, MODELS_CHANGED, EDIT_MODE = 1, 2, 4
+MODELS_CHANGED, EDIT_MODE = 2, 4
 
 Version = tuple[int, int]
 Vector = tuple[float, float, float]
@@ -34,15 +34,11 @@ _MARKER, _LABELED = 12, 26
 
 
 class Body(NamedTuple):
-    """Streamed rigid body: position, m, and unit quaternion in the cameras' coordinates.
-
-    `error_m` is the mean distance of the markers from their nominal positions.
-    """
+    """Streamed rigid body: position, m, and unit quaternion in the cameras' coordinates."""
 
     id: int
     position_m: Vector
     orientation: Quaternion
-    error_m: float
     tracked: bool
 
 
@@ -50,7 +46,7 @@ class Frame(NamedTuple):
     """One frame. Stamps are ticks of the server's clock, 0 if the cameras do not provide them.
 
     `exposed` is the middle of the exposure, `received` the arrival of the data in the server. `parameters` holds
-    RECORDING, MODELS_CHANGED and EDIT_MODE.
+    MODELS_CHANGED and EDIT_MODE.
     """
 
     number: int
@@ -90,13 +86,7 @@ class Echo(NamedTuple):
     ticks: int
 
 
-class Other(NamedTuple):
-    """Message of a type that the bridge does not use."""
-
-    message: int
-
-
-Message = Frame | Server | Models | Echo | Other
+Message = Frame | Server | Models | Echo
 
 
 def connect() -> bytes:
@@ -131,8 +121,8 @@ def echo(stamp: int) -> bytes:
     return _message(ECHO_REQUEST, struct.pack("<Q", stamp))
 
 
-def decode(datagram: bytes, version: Version | None) -> Message:
-    """Return the message in a datagram of a server.
+def decode(datagram: bytes, version: Version | None) -> Message | None:
+    """Return the message in a datagram of a server, or None for a type that the bridge does not use.
 
     Args:
         datagram: Received bytes.
@@ -147,7 +137,7 @@ def decode(datagram: bytes, version: Version | None) -> Message:
     if size != len(datagram) - _HEAD.size:
         raise ValueError(f"message {message} declares {size} bytes and has {len(datagram) - _HEAD.size}")
     if message not in _READ:
-        return Other(message)
+        return None
     if message in (FRAME, MODELS):
         if version is None:
             raise ValueError("frames arrived before the server's version")
@@ -237,7 +227,7 @@ def _bodies(reader: _Reader, sized: bool) -> tuple[Body, ...]:
     begin = reader.at
     reader.skip(count * _BODY.size, f"{count} rigid bodies")
     read = _BODY.iter_unpack(reader.data[begin : reader.at])
-    return tuple(Body(id, (x, y, z), (a, b, c, d), e, bool(p & TRACKED)) for id, x, y, z, a, b, c, d, e, p in read)
+    return tuple(Body(id, (x, y, z), (a, b, c, d), bool(p & TRACKED)) for id, x, y, z, a, b, c, d, _, p in read)
 
 
 def _skipping(size: int, what: str) -> Callable[[_Reader], None]:

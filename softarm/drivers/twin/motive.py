@@ -26,6 +26,7 @@ from softarm.drivers.bridge.natnet import Body, Version
 from softarm.drivers.mocap import payload
 from softarm.drivers.mocap.zenoh_session import listener
 from softarm.schemas.bridge import Room
+from softarm.schemas.config import Mocap
 from softarm.schemas.messages import BODY_NAMES, Pose
 
 CLOCK_HZ = 10_000_000
@@ -71,7 +72,7 @@ def frame(
         return struct.pack("<I", count) + (struct.pack("<I", len(content)) if sized else b"") + content
 
     def rigid(body: Body) -> bytes:
-        return struct.pack("<i3f4ffh", body.id, *body.position_m, *body.orientation, body.error_m, body.tracked)
+        return struct.pack("<i3f4ffh", body.id, *body.position_m, *body.orientation, 0.0, body.tracked)
 
     sets = b"".join(
         name.encode() + b"\0" + struct.pack("<I", n) + bytes(12 * n) for name, n in extras.marker_sets.items()
@@ -132,9 +133,9 @@ def message(number: int, content: bytes) -> bytes:
 def bodies_of(plane: Plane, poses: Mapping[str, Pose]) -> tuple[Body, ...]:
     """Return the rigid bodies for poses in the robot's plane; bodies without tracking are at Motive's default pose."""
     return tuple(
-        Body(IDS[name], plane.point(pose.y_m, pose.z_m), plane.turn(pose.angle_rad), 2e-4, True)
+        Body(IDS[name], plane.point(pose.y_m, pose.z_m), plane.turn(pose.angle_rad), True)
         if pose.tracked
-        else Body(IDS[name], (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0), 0.0, False)
+        else Body(IDS[name], (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0), False)
         for name, pose in poses.items()
     )
 
@@ -242,41 +243,31 @@ def main() -> None:
     """Stream the twin's frames until SIGINT or SIGTERM."""
     parser = argparse.ArgumentParser(description="Stream the twin's frames as OptiTrack's Motive does.")
     add = parser.add_argument
-    add(
-        "--listen",
-        default="tcp/127.0.0.1:7448",
-        help="Zenoh endpoint to listen at; the twin connects to it",
-    )
-    add("--key", default="softarm/mocap")
+    add("--listen", default="tcp/127.0.0.1:7448", help="Zenoh endpoint to listen at; the twin connects to it")
     add("--serve", default="127.0.0.1:1510", help="HOST:PORT of the command socket; the data socket has the next port")
-    add("--natnet", default="4.1", help="version of NatNet, 3.0 to 4.4")
-    add("--up", choices=("y", "z"), default="y")
-    add("--yaw", type=float, default=0.4, help="yaw of the rail in the cameras' coordinates, rad")
-    add("--exposed", action="store_true", help="add the time of the middle of the exposure, as Ethernet cameras do")
-    add("--ppm", type=float, default=30.0, help="rate error of the server's clock, parts per million")
     options = parser.parse_args()
     host, _, port = options.serve.partition(":")
-    major, _, minor = options.natnet.partition(".")
     # Before any thread starts: a real camera system is not delayed by programs on this computer.
     with contextlib.suppress(OSError):
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(1))
-    room = Room(up=options.up, yaw_rad=options.yaw, origin_m=(1.2, 0.1, -0.7))
+    room = Room(yaw_rad=0.4, origin_m=(1.2, 0.1, -0.7))
     plane = Plane(room)
     ended = threading.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: ended.set())
-    motive = Motive((int(major), int(minor)), host, int(port), int(port) + 1, rate=1 + options.ppm * 1e-6)
+    # A clock that is 30 ppm fast.
+    motive = Motive(host=host, port=int(port), data_port=int(port) + 1, rate=1 + 30e-6)
 
     def show(sample: zenoh.Sample) -> None:
         seen = payload.decode(sample.payload.to_bytes(), time.monotonic_ns())
         bodies = bodies_of(plane, dict(zip(BODY_NAMES, seen.bodies, strict=True)))
-        exposed = motive.ticks(seen.t_capture_ns)
-        stamps = (exposed if options.exposed else 0, exposed + CLOCK_HZ // 200, motive.ticks())
+        # Stamps of cameras that do not report the exposure.
+        stamps = (0, motive.ticks(seen.t_capture_ns) + CLOCK_HZ // 200, motive.ticks())
         motive.stream(frame(motive.version, seen.sequence, bodies, stamps))
 
     with motive, zenoh.open(listener(options.listen)) as session:
-        session.declare_subscriber(options.key, show)
-        print(f"NatNet {options.natnet} at {options.serve}, frames from {options.listen}", flush=True)
+        session.declare_subscriber(Mocap().key, show)
+        print(f"NatNet server at {options.serve}, frames from {options.listen}", flush=True)
         print(f"bridge.yaml for this server: room: {room.model_dump_json()}", flush=True)
         ended.wait()
 

@@ -50,7 +50,7 @@ class ThroughNatNet:
             taken = conversation.receive(datagram, frames.now_ns())
             if taken is not None:
                 seen = self.view.of(taken.frame.bodies, names)
-                poses = {name: pose[:3] for name, pose in zip(BODY_NAMES, seen.poses, strict=True) if pose.tracked}
+                poses = {name: pose[:3] for name, pose in zip(BODY_NAMES, seen, strict=True) if pose.tracked}
                 frames.put(taken.sequence, taken.t_capture_ns, poses)
 
     def echo(self, conversation: Conversation, now_ns: int) -> None:
