@@ -21,15 +21,21 @@ install: .venv/.installed
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev]'
 	@touch $@
 
+# The simulator's kernels, compiled before tests start side by side.
+.venv/.compiled: .venv/.installed-dev $(wildcard softarm/simulator/*.py softarm/simulator/kernel/*.py)
+	@echo "compiling the simulator (once after each change, about half a minute) ..."
+	@$(BIN)/python -m tools.kernels
+	@touch $@
+
 demo: install
 	$(BIN)/softarm demo
 
 # Everything that a landing must pass.
-test: .venv/.installed-dev
+test: .venv/.compiled
 	$(MAKE) --no-print-directory lint types imports unit
 
 # The same without slow tests and tests that need the machine alone.
-quick: .venv/.installed-dev
+quick: .venv/.compiled
 	$(MAKE) --no-print-directory lint types imports unit-quick
 
 lint:
@@ -45,14 +51,14 @@ imports:
 # Tests that assert deadlines run last and alone, since two busy cores keep none. A module's fixtures are made once. Three
 # processes, since a third of the time is spent waiting for daemons and browsers.
 unit:
-	$(BIN)/pytest -n 3 --dist loadscope -m 'not realtime and not prove' $(COVER)
+	$(BIN)/pytest -n 3 --dist loadscope --no-loadscope-reorder -m 'not realtime and not prove' $(COVER)
 	$(BIN)/pytest -m 'realtime and not prove' $(if $(COVER),$(COVER) --cov-append)
 
 unit-quick:
-	$(BIN)/pytest -n 3 --dist loadscope -m 'not realtime and not slow and not prove'
+	$(BIN)/pytest -n 3 --dist loadscope --no-loadscope-reorder -m 'not realtime and not slow and not prove'
 
 # Share of the lines that the tests run, package by package.
-coverage: .venv/.installed-dev
+coverage: .venv/.compiled
 	$(MAKE) --no-print-directory unit COVER='--cov --cov-report='
 	@for package in $$(cd softarm && ls -d */); do \
 	    echo "$$package $$($(BIN)/coverage report --format=total --include="softarm/$$package*") %"; \

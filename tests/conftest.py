@@ -7,6 +7,7 @@ import resource
 import sys
 import textwrap
 import threading
+from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager
 from pathlib import Path
@@ -33,6 +34,12 @@ def pytest_report_header() -> str:
     """Report whether the real recordings are available in this run."""
     found = "diagnosed from" if REAL_DATA.is_dir() else "NOT DIAGNOSED, there is no"
     return f"real recordings: {found} {REAL_DATA}"
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Start with the files that have the most slow tests, so that no process is left alone with one at the end."""
+    slow = Counter(item.path for item in items if item.get_closest_marker("slow"))
+    items.sort(key=lambda item: -slow[item.path])
 
 
 def pytest_runtest_setup() -> None:
