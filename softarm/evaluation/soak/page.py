@@ -23,12 +23,14 @@ NAMES = {
 }
 
 
-def problems(real: realtime.Soaked | None, stepped: lockstep.Stepped | None) -> list[str]:
-    """Return a sentence per quantity that grows and per unexpected event; empty if the test has passed."""
+def problems(
+    real: realtime.Soaked | None, stepped: lockstep.Stepped | None, *, with_undecided: bool = True
+) -> list[str]:
+    """Return a sentence per quantity that grows, or is undecided, and per unexpected event; empty if all is well."""
     found: list[str] = []
     for where, per, soaked in (("in real time", "hour", real), ("in lockstep", "simulated day", stepped)):
         if soaked is not None:
-            found += [f"{where}: {_named(line)}" for line in judge(soaked.slopes, per)]
+            found += [f"{where}: {_named(line)}" for line in judge(soaked.slopes, per, with_undecided=with_undecided)]
             found += [f"{where}: {_described(one)}" for one in soaked.unexpected]
     return found
 

@@ -58,12 +58,13 @@ def warm_up(length: float) -> float:
     return min(WARM_UP_SHARE * length, WARM_UP_MAX_H)
 
 
-def judge(slopes: Mapping[str, Slope], per: str) -> list[str]:
-    """Return a sentence for each quantity that is not flat; `per` is the unit of time."""
+def judge(slopes: Mapping[str, Slope], per: str, *, with_undecided: bool = True) -> list[str]:
+    """Return a sentence for each quantity that grows, or is undecided; `per` is the unit of time."""
+    wrong = ("grows", "too short to decide") if with_undecided else ("grows",)
     return [
         f"{name} {one.verdict}: {one.value:.3g} per {per} ({one.low:.3g} to {one.high:.3g}), allowed {one.allowed:g}"
         for name, one in slopes.items()
-        if one.verdict != "flat"
+        if one.verdict in wrong
     ]
 
 

@@ -72,11 +72,11 @@ def test_page_and_figures_contain_the_findings(minute):
     assert figures["lockstep"]["counts"] == minute.counts
 
 
-def test_a_run_too_short_to_decide_exits_with_1_and_keeps_no_files(tmp_path):
+def test_a_run_too_short_to_decide_exits_with_1_unless_allowed(tmp_path):
     kept = tmp_path / "soak.json"
-    done = CliRunner().invoke(
-        main, ["soak", "--hours", "0", "--lockstep-days", "0.00002", "--policy", "pid", "--json", str(kept)]
-    )
+    short = ["soak", "--hours", "0", "--lockstep-days", "0.00002", "--policy", "pid", "--json", str(kept)]
+    assert CliRunner().invoke(main, [*short, "--allow-undecided"]).exit_code == 0
+    done = CliRunner().invoke(main, short)
     assert done.exit_code == 1
     assert "too short to decide" in done.output
     assert json.loads(kept.read_text())["real_time"] is None
