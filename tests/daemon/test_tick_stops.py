@@ -6,7 +6,7 @@ import math
 import numpy as np
 import pytest
 
-from softarm.daemon.control.records import EStop, Mode, Problems
+from softarm.daemon.control.records import EStop, Mode
 from softarm.daemon.runtime.offline import Lockstep
 from softarm.daemon.tick import HALF_SWING_S
 from softarm.drivers.regulator.driver import reading_of
@@ -17,20 +17,17 @@ from softarm.schemas.messages import SAFE, Command, Pose, RailReading
 from softarm.schemas.model import Model
 from tests.daemon.rig import PERIOD_NS, Rig, Steady, spoil
 
-STOPS = {
-    "rail_fault": {"of": "rail", "faults": ("E12 limit switch",)},
-    "remote_off": {"of": "rail", "remote": False},
-    "rail_outside": {"of": "rail", "position_m": 0.275},
-    "not_finite": {"of": "rail", "velocity_m_s": math.nan},
-    "regulator_fault": {"of": "pressure", "faults": ("supply low",)},
-    "pressure_outside": {"of": "pressure", "pressure_kpa": 23.0},
-}
 
-
-@pytest.mark.parametrize("name", STOPS)
-def test_a_device_that_fails_stops_the_arm_and_latches(name):
+@pytest.mark.parametrize(
+    ("name", "spoilt"),
+    [
+        ("rail_fault", {"of": "rail", "faults": ("E12 limit switch",)}),
+        ("pressure_outside", {"of": "pressure", "pressure_kpa": 23.0}),
+    ],
+)
+def test_a_device_that_fails_stops_the_arm_and_latches(name, spoilt):
     rig = Rig().swinging()
-    rig.tick(**spoil(rig, **STOPS[name]))
+    rig.tick(**spoil(rig, **spoilt))
     assert rig.outputs.mode is Mode.STOPPED
     assert rig.outputs.estop is EStop.ENGAGED
     assert rig.outputs.sent == SAFE
@@ -122,47 +119,21 @@ def test_a_late_loop_raises_no_clock_event():
     assert rig.outputs.observed.bridged_ns == 0  # nor does it expect the cameras to be ahead of it from now on
 
 
-def test_an_axis_that_disagrees_with_mocap_for_long_stops():
-    rig = Rig().swinging()
-    for ticks in range(1, 20):
-        rig.tick(rail=RailReading(rig.now, 0.05, 0.0, True))
-        if rig.outputs.mode is Mode.STOPPED:
-            break
-    assert ticks == 10  # 150 ms in which a late camera might explain it, and five ticks
-    assert "50 mm apart" in rig.outputs.last_stop
-
-
-def test_a_late_camera_warns_with_its_milliseconds_and_flies():
-    """The stamps hide the delay; the moving axis shows it."""
-    late = swung_under_late_cameras(0.06)
-    assert late.outputs.mode is Mode.ARMED
-    (event,) = [event for event in late.outputs.events if event.name.startswith(("mocap", "rail"))]
-    assert event.name == "mocap_late"
-    assert 55 <= float(event.text.partition("(")[2].partition(" ms")[0]) <= 65
-
-
 def test_a_late_camera_stops_softly_and_arming_may_be_repeated():
-    late = swung_under_late_cameras(0.12)
-    assert late.outputs.mode is Mode.STOPPING
-    while late.outputs.mode is Mode.STOPPING:
-        late.tick()
-    assert late.outputs.mode is Mode.DISARMED
-    assert "latency is too high (120 ms, allowed 100 ms)" in late.outputs.last_stop
-    assert late.arm().mode is Mode.ARMED
-
-
-def swung_under_late_cameras(delay_s):
-    """Move the cart to and fro for a second with an unreported camera delay."""
-    model = Model()
-    model.effects["mocap.latency"] = {"delay": delay_s}
-    policy = Steady((0.4, 0.0))
+    """The stamps hide the delay; the cart, which moves to and fro, shows it."""
+    model, policy = Model(), Steady((0.4, 0.0))
+    model.effects["mocap.latency"] = {"delay": 0.12}
     daemon = Lockstep(Config(), policy, model)
     daemon.arm()
     daemon.tick(daemon.request("goal", Goal("reach", 0.0, 0.9)))
     for tick in range(30):
         policy.action[0] = -0.4 if 10 < tick < 20 else 0.4
         daemon.tick()
-    return daemon
+    while daemon.outputs.mode is Mode.STOPPING:
+        daemon.tick()
+    assert daemon.outputs.mode is Mode.DISARMED
+    assert "latency is too high (120 ms, allowed 100 ms)" in daemon.outputs.last_stop
+    assert daemon.arm().mode is Mode.ARMED
 
 
 @pytest.mark.parametrize(
@@ -176,11 +147,15 @@ def test_the_policy_is_not_asked_in_the_tick_in_which_something_stops(requests, 
     assert (len(rig.policy.seen), rig.outputs.action) == (steps, None)
 
 
-@pytest.mark.parametrize(("velocity_m_s", "mode"), [(0.019, Mode.DISARMED), (0.021, Mode.STOPPING)])
+@pytest.mark.parametrize(
+    ("velocity_m_s", "mode"),
+    [(-0.019, Mode.DISARMED), (0.019, Mode.DISARMED), (-0.021, Mode.STOPPING), (0.021, Mode.STOPPING)],
+)
 def test_a_cart_is_braked_below_two_centimetres_a_second(velocity_m_s, mode):
     rig = Rig().armed()
     rig.tick("disarm", **spoil(rig, of="rail", velocity_m_s=velocity_m_s))
     assert rig.outputs.mode is mode
+    assert rig.outputs.sent == (SAFE if mode is Mode.DISARMED else Command(True, 0.0, 0.0))
 
 
 def test_a_soft_stop_holds_the_cart_until_the_arm_no_longer_swings():
@@ -214,21 +189,10 @@ def test_an_arm_tracked_too_rarely_is_not_at_rest(every, held):
     rig.tick("disarm")
     ticks = 1
     while rig.outputs.mode is Mode.STOPPING:
+        assert rig.outputs.sent == Command(True, 0.0, 0.0)
         rig.tick(**({} if ticks % every == 1 else {"mocap": ()}))
         ticks += 1
-    assert ticks == held
-
-
-def test_an_untracked_arm_is_held_for_ten_seconds():
-    rig = Rig().swinging()
-    ticks = 0
-    while rig.outputs.mode is not Mode.STOPPING:
-        rig.tick(mocap=())
-    while rig.outputs.mode is Mode.STOPPING:
-        assert rig.outputs.sent == Command(True, 0.0, 0.0)
-        rig.tick(mocap=())
-        ticks += 1
-    assert ticks == 301  # the tick that begins it, and ten seconds
+    assert ticks == held  # 301: the tick that begins it, and ten seconds
     assert rig.outputs.sent == SAFE
 
 
@@ -242,23 +206,6 @@ def test_a_soft_stop_waits_one_second_for_the_cart():
     assert ticks == 31  # the tick that begins it, and a second
 
 
-@pytest.mark.parametrize("velocity_m_s", [-0.5, 0.5])
-def test_a_cart_that_rolls_either_way_is_not_braked_yet(velocity_m_s):
-    rig = Rig().armed()
-    rig.tick("disarm", **spoil(rig, of="rail", velocity_m_s=velocity_m_s))
-    assert rig.outputs.mode is Mode.STOPPING
-    assert rig.outputs.sent == Command(True, 0.0, 0.0)
-    rig.tick()
-    assert rig.outputs.mode is Mode.DISARMED
-
-
-def test_a_device_that_switches_itself_off_ends_the_swing():
-    for changes in ({"of": "rail", "enabled": False}, {"of": "pressure", "armed": False}):
-        rig = Rig().swinging()
-        rig.tick(**spoil(rig, **changes))
-        assert rig.outputs.mode is Mode.STOPPING
-
-
 class Broken(Steady):
     def __init__(self, answer):
         super().__init__()
@@ -270,18 +217,7 @@ class Broken(Steady):
         return self.answer
 
 
-@pytest.mark.parametrize(
-    "answer",
-    [
-        RuntimeError("tensor on the wrong planet"),
-        np.array([math.nan, 1.0], dtype=np.float32),
-        np.array([0.1, math.inf], dtype=np.float32),
-        np.zeros(3, dtype=np.float32),
-        np.zeros((1, 2), dtype=np.float32),
-        None,
-        "left",
-    ],
-)
+@pytest.mark.parametrize("answer", [RuntimeError("tensor on the wrong planet"), np.array([math.nan, 1.0]), None])
 def test_a_broken_policy_never_reaches_the_actuators(answer):
     rig = Rig(Broken(answer)).armed()
     rig.tick("goal", goal=Goal("reach", -0.2, 0.6))
@@ -300,6 +236,7 @@ def test_late_ticks_warn_and_many_in_a_row_stop(missed, mode):
     rig = Rig().swinging()
     rig.tick(missed=missed, late_ns=missed * PERIOD_NS)
     assert rig.outputs.mode is mode
+    assert (rig.outputs.action is not None) is (mode is Mode.ARMED)
     assert rig.outputs.missed_total == missed
     late = {1: "1 skipped, 33 ms late", 2: "2 skipped, 67 ms late", 3: "3 in a row, 100 ms late"}[missed]
     assert late in rig.outputs.events[0].text
@@ -333,123 +270,14 @@ def test_a_stop_has_the_time_of_its_tick_and_keeps_it():
     assert replayed.tick().last_stop_ns == soft
 
 
-def test_a_stop_from_before_the_daemon_has_no_time():
-    assert Rig().tick(latched="a hand").last_stop_ns is None
-
-
-@pytest.mark.parametrize(
-    ("position_m", "said"), [(0.2549, None), (-0.2549, None), (0.2561, "6 mm"), (-0.2692, "19 mm"), (0.2701, None)]
-)
-def test_an_overrun_of_the_soft_limit_of_millimetres_only_warns(position_m, said):
-    """An overrun beyond the filter's margin warns; farther out it stops the arm."""
-    rig = Rig().swinging()
-    rig.tick(**spoil(rig, of="rail", position_m=position_m))
-    texts = [event.text for event in rig.outputs.events if event.name == "rail_overrun"]
-    assert len(texts) == (said is not None)
-    assert said is None or said in texts[0]
-    assert (rig.outputs.mode is Mode.STOPPED) is (abs(position_m) > 0.27)
-
-
-def test_the_loss_of_the_rails_process_is_a_soft_stop_that_names_it():
-    rig = Rig().swinging()
-    lost = RailReading(rig.now, 0.0, 0.0, False, linked=False)
-    rig.tick(rail=lost, problems=Problems(rail="the rail's process ended: by itself"))
-    assert [event.name for event in rig.outputs.events] == ["rail_link_lost"]
-    assert "the rail's process ended: by itself" in rig.outputs.last_stop
-    assert rig.outputs.mode is Mode.STOPPING
-    assert rig.tick(rail=lost).arming_refusals
-
-
-@pytest.mark.parametrize(
-    ("p50_ms", "max_ms", "latency_s", "named"),
-    [
-        (20, 33, 1 / 30, []),
-        (20, 34, 1 / 30, ["rail_slow"]),
-        (34, 40, 1 / 30, ["rail_too_slow"]),
-        (34, 40, 0.05, ["rail_slow"]),
-        (51, 60, 0.05, ["rail_too_slow"]),
-        (34, 40, 0.01, ["rail_too_slow"]),
-    ],
-)
-def test_a_slow_drive_stops_the_arm_and_one_slow_cycle_warns(p50_ms, max_ms, latency_s, named):
-    config = Config.model_validate({"limits": {"rail": {"latency_s": latency_s}}})
-    rig = Rig(config=config).swinging()
-    cycles = {"cycle_p50_ns": p50_ms * 1_000_000, "cycle_max_ns": max_ms * 1_000_000}
-    rig.tick(rail=RailReading(rig.now + PERIOD_NS, 0.0, 0.0, True, **cycles))
-    assert [event.name for event in rig.outputs.events] == named
-    assert rig.outputs.mode is (Mode.STOPPING if named == ["rail_too_slow"] else Mode.ARMED)
-    assert (rig.outputs.rail_cycle_p50_ms, rig.outputs.rail_cycle_max_ms) == (p50_ms, max_ms)
-    for event in rig.outputs.events:
-        assert f"median {p50_ms} ms, longest {max_ms} ms in the last second" in event.text
-
-
-def test_mocap_stamped_in_the_future_is_not_used():
-    rig = Rig().swinging()
-    frames = rig.inputs().mocap
-    rig.now -= PERIOD_NS
-    rig.tick(
-        mocap=tuple(dataclasses.replace(f, t_capture_ns=f.t_receive_ns + 50_000_000 + i) for i, f in enumerate(frames))
-    )
-    assert rig.outputs.mode is Mode.STOPPING
-    assert "0.050 s ahead of CLOCK_MONOTONIC" in rig.outputs.last_stop
-
-
-def test_a_mirrored_frame_is_named_and_is_no_fault_of_the_axis():
-    daemon = Lockstep(Config(), Steady((0.4, 0.0)))
-    read = daemon.robot.mocap.read
-
-    def mirrored(now_ns):
-        frames = read(now_ns)
-        return tuple(dataclasses.replace(f, bodies=tuple(b._replace(y_m=-b.y_m) for b in f.bodies)) for f in frames)
-
-    daemon.robot.mocap.read = mirrored
-    daemon.arm()
-    daemon.tick(daemon.request("goal", Goal("reach", 0.0, 0.9)))
-    for _ in range(15):
-        daemon.tick()
-    assert "report opposite directions" in daemon.outputs.last_stop
-    assert daemon.outputs.estop is EStop.CLEAR
-
-
-def test_a_stop_request_latches_until_acknowledged():
-    rig = Rig().swinging()
-    rig.tick("stop")
-    assert (rig.outputs.mode, rig.outputs.sent) == (Mode.STOPPED, SAFE)
-    rig.tick("arm")
-    assert "emergency stop is latched" in rig.reasons()
-    rig.tick("acknowledge")
-    assert rig.outputs.mode is Mode.DISARMED
-    rig.tick("arm")
-    assert rig.outputs.mode is Mode.ARMING
-
-
-def respoil_bodies(rig, place, pose):
-    """Return the newest frames with one body changed."""
-    frames = rig.inputs().mocap
-    rig.now -= PERIOD_NS
-    return tuple(dataclasses.replace(f, bodies=(*f.bodies[:place], pose, *f.bodies[place + 1 :])) for f in frames)
-
-
-def test_a_nan_pose_stops_the_arm():
-    rig = Rig().swinging()
-    rig.tick(mocap=respoil_bodies(rig, 5, Pose(math.nan, 0.5, 0.0)))
-    assert rig.outputs.mode is Mode.STOPPED
-    assert "NaN or infinity" in rig.outputs.last_stop
-
-
-def test_a_lost_marker_set_of_a_middle_link_only_warns():
-    rig = Rig().swinging()
-    rig.tick(mocap=respoil_bodies(rig, 2, Pose(0.0, 0.7, 0.0, tracked=False)))
-    assert rig.outputs.mode is Mode.ARMED
-    assert [event.name for event in rig.outputs.events] == ["mocap_body_lost"]
-    assert "link2" in rig.outputs.events[0].text
-
-
 @pytest.mark.parametrize(("bridge_s", "flown"), [(0.15, 5), (0.06, 2), (0.0, 2)])
 def test_a_lost_tip_is_extrapolated_for_a_limited_time(bridge_s, flown):
     rig = Rig(config=Config(failsafe={"mocap_bridge_s": bridge_s})).swinging()
     for ticks in range(1, 10):
-        rig.tick(mocap=respoil_bodies(rig, 5, Pose(0.0, 0.5, 0.0, tracked=False)))
+        fresh = rig.inputs().mocap
+        rig.now -= PERIOD_NS
+        lost = Pose(0.0, 0.5, 0.0, tracked=False)
+        rig.tick(mocap=tuple(dataclasses.replace(frame, bodies=(*frame.bodies[:5], lost)) for frame in fresh))
         names = [event.name for event in rig.outputs.events]
         if rig.outputs.mode is not Mode.ARMED:
             break

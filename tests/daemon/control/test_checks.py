@@ -35,20 +35,22 @@ def test_a_healthy_robot_raises_nothing():
     assert raised(HEALTHY) == {}
 
 
+@pytest.mark.parametrize(
+    ("reading", "silent", "device"), [("pressure", None, "regulator"), ("rail", None, "rail"), ("mocap", (), "mocap")]
+)
+def test_a_silent_device_is_missing_with_its_reason(reading, silent, device):
+    gone = replace(HEALTHY, **{reading: silent})
+    assert raised(gone) == {f"{reading}_missing": "none since the start"}
+    said = Problems(**{device: "no such port"})
+    assert raised(replace(gone, problems=said)) == {f"{reading}_missing": "none since the start; no such port"}
+
+
 # The regulator
 
 
 def of_pressure(*, engaged: bool = True, problem: str | None = None, **changes) -> dict[str, str]:
     reading = replace(PRESSURE, **changes)
     return raised(replace(HEALTHY, pressure=reading, problems=Problems(regulator=problem)), engaged=engaged)
-
-
-def test_a_silent_regulator_is_missing_with_the_drivers_reason():
-    assert raised(replace(HEALTHY, pressure=None)) == {"pressure_missing": "none since the start"}
-    said = Problems(regulator="no such port")
-    assert raised(replace(HEALTHY, pressure=None, problems=said)) == {
-        "pressure_missing": "none since the start; no such port"
-    }
 
 
 def test_a_stale_pressure_raises_no_other_event():
@@ -79,13 +81,9 @@ def test_a_nan_or_infinite_pressure_is_reported_as_such_only(number):
 
 
 def test_a_regulators_faults_are_reported_with_other_events():
-    assert of_pressure(faults=("supply low", "sensor out of span"), pressure_kpa=99.0).keys() == {
-        "regulator_fault",
-        "pressure_outside",
-    }
-    assert (
-        of_pressure(faults=("supply low", "sensor out of span"))["regulator_fault"] == "supply low, sensor out of span"
-    )
+    found = of_pressure(faults=("supply low", "sensor out of span"), pressure_kpa=99.0)
+    assert found.keys() == {"regulator_fault", "pressure_outside"}
+    assert found["regulator_fault"] == "supply low, sensor out of span"
 
 
 def test_a_regulator_that_is_off_vented_by_itself_only_if_it_should_be_on():
@@ -99,13 +97,6 @@ def test_a_regulator_that_is_off_vented_by_itself_only_if_it_should_be_on():
 def of_rail(*, engaged: bool = True, problem: str | None = None, config: Config = CONFIG, **changes) -> dict[str, str]:
     inputs = replace(HEALTHY, rail=replace(RAIL, **changes), problems=Problems(rail=problem))
     return raised(inputs, engaged=engaged, config=config)
-
-
-def test_a_silent_axis_is_missing_with_the_drivers_reason():
-    assert raised(replace(HEALTHY, rail=None)) == {"rail_missing": "none since the start"}
-    assert raised(replace(HEALTHY, rail=None, problems=Problems(rail="refused"))) == {
-        "rail_missing": "none since the start; refused"
-    }
 
 
 def test_a_stale_axis_raises_no_other_event():
@@ -181,12 +172,6 @@ def test_a_long_cycle_warns_and_one_beyond_the_latency_is_too_slow():
 
 
 # Motion capture
-
-
-def test_before_the_first_frame_motion_capture_is_missing():
-    assert raised(replace(HEALTHY, mocap=())) == {"mocap_missing": "none since the start"}
-    said = Problems(mocap="no frame yet")
-    assert raised(replace(HEALTHY, mocap=(), problems=said)) == {"mocap_missing": "none since the start; no frame yet"}
 
 
 def later(ms: float, **changes) -> Inputs:
@@ -342,6 +327,7 @@ def test_an_axis_that_comes_back_while_the_cart_moves_may_be_ahead_of_late_camer
 
 
 def test_one_disagreeing_tick_does_not_stop_an_armed_arm():
+    """A late camera may explain the first 150 ms; five ticks in a row follow."""
     agreed = ticks(0, 12)
-    assert raised(*agreed, *ticks(12, 1, axis_m=0.1)) == {}
-    assert "rail_disagrees" in raised(*agreed, *ticks(12, 13, axis_m=0.1))
+    found = [count for count in range(1, 14) if "rail_disagrees" in raised(*agreed, *ticks(12, count, axis_m=0.1))]
+    assert found == list(range(10, 14))
