@@ -53,21 +53,6 @@ def test_a_simulated_swing_is_known_to_two_centimetres_after_a_dropout_of_150_ms
     assert daemon.outputs.observed.bridged_ns == pytest.approx(4 * TICK_NS, abs=10)
 
 
-def test_the_first_pose_after_a_dropout_has_no_velocity_jump(swinging):
-    daemon, eyes = swinging
-    eyes.shut = True
-    for _ in range(3):
-        daemon.tick()
-    eyes.shut = False
-    before_m = daemon.robot.body.tip_m
-    daemon.tick()
-    values, (y_m, z_m) = daemon.outputs.observed.values, daemon.robot.body.tip_m
-    assert daemon.outputs.observed.bridged_ns == 0
-    assert (values.tip_y_m, values.tip_z_m) == pytest.approx((y_m, z_m), abs=1e-9)
-    assert values.tip_vy_m_s == pytest.approx((y_m - before_m[0]) * 30, abs=0.4)
-    assert values.tip_vz_m_s == pytest.approx((z_m - before_m[1]) * 30, abs=0.4)
-
-
 def test_a_target_that_only_the_estimate_reaches_is_not_reached(swinging):
     daemon, eyes = swinging
     y_m, z_m = daemon.robot.body.tip_m

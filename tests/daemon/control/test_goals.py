@@ -98,20 +98,6 @@ def flown(goals, ticks, tip=(0.0, 0.5), start=0):
     return states
 
 
-def test_a_run_is_over_with_the_policys_episode_to_the_tick():
-    goals = GoalTracker(Goals())
-    goals.start(Goal("run"), run_s=10 / 30)
-    assert flown(goals, 11) == ["running"] * 10 + ["reached"]
-    assert goals.status.reason is None
-    assert goals.status.closest_m is None
-
-
-def test_a_run_without_an_episode_has_no_end():
-    goals = GoalTracker(Goals())
-    goals.start(Goal("run"))
-    assert set(flown(goals, 300)) == {"running"}
-
-
 def test_the_time_limit_ends_in_its_exact_tick():
     goals = GoalTracker(Goals(time_limit_s=10 / 30))
     goals.start(Goal("reach", 0.0, 0.6))
@@ -131,6 +117,7 @@ def test_every_goal_has_its_own_time_and_episode():
     flown(goals, 5)
     goals.start(Goal("run"), run_s=10 / 30)
     assert flown(goals, 11, start=5 * TICK) == ["running"] * 10 + ["reached"]
+    assert (goals.status.reason, goals.status.closest_m) == (None, None)
     goals.start(Goal("run"))
     assert set(flown(goals, 300, start=99 * TICK)) == {"running"}
 
