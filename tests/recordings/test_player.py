@@ -9,9 +9,7 @@ from html import unescape
 import numpy as np
 import pytest
 
-from softarm.daemon.logbook import logs
 from softarm.recordings import player
-from softarm.recordings.mcap_file import LogError
 from softarm.schemas.events import Entry
 
 
@@ -93,8 +91,3 @@ def test_an_hour_at_full_rate_is_about_seven_megabytes():
     assert samples.every == 1
     packed = [plot.packed_integers(samples.stamps_ns), *map(plot.packed_levels, samples.columns.values())]
     assert 6e6 < len(json.dumps(packed)) < 7.5e6
-
-
-def test_a_log_without_a_tick_is_reported(killed):
-    with pytest.raises(LogError, match="does not say what time it was"):
-        player.page(logs.read(killed), ())

@@ -38,7 +38,7 @@ def test_the_limits_of_a_known_cart_are_found_on_the_safe_side(cart, kind):
 
 def test_only_an_arm_that_pulls_harder_than_the_drive_drags_the_cart(cart):
     """A pull p against a ramp r in a sine of 1.3 Hz gains p - r at most, for one latency."""
-    for pull, least, most in ((0.0, 0.0, 0.01), (2.0, 0.0, 0.05), (4.0, 0.05, 0.25)):
+    for pull, least, most in ((2.0, 0.0, 0.05), (4.0, 0.05, 0.25)):
         found = measure([cart(ramp_m_s2=2.0, latency_s=0.1, pull_m_s2=pull, seconds=90.0)], 6.0)
         assert least <= found.drag.value <= most
 

@@ -56,14 +56,6 @@ def test_a_broken_policy_is_reported_in_time(plugin, does, sentence):
 
 
 @pytest.mark.slow
-def test_the_end_of_the_service_does_not_wait_for_loading(plugin, tmp_path):
-    over = threading.Event()
-    threading.Thread(target=lambda: (until((tmp_path / "mark").exists), over.set())).start()
-    assert first_policy(Config(**plugin("wedges")), over, loading_s=20) is None
-    assert over.is_set()
-
-
-@pytest.mark.slow
 def test_a_service_whose_first_policy_hangs_ends_on_request(plugin, tmp_path):
     settings = plugin("wedges") | {"recorder": {"directory": str(tmp_path)}, "api": {"port": 0}}
     (tmp_path / "arm.yaml").write_text(yaml.safe_dump(settings))

@@ -59,7 +59,7 @@ def test_checking_a_port_leaves_it_free(look, tmp_path):
     failed = []
 
     def tries():
-        for _ in range(50):
+        for _ in range(15):
             failed.extend(look(where(tmp_path, port), wires=False).problems)
 
     threads = [threading.Thread(target=tries) for _ in range(2)]

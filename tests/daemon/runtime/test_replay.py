@@ -41,12 +41,6 @@ def log(tmp_path_factory):
     return logs.read(recorder.path)
 
 
-def test_every_tick_comes_out_as_recorded(log):
-    replayed = replay(log.ticks(), log.config, registry.load)
-    assert replayed.compared == replayed.ticks == len(list(log.ticks())) > 70
-    assert replayed.differences == replayed.gaps == []
-
-
 def moving(ticks):
     """Return the index of the first tick with a moving cart."""
     return next(i for i, (_, outputs) in enumerate(ticks) if outputs.sent.cart_velocity_m_s)
@@ -55,7 +49,8 @@ def moving(ticks):
 def test_a_changed_command_is_found(log):
     """The comparison can fail: one recorded command is off by one part in ten million."""
     ticks = list(log.ticks())
-    assert replay(ticks, log.config, registry.load).differences == []
+    whole = replay(ticks, log.config, registry.load)
+    assert (whole.differences, whole.gaps, whole.compared) == ([], [], len(ticks))
     inputs, outputs = ticks[moving(ticks)]
     sent = outputs.sent._replace(cart_velocity_m_s=outputs.sent.cart_velocity_m_s * (1 + 1e-7))
     ticks[moving(ticks)] = (inputs, dataclasses.replace(outputs, sent=sent))

@@ -9,7 +9,7 @@ import pytest
 PROGRAM = """
 import signal, threading
 from softarm.daemon.assembly import wait_for
-for turn in range(3000):
+for turn in range(1000):
     stop = threading.Event()
     signal.signal(signal.SIGALRM, lambda *_: stop.set())
     signal.setitimer(signal.ITIMER_REAL, 1e-5 + turn % 50 * 1e-6)

@@ -76,27 +76,32 @@ def test_the_file_is_overwritten_in_place(path):
     assert (before.st_ino, before.st_blocks) == (after.st_ino, after.st_blocks)
 
 
-@pytest.mark.parametrize("content", [b"", b"\0" * SIZE, encoded(Stop())[:-1], encoded(Stop()) + b" ", b"[" * SIZE])
-def test_a_file_that_cannot_be_read_counts_as_a_stop(path, content):
+@pytest.mark.parametrize(
+    ("content", "why"),
+    [
+        (b"", "0 bytes, not a record"),
+        (b"\0" * SIZE, ""),
+        (encoded(Stop())[:-1], "4095 bytes"),
+        (encoded(Stop()) + b" ", "4097 bytes"),
+        (b"[" * SIZE, ""),
+        (b'{"version": 2, "free": true}'.ljust(SIZE), "version 2, this software reads 1"),
+        (b'{"version": 1, "stopped": "no time"}'.ljust(SIZE), "not a record of a stop"),
+    ],
+)
+def test_a_file_that_cannot_be_read_counts_as_a_stop(path, content, why):
     path.parent.mkdir()
     path.write_bytes(content)
     with keeping(path) as keeper:
-        assert f"the latch is unreadable ({path}" in keeper.left
+        assert f"the latch is unreadable ({path}: {why}" in keeper.left
+        assert keeper.left_at is None
         keeper.note(None)
         until(lambda: path.read_bytes() == encoded(Stop()))
-
-
-def test_a_file_of_a_newer_version_counts_as_a_stop_and_names_both(path):
-    path.parent.mkdir()
-    path.write_bytes(b'{"version": 2, "free": true}'.ljust(SIZE))
-    with keeping(path) as keeper:
-        assert "version 2, this software reads 1" in keeper.left
 
 
 stops = st.just(Stop()) | st.builds(Stop, st.text(max_size=latch.REASON_MAX), st.none() | st.floats(1, 1e11))
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=100, deadline=None)
 @given(stops, stops, st.integers(0, SIZE))
 @example(Stop("abcd", 1.0), Stop(), len('{"version": 1, "stopped": null'))
 @example(Stop("ab", 1.0), Stop(), len('{"version": 1, "stopped": null'))
@@ -149,14 +154,6 @@ def test_a_left_stop_keeps_its_time_until_the_next_one(path):
     last = keeper()
     assert last.left_at == datetime(2027, 1, 15, 8, 16, 40, 250_000, UTC)
     last.stop()
-
-
-def test_a_record_without_a_time_is_unreadable_and_counts_as_a_stop(path):
-    path.parent.mkdir()
-    path.write_bytes(f'{{"version": 1, "stopped": "{WHY}"}}'.encode().ljust(SIZE - 1) + b"\n")
-    with keeping(path) as keeper:
-        assert "not a record of a stop" in keeper.left
-        assert keeper.left_at is None
 
 
 def test_a_failing_disk_is_a_problem_until_the_write_succeeds(path, monkeypatch, caplog):
@@ -252,7 +249,7 @@ class Killed:
                 yield client, stop_url, first
 
 
-# Over 3 s: three daemons, one after the other.
+# Over 3 s: two daemons, one after the other.
 @pytest.mark.slow
 def test_a_daemon_that_is_killed_begins_stopped_until_that_is_acknowledged(tmp_path):
     robot = Killed(tmp_path)
@@ -270,5 +267,3 @@ def test_a_daemon_that_is_killed_begins_stopped_until_that_is_acknowledged(tmp_p
         assert "stopped since its last run (an emergency stop was requested" in first
         assert client.post("/api/acknowledge").status_code == 200
         until(lambda: killed(file) is None)
-    with robot.running() as (client, _, _):
-        assert client.get("/api/status").json()["estop"] == "clear"

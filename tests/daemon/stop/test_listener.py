@@ -5,7 +5,7 @@ import json
 import socket
 import threading
 import time
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, closing, contextmanager
 from dataclasses import replace
 
 import pytest
@@ -14,7 +14,7 @@ from softarm.daemon.access.auth import AuthError, Role
 from softarm.daemon.access.login import LOGIN_S, LOGINS_MAX, Sessions
 from softarm.daemon.access.sockets import ApiError
 from softarm.daemon.control.inbox import Inbox
-from softarm.daemon.control.records import EStop, Mode, RequestResult
+from softarm.daemon.control.records import EStop, Mode
 from softarm.daemon.stop import listener
 from softarm.daemon.stop.listener import StopListener
 from softarm.schemas.config import Api
@@ -56,13 +56,17 @@ def way(loop, config: Api | None = None, sessions: Sessions | None = None):
         assert not any(thread.name == "stop" for thread in set(threading.enumerate()) - others)
 
 
+def send(port: int, method: str, path: str, headers: dict[str, str]) -> tuple[http.client.HTTPResponse, bytes]:
+    """Return the answer to a request and its body."""
+    with closing(http.client.HTTPConnection("127.0.0.1", port, timeout=5)) as connection:
+        connection.request(method, path, headers=headers)
+        answer = connection.getresponse()
+        return answer, answer.read()
+
+
 def ask(port: int, method: str = "POST", path: str = "/api/stop", **headers: str) -> tuple[int, dict]:
-    connection = http.client.HTTPConnection("127.0.0.1", port, timeout=5)
-    connection.request(method, path, headers=headers)
-    answer = connection.getresponse()
-    found = answer.status, json.loads(answer.read())
-    connection.close()
-    return found
+    answer, body = send(port, method, path, headers)
+    return answer.status, json.loads(body)
 
 
 def test_a_stop_is_answered_once_a_tick_confirms_it(stopping):
@@ -113,11 +117,8 @@ def test_a_stop_needs_a_token_if_one_is_configured(stopping, tokens):
 
 def test_answers_name_the_api_version_and_any_version_may_stop(stopping):
     with way(stopping) as port:
-        connection = http.client.HTTPConnection("127.0.0.1", port, timeout=5)
-        connection.request("POST", "/api/stop", headers={"softarm-api": "7"})
-        answer = connection.getresponse()
-        assert (answer.status, answer.getheader("softarm-api")) == (200, "1")
-        connection.close()
+        answer, _ = send(port, "POST", "/api/stop", {"softarm-api": "7"})
+    assert (answer.status, answer.getheader("softarm-api")) == (200, "1")
 
 
 PAGES = Api(port=8080, stop_port=0)  # as if the API served at 8080
@@ -132,11 +133,7 @@ def far(tokens):
 
 def fetch(port: int, method: str, **headers: str) -> tuple[int, dict[str, str]]:
     """Return the status and the allowed origin that a browser receives."""
-    connection = http.client.HTTPConnection("127.0.0.1", port, timeout=5)
-    connection.request(method, "/api/stop", headers=headers)
-    answer = connection.getresponse()
-    answer.read()
-    connection.close()
+    answer, _ = send(port, method, "/api/stop", headers)
     return answer.status, {name: value for name, value in answer.getheaders() if name.startswith("Access-Control")}
 
 
@@ -385,15 +382,3 @@ def test_the_stop_port_follows_the_apis_unless_configured(port, stop_port, expec
 def test_two_zero_ports_are_different(port, stop_port):
     with pytest.raises(ValueError, match="choose another"):
         Api(port=port, stop_port=stop_port)
-
-
-def test_a_stop_is_confirmed_by_its_result_even_if_the_tick_began_earlier(stopping):
-    class Early(StoppingLoop):
-        def snapshot(self):
-            for post in self.inbox.take():
-                result = RequestResult(post.request.number, True)
-                self.outputs = replace(self.outputs, t_ns=0, estop=EStop.ENGAGED, results=(result,))
-            return self.outputs
-
-    with way(Early(stopping.outputs)) as port:
-        assert ask(port)[0] == 200
