@@ -145,14 +145,6 @@ class Links:
                 out[:, j] += force * arms[j] * (y * c[:, j] + z * s[:, j])
         return out
 
-    def energy(self) -> Array:
-        """Return the energy of each lane, J [L], for a base at rest; zero when hanging at rest."""
-        q, v = self.state
-        matrix = self.coupling * np.cos(q[:, :, None] - q[:, None, :])
-        matrix[:, range(self.n), range(self.n)] = self.own
-        kinetic = 0.5 * np.einsum("li,lij,lj->l", v, matrix, v)
-        return np.asarray(kinetic + GRAVITY_M_S2 * np.sum(self.arm * (1 - np.cos(q)), axis=1))
-
 
 def swing(
     start: Array,
