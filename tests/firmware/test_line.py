@@ -71,16 +71,6 @@ async def test_the_board_is_armed_and_vents_when_the_driver_is_silent(bench: Any
     await bench.arm()
 
 
-async def test_after_replugging_the_board_stays_disarmed(bench: Any) -> None:
-    await bench.arm()
-    bench.faults.start("serial_unplug")
-    await bench.write_until(lambda: "plug the Teensy in" in (bench.regulator.problem() or ""), True, 10.0)
-    bench.faults.start("clear")
-    await bench.write_until(lambda: bench.regulator.problem() is None, True, 10.0)
-    assert not bench.board.armed
-    await bench.arm()
-
-
 async def test_a_board_that_was_reset_is_greeted_again(bench: Any, make_board: Any) -> None:
     await bench.arm()
     bench.port.device = bench.board = make_board(lambda: 5)

@@ -42,10 +42,8 @@ def shake(t_s: float) -> tuple[float, float]:
     return velocity, pressure
 
 
-def fly(
-    parameters: RobotParameters, seconds: float = 1.5, excitation: Any = shake, seed: int = 1, **robot_options: Any
-) -> Flown:
-    robot = Robot(parameters, seed, **robot_options)
+def fly(parameters: RobotParameters, seconds: float = 1.5, excitation: Any = shake, **robot_options: Any) -> Flown:
+    robot = Robot(parameters, 1, **robot_options)
     truths = []
     for tick in range(round(seconds / PERIOD_S)):
         robot.command(tick * PERIOD_S, *excitation(tick * PERIOD_S))

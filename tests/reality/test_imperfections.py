@@ -115,16 +115,6 @@ def test_an_imperfection_changes_its_stage_and_none_upstream(name: str, fly: Any
         assert changed == {sensor: sensor == group.replace("Clock", "Mocap") for sensor in changed}
 
 
-def test_equal_seeds_give_equal_robots_bit_for_bit(fly: Any, perturb: Any, nominal: Any) -> None:
-    restless = perturb("Mocap", dropout=0.2, transport_jitter_s=0.004)
-    one, again, other = fly(restless, seed=3), fly(restless, seed=3), fly(restless, seed=4)
-    assert (one.frames, one.gauge, one.encoder) == (again.frames, again.gauge, again.encoder)
-    np.testing.assert_array_equal(one.ends_m, again.ends_m)
-    assert one.frames != other.frames
-    # Another device's imperfection leaves the noise of this one alone.
-    assert one.gauge == fly(perturb("Mocap"), seed=3).gauge
-
-
 def test_dead_time_has_its_declared_length(fly: Any, perturb: Any, nominal: Any) -> None:
     late = fly(perturb("Regulator", dead_time_s=2 / 30))
     np.testing.assert_array_equal(late.pressure_kpa[2:], nominal.pressure_kpa[:-2])

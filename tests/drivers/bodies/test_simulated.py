@@ -73,17 +73,6 @@ def test_without_sensor_effects_the_readings_are_exact():
     assert last.bodies[5][:2] == tuple(made.body.simulator.tip_m()[0].tolist())
 
 
-def test_the_cart_rests_at_the_end_of_its_travel_and_can_be_driven_away():
-    body = SimulatedBody()
-    for _ in range(30):
-        body.step(1.0, 0.0, PERIOD_NS)
-    assert body.cart_position_m == pytest.approx(body.travel_m, abs=1e-3)
-    assert body.cart_velocity_m_s == pytest.approx(0.0, abs=1e-3)
-    for _ in range(30):
-        body.step(-0.5, 0.0, PERIOD_NS)
-    assert body.cart_position_m < 0.0
-
-
 def test_motion_capture_shows_the_arm_below_the_cart():
     body = SimulatedBody()
     [frame] = body.frames()

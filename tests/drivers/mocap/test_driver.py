@@ -96,13 +96,6 @@ async def test_a_frame_is_stamped_on_arrival_and_not_when_it_is_read(
     assert arrivals[0] < arrivals[1] < clock()
 
 
-async def test_silence_is_reported(source: Any, bridge: Bridge, gather: Any, clock: Any) -> None:
-    bridge.frame(1, 10)
-    await gather(1)
-    clock.advance(0.5)
-    assert "no frame for 0.5 s; check the cameras and the bridge" in source.problem()
-
-
 async def test_a_late_tick_is_not_reported_as_a_clock_error(
     source: Any, bridge: Bridge, clock: Any, until: Any
 ) -> None:

@@ -37,14 +37,10 @@ def test_a_missing_body_is_not_tracked() -> None:
     assert all(math.isnan(v) for v in frame.bodies[5][:3])
 
 
-def test_a_tracked_pose_with_nan_or_infinity_is_not_published() -> None:
+@pytest.mark.parametrize("bodies", [(Pose(math.nan, 0, 0), *POSES[1:]), POSES[:-1]], ids=["NaN", "five bodies"])
+def test_an_invalid_frame_is_not_published(bodies: tuple[Pose, ...]) -> None:
     with pytest.raises(ValueError):
-        encode(1, 1, (Pose(math.nan, 0, 0), *POSES[1:]))
-
-
-def test_a_frame_without_all_bodies_is_not_published() -> None:
-    with pytest.raises(ValueError):
-        encode(1, 1, POSES[:-1])
+        encode(1, 1, bodies)
 
 
 @pytest.mark.parametrize(
@@ -69,9 +65,7 @@ def test_an_error_names_the_malformed_field(payload: bytes, words: str) -> None:
 
 @given(
     st.binary(max_size=60)
-    | st.recursive(st.none() | st.floats() | st.text(max_size=5), st.lists).map(
-        lambda value: json.dumps(value).encode()
-    )
+    | st.recursive(st.none() | st.floats(), st.lists).map(lambda value: json.dumps(value).encode())
 )
 def test_noise_is_a_value_error(payload: bytes) -> None:
     with pytest.raises(ValueError):

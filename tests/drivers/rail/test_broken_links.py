@@ -42,8 +42,10 @@ async def test_a_healthy_connection_begins_and_ends_with_a_stop(bench: Any, unti
     await until(lambda: ends(bench.drive.links[0]) == (STOP, STOP))
 
 
-@pytest.mark.parametrize("kind", BAD_ANSWERS)
-@pytest.mark.parametrize("index", [0x60FF, 0x6041, 0x6064, 0x606C])
+@pytest.mark.parametrize(
+    ("kind", "index"),
+    [*((kind, 0x6041) for kind in BAD_ANSWERS), ("refused", 0x60FF), ("none", 0x60FF), ("busy", 0x6064)],
+)
 async def test_one_bad_answer_does_not_end_a_connection_in_motion(opened: Any, kind: str, index: int) -> None:
     async with opened(timeout_s=0.3) as bench:
         await bench.enable(0.3)

@@ -53,10 +53,6 @@ def test_answers_match_the_samples(telegram: str, transaction: int, entry: Entry
     assert dryve.decode_answer(bytes.fromhex(telegram), transaction, entry, write=False) == value
 
 
-def test_the_acknowledgement_of_a_write_is_accepted() -> None:
-    assert dryve.decode_answer(bytes.fromhex(ACKNOWLEDGED), 0, dryve.CONTROLWORD, write=True) == 0
-
-
 @pytest.mark.parametrize(
     ("telegram", "words"),
     [

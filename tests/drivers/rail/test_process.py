@@ -138,7 +138,7 @@ def gone(process: int) -> bool:
         return True
 
 
-@pytest.mark.parametrize("end", [signal.SIGKILL, signal.SIGABRT, signal.SIGINT, signal.SIGHUP])
+@pytest.mark.parametrize("end", [signal.SIGKILL, signal.SIGINT, signal.SIGHUP])
 async def test_when_the_daemon_dies_the_drive_is_disabled(until: Any, end: signal.Signals) -> None:
     drive = Drive()
     async with served(drive) as config, flying(config, drive, until) as (daemon, rail):

@@ -212,20 +212,6 @@ def test_a_missing_drive_is_reported(free_port: int, twin: Any) -> None:
         pass
 
 
-def test_every_connection_begins_and_ends_with_a_stop(twin: Any) -> None:
-    requests: list[bytes] = []
-
-    def script(telegram: bytes, answer: Callable[[], bytes]) -> bytes:
-        requests.append(telegram)
-        return answer()
-
-    twin.script = script
-    with twin.session() as session:
-        session.home(0.05, 0.01)
-    stop = (b"\x60\xff", bytes(4))
-    assert [(each[12:14], each[19:]) for each in (requests[0], requests[-1])] == [stop, stop]
-
-
 def test_a_homing_sends_the_telegrams_of_the_page_and_no_others(twin: Any) -> None:
     with (Path(__file__).parents[4] / "docs" / "reference" / "vectors" / "homing.csv").open(newline="") as lines:
         shown = [bytes.fromhex(row["telegram"]) for row in csv.DictReader(lines)]
@@ -241,3 +227,5 @@ def test_a_homing_sends_the_telegrams_of_the_page_and_no_others(twin: Any) -> No
         session.home(0.05, 0.01)
     assert requests[:36] == shown[:36]
     assert {each[2:] for each in requests} == {each[2:] for each in shown}
+    # Every connection begins and ends with a stop.
+    assert [(each[12:14], each[19:]) for each in (requests[0], requests[-1])] == [(b"\x60\xff", bytes(4))] * 2
