@@ -1,13 +1,11 @@
 """Test vectors of docs/reference/wires.md, through the encoder and decoder of both ends."""
 
-import csv
 import itertools
 import json
 import math
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -25,21 +23,7 @@ from softarm.drivers.twin.faults import Faults
 from softarm.drivers.twin.teensy import TeensyDevice
 from softarm.schemas.config import DryveRail
 from softarm.schemas.messages import BODY_NAMES, Pose
-
-REFERENCE = Path(__file__).parents[2] / "docs" / "reference"
-PAGE = (REFERENCE / "wires.md").read_text()
-
-
-def table(*columns: str) -> list[list[str]]:
-    """Return the cells of the only table of the page with these columns."""
-    [rows] = re.findall(rf"^\| {re.escape(' | '.join(columns))} \|\n\|[-|]+\n((?:\|.*\n)+)", PAGE, re.MULTILINE)
-    return [[cell.strip(" `") for cell in line.strip("|").split("|")] for line in rows.splitlines()]
-
-
-def vectors(name: str) -> list[list[str]]:
-    """Return the rows of a file with test vectors."""
-    with (REFERENCE / "vectors" / name).open(newline="") as lines:
-        return list(csv.reader(lines))[1:]
+from tests.drivers.wires_page import PAGE, table, vectors
 
 
 def number(text: str) -> int:

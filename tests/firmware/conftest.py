@@ -1,7 +1,6 @@
 """The firmware's core, built for this computer, as a replacement of the twin's device."""
 
 import ctypes
-import importlib.util
 import shutil
 import subprocess
 from collections.abc import Callable, Iterator
@@ -11,16 +10,12 @@ from typing import Any
 import pytest
 
 from softarm.drivers.regulator.teensy import Fault
+from tests.drivers import conftest as _benches
 
 HERE = Path(__file__).parent
 SOURCES = HERE.parents[1] / "firmware" / "regulator"
 
 # Clocks that stand still, and waiting with an end, as the drivers' tests have them.
-_spec = importlib.util.spec_from_file_location("benches", HERE.parent / "drivers" / "conftest.py")
-assert _spec is not None
-assert _spec.loader is not None
-_benches = importlib.util.module_from_spec(_spec)
-_spec.loader.exec_module(_benches)
 anyio_backend, clock, until, running = _benches.anyio_backend, _benches.clock, _benches.until, _benches._running
 opened_regulator = _benches.opened_regulator
 

@@ -71,14 +71,6 @@ async def test_the_board_is_armed_and_vents_when_the_driver_is_silent(bench: Any
     await bench.arm()
 
 
-async def test_a_board_that_was_reset_is_greeted_again(bench: Any, make_board: Any) -> None:
-    await bench.arm()
-    bench.port.device = bench.board = make_board(lambda: 5)
-    await bench.write_until(lambda: bench.board.accepted_sequence and bench.regulator.problem() is None, True, 10.0)
-    assert (bench.board.armed, bench.board.relay_closed) == (False, False)
-    await bench.arm()
-
-
 async def test_stopping_the_driver_vents_and_opens_the_relay(bench: Any) -> None:
     await bench.arm()
     await bench.regulator.stop()

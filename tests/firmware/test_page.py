@@ -1,21 +1,12 @@
 """Check the firmware against every vector of the section Regulator in docs/reference/wires.md."""
 
-import csv
 import ctypes
 import re
-from pathlib import Path
 from typing import Any
 
 import pytest
 
-REFERENCE = Path(__file__).parents[2] / "docs" / "reference"
-PAGE = (REFERENCE / "wires.md").read_text(encoding="utf-8")
-
-
-def table(*columns: str) -> list[list[str]]:
-    """Return the cells of the only table of the page with these columns."""
-    [rows] = re.findall(rf"^\| {re.escape(' | '.join(columns))} \|\n\|[-|]+\n((?:\|.*\n)+)", PAGE, re.MULTILINE)
-    return [[cell.strip(" `") for cell in line.strip("|").split("|")] for line in rows.splitlines()]
+from tests.drivers.wires_page import table, vectors
 
 
 def bodies(library: ctypes.CDLL, line: bytes) -> list[bytes]:
@@ -55,8 +46,7 @@ def test_invalid_lines_are_dropped(library: ctypes.CDLL, line: str, why: str) ->
 
 @pytest.mark.parametrize("at_once", [1, 7, 64])
 def test_the_conversation_matches_the_page_in_any_pieces(make_board: Any, at_once: int) -> None:
-    with (REFERENCE / "vectors" / "regulator.csv").open(newline="") as lines:
-        rows = list(csv.reader(lines))[1:]
+    rows = vectors("regulator.csv")
     board = make_board()
     assert len(rows) == 24
     for (_, asked, time_us, _, line), (_, answered, _, _, expected) in zip(rows[::2], rows[1::2], strict=True):

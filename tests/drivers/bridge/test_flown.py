@@ -60,8 +60,8 @@ class ThroughNatNet:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("room", [Room(up="y", yaw_rad=0.4, origin_m=(1.2, 0.1, -0.7)), Room(up="z", yaw_rad=-2.5)])
-def test_the_arm_reaches_its_target(room: Room) -> None:
+def test_the_arm_reaches_its_target() -> None:
+    room = Room(up="y", yaw_rad=0.4, origin_m=(1.2, 0.1, -0.7))
     source, plane = ThroughNatNet(room), Plane(room)
 
     def show(frame: MocapFrame) -> None:

@@ -215,13 +215,6 @@ def test_an_echo_of_the_sent_bytes_is_reported(clock: Any) -> None:
     assert "echoes" in str(conversation.complaint)
 
 
-def test_another_protocol_version_is_reported() -> None:
-    conversation = Conversation(0.1)
-    conversation.receive(frame(b"\2" + encode(Welcome(1), 1, 1)[1:]))
-    assert "protocol version 2, this software supports 1" in str(conversation.complaint)
-    assert conversation.dropped == 1
-
-
 def test_commands_wait_for_the_token(clock: Any) -> None:
     conversation = Conversation(0.1)
     assert conversation.command(True, 5.0, clock()) == b""

@@ -1,8 +1,6 @@
 """The whole twin in real time, with the daemon's drivers and without."""
 
-import asyncio
 import json
-import signal
 import socket
 import subprocess
 import sys
@@ -159,31 +157,15 @@ async def test_a_second_twin_is_refused_and_the_first_keeps_its_ports(config: Co
         assert Path(config.drivers.regulator.port).readlink() == there
 
 
-MAIN = """
-import asyncio, sys
-from softarm.drivers.bodies.simulated import SimulatedBody
-from softarm.drivers.twin.main import run_twin
-from softarm.schemas.config import Config
-config = Config.model_validate_json(sys.argv[1])
-asyncio.run(run_twin(config, SimulatedBody(), (), lambda line: print(line, flush=True)))
-"""
-
-
 @pytest.mark.slow
-async def test_the_process_outlives_the_daemon_and_ends_on_a_signal(config: Config, until: Any) -> None:
-    process = await asyncio.create_subprocess_exec(
-        sys.executable, "-c", MAIN, config.model_dump_json(), stdout=subprocess.PIPE, stderr=subprocess.STDOUT
-    )
-    assert process.stdout is not None
-    ready = (await process.stdout.readline()).decode()
-    assert config.drivers.regulator.port in ready
-    assert Path(config.drivers.regulator.port).is_symlink()
-    for _ in range(2):
-        await watch_and_break(config, until)
-    process.send_signal(signal.SIGTERM)
-    output, _ = await asyncio.wait_for(process.communicate(), 5)
-    assert process.returncode == 0
-    assert b"unknown fault 'nonsense'" in output
+async def test_the_twin_outlives_the_daemon_and_removes_its_link(
+    config: Config, until: Any, capsys: pytest.CaptureFixture[str]
+) -> None:
+    async with Twin(config):
+        assert Path(config.drivers.regulator.port).is_symlink()
+        for _ in range(2):
+            await watch_and_break(config, until)
+    assert "unknown fault 'nonsense'" in capsys.readouterr().out
     assert not Path(config.drivers.regulator.port).is_symlink()
 
 

@@ -1,8 +1,6 @@
 """Homing over real TCP: the twin's drive, and one written from docs/reference/wires.md alone."""
 
-import csv
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -10,6 +8,7 @@ import pytest
 from softarm.drivers.base import DeviceError
 from softarm.drivers.rail import dryve
 from softarm.drivers.rail.cia402 import DriveState
+from tests.drivers.wires_page import vectors
 
 START, HALT, OFF = 0x001F, 0x010F, 0x0006
 
@@ -213,8 +212,7 @@ def test_a_missing_drive_is_reported(free_port: int, twin: Any) -> None:
 
 
 def test_a_homing_sends_the_telegrams_of_the_page_and_no_others(twin: Any) -> None:
-    with (Path(__file__).parents[4] / "docs" / "reference" / "vectors" / "homing.csv").open(newline="") as lines:
-        shown = [bytes.fromhex(row["telegram"]) for row in csv.DictReader(lines)]
+    shown = [bytes.fromhex(telegram) for _, telegram, *_ in vectors("homing.csv")]
     requests: list[bytes] = []
 
     def script(telegram: bytes, answer: Callable[[], bytes]) -> bytes:
