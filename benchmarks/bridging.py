@@ -313,8 +313,7 @@ def main(
         for method, rms_m in methods.items():
             table.add_row(body, method, *(f"{1e3 * each:.0f} mm" for each in rms_m))
     console.print(table)
-    if json_file is not None:
-        results.write(json_file, _figures(flown, off))
+    results.write(json_file, _figures(flown, off))
 
 
 def _figures(flown: dict[Job, Flown], off: dict[str, dict[str, list[float]]]) -> dict[str, Any]:

@@ -29,7 +29,7 @@ from softarm.common import realtime
 from softarm.common.processes import bar
 from softarm.daemon.control.records import Inputs, Outputs, TickTiming
 from softarm.daemon.logbook import logs
-from softarm.evaluation.software_in_the_loop import SoftwareInTheLoop, SoftwareInTheLoopError
+from softarm.evaluation.software_in_the_loop import SoftwareInTheLoop
 from softarm.schemas.config import Config
 from softarm.schemas.flights import TEST_TARGETS
 
@@ -47,19 +47,18 @@ SHOWN = {
 COUNTED = {"ticks": "ticks", "missed_ticks": "missed ticks", "policy_ticks": "ticks with a policy"}
 
 
-def run(seconds: float, report: Callable[[float], None], model: Path | None = None) -> dict[str, Any]:
+def run(seconds: float, report: Callable[[float], None]) -> dict[str, Any]:
     """Measure both cases for `seconds` each with a swinging arm.
 
     Args:
         seconds: Duration of each case.
         report: Receives the finished share, 0 to 1.
-        model: Model file of the twin.
 
     Raises:
         SoftwareInTheLoopError: Twin or daemon do not start.
     """
     with tempfile.TemporaryDirectory() as folder:
-        with BareLoop(Path(folder)) as bare, SoftwareInTheLoop(Path(folder), model=model) as sil:
+        with BareLoop(Path(folder)) as bare, SoftwareInTheLoop(Path(folder)) as sil:
             log = Path(sil.status()["recorder"]["log"])
             sil.arm()
             idle = swing(sil, seconds, lambda share: report(share / 2))
@@ -191,21 +190,16 @@ async def _hammering(url: str, seconds: float) -> None:
 @click.command()
 @click.option("--seconds", default=60.0, show_default=True, type=click.FloatRange(5, 3600), help="For each part.")
 @results.json_option
-@click.option("--model", "model_file", type=results.FILE, help="The twin's: a file or a shipped name (default: seed).")
-def main(seconds: float, json_file: Path | None, model_file: Path | None) -> None:
+def main(seconds: float, json_file: Path | None) -> None:
     """Measure the punctuality of the loop on the twin, alone and with the API hammered.
 
     \b
     Example:
       python -m benchmarks.loop --seconds 60 --json loop.json
     """
-    try:
-        with bar("ticking") as shown:
-            result = run(seconds, shown.show, model_file)
-    except SoftwareInTheLoopError as error:
-        raise click.ClickException(str(error)) from None
-    if json_file is not None:
-        results.write(json_file, result)
+    with bar("ticking") as shown:
+        result = run(seconds, shown.show)
+    results.write(json_file, result)
     Console().print(table(result))
 
 

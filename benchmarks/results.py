@@ -90,14 +90,16 @@ def depends_on(name: str) -> tuple[str, ...]:
     return DEPENDS[name] if name in DEPENDS else DEPENDS[name.partition("-")[0]]
 
 
-def write(file: Path, figures: Mapping[str, Any], command: str | None = None) -> None:
+def write(file: Path | None, figures: Mapping[str, Any], command: str | None = None) -> None:
     """Write figures and how they were measured.
 
     Args:
-        file: Target; in FOLDER its stem names the result and thus the paths it depends on.
+        file: Target, None for none; in FOLDER its stem names the result and thus the paths it depends on.
         figures: Figures by name.
         command: Command that measured them; this program by default.
     """
+    if file is None:
+        return
     about: dict[str, Any] = {
         "revision": measured(),
         "machine": {**machine(), "cpu": _cpu(), "cores": cores()},

@@ -245,8 +245,7 @@ def main(json_file: Path | None, quick: bool) -> None:
     """
     result = run(quick)
     _show(result)
-    if json_file is not None:
-        results.write(json_file, result)
+    results.write(json_file, result)
 
 
 if __name__ == "__main__":

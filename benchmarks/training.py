@@ -116,8 +116,7 @@ def main(json_file: Path | None, seeds: tuple[int, ...], frames: int | None) -> 
       python -m benchmarks.training --json training.json
     """
     result = run(seeds or SEEDS, frames or FRAMES_MOST, click.echo)
-    if json_file is not None:
-        results.write(json_file, result)
+    results.write(json_file, result)
     click.echo(f"control steps of single robots per second: {result['steps_per_s']:,.0f}")
 
 

@@ -136,9 +136,8 @@ def main(json_file: Path | None) -> None:
     for step, seconds in watch.steps:
         table.add_row(step, f"{seconds:.0f} s", f"{AIMS_S[step]:.0f} s" if step in AIMS_S else "")
     console.print(table)
-    if json_file is not None:
-        steps = [{"step": step, "after_s": round(s, 1), "aim_s": AIMS_S.get(step)} for step, s in watch.steps]
-        results.write(json_file, {"steps": steps})
+    steps = [{"step": step, "after_s": round(s, 1), "aim_s": AIMS_S.get(step)} for step, s in watch.steps]
+    results.write(json_file, {"steps": steps})
 
 
 if __name__ == "__main__":

@@ -238,8 +238,7 @@ def main(ticks: int, seed: int, through: str, jobs: int, with_cost: bool, json_f
             table = cost(COST_POLICIES, lambda: shown.advance(1))
         for name, row in table.items():
             click.echo(f"{name:22}" + "  ".join(f"{key} {value:.3g}" for key, value in row.items()))
-        if json_file is not None:
-            results.write(json_file, {"cost": table})
+        results.write(json_file, {"cost": table})
         return
     started, found = time.perf_counter(), []
     ticks_of_a_world = (1 + GENERATIONS) * FLOWN_TICKS * ROBOTS if through == "law" else TICKS_OF_A_WORLD
@@ -250,8 +249,7 @@ def main(ticks: int, seed: int, through: str, jobs: int, with_cost: bool, json_f
             shown.advance(1)
     figures = summed(found)
     figures |= {"through": through, "seed": seed, "wall_s": round(time.perf_counter() - started, 1)}
-    if json_file is not None:
-        results.write(json_file, figures)
+    results.write(json_file, figures)
     farthest_mm, allowed_mm = 1e3 * figures["worst"][0]["beyond_m"], 1e3 * RAIL_EXCURSION_M
     click.echo(
         f"{figures['robot_ticks']} ticks in {worlds} worlds: {farthest_mm:.1f} mm beyond the soft limit at most "

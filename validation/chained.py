@@ -34,7 +34,7 @@ from softarm.drivers.bodies.base import Body
 from softarm.drivers.bodies.independent import IndependentBody
 from softarm.drivers.bodies.simulated import SimulatedBody
 from softarm.evaluation.robots import ROBOTS
-from softarm.evaluation.software_in_the_loop import SoftwareInTheLoop, SoftwareInTheLoopError
+from softarm.evaluation.software_in_the_loop import SoftwareInTheLoop
 from softarm.policies import registry
 from softarm.policies.base import Policy
 from softarm.schemas.config import Config
@@ -321,15 +321,11 @@ def main(body: str, goals: int, policy: str, seed: int, changed: str, options: s
     drawn = [draw(config, seed, number) for number in range(goals)]
     aims = [(goal, _within(spec.trained, goal)) for goal in drawn]
     with tempfile.TemporaryDirectory(prefix="softarm-") as folder, bar(f"chained, {body}", goals) as shown:
-        try:
-            fly(begin, aims, take)
-        except (SoftwareInTheLoopError, RuntimeError) as error:
-            raise click.ClickException(str(error)) from None
+        fly(begin, aims, take)
     settings = {"body": body, "policy": policy, "seed": seed, "changed": changed, "options": options}
     limits = config.model_dump(mode="json", include=SHARED, exclude_unset=True)
     figures = {**settings, "limits": limits, **summary(legs)}
-    if json_file is not None:
-        results.write(json_file, figures)
+    results.write(json_file, figures)
     _say(figures, bound_m(config))
     raise SystemExit(bool(figures["excursions"] or figures["crashes"] or figures["stops"]))
 

@@ -19,16 +19,12 @@ POLL_S = 0.03
 class SimulatedDaemon(SoftwareInTheLoop):
     """Context in which `softarm run --simulated` runs on free ports."""
 
-    def __init__(self, logs: Path, *options: str) -> None:
-        super().__init__(logs)
-        self._options = options
-
     def start_twin(self) -> None:
         """Start no twin, since the daemon simulates the robot."""
 
     def start_daemon(self) -> None:
         """Start the daemon and wait until it can be armed."""
-        self.daemon = self._start("run", self.config_file, "--simulated", *self._options)
+        self.daemon = self._start("run", self.config_file, "--simulated")
         self._wait("run", self.daemon, self._ready_to_arm)
 
 

@@ -28,7 +28,6 @@ from rich.table import Table
 from benchmarks import results
 from softarm.common import realtime
 from softarm.common.processes import bar
-from softarm.drivers.bodies.base import Body
 from softarm.drivers.bodies.simulated import SimulatedBody
 from softarm.drivers.twin.cameras import TwinState
 from softarm.drivers.twin.main import Twin
@@ -49,9 +48,9 @@ SPEED_M_S = 0.2  # minimum speed at the disturbance
 class Robot(threading.Thread):
     """Thread that runs the twin on an asyncio loop of its own."""
 
-    def __init__(self, config: Config, body: Body) -> None:
+    def __init__(self, config: Config) -> None:
         super().__init__(name="robot", daemon=True)
-        self._config, self._body = config, body
+        self._config = config
         self._ready, self._over = threading.Event(), threading.Event()
         self._problem: BaseException | None = None
         self.twin: Twin
@@ -67,7 +66,7 @@ class Robot(threading.Thread):
         self._ready.set()
 
     async def _serve(self) -> None:
-        async with Twin(self._config, body=self._body) as twin:
+        async with Twin(self._config, body=SimulatedBody()) as twin:
             twin.faults.start("rail_keeps_going")
             self.twin = twin
             self._ready.set()
@@ -96,12 +95,12 @@ class Robot(threading.Thread):
 class Rig(SoftwareInTheLoop):
     """Daemon that drives the robot from end to end."""
 
-    def __init__(self, folder: Path, body: Body) -> None:
+    def __init__(self, folder: Path) -> None:
         self._trigger = folder / "lock"
         policy = {"plugin": "rush", "options": {"trigger": str(self._trigger), "lock_s": LOCK_S}}
         overrides = {"policies": {"rush": policy}, "control": {"policy": "rush"}, "goals": {"time_limit_s": 600}}
         super().__init__(folder / "logs", overrides)
-        self.robot = Robot(Config.model_validate(self.settings), body)
+        self.robot = Robot(Config.model_validate(self.settings))
 
     def start_twin(self) -> None:
         """Start the robot in this process."""
@@ -131,29 +130,19 @@ class Rig(SoftwareInTheLoop):
                     raise
                 recover(self, RECOVER_S)
 
-    def kill(self) -> None:
-        """Kill the daemon with SIGKILL."""
-        assert self.daemon is not None
-        self.daemon.kill()
-
-    def freeze(self) -> None:
-        """Stop the daemon with SIGSTOP."""
-        assert self.daemon is not None
-        self.daemon.send_signal(signal.SIGSTOP)
-
     def lock(self) -> None:
         """Make the policy hold the interpreter's lock."""
         self._trigger.touch()
 
-    def kill_rail(self) -> None:
-        """Kill the rail's process with SIGKILL."""
+    def signal_daemon(self, number: int) -> None:
+        """Send a signal to the daemon."""
         assert self.daemon is not None
-        os.kill(rail_process_of(self.daemon.pid), signal.SIGKILL)
+        self.daemon.send_signal(number)
 
-    def freeze_rail(self) -> None:
-        """Stop the rail's process with SIGSTOP."""
+    def signal_rail(self, number: int) -> None:
+        """Send a signal to the rail's process."""
         assert self.daemon is not None
-        os.kill(rail_process_of(self.daemon.pid), signal.SIGSTOP)
+        os.kill(rail_process_of(self.daemon.pid), number)
 
     def go_on(self) -> None:
         """Return to a daemon that can drive."""
@@ -168,22 +157,21 @@ class Rig(SoftwareInTheLoop):
 
 
 CASES: dict[str, Callable[[Rig], None]] = {
-    "daemon: kill -9": Rig.kill,
-    "daemon: SIGSTOP": Rig.freeze,
+    "daemon: kill -9": lambda rig: rig.signal_daemon(signal.SIGKILL),
+    "daemon: SIGSTOP": lambda rig: rig.signal_daemon(signal.SIGSTOP),
     f"daemon: interpreter's lock held for {LOCK_S:g} s": Rig.lock,
-    "rail's process: kill -9": Rig.kill_rail,
-    "rail's process: SIGSTOP": Rig.freeze_rail,
+    "rail's process: kill -9": lambda rig: rig.signal_rail(signal.SIGKILL),
+    "rail's process: SIGSTOP": lambda rig: rig.signal_rail(signal.SIGSTOP),
 }
 
 
-def run(repeats: int, cases: list[str], report: Callable[[float], None], body: Body | None = None) -> dict[str, Any]:
+def run(repeats: int, cases: list[str], report: Callable[[float], None]) -> dict[str, Any]:
     """Measure `repeats` trials of each case and return the figures by case.
 
     Args:
         repeats: Trials of each case.
         cases: Names from CASES.
         report: Receives the finished share, 0 to 1.
-        body: Robot to simulate; the simulator's by default.
 
     Raises:
         SoftwareInTheLoopError: The daemon does not fly.
@@ -192,7 +180,7 @@ def run(repeats: int, cases: list[str], report: Callable[[float], None], body: B
     realtime.outrank_other_programs(Config().control.realtime_priority)
     draw = random.Random(0)
     figures: dict[str, Any] = {}
-    with _rig(body or SimulatedBody()) as rig:
+    with _rig() as rig:
         for number, name in enumerate(cases):
             trials = []
             for repeat in range(repeats):
@@ -203,9 +191,9 @@ def run(repeats: int, cases: list[str], report: Callable[[float], None], body: B
 
 
 @contextlib.contextmanager
-def _rig(body: Body) -> Iterator[Rig]:
+def _rig() -> Iterator[Rig]:
     with tempfile.TemporaryDirectory(prefix="softarm-") as folder, plugins(PLUGINS):
-        rig = Rig(Path(folder), body)
+        rig = Rig(Path(folder))
         try:
             with rig:
                 yield rig
@@ -253,27 +241,17 @@ def _figures(trials: list[dict[str, float]]) -> dict[str, Any]:
 
 @click.command()
 @click.option("--repeats", default=50, show_default=True, type=click.IntRange(1), help="Trials of each case.")
-@click.option("--reality", is_flag=True, help="Use the independent robot.")
 @results.json_option
-def main(repeats: int, reality: bool, json_file: Path | None) -> None:
+def main(repeats: int, json_file: Path | None) -> None:
     """Measure how far the cart moves when a process dies, freezes or holds its lock.
 
     \b
     Example:
       python -m validation.dead_daemon --repeats 50 --json dead-daemon.json
     """
-    body: Body | None = None
-    if reality:
-        from softarm.drivers.bodies.independent import IndependentBody
-
-        body = IndependentBody()
-    try:
-        with bar("ending daemons") as shown:
-            figures = run(repeats, list(CASES), shown.show, body)
-    except SoftwareInTheLoopError as error:
-        raise click.ClickException(str(error)) from None
-    if json_file is not None:
-        results.write(json_file, {"cases": figures})
+    with bar("ending daemons") as shown:
+        figures = run(repeats, list(CASES), shown.show)
+    results.write(json_file, {"cases": figures})
     table = Table("p50 / p99 / max", "stop received (ms)", "valve open (ms)", "travel (mm)", "farthest (mm)", "crashes")
     for name, found in figures.items():
         spreads = ("{p50:.0f} / {p99:.0f} / {max:.0f}".format(**found[key]) for key in list(found)[1:5])

@@ -86,8 +86,7 @@ def main(episodes: int, json_file: Path | None) -> None:
         "batches_with_nan": sum(not each.finite for each in batches),
         "coiled_up": sum(each.coiled for each in batches),
     }
-    if json_file is not None:
-        results.write(json_file, figures)
+    results.write(json_file, figures)
     Console(soft_wrap=True).print(
         f"{figures['episodes']:,} episodes in {figures['seconds']:.0f} s: "
         f"{figures['batches_with_nan']} batches with NaN, {figures['coiled_up']} arms coiled up"

@@ -14,15 +14,13 @@ from rich.console import Console
 from rich.table import Table
 
 from benchmarks import results
-from softarm.common.processes import WorkerDied, as_they_come, bar, cores
+from softarm.common.processes import as_they_come, bar, cores
 from softarm.evaluation.evaluation import FLIGHTS
 from softarm.evaluation.robots import with_faults
 from softarm.evaluation.runner import fly_grid, shares
 from softarm.policies import registry
-from softarm.policies.base import PolicyError
 from softarm.reality.parameters import RobotParameters
 
-NONE = "none"
 # Strong faults within the bounds of the effect registry and of a bench; the rail's first.
 FAULTS = (
     "rail.delay_s=0.06",
@@ -46,21 +44,17 @@ FAULTS = (
 )
 
 
-def measure(
-    policies: Sequence[str], faults: Sequence[str], advance: Callable[[int], None]
-) -> dict[str, dict[str, float]]:
+def measure(policies: Sequence[str], advance: Callable[[int], None]) -> dict[str, dict[str, float]]:
     """Return fault -> policy -> share of the 162 flights that reached their target.
 
     Args:
         policies: Names of policies.
-        faults: Faults as GROUP.QUANTITY=VALUE.
         advance: Receives the number of flights that have ended since the last call.
 
     Raises:
         PolicyError: A policy cannot be loaded.
-        ValueError: A fault does not exist.
     """
-    robots = {NONE: RobotParameters()} | {fault: with_faults(RobotParameters(), [fault]) for fault in faults}
+    robots = {"none": RobotParameters()} | {fault: with_faults(RobotParameters(), [fault]) for fault in FAULTS}
     for policy in policies:
         registry.load(policy)  # fail before minutes of work
     todo = [(policy, fault, robot) for fault, robot in robots.items() for policy in policies]
@@ -85,11 +79,8 @@ def _fly(job: tuple[str, str, RobotParameters]) -> float:
     show_default=True,
     help="Name as in `softarm policy list`; may be repeated.",
 )
-@click.option(
-    "--fault", "faults", multiple=True, metavar="GROUP.QUANTITY=VALUE", help="Only this fault; may be repeated."
-)
 @results.json_option
-def main(policies: tuple[str, ...], faults: tuple[str, ...], json_file: Path | None) -> None:
+def main(policies: tuple[str, ...], json_file: Path | None) -> None:
     """Print a table with a row per fault and a column per policy.
 
     \b
@@ -97,18 +88,13 @@ def main(policies: tuple[str, ...], faults: tuple[str, ...], json_file: Path | N
       python -m validation.faults --policy reach --policy pid --json faults.json
     """
     console = Console()
-    chosen = faults or FAULTS
-    try:
-        with bar("flying", (1 + len(chosen)) * len(policies) * FLIGHTS) as shown:
-            found = measure(policies, chosen, shown.advance)
-    except (PolicyError, ValueError, WorkerDied) as error:
-        raise click.ClickException(str(error)) from None
+    with bar("flying", (1 + len(FAULTS)) * len(policies) * FLIGHTS) as shown:
+        found = measure(policies, shown.advance)
     table = Table("fault", *policies)
     for fault, reached in found.items():
         table.add_row(fault, *(f"{reached[policy]:.1%}" for policy in policies))
     console.print(table)
-    if json_file is not None:
-        results.write(json_file, found)
+    results.write(json_file, found)
 
 
 if __name__ == "__main__":

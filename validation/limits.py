@@ -237,8 +237,7 @@ def main(json_file: Path | None) -> None:
         farthest = f"{figures['farthest_m']:.4f} m"
         table.add_row(robot.body, f"{robot.ramp_m_s2:g}", f"{robot.payload_kg:g}", late, *bounds, farthest)
     Console(width=120).print(table)
-    if json_file is not None:
-        results.write(json_file, {"rows": [rows[robot] for robot in ROBOTS]})
+    results.write(json_file, {"rows": [rows[robot] for robot in ROBOTS]})
 
 
 if __name__ == "__main__":

@@ -1,9 +1,9 @@
 """Measure whether viewers delay the control loop.
 
 A daemon with a simulated robot flies goals, in turns without clients and with viewers in another process. Each viewer
-reads the stream at 30 Hz and requests the last minute (GET /api/recent) every 5 s; with `--foxglove` one Foxglove
-client subscribes to everything instead. The lateness comes from the daemon's own log, tick by tick; a bare loop next to
-them shows the machine's share. All turns belong to one run, so their ratios are the cost of the viewers.
+reads the stream at 30 Hz and requests the last minute (GET /api/recent) every 5 s. The lateness comes from the daemon's
+own log, tick by tick; a bare loop next to them shows the machine's share. All turns belong to one run, so their ratios
+are the cost of the viewers.
 
     python -m validation.viewers --json FILE
 """
@@ -12,10 +12,9 @@ import asyncio
 import contextlib
 import json
 import multiprocessing
-import re
 import tempfile
 import time
-from collections.abc import Awaitable, Callable, Iterator
+from collections.abc import Callable, Iterator
 from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
@@ -36,12 +35,9 @@ from validation.daemon_process import SimulatedDaemon
 
 READY_S = 60.0
 RECENT_EVERY_S = 5.0
-FOXGLOVE = websockets.Subprotocol("foxglove.sdk.v1")
 
 
-def run(
-    seconds: float, turns: int, viewers: int, report: Callable[[float], None], foxglove: bool = False
-) -> dict[str, Any]:
+def run(seconds: float, turns: int, viewers: int, report: Callable[[float], None]) -> dict[str, Any]:
     """Measure `turns` turns of `seconds` each way and return the figures.
 
     Raises:
@@ -50,11 +46,10 @@ def run(
     windows: dict[str, list[Window]] = {"alone": [], "viewed": []}
     cpu_s = dict.fromkeys(windows, 0.0)
     seen: list[dict[str, Any]] = []
-    options = ("--foxglove", "0") if foxglove else ()
     with (
         tempfile.TemporaryDirectory() as folder,
         BareLoop(Path(folder)) as bare,
-        SimulatedDaemon(Path(folder) / "logs", *options) as daemon,
+        SimulatedDaemon(Path(folder) / "logs") as daemon,
     ):
         assert daemon.daemon is not None
         pids = [daemon.daemon.pid]
@@ -62,7 +57,7 @@ def run(
         daemon.arm()
         for number in range(2 * turns):
             part = "viewed" if number % 2 else "alone"
-            with _watched(daemon, viewers, seconds, foxglove) if number % 2 else contextlib.nullcontext() as came:
+            with _watched(daemon, viewers, seconds) if number % 2 else contextlib.nullcontext() as came:
                 before_s = usage.of(pids).cpu_s
                 windows[part].append(swing(daemon, seconds, lambda _: None))
                 cpu_s[part] += usage.of(pids).cpu_s - before_s
@@ -85,7 +80,7 @@ def run(
 
 
 @contextlib.contextmanager
-def _watched(daemon: SoftwareInTheLoop, viewers: int, seconds: float, foxglove: bool) -> Iterator[Connection]:
+def _watched(daemon: SoftwareInTheLoop, viewers: int, seconds: float) -> Iterator[Connection]:
     """Connect the viewers in another process; the connection returns their figures after `seconds`.
 
     Raises:
@@ -93,9 +88,7 @@ def _watched(daemon: SoftwareInTheLoop, viewers: int, seconds: float, foxglove: 
     """
     context = multiprocessing.get_context("spawn")
     ours, theirs = context.Pipe()
-    found = re.search(r"(ws://\S+)", daemon.printed("run")) if foxglove else None
-    arguments = (daemon.url, found and found[1], viewers, seconds, theirs)
-    process = context.Process(target=_watch, args=arguments, daemon=True)
+    process = context.Process(target=_watch, args=(daemon.url, viewers, seconds, theirs), daemon=True)
     process.start()
     try:
         if not ours.poll(READY_S):
@@ -107,32 +100,19 @@ def _watched(daemon: SoftwareInTheLoop, viewers: int, seconds: float, foxglove: 
         process.join()
 
 
-def _watch(url: str, foxglove_url: str | None, viewers: int, seconds: float, way: Connection) -> None:
-    asyncio.run(_watching(url, foxglove_url, viewers, seconds, way))
+def _watch(url: str, viewers: int, seconds: float, way: Connection) -> None:
+    asyncio.run(_watching(url, viewers, seconds, way))
 
 
-async def _watching(url: str, foxglove_url: str | None, viewers: int, seconds: float, way: Connection) -> None:
+async def _watching(url: str, viewers: int, seconds: float, way: Connection) -> None:
     frames, took, sizes, there = [0] * viewers, [], [], [asyncio.Event() for _ in range(viewers)]
-
-    def received(number: int) -> None:
-        frames[number] += 1
-        there[number].set()
-
-    async def subscribe(number: int) -> None:
-        """Subscribe to every channel of Foxglove."""
-        async with websockets.connect(foxglove_url or "", subprotocols=[FOXGLOVE], max_size=None) as socket:
-            async for data in socket:
-                if isinstance(data, bytes):
-                    received(number)
-                elif (message := json.loads(data))["op"] == "advertise":
-                    channels = [{"id": one["id"], "channelId": one["id"]} for one in message["channels"]]
-                    await socket.send(json.dumps({"op": "subscribe", "subscriptions": channels}))
 
     async def follow(number: int) -> None:
         async with websockets.connect(url.replace("http", "ws", 1) + "/api/stream", max_size=None) as stream:
             async for text in stream:
                 json.loads(text)
-                received(number)
+                frames[number] += 1
+                there[number].set()
 
     async def look_back(number: int) -> None:
         await asyncio.sleep(RECENT_EVERY_S * number / viewers)
@@ -147,8 +127,7 @@ async def _watching(url: str, foxglove_url: str | None, viewers: int, seconds: f
                 sizes.append(len(answer.content))
                 await asyncio.sleep(max(0.0, RECENT_EVERY_S - took[-1]))
 
-    works: tuple[Callable[[int], Awaitable[None]], ...] = (subscribe,) if foxglove_url else (follow, look_back)
-    tasks = [asyncio.ensure_future(work(number)) for number in range(viewers) for work in works]
+    tasks = [asyncio.ensure_future(work(number)) for number in range(viewers) for work in (follow, look_back)]
     await asyncio.gather(*(one.wait() for one in there))
     way.send("ready")
     before, cpu_s = sum(frames), time.process_time()
@@ -174,22 +153,17 @@ def _ratios(found: dict[str, Any]) -> dict[str, float]:
 )
 @click.option("--turns", default=3, show_default=True, type=click.IntRange(1, 1000), help="Number of turns each way.")
 @click.option("--viewers", default=10, show_default=True, type=click.IntRange(1, 32), help="Number of viewers.")
-@click.option("--foxglove", is_flag=True, help="Instead of the viewers, one client of `softarm run --foxglove`.")
 @results.json_option
-def main(seconds: float, turns: int, viewers: int, foxglove: bool, json_file: Path | None) -> None:
+def main(seconds: float, turns: int, viewers: int, json_file: Path | None) -> None:
     """Measure the punctuality of the control loop with and without viewers.
 
     \b
     Example:
       python -m validation.viewers --seconds 20 --turns 3 --json viewers.json
     """
-    try:
-        with bar("flying") as shown:
-            result = run(seconds, turns, 1 if foxglove else viewers, shown.show, foxglove)
-    except SoftwareInTheLoopError as error:
-        raise click.ClickException(str(error)) from None
-    if json_file is not None:
-        results.write(json_file, result)
+    with bar("flying") as shown:
+        result = run(seconds, turns, viewers, shown.show)
+    results.write(json_file, result)
     console = Console()
     console.print(table({part: result[part] for part in ("alone", "viewed")}))
     viewed, ratio = result["viewed"], result["ratio"]

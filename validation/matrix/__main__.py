@@ -9,7 +9,6 @@ from rich.table import Table
 
 from benchmarks import results
 from softarm.common.processes import bar
-from softarm.evaluation.software_in_the_loop import SoftwareInTheLoopError
 from validation.matrix.cells import Cell, Outcome, cells, faults_of
 from validation.matrix.flight import fly_all
 
@@ -29,19 +28,15 @@ def main(only: str | None, json_file: Path | None) -> None:
     if not chosen:
         raise click.BadParameter(f"no cell has this name; allowed: {', '.join(str(cell) for cell in cells())}")
     flown: list[tuple[Cell, Outcome]] = []
-    try:
-        with bar("causing faults", len(chosen)) as shown:
+    with bar("causing faults", len(chosen)) as shown:
 
-            def report(cell: Cell, outcome: Outcome) -> None:
-                flown.append((cell, outcome))
-                shown.advance(1)
+        def report(cell: Cell, outcome: Outcome) -> None:
+            flown.append((cell, outcome))
+            shown.advance(1)
 
-            fly_all(chosen, report)
-    except SoftwareInTheLoopError as error:
-        raise click.ClickException(str(error)) from None
-    if json_file is not None:
-        figures = [{**vars(cell), **outcome.as_json(), "wrong": faults_of(cell, outcome)} for cell, outcome in flown]
-        results.write(json_file, {"cells": figures})
+        fly_all(chosen, report)
+    figures = [{**vars(cell), **vars(outcome), "wrong": faults_of(cell, outcome)} for cell, outcome in flown]
+    results.write(json_file, {"cells": figures})
     table = Table("fault", "stopped", "braked / vented (ms)", "farthest (m)", "causes", "wrong")
     for cell, outcome in flown:
         took = " / ".join("-" if ms is None else f"{ms:.0f}" for ms in (outcome.braked_ms, outcome.vented_ms))

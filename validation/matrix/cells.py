@@ -1,8 +1,7 @@
 """Cells of the fault matrix, their outcomes, and the judgement of each outcome."""
 
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass, field
-from typing import Any
+from dataclasses import dataclass, field
 
 from softarm.schemas.robot import RAIL_EXCURSION_M, RAIL_LIMIT_M, RAIL_TRAVEL_M
 from validation.matrix.faulty_policies import NAMES
@@ -78,10 +77,6 @@ class Outcome:
     logged: tuple[str, ...] = ()  # all events in the log during the fault
     recovery: str = ""  # how operation resumed
     problems: list[str] = field(default_factory=list)  # reasons why the cell could not be flown
-
-    def as_json(self) -> dict[str, Any]:
-        """Return the outcome as plain data for the results."""
-        return asdict(self)
 
 
 def cells() -> Iterator[Cell]:
