@@ -14,12 +14,18 @@ SYNC_INTERVAL_S = 1.0  # the most that a power failure may lose
 
 
 class LogMessage(NamedTuple):
-    """Message for a log; both times are CLOCK_MONOTONIC nanoseconds."""
+    """Message for a file; both times are nanoseconds: CLOCK_MONOTONIC in a log, the wall clock for Foxglove."""
 
     topic: str
     log_time: int
     publish_time: int
     data: bytes
+
+
+def register(writer: Writer, topic: str, schema_name: str, json_schema: bytes) -> int:
+    """Register a channel of JSON messages and return its number."""
+    schema = writer.register_schema(schema_name, "jsonschema", json_schema)
+    return int(writer.register_channel(topic, "json", schema))
 
 
 class LiveFile:
@@ -29,13 +35,12 @@ class LiveFile:
         self._file = file
         self._writer = Writer(file, use_chunking=False)
         self._writer.start(profile="", library=LIBRARY)
-        self._ids = {channel.topic: self._register(channel) for channel in channels}
+        self._ids = {
+            channel.topic: register(self._writer, channel.topic, channel.schema_name, channel.json_schema())
+            for channel in channels
+        }
         self._sequence = 0
         self._synced_s = time.monotonic()
-
-    def _register(self, channel: LogChannel[Any]) -> int:
-        schema = self._writer.register_schema(channel.schema_name, "jsonschema", channel.json_schema())
-        return int(self._writer.register_channel(channel.topic, "json", schema))
 
     def note(self, name: str, values: Mapping[str, str]) -> None:
         """Write a metadata record, valid from here on."""

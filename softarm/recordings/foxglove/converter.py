@@ -3,7 +3,7 @@
 import json
 import math
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from importlib.resources import files
 from typing import Any, NamedTuple
 
@@ -15,6 +15,7 @@ from softarm.recordings import flight
 from softarm.recordings.flight import Tick
 from softarm.recordings.foxglove import scene
 from softarm.recordings.foxglove.plain import plain
+from softarm.recordings.live import LogMessage
 from softarm.schemas.config import Config
 from softarm.schemas.events import Entry
 from softarm.schemas.messages import MocapFrame, PressureReading, RailReading
@@ -24,15 +25,6 @@ TRAIL, TRAIL_NS, TRAIL_STEP_NS = "/scene/trail", 1_500_000_000, 50_000_000  # tr
 STATE, JOURNAL = "/state", "/log"
 INFO, WARNING, ERROR = 2, 3, 4  # foxglove.LogLevel
 _SCHEMAS = files("softarm.recordings.foxglove") / "schemas"
-
-
-class Message(NamedTuple):
-    """Message for Foxglove; both times are wall-clock nanoseconds."""
-
-    topic: str
-    log_time: int
-    publish_time: int
-    data: bytes
 
 
 class Channel(NamedTuple):
@@ -135,21 +127,21 @@ class Converter:
         self._rail: RailReading | None = None
         self.has_events = False
 
-    def take(self, topic: str, log_time: int, publish_time: int, data: bytes) -> Iterator[Message]:
+    def take(self, topic: str, log_time: int, publish_time: int, data: bytes) -> Iterator[LogMessage]:
         """Yield a message with wall-clock stamps, and the messages that show it.
 
         Raises:
             pydantic.ValidationError: The message has another format.
         """
         at_ns = log_time + self._offset_ns
-        yield Message(topic, at_ns, publish_time + self._offset_ns, data)
+        yield LogMessage(topic, at_ns, publish_time + self._offset_ns, data)
         one = flight.record(topic, data)
         match one:
             case MocapFrame():
                 seen_ns = one.t_capture_ns + self._offset_ns
-                yield Message(FRAMES, at_ns, seen_ns, _json(scene.frames(one, seen_ns)))
+                yield LogMessage(FRAMES, at_ns, seen_ns, _json(scene.frames(one, seen_ns)))
                 if self._goes_on(one, seen_ns):
-                    yield Message(TRAIL, at_ns, seen_ns, _json(scene.trail([at[1:] for at in self._tip], seen_ns)))
+                    yield LogMessage(TRAIL, at_ns, seen_ns, _json(scene.trail([at[1:] for at in self._tip], seen_ns)))
             case PressureReading():
                 self._pressure = one
             case RailReading():
@@ -159,15 +151,15 @@ class Converter:
                 yield self.journal(one)
             case Tick():
                 yield from self._scenes(one, at_ns)
-                yield Message(STATE, at_ns, at_ns, _STATE.dump_json(self._state(one), exclude_none=True))
+                yield LogMessage(STATE, at_ns, at_ns, _STATE.dump_json(self._state(one), exclude_none=True))
 
-    def journal(self, entry: Entry) -> Message:
+    def journal(self, entry: Entry) -> LogMessage:
         """Something that happened, as foxglove.Log."""
         at_ns = entry.t_ns + self._offset_ns
         refused = entry.accepted is False
         level = ERROR if entry.kind == "stop" else WARNING if refused or entry.kind in ("lost", "event") else INFO
         text = {"timestamp": scene.time_of(at_ns), "level": level, "message": entry.text, "name": entry.kind}
-        return Message(JOURNAL, at_ns, at_ns, _json(text | {"file": "", "line": 0}))
+        return LogMessage(JOURNAL, at_ns, at_ns, _json(text | {"file": "", "line": 0}))
 
     def _goes_on(self, frame: MocapFrame, seen_ns: int) -> bool:
         """Return whether the trail of the tip has a new point."""
@@ -180,26 +172,25 @@ class Converter:
             self._tip.popleft()
         return True
 
-    def _scenes(self, tick: Tick, at_ns: int) -> Iterator[Message]:
+    def _scenes(self, tick: Tick, at_ns: int) -> Iterator[LogMessage]:
         """Yield the scenes that have changed."""
-        out, radius_m = tick.outputs, self._config.goals.success_radius_m
+        out, config = tick.outputs, self._config
         goal = (out.goal.goal, out.goal.state)
-        made = {FIXED: None, ROBOT: None, TARGET: goal, SHELF: (*goal, out.policy)}
+        # Topic: inputs of the scene, and the scene.
+        scenes: dict[str, tuple[object, Callable[[], scene.Json]]] = {
+            FIXED: (None, lambda: scene.fixed_frames(at_ns)),
+            ROBOT: (None, lambda: scene.robot(config, at_ns)),
+            TARGET: (goal, lambda: scene.target(out.goal, config.goals.success_radius_m, at_ns)),
+            SHELF: ((*goal, out.policy), lambda: scene.shelf(out.goal, out.policy, config, at_ns)),
+        }
         is_due = (at_ns - self._shown_ns) * 1e-9 >= self._repeat_s
-        due = [topic for topic, of in made.items() if is_due or self._shown.get(topic) != repr(of)]
-        self._shown = {topic: repr(of) for topic, of in made.items()}  # as text, since NaN does not equal itself
-        self._shown_ns = at_ns if is_due else self._shown_ns
-        for topic in due:
-            match topic:
-                case "/tf_static":
-                    shown = scene.fixed_frames(at_ns)
-                case "/scene/robot":
-                    shown = scene.robot(self._config, at_ns)
-                case "/scene/target":
-                    shown = scene.target(out.goal, radius_m, at_ns)
-                case _:
-                    shown = scene.shelf(out.goal, out.policy, self._config, at_ns)
-            yield Message(topic, at_ns, at_ns, _json(shown))
+        if is_due:
+            self._shown_ns = at_ns
+        for topic, (of, made) in scenes.items():
+            inputs = repr(of)  # as text, since NaN does not equal itself
+            if is_due or self._shown.get(topic) != inputs:
+                self._shown[topic] = inputs
+                yield LogMessage(topic, at_ns, at_ns, _json(made()))
 
     def _state(self, tick: Tick) -> State:
         out, goal, seen = tick.outputs, tick.outputs.goal.goal, tick.outputs.observed

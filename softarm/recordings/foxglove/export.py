@@ -13,7 +13,7 @@ from softarm.common import files as atomic
 from softarm.recordings import flight, mcap_file
 from softarm.recordings.foxglove import converter
 from softarm.recordings.foxglove.converter import Converter
-from softarm.recordings.live import LIBRARY
+from softarm.recordings.live import LIBRARY, LogMessage, register
 from softarm.recordings.log_file import LogFile
 from softarm.reporting.colours import on_any_ground
 from softarm.schemas.events import Entry
@@ -49,12 +49,12 @@ def export(log: LogFile, target: Path, entries: Iterable[Entry], advance: Advanc
     with atomic.replacing(target) as file:
         writer = Writer(file)
         writer.start(profile="", library=LIBRARY)
-        ids = {channel.topic: _register(writer, channel) for channel in converter.channels()}
+        ids = {channel.topic: register(writer, *channel) for channel in converter.channels()}
         topics: dict[int, str] = {}
         schemas: dict[int, Schema] = {}
         count = 0
 
-        def put(message: converter.Message) -> None:
+        def put(message: LogMessage) -> None:
             nonlocal count
             count += 1
             writer.add_message(ids[message.topic], message.log_time, message.data, message.publish_time, count)
@@ -66,7 +66,7 @@ def export(log: LogFile, target: Path, entries: Iterable[Entry], advance: Advanc
                 case Channel():
                     topics[record.id] = record.topic
                     if record.topic not in ids:  # a finished log repeats it at its end
-                        ids[record.topic] = _register(writer, converter.own(record, schemas[record.schema_id]))
+                        ids[record.topic] = register(writer, *converter.own(record, schemas[record.schema_id]))
                 case Metadata():
                     writer.add_metadata(record.name, record.metadata)
                 case Message():
@@ -81,8 +81,3 @@ def export(log: LogFile, target: Path, entries: Iterable[Entry], advance: Advanc
             for entry in entries:
                 put(changing.journal(entry))
         writer.finish()
-
-
-def _register(writer: Writer, channel: converter.Channel) -> int:
-    schema = writer.register_schema(channel.schema_name, "jsonschema", channel.json_schema)
-    return int(writer.register_channel(channel.topic, "json", schema))

@@ -16,6 +16,7 @@ from mcap.records import Channel, McapRecord, Message, Metadata, Schema
 from softarm.recordings import mcap_file
 from softarm.recordings.foxglove import converter
 from softarm.recordings.foxglove.converter import Converter
+from softarm.recordings.live import LogMessage
 from softarm.schemas import log
 from softarm.schemas.config import Config
 
@@ -55,7 +56,7 @@ class Relay:
                 for message in self._shown(record):
                     self._channels[message.topic].log(message.data, log_time=message.log_time)
 
-    def _shown(self, record: Message) -> Iterator[converter.Message]:
+    def _shown(self, record: Message) -> Iterator[LogMessage]:
         if self._converter is None:  # the header of a log precedes its messages
             config = Config.model_validate_json(self._metadata[log.CONFIGURATION]["json"])
             offset_ns = int(self._metadata[log.CLOCK]["wall_minus_monotonic_ns"])
