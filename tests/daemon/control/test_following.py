@@ -117,10 +117,6 @@ def test_a_short_deviation_is_no_event():
     assert not watch(set_points, moved).is_lost
 
 
-def test_a_disabled_drive_is_not_checked():
-    assert not watch([1.0] * 30, [0.0] * 30, enabled=False).is_lost
-
-
 def test_skipped_ticks_let_the_link_brake():
     """A set-point not renewed for a third of a second lets the link brake the cart."""
     set_points = [0.8] * 40

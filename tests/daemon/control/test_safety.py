@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from softarm.common.braking import CREEP_MAX_M_S, RETURN_SPEED_M_S
@@ -50,7 +50,9 @@ def test_every_sent_command_is_within_every_limit(steps):
         pressure = sent.pressure_kpa
 
 
-@given(st.floats(-1, 1), st.floats(-0.7, 20.0))
+@given(st.floats(-1, 1), st.floats(PRESSURE.min_kpa, PRESSURE.max_kpa))
+@example(0.0, PRESSURE.min_kpa)
+@example(0.0, PRESSURE.max_kpa)
 def test_an_action_within_the_limits_passes_untouched_in_the_middle_of_the_rail(velocity, kpa):
     wanted = Command(True, velocity, kpa)
     assert make().apply(wanted, MIDDLE, 0) == (wanted, ())
@@ -221,11 +223,6 @@ def test_every_clamp_has_a_name(wanted, clamp):
     assert clamp in clamps
 
 
-@pytest.mark.parametrize("kpa", [PRESSURE.min_kpa, PRESSURE.max_kpa])
-def test_a_pressure_at_its_limit_is_within_it(kpa):
-    assert make().apply(Command(True, 0.0, kpa), MIDDLE, 0) == (Command(True, 0.0, kpa), ())
-
-
 def test_nan_or_infinity_brakes_and_vents():
     sent, _ = make().apply(Command(True, math.nan, 10.0), MIDDLE, 0)
     assert sent == Command(True, 0.0, 0.0)
@@ -253,22 +250,17 @@ def test_the_pressure_slew_is_kept():
     assert second.pressure_kpa == pytest.approx(4.0)
 
 
-def test_a_drive_without_its_own_ramp_has_its_set_points_slewed():
-    safety = make(drive_ramp=None)
-    sent, clamps = safety.apply(Command(True, 1.0, 0.0), MIDDLE, 0)
-    assert sent.cart_velocity_m_s == pytest.approx(RAIL.acceleration_max_m_s2 * PERIOD)
-    assert clamps == ("rail_acceleration",)
-
-
 @pytest.mark.parametrize("ramp", [None, RAIL.acceleration_max_m_s2 + 0.1])
 def test_a_drive_with_a_steep_ramp_is_slewed_in_both_directions(ramp):
     safety, step = make(drive_ramp=ramp), RAIL.acceleration_max_m_s2 * PERIOD
     wanted = [0.5, 0.5, 0.5, 0.5, -0.5, -0.5, -0.5]
-    sent = [
-        safety.apply(Command(True, each, 0.0), read(0.0, 0.0, tick * SOON_NS), tick * SOON_NS).command.cart_velocity_m_s
+    passed = [
+        safety.apply(Command(True, each, 0.0), read(0.0, 0.0, tick * SOON_NS), tick * SOON_NS)
         for tick, each in enumerate(wanted)
     ]
+    sent = [each.command.cart_velocity_m_s for each in passed]
     assert sent == pytest.approx([step, 2 * step, 0.5, 0.5, 0.5 - step, 0.5 - 2 * step, 0.5 - 3 * step])
+    assert [each.clamps for each in passed[:3]] == [("rail_acceleration",), ("rail_acceleration",), ()]
 
 
 def test_a_drive_with_a_gentle_ramp_is_not_slewed():
@@ -303,7 +295,7 @@ class Adversary:
 @pytest.mark.parametrize("kind", ["bang_bang", "with_swing", "against_swing"])
 def test_on_the_simulated_robot_no_policy_passes_the_limits(kind):
     """The limits hold with the arm's pull, which the filter does not model."""
-    for seed in range(6 if kind == "bang_bang" else 1):
+    for seed in range(3 if kind == "bang_bang" else 1):
         flights = Lockstep(Config(), Adversary(kind, seed))
         for start in (-0.2, 0.0, 0.2):
             flight = flights.fly(Goal("reach", 0.59, 0.51), start)

@@ -33,12 +33,6 @@ def test_each_entry_is_one_log_line_and_a_stop_a_warning(caplog):
     ]
 
 
-def test_entries_have_wall_time():
-    made = history()
-    turned(made, 1)
-    assert made.entries[0].time.isoformat() == "2027-01-15T08:00:01+00:00"
-
-
 def test_a_thousand_entries_are_kept():
     made = history()
     turned(made, KEPT + 7)

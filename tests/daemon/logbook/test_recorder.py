@@ -161,27 +161,7 @@ def disk(monkeypatch):
     return full
 
 
-def test_a_full_disk_ends_the_log_only(tmp_path, disk):
-    recorder = Recorder(config(tmp_path))
-    recorder.start()
-    recorder.tick(*make_tick(0))
-    until(lambda: logs.read(recorder.path).t_last_ns is not None, "the first tick in the file")
-    disk.set()
-    until(lambda: recorder.problem is not None, "the problem")
-    assert "the log ends here" in recorder.problem
-    assert "delete old logs" in recorder.problem
-    assert "recording continues by itself" in recorder.problem
-    dropped = recorder.dropped
-    recorder.tick(*flown(1))
-    assert recorder.dropped == dropped + 1
-    until(lambda: recorder.history.entries, "the event is still reported")
-    assert recorder.history.entries[0].text == "disarmed → armed"
-    recorder.stop()
-    assert recorder.dropped == dropped + 1
-    assert [o.tick for o in logs.read(recorder.path).outputs()] == [0]
-
-
-def test_recording_resumes_in_a_new_file_when_there_is_space(tmp_path, disk):
+def test_a_full_disk_ends_the_log_and_recording_resumes_in_a_new_one(tmp_path, disk):
     recorder = Recorder(config(tmp_path), SPEC)
     recorder.start()
     first = recorder.path
@@ -189,16 +169,22 @@ def test_recording_resumes_in_a_new_file_when_there_is_space(tmp_path, disk):
     until(lambda: logs.read(first).t_last_ns is not None, "the first tick in the file")
     disk.set()
     until(lambda: recorder.problem is not None, "the problem")
-    recorder.tick(*make_tick(1))
+    for words in ("the log ends here", "delete old logs", "recording continues by itself"):
+        assert words in recorder.problem
+    recorder.tick(*flown(1))
+    until(lambda: recorder.history.entries, "the event is still reported")
+    assert recorder.history.entries[0].text == "disarmed → armed"
     recorder.policy(PolicySpec("pid", "the seed's gains"))  # taken up while nothing could be written
     disk.clear()
     until(lambda: recorder.problem is None, "the new log")
     recorder.tick(*make_tick(2))
+    until(lambda: logs.read(recorder.path).t_last_ns is not None, "its first tick")
+    disk.set()
+    until(lambda: recorder.problem is not None, "the problem")
     recorder.stop()
     assert recorder.path != first
     assert recorder.dropped == 1
     log = logs.read(recorder.path)
-    assert log.finished
     assert [o.tick for o in log.outputs()] == [2]
     assert [policy["name"] for policy in log.policies] == ["pid"]
     assert [o.tick for o in logs.read(first).outputs()] == [0]
