@@ -127,7 +127,7 @@ some_events = st.lists(st.sampled_from(list(TABLE)), max_size=5, unique=True)
 
 
 @pytest.mark.slow
-@settings(max_examples=500, deadline=None)
+@settings(max_examples=200, deadline=None)
 @given(st.sampled_from(Mode), some_events.flatmap(lambda some: st.tuples(st.just(some), st.permutations(some))))
 def test_the_order_of_events_changes_neither_mode_nor_latch(mode, orders):
     one, other = machine(mode), machine(mode)

@@ -116,7 +116,7 @@ def test_a_concurrent_reader_gets_complete_rows_only():
     writer = threading.Thread(target=write)
     writer.start()
     try:
-        for _ in range(30):
+        for _ in range(10):
             said = json.loads(recent.json(20))
             assert [tick % 1000 / 1e4 for tick in said["tick"]] == said["tip_y_m"]
             first = said["tick"][0] if said["tick"] else 0

@@ -43,11 +43,6 @@ def plugin(install, tmp_path, monkeypatch):
     return made
 
 
-def test_a_good_policy_is_loaded_after_its_first_step():
-    policy = first_policy(Config(control={"policy": "hold"}), threading.Event())
-    assert policy.spec.name == "hold"
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize(("does", "sentence"), [("crashes", "its process ended by SIGSEGV"), ("wedges", "within 1 s")])
 def test_a_broken_policy_is_reported_in_time(plugin, does, sentence):
