@@ -4,7 +4,6 @@ The daemon's tick, the firmware's core and the twin's drive run in lockstep.
 """
 
 import math
-from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -28,8 +27,8 @@ LOOK_NS = 1_000_000
 class Bench:
     """Board and drive, with the relay in the line of DI7; a daemon, and the cable to the drive."""
 
-    def __init__(self, board: Any, closed: Callable[[Any], bool]) -> None:
-        self.board, self._closed = board, closed
+    def __init__(self, board: Any) -> None:
+        self.board = board
         self.drive = DryveDevice(DryveRail())
         self.drive.keeps_going = True
         self.talk = Conversation(SerialRegulator().time_to_live_s)
@@ -60,7 +59,7 @@ class Bench:
         while self.now_ns < until_ns:
             self.now_ns = min(self.now_ns + LOOK_NS, until_ns)
             self.board.watch(self.now_ns)
-            self.drive.remote = self._closed(self.board) and not self.button
+            self.drive.remote = self.board.relay_closed and not self.button
             self.drive.watch(self.now_ns)
 
     def tick(self, *kinds: str) -> Any:
@@ -119,19 +118,7 @@ class Bench:
 
 @pytest.fixture
 def bench(make_board: Any) -> Bench:
-    return Bench(make_board(), lambda board: board.relay_closed)
-
-
-def test_the_daemon_arms_with_the_relay(bench: Bench) -> None:
-    bench.armed()
-
-
-def test_a_relay_that_closes_only_when_armed_would_prevent_arming(make_board: Any) -> None:
-    """Show why disarmed commands close the relay: the daemon requires DI7 before it arms."""
-    bench = Bench(make_board(), lambda board: board.armed)
-    bench.ticks_for(1.5)
-    bench.tick("arm")
-    assert "enable input (DI7) is low" in bench.reasons()
+    return Bench(make_board())
 
 
 def test_a_dead_host_stops_the_drive(bench: Bench) -> None:

@@ -51,20 +51,6 @@ def test_the_sketch_compiles_against_teensyduinos_declarations(compiler: str, na
 
 
 @pytest.mark.parametrize(
-    ("name", "right", "wrong"),
-    [
-        ("regulator.ino", "analogWriteResolution", "analogWriteResolutoin"),
-        ("regulator.ino", "relay_closed", "relay_close"),
-        ("teensy36.cpp", "WDOG_TOVALL", "WDOG_TOVAL"),
-    ],
-)
-def test_a_mistake_does_not_compile(compiler: str, name: str, right: str, wrong: str) -> None:
-    text = (SKETCH / name).read_text(encoding="utf-8")
-    assert right in text
-    assert wrong in complaints(compiler, "-", said=text.replace(right, wrong))
-
-
-@pytest.mark.parametrize(
     ("right", "wrong", "why"),
     [
         ("kValve = kVppiMinus1To1Bar", "kValve = kVppi0To2Bar", "reach v_vent"),

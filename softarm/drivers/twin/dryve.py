@@ -50,15 +50,9 @@ _STORED = (
     dryve.DECELERATION,
     dryve.QUICK_STOP,
     dryve.TARGET_VELOCITY,
-    Entry("target position", 0x607A, 0, 4, signed=True),
-    Entry("profile velocity", 0x6081, 0, 4),
-    Entry("feed", 0x6092, 1, 4),
-    Entry("shaft revolutions", 0x6092, 2, 4),
     dryve.HOMING_SPEED,
     dryve.HOMING_CREEP,
     dryve.HOMING_ACCELERATION,
-    Entry("SI unit position", 0x60A8, 0, 4),
-    Entry("digital inputs", 0x60FD, 0, 4),
 )
 _ENTRIES = {(entry.index, entry.sub): entry for entry in _READ_ONLY + _STORED}
 _ABSENT, _NOT_WRITABLE, _TOO_LONG, _OUT_OF_RANGE = 0x06020000, 0x06010002, 0x06070012, 0x06090030
@@ -84,9 +78,7 @@ class DryveDevice:
 
     def _switch_on(self) -> None:
         self.state = DriveState.SWITCH_ON_DISABLED
-        self._values = dict.fromkeys(_ENTRIES.values(), 0)
-        self._values |= {_ENTRIES[0x60A8, 0]: 0x00FB0100, _ENTRIES[0x60FD, 0]: 0x00420008}
-        self._values[dryve.HOMING_METHOD] = METHOD
+        self._values = dict.fromkeys(_ENTRIES.values(), 0) | {dryve.HOMING_METHOD: METHOD}
 
     def power_cycle(self) -> None:
         """Lose all settings and the zero: the present position reads 0 afterwards."""

@@ -125,7 +125,7 @@ labs = st.builds(
 )
 
 
-@settings(max_examples=12, deadline=None, derandomize=True, phases=[Phase_.generate, Phase_.explicit])
+@settings(max_examples=6, deadline=None, derandomize=True, phases=[Phase_.generate, Phase_.explicit])
 @given(labs)
 @pytest.mark.slow
 def test_poses_are_recovered_within_two_millimetres(lab):

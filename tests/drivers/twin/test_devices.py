@@ -12,7 +12,7 @@ from softarm.drivers.rail import dryve
 from softarm.drivers.rail.cia402 import DriveState, decode_state
 from softarm.drivers.regulator.cobs import Deframer, frame
 from softarm.drivers.regulator.teensy import Fault, Hello, RegulatorCommand, Welcome, decode, encode
-from softarm.drivers.twin.dryve import LIMIT_SWITCH, DryveDevice
+from softarm.drivers.twin.dryve import DryveDevice
 from softarm.drivers.twin.faults import Faults
 from softarm.drivers.twin.teensy import TeensyDevice
 from softarm.schemas.config import DryveRail
@@ -138,14 +138,6 @@ def test_with_di7_low_bit_9_is_clear_and_the_drive_cannot_be_enabled() -> None:
     assert master.drive.state is DriveState.SWITCH_ON_DISABLED
 
 
-def test_enabling_shows_the_states_of_the_sample_programs() -> None:
-    master, seen = Master(), []
-    for word in (0x0100, 0x0006, 0x0007, 0x000F):
-        master.write(dryve.CONTROLWORD, word)
-        seen.append(master.read(dryve.STATUSWORD) & 0x6F)
-    assert seen == [0x40, 0x21, 0x23, 0x27]
-
-
 def test_only_an_enabled_drive_in_velocity_mode_moves() -> None:
     master = Master()
     master.write(dryve.TARGET_VELOCITY, 50_000)
@@ -199,18 +191,6 @@ def test_read_backs_are_in_drive_units_from_the_homed_end() -> None:
     master.drive.sense(-0.05, -0.125)
     assert master.read(dryve.POSITION) == 200
     assert master.read(dryve.VELOCITY) == -125
-
-
-def test_the_limit_switch_faults_until_a_rising_reset() -> None:
-    master = Master()
-    master.enable()
-    master.drive.trip(LIMIT_SWITCH)
-    assert decode_state(master.read(dryve.STATUSWORD)) is DriveState.FAULT
-    assert master.read(dryve.ERROR_CODE) == 0xFF00
-    master.write(dryve.CONTROLWORD, 0x0006)
-    assert master.drive.state is DriveState.FAULT
-    master.write(dryve.CONTROLWORD, 0x0080)
-    assert master.drive.state is DriveState.SWITCH_ON_DISABLED
 
 
 @given(st.lists(st.integers(0, 0xFFFF), max_size=30))
@@ -273,63 +253,17 @@ def test_an_invalid_fault_is_rejected_with_the_allowed_values(clock: Any, messag
         Faults(clock).apply(message)
 
 
-def homing(master: Master, speed: int = 5000) -> None:
-    """Enable the drive in homing mode without starting a search."""
-    for entry, value in ((dryve.HOMING_SPEED, speed), (dryve.HOMING_CREEP, 1000)):
-        master.write(entry, value)
-    master.enable()
-    master.write(dryve.MODE, dryve.HOMING)
-
-
-def test_the_drive_is_homed_at_first_and_not_after_a_power_cycle() -> None:
-    master = Master()
-    master.drive.sense(0.1, 0.0)
-    assert (master.read(dryve.HOMING_STATUS), master.read(dryve.POSITION)) == (1, 40_000)
-    master.drive.power_cycle()
-    assert (master.read(dryve.HOMING_STATUS), master.read(dryve.POSITION)) == (0, 0)
-    master.drive.sense(0.05, 0.0)
-    assert master.read(dryve.POSITION) == -5000
-
-
-def test_a_search_goes_to_the_switch_and_back_to_its_edge() -> None:
-    master = Master()
-    master.drive.sense(0.1, 0.0)
-    master.drive.power_cycle()
-    homing(master)
-    assert master.drive.target_velocity_m_s == 0.0
-    assert master.read(dryve.STATUSWORD) & 0x3400 == 0x0400
-    master.write(dryve.CONTROLWORD, 0x001F)
-    assert master.drive.target_velocity_m_s == -0.05
-    assert master.read(dryve.STATUSWORD) & 0x3400 == 0
-    master.drive.sense(-0.286, -0.05)
-    assert master.drive.target_velocity_m_s == 0.01
-    master.drive.sense(-0.284, 0.01)
-    assert master.drive.target_velocity_m_s == 0.0
-    assert master.read(dryve.STATUSWORD) & 0x3400 == 0x1400
-    assert (master.read(dryve.HOMING_STATUS), master.read(dryve.POSITION)) == (1, 1600)
-
-
 @pytest.mark.parametrize("word", [0x000F, 0x010F, 0x011F, 0x0006])
 def test_a_cancelled_search_does_not_resume_by_itself(word: int) -> None:
     master = Master()
-    homing(master)
+    master.write(dryve.HOMING_SPEED, 5000)
+    master.enable()
+    master.write(dryve.MODE, dryve.HOMING)
     master.write(dryve.CONTROLWORD, 0x001F)
+    assert master.drive.target_velocity_m_s == -0.05
     master.write(dryve.CONTROLWORD, word)
     master.drive.sense(0.0, 0.0)
     assert master.drive.target_velocity_m_s == 0.0
     for again in (0x0006, 0x0007, 0x000F):
         master.write(dryve.CONTROLWORD, again)
     assert master.drive.target_velocity_m_s == 0.0
-
-
-def test_a_search_without_speed_fails_and_a_lost_master_ends_a_search() -> None:
-    master = Master()
-    homing(master, speed=0)
-    master.write(dryve.CONTROLWORD, 0x001F)
-    assert master.read(dryve.STATUSWORD) & 0x3400 == 0x2400
-    master = Master()
-    homing(master)
-    master.write(dryve.CONTROLWORD, 0x001F)
-    master.drive.sense(0.0, -0.05)
-    master.drive.watch(master.now_ns + 101 * MS)
-    assert (master.drive.state, master.drive.target_velocity_m_s) == (DriveState.QUICK_STOP, 0.0)

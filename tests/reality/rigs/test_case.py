@@ -125,7 +125,7 @@ def test_the_truth_says_how_clearly_each_of_two_faults_is_visible(tmp_path):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    "rig", ["servo", *(pytest.param(rig, marks=pytest.mark.prove) for rig in ("belt", "bellows")), "tank"]
+    "rig", ["servo", *(pytest.param(rig, marks=pytest.mark.prove) for rig in ("belt", "bellows", "tank"))]
 )
 def test_a_nominal_follower_equals_the_lag_and_delay_of_its_stage_yaml(rig):
     """The nominal values equal the fit of a single lag with delay: other values have a larger residual."""
