@@ -36,13 +36,13 @@ def by_gain(search: Search, choice: Choice, decision: Decision) -> tuple[Rival, 
         same = f"; not separable from {', '.join(effect.equivalents)}" if effect.equivalents else ""
         own_gain = _relative(effect.gain, max(effect.gain.value, 1e-9))
         note = f"named{same}" if effect in selected else NOT_RESOLVED
-        found.append(Rival((name,), alone.get(name, 0.0), own_gain, _own(choice.chosen.point, name), note))
+        found.append(Rival(name, alone.get(name, 0.0), own_gain, _own(choice.chosen.point, name), note))
     further = search.ranked(choice.chosen)[:FURTHER_SHOWN]
     scale = max((m.gain.value for m in selected), default=max((g.value for _, g in further), default=1.0)) or 1.0
     for fit, gain in further:
         name = fit.effects[-1].name
         note = AT_BOUND if fit.at_bound else "adds too little to be named"
-        found.append(Rival((name,), alone.get(name, 0.0), _relative(gain, scale), _own(fit.point, name), note))
+        found.append(Rival(name, alone.get(name, 0.0), _relative(gain, scale), _own(fit.point, name), note))
     return tuple(found)
 
 
@@ -63,8 +63,8 @@ def by_share(found: Examination, decision: Decision) -> tuple[Rival, ...]:
             note = f"not separable from {same[0]}"
         elif more.at_bound:
             note = AT_BOUND
-        rivals.append(Rival((name,), share, _removed(less, more), _own(more.point, name), note))
-    return tuple(sorted(rivals, key=lambda r: (-r.alone, r.names)))
+        rivals.append(Rival(name, share, _removed(less, more), _own(more.point, name), note))
+    return tuple(sorted(rivals, key=lambda r: (-r.alone, r.name)))
 
 
 def _largest_share(gain: Gain) -> float:

@@ -57,11 +57,11 @@ class Regime:
 
 @dataclass(frozen=True, slots=True)
 class Rival:
-    """Effect, or pair of effects, that was tried as the cause."""
+    """Effect that was tried as the cause."""
 
-    names: tuple[str, ...]
+    name: str
     alone: float  # share of the stage's gap that it removes alone, held out
-    conditional: Interval | None  # gain next to the named effects, or next to the other named effects
+    conditional: Interval  # gain next to the named effects, or next to the other named effects
     parameters: Mapping[str, float]  # 'stage.effect.parameter' -> fitted value
     note: str = ""  # 'named', 'not separable from arm.tilt', 'at its bound', ...
 

@@ -43,7 +43,7 @@ def headline(diagnosis: Diagnosis) -> str:
     if verdict.verdict == "none":
         return "No cause found" if _exceeds_a_floor(diagnosis) else "No gap"
     if verdict.verdict == "unknown" or not verdict.effects:
-        return f"An unknown effect in {verdict.where.stage}" if verdict.where.stage else "An unknown effect"
+        return f"An unknown effect in {verdict.where.stage}"
     more = ", and more is missing" if verdict.verdict == "incomplete" else ""
     if sum(1 + len(effect.equivalents) for effect in verdict.effects) > LISTED_MAX:
         return f"{_counted(verdict.effects)}{more}"
@@ -107,53 +107,40 @@ def _how_sure(diagnosis: Diagnosis) -> str:
         shares = f"{rated[0]}–{rated[-1]} %" if rated[0] < rated[-1] else f"{rated[0]} %"
         text = f"In blind tests, {shares} of such answers were correct"
         text += f"; {NOT_RATED}: {listed(unrated)}" if unrated else ""
-    stage = verdict.where.stage
-    if stage is None:
-        return text + "."
-    share = verdict.where.share.get(stage)
-    part = "The gap" if share is None else f"{percent(share)} of the gap"
-    regime = f" ({verdict.where.regime})" if verdict.where.regime else ""
-    return f"{text}. {part} arises in the {stage} stage{regime}."
+    stage = verdict.where.stage or ""
+    share = percent(verdict.where.share[stage])
+    return f"{text}. {share} of the gap arises in the {stage} stage ({verdict.where.regime})."
 
 
 def _shrinks(diagnosis: Diagnosis) -> str:
     gap, stage = diagnosis.verdict.gap, diagnosis.verdict.where.stage or ""
     one, *more = diagnosis.verdict.effects
     it = "all of them" if more else one.name if one.equivalents else "it"
-    parts = [_shrink_of(diagnosis, stage, f"the gap of the {stage} stage")]
+    places = [(stage, f"the gap of the {stage} stage")]
     if stage != "chain":
-        parts.append(_shrink_of(diagnosis, "chain", "the gap at the tip"))
-    parts = [part for part in parts if part]
+        places.append(("chain", "the gap at the tip"))
+    parts = [f"{whose} {shrinks(diagnosis, place)}" for place, whose in places if place in gap.before]
     if not parts:
         return "The shrink of the gap could not be measured on this data."
-    floor = gap.floor.get(stage)
-    noise = f" In the {stage} stage, {noise_level(floor)}." if floor else ""
+    noise = f" In the {stage} stage, {noise_level(gap.floor[stage])}." if stage in gap.floor else ""
     corrected = f"With {it} corrected in the {model_word(diagnosis)}"
     return f"{corrected}, {' and '.join(parts)}, {HELD_OUT[diagnosis.held_out]}.{noise}"
 
 
-def _shrink_of(diagnosis: Diagnosis, place: str, whose: str) -> str:
-    gap = diagnosis.verdict.gap
-    known = reduction(gap.before.get(place), gap.after.get(place)) is not None
-    return f"{whose} {shrinks(diagnosis, place)}" if known else ""
-
-
 def _unknown(diagnosis: Diagnosis) -> tuple[str, str, str]:
-    verdict, stage = diagnosis.verdict, diagnosis.verdict.where.stage
-    before, ceiling = verdict.gap.before.get(stage or ""), verdict.gap.ceiling.get(stage or "")
+    verdict, stage = diagnosis.verdict, diagnosis.verdict.where.stage or ""
+    before, ceiling = verdict.gap.before.get(stage), verdict.gap.ceiling.get(stage)
     could = reduction(before, ceiling)
-    where = f"in the {stage} stage" if stage else "between robot and simulator"
-    regime = f" ({verdict.where.regime})" if verdict.where.regime else ""
     size = f" of {quantity(before.value, before.unit)} RMS" if before else ""
-    cause = f"There is a gap{size} {where}{regime}. No known effect explains it."
-    mine = [r for r in diagnosis.rivals if stage and any(name.startswith(f"{stage}.") for name in r.names)]
+    cause = f"There is a gap{size} in the {stage} stage ({verdict.where.regime}). No known effect explains it."
+    mine = [rival for rival in diagnosis.rivals if rival.name.startswith(f"{stage}.")]
     best = max(mine or diagnosis.rivals, key=lambda r: r.alone, default=None)
     held_out = HELD_OUT[diagnosis.held_out]
     sure = f"{held_out[0].upper()}{held_out[1:]}, a flexible model could remove "
     sure += "part of it." if could is None else f"{percent(could)} of it."
     if best is not None:
-        closest, alone = " with ".join(best.names), max(0.0, best.alone)
-        sure += f" The closest known effect, {closest}, removes {percent(alone)}."
+        alone = max(0.0, best.alone)
+        sure += f" The closest known effect, {best.name}, removes {percent(alone)}."
         if could is not None and alone > _AS_GOOD * could:
             sure += " That is as much, but it failed other checks; see the warnings and the rivals."
     feature = next((name for left in diagnosis.unexplained if left.stage == stage for name, _ in left.depends_on), None)
@@ -166,12 +153,9 @@ def _exceeds_a_floor(diagnosis: Diagnosis) -> bool:
 
 
 def _in_floors(diagnosis: Diagnosis) -> dict[str, float]:
-    """Return each stage's gap in multiples of its noise floor, where the floor is known."""
+    """Return each stage's gap in multiples of its noise floor."""
     gap = diagnosis.verdict.gap
-    found = {
-        stage: times(gap.before[stage], gap.floor.get(stage)) for stage in stages_of(diagnosis) if stage in gap.before
-    }
-    return {stage: ratio for stage, ratio in found.items() if ratio is not None}
+    return {stage: times(gap.before[stage], gap.floor[stage]) for stage in stages_of(diagnosis) if stage in gap.before}
 
 
 def _none(diagnosis: Diagnosis) -> tuple[str, str, str]:
@@ -181,12 +165,6 @@ def _none(diagnosis: Diagnosis) -> tuple[str, str, str]:
     unchanged = f"Nothing is missing in the {it}. Other excitations may still show a gap."
     if diagnosis.verdict.calibration:
         unchanged = f"{unchanged} {calibration_in_words(diagnosis)}"
-    if not known:
-        return (
-            f"No gap between {robot} and {it} was found on this data.",
-            "No noise floor is known, so the smallest visible gap is unknown.",
-            unchanged,
-        )
     stage = max(known, key=lambda name: known[name])
     left, floor, ratio = gap.before[stage], gap.floor[stage], known[stage]
     place = "the whole chain" if stage == "chain" else f"the {stage} stage"

@@ -3,7 +3,7 @@
 from typing import NamedTuple
 
 from softarm.diagnosis.engine.result import Diagnosis
-from softarm.diagnosis.report.words import change
+from softarm.diagnosis.report.words import corrected
 from softarm.reporting.drawing import line, svg, write
 from softarm.reporting.markup import Html, el, join
 from softarm.reporting.numbers import percent, quantity
@@ -135,9 +135,8 @@ def _box(diagnosis: Diagnosis, name: str, at: tuple[float, float]) -> Html:
         )
     verdict, gap = diagnosis.verdict, diagnosis.verdict.gap
     chosen = " chosen" if name == verdict.where.stage else ""
-    before, after, floor = gap.before.get(name), gap.after.get(name), gap.floor.get(name)
     share = verdict.where.share.get(name)
-    kind = "box" + chosen if before or share is not None else "box absent"
+    kind = "box" + chosen if name in gap.before or share is not None else "box absent"
     parts = [
         el("rect", x=x, y=y, width=_BOX_W, height=_BOX_H, rx=8, class_=kind),
         write(x + 12, y + 22, name if len(name) < 20 else name[:18] + "…", kind="name"),
@@ -148,11 +147,9 @@ def _box(diagnosis: Diagnosis, name: str, at: tuple[float, float]) -> Html:
             line(x + 12, y + 35, x + _BOX_W - 12, y + 35, "rail"),
             line(x + 12, y + 35, x + 12 + share * (_BOX_W - 24), y + 35, "part") if share > 0 else Html(""),
         ]
-    if before is None:
+    if name not in gap.before:
         return join([*parts, write(x + 12, y + 58, "no gap measured", kind="small")])
-    changed = after is not None and diagnosis.verdict.effects
-    size = change(before, after) if after and changed else quantity(before.value, before.unit)
-    parts.append(write(x + 12, y + 60, size, kind="gap"))
-    if floor is not None:
-        parts.append(write(x + 12, y + 80, f"floor {quantity(floor.value, floor.unit)}", kind="small"))
+    floor = gap.floor[name]
+    parts.append(write(x + 12, y + 60, corrected(diagnosis, name), kind="gap"))
+    parts.append(write(x + 12, y + 80, f"floor {quantity(floor.value, floor.unit)}", kind="small"))
     return join(parts)

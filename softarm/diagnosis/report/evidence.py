@@ -9,7 +9,6 @@ from softarm.diagnosis.report.words import percents, unit_of
 from softarm.reporting import charts, plot
 from softarm.reporting.markup import Html, bar, el, join, legend, prose, table
 from softarm.reporting.numbers import number, percent, quantity
-from softarm.schemas.verdict import Interval
 
 Row = TypeVar("Row")
 _AT_ONCE = 20  # rows of a table
@@ -94,7 +93,7 @@ def contenders(diagnosis: Diagnosis) -> Html:
     """Return the section with every effect that was tried as the cause."""
     if not diagnosis.rivals:
         return el("p", "No effect was tried.", class_="none")
-    forest = charts.Forest([r.conditional for r in diagnosis.rivals if r.conditional is not None])
+    forest = charts.Forest([rival.conditional for rival in diagnosis.rivals])
     head = ("effect", "alone", join(["next to the named ones, percent", forest.axis()]), "fitted", "note")
     robot = diagnosis.nominal is not None
     base = "of the gain of the named effect" if robot else "of the gap that remains without it"
@@ -104,7 +103,7 @@ def contenders(diagnosis: Diagnosis) -> Html:
         return el("div", table(head, [_rival(diagnosis, rival, forest) for rival in rivals], caption), class_="rivals")
 
     stage = diagnosis.verdict.where.stage
-    shown, rest = _split(diagnosis.rivals, lambda rival: any(name.startswith(f"{stage}.") for name in rival.names))
+    shown, rest = _split(diagnosis.rivals, lambda rival: rival.name.startswith(f"{stage}."))
     text = (
         "Alone, a wrong effect can fit as well as the right one. The second figure decides: the gain of an effect "
         "next to the named ones, with its 95 % interval. An interval that excludes zero is a real gain."
@@ -113,24 +112,14 @@ def contenders(diagnosis: Diagnosis) -> Html:
 
 
 def _rival(diagnosis: Diagnosis, rival: Rival, forest: charts.Forest) -> tuple[Html, ...]:
-    name = join([el("code", name) for name in rival.names], " + ")
-    fitted = [
-        el(
-            "span",
-            f"{path.rpartition('.')[2]} {quantity(value, unit_of(diagnosis, path), 3)}",
-            title=path,
-            class_="fit",
-        )
-        for path, value in rival.parameters.items()
-    ]
+    fitted = []
+    for path, value in rival.parameters.items():
+        text = f"{path.rpartition('.')[2]} {quantity(value, unit_of(diagnosis, path), 3)}"
+        fitted.append(el("span", text, title=path, class_="fit"))
+    share = percents(rival.conditional)
+    added = el("span", forest.row(rival.conditional, share), el("span", share, class_="num"), class_="forestcell")
     note = el("span", prose(rival.note), class_="tag named" if rival.note == "named" else None)
-    return name, bar(rival.alone, "plain", percent(rival.alone)), _added(rival.conditional, forest), join(fitted), note
-
-
-def _added(of: Interval | None, forest: charts.Forest) -> Html:
-    if of is None:
-        return Html("–")
-    return el("span", forest.row(of, percents(of)), el("span", percents(of), class_="num"), class_="forestcell")
+    return el("code", rival.name), bar(rival.alone, "plain", percent(rival.alone)), added, join(fitted), note
 
 
 def left(diagnosis: Diagnosis) -> Html:

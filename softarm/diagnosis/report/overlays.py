@@ -30,19 +30,14 @@ def first(diagnosis: Diagnosis) -> int:
     """Return the index of the overlay to show first.
 
     It is the largest gap of the diagnosed stage in noise floors. Without a diagnosed stage it is the signal that moves
-    most, since gaps are noise. Without a floor, the channel's own spread replaces it.
+    most, since gaps are noise.
     """
     stage, overlays = diagnosis.verdict.where.stage, diagnosis.overlays
-    spread: dict[tuple[str, str], float] = {}
-    for overlay in overlays:
-        key = overlay.stage, overlay.channel
-        spread[key] = max(spread.get(key, 0.0), _rms(overlay.measured - _mean(overlay.measured)))
 
     def rank(index: int) -> tuple[bool, float]:
         overlay = overlays[index]
         shown = overlay.measured - (_mean(overlay.measured) if stage is None else overlay.nominal)
-        count = _floor(diagnosis, overlay) or spread[overlay.stage, overlay.channel]
-        return overlay.stage == stage, _rms(shown) / count if count > 0 else 0.0
+        return overlay.stage == stage, _rms(shown) / _floor(diagnosis, overlay)
 
     return max(range(len(overlays)), key=rank, default=0)
 
@@ -59,9 +54,8 @@ def window(overlay: Overlay) -> tuple[float, float] | None:
 
 
 def _floor(diagnosis: Diagnosis, overlay: Overlay) -> float:
-    """Return the stage's noise floor in the overlay's unit, or 0 if unknown."""
-    floor = diagnosis.verdict.gap.floor.get(overlay.stage)
-    return floor.value if floor is not None and floor.unit == overlay.unit else 0.0
+    """Return the stage's noise floor in the overlay's unit."""
+    return diagnosis.verdict.gap.floor[overlay.stage].value
 
 
 def _traces(overlay: Overlay, diagnosis: Diagnosis) -> plot.Traces:

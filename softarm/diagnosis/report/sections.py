@@ -9,7 +9,7 @@ from softarm.diagnosis.report import causal, following
 from softarm.diagnosis.report.answer import LISTED_MAX, NOT_RATED, answer, headline
 from softarm.diagnosis.report.words import (
     calibration_in_words,
-    change,
+    corrected,
     interval,
     percents,
     plain,
@@ -84,11 +84,8 @@ def _figures(diagnosis: Diagnosis) -> list[tuple[str, Html | str]]:
     for place, label in ((stage, f"{stage} gap"), ("chain", "tip, whole chain")):
         if place is None or place not in gap.before:
             continue
-        before, after = gap.before[place], gap.after.get(place)
-        if after is not None and (shrunk := shrinks_by(diagnosis, place)):
-            figures.append((f"{label}, {shrunk}", change(before, after)))
-        else:
-            figures.append((label, quantity(before.value, before.unit)))
+        shrunk = shrinks_by(diagnosis, place)
+        figures.append((f"{label}, {shrunk}" if shrunk else label, corrected(diagnosis, place)))
     if stage in verdict.where.share:
         figures.append((f"of the gap in {stage}", percent(verdict.where.share[stage])))
     return figures
@@ -113,18 +110,15 @@ def _chain(diagnosis: Diagnosis) -> Html:
     if where.stage is None:
         lead = "No stage stands out."
     else:
-        lead = f"The largest part of the gap arises in {where.stage}{f' ({where.regime})' if where.regime else ''}."
+        lead = f"The largest part of the gap arises in {where.stage} ({where.regime})."
     drawn = el("div", causal.chain(diagnosis), class_="drawing", tabindex="0", role="region", aria_label="causal chain")
     note = (
         "Each box: share of the gap; RMS before → after the correction; noise floor. "
         "The share compares squared gaps, each in units of its stage's noise floor."
     )
-    total = diagnosis.verdict.gap.before.get("chain")
-    after = diagnosis.verdict.gap.after.get("chain")
     tip = ""
-    if total is not None:
-        shown = change(total, after) if after and diagnosis.verdict.effects else quantity(total.value, total.unit)
-        tip = f"Tip, simulated from commands alone: {shown}."
+    if "chain" in diagnosis.verdict.gap.before:
+        tip = f"Tip, simulated from commands alone: {corrected(diagnosis, 'chain')}."
     return join([el("p", lead), drawn, el("p", note, " ", tip, class_="hint")])
 
 

@@ -46,18 +46,16 @@ def section(diagnosis: Diagnosis) -> Html:
 
 def _paragraph(diagnosis: Diagnosis, stage: str) -> str:
     named = of_stage(diagnosis, stage)
-    before, after = (q.get(stage) for q in (diagnosis.verdict.gap.before, diagnosis.verdict.gap.after))
-    floor = diagnosis.verdict.gap.floor.get(stage)
-    if before is None:
+    gap = diagnosis.verdict.gap
+    if stage not in gap.before:
         return f"{_causes(diagnosis, named)}. The gap could not be measured on this data."
-    if named and after is None:
-        return f"{_causes(diagnosis, named)}. The gap is {quantity(before.value, before.unit)} RMS, not held out."
+    before, after, floor = gap.before[stage], gap.after[stage], gap.floor[stage]
     if named and len(named) <= _EXPLAINED_MAX:
         return f"{_causes(diagnosis, named)}. {_shrinks(diagnosis, stage, len(named))}{_rest(after, floor)}."
     if named:
         return f"{_shrinks(diagnosis, stage, len(named))}{_rest(after, floor)}. {_causes(diagnosis, named)}."
     if diagnosis.verdict.effects and (reduction(before, after) or 0.0) > 0.005:
-        shrunk = f"{change(before, after, ' to ')} RMS ({shrinks_by(diagnosis, stage)})" if after else ""
+        shrunk = f"{change(before, after, ' to ')} RMS ({shrinks_by(diagnosis, stage)})"
         own = "" if stage == "chain" else "no effect of this stage is named. "
         return f"{own}With the named effects, the gap shrinks from {shrunk}{_rest(after, floor)}."
     return _without_effect(diagnosis, stage, before, floor)
@@ -93,20 +91,17 @@ def _shrinks(diagnosis: Diagnosis, stage: str, effects: int) -> str:
     return f"With {with_them} corrected, the gap {shrinks(diagnosis, stage)} {HELD_OUT[diagnosis.held_out]}"
 
 
-def _rest(after: Quantity | None, floor: Quantity | None) -> str:
+def _rest(after: Quantity, floor: Quantity) -> str:
     """Return the remaining gap in multiples of the noise floor."""
-    if after is None or floor is None or (ratio := times(after, floor)) is None:
-        return ""
+    ratio = times(after, floor)
     if ratio < _AT_FLOOR:
         return f". The rest is noise: {noise_level(floor)}"
     return f". The rest is {number(ratio, 2)} times the noise floor of {quantity(floor.value, floor.unit)}"
 
 
-def _without_effect(diagnosis: Diagnosis, stage: str, before: Quantity, floor: Quantity | None) -> str:
+def _without_effect(diagnosis: Diagnosis, stage: str, before: Quantity, floor: Quantity) -> str:
     """Return the text of a stage that no named effect changes."""
     size, ratio = f"{quantity(before.value, before.unit)} RMS", times(before, floor)
-    if ratio is None or floor is None:
-        return f"a gap of {size}; its noise floor is unknown"
     if ratio <= 1:
         return f"no gap: {size}; {noise_level(floor)}."
     could = reduction(before, diagnosis.verdict.gap.ceiling.get(stage))

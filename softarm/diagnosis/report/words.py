@@ -23,6 +23,13 @@ def change(before: Quantity, after: Quantity, arrow: str = " → ") -> str:
     return f"{number(before.value * factor, 2)}{arrow}{number(after.value * factor, 2)} {shown}".strip()
 
 
+def corrected(diagnosis: Diagnosis, place: str) -> str:
+    """Return a stage's gap before and after the correction, or without named effects the gap alone."""
+    gap = diagnosis.verdict.gap
+    before = gap.before[place]
+    return change(before, gap.after[place]) if diagnosis.verdict.effects else quantity(before.value, before.unit)
+
+
 def interval(of: Interval, unit: str = "") -> str:
     """Return an estimate with its bounds, such as `61 ms (55 to 68)`, with as many digits as the interval deserves."""
     if of.high >= _OPEN or of.low <= -_OPEN:
@@ -175,9 +182,9 @@ def sized(effect: NamedEffect) -> str:
     return f"{effect.name} ({of})" if of else effect.name
 
 
-def times(before: Quantity, floor: Quantity | None) -> float | None:
-    """Return a gap in multiples of its noise floor, or None if the floor is unknown."""
-    return before.value / floor.value if floor is not None and floor.value > 0 else None
+def times(gap: Quantity, floor: Quantity) -> float:
+    """Return a gap in multiples of its noise floor."""
+    return gap.value / floor.value
 
 
 def reduction(before: Quantity | None, after: Quantity | None) -> float | None:

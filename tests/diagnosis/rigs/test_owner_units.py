@@ -49,7 +49,7 @@ def test_a_servo_in_degrees_is_diagnosed_in_degrees(tmp_path):
     assert np.nanmax(deg.overlays[0].measured) > 20
     assert deg.units["servo.rate_limit.rate"] == "deg/s"
     assert deg.units["servo.lag.rise"] == "s"
-    (rival,) = (r for r in deg.rivals if r.names == ("servo.gain",))
+    (rival,) = (r for r in deg.rivals if r.name == "servo.gain")
     assert rival.parameters["servo.gain.offset"] == pytest.approx(truth, rel=0.05)
 
 

@@ -341,7 +341,7 @@ def test_large_swings_need_drag_and_do_not_resolve_dry_friction():
     effects_found = {e.name: e.parameters for e in found.verdict.effects}
     assert set(effects_found) == {"joint.drag"}
     assert 0.004 < effects_found["joint.drag"]["coefficient"].value < 0.012
-    assert {rival.names: rival.note for rival in found.rivals}["joint.coulomb_friction",] == "not resolved"
+    assert {rival.name: rival.note for rival in found.rivals}["joint.coulomb_friction"] == "not resolved"
     assert any("the recordings do not resolve it" in text for text in found.verdict.warnings)
 
 
@@ -369,7 +369,7 @@ def test_small_swings_of_a_real_pendulum_show_dry_friction(data):
     assert all(e.equivalents == () for e in diagnosis.verdict.effects)
     assert set(found) == {"coulomb_friction"}
     assert 4e-4 < found["coulomb_friction"]["torque"].value < 6e-4
-    viscous = next(r for r in diagnosis.rivals if r.names == ("joint.damping",))
+    viscous = next(r for r in diagnosis.rivals if r.name == "joint.damping")
     assert viscous.alone < 0.5
     assert viscous.conditional.value < 0.1
 
@@ -380,7 +380,7 @@ def test_large_swings_of_a_real_pendulum_show_dry_friction_and_drag(data):
     diagnosis, found = named("pendulum-single.yaml", data)
     assert set(found) == {"coulomb_friction", "drag"}
     assert 4e-4 < found["coulomb_friction"]["torque"].value < 6.5e-4  # the torque of the small swings
-    drag = next(r for r in diagnosis.rivals if r.names == ("joint.drag",))
+    drag = next(r for r in diagnosis.rivals if r.name == "joint.drag")
     assert drag.conditional.low > 0.2
     assert any("the model's viscous friction vanishes" in text for text in diagnosis.verdict.warnings)
 

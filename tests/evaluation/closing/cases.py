@@ -5,7 +5,7 @@ from softarm.daemon.limits.measured import Bound, Measured, measure
 from softarm.evaluation.closing.fly import Replanning
 from softarm.policies.mppi.policy import Mppi
 from softarm.schemas.config import Config
-from softarm.schemas.verdict import Estimate, Gap, Interval, NamedEffect, Shrink, Verdict, Where
+from softarm.schemas.verdict import Estimate, Gap, Interval, NamedEffect, Quantity, Shrink, Verdict, Where
 
 UNSEEN = measure((), 6.0)
 
@@ -31,7 +31,9 @@ def named(name: str, value: float, high: float) -> Verdict:
     )
     stage = name.partition(".")[0]
     where = Where(stage=stage, share={stage: 1.0}, regime="throughout")
-    return Verdict(verdict="named", where=where, effects=(effect,), gap=Gap(before={}, after={}, floor={}, ceiling={}))
+    level = {stage: Quantity(value=0.1, unit="kPa")}
+    gap = Gap(before=level, after=level, floor=level, ceiling={})
+    return Verdict(verdict="named", where=where, effects=(effect,), gap=gap)
 
 
 class QuickReplanning(Replanning):
