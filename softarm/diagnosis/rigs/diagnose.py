@@ -11,10 +11,11 @@ import numpy as np
 from softarm.common.processes import as_they_come
 from softarm.common.quantity import PURE
 from softarm.diagnosis.answer import rivals
-from softarm.diagnosis.answer.assembly import Answer, StageAnswer, assemble
+from softarm.diagnosis.answer.assembly import Answer, StageAnswer, assemble, share
 from softarm.diagnosis.answer.calibration import Calibrated, calibrated
 from softarm.diagnosis.answer.evidence import overlays, regimes, rms
-from softarm.diagnosis.data.trials import Trial, TrialError
+from softarm.diagnosis.data.trials import Trial
+from softarm.diagnosis.engine import shrink
 from softarm.diagnosis.engine.confidence import confidence, margins
 from softarm.diagnosis.engine.decision import Decision, Kind
 from softarm.diagnosis.engine.examination import Examination
@@ -28,9 +29,8 @@ from softarm.diagnosis.rigs import experiments
 from softarm.diagnosis.rigs.candidates import candidates, nuisances
 from softarm.diagnosis.rigs.chain.view import ChainView
 from softarm.diagnosis.rigs.driven_mass import DrivenMassView
-from softarm.diagnosis.rigs.shrinks import by_recording, shrunk
 from softarm.diagnosis.rigs.tracking import TrackingView, velocity_warnings
-from softarm.diagnosis.rigs.views import RigView
+from softarm.diagnosis.rigs.views import RigView, stage_of
 from softarm.schemas.verdict import CalibratedParameter, Estimate, Interval, NamedEffect, NextExperiment, Shrink, Where
 from softarm.simulator.effects import Effect
 
@@ -79,21 +79,20 @@ def diagnose_table(
         processes: number of stages diagnosed at the same time.
 
     Raises:
-        TrialError: if a trial does not belong to a rig, or its kind of stage has no view.
+        TrialError: if a trial lacks a column, or its model a value.
     """
     started = time.monotonic()
-    names = sorted({t.stage.name for t in trials if t.stage is not None})
-    if not names or any(t.stage is None for t in trials):
-        raise TrialError("these trials belong to no rig; diagnose recordings of the soft arm with diagnose_trials")
-    own = {name: tuple(t for t in trials if t.stage is not None and t.stage.name == name) for name in names}
+    own: dict[str, list[Trial]] = {}
+    for trial in trials:
+        own.setdefault(stage_of([trial]).name, []).append(trial)
+    names = sorted(own)
     report(names[0], 0.0)
     found: dict[str, Finding] = {}
-    for mine, finding in as_they_come(examine, tuple(own.values()), processes):
-        report(finding.answer.stage, (len(found) + 1) / len(names))
-        found[mine[0].stage.name if mine[0].stage else ""] = finding
+    for _, finding in as_they_come(examine, [own[name] for name in names], processes):
+        found[finding.answer.stage] = finding
+        report(finding.answer.stage, len(found) / len(names))
     stages = [found[name] for name in names]
-    tracking = [t for t in trials if t.stage is not None and t.stage.kind == "tracking"]
-    warnings = [*dict.fromkeys(w for t in trials for w in t.warnings), *velocity_warnings(tracking)]
+    warnings = [*dict.fromkeys(w for t in trials for w in t.warnings), *velocity_warnings(trials)]
     warnings += [text for stage in stages for text in stage.warnings]
     return assemble(_answer(stages, warnings), trials, started)
 
@@ -129,16 +128,11 @@ def _answer(stages: Sequence[Finding], warnings: Sequence[str]) -> Answer:
 
 
 def view_of(trials: Sequence[Trial]) -> tuple[RigView, tuple[Trial, ...], tuple[int, ...]]:
-    """Return a stage's view, its windows in the view's order, and the index of the trial that each was cut from.
-
-    Raises TrialError for a kind of stage without a view.
-    """
-    kind = trials[0].stage.kind if trials[0].stage is not None else ""
-    if kind not in VIEWS:
-        raise TrialError(f"{trials[0].source}: a {kind} stage cannot be diagnosed yet; {' and '.join(VIEWS)} can")
-    cut = [(k, window) for k, trial in enumerate(trials) for window in VIEWS[kind].windows(trial)]
+    """Return a stage's view, its windows in the view's order, and the index of the trial that each was cut from."""
+    view = VIEWS[stage_of(trials).kind]
+    cut = [(k, window) for k, trial in enumerate(trials) for window in view.windows(trial)]
     windows = tuple(window for _, window in cut)
-    return VIEWS[kind](windows), windows, tuple(k for k, _ in cut)
+    return view(windows), windows, tuple(k for k, _ in cut)
 
 
 def examine(trials: Sequence[Trial]) -> Finding:
@@ -204,7 +198,7 @@ class _Stage:
         before = after = rms(self.nominal)
         if patched is not None:  # the fitted residual, enlarged by the held-out loss over the fitted loss
             after = min(rms(patched) * math.sqrt(max(fit.held_out.sum() / max(fit.loss, 1e-12), 1.0)), before)
-        share, features = found.flexible.get(view.stage, (0.0, {}))
+        flexible, features = found.flexible.get(view.stage, (0.0, {}))
         return StageAnswer(
             stage=view.stage,
             unit=view.unit,
@@ -212,31 +206,34 @@ class _Stage:
             after=after,
             floor=float(np.sqrt(np.mean(view.floor**2))),
             calibrated=self.calibrated.rms[view.stage],
-            ceiling=min(rms(found.residuals[view.stage].astype(float)) * math.sqrt(1 - share), after),
+            ceiling=min(rms(found.residuals[view.stage].astype(float)) * math.sqrt(1 - flexible), after),
             overlays=overlays(view, self.trials, self.nominal, patched, self.calibrated.residuals.get(view.stage)),
             regimes=regimes(view, self.nominal, patched),
             unexplained=Unexplained(view.stage, self.decision.explained, tuple(features.items())),
-            total_shrink=None if patched is None else self._total_shrink(),
+            total_shrink=None if patched is None else self._shrink(found.search.problem.block_squares()),
         )
 
-    def _losses(self, losses: Array) -> Array:
-        return by_recording(losses, self.found.search.problem.blocks, self.origins)
+    def _shrink(self, less: Array) -> Interval:
+        """Return the share of the held-out RMS that is lost without some effects; less: their blocks' losses [B]."""
+        return share(*shrink.interval(self._by_recording(less), self._by_recording(self.fit.held_out)))
 
-    def _total_shrink(self) -> Interval:
-        """Return the share of the held-out RMS residual that all named effects remove together."""
-        squares = self.found.search.problem.block_squares()
-        return shrunk(self._losses(squares), self._losses(self.fit.held_out))
+    def _by_recording(self, losses: Array) -> Array:
+        """Sum the losses of blocks [B] by recording [K]; with only one recording, return them by block."""
+        if len(set(self.origins)) < 2:
+            return np.maximum(losses, 0.0)
+        found = np.zeros(max(self.origins) + 1)
+        for (window, _), loss in zip(self.found.search.problem.blocks, losses, strict=True):
+            found[self.origins[window]] += max(float(loss), 0.0)
+        return found
 
     def _named(self, effect: SelectedEffect) -> NamedEffect:
-        less = self._losses(self.without[effect.candidate.name].held_out)
-        more = self._losses(self.fit.held_out)
         return NamedEffect(
             name=effect.candidate.name,
             parameters=self._estimates(effect),
             # Next to an unexplained residual any effect may stand in for its cause; how often is not measured.
             confidence=confidence("rig", effect) if self.decision.kind == "named" else None,
             equivalents=self._same(effect)[1:],
-            shrink=Shrink(stage=shrunk(less, more)),
+            shrink=Shrink(stage=self._shrink(self.without[effect.candidate.name].held_out)),
         )
 
     def _same(self, effect: SelectedEffect) -> tuple[str, ...]:

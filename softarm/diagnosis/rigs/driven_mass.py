@@ -12,14 +12,14 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import savgol_filter
 
-from softarm.diagnosis.data.trials import TableStage, Trial, TrialError
+from softarm.diagnosis.data.trials import Trial, TrialError
 from softarm.diagnosis.engine.view import Array, Point
 from softarm.diagnosis.engine.whitened import BLOCK_S, slices
 from softarm.diagnosis.rigs.driven_mass_effects import DrivenMassScales, driven_mass_effects
 from softarm.diagnosis.rigs.grid import Grid, grid, held_integral, resolution, time_since_change
 from softarm.diagnosis.rigs.laws import driven_mass as laws
 from softarm.diagnosis.rigs.scales import STRETCHES_LEAST, STRETCHES_MOST
-from softarm.diagnosis.rigs.views import FLOOR_SHARE, RigView, given_values, neutral_values, stage_of
+from softarm.diagnosis.rigs.views import FLOOR_SHARE, RigView, common_column, given_values, neutral_values, stage_of
 from softarm.simulator.effects import Effect
 
 # Columns that can drive the mass -> their unit, in the order in which they are looked for.
@@ -70,15 +70,14 @@ class DrivenMassView(RigView):
     """View from the input to the position, or to the velocity if no position was recorded; all trials of one stage."""
 
     def __init__(self, trials: Sequence[Trial]) -> None:
-        """Prepare the trials of one driven mass.
-
-        Raises TrialError if the trials belong to another kind of stage, lack a column, or their model has no mass.
-        """
-        stage = stage_of(trials, ("driven_mass",), "driven mass")
-        self._mass, rotary = _mass(stage)
+        """Prepare the trials of one driven mass; raise TrialError if one lacks a column, or nothing drives it."""
+        stage = stage_of(trials)
+        rotary = "inertia_kg_m2" in stage.model
+        self._mass = stage.number("inertia_kg_m2" if rotary else "mass_kg", 1.0)
         self._gain = stage.number("gain", 1.0)
-        self._speed_alone = not all("position" in t.channel("measured").columns for t in trials)
-        column, driver = _columns(trials, self._speed_alone)
+        column = common_column(trials, "measured", ("position", "velocity"))
+        self._speed_alone = column == "velocity"
+        driver = common_column(trials, "force", DRIVEN_BY)
         step = resolution([t.channel("measured")[column] for t in trials])
         inputs = [held_integral(t.channel("force"), t.channel("force")[driver], 10.0) for t in trials]
         limit = abs(self._gain) * _largest([t.channel("force")[driver] for t in trials]) / self._mass
@@ -117,10 +116,10 @@ class DrivenMassView(RigView):
         """Start a spring's frequency where it explains most, because a search finds a resonance only from nearby."""
         share, frequency, ratio = effect.parameters
         tried, gain = np.geomspace(frequency.low, frequency.high, TRIED), []
-        base = np.nan_to_num(self._gap([{}], 0)[:, 0])
+        base = np.nan_to_num(self._gap({})[:, 0])
         for hz in tried:
             point = {f"{effect.name}.share": NUDGED, f"{effect.name}.frequency": hz}
-            change = np.nan_to_num(self._gap([point], 0)[:, 0]) - base
+            change = np.nan_to_num(self._gap(point)[:, 0]) - base
             gain.append(float(change @ base) ** 2 / max(float(change @ change), 1e-300))
         best = float(tried[int(np.argmax(gain))])
         self._known["compliance.frequency"] = best
@@ -156,8 +155,8 @@ class DrivenMassView(RigView):
             "coasting": ~still & (force < 0.05 * s.force),
         }
 
-    def _gap(self, points: Sequence[Point], i: int) -> Array:
-        point = {path: float(self.values(points[i : i + 1], path)[0]) for path in self._known}
+    def _gap(self, point: Point) -> Array:
+        point = {path: self.value(point, path) for path in self._known}
         law, parts = self._law(point), []
         forces = self._driven(tuple(point[path] for path in _INPUT), law)
         for m, windows, force in zip(self._motions, self._windows, forces, strict=True):
@@ -255,34 +254,6 @@ def _summed_twice(values: Array, edges: NDArray[np.int64], step_s: float, once: 
         speed = np.cumsum(values[a:b]) * step_s
         out[a:b] = speed if once else np.cumsum(speed) * step_s
     return out
-
-
-def _mass(stage: TableStage) -> tuple[float, bool]:
-    """Mass or inertia, and whether it turns; raises TrialError if the model has neither or it is not above 0."""
-    for key, rotary in (("mass_kg", False), ("inertia_kg_m2", True)):
-        if key in stage.model:
-            value = stage.number(key, 0.0)
-            if not value > 0:
-                raise TrialError(f"{stage.name}: model.{key} is {value:g}, but must be above 0; correct it")
-            return value, rotary
-    raise TrialError(
-        f"{stage.name}: model lacks mass_kg (or inertia_kg_m2, if it turns); add it, motion shows only force over mass"
-    )
-
-
-def _columns(trials: Sequence[Trial], speed_alone: bool) -> tuple[str, str]:
-    """Measured column and driving column; raises TrialError if a trial lacks either."""
-    column = "velocity" if speed_alone else "position"
-    if not all(column in t.channel("measured").columns for t in trials):
-        raise TrialError(
-            f"{trials[0].source}: the measured channel needs a column position or velocity in every trial; add it"
-        )
-    for driver in DRIVEN_BY:
-        if all(driver in t.channel("force").columns for t in trials):
-            return column, driver
-    raise TrialError(
-        f"{trials[0].source}: the force channel needs a column {' or '.join(DRIVEN_BY)} in every trial; add it"
-    )
 
 
 def _largest(signals: Sequence[Array]) -> float:

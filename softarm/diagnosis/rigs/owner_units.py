@@ -12,6 +12,7 @@ from softarm.schemas.verdict import CalibratedParameter, Estimate, Gap, NamedEff
 # Name of the table's unit, and its number of units per standard unit.
 Unit = tuple[str, float]
 _VALUES = ("nominal", "value", "low", "high", "tolerance_low", "tolerance_high")  # of a calibrated parameter
+_CURVES = ("measured", "nominal", "patched", "calibrated")  # of an overlay
 _RATES = ("", "/s", "/s^2", "/s^3")
 
 
@@ -104,15 +105,8 @@ def _effect(effect: NamedEffect, known: Mapping[str, Unit]) -> NamedEffect:
 
 def _overlay(of: Overlay, known: Mapping[str, Unit]) -> Overlay:
     unit, worth = _own(of.unit, known)
-    patched, calibrated = (None if each is None else each * worth for each in (of.patched, of.calibrated))
-    return replace(
-        of,
-        unit=unit,
-        measured=of.measured * worth,
-        nominal=of.nominal * worth,
-        patched=patched,
-        calibrated=calibrated,
-    )
+    curves = {name: curve * worth for name in _CURVES if (curve := getattr(of, name)) is not None}
+    return replace(of, unit=unit, **curves)
 
 
 def _regime(of: Regime, known: Mapping[str, Unit]) -> Regime:

@@ -9,13 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softarm.common.quantity import PURE
-from softarm.diagnosis.data.trials import Series, TableStage, Trial, TrialError
+from softarm.diagnosis.data.trials import Series, TableStage, Trial
 from softarm.diagnosis.engine.view import Array, Point
 from softarm.diagnosis.rigs.grid import Grid, grid, held_integral, resolution, time_since_change
 from softarm.diagnosis.rigs.laws import tracking as law
 from softarm.diagnosis.rigs.scales import TrackingScales, repeatability, scales, stretch, white_noise
 from softarm.diagnosis.rigs.tracking_effects import tracking_effects
-from softarm.diagnosis.rigs.views import RigView, given_values, neutral_values, stage_of
+from softarm.diagnosis.rigs.views import RigView, common_column, given_values, neutral_values, stage_of
 
 # Columns that can follow the command -> their default unit. The first one that a table has is used.
 MEASURED = {"position": "rad", "pressure": "kPa", "velocity": "m/s", "value": PURE}
@@ -66,13 +66,10 @@ class TrackingView(RigView):
     """View from the command to the measured channel, all trials of one stage."""
 
     def __init__(self, trials: Sequence[Trial]) -> None:
-        """Prepare the trials of one tracking stage.
-
-        Raises TrialError if the trials do not belong to one tracking stage, or lack a column.
-        """
-        about = stage_of(trials, ("tracking",), "tracking stage")
+        """Prepare the trials of one tracking stage; raise TrialError if one lacks a column."""
+        about = stage_of(trials)
         stage = about.name
-        column = _measured(stage, trials)
+        column = common_column(trials, "measured", MEASURED)
         unit = about.unit("measured", column) or MEASURED[column]
         rate = max(resolving_hz(t.channel("measured"), column) for t in trials)
         grids = [grid(t.channel("measured"), rate) for t in trials]
@@ -132,8 +129,8 @@ class TrackingView(RigView):
 
     def unresolved(self, point: Point) -> Mapping[str, float]:
         """Return half-widths of delays that change no sample: without a lag, half the time between commands."""
-        inert = ("lag.rise", "lag.fall") if np.isinf(self._value([point], "second_order.frequency")) else ()
-        if not inert or max(self._value([point], path) for path in inert) > self.scales.step_s:
+        lag_s = max(self.value(point, path) for path in _MODEL["lag_s"])
+        if np.isfinite(self.value(point, "second_order.frequency")) or lag_s > self.scales.step_s:
             return {}
         return dict.fromkeys(("dead_time.delay", "latency.delay"), 0.5 * min(self.scales.step_s, self._changes_s))
 
@@ -146,20 +143,15 @@ class TrackingView(RigView):
         late = max((LAG_TOLERANCE * self.nominal(path) for path in _MODEL["lag_s"] if path in self._known), default=0.0)
         return dict.fromkeys(("dead_time.delay", "latency.delay"), late)
 
-    def _value(self, point: Sequence[Point], path: str, absent: float = 0.0) -> float:
-        """Value of a parameter at a point, or `absent` if this rig cannot show its effect."""
-        return float(self.values(point, path)[0]) if path in self._known else absent
-
-    def _gap(self, points: Sequence[Point], i: int) -> Array:
-        point = points[i : i + 1]
+    def _gap(self, point: Point) -> Array:
         numbers = np.zeros(law.COLUMNS)
         for path, at in _LAW:
-            numbers[at] = self._value(point, path)
-        numbers[law.PERIOD] = 1 / (2 * np.pi * self._value(point, "second_order.frequency"))
-        ceiling = self._value(point, "ceiling.limit", np.inf)
+            numbers[at] = self.value(point, path)
+        numbers[law.PERIOD] = 1 / (2 * np.pi * self.value(point, "second_order.frequency"))
+        ceiling = self.value(point, "ceiling.limit", np.inf)
         numbers[law.CEILING] = ceiling if ceiling < self._no_ceiling else np.inf
         # The law is the same: only the sum shows.
-        delay = self._value(point, "dead_time.delay") + self._value(point, "latency.delay")
+        delay = self.value(point, "dead_time.delay") + self.value(point, "latency.delay")
         parts = []
         for k, g in enumerate(self._grids):
             out = np.empty(len(g.t_s))
@@ -183,30 +175,21 @@ class TrackingView(RigView):
 
 
 def velocity_warnings(trials: Sequence[Trial]) -> list[str]:
-    """Return a warning for every stage whose measured velocity is not the slope of its position."""
+    """Return a warning for every tracking stage whose measured velocity is not the slope of its position."""
     slopes: dict[str, list[float]] = {}
     for trial in trials:
-        measured = trial.channel("measured")
-        if {"position", "velocity"} <= measured.columns.keys() and trial.stage is not None:
+        stage, measured = stage_of([trial]), trial.channel("measured")
+        if stage.kind == "tracking" and {"position", "velocity"} <= measured.columns.keys():
             x, t, v = measured["position"], measured.t_s, measured["velocity"]
             slope = (x[6:] - x[:-6]) / (t[6:] - t[:-6])
             if slope @ slope > 0:
-                slopes.setdefault(trial.stage.name, []).append(float(slope @ v[3:-3] / (slope @ slope)))
+                slopes.setdefault(stage.name, []).append(float(slope @ v[3:-3] / (slope @ slope)))
     return [
         f"{stage}: the measured velocity is {np.median(found):.2g} times the slope of its position, so one of the two "
         "has a wrong unit or scale. Only the position is used. Correct `unit` in the stage.yaml"
         for stage, found in slopes.items()
         if abs(np.median(found) - 1) > SLOPE_TOLERANCE
     ]
-
-
-def _measured(stage: str, trials: Sequence[Trial]) -> str:
-    """Column that follows the command."""
-    columns = [t.channel("measured").columns for t in trials]
-    for name in MEASURED:
-        if all(name in each for each in columns):
-            return name
-    raise TrialError(f"{stage}: the measured channel needs a column {' or '.join(MEASURED)} in every trial; add it")
 
 
 def _mean_command(series: Series, stage: TableStage) -> tuple[Array, Array]:

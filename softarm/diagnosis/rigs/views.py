@@ -1,6 +1,6 @@
 """Base class of all rigs' views."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,12 +17,20 @@ INPUTS = ("command", "base", "force", "torque", "current", "time since reversal"
 FLOOR_SHARE = 1e-3
 
 
-def stage_of(trials: Sequence[Trial], kinds: Sequence[str], title: str) -> TableStage:
-    """Return the stage that all trials belong to; raise TrialError if it is not exactly one of these kinds."""
-    stages = {t.stage.name: t.stage for t in trials if t.stage is not None and t.stage.kind in kinds}
-    if len(stages) != 1 or any(t.stage is None for t in trials):
-        raise TrialError(f"diagnose one {title} at a time; these trials have {', '.join(sorted(stages)) or 'none'}")
-    return stages.popitem()[1]
+def stage_of(trials: Sequence[Trial]) -> TableStage:
+    """Return the stage that all trials belong to."""
+    (stage,) = {trial.stage.name: trial.stage for trial in trials if trial.stage is not None}.values()
+    return stage
+
+
+def common_column(trials: Sequence[Trial], channel: str, names: Iterable[str]) -> str:
+    """Return the first of these columns that a channel has in every trial; raise TrialError if there is none."""
+    for name in names:
+        if all(name in trial.channel(channel).columns for trial in trials):
+            return name
+    raise TrialError(
+        f"{trials[0].source}: the {channel} channel needs a column {' or '.join(names)} in every trial; add it"
+    )
 
 
 def neutral_values(effects: Sequence[Effect]) -> dict[str, float]:
@@ -120,10 +128,9 @@ class RigView:
         """Return a parameter of the nominal model; `path` is 'effect.parameter'."""
         return self._known[path]
 
-    def values(self, points: Sequence[Point], path: str) -> Array:
-        """Return the value of 'effect.parameter' at each of P points, [P]."""
-        name = f"{self.stage}.{path}"
-        return np.array([point.get(name, self.nominal(path)) for point in points], dtype=float)
+    def value(self, point: Point, path: str, absent: float = 0.0) -> float:
+        """Return 'effect.parameter' at a point, or `absent` if the recordings cannot show its effect."""
+        return point.get(f"{self.stage}.{path}", self._known.get(path, absent))
 
     @property
     def indistinguishable(self) -> Mapping[str, tuple[str, ...]]:
@@ -168,8 +175,8 @@ class RigView:
 
     def gap(self, points: Sequence[Point]) -> NDArray[np.float32]:
         """Return measured minus predicted values at each of P points, [P, M, S]; NaN where no sample was measured."""
-        return np.stack([self._gap(points, i) for i in range(len(points))]).astype(np.float32)
+        return np.stack([self._gap(point) for point in points]).astype(np.float32)
 
-    def _gap(self, points: Sequence[Point], i: int) -> Array:
-        """Return measured minus predicted values at point i, [M, S]."""
+    def _gap(self, point: Point) -> Array:
+        """Return measured minus predicted values at a point, [M, S]."""
         raise NotImplementedError

@@ -13,8 +13,6 @@ from softarm.diagnosis.rigs.laws import chain as law
 GRAVITY_M_S2 = 9.81
 # Share of gravity below which a chain does not swing by its weight.
 WEIGHTLESS = 1e-3
-_MASSES = ("mass_kg", "centre_m")
-_INERTIAS = ("inertia_kg_m2", "inertia_joint_kg_m2")  # about the centre of mass; about the joint
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,17 +96,14 @@ class Chain:
 
 
 def chain_of(stage: TableStage) -> Chain:
-    """Return the model of a stage; raise TrialError if a parameter is missing or has the wrong length."""
+    """Return the model of a stage; raise TrialError if a parameter has the wrong length."""
     model = stage.model
-    given = [name for name in _INERTIAS if name in model]
-    lacking = [name for name in _MASSES if name not in model] + ([] if given else [" or ".join(_INERTIAS)])
-    if lacking:
-        raise TrialError(
-            f"{stage.name}: model lacks {', '.join(lacking)}; a {stage.kind} needs {', '.join(_MASSES)} and an inertia"
-        )
-    mass, centre = (np.ravel(np.asarray(model[name], dtype=float)) for name in _MASSES)
+    mass, centre = (np.ravel(np.asarray(model[name], dtype=float)) for name in ("mass_kg", "centre_m"))
     n = len(mass)
-    own = _each(stage, given[0], n) + (mass * centre**2 if given[0] == "inertia_kg_m2" else 0.0)
+    if "inertia_kg_m2" in model:
+        own = _each(stage, "inertia_kg_m2", n) + mass * centre**2
+    else:
+        own = _each(stage, "inertia_joint_kg_m2", n)
     length, lengths = np.zeros(n), np.ravel(np.asarray(model.get("length_m", ()), dtype=float))
     if len(lengths) < n - 1:
         raise TrialError(f"{stage.name}: model.length_m has {len(lengths)} values, {n} links need {n - 1}; add them")

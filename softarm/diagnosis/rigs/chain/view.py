@@ -25,8 +25,6 @@ from softarm.diagnosis.rigs.grid import Grid, grid, resolution, windows
 from softarm.diagnosis.rigs.laws import chain as law
 from softarm.diagnosis.rigs.views import RigView, given_values, neutral_values, stage_of
 
-# Kinds of stage that this view serves.
-KINDS = ("pendulum", "chain")
 # Samples and integration steps per period of the fastest swing.
 SAMPLES_PER_PERIOD, STEPS_PER_PERIOD = 75, 60
 RATE_LEAST_HZ, RATE_MOST_HZ = 10.0, 200.0
@@ -60,11 +58,8 @@ class ChainView(RigView):
     restarts_few_effects = True
 
     def __init__(self, trials: Sequence[Trial]) -> None:
-        """Prepare the windows of one chain.
-
-        Raises TrialError if the trials belong to another kind of stage, or the model lacks a parameter.
-        """
-        stage = stage_of(trials, KINDS, "chain")
+        """Prepare the windows of one chain; raise TrialError if its model has the wrong number of values."""
+        stage = stage_of(trials)
         self._chain = chain = chain_of(stage)
         names = tuple(f"angle{i}" for i in range(1, chain.n + 1))
         fastest, _ = _periods(chain, trials)
@@ -101,7 +96,7 @@ class ChainView(RigView):
     @classmethod
     def windows(cls, trial: Trial) -> tuple[Trial, ...]:
         """Cut a trial into windows of a few swings, each with a margin of torque and base motion."""
-        chain = chain_of(stage_of([trial], KINDS, "chain"))
+        chain = chain_of(stage_of([trial]))
         _, slowest = _periods(chain, [trial])
         free = chain.n == 1 and "torque" not in trial.channels
         parts = windows(trial, (WINDOW_PERIODS_FREE if free else WINDOW_PERIODS) * slowest)
@@ -213,7 +208,7 @@ class ChainView(RigView):
     def gap(self, points: Sequence[Point]) -> NDArray[np.float32]:
         """Return measured minus predicted angles at each of P points, [P, M, S]; NaN where none was measured."""
         found = np.empty((len(points), *self.measured.shape), np.float32)
-        delays = np.array([self._value(point, "dead_time.delay") for point in points])
+        delays = np.array([self.value(point, "dead_time.delay") for point in points])
         for delay in np.unique(delays):
             mine = np.flatnonzero(delays == delay)
             left = self._shooting.residuals([self._law(points[int(i)]) for i in mine], self._torques(float(delay)))
@@ -221,30 +216,26 @@ class ChainView(RigView):
         found[:, ~np.isfinite(self.measured)] = np.nan
         return found
 
-    def _value(self, point: Point, path: str) -> float:
-        """Value of a parameter at a point, or 0 if this chain does not have it."""
-        return point.get(f"{self.stage}.{path}", self._known.get(path, 0.0))
-
     def _values(self, point: Point, path: str) -> Array:
         """Values of a parameter that each joint has, [n]."""
-        return np.array([self._value(point, name) for name in of_joints(path, self._chain.n)])
+        return np.array([self.value(point, name) for name in of_joints(path, self._chain.n)])
 
     def _law(self, point: Point, base: Chain | None = None) -> Law:
         base, n = base or self._chain, self._chain.n
-        chain = base.loaded(self._value(point, "payload.mass"))
+        chain = base.loaded(self.value(point, "payload.mass"))
         rows = chain.rows()
         table, rest = rows[: law.EACH * n].reshape(law.EACH, n), rows[law.EACH * n :]
-        table[law.INERTIA] += self._value(point, "inertia.scale") * base.own
+        table[law.INERTIA] += self.value(point, "inertia.scale") * base.own
         table[law.DRY] = self._values(point, "coulomb_friction.torque")
         share, viscous = self._values(point, "damping.scale"), self._values(point, "damping.viscous")
         table[law.VISCOUS] = (1 + share) * viscous
         # The friction's spring must not be stiffer than a step resolves.
         least = table[law.DRY] * (self._step_s / self._each / RESOLVED) ** 2 / base.joint_inertia
-        table[law.GIVE] = np.maximum(self._value(point, "coulomb_friction.give") or 1.0, least)
-        gravity, tilt = chain.gravity * (1 + self._value(point, "stiffness.scale")), self._value(point, "tilt.angle")
+        table[law.GIVE] = np.maximum(self.value(point, "coulomb_friction.give") or 1.0, least)
+        gravity, tilt = chain.gravity * (1 + self.value(point, "stiffness.scale")), self.value(point, "tilt.angle")
         rest[law.DOWN], rest[law.ALONG] = gravity * np.cos(tilt), -gravity * np.sin(tilt)
-        rest[law.CUBIC] = self._value(point, "stiffening.cubic")
-        rest[law.DRAG] = self._value(point, "drag.coefficient")
+        rest[law.CUBIC] = self.value(point, "stiffening.cubic")
+        rest[law.DRAG] = self.value(point, "drag.coefficient")
         table[law.GAIN] = 1 + self._values(point, "gain.scale")
         table[law.OFFSET] = self._values(point, "torque_offset.torque")
         return Law(rows, self._values(point, "sensor_bias.bias"))
