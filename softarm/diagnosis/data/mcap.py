@@ -1,6 +1,5 @@
 """Reading of the daemon's own log as a trial."""
 
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -137,5 +136,4 @@ def _trial(path: Path, rows: Rows, policies: set[str]) -> Trial:
     # A drive at rest gives way to the swinging arm; only a clamped cart does not move at all.
     held = "rail" in found and float(np.ptp(found["rail"]["position"])) < HELD_M
     kind = ", ".join(sorted(policies)) or "at rest"
-    trial = Trial(path.stem, kind, path, found, "held" if held else "free", None, (), missing)
-    return replace(trial, warnings=tuple(warnings))
+    return Trial(path.stem, kind, path, found, "held" if held else "free", None, tuple(warnings), missing)

@@ -8,7 +8,7 @@ import numpy as np
 
 from softarm.common.quantity import PURE, factor
 from softarm.diagnosis.data.stage_rules import followed
-from softarm.diagnosis.data.trials import Array, Trial
+from softarm.diagnosis.data.trials import Array, Trial, stage_of
 from softarm.schemas.trial import Column, Mechanism
 
 # Channels that make a rig move.
@@ -58,7 +58,12 @@ def stillness(trials: Sequence[Trial], places: Sequence[Columns]) -> Iterator[St
     for k, (trial, at) in enumerate(zip(trials, places, strict=True)):
         drive = driven[k]
         if drive is not None and not drive[1] and not any(moved[k].values()):
-            yield _nothing(k, trial, at, drive[0], others=any(largest.values()))
+            name = next(iter(moved[k]))
+            text = f"{at('measured', name)}: nothing moves in this trial, neither {name} nor {drive[0]}"
+            if any(largest.values()):
+                yield Stillness(k, "left out", f"{text}; it is left out")
+            else:
+                yield Stillness(k, "mistake", f"{text}; leave the trial out")
             continue
         for name in (name for name, spread in moved[k].items() if not spread):
             pushes = [d[1] for each, d in zip(moved, driven, strict=True) if d is not None and each.get(name)]
@@ -86,19 +91,10 @@ def stillness(trials: Sequence[Trial], places: Sequence[Columns]) -> Iterator[St
 
 def compared_columns(trial: Trial) -> tuple[str, ...]:
     """Return the measured columns that are compared with the model."""
-    columns = trial.channels["measured"].columns if "measured" in trial.channels else {}
-    kind = trial.stage.kind if trial.stage is not None else ""
-    if kind == "tracking":
+    columns = trial.channels["measured"].columns
+    if stage_of([trial]).kind == "tracking":
         return tuple(filter(None, [followed(columns)]))
     return tuple(name for name in columns if not name.startswith(("rate", "effort")))
-
-
-def _nothing(k: int, trial: Trial, at: Columns, drive: str, others: bool) -> Stillness:
-    name = compared_columns(trial)[0]
-    text = f"{at('measured', name)}: nothing moves in this trial, neither {name} nor {drive}"
-    if others:
-        return Stillness(k, "left out", f"{text}; it is left out")
-    return Stillness(k, "mistake", f"{text}; leave the trial out")
 
 
 def _driven(trial: Trial) -> tuple[str, float] | None:

@@ -12,9 +12,9 @@ import numpy as np
 from softarm.common.quantity import PURE, UNITS, factor
 from softarm.diagnosis.data import checks
 from softarm.diagnosis.data.still_checks import Columns, compared_columns
-from softarm.diagnosis.data.trials import Array, Series, TableStage, Trial, TrialError
+from softarm.diagnosis.data.trials import Array, Series, TableStage, Trial, TrialError, stage_of
 from softarm.schemas.stage_model import StageKind
-from softarm.schemas.trial import Column, Mechanism, TableChannel
+from softarm.schemas.trial import Column, TableChannel
 
 # Least number of rows and seconds of the measured channel.
 ROWS_LEAST, SECONDS_LEAST = 20, 0.8
@@ -110,22 +110,20 @@ def ranges(series: Series, kind: StageKind, channel: TableChannel, where: str) -
             )
 
 
-def mistakes(trial: Trial, about: Mechanism, at: Columns) -> Iterator[str]:
-    """Yield the reasons why a trial cannot be diagnosed."""
-    yield from _too_short(trial, at)
-    yield from _apart(trial, at)
-    yield from _wrapped(trial, at)
-    slips = [text for sure, text in (*_slips(trial, about, at), *_slopes(trial, at)) if sure]
-    yield from slips or _pushed(trial, at)
-
-
-def oddities(trial: Trial, about: Mechanism, at: Columns) -> Iterator[str]:
-    """Yield warnings about a trial that can be diagnosed."""
-    for sure, text in (*_slips(trial, about, at), *_slopes(trial, at)):
-        if not sure:
-            yield text
-    yield from _late(trial, at)
-    yield from _upright(trial, at)
+def judge(trial: Trial, at: Columns) -> tuple[list[str], list[str]]:
+    """Return the reasons why a trial cannot be diagnosed; without any, the warnings about it."""
+    stage = stage_of([trial])
+    doubts = [*_slips(trial, stage, at), *_slopes(trial, stage, at)]
+    slips = [text for sure, text in doubts if sure]
+    mistakes = [
+        *_too_short(trial, at),
+        *_apart(trial, at),
+        *_wrapped(trial, stage, at),
+        *(slips or _pushed(trial, stage, at)),
+    ]
+    if mistakes:
+        return mistakes, []
+    return [], [*(text for sure, text in doubts if not sure), *_late(trial, at), *_upright(trial, stage, at)]
 
 
 def _too_short(trial: Trial, at: Columns) -> Iterator[str]:
@@ -162,7 +160,7 @@ def _apart(trial: Trial, at: Columns) -> Iterator[str]:
 def _late(trial: Trial, at: Columns) -> Iterator[str]:
     """Measured rows after the last command, or before the first one."""
     drive = next((name for name in ("command", "force", "torque") if name in trial.channels), None)
-    if drive is None or "measured" not in trial.channels:
+    if drive is None:
         return
     sent, seen = trial.channels[drive].t_s, trial.channels["measured"].t_s
     allowed = max(LATE_S, LATE_SHARE * float(seen[-1] - seen[0]))
@@ -178,12 +176,10 @@ def _late(trial: Trial, at: Columns) -> Iterator[str]:
         )
 
 
-def _wrapped(trial: Trial, at: Columns) -> Iterator[str]:
+def _wrapped(trial: Trial, stage: TableStage, at: Columns) -> Iterator[str]:
     """Angles that start again after a whole turn."""
-    if "measured" not in trial.channels or trial.stage is None:
-        return
     for name, values in trial.channels["measured"].columns.items():
-        if trial.stage.unit("measured", name) != "rad" or len(values) < ROWS_LEAST:
+        if stage.unit("measured", name) != "rad" or len(values) < ROWS_LEAST:
             continue
         steps = np.abs(np.diff(values))
         turns = np.flatnonzero(np.abs(steps - 2 * np.pi) < WRAP_RAD)
@@ -202,12 +198,12 @@ def _static(stage: TableStage, command: Array) -> Array:
     return stage.number("gain", 1.0) * command + stage.number("offset", 0.0)
 
 
-def _slips(trial: Trial, about: Mechanism, at: Columns) -> Iterator[tuple[bool, str]]:
+def _slips(trial: Trial, stage: TableStage, at: Columns) -> Iterator[tuple[bool, str]]:
     """Ranges of command and measured value that do not match: (whether a unit is certainly wrong, sentence)."""
-    if trial.stage is None or about.kind != "tracking" or not {"command", "measured"} <= trial.channels.keys():
+    if stage.kind != "tracking":
         return
     (name,) = compared_columns(trial)
-    seen, expected = trial.channels["measured"][name], _static(trial.stage, trial.channels["command"]["command"])
+    seen, expected = trial.channels["measured"][name], _static(stage, trial.channels["command"]["command"])
     spread = [float(np.quantile(x, 0.95) - np.quantile(x, 0.05)) for x in (seen, expected)]
     if min(spread) <= 0:
         return
@@ -218,8 +214,7 @@ def _slips(trial: Trial, about: Mechanism, at: Columns) -> Iterator[tuple[bool, 
         f"{at('measured', name)}: {name} moves {ratio:.3g} times as far as the model predicts for its command "
         f"({at('command', 'command')})"
     )
-    units = trial.stage.units
-    measured, command = units["measured"][name], units["command"]["command"]
+    measured, command = stage.units["measured"][name], stage.units["command"]["command"]
     likely = _either(
         _meant(measured.factor / ratio, measured.standard, name),
         _meant(command.factor * ratio, command.standard, "command"),
@@ -233,12 +228,12 @@ def _slips(trial: Trial, about: Mechanism, at: Columns) -> Iterator[tuple[bool, 
         yield ratio > SWING_SURE or ratio < 1 / SWING_SURE, f"{text}; correct a `unit`, or write `gain` in the model"
 
 
-def _pushed(trial: Trial, at: Columns) -> Iterator[str]:
+def _pushed(trial: Trial, stage: TableStage, at: Columns) -> Iterator[str]:
     """A mass whose speed changes by far more than its force and weight allow."""
-    if trial.stage is None or trial.stage.kind != "driven_mass" or not {"force", "measured"} <= trial.channels.keys():
+    if stage.kind != "driven_mass":
         return
-    driver, place = next(iter(trial.channels["force"].columns)), next(iter(trial.channels["measured"].columns))
-    force, measured, stage = trial.channels["force"], trial.channels["measured"], trial.stage
+    force, measured = trial.channels["force"], trial.channels["measured"]
+    driver, place = next(iter(force.columns)), next(iter(measured.columns))
     if min(len(force), len(measured)) < ROWS_LEAST:
         return
     gain, offset = stage.number("gain", 1.0), stage.number("offset", 0.0)
@@ -266,12 +261,10 @@ def _either(*likely: str) -> str:
     return " or ".join(filter(None, likely))
 
 
-def _slopes(trial: Trial, at: Columns) -> Iterator[tuple[bool, str]]:
+def _slopes(trial: Trial, stage: TableStage, at: Columns) -> Iterator[tuple[bool, str]]:
     """Rates that are not the slopes of their positions; the view of a tracking stage checks its own."""
-    if "measured" not in trial.channels or trial.stage is None or trial.stage.kind == "tracking":
-        return
     measured = trial.channels["measured"]
-    if len(measured) < ROWS_LEAST:
+    if stage.kind == "tracking" or len(measured) < ROWS_LEAST:
         return
     pairs = [("position", "velocity"), *((f"angle{i}", f"rate{i}") for i in range(1, 13))]
     for place, rate in pairs:
@@ -280,7 +273,7 @@ def _slopes(trial: Trial, at: Columns) -> Iterator[tuple[bool, str]]:
         ratio = _slope_ratio(measured.t_s, measured[place], measured[rate])
         if ratio is None or abs(ratio - 1) <= SLOPE_TOLERANCE:
             continue
-        units = trial.stage.units["measured"]
+        units = stage.units["measured"]
         likely = (
             "one of the two has the opposite sign"
             if abs(ratio + 1) <= SLOPE_TOLERANCE
@@ -307,11 +300,9 @@ def _slope_ratio(t: Array, x: Array, v: Array) -> float | None:
     return float(moved @ integrated / (moved @ moved)) if moved @ moved > 0 else None
 
 
-def _upright(trial: Trial, at: Columns) -> Iterator[str]:
+def _upright(trial: Trial, stage: TableStage, at: Columns) -> Iterator[str]:
     """A pendulum whose angle is not zero when it hangs."""
-    if trial.stage is None or trial.stage.kind != "pendulum" or "measured" not in trial.channels:
-        return
-    for name in compared_columns(trial):
+    for name in compared_columns(trial) if stage.kind == "pendulum" else ():
         middle = float(np.median(trial.channels["measured"][name]))
         if abs(abs(middle) - np.pi) < UPRIGHT_RAD:
             yield (

@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from softarm.common.quantity import factor
 from softarm.common.words import did_you_mean
 from softarm.diagnosis.data import instants
 from softarm.diagnosis.data.trials import Array, TrialError
@@ -75,8 +76,6 @@ def column(table: Table, about: Column, form: TableForm, segment: str | None, el
     segment replaces {segment} in the source; element is the index into cells that contain lists. Raises TrialError if
     the column does not exist or contains anything but numbers.
     """
-    from softarm.common.quantity import factor
-
     form = _form_of(about, form)
     values = _numbers(table, about.source, about.row, form, segment, element)
     for source in about.minus:
@@ -131,8 +130,6 @@ def is_counted(table: Table, about: Column) -> bool:
 
 def counted(about: Column, rows: int) -> Array:
     """Return the time of each counted row, s [N]."""
-    from softarm.common.quantity import factor
-
     return np.asarray(np.arange(rows) * (about.scale * factor(about.unit)[0]) + about.add)
 
 

@@ -13,7 +13,7 @@ from softarm.diagnosis.data import checks, stage_rules, still_checks, table_chec
 from softarm.diagnosis.data.stage_file import Recording, Stage, load, recordings
 from softarm.diagnosis.data.still_checks import Columns
 from softarm.diagnosis.data.table_files import Table
-from softarm.diagnosis.data.trials import Series, TableStage, TableUnit, Trial, TrialError
+from softarm.diagnosis.data.trials import Series, TableStage, TableUnit, Trial, TrialError, stage_of
 from softarm.schemas.stage_model import ModelValue
 from softarm.schemas.trial import Mechanism, TableChannel, TableForm
 
@@ -47,11 +47,10 @@ def read(path: Path, data: Path | None = None) -> tuple[Trial, ...]:
                     wrong[str(error)] = None
                     continue
                 at = Columns(stage.about, recording.files)
-                if mistakes := dict.fromkeys(table_checks.mistakes(trial, stage.about, at)):
-                    wrong |= mistakes
-                    continue
-                odd = table_checks.oddities(trial, stage.about, at)
-                checked.append((replace(trial, warnings=(*trial.warnings, *odd)), at))
+                mistakes, odd = table_checks.judge(trial, at)
+                wrong |= dict.fromkeys(mistakes)
+                if not mistakes:
+                    checked.append((replace(trial, warnings=(*trial.warnings, *odd)), at))
     trials, dead = _without_still(checked)
     wrong |= dict.fromkeys(dead)
     if wrong:
@@ -66,8 +65,10 @@ def _without_still(checked: Sequence[tuple[Trial, Columns]]) -> tuple[tuple[Tria
     """Trials in which something moves, with their warnings; and the mistakes."""
     kept: list[Trial] = []
     wrong: list[str] = []
-    for name in dict.fromkeys(trial.stage.name for trial, _ in checked if trial.stage is not None):
-        mine = [(trial, at) for trial, at in checked if trial.stage is not None and trial.stage.name == name]
+    stages: dict[str, list[tuple[Trial, Columns]]] = {}
+    for trial, at in checked:
+        stages.setdefault(stage_of([trial]).name, []).append((trial, at))
+    for mine in stages.values():
         trials = [trial for trial, _ in mine]
         found = list(still_checks.stillness(trials, [at for _, at in mine]))
         wrong += [each.text for each in found if each.kind == "mistake"]

@@ -1,6 +1,6 @@
 """In-memory form of a recording, independent of its source (docs/reference/trials.md)."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
@@ -131,6 +131,12 @@ class Trial:
         """Time from the first stamp to the last over all channels, s."""
         ends = [(series.t_s[0], series.t_s[-1]) for series in self.channels.values() if len(series)]
         return float(max(e for _, e in ends) - min(s for s, _ in ends)) if ends else 0.0
+
+
+def stage_of(trials: Sequence[Trial]) -> TableStage:
+    """Return the stage of a rig that all trials belong to."""
+    (stage,) = {trial.stage.name: trial.stage for trial in trials if trial.stage is not None}.values()
+    return stage
 
 
 def check_links(trial: Trial, links: int) -> None:

@@ -14,7 +14,7 @@ from softarm.diagnosis.answer import rivals
 from softarm.diagnosis.answer.assembly import Answer, StageAnswer, assemble, share
 from softarm.diagnosis.answer.calibration import Calibrated, calibrated
 from softarm.diagnosis.answer.evidence import overlays, regimes, rms
-from softarm.diagnosis.data.trials import Trial
+from softarm.diagnosis.data.trials import Trial, stage_of
 from softarm.diagnosis.engine import shrink
 from softarm.diagnosis.engine.confidence import confidence, margins
 from softarm.diagnosis.engine.decision import Decision, Kind
@@ -30,7 +30,7 @@ from softarm.diagnosis.rigs.candidates import candidates, nuisances
 from softarm.diagnosis.rigs.chain.view import ChainView
 from softarm.diagnosis.rigs.driven_mass import DrivenMassView
 from softarm.diagnosis.rigs.tracking import TrackingView, velocity_warnings
-from softarm.diagnosis.rigs.views import RigView, stage_of
+from softarm.diagnosis.rigs.views import RigView
 from softarm.schemas.verdict import CalibratedParameter, Estimate, Interval, NamedEffect, NextExperiment, Shrink, Where
 from softarm.simulator.effects import Effect
 

@@ -12,14 +12,14 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import savgol_filter
 
-from softarm.diagnosis.data.trials import Trial, TrialError
+from softarm.diagnosis.data.trials import Trial, TrialError, stage_of
 from softarm.diagnosis.engine.view import Array, Point
 from softarm.diagnosis.engine.whitened import BLOCK_S, slices
 from softarm.diagnosis.rigs.driven_mass_effects import DrivenMassScales, driven_mass_effects
 from softarm.diagnosis.rigs.grid import Grid, grid, held_integral, resolution, time_since_change
 from softarm.diagnosis.rigs.laws import driven_mass as laws
 from softarm.diagnosis.rigs.scales import STRETCHES_LEAST, STRETCHES_MOST
-from softarm.diagnosis.rigs.views import FLOOR_SHARE, RigView, common_column, given_values, neutral_values, stage_of
+from softarm.diagnosis.rigs.views import FLOOR_SHARE, RigView, common_column, given_values, neutral_values
 from softarm.simulator.effects import Effect
 
 # Columns that can drive the mass -> their unit, in the order in which they are looked for.

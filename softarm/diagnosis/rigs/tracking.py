@@ -9,13 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softarm.common.quantity import PURE
-from softarm.diagnosis.data.trials import Series, TableStage, Trial
+from softarm.diagnosis.data.trials import Series, TableStage, Trial, stage_of
 from softarm.diagnosis.engine.view import Array, Point
 from softarm.diagnosis.rigs.grid import Grid, grid, held_integral, resolution, time_since_change
 from softarm.diagnosis.rigs.laws import tracking as law
 from softarm.diagnosis.rigs.scales import TrackingScales, repeatability, scales, stretch, white_noise
 from softarm.diagnosis.rigs.tracking_effects import tracking_effects
-from softarm.diagnosis.rigs.views import RigView, common_column, given_values, neutral_values, stage_of
+from softarm.diagnosis.rigs.views import RigView, common_column, given_values, neutral_values
 
 # Columns that can follow the command -> their default unit. The first one that a table has is used.
 MEASURED = {"position": "rad", "pressure": "kPa", "velocity": "m/s", "value": PURE}

@@ -17,12 +17,6 @@ INPUTS = ("command", "base", "force", "torque", "current", "time since reversal"
 FLOOR_SHARE = 1e-3
 
 
-def stage_of(trials: Sequence[Trial]) -> TableStage:
-    """Return the stage that all trials belong to."""
-    (stage,) = {trial.stage.name: trial.stage for trial in trials if trial.stage is not None}.values()
-    return stage
-
-
 def common_column(trials: Sequence[Trial], channel: str, names: Iterable[str]) -> str:
     """Return the first of these columns that a channel has in every trial; raise TrialError if there is none."""
     for name in names:

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import savgol_filter
 
-from softarm.diagnosis.data.trials import Series, Trial
+from softarm.diagnosis.data.trials import Series, Trial, stage_of
 from softarm.diagnosis.engine.view import Array, Point
 from softarm.diagnosis.engine.whitened import slices
 from softarm.diagnosis.rigs.chain.effects import (
@@ -23,7 +23,7 @@ from softarm.diagnosis.rigs.chain.model import Chain, absolute, chain_of, joints
 from softarm.diagnosis.rigs.chain.shooting import Law, Shooting
 from softarm.diagnosis.rigs.grid import Grid, grid, resolution, windows
 from softarm.diagnosis.rigs.laws import chain as law
-from softarm.diagnosis.rigs.views import RigView, given_values, neutral_values, stage_of
+from softarm.diagnosis.rigs.views import RigView, given_values, neutral_values
 
 # Samples and integration steps per period of the fastest swing.
 SAMPLES_PER_PERIOD, STEPS_PER_PERIOD = 75, 60
