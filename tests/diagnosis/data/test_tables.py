@@ -100,15 +100,6 @@ def test_the_public_data_sets_are_read_without_a_warning(data):
     assert 0.9 < lag < 1.0
 
 
-def test_rates_are_the_slopes_of_the_angles_in_the_real_pendulums(data):
-    """Signs and units of the stage files: a slope of one."""
-    for stage, links in (("pendulum-single.yaml", 1), ("pendulum-triple.yaml", 3)):
-        measured = tables.read(STAGES / stage, data)[1].channels["measured"]
-        for i in range(1, links + 1):
-            slope = np.polyfit(np.gradient(measured[f"angle{i}"], measured.t_s), measured[f"rate{i}"], 1)[0]
-            assert slope == pytest.approx(1.0, abs=0.05)
-
-
 TWO_UNITS = """
 name: chamber
 kind: tracking

@@ -10,7 +10,6 @@ from pathlib import Path
 import numba
 import numpy as np
 import pytest
-from scipy.integrate import solve_ivp
 
 from softarm.diagnosis.data.trials import Series, TableStage, Trial, TrialError
 from softarm.diagnosis.engine.problem import Setup
@@ -175,69 +174,12 @@ def test_a_cart_reaches_the_speed_where_friction_equals_the_force():
         assert np.diff(go(force, law(**numbers)))[-1] / 0.01 == pytest.approx(speed, rel=1e-6)
 
 
-def test_a_cart_breaks_away_at_its_static_friction():
-    force = 0.01 * np.arange(400)  # to 4 N
-    for numbers, least in (({"FORWARD": 2.0}, 2.0), ({"FORWARD": 2.0, "STICTION": 1.0}, 3.0), ({"FORWARD": 1.5}, 1.5)):
-        found = go(force, law(**numbers))
-        assert force[np.flatnonzero(found > 0)[0]] == pytest.approx(least, abs=0.03)
-    assert np.all(go(-force, law(FORWARD=0.1, BACKWARD=5.0)) == 0.0)
-    held = go(np.full(100, 1.0), law(FORWARD=2.0, BACKWARD=2.0, GIVE=1e-4))
-    assert 0.5e-4 < held[-1] < 2e-4  # bent, and no more
-    assert np.ptp(held[50:]) < 1e-6
-
-
 def test_dry_friction_does_not_depend_on_the_step():
     force = np.random.default_rng(0).normal(0, 3, 1500)
     for give, share in ((0.0, 1e-9), (3e-5, 0.02)):
         numbers = law(FORWARD=1.0, BACKWARD=1.5, VISCOUS=0.5, GIVE=give)
         fine, coarse = go(force, numbers, each=16), go(force, numbers)
         assert np.abs(fine - coarse).max() < share * np.ptp(fine)
-
-
-def test_bending_friction_agrees_with_the_lugre_model():
-    """The reference is LuGre without bristle damping, solved implicitly by scipy."""
-    m, dry, bristle, b = 2.0, 1.0, 5e-5, 0.5
-
-    def push(t):
-        return 2.5 * math.sin(4 * t) + 1.5 * math.sin(9 * t + 1)
-
-    def slope(t, y):
-        bend = y[1] - dry_rate(y)
-        hold = dry * y[2] / bristle
-        return [y[1], (push(t) - hold - b * y[1]) / m, bend]
-
-    def dry_rate(y):
-        return abs(y[1]) * y[2] / bristle
-
-    t = np.arange(0, 3, 0.002)
-    exact = solve_ivp(slope, (0, 3), [0.0, 0.0, 0.0], "Radau", t, rtol=1e-8, atol=1e-10).y[0]
-    force = np.array([push(at + 0.001) for at in t])
-    found = go(force, law(FORWARD=dry, BACKWARD=dry, GIVE=bristle, VISCOUS=b), step=0.002)
-    rigid = go(force, law(FORWARD=dry, BACKWARD=dry, VISCOUS=b), step=0.002)
-    assert np.abs(found - exact).max() < 0.02 * np.ptp(exact)
-    assert np.abs(found - exact).max() < 0.5 * np.abs(rigid - exact).max()
-
-
-def test_a_load_on_a_spring_agrees_with_scipy():
-    w, ratio = 2 * math.pi * 5.0, 0.1
-    t = np.arange(0, 2, 0.01)
-    force = np.where((t > 0.195) & (t < 0.395), 4.0, 0.0)
-
-    def slope(at, y):
-        push = 4.0 if 0.2 < at < 0.4 else 0.0
-        return [y[1], push / 2.0, y[3], w * w * (y[0] - y[2]) + 2 * ratio * w * (y[1] - y[3])]
-
-    exact = solve_ivp(slope, (0, 2), np.zeros(4), t_eval=t, max_step=1e-3, rtol=1e-8, atol=1e-10).y[2]
-    found = go(force, law(OMEGA=w, RATIO=ratio, SHARE=-1.0))
-    assert np.abs(found - exact).max() < 0.02 * np.ptp(exact)
-
-
-def test_backlash_is_crossed_at_reversals():
-    force = np.concatenate((np.full(100, 1.0), np.full(250, -1.0)))
-    free, loose = go(force, law()), go(force, law(GAP=0.02), state=(1.0, 0.0, 0.0, 0.0))  # the forward flank is shut
-    back = int(np.argmax(free))
-    np.testing.assert_allclose(loose[: back + 1], free[: back + 1], atol=1e-12)
-    np.testing.assert_allclose(loose[back:], np.minimum(free.max(), free[back:] + 0.02), atol=1e-12)
 
 
 def test_an_amplifier_has_a_dead_zone_a_limit_and_a_lag():
@@ -263,11 +205,6 @@ def alone(view):
     null_model = problem.fit([((), ())])[0]
     fits = problem.fit(search._started(null_model, search.candidates), 12)
     return {f.names[0].partition(".")[2]: f for f in sorted(fits, key=lambda f: f.loss)}, null_model, problem
-
-
-def test_a_healthy_cart_has_no_gap():
-    for more in ({}, {"encoder": 5e-4, "noise": 3e-4}, {"step": 0.004, "seconds": 6.0}):
-        assert floors(DrivenMassView(campaign(RUBS, KNOWN, **(QUICK | more)))) < 2.0
 
 
 SINGLES = {
@@ -428,27 +365,18 @@ def _in(trial, times):
     return replace(trial, channels=channels, stage=replace(trial.stage, model=model))
 
 
-def broken(model, force=None, columns=("position",)):
+def broken(force=None, column="position"):
     t = np.arange(0, 5, 0.01)
     pushed = {"force": np.sin(t) if force is None else force}
-    channels = {
-        "force": Series(t, pushed),
-        "measured": Series(t.copy(), {name: np.cos(t) for name in columns}),
-    }
-    return [Trial("one", "sine", Path("one.csv"), channels, stage=TableStage("cart", "driven_mass", model))]
+    channels = {"force": Series(t, pushed), "measured": Series(t.copy(), {column: np.cos(t)})}
+    return [Trial("one", "sine", Path("one.csv"), channels, stage=TableStage("cart", "driven_mass", {"mass_kg": 1.0}))]
 
 
-def test_an_invalid_driven_mass_is_rejected():
-    with pytest.raises(TrialError, match=r"cart: model lacks mass_kg \(or inertia_kg_m2"):
-        DrivenMassView(broken({"gain": 2.0}))
-    with pytest.raises(TrialError, match=r"model\.mass_kg is 0"):
-        DrivenMassView(broken({"mass_kg": 0.0}))
+def test_a_mass_without_a_force_or_a_measured_motion_is_rejected():
     with pytest.raises(TrialError, match="the force is zero in every trial"):
-        DrivenMassView(broken({"mass_kg": 1.0}, force=np.zeros(500)))
+        DrivenMassView(broken(force=np.zeros(500)))
     with pytest.raises(TrialError, match="needs a column position or velocity"):
-        DrivenMassView(broken({"mass_kg": 1.0}, columns=("height",)))
-    with pytest.raises(TrialError, match="diagnose one driven mass at a time"):
-        DrivenMassView([replace(broken({})[0], stage=None)])
+        DrivenMassView(broken(column="height"))
 
 
 def test_no_effect_is_named_on_a_healthy_cart():
@@ -462,24 +390,3 @@ def test_dry_friction_of_a_cart_is_named_from_its_encoder():
     assert verdict.verdict == "named"
     assert [e.name for e in verdict.effects] == ["cart.coulomb_friction"]
     assert verdict.effects[0].parameters["force"].value == pytest.approx(1.6, rel=0.1)
-
-
-def test_the_simulated_cart_agrees_with_scipy():
-    cart = Cart(coulomb=1.0, stiction=0.5, stribeck=0.05)
-    numbers = tuple(float(getattr(cart, name)) for name in Cart.__dataclass_fields__)
-    step, bristle = 0.01, 2e-5
-    wanted = 0.1 * np.sin(2 * np.pi * np.arange(100) * step)
-    u, x, _ = run(numbers, wanted, 60.0, 9.0, step, FINE_S, bristle, np.zeros(100))
-
-    def slope(t, y):
-        level = 1.0 + 0.5 * math.exp(-((y[1] / 0.05) ** 2))
-        rate = y[1] - abs(y[1]) * y[2] / bristle
-        stiff = level / bristle
-        hold = stiff * y[2] + 0.5 * math.sqrt(stiff * 2.0) * rate
-        return [y[1], (u[min(int(t / step + 1e-9), 99)] - hold - 1.5 * y[1]) / 2.0, rate]
-
-    at, y = np.zeros(100), np.zeros(3)
-    for i in range(99):
-        y = solve_ivp(slope, (i * step, (i + 1) * step - 1e-9), y, "LSODA", rtol=1e-7, atol=1e-10).y[:, -1]
-        at[i + 1] = y[0]
-    assert np.abs(at - x).max() < 0.02 * np.ptp(x)

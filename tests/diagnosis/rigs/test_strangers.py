@@ -76,12 +76,3 @@ def test_an_unknown_effect_gives_no_confident_name(made):
     assert verdict.verdict in ("incomplete", "unknown")
     assert {e.name for e in verdict.effects} <= {"pole.stiffness"}
     assert all(e.confidence is None for e in verdict.effects)
-
-
-def test_an_effect_without_a_remaining_residual_is_named():
-    verdict = diagnose(free(dry=0.01)).verdict
-    assert verdict.verdict == "named"
-    (found,) = verdict.effects
-    assert found.name == "pole.coulomb_friction"
-    assert found.parameters["torque"].value == pytest.approx(0.01, rel=0.05)
-    assert floors_left(verdict) < 5
