@@ -11,27 +11,27 @@ as soon as a frame is stale, the last pose is held, or the pose is extrapolated.
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import click
 import numpy as np
 from numpy.typing import NDArray
-from rich.console import Console
-from rich.table import Table
 
 from benchmarks import results
+from benchmarks.tables import TABLES
+from benchmarks.ticks import Ticks
 from softarm.common.processes import as_they_come, bar
 from softarm.daemon.control.alignment import ReadingHistory
 from softarm.daemon.control.dead_reckoning import DeadReckoning, Readings, Strength, TipModel, TrackedPose
 from softarm.daemon.control.plausibility import CART, TIP
-from softarm.daemon.control.records import Inputs, Mode, Outputs, TickTiming
+from softarm.daemon.control.records import Inputs, Mode
 from softarm.daemon.runtime.offline import Lockstep
 from softarm.drivers.bodies.in_process import InProcessMocap, InProcessRobot
 from softarm.drivers.bodies.simulated import SimulatedBody
 from softarm.evaluation.robots import ROBOTS
 from softarm.evaluation.runner import NOWHERE, Swung
 from softarm.policies import registry
-from softarm.policies.base import Policy, PolicySpec
+from softarm.policies.base import Policy
 from softarm.schemas.config import Config, Failsafe
 from softarm.schemas.flights import CART_STARTS_M, TEST_TARGETS, Swing
 from softarm.schemas.messages import MocapFrame, Pose
@@ -94,23 +94,6 @@ class Blinking(InProcessMocap):
         return replace(frame, bodies=tuple(bodies))
 
 
-class Kept:
-    """Recorder that keeps the tick's inputs while the arm is armed."""
-
-    def __init__(self) -> None:
-        self.dropped = 0
-        self.problem: str | None = None
-        self.ticks: list[Inputs] = []
-
-    def tick(self, inputs: Inputs, outputs: Outputs, timing: TickTiming) -> None:
-        """Store the inputs of one tick."""
-        if outputs.mode is Mode.ARMED:
-            self.ticks.append(inputs)
-
-    def policy(self, spec: PolicySpec) -> None:
-        """Do nothing, since the policy is known."""
-
-
 class Job(NamedTuple):
     """Flights of one kind."""
 
@@ -130,23 +113,23 @@ class Flown(NamedTuple):
 
 def begun(
     policy: Policy, body: str, cart_start_m: float, seed: int, dropout_s: float = 0.0, way: str = "default"
-) -> tuple[Lockstep, Kept]:
+) -> tuple[Lockstep, Ticks]:
     """Return an armed daemon whose cameras have dropouts, and its recorder."""
-    kept = Kept()
+    ticks = Ticks()
     config = Config(failsafe=WAYS[way])
     if body == SIMULATOR:
-        daemon = Lockstep(config, policy, recorder=kept, body=SimulatedBody())
+        daemon = Lockstep(config, policy, recorder=ticks, body=SimulatedBody())
     else:
         from softarm.drivers.bodies.independent import IndependentBody
 
         robot = IndependentBody(ROBOTS[body], seed, cart_position_m=cart_start_m)
-        daemon = Lockstep(config, policy, recorder=kept, body=robot)
+        daemon = Lockstep(config, policy, recorder=ticks, body=robot)
     cameras = daemon.robot.mocap = Blinking(daemon.robot, seed, dropout_s, NOISE_M if body == SIMULATOR else 0.0)
     daemon.arm()
     if body == SIMULATOR:
         daemon.place(cart_start_m)
     cameras.begin()
-    return daemon, kept
+    return daemon, ticks
 
 
 def fly(job: Job) -> Flown:
@@ -176,15 +159,19 @@ def swings(body: str, seed: int = 0) -> Iterator[list[Inputs]]:
     """Yield the ticks of flights without dropouts: learned swings and sinusoids."""
     for policy in ("reach", "reach-wide"):
         for number in range(seed, len(TEST_TARGETS), 6):
-            daemon, kept = begun(registry.load(policy), body, CART_STARTS_M[number % 3], number)
+            daemon, ticks = begun(registry.load(policy), body, CART_STARTS_M[number % 3], number)
             daemon.pursue(TEST_TARGETS[number])
-            yield kept.ticks
+            yield _armed(ticks)
     for number in range(4):
-        daemon, kept = begun(Swung(registry.load("reach"), Swing.draw(seed + number)), body, 0.0, number)
+        daemon, ticks = begun(Swung(registry.load("reach"), Swing.draw(seed + number)), body, 0.0, number)
         daemon.tick(daemon.request("goal", NOWHERE))
         for _ in range(90):
             daemon.tick()
-        yield kept.ticks
+        yield _armed(ticks)
+
+
+def _armed(ticks: Ticks) -> list[Inputs]:
+    return [inputs for inputs, outputs, _ in ticks if outputs.mode is Mode.ARMED]
 
 
 def windows(flights: Iterator[list[Inputs]], every: int = 2) -> list[Window]:
@@ -264,7 +251,6 @@ def fit() -> TipModel:
 
 @click.command()
 @click.option("--fit", "fitting", is_flag=True, help="Print the model's numbers, fitted to the simulator, and end.")
-@click.option("--policy", "policies", multiple=True, default=("reach",), show_default=True, help="Again for more.")
 @click.option("--body", "bodies", multiple=True, default=BODIES, show_default=True, help="Again for more.")
 @click.option(
     "--dropout",
@@ -279,7 +265,6 @@ def fit() -> TipModel:
 @results.json_option
 def main(
     fitting: bool,
-    policies: Sequence[str],
     bodies: Sequence[str],
     dropouts_ms: Sequence[int],
     processes: int,
@@ -289,36 +274,24 @@ def main(
 
     \b
     Example:
-      python -m benchmarks.bridging --policy reach --body simulator --json bridging.json
+      python -m benchmarks.bridging --body simulator --json bridging.json
     """
-    console = Console()
     if fitting:
         for name, number in fit()._asdict().items():
-            console.print(f"{name}: {number:.4g}")
+            click.echo(f"{name}: {number:.4g}")
         return
-    jobs = [Job(p, b, ms, way) for p in policies for b in bodies for ms in dropouts_ms for way in WAYS]
+    jobs = [Job("reach", body, ms, way) for body in bodies for ms in dropouts_ms for way in WAYS]
     flown: dict[Job, Flown] = {}
     with bar("flying", len(jobs)) as shown:
         for job, came in as_they_come(fly, jobs, processes):
             flown[job] = came
             shown.advance(1)
-    table = Table("policy", "body", "dropout, ms", *(f"{way}: reached, stopped" for way in WAYS))
-    for policy, body, ms in dict.fromkeys(job[:3] for job in jobs):
-        came_of = [flown[Job(policy, body, ms, way)] for way in WAYS]
-        table.add_row(policy, body, str(ms), *(f"{came.reached}, {came.stopped}" for came in came_of))
-    console.print(table)
-    off = {body: errors(body) for body in bodies}
-    table = Table("body", "estimate", *(f"{1e3 * CONTROL_PERIOD_S * tick:.0f} ms" for tick in range(1, HORIZONS + 1)))
-    for body, methods in off.items():
-        for method, rms_m in methods.items():
-            table.add_row(body, method, *(f"{1e3 * each:.0f} mm" for each in rms_m))
-    console.print(table)
-    results.write(json_file, _figures(flown, off))
-
-
-def _figures(flown: dict[Job, Flown], off: dict[str, dict[str, list[float]]]) -> dict[str, Any]:
-    flights = [job._asdict() | came._asdict() for job, came in flown.items()]
-    return {"flights": flights, "tip_rms_m": off}
+    figures = {
+        "flights": [job._asdict() | came._asdict() for job, came in flown.items()],
+        "tip_rms_m": {body: errors(body) for body in bodies},
+    }
+    results.report("bridging", figures, json_file)
+    click.echo(TABLES["estimates"](lambda _: figures))
 
 
 if __name__ == "__main__":

@@ -15,14 +15,12 @@ import select
 import struct
 import tempfile
 import time
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any, Self
 
 import click
 import numpy as np
-from rich.console import Console
-from rich.table import Table
 
 from benchmarks import results
 from softarm.common import realtime
@@ -38,13 +36,6 @@ WEBSOCKETS = 2
 GOAL_EVERY_S = 4.0
 Tick = tuple[Inputs, Outputs, TickTiming]
 Window = tuple[int, int]  # monotonic nanoseconds
-SHOWN = {
-    "compute_ms": "compute (ms)",
-    "lateness_ms": "lateness (ms)",
-    "bare_loop_lateness_ms": "lateness of a bare loop beside it (ms)",
-    "sensor_to_command_ms": "sensor to command (ms)",
-}
-COUNTED = {"ticks": "ticks", "missed_ticks": "missed ticks", "policy_ticks": "ticks with a policy"}
 
 
 def run(seconds: float, report: Callable[[float], None]) -> dict[str, Any]:
@@ -148,17 +139,6 @@ def spread(values_ns: Sequence[float]) -> dict[str, float]:
     return {"p50": float(p50), "p99": float(p99), "p999": float(p999), "max": float(top)}
 
 
-def table(result: Mapping[str, Mapping[str, Any]]) -> Table:
-    """Return the figures of some conditions as a table."""
-    shown = Table("p50 / p99 / p99.9 / max", *result)
-    for name, label in SHOWN.items():
-        spreads = (condition[name] for condition in result.values())
-        shown.add_row(label, *("{p50:.2f} / {p99:.2f} / {p999:.2f} / {max:.2f}".format(**each) for each in spreads))
-    for name, label in COUNTED.items():
-        shown.add_row(label, *(str(condition[name]) for condition in result.values()))
-    return shown
-
-
 def _hammer(url: str, seconds: float) -> None:
     asyncio.run(_hammering(url, seconds))
 
@@ -199,8 +179,7 @@ def main(seconds: float, json_file: Path | None) -> None:
     """
     with bar("ticking") as shown:
         result = run(seconds, shown.show)
-    results.write(json_file, result)
-    Console().print(table(result))
+    results.report("loop", result, json_file)
 
 
 if __name__ == "__main__":

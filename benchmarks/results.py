@@ -111,6 +111,21 @@ def write(file: Path | None, figures: Mapping[str, Any], command: str | None = N
     files.write_text(file, json.dumps({"about": about, **figures}, indent=1) + "\n")
 
 
+def report(table: str, figures: Mapping[str, Any], file: Path | None) -> None:
+    """Print figures as the pages show them and write them if a file is given.
+
+    Args:
+        table: Name of a table of benchmarks/tables.py that needs one result.
+        figures: Content of that result.
+        file: Target as in `write`.
+    """
+    # Imports most of softarm, which the program of the mutants must not.
+    from benchmarks.tables import TABLES
+
+    write(file, figures)
+    click.echo(TABLES[table](lambda _: figures))
+
+
 def spread(values: Sequence[float]) -> dict[str, float]:
     """Return the median, the 99th percentile and the maximum of values."""
     p50, p99, top = map(float, np.percentile(values, [50, 99, 100]))

@@ -11,6 +11,7 @@ Also measured: the cost of the effects, and the scaling with cores and batch.
     python -m benchmarks.simulator --json FILE
 """
 
+import json
 import os
 import statistics
 import time
@@ -22,7 +23,6 @@ import mujoco
 import numba
 import numpy as np
 from mujoco import rollout
-from rich.console import Console
 
 from benchmarks import commands, results
 from benchmarks.mujoco_arm import mjcf
@@ -214,25 +214,6 @@ class _Race:
         return ROBOTS * self.MUJOCO_STEPS / (time.perf_counter() - start)
 
 
-def _show(result: dict[str, Any]) -> None:
-    console = Console(soft_wrap=True)
-    for name, key in (("simulator", ""), ("MuJoCo", "mujoco_")):
-        error = result[f"{key}tip_error_mm"]
-        console.print(
-            f"{name:<9} {result[f'{key}step_rate_hz']:5.0f} Hz  "
-            f"{result[f'{key}control_steps_per_s']:12,.0f} control steps/s  "
-            f"tip error after 3 s: mean {error['mean']:.3f} mm, max {error['max']:.3f} mm"
-        )
-    effects = result["effects"]
-    console.print(
-        f"effects   the seed's four {effects['seed_control_steps_per_s']:,.0f}/s, all on "
-        f"{effects['all_control_steps_per_s']:,.0f}/s: {effects['all_over_seed']:.2f} of it"
-    )
-    for name, speeds in result["scaling"].items():
-        console.print(f"{name:<9} {', '.join(f'{number}: {speed:,.0f}/s' for number, speed in speeds.items())}")
-    console.print(f"ratio     {result['ratio']:,.0f} on {result['cores']} cores, {ROBOTS} robots")
-
-
 @click.command()
 @results.json_option
 @click.option("--quick", is_flag=True, help="A few seconds, to see that it runs; the figures are rough.")
@@ -244,8 +225,9 @@ def main(json_file: Path | None, quick: bool) -> None:
       python -m benchmarks.simulator --json simulator.json
     """
     result = run(quick)
-    _show(result)
-    results.write(json_file, result)
+    results.report("simulator", result, json_file)
+    for name in ("effects", "scaling"):
+        click.echo(f"{name}: {json.dumps(result[name])}")
 
 
 if __name__ == "__main__":

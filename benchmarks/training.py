@@ -11,7 +11,7 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import NamedTuple, TypedDict
+from typing import Any, NamedTuple
 
 import click
 
@@ -34,15 +34,6 @@ class Point(NamedTuple):
     seconds: float
     frames: int
     report: Shares
-
-
-class TimesToLevel(TypedDict):
-    """Content of the file of `--json`; lists have one entry per seed."""
-
-    seconds_to_seed_level: list[float | None]  # None: not within FRAMES_MOST
-    frames_to_seed_level: list[int | None]
-    steps_per_s: float  # control steps of single robots, over all runs
-    curves: list[list[tuple[float, int, float, float, float]]]  # seconds, frames, in range, above, all
 
 
 def first_held(reached: list[bool], held: int = HELD) -> int | None:
@@ -75,8 +66,11 @@ def follow(make: Callable[[], Session], pool: Workers, frames_most: int = FRAMES
     return points
 
 
-def run(seeds: tuple[int, ...], frames_most: int, report: Callable[[str], None]) -> TimesToLevel:
-    """Measure all seeds and return the figures."""
+def run(seeds: tuple[int, ...], frames_most: int, report: Callable[[str], None]) -> dict[str, Any]:
+    """Measure all seeds and return the figures; the lists have one entry per seed.
+
+    A time is None if the level was not reached within `frames_most`. A curve has seconds, frames and the three shares.
+    """
     times: list[float | None] = []
     frames_there: list[int | None] = []
     curves = []
@@ -90,18 +84,13 @@ def run(seeds: tuple[int, ...], frames_most: int, report: Callable[[str], None])
             frames_there.append(None if place is None else points[place].frames)
             frames, seconds = frames + points[-1].frames, seconds + points[-1].seconds
             curves.append([(point.seconds, point.frames, *point.report) for point in points])
-            after = (
-                "never"
-                if place is None
-                else f"{points[place].seconds:.0f} s, {points[place].frames / 1e6:.1f} M frames"
-            )
-            report(f"seed {seed}: {after}")
-    return TimesToLevel(
-        seconds_to_seed_level=times,
-        frames_to_seed_level=frames_there,
-        steps_per_s=frames / seconds,
-        curves=curves,
-    )
+            report(f"seed {seed}: {times[-1]} s, {frames_there[-1]} frames")
+    return {
+        "seconds_to_seed_level": times,
+        "frames_to_seed_level": frames_there,
+        "steps_per_s": frames / seconds,
+        "curves": curves,
+    }
 
 
 @click.command()
@@ -116,7 +105,7 @@ def main(json_file: Path | None, seeds: tuple[int, ...], frames: int | None) -> 
       python -m benchmarks.training --json training.json
     """
     result = run(seeds or SEEDS, frames or FRAMES_MOST, click.echo)
-    results.write(json_file, result)
+    results.report("time-to-level", result, json_file)
     click.echo(f"control steps of single robots per second: {result['steps_per_s']:,.0f}")
 
 

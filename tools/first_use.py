@@ -18,8 +18,6 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import click
-from rich.console import Console
-from rich.table import Table
 
 from benchmarks import results
 from softarm.common.revision import CHECKOUT
@@ -32,14 +30,14 @@ AIMS_S = {"a target clicked, and reached": 300.0, "an own policy flown": 600.0}
 class Stopwatch:
     """Seconds since the start of the clone, step by step."""
 
-    def __init__(self, console: Console) -> None:
-        self._console, self._begun_s = console, time.monotonic()
+    def __init__(self) -> None:
+        self._begun_s = time.monotonic()
         self.steps: list[tuple[str, float]] = []
 
     def passed(self, step: str) -> None:
         """Record the end of a step."""
         self.steps.append((step, time.monotonic() - self._begun_s))
-        self._console.print(f"{self.steps[-1][1]:6.1f} s  {step}")
+        click.echo(f"{self.steps[-1][1]:6.1f} s  {step}")
 
 
 def typed(command: str, folder: Path, environment: dict[str, str] | None = None) -> None:
@@ -128,16 +126,11 @@ def main(json_file: Path | None) -> None:
     Example:
       python -m tools.first_use --json first-use.json
     """
-    console = Console()
     with tempfile.TemporaryDirectory() as folder:
-        watch = Stopwatch(console)
+        watch = Stopwatch()
         first_use(Path(folder) / "softarm", watch)
-    table = Table("", "after", "aim")
-    for step, seconds in watch.steps:
-        table.add_row(step, f"{seconds:.0f} s", f"{AIMS_S[step]:.0f} s" if step in AIMS_S else "")
-    console.print(table)
     steps = [{"step": step, "after_s": round(s, 1), "aim_s": AIMS_S.get(step)} for step, s in watch.steps]
-    results.write(json_file, {"steps": steps})
+    results.report("first-use", {"steps": steps}, json_file)
 
 
 if __name__ == "__main__":

@@ -3,8 +3,8 @@
     python -m tools.render            write every table
     python -m tools.render --check    exit with 1 if a page differs from the results
 
-A page marks each table with `<!-- results: NAME -->` and `<!-- /results -->`; NAME is a function of tools/tables.py or
-tools/diagnosis_tables.py. Below the table a line states when and on which revision its figures were measured.
+A page marks each table with `<!-- results: NAME -->` and `<!-- /results -->`; NAME is a key of TABLES in
+benchmarks/tables.py. Below the table a line states when and on which revision its figures were measured.
 """
 
 import re
@@ -14,9 +14,9 @@ from typing import Any
 import click
 
 from benchmarks import results
+from benchmarks.tables import TABLES
 from softarm.common import files
 from softarm.common.revision import CHECKOUT
-from tools.tables import TABLES
 
 DOCS = CHECKOUT / "docs"
 _TABLE = re.compile(r"(<!-- results: ([\w-]+) -->\n).*?(<!-- /results -->)", re.DOTALL)

@@ -236,9 +236,7 @@ def main(ticks: int, seed: int, through: str, jobs: int, with_cost: bool, json_f
     if with_cost:
         with bar("flights", len(COST_WORLDS) * len(COST_POLICIES) * FLIGHTS) as shown:
             table = cost(COST_POLICIES, lambda: shown.advance(1))
-        for name, row in table.items():
-            click.echo(f"{name:22}" + "  ".join(f"{key} {value:.3g}" for key, value in row.items()))
-        results.write(json_file, {"cost": table})
+        results.report("adversary-cost", {"cost": table}, json_file)
         return
     started, found = time.perf_counter(), []
     ticks_of_a_world = (1 + GENERATIONS) * FLOWN_TICKS * ROBOTS if through == "law" else TICKS_OF_A_WORLD

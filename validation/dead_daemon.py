@@ -22,8 +22,6 @@ from pathlib import Path
 from typing import Any
 
 import click
-from rich.console import Console
-from rich.table import Table
 
 from benchmarks import results
 from softarm.common import realtime
@@ -251,12 +249,7 @@ def main(repeats: int, json_file: Path | None) -> None:
     """
     with bar("ending daemons") as shown:
         figures = run(repeats, list(CASES), shown.show)
-    results.write(json_file, {"cases": figures})
-    table = Table("p50 / p99 / max", "stop received (ms)", "valve open (ms)", "travel (mm)", "farthest (mm)", "crashes")
-    for name, found in figures.items():
-        spreads = ("{p50:.0f} / {p99:.0f} / {max:.0f}".format(**found[key]) for key in list(found)[1:5])
-        table.add_row(name, *spreads, str(found["crashes"]))
-    Console().print(table)
+    results.report("dead-daemon", {"cases": figures}, json_file)
 
 
 if __name__ == "__main__":

@@ -10,8 +10,6 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import click
-from rich.console import Console
-from rich.table import Table
 
 from benchmarks import results
 from softarm.common.processes import as_they_come, bar, cores
@@ -87,14 +85,9 @@ def main(policies: tuple[str, ...], json_file: Path | None) -> None:
     Example:
       python -m validation.faults --policy reach --policy pid --json faults.json
     """
-    console = Console()
     with bar("flying", (1 + len(FAULTS)) * len(policies) * FLIGHTS) as shown:
         found = measure(policies, shown.advance)
-    table = Table("fault", *policies)
-    for fault, reached in found.items():
-        table.add_row(fault, *(f"{reached[policy]:.1%}" for policy in policies))
-    console.print(table)
-    results.write(json_file, found)
+    results.report("faults", found, json_file)
 
 
 if __name__ == "__main__":

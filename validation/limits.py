@@ -15,12 +15,11 @@ from typing import Any, NamedTuple
 
 import click
 import numpy as np
-from rich.console import Console
-from rich.table import Table
 
 from benchmarks import results
+from benchmarks.ticks import Ticks
 from softarm.common.processes import as_they_come, bar, cores
-from softarm.daemon.control.records import Inputs, Mode, Outputs, TickTiming
+from softarm.daemon.control.records import Mode
 from softarm.daemon.limits.findings import EXCITATION, RailFindings, findings
 from softarm.daemon.runtime.offline import Lockstep
 from softarm.drivers.bodies.base import Body
@@ -132,27 +131,14 @@ class Attack(Policy):
         return self._wanted.copy()
 
 
-class Ticks(list[tuple[Inputs, Outputs]]):
-    """`softarm.daemon.runtime.loop.TickRecorder` that keeps the ticks in memory."""
-
-    dropped = 0
-    problem: str | None = None
-
-    def tick(self, inputs: Inputs, outputs: Outputs, timing: TickTiming) -> None:
-        """Store one tick in memory."""
-        self.append((inputs, outputs))
-
-    def policy(self, spec: PolicySpec) -> None:
-        """Do nothing, since the policy never changes."""
-
-    def motion(self, config: Config) -> RailMotion:
-        """Return the motion of the rail, as read from a log of these ticks."""
-        sent = [(o.t_ns * 1e-9, o.sent.cart_velocity_m_s, o.sent.enable) for _, o in self]
-        rails = {i.rail.t_receive_ns: i.rail for i, _ in self if i.rail is not None}
-        seen = [(t * 1e-9, each.position_m, each.velocity_m_s) for t, each in sorted(rails.items())]
-        sent_s, set_points, enabled = np.array(sent, dtype=np.float64).T
-        t_s, position_m, velocity_m_s = np.array(seen, dtype=np.float64).T
-        return RailMotion(Path("ticks"), sent_s, set_points, enabled > 0, t_s, position_m, velocity_m_s, config)
+def motion(ticks: Ticks, config: Config) -> RailMotion:
+    """Return the motion of the rail, as read from a log of these ticks."""
+    sent = [(o.t_ns * 1e-9, o.sent.cart_velocity_m_s, o.sent.enable) for _, o, _ in ticks]
+    rails = {i.rail.t_receive_ns: i.rail for i, _, _ in ticks if i.rail is not None}
+    seen = [(t * 1e-9, each.position_m, each.velocity_m_s) for t, each in sorted(rails.items())]
+    sent_s, set_points, enabled = np.array(sent, dtype=np.float64).T
+    t_s, position_m, velocity_m_s = np.array(seen, dtype=np.float64).T
+    return RailMotion(Path("ticks"), sent_s, set_points, enabled > 0, t_s, position_m, velocity_m_s, config)
 
 
 class Flight(NamedTuple):
@@ -184,7 +170,7 @@ def fly(robot: Robot, config: Config, policy: Policy, seconds: float, goals: np.
         else:
             y_m, z_m = goals.uniform((-0.4, 0.55), (0.0, 0.75)).tolist()
             outputs = daemon.tick(daemon.request("goal", Goal("reach", y_m, z_m)))
-    return Flight(ticks.motion(config), max(abs(y) for _, y, _ in body.watched), max(stops, 0))
+    return Flight(motion(ticks, config), max(abs(y) for _, y, _ in body.watched), max(stops, 0))
 
 
 def measured(robot: Robot) -> RailFindings:
@@ -227,17 +213,7 @@ def main(json_file: Path | None) -> None:
         for robot, figures in as_they_come(tried, ROBOTS, cores()):
             rows[robot] = figures
             shown.advance(1)
-    table = Table("body", "ramp", "payload", "latency true", "measured", "braking", "surge", "drag", "cart at most")
-    for robot in ROBOTS:
-        figures = rows[robot]
-        bounds = (
-            "-" if each is None else f"{each['value']:.3g} ({each['events']})" for each in figures["measured"].values()
-        )
-        late = f"{1e3 * (robot.latency_s + robot.age_s):.0f} ms"
-        farthest = f"{figures['farthest_m']:.4f} m"
-        table.add_row(robot.body, f"{robot.ramp_m_s2:g}", f"{robot.payload_kg:g}", late, *bounds, farthest)
-    Console(width=120).print(table)
-    results.write(json_file, {"rows": [rows[robot] for robot in ROBOTS]})
+    results.report("limits", {"rows": [rows[robot] for robot in ROBOTS]}, json_file)
 
 
 if __name__ == "__main__":

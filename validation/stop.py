@@ -12,6 +12,7 @@ import asyncio
 import contextlib
 import http.client
 import json
+import math
 import multiprocessing
 import random
 import tempfile
@@ -22,8 +23,6 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import click
-from rich.console import Console
-from rich.table import Table
 
 from benchmarks import results
 from softarm.common import realtime
@@ -103,8 +102,7 @@ def _stop(ports: Ports, way: str) -> float | None:
 
 def _spread(times_s: list[float | None]) -> dict[str, Any]:
     done = [seconds * 1e3 for seconds in times_s if seconds is not None]
-    spread = results.spread(done) if done else dict.fromkeys(("p50", "p99", "max"))
-    return {**spread, "asked": len(times_s), "unanswered": len(times_s) - len(done)}
+    return {**results.spread(done or [math.nan]), "asked": len(times_s), "unanswered": len(times_s) - len(done)}
 
 
 @contextlib.contextmanager
@@ -228,17 +226,7 @@ def main(stops: int, json_file: Path | None) -> None:
     """
     with bar("stopping") as shown:
         figures = run(stops, list(ATTACKS), shown.show)
-    results.write(json_file, {"answer_ms": figures})
-    table = Table("answered after p50 / p99 / max (ms), unanswered", "stop port", "REST")
-    for name, ways in figures.items():
-        table.add_row(name, *(_cell(ways[way]) for way in ("stop", "api")))
-    Console().print(table)
-
-
-def _cell(spread: dict[str, Any]) -> str:
-    if spread["p50"] is None:
-        return f"none of {spread['asked']}"
-    return "{p50:.1f} / {p99:.1f} / {max:.1f}, {unanswered} of {asked}".format(**spread)
+    results.report("stop", {"answer_ms": figures}, json_file)
 
 
 if __name__ == "__main__":

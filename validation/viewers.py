@@ -23,10 +23,9 @@ import click
 import httpx
 import numpy as np
 import websockets
-from rich.console import Console
 
 from benchmarks import results
-from benchmarks.loop import BareLoop, Window, figures, spread, swing, table
+from benchmarks.loop import BareLoop, Window, figures, spread, swing
 from softarm.common.processes import bar
 from softarm.daemon.logbook import logs
 from softarm.evaluation.soak import usage
@@ -163,16 +162,7 @@ def main(seconds: float, turns: int, viewers: int, json_file: Path | None) -> No
     """
     with bar("flying") as shown:
         result = run(seconds, turns, viewers, shown.show)
-    results.write(json_file, result)
-    console = Console()
-    console.print(table({part: result[part] for part in ("alone", "viewed")}))
-    viewed, ratio = result["viewed"], result["ratio"]
-    console.print(
-        f"daemon {result['alone']['daemon_cpu']:.1%} and {viewed['daemon_cpu']:.1%} of a core, "
-        f"viewers {viewed['viewers_cpu']:.1%}; stream of each {viewed['stream_hz']:.1f} Hz; "
-        f"ratios of lateness p50 {ratio['lateness_p50']:.2f}, p99 {ratio['lateness_p99']:.2f}"
-    )
-    console.print("GET /api/recent (ms): {p50:.1f} / {p99:.1f} / {p999:.1f} / {max:.1f}".format(**viewed["recent_ms"]))
+    results.report("viewers", result, json_file)
 
 
 if __name__ == "__main__":

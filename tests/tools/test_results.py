@@ -8,8 +8,8 @@ import sys
 import pytest
 from click.testing import CliRunner
 
-from benchmarks import keep, results
-from tools import render, tables
+from benchmarks import keep, results, tables
+from tools import render
 
 PAGES = sorted(render.DOCS.rglob("*.md"))
 STORED = sorted(file.stem for file in results.FOLDER.glob("*.json"))

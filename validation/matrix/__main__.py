@@ -1,11 +1,8 @@
 """Command line of the fault matrix."""
 
-import sys
 from pathlib import Path
 
 import click
-from rich.console import Console
-from rich.table import Table
 
 from benchmarks import results
 from softarm.common.processes import bar
@@ -36,15 +33,8 @@ def main(only: str | None, json_file: Path | None) -> None:
 
         fly_all(chosen, report)
     figures = [{**vars(cell), **vars(outcome), "wrong": faults_of(cell, outcome)} for cell, outcome in flown]
-    results.write(json_file, {"cells": figures})
-    table = Table("fault", "stopped", "braked / vented (ms)", "farthest (m)", "causes", "wrong")
-    for cell, outcome in flown:
-        took = " / ".join("-" if ms is None else f"{ms:.0f}" for ms in (outcome.braked_ms, outcome.vented_ms))
-        causes, wrong = ", ".join(outcome.causes), "; ".join(faults_of(cell, outcome))
-        table.add_row(str(cell), str(outcome.stopped), took, f"{outcome.farthest_m:.3f}", causes, wrong)
-    Console(width=None if sys.stdout.isatty() else 240).print(table)
-    if any(faults_of(cell, outcome) for cell, outcome in flown):
-        sys.exit(1)
+    results.report("matrix", {"cells": figures}, json_file)
+    raise SystemExit(any(cell["wrong"] for cell in figures))
 
 
 if __name__ == "__main__":

@@ -12,31 +12,20 @@ from validation.fuzz.parsers.base import Parser, folder, written
 @cache
 def example() -> bytes:
     """Return a short flight as a killed recorder leaves it, without chunks and end."""
-    from softarm.daemon.control.records import Inputs, Outputs, TickTiming
+    from benchmarks.ticks import Ticks
     from softarm.daemon.logbook.tick_file import TickFile
     from softarm.daemon.runtime.offline import Lockstep
-    from softarm.policies.base import PolicySpec
     from softarm.policies.hold import Hold
     from softarm.schemas.config import Config
 
-    class Keep:
-        """Recorder that writes every tick at once."""
-
-        dropped = 0
-        problem: str | None = None
-
-        def tick(self, inputs: Inputs, outputs: Outputs, timing: TickTiming) -> None:
-            live.write((inputs, outputs, timing))
-
-        def policy(self, spec: PolicySpec) -> None:
-            live.policy(spec)
-
+    ticks = Ticks()
+    Lockstep(Config(), Hold(), recorder=ticks).arm()
     path = folder() / "live.mcap"
     with path.open("wb") as file:
         live = TickFile(file)
         live.head(Config(), Hold.spec, 5, 7)
-        daemon = Lockstep(Config(), Hold(), recorder=Keep())
-        daemon.arm()
+        for tick in ticks:
+            live.write(tick)
         live.flush()
     return path.read_bytes()
 

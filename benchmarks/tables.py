@@ -3,10 +3,10 @@
 from collections.abc import Callable, Mapping
 from typing import Any
 
+from benchmarks import diagnosis_tables
+from benchmarks.markdown import Read, markdown
 from softarm.evaluation.table import CEILING, HARDWARE
 from softarm.schemas.robot import CONTROL_PERIOD_S
-from tools import diagnosis_tables
-from tools.markdown import Read, markdown
 
 BRIDGED = ("bridging", "bridging-payload")
 Figure = Mapping[str, Any] | None  # mean, spread, refused: softarm.evaluation.table.Figure
@@ -126,19 +126,16 @@ def rl_games(read: Read) -> str:
 
 
 _NOMINAL = {"rail.delay_s=0.06": " (nominal 0.033)", "rail.acceleration_m_s2=3": " (nominal 6)"}
-_ROBUST_WINS = ("rail.delay_s=0.09", "rail.acceleration_m_s2=3", "rail.acceleration_m_s2=2")
 
 
 def faults(read: Read) -> str:
     """Return the cost of one fault of the independent robot."""
     found = {fault: shares for fault, shares in read("faults").items() if fault != "about"}
-    policies = list(found["none"])
     rows = []
     for fault, shares in found.items():
         title = fault if fault == "none" else f"`{fault}`{_NOMINAL.get(fault, '')}"
-        cells = [_percent(share) for share in shares.values()]
-        rows.append([title, *_bold(cells, policies.index("reach-robust") if fault in _ROBUST_WINS else None)])
-    return markdown(("fault", *(f"`{policy}`" for policy in policies)), rows)
+        rows.append([title, *map(_percent, shares.values())])
+    return markdown(("fault", *(f"`{policy}`" for policy in found["none"])), rows)
 
 
 _ROBOTS = {
@@ -151,27 +148,13 @@ _ROBOTS = {
     "held_back_later": "rail 90 ms late",
     "held_back_weak": "drive at 3 m/s^2",
 }
-_LEARNED_BEST = {
-    "reach-wide": ("all", "held_back"),
-    "reach-robust": ("held_back_changed", "held_back_later", "held_back_weak"),
-}
 
 
 def differ(read: Read) -> str:
     """Return policies over seeds on robots with faults."""
-    rows = []
-    for policy, figures in read("differ")["policies"].items():
-        row = [f"`{policy}`"]
-        for column in _ROBOTS:
-            mean, plus, spread = cell(figures.get(column)).partition(" +- ")
-            best = column in _LEARNED_BEST.get(policy, ())
-            row.append((f"**{mean}**" if best else mean) + plus + spread)
-        rows.append(row)
+    policies = read("differ")["policies"]
+    rows = [[f"`{policy}`", *(cell(figures.get(column)) for column in _ROBOTS)] for policy, figures in policies.items()]
     return markdown(("policy", *_ROBOTS.values()), rows)
-
-
-def _bold(cells: list[str], at: int | None) -> list[str]:
-    return [f"**{cell}**" if i == at else cell for i, cell in enumerate(cells)]
 
 
 # Run of benchmarks/ablation.yaml -> description, the paper's hardware (Table 1; of 12 trials, percent).
@@ -222,14 +205,8 @@ def loop(read: Read) -> str:
     """Return the punctuality of the control loop."""
     found = read("loop")
     conditions = [found["idle"], found["hammered"]]
-    rows = [
-        [
-            title,
-            *(" / ".join(f"{at[key][part]:.2f}" for part in ("p50", "p99", "p999", "max")) for at in conditions),
-            aim,
-        ]
-        for key, (title, aim) in _LOOP.items()
-    ]
+    spread = "{p50:.2f} / {p99:.2f} / {p999:.2f} / {max:.2f}"
+    rows = [[title, *(spread.format(**at[key]) for at in conditions), aim] for key, (title, aim) in _LOOP.items()]
     rows.append(["missed ticks", *(f"{at['missed_ticks']} of {at['ticks']}" for at in conditions), "0"])
     return markdown(("p50 / p99 / p99.9 / max (ms)", "idle", "hammered", "aim (p99.9)"), rows)
 
@@ -247,14 +224,8 @@ def viewers(read: Read) -> str:
     """Return the cost of ten viewers."""
     found = read("viewers")
     sides = [found["alone"], found["viewed"]]
-    rows = [
-        [title, *(" / ".join(f"{side[key][part]:.2f}" for part in ("p50", "p99", "max")) for side in sides)]
-        for key, title in (
-            ("lateness_ms", "lateness"),
-            ("bare_loop_lateness_ms", "lateness of the bare loop"),
-            ("compute_ms", "compute"),
-        )
-    ]
+    keys = ("lateness_ms", "bare_loop_lateness_ms", "compute_ms")
+    rows = [[_LOOP[key][0], *("{p50:.2f} / {p99:.2f} / {max:.2f}".format(**at[key]) for at in sides)] for key in keys]
     rows.append(["missed ticks", *(f"{side['missed_ticks']} of {side['ticks']}" for side in sides)])
     rows.append(["daemon, of a core", *(f"{100 * side['daemon_cpu']:.1f} %" for side in sides)])
     return markdown(("p50 / p99 / max (ms)", "no viewer", f"{found['viewers']} watch"), rows)

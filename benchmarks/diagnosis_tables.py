@@ -3,7 +3,7 @@
 from collections.abc import Callable, Iterable, Mapping
 from typing import Any
 
-from tools.markdown import Read, markdown
+from benchmarks.markdown import Read, markdown
 
 
 def blind(read: Read) -> str:
