@@ -59,10 +59,24 @@ class Rig:
 
 _DEG = math.pi / 180
 _PSI, _BAR, _MBAR = 6.894757, 100.0, 0.1
-
-
-def _tracking() -> tuple[Rig, ...]:
-    return (
+_SMALL = {"mass_kg": (0.15,), "centre_m": (0.15,), "inertia_kg_m2": (1.2e-3,), "length_m": (0.3,)}
+_LARGE = {"mass_kg": (3.0,), "centre_m": (0.6,), "inertia_kg_m2": (0.4,), "length_m": (1.1,)}
+_TRIPLE = {
+    "mass_kg": (0.5, 0.35, 0.2),
+    "centre_m": (0.12, 0.1, 0.08),
+    "inertia_kg_m2": (2.5e-3, 1.3e-3, 5e-4),
+    "length_m": (0.25, 0.2, 0.16),
+}
+_ARM = {
+    "mass_kg": (2.0, 1.2),
+    "centre_m": (0.18, 0.16),
+    "inertia_kg_m2": (0.022, 0.012),
+    "length_m": (0.35, 0.32),
+}
+_POLE = {"mass_kg": (0.25,), "centre_m": (0.2,), "inertia_kg_m2": (3.5e-3,), "length_m": (0.4,)}
+RIGS: Final[dict[str, Rig]] = {
+    rig.name: rig
+    for rig in (
         Rig("belt", "velocity axis", 0.025, 250, 0.8, 0.0, "m/s", 1.0, "m/s", 1.0),
         Rig("gantry", "velocity axis", 0.35, 50, 0.12, 0.0, "mm/s", 1e-3, "mm/s", 1e-3, duration_s=(12, 18)),
         Rig("stage", "position axis", 0.008, 500, 2e-3, 0.0, "mm", 1e-3, "mm", 1e-3, 1e-6, (8, 9)),
@@ -74,54 +88,20 @@ def _tracking() -> tuple[Rig, ...]:
             {"supply_kpa": 190.0}),
         Rig("tank", "chamber", 1.5, 50, 120.0, 200.0, "bar", _BAR, "bar", _BAR, 0.2, (20, 20), False,
             {"supply_kpa": 700.0}),
-    )  # fmt: skip
-
-
-def _with_gain() -> tuple[Rig, ...]:
-    """Return the rigs whose command and measurement have different units."""
-    return (
+        # Command and measurement have different units.
         Rig("grip", "chamber", 0.12, 100, 60.0, 100.0, "kPa", 1.0, "V", 40.0, 0.1, (8, 14), False,
             {"supply_kpa": 300.0}),
-    )  # fmt: skip
-
-
-def _driven() -> tuple[Rig, ...]:
-    return (
         Rig("cart", "cart", 0.25, 100, 0.15, 0.0, "mm", 1e-3, "N", 1.0, 5e-5, (10, 14), False, {"mass_kg": 1.2}),
         Rig("slide", "cart", 0.06, 500, 0.02, 0.0, "mm", 1e-3, "A", 22.0, 1e-6, (8, 9), True, {"mass_kg": 8.0}),
         Rig("coil", "cart", 0.02, 500, 1e-3, 0.0, "um", 1e-6, "mA", 9e-3, 2e-7, (8, 8), False, {"mass_kg": 0.05}),
-    )
-
-
-def _swinging() -> tuple[Rig, ...]:
-    small = {"mass_kg": (0.15,), "centre_m": (0.15,), "inertia_kg_m2": (1.2e-3,), "length_m": (0.3,)}
-    large = {"mass_kg": (3.0,), "centre_m": (0.6,), "inertia_kg_m2": (0.4,), "length_m": (1.1,)}
-    triple = {
-        "mass_kg": (0.5, 0.35, 0.2),
-        "centre_m": (0.12, 0.1, 0.08),
-        "inertia_kg_m2": (2.5e-3, 1.3e-3, 5e-4),
-        "length_m": (0.25, 0.2, 0.16),
-    }
-    return (
-        Rig("pendulum", "pendulum", 0.14, 200, 1.3, quantum=1e-3, duration_s=(10, 14), parameters=small),
-        Rig("boom", "pendulum", 0.28, 100, 1.2, quantum=3e-4, duration_s=(14, 20), parameters=large,
+        Rig("pendulum", "pendulum", 0.14, 200, 1.3, quantum=1e-3, duration_s=(10, 14), parameters=_SMALL),
+        Rig("boom", "pendulum", 0.28, 100, 1.2, quantum=3e-4, duration_s=(14, 20), parameters=_LARGE,
             measured_unit="deg", measured_worth=_DEG),
-        Rig("chain", "pendulum", 0.15, 200, 0.7, quantum=4e-4, duration_s=(8, 10), parameters=triple),
-    )  # fmt: skip
-
-
-def _arms() -> tuple[Rig, ...]:
-    arm = {
-        "mass_kg": (2.0, 1.2),
-        "centre_m": (0.18, 0.16),
-        "inertia_kg_m2": (0.022, 0.012),
-        "length_m": (0.35, 0.32),
-    }
-    pole = {"mass_kg": (0.25,), "centre_m": (0.2,), "inertia_kg_m2": (3.5e-3,), "length_m": (0.4,)}
-    return (
-        Rig("arm", "arm", 0.25, 250, 0.6, 0.4, command_unit="N m", quantum=2e-4, duration_s=(8, 10), parameters=arm),
-        Rig("pole", "cart-pendulum", 0.25, 200, 0.12, quantum=1e-3, duration_s=(10, 14), parameters=pole),
+        Rig("chain", "pendulum", 0.15, 200, 0.7, quantum=4e-4, duration_s=(8, 10), parameters=_TRIPLE),
+        Rig("arm", "arm", 0.25, 250, 0.6, 0.4, command_unit="N m", quantum=2e-4, duration_s=(8, 10), parameters=_ARM),
+        Rig("pole", "cart-pendulum", 0.25, 200, 0.12, quantum=1e-3, duration_s=(10, 14), parameters=_POLE),
     )
+}  # fmt: skip
 
 
 def moments_of(rig: Rig) -> tuple[float, ...]:
@@ -140,8 +120,3 @@ def damping_of(rig: Rig) -> tuple[float, ...]:
 def mass_of(rig: Rig) -> float:
     """Return the mass of a cart, kg."""
     return float(np.ravel(rig.parameters["mass_kg"])[0])
-
-
-RIGS: Final[dict[str, Rig]] = {
-    rig.name: rig for rig in (*_tracking(), *_with_gain(), *_driven(), *_swinging(), *_arms())
-}
