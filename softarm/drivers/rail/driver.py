@@ -30,7 +30,7 @@ import time
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import softarm
 from softarm.drivers.base import DeviceError
@@ -55,27 +55,17 @@ LIVED_S = 5.0
 SPARE_S = 1.0
 
 
-class Child(Protocol):
-    """Child process: a part of `subprocess.Popen`."""
-
-    def poll(self) -> int | None:
-        """Return its exit code, or None while it runs."""
-
-    def kill(self) -> None:
-        """End the process immediately."""
-
-
 class Process(NamedTuple):
     """The rail's process, and the daemon's end of its socket pair."""
 
-    child: Child
+    child: "subprocess.Popen[bytes]"
     line: socket.socket
 
 
-Launch = Callable[[Settings, socket.socket, int], Child]
+Launch = Callable[[Settings, socket.socket, int], "subprocess.Popen[bytes]"]
 
 
-def launch(settings: Settings, theirs: socket.socket, priority: int) -> Child:
+def launch(settings: Settings, theirs: socket.socket, priority: int) -> "subprocess.Popen[bytes]":
     """Start the process with its end of the pair, in its own session, so that Ctrl-C does not reach it."""
     # Without site: the process needs nothing from it, and reading it takes longer than everything else.
     return subprocess.Popen(
@@ -267,6 +257,6 @@ class DryveRailAxis:
         self._reaping.append(self._loop.create_task(_reap(process.child)))
 
 
-async def _reap(child: Child) -> None:
+async def _reap(child: "subprocess.Popen[bytes]") -> None:
     while child.poll() is None:
         await asyncio.sleep(0.005)

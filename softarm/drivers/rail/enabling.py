@@ -21,14 +21,6 @@ class Step(NamedTuple):
     controlword: int
 
 
-class Failure(NamedTuple):
-    """Failed operation, its cause and the next step."""
-
-    command: str
-    problem: str
-    remedy: str
-
-
 class Enabling:
     """Enabling and disabling of the drive. `last_step` is the step that was taken last: each is taken once."""
 
@@ -41,17 +33,18 @@ class Enabling:
         """Forget that the drive has reached operation: the permission to move begins or ends."""
         self._reached_operation = False
 
-    def failure(self, feedback: Feedback, permitted_for_ns: int) -> Failure | None:
-        """Return why an otherwise healthy drive does not follow the permission to move, or None."""
+    def failure(self, feedback: Feedback, permitted_for_ns: int) -> tuple[str, str, str] | None:
+        """Return why an otherwise healthy drive does not follow the permission to move, or None.
+
+        A failure has the operation, the cause and the next step.
+        """
         if feedback.state is DriveState.OPERATION_ENABLED:
             self._reached_operation = True
         elif self._reached_operation:
-            return Failure(
-                "write 60FFh", f"the drive fell back to {feedback.state_text()} by itself", "disarm, then arm"
-            )
+            return "write 60FFh", f"the drive fell back to {feedback.state_text()} by itself", "disarm, then arm"
         elif permitted_for_ns > ENABLE_MAX_S * 1e9:
             remedy = "check DI7, load supply and the drive's web page, then disarm and arm"
-            return Failure("enable", f"the drive stays in {feedback.state_text()}", remedy)
+            return "enable", f"the drive stays in {feedback.state_text()}", remedy
         return None
 
     def next_step(self, feedback: Feedback, enable: bool) -> Step | None:

@@ -15,13 +15,12 @@ from collections.abc import Callable
 
 from softarm.drivers.rail import dryve
 from softarm.drivers.rail.cia402 import ControlWord, DriveState
-from softarm.drivers.rail.daemon_line import DaemonLine, HungUp
 from softarm.drivers.rail.drive import Drive
 from softarm.drivers.rail.dryve_link import EXCHANGE_ERRORS, LINK_ERRORS
 from softarm.drivers.rail.enabling import Enabling
 from softarm.drivers.rail.feedback import Feedback
 from softarm.drivers.rail.orders import Orders
-from softarm.drivers.rail.pair import Reading, Report
+from softarm.drivers.rail.pair import DaemonLine, HungUp, Reading, Report
 from softarm.drivers.rail.problems import Problems
 from softarm.drivers.rail.settings import Settings
 

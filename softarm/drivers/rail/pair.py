@@ -1,14 +1,19 @@
-"""Messages between the daemon and the rail's process: one packet of a socket pair is one message.
+"""Messages between the daemon and the rail's process, and the process's end of their socket pair.
 
-A begin message and set-points go to the process, reports come back. Every stamp is CLOCK_MONOTONIC, which all
-processes of a host share.
+One packet is one message: a begin message and set-points go to the process, reports come back. Every stamp is
+CLOCK_MONOTONIC, which all processes of a host share.
 """
 
+import contextlib
+import socket
 import struct
+import time
 from typing import NamedTuple
 
 VERSION = 1
 PACKET_MAX = 8192  # bytes
+# Longest time between two reports.
+HEARTBEAT_S = 0.05
 
 _BEGIN = struct.Struct("<BB")
 _SET_POINT = struct.Struct("<BBIIqd")
@@ -120,3 +125,42 @@ def decode_report(packet: bytes) -> Report:
         reading if flags & _READING else None,
         problem if flags & _PROBLEM else None,
     )
+
+
+class HungUp(Exception):
+    """The daemon has closed its end or has ended."""
+
+
+class DaemonLine:
+    """Non-blocking line to the daemon. `closed` is true once the daemon has hung up."""
+
+    def __init__(self, line: socket.socket) -> None:
+        line.setblocking(False)
+        self.closed = False
+        self._line = line
+        self._reported_s = 0.0
+
+    def fileno(self) -> int:
+        """Return the descriptor to poll for set-points."""
+        return self._line.fileno()
+
+    @property
+    def report_due_in_s(self) -> float:
+        """Time until the next heartbeat is due; negative when it is late."""
+        return self._reported_s + HEARTBEAT_S - time.monotonic()
+
+    def receive(self) -> SetPoint | None:
+        """Return the next set-point, or None if none is waiting. Raises HungUp."""
+        try:
+            return decode_set_point(self._line.recv(PACKET_MAX))
+        except BlockingIOError:
+            return None
+        except (OSError, ValueError):
+            self.closed = True
+            raise HungUp from None
+
+    def send(self, report: Report) -> None:
+        """Send a report; a daemon that hangs or has ended is noticed elsewhere."""
+        with contextlib.suppress(OSError):
+            self._line.send(encode_report(report))
+        self._reported_s = time.monotonic()

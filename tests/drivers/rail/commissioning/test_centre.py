@@ -47,17 +47,6 @@ def test_values_of_the_configuration_are_not_proposed_again() -> None:
     assert pushed() == pushed()._replace(values={}, problems=())
 
 
-@pytest.mark.parametrize("counts", [0.5, 0.97, 1.03, 10.0])
-def test_a_wrong_feed_is_corrected_together_with_the_centre(counts: float) -> None:
-    result = pushed(counts=counts, zero_m=0.287)
-    assert result.values["units_per_m"] == round(100_000 * counts)
-    assert result.values["centre_m"] == pytest.approx(0.287, abs=1e-3)
-    right = DryveRail.model_validate(RAIL.model_dump() | result.values)
-    again = pushed(right, counts=counts * 100_000 / right.units_per_m, zero_m=0.287)
-    assert not again.problems
-    assert not again.values
-
-
 def test_a_reversed_axis_is_detected() -> None:
     result = pushed(sense=-1, zero_m=0.287)
     assert result.values == {"centre_m": 0.287, "reversed": True}
