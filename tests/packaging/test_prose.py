@@ -28,32 +28,17 @@ def test_the_prose_follows_the_writing_rules(place):
 
 
 @pytest.mark.parametrize(
-    ("source", "finding"),
+    ("name", "source", "finding"),
     [
-        ('"""What is shown of a log."""', "docstring does not start with what the thing does or is"),
-        ('"""As above."""', "docstring of fewer than 4 words"),
-        ('"""Return the newest frame."""\n# nobody is told', '"nobody": use'),
-        ('"""Return the newest frame."""\n\n_hush = 1', '"hush": use drain'),
-        ('"""Return the newest frame."""\n\nTEXT = "the house"', '"house": use project'),
+        ("module.py", '"""What is shown of a log."""', "docstring does not start with what the thing does or is"),
+        ("module.py", '"""As above."""', "docstring of fewer than 4 words"),
+        ("module.py", '"""Return the newest frame."""\n# nobody is told', '"nobody": use'),
+        ("module.py", '"""Return the newest frame."""\n\n_hush = 1', '"hush": use drain'),
+        ("page.md", "# Page\n\n" + "word " * 26 + ".", "sentence of 26 words"),
+        ("page.md", "# Page\n" + "\n" * prose.PAGE_LINES_MAX, "lines, allowed 150"),
     ],
 )
-def test_a_private_word_or_an_unclear_docstring_is_found(source, finding, tmp_path):
-    file = tmp_path / "module.py"
+def test_a_broken_rule_is_found(name, source, finding, tmp_path):
+    file = tmp_path / name
     file.write_text(source + "\n")
     assert any(finding in found.text for found in prose.findings(file))
-
-
-def test_a_long_sentence_and_a_long_page_are_found(tmp_path):
-    page = tmp_path / "page.md"
-    page.write_text("# Page\n\n" + "word " * 26 + ".\n" + "\n" * prose.PAGE_LINES_MAX)
-    found = [finding.text for finding in prose.findings(page)]
-    assert any(text.startswith("sentence of 26 words") for text in found)
-    assert any("lines, allowed 150" in text for text in found)
-
-
-def test_a_reference_may_be_long_and_code_is_not_read_as_prose(tmp_path):
-    folder = tmp_path / prose.REFERENCE_FOLDER
-    folder.mkdir()
-    page = folder / "page.md"
-    page.write_text("# Page\n\n    nobody is told\n" + "\n" * prose.PAGE_LINES_MAX)
-    assert list(prose.findings(page)) == []
