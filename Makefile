@@ -70,11 +70,11 @@ docs: .venv/.installed-dev
 
 # The long evidence, about 75 minutes on two quiet cores. Every part runs although one fails, and prints its time;
 # `make prove-fuzz` runs one part. docs/evidence/proof.md has the sizes for a release, which are stored.
-ADVERSARY_TICKS ?= 3000000
-MUTANTS ?= --sample 20
-FUZZ_MINUTES ?= 10
-API_EXAMPLES ?= 20
-SOAK_HOURS ?= 0.25
+ADVERSARY_TICKS ?= 6000000
+MUTANTS ?= --sample 40
+FUZZ_MINUTES ?= 15
+API_EXAMPLES ?= 100
+SOAK_HOURS ?= 0.3
 LOCKSTEP_DAYS ?= 0.5
 RESULTS ?= build/prove
 
