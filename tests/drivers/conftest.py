@@ -2,11 +2,12 @@
 
 import asyncio
 import contextlib
-import socket
 from collections.abc import AsyncIterator, Callable, Coroutine
 from typing import Any
 
 import pytest
+
+from tests import processes
 
 # Reached only on failure, or on a very busy machine.
 PATIENCE_S = 20.0
@@ -32,9 +33,7 @@ def clock() -> Clock:
 
 @pytest.fixture
 def free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
+    return processes.free_port()
 
 
 @pytest.fixture
@@ -73,21 +72,3 @@ async def running(*devices: Any) -> AsyncIterator[None]:
 @pytest.fixture(name="running")
 def _running() -> Any:
     return running
-
-
-@pytest.fixture
-def opened_regulator(monkeypatch: pytest.MonkeyPatch) -> Callable[[Any], Any]:
-    """Context that opens the port of a bench and runs its regulator."""
-    monkeypatch.setattr("softarm.drivers.regulator.driver.RETRY_S", (0.005, 0.01))
-    monkeypatch.setattr("softarm.drivers.regulator.driver.HELLO_S", 0.005)
-
-    @contextlib.asynccontextmanager
-    async def opened(bench: Any) -> AsyncIterator[Any]:
-        bench.port.open()
-        try:
-            async with running(bench.regulator):
-                yield bench
-        finally:
-            bench.port.close()
-
-    return opened

@@ -17,7 +17,6 @@ SOURCES = HERE.parents[1] / "firmware" / "regulator"
 
 # Clocks that stand still, and waiting with an end, as the drivers' tests have them.
 anyio_backend, clock, until, running = _benches.anyio_backend, _benches.clock, _benches.until, _benches._running
-opened_regulator = _benches.opened_regulator
 
 STRICT = ("-std=c++14", "-Wall", "-Wextra", "-Wconversion", "-Wshadow", "-Wpedantic", "-Werror")
 UNDEFINED = ("-fsanitize=undefined", "-fno-sanitize-recover=all")

@@ -1,80 +1,20 @@
-"""The daemon's driver and the firmware's core, connected by a real pseudo-terminal."""
+"""The daemon's driver and the firmware's core in a program of its own, connected by a real pseudo-terminal."""
 
 import contextlib
-import os
 import re
 import subprocess
 import sys
-from collections.abc import AsyncIterator, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from softarm.drivers.regulator.driver import TeensyRegulator
-from softarm.drivers.twin.faults import Faults
-from softarm.drivers.twin.teensy import TeensyPort
 from softarm.schemas.config import SerialRegulator
 
 pytestmark = pytest.mark.anyio
-MEASURED_KPA = 3.25
 NATIVE = Path(__file__).parents[2] / "firmware" / "native" / "main.cpp"
-
-
-class Bench:
-    """Driver and board with a manual clock."""
-
-    def __init__(self, path: Path, board: Any, clock: Any, until: Any) -> None:
-        self.clock, self._until = clock, until
-        self.board, self.faults = board, Faults(clock)
-        self.port = TeensyPort(path, board, self.faults, clock, lambda: MEASURED_KPA)
-        self.regulator = TeensyRegulator(SerialRegulator(port=str(path)), clock)
-
-    async def write_until(
-        self, condition: Any, armed: bool = False, pressure_kpa: float = 0.0, pass_s: float = 0.0
-    ) -> None:
-        """Write as a control loop does; a tick of `pass_s` passes once the last command was answered."""
-        answered = self.regulator.read()
-
-        def each() -> None:
-            nonlocal answered
-            if self.regulator.read() is not answered:
-                answered = self.regulator.read()
-                self.clock.advance(pass_s)
-            self.regulator.write(armed, pressure_kpa)
-            self.port.step()
-
-        await self._until(condition, each)
-
-    async def arm(self) -> None:
-        await self.write_until(lambda: self.board.relay_closed and not self.board.armed, pass_s=0.033)
-        await self.write_until(lambda: self.board.armed and self.regulator.read().armed, True, 10.0)
-
-
-@pytest.fixture
-async def bench(tmp_path: Path, make_board: Any, clock: Any, until: Any, opened_regulator: Any) -> AsyncIterator[Bench]:
-    board = make_board(lambda: int.from_bytes(os.urandom(4), "little"))
-    async with opened_regulator(Bench(tmp_path / "teensy", board, clock, until)) as bench:
-        yield bench
-
-
-async def test_the_board_is_armed_and_vents_when_the_driver_is_silent(bench: Any) -> None:
-    await bench.arm()
-    assert bench.board.set_point_kpa == 10.0
-    assert bench.regulator.read().pressure_kpa == MEASURED_KPA
-    assert bench.regulator.problem() is None
-    bench.clock.advance(0.101)
-    bench.port.step()
-    assert (bench.board.armed, bench.board.set_point_kpa, bench.board.relay_closed) == (False, 0.0, False)
-    await bench.write_until(lambda: "commands stopped" in (bench.regulator.problem() or ""), True, 10.0)
-    assert not bench.board.armed
-    await bench.arm()
-
-
-async def test_stopping_the_driver_vents_and_opens_the_relay(bench: Any) -> None:
-    await bench.arm()
-    await bench.regulator.stop()
-    assert (bench.board.armed, bench.board.relay_closed) == (False, False)
 
 
 class Program:

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
 from softarm.drivers.regulator.cobs import frame
@@ -107,6 +107,12 @@ class Three:
         assert self.board.accepted_sequence == self.twin.accepted_sequence == self.outside._accepted
 
 
+RANGE_ENDS = [
+    *(("command", 1, 0, 100, armed, kpa) for armed in (0, 1) for kpa in (-0.7, 20.0, BELOW, ABOVE)),
+    *(("command", 1, 0, live_ms, armed, 5.0) for armed in (0, 1) for live_ms in (0, 1, 250, 251)),
+]
+
+
 @pytest.mark.slow
 @settings(max_examples=300, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(
@@ -114,6 +120,7 @@ class Three:
     start_us=st.sampled_from([0, 2**31 - 150_000, 2**32 - 1, 2**32 - 150_000, 5 * 2**32 - 40_000]),
     first=st.sampled_from([1, 2**31 - 3, 2**32 - 3]),
 )
+@example(script=[(step, 1) for step in RANGE_ENDS], start_us=0, first=1)
 def test_three_devices_act_and_answer_equally(
     make_board: Any, monkeypatch: pytest.MonkeyPatch, script: Any, start_us: int, first: int
 ) -> None:

@@ -15,6 +15,7 @@ from softarm.schemas.config import DryveRail, SerialRegulator
 
 pytestmark = pytest.mark.anyio
 TICK_S = 0.033
+MEASURED_KPA = 3.25
 
 
 class Bench:
@@ -23,7 +24,7 @@ class Bench:
     def __init__(self, path: Path, board: Any, clock: Any, until: Any) -> None:
         self.board, self.clock, self._until = board, clock, until
         faults = Faults(clock)
-        self.port = TeensyPort(path, board, faults, clock, lambda: 0.0)
+        self.port = TeensyPort(path, board, faults, clock, lambda: MEASURED_KPA)
         self.drive = DryveDevice(DryveRail())
         self.drive.sense(0.0, 0.0)
         self.server = DryveServer("127.0.0.1", 0, self.drive, faults, clock)
@@ -40,7 +41,7 @@ class Bench:
                 answered = self.regulator.read()
                 self.clock.advance(TICK_S)
             if speak:
-                self.regulator.write(armed, 0.0)
+                self.regulator.write(armed, 10.0)
             self.rail.write(armed, 0.0)
             self.port.step()
             self.server.step()
@@ -53,6 +54,7 @@ class Bench:
         """Arm as the daemon does: both devices healthy and disarmed with DI7 high, then both armed."""
         await self.write_until(lambda: (reading := self.rail.read()) and reading.remote and not self.board.armed, False)
         await self.write_until(lambda: self.board.armed and self.rail.read().enabled, True)
+        assert (self.board.set_point_kpa, self.regulator.read().pressure_kpa) == (10.0, MEASURED_KPA)
 
 
 @pytest.fixture
@@ -82,5 +84,9 @@ async def test_the_drive_is_armed_over_the_relay_and_stopped_by_a_board_without_
     await bench.armed()
     await bench.write_until(lambda: not bench.rail.read().enabled, True, speak=False)
     assert not bench.drive.in_operation
-    await bench.write_until(lambda: bench.board.faults, True)
+    assert (bench.board.armed, bench.board.set_point_kpa, bench.board.relay_closed) == (False, 0.0, False)
+    await bench.write_until(lambda: "commands stopped" in (bench.regulator.problem() or ""), True)
     assert not bench.rail.read().enabled
+    await bench.armed()
+    await bench.regulator.stop()
+    assert (bench.board.armed, bench.board.relay_closed) == (False, False)

@@ -60,9 +60,16 @@ class Bench:
 
 
 @pytest.fixture
-async def bench(tmp_path: Path, clock: Any, until: Any, opened_regulator: Any) -> AsyncIterator[Bench]:
-    async with opened_regulator(Bench(tmp_path / "teensy", clock, until)) as bench:
-        yield bench
+async def bench(tmp_path: Path, clock: Any, until: Any, running: Any, monkeypatch: Any) -> AsyncIterator[Bench]:
+    monkeypatch.setattr("softarm.drivers.regulator.driver.RETRY_S", (0.005, 0.01))
+    monkeypatch.setattr("softarm.drivers.regulator.driver.HELLO_S", 0.005)
+    bench = Bench(tmp_path / "teensy", clock, until)
+    bench.port.open()
+    try:
+        async with running(bench.regulator):
+            yield bench
+    finally:
+        bench.port.close()
 
 
 async def test_set_points_reach_the_device_and_the_sensor_is_read(bench: Any) -> None:

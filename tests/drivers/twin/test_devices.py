@@ -1,7 +1,9 @@
-"""Promises of the twin's two devices, with a manual clock."""
+"""Promises of the twin's drive and its faults, with a manual clock.
+
+tests/firmware/test_side_by_side.py compares the simulated regulator with the firmware.
+"""
 
 import json
-import math
 from typing import Any
 
 import pytest
@@ -10,82 +12,11 @@ from hypothesis import strategies as st
 
 from softarm.drivers.rail import dryve
 from softarm.drivers.rail.cia402 import DriveState, decode_state
-from softarm.drivers.regulator.cobs import Deframer, frame
-from softarm.drivers.regulator.teensy import Fault, Hello, RegulatorCommand, Welcome, decode, encode
 from softarm.drivers.twin.dryve import DryveDevice
 from softarm.drivers.twin.faults import Faults
-from softarm.drivers.twin.teensy import TeensyDevice
 from softarm.schemas.config import DryveRail
 
 MS = 1_000_000
-
-
-class Host:
-    """Host's end of the Teensy's line."""
-
-    def __init__(self) -> None:
-        self.device = TeensyDevice()
-        self.now_ns = 0
-        self._deframer, self._sequence = Deframer(), 0
-        self.token = 0
-
-    def send(self, message: Any) -> Any:
-        self._sequence += 1
-        answer = self.device.receive(frame(encode(message, self._sequence, 0)), self.now_ns, 1.0)
-        [body] = self._deframer.feed(answer)
-        return decode(body)[0]
-
-    def greet(self) -> None:
-        answer = self.send(Hello())
-        assert isinstance(answer, Welcome)
-        self.token = answer.token
-
-    def command(self, armed: bool, kpa: float = 5.0, time_to_live_s: float = 0.1, token: int | None = None) -> Any:
-        return self.send(RegulatorCommand(self.token if token is None else token, time_to_live_s, armed, kpa))
-
-
-@pytest.fixture
-def host() -> Host:
-    host = Host()
-    host.greet()
-    return host
-
-
-def test_it_vents_when_the_time_to_live_expires_and_late_commands_do_not_arm(host: Host) -> None:
-    host.command(False)
-    host.command(True, time_to_live_s=0.1)
-    host.now_ns = 100 * MS - 1
-    host.device.watch(host.now_ns)
-    assert host.device.set_point_kpa == 5.0
-    host.now_ns += 1
-    late = host.command(True)
-    assert (late.armed, late.faults) == (False, Fault.TIME_TO_LIVE)
-    assert host.device.set_point_kpa == 0.0
-    assert host.command(False).faults == Fault(0)
-    assert host.command(True).armed
-
-
-def test_a_new_greeting_vents_and_changes_the_token(host: Host) -> None:
-    host.command(False)
-    host.command(True)
-    old = host.token
-    host.greet()
-    assert host.token != old
-    assert host.device.set_point_kpa == 0.0
-    assert not host.command(True).armed
-
-
-@given(st.lists(st.tuples(st.booleans(), st.integers(0, 200), st.booleans()), max_size=40))
-def test_it_is_never_armed_later_than_its_last_command_allows(script: list[tuple[bool, int, bool]]) -> None:
-    host = Host()
-    host.greet()
-    last_accepted_ns = -math.inf
-    for armed, wait_ms, honest in script:
-        host.now_ns += wait_ms * MS
-        if host.command(armed, token=host.token if honest else host.token ^ 1).faults == Fault(0):
-            last_accepted_ns = host.now_ns
-        host.device.watch(host.now_ns)
-        assert not host.device.armed or host.now_ns - last_accepted_ns < 100 * MS
 
 
 class Master:

@@ -1,7 +1,6 @@
 """The whole twin in real time, with the daemon's drivers and without."""
 
 import json
-import socket
 import subprocess
 import sys
 from pathlib import Path
@@ -20,26 +19,19 @@ from softarm.drivers.regulator.driver import TeensyRegulator
 from softarm.drivers.twin.cameras import FAULT_KEY, STATE_KEY
 from softarm.drivers.twin.main import DeviceClock, EndStops, Twin
 from softarm.schemas.config import Config, Drivers, DryveRail, Mocap, SerialRegulator
+from tests.processes import free_port
 
 pytestmark = pytest.mark.anyio
 
 
-def free_ports() -> tuple[int, int]:
-    with socket.socket() as one, socket.socket() as two:
-        one.bind(("127.0.0.1", 0))
-        two.bind(("127.0.0.1", 0))
-        return one.getsockname()[1], two.getsockname()[1]
-
-
 @pytest.fixture
 def config(tmp_path: Path) -> Config:
-    mocap_port, rail_port = free_ports()
     return Config(
         drivers=Drivers(
-            mocap=Mocap(endpoint=f"tcp/127.0.0.1:{mocap_port}"),
+            mocap=Mocap(endpoint=f"tcp/127.0.0.1:{free_port()}"),
             # The longest time to live that the device accepts, because tests share a busy machine.
             regulator=SerialRegulator(port=str(tmp_path / "wires" / "teensy"), time_to_live_s=0.25),
-            rail=DryveRail(host="127.0.0.1", port=rail_port, timeout_s=1.0),
+            rail=DryveRail(host="127.0.0.1", port=free_port(), timeout_s=1.0),
         )
     )
 
