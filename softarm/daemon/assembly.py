@@ -77,8 +77,7 @@ class Daemon:
             self.recorder,
             self.watchdog,
             latch,
-            rate_hz=config.control.rate_hz,
-            realtime_priority=config.control.realtime_priority,
+            config.control.realtime_priority,
         )
         sessions = Sessions(config.api.port)
         self.api = ApiServer(config.api, create_app(self._api_context(controller, devices, sessions)))

@@ -25,6 +25,7 @@ from softarm.schemas.robot import CONTROL_RATE_HZ
 
 log = logging.getLogger(__name__)
 
+PERIOD_NS = round(1e9 / CONTROL_RATE_HZ)
 # Busy wait before a tick: on a core that has just left its idle state a tick takes twice as long.
 AWAKE_NS = 300_000
 # Garbage is collected only if this much of the period is left.
@@ -57,11 +58,9 @@ class ControlLoop:
         controller: Controller,
         devices: Devices,
         inbox: Inbox,
-        recorder: TickRecorder | None,
-        watchdog: Watchdog | None = None,
+        recorder: TickRecorder,
+        watchdog: Watchdog,
         latch: LatchKeeper | None = None,
-        *,
-        rate_hz: int = CONTROL_RATE_HZ,
         realtime_priority: int = 0,
     ) -> None:
         self._controller = controller
@@ -70,7 +69,6 @@ class ControlLoop:
         self._recorder = recorder
         self._watchdog = watchdog
         self._latch = latch
-        self._period_ns = round(1e9 / rate_hz)
         self._priority = realtime_priority
         self._thread = threading.Thread(target=self._main, name="control", daemon=True)
         self._stop = threading.Event()
@@ -105,7 +103,7 @@ class ControlLoop:
         gc.freeze()
         gc.disable()  # collected explicitly in the idle part of a tick
         try:
-            deadline = time.monotonic_ns() + self._period_ns
+            deadline = time.monotonic_ns() + PERIOD_NS
             while not self._stop.is_set():
                 await self._sleep_until(deadline)
                 deadline = self._tick(deadline)
@@ -121,7 +119,7 @@ class ControlLoop:
         """Read, decide and write; return the next deadline."""
         now = time.monotonic_ns()
         late = now - deadline_ns
-        missed = late // self._period_ns
+        missed = late // PERIOD_NS
         inputs, runners = self._read(now, late, missed)
         read = time.monotonic_ns()
         outputs = self._decide(inputs, runners)
@@ -136,13 +134,11 @@ class ControlLoop:
         for number, runner in runners.items():
             if any(result.number == number and result.accepted for result in outputs.results):
                 gc.freeze()  # its objects live as long as the policy: no collection needs to visit them
-                if self._recorder is not None:
-                    self._recorder.policy(runner.policy.spec)
-        if self._recorder is not None:
-            self._recorder.tick(inputs, outputs, timing)
-        if self._watchdog is not None and self._failed is None and not missed:
+                self._recorder.policy(runner.policy.spec)
+        self._recorder.tick(inputs, outputs, timing)
+        if self._failed is None and not missed:
             self._watchdog.good_tick(written)
-        following = deadline_ns + (missed + 1) * self._period_ns
+        following = deadline_ns + (missed + 1) * PERIOD_NS
         if following - time.monotonic_ns() > COLLECT_SLACK_NS:
             self._collections += 1
             gc.collect(2 if self._collections % COLLECT_ALL_EVERY == 0 else 1)
@@ -160,8 +156,8 @@ class ControlLoop:
             rail=devices.rail.read(),
             requests=tuple(post.request for post in posts),
             problems=Problems(devices.mocap.problem(), devices.regulator.problem(), devices.rail.problem()),
-            recorder_dropped=self._recorder.dropped if self._recorder is not None else 0,
-            recorder_problem=self._recorder.problem if self._recorder is not None else None,
+            recorder_dropped=self._recorder.dropped,
+            recorder_problem=self._recorder.problem,
             latched=self._latch.left if self._latch is not None and self.snapshot is None else None,
             latch_problem=self._latch.problem if self._latch is not None else None,
         )

@@ -32,10 +32,11 @@ class Difference:
 class _RecordedFaults:
     """Runner that computes the policy again and repeats the recorded faults, such as lateness."""
 
+    recorded: Outputs  # of the present tick
+
     def __init__(self, policy: Policy) -> None:
         self._inline = InlineRunner(policy)
         self.policy = policy
-        self.recorded: Outputs | None = None
 
     def reset(self) -> None:
         self._inline.reset()
@@ -43,8 +44,6 @@ class _RecordedFaults:
     def step(self, observation: Array, goal: Array) -> PolicyOutcome:
         outcome = self._inline.step(observation, goal)
         recorded = self.recorded
-        if recorded is None:
-            return outcome
         if recorded.policy_fault is not None:
             return PolicyOutcome(None, recorded.policy_fault, recorded.policy_ns)
         return outcome._replace(duration_ns=recorded.policy_ns)

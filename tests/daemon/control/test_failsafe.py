@@ -288,6 +288,7 @@ def test_the_page_has_a_table_for_each_response_with_every_event():
         "emergency-stop button, then acknowledge | yes |",
     ]
     assert stops[6].endswith("restart the service (clears: never) | yes |")
+    assert stops[-1] == soft_stops[-1] == ""
     assert warnings[-1] == (
         "| `recorder_dropping` | the recorder lost messages | check the disk's speed and free space; the service's log "
         "names the messages | no |"

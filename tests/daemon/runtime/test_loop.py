@@ -12,7 +12,7 @@ from softarm.daemon.control.inbox import Inbox
 from softarm.daemon.control.records import EStop, Mode
 from softarm.daemon.runtime import loop as control_loop
 from softarm.daemon.runtime.devices import Devices
-from softarm.daemon.runtime.loop import ControlLoop
+from softarm.daemon.runtime.loop import PERIOD_NS, ControlLoop
 from softarm.daemon.tick import Controller
 from softarm.drivers.bodies.in_process import InProcessRobot
 from softarm.drivers.bodies.simulated import SimulatedBody
@@ -22,7 +22,6 @@ from softarm.schemas.config import Config
 from softarm.schemas.messages import SAFE
 
 WAIT_S = 20.0
-PERIOD_NS = round(1e9 / 30)
 
 
 class Watched:
