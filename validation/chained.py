@@ -10,7 +10,6 @@ After an unrequested stop a new robot starts at rest in the middle.
 
 import contextlib
 import json
-import shlex
 import subprocess
 import sys
 import tempfile
@@ -33,7 +32,6 @@ from softarm.daemon.runtime.offline import Lockstep
 from softarm.drivers.bodies.base import Body
 from softarm.drivers.bodies.independent import IndependentBody
 from softarm.drivers.bodies.simulated import SimulatedBody
-from softarm.evaluation.robots import ROBOTS
 from softarm.evaluation.software_in_the_loop import SoftwareInTheLoop
 from softarm.policies import registry
 from softarm.policies.base import Policy
@@ -150,10 +148,10 @@ class InLockstep:
 class Outside(SoftwareInTheLoop):
     """The daemon as a user starts it, with the outside robot in place of the twin."""
 
-    def __init__(self, config: Config, policy: str, options: Sequence[str], logs: Path) -> None:
+    def __init__(self, config: Config, policy: str, logs: Path) -> None:
         overrides = config.model_dump(mode="json", include=SHARED, exclude_unset=True)
         super().__init__(logs, {**overrides, "control": {"policy": policy}})
-        self._options = [*options, "--bound-m", str(bound_m(config))]
+        self._bound_m = bound_m(config)
         self._truth_file = self.folder / "truth.json"
 
     def start_twin(self) -> None:
@@ -164,11 +162,12 @@ class Outside(SoftwareInTheLoop):
             "rail-port": drivers["rail"]["port"],
             "endpoint": drivers["mocap"]["endpoint"],
             "status": self._truth_file,
+            "bound-m": self._bound_m,
         }
         options = [part for name, value in where.items() for part in (f"--{name}", str(value))]
         with (self.folder / "outside.out").open("ab") as output:
             self.twin = subprocess.Popen(
-                [sys.executable, "-m", "validation.outside", *options, *self._options],
+                [sys.executable, "-m", "validation.outside", *options],
                 stdout=output,
                 stderr=subprocess.STDOUT,
             )
@@ -184,14 +183,14 @@ class Outside(SoftwareInTheLoop):
 class OnWires:
     """The daemon with the outside robot, in real time."""
 
-    def __init__(self, config: Config, policy: str, options: Sequence[str], logs: Path) -> None:
+    def __init__(self, config: Config, policy: str, logs: Path) -> None:
         """Start both processes and arm.
 
         Raises:
             SoftwareInTheLoopError: A process did not start, or arming was refused.
         """
         with contextlib.ExitStack() as stack:
-            self._loop = stack.enter_context(Outside(config, policy, options, logs))
+            self._loop = stack.enter_context(Outside(config, policy, logs))
             self._loop.arm()
             self._ends = stack.pop_all()
 
@@ -293,12 +292,8 @@ def summary(legs: Sequence[Leg]) -> dict[str, Any]:
 @click.option("--goals", default=1000, show_default=True, type=click.IntRange(min=1))
 @click.option("--policy", default="reach-wide", show_default=True, help="Name, as `softarm policy list` shows it.")
 @click.option("--seed", default=0, show_default=True, type=click.IntRange(min=0), help="Of the goals.")
-@click.option("--changed", type=click.Choice(list(ROBOTS)), default="nominal", help="Fault of the independent robot.")
-@click.option(
-    "--options", default="", metavar="TEXT", help="Options of the outside robot, such as '--latency-ms 90 --keep'."
-)
 @results.json_option
-def main(body: str, goals: int, policy: str, seed: int, changed: str, options: str, json_file: Path | None) -> None:
+def main(body: str, goals: int, policy: str, seed: int, json_file: Path | None) -> None:
     """Fly goals without rest; exit with 1 if the cart exceeded its bound or the arm stopped unrequested.
 
     \b
@@ -310,8 +305,8 @@ def main(body: str, goals: int, policy: str, seed: int, changed: str, options: s
 
     def begin(number: int) -> Arm:
         if body == "outside":
-            return OnWires(config, policy, shlex.split(options), Path(folder))
-        made: Body = SimulatedBody() if body == "simulated" else IndependentBody(ROBOTS[changed], len(legs) + number)
+            return OnWires(config, policy, Path(folder))
+        made: Body = SimulatedBody() if body == "simulated" else IndependentBody(seed=len(legs) + number)
         return InLockstep(config, registry.load(policy), made)
 
     def take(leg: Leg) -> None:
@@ -322,9 +317,7 @@ def main(body: str, goals: int, policy: str, seed: int, changed: str, options: s
     aims = [(goal, _within(spec.trained, goal)) for goal in drawn]
     with tempfile.TemporaryDirectory(prefix="softarm-") as folder, bar(f"chained, {body}", goals) as shown:
         fly(begin, aims, take)
-    settings = {"body": body, "policy": policy, "seed": seed, "changed": changed, "options": options}
-    limits = config.model_dump(mode="json", include=SHARED, exclude_unset=True)
-    figures = {**settings, "limits": limits, **summary(legs)}
+    figures = {"body": body, "policy": policy, "seed": seed, **summary(legs)}
     results.write(json_file, figures)
     _say(figures, bound_m(config))
     raise SystemExit(bool(figures["excursions"] or figures["crashes"] or figures["stops"]))

@@ -24,6 +24,10 @@ from .robot import STEP_S, Robot
 STATUS_S, STATUS_BYTES = 0.05, 4096
 LATE_S, STALL_S = 0.005, 0.02
 PAUSE_S = 0.1
+LATENCY_S = 0.02  # from a written 60FFh to the start of the ramp
+FRICTION_N = 3.0  # of axis and motor; all that holds a cart without power
+KEY, FRAME_RATE_HZ = "softarm/mocap", 120.0
+CAMERA_DELAY_S, CAMERA_NOISE_M = 0.008, 0.0001  # from a frame's exposure to its sample
 PRIORITY = 30  # SCHED_FIFO where the system grants it, since hardware does not wait for other programs
 
 
@@ -32,37 +36,21 @@ def main() -> None:
     parser = argparse.ArgumentParser(description="Be the robot from outside, in real time.")
     add = parser.add_argument
     add("--serial", required=True, help="symbolic link to make for the regulator's pseudo-terminal")
-    add("--rail-host", default="127.0.0.1")
     add("--rail-port", type=int, required=True)
     add("--endpoint", default="tcp/127.0.0.1:7447", help="where the daemon listens for motion capture")
-    add("--key", default="softarm/mocap")
     add("--status", required=True, help="file to make: one JSON object and blanks, twenty times a second")
     add("--bound-m", type=float, default=0.255, help="of the cart from the middle; excursions beyond are counted")
-    add("--latency-ms", type=float, default=20.0, help="from a written 60FFh to the start of the ramp")
-    add("--ramp", type=float, help="m/s^2 really driven, whatever 6083h to 6085h say")
-    add("--age-ms", type=float, default=0.0, help="age of what 6064h and 606Ch say")
-    add("--keep", action="store_true", help="the drive keeps its last set-point when its master is gone or silent")
-    add("--unreferenced", action="store_true", help="the drive was just switched on: its zero is where the cart stands")
-    add("--payload-g", type=float, default=0.0)
-    add("--friction-n", type=float, default=3.0, help="of axis and motor; all that holds a cart without power")
-    add("--start", type=float, default=0.0, help="cart, m")
-    add("--rate", type=float, default=120.0, help="frames a second")
-    add("--delay-ms", type=float, default=8.0, help="from a frame's exposure to its sample")
-    add("--noise-mm", type=float, default=0.1)
     options = parser.parse_args()
 
     with contextlib.suppress(PermissionError):  # before any thread starts, since threads inherit it
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(PRIORITY))
-    body = Body(options.payload_g / 1000, options.friction_n, options.start)
-    start_m = options.start if options.unreferenced else None
-    times_s = (options.latency_ms / 1000, options.age_ms / 1000)
-    drive = Drive(options.ramp, *times_s, options.keep, options.friction_n, start_m)
-    robot = Robot(body, drive, options.bound_m)
-    port = Port(drive, options.rail_host, options.rail_port)
+    drive = Drive(None, LATENCY_S, keep=False, friction_n=FRICTION_N)
+    robot = Robot(Body(FRICTION_N), drive, options.bound_m)
+    port = Port(drive, "127.0.0.1", options.rail_port)
     board = Board(robot.firmware, options.serial, lambda: robot.body.pressure_kpa)
-    cameras = Cameras(options.endpoint, options.key, options.delay_ms / 1000, options.noise_mm / 1000)
+    cameras = Cameras(options.endpoint, KEY, CAMERA_DELAY_S, CAMERA_NOISE_M)
     try:
-        run(robot, port, board, cameras, options.rate, options.status)
+        run(robot, port, board, cameras, options.status)
     finally:
         board.close()
         port.close()
@@ -101,7 +89,7 @@ class Pace:
         return {name: value for name, value in vars(self).items() if not name.startswith("_")}
 
 
-def run(robot: Robot, port: Port, board: Board, cameras: Cameras, frame_rate_hz: float, status: str) -> None:
+def run(robot: Robot, port: Port, board: Board, cameras: Cameras, status: str) -> None:
     """Run the robot until a signal arrives."""
     ended = threading.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
@@ -119,7 +107,7 @@ def run(robot: Robot, port: Port, board: Board, cameras: Cameras, frame_rate_hz:
         port.serve(now)
         robot.step(due)
         if due >= frame_due:
-            frame_due = max(frame_due + 1 / frame_rate_hz, due)
+            frame_due = max(frame_due + 1 / FRAME_RATE_HZ, due)
             cameras.take(int(due * 1e9), robot.body.poses())
         cameras.send(int(now * 1e9))
         if due >= status_due:

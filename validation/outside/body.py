@@ -36,15 +36,11 @@ _EMPTY_KPA = 1e-9
 class Body:
     """Arm that starts straight, at rest and vented; only `step` moves it."""
 
-    def __init__(self, payload_kg: float = 0.0, friction_n: float = 3.0, cart_m: float = 0.0) -> None:
+    def __init__(self, friction_n: float = 3.0, cart_m: float = 0.0) -> None:
         arms = np.tril(np.full((LINKS, LINKS), LENGTH_M), -1) + np.eye(LINKS) * LENGTH_M / 2  # lever of phi_j on COM k
-        masses = MASS_KG
-        if payload_kg:  # a point at the tip
-            arms = np.vstack([arms, np.full(LINKS, LENGTH_M)])
-            masses = np.append(masses, payload_kg)
-        self._first = masses @ arms
-        self._second = arms.T @ (masses[:, None] * arms)
-        self._moving_kg = CART_KG + masses.sum()
+        self._first = MASS_KG @ arms
+        self._second = arms.T @ (MASS_KG[:, None] * arms)
+        self._moving_kg = CART_KG + MASS_KG.sum()
         self._bend = np.eye(LINKS) - np.eye(LINKS, k=-1)  # theta = bend @ phi
         self._spring = self._bend.T @ np.diag(STIFFNESS) @ self._bend
         self._damper = self._bend.T @ np.diag(DAMPING) @ self._bend

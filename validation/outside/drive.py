@@ -77,7 +77,6 @@ class Drive:
     Args:
         ramp_m_s2: Actual acceleration (None: from 6083h to 6085h).
         latency_s: Delay from a written 60FFh to the start of the ramp.
-        age_s: Age of the values in 6064h and 606Ch.
         keep: Keep the last set-point when the master is gone or silent.
         friction_n: Friction of axis and motor that the servo compensates.
         unreferenced_at_m: Position of a drive that was just switched on.
@@ -87,12 +86,11 @@ class Drive:
         self,
         ramp_m_s2: float | None,
         latency_s: float,
-        age_s: float,
         keep: bool,
         friction_n: float = 0.0,
         unreferenced_at_m: float | None = None,
     ) -> None:
-        self._fixed_ramp, self._latency_s, self._age_s, self._keep = ramp_m_s2, latency_s, age_s, keep
+        self._fixed_ramp, self._latency_s, self._keep = ramp_m_s2, latency_s, keep
         self._values: dict[int | tuple[int, int], int] = dict.fromkeys(_OBJECTS, 0)
         self._values |= {0x6083: _UNITS, 0x6084: _UNITS, 0x6085: _UNITS, 0x6098: _POSITIVE_SWITCH}
         self._zero = Zero(unreferenced_at_m is None, unreferenced_at_m or 0.0)
@@ -100,7 +98,7 @@ class Drive:
         self.state = OFF
         self._coming: collections.deque[tuple[float, float]] = collections.deque()  # set-points not yet effective
         self._target = self._ref = self._sum_n = 0.0
-        self._seen: collections.deque[tuple[float, float, float]] = collections.deque([(-1.0, 0.0, 0.0)])
+        self._y = self._v = 0.0
         self._received = 0.0
         self._wide_s = 0.0
 
@@ -111,9 +109,7 @@ class Drive:
 
     def step(self, h: float, now: float, y: float, v: float) -> tuple[float, float]:
         """Return the motor's force (N) and its stiffness against velocity (N s/m) for a step of `h` s from `now`."""
-        self._seen.append((now, y, v))
-        while len(self._seen) > 1 and self._seen[1][0] <= now - self._age_s:
-            self._seen.popleft()
+        self._y, self._v = y, v
         while self._coming and self._coming[0][0] <= now:
             self._target = self._coming.popleft()[1]
         if self.state == RUN and not self._keep and now - self._received > _SILENCE_S:
@@ -199,9 +195,9 @@ class Drive:
         if index == 0x6061:
             return self._values[0x6060]
         if index == 0x6064:
-            return round((self._seen[0][1] + _CENTRE_M + self._zero.off_m) * _UNITS)
+            return round((self._y + _CENTRE_M + self._zero.off_m) * _UNITS)
         if index == 0x606C:
-            return round(self._seen[0][2] * _UNITS)
+            return round(self._v * _UNITS)
         return self._values[index]
 
     def _write(self, index: int | tuple[int, int], value: int, now: float) -> int:
