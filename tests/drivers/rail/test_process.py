@@ -21,9 +21,9 @@ import softarm
 from softarm.drivers.rail import dryve
 from softarm.drivers.rail.cia402 import DriveState
 from softarm.drivers.rail.driver import DryveRailAxis
-from softarm.drivers.twin.dryve import DryveDevice, DryveServer
 from softarm.drivers.twin.faults import Faults
 from softarm.schemas.config import DryveRail
+from tests.drivers.rail.conftest import Drive, Server
 
 pytestmark = pytest.mark.anyio
 HEAVY = {"numpy", "numba", "pydantic", "asyncio", "zenoh", "logging", "json", "yaml", "dataclasses", "inspect"}
@@ -52,42 +52,21 @@ asyncio.run(main())
 """
 
 
-class Drive(DryveDevice):
-    """Drive that keeps its set-point without a master, and records all set-points."""
+@pytest.fixture
+def drive() -> Drive:
+    """Return a drive that keeps its set-point without a master."""
+    drive = Drive(DryveRail(host="127.0.0.1"))
+    drive.keeps_set_point = True
+    return drive
 
-    def __init__(self) -> None:
-        super().__init__(DryveRail(host="127.0.0.1"))
-        self.velocities: list[tuple[float, int]] = []
-        self.by_link: dict[asyncio.Task[Any] | None, list[int]] = {}
-        self.requests = 0
 
-    def answer(self, telegram: bytes, now_ns: int) -> bytes:
-        self.requests += 1
-        request = dryve.decode_request(telegram)
-        if request.index == 0x60FF and request.data is not None:
-            velocity = int.from_bytes(request.data, "little", signed=True)
-            self.velocities.append((time.monotonic(), velocity))
-            self.by_link.setdefault(asyncio.current_task(), []).append(velocity)
-        return super().answer(telegram, now_ns)
-
-    def quick_stop(self) -> None:
-        pass
-
-    @property
-    def moving(self) -> bool:
-        return self.target_velocity_m_s != 0
-
-    @property
-    def off(self) -> bool:
-        return self.state in (DriveState.READY, DriveState.SWITCH_ON_DISABLED)
-
-    def step(self) -> None:
-        self.sense(0.0, self.target_velocity_m_s)
+def is_off(drive: Drive) -> bool:
+    return drive.state in (DriveState.READY, DriveState.SWITCH_ON_DISABLED)
 
 
 @contextlib.asynccontextmanager
 async def served(drive: Drive) -> AsyncIterator[DryveRail]:
-    server = DryveServer("127.0.0.1", 0, drive, Faults(time.monotonic_ns), lambda: 0)
+    server = Server("127.0.0.1", 0, drive, Faults(time.monotonic_ns), lambda: 0)
     await server.open()
     try:
         yield DryveRail(host="127.0.0.1", port=server.port, timeout_s=1.0)
@@ -104,7 +83,7 @@ async def flying(config: DryveRail, drive: Drive, until: Any) -> AsyncIterator[t
         while not await moves(drive):
             daemon.kill()
             await daemon.wait()
-            await until(partial(gone, rail), drive.step)
+            await until(partial(gone, rail), drive.move)
             daemon, rail = await launched(config)
         yield daemon.pid, rail
     finally:
@@ -124,10 +103,10 @@ async def launched(config: DryveRail) -> tuple[asyncio.subprocess.Process, int]:
 async def moves(drive: Drive) -> bool:
     with contextlib.suppress(TimeoutError):
         async with asyncio.timeout(5.0):
-            while not drive.moving:
-                drive.step()
+            while not drive.target_velocity_m_s:
+                drive.move()
                 await asyncio.sleep(0.002)
-    return drive.moving
+    return drive.target_velocity_m_s != 0
 
 
 def gone(process: int) -> bool:
@@ -139,41 +118,38 @@ def gone(process: int) -> bool:
 
 
 @pytest.mark.parametrize("end", [signal.SIGKILL, signal.SIGINT, signal.SIGHUP])
-async def test_when_the_daemon_dies_the_drive_is_disabled(until: Any, end: signal.Signals) -> None:
-    drive = Drive()
+async def test_when_the_daemon_dies_the_drive_is_disabled(drive: Drive, until: Any, end: signal.Signals) -> None:
     async with served(drive) as config, flying(config, drive, until) as (daemon, rail):
         os.killpg(daemon, end)
-        await until(lambda: drive.off, drive.step)
+        await until(lambda: is_off(drive), drive.move)
         await until(lambda: gone(rail))
 
 
 @pytest.mark.parametrize("freeze", [signal.SIGSTOP, signal.SIGUSR1])
 async def test_when_the_daemon_freezes_the_drive_is_disabled_and_stays_disabled(
-    until: Any, freeze: signal.Signals
+    drive: Drive, until: Any, freeze: signal.Signals
 ) -> None:
-    drive = Drive()
     async with served(drive) as config, flying(config, drive, until) as (daemon, _):
         os.kill(daemon, freeze)
-        await until(lambda: drive.off, drive.step)
+        await until(lambda: is_off(drive), drive.move)
         os.kill(daemon, signal.SIGCONT)
-        since = len(drive.velocities)
+        since = len(drive.requests)
         until_s = time.monotonic() + 1.0
-        await until(lambda: time.monotonic() > until_s, drive.step)
-        assert {velocity for _, velocity in drive.velocities[since:]} <= {0}
-        assert drive.off
+        await until(lambda: time.monotonic() > until_s, drive.move)
+        assert set(drive.writes(dryve.TARGET_VELOCITY, since)) <= {0}
+        assert is_off(drive)
 
 
 @pytest.mark.parametrize("end", [signal.SIGKILL, signal.SIGSTOP])
 async def test_a_process_that_dies_or_hangs_is_replaced_by_one_that_stops_the_drive_first(
-    until: Any, running: Any, end: signal.Signals
+    drive: Drive, until: Any, running: Any, end: signal.Signals
 ) -> None:
-    drive = Drive()
     async with served(drive) as config:
         axis = DryveRailAxis(config, 20)
         seen: list[bool] = []
 
         def each(enable: bool) -> None:
-            drive.step()
+            drive.move()
             axis.write(enable, 0.5)
             if (reading := axis.read()) is not None:
                 seen.append(reading.linked)
@@ -185,27 +161,26 @@ async def test_a_process_that_dies_or_hangs_is_replaced_by_one_that_stops_the_dr
             os.kill(first, end)
             await until(lambda: False in seen, lambda: each(True))
             assert "the rail's process ended" in (axis.problem() or "")
-            await until(lambda: drive.off and axis.read().linked, lambda: each(True))  # type: ignore[union-attr]
-            (_, *firsts), *others = drive.by_link.values()
-            assert any(firsts)
-            assert others
-            assert {velocity for link in others for velocity in link} == {0}
+            await until(lambda: is_off(drive) and axis.read().linked, lambda: each(True))  # type: ignore[union-attr]
+            stop = bytes(4)
+            first_link, *others = [[r.data for r in link if r.index == 0x60FF and r.data] for link in drive.links]
+            assert set(first_link) > {stop}
+            assert {data for link in others for data in link} == {stop}
             assert not axis.read().enabled  # type: ignore[union-attr]
             assert gone(first)
             assert axis._active.child.pid != first  # type: ignore[union-attr]
             await until(lambda: axis.problem() is None, lambda: each(False))
-            await until(lambda: drive.moving, lambda: each(True))
+            await until(lambda: drive.target_velocity_m_s, lambda: each(True))
 
 
 @pytest.fixture
-async def moving(until: Any, running: Any) -> AsyncIterator[tuple[Drive, DryveRailAxis]]:
+async def moving(drive: Drive, until: Any, running: Any) -> AsyncIterator[tuple[Drive, DryveRailAxis]]:
     """A driver whose process moves the cart."""
-    drive = Drive()
     async with served(drive) as config:
         axis = DryveRailAxis(config, 20)
         async with running(axis):
             await until(lambda: axis.problem() is None, lambda: axis.write(False, 0.0))
-            await until(lambda: drive.moving, lambda: axis.write(True, 0.5) or drive.step())
+            await until(lambda: drive.target_velocity_m_s, lambda: axis.write(True, 0.5) or drive.move())
             yield drive, axis
 
 
@@ -213,9 +188,9 @@ async def test_a_drive_in_fault_is_not_polled_more_often(moving: Any, until: Any
     drive, axis = moving
     drive.trip(0x8611)
     await until(lambda: axis.read().faults, lambda: axis.write(True, 0.5))
-    since, began_s = drive.requests, time.monotonic()
+    since, began_s = len(drive.requests), time.monotonic()
     await until(lambda: time.monotonic() > began_s + 0.5)
-    assert drive.requests - since < 150
+    assert len(drive.requests) - since < 150
 
 
 @pytest.mark.parametrize("before", [signal.SIGTERM, signal.SIGSTOP])
@@ -226,10 +201,10 @@ async def test_stopping_disables_the_drive_and_leaves_no_process_even_if_it_hang
     drive, axis = moving
     process = axis._active.child.pid
     os.kill(process, before)
-    mover = asyncio.create_task(until(lambda: False, drive.step))
+    mover = asyncio.create_task(until(lambda: False, drive.move))
     await axis.stop()
     mover.cancel()
-    assert drive.off
+    assert is_off(drive)
     assert gone(process)
 
 
