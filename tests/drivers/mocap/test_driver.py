@@ -94,17 +94,6 @@ async def test_a_frame_is_stamped_on_arrival_and_not_when_it_is_read(
     assert arrivals[0] < arrivals[1] < clock()
 
 
-async def test_a_late_tick_is_not_reported_as_a_clock_error(
-    source: Any, bridge: Bridge, clock: Any, until: Any
-) -> None:
-    tick_ns = clock()
-    clock.advance(0.3)
-    bridge.frame(1, clock())
-    await until(lambda: source.frames)
-    assert [frame.sequence for frame in source.read(tick_ns)] == [1]
-    assert source.misplaced == 0
-
-
 async def test_a_sample_that_is_too_long_is_counted_reported_and_never_parsed(
     source: Any, bridge: Bridge, gather: Any, until: Any
 ) -> None:

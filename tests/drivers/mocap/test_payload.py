@@ -79,3 +79,5 @@ def test_another_schema_version_is_rejected_and_a_missing_one_accepted():
         ValueError, match=r"the sample is softarm\.mocap\.v2, this software supports softarm\.mocap\.v1"
     ):
         check_schema("application/json;softarm.mocap.v2")
+    with pytest.raises(ValueError, match=r"the sample is softarm\.mocap\.2{26}, this"):
+        check_schema("application/json;softarm.mocap." + "2" * 100)

@@ -114,14 +114,6 @@ async def test_a_velocity_that_is_not_finite_is_zero(bench: Any, bad: float) -> 
     await bench.write_until(lambda: bench.drive.velocity_m_s == 0.0, True, bad)
 
 
-async def test_stop_brakes_and_disables_the_drive(bench: Any) -> None:
-    await bench.enable()
-    await bench.stop()
-    assert bench.drive.state is DriveState.READY
-    assert bench.drive.writes(dryve.CONTROLWORD)[-1] == 0x0006
-    assert bench.drive.writes(dryve.TARGET_VELOCITY)[-1] == 0
-
-
 async def test_a_dropped_connection_brakes_and_the_motion_does_not_resume(bench: Any) -> None:
     await bench.enable()
     since = len(bench.drive.requests)

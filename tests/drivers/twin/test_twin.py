@@ -93,23 +93,6 @@ async def test_the_drivers_move_the_twin_and_their_silence_stops_it(
 
 
 @pytest.mark.slow
-async def test_a_closed_connection_brakes_the_cart_within_the_rail(config: Config, until: Any, running: Any) -> None:
-    async with Twin(config) as twin:
-        hands = Hands(config, until)
-        async with running(hands.mocap, hands.regulator, hands.rail):
-            await hands.arm()
-            await hands.write_until(lambda: twin.state.cart_velocity_m_s > 0.3, True, (0.4, 5.0))
-            assert hands.rail._active is not None
-            hands.rail._active.child.kill()
-            await until(lambda: twin.state.drive == "switch-on disabled")
-            off_ns = twin.state.out_of_operation_since_ns
-            await until(lambda: twin.state.braked_since_ns)
-            assert off_ns is not None
-            assert twin.state.cart_max_abs_m < 0.3
-            assert twin.state.crashes == 0
-
-
-@pytest.mark.slow
 async def test_faults_reach_the_drivers(config: Config, until: Any, running: Any) -> None:
     async with Twin(config) as twin:
         hands = Hands(config, until)
