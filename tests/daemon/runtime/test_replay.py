@@ -1,7 +1,7 @@
 """Replay of logs: the same commands, bit for bit, and gaps reported."""
 
 import dataclasses
-import time
+from contextlib import contextmanager
 from itertools import pairwise
 
 import pytest
@@ -15,29 +15,32 @@ from softarm.policies import registry
 from softarm.policies.runner import InlineRunner
 from softarm.recordings.mcap_file import LogError
 from softarm.schemas.config import Config
-from softarm.schemas.config import Recorder as RecorderConfig
 from softarm.schemas.goals import Goal
+from tests.processes import until
 
-POLICY = "reach"
+
+@contextmanager
+def recording(directory, policy="reach", **settings):
+    """Yield a daemon on a simulated robot and its recorder."""
+    config, loaded = Config(recorder={"directory": directory, **settings}), registry.load(policy)
+    recorder = Recorder(config, loaded.spec)
+    recorder.start()
+    yield Lockstep(config, loaded, recorder=recorder), recorder
+    recorder.stop()
 
 
 @pytest.fixture(scope="module")
 def log(tmp_path_factory):
     """Record two goals, a new one in mid-swing, an emergency stop and its acknowledgement."""
-    config = Config(recorder=RecorderConfig(directory=tmp_path_factory.mktemp("log")))
-    policy = registry.load(POLICY)
-    recorder = Recorder(config, policy.spec)
-    recorder.start()
-    daemon = Lockstep(config, policy, recorder=recorder)
-    daemon.arm()
-    for goal in (Goal("reach", -0.3, 0.6), Goal("reach", -0.1, 0.65)):
-        daemon.tick(daemon.request("goal", goal))
-        for _ in range(20):
+    with recording(tmp_path_factory.mktemp("log")) as (daemon, recorder):
+        daemon.arm()
+        for goal in (Goal("reach", -0.3, 0.6), Goal("reach", -0.1, 0.65)):
+            daemon.tick(daemon.request("goal", goal))
+            for _ in range(20):
+                daemon.tick()
+        for kind in ("stop", "acknowledge", "arm"):
+            daemon.tick(daemon.request(kind))
             daemon.tick()
-    for kind in ("stop", "acknowledge", "arm"):
-        daemon.tick(daemon.request(kind))
-        daemon.tick()
-    recorder.stop()
     return logs.read(recorder.path)
 
 
@@ -60,36 +63,31 @@ def test_a_changed_command_is_found(log):
 @pytest.fixture(scope="module")
 def thinned(tmp_path_factory):
     """Record two flights with long rests around them, a change of policy and a latched stop."""
-    config = Config(recorder=RecorderConfig(directory=tmp_path_factory.mktemp("thinned"), around_s=1.0))
-    policy = registry.load(POLICY)
-    recorder = Recorder(config, policy.spec)
-    recorder.start()
-    daemon, runners = Lockstep(config, policy, recorder=recorder), {}
-    tick = daemon.controller.tick
-    daemon.controller.tick = lambda inputs: tick(inputs, runners)
+    with recording(tmp_path_factory.mktemp("thinned"), around_s=1.0) as (daemon, recorder):
+        tick, runners = daemon.controller.tick, {}
+        daemon.controller.tick = lambda inputs: tick(inputs, runners)
 
-    def wait(seconds: int) -> None:
-        for _ in range(30 * seconds):
-            daemon.tick()
+        def wait(seconds: int) -> None:
+            for _ in range(30 * seconds):
+                daemon.tick()
 
-    def fly(*target: float) -> None:
-        daemon.arm()
-        daemon.tick(daemon.request("goal", Goal("reach", *target)))
-        wait(2)
+        def fly(*target: float) -> None:
+            daemon.arm()
+            daemon.tick(daemon.request("goal", Goal("reach", *target)))
+            wait(2)
 
-    wait(20)
-    fly(-0.3, 0.6)
-    daemon.tick(daemon.request("disarm"))
-    wait(20)
-    change = dataclasses.replace(daemon.request("policy"), policy="pid")
-    runners[change.number] = InlineRunner(registry.load("pid"))
-    daemon.tick(change)
-    wait(20)
-    fly(-0.1, 0.65)
-    daemon.tick(daemon.request("stop"))
-    wait(20)
-    daemon.tick(daemon.request("acknowledge"))
-    recorder.stop()
+        wait(20)
+        fly(-0.3, 0.6)
+        daemon.tick(daemon.request("disarm"))
+        wait(20)
+        change = dataclasses.replace(daemon.request("policy"), policy="pid")
+        runners[change.number] = InlineRunner(registry.load("pid"))
+        daemon.tick(change)
+        wait(20)
+        fly(-0.1, 0.65)
+        daemon.tick(daemon.request("stop"))
+        wait(20)
+        daemon.tick(daemon.request("acknowledge"))
     return logs.read(recorder.path)
 
 
@@ -130,20 +128,14 @@ def test_a_log_from_the_middle_of_a_run_resumes_its_state(thinned):
 def parted(tmp_path_factory):
     """Record a flight of many goals long enough for several files; return them in order."""
     directory = tmp_path_factory.mktemp("parted")
-    config = Config(recorder=RecorderConfig(directory=directory, file_max_mb=1))
-    policy = registry.load(POLICY)
-    recorder = Recorder(config, policy.spec)
-    recorder.start()
-    daemon = Lockstep(config, policy, recorder=recorder)
-    daemon.arm()
-    for y_m in (-0.3, -0.1, -0.25, -0.05) * 8:
-        outputs = daemon.tick(daemon.request("goal", Goal("reach", y_m, 0.62)))
-        while outputs.goal.state == "running":
-            outputs = daemon.tick()
-        daemon.tick()
-    while recorder._queue:
-        time.sleep(0.01)
-    recorder.stop()
+    with recording(directory, file_max_mb=1) as (daemon, recorder):
+        daemon.arm()
+        for y_m in (-0.3, -0.1, -0.25, -0.05) * 8:
+            outputs = daemon.tick(daemon.request("goal", Goal("reach", y_m, 0.62)))
+            while outputs.goal.state == "running":
+                outputs = daemon.tick()
+            daemon.tick()
+        until(lambda: not recorder._queue, "the queue")
     return logs.parts(sorted(directory.glob("*.mcap"), key=lambda path: int(logs.read(path).metadata["run"]["part"])))
 
 
@@ -188,19 +180,15 @@ def test_ticks_lost_while_armed_are_reported(log):
 
 def test_state_from_before_a_gap_is_not_a_difference(tmp_path):
     """Disagreement in every other tick is no event, although the remaining ticks alone would be one."""
-    config = Config(recorder=RecorderConfig(directory=tmp_path, idle_interval_s=0))
-    recorder = Recorder(config, registry.load("hold").spec)
-    recorder.start()
-    daemon = Lockstep(config, registry.load("hold"), recorder=recorder)
-    read = daemon.robot.rail.read
-    apart = [0.0]
-    daemon.robot.rail.read = lambda: dataclasses.replace(read(), position_m=read().position_m + apart[0])
-    for number in range(240):
-        apart[0] = 0.04 if number % 10 == 0 or number >= 190 else 0.0
-        daemon.tick()
-    recorder.stop()
+    with recording(tmp_path, "hold", idle_interval_s=0) as (daemon, recorder):
+        read = daemon.robot.rail.read
+        apart = [0.0]
+        daemon.robot.rail.read = lambda: dataclasses.replace(read(), position_m=read().position_m + apart[0])
+        for number in range(240):
+            apart[0] = 0.04 if number % 10 == 0 or number >= 190 else 0.0
+            daemon.tick()
     ticks = [t for i, t in enumerate(logs.read(recorder.path).ticks()) if (i % 10 == 0 and i > 30) or i >= 190]
     assert "rail_disagrees" in [event.name for event in ticks[-1][1].events]
-    replayed = replay(ticks, config, lambda _: registry.load("hold"))
+    replayed = replay(ticks, daemon.config, lambda _: registry.load("hold"))
     assert replayed.differences == []
     assert replayed.compared == 50 - WINDOW

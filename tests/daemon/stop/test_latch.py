@@ -27,8 +27,8 @@ def path(tmp_path):
 
 
 @contextmanager
-def keeping(path):
-    made = LatchKeeper(path)
+def keeping(path, **clocks):
+    made = LatchKeeper(path, **clocks)
     made.start()
     try:
         yield made
@@ -133,27 +133,21 @@ def test_an_invalid_time_leaves_the_stop_valid(time):
 def test_a_left_stop_keeps_its_time_until_the_next_one(path):
     wall_s = [1_800_000_000.25]
 
-    def keeper():
-        made = LatchKeeper(path, wall=lambda: wall_s[0])
-        made.start()
-        return made
+    def again():
+        return keeping(path, wall=lambda: wall_s[0])
 
-    first = keeper()
-    assert first.left_at is None
-    first.note(WHY)
-    first.stop()
+    with again() as keeper:
+        assert keeper.left_at is None
+        keeper.note(WHY)
     wall_s[0] += 1000
-    second = keeper()
-    second.note(WHY)  # as every tick says that follows
-    second.stop()
-    third = keeper()
-    assert third.left_at == datetime(2027, 1, 15, 8, 0, 0, 250_000, UTC)
-    third.note(None)
-    third.note(WHY)
-    third.stop()
-    last = keeper()
-    assert last.left_at == datetime(2027, 1, 15, 8, 16, 40, 250_000, UTC)
-    last.stop()
+    with again() as keeper:
+        keeper.note(WHY)  # as every tick says that follows
+    with again() as keeper:
+        assert keeper.left_at == datetime(2027, 1, 15, 8, 0, 0, 250_000, UTC)
+        keeper.note(None)
+        keeper.note(WHY)
+    with again() as keeper:
+        assert keeper.left_at == datetime(2027, 1, 15, 8, 16, 40, 250_000, UTC)
 
 
 def test_a_failing_disk_is_a_problem_until_the_write_succeeds(path, monkeypatch, caplog):
@@ -186,15 +180,13 @@ def test_a_failing_disk_is_a_problem_until_the_write_succeeds(path, monkeypatch,
 def test_a_disk_that_hangs_is_a_problem_within_a_second(path, monkeypatch):
     now_s, release = [0.0], threading.Event()
     monkeypatch.setattr(os, "fdatasync", lambda _: release.wait(10.0))
-    keeper = LatchKeeper(path, clock=lambda: now_s[0])
-    keeper.start()
-    keeper.note(WHY)
-    now_s[0] = 0.9
-    assert keeper.problem is None
-    now_s[0] = 1.2
-    assert keeper.problem == f"{path}: not written for 1 s"
-    release.set()
-    keeper.stop()
+    with keeping(path, clock=lambda: now_s[0]) as keeper:
+        keeper.note(WHY)
+        now_s[0] = 0.9
+        assert keeper.problem is None
+        now_s[0] = 1.2
+        assert keeper.problem == f"{path}: not written for 1 s"
+        release.set()
 
 
 def test_a_second_daemon_of_the_same_robot_is_refused(path):
