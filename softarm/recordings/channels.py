@@ -1,4 +1,4 @@
-"""Channels of a log, each a topic with one type of record, and the channels of the three devices."""
+"""Channels of a log, each a topic with one type of record, and the channels of the devices and events."""
 
 import json
 from typing import Generic, TypeVar
@@ -8,6 +8,7 @@ from pydantic.json_schema import GenerateJsonSchema, JsonSchemaValue
 from pydantic_core import core_schema
 
 from softarm.schemas import log
+from softarm.schemas.events import Entry
 from softarm.schemas.messages import MocapFrame, PressureReading, RailReading
 
 T = TypeVar("T")
@@ -56,3 +57,4 @@ class LogChannel(Generic[T]):
 MOCAP = LogChannel(log.MOCAP, MocapFrame)
 PRESSURE = LogChannel(log.PRESSURE, PressureReading)
 RAIL = LogChannel(log.RAIL, RailReading)
+EVENT = LogChannel(log.EVENT, Entry)

@@ -14,10 +14,8 @@ from softarm.recordings import mcap_file
 from softarm.recordings.live import LIBRARY
 from softarm.recordings.log_file import LogFile
 
-NEVER: Callable[[], None] = lambda: None  # noqa: E731
 
-
-def finish(path: Path, pause: Callable[[], None] = NEVER) -> None:
+def finish(path: Path, pause: Callable[[], None] = lambda: None) -> None:
     """Rewrite a log in place, compressed and with an index.
 
     The replacement is atomic. A file without a complete message is left alone.
@@ -38,7 +36,7 @@ def finish(path: Path, pause: Callable[[], None] = NEVER) -> None:
         _copy(path, draft, pause)
 
 
-def recover(path: Path | str, pause: Callable[[], None] = NEVER) -> LogFile:
+def recover(path: Path | str, pause: Callable[[], None] = lambda: None) -> LogFile:
     """Finish a log left by a killed daemon; leave it alone if it is finished or still being written.
 
     Raises:

@@ -79,7 +79,6 @@ class Moment(NamedTuple):
     rail: RailReading | None
 
 
-EVENT = channels.LogChannel(log.EVENT, Entry)
 Record = Tick | MocapFrame | PressureReading | RailReading | Entry
 
 
@@ -99,7 +98,7 @@ def record(topic: str, data: bytes) -> Record | None:
         case log.RAIL:
             return channels.RAIL.decode(data)
         case log.EVENT:
-            return EVENT.decode(data)
+            return channels.EVENT.decode(data)
     return None
 
 

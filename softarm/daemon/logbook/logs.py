@@ -10,6 +10,7 @@ from softarm.daemon.logbook import ticks
 from softarm.daemon.logbook.changes import Changes
 from softarm.daemon.logbook.history import utc
 from softarm.recordings import mcap_file
+from softarm.recordings.channels import EVENT
 from softarm.recordings.log_file import LogFile
 from softarm.recordings.mcap_file import LogError
 from softarm.schemas import log
@@ -52,7 +53,7 @@ class TickLog(LogFile):
         for topic, data in mcap_file.messages(self.path):
             if topic == log.EVENT:
                 has_events = True
-                yield ticks.EVENT.decode(data)
+                yield EVENT.decode(data)
         if not has_events:
             offset = int(self.metadata.get(log.CLOCK, {}).get("wall_minus_monotonic_ns", 0))
             changes = Changes(lambda t_ns: utc(t_ns + offset))

@@ -7,6 +7,7 @@ from softarm.common import revision
 from softarm.daemon.logbook import ticks
 from softarm.daemon.logbook.thinning import Tick
 from softarm.policies.base import PolicySpec
+from softarm.recordings.channels import EVENT
 from softarm.recordings.live import LiveFile, LogMessage
 from softarm.schemas import log as names
 from softarm.schemas.config import Config
@@ -58,7 +59,7 @@ class TickFile(LiveFile):
 
     def entry(self, entry: Entry) -> None:
         """Write an entry of the event history."""
-        self.add(LogMessage(ticks.EVENT.topic, entry.t_ns, entry.t_ns, ticks.EVENT.encode(entry)))
+        self.add(LogMessage(EVENT.topic, entry.t_ns, entry.t_ns, EVENT.encode(entry)))
 
     def policy(self, spec: PolicySpec) -> None:
         """Note the policy of the following ticks."""

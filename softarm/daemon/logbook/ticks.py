@@ -8,10 +8,9 @@ from dataclasses import dataclass, fields
 from typing import Any
 
 from softarm.daemon.control.records import Inputs, Outputs, Problems, Request, TickTiming
-from softarm.recordings.channels import MOCAP, PRESSURE, RAIL, LogChannel
+from softarm.recordings.channels import EVENT, MOCAP, PRESSURE, RAIL, LogChannel
 from softarm.recordings.live import LogMessage
 from softarm.schemas import log
-from softarm.schemas.events import Entry
 from softarm.schemas.messages import MocapFrame, PressureReading, RailReading
 
 
@@ -62,7 +61,6 @@ def _shared(inputs: Inputs | TickInputs) -> dict[str, Any]:
 
 
 REQUEST = LogChannel(log.REQUEST, Request)
-EVENT = LogChannel(log.EVENT, Entry)
 TICK = LogChannel(log.TICK, TickRecord)
 
 CHANNELS: tuple[LogChannel[Any], ...] = (MOCAP, PRESSURE, RAIL, REQUEST, EVENT, TICK)
