@@ -93,32 +93,32 @@ def connect() -> bytes:
     """Return a request for the stream: the server answers with `Server` and, in unicast, with frames."""
     sender = struct.pack("<256s4B4B", b"softarm", 1, 0, 0, 0, 4, 1, 0, 0)
     # The zero options request all data, in the server's own version.
-    return _message(CONNECT, sender + bytes(5))
+    return message(CONNECT, sender + bytes(5))
 
 
 def keep_alive() -> bytes:
     """Return a keep-alive: a unicast server forgets silent clients. It is not answered."""
-    return _message(KEEP_ALIVE)
+    return message(KEEP_ALIVE)
 
 
 def disconnect() -> bytes:
     """Return the message that ends the stream."""
-    return _message(DISCONNECT)
+    return message(DISCONNECT)
 
 
 def request_models() -> bytes:
     """Return a request for `Models`."""
-    return _message(REQUEST_MODELS)
+    return message(REQUEST_MODELS)
 
 
 def request_layout(version: Version) -> bytes:
     """Return a request to a unicast server (4.0 or newer) for frames in an older layout than its own."""
-    return _message(REQUEST, f"Bitstream,{version[0]}.{version[1]}".encode() + b"\0")
+    return message(REQUEST, f"Bitstream,{version[0]}.{version[1]}".encode() + b"\0")
 
 
 def echo(stamp: int) -> bytes:
     """Return a request for the server's clock; the stamp may be 0 to 2^64 - 1."""
-    return _message(ECHO_REQUEST, struct.pack("<Q", stamp))
+    return message(ECHO_REQUEST, struct.pack("<Q", stamp))
 
 
 def decode(datagram: bytes, version: Version | None) -> Message | None:
@@ -133,23 +133,24 @@ def decode(datagram: bytes, version: Version | None) -> Message | None:
     """
     if len(datagram) < _HEAD.size:
         raise ValueError(f"a datagram of {len(datagram)} bytes; a NatNet message has {_HEAD.size} or more")
-    message, size = _HEAD.unpack_from(datagram)
+    number, size = _HEAD.unpack_from(datagram)
     if size != len(datagram) - _HEAD.size:
-        raise ValueError(f"message {message} declares {size} bytes and has {len(datagram) - _HEAD.size}")
-    if message not in _READ:
+        raise ValueError(f"message {number} declares {size} bytes and has {len(datagram) - _HEAD.size}")
+    if number not in _READ:
         return None
-    if message in (FRAME, MODELS):
+    if number in (FRAME, MODELS):
         if version is None:
             raise ValueError("frames arrived before the server's version")
         if not (3, 0) <= version < (5, 0):
             raise ValueError(
                 f"NatNet {version[0]}.{version[1]} is not read; 3.0 to 4.x are: see docs/hardware/bridge.md"
             )
-    return _READ[message](_Reader(datagram, _HEAD.size), version or (0, 0))
+    return _READ[number](_Reader(datagram, _HEAD.size), version or (0, 0))
 
 
-def _message(message: int, payload: bytes = b"") -> bytes:
-    return _HEAD.pack(message, len(payload)) + payload
+def message(number: int, payload: bytes = b"") -> bytes:
+    """Return a message of a type."""
+    return _HEAD.pack(number, len(payload)) + payload
 
 
 class _Reader:

@@ -50,7 +50,7 @@ class DriveState(Enum):
     INVALID = "invalid boot state: power-cycle the drive"
 
 
-_STATES = (  # mask, value, state
+STATES = (  # mask, value, state
     (0x4F, 0x00, DriveState.NOT_READY),
     (0x4F, 0x40, DriveState.SWITCH_ON_DISABLED),
     (0x6F, 0x21, DriveState.READY),
@@ -70,7 +70,7 @@ _TOWARDS_OPERATION = {
 
 def decode_state(statusword: int) -> DriveState:
     """Return the state encoded in a statusword, or INVALID if no state matches."""
-    return next((state for mask, value, state in _STATES if statusword & mask == value), DriveState.INVALID)
+    return next((state for mask, value, state in STATES if statusword & mask == value), DriveState.INVALID)
 
 
 def next_controlword(state: DriveState, enable: bool, at_rest: bool) -> int | None:

@@ -11,7 +11,7 @@ from enum import Enum, auto
 
 from softarm.drivers.base import DeviceError
 from softarm.drivers.rail import dryve
-from softarm.drivers.rail.cia402 import DriveState, StatusWord
+from softarm.drivers.rail.cia402 import STATES, DriveState, StatusWord
 from softarm.drivers.rail.dryve import Entry, ModbusRequest
 from softarm.drivers.twin.faults import Faults
 from softarm.schemas.config import DryveRail
@@ -30,15 +30,7 @@ METHOD = 17
 # Below this position of the cart the switch is closed.
 SWITCH_M = -(RAIL_TRAVEL_M - 0.015)
 
-_STATE_BITS = {
-    DriveState.NOT_READY: 0x00,
-    DriveState.SWITCH_ON_DISABLED: 0x40,
-    DriveState.READY: 0x21,
-    DriveState.SWITCHED_ON: 0x23,
-    DriveState.OPERATION_ENABLED: 0x27,
-    DriveState.QUICK_STOP: 0x07,
-    DriveState.FAULT: 0x08,
-}
+_STATE_BITS = {state: value for _, value, state in STATES}
 _READ_ONLY = (
     dryve.STATUSWORD,
     dryve.MODE_DISPLAY,

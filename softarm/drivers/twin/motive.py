@@ -22,7 +22,7 @@ import zenoh
 
 from softarm.drivers.bridge import natnet
 from softarm.drivers.bridge.frame import Plane
-from softarm.drivers.bridge.natnet import Body, Version
+from softarm.drivers.bridge.natnet import Body, Version, message
 from softarm.drivers.mocap import payload
 from softarm.drivers.mocap.zenoh_session import listener
 from softarm.schemas.bridge import Room
@@ -123,11 +123,6 @@ def models(version: Version, ids: Mapping[str, int]) -> bytes:
             struct.pack("<I", kind) + (struct.pack("<I", len(content)) if version >= (4, 1) else b"") + content
         )
     return message(natnet.MODELS, b"".join(parts))
-
-
-def message(number: int, content: bytes) -> bytes:
-    """Return a NatNet message."""
-    return struct.pack("<HH", number, len(content)) + content
 
 
 def bodies_of(plane: Plane, poses: Mapping[str, Pose]) -> tuple[Body, ...]:

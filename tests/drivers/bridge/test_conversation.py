@@ -47,7 +47,7 @@ class Server:
             self.conversation.receive(motive.models(self.version, self.ids), self.now)
         elif kind == natnet.ECHO_REQUEST and self.echoes:
             ticks = struct.pack("<Q", self.ticks(self.now + MS // 10))
-            self.conversation.receive(motive.message(natnet.ECHO_RESPONSE, datagram[4:] + ticks), self.now + MS // 5)
+            self.conversation.receive(natnet.message(natnet.ECHO_RESPONSE, datagram[4:] + ticks), self.now + MS // 5)
 
     def frame(self, age_ms=8.0, exposed=True, received=True, sent=True, parameters=0, number=None):
         """Return the stamped frame of a capture some time ago."""
@@ -195,7 +195,7 @@ def test_a_restarted_server_with_another_clock_is_followed(server):
 def test_an_unrequested_echo_is_ignored(server):
     before = server.conversation.clock.here_ns(0)
     for stamp in (1, 2, 3, 4):
-        sent = motive.message(natnet.ECHO_RESPONSE, struct.pack("<QQ", stamp, 5))
+        sent = natnet.message(natnet.ECHO_RESPONSE, struct.pack("<QQ", stamp, 5))
         server.conversation.receive(sent, server.now)
     assert server.conversation.clock.here_ns(0) == before
 

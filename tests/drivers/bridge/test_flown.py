@@ -56,7 +56,7 @@ class ThroughNatNet:
     def echo(self, conversation: Conversation, now_ns: int) -> None:
         """Request the server's clock, which answers at once."""
         conversation._asked.append(now_ns)
-        conversation.receive(motive.message(natnet.ECHO_RESPONSE, struct.pack("<QQ", now_ns, ticks(now_ns))), now_ns)
+        conversation.receive(natnet.message(natnet.ECHO_RESPONSE, struct.pack("<QQ", now_ns, ticks(now_ns))), now_ns)
 
 
 @pytest.mark.slow

@@ -108,9 +108,9 @@ def test_other_models_are_skipped():
         1: b"cart\0" + struct.pack("<ii3fI", 9, -1, 0, 0, 0, 0),
     }
     content = struct.pack("<I", 5) + b"".join(struct.pack("<I", kind) + each for kind, each in kinds.items())
-    assert decode(motive.message(natnet.MODELS, content), (3, 1)) == Models({"cart": 9})
+    assert decode(natnet.message(natnet.MODELS, content), (3, 1)) == Models({"cart": 9})
     with pytest.raises(ValueError, match=r"kind 6, unknown in NatNet 3\.1"):
-        decode(motive.message(natnet.MODELS, struct.pack("<II", 1, 6)), (3, 1))
+        decode(natnet.message(natnet.MODELS, struct.pack("<II", 1, 6)), (3, 1))
 
 
 @pytest.mark.parametrize("group", [None, "239.255.42.99"])
@@ -126,7 +126,7 @@ def test_a_servers_answer_is_decoded(group):
 def test_an_echo_is_requested_and_decoded():
     asked = natnet.echo(2**63 + 5)
     assert asked.hex() == "0c00080005000000000000" + "80"
-    assert decode(motive.message(natnet.ECHO_RESPONSE, asked[4:] + struct.pack("<Q", 77)), None) == Echo(2**63 + 5, 77)
+    assert decode(natnet.message(natnet.ECHO_RESPONSE, asked[4:] + struct.pack("<Q", 77)), None) == Echo(2**63 + 5, 77)
 
 
 def test_the_clients_messages_have_the_expected_lengths():
@@ -149,18 +149,18 @@ def test_the_clients_messages_have_the_expected_lengths():
         (bytes.fromhex(V31), (5, 0), r"NatNet 5\.0 is not read"),
         (bytes.fromhex(V31), (4, 1), "3443379404 rigid bodies in 2587774156 bytes"),
         (bytes.fromhex(V41), (3, 1), "left"),
-        (motive.message(7, bytes.fromhex(V31)[4:] + b"\0"), (3, 1), "a frame: 1 bytes are left over"),
+        (natnet.message(7, bytes.fromhex(V31)[4:] + b"\0"), (3, 1), "a frame: 1 bytes are left over"),
         (
-            motive.message(7, struct.pack("<5I", 1, 0, 0, 0, 0) + struct.pack("<2I", 3, 38)),
+            natnet.message(7, struct.pack("<5I", 1, 0, 0, 0, 0) + struct.pack("<2I", 3, 38)),
             (4, 1),
             "3 rigid bodies in 38",
         ),
-        (motive.message(1, bytes(278)), None, "a server's answer of 278 bytes; it has 279"),
+        (natnet.message(1, bytes(278)), None, "a server's answer of 278 bytes; it has 279"),
         (motive.server_info((3, 1), 0, 1511, None), None, "0 ticks a second"),
-        (motive.message(13, bytes(15)), None, "an echo"),
-        (motive.message(5, struct.pack("<I", 1) + struct.pack("<II", 1, 5) + b"link1\0"), (4, 1), "left"),
+        (natnet.message(13, bytes(15)), None, "an echo"),
+        (natnet.message(5, struct.pack("<I", 1) + struct.pack("<II", 1, 5) + b"link1\0"), (4, 1), "left"),
         (
-            motive.message(5, struct.pack("<I", 1) + struct.pack("<II", 1, 5) + b"link1\0\1\0\0\0"),
+            natnet.message(5, struct.pack("<I", 1) + struct.pack("<II", 1, 5) + b"link1\0\1\0\0\0"),
             (4, 1),
             "is longer than",
         ),
@@ -194,7 +194,7 @@ def test_every_truncation_is_rejected(version, datagram):
 @given(st.sampled_from([*VERSIONS, None]), st.sampled_from([1, 5, 7, 13]), st.binary(max_size=600))
 def test_any_bytes_are_decoded_or_rejected(version, kind, content):
     with contextlib.suppress(ValueError):
-        decode(motive.message(kind, content), version)
+        decode(natnet.message(kind, content), version)
 
 
 @given(st.sampled_from(WHOLE), st.data())
@@ -213,4 +213,4 @@ def test_impossible_counts_fail_at_once():
     huge = struct.pack("<I", 2**32 - 1)
     for zeros in itertools.chain(range(0, 64, 4), [60_000]):
         with pytest.raises(ValueError):
-            decode(motive.message(7, bytes(4) + huge + bytes(zeros)), (3, 1))
+            decode(natnet.message(7, bytes(4) + huge + bytes(zeros)), (3, 1))
