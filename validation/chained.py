@@ -44,7 +44,6 @@ STOP_M = 0.0005  # distance from the end of travel that counts as a hit
 LOOKS = 8  # samples of the cart per tick in lockstep: 240 Hz
 AFTER_S = 1.0  # observed after a stop and after the last goal
 POLL_S = 0.03
-SHARED = {"limits", "failsafe", "goals", "policies"}  # sections of the configuration used with every body
 
 
 @dataclass
@@ -148,10 +147,9 @@ class InLockstep:
 class Outside(SoftwareInTheLoop):
     """The daemon as a user starts it, with the outside robot in place of the twin."""
 
-    def __init__(self, config: Config, policy: str, logs: Path) -> None:
-        overrides = config.model_dump(mode="json", include=SHARED, exclude_unset=True)
-        super().__init__(logs, {**overrides, "control": {"policy": policy}})
-        self._bound_m = bound_m(config)
+    def __init__(self, policy: str, bound: float, logs: Path) -> None:
+        super().__init__(logs, {"control": {"policy": policy}})
+        self._bound_m = bound
         self._truth_file = self.folder / "truth.json"
 
     def start_twin(self) -> None:
@@ -183,14 +181,14 @@ class Outside(SoftwareInTheLoop):
 class OnWires:
     """The daemon with the outside robot, in real time."""
 
-    def __init__(self, config: Config, policy: str, logs: Path) -> None:
+    def __init__(self, policy: str, bound: float, logs: Path) -> None:
         """Start both processes and arm.
 
         Raises:
             SoftwareInTheLoopError: A process did not start, or arming was refused.
         """
         with contextlib.ExitStack() as stack:
-            self._loop = stack.enter_context(Outside(config, policy, logs))
+            self._loop = stack.enter_context(Outside(policy, bound, logs))
             self._loop.arm()
             self._ends = stack.pop_all()
 
@@ -305,7 +303,7 @@ def main(body: str, goals: int, policy: str, seed: int, json_file: Path | None) 
 
     def begin(number: int) -> Arm:
         if body == "outside":
-            return OnWires(config, policy, Path(folder))
+            return OnWires(policy, bound_m(config), Path(folder))
         made: Body = SimulatedBody() if body == "simulated" else IndependentBody(seed=len(legs) + number)
         return InLockstep(config, registry.load(policy), made)
 
