@@ -30,7 +30,7 @@ def _ordinary_scheduling(monkeypatch):
 
 
 def highest_sent_kpa(log) -> float:
-    return max(outputs.sent.pressure_kpa for outputs in log.outputs())
+    return max(outputs.sent.pressure_kpa for _, outputs in log.ticks())
 
 
 def test_lockstep_playback_is_recorded_and_ends_disarmed(config):
@@ -43,7 +43,7 @@ def test_lockstep_playback_is_recorded_and_ends_disarmed(config):
     assert log.finished
     assert log.config.control.policy == "excite-short"
     assert highest_sent_kpa(log) == pytest.approx(8.0, abs=0.3)
-    assert [outputs.mode for outputs in log.outputs()][-1] != "armed"
+    assert [outputs.mode for _, outputs in log.ticks()][-1] != "armed"
 
 
 # Over 3 s: lead-in and excitation in real time.

@@ -43,10 +43,6 @@ class TickLog(LogFile):
         """Return inputs and outputs of every tick, as `softarm.daemon.runtime.replay.replay` requires."""
         return ((inputs, outputs) for inputs, outputs, _ in self)
 
-    def outputs(self) -> Iterator[Outputs]:
-        """Return the exact outputs of every tick."""
-        return (outputs for _, outputs, _ in self)
-
     def entries(self) -> Iterator[Entry]:
         """Yield the events, derived from the ticks if the log has none."""
         has_events = False

@@ -58,7 +58,7 @@ def test_idle_ticks_are_counted_and_the_flight_is_compared(log):
     assert seconds > 25
     assert unsure.startswith("replayed but not compared: ")
     compared = int(verdict.removesuffix(" ticks, every command the same"))
-    assert compared + int(unsure.split()[4]) + ticks == list(logs.read(log).outputs())[-1].tick
+    assert compared + int(unsure.split()[4]) + ticks == list(logs.read(log).ticks())[-1][1].tick
 
 
 def test_a_log_that_starts_within_a_run_is_reported(log, tmp_path):
@@ -68,6 +68,6 @@ def test_a_log_that_starts_within_a_run_is_reported(log, tmp_path):
 
 
 def test_ticks_lost_in_flight_are_reported(log, tmp_path):
-    flown = [o.tick for o in logs.read(log).outputs() if o.sent.cart_velocity_m_s]
+    flown = [o.tick for _, o in logs.read(log).ticks() if o.sent.cart_velocity_m_s]
     result = replay(copy(log, tmp_path / "torn.mcap", lambda outputs: outputs.tick != flown[5]))
     assert f"tick {flown[6]}: 1 ticks before it are missing, and the drive was on" in result.stdout

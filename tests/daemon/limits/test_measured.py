@@ -39,12 +39,12 @@ def test_the_limits_of_a_known_cart_are_found_on_the_safe_side(cart, kind):
 def test_only_an_arm_that_pulls_harder_than_the_drive_drags_the_cart(cart):
     """A pull p against a ramp r in a sine of 1.3 Hz gains p - r at most, for one latency."""
     for pull, least, most in ((2.0, 0.0, 0.05), (4.0, 0.05, 0.25)):
-        found = measure([cart(ramp_m_s2=2.0, latency_s=0.1, pull_m_s2=pull, seconds=90.0)], 6.0)
+        found = measure([cart(ramp_m_s2=2.0, latency_s=0.1, pull_m_s2=pull, seconds=65.0)], 6.0)
         assert least <= found.drag.value <= most
 
 
 def test_a_velocity_that_is_read_back_late_belongs_to_the_latency(cart):
-    fresh, filtered = (measure([cart(pull_m_s2=2.0, filter_s=s)], 6.0).latency for s in (0.0, 0.02))
+    fresh, filtered = (measure([cart(pull_m_s2=2.0, filter_s=s, seconds=45.0)], 6.0).latency for s in (0.0, 0.02))
     assert 0.008 < filtered.median - fresh.median < 0.025
 
 

@@ -75,11 +75,11 @@ def parts(stopped, tmp_path_factory):
 def test_an_incident_has_the_log_around_the_stop_which_replays(parts, stopped):
     log = logs.read(parts / "log.mcap")
     assert log.finished
-    outputs = list(log.outputs())
+    outputs = [made for _, made in log.ticks()]
     stop = next(o.t_ns for o in outputs if o.mode is Mode.STOPPED)
     before_s, after_s = (stop - outputs[0].t_ns) * 1e-9, (outputs[-1].t_ns - stop) * 1e-9
     assert (before_s, after_s) == (pytest.approx(20, abs=0.05), pytest.approx(5, abs=0.05))
-    whole = [o.tick for o in logs.read(next(stopped.glob("*.mcap"))).outputs()]
+    whole = [o.tick for _, o in logs.read(next(stopped.glob("*.mcap"))).ticks()]
     assert [o.tick for o in outputs] == [n for n in whole if outputs[0].tick <= n <= outputs[-1].tick]
     assert log.metadata["policy"]["name"] == "hold"
     replayed = replay(log.ticks(), log.config, lambda name: Hold())

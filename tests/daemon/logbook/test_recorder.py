@@ -88,7 +88,7 @@ def test_a_change_of_policy_is_recorded_in_order(tmp_path):
 
 def test_few_ticks_of_a_resting_arm_are_written_and_the_rest_at_the_end(tmp_path):
     recorder = recorded(config(tmp_path, idle_interval_s=5.0, around_s=1.0), map(make_tick, range(400)))
-    kept = [outputs.tick for outputs in logs.read(recorder.path).outputs()]
+    kept = [outputs.tick for _, outputs in logs.read(recorder.path).ticks()]
     assert len(kept) < 70
     assert kept[-30:] == list(range(370, 400))
 
@@ -124,7 +124,7 @@ def test_a_full_queue_drops_and_counts_and_never_blocks(tmp_path, monkeypatch):
     assert recorder.dropped == 50
     gate.set()
     recorder.stop()
-    assert [o.tick for o in logs.read(recorder.path).outputs()] == list(range(101))
+    assert [o.tick for _, o in logs.read(recorder.path).ticks()] == list(range(101))
     assert recorder.problem is None
 
 
@@ -185,9 +185,9 @@ def test_a_full_disk_ends_the_log_and_recording_resumes_in_a_new_one(tmp_path, d
     assert recorder.path != first
     assert recorder.dropped == 1
     log = logs.read(recorder.path)
-    assert [o.tick for o in log.outputs()] == [2]
+    assert [o.tick for _, o in log.ticks()] == [2]
     assert [policy["name"] for policy in log.policies] == ["pid"]
-    assert [o.tick for o in logs.read(first).outputs()] == [0]
+    assert [o.tick for _, o in logs.read(first).ticks()] == [0]
 
 
 def flown(number: int, goal: str | None = None) -> tuple[Inputs, Outputs, TickTiming]:
@@ -203,7 +203,7 @@ def parts(directory: Path) -> list[list[int]]:
     found = sorted(map(logs.read, directory.glob("*.mcap")), key=lambda each: int(each.metadata["run"]["part"]))
     assert len({each.metadata["run"]["id"] for each in found}) == 1
     assert all(each.metadata["policy"]["name"] == "reach" for each in found)
-    return [[outputs.tick for outputs in each.outputs()] for each in found]
+    return [[outputs.tick for _, outputs in each.ticks()] for each in found]
 
 
 @pytest.mark.slow

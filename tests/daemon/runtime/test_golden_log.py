@@ -38,9 +38,9 @@ class AsRecorded(Policy):
 
 
 def test_every_tick_comes_out_as_recorded_bit_for_bit(log):
-    actions = (outputs.action for outputs in log.outputs() if outputs.action is not None)
+    actions = (outputs.action for _, outputs in log.ticks() if outputs.action is not None)
     replayed = replay(log.ticks(), log.config, lambda name: AsRecorded(registry.load(name), actions))
-    assert replayed.compared == replayed.ticks == len(list(log.outputs())) > 300
+    assert replayed.compared == replayed.ticks == len(list(log.ticks())) > 300
     assert replayed.differences == []
     assert next(actions, None) is None
 
@@ -58,7 +58,7 @@ def numbers(record):
 def test_the_recorded_flight_covers_its_cases(log):
     assert FLIGHT.stat().st_size < 1_000_000
     assert [policy["name"] for policy in log.policies] == ["reach", "pid"]
-    outputs = list(log.outputs())
+    outputs = [made for _, made in log.ticks()]
     assert sum("rail_position_max" in tick.clamps for tick in outputs) > 20
     assert {tick.goal.state for tick in outputs} == {"none", "running", "reached", "failed"}
     assert {tick.mode for tick in outputs} == {"disarmed", "arming", "armed", "stopping", "stopped"}

@@ -65,7 +65,7 @@ def test_old_and_new_fly_the_same_goals_on_the_twin(tmp_path):
     assert sum(found.both(name).reached.sum() for name in BOTH) >= 2  # real time on a busy machine
     log = logs.read(found.log)
     assert log.config.limits.rail.latency_s == 0.06
-    flown = [outputs.policy for outputs in log.outputs() if outputs.goal.state == "running"]
+    flown = [outputs.policy for _, outputs in log.ticks() if outputs.goal.state == "running"]
     assert len(set(flown)) == 2
     assert [share for _, share in reported] == [0.0, 0.0, 0.25, 0.5, 0.75]
 
