@@ -24,12 +24,14 @@ FINE_S = 0.001
 class World:
     """Clock and cart of a test; the tool waits by `pause`.
 
-    `words` are the received controlwords. The functions in `at` are called as time passes, until they return True.
+    `telegrams` are the requests, `words` the controlwords among them. The functions in `at` are called as time passes,
+    until they return True.
     """
 
     def __init__(self) -> None:
         self.now_ns = 1_000_000_000
         self.port = 0
+        self.telegrams: list[bytes] = []
         self.words: list[int] = []
         self.at: list[Callable[[], bool]] = []
         self.speeds_m_s: list[float] = []
@@ -44,7 +46,8 @@ class World:
             self.at = [each for each in self.at if not each()]
 
     def record(self, telegram: bytes) -> None:
-        """Record a written controlword."""
+        """Record a request."""
+        self.telegrams.append(telegram)
         if telegram[12:14] == b"\x60\x40" and telegram[9]:
             self.words.append(int.from_bytes(telegram[19:], "little"))
 

@@ -178,10 +178,8 @@ def test_a_refused_start_is_not_repeated(twin: Any) -> None:
 
 
 def test_a_drive_may_report_neither_method_nor_status(twin: Any) -> None:
-    def script(telegram: bytes, answer: Callable[[], bytes]) -> bytes:
-        return refused(telegram) if telegram[12:14] in (b"\x60\x98", b"\x20\x14") else answer()
-
-    twin.script = script
+    objects = (b"\x60\x98", b"\x20\x14")
+    twin.script = lambda telegram, answer: refused(telegram) if telegram[12:14] in objects else answer()
     twin.drive.power_cycle()
     with twin.session() as session:
         assert (session.method(), session.homed()) == (None, None)
@@ -213,17 +211,11 @@ def test_a_missing_drive_is_reported(free_port: int, twin: Any) -> None:
 
 def test_a_homing_sends_the_telegrams_of_the_page_and_no_others(twin: Any) -> None:
     shown = [bytes.fromhex(telegram) for _, telegram, *_ in vectors("homing.csv")]
-    requests: list[bytes] = []
-
-    def script(telegram: bytes, answer: Callable[[], bytes]) -> bytes:
-        requests.append(telegram)
-        return answer()
-
     twin.put(-0.283)
-    twin.script = script
     with twin.session() as session:
         session.home(0.05, 0.01)
-    assert requests[:36] == shown[:36]
-    assert {each[2:] for each in requests} == {each[2:] for each in shown}
+    assert twin.telegrams[:36] == shown[:36]
+    assert {each[2:] for each in twin.telegrams} == {each[2:] for each in shown}
     # Every connection begins and ends with a stop.
-    assert [(each[12:14], each[19:]) for each in (requests[0], requests[-1])] == [(b"\x60\xff", bytes(4))] * 2
+    for stop in (twin.telegrams[0], twin.telegrams[-1]):
+        assert (stop[12:14], stop[19:]) == (b"\x60\xff", bytes(4))
