@@ -256,10 +256,12 @@ def bridging(read: Read) -> str:
 
 def estimates(read: Read) -> str:
     """Return the error of the estimated tip after ticks without a frame."""
+    bodies: dict[str, dict[str, list[float]]] = {}
+    for name in BRIDGED:
+        bodies |= read(name)["tip_rms_m"]
     rows = [
         [body, method, *(f"{1e3 * off_m:.1f}" for off_m in rms_m)]
-        for name in BRIDGED
-        for body, methods in read(name)["tip_rms_m"].items()
+        for body, methods in bodies.items()
         for method, rms_m in methods.items()
     ]
     ticks = [f"{1e3 * CONTROL_PERIOD_S * tick:.0f} ms" for tick in range(1, len(rows[0]) - 1)]
