@@ -1,6 +1,6 @@
 """Mode machine of the daemon: disarmed, arming, armed, stopping, stopped, and the latch of the emergency stop."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 
 from softarm.daemon.control.failsafe import ACKNOWLEDGE, Event, Response
 from softarm.daemon.control.records import EStop, Mode
@@ -38,20 +38,19 @@ class ModeMachine:
         self.last_stop, self.stops = why, self.stops + 1
         self._go(mode)
 
-    def _causes(self, events: Iterable[Event]) -> tuple[Event, ...]:
+    def _causes(self, events: Sequence[Event]) -> tuple[Event, ...]:
         """Return the events that stop the arm or keep it stopped; while disarmed only a requested stop counts."""
         stops = tuple(event for event in events if event.rule.response is Response.STOP)
         asked_for = any(event.name == "stop_requested" for event in stops)
         return stops if asked_for or self.mode is not Mode.DISARMED else ()
 
-    def update(self, events: Iterable[Event], *, devices_armed: bool, at_rest: bool, still: bool) -> None:
+    def update(self, events: Sequence[Event], *, devices_armed: bool, at_rest: bool, still: bool) -> None:
         """Change the mode by this tick's events; the severest response wins.
 
         `devices_armed` is about drive and regulator, `at_rest` about the cart, `still` about the arm.
         """
         self._ticks += 1
         self._rested |= at_rest
-        events = tuple(events)
         causes = self._causes(events)
         if causes:
             if self.mode is not Mode.STOPPED:
@@ -62,7 +61,7 @@ class ModeMachine:
         else:
             self._soft(events, devices_armed, (at_rest and still) or any(e.name in AXIS_LOST for e in events))
 
-    def _soft(self, events: tuple[Event, ...], devices_armed: bool, over: bool) -> None:
+    def _soft(self, events: Sequence[Event], devices_armed: bool, over: bool) -> None:
         softs = [e for e in events if e.rule.response is Response.SOFT_STOP]
         if self.mode is Mode.ARMING and not softs and not devices_armed and self._ticks > self._arming_ticks:
             softs = [Event("arming_timeout", f"{self._ticks} ticks")]
@@ -118,7 +117,7 @@ class ModeMachine:
             self._go(mode)
         self.estop, self.last_stop = estop, last_stop
 
-    def refusals(self, events: Iterable[Event]) -> tuple[str, ...]:
+    def refusals(self, events: Sequence[Event]) -> tuple[str, ...]:
         """Return the reasons for which arming would be refused now."""
         reasons = [e.text for e in events if e.rule.blocks_arming]
         if self.estop is not EStop.CLEAR:

@@ -205,16 +205,6 @@ def test_an_axis_is_compared_from_its_first_reading_on(when, apart_m):
     assert apart_at_first_m(**when) == (None if apart_m is None else pytest.approx(apart_m))
 
 
-def test_the_first_comparison_counts_no_disagreement():
-    observer = Observer(Config())
-    for tick in range(8):
-        feed(observer, 40 * tick, frame(40 * tick), rail=(0.2, 0.0))
-        assert observer.apart_m == pytest.approx(0.2)
-        assert observer.disagreeing_ticks == max(0, tick - 3)
-    feed(observer, 320, rail=(0.5, 0.0))  # no frame: nothing to be compared, and it has a past
-    assert observer.apart_m == pytest.approx(0.2)
-
-
 def test_no_observation_before_every_sensor_has_delivered():
     whole = {"mocap": (frame(0),), "pressure": PressureReading(0, 5.0, True), "rail": RailReading(0, 0.0, 0.0, True)}
     for unheard in (*whole, None):
@@ -231,6 +221,8 @@ def test_ticks_of_disagreement_are_counted_in_a_row():
         feed(observer, 40 * tick, frame(40 * tick), rail=(0.02 if tick == 7 else 0.05, 0.0))
         counted.append(observer.disagreeing_ticks)
     assert counted == [0, 0, 0, 0, 1, 2, 3, 0, 0, 0, 0, 0, 1, 2]
+    feed(observer, 560, rail=(0.5, 0.0))  # no frame: nothing to be compared
+    assert (observer.apart_m, observer.disagreeing_ticks) == (pytest.approx(0.05), 2)
 
 
 def test_a_silent_axis_or_camera_never_disagrees():

@@ -37,7 +37,7 @@ def where(tmp_path, port=0):
 
 
 def test_a_valid_file_has_no_problem_and_the_check_leaves_no_files(look, tmp_path):
-    found = look(where(tmp_path) + "control: {policy: hold}\n", thorough=True)
+    found = look(where(tmp_path) + "control: {policy: hold}\n")
     assert found.problems == ()
     assert found.config.control.policy == "hold"
     assert os.listdir(tmp_path) == ["arm.yaml"]
