@@ -6,6 +6,7 @@ import subprocess
 import sys
 import sysconfig
 import tarfile
+import textwrap
 import zipfile
 from pathlib import Path
 
@@ -69,21 +70,12 @@ def run(*command: str | Path, cwd: Path, seconds: float = 170.0) -> str:
 def built(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Build the sdist and the wheel from the files that git lists, and return their folder."""
     source, out = tmp_path_factory.mktemp("source"), tmp_path_factory.mktemp("dist")
-    files = subprocess.run(
-        ["git", "ls-files", "--cached", "--others", "--exclude-standard", "-z"],
-        cwd=ROOT,
-        capture_output=True,
-        check=True,
-    ).stdout
-    subprocess.run(
-        ["tar", "--create", "--null", "--files-from=-", f"--file={out}/tree.tar", "--ignore-failed-read"],
-        cwd=ROOT,
-        input=files,
-        check=True,
-        capture_output=True,
-    )
-    with tarfile.open(out / "tree.tar") as tree:
-        tree.extractall(source, filter="tar")
+    command = ["git", "ls-files", "--cached", "--others", "--exclude-standard"]
+    listed = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True).stdout.splitlines()
+    for name in listed:
+        if (ROOT / name).exists():
+            (source / name).parent.mkdir(parents=True, exist_ok=True)
+            shutil.copy(ROOT / name, source / name, follow_symlinks=False)
     run(sys.executable, "-m", "build", "--no-isolation", "--outdir", out, source, cwd=source)
     return out
 
@@ -97,10 +89,8 @@ def installed(built: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """
     home = tmp_path_factory.mktemp("home")
     for name, text in PROJECT.items():
-        lines = text.strip("\n").splitlines()
-        margin = min((len(line) - len(line.lstrip()) for line in lines if line.strip()), default=0)
         (home / "their-arm" / name).parent.mkdir(parents=True, exist_ok=True)
-        (home / "their-arm" / name).write_text("\n".join(line[margin:] for line in lines) + "\n")
+        (home / "their-arm" / name).write_text(textwrap.dedent(text))
     run(sys.executable, "-m", "venv", "--without-pip", home / "env", cwd=home)
     python = home / "env" / "bin" / "python"
     site = Path(run(python, "-c", "import sysconfig; print(sysconfig.get_path('purelib'))", cwd=home).strip())
