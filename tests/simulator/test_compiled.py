@@ -148,16 +148,6 @@ def test_a_process_older_than_an_edit_saves_no_old_code(package):
     assert entry()(1) == 3
 
 
-@pytest.mark.slow
-def test_processes_that_start_together_after_an_edit_all_use_it(package):
-    entry()(1.0)
-    edit(package)
-    started = [process("from entry import entry; print(entry(1.0))", package) for _ in range(2)]
-    assert [answer(each) for each in started] == [["3.0"]] * 2
-    again = entry()
-    assert (again(1.0), hits(again)) == (3.0, 1)
-
-
 # One process reads the index; before it writes, another has compiled for another type and saved, if it may.
 SLOW = """
 import os, time

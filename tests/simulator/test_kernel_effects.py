@@ -192,13 +192,3 @@ def test_a_drifting_clock_stretches_stamps_and_velocities(rate: float) -> None:
     drifting, steady = seen.velocities_m_s
     assert np.abs(steady).max() > 0.1
     np.testing.assert_allclose(drifting * (1 + rate), steady, rtol=1e-9)
-
-
-def test_all_effects_at_once_fly_and_stay_finite() -> None:
-    effects = {e.name: {p.name: p.exemplar for p in e.parameters} for e in REGISTRY.values()}
-    simulator = Simulator(Model(effects=effects), 8)
-    simulator.place_shelf(-0.2, 0.55)
-    for v, p in zip(VELOCITY, PRESSURE, strict=True):
-        simulator.step(v, p, late_s=0.002)
-    assert np.isfinite(simulator.tip_m()).all()
-    assert np.abs(simulator.link_angles_rad).max() < 3.0

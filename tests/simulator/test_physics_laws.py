@@ -89,18 +89,6 @@ def test_single_precision_costs_nothing() -> None:
     assert np.abs(tips[0] - tips[1]).max() < 2e-5
 
 
-def test_mirror_image_moves_as_the_mirror_of_the_motion() -> None:
-    model = Model(arm=Arm(torque_offset_nm=(0.0,) * 5), effects=without("pressure.lag"))
-    simulator = Simulator(model, 2, 1200.0)
-    simulator.reset(joint_angles_rad=np.array([[0.3, -0.2, 0.1, 0.2, 0.1]]) * [[1.0], [-1.0]])
-    for v, p in zip(*(sets[:60, 0] for sets in commands.smooth(1, seed=5)), strict=True):
-        simulator.step(np.array([v, -v]), np.array([p, -p]))
-    (y, z), (mirrored_y, mirrored_z) = simulator.tip_m()
-    assert y == pytest.approx(-mirrored_y, abs=1e-5)
-    assert z == pytest.approx(mirrored_z, abs=1e-5)
-    assert abs(y) > 0.05
-
-
 def test_arm_rests_where_its_torques_balance() -> None:
     """The static shape by Newton's method on the joint torques' balance, gravity by summing over what hangs."""
     pressure_kpa = 12.0
@@ -164,15 +152,6 @@ def test_without_lag_pressure_follows_at_once() -> None:
     simulator = Simulator(Model(effects={}))
     simulator.step(0.0, 7.0)
     assert simulator.pressure_kpa[0] == 7.0
-
-
-def test_rail_answers_one_control_step_late() -> None:
-    model = Model(arm=passive())  # at rest the arm does not push its cart
-    simulator = Simulator(model, 1, 1200.0)
-    simulator.step(1.0, 0.0)
-    assert simulator.cart_velocity_m_s[0] == 0.0
-    simulator.step(1.0, 0.0, 1 / 1200)
-    assert simulator.cart_velocity_m_s[0] > 0.0
 
 
 @pytest.mark.parametrize("delay_s", [0.01, 1 / 30, 0.06, 0.1])

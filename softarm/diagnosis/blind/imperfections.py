@@ -142,17 +142,7 @@ UNKNOWNS: dict[str, tuple[Variant, ...]] = {
     "warming_up": ((_either("arm.softening", 0.2, 0.5), _set("arm.softening_s", 3.0, 12.0)),),
     "coarse_gauge": ((_set("pressure_sensor.quantum_kpa", 0.8, 2.0),),),
 }
-_STAGE_OF_UNKNOWN = {
-    "sticking_valve": "pressure",
-    "random_regulator_delay": "pressure",
-    "random_rail_delay": "rail",
-    "stribeck_stiction": "rail",
-    "cable": "rail",
-    "gear_ripple": "rail",
-    "loose_marker": "mocap",
-    "warming_up": "arm",
-    "coarse_gauge": "pressure",
-}
+_STAGE_OF_GROUP = {"regulator": "pressure", "pressure_sensor": "pressure"}  # of others, the group's own name
 
 
 @dataclass(frozen=True, slots=True)
@@ -173,7 +163,8 @@ class Cause:
 def stage_of(name: str) -> str:
     """Return the stage in which a cause acts."""
     if name.startswith(UNKNOWN):
-        return _STAGE_OF_UNKNOWN[name.removeprefix(UNKNOWN)]
+        group = variants_of(name)[0][0].paths[0].partition(".")[0]
+        return _STAGE_OF_GROUP.get(group, group)
     return name.partition(".")[0]
 
 

@@ -1,35 +1,18 @@
 """Methods of the benchmark: the diagnosis and simpler baselines, all with the same inputs."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
-from typing import Protocol
 
 from softarm.diagnosis.data.trials import Trial
+from softarm.diagnosis.engine.result import Diagnosis
 from softarm.schemas.model import Model
 from softarm.schemas.verdict import Verdict
 
-
-class Diagnosed(Protocol):
-    """Answer of a method that also returns a patched model."""
-
-    @property
-    def verdict(self) -> Verdict:
-        """Verdict on the trials."""
-
-    @property
-    def patched(self) -> Model | None:
-        """Nominal model with the named effects, or None if no effect was named."""
-
-    @property
-    def margins(self) -> Mapping[str, float]:
-        """Named effect -> distance of its best rival, for its confidence."""
-
-
-Method = Callable[[Sequence[Trial], Model], Verdict | Diagnosed]
+Method = Callable[[Sequence[Trial], Model], Verdict | Diagnosis]
 
 
 # Imports are local, because each method loads numba and SciPy and `softarm blind make` needs neither.
-def _diagnose(trials: Sequence[Trial], model: Model) -> Diagnosed:
+def _diagnose(trials: Sequence[Trial], model: Model) -> Diagnosis:
     from softarm.diagnosis.diagnose import diagnose
 
     return diagnose(trials, model)

@@ -9,22 +9,12 @@ from typing import Any
 from softarm.diagnosis.blind import pages, run, seal
 from softarm.diagnosis.blind.score import Scored, score
 from softarm.diagnosis.data import read
-from softarm.diagnosis.data.trials import Trial
 from softarm.schemas.model import Model
 from softarm.schemas.verdict import Verdict
 from softarm.simulator import model_file
 
-# Fresh trials, nominal model, patched model -> stage (and `chain`) -> share of the gap that was removed.
-Measure = Callable[[Sequence[Trial], Model, Model], Mapping[str, float]]
 # case, done, of
 OnCase = Callable[[str, int, int], None]
-
-
-def measure_shrink(trials: Sequence[Trial], nominal: Model, patched: Model) -> Mapping[str, float]:
-    """Return the share of the gap that a patched model removes, by stage (`softarm.diagnosis.robot.shrink`)."""
-    from softarm.diagnosis.robot import shrink
-
-    return shrink.measure_shrink(trials, nominal, patched)
 
 
 def open_labels(
@@ -33,7 +23,6 @@ def open_labels(
     answer_files: Sequence[Path],
     out: Path,
     fresh: Path | None = None,
-    measure: Measure = measure_shrink,
     on_case: OnCase | None = None,
 ) -> dict[str, Any]:
     """Score each file of answers and write `score.json`, `score.md` and `reliability-METHOD.png` to `out`.
@@ -53,7 +42,7 @@ def open_labels(
             raise seal.SealError(
                 f"{file}: there are already answers of {content['method']}; name one file for each method"
             )
-        cases = _scored(labels, content, fresh, measure, on_case)
+        cases = _scored(labels, content, fresh, on_case)
         seconds = run.read_seconds(file)
         methods[content["method"]] = {
             "tool": content["tool"],
@@ -85,8 +74,10 @@ def _check_complete(file: Path, content: Mapping[str, Any], labels: seal.Labels,
 
 
 def _scored(
-    labels: seal.Labels, content: Mapping[str, Any], fresh: Path | None, measure: Measure, on_case: OnCase | None
+    labels: seal.Labels, content: Mapping[str, Any], fresh: Path | None, on_case: OnCase | None
 ) -> list[Scored]:
+    from softarm.diagnosis.robot.shrink import measure_shrink  # compiles the simulator
+
     cases = []
     answers = content["answers"]
     for number, answer in enumerate(answers, 1):
@@ -96,7 +87,7 @@ def _scored(
         if fresh is not None and verdict is not None and verdict.effects:
             place = fresh / answer["case"]
             patched = Model.model_validate_json(json.dumps(answer["patched_model"]))
-            shrink = measure(read.read_all([place]), model_file.load(place / "model.yaml"), patched)
+            shrink = measure_shrink(read.read_all([place]), model_file.load(place / "model.yaml"), patched)
         causes = label["causes"]
         cases.append(
             Scored(

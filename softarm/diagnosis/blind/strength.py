@@ -36,14 +36,6 @@ from softarm.schemas.excitation import EXCITATIONS
 
 Signals = Mapping[str, NDArray[np.float64]]
 
-# Stage -> excitation, and whether the rail is held.
-FLIGHTS = {
-    "pressure": ("both", False),
-    "rail": ("rail-steps", False),
-    "arm": ("both", False),
-    "mocap": ("both", False),
-    "clock": ("both", False),
-}
 # Stage -> groups of the robot's parameters that belong to it.
 _OWN = {
     "pressure": ("regulator", "pressure_sensor"),
@@ -95,11 +87,11 @@ def signals(trial: Trial, duration_s: float) -> dict[str, Signals]:
 
 def fly(robot: RobotParameters, stage: str) -> dict[str, Signals]:
     """Return a robot's signals under the excitation of a stage."""
-    flight, held = FLIGHTS[stage]
+    flight = "rail-steps" if stage == "rail" else "both"
     excitation = EXCITATIONS[flight]
     with tempfile.TemporaryDirectory() as place:
         there = Path(place) / flight
-        record(excitation.at, there, excitation.duration_s, robot, _SEED, kind=flight, held=held)
+        record(excitation.at, there, excitation.duration_s, robot, _SEED, kind=flight)
         return signals(folder.read(there), excitation.duration_s)
 
 

@@ -4,7 +4,7 @@ Each look at a part of the data is a test over blocks. The tests are corrected t
 alone shows structure in at most `LEVEL` of all cases.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -25,8 +25,7 @@ class Structure:
 
     energy: float  # energy of the strongest significant finding; 0 without one
     where: str  # place and kind of that finding in words
-    signs: int  # number of significant findings
-    looks: int  # number of tests
+    signs: int = 1  # number of significant findings
 
 
 def structure(
@@ -45,7 +44,7 @@ def structure(
     found = [(name, *sign) for name, mask in places.items() for sign in _looks(view, scaled, mask, block_s)]
     sure = [(energy, words, name) for name, words, energy, p in found if p < LEVEL / len(found)]
     energy, words, name = max(sure, default=(0.0, "", ""))
-    return Structure(energy, f"{name}, {words}" if words else "", len(sure), len(found))
+    return Structure(energy, f"{name}, {words}" if words else "", len(sure))
 
 
 def _places(view: View, kinds: Sequence[str]) -> Iterator[tuple[str, NDArray[np.bool_]]]:
@@ -91,9 +90,3 @@ def over_blocks(parts: Sequence[Array]) -> tuple[float, float]:
     if error <= 0:
         return mean, 1.0 if mean == 0 else 0.0
     return mean, float(2 * stdtr(len(means) - 1, -abs(mean) / error))
-
-
-def strongest(found: Mapping[str, Structure]) -> tuple[str, Structure] | None:
-    """Return stage and structure of the strongest finding, or None."""
-    sure = [(each.energy, stage) for stage, each in found.items() if each.signs]
-    return (max(sure)[1], found[max(sure)[1]]) if sure else None

@@ -78,10 +78,7 @@ def candidates(model: Model) -> tuple[Candidate, ...]:
 
 def nuisances(model: Model) -> tuple[Nuisance, ...]:
     """Return the parameters that are fitted within their boxes in every fit."""
-    return tuple(_nuisances(model))
-
-
-def _nuisances(model: Model) -> Iterator[Nuisance]:
+    found = []
     for path, half in (_ABSOLUTE | _RELATIVE).items():
         effect, _, name = path.rpartition(".")
         parameter = next(p for p in REGISTRY[effect].parameters if p.name == name)
@@ -89,7 +86,9 @@ def _nuisances(model: Model) -> Iterator[Nuisance]:
         if not math.isfinite(nominal) or (path in _RELATIVE and nominal == parameter.neutral):
             continue
         width = half * abs(nominal) if path in _RELATIVE else half
-        yield Nuisance(path, nominal, max(parameter.low, nominal - width), min(parameter.high, nominal + width))
+        low, high = max(parameter.low, nominal - width), min(parameter.high, nominal + width)
+        found.append(Nuisance(path, nominal, low, high))
+    return tuple(found)
 
 
 def _forms(name: str, model: Model) -> Iterator[Candidate]:

@@ -54,7 +54,7 @@ def _signs(comparison: Comparison, found: Examination) -> dict[str, Structure]:
         signs |= {"rail": drifting} if drifting else {}
     if (loose := loose_marker(comparison.trials, comparison.grid.links)) is not None:
         where = f"the markers of link {loose.link} move {1e3 * loose.rms_m:.1f} mm relative to the link"
-        signs["mocap"] = Structure(loose.energy, where, 1, 1)
+        signs["mocap"] = Structure(loose.energy, where)
     return signs
 
 
@@ -64,10 +64,10 @@ def _above_floors(comparison: Comparison, floors: Mapping[str, float], tip_floor
     for view, gaps in zip(comparison.views, comparison.setup.gaps, strict=True):
         ratio = rms(gaps.fetch([{}])[()]) / floors[view.stage]
         if ratio > 1:
-            found[view.stage] = Structure(ratio**2, f"gap of {ratio:.2g} times its noise floor", 1, 1)
+            found[view.stage] = Structure(ratio**2, f"gap of {ratio:.2g} times its noise floor")
     if not found and tip_floor is not None:
         ratio = np.sqrt(2) * rms(comparison.tips.fetch([{}])[0]) / tip_floor
         if ratio > 1:
             stage = stage_of_tip_gap(comparison.grid, comparison.model)
-            found[stage] = Structure(ratio**2, f"tip gap of {ratio:.2g} times its noise floor", 1, 1)
+            found[stage] = Structure(ratio**2, f"tip gap of {ratio:.2g} times its noise floor")
     return found

@@ -74,7 +74,7 @@ def drift(view: View, before: NDArray[np.floating], after: NDArray[np.floating],
     if last**2 <= max(1.0, share * (first**2 - last**2)):
         return None
     return Structure(
-        last**2, f"velocity error of {1e3 * last * DRIFT_FLOOR_M_S:.1f} mm/s averaged over one second (drift)", 1, 1
+        last**2, f"velocity error of {1e3 * last * DRIFT_FLOOR_M_S:.1f} mm/s averaged over one second (drift)"
     )
 
 

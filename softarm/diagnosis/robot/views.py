@@ -53,38 +53,18 @@ class RobotView:
 
     stage = ""
     unit = ""
+    channels: tuple[str, ...] = ()
     acts: frozenset[str] = frozenset()
-    _channels: tuple[str, ...] = ()
+    own_nuisances: Mapping[str, float] = {}
     _floor = 0.0
     _echoed: frozenset[str] = frozenset()
 
     def __init__(self, grid: TrialGrid, model: Model) -> None:
         self.grid, self.model = grid, model
-
-    @property
-    def channels(self) -> tuple[str, ...]:
-        """Return the names of the channels, [S]."""
-        return self._channels
-
-    @property
-    def t_s(self) -> Array:
-        """Return the time on the trial's clock, s, [M]."""
-        return np.asarray(self.grid.flat(self.grid.t_s))
-
-    @property
-    def trial(self) -> NDArray[np.int64]:
-        """Return the index of each sample's trial, [M]."""
-        return self.grid.sample[1]
-
-    @property
-    def floor(self) -> Array:
-        """Return the noise floor, RMS, [S]."""
-        return np.full(len(self.channels), self._floor)
-
-    @property
-    def noise(self) -> Array:
-        """Return the RMS of further white measurement noise, [S]."""
-        return np.zeros(len(self.channels))
+        self.t_s: Array = np.asarray(grid.flat(grid.t_s))
+        self.trial = grid.sample[1]
+        self.floor: Array = np.full(len(self.channels), self._floor)
+        self.noise: Array = np.zeros(len(self.channels))
 
     @cached_property
     def measured(self) -> Array:
@@ -108,11 +88,6 @@ class RobotView:
     def echoes(self) -> frozenset[str]:
         """Return the features that contain the view's own measurement."""
         return frozenset(name for name in self.features if name in self._echoed or name.startswith(("link ", "tip ")))
-
-    @property
-    def own_nuisances(self) -> Mapping[str, float]:
-        """Return the nuisances of this view alone: name -> relative change at the edge."""
-        return {}
 
     def own_directions(self) -> NDArray[np.float32]:
         """Return the changes of the gap with the view's own nuisances, [q, M, S]."""
@@ -177,7 +152,7 @@ class RobotView:
 class PressureView(RobotView):
     """View from the pressure command to the regulator's reading."""
 
-    stage, unit, _channels, _floor = "pressure", "kPa", ("pressure",), FLOOR_KPA
+    stage, unit, channels, _floor = "pressure", "kPa", ("pressure",), FLOOR_KPA
     _echoed = frozenset({"pressure", "pressure rate"})
     acts = parameters(*_stage("pressure"))
 
@@ -208,7 +183,7 @@ class PressureView(RobotView):
 class RailView(RobotView):
     """View from the velocity command to the axis's read-back, with the arm's measured force."""
 
-    stage, unit, _channels, _floor = "rail", "m/s", ("velocity",), FLOOR_M_S
+    stage, unit, channels, _floor = "rail", "m/s", ("velocity",), FLOOR_M_S
     _echoed = frozenset({"cart position", "cart velocity", "cart acceleration"})
     acts = parameters(*_stage("rail"), "arm.payload", "arm.tilt", "arm.drag", "mocap.latency") | {ON_MOTOR}
 
@@ -275,21 +250,13 @@ class ArmView(RobotView):
         *_stage("arm"), "pressure.sensor_bias", "mocap.latency", "mocap.rotation", "mocap.scale", "rail.gain"
     ) | {ON_MOTOR}
 
-    @property
-    def channels(self) -> tuple[str, ...]:
-        """Return the names of the channels, [S]."""
-        return tuple(f"link {i} {part}" for part in ("y", "z") for i in range(1, self.grid.links + 1))
-
-    @property
-    def floor(self) -> Array:
-        """Return the noise floor, RMS, [S]."""
-        link = np.arange(1, self.grid.links + 1)
-        return np.concatenate((FLOOR_LINK_Y_M * link, FLOOR_LINK_Z_M * (1 + link) / 2))
-
-    @property
-    def noise(self) -> Array:
-        """Return the noise of a link end relative to the cart, m, [S]."""
-        return np.full(2 * self.grid.links, np.sqrt(2) * self.grid.noise_m)
+    def __init__(self, grid: TrialGrid, model: Model) -> None:
+        super().__init__(grid, model)
+        link = np.arange(1, grid.links + 1)
+        self.channels = tuple(f"link {i} {part}" for part in ("y", "z") for i in link)
+        self.floor = np.concatenate((FLOOR_LINK_Y_M * link, FLOOR_LINK_Z_M * (1 + link) / 2))
+        self.noise = np.full(2 * grid.links, np.sqrt(2) * grid.noise_m)  # of a link end relative to the cart
+        self.own_nuisances = {f"arm.{name}[{i}]": share for name, share in JOINT_SHARES.items() for i in link}
 
     def _seen(self) -> Array:
         seen = self.grid.links_m.copy()
@@ -308,11 +275,6 @@ class ArmView(RobotView):
         simulator = Simulator(self.model, 2 * n * len(self.grid.trials), ARM_HZ)
         moved = self._fly(simulator, [{}] * (2 * n), (changes[:, 0], changes[:, 1]))
         return self._less(moved) - self._gap([{}])
-
-    @property
-    def own_nuisances(self) -> Mapping[str, float]:
-        """Return the tolerances of single joints, by the model's names."""
-        return {f"arm.{n}[{i}]": share for n, share in JOINT_SHARES.items() for i in range(1, self.grid.links + 1)}
 
     def own_directions(self) -> NDArray[np.float32]:
         """Return the changes of the gap with the view's own nuisances, [q, M, S]."""
@@ -385,17 +347,16 @@ class ArmView(RobotView):
 class MocapView(RobotView):
     """View from the axis's read-back to the cart in mocap."""
 
-    stage, unit, _channels, _floor = "mocap", "m", ("cart y", "cart z"), FLOOR_MOCAP_M
+    stage, unit, channels, _floor = "mocap", "m", ("cart y", "cart z"), FLOOR_MOCAP_M
     acts = parameters("mocap.latency", "mocap.rotation", "mocap.scale", "mocap.offset") | {
         *_DRAW,
         ON_MOTOR,
         ABOUT_RAIL,
     }
 
-    @property
-    def noise(self) -> Array:
-        """Return the RMS of further white measurement noise, [S]."""
-        return np.full(2, self.grid.noise_m)
+    def __init__(self, grid: TrialGrid, model: Model) -> None:
+        super().__init__(grid, model)
+        self.noise = np.full(2, grid.noise_m)
 
     def _seen(self) -> Array:
         f = self.grid

@@ -11,6 +11,7 @@ from click.testing import CliRunner
 from softarm.cli.gap.blind import blind
 from softarm.diagnosis.blind import methods, opening, run, seal
 from softarm.diagnosis.data.trials import TrialError
+from softarm.diagnosis.robot import shrink
 from softarm.reality.record import record
 from softarm.schemas.model import Model
 from softarm.schemas.verdict import Gap, Interval, NamedEffect, Shrink, Verdict, Where
@@ -179,7 +180,7 @@ def test_the_patched_model_comes_from_the_method_or_its_verdict(data, monkeypatc
     assert run.answer_case(data / "case-a", "diagnose")["margins"] == {"pressure.gain": 0.4}
 
 
-def test_opening_scores_measures_and_writes_the_results(data, tmp_path):
+def test_opening_scores_measures_and_writes_the_results(data, tmp_path, monkeypatch):
     file, fresh = tmp_path / "answers.json", tmp_path / "fresh"
     shutil.copytree(data, fresh)
     run.run(data, file, processes=1)
@@ -189,8 +190,9 @@ def test_opening_scores_measures_and_writes_the_results(data, tmp_path):
         asked.append((trials[0].source, sorted(set(patched.effects) - set(nominal.effects))))
         return {"pressure": 0.55, "chain": 0.1}
 
+    monkeypatch.setattr(shrink, "measure_shrink", measure)
     labels = tmp_path / "sealed" / "labels.json"
-    result = opening.open_labels(data, labels, [file], tmp_path / "out", fresh, measure)
+    result = opening.open_labels(data, labels, [file], tmp_path / "out", fresh)
     assert [added for _, added in asked] == [["pressure.gain"]] * 3
     assert all(fresh in source.parents for source, _ in asked)
     measures = result["methods"]["diagnose"]["measures"]

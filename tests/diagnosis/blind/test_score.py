@@ -2,7 +2,6 @@
 
 import pytest
 
-from softarm.diagnosis.blind import pages
 from softarm.diagnosis.blind.score import Scored, answer_set, calibration, coverage, score, share
 from softarm.schemas.verdict import Gap, Interval, NamedEffect, Shrink, Verdict, Where
 
@@ -127,12 +126,3 @@ def test_coverage_counts_effects_alone_in_their_stage():
     assert (found["chain"]["hits"], found["chain"]["of"]) == (0, 1)
     assert found["chain"]["bias"] == pytest.approx(0.15)
     assert found["stage"]["width"] == pytest.approx(0.2)
-
-
-def test_the_table_has_a_column_for_each_method_and_no_share_without_cases():
-    scored = score([case("none", [], verdict="none")])
-    method = {"seconds_median": None, "seconds_worst": None, **scored}
-    text = pages.markdown({"methods": {"one": method, "two": method}})
-    assert "| 1 cases | one | two |" in text
-    assert "| single, exact | - | - |" in text
-    assert "| none, said so | 100% (21% .. 100%; 1 of 1) |" in text

@@ -114,12 +114,6 @@ def test_many_fits_at_once_are_each_alone(both):
     assert together[0].loss > together[1].loss > together[2].loss
 
 
-def test_an_interval_of_no_parameters_is_empty():
-    problem = _problem(_View())
-    low, high = problem.interval(_fit(problem))
-    assert len(low) == len(high) == 0
-
-
 @pytest.mark.parametrize(("scale", "end"), [(0.8, 0.5), (-0.8, -0.5)])
 def test_a_fit_stays_within_bounds_and_reports_an_effect_at_its_bound(scale, end):
     fit = _fit(_problem(_View(truth={SCALE: scale})), GAIN)
@@ -177,21 +171,6 @@ def test_a_strength_that_changes_from_kind_to_kind_scatters():
         view.measured[view.trial == trial] *= (1 + share) / 1.3
     assert steady < 0.05
     assert _fit(_problem(view), GAIN).scatter(0) > 5 * steady
-
-
-def test_of_one_kind_trials_are_the_folds_and_of_one_trial_its_stretches():
-    blocks = _problem(_View()).blocks
-    one_kind = Setup([_View()], (ZERO,), ("steps",) * 3).plain()
-    assert [int(f) for f in one_kind.fold] == [trial for trial, _ in blocks]
-    single = _View()
-    mine = single.trial == 0
-    single.t_s, single.trial, single.measured, single.inputs = (
-        single.t_s[mine],
-        single.trial[mine],
-        single.measured[mine],
-        single.inputs[:1],
-    )
-    assert len(set(Setup([single], (ZERO,), ("steps",)).plain().fold)) > 1
 
 
 def test_a_simulated_held_out_loss_is_the_linear_one_s_where_the_law_is_linear():

@@ -50,7 +50,7 @@ def named(t, before, after, flexible=0.0, effect=PAYLOAD, explained=None, bent=0
 
 
 def structure(energy):
-    return {"structures": {"arm": Structure(energy, "near a reversal", 1, 10)}}
+    return {"structures": {"arm": Structure(energy, "near a reversal")}}
 
 
 class Energies(Search):

@@ -116,13 +116,3 @@ def test_blocks_hold_every_row_once_and_none_holds_two_trials(view):
     for (number, _), part in residual.blocks:
         assert set(trial[part]) == {number}
         assert part.stop - part.start <= BLOCK_S * RATE_HZ * CHANNELS + CHANNELS
-
-
-def test_the_nuisances_gram_matrices_are_formed_once_block_by_block(view):
-    residual = _residual(view, weight=3.0)
-    assert residual.block_gg is residual.block_gg
-    np.testing.assert_allclose(residual.block_gg.sum(axis=0), residual.gg, rtol=1e-5)
-    for (_, part), gg in zip(residual.blocks, residual.block_gg, strict=True):
-        samples = (part.stop - part.start) / CHANNELS
-        # One nuisance moves both channels by one, the other the second channel by two.
-        np.testing.assert_allclose(gg, 3.0 * samples * np.array([[2.0, 2.0], [2.0, 4.0]]), rtol=1e-5)

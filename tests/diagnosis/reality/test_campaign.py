@@ -2,9 +2,6 @@
 
 import pytest
 
-from softarm.reality.record import record
-from softarm.schemas.excitation import EXCITATIONS
-
 DEAD_TIME_S = 0.06
 pytestmark = pytest.mark.slow
 
@@ -27,10 +24,3 @@ def test_its_one_fault_is_named_and_its_size_lies_in_its_interval(diagnosed):
 def test_where_nothing_is_wrong_nothing_is_named(diagnosed):
     found = diagnosed(0.0)
     assert (found.verdict.verdict, found.verdict.effects, found.patched) == ("none", (), None)
-
-
-def test_it_is_always_the_same_campaign(flown, tmp_path):
-    campaign = flown(0.0)
-    again = record(EXCITATIONS["both"].at, tmp_path / "both", 8.0, seed=1, kind="both")
-    for file in sorted(again.iterdir()):
-        assert file.read_bytes() == (campaign / "both" / file.name).read_bytes(), file.name
