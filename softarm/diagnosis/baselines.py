@@ -11,6 +11,7 @@ import numpy as np
 from softarm.diagnosis.data.trials import Trial
 from softarm.diagnosis.engine.fits import Fit
 from softarm.diagnosis.engine.problem import Setup
+from softarm.diagnosis.engine.result import Diagnosis
 from softarm.diagnosis.engine.search import EFFECTS_MAX, Search
 from softarm.diagnosis.robot.candidates import candidates, nuisances
 from softarm.diagnosis.robot.trial_grid import on_grid
@@ -23,15 +24,15 @@ GAIN_MIN = 0.1  # smallest gain of `largest_gain`, as a share of the misfit
 CLEARLY = 1.96  # smallest distance from nominal of `all_at_once`, in half intervals
 
 
-def largest_gain(trials: Sequence[Trial], model: Model) -> Verdict:
+def largest_gain(trials: Sequence[Trial], model: Model) -> Diagnosis:
     """Return the effect that, alone, lowers the nominal misfit most."""
     search = _search(trials, model)
     null_model = search.problem.fit([((), ())])[0]
     best = min(search.extended(null_model), key=lambda f: f.loss)
-    return _named(best if best.loss < (1 - GAIN_MIN) * null_model.loss else null_model)
+    return _named(best if best.loss < (1 - GAIN_MIN) * null_model.loss else null_model, model)
 
 
-def bic(trials: Sequence[Trial], model: Model) -> Verdict:
+def bic(trials: Sequence[Trial], model: Model) -> Diagnosis:
     """Return the effects of a forward selection by BIC, with every sample taken as independent."""
     search = _search(trials, model)
     samples = sum(residual.kept for residual in search.problem.whitened)
@@ -45,10 +46,10 @@ def bic(trials: Sequence[Trial], model: Model) -> Verdict:
         if criterion(best) >= criterion(chosen):
             break
         chosen = best
-    return _named(chosen)
+    return _named(chosen, model)
 
 
-def all_at_once(trials: Sequence[Trial], model: Model) -> Verdict:
+def all_at_once(trials: Sequence[Trial], model: Model) -> Diagnosis:
     """Fit all parameters together and return the effect that differs most significantly from nominal."""
     search = _search(trials, model)
     known = {c.name: c for c in reversed(search.candidates)}
@@ -66,7 +67,8 @@ def all_at_once(trials: Sequence[Trial], model: Model) -> Verdict:
         ranked.append((clear, effect, us))
         at += len(us)
     clear, effect, us = max(ranked, key=lambda each: each[0])
-    return _named(replace(fit, effects=(effect,), u=(us,)) if clear > CLEARLY else replace(fit, effects=(), u=()))
+    named = ((effect,), (us,)) if clear > CLEARLY else ((), ())
+    return _named(replace(fit, effects=named[0], u=named[1]), model)
 
 
 def _search(trials: Sequence[Trial], model: Model) -> Search:
@@ -76,8 +78,8 @@ def _search(trials: Sequence[Trial], model: Model) -> Search:
     return Search(setup.weighed(), setup.plain(), [view.stage for view in views], candidates(model))
 
 
-def _named(fit: Fit) -> Verdict:
-    """Return a verdict that names all effects of a fit."""
+def _named(fit: Fit, model: Model) -> Diagnosis:
+    """Return a diagnosis that names all effects of a fit; the patched model is the nominal one with them."""
     effects = []
     for candidate, us in zip(fit.effects, fit.u, strict=True):
         parameters = {
@@ -90,4 +92,7 @@ def _named(fit: Fit) -> Verdict:
     stage = REGISTRY[effects[0].name].stage if effects else None
     where = Where(stage=stage, share={stage: 1.0} if stage else {}, regime="not asked")
     empty = Gap(before={}, after={}, floor={}, ceiling={})
-    return Verdict(verdict="named" if effects else "none", where=where, effects=tuple(effects), gap=empty)
+    verdict = Verdict(verdict="named" if effects else "none", where=where, effects=tuple(effects), gap=empty)
+    named = {each.name: {name: estimate.value for name, estimate in each.parameters.items()} for each in effects}
+    patched = model.model_copy(update={"effects": {**model.effects, **named}})
+    return Diagnosis(verdict, model, patched, ())

@@ -223,7 +223,7 @@ class Simulator:
         """
         self._command(self._at.cart_command, cart_velocity_m_s)
         self._command(self._at.pressure_command, pressure_kpa)
-        self._run_late(self._advance, duration_s, late_s)
+        self._run_late(self._advance, duration_s, late_s, 0)
 
     def fly(self, cart_velocity_m_s: Array, pressure_kpa: Array, step_s: float = CONTROL_PERIOD_S) -> Array:
         """Run T commands of step_s each on this thread, with the same bits as T calls of `step`.
@@ -258,8 +258,8 @@ class Simulator:
         self.time_s += (shape[0] - 1) * step_s
         return path
 
-    def take_over(self, other: "Simulator", robot: int = 0) -> None:
-        """Copy the state and the pending commands of one robot of another simulator to every robot.
+    def take_over(self, other: "Simulator") -> None:
+        """Copy the state and the pending commands of another simulator's first robot to every robot.
 
         Parameters stay this simulator's own. Raises ValueError if the numbers of links differ.
         """
@@ -267,9 +267,8 @@ class Simulator:
             raise ValueError(
                 f"the other simulator's arms have {other.links} links, these have {self.links}: simulate the same arm"
             )
-        block, lane = divmod(robot, len(other._lanes))
         moving = slice(self._at.q, self._at.cart_command)
-        self._rows[:, moving] = other._rows[block, moving, lane][:, None]
+        self._rows[:, moving] = other._rows[0, moving, 0][:, None]
         self._located = False
 
     def place(
@@ -295,7 +294,7 @@ class Simulator:
     def step_pressure(self, pressure_kpa: ArrayLike, duration_s: float, *, late_s: ArrayLike | None = None) -> None:
         """Advance only the pressure, with the arguments of `step`."""
         self._command(self._at.pressure_command, pressure_kpa)
-        self._run_late(kernel.advance_pressure, duration_s, late_s)
+        self._run_late(kernel.advance_pressure, duration_s, late_s, layout.CART_GIVEN)
 
     def step_cart(
         self,
@@ -315,7 +314,7 @@ class Simulator:
         """
         self._command(self._at.cart_command, cart_velocity_m_s)
         self._command(self._at.cart_push, arm_force_n)
-        self._run_late(kernel.advance_cart, duration_s, late_s)
+        self._run_late(kernel.advance_cart, duration_s, late_s, layout.PRESSURE_GIVEN)
 
     def step_arm(
         self,
@@ -429,12 +428,12 @@ class Simulator:
         everyone = np.arange(self.robots)
         return everyone if robots is None else everyone[np.asarray(robots)]
 
-    def _run_late(self, entry: Callable[..., None], duration_s: float, late_s: ArrayLike | None) -> None:
+    def _run_late(self, entry: Callable[..., None], duration_s: float, late_s: ArrayLike | None, given: int) -> None:
         """Run with commands that are issued `late_s` after the start of the step."""
         if late_s is not None:
             self._command(self._at.late, late_s)
             self._given |= layout.PRESSURE  # keeps the history of pressure commands
-        self._run(entry, duration_s)
+        self._run(entry, duration_s, given)
         if late_s is not None:
             self._rows[:, self._at.late] = 0.0
 

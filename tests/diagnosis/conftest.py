@@ -29,10 +29,15 @@ def one_thread():
 
 
 def _record(excitation: str, model: Model | None = None, seed: int = 0, noise: float = 1.0) -> Trial:
+    return _recorded(excitation, (model or Model()).model_dump_json(), seed, noise)
+
+
+@cache
+def _recorded(excitation: str, model: str, seed: int, noise: float) -> Trial:
     """A trial at 1200 Hz physics: mocap at 120 Hz, commands, regulator and rail at 60 Hz."""
     draw = np.random.default_rng(seed)
     plan = EXCITATIONS[excitation]
-    robot = Simulator(model, physics_rate_hz=1200.0)
+    robot = Simulator(Model.model_validate_json(model), physics_rate_hz=1200.0)
     for _ in range(90):  # hang still before the recording
         robot.step(0.0, 0.0, 1 / 30)
     frames, slow = [], []
@@ -136,7 +141,7 @@ def campaign() -> Callable[..., tuple[Trial, ...]]:
 
 @pytest.fixture(scope="session")
 def record() -> Callable[..., Trial]:
-    """Record an excitation on the bench."""
+    """Record an excitation on the bench; equal recordings are made once."""
     return _record
 
 

@@ -2,7 +2,7 @@
 
 import pytest
 
-from softarm.diagnosis.blind.methods import METHODS, patched
+from softarm.diagnosis.blind.run import METHODS
 from softarm.schemas.model import Model
 from softarm.simulator.effects import validate
 
@@ -11,17 +11,19 @@ LATE = (("pressure.dead_time", (("delay", 0.06),)),)
 LATE_AND_LOADED = (*LATE, ("arm.payload", (("mass", 0.06),)))
 
 
-def _names(verdict):
-    return [effect.name for effect in verdict.effects]
+def _names(diagnosis):
+    return [effect.name for effect in diagnosis.verdict.effects]
 
 
 @pytest.mark.parametrize("method", ["largest-gain", "bic"])
 def test_one_strong_effect_is_named(campaign, method):
-    verdict = METHODS[method](campaign(LATE), Model())
-    assert _names(verdict)[0] == "pressure.dead_time"
+    found = METHODS[method](campaign(LATE), Model())
+    verdict = found.verdict
+    assert _names(found)[0] == "pressure.dead_time"
     assert verdict.effects[0].parameters["delay"].value == pytest.approx(0.06, abs=0.01)
     assert verdict.where.stage == "pressure"
-    validate(patched(Model(), verdict).effects)
+    assert found.patched.effects["pressure.dead_time"]["delay"] == verdict.effects[0].parameters["delay"].value
+    validate(found.patched.effects)
 
 
 def test_the_largest_gain_is_of_one_effect_however_many_there_are(campaign):
@@ -29,8 +31,8 @@ def test_the_largest_gain_is_of_one_effect_however_many_there_are(campaign):
 
 
 def test_the_largest_gain_sees_no_gap_where_there_is_none(campaign):
-    verdict = METHODS["largest-gain"](campaign(), Model())
-    assert (verdict.verdict, _names(verdict)) == ("none", [])
+    found = METHODS["largest-gain"](campaign(), Model())
+    assert (found.verdict.verdict, _names(found)) == ("none", [])
 
 
 def test_bic_goes_on_to_the_second_effect(campaign):
@@ -38,11 +40,11 @@ def test_bic_goes_on_to_the_second_effect(campaign):
 
 
 def test_all_at_once_names_one_effect_of_the_registry_and_its_patch_is_a_model(campaign):
-    verdict = METHODS["all-at-once"](campaign(LATE), Model())
-    assert len(verdict.effects) <= 1
-    validate(patched(Model(), verdict).effects)
+    found = METHODS["all-at-once"](campaign(LATE), Model())
+    assert len(_names(found)) <= 1
+    validate(found.patched.effects)
 
 
 def test_the_order_of_the_trials_does_not_count(campaign):
     trials = campaign(LATE)
-    assert METHODS["largest-gain"](trials, Model()) == METHODS["largest-gain"](trials[::-1], Model())
+    assert METHODS["largest-gain"](trials, Model()).verdict == METHODS["largest-gain"](trials[::-1], Model()).verdict

@@ -6,8 +6,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from benchmarks import commands
-from softarm.reality.parameters import Rail, RobotParameters
-from softarm.reality.robot import Robot
 from softarm.schemas.model import Arm, Cart, Model, seed_effects
 from softarm.simulator.simulator import Simulator
 from tests.simulator import stages
@@ -145,27 +143,3 @@ def test_a_cart_that_is_held_or_given_has_no_drive_to_limit() -> None:
             simulator.step(0.5, 10.0)
     np.testing.assert_array_equal(free.link_angles_rad, bound.link_angles_rad)
     assert abs(bound.cart_position_m[0]) < 1e-9
-
-
-@pytest.mark.parametrize("force_n", [1.2, 2.2])
-def test_the_limit_equals_the_independent_robots(force_n: float) -> None:
-    """A start, a step and a reversal that the motor cannot follow; without the law the cart is elsewhere.
-
-    No longer than that: at the next turn the other's ramp runs ahead of its cart, which is another law than ours.
-    """
-    robot = Robot(RobotParameters(rail=Rail(force_limit_n=force_n)), hanging=True)
-    ours, ideal = (Simulator(Model(effects=effects), 1, 1200.0) for effects in (limited(force_n), seed_effects()))
-    for simulator in (ours, ideal):
-        simulator.reset(joint_angles_rad=np.diff(robot.truth.link_angles_rad, prepend=0.0))
-    apart = []
-    for tick in range(24):
-        velocity = 0.25 if tick < 6 else 0.5 if tick < 12 else -0.5
-        robot.command(tick * PERIOD_S, velocity, 0.0)
-        robot.advance((tick + 1) * PERIOD_S)
-        for simulator in (ours, ideal):
-            simulator.step(velocity, 0.0)
-        there = robot.truth.cart_position_m
-        apart.append([simulator.cart_position_m[0] - there for simulator in (ours, ideal)])
-    near, far = np.abs(apart).max(axis=0)
-    assert near < 0.001
-    assert far > 10 * near

@@ -33,7 +33,7 @@ def write_case(case: Case, data: Path, fresh: Path | None = None) -> str:
     return case.name
 
 
-def is_written(case: Case, data: Path, fresh: Path | None = None) -> bool:
+def is_written(case: Case, data: Path, fresh: Path | None) -> bool:
     """Return whether a case was written completely."""
     return all((root / case.name / "model.yaml").is_file() for root in (data, fresh) if root is not None)
 
@@ -67,19 +67,16 @@ def prepare(data: Path, labels_file: Path, fresh: Path | None, count: int, seed:
     return cases
 
 
-def write_cases(
-    cases: Sequence[Case], data: Path, fresh: Path | None, processes: int = 2, on_case: OnCase | None = None
-) -> None:
+def write_cases(cases: Sequence[Case], data: Path, fresh: Path | None, processes: int, on_case: OnCase) -> None:
     """Simulate and write the cases that are not complete yet; `on_case` is called for complete ones too."""
-    finished = on_case or (lambda name: None)
     todo = []
     for case in cases:
         if is_written(case, data, fresh):
-            finished(case.name)
+            on_case(case.name)
         else:
             todo.append(case)
     for _, name in as_they_come(partial(write_case, data=data, fresh=fresh), todo, processes):
-        finished(name)
+        on_case(name)
 
 
 def _fly(robot: RobotParameters, trial: PlannedTrial, folder: Path) -> None:

@@ -9,6 +9,7 @@ from typing import Any
 from softarm.diagnosis.blind import pages, run, seal
 from softarm.diagnosis.blind.score import Scored, score
 from softarm.diagnosis.data import read
+from softarm.diagnosis.robot.shrink import measure_shrink
 from softarm.schemas.model import Model
 from softarm.schemas.verdict import Verdict
 from softarm.simulator import model_file
@@ -23,7 +24,7 @@ def open_labels(
     answer_files: Sequence[Path],
     out: Path,
     fresh: Path | None = None,
-    on_case: OnCase | None = None,
+    on_case: OnCase = lambda case, done, of: None,
 ) -> dict[str, Any]:
     """Score each file of answers and write `score.json`, `score.md` and `reliability-METHOD.png` to `out`.
 
@@ -73,11 +74,7 @@ def _check_complete(file: Path, content: Mapping[str, Any], labels: seal.Labels,
             raise seal.SealError(f"{data / case}: changed after it was answered; run `softarm blind run` again")
 
 
-def _scored(
-    labels: seal.Labels, content: Mapping[str, Any], fresh: Path | None, on_case: OnCase | None
-) -> list[Scored]:
-    from softarm.diagnosis.robot.shrink import measure_shrink  # compiles the simulator
-
+def _scored(labels: seal.Labels, content: Mapping[str, Any], fresh: Path | None, on_case: OnCase) -> list[Scored]:
     cases = []
     answers = content["answers"]
     for number, answer in enumerate(answers, 1):
@@ -101,6 +98,5 @@ def _scored(
                 shrink,
             )
         )
-        if on_case is not None:
-            on_case(answer["case"], number, len(answers))
+        on_case(answer["case"], number, len(answers))
     return cases

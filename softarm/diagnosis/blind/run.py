@@ -1,4 +1,7 @@
-"""Running of a method on every case: in parallel, restartable, frozen at the end, without access to the labels."""
+"""Running of a method on every case: in parallel, restartable, frozen at the end, without access to the labels.
+
+The methods are the diagnosis and simpler baselines, all with the same inputs.
+"""
 
 import json
 import time
@@ -12,25 +15,34 @@ from typing import Any
 from softarm import common, diagnosis, schemas, simulator
 from softarm.common.processes import as_they_come
 from softarm.common.words import did_you_mean
-from softarm.diagnosis.blind import methods, seal
+from softarm.diagnosis import baselines
+from softarm.diagnosis.blind import seal
 from softarm.diagnosis.data import read
 from softarm.diagnosis.data.trials import Trial
+from softarm.diagnosis.diagnose import diagnose
+from softarm.diagnosis.engine.result import Diagnosis
 from softarm.schemas.model import Model
-from softarm.schemas.verdict import Verdict
 from softarm.simulator import model_file
 
-Clock = Callable[[], float]
 # case, answered, of
 OnAnswer = Callable[[str, int, int], None]
+Method = Callable[[Sequence[Trial], Model], Diagnosis]
 _CODE = (".py", ".yaml", ".json")
+
+METHODS: dict[str, Method] = {
+    "diagnose": diagnose,
+    "largest-gain": baselines.largest_gain,  # the effect that explains most
+    "bic": baselines.bic,  # forward selection by BIC
+    "all-at-once": baselines.all_at_once,  # all effects fitted, ranked by value over interval
+}
 
 
 def run(
     data: Path,
     file: Path,
-    method: str = methods.DEFAULT,
+    method: str = "diagnose",
     processes: int = 2,
-    on_answer: OnAnswer | None = None,
+    on_answer: OnAnswer = lambda case, answered, of: None,
     trials: int | None = None,
 ) -> str:
     """Answer every case, freeze the file of answers and return its SHA-256.
@@ -41,9 +53,9 @@ def run(
     The method sees the first `trials` of each case by name, or all. Raises SealError if the folder contains no cases,
     or the method is unknown.
     """
-    if method not in methods.METHODS:
-        hint = did_you_mean(method, methods.METHODS)
-        raise seal.SealError(f"unknown method {method!r}; {hint}allowed are {', '.join(methods.METHODS)}")
+    if method not in METHODS:
+        hint = did_you_mean(method, METHODS)
+        raise seal.SealError(f"unknown method {method!r}; {hint}allowed are {', '.join(METHODS)}")
     cases = folders(data)
     seal.keep_apart(file, data)
     file.parent.mkdir(parents=True, exist_ok=True)
@@ -56,8 +68,7 @@ def run(
             done[answer["case"]] = answer
             out.write(json.dumps({**about, **answer}) + "\n")
             out.flush()
-            if on_answer is not None:
-                on_answer(answer["case"], len(done), len(cases))
+            on_answer(answer["case"], len(done), len(cases))
     _write(file, about, done)
     unfinished.unlink()
     return seal.freeze(file)
@@ -73,35 +84,31 @@ def folders(data: Path) -> list[Path]:
     return cases
 
 
-def answer_case(
-    folder: Path, method: str, shown: int | None = None, clock: Clock = time.process_time
-) -> dict[str, Any]:
+def answer_case(folder: Path, method: str, shown: int | None = None) -> dict[str, Any]:
     """Return a method's answer to one case; an exception of the method is recorded as a failure.
 
     The method sees the first `shown` trials, or all, and the model, but neither the case's name nor its path.
     """
-    begin = clock()
+    begin = time.process_time()
     model = model_file.load(folder / "model.yaml")
     trials = [_anonymous(trial, folder) for trial in read.read_all([folder])][:shown]
-    verdict: Verdict | None = None
-    patched: Model | None = None
+    answer: dict[str, Any] = {"verdict": None, "patched_model": None, "margins": {}}
     failure = ""
-    margins: dict[str, float] = {}
     try:
-        found = methods.METHODS[method](trials, model)
-        verdict, own = (found, None) if isinstance(found, Verdict) else (found.verdict, found.patched)
-        margins = {} if isinstance(found, Verdict) else dict(found.margins)
-        patched = own or methods.patched(model, verdict)
+        found = METHODS[method](trials, model)
+        answer = {
+            "verdict": found.verdict.model_dump(mode="json"),
+            "patched_model": (found.patched or model).model_dump(),
+            "margins": dict(found.margins),
+        }
     except Exception as error:  # a failure is scored, and the other cases continue
         failure = f"{type(error).__name__}: {error}"
     return {
         "case": folder.name,
         "data": digest(folder),
-        "verdict": None if verdict is None else verdict.model_dump(mode="json"),
-        "patched_model": None if patched is None else patched.model_dump(),
-        "margins": margins,
+        **answer,
         "failure": failure,
-        "seconds": clock() - begin,
+        "seconds": time.process_time() - begin,
     }
 
 

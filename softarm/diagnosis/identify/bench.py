@@ -60,10 +60,9 @@ class Bench:
         angles, rates = np.split(starts, 2, axis=1)
         simulator.reset(joint_angles_rad=np.diff(angles, axis=1, prepend=0.0), link_rates_rad_s=rates)
         speeds = CubicSpline(motion.t_s, motion.cart_m).derivative()(motion.t_s)
-        carts = np.column_stack((motion.cart_m - motion.cart_m[0], speeds, motion.pressure_at(motion.t_s))).tolist()
-        lengths = np.round(
-            np.diff(motion.t_s), 8
-        ).tolist()  # equal to the last bit, so that the simulator reuses its preparation
+        carts = np.column_stack((motion.cart_m - motion.cart_m[0], speeds, motion.pressure_kpa)).tolist()
+        # Equal to the last bit, so that the simulator reuses its preparation.
+        lengths = np.round(np.diff(motion.t_s), 8).tolist()
         seen = [simulator.link_angles_rad]
         for (before, (cart, speed, pressure)), length in zip(pairwise(carts), lengths, strict=True):
             simulator.step_arm(cart, speed, pressure, length, start=before)

@@ -29,18 +29,8 @@ class Motion:
     noise: Array  # [3 n] standard deviation of each, from frame to frame
     cart_m: Array  # [N] along the rail, filtered; constant when it was held
     pressure_kpa: Array  # [N] at the stamps
-    readings: Series  # of the pressure sensor, on their own stamps
     start: Array  # [2 n] absolute link angles (rad) at the start, and their rates (rad/s): a first guess
     compared: NDArray[np.bool_]  # [N] False in gaps and for SETTLE_S after them
-
-    def pressure_at(self, t_s: Array) -> Array:
-        """Return the interpolated pressure, kPa."""
-        return np.asarray(np.interp(t_s, self.readings.t_s, self.readings["pressure"]))
-
-    @property
-    def links(self) -> int:
-        """Return the number of links."""
-        return int(self.signals.shape[1]) // 3
 
     @property
     def angles_rad(self) -> Array:
@@ -103,7 +93,6 @@ def measured(trial: Trial, links: int) -> Motion:
         _noise(signals),
         cart_y,
         np.interp(t, pressure.t_s, pressure["pressure"]),
-        pressure,
         start,
         _compared(t, pressure),
     )

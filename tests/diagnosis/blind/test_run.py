@@ -3,15 +3,16 @@
 import inspect
 import json
 import shutil
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from click.testing import CliRunner
 
 from softarm.cli.gap.blind import blind
-from softarm.diagnosis.blind import methods, opening, run, seal
+from softarm.diagnosis.blind import opening, run, seal
 from softarm.diagnosis.data.trials import TrialError
-from softarm.diagnosis.robot import shrink
+from softarm.diagnosis.engine.result import Diagnosis
 from softarm.reality.record import record
 from softarm.schemas.model import Model
 from softarm.schemas.verdict import Gap, Interval, NamedEffect, Shrink, Verdict, Where
@@ -62,12 +63,15 @@ def names_gain(trials, model):
         shrink=Shrink(stage=Interval(value=0.5, low=0.4, high=0.6)),
     )
     where = Where(stage="pressure", share={"pressure": 1.0}, regime=f"{seen} {rms!r} {sorted(model.effects)}")
-    return Verdict(verdict="named", where=where, effects=(effect,), gap=Gap(before={}, after={}, floor={}, ceiling={}))
+    gap = Gap(before={}, after={}, floor={}, ceiling={})
+    verdict = Verdict(verdict="named", where=where, effects=(effect,), gap=gap)
+    patched = model.model_copy(update={"effects": {**model.effects, "pressure.gain": {}}})
+    return Diagnosis(verdict, model, patched, (), margins={"pressure.gain": 0.4})
 
 
 @pytest.fixture(autouse=True)
 def stand_in(monkeypatch):
-    monkeypatch.setitem(methods.METHODS, "diagnose", names_gain)
+    monkeypatch.setitem(run.METHODS, "diagnose", names_gain)
 
 
 def answers_of(file):
@@ -115,14 +119,14 @@ def test_an_interrupted_run_continues_and_no_case_is_answered_twice(data, tmp_pa
 
     file = tmp_path / "answers.json"
     run.run(data, tmp_path / "whole.json", processes=1)
-    monkeypatch.setitem(methods.METHODS, "diagnose", stops)
+    monkeypatch.setitem(run.METHODS, "diagnose", stops)
     with pytest.raises(KeyboardInterrupt):
         run.run(data, file, processes=1)
     assert not file.exists()
     with (tmp_path / "answers.json.partial").open("a") as out:
         out.write('{"case": "case-c", "cut o')
     seen = []
-    monkeypatch.setitem(methods.METHODS, "diagnose", lambda t, m: seen.append(t) or names_gain(t, m))
+    monkeypatch.setitem(run.METHODS, "diagnose", lambda t, m: seen.append(t) or names_gain(t, m))
     run.run(data, file, processes=1)
     assert len(seen) == 1
     assert file.read_bytes() == (tmp_path / "whole.json").read_bytes()
@@ -133,7 +137,7 @@ def test_an_interrupted_run_continues_and_no_case_is_answered_twice(data, tmp_pa
 
 def test_changed_data_or_another_tool_are_answered_again(data, tmp_path, monkeypatch):
     file, seen = tmp_path / "answers.json", []
-    monkeypatch.setitem(methods.METHODS, "diagnose", lambda t, m: seen.append(t) or names_gain(t, m))
+    monkeypatch.setitem(run.METHODS, "diagnose", lambda t, m: seen.append(t) or names_gain(t, m))
     run.run(data, file, processes=1)
     csv = data / "case-b" / "trial-1" / "pressure.csv"
     csv.write_text("".join(csv.read_text().splitlines(keepends=True)[:-1]))
@@ -148,7 +152,7 @@ def test_a_failure_is_an_answer_and_the_other_cases_continue(data, tmp_path, mon
     def falls(trials, model):
         raise TrialError("too short")
 
-    monkeypatch.setitem(methods.METHODS, "diagnose", falls)
+    monkeypatch.setitem(run.METHODS, "diagnose", falls)
     run.run(data, tmp_path / "answers.json", processes=1)
     answers = answers_of(tmp_path / "answers.json")
     assert [answer["failure"] for answer in answers.values()] == ["TrialError: too short"] * 3
@@ -164,20 +168,12 @@ def test_an_invalid_run_is_refused(data, tmp_path):
         run.run(data, data / "answers.json")
 
 
-def test_the_patched_model_comes_from_the_method_or_its_verdict(data, monkeypatch):
-    own = Model().model_copy(update={"effects": {"rail.gain": {"scale": 0.05}}})
-
-    class Diagnosis:
-        verdict, patched = names_gain(opening.read.read_all([data / "case-a"]), Model()), own
-        margins = {"pressure.gain": 0.4}  # noqa: RUF012
-
-    assert Model.model_validate(run.answer_case(data / "case-a", "diagnose")["patched_model"]).effects == {
-        **Model().effects,
-        "pressure.gain": {},
-    }
-    monkeypatch.setitem(methods.METHODS, "diagnose", lambda trials, model: Diagnosis)
-    assert run.answer_case(data / "case-a", "diagnose")["patched_model"]["effects"] == own.effects
-    assert run.answer_case(data / "case-a", "diagnose")["margins"] == {"pressure.gain": 0.4}
+def test_an_answer_has_the_patched_model_and_the_margins_of_its_method(data, monkeypatch):
+    answer = run.answer_case(data / "case-a", "diagnose")
+    assert Model.model_validate(answer["patched_model"]).effects == {**Model().effects, "pressure.gain": {}}
+    assert answer["margins"] == {"pressure.gain": 0.4}
+    monkeypatch.setitem(run.METHODS, "diagnose", lambda trials, model: replace(names_gain(trials, model), patched=None))
+    assert Model.model_validate(run.answer_case(data / "case-a", "diagnose")["patched_model"]) == Model()
 
 
 def test_opening_scores_measures_and_writes_the_results(data, tmp_path, monkeypatch):
@@ -190,7 +186,7 @@ def test_opening_scores_measures_and_writes_the_results(data, tmp_path, monkeypa
         asked.append((trials[0].source, sorted(set(patched.effects) - set(nominal.effects))))
         return {"pressure": 0.55, "chain": 0.1}
 
-    monkeypatch.setattr(shrink, "measure_shrink", measure)
+    monkeypatch.setattr(opening, "measure_shrink", measure)
     labels = tmp_path / "sealed" / "labels.json"
     result = opening.open_labels(data, labels, [file], tmp_path / "out", fresh)
     assert [added for _, added in asked] == [["pressure.gain"]] * 3

@@ -1,6 +1,6 @@
 """Calibration: resolved parameters come back with their share of the gap; the others stay nominal."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 import pytest
@@ -8,6 +8,7 @@ import pytest
 from softarm.diagnosis.answer.calibration import calibrated
 from softarm.diagnosis.engine.candidates import Nuisance
 from softarm.diagnosis.engine.problem import Setup
+from tests.diagnosis.engine.gauge import Gauge
 
 RATE_HZ, LENGTH_S, NOISE = 60.0, 6.0, 0.05
 SCALE, BIAS, SLOPE = "stage.gain.scale", "stage.zero.bias", "stage.drift.slope"
@@ -16,19 +17,13 @@ NOMINAL = {each.path: each.nominal for each in NUISANCES}
 
 
 @dataclass
-class _Gauge:
+class _Gauge(Gauge):
     """A gauge with a scale, a bias and a slope in time; three trials."""
 
     truth: dict[str, float]
     seed: int = 0
     rate_hz: float = RATE_HZ
-    stage, unit, channels = "stage", "-", ("reading",)
     acts = frozenset({SCALE, BIAS, SLOPE})
-    noise: np.ndarray = field(default_factory=lambda: np.zeros(1))
-    regimes, features, own_nuisances = {}, {}, {}
-
-    def start_directions(self):
-        return None
 
     def __post_init__(self):
         t = np.arange(round(self.rate_hz * LENGTH_S)) / self.rate_hz
@@ -41,9 +36,6 @@ class _Gauge:
     def _predict(self, point):
         at = NOMINAL | dict(point)
         return at[SCALE] * self.inputs + at[BIAS] + at[SLOPE] * self.t_s
-
-    def gap(self, points):
-        return np.stack([self.measured - self._predict(p)[:, None] for p in points]).astype(np.float32)
 
 
 def calibration(truth, seed=0, rate_hz=RATE_HZ):

@@ -10,6 +10,7 @@ from softarm.diagnosis.engine.candidates import Candidate, FittedParameter, Nuis
 from softarm.diagnosis.engine.examination import Examination
 from softarm.diagnosis.engine.problem import Setup
 from softarm.diagnosis.engine.thresholds import RIG, ROBOT
+from tests.diagnosis.engine.gauge import Gauge
 
 RATE_HZ, LENGTH_S, NOISE = 50.0, 6.0, 0.02
 SWING, LEVEL, BIAS = "stage.swing.size", "stage.level.height", "stage.zero.bias"
@@ -24,15 +25,10 @@ def _candidate(path, *starts):
 
 
 @dataclass
-class _View:
+class _View(Gauge):
     """A reading with a swing, a level that is missing in a third of the data, and a zero that the model has."""
 
-    stage, unit, channels = "stage", "-", ("reading",)
     acts = frozenset({SWING, LEVEL, BIAS, STOP})
-    regimes, features, own_nuisances, echoes = {}, {}, {}, frozenset()
-
-    def start_directions(self):
-        return None
 
     def __post_init__(self):
         t = np.arange(round(RATE_HZ * LENGTH_S)) / RATE_HZ
@@ -40,7 +36,7 @@ class _View:
         self.swing = np.concatenate((np.sin(2 * t), np.sin(5 * t), np.sin(2 * t) + np.sin(5 * t)))
         self.level = np.tile(t > LENGTH_S / 3, 3)
         self.features = {"swing": self.swing, "level": self.level.astype(float)}
-        self.floor, self.noise = np.array([NOISE]), np.zeros(1)
+        self.floor = np.array([NOISE])
         noise = NOISE * np.random.default_rng(0).normal(size=len(self.t_s))
         self.measured = (self._predict(TRUTH) + noise)[:, None]
 
@@ -48,9 +44,6 @@ class _View:
         level = point.get(LEVEL, 0.0) * self.level
         reading = point.get(SWING, 0.0) * self.swing + level + point.get(BIAS, 0.0)
         return np.maximum(reading, point.get(STOP, 0.0) - 9.0)  # a stop that no sample reaches
-
-    def gap(self, points):
-        return np.stack([self.measured - self._predict(p)[:, None] for p in points]).astype(np.float32)
 
 
 @pytest.fixture(params=[ROBOT, RIG], ids=["robot", "rig"])

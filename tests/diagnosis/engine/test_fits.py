@@ -10,6 +10,7 @@ from softarm.diagnosis.engine.candidates import Candidate, FittedParameter, Nuis
 from softarm.diagnosis.engine.held_out import BlockSums
 from softarm.diagnosis.engine.problem import Setup
 from softarm.diagnosis.engine.whitened import BLOCK_S
+from tests.diagnosis.engine.gauge import Gauge
 
 RATE_HZ, LENGTH_S, NOISE = 60.0, 6.0, 0.05
 KINDS = ("steps", "chirp", "decay")
@@ -28,17 +29,12 @@ UNSEEN = Nuisance("elsewhere.zero.bias", 0.0, -0.3, 0.3)  # of another stage: no
 
 
 @dataclass
-class _View:
+class _View(Gauge):
     """A lagging gauge with three trials: (1 + scale) x lag(input) + bias, and noise."""
 
     seed: int = 0
     truth: dict[str, float] = field(default_factory=lambda: dict(TRUE))
-    stage, unit, channels = "stage", "-", ("reading",)
     acts = frozenset({SCALE, TIME, BIAS})
-    regimes, features, own_nuisances = {}, {}, {}
-
-    def start_directions(self):
-        return None
 
     def __post_init__(self):
         steps = round(RATE_HZ * LENGTH_S)
@@ -58,9 +54,6 @@ class _View:
             level = keep * level + (1 - keep) * now
             seen.append(level)
         return (1 + point.get(SCALE, 0.0)) * np.stack(seen, axis=1).ravel() + point.get(BIAS, 0.0)
-
-    def gap(self, points):
-        return np.stack([self.measured - self._predict(p)[:, None] for p in points]).astype(np.float32)
 
 
 def _problem(view, nuisances=(ZERO,)):

@@ -10,6 +10,7 @@ from softarm.diagnosis.engine.fits import FitProblem
 from softarm.diagnosis.engine.problem import Setup
 from softarm.diagnosis.engine.search import Search
 from softarm.diagnosis.engine.thresholds import RIG, ROBOT
+from tests.diagnosis.engine.gauge import Gauge
 
 RATE_HZ, LENGTH_S, NOISE = 50.0, 6.0, 0.02
 PACE, LEVEL = "stage.pace.rate", "stage.level.height"
@@ -27,16 +28,11 @@ HEIGHT = _candidate(LEVEL, -1.0, 1.0, 0.1, 0.1, -0.1)
 
 
 @dataclass
-class _View:
+class _View(Gauge):
     """A wheel that turns faster than it should: a sine of its angle. A wrong pace has wells of its own."""
 
     height: float = 0.0
-    stage, unit, channels = "stage", "-", ("reading",)
     acts = frozenset({PACE, LEVEL})
-    regimes, features, own_nuisances = {}, {}, {}
-
-    def start_directions(self):
-        return None
 
     def __post_init__(self):
         t = np.arange(round(RATE_HZ * LENGTH_S)) / RATE_HZ
@@ -47,9 +43,6 @@ class _View:
 
     def _predict(self, point):
         return np.sin((3.0 + point.get(PACE, 0.0)) * self.t_s) + point.get(LEVEL, 0.0)
-
-    def gap(self, points):
-        return np.stack([self.measured - self._predict(p)[:, None] for p in points]).astype(np.float32)
 
 
 @pytest.fixture

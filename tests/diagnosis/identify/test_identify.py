@@ -59,9 +59,8 @@ def _swings(arm, seed):
     noise, t, motions = np.array([2e-4, 2e-4, 2e-3]), np.arange(0, 8, 1 / 60), []
     for k in range(2):
         pressure, cart = 6 + 5 * np.sign(np.sin((0.9 + 0.4 * k) * t)), 0.08 * np.sin((3 + k) * t)
-        readings = Series(t.copy(), {"pressure": pressure.copy()})
         rest = motion.Motion(
-            f"{k}", t, np.zeros((len(t), 3)), noise, cart, pressure, readings, np.zeros(2), np.ones(len(t), bool)
+            f"{k}", t, np.zeros((len(t), 3)), noise, cart, pressure, np.zeros(2), np.ones(len(t), bool)
         )
         exact = bench.Bench(arm, bench.to_columns(arm)[None]).replay(rest, np.zeros(2))[0]
         drawn = np.random.default_rng((seed, k)).normal(size=exact.shape)

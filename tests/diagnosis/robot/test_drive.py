@@ -28,8 +28,9 @@ def law(trials, model=MODEL):
 @pytest.mark.parametrize(
     ("servo", "further"),
     [
-        *((True, further) for further in FURTHER),
+        *((True, further) for further in ("nothing", "friction", "force limit")),
         *((False, further) for further in ("nothing", "lag")),
+        *(pytest.param(True, further, marks=pytest.mark.prove) for further in ("lag", "delay")),
         *(pytest.param(False, further, marks=pytest.mark.prove) for further in ("friction", "force limit", "delay")),
     ],
 )
