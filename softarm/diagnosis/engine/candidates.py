@@ -47,9 +47,8 @@ class Candidate:
     stage: str
     parameters: tuple[FittedParameter, ...]
     starts: tuple[tuple[float, ...], ...]  # initial u of each parameter
-    form: Mapping[str, float] = field(
-        default_factory=dict
-    )  # assumptions that are not fitted, such as an encoder's place
+    # Assumptions that are not fitted, such as an encoder's place.
+    form: Mapping[str, float] = field(default_factory=dict)
     constant: bool = False  # the model has this parameter already, so its strength is the same everywhere
 
     def exceeds_tolerance(self, u: Sequence[float]) -> bool:

@@ -35,7 +35,11 @@ class Whitener:
 
 def scaled(view: View, gap: Array) -> Whitener:
     """Return a scaling without a filter, by the larger of the noise floor and a fifth of the nominal gap [M, S]."""
-    size = np.maximum(view.floor, 0.2 * np.sqrt(np.nanmean(gap**2, axis=0)))
+    return unfiltered(view, np.maximum(view.floor, 0.2 * np.sqrt(np.nanmean(gap**2, axis=0))))
+
+
+def unfiltered(view: View, size: Array) -> Whitener:
+    """Return a scaling of each channel by its size [S], without a filter."""
     return Whitener((1 / size)[:, None].astype(np.float32), np.isfinite(view.measured).astype(np.float32))
 
 

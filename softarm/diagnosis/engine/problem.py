@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from softarm.diagnosis.engine.candidates import Nuisance
 from softarm.diagnosis.engine.fits import Fit, FitProblem
 from softarm.diagnosis.engine.folds import folds, held_out, interleaved
-from softarm.diagnosis.engine.noise import Whitener, scaled, whitener
+from softarm.diagnosis.engine.noise import Whitener, scaled, unfiltered, whitener
 from softarm.diagnosis.engine.view import View
 from softarm.diagnosis.engine.whitened import BLOCK_S, Gaps, WhitenedResidual, blocks_of
 
@@ -78,11 +78,7 @@ class Setup:
 
     def plain(self) -> FitProblem:
         """Return the problem in units of the noise floors, every sample with weight one."""
-        filters = [
-            Whitener((1 / v.floor)[:, None].astype(np.float32), np.isfinite(v.measured).astype(np.float32))
-            for v in self.views
-        ]
-        return self._problem(filters, None)
+        return self._problem([unfiltered(view, view.floor) for view in self.views], None)
 
     def residuals(self, plain: FitProblem, fit: Fit) -> list[NDArray[np.float32]]:
         """Return the residual of every view after a fit, [M, S], NaN where nothing was measured."""
