@@ -324,6 +324,13 @@ def test_a_body_that_stays_while_the_axis_moves_is_frozen(name, place, side):
     )
 
 
+def test_a_tip_that_stays_while_the_cart_moves_is_frozen_without_an_axis():
+    frames = [still(number, cart=(0.004 * number, HINGE_M)) for number in range(1, 12)]
+    stays = [replace(frame, bodies=(*frame.bodies[:5], frames[0].bodies[5])) for frame in frames]
+    judge, _ = judged(stays, lambda frame: None)
+    assert names(judge) == ["mocap_frozen"]
+
+
 @pytest.mark.parametrize("readings", [range(1, 3), range(3, 6), range(0)])
 def test_an_axis_with_one_reading_shows_no_motion(readings):
     still_frames = [MocapFrame(n, n * FRAME_NS, n * FRAME_NS, still(1).bodies) for n in range(1, 6)]

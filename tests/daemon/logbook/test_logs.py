@@ -122,7 +122,7 @@ def unfinished(directory: Path, ticks) -> Path:
 
 
 @pytest.mark.slow
-@settings(deadline=None, max_examples=60)
+@settings(deadline=None, max_examples=60, suppress_health_check=[HealthCheck.too_slow])
 @given(st.lists(tick, max_size=4))
 def test_every_tick_comes_back_bit_for_bit(ticks):
     splitter, joiner = Splitter(), Joiner()
@@ -130,7 +130,11 @@ def test_every_tick_comes_back_bit_for_bit(ticks):
     assert exactly(tuple(one for one in joined if one is not None)) == exactly(tuple(ticks))
 
 
-@settings(deadline=None, max_examples=5, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(
+    deadline=None,
+    max_examples=5,
+    suppress_health_check=[HealthCheck.too_slow, HealthCheck.function_scoped_fixture],
+)
 @given(ticks=st.lists(tick, min_size=1, max_size=4))
 def test_a_finished_file_gives_every_tick_back_bit_for_bit(tmp_path, ticks):
     log = logs.read(record(tmp_path, ticks))
