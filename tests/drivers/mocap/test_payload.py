@@ -64,8 +64,7 @@ def test_an_error_names_the_malformed_field(payload: bytes, words: str) -> None:
 
 
 @given(
-    st.binary(max_size=60)
-    | st.recursive(st.none() | st.floats(), st.lists).map(lambda value: json.dumps(value).encode())
+    st.binary(max_size=60) | st.lists(st.none() | st.floats(), max_size=4).map(lambda value: json.dumps(value).encode())
 )
 def test_noise_is_a_value_error(payload: bytes) -> None:
     with pytest.raises(ValueError):
