@@ -82,7 +82,7 @@ def test_an_axis_answers_a_step_as_two_lags(velocity):
 
 @pytest.mark.slow
 def test_an_axis_with_weak_torque_speeds_up_on_a_ramp_and_friction_leaves_an_error():
-    dt, steps = 1e-4, 8000
+    dt, steps = 1e-4, 12000
     command = np.full((steps, 2), 1.0)
     command[0] = 0.0
     out = axis(command, [{"lag_s": 0.02, "acceleration": 2.0}, {"lag_s": 0.02}], np.zeros(2), dt, True)
