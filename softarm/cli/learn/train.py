@@ -5,7 +5,7 @@ from pathlib import Path
 import click
 
 from softarm.cli.learn.sweeps import train_sweep
-from softarm.cli.shared.errors import fail
+from softarm.cli.shared.errors import fail, failing
 from softarm.cli.shared.interrupt import leaves
 from softarm.cli.shared.options import FILE, FOLDER, model_option
 from softarm.cli.shared.printing import waiting
@@ -14,7 +14,6 @@ from softarm.common.processes import bar, cores
 
 @click.command()
 @click.argument("task", required=False)
-@click.option("--wide", is_flag=True, help="Same as the task reach-wide: z up to 0.80 m, starts along the whole rail.")
 @click.option("--seed", type=click.IntRange(min=0), default=1, show_default=True, help="Seed of the run.")
 @click.option("--frames", type=click.IntRange(min=1), help="Stop after this number of steps, summed over robots.")
 @click.option("--minutes", type=click.FloatRange(min=0, min_open=True), help="Stop after this time.")
@@ -32,7 +31,6 @@ from softarm.common.processes import bar, cores
 @click.option("--ray", "ray_address", help="With --sweep: run on this Ray cluster; 'local' starts one here.")
 def train(
     task: str | None,
-    wide: bool,
     seed: int,
     frames: int | None,
     minutes: float | None,
@@ -54,7 +52,7 @@ def train(
     \b
     Examples:
       softarm train reach
-      softarm train reach --wide --seed 3 --minutes 5
+      softarm train reach-wide --seed 3 --minutes 5
       softarm train reach --model no-delay
       softarm train shelf --out runs/mine --resume
       softarm train --sweep benchmarks/ablation.yaml --out runs/ablation
@@ -64,8 +62,6 @@ def train(
         return
     if task is None:
         raise click.UsageError("no task given: name one, e.g. `softarm train reach`, or use --sweep FILE")
-    if wide and task not in ("reach", "reach-wide"):
-        raise click.UsageError(f"--wide is for reach, not for {task}")
 
     from softarm.simulator.model_file import ModelFileError
     from softarm.training.learn import inference
@@ -74,22 +70,18 @@ def train(
     from softarm.training.run.recipe import begin, named
     from softarm.training.run.report import ending
 
-    name = "reach-wide" if wide else task
     try:
-        recipe = named(name)
+        recipe = named(task)
     except ValueError as error:
         raise click.UsageError(str(error)) from None
     recipe = recipe.changed(model_file, {"run.robots": robots, "run.device": device})
-    folder = out or Path("runs") / "-".join((name, *([model_file.stem] if model_file else []), str(seed)))
+    folder = out or Path("runs") / "-".join((task, *([model_file.stem] if model_file else []), str(seed)))
     if not resume and (folder / "latest.pt").exists():
         fail(f"{folder} already contains a run: continue it with --resume, or choose another --out")
     leaves(lambda: _left(folder))
     with inference.workers() as pool:
-        try:
-            with waiting("creating robots and network"):
-                session = begin(recipe, seed, folder, pool, resume)
-        except (CheckpointError, ModelFileError, ValueError) as error:
-            fail(str(error))
+        with failing(CheckpointError, ModelFileError, ValueError), waiting("creating robots and network"):
+            session = begin(recipe, seed, folder, pool, resume)
         if missing := tensorboard.missing():
             click.secho(missing, fg="yellow")
         end = frames or (None if minutes else recipe.frames)

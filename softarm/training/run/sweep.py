@@ -33,7 +33,6 @@ LOCAL = "local"
 # Options of `softarm train` for a single run, with the equivalent in a sweep's file.
 SINGLE = {
     "TASK": "task: reach",
-    "--wide": "task: reach-wide",
     "--seed": "seeds: [1]",
     "--frames": "frames: 3000000",
     "--minutes": "frames: 3000000",
