@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import click
 
 from softarm.cli.cameras.settings import server_option, settings
-from softarm.cli.shared.errors import fail
+from softarm.cli.shared.errors import fail, failing
 from softarm.cli.shared.interrupt import NOTHING, leaves
 from softarm.cli.shared.options import FILE, check_places, write
 from softarm.cli.shared.printing import warn
@@ -81,7 +81,7 @@ def calibrate(
     leaves(NOTHING)
     gathering = Gathering([name for name in BODY_NAMES if getattr(config.bodies, name) is not None], middle)
     warn("let the arm hang still, drive off and vented" + (", the cart in the middle of the rail" if middle else ""))
-    try:
+    with failing(DeviceError, CalibrationError):
         with Client(config, address, warn) as client, bar("calibrating", None) as shown:
 
             def show(text: str) -> None:
@@ -91,8 +91,6 @@ def calibrate(
         if end is None:
             end = "+y" if click.confirm(END, err=True) else "-y"
         found = calculate(gathering.rest, gathering.push, config.bodies, end == "+y", middle, straight)
-    except (DeviceError, CalibrationError) as error:
-        fail(str(error))
     whole = written.configuration(config, address, found)
     write(out, written.text(whole, found, date.today()))
     _report(found, out)

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from softarm.cli.shared.errors import fail
+from softarm.cli.shared.errors import failing
 
 if TYPE_CHECKING:
     from softarm.schemas.bridge import Bridge
@@ -21,10 +21,8 @@ def settings(server: str | None, config_file: Path | None) -> "tuple[Bridge, str
     from softarm.drivers.bridge.bridging import read
     from softarm.schemas.bridge import Bridge
 
-    try:
+    with failing(FileError):
         config = Bridge() if config_file is None else read(config_file)
-    except FileError as error:
-        fail(str(error))
     if (address := server or config.server) is None:
         raise click.UsageError("which cameras? --server ADDRESS of the computer that runs Motive, or --config FILE")
     return config, address

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import click
 
-from softarm.cli.shared.errors import fail
+from softarm.cli.shared.errors import failing
 from softarm.cli.shared.interrupt import leaves
 from softarm.cli.shared.options import FILE, FOLDER
 from softarm.common.processes import bar
@@ -47,10 +47,8 @@ def make(data: Path, labels_file: Path, fresh: Path | None, count: int, seed: in
     from softarm.diagnosis.blind.seal import SealError
 
     leaves(f"the finished cases are kept in {data}; the same command continues")
-    try:
+    with failing(SealError):
         cases = making.prepare(data, labels_file, fresh, count, seed)
-    except SealError as error:
-        fail(str(error))
     with bar("flying", len(cases)) as shown:
         making.write_cases(cases, data, fresh, processes, lambda name: shown.advance())
     click.echo(f"{len(cases)} cases in {data}, labels in {labels_file}, commitment in {data / 'commitment.json'}")
@@ -77,11 +75,8 @@ def run(data: Path, answers_file: Path, method: str, trials: int | None, process
     from softarm.diagnosis.blind.seal import SealError
 
     leaves(f"the answers so far are kept in {answers_file}, not frozen; the same command continues")
-    try:
-        with bar(method, total=None) as shown:
-            digest = running.run(data, answers_file, method, processes, shown.count, trials)
-    except SealError as error:
-        fail(str(error))
+    with failing(SealError), bar(method, total=None) as shown:
+        digest = running.run(data, answers_file, method, processes, shown.count, trials)
     click.echo(f"wrote {answers_file}; frozen as {digest}")
 
 
@@ -106,9 +101,6 @@ def open_(data: Path, labels_file: Path, answer_files: tuple[Path, ...], fresh: 
     from softarm.diagnosis.data.trials import TrialError
 
     leaves("no score was written; the same command starts again")
-    try:
-        with bar("opening", total=None) as shown:
-            opening.open_labels(data, labels_file, answer_files, out, fresh, on_case=shown.count)
-    except (SealError, TrialError) as error:
-        fail(str(error))
+    with failing(SealError, TrialError), bar("opening", total=None) as shown:
+        opening.open_labels(data, labels_file, answer_files, out, fresh, on_case=shown.count)
     click.echo((out / "score.md").read_text(encoding="utf-8"))

@@ -8,7 +8,7 @@ import click
 from softarm.cli.gap.inputs import refuse_misplaced
 from softarm.cli.gap.rail_limits import limits_option, write_limits
 from softarm.cli.gap.verdict_text import show
-from softarm.cli.shared.errors import fail
+from softarm.cli.shared.errors import fail, failing
 from softarm.cli.shared.interrupt import NOTHING, leaves
 from softarm.cli.shared.options import FILE, FOLDER, INPUT, check_places
 from softarm.cli.shared.printing import warn
@@ -70,11 +70,8 @@ def diagnose(
     refuse_misplaced(inputs)
     check_places(json_file, report_file, patch_file, limits_file)
     leaves(NOTHING)
-    try:
-        with bar("reading") as shown:
-            result = diagnose_files(inputs, model_file, data, shown.report, warn)
-    except (TrialError, models.ModelFileError) as error:
-        fail(str(error))
+    with failing(TrialError, models.ModelFileError), bar("reading") as shown:
+        result = diagnose_files(inputs, model_file, data, shown.report, warn)
     written = []
     stage_files = [path for path in inputs if path.suffix in TABLES]
     patched = result.calibrated if calibration else result.patched

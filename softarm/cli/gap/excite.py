@@ -8,7 +8,7 @@ import click
 from softarm.cli.gap.excitations import planned, print_next
 from softarm.cli.operate.robots import independent_body
 from softarm.cli.shared.completion import excitations
-from softarm.cli.shared.errors import fail
+from softarm.cli.shared.errors import fail, failing
 from softarm.cli.shared.interrupt import leaves
 from softarm.cli.shared.options import FILE, FOLDER, config_option, flown_model, load_config, model_option, prepared
 from softarm.common.processes import bar
@@ -64,7 +64,6 @@ def excite(
     from softarm.policies.base import PolicyError
     from softarm.schemas.excitation import EXCITATIONS
 
-    wrong = (PolicyError, LatchError, RecorderError, ApiError, AuthError)
     if show:
         for excitation in EXCITATIONS.values():
             click.echo(f"{excitation.name:20s} {excitation.duration_s:5.1f} s  {excitation.description}")
@@ -83,7 +82,7 @@ def excite(
         raise click.UsageError("--fault is for the independent robot: add --reality")
     stopped = "" if simulated or reality else "the cart was braked, the muscle vented, the drive is off; "
     leaves(f"{stopped}recordings are kept; the last one is incomplete")
-    try:
+    with failing(PolicyError, LatchError, RecorderError, ApiError, AuthError, RuntimeError):
         config = load_config(config_file) if simulated or reality else prepared(config_file, wires=True)
         if logs is not None:
             recorder = config.recorder.model_copy(update={"directory": logs})
@@ -100,8 +99,6 @@ def excite(
                     status, log = play(config, name, real_devices(config), shown.show, latch_of(config))
             _report(name, status, log)
             recorded.append(log)
-    except (*wrong, RuntimeError) as error:
-        fail(str(error))
     print_next([log for log in recorded if log is not None], plan)
 
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, get_args
 import click
 
 from softarm.cli.gap.rig_questions import RATE, is_terminal, proposed
-from softarm.cli.shared.errors import Failure, fail
+from softarm.cli.shared.errors import Failure, fail, failing
 from softarm.cli.shared.interrupt import NOTHING, leaves
 from softarm.cli.shared.options import FILE, INPUT, check_places, write
 from softarm.cli.shared.printing import print_table, waiting
@@ -81,13 +81,11 @@ def rig(
         nominal=_pairs("--nominal", nominal),
         angles=angles,
     )
-    try:
+    with failing(TrialError):
         with waiting("reading the recordings"):
             found = survey(data)
         _show(found)
         proposal = proposed(found, given)
-    except TrialError as error:
-        fail(str(error))
     text = stage_text.text(found, proposal, name or called(out), out.parent, f"softarm check {out}")
     write(out, text)
     leaves(f"{out} was written")

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import click
 
-from softarm.cli.shared.errors import fail
+from softarm.cli.shared.errors import failing
 from softarm.cli.shared.interrupt import NOTHING, leaves
 from softarm.cli.shared.options import FILE
 from softarm.cli.shared.printing import waiting
@@ -25,8 +25,6 @@ def export(checkpoint: Path, out: Path) -> None:
         from softarm.training.record.checkpoint import CheckpointError
         from softarm.training.record.export import export_checkpoint
 
-        try:
+        with failing(CheckpointError):
             export_checkpoint(checkpoint, out)
-        except CheckpointError as error:
-            fail(str(error))
     click.echo(f"wrote {out}")

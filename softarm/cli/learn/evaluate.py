@@ -8,7 +8,7 @@ from pathlib import Path
 import click
 
 from softarm.cli.shared.completion import policies as known_policies
-from softarm.cli.shared.errors import fail
+from softarm.cli.shared.errors import failing
 from softarm.cli.shared.interrupt import NOTHING, leaves
 from softarm.cli.shared.options import (
     FILE,
@@ -131,7 +131,7 @@ def _compare(choice: _Choice, json_file: Path | None, report: Path | None, worke
     from softarm.simulator.model_file import ModelFileError
 
     flown_model(choice.model_file)
-    try:
+    with failing(PolicyError, ModelFileError, ValueError, WorkerDied):
         config = load_config(choice.config_file)
         tests = choice.tests or known.default(choice.compare_all, choice.matrix)
         if choice.model_file:
@@ -142,8 +142,6 @@ def _compare(choice: _Choice, json_file: Path | None, report: Path | None, worke
         found = table.entries(choice.runs, names, choice.matrix, choice.files, config)
         with bar("flying", sum(len(job.part) for job in table.jobs(found, tests))) as shown:
             result = table.compare(found, workers, tests, shown.advance, config)
-    except (PolicyError, ModelFileError, ValueError, WorkerDied) as error:
-        fail(str(error))
     click.echo(page.markdown(result), nl=False)
     write_json(json_file, result)
     if report is not None:
@@ -154,13 +152,11 @@ def _evaluate(policy: str, json_file: Path | None, config_file: Path | None, mod
     from softarm.evaluation import evaluation
     from softarm.policies.base import PolicyError
 
-    try:
+    with failing(PolicyError):
         config = load_config(config_file)
         model = flown_model(model_file)
         with bar(f"flying {policy}", evaluation.FLIGHTS) as shown:
             result = evaluation.evaluate(policy, config, model, shown.advance)
-    except PolicyError as error:
-        fail(str(error))
     parts = (("z <= 0.70 m", "in_range"), ("z > 0.70 m", "above"), ("all", "all"))
     rows = [(label, f"{100 * result['success'][part]:.1f} %") for label, part in parts]
     print_table(("targets", "reached"), rows, f"{policy}: 54 targets x 3 cart starts")

@@ -8,7 +8,7 @@ from pathlib import Path
 import click
 
 from softarm.cli.shared.completion import policies
-from softarm.cli.shared.errors import fail
+from softarm.cli.shared.errors import fail, failing
 from softarm.cli.shared.interrupt import leaves
 from softarm.cli.shared.options import FILE, check_places, json_option, write, write_json
 
@@ -59,11 +59,8 @@ def soak(
         kept.mkdir(parents=True, exist_ok=True)
         if any(kept.iterdir()):
             fail(f"--logs {kept}: is not empty, and its size is measured; name a new folder")
-        try:
-            with bar("soaking") as shown:
-                real, stepped = both.soak(hours, lockstep_days, seed, policy, kept, shown.report)
-        except (SoftwareInTheLoopError, PolicyError) as error:
-            fail(str(error))
+        with failing(SoftwareInTheLoopError, PolicyError), bar("soaking") as shown:
+            real, stepped = both.soak(hours, lockstep_days, seed, policy, kept, shown.report)
     write_json(json_file, page.figures(real, stepped))
     if report is not None:
         write(report, page.html(real, stepped, shlex.join(["softarm", *sys.argv[1:]])))

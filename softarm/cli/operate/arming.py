@@ -4,9 +4,9 @@ import time
 
 import click
 
+from softarm.cli.shared.client import Remote, remote
 from softarm.cli.shared.errors import fail
 from softarm.cli.shared.interrupt import leaves
-from softarm.cli.shared.remote import Remote, remote
 
 _PATIENCE_S = 1.0
 _POLL_S = 0.05

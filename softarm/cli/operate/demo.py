@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from softarm.cli.shared.completion import policies
-from softarm.cli.shared.errors import fail
+from softarm.cli.shared.errors import failing
 from softarm.cli.shared.interrupt import leaves
 from softarm.cli.shared.options import model_option
 from softarm.cli.shared.printing import print_table, waiting
@@ -52,7 +52,7 @@ def demo(targets: int, seed: int, policy: str, model_file: Path | None, logs: Pa
     leaves(f"twin and daemon have ended; the recording is in {logs}")
     console = Console()
     goals = random.Random(seed).sample(TEST_TARGETS, targets)
-    try:
+    with failing(SoftwareInTheLoopError):
         with contextlib.ExitStack() as both:
             with waiting("starting the twin (the simulated robot) and the daemon; the very first start compiles"):
                 sil = both.enter_context(SoftwareInTheLoop(logs, {"control": {"policy": policy}}, model_file))
@@ -64,8 +64,6 @@ def demo(targets: int, seed: int, policy: str, model_file: Path | None, logs: Pa
             sil.post("disarm")
         log = read(path)
         problems = exceeded(log.ticks(), log.config.limits)
-    except SoftwareInTheLoopError as error:
-        fail(str(error))
     rows = [
         (
             f"{result['y_m']:+.2f}, {result['z_m']:.2f}",

@@ -5,10 +5,10 @@ from typing import Any
 
 import click
 
+from softarm.cli.shared.client import Remote
 from softarm.cli.shared.errors import fail
 from softarm.cli.shared.interrupt import leaves
 from softarm.cli.shared.printing import print_json, waiting
-from softarm.cli.shared.remote import Remote
 
 POLL_S = 0.1
 

@@ -6,10 +6,10 @@ import click
 
 from softarm.cli.operate.following import follow
 from softarm.cli.operate.status import goal_line
+from softarm.cli.shared.client import Remote, remote
 from softarm.cli.shared.completion import targets
 from softarm.cli.shared.options import typed
 from softarm.cli.shared.printing import print_option
-from softarm.cli.shared.remote import Remote, remote
 from softarm.cli.verbs import Verbs
 
 wait_option = click.option("--wait", is_flag=True, help="Wait for the end; exit code 1 if it is not reached.")

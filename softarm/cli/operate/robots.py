@@ -2,7 +2,7 @@
 
 from typing import TYPE_CHECKING
 
-from softarm.cli.shared.errors import fail
+from softarm.cli.shared.errors import fail, failing
 from softarm.cli.shared.printing import print_table
 
 if TYPE_CHECKING:
@@ -37,10 +37,8 @@ def faulty_body(model: "Model | None", reality: bool, faults: tuple[str, ...]) -
     from softarm.evaluation.robots import with_effects
     from softarm.schemas.model import Model
 
-    try:
+    with failing(ValueError):
         return SimulatedBody(with_effects(model or Model(), faults))
-    except ValueError as error:
-        fail(str(error))
 
 
 def wire_fault(text: str) -> bytes:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import click
 
 from softarm.cli.shared.client import DEFAULT_URL, url_of
-from softarm.cli.shared.errors import fail
+from softarm.cli.shared.errors import failing
 from softarm.cli.shared.interrupt import leaves, left_now
 from softarm.cli.shared.options import config_option, flown_model, model_option, prepared
 
@@ -61,15 +61,13 @@ def run(
     logging.basicConfig(level=logging.INFO, format="%(levelname)s %(name)s: %(message)s")
     logging.getLogger("uvicorn").setLevel(logging.WARNING)
     leaves("the daemon had not started")
-    try:
+    with failing(PluginError, LatchError, RecorderError, FoxgloveError, ApiError, AuthError):
         config = prepared(config_file, wires=not simulated, port=port)
         publisher = None if foxglove is None else _publisher(config, foxglove)
         if simulated:
             ended = assembly.run(config, simulated_devices(flown_model(model_file)), announce, foxglove=publisher)
         else:
             ended = assembly.run(config, real_devices(config), announce, assembly.latch_of(config), publisher)
-    except (PluginError, LatchError, RecorderError, FoxgloveError, ApiError, AuthError) as error:
-        fail(str(error))
     if ended == signal.SIGINT:
         raise KeyboardInterrupt
     click.echo(f"ended: {left_now()}", err=True)

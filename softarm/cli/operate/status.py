@@ -10,8 +10,8 @@ from rich.console import Console
 from rich.live import Live
 from rich.text import Text
 
+from softarm.cli.shared.client import Remote, remote
 from softarm.cli.shared.printing import clock
-from softarm.cli.shared.remote import Remote, remote
 from softarm.schemas.policy import OBSERVATION
 
 Json = dict[str, Any]

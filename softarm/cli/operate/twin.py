@@ -7,7 +7,7 @@ import click
 
 from softarm.cli.operate.robots import faulty_body, list_faults, wire_fault
 from softarm.cli.shared import completion
-from softarm.cli.shared.errors import fail
+from softarm.cli.shared.errors import failing
 from softarm.cli.shared.interrupt import INTERRUPTED, leaves
 from softarm.cli.shared.options import FILE, flown_model, load_config, model_option
 from softarm.cli.shared.printing import print_json, print_option, waiting
@@ -62,7 +62,7 @@ def _simulate(config_file: Path, model_file: Path | None, reality: bool, faults:
     from softarm.drivers.twin.main import run_twin
 
     leaves("the simulated robot has ended; a connected daemon stops and reports it")
-    try:
+    with failing(DeviceError):
         config = load_config(config_file)
         on_wires = [wire_fault(text) for text in faults if "." not in text.partition("=")[0]]
         model = flown_model(model_file)
@@ -70,8 +70,6 @@ def _simulate(config_file: Path, model_file: Path | None, reality: bool, faults:
         # Real devices do not wait for other programs of this computer.
         realtime.outrank_other_programs(config.control.realtime_priority)
         ended = asyncio.run(run_twin(config, body, on_wires, lambda text: click.echo(f"softarm twin: {text}")))
-    except DeviceError as error:
-        fail(str(error))
     if ended + 128 == INTERRUPTED:
         raise KeyboardInterrupt
 
@@ -100,12 +98,10 @@ def fault(name: str, config_file: Path, as_json: bool) -> None:
     if name == LIST:
         list_faults(reality=None)
         return
-    try:
+    with failing(DeviceError):
         message, endpoint = wire_fault(name), load_config(config_file).drivers.mocap.endpoint
         with waiting(f"contacting the twin at {endpoint}"):
             state = switch(endpoint, message)
-    except DeviceError as error:
-        fail(str(error))
     if as_json:
         print_json(state)
     else:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import click
 
 from softarm.cli.rail.sources import Source
-from softarm.cli.shared.errors import fail
+from softarm.cli.shared.errors import fail, failing
 from softarm.common.processes import bar
 
 if TYPE_CHECKING:
@@ -71,10 +71,8 @@ def _write(found: "Centre", file: Path) -> None:
     from softarm.common.yaml_lines import FileError
     from softarm.daemon.config.edit import with_values
 
-    try:
+    with failing(FileError):
         text = with_values(file.read_text(encoding="utf-8"), file, ("drivers", "rail"), found.values)
-    except FileError as error:
-        fail(str(error))
     write(file, text)
     click.echo(
         f"next: restart the daemon; `softarm doctor --config {file}` shows the distance between axis and cameras"

@@ -8,7 +8,7 @@ from softarm.cli.rail import sources as rail_sources
 from softarm.cli.rail.centring import pushed, report_centre
 from softarm.cli.rail.exclusive import only_one, relay_held
 from softarm.cli.rail.homing import allowed, announce_motion, enabled, ready, report_homed, searched
-from softarm.cli.shared.errors import fail
+from softarm.cli.shared.errors import fail, failing
 from softarm.cli.shared.interrupt import leaves
 from softarm.cli.shared.options import FILE, load_config, token_of
 from softarm.cli.verbs import Verbs
@@ -64,17 +64,18 @@ def home(config_file: Path, speed_m_s: float, reset_fault: bool, relay: bool, ye
         raise click.BadParameter("nan is no speed; allowed 0.005 to 0.1 m/s", param_hint="--speed")
     config = load_config(config_file)
     leaves("nothing moved; the drive is off")
-    with only_one(config), relay_held(config, relay) as hold:
-        try:
-            with DriveSession(settings_of(config.drivers.rail), on_exchange=hold) as drive:
-                ready(drive, reset_fault, relay)
-                announce_motion(drive, config_file, speed_m_s, relay)
-                if not (yes or allowed()):
-                    fail("nothing moved: you declined")
-                enabled(drive, relay)
-                found = searched(drive, speed_m_s)
-        except DeviceError as error:
-            fail(str(error))
+    with (
+        only_one(config),
+        relay_held(config, relay) as hold,
+        failing(DeviceError),
+        DriveSession(settings_of(config.drivers.rail), on_exchange=hold) as drive,
+    ):
+        ready(drive, reset_fault, relay)
+        announce_motion(drive, config_file, speed_m_s, relay)
+        if not (yes or allowed()):
+            fail("nothing moved: you declined")
+        enabled(drive, relay)
+        found = searched(drive, speed_m_s)
     report_homed(found, config, config_file)
 
 

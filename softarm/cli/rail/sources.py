@@ -10,7 +10,7 @@ import click
 
 from softarm.cli.rail.exclusive import only_one
 from softarm.cli.shared.client import Remote, url_of
-from softarm.cli.shared.errors import fail
+from softarm.cli.shared.errors import fail, failing
 
 if TYPE_CHECKING:
     from softarm.drivers.rail.commissioning.centre import Sample
@@ -63,15 +63,11 @@ def source(config: "Config", file: Path, named: str | None, token: str | None) -
     from softarm.drivers.rail.settings import settings_of
 
     settings = settings_of(config.drivers.rail)
-    with only_one(config):
-        try:
-            with DriveSession(settings) as drive:
-                if drive.homed() is False:
-                    fail("the drive is not homed, so its middle is meaningless: `softarm rail home` first")
-                name = f"drive at {settings.host}:{settings.port}; motion capture is not looked at without a daemon"
-                yield Source(lambda: Sample(settings.axis_m(drive.poll().position_m)), drive.pause, drive.clock, name)
-        except DeviceError as error:
-            fail(str(error))
+    with only_one(config), failing(DeviceError), DriveSession(settings) as drive:
+        if drive.homed() is False:
+            fail("the drive is not homed, so its middle is meaningless: `softarm rail home` first")
+        name = f"drive at {settings.host}:{settings.port}; motion capture is not looked at without a daemon"
+        yield Source(lambda: Sample(settings.axis_m(drive.poll().position_m)), drive.pause, drive.clock, name)
 
 
 def _check_age(file: Path, uptime_s: float) -> None:

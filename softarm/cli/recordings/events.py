@@ -8,11 +8,11 @@ from typing import Any
 
 import click
 
+from softarm.cli.shared.client import Remote, remote
 from softarm.cli.shared.completion import logs
-from softarm.cli.shared.errors import fail
+from softarm.cli.shared.errors import failing
 from softarm.cli.shared.options import FILE
 from softarm.cli.shared.printing import clock
-from softarm.cli.shared.remote import Remote, remote
 
 Json = dict[str, Any]
 POLL_S = 0.5
@@ -65,8 +65,6 @@ def _recorded(log: Path) -> Iterable[Json]:
     from softarm.schemas.events import Entry
 
     adapter = TypeAdapter(Entry)
-    try:
+    with failing(LogError):
         for entry in logs.read(log).entries():
             yield adapter.dump_python(entry, mode="json")
-    except LogError as error:
-        fail(str(error))

@@ -5,11 +5,11 @@ from typing import Any
 
 import click
 
+from softarm.cli.shared.client import Remote, remote
 from softarm.cli.shared.completion import incident_files
 from softarm.cli.shared.errors import fail
 from softarm.cli.shared.options import FILE, FOLDER, write_bytes
 from softarm.cli.shared.printing import clock, print_json, print_option
-from softarm.cli.shared.remote import Remote, remote
 
 Json = dict[str, Any]
 LATEST = "latest"

@@ -7,10 +7,10 @@ from pathlib import Path
 import click
 
 from softarm.cli.recordings.export import export
+from softarm.cli.shared.client import Remote, remote
 from softarm.cli.shared.errors import fail
 from softarm.cli.shared.interrupt import leaves
 from softarm.cli.shared.printing import print_json, print_option
-from softarm.cli.shared.remote import Remote, remote
 
 
 @click.group(invoke_without_command=True)

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import click
 
-from softarm.cli.shared.errors import fail
+from softarm.cli.shared.errors import failing
 from softarm.cli.shared.options import FILE, write
 
 
@@ -38,12 +38,10 @@ def view(log: Path | None, out: Path | None, to_open: bool, layout: Path | None)
         if layout is None:
             raise click.UsageError("which log? `softarm logs` lists them")
         return
-    try:
+    with failing(LogError):
         opened = logs.read(log)
         with progress(opened) as advance:
             page = player.page(opened, opened.entries(), advance)
-    except LogError as error:
-        fail(str(error))
     out = out or Path(f"{log.stem}.html")
     write(out, page)
     if to_open and not webbrowser.open(out.absolute().as_uri()):

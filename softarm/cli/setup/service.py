@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from softarm.cli.shared.errors import fail
+from softarm.cli.shared.errors import fail, failing
 from softarm.cli.shared.options import FILE, load_config
 from softarm.cli.verbs import Verbs
 
@@ -54,7 +54,7 @@ def install(config_file: Path | None, user: str, root: Path, dry_run: bool, unin
         )
     if os.geteuid() != 0 and root == Path("/") and not dry_run:
         fail("root is required: put `sudo` before this command's full path, or use --dry-run or --root FOLDER")
-    try:
+    with failing(StepError):
         system = here.look(root)
         steps = list(plan.uninstall(system, user) if uninstall else _installing(system, config_file, user, dry_run))
         for step in steps:
@@ -63,8 +63,6 @@ def install(config_file: Path | None, user: str, root: Path, dry_run: bool, unin
                 click.echo("".join(f"    {line}\n" for line in step.shown), nl=False)
             else:
                 step.carry_out()
-    except StepError as error:
-        fail(str(error))
     _print_next(system, steps, dry_run, uninstall)
 
 

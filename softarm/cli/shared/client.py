@@ -1,5 +1,8 @@
 """Client of the daemon's REST API, for the verbs."""
 
+import functools
+from collections.abc import Callable
+from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self
 
@@ -7,6 +10,8 @@ import click
 import httpx
 
 from softarm.cli.shared.errors import Unreachable, fail
+from softarm.cli.shared.interrupt import leaves
+from softarm.cli.shared.options import FILE, token_of
 from softarm.schemas.rest import API_HEADER, API_VERSION
 
 if TYPE_CHECKING:
@@ -109,3 +114,26 @@ class Remote:
 def _detail(answer: object) -> str | None:
     detail = answer.get("detail") if isinstance(answer, dict) else None
     return detail if isinstance(detail, str) else None
+
+
+def remote(function: Callable[..., None]) -> Callable[..., None]:
+    """Add --url and --token-file to a command and pass it the daemon as its first argument."""
+
+    @click.option(
+        "--url",
+        envvar="SOFTARM_URL",
+        default=DEFAULT_URL,
+        show_default=True,
+        show_envvar=True,
+        help="The daemon's address.",
+    )
+    @click.option(
+        "--token-file", type=FILE, help="File with the API's token; else $SOFTARM_TOKEN. Not needed on loopback."
+    )
+    @functools.wraps(function)
+    def command(*args: Any, url: str, token_file: Path | None, **kwargs: Any) -> None:
+        leaves("the daemon keeps running")
+        with Remote(url, token_of(token_file)) as daemon:
+            function(daemon, *args, **kwargs)
+
+    return command

@@ -1,5 +1,7 @@
 """Errors of verbs: one sentence on standard error and exit code 1. Usage errors are click's and exit with 2."""
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import IO, Any, NoReturn
 
 import click
@@ -30,3 +32,12 @@ class Unreachable(Failure):
 def fail(text: str) -> NoReturn:
     """End the command with a sentence and exit code 1."""
     raise Failure(text)
+
+
+@contextmanager
+def failing(*kinds: type[Exception]) -> Iterator[None]:
+    """End the command with the text of an error of these kinds and exit code 1."""
+    try:
+        yield
+    except kinds as error:
+        fail(str(error))

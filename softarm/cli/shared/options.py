@@ -9,7 +9,7 @@ import click
 from click.core import ParameterSource
 
 from softarm.cli.shared.completion import models
-from softarm.cli.shared.errors import fail
+from softarm.cli.shared.errors import fail, failing
 from softarm.common import files
 
 if TYPE_CHECKING:
@@ -47,10 +47,8 @@ def load_config(file: Path | None) -> "Config":
     from softarm.daemon.config.configuration import ConfigurationError, load
     from softarm.schemas.config import Config
 
-    try:
+    with failing(ConfigurationError):
         return Config() if file is None else load(file)
-    except ConfigurationError as error:
-        fail(str(error))
 
 
 def prepared(file: Path | None, wires: bool, port: int | None = None) -> "Config":
@@ -73,10 +71,8 @@ def load_model(file: Path) -> "Model":
     """Return a model by its file or shipped name; end the command with a sentence if it is missing or invalid."""
     from softarm.simulator import model_file
 
-    try:
+    with failing(model_file.ModelFileError):
         return model_file.load(file)
-    except model_file.ModelFileError as error:
-        fail(str(error))
 
 
 def flown_model(file: Path | None) -> "Model | None":

@@ -379,11 +379,6 @@ def test_a_broken_connection_is_reported(softarm, daemon):
     assert f"the connection to {daemon.url} broke" in result.stderr
 
 
-def test_another_program_on_the_port_is_recognised(softarm, daemon):
-    daemon.on("GET", "/api/status", b"<html>hello</html>")
-    assert "does not answer as a softarm daemon" in softarm("status").stderr
-
-
 @pytest.mark.parametrize("url", ["127.0.0.1:8080", "ftp://x", "http://[::1", "http://h:port"])
 def test_an_invalid_url_is_a_usage_error(url):
     result = invoke("status", "--url", url)
