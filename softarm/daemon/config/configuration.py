@@ -3,8 +3,9 @@
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
+from operator import attrgetter
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from softarm.common import yaml_lines
 from softarm.common.keys import leaves
@@ -77,9 +78,7 @@ def effective_limits(loaded: Loaded) -> list[LimitRow]:
     rows = []
     for key in leaves(Config):
         if key.path[0] in ("limits", "failsafe", "goals"):
-            value: Any = loaded.config
-            for name in key.path:
-                value = getattr(value, str(name))
+            value = attrgetter(key.name)(loaded.config)
             line = loaded.lines.get(key.path)
             source = "default" if line is None else f"line {line}"
             rows.append(LimitRow(key.name, shown(value), key.unit, key.bounds, source))

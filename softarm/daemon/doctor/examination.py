@@ -72,7 +72,7 @@ def _from_logs(target: Target) -> Iterator[Finding]:
     if target.simulated:
         return iter(())
     folder = target.logs or target.config.recorder.directory
-    return from_logs.judge(from_logs.look(folder, listing(folder), target.config))
+    return from_logs.judge(from_logs.look(folder, listing(folder), target.config), folder)
 
 
 PARTS: dict[str, Part] = {

@@ -1,7 +1,6 @@
 """Compares the rail's limits with the robot in the newest logs."""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 from softarm.common.finding import Finding, ok, problem, warning
@@ -15,16 +14,8 @@ BYTES_MAX = 60_000_000  # of the newest logs: some seconds of reading
 FLY = f"fly `softarm excite {EXCITATION} --config FILE` twice (docs/operate/limits.md)"
 
 
-@dataclass(frozen=True, slots=True)
-class Shown:
-    """Findings from the logs of a folder."""
-
-    folder: Path
-    rows: tuple[MeasuredLimit, ...] = ()  # empty if no log shows the rail
-
-
-def look(folder: Path, logs: Sequence[LogEntry], config: Config) -> Shown:
-    """Measure the rail from the newest finished, readable logs, up to about BYTES_MAX."""
+def look(folder: Path, logs: Sequence[LogEntry], config: Config) -> tuple[MeasuredLimit, ...]:
+    """Measure the rail from the newest finished, readable logs, up to about BYTES_MAX; empty if none shows it."""
     motions, total = [], 0
     for entry in logs:
         if not entry.finished or total > BYTES_MAX:
@@ -34,14 +25,14 @@ def look(folder: Path, logs: Sequence[LogEntry], config: Config) -> Shown:
             motions.append(rail_motion.read(folder / entry.name))
         except LogError:
             continue
-    return Shown(folder, findings(motions, config).rows if motions else ())
+    return findings(motions, config).rows if motions else ()
 
 
-def judge(facts: Shown) -> Iterator[Finding]:
+def judge(rows: Sequence[MeasuredLimit], folder: Path) -> Iterator[Finding]:
     """Yield one finding per limit."""
-    if not facts.rows:
-        yield warning("limits.rail", f"no finished log in {facts.folder} shows the rail", f"to measure it, {FLY}")
-    for row in facts.rows:
+    if not rows:
+        yield warning("limits.rail", f"no finished log in {folder} shows the rail", f"to measure it, {FLY}")
+    for row in rows:
         name = f"limits.rail.{row.key}"
         if row.is_too_lax:
             yield problem(name, f"{row.configured:g}, less strict than the robot requires: {row.why}", row.advice)

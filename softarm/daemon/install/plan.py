@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from operator import attrgetter
 from pathlib import Path
 
 from softarm.common.keys import leaves
@@ -99,17 +100,10 @@ def _configuration(system: System, wanted: Wanted) -> Iterator[Step]:
 def differences(one: Config, other: Config) -> Iterator[tuple[str, str, str]]:
     """Yield each key whose values differ, with both values."""
     for key in leaves(Config):
-        values = [_value(config, key.path) for config in (one, other)]
+        values = [attrgetter(key.name)(config) for config in (one, other)]
         if values[0] != values[1]:
             here, there = (str(value) if isinstance(value, dict) else shown(value) for value in values)
             yield key.name, here, there
-
-
-def _value(config: Config, path: tuple[str | int, ...]) -> object:
-    value: object = config
-    for name in path:
-        value = getattr(value, str(name))
-    return value
 
 
 def _file(system: System, path: Path, text: str) -> Write | Keep:

@@ -44,7 +44,6 @@ class Write(Step):
     path: Path
     text: str
     before: str | None = None  # present text; None for a new file
-    mode: int = 0o644
 
     @property
     def summary(self) -> str:
@@ -65,7 +64,7 @@ class Write(Step):
         try:
             self.path.parent.mkdir(parents=True, exist_ok=True)
             files.write_text(self.path, self.text)
-            self.path.chmod(self.mode)
+            self.path.chmod(0o644)
         except OSError as error:
             raise StepError(f"{self.path}: cannot be written ({error.strerror}); {_ROOT}") from None
 
@@ -76,7 +75,6 @@ class Folder(Step):
 
     path: Path
     owner: str | None  # None for the installing user
-    mode: int = 0o750
 
     @property
     def summary(self) -> str:
@@ -87,7 +85,7 @@ class Folder(Step):
         """Create the folder and keep its content, or raise StepError."""
         try:
             self.path.mkdir(parents=True, exist_ok=True)
-            self.path.chmod(self.mode)
+            self.path.chmod(0o750)
             if self.owner is not None:
                 shutil.chown(self.path, self.owner, self.owner)
         except (OSError, LookupError) as error:

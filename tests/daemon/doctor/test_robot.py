@@ -7,7 +7,6 @@ import pytest
 
 from softarm.common.finding import State
 from softarm.daemon.doctor import from_logs, models, running, settings
-from softarm.daemon.doctor.from_logs import Shown
 from softarm.daemon.doctor.models import Golden, Models
 from softarm.daemon.doctor.running import Running
 from softarm.daemon.limits.findings import MeasuredLimit
@@ -154,17 +153,17 @@ def test_a_golden_run_with_another_result_is_a_problem():
 def test_limits_less_strict_than_measured_are_problems():
     row = MeasuredLimit("latency_s", 0.033, Bound(0.06, 0.99, 0.05, 300, 60.0), 0.033, "act within 0.03 s")
     unknown = replace(row, bound=None, why="only 3 were seen")
-    states = [each.state for each in from_logs.judge(Shown(DATA, (row, replace(row, advised=0.06), unknown)))]
+    states = [each.state for each in from_logs.judge((row, replace(row, advised=0.06), unknown), DATA)]
     assert states == [State.OK, State.PROBLEM, State.WARNING]
-    (nothing,) = from_logs.judge(Shown(DATA))
+    (nothing,) = from_logs.judge((), DATA)
     assert nothing.state is State.WARNING
     assert "softarm excite rail-dashes" in nothing.advice
 
 
 def test_a_log_is_read_for_the_limits(tmp_path):
-    facts = from_logs.look(DATA, listing(DATA), Config())
-    assert [row.key for row in facts.rows] == ["latency_s", "braking_m_s2", "surge_m_s2", "drag_m_s"]
-    assert from_logs.look(tmp_path, listing(tmp_path), Config()).rows == ()
+    rows = from_logs.look(DATA, listing(DATA), Config())
+    assert [row.key for row in rows] == ["latency_s", "braking_m_s2", "surge_m_s2", "drag_m_s"]
+    assert from_logs.look(tmp_path, listing(tmp_path), Config()) == ()
 
 
 def test_the_doctor_finds_the_mistakes_that_check_finds(tmp_path):
