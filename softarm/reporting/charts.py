@@ -39,13 +39,13 @@ def decades(low: float, high: float) -> list[float]:
     return ticks
 
 
-def thinned(frequency_hz: Array, density: Array, bins: int = _SPECTRUM_BINS) -> tuple[Array, Array]:
+def thinned(frequency_hz: Array, density: Array) -> tuple[Array, Array]:
     """Return the root mean squares over equal intervals of log frequency, few enough for a chart."""
     good = (frequency_hz > 0) & np.isfinite(density)
     f, d = frequency_hz[good], density[good]
-    if len(f) <= bins:
+    if len(f) <= _SPECTRUM_BINS:
         return f, d
-    edges = np.geomspace(f[0], f[-1] * (1 + 1e-9), bins + 1)
+    edges = np.geomspace(f[0], f[-1] * (1 + 1e-9), _SPECTRUM_BINS + 1)
     place = np.searchsorted(edges, f, side="right")
     groups, index = np.unique(place, return_inverse=True)
     count = np.bincount(index, minlength=len(groups))

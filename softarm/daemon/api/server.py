@@ -48,12 +48,14 @@ class ApiServer:
         """
         listener = listen(self._config.host, self._config.port, "api.port", bounds.CONNECTIONS_MAX)
         port = int(listener.getsockname()[1])
-        self._thread = threading.Thread(target=self._serve, args=(listener,), name="api", daemon=True)
+        self._thread = threading.Thread(
+            target=lambda: asyncio.run(self._serve_until_stopped(listener)), name="api", daemon=True
+        )
         self._thread.start()
         deadline = time.monotonic() + START_S
         while not self._server.started:
             if not self._thread.is_alive() or time.monotonic() > deadline:
-                raise ApiError(f"the API on {self._where(port)} did not start; see the log above")
+                raise ApiError(f"the API on {self._config.host} port {port} did not start; see the log above")
             time.sleep(0.005)
         return port
 
@@ -74,6 +76,3 @@ class ApiServer:
         for connection in tuple(self._server.server_state.connections):
             connection.transport.abort()  # a client that does not read would never be closed
         await asyncio.sleep(0)
-
-    def _where(self, port: int) -> str:
-        return f"{self._config.host} port {port}"

@@ -22,13 +22,7 @@ TYPES = {
     "css": "text/css; charset=utf-8",
     "html": "text/html; charset=utf-8",
     "js": "text/javascript; charset=utf-8",
-    "json": "application/json",
-    "mjs": "text/javascript; charset=utf-8",
-    "png": "image/png",
     "svg": "image/svg+xml",
-    "txt": "text/plain; charset=utf-8",
-    "webmanifest": "application/manifest+json",
-    "woff2": "font/woff2",
 }
 INDEX = "index.html"
 STOP_PORT = '<meta name="stop-port" content="{port}">'
@@ -53,15 +47,10 @@ class _File(NamedTuple):
 class DashboardFiles:
     """Endpoints that serve the dashboard's files; they are not part of the API's schema."""
 
-    def __init__(self, stop_port: Callable[[], int | None], folder: Traversable | None = None) -> None:
-        """Read the files.
-
-        Args:
-            stop_port: returns the dedicated stop port, which the page needs before its first request.
-            folder: of the files; default: the installed dashboard.
-        """
+    def __init__(self, stop_port: Callable[[], int | None]) -> None:
+        """Read the files; `stop_port` returns the dedicated stop port, which the page needs at once."""
         self._stop_port = stop_port
-        self._files = dict(_files(folder or resources.files("softarm.daemon.dashboard")))
+        self._files = dict(_files(resources.files("softarm.daemon.dashboard")))
         self._files |= _files(resources.files("softarm.reporting") / "shared", "shared/")
 
     def router(self) -> APIRouter:
