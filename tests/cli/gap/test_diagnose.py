@@ -100,8 +100,7 @@ def test_diagnose_writes_verdict_report_and_patch_and_prints_the_answer(asked, t
     assert [trial.name for trial in asked.trials] == ["a"]
 
 
-@pytest.mark.parametrize("written", [True, False], ids=["with a verdict", "without"])
-@pytest.mark.parametrize("configured", [True, False], ids=["with softarm.yaml", "without"])
+@pytest.mark.parametrize(("written", "configured"), [(True, False), (False, True)])
 def test_the_printed_next_command_runs(asked, tmp_path, monkeypatch, written, configured):
     monkeypatch.chdir(tmp_path)
     write_trial(tmp_path / "campaign" / "a", Model(effects={}))

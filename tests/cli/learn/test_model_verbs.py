@@ -33,12 +33,6 @@ def test_show_resolves_defaults_and_prints_units_and_sources(tmp_path: Path) -> 
     assert result.stdout.endswith("arm.tilt has its neutral value and no effect\n")
 
 
-def test_show_accepts_shipped_names() -> None:
-    assert "rail.delay" not in run("show", "no-delay").stdout
-    assert row(run("show", "seed").stdout, "rail.delay.delay")[1:3] == ["0.0333333", "s"]
-    assert row(run("show", "seed").stdout, "observation.finite_difference")[1] == "on"
-
-
 def test_diff_shows_only_the_differences(tmp_path: Path) -> None:
     result = run("diff", "seed", "no-delay")
     assert row(result.stdout, "rail.delay.delay") == ["rail.delay.delay", "s", "0.0333333", "absent"]

@@ -11,7 +11,3 @@ def test_a_process_is_found_by_a_file_that_it_has_open(tmp_path):
     with place.open("w"):
         assert Path("/proc", str(os.getpid())) in list(holders({str(place)}))
     assert not list(holders({str(place)}))
-
-
-def test_without_targets_no_process_is_found():
-    assert not list(holders(()))

@@ -77,11 +77,6 @@ def test_a_request_has_its_source(loop, app, client_of, tokens):
     ]
 
 
-def test_a_request_without_a_token_has_the_api_as_source(client, loop):
-    client.post("/api/disarm")
-    assert loop.taken[-1].request.who == "the API"
-
-
 @pytest.mark.slow
 @pytest.mark.realtime
 def test_rest_log_and_journal_name_the_same_source_of_a_stop(tmp_path, caplog, monkeypatch):

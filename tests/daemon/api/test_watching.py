@@ -1,12 +1,10 @@
 """Data of the dashboard: constants, the last minutes, poses of the bodies and their times."""
 
-import asyncio
 import json
 import math
 import time
 from dataclasses import replace
 
-import httpx
 import pytest
 
 from softarm import __version__
@@ -66,20 +64,6 @@ def test_a_span_longer_than_kept_is_refused(client, seconds):
     answer = client.get("/api/recent", params={"seconds": seconds})
     assert answer.status_code == 422
     assert "allowed a whole number from 1 to 600" in answer.json()["detail"]
-
-
-def test_many_simultaneous_reloads_are_answered(loop, app):
-    recent = Recent(time.monotonic_ns, time.time_ns)
-    for tick in range(3000):
-        recent.take(replace(loop.outputs, tick=tick, t_ns=tick * 33_333_333))
-    made = app(loop, recent=recent)
-
-    async def reload() -> list[int]:
-        async with httpx.AsyncClient(transport=httpx.ASGITransport(made), base_url="http://127.0.0.1") as client:
-            answers = await asyncio.gather(*(client.get(f"/api/recent?seconds={n % 60 + 1}") for n in range(100)))
-        return [answer.status_code for answer in answers]
-
-    assert asyncio.run(reload()) == [200] * 100
 
 
 def view_of(outputs: Outputs, frame: MocapFrame | None, wall_ns: int = 0, now_ns: int = 0) -> dict:

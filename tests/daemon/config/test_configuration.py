@@ -140,15 +140,6 @@ def test_all_mistakes_are_reported_in_the_files_order(write):
             "1: goals.workspace: y_min_m must lie below y_max_m, and z_min_m below z_max_m: swap or widen them",
         ),
         (
-            "failsafe: {mocap_stale_s: 100}",
-            "1: failsafe.mocap_stale_s: is 100; allowed above 0, at most 1 s; if you meant 100 ms, write 0.1",
-        ),
-        (
-            "drivers: {rail: {driver: simplemotion}}",
-            "1: drivers.rail.driver: is 'simplemotion'; allowed 'dryve_d1'; "
-            "change it, or remove the line for the default 'dryve_d1'",
-        ),
-        (
             "zzz: 1",
             "1: zzz: unknown key; remove it, or use one of "
             "limits, failsafe, control, goals, policies, drivers, api, recorder",

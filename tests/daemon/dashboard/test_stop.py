@@ -107,15 +107,6 @@ def test_without_any_answer_the_button_reports_not_confirmed_and_retries(armed, 
     assert robot.status["mode"] == "stopped"
 
 
-def test_without_network_the_button_reports_not_confirmed(armed, robot):
-    armed.context.set_offline(True)
-    armed.locator("#stop").click()
-    armed.locator("#stopped[data-state=unconfirmed]").wait_for()
-    assert robot.status["mode"] == "armed"
-    armed.context.set_offline(False)
-    armed.locator("#stopped[data-state=stopped]").wait_for()
-
-
 def test_the_button_is_visible_and_uncovered_on_every_screen(opened, robot):
     sizes = ((360, 640), (390, 844), (768, 1024), (1280, 720))
     page = opened(apart=True)

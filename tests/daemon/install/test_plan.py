@@ -78,17 +78,6 @@ def test_an_existing_user_joins_the_group():
     assert commands(steps(system(users=frozenset({"softarm"}))))[0] == "usermod --append --groups dialout softarm"
 
 
-def test_an_upgrade_changes_the_unit_and_keeps_configuration_and_logs():
-    files = installed() | {plan.UNIT_PATH: rendered.unit(("/opt/old/bin/softarm",), "softarm", Config())}
-    done = steps(system(files), replace(PACKAGED, installed=OTHER))
-    (unit,) = [step for step in done if isinstance(step, Write)]
-    assert unit.path == plan.UNIT_PATH
-    assert "-ExecStart=/opt/old/bin/softarm run --config /etc/softarm/softarm.yaml" in unit.shown
-    kept = {step.path: step.why for step in done if isinstance(step, Keep)}
-    assert kept[rendered.CONFIGURATION] == "it was changed and stays: recorder.queue_max: 500, not 10000"
-    assert rendered.STATE / "logs" in kept
-
-
 def test_a_given_configuration_is_stored_next_to_the_existing_one():
     asked = Wanted("recorder: {queue_max: 600}\n", Config(recorder=Recorder(queue_max=600)), True, OTHER)
     done = steps(system(installed()), asked)
