@@ -173,24 +173,6 @@ def test_all_errors_are_reported_at_once_and_in_order(tmp_path: Path) -> None:
     assert [line.split(":")[1] for line in lines] == ["2", "3", "4", "6", "7"]
 
 
-# The words that get past the first checks, in any order.
-KEYS = ["effects", "arm", "cart", "rail.delay", "delay", "mass_kg", "link_mass_kg"]
-VALUES = ["1", "-1e9", ".nan", ".inf", "null", "2020-13-45", "'", "\x00", "<<"]
-MARKS = [":", " ", "\n", "\n  ", "{", "}", "[", "]", ",", "&a ", "*a", "!!int ", "!!bool ", "!!timestamp ", "? ", "- "]
-
-
-@pytest.mark.slow
-@settings(max_examples=300, deadline=None, derandomize=True)
-@given(st.lists(st.sampled_from(KEYS + VALUES + MARKS), max_size=25).map("".join) | st.text(max_size=40))
-def test_any_file_gives_a_model_or_an_error_with_its_name(tmp_path_factory: pytest.TempPathFactory, text: str) -> None:
-    path = tmp_path_factory.mktemp("models") / "model.yaml"
-    path.write_text(text, encoding="utf-8")
-    try:
-        effects.validate(model_file.load(path).effects)
-    except ModelFileError as error:
-        assert all(line.startswith(f"{path}:") for line in str(error).splitlines())  # noqa: PT017
-
-
 def test_missing_file_and_unknown_name_are_named(tmp_path: Path) -> None:
     with pytest.raises(ModelFileError, match=r"absent.yaml: no such file; name a model file"):
         model_file.load(tmp_path / "absent.yaml")

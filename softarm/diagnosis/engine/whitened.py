@@ -4,10 +4,11 @@ Results are cached by the parameters that act on the view, so that a parameter o
 """
 
 from collections import OrderedDict
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
+from typing import Generic, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,9 +18,30 @@ from softarm.diagnosis.engine.view import Array, Point, View
 
 Rows = NDArray[np.float32]
 Key = tuple[tuple[str, float], ...]
+T = TypeVar("T")
 CACHED = 1500
 BLOCK_S = 1.5  # block of the robot; a rig's view has its own
 START_PRIOR = 1.0  # a trial's start is known to about one unit of its directions
+
+
+class Cache(Generic[T]):
+    """Results by key, computed in batches; of more than CACHED, those used least recently are dropped."""
+
+    def __init__(self, compute: Callable[[list[Key]], Iterable[T]]) -> None:
+        self._compute = compute
+        self._found: OrderedDict[Key, T] = OrderedDict()
+
+    def fetch(self, keys: Sequence[Key]) -> list[T]:
+        """Return the result of each key; missing ones are computed in one batch."""
+        missing = [key for key in dict.fromkeys(keys) if key not in self._found]
+        if missing:
+            self._found.update(zip(missing, self._compute(missing), strict=True))
+        result = [self._found[key] for key in keys]
+        for key in keys:
+            self._found.move_to_end(key)
+        while len(self._found) > max(CACHED, len(keys)):
+            self._found.popitem(last=False)
+        return result
 
 
 class Gaps:
@@ -27,7 +49,7 @@ class Gaps:
 
     def __init__(self, view: View) -> None:
         self.view = view
-        self._found: OrderedDict[Key, NDArray[np.float32]] = OrderedDict()
+        self._cache = Cache(lambda keys: view.gap([dict(key) for key in keys]))
 
     def key(self, point: Point) -> Key:
         """Return the part of a point that acts on the view."""
@@ -35,17 +57,8 @@ class Gaps:
 
     def fetch(self, points: Sequence[Point]) -> dict[Key, NDArray[np.float32]]:
         """Return the gaps [M, S] of all points by key; missing ones are simulated in one batch."""
-        keys = dict.fromkeys(self.key(point) for point in points)
-        missing = [key for key in keys if key not in self._found]
-        if missing:
-            for key, gap in zip(missing, self.view.gap([dict(key) for key in missing]), strict=True):
-                self._found[key] = gap
-        result = {key: self._found[key] for key in keys}
-        for key in keys:
-            self._found.move_to_end(key)
-        while len(self._found) > max(CACHED, len(keys)):
-            self._found.popitem(last=False)
-        return result
+        keys = list(dict.fromkeys(self.key(point) for point in points))
+        return dict(zip(keys, self._cache.fetch(keys), strict=True))
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,7 +99,7 @@ class WhitenedResidual:
         self.columns = self._rows(nuisances)  # [q, N]
         self.gg = (self.columns @ self.columns.T).astype(np.float64)
         self.kept = float(whiten.keep.sum())
-        self._moments: OrderedDict[Key, Moments] = OrderedDict()
+        self._moments = Cache(self._products)
         width = nuisances.shape[2]
         self.blocks = [(name, slice(a * width, b * width)) for name, a, b in blocks_of(view, block_s)]
 
@@ -98,21 +111,14 @@ class WhitenedResidual:
 
     def moments(self, points: Sequence[Point]) -> list[Moments]:
         """Return the moments of each point."""
-        keys = [self.gaps.key(point) for point in points]
-        missing = dict.fromkeys(key for key in keys if key not in self._moments)
-        if missing:
-            raw = self.gaps.fetch([dict(key) for key in missing])
-            rows = self._rows(np.stack([raw[key] for key in missing]))
-            gr = (rows @ self.columns.T).astype(np.float64)
-            rr = np.einsum("ij,ij->i", rows, rows).astype(np.float64)
-            for i, key in enumerate(missing):
-                self._moments[key] = Moments(rows[i], float(rr[i]), gr[i])
-        result = [self._moments[key] for key in keys]
-        for key in keys:
-            self._moments.move_to_end(key)
-        while len(self._moments) > max(CACHED, len(keys)):
-            self._moments.popitem(last=False)
-        return result
+        return self._moments.fetch([self.gaps.key(point) for point in points])
+
+    def _products(self, keys: Sequence[Key]) -> list[Moments]:
+        raw = self.gaps.fetch([dict(key) for key in keys])
+        rows = self._rows(np.stack([raw[key] for key in keys]))
+        gr = (rows @ self.columns.T).astype(np.float64)
+        rr = np.einsum("ij,ij->i", rows, rows).astype(np.float64)
+        return [Moments(rows[i], float(rr[i]), gr[i]) for i in range(len(keys))]
 
     def _rows(self, gaps: NDArray[np.floating]) -> Rows:
         """Return whitened, weighted rows [P, M S] of gaps [P, M, S]."""

@@ -5,20 +5,13 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from softarm.common.quantity import PURE
-from softarm.diagnosis.answer.calibration import Calibrated, calibrated
+from softarm.diagnosis.answer.calibration import Calibrated
 from softarm.diagnosis.answer.evidence import rms
-from softarm.diagnosis.engine.examination import Examination
-from softarm.diagnosis.engine.fits import Fit
 from softarm.diagnosis.engine.view import Point
 from softarm.diagnosis.robot.comparison import Comparison
 from softarm.diagnosis.robot.floors import tip_gap_with, with_joints
 from softarm.schemas.model import Model
 from softarm.simulator.effects import REGISTRY, find, value
-
-
-def calibration(comparison: Comparison, found: Examination, fit: Fit) -> Calibrated:
-    """Return the calibration next to a fit's effects."""
-    return calibrated(comparison.setup, found.verdict_problem, found.plain, fit, _unit)
 
 
 def calibrated_tip(comparison: Comparison, found: Calibrated, points: Sequence[Point]) -> float:
@@ -47,6 +40,6 @@ def with_calibration(model: Model, values: Mapping[str, float]) -> Model:
     return with_joints(model.model_copy(update={"effects": effects}), values)
 
 
-def _unit(path: str) -> str:
+def unit_of(path: str) -> str:
     """Return the unit of a parameter; a single joint's change is a share."""
     return PURE if "[" in path else find(path)[1].unit

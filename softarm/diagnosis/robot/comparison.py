@@ -10,7 +10,7 @@ from softarm.diagnosis.data.trials import Trial, TrialError
 from softarm.diagnosis.engine.problem import Setup
 from softarm.diagnosis.engine.search import Progress
 from softarm.diagnosis.engine.view import Array, Point
-from softarm.diagnosis.engine.whitened import BLOCK_S, Key, blocks_of
+from softarm.diagnosis.engine.whitened import BLOCK_S, Cache, blocks_of
 from softarm.diagnosis.robot.candidates import nuisances
 from softarm.diagnosis.robot.chain import tip_gap
 from softarm.diagnosis.robot.drive import with_identified_drive
@@ -25,16 +25,11 @@ class TipGaps:
     """Cache of the tip's gaps, simulated from commands alone."""
 
     def __init__(self, grid: TrialGrid, model: Model) -> None:
-        self._grid, self._model = grid, model
-        self._found: dict[Key, Gap] = {}
+        self._cache = Cache(lambda keys: tip_gap(grid, model, [dict(key) for key in keys]))
 
     def fetch(self, points: Sequence[Point]) -> Gap:
         """Return measured minus simulated tip (y, z) at each point, m, [P, M, 2]."""
-        keys = [tuple(sorted(point.items())) for point in points]
-        if missing := [key for key in dict.fromkeys(keys) if key not in self._found]:
-            gaps = tip_gap(self._grid, self._model, [dict(key) for key in missing])
-            self._found |= zip(missing, gaps, strict=True)
-        return np.stack([self._found[key] for key in keys])
+        return np.stack(self._cache.fetch([tuple(sorted(point.items())) for point in points]))
 
 
 @dataclass(frozen=True, slots=True)

@@ -5,14 +5,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from softarm.diagnosis.answer.calibration import Calibrated
+from softarm.diagnosis.answer.calibration import Calibrated, calibrated
 from softarm.diagnosis.answer.evidence import rms
 from softarm.diagnosis.engine.decision import Decision
 from softarm.diagnosis.engine.examination import Examination
 from softarm.diagnosis.engine.fits import Fit
 from softarm.diagnosis.engine.structure import Structure
 from softarm.diagnosis.engine.thresholds import ROBOT
-from softarm.diagnosis.robot.calibration import calibration
+from softarm.diagnosis.robot.calibration import unit_of
 from softarm.diagnosis.robot.chain import stage_of_tip_gap
 from softarm.diagnosis.robot.comparison import Comparison
 from softarm.diagnosis.robot.floors import chain_floor, drift, stage_floors
@@ -42,7 +42,8 @@ def decide(comparison: Comparison, found: Examination) -> Decided:
         tip_floor = chain_floor(comparison.grid, comparison.model, comparison.setup, named, tip)
     if decision.kind == "none":
         decision = found.decide(signs | _above_floors(comparison, floors, tip_floor))
-    return Decided(decision, floors, tip_floor, named, calibration(comparison, found, named))
+    calibration = calibrated(comparison.setup, found.verdict_problem, found.plain, named, unit_of)
+    return Decided(decision, floors, tip_floor, named, calibration)
 
 
 def _signs(comparison: Comparison, found: Examination) -> dict[str, Structure]:
