@@ -258,8 +258,8 @@ class Simulator:
         self.time_s += (shape[0] - 1) * step_s
         return path
 
-    def take_over(self, other: "Simulator") -> None:
-        """Copy the state and the pending commands of another simulator's first robot to every robot.
+    def take_over(self, other: "Simulator", robot: int = 0) -> None:
+        """Copy the state and the pending commands of one robot of another simulator to every robot.
 
         Parameters stay this simulator's own. Raises ValueError if the numbers of links differ.
         """
@@ -267,8 +267,9 @@ class Simulator:
             raise ValueError(
                 f"the other simulator's arms have {other.links} links, these have {self.links}: simulate the same arm"
             )
+        block, lane = divmod(robot, len(other._lanes))
         moving = slice(self._at.q, self._at.cart_command)
-        self._rows[:, moving] = other._rows[0, moving, 0][:, None]
+        self._rows[:, moving] = other._rows[block, moving, lane][:, None]
         self._located = False
 
     def place(

@@ -35,11 +35,11 @@ def test_a_batch_takes_over_one_robot_with_its_commands_under_way() -> None:
     few, many = Simulator(robots=3), Simulator(robots=40)
     for step in range(20):
         few.step(velocity[step], pressure[step])
-    many.take_over(few)
+    many.take_over(few, robot=1)
     for step in range(20, 30):
         few.step(velocity[step], pressure[step])
-        many.step(velocity[step, 0], pressure[step, 0])
-    np.testing.assert_array_equal(many.tip_m(), np.tile(few.tip_m()[0], (40, 1)))
+        many.step(velocity[step, 1], pressure[step, 1])
+    np.testing.assert_array_equal(many.tip_m(), np.tile(few.tip_m()[1], (40, 1)))
     assert not np.array_equal(few.tip_m()[0], few.tip_m()[1])
 
 
