@@ -134,7 +134,7 @@ def test_the_age_of_motion_capture_is_of_its_newest_good_frame():
 
 def test_the_reported_lateness_is_the_average_of_the_stamps():
     observer = Observer(Config())
-    assert observer.mocap_late_ns() == 0
+    assert (observer.mocap_late_ns(), observer.bridged_ns, observer.tip_deviation_m) == (0, 0, 0.0)
     feed(observer, 33, frame(20, way_ms=4), frame(24, way_ms=8))
     assert observer.mocap_late_ns() == 6 * MS
 
@@ -216,10 +216,12 @@ def test_no_observation_before_every_sensor_has_delivered():
 def test_ticks_of_disagreement_are_counted_in_a_row():
     """Disagreement counts once no allowed delay explains it."""
     observer = Observer(Config())
-    counted = []
+    counted, apart_m = [], []
     for tick in range(14):
         feed(observer, 40 * tick, frame(40 * tick), rail=(0.02 if tick == 7 else 0.05, 0.0))
         counted.append(observer.disagreeing_ticks)
+        apart_m.append(observer.apart_m)
+    assert (apart_m[6], apart_m[7]) == pytest.approx((0.05, 0.02))
     assert counted == [0, 0, 0, 0, 1, 2, 3, 0, 0, 0, 0, 0, 1, 2]
     feed(observer, 560, rail=(0.5, 0.0))  # no frame: nothing to be compared
     assert (observer.apart_m, observer.disagreeing_ticks) == (pytest.approx(0.05), 2)
