@@ -7,7 +7,7 @@ import click
 
 from softarm.cli.gap.rail_limits import print_stricter
 from softarm.cli.gap.wire_flights import GOALS, Bench, check_wires, through_wires
-from softarm.cli.shared.errors import fail
+from softarm.cli.shared.errors import failing, writing
 from softarm.cli.shared.interrupt import leaves
 from softarm.cli.shared.options import FILE, FOLDER, flown_model, load_config
 from softarm.cli.shared.printing import print_table, print_text, warn
@@ -82,10 +82,10 @@ def close_gap(
     if faults and robot != REALITY:
         raise click.UsageError("--fault is for the independent robot: omit --robot, or add the effect to its model")
     check_wires(config_file, twin, yes)
-    wrong = (TrialError, ModelFileError, CheckpointError, PolicyError, WorkerDied)
+    wrong = (TrialError, ModelFileError, CheckpointError, PolicyError, WorkerDied, ValueError, RuntimeError)
     recipe = RetrainingConfig() if seconds is None else RetrainingConfig(seconds=seconds)
     spent = steps.Spent()
-    try:
+    with failing(*wrong), writing("choose another --out"):
         config = load_config(config_file)
         model = None if robot == REALITY else flown_model(Path(robot))
         held_out = steps.independent(faults) if model is None else steps.simulated(robot, model)
@@ -101,10 +101,6 @@ def close_gap(
         own = bool(faults) or robot != REALITY
         through = through_wires(Bench(config_file, twin, robot, own, yes, goals, out, spent))
         closed = steps.close(found, rail, file, out, held_out, own, recipe, spent, replanned=mppi, through=through)
-    except (*wrong, ValueError, RuntimeError) as error:
-        fail(str(error))
-    except OSError as error:
-        fail(f"{error.filename}: cannot be written ({error.strerror}); choose another --out")
     _show(closed, spent, out)
     if advise(closed).fly == "old":
         raise SystemExit(KEEP_THE_OLD)

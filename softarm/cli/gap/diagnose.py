@@ -8,7 +8,7 @@ import click
 from softarm.cli.gap.inputs import refuse_misplaced
 from softarm.cli.gap.rail_limits import limits_option, write_limits
 from softarm.cli.gap.verdict_text import show
-from softarm.cli.shared.errors import fail, failing
+from softarm.cli.shared.errors import failing, writing
 from softarm.cli.shared.interrupt import NOTHING, leaves
 from softarm.cli.shared.options import FILE, FOLDER, INPUT, check_places
 from softarm.cli.shared.printing import warn
@@ -78,7 +78,7 @@ def diagnose(
     rig_patch = None
     if patch_file is not None and len(stage_files) == 1:
         rig_patch = patch.patched(stage_files[0], result.verdict, calibration)
-    try:
+    with failing(TrialError), writing():
         if json_file is not None:
             files.write_text(json_file, result.verdict.model_dump_json(indent=1) + "\n")
             written.append(json_file)
@@ -94,10 +94,6 @@ def diagnose(
         if limits_file is not None:
             write_limits(inputs, limits_file, result.verdict)
             written.append(limits_file)
-    except TrialError as error:
-        fail(str(error))
-    except OSError as error:
-        fail(f"{error.filename}: cannot be written ({error.strerror}); choose another place")
     show(result, json_file)
     if patch_file is not None and patch_file not in written:
         click.echo(f"{patch_file}: not written, {_no_patch(result, len(stage_files))}", err=True)

@@ -7,7 +7,7 @@ import click
 
 from softarm.cli.gap.inputs import refuse_misplaced
 from softarm.cli.gap.rail_limits import limits_option, write_limits
-from softarm.cli.shared.errors import fail
+from softarm.cli.shared.errors import failing, writing
 from softarm.cli.shared.interrupt import NOTHING, leaves
 from softarm.cli.shared.options import FILE, FOLDER, INPUT, json_option, model_option
 from softarm.cli.shared.printing import print_table, print_text, warn
@@ -57,7 +57,7 @@ def identify(
 
     refuse_misplaced((*inputs, *checks))
     leaves(NOTHING)
-    try:
+    with failing(TrialError, models.ModelFileError), writing():
         model = models.load(model_file) if model_file else Model()
         with bar("reading", total=None) as shown:
 
@@ -73,10 +73,6 @@ def identify(
         if json_file is not None:
             files.write_text(json_file, json.dumps(summary, indent=1) + "\n")
         pictures = _pictures(result, plots)
-    except (TrialError, models.ModelFileError) as error:
-        fail(str(error))
-    except OSError as error:
-        fail(f"{error.filename}: cannot be written ({error.strerror}); choose another place")
     _show(result)
     written = [out, *filter(None, (json_file, limits_file)), *pictures]
     click.echo(f"wrote {', '.join(map(str, written))}")

@@ -6,8 +6,7 @@ from typing import TYPE_CHECKING
 import click
 
 from softarm.cli.shared.completion import models
-from softarm.cli.shared.errors import fail
-from softarm.cli.shared.options import FILE, load_model
+from softarm.cli.shared.options import FILE, load_model, write
 from softarm.cli.shared.printing import print_table
 
 if TYPE_CHECKING:
@@ -93,17 +92,12 @@ def export(name: Path, out: Path) -> None:
     Example:
       softarm model export --mjcf arm.xml seed      then: python -m mujoco.viewer --mjcf=arm.xml
     """
-    from softarm.common import files
     from softarm.simulator import mjcf
 
     exported = mjcf.export(load_model(name))
-    try:
-        files.write_text(out, exported.xml)
-    except OSError as error:
-        fail(f"{out}: cannot be written ({error.strerror}); name a file in an existing folder")
+    write(out, exported.xml)
     for sentence in exported.left_out:
         click.echo(f"left out: {sentence}", err=True)
-    click.echo(f"wrote {out}")
 
 
 def _idle(loaded: "Model") -> str:

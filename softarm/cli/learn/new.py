@@ -6,7 +6,7 @@ import click
 
 from softarm.cli.gap.new_rig import rig
 from softarm.cli.learn import templates
-from softarm.cli.shared.errors import fail
+from softarm.cli.shared.errors import failing, writing
 from softarm.cli.shared.options import FOLDER
 from softarm.cli.verbs import Verbs
 
@@ -64,15 +64,11 @@ def _write(kind: str, name: str, out: Path | None) -> None:
     """Write the package of a plug-in and print the next commands."""
     from softarm.common.plugins import PluginError
 
-    try:
+    with failing(PluginError), writing("choose another --out"):
         package = templates.named(kind, name)
         folder = out or Path(package.project)
         for file in templates.write(package, folder):
             click.echo(f"wrote {file}")
-    except PluginError as error:
-        fail(str(error))
-    except OSError as error:
-        fail(f"{error.filename}: cannot be written ({error.strerror}); choose another --out")
     click.echo("next:")
     for line in (f"pip install --editable {folder}", f"pytest {folder}", *NEXT[kind]):
         click.echo(f"  {line.format(name=name)}")

@@ -41,3 +41,12 @@ def failing(*kinds: type[Exception]) -> Iterator[None]:
         yield
     except kinds as error:
         fail(str(error))
+
+
+@contextmanager
+def writing(remedy: str = "choose another place") -> Iterator[None]:
+    """End the command with the name of a file that cannot be written, and the remedy."""
+    try:
+        yield
+    except OSError as error:
+        fail(f"{error.filename}: cannot be written ({error.strerror}); {remedy}")

@@ -9,7 +9,7 @@ import click
 from click.core import ParameterSource
 
 from softarm.cli.shared.completion import models
-from softarm.cli.shared.errors import fail, failing
+from softarm.cli.shared.errors import fail, failing, writing
 from softarm.common import files
 
 if TYPE_CHECKING:
@@ -107,10 +107,8 @@ def write(file: Path, text: str) -> None:
 
 def write_bytes(file: Path, content: bytes) -> None:
     """Write a binary file as `write` does."""
-    try:
+    with writing():
         files.write_bytes(file, content)
-    except OSError as error:
-        fail(f"{error.filename}: cannot be written ({error.strerror}); choose another place")
     click.echo(f"wrote {file}")
 
 
