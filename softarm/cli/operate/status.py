@@ -1,6 +1,5 @@
 """`softarm status`: print the daemon's newest snapshot."""
 
-import json
 import time
 from collections.abc import Iterator
 from typing import Any
@@ -11,7 +10,7 @@ from rich.live import Live
 from rich.text import Text
 
 from softarm.cli.shared.client import Remote, remote
-from softarm.cli.shared.printing import clock
+from softarm.cli.shared.printing import clock, print_json
 from softarm.schemas.policy import OBSERVATION
 
 Json = dict[str, Any]
@@ -33,7 +32,7 @@ def status(daemon: Remote, watch: bool, as_json: bool) -> None:
     if watch:
         _watch(daemon)
     elif as_json:
-        click.echo(json.dumps(daemon.get("/api/status"), indent=1))
+        print_json(daemon.get("/api/status"))
     else:
         click.echo("\n".join(lines(daemon.get("/api/status"))))
 

@@ -10,7 +10,7 @@ from softarm.cli.rail.exclusive import only_one, relay_held
 from softarm.cli.rail.homing import allowed, announce_motion, enabled, ready, report_homed, searched
 from softarm.cli.shared.errors import fail, failing
 from softarm.cli.shared.interrupt import leaves
-from softarm.cli.shared.options import FILE, load_config, token_of
+from softarm.cli.shared.options import FILE, load_config, token_of, token_option, url_option
 from softarm.cli.verbs import Verbs
 
 config_option = click.option(
@@ -85,8 +85,8 @@ def home(config_file: Path, speed_m_s: float, reset_fault: bool, relay: bool, ye
     "--seconds", type=click.FloatRange(1, 600), help="Duration of the push (default: until Enter is pressed)."
 )
 @click.option("--write", is_flag=True, help="Write the result into the configuration, keeping its comments.")
-@click.option("--url", envvar="SOFTARM_URL", show_envvar=True, help="Address of the daemon (default: from the file).")
-@click.option("--token-file", type=FILE, help="File with the API's token; else $SOFTARM_TOKEN. Not needed on loopback.")
+@url_option
+@token_option
 def centre(config_file: Path, seconds: float | None, write: bool, url: str | None, token_file: Path | None) -> None:
     """Find the middle of the rail while you push the cart from end to end by hand. The drive does not move it.
 

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 import click
 
 from softarm.cli.shared.client import url_of
-from softarm.cli.shared.options import FILE, FOLDER, config_option, token_of
+from softarm.cli.shared.options import FOLDER, config_option, token_of, token_option, url_option
 from softarm.cli.shared.printing import print_json, print_option
 from softarm.common.processes import bar
 
@@ -20,8 +20,8 @@ COLOURS = {"ok": "green", "warning": "yellow", "problem": "red"}
 @click.command()
 @config_option
 @click.option("--simulated", is_flag=True, help="Check for `softarm run --simulated`, which has no devices.")
-@click.option("--url", envvar="SOFTARM_URL", show_envvar=True, help="Address of the daemon (default: from the file).")
-@click.option("--token-file", type=FILE, help="File with the API's token; else $SOFTARM_TOKEN. Not needed on loopback.")
+@url_option
+@token_option
 @click.option("--logs", "folder", type=FOLDER, help="Folder of the robot's logs (default: recorder.directory).")
 @print_option
 def doctor(

@@ -11,7 +11,7 @@ import httpx
 
 from softarm.cli.shared.errors import Unreachable, fail
 from softarm.cli.shared.interrupt import leaves
-from softarm.cli.shared.options import FILE, token_of
+from softarm.cli.shared.options import token_of, token_option
 from softarm.schemas.rest import API_HEADER, API_VERSION
 
 if TYPE_CHECKING:
@@ -127,9 +127,7 @@ def remote(function: Callable[..., None]) -> Callable[..., None]:
         show_envvar=True,
         help="The daemon's address.",
     )
-    @click.option(
-        "--token-file", type=FILE, help="File with the API's token; else $SOFTARM_TOKEN. Not needed on loopback."
-    )
+    @token_option
     @functools.wraps(function)
     def command(*args: Any, url: str, token_file: Path | None, **kwargs: Any) -> None:
         leaves("the daemon keeps running")

@@ -29,6 +29,12 @@ model_option = click.option(
     shell_complete=models,
     help="Model of the robot: a file, or a shipped name such as no-delay (default: seed).",
 )
+token_option = click.option(
+    "--token-file", type=FILE, help="File with the API's token; else $SOFTARM_TOKEN. Not needed on loopback."
+)
+url_option = click.option(
+    "--url", envvar="SOFTARM_URL", show_envvar=True, help="Address of the daemon (default: from the file)."
+)
 
 
 def typed() -> list[str]:
