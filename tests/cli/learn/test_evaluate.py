@@ -6,10 +6,9 @@ import re
 import numpy as np
 import pytest
 
-from softarm.evaluation import page, table
+from softarm.evaluation import table
 from softarm.policies.base import MODELS
 from softarm.schemas import flights
-from softarm.training.trajectory import ceiling
 from tests.cli.invoke import invoke
 
 
@@ -57,19 +56,6 @@ def test_trained_policies_are_shown_with_their_spread_and_the_papers_results(run
     for words in ("mine", "pid", "the paper&#x27;s PID"):
         assert words in text
         assert words.replace("&#x27;", "'") in result.output
-
-
-def test_the_ceiling_is_a_row_of_the_table_and_a_map(monkeypatch, tmp_path):
-    monkeypatch.setattr(ceiling, "ROUNDS", 2)
-    monkeypatch.setattr(ceiling, "POPULATION", 24)
-    result = run("--all", "--only", "ceiling", "--test", "grid", "--workers", 1, "--json", tmp_path / "all.json")
-    assert result.exit_code == 0, result.output
-    written = json.loads((tmp_path / "all.json").read_text())
-    assert list(written["policies"]["ceiling"]) == ["in_range", "above", "all"]
-    assert 0.0 < written["policies"]["ceiling"]["all"]["mean"] < 1.0
-    assert len(written["reached"]["ceiling"]) == 54
-    assert "| ceiling (open-loop search) |  |" in result.output
-    assert "<figcaption><b>ceiling (open-loop search)</b>" in page.html(written, "")
 
 
 @pytest.fixture
