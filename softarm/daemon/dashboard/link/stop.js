@@ -21,9 +21,9 @@ async function send(url, port, options = {}) {
 }
 
 // Return the URL of the dedicated stop port, or null on a page over TLS, which must not send plain HTTP.
-export function stopUrl(port, at = location) {
-  if (at.protocol !== "http:" || !port) return null;
-  return `http://${at.hostname}:${port}/api/stop`;
+function stopUrl(port) {
+  if (location.protocol !== "http:" || !port) return null;
+  return `http://${location.hostname}:${port}/api/stop`;
 }
 
 // Send to both ports once; resolve with the port that confirmed, reject with the reasons of both.

@@ -1,6 +1,6 @@
 // Panels for this robot's files: logs, incidents and reports.
 
-import { ask, get, post } from "../link/api.js";
+import { ask, post } from "../link/api.js";
 import { ROLE_LIMITS } from "../view/controls.js";
 import { bytes, clock, el, seconds, sentence, worded } from "../view/dom.js";
 import { Panel } from "./panel.js";
@@ -19,11 +19,7 @@ const link = (href, text, properties) => el("a", { class: "button small", href, 
 
 export class Logs extends Panel {
   constructor() {
-    super("Logs");
-  }
-
-  fetch() {
-    return get("api/logs", { seconds: 35 });
+    super("Logs", "api/logs");
   }
 
   fill({ directory, logs }) {
@@ -80,11 +76,7 @@ export class Logs extends Panel {
 
 export class Incidents extends Panel {
   constructor() {
-    super("Incidents");
-  }
-
-  fetch() {
-    return get("api/incidents", { seconds: 35 });
+    super("Incidents", "api/incidents");
   }
 
   fill({ incidents }) {
@@ -95,11 +87,7 @@ export class Incidents extends Panel {
 
 export class Reports extends Panel {
   constructor() {
-    super("Reports");
-  }
-
-  fetch() {
-    return get("api/reports", { seconds: 35 });
+    super("Reports", "api/reports");
   }
 
   fill({ directory, reports }) {

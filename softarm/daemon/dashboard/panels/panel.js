@@ -1,10 +1,15 @@
 // The base of all panels: loads the content and shows progress or the error.
 
+import { get } from "../link/api.js";
 import { el, sentence, worded } from "../view/dom.js";
 
+const LISTING_S = 35; // the daemon's own limit is 30 s
+
 export class Panel {
-  constructor(name) {
+  // fill(answer) of a panel shows the answer of its path.
+  constructor(name, path = null) {
     this.name = name;
+    this.path = path;
     this.commands = false; // whether the user's role may change something
   }
 
@@ -12,7 +17,7 @@ export class Panel {
   async open() {
     if (!this.place.childElementCount) this.place.replaceChildren(el("p", { class: "hint" }, "Loading …"));
     try {
-      this.fill(await this.fetch());
+      this.fill(await get(this.path, { seconds: LISTING_S }));
     } catch (error) {
       this.place.replaceChildren(el("p", { class: "notice refused" }, `${this.name}: ${(error.reasons ?? [String(error)]).map((one) => sentence(worded(one))).join(". ")}`));
     }

@@ -1,6 +1,6 @@
 // The policies: description, the one in use, and why one cannot be used.
 
-import { ask, get } from "../link/api.js";
+import { ask } from "../link/api.js";
 import { attempt, ROLE_LIMITS } from "../view/controls.js";
 import { $, el, sentence, worded } from "../view/dom.js";
 import { Panel } from "./panel.js";
@@ -9,11 +9,7 @@ const LOADING_S = 125; // the daemon's own limit is 120 s
 
 export class Policies extends Panel {
   constructor() {
-    super("Policies");
-  }
-
-  fetch() {
-    return get("api/policies", { seconds: 35 });
+    super("Policies", "api/policies");
   }
 
   fill({ active, policies }) {

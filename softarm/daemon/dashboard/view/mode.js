@@ -26,7 +26,7 @@ const SIGNS = {
 const sign = (path) => svg("svg", { viewBox: "0 0 16 16", "aria-hidden": "true" }, svg("path", { d: path, "fill-rule": "evenodd" }));
 
 // Return each reason once: refusals of arming, active events, problems of devices.
-export function reasonsOf(status) {
+function reasonsOf(status) {
   const refused = status.mode === "disarmed" || status.mode === "stopped" ? status.arming_refusals : [];
   const all = refused.map((text) => ({ kind: "refusal", text }));
   const add = (kind, text) => all.some((one) => one.text.includes(text)) || all.push({ kind, text });
