@@ -123,20 +123,18 @@ def figures(log: Iterable[Tick], windows: Sequence[Window], bare: BareLoop) -> d
     timings = [timing for _, _, timing in ticks]
     ages = [t.sensor_to_command_ns for t in timings if t.sensor_to_command_ns is not None]
     return {
-        "compute_ms": spread([t.read_ns + t.compute_ns + t.write_ns for t in timings]),
-        "lateness_ms": spread([inputs.late_ns for inputs, _, _ in ticks]),
-        "sensor_to_command_ms": spread(ages),
-        "bare_loop_lateness_ms": spread([late for window in windows for late in bare.lateness_ns(window)]),
+        "compute_ms": _spread_ms([t.read_ns + t.compute_ns + t.write_ns for t in timings]),
+        "lateness_ms": _spread_ms([inputs.late_ns for inputs, _, _ in ticks]),
+        "sensor_to_command_ms": _spread_ms(ages),
+        "bare_loop_lateness_ms": _spread_ms([late for window in windows for late in bare.lateness_ns(window)]),
         "ticks": len(ticks),
         "missed_ticks": sum(inputs.missed for inputs, _, _ in ticks),
         "policy_ticks": sum(outputs.action is not None for _, outputs, _ in ticks),
     }
 
 
-def spread(values_ns: Sequence[float]) -> dict[str, float]:
-    """Return percentiles of nanoseconds, in ms."""
-    p50, p99, p999, top = np.percentile(np.array(values_ns) / 1e6, [50, 99, 99.9, 100])
-    return {"p50": float(p50), "p99": float(p99), "p999": float(p999), "max": float(top)}
+def _spread_ms(values_ns: Sequence[float]) -> dict[str, float]:
+    return results.spread([value * 1e-6 for value in values_ns])
 
 
 def _hammer(url: str, seconds: float) -> None:

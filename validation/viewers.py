@@ -25,7 +25,7 @@ import numpy as np
 import websockets
 
 from benchmarks import results
-from benchmarks.loop import BareLoop, Window, figures, spread, swing
+from benchmarks.loop import BareLoop, Window, figures, swing
 from softarm.common.processes import bar
 from softarm.daemon.logbook import logs
 from softarm.evaluation.soak import usage
@@ -72,7 +72,7 @@ def run(seconds: float, turns: int, viewers: int, report: Callable[[float], None
     found["viewed"] |= {
         "viewers_cpu": sum(one["cpu_s"] for one in seen) / (turns * seconds),
         "stream_hz": float(np.mean([one["hz"] for one in seen])),
-        "recent_ms": spread([1e9 * took for one in seen for took in one["recent_s"]] or [0.0]),
+        "recent_ms": results.spread([1e3 * took for one in seen for took in one["recent_s"]] or [0.0]),
         "recent_bytes": max((size for one in seen for size in one["bytes"]), default=0),
     }
     return {"viewers": viewers, **found, "ratio": _ratios(found)}
