@@ -310,7 +310,9 @@ def test_the_runner_of_a_refused_policy_ends(client, loop):
     loop.refuse = ("a goal is running: wait for it or DELETE /api/goal first",)
     answer = client.put("/api/policy", json={"name": "pid"})
     assert answer.status_code == 409
-    assert not any(thread.name == "policy pid" for thread in threading.enumerate())
+    for runner in [thread for thread in threading.enumerate() if thread.name == "policy pid"]:
+        runner.join(60)
+        assert not runner.is_alive()
 
 
 def test_a_policy_that_never_loads_delays_neither_the_next_nor_the_end(loop, app, serving, shelf, monkeypatch):
