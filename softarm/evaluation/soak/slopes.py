@@ -9,7 +9,7 @@ import numpy as np
 BLOCKS = 8
 WINDOWS = 64  # after the warm-up; each gives one number
 _T95 = 2.365  # Student's t, 97.5 %, BLOCKS - 1 degrees of freedom
-WARM_UP_SHARE, WARM_UP_MAX_H = 0.25, 0.25  # of a run; filling caches is no leak
+WARM_UP_SHARE, WARM_UP_MAX_H = 0.25, 0.25  # of a run; filling caches and ten minutes of samples is no leak
 
 Statistic = Callable[[np.ndarray], float]
 Verdict = Literal["flat", "grows", "too short to decide"]
@@ -36,10 +36,12 @@ def slope(time: Sequence[float], values: Sequence[float], allowed: float, of: St
     `softarm.diagnosis.engine.jackknife`. It is infinite for too few samples.
 
     `allowed` is the allowed growth per unit of time, `of` the statistic of a window: the minimum suits resources that
-    are allocated and freed, as a leak raises it.
+    are allocated and freed, as a leak raises it. A run too short for the whole warm-up shows no growth: its interval
+    begins at minus infinity.
     """
     t, y = np.asarray(time, float), np.asarray(values, float)
-    warm = t - t[0] >= warm_up(float(t[-1] - t[0])) if len(t) else np.zeros(0, bool)
+    warming = warm_up(float(t[-1] - t[0])) if len(t) else 0.0
+    warm = t - t[:1] >= warming
     t, y = t[warm], y[warm]
     if len(t) < 2 * BLOCKS:
         return Slope(math.nan, -math.inf, math.inf, allowed)
@@ -50,7 +52,9 @@ def slope(time: Sequence[float], values: Sequence[float], allowed: float, of: St
     block = np.arange(len(t)) * BLOCKS // len(t)
     moved = np.array([_fit(t[block != one], y[block != one]) for one in range(BLOCKS)]) - whole
     half = _T95 * math.sqrt((BLOCKS - 1) / BLOCKS * float(np.sum(moved**2)))
-    return Slope(whole, whole - half, whole + half, allowed)
+    # The samples of one hour span a little less.
+    low = whole - half if math.isclose(warming, WARM_UP_MAX_H, rel_tol=0.05) else -math.inf
+    return Slope(whole, low, whole + half, allowed)
 
 
 def warm_up(length: float) -> float:

@@ -19,6 +19,8 @@ def wandering(seed, size):
 def test_a_leak_grows_and_noise_is_flat(seed):
     assert slope(HOURS, 100 + 8 * HOURS + wandering(seed, 1.0), 2.0).verdict == "grows"
     assert slope(HOURS, 100 + wandering(seed, 1.0), 2.0).verdict == "flat"
+    an_hour = 0.49 * HOURS
+    assert slope(an_hour, 100 + 16 * an_hour + wandering(seed, 1.0), 2.0).verdict == "grows"
 
 
 def test_the_interval_covers_the_truth_in_about_95_percent():
@@ -31,6 +33,13 @@ def test_the_interval_covers_the_truth_in_about_95_percent():
 
 def test_growth_during_the_warm_up_is_no_leak():
     assert slope(HOURS, 100 + 50 * np.minimum(HOURS, 0.2), 2.0).verdict == "flat"
+
+
+def test_a_run_without_a_whole_warm_up_shows_no_growth_but_may_be_flat():
+    """The last ten minutes of every channel are kept: they fill in any daemon."""
+    short = HOURS / 40
+    assert slope(short, 100 + 300 * np.minimum(short, 1 / 6), 10.0).verdict == "too short to decide"
+    assert slope(short, np.full(400, 17.0), 0.5).verdict == "flat"
 
 
 def test_freed_memory_is_no_leak_and_hides_none():
