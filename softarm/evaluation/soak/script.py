@@ -77,7 +77,7 @@ class Script:
 
     def _next(self, status: dict[str, Any]) -> list[Act]:
         """Return the next request of an operator."""
-        if status["estop"] == "latched":
+        if status["mode"] == "stopped":  # refused while a cause is present, but it resets a drive in fault
             return [Act("POST", "/api/acknowledge")]
         if status["mode"] == "disarmed":  # a fault of a device is acknowledged too, when its cause is gone
             return [Act("POST", "/api/acknowledge" if status["arming_refusals"] else "/api/arm")]

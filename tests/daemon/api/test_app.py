@@ -308,9 +308,10 @@ def test_the_log_notes_every_change_of_policy_once(tmp_path, client_of, shelf):
 
 def test_the_runner_of_a_refused_policy_ends(client, loop):
     loop.refuse = ("a goal is running: wait for it or DELETE /api/goal first",)
+    before = set(threading.enumerate())
     answer = client.put("/api/policy", json={"name": "pid"})
     assert answer.status_code == 409
-    for runner in [thread for thread in threading.enumerate() if thread.name == "policy pid"]:
+    for runner in {thread for thread in threading.enumerate() if thread.name == "policy pid"} - before:
         runner.join(60)
         assert not runner.is_alive()
 

@@ -1,6 +1,8 @@
 """Every button works when it is enabled and explains why it is disabled."""
 
 import re
+import threading
+from dataclasses import replace
 
 import pytest
 
@@ -40,6 +42,21 @@ def test_the_button_acknowledges_a_stop(page, robot):
     page.locator("#do-acknowledge").click()
     in_mode(page, "disarmed")
     assert robot.status["estop"] == "clear"
+
+
+def test_the_button_resets_a_drive_in_fault_and_then_acknowledges(page, robot, daemon, monkeypatch):
+    """The daemon resets a drive only on request, so the button works while the cause is present."""
+    robot.arm()
+    rail = daemon.loop._devices.rail
+    read, reset = rail.read, threading.Event()
+    monkeypatch.setattr(rail, "read", lambda: replace(read(), faults=() if reset.is_set() else ("E11",)))
+    monkeypatch.setattr(type(rail), "reset_fault", lambda self: reset.set())
+    robot.until(lambda status: status["estop"] == "engaged")
+    page.locator("#do-acknowledge[aria-disabled=false]").click()
+    page.locator("#said .refused", has_text="a fault reset was sent").wait_for()
+    robot.until(lambda status: status["estop"] == "latched")
+    page.locator("#do-acknowledge[aria-disabled=false]").click()
+    in_mode(page, "disarmed")
 
 
 def test_the_buttons_hold_and_cancel(page, robot):

@@ -21,7 +21,8 @@ const BUTTONS = {
   "do-acknowledge": {
     done: "Acknowledged. The robot is disarmed.",
     send: () => post("api/acknowledge"),
-    why: ({ mode, estop }) => (mode !== "stopped" ? "No emergency stop is latched." : estop === "engaged" ? "The cause of the stop is still present." : ""),
+    // While a cause is present the request is refused, but it resets the devices' faults.
+    why: ({ mode }) => (mode !== "stopped" ? "No emergency stop is latched." : ""),
   },
   "do-hold": { done: "Holding.", send: goal({ kind: "hold" }), why: ({ mode }) => (mode === "armed" ? "" : "Arm the robot first.") },
   "do-run": { done: "Running.", send: goal({ kind: "run" }), why: ({ mode }) => (mode === "armed" ? "" : "Arm the robot first.") },

@@ -12,7 +12,7 @@ const MODES = {
   unknown: ["No data", "Waiting for the daemon.", "M7 2h2v8H7zM7 12h2v2H7z"],
 };
 const ESTOP = {
-  engaged: "The drive is off. The cause of the stop is still present: remove it first.",
+  engaged: "The drive is off. The cause of the stop is still present. Remove it, then press Acknowledge, which also resets a device in fault.",
   latched: "The drive is off and the cause is gone. Make sure that the arm is free, then press Acknowledge.",
 };
 const SIGNS = {
