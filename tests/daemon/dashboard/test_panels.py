@@ -98,6 +98,16 @@ def test_a_log_is_downloaded_replayed_and_deleted(page, daemon, flight, tmp_path
     assert not flight.exists()
 
 
+def test_a_reload_of_the_list_leaves_unchanged_rows_in_the_page(page, flight):
+    panel = tab(page, "logs")
+    row = panel.locator("li", has_text="flight.mcap")
+    row.evaluate("(row) => { row.kept = true; }")
+    panel.locator(".hint").evaluate("(hint) => { hint.textContent = 'not reloaded'; }")
+    tab(page, "logs")
+    panel.locator(".hint", has_text="Folder").wait_for()
+    assert row.evaluate("(row) => row.kept")  # a click on a replaced row would be lost
+
+
 def test_the_log_being_recorded_cannot_be_deleted(page, daemon):
     panel = tab(page, "logs")
     row = panel.locator("li", has_text=daemon.recorder.path.name)

@@ -80,7 +80,7 @@ export class EventsPanel extends Panel {
   open() {
     const entries = this.follower.events.slice(-SHOWN).reverse().map((event) =>
       el("li", { class: `event of-${event.kind}${event.accepted === false ? " not" : ""}` }, el("time", { datetime: event.time }, clock(event.time)), el("b", {}, event.kind), el("span", {}, sentence(worded(event.text)))));
-    this.place.replaceChildren(this.list(entries, "No events yet."));
+    this.show(this.list(entries, "No events yet."));
   }
 }
 
@@ -102,6 +102,6 @@ export class GoalsPanel extends Panel {
         el("time", { datetime: request.time }, clock(request.time)), el("b", {}, OUTCOMES[end?.what] ?? "… running"),
         el("span", {}, `${sentence(target)}, from ${request.who ?? "an unknown client"}${end ? `. ${sentence(worded(end.text))}` : ""}`)));
     const sum = ended.length ? el("p", { class: "hint" }, `${reached} of ${ended.length} reached`) : null;
-    this.place.replaceChildren(...[sum, this.list(entries, "No goals yet. Click in the drawing to send one.")].filter(Boolean));
+    this.show(sum, this.list(entries, "No goals yet. Click in the drawing to send one."));
   }
 }

@@ -23,7 +23,7 @@ export class Logs extends Panel {
   }
 
   fill({ directory, logs }) {
-    this.place.replaceChildren(this.list(logs.map((log) => this.log(log)), "No logs."), el("p", { class: "hint" }, `Folder: ${directory}`));
+    this.show(this.list(logs.map((log) => this.log(log)), "No logs."), el("p", { class: "hint" }, `Folder: ${directory}`));
   }
 
   log(log) {
@@ -81,7 +81,7 @@ export class Incidents extends Panel {
 
   fill({ incidents }) {
     const rows = incidents.map((one) => entry(sentence(worded(one.text)), `${clock(one.time, true)} · ${bytes(one.bytes)} · ${one.name}`, link(path("incidents", one.name), "Download", { download: one.name, "aria-label": `Download ${one.name}` })).row);
-    this.place.replaceChildren(el("p", { class: "hint" }, "Each emergency stop writes one file: the log around the stop, the configuration and the versions."), this.list(rows, "No incident files."));
+    this.show(el("p", { class: "hint" }, "Each emergency stop writes one file: the log around the stop, the configuration and the versions."), this.list(rows, "No incident files."));
   }
 }
 
@@ -92,6 +92,6 @@ export class Reports extends Panel {
 
   fill({ directory, reports }) {
     const rows = reports.map((one) => entry(one.name, `${clock(one.modified, true)} · ${bytes(one.bytes)}`, link(path("reports", one.name), "Open", { target: "_blank", rel: "noopener", "aria-label": `Open ${one.name}` })).row);
-    this.place.replaceChildren(this.list(rows, `No reports in ${directory}. Write one with softarm diagnose --report ${directory}/NAME.html.`));
+    this.show(this.list(rows, `No reports in ${directory}. Write one with softarm diagnose --report ${directory}/NAME.html.`));
   }
 }

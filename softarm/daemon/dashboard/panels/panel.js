@@ -1,7 +1,7 @@
 // The base of all panels: loads the content and shows progress or the error.
 
 import { get } from "../link/api.js";
-import { el, sentence, worded } from "../view/dom.js";
+import { el, sentence, update, worded } from "../view/dom.js";
 
 const LISTING_S = 35; // the daemon's own limit is 30 s
 
@@ -21,6 +21,10 @@ export class Panel {
     } catch (error) {
       this.place.replaceChildren(el("p", { class: "notice refused" }, `${this.name}: ${(error.reasons ?? [String(error)]).map((one) => sentence(worded(one))).join(". ")}`));
     }
+  }
+
+  show(...children) {
+    update(this.place, children.filter(Boolean));
   }
 
   // Return the entries as a list, or the text for an empty one.

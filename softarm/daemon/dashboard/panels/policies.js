@@ -15,7 +15,7 @@ export class Policies extends Panel {
   fill({ active, policies }) {
     const used = policies.find((policy) => policy.name === active);
     $("do-run").hidden = used?.needs_target !== false;
-    this.place.replaceChildren(this.list(policies.map((policy) => this.entry(policy, policy.name === active)), "No policies."));
+    this.show(this.list(policies.map((policy) => this.entry(policy, policy.name === active)), "No policies."));
   }
 
   entry(policy, active) {

@@ -29,6 +29,17 @@ export function render(node, key, make) {
   node.replaceChildren(...[make()].flat().filter(Boolean));
 }
 
+// Replace the children that differ. A click on an element that is replaced while the button is down is lost.
+export function update(node, children) {
+  children.forEach((child, k) => {
+    const old = node.children[k];
+    if (!old) node.append(child);
+    else if (old.tagName === "UL" && child.tagName === "UL") update(old, [...child.children]);
+    else if (!old.isEqualNode(child)) old.replaceWith(child);
+  });
+  while (node.children.length > children.length) node.lastElementChild.remove();
+}
+
 export const finite = (value) => typeof value === "number" && Number.isFinite(value);
 
 // Format a number with its unit; a missing value becomes a dash.
