@@ -92,7 +92,7 @@ def _filled(data: Any, schema: type[BaseModel], place: Place) -> Any:
 
 
 def _mistake(document: Document, schema: type[BaseModel], item: Mapping[str, Any]) -> Mistake:
-    """Return a finding for an error of pydantic, at its line."""
+    """Return a mistake for an error of pydantic, at its line."""
     loc: Place = item["loc"]
     # Pydantic's location also contains the branches of a union.
     place = document.known(loc)
@@ -102,7 +102,7 @@ def _mistake(document: Document, schema: type[BaseModel], item: Mapping[str, Any
 
 
 def _said(document: Document, text: str, otherwise: Place) -> Mistake:
-    """Return a finding at the first key that a sentence names, or at another place."""
+    """Return a mistake at the first key that a sentence names, or at another place."""
     place = _named_in(text, document) or otherwise
     return Mistake(place, document.line(place), partial(str.removeprefix, text, f"{'.'.join(map(str, place))} "))
 
