@@ -67,8 +67,9 @@ def all_at_once(trials: Sequence[Trial], model: Model) -> Diagnosis:
         ranked.append((clear, effect, us))
         at += len(us)
     clear, effect, us = max(ranked, key=lambda each: each[0])
-    named = ((effect,), (us,)) if clear > CLEARLY else ((), ())
-    return _named(replace(fit, effects=named[0], u=named[1]), model)
+    if clear > CLEARLY:
+        return _named(replace(fit, effects=(effect,), u=(us,)), model)
+    return _named(replace(fit, effects=(), u=()), model)
 
 
 def _search(trials: Sequence[Trial], model: Model) -> Search:
