@@ -63,6 +63,8 @@ class Robot:
             raise ValueError(
                 f"cart_position_m is {cart_position_m}; the travel is +-{p.cart.travel_m} m: start within it"
             )
+        if seed < 0:
+            raise ValueError(f"seed is {seed}; give a whole number from 0")
         self.held = held
         self._steps = 0
         self._commanded_s = 0.0

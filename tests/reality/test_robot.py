@@ -15,7 +15,7 @@ from softarm.schemas.model import Arm
     ("use", "message"),
     [
         (lambda: Robot(cart_position_m=0.4), r"cart_position_m is 0.4; the travel is \+-0.3 m: start within it"),
-        (lambda: Robot(seed=-1), "non-negative integer"),
+        (lambda: Robot(seed=-1), "seed is -1; give a whole number from 0"),
         (lambda: Robot().command(0.0, math.nan, 1.0), "the command is nan m/s, 1.0 kPa; give two finite numbers"),
         (lambda: Robot().command(math.inf, 0.0, 1.0), "t_s is inf; the robot is at 0.000000 s: give 0.000000 or later"),
         (lambda: Robot().advance(math.inf), "t_s is inf; give a finite number of seconds"),
