@@ -23,11 +23,12 @@ import click
 import numpy as np
 
 from benchmarks import results
+from softarm.cli.shared.errors import failing
 from softarm.common import realtime
 from softarm.common.processes import bar
 from softarm.daemon.control.records import Inputs, Outputs, TickTiming
 from softarm.daemon.logbook import logs
-from softarm.evaluation.software_in_the_loop import SoftwareInTheLoop
+from softarm.evaluation.software_in_the_loop import SoftwareInTheLoop, SoftwareInTheLoopError
 from softarm.schemas.config import Config
 from softarm.schemas.flights import TEST_TARGETS
 
@@ -175,7 +176,7 @@ def main(seconds: float, json_file: Path | None) -> None:
     Example:
       python -m benchmarks.loop --seconds 60 --json loop.json
     """
-    with bar("ticking") as shown:
+    with failing(SoftwareInTheLoopError), bar("ticking") as shown:
         result = run(seconds, shown.show)
     results.report("loop", result, json_file)
 

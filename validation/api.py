@@ -13,6 +13,8 @@ from pathlib import Path
 
 import click
 
+from softarm.cli.shared.errors import failing
+from softarm.evaluation.software_in_the_loop import SoftwareInTheLoopError
 from validation.daemon_process import SimulatedDaemon
 
 _EXPECTED = """
@@ -36,7 +38,11 @@ def main(examples: int, seed: int) -> None:
     Example:
       python -m validation.api --examples 500 --seed 1
     """
-    with tempfile.TemporaryDirectory(prefix="softarm-") as folder, SimulatedDaemon(Path(folder)) as daemon:
+    with (
+        failing(SoftwareInTheLoopError),
+        tempfile.TemporaryDirectory(prefix="softarm-") as folder,
+        SimulatedDaemon(Path(folder)) as daemon,
+    ):
         expected = Path(folder) / "schemathesis.toml"
         expected.write_text(_EXPECTED)
         program = [sys.executable, "-m", "schemathesis.cli", "--config-file", str(expected), "--no-color", "run"]

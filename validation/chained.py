@@ -25,6 +25,7 @@ import numpy as np
 from rich.console import Console
 
 from benchmarks import results
+from softarm.cli.shared.errors import failing
 from softarm.common.processes import bar
 from softarm.daemon.control.records import Mode, Outputs, Request
 from softarm.daemon.control.workspace import refusals
@@ -32,7 +33,7 @@ from softarm.daemon.runtime.offline import Lockstep
 from softarm.drivers.bodies.base import Body
 from softarm.drivers.bodies.independent import IndependentBody
 from softarm.drivers.bodies.simulated import SimulatedBody
-from softarm.evaluation.software_in_the_loop import SoftwareInTheLoop
+from softarm.evaluation.software_in_the_loop import SoftwareInTheLoop, SoftwareInTheLoopError
 from softarm.policies import registry
 from softarm.policies.base import Policy
 from softarm.schemas.config import Config
@@ -313,7 +314,11 @@ def main(body: str, goals: int, policy: str, seed: int, json_file: Path | None) 
 
     drawn = [draw(config, seed, number) for number in range(goals)]
     aims = [(goal, _within(spec.trained, goal)) for goal in drawn]
-    with tempfile.TemporaryDirectory(prefix="softarm-") as folder, bar(f"chained, {body}", goals) as shown:
+    with (
+        failing(SoftwareInTheLoopError, RuntimeError),
+        tempfile.TemporaryDirectory(prefix="softarm-") as folder,
+        bar(f"chained, {body}", goals) as shown,
+    ):
         fly(begin, aims, take)
     figures = {"body": body, "policy": policy, "seed": seed, **summary(legs)}
     results.write(json_file, figures)

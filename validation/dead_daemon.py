@@ -24,6 +24,7 @@ from typing import Any
 import click
 
 from benchmarks import results
+from softarm.cli.shared.errors import failing
 from softarm.common import realtime
 from softarm.common.processes import bar
 from softarm.drivers.bodies.simulated import SimulatedBody
@@ -247,7 +248,7 @@ def main(repeats: int, json_file: Path | None) -> None:
     Example:
       python -m validation.dead_daemon --repeats 50 --json dead-daemon.json
     """
-    with bar("ending daemons") as shown:
+    with failing(SoftwareInTheLoopError), bar("ending daemons") as shown:
         figures = run(repeats, list(CASES), shown.show)
     results.report("dead-daemon", {"cases": figures}, json_file)
 

@@ -12,11 +12,13 @@ from pathlib import Path
 import click
 
 from benchmarks import results
-from softarm.common.processes import as_they_come, bar, cores
+from softarm.cli.shared.errors import failing
+from softarm.common.processes import WorkerDied, as_they_come, bar, cores
 from softarm.evaluation.evaluation import FLIGHTS
 from softarm.evaluation.robots import with_faults
 from softarm.evaluation.runner import fly_grid, shares
 from softarm.policies import registry
+from softarm.policies.base import PolicyError
 from softarm.reality.parameters import RobotParameters
 
 # Strong faults within the bounds of the effect registry and of a bench; the rail's first.
@@ -85,7 +87,7 @@ def main(policies: tuple[str, ...], json_file: Path | None) -> None:
     Example:
       python -m validation.faults --policy reach --policy pid --json faults.json
     """
-    with bar("flying", (1 + len(FAULTS)) * len(policies) * FLIGHTS) as shown:
+    with failing(PolicyError, WorkerDied), bar("flying", (1 + len(FAULTS)) * len(policies) * FLIGHTS) as shown:
         found = measure(policies, shown.advance)
     results.report("faults", found, json_file)
 

@@ -25,9 +25,11 @@ from typing import Any, NamedTuple
 import click
 
 from benchmarks import results
+from softarm.cli.shared.errors import failing
 from softarm.common import realtime
 from softarm.common.processes import bar
 from softarm.daemon.runtime.service import allow_descriptors
+from softarm.evaluation.software_in_the_loop import SoftwareInTheLoopError
 from softarm.schemas.config import Config
 from validation.daemon_process import SimulatedDaemon
 
@@ -224,7 +226,7 @@ def main(stops: int, json_file: Path | None) -> None:
     Example:
       python -m validation.stop --json stop.json
     """
-    with bar("stopping") as shown:
+    with failing(SoftwareInTheLoopError), bar("stopping") as shown:
         figures = run(stops, list(ATTACKS), shown.show)
     results.report("stop", {"answer_ms": figures}, json_file)
 

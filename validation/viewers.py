@@ -26,6 +26,7 @@ import websockets
 
 from benchmarks import results
 from benchmarks.loop import BareLoop, Window, figures, swing
+from softarm.cli.shared.errors import failing
 from softarm.common.processes import bar
 from softarm.daemon.logbook import logs
 from softarm.evaluation.soak import usage
@@ -160,7 +161,7 @@ def main(seconds: float, turns: int, viewers: int, json_file: Path | None) -> No
     Example:
       python -m validation.viewers --seconds 20 --turns 3 --json viewers.json
     """
-    with bar("flying") as shown:
+    with failing(SoftwareInTheLoopError), bar("flying") as shown:
         result = run(seconds, turns, viewers, shown.show)
     results.report("viewers", result, json_file)
 
