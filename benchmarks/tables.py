@@ -235,10 +235,14 @@ def stop(read: Read) -> str:
     """Return how soon a stop is answered under attack."""
     rows = []
     for attack, ways in read("stop")["answer_ms"].items():
-        cells = ["{p50:.0f} / {p99:.0f} / {max:.0f}".format(**ways[way]) for way in ("stop", "api")]
+        cells = [_answered(ways[way]) for way in ("stop", "api")]
         unanswered = sum(ways[way]["unanswered"] for way in ("stop", "api"))
         rows.append([attack, *cells, f"{unanswered} of {sum(ways[way]['asked'] for way in ('stop', 'api'))}"])
     return markdown(("p50 / p99 / max (ms), under", "stop port", "REST", "unanswered"), rows)
+
+
+def _answered(found: Mapping[str, Any]) -> str:
+    return "none" if found["p50"] is None else "{p50:.0f} / {p99:.0f} / {max:.0f}".format(**found)
 
 
 def bridging(read: Read) -> str:

@@ -12,7 +12,6 @@ import asyncio
 import contextlib
 import http.client
 import json
-import math
 import multiprocessing
 import random
 import tempfile
@@ -84,7 +83,7 @@ def _measure(ports: Ports, stops: int) -> dict[str, Any]:
         for way, times in took.items():
             time.sleep(pauses.uniform(*PAUSE_S))
             times.append(_stop(ports, way))
-    return {way: _spread(times) for way, times in took.items()}
+    return {way: summarize(times) for way, times in took.items()}
 
 
 def _stop(ports: Ports, way: str) -> float | None:
@@ -102,9 +101,15 @@ def _stop(ports: Ports, way: str) -> float | None:
         connection.close()
 
 
-def _spread(times_s: list[float | None]) -> dict[str, Any]:
+def summarize(times_s: list[float | None]) -> dict[str, Any]:
+    """Return the spread of the answers, ms, or None for each of its figures if no stop was answered.
+
+    Args:
+        times_s: Seconds until each stop was answered; None if it was not.
+    """
     done = [seconds * 1e3 for seconds in times_s if seconds is not None]
-    return {**results.spread(done or [math.nan]), "asked": len(times_s), "unanswered": len(times_s) - len(done)}
+    spread = results.spread(done) if done else dict.fromkeys(("p50", "p99", "p999", "max"))
+    return {**spread, "asked": len(times_s), "unanswered": len(times_s) - len(done)}
 
 
 @contextlib.contextmanager
