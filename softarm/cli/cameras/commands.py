@@ -4,6 +4,7 @@ import signal
 import threading
 import time
 from collections.abc import Callable
+from contextlib import closing
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -12,7 +13,7 @@ import click
 from softarm.cli.cameras.calibrate import calibrate
 from softarm.cli.cameras.screen import look, screen
 from softarm.cli.cameras.settings import server_option, settings
-from softarm.cli.shared.errors import fail
+from softarm.cli.shared.errors import failing
 from softarm.cli.shared.interrupt import NOTHING, leaves
 from softarm.cli.shared.options import FILE
 from softarm.cli.shared.printing import print_option
@@ -79,15 +80,13 @@ def natnet(server: str | None, config_file: Path | None, once: bool, as_json: bo
             "not calibrated: the room is taken as it stands; `softarm bridge calibrate` finds how it lies", err=True
         )
     show, log = screen(as_json)
-    publisher = Publisher(config.daemon, log)
-    try:
-        with Client(config, address, log) as client:
-            publisher.open()
-            _carry(Bridging(config, client, publisher, log), show, PRINTED_S if as_json else SHOWN_S, ended)
-    except DeviceError as error:
-        fail(str(error))
-    finally:
-        publisher.close()
+    with (
+        failing(DeviceError),
+        closing(Publisher(config.daemon, log)) as publisher,
+        Client(config, address, log) as client,
+    ):
+        publisher.open()
+        _carry(Bridging(config, client, publisher, log), show, PRINTED_S if as_json else SHOWN_S, ended)
 
 
 def _carry(bridging: "Bridging", show: "Callable[[Status], None]", period_s: float, ended: threading.Event) -> None:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from softarm.cli.shared.errors import fail
+from softarm.cli.shared.errors import fail, failing, writing
 from softarm.cli.shared.options import FILE
 from softarm.common.processes import bar
 
@@ -51,16 +51,13 @@ def export(files: tuple[Path, ...], to: str, out: Path) -> None:
 
     for file in files:
         try:
-            log = logs.read(file)
-            out.mkdir(parents=True, exist_ok=True)
-            if to == "foxglove":
-                click.echo(_foxglove(log, out))
-            else:
-                click.echo(_tables(log, out / file.stem, "csv" if to == "csv" else "parquet"))
-        except (LogError, TrialError) as error:
-            fail(str(error))
-        except OSError as error:
-            fail(f"{error.filename}: cannot be written ({error.strerror}); choose another --out")
+            with failing(LogError, TrialError), writing("choose another --out"):
+                log = logs.read(file)
+                out.mkdir(parents=True, exist_ok=True)
+                if to == "foxglove":
+                    click.echo(_foxglove(log, out))
+                else:
+                    click.echo(_tables(log, out / file.stem, "csv" if to == "csv" else "parquet"))
         except ModuleNotFoundError as error:
             fail(f"--to {to} needs {error.name}, which is not installed: pip install 'softarm[diagnosis]'")
 
