@@ -18,8 +18,7 @@ from pathlib import Path
 from typing import Any, get_args
 
 from softarm.common.processes import as_they_come, bar
-from softarm.diagnosis.blind import pages
-from softarm.diagnosis.blind.run import digest, tool_version
+from softarm.diagnosis.blind import pages, seal
 from softarm.diagnosis.blind.score import ScoredRig, rig_counts, score_rig
 from softarm.diagnosis.data.trials import TrialError
 from softarm.reality.rigs.case import CATEGORIES, RigCase, case_of, draw
@@ -46,11 +45,11 @@ def run(folder: Path, processes: int = 2, on_case: OnCase = lambda *of: None, on
     cases = [case for case in cases if not only or case.name in only]
     if not cases:
         raise TrialError(f"{folder}: contains no such case; make some first (python -m {__spec__.name} make)")
-    answers, tool = folder / "answers", tool_version()
+    answers, tool = folder / "answers", seal.tool_version()
     answers.mkdir(exist_ok=True)
     todo = [case for case in cases if not _kept(answers / f"{case.name}.json", tool, case)]
     for done, (case, result) in enumerate(as_they_come(answer, todo, processes), 1):
-        text = json.dumps({"tool": tool, "data": digest(case), **result}, indent=1)
+        text = json.dumps({"tool": tool, "data": seal.case_sha256(case), **result}, indent=1)
         (answers / f"{case.name}.json").write_text(text + "\n", encoding="utf-8")
         on_case(case.name, done, len(todo))
 
@@ -85,7 +84,7 @@ def _kept(file: Path, tool: str, case: Path) -> bool:
     if not file.is_file():
         return False
     before = _json(file)
-    return bool(before["tool"] == tool and before["data"] == digest(case))
+    return bool(before["tool"] == tool and before["data"] == seal.case_sha256(case))
 
 
 def _json(file: Path) -> Any:

@@ -8,11 +8,9 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-from softarm import common, diagnosis, schemas, simulator
 from softarm.common.processes import as_they_come
 from softarm.common.words import did_you_mean
 from softarm.diagnosis import baselines
@@ -27,7 +25,6 @@ from softarm.simulator import model_file
 # case, answered, of
 OnAnswer = Callable[[str, int, int], None]
 Method = Callable[[Sequence[Trial], Model], Diagnosis]
-_CODE = (".py", ".yaml", ".json")
 
 METHODS: dict[str, Method] = {
     "diagnose": diagnose,
@@ -59,7 +56,7 @@ def run(
     cases = folders(data)
     seal.keep_apart(file, data)
     file.parent.mkdir(parents=True, exist_ok=True)
-    about = {"method": method if trials is None else f"{method}, {trials} trials", "tool": tool_version()}
+    about = {"method": method if trials is None else f"{method}, {trials} trials", "tool": seal.tool_version()}
     unfinished = _beside(file, ".partial")
     done = _kept(file, unfinished, about, cases)
     todo = [case for case in cases if case.name not in done]
@@ -105,29 +102,11 @@ def answer_case(folder: Path, method: str, shown: int | None = None) -> dict[str
         failure = f"{type(error).__name__}: {error}"
     return {
         "case": folder.name,
-        "data": digest(folder),
+        "data": seal.case_sha256(folder),
         **answer,
         "failure": failure,
         "seconds": time.process_time() - begin,
     }
-
-
-def digest(folder: Path) -> str:
-    """Return the SHA-256 of a case's files, independent of the case's name."""
-    files = sorted(path for path in folder.rglob("*") if path.is_file())
-    return seal.sha256("".join(f"{path.relative_to(folder)} {seal.sha256(path.read_bytes())}\n" for path in files))
-
-
-def tool_version() -> str:
-    """Return the package's version with a hash of the code that answers."""
-    lines = []
-    for package in (common, diagnosis, schemas, simulator):
-        root = Path(str(package.__file__)).parent
-        for path in sorted(
-            p for p in root.rglob("*") if p.suffix in _CODE and "blind" not in p.relative_to(root).parts
-        ):
-            lines.append(f"{root.name}/{path.relative_to(root)} {seal.sha256(path.read_bytes())}")
-    return f"{version('softarm')}+{seal.sha256(chr(10).join(lines))[:12]}"
 
 
 def read_answers(file: Path) -> dict[str, Any]:
@@ -164,7 +143,7 @@ def _kept(file: Path, unfinished: Path, about: dict[str, str], cases: Sequence[P
                 lines.append(json.loads(line))
             except ValueError:
                 continue  # the run was interrupted in this line
-    now = {case.name: digest(case) for case in cases} if lines else {}
+    now = {case.name: seal.case_sha256(case) for case in cases} if lines else {}
     return {
         line["case"]: {key: value for key, value in line.items() if key not in about}
         for line in lines

@@ -1,6 +1,8 @@
 """Benchmark of rigs: outcomes of answers, and separation of truths and data."""
 
 import json
+import subprocess
+import sys
 
 import pytest
 
@@ -132,3 +134,12 @@ def test_a_failure_of_the_tool_is_scored(tmp_path):
 def test_a_folder_without_cases_is_rejected(tmp_path):
     with pytest.raises(SystemExit, match="contains no such case"):
         rigs.main(["run", str(tmp_path)])
+
+
+def test_making_and_scoring_do_not_load_the_simulator():
+    program = (
+        "import sys, softarm.diagnosis.blind.rigs;"
+        "print(sorted({'numba', 'softarm.simulator.simulator'} & set(sys.modules)))"
+    )
+    run = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=60, check=False)
+    assert (run.stdout.strip(), run.returncode) == ("[]", 0), run.stderr

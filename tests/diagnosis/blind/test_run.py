@@ -143,7 +143,7 @@ def test_changed_data_or_another_tool_are_answered_again(data, tmp_path, monkeyp
     csv.write_text("".join(csv.read_text().splitlines(keepends=True)[:-1]))
     run.run(data, file, processes=1)
     assert len(seen) == 4
-    monkeypatch.setattr(run, "tool_version", lambda: "another")
+    monkeypatch.setattr(seal, "tool_version", lambda: "another")
     run.run(data, file, processes=1)
     assert len(seen) == 7
 
